@@ -1,0 +1,241 @@
+/* Bytes <-> structs: images and EXIF, COLMAP models, scenes, checkpoints, and every file of Gaussians.
+ *
+ * Decoders are safe on any bytes: they check counts against the bytes at hand before they allocate, keep to
+ * codec_limits, and on error leave their output empty. Writers of files go through core's file_begin.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef CODEC_CODEC_H
+#define CODEC_CODEC_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "core/base.h"
+#include "core/camera.h"
+#include "core/gauss.h"
+#include "core/geo.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+struct codec_limits { /* {0} = the defaults in brackets */
+    size_t max_gaussians; /* [64 Mi] */
+    size_t max_bytes;     /* decompressed bytes of one file [16 GiB] */
+    size_t max_pixels;    /* of one image [512 Mi] */
+};
+
+/* ---- image_shim.cc (OpenImageIO) ---------------------------------------------------------------- */
+
+struct image { /* {0} is empty */
+    uint32_t width_px, height_px, channels; /* 1 or 3 */
+    uint8_t *px;                            /* [h][w][channels], sRGB values as stored */
+};
+struct image_gps {
+    bool has_position, has_altitude;
+    double lat_deg, lon_deg, alt_m; /* alt_m as the file says it: usually above sea level */
+    char time[32];                  /* EXIF DateTimeOriginal or "" */
+    double exposure_s, iso, focal_mm; /* 0 = not given */
+};
+/* Read as 8-bit RGB (grey is expanded, alpha dropped), EXIF orientation ignored as COLMAP does.
+ * ERR_NOENT, ERR_FORMAT (not an image; says which file), ERR_LIMIT. image_free it. */
+enum err_code image_read(const char *path, const struct codec_limits *lim, struct image *out,
+                         struct err *e) ERR_USE;
+/* Size and EXIF only, without decoding pixels. Either output may be NULL. */
+enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *height_px,
+                              struct image_gps *gps, struct err *e) ERR_USE;
+/* By extension: .jpg .png .webp .tif. quality 1..100 for jpg and webp (0 = 95; jpg >= 95 writes 4:4:4).
+ * gps (may be NULL) goes into EXIF. */
+enum err_code image_write(const char *path, const struct image *img, int quality,
+                          const struct image_gps *gps, struct err *e) ERR_USE;
+/* The same into memory; format is "jpg", "png" or "webp". */
+enum err_code image_encode(const struct image *img, const char *format, int quality, struct buf *out,
+                           struct err *e) ERR_USE;
+/* Lanczos3 resize. out is allocated; image_free it. */
+enum err_code image_resize(const struct image *in, uint32_t width_px, uint32_t height_px,
+                           struct image *out, struct err *e) ERR_USE;
+enum err_code image_alloc(uint32_t width_px, uint32_t height_px, uint32_t channels, struct image *out,
+                          struct err *e) ERR_USE;
+void image_free(struct image *img);
+/* float32 .npy, C order. shape has ndim entries. npy_read allocates (mem_free). */
+enum err_code npy_write(const char *path, const float *data, size_t ndim, const size_t *shape,
+                        struct err *e) ERR_USE;
+enum err_code npy_read(const char *path, size_t ndim, size_t *shape, float **data, struct err *e) ERR_USE;
+
+/* ---- colmap.c ------------------------------------------------------------------------------------- */
+
+struct colmap_camera {
+    uint32_t id;
+    struct lens lens;
+};
+struct colmap_observation {
+    double x_px, y_px;
+    int64_t point; /* index into colmap_model.points, -1 = none */
+};
+struct colmap_image {
+    uint32_t id;
+    double quat_wxyz[4], trans[3]; /* world -> camera */
+    size_t camera;                 /* index into cameras */
+    char *name;
+    struct colmap_observation *obs;
+    size_t n_obs;
+};
+struct colmap_track_element {
+    uint32_t image; /* index into images */
+    uint32_t obs;   /* index into that image's obs */
+};
+struct colmap_point {
+    uint64_t id;
+    double xyz[3];
+    uint8_t rgb[3];
+    double error_px;
+    size_t track, n_track; /* slice of colmap_model.tracks */
+};
+struct colmap_model { /* {0} is empty; sorted by id; ids are resolved to indices and checked */
+    struct colmap_camera *cameras;
+    size_t n_cameras;
+    struct colmap_image *images;
+    size_t n_images;
+    struct colmap_point *points;
+    size_t n_points;
+    struct colmap_track_element *tracks;
+    size_t n_tracks;
+    struct arena arena; /* owns everything above */
+};
+/* From a folder that holds cameras/images/points3D as .bin (preferred) or .txt, or its sparse/ or sparse/0/.
+ * ERR_NOENT names what was looked for; ERR_FORMAT names file and record ("images.bin: image 17 of 75:
+ * truncated"). colmap_free it. */
+enum err_code colmap_read(const char *dir, struct colmap_model *out, struct err *e) ERR_USE;
+enum err_code colmap_write_bin(const char *dir, const struct colmap_model *m, struct err *e) ERR_USE;
+void colmap_free(struct colmap_model *m);
+
+/* ---- scene.c: what ingest makes and train reads ---------------------------------------------------- */
+
+enum scene_split { SCENE_TRAIN, SCENE_TEST };
+struct scene_image {
+    char *name;            /* file in images/, borrowed from the scene's arena */
+    struct camera cam;     /* undistorted pinhole, world = ENU metres */
+    enum scene_split split;
+    uint32_t group;        /* appearance group; one per photograph by default */
+    double gps_enu_m[3];   /* NaN when there is none */
+    double residual_m;     /* after registration; NaN when there is no GPS */
+};
+struct scene_point {
+    double enu_m[3];
+    uint8_t rgb[3];
+    float error_px;
+    uint32_t track_length;
+};
+struct scene { /* {0} is empty */
+    struct geo_origin origin;
+    double scale, rot[9], trans[3]; /* COLMAP -> ENU: y = scale * rot * x + trans */
+    double vertical_offset_m;       /* fitted GPS altitude offset kept apart, see docs/conventions.md */
+    struct scene_image *images;
+    size_t n_images;
+    struct scene_point *points;
+    size_t n_points;
+    struct scene_track { uint32_t point, image; float x_px, y_px; } *tracks; /* sorted by image; image pixels after undistortion and resize */
+    size_t n_tracks;
+    char *attribution; /* may be NULL */
+    char dir[FILE_PATH_MAX];
+    struct arena arena;
+};
+/* scene.json + points.bin of a scene folder. scene_free it. */
+enum err_code scene_read(const char *dir, struct scene *out, struct err *e) ERR_USE;
+enum err_code scene_write(const char *dir, const struct scene *s, struct err *e) ERR_USE;
+void scene_free(struct scene *s);
+
+/* ---- ckpt.c: one file, a JSON head and named blobs, hashed ------------------------------------------- */
+
+struct ckpt_blob {
+    char name[32];
+    const void *data; /* write: borrowed; read: points into the ckpt's buffer, 64-byte aligned */
+    size_t size_bytes;
+};
+struct ckpt { /* {0} is empty */
+    struct json_t *meta; /* level, step, seed, config, metrics ... */
+    struct gauss g;
+    struct ckpt_blob *blobs;
+    size_t n_blobs;
+    struct buf file;
+};
+/* meta must be an object; g may be empty. Written beside and renamed. */
+enum err_code ckpt_write(const char *path, const struct json_t *meta, const struct gauss *g,
+                         const struct ckpt_blob *blobs, size_t n_blobs, struct err *e) ERR_USE;
+/* ERR_FORMAT when truncated or when a hash differs. ckpt_free it. */
+enum err_code ckpt_read(const char *path, struct ckpt *out, struct err *e) ERR_USE;
+const struct ckpt_blob *ckpt_find(const struct ckpt *c, const char *name); /* NULL when absent */
+void ckpt_free(struct ckpt *c);
+
+/* ---- Gaussians in files --------------------------------------------------------------------------- */
+
+/* ENU (z up) -> glTF (y up): p' = (E, U, -N), rotations and SH turned with it; and back. In place. */
+void frame_enu_to_gltf(struct gauss *g);
+void frame_gltf_to_enu(struct gauss *g);
+
+/* INRIA .ply. Import finds properties by name, any scalar type, skips unknown ones; SH degree from the
+ * number of f_rest. Comments "citysplat origin lon lat h" are read and written (origin may be NULL; on read
+ * has_origin tells). Means are read into float32 about origin_enu_m = 0 unless the file carries doubles. */
+struct ply_info {
+    bool has_origin;
+    struct geo_origin origin;
+};
+enum err_code ply_read(const char *path, const struct codec_limits *lim, struct gauss *out,
+                       struct ply_info *info, struct err *e) ERR_USE;
+enum err_code ply_decode(const void *bytes, size_t n, const struct codec_limits *lim, struct gauss *out,
+                         struct ply_info *info, struct err *e) ERR_USE;
+enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, struct buf *out,
+                         struct err *e) ERR_USE;
+
+/* One quantiser for SPZ and Draco: integers of SPZ v3 (docs/formats.md). g is in the axes to be written
+ * (glTF for tiles), means relative to its origin, |mean| < 2048 m or ERR_LIMIT. */
+struct quant { /* {0} is empty; arrays in one allocation */
+    size_t n;
+    uint32_t sh_degree, embed_len;
+    bool antialiased;
+    int32_t *position; /* [n][3], 2^-12 m */
+    uint8_t *alpha;    /* [n] */
+    uint8_t *color;    /* [n][3] */
+    uint8_t *scale;    /* [n][3] */
+    uint32_t *rotation; /* [n] SPZ v3 packed smallest-three */
+    uint8_t *sh;       /* [n][K-1][3] */
+    uint8_t *embed;    /* [n][embed_len] */
+    float embed_min[GAUSS_EMBED_MAX], embed_max[GAUSS_EMBED_MAX];
+    void *block;
+};
+enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree, struct quant *out,
+                               struct err *e) ERR_USE;
+enum err_code quant_to_gauss(const struct quant *q, struct gauss *out, struct err *e) ERR_USE;
+void quant_free(struct quant *q);
+
+/* .spz, versions 2, 3, 4 read; 3 and 4 written. */
+enum err_code spz_encode(const struct quant *q, int version, struct buf *out, struct err *e) ERR_USE;
+enum err_code spz_decode(const void *bytes, size_t n, const struct codec_limits *lim, struct quant *out,
+                         struct err *e) ERR_USE;
+/* .drc: sequential point cloud of integer attributes (draco_shim.cc). `tile` is text for the metadata. */
+enum err_code draco_encode(const struct quant *q, const char *tile, struct buf *out,
+                           struct err *e) ERR_USE;
+enum err_code draco_decode(const void *bytes, size_t n, const struct codec_limits *lim,
+                           struct quant *out, struct err *e) ERR_USE;
+/* .glb with KHR_gaussian_splatting: payload SPZ v3 (CesiumJS, ArcGIS, 3d-tiles-renderer + Spark) ... */
+enum err_code glb_encode_spz(const struct quant *q, const char *copyright, struct buf *out,
+                             struct err *e) ERR_USE;
+/* ... or plain float accessors (three, PlayCanvas, Babylon). g in glTF axes. */
+enum err_code glb_encode_plain(const struct gauss *g, const char *copyright, struct buf *out,
+                               struct err *e) ERR_USE;
+/* The payload back out of a glb of ours, for tests and import: returns the .spz bytes inside. */
+enum err_code glb_find_spz(const void *bytes, size_t n, const void **spz, size_t *n_spz,
+                           struct err *e) ERR_USE;
+
+/* Master payload of a tile in the store: float32 mean relative to the tile centre, half floats elsewhere
+ * (opacity, scale and rotation float32 where lossless is set), zstd. ENU axes. */
+enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *out, struct err *e) ERR_USE;
+enum err_code payload_decode(const void *bytes, size_t n, const struct codec_limits *lim,
+                             struct gauss *out, struct err *e) ERR_USE;
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,81 @@
+/* Options: one X-macro table a command, from which come the config struct, the flags, the config-file
+ * keys, the range checks, --help and --print-config. A default exists in one place.
+ *
+ *   train/options.def:   OPT(NUM, cell_edge_m, "180", 1, 5000, "m", "edge P of a training cell")
+ *                        OPT(ENUM, aa, "2d", 0, 0, "none|2d|mip", "anti-aliasing")
+ *   train/train.h:       struct train_config {
+ *                        #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+ *                        #include "train/options.def"
+ *                        #undef OPT
+ *                        };
+ *   cli/train.c:         static const struct options_def defs[] = {
+ *                        #define OPT(type, key, def, lo, hi, unit, help) \
+ *                            OPTIONS_ROW(struct train_config, type, key, def, lo, hi, unit, help)
+ *                        #include "train/options.def"
+ *                        #undef OPT
+ *                        };
+ *
+ * The flag of cell_edge_m is --cell-edge-m VALUE (or =VALUE). BOOL takes --key and --no-key. Precedence:
+ * default < --config FILE... in order < flags. Unknown flags and keys are errors that name the nearest one.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef CORE_OPTIONS_H
+#define CORE_OPTIONS_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "core/base.h"
+
+typedef double OPTIONS_C_NUM;
+typedef int64_t OPTIONS_C_INT;
+typedef bool OPTIONS_C_BOOL;
+typedef const char *OPTIONS_C_TEXT; /* NULL when the default is "" */
+typedef int OPTIONS_C_ENUM;         /* index into the choices listed in `unit`, "none|2d|mip" */
+
+enum options_type { OPTIONS_NUM, OPTIONS_INT, OPTIONS_BOOL, OPTIONS_TEXT, OPTIONS_ENUM };
+
+struct options_def {
+    enum options_type type;
+    const char *key; /* cell_edge_m */
+    size_t offset;   /* in the config struct */
+    const char *def; /* default as text; "true"/"false" for BOOL; "" = unset for TEXT */
+    double lo, hi;   /* NUM and INT: inclusive range */
+    const char *unit; /* "m"; for ENUM the choices; for TEXT what it is: "FILE" */
+    const char *help;
+};
+#define OPTIONS_ROW(st, type, key, def, lo, hi, unit, help)                                        \
+    {OPTIONS_##type, #key, offsetof(st, key), def, lo, hi, unit, help},
+
+struct options_spec {
+    const char *command; /* "train" */
+    const char *usage;   /* "citysplat train SCENE [options]" */
+    const char *about;   /* one paragraph for --help */
+    const char *example; /* one or more command lines for --help; may be NULL */
+    const struct options_def *defs;
+    size_t n_defs;
+    size_t min_args, max_args; /* positional arguments */
+};
+
+struct options_args { /* positional arguments, borrowed from argv */
+    const char *arg[16];
+    size_t n;
+    bool done; /* --help or --print-config was answered on stdout: the command returns ERR_OK at once */
+};
+
+/* Fill `config` (zeroed by the callee) from defaults, config files and argv[1..]. TEXT values live in the
+ * arena. -h/--help, --config FILE, --print-config, -v (debug log) and -q (no progress, warnings only) are
+ * understood by every command; -o X is the same as --output X where that key exists.
+ * ERR_ARG for anything a user mistyped. */
+enum err_code options_parse(const struct options_spec *spec, int argc, char **argv, void *config,
+                            struct options_args *args, struct arena *a, struct err *e) ERR_USE;
+/* Fill with the defaults alone (tests, library use). */
+enum err_code options_defaults(const struct options_spec *spec, void *config, struct arena *a,
+                               struct err *e) ERR_USE;
+/* The resolved values as a JSON object: what --print-config prints and a run stores beside its output. */
+enum err_code options_to_json(const struct options_spec *spec, const void *config, struct json_t **out,
+                              struct err *e) ERR_USE;
+
+#endif
