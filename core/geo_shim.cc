@@ -1,0 +1,116 @@
+/* WGS 84 through GeographicLib: the scene's local frame, and its place in ECEF.
+ *
+ * The only C++ of core. Nothing is kept between calls: a LocalCartesian costs a few sines to set up, which
+ * is nothing beside what its callers do. No exception leaves this file.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "core/geo.h"
+
+#include <GeographicLib/Geocentric.hpp>
+#include <GeographicLib/LocalCartesian.hpp>
+#include <cmath>
+#include <exception>
+#include <vector>
+
+namespace
+{
+
+enum err_code check_place(double lon_deg, double lat_deg, double h_m, struct err *e)
+{
+    if (!std::isfinite(lon_deg) || !std::isfinite(lat_deg) || !std::isfinite(h_m))
+        return err_set(e, ERR_ARG, "geo: longitude, latitude or height is not a number");
+    if (std::fabs(lat_deg) > 90)
+        return err_set(e, ERR_ARG, "geo: latitude %.9g is outside -90..90 degrees", lat_deg);
+    if (std::fabs(lon_deg) > 1080)
+        return err_set(e, ERR_ARG, "geo: longitude %.9g is not in degrees", lon_deg);
+    return ERR_OK;
+}
+
+enum err_code caught(struct err *e, const char *what)
+{
+    return err_set(e, ERR_INTERNAL, "geo: GeographicLib: %s", what);
+}
+
+} // namespace
+
+extern "C" enum err_code geo_to_enu(const struct geo_origin *o, double lon_deg, double lat_deg,
+                                    double h_m, double enu_m[3], struct err *e)
+try {
+    enum err_code rc = check_place(o->lon_deg, o->lat_deg, o->h_m, e);
+    if (rc == ERR_OK)
+        rc = check_place(lon_deg, lat_deg, h_m, e);
+    if (rc != ERR_OK)
+        return rc;
+    GeographicLib::LocalCartesian frame(o->lat_deg, o->lon_deg, o->h_m);
+    frame.Forward(lat_deg, lon_deg, h_m, enu_m[0], enu_m[1], enu_m[2]);
+    return ERR_OK;
+} catch (const std::exception &x) {
+    return caught(e, x.what());
+} catch (...) {
+    return caught(e, "unknown exception");
+}
+
+extern "C" enum err_code geo_from_enu(const struct geo_origin *o, const double enu_m[3],
+                                      double *lon_deg, double *lat_deg, double *h_m,
+                                      struct err *e)
+try {
+    enum err_code rc = check_place(o->lon_deg, o->lat_deg, o->h_m, e);
+    if (rc != ERR_OK)
+        return rc;
+    if (!std::isfinite(enu_m[0]) || !std::isfinite(enu_m[1]) || !std::isfinite(enu_m[2]))
+        return err_set(e, ERR_ARG, "geo: an ENU coordinate is not a number");
+    GeographicLib::LocalCartesian frame(o->lat_deg, o->lon_deg, o->h_m);
+    frame.Reverse(enu_m[0], enu_m[1], enu_m[2], *lat_deg, *lon_deg, *h_m);
+    return ERR_OK;
+} catch (const std::exception &x) {
+    return caught(e, x.what());
+} catch (...) {
+    return caught(e, "unknown exception");
+}
+
+extern "C" enum err_code geo_enu_to_ecef(const struct geo_origin *o, double m[16],
+                                         struct err *e)
+try {
+    enum err_code rc = check_place(o->lon_deg, o->lat_deg, o->h_m, e);
+    if (rc != ERR_OK)
+        return rc;
+    std::vector<double> axes(9); /* row-major, columns east, north, up */
+    double x, y, z;
+    GeographicLib::Geocentric::WGS84().Forward(o->lat_deg, o->lon_deg, o->h_m, x, y, z, axes);
+    for (int c = 0; c < 3; c++) {
+        for (int r = 0; r < 3; r++)
+            m[4 * c + r] = axes[3 * r + c];
+        m[4 * c + 3] = 0;
+    }
+    m[12] = x;
+    m[13] = y;
+    m[14] = z;
+    m[15] = 1;
+    return ERR_OK;
+} catch (const std::exception &x) {
+    return caught(e, x.what());
+} catch (...) {
+    return caught(e, "unknown exception");
+}
+
+extern "C" enum err_code geo_local_axes(const struct geo_origin *o, double lon_deg, double lat_deg,
+                                        double rot[9], struct err *e)
+try {
+    enum err_code rc = check_place(o->lon_deg, o->lat_deg, o->h_m, e);
+    if (rc == ERR_OK)
+        rc = check_place(lon_deg, lat_deg, 0, e);
+    if (rc != ERR_OK)
+        return rc;
+    GeographicLib::LocalCartesian frame(o->lat_deg, o->lon_deg, o->h_m);
+    std::vector<double> axes(9);
+    double x, y, z;
+    frame.Forward(lat_deg, lon_deg, o->h_m, x, y, z, axes);
+    for (int i = 0; i < 9; i++)
+        rot[i] = axes[i];
+    return ERR_OK;
+} catch (const std::exception &x) {
+    return caught(e, x.what());
+} catch (...) {
+    return caught(e, "unknown exception");
+}
