@@ -1,0 +1,452 @@
+/* The OpenCL device: choice, context, queue, programs, buffers.
+ *
+ * Everything that depends on a vendor is decided here and nowhere else: the vector width of the kernels
+ * (16 lanes on CPUs, where PoCL turns a float16 into one register; 1 on GPUs, where a work-item is a lane),
+ * whether clang builtins may be used (PoCL), where compiled kernels are cached, and how much memory one
+ * buffer may take. One in-order queue a device, so nothing above this file needs events.
+ *
+ * PoCL compiles kernels to its cache folder and fails late and obscurely when it cannot write there, so
+ * the folder is checked before the first OpenCL call. Its worker threads do not survive fork().
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "core/dev.h"
+
+#include <assert.h>
+#include <ctype.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "core/base.h"
+
+extern const char layout_h[]; /* core/layout.h, made by embed_cl */
+
+enum { PLATFORMS_MAX = 16, DEVICES_MAX = 32, SOURCES_MAX = 16, BUFFER_ROUND = 64 };
+
+struct found { /* one device of one platform */
+    cl_platform_id platform;
+    cl_device_id device;
+    cl_device_type type;
+    char name[128];
+};
+
+const char *dev_error_name(cl_int code)
+{
+    static const struct {
+        cl_int code;
+        const char *name;
+    } names[] = {
+        {CL_SUCCESS, "CL_SUCCESS"},
+        {CL_DEVICE_NOT_FOUND, "CL_DEVICE_NOT_FOUND"},
+        {CL_DEVICE_NOT_AVAILABLE, "CL_DEVICE_NOT_AVAILABLE"},
+        {CL_COMPILER_NOT_AVAILABLE, "CL_COMPILER_NOT_AVAILABLE"},
+        {CL_MEM_OBJECT_ALLOCATION_FAILURE, "CL_MEM_OBJECT_ALLOCATION_FAILURE"},
+        {CL_OUT_OF_RESOURCES, "CL_OUT_OF_RESOURCES"},
+        {CL_OUT_OF_HOST_MEMORY, "CL_OUT_OF_HOST_MEMORY"},
+        {CL_MEM_COPY_OVERLAP, "CL_MEM_COPY_OVERLAP"},
+        {CL_BUILD_PROGRAM_FAILURE, "CL_BUILD_PROGRAM_FAILURE"},
+        {CL_MAP_FAILURE, "CL_MAP_FAILURE"},
+        {CL_EXEC_STATUS_ERROR_FOR_EVENTS_IN_WAIT_LIST, "CL_EXEC_STATUS_ERROR_FOR_EVENTS_IN_WAIT_LIST"},
+        {CL_INVALID_VALUE, "CL_INVALID_VALUE"},
+        {CL_INVALID_DEVICE, "CL_INVALID_DEVICE"},
+        {CL_INVALID_CONTEXT, "CL_INVALID_CONTEXT"},
+        {CL_INVALID_COMMAND_QUEUE, "CL_INVALID_COMMAND_QUEUE"},
+        {CL_INVALID_MEM_OBJECT, "CL_INVALID_MEM_OBJECT"},
+        {CL_INVALID_BINARY, "CL_INVALID_BINARY"},
+        {CL_INVALID_BUILD_OPTIONS, "CL_INVALID_BUILD_OPTIONS"},
+        {CL_INVALID_PROGRAM, "CL_INVALID_PROGRAM"},
+        {CL_INVALID_PROGRAM_EXECUTABLE, "CL_INVALID_PROGRAM_EXECUTABLE"},
+        {CL_INVALID_KERNEL_NAME, "CL_INVALID_KERNEL_NAME"},
+        {CL_INVALID_KERNEL, "CL_INVALID_KERNEL"},
+        {CL_INVALID_ARG_INDEX, "CL_INVALID_ARG_INDEX"},
+        {CL_INVALID_ARG_VALUE, "CL_INVALID_ARG_VALUE"},
+        {CL_INVALID_ARG_SIZE, "CL_INVALID_ARG_SIZE"},
+        {CL_INVALID_KERNEL_ARGS, "CL_INVALID_KERNEL_ARGS"},
+        {CL_INVALID_WORK_DIMENSION, "CL_INVALID_WORK_DIMENSION"},
+        {CL_INVALID_WORK_GROUP_SIZE, "CL_INVALID_WORK_GROUP_SIZE"},
+        {CL_INVALID_WORK_ITEM_SIZE, "CL_INVALID_WORK_ITEM_SIZE"},
+        {CL_INVALID_GLOBAL_OFFSET, "CL_INVALID_GLOBAL_OFFSET"},
+        {CL_INVALID_BUFFER_SIZE, "CL_INVALID_BUFFER_SIZE"},
+        {CL_INVALID_GLOBAL_WORK_SIZE, "CL_INVALID_GLOBAL_WORK_SIZE"},
+        {-1001, "CL_PLATFORM_NOT_FOUND_KHR"},
+    };
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++)
+        if (names[i].code == code)
+            return names[i].name;
+    return "unknown OpenCL error";
+}
+
+/* ERR_MEM for what more memory would cure, ERR_DEVICE for the rest. */
+static enum err_code dev_fail(struct err *e, cl_int code, const char *what, const char *which)
+{
+    bool memory = code == CL_MEM_OBJECT_ALLOCATION_FAILURE || code == CL_OUT_OF_HOST_MEMORY ||
+                  code == CL_OUT_OF_RESOURCES;
+    return err_set(e, memory ? ERR_MEM : ERR_DEVICE, "%s: %s: %s (%d)", what, which,
+                   dev_error_name(code), (int)code);
+}
+
+/* ---- choice ------------------------------------------------------------------------------------ */
+
+/* mkdir -p; true when `path` is a folder we may write to afterwards. */
+static bool folder_writable(const char *path)
+{
+    char part[FILE_PATH_MAX];
+    size_t n = strlen(path);
+    if (n == 0 || n >= sizeof part)
+        return false;
+    memcpy(part, path, n + 1);
+    for (size_t i = 1; i <= n; i++)
+        if (part[i] == '/' || part[i] == '\0') {
+            char keep = part[i];
+            part[i] = '\0';
+            (void)mkdir(part, 0700); /* an error shows in access() below */
+            part[i] = keep;
+        }
+    struct stat st;
+    return stat(path, &st) == 0 && S_ISDIR(st.st_mode) && access(path, R_OK | W_OK | X_OK) == 0;
+}
+
+/* PoCL writes compiled kernels to POCL_CACHE_DIR, else $XDG_CACHE_HOME/pocl, else ~/.cache/pocl. A service
+ * account may have none of them; then a folder of our own under TMPDIR is used. */
+static enum err_code cache_prepare(struct err *e)
+{
+    const char *given = getenv("POCL_CACHE_DIR"), *xdg = getenv("XDG_CACHE_HOME"),
+               *home = getenv("HOME"), *tmp = getenv("TMPDIR");
+    char path[FILE_PATH_MAX];
+    if (given && *given) {
+        if (folder_writable(given))
+            return ERR_OK;
+        return err_set(e, ERR_DEVICE,
+                       "dev_open: POCL_CACHE_DIR %s: cannot be created or written; compiled kernels are "
+                       "kept there, name another folder", given);
+    }
+    path[0] = '\0';
+    if (xdg && *xdg)
+        snprintf(path, sizeof path, "%s/pocl/kcache", xdg);
+    else if (home && *home)
+        snprintf(path, sizeof path, "%s/.cache/pocl/kcache", home);
+    if (*path && folder_writable(path))
+        return ERR_OK;
+    snprintf(path, sizeof path, "%s/citysplat-kernels-%lu", tmp && *tmp ? tmp : "/tmp",
+             (unsigned long)getuid());
+    struct stat st;
+    /* The folder holds code that will be run: it must be ours, and nobody else may write to it. */
+    if (!folder_writable(path) || lstat(path, &st) != 0 || !S_ISDIR(st.st_mode) ||
+        st.st_uid != getuid() || (st.st_mode & (S_IWGRP | S_IWOTH)))
+        return err_set(e, ERR_DEVICE,
+                       "dev_open: kernel cache %s: not a private writable folder; set POCL_CACHE_DIR to one",
+                       path);
+    if (setenv("POCL_CACHE_DIR", path, 1) != 0)
+        return err_errno(e, ERR_DEVICE, "dev_open: POCL_CACHE_DIR");
+    return ERR_OK;
+}
+
+static size_t dev_list(struct found *list)
+{
+    cl_platform_id platforms[PLATFORMS_MAX];
+    cl_uint n_platforms = 0;
+    size_t n = 0;
+    if (clGetPlatformIDs(PLATFORMS_MAX, platforms, &n_platforms) != CL_SUCCESS)
+        return 0;
+    if (n_platforms > PLATFORMS_MAX)
+        n_platforms = PLATFORMS_MAX;
+    for (cl_uint p = 0; p < n_platforms; p++) {
+        cl_device_id devices[DEVICES_MAX];
+        cl_uint n_devices = 0;
+        if (clGetDeviceIDs(platforms[p], CL_DEVICE_TYPE_ALL, DEVICES_MAX, devices, &n_devices) !=
+            CL_SUCCESS)
+            continue;
+        if (n_devices > DEVICES_MAX)
+            n_devices = DEVICES_MAX;
+        for (cl_uint d = 0; d < n_devices && n < DEVICES_MAX; d++) {
+            struct found *f = &list[n];
+            cl_bool usable = CL_FALSE;
+            memset(f, 0, sizeof *f);
+            f->platform = platforms[p];
+            f->device = devices[d];
+            if (clGetDeviceInfo(devices[d], CL_DEVICE_TYPE, sizeof f->type, &f->type, NULL) ||
+                clGetDeviceInfo(devices[d], CL_DEVICE_COMPILER_AVAILABLE, sizeof usable, &usable, NULL) ||
+                clGetDeviceInfo(devices[d], CL_DEVICE_NAME, sizeof f->name, f->name, NULL))
+                continue;
+            f->name[sizeof f->name - 1] = '\0';
+            n += usable ? 1 : 0;
+        }
+    }
+    return n;
+}
+
+static bool text_contains(const char *text, const char *part)
+{
+    size_t n = strlen(part);
+    for (; *text; text++)
+        if (strncasecmp(text, part, n) == 0)
+            return true;
+    return false;
+}
+
+static const struct found *dev_pick(const struct found *list, size_t n, const char *want)
+{
+    bool any = !want || !*want || strcmp(want, "auto") == 0;
+    if (any || strcmp(want, "gpu") == 0)
+        for (size_t i = 0; i < n; i++)
+            if (list[i].type & CL_DEVICE_TYPE_GPU)
+                return &list[i];
+    if (any || strcmp(want, "cpu") == 0)
+        for (size_t i = 0; i < n; i++)
+            if (list[i].type & CL_DEVICE_TYPE_CPU)
+                return &list[i];
+    if (!any)
+        for (size_t i = 0; i < n; i++)
+            if (text_contains(list[i].name, want))
+                return &list[i];
+    return NULL;
+}
+
+/* The device we can run on is chosen; what is left is why none was. */
+static enum err_code dev_none(const struct found *list, size_t n, const char *want, struct err *e)
+{
+    char names[512] = "";
+    if (n == 0)
+        return err_set(e, ERR_DEVICE,
+                       "dev_open: no OpenCL device found: install a driver; for the CPU the package is "
+                       "pocl-opencl-icd");
+    for (size_t i = 0, at = 0; i < n && at < sizeof names - 1; i++) {
+        int k = snprintf(names + at, sizeof names - at, "%s%s", i ? ", " : "", list[i].name);
+        at += k > 0 ? (size_t)k : 0;
+    }
+    return err_set(e, ERR_DEVICE, "dev_open: device '%s': no such device; found: %s",
+                   want ? want : "auto", names);
+}
+
+static enum err_code dev_query(struct dev *d, struct err *e)
+{
+    char platform[128] = "";
+    cl_ulong max_alloc = 0, global = 0;
+    cl_int rc = clGetDeviceInfo(d->device, CL_DEVICE_MAX_MEM_ALLOC_SIZE, sizeof max_alloc, &max_alloc, NULL);
+    if (rc == CL_SUCCESS)
+        rc = clGetDeviceInfo(d->device, CL_DEVICE_GLOBAL_MEM_SIZE, sizeof global, &global, NULL);
+    if (rc == CL_SUCCESS)
+        rc = clGetDeviceInfo(d->device, CL_DRIVER_VERSION, sizeof d->driver, d->driver, NULL);
+    if (rc == CL_SUCCESS)
+        rc = clGetPlatformInfo(d->platform, CL_PLATFORM_NAME, sizeof platform, platform, NULL);
+    if (rc != CL_SUCCESS)
+        return dev_fail(e, rc, "dev_open", d->name);
+    platform[sizeof platform - 1] = d->driver[sizeof d->driver - 1] = '\0';
+    d->max_alloc_bytes = max_alloc;
+    d->global_bytes = global;
+    d->is_pocl = text_contains(platform, "Portable Computing Language");
+    return ERR_OK;
+}
+
+enum err_code dev_open(const char *want, struct dev *out, struct err *e)
+{
+    struct found list[DEVICES_MAX];
+    struct dev d = {0};
+    cl_int code = CL_SUCCESS;
+    enum err_code rc = cache_prepare(e);
+    memset(out, 0, sizeof *out);
+    if (rc != ERR_OK)
+        return rc;
+    size_t n = dev_list(list);
+    const struct found *f = dev_pick(list, n, want);
+    if (!f)
+        return dev_none(list, n, want, e);
+    d.platform = f->platform;
+    d.device = f->device;
+    d.is_cpu = (f->type & CL_DEVICE_TYPE_CPU) != 0;
+    d.vector_width = d.is_cpu ? 16 : 1;
+    memcpy(d.name, f->name, sizeof d.name);
+    rc = dev_query(&d, e);
+    if (rc != ERR_OK)
+        goto out;
+    cl_context_properties props[] = {CL_CONTEXT_PLATFORM, (cl_context_properties)d.platform, 0};
+    d.context = clCreateContext(props, 1, &d.device, NULL, NULL, &code);
+    if (code != CL_SUCCESS) {
+        rc = dev_fail(e, code, "dev_open: context", d.name);
+        goto out;
+    }
+    d.queue = clCreateCommandQueue(d.context, d.device, 0, &code);
+    if (code != CL_SUCCESS) {
+        rc = dev_fail(e, code, "dev_open: queue", d.name);
+        goto out;
+    }
+out:
+    if (rc != ERR_OK)
+        dev_close(&d);
+    else
+        *out = d;
+    return rc;
+}
+
+void dev_close(struct dev *d)
+{
+    if (!d)
+        return;
+    if (d->queue) {
+        clFinish(d->queue);
+        clReleaseCommandQueue(d->queue);
+    }
+    if (d->context)
+        clReleaseContext(d->context);
+    memset(d, 0, sizeof *d);
+}
+
+/* ---- programs ---------------------------------------------------------------------------------- */
+
+/* As much of the compiler's log as an err holds (its first error comes first); all of it at debug level. */
+static enum err_code build_error(struct dev *d, cl_program program, const char *name, cl_int code,
+                                 struct err *e)
+{
+    size_t size = 0;
+    char *text = NULL;
+    enum err_code rc = ERR_DEVICE;
+    if (clGetProgramBuildInfo(program, d->device, CL_PROGRAM_BUILD_LOG, 0, NULL, &size) == CL_SUCCESS)
+        text = mem_array(size + 1, 1);
+    if (text && clGetProgramBuildInfo(program, d->device, CL_PROGRAM_BUILD_LOG, size, text, NULL) ==
+                    CL_SUCCESS) {
+        log_debug("dev", "build log of %s:\n%s", name, text);
+        rc = err_set(e, ERR_DEVICE, "dev_build: %s: %s:\n%s", name, dev_error_name(code), text);
+    } else {
+        rc = dev_fail(e, code, "dev_build", name);
+    }
+    mem_free(text);
+    return rc;
+}
+
+enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t n_sources,
+                        const char *options, cl_program *out, struct err *e)
+{
+    const char *text[2 * (SOURCES_MAX + 1)];
+    char lines[SOURCES_MAX + 1][160], flags[1024];
+    cl_int code = CL_SUCCESS;
+    cl_program program = NULL;
+    enum err_code rc = ERR_OK;
+
+    assert(n_sources > 0 && n_sources <= SOURCES_MAX);
+    *out = NULL;
+    for (size_t i = 0; i <= n_sources; i++) {
+        const char *name = i ? sources[i - 1].name : "core/layout.h";
+        snprintf(lines[i], sizeof lines[i], "\n#line 1 \"%s\"\n", name);
+        text[2 * i] = lines[i];
+        text[2 * i + 1] = i ? sources[i - 1].text : layout_h;
+    }
+    int n = snprintf(flags, sizeof flags, "-cl-std=CL1.2 -cl-denorms-are-zero -DVW=%u%s%s%s%s",
+                     (unsigned)d->vector_width, d->is_pocl ? " -DHAS_PREFETCH=1" : "",
+                     d->is_cpu ? " -DIS_CPU=1" : "", options && *options ? " " : "",
+                     options ? options : "");
+    if (n < 0 || (size_t)n >= sizeof flags)
+        return err_set(e, ERR_LIMIT, "dev_build: %s: options too long", sources[n_sources - 1].name);
+    program = clCreateProgramWithSource(d->context, (cl_uint)(2 * (n_sources + 1)), text, NULL, &code);
+    if (code != CL_SUCCESS)
+        return dev_fail(e, code, "dev_build", sources[n_sources - 1].name);
+    code = clBuildProgram(program, 1, &d->device, flags, NULL, NULL);
+    if (code != CL_SUCCESS) {
+        rc = build_error(d, program, sources[n_sources - 1].name, code, e);
+        clReleaseProgram(program);
+        return rc;
+    }
+    *out = program;
+    return ERR_OK;
+}
+
+enum err_code dev_kernel(cl_program program, const char *name, cl_kernel *out, struct err *e)
+{
+    cl_int code = CL_SUCCESS;
+    *out = clCreateKernel(program, name, &code);
+    if (code != CL_SUCCESS) {
+        *out = NULL;
+        return dev_fail(e, code, "dev_kernel", name);
+    }
+    return ERR_OK;
+}
+
+/* ---- buffers ----------------------------------------------------------------------------------- */
+
+enum err_code dev_buffer(struct dev *d, size_t size_bytes, const void *host, cl_mem *out, struct err *e)
+{
+    cl_int code = CL_SUCCESS;
+    *out = NULL;
+    if (size_bytes > SIZE_MAX - BUFFER_ROUND ||
+        (size_bytes + BUFFER_ROUND - 1) / BUFFER_ROUND * BUFFER_ROUND > d->max_alloc_bytes)
+        return err_set(e, ERR_LIMIT,
+                       "dev_buffer: %zu bytes: %s allows %llu in one buffer; use smaller cells or images",
+                       size_bytes, d->name, (unsigned long long)d->max_alloc_bytes);
+    size_t rounded = (size_bytes + BUFFER_ROUND - 1) / BUFFER_ROUND * BUFFER_ROUND;
+    if (rounded == 0)
+        rounded = BUFFER_ROUND;
+    *out = clCreateBuffer(d->context, CL_MEM_READ_WRITE, rounded, NULL, &code);
+    if (code != CL_SUCCESS) {
+        char which[64];
+        snprintf(which, sizeof which, "%zu bytes", rounded);
+        *out = NULL;
+        return dev_fail(e, code, "dev_buffer", which);
+    }
+    if (host && size_bytes) {
+        enum err_code rc = dev_write(d, *out, 0, size_bytes, host, e);
+        if (rc != ERR_OK) {
+            dev_release(out);
+            return rc;
+        }
+    }
+    return ERR_OK;
+}
+
+void dev_release(cl_mem *m)
+{
+    if (m && *m) {
+        clReleaseMemObject(*m);
+        *m = NULL;
+    }
+}
+
+enum err_code dev_read(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes, void *out,
+                       struct err *e)
+{
+    if (n_bytes == 0)
+        return ERR_OK;
+    cl_int code = clEnqueueReadBuffer(d->queue, m, CL_TRUE, offset_bytes, n_bytes, out, 0, NULL, NULL);
+    return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_read", d->name);
+}
+
+enum err_code dev_write(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes, const void *in,
+                        struct err *e)
+{
+    if (n_bytes == 0)
+        return ERR_OK;
+    cl_int code = clEnqueueWriteBuffer(d->queue, m, CL_TRUE, offset_bytes, n_bytes, in, 0, NULL, NULL);
+    return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_write", d->name);
+}
+
+enum err_code dev_zero(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes, struct err *e)
+{
+    const cl_uint zero = 0;
+    /* The pattern's size must divide offset and length: words where possible, else bytes. */
+    size_t pattern = offset_bytes % sizeof zero == 0 && n_bytes % sizeof zero == 0 ? sizeof zero : 1;
+    if (n_bytes == 0)
+        return ERR_OK;
+    cl_int code = clEnqueueFillBuffer(d->queue, m, &zero, pattern, offset_bytes, n_bytes, 0, NULL, NULL);
+    return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_zero", d->name);
+}
+
+/* ---- launches ---------------------------------------------------------------------------------- */
+
+enum err_code dev_run(struct dev *d, cl_kernel k, const char *name, size_t global, size_t local,
+                      struct err *e)
+{
+    assert(local > 0);
+    if (global == 0)
+        return ERR_OK; /* nothing to do is not an error here, though it is in OpenCL 1.2 */
+    size_t rounded = (global + local - 1) / local * local;
+    cl_int code = clEnqueueNDRangeKernel(d->queue, k, 1, NULL, &rounded, &local, 0, NULL, NULL);
+    return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_run", name);
+}
+
+enum err_code dev_finish(struct dev *d, struct err *e)
+{
+    cl_int code = clFinish(d->queue);
+    return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_finish", d->name);
+}

@@ -1,0 +1,191 @@
+/* core/dev.c: choosing a device, building programs with errors people can read, buffers and their limits.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <stdlib.h>
+#include <string.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "core/dev.h"
+#include "core/layout.h"
+
+static const char DOUBLE_CL[] =
+    "__kernel void double_it(__global float *x, uint n)\n"
+    "{\n"
+    "    uint i = get_global_id(0);\n"
+    "    if (i < n)\n"
+    "        x[i] = 2.0f * x[i] + (float)(VW - VW);\n"
+    "}\n";
+static const char BROKEN_CL[] = "__kernel void broken(__global float *x)\n{\n    x[0] = no_such_name;\n}\n";
+
+static int setup(void **state)
+{
+    static struct dev d;
+    struct err e = {0};
+    if (dev_open(NULL, &d, &e) != ERR_OK) {
+        print_error("%s\n", e.msg);
+        return 1;
+    }
+    *state = &d;
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    dev_close(*state);
+    dev_close(*state); /* idempotent */
+    return 0;
+}
+
+static void test_open_describes_the_device(void **state)
+{
+    const struct dev *d = *state;
+    assert_true(d->name[0] != '\0');
+    assert_true(d->max_alloc_bytes >= (1u << 27)); /* the minimum an OpenCL 1.2 device may offer */
+    assert_true(d->global_bytes >= d->max_alloc_bytes);
+    assert_int_equal(d->vector_width, d->is_cpu ? 16 : 1);
+}
+
+static void test_open_by_name(void **state)
+{
+    const struct dev *d = *state;
+    struct dev again;
+    struct err e = {0};
+    char part[8] = "";
+    memcpy(part, d->name, 6);
+    assert_int_equal(dev_open(part, &again, &e), ERR_OK);
+    assert_string_equal(again.name, d->name);
+    dev_close(&again);
+    assert_int_equal(dev_open("no such device", &again, &e), ERR_DEVICE);
+    assert_non_null(strstr(e.msg, "no such device"));
+    assert_non_null(strstr(e.msg, d->name)); /* says what there is */
+    assert_null(again.context);
+}
+
+static void test_build_and_run(void **state)
+{
+    struct dev *d = *state;
+    struct err e = {0};
+    enum { N = 1000 };
+    float x[N];
+    cl_uint n = N;
+    cl_program p = NULL;
+    cl_kernel k = NULL;
+    cl_mem m = NULL;
+    const struct dev_source src = {"tests/double.cl", DOUBLE_CL};
+    for (int i = 0; i < N; i++)
+        x[i] = (float)i;
+    assert_int_equal(dev_build(d, &src, 1, "-DUNUSED=1", &p, &e), ERR_OK);
+    assert_int_equal(dev_kernel(p, "double_it", &k, &e), ERR_OK);
+    assert_int_equal(dev_buffer(d, sizeof x, x, &m, &e), ERR_OK);
+    assert_int_equal(dev_arg(k, 0, m), CL_SUCCESS);
+    assert_int_equal(dev_arg(k, 1, n), CL_SUCCESS);
+    assert_int_equal(dev_run(d, k, "double_it", N, 64, &e), ERR_OK); /* 1000 is no multiple of 64 */
+    assert_int_equal(dev_run(d, k, "double_it", 0, 64, &e), ERR_OK); /* nothing to do */
+    assert_int_equal(dev_finish(d, &e), ERR_OK);
+    assert_int_equal(dev_read(d, m, 0, sizeof x, x, &e), ERR_OK);
+    for (int i = 0; i < N; i++)
+        assert_true(x[i] == 2.0f * (float)i);
+
+    struct { /* zero an odd range in the middle, bytewise */
+        size_t at, n;
+    } hole = {41, 101};
+    unsigned char bytes[sizeof x];
+    assert_int_equal(dev_zero(d, m, hole.at, hole.n, &e), ERR_OK);
+    assert_int_equal(dev_read(d, m, 0, sizeof bytes, bytes, &e), ERR_OK);
+    for (size_t i = 0; i < sizeof bytes; i++) {
+        unsigned char want = ((const unsigned char *)x)[i];
+        assert_int_equal(bytes[i], i >= hole.at && i < hole.at + hole.n ? 0 : want);
+    }
+    assert_int_equal(dev_kernel(p, "no_such_kernel", &k, &e), ERR_DEVICE);
+    assert_null(k);
+    assert_non_null(strstr(e.msg, "no_such_kernel"));
+    dev_release(&m);
+    dev_release(&m);
+    dev_release(NULL);
+    clReleaseProgram(p);
+}
+
+static void test_unset_argument_is_an_error(void **state)
+{
+    struct dev *d = *state;
+    struct err e = {0};
+    cl_program p = NULL;
+    cl_kernel k = NULL;
+    const struct dev_source src = {"tests/double.cl", DOUBLE_CL};
+    assert_int_equal(dev_build(d, &src, 1, NULL, &p, &e), ERR_OK);
+    assert_int_equal(dev_kernel(p, "double_it", &k, &e), ERR_OK);
+    assert_int_equal(dev_run(d, k, "double_it", 64, 64, &e), ERR_DEVICE);
+    assert_non_null(strstr(e.msg, "double_it"));
+    clReleaseKernel(k);
+    clReleaseProgram(p);
+}
+
+static void test_build_error_cites_file_and_line(void **state)
+{
+    struct dev *d = *state;
+    struct err e = {0};
+    cl_program p = NULL;
+    const struct dev_source src[2] = {{"tests/double.cl", DOUBLE_CL}, {"tests/broken.cl", BROKEN_CL}};
+    assert_int_equal(dev_build(d, src, 2, NULL, &p, &e), ERR_DEVICE);
+    assert_null(p);
+    assert_non_null(strstr(e.msg, "tests/broken.cl:3"));
+    assert_non_null(strstr(e.msg, "no_such_name"));
+}
+
+static void test_buffer_limits(void **state)
+{
+    struct dev *d = *state;
+    struct err e = {0};
+    cl_mem m = NULL;
+    size_t size = 0;
+    assert_int_equal(dev_buffer(d, (size_t)d->max_alloc_bytes + 1, NULL, &m, &e), ERR_LIMIT);
+    assert_null(m);
+    assert_int_equal(dev_buffer(d, SIZE_MAX, NULL, &m, &e), ERR_LIMIT);
+    assert_int_equal(dev_buffer(d, 0, NULL, &m, &e), ERR_OK);
+    assert_int_equal(clGetMemObjectInfo(m, CL_MEM_SIZE, sizeof size, &size, NULL), CL_SUCCESS);
+    assert_int_equal(size, 64);
+    dev_release(&m);
+    assert_int_equal(dev_buffer(d, 65, NULL, &m, &e), ERR_OK);
+    assert_int_equal(clGetMemObjectInfo(m, CL_MEM_SIZE, sizeof size, &size, NULL), CL_SUCCESS);
+    assert_int_equal(size, 128);
+    char past[1];
+    assert_int_equal(dev_read(d, m, 128, 1, past, &e), ERR_DEVICE);
+    dev_release(&m);
+}
+
+/* A child process of its own, because the choice of folder is made once, before the first OpenCL call. */
+static void test_unwritable_cache_is_named(void **state)
+{
+    (void)state;
+    pid_t child = fork(); /* touches no OpenCL object of the parent */
+    assert_true(child >= 0);
+    if (child == 0) {
+        struct dev d;
+        struct err e = {0};
+        setenv("POCL_CACHE_DIR", "/proc/no-such-folder/kernels", 1);
+        enum err_code rc = dev_open(NULL, &d, &e);
+        _exit(rc == ERR_DEVICE && strstr(e.msg, "/proc/no-such-folder/kernels") ? 0 : 1);
+    }
+    int status = 0;
+    assert_int_equal(waitpid(child, &status, 0), child);
+    assert_true(WIFEXITED(status));
+    assert_int_equal(WEXITSTATUS(status), 0);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_open_describes_the_device),
+        cmocka_unit_test(test_open_by_name),
+        cmocka_unit_test(test_build_and_run),
+        cmocka_unit_test(test_unset_argument_is_an_error),
+        cmocka_unit_test(test_build_error_cites_file_and_line),
+        cmocka_unit_test(test_buffer_limits),
+        cmocka_unit_test(test_unwritable_cache_is_named),
+    };
+    return cmocka_run_group_tests_name("dev", tests, setup, teardown);
+}
