@@ -1,0 +1,229 @@
+/* The Gaussian container. One allocation of `cap` rows holds all arrays, one after the other; growing copies
+ * array by array.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "core/gauss.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/base.h"
+
+enum { GAUSS_FIELDS = 6, GAUSS_MORTON_BITS = 21 };
+
+/* Floats a row of each array, in the order of the block. */
+static void gauss_widths(uint32_t sh_degree, uint32_t embed_len, size_t width[GAUSS_FIELDS])
+{
+    width[0] = 3;
+    width[1] = 3;
+    width[2] = 4;
+    width[3] = 1;
+    width[4] = 3 * gauss_sh_count(sh_degree);
+    width[5] = embed_len;
+}
+
+static void gauss_point_into(struct gauss *g, float *block)
+{
+    size_t width[GAUSS_FIELDS];
+    gauss_widths(g->sh_degree, g->embed_len, width);
+    float **field[GAUSS_FIELDS] = {&g->mean_m,        &g->scale_log, &g->quat_wxyz,
+                                   &g->opacity_logit, &g->sh,        &g->embed};
+    for (size_t f = 0; f < GAUSS_FIELDS; f++) {
+        *field[f] = width[f] ? block : NULL;
+        block += width[f] * g->cap;
+    }
+}
+
+static size_t gauss_row_floats(const struct gauss *g)
+{
+    size_t width[GAUSS_FIELDS], sum = 0;
+    gauss_widths(g->sh_degree, g->embed_len, width);
+    for (size_t f = 0; f < GAUSS_FIELDS; f++)
+        sum += width[f];
+    return sum;
+}
+
+enum err_code gauss_alloc(struct gauss *g, size_t cap, uint32_t sh_degree, uint32_t embed_len,
+                          struct err *e)
+{
+    *g = (struct gauss){0};
+    if (sh_degree > GAUSS_SH_DEGREE_MAX || embed_len > GAUSS_EMBED_MAX)
+        return err_set(e, ERR_LIMIT, "SH degree %u (at most %d) or embedding length %u (at most %d)",
+                       sh_degree, GAUSS_SH_DEGREE_MAX, embed_len, GAUSS_EMBED_MAX);
+    struct gauss made = {.cap = cap, .sh_degree = sh_degree, .embed_len = embed_len};
+    made.block = mem_array(cap, gauss_row_floats(&made) * sizeof(float));
+    if (!made.block)
+        return err_set(e, ERR_MEM, "out of memory for %zu Gaussians", cap);
+    gauss_point_into(&made, made.block);
+    *g = made;
+    return ERR_OK;
+}
+
+void gauss_free(struct gauss *g)
+{
+    mem_free(g->block);
+    *g = (struct gauss){0};
+}
+
+enum err_code gauss_reserve(struct gauss *g, size_t want, struct err *e)
+{
+    if (want <= g->cap)
+        return ERR_OK;
+    size_t cap = g->cap + g->cap / 2;
+    if (cap < want)
+        cap = want;
+    struct gauss big;
+    enum err_code rc = gauss_alloc(&big, cap, g->sh_degree, g->embed_len, e);
+    if (rc)
+        return rc;
+    size_t width[GAUSS_FIELDS];
+    gauss_widths(g->sh_degree, g->embed_len, width);
+    float *from[GAUSS_FIELDS] = {g->mean_m, g->scale_log, g->quat_wxyz, g->opacity_logit, g->sh, g->embed};
+    float *to[GAUSS_FIELDS] = {big.mean_m,        big.scale_log, big.quat_wxyz,
+                               big.opacity_logit, big.sh,        big.embed};
+    for (size_t f = 0; f < GAUSS_FIELDS; f++)
+        if (g->n && width[f])
+            memcpy(to[f], from[f], g->n * width[f] * sizeof(float));
+    big.n = g->n;
+    big.antialiased = g->antialiased;
+    memcpy(big.origin_enu_m, g->origin_enu_m, sizeof big.origin_enu_m);
+    gauss_free(g);
+    *g = big;
+    return ERR_OK;
+}
+
+void gauss_copy_row(struct gauss *dst, size_t d, const struct gauss *src, size_t s)
+{
+    for (size_t k = 0; k < 3; k++) {
+        double at = (double)src->mean_m[3 * s + k] + (src->origin_enu_m[k] - dst->origin_enu_m[k]);
+        dst->mean_m[3 * d + k] = (float)at;
+        dst->scale_log[3 * d + k] = src->scale_log[3 * s + k];
+    }
+    memcpy(&dst->quat_wxyz[4 * d], &src->quat_wxyz[4 * s], 4 * sizeof(float));
+    dst->opacity_logit[d] = src->opacity_logit[s];
+    size_t kd = 3 * gauss_sh_count(dst->sh_degree), ks = 3 * gauss_sh_count(src->sh_degree);
+    for (size_t k = 0; k < kd; k++)
+        dst->sh[kd * d + k] = k < ks ? src->sh[ks * s + k] : 0.0f;
+    for (size_t k = 0; k < dst->embed_len; k++)
+        dst->embed[dst->embed_len * d + k] =
+            k < src->embed_len ? src->embed[src->embed_len * s + k] : 0.0f;
+}
+
+enum err_code gauss_append(struct gauss *dst, const struct gauss *src, const uint32_t *index,
+                           size_t count, struct err *e)
+{
+    if (count > SIZE_MAX - dst->n)
+        return err_set(e, ERR_LIMIT, "too many Gaussians");
+    enum err_code rc = gauss_reserve(dst, dst->n + count, e);
+    if (rc)
+        return rc;
+    for (size_t i = 0; i < count; i++)
+        gauss_copy_row(dst, dst->n + i, src, index ? index[i] : i);
+    dst->n += count;
+    return ERR_OK;
+}
+
+void gauss_recenter(struct gauss *g, const double origin_enu_m[3])
+{
+    for (size_t k = 0; k < 3; k++) {
+        double shift = g->origin_enu_m[k] - origin_enu_m[k];
+        for (size_t i = 0; shift != 0.0 && i < g->n; i++)
+            g->mean_m[3 * i + k] = (float)((double)g->mean_m[3 * i + k] + shift);
+        g->origin_enu_m[k] = origin_enu_m[k];
+    }
+}
+
+struct gauss_code {
+    uint64_t code;
+    uint32_t row;
+};
+
+/* Spread the low 21 bits so that two zero bits follow each. */
+static uint64_t gauss_spread(uint64_t x)
+{
+    x &= 0x1fffff;
+    x = (x | x << 32) & UINT64_C(0x1f00000000ffff);
+    x = (x | x << 16) & UINT64_C(0x1f0000ff0000ff);
+    x = (x | x << 8) & UINT64_C(0x100f00f00f00f00f);
+    x = (x | x << 4) & UINT64_C(0x10c30c30c30c30c3);
+    return (x | x << 2) & UINT64_C(0x1249249249249249);
+}
+
+static int gauss_code_compare(const void *a, const void *b)
+{
+    const struct gauss_code *x = a, *y = b;
+    if (x->code != y->code)
+        return x->code < y->code ? -1 : 1;
+    return x->row < y->row ? -1 : x->row > y->row;
+}
+
+enum err_code gauss_morton_order(const struct gauss *g, uint32_t *order, struct err *e)
+{
+    if (g->n > UINT32_MAX)
+        return err_set(e, ERR_LIMIT, "%zu Gaussians, at most 2^32 - 1 can be ordered", g->n);
+    struct gauss_code *codes = mem_array(g->n, sizeof *codes);
+    if (!codes)
+        return err_set(e, ERR_MEM, "out of memory to order %zu Gaussians", g->n);
+    float lo[3] = {INFINITY, INFINITY, INFINITY}, hi[3] = {-INFINITY, -INFINITY, -INFINITY};
+    for (size_t i = 0; i < 3 * g->n; i++) {
+        lo[i % 3] = fminf(lo[i % 3], g->mean_m[i]);
+        hi[i % 3] = fmaxf(hi[i % 3], g->mean_m[i]);
+    }
+    const double top = (1 << GAUSS_MORTON_BITS) - 1;
+    for (size_t i = 0; i < g->n; i++) {
+        codes[i].row = (uint32_t)i;
+        for (size_t k = 0; k < 3; k++) {
+            double span = (double)hi[k] - (double)lo[k];
+            double t = span > 0.0 ? ((double)g->mean_m[3 * i + k] - (double)lo[k]) / span : 0.0;
+            uint64_t cell = t >= 0.0 && t <= 1.0 ? (uint64_t)(t * top) : 0; /* NaN goes first */
+            codes[i].code |= gauss_spread(cell) << k;
+        }
+    }
+    qsort(codes, g->n, sizeof *codes, gauss_code_compare);
+    for (size_t i = 0; i < g->n; i++)
+        order[i] = codes[i].row;
+    mem_free(codes);
+    return ERR_OK;
+}
+
+void gauss_bounds(const struct gauss *g, double k_sigma, double min_enu_m[3], double max_enu_m[3])
+{
+    for (size_t k = 0; k < 3; k++) {
+        min_enu_m[k] = g->n ? INFINITY : 0.0;
+        max_enu_m[k] = g->n ? -INFINITY : 0.0;
+    }
+    for (size_t i = 0; i < g->n; i++) {
+        const float *s = &g->scale_log[3 * i];
+        double reach = k_sigma * exp((double)fmaxf(s[0], fmaxf(s[1], s[2])));
+        for (size_t k = 0; k < 3; k++) {
+            double at = (double)g->mean_m[3 * i + k] + g->origin_enu_m[k];
+            min_enu_m[k] = fmin(min_enu_m[k], at - reach);
+            max_enu_m[k] = fmax(max_enu_m[k], at + reach);
+        }
+    }
+}
+
+static bool gauss_finite(const float *p, size_t n)
+{
+    for (size_t i = 0; i < n; i++)
+        if (!isfinite(p[i]))
+            return false;
+    return true;
+}
+
+size_t gauss_count_bad(const struct gauss *g, size_t *first_bad)
+{
+    size_t bad = 0, k = 3 * gauss_sh_count(g->sh_degree);
+    for (size_t i = 0; i < g->n; i++) {
+        const float *q = &g->quat_wxyz[4 * i];
+        bool ok = gauss_finite(&g->mean_m[3 * i], 3) && gauss_finite(&g->scale_log[3 * i], 3) &&
+                  gauss_finite(q, 4) && isfinite(g->opacity_logit[i]) && gauss_finite(&g->sh[k * i], k) &&
+                  gauss_finite(g->embed ? &g->embed[g->embed_len * i] : NULL, g->embed_len) &&
+                  q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] > 0.0f;
+        if (!ok && bad++ == 0 && first_bad)
+            *first_bad = i;
+    }
+    return bad;
+}

@@ -1,0 +1,85 @@
+/* Memory: every size is multiplied here, with the overflow checked. A header of 64 bytes in front of each
+ * block keeps the payload aligned for vector loads. The failure counter serves the tests that make each
+ * allocation fail in turn.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <stdatomic.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/resource.h>
+
+#include "core/base.h"
+
+enum { MEM_ALIGN = 64 };
+static atomic_size_t mem_countdown; /* 0 = never fail */
+
+void mem_fail_at(size_t k)
+{
+    atomic_store(&mem_countdown, k);
+}
+
+static bool mem_must_fail(void)
+{
+    size_t k = atomic_load(&mem_countdown);
+    while (k > 0)
+        if (atomic_compare_exchange_weak(&mem_countdown, &k, k - 1))
+            return k == 1;
+    return false;
+}
+
+/* Bytes rounded up to the alignment, or 0 on overflow. */
+static size_t mem_round(size_t n, size_t size)
+{
+    if (size && n > (SIZE_MAX - 2 * MEM_ALIGN) / size)
+        return 0;
+    size_t bytes = n * size;
+    return bytes ? (bytes + MEM_ALIGN - 1) / MEM_ALIGN * MEM_ALIGN : MEM_ALIGN;
+}
+
+void *mem_array(size_t n, size_t size)
+{
+    size_t bytes = mem_round(n, size);
+    if (!bytes || mem_must_fail())
+        return NULL;
+    void *p = NULL;
+    if (posix_memalign(&p, MEM_ALIGN, bytes))
+        return NULL;
+    memset(p, 0, bytes);
+    return p;
+}
+
+void *mem_resize(void *p, size_t n_old, size_t n_new, size_t size)
+{
+    void *q = mem_array(n_new, size);
+    if (!q)
+        return NULL;
+    if (p) {
+        memcpy(q, p, (n_old < n_new ? n_old : n_new) * size);
+        mem_free(p);
+    }
+    return q;
+}
+
+char *mem_text(const char *s)
+{
+    size_t n = strlen(s) + 1;
+    char *p = mem_array(n, 1);
+    if (p)
+        memcpy(p, s, n);
+    return p;
+}
+
+void mem_free(void *p)
+{
+    free(p);
+}
+
+size_t mem_peak_bytes(void)
+{
+    struct rusage u;
+    if (getrusage(RUSAGE_SELF, &u))
+        return 0;
+    return (size_t)u.ru_maxrss * 1024;
+}

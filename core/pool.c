@@ -1,0 +1,115 @@
+/* Threads: a parallel loop that hands out indices in order, and a background thread.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "core/pool.h"
+
+#include <pthread.h>
+#include <unistd.h>
+
+#include "core/base.h"
+
+enum { POOL_THREADS_MAX = 256 };
+
+struct pool_loop {
+    size_t n;
+    enum err_code (*fn)(void *user, size_t i, struct err *e);
+    void *user;
+    pthread_mutex_t lock; /* guards all below */
+    size_t next;
+    size_t failed_i; /* lowest failed index, n when none */
+    struct err first;
+};
+
+static void *pool_worker(void *arg)
+{
+    struct pool_loop *l = arg;
+    for (;;) {
+        pthread_mutex_lock(&l->lock);
+        size_t i = l->first.code == ERR_OK && l->next < l->n ? l->next++ : l->n;
+        pthread_mutex_unlock(&l->lock);
+        if (i == l->n)
+            return NULL;
+        struct err e = {0};
+        enum err_code rc = l->fn(l->user, i, &e);
+        if (rc == ERR_OK)
+            continue;
+        pthread_mutex_lock(&l->lock);
+        if (i < l->failed_i) {
+            l->failed_i = i;
+            l->first = e;
+            l->first.code = rc;
+        }
+        pthread_mutex_unlock(&l->lock);
+    }
+}
+
+size_t pool_cores(void)
+{
+    long n = sysconf(_SC_NPROCESSORS_ONLN);
+    return n > 0 ? (size_t)n : 1;
+}
+
+enum err_code pool_for(size_t n, size_t threads,
+                       enum err_code (*fn)(void *user, size_t i, struct err *e), void *user,
+                       struct err *e)
+{
+    if (!threads)
+        threads = pool_cores();
+    if (threads > n)
+        threads = n;
+    if (threads > POOL_THREADS_MAX)
+        threads = POOL_THREADS_MAX;
+    struct pool_loop l = {.n = n, .fn = fn, .user = user, .failed_i = n};
+    pthread_mutex_init(&l.lock, NULL);
+    pthread_t id[POOL_THREADS_MAX];
+    size_t started = 0;
+    /* The caller is one of the threads; if no other can be started it does all the work alone. */
+    while (started + 1 < threads && !pthread_create(&id[started], NULL, pool_worker, &l))
+        started++;
+    pool_worker(&l);
+    for (size_t i = 0; i < started; i++)
+        pthread_join(id[i], NULL);
+    pthread_mutex_destroy(&l.lock);
+    if (l.first.code != ERR_OK)
+        return err_set(e, l.first.code, "%s", l.first.msg);
+    return ERR_OK;
+}
+
+struct pool_thread {
+    pthread_t id;
+    void (*fn)(void *user);
+    void *user;
+};
+
+static void *pool_thread_main(void *arg)
+{
+    struct pool_thread *t = arg;
+    t->fn(t->user);
+    return NULL;
+}
+
+enum err_code pool_start(void (*fn)(void *user), void *user, struct pool_thread **out,
+                         struct err *e)
+{
+    struct pool_thread *t = mem_array(1, sizeof *t);
+    if (!t)
+        return err_set(e, ERR_MEM, "out of memory for a thread");
+    t->fn = fn;
+    t->user = user;
+    if (pthread_create(&t->id, NULL, pool_thread_main, t)) {
+        mem_free(t);
+        return err_set(e, ERR_MEM, "cannot start a thread");
+    }
+    *out = t;
+    return ERR_OK;
+}
+
+void pool_join(struct pool_thread **t)
+{
+    if (!*t)
+        return;
+    pthread_join((*t)->id, NULL);
+    mem_free(*t);
+    *t = NULL;
+}

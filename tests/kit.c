@@ -1,0 +1,141 @@
+/* See kit.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#define _XOPEN_SOURCE 700
+#include "tests/kit.h"
+
+#include <ftw.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+void kit_expect_text(const char *msg, const char *part, const char *file, int line)
+{
+    if (part && !strstr(msg, part)) {
+        print_error("message '%s' does not contain '%s'\n", msg, part);
+        _fail(file, line);
+    }
+}
+
+static void kit_worst(const char *what, size_t i, double got, double want, double tol)
+{
+    fail_msg("%s: worst at [%zu]: got %.9g, want %.9g, difference %.3g, tolerance %.3g", what, i, got,
+             want, fabs(got - want), tol);
+}
+
+void kit_near(const char *what, const float *got, const double *want, size_t n, double abs_tol,
+              double rel_tol)
+{
+    size_t worst = n;
+    double excess = 0.0;
+    for (size_t i = 0; i < n; i++) {
+        double over = fabs((double)got[i] - want[i]) - (abs_tol + rel_tol * fabs(want[i]));
+        if (!(over <= 0.0) && (worst == n || !(over <= excess))) { /* NaN is worst */
+            worst = i;
+            excess = over;
+        }
+    }
+    if (worst < n)
+        kit_worst(what, worst, (double)got[worst], want[worst], abs_tol + rel_tol * fabs(want[worst]));
+}
+
+void kit_near_d(const char *what, const double *got, const double *want, size_t n, double abs_tol,
+                double rel_tol)
+{
+    size_t worst = n;
+    double excess = 0.0;
+    for (size_t i = 0; i < n; i++) {
+        double over = fabs(got[i] - want[i]) - (abs_tol + rel_tol * fabs(want[i]));
+        if (!(over <= 0.0) && (worst == n || !(over <= excess))) {
+            worst = i;
+            excess = over;
+        }
+    }
+    if (worst < n)
+        kit_worst(what, worst, got[worst], want[worst], abs_tol + rel_tol * fabs(want[worst]));
+}
+
+void kit_tmpdir(char path[FILE_PATH_MAX])
+{
+    const char *base = getenv("TMPDIR");
+    snprintf(path, FILE_PATH_MAX, "%s/citysplat-test-XXXXXX", base && *base ? base : "/tmp");
+    if (!mkdtemp(path))
+        fail_msg("cannot make a temporary folder %s", path);
+}
+
+static int kit_remove(const char *path, const struct stat *st, int type, struct FTW *ftw)
+{
+    (void)st;
+    (void)type;
+    (void)ftw;
+    return remove(path);
+}
+
+void kit_rmdir(const char *path)
+{
+    if (path[0])
+        (void)nftw(path, kit_remove, 16, FTW_DEPTH | FTW_PHYS);
+}
+
+int kit_run(struct buf *out, const char *fmt, ...)
+{
+    char cmd[8192];
+    va_list ap;
+    va_start(ap, fmt);
+    int n = vsnprintf(cmd, sizeof cmd - 8, fmt, ap);
+    va_end(ap);
+    if (n < 0 || (size_t)n >= sizeof cmd - 8)
+        fail_msg("command line too long");
+    memcpy(cmd + n, " 2>&1", 6);
+    FILE *f = popen(cmd, "r");
+    if (!f)
+        fail_msg("cannot run %s", cmd);
+    char chunk[4096];
+    for (size_t got; (got = fread(chunk, 1, sizeof chunk, f)) > 0;)
+        if (out)
+            buf_add(out, chunk, got);
+    if (out) {
+        buf_u8(out, 0);
+        out->size--;
+    }
+    int status = pclose(f);
+    return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+}
+
+const char *kit_program(void)
+{
+    const char *p = getenv("CITYSPLAT_BIN");
+    if (!p || !*p) {
+        print_message("CITYSPLAT_BIN is not set: run this test through ctest\n");
+        skip();
+    }
+    return p;
+}
+
+void kit_gauss(uint64_t seed, size_t n, double half_m, uint32_t sh_degree, uint32_t embed_len,
+               struct gauss *out)
+{
+    struct err e = {0};
+    kit_ok(gauss_alloc(out, n, sh_degree, embed_len, &e), e);
+    out->n = n;
+    size_t k3 = 3 * gauss_sh_count(sh_degree);
+    for (size_t i = 0; i < n; i++) {
+        for (uint64_t k = 0; k < 3; k++) {
+            out->mean_m[3 * i + k] = (float)(half_m * (2.0 * rng_unit(seed, k, i) - 1.0));
+            out->scale_log[3 * i + k] =
+                (float)log(half_m * 0.01 * pow(10.0, rng_unit(seed, 3 + k, i)));
+        }
+        for (uint64_t k = 0; k < 4; k++)
+            out->quat_wxyz[4 * i + k] = (float)rng_normal(seed, 6 + k, i);
+        double o = 0.05 + 0.9 * rng_unit(seed, 10, i);
+        out->opacity_logit[i] = (float)log(o / (1.0 - o));
+        for (uint64_t k = 0; k < k3; k++)
+            out->sh[k3 * i + k] = (float)(rng_normal(seed, 11 + k, i) * (k < 3 ? 0.8 : 0.15));
+        for (uint64_t k = 0; k < embed_len; k++)
+            out->embed[embed_len * i + k] = (float)rng_normal(seed, 100 + k, i);
+    }
+}

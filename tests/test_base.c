@@ -1,0 +1,332 @@
+/* core/: errors, memory, buffers, files, random numbers, options, pool, Gaussian container.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+
+#include <jansson.h>
+
+#include "core/options.h"
+#include "core/pool.h"
+
+static void err_set_keeps_arguments_that_point_into_the_message(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    assert_int_equal(err_set(&e, ERR_IO, "disk full"), ERR_IO);
+    assert_int_equal(err_add(&e, "cell %d", 3), ERR_IO);
+    assert_string_equal(e.msg, "cell 3: disk full");
+    err_set(&e, ERR_FORMAT, "again: %s", e.msg);
+    assert_string_equal(e.msg, "again: cell 3: disk full");
+    assert_int_equal(err_set(NULL, ERR_MEM, "x"), ERR_MEM);
+    assert_string_equal(err_name(ERR_DEVICE), "ERR_DEVICE");
+}
+
+static void mem_array_refuses_overflow_and_fails_on_demand(void **state)
+{
+    (void)state;
+    assert_null(mem_array(SIZE_MAX / 2, 3));
+    assert_null(mem_array(SIZE_MAX, 1));
+    void *p = mem_array(0, 8);
+    assert_non_null(p);
+    mem_free(p);
+    mem_fail_at(2);
+    p = mem_array(1, 1);
+    assert_non_null(p);
+    assert_null(mem_array(1, 1));
+    mem_free(p);
+    p = mem_array(1, 1); /* only the second one fails */
+    assert_non_null(p);
+    assert_int_equal((uintptr_t)p % 64, 0);
+    mem_free(p);
+}
+
+static void arena_keeps_to_its_ceiling(void **state)
+{
+    (void)state;
+    struct arena a = {.limit_bytes = 1024};
+    assert_non_null(arena_get(&a, 10, 100));
+    assert_null(arena_get(&a, 1, 100));
+    assert_non_null(arena_get(&a, 1, 8));
+    arena_free(&a);
+    assert_string_equal(arena_printf(&a, "%d-%s", 7, "x"), "7-x");
+    arena_free(&a);
+    arena_free(&a);
+}
+
+static void buf_and_cursor_round_trip_little_endian(void **state)
+{
+    (void)state;
+    struct buf b = {0};
+    buf_u8(&b, 0xab);
+    buf_u16(&b, 0x1234);
+    buf_u32(&b, 0xdeadbeef);
+    buf_u64(&b, UINT64_C(0x0102030405060708));
+    buf_f32(&b, 1.5f);
+    buf_f64(&b, -2.25);
+    buf_printf(&b, "%s!", "hi");
+    assert_int_equal(b.size, 1 + 2 + 4 + 8 + 4 + 8 + 3);
+    assert_int_equal(b.data[1], 0x34);
+    struct cursor c = cursor_over(b.data, b.size);
+    assert_int_equal(cursor_u8(&c), 0xab);
+    assert_int_equal(cursor_u16(&c), 0x1234);
+    assert_int_equal(cursor_u32(&c), 0xdeadbeef);
+    assert_true(cursor_u64(&c) == UINT64_C(0x0102030405060708));
+    assert_true(cursor_f32(&c) == 1.5f);
+    assert_true(cursor_f64(&c) == -2.25);
+    assert_false(c.bad);
+    assert_int_equal(cursor_left(&c), 3);
+    assert_int_equal(cursor_u32(&c), 0);
+    assert_true(c.bad);
+    buf_free(&b);
+}
+
+static void file_write_replaces_whole_or_not_at_all(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], deep[FILE_PATH_MAX];
+    kit_tmpdir(dir);
+    kit_ok(file_join(path, dir, "a.bin", &e), e);
+    kit_ok(file_write(path, "one", 3, &e), e);
+    kit_ok(file_write(path, "three", 5, &e), e);
+    struct buf b = {0};
+    kit_ok(file_read(path, 0, &b, &e), e);
+    assert_int_equal(b.size, 5);
+    assert_memory_equal(b.data, "three", 5);
+    buf_free(&b);
+    kit_fails(file_read(path, 4, &b, &e), ERR_LIMIT, e, "a.bin");
+    kit_fails(file_read(dir, 0, &b, &e), ERR_IO, e, "folder");
+    kit_ok(file_join(deep, dir, "no/such/x", &e), e);
+    kit_fails(file_write(deep, "x", 1, &e), ERR_IO, e, "no/such");
+    kit_fails(file_read(deep, 0, &b, &e), ERR_NOENT, e, "no/such/x");
+    kit_ok(file_join(deep, dir, "d/e", &e), e);
+    kit_ok(file_mkdir(deep, &e), e);
+    kit_ok(file_mkdir(deep, &e), e);
+    kit_fails(file_mkdir(path, &e), ERR_IO, e, "not a folder");
+    struct arena a = {0};
+    char **names = NULL;
+    size_t n = 0;
+    const char *const suffixes[] = {".BIN", NULL};
+    kit_ok(file_list(dir, suffixes, &a, &names, &n, &e), e);
+    assert_int_equal(n, 1); /* no .part file is left */
+    assert_string_equal(names[0], "a.bin");
+    arena_free(&a);
+    kit_rmdir(dir);
+}
+
+static void file_write_to_a_full_disk_leaves_nothing(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    if (access("/dev/full", W_OK))
+        skip();
+    kit_fails(file_write("/dev/full/x", "x", 1, &e), ERR_IO, e, "/dev/full");
+}
+
+static void rng_is_uniform_normal_and_fixed(void **state)
+{
+    (void)state;
+    assert_true(rng_u64(1, 2, 3) == rng_u64(1, 2, 3));
+    assert_true(rng_u64(1, 2, 3) != rng_u64(1, 3, 2));
+    enum { N = 100000 };
+    double mean = 0.0, mean_n = 0.0, var_n = 0.0;
+    for (uint64_t i = 0; i < N; i++) {
+        double u = rng_unit(7, 0, i), z = rng_normal(7, 1, i);
+        assert_true(u >= 0.0 && u < 1.0);
+        mean += u / N;
+        mean_n += z / N;
+        var_n += z * z / N;
+    }
+    /* Five standard errors of N samples: 0.29/sqrt(N), 1/sqrt(N), sqrt(2/N). */
+    assert_true(fabs(mean - 0.5) < 0.0046);
+    assert_true(fabs(mean_n) < 0.016);
+    assert_true(fabs(var_n - 1.0) < 0.023);
+}
+
+static void jsonc_reads_comments_and_names_the_line(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct json_t *j = NULL;
+    const char good[] = "// head\n{\n  // why\n  \"a\": 2.5, \"s\": \"// not a comment\"\n}\n";
+    kit_ok(jsonc_parse(good, sizeof good - 1, "x.jsonc", &j, &e), e);
+    double v = 0.0;
+    const char *s = NULL;
+    kit_ok(jsonc_num(j, "a", &v, &e), e);
+    kit_ok(jsonc_text(j, "s", &s, &e), e);
+    assert_true(v == 2.5);
+    assert_string_equal(s, "// not a comment");
+    kit_fails(jsonc_num(j, "s", &v, &e), ERR_FORMAT, e, "wrong type");
+    kit_fails(jsonc_num(j, "b", &v, &e), ERR_FORMAT, e, "missing");
+    json_decref(j);
+    const char twice[] = "{\n\"a\": 1,\n\"a\": 2}";
+    kit_fails(jsonc_parse(twice, sizeof twice - 1, "y.jsonc", &j, &e), ERR_FORMAT, e, "y.jsonc: line 3");
+}
+
+struct toy {
+    OPTIONS_C_NUM edge_m;
+    OPTIONS_C_INT count;
+    OPTIONS_C_BOOL serve;
+    OPTIONS_C_TEXT output;
+    OPTIONS_C_ENUM aa;
+};
+static const struct options_def toy_defs[] = {
+    OPTIONS_ROW(struct toy, NUM, edge_m, "180", 1, 5000, "m", "edge")
+    OPTIONS_ROW(struct toy, INT, count, "3", 1, 8, "", "levels")
+    OPTIONS_ROW(struct toy, BOOL, serve, "true", 0, 0, "", "serve")
+    OPTIONS_ROW(struct toy, TEXT, output, "", 0, 0, "FILE", "out")
+    OPTIONS_ROW(struct toy, ENUM, aa, "2d", 0, 0, "none|2d|mip", "anti-aliasing")
+};
+static const struct options_spec toy_spec = {
+    .command = "toy", .usage = "toy IN", .about = "Test.", .defs = toy_defs,
+    .n_defs = sizeof toy_defs / sizeof toy_defs[0], .min_args = 1, .max_args = 2};
+
+static enum err_code toy_parse(struct toy *t, struct options_args *args, struct arena *a,
+                               char **argv, struct err *e)
+{
+    int argc = 0;
+    while (argv[argc])
+        argc++;
+    return options_parse(&toy_spec, argc, argv, t, args, a, e);
+}
+
+static void options_come_from_defaults_then_files_then_flags(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct toy t = {0};
+    struct options_args args;
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    kit_tmpdir(dir);
+    kit_ok(file_join(path, dir, "c.jsonc", &e), e);
+    const char text[] = "{\n// why\n\"edge_m\": 90, \"count\": 5, \"aa\": \"mip\"}";
+    kit_ok(file_write(path, text, sizeof text - 1, &e), e);
+    char *argv[] = {"toy", "in.x", "--count", "4", "--no-serve", "-o", "out", "--config", path, NULL};
+    kit_ok(toy_parse(&t, &args, &a, argv, &e), e);
+    assert_true(t.edge_m == 90.0 && t.count == 4 && !t.serve && t.aa == 2);
+    assert_string_equal(t.output, "out");
+    assert_int_equal(args.n, 1);
+    struct json_t *o = NULL;
+    kit_ok(options_to_json(&toy_spec, &t, &o, &e), e);
+    assert_string_equal(json_string_value(json_object_get(o, "aa")), "mip");
+    json_decref(o);
+    arena_free(&a);
+    kit_rmdir(dir);
+}
+
+static void options_refuse_with_the_nearest_name(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct toy t = {0};
+    struct options_args args;
+    char *typo[] = {"toy", "in", "--edge", "5", NULL};
+    kit_fails(toy_parse(&t, &args, &a, typo, &e), ERR_ARG, e, "--edge-m");
+    char *range[] = {"toy", "in", "--edge-m=0.5", NULL};
+    kit_fails(toy_parse(&t, &args, &a, range, &e), ERR_ARG, e, "from 1 to 5000 m");
+    char *nan_text[] = {"toy", "in", "--edge-m", "nan", NULL};
+    kit_fails(toy_parse(&t, &args, &a, nan_text, &e), ERR_ARG, e, "nan");
+    char *choice[] = {"toy", "in", "--aa", "3d", NULL};
+    kit_fails(toy_parse(&t, &args, &a, choice, &e), ERR_ARG, e, "none|2d|mip");
+    char *missing[] = {"toy", NULL};
+    kit_fails(toy_parse(&t, &args, &a, missing, &e), ERR_ARG, e, "too few");
+    char *value[] = {"toy", "in", "--edge-m", NULL};
+    kit_fails(toy_parse(&t, &args, &a, value, &e), ERR_ARG, e, "value is expected");
+    char *many[] = {"toy", "a", "b", "c", NULL};
+    kit_fails(toy_parse(&t, &args, &a, many, &e), ERR_ARG, e, "'c'");
+    arena_free(&a);
+}
+
+static enum err_code square(void *user, size_t i, struct err *e)
+{
+    size_t *out = user;
+    if (i >= 900)
+        return err_set(e, ERR_DATA, "item %zu", i);
+    out[i] = i * i;
+    return ERR_OK;
+}
+
+static void pool_runs_each_once_and_reports_the_lowest_failure(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    static size_t out[1000];
+    kit_ok(pool_for(900, 4, square, out, &e), e);
+    for (size_t i = 0; i < 900; i++)
+        assert_int_equal(out[i], i * i);
+    kit_fails(pool_for(1000, 4, square, out, &e), ERR_DATA, e, "item 900");
+    kit_ok(pool_for(0, 0, square, out, &e), e);
+}
+
+static void gauss_survives_growth_and_a_moved_origin(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct gauss g, h;
+    kit_gauss(3, 50, 10.0, 2, 4, &g);
+    kit_ok(gauss_alloc(&h, 1, 3, 0, &e), e);
+    h.origin_enu_m[0] = 1e6;
+    g.origin_enu_m[0] = 1e6 + 4.0;
+    kit_ok(gauss_append(&h, &g, NULL, g.n, &e), e);
+    assert_int_equal(h.n, 50);
+    for (size_t i = 0; i < 50; i++) {
+        assert_true(h.mean_m[3 * i] == g.mean_m[3 * i] + 4.0f);
+        assert_true(h.sh[48 * i + 26] == g.sh[27 * i + 26]);
+        assert_true(h.sh[48 * i + 27] == 0.0f);
+        assert_true(h.quat_wxyz[4 * i + 3] == g.quat_wxyz[4 * i + 3]);
+    }
+    uint32_t order[50], seen[50] = {0};
+    kit_ok(gauss_morton_order(&h, order, &e), e);
+    for (size_t i = 0; i < 50; i++)
+        seen[order[i]]++;
+    for (size_t i = 0; i < 50; i++)
+        assert_int_equal(seen[i], 1);
+    size_t first = 0;
+    assert_int_equal(gauss_count_bad(&h, &first), 0);
+    h.sh[48 * 7 + 3] = NAN;
+    memset(&h.quat_wxyz[4 * 9], 0, 4 * sizeof(float));
+    assert_int_equal(gauss_count_bad(&h, &first), 2);
+    assert_int_equal(first, 7);
+    gauss_free(&g);
+    gauss_free(&h);
+    gauss_free(&h);
+}
+
+static void gauss_alloc_fails_cleanly(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct gauss g;
+    mem_fail_at(1);
+    kit_fails(gauss_alloc(&g, 100, 3, 0, &e), ERR_MEM, e, "100 Gaussians");
+    assert_null(g.block);
+    kit_fails(gauss_alloc(&g, 1, 4, 0, &e), ERR_LIMIT, e, "SH degree 4");
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(err_set_keeps_arguments_that_point_into_the_message),
+        cmocka_unit_test(mem_array_refuses_overflow_and_fails_on_demand),
+        cmocka_unit_test(arena_keeps_to_its_ceiling),
+        cmocka_unit_test(buf_and_cursor_round_trip_little_endian),
+        cmocka_unit_test(file_write_replaces_whole_or_not_at_all),
+        cmocka_unit_test(file_write_to_a_full_disk_leaves_nothing),
+        cmocka_unit_test(rng_is_uniform_normal_and_fixed),
+        cmocka_unit_test(jsonc_reads_comments_and_names_the_line),
+        cmocka_unit_test(options_come_from_defaults_then_files_then_flags),
+        cmocka_unit_test(options_refuse_with_the_nearest_name),
+        cmocka_unit_test(pool_runs_each_once_and_reports_the_lowest_failure),
+        cmocka_unit_test(gauss_survives_growth_and_a_moved_origin),
+        cmocka_unit_test(gauss_alloc_fails_cleanly),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
