@@ -191,8 +191,8 @@ enum err_code gauss_morton_order(const struct gauss *g, uint32_t *order, struct 
 void gauss_bounds(const struct gauss *g, double k_sigma, double min_enu_m[3], double max_enu_m[3])
 {
     for (size_t k = 0; k < 3; k++) {
-        min_enu_m[k] = g->n ? INFINITY : 0.0;
-        max_enu_m[k] = g->n ? -INFINITY : 0.0;
+        min_enu_m[k] = g->n ? HUGE_VAL : 0.0;
+        max_enu_m[k] = g->n ? -HUGE_VAL : 0.0;
     }
     for (size_t i = 0; i < g->n; i++) {
         const float *s = &g->scale_log[3 * i];
