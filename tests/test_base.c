@@ -187,12 +187,19 @@ static const struct options_spec toy_spec = {
     .command = "toy", .usage = "toy IN", .about = "Test.", .defs = toy_defs,
     .n_defs = sizeof toy_defs / sizeof toy_defs[0], .min_args = 1, .max_args = 2};
 
+/* Parse a command line given as one text; words are split at spaces and live in the arena. */
 static enum err_code toy_parse(struct toy *t, struct options_args *args, struct arena *a,
-                               char **argv, struct err *e)
+                               const char *line, struct err *e)
 {
+    char *argv[32];
     int argc = 0;
-    while (argv[argc])
-        argc++;
+    for (char *p = arena_text(a, line); *p && argc < 31;) {
+        argv[argc++] = p;
+        p += strcspn(p, " ");
+        if (*p)
+            *p++ = '\0';
+    }
+    argv[argc] = NULL;
     return options_parse(&toy_spec, argc, argv, t, args, a, e);
 }
 
@@ -208,8 +215,8 @@ static void options_come_from_defaults_then_files_then_flags(void **state)
     kit_ok(file_join(path, dir, "c.jsonc", &e), e);
     const char text[] = "{\n// why\n\"edge_m\": 90, \"count\": 5, \"aa\": \"mip\"}";
     kit_ok(file_write(path, text, sizeof text - 1, &e), e);
-    char *argv[] = {"toy", "in.x", "--count", "4", "--no-serve", "-o", "out", "--config", path, NULL};
-    kit_ok(toy_parse(&t, &args, &a, argv, &e), e);
+    const char *line = arena_printf(&a, "toy in.x --count 4 --no-serve -o out --config %s", path);
+    kit_ok(toy_parse(&t, &args, &a, line, &e), e);
     assert_true(t.edge_m == 90.0 && t.count == 4 && !t.serve && t.aa == 2);
     assert_string_equal(t.output, "out");
     assert_int_equal(args.n, 1);
@@ -228,19 +235,19 @@ static void options_refuse_with_the_nearest_name(void **state)
     struct arena a = {0};
     struct toy t = {0};
     struct options_args args;
-    char *typo[] = {"toy", "in", "--edge", "5", NULL};
+    const char *typo = "toy in --edge 5";
     kit_fails(toy_parse(&t, &args, &a, typo, &e), ERR_ARG, e, "--edge-m");
-    char *range[] = {"toy", "in", "--edge-m=0.5", NULL};
+    const char *range = "toy in --edge-m=0.5";
     kit_fails(toy_parse(&t, &args, &a, range, &e), ERR_ARG, e, "from 1 to 5000 m");
-    char *nan_text[] = {"toy", "in", "--edge-m", "nan", NULL};
+    const char *nan_text = "toy in --edge-m nan";
     kit_fails(toy_parse(&t, &args, &a, nan_text, &e), ERR_ARG, e, "nan");
-    char *choice[] = {"toy", "in", "--aa", "3d", NULL};
+    const char *choice = "toy in --aa 3d";
     kit_fails(toy_parse(&t, &args, &a, choice, &e), ERR_ARG, e, "none|2d|mip");
-    char *missing[] = {"toy", NULL};
+    const char *missing = "toy";
     kit_fails(toy_parse(&t, &args, &a, missing, &e), ERR_ARG, e, "too few");
-    char *value[] = {"toy", "in", "--edge-m", NULL};
+    const char *value = "toy in --edge-m";
     kit_fails(toy_parse(&t, &args, &a, value, &e), ERR_ARG, e, "value is expected");
-    char *many[] = {"toy", "a", "b", "c", NULL};
+    const char *many = "toy a b c";
     kit_fails(toy_parse(&t, &args, &a, many, &e), ERR_ARG, e, "'c'");
     arena_free(&a);
 }
