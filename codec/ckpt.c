@@ -1,0 +1,387 @@
+/* Checkpoints: one file with a JSON head, a set of Gaussians and named blobs, every part hashed (XXH3-128).
+ *
+ *   0   "CSPLCKPT"   8  version u32   12 number of sections u32   16 bytes of the whole file u64
+ *   24  hash of [0, 24) and the section table (lo, hi u64)   40  zeros to 64
+ *   64  section table: per section { name[32], offset u64, size u64, hash lo u64, hash hi u64 }
+ *   ... sections, each at a multiple of 64, zeros between
+ *
+ * Sections of our own begin with '#': #meta (JSON text), #gauss (counts and origin) and one per array of
+ * the container; the others are the caller's. Little-endian. Reading loads the file once: blobs point into
+ * that buffer, the Gaussians are copied into a container of their own.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <jansson.h>
+
+#include "codec/codec.h"
+
+#if __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
+#error "arrays are written as they lie in memory: a big-endian machine needs swapping here"
+#endif
+
+enum {
+    CKPT_VERSION = 1,
+    CKPT_HEAD = 64,
+    CKPT_ENTRY = 64,
+    CKPT_NAME = 32,
+    CKPT_ALIGN = 64,
+    CKPT_OWN = 8, /* #meta, #gauss and the six arrays */
+    CKPT_SECTIONS_MAX = 4096,
+    CKPT_GAUSS_BYTES = 48,
+};
+static const char ckpt_magic[8] = {'C', 'S', 'P', 'L', 'C', 'K', 'P', 'T'};
+static const size_t ckpt_limit_bytes = (size_t)64 << 30;
+
+struct ckpt_entry {
+    char name[CKPT_NAME];
+    uint64_t offset, size;
+    struct hash128 hash;
+    const uint8_t *data;
+};
+
+static uint64_t ckpt_align(uint64_t n)
+{
+    return (n + CKPT_ALIGN - 1) / CKPT_ALIGN * CKPT_ALIGN;
+}
+
+/* The arrays of a container: where each one is and how many floats a row has. */
+struct ckpt_array {
+    const char *name;
+    float *data;
+    size_t per_row;
+};
+enum { CKPT_ARRAYS = 6 };
+
+static void ckpt_arrays(const struct gauss *g, struct ckpt_array out[CKPT_ARRAYS])
+{
+    out[0] = (struct ckpt_array){"#mean_m", g->mean_m, 3};
+    out[1] = (struct ckpt_array){"#scale_log", g->scale_log, 3};
+    out[2] = (struct ckpt_array){"#quat_wxyz", g->quat_wxyz, 4};
+    out[3] = (struct ckpt_array){"#opacity_logit", g->opacity_logit, 1};
+    out[4] = (struct ckpt_array){"#sh", g->sh, 3 * gauss_sh_count(g->sh_degree)};
+    out[5] = (struct ckpt_array){"#embed", g->embed, g->embed_len};
+}
+
+/* ---- writing --------------------------------------------------------------------------------- */
+
+static enum err_code ckpt_plan(const char *path, const char *meta, const struct buf *head,
+                               const struct gauss *g, const struct ckpt_blob *blobs, size_t n_blobs,
+                               struct ckpt_entry *t, struct err *e)
+{
+    struct ckpt_array arrays[CKPT_ARRAYS];
+    ckpt_arrays(g, arrays);
+    size_t k = 0;
+    t[k++] = (struct ckpt_entry){.name = "#meta", .data = (const uint8_t *)meta, .size = strlen(meta)};
+    t[k++] = (struct ckpt_entry){.name = "#gauss", .data = head->data, .size = head->size};
+    for (size_t i = 0; i < CKPT_ARRAYS; i++, k++) {
+        t[k].data = (const uint8_t *)arrays[i].data;
+        t[k].size = g->n * arrays[i].per_row * sizeof(float);
+        memcpy(t[k].name, arrays[i].name, strlen(arrays[i].name) + 1);
+    }
+    for (size_t i = 0; i < n_blobs; i++, k++) {
+        const char *name = blobs[i].name;
+        if (!memchr(name, 0, CKPT_NAME) || !name[0] || name[0] == '#')
+            return err_set(e, ERR_ARG, "ckpt_write: %s: blob %zu has no valid name", path, i);
+        for (size_t j = 0; j < i; j++)
+            if (!strcmp(name, blobs[j].name))
+                return err_set(e, ERR_ARG, "ckpt_write: %s: two blobs named '%s'", path, name);
+        t[k].data = blobs[i].data;
+        t[k].size = blobs[i].size_bytes;
+        memcpy(t[k].name, name, strlen(name) + 1);
+    }
+    return ERR_OK;
+}
+
+/* Head and section table; offsets and hashes are filled in on the way. */
+static void ckpt_table(struct ckpt_entry *t, size_t n, struct buf *out)
+{
+    struct buf body = {0};
+    uint64_t at = ckpt_align(CKPT_HEAD + n * CKPT_ENTRY), end = at;
+    for (size_t i = 0; i < n; i++) {
+        t[i].offset = at;
+        t[i].hash = hash_bytes(t[i].data, t[i].size);
+        end = at + t[i].size;
+        at = ckpt_align(end);
+    }
+    buf_add(&body, ckpt_magic, sizeof(ckpt_magic));
+    buf_u32(&body, CKPT_VERSION);
+    buf_u32(&body, (uint32_t)n);
+    buf_u64(&body, end);
+    for (size_t i = 0; i < n; i++) {
+        buf_add(&body, t[i].name, CKPT_NAME);
+        buf_u64(&body, t[i].offset);
+        buf_u64(&body, t[i].size);
+        buf_u64(&body, t[i].hash.lo);
+        buf_u64(&body, t[i].hash.hi);
+    }
+    struct hash128 h = hash_bytes(body.data, body.size);
+    static const uint8_t zeros[CKPT_HEAD - 40] = {0};
+    buf_add(out, body.data, body.size < 24 ? body.size : 24);
+    buf_u64(out, h.lo);
+    buf_u64(out, h.hi);
+    buf_add(out, zeros, sizeof(zeros));
+    if (body.size > 24)
+        buf_add(out, body.data + 24, body.size - 24);
+    out->failed = out->failed || body.failed;
+    buf_free(&body);
+}
+
+static bool ckpt_put(FILE *f, const void *bytes, size_t n, uint64_t *at)
+{
+    *at += n;
+    return n == 0 || fwrite(bytes, 1, n, f) == n;
+}
+
+static enum err_code ckpt_put_all(FILE *f, const char *path, const struct buf *head,
+                                  const struct ckpt_entry *t, size_t n, struct err *e)
+{
+    static const uint8_t zeros[CKPT_ALIGN] = {0};
+    uint64_t at = 0;
+    bool ok = ckpt_put(f, head->data, head->size, &at);
+    for (size_t i = 0; ok && i < n; i++)
+        ok = ckpt_put(f, zeros, (size_t)(t[i].offset - at), &at) &&
+             ckpt_put(f, t[i].data, (size_t)t[i].size, &at);
+    if (!ok || fflush(f))
+        return err_errno(e, ERR_IO, "ckpt_write: %s", path);
+    return ERR_OK;
+}
+
+static enum err_code ckpt_put_file(const char *path, const struct buf *head,
+                                   const struct ckpt_entry *t, size_t n, struct err *e)
+{
+    char part[FILE_PATH_MAX];
+    enum err_code rc = file_begin(path, part, e);
+    if (rc)
+        return rc;
+    FILE *f = fopen(part, "wb");
+    if (!f)
+        return err_errno(e, ERR_IO, "ckpt_write: %s: cannot create", path);
+    rc = ckpt_put_all(f, path, head, t, n, e);
+    if (fclose(f) && !rc)
+        rc = err_errno(e, ERR_IO, "ckpt_write: %s: cannot close", path);
+    if (rc) {
+        file_abort(part);
+        return rc;
+    }
+    return file_commit(part, path, e);
+}
+
+enum err_code ckpt_write(const char *path, const struct json_t *meta, const struct gauss *g,
+                         const struct ckpt_blob *blobs, size_t n_blobs, struct err *e)
+{
+    enum err_code rc = ERR_MEM;
+    struct buf table = {0}, head = {0};
+    char *text = NULL;
+    struct ckpt_entry *t = NULL;
+    if (!json_is_object(meta))
+        return err_set(e, ERR_ARG, "ckpt_write: %s: the metadata must be a JSON object", path);
+    if (n_blobs > CKPT_SECTIONS_MAX - CKPT_OWN)
+        return err_set(e, ERR_LIMIT, "ckpt_write: %s: %zu blobs, at most %d", path, n_blobs,
+                       CKPT_SECTIONS_MAX - CKPT_OWN);
+    text = json_dumps(meta, JSON_REAL_PRECISION(17) | JSON_COMPACT);
+    t = mem_array(CKPT_OWN + n_blobs, sizeof(*t));
+    buf_u64(&head, g->n);
+    buf_u32(&head, g->sh_degree);
+    buf_u32(&head, g->embed_len);
+    buf_u32(&head, g->antialiased);
+    buf_u32(&head, 0);
+    for (int i = 0; i < 3; i++)
+        buf_f64(&head, g->origin_enu_m[i]);
+    if (!text || !t || head.failed) {
+        err_set(e, ERR_MEM, "ckpt_write: %s: out of memory", path);
+        goto out;
+    }
+    rc = ckpt_plan(path, text, &head, g, blobs, n_blobs, t, e);
+    if (rc)
+        goto out;
+    ckpt_table(t, CKPT_OWN + n_blobs, &table);
+    rc = buf_check(&table, e);
+    if (!rc)
+        rc = ckpt_put_file(path, &table, t, CKPT_OWN + n_blobs, e);
+out:
+    free(text); /* jansson's, made with malloc */
+    mem_free(t);
+    buf_free(&head);
+    buf_free(&table);
+    return rc;
+}
+
+/* ---- reading --------------------------------------------------------------------------------- */
+
+static enum err_code ckpt_bad(const char *path, const char *why, struct err *e)
+{
+    return err_set(e, ERR_FORMAT, "%s: %s", path, why);
+}
+
+/* Check the head and the table and list the sections; the caller frees *out, also after an error. */
+static enum err_code ckpt_read_table(const char *path, const struct buf *file,
+                                     struct ckpt_entry **out, size_t *n_out, struct err *e)
+{
+    if (file->size < CKPT_HEAD || memcmp(file->data, ckpt_magic, sizeof(ckpt_magic)))
+        return ckpt_bad(path, "not a checkpoint of citysplat", e);
+    struct cursor c = cursor_over(file->data + 8, file->size - 8);
+    uint32_t version = cursor_u32(&c), n = cursor_u32(&c);
+    uint64_t bytes = cursor_u64(&c);
+    struct hash128 want = {.lo = cursor_u64(&c)};
+    want.hi = cursor_u64(&c);
+    if (version != CKPT_VERSION)
+        return err_set(e, ERR_FORMAT, "%s: checkpoint version %u, this program reads %d", path,
+                       version, CKPT_VERSION);
+    if (bytes != file->size)
+        return err_set(e, ERR_FORMAT, "%s: %s: %zu bytes, the head says %llu", path,
+                       file->size < bytes ? "truncated" : "damaged", file->size,
+                       (unsigned long long)bytes);
+    if (n < CKPT_OWN || n > CKPT_SECTIONS_MAX || (file->size - CKPT_HEAD) / CKPT_ENTRY < n)
+        return ckpt_bad(path, "damaged: impossible number of sections", e);
+    size_t table = (size_t)n * CKPT_ENTRY;
+    struct buf body = {0};
+    buf_add(&body, file->data, 24);
+    buf_add(&body, file->data + CKPT_HEAD, table);
+    struct hash128 got = body.failed ? (struct hash128){0} : hash_bytes(body.data, body.size);
+    struct ckpt_entry *t = mem_array(n, sizeof(*t));
+    bool no_memory = body.failed || !t;
+    buf_free(&body);
+    *out = t;
+    *n_out = n;
+    if (no_memory)
+        return err_set(e, ERR_MEM, "%s: out of memory", path);
+    if (got.lo != want.lo || got.hi != want.hi)
+        return ckpt_bad(path, "damaged: the hash of the section table differs", e);
+    c = cursor_over(file->data + CKPT_HEAD, table);
+    for (size_t i = 0; i < n; i++) {
+        memcpy(t[i].name, cursor_take(&c, CKPT_NAME), CKPT_NAME);
+        t[i].offset = cursor_u64(&c);
+        t[i].size = cursor_u64(&c);
+        t[i].hash.lo = cursor_u64(&c);
+        t[i].hash.hi = cursor_u64(&c);
+    }
+    return ERR_OK;
+}
+
+static enum err_code ckpt_check_sections(const char *path, const struct buf *file,
+                                         struct ckpt_entry *t, size_t n, struct err *e)
+{
+    for (size_t i = 0; i < n; i++) {
+        if (!memchr(t[i].name, 0, CKPT_NAME) || !t[i].name[0])
+            return ckpt_bad(path, "damaged: a section without a name", e);
+        if (t[i].offset % CKPT_ALIGN || t[i].offset > file->size ||
+            t[i].size > file->size - t[i].offset)
+            return err_set(e, ERR_FORMAT, "%s: damaged: section '%s' lies outside the file", path,
+                           t[i].name);
+        t[i].data = file->data + t[i].offset;
+        struct hash128 h = hash_bytes(t[i].data, (size_t)t[i].size);
+        if (h.lo != t[i].hash.lo || h.hi != t[i].hash.hi)
+            return err_set(e, ERR_FORMAT, "%s: damaged: the hash of section '%s' differs", path,
+                           t[i].name);
+    }
+    return ERR_OK;
+}
+
+static const struct ckpt_entry *ckpt_section(const struct ckpt_entry *t, size_t n, const char *name)
+{
+    for (size_t i = 0; i < n; i++)
+        if (!strcmp(t[i].name, name))
+            return &t[i];
+    return NULL;
+}
+
+static enum err_code ckpt_read_gauss(const char *path, const struct ckpt_entry *t, size_t n,
+                                     struct gauss *g, struct err *e)
+{
+    const struct ckpt_entry *s = ckpt_section(t, n, "#gauss");
+    if (!s || s->size != CKPT_GAUSS_BYTES)
+        return ckpt_bad(path, "damaged: section '#gauss' is missing or too short", e);
+    struct cursor c = cursor_over(s->data, (size_t)s->size);
+    uint64_t rows = cursor_u64(&c);
+    uint32_t degree = cursor_u32(&c), embed = cursor_u32(&c), aa = cursor_u32(&c);
+    (void)cursor_u32(&c);
+    const struct ckpt_entry *opacity = ckpt_section(t, n, "#opacity_logit");
+    if (!opacity || rows > opacity->size / sizeof(float))
+        return ckpt_bad(path, "damaged: fewer Gaussians than the head says", e);
+    enum err_code rc = gauss_alloc(g, (size_t)rows, degree, embed, e);
+    if (rc)
+        return err_add(e, "%s", path);
+    g->n = (size_t)rows;
+    g->antialiased = aa != 0;
+    for (int i = 0; i < 3; i++)
+        g->origin_enu_m[i] = cursor_f64(&c);
+    struct ckpt_array arrays[CKPT_ARRAYS];
+    ckpt_arrays(g, arrays);
+    for (size_t i = 0; i < CKPT_ARRAYS; i++) {
+        s = ckpt_section(t, n, arrays[i].name);
+        if (!s || s->size != g->n * arrays[i].per_row * sizeof(float))
+            return err_set(e, ERR_FORMAT, "%s: damaged: section '%s' does not hold %zu rows", path,
+                           arrays[i].name, g->n);
+        if (s->size)
+            memcpy(arrays[i].data, s->data, (size_t)s->size);
+    }
+    return ERR_OK;
+}
+
+static enum err_code ckpt_read_rest(const char *path, const struct ckpt_entry *t, size_t n,
+                                    struct ckpt *out, struct err *e)
+{
+    const struct ckpt_entry *meta = ckpt_section(t, n, "#meta");
+    if (!meta)
+        return ckpt_bad(path, "damaged: section '#meta' is missing", e);
+    enum err_code rc = jsonc_parse((const char *)meta->data, (size_t)meta->size, path, &out->meta, e);
+    if (rc)
+        return rc;
+    if (!json_is_object(out->meta))
+        return ckpt_bad(path, "damaged: the metadata is not an object", e);
+    rc = ckpt_read_gauss(path, t, n, &out->g, e);
+    if (rc)
+        return rc;
+    out->blobs = mem_array(n, sizeof(*out->blobs));
+    if (!out->blobs)
+        return err_set(e, ERR_MEM, "%s: out of memory", path);
+    for (size_t i = 0; i < n; i++) {
+        if (t[i].name[0] == '#')
+            continue;
+        struct ckpt_blob *b = &out->blobs[out->n_blobs++];
+        memcpy(b->name, t[i].name, CKPT_NAME);
+        b->data = t[i].data;
+        b->size_bytes = (size_t)t[i].size;
+    }
+    return ERR_OK;
+}
+
+enum err_code ckpt_read(const char *path, struct ckpt *out, struct err *e)
+{
+    struct ckpt_entry *t = NULL;
+    size_t n = 0;
+    *out = (struct ckpt){0};
+    enum err_code rc = file_read(path, ckpt_limit_bytes, &out->file, e);
+    if (!rc)
+        rc = ckpt_read_table(path, &out->file, &t, &n, e);
+    if (!rc)
+        rc = ckpt_check_sections(path, &out->file, t, n, e);
+    if (!rc)
+        rc = ckpt_read_rest(path, t, n, out, e);
+    mem_free(t);
+    if (rc)
+        ckpt_free(out);
+    return rc;
+}
+
+const struct ckpt_blob *ckpt_find(const struct ckpt *c, const char *name)
+{
+    for (size_t i = 0; i < c->n_blobs; i++)
+        if (!strcmp(c->blobs[i].name, name))
+            return &c->blobs[i];
+    return NULL;
+}
+
+void ckpt_free(struct ckpt *c)
+{
+    json_decref(c->meta);
+    gauss_free(&c->g);
+    mem_free(c->blobs);
+    buf_free(&c->file);
+    *c = (struct ckpt){0};
+}
