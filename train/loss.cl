@@ -1,0 +1,251 @@
+/* Stage: L1 + SSIM loss, forward (maps and partial sums) and backward (dL/dx).
+ *
+ *   in   color  float [3][h][w], target uchar [h][w][3], mask uchar [h][w] or absent
+ *   mid  maps   float [3 maps][3 channels][h][pitch], pitch = MARGIN + round_up(w, STRIP) + MARGIN: the
+ *               derivatives of S with respect to Kx, Kx^2 and K(xy); zero beyond the picture
+ *   out  parts  float [bands][3][4]: |x-y|, S and (x-y)^2 summed over the band; grad float [3][h][w]
+ *
+ * CPU shape: one work-item = one band of BAND rows of one channel. It walks strips of STRIP columns, blurs
+ * each row horizontally into a ring of 11 rows (private memory, a few KiB) and the ring vertically. All
+ * sums are taken in a fixed order. The only products needed are x^2 + y^2 and xy, because the two
+ * variances enter S as their sum.
+ *
+ * Reference: loss_ref.c (which has the formulas). Tolerance: float rounding, 1e-5 relative.
+ */
+#define BAND 32
+#define STRIP 64
+#define MARGIN 16
+#define RADIUS 5
+#define TAPS 11
+#define VECS (STRIP / 16)
+#define ROW (STRIP + 2 * MARGIN)
+
+#define SSIM_C1 0.0001f
+#define SSIM_C2 0.0009f
+
+__constant float taps[TAPS] = {0.00102838008f, 0.00759875814f, 0.0360007721f, 0.10936069f,
+                               0.213005538f,   0.266011725f,   0.213005538f,  0.10936069f,
+                               0.0360007721f,  0.00759875814f, 0.00102838008f};
+
+/* 16 pixels of channel c out of 48 interleaved bytes. */
+static float16 pixels_channel(const __global uchar *p, int c)
+{
+    uchar16 a = vload16(0, p), b = vload16(1, p), d = vload16(2, p);
+    uchar16 v;
+    if (c == 0)
+        v = (uchar16)(a.s0369, a.scf, b.s258b, b.se, d.s147a, d.sd);
+    else if (c == 1)
+        v = (uchar16)(a.s147a, a.sd, b.s0369, b.scf, d.s258b, d.se);
+    else
+        v = (uchar16)(a.s258b, a.se, b.s147a, b.sd, d.s0369, d.scf);
+    return convert_float16(v) * (1.0f / 255.0f);
+}
+
+/* One row of x and y, columns [col0, col0 + 16 * n), zero outside the picture and where masked. */
+static void row_load(const __global float *color, const __global uchar *target,
+                     const __global uchar *mask, int has_mask, int w, int h, int c, int row, int col0,
+                     int n, float *x, float *y)
+{
+    const __global float *cp = color + ((size_t)c * h + row) * w;
+    const __global uchar *tp = target + (size_t)row * w * 3;
+    const __global uchar *mp = mask + (has_mask ? (size_t)row * w : 0);
+    for (int j = 0; j < n; j++) {
+        int col = col0 + 16 * j;
+        if (col >= 0 && col + 16 <= w) {
+            float16 xv = vload16(0, cp + col), yv = pixels_channel(tp + 3 * col, c);
+            if (has_mask) {
+                int16 used = convert_int16(vload16(0, mp + col)) != 0;
+                xv = used ? xv : (float16)(0.0f);
+                yv = used ? yv : (float16)(0.0f);
+            }
+            vstore16(xv, j, x);
+            vstore16(yv, j, y);
+        } else {
+            for (int i = 0; i < 16; i++) {
+                int q = col + i;
+                int used = q >= 0 && q < w;
+                if (used && has_mask)
+                    used = mp[q] != 0;
+                x[16 * j + i] = used ? cp[q] : 0.0f;
+                y[16 * j + i] = used ? (float)tp[3 * q + c] * (1.0f / 255.0f) : 0.0f;
+            }
+        }
+    }
+}
+
+static float sum16(float16 v)
+{
+    float8 a = v.lo + v.hi;
+    float4 b = a.lo + a.hi;
+    float2 d = b.lo + b.hi;
+    return d.x + d.y;
+}
+
+/* Horizontal blur of x, y, x^2 + y^2, xy of one row into ring row `to` ([4][STRIP]). */
+static void row_blur_products(const float *x, const float *y, float *to)
+{
+    for (int j = 0; j < VECS; j++) {
+        float16 m1 = 0.0f, m2 = 0.0f, qq = 0.0f, xy = 0.0f;
+        for (int k = 0; k < TAPS; k++) {
+            float16 a = vload16(0, x + MARGIN - RADIUS + 16 * j + k);
+            float16 b = vload16(0, y + MARGIN - RADIUS + 16 * j + k);
+            float t = taps[k];
+            m1 = a * t + m1;
+            m2 = b * t + m2;
+            float16 q = a * a;
+            q = b * b + q;
+            qq = q * t + qq;
+            xy = (a * b) * t + xy;
+        }
+        vstore16(m1, 0 * VECS + j, to);
+        vstore16(m2, 1 * VECS + j, to);
+        vstore16(qq, 2 * VECS + j, to);
+        vstore16(xy, 3 * VECS + j, to);
+    }
+}
+
+/* S of 16 pixels and its three derivatives. */
+static float16 ssim_of(float16 m1, float16 m2, float16 qq, float16 xy, float16 *pm, float16 *ps,
+                       float16 *pc)
+{
+    float16 mm = m1 * m2, m11 = m1 * m1 + m2 * m2;
+    float16 a1 = 2.0f * mm + SSIM_C1, a2 = 2.0f * (xy - mm) + SSIM_C2;
+    float16 b1 = m11 + SSIM_C1, b2 = (qq - m11) + SSIM_C2;
+    float16 r1 = 1.0f / b1, r2 = 1.0f / b2, r = r1 * r2;
+    float16 s = a1 * a2 * r;
+    *pc = 2.0f * a1 * r;
+    *ps = -s * r2;
+    *pm = 2.0f * m2 * a2 * r - 2.0f * m1 * s * r1 - 2.0f * m1 * *ps - m2 * *pc;
+    return s;
+}
+
+__kernel void loss_forward_cpu(const __global float *color, const __global uchar *target,
+                               const __global uchar *mask, int has_mask, int w, int h, int pitch,
+                               int with_ssim, __global float *maps, __global float *parts)
+{
+    int band = get_global_id(0) / 3, c = get_global_id(0) % 3;
+    int y0 = band * BAND, y1 = min(y0 + BAND, h);
+    float xb[ROW], yb[ROW], ring[TAPS * 4 * STRIP];
+    float16 sum_l1 = 0.0f, sum_s = 0.0f, sum_sq = 0.0f;
+    int halo = with_ssim ? RADIUS : 0;
+    size_t plane = (size_t)3 * h * pitch;
+    for (int x0 = 0; x0 < w; x0 += STRIP) {
+        for (int r = y0 - halo; r < y1 + halo; r++) {
+            float *to = ring + ((r + TAPS) % TAPS) * 4 * STRIP;
+            if (r >= 0 && r < h) {
+                row_load(color, target, mask, has_mask, w, h, c, r, x0 - MARGIN, ROW / 16, xb, yb);
+                if (with_ssim)
+                    row_blur_products(xb, yb, to);
+            } else {
+                for (int j = 0; j < 4 * VECS; j++)
+                    vstore16((float16)(0.0f), j, to);
+            }
+            if (r >= y0 && r < y1)
+                for (int j = 0; j < VECS; j++) {
+                    float16 d = vload16(j, xb + MARGIN) - vload16(j, yb + MARGIN);
+                    sum_l1 += fabs(d);
+                    sum_sq = d * d + sum_sq;
+                }
+            int out = r - RADIUS; /* this row's window is complete */
+            if (!with_ssim || out < y0)
+                continue;
+            float16 acc[4 * VECS];
+            for (int j = 0; j < 4 * VECS; j++)
+                acc[j] = 0.0f;
+            for (int k = 0; k < TAPS; k++) {
+                const float *from = ring + ((out - RADIUS + k + TAPS) % TAPS) * 4 * STRIP;
+                for (int j = 0; j < 4 * VECS; j++)
+                    acc[j] = vload16(j, from) * taps[k] + acc[j];
+            }
+            __global float *mp = maps + ((size_t)c * h + out) * pitch + MARGIN + x0;
+            for (int j = 0; j < VECS; j++) {
+                float16 pm, ps, pc;
+                float16 s = ssim_of(acc[j], acc[VECS + j], acc[2 * VECS + j], acc[3 * VECS + j], &pm,
+                                    &ps, &pc);
+                if (x0 + 16 * (j + 1) > w) { /* windows centred beyond the edge do not exist */
+                    int16 lane = (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+                    int16 in = lane + (x0 + 16 * j) < w;
+                    s = in ? s : (float16)(0.0f);
+                    pm = in ? pm : (float16)(0.0f);
+                    ps = in ? ps : (float16)(0.0f);
+                    pc = in ? pc : (float16)(0.0f);
+                }
+                sum_s += s;
+                vstore16(pm, j, mp);
+                vstore16(ps, j, mp + plane);
+                vstore16(pc, j, mp + 2 * plane);
+            }
+        }
+    }
+    __global float *p = parts + get_global_id(0) * 4;
+    p[0] = sum16(sum_l1);
+    p[1] = sum16(sum_s);
+    p[2] = sum16(sum_sq);
+    p[3] = 0.0f;
+}
+
+/* Horizontal blur of one row of the three maps into ring row `to` ([3][STRIP]). */
+static void row_blur_maps(const __global float *from, size_t plane, float *to)
+{
+    for (int m = 0; m < 3; m++)
+        for (int j = 0; j < VECS; j++) {
+            const __global float *p = from + m * plane + 16 * j - RADIUS;
+            float16 acc = 0.0f;
+            for (int k = 0; k < TAPS; k++)
+                acc = vload16(0, p + k) * taps[k] + acc;
+            vstore16(acc, m * VECS + j, to);
+        }
+}
+
+/* scale_l1 = l1_weight / 3hw, scale_ssim = -ssim_weight / 3hw. */
+__kernel void loss_backward_cpu(const __global float *color, const __global uchar *target,
+                                const __global uchar *mask, int has_mask, int w, int h, int pitch,
+                                int with_ssim, const __global float *maps, float scale_l1,
+                                float scale_ssim, __global float *grad)
+{
+    int band = get_global_id(0) / 3, c = get_global_id(0) % 3;
+    int y0 = band * BAND, y1 = min(y0 + BAND, h);
+    float xb[STRIP], yb[STRIP], gb[16], ring[TAPS * 3 * STRIP];
+    int halo = with_ssim ? RADIUS : 0;
+    size_t plane = (size_t)3 * h * pitch;
+    for (int x0 = 0; x0 < w; x0 += STRIP)
+        for (int r = y0 - halo; r < y1 + halo; r++) {
+            float *to = ring + ((r + TAPS) % TAPS) * 3 * STRIP;
+            if (with_ssim && r >= 0 && r < h) {
+                row_blur_maps(maps + ((size_t)c * h + r) * pitch + MARGIN + x0, plane, to);
+            } else {
+                for (int j = 0; j < 3 * VECS; j++)
+                    vstore16((float16)(0.0f), j, to);
+            }
+            int out = r - halo;
+            if (out < y0)
+                continue;
+            float16 acc[3 * VECS];
+            for (int j = 0; j < 3 * VECS; j++)
+                acc[j] = 0.0f;
+            for (int k = 0; k < (with_ssim ? TAPS : 0); k++) {
+                const float *from = ring + ((out - RADIUS + k + TAPS) % TAPS) * 3 * STRIP;
+                for (int j = 0; j < 3 * VECS; j++)
+                    acc[j] = vload16(j, from) * taps[k] + acc[j];
+            }
+            row_load(color, target, mask, has_mask, w, h, c, out, x0, VECS, xb, yb);
+            __global float *gp = grad + ((size_t)c * h + out) * w;
+            for (int j = 0; j < VECS; j++) {
+                float16 x = vload16(j, xb), y = vload16(j, yb), d = x - y;
+                float16 up = d > 0.0f ? (float16)(scale_l1) : (float16)(0.0f);
+                float16 down = d < 0.0f ? (float16)(scale_l1) : (float16)(0.0f);
+                float16 ks = 2.0f * x * acc[VECS + j] + acc[j];
+                ks = y * acc[2 * VECS + j] + ks;
+                float16 g = ks * scale_ssim + (up - down);
+                int col = x0 + 16 * j;
+                if (col + 16 <= w && !has_mask) {
+                    vstore16(g, 0, gp + col);
+                } else {
+                    const __global uchar *mp = mask + (has_mask ? (size_t)out * w : 0);
+                    vstore16(g, 0, gb);
+                    for (int i = 0; i < 16 && col + i < w; i++)
+                        gp[col + i] = !has_mask || mp[col + i] ? gb[i] : 0.0f;
+                }
+            }
+        }
+}
