@@ -6,7 +6,66 @@
 #ifndef CORE_LAYOUT_H
 #define CORE_LAYOUT_H
 
+#ifdef __OPENCL_C_VERSION__
+#define LAYOUT_U32 uint
+#define LAYOUT_U8 uchar
+#else
+#include <assert.h>
+#include <stdint.h>
+#define LAYOUT_U32 uint32_t
+#define LAYOUT_U8 uint8_t
+#endif
+
 #define LAYOUT_LANES 16 /* Gaussians per group of the AoSoA-16 parameter layout */
 #define LAYOUT_TILE 16  /* pixels per tile edge */
+#define LAYOUT_BANDS 10 /* column ranges in a splat record */
+
+/* One visible Gaussian on the screen: what blending needs, one cache line.
+ *
+ * With d = mean - pixel centre, the exponent of its falloff in powers of two is
+ *     e = opacity_log2 - u^2 - v^2,   u = p (d.x - x_of_y d.y),   v = r d.y,      alpha = 2^e,
+ * that is the quadratic form 1/2 log2(e) d^T S^-1 d in Cholesky form, S the 2-D covariance with the
+ * anti-aliasing kernel: x_of_y = S01/S11, r^2 = log2(e) / (2 S11), p^2 = log2(e) S11 / (2 det S). A sum of
+ * squares cannot turn negative by rounding, however long and thin the splat is.
+ *
+ * The tiles it touches: rows row0 .. row0 + rows - 1 are cut into at most LAYOUT_BANDS bands of
+ * ceil(rows / LAYOUT_BANDS) tile rows; band b covers columns col0 + (first[b] << shift) ..
+ * + ((last[b] + 1) << shift) - 1, clipped to the picture, none where first[b] > last[b].
+ * cover = row0 | col0 << 10 | (rows - 1) << 20 | shift << 30. */
+struct layout_splat {
+    float mean_x, mean_y; /* px */
+    float p, x_of_y, r;
+    float opacity_log2;
+    float rgb[3]; /* >= 0 */
+    float y_of_x; /* S01/S00: for a fixed d.x, e is largest at d.y = y_of_x d.x */
+    LAYOUT_U32 cover;
+    LAYOUT_U8 first[LAYOUT_BANDS], last[LAYOUT_BANDS];
+};
+
+/* One view of one model: constants of a frame. World means here: relative to the model's origin. */
+struct layout_view {
+    float rot[9];   /* world -> camera, row-major */
+    float trans[3]; /* m */
+    float eye[3];   /* centre of projection, world, m */
+    float fx, fy, cx, cy;
+    float lim_neg_x, lim_pos_x, lim_neg_y, lim_pos_y; /* clamp of x/z and y/z inside the Jacobian */
+    float near_m;
+    float kernel_px2;    /* added to the diagonal of the 2-D covariance */
+    float half_max_px;   /* culled when larger than this and nearer than 4 near_m */
+    float background[3];
+    LAYOUT_U32 width, height, tiles_x, tiles_y;
+    LAYOUT_U32 n, groups, planes; /* planes of a group in the parameter layout, whatever sh_degree says */
+    LAYOUT_U32 sh_degree;         /* evaluated */
+    LAYOUT_U32 compensate;        /* 1: opacity times rho = sqrt(det S0 / det S) */
+    LAYOUT_U32 tile_cull;         /* 0: tiles of the bounding box instead of the exact ones */
+};
+
+/* What one (splat, tile) pair leaves behind in the backward pass, see render/blend_backward.cl. */
+#define LAYOUT_SLOT_FLOATS 11
+
+#ifndef __OPENCL_C_VERSION__
+static_assert(sizeof(struct layout_splat) == 64, "one cache line a splat");
+static_assert(sizeof(struct layout_view) == 39 * 4, "no padding: kernels read the same words");
+#endif
 
 #endif

@@ -1,0 +1,97 @@
+/* Inside of render/: what forward leaves on the device for backward, and what both share.
+ *
+ * Only render/ includes this (and its tests). Life of a frame, all on one in-order queue:
+ *   project  params -> splats, depth_key, tiles           one record, key and tile count per Gaussian
+ *   sort     depth_key -> order, slot_first               32-bit LSD radix over fixed chunks, ties by index
+ *   bin      order -> tile_start, entry_splat, entry_slot entries of a tile in depth order
+ *   blend    -> color, transmit                           one work-item per tile on CPUs
+ * No count depends on the number of threads and nothing is added by atomics, so the same input gives the
+ * same bits.
+ *
+ * Slots: Gaussian g owns slots slot_first[g] .. slot_first[g] + tiles[g] - 1, one per tile it touches, in
+ * row-major order of those tiles; Gaussians are numbered in index order, so a gather over Gaussians walks
+ * the slots from front to back. Backward writes what the pair (splat, tile) contributed to its slot (and a
+ * flag, since entries behind the stop are never visited) and sums per Gaussian in slot order.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef RENDER_FRAME_H
+#define RENDER_FRAME_H
+
+#include "core/layout.h"
+#include "render/render.h"
+
+enum {
+    FRAME_SORT_CHUNKS = 32, /* fixed, never the number of threads: order and sums must not depend on it */
+    FRAME_SORT_DIGITS = 2048,
+    FRAME_BIN_CHUNKS = 32,
+    FRAME_PROJECT_GROUPS = 64, /* groups of 16 Gaussians per work-item of the per-Gaussian kernels, CPU */
+};
+
+struct frame_buffer { /* grows, never shrinks */
+    cl_mem mem;
+    size_t cap_bytes;
+};
+/* Make b at least n_bytes large; contents are lost when it grows (by half at least, within the device's
+ * limit). */
+enum err_code frame_reserve(struct render *r, struct frame_buffer *b, size_t n_bytes,
+                            struct err *e) ERR_USE;
+
+struct render {
+    struct dev *dev; /* borrowed */
+
+    /* -- the last frame; valid for backward while `drawn` -------------------------------------- */
+    bool drawn;
+    struct layout_view view; /* as uploaded to view_mem */
+    uint32_t tiles;          /* tiles_x * tiles_y */
+    uint64_t entries;        /* (splat, tile) pairs of the frame */
+    cl_mem view_mem;         /* __constant struct layout_view[1] */
+
+    /* per Gaussian, [groups * 16]; padding lanes have tiles 0 */
+    struct frame_buffer splats;     /* struct layout_splat; undefined where tiles is 0 */
+    struct frame_buffer depth_key;  /* uint: bits of depth, ~0 where culled */
+    struct frame_buffer tiles_of;   /* uint: number of tiles touched, 0 = invisible */
+    struct frame_buffer slot_first; /* uint */
+
+    /* scratch of the sort and the result */
+    struct frame_buffer keys[2], ids[2]; /* uint [n]; depth order ends in ids[0] */
+    struct frame_buffer histogram;       /* uint [chunks][digits] */
+    cl_mem totals;                       /* struct of counts, see sort.cl: visible, entries, per chunk */
+
+    /* per tile and per entry */
+    struct frame_buffer bin_offset;  /* uint [FRAME_BIN_CHUNKS][tiles] */
+    struct frame_buffer tile_start;  /* uint [tiles + 1]: entries of tile t are [start[t], start[t + 1]) */
+    struct frame_buffer entry_splat; /* uint [entries]: index of the Gaussian (and of its record) */
+    struct frame_buffer entry_slot;  /* uint [entries] */
+
+    /* pictures */
+    struct frame_buffer color;      /* float [3][h][w] planar, background included */
+    struct frame_buffer transmit;   /* float [h][w] */
+    struct frame_buffer color_grad; /* float [3][h][w] planar, dL/dcolor */
+
+    /* -- programs ------------------------------------------------------------------------------ */
+    cl_program program; /* forward: layout.h common.cl project.cl sort.cl bin.cl blend_cpu.cl or _gpu */
+    struct frame_kernels {
+        cl_kernel project, sort_count, sort_scan, sort_scatter, bin_count, bin_scan, bin_scatter, blend;
+    } k;
+
+    /* -- the other direction: made by render_backward.c on first use, freed by render_close through
+     *    backward_free ------------------------------------------------------------------------- */
+    struct render_backward_state *backward;
+    void (*backward_free)(struct render *r);
+
+    struct render_stats stats;
+    bool timing;        /* finish the queue after every stage and fill stats.ms_* */
+    bool box_tiles;     /* tile culling off: the ablation, and the test that culling changes nothing */
+    uint64_t entry_max; /* ERR_LIMIT above; what 32-bit slots and the device's buffers allow */
+    float *host_color;  /* planar staging for the interleaved output */
+    size_t host_color_cap;
+};
+
+/* Number of work-items of a per-Gaussian kernel over `groups` groups, and the local size to launch it with:
+ * VW 16: one item per FRAME_PROJECT_GROUPS groups; VW 1: one item per Gaussian. */
+size_t frame_items(const struct render *r, uint32_t groups, size_t *local);
+
+extern const char common_cl[]; /* first source of every program of render/ after core/layout.h */
+
+#endif
