@@ -1,0 +1,251 @@
+/* citysplat-bench [NAME...]: runs the named benchmarks (all without a name), the ceilings always first.
+ * JSON lines on stdout as they come, then a table on stderr.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#define _XOPEN_SOURCE 700
+#include <ftw.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include <jansson.h>
+
+#include "bench/bench.h"
+#include "core/options.h"
+
+struct bench_row {
+    const char *bench, *name, *unit, *against;
+    double value, ratio;
+};
+
+struct bench_config {
+    OPTIONS_C_INT runs;
+    OPTIONS_C_BOOL quick;
+    OPTIONS_C_TEXT device, compare;
+};
+
+static const struct options_def bench_defs[] = {
+    OPTIONS_ROW(struct bench_config, INT, runs, "20", 1, 10000, "N", "timed runs a case; the median counts")
+    OPTIONS_ROW(struct bench_config, BOOL, quick, "false", 0, 0, "", "small sizes: does it run at all?")
+    OPTIONS_ROW(struct bench_config, TEXT, device, "", 0, 0, "NAME", "OpenCL device: cpu, gpu or part of a name")
+    OPTIONS_ROW(struct bench_config, TEXT, compare, "", 0, 0, "FILE",
+                "JSON lines of an earlier run: the table gains a column now/then")
+};
+
+struct bench_entry {
+    const char *name, *about;
+    enum err_code (*run)(struct bench *b, struct err *e);
+};
+static const struct bench_entry entries[] = {
+#define BENCH(name, about) {#name, about, bench_##name},
+#include "bench/benches.def"
+#undef BENCH
+};
+enum { ENTRIES = sizeof entries / sizeof entries[0], ROWS_MAX = 4096 };
+
+void bench_report(struct bench *b, const char *case_name, double value, const char *unit, double ratio,
+                  const char *against)
+{
+    json_t *o = json_pack("{s:s, s:s, s:f, s:s}", "bench", b->name, "case", case_name, "value", value,
+                          "unit", unit);
+    if (o && against) {
+        json_object_set_new(o, "ratio", json_real(ratio));
+        json_object_set_new(o, "against", json_string(against));
+    }
+    if (o)
+        json_dumpf(o, stdout, JSON_COMPACT | JSON_PRESERVE_ORDER | JSON_REAL_PRECISION(6));
+    json_decref(o);
+    putchar('\n');
+    fflush(stdout);
+    if (b->n_rows < ROWS_MAX)
+        b->rows[b->n_rows++] =
+            (struct bench_row){.bench = b->name,
+                               .name = arena_text(&b->arena, case_name),
+                               .unit = arena_text(&b->arena, unit),
+                               .against = against ? arena_text(&b->arena, against) : NULL,
+                               .value = value,
+                               .ratio = ratio};
+}
+
+static int bench_compare_double(const void *a, const void *b)
+{
+    const double *x = a, *y = b;
+    return (*x > *y) - (*x < *y);
+}
+
+enum err_code bench_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e), void *user,
+                         double *median_ms, double *spread_ms, struct err *e)
+{
+    size_t n = (size_t)b->runs;
+    double *ms = mem_array(n, sizeof *ms);
+    if (!ms)
+        return err_set(e, ERR_MEM, "out of memory");
+    enum err_code rc = fn(user, e); /* builds kernels and warms caches; not counted */
+    for (size_t i = 0; !rc && i < n; i++) {
+        double start = clock_s();
+        rc = fn(user, e);
+        ms[i] = 1e3 * (clock_s() - start);
+    }
+    qsort(ms, n, sizeof *ms, bench_compare_double);
+    *median_ms = ms[n / 2];
+    if (spread_ms)
+        *spread_ms = 0.5 * (ms[3 * n / 4] - ms[n / 4]);
+    mem_free(ms);
+    return rc;
+}
+
+static char tmpdir[FILE_PATH_MAX]; /* made on first use by one thread, removed at the end of main */
+
+const char *bench_tmpdir(struct bench *b)
+{
+    (void)b;
+    if (!tmpdir[0]) {
+        const char *base = getenv("TMPDIR");
+        snprintf(tmpdir, sizeof tmpdir, "%s/citysplat-bench-XXXXXX", base && *base ? base : "/tmp");
+        if (!mkdtemp(tmpdir))
+            snprintf(tmpdir, sizeof tmpdir, ".");
+    }
+    return tmpdir;
+}
+
+static int remove_one(const char *path, const struct stat *st, int type, struct FTW *ftw)
+{
+    (void)st;
+    (void)type;
+    (void)ftw;
+    return remove(path);
+}
+
+/* The value of the same case in the baseline, 0 when it has none. The file is JSON lines. */
+static double baseline_value(const json_t *lines, const struct bench_row *r)
+{
+    size_t i;
+    json_t *o;
+    json_array_foreach(lines, i, o)
+    {
+        const char *bench = json_string_value(json_object_get(o, "bench"));
+        const char *name = json_string_value(json_object_get(o, "case"));
+        if (bench && name && !strcmp(bench, r->bench) && !strcmp(name, r->name))
+            return json_number_value(json_object_get(o, "value"));
+    }
+    return 0.0;
+}
+
+static enum err_code baseline_read(const char *path, json_t **out, struct err *e)
+{
+    struct buf b = {0};
+    enum err_code rc = file_read(path, 0, &b, e);
+    json_t *lines = rc ? NULL : json_array();
+    for (size_t at = 0; lines && at < b.size;) {
+        const char *line = (const char *)b.data + at;
+        const char *end = memchr(line, '\n', b.size - at);
+        size_t n = end ? (size_t)(end - line) : b.size - at;
+        json_t *o = n ? json_loadb(line, n, 0, NULL) : NULL;
+        if (o)
+            json_array_append_new(lines, o);
+        at += n + 1;
+    }
+    buf_free(&b);
+    *out = lines;
+    return rc;
+}
+
+static void print_table(const struct bench *b)
+{
+    fprintf(stderr, "\n%-10s %-44s %12s %-12s %s\n", "bench", "case", "value", "unit", "ratio");
+    for (size_t i = 0; i < b->n_rows; i++) {
+        const struct bench_row *r = &b->rows[i];
+        fprintf(stderr, "%-10s %-44s %12.4g %-12s", r->bench, r->name, r->value, r->unit);
+        if (r->against)
+            fprintf(stderr, " %.3g of %s", r->ratio, r->against);
+        double then = b->baseline ? baseline_value(b->baseline, r) : 0.0;
+        if (then > 0.0)
+            fprintf(stderr, "  now/then %.3f", r->value / then);
+        fputc('\n', stderr);
+    }
+}
+
+static bool wanted(const struct options_args *args, const char *name)
+{
+    for (size_t i = 0; i < args->n; i++)
+        if (!strcmp(args->arg[i], name))
+            return true;
+    return args->n == 0;
+}
+
+static enum err_code check_names(const struct options_args *args, struct err *e)
+{
+    for (size_t i = 0; i < args->n; i++) {
+        size_t k = 0;
+        while (k < ENTRIES && strcmp(entries[k].name, args->arg[i]))
+            k++;
+        if (k == ENTRIES)
+            return err_set(e, ERR_ARG, "no benchmark '%s'; --help lists them", args->arg[i]);
+    }
+    return ERR_OK;
+}
+
+static enum err_code run_all(struct bench *b, const struct options_args *args, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; !rc && i < ENTRIES; i++) {
+        /* The ceilings come first whatever was asked: the others are fractions of them. */
+        if (i > 0 && !wanted(args, entries[i].name))
+            continue;
+        b->name = entries[i].name;
+        rc = entries[i].run(b, e);
+        if (rc)
+            err_add(e, "%s", entries[i].name);
+    }
+    return rc;
+}
+
+int main(int argc, char **argv)
+{
+    struct err e = {0};
+    struct dev dev = {0};
+    struct bench b = {0};
+    struct bench_config cfg = {0};
+    struct options_args args;
+    char about[1024] = "Runs the named benchmarks, all without a name. JSON lines on stdout, a table on "
+                       "stderr. Names:";
+    for (size_t i = 0; i < ENTRIES; i++)
+        snprintf(about + strlen(about), sizeof about - strlen(about), " %s (%s)%s", entries[i].name,
+                 entries[i].about, i + 1 < ENTRIES ? "," : ".");
+    const struct options_spec spec = {.command = "bench", .usage = "citysplat-bench [NAME...] [options]",
+                                      .about = about, .defs = bench_defs,
+                                      .n_defs = sizeof bench_defs / sizeof bench_defs[0], .max_args = 16};
+    enum err_code rc = options_parse(&spec, argc, argv, &cfg, &args, &b.arena, &e);
+    if (!rc && args.done)
+        goto out;
+    b.runs = (int)cfg.runs;
+    b.quick = cfg.quick;
+    b.rows = mem_array(ROWS_MAX, sizeof *b.rows);
+    if (!rc && !b.rows)
+        rc = err_set(&e, ERR_MEM, "out of memory");
+    if (!rc)
+        rc = check_names(&args, &e);
+    if (!rc && cfg.compare)
+        rc = baseline_read(cfg.compare, &b.baseline, &e);
+    if (!rc)
+        rc = dev_open(cfg.device, &dev, &e);
+    b.dev = &dev;
+    if (!rc)
+        log_info("bench", "device name=\"%s\" driver=\"%s\" runs=%d", dev.name, dev.driver, b.runs);
+    if (!rc)
+        rc = run_all(&b, &args, &e);
+    if (b.n_rows)
+        print_table(&b);
+out:
+    if (rc)
+        fprintf(stderr, "citysplat-bench: error: %s\n", e.msg);
+    dev_close(&dev);
+    json_decref(b.baseline);
+    mem_free(b.rows);
+    arena_free(&b.arena);
+    if (tmpdir[0] && strcmp(tmpdir, "."))
+        (void)nftw(tmpdir, remove_one, 16, FTW_DEPTH | FTW_PHYS);
+    return rc == ERR_OK ? 0 : rc == ERR_ARG ? 2 : 1;
+}
