@@ -59,6 +59,19 @@ enum err_code image_resize(const struct image *in, uint32_t width_px, uint32_t h
 enum err_code image_alloc(uint32_t width_px, uint32_t height_px, uint32_t channels, struct image *out,
                           struct err *e) ERR_USE;
 void image_free(struct image *img);
+
+/* ---- exif.c: the few EXIF fields we need, in JPEG, PNG, WebP and TIFF files ------------------------- */
+
+/* Missing, unknown or damaged fields are simply not there (has_position false, 0, ""): photographs with
+ * strange EXIF are still photographs. ERR_NOENT, ERR_IO. */
+enum err_code exif_read(const char *path, struct image_gps *out, struct err *e) ERR_USE;
+/* The same from a whole file in memory. */
+void exif_parse(const void *bytes, size_t n, struct image_gps *out);
+/* Put an EXIF block into an encoded picture. Angles are stored to 1e-7 arc seconds, heights to 0.1 mm. */
+enum err_code exif_insert(struct buf *file, const struct image_gps *gps, struct err *e) ERR_USE;
+
+/* ---- npy.c ------------------------------------------------------------------------------------------ */
+
 /* float32 .npy, C order. shape has ndim entries. npy_read allocates (mem_free). */
 enum err_code npy_write(const char *path, const float *data, size_t ndim, const size_t *shape,
                         struct err *e) ERR_USE;
