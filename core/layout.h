@@ -19,6 +19,10 @@
 #define LAYOUT_LANES 16 /* Gaussians per group of the AoSoA-16 parameter layout */
 #define LAYOUT_TILE 16  /* pixels per tile edge */
 #define LAYOUT_BANDS 10 /* column ranges in a splat record */
+#define LAYOUT_DET_MAX 1e30f /* px^4: a 2-D covariance above is culled, long before float overflows */
+#define LAYOUT_DEPTH_MAX 1e10f /* m */
+#define LAYOUT_EXTENT_MAX 3.33f /* sigmas; sqrt(2 ln 255), the reach of an opaque splat */
+#define LAYOUT_RHO2_MIN 2.5e-5f /* floor of det S0 / det S: flat discs seen edge-on stay */
 
 /* One visible Gaussian on the screen: what blending needs, one cache line.
  *

@@ -1,0 +1,270 @@
+/* The method in double precision: how Gaussians become a picture, without tiles, lists or vectors.
+ *
+ * A Gaussian with mean mu and covariance Sigma = R diag(s)^2 R^T is splatted by the local affine
+ * approximation of the perspective map (EWA splatting, Zwicker et al. 2001): its picture is a 2-D Gaussian
+ * with covariance S0 = J W Sigma W^T J^T. A small kernel is added against aliasing, S = S0 + eps I; with
+ * compensation opacity is multiplied by rho = sqrt(det S0 / det S), so that the splat keeps its mass
+ * (Mip-Splatting, Yu et al. 2024). Colour is a real spherical-harmonics series in the direction from the
+ * camera. Pixels blend the splats front to back (3D Gaussian Splatting, Kerbl et al. 2023).
+ *
+ * Everything the kernels do is stated here first and tested against it; nothing here is fast.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "render/render_ref.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/base.h"
+#include "core/layout.h"
+
+enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
+                            const struct render_options *o, struct ref_view *out, struct err *e)
+{
+    struct ref_view v = {0};
+    double w = cam->width_px, h = cam->height_px;
+    if (cam->width_px < 1 || cam->height_px < 1 || !(cam->fx_px > 0) || !(cam->fy_px > 0))
+        return err_set(e, ERR_ARG, "render: camera %ux%u, focal %g %g: sizes and focals must be positive",
+                       cam->width_px, cam->height_px, cam->fx_px, cam->fy_px);
+    memcpy(v.rot, cam->rot, sizeof v.rot);
+    for (int i = 0; i < 3; i++) {
+        /* t = W (mu + origin) + d: the origin goes into the translation, in double. */
+        v.trans[i] = cam->rot[3 * i] * g->origin_enu_m[0] + cam->rot[3 * i + 1] * g->origin_enu_m[1] +
+                     cam->rot[3 * i + 2] * g->origin_enu_m[2] + cam->trans[i];
+        v.background[i] = o->background[i];
+    }
+    for (int i = 0; i < 3; i++)
+        v.eye[i] = -(v.rot[i] * v.trans[0] + v.rot[3 + i] * v.trans[1] + v.rot[6 + i] * v.trans[2]);
+    v.fx = cam->fx_px;
+    v.fy = cam->fy_px;
+    v.cx = cam->cx_px;
+    v.cy = cam->cy_px;
+    v.width = cam->width_px;
+    v.height = cam->height_px;
+    /* The Jacobian grows without bound at grazing angles: it is taken at most 15 % of the picture outside. */
+    v.lim_neg[0] = v.cx / v.fx + 0.15 * w / v.fx;
+    v.lim_pos[0] = (w - v.cx) / v.fx + 0.15 * w / v.fx;
+    v.lim_neg[1] = v.cy / v.fy + 0.15 * h / v.fy;
+    v.lim_pos[1] = (h - v.cy) / v.fy + 0.15 * h / v.fy;
+    v.near_m = o->near_m > 0 ? o->near_m : RENDER_NEAR_M;
+    v.kernel_px2 = o->aa == RENDER_AA_MIP ? 0.1 : 0.3;
+    v.compensate = o->aa != RENDER_AA_NONE;
+    v.half_max_px = 2 * fmax(w, h);
+    v.sh_degree = o->sh_degree >= 0 && (uint32_t)o->sh_degree < g->sh_degree ? (uint32_t)o->sh_degree
+                                                                             : g->sh_degree;
+    *out = v;
+    return ERR_OK;
+}
+
+void ref_sh_basis(const double dir[3], uint32_t degree, double out[REF_SH_MAX])
+{
+    double x = dir[0], y = dir[1], z = dir[2], xx = x * x, yy = y * y, zz = z * z;
+    memset(out, 0, REF_SH_MAX * sizeof *out);
+    out[0] = GAUSS_SH_C0;
+    if (degree >= 1) {
+        out[1] = -0.4886025119029199 * y;
+        out[2] = 0.4886025119029199 * z;
+        out[3] = -0.4886025119029199 * x;
+    }
+    if (degree >= 2) {
+        out[4] = 1.0925484305920792 * x * y;
+        out[5] = -1.0925484305920792 * y * z;
+        out[6] = 0.31539156525252005 * (2 * zz - xx - yy);
+        out[7] = -1.0925484305920792 * x * z;
+        out[8] = 0.5462742152960396 * (xx - yy);
+    }
+    if (degree >= 3) {
+        out[9] = -0.5900435899266435 * y * (3 * xx - yy);
+        out[10] = 2.890611442640554 * x * y * z;
+        out[11] = -0.4570457994644658 * y * (4 * zz - xx - yy);
+        out[12] = 0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy);
+        out[13] = -0.4570457994644658 * x * (4 * zz - xx - yy);
+        out[14] = 1.445305721320277 * z * (xx - yy);
+        out[15] = -0.5900435899266435 * x * (xx - 3 * yy);
+    }
+}
+
+/* Rotation of the normalised quaternion and the three sigmas. */
+static void ref_shape(const struct gauss *g, size_t i, struct ref_splat *s)
+{
+    double n = 0;
+    for (int k = 0; k < 4; k++) {
+        s->quat[k] = (double)g->quat_wxyz[4 * i + k];
+        n += s->quat[k] * s->quat[k];
+    }
+    s->quat_len = fmax(sqrt(n), 1e-12); /* a zero quaternion turns nothing */
+    for (int k = 0; k < 4; k++)
+        s->quat[k] /= s->quat_len;
+    double w = s->quat[0], x = s->quat[1], y = s->quat[2], z = s->quat[3];
+    const double rot[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - w * z),     2 * (x * z + w * y),
+                           2 * (x * y + w * z),     1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+                           2 * (x * z - w * y),     2 * (y * z + w * x),     1 - 2 * (x * x + y * y)};
+    memcpy(s->rot, rot, sizeof rot);
+    for (int k = 0; k < 3; k++)
+        s->scale[k] = exp((double)g->scale_log[3 * i + k]);
+}
+
+/* S0 = P P^T with P = J W R diag(s), 2 x 3; its determinant by Cauchy-Binet, as a sum of squares. */
+static void ref_covariance(const struct ref_view *v, struct ref_splat *s)
+{
+    double rx = s->cam[0] / s->cam[2], ry = s->cam[1] / s->cam[2], z = s->cam[2], p[6];
+    s->clamped[0] = fmin(fmax(rx, -v->lim_neg[0]), v->lim_pos[0]);
+    s->clamped[1] = fmin(fmax(ry, -v->lim_neg[1]), v->lim_pos[1]);
+    s->inside[0] = s->clamped[0] == rx;
+    s->inside[1] = s->clamped[1] == ry;
+    const double jac[6] = {v->fx / z, 0, -v->fx * s->clamped[0] / z,
+                           0, v->fy / z, -v->fy * s->clamped[1] / z};
+    memcpy(s->jac, jac, sizeof jac);
+    for (int row = 0; row < 2; row++)
+        for (int col = 0; col < 3; col++) {
+            double sum = 0; /* (J W)[row][.] R[.][col] s[col] */
+            for (int m = 0; m < 3; m++) {
+                double jw = jac[3 * row] * v->rot[m] + jac[3 * row + 1] * v->rot[3 + m] +
+                            jac[3 * row + 2] * v->rot[6 + m];
+                sum += jw * s->rot[3 * m + col];
+            }
+            p[3 * row + col] = sum * s->scale[col];
+        }
+    s->cov0[0] = p[0] * p[0] + p[1] * p[1] + p[2] * p[2];
+    s->cov0[1] = p[0] * p[3] + p[1] * p[4] + p[2] * p[5];
+    s->cov0[2] = p[3] * p[3] + p[4] * p[4] + p[5] * p[5];
+    double m01 = p[0] * p[4] - p[1] * p[3], m02 = p[0] * p[5] - p[2] * p[3],
+           m12 = p[1] * p[5] - p[2] * p[4];
+    s->det0 = m01 * m01 + m02 * m02 + m12 * m12;
+    s->det = s->det0 + v->kernel_px2 * (s->cov0[0] + s->cov0[2]) + v->kernel_px2 * v->kernel_px2;
+}
+
+static void ref_color(const struct ref_view *v, const struct gauss *g, size_t i, struct ref_splat *s)
+{
+    size_t count = gauss_sh_count(g->sh_degree);
+    double dir[3], len = 0;
+    for (int k = 0; k < 3; k++) {
+        dir[k] = (double)g->mean_m[3 * i + k] - v->eye[k];
+        len += dir[k] * dir[k];
+    }
+    len = fmax(sqrt(len), 1e-12);
+    for (int k = 0; k < 3; k++)
+        dir[k] /= len;
+    ref_sh_basis(dir, v->sh_degree, s->basis);
+    for (int c = 0; c < 3; c++) {
+        s->rgb_raw[c] = 0.5;
+        for (size_t k = 0; k < count; k++)
+            s->rgb_raw[c] += s->basis[k] * (double)g->sh[(i * count + k) * 3 + c];
+        s->rgb[c] = fmax(s->rgb_raw[c], 0);
+    }
+}
+
+bool ref_project(const struct ref_view *v, const struct gauss *g, size_t i, struct ref_splat *out)
+{
+    struct ref_splat s = {.index = i};
+    for (int k = 0; k < 3; k++) {
+        s.cam[k] = v->trans[k];
+        for (int m = 0; m < 3; m++)
+            s.cam[k] += v->rot[3 * k + m] * (double)g->mean_m[3 * i + m];
+    }
+    if (!(s.cam[2] > v->near_m) || !(s.cam[2] < (double)LAYOUT_DEPTH_MAX))
+        return false; /* written so that NaN is culled too, here and below */
+    ref_shape(g, i, &s);
+    ref_covariance(v, &s);
+    if (!(s.det > 0) || !(s.det < (double)LAYOUT_DET_MAX))
+        return false;
+    s.opacity = 1 / (1 + exp(-(double)g->opacity_logit[i]));
+    s.rho = v->compensate ? sqrt(fmax((double)LAYOUT_RHO2_MIN, s.det0 / s.det)) : 1;
+    s.opacity_eff = s.opacity * s.rho;
+    if (!(s.opacity_eff >= 1.0 / 255))
+        return false;
+    double s00 = s.cov0[0] + v->kernel_px2, s11 = s.cov0[2] + v->kernel_px2;
+    s.conic[0] = s11 / s.det;
+    s.conic[1] = -s.cov0[1] / s.det;
+    s.conic[2] = s00 / s.det;
+    s.mean_px[0] = v->fx * s.cam[0] / s.cam[2] + v->cx;
+    s.mean_px[1] = v->fy * s.cam[1] / s.cam[2] + v->cy;
+    /* Beyond k sigmas alpha is below 1/255. */
+    double k = fmin((double)LAYOUT_EXTENT_MAX, sqrt(2 * log(255 * s.opacity_eff)));
+    s.half_px[0] = k * sqrt(s00);
+    s.half_px[1] = k * sqrt(s11);
+    if (!(s.mean_px[0] + s.half_px[0] > 0) || !(s.mean_px[0] - s.half_px[0] < v->width) ||
+        !(s.mean_px[1] + s.half_px[1] > 0) || !(s.mean_px[1] - s.half_px[1] < v->height))
+        return false;
+    /* A splat just before the lens that covers everything is an artefact of the affine approximation. */
+    if (s.cam[2] < 4 * v->near_m && fmax(s.half_px[0], s.half_px[1]) > v->half_max_px)
+        return false;
+    ref_color(v, g, i, &s);
+    *out = s;
+    return true;
+}
+
+static int ref_order(const void *a, const void *b)
+{
+    const struct ref_splat *x = a, *y = b;
+    float zx = (float)x->cam[2], zy = (float)y->cam[2];
+    if (zx != zy)
+        return zx < zy ? -1 : 1;
+    return x->index < y->index ? -1 : x->index > y->index;
+}
+
+enum err_code ref_project_all(const struct ref_view *v, const struct gauss *g, struct ref_splat **out,
+                              size_t *n, struct err *e)
+{
+    struct ref_splat *splats = mem_array(g->n, sizeof *splats);
+    size_t count = 0;
+    *out = NULL;
+    *n = 0;
+    if (!splats)
+        return err_set(e, ERR_MEM, "render_ref: %zu Gaussians", g->n);
+    for (size_t i = 0; i < g->n; i++)
+        count += ref_project(v, g, i, &splats[count]) ? 1 : 0;
+    if (count)
+        qsort(splats, count, sizeof *splats, ref_order);
+    *out = splats;
+    *n = count;
+    return ERR_OK;
+}
+
+bool ref_alpha(const struct ref_splat *s, double px, double py, double d[2], double *alpha, bool *clamped)
+{
+    d[0] = s->mean_px[0] - px;
+    d[1] = s->mean_px[1] - py;
+    double sigma = 0.5 * (s->conic[0] * d[0] * d[0] + s->conic[2] * d[1] * d[1]) +
+                   s->conic[1] * d[0] * d[1];
+    double a = s->opacity_eff * exp(-sigma);
+    if (!(sigma >= 0) || !(a >= (double)RENDER_ALPHA_MIN))
+        return false;
+    *clamped = a > (double)RENDER_ALPHA_MAX;
+    *alpha = *clamped ? (double)RENDER_ALPHA_MAX : a;
+    return true;
+}
+
+enum err_code render_ref_forward(const struct gauss *g, const struct camera *cam,
+                                 const struct render_options *o, double *rgb, double *transmittance,
+                                 struct err *e)
+{
+    struct ref_view v;
+    struct ref_splat *splats = NULL;
+    size_t n = 0;
+    enum err_code rc = ref_view_init(g, cam, o, &v, e);
+    if (rc == ERR_OK)
+        rc = ref_project_all(&v, g, &splats, &n, e);
+    for (size_t at = 0; rc == ERR_OK && at < (size_t)v.width * v.height; at++) {
+        double px = (double)(at % v.width) + 0.5, py = (double)(at / v.width) + 0.5;
+        double t = 1, sum[3] = {0, 0, 0};
+        /* Front to back; the splat that brings T to the limit is still blended. */
+        for (size_t i = 0; i < n && t > (double)RENDER_T_STOP; i++) {
+            double d[2], alpha;
+            bool clamped;
+            if (!ref_alpha(&splats[i], px, py, d, &alpha, &clamped))
+                continue;
+            for (int c = 0; c < 3; c++)
+                sum[c] += splats[i].rgb[c] * alpha * t;
+            t *= 1 - alpha;
+        }
+        for (int c = 0; c < 3; c++)
+            rgb[3 * at + c] = sum[c] + t * v.background[c];
+        if (transmittance)
+            transmittance[at] = t;
+    }
+    mem_free(splats);
+    return rc;
+}
