@@ -1,0 +1,26 @@
+#!/bin/sh
+# Every kernel file compiles, by itself behind its prelude, with an OpenCL compiler that is not the one of the
+# device at hand: clang, for a CPU-like, an AMD and an NVIDIA target. Skipped (77) where clang is missing.
+#
+# SPDX-License-Identifier: Apache-2.0
+cd "$(dirname "$0")/.." || exit 1
+clang=$(command -v clang || command -v clang-14) || { echo "skipped: clang is not installed"; exit 77; }
+status=0
+for f in render/*.cl train/*.cl bench/*.cl; do
+    [ -f "$f" ] || continue
+    for target in spir64 nvptx64 amdgcn--amdhsa; do
+        for vw in 16 1; do
+            prelude="-include core/layout.h"
+            case $f in
+                render/common.cl) ;;
+                render/*) prelude="$prelude -include render/common.cl" ;;
+            esac
+            # shellcheck disable=SC2086
+            "$clang" -x cl -cl-std=CL1.2 -Xclang -finclude-default-header -target "$target" -DVW="$vw" \
+                -I. $prelude -fsyntax-only -Wall -Wno-unused-function -Werror "$f" || {
+                echo "$f: does not compile for $target with VW=$vw"; status=1; }
+        done
+    done
+done
+[ $status = 0 ] && echo "all kernels compile for three targets"
+exit $status
