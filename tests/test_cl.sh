@@ -16,7 +16,7 @@ for f in render/*.cl train/*.cl bench/*.cl; do
                 render/*) prelude="$prelude -include render/common.cl" ;;
             esac
             # shellcheck disable=SC2086
-            "$clang" -x cl -cl-std=CL1.2 -Xclang -finclude-default-header -target "$target" -DVW="$vw" \
+            "$clang" -x cl -cl-std=CL1.2 -Xclang -finclude-default-header -target "$target" -nogpulib -DVW="$vw" \
                 -I. $prelude -fsyntax-only -Wall -Wno-unused-function -Werror "$f" || {
                 echo "$f: does not compile for $target with VW=$vw"; status=1; }
         done
