@@ -1,0 +1,97 @@
+#!/bin/sh
+# Bad input through the whole program: each case must give a non-zero exit code, one clear message that names
+# what and which, and leave nothing half-written behind. Needs CITYSPLAT_BIN.
+#
+# SPDX-License-Identifier: Apache-2.0
+bin=${CITYSPLAT_BIN:?set it to the citysplat program}
+work=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-bad-XXXXXX") || exit 1
+trap 'chmod -R u+w "$work" 2>/dev/null; rm -rf "$work"' EXIT
+failed=0
+passed=0
+
+# refuse NAME EXIT PATTERN OUTPUT-THAT-MUST-NOT-EXIST COMMAND...
+refuse() {
+    name=$1 want=$2 pattern=$3 absent=$4
+    shift 4
+    "$@" >"$work/log" 2>&1 </dev/null
+    rc=$?
+    why=
+    [ "$rc" = "$want" ] || why="exit code $rc, want $want"
+    grep -Eiq -- "$pattern" "$work/log" || why="$why; message does not match '$pattern'"
+    [ "$(grep -c 'error:' "$work/log")" = 1 ] || why="$why; not exactly one error line"
+    [ -z "$absent" ] || [ ! -e "$absent" ] || why="$why; $absent was left behind"
+    if [ -n "$absent" ] && ls -d "$absent".part* >/dev/null 2>&1; then why="$why; a .part file was left behind"; fi
+    if [ -n "$why" ]; then
+        failed=$((failed + 1))
+        printf 'FAIL %s: %s\n  ran: %s\n' "$name" "$why" "$*"
+        sed 's/^/  | /' "$work/log" | tail -5
+    else
+        passed=$((passed + 1))
+        printf 'ok   %s: %s\n' "$name" "$(grep 'error:' "$work/log" | cut -c1-150)"
+    fi
+}
+
+"$bin" synth -o "$work/city" --photos 12 --width-px 64 --height-px 48 --extent-m 40 -q || exit 1
+fresh() { rm -rf "$work/bad"; cp -r "$work/city" "$work/bad"; }
+
+# -- COLMAP ----------------------------------------------------------------------------------------------
+for f in cameras images points3D; do
+    fresh
+    size=$(wc -c <"$work/bad/sparse/0/$f.bin")
+    truncate -s $((size * 2 / 3)) "$work/bad/sparse/0/$f.bin"
+    refuse "truncated $f.bin" 1 "$f\.bin" "$work/scene" \
+        "$bin" ingest "$work/bad/images" "$work/bad/sparse" -o "$work/scene" -q
+done
+refuse "no COLMAP model" 1 "cameras|sparse" "$work/scene" \
+    "$bin" ingest "$work/city/images" "$work/city/truth" -o "$work/scene" -q
+
+# -- photographs -------------------------------------------------------------------------------------------
+fresh
+first=$(ls "$work/bad/images" | head -1)
+printf 'this is not a photograph' >"$work/bad/images/$first"
+refuse "not an image" 1 "$first" "$work/scene" \
+    "$bin" ingest "$work/bad/images" "$work/bad/sparse" -o "$work/scene" -q
+fresh
+for f in "$work/bad/images"/*.jpg; do
+    # Strip the APP1 segment: decode and encode again without metadata.
+    oiiotool "$f" --eraseattrib ".*" -o "$f.tmp.jpg" >/dev/null 2>&1 && mv "$f.tmp.jpg" "$f"
+done
+refuse "photographs without GPS" 1 "GPS" "$work/scene" \
+    "$bin" ingest "$work/bad/images" "$work/bad/sparse" -o "$work/scene" -q
+refuse "no photographs" 1 "no such|not found|cannot|image" "$work/scene" \
+    "$bin" ingest "$work/nothing" "$work/city/sparse" -o "$work/scene" -q
+
+# -- the machine ---------------------------------------------------------------------------------------------
+echo x >"$work/file"
+refuse "output folder cannot be made" 1 "$work/file" "" \
+    "$bin" ingest "$work/city/images" "$work/city/sparse" -o "$work/file/scene" -q
+"$bin" ingest "$work/city/images" "$work/city/sparse" -o "$work/good" --min-points 4 -q || exit 1
+refuse "no OpenCL device" 1 "pocl-opencl-icd" "$work/good/cells" \
+    env OCL_ICD_VENDORS=/nonexistent "$bin" train "$work/good" --iterations 10 -q
+if unshare -rm true 2>/dev/null; then
+    mkdir "$work/tiny"
+    # shellcheck disable=SC2016
+    refuse "full disk" 1 "No space left" "" \
+        unshare -rm sh -c 'mount -t tmpfs -o size=64k none "$1/tiny" && "$2" ingest "$1/city/images" "$1/city/sparse" -o "$1/tiny/scene" --min-points 4 -q; rc=$?; ls "$1/tiny" | grep . && rc=99; exit $rc' \
+        sh "$work" "$bin"
+else
+    echo "skip full disk: no user namespaces here"
+fi
+
+# -- tile stores and splats --------------------------------------------------------------------------------------
+refuse "not a tile store" 1 "$work/file" "" "$bin" serve "$work/file" --port 0 -q
+refuse "no tile store" 1 "nothing.tiles" "" "$bin" serve "$work/nothing.tiles" --port 0 -q
+printf 'ply\nformat binary_little_endian 1.0\nelement vertex 4294967295\nproperty float x\nend_header\n' >"$work/huge.ply"
+refuse "a .ply that lies about its size" 1 "huge.ply" "$work/huge.tiles" \
+    "$bin" import "$work/huge.ply" --origin 8,50,100 -o "$work/huge.tiles" -q
+refuse "an origin that is no place" 2 "origin" "$work/huge.tiles" \
+    "$bin" import "$work/huge.ply" --origin 8,95,100 -o "$work/huge.tiles" -q
+
+# -- the command line -----------------------------------------------------------------------------------------------
+refuse "unknown option" 2 "did you mean --output" "" "$bin" ingest a b --ouput x
+refuse "unknown command" 2 "no command 'trian'" "" "$bin" trian
+refuse "a value out of range" 2 "from" "" "$bin" serve x.tiles --port 70000
+refuse "missing argument" 2 "too few" "" "$bin" train
+
+echo "$passed passed, $failed failed"
+[ "$failed" = 0 ]
