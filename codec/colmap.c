@@ -1,0 +1,298 @@
+/* COLMAP sparse models: finding the files, resolving ids, and what a sound record is.
+ *
+ * COLMAP writes a model as three files, binary or text, that refer to each other by id. Readers
+ * (colmap_bin.c, colmap_txt.c) take the records as they come; here everything is sorted by id and every
+ * reference becomes an index, so that nobody behind this file has to look up or doubt an id again. A point
+ * and the observations in its track must agree both ways: files of two different models fail there.
+ * Source: https://colmap.github.io/format.html
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "codec/colmap_parse.h"
+
+enum { EDGE_MAX_PX = 1 << 20, PART_COUNT = 3 };
+static const char *const part_names[PART_COUNT] = {"cameras", "images", "points3D"};
+
+void colmap_free(struct colmap_model *m)
+{
+    arena_free(&m->arena);
+    *m = (struct colmap_model){0};
+}
+
+/* ---- records ---------------------------------------------------------------------------------- */
+
+const char *colmap_check_camera(const struct colmap_camera *c)
+{
+    double fx, fy, cx, cy;
+    for (size_t i = 0; i < lens_param_count(c->lens.model); i++)
+        if (!isfinite(c->lens.params[i]))
+            return "a lens parameter is not finite";
+    lens_focal(&c->lens, &fx, &fy, &cx, &cy);
+    if (!(fx > 0 && fy > 0))
+        return "the focal length is not positive";
+    return NULL;
+}
+
+const char *colmap_check_image(const struct colmap_image *im)
+{
+    double n2 = 0;
+    for (int i = 0; i < 4; i++)
+        n2 += im->quat_wxyz[i] * im->quat_wxyz[i];
+    if (!(isfinite(n2) && n2 > 1e-6))
+        return "the rotation quaternion is zero or not finite";
+    for (int i = 0; i < 3; i++)
+        if (!isfinite(im->trans[i]))
+            return "the translation is not finite";
+    if (!im->name[0])
+        return "the file name is empty";
+    for (size_t j = 0; j < im->n_obs; j++)
+        if (!isfinite(im->obs[j].x_px) || !isfinite(im->obs[j].y_px))
+            return "an observation is not finite";
+    return NULL;
+}
+
+const char *colmap_check_point(const struct colmap_point *p)
+{
+    for (int i = 0; i < 3; i++)
+        if (!isfinite(p->xyz[i]))
+            return "a coordinate is not finite";
+    return NULL;
+}
+
+/* ---- ids to indices ----------------------------------------------------------------------------- */
+
+static int camera_compare(const void *a, const void *b)
+{
+    const struct colmap_camera *p = a, *q = b;
+    return (p->id > q->id) - (p->id < q->id);
+}
+
+static int image_compare(const void *a, const void *b)
+{
+    const struct colmap_image *p = a, *q = b;
+    return (p->id > q->id) - (p->id < q->id);
+}
+
+static int point_compare(const void *a, const void *b)
+{
+    const struct colmap_point *p = a, *q = b;
+    return (p->id > q->id) - (p->id < q->id);
+}
+
+static int name_compare(const void *a, const void *b)
+{
+    const struct colmap_image *const *p = a, *const *q = b;
+    return strcmp((*p)->name, (*q)->name);
+}
+
+static enum err_code sort_and_check_unique(struct colmap_model *m, struct err *e)
+{
+    qsort(m->cameras, m->n_cameras, sizeof *m->cameras, camera_compare);
+    qsort(m->images, m->n_images, sizeof *m->images, image_compare);
+    qsort(m->points, m->n_points, sizeof *m->points, point_compare);
+    for (size_t i = 1; i < m->n_cameras; i++)
+        if (m->cameras[i].id == m->cameras[i - 1].id)
+            return err_set(e, ERR_FORMAT, "cameras: id %u appears twice", m->cameras[i].id);
+    for (size_t i = 1; i < m->n_images; i++)
+        if (m->images[i].id == m->images[i - 1].id)
+            return err_set(e, ERR_FORMAT, "images: id %u appears twice", m->images[i].id);
+    for (size_t i = 1; i < m->n_points; i++)
+        if (m->points[i].id == m->points[i - 1].id)
+            return err_set(e, ERR_FORMAT, "points3D: id %llu appears twice",
+                           (unsigned long long)m->points[i].id);
+    const struct colmap_image **by_name = mem_array(m->n_images, sizeof *by_name);
+    if (!by_name)
+        return err_set(e, ERR_MEM, "out of memory for %zu images", m->n_images);
+    for (size_t i = 0; i < m->n_images; i++)
+        by_name[i] = &m->images[i];
+    qsort(by_name, m->n_images, sizeof *by_name, name_compare);
+    enum err_code rc = ERR_OK;
+    for (size_t i = 1; i < m->n_images && rc == ERR_OK; i++)
+        if (!strcmp(by_name[i]->name, by_name[i - 1]->name))
+            rc = err_set(e, ERR_FORMAT, "images: '%.200s' appears twice", by_name[i]->name);
+    mem_free(by_name);
+    return rc;
+}
+
+/* Index of an id in a sorted array of records whose id is read by `id_at`; n when absent. */
+static size_t find_id(const struct colmap_model *m, size_t n, uint64_t id,
+                      uint64_t (*id_at)(const struct colmap_model *, size_t))
+{
+    size_t lo = 0, hi = n;
+    while (lo < hi) {
+        size_t mid = lo + (hi - lo) / 2;
+        if (id_at(m, mid) < id)
+            lo = mid + 1;
+        else
+            hi = mid;
+    }
+    return lo < n && id_at(m, lo) == id ? lo : n;
+}
+
+static uint64_t camera_id_at(const struct colmap_model *m, size_t i)
+{
+    return m->cameras[i].id;
+}
+
+static uint64_t image_id_at(const struct colmap_model *m, size_t i)
+{
+    return m->images[i].id;
+}
+
+static uint64_t point_id_at(const struct colmap_model *m, size_t i)
+{
+    return m->points[i].id;
+}
+
+static enum err_code resolve_images(struct colmap_model *m, struct err *e)
+{
+    for (size_t i = 0; i < m->n_images; i++) {
+        struct colmap_image *im = &m->images[i];
+        size_t cam = find_id(m, m->n_cameras, im->camera, camera_id_at);
+        if (cam == m->n_cameras)
+            return err_set(e, ERR_FORMAT, "images: '%.200s' refers to camera %zu, which cameras does not hold",
+                           im->name, im->camera);
+        im->camera = cam;
+        for (size_t j = 0; j < im->n_obs; j++) {
+            if (im->obs[j].point == -1)
+                continue;
+            size_t pt = find_id(m, m->n_points, (uint64_t)im->obs[j].point, point_id_at);
+            if (pt == m->n_points)
+                return err_set(e, ERR_FORMAT,
+                               "images: '%.200s': observation %zu refers to point %lld, which points3D does not hold",
+                               im->name, j, (long long)im->obs[j].point);
+            im->obs[j].point = (int64_t)pt;
+        }
+    }
+    return ERR_OK;
+}
+
+static enum err_code resolve_tracks(struct colmap_model *m, struct err *e)
+{
+    for (size_t p = 0; p < m->n_points; p++) {
+        const struct colmap_point *pt = &m->points[p];
+        for (size_t k = 0; k < pt->n_track; k++) {
+            struct colmap_track_element *t = &m->tracks[pt->track + k];
+            size_t i = find_id(m, m->n_images, t->image, image_id_at);
+            if (i == m->n_images)
+                return err_set(e, ERR_FORMAT, "points3D: point %llu refers to image %u, which images does not hold",
+                               (unsigned long long)pt->id, t->image);
+            if (t->obs >= m->images[i].n_obs)
+                return err_set(e, ERR_FORMAT, "points3D: point %llu refers to observation %u of '%.200s', which has %zu",
+                               (unsigned long long)pt->id, t->obs, m->images[i].name, m->images[i].n_obs);
+            if (m->images[i].obs[t->obs].point != (int64_t)p)
+                return err_set(e, ERR_FORMAT,
+                               "points3D: point %llu: observation %u of '%.200s' belongs to another point; are the "
+                               "files of one model?",
+                               (unsigned long long)pt->id, t->obs, m->images[i].name);
+            t->image = (uint32_t)i;
+        }
+    }
+    return ERR_OK;
+}
+
+static enum err_code model_resolve(struct colmap_model *m, struct err *e)
+{
+    enum err_code rc = sort_and_check_unique(m, e);
+    if (rc == ERR_OK)
+        rc = resolve_images(m, e);
+    if (rc == ERR_OK)
+        rc = resolve_tracks(m, e);
+    return rc;
+}
+
+/* ---- files --------------------------------------------------------------------------------------- */
+
+enum layout { LAYOUT_NONE, LAYOUT_BIN, LAYOUT_TXT };
+static const char *const suffixes[] = {"", ".bin", ".txt"};
+
+/* Which complete set is in `dir`; `partial` (a file name) is filled with one that has no companions. */
+static enum layout model_in(const char *dir, char *partial, size_t n_partial)
+{
+    for (enum layout l = LAYOUT_BIN; l <= LAYOUT_TXT; l++) {
+        int found = 0, missing = 0;
+        for (int i = 0; i < PART_COUNT; i++) {
+            char name[32], path[FILE_PATH_MAX];
+            snprintf(name, sizeof name, "%s%s", part_names[i], suffixes[l]);
+            if (file_join(path, dir, name, NULL) == ERR_OK && file_exists(path))
+                found++;
+            else
+                missing = i;
+        }
+        if (found == PART_COUNT)
+            return l;
+        if (found && !partial[0])
+            snprintf(partial, n_partial, "; %.300s has no %s%s", dir, part_names[missing], suffixes[l]);
+    }
+    return LAYOUT_NONE;
+}
+
+static enum err_code model_find(const char *dir, char *out, enum layout *layout, struct err *e)
+{
+    static const char *const below[] = {"", "sparse", "sparse/0", "0"};
+    char partial[400] = "";
+    for (size_t i = 0; i < sizeof below / sizeof *below; i++) {
+        enum err_code rc = below[i][0] ? file_join(out, dir, below[i], e) : file_join(out, dir, ".", e);
+        if (rc != ERR_OK)
+            return rc;
+        *layout = model_in(out, partial, sizeof partial);
+        if (*layout != LAYOUT_NONE)
+            return ERR_OK;
+    }
+    return err_set(e, ERR_NOENT,
+                   "%.300s: no COLMAP model: looked for cameras, images and points3D as .bin or .txt there, in "
+                   "sparse/ and in sparse/0/%s", dir, partial);
+}
+
+static enum err_code model_read_part(const char *dir, int part, enum layout layout,
+                                     struct colmap_model *m, struct err *e)
+{
+    typedef enum err_code bin_fn(const struct buf *, struct colmap_model *, struct err *);
+    typedef enum err_code txt_fn(struct buf *, struct colmap_model *, struct err *);
+    static bin_fn *const bins[] = {colmap_bin_cameras, colmap_bin_images, colmap_bin_points};
+    static txt_fn *const txts[] = {colmap_txt_cameras, colmap_txt_images, colmap_txt_points};
+    char name[32], path[FILE_PATH_MAX];
+    struct buf file = {0};
+    snprintf(name, sizeof name, "%s%s", part_names[part], suffixes[layout]);
+    enum err_code rc = file_join(path, dir, name, e);
+    if (rc == ERR_OK)
+        rc = file_read(path, (size_t)64 << 30, &file, e);
+    if (rc == ERR_OK && layout == LAYOUT_TXT) {
+        buf_u8(&file, 0);
+        rc = buf_check(&file, e);
+    }
+    if (rc == ERR_OK)
+        rc = layout == LAYOUT_BIN ? bins[part](&file, m, e) : txts[part](&file, m, e);
+    buf_free(&file);
+    return rc;
+}
+
+enum err_code colmap_read(const char *dir, struct colmap_model *out, struct err *e)
+{
+    char found[FILE_PATH_MAX];
+    enum layout layout;
+    struct colmap_model m = {0};
+    enum err_code rc = model_find(dir, found, &layout, e);
+    if (rc != ERR_OK)
+        goto out;
+    for (int i = 0; i < PART_COUNT && rc == ERR_OK; i++)
+        rc = model_read_part(found, i, layout, &m, e);
+    if (rc == ERR_OK)
+        rc = model_resolve(&m, e);
+    if (rc != ERR_OK) {
+        err_add(e, "COLMAP model in %.300s", found);
+        goto out;
+    }
+    *out = m;
+    m = (struct colmap_model){0};
+out:
+    colmap_free(&m);
+    if (rc != ERR_OK)
+        *out = (struct colmap_model){0};
+    return rc;
+}

@@ -1,0 +1,27 @@
+/* Between the COLMAP files: what the two readers fill, before ids are resolved to indices.
+ *
+ * A raw model is a struct colmap_model in which colmap_image.camera, colmap_observation.point and
+ * colmap_track_element.image still hold COLMAP's ids (an absent point is -1).
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef CODEC_COLMAP_PARSE_H
+#define CODEC_COLMAP_PARSE_H
+
+#include "codec/codec.h"
+
+/* Each fills its part of m from the bytes of one file; name is for messages ("images.bin"). */
+enum err_code colmap_bin_cameras(const struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;
+enum err_code colmap_bin_images(const struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;
+enum err_code colmap_bin_points(const struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;
+/* The text readers write into the buffer (line ends become NUL); it must end in a NUL byte. */
+enum err_code colmap_txt_cameras(struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;
+enum err_code colmap_txt_images(struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;
+enum err_code colmap_txt_points(struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;
+
+/* Checks of one record, shared by both. NULL when sound, else what is wrong with it. */
+const char *colmap_check_camera(const struct colmap_camera *c);
+const char *colmap_check_image(const struct colmap_image *im);
+const char *colmap_check_point(const struct colmap_point *p);
+
+#endif
