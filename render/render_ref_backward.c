@@ -1,0 +1,224 @@
+/* The reference, backwards: gradients of sum(rgb * rgb_grad) in double, by the chain rule written out.
+ *
+ * Two halves. Compositing, per pixel, front to back: with w_i = alpha_i T_i, C the final colour (background
+ * included) and P_i the colour summed up to and with splat i,
+ *     dL/dalpha_i = sum_c g_c (rgb_ic T_i - (C_c - P_ic) / (1 - alpha_i)),   dL/drgb_i = w_i g.
+ * An alpha cut to its maximum passes nothing on. Then projection, per Gaussian: EWA splatting (Zwicker et
+ * al. 2001) with the derivatives of the covariance as in Kerbl et al. 2023, the clamp of the Jacobian's
+ * position in both its branches, and the opacity compensation rho of Mip-Splatting (Yu et al. 2024). The view
+ * direction of the spherical harmonics is held fixed: colour does not move a mean.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <string.h>
+
+#include "core/base.h"
+#include "render/render_ref.h"
+
+/* Below this rho is a constant (render_ref.c): no gradient. */
+static const double rho_least = 0.005;
+
+struct splat_grad { /* of what is blended */
+    double mean_px[2], conic[3], opacity_eff, rgb[3];
+};
+
+/* ---- compositing ---------------------------------------------------------------------------------- */
+
+/* Add the gradients of one pixel. */
+static void pixel_backward(const struct ref_view *v, const struct ref_splat *splats, size_t n, double px,
+                           double py, const double g[3], struct splat_grad *out)
+{
+    double total[3] = {0}, pre[3] = {0}, t = 1;
+    double d[2], alpha;
+    bool clamped;
+    for (size_t i = 0; i < n && t > (double)RENDER_T_STOP; i++)
+        if (ref_alpha(&splats[i], px, py, d, &alpha, &clamped)) {
+            for (int c = 0; c < 3; c++)
+                total[c] += splats[i].rgb[c] * alpha * t;
+            t *= 1 - alpha;
+        }
+    for (int c = 0; c < 3; c++)
+        total[c] += t * v->background[c];
+    t = 1;
+    for (size_t i = 0; i < n && t > (double)RENDER_T_STOP; i++) {
+        const struct ref_splat *s = &splats[i];
+        struct splat_grad *o = &out[i];
+        if (!ref_alpha(s, px, py, d, &alpha, &clamped))
+            continue;
+        double g_alpha = 0;
+        for (int c = 0; c < 3; c++) {
+            pre[c] += s->rgb[c] * alpha * t;
+            g_alpha += g[c] * (s->rgb[c] * t - (total[c] - pre[c]) / (1 - alpha));
+            o->rgb[c] += alpha * t * g[c];
+        }
+        t *= 1 - alpha;
+        if (clamped)
+            continue;
+        double g_sigma = -alpha * g_alpha;
+        o->opacity_eff += alpha / s->opacity_eff * g_alpha;
+        o->conic[0] += 0.5 * g_sigma * d[0] * d[0];
+        o->conic[1] += g_sigma * d[0] * d[1];
+        o->conic[2] += 0.5 * g_sigma * d[1] * d[1];
+        o->mean_px[0] += g_sigma * (s->conic[0] * d[0] + s->conic[1] * d[1]);
+        o->mean_px[1] += g_sigma * (s->conic[1] * d[0] + s->conic[2] * d[1]);
+    }
+}
+
+/* ---- projection ------------------------------------------------------------------------------------ */
+
+/* dL/dS of the 2-D covariance (symmetric: G00, G01, G11) and dL/dopacity. */
+static void conic_backward(const struct ref_view *v, const struct ref_splat *s, const struct splat_grad *g,
+                           double cov[3], double *g_opacity)
+{
+    double a = s->conic[0], b = s->conic[1], c = s->conic[2];
+    double ga = g->conic[0], gb = g->conic[1] / 2, gc = g->conic[2];
+    /* G = -Q GQ Q */
+    double m00 = a * ga + b * gb, m01 = a * gb + b * gc, m10 = b * ga + c * gb, m11 = b * gb + c * gc;
+    cov[0] = -(m00 * a + m01 * b);
+    cov[1] = -(m00 * b + m01 * c);
+    cov[2] = -(m10 * b + m11 * c);
+    *g_opacity = s->rho * g->opacity_eff;
+    if (v->compensate && s->rho > rho_least) {
+        double k = s->opacity * g->opacity_eff / (2 * s->rho), f = 1 - s->rho * s->rho;
+        double eps_det = v->kernel_px2 / s->det;
+        cov[0] += k * (f * a - eps_det);
+        cov[1] += k * f * b;
+        cov[2] += k * (f * c - eps_det);
+    }
+}
+
+/* out (3x3 symmetric) = P^T G P for a 2x3 matrix P. */
+static void sandwich(const double p[6], const double g[3], double out[9])
+{
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            out[3 * i + j] = p[i] * (g[0] * p[j] + g[1] * p[3 + j]) +
+                             p[3 + i] * (g[1] * p[j] + g[2] * p[3 + j]);
+}
+
+/* Mean: through the pixel position and through J. `sigma_cam` is W Sigma W^T. */
+static void mean_backward(const struct ref_view *v, const struct ref_splat *s, const double g_px[2],
+                          const double cov[3], const double sigma_cam[9], double g_mean[3])
+{
+    const double f[2] = {v->fx, v->fy}, z = s->cam[2];
+    double g_jac[6], g_t[3] = {0}; /* gJ = 2 G J Sigma_cam */
+    for (int k = 0; k < 3; k++) {
+        double r0 = 0, r1 = 0;
+        for (int l = 0; l < 3; l++) {
+            r0 += s->jac[l] * sigma_cam[3 * l + k];
+            r1 += s->jac[3 + l] * sigma_cam[3 * l + k];
+        }
+        g_jac[k] = 2 * (cov[0] * r0 + cov[1] * r1);
+        g_jac[3 + k] = 2 * (cov[1] * r0 + cov[2] * r1);
+    }
+    for (int a = 0; a < 2; a++) {
+        g_t[a] += g_px[a] * f[a] / z;
+        g_t[2] -= g_px[a] * f[a] * s->cam[a] / (z * z);
+        double gj = g_jac[3 * a + 2]; /* of J_a2 = -f clamp(t_a / z) / z */
+        if (s->inside[a]) {
+            g_t[a] -= f[a] / (z * z) * gj;
+            g_t[2] += 2 * f[a] * s->cam[a] / (z * z * z) * gj;
+        } else {
+            g_t[2] += f[a] * s->clamped[a] / (z * z) * gj;
+        }
+        g_t[2] -= f[a] / (z * z) * g_jac[4 * a]; /* of J_00, J_11 = f / z */
+    }
+    for (int k = 0; k < 3; k++)
+        g_mean[k] = v->rot[k] * g_t[0] + v->rot[3 + k] * g_t[1] + v->rot[6 + k] * g_t[2];
+}
+
+/* Rotation and scale of Sigma = M M^T, M = R diag(s), from dL/dSigma (symmetric). */
+static void shape_backward(const struct ref_splat *s, const double g_sigma[9], double g_scale_log[3],
+                           double g_quat[4])
+{
+    double v[9]; /* dL/dR */
+    for (int k = 0; k < 3; k++) {
+        double g_s = 0;
+        for (int i = 0; i < 3; i++) {
+            double g_m = 0; /* (G + G^T) M = 2 G M */
+            for (int l = 0; l < 3; l++)
+                g_m += 2 * g_sigma[3 * i + l] * s->rot[3 * l + k] * s->scale[k];
+            g_s += s->rot[3 * i + k] * g_m;
+            v[3 * i + k] = g_m * s->scale[k];
+        }
+        g_scale_log[k] = s->scale[k] * g_s;
+    }
+    const double *q = s->quat;
+    double w = q[0], x = q[1], y = q[2], z = q[3];
+    double d[4] = {
+        2 * (x * (v[7] - v[5]) + y * (v[2] - v[6]) + z * (v[3] - v[1])),
+        2 * (y * (v[1] + v[3]) + z * (v[2] + v[6]) + w * (v[7] - v[5]) - 2 * x * (v[4] + v[8])),
+        2 * (x * (v[1] + v[3]) + z * (v[5] + v[7]) + w * (v[2] - v[6]) - 2 * y * (v[0] + v[8])),
+        2 * (x * (v[2] + v[6]) + y * (v[5] + v[7]) + w * (v[3] - v[1]) - 2 * z * (v[0] + v[4])),
+    };
+    double along = w * d[0] + x * d[1] + y * d[2] + z * d[3];
+    for (int k = 0; k < 4; k++)
+        g_quat[k] = (d[k] - q[k] * along) / s->quat_len;
+}
+
+static void splat_backward(const struct ref_view *v, const struct gauss *g, const struct ref_splat *s,
+                           const struct splat_grad *in, const struct render_ref_grads *out)
+{
+    size_t i = s->index, sh_count = gauss_sh_count(g->sh_degree), used = gauss_sh_count(v->sh_degree);
+    double cov[3], g_opacity, m[9], sigma_cam[9] = {0}, g_sigma_cam[9], g_sigma[9] = {0};
+    conic_backward(v, s, in, cov, &g_opacity);
+    for (int r = 0; r < 3; r++) /* W M */
+        for (int k = 0; k < 3; k++)
+            m[3 * r + k] = (v->rot[3 * r] * s->rot[k] + v->rot[3 * r + 1] * s->rot[3 + k] +
+                            v->rot[3 * r + 2] * s->rot[6 + k]) *
+                           s->scale[k];
+    for (int r = 0; r < 3; r++)
+        for (int k = 0; k < 3; k++)
+            for (int l = 0; l < 3; l++)
+                sigma_cam[3 * r + k] += m[3 * r + l] * m[3 * k + l];
+    mean_backward(v, s, in->mean_px, cov, sigma_cam, out->mean + 3 * i);
+    sandwich(s->jac, cov, g_sigma_cam);
+    for (int r = 0; r < 3; r++) /* W^T G W */
+        for (int k = 0; k < 3; k++)
+            for (int a = 0; a < 3; a++)
+                for (int b = 0; b < 3; b++)
+                    g_sigma[3 * r + k] += v->rot[3 * a + r] * g_sigma_cam[3 * a + b] * v->rot[3 * b + k];
+    shape_backward(s, g_sigma, out->scale_log + 3 * i, out->quat_wxyz + 4 * i);
+    out->opacity_logit[i] = s->opacity * (1 - s->opacity) * g_opacity;
+    for (int c = 0; c < 3; c++) {
+        double g_raw = s->rgb_raw[c] > 0 ? in->rgb[c] : 0;
+        for (size_t k = 0; k < used; k++)
+            out->sh[3 * (i * sh_count + k) + (size_t)c] = s->basis[k] * g_raw;
+    }
+}
+
+enum err_code render_ref_backward(const struct gauss *g, const struct camera *cam,
+                                  const struct render_options *o, const double *rgb_grad,
+                                  const struct render_ref_grads *out, struct err *e)
+{
+    struct ref_view v;
+    struct ref_splat *splats = NULL;
+    struct splat_grad *grads = NULL;
+    size_t n = 0;
+    enum err_code rc = ref_view_init(g, cam, o, &v, e);
+    if (rc == ERR_OK)
+        rc = ref_project_all(&v, g, &splats, &n, e);
+    if (rc != ERR_OK)
+        goto out;
+    grads = mem_array(n, sizeof *grads);
+    if (!grads) {
+        rc = err_set(e, ERR_MEM, "render_ref_backward: %zu splats: out of memory", n);
+        goto out;
+    }
+    memset(out->mean, 0, g->n * 3 * sizeof(double));
+    memset(out->scale_log, 0, g->n * 3 * sizeof(double));
+    memset(out->quat_wxyz, 0, g->n * 4 * sizeof(double));
+    memset(out->opacity_logit, 0, g->n * sizeof(double));
+    memset(out->sh, 0, g->n * gauss_sh_count(g->sh_degree) * 3 * sizeof(double));
+    for (size_t y = 0; y < v.height; y++)
+        for (size_t x = 0; x < v.width; x++)
+            pixel_backward(&v, splats, n, (double)x + 0.5, (double)y + 0.5,
+                           rgb_grad + 3 * (y * v.width + x), grads);
+    for (size_t i = 0; i < n; i++)
+        splat_backward(&v, g, &splats[i], &grads[i], out);
+out:
+    mem_free(splats);
+    mem_free(grads);
+    return rc;
+}
