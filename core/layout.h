@@ -8,17 +8,22 @@
 
 #ifdef __OPENCL_C_VERSION__
 #define LAYOUT_U32 uint
-#define LAYOUT_U8 uchar
+#define LAYOUT_U64 ulong
 #else
 #include <assert.h>
 #include <stdint.h>
 #define LAYOUT_U32 uint32_t
-#define LAYOUT_U8 uint8_t
+#define LAYOUT_U64 uint64_t
 #endif
 
 #define LAYOUT_LANES 16 /* Gaussians per group of the AoSoA-16 parameter layout */
 #define LAYOUT_TILE 16  /* pixels per tile edge */
 #define LAYOUT_BANDS 10 /* column ranges in a splat record */
+/* Work is cut into fixed pieces, never by the number of threads: orders and sums must not depend on it. */
+#define LAYOUT_PROJECT_GROUPS 64 /* groups per work-item of the per-Gaussian kernels when VW is 16 */
+#define LAYOUT_SORT_CHUNKS 32
+#define LAYOUT_SORT_BITS 11 /* three passes cover a 32-bit key */
+#define LAYOUT_BIN_CHUNKS 32
 #define LAYOUT_DET_MAX 1e30f /* px^4: a 2-D covariance above is culled, long before float overflows */
 #define LAYOUT_DEPTH_MAX 1e10f /* m */
 #define LAYOUT_EXTENT_MAX 3.33f /* sigmas; sqrt(2 ln 255), the reach of an opaque splat */
@@ -33,9 +38,9 @@
  * squares cannot turn negative by rounding, however long and thin the splat is.
  *
  * The tiles it touches: rows row0 .. row0 + rows - 1 are cut into at most LAYOUT_BANDS bands of
- * ceil(rows / LAYOUT_BANDS) tile rows; band b covers columns col0 + (first[b] << shift) ..
- * + ((last[b] + 1) << shift) - 1, clipped to the picture, none where first[b] > last[b].
- * cover = row0 | col0 << 10 | (rows - 1) << 20 | shift << 30. */
+ * ceil(rows / LAYOUT_BANDS) tile rows; band b has a first and a last byte, at bit 16 (b & 1) and 8 above of
+ * bands[b / 2], and covers columns col0 + (first << shift) .. col0 + ((last + 1) << shift) - 1, clipped to
+ * the picture, none where first > last. cover = row0 | col0 << 10 | (rows - 1) << 20 | shift << 30. */
 struct layout_splat {
     float mean_x, mean_y; /* px */
     float p, x_of_y, r;
@@ -43,7 +48,7 @@ struct layout_splat {
     float rgb[3]; /* >= 0 */
     float y_of_x; /* S01/S00: for a fixed d.x, e is largest at d.y = y_of_x d.x */
     LAYOUT_U32 cover;
-    LAYOUT_U8 first[LAYOUT_BANDS], last[LAYOUT_BANDS];
+    LAYOUT_U32 bands[LAYOUT_BANDS / 2];
 };
 
 /* One view of one model: constants of a frame. World means here: relative to the model's origin. */
@@ -64,11 +69,20 @@ struct layout_view {
     LAYOUT_U32 tile_cull;         /* 0: tiles of the bounding box instead of the exact ones */
 };
 
+/* Counts that the device finds in a frame; the host reads them once, before the entry lists are made. */
+struct layout_counts {
+    LAYOUT_U64 entries;                           /* (splat, tile) pairs */
+    LAYOUT_U64 chunk_entries[LAYOUT_SORT_CHUNKS]; /* of each chunk of Gaussians; then where it starts */
+    LAYOUT_U32 visible;
+    LAYOUT_U32 unused;
+};
+
 /* What one (splat, tile) pair leaves behind in the backward pass, see render/blend_backward.cl. */
 #define LAYOUT_SLOT_FLOATS 11
 
 #ifndef __OPENCL_C_VERSION__
 static_assert(sizeof(struct layout_splat) == 64, "one cache line a splat");
+static_assert(sizeof(struct layout_counts) == 8 * (2 + LAYOUT_SORT_CHUNKS), "no padding");
 static_assert(sizeof(struct layout_view) == 39 * 4, "no padding: kernels read the same words");
 #endif
 

@@ -21,13 +21,6 @@
 #include "core/layout.h"
 #include "render/render.h"
 
-enum {
-    FRAME_SORT_CHUNKS = 32, /* fixed, never the number of threads: order and sums must not depend on it */
-    FRAME_SORT_DIGITS = 2048,
-    FRAME_BIN_CHUNKS = 32,
-    FRAME_PROJECT_GROUPS = 64, /* groups of 16 Gaussians per work-item of the per-Gaussian kernels, CPU */
-};
-
 struct frame_buffer { /* grows, never shrinks */
     cl_mem mem;
     size_t cap_bytes;
@@ -55,12 +48,12 @@ struct render {
 
     /* scratch of the sort and the result */
     struct frame_buffer keys[2], ids[2]; /* uint [n]; depth order ends in ids[0] */
-    struct frame_buffer histogram;       /* uint [chunks][digits] */
-    cl_mem totals;                       /* struct of counts, see sort.cl: visible, entries, per chunk */
+    struct frame_buffer histogram;       /* uint [digits][LAYOUT_SORT_CHUNKS] */
+    cl_mem counts;                       /* struct layout_counts[1] */
 
     /* per tile and per entry */
-    struct frame_buffer bin_offset;  /* uint [FRAME_BIN_CHUNKS][tiles] */
-    struct frame_buffer tile_start;  /* uint [tiles + 1]: entries of tile t are [start[t], start[t + 1]) */
+    struct frame_buffer bin_offset;  /* uint [LAYOUT_BIN_CHUNKS][tiles rounded up to 16] */
+    struct frame_buffer tile_start;  /* uint [.. + 1]: entries of tile t are [start[t], start[t + 1]) */
     struct frame_buffer entry_splat; /* uint [entries]: index of the Gaussian (and of its record) */
     struct frame_buffer entry_slot;  /* uint [entries] */
 
@@ -72,7 +65,8 @@ struct render {
     /* -- programs ------------------------------------------------------------------------------ */
     cl_program program; /* forward: layout.h common.cl project.cl sort.cl bin.cl blend_cpu.cl or _gpu */
     struct frame_kernels {
-        cl_kernel project, sort_count, sort_scan, sort_scatter, bin_count, bin_scan, bin_scatter, blend;
+        cl_kernel project, sort_count, sort_scan, sort_scatter, bin_count, bin_sum, bin_scan, bin_scatter,
+            blend;
     } k;
 
     /* -- the other direction: made by render_backward.c on first use, freed by render_close through
@@ -89,7 +83,7 @@ struct render {
 };
 
 /* Number of work-items of a per-Gaussian kernel over `groups` groups, and the local size to launch it with:
- * VW 16: one item per FRAME_PROJECT_GROUPS groups; VW 1: one item per Gaussian. */
+ * VW 16: one item per LAYOUT_PROJECT_GROUPS groups; VW 1: one item per Gaussian. */
 size_t frame_items(const struct render *r, uint32_t groups, size_t *local);
 
 extern const char common_cl[]; /* first source of every program of render/ after core/layout.h */

@@ -1,0 +1,173 @@
+// Stage: blend, CPU shape. One work-item draws one tile of 16x16 pixels.
+//   in   tile_start, entry_splat, splats
+//   out  color [3][h][w] with background, transmit [h][w]
+// The tile is 16 blocks of 4x4 pixels, a block is one float16. Entries come in batches of 64: their records
+// are copied into a private array first, so that the cache misses overlap; then, 16 entries at a time, the
+// least exponent over each block's pixel centres tells which blocks an entry can touch at all; then each
+// entry visits those blocks. A pixel stops when its transmittance falls to 1e-4 (the splat that does it is
+// still blended), a block when all its pixels have, the tile when all its blocks have.
+// Reference: render_ref_forward. Same order of blending, no atomics.
+
+#define BATCH 64
+#define CHECK_EVERY 16
+
+// Where a block's pixels are within it, and where blocks are within the tile.
+#define LANE_X ((float16)(0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3))
+#define LANE_Y ((float16)(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3))
+
+// Words of struct layout_splat in the staged copies.
+enum { MEAN_X, MEAN_Y, P, X_OF_Y, R, OPACITY_LOG2, RED, GREEN, BLUE, Y_OF_X };
+
+// 16 records of 16 words <-> 16 words of 16 records.
+inline void blend_transpose(float16 w[16])
+{
+    float16 t[16];
+    for (int round = 0; round < 2; round++) {
+        for (int i = 0; i < 8; i++) {
+            t[2 * i].even = w[i].lo;
+            t[2 * i].odd = w[i + 8].lo;
+            t[2 * i + 1].even = w[i].hi;
+            t[2 * i + 1].odd = w[i + 8].hi;
+        }
+        for (int i = 0; i < 8; i++) {
+            w[2 * i].even = t[i].lo;
+            w[2 * i].odd = t[i + 8].lo;
+            w[2 * i + 1].even = t[i].hi;
+            w[2 * i + 1].odd = t[i + 8].hi;
+        }
+    }
+}
+
+// Bit b of mask[j]: entry j reaches 1/255 somewhere in the rectangle of pixel centres of block b. The least
+// of the quadratic form over a rectangle is at the mean, if it is inside, or on an edge that faces it; the
+// margin covers the difference in rounding to the evaluation per pixel.
+inline void blend_masks(const float *records, float x0, float y0, uint tile_cull, uint *mask)
+{
+    float16 w[16];
+    for (int j = 0; j < 16; j++)
+        w[j] = vload16(j, records);
+    blend_transpose(w);
+    float16 mx = w[MEAN_X] - x0, my = w[MEAN_Y] - y0, reach = w[OPACITY_LOG2] + (4e-3f - ALPHA_MIN_LOG2);
+    uint16 bits = (uint16)(0);
+    for (int by = 0; by < 4; by++) {
+        float16 top = (float)(4 * by) - my, bottom = top + 3.0f, near_y = CLAMP_(0.0f, top, bottom);
+        float16 lean = w[X_OF_Y] * near_y, v2 = w[R] * near_y;
+        v2 *= v2;
+        for (int bx = 0; bx < 4; bx++) {
+            float16 left = (float)(4 * bx) - mx, right = left + 3.0f, near_x = CLAMP_(0.0f, left, right);
+            float16 y = w[Y_OF_X] * near_x;
+            y = CLAMP_(y, top, bottom);
+            float16 x = CLAMP_(lean, left, right);
+            float16 ua = w[P] * (near_x - w[X_OF_Y] * y), va = w[R] * y, ub = w[P] * (x - lean);
+            float16 qa = ua * ua + va * va, qb = ub * ub + v2;
+            int16 in = (qa <= reach) | (qb <= reach);
+            bits |= as_uint16(in) & (uint16)(1u << (4 * by + bx));
+        }
+    }
+    if (!tile_cull)
+        bits = (uint16)(0xFFFF);
+    vstore16(bits, 0, mask);
+}
+
+struct blend_state {
+    float16 t[16], r[16], g[16], b[16]; // transmittance and colour of each block
+};
+
+inline void blend_entry(struct blend_state *s, const float *w, float x0, float y0, uint blocks)
+{
+    float mx = w[MEAN_X] - x0, my = w[MEAN_Y] - y0;
+    while (blocks) {
+        uint k = 31 - clz(blocks);
+        blocks ^= 1u << k;
+        float16 dx = (mx - (float)(4 * (k & 3))) - LANE_X, dy = (my - (float)(4 * (k >> 2))) - LANE_Y;
+        float16 a = splat_raw(dx, dy, w[P], w[X_OF_Y], w[R], w[OPACITY_LOG2]), t = s->t[k];
+        a = MIN_(a, ALPHA_MAX);
+        a = t > T_STOP ? a : (float16)(0.0f);
+        float16 share = a * t;
+        s->t[k] = t - share;
+        s->r[k] = share * w[RED] + s->r[k];
+        s->g[k] = share * w[GREEN] + s->g[k];
+        s->b[k] = share * w[BLUE] + s->b[k];
+    }
+}
+
+inline uint blend_active(const struct blend_state *s, uint active)
+{
+    for (uint left = active; left;) {
+        uint k = 31 - clz(left);
+        left ^= 1u << k;
+        if (!any(s->t[k] > T_STOP))
+            active ^= 1u << k;
+    }
+    return active;
+}
+
+// Planes of the picture from blocks; pixels beyond its edge are skipped.
+inline void blend_store(__constant struct layout_view *view, const float16 blocks[16], uint px, uint py,
+                        __global float *plane)
+{
+    uint width = view->width, height = view->height;
+    for (uint k = 0; k < 16; k++) {
+        uint x = px + 4 * (k & 3), y = py + 4 * (k >> 2);
+        float v[16];
+        vstore16(blocks[k], 0, v);
+        for (uint row = 0; row < 4 && y + row < height; row++) {
+            __global float *out = plane + (size_t)(y + row) * width + x;
+            if (x + 4 <= width)
+                vstore4(vload4(row, v), 0, out);
+            else
+                for (uint i = 0; x + i < width; i++)
+                    out[i] = v[4 * row + i];
+        }
+    }
+}
+
+__kernel void blend(__constant struct layout_view *view, __global const struct layout_splat *splats,
+                    __global const uint *tile_start, __global const uint *entry_splat,
+                    __global float *color, __global float *transmit)
+{
+    uint tile = (uint)get_global_id(0);
+    if (tile >= view->tiles_x * view->tiles_y)
+        return;
+    uint px = (tile % view->tiles_x) * LAYOUT_TILE, py = (tile / view->tiles_x) * LAYOUT_TILE;
+    float x0 = (float)px + 0.5f, y0 = (float)py + 0.5f;
+    uint at = tile_start[tile], end = tile_start[tile + 1], active = 0xFFFF;
+    float staged[BATCH * 16];
+    uint mask[BATCH];
+    struct blend_state s;
+
+    for (uint k = 0; k < 16; k++) {
+        float16 x = (float)(px + 4 * (k & 3)) + LANE_X, y = (float)(py + 4 * (k >> 2)) + LANE_Y;
+        int16 inside = (x < (float)view->width) & (y < (float)view->height);
+        s.t[k] = inside ? (float16)(1.0f) : (float16)(0.0f); // pixels beyond the edge have stopped
+        s.r[k] = s.g[k] = s.b[k] = (float16)(0.0f);
+    }
+    active = blend_active(&s, active);
+    for (uint j = 0; j < BATCH * 16; j += 16)
+        vstore16((float16)(0.0f), 0, staged + j); // a short last batch masks what it does not use
+    while (at < end && active) {
+        uint n = min(end - at, (uint)BATCH);
+        for (uint j = 0; j < n; j++)
+            vstore16(vload16(entry_splat[at + j], (__global const float *)splats), j, staged);
+        for (uint j = 0; j < n; j += 16)
+            blend_masks(staged + 16 * j, x0, y0, view->tile_cull, mask + j);
+        for (uint j = 0; j < n && active; j++) {
+            uint blocks = mask[j] & active;
+            if (blocks)
+                blend_entry(&s, staged + 16 * j, x0, y0, blocks);
+            if (j % CHECK_EVERY == CHECK_EVERY - 1)
+                active = blend_active(&s, active);
+        }
+        at += n;
+    }
+    size_t plane = (size_t)view->width * view->height;
+    for (uint k = 0; k < 16; k++) {
+        s.r[k] = s.t[k] * view->background[0] + s.r[k];
+        s.g[k] = s.t[k] * view->background[1] + s.g[k];
+        s.b[k] = s.t[k] * view->background[2] + s.b[k];
+    }
+    blend_store(view, s.r, px, py, color);
+    blend_store(view, s.g, px, py, color + plane);
+    blend_store(view, s.b, px, py, color + 2 * plane);
+    blend_store(view, s.t, px, py, transmit);
+}

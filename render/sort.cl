@@ -1,0 +1,93 @@
+// Stage: sort. Depth keys -> indices of the visible Gaussians, nearest first.
+//   in   depth_key [n], tiles_of [n]
+//   out  ids [visible]; slot_first [n]: exclusive sum of tiles_of in index order; counts
+// Least-significant-digit radix sort, three passes of 11 bits over LAYOUT_SORT_CHUNKS fixed chunks; each
+// chunk keeps its own histogram, so equal keys keep their order, and ties are by index. The first pass also
+// drops what was culled and numbers the slots. Positive floats sort as integers.
+//   histogram [digit][chunk]: after the scan, where that chunk puts its first key of that digit
+// Local size 1: one work-item is one chunk.
+
+#define DIGITS (1 << LAYOUT_SORT_BITS)
+
+inline uint2 sort_range(uint n, uint chunk)
+{
+    uint each = ((n + LAYOUT_SORT_CHUNKS - 1) / LAYOUT_SORT_CHUNKS + 15u) & ~15u;
+    return min((uint2)(each * chunk, each * (chunk + 1)), (uint2)(n));
+}
+
+__kernel void sort_count(__global const uint *keys, __global const uint *tiles_of, uint n, uint pass,
+                         __global uint *histogram, __global struct layout_counts *counts)
+{
+    uint chunk = (uint)get_global_id(0), shift = pass * LAYOUT_SORT_BITS;
+    uint2 range = sort_range(pass ? counts->visible : n, chunk);
+    uint count[DIGITS];
+    for (uint d = 0; d < DIGITS; d++)
+        count[d] = 0;
+    if (pass == 0) {
+        ulong entries = 0;
+        for (uint i = range.x; i < range.y; i++) {
+            uint key = keys[i];
+            entries += tiles_of[i];
+            count[key & (DIGITS - 1)] += key != 0xFFFFFFFFu;
+        }
+        counts->chunk_entries[chunk] = entries;
+    } else {
+        for (uint i = range.x; i < range.y; i++)
+            count[(keys[i] >> shift) & (DIGITS - 1)]++;
+    }
+    for (uint d = 0; d < DIGITS; d++)
+        histogram[d * LAYOUT_SORT_CHUNKS + chunk] = count[d];
+}
+
+// One work-item: exclusive sums, digit by digit and chunk by chunk.
+__kernel void sort_scan(__global uint *histogram, uint pass, __global struct layout_counts *counts)
+{
+    uint sum = 0;
+    for (uint i = 0; i < DIGITS * LAYOUT_SORT_CHUNKS; i++) {
+        uint here = histogram[i];
+        histogram[i] = sum;
+        sum += here;
+    }
+    if (pass == 0) {
+        ulong at = 0;
+        for (uint c = 0; c < LAYOUT_SORT_CHUNKS; c++) {
+            ulong here = counts->chunk_entries[c];
+            counts->chunk_entries[c] = at;
+            at += here;
+        }
+        counts->entries = at;
+        counts->visible = sum;
+    }
+}
+
+__kernel void sort_scatter(__global const uint *keys, __global const uint *ids,
+                           __global const uint *tiles_of, uint n, uint pass,
+                           __global const uint *histogram, __global const struct layout_counts *counts,
+                           __global uint *keys_out, __global uint *ids_out, __global uint *slot_first)
+{
+    uint chunk = (uint)get_global_id(0), shift = pass * LAYOUT_SORT_BITS;
+    uint2 range = sort_range(pass ? counts->visible : n, chunk);
+    uint at[DIGITS];
+    for (uint d = 0; d < DIGITS; d++)
+        at[d] = histogram[d * LAYOUT_SORT_CHUNKS + chunk];
+    if (pass == 0) {
+        uint slot = (uint)counts->chunk_entries[chunk];
+        for (uint i = range.x; i < range.y; i++) {
+            uint key = keys[i];
+            slot_first[i] = slot;
+            slot += tiles_of[i];
+            if (key != 0xFFFFFFFFu) {
+                uint to = at[key & (DIGITS - 1)]++;
+                keys_out[to] = key;
+                ids_out[to] = i;
+            }
+        }
+    } else {
+        for (uint i = range.x; i < range.y; i++) {
+            uint key = keys[i];
+            uint to = at[(key >> shift) & (DIGITS - 1)]++;
+            keys_out[to] = key;
+            ids_out[to] = ids[i];
+        }
+    }
+}
