@@ -1,0 +1,239 @@
+/* Cells: grid, assignment, rebalancing, ownership, the plan file.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "train/partition.h"
+
+/* A flight of nx x ny nadir photographs, `step` metres apart, over flat ground with a point every 2 m; each
+ * photograph sees a square of 2 * reach metres. Tracks are exact. */
+static void flight_make(size_t nx, size_t ny, double step, double reach, struct scene *s)
+{
+    *s = (struct scene){.scale = 1.0};
+    const double height = 50.0;
+    const uint32_t px = 200;
+    s->n_images = nx * ny;
+    s->images = arena_get(&s->arena, s->n_images, sizeof *s->images);
+    const double wide = (double)(nx - 1) * step + 2.0 * reach, deep = (double)(ny - 1) * step + 2.0 * reach;
+    size_t px_n = (size_t)(wide / 2.0) + 1, py_n = (size_t)(deep / 2.0) + 1;
+    s->n_points = px_n * py_n;
+    s->points = arena_get(&s->arena, s->n_points, sizeof *s->points);
+    s->tracks = arena_get(&s->arena, s->n_points * s->n_images, sizeof *s->tracks);
+    for (size_t i = 0; i < s->n_points; i++)
+        s->points[i] = (struct scene_point){
+            .enu_m = {2.0 * (double)(i % px_n) - reach, 2.0 * (double)(i / px_n) - reach, 0.0},
+            .track_length = 3};
+    for (size_t i = 0; i < s->n_images; i++) {
+        double eye[3] = {step * (double)(i % nx), step * (double)(i / nx), height};
+        s->images[i].cam = camera_heading(eye, 0.0, -90.0, 2.0 * atan(reach / height), px, px);
+        s->images[i].name = arena_printf(&s->arena, "img%04zu.jpg", i);
+        assert_non_null(s->images[i].name);
+        for (size_t k = 0; k < s->n_points; k++) {
+            double dx = s->points[k].enu_m[0] - eye[0], dy = s->points[k].enu_m[1] - eye[1];
+            if (fabs(dx) < reach && fabs(dy) < reach)
+                s->tracks[s->n_tracks++] = (struct scene_track){
+                    .point = (uint32_t)k, .image = (uint32_t)i,
+                    .x_px = (float)(100.0 + 100.0 * dx / reach), .y_px = (float)(100.0 - 100.0 * dy / reach)};
+        }
+    }
+}
+
+static void a_grid_covers_every_camera_and_cells_tile_the_plane(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct scene s;
+    struct partition p;
+    flight_make(10, 10, 10.0, 15.0, &s);
+    struct partition_config cfg = partition_defaults();
+    cfg.edge_m = 30.0;
+    cfg.images_few = 0;
+    cfg.images_least = 1;
+    kit_ok(partition_make(&s, &cfg, &p, &e), e);
+    assert_int_equal(p.n_cells, 9);
+    size_t covered = 0;
+    for (size_t i = 0; i < s.n_images; i++) {
+        double c[3];
+        camera_center(&s.images[i].cam, c);
+        bool found = false;
+        for (size_t j = 0; j < p.n_cells; j++)
+            for (size_t k = 0; k < p.cells[j].n_location; k++)
+                found |= p.cells[j].images[k] == i;
+        covered += found;
+        /* Exactly one owner, and it is the half-open box that holds the place. */
+        const struct partition_cell *o = &p.cells[partition_owner(&p, c[0], c[1])];
+        assert_true(partition_distance(o, c[0], c[1]) == 0.0);
+    }
+    assert_int_equal(covered, s.n_images);
+    /* On a shared border the upper cell owns; outside, the nearest. */
+    double border = p.cells[0].max_m[0], y = 0.5 * (p.cells[0].min_m[1] + p.cells[0].max_m[1]);
+    assert_int_equal(partition_owner(&p, border, y), 1);
+    assert_int_equal(partition_owner(&p, nextafter(border, -1.0), y), 0);
+    assert_int_equal(partition_owner(&p, -1e6, y), 0);
+    assert_int_equal(partition_owner(&p, 1e6, 1e6), 8);
+    partition_free(&p);
+    scene_free(&s);
+}
+
+static void visibility_adds_photographs_that_look_in(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct scene s;
+    struct partition with, without;
+    flight_make(10, 4, 10.0, 20.0, &s);
+    struct partition_config cfg = partition_defaults();
+    cfg.edge_m = 45.0;
+    cfg.images_few = 0;
+    cfg.images_least = 1;
+    kit_ok(partition_make(&s, &cfg, &with, &e), e);
+    cfg.use_visibility = false;
+    kit_ok(partition_make(&s, &cfg, &without, &e), e);
+    assert_int_equal(with.n_cells, 2);
+    for (size_t j = 0; j < 2; j++) {
+        const struct partition_cell *c = &with.cells[j];
+        assert_int_equal(c->n_location, without.cells[j].n_images);
+        /* A photograph at d metres beyond the cell sees 20 - d of its 40 m inside: with threshold 1/6 those up to
+         * 13.3 m beyond belong. Location alone takes 4.5 m, and columns are 10 m apart: one more column of 4. */
+        assert_int_equal(c->n_images - c->n_location, 4);
+        for (size_t k = c->n_location; k < c->n_images; k++) {
+            double at[3];
+            camera_center(&s.images[c->images[k]].cam, at);
+            double d = partition_distance(c, at[0], at[1]);
+            assert_true(d > 4.5 && d < 13.4);
+        }
+    }
+    partition_free(&with);
+    partition_free(&without);
+    scene_free(&s);
+}
+
+static void poor_cells_merge_into_rectangles_and_rich_ones_divide(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct scene s;
+    struct partition p;
+    flight_make(12, 12, 10.0, 15.0, &s);
+    struct partition_config cfg = partition_defaults();
+    cfg.edge_m = 20.0; /* 6 x 6 cells of about 9 photographs by location */
+    cfg.use_visibility = false;
+    cfg.images_few = 12;
+    cfg.images_least = 1;
+    kit_ok(partition_make(&s, &cfg, &p, &e), e);
+    assert_true(p.n_merged > 0);
+    double area = 0.0;
+    for (size_t i = 0; i < p.n_cells; i++) {
+        double w = p.cells[i].max_m[0] - p.cells[i].min_m[0], h = p.cells[i].max_m[1] - p.cells[i].min_m[1];
+        assert_true(fmax(w / h, h / w) <= 2.0 + 1e-9);
+        area += w * h;
+        for (size_t j = 0; j < i; j++)
+            assert_string_not_equal(p.cells[i].id, p.cells[j].id);
+    }
+    assert_true(fabs(area - 120.0 * 120.0) < 1e-6);
+    partition_free(&p);
+
+    cfg.edge_m = 110.0;
+    cfg.images_few = 0;
+    cfg.images_many = 100;
+    kit_ok(partition_make(&s, &cfg, &p, &e), e);
+    assert_int_equal(p.n_divided, 1); /* one cell of 144: two halves of 72 and up to two columns of 12 in the overlap */
+    assert_int_equal(p.n_cells, 2);
+    assert_true(p.cells[0].max_m[0] == p.cells[1].min_m[0] || p.cells[0].max_m[1] == p.cells[1].min_m[1]);
+    partition_free(&p);
+    scene_free(&s);
+}
+
+static void empty_and_tiny_cells_become_background(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct scene s;
+    struct partition p;
+    flight_make(10, 10, 10.0, 15.0, &s);
+    /* Keep the left half and one photograph at the far right corner. */
+    for (size_t i = 0; i < s.n_images; i++)
+        if (i % 10 >= 5 && i != 99)
+            s.images[i].split = SCENE_TEST;
+    struct partition_config cfg = partition_defaults();
+    cfg.edge_m = 18.0;
+    cfg.use_visibility = false;
+    cfg.images_few = 0;
+    cfg.images_least = 4;
+    kit_ok(partition_make(&s, &cfg, &p, &e), e);
+    size_t trained = 0, empty = 0;
+    for (size_t i = 0; i < p.n_cells; i++) {
+        trained += p.cells[i].parent < 0;
+        empty += p.cells[i].n_images == 0;
+        if (p.cells[i].n_images < 4)
+            assert_true(p.cells[i].parent >= 0);
+        if (p.cells[i].parent >= 0)
+            assert_true(p.cells[p.cells[i].parent].parent < 0);
+    }
+    assert_true(trained > 0 && empty > 0);
+    for (double x = -50.0; x < 150.0; x += 7.0)
+        assert_true(p.cells[partition_owner(&p, x, 40.0)].parent < 0);
+    partition_free(&p);
+    s.n_images = 0;
+    kit_fails(partition_make(&s, &cfg, &p, &e), ERR_DATA, e, "no photographs");
+    scene_free(&s);
+}
+
+static void the_plan_file_reads_back_and_refuses_another_scene(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct scene s;
+    struct partition p, q;
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    kit_tmpdir(dir);
+    flight_make(8, 8, 10.0, 15.0, &s);
+    struct partition_config cfg = partition_defaults();
+    cfg.edge_m = 30.0;
+    cfg.images_few = 10;
+    cfg.images_least = 5;
+    kit_ok(partition_make(&s, &cfg, &p, &e), e);
+    kit_ok(file_join(path, dir, "plan.json", &e), e);
+    kit_ok(plan_write(path, &s, &p, &e), e);
+    kit_ok(plan_read(path, &s, &q, &e), e);
+    assert_int_equal(q.n_cells, p.n_cells);
+    for (size_t i = 0; i < p.n_cells; i++) {
+        assert_string_equal(q.cells[i].id, p.cells[i].id);
+        assert_int_equal(q.cells[i].n_images, p.cells[i].n_images);
+        assert_int_equal(q.cells[i].n_location, p.cells[i].n_location);
+        assert_int_equal(q.cells[i].parent, p.cells[i].parent);
+        assert_memory_equal(q.cells[i].images, p.cells[i].images, p.cells[i].n_images * sizeof(uint32_t));
+        assert_memory_equal(q.cells[i].min_m, p.cells[i].min_m, sizeof p.cells[i].min_m);
+        assert_memory_equal(q.cells[i].azimuth, p.cells[i].azimuth, sizeof p.cells[i].azimuth);
+    }
+    partition_free(&q);
+    s.images[3].name = arena_text(&s.arena, "other.jpg");
+    kit_fails(plan_read(path, &s, &q, &e), ERR_FORMAT, e, "img0003.jpg");
+    kit_ok(file_join(path, dir, "plan.svg", &e), e);
+    kit_ok(plan_svg(path, &s, &p, &e), e);
+    struct buf b = {0};
+    kit_ok(file_read(path, 0, &b, &e), e);
+    buf_u8(&b, 0);
+    assert_non_null(strstr((char *)b.data, p.cells[0].id));
+    buf_free(&b);
+    partition_free(&p);
+    scene_free(&s);
+    kit_rmdir(dir);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(a_grid_covers_every_camera_and_cells_tile_the_plane),
+        cmocka_unit_test(visibility_adds_photographs_that_look_in),
+        cmocka_unit_test(poor_cells_merge_into_rectangles_and_rich_ones_divide),
+        cmocka_unit_test(empty_and_tiny_cells_become_background),
+        cmocka_unit_test(the_plan_file_reads_back_and_refuses_another_scene),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
