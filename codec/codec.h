@@ -21,6 +21,10 @@
 extern "C" {
 #endif
 
+#define CODEC_MAX_GAUSSIANS ((size_t)64 << 20)
+#define CODEC_MAX_BYTES ((size_t)16 << 30)
+#define CODEC_MAX_PIXELS ((size_t)512 << 20)
+
 struct codec_limits { /* {0} = the defaults in brackets */
     size_t max_gaussians; /* [64 Mi] */
     size_t max_bytes;     /* decompressed bytes of one file [16 GiB] */
@@ -218,10 +222,18 @@ struct quant { /* {0} is empty; arrays in one allocation */
     float embed_min[GAUSS_EMBED_MAX], embed_max[GAUSS_EMBED_MAX];
     void *block;
 };
+/* Zeroed arrays for n rows. */
+enum err_code quant_alloc(struct quant *q, size_t n, uint32_t sh_degree, uint32_t embed_len,
+                          struct err *e) ERR_USE;
+/* sh_degree may differ from g's: missing bands are 0. Rows keep their order (files are smaller when it is
+ * Morton's). ERR_DATA names the row that is not finite or has no rotation. */
 enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree, struct quant *out,
                                struct err *e) ERR_USE;
 enum err_code quant_to_gauss(const struct quant *q, struct gauss *out, struct err *e) ERR_USE;
 void quant_free(struct quant *q);
+/* One rotation, SPZ v3: index of the largest component (x y z w) << 30 | three times sign and 9-bit size. */
+uint32_t quant_pack_rotation(const float quat_wxyz[4]);
+void quant_unpack_rotation(uint32_t packed, float quat_wxyz[4]);
 
 /* .spz, versions 2, 3, 4 read; 3 and 4 written. */
 enum err_code spz_encode(const struct quant *q, int version, struct buf *out, struct err *e) ERR_USE;

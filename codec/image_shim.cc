@@ -18,7 +18,6 @@
 #include <strings.h>
 #include <vector>
 
-static constexpr size_t MAX_PIXELS = (size_t)512 << 20;
 static constexpr int JPEG_FULL_CHROMA_QUALITY = 95; // from here on chroma is not subsampled
 
 #define SHIM_CATCH(who)                                                                            \
@@ -104,7 +103,7 @@ try {
     if (!in)
         return rc;
     const OIIO::ImageSpec s = in->spec();
-    size_t limit = lim && lim->max_pixels ? lim->max_pixels : MAX_PIXELS;
+    size_t limit = lim && lim->max_pixels ? lim->max_pixels : CODEC_MAX_PIXELS;
     if ((size_t)s.width * (size_t)s.height > limit)
         return err_set(e, ERR_LIMIT, "image : %s : %d x %d pixels are more than the limit of %zu", path,
                        s.width, s.height, limit);

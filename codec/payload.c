@@ -1,0 +1,255 @@
+/* Master payload of a tile: every field of the container, as the store keeps it and all formats are made from.
+ *
+ *   0  "CSPT"   4 u16 version 1   6 u8 flags   7 u8 SH degree   8 u32 count   12 u32 embedding length
+ *   16 f64 origin e, n, u         40 u64 plain bytes            48 zstd frame, nothing behind it
+ *   plain: planes mean | scale | rotation | opacity | sh | embed
+ *
+ * Means are float32 about the origin. The rest is half floats, or float32 with flag LOSSLESS, so that import and
+ * export give every value back. A plane goes component by component and within one byte by byte, each byte the
+ * difference to the row before: neighbours in Morton order share their high bytes, and zstd finds them.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "codec/codec.h"
+
+#include <math.h>
+#include <string.h>
+#include <zstd.h>
+
+enum {
+    VERSION = 1,
+    HEAD_BYTES = 48,
+    FLAG_LOSSLESS = 1,
+    FLAG_ANTIALIASED = 2,
+    ZSTD_LEVEL = 3,
+    ZSTD_GROWTH_MAX = 32768, /* 128 KiB out of a block of 4 bytes */
+    N_PLANES = 6,
+};
+
+struct plane {
+    float *data; /* [n][width] */
+    size_t width, value_bytes;
+};
+
+static void planes_of(const struct gauss *g, bool lossless, struct plane out[N_PLANES])
+{
+    size_t rest = lossless ? 4 : 2;
+    out[0] = (struct plane){g->mean_m, 3, 4};
+    out[1] = (struct plane){g->scale_log, 3, rest};
+    out[2] = (struct plane){g->quat_wxyz, 4, rest};
+    out[3] = (struct plane){g->opacity_logit, 1, rest};
+    out[4] = (struct plane){g->sh, 3 * gauss_sh_count(g->sh_degree), rest};
+    out[5] = (struct plane){g->embed, g->embed_len, rest};
+}
+
+static size_t plain_bytes(const struct gauss *g, bool lossless)
+{
+    struct plane p[N_PLANES];
+    size_t row = 0;
+    planes_of(g, lossless, p);
+    for (int i = 0; i < N_PLANES; i++)
+        row += p[i].width * p[i].value_bytes;
+    return g->n * row;
+}
+
+/* IEEE binary16, round to nearest even; finite values beyond its range become the largest. */
+static uint32_t half_from_float(float v)
+{
+    uint32_t u;
+    memcpy(&u, &v, 4);
+    uint32_t sign = u >> 16 & 0x8000, a = u & 0x7fffffff;
+    if (a >= 0x477fe000) /* 65504 */
+        return sign | 0x7bff;
+    if (a < 0x38800000) { /* below 2^-14: a multiple of 2^-24, rounded by the float unit */
+        float tiny;
+        memcpy(&tiny, &a, 4);
+        return sign | (uint32_t)lrintf(tiny * 16777216.0f);
+    }
+    return sign | ((a + 0xfff + (a >> 13 & 1) - 0x38000000) >> 13);
+}
+
+static float half_to_float(uint32_t h)
+{
+    uint32_t exponent = h >> 10 & 31, mantissa = h & 0x3ff, u;
+    float v;
+    if (!exponent) {
+        v = (float)mantissa / 16777216.0f;
+        return h & 0x8000 ? -v : v;
+    }
+    u = (h & 0x8000) << 16 | (exponent == 31 ? 0x7f800000u : (exponent + 112) << 23) | mantissa << 13;
+    memcpy(&v, &u, 4);
+    return v;
+}
+
+static void plane_write(const struct plane *p, size_t n, uint8_t *out)
+{
+    for (size_t c = 0; c < p->width; c++) {
+        uint32_t before = 0;
+        for (size_t i = 0; i < n; i++) {
+            uint32_t u;
+            if (p->value_bytes == 4)
+                memcpy(&u, &p->data[i * p->width + c], 4);
+            else
+                u = half_from_float(p->data[i * p->width + c]);
+            for (size_t b = 0; b < p->value_bytes; b++)
+                out[b * n + i] = (uint8_t)((u >> 8 * b) - (before >> 8 * b));
+            before = u;
+        }
+        out += n * p->value_bytes;
+    }
+}
+
+static void plane_read(const struct plane *p, size_t n, const uint8_t *in)
+{
+    for (size_t c = 0; c < p->width; c++) {
+        uint8_t at[4] = {0};
+        for (size_t i = 0; i < n; i++) {
+            for (size_t b = 0; b < p->value_bytes; b++)
+                at[b] = (uint8_t)(at[b] + in[b * n + i]);
+            uint32_t u = at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 | (uint32_t)at[3] << 24;
+            if (p->value_bytes == 4)
+                memcpy(&p->data[i * p->width + c], &u, 4);
+            else
+                p->data[i * p->width + c] = half_to_float(u);
+        }
+        in += n * p->value_bytes;
+    }
+}
+
+/* Unit quaternions, because half floats would lose those far from unit length. mem_free it. */
+static float *unit_quats(const struct gauss *g)
+{
+    float *q = mem_array(4 * g->n, sizeof *q);
+    for (size_t i = 0; q && i < g->n; i++) {
+        const float *r = g->quat_wxyz + 4 * i;
+        float big = fmaxf(fmaxf(fabsf(r[0]), fabsf(r[1])), fmaxf(fabsf(r[2]), fabsf(r[3])));
+        float s[4] = {r[0] / big, r[1] / big, r[2] / big, r[3] / big};
+        float norm = sqrtf(s[0] * s[0] + s[1] * s[1] + s[2] * s[2] + s[3] * s[3]);
+        for (int c = 0; c < 4; c++)
+            q[4 * i + c] = s[c] / norm;
+    }
+    return q;
+}
+
+enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *out, struct err *e)
+{
+    struct buf plain = {0};
+    struct plane planes[N_PLANES];
+    float *quats = NULL;
+    size_t bad = 0, start = out->size, bytes = plain_bytes(g, lossless);
+    if (gauss_count_bad(g, &bad))
+        return err_set(e, ERR_DATA, "payload : row %zu : not finite, or no rotation", bad);
+    if (g->n > UINT32_MAX)
+        return err_set(e, ERR_LIMIT, "payload : %zu Gaussians in one tile", g->n);
+    buf_add(out, "CSPT", 4);
+    buf_u16(out, VERSION);
+    buf_u8(out, (lossless ? FLAG_LOSSLESS : 0u) | (g->antialiased ? FLAG_ANTIALIASED : 0u));
+    buf_u8(out, g->sh_degree);
+    buf_u32(out, (uint32_t)g->n);
+    buf_u32(out, g->embed_len);
+    for (int c = 0; c < 3; c++)
+        buf_f64(out, g->origin_enu_m[c]);
+    buf_u64(out, bytes);
+    uint8_t *p = buf_grow(&plain, bytes);
+    size_t bound = ZSTD_compressBound(bytes), at = out->size;
+    uint8_t *packed = buf_grow(out, bound);
+    enum err_code rc = buf_check(&plain, e);
+    if (rc == ERR_OK)
+        rc = buf_check(out, e);
+    if (rc == ERR_OK && !lossless && !(quats = unit_quats(g)))
+        rc = err_set(e, ERR_MEM, "payload : %zu Gaussians : out of memory", g->n);
+    if (rc == ERR_OK) {
+        planes_of(g, lossless, planes);
+        if (quats)
+            planes[2].data = quats;
+        for (int i = 0; i < N_PLANES; i++) {
+            plane_write(&planes[i], g->n, p);
+            p += g->n * planes[i].width * planes[i].value_bytes;
+        }
+        size_t n = ZSTD_compress(packed, bound, plain.data, bytes, ZSTD_LEVEL);
+        out->size = at + n;
+        if (ZSTD_isError(n))
+            rc = err_set(e, ERR_MEM, "payload : zstd : %s", ZSTD_getErrorName(n));
+    }
+    if (rc != ERR_OK)
+        out->size = start;
+    mem_free(quats);
+    buf_free(&plain);
+    return rc;
+}
+
+/* Head of a payload into g (n, degree, embedding, flags, origin; no arrays) and its plain size, checked
+ * against the limits and against what n bytes of zstd can hold. */
+static enum err_code head_read(struct cursor *c, const struct codec_limits *lim, struct gauss *g,
+                               bool *lossless, size_t *plain, struct err *e)
+{
+    const uint8_t *magic = cursor_take(c, 4);
+    unsigned version = cursor_u16(c), flags = cursor_u8(c);
+    g->sh_degree = cursor_u8(c);
+    g->n = cursor_u32(c);
+    g->embed_len = cursor_u32(c);
+    for (int i = 0; i < 3; i++)
+        g->origin_enu_m[i] = cursor_f64(c);
+    uint64_t bytes = cursor_u64(c);
+    if (c->bad || memcmp(magic, "CSPT", 4))
+        return err_set(e, ERR_FORMAT, "payload : not a tile payload, or truncated in its head");
+    if (version != VERSION)
+        return err_set(e, ERR_FORMAT, "payload : version %u : this program reads %d", version, VERSION);
+    if (g->sh_degree > GAUSS_SH_DEGREE_MAX || g->embed_len > GAUSS_EMBED_MAX ||
+        flags & ~(unsigned)(FLAG_LOSSLESS | FLAG_ANTIALIASED) || !isfinite(g->origin_enu_m[0]) ||
+        !isfinite(g->origin_enu_m[1]) || !isfinite(g->origin_enu_m[2]))
+        return err_set(e, ERR_FORMAT, "payload : head is damaged");
+    *lossless = flags & FLAG_LOSSLESS;
+    g->antialiased = flags & FLAG_ANTIALIASED;
+    *plain = plain_bytes(g, *lossless);
+    size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS;
+    size_t most_bytes = lim && lim->max_bytes ? lim->max_bytes : CODEC_MAX_BYTES;
+    if (g->n > most || *plain > most_bytes)
+        return err_set(e, ERR_LIMIT, "payload : %zu Gaussians, %zu bytes : the limits are %zu and %zu",
+                       g->n, *plain, most, most_bytes);
+    if (bytes != *plain || *plain / ZSTD_GROWTH_MAX > cursor_left(c))
+        return err_set(e, ERR_FORMAT, "payload : %zu Gaussians do not fit its %zu bytes", g->n,
+                       cursor_left(c));
+    return ERR_OK;
+}
+
+enum err_code payload_decode(const void *bytes, size_t n, const struct codec_limits *lim,
+                             struct gauss *out, struct err *e)
+{
+    struct gauss head = {0};
+    struct buf plain = {0};
+    struct plane planes[N_PLANES];
+    bool lossless = false;
+    size_t n_plain = 0;
+    struct cursor c = cursor_over(bytes, n);
+    *out = (struct gauss){0};
+    enum err_code rc = head_read(&c, lim, &head, &lossless, &n_plain, e);
+    uint8_t *p = rc == ERR_OK ? buf_grow(&plain, n_plain) : NULL;
+    if (rc == ERR_OK)
+        rc = buf_check(&plain, e);
+    if (rc == ERR_OK) {
+        size_t got = ZSTD_decompress(p, n_plain, c.p, cursor_left(&c));
+        if (ZSTD_isError(got) || got != n_plain)
+            rc = err_set(e, ERR_FORMAT, "payload : zstd : %s",
+                         ZSTD_isError(got) ? ZSTD_getErrorName(got) : "too short");
+    }
+    if (rc == ERR_OK)
+        rc = gauss_alloc(out, head.n, head.sh_degree, head.embed_len, e);
+    if (rc == ERR_OK) {
+        out->n = head.n;
+        out->antialiased = head.antialiased;
+        memcpy(out->origin_enu_m, head.origin_enu_m, sizeof out->origin_enu_m);
+        planes_of(out, lossless, planes);
+        for (int i = 0; i < N_PLANES; i++) {
+            plane_read(&planes[i], out->n, p);
+            p += out->n * planes[i].width * planes[i].value_bytes;
+        }
+        size_t bad = 0;
+        if (gauss_count_bad(out, &bad)) {
+            rc = err_set(e, ERR_FORMAT, "payload : row %zu : not finite, or no rotation", bad);
+            gauss_free(out);
+        }
+    }
+    buf_free(&plain);
+    return rc;
+}

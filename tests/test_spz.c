@@ -1,0 +1,425 @@
+/* The quantiser and .spz: integers survive every trip, values stay within half a step, hostile files are refused.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include "codec/codec.h"
+
+#include <math.h>
+#include <string.h>
+#include <zlib.h>
+
+/* Half a step of each field, plus what float32 adds. */
+#define POSITION_TOL (0.5 / 4096 + 1e-4) /* means reach 1000 m: float32 keeps 6e-5 there */
+#define SCALE_TOL (0.5 / 16 + 1e-5)
+#define ALPHA_TOL (0.5 / 255 + 1e-6)
+#define COLOR_TOL (0.5 / 255 / 0.15 + 1e-5)
+#define SH1_TOL (4.5 / 128) /* steps of 8, after rounding to 1/128 */
+#define SH_TOL (8.5 / 128)
+/* 9 bits over sqrt(1/2): half a step on three components, and what it makes of the largest one. */
+#define ROTATION_TOL_DEG 0.3
+
+static void expect_same(const struct quant *a, const struct quant *b)
+{
+    size_t sh = 3 * (gauss_sh_count(a->sh_degree) - 1);
+    assert_int_equal(a->n, b->n);
+    assert_int_equal(a->sh_degree, b->sh_degree);
+    assert_int_equal(a->antialiased, b->antialiased);
+    assert_memory_equal(a->position, b->position, a->n * 12);
+    assert_memory_equal(a->alpha, b->alpha, a->n);
+    assert_memory_equal(a->color, b->color, a->n * 3);
+    assert_memory_equal(a->scale, b->scale, a->n * 3);
+    assert_memory_equal(a->rotation, b->rotation, a->n * 4);
+    assert_memory_equal(a->sh, b->sh, a->n * sh);
+}
+
+static double sigmoid(double x)
+{
+    return 1 / (1 + exp(-x));
+}
+
+static void test_values_within_half_a_step(void **state)
+{
+    (void)state;
+    struct gauss g, back;
+    struct quant q;
+    struct err e = {0};
+    kit_gauss(1, 2000, 1000, 3, 4, &g);
+    kit_ok(quant_from_gauss(&g, 3, &q, &e), e);
+    kit_ok(quant_to_gauss(&q, &back, &e), e);
+    for (size_t i = 0; i < g.n; i++) {
+        double want[48], dot = 0, norm = 0, alpha = sigmoid((double)g.opacity_logit[i]);
+        for (int c = 0; c < 3; c++)
+            want[c] = (double)g.mean_m[3 * i + c];
+        kit_near("position", back.mean_m + 3 * i, want, 3, POSITION_TOL, 0);
+        for (int c = 0; c < 3; c++)
+            want[c] = fmin(255 / 16.0 - 10, fmax(-10, (double)g.scale_log[3 * i + c]));
+        kit_near("scale", back.scale_log + 3 * i, want, 3, SCALE_TOL, 0);
+        assert_true(fabs(sigmoid((double)back.opacity_logit[i]) - alpha) < ALPHA_TOL);
+        for (int c = 0; c < 3; c++) {
+            double lim = 0.5 / 0.15;
+            want[c] = fmin(lim, fmax(-lim, (double)g.sh[48 * i + c]));
+        }
+        kit_near("color", back.sh + 48 * i, want, 3, COLOR_TOL, 0);
+        for (int c = 3; c < 48; c++)
+            want[c] = fmin(127.0 / 128, fmax(-1, (double)g.sh[48 * i + c]));
+        kit_near("sh1", back.sh + 48 * i + 3, want + 3, 9, SH1_TOL, 0);
+        kit_near("sh2, sh3", back.sh + 48 * i + 12, want + 12, 36, SH_TOL, 0);
+        for (int c = 0; c < 4; c++) {
+            dot += (double)g.quat_wxyz[4 * i + c] * (double)back.quat_wxyz[4 * i + c];
+            norm += (double)g.quat_wxyz[4 * i + c] * (double)g.quat_wxyz[4 * i + c];
+        }
+        double angle = 2 * acos(fmin(1, fabs(dot) / sqrt(norm))) * 57.29577951308232;
+        if (angle > ROTATION_TOL_DEG)
+            fail_msg("row %zu: turned by %g degrees", i, angle);
+    }
+    for (size_t d = 0; d < 4; d++)
+        for (size_t i = 0; i < g.n; i++)
+            assert_true(fabsf(back.embed[4 * i + d] - g.embed[4 * i + d]) <
+                        (q.embed_max[d] - q.embed_min[d]) / 255 * 0.51f);
+    quant_free(&q);
+    gauss_free(&g);
+    gauss_free(&back);
+}
+
+/* Requantising what was dequantised changes nothing (rotations whose two largest components tie may name the
+ * other one; they stay within the tolerance above). */
+static void test_quantising_twice_is_quantising_once(void **state)
+{
+    (void)state;
+    struct gauss g, back;
+    struct quant q, again;
+    struct err e = {0};
+    kit_gauss(2, 1000, 500, 3, 0, &g);
+    g.opacity_logit[0] = 1e5f;
+    g.opacity_logit[1] = -1e5f;
+    kit_ok(quant_from_gauss(&g, 3, &q, &e), e);
+    assert_int_equal(q.alpha[0], 255);
+    assert_int_equal(q.alpha[1], 0);
+    kit_ok(quant_to_gauss(&q, &back, &e), e);
+    assert_int_equal(gauss_count_bad(&back, NULL), 0);
+    kit_ok(quant_from_gauss(&back, 3, &again, &e), e);
+    size_t differ = 0;
+    for (size_t i = 0; i < q.n; i++)
+        differ += q.rotation[i] != again.rotation[i];
+    assert_true(differ <= 5);
+    memcpy(again.rotation, q.rotation, q.n * 4);
+    expect_same(&q, &again);
+    quant_free(&q);
+    quant_free(&again);
+    gauss_free(&g);
+    gauss_free(&back);
+}
+
+static void test_degrees(void **state)
+{
+    (void)state;
+    struct gauss g;
+    struct quant q;
+    struct err e = {0};
+    kit_gauss(3, 5, 10, 2, 0, &g);
+    kit_ok(quant_from_gauss(&g, 3, &q, &e), e);
+    assert_int_equal(q.sh_degree, 3);
+    for (size_t i = 24; i < 45; i++)
+        assert_int_equal(q.sh[i], 128);
+    quant_free(&q);
+    kit_ok(quant_from_gauss(&g, 0, &q, &e), e);
+    assert_int_equal(q.sh_degree, 0);
+    quant_free(&q);
+    gauss_free(&g);
+}
+
+static void test_refuses_what_cannot_be_written(void **state)
+{
+    (void)state;
+    struct gauss g;
+    struct quant q;
+    struct err e = {0};
+    kit_gauss(4, 10, 10, 1, 1, &g);
+    g.mean_m[3 * 7 + 2] = 2048;
+    kit_fails(quant_from_gauss(&g, 1, &q, &e), ERR_LIMIT, e, "row 7");
+    assert_null(q.block);
+    g.mean_m[3 * 7 + 2] = -2047.999f;
+    kit_ok(quant_from_gauss(&g, 1, &q, &e), e);
+    quant_free(&q);
+    float *fields[] = {&g.mean_m[9], &g.scale_log[9], &g.quat_wxyz[12], &g.opacity_logit[3], &g.sh[3 * 12],
+                       &g.embed[3]};
+    for (size_t i = 0; i < 6; i++)
+        for (int k = 0; k < 2; k++) {
+            float old = *fields[i];
+            *fields[i] = k ? NAN : INFINITY;
+            kit_fails(quant_from_gauss(&g, 1, &q, &e), ERR_DATA, e, "row 3");
+            *fields[i] = old;
+        }
+    memset(g.quat_wxyz + 8, 0, 16);
+    kit_fails(quant_from_gauss(&g, 1, &q, &e), ERR_DATA, e, "row 2");
+    gauss_free(&g);
+}
+
+static void test_round_trip(void **state)
+{
+    (void)state;
+    static const size_t counts[] = {1, 2, 1000};
+    for (size_t i = 0; i < 24; i++) {
+        struct gauss g;
+        struct quant q, back;
+        struct buf b = {0}, again = {0};
+        struct err e = {0};
+        int version = i & 1 ? 4 : 3;
+        kit_gauss(i, counts[i % 3], 2000, (uint32_t)i % 4, 0, &g);
+        g.antialiased = i & 2;
+        kit_ok(quant_from_gauss(&g, (uint32_t)i % 4, &q, &e), e);
+        kit_ok(spz_encode(&q, version, &b, &e), e);
+        kit_ok(spz_decode(b.data, b.size, NULL, &back, &e), e);
+        expect_same(&q, &back);
+        kit_ok(spz_encode(&back, version, &again, &e), e);
+        assert_int_equal(b.size, again.size);
+        assert_memory_equal(b.data, again.data, b.size);
+        buf_free(&b);
+        buf_free(&again);
+        quant_free(&q);
+        quant_free(&back);
+        gauss_free(&g);
+    }
+}
+
+/* gzip by zlib, so that our own compressor does not judge itself. */
+static void gzip(const struct buf *plain, struct buf *out)
+{
+    z_stream z = {0};
+    assert_int_equal(deflateInit2(&z, 9, Z_DEFLATED, 15 + 16, 8, Z_DEFAULT_STRATEGY), Z_OK);
+    out->size = 0;
+    z.next_in = plain->data;
+    z.avail_in = (uInt)plain->size;
+    uLong bound = deflateBound(&z, plain->size);
+    z.next_out = buf_grow(out, bound);
+    z.avail_out = (uInt)bound;
+    assert_int_equal(deflate(&z, Z_FINISH), Z_STREAM_END);
+    out->size = z.total_out;
+    deflateEnd(&z);
+}
+
+static void spz_head(struct buf *b, uint32_t version, uint32_t n, unsigned degree, unsigned bits,
+                     unsigned flags)
+{
+    b->size = 0;
+    buf_u32(b, 0x5053474e);
+    buf_u32(b, version);
+    buf_u32(b, n);
+    buf_u8(b, degree);
+    buf_u8(b, bits);
+    buf_u8(b, flags);
+    buf_u8(b, 0);
+}
+
+/* Bytes written by hand after the published layout. */
+static void test_reads_version_2_and_3_by_the_book(void **state)
+{
+    (void)state;
+    struct buf plain = {0}, z = {0};
+    struct quant q;
+    struct gauss g;
+    struct err e = {0};
+    for (uint32_t version = 2; version <= 3; version++) {
+        spz_head(&plain, version, 1, 1, 11, 1);
+        buf_add(&plain, (const uint8_t[]){0x00, 0x08, 0x00, 0xff, 0xff, 0xff, 0x01, 0x00, 0x00}, 9);
+        buf_u8(&plain, 51);                                  /* alpha 0.2 */
+        buf_add(&plain, (const uint8_t[]){255, 0, 128}, 3);  /* color */
+        buf_add(&plain, (const uint8_t[]){160, 176, 144}, 3); /* ln sigma 0, 1, -1 */
+        if (version == 2)
+            buf_add(&plain, (const uint8_t[]){255, 128, 128}, 3); /* half a turn about x */
+        else /* largest z (2); x = -511/511/sqrt2, y = 0, w = 0 */
+            buf_u32(&plain, 2u << 30 | (512u + 511) << 20 | 512u << 10 | 0);
+        for (unsigned i = 0; i < 9; i++)
+            buf_u8(&plain, 96 + 8 * i);
+        gzip(&plain, &z);
+        kit_ok(spz_decode(z.data, z.size, NULL, &q, &e), e);
+        assert_true(q.antialiased);
+        assert_int_equal(q.position[0], 4096); /* 2048 of 1/2048 m is 1 m */
+        assert_int_equal(q.position[1], -2);
+        assert_int_equal(q.position[2], 2);
+        kit_ok(quant_to_gauss(&q, &g, &e), e);
+        assert_true(g.mean_m[0] == 1 && g.scale_log[0] == 0 && g.scale_log[1] == 1 &&
+                    g.scale_log[2] == -1);
+        assert_true(fabs(sigmoid((double)g.opacity_logit[0]) - 0.2) < 1e-6);
+        assert_true(fabs((double)g.sh[0] - 0.5 / 0.15) < 1e-5 && fabs((double)g.sh[1] + 0.5 / 0.15) < 1e-5);
+        for (int i = 0; i < 9; i++)
+            assert_true(g.sh[3 + i] == (float)(8 * i - 32) / 128);
+        const double want2[4] = {0, 1, 0.00392, 0.00392}, want3[4] = {0, -0.70711, 0, 0.70711};
+        kit_near("rotation", g.quat_wxyz, version == 2 ? want2 : want3, 4, 0.003, 0);
+        gauss_free(&g);
+        quant_free(&q);
+    }
+    buf_free(&plain);
+    buf_free(&z);
+}
+
+/* The bytes we write, field by field, after unpacking with zlib. */
+static void test_writes_version_3_by_the_book(void **state)
+{
+    (void)state;
+    struct gauss g = {0};
+    struct quant q;
+    struct buf b = {0};
+    struct err e = {0};
+    kit_ok(gauss_alloc(&g, 1, 1, 0, &e), e);
+    g.n = 1;
+    const float mean[3] = {1.5f, -0.25f, 2047.5f}, quat[4] = {0, 0, -2, 0};
+    memcpy(g.mean_m, mean, sizeof mean);
+    memcpy(g.quat_wxyz, quat, sizeof quat);
+    for (int i = 0; i < 9; i++)
+        g.sh[3 + i] = (float)(i - 4) * 0.3f;
+    g.scale_log[1] = -20;
+    g.scale_log[2] = 20;
+    kit_ok(quant_from_gauss(&g, 1, &q, &e), e);
+    kit_ok(spz_encode(&q, 3, &b, &e), e);
+    uint8_t out[64];
+    z_stream z = {.next_in = b.data, .avail_in = (uInt)b.size, .next_out = out, .avail_out = sizeof out};
+    assert_int_equal(inflateInit2(&z, 15 + 16), Z_OK);
+    assert_int_equal(inflate(&z, Z_FINISH), Z_STREAM_END);
+    inflateEnd(&z);
+    static const uint8_t want[] = {
+        'N', 'G', 'S', 'P', 3, 0, 0, 0, 1, 0, 0, 0, 1, 12, 0, 0,
+        0x00, 0x18, 0x00, 0x00, 0xfc, 0xff, 0x00, 0xf8, 0x7f, /* 6144, -1024, 8386560 */
+        128,                                                  /* opacity 0.5 */
+        128, 128, 128, 160, 0, 255,
+        0, 0, 0, 0x40, /* largest is y (1), the others 0 */
+        /* 128 c + 128 in steps of 8: -1.2 -0.9 -0.6 -0.3 0 0.3 0.6 0.9 1.2 */
+        0, 16, 48, 88, 128, 168, 208, 240, 255};
+    assert_int_equal(z.total_out, sizeof want);
+    assert_memory_equal(out, want, sizeof want);
+    buf_free(&b);
+    quant_free(&q);
+    gauss_free(&g);
+}
+
+static enum err_code decode_copy(const uint8_t *p, size_t n, const struct codec_limits *lim, struct err *e)
+{
+    uint8_t *copy = mem_array(n, 1);
+    struct quant q;
+    if (n)
+        memcpy(copy, p, n);
+    enum err_code rc = spz_decode(copy, n, lim, &q, e);
+    if (rc != ERR_OK)
+        assert_null(q.block);
+    quant_free(&q);
+    mem_free(copy);
+    return rc;
+}
+
+static void test_truncation_and_flips(void **state)
+{
+    (void)state;
+    for (int version = 3; version <= 4; version++) {
+        struct gauss g;
+        struct quant q;
+        struct buf b = {0};
+        struct err e = {0};
+        kit_gauss(5, 30, 100, 1, 0, &g);
+        kit_ok(quant_from_gauss(&g, 1, &q, &e), e);
+        kit_ok(spz_encode(&q, version, &b, &e), e);
+        for (size_t n = 0; n < b.size; n++)
+            kit_fails(decode_copy(b.data, n, NULL, &e), ERR_FORMAT, e, "spz");
+        for (uint64_t i = 0; i < 3000; i++) {
+            size_t at = rng_u64(3, i, 0) % b.size;
+            uint8_t old = b.data[at];
+            b.data[at] = (uint8_t)rng_u64(3, i, 1);
+            enum err_code rc = decode_copy(b.data, b.size, NULL, &e);
+            assert_true(rc == ERR_OK || rc == ERR_FORMAT || rc == ERR_LIMIT);
+            b.data[at] = old;
+        }
+        buf_u8(&b, 0);
+        kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_FORMAT, e, "spz");
+        buf_free(&b);
+        quant_free(&q);
+        gauss_free(&g);
+    }
+}
+
+static void test_hostile_counts(void **state)
+{
+    (void)state;
+    struct buf plain = {0}, z = {0};
+    struct err e = {0};
+    size_t before = mem_peak_bytes();
+    spz_head(&plain, 3, 60000000, 3, 12, 0); /* within the limit, but not in the file */
+    gzip(&plain, &z);
+    kit_fails(decode_copy(z.data, z.size, NULL, &e), ERR_FORMAT, e, "cut short");
+    memcpy(z.data + z.size - 4, "\xff\xff\xff\x7f", 4); /* gzip claims 2 GiB */
+    kit_fails(decode_copy(z.data, z.size, NULL, &e), ERR_FORMAT, e, "spz");
+    spz_head(&plain, 3, 0xffffffff, 3, 12, 0);
+    gzip(&plain, &z);
+    kit_fails(decode_copy(z.data, z.size, NULL, &e), ERR_LIMIT, e, "4294967295");
+    spz_head(&plain, 9, 1, 3, 12, 0);
+    gzip(&plain, &z);
+    kit_fails(decode_copy(z.data, z.size, NULL, &e), ERR_FORMAT, e, "version 9");
+    spz_head(&plain, 3, 1, 4, 12, 0);
+    gzip(&plain, &z);
+    kit_fails(decode_copy(z.data, z.size, NULL, &e), ERR_FORMAT, e, "degree 4");
+    spz_head(&plain, 4, 60000000, 0, 12, 0); /* version 4: streams that claim to grow without end */
+    plain.data[15] = 5;
+    buf_u32(&plain, 32);
+    buf_add(&plain, (const uint8_t[12]){0}, 12);
+    static const uint64_t rows[] = {9, 1, 3, 3, 4};
+    for (int s = 0; s < 5; s++) {
+        buf_u64(&plain, 10);
+        buf_u64(&plain, 60000000 * rows[s]);
+    }
+    buf_add(&plain, (const uint8_t[50]){0}, 50);
+    kit_fails(decode_copy(plain.data, plain.size, NULL, &e), ERR_FORMAT, e, "do not fit");
+    assert_true(mem_peak_bytes() - before < (64u << 20));
+    buf_free(&plain);
+    buf_free(&z);
+}
+
+static void test_out_of_memory(void **state)
+{
+    (void)state;
+    for (int version = 3; version <= 4; version++) {
+        struct gauss g;
+        struct quant q = {0}, back;
+        struct buf b = {0};
+        struct err e = {0};
+        kit_gauss(6, 20, 100, 2, 0, &g);
+        enum err_code rc = ERR_MEM;
+        for (size_t k = 1; rc == ERR_MEM && k < 100; k++) {
+            buf_free(&b);
+            mem_fail_at(k);
+            rc = quant_from_gauss(&g, 2, &q, &e);
+            if (rc == ERR_OK && (rc = spz_encode(&q, version, &b, &e)) != ERR_OK)
+                quant_free(&q);
+            mem_fail_at(0);
+        }
+        kit_ok(rc, e);
+        rc = ERR_MEM;
+        for (size_t k = 1; rc == ERR_MEM && k < 100; k++) {
+            mem_fail_at(k);
+            rc = spz_decode(b.data, b.size, NULL, &back, &e);
+            mem_fail_at(0);
+        }
+        kit_ok(rc, e);
+        expect_same(&q, &back);
+        quant_free(&q);
+        quant_free(&back);
+        gauss_free(&g);
+        buf_free(&b);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_values_within_half_a_step),
+        cmocka_unit_test(test_quantising_twice_is_quantising_once),
+        cmocka_unit_test(test_degrees),
+        cmocka_unit_test(test_refuses_what_cannot_be_written),
+        cmocka_unit_test(test_round_trip),
+        cmocka_unit_test(test_reads_version_2_and_3_by_the_book),
+        cmocka_unit_test(test_writes_version_3_by_the_book),
+        cmocka_unit_test(test_truncation_and_flips),
+        cmocka_unit_test(test_hostile_counts),
+        cmocka_unit_test(test_out_of_memory),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
