@@ -75,16 +75,27 @@ struct render {
     void (*backward_free)(struct render *r);
 
     struct render_stats stats;
-    bool timing;        /* finish the queue after every stage and fill stats.ms_* */
+    bool timing;        /* finish the queue after every stage and fill stats.ms_*: render_set_timing */
     bool box_tiles;     /* tile culling off: the ablation, and the test that culling changes nothing */
     uint64_t entry_max; /* ERR_LIMIT above; what 32-bit slots and the device's buffers allow */
-    float *host_color;  /* planar staging for the interleaved output */
-    size_t host_color_cap;
 };
 
 /* Number of work-items of a per-Gaussian kernel over `groups` groups, and the local size to launch it with:
  * VW 16: one item per LAYOUT_PROJECT_GROUPS groups; VW 1: one item per Gaussian. */
 size_t frame_items(const struct render *r, uint32_t groups, size_t *local);
+
+/* Set all arguments of a kernel and launch it:
+ *   frame_run(r, k, "gather", FRAME_ARGS(FRAME_ARG(mem), FRAME_ARG(n)), global, local, e) */
+struct frame_arg {
+    size_t size;
+    const void *value;
+};
+#define FRAME_ARG(v) {sizeof(v), &(v)}
+#define FRAME_ARGS(...)                                                                            \
+    (const struct frame_arg[]){__VA_ARGS__},                                                       \
+        sizeof((const struct frame_arg[]){__VA_ARGS__}) / sizeof(struct frame_arg)
+enum err_code frame_run(struct render *r, cl_kernel k, const char *name, const struct frame_arg *args,
+                        size_t n_args, size_t global, size_t local, struct err *e) ERR_USE;
 
 extern const char common_cl[]; /* first source of every program of render/ after core/layout.h */
 

@@ -77,6 +77,8 @@ enum err_code render_forward(struct render *r, const struct render_model *m, con
                              const struct render_options *o, float *rgb, float *transmittance,
                              struct err *e) ERR_USE;
 const struct render_stats *render_last_stats(const struct render *r);
+/* Stage times in render_stats cost a wait after every stage: off unless asked for. */
+void render_set_timing(struct render *r, bool on);
 /* The colour of the last frame on the device: float [3][h][w] planar, for the loss. Borrowed. */
 cl_mem render_color_buffer(struct render *r);
 

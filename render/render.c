@@ -1,0 +1,418 @@
+/* The forward pass on the device: programs, buffers, and the order of launches of a frame.
+ *
+ * Buffers belong to struct render, grow by half when a frame needs more and are kept. The host waits once
+ * within a frame, to learn how many (splat, tile) pairs there are before making the lists; nothing is ever
+ * written beyond a buffer and nothing is drawn from a list cut short. render/frame.h tells what each stage
+ * leaves behind, render_ref.c what the picture is.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <assert.h>
+#include <math.h>
+#include <string.h>
+
+#include "core/base.h"
+#include "render/frame.h"
+
+extern const char project_cl[], sort_cl[], bin_cl[], blend_cpu_cl[];
+
+enum { SIZE_MAX_PX = 16384, RADIX_PASSES = 3 };
+
+/* ---- pieces shared with render_backward.c ------------------------------------------------------- */
+
+enum err_code frame_reserve(struct render *r, struct frame_buffer *b, size_t n_bytes, struct err *e)
+{
+    size_t want = n_bytes;
+    if (b->mem && b->cap_bytes >= n_bytes)
+        return ERR_OK;
+    if (want < b->cap_bytes + b->cap_bytes / 2)
+        want = b->cap_bytes + b->cap_bytes / 2;
+    if (want > r->dev->max_alloc_bytes && n_bytes <= r->dev->max_alloc_bytes)
+        want = n_bytes;
+    dev_release(&b->mem);
+    b->cap_bytes = 0;
+    enum err_code rc = dev_buffer(r->dev, want, NULL, &b->mem, e);
+    if (rc == ERR_OK)
+        b->cap_bytes = want;
+    return rc;
+}
+
+size_t frame_items(const struct render *r, uint32_t groups, size_t *local)
+{
+    if (r->dev->vector_width == LAYOUT_LANES) {
+        *local = 1;
+        return (groups + LAYOUT_PROJECT_GROUPS - 1) / LAYOUT_PROJECT_GROUPS;
+    }
+    *local = 64;
+    return (size_t)groups * LAYOUT_LANES;
+}
+
+enum err_code frame_run(struct render *r, cl_kernel k, const char *name, const struct frame_arg *args,
+                        size_t n_args, size_t global, size_t local, struct err *e)
+{
+    for (size_t i = 0; i < n_args; i++) {
+        cl_int code = clSetKernelArg(k, (cl_uint)i, args[i].size, args[i].value);
+        if (code != CL_SUCCESS)
+            return err_set(e, ERR_INTERNAL, "%s: argument %zu: %s", name, i, dev_error_name(code));
+    }
+    return dev_run(r->dev, k, name, global, local, e);
+}
+
+/* ---- open, close ----------------------------------------------------------------------------------- */
+
+static enum err_code render_build(struct render *r, struct err *e)
+{
+    const struct dev_source sources[] = {{"render/common.cl", common_cl},
+                                         {"render/project.cl", project_cl},
+                                         {"render/sort.cl", sort_cl},
+                                         {"render/bin.cl", bin_cl},
+                                         {"render/blend_cpu.cl", blend_cpu_cl}};
+    struct {
+        const char *name;
+        cl_kernel *to;
+    } kernels[] = {{"project", &r->k.project},       {"sort_count", &r->k.sort_count},
+                   {"sort_scan", &r->k.sort_scan},   {"sort_scatter", &r->k.sort_scatter},
+                   {"bin_count", &r->k.bin_count},   {"bin_sum", &r->k.bin_sum},
+                   {"bin_scan", &r->k.bin_scan},     {"bin_scatter", &r->k.bin_scatter},
+                   {"blend", &r->k.blend}};
+    enum err_code rc = dev_build(r->dev, sources, sizeof sources / sizeof *sources, NULL, &r->program, e);
+    for (size_t i = 0; rc == ERR_OK && i < sizeof kernels / sizeof *kernels; i++)
+        rc = dev_kernel(r->program, kernels[i].name, kernels[i].to, e);
+    return rc;
+}
+
+enum err_code render_open(struct dev *dev, struct render **out, struct err *e)
+{
+    struct render *r = mem_array(1, sizeof *r);
+    enum err_code rc = ERR_OK;
+    *out = NULL;
+    if (!r)
+        return err_set(e, ERR_MEM, "render_open");
+    r->dev = dev;
+    r->entry_max = UINT32_MAX - LAYOUT_TILE; /* slots are 32-bit */
+    rc = render_build(r, e);
+    if (rc == ERR_OK)
+        rc = dev_buffer(dev, sizeof(struct layout_view), NULL, &r->view_mem, e);
+    if (rc == ERR_OK)
+        rc = dev_buffer(dev, sizeof(struct layout_counts), NULL, &r->counts, e);
+    if (rc == ERR_OK)
+        *out = r;
+    else
+        render_close(&r);
+    return rc;
+}
+
+void render_close(struct render **rp)
+{
+    struct render *r = rp ? *rp : NULL;
+    if (!r)
+        return;
+    if (r->backward_free)
+        r->backward_free(r);
+    struct frame_buffer *buffers[] = {
+        &r->splats,     &r->depth_key,  &r->tiles_of,    &r->slot_first, &r->keys[0], &r->keys[1],
+        &r->ids[0],     &r->ids[1],     &r->histogram,   &r->bin_offset, &r->tile_start,
+        &r->entry_splat, &r->entry_slot, &r->color,      &r->transmit,   &r->color_grad};
+    for (size_t i = 0; i < sizeof buffers / sizeof *buffers; i++)
+        dev_release(&buffers[i]->mem);
+    cl_kernel kernels[] = {r->k.project,   r->k.sort_count, r->k.sort_scan, r->k.sort_scatter,
+                           r->k.bin_count, r->k.bin_sum,    r->k.bin_scan,  r->k.bin_scatter,
+                           r->k.blend};
+    for (size_t i = 0; i < sizeof kernels / sizeof *kernels; i++)
+        if (kernels[i])
+            clReleaseKernel(kernels[i]);
+    if (r->program)
+        clReleaseProgram(r->program);
+    dev_release(&r->view_mem);
+    dev_release(&r->counts);
+    mem_free(r);
+    *rp = NULL;
+}
+
+/* ---- the view --------------------------------------------------------------------------------------- */
+
+static enum err_code view_check(const struct camera *c, struct err *e)
+{
+    bool finite = isfinite(c->cx_px) && isfinite(c->cy_px) && isfinite(c->fx_px) && isfinite(c->fy_px);
+    for (int i = 0; i < 9; i++)
+        finite = finite && isfinite(c->rot[i]);
+    for (int i = 0; i < 3; i++)
+        finite = finite && isfinite(c->trans[i]);
+    if (c->width_px < 1 || c->height_px < 1 || c->width_px > SIZE_MAX_PX || c->height_px > SIZE_MAX_PX)
+        return err_set(e, ERR_ARG, "render_forward: picture of %u x %u: sizes are 1 to %d", c->width_px,
+                       c->height_px, SIZE_MAX_PX);
+    if (!finite || !(c->fx_px > 0) || !(c->fy_px > 0))
+        return err_set(e, ERR_ARG, "render_forward: camera: not finite, or focal length not positive");
+    return ERR_OK;
+}
+
+/* Everything in double until the origin is out of the numbers. */
+static void view_fill(const struct render *r, const struct render_model *m, const struct camera *c,
+                      const struct render_options *o, struct layout_view *v)
+{
+    double trans[3], w = c->width_px, h = c->height_px;
+    memset(v, 0, sizeof *v);
+    for (int i = 0; i < 3; i++) {
+        trans[i] = c->rot[3 * i] * m->origin_enu_m[0] + c->rot[3 * i + 1] * m->origin_enu_m[1] +
+                   c->rot[3 * i + 2] * m->origin_enu_m[2] + c->trans[i];
+        v->trans[i] = (float)trans[i];
+        v->background[i] = o->background[i];
+    }
+    for (int i = 0; i < 3; i++)
+        v->eye[i] = (float)-(c->rot[i] * trans[0] + c->rot[3 + i] * trans[1] + c->rot[6 + i] * trans[2]);
+    for (int i = 0; i < 9; i++)
+        v->rot[i] = (float)c->rot[i];
+    v->fx = (float)c->fx_px;
+    v->fy = (float)c->fy_px;
+    v->cx = (float)c->cx_px;
+    v->cy = (float)c->cy_px;
+    v->lim_neg_x = (float)(c->cx_px / c->fx_px + 0.15 * w / c->fx_px);
+    v->lim_pos_x = (float)((w - c->cx_px) / c->fx_px + 0.15 * w / c->fx_px);
+    v->lim_neg_y = (float)(c->cy_px / c->fy_px + 0.15 * h / c->fy_px);
+    v->lim_pos_y = (float)((h - c->cy_px) / c->fy_px + 0.15 * h / c->fy_px);
+    v->near_m = (float)(o->near_m > 0 ? o->near_m : RENDER_NEAR_M);
+    v->kernel_px2 = o->aa == RENDER_AA_MIP ? 0.1f : 0.3f;
+    v->compensate = o->aa != RENDER_AA_NONE;
+    v->half_max_px = 2 * (float)(w > h ? w : h);
+    v->width = c->width_px;
+    v->height = c->height_px;
+    v->tiles_x = (c->width_px + LAYOUT_TILE - 1) / LAYOUT_TILE;
+    v->tiles_y = (c->height_px + LAYOUT_TILE - 1) / LAYOUT_TILE;
+    v->n = m->n;
+    v->groups = m->groups;
+    v->planes = m->planes;
+    v->sh_degree = o->sh_degree >= 0 && (uint32_t)o->sh_degree < m->sh_degree ? (uint32_t)o->sh_degree
+                                                                              : m->sh_degree;
+    v->tile_cull = !r->box_tiles;
+}
+
+/* ---- stages ------------------------------------------------------------------------------------------ */
+
+static uint32_t bin_stride(const struct render *r)
+{
+    return (r->tiles + 15) / 16 * 16;
+}
+
+static enum err_code frame_buffers(struct render *r, struct err *e)
+{
+    size_t lanes = (size_t)r->view.groups * LAYOUT_LANES;
+    size_t pixels = (size_t)r->view.width * r->view.height, word = sizeof(uint32_t);
+    size_t stride = bin_stride(r);
+    const struct {
+        struct frame_buffer *b;
+        size_t bytes;
+    } wants[] = {{&r->splats, lanes * sizeof(struct layout_splat)},
+                 {&r->depth_key, lanes * word},
+                 {&r->tiles_of, lanes * word},
+                 {&r->slot_first, lanes * word},
+                 {&r->keys[0], lanes * word},
+                 {&r->keys[1], lanes * word},
+                 {&r->ids[0], lanes * word},
+                 {&r->ids[1], lanes * word},
+                 {&r->histogram, (word << LAYOUT_SORT_BITS) * LAYOUT_SORT_CHUNKS},
+                 {&r->bin_offset, LAYOUT_BIN_CHUNKS * stride * word},
+                 {&r->tile_start, (stride + 1) * word},
+                 {&r->color, 3 * pixels * sizeof(float)},
+                 {&r->transmit, pixels * sizeof(float)}};
+    for (size_t i = 0; i < sizeof wants / sizeof *wants; i++) {
+        enum err_code rc = frame_reserve(r, wants[i].b, wants[i].bytes, e);
+        if (rc != ERR_OK)
+            return err_add(e, "render_forward: %u Gaussians, %u x %u px", r->view.n, r->view.width,
+                           r->view.height);
+    }
+    return ERR_OK;
+}
+
+static enum err_code stage_project(struct render *r, const struct render_model *m, struct err *e)
+{
+    size_t local, items = frame_items(r, m->groups, &local);
+    return frame_run(r, r->k.project, "project",
+                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(r->splats.mem),
+                                FRAME_ARG(r->depth_key.mem), FRAME_ARG(r->tiles_of.mem)),
+                     items, local, e);
+}
+
+static enum err_code stage_sort(struct render *r, struct err *e)
+{
+    cl_uint n = r->view.n;
+    for (cl_uint pass = 0; pass < RADIX_PASSES; pass++) {
+        /* depth_key -> [0] -> [1] -> [0] */
+        const struct frame_buffer *keys = pass ? &r->keys[(pass + 1) % 2] : &r->depth_key;
+        const struct frame_buffer *ids = &r->ids[(pass + 1) % 2];
+        const struct frame_buffer *keys_out = &r->keys[pass % 2], *ids_out = &r->ids[pass % 2];
+        enum err_code rc = frame_run(r, r->k.sort_count, "sort_count",
+                                     FRAME_ARGS(FRAME_ARG(keys->mem), FRAME_ARG(r->tiles_of.mem),
+                                                FRAME_ARG(n), FRAME_ARG(pass), FRAME_ARG(r->histogram.mem),
+                                                FRAME_ARG(r->counts)),
+                                     LAYOUT_SORT_CHUNKS, 1, e);
+        if (rc == ERR_OK)
+            rc = frame_run(r, r->k.sort_scan, "sort_scan",
+                           FRAME_ARGS(FRAME_ARG(r->histogram.mem), FRAME_ARG(pass), FRAME_ARG(r->counts)),
+                           1, 1, e);
+        if (rc == ERR_OK)
+            rc = frame_run(r, r->k.sort_scatter, "sort_scatter",
+                           FRAME_ARGS(FRAME_ARG(keys->mem), FRAME_ARG(ids->mem), FRAME_ARG(r->tiles_of.mem),
+                                      FRAME_ARG(n), FRAME_ARG(pass), FRAME_ARG(r->histogram.mem),
+                                      FRAME_ARG(r->counts), FRAME_ARG(keys_out->mem),
+                                      FRAME_ARG(ids_out->mem), FRAME_ARG(r->slot_first.mem)),
+                           LAYOUT_SORT_CHUNKS, 1, e);
+        if (rc != ERR_OK)
+            return rc;
+    }
+    return ERR_OK;
+}
+
+/* How long are the lists? Make room. */
+static enum err_code stage_count(struct render *r, struct err *e)
+{
+    struct layout_counts counts;
+    enum err_code rc = dev_read(r->dev, r->counts, 0, sizeof counts, &counts, e);
+    if (rc != ERR_OK)
+        return rc;
+    r->entries = counts.entries;
+    r->stats.entries = counts.entries;
+    r->stats.visible = counts.visible;
+    if (counts.entries > r->entry_max)
+        return err_set(e, ERR_LIMIT,
+                       "render_forward: %llu pairs of splat and tile: at most %llu; draw a smaller picture "
+                       "or fewer Gaussians", (unsigned long long)counts.entries,
+                       (unsigned long long)r->entry_max);
+    rc = frame_reserve(r, &r->entry_splat, (size_t)counts.entries * sizeof(uint32_t), e);
+    if (rc == ERR_OK)
+        rc = frame_reserve(r, &r->entry_slot, (size_t)counts.entries * sizeof(uint32_t), e);
+    return rc;
+}
+
+static enum err_code stage_bin(struct render *r, struct err *e)
+{
+    cl_uint stride = bin_stride(r), tiles = r->tiles, cap = (cl_uint)r->entries;
+    enum err_code rc = frame_run(r, r->k.bin_count, "bin_count",
+                                 FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->ids[0].mem),
+                                            FRAME_ARG(r->splats.mem), FRAME_ARG(r->counts),
+                                            FRAME_ARG(stride), FRAME_ARG(r->bin_offset.mem)),
+                                 LAYOUT_BIN_CHUNKS, 1, e);
+    if (rc == ERR_OK)
+        rc = frame_run(r, r->k.bin_sum, "bin_sum",
+                       FRAME_ARGS(FRAME_ARG(stride), FRAME_ARG(r->bin_offset.mem),
+                                  FRAME_ARG(r->tile_start.mem)),
+                       stride / 16, 1, e);
+    if (rc == ERR_OK)
+        rc = frame_run(r, r->k.bin_scan, "bin_scan",
+                       FRAME_ARGS(FRAME_ARG(tiles), FRAME_ARG(r->tile_start.mem)), 1, 1, e);
+    if (rc == ERR_OK)
+        rc = frame_run(r, r->k.bin_scatter, "bin_scatter",
+                       FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->ids[0].mem),
+                                  FRAME_ARG(r->splats.mem), FRAME_ARG(r->counts), FRAME_ARG(stride),
+                                  FRAME_ARG(r->bin_offset.mem), FRAME_ARG(r->tile_start.mem),
+                                  FRAME_ARG(r->slot_first.mem), FRAME_ARG(cap),
+                                  FRAME_ARG(r->entry_splat.mem), FRAME_ARG(r->entry_slot.mem)),
+                       LAYOUT_BIN_CHUNKS, 1, e);
+    return rc;
+}
+
+static enum err_code stage_blend(struct render *r, struct err *e)
+{
+    return frame_run(r, r->k.blend, "blend",
+                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
+                                FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->entry_splat.mem),
+                                FRAME_ARG(r->color.mem), FRAME_ARG(r->transmit.mem)),
+                     r->tiles, 1, e);
+}
+
+/* Planar on the device, interleaved for the caller; mapping costs nothing on CPUs. */
+static enum err_code frame_output(struct render *r, float *rgb, float *transmittance, struct err *e)
+{
+    size_t pixels = (size_t)r->view.width * r->view.height;
+    if (transmittance) {
+        enum err_code rc = dev_read(r->dev, r->transmit.mem, 0, pixels * sizeof(float), transmittance, e);
+        if (rc != ERR_OK)
+            return rc;
+    }
+    if (!rgb)
+        return ERR_OK;
+    cl_int code = CL_SUCCESS;
+    const float *planes = clEnqueueMapBuffer(r->dev->queue, r->color.mem, CL_TRUE, CL_MAP_READ, 0,
+                                             3 * pixels * sizeof(float), 0, NULL, NULL, &code);
+    if (code != CL_SUCCESS)
+        return err_set(e, ERR_DEVICE, "render_forward: picture: %s", dev_error_name(code));
+    const float *red = planes, *green = planes + pixels, *blue = planes + 2 * pixels;
+    for (size_t i = 0; i < pixels; i++) {
+        rgb[3 * i] = red[i];
+        rgb[3 * i + 1] = green[i];
+        rgb[3 * i + 2] = blue[i];
+    }
+    code = clEnqueueUnmapMemObject(r->dev->queue, r->color.mem, (void *)(uintptr_t)planes, 0, NULL, NULL);
+    if (code != CL_SUCCESS)
+        return err_set(e, ERR_DEVICE, "render_forward: picture: %s", dev_error_name(code));
+    return dev_finish(r->dev, e);
+}
+
+/* With timing on: wait, and give the time since *since_s. */
+static enum err_code stage_clock(struct render *r, double *since_s, double *ms, struct err *e)
+{
+    if (!r->timing)
+        return ERR_OK;
+    enum err_code rc = dev_finish(r->dev, e);
+    double now = clock_s();
+    *ms = (now - *since_s) * 1e3;
+    *since_s = now;
+    return rc;
+}
+
+enum err_code render_forward(struct render *r, const struct render_model *m, const struct camera *cam,
+                             const struct render_options *o, float *rgb, float *transmittance,
+                             struct err *e)
+{
+    double start = clock_s(), since = start;
+    enum err_code rc = view_check(cam, e);
+    r->drawn = false;
+    memset(&r->stats, 0, sizeof r->stats);
+    if (rc != ERR_OK)
+        return rc;
+    assert(m->n <= (size_t)m->groups * LAYOUT_LANES && m->planes == render_planes(m->sh_degree));
+    view_fill(r, m, cam, o, &r->view);
+    r->tiles = r->view.tiles_x * r->view.tiles_y;
+    rc = frame_buffers(r, e);
+    if (rc == ERR_OK)
+        rc = dev_write(r->dev, r->view_mem, 0, sizeof r->view, &r->view, e);
+    if (rc == ERR_OK)
+        rc = stage_project(r, m, e);
+    if (rc == ERR_OK)
+        rc = stage_clock(r, &since, &r->stats.ms_project, e);
+    if (rc == ERR_OK)
+        rc = stage_sort(r, e);
+    if (rc == ERR_OK)
+        rc = stage_count(r, e);
+    if (rc == ERR_OK)
+        rc = stage_clock(r, &since, &r->stats.ms_sort, e);
+    if (rc == ERR_OK)
+        rc = stage_bin(r, e);
+    if (rc == ERR_OK)
+        rc = stage_clock(r, &since, &r->stats.ms_bin, e);
+    if (rc == ERR_OK)
+        rc = stage_blend(r, e);
+    if (rc == ERR_OK)
+        rc = stage_clock(r, &since, &r->stats.ms_blend, e);
+    if (rc == ERR_OK)
+        rc = frame_output(r, rgb, transmittance, e);
+    r->drawn = rc == ERR_OK;
+    r->stats.ms_total = (clock_s() - start) * 1e3;
+    return rc;
+}
+
+/* ---- what the last frame left ------------------------------------------------------------------------ */
+
+const struct render_stats *render_last_stats(const struct render *r)
+{
+    return &r->stats;
+}
+
+void render_set_timing(struct render *r, bool on)
+{
+    r->timing = on;
+}
+
+cl_mem render_color_buffer(struct render *r)
+{
+    return r->color.mem;
+}

@@ -1,0 +1,135 @@
+/* Gaussians on the device: packing into the AoSoA-16 layout and back.
+ *
+ * Groups of 16 Gaussians hold their parameters plane by plane, so that one vector load gets one parameter
+ * of 16 neighbours and a group that is culled costs no memory traffic for the rest. Padding lanes of the
+ * last group are zero; kernels leave them alone because their index is not below n.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <string.h>
+
+#include "core/base.h"
+#include "render/frame.h"
+
+enum { LANES = LAYOUT_LANES, GROUPS_AT_ONCE = 4096 };
+
+/* One parameter array of struct gauss and where its planes start. */
+struct plane_set {
+    float *data;
+    uint32_t first, count;
+};
+
+static void plane_sets(const struct gauss *g, struct plane_set out[5])
+{
+    out[0] = (struct plane_set){g->mean_m, RENDER_PLANE_MEAN, 3};
+    out[1] = (struct plane_set){g->scale_log, RENDER_PLANE_SCALE, 3};
+    out[2] = (struct plane_set){g->quat_wxyz, RENDER_PLANE_QUAT, 4};
+    out[3] = (struct plane_set){g->opacity_logit, RENDER_PLANE_OPACITY, 1};
+    out[4] = (struct plane_set){g->sh, RENDER_PLANE_SH, (uint32_t)(3 * gauss_sh_count(g->sh_degree))};
+}
+
+static void model_pack(const struct gauss *g, uint32_t planes, size_t group0, size_t groups, float *out)
+{
+    struct plane_set sets[5];
+    plane_sets(g, sets);
+    for (size_t k = 0; k < 5; k++)
+        for (size_t i = group0 * LANES; i < (group0 + groups) * LANES && i < g->n; i++) {
+            float *to = out + (i / LANES - group0) * planes * LANES + i % LANES;
+            for (uint32_t p = 0; p < sets[k].count; p++)
+                to[(sets[k].first + p) * LANES] = sets[k].data[i * sets[k].count + p];
+        }
+}
+
+static void model_unpack(const float *in, uint32_t planes, size_t group0, size_t groups, struct gauss *g)
+{
+    struct plane_set sets[5];
+    plane_sets(g, sets);
+    for (size_t k = 0; k < 5; k++)
+        for (size_t i = group0 * LANES; i < (group0 + groups) * LANES && i < g->n; i++) {
+            const float *from = in + (i / LANES - group0) * planes * LANES + i % LANES;
+            for (uint32_t p = 0; p < sets[k].count; p++)
+                sets[k].data[i * sets[k].count + p] = from[(sets[k].first + p) * LANES];
+        }
+}
+
+enum err_code render_model_upload(struct render *r, const struct gauss *g, struct render_model *out,
+                                  struct err *e)
+{
+    struct render_model m = {0};
+    enum err_code rc = ERR_OK;
+    float *staging = NULL;
+    memset(out, 0, sizeof *out);
+    if (g->n > INT32_MAX - LANES)
+        return err_set(e, ERR_LIMIT, "render_model_upload: %zu Gaussians: at most 2^31; use smaller cells",
+                       g->n);
+    m.n = (uint32_t)g->n;
+    m.groups = (m.n + LANES - 1) / LANES;
+    m.cap = m.groups * LANES;
+    m.sh_degree = g->sh_degree;
+    m.planes = render_planes(g->sh_degree);
+    memcpy(m.origin_enu_m, g->origin_enu_m, sizeof m.origin_enu_m);
+    size_t group_floats = (size_t)m.planes * LANES;
+    size_t at_once = m.groups < GROUPS_AT_ONCE ? m.groups : GROUPS_AT_ONCE;
+    rc = dev_buffer(r->dev, m.groups * group_floats * sizeof(float), NULL, &m.params, e);
+    if (rc != ERR_OK)
+        goto out;
+    staging = mem_array(at_once * group_floats, sizeof *staging);
+    if (!staging) {
+        rc = err_set(e, ERR_MEM, "render_model_upload: %u Gaussians", m.n);
+        goto out;
+    }
+    for (size_t at = 0; at < m.groups && rc == ERR_OK; at += at_once) {
+        size_t n = m.groups - at < at_once ? m.groups - at : at_once;
+        memset(staging, 0, n * group_floats * sizeof *staging);
+        model_pack(g, m.planes, at, n, staging);
+        rc = dev_write(r->dev, m.params, at * group_floats * sizeof(float),
+                       n * group_floats * sizeof(float), staging, e);
+    }
+out:
+    mem_free(staging);
+    if (rc != ERR_OK)
+        render_model_free(&m);
+    else
+        *out = m;
+    return rc;
+}
+
+enum err_code render_model_download(struct render *r, const struct render_model *m, struct gauss *g,
+                                    struct err *e)
+{
+    size_t group_floats = (size_t)m->planes * LANES;
+    size_t at_once = m->groups < GROUPS_AT_ONCE ? m->groups : GROUPS_AT_ONCE;
+    enum err_code rc = ERR_OK;
+    float *staging = NULL;
+    if (g->cap == 0)
+        rc = gauss_alloc(g, m->n, m->sh_degree, 0, e);
+    else if (g->sh_degree != m->sh_degree)
+        rc = err_set(e, ERR_ARG, "render_model_download: degree %u into a container of degree %u",
+                     m->sh_degree, g->sh_degree);
+    else
+        rc = gauss_reserve(g, m->n, e);
+    if (rc != ERR_OK)
+        return rc;
+    staging = mem_array(at_once * group_floats, sizeof *staging);
+    if (!staging)
+        return err_set(e, ERR_MEM, "render_model_download: %u Gaussians", m->n);
+    g->n = m->n;
+    memcpy(g->origin_enu_m, m->origin_enu_m, sizeof g->origin_enu_m);
+    for (size_t at = 0; at < m->groups && rc == ERR_OK; at += at_once) {
+        size_t n = m->groups - at < at_once ? m->groups - at : at_once;
+        rc = dev_read(r->dev, m->params, at * group_floats * sizeof(float),
+                      n * group_floats * sizeof(float), staging, e);
+        if (rc == ERR_OK)
+            model_unpack(staging, m->planes, at, n, g);
+    }
+    mem_free(staging);
+    return rc;
+}
+
+void render_model_free(struct render_model *m)
+{
+    if (!m)
+        return;
+    dev_release(&m->params);
+    memset(m, 0, sizeof *m);
+}
