@@ -43,7 +43,8 @@ struct store_tile { /* the index entry of one tile */
     double center_enu_m[3]; /* origin of the payload's means */
     double min_enu_m[3], max_enu_m[3]; /* conservative: means grown by 3.33 sigma */
     double sigma_median_m;  /* median over the tile of each Gaussian's largest sigma */
-    double geometric_error_m;
+    double sigma_max_m;     /* the largest of them: how far EWA may reach beyond the box */
+    double geometric_error_m; /* 16 sigma_median_m: sigma is 1 px where clients refine at 16 px */
     struct hash128 hash; /* of the payload */
     uint32_t version;    /* counts up when the tile is replaced */
 };
@@ -52,7 +53,8 @@ struct store_meta {
     struct geo_origin origin;
     uint32_t sh_degree, embed_len;
     bool antialiased;
-    uint8_t zoom_min, zoom_max; /* root .. finest level */
+    bool lossless;              /* payloads keep every field in float32 (imports) */
+    uint8_t zoom_min, zoom_max; /* root .. finest level; found by store_commit */
     char attribution[256];
     char revision[13]; /* first 12 hex digits of the hash over all tile hashes, set by store_commit */
     char created[32];  /* ISO 8601; not part of the revision */
@@ -82,25 +84,42 @@ const struct store_tile *store_find(const struct store *s, struct key k); /* NUL
 enum err_code store_read(struct store *s, struct key k, struct buf *out, struct err *e) ERR_USE;
 /* Decoded, ENU axes, origin = center_enu_m. */
 enum err_code store_read_gauss(struct store *s, struct key k, struct gauss *out, struct err *e) ERR_USE;
+/* Every page, index row, payload and blob checked. The first fault is returned; `n_bad` (may be NULL) counts
+ * them and each is logged. */
+enum err_code store_verify(struct store *s, size_t *n_bad, struct err *e) ERR_USE;
+/* Names of the blobs, sorted; live in the arena. */
+enum err_code store_list_blobs(struct store *s, struct arena *a, char ***names, size_t *n,
+                               struct err *e) ERR_USE;
 
 /* ---- pyramid.c ------------------------------------------------------------------------------------------ */
 
 struct pyramid_config {
     double tile_edge_m;   /* edge wanted for the finest level's tiles; 0 = chosen so that tiles hold about 50 k */
-    uint32_t max_per_tile; /* 200,000 */
+    uint32_t max_per_tile; /* 0 = 200,000; finer zooms are taken until it holds */
+    bool lossless;         /* float32 payloads, and tile centres that lose no bit of a float32 mean */
     char name[64];
     char attribution[256];
 };
-struct pyramid_level {
-    const struct gauss *g; /* borrowed */
-    uint8_t level;         /* 1 coarsest .. n finest */
+struct pyramid_level { /* levels given must be consecutive, e.g. 1, 2, 3 or 3 alone */
+    const struct gauss *g; /* borrowed; NULL: load() makes it, twice, one level at a time */
+    uint8_t level;         /* 1 coarsest .. n finest, at most 7 */
+    enum err_code (*load)(void *user, struct gauss *out, struct err *e); /* the pyramid frees it */
+    void *user;
 };
 struct pyramid_report {
     size_t n_tiles, n_gaussians[8]; /* per level, [0] = overviews */
+    size_t n_bad;                   /* rows with non-finite values, left out */
+    size_t n_carried_tiles, n_carried; /* copies of coarse Gaussians where a finer level has nothing at all */
+    size_t max_in_tile;
+    uint8_t zoom_min, zoom_max;
+    char revision[13];
     double seconds;
 };
-/* Cut levels into tiles, make overviews, write the store. Every Gaussian of each level lands in exactly one
- * tile. blobs (n_blobs, may be 0) are stored as they are. */
+/* Cut levels into tiles, make what is coarser than the coarsest one given (levels down to 1, then overviews) by
+ * simplification, write the store. Every Gaussian of each level lands in exactly one tile of that level's zoom.
+ * Where a tile has finer tiles under some of its quadrants only, the Gaussians of the others are copied one zoom
+ * down, so that replacing a tile by its children never opens a hole; such a tile keeps the level of its
+ * Gaussians. blobs (n_blobs, may be 0) are stored as they are. */
 enum err_code pyramid_build(const struct geo_origin *origin, const struct pyramid_level *levels,
                             size_t n_levels, const struct pyramid_config *cfg,
                             const struct ckpt_blob *blobs, size_t n_blobs, const char *out_path,

@@ -1,0 +1,240 @@
+/* Which tiles a view needs: a cut through the tree, so that what is drawn covers the scene once.
+ *
+ * The cut starts at the root and is refined where the error is largest on the screen, until it is small enough
+ * everywhere or the budget of Gaussians is used up. The screen error of a tile is geometric_error * f / d
+ * with d the distance to its box, the measure of 3D Tiles clients, so that the server's pictures and the web
+ * client show the same levels. The distance metric is that of the CityGaussian family: horizontal distance to
+ * the tile against one threshold a level.
+ *
+ * A tile is left out only if no splat in it can touch the picture: its box (means grown by 3.33 sigma) must lie
+ * wholly behind one of five planes. EWA splatting evaluates its Jacobian at the mean and so draws a little beyond
+ * the true cone; pick_frustum adds exactly what that can be. There is no far plane.
+ *
+ * The same input gives the same cut: no state, no hysteresis, or pictures could not be cached.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <stdlib.h>
+
+#include "lod/lod.h"
+#include "lod/tree.h"
+
+#define PICK_ERROR_PX 1.0   /* default: one pixel of median sigma */
+#define PICK_LENS_MARGIN 0.15 /* of the picture: where the renderer clamps x / z inside the Jacobian */
+#define PICK_SOFT_PX 3.0    /* 3.33 sqrt(0.3) of low-pass and 1 of rounding, upwards */
+#define PICK_REACH_SIGMA 3.33
+
+struct pick_plane { /* inside: dot(n, x) + d >= -slack_per_sigma * sigma_max */
+    double n[3], d, slack_per_sigma;
+};
+
+struct pick_entry { /* of the heap: the node with the largest error on top */
+    double error;
+    uint32_t node;
+};
+
+struct pick {
+    const struct store_tile *tiles;
+    const struct tree *tree;
+    const struct pick_options *o;
+    struct pick_plane plane[5];
+    double eye[3], focal_px, limit;
+    uint8_t zoom_max;
+    struct pick_entry *heap;
+    size_t n_heap;
+    uint64_t total; /* Gaussians of the heap and of what was chosen */
+};
+
+/* Plane through the eye with the camera-frame normal (a, 0, c) or (0, a, c), in the world frame. `t` is tan of the
+ * angle between axis and plane, `t_clamp` that of the steepest ray the Jacobian is evaluated at. */
+static struct pick_plane pick_side(const struct camera *cam, size_t axis, double sign, double t,
+                                   double t_clamp, double soft)
+{
+    struct pick_plane p = {0};
+    double edge = t + soft, len = sqrt(1.0 + edge * edge);
+    for (size_t k = 0; k < 3; k++)
+        p.n[k] = (sign * cam->rot[3 * axis + k] + edge * cam->rot[6 + k]) / len;
+    p.d = (sign * cam->trans[axis] + edge * cam->trans[2]) / len;
+    /* A splat at x/z = r > t reaches 3.33 sigma sqrt(1 + min(r, t_clamp)^2), the box has 3.33 sigma sqrt(1 + t^2). */
+    double steepest = fmax(fabs(t), fabs(t_clamp));
+    p.slack_per_sigma = PICK_REACH_SIGMA * (sqrt(1.0 + steepest * steepest) - sqrt(1.0 + t * t)) / len;
+    return p;
+}
+
+static void pick_frustum(struct pick *p, const struct camera *cam)
+{
+    double w = cam->width_px, h = cam->height_px;
+    const double edge[2][2] = {{(w - cam->cx_px) / cam->fx_px, cam->cx_px / cam->fx_px},
+                               {(h - cam->cy_px) / cam->fy_px, cam->cy_px / cam->fy_px}};
+    const double margin[2] = {PICK_LENS_MARGIN * w / cam->fx_px, PICK_LENS_MARGIN * h / cam->fy_px};
+    const double soft[2] = {PICK_SOFT_PX / cam->fx_px, PICK_SOFT_PX / cam->fy_px};
+    for (size_t axis = 0; axis < 2; axis++)
+        for (size_t side = 0; side < 2; side++) {
+            double t = edge[axis][side];
+            p->plane[2 * axis + side] =
+                pick_side(cam, axis, side ? 1.0 : -1.0, t, t + margin[axis], soft[axis]);
+        }
+    /* The near plane cuts by the mean, which is inside the box, and lies in front of the eye. */
+    p->plane[4] = (struct pick_plane){.n = {cam->rot[6], cam->rot[7], cam->rot[8]}, .d = cam->trans[2]};
+    camera_center(cam, p->eye);
+    p->focal_px = fmax(cam->fx_px, cam->fy_px);
+}
+
+/* May anything within this box touch the picture? The corner farthest along each normal decides. */
+static bool pick_visible(const struct pick *p, const double lo[3], const double hi[3], double sigma_max)
+{
+    for (size_t i = 0; i < 5; i++) {
+        const struct pick_plane *f = &p->plane[i];
+        double at = f->d + f->slack_per_sigma * sigma_max;
+        for (size_t k = 0; k < 3; k++)
+            at += f->n[k] * (f->n[k] > 0.0 ? hi[k] : lo[k]);
+        if (at < 0.0)
+            return false;
+    }
+    return true;
+}
+
+/* Distance from the eye to the box, over the axes [0, n_axes). */
+static double pick_distance(const struct pick *p, const struct tree_node *v, size_t n_axes)
+{
+    double sum = 0.0;
+    for (size_t k = 0; k < n_axes; k++) {
+        double d = fmax(fmax(v->min_enu_m[k] - p->eye[k], p->eye[k] - v->max_enu_m[k]), 0.0);
+        sum += d * d;
+    }
+    return sqrt(sum);
+}
+
+/* How much the node wants to be refined; above 1 it must be. Leaves never do. */
+static double pick_error(const struct pick *p, const struct tree_node *v)
+{
+    if (v->child_count == 0)
+        return 0.0;
+    if (v->tile == TREE_NONE || p->o->no_lod)
+        return HUGE_VAL;
+    if (p->o->metric == PICK_SCREEN)
+        return v->geometric_error_m * p->focal_px / (pick_distance(p, v, 3) * p->limit);
+    /* Threshold i holds for the level i below the finest; past the last one tiles are always refined. */
+    uint8_t below = (uint8_t)(p->zoom_max - p->tiles[v->tile].key.z);
+    double far = below >= 1 && below <= 8 ? p->o->distance_m[below - 1] : 0.0;
+    if (!(far > 0.0))
+        return HUGE_VAL;
+    double d = pick_distance(p, v, 2);
+    return d > 0.0 ? far / d : HUGE_VAL;
+}
+
+static bool pick_above(const struct pick_entry *a, const struct pick_entry *b)
+{
+    return a->error != b->error ? a->error > b->error : a->node < b->node;
+}
+
+static void pick_push(struct pick *p, uint32_t node)
+{
+    struct pick_entry x = {.error = pick_error(p, &p->tree->nodes[node]), .node = node};
+    size_t i = p->n_heap++;
+    for (; i > 0 && pick_above(&x, &p->heap[(i - 1) / 2]); i = (i - 1) / 2)
+        p->heap[i] = p->heap[(i - 1) / 2];
+    p->heap[i] = x;
+}
+
+static struct pick_entry pick_pop(struct pick *p)
+{
+    struct pick_entry top = p->heap[0], x = p->heap[--p->n_heap];
+    size_t i = 0;
+    for (;;) {
+        size_t c = 2 * i + 1;
+        if (c + 1 < p->n_heap && pick_above(&p->heap[c + 1], &p->heap[c]))
+            c++;
+        if (c >= p->n_heap || !pick_above(&p->heap[c], &x))
+            break;
+        p->heap[i] = p->heap[c];
+        i = c;
+    }
+    p->heap[i] = x;
+    return top;
+}
+
+static uint64_t pick_count(const struct pick *p, uint32_t node)
+{
+    uint32_t tile = p->tree->nodes[node].tile;
+    return tile == TREE_NONE ? 0 : p->tiles[tile].count;
+}
+
+static bool pick_node_visible(const struct pick *p, uint32_t node)
+{
+    const struct tree_node *v = &p->tree->nodes[node];
+    return pick_visible(p, v->min_enu_m, v->max_enu_m, v->sigma_max_m);
+}
+
+/* Replace the node by its visible children, unless that would break the budget. */
+static bool pick_refine(struct pick *p, uint32_t node)
+{
+    const struct tree_node *v = &p->tree->nodes[node];
+    const uint32_t *child = p->tree->children + v->child_first;
+    uint64_t total = p->total - pick_count(p, node);
+    for (uint32_t i = 0; i < v->child_count; i++)
+        if (pick_node_visible(p, child[i]))
+            total += pick_count(p, child[i]);
+    uint64_t most = p->o->max_gaussians;
+    if (v->tile != TREE_NONE && most && total > most && total > p->total)
+        return false;
+    for (uint32_t i = 0; i < v->child_count; i++)
+        if (pick_node_visible(p, child[i]))
+            pick_push(p, child[i]);
+    p->total = total;
+    return true;
+}
+
+static int pick_index_compare(const void *a, const void *b)
+{
+    uint32_t x = *(const uint32_t *)a, y = *(const uint32_t *)b;
+    return x < y ? -1 : x > y;
+}
+
+enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
+                          const struct camera *cam, const struct pick_options *o, uint32_t *out,
+                          size_t *n_out, struct err *e)
+{
+    static const struct pick_options defaults = {0};
+    struct pick p = {.tiles = tiles, .tree = t, .o = o ? o : &defaults};
+    *n_out = 0;
+    if (t->n_nodes == 0)
+        return ERR_OK;
+    if (!(cam->fx_px > 0.0 && cam->fy_px > 0.0 && cam->width_px > 0 && cam->height_px > 0))
+        return err_set(e, ERR_ARG, "pick: the camera has no focal length or no pixels");
+    p.heap = mem_array(t->n_nodes, sizeof *p.heap); /* a node enters at most once */
+    if (!p.heap)
+        return err_set(e, ERR_MEM, "pick: out of memory for %zu tiles", t->n_nodes);
+    p.limit = TREE_PX_PER_SIGMA * (p.o->error_px > 0.0 ? p.o->error_px : PICK_ERROR_PX);
+    pick_frustum(&p, cam);
+    /* Nodes ascend with zoom but for a root without content, which stands last. */
+    size_t last = t->nodes[t->n_nodes - 1].tile == TREE_NONE ? t->n_nodes - 2 : t->n_nodes - 1;
+    p.zoom_max = tiles[last].key.z;
+    if (pick_node_visible(&p, t->root)) {
+        p.total = pick_count(&p, t->root);
+        pick_push(&p, t->root);
+    }
+    while (p.n_heap > 0) {
+        struct pick_entry top = pick_pop(&p);
+        const struct tree_node *v = &t->nodes[top.node];
+        if (v->child_count > 0 && top.error > 1.0 && pick_refine(&p, top.node))
+            continue;
+        const struct store_tile *tile = v->tile == TREE_NONE ? NULL : &tiles[v->tile];
+        if (tile && pick_visible(&p, tile->min_enu_m, tile->max_enu_m, tile->sigma_max_m))
+            out[(*n_out)++] = v->tile;
+        else if (tile)
+            p.total -= tile->count;
+    }
+    mem_free(p.heap);
+    qsort(out, *n_out, sizeof *out, pick_index_compare);
+    return ERR_OK;
+}
+
+enum err_code pick_tiles(const struct store *s, const struct camera *cam, const struct pick_options *o,
+                         uint32_t *out, size_t *n_out, struct err *e)
+{
+    size_t n;
+    const struct store_tile *tiles = store_tiles(s, &n);
+    return pick_select(tiles, store_tree(s), cam, o, out, n_out, e);
+}

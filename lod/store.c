@@ -1,0 +1,592 @@
+/* The tile store, reading: one immutable SQLite file, its index in memory.
+ *
+ * The header is checked by hand first, because SQLite fills a truncated file with zeros instead of saying so.
+ * Each index row carries a hash of itself and each payload one of its bytes: a damaged row is left out with a
+ * warning, a damaged payload fails alone when it is read, and all other tiles go on being served.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <errno.h>
+#include <fcntl.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "lod/store_db.h"
+
+enum err_code store_db_fail(const struct store *s, int code, const char *what, struct err *e)
+{
+    const char *why = s->db ? sqlite3_errmsg(s->db) : sqlite3_errstr(code);
+    switch (code & 0xff) {
+    case SQLITE_CORRUPT:
+    case SQLITE_NOTADB:
+        return err_set(e, ERR_FORMAT, "%s: %s: the file is damaged (%s); restore it or tile the scene again",
+                       s->path, what, why);
+    case SQLITE_NOMEM:
+        return err_set(e, ERR_MEM, "%s: %s: out of memory", s->path, what);
+    case SQLITE_TOOBIG:
+        return err_set(e, ERR_LIMIT, "%s: %s: more than SQLite holds in one row; use smaller tiles",
+                       s->path, what);
+    case SQLITE_FULL:
+        return err_set(e, ERR_IO, "%s: %s: no space left on the disk", s->path, what);
+    case SQLITE_ERROR: /* a table or column is missing: not our schema */
+        return err_set(e, ERR_FORMAT, "%s: %s: %s", s->path, what, why);
+    default:
+        return err_set(e, ERR_IO, "%s: %s: %s", s->path, what, why);
+    }
+}
+
+int64_t store_db_id(struct key k)
+{
+    uint64_t id = 0;
+    for (int b = 0; b < KEY_ZOOM_MAX; b++)
+        id |= (uint64_t)(k.x >> b & 1) << (2 * b) | (uint64_t)(k.y >> b & 1) << (2 * b + 1);
+    return (int64_t)(id | (uint64_t)k.z << 56);
+}
+
+void store_db_hash_out(struct hash128 h, uint8_t out[STORE_HASH_BYTES])
+{
+    for (int i = 0; i < 8; i++) {
+        out[i] = (uint8_t)(h.lo >> (8 * i));
+        out[8 + i] = (uint8_t)(h.hi >> (8 * i));
+    }
+}
+
+static struct hash128 store_hash_in(const uint8_t in[STORE_HASH_BYTES])
+{
+    struct cursor c = cursor_over(in, STORE_HASH_BYTES);
+    struct hash128 h;
+    h.lo = cursor_u64(&c);
+    h.hi = cursor_u64(&c);
+    return h;
+}
+
+enum err_code store_db_row_hash(const struct store_tile *t, struct hash128 *out, struct err *e)
+{
+    struct buf b = {0};
+    buf_u64(&b, (uint64_t)store_db_id(t->key));
+    buf_u32(&b, t->level);
+    buf_u32(&b, t->count);
+    buf_u64(&b, t->bytes);
+    buf_u32(&b, t->version);
+    for (size_t k = 0; k < 3; k++) {
+        buf_f64(&b, t->center_enu_m[k]);
+        buf_f64(&b, t->min_enu_m[k]);
+        buf_f64(&b, t->max_enu_m[k]);
+    }
+    buf_f64(&b, t->sigma_median_m);
+    buf_f64(&b, t->sigma_max_m);
+    buf_f64(&b, t->geometric_error_m);
+    buf_u64(&b, t->hash.lo);
+    buf_u64(&b, t->hash.hi);
+    enum err_code rc = buf_check(&b, e);
+    if (!rc)
+        *out = hash_bytes(b.data, b.size);
+    buf_free(&b);
+    return rc;
+}
+
+int store_db_tile_compare(const void *a, const void *b)
+{
+    const struct store_tile *x = a, *y = b;
+    return key_compare(x->key, y->key);
+}
+
+/* ---- opening ---- */
+
+static uint32_t store_be32(const uint8_t *p)
+{
+    return (uint32_t)p[0] << 24 | (uint32_t)p[1] << 16 | (uint32_t)p[2] << 8 | p[3];
+}
+
+/* The 100 bytes of an SQLite header (sqlite.org/fileformat2.html, 1.3) against the file's size. */
+static enum err_code store_check_header(const char *path, struct err *e)
+{
+    uint8_t h[100];
+    int fd = open(path, O_RDONLY | O_CLOEXEC);
+    if (fd < 0)
+        return err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", path);
+    struct stat st;
+    ssize_t got = fstat(fd, &st) || S_ISDIR(st.st_mode) ? -1 : pread(fd, h, sizeof h, 0);
+    close(fd);
+    if (got != (ssize_t)sizeof h || memcmp(h, "SQLite format 3", 16) ||
+        store_be32(h + 68) != STORE_APPLICATION_ID)
+        return err_set(e, ERR_FORMAT, "%s: not a tile store (make one with `citysplat tile` or `citysplat import`)",
+                       path);
+    if (store_be32(h + 60) != STORE_SCHEMA)
+        return err_set(e, ERR_FORMAT,
+                       "%s: tile store of schema %u, this program reads schema %d; tile the scene again",
+                       path, store_be32(h + 60), STORE_SCHEMA);
+    uint64_t page = (uint64_t)h[16] << 8 | h[17], pages = store_be32(h + 28);
+    uint64_t want = (page == 1 ? 65536 : page) * pages;
+    if (want != (uint64_t)st.st_size)
+        return err_set(e, ERR_FORMAT, "%s: truncated or overlong: %llu bytes, its header says %llu", path,
+                       (unsigned long long)st.st_size, (unsigned long long)want);
+    return ERR_OK;
+}
+
+/* file: URI of a path: SQLite takes options such as immutable only that way. */
+static enum err_code store_uri(const char *path, struct buf *uri, struct err *e)
+{
+    /* "file:a/b" is relative, "file:///a/b" absolute; a leading "//" would be read as a host. */
+    buf_printf(uri, "file:%s", path[0] == '/' ? "//" : "");
+    for (const char *p = path; *p; p++) {
+        char c = *p;
+        bool plain = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
+                     strchr("/._-~", c);
+        if (plain)
+            buf_u8(uri, (unsigned char)c);
+        else
+            buf_printf(uri, "%%%02X", (unsigned char)c);
+    }
+    buf_printf(uri, "?mode=ro&immutable=1");
+    return buf_check(uri, e);
+}
+
+static enum err_code store_connect(struct store *s, struct err *e)
+{
+    struct buf uri = {0};
+    enum err_code rc = store_uri(s->path, &uri, e);
+    if (rc)
+        goto out;
+    int flags = SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX;
+    int code = sqlite3_open_v2((const char *)uri.data, &s->db, flags, NULL);
+    if (code == SQLITE_OK) {
+        sqlite3_db_config(s->db, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, NULL);
+        sqlite3_db_config(s->db, SQLITE_DBCONFIG_DEFENSIVE, 1, NULL);
+        code = sqlite3_exec(s->db,
+                            "PRAGMA mmap_size=274877906944; PRAGMA cell_size_check=ON; PRAGMA query_only=ON",
+                            NULL, NULL, NULL);
+    }
+    if (code != SQLITE_OK)
+        rc = store_db_fail(s, code, "cannot open", e);
+out:
+    buf_free(&uri);
+    return rc;
+}
+
+/* ---- meta ---- */
+
+static enum err_code store_meta_text(struct store *s, sqlite3_stmt *q, const char *key, char *out,
+                                     size_t cap, struct err *e)
+{
+    sqlite3_reset(q);
+    sqlite3_bind_text(q, 1, key, -1, SQLITE_STATIC);
+    int code = sqlite3_step(q);
+    if (code != SQLITE_ROW && code != SQLITE_DONE)
+        return store_db_fail(s, code, "meta", e);
+    const char *text = code == SQLITE_ROW ? (const char *)sqlite3_column_text(q, 0) : NULL;
+    if (!text)
+        return err_set(e, ERR_FORMAT, "%s: meta: %s is missing", s->path, key);
+    if (strlen(text) >= cap)
+        return err_set(e, ERR_FORMAT, "%s: meta: %s is longer than %zu bytes", s->path, key, cap - 1);
+    memcpy(out, text, strlen(text) + 1);
+    return ERR_OK;
+}
+
+static enum err_code store_meta_num(struct store *s, sqlite3_stmt *q, const char *key, double lo,
+                                    double hi, double *out, struct err *e)
+{
+    char text[64], *end = text;
+    enum err_code rc = store_meta_text(s, q, key, text, sizeof text, e);
+    if (rc)
+        return rc;
+    *out = strtod(text, &end);
+    if (end == text || *end || !(*out >= lo && *out <= hi))
+        return err_set(e, ERR_FORMAT, "%s: meta: %s is '%s', a number from %g to %g is expected", s->path,
+                       key, text, lo, hi);
+    return ERR_OK;
+}
+
+static enum err_code store_read_meta(struct store *s, struct err *e)
+{
+    struct store_meta *m = &s->meta;
+    sqlite3_stmt *q = NULL;
+    int code = sqlite3_prepare_v2(s->db, "SELECT value FROM meta WHERE key=?1", -1, &q, NULL);
+    if (code != SQLITE_OK)
+        return store_db_fail(s, code, "meta", e);
+    double degree = 0, embed = 0, aa = 0, lossless = 0, z0 = 0, z1 = 0;
+    const struct {
+        const char *key;
+        double lo, hi, *out;
+    } nums[] = {
+        {"origin_lon_deg", -1080, 1080, &m->origin.lon_deg},
+        {"origin_lat_deg", -90, 90, &m->origin.lat_deg},
+        {"origin_h_m", -1e7, 1e7, &m->origin.h_m},
+        {"sh_degree", 0, GAUSS_SH_DEGREE_MAX, &degree},
+        {"embed_len", 0, GAUSS_EMBED_MAX, &embed},
+        {"antialiased", 0, 1, &aa},
+        {"lossless", 0, 1, &lossless},
+        {"zoom_min", 0, KEY_ZOOM_MAX, &z0},
+        {"zoom_max", 0, KEY_ZOOM_MAX, &z1},
+    };
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; !rc && i < sizeof nums / sizeof *nums; i++)
+        rc = store_meta_num(s, q, nums[i].key, nums[i].lo, nums[i].hi, nums[i].out, e);
+    if (!rc)
+        rc = store_meta_text(s, q, "name", m->name, sizeof m->name, e);
+    if (!rc)
+        rc = store_meta_text(s, q, "attribution", m->attribution, sizeof m->attribution, e);
+    if (!rc)
+        rc = store_meta_text(s, q, "revision", m->revision, sizeof m->revision, e);
+    if (!rc)
+        rc = store_meta_text(s, q, "created", m->created, sizeof m->created, e);
+    sqlite3_finalize(q);
+    m->sh_degree = (uint32_t)degree;
+    m->embed_len = (uint32_t)embed;
+    m->antialiased = aa != 0.0;
+    m->lossless = lossless != 0.0;
+    m->zoom_min = (uint8_t)z0;
+    m->zoom_max = (uint8_t)z1;
+    return rc;
+}
+
+/* ---- index ---- */
+
+#define STORE_INDEX_SQL                                                                            \
+    "SELECT id,z,x,y,level,count,bytes,version,center_e,center_n,center_u,min_e,min_n,min_u,"      \
+    "max_e,max_n,max_u,sigma_median_m,sigma_max_m,geometric_error_m,hash,row_hash FROM tiles"
+
+static uint64_t store_column_u(sqlite3_stmt *q, int column, uint64_t limit, bool *ok)
+{
+    sqlite3_int64 v = sqlite3_column_int64(q, column);
+    if (v < 0 || (uint64_t)v > limit)
+        *ok = false;
+    return (uint64_t)v;
+}
+
+static struct hash128 store_column_hash(sqlite3_stmt *q, int column, bool *ok)
+{
+    const void *p = sqlite3_column_blob(q, column);
+    if (!p || sqlite3_column_bytes(q, column) != STORE_HASH_BYTES) {
+        *ok = false;
+        return (struct hash128){0};
+    }
+    return store_hash_in(p);
+}
+
+/* One row; false when its hash says that it is damaged. */
+static bool store_row(sqlite3_stmt *q, struct store_tile *t)
+{
+    bool ok = true;
+    int64_t id = sqlite3_column_int64(q, 0);
+    t->key.z = (uint8_t)store_column_u(q, 1, KEY_ZOOM_MAX, &ok);
+    t->key.x = (uint32_t)store_column_u(q, 2, UINT32_MAX, &ok);
+    t->key.y = (uint32_t)store_column_u(q, 3, UINT32_MAX, &ok);
+    t->level = (uint8_t)store_column_u(q, 4, UINT8_MAX, &ok);
+    t->count = (uint32_t)store_column_u(q, 5, UINT32_MAX, &ok);
+    t->bytes = store_column_u(q, 6, INT32_MAX, &ok);
+    t->version = (uint32_t)store_column_u(q, 7, UINT32_MAX, &ok);
+    for (int k = 0; k < 3; k++) {
+        t->center_enu_m[k] = sqlite3_column_double(q, 8 + k);
+        t->min_enu_m[k] = sqlite3_column_double(q, 11 + k);
+        t->max_enu_m[k] = sqlite3_column_double(q, 14 + k);
+    }
+    t->sigma_median_m = sqlite3_column_double(q, 17);
+    t->sigma_max_m = sqlite3_column_double(q, 18);
+    t->geometric_error_m = sqlite3_column_double(q, 19);
+    t->hash = store_column_hash(q, 20, &ok);
+    struct hash128 want = store_column_hash(q, 21, &ok), have = {0};
+    return ok && key_valid(t->key) && store_db_id(t->key) == id && !store_db_row_hash(t, &have, NULL) &&
+           have.lo == want.lo && have.hi == want.hi;
+}
+
+/* Rows come in order of id; the damaged ones are left out and counted. */
+static enum err_code store_read_index(struct store *s, size_t *n_bad, struct err *e)
+{
+    sqlite3_stmt *q = NULL;
+    int code = sqlite3_prepare_v2(s->db, STORE_INDEX_SQL, -1, &q, NULL);
+    enum err_code rc = code == SQLITE_OK ? ERR_OK : store_db_fail(s, code, "index", e);
+    while (!rc && (code = sqlite3_step(q)) == SQLITE_ROW) {
+        if (s->n_tiles == s->cap_tiles) {
+            size_t cap = s->cap_tiles ? 2 * s->cap_tiles : 64;
+            struct store_tile *p = mem_resize(s->tiles, s->cap_tiles, cap, sizeof *p);
+            if (!p) {
+                rc = err_set(e, ERR_MEM, "%s: out of memory for %zu tiles", s->path, cap);
+                break;
+            }
+            s->tiles = p;
+            s->cap_tiles = cap;
+        }
+        struct store_tile t = {0};
+        if (store_row(q, &t)) {
+            s->tiles[s->n_tiles++] = t;
+        } else {
+            *n_bad += 1;
+            log_warn("store", "%s: index row of tile %u/%u/%u is damaged, the tile is left out", s->path,
+                     t.key.z, t.key.x, t.key.y);
+        }
+    }
+    if (!rc && code != SQLITE_DONE)
+        rc = store_db_fail(s, code, "index", e);
+    sqlite3_finalize(q);
+    if (!rc)
+        qsort(s->tiles, s->n_tiles, sizeof *s->tiles, store_db_tile_compare);
+    return rc;
+}
+
+enum err_code store_open(const char *path, struct store **out, struct err *e)
+{
+    *out = NULL;
+    if (strlen(path) >= FILE_PATH_MAX)
+        return err_set(e, ERR_LIMIT, "%s: path too long", path);
+    enum err_code rc = store_check_header(path, e);
+    if (rc)
+        return rc;
+    struct store *s = mem_array(1, sizeof *s);
+    if (!s)
+        return err_set(e, ERR_MEM, "%s: out of memory", path);
+    memcpy(s->path, path, strlen(path) + 1);
+    size_t n_bad = 0;
+    rc = store_connect(s, e);
+    if (!rc)
+        rc = store_read_meta(s, e);
+    if (!rc)
+        rc = store_read_index(s, &n_bad, e);
+    if (!rc)
+        rc = tree_build(s->tiles, s->n_tiles, &s->tree, e);
+    if (rc)
+        store_close(&s);
+    *out = s;
+    return rc;
+}
+
+void store_close(struct store **sp)
+{
+    struct store *s = *sp;
+    if (!s)
+        return;
+    sqlite3_finalize(s->get);
+    sqlite3_finalize(s->put);
+    sqlite3_finalize(s->get_blob);
+    sqlite3_close(s->db);
+    if (s->building)
+        file_abort(s->part);
+    store_close(&s->before);
+    tree_free(&s->tree);
+    mem_free(s->tiles);
+    mem_free(s);
+    *sp = NULL;
+}
+
+const struct store_meta *store_info(const struct store *s)
+{
+    return &s->meta;
+}
+
+const struct store_tile *store_tiles(const struct store *s, size_t *n)
+{
+    *n = s->n_tiles;
+    return s->tiles;
+}
+
+const struct tree *store_tree(const struct store *s)
+{
+    return &s->tree;
+}
+
+const struct store_tile *store_find(const struct store *s, struct key k)
+{
+    if (!s->building) {
+        uint32_t i = tree_find(s->tiles, s->n_tiles, k);
+        return i == TREE_NONE ? NULL : &s->tiles[i];
+    }
+    for (size_t i = 0; i < s->n_tiles; i++)
+        if (key_compare(s->tiles[i].key, k) == 0)
+            return &s->tiles[i];
+    return NULL;
+}
+
+/* ---- payloads and blobs ---- */
+
+/* Copy a (hash, bytes) row into `out`, verified. `what` names it in errors. */
+static enum err_code store_take(struct store *s, sqlite3_stmt *q, const char *what, struct buf *out,
+                                struct err *e)
+{
+    bool ok = true;
+    int code = sqlite3_step(q);
+    if (code == SQLITE_DONE)
+        return err_set(e, ERR_NOENT, "%s: %s: not in this store", s->path, what);
+    if (code != SQLITE_ROW)
+        return store_db_fail(s, code, what, e);
+    struct hash128 want = store_column_hash(q, 0, &ok);
+    /* NULL of an empty blob is fine, NULL of a page that cannot be read is not. */
+    const void *p = sqlite3_column_blob(q, 1);
+    size_t n = (size_t)sqlite3_column_bytes(q, 1);
+    if (!p && sqlite3_errcode(s->db) != SQLITE_ROW && sqlite3_errcode(s->db) != SQLITE_OK)
+        return store_db_fail(s, sqlite3_errcode(s->db), what, e);
+    struct hash128 have = hash_bytes(p ? p : "", n);
+    if (!ok || have.lo != want.lo || have.hi != want.hi)
+        return err_set(e, ERR_FORMAT,
+                       "%s: %s: damaged (its hash differs); restore the file or tile the scene again",
+                       s->path, what);
+    out->size = 0;
+    buf_add(out, p, n);
+    return buf_check(out, e);
+}
+
+enum err_code store_read(struct store *s, struct key k, struct buf *out, struct err *e)
+{
+    char what[64];
+    snprintf(what, sizeof what, "tile %u/%u/%u", k.z, k.x, k.y);
+    if (!key_valid(k))
+        return err_set(e, ERR_NOENT, "%s: %s: no such tile", s->path, what);
+    if (!s->get) {
+        int code = sqlite3_prepare_v2(s->db, "SELECT hash,payload FROM tiles WHERE id=?1", -1, &s->get, NULL);
+        if (code != SQLITE_OK)
+            return store_db_fail(s, code, what, e);
+    }
+    sqlite3_bind_int64(s->get, 1, store_db_id(k));
+    enum err_code rc = store_take(s, s->get, what, out, e);
+    sqlite3_reset(s->get);
+    if (rc)
+        buf_free(out);
+    return rc;
+}
+
+enum err_code store_read_gauss(struct store *s, struct key k, struct gauss *out, struct err *e)
+{
+    struct buf b = {0};
+    *out = (struct gauss){0};
+    const struct store_tile *t = store_find(s, k);
+    if (!t)
+        return err_set(e, ERR_NOENT, "%s: tile %u/%u/%u: not in this store", s->path, k.z, k.x, k.y);
+    enum err_code rc = store_read(s, k, &b, e);
+    if (!rc) {
+        rc = payload_decode(b.data, b.size, NULL, out, e);
+        if (rc)
+            err_add(e, "%s: tile %u/%u/%u", s->path, k.z, k.x, k.y);
+    }
+    if (!rc)
+        memcpy(out->origin_enu_m, t->center_enu_m, sizeof out->origin_enu_m);
+    buf_free(&b);
+    return rc;
+}
+
+enum err_code store_get_blob(struct store *s, const char *name, struct buf *out, struct err *e)
+{
+    char what[160];
+    snprintf(what, sizeof what, "blob '%.120s'", name);
+    if (!s->get_blob) {
+        int code = sqlite3_prepare_v2(s->db, "SELECT hash,bytes FROM blobs WHERE name=?1", -1, &s->get_blob, NULL);
+        if (code != SQLITE_OK)
+            return store_db_fail(s, code, what, e);
+    }
+    sqlite3_bind_text(s->get_blob, 1, name, -1, SQLITE_STATIC);
+    enum err_code rc = store_take(s, s->get_blob, what, out, e);
+    sqlite3_reset(s->get_blob);
+    sqlite3_clear_bindings(s->get_blob);
+    if (rc)
+        buf_free(out);
+    return rc;
+}
+
+enum err_code store_list_blobs(struct store *s, struct arena *a, char ***names, size_t *n, struct err *e)
+{
+    sqlite3_stmt *q = NULL;
+    char **list = NULL;
+    *n = 0;
+    *names = NULL;
+    int code = sqlite3_prepare_v2(s->db, "SELECT name,count(*) OVER () FROM blobs ORDER BY name", -1, &q, NULL);
+    enum err_code rc = code == SQLITE_OK ? ERR_OK : store_db_fail(s, code, "blobs", e);
+    while (!rc && (code = sqlite3_step(q)) == SQLITE_ROW) {
+        size_t total = (size_t)sqlite3_column_int64(q, 1);
+        const char *name = (const char *)sqlite3_column_text(q, 0);
+        if (!list)
+            list = arena_get(a, total, sizeof *list);
+        char *copy = name && list && *n < total ? arena_text(a, name) : NULL;
+        if (!copy)
+            rc = err_set(e, ERR_MEM, "%s: out of memory for the names of blobs", s->path);
+        else
+            list[(*n)++] = copy;
+    }
+    if (!rc && code != SQLITE_DONE)
+        rc = store_db_fail(s, code, "blobs", e);
+    sqlite3_finalize(q);
+    *names = list;
+    return rc;
+}
+
+/* ---- verification ---- */
+
+/* Keep the first error, log and count all. */
+static void store_note(struct err *first, const struct err *e, size_t *n_bad)
+{
+    log_error("store", "%s", e->msg);
+    if (first->code == ERR_OK)
+        *first = *e;
+    *n_bad += 1;
+}
+
+static void store_verify_pages(struct store *s, struct err *first, size_t *n_bad)
+{
+    sqlite3_stmt *q = NULL;
+    struct err e = {0};
+    int code = sqlite3_prepare_v2(s->db, "PRAGMA integrity_check(16)", -1, &q, NULL);
+    while (code == SQLITE_OK || code == SQLITE_ROW) {
+        code = sqlite3_step(q);
+        const char *text = code == SQLITE_ROW ? (const char *)sqlite3_column_text(q, 0) : NULL;
+        if (text && strcmp(text, "ok")) {
+            err_set(&e, ERR_FORMAT, "%s: %s", s->path, text);
+            store_note(first, &e, n_bad);
+        }
+    }
+    if (code != SQLITE_DONE) {
+        store_db_fail(s, code, "integrity check", &e);
+        store_note(first, &e, n_bad);
+    }
+    sqlite3_finalize(q);
+}
+
+static void store_verify_tiles(struct store *s, struct err *first, size_t *n_bad)
+{
+    struct progress p;
+    progress_start(&p, "verify tiles", s->n_tiles);
+    for (size_t i = 0; i < s->n_tiles; i++) {
+        const struct store_tile *t = &s->tiles[i];
+        struct gauss g = {0};
+        struct err e = {0};
+        if (!store_read_gauss(s, t->key, &g, &e) && (g.n != t->count || gauss_count_bad(&g, NULL)))
+            err_set(&e, ERR_FORMAT, "%s: tile %u/%u/%u: %zu Gaussians (%zu of them unusable), the index says %u",
+                    s->path, t->key.z, t->key.x, t->key.y, g.n, gauss_count_bad(&g, NULL), t->count);
+        if (e.code != ERR_OK)
+            store_note(first, &e, n_bad);
+        gauss_free(&g);
+        progress_step(&p, i + 1, NULL);
+    }
+    progress_end(&p, NULL);
+}
+
+enum err_code store_verify(struct store *s, size_t *n_bad_out, struct err *e)
+{
+    struct arena a = {0};
+    struct err first = {0}, one = {0};
+    struct buf b = {0};
+    size_t n_bad = 0, n_rows_bad = 0, n_blobs = 0;
+    char **names = NULL;
+    store_verify_pages(s, &first, &n_bad);
+    /* Rows that were left out at opening are found again by reading the index afresh. */
+    struct store again = {.db = s->db};
+    memcpy(again.path, s->path, sizeof again.path);
+    enum err_code rc = store_read_index(&again, &n_rows_bad, &one);
+    mem_free(again.tiles);
+    if (!rc && n_rows_bad)
+        err_set(&one, ERR_FORMAT, "%s: %zu index rows are damaged", s->path, n_rows_bad);
+    if (one.code != ERR_OK)
+        store_note(&first, &one, &n_bad);
+    store_verify_tiles(s, &first, &n_bad);
+    one = (struct err){0};
+    if (store_list_blobs(s, &a, &names, &n_blobs, &one))
+        store_note(&first, &one, &n_bad);
+    for (size_t i = 0; i < n_blobs; i++)
+        if (store_get_blob(s, names[i], &b, &one))
+            store_note(&first, &one, &n_bad);
+    buf_free(&b);
+    arena_free(&a);
+    if (n_bad_out)
+        *n_bad_out = n_bad;
+    return first.code ? err_set(e, first.code, "%s", first.msg) : ERR_OK;
+}

@@ -1,0 +1,362 @@
+/* The tile store, writing: a new SQLite file beside the old one, without journal and without syncs, synced once
+ * and renamed at the end. A crash or a full disk leaves the old file as it was.
+ *
+ * A tile that replaces one of another content in the file that stood there before gets that one's version + 1, one
+ * of the same content keeps it. The revision is a hash over everything that is served, in key order, so the
+ * same input gives the same revision whatever the order of writing and the clock.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "lod/store_db.h"
+
+#define STORE_REACH_SIGMA 3.33 /* sqrt(2 ln 255): where the most opaque splat falls below 1/255 */
+
+static const char store_schema_sql[] =
+    "CREATE TABLE meta(key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;"
+    "CREATE TABLE tiles(id INTEGER PRIMARY KEY, z INTEGER NOT NULL, x INTEGER NOT NULL,"
+    " y INTEGER NOT NULL, level INTEGER NOT NULL, count INTEGER NOT NULL, bytes INTEGER NOT NULL,"
+    " version INTEGER NOT NULL, center_e REAL NOT NULL, center_n REAL NOT NULL, center_u REAL NOT NULL,"
+    " min_e REAL NOT NULL, min_n REAL NOT NULL, min_u REAL NOT NULL,"
+    " max_e REAL NOT NULL, max_n REAL NOT NULL, max_u REAL NOT NULL,"
+    " sigma_median_m REAL NOT NULL, sigma_max_m REAL NOT NULL, geometric_error_m REAL NOT NULL,"
+    " hash BLOB NOT NULL, row_hash BLOB NOT NULL, payload BLOB NOT NULL);"
+    "CREATE TABLE blobs(name TEXT PRIMARY KEY, hash BLOB NOT NULL, bytes BLOB NOT NULL);";
+
+static const char store_put_sql[] =
+    "INSERT INTO tiles(id,z,x,y,level,count,bytes,version,center_e,center_n,center_u,min_e,min_n,min_u,"
+    "max_e,max_n,max_u,sigma_median_m,sigma_max_m,geometric_error_m,hash,row_hash,payload)"
+    " VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11,?12,?13,?14,?15,?16,?17,?18,?19,?20,?21,?22,?23)";
+
+static bool store_name_ok(const char *name)
+{
+    if (!((*name >= 'a' && *name <= 'z') || (*name >= '0' && *name <= '9')))
+        return false;
+    for (const char *p = name; *p; p++)
+        if (!((*p >= 'a' && *p <= 'z') || (*p >= '0' && *p <= '9') || *p == '_' || *p == '-'))
+            return false;
+    return true;
+}
+
+static enum err_code store_exec(struct store *s, const char *sql, const char *what, struct err *e)
+{
+    int code = sqlite3_exec(s->db, sql, NULL, NULL, NULL);
+    return code == SQLITE_OK ? ERR_OK : store_db_fail(s, code, what, e);
+}
+
+static enum err_code store_start(struct store *s, struct err *e)
+{
+    enum err_code rc = file_begin(s->path, s->part, e);
+    if (rc)
+        return rc;
+    file_abort(s->part); /* a leftover of a killed process with our id */
+    int code = sqlite3_open_v2(s->part, &s->db,
+                               SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE | SQLITE_OPEN_NOMUTEX, NULL);
+    if (code != SQLITE_OK)
+        return store_db_fail(s, code, "cannot create", e);
+    char pragmas[256];
+    snprintf(pragmas, sizeof pragmas,
+             "PRAGMA page_size=%d; PRAGMA journal_mode=OFF; PRAGMA synchronous=OFF;"
+             "PRAGMA locking_mode=EXCLUSIVE; PRAGMA application_id=%d; PRAGMA user_version=%d;",
+             STORE_PAGE_BYTES, STORE_APPLICATION_ID, STORE_SCHEMA);
+    rc = store_exec(s, pragmas, "cannot create", e);
+    if (!rc)
+        rc = store_exec(s, "BEGIN", "cannot create", e);
+    if (!rc)
+        rc = store_exec(s, store_schema_sql, "cannot create", e);
+    return rc;
+}
+
+enum err_code store_create(const char *path, const struct store_meta *meta, struct store **out,
+                           struct err *e)
+{
+    *out = NULL;
+    const struct geo_origin *o = &meta->origin;
+    if (!memchr(meta->name, 0, sizeof meta->name) || !store_name_ok(meta->name))
+        return err_set(e, ERR_ARG, "name of a tile store: '%.64s': letters a-z, digits, - and _ are allowed, at most 63",
+                       meta->name);
+    if (!isfinite(o->lon_deg) || !isfinite(o->lat_deg) || !isfinite(o->h_m) || fabs(o->lat_deg) > 90.0)
+        return err_set(e, ERR_ARG, "%s: origin %g, %g, %g is no place on Earth", path, o->lon_deg,
+                       o->lat_deg, o->h_m);
+    if (meta->sh_degree > GAUSS_SH_DEGREE_MAX || meta->embed_len > GAUSS_EMBED_MAX)
+        return err_set(e, ERR_LIMIT, "%s: SH degree %u or embedding length %u is too large", path,
+                       meta->sh_degree, meta->embed_len);
+    if (strlen(path) >= FILE_PATH_MAX)
+        return err_set(e, ERR_LIMIT, "%s: path too long", path);
+    if (file_is_dir(path))
+        return err_set(e, ERR_IO, "%s: is a folder, the name of a file is expected", path);
+    struct store *s = mem_array(1, sizeof *s);
+    if (!s)
+        return err_set(e, ERR_MEM, "%s: out of memory", path);
+    memcpy(s->path, path, strlen(path) + 1);
+    s->meta = *meta;
+    s->building = true;
+    enum err_code rc = store_start(s, e);
+    if (rc) {
+        store_close(&s);
+        return rc;
+    }
+    if (file_exists(path) && store_open(path, &s->before, NULL))
+        s->before = NULL; /* whatever stood there is no store of ours: versions start at 1 */
+    *out = s;
+    return ERR_OK;
+}
+
+static int store_float_compare(const void *a, const void *b)
+{
+    float x = *(const float *)a, y = *(const float *)b;
+    return x < y ? -1 : x > y;
+}
+
+/* Bounds and sigmas of the rows. */
+static enum err_code store_measure(struct store_tile *t, const struct gauss *g, struct err *e)
+{
+    float *largest = mem_array(g->n, sizeof *largest);
+    if (!largest)
+        return err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", g->n);
+    for (size_t i = 0; i < g->n; i++) {
+        const float *s = &g->scale_log[3 * i];
+        largest[i] = fmaxf(s[0], fmaxf(s[1], s[2]));
+    }
+    qsort(largest, g->n, sizeof *largest, store_float_compare);
+    t->sigma_median_m = exp((double)largest[g->n / 2]);
+    t->sigma_max_m = exp((double)largest[g->n - 1]);
+    mem_free(largest);
+    gauss_bounds(g, STORE_REACH_SIGMA, t->min_enu_m, t->max_enu_m);
+    if (!(t->geometric_error_m > 0.0))
+        t->geometric_error_m = TREE_PX_PER_SIGMA * t->sigma_median_m;
+    double sum = t->sigma_median_m + t->sigma_max_m + t->geometric_error_m;
+    for (size_t k = 0; k < 3; k++) {
+        /* SQLite keeps -0.0 as 0, which would hash differently. */
+        t->center_enu_m[k] = g->origin_enu_m[k] + 0.0;
+        t->min_enu_m[k] += 0.0;
+        t->max_enu_m[k] += 0.0;
+        sum += t->center_enu_m[k] + t->min_enu_m[k] + t->max_enu_m[k];
+    }
+    if (!isfinite(sum))
+        return err_set(e, ERR_DATA, "a mean or scale is not a finite number");
+    return ERR_OK;
+}
+
+static enum err_code store_insert(struct store *s, const struct store_tile *t, const struct buf *payload,
+                                  struct err *e)
+{
+    uint8_t hash[STORE_HASH_BYTES], row_hash[STORE_HASH_BYTES];
+    struct hash128 row;
+    enum err_code rc = store_db_row_hash(t, &row, e);
+    if (rc)
+        return rc;
+    store_db_hash_out(t->hash, hash);
+    store_db_hash_out(row, row_hash);
+    if (!s->put) {
+        int code = sqlite3_prepare_v2(s->db, store_put_sql, -1, &s->put, NULL);
+        if (code != SQLITE_OK)
+            return store_db_fail(s, code, "cannot write", e);
+    }
+    sqlite3_stmt *q = s->put;
+    const sqlite3_int64 ints[] = {store_db_id(t->key), t->key.z, t->key.x, t->key.y, t->level,
+                                  t->count, (sqlite3_int64)t->bytes, t->version};
+    for (int i = 0; i < 8; i++)
+        sqlite3_bind_int64(q, 1 + i, ints[i]);
+    for (int k = 0; k < 3; k++) {
+        sqlite3_bind_double(q, 9 + k, t->center_enu_m[k]);
+        sqlite3_bind_double(q, 12 + k, t->min_enu_m[k]);
+        sqlite3_bind_double(q, 15 + k, t->max_enu_m[k]);
+    }
+    sqlite3_bind_double(q, 18, t->sigma_median_m);
+    sqlite3_bind_double(q, 19, t->sigma_max_m);
+    sqlite3_bind_double(q, 20, t->geometric_error_m);
+    sqlite3_bind_blob(q, 21, hash, sizeof hash, SQLITE_STATIC);
+    sqlite3_bind_blob(q, 22, row_hash, sizeof row_hash, SQLITE_STATIC);
+    sqlite3_bind_blob64(q, 23, payload->data, payload->size, SQLITE_STATIC);
+    int code = sqlite3_step(q);
+    rc = code == SQLITE_DONE ? ERR_OK : store_db_fail(s, code, "cannot write", e);
+    sqlite3_reset(q);
+    sqlite3_clear_bindings(q);
+    return rc;
+}
+
+static enum err_code store_remember(struct store *s, const struct store_tile *t, struct err *e)
+{
+    if (s->n_tiles == s->cap_tiles) {
+        size_t cap = s->cap_tiles ? 2 * s->cap_tiles : 64;
+        struct store_tile *p = mem_resize(s->tiles, s->cap_tiles, cap, sizeof *p);
+        if (!p)
+            return err_set(e, ERR_MEM, "%s: out of memory for %zu tiles", s->path, cap);
+        s->tiles = p;
+        s->cap_tiles = cap;
+    }
+    s->tiles[s->n_tiles++] = *t;
+    return ERR_OK;
+}
+
+enum err_code store_put(struct store *s, struct store_tile *t, const struct gauss *g, struct err *e)
+{
+    struct buf payload = {0};
+    if (!s->building)
+        return err_set(e, ERR_INTERNAL, "%s: a published store is never changed", s->path);
+    if (!key_valid(t->key) || g->n == 0 || g->n > UINT32_MAX)
+        return err_set(e, ERR_ARG, "%s: tile %u/%u/%u with %zu Gaussians cannot be stored", s->path, t->key.z,
+                       t->key.x, t->key.y, g->n);
+    t->count = (uint32_t)g->n;
+    enum err_code rc = store_measure(t, g, e);
+    if (!rc)
+        rc = payload_encode(g, s->meta.lossless, &payload, e);
+    if (!rc && payload.size > INT32_MAX)
+        rc = err_set(e, ERR_LIMIT, "payload of %zu bytes, at most 2 GiB; use smaller tiles", payload.size);
+    if (!rc) {
+        t->bytes = payload.size;
+        t->hash = hash_bytes(payload.data, payload.size);
+        const struct store_tile *old = s->before ? store_find(s->before, t->key) : NULL;
+        bool same = old && old->hash.lo == t->hash.lo && old->hash.hi == t->hash.hi;
+        t->version = old ? old->version + (same ? 0 : 1) : 1;
+        rc = store_insert(s, t, &payload, e);
+    }
+    buf_free(&payload);
+    if (rc)
+        return err_add(e, "tile %u/%u/%u", t->key.z, t->key.x, t->key.y);
+    return store_remember(s, t, e);
+}
+
+enum err_code store_put_blob(struct store *s, const char *name, const void *bytes, size_t n,
+                             struct err *e)
+{
+    uint8_t hash[STORE_HASH_BYTES];
+    sqlite3_stmt *q = NULL;
+    if (!s->building)
+        return err_set(e, ERR_INTERNAL, "%s: a published store is never changed", s->path);
+    store_db_hash_out(hash_bytes(n ? bytes : "", n), hash);
+    int code = sqlite3_prepare_v2(s->db, "INSERT INTO blobs(name,hash,bytes) VALUES(?1,?2,?3)", -1, &q, NULL);
+    if (code == SQLITE_OK) {
+        sqlite3_bind_text(q, 1, name, -1, SQLITE_STATIC);
+        sqlite3_bind_blob(q, 2, hash, sizeof hash, SQLITE_STATIC);
+        sqlite3_bind_blob64(q, 3, n ? bytes : "", n, SQLITE_STATIC);
+        code = sqlite3_step(q);
+    }
+    enum err_code rc = code == SQLITE_DONE ? ERR_OK : store_db_fail(s, code, name, e);
+    sqlite3_finalize(q);
+    return rc;
+}
+
+/* ---- commit ---- */
+
+/* Hash over what is served: identity, origin, attribution, every tile's row and every blob, in fixed order. */
+static enum err_code store_revision(struct store *s, struct err *e)
+{
+    struct buf b = {0};
+    sqlite3_stmt *q = NULL;
+    buf_printf(&b, "%s\n%.17g %.17g %.17g\n%u %u %d\n%s\n", s->meta.name, s->meta.origin.lon_deg,
+               s->meta.origin.lat_deg, s->meta.origin.h_m, s->meta.sh_degree, s->meta.embed_len,
+               s->meta.antialiased, s->meta.attribution);
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; !rc && i < s->n_tiles; i++) {
+        struct store_tile t = s->tiles[i];
+        struct hash128 row;
+        t.version = 0; /* a history is not content */
+        rc = store_db_row_hash(&t, &row, e);
+        buf_u64(&b, row.lo);
+        buf_u64(&b, row.hi);
+    }
+    int code = rc ? SQLITE_DONE : sqlite3_prepare_v2(s->db, "SELECT name,hash FROM blobs ORDER BY name", -1, &q, NULL);
+    if (!rc && code != SQLITE_OK)
+        rc = store_db_fail(s, code, "revision", e);
+    while (!rc && (code = sqlite3_step(q)) == SQLITE_ROW) {
+        buf_printf(&b, "%s\n", (const char *)sqlite3_column_text(q, 0));
+        buf_add(&b, sqlite3_column_blob(q, 1), (size_t)sqlite3_column_bytes(q, 1));
+    }
+    if (!rc && code != SQLITE_DONE)
+        rc = store_db_fail(s, code, "revision", e);
+    sqlite3_finalize(q);
+    if (!rc)
+        rc = buf_check(&b, e);
+    if (!rc) {
+        char hex[33];
+        hash_text(hash_bytes(b.data, b.size), hex);
+        memcpy(s->meta.revision, hex, 12);
+        s->meta.revision[12] = '\0';
+    }
+    buf_free(&b);
+    return rc;
+}
+
+static enum err_code store_write_meta(struct store *s, struct err *e)
+{
+    const struct store_meta *m = &s->meta;
+    char num[9][40];
+    const double values[9] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m, m->sh_degree, m->embed_len,
+                              m->antialiased,    m->lossless,       m->zoom_min,   m->zoom_max};
+    for (size_t i = 0; i < 9; i++)
+        snprintf(num[i], sizeof num[i], "%.17g", values[i]);
+    const char *const rows[][2] = {
+        {"name", m->name},           {"origin_lon_deg", num[0]}, {"origin_lat_deg", num[1]},
+        {"origin_h_m", num[2]},      {"sh_degree", num[3]},      {"embed_len", num[4]},
+        {"antialiased", num[5]},     {"lossless", num[6]},       {"zoom_min", num[7]},
+        {"zoom_max", num[8]},        {"attribution", m->attribution}, {"revision", m->revision},
+        {"created", m->created},     {"writer", "citysplat " CITYSPLAT_VERSION},
+    };
+    sqlite3_stmt *q = NULL;
+    int code = sqlite3_prepare_v2(s->db, "INSERT INTO meta(key,value) VALUES(?1,?2)", -1, &q, NULL);
+    for (size_t i = 0; code != SQLITE_ERROR && q && i < sizeof rows / sizeof *rows; i++) {
+        sqlite3_bind_text(q, 1, rows[i][0], -1, SQLITE_STATIC);
+        sqlite3_bind_text(q, 2, rows[i][1], -1, SQLITE_STATIC);
+        code = sqlite3_step(q);
+        sqlite3_reset(q);
+        if (code != SQLITE_DONE)
+            break;
+    }
+    enum err_code rc = code == SQLITE_DONE ? ERR_OK : store_db_fail(s, code, "meta", e);
+    sqlite3_finalize(q);
+    return rc;
+}
+
+static void store_finish_meta(struct store *s)
+{
+    qsort(s->tiles, s->n_tiles, sizeof *s->tiles, store_db_tile_compare);
+    s->meta.zoom_min = s->n_tiles ? s->tiles[0].key.z : 0;
+    s->meta.zoom_max = s->n_tiles ? s->tiles[s->n_tiles - 1].key.z : 0;
+    time_t now = time(NULL);
+    struct tm tm;
+    if (!s->meta.created[0] && gmtime_r(&now, &tm))
+        strftime(s->meta.created, sizeof s->meta.created, "%Y-%m-%dT%H:%M:%SZ", &tm);
+}
+
+enum err_code store_commit(struct store **sp, struct err *e)
+{
+    struct store *s = *sp;
+    *sp = NULL;
+    enum err_code rc = ERR_OK;
+    if (!s->building) {
+        rc = err_set(e, ERR_INTERNAL, "%s: a published store is never changed", s->path);
+        goto out;
+    }
+    if (s->n_tiles == 0) {
+        rc = err_set(e, ERR_DATA, "%s: no tiles, nothing to write", s->path);
+        goto out;
+    }
+    store_finish_meta(s);
+    rc = store_revision(s, e);
+    if (!rc)
+        rc = store_write_meta(s, e);
+    if (!rc)
+        rc = store_exec(s, "COMMIT", "cannot write", e);
+    sqlite3_finalize(s->get);
+    sqlite3_finalize(s->put);
+    sqlite3_finalize(s->get_blob);
+    s->get = s->put = s->get_blob = NULL;
+    int code = sqlite3_close(s->db);
+    if (!rc && code != SQLITE_OK)
+        rc = store_db_fail(s, code, "cannot close", e);
+    s->db = code == SQLITE_OK ? NULL : s->db;
+    if (!rc)
+        rc = file_commit(s->part, s->path, e);
+    if (!rc)
+        s->building = false; /* so that closing does not remove it */
+out:
+    store_close(&s);
+    return rc;
+}

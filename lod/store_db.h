@@ -1,0 +1,52 @@
+/* What the two halves of the tile store share: store.c reads, store_build.c writes. Internal to lod/.
+ *
+ * The file is an SQLite database:
+ *
+ *   application_id  "CSPT"          user_version  schema, STORE_SCHEMA
+ *   meta   key, value               name, origin, degrees, zooms, revision, ... as text (doubles with 17 digits)
+ *   tiles  id = zoom and Morton code of x, y; one row a tile: index columns, hash of the payload,
+ *          row_hash over the index columns and that hash, payload (codec's master payload)
+ *   blobs  name, hash, bytes        anything that travels with the tiles
+ *
+ * Hashes are XXH3-128, 16 bytes, low word first. Nothing is ever changed in place: a file is built beside and
+ * renamed, so readers may map it.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef LOD_STORE_DB_H
+#define LOD_STORE_DB_H
+
+#include <sqlite3.h>
+
+#include "lod/lod.h"
+#include "lod/tree.h"
+
+enum {
+    STORE_APPLICATION_ID = 0x43535054, /* "CSPT" */
+    STORE_SCHEMA = 1,
+    STORE_PAGE_BYTES = 8192,
+    STORE_HASH_BYTES = 16,
+};
+
+struct store {
+    sqlite3 *db;
+    sqlite3_stmt *get, *put, *get_blob;
+    bool building;
+    char path[FILE_PATH_MAX]; /* as the caller named it */
+    char part[FILE_PATH_MAX]; /* building: where it is written */
+    struct store_meta meta;
+    struct store_tile *tiles; /* opened: sorted by key; building: in order of store_put */
+    size_t n_tiles, cap_tiles;
+    struct tree tree;     /* opened only */
+    struct store *before; /* building: the store that will be replaced, for tile versions; may be NULL */
+};
+
+/* ERR_IO / ERR_FORMAT / ERR_MEM by SQLite's code, "PATH: WHAT: sqlite's message". */
+enum err_code store_db_fail(const struct store *s, int code, const char *what, struct err *e);
+int64_t store_db_id(struct key k);
+void store_db_hash_out(struct hash128 h, uint8_t out[STORE_HASH_BYTES]);
+/* Over everything in `t`, so that a damaged index row is seen. */
+enum err_code store_db_row_hash(const struct store_tile *t, struct hash128 *out, struct err *e) ERR_USE;
+int store_db_tile_compare(const void *a, const void *b);
+
+#endif

@@ -1,0 +1,232 @@
+/* 3D Tiles 1.1 and TileJSON 3.0.0 of a store: what map engines read first.
+ *
+ * One explicit document, REPLACE, one glb a tile. The root's transform is east-north-up at the scene's origin to
+ * ECEF, moved to the root tile's centre; below it only translations, because engines share one rotation (and
+ * one rotation of SH) between the tiles of a tileset. Boxes are in each tile's own z-up frame. Both names of
+ * the splat extensions stand in the tileset's own extensions block: CesiumJS chooses its splat path from there.
+ * 3DTILES_content_gltf itself is never required in 1.1 (specification, section "glTF").
+ *
+ * Written by hand rather than through jansson: a city has 10^5 tiles, and numbers need 17 digits only in the root.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include <jansson.h>
+
+#include "lod/lod.h"
+#include "lod/tree.h"
+
+#define TILESET_TOP_ERROR 4.0 /* of the root's: from how far away the root itself is shown */
+
+struct tileset {
+    const struct store_tile *tiles;
+    const struct tree *tree;
+    const char *content;
+    struct buf *out;
+};
+
+/* A JSON string with everything escaped that must be. */
+static void tileset_text(struct buf *b, const char *text)
+{
+    json_t *j = json_string(text);
+    char *s = j ? json_dumps(j, JSON_ENCODE_ANY | JSON_ENSURE_ASCII) : NULL;
+    if (s)
+        buf_printf(b, "%s", s);
+    else
+        buf_printf(b, "\"\""); /* not UTF-8, or out of memory */
+    free(s);
+    json_decref(j);
+}
+
+/* The template with {z}, {x}, {y} filled in. */
+static void tileset_uri(struct buf *b, const char *template, struct key k)
+{
+    struct buf uri = {0};
+    for (const char *p = template; *p; p++) {
+        bool slot = p[0] == '{' && p[1] && p[2] == '}';
+        if (slot && (p[1] == 'z' || p[1] == 'x' || p[1] == 'y')) {
+            buf_printf(&uri, "%u", p[1] == 'z' ? k.z : p[1] == 'x' ? k.x : k.y);
+            p += 2;
+        } else {
+            buf_u8(&uri, (unsigned char)*p);
+        }
+    }
+    buf_u8(&uri, 0);
+    if (uri.failed)
+        b->failed = true;
+    else
+        tileset_text(b, (const char *)uri.data);
+    buf_free(&uri);
+}
+
+static void tileset_center(const struct tileset *t, const struct tree_node *v, double center[3])
+{
+    for (size_t k = 0; k < 3; k++)
+        center[k] = v->tile == TREE_NONE ? 0.0 : t->tiles[v->tile].center_enu_m[k];
+}
+
+static void tileset_matrix(struct buf *b, const double m[16])
+{
+    buf_printf(b, "\"transform\":[");
+    for (size_t i = 0; i < 16; i++)
+        buf_printf(b, "%s%.17g", i ? "," : "", m[i]);
+    buf_printf(b, "],");
+}
+
+static void tileset_node(const struct tileset *t, uint32_t index, const double m[16])
+{
+    const struct tree_node *v = &t->tree->nodes[index];
+    double center[3];
+    tileset_center(t, v, center);
+    buf_printf(t->out, "{");
+    tileset_matrix(t->out, m);
+    buf_printf(t->out, "\"boundingVolume\":{\"box\":[");
+    for (size_t k = 0; k < 3; k++)
+        buf_printf(t->out, "%.6f,", 0.5 * (v->min_enu_m[k] + v->max_enu_m[k]) - center[k]);
+    for (size_t i = 0; i < 9; i++) {
+        size_t k = i / 3;
+        /* Half a micrometre up, so that rounding never cuts. */
+        double half = i % 3 == k ? 0.5 * (v->max_enu_m[k] - v->min_enu_m[k]) + 1e-6 : 0.0;
+        buf_printf(t->out, "%s%.6f", i ? "," : "", half);
+    }
+    buf_printf(t->out, "]},\"geometricError\":%.9g", v->geometric_error_m);
+    if (v->parent == TREE_NONE)
+        buf_printf(t->out, ",\"refine\":\"REPLACE\"");
+    if (v->tile != TREE_NONE) {
+        buf_printf(t->out, ",\"content\":{\"uri\":");
+        tileset_uri(t->out, t->content, t->tiles[v->tile].key);
+        buf_printf(t->out, "}");
+    }
+    for (uint32_t i = 0; i < v->child_count; i++) {
+        uint32_t c = t->tree->children[v->child_first + i];
+        double at[3], move[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
+        tileset_center(t, &t->tree->nodes[c], at);
+        for (size_t k = 0; k < 3; k++)
+            move[12 + k] = at[k] - center[k];
+        buf_printf(t->out, "%s", i ? "," : ",\"children\":[");
+        tileset_node(t, c, move); /* at most KEY_ZOOM_MAX + 1 deep */
+    }
+    buf_printf(t->out, "%s}", v->child_count ? "]" : "");
+}
+
+enum err_code tileset_write(const struct store *s, const char *content_template, struct buf *out,
+                            struct err *e)
+{
+    const struct store_meta *m = store_info(s);
+    struct tileset t = {.tree = store_tree(s), .content = content_template, .out = out};
+    size_t n;
+    t.tiles = store_tiles(s, &n);
+    if (n == 0)
+        return err_set(e, ERR_DATA, "tileset: the store has no tiles");
+    const struct tree_node *root = &t.tree->nodes[t.tree->root];
+    double ecef[16], center[3];
+    enum err_code rc = geo_enu_to_ecef(&m->origin, ecef, e);
+    if (rc)
+        return rc;
+    tileset_center(&t, root, center);
+    for (size_t r = 0; r < 3; r++)
+        ecef[12 + r] += ecef[r] * center[0] + ecef[4 + r] * center[1] + ecef[8 + r] * center[2];
+    static const char names[] =
+        "[\"KHR_gaussian_splatting\",\"KHR_gaussian_splatting_compression_spz_2\"]";
+    buf_printf(out, "{\"asset\":{\"version\":\"1.1\",\"tilesetVersion\":\"%s\"", m->revision);
+    if (m->attribution[0]) {
+        buf_printf(out, ",\"extras\":{\"cesium\":{\"credits\":[{\"html\":");
+        tileset_text(out, m->attribution);
+        buf_printf(out, ",\"showOnScreen\":true}]}}");
+    }
+    buf_printf(out,
+               "},\"extensionsUsed\":[\"3DTILES_content_gltf\"],\"extensions\":{\"3DTILES_content_gltf\":"
+               "{\"extensionsUsed\":%s,\"extensionsRequired\":%s}},\"geometricError\":%.9g,\"root\":",
+               names, names, TILESET_TOP_ERROR * fmax(root->geometric_error_m, t.tiles[0].geometric_error_m));
+    tileset_node(&t, t.tree->root, ecef);
+    buf_printf(out, "}\n");
+    return buf_check(out, e);
+}
+
+/* ---- TileJSON ---- */
+
+/* West, south, east, north of the finest tiles there are. */
+static void tileset_bounds(const struct store *s, double out[4])
+{
+    const struct tree *t = store_tree(s);
+    size_t n;
+    const struct store_tile *tiles = store_tiles(s, &n);
+    out[0] = out[1] = HUGE_VAL;
+    out[2] = out[3] = -HUGE_VAL;
+    for (size_t i = 0; i < n; i++) {
+        if (t->nodes[i].child_count > 0)
+            continue;
+        double w, so, ea, no;
+        key_bounds(tiles[i].key, &w, &so, &ea, &no);
+        out[0] = fmin(out[0], w);
+        out[1] = fmin(out[1], so);
+        out[2] = fmax(out[2], ea);
+        out[3] = fmax(out[3], no);
+    }
+}
+
+/* One row a tile, so that a client can select levels and keep a budget without asking again. */
+static void tileset_rows(const struct store *s, struct buf *out)
+{
+    const struct tree *t = store_tree(s);
+    size_t n;
+    const struct store_tile *tiles = store_tiles(s, &n);
+    buf_printf(out, "\"tile_fields\":[\"z\",\"x\",\"y\",\"level\",\"version\",\"count\",\"bytes\","
+                    "\"geometric_error_m\",\"sigma_max_m\",\"center_e\",\"center_n\",\"center_u\","
+                    "\"min_e\",\"min_n\",\"min_u\",\"max_e\",\"max_n\",\"max_u\"],\n\"tiles\":[");
+    for (size_t i = 0; i < n; i++) {
+        const struct store_tile *x = &tiles[i];
+        buf_printf(out, "%s\n[%u,%u,%u,%u,%u,%u,%llu,%.7g,%.7g", i ? "," : "", x->key.z, x->key.x, x->key.y,
+                   x->level, x->version, x->count, (unsigned long long)x->bytes, t->nodes[i].geometric_error_m,
+                   x->sigma_max_m);
+        for (size_t k = 0; k < 3; k++)
+            buf_printf(out, ",%.17g", x->center_enu_m[k]);
+        for (size_t k = 0; k < 3; k++)
+            buf_printf(out, ",%.4f", x->min_enu_m[k] - 1e-4); /* outwards, whatever the rounding */
+        for (size_t k = 0; k < 3; k++)
+            buf_printf(out, ",%.4f", x->max_enu_m[k] + 1e-4);
+        buf_printf(out, "]");
+    }
+    buf_printf(out, "]");
+}
+
+enum err_code tileset_tilejson(const struct store *s, const char *tiles_template, struct buf *out,
+                               struct err *e)
+{
+    const struct store_meta *m = store_info(s);
+    size_t n;
+    const struct store_tile *tiles = store_tiles(s, &n);
+    if (n == 0)
+        return err_set(e, ERR_DATA, "tilejson: the store has no tiles");
+    const struct tree_node *root = &store_tree(s)->nodes[store_tree(s)->root];
+    double b[4];
+    uint64_t total = 0, bytes = 0;
+    uint8_t top = 0;
+    for (size_t i = 0; i < n; i++) {
+        total += store_tree(s)->nodes[i].child_count ? 0 : tiles[i].count;
+        bytes += tiles[i].bytes;
+        top = tiles[i].level > top ? tiles[i].level : top;
+    }
+    tileset_bounds(s, b);
+    buf_printf(out, "{\"tilejson\":\"3.0.0\",\"name\":\"%s\",\"version\":\"1.0.0\",\"scheme\":\"xyz\",\"tiles\":[",
+               m->name);
+    tileset_text(out, tiles_template);
+    buf_printf(out, "],\"vector_layers\":[],\"minzoom\":%u,\"maxzoom\":%u,\"attribution\":", m->zoom_min, m->zoom_max);
+    tileset_text(out, m->attribution);
+    buf_printf(out, ",\n\"bounds\":[%.12g,%.12g,%.12g,%.12g],\"center\":[%.12g,%.12g,%u],\n", b[0], b[1], b[2], b[3],
+               0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3]), m->zoom_max);
+    buf_printf(out, "\"splats\":{\"revision\":\"%s\",\"created\":\"%s\",\"origin\":[%.17g,%.17g,%.17g],"
+                    "\"frame\":\"enu\",\"levels\":%u,\"sh_degree\":%u,\"embed_len\":%u,\"antialiased\":%s,"
+                    "\"gaussians\":%llu,\"store_bytes\":%llu,\n\"box_enu_m\":[",
+               m->revision, m->created, m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m, top, m->sh_degree,
+               m->embed_len, m->antialiased ? "true" : "false", (unsigned long long)total, (unsigned long long)bytes);
+    for (size_t k = 0; k < 6; k++)
+        buf_printf(out, "%s%.3f", k ? "," : "", k < 3 ? root->min_enu_m[k] : root->max_enu_m[k - 3]);
+    buf_printf(out, "],\n");
+    tileset_rows(s, out);
+    buf_printf(out, "}}\n");
+    return buf_check(out, e);
+}

@@ -1,0 +1,139 @@
+/* The tiles of a store as a tree. Two passes over the sorted index: downwards each tile finds its nearest existing
+ * ancestor, upwards (parents come first, so backwards) bounds are united and geometric errors made strictly
+ * larger than those below.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "lod/tree.h"
+
+#include <math.h>
+#include <string.h>
+
+uint32_t tree_find(const struct store_tile *tiles, size_t n, struct key k)
+{
+    size_t lo = 0, hi = n;
+    while (lo < hi) {
+        size_t mid = lo + (hi - lo) / 2;
+        int c = key_compare(tiles[mid].key, k);
+        if (c == 0)
+            return (uint32_t)mid;
+        if (c < 0)
+            lo = mid + 1;
+        else
+            hi = mid;
+    }
+    return TREE_NONE;
+}
+
+static uint32_t tree_ancestor(const struct store_tile *tiles, size_t n, struct key k)
+{
+    while (k.z > 0) {
+        k = key_parent(k);
+        uint32_t i = tree_find(tiles, n, k);
+        if (i != TREE_NONE)
+            return i;
+    }
+    return TREE_NONE;
+}
+
+/* Fill the child slices from the parents; children come out ascending. */
+static void tree_link(struct tree *t)
+{
+    for (size_t i = 0; i < t->n_nodes; i++)
+        if (t->nodes[i].parent != TREE_NONE)
+            t->nodes[t->nodes[i].parent].child_count++;
+    uint32_t at = 0;
+    for (size_t i = 0; i < t->n_nodes; i++) {
+        t->nodes[i].child_first = at;
+        at += t->nodes[i].child_count;
+        t->nodes[i].child_count = 0;
+    }
+    for (size_t i = 0; i < t->n_nodes; i++) {
+        if (t->nodes[i].parent == TREE_NONE)
+            continue;
+        struct tree_node *p = &t->nodes[t->nodes[i].parent];
+        t->children[p->child_first + p->child_count++] = (uint32_t)i;
+    }
+}
+
+/* Unite bounds and raise errors along the edge from `c` to its parent `p`. */
+static void tree_raise(struct tree_node *p, const struct tree_node *c)
+{
+    for (size_t k = 0; k < 3; k++) {
+        p->min_enu_m[k] = fmin(p->min_enu_m[k], c->min_enu_m[k]);
+        p->max_enu_m[k] = fmax(p->max_enu_m[k], c->max_enu_m[k]);
+    }
+    p->sigma_max_m = fmax(p->sigma_max_m, c->sigma_max_m);
+    p->geometric_error_m = fmax(p->geometric_error_m, TREE_ERROR_GROWTH * c->geometric_error_m);
+}
+
+static void tree_measure(struct tree *t, const struct store_tile *tiles, size_t n)
+{
+    for (size_t i = n; i-- > 0;) {
+        struct tree_node *v = &t->nodes[i];
+        if (v->child_count == 0)
+            v->geometric_error_m = 0.0;
+        else if (!(v->geometric_error_m >= tiles[i].geometric_error_m))
+            v->geometric_error_m = tiles[i].geometric_error_m;
+        if (v->parent != TREE_NONE)
+            tree_raise(&t->nodes[v->parent], v);
+    }
+    /* A root without content draws nothing, so its own error is that of an empty picture: twice the tiles'. */
+    if (t->root == n) {
+        struct tree_node *r = &t->nodes[t->root];
+        for (size_t i = 0; i < n; i++)
+            r->geometric_error_m = fmax(r->geometric_error_m, 2.0 * tiles[i].geometric_error_m);
+    }
+}
+
+enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *out, struct err *e)
+{
+    *out = (struct tree){.root = TREE_NONE};
+    if (n == 0)
+        return ERR_OK;
+    if (n >= TREE_NONE)
+        return err_set(e, ERR_LIMIT, "tree: %zu tiles, at most 2^32 - 2", n);
+    struct tree t = {.nodes = mem_array(n + 1, sizeof *t.nodes),
+                     .children = mem_array(n + 1, sizeof *t.children),
+                     .n_nodes = n,
+                     .root = TREE_NONE};
+    if (!t.nodes || !t.children) {
+        tree_free(&t);
+        return err_set(e, ERR_MEM, "tree: out of memory for %zu tiles", n);
+    }
+    size_t roots = 0;
+    for (size_t i = 0; i < n; i++) {
+        struct tree_node *v = &t.nodes[i];
+        v->tile = (uint32_t)i;
+        v->sigma_max_m = tiles[i].sigma_max_m;
+        v->parent = tree_ancestor(tiles, n, tiles[i].key);
+        memcpy(v->min_enu_m, tiles[i].min_enu_m, sizeof v->min_enu_m);
+        memcpy(v->max_enu_m, tiles[i].max_enu_m, sizeof v->max_enu_m);
+        if (v->parent == TREE_NONE && roots++ == 0)
+            t.root = (uint32_t)i;
+    }
+    if (roots > 1) {
+        t.root = (uint32_t)n;
+        t.n_nodes = n + 1;
+        struct tree_node *r = &t.nodes[n];
+        *r = (struct tree_node){.tile = TREE_NONE, .parent = TREE_NONE};
+        for (size_t k = 0; k < 3; k++) {
+            r->min_enu_m[k] = HUGE_VAL;
+            r->max_enu_m[k] = -HUGE_VAL;
+        }
+        for (size_t i = 0; i < n; i++)
+            if (t.nodes[i].parent == TREE_NONE)
+                t.nodes[i].parent = t.root;
+    }
+    tree_link(&t);
+    tree_measure(&t, tiles, n);
+    *out = t;
+    return ERR_OK;
+}
+
+void tree_free(struct tree *t)
+{
+    mem_free(t->nodes);
+    mem_free(t->children);
+    *t = (struct tree){.root = TREE_NONE};
+}
