@@ -83,7 +83,7 @@ inline void project_color(__constant struct layout_view *v, __global const float
         for (uint ch = 0; ch < 3; ch++)
             rgb[ch] = basis[k] * LD(g, 11 + 3 * k + ch) + rgb[ch];
     for (uint ch = 0; ch < 3; ch++)
-        rgb[ch] = MAX_(rgb[ch], 0.0f);
+        rgb[ch] = CLAMP_(rgb[ch], 0.0f, 1e30f); // finite: blending multiplies it by zeros
 }
 
 #if VW == 16
@@ -138,9 +138,9 @@ inline void project_some(__constant struct layout_view *v, __global const float 
     V mx = v->fx * (s.cam[0] * s.inv_z) + v->cx, my = v->fy * (s.cam[1] * s.inv_z) + v->cy;
     V lo = log(s.opacity * s.rho) * LOG2E, reach = lo - ALPHA_MIN_LOG2;
     V sigmas2 = (reach > 0.0f ? reach : (V)(0.0f)) * (2.0f / LOG2E);
-    V hx = sqrt(sigmas2 * s.s00), hy = sqrt(sigmas2 * s.s11), half = MAX_(hx, hy);
+    V hx = sqrt(sigmas2 * s.s00), hy = sqrt(sigmas2 * s.s11), largest = MAX_(hx, hy);
     live &= (mx + hx > 0.0f) & (mx - hx < (float)v->width) & (my + hy > 0.0f) & (my - hy < (float)v->height);
-    live &= (s.cam[2] >= 4.0f * v->near_m) | (half <= v->half_max_px);
+    live &= (s.cam[2] >= 4.0f * v->near_m) | (largest <= v->half_max_px);
     if (!ANY(live))
         return;
     V i11 = 1.0f / s.s11, x_of_y = s.s01 * i11, y_of_x = s.s01 / s.s00;

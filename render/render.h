@@ -115,6 +115,17 @@ struct render_density_stats {
 enum err_code render_backward_step(struct render *r, struct render_model *m, struct render_adam *adam,
                                    struct render_density_stats *stats, struct err *e) ERR_USE;
 
+/* ---- importance for density control: see render_score.c ------------------------------------------ */
+
+struct render_score; /* compiled kernels and buffers; borrows the renderer; one caller at a time */
+enum err_code render_score_open(struct render *r, struct render_score **out, struct err *e) ERR_USE;
+void render_score_close(struct render_score **s); /* before render_close */
+/* Sums over the pixels that a Gaussian was blended into in the last frame of m. weight: float [h][w] on the
+ * device, what each pixel counts. sums (host): float [n][8]: sum of weight, number of pixels, sum of alpha T,
+ * sum of distances pixel - mean in px, depth in m, half-size in px, 0, 0; all 0 where invisible. */
+enum err_code render_score_run(struct render_score *s, const struct render_model *m, cl_mem weight,
+                               float *sums, struct err *e) ERR_USE;
+
 /* ---- the reference, double precision: see render_ref.c ------------------------------------------ */
 
 /* Brute force, per pixel over all splats in depth order. rgb [h][w][3], transmittance [h][w] or NULL. */

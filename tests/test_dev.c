@@ -100,6 +100,7 @@ static void test_build_and_run(void **state)
         unsigned char want = ((const unsigned char *)x)[i];
         assert_int_equal(bytes[i], i >= hole.at && i < hole.at + hole.n ? 0 : want);
     }
+    clReleaseKernel(k);
     assert_int_equal(dev_kernel(p, "no_such_kernel", &k, &e), ERR_DEVICE);
     assert_null(k);
     assert_non_null(strstr(e.msg, "no_such_kernel"));

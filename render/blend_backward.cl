@@ -1,0 +1,168 @@
+// Stage: blend, backward, CPU shape. From dL/dcolour of every pixel to eleven sums of every (splat, tile)
+// pair. Compiled after blend_cpu.cl, whose masks and names it shares.
+//   in   splats, tile_start, entry_splat, entry_slot; color, color_grad [3][h][w]
+//   out  slots [entries][LAYOUT_SLOT_FLOATS]; marks [entries], 1 where a slot was written (the host clears
+//        them: entries behind the stop are never visited)
+// Front to back once more, so every decision is that of blend to the last bit. With g = dL/dC of a pixel,
+// w = alpha T and P the colour summed so far (this splat included), the colour behind is C - P, hence
+//     dL/dalpha = T (g.rgb) - rest / (1 - alpha),   rest = g.C - sum w (g.rgb),
+// and nothing walks back through small T. What a Gaussian needs is sums over its pixels: w g for the colour,
+// and with q = alpha dL/dalpha (that is dL/d ln alpha; 0 where alpha was cut to its maximum) the moments of
+// q in the whitened offset (u, v), in which the falloff is exp2(-u^2 - v^2):
+//     0-2  w g      3  q    4  q u    5  q v    6  q u^2    7  q u v    8  q v^2
+//     9  |q u|     10  |q (r v - p x_of_y u)|: moduli of the two pixel gradients, up to a factor
+// Whitened moments stay of the order of q however long and thin the splat is.
+// One work-item is one tile; every slot has one writer and every sum one order: same input, same bits.
+// Reference: render_ref_backward. Absolute gradients: AbsGS, Ye et al. 2024.
+
+// Lane sums of vectors, by halves in a fixed order: 16 -> 8 -> 4 -> 1 lanes each.
+inline float16 fold_8(float16 a, float16 b)
+{
+    return (float16)(a.lo + a.hi, b.lo + b.hi);
+}
+
+inline float16 fold_4(float16 ab, float16 cd)
+{
+    return (float16)(ab.s0123 + ab.s4567, ab.s89ab + ab.scdef, cd.s0123 + cd.s4567, cd.s89ab + cd.scdef);
+}
+
+inline float4 fold_1(float16 abcd)
+{
+    float8 e = (float8)(abcd.s01, abcd.s45, abcd.s89, abcd.scd) +
+               (float8)(abcd.s23, abcd.s67, abcd.sab, abcd.sef);
+    return e.even + e.odd;
+}
+
+struct backward_state { // of each block; pixels beyond the picture's edge have t 0
+    float16 t[16], rest[16], g[16][3];
+};
+
+// One block of a planar picture, 0 beyond its edges.
+inline float16 backward_block(__global const float *plane, uint w, uint h, uint x, uint y)
+{
+    float v[16];
+    if (x + 4 <= w && y + 4 <= h) {
+        for (uint row = 0; row < 4; row++)
+            vstore4(vload4(0, plane + (size_t)(y + row) * w + x), row, v);
+    } else {
+        for (uint i = 0; i < 16; i++) {
+            uint px = x + (i & 3), py = y + (i >> 2);
+            v[i] = px < w && py < h ? plane[(size_t)py * w + px] : 0.0f;
+        }
+    }
+    return vload16(0, v);
+}
+
+inline void backward_load(struct backward_state *s, __constant struct layout_view *view,
+                          __global const float *color, __global const float *grad, uint px, uint py)
+{
+    uint w = view->width, h = view->height;
+    size_t plane = (size_t)w * h;
+    for (uint k = 0; k < 16; k++) {
+        uint bx = px + 4 * (k & 3), by = py + 4 * (k >> 2);
+        float16 x = (float)bx + LANE_X, y = (float)by + LANE_Y;
+        int16 inside = (x < (float)w) & (y < (float)h);
+        float16 rest = (float16)(0.0f);
+        for (uint c = 0; c < 3; c++) {
+            s->g[k][c] = backward_block(grad + c * plane, w, h, bx, by);
+            rest = s->g[k][c] * backward_block(color + c * plane, w, h, bx, by) + rest;
+        }
+        s->rest[k] = rest;
+        s->t[k] = inside ? (float16)(1.0f) : (float16)(0.0f);
+    }
+}
+
+inline uint backward_active(const struct backward_state *s, uint active)
+{
+    for (uint left = active; left;) {
+        uint k = 31 - clz(left);
+        left ^= 1u << k;
+        if (!any(s->t[k] > T_STOP))
+            active ^= 1u << k;
+    }
+    return active;
+}
+
+// One splat over some blocks: moves the pixels on and writes the slot.
+inline void backward_entry(struct backward_state *s, const float *rec, float x0, float y0, uint blocks,
+                           __global float *slot)
+{
+    float16 red = 0.0f, green = 0.0f, blue = 0.0f, m = 0.0f, mu = 0.0f, mv = 0.0f, muu = 0.0f, muv = 0.0f,
+            mvv = 0.0f, abs_x = 0.0f, abs_y = 0.0f;
+    float mx = rec[MEAN_X] - x0, my = rec[MEAN_Y] - y0, cross = rec[P] * rec[X_OF_Y];
+    while (blocks) {
+        uint k = 31 - clz(blocks);
+        blocks ^= 1u << k;
+        float16 dx = (mx - (float)(4 * (k & 3))) - LANE_X, dy = (my - (float)(4 * (k >> 2))) - LANE_Y;
+        float16 raw = splat_raw(dx, dy, rec[P], rec[X_OF_Y], rec[R], rec[OPACITY_LOG2]), t = s->t[k];
+        float16 a = MIN_(raw, ALPHA_MAX);
+        a = t > T_STOP ? a : (float16)(0.0f);
+        float16 share = a * t;
+        s->t[k] = t - share; // so far as blend has it
+        float16 u = (dx - rec[X_OF_Y] * dy) * rec[P], v = dy * rec[R];
+        float16 g0 = s->g[k][0], g1 = s->g[k][1], g2 = s->g[k][2];
+        float16 gc = g0 * rec[RED] + (g1 * rec[GREEN] + g2 * rec[BLUE]);
+        float16 rest = s->rest[k] - share * gc;
+        s->rest[k] = rest;
+        red = share * g0 + red;
+        green = share * g1 + green;
+        blue = share * g2 + blue;
+        float16 q = a * (t * gc - rest / (1.0f - a));
+        q = raw > ALPHA_MAX ? (float16)(0.0f) : q;
+        float16 qu = q * u, qv = q * v;
+        m += q;
+        mu += qu;
+        mv += qv;
+        muu = qu * u + muu;
+        muv = qu * v + muv;
+        mvv = qv * v + mvv;
+        abs_x += fabs(qu);
+        abs_y += fabs(rec[R] * qv - cross * qu);
+    }
+    vstore4(fold_1(fold_4(fold_8(red, green), fold_8(blue, m))), 0, slot);
+    vstore4(fold_1(fold_4(fold_8(mu, mv), fold_8(muu, muv))), 1, slot);
+    vstore3(fold_1(fold_4(fold_8(mvv, abs_x), fold_8(abs_y, abs_y))).xyz, 0, slot + 8);
+}
+
+__kernel void blend_backward(__constant struct layout_view *view,
+                             __global const struct layout_splat *splats, __global const uint *tile_start,
+                             __global const uint *entry_splat, __global const uint *entry_slot,
+                             __global const float *color, __global const float *color_grad,
+                             __global float *slots, __global uchar *marks)
+{
+    uint tile = (uint)get_global_id(0);
+    if (tile >= view->tiles_x * view->tiles_y)
+        return;
+    uint px = (tile % view->tiles_x) * LAYOUT_TILE, py = (tile / view->tiles_x) * LAYOUT_TILE;
+    float x0 = (float)px + 0.5f, y0 = (float)py + 0.5f;
+    uint at = tile_start[tile], end = tile_start[tile + 1], active = 0xFFFF;
+    float staged[BATCH * 16];
+    uint mask[BATCH];
+    struct backward_state s;
+
+    if (at == end)
+        return;
+    backward_load(&s, view, color, color_grad, px, py);
+    active = backward_active(&s, active);
+    for (uint j = 0; j < BATCH * 16; j += 16)
+        vstore16((float16)(0.0f), 0, staged + j); // a short last batch masks what it does not use
+    while (at < end && active) {
+        uint n = min(end - at, (uint)BATCH);
+        for (uint j = 0; j < n; j++)
+            vstore16(vload16(entry_splat[at + j], (__global const float *)splats), j, staged);
+        for (uint j = 0; j < n; j += 16)
+            blend_masks(staged + 16 * j, x0, y0, view->tile_cull, mask + j);
+        for (uint j = 0; j < n && active; j++) {
+            uint blocks = mask[j] & active;
+            if (blocks) {
+                uint slot = entry_slot[at + j];
+                marks[slot] = 1;
+                backward_entry(&s, staged + 16 * j, x0, y0, blocks,
+                               slots + (size_t)slot * LAYOUT_SLOT_FLOATS);
+            }
+            if (j % CHECK_EVERY == CHECK_EVERY - 1)
+                active = backward_active(&s, active);
+        }
+        at += n;
+    }
+}

@@ -1,0 +1,712 @@
+/* The forward kernels against the double-precision reference, and what must hold for any scene: tiles change
+ * nothing, two runs give the same bits, distance from the origin does not matter, nonsense is culled.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/camera.h"
+#include "core/dev.h"
+#include "render/frame.h"
+#include "render/render_ref.h"
+
+/* Float against double: typical pixels agree to a few rounding errors of sums of tens of terms. */
+#define RMS_TOL 4e-6
+/* A splat at the 1/255 cut-off may be drawn by one and not by the other: 0.004 of its colour (about 1). */
+#define MAX_TOL 6e-3
+/* How many pixels may be off by more than rounding: those with a splat within 1e-5 of the cut-off. */
+#define ROUNDING_TOL 5e-5
+#define OUTLIERS_PER_VALUE 2e-3
+
+static struct dev dev;
+static struct render *render;
+
+static int setup(void **state)
+{
+    struct err e = {0};
+    (void)state;
+    if (dev_open(NULL, &dev, &e) != ERR_OK || render_open(&dev, &render, &e) != ERR_OK) {
+        print_error("%s\n", e.msg);
+        return 1;
+    }
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    (void)state;
+    render_close(&render);
+    render_close(&render); /* idempotent */
+    dev_close(&dev);
+    return 0;
+}
+
+struct picture {
+    float *rgb, *t;
+    size_t pixels;
+};
+
+static void picture_free(struct picture *p)
+{
+    mem_free(p->rgb);
+    mem_free(p->t);
+    memset(p, 0, sizeof *p);
+}
+
+static struct picture draw_with(struct render *r, const struct gauss *g, const struct camera *cam,
+                                const struct render_options *o)
+{
+    struct err e = {0};
+    struct render_model m = {0};
+    struct picture p = {.pixels = (size_t)cam->width_px * cam->height_px};
+    p.rgb = mem_array(3 * p.pixels, sizeof *p.rgb);
+    p.t = mem_array(p.pixels, sizeof *p.t);
+    assert_non_null(p.rgb);
+    assert_non_null(p.t);
+    kit_ok(render_model_upload(r, g, &m, &e), e);
+    kit_ok(render_forward(r, &m, cam, o, p.rgb, p.t, &e), e);
+    render_model_free(&m);
+    return p;
+}
+
+static struct picture draw(const struct gauss *g, const struct camera *cam, const struct render_options *o)
+{
+    return draw_with(render, g, cam, o);
+}
+
+static void compare(const char *what, const float *got, const double *want, size_t n)
+{
+    double sum = 0, worst = 0;
+    size_t at = 0, outliers = 0;
+    for (size_t i = 0; i < n; i++) {
+        double d = fabs((double)got[i] - want[i]);
+        assert_true(isfinite(got[i]));
+        if (d > worst) {
+            worst = d;
+            at = i;
+        }
+        if (d > ROUNDING_TOL)
+            outliers++;
+        else
+            sum += d * d;
+    }
+    if (worst > MAX_TOL || sqrt(sum / (double)n) > RMS_TOL ||
+        (double)outliers > 1 + OUTLIERS_PER_VALUE * (double)n)
+        fail_msg("%s: rms %.3g (limit %.3g), %zu of %zu beyond rounding, worst [%zu] got %.9g want %.9g",
+                 what, sqrt(sum / (double)n), RMS_TOL, outliers, n, at, (double)got[at], want[at]);
+}
+
+/* Device against reference for one view. */
+static void check(const char *what, const struct gauss *g, const struct camera *cam,
+                  const struct render_options *o)
+{
+    struct err e = {0};
+    struct picture p = draw(g, cam, o);
+    double *rgb = mem_array(3 * p.pixels, sizeof *rgb), *t = mem_array(p.pixels, sizeof *t);
+    assert_non_null(rgb);
+    assert_non_null(t);
+    kit_ok(render_ref_forward(g, cam, o, rgb, t, &e), e);
+    compare(what, p.rgb, rgb, 3 * p.pixels);
+    compare(what, p.t, t, p.pixels);
+    mem_free(rgb);
+    mem_free(t);
+    picture_free(&p);
+}
+
+static struct camera view_from(double x, double y, double z, uint32_t width, uint32_t height)
+{
+    const double eye[3] = {x, y, z}, target[3] = {0.2, -0.1, 0.1};
+    return camera_look_at(eye, target, 0.9, width, height);
+}
+
+static const struct render_options PLAIN = {.aa = RENDER_AA_2D, .sh_degree = -1};
+
+/* ---- against the reference ---------------------------------------------------------------------------- */
+
+static void test_counts_and_sizes(void **state)
+{
+    static const size_t counts[] = {0, 1, 15, 16, 17, 300};
+    static const uint32_t sizes[][2] = {{64, 48}, {1, 1}, {17, 33}, {50, 16}};
+    (void)state;
+    for (size_t c = 0; c < sizeof counts / sizeof *counts; c++)
+        for (size_t s = 0; s < sizeof sizes / sizeof *sizes; s++) {
+            struct gauss g;
+            struct render_options o = PLAIN;
+            char what[64];
+            snprintf(what, sizeof what, "n %zu, %u x %u", counts[c], sizes[s][0], sizes[s][1]);
+            o.background[0] = 0.25f;
+            o.background[1] = 0.5f;
+            o.background[2] = 1.0f;
+            kit_gauss(11 + c, counts[c], 3.0, 3, 0, &g);
+            struct camera cam = view_from(7, -5, 6, sizes[s][0], sizes[s][1]);
+            check(what, &g, &cam, &o);
+            gauss_free(&g);
+        }
+}
+
+static void test_antialiasing_modes(void **state)
+{
+    (void)state;
+    for (int aa = RENDER_AA_NONE; aa <= RENDER_AA_MIP; aa++) {
+        struct gauss g;
+        struct render_options o = PLAIN;
+        char what[32];
+        snprintf(what, sizeof what, "aa %d", aa);
+        o.aa = (enum render_aa)aa;
+        kit_gauss(21, 250, 3.0, 1, 0, &g);
+        for (size_t i = 0; i < g.n; i += 2) /* some smaller than a pixel: that is where the modes differ */
+            for (int k = 0; k < 3; k++)
+                g.scale_log[3 * i + k] -= 3.0f;
+        struct camera cam = view_from(-8, 5, 4, 60, 44);
+        check(what, &g, &cam, &o);
+        gauss_free(&g);
+    }
+}
+
+static void test_modes_differ(void **state)
+{
+    struct gauss g;
+    struct picture p[3];
+    struct camera cam = view_from(40, 20, 10, 48, 48); /* far: splats below a pixel */
+    (void)state;
+    kit_gauss(22, 200, 3.0, 0, 0, &g);
+    double mass[3] = {0};
+    for (int aa = 0; aa < 3; aa++) {
+        struct render_options o = PLAIN;
+        o.aa = (enum render_aa)aa;
+        p[aa] = draw(&g, &cam, &o);
+        for (size_t i = 0; i < p[aa].pixels; i++)
+            mass[aa] += 1.0 - (double)p[aa].t[i];
+        picture_free(&p[aa]);
+    }
+    /* Without compensation the kernel adds mass; with it, both kernels keep about the same. */
+    assert_true(mass[RENDER_AA_NONE] > 1.2 * mass[RENDER_AA_2D]);
+    assert_true(fabs(mass[RENDER_AA_MIP] / mass[RENDER_AA_2D] - 1.0) < 0.25);
+    gauss_free(&g);
+}
+
+static void test_sh_degrees(void **state)
+{
+    (void)state;
+    for (uint32_t has = 0; has <= 3; has++)
+        for (int use = -1; use <= 3; use++) {
+            struct gauss g;
+            struct render_options o = PLAIN;
+            char what[48];
+            snprintf(what, sizeof what, "degree %u, limited to %d", has, use);
+            o.sh_degree = use;
+            kit_gauss(31 + has, 60, 3.0, has, 0, &g);
+            for (size_t i = 0; i < g.n * 3 * gauss_sh_count(has); i++)
+                g.sh[i] += (float)rng_normal(5, 6, i) * 0.5f; /* enough to reach the clamp at 0 */
+            struct camera cam = view_from(6, 6, 3, 40, 32);
+            check(what, &g, &cam, &o);
+            gauss_free(&g);
+        }
+}
+
+static void test_camera_inside(void **state)
+{
+    struct gauss g;
+    (void)state;
+    kit_gauss(41, 300, 3.0, 2, 0, &g);
+    struct camera cam = view_from(0.5, 0.4, 0.3, 64, 48);
+    check("inside", &g, &cam, &PLAIN);
+    struct render_options o = PLAIN;
+    o.near_m = 1.5;
+    check("inside, near plane at 1.5 m", &g, &cam, &o);
+    gauss_free(&g);
+}
+
+/* Behind, beside, and an off-centre principal point: both branches of the clamp in the Jacobian. */
+static void test_off_frustum(void **state)
+{
+    struct gauss g;
+    const double eye[3] = {0, -6, 1}, aside[3] = {9, 0, 1}, away[3] = {0, -20, 1};
+    (void)state;
+    kit_gauss(51, 200, 3.0, 0, 0, &g);
+    for (size_t i = 0; i < g.n; i++)
+        for (int k = 0; k < 3; k++)
+            g.scale_log[3 * i + k] += 0.7f;
+    struct camera cam = camera_look_at(eye, aside, 0.8, 64, 40);
+    cam.cx_px = 12.25;
+    cam.cy_px = 31.5;
+    check("beside", &g, &cam, &PLAIN);
+    cam = camera_look_at(eye, away, 0.8, 33, 31);
+    struct picture p = draw(&g, &cam, &PLAIN);
+    assert_int_equal(render_last_stats(render)->visible, 0);
+    for (size_t i = 0; i < p.pixels; i++)
+        assert_true(p.t[i] == 1.0f && p.rgb[3 * i] == 0.0f);
+    picture_free(&p);
+    gauss_free(&g);
+}
+
+static void test_saturated(void **state)
+{
+    struct gauss g;
+    (void)state;
+    kit_gauss(61, 300, 1.5, 0, 0, &g);
+    for (size_t i = 0; i < g.n; i++) {
+        g.opacity_logit[i] = 12.0f; /* alpha runs into 0.99, pixels into the stop */
+        for (int k = 0; k < 3; k++)
+            g.scale_log[3 * i + k] += 1.2f;
+    }
+    struct camera cam = view_from(4, -3, 3, 64, 48);
+    check("opaque", &g, &cam, &PLAIN);
+    struct picture p = draw(&g, &cam, &PLAIN);
+    size_t stopped = 0;
+    for (size_t i = 0; i < p.pixels; i++)
+        stopped += p.t[i] <= RENDER_T_STOP ? 1 : 0;
+    assert_true(stopped > p.pixels / 10); /* the case was reached */
+    picture_free(&p);
+    gauss_free(&g);
+}
+
+/* Splats taller than LAYOUT_BANDS tile rows, so that bands hold several; long diagonal needles among them. */
+static void test_large_splats(void **state)
+{
+    struct gauss g;
+    (void)state;
+    kit_gauss(71, 24, 2.0, 0, 0, &g);
+    for (size_t i = 0; i < g.n; i++) {
+        g.scale_log[3 * i] = 0.3f;
+        g.scale_log[3 * i + 1] = i % 2 ? -4.0f : -1.0f;
+        g.scale_log[3 * i + 2] = -4.0f;
+        g.opacity_logit[i] = -1.0f;
+    }
+    struct camera cam = view_from(3, -4, 3, 200, 344);
+    check("tall", &g, &cam, &PLAIN);
+    gauss_free(&g);
+}
+
+static void test_ties_are_by_index(void **state)
+{
+    struct gauss g;
+    (void)state;
+    kit_gauss(81, 40, 2.0, 0, 0, &g);
+    for (size_t i = 1; i < g.n; i++)
+        memcpy(&g.mean_m[3 * i], g.mean_m, 3 * sizeof(float)); /* forty splats at one place */
+    struct camera cam = view_from(5, 4, 3, 48, 48);
+    check("ties", &g, &cam, &PLAIN);
+    gauss_free(&g);
+}
+
+/* ---- properties ---------------------------------------------------------------------------------------- */
+
+static void expect_same_bits(const char *what, const struct picture *a, const struct picture *b)
+{
+    if (memcmp(a->rgb, b->rgb, 3 * a->pixels * sizeof(float)) ||
+        memcmp(a->t, b->t, a->pixels * sizeof(float)))
+        fail_msg("%s: pictures differ", what);
+}
+
+/* Exact tiles and block masks only skip what draws nothing: the same bits as with bounding boxes and no
+ * masks, for fewer entries. */
+static void test_culling_changes_nothing(void **state)
+{
+    struct gauss g;
+    (void)state;
+    kit_gauss(91, 1500, 4.0, 1, 0, &g);
+    for (size_t i = 0; i < g.n; i++)
+        g.scale_log[3 * i + i % 3] += 2.0f; /* needles and discs, where boxes are wasteful */
+    const double eyes[3][3] = {{9, 7, 5}, {-1, 2, 8}, {0.5, 0.2, 0.1}};
+    for (int k = 0; k < 3; k++) {
+        struct camera cam = view_from(eyes[k][0], eyes[k][1], eyes[k][2], 250, 187);
+        struct picture exact = draw(&g, &cam, &PLAIN);
+        uint64_t entries = render_last_stats(render)->entries;
+        render->box_tiles = true;
+        struct picture boxes = draw(&g, &cam, &PLAIN);
+        render->box_tiles = false;
+        assert_true(entries < render_last_stats(render)->entries);
+        expect_same_bits("tile culling", &exact, &boxes);
+        picture_free(&exact);
+        picture_free(&boxes);
+    }
+    gauss_free(&g);
+}
+
+static void test_repeatable(void **state)
+{
+    struct gauss g;
+    struct camera cam = view_from(8, -5, 5, 130, 70);
+    (void)state;
+    kit_gauss(101, 5000, 4.0, 3, 0, &g);
+    struct picture a = draw(&g, &cam, &PLAIN), b = draw(&g, &cam, &PLAIN);
+    expect_same_bits("two runs", &a, &b);
+    picture_free(&a);
+    picture_free(&b);
+    gauss_free(&g);
+}
+
+/* F20: the origin carries large coordinates, floats never see them. */
+static void test_far_from_origin(void **state)
+{
+    struct gauss g;
+    struct camera cam = view_from(8, -5, 5, 64, 48);
+    (void)state;
+    kit_gauss(111, 300, 4.0, 2, 0, &g);
+    struct picture near = draw(&g, &cam, &PLAIN);
+    const double far[3] = {1e6, -1e6, 500};
+    for (int i = 0; i < 3; i++) {
+        g.origin_enu_m[i] += far[i];
+        for (int k = 0; k < 3; k++)
+            cam.trans[i] -= cam.rot[3 * i + k] * far[k];
+    }
+    struct picture moved = draw(&g, &cam, &PLAIN);
+    for (size_t i = 0; i < 3 * near.pixels; i++)
+        /* 1e6 m in double is good to 1e-10 m: far below a pixel, so only rounding at cut-offs is left */
+        assert_true(fabsf(near.rgb[i] - moved.rgb[i]) <= 1.0f / 255);
+    check("far from origin", &g, &cam, &PLAIN);
+    picture_free(&near);
+    picture_free(&moved);
+    gauss_free(&g);
+}
+
+/* The whole chain is linear in colour: with T_final known, background enters as T * background. */
+static void test_background(void **state)
+{
+    struct gauss g;
+    struct camera cam = view_from(8, -5, 5, 70, 40);
+    struct render_options o = PLAIN;
+    (void)state;
+    kit_gauss(121, 200, 4.0, 0, 0, &g);
+    struct picture black = draw(&g, &cam, &o);
+    for (int c = 0; c < 3; c++)
+        o.background[c] = 0.3f * (float)(c + 1);
+    struct picture lit = draw(&g, &cam, &o);
+    for (size_t i = 0; i < 3 * black.pixels; i++)
+        assert_true(fabsf(black.rgb[i] + black.t[i / 3] * o.background[i % 3] - lit.rgb[i]) < 1e-6f);
+    picture_free(&black);
+    picture_free(&lit);
+    gauss_free(&g);
+}
+
+/* Buffers grow when a frame needs more than the last, whatever the order of frames. */
+static void test_growth(void **state)
+{
+    struct gauss small, large;
+    struct err e = {0};
+    struct render *fresh = NULL;
+    struct camera cam = view_from(6, -5, 5, 40, 30), wide = view_from(6, -5, 5, 300, 200);
+    (void)state;
+    kit_gauss(131, 10, 3.0, 0, 0, &small);
+    kit_gauss(132, 3000, 3.0, 1, 0, &large);
+    kit_ok(render_open(&dev, &fresh, &e), e);
+    struct picture a = draw_with(fresh, &small, &cam, &PLAIN), b = draw(&small, &cam, &PLAIN);
+    expect_same_bits("first frame", &a, &b);
+    size_t room = fresh->entry_splat.cap_bytes;
+    struct picture c = draw_with(fresh, &large, &wide, &PLAIN), d = draw(&large, &wide, &PLAIN);
+    expect_same_bits("grown", &c, &d);
+    assert_true(fresh->entry_splat.cap_bytes > room);
+    picture_free(&a);
+    a = draw_with(fresh, &small, &cam, &PLAIN);
+    expect_same_bits("small again", &a, &b);
+    render_close(&fresh);
+    picture_free(&a);
+    picture_free(&b);
+    picture_free(&c);
+    picture_free(&d);
+    gauss_free(&small);
+    gauss_free(&large);
+}
+
+static void test_limits(void **state)
+{
+    struct gauss g;
+    struct err e = {0};
+    struct render_model m;
+    struct camera cam = view_from(6, -5, 5, 64, 48);
+    float rgb[3 * 64 * 48];
+    (void)state;
+    kit_gauss(141, 200, 3.0, 0, 0, &g);
+    kit_ok(render_model_upload(render, &g, &m, &e), e);
+    uint64_t keep = render->entry_max;
+    render->entry_max = 10;
+    kit_fails(render_forward(render, &m, &cam, &PLAIN, rgb, NULL, &e), ERR_LIMIT, e, "pairs");
+    assert_false(render->drawn);
+    render->entry_max = keep;
+    kit_ok(render_forward(render, &m, &cam, &PLAIN, rgb, NULL, &e), e);
+    struct camera bad = cam;
+    bad.width_px = 0;
+    kit_fails(render_forward(render, &m, &bad, &PLAIN, rgb, NULL, &e), ERR_ARG, e, "0 x 48");
+    bad = cam;
+    bad.height_px = 16385;
+    kit_fails(render_forward(render, &m, &bad, &PLAIN, rgb, NULL, &e), ERR_ARG, e, "16385");
+    bad = cam;
+    bad.fx_px = -1;
+    kit_fails(render_forward(render, &m, &bad, &PLAIN, rgb, NULL, &e), ERR_ARG, e, "focal");
+    bad = cam;
+    bad.trans[1] = NAN;
+    kit_fails(render_forward(render, &m, &bad, &PLAIN, rgb, NULL, &e), ERR_ARG, e, "not finite");
+    render_model_free(&m);
+    render_model_free(&m);
+    gauss_free(&g);
+}
+
+/* F2: whatever the parameters, pictures are finite; zero quaternions and needles still draw. */
+static void test_hostile_parameters(void **state)
+{
+    static const float odd[] = {0.0f, -0.0f, 1e-30f, -1e-30f, 1e30f, -1e30f, 88.0f, -88.0f, 200.0f,
+                                INFINITY, -INFINITY, NAN, 1.0f, -7.0f};
+    enum { ODD = sizeof odd / sizeof *odd, N = 4096 };
+    struct gauss g;
+    struct camera cam = view_from(6, -5, 5, 80, 60);
+    (void)state;
+    kit_gauss(151, N, 3.0, 1, 0, &g);
+    float *planes[] = {g.mean_m, g.scale_log, g.quat_wxyz, g.opacity_logit, g.sh};
+    const size_t width[] = {3, 3, 4, 1, 12};
+    for (size_t i = 0; i < N; i++) { /* one or two bad values each */
+        for (uint64_t hit = 0; hit < 1 + i % 2; hit++) {
+            size_t k = (size_t)(rng_u64(1, hit, i) % 5);
+            planes[k][i * width[k] + rng_u64(2, hit, i) % width[k]] = odd[rng_u64(3, hit, i) % ODD];
+        }
+    }
+    for (int aa = 0; aa < 3; aa++) {
+        struct render_options o = PLAIN;
+        o.aa = (enum render_aa)aa;
+        struct picture p = draw(&g, &cam, &o);
+        for (size_t i = 0; i < p.pixels; i++) {
+            assert_true(p.t[i] >= 0.0f && p.t[i] <= 1.0f);
+            assert_false(isnan(p.rgb[3 * i]) || isnan(p.rgb[3 * i + 1]) || isnan(p.rgb[3 * i + 2]));
+        }
+        picture_free(&p);
+    }
+    gauss_free(&g);
+
+    kit_gauss(152, 32, 2.0, 0, 0, &g);
+    for (size_t i = 0; i < g.n; i++) {
+        for (int k = 0; k < 4; k++)
+            g.quat_wxyz[4 * i + k] = i % 2 ? 0.0f : g.quat_wxyz[4 * i + k] * 1e-4f;
+        g.scale_log[3 * i] = 1.0f;
+        g.scale_log[3 * i + 1] = g.scale_log[3 * i + 2] = 1.0f - 13.8f; /* ratio 1e6 */
+    }
+    struct render_options o = PLAIN;
+    o.aa = RENDER_AA_NONE;
+    check("needles and zero quaternions", &g, &cam, &o);
+    gauss_free(&g);
+}
+
+/* F3: a splat right before the lens does not cover the picture. */
+static void test_near_plane(void **state)
+{
+    struct gauss g;
+    const double eye[3] = {0, 0, 0}, target[3] = {0, 1, 0};
+    (void)state;
+    kit_gauss(161, 2, 1.0, 0, 0, &g);
+    const float mean[6] = {0, 0.3f, 0, 0, 0.19f, 0}; /* one just behind 0.2 m, one in front of it */
+    memcpy(g.mean_m, mean, sizeof mean);
+    for (int i = 0; i < 6; i++)
+        g.scale_log[i] = 1.0f;
+    struct camera cam = camera_look_at(eye, target, 0.9, 48, 32);
+    struct picture p = draw(&g, &cam, &PLAIN);
+    assert_int_equal(render_last_stats(render)->visible, 0);
+    check("before the lens", &g, &cam, &PLAIN);
+    picture_free(&p);
+    gauss_free(&g);
+}
+
+/* F24: entry lists of many more entries than Gaussians, against brute force. */
+static void test_many_entries(void **state)
+{
+    struct gauss g;
+    struct camera cam = view_from(2, -2, 1.5, 400, 96);
+    (void)state;
+    kit_gauss(171, 160, 2.0, 0, 0, &g);
+    for (size_t i = 0; i < g.n; i++) {
+        for (int k = 0; k < 3; k++)
+            g.scale_log[3 * i + k] = 0.2f;
+        g.opacity_logit[i] = -4.0f;
+    }
+    check("dense", &g, &cam, &PLAIN);
+    assert_true(render_last_stats(render)->entries > 50 * g.n);
+    gauss_free(&g);
+}
+
+/* ---- model, lists and layout ------------------------------------------------------------------------------ */
+
+static void test_upload_download(void **state)
+{
+    static const size_t counts[] = {0, 1, 16, 100};
+    (void)state;
+    for (size_t c = 0; c < sizeof counts / sizeof *counts; c++) {
+        struct gauss g, back = {0};
+        struct err e = {0};
+        struct render_model m;
+        kit_gauss(181, counts[c], 3.0, 2, 0, &g);
+        g.origin_enu_m[1] = 12345.0;
+        kit_ok(render_model_upload(render, &g, &m, &e), e);
+        assert_int_equal(m.groups, (counts[c] + 15) / 16);
+        kit_ok(render_model_download(render, &m, &back, &e), e);
+        assert_int_equal(back.n, g.n);
+        assert_true(back.origin_enu_m[1] == g.origin_enu_m[1]);
+        if (g.n) {
+            assert_memory_equal(back.mean_m, g.mean_m, 3 * g.n * sizeof(float));
+            assert_memory_equal(back.scale_log, g.scale_log, 3 * g.n * sizeof(float));
+            assert_memory_equal(back.quat_wxyz, g.quat_wxyz, 4 * g.n * sizeof(float));
+            assert_memory_equal(back.opacity_logit, g.opacity_logit, g.n * sizeof(float));
+            assert_memory_equal(back.sh, g.sh, 27 * g.n * sizeof(float));
+        }
+        render_model_free(&m);
+        gauss_free(&g);
+        gauss_free(&back);
+    }
+}
+
+/* What backward relies on: lists in depth order, every slot of every visible Gaussian used exactly once. */
+static void test_lists(void **state)
+{
+    struct gauss g;
+    struct err e = {0};
+    struct render_model m;
+    struct camera cam = view_from(3, -5, 4, 300, 200);
+    (void)state;
+    kit_gauss(191, 777, 4.0, 0, 0, &g);
+    kit_ok(render_model_upload(render, &g, &m, &e), e);
+    kit_ok(render_forward(render, &m, &cam, &PLAIN, NULL, NULL, &e), e);
+    size_t entries = (size_t)render->entries, tiles = render->tiles, n = g.n;
+    uint32_t *start = mem_array(tiles + 1, 4), *splat = mem_array(entries, 4), *slot = mem_array(entries, 4);
+    uint32_t *of = mem_array(n, 4), *first = mem_array(n, 4), *key = mem_array(n, 4);
+    uint32_t *owner = mem_array(entries, 4);
+    kit_ok(dev_read(&dev, render->tile_start.mem, 0, 4 * (tiles + 1), start, &e), e);
+    kit_ok(dev_read(&dev, render->entry_splat.mem, 0, 4 * entries, splat, &e), e);
+    kit_ok(dev_read(&dev, render->entry_slot.mem, 0, 4 * entries, slot, &e), e);
+    kit_ok(dev_read(&dev, render->tiles_of.mem, 0, 4 * n, of, &e), e);
+    kit_ok(dev_read(&dev, render->slot_first.mem, 0, 4 * n, first, &e), e);
+    kit_ok(dev_read(&dev, render->depth_key.mem, 0, 4 * n, key, &e), e);
+    assert_true(entries > 500);
+    assert_int_equal(start[0], 0);
+    assert_int_equal(start[tiles], entries);
+    for (size_t t = 0; t < tiles; t++)
+        for (size_t i = start[t]; i < start[t + 1]; i++) {
+            assert_true(splat[i] < n);
+            assert_true(slot[i] >= first[splat[i]] && slot[i] < first[splat[i]] + of[splat[i]]);
+            assert_int_equal(owner[slot[i]], 0);
+            owner[slot[i]] = 1;
+            if (i > start[t]) {
+                uint32_t a = splat[i - 1], b = splat[i];
+                assert_true(key[a] < key[b] || (key[a] == key[b] && a < b));
+            }
+        }
+    size_t sum = 0;
+    for (size_t i = 0; i < n; i++) {
+        assert_int_equal(first[i], sum);
+        assert_int_equal(of[i] == 0, key[i] == 0xFFFFFFFFu);
+        sum += of[i];
+    }
+    assert_int_equal(sum, entries);
+    void *all[] = {start, splat, slot, of, first, key, owner};
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++)
+        mem_free(all[i]);
+    render_model_free(&m);
+    gauss_free(&g);
+}
+
+static void test_layout_on_device(void **state)
+{
+    static const char text[] = "__kernel void sizes(__global uint *out)\n{\n"
+                               "    out[0] = sizeof(struct layout_splat);\n"
+                               "    out[1] = sizeof(struct layout_view);\n"
+                               "    out[2] = sizeof(struct layout_counts);\n}\n";
+    const struct dev_source src = {"tests/sizes.cl", text};
+    struct err e = {0};
+    cl_program p;
+    cl_kernel k;
+    cl_mem m;
+    uint32_t got[3];
+    (void)state;
+    kit_ok(dev_build(&dev, &src, 1, NULL, &p, &e), e);
+    kit_ok(dev_kernel(p, "sizes", &k, &e), e);
+    kit_ok(dev_buffer(&dev, sizeof got, NULL, &m, &e), e);
+    dev_arg(k, 0, m);
+    kit_ok(dev_run(&dev, k, "sizes", 1, 1, &e), e);
+    kit_ok(dev_read(&dev, m, 0, sizeof got, got, &e), e);
+    assert_int_equal(got[0], sizeof(struct layout_splat));
+    assert_int_equal(got[1], sizeof(struct layout_view));
+    assert_int_equal(got[2], sizeof(struct layout_counts));
+    dev_release(&m);
+    clReleaseKernel(k);
+    clReleaseProgram(p);
+}
+
+/* The polynomial behind alpha, over its whole range. */
+static void test_exp2(void **state)
+{
+    static const char text[] =
+        "__kernel void powers(__global float *x)\n{\n    size_t i = get_global_id(0);\n"
+        "#if VW == 16\n    vstore16(exp2_v(vload16(i, x)), i, x);\n#else\n    x[i] = exp2_v(x[i]);\n#endif\n}\n";
+    const struct dev_source src[2] = {{"render/common.cl", common_cl}, {"tests/powers.cl", text}};
+    enum { N = 1 << 16 };
+    struct err e = {0};
+    cl_program p;
+    cl_kernel k;
+    cl_mem m;
+    float *x = mem_array(N, sizeof *x), *y = mem_array(N, sizeof *y);
+    (void)state;
+    for (int i = 0; i < N; i++)
+        x[i] = -126.0f + 253.0f * (float)i / N;
+    kit_ok(dev_build(&dev, src, 2, NULL, &p, &e), e);
+    kit_ok(dev_kernel(p, "powers", &k, &e), e);
+    kit_ok(dev_buffer(&dev, N * sizeof *x, x, &m, &e), e);
+    dev_arg(k, 0, m);
+    kit_ok(dev_run(&dev, k, "powers", N / dev.vector_width, 1, &e), e);
+    kit_ok(dev_read(&dev, m, 0, N * sizeof *y, y, &e), e);
+    for (int i = 0; i < N; i++)
+        assert_true(fabs((double)y[i] / exp2((double)x[i]) - 1.0) < 2.5e-7); /* 7.5e-8 and two roundings */
+    dev_release(&m);
+    clReleaseKernel(k);
+    clReleaseProgram(p);
+    mem_free(x);
+    mem_free(y);
+}
+
+static void test_stats(void **state)
+{
+    struct gauss g;
+    struct camera cam = view_from(8, -5, 5, 130, 70);
+    (void)state;
+    kit_gauss(201, 500, 4.0, 0, 0, &g);
+    render_set_timing(render, true);
+    struct picture p = draw(&g, &cam, &PLAIN);
+    render_set_timing(render, false);
+    const struct render_stats *s = render_last_stats(render);
+    assert_true(s->visible > 0 && s->visible <= g.n);
+    assert_true(s->entries >= s->visible);
+    assert_true(s->ms_project > 0 && s->ms_sort > 0 && s->ms_bin > 0 && s->ms_blend > 0);
+    assert_true(s->ms_total >= s->ms_project + s->ms_sort + s->ms_bin + s->ms_blend);
+    picture_free(&p);
+    gauss_free(&g);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_layout_on_device),
+        cmocka_unit_test(test_exp2),
+        cmocka_unit_test(test_upload_download),
+        cmocka_unit_test(test_counts_and_sizes),
+        cmocka_unit_test(test_antialiasing_modes),
+        cmocka_unit_test(test_modes_differ),
+        cmocka_unit_test(test_sh_degrees),
+        cmocka_unit_test(test_camera_inside),
+        cmocka_unit_test(test_off_frustum),
+        cmocka_unit_test(test_saturated),
+        cmocka_unit_test(test_large_splats),
+        cmocka_unit_test(test_ties_are_by_index),
+        cmocka_unit_test(test_culling_changes_nothing),
+        cmocka_unit_test(test_repeatable),
+        cmocka_unit_test(test_far_from_origin),
+        cmocka_unit_test(test_background),
+        cmocka_unit_test(test_growth),
+        cmocka_unit_test(test_limits),
+        cmocka_unit_test(test_hostile_parameters),
+        cmocka_unit_test(test_near_plane),
+        cmocka_unit_test(test_many_entries),
+        cmocka_unit_test(test_lists),
+        cmocka_unit_test(test_stats),
+    };
+    return cmocka_run_group_tests_name("render", tests, setup, teardown);
+}
