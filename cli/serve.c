@@ -1,0 +1,76 @@
+/* citysplat serve: tile stores over HTTP, until SIGTERM or Ctrl-C. SIGHUP opens the stores again. stdout
+ * gets one line, the address to open; everything else is log.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <pthread.h>
+#include <signal.h>
+#include <stdio.h>
+#include <time.h>
+
+#include "cli/cli.h"
+#include "server/server.h"
+
+static const struct options_def defs[] = {
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct server_config, type, key, def, lo, hi, unit, help)
+#include "server/options.def"
+#undef OPT
+};
+
+static const struct options_spec spec = {
+    .command = "serve",
+    .usage = "citysplat serve CITY.tiles [MORE.tiles ...] [options]",
+    .about = "Serve tile stores to map clients: Gaussian tiles as .glb, .spz, .drc and .ply, 3D Tiles and\n"
+             "TileJSON descriptions, rendered views as .jpg, .png and .webp, and the viewer itself.\n"
+             "Listens on this machine alone unless --address says otherwise; put a proxy with TLS in front\n"
+             "of it for the world. SIGTERM finishes what is under way and exits; SIGHUP opens the stores\n"
+             "again and serves the older revision for another day.",
+    .example = "citysplat serve city.tiles\n"
+               "citysplat serve old-town.tiles harbour.tiles --address 0.0.0.0 --port 8000",
+    .defs = defs,
+    .n_defs = sizeof(defs) / sizeof(*defs),
+    .min_args = 1,
+    .max_args = 16,
+};
+
+static void reload(struct server *sv)
+{
+    struct err e = {0};
+    if (server_reload(sv, &e) == ERR_OK)
+        log_info("serve", "reloaded");
+    else
+        log_error("serve", "reload failed, the old data stay: %s", e.msg);
+}
+
+enum err_code cli_serve(int argc, char **argv, struct err *e)
+{
+    struct server_config cfg;
+    struct options_args args;
+    struct arena arena = {0};
+    struct server *sv = NULL;
+    sigset_t hup;
+    sigemptyset(&hup);
+    sigaddset(&hup, SIGHUP);
+    enum err_code rc = options_parse(&spec, argc, argv, &cfg, &args, &arena, e);
+    if (rc != ERR_OK || args.done)
+        goto out;
+    /* Threads inherit the mask, so SIGHUP waits for sigtimedwait below. */
+    pthread_sigmask(SIG_BLOCK, &hup, NULL);
+    clock_catch_signals();
+    rc = server_start(&cfg, args.arg, args.n, &sv, e);
+    if (rc != ERR_OK)
+        goto out;
+    printf("citysplat serves %zu dataset%s: open %s\n", args.n, args.n == 1 ? "" : "s", server_url(sv));
+    fflush(stdout);
+    while (!clock_stopping()) {
+        const struct timespec wait = {.tv_nsec = 100000000};
+        if (sigtimedwait(&hup, NULL, &wait) == SIGHUP)
+            reload(sv);
+    }
+    log_info("serve", "stopping: answers under way are finished first");
+out:
+    server_stop(&sv);
+    arena_free(&arena);
+    return rc;
+}

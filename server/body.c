@@ -1,0 +1,95 @@
+/* Encoded bytes that several answers share: a counter, the bytes, their entity tag, and for text also
+ * the gzip form. A body is written by one thread, then shared and never changed; whoever holds a
+ * reference may read it without a lock. libmicrohttpd sends straight from these bytes.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/server.h"
+
+#include <assert.h>
+#include <string.h>
+#include <zlib.h>
+
+void body_etag(struct hash128 h, char out[BODY_ETAG_SIZE])
+{
+    static const char digit[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
+    uint64_t hi = h.hi, lo = h.lo;
+    out[0] = '"';
+    for (int i = 22; i >= 1; i--) { /* 22 digits of 6 bits hold the 128 bits, least significant last */
+        out[i] = digit[lo & 63];
+        lo = lo >> 6 | hi << 58;
+        hi >>= 6;
+    }
+    out[23] = '"';
+    out[24] = 0;
+}
+
+struct body *body_take(struct buf *b, const char *etag)
+{
+    struct body *body = b->failed ? NULL : mem_array(1, sizeof(*body));
+    if (!body) {
+        buf_free(b);
+        return NULL;
+    }
+    atomic_init(&body->refs, 1);
+    body->data = b->data;
+    body->size = b->size;
+    memset(b, 0, sizeof(*b));
+    if (etag) {
+        size_t n = strlen(etag);
+        assert(n < BODY_ETAG_SIZE);
+        memcpy(body->etag, etag, n + 1);
+    } else {
+        body_etag(hash_bytes(body->data, body->size), body->etag);
+    }
+    return body;
+}
+
+struct body *body_text(const char *text)
+{
+    struct buf b = {0};
+    buf_add(&b, text, strlen(text));
+    return body_take(&b, NULL);
+}
+
+struct body *body_ref(struct body *b)
+{
+    if (b)
+        atomic_fetch_add_explicit(&b->refs, 1, memory_order_relaxed);
+    return b;
+}
+
+void body_drop(struct body **b)
+{
+    struct body *body = *b;
+    *b = NULL;
+    if (!body || atomic_fetch_sub_explicit(&body->refs, 1, memory_order_acq_rel) != 1)
+        return;
+    struct buf bytes = {.data = body->data, .size = body->size};
+    buf_free(&bytes);
+    mem_free(body->gzip);
+    mem_free(body);
+}
+
+void body_compress(struct body *b)
+{
+    z_stream z = {0};
+    if (b->size < 256 || b->size > (size_t)1 << 30 ||
+        deflateInit2(&z, 6, Z_DEFLATED, 15 + 16, 8, Z_DEFAULT_STRATEGY) != Z_OK)
+        return;
+    size_t room = b->size - b->size / 10; /* a larger result is not worth a second form */
+    uint8_t *out = mem_array(room, 1);
+    if (out) {
+        z.next_in = b->data;
+        z.avail_in = (uInt)b->size;
+        z.next_out = out;
+        z.avail_out = (uInt)room;
+        if (deflate(&z, Z_FINISH) == Z_STREAM_END) {
+            b->gzip = out;
+            b->gzip_size = room - z.avail_out;
+        } else {
+            mem_free(out);
+        }
+    }
+    deflateEnd(&z);
+}

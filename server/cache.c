@@ -1,0 +1,216 @@
+/* Encoded results in memory, bounded in bytes. Sixteen shards, each a hash table with two LRU lists: a
+ * new entry goes on probation, a second hit protects it, and what overflows the protected four fifths
+ * falls back on probation. A scan of the city once over therefore cannot push out what people look at
+ * (segmented LRU: Karedla, Love, Wherry 1994). Bodies are counted, so an evicted one that is being sent
+ * stays alive until it is out. Lock: one mutex a shard, held for a few pointer moves; freed bodies are
+ * dropped after it is released.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/server.h"
+
+#include <string.h>
+
+enum { SHARDS = 16, BUCKETS_MIN = 64, ENTRY_COST = 256 };
+
+struct entry {
+    struct hash128 key;
+    struct body *body;
+    struct entry *bucket_next;
+    struct entry *newer, *older; /* in its list */
+    size_t cost;
+    bool protected;
+};
+struct list {
+    struct entry *newest, *oldest;
+    size_t cost;
+};
+struct shard { /* everything by `lock` */
+    pthread_mutex_t lock;
+    struct entry **bucket;
+    size_t n_buckets, n;
+    struct list probation, protected;
+    uint64_t hits, misses, evictions;
+};
+struct cache {
+    size_t shard_limit;
+    struct shard shard[SHARDS];
+};
+
+static void list_remove(struct list *l, struct entry *x)
+{
+    *(x->newer ? &x->newer->older : &l->newest) = x->older;
+    *(x->older ? &x->older->newer : &l->oldest) = x->newer;
+    x->newer = x->older = NULL;
+    l->cost -= x->cost;
+}
+
+static void list_add(struct list *l, struct entry *x)
+{
+    x->older = l->newest;
+    x->newer = NULL;
+    *(l->newest ? &l->newest->newer : &l->oldest) = x;
+    l->newest = x;
+    l->cost += x->cost;
+}
+
+static struct entry **bucket_find(struct shard *s, struct hash128 key)
+{
+    struct entry **p = &s->bucket[key.lo & (s->n_buckets - 1)];
+    while (*p && ((*p)->key.lo != key.lo || (*p)->key.hi != key.hi))
+        p = &(*p)->bucket_next;
+    return p;
+}
+
+/* Twice the buckets when entries outnumber them; staying small is allowed when memory is short. */
+static void bucket_grow(struct shard *s)
+{
+    size_t n = s->n_buckets * 2;
+    struct entry **bigger = mem_array(n, sizeof(struct entry *));
+    if (!bigger)
+        return;
+    for (size_t i = 0; i < s->n_buckets; i++)
+        for (struct entry *x = s->bucket[i], *next; x; x = next) {
+            next = x->bucket_next;
+            x->bucket_next = bigger[x->key.lo & (n - 1)];
+            bigger[x->key.lo & (n - 1)] = x;
+        }
+    mem_free(s->bucket);
+    s->bucket = bigger;
+    s->n_buckets = n;
+}
+
+enum err_code cache_open(size_t limit_bytes, struct cache **out, struct err *e)
+{
+    struct cache *c = mem_array(1, sizeof(*c));
+    *out = c;
+    if (!c)
+        return err_set(e, ERR_MEM, "cache: out of memory");
+    c->shard_limit = limit_bytes / SHARDS;
+    for (int i = 0; i < SHARDS; i++) {
+        struct shard *s = &c->shard[i];
+        pthread_mutex_init(&s->lock, NULL);
+        s->n_buckets = BUCKETS_MIN;
+        s->bucket = mem_array(BUCKETS_MIN, sizeof(struct entry *));
+        if (!s->bucket) {
+            cache_close(out);
+            return err_set(e, ERR_MEM, "cache: out of memory");
+        }
+    }
+    return ERR_OK;
+}
+
+static void list_free(struct list *l)
+{
+    for (struct entry *x = l->newest, *older; x; x = older) {
+        older = x->older;
+        body_drop(&x->body);
+        mem_free(x);
+    }
+}
+
+void cache_close(struct cache **out)
+{
+    struct cache *c = *out;
+    *out = NULL;
+    if (!c)
+        return;
+    for (int i = 0; i < SHARDS && c->shard[i].bucket; i++) {
+        list_free(&c->shard[i].probation);
+        list_free(&c->shard[i].protected);
+        mem_free(c->shard[i].bucket);
+        pthread_mutex_destroy(&c->shard[i].lock);
+    }
+    mem_free(c);
+}
+
+/* The other half of the key chooses the shard, so shards and buckets are independent. */
+static struct shard *shard_of(struct cache *c, struct hash128 key)
+{
+    return &c->shard[key.hi >> 60];
+}
+
+struct body *cache_get(struct cache *c, struct hash128 key)
+{
+    struct shard *s = shard_of(c, key);
+    struct body *body = NULL;
+    pthread_mutex_lock(&s->lock);
+    struct entry *x = *bucket_find(s, key);
+    if (x) {
+        s->hits++;
+        list_remove(x->protected ? &s->protected : &s->probation, x);
+        x->protected = true;
+        list_add(&s->protected, x);
+        while (s->protected.cost > c->shard_limit / 5 * 4 && s->protected.oldest != x) {
+            struct entry *fall = s->protected.oldest;
+            list_remove(&s->protected, fall);
+            fall->protected = false;
+            list_add(&s->probation, fall);
+        }
+        body = body_ref(x->body);
+    } else {
+        s->misses++;
+    }
+    pthread_mutex_unlock(&s->lock);
+    return body;
+}
+
+/* Take x out of the shard and put it in front of the caller's list of things to free. */
+static void shard_remove(struct shard *s, struct entry *x, struct entry **freed)
+{
+    *bucket_find(s, x->key) = x->bucket_next;
+    list_remove(x->protected ? &s->protected : &s->probation, x);
+    s->n--;
+    x->bucket_next = *freed;
+    *freed = x;
+}
+
+void cache_put(struct cache *c, struct hash128 key, struct body *b)
+{
+    struct shard *s = shard_of(c, key);
+    size_t cost = b->size + b->gzip_size + ENTRY_COST;
+    struct entry *x = cost > c->shard_limit ? NULL : mem_array(1, sizeof(*x));
+    if (!x)
+        return;
+    x->key = key;
+    x->body = body_ref(b);
+    x->cost = cost;
+    struct entry *freed = NULL;
+    pthread_mutex_lock(&s->lock);
+    struct entry *old = *bucket_find(s, key);
+    if (old)
+        shard_remove(s, old, &freed);
+    while (s->probation.cost + s->protected.cost + cost > c->shard_limit) {
+        struct entry *victim = s->probation.oldest ? s->probation.oldest : s->protected.oldest;
+        shard_remove(s, victim, &freed);
+        s->evictions++;
+    }
+    if (s->n >= s->n_buckets)
+        bucket_grow(s);
+    struct entry **p = &s->bucket[key.lo & (s->n_buckets - 1)];
+    x->bucket_next = *p;
+    *p = x;
+    s->n++;
+    list_add(&s->probation, x);
+    pthread_mutex_unlock(&s->lock);
+    for (struct entry *next; freed; freed = next) {
+        next = freed->bucket_next;
+        body_drop(&freed->body);
+        mem_free(freed);
+    }
+}
+
+void cache_count(struct cache *c, struct cache_stats *out)
+{
+    memset(out, 0, sizeof(*out));
+    for (int i = 0; i < SHARDS; i++) {
+        struct shard *s = &c->shard[i];
+        pthread_mutex_lock(&s->lock);
+        out->hits += s->hits;
+        out->misses += s->misses;
+        out->evictions += s->evictions;
+        out->entries += s->n;
+        out->bytes += s->probation.cost + s->protected.cost;
+        pthread_mutex_unlock(&s->lock);
+    }
+}

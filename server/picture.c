@@ -1,0 +1,190 @@
+/* Pictures for clients that cannot draw Gaussians. One thread owns the OpenCL device, the compiled kernels
+ * and the tiles on the device; it is niced, and OpenCL's own threads, which it starts, inherit that, so
+ * tiles keep flowing while a picture is made. Views of the last few datasets stay open. Without a device
+ * the server still serves tiles, and says why it has no pictures.
+ *
+ * The views belong to the view thread alone; `lock` guards what other threads ask about.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/server.h"
+
+#include <stdio.h>
+#include <string.h>
+#include <sys/resource.h>
+
+enum { VIEWS = 4, VIEW_NICE = 5 };
+
+struct open_view {
+    char *path;
+    char revision[13];
+    struct view *view;
+    uint64_t used; /* tick of its last use */
+};
+struct picture {
+    const struct server_config *cfg;
+    pthread_mutex_t lock;
+    _Atomic int state; /* enum picture_state */
+    char about[160];   /* by lock */
+    struct dev dev;
+    struct render *render;
+    bool has_dev;
+    struct open_view open[VIEWS];
+    uint64_t tick;
+};
+
+enum err_code picture_open(const struct server_config *cfg, struct picture **out, struct err *e)
+{
+    struct picture *p = mem_array(1, sizeof(*p));
+    *out = p;
+    if (!p)
+        return err_set(e, ERR_MEM, "picture: out of memory");
+    p->cfg = cfg;
+    atomic_init(&p->state, PICTURE_STARTING);
+    pthread_mutex_init(&p->lock, NULL);
+    return ERR_OK;
+}
+
+static void set_state(struct picture *p, enum picture_state state, const char *about)
+{
+    pthread_mutex_lock(&p->lock);
+    snprintf(p->about, sizeof(p->about), "%.*s", (int)sizeof(p->about) - 1, about);
+    atomic_store(&p->state, state);
+    pthread_mutex_unlock(&p->lock);
+}
+
+void picture_enter(struct picture *p)
+{
+    struct err e = {0};
+    char about[256];
+    setpriority(PRIO_PROCESS, 0, VIEW_NICE); /* on Linux: of this thread, and of those it starts */
+    double start_s = clock_s();
+    enum err_code rc = dev_open(p->cfg->device, &p->dev, &e);
+    p->has_dev = rc == ERR_OK;
+    if (rc == ERR_OK)
+        rc = render_open(&p->dev, &p->render, &e);
+    if (rc != ERR_OK) {
+        log_warn("serve", "pictures are off, tiles are served: %s", e.msg);
+        set_state(p, PICTURE_OFF, e.msg);
+        return;
+    }
+    snprintf(about, sizeof(about), "%s %s", p->dev.name, p->dev.driver);
+    set_state(p, PICTURE_READY, about);
+    log_info("serve", "pictures are on device=\"%s\" start_s=%.1f", about, clock_s() - start_s);
+}
+
+static void view_drop(struct open_view *v)
+{
+    view_close(&v->view);
+    mem_free(v->path);
+    memset(v, 0, sizeof(*v));
+}
+
+void picture_leave(struct picture *p)
+{
+    for (int i = 0; i < VIEWS; i++)
+        if (p->open[i].view)
+            view_drop(&p->open[i]);
+    render_close(&p->render);
+    if (p->has_dev)
+        dev_close(&p->dev);
+    p->has_dev = false;
+}
+
+void picture_close(struct picture **out)
+{
+    struct picture *p = *out;
+    *out = NULL;
+    if (!p)
+        return;
+    pthread_mutex_destroy(&p->lock);
+    mem_free(p);
+}
+
+enum picture_state picture_state(const struct picture *p)
+{
+    return (enum picture_state)atomic_load(&p->state);
+}
+
+void picture_about(struct picture *p, char *out, size_t n)
+{
+    pthread_mutex_lock(&p->lock);
+    snprintf(out, n, "%s", p->about);
+    pthread_mutex_unlock(&p->lock);
+}
+
+/* The open view of a dataset's revision; the one unused for longest makes room. */
+static enum err_code view_find(struct picture *p, const struct dataset *d, struct view **out,
+                               struct err *e)
+{
+    struct open_view *oldest = &p->open[0];
+    for (int i = 0; i < VIEWS; i++) {
+        struct open_view *v = &p->open[i];
+        if (v->view && !strcmp(v->path, d->path) && !strcmp(v->revision, d->meta.revision)) {
+            v->used = ++p->tick;
+            *out = v->view;
+            return ERR_OK;
+        }
+        if (v->used < oldest->used)
+            oldest = v;
+    }
+    if (oldest->view)
+        view_drop(oldest);
+    size_t bytes = ((size_t)p->cfg->view_cache_mb << 20) / VIEWS;
+    enum err_code rc = view_open(d->path, p->render, bytes, &oldest->view, e);
+    if (rc != ERR_OK)
+        return rc;
+    const char *now = store_info(view_store(oldest->view))->revision;
+    oldest->path = mem_text(d->path);
+    if (!oldest->path || strcmp(now, d->meta.revision) != 0) {
+        rc = oldest->path ? err_set(e, ERR_NOENT, "no pictures of this revision: its file was replaced")
+                          : err_set(e, ERR_MEM, "picture: out of memory");
+        view_drop(oldest);
+        return rc;
+    }
+    memcpy(oldest->revision, d->meta.revision, sizeof(oldest->revision));
+    oldest->used = ++p->tick;
+    *out = oldest->view;
+    return ERR_OK;
+}
+
+static void to_bytes(const float *rgb, struct image *img)
+{
+    size_t n = (size_t)img->width_px * img->height_px * 3;
+    for (size_t i = 0; i < n; i++) {
+        float v = rgb[i] * 255.0f + 0.5f;
+        img->px[i] = !(v > 0) ? 0 : v >= 255 ? 255 : (uint8_t)v; /* NaN is 0 */
+    }
+}
+
+enum err_code picture_make(struct picture *p, const struct job *j, const struct work *w,
+                           struct buf *out, struct err *e)
+{
+    struct view *view = NULL;
+    struct image img = {0};
+    float *rgb = NULL;
+    char why[160];
+    if (picture_state(p) != PICTURE_READY) {
+        picture_about(p, why, sizeof(why));
+        return err_set(e, ERR_DEVICE, "pictures are off: %s", why);
+    }
+    struct render_options ro = {
+        .aa = w->ds->meta.antialiased ? RENDER_AA_2D : RENDER_AA_NONE, .sh_degree = -1};
+    const struct pick_options po = {0};
+    enum err_code rc = view_find(p, w->ds, &view, e);
+    if (rc == ERR_OK)
+        rc = image_alloc(w->cam.width_px, w->cam.height_px, 3, &img, e);
+    if (rc == ERR_OK && !(rgb = mem_array((size_t)w->cam.width_px * w->cam.height_px, 3 * sizeof(float))))
+        rc = err_set(e, ERR_MEM, "picture: out of memory");
+    if (rc == ERR_OK)
+        rc = view_render(view, &w->cam, &ro, &po, rgb, NULL, e);
+    if (rc == ERR_OK && job_cancelled(j))
+        rc = err_set(e, ERR_CANCEL, "cancelled");
+    if (rc == ERR_OK) {
+        to_bytes(rgb, &img);
+        rc = image_encode(&img, target_ext(w->format), w->quality, out, e);
+    }
+    mem_free(rgb);
+    image_free(&img);
+    return rc;
+}

@@ -1,0 +1,142 @@
+/* The server as a whole: stores opened, threads started, and all of it taken down again in order. First
+ * the listener closes and answers drain, then jobs stop, then what they used is freed.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/server.h"
+
+#include <signal.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "core/pool.h"
+
+struct server {
+    struct server_config cfg; /* texts are borrowed from the caller */
+    const char *const *paths;
+    size_t n_paths, workers;
+    struct services services;
+    struct http *http;
+    char url[128];
+};
+
+static void enter_view(void *user)
+{
+    picture_enter(((struct services *)user)->picture);
+}
+
+static void leave_view(void *user)
+{
+    picture_leave(((struct services *)user)->picture);
+}
+
+static enum err_code start_jobs(struct server *sv, struct err *e)
+{
+    struct services *s = &sv->services;
+    const struct server_config *cfg = &sv->cfg;
+    bool views = !cfg->device || strcmp(cfg->device, "none") != 0;
+    const struct job_config jobs = {
+        .tile_threads = sv->workers,
+        .view_thread = views,
+        .queue_limit = {(size_t)cfg->queue_views, (size_t)cfg->queue_tiles, (size_t)cfg->queue_prefetch},
+        .user = s,
+        .run = encode_run,
+        .drop = encode_drop,
+        .view_enter = enter_view,
+        .view_leave = leave_view,
+    };
+    enum err_code rc = views ? picture_open(cfg, &s->picture, e) : ERR_OK;
+    return rc == ERR_OK ? job_open(&jobs, &s->jobs, e) : rc;
+}
+
+static enum err_code load_web(struct server *sv, struct err *e)
+{
+    char dir[FILE_PATH_MAX];
+    if (sv->cfg.web_dir)
+        return static_load(sv->cfg.web_dir, &sv->services.web, e);
+    if (static_default_dir(dir))
+        return static_load(dir, &sv->services.web, e);
+    log_warn("serve", "no viewer files found near the program; / shows JSON (build web/, or --web-dir DIR)");
+    return ERR_OK;
+}
+
+static void set_url(struct server *sv)
+{
+    const char *a = sv->cfg.address;
+    const char *host = !strcmp(a, "0.0.0.0") ? "127.0.0.1" : !strcmp(a, "::") ? "::1" : a;
+    const char *open = strchr(host, ':') ? "[" : "", *close = *open ? "]" : "";
+    snprintf(sv->url, sizeof(sv->url), "http://%s%s%s:%u/", open, host, close, http_port(sv->http));
+}
+
+enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,
+                           struct server **out, struct err *e)
+{
+    struct server *sv = mem_array(1, sizeof(*sv));
+    *out = sv;
+    if (!sv)
+        return err_set(e, ERR_MEM, "serve: out of memory");
+    signal(SIGPIPE, SIG_IGN); /* a client that hangs up is an error of write(), not of the program */
+    sv->cfg = *cfg;
+    sv->paths = paths;
+    sv->n_paths = n;
+    sv->workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
+    struct services *s = &sv->services;
+    enum err_code rc = services_open(s, &sv->cfg, e);
+    if (rc == ERR_OK)
+        rc = catalog_open(paths, n, sv->workers, cfg->public_url, NULL, &s->catalog, e);
+    if (rc == ERR_OK)
+        rc = load_web(sv, e);
+    if (rc == ERR_OK)
+        rc = start_jobs(sv, e);
+    if (rc == ERR_OK)
+        rc = http_open(s, &sv->http, e);
+    if (rc == ERR_OK) {
+        set_url(sv);
+        for (size_t i = 0; i < s->catalog->n; i++)
+            log_info("serve", "dataset name=%s revision=%s tiles=%zu file=%s",
+                     s->catalog->ds[i]->meta.name, s->catalog->ds[i]->meta.revision,
+                     s->catalog->ds[i]->n_tiles, s->catalog->ds[i]->path);
+    } else {
+        server_stop(out);
+    }
+    return rc;
+}
+
+const char *server_url(const struct server *sv)
+{
+    return sv->url;
+}
+
+struct services *server_services(struct server *sv)
+{
+    return &sv->services;
+}
+
+enum err_code server_reload(struct server *sv, struct err *e)
+{
+    struct services *s = &sv->services;
+    struct catalog *older = services_catalog(s), *newer = NULL;
+    enum err_code rc = catalog_open(sv->paths, sv->n_paths, sv->workers, sv->cfg.public_url, older, &newer, e);
+    if (rc == ERR_OK) {
+        pthread_mutex_lock(&s->catalog_lock);
+        struct catalog *was = s->catalog;
+        s->catalog = newer;
+        pthread_mutex_unlock(&s->catalog_lock);
+        catalog_drop(&was);
+    } else {
+        atomic_fetch_add(&s->metrics.reload_failed, 1);
+    }
+    catalog_drop(&older);
+    return rc;
+}
+
+void server_stop(struct server **out)
+{
+    struct server *sv = *out;
+    *out = NULL;
+    if (!sv)
+        return;
+    http_close(&sv->http);
+    services_free(&sv->services);
+    mem_free(sv);
+}

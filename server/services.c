@@ -1,0 +1,51 @@
+/* What answers draw on, and its lifetime. Routes read it from many threads at once: everything here is
+ * immutable after services_open, has its own lock, or is atomic. The catalog pointer is the one thing
+ * that moves (a reload), under catalog_lock.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/server.h"
+
+#include <string.h>
+
+enum err_code services_open(struct services *s, const struct server_config *cfg, struct err *e)
+{
+    memset(s, 0, sizeof(*s));
+    s->cfg = cfg;
+    s->start_s = clock_s();
+    pthread_mutex_init(&s->catalog_lock, NULL);
+    enum err_code rc = cache_open((size_t)cfg->cache_mb << 20, &s->cache, e);
+    if (rc == ERR_OK)
+        rc = describe_landing(&s->landing, e);
+    if (rc == ERR_OK)
+        rc = describe_conformance(&s->conformance, e);
+    if (rc == ERR_OK)
+        rc = describe_api(&s->api, e);
+    if (rc != ERR_OK)
+        services_free(s);
+    return rc;
+}
+
+void services_free(struct services *s)
+{
+    if (!s->cfg)
+        return;
+    job_close(&s->jobs);
+    picture_close(&s->picture);
+    catalog_drop(&s->catalog);
+    static_free(&s->web);
+    cache_close(&s->cache);
+    body_drop(&s->landing);
+    body_drop(&s->conformance);
+    body_drop(&s->api);
+    pthread_mutex_destroy(&s->catalog_lock);
+    s->cfg = NULL;
+}
+
+struct catalog *services_catalog(struct services *s)
+{
+    pthread_mutex_lock(&s->catalog_lock);
+    struct catalog *c = catalog_ref(s->catalog);
+    pthread_mutex_unlock(&s->catalog_lock);
+    return c;
+}

@@ -1,0 +1,190 @@
+/* The viewer's files, read once at start into a sorted table: a request looks a path up among strings
+ * that were found on disk before the first request came, and never reaches the file system. Names with a
+ * hash in them (Vite's assets/) are immutable; text is also kept gzipped.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/server.h"
+
+#include <dirent.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+enum { FILES_MAX = 4096, DEPTH_MAX = 8 };
+static const size_t BYTES_MAX = (size_t)256 << 20;
+
+static const struct {
+    const char *suffix, *type;
+    bool text;
+} types[] = {
+    {".html", "text/html; charset=utf-8", true},
+    {".js", "text/javascript; charset=utf-8", true},
+    {".mjs", "text/javascript; charset=utf-8", true},
+    {".css", "text/css; charset=utf-8", true},
+    {".json", "application/json", true},
+    {".map", "application/json", true},
+    {".svg", "image/svg+xml", true},
+    {".txt", "text/plain; charset=utf-8", true},
+    {".wasm", "application/wasm", true},
+    {".webmanifest", "application/manifest+json", true},
+    {".png", "image/png", false},
+    {".jpg", "image/jpeg", false},
+    {".webp", "image/webp", false},
+    {".ico", "image/x-icon", false},
+    {".woff2", "font/woff2", false},
+    {".glb", "model/gltf-binary", false},
+};
+
+static int type_of(const char *name)
+{
+    const char *dot = strrchr(name, '.');
+    for (size_t i = 0; dot && i < sizeof(types) / sizeof(*types); i++)
+        if (!strcmp(dot, types[i].suffix))
+            return (int)i;
+    return -1;
+}
+
+/* Bytes that a legal request path can hold: other names could never be asked for. */
+static bool plain_name(const char *name)
+{
+    return name[0] != '.' && !name[strspn(name, "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
+                                               "0123456789_.,@:-")];
+}
+
+static enum err_code add_file(const char *dir, const char *url, struct static_table *t, size_t *bytes,
+                              struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    struct buf b = {0};
+    if (t->n == t->cap) {
+        size_t cap = t->cap ? t->cap * 2 : 32;
+        struct static_file *file = mem_resize(t->file, t->cap, cap, sizeof(*file));
+        if (!file)
+            return err_set(e, ERR_MEM, "%s: out of memory", dir);
+        t->file = file;
+        t->cap = cap;
+    }
+    if (t->n == FILES_MAX)
+        return err_set(e, ERR_LIMIT, "%s: more than %d files", dir, FILES_MAX);
+    enum err_code rc = file_join(path, dir, url + 1, e);
+    if (rc == ERR_OK)
+        rc = file_read(path, BYTES_MAX, &b, e);
+    if (rc != ERR_OK)
+        return rc;
+    *bytes += b.size;
+    int type = type_of(url);
+    struct static_file f = {
+        .path = mem_text(url),
+        .type = type < 0 ? "application/octet-stream" : types[type].type,
+        .immutable = !strncmp(url, "/assets/", 8),
+        .body = body_take(&b, NULL),
+    };
+    if (!f.path || !f.body) {
+        mem_free(f.path);
+        body_drop(&f.body);
+        return err_set(e, ERR_MEM, "%s: out of memory", path);
+    }
+    if (type >= 0 && types[type].text)
+        body_compress(f.body);
+    t->file[t->n++] = f;
+    return *bytes > BYTES_MAX ? err_set(e, ERR_LIMIT, "%s: more than %zu bytes", dir, BYTES_MAX) : ERR_OK;
+}
+
+/* All files below dir + url, depth first. */
+static enum err_code add_dir(const char *dir, const char *url, int depth, struct static_table *t,
+                             size_t *bytes, struct err *e)
+{
+    char path[FILE_PATH_MAX], below[FILE_PATH_MAX];
+    enum err_code rc = ERR_OK;
+    if (depth > DEPTH_MAX)
+        return err_set(e, ERR_LIMIT, "%s: folders nested deeper than %d", dir, DEPTH_MAX);
+    if (snprintf(path, sizeof(path), "%s%s", dir, url) >= (int)sizeof(path))
+        return err_set(e, ERR_LIMIT, "%s: path too long", dir);
+    DIR *d = opendir(path);
+    if (!d)
+        return err_errno(e, ERR_IO, "%s: cannot list this folder", path);
+    for (struct dirent *x; rc == ERR_OK && (x = readdir(d));) {
+        struct stat st;
+        if (!plain_name(x->d_name))
+            continue;
+        if (snprintf(below, sizeof(below), "%s%s%s", url, url[1] ? "/" : "", x->d_name) >=
+                (int)sizeof(below) ||
+            snprintf(path, sizeof(path), "%s%s", dir, below) >= (int)sizeof(path))
+            rc = err_set(e, ERR_LIMIT, "%s: path too long", dir);
+        else if (stat(path, &st) != 0)
+            continue; /* gone since readdir, or a dangling link */
+        else if (S_ISDIR(st.st_mode))
+            rc = add_dir(dir, below, depth + 1, t, bytes, e);
+        else if (S_ISREG(st.st_mode))
+            rc = add_file(dir, below, t, bytes, e);
+    }
+    closedir(d);
+    return rc;
+}
+
+static int by_path(const void *a, const void *b)
+{
+    return strcmp(((const struct static_file *)a)->path, ((const struct static_file *)b)->path);
+}
+
+enum err_code static_load(const char *dir, struct static_table *out, struct err *e)
+{
+    size_t bytes = 0;
+    memset(out, 0, sizeof(*out));
+    enum err_code rc = add_dir(dir, "/", 0, out, &bytes, e);
+    if (rc != ERR_OK)
+        static_free(out);
+    else if (out->n)
+        qsort(out->file, out->n, sizeof(*out->file), by_path);
+    return rc;
+}
+
+void static_free(struct static_table *t)
+{
+    for (size_t i = 0; i < t->n; i++) {
+        mem_free(t->file[i].path);
+        body_drop(&t->file[i].body);
+    }
+    mem_free(t->file);
+    memset(t, 0, sizeof(*t));
+}
+
+const struct static_file *static_find(const struct static_table *t, const char *path, size_t n)
+{
+    size_t lo = 0, hi = t->n;
+    while (lo < hi) {
+        size_t mid = lo + (hi - lo) / 2;
+        int order = strncmp(t->file[mid].path, path, n);
+        if (!order && t->file[mid].path[n])
+            order = 1;
+        if (!order)
+            return &t->file[mid];
+        if (order < 0)
+            lo = mid + 1;
+        else
+            hi = mid;
+    }
+    return NULL;
+}
+
+bool static_default_dir(char out[FILE_PATH_MAX])
+{
+    static const char *const places[] = {"../../web/dist", "../web/dist", "../share/citysplat/web"};
+    char self[FILE_PATH_MAX];
+    ssize_t n = readlink("/proc/self/exe", self, sizeof(self) - 1);
+    if (n <= 0)
+        return false;
+    self[n] = 0;
+    *strrchr(self, '/') = 0;
+    for (size_t i = 0; i < sizeof(places) / sizeof(*places); i++) {
+        char index[FILE_PATH_MAX];
+        if (snprintf(out, FILE_PATH_MAX, "%s/%s", self, places[i]) < FILE_PATH_MAX &&
+            snprintf(index, sizeof(index), "%s/index.html", out) < (int)sizeof(index) &&
+            file_exists(index))
+            return true;
+    }
+    return false;
+}

@@ -1,0 +1,324 @@
+/* The request target, parsed once into integers and enums. Everything after this file works with a route,
+ * a dataset name that was matched against the catalog, and numbers; no byte of the target ever becomes a
+ * path. A path needs no percent sign, no empty or dotted segment and no byte outside [A-Za-z0-9/_.,@:-],
+ * so anything else is refused here and traversal, NUL and encoding tricks end with it. Numbers are plain
+ * decimals without leading zeros, so that a resource has one name.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/server.h"
+
+#include <string.h>
+
+static const struct {
+    const char *ext, *type;
+} formats[] = {
+#define FORMAT_ROW(id, ext, type) {ext, type},
+    FORMAT_LIST(FORMAT_ROW)
+#undef FORMAT_ROW
+};
+
+const char *target_ext(enum format f)
+{
+    return formats[f].ext;
+}
+
+const char *target_type(enum format f)
+{
+    return formats[f].type;
+}
+
+struct text { /* what is left to read */
+    const char *p, *end;
+};
+
+static bool take(struct text *t, const char *word)
+{
+    size_t n = strlen(word);
+    if ((size_t)(t->end - t->p) < n || memcmp(t->p, word, n) != 0)
+        return false;
+    t->p += n;
+    return true;
+}
+
+static bool at_end(const struct text *t)
+{
+    return t->p == t->end;
+}
+
+static bool is_digit(const struct text *t)
+{
+    return t->p < t->end && *t->p >= '0' && *t->p <= '9';
+}
+
+/* A natural number of at most 9 digits, no leading zero. */
+static bool take_uint(struct text *t, uint32_t *out)
+{
+    const char *start = t->p;
+    uint32_t v = 0;
+    for (; is_digit(t) && t->p - start < 10; t->p++)
+        v = v * 10 + (uint32_t)(*t->p - '0') * (t->p - start < 9);
+    *out = v;
+    size_t n = (size_t)(t->p - start);
+    return n >= 1 && n <= 9 && (n == 1 || *start != '0');
+}
+
+/* [-]digits[.digits] times 10^scale, rounded half away from zero: at most 9 digits before the point and
+ * 12 after. "-0" is 0. */
+static bool take_fixed(struct text *t, int scale, int64_t *out)
+{
+    bool negative = take(t, "-");
+    uint32_t whole;
+    if (!take_uint(t, &whole))
+        return false;
+    int64_t v = whole;
+    int done = 0, digits = 0;
+    bool up = false;
+    if (take(t, ".")) {
+        if (!is_digit(t))
+            return false;
+        for (; is_digit(t); t->p++) {
+            if (++digits > 12)
+                return false;
+            if (done < scale)
+                v = v * 10 + (*t->p - '0'), done++;
+            else if (digits == scale + 1)
+                up = *t->p >= '5';
+        }
+    }
+    for (; done < scale; done++)
+        v *= 10;
+    *out = negative ? -(v + up) : v + up;
+    return true;
+}
+
+/* One word of [a-z0-9][a-z0-9_-]* up to '/' or the end. */
+static bool take_name(struct text *t, char *out, size_t room)
+{
+    size_t n = 0;
+    for (; t->p < t->end && *t->p != '/'; t->p++) {
+        char c = *t->p;
+        bool plain = (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9');
+        if (n + 1 >= room || !(plain || (n && (c == '_' || c == '-'))))
+            return false;
+        out[n++] = c;
+    }
+    out[n] = 0;
+    return n > 0;
+}
+
+static bool take_rev(struct text *t, char out[13])
+{
+    for (int i = 0; i < 12; i++) {
+        if (t->p == t->end || !(is_digit(t) || (*t->p >= 'a' && *t->p <= 'f')))
+            return false;
+        out[i] = *t->p++;
+    }
+    out[12] = 0;
+    return true;
+}
+
+/* The rest must be one of the extensions [first, last]. */
+static bool take_format(struct text *t, enum format first, enum format last, enum format *out)
+{
+    for (int f = (int)first; f <= (int)last; f++) {
+        struct text at = *t;
+        if (take(&at, formats[f].ext) && at_end(&at)) {
+            *t = at;
+            *out = (enum format)f;
+            return true;
+        }
+    }
+    return false;
+}
+
+static enum err_code nothing(struct err *e)
+{
+    return err_set(e, ERR_NOENT, "there is nothing at this path");
+}
+
+/* {z}/{x}/{y}.{ext} */
+static enum err_code parse_tile(struct text *t, enum route route, struct target *out, struct err *e)
+{
+    uint32_t z, x, y;
+    if (!take_uint(t, &z) || !take(t, "/") || !take_uint(t, &x) || !take(t, "/") ||
+        !take_uint(t, &y) || !take(t, ".") || !take_format(t, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->format))
+        return err_set(e, ERR_NOENT, "a tile is z/x/y.ext with ext one of glb, spz, drc, ply, plain.glb");
+    out->route = route;
+    out->key = (struct key){(uint8_t)(z > 255 ? 255 : z), x, y};
+    if (!key_valid(out->key))
+        return err_set(e, ERR_NOENT, "tile %u/%u/%u does not exist: z <= 24, x and y < 2^z", z, x, y);
+    return ERR_OK;
+}
+
+/* {lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt} */
+static enum err_code parse_view(struct text *t, enum route route, struct target *out, struct err *e)
+{
+    int64_t lon, lat, h, heading, pitch, fov = 60000;
+    bool ok = take_fixed(t, 7, &lon) && take(t, ",") && take_fixed(t, 7, &lat) && take(t, ",") &&
+              take_fixed(t, 3, &h) && take(t, "@") && take_fixed(t, 3, &heading) && take(t, ",") &&
+              take_fixed(t, 3, &pitch);
+    if (ok && take(t, ","))
+        ok = take_fixed(t, 3, &fov);
+    ok = ok && take(t, "/") && take_uint(t, &out->width_px) && take(t, "x") &&
+         take_uint(t, &out->height_px) && take(t, ".") &&
+         take_format(t, FORMAT_JPG, FORMAT_WEBP, &out->format);
+    if (!ok)
+        return err_set(e, ERR_FORMAT, "a view is lon,lat,h@heading,pitch[,fov]/WxH.ext with plain decimal "
+                                      "numbers and ext one of jpg, png, webp");
+    if (lon < -1800000000 || lon > 1800000000 || lat < -900000000 || lat > 900000000)
+        return err_set(e, ERR_DATA, "longitude is -180..180 and latitude -90..90 degrees");
+    if (h < -20000000 || h > 2000000000)
+        return err_set(e, ERR_DATA, "height is -20000..2000000 m above the ellipsoid");
+    if (heading < -360000 || heading > 360000 || pitch < -90000 || pitch > 90000)
+        return err_set(e, ERR_DATA, "heading is -360..360 and pitch -90..90 degrees");
+    if (fov < 1000 || fov > 150000)
+        return err_set(e, ERR_DATA, "the vertical field of view is 1..150 degrees");
+    out->route = route;
+    out->pose = (struct target_pose){(int32_t)lon, (int32_t)lat, (int32_t)h,
+                                     (int32_t)((heading + 720000) % 360000), (int32_t)pitch, (int32_t)fov};
+    return ERR_OK;
+}
+
+/* ?bbox=w,s,e,n&z=a-b&f=ext, in any order, each at most once. Commas may come as %2C. */
+static enum err_code parse_seed(const char *query, size_t n, struct target *out, struct err *e)
+{
+    char plain[256];
+    size_t m = 0;
+    unsigned seen = 0;
+    for (size_t i = 0; i < n; i++) {
+        bool comma = i + 3 <= n && query[i] == '%' && query[i + 1] == '2' && (query[i + 2] | 32) == 'c';
+        if (m == sizeof(plain))
+            return err_set(e, ERR_FORMAT, "the query is too long");
+        plain[m++] = comma ? ',' : query[i];
+        i += comma ? 2 : 0;
+    }
+    out->z_max = KEY_ZOOM_MAX;
+    out->format = FORMAT_GLB;
+    for (struct text t = {plain, plain + m}; !at_end(&t);) {
+        const char *amp = memchr(t.p, '&', (size_t)(t.end - t.p));
+        struct text one = {t.p, amp ? amp : t.end};
+        t.p = amp ? amp + 1 : t.end;
+        int64_t v[4];
+        uint32_t a, b;
+        if (take(&one, "bbox=") && !(seen & 1)) {
+            seen |= 1;
+            for (int i = 0; i < 4; i++) {
+                if ((i && !take(&one, ",")) || !take_fixed(&one, 7, &v[i]) || v[i] < -1800000000 ||
+                    v[i] > 1800000000)
+                    return err_set(e, ERR_FORMAT, "bbox is west,south,east,north in degrees");
+                out->bbox_e7[i] = (int32_t)v[i];
+            }
+            out->has_bbox = true;
+        } else if (take(&one, "z=") && !(seen & 2)) {
+            seen |= 2;
+            bool ok = take_uint(&one, &a);
+            b = a;
+            if (ok && take(&one, "-"))
+                ok = take_uint(&one, &b);
+            if (!ok || a > b || b > KEY_ZOOM_MAX)
+                return err_set(e, ERR_FORMAT, "z is a zoom, or two as in 12-16");
+            out->z_min = (uint8_t)a;
+            out->z_max = (uint8_t)b;
+        } else if (take(&one, "f=") && !(seen & 4)) {
+            seen |= 4;
+            if (!take_format(&one, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->format))
+                return err_set(e, ERR_FORMAT, "f is one of glb, spz, drc, ply, plain.glb");
+        } else {
+            return err_set(e, ERR_FORMAT, "the query may hold bbox, z and f, each once");
+        }
+        if (!at_end(&one))
+            return err_set(e, ERR_FORMAT, "the query has a malformed value");
+    }
+    return ERR_OK;
+}
+
+/* What follows /d/ */
+static enum err_code parse_data(struct text *t, const char *query, size_t n_query, struct target *out,
+                                struct err *e)
+{
+    if (!take_name(t, out->ds, sizeof(out->ds)) || !take(t, "/"))
+        return nothing(e);
+    struct text at = *t;
+    if (take(&at, "tileset.json") && at_end(&at))
+        return out->route = ROUTE_TILESET_MOVING, ERR_OK;
+    at = *t;
+    if (take(&at, "render") && at_end(&at))
+        return out->route = ROUTE_RENDER, ERR_OK;
+    at = *t;
+    if (take(&at, "seed.ndjson") && at_end(&at)) {
+        out->route = ROUTE_SEED;
+        return parse_seed(query, n_query, out, e);
+    }
+    bool revisioned = take(t, "r/");
+    if (revisioned && (!take_rev(t, out->rev) || !take(t, "/")))
+        return err_set(e, ERR_NOENT, "a revision is 12 hexadecimal digits");
+    at = *t;
+    if (revisioned && take(&at, "tileset.json") && at_end(&at))
+        return out->route = ROUTE_TILESET, ERR_OK;
+    if (take(t, "t/"))
+        return parse_tile(t, revisioned ? ROUTE_TILE : ROUTE_TILE_MOVING, out, e);
+    if (take(t, "static/"))
+        return parse_view(t, revisioned ? ROUTE_VIEW : ROUTE_VIEW_MOVING, out, e);
+    return nothing(e);
+}
+
+static enum err_code parse_collection(struct text *t, struct target *out, struct err *e)
+{
+    if (!take_name(t, out->ds, sizeof(out->ds)))
+        return nothing(e);
+    if (at_end(t))
+        return out->route = ROUTE_COLLECTION, ERR_OK;
+    if (take(t, "/tiles.json") && at_end(t))
+        return out->route = ROUTE_TILEJSON, ERR_OK;
+    return nothing(e);
+}
+
+/* Bytes no legal path needs. */
+static enum err_code check_path(const char *p, size_t n, struct err *e)
+{
+    if (!n || p[0] != '/')
+        return err_set(e, ERR_FORMAT, "the request target must be a path");
+    for (size_t i = 0; i < n; i++) {
+        char c = p[i];
+        bool ok = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
+                  memchr("/_.,@:-", c, 7);
+        if (!ok)
+            return err_set(e, ERR_FORMAT, "the path holds a byte that no path of this server has");
+        if (c == '/' && i + 1 < n && (p[i + 1] == '/' || p[i + 1] == '.'))
+            return err_set(e, ERR_FORMAT, "the path holds an empty segment or one that begins with a dot");
+    }
+    return ERR_OK;
+}
+
+enum err_code target_parse(const char *text, size_t n, struct target *out, struct err *e)
+{
+    static const struct {
+        const char *path;
+        enum route route;
+    } fixed[] = {
+        {"/", ROUTE_LANDING},     {"/conformance", ROUTE_CONFORMANCE}, {"/api", ROUTE_API},
+        {"/healthz", ROUTE_HEALTH}, {"/readyz", ROUTE_READY},          {"/version", ROUTE_VERSION},
+        {"/metrics", ROUTE_METRICS}, {"/collections", ROUTE_COLLECTIONS},
+    };
+    memset(out, 0, sizeof(*out));
+    out->route = ROUTE_NONE;
+    const char *mark = n ? memchr(text, '?', n) : NULL;
+    size_t n_path = mark ? (size_t)(mark - text) : n;
+    out->path_size = n_path;
+    enum err_code rc = check_path(text, n_path, e);
+    if (rc != ERR_OK)
+        return rc;
+    struct text t = {text, text + n_path};
+    for (size_t i = 0; i < sizeof(fixed) / sizeof(*fixed); i++)
+        if (strlen(fixed[i].path) == n_path && !memcmp(fixed[i].path, text, n_path)) {
+            out->route = fixed[i].route;
+            return ERR_OK;
+        }
+    if (take(&t, "/d/"))
+        return parse_data(&t, mark ? mark + 1 : "", mark ? n - n_path - 1 : 0, out, e);
+    if (take(&t, "/collections/"))
+        return parse_collection(&t, out, e);
+    out->route = ROUTE_STATIC; /* if the table of files has it */
+    return ERR_OK;
+}

@@ -1,0 +1,247 @@
+/* Clients that are slow, idle or gone. libmicrohttpd's timeout counts inactivity, so a client that sends
+ * one byte a second is never cut; and it does not look at a suspended connection, so a client that hangs
+ * up while its tile is made goes unnoticed. This thread does both: each connection has a slot with a
+ * deadline for the phase it is in (an atomic, so the request path takes no lock), and the sockets of
+ * waiting clients are in an epoll set.
+ *
+ * A slot's fd is valid from watch_add to watch_remove, which libmicrohttpd calls before it closes the
+ * socket, so shutdown() under the lock never hits a reused number. A waiter is touched only while the slot
+ * is armed and the lock is held; whoever resumes a connection disarms first.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/server.h"
+
+#include <errno.h>
+#include <string.h>
+#include <sys/epoll.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "core/pool.h"
+
+enum { TICK_MS = 100, EVENTS = 64 };
+enum arm { ARM_EXPECTED, ARM_ON, ARM_OFF };
+
+struct watch_slot {
+    int fd; /* -1 when free; this line and the next by the lock */
+    uint32_t generation, next_free;
+    enum arm arm;
+    struct job_waiter *waiter;
+    _Atomic uint64_t deadline_ms; /* 0 = none */
+    _Atomic int phase;
+    _Atomic uint32_t requests;
+};
+struct watch {
+    struct services *s;
+    void (*gone)(struct job_waiter *w);
+    pthread_mutex_t lock;
+    struct watch_slot *slot;
+    uint32_t n, used, first_free; /* used: slots ever taken; first_free: n = none */
+    int epoll_fd;
+    struct pool_thread *thread;
+    _Atomic bool stop;
+};
+
+static uint64_t now_ms(void)
+{
+    return (uint64_t)(clock_s() * 1000);
+}
+
+/* ---- the thread -------------------------------------------------------------------------------------------- */
+
+/* The client behind this slot hung up, or closed its sending half. A half-closed client may still read
+ * (RFC 9112, section 9.6), and a tile is soon made and worth keeping, so only a picture is given up for
+ * that. */
+static void on_event(struct watch *w, uint64_t id, uint32_t events)
+{
+    struct job_waiter *left = NULL;
+    uint32_t index = (uint32_t)id, generation = (uint32_t)(id >> 32);
+    pthread_mutex_lock(&w->lock);
+    struct watch_slot *s = &w->slot[index];
+    if (s->fd >= 0 && s->generation == generation && s->arm == ARM_ON) {
+        bool half = !(events & (EPOLLHUP | EPOLLERR));
+        struct epoll_event again = {.events = EPOLLONESHOT, .data.u64 = id};
+        if (half && job_class_of(w->s->jobs, s->waiter) != JOB_VIEW)
+            (void)epoll_ctl(w->epoll_fd, EPOLL_CTL_MOD, s->fd, &again);
+        else if (job_leave(w->s->jobs, s->waiter))
+            left = s->waiter;
+    }
+    pthread_mutex_unlock(&w->lock);
+    if (left)
+        w->gone(left);
+}
+
+static void reap(struct watch *w)
+{
+    uint64_t now = now_ms();
+    pthread_mutex_lock(&w->lock);
+    for (uint32_t i = 0; i < w->used; i++) {
+        struct watch_slot *s = &w->slot[i];
+        uint64_t deadline = atomic_load_explicit(&s->deadline_ms, memory_order_relaxed);
+        if (s->fd < 0 || !deadline || now < deadline)
+            continue;
+        if (atomic_load(&s->phase) != WATCH_IDLE)
+            atomic_fetch_add(&w->s->metrics.reaped, 1);
+        atomic_store(&s->deadline_ms, 0);
+        shutdown(s->fd, SHUT_RDWR);
+    }
+    pthread_mutex_unlock(&w->lock);
+}
+
+static void watch_main(void *user)
+{
+    struct watch *w = user;
+    uint64_t next = now_ms();
+    while (!atomic_load(&w->stop)) {
+        struct epoll_event event[EVENTS];
+        int n = epoll_wait(w->epoll_fd, event, EVENTS, TICK_MS);
+        for (int i = 0; i < n; i++)
+            on_event(w, event[i].data.u64, event[i].events);
+        if (now_ms() < next)
+            continue;
+        next = now_ms() + TICK_MS;
+        reap(w);
+        job_tick(w->s->jobs, clock_s());
+    }
+}
+
+/* ---- the interface ------------------------------------------------------------------------------------------ */
+
+enum err_code watch_open(size_t limit, struct services *s, void (*gone)(struct job_waiter *w),
+                         struct watch **out, struct err *e)
+{
+    struct watch *w = mem_array(1, sizeof(*w));
+    *out = w;
+    if (!w || !(w->slot = mem_array(limit, sizeof(*w->slot)))) {
+        mem_free(w);
+        *out = NULL;
+        return err_set(e, ERR_MEM, "watch: out of memory for %zu connections", limit);
+    }
+    w->s = s;
+    w->gone = gone;
+    w->n = w->first_free = (uint32_t)limit;
+    pthread_mutex_init(&w->lock, NULL);
+    w->epoll_fd = epoll_create1(EPOLL_CLOEXEC);
+    enum err_code rc = w->epoll_fd < 0 ? err_errno(e, ERR_IO, "watch: epoll_create1") : ERR_OK;
+    if (rc == ERR_OK)
+        rc = pool_start(watch_main, w, &w->thread, e);
+    if (rc != ERR_OK)
+        watch_close(out);
+    return rc;
+}
+
+void watch_close(struct watch **out)
+{
+    struct watch *w = *out;
+    *out = NULL;
+    if (!w)
+        return;
+    atomic_store(&w->stop, true);
+    if (w->thread)
+        pool_join(&w->thread);
+    if (w->epoll_fd >= 0)
+        close(w->epoll_fd);
+    pthread_mutex_destroy(&w->lock);
+    mem_free(w->slot);
+    mem_free(w);
+}
+
+struct watch_slot *watch_add(struct watch *w, int fd)
+{
+    struct watch_slot *s = NULL;
+    pthread_mutex_lock(&w->lock);
+    if (w->first_free < w->n) {
+        s = &w->slot[w->first_free];
+        w->first_free = s->next_free;
+    } else if (w->used < w->n) {
+        s = &w->slot[w->used++];
+    }
+    if (s) {
+        s->fd = fd;
+        s->generation++;
+        s->arm = ARM_OFF;
+        s->waiter = NULL;
+        atomic_store(&s->deadline_ms, 0);
+        atomic_store(&s->requests, 0);
+    }
+    pthread_mutex_unlock(&w->lock);
+    return s;
+}
+
+void watch_remove(struct watch *w, struct watch_slot *s)
+{
+    if (!s)
+        return;
+    watch_disarm(w, s);
+    pthread_mutex_lock(&w->lock);
+    s->fd = -1;
+    s->next_free = w->first_free;
+    w->first_free = (uint32_t)(s - w->slot);
+    pthread_mutex_unlock(&w->lock);
+}
+
+void watch_phase(struct watch_slot *s, enum watch_phase phase, double timeout_s)
+{
+    if (!s)
+        return;
+    atomic_store_explicit(&s->phase, phase, memory_order_relaxed);
+    atomic_store_explicit(&s->deadline_ms, timeout_s > 0 ? now_ms() + (uint64_t)(timeout_s * 1000) + 1 : 0,
+                          memory_order_relaxed);
+}
+
+uint32_t watch_requests(struct watch_slot *s)
+{
+    return s ? atomic_fetch_add_explicit(&s->requests, 1, memory_order_relaxed) + 1 : 1;
+}
+
+void watch_expect(struct watch *w, struct watch_slot *s)
+{
+    if (!s)
+        return;
+    pthread_mutex_lock(&w->lock);
+    s->arm = ARM_EXPECTED;
+    pthread_mutex_unlock(&w->lock);
+}
+
+void watch_arm(struct watch *w, struct watch_slot *s, struct job_waiter *waiter)
+{
+    if (!s)
+        return;
+    pthread_mutex_lock(&w->lock);
+    if (s->arm == ARM_EXPECTED) { /* else the job has ended already, and the waiter with it */
+        struct epoll_event event = {
+            .events = EPOLLRDHUP | EPOLLONESHOT,
+            .data.u64 = (uint64_t)s->generation << 32 | (uint64_t)(s - w->slot),
+        };
+        if (epoll_ctl(w->epoll_fd, EPOLL_CTL_ADD, s->fd, &event) == 0) {
+            s->arm = ARM_ON;
+            s->waiter = waiter;
+        }
+    }
+    pthread_mutex_unlock(&w->lock);
+}
+
+void watch_disarm(struct watch *w, struct watch_slot *s)
+{
+    if (!s)
+        return;
+    pthread_mutex_lock(&w->lock);
+    if (s->arm == ARM_ON)
+        (void)epoll_ctl(w->epoll_fd, EPOLL_CTL_DEL, s->fd, NULL);
+    s->arm = ARM_OFF;
+    s->waiter = NULL;
+    pthread_mutex_unlock(&w->lock);
+}
+
+void watch_stop_idle(struct watch *w)
+{
+    pthread_mutex_lock(&w->lock);
+    for (uint32_t i = 0; i < w->used; i++) {
+        struct watch_slot *s = &w->slot[i];
+        /* Reading half only: a request that arrived just now is still read, and answered. */
+        if (s->fd >= 0 && atomic_load(&s->phase) == WATCH_IDLE)
+            shutdown(s->fd, SHUT_RD);
+    }
+    pthread_mutex_unlock(&w->lock);
+}
