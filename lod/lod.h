@@ -155,10 +155,15 @@ enum err_code pick_tiles(const struct store *s, const struct camera *cam, const 
 /* ---- view.c: a picture of a store ---------------------------------------------------------------------------- */
 
 struct view; /* a store, a renderer, and the tiles resident on the device; one caller at a time */
+/* cache_bytes: of decoded tiles in memory, 0 = 1 GiB. r is borrowed until view_close. */
 enum err_code view_open(const char *store_path, struct render *r, size_t cache_bytes, struct view **out,
                         struct err *e) ERR_USE;
 void view_close(struct view **v);
 const struct store *view_store(const struct view *v);
+/* Change the Gaussians before they go to the device (an appearance: g carries the embeddings then); NULL for none.
+ * Takes effect with the next picture. */
+void view_set_bake(struct view *v, enum err_code (*bake)(void *user, struct gauss *g, struct err *e),
+                   void *user);
 struct view_stats {
     size_t n_tiles;
     uint64_t n_gaussians;
