@@ -85,7 +85,8 @@ cl_mem render_color_buffer(struct render *r);
 /* ---- backward: see render_backward.c ----------------------------------------------------------- */
 
 /* dL/d(colour) of the last forward frame: float [3][h][w] planar on the device, same layout as
- * render_color_buffer; borrowed, filled by the loss (or by render_set_color_grad). */
+ * render_color_buffer; borrowed, filled by the loss (or by render_set_color_grad). Ask after each frame. NULL
+ * when no frame was drawn or memory is out. */
 cl_mem render_color_grad_buffer(struct render *r);
 enum err_code render_set_color_grad(struct render *r, const float *rgb_grad /*[h][w][3]*/,
                                     struct err *e) ERR_USE;
@@ -101,6 +102,8 @@ struct render_adam {
     float beta1, beta2, eps;
     uint32_t step; /* 1-based, for bias correction */
     float scale_log_min, scale_log_max; /* clamp after the step */
+    cl_mem extra_grad; /* may be NULL: float [groups][11][16], added to the gradients of planes 0-10 of every
+                        * Gaussian, seen or not (regularisers) */
 };
 /* Per-Gaussian densification statistics, accumulated by render_backward_step:
  *   grad   float [cap]  sum of ||(0.5 W g_u, 0.5 H g_v)||        (positional gradient, NDC units)
@@ -111,7 +114,10 @@ struct render_adam {
 struct render_density_stats {
     cl_mem grad, absg, count, radius, repaired;
 };
-/* Backward fused with Adam: updates m->params in place; `stats` may be NULL. */
+/* Backward fused with Adam: updates m->params and the moments in place; `stats` may be NULL. Dense: Gaussians
+ * that were not seen move on with gradient 0, as Adam has it. SH above the degree of the frame is left alone.
+ * A Gaussian whose gradient is not finite is left as it is, a quaternion shorter than 1e-6 or not finite
+ * becomes the identity with zero moments; both are counted in `repaired`. Draw again before the next call. */
 enum err_code render_backward_step(struct render *r, struct render_model *m, struct render_adam *adam,
                                    struct render_density_stats *stats, struct err *e) ERR_USE;
 

@@ -375,6 +375,195 @@ static void test_ref_untouched(void **state)
     scene_free(&s);
 }
 
+/* ---- kernels against the reference -------------------------------------------------------------------- */
+
+/* float against double: single gradients are sums of hundreds of products with cancellation. */
+#define KERNEL_REL 2e-3
+#define KERNEL_L2 1e-4
+/* A pixel within this of a threshold (alpha at 1/255 or its maximum, T at the stop) may fall on either side
+ * in float: its dL/dcolour is set to 0 so that the comparison does not depend on it. */
+#define THRESHOLD_REL 2e-4
+
+static struct dev *dev_get(void)
+{
+    static struct dev dev;
+    struct err e = {0};
+    if (!dev.context)
+        kit_ok(dev_open(NULL, &dev, &e), e);
+    return &dev;
+}
+
+static bool near(double a, double b)
+{
+    return fabs(a - b) <= THRESHOLD_REL * fabs(b);
+}
+
+/* Clear rgb_grad where float and double could decide differently; the fraction that is left. */
+static double clear_ambiguous(struct scene *s)
+{
+    struct ref_view v;
+    struct ref_splat *splats;
+    size_t n, px = (size_t)s->cam.width_px * s->cam.height_px, left = 0;
+    struct err e = {0};
+    kit_ok(ref_view_init(&s->g, &s->cam, &s->o, &v, &e), e);
+    kit_ok(ref_project_all(&v, &s->g, &splats, &n, &e), e);
+    for (size_t at = 0; at < px; at++) {
+        double t = 1, x = (double)(at % s->cam.width_px) + 0.5, y = (double)(at / s->cam.width_px) + 0.5;
+        bool sure = true;
+        for (size_t i = 0; i < n && t > (double)RENDER_T_STOP; i++) {
+            const struct ref_splat *p = &splats[i];
+            double dx = p->mean_px[0] - x, dy = p->mean_px[1] - y;
+            double sigma = 0.5 * (p->conic[0] * dx * dx + p->conic[2] * dy * dy) + p->conic[1] * dx * dy;
+            double a = p->opacity_eff * exp(-sigma);
+            sure = sure && !near(a, 1 / 255.0) && !near(a, (double)RENDER_ALPHA_MAX);
+            if (a < 1 / 255.0)
+                continue;
+            t *= 1 - fmin(a, (double)RENDER_ALPHA_MAX);
+            sure = sure && !near(t, (double)RENDER_T_STOP);
+        }
+        for (size_t c = 0; c < 3 && !sure; c++)
+            s->rgb_grad[3 * at + c] = 0;
+        left += sure;
+    }
+    mem_free(splats);
+    return (double)left / (double)px;
+}
+
+/* Forward and set dL/dcolour; the model stays for the caller. */
+static void kernel_forward(struct render *r, const struct scene *s, struct render_model *m)
+{
+    struct err e = {0};
+    size_t n = (size_t)s->cam.width_px * s->cam.height_px * 3;
+    float *g = mem_array(n, sizeof *g);
+    assert_non_null(g);
+    for (size_t i = 0; i < n; i++)
+        g[i] = (float)s->rgb_grad[i];
+    if (!m->params)
+        kit_ok(render_model_upload(r, &s->g, m, &e), e);
+    kit_ok(render_forward(r, m, &s->cam, &s->o, NULL, NULL, &e), e);
+    kit_ok(render_set_color_grad(r, g, &e), e);
+    mem_free(g);
+}
+
+/* A buffer in the layout of the parameters, as arrays in the layout of gauss. */
+static void planes_read(const struct render_model *m, cl_mem mem, struct gauss *out)
+{
+    struct err e = {0};
+    size_t k = 3 * gauss_sh_count(m->sh_degree), words = (size_t)m->groups * m->planes * 16;
+    float *raw = mem_array(words, sizeof *raw);
+    assert_non_null(raw);
+    kit_ok(dev_read(dev_get(), mem, 0, words * sizeof *raw, raw, &e), e);
+    for (size_t i = 0; i < m->n; i++) {
+        const float *p = raw + i / 16 * m->planes * 16 + i % 16;
+        for (size_t a = 0; a < 3; a++) {
+            out->mean_m[3 * i + a] = p[16 * (RENDER_PLANE_MEAN + a)];
+            out->scale_log[3 * i + a] = p[16 * (RENDER_PLANE_SCALE + a)];
+        }
+        for (size_t a = 0; a < 4; a++)
+            out->quat_wxyz[4 * i + a] = p[16 * (RENDER_PLANE_QUAT + a)];
+        out->opacity_logit[i] = p[16 * RENDER_PLANE_OPACITY];
+        for (size_t a = 0; a < k; a++)
+            out->sh[k * i + a] = p[16 * (RENDER_PLANE_SH + a)];
+    }
+    mem_free(raw);
+}
+
+static void gauss_like(const struct gauss *g, struct gauss *out)
+{
+    struct err e = {0};
+    kit_ok(gauss_alloc(out, g->n, g->sh_degree, 0, &e), e);
+    out->n = g->n;
+}
+
+static float *part_of(struct gauss *g, size_t part)
+{
+    float *const parts[5] = {g->mean_m, g->scale_log, g->quat_wxyz, g->opacity_logit, g->sh};
+    return parts[part];
+}
+
+/* Kernel gradients of s (unfused) into out. */
+static void kernel_gradients(struct render *r, const struct scene *s, struct gauss *out)
+{
+    struct render_model m = {0};
+    struct err e = {0};
+    cl_mem grads;
+    kernel_forward(r, s, &m);
+    size_t bytes = (size_t)m.groups * m.planes * 16 * sizeof(float);
+    float *junk = mem_array(bytes, 1);
+    assert_non_null(junk);
+    memset(junk, 0xFF, bytes); /* NaN: every plane must be written */
+    kit_ok(dev_buffer(dev_get(), bytes, junk, &grads, &e), e);
+    kit_ok(render_backward(r, &m, grads, &e), e);
+    gauss_like(&s->g, out);
+    planes_read(&m, grads, out);
+    dev_release(&grads);
+    mem_free(junk);
+    render_model_free(&m);
+}
+
+static void check_kernels(struct render *r, struct scene *s, const char *what)
+{
+    struct grads want = grads_make(&s->g);
+    struct gauss got = {0};
+    struct err e = {0};
+    double sure = clear_ambiguous(s);
+    if (sure < 0.5)
+        fail_msg("%s: only %.2f of the pixels are away from every threshold", what, sure);
+    kit_ok(render_ref_backward(&s->g, &s->cam, &s->o, s->rgb_grad, &want.r, &e), e);
+    kernel_gradients(r, s, &got);
+    for (size_t k = 0; k < 5; k++) {
+        char name[96];
+        const float *v = part_of(&got, k);
+        double err2 = 0, ref2 = 0;
+        for (size_t i = 0; i < want.count[k]; i++) {
+            err2 += ((double)v[i] - want.part[k][i]) * ((double)v[i] - want.part[k][i]);
+            ref2 += want.part[k][i] * want.part[k][i];
+        }
+        snprintf(name, sizeof name, "%s: %s", what, part_name[k]);
+        kit_near(name, v, want.part[k], want.count[k], KERNEL_REL * rms(want.part[k], want.count[k]),
+                 KERNEL_REL);
+        if (getenv("CITYSPLAT_TEST_VERBOSE"))
+            print_message("%s: relative L2 %.2g, %.2f of the pixels\n", name, sqrt(err2 / ref2), sure);
+        if (!(sqrt(err2) <= KERNEL_L2 * sqrt(ref2)))
+            fail_msg("%s: relative L2 error %g > %g", name, sqrt(err2 / ref2), KERNEL_L2);
+    }
+    gauss_free(&got);
+    mem_free(want.block);
+}
+
+static void test_kernels_match_reference(void **state)
+{
+    (void)state;
+    static const enum render_aa modes[] = {RENDER_AA_NONE, RENDER_AA_2D, RENDER_AA_MIP};
+    struct render *r;
+    struct err e = {0};
+    kit_ok(render_open(dev_get(), &r, &e), e);
+    for (uint32_t i = 0; i < 3; i++) {
+        char name[64];
+        for (uint32_t degree = 0; degree < 4; degree++) {
+            struct scene s = scene_make(20 + i, 15 + degree, modes[i], degree);
+            snprintf(name, sizeof name, "mode %u, degree %u", i, degree);
+            check_kernels(r, &s, name);
+            scene_free(&s);
+        }
+        struct scene s = scene_saturated(modes[i]);
+        check_kernels(r, &s, "saturated");
+        scene_free(&s);
+        s = scene_outside(modes[i]);
+        check_kernels(r, &s, "outside the picture");
+        scene_free(&s);
+        s = scene_needles(modes[i]);
+        check_kernels(r, &s, "needles");
+        scene_free(&s);
+    }
+    struct scene s = scene_make(5, 300, RENDER_AA_2D, 3); /* many groups, long lists */
+    check_kernels(r, &s, "300 Gaussians");
+    s.o.sh_degree = 1;
+    check_kernels(r, &s, "degree 1 of 3");
+    scene_free(&s);
+    render_close(&r);
+}
+
 int main(int argc, char **argv)
 {
     (void)argc;
@@ -382,7 +571,9 @@ int main(int argc, char **argv)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_ref_all_parameters), cmocka_unit_test(test_ref_saturated),
         cmocka_unit_test(test_ref_outside),        cmocka_unit_test(test_ref_needles),
-        cmocka_unit_test(test_ref_untouched),
+        cmocka_unit_test(test_ref_untouched),      cmocka_unit_test(test_kernels_match_reference),
     };
-    return cmocka_run_group_tests(tests, NULL, NULL);
+    int failed = cmocka_run_group_tests(tests, NULL, NULL);
+    dev_close(dev_get());
+    return failed;
 }

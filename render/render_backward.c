@@ -1,0 +1,212 @@
+/* The backward pass on the device: dL/dcolour of the last frame -> gradients, or one step of Adam.
+ *
+ * Two launches: blend_backward leaves eleven sums in one slot per (splat, tile) pair, project_backward or
+ * project_step adds a Gaussian's slots in order and applies the chain rule, the latter with Adam on the
+ * spot, so that gradients (236 bytes a Gaussian) never travel through memory. Owns its kernels and slots in
+ * struct render_backward_state, made on first use; render_close frees it through backward_free. The
+ * formulas are in the kernels' heads and, in double, in render_ref_backward.c.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <string.h>
+
+#include "core/base.h"
+#include "render/frame.h"
+
+extern const char blend_cpu_cl[], blend_backward_cl[], project_backward_cl[];
+
+/* Pixel gradients are scaled to normalised device coordinates by half the picture, at most this: with
+ * larger pictures thresholds tuned on ordinary ones would split without end. */
+static const double half_max_px = 1600;
+
+struct render_backward_state {
+    cl_program program;
+    cl_kernel blend, grads, step;
+    struct frame_buffer slots; /* float [entries][LAYOUT_SLOT_FLOATS], and room for one vector load */
+    struct frame_buffer marks; /* uchar [entries] */
+    cl_mem unused;             /* stands for the buffers a caller left out */
+};
+
+static void backward_release(struct render *r)
+{
+    struct render_backward_state *s = r->backward;
+    if (!s)
+        return;
+    cl_kernel kernels[] = {s->blend, s->grads, s->step};
+    for (size_t i = 0; i < sizeof kernels / sizeof *kernels; i++)
+        if (kernels[i])
+            clReleaseKernel(kernels[i]);
+    if (s->program)
+        clReleaseProgram(s->program);
+    dev_release(&s->slots.mem);
+    dev_release(&s->marks.mem);
+    dev_release(&s->unused);
+    mem_free(s);
+    r->backward = NULL;
+}
+
+static enum err_code backward_open(struct render *r, struct err *e)
+{
+    const struct dev_source sources[] = {{"render/common.cl", common_cl},
+                                         {"render/blend_cpu.cl", blend_cpu_cl},
+                                         {"render/blend_backward.cl", blend_backward_cl},
+                                         {"render/project_backward.cl", project_backward_cl}};
+    struct render_backward_state *s = r->backward;
+    if (s)
+        return ERR_OK;
+    s = mem_array(1, sizeof *s);
+    if (!s)
+        return err_set(e, ERR_MEM, "render_backward: out of memory");
+    r->backward = s;
+    r->backward_free = backward_release;
+    enum err_code rc =
+        dev_build(r->dev, sources, sizeof sources / sizeof *sources, NULL, &s->program, e);
+    if (rc == ERR_OK)
+        rc = dev_kernel(s->program, "blend_backward", &s->blend, e);
+    if (rc == ERR_OK)
+        rc = dev_kernel(s->program, "project_backward", &s->grads, e);
+    if (rc == ERR_OK)
+        rc = dev_kernel(s->program, "project_step", &s->step, e);
+    if (rc == ERR_OK)
+        rc = dev_buffer(r->dev, 64, NULL, &s->unused, e);
+    if (rc != ERR_OK)
+        backward_release(r);
+    return rc;
+}
+
+/* ---- dL/dcolour ------------------------------------------------------------------------------------ */
+
+static size_t picture_bytes(const struct render *r)
+{
+    return (size_t)3 * r->view.width * r->view.height * sizeof(float);
+}
+
+cl_mem render_color_grad_buffer(struct render *r)
+{
+    struct err e;
+    if (!r->drawn || frame_reserve(r, &r->color_grad, picture_bytes(r), &e) != ERR_OK)
+        return NULL;
+    return r->color_grad.mem;
+}
+
+enum err_code render_set_color_grad(struct render *r, const float *rgb_grad, struct err *e)
+{
+    if (!r->drawn)
+        return err_set(e, ERR_ARG, "render_set_color_grad: no frame was drawn");
+    size_t n = (size_t)r->view.width * r->view.height;
+    enum err_code rc = frame_reserve(r, &r->color_grad, picture_bytes(r), e);
+    float *planar = rc == ERR_OK ? mem_array(n, 3 * sizeof *planar) : NULL;
+    if (rc != ERR_OK)
+        return rc;
+    if (!planar)
+        return err_set(e, ERR_MEM, "render_set_color_grad: %zu pixels: out of memory", n);
+    for (size_t i = 0; i < n; i++)
+        for (size_t c = 0; c < 3; c++)
+            planar[c * n + i] = rgb_grad[3 * i + c];
+    rc = dev_write(r->dev, r->color_grad.mem, 0, picture_bytes(r), planar, e);
+    mem_free(planar);
+    return rc;
+}
+
+/* ---- stages ----------------------------------------------------------------------------------------- */
+
+/* The slots of the last frame, filled. */
+static enum err_code backward_blend(struct render *r, const struct render_model *m, struct err *e)
+{
+    if (!r->drawn)
+        return err_set(e, ERR_ARG, "render_backward: no frame was drawn since the Gaussians changed");
+    if (m->n != r->view.n || m->groups != r->view.groups || m->planes != r->view.planes)
+        return err_set(e, ERR_ARG, "render_backward: %u Gaussians: the last frame drew %u others", m->n,
+                       r->view.n);
+    enum err_code rc = backward_open(r, e);
+    if (rc != ERR_OK)
+        return rc;
+    struct render_backward_state *s = r->backward;
+    if (r->color_grad.cap_bytes < picture_bytes(r))
+        return err_set(e, ERR_ARG, "render_backward: dL/dcolour was not given for this picture");
+    size_t mark_bytes = ((size_t)r->entries + 3) / 4 * 4;
+    rc = frame_reserve(r, &s->slots, ((size_t)r->entries * LAYOUT_SLOT_FLOATS + LAYOUT_LANES) * sizeof(float),
+                       e);
+    if (rc == ERR_OK)
+        rc = frame_reserve(r, &s->marks, mark_bytes, e);
+    if (rc == ERR_OK)
+        rc = dev_zero(r->dev, s->marks.mem, 0, mark_bytes, e);
+    if (rc != ERR_OK)
+        return err_add(e, "render_backward: %llu pairs of splat and tile", (unsigned long long)r->entries);
+    return frame_run(r, s->blend, "blend_backward",
+                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
+                                FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->entry_splat.mem),
+                                FRAME_ARG(r->entry_slot.mem), FRAME_ARG(r->color.mem),
+                                FRAME_ARG(r->color_grad.mem), FRAME_ARG(s->slots.mem),
+                                FRAME_ARG(s->marks.mem)),
+                     r->tiles, 1, e);
+}
+
+enum err_code render_backward(struct render *r, const struct render_model *m, cl_mem grads,
+                              struct err *e)
+{
+    enum err_code rc = backward_blend(r, m, e);
+    if (rc != ERR_OK)
+        return rc;
+    const struct render_backward_state *s = r->backward;
+    size_t local, items = frame_items(r, m->groups, &local);
+    return frame_run(r, s->grads, "project_backward",
+                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(r->splats.mem),
+                                FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->slot_first.mem),
+                                FRAME_ARG(s->slots.mem), FRAME_ARG(s->marks.mem), FRAME_ARG(grads)),
+                     items, local, e);
+}
+
+/* Adam's numbers as project_step wants them. */
+static void adam_fill(const struct render *r, const struct render_adam *a, cl_float8 *lr, cl_float8 *k)
+{
+    double b1 = (double)a->beta1, b2 = (double)a->beta2;
+    double bias1 = 1 - pow(b1, a->step), bias2 = 1 - pow(b2, a->step);
+    const float rates[6] = {a->lr_mean, a->lr_scale, a->lr_quat, a->lr_opacity, a->lr_sh_dc, a->lr_sh_rest};
+    memset(lr, 0, sizeof *lr);
+    for (size_t i = 0; i < 6; i++)
+        lr->s[i] = (float)((double)rates[i] / bias1);
+    k->s[0] = a->beta1;
+    k->s[1] = a->beta2;
+    k->s[2] = a->eps;
+    k->s[3] = (float)(1 / sqrt(bias2));
+    k->s[4] = a->scale_log_min;
+    k->s[5] = a->scale_log_max;
+    k->s[6] = (float)fmin(0.5 * r->view.width, half_max_px);
+    k->s[7] = (float)fmin(0.5 * r->view.height, half_max_px);
+}
+
+enum err_code render_backward_step(struct render *r, struct render_model *m, struct render_adam *adam,
+                                   struct render_density_stats *stats, struct err *e)
+{
+    if (adam->step < 1 || !(adam->beta1 >= 0 && adam->beta1 < 1) || !(adam->beta2 >= 0 && adam->beta2 < 1) ||
+        !(adam->scale_log_min <= adam->scale_log_max))
+        return err_set(e, ERR_ARG,
+                       "render_backward_step: step %u, betas %g %g, scale limits %g %g: step counts from 1, "
+                       "betas are in [0, 1), limits in order",
+                       adam->step, (double)adam->beta1, (double)adam->beta2, (double)adam->scale_log_min,
+                       (double)adam->scale_log_max);
+    enum err_code rc = backward_blend(r, m, e);
+    if (rc != ERR_OK)
+        return rc;
+    const struct render_backward_state *s = r->backward;
+    size_t local, items = frame_items(r, m->groups, &local);
+    cl_uint with_stats = stats != NULL, with_extra = adam->extra_grad != NULL;
+    cl_mem none = s->unused, extra = adam->extra_grad ? adam->extra_grad : none;
+    struct render_density_stats d = {none, none, none, none, none};
+    cl_float8 lr, k;
+    if (stats)
+        d = *stats;
+    adam_fill(r, adam, &lr, &k);
+    r->drawn = false; /* the parameters are about to differ from what was drawn */
+    return frame_run(r, s->step, "project_step",
+                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(r->splats.mem),
+                                FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->slot_first.mem),
+                                FRAME_ARG(s->slots.mem), FRAME_ARG(s->marks.mem), FRAME_ARG(adam->m1),
+                                FRAME_ARG(adam->m2), FRAME_ARG(lr), FRAME_ARG(k), FRAME_ARG(with_extra),
+                                FRAME_ARG(extra), FRAME_ARG(with_stats), FRAME_ARG(d.grad),
+                                FRAME_ARG(d.absg), FRAME_ARG(d.count), FRAME_ARG(d.radius),
+                                FRAME_ARG(d.repaired)),
+                     items, local, e);
+}
