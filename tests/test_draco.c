@@ -1,0 +1,234 @@
+/* .drc: the integers of .spz, bit for bit, and hostile files refused before libdraco allocates for them.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include "codec/codec.h"
+#include "codec/draco_layout.h"
+
+#include <math.h>
+#include <string.h>
+
+static void expect_same(const struct quant *a, const struct quant *b)
+{
+    size_t sh = 3 * (gauss_sh_count(a->sh_degree) - 1);
+    assert_int_equal(a->n, b->n);
+    assert_int_equal(a->sh_degree, b->sh_degree);
+    assert_int_equal(a->embed_len, b->embed_len);
+    assert_int_equal(a->antialiased, b->antialiased);
+    assert_memory_equal(a->position, b->position, a->n * 12);
+    assert_memory_equal(a->alpha, b->alpha, a->n);
+    assert_memory_equal(a->color, b->color, a->n * 3);
+    assert_memory_equal(a->scale, b->scale, a->n * 3);
+    assert_memory_equal(a->rotation, b->rotation, a->n * 4);
+    assert_memory_equal(a->sh, b->sh, a->n * sh);
+    assert_memory_equal(a->embed, b->embed, a->n * a->embed_len);
+    assert_memory_equal(a->embed_min, b->embed_min, a->embed_len * 4);
+    assert_memory_equal(a->embed_max, b->embed_max, a->embed_len * 4);
+}
+
+static void test_round_trip_is_exact(void **state)
+{
+    (void)state;
+    static const size_t counts[] = {1, 2, 700};
+    for (uint32_t i = 0; i < 24; i++) {
+        struct gauss g;
+        struct quant q, back;
+        struct buf b = {0}, again = {0};
+        struct err e = {0};
+        kit_gauss(i, counts[i % 3], 2000, i % 4, i & 1 ? 16 : 0, &g);
+        g.antialiased = i & 4;
+        g.mean_m[0] = -2047.999f; /* both ends of the range */
+        g.mean_m[1] = 2047.999f;
+        g.quat_wxyz[0] = g.quat_wxyz[1] = g.quat_wxyz[2] = g.quat_wxyz[3] = -0.5f;
+        kit_ok(quant_from_gauss(&g, i % 4, &q, &e), e);
+        kit_ok(draco_encode(&q, "18/137561/91234", &b, &e), e);
+        kit_ok(draco_decode(b.data, b.size, NULL, &back, &e), e);
+        expect_same(&q, &back);
+        kit_ok(draco_encode(&back, "18/137561/91234", &again, &e), e);
+        assert_int_equal(b.size, again.size);
+        assert_memory_equal(b.data, again.data, b.size);
+        buf_free(&b);
+        buf_free(&again);
+        quant_free(&q);
+        quant_free(&back);
+        gauss_free(&g);
+    }
+}
+
+/* The same integers through .spz and through .drc: one picture, whatever the container. */
+static void test_agrees_with_spz(void **state)
+{
+    (void)state;
+    struct gauss g;
+    struct quant q, by_spz, by_draco;
+    struct buf spz = {0}, drc = {0};
+    struct err e = {0};
+    kit_gauss(40, 500, 300, 3, 0, &g);
+    kit_ok(quant_from_gauss(&g, 3, &q, &e), e);
+    kit_ok(spz_encode(&q, 3, &spz, &e), e);
+    kit_ok(draco_encode(&q, NULL, &drc, &e), e);
+    kit_ok(spz_decode(spz.data, spz.size, NULL, &by_spz, &e), e);
+    kit_ok(draco_decode(drc.data, drc.size, NULL, &by_draco, &e), e);
+    expect_same(&by_spz, &by_draco);
+    assert_true(drc.size < spz.size);
+    buf_free(&spz);
+    buf_free(&drc);
+    quant_free(&q);
+    quant_free(&by_spz);
+    quant_free(&by_draco);
+    gauss_free(&g);
+}
+
+/* SH bytes of foreign .spz files may lie between our buckets, and must not be lost. */
+static void test_foreign_sh_bytes(void **state)
+{
+    (void)state;
+    struct quant q, back;
+    struct buf b = {0};
+    struct err e = {0};
+    kit_ok(quant_alloc(&q, 50, 2, 0, &e), e);
+    for (size_t i = 0; i < 50 * 24; i++)
+        q.sh[i] = (uint8_t)(i * 7);
+    kit_ok(draco_encode(&q, NULL, &b, &e), e);
+    kit_ok(draco_decode(b.data, b.size, NULL, &back, &e), e);
+    expect_same(&q, &back);
+    buf_free(&b);
+    quant_free(&q);
+    quant_free(&back);
+}
+
+static enum err_code decode_copy(const uint8_t *p, size_t n, const struct codec_limits *lim, struct err *e)
+{
+    uint8_t *copy = mem_array(n, 1);
+    struct quant q;
+    if (n)
+        memcpy(copy, p, n);
+    enum err_code rc = draco_decode(copy, n, lim, &q, e);
+    if (rc != ERR_OK)
+        assert_null(q.block);
+    quant_free(&q);
+    mem_free(copy);
+    return rc;
+}
+
+static void sample(size_t n, uint32_t degree, struct buf *b)
+{
+    struct gauss g;
+    struct quant q;
+    struct err e = {0};
+    kit_gauss(41, n, 100, degree, 2, &g);
+    kit_ok(quant_from_gauss(&g, degree, &q, &e), e);
+    kit_ok(draco_encode(&q, "t", b, &e), e);
+    quant_free(&q);
+    gauss_free(&g);
+}
+
+static void test_truncation(void **state)
+{
+    (void)state;
+    struct buf b = {0};
+    struct err e = {0};
+    sample(30, 1, &b);
+    for (size_t n = 0; n < b.size; n++)
+        kit_fails(decode_copy(b.data, n, NULL, &e), ERR_FORMAT, e, "draco");
+    buf_free(&b);
+}
+
+static void write_crc(struct buf *b)
+{
+    uint32_t crc = draco_crc(b->data, b->size - DRACO_CRC_BYTES);
+    memcpy(b->data + b->size - DRACO_CRC_BYTES, &crc, DRACO_CRC_BYTES);
+}
+
+static void test_flips(void **state)
+{
+    (void)state;
+    struct buf b = {0};
+    struct err e = {0};
+    sample(60, 2, &b);
+    for (uint64_t i = 0; i < 2000; i++) {
+        size_t at = rng_u64(4, i, 0) % b.size;
+        uint8_t old = b.data[at];
+        b.data[at] = (uint8_t)rng_u64(4, i, 1);
+        if (i & 1) /* past the check value, into libdraco */
+            write_crc(&b);
+        enum err_code rc = decode_copy(b.data, b.size, NULL, &e);
+        assert_true((rc == ERR_OK && (i & 1 || b.data[at] == old)) || rc == ERR_FORMAT ||
+                    rc == ERR_LIMIT || rc == ERR_MEM);
+        b.data[at] = old;
+        write_crc(&b);
+    }
+    buf_free(&b);
+}
+
+/* Where the point count stands: the only place of this value before the list of attributes. */
+static size_t find_count(const struct buf *b, uint32_t n)
+{
+    for (size_t i = 11; i + 4 <= b->size; i++) {
+        uint32_t v;
+        memcpy(&v, b->data + i, 4);
+        if (v == n)
+            return i;
+    }
+    fail_msg("count not found");
+    return 0;
+}
+
+static void test_hostile_counts(void **state)
+{
+    (void)state;
+    struct buf b = {0};
+    struct err e = {0};
+    sample(7777, 0, &b);
+    struct codec_limits lim = {.max_gaussians = 7776};
+    kit_fails(decode_copy(b.data, b.size, &lim, &e), ERR_LIMIT, e, "7777");
+    size_t at = find_count(&b, 7777), before = mem_peak_bytes();
+    uint32_t n = 0x7fffffff;
+    memcpy(b.data + at, &n, 4);
+    kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_LIMIT, e, "2147483647");
+    n = 0;
+    memcpy(b.data + at, &n, 4);
+    kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_FORMAT, e, "0 points");
+    buf_free(&b);
+    sample(33, 0, &b);
+    at = find_count(&b, 33);
+    n = 60000000;
+    memcpy(b.data + at, &n, 4);
+    kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_FORMAT, e, "60000000 points");
+    assert_true(mem_peak_bytes() - before < (64u << 20));
+    buf_free(&b);
+}
+
+static void test_other_draco_files(void **state)
+{
+    (void)state;
+    struct buf b = {0};
+    struct err e = {0};
+    sample(20, 0, &b);
+    b.data[7] = 1; /* a mesh */
+    kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_FORMAT, e, "type 1");
+    b.data[7] = 0;
+    b.data[8] = 1; /* kd-tree */
+    kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_FORMAT, e, "method 1");
+    kit_fails(decode_copy((const uint8_t *)"PK\3\4 not Draco at all", 22, NULL, &e), ERR_FORMAT, e,
+              "not a Draco file");
+    buf_free(&b);
+    struct quant q = {0};
+    kit_fails(draco_encode(&q, NULL, &b, &e), ERR_LIMIT, e, "0 Gaussians");
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_round_trip_is_exact),
+        cmocka_unit_test(test_agrees_with_spz),
+        cmocka_unit_test(test_foreign_sh_bytes),
+        cmocka_unit_test(test_truncation),
+        cmocka_unit_test(test_flips),
+        cmocka_unit_test(test_hostile_counts),
+        cmocka_unit_test(test_other_draco_files),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
