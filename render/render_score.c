@@ -1,0 +1,108 @@
+/* Importance of Gaussians in the last frame: launches score.cl over what render_forward left on the device. Owns
+ * the compiled kernels and buffers that grow; nothing of the frame is changed, so render_backward may follow.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "core/base.h"
+#include "render/frame.h"
+
+extern const char blend_backward_cl[], score_cl[];
+
+enum { SCORE_LOCAL = 64, SCORE_FLOATS = 8 };
+
+struct render_score {
+    struct render *render; /* borrowed */
+    cl_program program;
+    cl_kernel tiles, gather;
+    struct frame_buffer slots, sums;
+};
+
+enum err_code render_score_open(struct render *r, struct render_score **out, struct err *e)
+{
+    const struct dev_source sources[] = {
+        {"render/common.cl", common_cl},
+        {"render/blend_backward.cl", blend_backward_cl},
+        {"render/score.cl", score_cl},
+    };
+    *out = NULL;
+    struct render_score *s = mem_array(1, sizeof(*s));
+    if (!s)
+        return err_set(e, ERR_MEM, "render_score_open: out of memory");
+    s->render = r;
+    enum err_code rc = dev_build(r->dev, sources, 3, NULL, &s->program, e);
+    if (!rc)
+        rc = dev_kernel(s->program, "score_tiles", &s->tiles, e);
+    if (!rc)
+        rc = dev_kernel(s->program, "score_gather", &s->gather, e);
+    if (rc)
+        render_score_close(&s);
+    *out = s;
+    return rc;
+}
+
+void render_score_close(struct render_score **p)
+{
+    struct render_score *s = *p;
+    if (!s)
+        return;
+    if (s->tiles)
+        clReleaseKernel(s->tiles);
+    if (s->gather)
+        clReleaseKernel(s->gather);
+    if (s->program)
+        clReleaseProgram(s->program);
+    dev_release(&s->slots.mem);
+    dev_release(&s->sums.mem);
+    mem_free(s);
+    *p = NULL;
+}
+
+static enum err_code render_score_tiles(struct render_score *s, cl_mem weight, struct err *e)
+{
+    struct render *r = s->render;
+    size_t group = r->dev->vector_width == 1 ? RENDER_TILE * RENDER_TILE : 1;
+    cl_mem args[] = {r->view_mem,        r->splats.mem, r->tile_start.mem, r->entry_splat.mem,
+                     r->entry_slot.mem, weight,        s->slots.mem};
+    cl_int bad = CL_SUCCESS;
+    for (cl_uint i = 0; i < sizeof(args) / sizeof(args[0]); i++)
+        bad |= dev_arg(s->tiles, i, args[i]);
+    if (bad)
+        return err_set(e, ERR_DEVICE, "render_score: arguments of score_tiles");
+    return dev_run(r->dev, s->tiles, "score_tiles", r->tiles * group, group, e);
+}
+
+static enum err_code render_score_gather(struct render_score *s, uint32_t n, struct err *e)
+{
+    struct render *r = s->render;
+    cl_uint count = n;
+    cl_mem args[] = {r->splats.mem,     r->depth_key.mem, r->tiles_of.mem,
+                     r->slot_first.mem, s->slots.mem,     s->sums.mem};
+    cl_int bad = dev_arg(s->gather, 0, count);
+    for (cl_uint i = 0; i < sizeof(args) / sizeof(args[0]); i++)
+        bad |= dev_arg(s->gather, i + 1, args[i]);
+    if (bad)
+        return err_set(e, ERR_DEVICE, "render_score: arguments of score_gather");
+    return dev_run(r->dev, s->gather, "score_gather", n, SCORE_LOCAL, e);
+}
+
+enum err_code render_score_run(struct render_score *s, const struct render_model *m, cl_mem weight,
+                               float *sums, struct err *e)
+{
+    struct render *r = s->render;
+    if (!r->drawn || r->view.n != m->n)
+        return err_set(e, ERR_ARG, "render_score: no frame of this model was drawn");
+    if (m->n == 0)
+        return ERR_OK;
+    size_t slots_bytes = (size_t)r->entries * 4 * sizeof(float);
+    size_t sums_bytes = (size_t)m->n * SCORE_FLOATS * sizeof(float);
+    enum err_code rc = frame_reserve(r, &s->slots, slots_bytes, e);
+    if (!rc)
+        rc = frame_reserve(r, &s->sums, sums_bytes, e);
+    if (!rc && slots_bytes)
+        rc = dev_zero(r->dev, s->slots.mem, 0, slots_bytes, e);
+    if (!rc && r->entries)
+        rc = render_score_tiles(s, weight, e);
+    if (!rc)
+        rc = render_score_gather(s, m->n, e);
+    return rc ? rc : dev_read(r->dev, s->sums.mem, 0, sums_bytes, sums, e);
+}

@@ -1,0 +1,213 @@
+/* The schedule: ceilings, steps of densification and resets, learning rates, short and long runs.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <math.h>
+
+#include "train/train.h"
+
+#define EDGE_M 100.0
+#define LR_TOL 1e-12 /* exp and log of doubles */
+
+static struct train_config defaults(struct arena *a)
+{
+    struct train_config c;
+    struct err e = {0};
+    kit_ok(options_defaults(train_options(), &c, a, &e), e);
+    return c;
+}
+
+static void cap_rises_from_start_to_exactly_the_budget(void **state)
+{
+    (void)state;
+    /* S = 60,000, B = 409,600, 49 steps: values by hand from S + (B - S)(2u - u^2), u = x / 48 */
+    assert_int_equal(schedule_cap(60000, 409600, 0, 49), 60000);
+    assert_int_equal(schedule_cap(60000, 409600, 1, 49), 74414);
+    assert_int_equal(schedule_cap(60000, 409600, 24, 49), 322200);
+    assert_int_equal(schedule_cap(60000, 409600, 48, 49), 409600);
+    for (uint32_t n = 2; n < 200; n += 7) {
+        size_t last = 0;
+        for (uint32_t x = 0; x < n; x++) {
+            size_t cap = schedule_cap(123, 98765, x, n);
+            assert_true(cap >= last && cap <= 98765);
+            last = cap;
+        }
+        assert_int_equal(last, 98765);
+    }
+}
+
+static void cap_has_no_edge_that_divides_by_zero_or_shrinks(void **state)
+{
+    (void)state;
+    assert_int_equal(schedule_cap(500, 400, 3, 10), 500); /* over budget: no growth, no cut */
+    assert_int_equal(schedule_cap(400, 400, 0, 10), 400);
+    assert_int_equal(schedule_cap(100, 400, 0, 1), 400); /* a single densification may fill it */
+    assert_int_equal(schedule_cap(100, 400, 0, 0), 400);
+    assert_int_equal(schedule_cap(100, 400, 99, 10), 400);
+    assert_int_equal(schedule_cap(0, (size_t)1 << 40, 5, 11), (size_t)(0.75 * (double)((size_t)1 << 40)));
+}
+
+static void full_run_has_the_published_numbers(void **state)
+{
+    (void)state;
+    struct arena a = {0};
+    struct err e = {0};
+    struct train_config c = defaults(&a);
+    struct schedule s[3];
+    kit_ok(schedule_make(&c, 600, EDGE_M, s, &e), e);
+    assert_int_equal(s[0].steps, 15000);
+    assert_int_equal(s[1].steps, 15000);
+    assert_int_equal(s[2].steps, 30000);
+    assert_int_equal(s[0].interval, 300);
+    assert_int_equal(s[1].interval, 200);
+    assert_int_equal(s[2].interval, 100);
+    assert_int_equal(s[2].densify_until, 15000);
+    assert_int_equal(schedule_densify_count(&s[0]), 49);
+    assert_false(s[0].absgrad || s[1].absgrad);
+    assert_true(s[2].absgrad);
+    assert_int_equal(schedule_densify_index(&s[0], 300), 0);
+    assert_int_equal(schedule_densify_index(&s[0], 600), 1);
+    assert_int_equal(schedule_densify_index(&s[0], 601), 0);
+    assert_int_equal(schedule_densify_index(&s[0], 14700), 48);
+    assert_int_equal(schedule_densify_index(&s[0], 15000), 0); /* the end of the level */
+    assert_int_equal(schedule_densify_index(&s[2], 14900), schedule_densify_count(&s[2]) - 1);
+    assert_int_equal(schedule_densify_index(&s[2], 15000), 0);
+    /* resets at multiples of 3000, none in the last 3000 before densification ends */
+    assert_true(schedule_resets(&s[0], 3000) && schedule_resets(&s[0], 9000));
+    assert_false(schedule_resets(&s[0], 12000) || schedule_resets(&s[0], 15000));
+    assert_false(schedule_resets(&s[0], 3001) || schedule_resets(&s[0], 0));
+    assert_false(schedule_was_reset(&s[0], 3000));
+    assert_true(schedule_was_reset(&s[0], 3001));
+    /* harmonics: a degree every 1000 steps at the first level, all of them afterwards */
+    assert_int_equal(schedule_sh_degree(&s[0], 999), 0);
+    assert_int_equal(schedule_sh_degree(&s[0], 1000), 1);
+    assert_int_equal(schedule_sh_degree(&s[0], 9000), 3);
+    assert_int_equal(schedule_sh_degree(&s[1], 1), 3);
+    arena_free(&a);
+}
+
+static void every_index_from_one_to_the_last_is_used_once(void **state)
+{
+    (void)state;
+    struct arena a = {0};
+    struct err e = {0};
+    for (int64_t iterations = 7; iterations < 70000; iterations = iterations * 3 + 1) {
+        struct train_config c = defaults(&a);
+        struct schedule s[3];
+        c.iterations = iterations;
+        kit_ok(schedule_make(&c, 75, EDGE_M, s, &e), e);
+        uint64_t total = 0;
+        for (int l = 0; l < 3; l++) {
+            uint32_t next = 1, n = schedule_densify_count(&s[l]);
+            total += s[l].steps;
+            for (uint32_t t = 1; t <= s[l].steps; t++) {
+                uint32_t x = schedule_densify_index(&s[l], t);
+                if (x)
+                    assert_int_equal(x, next++);
+            }
+            assert_true(next == n || (next == 1 && n == 1));
+        }
+        assert_int_equal(total, iterations); /* exactly what was asked for */
+    }
+    arena_free(&a);
+}
+
+static void many_photographs_stretch_and_short_runs_shrink(void **state)
+{
+    (void)state;
+    struct arena a = {0};
+    struct err e = {0};
+    struct train_config c = defaults(&a);
+    struct schedule s[3];
+    kit_ok(schedule_make(&c, 901, EDGE_M, s, &e), e); /* 901 / 600 = 1.5017, two decimals up: 1.51 */
+    assert_int_equal(s[0].steps, 22650);
+    assert_int_equal(s[0].interval, 453);
+    assert_int_equal(s[2].interval, 151);
+    assert_int_equal(s[0].densify_from, 755);
+    assert_int_equal(s[0].reset_interval, 4530);
+    c.scale_by_images = false;
+    kit_ok(schedule_make(&c, 901, EDGE_M, s, &e), e);
+    assert_int_equal(s[0].steps, 15000);
+    c.iterations = 2000;
+    kit_ok(schedule_make(&c, 901, EDGE_M, s, &e), e);
+    assert_int_equal(s[0].steps, 500);
+    assert_int_equal(s[1].steps, 500);
+    assert_int_equal(s[2].steps, 1000);
+    for (int l = 0; l < 3; l++) {
+        assert_true(s[l].interval >= 50);
+        for (uint32_t t = 1; t <= s[l].steps; t++)
+            assert_false(schedule_resets(&s[l], t)); /* no time to recover from one */
+        assert_true(schedule_densify_count(&s[l]) > 1);
+    }
+    assert_int_equal(schedule_sh_degree(&s[0], 500), 3);
+    arena_free(&a);
+}
+
+static void fewer_levels_take_the_finest_rows(void **state)
+{
+    (void)state;
+    struct arena a = {0};
+    struct err e = {0};
+    struct train_config c = defaults(&a);
+    struct schedule s[3];
+    c.level_count = 1;
+    kit_ok(schedule_make(&c, 10, EDGE_M, s, &e), e);
+    assert_int_equal(s[0].level, 1);
+    assert_int_equal(s[0].steps, 30000);
+    assert_true(s[0].downsample == 1.0);
+    assert_true(s[0].absgrad);
+    assert_int_equal(s[0].budget, c.budget_3);
+    assert_int_equal(schedule_sh_degree(&s[0], 1), 0); /* it is the first level all the same */
+    arena_free(&a);
+}
+
+static void position_rate_decays_exponentially_and_restarts(void **state)
+{
+    (void)state;
+    struct arena a = {0};
+    struct err e = {0};
+    struct train_config c = defaults(&a);
+    struct schedule s[3];
+    kit_ok(schedule_make(&c, 10, EDGE_M, s, &e), e);
+    double first = c.lr_mean * EDGE_M / 2, last = c.lr_mean_final * EDGE_M / 2;
+    assert_true(fabs(schedule_lr_mean(&s[0], 0) - first) < LR_TOL);
+    assert_true(fabs(schedule_lr_mean(&s[0], 15000) - last) < LR_TOL);
+    assert_true(fabs(schedule_lr_mean(&s[0], 7500) - sqrt(first * last)) < LR_TOL);
+    assert_true(fabs(schedule_lr_mean(&s[1], 0) - first * c.lr_mean_restart) < LR_TOL);
+    c.lr_mean = 0.0;
+    kit_ok(schedule_make(&c, 10, EDGE_M, s, &e), e);
+    assert_true(schedule_lr_mean(&s[0], 100) == 0.0); /* frozen positions are a valid wish */
+    arena_free(&a);
+}
+
+static void impossible_plans_are_refused(void **state)
+{
+    (void)state;
+    struct arena a = {0};
+    struct err e = {0};
+    struct train_config c = defaults(&a);
+    struct schedule s[3];
+    c.iterations = 1;
+    kit_fails(schedule_make(&c, 10, EDGE_M, s, &e), ERR_ARG, e, "level 1 of 3");
+    c.iterations = 0;
+    c.budget_2 = c.budget_1 - 1;
+    kit_fails(schedule_make(&c, 10, EDGE_M, s, &e), ERR_ARG, e, "budgets must not fall");
+    arena_free(&a);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(cap_rises_from_start_to_exactly_the_budget),
+        cmocka_unit_test(cap_has_no_edge_that_divides_by_zero_or_shrinks),
+        cmocka_unit_test(full_run_has_the_published_numbers),
+        cmocka_unit_test(every_index_from_one_to_the_last_is_used_once),
+        cmocka_unit_test(many_photographs_stretch_and_short_runs_shrink),
+        cmocka_unit_test(fewer_levels_take_the_finest_rows),
+        cmocka_unit_test(position_rate_decays_exponentially_and_restarts),
+        cmocka_unit_test(impossible_plans_are_refused),
+    };
+    return cmocka_run_group_tests_name("schedule", tests, NULL, NULL);
+}

@@ -1,0 +1,73 @@
+/* Training cells: the rectangle of ground one job covers, and the two lengths everything is measured in.
+ *
+ * edge_m is what a cell's side would be (learning rates of positions, the ramp of thresholds outside); extent_m
+ * is 1.1 times the largest distance of a camera from the cameras' mean (3D Gaussian Splatting's scene extent:
+ * what counts as a large Gaussian). A whole scene takes the larger side of the box around its cameras, or their
+ * height above the points where they hardly move.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <string.h>
+
+#include "train/train.h"
+
+#define CELL_EXTENT_FACTOR 1.1
+#define CELL_SMALLEST_M 1e-3
+
+static void cell_camera_box(const struct scene *s, const uint32_t *images, size_t n, double lo[3],
+                            double hi[3], double mean[3])
+{
+    for (int k = 0; k < 3; k++) {
+        lo[k] = INFINITY;
+        hi[k] = -INFINITY;
+        mean[k] = 0.0;
+    }
+    for (size_t i = 0; i < n; i++) {
+        double c[3];
+        camera_center(&s->images[images[i]].cam, c);
+        for (int k = 0; k < 3; k++) {
+            lo[k] = fmin(lo[k], c[k]);
+            hi[k] = fmax(hi[k], c[k]);
+            mean[k] += c[k] / (double)n;
+        }
+    }
+}
+
+static double cell_length3(const double a[3], const double b[3])
+{
+    double d[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
+    return sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+}
+
+void cell_whole(const struct scene *s, const uint32_t *images, size_t n_images, struct train_cell *out)
+{
+    double lo[3], hi[3], mean[3], points[3] = {0};
+    *out = (struct train_cell){.id = "all", .whole = true};
+    cell_camera_box(s, images, n_images, lo, hi, mean);
+    for (size_t i = 0; i < s->n_points; i++)
+        for (int k = 0; k < 3; k++)
+            points[k] += s->points[i].enu_m[k] / (double)s->n_points;
+    double height = s->n_points ? cell_length3(points, mean) : 0.0;
+    double far = 0.0;
+    for (size_t i = 0; i < n_images; i++) {
+        double c[3];
+        camera_center(&s->images[images[i]].cam, c);
+        far = fmax(far, cell_length3(c, mean));
+    }
+    out->edge_m = fmax(fmax(hi[0] - lo[0], hi[1] - lo[1]), fmax(height, CELL_SMALLEST_M));
+    out->extent_m = fmax(CELL_EXTENT_FACTOR * far, 0.5 * out->edge_m);
+    for (int k = 0; k < 2; k++) {
+        out->min_enu_m[k] = lo[k];
+        out->max_enu_m[k] = hi[k];
+    }
+}
+
+double cell_distance(const struct train_cell *c, double east_m, double north_m)
+{
+    if (c->whole)
+        return 0.0;
+    double dx = fmax(fmax(c->min_enu_m[0] - east_m, east_m - c->max_enu_m[0]), 0.0);
+    double dy = fmax(fmax(c->min_enu_m[1] - north_m, north_m - c->max_enu_m[1]), 0.0);
+    return sqrt(dx * dx + dy * dy);
+}

@@ -1,0 +1,407 @@
+/* Density control under a budget: who is cloned, split or removed.
+ *
+ * Candidates are Gaussians whose mean positional gradient exceeds a threshold that grows with the distance from
+ * the cell (1 inside .. tau_outside at one cell edge). Small ones are cloned, large ones split in two (3D Gaussian
+ * Splatting, Kerbl 2023). Room is what the ceiling leaves; each class gets its share of it, drawn without
+ * replacement with chances proportional to an importance score (Taming 3DGS, Mallick 2024). The draw is an
+ * exponential race: the k smallest -ln(u_i) / score_i, with u_i from the counter generator, so it is the same on
+ * every machine and has no limit of size.
+ *
+ * Everything here runs on host copies in the device layout; nothing depends on the number of threads.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/layout.h"
+#include "core/pool.h"
+#include "train/train.h"
+
+#define DENSIFY_SPLIT_SHRINK 1.6
+#define DENSIFY_SMALLEST_M 1e-4 /* scene units; smaller Gaussians are removed */
+enum { DENSIFY_LANES = LAYOUT_LANES, DENSIFY_CHUNK_GROUPS = 512 };
+
+size_t densify_floats(size_t n, uint32_t planes)
+{
+    return (n + DENSIFY_LANES - 1) / DENSIFY_LANES * planes * DENSIFY_LANES;
+}
+
+static size_t densify_at(size_t i, uint32_t planes, uint32_t plane)
+{
+    return (i / DENSIFY_LANES * planes + plane) * DENSIFY_LANES + i % DENSIFY_LANES;
+}
+
+/* ---- the race ---------------------------------------------------------------------------------- */
+
+/* Non-negative floats keep their order as integers; the place in the list breaks ties. */
+static uint64_t densify_key(float key, uint32_t place)
+{
+    uint32_t bits;
+    memcpy(&bits, &key, sizeof(bits));
+    return (uint64_t)bits << 32 | place;
+}
+
+/* Hoare's selection: afterwards the k smallest are in front. */
+static void densify_select(uint64_t *key, size_t n, size_t k)
+{
+    size_t lo = 0, hi = n;
+    while (hi - lo > 1 && k > lo && k < hi) {
+        uint64_t pivot = key[lo + (hi - lo) / 2];
+        size_t i = lo, j = hi - 1;
+        for (;;) {
+            while (key[i] < pivot)
+                i++;
+            while (key[j] > pivot)
+                j--;
+            if (i >= j)
+                break;
+            uint64_t swap = key[i];
+            key[i++] = key[j];
+            key[j--] = swap;
+        }
+        size_t mid = key[i] < pivot ? i + 1 : i; /* [lo, mid) <= pivot <= [mid, hi) */
+        if (mid == lo)
+            mid = lo + 1;
+        if (k < mid)
+            hi = mid;
+        else
+            lo = mid;
+    }
+}
+
+static int densify_compare(const void *a, const void *b)
+{
+    uint64_t x, y;
+    memcpy(&x, a, sizeof(x));
+    memcpy(&y, b, sizeof(y));
+    return x < y ? -1 : x > y;
+}
+
+enum err_code densify_race(const float *score, const uint32_t *ids, size_t n, size_t k, uint64_t seed,
+                           uint64_t stream, uint32_t *chosen, struct err *e)
+{
+    if (k > n)
+        return err_set(e, ERR_ARG, "densify: %zu of %zu cannot be drawn", k, n);
+    uint64_t *key = mem_array(n, sizeof(*key));
+    if (!key)
+        return err_set(e, ERR_MEM, "densify: out of memory for %zu candidates", n);
+    for (size_t j = 0; j < n; j++) {
+        double s = score ? (double)score[ids[j]] : 1.0;
+        double arrival = -log1p(-rng_unit(seed, stream, ids[j]));
+        float at = s > 0.0 ? (float)(arrival / s) : INFINITY;
+        key[j] = densify_key(at, (uint32_t)j);
+    }
+    densify_select(key, n, k);
+    qsort(key, k, sizeof(*key), densify_compare);
+    for (size_t j = 0; j < k; j++)
+        chosen[j] = ids[key[j] & 0xffffffffu];
+    mem_free(key);
+    return ERR_OK;
+}
+
+/* ---- geometry of one row -------------------------------------------------------------------------- */
+
+static void densify_rotation(const float *params, uint32_t planes, size_t i, double rot[9])
+{
+    double q[4];
+    for (uint32_t k = 0; k < 4; k++)
+        q[k] = (double)params[densify_at(i, planes, RENDER_PLANE_QUAT + k)];
+    camera_quat_to_rot(q, rot);
+}
+
+/* Mean of a row of the plan, metres from the origin. */
+static void densify_mean(const struct densify_params *p, const struct densify_input *in,
+                         struct densify_row row, float mean[3])
+{
+    size_t i = row.source;
+    for (uint32_t k = 0; k < 3; k++)
+        mean[k] = in->params[densify_at(i, in->planes, RENDER_PLANE_MEAN + k)];
+    if (row.kind != DENSIFY_SPLIT_A && row.kind != DENSIFY_SPLIT_B)
+        return;
+    double rot[9], local[3];
+    uint64_t stream = train_stream(TRAIN_STREAM_SPLIT, p->level, p->step);
+    uint64_t first = (uint64_t)i * 6 + (row.kind == DENSIFY_SPLIT_B ? 3 : 0);
+    densify_rotation(in->params, in->planes, i, rot);
+    for (uint32_t k = 0; k < 3; k++)
+        local[k] = exp((double)in->params[densify_at(i, in->planes, RENDER_PLANE_SCALE + k)]) *
+                   rng_normal(p->seed, stream, first + k);
+    for (int k = 0; k < 3; k++)
+        mean[k] = (float)((double)mean[k] + rot[3 * k] * local[0] + rot[3 * k + 1] * local[1] +
+                          rot[3 * k + 2] * local[2]);
+}
+
+static double densify_distance(const struct densify_params *p, const float mean[3])
+{
+    return cell_distance(p->cell, p->origin_enu_m[0] + (double)mean[0],
+                         p->origin_enu_m[1] + (double)mean[1]);
+}
+
+static bool densify_row_inside(const struct densify_params *p, const struct densify_input *in,
+                               struct densify_row row)
+{
+    float mean[3];
+    if (p->cell->whole)
+        return true;
+    densify_mean(p, in, row, mean);
+    return densify_distance(p, mean) <= 0.0;
+}
+
+/* ---- choosing --------------------------------------------------------------------------------------- */
+
+enum densify_class { CLASS_KEEP, CLASS_PRUNE, CLASS_CLONE, CLASS_SPLIT };
+
+struct densify_work {
+    uint8_t *class, *inside, *chosen; /* [n] */
+    uint32_t *clones, *splits, *drawn; /* candidates, ascending; scratch for a draw */
+    size_t n_clones, n_splits, n_in, n_out;
+};
+
+static enum densify_class densify_classify(const struct densify_params *p,
+                                           const struct densify_input *in, size_t i, bool *inside)
+{
+    float mean[3];
+    double largest = -INFINITY;
+    for (uint32_t k = 0; k < 3; k++) {
+        mean[k] = in->params[densify_at(i, in->planes, RENDER_PLANE_MEAN + k)];
+        largest = fmax(largest, (double)in->params[densify_at(i, in->planes, RENDER_PLANE_SCALE + k)]);
+    }
+    largest = exp(largest);
+    double opacity = 1.0 / (1.0 + exp(-(double)in->params[densify_at(i, in->planes,
+                                                                      RENDER_PLANE_OPACITY)]));
+    double d = densify_distance(p, mean);
+    *inside = d <= 0.0;
+    if (!(opacity >= p->prune_opacity) || !(largest >= DENSIFY_SMALLEST_M) ||
+        (p->prune_above_m > 0.0 && largest > p->prune_above_m))
+        return CLASS_PRUNE;
+    double ramp = 1.0 + (p->tau_outside - 1.0) * fmin(d / p->cell->edge_m, 1.0);
+    if (!((double)in->mean_grad[i] >= p->tau * ramp))
+        return CLASS_KEEP;
+    return largest > p->split_above_m ? CLASS_SPLIT : CLASS_CLONE;
+}
+
+static void densify_classify_all(const struct densify_params *p, const struct densify_input *in,
+                                 struct densify_work *w)
+{
+    for (size_t i = 0; i < in->n; i++) {
+        bool inside;
+        enum densify_class c = densify_classify(p, in, i, &inside);
+        w->class[i] = (uint8_t)c;
+        w->inside[i] = inside;
+        if (c == CLASS_PRUNE)
+            continue;
+        w->n_in += inside;
+        w->n_out += !inside;
+        if (c == CLASS_CLONE)
+            w->clones[w->n_clones++] = (uint32_t)i;
+        else if (c == CLASS_SPLIT)
+            w->splits[w->n_splits++] = (uint32_t)i;
+    }
+}
+
+/* What taking this candidate adds inside and outside; a child of a split may cross the border. */
+static void densify_gain(const struct densify_params *p, const struct densify_input *in,
+                         const struct densify_work *w, uint32_t i, int *in_gain, int *out_gain)
+{
+    if (w->class[i] == CLASS_CLONE) {
+        *in_gain = w->inside[i];
+        *out_gain = !w->inside[i];
+        return;
+    }
+    int a = densify_row_inside(p, in, (struct densify_row){i, DENSIFY_SPLIT_A});
+    int b = densify_row_inside(p, in, (struct densify_row){i, DENSIFY_SPLIT_B});
+    *in_gain = a + b - w->inside[i];
+    *out_gain = 2 - a - b - !w->inside[i];
+}
+
+/* Draw `quota` of one class and mark them, keeping to both ceilings. */
+static enum err_code densify_draw(const struct densify_params *p, const struct densify_input *in,
+                                  struct densify_work *w, const uint32_t *ids, size_t n, size_t quota,
+                                  size_t *taken, struct err *e)
+{
+    /* Only a border can make the ceilings refuse one and call up the next in line. */
+    size_t line = p->cell->whole ? quota : n;
+    uint64_t stream = train_stream(TRAIN_STREAM_RACE, p->level, p->step);
+    enum err_code rc = densify_race(in->score, ids, n, line, p->seed, stream, w->drawn, e);
+    for (size_t j = 0; !rc && j < line && *taken < quota; j++) {
+        int gain_in, gain_out;
+        uint32_t i = w->drawn[j];
+        densify_gain(p, in, w, i, &gain_in, &gain_out);
+        if ((gain_in > 0 && w->n_in + (size_t)gain_in > p->cap_inside) ||
+            (gain_out > 0 && w->n_out + (size_t)gain_out > p->cap_outside))
+            continue;
+        w->n_in += (size_t)(ptrdiff_t)gain_in;
+        w->n_out += (size_t)(ptrdiff_t)gain_out;
+        w->chosen[i] = 1;
+        (*taken)++;
+    }
+    return rc;
+}
+
+static enum err_code densify_rows(const struct densify_input *in, const struct densify_work *w,
+                                  struct densify_plan *out, struct err *e)
+{
+    size_t n = 0;
+    out->rows = mem_array(out->report.after, sizeof(*out->rows));
+    if (!out->rows)
+        return err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", out->report.after);
+    for (size_t i = 0; i < in->n; i++) {
+        uint32_t s = (uint32_t)i;
+        if (w->class[i] == CLASS_PRUNE)
+            continue;
+        bool split = w->chosen[i] && w->class[i] == CLASS_SPLIT;
+        out->rows[n++] = (struct densify_row){s, split ? DENSIFY_SPLIT_A : DENSIFY_KEEP};
+        if (w->chosen[i])
+            out->rows[n++] = (struct densify_row){s, split ? DENSIFY_SPLIT_B : DENSIFY_CLONE};
+    }
+    out->n = n;
+    return ERR_OK;
+}
+
+static enum err_code densify_fill(const struct densify_params *p, const struct densify_input *in,
+                                  struct densify_work *w, struct densify_plan *out, struct err *e)
+{
+    struct densify_report *r = &out->report;
+    densify_classify_all(p, in, w);
+    size_t wanted = w->n_clones + w->n_splits;
+    size_t free_in = p->cap_inside > w->n_in ? p->cap_inside - w->n_in : 0;
+    *r = (struct densify_report){.before = in->n,
+                                 .pruned = in->n - w->n_in - w->n_out,
+                                 .clone_candidates = w->n_clones,
+                                 .split_candidates = w->n_splits,
+                                 .room = free_in < wanted ? free_in : wanted};
+    bool outside_binds = !p->cell->whole && w->n_out + 2 * wanted > p->cap_outside;
+    if (!in->score && r->room > 0 && (r->room < wanted || outside_binds)) {
+        r->needs_score = true;
+        return ERR_OK;
+    }
+    enum err_code rc = ERR_OK;
+    if (wanted) {
+        /* Shares of the room, rounded down: exact in integers for any counts below 2^32. */
+        size_t clones = (size_t)((uint64_t)r->room * w->n_clones / wanted);
+        size_t splits = (size_t)((uint64_t)r->room * w->n_splits / wanted);
+        rc = densify_draw(p, in, w, w->clones, w->n_clones, clones, &r->cloned, e);
+        if (!rc)
+            rc = densify_draw(p, in, w, w->splits, w->n_splits, splits, &r->split, e);
+    }
+    r->inside = w->n_in;
+    r->outside = w->n_out;
+    r->after = w->n_in + w->n_out;
+    return rc ? rc : densify_rows(in, w, out, e);
+}
+
+enum err_code densify_choose(const struct densify_params *p, const struct densify_input *in,
+                             struct densify_plan *out, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    struct densify_work w = {0};
+    *out = (struct densify_plan){0};
+    if (in->n > UINT32_MAX / 2)
+        return err_set(e, ERR_LIMIT, "densify: %zu Gaussians are more than one cell can hold", in->n);
+    w.class = mem_array(in->n, 1);
+    w.inside = mem_array(in->n, 1);
+    w.chosen = mem_array(in->n, 1);
+    w.clones = mem_array(in->n, sizeof(*w.clones));
+    w.splits = mem_array(in->n, sizeof(*w.splits));
+    w.drawn = mem_array(in->n, sizeof(*w.drawn));
+    if (!w.class || !w.inside || !w.chosen || !w.clones || !w.splits || !w.drawn)
+        rc = err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", in->n);
+    else
+        rc = densify_fill(p, in, &w, out, e);
+    mem_free(w.class);
+    mem_free(w.inside);
+    mem_free(w.chosen);
+    mem_free(w.clones);
+    mem_free(w.splits);
+    mem_free(w.drawn);
+    if (rc)
+        densify_plan_free(out);
+    return rc;
+}
+
+void densify_plan_free(struct densify_plan *p)
+{
+    mem_free(p->rows);
+    *p = (struct densify_plan){0};
+}
+
+/* ---- applying ------------------------------------------------------------------------------------------ */
+
+struct densify_copy {
+    const struct densify_input *in;
+    const struct densify_state *from, *to;
+    const struct densify_row *rows;
+    const uint32_t *order;
+    const float *means; /* [n][3], by row of the plan */
+    size_t n;
+};
+
+static void densify_copy_row(const struct densify_copy *c, size_t d)
+{
+    struct densify_row row = c->rows[c->order[d]];
+    const float *mean = c->means + 3 * (size_t)c->order[d];
+    uint32_t planes = c->in->planes;
+    size_t from = densify_at(row.source, planes, 0), to = densify_at(d, planes, 0);
+    bool keep = row.kind == DENSIFY_KEEP;
+    bool split = row.kind == DENSIFY_SPLIT_A || row.kind == DENSIFY_SPLIT_B;
+    for (size_t k = 0; k < planes; k++) {
+        size_t a = from + k * DENSIFY_LANES, b = to + k * DENSIFY_LANES;
+        c->to->params[b] = c->from->params[a];
+        c->to->m1[b] = keep ? c->from->m1[a] : 0.0f;
+        c->to->m2[b] = keep ? c->from->m2[a] : 0.0f;
+    }
+    for (size_t k = 0; split && k < 3; k++) {
+        c->to->params[to + (RENDER_PLANE_MEAN + k) * DENSIFY_LANES] = mean[k];
+        c->to->params[to + (RENDER_PLANE_SCALE + k) * DENSIFY_LANES] -=
+            (float)log(DENSIFY_SPLIT_SHRINK);
+    }
+}
+
+static enum err_code densify_copy_chunk(void *user, size_t chunk, struct err *e)
+{
+    (void)e;
+    const struct densify_copy *c = user;
+    size_t per_chunk = (size_t)DENSIFY_CHUNK_GROUPS * DENSIFY_LANES;
+    size_t end = (chunk + 1) * per_chunk < c->n ? (chunk + 1) * per_chunk : c->n;
+    for (size_t d = chunk * per_chunk; d < end; d++)
+        densify_copy_row(c, d);
+    return ERR_OK;
+}
+
+/* Lanes after the last Gaussian hold zeros, as after an upload. */
+static void densify_clear_tail(const struct densify_state *s, size_t n, uint32_t planes)
+{
+    for (size_t d = n; d % DENSIFY_LANES; d++)
+        for (uint32_t k = 0; k < planes; k++) {
+            size_t at = densify_at(d, planes, k);
+            s->params[at] = s->m1[at] = s->m2[at] = 0.0f;
+        }
+}
+
+enum err_code densify_apply(const struct densify_params *p, const struct densify_input *in,
+                            struct densify_plan *plan, const struct densify_state *from,
+                            const struct densify_state *to, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    float *means = mem_array(3 * plan->n, sizeof(*means));
+    uint32_t *order = mem_array(plan->n, sizeof(*order));
+    if (!means || !order) {
+        rc = err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", plan->n);
+        goto out;
+    }
+    for (size_t d = 0; d < plan->n; d++)
+        densify_mean(p, in, plan->rows[d], means + 3 * d);
+    struct gauss shape = {.n = plan->n, .mean_m = means};
+    rc = gauss_morton_order(&shape, order, e);
+    if (rc)
+        goto out;
+    struct densify_copy c = {in, from, to, plan->rows, order, means, plan->n};
+    size_t per_chunk = (size_t)DENSIFY_CHUNK_GROUPS * DENSIFY_LANES;
+    rc = pool_for((plan->n + per_chunk - 1) / per_chunk, 0, densify_copy_chunk, &c, e);
+    densify_clear_tail(to, plan->n, in->planes);
+out:
+    mem_free(means);
+    mem_free(order);
+    return rc;
+}

@@ -1,0 +1,96 @@
+/* Scores of a picture source against photographs: PSNR, SSIM with both window rules, L1, Gaussians and time a
+ * frame. The first photograph is drawn once more before the clock starts, so that building kernels and growing
+ * buffers is not counted.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+
+#include "train/train.h"
+
+enum { EVALUATE_VALID_MIN = 11 }; /* px: the SSIM window */
+
+static double evaluate_l1(const float *rgb, const uint8_t *target, size_t n)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < n; i++)
+        sum += fabs((double)fminf(fmaxf(rgb[i], 0.0f), 1.0f) - target[i] / 255.0);
+    return n ? sum / (double)n : 0.0;
+}
+
+static enum err_code evaluate_photo(const struct feed_photo *p, const float *rgb,
+                                    struct evaluate_score *sum, struct err *e)
+{
+    uint32_t w = p->cam.width_px, h = p->cam.height_px;
+    double psnr, ssim, ssim_valid = NAN;
+    enum err_code rc = metric_psnr(rgb, p->px, NULL, w, h, &psnr, e);
+    if (!rc)
+        rc = metric_ssim(rgb, p->px, NULL, w, h, METRIC_TRAINING, &ssim, e);
+    if (!rc && w >= EVALUATE_VALID_MIN && h >= EVALUATE_VALID_MIN)
+        rc = metric_ssim(rgb, p->px, NULL, w, h, METRIC_VALID, &ssim_valid, e);
+    if (rc)
+        return rc;
+    sum->psnr_db += psnr;
+    sum->ssim += ssim;
+    sum->ssim_valid += ssim_valid;
+    sum->l1 += evaluate_l1(rgb, p->px, (size_t)w * h * 3);
+    return ERR_OK;
+}
+
+static enum err_code evaluate_one(struct feed *f, size_t nth, const struct evaluate_source *src,
+                                  struct evaluate_score *sum, struct err *e)
+{
+    struct feed_photo photo;
+    enum err_code rc = feed_get_nth(f, nth, &photo, e);
+    if (rc)
+        return rc;
+    float *rgb = mem_array((size_t)photo.cam.width_px * photo.cam.height_px * 3, sizeof(*rgb));
+    if (!rgb)
+        return err_set(e, ERR_MEM, "evaluate: out of memory for %u x %u pixels", photo.cam.width_px,
+                       photo.cam.height_px);
+    double gaussians = 0.0, start = 0.0;
+    if (nth == 0)
+        rc = src->draw(src->user, &photo.cam, rgb, &gaussians, e);
+    if (!rc) {
+        start = clock_s();
+        rc = src->draw(src->user, &photo.cam, rgb, &gaussians, e);
+    }
+    if (!rc) {
+        sum->ms_frame += 1e3 * (clock_s() - start);
+        sum->gaussians += gaussians;
+        rc = evaluate_photo(&photo, rgb, sum, e);
+    }
+    mem_free(rgb);
+    return rc;
+}
+
+enum err_code evaluate_run(struct feed *f, size_t n_photos, const struct evaluate_source *src,
+                           struct evaluate_score *out, struct err *e)
+{
+    *out = (struct evaluate_score){.n_photos = n_photos};
+    if (!n_photos)
+        return err_set(e, ERR_DATA, "evaluate: no test photographs");
+    for (size_t i = 0; i < n_photos; i++) {
+        enum err_code rc = evaluate_one(f, i, src, out, e);
+        if (rc)
+            return rc;
+        if (clock_stopping())
+            return err_set(e, ERR_CANCEL, "stopped while scoring");
+    }
+    double n = (double)n_photos;
+    out->psnr_db /= n;
+    out->ssim /= n;
+    out->ssim_valid /= n;
+    out->l1 /= n;
+    out->gaussians /= n;
+    out->ms_frame /= n;
+    return ERR_OK;
+}
+
+enum err_code evaluate_draw_model(void *user, const struct camera *cam, float *rgb, double *gaussians,
+                                  struct err *e)
+{
+    const struct evaluate_model *m = user;
+    *gaussians = m->model->n;
+    return render_forward(m->render, m->model, cam, &m->options, rgb, NULL, e);
+}

@@ -1,0 +1,291 @@
+/* Photographs at training size, decoded ahead of their use.
+ *
+ * Order: every epoch is a fresh Fisher-Yates shuffle made from (seed, level, epoch) alone, so step t's photograph
+ * does not depend on caches, threads or where a run was resumed. Memory: decoded bytes are kept up to a limit and
+ * the least recently used go first; a photograph handed out is pinned until the next call. One thread decodes the
+ * photographs of the coming steps while the device works.
+ *
+ * `lock` guards everything below it in struct feed; pixels of a slot in state READY and pinned are read without it.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <pthread.h>
+#include <string.h>
+
+#include "core/pool.h"
+#include "train/train.h"
+
+enum { FEED_AHEAD = 3 };
+enum feed_state { FEED_EMPTY, FEED_LOADING, FEED_READY, FEED_FAILED };
+
+struct feed_slot {
+    enum feed_state state;
+    struct image img;
+    uint64_t used; /* clock of the last use */
+};
+
+struct feed {
+    struct feed_config cfg;
+    struct camera *cams; /* [n] at training size */
+    struct pool_thread *thread;
+    pthread_mutex_t lock;
+    pthread_cond_t changed;
+    bool stop;
+    struct feed_slot *slots; /* [n] */
+    size_t bytes;
+    uint64_t clock;
+    size_t pinned; /* slot handed out, or n */
+    size_t want[FEED_AHEAD]; /* slots to decode ahead, in order of use */
+    size_t n_want;
+    uint32_t *shuffle; /* [n], of epoch shuffle_epoch; used by callers of feed_get only */
+    uint64_t shuffle_epoch; /* 1-based, 0 = none yet */
+    struct err fail; /* why a slot failed */
+};
+
+struct camera feed_camera(const struct camera *cam, uint32_t max_edge_px, double downsample)
+{
+    double w = cam->width_px, h = cam->height_px;
+    double f = max_edge_px ? fmin(1.0, max_edge_px / fmax(w, h)) : 1.0;
+    /* Round the finest size first: every level is then a division of the same picture. */
+    w = fmax(floor(w * f + 0.5), 1.0);
+    h = fmax(floor(h * f + 0.5), 1.0);
+    w = fmax(floor(w / downsample + 0.5), 1.0);
+    h = fmax(floor(h / downsample + 0.5), 1.0);
+    return camera_resize(cam, (uint32_t)w, (uint32_t)h);
+}
+
+/* ---- decoding ---------------------------------------------------------------------------------- */
+
+static enum err_code feed_decode(const struct feed *f, size_t slot, struct image *out, struct err *e)
+{
+    const struct scene_image *im = &f->cfg.scene->images[f->cfg.images[slot]];
+    const struct camera *cam = &f->cams[slot];
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    struct image full = {0};
+    enum err_code rc = file_join(dir, f->cfg.scene->dir, "images", e);
+    if (!rc)
+        rc = file_join(path, dir, im->name, e);
+    if (!rc)
+        rc = image_read(path, NULL, &full, e);
+    if (rc)
+        return rc;
+    if (full.channels != 3 || full.width_px != im->cam.width_px || full.height_px != im->cam.height_px) {
+        rc = err_set(e, ERR_DATA, "%s: %u x %u pixels, the scene says %u x %u: ingest the scene again",
+                     path, full.width_px, full.height_px, im->cam.width_px, im->cam.height_px);
+    } else if (full.width_px == cam->width_px && full.height_px == cam->height_px) {
+        *out = full;
+        return ERR_OK;
+    } else {
+        rc = image_resize(&full, cam->width_px, cam->height_px, out, e);
+    }
+    image_free(&full);
+    return rc;
+}
+
+static size_t feed_size(const struct feed *f, size_t slot)
+{
+    return (size_t)f->cams[slot].width_px * f->cams[slot].height_px * 3;
+}
+
+static bool feed_wanted(const struct feed *f, size_t slot)
+{
+    for (size_t i = 0; i < f->n_want; i++)
+        if (f->want[i] == slot)
+            return true;
+    return slot == f->pinned;
+}
+
+/* Lock held. Drop the least recently used until `need` more bytes fit; what is wanted next stays. */
+static void feed_evict(struct feed *f, size_t need)
+{
+    while (f->bytes + need > f->cfg.cache_bytes) {
+        size_t oldest = f->cfg.n_images;
+        for (size_t i = 0; i < f->cfg.n_images; i++)
+            if (f->slots[i].state == FEED_READY && !feed_wanted(f, i) &&
+                (oldest == f->cfg.n_images || f->slots[i].used < f->slots[oldest].used))
+                oldest = i;
+        if (oldest == f->cfg.n_images)
+            return;
+        f->bytes -= feed_size(f, oldest);
+        image_free(&f->slots[oldest].img);
+        f->slots[oldest].state = FEED_EMPTY;
+    }
+}
+
+/* Lock held on entry and exit, released while decoding. */
+static void feed_load(struct feed *f, size_t slot)
+{
+    struct image img = {0};
+    struct err e = {0};
+    f->slots[slot].state = FEED_LOADING;
+    f->bytes += feed_size(f, slot);
+    pthread_mutex_unlock(&f->lock);
+    enum err_code rc = feed_decode(f, slot, &img, &e);
+    pthread_mutex_lock(&f->lock);
+    f->slots[slot].state = rc ? FEED_FAILED : FEED_READY;
+    f->slots[slot].img = img;
+    f->slots[slot].used = ++f->clock;
+    if (rc) {
+        f->bytes -= feed_size(f, slot);
+        f->fail = e;
+    }
+    pthread_cond_broadcast(&f->changed);
+}
+
+/* Lock held. The next slot to decode ahead: only what fits beside all that is needed sooner. */
+static size_t feed_next_wanted(struct feed *f)
+{
+    for (size_t i = 0; i < f->n_want; i++) {
+        if (f->slots[f->want[i]].state != FEED_EMPTY)
+            continue;
+        size_t need = feed_size(f, f->want[i]);
+        feed_evict(f, need);
+        return f->bytes + need <= f->cfg.cache_bytes ? f->want[i] : f->cfg.n_images;
+    }
+    return f->cfg.n_images;
+}
+
+static void feed_thread(void *user)
+{
+    struct feed *f = user;
+    pthread_mutex_lock(&f->lock);
+    while (!f->stop) {
+        size_t slot = feed_next_wanted(f);
+        if (slot < f->cfg.n_images)
+            feed_load(f, slot);
+        else
+            pthread_cond_wait(&f->changed, &f->lock);
+    }
+    pthread_mutex_unlock(&f->lock);
+}
+
+/* ---- order --------------------------------------------------------------------------------------- */
+
+static size_t feed_slot_of(struct feed *f, uint64_t step)
+{
+    size_t n = f->cfg.n_images;
+    uint64_t epoch = (step - 1) / n + 1;
+    if (f->shuffle_epoch != epoch) {
+        uint64_t stream = train_stream(TRAIN_STREAM_SHUFFLE, f->cfg.level, epoch);
+        for (size_t i = 0; i < n; i++)
+            f->shuffle[i] = (uint32_t)i;
+        for (size_t i = n - 1; i > 0; i--) {
+            size_t j = (size_t)(rng_unit(f->cfg.seed, stream, i) * (double)(i + 1));
+            uint32_t swap = f->shuffle[i];
+            f->shuffle[i] = f->shuffle[j];
+            f->shuffle[j] = swap;
+        }
+        f->shuffle_epoch = epoch;
+    }
+    return f->shuffle[(step - 1) % n];
+}
+
+/* Wait for a slot, loading it here when the thread has not begun. */
+static enum err_code feed_take(struct feed *f, size_t slot, const size_t *ahead, size_t n_ahead,
+                               struct feed_photo *out, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    pthread_mutex_lock(&f->lock);
+    f->pinned = slot;
+    f->n_want = n_ahead;
+    memcpy(f->want, ahead, n_ahead * sizeof(*ahead));
+    while (f->slots[slot].state != FEED_READY && !rc) {
+        if (f->slots[slot].state == FEED_FAILED)
+            rc = err_set(e, f->fail.code, "%s", f->fail.msg);
+        else if (f->slots[slot].state == FEED_EMPTY) {
+            feed_evict(f, feed_size(f, slot));
+            feed_load(f, slot);
+        }
+        else
+            pthread_cond_wait(&f->changed, &f->lock);
+    }
+    f->slots[slot].used = ++f->clock;
+    pthread_cond_broadcast(&f->changed);
+    pthread_mutex_unlock(&f->lock);
+    if (rc)
+        return rc;
+    *out = (struct feed_photo){f->cfg.images[slot], f->cams[slot], f->slots[slot].img.px};
+    return ERR_OK;
+}
+
+enum err_code feed_get(struct feed *f, uint32_t step, struct feed_photo *out, struct err *e)
+{
+    size_t ahead[FEED_AHEAD], n = 0;
+    for (uint64_t d = 1; d <= FEED_AHEAD && d < f->cfg.n_images; d++)
+        ahead[n++] = feed_slot_of(f, step + d);
+    return feed_take(f, feed_slot_of(f, step), ahead, n, out, e);
+}
+
+enum err_code feed_get_nth(struct feed *f, size_t nth, struct feed_photo *out, struct err *e)
+{
+    size_t next = nth + 1;
+    if (nth >= f->cfg.n_images)
+        return err_set(e, ERR_ARG, "feed: photograph %zu of %zu", nth, f->cfg.n_images);
+    return feed_take(f, nth, &next, next < f->cfg.n_images, out, e);
+}
+
+size_t feed_bytes(const struct feed *f)
+{
+    struct feed *w = (struct feed *)(uintptr_t)f; /* the lock is not part of the value */
+    pthread_mutex_lock(&w->lock);
+    size_t n = f->bytes;
+    pthread_mutex_unlock(&w->lock);
+    return n;
+}
+
+/* ---- life ------------------------------------------------------------------------------------------ */
+
+enum err_code feed_open(const struct feed_config *cfg, struct feed **out, struct err *e)
+{
+    *out = NULL;
+    if (!cfg->n_images)
+        return err_set(e, ERR_DATA, "%s: no photographs to use", cfg->scene->dir);
+    struct feed *f = mem_array(1, sizeof(*f));
+    if (!f)
+        return err_set(e, ERR_MEM, "feed: out of memory");
+    enum err_code rc = ERR_OK;
+    f->cfg = *cfg;
+    f->pinned = cfg->n_images;
+    pthread_mutex_init(&f->lock, NULL);
+    pthread_cond_init(&f->changed, NULL);
+    f->cams = mem_array(cfg->n_images, sizeof(*f->cams));
+    f->slots = mem_array(cfg->n_images, sizeof(*f->slots));
+    f->shuffle = mem_array(cfg->n_images, sizeof(*f->shuffle));
+    if (!f->cams || !f->slots || !f->shuffle) {
+        rc = err_set(e, ERR_MEM, "feed: out of memory for %zu photographs", cfg->n_images);
+        goto out;
+    }
+    for (size_t i = 0; i < cfg->n_images; i++)
+        f->cams[i] = feed_camera(&cfg->scene->images[cfg->images[i]].cam, cfg->max_edge_px,
+                                 cfg->downsample);
+    rc = pool_start(feed_thread, f, &f->thread, e);
+out:
+    if (rc)
+        feed_close(&f);
+    *out = f;
+    return rc;
+}
+
+void feed_close(struct feed **p)
+{
+    struct feed *f = *p;
+    if (!f)
+        return;
+    if (f->thread) {
+        pthread_mutex_lock(&f->lock);
+        f->stop = true;
+        pthread_cond_broadcast(&f->changed);
+        pthread_mutex_unlock(&f->lock);
+        pool_join(&f->thread);
+    }
+    for (size_t i = 0; f->slots && i < f->cfg.n_images; i++)
+        image_free(&f->slots[i].img);
+    pthread_cond_destroy(&f->changed);
+    pthread_mutex_destroy(&f->lock);
+    mem_free(f->cams);
+    mem_free(f->slots);
+    mem_free(f->shuffle);
+    mem_free(f);
+    *p = NULL;
+}

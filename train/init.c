@@ -1,0 +1,274 @@
+/* The first Gaussians: one at each point of the sparse model, as large as its neighbours are far (3D Gaussian
+ * Splatting, Kerbl 2023, section 5.1), round, opacity 0.1, colour of the point in the constant harmonic.
+ *
+ * Neighbours come from a balanced k-d tree laid out in an index array: the median of a range is its node, the
+ * halves are its children, so the tree needs no memory of its own.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <string.h>
+
+#include "core/pool.h"
+#include "train/train.h"
+
+#define INIT_OPACITY 0.1
+#define INIT_DIST2_MIN_M2 1e-7 /* coincident points */
+enum { INIT_NEIGHBOURS = 3, INIT_RANDOM_POINTS = 100, INIT_LEAF = 8, INIT_CHUNK = 4096 };
+
+/* ---- nearest neighbours ---------------------------------------------------------------------- */
+
+struct init_tree {
+    const float *xyz; /* [n][3] */
+    uint32_t *order;  /* [n] */
+    uint8_t *axis;    /* [n]: split axis of the node at that place of `order` */
+    size_t n;
+    float *dist2;
+};
+
+static int init_widest_axis(const struct init_tree *t, size_t a, size_t b)
+{
+    float lo[3] = {INFINITY, INFINITY, INFINITY}, hi[3] = {-INFINITY, -INFINITY, -INFINITY};
+    for (size_t i = a; i < b; i++)
+        for (int k = 0; k < 3; k++) {
+            float v = t->xyz[3 * t->order[i] + k];
+            lo[k] = fminf(lo[k], v);
+            hi[k] = fmaxf(hi[k], v);
+        }
+    int best = 0;
+    for (int k = 1; k < 3; k++)
+        if (hi[k] - lo[k] > hi[best] - lo[best])
+            best = k;
+    return best;
+}
+
+/* Hoare's selection: afterwards order[m] is the one that sorting [a, b) would put there. */
+static void init_select(struct init_tree *t, size_t a, size_t b, size_t m, int axis)
+{
+    ptrdiff_t lo = (ptrdiff_t)a, hi = (ptrdiff_t)b - 1;
+    while (lo < hi) {
+        float pivot = t->xyz[3 * t->order[lo + (hi - lo) / 2] + axis];
+        ptrdiff_t i = lo, j = hi;
+        while (i <= j) {
+            while (t->xyz[3 * t->order[i] + axis] < pivot)
+                i++;
+            while (t->xyz[3 * t->order[j] + axis] > pivot)
+                j--;
+            if (i <= j) {
+                uint32_t swap = t->order[i];
+                t->order[i++] = t->order[j];
+                t->order[j--] = swap;
+            }
+        }
+        if ((ptrdiff_t)m <= j)
+            hi = j;
+        else if ((ptrdiff_t)m >= i)
+            lo = i;
+        else
+            return;
+    }
+}
+
+static void init_build(struct init_tree *t, size_t a, size_t b)
+{
+    while (b - a > INIT_LEAF) {
+        size_t m = a + (b - a) / 2;
+        int axis = init_widest_axis(t, a, b);
+        init_select(t, a, b, m, axis);
+        t->axis[m] = (uint8_t)axis;
+        init_build(t, a, m); /* recursion on one half: depth is log2 n */
+        a = m + 1;
+    }
+}
+
+struct init_query {
+    const float *p;
+    uint32_t self;
+    float best[INIT_NEIGHBOURS]; /* ascending */
+};
+
+static void init_offer(const struct init_tree *t, uint32_t id, struct init_query *q)
+{
+    if (id == q->self)
+        return;
+    const float *v = t->xyz + 3 * (size_t)id;
+    float dx = v[0] - q->p[0], dy = v[1] - q->p[1], dz = v[2] - q->p[2];
+    float d = dx * dx + dy * dy + dz * dz;
+    for (int k = 0; k < INIT_NEIGHBOURS; k++)
+        if (d < q->best[k]) {
+            float old = q->best[k];
+            q->best[k] = d;
+            d = old;
+        }
+}
+
+static void init_search(const struct init_tree *t, size_t a, size_t b, struct init_query *q)
+{
+    while (b - a > INIT_LEAF) {
+        size_t m = a + (b - a) / 2;
+        uint32_t id = t->order[m];
+        int axis = t->axis[m];
+        float gap = q->p[axis] - t->xyz[3 * (size_t)id + axis];
+        size_t near_a = gap < 0.0f ? a : m + 1, near_b = gap < 0.0f ? m : b;
+        size_t far_a = gap < 0.0f ? m + 1 : a, far_b = gap < 0.0f ? b : m;
+        init_offer(t, id, q);
+        init_search(t, near_a, near_b, q);
+        if (gap * gap >= q->best[INIT_NEIGHBOURS - 1])
+            return;
+        a = far_a;
+        b = far_b;
+    }
+    for (size_t i = a; i < b; i++)
+        init_offer(t, t->order[i], q);
+}
+
+static enum err_code init_search_chunk(void *user, size_t chunk, struct err *e)
+{
+    (void)e;
+    struct init_tree *t = user;
+    size_t end = (chunk + 1) * INIT_CHUNK < t->n ? (chunk + 1) * INIT_CHUNK : t->n;
+    for (size_t i = chunk * INIT_CHUNK; i < end; i++) {
+        struct init_query q = {.p = t->xyz + 3 * i, .self = (uint32_t)i};
+        for (int k = 0; k < INIT_NEIGHBOURS; k++)
+            q.best[k] = INFINITY;
+        init_search(t, 0, t->n, &q);
+        double sum = 0.0;
+        int found = 0;
+        for (; found < INIT_NEIGHBOURS && isfinite(q.best[found]); found++)
+            sum += (double)q.best[found];
+        t->dist2[i] = found ? (float)(sum / found) : 0.0f;
+    }
+    return ERR_OK;
+}
+
+enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, struct err *e)
+{
+    struct init_tree t = {.xyz = xyz, .n = n, .dist2 = dist2};
+    enum err_code rc = ERR_OK;
+    t.order = mem_array(n, sizeof(*t.order));
+    t.axis = mem_array(n, 1);
+    if (!t.order || !t.axis) {
+        rc = err_set(e, ERR_MEM, "init: out of memory for %zu points", n);
+        goto out;
+    }
+    for (size_t i = 0; i < n; i++)
+        t.order[i] = (uint32_t)i;
+    init_build(&t, 0, n);
+    rc = pool_for((n + INIT_CHUNK - 1) / INIT_CHUNK, 0, init_search_chunk, &t, e);
+out:
+    mem_free(t.order);
+    mem_free(t.axis);
+    return rc;
+}
+
+/* ---- points to Gaussians ----------------------------------------------------------------------- */
+
+struct init_points {
+    double *enu_m; /* [n][3] */
+    uint8_t *rgb;  /* [n][3] */
+    size_t n;
+};
+
+/* No sparse model: grey points at half to one and a half cell edges in front of random pixels. */
+static void init_random_points(const struct scene *s, const uint32_t *images, size_t n_images,
+                               const struct train_cell *cell, uint64_t seed, struct init_points *p)
+{
+    uint64_t stream = train_stream(TRAIN_STREAM_INIT, 1, 0);
+    for (size_t i = 0; i < p->n; i++) {
+        size_t pick = (size_t)(rng_unit(seed, stream, 4 * i) * (double)n_images);
+        const struct camera *c = &s->images[images[pick]].cam;
+        double depth = cell->edge_m * (0.5 + rng_unit(seed, stream, 4 * i + 1));
+        double x = (rng_unit(seed, stream, 4 * i + 2) * c->width_px - c->cx_px) / c->fx_px * depth;
+        double y = (rng_unit(seed, stream, 4 * i + 3) * c->height_px - c->cy_px) / c->fy_px * depth;
+        double t[3] = {x - c->trans[0], y - c->trans[1], depth - c->trans[2]};
+        for (int k = 0; k < 3; k++) {
+            p->enu_m[3 * i + k] = c->rot[k] * t[0] + c->rot[3 + k] * t[1] + c->rot[6 + k] * t[2];
+            p->rgb[3 * i + k] = 128;
+        }
+    }
+}
+
+static void init_scene_points(const struct scene *s, uint64_t seed, struct init_points *p)
+{
+    uint64_t stream = train_stream(TRAIN_STREAM_INIT, 1, 0);
+    size_t taken = 0;
+    for (size_t i = 0; i < s->n_points && taken < p->n; i++) {
+        /* Selection sampling (Knuth 3.4.2 S): each of the remaining with equal chance. */
+        double left = (double)(s->n_points - i), want = (double)(p->n - taken);
+        if (p->n < s->n_points && rng_unit(seed, stream, i) * left >= want)
+            continue;
+        memcpy(p->enu_m + 3 * taken, s->points[i].enu_m, 3 * sizeof(double));
+        memcpy(p->rgb + 3 * taken, s->points[i].rgb, 3);
+        taken++;
+    }
+}
+
+static void init_row(struct gauss *g, size_t i, const uint8_t rgb[3], double dist2, double largest_m)
+{
+    size_t per_row = 3 * gauss_sh_count(g->sh_degree);
+    double sigma = fmin(sqrt(fmax(dist2, INIT_DIST2_MIN_M2)), largest_m);
+    memset(g->sh + i * per_row, 0, per_row * sizeof(float));
+    for (int k = 0; k < 3; k++) {
+        g->scale_log[3 * i + k] = (float)log(sigma);
+        g->sh[i * per_row + k] = (float)((rgb[k] / 255.0 - 0.5) / GAUSS_SH_C0);
+    }
+    static const float identity[4] = {1.0f, 0.0f, 0.0f, 0.0f};
+    memcpy(g->quat_wxyz + 4 * i, identity, sizeof(identity));
+    g->opacity_logit[i] = (float)log(INIT_OPACITY / (1.0 - INIT_OPACITY));
+}
+
+static enum err_code init_fill(const struct init_points *p, const struct train_cell *cell,
+                               struct gauss *g, struct err *e)
+{
+    double mean[3] = {0};
+    for (size_t i = 0; i < p->n; i++)
+        for (int k = 0; k < 3; k++)
+            mean[k] += p->enu_m[3 * i + k] / (double)p->n;
+    memcpy(g->origin_enu_m, mean, sizeof(mean));
+    for (size_t i = 0; i < 3 * p->n; i++)
+        g->mean_m[i] = (float)(p->enu_m[i] - mean[i % 3]);
+    float *dist2 = mem_array(p->n, sizeof(*dist2));
+    if (!dist2)
+        return err_set(e, ERR_MEM, "init: out of memory for %zu points", p->n);
+    enum err_code rc = init_neighbour_dist2(g->mean_m, p->n, dist2, e);
+    for (size_t i = 0; !rc && i < p->n; i++)
+        init_row(g, i, p->rgb + 3 * i, (double)dist2[i], cell->extent_m);
+    g->n = p->n;
+    mem_free(dist2);
+    return rc;
+}
+
+enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n_images,
+                         const struct train_cell *cell, uint32_t sh_degree, size_t limit, uint64_t seed,
+                         struct gauss *out, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    struct init_points p = {.n = s->n_points < limit ? s->n_points : limit};
+    if (s->n_points == 0) {
+        p.n = limit < INIT_RANDOM_POINTS ? limit : INIT_RANDOM_POINTS;
+        log_warn("init", "the scene has no points: starting from %zu random ones", p.n);
+    } else if (p.n < s->n_points) {
+        log_warn("init", "%zu points are more than the first level's budget: %zu of them are used",
+                 s->n_points, p.n);
+    }
+    p.enu_m = mem_array(3 * p.n, sizeof(*p.enu_m));
+    p.rgb = mem_array(3 * p.n, 1);
+    if (!p.enu_m || !p.rgb) {
+        rc = err_set(e, ERR_MEM, "init: out of memory for %zu points", p.n);
+        goto out;
+    }
+    rc = gauss_alloc(out, p.n, sh_degree, 0, e);
+    if (rc)
+        goto out;
+    if (s->n_points)
+        init_scene_points(s, seed, &p);
+    else
+        init_random_points(s, images, n_images, cell, seed, &p);
+    rc = init_fill(&p, cell, out, e);
+    if (rc)
+        gauss_free(out);
+out:
+    mem_free(p.enu_m);
+    mem_free(p.rgb);
+    return rc;
+}

@@ -1,0 +1,163 @@
+/* What happens at which step of a level: length, densification, opacity resets, harmonics degree, the learning
+ * rate of positions. Pure functions of the configuration, so a resumed run needs no state of its own here.
+ *
+ * Lengths stretch with the number of photographs, kappa = max(n / 600, 1), rounded up to two decimals. A run of a
+ * given total length (--iterations) shrinks instead; what then happens to each interval was measured, not
+ * derived, and stands beside its constant.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+
+#include "train/train.h"
+
+#define SCHEDULE_PHOTOS 600.0 /* photographs at which lengths begin to stretch */
+enum { SCHEDULE_STEPS_MAX = 1 << 30 };
+
+/* Half up, as counts are rounded everywhere here. */
+static uint32_t schedule_round(double x)
+{
+    double r = floor(x + 0.5);
+    return r < 1.0 ? 1 : r > SCHEDULE_STEPS_MAX ? SCHEDULE_STEPS_MAX : (uint32_t)r;
+}
+
+static double schedule_kappa(const struct train_config *cfg, size_t n_photos)
+{
+    if (!cfg->scale_by_images)
+        return 1.0;
+    double k = (double)n_photos / SCHEDULE_PHOTOS;
+    return k > 1.0 ? ceil(100.0 * k - 1e-9) / 100.0 : 1.0;
+}
+
+/* The rows _1, _2, _3 of the configuration. */
+struct schedule_base {
+    int64_t steps, budget, interval;
+    double downsample, until, tau;
+};
+static void schedule_base(const struct train_config *cfg, struct schedule_base out[TRAIN_LEVELS_MAX])
+{
+    out[0] = (struct schedule_base){cfg->iterations_1, cfg->budget_1, cfg->densify_interval_1,
+                                    cfg->downsample_1, cfg->densify_until_1, cfg->tau_1};
+    out[1] = (struct schedule_base){cfg->iterations_2, cfg->budget_2, cfg->densify_interval_2,
+                                    cfg->downsample_2, cfg->densify_until_2, cfg->tau_2};
+    out[2] = (struct schedule_base){cfg->iterations_3, cfg->budget_3, cfg->densify_interval_3,
+                                    cfg->downsample_3, cfg->densify_until_3, cfg->tau_3};
+}
+
+static void schedule_fill(const struct train_config *cfg, const struct schedule_base *b, double kappa,
+                          double edge_m, struct schedule *s)
+{
+    double shrink = kappa < 1.0 ? kappa : 1.0;
+    double interval = (double)b->interval * kappa;
+    double floor_steps = fmin((double)b->interval, (double)cfg->densify_interval_min);
+    s->kappa = kappa;
+    s->downsample = b->downsample;
+    s->budget = (size_t)b->budget;
+    s->interval = schedule_round(fmax(interval, floor_steps));
+    s->densify_from = (uint32_t)floor((double)cfg->densify_from * kappa + 0.5);
+    s->densify_until = (uint32_t)floor((double)s->steps * b->until + 0.5);
+    /* Not shrunk: a run shorter than the interval is better without resets than with hasty ones. */
+    s->reset_interval = schedule_round((double)cfg->reset_interval * fmax(kappa, 1.0));
+    s->sh_degree = (uint32_t)cfg->sh_degree;
+    s->sh_interval = s->level == 1 ? schedule_round((double)cfg->sh_interval * shrink) : 0;
+    s->tau = b->tau;
+    double unit_m = 0.5 * edge_m;
+    s->lr_mean_first = cfg->lr_mean * unit_m * (s->level > 1 ? cfg->lr_mean_restart : 1.0);
+    s->lr_mean_last = fmin(cfg->lr_mean_final * unit_m, s->lr_mean_first);
+}
+
+enum err_code schedule_make(const struct train_config *cfg, size_t n_photos, double edge_m,
+                            struct schedule out[TRAIN_LEVELS_MAX], struct err *e)
+{
+    struct schedule_base base[TRAIN_LEVELS_MAX];
+    schedule_base(cfg, base);
+    uint32_t n = (uint32_t)cfg->level_count, first = TRAIN_LEVELS_MAX - n;
+    double total = 0.0, kappa = schedule_kappa(cfg, n_photos);
+    for (uint32_t l = first; l < TRAIN_LEVELS_MAX; l++)
+        total += (double)base[l].steps;
+    if (cfg->iterations > 0)
+        kappa = (double)cfg->iterations / total;
+    int64_t left = cfg->iterations;
+    for (uint32_t l = 0; l < n; l++) {
+        const struct schedule_base *b = &base[first + l];
+        struct schedule *s = &out[l];
+        *s = (struct schedule){.level = l + 1, .n_levels = n};
+        double steps = floor((double)b->steps * kappa + 0.5);
+        if (cfg->iterations > 0 && l + 1 == n)
+            steps = (double)left; /* the last level takes what rounding left */
+        left -= (int64_t)steps;
+        if (!(steps >= 1.0) || steps > SCHEDULE_STEPS_MAX)
+            return err_set(e, ERR_ARG, "level %u of %u would have %.0f steps: change --iterations or %s",
+                           l + 1, n, steps, "--level-count");
+        s->steps = (uint32_t)steps;
+        schedule_fill(cfg, b, kappa, edge_m, s);
+        s->absgrad = (int64_t)(first + l + 1) >= cfg->absgrad_from;
+        if (l > 0 && s->budget < out[l - 1].budget)
+            return err_set(e, ERR_ARG, "level %u: budget %zu is below level %u's %zu: budgets must not fall",
+                           l + 1, s->budget, l, out[l - 1].budget);
+    }
+    return ERR_OK;
+}
+
+size_t schedule_cap(size_t start, size_t budget, uint32_t x, uint32_t n)
+{
+    if (start >= budget)
+        return start;
+    if (n <= 1 || x >= n - 1)
+        return budget;
+    double u = (double)x / (double)(n - 1);
+    return start + (size_t)floor((double)(budget - start) * (2.0 * u - u * u));
+}
+
+/* Last step at which densification is allowed: before both `until` and the end. */
+static uint32_t schedule_densify_last(const struct schedule *s)
+{
+    uint32_t end = s->densify_until < s->steps ? s->densify_until : s->steps;
+    return end > 0 ? end - 1 : 0;
+}
+
+uint32_t schedule_densify_count(const struct schedule *s)
+{
+    uint32_t first = s->densify_from / s->interval, last = schedule_densify_last(s) / s->interval;
+    return last > first ? last - first + 1 : 1;
+}
+
+uint32_t schedule_densify_index(const struct schedule *s, uint32_t step)
+{
+    if (step <= s->densify_from || step > schedule_densify_last(s) || step % s->interval)
+        return 0;
+    return step / s->interval - s->densify_from / s->interval;
+}
+
+/* The last interval before densification ends is left for the opacities to come back. */
+static uint32_t schedule_last_reset(const struct schedule *s)
+{
+    uint32_t end = schedule_densify_last(s);
+    return end > s->reset_interval ? end - s->reset_interval : 0;
+}
+
+bool schedule_resets(const struct schedule *s, uint32_t step)
+{
+    return step > 0 && step % s->reset_interval == 0 && step <= schedule_last_reset(s);
+}
+
+bool schedule_was_reset(const struct schedule *s, uint32_t step)
+{
+    return step > s->reset_interval && schedule_last_reset(s) >= s->reset_interval;
+}
+
+uint32_t schedule_sh_degree(const struct schedule *s, uint32_t step)
+{
+    if (!s->sh_interval)
+        return s->sh_degree;
+    uint32_t d = step / s->sh_interval;
+    return d < s->sh_degree ? d : s->sh_degree;
+}
+
+double schedule_lr_mean(const struct schedule *s, uint32_t step)
+{
+    if (!(s->lr_mean_first > 0.0) || !(s->lr_mean_last > 0.0))
+        return s->lr_mean_first;
+    double t = fmin((double)step / (double)s->steps, 1.0);
+    return exp((1.0 - t) * log(s->lr_mean_first) + t * log(s->lr_mean_last));
+}

@@ -1,0 +1,311 @@
+/* Importance of every Gaussian, the chances in the draw of density control (Taming 3DGS, Mallick 2024).
+ *
+ * A number of random training views is drawn. In each, a pixel weighs 50 times its error plus 50 times the edge
+ * strength of the photograph (both stretched to 0..1); every Gaussian collects what it touches. Nine quantities,
+ * each divided by its median over the Gaussians that have it, are added with fixed coefficients, and the view
+ * counts by its loss:
+ *
+ *   50 L (25 gradient + 100 opacity + 5 depth + 10 radius + 25 volume + 50 distance + 10 weight + 0.1 pixels
+ *         + 50 alpha T)
+ *
+ * A picture of one colour or a view that sees nothing gives zeros, never a division by zero.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <string.h>
+
+#include "core/layout.h"
+#include "core/pool.h"
+#include "train/level.h"
+
+enum { SCORE_SUMS = 8, SCORE_FIELDS = 9, SCORE_MEDIAN_SAMPLE = 65536, SCORE_CHUNK = 16384 };
+enum score_field { SCORE_GRADIENT, SCORE_OPACITY, SCORE_VOLUME, /* the same in every view */
+                   SCORE_WEIGHT, SCORE_PIXELS, SCORE_SHARE, SCORE_DISTANCE, SCORE_DEPTH, SCORE_RADIUS };
+static const float score_coefficient[SCORE_FIELDS] = {25.0f, 100.0f, 25.0f, 10.0f, 0.1f,
+                                                      50.0f, 50.0f,  5.0f,  10.0f};
+#define SCORE_VIEW 50.0
+#define SCORE_ERROR 50.0f
+#define SCORE_EDGE 50.0f
+
+struct score {
+    struct render_score *device;
+    cl_mem weight;
+    size_t weight_bytes;
+};
+
+void score_free(struct score **p)
+{
+    struct score *s = *p;
+    if (!s)
+        return;
+    render_score_close(&s->device);
+    dev_release(&s->weight);
+    mem_free(s);
+    *p = NULL;
+}
+
+/* ---- weights of pixels ------------------------------------------------------------------------- */
+
+/* x -> (x - least) / (largest - least); 0 when all are equal or none is finite. */
+void score_stretch(float *x, size_t n)
+{
+    float lo = INFINITY, hi = -INFINITY;
+    for (size_t i = 0; i < n; i++) {
+        lo = fminf(lo, x[i]);
+        hi = fmaxf(hi, x[i]);
+    }
+    float span = hi - lo;
+    for (size_t i = 0; i < n; i++)
+        x[i] = span > 0.0f && isfinite(span) ? (x[i] - lo) / span : 0.0f;
+}
+
+static int score_luma(const uint8_t *px) /* ITU-R 601, as 8 bits */
+{
+    return (299 * px[0] + 587 * px[1] + 114 * px[2] + 500) / 1000;
+}
+
+/* 8 * centre - neighbours of 8-bit luma, cut to 0..255; neighbours beyond the edge repeat it. */
+void score_edges(const uint8_t *px, uint32_t w, uint32_t h, float *out)
+{
+    for (uint32_t y = 0; y < h; y++)
+        for (uint32_t x = 0; x < w; x++) {
+            int sum = 0;
+            for (int dy = -1; dy <= 1; dy++)
+                for (int dx = -1; dx <= 1; dx++) {
+                    int64_t sx = (int64_t)x + dx, sy = (int64_t)y + dy;
+                    sx = sx < 0 ? 0 : sx >= w ? w - 1 : sx;
+                    sy = sy < 0 ? 0 : sy >= h ? h - 1 : sy;
+                    sum += score_luma(px + 3 * ((size_t)sy * w + (size_t)sx)) * (dx || dy ? -1 : 8);
+                }
+            out[(size_t)y * w + x] = (float)(sum < 0 ? 0 : sum > 255 ? 255 : sum);
+        }
+    score_stretch(out, (size_t)w * h);
+}
+
+/* color: planar [3][n]. */
+static void score_errors(const float *color, const uint8_t *px, size_t n, float *out)
+{
+    for (size_t i = 0; i < n; i++) {
+        float sum = 0.0f;
+        for (size_t c = 0; c < 3; c++)
+            sum += fabsf(color[c * n + i] - (float)px[3 * i + c] / 255.0f);
+        out[i] = sum / 3.0f;
+    }
+    score_stretch(out, n);
+}
+
+/* ---- one view --------------------------------------------------------------------------------------- */
+
+/* Draw the view, find its loss, weigh its pixels on the device. */
+static enum err_code score_draw(struct level *l, const struct feed_photo *p, double *view_loss, struct err *e)
+{
+    struct score *s = l->score;
+    size_t n = (size_t)p->cam.width_px * p->cam.height_px, bytes = n * sizeof(float);
+    struct render_options ro = level_render_options(l, l->step);
+    float *color = mem_array(3 * n, sizeof(float)), *error = mem_array(n, sizeof(float));
+    float *edge = mem_array(n, sizeof(float));
+    enum err_code rc = color && error && edge ? ERR_OK : err_set(e, ERR_MEM, "score: out of memory");
+    struct loss_value v = {0};
+    if (!rc && bytes > s->weight_bytes) {
+        dev_release(&s->weight);
+        s->weight_bytes = 0;
+        rc = dev_buffer(l->dev, bytes, NULL, &s->weight, e);
+        s->weight_bytes = rc ? 0 : bytes;
+    }
+    if (!rc)
+        rc = render_forward(l->render, &l->model, &p->cam, &ro, NULL, NULL, e);
+    if (!rc)
+        rc = level_photo_loss(l, p, e);
+    if (!rc)
+        rc = loss_read(l->loss, &v, e);
+    if (!rc)
+        rc = dev_read(l->dev, render_color_buffer(l->render), 0, 3 * bytes, color, e);
+    if (!rc) {
+        score_errors(color, p->px, n, error);
+        score_edges(p->px, p->cam.width_px, p->cam.height_px, edge);
+        for (size_t i = 0; i < n; i++)
+            error[i] = SCORE_ERROR * error[i] + SCORE_EDGE * edge[i];
+        rc = dev_write(l->dev, s->weight, 0, bytes, error, e);
+    }
+    *view_loss = isfinite(v.total) ? v.total : 0.0;
+    mem_free(color);
+    mem_free(error);
+    mem_free(edge);
+    return rc;
+}
+
+/* ---- adding up ---------------------------------------------------------------------------------------- */
+
+/* Hoare's selection of the middle one. */
+static float score_middle(float *x, size_t n)
+{
+    ptrdiff_t lo = 0, hi = (ptrdiff_t)n - 1, m = (ptrdiff_t)(n / 2);
+    while (lo < hi) {
+        float pivot = x[lo + (hi - lo) / 2];
+        ptrdiff_t i = lo, j = hi;
+        while (i <= j) {
+            while (x[i] < pivot)
+                i++;
+            while (x[j] > pivot)
+                j--;
+            if (i <= j) {
+                float swap = x[i];
+                x[i++] = x[j];
+                x[j--] = swap;
+            }
+        }
+        if (m <= j)
+            hi = j;
+        else if (m >= i)
+            lo = i;
+        else
+            break;
+    }
+    return x[m];
+}
+
+/* 1 / median of the finite values above 0, from an even sample of them; 0 when there are none. */
+float score_inverse_median(const float *x, size_t n, float *scratch)
+{
+    size_t step = n / SCORE_MEDIAN_SAMPLE + 1, k = 0;
+    for (size_t i = 0; i < n; i += step)
+        if (x[i] > 0.0f && isfinite(x[i]))
+            scratch[k++] = x[i];
+    for (size_t i = 0; !k && i < n; i++) /* few have it: look at all */
+        if (x[i] > 0.0f && isfinite(x[i]))
+            scratch[k++] = x[i];
+    return k ? 1.0f / score_middle(scratch, k) : 0.0f;
+}
+
+struct score_work {
+    struct level *l;
+    const float *params, *sums;
+    float *field[SCORE_FIELDS], *scratch[SCORE_FIELDS], inverse[SCORE_FIELDS];
+    float *total;
+    size_t n;
+    float view_factor;
+};
+
+static enum err_code score_static_chunk(void *user, size_t chunk, struct err *e)
+{
+    (void)e;
+    struct score_work *w = user;
+    uint32_t planes = w->l->model.planes;
+    size_t end = (chunk + 1) * SCORE_CHUNK < w->n ? (chunk + 1) * SCORE_CHUNK : w->n;
+    for (size_t i = chunk * SCORE_CHUNK; i < end; i++) {
+        const float *p = w->params + i / LAYOUT_LANES * planes * LAYOUT_LANES + i % LAYOUT_LANES;
+        float volume = 0.0f;
+        for (size_t k = 0; k < 3; k++)
+            volume += p[(RENDER_PLANE_SCALE + k) * LAYOUT_LANES];
+        w->field[SCORE_OPACITY][i] = 1.0f / (1.0f + expf(-p[RENDER_PLANE_OPACITY * LAYOUT_LANES]));
+        w->field[SCORE_VOLUME][i] = expf(volume);
+    }
+    return ERR_OK;
+}
+
+/* Fields of the view, one column a call. */
+static enum err_code score_view_field(void *user, size_t k, struct err *e)
+{
+    (void)e;
+    struct score_work *w = user;
+    size_t f = SCORE_WEIGHT + k;
+    for (size_t i = 0; i < w->n; i++)
+        w->field[f][i] = w->sums[SCORE_SUMS * i + k];
+    w->inverse[f] = score_inverse_median(w->field[f], w->n, w->scratch[f]);
+    return ERR_OK;
+}
+
+static enum err_code score_add_chunk(void *user, size_t chunk, struct err *e)
+{
+    (void)e;
+    struct score_work *w = user;
+    size_t end = (chunk + 1) * SCORE_CHUNK < w->n ? (chunk + 1) * SCORE_CHUNK : w->n;
+    for (size_t i = chunk * SCORE_CHUNK; i < end; i++) {
+        float sum = 0.0f;
+        if (!(w->field[SCORE_DEPTH][i] > 0.0f)) /* not visible */
+            continue;
+        for (size_t f = 0; f < SCORE_FIELDS; f++)
+            sum += score_coefficient[f] * w->field[f][i] * w->inverse[f];
+        sum *= w->view_factor;
+        if (sum > 0.0f && isfinite(sum))
+            w->total[i] += sum;
+    }
+    return ERR_OK;
+}
+
+static enum err_code score_alloc(struct score_work *w, float **sums, const float *mean_grad, struct err *e)
+{
+    bool ok = (*sums = mem_array(w->n * SCORE_SUMS, sizeof(float))) != NULL;
+    for (size_t f = 0; f < SCORE_FIELDS; f++) {
+        w->field[f] = mem_array(w->n, sizeof(float));
+        w->scratch[f] = mem_array(w->n, sizeof(float));
+        ok = ok && w->field[f] && w->scratch[f];
+    }
+    if (!ok)
+        return err_set(e, ERR_MEM, "score: out of memory for %zu Gaussians", w->n);
+    memcpy(w->field[SCORE_GRADIENT], mean_grad, w->n * sizeof(float));
+    w->sums = *sums;
+    return ERR_OK;
+}
+
+static enum err_code score_view(struct score_work *w, size_t nth, float *sums, struct err *e)
+{
+    struct feed_photo photo;
+    double loss = 0.0;
+    size_t chunks = (w->n + SCORE_CHUNK - 1) / SCORE_CHUNK;
+    enum err_code rc = feed_get_nth(w->l->feed, nth, &photo, e);
+    if (!rc)
+        rc = score_draw(w->l, &photo, &loss, e);
+    if (!rc)
+        rc = render_score_run(w->l->score->device, &w->l->model, w->l->score->weight, sums, e);
+    w->view_factor = (float)(SCORE_VIEW * loss);
+    if (!rc)
+        rc = pool_for(SCORE_FIELDS - SCORE_WEIGHT, 0, score_view_field, w, e);
+    return rc ? rc : pool_for(chunks, 0, score_add_chunk, w, e);
+}
+
+static enum err_code score_make(struct level *l, struct err *e)
+{
+    if (l->score)
+        return ERR_OK;
+    l->score = mem_array(1, sizeof(*l->score));
+    if (!l->score)
+        return err_set(e, ERR_MEM, "score: out of memory");
+    return render_score_open(l->render, &l->score->device, e);
+}
+
+enum err_code score_run(struct level *l, const float *params, const float *mean_grad, float *score,
+                        struct err *e)
+{
+    struct score_work w = {.l = l, .params = params, .total = score, .n = l->model.n};
+    float *sums = NULL;
+    uint32_t *views = NULL, *all = mem_array(l->n_images, sizeof(*all));
+    size_t wanted = (size_t)l->cfg->score_views, n_views = wanted < l->n_images ? wanted : l->n_images;
+    views = mem_array(n_views, sizeof(*views));
+    enum err_code rc = all && views ? score_make(l, e) : err_set(e, ERR_MEM, "score: out of memory");
+    if (!rc)
+        rc = score_alloc(&w, &sums, mean_grad, e);
+    if (rc)
+        goto out;
+    for (size_t i = 0; i < l->n_images; i++)
+        all[i] = (uint32_t)i;
+    memset(score, 0, w.n * sizeof(*score));
+    rc = densify_race(NULL, all, l->n_images, n_views, (uint64_t)l->cfg->seed,
+                      train_stream(TRAIN_STREAM_VIEWS, l->at + 1, l->step), views, e);
+    if (!rc)
+        rc = pool_for((w.n + SCORE_CHUNK - 1) / SCORE_CHUNK, 0, score_static_chunk, &w, e);
+    for (size_t f = 0; !rc && f < SCORE_WEIGHT; f++)
+        w.inverse[f] = score_inverse_median(w.field[f], w.n, w.scratch[f]);
+    for (size_t v = 0; !rc && v < n_views; v++)
+        rc = score_view(&w, views[v], sums, e);
+out:
+    for (size_t f = 0; f < SCORE_FIELDS; f++) {
+        mem_free(w.field[f]);
+        mem_free(w.scratch[f]);
+    }
+    mem_free(sums);
+    mem_free(views);
+    mem_free(all);
+    return rc;
+}

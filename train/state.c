@@ -1,0 +1,243 @@
+/* What a run writes down: the state to go on from, and the result of each level.
+ *
+ * The state is the Gaussians, both Adam moments and the densification statistics in the device's layout, and three
+ * numbers: level, step, Gaussians at the level's start. Everything else (order of photographs, schedules, random
+ * numbers) is a function of these and the configuration, which is stored and compared: a run can only go on with
+ * the options it began with.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <stdlib.h>
+#include <string.h>
+
+#include <jansson.h>
+
+#include "train/level.h"
+
+enum { STATE_STATS = 4 };
+static const char *const state_stat_names[STATE_STATS] = {"stat_grad", "stat_absg", "stat_count",
+                                                          "stat_radius"};
+
+/* Options that do not change the trajectory. */
+static const char *const state_free_options[] = {
+    "output", "device", "resume", "checkpoint_interval", "stop_after", "cache_mib", NULL,
+};
+
+static bool state_is_free(const char *key)
+{
+    for (const char *const *k = state_free_options; *k; k++)
+        if (!strcmp(key, *k))
+            return true;
+    return false;
+}
+
+static void state_stat_buffers(const struct level *l, cl_mem out[STATE_STATS])
+{
+    out[0] = l->stats.grad;
+    out[1] = l->stats.absg;
+    out[2] = l->stats.count;
+    out[3] = l->stats.radius;
+}
+
+/* Head of every checkpoint; NULL when out of memory. */
+static json_t *state_meta(const struct level *l, const char *kind, struct err *e)
+{
+    json_t *config = NULL;
+    if (options_to_json(train_options(), l->cfg, &config, e))
+        return NULL;
+    const struct schedule *s = &l->schedule[l->at < l->n_levels ? l->at : l->n_levels - 1];
+    json_t *o = json_pack(
+        "{s:s, s:s, s:s, s:i, s:i, s:i, s:i, s:I, s:I, s:I, s:f, s:f, s:f, s:o}", "kind", kind,
+        "version", CITYSPLAT_VERSION, "cell", l->cell.id, "level", (int)s->level, "levels",
+        (int)l->n_levels, "step", (int)l->step, "steps", (int)s->steps, "start", (json_int_t)l->start,
+        "gaussians", (json_int_t)l->model.n, "photographs", (json_int_t)l->n_images, "downsample",
+        s->downsample, "edge_m", l->cell.edge_m, "extent_m", l->cell.extent_m, "config", config);
+    if (!o)
+        err_set(e, ERR_MEM, "out of memory for a checkpoint's head");
+    return o;
+}
+
+/* ---- writing --------------------------------------------------------------------------------------- */
+
+enum err_code state_save_level(struct level *l, const char *path, const struct evaluate_score *score,
+                               struct err *e)
+{
+    struct gauss g = {0};
+    json_t *meta = state_meta(l, "level", e);
+    if (!meta)
+        return ERR_MEM;
+    enum err_code rc = ERR_OK;
+    if (score) {
+        json_t *test = json_pack("{s:I, s:f, s:f}", "photographs", (json_int_t)score->n_photos, "psnr_db",
+                                 score->psnr_db, "ssim", score->ssim);
+        if (!test || json_object_set_new(meta, "test", test))
+            rc = err_set(e, ERR_MEM, "%s: out of memory", path);
+    }
+    if (!rc)
+        rc = level_gauss(l, &g, e);
+    if (!rc)
+        rc = ckpt_write(path, meta, &g, NULL, 0, e);
+    gauss_free(&g);
+    json_decref(meta);
+    return rc;
+}
+
+static enum err_code state_blob(struct level *l, const char *name, cl_mem from, size_t bytes,
+                                struct ckpt_blob *b, struct err *e)
+{
+    void *host = mem_array(bytes, 1);
+    if (!host)
+        return err_set(e, ERR_MEM, "checkpoint: out of memory for %zu bytes", bytes);
+    memcpy(b->name, name, strlen(name) + 1);
+    b->data = host;
+    b->size_bytes = bytes;
+    return dev_read(l->dev, from, 0, bytes, host, e);
+}
+
+static void state_free_blobs(struct ckpt_blob *b, size_t n)
+{
+    for (size_t i = 0; i < n; i++)
+        mem_free((void *)(uintptr_t)b[i].data);
+}
+
+enum err_code state_save(struct level *l, const char *path, struct err *e)
+{
+    struct gauss g = {0};
+    struct ckpt_blob blobs[2 + STATE_STATS] = {0};
+    size_t n = 0, moments = densify_floats(l->model.n, l->model.planes) * sizeof(float);
+    json_t *meta = state_meta(l, "resume", e);
+    if (!meta)
+        return ERR_MEM;
+    cl_mem stats[STATE_STATS];
+    state_stat_buffers(l, stats);
+    enum err_code rc = level_gauss(l, &g, e);
+    if (!rc)
+        rc = state_blob(l, "adam_m1", l->adam.m1, moments, &blobs[n++], e);
+    if (!rc)
+        rc = state_blob(l, "adam_m2", l->adam.m2, moments, &blobs[n++], e);
+    for (size_t i = 0; !rc && i < STATE_STATS; i++)
+        rc = state_blob(l, state_stat_names[i], stats[i], l->model.n * sizeof(float), &blobs[n++], e);
+    if (!rc)
+        rc = ckpt_write(path, meta, &g, blobs, n, e);
+    state_free_blobs(blobs, n);
+    gauss_free(&g);
+    json_decref(meta);
+    return rc;
+}
+
+/* ---- reading ------------------------------------------------------------------------------------------ */
+
+static enum err_code state_check_config(const struct level *l, const char *path, const json_t *saved,
+                                        struct err *e)
+{
+    json_t *now = NULL;
+    const char *key;
+    json_t *value;
+    enum err_code rc = options_to_json(train_options(), l->cfg, &now, e);
+    if (rc)
+        return rc;
+    json_object_foreach(now, key, value) {
+        if (rc || state_is_free(key) || json_equal(value, json_object_get(saved, key)))
+            continue;
+        char *was = json_dumps(json_object_get(saved, key), JSON_ENCODE_ANY | JSON_COMPACT);
+        char *is = json_dumps(value, JSON_ENCODE_ANY | JSON_COMPACT);
+        rc = err_set(e, ERR_ARG,
+                     "%s: the run was begun with %s = %s, now it is %s: use the same options to go on, "
+                     "or leave out --resume to start anew",
+                     path, key, was ? was : "nothing", is ? is : "nothing");
+        free(was); /* jansson's, made with malloc */
+        free(is);
+    }
+    json_decref(now);
+    return rc;
+}
+
+static enum err_code state_integer(const struct ckpt *c, const char *path, const char *key, double lo,
+                                   double hi, double *out, struct err *e)
+{
+    enum err_code rc = jsonc_num(c->meta, key, out, e);
+    if (rc)
+        return err_add(e, "%s", path);
+    if (!(*out >= lo && *out <= hi))
+        return err_set(e, ERR_FORMAT, "%s: \"%s\" is %g, expected %g to %g", path, key, *out, lo, hi);
+    return ERR_OK;
+}
+
+static const void *state_find(const struct ckpt *c, const char *path, const char *name, size_t bytes,
+                              struct err *e)
+{
+    const struct ckpt_blob *b = ckpt_find(c, name);
+    if (b && b->size_bytes == bytes)
+        return b->data;
+    err_set(e, ERR_FORMAT, "%s: '%s' does not hold %zu bytes", path, name, bytes);
+    return NULL;
+}
+
+static enum err_code state_upload(struct level *l, const struct ckpt *c, const char *path, struct err *e)
+{
+    size_t moments = densify_floats(c->g.n, l->model.planes) * sizeof(float);
+    struct {
+        const char *name;
+        cl_mem to;
+        size_t bytes;
+    } part[2 + STATE_STATS] = {{"adam_m1", l->adam.m1, moments}, {"adam_m2", l->adam.m2, moments}};
+    cl_mem stats[STATE_STATS];
+    state_stat_buffers(l, stats);
+    for (size_t i = 0; i < STATE_STATS; i++) {
+        part[2 + i].name = state_stat_names[i];
+        part[2 + i].to = stats[i];
+        part[2 + i].bytes = c->g.n * sizeof(float);
+    }
+    for (size_t i = 0; i < 2 + STATE_STATS; i++) {
+        const void *data = state_find(c, path, part[i].name, part[i].bytes, e);
+        if (!data)
+            return ERR_FORMAT;
+        enum err_code rc = dev_write(l->dev, part[i].to, 0, part[i].bytes, data, e);
+        if (rc)
+            return rc;
+    }
+    return ERR_OK;
+}
+
+static enum err_code state_apply(struct level *l, const struct ckpt *c, const char *path, struct err *e)
+{
+    const char *kind;
+    double level, step, start, photos;
+    enum err_code rc = jsonc_text(c->meta, "kind", &kind, e);
+    if (!rc && strcmp(kind, "resume"))
+        rc = err_set(e, ERR_FORMAT, "is the result of a level, not a state to go on from");
+    if (rc)
+        return err_add(e, "%s", path);
+    rc = state_check_config(l, path, json_object_get(c->meta, "config"), e);
+    if (!rc)
+        rc = state_integer(c, path, "photographs", 1, 1e9, &photos, e);
+    if (!rc && photos != (double)l->n_images)
+        rc = err_set(e, ERR_DATA, "%s: the run was begun with %.0f photographs, the scene has %zu now", path,
+                     photos, l->n_images);
+    if (!rc)
+        rc = state_integer(c, path, "level", 1, l->n_levels, &level, e);
+    if (!rc)
+        rc = state_integer(c, path, "step", 0, l->schedule[(int)level - 1].steps, &step, e);
+    if (!rc)
+        rc = state_integer(c, path, "start", 0, 4e9, &start, e);
+    if (!rc && c->g.sh_degree != (uint32_t)l->cfg->sh_degree)
+        rc = err_set(e, ERR_FORMAT, "%s: harmonics of degree %u", path, c->g.sh_degree);
+    if (rc)
+        return rc;
+    l->at = (uint32_t)level - 1;
+    l->step = (uint32_t)step;
+    rc = level_open(l, &c->g, e);
+    l->start = (size_t)start;
+    return rc ? rc : state_upload(l, c, path, e);
+}
+
+enum err_code state_load(struct level *l, const char *path, struct err *e)
+{
+    struct ckpt c;
+    enum err_code rc = ckpt_read(path, &c, e);
+    if (rc)
+        return rc;
+    rc = state_apply(l, &c, path, e);
+    ckpt_free(&c);
+    return rc;
+}
