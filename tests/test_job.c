@@ -1,0 +1,496 @@
+/* Jobs: one run for identical requests, bounded queues, every waiter woken exactly once whatever happens.
+ * Workers are held at a gate, so the order of events is the test's, not the scheduler's.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <stdio.h>
+#include <string.h>
+#include <time.h>
+
+#include "core/pool.h"
+#include "server/server.h"
+
+enum { WAITERS = 100 };
+
+struct bench { /* what the test and the jobs share */
+    pthread_mutex_t lock;
+    pthread_cond_t changed;
+    bool gate_open;
+    size_t runs, drops, works, woken, cancelled_seen;
+    int order[64]; /* numbers of works in the order they began */
+    struct jobs *jobs;
+};
+struct item { /* the work */
+    int number;
+    enum err_code fail;
+    bool poll; /* run until cancelled */
+};
+struct client {
+    struct job_waiter w;
+    struct bench *b;
+    int wakes;
+};
+
+static struct item *item_new(struct bench *b, int number, enum err_code fail, bool poll)
+{
+    struct item *it = mem_array(1, sizeof(*it));
+    assert_non_null(it);
+    *it = (struct item){number, fail, poll};
+    b->works++;
+    return it;
+}
+
+static void item_drop(void *user, void *work)
+{
+    struct bench *b = user;
+    pthread_mutex_lock(&b->lock);
+    b->drops++;
+    pthread_mutex_unlock(&b->lock);
+    mem_free(work);
+}
+
+static void nap_ms(long ms)
+{
+    const struct timespec t = {.tv_nsec = ms * 1000000};
+    nanosleep(&t, NULL);
+}
+
+static enum err_code item_run(void *user, const struct job *j, void *work, size_t worker,
+                              struct body **out, struct err *e)
+{
+    struct bench *b = user;
+    const struct item *it = work;
+    (void)worker;
+    pthread_mutex_lock(&b->lock);
+    if (b->runs < 64)
+        b->order[b->runs] = it->number;
+    b->runs++;
+    pthread_cond_broadcast(&b->changed);
+    while (!b->gate_open && !it->poll)
+        pthread_cond_wait(&b->changed, &b->lock);
+    pthread_mutex_unlock(&b->lock);
+    if (it->poll) {
+        while (!job_cancelled(j))
+            nap_ms(1);
+        pthread_mutex_lock(&b->lock);
+        b->cancelled_seen++;
+        pthread_cond_broadcast(&b->changed);
+        pthread_mutex_unlock(&b->lock);
+        return err_set(e, ERR_CANCEL, "cancelled");
+    }
+    if (it->fail != ERR_OK)
+        return err_set(e, it->fail, "number %d fails with %s", it->number, err_name(it->fail));
+    char text[32];
+    snprintf(text, sizeof(text), "made %d", it->number);
+    *out = body_text(text);
+    return *out ? ERR_OK : err_set(e, ERR_MEM, "no body");
+}
+
+static void client_wake(struct job_waiter *w)
+{
+    struct client *c = (struct client *)(void *)w;
+    struct bench *b = c->b;
+    pthread_mutex_lock(&b->lock);
+    c->wakes++;
+    b->woken++;
+    pthread_cond_broadcast(&b->changed);
+    pthread_mutex_unlock(&b->lock);
+}
+
+static void bench_open(struct bench *b, size_t threads, bool view, size_t view_limit, size_t tile_limit)
+{
+    struct err e = {0};
+    memset(b, 0, sizeof(*b));
+    pthread_mutex_init(&b->lock, NULL);
+    pthread_cond_init(&b->changed, NULL);
+    const struct job_config cfg = {
+        .tile_threads = threads,
+        .view_thread = view,
+        .queue_limit = {view_limit, tile_limit, tile_limit},
+        .slow_s = 0.2,
+        .user = b,
+        .run = item_run,
+        .drop = item_drop,
+    };
+    kit_ok(job_open(&cfg, &b->jobs, &e), e);
+}
+
+static void bench_close(struct bench *b)
+{
+    pthread_mutex_lock(&b->lock);
+    b->gate_open = true;
+    pthread_cond_broadcast(&b->changed);
+    pthread_mutex_unlock(&b->lock);
+    job_close(&b->jobs);
+    assert_int_equal(b->drops, b->works); /* no work leaks, none is freed twice */
+    pthread_cond_destroy(&b->changed);
+    pthread_mutex_destroy(&b->lock);
+}
+
+static void gate(struct bench *b, bool open)
+{
+    pthread_mutex_lock(&b->lock);
+    b->gate_open = open;
+    pthread_cond_broadcast(&b->changed);
+    pthread_mutex_unlock(&b->lock);
+}
+
+/* Wait (10 s at most: far above anything but a hang) until *count >= want. */
+static void await(struct bench *b, const size_t *count, size_t want)
+{
+    struct timespec end;
+    clock_gettime(CLOCK_REALTIME, &end);
+    end.tv_sec += 10;
+    pthread_mutex_lock(&b->lock);
+    int rc = 0;
+    while (*count < want && rc == 0)
+        rc = pthread_cond_timedwait(&b->changed, &b->lock, &end);
+    size_t got = *count;
+    pthread_mutex_unlock(&b->lock);
+    if (got < want)
+        fail_msg("waited 10 s: %zu of %zu", got, want);
+}
+
+static struct hash128 id_of(int number)
+{
+    return hash_bytes(&number, sizeof(number));
+}
+
+static enum err_code ask(struct bench *b, struct client *c, enum job_class cls, struct item *it,
+                         double timeout_s)
+{
+    c->b = b;
+    c->w.wake = client_wake;
+    return job_submit(b->jobs, cls, id_of(it->number), it, timeout_s, &c->w);
+}
+
+static void test_identical_requests_share_a_run(void **state)
+{
+    static struct client c[WAITERS];
+    struct bench b;
+    (void)state;
+    memset(c, 0, sizeof(c));
+    bench_open(&b, 2, false, 1, 8);
+    for (int i = 0; i < WAITERS; i++)
+        assert_int_equal(ask(&b, &c[i], JOB_TILE, item_new(&b, 7, ERR_OK, false), 60), ERR_OK);
+    gate(&b, true);
+    await(&b, &b.woken, WAITERS);
+    assert_int_equal(b.runs, 1);
+    size_t coalesced = 0;
+    for (int i = 0; i < WAITERS; i++) {
+        assert_int_equal(c[i].wakes, 1);
+        assert_int_equal(c[i].w.result.end, JOB_OK);
+        assert_ptr_equal(c[i].w.result.body, c[0].w.result.body);
+        coalesced += c[i].w.result.coalesced;
+    }
+    assert_int_equal(coalesced, WAITERS - 1);
+    assert_memory_equal(c[0].w.result.body->data, "made 7", 6);
+    for (int i = 0; i < WAITERS; i++)
+        body_drop(&c[i].w.result.body);
+    bench_close(&b);
+}
+
+static void test_errors_reach_every_waiter(void **state)
+{
+    static const enum err_code errors[] = {ERR_FORMAT, ERR_MEM, ERR_IO, ERR_DEVICE, ERR_LIMIT, ERR_BUSY};
+    static struct client c[WAITERS];
+    struct bench b;
+    (void)state;
+    bench_open(&b, 2, false, 1, 8);
+    for (size_t k = 0; k < sizeof(errors) / sizeof(*errors); k++) {
+        memset(c, 0, sizeof(c));
+        b.woken = 0;
+        gate(&b, false);
+        int number = 100 + (int)k;
+        for (int i = 0; i < WAITERS; i++)
+            assert_int_equal(ask(&b, &c[i], JOB_TILE, item_new(&b, number, errors[k], false), 60), ERR_OK);
+        gate(&b, true);
+        await(&b, &b.woken, WAITERS);
+        for (int i = 0; i < WAITERS; i++) {
+            assert_int_equal(c[i].wakes, 1);
+            assert_int_equal(c[i].w.result.end, JOB_ERROR);
+            assert_int_equal(c[i].w.result.code, errors[k]);
+            assert_null(c[i].w.result.body);
+            kit_expect_text(c[i].w.result.msg, "fails with", __FILE__, __LINE__);
+        }
+    }
+    bench_close(&b);
+}
+
+/* A failure is remembered for a moment, then tried again; one that memory caused is not remembered. */
+static void test_failures_are_remembered(void **state)
+{
+    struct bench b;
+    struct client c = {0};
+    (void)state;
+    bench_open(&b, 1, false, 1, 8);
+    gate(&b, true);
+    assert_int_equal(ask(&b, &c, JOB_TILE, item_new(&b, 1, ERR_FORMAT, false), 60), ERR_OK);
+    await(&b, &b.woken, 1);
+    assert_int_equal(ask(&b, &c, JOB_TILE, item_new(&b, 1, ERR_FORMAT, false), 60), ERR_FORMAT);
+    assert_int_equal(c.w.result.end, JOB_ERROR);
+    kit_expect_text(c.w.result.msg, "number 1 fails", __FILE__, __LINE__);
+    assert_int_equal(b.runs, 1);
+    nap_ms(250);
+    assert_int_equal(ask(&b, &c, JOB_TILE, item_new(&b, 1, ERR_OK, false), 60), ERR_OK);
+    await(&b, &b.woken, 2);
+    assert_int_equal(c.w.result.end, JOB_OK);
+    body_drop(&c.w.result.body);
+    assert_int_equal(ask(&b, &c, JOB_TILE, item_new(&b, 2, ERR_MEM, false), 60), ERR_OK);
+    await(&b, &b.woken, 3);
+    assert_int_equal(ask(&b, &c, JOB_TILE, item_new(&b, 2, ERR_OK, false), 60), ERR_OK);
+    await(&b, &b.woken, 4);
+    assert_int_equal(c.w.result.end, JOB_OK);
+    body_drop(&c.w.result.body);
+    bench_close(&b);
+}
+
+static void test_a_full_queue_refuses(void **state)
+{
+    static struct client c[40];
+    struct bench b;
+    (void)state;
+    memset(c, 0, sizeof(c));
+    bench_open(&b, 2, false, 1, 8);
+    size_t accepted = 0, refused = 0;
+    for (int i = 0; i < 2; i++)
+        accepted += ask(&b, &c[i], JOB_TILE, item_new(&b, i, ERR_OK, false), 60) == ERR_OK;
+    await(&b, &b.runs, 2); /* both workers are held at the gate, the queue is empty */
+    for (int i = 2; i < 40; i++) {
+        enum err_code rc = ask(&b, &c[i], JOB_TILE, item_new(&b, i, ERR_OK, false), 60);
+        accepted += rc == ERR_OK;
+        refused += rc == ERR_BUSY;
+        if (rc != ERR_OK)
+            assert_int_equal(c[i].w.result.end, JOB_SHED);
+    }
+    assert_int_equal(accepted, 10);
+    assert_int_equal(refused, 30);
+    assert_in_range(job_retry_after(b.jobs, JOB_TILE), 1, 10);
+    gate(&b, true);
+    await(&b, &b.woken, 10);
+    for (int i = 0; i < 40; i++)
+        body_drop(&c[i].w.result.body);
+    bench_close(&b);
+}
+
+static void test_views_run_newest_first_and_shed_the_oldest(void **state)
+{
+    static struct client c[8];
+    struct bench b;
+    (void)state;
+    memset(c, 0, sizeof(c));
+    bench_open(&b, 1, true, 3, 8);
+    assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, false), 60), ERR_OK);
+    await(&b, &b.runs, 1);
+    for (int i = 1; i < 6; i++) /* five ask, three fit: 1 and 2 make room */
+        assert_int_equal(ask(&b, &c[i], JOB_VIEW, item_new(&b, i, ERR_OK, false), 60), ERR_OK);
+    await(&b, &b.woken, 2);
+    assert_int_equal(c[1].w.result.end, JOB_SHED);
+    assert_int_equal(c[2].w.result.end, JOB_SHED);
+    gate(&b, true);
+    await(&b, &b.woken, 6);
+    const int want[] = {0, 5, 4, 3};
+    assert_memory_equal(b.order, want, sizeof(want));
+    for (int i = 0; i < 6; i++) {
+        assert_int_equal(c[i].wakes, 1);
+        body_drop(&c[i].w.result.body);
+    }
+    bench_close(&b);
+}
+
+static void test_prefetch_runs_last_and_moves_up(void **state)
+{
+    static struct client c[8];
+    struct bench b;
+    (void)state;
+    memset(c, 0, sizeof(c));
+    bench_open(&b, 1, false, 1, 8);
+    assert_int_equal(ask(&b, &c[0], JOB_TILE, item_new(&b, 0, ERR_OK, false), 60), ERR_OK);
+    await(&b, &b.runs, 1);
+    assert_int_equal(ask(&b, &c[1], JOB_PREFETCH, item_new(&b, 1, ERR_OK, false), 60), ERR_OK);
+    assert_int_equal(ask(&b, &c[2], JOB_PREFETCH, item_new(&b, 2, ERR_OK, false), 60), ERR_OK);
+    assert_int_equal(ask(&b, &c[3], JOB_TILE, item_new(&b, 3, ERR_OK, false), 60), ERR_OK);
+    assert_int_equal(ask(&b, &c[4], JOB_TILE, item_new(&b, 2, ERR_OK, false), 60), ERR_OK);
+    gate(&b, true);
+    await(&b, &b.woken, 5);
+    const int want[] = {0, 3, 2, 1};
+    assert_memory_equal(b.order, want, sizeof(want));
+    for (int i = 0; i < 5; i++)
+        body_drop(&c[i].w.result.body);
+    bench_close(&b);
+}
+
+static void test_leaving(void **state)
+{
+    static struct client c[6];
+    struct bench b;
+    struct job_stats st;
+    (void)state;
+    memset(c, 0, sizeof(c));
+    bench_open(&b, 1, true, 4, 8);
+    /* a running picture is told to stop when its last client leaves, not before */
+    assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
+    assert_int_equal(ask(&b, &c[1], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
+    await(&b, &b.runs, 1);
+    assert_true(job_leave(b.jobs, &c[0].w));
+    assert_false(job_leave(b.jobs, &c[0].w)); /* once */
+    nap_ms(20);
+    assert_int_equal(b.cancelled_seen, 0);
+    assert_true(job_leave(b.jobs, &c[1].w));
+    await(&b, &b.cancelled_seen, 1);
+    assert_int_equal(c[0].w.result.end, JOB_CANCELLED);
+    assert_int_equal(b.woken, 0); /* who leaves is not woken */
+    /* a queued tile is forgotten, a running one is finished for the cache */
+    assert_int_equal(ask(&b, &c[2], JOB_TILE, item_new(&b, 2, ERR_OK, false), 60), ERR_OK);
+    await(&b, &b.runs, 2);
+    assert_int_equal(ask(&b, &c[3], JOB_TILE, item_new(&b, 3, ERR_OK, false), 60), ERR_OK);
+    assert_true(job_leave(b.jobs, &c[3].w));
+    assert_true(job_leave(b.jobs, &c[2].w));
+    gate(&b, true);
+    for (int i = 0; i < 500 && !job_idle(b.jobs); i++)
+        nap_ms(10);
+    job_count(b.jobs, &st);
+    assert_int_equal(st.ended[JOB_TILE][JOB_OK], 1);
+    assert_int_equal(st.ended[JOB_TILE][JOB_CANCELLED], 1);
+    assert_int_equal(st.ended[JOB_VIEW][JOB_CANCELLED], 1);
+    assert_int_equal(b.runs, 2);
+    bench_close(&b);
+}
+
+/* Nobody joins a picture that was told to stop. */
+static void test_a_cancelled_view_is_not_shared(void **state)
+{
+    static struct client c[2];
+    struct bench b;
+    (void)state;
+    memset(c, 0, sizeof(c));
+    bench_open(&b, 1, true, 4, 8);
+    gate(&b, true);
+    assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
+    await(&b, &b.runs, 1);
+    assert_true(job_leave(b.jobs, &c[0].w));
+    assert_int_equal(ask(&b, &c[1], JOB_VIEW, item_new(&b, 0, ERR_OK, false), 60), ERR_OK);
+    await(&b, &b.woken, 1);
+    assert_int_equal(c[1].w.result.end, JOB_OK);
+    body_drop(&c[1].w.result.body);
+    bench_close(&b);
+}
+
+static void test_deadlines(void **state)
+{
+    static struct client c[3];
+    struct bench b;
+    (void)state;
+    memset(c, 0, sizeof(c));
+    bench_open(&b, 1, false, 1, 8);
+    assert_int_equal(ask(&b, &c[0], JOB_TILE, item_new(&b, 0, ERR_OK, false), 5), ERR_OK);
+    await(&b, &b.runs, 1);
+    assert_int_equal(ask(&b, &c[1], JOB_TILE, item_new(&b, 0, ERR_OK, false), 50), ERR_OK);
+    assert_int_equal(ask(&b, &c[2], JOB_TILE, item_new(&b, 2, ERR_OK, false), 5), ERR_OK);
+    job_tick(b.jobs, clock_s());
+    assert_int_equal(b.woken, 0);
+    job_tick(b.jobs, clock_s() + 6);
+    assert_int_equal(b.woken, 2); /* the run goes on for the one who waits longer */
+    assert_int_equal(c[0].w.result.end, JOB_TIMEOUT);
+    assert_int_equal(c[2].w.result.end, JOB_TIMEOUT);
+    gate(&b, true);
+    await(&b, &b.woken, 3);
+    assert_int_equal(c[1].w.result.end, JOB_OK);
+    assert_int_equal(b.runs, 1); /* the other was dropped from the queue */
+    body_drop(&c[1].w.result.body);
+    bench_close(&b);
+}
+
+static void test_stopping_answers_everyone(void **state)
+{
+    static struct client c[20];
+    struct bench b;
+    (void)state;
+    memset(c, 0, sizeof(c));
+    bench_open(&b, 1, true, 4, 16);
+    assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
+    await(&b, &b.runs, 1);
+    for (int i = 1; i < 5; i++)
+        assert_int_equal(ask(&b, &c[i], JOB_VIEW, item_new(&b, i, ERR_OK, true), 60), ERR_OK);
+    gate(&b, true);
+    job_stop(b.jobs);
+    assert_int_equal(b.woken, 5);
+    for (int i = 0; i < 5; i++) {
+        assert_int_equal(c[i].wakes, 1);
+        assert_int_equal(c[i].w.result.end, JOB_SHED);
+    }
+    assert_int_equal(ask(&b, &c[5], JOB_TILE, item_new(&b, 9, ERR_OK, false), 60), ERR_BUSY);
+    bench_close(&b);
+}
+
+/* Four threads ask, leave and let deadlines pass at random: every client ends exactly once. */
+struct storm {
+    struct bench *b;
+    struct client *c;
+    size_t per_thread;
+};
+
+static enum err_code storm_run(void *user, size_t t, struct err *e)
+{
+    struct storm *s = user;
+    for (size_t i = 0; i < s->per_thread; i++) {
+        struct client *c = &s->c[t * s->per_thread + i];
+        uint64_t dice = rng_u64(5, t, i);
+        struct item *it = mem_array(1, sizeof(*it));
+        if (!it)
+            return err_set(e, ERR_MEM, "storm");
+        *it = (struct item){(int)(dice % 17), dice % 5 ? ERR_OK : ERR_MEM, false};
+        c->b = s->b;
+        c->w.wake = client_wake;
+        enum job_class cls = (enum job_class)(dice / 17 % JOB_CLASSES);
+        double timeout_s = dice >> 20 & 1 ? 0.001 : 60;
+        if (job_submit(s->b->jobs, cls, id_of((int)(dice % 17)), it, timeout_s, &c->w) != ERR_OK ||
+            ((dice >> 21 & 1) && job_leave(s->b->jobs, &c->w)))
+            client_wake(&c->w);
+        if (i % 16 == 0)
+            job_tick(s->b->jobs, clock_s());
+    }
+    return ERR_OK;
+}
+
+static void test_storm(void **state)
+{
+    enum { THREADS = 4, EACH = 500 };
+    struct bench b;
+    struct err e = {0};
+    (void)state;
+    struct client *c = mem_array(THREADS * EACH, sizeof(*c));
+    assert_non_null(c);
+    bench_open(&b, 2, true, 4, 16);
+    gate(&b, true);
+    struct storm s = {&b, c, EACH};
+    kit_ok(pool_for(THREADS, THREADS, storm_run, &s, &e), e);
+    await(&b, &b.woken, THREADS * EACH);
+    for (size_t i = 0; i < THREADS * EACH; i++) {
+        assert_int_equal(c[i].wakes, 1);
+        body_drop(&c[i].w.result.body);
+    }
+    b.works = THREADS * EACH;
+    bench_close(&b);
+    mem_free(c);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_identical_requests_share_a_run),
+        cmocka_unit_test(test_errors_reach_every_waiter),
+        cmocka_unit_test(test_failures_are_remembered),
+        cmocka_unit_test(test_a_full_queue_refuses),
+        cmocka_unit_test(test_views_run_newest_first_and_shed_the_oldest),
+        cmocka_unit_test(test_prefetch_runs_last_and_moves_up),
+        cmocka_unit_test(test_leaving),
+        cmocka_unit_test(test_a_cancelled_view_is_not_shared),
+        cmocka_unit_test(test_deadlines),
+        cmocka_unit_test(test_stopping_answers_everyone),
+        cmocka_unit_test(test_storm),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
