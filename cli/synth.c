@@ -1,0 +1,27 @@
+/* citysplat synth: make a procedural city and photograph it from the air.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <stdio.h>
+
+#include "cli/cli.h"
+#include "train/synth.h"
+
+enum err_code cli_synth(int argc, char **argv, struct err *e)
+{
+    struct arena a = {0};
+    struct synth_config cfg;
+    struct options_args args;
+    enum err_code rc = options_parse(synth_options(), argc, argv, &cfg, &args, &a, e);
+    if (rc != ERR_OK || args.done)
+        goto out;
+    clock_catch_signals();
+    double start = clock_s();
+    rc = synth_run(&cfg, e);
+    if (rc == ERR_OK)
+        printf("%s: %lld photographs of %lld x %lld px in %.1f s\n", cfg.output, (long long)cfg.photos,
+               (long long)cfg.width_px, (long long)cfg.height_px, clock_s() - start);
+out:
+    arena_free(&a);
+    return rc;
+}
