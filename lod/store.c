@@ -64,29 +64,20 @@ static struct hash128 store_hash_in(const uint8_t in[STORE_HASH_BYTES])
     return h;
 }
 
-enum err_code store_db_row_hash(const struct store_tile *t, struct hash128 *out, struct err *e)
+struct hash128 store_db_row_hash(const struct store_tile *t)
 {
-    struct buf b = {0};
-    buf_u64(&b, (uint64_t)store_db_id(t->key));
-    buf_u32(&b, t->level);
-    buf_u32(&b, t->count);
-    buf_u64(&b, t->bytes);
-    buf_u32(&b, t->version);
-    for (size_t k = 0; k < 3; k++) {
-        buf_f64(&b, t->center_enu_m[k]);
-        buf_f64(&b, t->min_enu_m[k]);
-        buf_f64(&b, t->max_enu_m[k]);
-    }
-    buf_f64(&b, t->sigma_median_m);
-    buf_f64(&b, t->sigma_max_m);
-    buf_f64(&b, t->geometric_error_m);
-    buf_u64(&b, t->hash.lo);
-    buf_u64(&b, t->hash.hi);
-    enum err_code rc = buf_check(&b, e);
-    if (!rc)
-        *out = hash_bytes(b.data, b.size);
-    buf_free(&b);
-    return rc;
+    const double nums[] = {
+        t->center_enu_m[0], t->center_enu_m[1], t->center_enu_m[2], t->min_enu_m[0],
+        t->min_enu_m[1],    t->min_enu_m[2],    t->max_enu_m[0],    t->max_enu_m[1],
+        t->max_enu_m[2],    t->sigma_median_m,  t->sigma_max_m,     t->geometric_error_m};
+    enum { N_NUMS = sizeof nums / sizeof *nums, N_INTS = 7 };
+    uint64_t word[N_INTS + N_NUMS] = {(uint64_t)store_db_id(t->key), t->level,   t->count,  t->bytes,
+                                      t->version,                   t->hash.lo, t->hash.hi};
+    memcpy(word + N_INTS, nums, sizeof nums);
+    uint8_t bytes[sizeof word]; /* little-endian whatever the machine */
+    for (size_t i = 0; i < sizeof bytes; i++)
+        bytes[i] = (uint8_t)(word[i / 8] >> (8 * (i % 8)));
+    return hash_bytes(bytes, sizeof bytes);
 }
 
 int store_db_tile_compare(const void *a, const void *b)
@@ -289,9 +280,8 @@ static bool store_row(sqlite3_stmt *q, struct store_tile *t)
     t->sigma_max_m = sqlite3_column_double(q, 18);
     t->geometric_error_m = sqlite3_column_double(q, 19);
     t->hash = store_column_hash(q, 20, &ok);
-    struct hash128 want = store_column_hash(q, 21, &ok), have = {0};
-    return ok && key_valid(t->key) && store_db_id(t->key) == id && !store_db_row_hash(t, &have, NULL) &&
-           have.lo == want.lo && have.hi == want.hi;
+    struct hash128 want = store_column_hash(q, 21, &ok), have = store_db_row_hash(t);
+    return ok && key_valid(t->key) && store_db_id(t->key) == id && have.lo == want.lo && have.hi == want.hi;
 }
 
 /* Rows come in order of id; the damaged ones are left out and counted. */

@@ -147,12 +147,8 @@ static enum err_code store_insert(struct store *s, const struct store_tile *t, c
                                   struct err *e)
 {
     uint8_t hash[STORE_HASH_BYTES], row_hash[STORE_HASH_BYTES];
-    struct hash128 row;
-    enum err_code rc = store_db_row_hash(t, &row, e);
-    if (rc)
-        return rc;
     store_db_hash_out(t->hash, hash);
-    store_db_hash_out(row, row_hash);
+    store_db_hash_out(store_db_row_hash(t), row_hash);
     if (!s->put) {
         int code = sqlite3_prepare_v2(s->db, store_put_sql, -1, &s->put, NULL);
         if (code != SQLITE_OK)
@@ -175,7 +171,7 @@ static enum err_code store_insert(struct store *s, const struct store_tile *t, c
     sqlite3_bind_blob(q, 22, row_hash, sizeof row_hash, SQLITE_STATIC);
     sqlite3_bind_blob64(q, 23, payload->data, payload->size, SQLITE_STATIC);
     int code = sqlite3_step(q);
-    rc = code == SQLITE_DONE ? ERR_OK : store_db_fail(s, code, "cannot write", e);
+    enum err_code rc = code == SQLITE_DONE ? ERR_OK : store_db_fail(s, code, "cannot write", e);
     sqlite3_reset(q);
     sqlite3_clear_bindings(q);
     return rc;
@@ -254,16 +250,15 @@ static enum err_code store_revision(struct store *s, struct err *e)
                s->meta.origin.lat_deg, s->meta.origin.h_m, s->meta.sh_degree, s->meta.embed_len,
                s->meta.antialiased, s->meta.attribution);
     enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < s->n_tiles; i++) {
+    for (size_t i = 0; i < s->n_tiles; i++) {
         struct store_tile t = s->tiles[i];
-        struct hash128 row;
         t.version = 0; /* a history is not content */
-        rc = store_db_row_hash(&t, &row, e);
+        struct hash128 row = store_db_row_hash(&t);
         buf_u64(&b, row.lo);
         buf_u64(&b, row.hi);
     }
-    int code = rc ? SQLITE_DONE : sqlite3_prepare_v2(s->db, "SELECT name,hash FROM blobs ORDER BY name", -1, &q, NULL);
-    if (!rc && code != SQLITE_OK)
+    int code = sqlite3_prepare_v2(s->db, "SELECT name,hash FROM blobs ORDER BY name", -1, &q, NULL);
+    if (code != SQLITE_OK)
         rc = store_db_fail(s, code, "revision", e);
     while (!rc && (code = sqlite3_step(q)) == SQLITE_ROW) {
         buf_printf(&b, "%s\n", (const char *)sqlite3_column_text(q, 0));

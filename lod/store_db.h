@@ -46,7 +46,7 @@ enum err_code store_db_fail(const struct store *s, int code, const char *what, s
 int64_t store_db_id(struct key k);
 void store_db_hash_out(struct hash128 h, uint8_t out[STORE_HASH_BYTES]);
 /* Over everything in `t`, so that a damaged index row is seen. */
-enum err_code store_db_row_hash(const struct store_tile *t, struct hash128 *out, struct err *e) ERR_USE;
+struct hash128 store_db_row_hash(const struct store_tile *t);
 int store_db_tile_compare(const void *a, const void *b);
 
 #endif

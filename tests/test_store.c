@@ -1,0 +1,439 @@
+/* The tile store: round trip, hashes, damage that stays where it is, no half-written files.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <math.h>
+#include <signal.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include "lod/lod.h"
+
+/* Half floats carry 11 bits; logs and coefficients here are below 8. */
+#define HALF_TOLERANCE (8.0 / 2048)
+
+static void assert_near(double got, double want, double tolerance)
+{
+    kit_near_d("value", &got, &want, 1, tolerance, 0);
+}
+
+static const struct store_meta meta = {
+    .name = "test-city", .origin = {8.5, 50.1, 120.25}, .sh_degree = 1, .attribution = "Survey \"A\" & Co"};
+
+struct fixture {
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+};
+
+static int setup(void **state)
+{
+    struct fixture *f = mem_array(1, sizeof *f);
+    struct err e = {0};
+    kit_tmpdir(f->dir);
+    kit_ok(file_join(f->path, f->dir, "city.tiles", &e), e);
+    *state = f;
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    struct fixture *f = *state;
+    kit_rmdir(f->dir);
+    mem_free(f);
+    return 0;
+}
+
+static void tile_gauss(uint64_t seed, size_t n, struct gauss *g)
+{
+    kit_gauss(seed, n, 20, 1, 0, g);
+    g->origin_enu_m[0] = 100.0 * (double)seed;
+    g->origin_enu_m[1] = -50.0;
+}
+
+/* Three tiles: a parent and two of its children. */
+static void make_store(const char *path, uint64_t seed)
+{
+    struct err e = {0};
+    struct store *s;
+    kit_ok(store_create(path, &meta, &s, &e), e);
+    const struct key keys[] = {{16, 34309, 22253}, {15, 17154, 11126}, {16, 34308, 22252}};
+    for (size_t i = 0; i < 3; i++) {
+        struct gauss g;
+        tile_gauss(seed + i, 40 + 10 * i, &g);
+        struct store_tile t = {.key = keys[i], .level = (uint8_t)(keys[i].z - 13)};
+        kit_ok(store_put(s, &t, &g, &e), e);
+        assert_int_equal(t.count, g.n);
+        assert_true(t.bytes > 0 && t.sigma_median_m > 0 && t.sigma_max_m >= t.sigma_median_m);
+        assert_near(t.geometric_error_m, 16 * t.sigma_median_m, 1e-12);
+        gauss_free(&g);
+    }
+    kit_ok(store_put_blob(s, "appearance.json", "{\"a\":1}", 7, &e), e);
+    kit_ok(store_put_blob(s, "empty", NULL, 0, &e), e);
+    kit_ok(store_commit(&s, &e), e);
+    assert_null(s);
+}
+
+static void round_trip(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    struct buf b = {0};
+    size_t n;
+    make_store(f->path, 1);
+    kit_ok(store_open(f->path, &s, &e), e);
+    const struct store_meta *m = store_info(s);
+    assert_string_equal(m->name, "test-city");
+    assert_string_equal(m->attribution, meta.attribution);
+    assert_near(m->origin.lat_deg, 50.1, 0);
+    assert_int_equal(m->zoom_min, 15);
+    assert_int_equal(m->zoom_max, 16);
+    assert_int_equal(strlen(m->revision), 12);
+    assert_int_equal(strlen(m->created), 20);
+    const struct store_tile *t = store_tiles(s, &n);
+    assert_int_equal(n, 3);
+    for (size_t i = 1; i < n; i++)
+        assert_int_equal(key_compare(t[i - 1].key, t[i].key), -1);
+    assert_null(store_find(s, (struct key){16, 1, 1}));
+    struct gauss want, got;
+    tile_gauss(2, 50, &want);
+    kit_ok(store_read_gauss(s, (struct key){15, 17154, 11126}, &got, &e), e);
+    assert_int_equal(got.n, want.n);
+    assert_memory_equal(got.mean_m, want.mean_m, 3 * want.n * sizeof(float));
+    assert_near(got.origin_enu_m[0], 200, 0);
+    for (size_t i = 0; i < 12 * want.n; i++)
+        assert_near((double)got.sh[i], (double)want.sh[i], HALF_TOLERANCE);
+    const struct store_tile *x = store_find(s, (struct key){15, 17154, 11126});
+    double lo[3], hi[3];
+    gauss_bounds(&want, 3.33, lo, hi);
+    assert_memory_equal(lo, x->min_enu_m, sizeof lo);
+    assert_memory_equal(hi, x->max_enu_m, sizeof hi);
+    gauss_free(&want);
+    gauss_free(&got);
+    kit_ok(store_get_blob(s, "appearance.json", &b, &e), e);
+    assert_int_equal(b.size, 7);
+    assert_memory_equal(b.data, "{\"a\":1}", 7);
+    kit_ok(store_get_blob(s, "empty", &b, &e), e);
+    assert_int_equal(b.size, 0);
+    kit_fails(store_get_blob(s, "none", &b, &e), ERR_NOENT, e, "blob 'none'");
+    kit_fails(store_read(s, (struct key){3, 1, 1}, &b, &e), ERR_NOENT, e, "tile 3/1/1");
+    kit_ok(store_verify(s, &n, &e), e);
+    assert_int_equal(n, 0);
+    struct arena a = {0};
+    char **names;
+    kit_ok(store_list_blobs(s, &a, &names, &n, &e), e);
+    assert_int_equal(n, 2);
+    assert_string_equal(names[0], "appearance.json");
+    arena_free(&a);
+    buf_free(&b);
+    store_close(&s);
+    store_close(&s);
+}
+
+static void revision_and_versions_follow_the_content(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    char first[13];
+    size_t n;
+    make_store(f->path, 1);
+    kit_ok(store_open(f->path, &s, &e), e);
+    memcpy(first, store_info(s)->revision, sizeof first);
+    store_close(&s);
+    make_store(f->path, 1); /* the same again */
+    kit_ok(store_open(f->path, &s, &e), e);
+    assert_string_equal(store_info(s)->revision, first);
+    for (size_t i = 0; i < 3; i++)
+        assert_int_equal(store_tiles(s, &n)[i].version, 1);
+    store_close(&s);
+    make_store(f->path, 2); /* other tiles */
+    kit_ok(store_open(f->path, &s, &e), e);
+    assert_string_not_equal(store_info(s)->revision, first);
+    for (size_t i = 0; i < 3; i++)
+        assert_int_equal(store_tiles(s, &n)[i].version, 2);
+    store_close(&s);
+}
+
+static void nothing_is_left_of_an_unfinished_store(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    struct buf before = {0}, after = {0}, ls = {0};
+    make_store(f->path, 1);
+    kit_ok(file_read(f->path, 0, &before, &e), e);
+    kit_ok(store_create(f->path, &meta, &s, &e), e);
+    store_close(&s);
+    kit_ok(store_create(f->path, &meta, &s, &e), e);
+    kit_fails(store_commit(&s, &e), ERR_DATA, e, "no tiles");
+    assert_null(s);
+    kit_ok(file_read(f->path, 0, &after, &e), e);
+    assert_int_equal(before.size, after.size);
+    assert_memory_equal(before.data, after.data, after.size);
+    assert_int_equal(kit_run(&ls, "ls '%s'", f->dir), 0);
+    assert_string_equal((const char *)ls.data, "city.tiles\n");
+    buf_free(&ls);
+    buf_free(&before);
+    buf_free(&after);
+}
+
+/* A disk that is full after 64 KiB, by the process's own limit on file size. */
+static void full_disk(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    struct rlimit old, small;
+    struct gauss g;
+    assert_int_equal(getrlimit(RLIMIT_FSIZE, &old), 0);
+    small = old;
+    small.rlim_cur = 65536;
+    signal(SIGXFSZ, SIG_IGN);
+    kit_gauss(5, 20000, 20, 1, 0, &g);
+    kit_ok(store_create(f->path, &meta, &s, &e), e);
+    assert_int_equal(setrlimit(RLIMIT_FSIZE, &small), 0);
+    struct store_tile t = {.key = {15, 17154, 11126}, .level = 1};
+    enum err_code rc = store_put(s, &t, &g, &e);
+    if (!rc)
+        rc = store_commit(&s, &e);
+    setrlimit(RLIMIT_FSIZE, &old);
+    store_close(&s);
+    gauss_free(&g);
+    assert_int_equal(rc, ERR_IO);
+    kit_expect_text(e.msg, "city.tiles", __FILE__, __LINE__);
+    struct buf ls = {0};
+    assert_int_equal(kit_run(&ls, "ls '%s'", f->dir), 0);
+    assert_int_equal(ls.size, 0);
+    buf_free(&ls);
+}
+
+/* Change one byte where `bytes` first occurs in the file (at + offset). */
+static void flip(const char *path, const void *bytes, size_t n, size_t offset)
+{
+    struct err e = {0};
+    struct buf b = {0};
+    size_t at = 0;
+    kit_ok(file_read(path, 0, &b, &e), e);
+    for (; at + n <= b.size && memcmp(b.data + at, bytes, n); at++)
+        ;
+    assert_true(at + n <= b.size);
+    b.data[at + offset] ^= 0x10;
+    kit_ok(file_write(path, b.data, b.size, &e), e);
+    buf_free(&b);
+}
+
+static void a_flipped_payload_byte_costs_one_tile(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    struct buf b = {0};
+    size_t bad;
+    make_store(f->path, 1);
+    kit_ok(store_open(f->path, &s, &e), e);
+    kit_ok(store_read(s, (struct key){16, 34309, 22253}, &b, &e), e);
+    store_close(&s);
+    flip(f->path, b.data, 64, 60);
+    kit_ok(store_open(f->path, &s, &e), e);
+    kit_fails(store_read(s, (struct key){16, 34309, 22253}, &b, &e), ERR_FORMAT, e, "tile 16/34309/22253");
+    assert_int_equal(b.size, 0);
+    kit_ok(store_read(s, (struct key){16, 34308, 22252}, &b, &e), e);
+    kit_ok(store_read(s, (struct key){15, 17154, 11126}, &b, &e), e);
+    kit_fails(store_verify(s, &bad, &e), ERR_FORMAT, e, "tile 16/34309/22253");
+    assert_int_equal(bad, 1);
+    buf_free(&b);
+    store_close(&s);
+}
+
+static void a_flipped_index_byte_costs_one_tile(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    struct buf b = {0};
+    size_t n;
+    make_store(f->path, 1);
+    kit_ok(store_open(f->path, &s, &e), e);
+    const struct store_tile t = *store_find(s, (struct key){16, 34309, 22253});
+    store_close(&s);
+    buf_f64(&b, t.sigma_median_m); /* SQLite stores doubles big-endian */
+    uint8_t big[8];
+    for (size_t i = 0; i < 8; i++)
+        big[i] = b.data[7 - i];
+    flip(f->path, big, 8, 5);
+    kit_ok(store_open(f->path, &s, &e), e);
+    store_tiles(s, &n);
+    assert_int_equal(n, 2);
+    assert_null(store_find(s, t.key));
+    kit_ok(store_read(s, (struct key){16, 34308, 22252}, &b, &e), e);
+    kit_fails(store_verify(s, &n, &e), ERR_FORMAT, e, "1 index rows");
+    buf_free(&b);
+    store_close(&s);
+}
+
+/* Any byte anywhere: an error or the right data, never a crash and never wrong data. */
+static void any_flipped_byte_is_seen_or_harmless(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    struct buf good = {0}, b = {0}, payload[3] = {{0}};
+    size_t n, refused = 0, tries = 400;
+    make_store(f->path, 1);
+    kit_ok(store_open(f->path, &s, &e), e);
+    const struct store_tile *first = store_tiles(s, &n);
+    const struct key keys[] = {first[0].key, first[1].key, first[2].key};
+    for (size_t k = 0; k < 3; k++)
+        kit_ok(store_read(s, keys[k], &payload[k], &e), e);
+    store_close(&s);
+    kit_ok(file_read(f->path, 0, &good, &e), e);
+    log_set_level(LOG_ERROR);
+    for (uint64_t i = 0; i < tries; i++) {
+        size_t at = (size_t)(rng_unit(9, 0, i) * (double)good.size);
+        uint8_t bit = (uint8_t)(1u << (rng_u64(9, 1, i) % 8));
+        good.data[at] ^= bit;
+        kit_ok(file_write(f->path, good.data, good.size, &e), e);
+        good.data[at] ^= bit;
+        size_t fine = 0;
+        if (store_open(f->path, &s, &e) == ERR_OK) {
+            for (size_t k = 0; k < 3; k++) {
+                if (store_read(s, keys[k], &b, &e))
+                    continue;
+                assert_int_equal(b.size, payload[k].size);
+                assert_memory_equal(b.data, payload[k].data, b.size);
+                fine++;
+            }
+            store_close(&s);
+        }
+        refused += fine < 3;
+    }
+    log_set_level(LOG_INFO);
+    /* Most of this small file is free space and the text of the schema. */
+    assert_in_range(refused, tries / 10, tries);
+    buf_free(&good);
+    buf_free(&b);
+    for (size_t k = 0; k < 3; k++)
+        buf_free(&payload[k]);
+}
+
+static void truncated_files(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    struct buf b = {0};
+    make_store(f->path, 1);
+    kit_ok(file_read(f->path, 0, &b, &e), e);
+    for (size_t n = 0; n < b.size; n += 1777) {
+        kit_ok(file_write(f->path, b.data, n, &e), e);
+        kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, n < 100 ? "not a tile store" : "truncated");
+        assert_null(s);
+    }
+    buf_free(&b);
+}
+
+static void files_that_are_no_stores(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    struct buf b = {0};
+    char text[200];
+    memset(text, 'x', sizeof text);
+    kit_fails(store_open(f->path, &s, &e), ERR_NOENT, e, "city.tiles");
+    kit_fails(store_open(f->dir, &s, &e), ERR_FORMAT, e, "not a tile store");
+    kit_ok(file_write(f->path, text, sizeof text, &e), e);
+    kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, "not a tile store");
+    make_store(f->path, 1);
+    kit_ok(file_read(f->path, 0, &b, &e), e);
+    b.data[63] = 2; /* user_version, big-endian at 60 */
+    kit_ok(file_write(f->path, b.data, b.size, &e), e);
+    kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, "schema 2");
+    b.data[63] = 1;
+    b.data[68] ^= 1; /* application_id: another program's database */
+    kit_ok(file_write(f->path, b.data, b.size, &e), e);
+    kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, "not a tile store");
+    buf_free(&b);
+    struct store_meta bad = meta;
+    snprintf(bad.name, sizeof bad.name, "Bad Name");
+    kit_fails(store_create(f->path, &bad, &s, &e), ERR_ARG, e, "Bad Name");
+    bad = meta;
+    bad.origin.lat_deg = 95;
+    kit_fails(store_create(f->path, &bad, &s, &e), ERR_ARG, e, "origin");
+    char nowhere[FILE_PATH_MAX];
+    kit_ok(file_join(nowhere, f->dir, "no/such/folder.tiles", &e), e);
+    kit_fails(store_create(nowhere, &meta, &s, &e), ERR_IO, e, "folder.tiles");
+}
+
+static void names_with_odd_characters(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    char path[FILE_PATH_MAX];
+    kit_ok(file_join(path, f->dir, "a b?c#d%41&\xc3\xbc.tiles", &e), e);
+    make_store(path, 1);
+    kit_ok(store_open(path, &s, &e), e);
+    store_close(&s);
+    kit_ok(store_open(path, &s, &e), e);
+    struct store_tile t = {.key = {1, 0, 0}};
+    const struct gauss none = {.n = 1};
+    kit_fails(store_put(s, &t, &none, &e), ERR_INTERNAL, e, "never changed");
+    store_close(&s);
+}
+
+/* Fail the k-th allocation of writing and reading, for every k: ERR_MEM, nothing leaked (LeakSanitizer sees). */
+static void out_of_memory_everywhere(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct gauss g;
+    tile_gauss(1, 20, &g);
+    bool done = false;
+    for (size_t k = 1; !done && k < 500; k++) {
+        struct store *s = NULL;
+        struct gauss back = {0};
+        struct store_tile t = {.key = {15, 17154, 11126}, .level = 1};
+        mem_fail_at(k);
+        enum err_code rc = store_create(f->path, &meta, &s, &e);
+        if (!rc)
+            rc = store_put(s, &t, &g, &e);
+        if (!rc)
+            rc = store_commit(&s, &e);
+        if (!rc)
+            rc = store_open(f->path, &s, &e);
+        if (!rc)
+            rc = store_read_gauss(s, t.key, &back, &e);
+        mem_fail_at(0);
+        store_close(&s);
+        gauss_free(&back);
+        done = rc == ERR_OK;
+        if (rc != ERR_OK && rc != ERR_MEM)
+            fail_msg("allocation %zu: %s (%s)", k, err_name(rc), e.msg);
+    }
+    assert_true(done);
+    gauss_free(&g);
+}
+
+int main(void)
+{
+#define CASE(name) cmocka_unit_test_setup_teardown(name, setup, teardown)
+    const struct CMUnitTest tests[] = {
+        CASE(round_trip),
+        CASE(revision_and_versions_follow_the_content),
+        CASE(nothing_is_left_of_an_unfinished_store),
+        CASE(full_disk),
+        CASE(a_flipped_payload_byte_costs_one_tile),
+        CASE(a_flipped_index_byte_costs_one_tile),
+        CASE(any_flipped_byte_is_seen_or_harmless),
+        CASE(truncated_files),
+        CASE(files_that_are_no_stores),
+        CASE(names_with_odd_characters),
+        CASE(out_of_memory_everywhere),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
