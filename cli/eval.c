@@ -1,0 +1,264 @@
+/* citysplat eval: how close pictures of a trained scene, or of its tile store, come to photographs.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include <jansson.h>
+
+#include "cli/cli.h"
+#include "lod/lod.h"
+#include "train/train.h"
+
+struct eval_options {
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/eval.def"
+#undef OPT
+};
+
+static const struct options_def eval_defs[] = {
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct eval_options, type, key, def, lo, hi, unit, help)
+#include "cli/eval.def"
+#undef OPT
+};
+
+struct eval {
+    struct eval_options o;
+    struct scene scene;
+    uint32_t *images;
+    size_t n_images;
+    struct dev dev;
+    bool dev_is_open;
+    struct render *render;
+    json_t *rows;
+};
+
+static void eval_print_head(void)
+{
+    printf("%-14s %6s %9s %9s %8s %10s %8s %12s %9s\n", "what", "photos", "edge px", "PSNR dB", "SSIM",
+           "SSIM valid", "L1", "Gaussians", "ms/frame");
+}
+
+static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px,
+                              const struct evaluate_score *s, struct err *e)
+{
+    printf("%-14s %6zu %9u %9.3f %8.4f %10.4f %8.5f %12.0f %9.2f\n", what, s->n_photos, edge_px, s->psnr_db,
+           s->ssim, s->ssim_valid, s->l1, s->gaussians, s->ms_frame);
+    fflush(stdout);
+    json_t *row = json_pack("{s:s, s:I, s:i, s:f, s:f, s:f, s:f, s:f, s:f}", "what", what, "photographs",
+                            (json_int_t)s->n_photos, "edge_px", (int)edge_px, "psnr_db", s->psnr_db, "ssim",
+                            s->ssim, "ssim_valid", s->ssim_valid, "l1", s->l1, "gaussians", s->gaussians,
+                            "ms_frame", s->ms_frame);
+    if (!row || json_array_append_new(v->rows, row))
+        return err_set(e, ERR_MEM, "eval: out of memory");
+    return ERR_OK;
+}
+
+static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_edge_px, double downsample,
+                                 const struct evaluate_source *src, struct err *e)
+{
+    struct feed *feed = NULL;
+    struct evaluate_score score;
+    struct feed_config f = {.scene = &v->scene,
+                            .images = v->images,
+                            .n_images = v->n_images,
+                            .max_edge_px = max_edge_px,
+                            .downsample = downsample,
+                            .cache_bytes = (size_t)64 << 20};
+    enum err_code rc = feed_open(&f, &feed, e);
+    if (!rc)
+        rc = evaluate_run(feed, v->n_images, src, &score, e);
+    feed_close(&feed);
+    if (rc)
+        return rc;
+    struct camera cam = feed_camera(&v->scene.images[v->images[0]].cam, max_edge_px, downsample);
+    uint32_t edge = cam.width_px > cam.height_px ? cam.width_px : cam.height_px;
+    return eval_row(v, what, edge, &score, e);
+}
+
+/* ---- trained levels ------------------------------------------------------------------------------ */
+
+/* What a level was trained with and must be drawn with. */
+struct eval_settings {
+    double max_edge_px, downsample, background, near_m;
+    enum render_aa aa;
+};
+
+static enum err_code eval_read_settings(const struct ckpt *c, const char *path, struct eval_settings *out,
+                                        struct err *e)
+{
+    const json_t *config = json_object_get(c->meta, "config");
+    const char *aa = NULL;
+    double edge_m = 0.0;
+    enum err_code rc = jsonc_num(c->meta, "downsample", &out->downsample, e);
+    if (!rc)
+        rc = jsonc_num(c->meta, "edge_m", &edge_m, e);
+    if (!rc)
+        rc = jsonc_num(config, "max_edge_px", &out->max_edge_px, e);
+    if (!rc)
+        rc = jsonc_num(config, "background", &out->background, e);
+    if (!rc)
+        rc = jsonc_num(config, "near_m", &out->near_m, e);
+    if (!rc)
+        rc = jsonc_text(config, "aa", &aa, e);
+    if (rc)
+        return err_add(e, "%s", path);
+    if (!(out->downsample >= 1.0) || !(out->max_edge_px >= 0.0 && out->max_edge_px <= 65535.0))
+        return err_set(e, ERR_FORMAT, "%s: impossible picture size", path);
+    out->aa = strcmp(aa, "none") ? RENDER_AA_2D : RENDER_AA_NONE;
+    if (!(out->near_m > 0.0))
+        out->near_m = fmax(RENDER_NEAR_M, edge_m / 1000.0);
+    return ERR_OK;
+}
+
+static enum err_code eval_level(struct eval *v, const char *path, unsigned level, struct err *e)
+{
+    struct ckpt c = {0};
+    struct render_model model = {0};
+    struct eval_settings s;
+    char what[32];
+    snprintf(what, sizeof(what), "level %u", level);
+    enum err_code rc = ckpt_read(path, &c, e);
+    if (!rc)
+        rc = eval_read_settings(&c, path, &s, e);
+    if (!rc)
+        rc = render_model_upload(v->render, &c.g, &model, e);
+    if (!rc) {
+        float grey = (float)s.background;
+        struct evaluate_model m = {
+            v->render, &model,
+            {.aa = s.aa, .background = {grey, grey, grey}, .near_m = s.near_m, .sh_degree = -1}};
+        struct evaluate_source src = {evaluate_draw_model, &m};
+        uint32_t edge = v->o.max_edge_px ? (uint32_t)v->o.max_edge_px : (uint32_t)s.max_edge_px;
+        rc = eval_source(v, what, edge, v->o.full_size ? 1.0 : s.downsample, &src, e);
+    }
+    render_model_free(&model);
+    ckpt_free(&c);
+    return rc;
+}
+
+static enum err_code eval_levels(struct eval *v, const char *dir, struct err *e)
+{
+    char cell[FILE_PATH_MAX], path[FILE_PATH_MAX], name[32];
+    size_t found = 0;
+    enum err_code rc = file_join(cell, dir, "cells/all", e);
+    for (unsigned level = 1; !rc && level <= TRAIN_LEVELS_MAX; level++) {
+        snprintf(name, sizeof(name), "level%u.ckpt", level);
+        rc = file_join(path, cell, name, e);
+        if (rc || !file_exists(path))
+            continue;
+        found++;
+        rc = eval_level(v, path, level, e);
+    }
+    if (!rc && !found)
+        rc = err_set(e, ERR_NOENT, "%s: no level1.ckpt; `citysplat train` makes it", cell);
+    return rc;
+}
+
+/* ---- a tile store ------------------------------------------------------------------------------------ */
+
+struct eval_view {
+    struct view *view;
+    struct render_options ro;
+    struct pick_options po;
+};
+
+static enum err_code eval_draw_view(void *user, const struct camera *cam, float *rgb, double *gaussians,
+                                    struct err *e)
+{
+    struct eval_view *w = user;
+    struct view_stats stats = {0};
+    enum err_code rc = view_render(w->view, cam, &w->ro, &w->po, rgb, &stats, e);
+    *gaussians = (double)stats.n_gaussians;
+    return rc;
+}
+
+static enum err_code eval_tiles(struct eval *v, struct err *e)
+{
+    float grey = (float)v->o.background;
+    struct eval_view w = {
+        .ro = {.aa = (enum render_aa)v->o.aa, .background = {grey, grey, grey}, .sh_degree = -1},
+        .po = {.metric = (enum pick_metric)v->o.metric, .error_px = v->o.error_px},
+    };
+    w.po.distance_m[0] = v->o.distance_1_m;
+    w.po.distance_m[1] = v->o.distance_2_m;
+    struct evaluate_source src = {eval_draw_view, &w};
+    enum err_code rc = view_open(v->o.tiles, v->render, (size_t)v->o.cache_mib << 20, &w.view, e);
+    if (!rc)
+        rc = eval_source(v, "tiles, LOD", (uint32_t)v->o.max_edge_px, 1.0, &src, e);
+    w.po.no_lod = true;
+    if (!rc)
+        rc = eval_source(v, "tiles, no LOD", (uint32_t)v->o.max_edge_px, 1.0, &src, e);
+    view_close(&w.view);
+    return rc;
+}
+
+/* ---- the command --------------------------------------------------------------------------------------- */
+
+static enum err_code eval_open(struct eval *v, const char *scene_dir, struct err *e)
+{
+    enum err_code rc = scene_read(scene_dir, &v->scene, e);
+    if (!rc)
+        rc = train_images(&v->scene, v->o.split ? SCENE_TRAIN : SCENE_TEST, true, &v->images, &v->n_images, e);
+    if (!rc && !v->n_images)
+        rc = err_set(e, ERR_DATA, "%s: the scene keeps no %s photographs", scene_dir,
+                     v->o.split ? "training" : "test");
+    if (!rc)
+        rc = dev_open(v->o.device, &v->dev, e);
+    v->dev_is_open = rc == ERR_OK;
+    if (!rc)
+        rc = render_open(&v->dev, &v->render, e);
+    v->rows = json_array();
+    return rc;
+}
+
+static enum err_code eval_write(const struct eval *v, const char *scene_dir, struct err *e)
+{
+    json_t *o = json_pack("{s:s, s:s, s:s, s:O}", "scene", scene_dir, "device", v->dev.name, "version",
+                          CITYSPLAT_VERSION, "scores", v->rows);
+    if (!o)
+        return err_set(e, ERR_MEM, "eval: out of memory");
+    enum err_code rc = jsonc_write(v->o.output, o, e);
+    json_decref(o);
+    return rc;
+}
+
+enum err_code cli_eval(int argc, char **argv, struct err *e)
+{
+    const struct options_spec spec = {
+        .command = "eval",
+        .usage = "citysplat eval SCENE [options]",
+        .about = "Draws the scene's test photographs from the trained Gaussians, or from a tile store with and "
+                 "without level of detail, and prints PSNR, SSIM (zero padded as in training, and inner "
+                 "windows only), mean |difference|, Gaussians and time a frame.",
+        .example = "citysplat eval scene\ncitysplat eval scene --tiles city.tiles --max-edge-px 800",
+        .defs = eval_defs,
+        .n_defs = sizeof(eval_defs) / sizeof(eval_defs[0]),
+        .min_args = 1,
+        .max_args = 1};
+    struct eval v = {0};
+    struct options_args args;
+    struct arena arena = {0};
+    enum err_code rc = options_parse(&spec, argc, argv, &v.o, &args, &arena, e);
+    if (rc || args.done)
+        goto out;
+    clock_catch_signals();
+    rc = eval_open(&v, args.arg[0], e);
+    if (rc)
+        goto out;
+    eval_print_head();
+    rc = v.o.tiles ? eval_tiles(&v, e) : eval_levels(&v, v.o.results ? v.o.results : args.arg[0], e);
+    if (!rc && v.o.output)
+        rc = eval_write(&v, args.arg[0], e);
+out:
+    json_decref(v.rows);
+    render_close(&v.render);
+    if (v.dev_is_open)
+        dev_close(&v.dev);
+    scene_free(&v.scene);
+    arena_free(&arena);
+    return rc;
+}

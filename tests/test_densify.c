@@ -1,0 +1,435 @@
+/* Density control: ceilings, quotas, the draw, what a clone and the halves of a split are.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "core/layout.h"
+#include "train/level.h"
+
+enum { PLANES = 14 /* degree 0 */, LANES = LAYOUT_LANES };
+#define LOGIT_HALF 0.0f
+#define SHRINK 0.47000363f /* ln 1.6 */
+#define FLOAT_TOL 1e-6f    /* one rounding of values of order 1 */
+/* Chance that a fair draw deviates more than this many standard deviations: 6e-5. */
+#define SIGMAS 4.0
+
+struct toy {
+    size_t n;
+    float *params, *grad, *score, *m1, *m2;
+};
+
+static float *at(float *p, size_t i, uint32_t plane)
+{
+    return p + (i / LANES * PLANES + plane) * LANES + i % LANES;
+}
+
+/* n Gaussians in a square of half-edge 10 m, sigma 0.1 m (every third 5 m), opacity 0.5, gradient 1. */
+static struct toy toy_make(size_t n)
+{
+    size_t floats = densify_floats(n, PLANES);
+    struct toy t = {n, mem_array(floats, 4), mem_array(n, 4), mem_array(n, 4), mem_array(floats, 4),
+                    mem_array(floats, 4)};
+    for (size_t i = 0; i < n; i++) {
+        for (uint32_t k = 0; k < 3; k++) {
+            *at(t.params, i, k) = (float)(20.0 * rng_unit(1, 2, 3 * i + k) - 10.0);
+            *at(t.params, i, 3 + k) = logf(i % 3 == 2 ? 5.0f : 0.1f);
+        }
+        *at(t.params, i, 6) = 1.0f;
+        *at(t.params, i, 10) = LOGIT_HALF;
+        for (uint32_t k = 11; k < PLANES; k++)
+            *at(t.params, i, k) = (float)i;
+        t.grad[i] = 1.0f;
+        t.score[i] = (float)rng_unit(1, 3, i) + 0.01f;
+        for (uint32_t k = 0; k < PLANES; k++) {
+            *at(t.m1, i, k) = 1.0f + (float)i;
+            *at(t.m2, i, k) = 2.0f + (float)i;
+        }
+    }
+    return t;
+}
+
+static void toy_free(struct toy *t)
+{
+    mem_free(t->params);
+    mem_free(t->grad);
+    mem_free(t->score);
+    mem_free(t->m1);
+    mem_free(t->m2);
+}
+
+static const struct train_cell everything = {.id = "all", .whole = true, .edge_m = 20.0, .extent_m = 20.0};
+static const struct train_cell western = { /* x < 0 is inside */
+    .id = "west", .min_enu_m = {-100.0, -100.0}, .max_enu_m = {0.0, 100.0}, .edge_m = 5.0, .extent_m = 20.0};
+
+static struct densify_params params_of(const struct train_cell *cell, size_t inside, size_t outside)
+{
+    return (struct densify_params){.cell = cell, .cap_inside = inside, .cap_outside = outside, .tau = 0.5,
+                                   .tau_outside = 4.0, .split_above_m = 1.0, .prune_opacity = 0.005,
+                                   .seed = 7, .level = 1, .step = 100};
+}
+
+static struct densify_input input_of(const struct toy *t, bool with_score)
+{
+    return (struct densify_input){t->params, t->n, PLANES, t->grad, with_score ? t->score : NULL};
+}
+
+static void with_room_every_candidate_is_taken(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct toy t = toy_make(99);
+    struct densify_params p = params_of(&everything, 1000, 0);
+    struct densify_input in = input_of(&t, false);
+    struct densify_plan plan;
+    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    assert_false(plan.report.needs_score);
+    assert_int_equal(plan.report.clone_candidates, 66);
+    assert_int_equal(plan.report.split_candidates, 33);
+    assert_int_equal(plan.report.cloned, 66);
+    assert_int_equal(plan.report.split, 33);
+    assert_int_equal(plan.n, 198);
+    densify_plan_free(&plan);
+    for (size_t i = 0; i < t.n; i++)
+        t.grad[i] = i % 2 ? 0.4f : NAN; /* below the threshold, or no number at all: neither grows */
+    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    assert_int_equal(plan.n, 99);
+    assert_int_equal(plan.report.room, 0);
+    densify_plan_free(&plan);
+    toy_free(&t);
+}
+
+static void a_binding_budget_asks_for_scores_and_is_met_exactly(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct toy t = toy_make(300);
+    for (size_t cap = 300; cap <= 600; cap += 25) {
+        struct densify_params p = params_of(&everything, cap, 0);
+        struct densify_input in = input_of(&t, false);
+        struct densify_plan plan;
+        kit_ok(densify_choose(&p, &in, &plan, &e), e);
+        assert_int_equal(plan.report.needs_score, cap > 300 && cap < 600);
+        if (plan.report.needs_score)
+            assert_null(plan.rows);
+        densify_plan_free(&plan);
+        in.score = t.score;
+        kit_ok(densify_choose(&p, &in, &plan, &e), e);
+        size_t room = cap - 300;
+        assert_int_equal(plan.report.room, room);
+        assert_int_equal(plan.report.cloned, room * 200 / 300); /* shares, rounded down */
+        assert_int_equal(plan.report.split, room * 100 / 300);
+        assert_int_equal(plan.n, 300 + plan.report.cloned + plan.report.split);
+        assert_true(plan.n <= cap);
+        densify_plan_free(&plan);
+    }
+    toy_free(&t);
+}
+
+static void more_than_the_budget_neither_grows_nor_is_cut(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct toy t = toy_make(100);
+    struct densify_params p = params_of(&everything, 60, 0);
+    struct densify_input in = input_of(&t, false);
+    struct densify_plan plan;
+    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    assert_false(plan.report.needs_score);
+    assert_int_equal(plan.n, 100);
+    densify_plan_free(&plan);
+    toy_free(&t);
+}
+
+static void transparent_huge_tiny_and_broken_ones_are_removed(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct toy t = toy_make(10);
+    for (size_t i = 0; i < t.n; i++)
+        t.grad[i] = 0.0f;
+    *at(t.params, 1, 10) = -6.0f; /* opacity 0.0025 */
+    *at(t.params, 3, 10) = NAN;
+    for (uint32_t k = 3; k < 6; k++)
+        *at(t.params, 4, k) = logf(1e-5f);
+    *at(t.params, 6, 4) = logf(50.0f);
+    struct densify_params p = params_of(&everything, 100, 0);
+    struct densify_input in = input_of(&t, false);
+    struct densify_plan plan;
+    p.prune_above_m = 20.0;
+    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    static const uint32_t kept[] = {0, 2, 5, 7, 8, 9};
+    assert_int_equal(plan.report.pruned, 4);
+    assert_int_equal(plan.n, 6);
+    for (size_t i = 0; i < plan.n; i++)
+        assert_int_equal(plan.rows[i].source, kept[i]);
+    densify_plan_free(&plan);
+    p.prune_above_m = 0.0; /* no limit of size */
+    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    assert_int_equal(plan.report.pruned, 3);
+    densify_plan_free(&plan);
+    toy_free(&t);
+}
+
+/* Count the rows of a plan by side, children of splits at their own places. */
+static void count_sides(const struct densify_params *p, const struct toy *t, struct densify_plan *plan,
+                        size_t *inside, size_t *outside)
+{
+    struct err e = {0};
+    size_t floats = densify_floats(plan->n, PLANES);
+    struct densify_input in = input_of(t, false);
+    struct densify_state from = {t->params, t->m1, t->m2};
+    struct densify_state to = {mem_array(floats, 4), mem_array(floats, 4), mem_array(floats, 4)};
+    kit_ok(densify_apply(p, &in, plan, &from, &to, &e), e);
+    *inside = *outside = 0;
+    for (size_t i = 0; i < plan->n; i++) {
+        bool in_cell = cell_distance(p->cell, (double)*at(to.params, i, 0), (double)*at(to.params, i, 1)) <= 0.0;
+        *inside += in_cell;
+        *outside += !in_cell;
+    }
+    mem_free(to.params);
+    mem_free(to.m1);
+    mem_free(to.m2);
+}
+
+static void both_ceilings_hold_where_children_cross_the_border(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct toy t = toy_make(600);
+    size_t in0 = 0;
+    for (size_t i = 0; i < t.n; i++) {
+        t.grad[i] = 100.0f; /* over four times the threshold: candidates on both sides */
+        in0 += *at(t.params, i, 0) <= 0.0f;
+    }
+    size_t out0 = t.n - in0;
+    for (size_t extra = 0; extra <= 320; extra += 40)
+        for (size_t outside = out0; outside <= out0 + 150; outside += 50) {
+            struct densify_params p = params_of(&western, in0 + extra, outside);
+            struct densify_input in = input_of(&t, true);
+            struct densify_plan plan;
+            size_t n_in, n_out;
+            kit_ok(densify_choose(&p, &in, &plan, &e), e);
+            count_sides(&p, &t, &plan, &n_in, &n_out);
+            assert_int_equal(n_in, plan.report.inside);
+            assert_int_equal(n_out, plan.report.outside);
+            assert_true(n_in <= in0 + extra);
+            assert_true(n_out <= outside);
+            densify_plan_free(&plan);
+        }
+    toy_free(&t);
+}
+
+static void the_threshold_rises_outside_the_cell(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct toy t = toy_make(3);
+    static const float east[3] = {-1.0f, 2.5f, 50.0f}; /* inside; half a cell edge; far beyond one */
+    for (size_t i = 0; i < 3; i++)
+        *at(t.params, i, 0) = east[i];
+    struct densify_params p = params_of(&western, 100, 100);
+    struct densify_input in = input_of(&t, true);
+    struct {
+        float grad;
+        size_t candidates;
+    } want[] = {{0.49f, 0}, {0.51f, 1}, {1.24f, 1}, {1.26f, 2}, {1.99f, 2}, {2.01f, 3}};
+    for (size_t k = 0; k < sizeof(want) / sizeof(want[0]); k++) {
+        struct densify_plan plan;
+        for (size_t i = 0; i < 3; i++)
+            t.grad[i] = want[k].grad;
+        kit_ok(densify_choose(&p, &in, &plan, &e), e);
+        assert_int_equal(plan.report.clone_candidates + plan.report.split_candidates, want[k].candidates);
+        densify_plan_free(&plan);
+    }
+    toy_free(&t);
+}
+
+static void clones_are_copies_and_halves_lie_within_their_parent(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct toy t = toy_make(33);
+    struct densify_params p = params_of(&everything, 1000, 0);
+    struct densify_input in = input_of(&t, false);
+    struct densify_plan plan;
+    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    size_t floats = densify_floats(plan.n, PLANES);
+    struct densify_state from = {t.params, t.m1, t.m2};
+    struct densify_state to = {mem_array(floats, 4), mem_array(floats, 4), mem_array(floats, 4)};
+    kit_ok(densify_apply(&p, &in, &plan, &from, &to, &e), e);
+    size_t kept = 0, fresh = 0, moved = 0;
+    for (size_t i = 0; i < plan.n; i++) {
+        size_t source = (size_t)*at(to.params, i, 11); /* its colour says who the parent was */
+        bool split = source % 3 == 2;
+        bool carries = *at(to.m1, i, 5) == 1.0f + (float)source && *at(to.m2, i, 12) == 2.0f + (float)source;
+        bool zero = *at(to.m1, i, 5) == 0.0f && *at(to.m2, i, 12) == 0.0f;
+        assert_true(carries || zero);
+        kept += carries;
+        fresh += zero;
+        float shrink = split ? SHRINK : 0.0f;
+        assert_true(fabsf(*at(to.params, i, 3) - (*at(t.params, source, 3) - shrink)) < FLOAT_TOL);
+        assert_true(*at(to.params, i, 10) == LOGIT_HALF);
+        float d = fabsf(*at(to.params, i, 0) - *at(t.params, source, 0));
+        moved += d > 0.0f;
+        assert_true(split ? d < 6.0f * 5.0f : d == 0.0f);
+    }
+    assert_int_equal(kept, 22); /* one of each clone pair; both halves of a split start anew */
+    assert_int_equal(fresh, 22 + 22);
+    assert_int_equal(moved, 22);
+    for (size_t i = plan.n; i % LANES; i++) /* lanes after the last one are zero */
+        assert_true(*at(to.params, i, 6) == 0.0f && *at(to.m1, i, 6) == 0.0f);
+    mem_free(to.params);
+    mem_free(to.m1);
+    mem_free(to.m2);
+    densify_plan_free(&plan);
+    toy_free(&t);
+}
+
+static void the_draw_takes_exactly_k_different_ones(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    enum { N = 1000 };
+    float score[N];
+    uint32_t ids[N], chosen[N];
+    for (uint32_t i = 0; i < N; i++) {
+        score[i] = i % 10 ? 1.0f : 0.0f;
+        ids[i] = i;
+    }
+    for (size_t k = 0; k <= N; k += 50) {
+        bool seen[N] = {false};
+        kit_ok(densify_race(score, ids, N, k, 3, 9, chosen, &e), e);
+        for (size_t j = 0; j < k; j++) {
+            assert_false(seen[chosen[j]]);
+            seen[chosen[j]] = true;
+            if (k <= 900) /* those without a score come last */
+                assert_int_not_equal(chosen[j] % 10, 0);
+        }
+    }
+    kit_fails(densify_race(score, ids, N, N + 1, 3, 9, chosen, &e), ERR_ARG, e, "cannot be drawn");
+    score[5] = NAN;
+    score[6] = INFINITY;
+    kit_ok(densify_race(score, ids, N, 100, 3, 9, chosen, &e), e);
+    assert_int_equal(chosen[0], 6);
+}
+
+static void the_draw_is_proportional_to_the_score(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    enum { TRIALS = 4000 };
+    static const float score[4] = {1.0f, 2.0f, 3.0f, 4.0f};
+    static const uint32_t ids[4] = {0, 1, 2, 3};
+    double first[4] = {0};
+    for (uint64_t s = 0; s < TRIALS; s++) {
+        uint32_t chosen[1];
+        kit_ok(densify_race(score, ids, 4, 1, s, 1, chosen, &e), e);
+        first[chosen[0]] += 1.0;
+    }
+    for (int i = 0; i < 4; i++) {
+        double p = (double)score[i] / 10.0, sigma = sqrt(p * (1.0 - p) / TRIALS);
+        assert_true(fabs(first[i] / TRIALS - p) < SIGMAS * sigma);
+    }
+}
+
+static void the_draw_has_no_limit_at_two_to_the_24(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    const size_t n = 17 * 1000 * 1000, k = 12345;
+    uint32_t *ids = mem_array(n, sizeof(*ids)), *chosen = mem_array(k, sizeof(*chosen));
+    assert_non_null(ids);
+    assert_non_null(chosen);
+    for (size_t i = 0; i < n; i++)
+        ids[i] = (uint32_t)i;
+    kit_ok(densify_race(NULL, ids, n, k, 1, 1, chosen, &e), e);
+    size_t beyond = 0;
+    for (size_t j = 0; j < k; j++)
+        beyond += chosen[j] >= (1u << 24);
+    double p = 1.0 - (double)(1u << 24) / (double)n, sigma = sqrt(p * (1.0 - p) / (double)k);
+    assert_true(fabs((double)beyond / (double)k - p) < SIGMAS * sigma);
+    mem_free(ids);
+    mem_free(chosen);
+}
+
+static void score_parts_survive_constant_and_empty_input(void **state)
+{
+    (void)state;
+    float x[4] = {3.0f, 3.0f, 3.0f, 3.0f}, scratch[4];
+    uint8_t grey[3 * 4 * 5];
+    float edges[4 * 5];
+    score_stretch(x, 4);
+    for (int i = 0; i < 4; i++)
+        assert_true(x[i] == 0.0f);
+    score_stretch(x, 0);
+    assert_true(score_inverse_median(x, 4, scratch) == 0.0f); /* none above 0 */
+    assert_true(score_inverse_median(x, 0, scratch) == 0.0f);
+    float y[4] = {0.0f, 4.0f, NAN, 4.0f};
+    assert_true(score_inverse_median(y, 4, scratch) == 0.25f);
+    memset(grey, 77, sizeof(grey));
+    score_edges(grey, 4, 5, edges);
+    for (int i = 0; i < 20; i++)
+        assert_true(edges[i] == 0.0f);
+    memset(grey + 3 * (1 * 4 + 2), 200, 3); /* one bright pixel: the strongest edge is there */
+    score_edges(grey, 4, 5, edges);
+    for (int i = 0; i < 20; i++)
+        assert_true(edges[i] == (i == 6 ? 1.0f : 0.0f));
+}
+
+static void neighbours_agree_with_looking_at_all_pairs(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    enum { N = 700 };
+    float xyz[3 * N], got[N];
+    double want[N];
+    for (size_t i = 0; i < 3 * N; i++) /* clumped and with duplicates */
+        xyz[i] = (float)(rng_unit(4, 4, i) * (i % 2 ? 1.0 : 100.0));
+    for (size_t i = 0; i < 30; i++)
+        xyz[i] = xyz[30 + i];
+    kit_ok(init_neighbour_dist2(xyz, N, got, &e), e);
+    for (size_t i = 0; i < N; i++) {
+        double best[3] = {INFINITY, INFINITY, INFINITY};
+        for (size_t j = 0; j < N; j++) {
+            double d = 0.0;
+            for (int k = 0; k < 3; k++)
+                d += pow((double)xyz[3 * i + k] - (double)xyz[3 * j + k], 2.0);
+            for (int k = 0; k < 3 && i != j; k++)
+                if (d < best[k]) {
+                    double old = best[k];
+                    best[k] = d;
+                    d = old;
+                }
+        }
+        want[i] = (best[0] + best[1] + best[2]) / 3.0;
+    }
+    kit_near("mean squared distance", got, want, N, 1e-6, 1e-5); /* float against double sums */
+    for (size_t n = 0; n < 4; n++) { /* too few to have three neighbours */
+        kit_ok(init_neighbour_dist2(xyz, n, got, &e), e);
+        for (size_t i = 0; i < n; i++)
+            assert_true(isfinite(got[i]));
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(with_room_every_candidate_is_taken),
+        cmocka_unit_test(a_binding_budget_asks_for_scores_and_is_met_exactly),
+        cmocka_unit_test(more_than_the_budget_neither_grows_nor_is_cut),
+        cmocka_unit_test(transparent_huge_tiny_and_broken_ones_are_removed),
+        cmocka_unit_test(both_ceilings_hold_where_children_cross_the_border),
+        cmocka_unit_test(the_threshold_rises_outside_the_cell),
+        cmocka_unit_test(clones_are_copies_and_halves_lie_within_their_parent),
+        cmocka_unit_test(the_draw_takes_exactly_k_different_ones),
+        cmocka_unit_test(the_draw_is_proportional_to_the_score),
+        cmocka_unit_test(the_draw_has_no_limit_at_two_to_the_24),
+        cmocka_unit_test(score_parts_survive_constant_and_empty_input),
+        cmocka_unit_test(neighbours_agree_with_looking_at_all_pairs),
+    };
+    return cmocka_run_group_tests_name("densify", tests, NULL, NULL);
+}
