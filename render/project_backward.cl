@@ -262,22 +262,22 @@ inline V adam_plane(const struct adam *a, uint plane, float lr, V g, VI keep)
 }
 
 // Rotation: four planes, and what must never be: a quaternion near 0 or not finite becomes the identity and
-// starts over. Returns the lanes that were repaired.
-inline VI adam_quat(const struct adam *a, const struct gradient *d, VI keep)
+// starts over. Returns the lanes that were repaired; lanes that are not real stay as they are.
+inline VI adam_quat(const struct adam *a, const struct gradient *d, VI keep, VI real)
 {
     V q[4], n = (V)(0.0f);
     for (uint k = 0; k < 4; k++) {
         V x = LD(a->p, 6 + k);
         n = x * x + n;
     }
-    VI good = (n >= 1e-12f) & (n < 1e30f); // NaN is not good
+    VI good = ((n >= 1e-12f) & (n < 1e30f)) | !real; // NaN is not good; padding is nobody's
     VI use = keep & good;
     n = (V)(0.0f);
     for (uint k = 0; k < 4; k++) {
         q[k] = adam_plane(a, 6 + k, a->lr.s2, d->geo[6 + k], use);
         n = q[k] * q[k] + n;
     }
-    good &= (n >= 1e-12f) & (n < 1e30f);
+    good &= ((n >= 1e-12f) & (n < 1e30f)) | !real;
     for (uint k = 0; k < 4; k++)
         ST(a->p, 6 + k, good ? q[k] : (k == 0 ? (V)(1.0f) : (V)(0.0f)));
     if (ANY(!good))
@@ -374,7 +374,7 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
         if (with_stats && ANY(visible))
             stats_add(stat_grad + i, stat_absg + i, stat_count + i, stat_radius + i, &d, k,
                       usable & visible);
-        VI bad = adam_quat(&a, &d, usable) & real;
+        VI bad = adam_quat(&a, &d, usable, real);
         adam_geometry(&a, &d, usable);
         for (uint p = 0; p < 3 * used; p++)
             ST(a.p, 11 + p, adam_plane(&a, 11 + p, p < 3 ? lr.s4 : lr.s5, basis[p / 3] * d.rgb[p % 3], usable));
