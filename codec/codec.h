@@ -250,7 +250,10 @@ enum err_code glb_encode_spz(const struct quant *q, const char *copyright, struc
 /* ... or plain float accessors (three, PlayCanvas, Babylon). g in glTF axes. */
 enum err_code glb_encode_plain(const struct gauss *g, const char *copyright, struct buf *out,
                                struct err *e) ERR_USE;
-/* The payload back out of a glb of ours, for tests and import: returns the .spz bytes inside. */
+/* Either form of glb: one splat primitive, no node transform, glTF axes. gauss_free it. */
+enum err_code glb_decode(const void *bytes, size_t n, const struct codec_limits *lim, struct gauss *out,
+                         struct err *e) ERR_USE;
+/* The payload back out of a glb: the .spz bytes inside (borrowed from bytes). ERR_NOENT: a plain one. */
 enum err_code glb_find_spz(const void *bytes, size_t n, const void **spz, size_t *n_spz,
                            struct err *e) ERR_USE;
 
