@@ -6,7 +6,7 @@
 #include "core/base.h"
 #include "render/frame.h"
 
-extern const char blend_backward_cl[], score_cl[];
+extern const char blend_cpu_cl[], blend_backward_cl[], score_cl[];
 
 enum { SCORE_LOCAL = 64, SCORE_FLOATS = 8 };
 
@@ -19,17 +19,18 @@ struct render_score {
 
 enum err_code render_score_open(struct render *r, struct render_score **out, struct err *e)
 {
-    const struct dev_source sources[] = {
-        {"render/common.cl", common_cl},
-        {"render/blend_backward.cl", blend_backward_cl},
-        {"render/score.cl", score_cl},
-    };
+    const struct dev_source cpu[] = {{"render/common.cl", common_cl},
+                                     {"render/blend_cpu.cl", blend_cpu_cl},
+                                     {"render/blend_backward.cl", blend_backward_cl},
+                                     {"render/score.cl", score_cl}};
+    const struct dev_source gpu[] = {{"render/common.cl", common_cl}, {"render/score.cl", score_cl}};
+    bool wide = r->dev->vector_width > 1;
     *out = NULL;
     struct render_score *s = mem_array(1, sizeof(*s));
     if (!s)
         return err_set(e, ERR_MEM, "render_score_open: out of memory");
     s->render = r;
-    enum err_code rc = dev_build(r->dev, sources, 3, NULL, &s->program, e);
+    enum err_code rc = dev_build(r->dev, wide ? cpu : gpu, wide ? 4 : 2, NULL, &s->program, e);
     if (!rc)
         rc = dev_kernel(s->program, "score_tiles", &s->tiles, e);
     if (!rc)

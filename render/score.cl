@@ -1,102 +1,102 @@
-/* Stage: importance of splats in a frame, for density control. Replays the blending of the last frame and adds
- * up, for every Gaussian, over the pixels it was blended into:
- *
- *   in   splats, tile_start, entry_splat, entry_slot, slot_first, tiles_of, depth_key: the frame
- *        weight float [h][w]: what a pixel counts
- *   out  slots float [entries][4] (cleared by the host): weight, 1, alpha T, distance of the pixel from the mean
- *        sums  float [n][8]: those four, then depth in m, half-size in px, 0, 0; all 0 where invisible
- *
- * Shape and order as blend_backward.cl, whose masks, loads and sums over lanes it uses: one writer a slot, fixed
- * order, same bits. Source of the sums: Taming 3DGS, Mallick et al. 2024, section 4.
- */
+// Stage: importance of splats in a frame, for density control. Compiled after blend_cpu.cl and
+// blend_backward.cl on CPUs, whose masks and sums it shares. Replays the blending of the last frame and adds
+// up, for every Gaussian, over the pixels it was blended into:
+//   in   splats, tile_start, entry_splat, entry_slot, slot_first, tiles_of, depth_key: the frame
+//        weight [h][w]: what a pixel counts
+//   out  slots [entries][4] (cleared by the host): weight, 1, alpha T, distance of the pixel from the mean
+//        sums [n][8]: those four, then depth in m, half-size in px, 0, 0; all 0 where invisible
+// One writer a slot, fixed order: same input, same bits. The sums are those of Taming 3DGS, Mallick et al.
+// 2024.
 
 #if VW == 16
 
-struct score_pixels {
-    float16 transmit[BLOCKS], weight[BLOCKS];
+struct score_state { // of each block; pixels beyond the picture's edge have t 0
+    float16 t[16], weight[16];
 };
 
-static uint score_load(struct score_pixels *s, __constant struct layout_view *v,
-                       __global const float *weight, int x0, int y0)
+inline void score_load(struct score_state *s, __constant struct layout_view *view,
+                       __global const float *weight, uint px, uint py)
 {
-    int w = v->width, h = v->height;
-    uint active = 0;
-    for (int b = 0; b < BLOCKS; b++) {
-        int x = x0 + 4 * (b & 3), y = y0 + 4 * (b >> 2);
-        int16 in = (x + (LANE & 3) < w) & (y + (LANE >> 2) < h);
-        s->weight[b] = block_load(weight, w, h, x, y);
-        s->transmit[b] = in ? (float16)(1.0f) : (float16)(0.0f);
-        active |= any(in) ? 1u << b : 0;
+    for (uint k = 0; k < 16; k++) {
+        uint bx = px + 4 * (k & 3), by = py + 4 * (k >> 2);
+        float16 x = (float)bx + LANE_X, y = (float)by + LANE_Y;
+        int16 inside = (x < (float)view->width) & (y < (float)view->height);
+        s->weight[k] = backward_block(weight, view->width, view->height, bx, by);
+        s->t[k] = inside ? (float16)(1.0f) : (float16)(0.0f);
+    }
+}
+
+inline uint score_active(const struct score_state *s, uint active)
+{
+    for (uint left = active; left;) {
+        uint k = 31 - clz(left);
+        left ^= 1u << k;
+        if (!any(s->t[k] > T_STOP))
+            active ^= 1u << k;
     }
     return active;
 }
 
-static void score_splat(struct score_pixels *s, const struct layout_splat *e, uint mask, float x0, float y0,
+inline void score_entry(struct score_state *s, const float *rec, float x0, float y0, uint blocks,
                         __global float *slot)
 {
-    float16 weight = 0.0f, count = 0.0f, share = 0.0f, dist = 0.0f;
-    const float16 lane_x = e->mean_x - x0 - 0.5f - convert_float16(LANE & 3);
-    const float16 lane_y = e->mean_y - y0 - 0.5f - convert_float16(LANE >> 2);
-    do {
-        uint b = 31 - clz(mask & -mask);
-        mask &= mask - 1;
-        float16 dx = lane_x - (float)(4 * (b & 3)), dy = lane_y - (float)(4 * (b >> 2));
-        float16 raw = splat_raw(dx, dy, e->p, e->x_of_y, e->r, e->opacity_log2);
-        float16 t = s->transmit[b], alpha = MIN_(raw, ALPHA_MAX);
+    float16 weight = 0.0f, count = 0.0f, shares = 0.0f, dist = 0.0f;
+    float mx = rec[MEAN_X] - x0, my = rec[MEAN_Y] - y0;
+    while (blocks) {
+        uint k = 31 - clz(blocks);
+        blocks ^= 1u << k;
+        float16 dx = (mx - (float)(4 * (k & 3))) - LANE_X, dy = (my - (float)(4 * (k >> 2))) - LANE_Y;
+        float16 raw = splat_raw(dx, dy, rec[P], rec[X_OF_Y], rec[R], rec[OPACITY_LOG2]), t = s->t[k];
         int16 hit = (t > T_STOP) & (raw > 0.0f);
-        alpha = hit ? alpha : (float16)(0.0f);
         float16 one = hit ? (float16)(1.0f) : (float16)(0.0f);
-        s->transmit[b] = t - alpha * t;
-        weight += one * s->weight[b];
+        float16 share = one * MIN_(raw, ALPHA_MAX) * t;
+        s->t[k] = t - share;
+        weight += one * s->weight[k];
         count += one;
-        share += alpha * t;
+        shares += share;
         dist += one * sqrt(dx * dx + dy * dy);
-    } while (mask);
-    vstore4(fold16(fold4(fold2(weight, count), fold2(share, dist))), 0, slot);
+    }
+    vstore4(fold_1(fold_4(fold_8(weight, count), fold_8(shares, dist))), 0, slot);
 }
 
-static uint score_alive(const struct score_pixels *s, uint active)
-{
-    uint alive = 0;
-    for (uint b = 0; b < BLOCKS; b++)
-        if (active >> b & 1)
-            alive |= any(s->transmit[b] > T_STOP) ? 1u << b : 0;
-    return alive;
-}
-
-__kernel void score_tiles(__constant struct layout_view *v, __global const struct layout_splat *splats,
+__kernel void score_tiles(__constant struct layout_view *view, __global const struct layout_splat *splats,
                           __global const uint *tile_start, __global const uint *entry_splat,
                           __global const uint *entry_slot, __global const float *weight,
                           __global float *slots)
 {
-    uint tile = get_global_id(0);
-    if (tile >= v->tiles_x * v->tiles_y)
+    uint tile = (uint)get_global_id(0);
+    if (tile >= view->tiles_x * view->tiles_y)
         return;
-    int x0 = tile % v->tiles_x * LAYOUT_TILE, y0 = tile / v->tiles_x * LAYOUT_TILE;
-    uint begin = tile_start[tile], end = tile_start[tile + 1];
-    struct layout_splat batch[BATCH];
-    struct score_pixels pixels;
-    if (begin == end)
-        return;
-    uint active = score_load(&pixels, v, weight, x0, y0);
-    for (uint at = begin; at < end && active; at += BATCH) {
+    uint px = (tile % view->tiles_x) * LAYOUT_TILE, py = (tile / view->tiles_x) * LAYOUT_TILE;
+    float x0 = (float)px + 0.5f, y0 = (float)py + 0.5f;
+    uint at = tile_start[tile], end = tile_start[tile + 1];
+    float staged[BATCH * 16];
+    uint mask[BATCH];
+    struct score_state s;
+    score_load(&s, view, weight, px, py);
+    uint active = score_active(&s, 0xFFFF);
+    for (uint j = 0; j < BATCH * 16; j += 16)
+        vstore16((float16)(0.0f), 0, staged + j);
+    while (at < end && active) {
         uint n = min(end - at, (uint)BATCH);
-        for (uint i = 0; i < n; i++)
-            batch[i] = splats[entry_splat[at + i]];
-        for (uint i = 0; i < n && active; i++) {
-            uint m = block_mask(&batch[i], (float)x0, (float)y0) & active;
-            if (m)
-                score_splat(&pixels, &batch[i], m, (float)x0, (float)y0,
-                            slots + 4 * (size_t)entry_slot[at + i]);
-            if ((i & 15) == 15)
-                active = score_alive(&pixels, active);
+        for (uint j = 0; j < n; j++)
+            vstore16(vload16(entry_splat[at + j], (__global const float *)splats), j, staged);
+        for (uint j = 0; j < n; j += 16)
+            blend_masks(staged + 16 * j, x0, y0, view->tile_cull, mask + j);
+        for (uint j = 0; j < n && active; j++) {
+            uint blocks = mask[j] & active;
+            if (blocks)
+                score_entry(&s, staged + 16 * j, x0, y0, blocks, slots + 4 * (size_t)entry_slot[at + j]);
+            if (j % CHECK_EVERY == CHECK_EVERY - 1)
+                active = score_active(&s, active);
         }
+        at += n;
     }
 }
 
 #else
 
-/* GPU shape: one work-group = one tile, one work-item = one pixel; each entry is summed by a tree of fixed shape. */
+// GPU shape: one work-group is one tile, one work-item one pixel; an entry is summed by a tree of fixed shape.
 __kernel __attribute__((reqd_work_group_size(LAYOUT_TILE *LAYOUT_TILE, 1, 1))) void
 score_tiles(__constant struct layout_view *v, __global const struct layout_splat *splats,
             __global const uint *tile_start, __global const uint *entry_splat,
@@ -130,8 +130,8 @@ score_tiles(__constant struct layout_view *v, __global const struct layout_splat
 
 #endif
 
-/* Half-size of the box around a splat where it reaches 1/255, px: the larger of width and height. */
-static float score_radius(const struct layout_splat *e)
+// Half-size of the box around a splat where it reaches 1/255, px: the larger of width and height.
+inline float score_radius(const struct layout_splat *e)
 {
     float s11 = 0.5f * LOG2E / (e->r * e->r);
     float s00 = 0.5f * LOG2E / (e->p * e->p) + e->x_of_y * e->x_of_y * s11;

@@ -93,18 +93,28 @@ static bool feed_wanted(const struct feed *f, size_t slot)
     for (size_t i = 0; i < f->n_want; i++)
         if (f->want[i] == slot)
             return true;
-    return slot == f->pinned;
+    return false;
 }
 
-/* Lock held. Drop the least recently used until `need` more bytes fit; what is wanted next stays. */
-static void feed_evict(struct feed *f, size_t need)
+/* Lock held. The least recently used slot that may go, or n_images. */
+static size_t feed_oldest(const struct feed *f, bool even_wanted)
+{
+    size_t oldest = f->cfg.n_images;
+    for (size_t i = 0; i < f->cfg.n_images; i++)
+        if (f->slots[i].state == FEED_READY && i != f->pinned && (even_wanted || !feed_wanted(f, i)) &&
+            (oldest == f->cfg.n_images || f->slots[i].used < f->slots[oldest].used))
+            oldest = i;
+    return oldest;
+}
+
+/* Lock held. Make room for `need` more bytes as far as possible; what is wanted soon goes only when the
+ * photograph wanted now has no place otherwise. */
+static void feed_evict(struct feed *f, size_t need, bool even_wanted)
 {
     while (f->bytes + need > f->cfg.cache_bytes) {
-        size_t oldest = f->cfg.n_images;
-        for (size_t i = 0; i < f->cfg.n_images; i++)
-            if (f->slots[i].state == FEED_READY && !feed_wanted(f, i) &&
-                (oldest == f->cfg.n_images || f->slots[i].used < f->slots[oldest].used))
-                oldest = i;
+        size_t oldest = feed_oldest(f, false);
+        if (oldest == f->cfg.n_images && even_wanted)
+            oldest = feed_oldest(f, true);
         if (oldest == f->cfg.n_images)
             return;
         f->bytes -= feed_size(f, oldest);
@@ -140,7 +150,7 @@ static size_t feed_next_wanted(struct feed *f)
         if (f->slots[f->want[i]].state != FEED_EMPTY)
             continue;
         size_t need = feed_size(f, f->want[i]);
-        feed_evict(f, need);
+        feed_evict(f, need, false);
         return f->bytes + need <= f->cfg.cache_bytes ? f->want[i] : f->cfg.n_images;
     }
     return f->cfg.n_images;
@@ -194,7 +204,7 @@ static enum err_code feed_take(struct feed *f, size_t slot, const size_t *ahead,
         if (f->slots[slot].state == FEED_FAILED)
             rc = err_set(e, f->fail.code, "%s", f->fail.msg);
         else if (f->slots[slot].state == FEED_EMPTY) {
-            feed_evict(f, feed_size(f, slot));
+            feed_evict(f, feed_size(f, slot), true);
             feed_load(f, slot);
         }
         else

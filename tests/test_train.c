@@ -1,0 +1,437 @@
+/* Training as a whole on a toy: the loss falls as it did before, runs repeat bit by bit, a stopped run goes on as
+ * if it had not been stopped, and broken scenes give one clear error.
+ *
+ * The toy: coloured blobs on a patch of ground, photographed from above by cameras on a ring, pictures drawn by
+ * the renderer itself, so a perfect fit exists.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+
+#include <jansson.h>
+
+#include "train/level.h"
+
+enum { BLOBS = 60, PHOTOS = 9, WIDTH = 64, HEIGHT = 48 };
+#define GROUND_M 6.0
+#define GOLDEN_TRACE {0}
+/* Golden numbers were made on one CPU; another one's exp() or fused operations may differ by this much. */
+#define GOLDEN_REL 2e-3
+
+static struct dev dev; /* one for all tests: kernels are built once */
+static char scene_dir[FILE_PATH_MAX];
+
+/* ---- the toy ------------------------------------------------------------------------------------- */
+
+static void toy_gauss(struct gauss *g)
+{
+    struct err e = {0};
+    kit_ok(gauss_alloc(g, BLOBS, 0, 0, &e), e);
+    g->n = BLOBS;
+    g->antialiased = true;
+    for (size_t i = 0; i < BLOBS; i++) {
+        for (size_t k = 0; k < 3; k++) {
+            double half = k < 2 ? GROUND_M : 0.3;
+            g->mean_m[3 * i + k] = (float)(half * (2.0 * rng_unit(11, 1, 3 * i + k) - 1.0));
+            g->scale_log[3 * i + k] = logf((float)(0.3 + 0.7 * rng_unit(11, 2, 3 * i + k)));
+            g->sh[3 * i + k] = (float)((rng_unit(11, 3, 3 * i + k) - 0.5) / GAUSS_SH_C0);
+        }
+        for (size_t k = 0; k < 4; k++)
+            g->quat_wxyz[4 * i + k] = (float)rng_normal(11, 4, 4 * i + k);
+        g->opacity_logit[i] = 2.0f;
+    }
+}
+
+static struct camera toy_camera(size_t i)
+{
+    double angle = 2.0 * 3.14159265358979 * (double)i / PHOTOS;
+    double eye[3] = {6.0 * cos(angle), 6.0 * sin(angle), 10.0}, target[3] = {0.0, 0.0, 0.0};
+    return camera_look_at(eye, target, 0.9, WIDTH, HEIGHT);
+}
+
+static void toy_photo(struct render *r, const struct render_model *m, const struct camera *cam,
+                      const char *path)
+{
+    struct err e = {0};
+    struct image img = {0};
+    struct render_options ro = {.aa = RENDER_AA_2D, .sh_degree = -1};
+    float *rgb = mem_array(WIDTH * HEIGHT * 3, sizeof(float));
+    assert_non_null(rgb);
+    kit_ok(render_forward(r, m, cam, &ro, rgb, NULL, &e), e);
+    kit_ok(image_alloc(WIDTH, HEIGHT, 3, &img, &e), e);
+    for (size_t i = 0; i < WIDTH * HEIGHT * 3; i++)
+        img.px[i] = (uint8_t)(fminf(fmaxf(rgb[i], 0.0f), 1.0f) * 255.0f + 0.5f);
+    kit_ok(image_write(path, &img, 0, NULL, &e), e);
+    image_free(&img);
+    mem_free(rgb);
+}
+
+/* Scene folder with PHOTOS photographs, the first one for tests. */
+static void toy_write(const char *dir, bool with_points)
+{
+    struct err e = {0};
+    struct gauss g = {0};
+    struct render *r = NULL;
+    struct render_model m = {0};
+    struct scene s = {.scale = 1.0, .rot = {1, 0, 0, 0, 1, 0, 0, 0, 1}, .n_images = PHOTOS};
+    struct scene_image images[PHOTOS];
+    struct scene_point points[BLOBS];
+    char names[PHOTOS][16], sub[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    toy_gauss(&g);
+    kit_ok(file_join(sub, dir, "images", &e), e);
+    kit_ok(file_mkdir(sub, &e), e);
+    kit_ok(render_open(&dev, &r, &e), e);
+    kit_ok(render_model_upload(r, &g, &m, &e), e);
+    for (size_t i = 0; i < PHOTOS; i++) {
+        snprintf(names[i], sizeof(names[i]), "p%zu.png", i);
+        images[i] = (struct scene_image){.name = names[i],
+                                         .cam = toy_camera(i),
+                                         .split = i ? SCENE_TRAIN : SCENE_TEST,
+                                         .group = (uint32_t)i,
+                                         .gps_enu_m = {(double)NAN, (double)NAN, (double)NAN},
+                                         .residual_m = (double)NAN};
+        kit_ok(file_join(path, sub, names[i], &e), e);
+        toy_photo(r, &m, &images[i].cam, path);
+    }
+    for (size_t i = 0; i < BLOBS; i++) {
+        points[i] = (struct scene_point){.error_px = 0.5f, .track_length = 3};
+        for (size_t k = 0; k < 3; k++) {
+            points[i].enu_m[k] = (double)g.mean_m[3 * i + k];
+            points[i].rgb[k] = (uint8_t)(255.0 * rng_unit(11, 3, 3 * i + k));
+        }
+    }
+    s.images = images;
+    s.points = points;
+    s.n_points = with_points ? BLOBS : 0;
+    kit_ok(scene_write(dir, &s, &e), e);
+    render_model_free(&m);
+    render_close(&r);
+    gauss_free(&g);
+}
+
+static struct train_config toy_config(struct arena *a, const char *out)
+{
+    struct train_config c;
+    struct err e = {0};
+    kit_ok(options_defaults(train_options(), &c, a, &e), e);
+    c.output = out;
+    c.iterations = 120;
+    c.downsample_1 = 2.0;
+    c.downsample_2 = 1.0;
+    c.budget_1 = 80;
+    c.budget_2 = 100;
+    c.budget_3 = 150; /* binds: the draw and its scores are part of every run here */
+    c.densify_interval_min = 8;
+    c.score_views = 3;
+    c.sh_degree = 1;
+    return c;
+}
+
+/* ---- pieces ----------------------------------------------------------------------------------------- */
+
+static void cameras_at_training_size_keep_the_view(void **state)
+{
+    (void)state;
+    struct camera c = toy_camera(0);
+    c.width_px = 4000;
+    c.height_px = 3000;
+    struct camera s = feed_camera(&c, 400, 2.0);
+    assert_int_equal(s.width_px, 200);
+    assert_int_equal(s.height_px, 150);
+    assert_true(fabs(s.fx_px / c.fx_px - 0.05) < 1e-12);
+    s = feed_camera(&c, 0, 1.0);
+    assert_int_equal(s.width_px, 4000);
+    s = feed_camera(&c, 9000, 1.0); /* never enlarged */
+    assert_int_equal(s.width_px, 4000);
+    c.width_px = c.height_px = 3;
+    s = feed_camera(&c, 0, 64.0);
+    assert_int_equal(s.width_px, 1);
+}
+
+static void the_feed_shows_every_photograph_once_an_epoch_within_its_cache(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct scene s;
+    uint32_t *images;
+    size_t n;
+    kit_ok(scene_read(scene_dir, &s, &e), e);
+    kit_ok(train_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
+    assert_int_equal(n, PHOTOS - 1);
+    uint32_t order[2][4 * (PHOTOS - 1)];
+    const size_t photo = WIDTH * HEIGHT * 3;
+    const size_t caches[2] = {photo, 1 << 20};
+    for (int k = 0; k < 2; k++) {
+        struct feed *f = NULL;
+        struct feed_config cfg = {.scene = &s, .images = images, .n_images = n, .downsample = 1.0,
+                                  .cache_bytes = caches[k], .seed = 5, .level = 1};
+        kit_ok(feed_open(&cfg, &f, &e), e);
+        for (uint32_t t = 1; t <= 4 * n; t++) {
+            struct feed_photo p;
+            kit_ok(feed_get(f, t, &p, &e), e);
+            assert_true(feed_bytes(f) <= cfg.cache_bytes);
+            order[k][t - 1] = p.image;
+            struct image want = {0};
+            char path[FILE_PATH_MAX + 64];
+            snprintf(path, sizeof(path), "%s/images/%s", scene_dir, s.images[p.image].name);
+            kit_ok(image_read(path, NULL, &want, &e), e);
+            assert_memory_equal(want.px, p.px, photo);
+            image_free(&want);
+        }
+        feed_close(&f);
+    }
+    assert_memory_equal(order[0], order[1], sizeof(order[0])); /* the cache does not matter */
+    bool differs = false;
+    for (size_t epoch = 0; epoch < 4; epoch++) {
+        unsigned seen = 0;
+        for (size_t i = 0; i < n; i++) {
+            seen |= 1u << order[0][epoch * n + i];
+            differs = differs || order[0][epoch * n + i] != order[0][i];
+        }
+        assert_int_equal(seen, 0x1fe); /* all but photograph 0, which is for tests */
+    }
+    assert_true(differs);
+    scene_free(&s);
+}
+
+/* ---- whole runs ------------------------------------------------------------------------------------- */
+
+static void read_level(const char *out, unsigned level, struct ckpt *c)
+{
+    struct err e = {0};
+    char path[FILE_PATH_MAX + 64];
+    snprintf(path, sizeof(path), "%s/cells/all/level%u.ckpt", out, level);
+    kit_ok(ckpt_read(path, c, &e), e);
+}
+
+static void assert_same_levels(const char *a, const char *b)
+{
+    for (unsigned level = 1; level <= 3; level++) {
+        struct ckpt x, y;
+        read_level(a, level, &x);
+        read_level(b, level, &y);
+        assert_int_equal(x.g.n, y.g.n);
+        assert_memory_equal(x.g.mean_m, y.g.mean_m, x.g.n * 12);
+        assert_memory_equal(x.g.scale_log, y.g.scale_log, x.g.n * 12);
+        assert_memory_equal(x.g.quat_wxyz, y.g.quat_wxyz, x.g.n * 16);
+        assert_memory_equal(x.g.opacity_logit, y.g.opacity_logit, x.g.n * 4);
+        assert_memory_equal(x.g.sh, y.g.sh, x.g.n * 12 * gauss_sh_count(x.g.sh_degree));
+        ckpt_free(&x);
+        ckpt_free(&y);
+    }
+}
+
+static void training_improves_keeps_budgets_and_repeats(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    char out[2][FILE_PATH_MAX];
+    struct train_result r[2];
+    for (int i = 0; i < 2; i++) {
+        kit_tmpdir(out[i]);
+        struct train_config c = toy_config(&a, out[i]);
+        kit_ok(train_run(scene_dir, &c, &r[i], &e), e);
+        assert_true(r[i].n_gaussians[0] <= 80 && r[i].n_gaussians[1] <= 100 && r[i].n_gaussians[2] <= 150);
+        assert_true(r[i].n_gaussians[2] > r[i].n_gaussians[0]);
+        assert_true(r[i].psnr_db[2] > 20.0);
+    }
+    assert_same_levels(out[0], out[1]);
+    struct ckpt c;
+    read_level(out[0], 2, &c);
+    assert_true(c.g.antialiased);
+    assert_int_equal(c.g.sh_degree, 1);
+    assert_int_equal(json_integer_value(json_object_get(c.meta, "level")), 2);
+    assert_true(json_number_value(json_object_get(json_object_get(c.meta, "test"), "psnr_db")) == r[0].psnr_db[1]);
+    ckpt_free(&c);
+    char path[FILE_PATH_MAX + 64];
+    snprintf(path, sizeof(path), "%s/cells/all/resume.ckpt", out[0]);
+    assert_false(file_exists(path)); /* nothing is left to go on from */
+    for (int i = 0; i < 2; i++)
+        kit_rmdir(out[i]);
+    arena_free(&a);
+}
+
+static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r;
+    char whole[FILE_PATH_MAX], parts[FILE_PATH_MAX];
+    kit_tmpdir(whole);
+    kit_tmpdir(parts);
+    struct train_config c = toy_config(&a, whole);
+    kit_ok(train_run(scene_dir, &c, &r, &e), e);
+    c.output = parts;
+    /* pieces of 1, 7, 30, ... steps: in the middle of levels, at their ends, around densifications */
+    static const int64_t pieces[] = {1, 7, 22, 2, 28, 16, 16};
+    for (size_t i = 0; i < sizeof(pieces) / sizeof(pieces[0]); i++) {
+        c.stop_after = pieces[i];
+        c.resume = i > 0;
+        kit_fails(train_run(scene_dir, &c, &r, &e), ERR_CANCEL, e, "--resume goes on");
+    }
+    c.stop_after = 0;
+    c.resume = true;
+    c.seed++;
+    kit_fails(train_run(scene_dir, &c, &r, &e), ERR_ARG, e, "seed");
+    c.seed--;
+    c.cache_mib = 1; /* may change: it cannot matter */
+    kit_ok(train_run(scene_dir, &c, &r, &e), e);
+    assert_same_levels(whole, parts);
+    kit_rmdir(whole);
+    kit_rmdir(parts);
+    arena_free(&a);
+}
+
+static void a_damaged_state_is_refused(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r;
+    char out[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
+    struct buf file = {0};
+    kit_tmpdir(out);
+    struct train_config c = toy_config(&a, out);
+    c.stop_after = 3;
+    kit_fails(train_run(scene_dir, &c, &r, &e), ERR_CANCEL, e, "step 3");
+    snprintf(path, sizeof(path), "%s/cells/all/resume.ckpt", out);
+    kit_ok(file_read(path, 0, &file, &e), e);
+    c.resume = true;
+    kit_ok(file_write(path, file.data, file.size - 5, &e), e);
+    kit_fails(train_run(scene_dir, &c, &r, &e), ERR_FORMAT, e, "truncated");
+    file.data[file.size - 1] ^= 1;
+    kit_ok(file_write(path, file.data, file.size, &e), e);
+    kit_fails(train_run(scene_dir, &c, &r, &e), ERR_FORMAT, e, "stat_radius");
+    buf_free(&file);
+    kit_rmdir(out);
+    arena_free(&a);
+}
+
+/* The trace of a level's first steps: any change of a formula on the way from photograph to parameter shows. */
+static void twenty_steps_give_the_golden_trace(void **state)
+{
+    (void)state;
+    static const double golden[20] = GOLDEN_TRACE;
+    struct err e = {0};
+    struct arena a = {0};
+    struct scene s;
+    uint32_t *images;
+    size_t n;
+    double got[20];
+    struct gauss g = {0};
+    struct train_config c = toy_config(&a, NULL);
+    c.level_count = 1;
+    c.iterations = 200;
+    kit_ok(scene_read(scene_dir, &s, &e), e);
+    kit_ok(train_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
+    struct level l = {.cfg = &c, .scene = &s, .images = images, .n_images = n, .dev = &dev, .n_levels = 1};
+    cell_whole(&s, images, n, &l.cell);
+    kit_ok(schedule_make(&c, n, l.cell.edge_m, l.schedule, &e), e);
+    kit_ok(render_open(&dev, &l.render, &e), e);
+    kit_ok(loss_open(&dev, &l.loss, &e), e);
+    kit_ok(init_gauss(&s, images, n, &l.cell, 1, 1000, 1, &g, &e), e);
+    kit_ok(level_open(&l, &g, &e), e);
+    kit_ok(level_begin(&l, &e), e);
+    for (int i = 0; i < 20; i++) {
+        struct loss_value v;
+        kit_ok(level_step(&l, &v, &e), e);
+        got[i] = v.total;
+        print_message("%.6f, ", v.total);
+    }
+    print_message("\n");
+    kit_near_d("loss of the first 20 steps", got, golden, 20, 0.0, GOLDEN_REL);
+    assert_true(got[19] < got[0]);
+    level_close(&l);
+    loss_close(&l.loss);
+    render_close(&l.render);
+    gauss_free(&g);
+    scene_free(&s);
+    arena_free(&a);
+}
+
+static void a_scene_without_points_starts_from_random_ones(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r;
+    char bare[FILE_PATH_MAX];
+    kit_tmpdir(bare);
+    toy_write(bare, false);
+    struct train_config c = toy_config(&a, NULL); /* results go into the scene folder */
+    c.iterations = 12;
+    c.budget_1 = 200;
+    c.budget_2 = 200;
+    c.budget_3 = 200;
+    kit_ok(train_run(bare, &c, &r, &e), e);
+    assert_true(r.n_gaussians[2] >= 90);
+    kit_rmdir(bare);
+    arena_free(&a);
+}
+
+static void broken_scenes_are_one_clear_error(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r;
+    char broken[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
+    kit_tmpdir(broken);
+    struct train_config c = toy_config(&a, NULL);
+    kit_fails(train_run(broken, &c, &r, &e), ERR_NOENT, e, "scene.json");
+    toy_write(broken, true);
+    snprintf(path, sizeof(path), "%s/images/p4.png", broken);
+    assert_int_equal(unlink(path), 0);
+    kit_fails(train_run(broken, &c, &r, &e), ERR_NOENT, e, "p4.png");
+    kit_ok(file_write(path, "GIF89a", 6, &e), e);
+    kit_fails(train_run(broken, &c, &r, &e), ERR_FORMAT, e, "p4.png");
+    struct image small = {0};
+    kit_ok(image_alloc(7, 5, 3, &small, &e), e);
+    kit_ok(image_write(path, &small, 0, NULL, &e), e);
+    image_free(&small);
+    kit_fails(train_run(broken, &c, &r, &e), ERR_DATA, e, "7 x 5");
+    kit_rmdir(broken);
+    arena_free(&a);
+}
+
+static int open_device(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    progress_quiet(true);
+    log_set_level(LOG_ERROR);
+    kit_ok(dev_open(NULL, &dev, &e), e);
+    kit_tmpdir(scene_dir);
+    toy_write(scene_dir, true);
+    return 0;
+}
+
+static int close_device(void **state)
+{
+    (void)state;
+    kit_rmdir(scene_dir);
+    dev_close(&dev);
+    return 0;
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(cameras_at_training_size_keep_the_view),
+        cmocka_unit_test(the_feed_shows_every_photograph_once_an_epoch_within_its_cache),
+        cmocka_unit_test(twenty_steps_give_the_golden_trace),
+        cmocka_unit_test(training_improves_keeps_budgets_and_repeats),
+        cmocka_unit_test(a_stopped_run_goes_on_as_if_it_had_not_been),
+        cmocka_unit_test(a_damaged_state_is_refused),
+        cmocka_unit_test(a_scene_without_points_starts_from_random_ones),
+        cmocka_unit_test(broken_scenes_are_one_clear_error),
+    };
+    return cmocka_run_group_tests_name("train", tests, open_device, close_device);
+}
