@@ -458,7 +458,7 @@ int job_retry_after(struct jobs *js, enum job_class cls)
     pthread_mutex_lock(&js->lock);
     uint64_t n = js->stats.ended[cls][JOB_OK] + js->stats.ended[cls][JOB_ERROR];
     double mean_s = n ? js->stats.run_s[cls] / (double)n : 1;
-    double threads = cls == JOB_VIEW ? 1 : (double)js->cfg.tile_threads;
+    double threads = cls == JOB_VIEW ? 1 : fmax(1, (double)js->cfg.tile_threads);
     double wait_s = ceil((double)js->queue[cls].n * mean_s / threads);
     pthread_mutex_unlock(&js->lock);
     return wait_s < 1 ? 1 : wait_s > 10 ? 10 : (int)wait_s;

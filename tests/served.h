@@ -1,0 +1,90 @@
+/* A small city to serve, for the tests of the server: three zooms about a place, one Gaussian cloud a tile,
+ * and options as the command line would give them.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TESTS_SERVED_H
+#define TESTS_SERVED_H
+
+#include "tests/kit.h"
+
+#include <sqlite3.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "server/server.h"
+
+enum { SERVED_ZOOM_MIN = 15, SERVED_ZOOM_MAX = 17 };
+static const struct geo_origin served_origin = {13.4, 52.5, 40};
+
+static inline void served_put(struct store *s, struct key key, size_t n)
+{
+    struct err e = {0};
+    struct gauss g = {0};
+    double lon, lat, h;
+    key_center(key, &lon, &lat);
+    kit_gauss(key.z * 1000 + key.x % 100 * 10 + key.y % 10, n, 30, 1, 0, &g);
+    kit_ok(geo_to_enu(&served_origin, lon, lat, 40, g.origin_enu_m, &e), e);
+    (void)h;
+    struct store_tile t = {.key = key, .level = (uint8_t)(key.z - SERVED_ZOOM_MIN + 1),
+                           .geometric_error_m = SERVED_ZOOM_MAX - key.z};
+    kit_ok(store_put(s, &t, &g, &e), e);
+    gauss_free(&g);
+}
+
+/* The tile at the origin on three zooms and its western neighbour's children are left out: 1 + 1 + 2. */
+static inline struct key served_key(uint8_t z)
+{
+    return key_at(served_origin.lon_deg, served_origin.lat_deg, z);
+}
+
+static inline void served_city(const char *path, const char *name, size_t n)
+{
+    struct err e = {0};
+    struct store *s = NULL;
+    struct store_meta meta = {.origin = served_origin, .sh_degree = 1, .zoom_min = SERVED_ZOOM_MIN,
+                              .zoom_max = SERVED_ZOOM_MAX};
+    snprintf(meta.name, sizeof(meta.name), "%s", name);
+    snprintf(meta.attribution, sizeof(meta.attribution), "a test");
+    kit_ok(store_create(path, &meta, &s, &e), e);
+    for (uint8_t z = SERVED_ZOOM_MIN; z <= SERVED_ZOOM_MAX; z++)
+        served_put(s, served_key(z), n);
+    struct key sibling = served_key(SERVED_ZOOM_MAX);
+    sibling.x ^= 1;
+    served_put(s, sibling, n);
+    kit_ok(store_commit(&s, &e), e);
+}
+
+/* Damage the stored bytes of one tile, as a failing disk would. */
+static inline void served_damage(const char *path, struct key k)
+{
+    sqlite3 *db = NULL;
+    char sql[256];
+    snprintf(sql, sizeof(sql),
+             "UPDATE tiles SET payload = zeroblob(length(payload)) WHERE z=%u AND x=%u AND y=%u", k.z, k.x,
+             k.y);
+    assert_int_equal(sqlite3_open(path, &db), SQLITE_OK);
+    assert_int_equal(sqlite3_exec(db, sql, NULL, NULL, NULL), SQLITE_OK);
+    assert_int_equal(sqlite3_changes(db), 1);
+    sqlite3_close(db);
+}
+
+static inline void served_config(struct server_config *cfg, struct arena *arena)
+{
+    static const struct options_def defs[] = {
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct server_config, type, key, def, lo, hi, unit, help)
+#include "server/options.def"
+#undef OPT
+    };
+    const struct options_spec spec = {
+        .command = "serve", .defs = defs, .n_defs = sizeof(defs) / sizeof(*defs)};
+    struct err e = {0};
+    kit_ok(options_defaults(&spec, cfg, arena, &e), e);
+    cfg->port = 0;
+    cfg->device = "none";
+    cfg->cache_mb = 64;
+    cfg->access_log = false;
+}
+
+#endif
