@@ -23,6 +23,7 @@
 #define LAYOUT_PROJECT_GROUPS 64 /* groups per work-item of the per-Gaussian kernels when VW is 16 */
 #define LAYOUT_SORT_CHUNKS 32
 #define LAYOUT_SORT_BITS 11 /* three passes cover a 32-bit key */
+#define LAYOUT_KEY_TILES 2047 /* low bits of a sort key: spent after the first pass, then tile counts */
 #define LAYOUT_BIN_CHUNKS 32
 #define LAYOUT_DET_MAX 1e30f /* px^4: a 2-D covariance above is culled, long before float overflows */
 #define LAYOUT_DEPTH_MAX 1e10f /* m */
@@ -73,8 +74,8 @@ struct layout_view {
 struct layout_counts {
     LAYOUT_U64 entries;                           /* (splat, tile) pairs */
     LAYOUT_U64 chunk_entries[LAYOUT_SORT_CHUNKS]; /* of each chunk of Gaussians; then where it starts */
-    LAYOUT_U32 visible;
-    LAYOUT_U32 unused;
+    LAYOUT_U32 visible, unused;
+    LAYOUT_U32 bin_pairs[LAYOUT_BIN_CHUNKS]; /* entries of each chunk of the depth order */
 };
 
 /* What one (splat, tile) pair leaves behind in the backward pass, see render/blend_backward.cl. */
@@ -82,7 +83,8 @@ struct layout_counts {
 
 #ifndef __OPENCL_C_VERSION__
 static_assert(sizeof(struct layout_splat) == 64, "one cache line a splat");
-static_assert(sizeof(struct layout_counts) == 8 * (2 + LAYOUT_SORT_CHUNKS), "no padding");
+static_assert(sizeof(struct layout_counts) == 8 * (2 + LAYOUT_SORT_CHUNKS) + 4 * LAYOUT_BIN_CHUNKS,
+              "no padding");
 static_assert(sizeof(struct layout_view) == 39 * 4, "no padding: kernels read the same words");
 #endif
 

@@ -1,13 +1,17 @@
 // Stage: bin. Splats in depth order -> the list of each tile, in depth order.
-//   in   order [visible], splats, slot_first
+//   in   order [visible], keys [visible] (tile counts, see sort.cl), splats, slot_first, tiles_of
 //   out  tile_start [tiles + 1], entry_splat and entry_slot [entries]
-// A counting sort by tile: LAYOUT_BIN_CHUNKS fixed chunks of the depth order count their splats per tile,
-// sums over chunks and tiles tell each chunk where its part of each list begins, and a second walk writes.
-// The walks read one cache line per splat in depth order, that is at random; they fetch ahead.
+// A counting sort by tile. First the pairs of splat and tile are written out in depth order, row of tiles by
+// row (bin_expand: the only walk that reads records, at random, and the only one with short loops); then
+// two straight walks over the pairs count and place them. LAYOUT_BIN_CHUNKS fixed chunks of the depth order
+// work side by side: sums over chunks and tiles tell each where its part of each list begins.
+//   pair_tile, pair_splat, pair_slot [entries]: the pairs in depth order
 //   bin_offset [chunk][stride], stride = tiles rounded up to 16
+// `cap` is the room for pairs. The host has made enough; nothing is written beyond whatever happens.
 // Local size 1: one work-item is one chunk.
 
-#define AHEAD 12
+#define AHEAD 16
+#define BURST 8 // pairs written at once; what is too many is overwritten by the next
 
 inline uint2 bin_range(uint n, uint chunk)
 {
@@ -15,40 +19,79 @@ inline uint2 bin_range(uint n, uint chunk)
     return min((uint2)(each * chunk, each * (chunk + 1)), (uint2)(n));
 }
 
-// Runs BODY with `tile` for every tile of splat s, row by row.
-#define FOR_TILES(s, tiles_x, BODY)                                                                \
-    {                                                                                              \
-        uint cover = (s)->cover, row = cover & 1023, col0 = (cover >> 10) & 1023;                  \
-        uint rows = ((cover >> 20) & 1023) + 1, shift = cover >> 30;                               \
-        uint step = (rows + LAYOUT_BANDS - 1) / LAYOUT_BANDS, end_row = row + rows;                \
-        for (uint band = 0; row < end_row; band++) {                                               \
-            uint pair = ((s)->bands[band >> 1] >> (16 * (band & 1))) & 0xFFFF;                     \
-            uint first = pair & 255, last = pair >> 8, stop = min(row + step, end_row);            \
-            uint left = col0 + (first << shift);                                                   \
-            uint right = min(col0 + ((last + 1) << shift), (uint)(tiles_x));                       \
-            for (; row < stop; row++)                                                              \
-                if (first <= last)                                                                 \
-                    for (uint tile = row * (tiles_x) + left; tile < row * (tiles_x) + right; tile++) { \
-                        BODY                                                                       \
-                    }                                                                              \
-        }                                                                                          \
+// Pairs of each chunk, from the tile counts that the sort carried along.
+__kernel void bin_total(__global const uint *order, __global const uint *keys,
+                        __global const uint *tiles_of, __global struct layout_counts *counts)
+{
+    uint chunk = (uint)get_global_id(0), sum = 0;
+    uint2 range = bin_range(counts->visible, chunk);
+    for (uint i = range.x; i < range.y; i++) {
+        uint here = keys[i] & LAYOUT_KEY_TILES;
+        sum += here == LAYOUT_KEY_TILES ? tiles_of[order[i]] : here;
     }
+    counts->bin_pairs[chunk] = sum;
+}
 
-__kernel void bin_count(__constant struct layout_view *view, __global const uint *order,
-                        __global const struct layout_splat *splats,
-                        __global const struct layout_counts *counts, uint stride,
-                        __global uint *bin_offset)
+// Pairs before this chunk and up to its end, within cap.
+inline uint2 bin_pairs(__global const struct layout_counts *counts, uint chunk, uint cap)
+{
+    uint2 range = (uint2)(0, 0);
+    for (uint c = 0; c <= chunk; c++) {
+        range.x = range.y;
+        range.y += counts->bin_pairs[c];
+    }
+    return min(range, (uint2)(cap));
+}
+
+__kernel void bin_expand(__constant struct layout_view *view, __global const uint *order,
+                         __global const struct layout_splat *splats, __global const uint *slot_first,
+                         __global const struct layout_counts *counts, uint cap, uint stride,
+                         __global uint *pair_tile, __global uint *pair_splat, __global uint *pair_slot,
+                         __global uint *bin_offset)
 {
     uint chunk = (uint)get_global_id(0), tiles_x = view->tiles_x;
-    uint2 range = bin_range(counts->visible, chunk);
+    uint2 range = bin_range(counts->visible, chunk), pairs = bin_pairs(counts, chunk, cap);
+    const uint8 burst = (uint8)(0, 1, 2, 3, 4, 5, 6, 7);
+    uint k = pairs.x;
+    for (uint i = range.x; i < range.y; i++) {
+        uint id = order[i], ahead = order[min(i + AHEAD, range.y - 1)], slot = slot_first[id];
+        PREFETCH(splats + ahead);
+        PREFETCH(slot_first + ahead);
+        __global const struct layout_splat *s = splats + id;
+        uint cover = s->cover, row = cover & 1023, col0 = (cover >> 10) & 1023;
+        uint rows = ((cover >> 20) & 1023) + 1, shift = cover >> 30;
+        uint step = rows <= LAYOUT_BANDS ? 1 : (rows + LAYOUT_BANDS - 1) / LAYOUT_BANDS;
+        for (uint end_row = row + rows, left = 0, n = 0, in_band = 0, band = 0; row < end_row; row++) {
+            if (in_band == 0) {
+                uint pair = (s->bands[band >> 1] >> (16 * (band & 1))) & 0xFFFF;
+                uint first = pair & 255, last = pair >> 8;
+                left = col0 + (first << shift);
+                n = first <= last ? min(col0 + ((last + 1) << shift), tiles_x) - left : 0;
+                in_band = step;
+                band++;
+            }
+            in_band--;
+            uint tile = row * tiles_x + left;
+            if (n <= BURST && k + BURST <= pairs.y) {
+                vstore8(tile + burst, 0, pair_tile + k);
+                vstore8((uint8)(id), 0, pair_splat + k);
+                vstore8(slot + burst, 0, pair_slot + k);
+            } else {
+                for (uint j = 0; j < n && k + j < pairs.y; j++) {
+                    pair_tile[k + j] = tile + j;
+                    pair_splat[k + j] = id;
+                    pair_slot[k + j] = slot + j;
+                }
+            }
+            k += n;
+            slot += n;
+        }
+    }
     __global uint *count = bin_offset + (size_t)chunk * stride;
     for (uint t = 0; t < stride; t += 16)
         vstore16((uint16)(0), 0, count + t);
-    for (uint i = range.x; i < range.y; i++) {
-        __global const struct layout_splat *s = splats + order[i];
-        PREFETCH(splats + order[min(i + AHEAD, range.y - 1)]);
-        FOR_TILES(s, tiles_x, count[tile]++;)
-    }
+    for (k = pairs.x; k < pairs.y; k++)
+        count[pair_tile[k]]++;
 }
 
 // One work-item per 16 tiles: sums over the chunks; tile_start holds the length of each list afterwards.
@@ -79,31 +122,20 @@ __kernel void bin_scan(uint tiles, __global uint *tile_start)
     tile_start[tiles] = sum;
 }
 
-// `cap` is the room in the lists. The host has made enough; nothing is written beyond it whatever happens.
-__kernel void bin_scatter(__constant struct layout_view *view, __global const uint *order,
-                          __global const struct layout_splat *splats,
-                          __global const struct layout_counts *counts, uint stride,
-                          __global uint *bin_offset, __global const uint *tile_start,
-                          __global const uint *slot_first, uint cap, __global uint *entry_splat,
+__kernel void bin_scatter(__global const struct layout_counts *counts, uint cap, uint stride,
+                          __global const uint *pair_tile, __global const uint *pair_splat,
+                          __global const uint *pair_slot, __global const uint *tile_start,
+                          __global uint *bin_offset, __global uint *entry_splat,
                           __global uint *entry_slot)
 {
-    uint chunk = (uint)get_global_id(0), tiles_x = view->tiles_x;
-    uint2 range = bin_range(counts->visible, chunk);
+    uint chunk = (uint)get_global_id(0);
+    uint2 pairs = bin_pairs(counts, chunk, cap);
     __global uint *next = bin_offset + (size_t)chunk * stride;
     for (uint t = 0; t < stride; t += 16)
         vstore16(vload16(0, next + t) + vload16(0, tile_start + t), 0, next + t);
-    for (uint i = range.x; i < range.y; i++) {
-        uint id = order[i], slot = slot_first[id], ahead = order[min(i + AHEAD, range.y - 1)];
-        __global const struct layout_splat *s = splats + id;
-        PREFETCH(splats + ahead);
-        PREFETCH(slot_first + ahead);
-        FOR_TILES(s, tiles_x, {
-            uint at = next[tile]++;
-            if (at < cap) {
-                entry_splat[at] = id;
-                entry_slot[at] = slot;
-            }
-            slot++;
-        })
+    for (uint k = pairs.x; k < pairs.y; k++) {
+        uint at = next[pair_tile[k]]++;
+        entry_splat[at] = pair_splat[k];
+        entry_slot[at] = pair_slot[k];
     }
 }

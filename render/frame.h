@@ -47,11 +47,12 @@ struct render {
     struct frame_buffer slot_first; /* uint */
 
     /* scratch of the sort and the result */
-    struct frame_buffer keys[2], ids[2]; /* uint [n]; depth order ends in ids[0] */
+    struct frame_buffer keys[2], ids[2]; /* uint [n]; depth order ends in ids[0], tile counts in keys[0] */
     struct frame_buffer histogram;       /* uint [digits][LAYOUT_SORT_CHUNKS] */
     cl_mem counts;                       /* struct layout_counts[1] */
 
     /* per tile and per entry */
+    struct frame_buffer pair_tile, pair_splat, pair_slot; /* uint [entries]: all pairs in depth order */
     struct frame_buffer bin_offset;  /* uint [LAYOUT_BIN_CHUNKS][tiles rounded up to 16] */
     struct frame_buffer tile_start;  /* uint [.. + 1]: entries of tile t are [start[t], start[t + 1]) */
     struct frame_buffer entry_splat; /* uint [entries]: index of the Gaussian (and of its record) */
@@ -65,8 +66,8 @@ struct render {
     /* -- programs ------------------------------------------------------------------------------ */
     cl_program program; /* forward: layout.h common.cl project.cl sort.cl bin.cl blend_cpu.cl or _gpu */
     struct frame_kernels {
-        cl_kernel project, sort_count, sort_scan, sort_scatter, bin_count, bin_sum, bin_scan, bin_scatter,
-            blend;
+        cl_kernel project, sort_count, sort_scan, sort_scatter, bin_total, bin_expand, bin_sum, bin_scan,
+            bin_scatter, blend;
     } k;
 
     /* -- the other direction: made by render_backward.c on first use, freed by render_close through

@@ -72,9 +72,9 @@ static enum err_code render_build(struct render *r, struct err *e)
         cl_kernel *to;
     } kernels[] = {{"project", &r->k.project},       {"sort_count", &r->k.sort_count},
                    {"sort_scan", &r->k.sort_scan},   {"sort_scatter", &r->k.sort_scatter},
-                   {"bin_count", &r->k.bin_count},   {"bin_sum", &r->k.bin_sum},
-                   {"bin_scan", &r->k.bin_scan},     {"bin_scatter", &r->k.bin_scatter},
-                   {"blend", &r->k.blend}};
+                   {"bin_total", &r->k.bin_total},   {"bin_expand", &r->k.bin_expand},
+                   {"bin_sum", &r->k.bin_sum},       {"bin_scan", &r->k.bin_scan},
+                   {"bin_scatter", &r->k.bin_scatter}, {"blend", &r->k.blend}};
     enum err_code rc = dev_build(r->dev, sources, sizeof sources / sizeof *sources, NULL, &r->program, e);
     for (size_t i = 0; rc == ERR_OK && i < sizeof kernels / sizeof *kernels; i++)
         rc = dev_kernel(r->program, kernels[i].name, kernels[i].to, e);
@@ -110,14 +110,15 @@ void render_close(struct render **rp)
     if (r->backward_free)
         r->backward_free(r);
     struct frame_buffer *buffers[] = {
-        &r->splats,     &r->depth_key,  &r->tiles_of,    &r->slot_first, &r->keys[0], &r->keys[1],
-        &r->ids[0],     &r->ids[1],     &r->histogram,   &r->bin_offset, &r->tile_start,
-        &r->entry_splat, &r->entry_slot, &r->color,      &r->transmit,   &r->color_grad};
+        &r->splats,    &r->depth_key, &r->tiles_of,  &r->slot_first, &r->keys[0],     &r->keys[1],
+        &r->ids[0],    &r->ids[1],    &r->histogram, &r->pair_tile,  &r->pair_splat,  &r->pair_slot,
+        &r->bin_offset, &r->tile_start, &r->entry_splat, &r->entry_slot, &r->color,   &r->transmit,
+        &r->color_grad};
     for (size_t i = 0; i < sizeof buffers / sizeof *buffers; i++)
         dev_release(&buffers[i]->mem);
     cl_kernel kernels[] = {r->k.project,   r->k.sort_count, r->k.sort_scan, r->k.sort_scatter,
-                           r->k.bin_count, r->k.bin_sum,    r->k.bin_scan,  r->k.bin_scatter,
-                           r->k.blend};
+                           r->k.bin_total, r->k.bin_expand, r->k.bin_sum,   r->k.bin_scan,
+                           r->k.bin_scatter, r->k.blend};
     for (size_t i = 0; i < sizeof kernels / sizeof *kernels; i++)
         if (kernels[i])
             clReleaseKernel(kernels[i]);
@@ -277,20 +278,28 @@ static enum err_code stage_count(struct render *r, struct err *e)
                        "render_forward: %llu pairs of splat and tile: at most %llu; draw a smaller picture "
                        "or fewer Gaussians", (unsigned long long)counts.entries,
                        (unsigned long long)r->entry_max);
-    rc = frame_reserve(r, &r->entry_splat, (size_t)counts.entries * sizeof(uint32_t), e);
-    if (rc == ERR_OK)
-        rc = frame_reserve(r, &r->entry_slot, (size_t)counts.entries * sizeof(uint32_t), e);
+    struct frame_buffer *lists[] = {&r->pair_tile, &r->pair_splat, &r->pair_slot, &r->entry_splat,
+                                    &r->entry_slot};
+    for (size_t i = 0; rc == ERR_OK && i < sizeof lists / sizeof *lists; i++)
+        rc = frame_reserve(r, lists[i], (size_t)counts.entries * sizeof(uint32_t), e);
     return rc;
 }
 
 static enum err_code stage_bin(struct render *r, struct err *e)
 {
     cl_uint stride = bin_stride(r), tiles = r->tiles, cap = (cl_uint)r->entries;
-    enum err_code rc = frame_run(r, r->k.bin_count, "bin_count",
-                                 FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->ids[0].mem),
-                                            FRAME_ARG(r->splats.mem), FRAME_ARG(r->counts),
-                                            FRAME_ARG(stride), FRAME_ARG(r->bin_offset.mem)),
+    enum err_code rc = frame_run(r, r->k.bin_total, "bin_total",
+                                 FRAME_ARGS(FRAME_ARG(r->ids[0].mem), FRAME_ARG(r->keys[0].mem),
+                                            FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->counts)),
                                  LAYOUT_BIN_CHUNKS, 1, e);
+    if (rc == ERR_OK)
+        rc = frame_run(r, r->k.bin_expand, "bin_expand",
+                       FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->ids[0].mem),
+                                  FRAME_ARG(r->splats.mem), FRAME_ARG(r->slot_first.mem),
+                                  FRAME_ARG(r->counts), FRAME_ARG(cap), FRAME_ARG(stride),
+                                  FRAME_ARG(r->pair_tile.mem), FRAME_ARG(r->pair_splat.mem),
+                                  FRAME_ARG(r->pair_slot.mem), FRAME_ARG(r->bin_offset.mem)),
+                       LAYOUT_BIN_CHUNKS, 1, e);
     if (rc == ERR_OK)
         rc = frame_run(r, r->k.bin_sum, "bin_sum",
                        FRAME_ARGS(FRAME_ARG(stride), FRAME_ARG(r->bin_offset.mem),
@@ -301,11 +310,11 @@ static enum err_code stage_bin(struct render *r, struct err *e)
                        FRAME_ARGS(FRAME_ARG(tiles), FRAME_ARG(r->tile_start.mem)), 1, 1, e);
     if (rc == ERR_OK)
         rc = frame_run(r, r->k.bin_scatter, "bin_scatter",
-                       FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->ids[0].mem),
-                                  FRAME_ARG(r->splats.mem), FRAME_ARG(r->counts), FRAME_ARG(stride),
-                                  FRAME_ARG(r->bin_offset.mem), FRAME_ARG(r->tile_start.mem),
-                                  FRAME_ARG(r->slot_first.mem), FRAME_ARG(cap),
-                                  FRAME_ARG(r->entry_splat.mem), FRAME_ARG(r->entry_slot.mem)),
+                       FRAME_ARGS(FRAME_ARG(r->counts), FRAME_ARG(cap), FRAME_ARG(stride),
+                                  FRAME_ARG(r->pair_tile.mem), FRAME_ARG(r->pair_splat.mem),
+                                  FRAME_ARG(r->pair_slot.mem), FRAME_ARG(r->tile_start.mem),
+                                  FRAME_ARG(r->bin_offset.mem), FRAME_ARG(r->entry_splat.mem),
+                                  FRAME_ARG(r->entry_slot.mem)),
                        LAYOUT_BIN_CHUNKS, 1, e);
     return rc;
 }

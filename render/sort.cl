@@ -1,6 +1,7 @@
 // Stage: sort. Depth keys -> indices of the visible Gaussians, nearest first.
 //   in   depth_key [n], tiles_of [n]
-//   out  ids [visible]; slot_first [n]: exclusive sum of tiles_of in index order; counts
+//   out  ids [visible]; slot_first [n]: exclusive sum of tiles_of in index order; counts;
+//        keys [visible]: min(tiles_of, 2047) in the low 11 bits, which the first pass has spent
 // Least-significant-digit radix sort, three passes of 11 bits over LAYOUT_SORT_CHUNKS fixed chunks; each
 // chunk keeps its own histogram, so equal keys keep their order, and ties are by index. The first pass also
 // drops what was culled and numbers the slots. Positive floats sort as integers.
@@ -74,11 +75,12 @@ __kernel void sort_scatter(__global const uint *keys, __global const uint *ids,
         uint slot = (uint)counts->chunk_entries[chunk];
         for (uint i = range.x; i < range.y; i++) {
             uint key = keys[i];
+            uint tiles = tiles_of[i];
             slot_first[i] = slot;
-            slot += tiles_of[i];
+            slot += tiles;
             if (key != 0xFFFFFFFFu) {
                 uint to = at[key & (DIGITS - 1)]++;
-                keys_out[to] = key;
+                keys_out[to] = (key & ~(uint)LAYOUT_KEY_TILES) | min(tiles, (uint)LAYOUT_KEY_TILES);
                 ids_out[to] = i;
             }
         }
