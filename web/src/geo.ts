@@ -23,11 +23,9 @@ export class Frame {
   readonly worldFromEcef = new Matrix4();
   readonly ecefFromWorld = new Matrix4();
 
-  // origin: any ECEF point of the scene; the frame is east-north-up there.
-  constructor(origin: Vector3) {
-    const place = WGS84_ELLIPSOID.getPositionToCartographic(origin, {});
-    const enu = WGS84_ELLIPSOID.getEastNorthUpFrame(place.lat, place.lon, place.height, new Matrix4());
-    this.worldFromEcef.copy(ENU_TO_WORLD).multiply(enu.invert());
+  // ecefFromEnu: the transform of a tileset's root, which turns east-north-up metres into ECEF.
+  constructor(ecefFromEnu: Matrix4) {
+    this.worldFromEcef.copy(ENU_TO_WORLD).multiply(ecefFromEnu.clone().invert());
     this.ecefFromWorld.copy(this.worldFromEcef).invert();
   }
 

@@ -107,7 +107,7 @@ async function openScene(set: DataSet, pose: Pose | null) {
   document.title = `${set.title} – citysplat`;
   const info = await server.scene(set);
   element("attribution").textContent = info.attribution;
-  stage.frame = new Frame(new Vector3().setFromMatrixPosition(info.transform));
+  stage.frame = new Frame(info.transform);
   stage.setExtent(extentOf(info, stage.frame));
   touched = pose !== null;
   if (pose) stage.look(pose);
@@ -319,9 +319,9 @@ function wireControls() {
   applyCompare();
 }
 
-// Without WebGL 2 the server draws every view: the camera works as usual.
-function startWithoutGraphics() {
-  toast("This browser has no WebGL 2: the server renders the pictures.");
+// Without WebGL 2, or with ?thin in the address, the server draws every view: the camera works as usual.
+function startWithoutGraphics(thin: boolean) {
+  if (!thin) toast("This browser has no WebGL 2: the server renders the pictures.");
   for (const id of ["detail", "detail-hint", "server-button"]) element(id).hidden = true;
   document.querySelector<HTMLElement>(".range")!.hidden = true;
   document.querySelector<HTMLElement>("#panel dl")!.hidden = true;
@@ -339,7 +339,7 @@ function main() {
   stage.onMove = wake;
   if (layer) layer.onWake = wake;
   wireControls();
-  if (!layer) startWithoutGraphics();
+  if (!layer) startWithoutGraphics(thin);
   resize();
   if (SMALL_DEVICE || innerWidth < 640) fold(true);
   requestAnimationFrame(loop);

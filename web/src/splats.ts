@@ -129,6 +129,12 @@ function factsOf(root: Object3D | null | undefined): TileFacts | null {
   return root ? ((findSplats(root)?.userData["facts"] as TileFacts | undefined) ?? null) : null;
 }
 
+// Is there a coarser tile of the same place?
+function hasCoarser(tile: Tile): boolean {
+  for (let up = tile.parent; up; up = up.parent) if (up.internal.hasRenderableContent) return true;
+  return false;
+}
+
 // Asks again when the server is busy (429, 503) after the time it names.
 async function fetchPatiently(url: string, options: RequestInit): Promise<Response> {
   for (let attempt = 0; ; attempt++) {
@@ -244,15 +250,13 @@ export class SplatLayer {
   }
 
   private listen(tiles: Tiles) {
-    let first = true;
-    tiles.addEventListener("load-model", ({ scene }: { scene: Object3D }) => {
+    tiles.addEventListener("load-model", ({ scene, tile }: { scene: Object3D; tile: Tile }) => {
       const facts = factsOf(scene);
       if (!facts) return;
       this.bytes += facts.fileBytes;
       this.spark.blurAmount = facts.antialiased ? BLUR_PX2 : 0;
       this.spark.preBlurAmount = facts.antialiased ? 0 : BLUR_PX2;
-      if (first) this.reportCore(tiles, scene, facts);
-      first = false;
+      if (!hasCoarser(tile)) this.reportCore(tiles, scene, facts);
       this.onWake();
     });
     tiles.addEventListener("dispose-model", ({ scene }: { scene: Object3D }) => {

@@ -2,7 +2,7 @@
 // no graphics card, so it also drives the server-rendered view of browsers without WebGL 2.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { Box3, MathUtils, PerspectiveCamera, Spherical, Vector3 } from "three";
+import { Box3, MathUtils, Matrix4, PerspectiveCamera, Spherical, Vector3 } from "three";
 import { MapControls } from "three/addons/controls/MapControls.js";
 
 import { Frame, type Pose } from "./geo";
@@ -34,7 +34,7 @@ export function isForScene(event: KeyboardEvent): boolean {
 export class Stage {
   readonly camera = new PerspectiveCamera(FOV_DEG, 1, 1, 10000);
   readonly controls: MapControls;
-  frame = new Frame(new Vector3(6378137, 0, 0));
+  frame = new Frame(new Matrix4().makeTranslation(6378137, 0, 0)); // until a scene opens
   private readonly box = new Box3(new Vector3(-50, 0, -50), new Vector3(50, 20, 50));
   private readonly held = new Set<string>();
   private readonly last = { position: new Vector3(), target: new Vector3() };
