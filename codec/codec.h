@@ -192,12 +192,14 @@ void ckpt_free(struct ckpt *c);
 void frame_enu_to_gltf(struct gauss *g);
 void frame_gltf_to_enu(struct gauss *g);
 
-/* INRIA .ply. Import finds properties by name, any scalar type, skips unknown ones; SH degree from the
+/* INRIA .ply, and on import SuperSplat's compressed one. Import finds properties by name, any scalar type, skips unknown ones; SH degree from the
  * number of f_rest. Comments "citysplat origin lon lat h" are read and written (origin may be NULL; on read
  * has_origin tells). Means are read into float32 about origin_enu_m = 0 unless the file carries doubles. */
+enum ply_axes { PLY_AXES_NONE, PLY_AXES_ENU, PLY_AXES_GLTF }; /* NONE: not said; written as ENU */
 struct ply_info {
     bool has_origin;
     struct geo_origin origin;
+    enum ply_axes axes; /* comment "axes ENU" or "axes glTF" */
 };
 enum err_code ply_read(const char *path, const struct codec_limits *lim, struct gauss *out,
                        struct ply_info *info, struct err *e) ERR_USE;

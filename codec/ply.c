@@ -1,0 +1,258 @@
+/* INRIA .ply: the file that 3D Gaussian splatting trainers write and every tool reads.
+ *
+ *   x y z  nx ny nz  f_dc_0..2  f_rest_0..{9,24,45}  opacity  scale_0..2  rot_0..3      all float32
+ *
+ * f_rest is channel-major (all of red first), the container coefficient-major; opacity is a logit, scale a
+ * logarithm, rot is w x y z and need not be of unit length. Reading goes by names, takes every scalar type and
+ * byte order, and skips what it does not know. Writing gives float32 coordinates, or doubles when one is beyond
+ * 4096 m, where float32 steps exceed the 0.25 mm of the other formats. Embeddings are not written.
+ * Source: the code of Kerbl et al., 3D Gaussian Splatting, 2023.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "codec/ply_head.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define FLOAT_REACH_M 4096.0
+/* What writers make of opacity 1 and of flat Gaussians: infinities, brought back to the last sensible value. */
+#define OPACITY_LOGIT_MAX 16.0f
+#define SCALE_LOG_MIN -23.0f
+
+enum { N_FIXED = 14, N_REST_MAX = 72 }; /* x y z dc opacity scale rot; SH degree 4 is cut to 3 */
+
+static const char *const fixed_names[N_FIXED] = {"x",       "y",       "z",       "f_dc_0", "f_dc_1",
+                                                 "f_dc_2",  "opacity", "scale_0", "scale_1", "scale_2",
+                                                 "rot_0",   "rot_1",   "rot_2",   "rot_3"};
+
+struct columns {
+    const struct ply_property *fixed[N_FIXED];
+    const struct ply_property *rest[N_REST_MAX];
+    size_t n_rest; /* per channel */
+    uint32_t sh_degree;
+};
+
+static enum err_code columns_find(const struct ply_element *v, struct columns *out, struct err *e)
+{
+    char name[16];
+    size_t n = 0;
+    for (int i = 0; i < N_FIXED; i++)
+        if (!(out->fixed[i] = ply_head_property(v, fixed_names[i])))
+            return err_set(e, ERR_FORMAT, "ply : property %s is missing : not a file of Gaussians",
+                           fixed_names[i]);
+    for (; n < N_REST_MAX; n++) {
+        snprintf(name, sizeof name, "f_rest_%zu", n);
+        if (!(out->rest[n] = ply_head_property(v, name)))
+            break;
+    }
+    out->n_rest = n / 3;
+    if (n != 0 && n != 9 && n != 24 && n != 45 && n != 72)
+        return err_set(e, ERR_FORMAT, "ply : %zu f_rest properties : 0, 9, 24 or 45 make whole SH degrees", n);
+    out->sh_degree = n >= 45 ? 3 : n >= 24 ? 2 : n >= 9 ? 1 : 0;
+    return ERR_OK;
+}
+
+/* Text rows to float64 rows, so that one reader does for both. mem_free *rows. */
+static enum err_code ascii_rows(const struct ply_head *h, const struct ply_element *v, size_t n,
+                                double **rows, struct err *e)
+{
+    bool lists = false;
+    *rows = NULL;
+    for (size_t i = 0; i < v->n_props; i++)
+        lists = lists || v->props[i].type == PLY_LIST;
+    if (&h->elements[0] != v || lists)
+        return err_set(e, ERR_FORMAT, "ply : in text form the vertices must come first and hold no lists");
+    if (n > h->n_body / (2 * v->n_props) + 1)
+        return err_set(e, ERR_FORMAT, "ply : %zu rows announced in %zu bytes of text : truncated", n, h->n_body);
+    char *text = mem_array(h->n_body + 1, 1), *p = text, *end;
+    double *out = *rows = mem_array(n, v->n_props * sizeof *out);
+    enum err_code rc = text && out ? ERR_OK : err_set(e, ERR_MEM, "ply : out of memory");
+    if (rc == ERR_OK && h->n_body)
+        memcpy(text, h->body, h->n_body);
+    for (size_t i = 0; rc == ERR_OK && i < n * v->n_props; i++, p = end) {
+        out[i] = strtod(p, &end);
+        if (end == p)
+            rc = err_set(e, ERR_FORMAT, "ply : row %zu : not a number, or truncated", i / v->n_props);
+    }
+    mem_free(text);
+    return rc;
+}
+
+struct source { /* binary rows, or ASCII ones as doubles */
+    const struct ply_head *head;
+    const uint8_t *rows;
+    size_t row_bytes, width;
+    const double *text;
+};
+
+static double source_get(const struct source *s, size_t row, const struct ply_property *p)
+{
+    return s->text ? s->text[row * s->width + p->offset]
+                   : ply_head_value(s->head, p, s->rows + row * s->row_bytes);
+}
+
+/* Coordinates in double: the origin goes to the middle of the box, on a whole metre, if it is far. */
+static void means_read(const struct source *s, const struct columns *col, struct gauss *g)
+{
+    double lo[3] = {INFINITY, INFINITY, INFINITY}, hi[3] = {-INFINITY, -INFINITY, -INFINITY};
+    for (int c = 0; c < 3; c++) {
+        if (col->fixed[c]->type == PLY_F64 || s->text)
+            for (size_t i = 0; i < g->n; i++) {
+                double v = source_get(s, i, col->fixed[c]);
+                lo[c] = v < lo[c] ? v : lo[c];
+                hi[c] = v > hi[c] ? v : hi[c];
+            }
+        double far = fmax(fabs(lo[c]), fabs(hi[c]));
+        g->origin_enu_m[c] = far > FLOAT_REACH_M && isfinite(far) ? round(lo[c] / 2 + hi[c] / 2) : 0;
+    }
+    for (size_t i = 0; i < g->n; i++)
+        for (int c = 0; c < 3; c++)
+            g->mean_m[3 * i + c] = (float)(source_get(s, i, col->fixed[c]) - g->origin_enu_m[c]);
+}
+
+static void rows_read(const struct source *s, const struct columns *col, struct gauss *g)
+{
+    const size_t k = gauss_sh_count(g->sh_degree), n_rest = k - 1;
+    means_read(s, col, g);
+    for (size_t i = 0; i < g->n; i++) {
+        float *sh = g->sh + 3 * k * i;
+        for (size_t c = 0; c < 3; c++) {
+            float ln = (float)source_get(s, i, col->fixed[7 + c]);
+            g->scale_log[3 * i + c] = ln < SCALE_LOG_MIN && !isfinite(ln) ? SCALE_LOG_MIN : ln;
+            sh[c] = (float)source_get(s, i, col->fixed[3 + c]);
+            for (size_t r = 0; r < n_rest; r++)
+                sh[3 * (r + 1) + c] = (float)source_get(s, i, col->rest[c * col->n_rest + r]);
+        }
+        float logit = (float)source_get(s, i, col->fixed[6]);
+        g->opacity_logit[i] = isinf(logit) ? copysignf(OPACITY_LOGIT_MAX, logit) : logit;
+        for (size_t c = 0; c < 4; c++)
+            g->quat_wxyz[4 * i + c] = (float)source_get(s, i, col->fixed[10 + c]);
+    }
+}
+
+static enum err_code inria_read(const struct ply_head *h, const struct codec_limits *lim, struct gauss *out,
+                                struct err *e)
+{
+    const struct ply_element *v = ply_head_element(h, "vertex");
+    struct columns col = {0};
+    double *text = NULL;
+    size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS, bad = 0, n_bad;
+    if (!v)
+        return err_set(e, ERR_FORMAT, "ply : no element vertex");
+    enum err_code rc = columns_find(v, &col, e);
+    if (rc == ERR_OK && v->count > most)
+        rc = err_set(e, ERR_LIMIT, "ply : %zu Gaussians : the limit is %zu", v->count, most);
+    if (rc == ERR_OK && h->format == PLY_ASCII)
+        rc = ascii_rows(h, v, v->count, &text, e);
+    else if (rc == ERR_OK && !v->rows)
+        rc = err_set(e, ERR_FORMAT, "ply : the vertices stand behind or hold lists, which are not read");
+    if (rc == ERR_OK)
+        rc = gauss_alloc(out, v->count, col.sh_degree, 0, e);
+    if (rc == ERR_OK) {
+        struct source s = {h, v->rows, v->row_bytes, v->n_props, text};
+        out->n = v->count;
+        out->antialiased = h->antialiased;
+        rows_read(&s, &col, out);
+        if ((n_bad = gauss_count_bad(out, &bad)))
+            rc = err_set(e, ERR_DATA, "ply : row %zu : not finite, or no rotation (%zu such rows) : remove them",
+                         bad, n_bad);
+    }
+    if (rc != ERR_OK)
+        gauss_free(out);
+    mem_free(text);
+    return rc;
+}
+
+enum err_code ply_decode(const void *bytes, size_t n, const struct codec_limits *lim, struct gauss *out,
+                         struct ply_info *info, struct err *e)
+{
+    struct ply_head h;
+    *out = (struct gauss){0};
+    enum err_code rc = ply_head_read(bytes, n, &h, e);
+    if (rc == ERR_OK)
+        rc = ply_packed_is(&h) ? ply_packed_read(&h, lim, out, e) : inria_read(&h, lim, out, e);
+    if (rc == ERR_OK && info)
+        *info = h.info;
+    ply_head_free(&h);
+    return rc;
+}
+
+enum err_code ply_read(const char *path, const struct codec_limits *lim, struct gauss *out,
+                       struct ply_info *info, struct err *e)
+{
+    struct buf b = {0};
+    *out = (struct gauss){0};
+    enum err_code rc = file_read(path, lim && lim->max_bytes ? lim->max_bytes : CODEC_MAX_BYTES, &b, e);
+    if (rc == ERR_OK && (rc = ply_decode(b.data, b.size, lim, out, info, e)) != ERR_OK)
+        err_add(e, "%s", path);
+    buf_free(&b);
+    return rc;
+}
+
+/* ---- writing -------------------------------------------------------------------------------------------- */
+
+static void head_write(const struct gauss *g, const struct ply_info *info, bool doubles, struct buf *out)
+{
+    size_t n_rest = 3 * (gauss_sh_count(g->sh_degree) - 1);
+    buf_printf(out, "ply\nformat binary_little_endian 1.0\n");
+    if (info && info->has_origin)
+        buf_printf(out, "comment citysplat origin %.17g %.17g %.17g\n", info->origin.lon_deg,
+                   info->origin.lat_deg, info->origin.h_m);
+    buf_printf(out, "comment axes %s\n", info && info->axes == PLY_AXES_GLTF ? "glTF" : "ENU");
+    if (g->antialiased)
+        buf_printf(out, "comment antialiased 1\n");
+    buf_printf(out, "element vertex %zu\n", g->n);
+    for (int c = 0; c < 3; c++)
+        buf_printf(out, "property %s %c\n", doubles ? "double" : "float", "xyz"[c]);
+    buf_printf(out, "property float nx\nproperty float ny\nproperty float nz\n");
+    for (int i = 3; i < 6; i++)
+        buf_printf(out, "property float %s\n", fixed_names[i]);
+    for (size_t i = 0; i < n_rest; i++)
+        buf_printf(out, "property float f_rest_%zu\n", i);
+    for (int i = 6; i < N_FIXED; i++)
+        buf_printf(out, "property float %s\n", fixed_names[i]);
+    buf_printf(out, "end_header\n");
+}
+
+enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, struct buf *out, struct err *e)
+{
+    const size_t k = gauss_sh_count(g->sh_degree), n_rest = k - 1;
+    size_t bad = 0, start = out->size;
+    bool doubles = false;
+    if (gauss_count_bad(g, &bad))
+        return err_set(e, ERR_DATA, "ply : row %zu : not finite, or no rotation", bad);
+    for (size_t i = 0; i < 3 * g->n && !doubles; i++)
+        doubles = fabs((double)g->mean_m[i] + g->origin_enu_m[i % 3]) > FLOAT_REACH_M;
+    if (doubles && !g->origin_enu_m[0] && !g->origin_enu_m[1] && !g->origin_enu_m[2])
+        doubles = false; /* they are float32 already */
+    head_write(g, info, doubles, out);
+    const size_t n_tail = 3 + 3 * k + 1 + 3 + 4, row = 3 * (doubles ? 8 : 4) + 4 * n_tail;
+    uint8_t *p = g->n <= SIZE_MAX / row ? buf_grow(out, g->n * row) : NULL;
+    if (!p) {
+        out->size = start;
+        return err_set(e, ERR_MEM, "ply : %zu Gaussians : out of memory", g->n);
+    }
+    for (size_t i = 0; i < g->n; i++) {
+        const float *sh = g->sh + 3 * k * i;
+        float tail[3 + 48 + 8] = {0}, *t = tail + 3; /* normals 0 */
+        for (size_t c = 0; c < 3; c++) {
+            double v = (double)g->mean_m[3 * i + c] + g->origin_enu_m[c];
+            float f = (float)v;
+            memcpy(p, doubles ? (const void *)&v : &f, doubles ? 8 : 4);
+            p += doubles ? 8 : 4;
+            *t++ = sh[c];
+        }
+        for (size_t c = 0; c < 3; c++)
+            for (size_t r = 1; r <= n_rest; r++)
+                *t++ = sh[3 * r + c];
+        *t++ = g->opacity_logit[i];
+        memcpy(t, g->scale_log + 3 * i, 12);
+        memcpy(t + 3, g->quat_wxyz + 4 * i, 16);
+        memcpy(p, tail, 4 * n_tail);
+        p += 4 * n_tail;
+    }
+    return ERR_OK;
+}

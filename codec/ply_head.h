@@ -1,0 +1,50 @@
+/* The header of a .ply: elements, properties, comments. Shared by the readers of its two splat dialects.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef CODEC_PLY_HEAD_H
+#define CODEC_PLY_HEAD_H
+
+#include "codec/codec.h"
+
+enum ply_type { PLY_I8, PLY_U8, PLY_I16, PLY_U16, PLY_I32, PLY_U32, PLY_F32, PLY_F64, PLY_LIST };
+enum ply_format { PLY_ASCII, PLY_LITTLE, PLY_BIG };
+
+struct ply_property {
+    const char *name; /* lives in the head's arena */
+    enum ply_type type;
+    size_t offset; /* in a binary row; column in an ASCII one */
+};
+struct ply_element {
+    const char *name;
+    size_t count;
+    struct ply_property *props;
+    size_t n_props;
+    size_t row_bytes;    /* 0 with a list */
+    const uint8_t *rows; /* binary: count * row_bytes checked to be there; NULL behind an ASCII or list element */
+};
+struct ply_head { /* {0} is empty */
+    enum ply_format format;
+    struct ply_element *elements;
+    size_t n_elements;
+    struct ply_info info;
+    bool antialiased;
+    const uint8_t *body;
+    size_t n_body;
+    struct arena arena;
+};
+
+/* Parse and check against n. ERR_FORMAT names the line. ply_head_free it, also on error. */
+enum err_code ply_head_read(const void *bytes, size_t n, struct ply_head *out, struct err *e) ERR_USE;
+void ply_head_free(struct ply_head *h);
+const struct ply_element *ply_head_element(const struct ply_head *h, const char *name);
+const struct ply_property *ply_head_property(const struct ply_element *el, const char *name);
+/* One binary value, converted. */
+double ply_head_value(const struct ply_head *h, const struct ply_property *p, const uint8_t *row);
+
+/* ply_packed.c: SuperSplat's compressed .ply. */
+bool ply_packed_is(const struct ply_head *h);
+enum err_code ply_packed_read(const struct ply_head *h, const struct codec_limits *lim, struct gauss *out,
+                              struct err *e) ERR_USE;
+
+#endif
