@@ -1,0 +1,273 @@
+/* 3D Tiles 1.1 and TileJSON 3.0.0 of a store, checked against the rules that engines rely on.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include <jansson.h>
+
+#include "lod/lod.h"
+#include "lod/tree.h"
+
+#define PLACE_TOLERANCE_M 1e-3 /* boxes are printed to micrometres; ECEF doubles hold nanometres */
+
+struct fixture {
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    struct store *s;
+};
+
+static void build(struct fixture *f, const struct geo_origin *origin, size_t n, const char *attribution)
+{
+    struct err e = {0};
+    struct gauss g;
+    struct pyramid_config c = {.tile_edge_m = 60, .name = "rules"};
+    snprintf(c.attribution, sizeof c.attribution, "%s", attribution);
+    kit_gauss(1, n, 150, 0, 0, &g);
+    const struct pyramid_level level = {.g = &g, .level = 3};
+    kit_ok(pyramid_build(origin, &level, 1, &c, NULL, 0, f->path, NULL, &e), e);
+    kit_ok(store_open(f->path, &f->s, &e), e);
+    gauss_free(&g);
+}
+
+static int setup(void **state)
+{
+    struct fixture *f = mem_array(1, sizeof *f);
+    struct err e = {0};
+    kit_tmpdir(f->dir);
+    kit_ok(file_join(f->path, f->dir, "city.tiles", &e), e);
+    *state = f;
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    struct fixture *f = *state;
+    store_close(&f->s);
+    kit_rmdir(f->dir);
+    mem_free(f);
+    return 0;
+}
+
+static json_t *tileset_of(struct fixture *f)
+{
+    struct err e = {0};
+    struct buf b = {0};
+    json_t *j;
+    kit_ok(tileset_write(f->s, "t/{z}/{x}/{y}.glb", &b, &e), e);
+    kit_ok(jsonc_parse((const char *)b.data, b.size, "tileset", &j, &e), e);
+    buf_free(&b);
+    return j;
+}
+
+static void nums(const json_t *a, size_t n, double *out)
+{
+    assert_int_equal(json_array_size(a), n);
+    for (size_t i = 0; i < n; i++) {
+        assert_true(json_is_number(json_array_get(a, i)));
+        out[i] = json_number_value(json_array_get(a, i));
+    }
+}
+
+static void assert_names(const json_t *a, const char *one, const char *two)
+{
+    assert_int_equal(json_array_size(a), two ? 2 : 1);
+    assert_string_equal(json_string_value(json_array_get(a, 0)), one);
+    if (two)
+        assert_string_equal(json_string_value(json_array_get(a, 1)), two);
+}
+
+static void heads_are_what_engines_look_for(void **state)
+{
+    struct fixture *f = *state;
+    build(f, &(struct geo_origin){8.6821, 50.1109, 160}, 3000, "© Survey <2026> & \"Co\"");
+    json_t *j = tileset_of(f);
+    json_t *asset = json_object_get(j, "asset");
+    assert_string_equal(json_string_value(json_object_get(asset, "version")), "1.1");
+    assert_string_equal(json_string_value(json_object_get(asset, "tilesetVersion")), store_info(f->s)->revision);
+    json_t *credits = json_object_get(json_object_get(json_object_get(asset, "extras"), "cesium"), "credits");
+    assert_string_equal(json_string_value(json_object_get(json_array_get(credits, 0), "html")),
+                        "© Survey <2026> & \"Co\"");
+    assert_true(json_is_true(json_object_get(json_array_get(credits, 0), "showOnScreen")));
+    assert_names(json_object_get(j, "extensionsUsed"), "3DTILES_content_gltf", NULL);
+    assert_null(json_object_get(j, "extensionsRequired")); /* never in 1.1 */
+    json_t *block = json_object_get(json_object_get(j, "extensions"), "3DTILES_content_gltf");
+    const char *base = "KHR_gaussian_splatting", *spz = "KHR_gaussian_splatting_compression_spz_2";
+    assert_names(json_object_get(block, "extensionsUsed"), base, spz);
+    assert_names(json_object_get(block, "extensionsRequired"), base, spz);
+    json_t *root = json_object_get(j, "root");
+    assert_string_equal(json_string_value(json_object_get(root, "refine")), "REPLACE");
+    assert_true(json_number_value(json_object_get(j, "geometricError")) >
+                json_number_value(json_object_get(root, "geometricError")));
+    json_decref(j);
+}
+
+struct walk {
+    struct fixture *f;
+    size_t n_tiles;
+    double rot[9]; /* of the root */
+};
+
+static struct key key_of_uri(const char *uri)
+{
+    unsigned z, x, y;
+    int end = 0;
+    assert_int_equal(sscanf(uri, "t/%u/%u/%u.glb%n", &z, &x, &y, &end), 3);
+    assert_int_equal(uri[end], 0);
+    return (struct key){(uint8_t)z, x, y};
+}
+
+/* `at` is the ECEF place of the parent's frame. */
+static void walk(struct walk *w, const json_t *node, const double at[3], double error_above, bool root)
+{
+    struct err e = {0};
+    double m[16], box[12], here[3];
+    nums(json_object_get(node, "transform"), 16, m);
+    nums(json_object_get(json_object_get(node, "boundingVolume"), "box"), 12, box);
+    if (root) {
+        for (size_t c = 0; c < 3; c++)
+            for (size_t r = 0; r < 3; r++)
+                w->rot[3 * r + c] = m[4 * c + r];
+        memcpy(here, m + 12, sizeof here);
+    } else { /* nothing but a translation, in the root's axes */
+        for (size_t i = 0; i < 12; i++)
+            assert_true(m[i] == (i % 5 == 0 ? 1.0 : 0.0));
+        for (size_t r = 0; r < 3; r++)
+            here[r] = at[r] + w->rot[3 * r] * m[12] + w->rot[3 * r + 1] * m[13] + w->rot[3 * r + 2] * m[14];
+        assert_null(json_object_get(node, "refine"));
+    }
+    assert_true(m[3] == 0 && m[7] == 0 && m[11] == 0 && m[15] == 1);
+    double error = json_number_value(json_object_get(node, "geometricError"));
+    assert_true(error < error_above);
+    json_t *children = json_object_get(node, "children");
+    assert_true(json_array_size(children) > 0 ? error > 0 : error == 0);
+    json_t *content = json_object_get(node, "content");
+    if (content) {
+        struct key k = key_of_uri(json_string_value(json_object_get(content, "uri")));
+        const struct store_tile *t = store_find(w->f->s, k);
+        assert_non_null(t);
+        w->n_tiles++;
+        /* The frame stands at the payload's origin: ENU -> ECEF of it by geodesy alone. */
+        double lon, lat, h, place[16];
+        kit_ok(geo_from_enu(&store_info(w->f->s)->origin, t->center_enu_m, &lon, &lat, &h, &e), e);
+        kit_ok(geo_enu_to_ecef(&(struct geo_origin){lon, lat, h}, place, &e), e);
+        kit_near_d("frame", here, place + 12, 3, PLACE_TOLERANCE_M, 0);
+        for (size_t k3 = 0; k3 < 3; k3++) { /* the box holds the tile's own bounds */
+            double c = box[k3], half = box[3 + 4 * k3];
+            assert_true(c - half <= t->min_enu_m[k3] - t->center_enu_m[k3] + 1e-6);
+            assert_true(c + half >= t->max_enu_m[k3] - t->center_enu_m[k3] - 1e-6);
+        }
+    }
+    for (size_t i = 0; i < 9; i++)
+        assert_true(i % 4 == 0 ? box[3 + i] > 0 : box[3 + i] == 0);
+    json_t *child;
+    size_t i;
+    json_array_foreach(children, i, child)
+    {
+        walk(w, child, here, error, false);
+        double cm[16], cb[12]; /* children's boxes lie within */
+        nums(json_object_get(child, "transform"), 16, cm);
+        nums(json_object_get(json_object_get(child, "boundingVolume"), "box"), 12, cb);
+        for (size_t k3 = 0; k3 < 3; k3++)
+            assert_true(fabs(cm[12 + k3] + cb[k3] - box[k3]) + cb[3 + 4 * k3] <= box[3 + 4 * k3] + 1e-5);
+    }
+}
+
+static void walk_all(struct fixture *f)
+{
+    struct err e = {0};
+    struct walk w = {.f = f};
+    const double none[3] = {0};
+    double ecef[16];
+    size_t n;
+    json_t *j = tileset_of(f);
+    walk(&w, json_object_get(j, "root"), none, HUGE_VAL, true);
+    store_tiles(f->s, &n);
+    assert_int_equal(w.n_tiles, n); /* every tile once */
+    kit_ok(geo_enu_to_ecef(&store_info(f->s)->origin, ecef, &e), e);
+    double got[9], want[9];
+    for (size_t c = 0; c < 3; c++)
+        for (size_t r = 0; r < 3; r++) {
+            got[3 * r + c] = w.rot[3 * r + c];
+            want[3 * r + c] = ecef[4 * c + r];
+        }
+    kit_near_d("rotation", got, want, 9, 0, 0); /* 17 digits: to the last bit */
+    json_decref(j);
+}
+
+static void transforms_errors_and_boxes(void **state)
+{
+    struct fixture *f = *state;
+    build(f, &(struct geo_origin){-122.4, 37.8, 30}, 4000, "");
+    json_t *j = tileset_of(f);
+    assert_null(json_object_get(json_object_get(j, "asset"), "extras"));
+    json_decref(j);
+    walk_all(f);
+}
+
+static void a_root_without_content(void **state)
+{
+    struct fixture *f = *state;
+    build(f, &(struct geo_origin){0, 0, 0}, 500, "");
+    json_t *j = tileset_of(f);
+    assert_null(json_object_get(json_object_get(j, "root"), "content"));
+    json_decref(j);
+    walk_all(f);
+}
+
+static void tilejson(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct buf b = {0};
+    json_t *j;
+    double bounds[4], center[3];
+    size_t n;
+    build(f, &(struct geo_origin){8.6821, 50.1109, 160}, 3000, "A & B");
+    kit_ok(tileset_tilejson(f->s, "r/abc/t/{z}/{x}/{y}.drc", &b, &e), e);
+    kit_ok(jsonc_parse((const char *)b.data, b.size, "tilejson", &j, &e), e);
+    assert_string_equal(json_string_value(json_object_get(j, "tilejson")), "3.0.0");
+    assert_names(json_object_get(j, "tiles"), "r/abc/t/{z}/{x}/{y}.drc", NULL);
+    assert_string_equal(json_string_value(json_object_get(j, "scheme")), "xyz");
+    assert_string_equal(json_string_value(json_object_get(j, "attribution")), "A & B");
+    assert_int_equal(json_integer_value(json_object_get(j, "minzoom")), store_info(f->s)->zoom_min);
+    assert_int_equal(json_integer_value(json_object_get(j, "maxzoom")), store_info(f->s)->zoom_max);
+    nums(json_object_get(j, "bounds"), 4, bounds);
+    nums(json_object_get(j, "center"), 3, center);
+    assert_true(bounds[0] < 8.6821 && bounds[2] > 8.6821 && bounds[1] < 50.1109 && bounds[3] > 50.1109);
+    assert_true(center[0] > bounds[0] && center[0] < bounds[2] && center[1] > bounds[1] && center[1] < bounds[3]);
+    json_t *s = json_object_get(j, "splats"), *fields = json_object_get(s, "tile_fields");
+    assert_string_equal(json_string_value(json_object_get(s, "revision")), store_info(f->s)->revision);
+    assert_int_equal(json_integer_value(json_object_get(s, "gaussians")), 3000);
+    const struct store_tile *t = store_tiles(f->s, &n);
+    json_t *rows = json_object_get(s, "tiles");
+    assert_int_equal(json_array_size(rows), n);
+    assert_int_equal(json_array_size(fields), 18);
+    for (size_t i = 0; i < n; i++) {
+        double row[18];
+        nums(json_array_get(rows, i), 18, row);
+        assert_true(row[0] == t[i].key.z && row[1] == t[i].key.x && row[2] == t[i].key.y);
+        assert_true(row[5] == t[i].count && row[6] == (double)t[i].bytes);
+        for (size_t k = 0; k < 3; k++)
+            assert_true(row[9 + k] == t[i].center_enu_m[k] && row[12 + k] <= t[i].min_enu_m[k] &&
+                        row[15 + k] >= t[i].max_enu_m[k]);
+    }
+    json_decref(j);
+    buf_free(&b);
+}
+
+int main(void)
+{
+#define CASE(name) cmocka_unit_test_setup_teardown(name, setup, teardown)
+    progress_quiet(true);
+    const struct CMUnitTest tests[] = {
+        CASE(heads_are_what_engines_look_for),
+        CASE(transforms_errors_and_boxes),
+        CASE(a_root_without_content),
+        CASE(tilejson),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
