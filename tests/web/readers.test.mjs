@@ -58,7 +58,11 @@ function assertColumn(got, want, tolerance, what) {
 }
 
 const shCoefs = (degree) => (degree + 1) ** 2 - 1;
-const SPZ_AXIS_RULE = { x: [0, 1], y: [1, 1], z: [2, 1] };
+
+// splat-transform turns SPZ half around the x axis, into the axes that trainers' .ply files have by custom.
+const FLIP = [1, -1, -1];
+// The same turn for the harmonics of degree 1, 2, 3: the sign of each basis function under y, z -> -y, -z.
+const FLIP_SH = [-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1];
 
 test("the .spz of a tile is the payload of its .glb", { skip }, async () => {
   for (const tile of tiles) {
@@ -75,11 +79,10 @@ test("splat-transform reads .spz", { skip }, async (t) => {
     const ply = readBySplatTransform(bytes, "spz");
     assert.equal(ply.count, spz.count, tile);
     const each = (f) => Float64Array.from({ length: spz.count }, (_, i) => f(i));
-    const flips = axisFlips(ply, spz);
-    for (const [name, [axis]] of Object.entries(SPZ_AXIS_RULE)) {
-      const want = each((i) => (flips[axis] * spz.position[3 * i + axis]) / 4096);
+    ["x", "y", "z"].forEach((name, axis) => {
+      const want = each((i) => (FLIP[axis] * spz.position[3 * i + axis]) / 4096);
       assertColumn(ply.column(name), want, 1e-6, `${tile} ${name}`);
-    }
+    });
     for (let k = 0; k < 3; k++) {
       assertColumn(ply.column(`scale_${k}`), each((i) => spz.scale[3 * i + k] / 16 - 10), 1e-5, `${tile} scale_${k}`);
       const dc = each((i) => (spz.color[3 * i + k] / 255 - 0.5) / 0.15);
@@ -87,23 +90,33 @@ test("splat-transform reads .spz", { skip }, async (t) => {
     }
     const alpha = ply.column("opacity").map((v) => 255 / (1 + Math.exp(-v)));
     assertColumn(alpha, spz.alpha, 0.02, `${tile} opacity`);
-    assert.equal(ply.names.filter((n) => n.startsWith("f_rest")).length, 3 * shCoefs(spz.shDegree), tile);
+    checkRotations(ply, spz, tile);
+    checkHarmonics(ply, spz, tile);
     rows += spz.count;
   }
   t.diagnostic(`${rows} Gaussians of ${tiles.length} tiles`);
 });
 
-// splat-transform may turn SPZ's axes to PLY's custom (y and z negated); it must do so for all three or none.
-function axisFlips(ply, spz) {
-  const names = ["x", "y", "z"];
-  const flips = names.map((name, axis) => {
-    const column = ply.column(name);
-    let dot = 0;
-    for (let i = 0; i < spz.count; i++) dot += column[i] * spz.position[3 * i + axis];
-    return dot < 0 ? -1 : 1;
-  });
-  assert.ok(["1,1,1", "1,-1,-1", "-1,-1,1"].includes(flips.join()), `mirrored axes: ${flips}`);
-  return flips;
+function checkRotations(ply, spz, tile) {
+  const [w, x, y, z] = [0, 1, 2, 3].map((k) => ply.column(`rot_${k}`));
+  for (let i = 0; i < spz.count; i++) {
+    const q = unpackRotation(spz.rotation[i]);
+    const dot = x[i] * q[0] * FLIP[0] + y[i] * q[1] * FLIP[1] + z[i] * q[2] * FLIP[2] + w[i] * q[3];
+    assert.ok(Math.abs(Math.abs(dot) / Math.hypot(w[i], x[i], y[i], z[i]) - 1) < 1e-5, `${tile} rotation ${i}`);
+  }
+}
+
+function checkHarmonics(ply, spz, tile) {
+  const coefs = shCoefs(spz.shDegree);
+  assert.equal(ply.names.filter((n) => n.startsWith("f_rest")).length, 3 * coefs, tile);
+  for (let k = 0; k < 3 * coefs; k++) {
+    const [channel, coef] = [Math.floor(k / coefs), k % coefs];
+    const want = Float64Array.from(
+      { length: spz.count },
+      (_, i) => (FLIP_SH[coef] * (spz.sh[3 * (i * coefs + coef) + channel] - 128)) / 128,
+    );
+    assertColumn(ply.column(`f_rest_${k}`), want, 1e-6, `${tile} f_rest_${k}`);
+  }
 }
 
 // Values of a .ply against those of the .spz of the same tile, which is quantised: half a step each.
