@@ -195,11 +195,12 @@ void frame_gltf_to_enu(struct gauss *g);
 /* INRIA .ply, and on import SuperSplat's compressed one. Import finds properties by name, any scalar type, skips unknown ones; SH degree from the
  * number of f_rest. Comments "citysplat origin lon lat h" are read and written (origin may be NULL; on read
  * has_origin tells). Means are read into float32 about origin_enu_m = 0 unless the file carries doubles. */
-enum ply_axes { PLY_AXES_NONE, PLY_AXES_ENU, PLY_AXES_GLTF }; /* NONE: not said; written as ENU */
+enum ply_axes { PLY_AXES_NONE, PLY_AXES_ENU, PLY_AXES_GLTF, PLY_AXES_UNKNOWN };
 struct ply_info {
     bool has_origin;
     struct geo_origin origin;
-    enum ply_axes axes; /* comment "axes ENU" or "axes glTF" */
+    enum ply_axes axes; /* comment "axes ENU" or "axes glTF"; NONE: read, it said nothing; written, it is ENU as
+                         * every struct gauss is by default; UNKNOWN: write no comment */
 };
 enum err_code ply_read(const char *path, const struct codec_limits *lim, struct gauss *out,
                        struct ply_info *info, struct err *e) ERR_USE;
@@ -207,6 +208,10 @@ enum err_code ply_decode(const void *bytes, size_t n, const struct codec_limits 
                          struct ply_info *info, struct err *e) ERR_USE;
 enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, struct buf *out,
                          struct err *e) ERR_USE;
+
+/* antimatter15's .splat: no header, so nothing but its size tells. SH degree 0, frame unknown. gauss_free it. */
+enum err_code splat_decode(const void *bytes, size_t n, const struct codec_limits *lim, struct gauss *out,
+                           struct err *e) ERR_USE;
 
 /* One quantiser for SPZ and Draco: integers of SPZ v3 (docs/formats.md). g is in the axes to be written
  * (glTF for tiles), means relative to its origin, |mean| < 2048 m or ERR_LIMIT. */

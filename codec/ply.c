@@ -201,7 +201,8 @@ static void head_write(const struct gauss *g, const struct ply_info *info, bool 
     if (info && info->has_origin)
         buf_printf(out, "comment citysplat origin %.17g %.17g %.17g\n", info->origin.lon_deg,
                    info->origin.lat_deg, info->origin.h_m);
-    buf_printf(out, "comment axes %s\n", info && info->axes == PLY_AXES_GLTF ? "glTF" : "ENU");
+    if (!info || info->axes != PLY_AXES_UNKNOWN)
+        buf_printf(out, "comment axes %s\n", info && info->axes == PLY_AXES_GLTF ? "glTF" : "ENU");
     if (g->antialiased)
         buf_printf(out, "comment antialiased 1\n");
     buf_printf(out, "element vertex %zu\n", g->n);

@@ -1,0 +1,249 @@
+/* citysplat convert: one file of Gaussians into another format.
+ *
+ * Integers travel untouched between .spz, .drc and .glb with SPZ when nothing else was asked for. Everything
+ * else goes through struct gauss. Axes are turned when both sides' are known, and never on a guess.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <stdio.h>
+#include <string.h>
+#include <strings.h>
+
+#include "cli/cli.h"
+#include "codec/codec.h"
+
+struct convert_options {
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/convert.def"
+#undef OPT
+};
+
+static const struct options_def convert_defs[] = {
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct convert_options, type, key, def, lo, hi, unit, help)
+#include "cli/convert.def"
+#undef OPT
+};
+
+enum convert_format { FORMAT_PLY, FORMAT_SPZ, FORMAT_DRC, FORMAT_GLB, FORMAT_SPLAT };
+enum convert_axes { AXES_AUTO, AXES_ENU, AXES_GLTF }; /* as in the options; AUTO is also "unknown" */
+
+struct converted {
+    struct gauss g;
+    struct quant q; /* the integers, when IN has them */
+    struct ply_info info;
+    enum convert_axes axes;
+};
+
+static enum err_code format_of(const char *path, enum convert_format *out, struct err *e)
+{
+    static const char *const names[] = {".ply", ".spz", ".drc", ".glb", ".splat"};
+    const char *dot = strrchr(path, '.');
+    for (int f = 0; dot && f < 5; f++)
+        if (!strcasecmp(dot, names[f])) {
+            *out = (enum convert_format)f;
+            return ERR_OK;
+        }
+    return err_set(e, ERR_ARG, "%s : its name must end in .ply, .spz, .drc or .glb (.splat to read)", path);
+}
+
+static enum err_code decode_glb(const struct buf *b, struct converted *c, struct err *e)
+{
+    const void *spz;
+    size_t n;
+    enum err_code rc = glb_find_spz(b->data, b->size, &spz, &n, e);
+    if (rc == ERR_OK)
+        return spz_decode(spz, n, NULL, &c->q, e);
+    return rc == ERR_NOENT ? glb_decode(b->data, b->size, NULL, &c->g, e) : rc;
+}
+
+static enum err_code convert_read(const char *path, struct converted *c, struct err *e)
+{
+    static const enum convert_axes of_ply[] = {AXES_AUTO, AXES_ENU, AXES_GLTF};
+    enum convert_format format;
+    struct buf b = {0};
+    enum err_code rc = format_of(path, &format, e);
+    if (rc == ERR_OK)
+        rc = file_read(path, CODEC_MAX_BYTES, &b, e);
+    if (rc != ERR_OK)
+        return rc;
+    c->axes = AXES_GLTF;
+    if (format == FORMAT_PLY) {
+        rc = ply_decode(b.data, b.size, NULL, &c->g, &c->info, e);
+        c->axes = of_ply[c->info.axes];
+    } else if (format == FORMAT_SPLAT) {
+        rc = splat_decode(b.data, b.size, NULL, &c->g, e);
+        c->axes = AXES_AUTO;
+    } else if (format == FORMAT_SPZ) {
+        rc = spz_decode(b.data, b.size, NULL, &c->q, e);
+    } else if (format == FORMAT_DRC) {
+        rc = draco_decode(b.data, b.size, NULL, &c->q, e);
+    } else {
+        rc = decode_glb(&b, c, e);
+    }
+    if (rc == ERR_OK && c->q.block)
+        rc = quant_to_gauss(&c->q, &c->g, e);
+    if (rc != ERR_OK)
+        err_add(e, "%s", path);
+    buf_free(&b);
+    return rc;
+}
+
+static enum err_code sort_gauss(struct gauss *g, struct err *e)
+{
+    struct gauss sorted = {0};
+    uint32_t *order = mem_array(g->n, sizeof *order);
+    enum err_code rc = order ? gauss_morton_order(g, order, e) : err_set(e, ERR_MEM, "convert : out of memory");
+    if (rc == ERR_OK)
+        rc = gauss_alloc(&sorted, g->n, g->sh_degree, g->embed_len, e);
+    if (rc == ERR_OK) {
+        sorted.antialiased = g->antialiased;
+        memcpy(sorted.origin_enu_m, g->origin_enu_m, sizeof g->origin_enu_m);
+        rc = gauss_append(&sorted, g, order, g->n, e);
+    }
+    mem_free(order);
+    if (rc == ERR_OK) {
+        gauss_free(g);
+        *g = sorted;
+    } else {
+        gauss_free(&sorted);
+    }
+    return rc;
+}
+
+/* Rows of another degree: bands that are missing are 0, surplus ones go. */
+static enum err_code set_degree(struct gauss *g, uint32_t degree, struct err *e)
+{
+    struct gauss other = {0};
+    enum err_code rc = gauss_alloc(&other, g->n, degree, g->embed_len, e);
+    if (rc != ERR_OK)
+        return rc;
+    other.antialiased = g->antialiased;
+    memcpy(other.origin_enu_m, g->origin_enu_m, sizeof g->origin_enu_m);
+    rc = gauss_append(&other, g, NULL, g->n, e);
+    gauss_free(rc == ERR_OK ? g : &other);
+    if (rc == ERR_OK)
+        *g = other;
+    return rc;
+}
+
+/* Turn from what is known of IN to what OUT is to be; returns what it then is. */
+static enum convert_axes turn(struct converted *c, enum convert_axes want, const char *path)
+{
+    if (c->axes == AXES_AUTO && want != AXES_AUTO)
+        log_warn("convert", "axes of %s are not known : nothing is turned ; say --axes enu or gltf", path);
+    if (c->axes == AXES_ENU && want == AXES_GLTF)
+        frame_enu_to_gltf(&c->g);
+    else if (c->axes == AXES_GLTF && want == AXES_ENU)
+        frame_gltf_to_enu(&c->g);
+    else
+        return c->axes;
+    return want;
+}
+
+static enum err_code write_ply(struct converted *c, const struct convert_options *o, const char *in,
+                               struct buf *out, struct err *e)
+{
+    enum convert_axes want = o->ply_axes ? (enum convert_axes)o->ply_axes
+                             : c->axes == AXES_AUTO ? AXES_AUTO : AXES_ENU;
+    static const enum ply_axes said[] = {PLY_AXES_UNKNOWN, PLY_AXES_ENU, PLY_AXES_GLTF};
+    c->info.axes = said[turn(c, want, in)];
+    return ply_encode(&c->g, &c->info, out, e);
+}
+
+static enum err_code write_integers(struct converted *c, enum convert_format format,
+                                    const struct convert_options *o, struct buf *out, struct err *e)
+{
+    if (format == FORMAT_SPZ)
+        return spz_encode(&c->q, o->spz_version ? 4 : 3, out, e);
+    if (format == FORMAT_DRC)
+        return draco_encode(&c->q, NULL, out, e);
+    return glb_encode_spz(&c->q, o->copyright, out, e);
+}
+
+static void center(struct gauss *g)
+{
+    double lo[3], hi[3], middle[3];
+    gauss_bounds(g, 0, lo, hi);
+    for (int k = 0; k < 3; k++)
+        middle[k] = (lo[k] + hi[k]) / 2;
+    gauss_recenter(g, middle);
+    log_info("convert", "center origin_m=%.3f,%.3f,%.3f", middle[0], middle[1], middle[2]);
+    memset(g->origin_enu_m, 0, sizeof g->origin_enu_m);
+}
+
+static enum err_code convert_write(struct converted *c, enum convert_format format,
+                                   const struct convert_options *o, const char *in, struct buf *out,
+                                   struct err *e)
+{
+    bool as_is = c->q.block && o->sh_degree < 0 && !o->center && c->axes == AXES_GLTF;
+    bool integers = format == FORMAT_SPZ || format == FORMAT_DRC || (format == FORMAT_GLB && !o->glb_payload);
+    if (as_is && integers)
+        return write_integers(c, format, o, out, e);
+    enum err_code rc = ERR_OK;
+    if (o->sh_degree >= 0)
+        rc = set_degree(&c->g, (uint32_t)o->sh_degree, e);
+    if (rc == ERR_OK && o->center)
+        center(&c->g);
+    if (rc != ERR_OK)
+        return rc;
+    if (format == FORMAT_PLY)
+        return write_ply(c, o, in, out, e);
+    if (c->g.origin_enu_m[0] || c->g.origin_enu_m[1] || c->g.origin_enu_m[2])
+        return err_set(e, ERR_LIMIT,
+                       "convert : %s : coordinates are about %.0f %.0f %.0f m : such numbers do not fit the "
+                       "format ; use --center", in, c->g.origin_enu_m[0], c->g.origin_enu_m[1],
+                       c->g.origin_enu_m[2]);
+    turn(c, AXES_GLTF, in);
+    if (o->sort)
+        rc = sort_gauss(&c->g, e);
+    if (rc == ERR_OK && !integers)
+        return glb_encode_plain(&c->g, o->copyright, out, e);
+    quant_free(&c->q);
+    if (rc == ERR_OK)
+        rc = quant_from_gauss(&c->g, c->g.sh_degree, &c->q, e);
+    return rc == ERR_OK ? write_integers(c, format, o, out, e) : rc;
+}
+
+enum err_code cli_convert(int argc, char **argv, struct err *e)
+{
+    const struct options_spec spec = {
+        .command = "convert",
+        .usage = "citysplat convert IN OUT [options]",
+        .about = "Converts a file of Gaussians: reads .ply (of any trainer, or SuperSplat's compressed one), "
+                 ".spz, .drc, .glb and .splat, writes .ply, .spz, .drc and .glb.",
+        .example = "citysplat convert point_cloud.ply scene.spz --axes enu\n"
+                   "citysplat convert tile.drc tile.glb --glb-payload plain",
+        .defs = convert_defs,
+        .n_defs = sizeof convert_defs / sizeof convert_defs[0],
+        .min_args = 2,
+        .max_args = 2};
+    struct convert_options o = {0};
+    struct options_args args;
+    struct arena arena = {0};
+    struct converted c = {0};
+    struct buf out = {0};
+    enum convert_format format;
+    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    if (rc || args.done)
+        goto out;
+    rc = format_of(args.arg[1], &format, e);
+    if (rc == ERR_OK && format == FORMAT_SPLAT)
+        rc = err_set(e, ERR_ARG, "%s : .splat is read, not written", args.arg[1]);
+    if (rc != ERR_OK || (rc = convert_read(args.arg[0], &c, e)) != ERR_OK)
+        goto out;
+    if (o.axes)
+        c.axes = (enum convert_axes)o.axes;
+    rc = convert_write(&c, format, &o, args.arg[0], &out, e);
+    if (rc == ERR_OK)
+        rc = file_write(args.arg[1], out.data, out.size, e);
+    if (rc == ERR_OK)
+        log_info("convert", "write file=%s gaussians=%zu sh_degree=%u bytes=%zu bytes_per_gaussian=%.2f",
+                 args.arg[1], c.g.n, c.g.sh_degree, out.size, (double)out.size / (double)(c.g.n ? c.g.n : 1));
+out:
+    quant_free(&c.q);
+    gauss_free(&c.g);
+    buf_free(&out);
+    arena_free(&arena);
+    return rc;
+}
