@@ -109,6 +109,7 @@ struct pyramid_level { /* levels given must be consecutive, e.g. 1, 2, 3 or 3 al
 struct pyramid_report {
     size_t n_tiles, n_gaussians[8]; /* per level, [0] = overviews */
     size_t n_bad;                   /* rows with non-finite values, left out */
+    size_t n_far;                   /* rows that no tile format can hold: kilometres above or below, left out */
     size_t n_carried_tiles, n_carried; /* copies of coarse Gaussians where a finer level has nothing at all */
     size_t max_in_tile;
     uint8_t zoom_min, zoom_max;

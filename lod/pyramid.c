@@ -26,6 +26,10 @@ enum {
     PYRAMID_CLIMB_MAX = 3,   /* ... if one tile over them all is more zooms up than this */
 };
 
+/* Fixed-point formats (SPZ, .drc) hold means within 2048 m of the tile's centre: no tile is wider than twice this, and
+ * rows farther up or down are left out. */
+#define PYRAMID_REACH_M 2000.0
+
 struct pyramid_row {
     uint64_t code; /* Morton code of the tile at KEY_ZOOM_MAX */
     uint32_t row;
@@ -55,7 +59,7 @@ struct pyramid {
     uint32_t max_per_tile;
     struct pyramid_rows rows[PYRAMID_LEVEL_MAX];
     struct pyramid_zoom zoom[KEY_ZOOM_MAX + 1];
-    uint8_t top_level, zoom_max;
+    uint8_t top_level, zoom_max, zoom_least; /* least: tiles still fit the reach */
     struct store_meta meta;
     struct store *store;
     struct progress progress;
@@ -241,7 +245,10 @@ static uint8_t pyramid_wanted_zoom(const struct pyramid *p)
 
 static void pyramid_choose_zoom(struct pyramid *p)
 {
-    uint8_t wanted = pyramid_wanted_zoom(p), least = (uint8_t)(p->top_level - 1);
+    while (p->zoom_least < KEY_ZOOM_MAX - p->top_level &&
+           key_edge_m(p->origin->lat_deg, p->zoom_least) > 2.0 * PYRAMID_REACH_M)
+        p->zoom_least++;
+    uint8_t wanted = pyramid_wanted_zoom(p), least = (uint8_t)(p->zoom_least + p->top_level - 1);
     p->zoom_max = wanted < least ? least : wanted;
     for (;;) {
         size_t most = 0;
@@ -271,17 +278,18 @@ static int pyramid_double_compare(const void *a, const void *b)
     return x < y ? -1 : x > y;
 }
 
-/* Centre of the rows along one axis: whole metres, the middle in the plane and the median in height, where one
- * stray Gaussian must not push all others out of the range of fixed-point formats. A lossless store needs m - c to
+/* Centre of the rows along one axis: whole metres, the middle, but the median where a stray Gaussian would push all
+ * others out of reach. A lossless store needs m - c to
  * be exact in float32: true for c = 0, and by Sterbenz's lemma for c / 2 <= m <= 2 c. */
-static double pyramid_center_axis(const struct pyramid *p, double *at, size_t n, size_t axis)
+static double pyramid_center_axis(const struct pyramid *p, double *at, size_t n)
 {
     qsort(at, n, sizeof *at, pyramid_double_compare);
-    double lo = at[0], hi = at[n - 1], c = round(axis < 2 ? 0.5 * (lo + hi) : at[n / 2]) + 0.0;
+    double lo = at[0], hi = at[n - 1];
+    double c = round(hi - lo < 2.0 * PYRAMID_REACH_M ? 0.5 * (lo + hi) : at[n / 2]) + 0.0;
     if (!p->cfg->lossless)
         return c;
     bool exact = (lo > 0.0 && c <= 2.0 * lo && hi <= 2.0 * c) || (hi < 0.0 && c >= 2.0 * hi && lo >= 2.0 * c);
-    return exact ? c : 0.0;
+    return exact || fmax(-lo, hi) > PYRAMID_REACH_M ? c : 0.0;
 }
 
 static enum err_code pyramid_center(const struct pyramid *p, const struct gauss *g, double center[3],
@@ -293,14 +301,29 @@ static enum err_code pyramid_center(const struct pyramid *p, const struct gauss 
     for (size_t k = 0; k < 3; k++) {
         for (size_t i = 0; i < g->n; i++)
             at[i] = (double)g->mean_m[3 * i + k] + g->origin_enu_m[k];
-        center[k] = pyramid_center_axis(p, at, g->n, k);
+        center[k] = pyramid_center_axis(p, at, g->n);
     }
     mem_free(at);
     return ERR_OK;
 }
 
-/* Centre, order along the Morton curve, write. `g` is changed. */
-static enum err_code pyramid_put(struct pyramid *p, struct key k, uint8_t level, struct gauss *g,
+/* Drop rows out of reach from the order; at least one remains, since the centre is near one. */
+static size_t pyramid_drop_far(struct pyramid *p, const struct gauss *g, const double center[3], uint32_t *order)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < g->n; i++) {
+        double far = 0.0;
+        for (size_t k = 0; k < 3; k++)
+            far = fmax(far, fabs((double)g->mean_m[3 * order[i] + k] + g->origin_enu_m[k] - center[k]));
+        if (far < PYRAMID_REACH_M + 40.0)
+            order[n++] = order[i];
+    }
+    p->report->n_far += g->n - n;
+    return n;
+}
+
+/* Centre, order along the Morton curve, write. */
+static enum err_code pyramid_put(struct pyramid *p, struct key k, uint8_t level, const struct gauss *g,
                                  struct err *e)
 {
     struct gauss sorted = {0};
@@ -315,7 +338,7 @@ static enum err_code pyramid_put(struct pyramid *p, struct key k, uint8_t level,
     if (!rc) {
         memcpy(sorted.origin_enu_m, center, sizeof center);
         sorted.antialiased = p->meta.antialiased;
-        rc = gauss_append(&sorted, g, order, g->n, e);
+        rc = gauss_append(&sorted, g, order, pyramid_drop_far(p, g, center, order), e);
     }
     if (!rc)
         rc = store_put(p->store, &t, &sorted, e);
@@ -576,7 +599,7 @@ static enum err_code pyramid_make_coarser(struct pyramid *p, struct err *e)
         const struct pyramid_zoom *l = &p->zoom[z];
         int level = (int)p->top_level - (p->zoom_max - z) - 1;
         bool lone = l->n == 1 || (l->n <= PYRAMID_LONE_ROOTS && pyramid_climb(l) > PYRAMID_CLIMB_MAX);
-        if (lone && level < 1)
+        if ((lone || z <= p->zoom_least) && level < 1)
             break;
         z--;
         rc = pyramid_add_parents(p, z, e);
@@ -652,6 +675,9 @@ enum err_code pyramid_build(const struct geo_origin *origin, const struct pyrami
     }
     if (!rc && p.report->n_bad)
         log_warn("tile", "left out n=%zu Gaussians with values that are not finite", p.report->n_bad);
+    if (!rc && p.report->n_far)
+        log_warn("tile", "left out n=%zu Gaussians farther than max_m=%g from the centre of their tile", p.report->n_far,
+                 PYRAMID_REACH_M + 40.0);
     if (!rc && p.report->n_carried)
         log_info("tile", "carried n=%zu Gaussians into tiles=%zu where a finer level has none", p.report->n_carried,
                  p.report->n_carried_tiles);

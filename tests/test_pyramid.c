@@ -295,6 +295,40 @@ static void unusable_rows_are_left_out(void **state)
     gauss_free(&g);
 }
 
+/* A splat far above its tile is left out, kilometres to the side it gets a tile, and no tile is wider than formats
+ * can hold. */
+static void far_rows(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct gauss g;
+    struct pyramid_report rep;
+    struct store *s;
+    city(55, 400, 50, &g);
+    g.mean_m[3 * 5 + 2] = 9000;
+    g.mean_m[3 * 6] = 30000;
+    const struct pyramid_level level = {.g = &g, .level = 2};
+    log_set_level(LOG_ERROR);
+    kit_ok(pyramid_build(&origin, &level, 1, &config, NULL, 0, f->path, &rep, &e), e);
+    log_set_level(LOG_INFO);
+    assert_int_equal(rep.n_far, 1);
+    kit_ok(store_open(f->path, &s, &e), e);
+    size_t n, fine = 0;
+    const struct store_tile *t = store_tiles(s, &n);
+    for (size_t i = 0; i < n; i++) {
+        struct gauss x;
+        fine += t[i].level == 2 ? t[i].count : 0;
+        kit_ok(store_read_gauss(s, t[i].key, &x, &e), e);
+        for (size_t k = 0; k < 3 * x.n; k++)
+            assert_true(fabsf(x.mean_m[k]) < 2048);
+        gauss_free(&x);
+    }
+    assert_int_equal(fine, 399);
+    assert_no_holes(s);
+    store_close(&s);
+    gauss_free(&g);
+}
+
 /* float32 means come back bit for bit, near the origin, far from it and across it. */
 static void lossless_means(void **state)
 {
@@ -538,6 +572,7 @@ int main(void)
         CASE(one_level_makes_the_coarser_ones),
         CASE(tiles_keep_to_the_limit_and_to_the_wish),
         CASE(unusable_rows_are_left_out),
+        CASE(far_rows),
         CASE(lossless_means),
         CASE(a_scene_across_the_equator),
         cmocka_unit_test(eigen_of_known_matrices),
