@@ -15,22 +15,29 @@
 // One work-item is one tile; every slot has one writer and every sum one order: same input, same bits.
 // Reference: render_ref_backward. Absolute gradients: AbsGS, Ye et al. 2024.
 
-// Lane sums of vectors, by halves in a fixed order: 16 -> 8 -> 4 -> 1 lanes each.
-inline float16 fold_8(float16 a, float16 b)
+// Lane sums of up to twelve vectors at once: each step adds halves of two vectors side by side, with two
+// shuffles and one addition, in a fixed order.
+inline float16 fold_8(float16 a, float16 b) // -> a8 b8
 {
-    return (float16)(a.lo + a.hi, b.lo + b.hi);
+    return (float16)(a.lo, b.lo) + (float16)(a.hi, b.hi);
 }
 
-inline float16 fold_4(float16 ab, float16 cd)
+inline float16 fold_4(float16 ab, float16 cd) // -> a4 b4 c4 d4
 {
-    return (float16)(ab.s0123 + ab.s4567, ab.s89ab + ab.scdef, cd.s0123 + cd.s4567, cd.s89ab + cd.scdef);
+    return (float16)(ab.s0123, ab.s89ab, cd.s0123, cd.s89ab) + (float16)(ab.s4567, ab.scdef, cd.s4567, cd.scdef);
 }
 
-inline float4 fold_1(float16 abcd)
+inline float16 fold_2(float16 x, float16 y) // abcd, efgh -> a2 e2 b2 f2 c2 g2 d2 h2
 {
-    float8 e = (float8)(abcd.s01, abcd.s45, abcd.s89, abcd.scd) +
-               (float8)(abcd.s23, abcd.s67, abcd.sab, abcd.sef);
-    return e.even + e.odd;
+    return (float16)(x.s01, y.s01, x.s45, y.s45, x.s89, y.s89, x.scd, y.scd) +
+           (float16)(x.s23, y.s23, x.s67, y.s67, x.sab, y.sab, x.sef, y.sef);
+}
+
+inline float16 fold_1(float16 x, float16 y) // aebfcgdh, i.j.k.l. -> a b c d e f g h i j k l and four more
+{
+    float16 s = (float16)(x.s02, y.s02, x.s46, y.s46, x.s8a, y.s8a, x.sce, y.sce) +
+                (float16)(x.s13, y.s13, x.s57, y.s57, x.s9b, y.s9b, x.sdf, y.sdf);
+    return s.s048c159d26ae37bf;
 }
 
 struct backward_state { // of each block; pixels beyond the picture's edge have t 0
@@ -119,9 +126,11 @@ inline void backward_entry(struct backward_state *s, const float *rec, float x0,
         abs_x += fabs(qu);
         abs_y += fabs(rec[R] * qv - cross * qu);
     }
-    vstore4(fold_1(fold_4(fold_8(red, green), fold_8(blue, m))), 0, slot);
-    vstore4(fold_1(fold_4(fold_8(mu, mv), fold_8(muu, muv))), 1, slot);
-    vstore3(fold_1(fold_4(fold_8(mvv, abs_x), fold_8(abs_y, abs_y))).xyz, 0, slot + 8);
+    float16 x = fold_4(fold_8(red, green), fold_8(blue, m)), y = fold_4(fold_8(mu, mv), fold_8(muu, muv)),
+            z = fold_4(fold_8(mvv, abs_x), fold_8(abs_y, abs_y));
+    float16 sums = fold_1(fold_2(x, y), fold_2(z, z));
+    vstore8(sums.lo, 0, slot);
+    vstore3(sums.s89a, 0, slot + 8);
 }
 
 __kernel void blend_backward(__constant struct layout_view *view,

@@ -6,7 +6,8 @@
  *   out  parts  float [bands][3][4]: |x-y|, S and (x-y)^2 summed over the band; grad float [3][h][w]
  *
  * CPU shape: one work-item = one band of BAND rows of one channel. It walks strips of STRIP columns, blurs
- * each row horizontally into a ring of 11 rows (private memory, a few KiB) and the ring vertically. All
+ * each row horizontally into a ring of 11 rows (private memory, 22 KiB: every row is there twice, so that a
+ * window is 11 rows in a row) and the ring vertically. All
  * sums are taken in a fixed order. The only products needed are x^2 + y^2 and xy, because the two
  * variances enter S as their sum.
  *
@@ -81,8 +82,24 @@ static float sum16(float16 v)
     return d.x + d.y;
 }
 
-/* Horizontal blur of x, y, x^2 + y^2, xy of one row into ring row `to` ([4][STRIP]). */
-static void row_blur_products(const float *x, const float *y, float *to)
+/* sum over k of taps[k] * p[k * step], 16 columns. */
+static float16 blur_steps(const float *p, int step)
+{
+    float16 a = vload16(0, p) * taps[0];
+    a = vload16(0, p + step) * taps[1] + a;
+    a = vload16(0, p + 2 * step) * taps[2] + a;
+    a = vload16(0, p + 3 * step) * taps[3] + a;
+    a = vload16(0, p + 4 * step) * taps[4] + a;
+    a = vload16(0, p + 5 * step) * taps[5] + a;
+    a = vload16(0, p + 6 * step) * taps[6] + a;
+    a = vload16(0, p + 7 * step) * taps[7] + a;
+    a = vload16(0, p + 8 * step) * taps[8] + a;
+    a = vload16(0, p + 9 * step) * taps[9] + a;
+    return vload16(0, p + 10 * step) * taps[10] + a;
+}
+
+/* Horizontal blur of x, y, x^2 + y^2, xy of one row into ring rows `to` and `twin` ([4][STRIP]). */
+static void row_blur_products(const float *x, const float *y, float *to, float *twin)
 {
     for (int j = 0; j < VECS; j++) {
         float16 m1 = 0.0f, m2 = 0.0f, qq = 0.0f, xy = 0.0f;
@@ -101,6 +118,10 @@ static void row_blur_products(const float *x, const float *y, float *to)
         vstore16(m2, 1 * VECS + j, to);
         vstore16(qq, 2 * VECS + j, to);
         vstore16(xy, 3 * VECS + j, to);
+        vstore16(m1, 0 * VECS + j, twin);
+        vstore16(m2, 1 * VECS + j, twin);
+        vstore16(qq, 2 * VECS + j, twin);
+        vstore16(xy, 3 * VECS + j, twin);
     }
 }
 
@@ -125,20 +146,22 @@ __kernel void loss_forward_cpu(const __global float *color, const __global uchar
 {
     int band = get_global_id(0) / 3, c = get_global_id(0) % 3;
     int y0 = band * BAND, y1 = min(y0 + BAND, h);
-    float xb[ROW], yb[ROW], ring[TAPS * 4 * STRIP];
+    float xb[ROW], yb[ROW], ring[2 * TAPS * 4 * STRIP];
     float16 sum_l1 = 0.0f, sum_s = 0.0f, sum_sq = 0.0f;
     int halo = with_ssim ? RADIUS : 0;
     size_t plane = (size_t)3 * h * pitch;
     for (int x0 = 0; x0 < w; x0 += STRIP) {
         for (int r = y0 - halo; r < y1 + halo; r++) {
-            float *to = ring + ((r + TAPS) % TAPS) * 4 * STRIP;
+            float *to = ring + ((r + TAPS) % TAPS) * 4 * STRIP, *twin = to + TAPS * 4 * STRIP;
             if (r >= 0 && r < h) {
                 row_load(color, target, mask, has_mask, w, h, c, r, x0 - MARGIN, ROW / 16, xb, yb);
                 if (with_ssim)
-                    row_blur_products(xb, yb, to);
+                    row_blur_products(xb, yb, to, twin);
             } else {
-                for (int j = 0; j < 4 * VECS; j++)
+                for (int j = 0; j < 4 * VECS; j++) {
                     vstore16((float16)(0.0f), j, to);
+                    vstore16((float16)(0.0f), j, twin);
+                }
             }
             if (r >= y0 && r < y1)
                 for (int j = 0; j < VECS; j++) {
@@ -149,19 +172,14 @@ __kernel void loss_forward_cpu(const __global float *color, const __global uchar
             int out = r - RADIUS; /* this row's window is complete */
             if (!with_ssim || out < y0)
                 continue;
-            float16 acc[4 * VECS];
-            for (int j = 0; j < 4 * VECS; j++)
-                acc[j] = 0.0f;
-            for (int k = 0; k < TAPS; k++) {
-                const float *from = ring + ((out - RADIUS + k + TAPS) % TAPS) * 4 * STRIP;
-                for (int j = 0; j < 4 * VECS; j++)
-                    acc[j] = vload16(j, from) * taps[k] + acc[j];
-            }
+            const float *from = ring + ((out - RADIUS + TAPS) % TAPS) * 4 * STRIP;
             __global float *mp = maps + ((size_t)c * h + out) * pitch + MARGIN + x0;
             for (int j = 0; j < VECS; j++) {
                 float16 pm, ps, pc;
-                float16 s = ssim_of(acc[j], acc[VECS + j], acc[2 * VECS + j], acc[3 * VECS + j], &pm,
-                                    &ps, &pc);
+                float16 s = ssim_of(blur_steps(from + 16 * j, 4 * STRIP),
+                                    blur_steps(from + 16 * (VECS + j), 4 * STRIP),
+                                    blur_steps(from + 16 * (2 * VECS + j), 4 * STRIP),
+                                    blur_steps(from + 16 * (3 * VECS + j), 4 * STRIP), &pm, &ps, &pc);
                 if (x0 + 16 * (j + 1) > w) { /* windows centred beyond the edge do not exist */
                     int16 lane = (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
                     int16 in = lane + (x0 + 16 * j) < w;
@@ -184,8 +202,8 @@ __kernel void loss_forward_cpu(const __global float *color, const __global uchar
     p[3] = 0.0f;
 }
 
-/* Horizontal blur of one row of the three maps into ring row `to` ([3][STRIP]). */
-static void row_blur_maps(const __global float *from, size_t plane, float *to)
+/* Horizontal blur of one row of the three maps into ring rows `to` and `twin` ([3][STRIP]). */
+static void row_blur_maps(const __global float *from, size_t plane, float *to, float *twin)
 {
     for (int m = 0; m < 3; m++)
         for (int j = 0; j < VECS; j++) {
@@ -194,6 +212,7 @@ static void row_blur_maps(const __global float *from, size_t plane, float *to)
             for (int k = 0; k < TAPS; k++)
                 acc = vload16(0, p + k) * taps[k] + acc;
             vstore16(acc, m * VECS + j, to);
+            vstore16(acc, m * VECS + j, twin);
         }
 }
 
@@ -205,37 +224,36 @@ __kernel void loss_backward_cpu(const __global float *color, const __global ucha
 {
     int band = get_global_id(0) / 3, c = get_global_id(0) % 3;
     int y0 = band * BAND, y1 = min(y0 + BAND, h);
-    float xb[STRIP], yb[STRIP], gb[16], ring[TAPS * 3 * STRIP];
+    float xb[STRIP], yb[STRIP], gb[16], ring[2 * TAPS * 3 * STRIP];
     int halo = with_ssim ? RADIUS : 0;
     size_t plane = (size_t)3 * h * pitch;
     for (int x0 = 0; x0 < w; x0 += STRIP)
         for (int r = y0 - halo; r < y1 + halo; r++) {
-            float *to = ring + ((r + TAPS) % TAPS) * 3 * STRIP;
+            float *to = ring + ((r + TAPS) % TAPS) * 3 * STRIP, *twin = to + TAPS * 3 * STRIP;
             if (with_ssim && r >= 0 && r < h) {
-                row_blur_maps(maps + ((size_t)c * h + r) * pitch + MARGIN + x0, plane, to);
+                row_blur_maps(maps + ((size_t)c * h + r) * pitch + MARGIN + x0, plane, to, twin);
             } else {
-                for (int j = 0; j < 3 * VECS; j++)
+                for (int j = 0; j < 3 * VECS; j++) {
                     vstore16((float16)(0.0f), j, to);
+                    vstore16((float16)(0.0f), j, twin);
+                }
             }
             int out = r - halo;
             if (out < y0)
                 continue;
-            float16 acc[3 * VECS];
-            for (int j = 0; j < 3 * VECS; j++)
-                acc[j] = 0.0f;
-            for (int k = 0; k < (with_ssim ? TAPS : 0); k++) {
-                const float *from = ring + ((out - RADIUS + k + TAPS) % TAPS) * 3 * STRIP;
-                for (int j = 0; j < 3 * VECS; j++)
-                    acc[j] = vload16(j, from) * taps[k] + acc[j];
-            }
+            const float *from = ring + ((out - halo + TAPS) % TAPS) * 3 * STRIP;
             row_load(color, target, mask, has_mask, w, h, c, out, x0, VECS, xb, yb);
             __global float *gp = grad + ((size_t)c * h + out) * w;
             for (int j = 0; j < VECS; j++) {
                 float16 x = vload16(j, xb), y = vload16(j, yb), d = x - y;
                 float16 up = d > 0.0f ? (float16)(scale_l1) : (float16)(0.0f);
                 float16 down = d < 0.0f ? (float16)(scale_l1) : (float16)(0.0f);
-                float16 ks = 2.0f * x * acc[VECS + j] + acc[j];
-                ks = y * acc[2 * VECS + j] + ks;
+                float16 ks = 0.0f;
+                if (with_ssim) {
+                    ks = blur_steps(from + 16 * j, 3 * STRIP);
+                    ks = 2.0f * x * blur_steps(from + 16 * (VECS + j), 3 * STRIP) + ks;
+                    ks = y * blur_steps(from + 16 * (2 * VECS + j), 3 * STRIP) + ks;
+                }
                 float16 g = ks * scale_ssim + (up - down);
                 int col = x0 + 16 * j;
                 if (col + 16 <= w && !has_mask) {
