@@ -13,6 +13,7 @@
 #include "server/server.h"
 
 #include <errno.h>
+#include <poll.h>
 #include <string.h>
 #include <sys/epoll.h>
 #include <sys/socket.h>
@@ -20,7 +21,8 @@
 
 #include "core/pool.h"
 
-enum { TICK_MS = 100, EVENTS = 64 };
+enum { TICK_MS = 100, GONE_MS = 250, EVENTS = 64, POLLED = 256 };
+enum { POLL_GONE = 0x2000 }; /* POLLRDHUP, which Linux has and POSIX does not */
 enum arm { ARM_EXPECTED, ARM_ON, ARM_OFF };
 
 struct watch_slot {
@@ -89,10 +91,32 @@ static void reap(struct watch *w)
     pthread_mutex_unlock(&w->lock);
 }
 
+/* libmicrohttpd listens edge-triggered, and misses a client that closes just as its answer goes out. Idle
+ * connections whose client is gone would then be kept until the idle timeout. */
+static void close_gone(struct watch *w)
+{
+    struct pollfd p[POLLED];
+    nfds_t n = 0;
+    pthread_mutex_lock(&w->lock);
+    for (uint32_t i = 0; i < w->used; i++) {
+        struct watch_slot *s = &w->slot[i];
+        if (s->fd >= 0 && atomic_load(&s->phase) == WATCH_IDLE)
+            p[n++] = (struct pollfd){.fd = s->fd, .events = POLL_GONE};
+        if (n < POLLED && i + 1 < w->used)
+            continue;
+        if (poll(p, n, 0) > 0)
+            for (nfds_t k = 0; k < n; k++)
+                if (p[k].revents & (POLL_GONE | POLLHUP | POLLERR))
+                    shutdown(p[k].fd, SHUT_RDWR);
+        n = 0;
+    }
+    pthread_mutex_unlock(&w->lock);
+}
+
 static void watch_main(void *user)
 {
     struct watch *w = user;
-    uint64_t next = now_ms();
+    uint64_t next = now_ms(), next_gone = next;
     while (!atomic_load(&w->stop)) {
         struct epoll_event event[EVENTS];
         int n = epoll_wait(w->epoll_fd, event, EVENTS, TICK_MS);
@@ -103,6 +127,10 @@ static void watch_main(void *user)
         next = now_ms() + TICK_MS;
         reap(w);
         job_tick(w->s->jobs, clock_s());
+        if (now_ms() >= next_gone) {
+            close_gone(w);
+            next_gone = now_ms() + GONE_MS;
+        }
     }
 }
 
