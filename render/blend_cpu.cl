@@ -2,10 +2,11 @@
 //   in   tile_start, entry_splat, splats
 //   out  color [3][h][w] with background, transmit [h][w]
 // The tile is 16 blocks of 4x4 pixels, a block is one float16. Entries come in batches of 64: their records
-// are copied into a private array first, so that the cache misses overlap; then, 16 entries at a time, the
-// least exponent over each block's pixel centres tells which blocks an entry can touch at all; then each
-// entry visits those blocks. A pixel stops when its transmittance falls to 1e-4 (the splat that does it is
-// still blended), a block when all its pixels have, the tile when all its blocks have.
+// are copied into a private array first, so that the cache misses overlap (those of the next batch are asked
+// for at the same time); then, 16 entries at a time, the least exponent over each block's pixel centres
+// tells which blocks an entry can touch at all; then each entry visits those blocks. A pixel stops when its
+// transmittance falls to 1e-4 (the splat that does it is still blended), a block when all its pixels have,
+// the tile when all its blocks have.
 // Reference: render_ref_forward. Same order of blending, no atomics.
 
 #define BATCH 64
@@ -147,8 +148,10 @@ __kernel void blend(__constant struct layout_view *view, __global const struct l
         vstore16((float16)(0.0f), 0, staged + j); // a short last batch masks what it does not use
     while (at < end && active) {
         uint n = min(end - at, (uint)BATCH);
-        for (uint j = 0; j < n; j++)
+        for (uint j = 0; j < n; j++) {
+            PREFETCH(splats + entry_splat[min(at + BATCH + j, end - 1)]);
             vstore16(vload16(entry_splat[at + j], (__global const float *)splats), j, staged);
+        }
         for (uint j = 0; j < n; j += 16)
             blend_masks(staged + 16 * j, x0, y0, view->tile_cull, mask + j);
         for (uint j = 0; j < n && active; j++) {

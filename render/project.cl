@@ -166,6 +166,9 @@ __kernel void project(__constant struct layout_view *view, __global const float 
     size_t end = min((item + 1) * LAYOUT_PROJECT_GROUPS, (size_t)view->groups);
     for (size_t group = item * LAYOUT_PROJECT_GROUPS; group < end; group++) {
         VU key, tiles;
+        __global const float *ahead = params + min(group + 2, end - 1) * view->planes * LAYOUT_LANES;
+        for (uint plane = 0; plane < 11; plane++) // all but the colour, which streams behind them
+            PREFETCH(ahead + plane * LAYOUT_LANES);
         project_some(view, params + group * view->planes * LAYOUT_LANES, (uint)group * LAYOUT_LANES, splats,
                      &key, &tiles);
         vstore16(key, group, depth_key);
