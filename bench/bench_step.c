@@ -1,0 +1,213 @@
+/* Training: whole iterations (draw, loss, backward, Adam of 59 parameters) and their parts.
+ *
+ * The photograph is the city itself, the model the city with every parameter disturbed, so gradients and list
+ * lengths are those of training in progress. Learning rates are 0: every timed iteration does the same work.
+ * Checked before timing: one iteration at real learning rates must lower the loss.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "bench/bench.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "bench/city.h"
+#include "render/render.h"
+#include "train/loss.h"
+
+enum { SEED = 7 };
+
+struct step_case {
+    struct dev *dev; /* borrowed */
+    struct render *render;
+    struct loss *loss;
+    struct render_model model;
+    struct render_adam adam;
+    struct render_density_stats stats;
+    struct camera cam;
+    cl_mem target;
+};
+
+static void step_free(struct step_case *c)
+{
+    cl_mem *const mems[] = {&c->adam.m1,     &c->adam.m2,      &c->stats.grad,     &c->stats.absg,
+                            &c->stats.count, &c->stats.radius, &c->stats.repaired, &c->target};
+    for (size_t i = 0; i < sizeof mems / sizeof *mems; i++)
+        dev_release(mems[i]);
+    render_model_free(&c->model);
+    loss_close(&c->loss);
+    render_close(&c->render);
+}
+
+static void step_rates(struct step_case *c, float scale)
+{
+    struct render_adam *a = &c->adam;
+    a->lr_mean = 5e-3f * scale;
+    a->lr_scale = 5e-3f * scale;
+    a->lr_quat = 1e-3f * scale;
+    a->lr_opacity = 5e-2f * scale;
+    a->lr_sh_dc = 2.5e-3f * scale;
+    a->lr_sh_rest = 1.25e-4f * scale;
+}
+
+static enum err_code step_draw(void *user, struct err *e)
+{
+    struct step_case *c = user;
+    const struct render_options o = {.aa = RENDER_AA_2D, .sh_degree = -1};
+    enum err_code rc = render_forward(c->render, &c->model, &c->cam, &o, NULL, NULL, e);
+    return rc == ERR_OK ? dev_finish(c->dev, e) : rc;
+}
+
+static enum err_code step_loss(void *user, struct err *e)
+{
+    struct step_case *c = user;
+    const struct loss_input in = {.color = render_color_buffer(c->render),
+                                  .target = c->target,
+                                  .width_px = c->cam.width_px,
+                                  .height_px = c->cam.height_px,
+                                  .l1_weight = LOSS_L1_WEIGHT,
+                                  .ssim_weight = LOSS_SSIM_WEIGHT};
+    enum err_code rc = loss_run(c->loss, &in, render_color_grad_buffer(c->render), e);
+    return rc == ERR_OK ? dev_finish(c->dev, e) : rc;
+}
+
+static enum err_code step_once(void *user, struct err *e)
+{
+    struct step_case *c = user;
+    enum err_code rc = step_draw(c, e);
+    if (rc == ERR_OK)
+        rc = step_loss(c, e);
+    c->adam.step++;
+    if (rc == ERR_OK)
+        rc = render_backward_step(c->render, &c->model, &c->adam, &c->stats, e);
+    return rc == ERR_OK ? dev_finish(c->dev, e) : rc;
+}
+
+/* The photograph: what the undisturbed city looks like. */
+static enum err_code step_target(struct step_case *c, const struct gauss *city, struct err *e)
+{
+    size_t n = (size_t)c->cam.width_px * c->cam.height_px * 3;
+    float *rgb = mem_array(n, sizeof *rgb);
+    uint8_t *bytes = mem_array(n, 1);
+    struct render_model m = {0};
+    const struct render_options o = {.aa = RENDER_AA_2D, .sh_degree = -1};
+    enum err_code rc = rgb && bytes ? render_model_upload(c->render, city, &m, e)
+                                    : err_set(e, ERR_MEM, "bench_step: picture");
+    if (rc == ERR_OK)
+        rc = render_forward(c->render, &m, &c->cam, &o, rgb, NULL, e);
+    for (size_t i = 0; rc == ERR_OK && i < n; i++)
+        bytes[i] = (uint8_t)(255 * (rgb[i] < 1 ? rgb[i] : 1) + 0.5f);
+    if (rc == ERR_OK)
+        rc = dev_buffer(c->dev, n, bytes, &c->target, e);
+    render_model_free(&m);
+    mem_free(rgb);
+    mem_free(bytes);
+    return rc;
+}
+
+static void step_disturb(struct gauss *g)
+{
+    size_t k = 3 * gauss_sh_count(g->sh_degree);
+    for (size_t i = 0; i < g->n; i++) {
+        for (size_t a = 0; a < 3; a++) {
+            g->mean_m[3 * i + a] += (float)(0.1 * rng_normal(SEED, a, i));
+            g->scale_log[3 * i + a] += (float)(0.1 * rng_normal(SEED, 3 + a, i));
+            g->sh[k * i + a] += (float)(0.2 * rng_normal(SEED, 6 + a, i));
+        }
+        g->opacity_logit[i] += (float)(0.3 * rng_normal(SEED, 9, i));
+    }
+}
+
+static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h, struct step_case *c,
+                               struct err *e)
+{
+    struct gauss g = {0};
+    memset(c, 0, sizeof *c);
+    c->dev = b->dev;
+    c->cam = city_camera(w, h);
+    c->adam.beta1 = 0.9f;
+    c->adam.beta2 = 0.999f;
+    c->adam.eps = 1e-15f;
+    c->adam.scale_log_min = -12;
+    c->adam.scale_log_max = 4;
+    enum err_code rc = city_sorted(n, &g, e);
+    if (rc == ERR_OK)
+        rc = render_open(b->dev, &c->render, e);
+    if (rc == ERR_OK)
+        rc = loss_open(b->dev, &c->loss, e);
+    if (rc == ERR_OK)
+        rc = step_target(c, &g, e);
+    step_disturb(&g);
+    if (rc == ERR_OK)
+        rc = render_model_upload(c->render, &g, &c->model, e);
+    size_t lanes = (size_t)c->model.groups * 16 * sizeof(float), state = lanes * c->model.planes;
+    cl_mem *const mems[] = {&c->adam.m1,     &c->adam.m2,      &c->stats.grad,    &c->stats.absg,
+                            &c->stats.count, &c->stats.radius, &c->stats.repaired};
+    for (size_t i = 0; rc == ERR_OK && i < sizeof mems / sizeof *mems; i++) {
+        size_t bytes = i < 2 ? state : lanes;
+        rc = dev_buffer(b->dev, bytes, NULL, mems[i], e);
+        if (rc == ERR_OK)
+            rc = dev_zero(b->dev, *mems[i], 0, bytes, e);
+    }
+    gauss_free(&g);
+    return rc;
+}
+
+/* One iteration at real rates must lower the loss. */
+static enum err_code step_check(struct step_case *c, struct err *e)
+{
+    struct loss_value before = {0}, after = {0};
+    step_rates(c, 1);
+    enum err_code rc = step_once(c, e);
+    if (rc == ERR_OK)
+        rc = loss_read(c->loss, &before, e);
+    step_rates(c, 0);
+    if (rc == ERR_OK)
+        rc = step_once(c, e);
+    if (rc == ERR_OK)
+        rc = loss_read(c->loss, &after, e);
+    if (rc == ERR_OK && !(after.total < before.total))
+        rc = err_set(e, ERR_INTERNAL, "bench_step: the loss rose from %.6f to %.6f in one step", before.total,
+                     after.total);
+    return rc;
+}
+
+static enum err_code step_measure(struct bench *b, size_t n, uint32_t w, uint32_t h, struct err *e)
+{
+    struct step_case c;
+    char name[64], text[128];
+    double ms = 0, draw_ms = 0, loss_ms = 0, spread = 0;
+    enum err_code rc = step_open(b, n, w, h, &c, e);
+    if (rc == ERR_OK)
+        rc = step_check(&c, e);
+    if (rc == ERR_OK)
+        rc = bench_time(b, step_once, &c, &ms, &spread, e);
+    if (rc == ERR_OK)
+        rc = bench_time(b, step_draw, &c, &draw_ms, &spread, e);
+    if (rc == ERR_OK)
+        rc = bench_time(b, step_loss, &c, &loss_ms, &spread, e);
+    if (rc == ERR_OK) {
+        snprintf(name, sizeof name, "%zu k, %ux%u", n / 1000, w, h);
+        bench_report(b, name, ms, "ms", 0, NULL);
+        snprintf(text, sizeof text, "%s: draw", name);
+        bench_report(b, text, draw_ms, "ms", 0, NULL);
+        snprintf(text, sizeof text, "%s: loss", name);
+        bench_report(b, text, loss_ms, "ms", 0, NULL);
+        snprintf(text, sizeof text, "%s: backward and Adam", name);
+        bench_report(b, text, ms - draw_ms - loss_ms, "ms", 0, NULL);
+    }
+    step_free(&c);
+    return rc;
+}
+
+enum err_code bench_step(struct bench *b, struct err *e)
+{
+    if (b->quick)
+        return step_measure(b, 5000, 200, 150, e);
+    enum err_code rc = step_measure(b, 100000, 400, 300, e);
+    if (rc == ERR_OK)
+        rc = step_measure(b, 100000, 800, 600, e);
+    if (rc == ERR_OK)
+        rc = step_measure(b, 1000000, 1280, 720, e);
+    return rc;
+}

@@ -1,0 +1,117 @@
+/* The procedural city that benchmarks draw: see city.h.
+ *
+ * A square of flat discs on the ground, the walls and roofs of 160 blocks, round trees and a few large faint
+ * floaters, in the proportions that a trained scene of an oblique flight has (about half of the Gaussians in
+ * view, five tiles each, most pixels saturated). It is seeded: every run draws the same.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "bench/city.h"
+
+#include <math.h>
+
+#include "core/base.h"
+
+enum { BLOCKS = 160, SEED = 20250723 };
+#define CITY_M 420.0
+
+static double uniform(uint64_t stream, uint64_t i, double lo, double hi)
+{
+    return lo + (hi - lo) * rng_unit(SEED, stream, i);
+}
+
+/* A disc of radius sigma_m whose thin axis is `axis` (0 east, 1 north, 2 up), leaning a little. */
+static void city_disc(struct gauss *g, size_t i, const double at[3], int axis, double sigma_m,
+                      const double rgb[3])
+{
+    static const double turn[3][4] = {{0.7071, 0, 0.7071, 0}, {0.7071, 0.7071, 0, 0}, {1, 0, 0, 0}};
+    for (int k = 0; k < 3; k++) {
+        g->mean_m[3 * i + k] = (float)at[k];
+        g->scale_log[3 * i + k] =
+            (float)(log(sigma_m) + (k == 2 ? -2.5 : 0.4 * rng_normal(SEED, 20 + (unsigned)k, i)));
+        g->sh[i * 3 * gauss_sh_count(g->sh_degree) + k] = (float)((rgb[k] - 0.5) / GAUSS_SH_C0);
+    }
+    for (int k = 0; k < 4; k++)
+        g->quat_wxyz[4 * i + k] = (float)(turn[axis][k] + 0.08 * rng_normal(SEED, 30 + (unsigned)k, i));
+    g->opacity_logit[i] = (float)(1.5 + 1.5 * rng_normal(SEED, 40, i));
+    for (size_t k = 3; k < 3 * gauss_sh_count(g->sh_degree); k++)
+        g->sh[i * 3 * gauss_sh_count(g->sh_degree) + k] = (float)(0.04 * rng_normal(SEED, 50 + k, i));
+    g->n = i + 1;
+}
+
+/* One point on block b: mostly walls. Blocks stand on a grid with streets between. */
+static void city_block(struct gauss *g, size_t i, double sigma_m)
+{
+    uint64_t b = rng_u64(SEED, 1, i) % BLOCKS;
+    double cell = CITY_M / 13, half[2], at[3], height = uniform(2, b, 8, 45);
+    double rgb[3] = {uniform(3, b, 0.35, 0.9), uniform(4, b, 0.35, 0.75), uniform(5, b, 0.3, 0.7)};
+    const double center[2] = {((double)(b % 13) - 6) * cell, ((double)(b / 13) - 6) * cell};
+    int face = (int)(rng_u64(SEED, 6, i) % 10), axis = face < 2 ? 2 : face % 2;
+    for (int k = 0; k < 2; k++) {
+        half[k] = uniform(7 + (unsigned)k, b, 0.2, 0.38) * cell;
+        at[k] = center[k] + half[k] * uniform(9 + (unsigned)k, i, -1, 1);
+    }
+    at[2] = axis == 2 ? height : uniform(11, i, 0, height);
+    if (axis < 2) {
+        at[axis] = center[axis] + (face < 6 ? half[axis] : -half[axis]);
+        /* windows */
+        double along = at[1 - axis], dark = fmod(fabs(along), 3.5) < 1.6 && fmod(at[2], 3.2) > 1.3 ? 0.45 : 1;
+        for (int k = 0; k < 3; k++)
+            rgb[k] *= dark * (axis ? 1.0 : 0.85);
+    }
+    city_disc(g, i, at, axis, sigma_m, rgb);
+}
+
+enum err_code city_make(size_t n, struct gauss *g, struct err *e)
+{
+    enum err_code rc = gauss_alloc(g, n, 3, 0, e);
+    double sigma = 1.5 * sqrt(480e3 / (double)n); /* ground and walls are 480 000 m^2 */
+    if (rc != ERR_OK)
+        return rc;
+    for (size_t i = 0; i < n; i++) {
+        double kind = rng_unit(SEED, 0, i);
+        double at[3] = {uniform(12, i, -0.5, 0.5) * CITY_M, uniform(13, i, -0.5, 0.5) * CITY_M, 0};
+        if (kind < 0.55) {
+            city_block(g, i, sigma);
+        } else if (kind < 0.90) {
+            double shade = 0.25 + 0.1 * sin(at[0] * 0.4) * sin(at[1] * 0.3) + uniform(14, i, 0, 0.1);
+            const double grey[3] = {shade, shade, shade * 0.95};
+            city_disc(g, i, at, 2, sigma, grey);
+        } else if (kind < 0.998) { /* trees along the streets */
+            uint64_t tree = rng_u64(SEED, 15, i) % 900;
+            const double green[3] = {0.15, uniform(16, i, 0.25, 0.5), 0.12};
+            for (unsigned k = 0; k < 3; k++)
+                at[k] = (k < 2 ? uniform(17 + k, tree, -0.5, 0.5) * CITY_M : 5) +
+                        1.6 * rng_normal(SEED, 60 + k, i);
+            city_disc(g, i, at, (int)(i % 3), 0.6 * sigma, green);
+        } else {
+            const double haze[3] = {0.7, 0.75, 0.8};
+            at[2] = uniform(19, i, 5, 90);
+            city_disc(g, i, at, 2, 8 * sigma, haze);
+            g->opacity_logit[i] = -3.5f;
+        }
+    }
+    return ERR_OK;
+}
+
+enum err_code city_sorted(size_t n, struct gauss *out, struct err *e)
+{
+    struct gauss g = {0};
+    uint32_t *order = mem_array(n, sizeof *order);
+    enum err_code rc = order ? city_make(n, &g, e) : err_set(e, ERR_MEM, "city_sorted: %zu Gaussians", n);
+    if (rc == ERR_OK)
+        rc = gauss_morton_order(&g, order, e);
+    if (rc == ERR_OK)
+        rc = gauss_alloc(out, n, g.sh_degree, 0, e);
+    if (rc == ERR_OK)
+        rc = gauss_append(out, &g, order, n, e);
+    mem_free(order);
+    gauss_free(&g);
+    return rc;
+}
+
+struct camera city_camera(uint32_t width_px, uint32_t height_px)
+{
+    const double eye[3] = {-130, -150, 95}, target[3] = {0, 0, 5};
+    return camera_look_at(eye, target, 0.75, width_px, height_px);
+}
