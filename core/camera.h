@@ -54,6 +54,11 @@ const char *lens_name(enum lens_model model);             /* "OPENCV" */
 enum err_code lens_from_name(const char *name, enum lens_model *out, struct err *e) ERR_USE;
 size_t lens_param_count(enum lens_model model);
 void lens_focal(const struct lens *l, double *fx, double *fy, double *cx, double *cy);
+/* Does it map straight lines to straight lines (no distortion, or one whose coefficients are all 0)? */
+bool lens_is_pinhole(const struct lens *l);
+/* The same lens for a picture of another size. Models with one focal length come back as their equal with
+ * two, since a rounded size need not keep the aspect ratio. */
+struct lens lens_resize(const struct lens *l, uint32_t width_px, uint32_t height_px);
 /* Normalised camera-plane direction (x/z, y/z) -> distorted pixel. */
 void lens_distort(const struct lens *l, double x, double y, double *u_px, double *v_px);
 /* Its inverse by Newton iteration; false where the model cannot be inverted there. */

@@ -68,6 +68,41 @@ void lens_focal(const struct lens *l, double *fx, double *fy, double *cx, double
     *cy = one ? p[2] : p[3];
 }
 
+bool lens_is_pinhole(const struct lens *l)
+{
+    if (infos[l->model].fisheye || l->model == LENS_FOV)
+        return false;
+    for (size_t i = infos[l->model].one_focal ? 3 : 4; i < infos[l->model].n_params; i++)
+        if (l->params[i] != 0)
+            return false;
+    return true;
+}
+
+struct lens lens_resize(const struct lens *l, uint32_t width_px, uint32_t height_px)
+{
+    static const enum lens_model with_two[LENS_COUNT] = {
+        [LENS_SIMPLE_PINHOLE] = LENS_PINHOLE,          [LENS_SIMPLE_RADIAL] = LENS_OPENCV,
+        [LENS_RADIAL] = LENS_OPENCV,                   [LENS_SIMPLE_RADIAL_FISHEYE] = LENS_OPENCV_FISHEYE,
+        [LENS_RADIAL_FISHEYE] = LENS_OPENCV_FISHEYE,
+    };
+    struct lens out = *l;
+    double sx = (double)width_px / l->width_px, sy = (double)height_px / l->height_px, fx, fy, cx, cy;
+    lens_focal(l, &fx, &fy, &cx, &cy);
+    if (infos[l->model].one_focal) {
+        memset(out.params, 0, sizeof out.params);
+        out.model = with_two[l->model];
+        for (size_t i = 3; i < infos[l->model].n_params; i++) /* k1, k2 stay the first two coefficients */
+            out.params[i + 1] = l->params[i];
+    }
+    out.width_px = width_px;
+    out.height_px = height_px;
+    out.params[0] = fx * sx;
+    out.params[1] = fy * sy;
+    out.params[2] = cx * sx;
+    out.params[3] = cy * sy;
+    return out;
+}
+
 /* Brown's model with up to four radial terms over three, two tangential ones. */
 static void warp_brown(const double *k, const double *k_den, double p1, double p2, double a, double b,
                        double *u, double *v)

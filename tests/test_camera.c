@@ -229,6 +229,25 @@ static void test_lens_values(void **state)
     kit_near_d("THIN_PRISM_FISHEYE", got, prism, 2, 1e-10, 0);
 }
 
+/* A picture of another size sees the same, whatever the model and however the aspect was rounded. */
+static void test_lens_resize(void **state)
+{
+    (void)state;
+    for (int m = 0; m < LENS_COUNT; m++) {
+        struct lens l = lens_of((enum lens_model)m), r = lens_resize(&l, 334, 265);
+        double a[2], got[2];
+        lens_distort(&l, 0.3, -0.2, &a[0], &a[1]);
+        lens_distort(&r, 0.3, -0.2, &got[0], &got[1]);
+        const double want[2] = {a[0] * 334 / 1000, a[1] * 265 / 800};
+        kit_near_d(lens_name(l.model), got, want, 2, 1e-9, 0);
+        assert_int_equal(lens_is_pinhole(&l), m == LENS_PINHOLE || m == LENS_SIMPLE_PINHOLE);
+        assert_int_equal(lens_is_pinhole(&l), lens_is_pinhole(&r));
+    }
+    struct lens l = lens_of(LENS_OPENCV);
+    memset(l.params + 4, 0, 4 * sizeof *l.params);
+    assert_true(lens_is_pinhole(&l));
+}
+
 /* k1 = -0.5 folds back at r = sqrt(2/3): pixels beyond it belong to no direction. */
 static void test_lens_without_inverse(void **state)
 {
@@ -251,7 +270,8 @@ int main(void)
         cmocka_unit_test(test_look_at_conventions), cmocka_unit_test(test_heading_agrees_with_look_at),
         cmocka_unit_test(test_resize_keeps_the_view), cmocka_unit_test(test_quaternions),
         cmocka_unit_test(test_json), cmocka_unit_test(test_lens_round_trip),
-        cmocka_unit_test(test_lens_values), cmocka_unit_test(test_lens_without_inverse),
+        cmocka_unit_test(test_lens_values), cmocka_unit_test(test_lens_resize),
+        cmocka_unit_test(test_lens_without_inverse),
     };
     return cmocka_run_group_tests_name("camera", tests, NULL, NULL);
 }

@@ -1,0 +1,393 @@
+/* Similarities between camera centres and GPS positions.
+ *
+ * The closed form is Horn's (1987): the rotation is the quaternion that belongs to the largest eigenvalue of
+ * a 4x4 matrix, found by Jacobi's method. The refinement minimises, over rotation, scale, shift and one height
+ * offset per flight,
+ *
+ *   sum_i w_i |y_i - s R x_i - t - o_flight(i) e_z|^2 / sigma^2         GPS positions, robust weights
+ *   + mean_i (e_z . R right_i)^2 / sigma_level^2                       cameras are level but for their roll
+ *   + |R normal - e_z|_xy^2 / sigma_ground^2                           the ground is roughly horizontal
+ *
+ * The two weak terms decide only what GPS leaves open: the roll about a straight flight line. sigma_level is
+ * estimated from the cameras themselves and the mean, not the sum, is taken, because the rolls of one flight
+ * (wind, a crooked mount) are not independent.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "train/similarity.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/base.h"
+#include "core/camera.h"
+
+enum { UNKNOWNS = 7 + SIMILARITY_GROUPS_MAX - 1, REFINE_MAX = 30, JACOBI_SWEEPS = 40 };
+static const double sigma_floor_m = 0.01, sigma_ground = 0.2, level_floor = 0.01;
+static const double maxwell_median = 1.538; /* median of |r| over sigma per axis, three axes */
+static const double huber_k = 3;            /* of sigma: 97 % of |r| are below */
+
+void similarity_apply(const struct similarity *s, const double x[3], double y[3])
+{
+    for (int i = 0; i < 3; i++)
+        y[i] = s->scale * (s->rot[3 * i] * x[0] + s->rot[3 * i + 1] * x[1] + s->rot[3 * i + 2] * x[2]) + s->trans[i];
+}
+
+static void rotate(const double r[9], const double x[3], double y[3])
+{
+    for (int i = 0; i < 3; i++)
+        y[i] = r[3 * i] * x[0] + r[3 * i + 1] * x[1] + r[3 * i + 2] * x[2];
+}
+
+static int double_compare(const void *a, const void *b)
+{
+    const double *p = a, *q = b;
+    return (*p > *q) - (*p < *q);
+}
+
+double similarity_median(double *v, size_t n)
+{
+    if (!n)
+        return 0;
+    qsort(v, n, sizeof *v, double_compare);
+    return n % 2 ? v[n / 2] : 0.5 * (v[n / 2 - 1] + v[n / 2]);
+}
+
+/* ---- eigenvectors --------------------------------------------------------------------------------- */
+
+/* One Jacobi rotation that clears a[p][q]. */
+static void jacobi_turn(double *a, double *v, size_t n, size_t p, size_t q)
+{
+    double apq = a[p * n + q];
+    if (apq == 0)
+        return;
+    double theta = (a[q * n + q] - a[p * n + p]) / (2 * apq);
+    double t = (theta < 0 ? -1 : 1) / (fabs(theta) + sqrt(theta * theta + 1));
+    double c = 1 / sqrt(t * t + 1), s = t * c;
+    for (size_t k = 0; k < n; k++) {
+        double x = a[k * n + p], y = a[k * n + q];
+        a[k * n + p] = c * x - s * y;
+        a[k * n + q] = s * x + c * y;
+    }
+    for (size_t k = 0; k < n; k++) {
+        double x = a[p * n + k], y = a[q * n + k];
+        a[p * n + k] = c * x - s * y;
+        a[q * n + k] = s * x + c * y;
+        x = v[p * n + k];
+        y = v[q * n + k];
+        v[p * n + k] = c * x - s * y;
+        v[q * n + k] = s * x + c * y;
+    }
+}
+
+void similarity_eigen(const double *matrix, size_t n, double *values, double *vectors)
+{
+    double a[16];
+    memcpy(a, matrix, n * n * sizeof *a);
+    for (size_t i = 0; i < n * n; i++)
+        vectors[i] = i % (n + 1) == 0;
+    for (int sweep = 0; sweep < JACOBI_SWEEPS; sweep++) {
+        double off = 0, diag = 0;
+        for (size_t i = 0; i < n; i++)
+            for (size_t j = 0; j < n; j++)
+                *(i == j ? &diag : &off) += a[i * n + j] * a[i * n + j];
+        if (off <= 1e-30 * diag)
+            break;
+        for (size_t p = 0; p + 1 < n; p++)
+            for (size_t q = p + 1; q < n; q++)
+                jacobi_turn(a, vectors, n, p, q);
+    }
+    for (size_t i = 0; i < n; i++)
+        values[i] = a[i * n + i];
+    for (size_t i = 0; i < n; i++) /* ascending */
+        for (size_t j = i + 1; j < n; j++)
+            if (values[j] < values[i]) {
+                double t = values[i];
+                values[i] = values[j];
+                values[j] = t;
+                for (size_t k = 0; k < n; k++) {
+                    t = vectors[i * n + k];
+                    vectors[i * n + k] = vectors[j * n + k];
+                    vectors[j * n + k] = t;
+                }
+            }
+}
+
+/* ---- closed form ----------------------------------------------------------------------------------- */
+
+/* Rotation that maximises sum y . R x, given h[3*a+b] = sum x_a y_b. */
+static void rotation_from_moments(const double h[9], double rot[9])
+{
+    const double n[16] = {
+        h[0] + h[4] + h[8], h[5] - h[7],        h[6] - h[2],         h[1] - h[3],
+        h[5] - h[7],        h[0] - h[4] - h[8], h[1] + h[3],         h[6] + h[2],
+        h[6] - h[2],        h[1] + h[3],        -h[0] + h[4] - h[8], h[5] + h[7],
+        h[1] - h[3],        h[6] + h[2],        h[5] + h[7],         -h[0] - h[4] + h[8]};
+    double values[4], vectors[16];
+    similarity_eigen(n, 4, values, vectors);
+    camera_quat_to_rot(vectors + 12, rot);
+}
+
+bool similarity_from_pairs(const double (*x)[3], const double (*y)[3], const uint32_t *index, size_t n,
+                           const double up_x[3], struct similarity *out)
+{
+    double mx[3] = {0}, my[3] = {0}, h[9] = {0}, xx = 0, yy = 0, yrx = 0, norm = 0;
+    for (size_t k = 0; k < n; k++) {
+        size_t i = index ? index[k] : k;
+        for (int a = 0; a < 3; a++) {
+            mx[a] += x[i][a] / (double)n;
+            my[a] += y[i][a] / (double)n;
+        }
+    }
+    for (size_t k = 0; k < n; k++) {
+        size_t i = index ? index[k] : k;
+        for (int a = 0; a < 3; a++) {
+            xx += (x[i][a] - mx[a]) * (x[i][a] - mx[a]);
+            yy += (y[i][a] - my[a]) * (y[i][a] - my[a]);
+            for (int b = 0; b < 3; b++)
+                h[3 * a + b] += (x[i][a] - mx[a]) * (y[i][b] - my[b]);
+        }
+    }
+    if (!(xx > 0 && yy > 0))
+        return false;
+    double up_h[9];
+    for (int i = 0; i < 9; i++)
+        norm += h[i] * h[i];
+    memcpy(up_h, h, sizeof up_h);
+    for (int a = 0; a < 3; a++) /* a pair (up_x, e_z) of a hundredth of the weight */
+        up_h[3 * a + 2] += 0.01 * sqrt(norm) * up_x[a];
+    rotation_from_moments(up_h, out->rot);
+    for (int a = 0; a < 3; a++)
+        for (int b = 0; b < 3; b++)
+            yrx += out->rot[3 * b + a] * h[3 * a + b];
+    out->scale = yrx / xx;
+    if (!(out->scale > 0))
+        return false;
+    double rm[3];
+    rotate(out->rot, mx, rm);
+    for (int a = 0; a < 3; a++)
+        out->trans[a] = my[a] - out->scale * rm[a];
+    return true;
+}
+
+/* ---- refinement -------------------------------------------------------------------------------------- */
+
+static void residual_at(const struct similarity_problem *p, const struct similarity_fit *f, size_t i, double r[3])
+{
+    double y[3];
+    similarity_apply(&f->sim, p->x[i], y);
+    y[2] += f->offset_m[p->group[i]];
+    for (int a = 0; a < 3; a++)
+        r[a] = p->y[i][a] - y[a];
+}
+
+double similarity_residual(const struct similarity_problem *p, const struct similarity_fit *fit, size_t i)
+{
+    double r[3];
+    residual_at(p, fit, i, r);
+    return sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2]);
+}
+
+struct normal_eq { /* upper triangle not mirrored until solved; unknowns: rotation, log scale, shift, offsets */
+    double a[UNKNOWNS][UNKNOWNS], b[UNKNOWNS];
+    size_t n;
+};
+
+static void eq_add(struct normal_eq *q, const double *row, double residual, double weight)
+{
+    for (size_t i = 0; i < q->n; i++) {
+        if (row[i] == 0)
+            continue;
+        q->b[i] += weight * row[i] * residual;
+        for (size_t j = 0; j < q->n; j++)
+            q->a[i][j] += weight * row[i] * row[j];
+    }
+}
+
+/* Cholesky in place; solves for b and leaves the factor in a. False when not positive definite. */
+static bool eq_factor(struct normal_eq *q)
+{
+    for (size_t j = 0; j < q->n; j++) {
+        double pivot = q->a[j][j], full = pivot;
+        for (size_t k = 0; k < j; k++)
+            pivot -= q->a[j][k] * q->a[j][k];
+        if (!(pivot > 1e-13 * full))
+            return false;
+        q->a[j][j] = sqrt(pivot);
+        for (size_t i = j + 1; i < q->n; i++) {
+            double v = q->a[i][j];
+            for (size_t k = 0; k < j; k++)
+                v -= q->a[i][k] * q->a[j][k];
+            q->a[i][j] = v / q->a[j][j];
+        }
+    }
+    return true;
+}
+
+static void eq_solve(const struct normal_eq *q, const double *b, double *x)
+{
+    for (size_t i = 0; i < q->n; i++) {
+        x[i] = b[i];
+        for (size_t k = 0; k < i; k++)
+            x[i] -= q->a[i][k] * x[k];
+        x[i] /= q->a[i][i];
+    }
+    for (size_t i = q->n; i-- > 0;) {
+        for (size_t k = i + 1; k < q->n; k++)
+            x[i] -= q->a[k][i] * x[k];
+        x[i] /= q->a[i][i];
+    }
+}
+
+static double weight_at(double distance, double sigma, double cut)
+{
+    if (!(distance <= cut))
+        return 0;
+    double k = huber_k * sigma;
+    return (distance <= k ? 1 : k / distance) / (sigma * sigma);
+}
+
+/* Rows of the GPS positions; center is the weighted mean of s R x + t, about which the rotation turns. */
+static void add_positions(const struct similarity_problem *p, const struct similarity_fit *f, const double center[3],
+                          double cut, struct normal_eq *q)
+{
+    for (size_t i = 0; i < p->n; i++) {
+        double r[3], y[3];
+        if (!p->use[i])
+            continue;
+        residual_at(p, f, i, r);
+        double w = weight_at(sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2]), f->sigma_m, cut);
+        if (w == 0)
+            continue;
+        similarity_apply(&f->sim, p->x[i], y);
+        for (int a = 0; a < 3; a++)
+            y[a] -= center[a];
+        /* d(s R x) = omega x y + y dlog s */
+        const double turn[3][3] = {{0, y[2], -y[1]}, {-y[2], 0, y[0]}, {y[1], -y[0], 0}};
+        for (int a = 0; a < 3; a++) {
+            double row[UNKNOWNS] = {turn[a][0], turn[a][1], turn[a][2], y[a]};
+            row[4 + a] = 1;
+            if (a == 2 && p->group[i])
+                row[6 + p->group[i]] = 1;
+            eq_add(q, row, r[a], w);
+        }
+    }
+}
+
+static void add_level(const struct similarity_problem *p, const struct similarity_fit *f, struct normal_eq *q)
+{
+    double sum2 = 0, v[3];
+    size_t n = 0;
+    for (size_t i = 0; i < p->n; i++) {
+        if (!p->use[i])
+            continue;
+        rotate(f->sim.rot, p->right[i], v);
+        sum2 += v[2] * v[2];
+        n++;
+    }
+    double sigma2 = fmax(level_floor * level_floor, sum2 / (double)(n ? n : 1)) * (double)n;
+    for (size_t i = 0; i < p->n; i++) {
+        if (!p->use[i])
+            continue;
+        rotate(f->sim.rot, p->right[i], v); /* e_z . (omega x v) = omega . (v x e_z) */
+        double row[UNKNOWNS] = {v[1], -v[0], 0};
+        eq_add(q, row, -v[2], 1 / sigma2);
+    }
+    rotate(f->sim.rot, p->normal, v);
+    if (v[0] == 0 && v[1] == 0 && v[2] == 0)
+        return;
+    double row_x[UNKNOWNS] = {0, v[2], -v[1]}, row_y[UNKNOWNS] = {-v[2], 0, v[0]};
+    eq_add(q, row_x, -v[0], 1 / (sigma_ground * sigma_ground));
+    eq_add(q, row_y, -v[1], 1 / (sigma_ground * sigma_ground));
+}
+
+/* Turn by omega and stretch by exp(grow) about center, then shift. */
+static void fit_step(struct similarity_fit *f, const double *d, const double center[3], size_t n_groups)
+{
+    double angle = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]), half = angle > 1e-12 ? sin(0.5 * angle) / angle : 0.5;
+    double quat[4] = {cos(0.5 * angle), d[0] * half, d[1] * half, d[2] * half}, turn[9], rot[9], v[3];
+    double grow = exp(fmin(1, fmax(-1, d[3])));
+    camera_quat_to_rot(quat, turn);
+    for (int i = 0; i < 3; i++)
+        v[i] = f->sim.trans[i] - center[i];
+    for (int i = 0; i < 3; i++) {
+        for (int j = 0; j < 3; j++)
+            rot[3 * i + j] = turn[3 * i] * f->sim.rot[j] + turn[3 * i + 1] * f->sim.rot[3 + j] +
+                             turn[3 * i + 2] * f->sim.rot[6 + j];
+        f->sim.trans[i] = center[i] + grow * (turn[3 * i] * v[0] + turn[3 * i + 1] * v[1] + turn[3 * i + 2] * v[2]) +
+                          d[4 + i];
+    }
+    f->sim.scale *= grow;
+    camera_rot_to_quat(rot, quat);
+    camera_quat_to_rot(quat, f->sim.rot);
+    for (size_t g = 1; g < n_groups; g++)
+        f->offset_m[g] += d[6 + g];
+}
+
+static void standard_errors(const struct normal_eq *q, struct similarity_fit *f)
+{
+    double var[7];
+    for (size_t i = 0; i < 7; i++) {
+        double unit[UNKNOWNS] = {0}, column[UNKNOWNS];
+        unit[i] = 1;
+        eq_solve(q, unit, column);
+        var[i] = column[i];
+    }
+    f->tilt_rad = sqrt(fmax(var[0], var[1]));
+    f->heading_rad = sqrt(var[2]);
+    f->scale_rel = sqrt(var[3]);
+    f->place_m = sqrt(fmax(var[4], fmax(var[5], var[6])));
+}
+
+/* Median distance of the pairs in use, per axis; center = mean of their fitted places. */
+static void spread_at(const struct similarity_problem *p, struct similarity_fit *f, double *scratch, double center[3])
+{
+    size_t n = 0;
+    memset(center, 0, 3 * sizeof *center);
+    for (size_t i = 0; i < p->n; i++) {
+        double y[3];
+        if (!p->use[i])
+            continue;
+        similarity_apply(&f->sim, p->x[i], y);
+        for (int a = 0; a < 3; a++)
+            center[a] += y[a];
+        scratch[n++] = similarity_residual(p, f, i);
+    }
+    for (int a = 0; a < 3; a++)
+        center[a] /= (double)(n ? n : 1);
+    f->sigma_m = fmax(sigma_floor_m, similarity_median(scratch, n) / maxwell_median);
+}
+
+enum err_code similarity_refine(const struct similarity_problem *p, struct similarity_fit *fit, struct err *e)
+{
+    double *scratch = mem_array(p->n, sizeof *scratch), center[3], d[UNKNOWNS];
+    struct normal_eq q;
+    enum err_code rc = ERR_OK;
+    if (!scratch)
+        return err_set(e, ERR_MEM, "georeferencing: out of memory for %zu photographs", p->n);
+    for (int step = 0; step < REFINE_MAX; step++) {
+        spread_at(p, fit, scratch, center);
+        memset(&q, 0, sizeof q);
+        q.n = 6 + p->n_groups;
+        add_positions(p, fit, center, fmax(p->cut_m, 6 * fit->sigma_m), &q);
+        add_level(p, fit, &q);
+        if (!eq_factor(&q)) {
+            rc = err_set(e, ERR_DATA, "the GPS positions do not determine where the scene lies (all at one place?)");
+            break;
+        }
+        eq_solve(&q, q.b, d);
+        fit_step(fit, d, center, p->n_groups);
+        double size = 0;
+        for (size_t k = 0; k < q.n; k++)
+            size = fmax(size, fabs(d[k]));
+        if (size < 1e-10)
+            break;
+    }
+    if (rc == ERR_OK) {
+        spread_at(p, fit, scratch, center);
+        standard_errors(&q, fit);
+    }
+    mem_free(scratch);
+    return rc;
+}
