@@ -37,6 +37,15 @@ inline uint score_active(const struct score_state *s, uint active)
     return active;
 }
 
+// Sum of the lanes, by halves in a fixed order.
+inline float score_sum(float16 v)
+{
+    float8 a = v.lo + v.hi;
+    float4 b = a.lo + a.hi;
+    float2 c = b.lo + b.hi;
+    return c.x + c.y;
+}
+
 inline void score_entry(struct score_state *s, const float *rec, float x0, float y0, uint blocks,
                         __global float *slot)
 {
@@ -56,7 +65,7 @@ inline void score_entry(struct score_state *s, const float *rec, float x0, float
         shares += share;
         dist += one * sqrt(dx * dx + dy * dy);
     }
-    vstore4(fold_1(fold_4(fold_8(weight, count), fold_8(shares, dist))), 0, slot);
+    vstore4((float4)(score_sum(weight), score_sum(count), score_sum(shares), score_sum(dist)), 0, slot);
 }
 
 __kernel void score_tiles(__constant struct layout_view *view, __global const struct layout_splat *splats,

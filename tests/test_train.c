@@ -19,7 +19,7 @@
 
 enum { BLOBS = 60, PHOTOS = 9, WIDTH = 64, HEIGHT = 48 };
 #define GROUND_M 6.0
-#define GOLDEN_TRACE {0}
+#define TOY_PSNR_DB 19.0 /* 20.3 when written */
 /* Golden numbers were made on one CPU; another one's exp() or fused operations may differ by this much. */
 #define GOLDEN_REL 2e-3
 
@@ -120,7 +120,7 @@ static struct train_config toy_config(struct arena *a, const char *out)
     struct err e = {0};
     kit_ok(options_defaults(train_options(), &c, a, &e), e);
     c.output = out;
-    c.iterations = 120;
+    c.iterations = 300;
     c.downsample_1 = 2.0;
     c.downsample_2 = 1.0;
     c.budget_1 = 80;
@@ -239,7 +239,7 @@ static void training_improves_keeps_budgets_and_repeats(void **state)
         kit_ok(train_run(scene_dir, &c, &r[i], &e), e);
         assert_true(r[i].n_gaussians[0] <= 80 && r[i].n_gaussians[1] <= 100 && r[i].n_gaussians[2] <= 150);
         assert_true(r[i].n_gaussians[2] > r[i].n_gaussians[0]);
-        assert_true(r[i].psnr_db[2] > 20.0);
+        assert_true(r[i].psnr_db[2] > TOY_PSNR_DB);
     }
     assert_same_levels(out[0], out[1]);
     struct ckpt c;
@@ -270,7 +270,7 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
     kit_ok(train_run(scene_dir, &c, &r, &e), e);
     c.output = parts;
     /* pieces of 1, 7, 30, ... steps: in the middle of levels, at their ends, around densifications */
-    static const int64_t pieces[] = {1, 7, 22, 2, 28, 16, 16};
+    static const int64_t pieces[] = {1, 7, 67, 2, 73, 40, 40};
     for (size_t i = 0; i < sizeof(pieces) / sizeof(pieces[0]); i++) {
         c.stop_after = pieces[i];
         c.resume = i > 0;
@@ -318,7 +318,9 @@ static void a_damaged_state_is_refused(void **state)
 static void twenty_steps_give_the_golden_trace(void **state)
 {
     (void)state;
-    static const double golden[20] = GOLDEN_TRACE;
+    static const double golden[20] = {0.250743, 0.263665, 0.238544, 0.235704, 0.229938, 0.225960, 0.230517,
+                                      0.223437, 0.222595, 0.216115, 0.219659, 0.227272, 0.205244, 0.207920,
+                                      0.206061, 0.203116, 0.201210, 0.204415, 0.203900, 0.191031};
     struct err e = {0};
     struct arena a = {0};
     struct scene s;
@@ -329,6 +331,7 @@ static void twenty_steps_give_the_golden_trace(void **state)
     struct train_config c = toy_config(&a, NULL);
     c.level_count = 1;
     c.iterations = 200;
+    c.densify_from = 1000000; /* choices of who is split may tip over by rounding; steps may not */
     kit_ok(scene_read(scene_dir, &s, &e), e);
     kit_ok(train_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
     struct level l = {.cfg = &c, .scene = &s, .images = images, .n_images = n, .dev = &dev, .n_levels = 1};
@@ -343,9 +346,7 @@ static void twenty_steps_give_the_golden_trace(void **state)
         struct loss_value v;
         kit_ok(level_step(&l, &v, &e), e);
         got[i] = v.total;
-        print_message("%.6f, ", v.total);
     }
-    print_message("\n");
     kit_near_d("loss of the first 20 steps", got, golden, 20, 0.0, GOLDEN_REL);
     assert_true(got[19] < got[0]);
     level_close(&l);
