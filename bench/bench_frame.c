@@ -1,0 +1,144 @@
+/* Drawing: whole frames of the procedural city (city.h), the stages of one, and what Morton order and exact
+ * tile culling are worth.
+ *
+ * Checked before timing: a frame drawn twice has the same bits, and exact culling changes none of them.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "bench/bench.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "bench/city.h"
+#include "render/frame.h" /* box_tiles: culling off */
+
+enum { FRAME_W_MAX = 1600, FRAME_H_MAX = 1200 };
+
+struct frame_case {
+    struct render *render;
+    struct render_model model;
+    struct camera cam;
+    float *rgb, *again;
+};
+
+static enum err_code frame_once(void *user, struct err *e)
+{
+    struct frame_case *c = user;
+    const struct render_options o = {.aa = RENDER_AA_2D, .sh_degree = -1};
+    return render_forward(c->render, &c->model, &c->cam, &o, c->rgb, NULL, e);
+}
+
+static enum err_code frame_check(struct frame_case *c, struct err *e)
+{
+    size_t bytes = 3 * (size_t)c->cam.width_px * c->cam.height_px * sizeof *c->rgb;
+    enum err_code rc = frame_once(c, e);
+    for (int boxes = 0; rc == ERR_OK && boxes < 2; boxes++) {
+        memcpy(c->again, c->rgb, bytes);
+        c->render->box_tiles = boxes == 1;
+        rc = frame_once(c, e);
+        c->render->box_tiles = false;
+        if (rc == ERR_OK && memcmp(c->rgb, c->again, bytes) != 0)
+            rc = err_set(e, ERR_INTERNAL, "bench_frame: check: %s gives another picture",
+                         boxes ? "drawing without tile culling" : "drawing again");
+    }
+    if (rc == ERR_OK && render_last_stats(c->render)->visible == 0)
+        rc = err_set(e, ERR_INTERNAL, "bench_frame: check: nothing is visible");
+    return rc;
+}
+
+static enum err_code frame_report(struct bench *b, struct frame_case *c, const char *name, double *ms,
+                                  double ratio_to_ms, const char *against, struct err *e)
+{
+    char text[96];
+    enum err_code rc = bench_time(b, frame_once, c, ms, NULL, e);
+    if (rc != ERR_OK)
+        return rc;
+    snprintf(text, sizeof text, "%s, %ux%u", name, c->cam.width_px, c->cam.height_px);
+    bench_report(b, text, *ms, "ms", against ? *ms / ratio_to_ms : 0, against);
+    return ERR_OK;
+}
+
+static enum err_code frame_stages(struct bench *b, struct frame_case *c, const char *name, struct err *e)
+{
+    char text[96];
+    render_set_timing(c->render, true);
+    enum err_code rc = frame_once(c, e);
+    render_set_timing(c->render, false);
+    const struct render_stats *s = render_last_stats(c->render);
+    const struct {
+        const char *name, *unit;
+        double value;
+    } rows[] = {{"visible", "splats", s->visible}, {"pairs of splat and tile", "", (double)s->entries},
+                {"project", "ms", s->ms_project},  {"sort", "ms", s->ms_sort},
+                {"bin", "ms", s->ms_bin},          {"blend", "ms", s->ms_blend}};
+    for (size_t i = 0; rc == ERR_OK && i < sizeof rows / sizeof *rows; i++) {
+        snprintf(text, sizeof text, "%s, %ux%u: %s", name, c->cam.width_px, c->cam.height_px, rows[i].name);
+        bench_report(b, text, rows[i].value, rows[i].unit, 0, NULL);
+    }
+    return rc;
+}
+
+static enum err_code frame_open(struct bench *b, const struct gauss *g, struct frame_case *c, struct err *e)
+{
+    enum err_code rc = render_open(b->dev, &c->render, e);
+    if (rc == ERR_OK)
+        rc = render_model_upload(c->render, g, &c->model, e);
+    c->rgb = mem_array(3 * FRAME_W_MAX * FRAME_H_MAX, sizeof *c->rgb);
+    c->again = mem_array(3 * FRAME_W_MAX * FRAME_H_MAX, sizeof *c->again);
+    if (rc == ERR_OK && (!c->rgb || !c->again))
+        rc = err_set(e, ERR_MEM, "bench_frame: pictures");
+    return rc;
+}
+
+static void frame_close(struct frame_case *c)
+{
+    mem_free(c->rgb);
+    mem_free(c->again);
+    render_model_free(&c->model);
+    render_close(&c->render);
+}
+
+enum err_code bench_frame(struct bench *b, struct err *e)
+{
+    static const uint32_t sizes[][2] = {{1280, 720}, {1600, 1200}, {400, 300}};
+    size_t n = b->quick ? 20000 : 1000000;
+    struct gauss sorted = {0}, random = {0};
+    struct frame_case c = {0}, r = {0};
+    double ms = 0, hd_ms = 0;
+    char name[48];
+    enum err_code rc = city_sorted(n, &sorted, e);
+    snprintf(name, sizeof name, "%zu k", n / 1000);
+    if (rc == ERR_OK)
+        rc = frame_open(b, &sorted, &c, e);
+    for (size_t i = 0; rc == ERR_OK && i < sizeof sizes / sizeof *sizes; i++) {
+        c.cam = city_camera(sizes[i][0], sizes[i][1]);
+        rc = frame_check(&c, e);
+        if (rc == ERR_OK)
+            rc = frame_report(b, &c, name, &ms, 0, NULL, e);
+        if (rc == ERR_OK)
+            rc = frame_stages(b, &c, name, e);
+        hd_ms = i == 0 ? ms : hd_ms;
+    }
+    if (rc == ERR_OK) {
+        c.cam = city_camera(sizes[0][0], sizes[0][1]);
+        snprintf(name, sizeof name, "%zu k, boxes", n / 1000);
+        c.render->box_tiles = true;
+        rc = frame_report(b, &c, name, &ms, hd_ms, "exact tile culling", e);
+        c.render->box_tiles = false;
+    }
+    if (rc == ERR_OK)
+        rc = city_make(n, &random, e);
+    if (rc == ERR_OK)
+        rc = frame_open(b, &random, &r, e);
+    if (rc == ERR_OK) {
+        r.cam = city_camera(sizes[0][0], sizes[0][1]);
+        snprintf(name, sizeof name, "%zu k, random order", n / 1000);
+        rc = frame_report(b, &r, name, &ms, hd_ms, "Morton order", e);
+    }
+    frame_close(&r);
+    frame_close(&c);
+    gauss_free(&random);
+    gauss_free(&sorted);
+    return rc;
+}
