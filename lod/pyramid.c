@@ -647,6 +647,10 @@ static enum err_code pyramid_write(struct pyramid *p, const struct ckpt_blob *bl
     if (!rc)
         rc = store_commit(&p->store, e);
     store_close(&p->store);
+    if (!rc && !(rc = store_open(out_path, &p->store, e))) { /* what was written can be read */
+        memcpy(p->report->revision, store_info(p->store)->revision, sizeof p->report->revision);
+        store_close(&p->store);
+    }
     return rc;
 }
 

@@ -1,0 +1,223 @@
+/* citysplat export: a tile store -> one .ply or .spz of a level, or a static 3D Tiles folder that any web server or
+ * CDN can hand out without us. The .glb files are the bytes `citysplat serve` would send.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+
+#include "cli/cli.h"
+#include "codec/codec.h"
+#include "core/pool.h"
+#include "lod/lod.h"
+#include "lod/tree.h"
+#include "train/outdir.h"
+
+enum { EXPORT_AUTO, EXPORT_PLY, EXPORT_SPZ, EXPORT_3DTILES };
+
+struct export_options {
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/export.def"
+#undef OPT
+};
+
+static const struct options_def defs[] = {
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct export_options, type, key, def, lo, hi, unit, help)
+#include "cli/export.def"
+#undef OPT
+};
+
+static const struct options_spec spec = {
+    .command = "export",
+    .usage = "citysplat export CITY.tiles -o FILE [options]",
+    .about = "Writes one level of a tile store as .ply (east-north-up, every bit of a lossless store) or .spz, or the whole\n"
+             "pyramid as a folder with tileset.json and .glb tiles for a web server or CDN.",
+    .example = "citysplat export city.tiles -o city.ply\n"
+               "citysplat export city.tiles -o public/city --format 3dtiles",
+    .defs = defs,
+    .n_defs = sizeof defs / sizeof *defs,
+    .min_args = 1,
+    .max_args = 1};
+
+/* Zoom of a level by its name: tiles above it count only where nothing finer is. */
+static enum err_code export_zoom(const struct store *s, const char *level, uint8_t *zoom, struct err *e)
+{
+    size_t n;
+    const struct store_tile *t = store_tiles(s, &n);
+    uint8_t top = 0;
+    char *end;
+    for (size_t i = 0; i < n; i++)
+        top = t[i].level > top ? t[i].level : top;
+    *zoom = store_info(s)->zoom_max;
+    if (!strcmp(level, "finest"))
+        return ERR_OK;
+    long l = strtol(level, &end, 10);
+    if (end == level || *end || l < 1 || l > top)
+        return err_set(e, ERR_ARG, "--level: '%s': finest or 1 to %u is expected", level, top);
+    *zoom = (uint8_t)(store_info(s)->zoom_max - (top - l));
+    return ERR_OK;
+}
+
+/* All Gaussians of the cut through the tree at `zoom`: tiles of that zoom, and leaves above it. */
+static enum err_code export_gather(struct store *s, uint8_t zoom, struct gauss *out, struct err *e)
+{
+    size_t n;
+    const struct store_tile *t = store_tiles(s, &n);
+    const struct store_meta *m = store_info(s);
+    struct progress p;
+    enum err_code rc = gauss_alloc(out, 0, m->sh_degree, m->embed_len, e);
+    out->antialiased = m->antialiased;
+    progress_start(&p, "export", n);
+    for (size_t i = 0; !rc && i < n; i++) {
+        bool leaf = store_tree(s)->nodes[i].child_count == 0;
+        progress_step(&p, i + 1, NULL);
+        if (t[i].key.z != zoom && !(leaf && t[i].key.z < zoom))
+            continue;
+        struct gauss g;
+        rc = store_read_gauss(s, t[i].key, &g, e);
+        if (!rc)
+            rc = gauss_append(out, &g, NULL, g.n, e);
+        gauss_free(&g);
+    }
+    progress_end(&p, NULL);
+    return rc;
+}
+
+static enum err_code export_spz(struct gauss *g, struct buf *out, struct err *e)
+{
+    struct quant q = {0};
+    frame_enu_to_gltf(g);
+    enum err_code rc = quant_from_gauss(g, g->sh_degree, &q, e);
+    if (!rc)
+        rc = spz_encode(&q, 3, out, e);
+    quant_free(&q);
+    return rc;
+}
+
+static enum err_code export_file(struct store *s, const struct export_options *o, int format, struct err *e)
+{
+    struct gauss g = {0};
+    struct buf b = {0};
+    uint8_t zoom = 0;
+    const struct ply_info info = {.has_origin = true, .origin = store_info(s)->origin, .axes = PLY_AXES_ENU};
+    enum err_code rc = export_zoom(s, o->level, &zoom, e);
+    if (!rc)
+        rc = export_gather(s, zoom, &g, e);
+    if (!rc)
+        rc = format == EXPORT_PLY ? ply_encode(&g, &info, &b, e) : export_spz(&g, &b, e);
+    if (!rc)
+        rc = file_write(o->output, b.data, b.size, e);
+    if (!rc)
+        printf("%s: %zu Gaussians, %zu bytes, origin %.9g, %.9g, %.3f m\n", o->output, g.n, b.size, info.origin.lon_deg,
+               info.origin.lat_deg, info.origin.h_m);
+    buf_free(&b);
+    gauss_free(&g);
+    return rc;
+}
+
+/* ---- a folder of 3D Tiles ---- */
+
+static enum err_code export_glb(struct store *s, const struct store_tile *t, const char *dir, struct err *e)
+{
+    struct gauss g = {0};
+    struct quant q = {0};
+    struct buf b = {0};
+    char path[FILE_PATH_MAX];
+    const struct store_meta *m = store_info(s);
+    int n = snprintf(path, sizeof path, "%s/t/%u/%u", dir, t->key.z, t->key.x);
+    enum err_code rc = n > 0 && n + 16 < FILE_PATH_MAX ? file_mkdir(path, e) : err_set(e, ERR_LIMIT, "%s: path too long", dir);
+    if (!rc)
+        snprintf(path + n, sizeof path - (size_t)n, "/%u.glb", t->key.y);
+    if (!rc)
+        rc = store_read_gauss(s, t->key, &g, e);
+    if (!rc) {
+        frame_enu_to_gltf(&g);
+        rc = quant_from_gauss(&g, m->sh_degree, &q, e);
+    }
+    if (!rc)
+        rc = glb_encode_spz(&q, m->attribution[0] ? m->attribution : NULL, &b, e);
+    if (!rc)
+        rc = file_write(path, b.data, b.size, e);
+    else
+        err_add(e, "tile %u/%u/%u", t->key.z, t->key.x, t->key.y);
+    buf_free(&b);
+    quant_free(&q);
+    gauss_free(&g);
+    return rc;
+}
+
+static enum err_code export_document(const struct store *s, const char *dir, const char *name,
+                                     enum err_code (*write)(const struct store *, const char *, struct buf *, struct err *),
+                                     struct err *e)
+{
+    struct buf b = {0};
+    char path[FILE_PATH_MAX];
+    enum err_code rc = file_join(path, dir, name, e);
+    if (!rc)
+        rc = write(s, "t/{z}/{x}/{y}.glb", &b, e);
+    if (!rc)
+        rc = file_write(path, b.data, b.size, e);
+    buf_free(&b);
+    return rc;
+}
+
+static enum err_code export_3dtiles(struct store *s, const struct export_options *o, struct err *e)
+{
+    struct outdir d = {0};
+    struct progress p;
+    size_t n;
+    const struct store_tile *t = store_tiles(s, &n);
+    enum err_code rc = outdir_begin(o->output, "tileset.json", o->overwrite, &d, e);
+    progress_start(&p, "export", n);
+    for (size_t i = 0; !rc && i < n; i++) {
+        rc = export_glb(s, &t[i], d.part, e);
+        progress_step(&p, i + 1, NULL);
+        if (!rc && clock_stopping())
+            rc = err_set(e, ERR_CANCEL, "stopped");
+    }
+    progress_end(&p, NULL);
+    if (!rc)
+        rc = export_document(s, d.part, "tileset.json", tileset_write, e);
+    if (!rc)
+        rc = export_document(s, d.part, "tiles.json", tileset_tilejson, e);
+    if (!rc)
+        rc = outdir_commit(&d, e);
+    outdir_abort(&d);
+    if (!rc)
+        printf("%s/tileset.json: %zu tiles\n", o->output, n);
+    return rc;
+}
+
+static int export_format(const char *output)
+{
+    const char *dot = strrchr(output, '.');
+    if (dot && !strcasecmp(dot, ".ply"))
+        return EXPORT_PLY;
+    return dot && !strcasecmp(dot, ".spz") ? EXPORT_SPZ : EXPORT_3DTILES;
+}
+
+enum err_code cli_export(int argc, char **argv, struct err *e)
+{
+    struct export_options o = {0};
+    struct options_args args;
+    struct arena arena = {0};
+    struct store *s = NULL;
+    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    if (rc || args.done)
+        goto out;
+    clock_catch_signals();
+    if (!o.output)
+        rc = err_set(e, ERR_ARG, "-o is missing: where to write");
+    if (!rc)
+        rc = store_open(args.arg[0], &s, e);
+    int format = rc || o.format != EXPORT_AUTO ? o.format : export_format(o.output);
+    if (!rc)
+        rc = format == EXPORT_3DTILES ? export_3dtiles(s, &o, e) : export_file(s, &o, format, e);
+out:
+    store_close(&s);
+    arena_free(&arena);
+    return rc;
+}

@@ -1,0 +1,120 @@
+/* citysplat import: Gaussians that another trainer made -> a tile store. Coarser levels are made by simplification.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "cli/cli.h"
+#include "cli/splats.h"
+
+enum { IMPORT_AXES_AUTO, IMPORT_AXES_ENU, IMPORT_AXES_YUP, IMPORT_AXES_YDOWN };
+
+struct import_options {
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/import.def"
+#undef OPT
+};
+
+static const struct options_def defs[] = {
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct import_options, type, key, def, lo, hi, unit, help)
+#include "cli/import.def"
+#undef OPT
+};
+
+static const struct options_spec spec = {
+    .command = "import",
+    .usage = "citysplat import FILE --origin LON,LAT,H -o CITY.tiles [options]",
+    .about = "Puts Gaussians trained elsewhere on the map: reads .ply (INRIA's and SuperSplat's compressed), .spz, .glb,\n"
+             ".drc, .splat or a checkpoint, cuts it into tiles, makes the coarser levels and writes a tile store.",
+    .example = "citysplat import bridge.ply --origin 8.6821,50.1109,160 -o bridge.tiles\n"
+               "citysplat import garden.spz --origin 8.68,50.11,160 --scale 2.5 -o garden.tiles",
+    .defs = defs,
+    .n_defs = sizeof defs / sizeof *defs,
+    .min_args = 1,
+    .max_args = 1};
+
+/* To ENU. y down (x right, y down, z forward, forward taken as north) is glTF's turn the other way round. */
+static void import_turn(const struct splats *s, int axes, struct gauss *g)
+{
+    bool gltf = s->kind == SPLATS_SPZ || s->kind == SPLATS_GLB || s->kind == SPLATS_DRC || (s->kind == SPLATS_PLY && s->info.axes == PLY_AXES_GLTF);
+    if (axes == IMPORT_AXES_AUTO)
+        axes = gltf ? IMPORT_AXES_YUP : IMPORT_AXES_ENU;
+    if (axes == IMPORT_AXES_YUP)
+        frame_gltf_to_enu(g);
+    if (axes == IMPORT_AXES_YDOWN)
+        frame_enu_to_gltf(g);
+}
+
+static void import_scale(struct gauss *g, double scale)
+{
+    if (scale == 1.0)
+        return;
+    for (size_t k = 0; k < 3; k++)
+        g->origin_enu_m[k] *= scale;
+    for (size_t i = 0; i < 3 * g->n; i++) {
+        g->mean_m[i] = (float)(scale * (double)g->mean_m[i]);
+        g->scale_log[i] = (float)((double)g->scale_log[i] + log(scale));
+    }
+}
+
+static void import_print(const char *path, const struct pyramid_report *r)
+{
+    printf("%s: %zu tiles, zoom %u to %u, at most %zu Gaussians in one, revision %s, %.1f s\n", path, r->n_tiles, r->zoom_min,
+           r->zoom_max, r->max_in_tile, r->revision, r->seconds);
+}
+
+static enum err_code import_run(const char *path, const struct import_options *o, struct err *e)
+{
+    struct splats s = {0};
+    struct geo_origin origin;
+    struct pyramid_report report;
+    struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m, .max_per_tile = (uint32_t)o->max_per_tile, .lossless = o->lossless};
+    enum err_code rc = o->origin ? splats_place("--origin", o->origin, &origin, e) : ERR_OK;
+    if (!rc && o->attribution && strlen(o->attribution) >= sizeof cfg.attribution)
+        rc = err_set(e, ERR_ARG, "--attribution: at most %zu bytes", sizeof cfg.attribution - 1);
+    if (!rc)
+        rc = splats_read(path, &s, e);
+    if (rc)
+        goto out;
+    if (!o->origin && !s.info.has_origin) {
+        rc = err_set(e, ERR_ARG, "%s does not say where on Earth it is: give --origin LON,LAT,H", path);
+        goto out;
+    }
+    if (!o->origin)
+        origin = s.info.origin;
+    import_turn(&s, o->axes, &s.g);
+    import_scale(&s.g, o->scale);
+    snprintf(cfg.attribution, sizeof cfg.attribution, "%s", o->attribution ? o->attribution : "");
+    if (o->name)
+        snprintf(cfg.name, sizeof cfg.name, "%s", o->name);
+    else
+        splats_name(o->output, cfg.name);
+    const struct pyramid_level level = {.g = &s.g, .level = (uint8_t)o->level_count};
+    rc = pyramid_build(&origin, &level, 1, &cfg, NULL, 0, o->output, &report, e);
+    if (!rc)
+        import_print(o->output, &report);
+    else if (rc != ERR_ARG)
+        err_add(e, "%s", path);
+out:
+    splats_free(&s);
+    return rc;
+}
+
+enum err_code cli_import(int argc, char **argv, struct err *e)
+{
+    struct import_options o = {0};
+    struct options_args args;
+    struct arena arena = {0};
+    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    if (!rc && !args.done && !o.output)
+        rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
+    if (!rc && !args.done) {
+        clock_catch_signals();
+        rc = import_run(args.arg[0], &o, e);
+    }
+    arena_free(&arena);
+    return rc;
+}

@@ -1,0 +1,320 @@
+/* citysplat info: what is in a file. One JSON object is made and printed as it is or as text, so that both say the same.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include <jansson.h>
+
+#include "cli/cli.h"
+#include "cli/splats.h"
+#include "lod/tree.h"
+
+struct info_options {
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/info.def"
+#undef OPT
+};
+
+static const struct options_def defs[] = {
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct info_options, type, key, def, lo, hi, unit, help)
+#include "cli/info.def"
+#undef OPT
+};
+
+static const struct options_spec spec = {
+    .command = "info",
+    .usage = "citysplat info FILE [--json]",
+    .about = "Tells what a tile store, a scene, a checkpoint or a file of Gaussians (.ply .spz .glb .drc .splat) holds: counts,\n"
+             "sizes, bounds, levels.",
+    .example = "citysplat info city.tiles\ncitysplat info bridge.ply --json",
+    .defs = defs,
+    .n_defs = sizeof defs / sizeof *defs,
+    .min_args = 1,
+    .max_args = 1};
+
+/* Members that are NULL (out of memory) make the whole call fail. */
+static enum err_code info_set(json_t *o, const char *key, json_t *value, struct err *e)
+{
+    return value && !json_object_set_new(o, key, value) ? ERR_OK : err_set(e, ERR_MEM, "info: out of memory");
+}
+
+static json_t *info_box(const double lo[3], const double hi[3])
+{
+    return json_pack("[f,f,f,f,f,f]", lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]);
+}
+
+static json_t *info_origin(const struct geo_origin *o)
+{
+    return json_pack("[f,f,f]", o->lon_deg, o->lat_deg, o->h_m);
+}
+
+/* ---- stores ---- */
+
+struct info_zoom {
+    size_t tiles;
+    uint64_t gaussians, bytes;
+    uint32_t most;
+    uint8_t level_min, level_max;
+    double sigma_sum;
+};
+
+static json_t *info_zooms(const struct store_tile *t, size_t n)
+{
+    struct info_zoom z[KEY_ZOOM_MAX + 1] = {{0}};
+    json_t *list = json_array();
+    for (size_t i = 0; i < n; i++) {
+        struct info_zoom *x = &z[t[i].key.z];
+        x->level_min = !x->tiles || t[i].level < x->level_min ? t[i].level : x->level_min;
+        x->level_max = t[i].level > x->level_max ? t[i].level : x->level_max;
+        x->tiles++;
+        x->gaussians += t[i].count;
+        x->bytes += t[i].bytes;
+        x->most = t[i].count > x->most ? t[i].count : x->most;
+        x->sigma_sum += t[i].sigma_median_m * t[i].count;
+    }
+    for (int i = 0; i <= KEY_ZOOM_MAX; i++)
+        if (z[i].tiles)
+            json_array_append_new(list, json_pack("{s:i,s:i,s:I,s:I,s:I,s:I,s:f}", "zoom", i, "level", (int)z[i].level_max,
+                                                  "tiles", (json_int_t)z[i].tiles, "gaussians", (json_int_t)z[i].gaussians,
+                                                  "bytes", (json_int_t)z[i].bytes, "most_in_tile", (json_int_t)z[i].most,
+                                                  "sigma_median_m", z[i].sigma_sum / (double)z[i].gaussians));
+    return list;
+}
+
+static json_t *info_tiles(const struct store *s)
+{
+    size_t n;
+    const struct store_tile *t = store_tiles(s, &n);
+    json_t *list = json_array();
+    for (size_t i = 0; i < n; i++) {
+        char hash[33], key[48];
+        hash_text(t[i].hash, hash);
+        snprintf(key, sizeof key, "%u/%u/%u", t[i].key.z, t[i].key.x, t[i].key.y);
+        json_t *o = json_pack("{s:s,s:i,s:I,s:I,s:I,s:f,s:f,s:s}", "tile", key, "level", (int)t[i].level, "gaussians",
+                              (json_int_t)t[i].count, "bytes", (json_int_t)t[i].bytes, "version", (json_int_t)t[i].version,
+                              "sigma_median_m", t[i].sigma_median_m, "geometric_error_m",
+                              store_tree(s)->nodes[i].geometric_error_m, "hash", hash);
+        json_object_set_new(o, "box_enu_m", info_box(t[i].min_enu_m, t[i].max_enu_m));
+        json_array_append_new(list, o);
+    }
+    return list;
+}
+
+static enum err_code info_store(const char *path, bool tiles, json_t *o, struct err *e)
+{
+    struct store *s;
+    struct arena a = {0};
+    enum err_code rc = store_open(path, &s, e);
+    if (rc)
+        return rc;
+    const struct store_meta *m = store_info(s);
+    size_t n, n_blobs = 0;
+    char **names = NULL;
+    const struct store_tile *t = store_tiles(s, &n);
+    uint64_t bytes = 0, leaves = 0;
+    for (size_t i = 0; i < n; i++) {
+        bytes += t[i].bytes;
+        leaves += store_tree(s)->nodes[i].child_count ? 0 : t[i].count;
+    }
+    rc = store_list_blobs(s, &a, &names, &n_blobs, e);
+    json_t *blobs = json_array();
+    for (size_t i = 0; i < n_blobs; i++)
+        json_array_append_new(blobs, json_string(names[i]));
+    const struct {
+        const char *key;
+        json_t *value;
+    } members[] = {
+        {"name", json_string(m->name)},
+        {"revision", json_string(m->revision)},
+        {"created", json_string(m->created)},
+        {"origin_lon_lat_h", info_origin(&m->origin)},
+        {"attribution", json_string(m->attribution)},
+        {"sh_degree", json_integer(m->sh_degree)},
+        {"embed_len", json_integer(m->embed_len)},
+        {"antialiased", json_boolean(m->antialiased)},
+        {"lossless", json_boolean(m->lossless)},
+        {"zoom_min", json_integer(m->zoom_min)},
+        {"zoom_max", json_integer(m->zoom_max)},
+        {"tiles_count", json_integer((json_int_t)n)},
+        {"gaussians", json_integer((json_int_t)leaves)},
+        {"payload_bytes", json_integer((json_int_t)bytes)},
+        {"zooms", info_zooms(t, n)},
+        {"blobs", blobs},
+    };
+    for (size_t i = 0; i < sizeof members / sizeof *members; i++) {
+        if (rc)
+            json_decref(members[i].value);
+        else
+            rc = info_set(o, members[i].key, members[i].value, e);
+    }
+    if (!rc && n) {
+        const struct tree_node *root = &store_tree(s)->nodes[store_tree(s)->root];
+        rc = info_set(o, "box_enu_m", info_box(root->min_enu_m, root->max_enu_m), e);
+    }
+    if (!rc && tiles)
+        rc = info_set(o, "tiles", info_tiles(s), e);
+    arena_free(&a);
+    store_close(&s);
+    return rc;
+}
+
+/* ---- scenes and files ---- */
+
+static enum err_code info_scene(const char *path, json_t *o, struct err *e)
+{
+    struct scene s;
+    size_t n_test = 0, n_gps = 0;
+    enum err_code rc = scene_read(path, &s, e);
+    if (rc)
+        return rc;
+    double lo[3] = {HUGE_VAL, HUGE_VAL, HUGE_VAL}, hi[3] = {-HUGE_VAL, -HUGE_VAL, -HUGE_VAL};
+    for (size_t i = 0; i < s.n_images; i++) {
+        double c[3];
+        camera_center(&s.images[i].cam, c);
+        n_test += s.images[i].split == SCENE_TEST;
+        n_gps += isfinite(s.images[i].gps_enu_m[0]);
+        for (size_t k = 0; k < 3; k++) {
+            lo[k] = fmin(lo[k], c[k]);
+            hi[k] = fmax(hi[k], c[k]);
+        }
+    }
+    rc = info_set(o, "origin_lon_lat_h", info_origin(&s.origin), e);
+    if (!rc)
+        rc = info_set(o, "photographs", json_integer((json_int_t)s.n_images), e);
+    if (!rc)
+        rc = info_set(o, "test_photographs", json_integer((json_int_t)n_test), e);
+    if (!rc)
+        rc = info_set(o, "photographs_with_gps", json_integer((json_int_t)n_gps), e);
+    if (!rc)
+        rc = info_set(o, "points", json_integer((json_int_t)s.n_points), e);
+    if (!rc && s.n_images)
+        rc = info_set(o, "cameras_enu_m", info_box(lo, hi), e);
+    if (!rc && s.attribution)
+        rc = info_set(o, "attribution", json_string(s.attribution), e);
+    scene_free(&s);
+    return rc;
+}
+
+static enum err_code info_splats(const char *path, json_t *o, struct err *e)
+{
+    struct splats s;
+    size_t first = 0;
+    enum err_code rc = splats_read(path, &s, e);
+    if (rc)
+        return rc;
+    double lo[3], hi[3];
+    gauss_bounds(&s.g, 0, lo, hi);
+    size_t bad = gauss_count_bad(&s.g, &first);
+    rc = info_set(o, "gaussians", json_integer((json_int_t)s.g.n), e);
+    if (!rc)
+        rc = info_set(o, "sh_degree", json_integer(s.g.sh_degree), e);
+    if (!rc)
+        rc = info_set(o, "embed_len", json_integer(s.g.embed_len), e);
+    if (!rc)
+        rc = info_set(o, "antialiased", json_boolean(s.g.antialiased), e);
+    if (!rc)
+        rc = info_set(o, "unusable", json_integer((json_int_t)bad), e);
+    if (!rc && isfinite(lo[0] + lo[1] + lo[2] + hi[0] + hi[1] + hi[2]))
+        rc = info_set(o, "box", info_box(lo, hi), e);
+    if (!rc && s.info.has_origin)
+        rc = info_set(o, "origin_lon_lat_h", info_origin(&s.info.origin), e);
+    splats_free(&s);
+    return rc;
+}
+
+/* ---- text ---- */
+
+static void info_print_table(const json_t *rows)
+{
+    size_t i;
+    const json_t *row;
+    const char *key;
+    json_t *value;
+    json_array_foreach(rows, i, row) {
+        json_t *object = json_array_get(rows, i);
+        if (i == 0) {
+            printf(" ");
+            json_object_foreach(object, key, value)
+                printf(" %15s", key);
+            printf("\n");
+        }
+        printf(" ");
+        json_object_foreach(object, key, value) {
+            if (json_is_integer(value))
+                printf(" %15lld", (long long)json_integer_value(value));
+            else if (json_is_real(value))
+                printf(" %15.4g", json_real_value(value));
+            else
+                printf(" %15s", json_is_string(value) ? json_string_value(value) : "");
+        }
+        printf("\n");
+    }
+}
+
+static void info_print(json_t *o)
+{
+    const char *key;
+    json_t *value;
+    json_object_foreach(o, key, value) {
+        printf("%-22s", key);
+        if (json_is_array(value) && json_is_object(json_array_get(value, 0))) {
+            printf("\n");
+            info_print_table(value);
+            continue;
+        }
+        if (json_is_string(value))
+            printf("%s", json_string_value(value));
+        else if (json_is_integer(value))
+            printf("%lld", (long long)json_integer_value(value));
+        else if (json_is_boolean(value))
+            printf("%s", json_is_true(value) ? "yes" : "no");
+        for (size_t i = 0; i < json_array_size(value); i++) {
+            const json_t *x = json_array_get(value, i);
+            if (json_is_string(x))
+                printf("%s%s", i ? ", " : "", json_string_value(x));
+            else
+                printf("%s%.10g", i ? ", " : "", json_number_value(x));
+        }
+        printf("\n");
+    }
+}
+
+enum err_code cli_info(int argc, char **argv, struct err *e)
+{
+    struct info_options o = {0};
+    struct options_args args;
+    struct arena arena = {0};
+    enum splats_kind kind = SPLATS_UNKNOWN;
+    json_t *j = json_object();
+    enum err_code rc = j ? options_parse(&spec, argc, argv, &o, &args, &arena, e) : err_set(e, ERR_MEM, "info: out of memory");
+    if (rc || args.done)
+        goto out;
+    const char *path = args.arg[0];
+    rc = splats_kind(path, &kind, e);
+    if (!rc)
+        rc = info_set(j, "file", json_string(path), e);
+    if (!rc)
+        rc = info_set(j, "kind", json_string(splats_kind_name(kind)), e);
+    if (!rc && kind == SPLATS_STORE)
+        rc = info_store(path, o.tiles, j, e);
+    else if (!rc && kind == SPLATS_SCENE)
+        rc = info_scene(path, j, e);
+    else if (!rc)
+        rc = info_splats(path, j, e);
+    if (rc)
+        goto out;
+    if (o.json) {
+        json_dumpf(j, stdout, JSON_INDENT(2) | JSON_REAL_PRECISION(12));
+        printf("\n");
+    } else {
+        info_print(j);
+    }
+out:
+    json_decref(j);
+    arena_free(&arena);
+    return rc;
+}

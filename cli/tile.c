@@ -1,0 +1,305 @@
+/* citysplat tile: the checkpoints of a trained scene -> one tile store.
+ *
+ * Each level is put together from all cells that were trained, one level in memory at a time. A cell's checkpoint
+ * also holds background beyond its own ground; every Gaussian is taken from the one cell that owns its place. A
+ * cell that lacks a level gives its next coarser one instead, so that no level has holes.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <dirent.h>
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "cli/cli.h"
+#include "cli/splats.h"
+#include "train/partition.h"
+
+enum { TILE_LEVELS_MAX = 7 };
+
+struct tile_options {
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/tile.def"
+#undef OPT
+};
+
+static const struct options_def defs[] = {
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct tile_options, type, key, def, lo, hi, unit, help)
+#include "cli/tile.def"
+#undef OPT
+};
+
+static const struct options_spec spec = {
+    .command = "tile",
+    .usage = "citysplat tile SCENE -o CITY.tiles [options]",
+    .about = "Cuts the trained levels of a scene into tiles z/x/y of the Web Mercator grid, makes overviews until\n"
+             "one tile holds the scene, and writes all of it into one file that `citysplat serve` serves.",
+    .example = "citysplat tile scene -o city.tiles --attribution '© Survey 2026'",
+    .defs = defs,
+    .n_defs = sizeof defs / sizeof *defs,
+    .min_args = 1,
+    .max_args = 1};
+
+struct tile_cell {
+    char id[64];
+    size_t owner; /* index into the plan's cells of those present; unused without a plan */
+    bool has[TILE_LEVELS_MAX + 1];
+};
+
+struct tile_scene {
+    const char *dir;
+    struct tile_cell *cells; /* sorted by id */
+    size_t n_cells;
+    struct partition plan; /* only cells with checkpoints; n_cells 0 = no plan */
+    uint8_t n_levels;
+    struct arena arena;
+};
+
+struct tile_level { /* what load() needs */
+    const struct tile_scene *scene;
+    uint8_t level;
+};
+
+static enum err_code tile_path(char path[FILE_PATH_MAX], const struct tile_scene *s, const char *id, uint8_t level,
+                               struct err *e)
+{
+    int n = snprintf(path, FILE_PATH_MAX, "%s/cells/%s/level%u.ckpt", s->dir, id, level);
+    return n > 0 && n < FILE_PATH_MAX ? ERR_OK : err_set(e, ERR_LIMIT, "%s: path too long", s->dir);
+}
+
+static int tile_cell_compare(const void *a, const void *b)
+{
+    return strcmp(((const struct tile_cell *)a)->id, ((const struct tile_cell *)b)->id);
+}
+
+/* The folders below cells/ that hold a checkpoint. */
+static enum err_code tile_find_cells(struct tile_scene *s, struct err *e)
+{
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    enum err_code rc = file_join(dir, s->dir, "cells", e);
+    DIR *d = rc ? NULL : opendir(dir);
+    if (!rc && !d)
+        return err_set(e, ERR_NOENT, "%s: no trained cells in there; run `citysplat train %s` first", dir, s->dir);
+    size_t cap = 0;
+    for (struct dirent *ent; !rc && (ent = readdir(d));) {
+        struct tile_cell c = {0};
+        bool any = false;
+        if (ent->d_name[0] == '.' || strlen(ent->d_name) >= sizeof c.id)
+            continue;
+        memcpy(c.id, ent->d_name, strlen(ent->d_name));
+        for (uint8_t l = 1; !rc && l <= TILE_LEVELS_MAX; l++) {
+            rc = tile_path(path, s, c.id, l, e);
+            c.has[l] = !rc && file_exists(path);
+            any = any || c.has[l];
+            if (c.has[l] && s->n_levels < l)
+                s->n_levels = l;
+        }
+        if (!any)
+            continue;
+        if (s->n_cells == cap) {
+            struct tile_cell *p = mem_resize(s->cells, cap, cap ? 2 * cap : 16, sizeof *p);
+            if (!p)
+                rc = err_set(e, ERR_MEM, "%s: out of memory", dir);
+            s->cells = p ? p : s->cells;
+            cap = p ? (cap ? 2 * cap : 16) : cap;
+        }
+        if (!rc)
+            s->cells[s->n_cells++] = c;
+    }
+    if (d)
+        closedir(d);
+    if (!rc && !s->n_cells)
+        rc = err_set(e, ERR_NOENT, "%s: no level<n>.ckpt in any cell; run `citysplat train %s` first", dir, s->dir);
+    if (!rc)
+        qsort(s->cells, s->n_cells, sizeof *s->cells, tile_cell_compare);
+    return rc;
+}
+
+/* Match cells to the plan and keep in the plan those that are trained: they share all the ground. */
+static enum err_code tile_match_plan(struct tile_scene *s, const struct scene *scene, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    enum err_code rc = file_join(path, s->dir, "plan.json", e);
+    if (rc || s->n_cells == 1)
+        return rc;
+    if (!file_exists(path))
+        return err_set(e, ERR_DATA, "%s: %zu cells are trained and plan.json is missing, so nothing says which owns which ground",
+                       s->dir, s->n_cells);
+    rc = plan_read(path, scene, &s->plan, e);
+    size_t kept = 0;
+    for (size_t i = 0; !rc && i < s->plan.n_cells; i++) {
+        struct tile_cell want = {0};
+        if (s->plan.cells[i].parent >= 0)
+            continue;
+        snprintf(want.id, sizeof want.id, "%s", s->plan.cells[i].id);
+        struct tile_cell *c = bsearch(&want, s->cells, s->n_cells, sizeof want, tile_cell_compare);
+        if (!c) {
+            log_warn("tile", "cell %s of the plan is not trained: its ground is left to its neighbours", want.id);
+            continue;
+        }
+        c->owner = kept;
+        s->plan.cells[kept++] = s->plan.cells[i];
+    }
+    if (!rc && kept != s->n_cells)
+        rc = err_set(e, ERR_DATA, "%s: %zu cells are trained, the plan knows %zu of them; remove those of an older plan from cells/",
+                     s->dir, s->n_cells, kept);
+    s->plan.n_cells = kept;
+    return rc;
+}
+
+/* Append the rows of a checkpoint that its cell owns. */
+static enum err_code tile_append(const struct tile_scene *s, const struct tile_cell *c, const char *path,
+                                 struct gauss *out, struct err *e)
+{
+    struct ckpt k = {0};
+    uint32_t *index = NULL;
+    size_t n = 0;
+    enum err_code rc = ckpt_read(path, &k, e);
+    if (rc)
+        return rc;
+    if (k.g.n >= UINT32_MAX || !(index = mem_array(k.g.n, sizeof *index)))
+        rc = err_set(e, ERR_MEM, "%s: out of memory for %zu Gaussians", path, k.g.n);
+    for (size_t i = 0; !rc && i < k.g.n; i++) {
+        double x = (double)k.g.mean_m[3 * i] + k.g.origin_enu_m[0], y = (double)k.g.mean_m[3 * i + 1] + k.g.origin_enu_m[1];
+        if (!s->plan.n_cells || partition_owner(&s->plan, x, y) == c->owner)
+            index[n++] = (uint32_t)i;
+    }
+    if (!rc && out->cap == 0) {
+        rc = gauss_alloc(out, n, k.g.sh_degree, k.g.embed_len, e);
+        memcpy(out->origin_enu_m, k.g.origin_enu_m, sizeof out->origin_enu_m);
+        out->antialiased = k.g.antialiased;
+    }
+    if (!rc && (k.g.sh_degree != out->sh_degree || k.g.embed_len != out->embed_len || k.g.antialiased != out->antialiased))
+        rc = err_set(e, ERR_DATA, "%s: SH degree, embedding or anti-aliasing differs from that of other cells; train them with the same options",
+                     path);
+    if (!rc)
+        rc = gauss_append(out, &k.g, index, n, e);
+    mem_free(index);
+    ckpt_free(&k);
+    return rc;
+}
+
+static enum err_code tile_load(void *user, struct gauss *out, struct err *e)
+{
+    const struct tile_level *l = user;
+    char path[FILE_PATH_MAX];
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; !rc && i < l->scene->n_cells; i++) {
+        const struct tile_cell *c = &l->scene->cells[i];
+        uint8_t level = l->level;
+        while (level > 0 && !c->has[level])
+            level--;
+        for (uint8_t up = l->level; level == 0 && up <= TILE_LEVELS_MAX; up++) /* nothing coarser: take finer */
+            level = c->has[up] ? up : 0;
+        rc = tile_path(path, l->scene, c->id, level, e);
+        if (!rc)
+            rc = tile_append(l->scene, c, path, out, e);
+    }
+    return rc;
+}
+
+static void tile_warn_missing(const struct tile_scene *s)
+{
+    for (size_t i = 0; i < s->n_cells; i++)
+        for (uint8_t l = 1; l <= s->n_levels; l++)
+            if (!s->cells[i].has[l])
+                log_warn("tile", "cell %s has no level %u yet: its nearest other level stands in", s->cells[i].id, l);
+}
+
+/* Appearance models and the like travel with the tiles: blobs of the finest checkpoint that are named so. */
+static enum err_code tile_find_blobs(const struct tile_scene *s, struct ckpt *from, struct ckpt_blob **blobs, size_t *n,
+                                     struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    uint8_t level = s->n_levels;
+    while (level > 1 && !s->cells[0].has[level])
+        level--;
+    enum err_code rc = tile_path(path, s, s->cells[0].id, level, e);
+    if (!rc)
+        rc = ckpt_read(path, from, e);
+    gauss_free(&from->g);
+    *blobs = rc ? NULL : mem_array(from->n_blobs, sizeof **blobs);
+    *n = 0;
+    if (!rc && !*blobs)
+        rc = err_set(e, ERR_MEM, "out of memory");
+    for (size_t i = 0; !rc && i < from->n_blobs; i++)
+        if (!strncmp(from->blobs[i].name, "appearance", 10))
+            (*blobs)[(*n)++] = from->blobs[i];
+    return rc;
+}
+
+static void tile_print(const char *path, const struct pyramid_report *r)
+{
+    printf("%s: %zu tiles, zoom %u to %u, at most %zu Gaussians in one, revision %s, %.1f s\n", path, r->n_tiles, r->zoom_min,
+           r->zoom_max, r->max_in_tile, r->revision, r->seconds);
+    for (size_t l = 7; l > 0; l--)
+        if (r->n_gaussians[l])
+            printf("level %zu    %10zu Gaussians\n", l, r->n_gaussians[l]);
+    if (r->n_gaussians[0])
+        printf("overviews  %10zu Gaussians\n", r->n_gaussians[0]);
+}
+
+static enum err_code tile_run(const char *dir, const struct tile_options *o, struct err *e)
+{
+    struct tile_scene s = {.dir = dir};
+    struct scene scene = {0};
+    struct tile_level level[TILE_LEVELS_MAX];
+    struct pyramid_level levels[TILE_LEVELS_MAX] = {{0}};
+    struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m, .max_per_tile = (uint32_t)o->max_per_tile, .lossless = o->lossless};
+    struct pyramid_report report;
+    struct ckpt from = {0};
+    struct ckpt_blob *blobs = NULL;
+    size_t n_blobs = 0;
+    enum err_code rc = scene_read(dir, &scene, e);
+    if (!rc)
+        rc = tile_find_cells(&s, e);
+    if (!rc)
+        rc = tile_match_plan(&s, &scene, e);
+    if (rc)
+        goto out;
+    tile_warn_missing(&s);
+    const char *attribution = o->attribution ? o->attribution : scene.attribution;
+    if (strlen(attribution ? attribution : "") >= sizeof cfg.attribution) {
+        rc = err_set(e, ERR_ARG, "--attribution: at most %zu bytes", sizeof cfg.attribution - 1);
+        goto out;
+    }
+    snprintf(cfg.attribution, sizeof cfg.attribution, "%s", attribution ? attribution : "");
+    if (o->name)
+        snprintf(cfg.name, sizeof cfg.name, "%s", o->name);
+    else
+        splats_name(o->output, cfg.name);
+    for (uint8_t i = 0; i < s.n_levels; i++) {
+        level[i] = (struct tile_level){.scene = &s, .level = (uint8_t)(i + 1)};
+        levels[i] = (struct pyramid_level){.level = level[i].level, .load = tile_load, .user = &level[i]};
+    }
+    rc = tile_find_blobs(&s, &from, &blobs, &n_blobs, e);
+    if (!rc)
+        rc = pyramid_build(&scene.origin, levels, s.n_levels, &cfg, blobs, n_blobs, o->output, &report, e);
+    if (!rc)
+        tile_print(o->output, &report);
+out:
+    mem_free(blobs);
+    ckpt_free(&from);
+    partition_free(&s.plan);
+    mem_free(s.cells);
+    scene_free(&scene);
+    return rc;
+}
+
+enum err_code cli_tile(int argc, char **argv, struct err *e)
+{
+    struct tile_options o = {0};
+    struct options_args args;
+    struct arena arena = {0};
+    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    if (!rc && !args.done && !o.output)
+        rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
+    if (!rc && !args.done) {
+        clock_catch_signals();
+        rc = tile_run(args.arg[0], &o, e);
+    }
+    arena_free(&arena);
+    return rc;
+}
