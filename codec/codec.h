@@ -57,7 +57,7 @@ enum err_code image_write(const char *path, const struct image *img, int quality
 /* The same into memory; format is "jpg", "png" or "webp". */
 enum err_code image_encode(const struct image *img, const char *format, int quality, struct buf *out,
                            struct err *e) ERR_USE;
-/* Lanczos3 resize. out is allocated; image_free it. */
+/* image_resize.c: Lanczos3. out is allocated; image_free it. */
 enum err_code image_resize(const struct image *in, uint32_t width_px, uint32_t height_px,
                            struct image *out, struct err *e) ERR_USE;
 enum err_code image_alloc(uint32_t width_px, uint32_t height_px, uint32_t channels, struct image *out,

@@ -1,4 +1,4 @@
-// Images by OpenImageIO: 8-bit RGB in, .jpg .png .webp .tif out, Lanczos3 resizing.
+// Images by OpenImageIO: 8-bit RGB in, .jpg .png .webp .tif out.
 //
 // Files are encoded in memory, get their EXIF block from exif.c, and reach the disk through file_write,
 // so no half image is ever left behind. OpenImageIO runs single-threaded here: callers work on many
@@ -8,8 +8,6 @@
 #include "codec/codec.h"
 
 #include <OpenImageIO/filesystem.h>
-#include <OpenImageIO/imagebuf.h>
-#include <OpenImageIO/imagebufalgo.h>
 #include <OpenImageIO/imageio.h>
 
 #include <cstring>
@@ -224,27 +222,3 @@ try {
     return rc;
 }
 SHIM_CATCH("image_write")
-
-extern "C" enum err_code image_resize(const struct image *in, uint32_t width_px, uint32_t height_px,
-                                      struct image *out, struct err *e)
-try {
-    single_thread();
-    *out = {};
-    if (!width_px || !height_px || !in->px)
-        return err_set(e, ERR_ARG, "image_resize : %u x %u : empty picture", width_px, height_px);
-    struct image img = {};
-    enum err_code rc = image_alloc(width_px, height_px, in->channels, &img, e);
-    if (rc != ERR_OK)
-        return rc;
-    int c = (int)in->channels;
-    OIIO::ImageSpec from((int)in->width_px, (int)in->height_px, c, OIIO::TypeDesc::UINT8);
-    OIIO::ImageSpec to((int)width_px, (int)height_px, c, OIIO::TypeDesc::UINT8);
-    OIIO::ImageBuf src(from, in->px), dst(to, img.px);
-    if (!OIIO::ImageBufAlgo::resize(dst, src, "lanczos3", 0.0f, OIIO::ROI(), 1)) {
-        image_free(&img);
-        return err_set(e, ERR_INTERNAL, "image_resize : %s", first_line(dst.geterror()).c_str());
-    }
-    *out = img;
-    return ERR_OK;
-}
-SHIM_CATCH("image_resize")

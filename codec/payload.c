@@ -24,6 +24,8 @@ enum {
     ZSTD_LEVEL = 3,
     ZSTD_GROWTH_MAX = 32768, /* 128 KiB out of a block of 4 bytes */
     N_PLANES = 6,
+    BLOCK_ROWS = 128,
+    WIDTH_MAX = GAUSS_EMBED_MAX, /* of a plane; SH has 48 */
 };
 
 struct plane {
@@ -70,49 +72,67 @@ static uint32_t half_from_float(float v)
 
 static float half_to_float(uint32_t h)
 {
-    uint32_t exponent = h >> 10 & 31, mantissa = h & 0x3ff, u;
+    /* A product moves the exponent's bias, which makes subnormals right as well. Infinities are never written;
+     * damaged bytes that hold one read as 65536 or more. */
+    uint32_t u = (h & 0x7fff) << 13, sign = (h & 0x8000) << 16;
     float v;
-    if (!exponent) {
-        v = (float)mantissa / 16777216.0f;
-        return h & 0x8000 ? -v : v;
-    }
-    u = (h & 0x8000) << 16 | (exponent == 31 ? 0x7f800000u : (exponent + 112) << 23) | mantissa << 13;
+    memcpy(&v, &u, 4);
+    v *= 0x1p112f;
+    memcpy(&u, &v, 4);
+    u |= sign;
     memcpy(&v, &u, 4);
     return v;
 }
 
+/* Rows are taken in blocks that stay in the nearest cache while all components pass over them: a component of
+ * SH by itself would touch a cache line a row. */
 static void plane_write(const struct plane *p, size_t n, uint8_t *out)
 {
-    for (size_t c = 0; c < p->width; c++) {
-        uint32_t before = 0;
-        for (size_t i = 0; i < n; i++) {
-            uint32_t u;
+    uint32_t before[WIDTH_MAX] = {0}, value[BLOCK_ROWS];
+    for (size_t at = 0; at < n; at += BLOCK_ROWS) {
+        const size_t rows = n - at < BLOCK_ROWS ? n - at : BLOCK_ROWS;
+        for (size_t c = 0; c < p->width; c++) {
+            const float *in = p->data + at * p->width + c;
+            uint8_t *bytes = out + c * p->value_bytes * n + at;
             if (p->value_bytes == 4)
-                memcpy(&u, &p->data[i * p->width + c], 4);
+                for (size_t i = 0; i < rows; i++)
+                    memcpy(&value[i], in + i * p->width, 4);
             else
-                u = half_from_float(p->data[i * p->width + c]);
-            for (size_t b = 0; b < p->value_bytes; b++)
-                out[b * n + i] = (uint8_t)((u >> 8 * b) - (before >> 8 * b));
-            before = u;
+                for (size_t i = 0; i < rows; i++)
+                    value[i] = half_from_float(in[i * p->width]);
+            for (size_t b = 0; b < p->value_bytes; b++, bytes += n) {
+                bytes[0] = (uint8_t)((value[0] >> 8 * b) - (before[c] >> 8 * b));
+                for (size_t i = 1; i < rows; i++)
+                    bytes[i] = (uint8_t)((value[i] >> 8 * b) - (value[i - 1] >> 8 * b));
+            }
+            before[c] = value[rows - 1];
         }
-        out += n * p->value_bytes;
     }
 }
 
 static void plane_read(const struct plane *p, size_t n, const uint8_t *in)
 {
-    for (size_t c = 0; c < p->width; c++) {
-        uint8_t at[4] = {0};
-        for (size_t i = 0; i < n; i++) {
-            for (size_t b = 0; b < p->value_bytes; b++)
-                at[b] = (uint8_t)(at[b] + in[b * n + i]);
-            uint32_t u = at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 | (uint32_t)at[3] << 24;
+    uint8_t last[WIDTH_MAX][4] = {{0}};
+    uint32_t value[BLOCK_ROWS];
+    for (size_t at = 0; at < n; at += BLOCK_ROWS) {
+        const size_t rows = n - at < BLOCK_ROWS ? n - at : BLOCK_ROWS;
+        for (size_t c = 0; c < p->width; c++) {
+            float *out = p->data + at * p->width + c;
+            const uint8_t *bytes = in + c * p->value_bytes * n + at;
+            memset(value, 0, sizeof value);
+            for (size_t b = 0; b < p->value_bytes; b++, bytes += n) {
+                uint8_t v = last[c][b];
+                for (size_t i = 0; i < rows; i++)
+                    value[i] |= (uint32_t)(v = (uint8_t)(v + bytes[i])) << 8 * b;
+                last[c][b] = v;
+            }
             if (p->value_bytes == 4)
-                memcpy(&p->data[i * p->width + c], &u, 4);
+                for (size_t i = 0; i < rows; i++)
+                    memcpy(out + i * p->width, &value[i], 4);
             else
-                p->data[i * p->width + c] = half_to_float(u);
+                for (size_t i = 0; i < rows; i++)
+                    out[i * p->width] = half_to_float(value[i]);
         }
-        in += n * p->value_bytes;
     }
 }
 

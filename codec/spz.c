@@ -25,8 +25,8 @@ enum {
     FRACTION_BITS = 12,
     FLAG_ANTIALIASED = 1,
     FLAG_EXTENSIONS = 2,
-    GZIP_LEVEL = 6,
-    ZSTD_LEVEL = 12,
+    GZIP_LEVEL = 4,  /* 1 % larger than 6, twice as fast */
+    ZSTD_LEVEL = 6,  /* 3 % larger than 12, four times as fast */
     DEFLATE_GROWTH_MAX = 1032,
     ZSTD_GROWTH_MAX = 32768,
     POSITION_LIMIT = 1 << 23,

@@ -362,6 +362,15 @@ static void test_resize(void **state)
                 int mean = (p[0] + p[3] + p[480] + p[483] + 2) / 4;
                 assert_true(abs(half.px[(y * 80 + x) * 3 + c] - mean) <= 2);
             }
+    image_free(&half);
+    kit_ok(image_resize(&img, 160, 120, &half, &e), e); /* at the same size every tap but one is 0 */
+    assert_memory_equal(half.px, img.px, 160 * 120 * 3);
+    image_free(&half);
+    kit_ok(image_resize(&img, 480, 360, &half, &e), e); /* enlarged: the middle of each 3 x 3 is the pixel */
+    for (uint32_t y = 0; y < 120; y++)
+        for (uint32_t x = 0; x < 480; x++)
+            assert_int_equal(half.px[(3 * y + 1) * 480 * 3 + (x / 3 * 3 + 1) * 3 + x % 3],
+                             img.px[y * 480 + x / 3 * 3 + x % 3]);
     memset(img.px, 77, 160 * 120 * 3);
     kit_ok(image_resize(&img, 33, 71, &flat, &e), e);
     for (size_t i = 0; i < 33 * 71 * 3; i++)
