@@ -1,5 +1,5 @@
-// Stage: blend, backward, CPU shape. From dL/dcolour of every pixel to eleven sums of every (splat, tile)
-// pair. Compiled after blend_cpu.cl, whose masks and names it shares.
+// Stage: blend, backward. From dL/dcolour of every pixel to eleven sums of every (splat, tile) pair. The CPU
+// shape is compiled after blend_cpu.cl, whose masks and names it shares.
 //   in   splats, tile_start, entry_splat, entry_slot; color, color_grad [3][h][w]
 //   out  slots [entries][LAYOUT_SLOT_FLOATS]; marks [entries], 1 where a slot was written (the host clears
 //        them: entries behind the stop are never visited)
@@ -12,8 +12,10 @@
 //     0-2  w g      3  q    4  q u    5  q v    6  q u^2    7  q u v    8  q v^2
 //     9  |q u|     10  |q (r v - p x_of_y u)|: moduli of the two pixel gradients, up to a factor
 // Whitened moments stay of the order of q however long and thin the splat is.
-// One work-item is one tile; every slot has one writer and every sum one order: same input, same bits.
+// Every slot has one writer and every sum one order: same input, same bits.
 // Reference: render_ref_backward. Absolute gradients: AbsGS, Ye et al. 2024.
+
+#if VW == 16 // CPU shape: one work-item is one tile, a block of 4x4 pixels is one vector
 
 // Lane sums of up to twelve vectors at once: each step adds halves of two vectors side by side, with two
 // shuffles and one addition, in a fixed order.
@@ -175,3 +177,72 @@ __kernel void blend_backward(__constant struct layout_view *view,
         at += n;
     }
 }
+
+#else // GPU shape: one work-group is one tile, one work-item one pixel. Barriers stay in the kernel's own body:
+// in a function that is called PoCL does not divide the work-group at them.
+
+#define PIXELS (LAYOUT_TILE * LAYOUT_TILE)
+#define STRIPES 16 // each sum is taken in 16 stripes of 16 pixels, then over the stripes
+
+__kernel __attribute__((reqd_work_group_size(LAYOUT_TILE *LAYOUT_TILE, 1, 1))) void
+blend_backward(__constant struct layout_view *view, __global const struct layout_splat *splats,
+               __global const uint *tile_start, __global const uint *entry_splat,
+               __global const uint *entry_slot, __global const float *color,
+               __global const float *color_grad, __global float *slots, __global uchar *marks)
+{
+    uint tile = (uint)get_group_id(0), lane = (uint)get_local_id(0);
+    uint x = (tile % view->tiles_x) * LAYOUT_TILE + lane % LAYOUT_TILE;
+    uint y = (tile / view->tiles_x) * LAYOUT_TILE + lane / LAYOUT_TILE;
+    int inside = x < view->width && y < view->height;
+    size_t plane = (size_t)view->width * view->height, at = (size_t)y * view->width + x;
+    float g[3] = {0.0f, 0.0f, 0.0f}, rest = 0.0f, t = inside ? 1.0f : 0.0f;
+    __local float part[LAYOUT_SLOT_FLOATS * PIXELS], stripe[LAYOUT_SLOT_FLOATS * STRIPES];
+    __local uint alive;
+    for (uint c = 0; c < 3 && inside; c++) {
+        g[c] = color_grad[c * plane + at];
+        rest = g[c] * color[c * plane + at] + rest;
+    }
+    for (uint k = tile_start[tile], end = tile_start[tile + 1]; k < end; k++) {
+        __global const struct layout_splat *e = splats + entry_splat[k];
+        float dx = e->mean_x - ((float)x + 0.5f), dy = e->mean_y - ((float)y + 0.5f);
+        float raw = splat_raw(dx, dy, e->p, e->x_of_y, e->r, e->opacity_log2);
+        float a = MIN_(raw, ALPHA_MAX);
+        a = t > T_STOP ? a : 0.0f;
+        float share = a * t, gc = g[0] * e->rgb[0] + (g[1] * e->rgb[1] + g[2] * e->rgb[2]);
+        float u = (dx - e->x_of_y * dy) * e->p, v = dy * e->r;
+        rest -= share * gc;
+        float q = raw > ALPHA_MAX ? 0.0f : a * (t * gc - rest / (1.0f - a));
+        t -= share;
+        float qu = q * u, qv = q * v;
+        const float values[LAYOUT_SLOT_FLOATS] = {share * g[0], share * g[1], share * g[2], q, qu, qv,
+                                                  qu * u, qu * v, qv * v, fabs(qu),
+                                                  fabs(e->r * qv - e->p * e->x_of_y * qu)};
+        for (uint i = 0; i < LAYOUT_SLOT_FLOATS; i++)
+            part[i * PIXELS + lane] = values[i];
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (lane < LAYOUT_SLOT_FLOATS * STRIPES) {
+            float sum = 0.0f;
+            for (uint i = lane % STRIPES; i < PIXELS; i += STRIPES)
+                sum += part[lane / STRIPES * PIXELS + i];
+            stripe[lane] = sum;
+        }
+        if (lane == 0)
+            alive = 0;
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (lane < LAYOUT_SLOT_FLOATS) {
+            float sum = 0.0f;
+            for (uint j = 0; j < STRIPES; j++)
+                sum += stripe[lane * STRIPES + j];
+            slots[(size_t)entry_slot[k] * LAYOUT_SLOT_FLOATS + lane] = sum;
+        }
+        if (lane == 0)
+            marks[entry_slot[k]] = 1;
+        if (t > T_STOP)
+            alive = 1; // whoever writes, it is the same
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (!alive)
+            break;
+    }
+}
+
+#endif

@@ -49,9 +49,11 @@ static void backward_release(struct render *r)
 static enum err_code backward_open(struct render *r, struct err *e)
 {
     const struct dev_source sources[] = {{"render/common.cl", common_cl},
-                                         {"render/blend_cpu.cl", blend_cpu_cl},
                                          {"render/blend_backward.cl", blend_backward_cl},
                                          {"render/project_backward.cl", project_backward_cl}};
+    const struct dev_source wide[] = {
+        sources[0], {"render/blend_cpu.cl", blend_cpu_cl}, sources[1], sources[2]};
+    bool cpu = r->dev->vector_width > 1;
     struct render_backward_state *s = r->backward;
     if (s)
         return ERR_OK;
@@ -61,7 +63,7 @@ static enum err_code backward_open(struct render *r, struct err *e)
     r->backward = s;
     r->backward_free = backward_release;
     enum err_code rc =
-        dev_build(r->dev, sources, sizeof sources / sizeof *sources, NULL, &s->program, e);
+        dev_build(r->dev, cpu ? wide : sources, cpu ? 4 : 3, NULL, &s->program, e);
     if (rc == ERR_OK)
         rc = dev_kernel(s->program, "blend_backward", &s->blend, e);
     if (rc == ERR_OK)
@@ -134,13 +136,14 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
         rc = dev_zero(r->dev, s->marks.mem, 0, mark_bytes, e);
     if (rc != ERR_OK)
         return err_add(e, "render_backward: %llu pairs of splat and tile", (unsigned long long)r->entries);
+    size_t local = r->dev->vector_width > 1 ? 1 : LAYOUT_TILE * LAYOUT_TILE;
     return frame_run(r, s->blend, "blend_backward",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
                                 FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->entry_splat.mem),
                                 FRAME_ARG(r->entry_slot.mem), FRAME_ARG(r->color.mem),
                                 FRAME_ARG(r->color_grad.mem), FRAME_ARG(s->slots.mem),
                                 FRAME_ARG(s->marks.mem)),
-                     r->tiles, 1, e);
+                     r->tiles * local, local, e);
 }
 
 enum err_code render_backward(struct render *r, const struct render_model *m, cl_mem grads,

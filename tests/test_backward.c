@@ -481,9 +481,10 @@ static float *part_of(struct gauss *g, size_t part)
     return parts[part];
 }
 
-/* Kernel gradients of s (unfused) into out. */
-static void kernel_gradients(struct render *r, const struct scene *s, struct gauss *out)
+/* Kernel gradients of s (unfused) into out, by kernels of this vector width (0: the device's own). */
+static void kernel_gradients(struct render *r, const struct scene *s, uint32_t width, struct gauss *out)
 {
+    uint32_t own = dev_get()->vector_width;
     struct render_model m = {0};
     struct err e = {0};
     cl_mem grads;
@@ -493,7 +494,10 @@ static void kernel_gradients(struct render *r, const struct scene *s, struct gau
     assert_non_null(junk);
     memset(junk, 0xFF, bytes); /* NaN: every plane must be written */
     kit_ok(dev_buffer(dev_get(), bytes, junk, &grads, &e), e);
-    kit_ok(render_backward(r, &m, grads, &e), e);
+    dev_get()->vector_width = width ? width : own;
+    enum err_code rc = render_backward(r, &m, grads, &e);
+    dev_get()->vector_width = own;
+    kit_ok(rc, e);
     gauss_like(&s->g, out);
     planes_read(&m, grads, out);
     dev_release(&grads);
@@ -501,7 +505,7 @@ static void kernel_gradients(struct render *r, const struct scene *s, struct gau
     render_model_free(&m);
 }
 
-static void check_kernels(struct render *r, struct scene *s, const char *what)
+static void check_kernels(struct render *r, struct scene *s, const char *what, uint32_t width)
 {
     struct grads want = grads_make(&s->g);
     struct gauss got = {0};
@@ -510,7 +514,7 @@ static void check_kernels(struct render *r, struct scene *s, const char *what)
     if (sure < 0.5)
         fail_msg("%s: only %.2f of the pixels are away from every threshold", what, sure);
     kit_ok(render_ref_backward(&s->g, &s->cam, &s->o, s->rgb_grad, &want.r, &e), e);
-    kernel_gradients(r, s, &got);
+    kernel_gradients(r, s, width, &got);
     for (size_t k = 0; k < 5; k++) {
         char name[96];
         const float *v = part_of(&got, k);
@@ -543,25 +547,42 @@ static void test_kernels_match_reference(void **state)
         for (uint32_t degree = 0; degree < 4; degree++) {
             struct scene s = scene_make(20 + i, 15 + degree, modes[i], degree);
             snprintf(name, sizeof name, "mode %u, degree %u", i, degree);
-            check_kernels(r, &s, name);
+            check_kernels(r, &s, name, 0);
             scene_free(&s);
         }
         struct scene s = scene_saturated(modes[i]);
-        check_kernels(r, &s, "saturated");
+        check_kernels(r, &s, "saturated", 0);
         scene_free(&s);
         s = scene_outside(modes[i]);
-        check_kernels(r, &s, "outside the picture");
+        check_kernels(r, &s, "outside the picture", 0);
         scene_free(&s);
         s = scene_needles(modes[i]);
-        check_kernels(r, &s, "needles");
+        check_kernels(r, &s, "needles", 0);
         scene_free(&s);
     }
     struct scene s = scene_make(5, 300, RENDER_AA_2D, 3); /* many groups, long lists */
-    check_kernels(r, &s, "300 Gaussians");
+    check_kernels(r, &s, "300 Gaussians", 0);
     s.o.sh_degree = 1;
-    check_kernels(r, &s, "degree 1 of 3");
+    check_kernels(r, &s, "degree 1 of 3", 0);
     scene_free(&s);
     render_close(&r);
+}
+
+/* The kernels as a GPU gets them (one Gaussian or pixel a work-item), run here: those of the way back are
+ * built on first use, so that the forward pass need not be narrow as well. */
+static void test_narrow_kernels_match_reference(void **state)
+{
+    (void)state;
+    for (int i = 0; i < 3; i++) {
+        struct scene s = i == 0 ? scene_make(60, 40, RENDER_AA_2D, 2) : i == 1 ? scene_saturated(RENDER_AA_MIP)
+                                                                             : scene_needles(RENDER_AA_NONE);
+        struct render *r;
+        struct err e = {0};
+        kit_ok(render_open(dev_get(), &r, &e), e);
+        check_kernels(r, &s, "narrow", 1);
+        render_close(&r);
+        scene_free(&s);
+    }
 }
 
 /* ---- thresholds: forward and backward must decide alike (F25) ------------------------------------------ */
@@ -719,8 +740,9 @@ static void adam_plain(const struct render_adam *a, const float *grads, size_t g
 #define ADAM_REL 2e-5
 #define ADAM_ABS 2e-6
 
-static void check_adam(bool with_extra, int sh_degree)
+static void check_adam(bool with_extra, int sh_degree, uint32_t width)
 {
+    uint32_t own = dev_get()->vector_width;
     struct scene s = scene_make(31, 75, RENDER_AA_2D, 2);
     struct err e = {0};
     struct dev *d = dev_get();
@@ -754,6 +776,7 @@ static void check_adam(bool with_extra, int sh_degree)
     for (t.adam.step = 0; t.adam.step < 4;) {
         float *extra = with_extra ? floats_read(t.adam.extra_grad, (size_t)t.m.groups * 176) : NULL;
         kernel_forward(t.r, &s, &t.m);
+        d->vector_width = width ? width : own;
         kit_ok(render_backward(t.r, &t.m, grads, &e), e);
         float *g = floats_read(grads, words);
         for (size_t i = 0; extra && i < words; i++)
@@ -761,6 +784,7 @@ static void check_adam(bool with_extra, int sh_degree)
                 g[i] += extra[i / 16 / t.m.planes * 176 + i % (16 * t.m.planes)];
         t.adam.step++;
         kit_ok(render_backward_step(t.r, &t.m, &t.adam, &t.stats, &e), e);
+        d->vector_width = own;
         adam_plain(&t.adam, g, t.m.groups, t.m.planes, used, p, m1, m2);
         float *const got[3] = {floats_read(t.m.params, words), floats_read(t.adam.m1, words),
                                floats_read(t.adam.m2, words)};
@@ -802,9 +826,10 @@ static void check_adam(bool with_extra, int sh_degree)
 static void test_step_is_adam(void **state)
 {
     (void)state;
-    check_adam(false, -1);
-    check_adam(true, -1);
-    check_adam(false, 1);
+    check_adam(false, -1, 0);
+    check_adam(true, -1, 0);
+    check_adam(false, 1, 0);
+    check_adam(true, -1, 1); /* as a GPU has it */
 }
 
 /* F1: what must never be in a model is repaired, and counted. */
@@ -1090,7 +1115,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_ref_all_parameters), cmocka_unit_test(test_ref_saturated),
         cmocka_unit_test(test_ref_outside),        cmocka_unit_test(test_ref_needles),
         cmocka_unit_test(test_ref_untouched),      cmocka_unit_test(test_kernels_match_reference),
-        cmocka_unit_test(test_same_decisions),     cmocka_unit_test(test_step_is_adam),
+        cmocka_unit_test(test_narrow_kernels_match_reference), cmocka_unit_test(test_same_decisions),     cmocka_unit_test(test_step_is_adam),
         cmocka_unit_test(test_repairs),            cmocka_unit_test(test_dropped_updates),
         cmocka_unit_test(test_wild_shapes),        cmocka_unit_test(test_density_statistics),
         cmocka_unit_test(test_same_bits),          cmocka_unit_test(test_errors),
