@@ -32,6 +32,7 @@ if (values.tiles) env.CITYSPLAT_TILES = resolve(values.tiles);
 if (values.mock) env.CITYSPLAT_MOCK = "1";
 
 async function findMissing() {
+  if (Number(process.versions.node.split(".")[0]) < 20) return `Node.js ${process.versions.node} is older than 20`;
   if (!existsSync(join(HERE, "node_modules"))) return "run `npm ci` in tests/web first";
   if (!existsSync(join(HERE, "../../web/dist/index.html"))) return "run `npm ci && npm run build` in web first";
   if (!env.CITYSPLAT_MOCK && !env.CITYSPLAT_BIN) return "CITYSPLAT_BIN is not set: it names the citysplat program";

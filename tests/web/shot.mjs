@@ -27,8 +27,8 @@ const size = { width: Number(values.width), height: Number(values.height) };
 const { page, log, close } = await openPage(url, size);
 try {
   await waitForViewer(page, 1000 * Number(values.wait));
-  for (const id of values.click) await page.click(`#${id}`);
-  if (values.click.length) await page.waitForTimeout(3000);
+  for (const id of values.click) await page.evaluate((name) => document.getElementById(name).click(), id);
+  if (values.click.includes("server-button")) await page.waitForSelector("#server-image.fresh", { timeout: 60000 });
   if (values.bare) await page.addStyleTag({ content: "#panel,#tools,#toast,#progress{display:none!important}" });
   await page.screenshot({ path: out });
   const { gaussians, tilesLoaded, bytes } = await page.evaluate(() => window.citysplat);

@@ -16,7 +16,7 @@ const MEMORY_BYTES = (SMALL_DEVICE ? 192 : 768) * 2 ** 20;
 const PIXEL_RATIO_MAX = SMALL_DEVICE ? 1.5 : 2;
 const DETAIL_DEFAULT = SMALL_DEVICE ? 3 : 4;
 const DETAIL_MIDDLE = 4; // the slider position that means 16 px of error, one pixel of a typical Gaussian
-const AWAKE_MS = 400; // keep drawing this long after the last event
+const AWAKE_MS = 200; // keep drawing this long after the last event
 
 interface State {
   ready: boolean; // the view is complete and on the screen
@@ -299,6 +299,10 @@ function wireControls() {
   click("fold", () => fold(!element("panel").classList.contains("folded")));
   click("problem-retry", () => location.reload());
   element("amount").addEventListener("input", applyCompare);
+  serverView.onDrag = (amount) => {
+    element<HTMLInputElement>("amount").value = String(100 * Math.min(1, Math.max(0, amount)));
+    applyCompare();
+  };
   for (const radio of document.querySelectorAll('input[name="mode"]')) radio.addEventListener("change", applyCompare);
   element<HTMLInputElement>("detail").value = String(DETAIL_DEFAULT);
   element("detail").addEventListener("input", applyDetail);

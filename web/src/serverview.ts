@@ -13,6 +13,7 @@ export type Compare = "fade" | "wipe";
 
 export class ServerView {
   open = false;
+  onDrag: (amount: number) => void = () => {}; // the person moves the divider
   private compare: Compare = "wipe";
   private amount = 0.5;
   private timer = 0;
@@ -25,6 +26,10 @@ export class ServerView {
     private readonly say: (text: string, busy: boolean) => void,
   ) {
     image.addEventListener("load", () => image.classList.add("fresh"));
+    divider.addEventListener("pointerdown", (event) => divider.setPointerCapture(event.pointerId));
+    divider.addEventListener("pointermove", (event) => {
+      if (divider.hasPointerCapture(event.pointerId)) this.onDrag(1 - event.clientX / image.clientWidth);
+    });
   }
 
   // How the two pictures share the screen; amount 0 is the client's, 1 the server's.

@@ -185,7 +185,7 @@ export class SplatLayer {
   ) {
     // No multisampling: splats have no edges to smooth, and it costs.
     this.renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: "high-performance" });
-    this.renderer.setClearColor(0x0b0e13);
+    this.renderer.setClearColor(0x000000); // as in the server's pictures
     // Extended accumulators: float32 centres and half-float colours also between decode and draw.
     this.spark = new SparkRenderer({
       renderer: this.renderer,
@@ -308,18 +308,20 @@ export class SplatLayer {
   }
 
   draw() {
+    const calm = !this.busy();
     this.camera.updateMatrixWorld();
     if (this.tiles) {
       this.tiles.setResolutionFromRenderer(this.camera, this.renderer);
       this.tiles.update();
     }
     this.renderer.render(this.scene, this.camera);
-    this.quietFrames = this.busy() ? 0 : this.quietFrames + 1;
+    // Sorting ends between frames: a frame shows the final order if nothing was under way before and after it.
+    this.quietFrames = calm && !this.busy() ? this.quietFrames + 1 : 0;
   }
 
   // Everything the current view needs is loaded, sorted and on the screen.
   get settled(): boolean {
-    return this.quietFrames >= 3;
+    return this.quietFrames >= 2;
   }
 
   private busy(): boolean {

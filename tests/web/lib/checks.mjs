@@ -78,7 +78,7 @@ export function checkNorth(png) {
 }
 
 // Share of pixels that differ from the corner-less background, and how many different colours there are.
-export function measureContent(png, background = [11, 14, 19]) {
+export function measureContent(png, background = [0, 0, 0]) {
   let differ = 0;
   const colors = new Set();
   let n = 0;

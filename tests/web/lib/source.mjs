@@ -24,7 +24,7 @@ function importCity(dir) {
   const ply = join(dir, "city.ply");
   const tiles = join(dir, "city.tiles");
   writeFileSync(ply, writePly(makeCity(), ORIGIN));
-  const args = ["import", ply, "--out", tiles, "--name", "fcity", "--tile-edge-m", "60",
+  const args = ["import", ply, "--output", tiles, "--name", "fcity", "--tile-edge-m", "60",
     "--attribution", "Test city, drawn by code"];
   const run = spawnSync(BIN, args, { encoding: "utf8" });
   if (run.status !== 0) throw new Error(`citysplat ${args.join(" ")}\n${run.stdout}${run.stderr}`);
