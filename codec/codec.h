@@ -80,6 +80,8 @@ enum err_code exif_insert(struct buf *file, const struct image_gps *gps, struct 
 enum err_code npy_write(const char *path, const float *data, size_t ndim, const size_t *shape,
                         struct err *e) ERR_USE;
 enum err_code npy_read(const char *path, size_t ndim, size_t *shape, float **data, struct err *e) ERR_USE;
+enum err_code npy_decode(const void *bytes, size_t n, size_t ndim, size_t *shape, float **data,
+                         struct err *e) ERR_USE;
 
 /* ---- colmap.c ------------------------------------------------------------------------------------- */
 

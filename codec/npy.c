@@ -49,75 +49,70 @@ static const char *dict_find(const char *head, const char *key)
     return p;
 }
 
-static enum err_code head_parse(const char *path, const char *head, size_t ndim, size_t *shape,
-                                size_t *count, struct err *e)
+static enum err_code head_parse(const char *head, size_t ndim, size_t *shape, size_t *count, struct err *e)
 {
     const char *descr = dict_find(head, "'descr'"), *order = dict_find(head, "'fortran_order'");
     const char *p = dict_find(head, "'shape'");
     if (!descr || !order || !p || *p != '(')
-        return err_set(e, ERR_FORMAT, "npy : %s : header is not a dictionary of descr, fortran_order, shape",
-                       path);
+        return err_set(e, ERR_FORMAT, "npy : header is not a dictionary of descr, fortran_order, shape");
     if (strncmp(descr, "'<f4'", 5) || strncmp(order, "False", 5))
-        return err_set(e, ERR_FORMAT, "npy : %s : only '<f4' in C order is read, this is %.12s", path,
-                       descr);
+        return err_set(e, ERR_FORMAT, "npy : only '<f4' in C order is read, this is %.12s", descr);
     *count = 1;
     p++;
     for (size_t i = 0; i < ndim; i++) {
         char *end;
         unsigned long long v = strtoull(p, &end, 10);
         if (end == p || *p == '-' || (*end != ',' && *end != ')'))
-            return err_set(e, ERR_FORMAT, "npy : %s : shape has fewer than %zu dimensions", path, ndim);
+            return err_set(e, ERR_FORMAT, "npy : shape has fewer than %zu dimensions", ndim);
         if (v && *count > SIZE_MAX / sizeof(float) / v)
-            return err_set(e, ERR_LIMIT, "npy : %s : shape overflows", path);
+            return err_set(e, ERR_LIMIT, "npy : shape overflows");
         shape[i] = (size_t)v;
         *count *= (size_t)v;
         for (p = *end == ',' ? end + 1 : end; *p == ' '; p++)
             ;
     }
     if (*p != ')')
-        return err_set(e, ERR_FORMAT, "npy : %s : shape has more than %zu dimensions", path, ndim);
+        return err_set(e, ERR_FORMAT, "npy : shape has more than %zu dimensions", ndim);
+    return ERR_OK;
+}
+
+enum err_code npy_decode(const void *bytes, size_t n, size_t ndim, size_t *shape, float **data, struct err *e)
+{
+    struct cursor c = cursor_over(bytes, n);
+    size_t count = 0;
+    *data = NULL;
+    const uint8_t *magic = cursor_take(&c, MAGIC_BYTES + 2);
+    if (!magic || memcmp(magic, "\x93NUMPY", MAGIC_BYTES) || magic[6] < 1 || magic[6] > 3)
+        return err_set(e, ERR_FORMAT, "npy : not a .npy file of version 1 to 3");
+    size_t n_head = magic[6] == 1 ? cursor_u16(&c) : cursor_u32(&c);
+    const uint8_t *text = c.bad ? NULL : cursor_take(&c, n_head);
+    if (!text)
+        return err_set(e, ERR_FORMAT, "npy : truncated in its header");
+    char *head = mem_array(n_head + 1, 1);
+    if (!head)
+        return err_set(e, ERR_MEM, "npy : out of memory");
+    memcpy(head, text, n_head);
+    enum err_code rc = head_parse(head, ndim, shape, &count, e);
+    mem_free(head);
+    if (rc != ERR_OK)
+        return rc;
+    if (cursor_left(&c) / sizeof **data < count)
+        return err_set(e, ERR_FORMAT, "npy : %zu values announced, room for %zu : truncated", count,
+                       cursor_left(&c) / sizeof **data);
+    if (!(*data = mem_array(count, sizeof **data)))
+        return err_set(e, ERR_MEM, "npy : %zu values : out of memory", count);
+    if (count)
+        memcpy(*data, c.p, count * sizeof **data);
     return ERR_OK;
 }
 
 enum err_code npy_read(const char *path, size_t ndim, size_t *shape, float **data, struct err *e)
 {
     struct buf b = {0};
-    char *head = NULL;
-    size_t count = 0;
     *data = NULL;
     enum err_code rc = file_read(path, 0, &b, e);
-    if (rc != ERR_OK)
-        goto out;
-    rc = err_set(e, ERR_FORMAT, "npy : %s : not a .npy file of version 1 to 3, or truncated", path);
-    struct cursor c = cursor_over(b.data, b.size);
-    const uint8_t *magic = cursor_take(&c, MAGIC_BYTES + 2);
-    if (!magic || memcmp(magic, "\x93NUMPY", MAGIC_BYTES) || magic[6] < 1 || magic[6] > 3)
-        goto out;
-    size_t n = magic[6] == 1 ? cursor_u16(&c) : cursor_u32(&c);
-    const uint8_t *text = c.bad ? NULL : cursor_take(&c, n);
-    if (!text)
-        goto out;
-    if (!(head = mem_array(n + 1, 1))) {
-        rc = err_set(e, ERR_MEM, "npy : %s : out of memory", path);
-        goto out;
-    }
-    memcpy(head, text, n);
-    rc = head_parse(path, head, ndim, shape, &count, e);
-    if (rc != ERR_OK)
-        goto out;
-    if (cursor_left(&c) / sizeof **data < count) {
-        rc = err_set(e, ERR_FORMAT, "npy : %s : %zu values announced, room for %zu", path, count,
-                     cursor_left(&c) / sizeof **data);
-        goto out;
-    }
-    if (!(*data = mem_array(count, sizeof **data))) {
-        rc = err_set(e, ERR_MEM, "npy : %s : out of memory", path);
-        goto out;
-    }
-    if (count)
-        memcpy(*data, c.p, count * sizeof **data);
-out:
-    mem_free(head);
+    if (rc == ERR_OK && (rc = npy_decode(b.data, b.size, ndim, shape, data, e)) != ERR_OK)
+        err_add(e, "%s", path);
     buf_free(&b);
     return rc;
 }

@@ -1,0 +1,108 @@
+/* Small valid files of every format, made by the writers themselves.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/fuzz/fuzz.h"
+
+#include <assert.h>
+#include <string.h>
+
+#include "codec/codec.h"
+
+static void sample(size_t i, struct gauss *g)
+{
+    const size_t n = 3 + 5 * i;
+    enum err_code rc = gauss_alloc(g, n, (uint32_t)i, i == 1 ? 2 : 0, NULL);
+    assert(rc == ERR_OK);
+    g->n = n;
+    g->antialiased = i == 1;
+    const size_t k = 3 * gauss_sh_count(g->sh_degree);
+    for (size_t r = 0; r < n; r++) {
+        for (size_t c = 0; c < 3; c++) {
+            g->mean_m[3 * r + c] = (float)(200 * rng_unit(i, c, r) - 100);
+            g->scale_log[3 * r + c] = (float)(-3 + rng_unit(i, 3 + c, r));
+        }
+        for (size_t c = 0; c < 4; c++)
+            g->quat_wxyz[4 * r + c] = (float)rng_normal(i, 6 + c, r);
+        g->opacity_logit[r] = (float)rng_normal(i, 10, r);
+        for (size_t c = 0; c < k; c++)
+            g->sh[k * r + c] = (float)(0.2 * rng_normal(i, 11 + c, r));
+        for (size_t c = 0; c < g->embed_len; c++)
+            g->embed[g->embed_len * r + c] = (float)rng_normal(i, 70 + c, r);
+    }
+}
+
+static enum err_code npy_seed(size_t i, struct buf *out)
+{
+    buf_add(out, "\x93NUMPY\x01\x00\x76\x00", 10);
+    buf_printf(out, "%-117s\n", i ? "{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3), }"
+                                  : "{'descr': '<f4', 'fortran_order': False, 'shape': (6,), }");
+    for (int k = 0; k < 6; k++)
+        buf_f32(out, (float)k);
+    return buf_check(out, NULL);
+}
+
+static enum err_code exif_seed(size_t i, struct buf *out)
+{
+    static const char *const formats[] = {"jpg", "png", "webp"};
+    static const struct image_gps gps = {true, true, -12.5, 7.25, 90, "2026:05:17 10:20:30", 0.01, 100, 8};
+    struct image img;
+    enum err_code rc = image_alloc(4, 4, 3, &img, NULL);
+    if (rc == ERR_OK)
+        rc = image_encode(&img, formats[i], 90, out, NULL);
+    if (rc == ERR_OK)
+        rc = exif_insert(out, &gps, NULL);
+    image_free(&img);
+    return rc;
+}
+
+static enum err_code text_ply(struct buf *out)
+{
+    static const char *const names[] = {"x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0",
+                                        "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"};
+    buf_printf(out, "ply\nformat ascii 1.0\ncomment axes ENU\nelement vertex 2\n");
+    for (int i = 0; i < 14; i++)
+        buf_printf(out, "property float %s\n", names[i]);
+    buf_printf(out, "end_header\n1 2 3 .1 .2 .3 0 -1 -2 -3 1 0 0 0\n-1 -2e1 3 0 0 0 inf -1 -2 -3 1 .5 .5 .5\n");
+    return buf_check(out, NULL);
+}
+
+static enum err_code gauss_seed(const char *target, size_t i, struct buf *out)
+{
+    struct gauss g;
+    struct quant q;
+    sample(i, &g);
+    enum err_code rc = quant_from_gauss(&g, g.sh_degree, &q, NULL);
+    if (rc != ERR_OK)
+        goto out;
+    if (!strcmp(target, "ply"))
+        rc = i ? ply_encode(&g, NULL, out, NULL) : text_ply(out);
+    else if (!strcmp(target, "spz"))
+        rc = spz_encode(&q, i == 2 ? 4 : 3, out, NULL);
+    else if (!strcmp(target, "drc"))
+        rc = draco_encode(&q, "1/2/3", out, NULL);
+    else if (!strcmp(target, "glb"))
+        rc = i == 2 ? glb_encode_spz(&q, "c", out, NULL) : glb_encode_plain(&g, NULL, out, NULL);
+    else if (!strcmp(target, "payload"))
+        rc = payload_encode(&g, i == 0, out, NULL);
+    else
+        rc = ERR_NOENT;
+out:
+    quant_free(&q);
+    gauss_free(&g);
+    return rc;
+}
+
+bool fuzz_seed(const char *target, size_t i, struct buf *out)
+{
+    if (!strcmp(target, "npy"))
+        return npy_seed(i, out) == ERR_OK;
+    if (!strcmp(target, "exif"))
+        return exif_seed(i, out) == ERR_OK;
+    if (!strcmp(target, "splat")) {
+        for (uint64_t k = 0; k < 32 * (i + 1); k++)
+            buf_u8(out, k % 4 == 3 && k % 32 < 24 ? 0x3f : (unsigned)rng_u64(9, i, k) & 127);
+        return !out->failed;
+    }
+    return gauss_seed(target, i, out) == ERR_OK;
+}

@@ -1,0 +1,125 @@
+/* See fuzz.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/fuzz/fuzz.h"
+
+#include <assert.h>
+#include <math.h>
+#include <string.h>
+
+#include "codec/codec.h"
+#include "codec/draco_layout.h"
+
+static const struct codec_limits limits = {.max_gaussians = 1 << 16, .max_bytes = 1 << 24};
+
+static void check_quant(const struct quant *a)
+{
+    struct quant b;
+    struct buf file = {0};
+    struct gauss g;
+    if (a->n) { /* the same integers again */
+        enum err_code rc = spz_encode(a, 3, &file, NULL);
+        assert(rc == ERR_OK);
+        rc = spz_decode(file.data, file.size, NULL, &b, NULL);
+        assert(rc == ERR_OK && a->n == b.n && !memcmp(a->position, b.position, 12 * a->n) &&
+               !memcmp(a->rotation, b.rotation, 4 * a->n));
+        quant_free(&b);
+        buf_free(&file);
+    }
+    enum err_code rc = quant_to_gauss(a, &g, NULL);
+    assert(rc == ERR_OK && !gauss_count_bad(&g, NULL));
+    gauss_free(&g);
+}
+
+static void check_gauss(const struct gauss *a)
+{
+    struct buf file = {0};
+    struct gauss b;
+    enum err_code rc = payload_encode(a, true, &file, NULL);
+    assert(rc == ERR_OK);
+    rc = payload_decode(file.data, file.size, NULL, &b, NULL);
+    assert(rc == ERR_OK && a->n == b.n && !memcmp(a->mean_m, b.mean_m, 12 * a->n));
+    gauss_free(&b);
+    buf_free(&file);
+}
+
+void fuzz_ply(const uint8_t *bytes, size_t n)
+{
+    struct gauss g;
+    if (ply_decode(bytes, n, &limits, &g, NULL, NULL) == ERR_OK)
+        check_gauss(&g);
+    gauss_free(&g);
+}
+
+void fuzz_splat(const uint8_t *bytes, size_t n)
+{
+    struct gauss g;
+    if (splat_decode(bytes, n, &limits, &g, NULL) == ERR_OK)
+        check_gauss(&g);
+    gauss_free(&g);
+}
+
+void fuzz_spz(const uint8_t *bytes, size_t n)
+{
+    struct quant q;
+    if (spz_decode(bytes, n, &limits, &q, NULL) == ERR_OK)
+        check_quant(&q);
+    quant_free(&q);
+}
+
+/* The check value is made right, or nothing would get past it into libdraco. */
+void fuzz_drc(const uint8_t *bytes, size_t n)
+{
+    struct quant q;
+    uint8_t *copy = mem_array(n, 1);
+    assert(copy);
+    if (n)
+        memcpy(copy, bytes, n);
+    if (n >= DRACO_CRC_BYTES) {
+        uint32_t crc = draco_crc(copy, n - DRACO_CRC_BYTES);
+        memcpy(copy + n - DRACO_CRC_BYTES, &crc, DRACO_CRC_BYTES);
+    }
+    if (draco_decode(copy, n, &limits, &q, NULL) == ERR_OK)
+        check_quant(&q);
+    quant_free(&q);
+    mem_free(copy);
+}
+
+void fuzz_glb(const uint8_t *bytes, size_t n)
+{
+    struct gauss g;
+    if (glb_decode(bytes, n, &limits, &g, NULL) == ERR_OK)
+        check_gauss(&g);
+    gauss_free(&g);
+}
+
+void fuzz_payload(const uint8_t *bytes, size_t n)
+{
+    struct gauss g;
+    if (payload_decode(bytes, n, &limits, &g, NULL) == ERR_OK)
+        check_gauss(&g);
+    gauss_free(&g);
+}
+
+void fuzz_npy(const uint8_t *bytes, size_t n)
+{
+    for (size_t ndim = 1; ndim <= 3; ndim++) {
+        size_t shape[3], count = 1;
+        float *data = NULL;
+        if (npy_decode(bytes, n, ndim, shape, &data, NULL) == ERR_OK) {
+            for (size_t i = 0; i < ndim; i++)
+                count *= shape[i];
+            assert(count <= n / sizeof *data);
+        }
+        mem_free(data);
+    }
+}
+
+void fuzz_exif(const uint8_t *bytes, size_t n)
+{
+    struct image_gps gps;
+    exif_parse(bytes, n, &gps);
+    assert(!gps.has_position || (fabs(gps.lat_deg) <= 90 && fabs(gps.lon_deg) <= 180));
+    assert(memchr(gps.time, 0, sizeof gps.time));
+}

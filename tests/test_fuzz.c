@@ -1,0 +1,77 @@
+/* Every fuzz target over its seeds and a few thousand seeded mutations of them: flips, runs, cuts, copies.
+ *
+ * A real search is libFuzzer's (tests/fuzz/main.c); this keeps its targets alive and catches the plain mistakes
+ * in every run.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <string.h>
+
+#include "tests/fuzz/fuzz.h"
+
+enum { MUTATIONS = 600 };
+
+/* A mutation of `in` that depends on `seed` alone, in an allocation of its own size. */
+static uint8_t *mutate(const struct buf *in, uint64_t seed, size_t *n)
+{
+    *n = rng_u64(seed, 0, 0) % 4 ? in->size : rng_u64(seed, 0, 1) % (in->size + 1);
+    uint8_t *p = mem_array(*n, 1);
+    memcpy(p, in->data, *n);
+    for (uint64_t k = 0; *n && k < 1 + rng_u64(seed, 0, 2) % 4; k++) {
+        size_t at = rng_u64(seed, 1, k) % *n, len = 1 + rng_u64(seed, 2, k) % 4;
+        len = len > *n - at ? *n - at : len;
+        switch (rng_u64(seed, 3, k) % 4) {
+        case 0:
+            p[at] ^= (uint8_t)(1u << rng_u64(seed, 4, k) % 8);
+            break;
+        case 1:
+            memset(p + at, rng_u64(seed, 4, k) % 2 ? 0xff : 0, len);
+            break;
+        case 2:
+            for (size_t i = 0; i < len; i++)
+                p[at + i] = (uint8_t)rng_u64(seed, 5 + i, k);
+            break;
+        default:
+            memmove(p + at, in->data + rng_u64(seed, 4, k) % (in->size - len + 1), len);
+        }
+    }
+    return p;
+}
+
+static void replay(const char *name, void (*target)(const uint8_t *, size_t))
+{
+    target((const uint8_t *)"", 0);
+    for (size_t i = 0; i < FUZZ_SEEDS; i++) {
+        struct buf seed = {0};
+        assert_true(fuzz_seed(name, i, &seed));
+        target(seed.data, seed.size);
+        for (uint64_t m = 0; m < MUTATIONS; m++) {
+            size_t n;
+            uint8_t *p = mutate(&seed, i * MUTATIONS + m, &n);
+            target(p, n);
+            mem_free(p);
+        }
+        buf_free(&seed);
+    }
+}
+
+#define FUZZ(name)                                                                                 \
+    static void test_##name(void **state)                                                          \
+    {                                                                                              \
+        (void)state;                                                                               \
+        replay(#name, fuzz_##name);                                                                \
+    }
+#include "tests/fuzz/targets.def"
+#undef FUZZ
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+#define FUZZ(name) cmocka_unit_test(test_##name),
+#include "tests/fuzz/targets.def"
+#undef FUZZ
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
