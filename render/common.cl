@@ -40,7 +40,7 @@ typedef uint VU;
 #ifdef HAS_PREFETCH
 #define PREFETCH(p) __builtin_prefetch(p)
 #else
-#define PREFETCH(p)
+#define PREFETCH(p) (void)(p)
 #endif
 
 #define LOG2E 1.44269504088896f

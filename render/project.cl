@@ -47,8 +47,7 @@ inline void project_tiles(__constant struct layout_view *v, V mx, V my, V p, V x
         c->bands[b] = (VU)(0);
     for (int b = 0; b < LAYOUT_BANDS; b++) {
         VI top = row0 + b * step, bottom = MIN_(top + step - 1, row1);
-        VI some = (top <= row1) & (cols > 0);
-        if (!ANY(some))
+        if (!ANY(top <= row1))
             break;
         V y0 = TO_V(top) * LAYOUT_TILE + 0.5f - my, y1 = TO_V(bottom) * LAYOUT_TILE + (LAYOUT_TILE - 0.5f) - my;
         V yr = CLAMP_(y_right, y0, y1), yl = CLAMP_(-y_right, y0, y1);
@@ -63,12 +62,12 @@ inline void project_tiles(__constant struct layout_view *v, V mx, V my, V p, V x
         }
         first = MAX_(first, col0) - col0; // rounding may put them just outside the box
         last = MIN_(last, col1) - col0;
-        some &= first <= last;
-        VI f = first >> shift, l = last >> shift;
-        VI end = MIN_((l + 1) << shift, (VI)((int)v->tiles_x) - col0);
-        c->tiles += some ? (end - (f << shift)) * (bottom - top + 1) : (VI)(0);
-        VU pair = some ? AS_VU(f | (l << 8)) : (VU)(1); // 1: first 1, last 0, that is none
-        c->bands[b >> 1] |= pair << (16u * (b & 1));
+        last = top <= row1 ? last : (VI)(-1);
+        VI f = first >> shift, l = last >> shift, end = MIN_((l + 1) << shift, (VI)((int)v->tiles_x) - col0);
+        VI count = (end - (f << shift)) * (bottom - top + 1), pair = f + (l << 8);
+        c->tiles += first <= last ? count : (VI)(0);
+        pair = first <= last ? pair : (VI)(255); // first 255, last 0: none
+        c->bands[b >> 1] |= AS_VU(pair) << (16u * (b & 1));
     }
 }
 
