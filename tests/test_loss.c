@@ -264,6 +264,34 @@ static void digest(char out[33])
     picture_free(&p);
 }
 
+/* Every allocation of the host fails once: an error, no leak, no crash. */
+static void test_out_of_memory(void **state)
+{
+    (void)state;
+    enum err_code rc = ERR_MEM;
+    for (size_t k = 1; rc != ERR_OK; k++) {
+        struct loss *l = NULL;
+        struct err e = {0};
+        cl_mem color, target, grad;
+        kit_ok(dev_buffer(dev_get(), 3 * 20 * 20 * sizeof(float), NULL, &color, &e), e);
+        kit_ok(dev_buffer(dev_get(), 3 * 20 * 20 * sizeof(float), NULL, &grad, &e), e);
+        kit_ok(dev_buffer(dev_get(), 3 * 20 * 20, NULL, &target, &e), e);
+        struct loss_input in = {color, target, NULL, 20, 20, 0.8f, 0.2f};
+        mem_fail_at(k);
+        rc = loss_open(dev_get(), &l, &e);
+        if (rc == ERR_OK)
+            rc = loss_run(l, &in, grad, &e);
+        mem_fail_at(0);
+        assert_true(rc == ERR_OK || rc == ERR_MEM);
+        assert_true(k < 100);
+        kit_ok(dev_finish(dev_get(), &e), e);
+        loss_close(&l);
+        dev_release(&color);
+        dev_release(&target);
+        dev_release(&grad);
+    }
+}
+
 static const char *self;
 
 static void test_same_bits(void **state)
@@ -296,7 +324,7 @@ int main(int argc, char **argv)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_ref_closed_forms), cmocka_unit_test(test_ref_finite_differences),
         cmocka_unit_test(test_metrics),          cmocka_unit_test(test_kernel_matches_reference),
-        cmocka_unit_test(test_same_bits),
+        cmocka_unit_test(test_out_of_memory),    cmocka_unit_test(test_same_bits),
     };
     int failed = cmocka_run_group_tests(tests, NULL, NULL);
     dev_close(dev_get());
