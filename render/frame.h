@@ -4,7 +4,7 @@
  *   project  params -> splats, depth_key, tiles           one record, key and tile count per Gaussian
  *   sort     depth_key -> order, slot_first               32-bit LSD radix over fixed chunks, ties by index
  *   bin      order -> tile_start, entry_splat, entry_slot entries of a tile in depth order
- *   blend    -> color, transmit                           one work-item per tile on CPUs
+ *   blend    -> color, transmit                           one work-item per tile on CPUs, one work-group on GPUs
  * No count depends on the number of threads and nothing is added by atomics, so the same input gives the
  * same bits.
  *

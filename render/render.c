@@ -14,7 +14,7 @@
 #include "core/base.h"
 #include "render/frame.h"
 
-extern const char project_cl[], sort_cl[], bin_cl[], blend_cpu_cl[];
+extern const char project_cl[], sort_cl[], bin_cl[], blend_cpu_cl[], blend_gpu_cl[];
 
 enum { SIZE_MAX_PX = 16384, RADIX_PASSES = 3 };
 
@@ -62,11 +62,13 @@ enum err_code frame_run(struct render *r, cl_kernel k, const char *name, const s
 
 static enum err_code render_build(struct render *r, struct err *e)
 {
+    const struct dev_source shapes[] = {{"render/blend_gpu.cl", blend_gpu_cl},
+                                        {"render/blend_cpu.cl", blend_cpu_cl}};
     const struct dev_source sources[] = {{"render/common.cl", common_cl},
                                          {"render/project.cl", project_cl},
                                          {"render/sort.cl", sort_cl},
                                          {"render/bin.cl", bin_cl},
-                                         {"render/blend_cpu.cl", blend_cpu_cl}};
+                                         shapes[r->dev->vector_width == LAYOUT_LANES]};
     struct {
         const char *name;
         cl_kernel *to;
@@ -321,11 +323,12 @@ static enum err_code stage_bin(struct render *r, struct err *e)
 
 static enum err_code stage_blend(struct render *r, struct err *e)
 {
+    size_t local = r->dev->vector_width == LAYOUT_LANES ? 1 : LAYOUT_TILE * LAYOUT_TILE;
     return frame_run(r, r->k.blend, "blend",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
                                 FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->entry_splat.mem),
                                 FRAME_ARG(r->color.mem), FRAME_ARG(r->transmit.mem)),
-                     r->tiles, 1, e);
+                     r->tiles * local, local, e);
 }
 
 /* Planar on the device, interleaved for the caller; mapping costs nothing on CPUs. */

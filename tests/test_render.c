@@ -663,6 +663,31 @@ static void test_exp2(void **state)
     mem_free(y);
 }
 
+/* The shapes for GPUs, on whatever device there is: one Gaussian a work-item, one tile a work-group. */
+static void test_gpu_shapes(void **state)
+{
+    static const size_t counts[] = {0, 17, 400};
+    struct dev scalar = dev;
+    struct render *wide = render;
+    struct err e = {0};
+    (void)state;
+    scalar.vector_width = dev.vector_width == 1 ? 16 : 1;
+    kit_ok(render_open(&scalar, &render, &e), e);
+    for (size_t i = 0; i < sizeof counts / sizeof *counts; i++) {
+        struct gauss g;
+        struct camera cam = view_from(5, -4, 4, 50, 37);
+        struct render_options o = PLAIN;
+        o.background[1] = 0.5f;
+        kit_gauss(211, counts[i], 2.5, 3, 0, &g);
+        for (size_t k = 0; k < g.n; k += 4)
+            g.opacity_logit[k] = 10.0f;
+        check("other shapes", &g, &cam, &o);
+        gauss_free(&g);
+    }
+    render_close(&render);
+    render = wide;
+}
+
 static void test_stats(void **state)
 {
     struct gauss g;
@@ -681,8 +706,11 @@ static void test_stats(void **state)
     gauss_free(&g);
 }
 
-int main(void)
+/* An argument is a pattern of test names: what a simulator can do in time. */
+int main(int argc, char **argv)
 {
+    if (argc > 1)
+        cmocka_set_test_filter(argv[1]);
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_layout_on_device),
         cmocka_unit_test(test_exp2),
@@ -706,6 +734,7 @@ int main(void)
         cmocka_unit_test(test_near_plane),
         cmocka_unit_test(test_many_entries),
         cmocka_unit_test(test_lists),
+        cmocka_unit_test(test_gpu_shapes),
         cmocka_unit_test(test_stats),
     };
     return cmocka_run_group_tests_name("render", tests, setup, teardown);
