@@ -184,7 +184,9 @@ static void test_noise_and_outliers(void **state)
             if (missed || (double)good > 0.02 * (double)s.n || r.n_flights != 1)
                 fail_msg("seed %zu, %zu photos: %zu outliers kept, %zu good ones dropped, %zu flights, tau %.1f m",
                          (size_t)seed, s.n, missed, good, r.n_flights, r.tau_m);
-            assert_true(r.fit.sigma_m > 0.7 * sigma_m && r.fit.sigma_m < 1.4 * sigma_m);
+            /* A median of 57 distances is good to 13 %: 3.5 of that. */
+            if (!(r.fit.sigma_h_m > 0.55 * sigma_m && r.fit.sigma_h_m < 1.45 * sigma_m))
+                fail_msg("seed %zu, %zu photos: noise judged %.2f m", (size_t)seed, s.n, r.fit.sigma_h_m);
             georef_free(&r);
         }
         double rms = sqrt(sum2 / (3 * SEEDS)) / unit;
@@ -282,7 +284,7 @@ static void test_collinear(void **state)
         center_error(&s, &r.sim, off);
         if (!(fabs(off[0]) < 1 && fabs(off[1]) < 1 && fabs(off[2]) < 1))
             fail_msg("seed %zu: centre off %.2f %.2f %.2f m, scale %g, sigma %g", (size_t)seed, off[0], off[1], off[2],
-                     r.sim.scale / s.truth.scale, r.fit.sigma_m);
+                     r.sim.scale / s.truth.scale, r.fit.sigma_h_m);
         assert_true(fabs(r.sim.scale / s.truth.scale - 1) < 0.01);
         double turned = rotation_error(r.sim.rot, s.truth.rot) * 180 / M_PI;
         if (turned > 2) /* degrees: 2 degrees of pitch and heading jitter, averaged */

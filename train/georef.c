@@ -22,8 +22,12 @@ enum { DRAWS_MAX = 10000, DRAWS_MIN = 300, ROUNDS_MAX = 3, JUMPS_TRIED = 48, FLI
        FLIGHTS_PHOTOS_MIN = 12 };
 static const double collinear_ratio = 0.01;
 /* For a partition to be taken: cost against that of one flight. Cutting one normal distribution of heights at
- * its middle leaves 0.79 of the cost, so clusters must do much better than that. */
+ * its middle leaves 0.79 of the cost, so clusters must do much better than that. A receiver that drifts is no
+ * second flight: a jump must be sudden, and clusters that follow each other in order are a jump. */
 static const double better_in_order = 0.8, better_in_clusters = 0.6, offset_min_m = 1, offset_sigmas = 4;
+static const double jump_sudden = 0.5, cluster_changes = 0.1;
+enum { JUMP_WINDOW = 10 };
+enum partition { PARTITION_PAUSE, PARTITION_JUMP, PARTITION_CLUSTER };
 static const double level_sigma = 0.03, normal_sigma = 0.2, hint_sigma = 0.5; /* radians, of upright_at */
 
 void georef_free(struct georef_result *r)
@@ -153,8 +157,10 @@ static enum err_code work_make(struct work *w, const struct georef_photo *photos
 static double truncated_cost(const struct work *w, const struct similarity_fit *f, double cap)
 {
     double sum = 0;
+    struct similarity_fit plain = *f;
+    plain.sigma_v_m = 0; /* heights count fully, however uncertain */
     for (size_t k = 0; k < w->n_gps; k++) {
-        double r = similarity_residual(&w->p, f, w->with_gps[k]);
+        double r = similarity_residual(&w->p, &plain, w->with_gps[k]);
         sum += fmin(r * r, cap * cap);
     }
     return sum;
@@ -166,6 +172,58 @@ static size_t count_within(const struct work *w, const struct similarity_fit *f,
     for (size_t k = 0; k < w->n_gps; k++)
         n += similarity_residual(&w->p, f, w->with_gps[k]) <= r;
     return n;
+}
+
+/* As truncated_cost and count_within, horizontally. */
+static double plan_cost(const struct work *w, const struct similarity *s, double cap, size_t *within)
+{
+    double sum = 0;
+    *within = 0;
+    for (size_t k = 0; k < w->n_gps; k++) {
+        double at[3], r;
+        similarity_apply(s, w->x[w->with_gps[k]], at);
+        r = hypot(w->y[w->with_gps[k]][0] - at[0], w->y[w->with_gps[k]][1] - at[1]);
+        sum += fmin(r * r, cap * cap);
+        *within += r <= cap;
+    }
+    return sum;
+}
+
+/* Draws needed to meet `k` agreeing photographs at once, almost surely. */
+static double draws_needed(double share, int k)
+{
+    double miss = log1p(-fmin(pow(share, k), 1 - 1e-9));
+    return miss < 0 ? log(1e-6) / miss : DRAWS_MAX;
+}
+
+/* The best of many fits to two photographs, up taken from the cameras and the ground, heights ignored. */
+static bool draw_plans(const struct work *w, struct similarity_fit *best)
+{
+    double best_cost = HUGE_VAL, needed = DRAWS_MAX;
+    for (uint64_t draw = 0; draw < DRAWS_MAX && (draw < DRAWS_MIN || (double)draw < needed); draw++) {
+        uint32_t pick[2];
+        size_t within;
+        for (uint64_t k = 0; k < 2; k++)
+            pick[k] = w->with_gps[rng_u64(w->cfg->seed, draw, 8 + k) % w->n_gps];
+        struct similarity s;
+        if (pick[0] == pick[1] || !similarity_from_plan(w->p.x, w->p.y, pick, 2, w->up, w->scratch, &s))
+            continue;
+        double cost = plan_cost(w, &s, w->cfg->inlier_m, &within);
+        if (!(cost < best_cost))
+            continue;
+        best_cost = cost;
+        *best = (struct similarity_fit){.sim = s};
+        needed = draws_needed((double)within / (double)w->n_gps, 2);
+    }
+    if (!(best_cost < HUGE_VAL))
+        return false;
+    for (size_t k = 0; k < w->n_gps; k++) {
+        double at[3];
+        similarity_apply(&best->sim, w->x[w->with_gps[k]], at);
+        w->scratch[k] = w->y[w->with_gps[k]][2] - at[2];
+    }
+    best->sim.trans[2] += similarity_median(w->scratch, w->n_gps);
+    return true;
 }
 
 /* The best of many fits to three photographs. */
@@ -186,9 +244,7 @@ static bool draw_fits(const struct work *w, struct similarity_fit *best)
             continue;
         best_cost = cost;
         *best = f;
-        double share = (double)count_within(w, &f, w->cfg->inlier_m) / (double)w->n_gps;
-        double miss = log1p(-fmin(share * share * share, 1 - 1e-9));
-        needed = miss < 0 ? log(1e-6) / miss : DRAWS_MAX;
+        needed = draws_needed((double)count_within(w, &f, w->cfg->inlier_m) / (double)w->n_gps, 3);
     }
     return best_cost < HUGE_VAL;
 }
@@ -222,11 +278,41 @@ static bool flights_rank(struct work *w, size_t *n_groups)
     return n > 1;
 }
 
+/* Median height error of up to JUMP_WINDOW photographs before or from with_gps[at]. */
+static double window_height(struct work *w, const struct similarity_fit *f, size_t at, bool after)
+{
+    size_t lo = after ? at : at > JUMP_WINDOW ? at - JUMP_WINDOW : 0;
+    size_t hi = after ? at + JUMP_WINDOW : at, n = 0;
+    for (size_t k = lo; k < hi && k < w->n_gps; k++)
+        w->scratch[n++] = height_error(w, f, w->with_gps[k]);
+    return similarity_median(w->scratch, n);
+}
+
+/* Are the two flights of `trial` told apart as their kind of partition demands? */
+static bool flights_distinct(struct work *w, const struct similarity_fit *f, enum partition how)
+{
+    double offset = f->offset_m[1];
+    if (how == PARTITION_JUMP) {
+        size_t at = 1;
+        while (at < w->n_gps && w->trial[w->with_gps[at]] == w->trial[w->with_gps[at - 1]])
+            at++;
+        return fabs(window_height(w, f, at, true) - window_height(w, f, at, false)) > jump_sudden * fabs(offset);
+    }
+    if (how == PARTITION_CLUSTER) {
+        size_t changes = 0;
+        for (size_t k = 1; k < w->n_gps; k++)
+            changes += w->trial[w->with_gps[k]] != w->trial[w->with_gps[k - 1]];
+        return (double)changes > cluster_changes * (double)w->n_gps;
+    }
+    return true;
+}
+
 /* Fit with the flights of `trial`; take fit and flights when they explain the positions much better than
- * `single`, which has no flights (at most better_cost of its cost), and better than `best`. */
-static enum err_code flights_try(struct work *w, const struct similarity_fit *single, double better_cost,
+ * `single`, which has no flights, and better than `best`. */
+static enum err_code flights_try(struct work *w, const struct similarity_fit *single, enum partition how,
                                  struct similarity_fit *best, struct err *e)
 {
+    double better_cost = how == PARTITION_CLUSTER ? better_in_clusters : better_in_order;
     size_t n_groups;
     if (w->n_gps < FLIGHTS_PHOTOS_MIN || !flights_rank(w, &n_groups))
         return ERR_OK;
@@ -250,15 +336,15 @@ static enum err_code flights_try(struct work *w, const struct similarity_fit *si
     enum err_code rc = similarity_refine(&w->p, &f, NULL);
     if (rc == ERR_MEM)
         return err_set(e, rc, "georeferencing: out of memory");
-    double cap = 4.6 * fmin(f.sigma_m, best->sigma_m), cost = truncated_cost(w, &f, cap), largest = 0;
+    double cap = 4.6 * fmax(f.sigma_h_m, f.sigma_v_m), cost = truncated_cost(w, &f, cap), largest = 0;
     w->p = old;
     bool better = cost < truncated_cost(w, best, cap) && cost < better_cost * truncated_cost(w, single, cap);
     for (size_t g = 1; g < n_groups; g++) {
-        double error = f.sigma_m * sqrt(1 / (double)count[0] + 1 / (double)count[g]);
+        double error = f.sigma_v_m * sqrt(1 / (double)count[0] + 1 / (double)count[g]);
         if (fabs(f.offset_m[g]) > offset_sigmas * error)
             largest = fmax(largest, fabs(f.offset_m[g]));
     }
-    if (rc != ERR_OK || largest < offset_min_m || !better)
+    if (rc != ERR_OK || largest < offset_min_m || !better || !flights_distinct(w, &f, how))
         return ERR_OK;
     *best = f;
     memcpy(w->group, w->trial, w->n * sizeof *w->group);
@@ -270,11 +356,11 @@ static enum err_code flights_try(struct work *w, const struct similarity_fit *si
 static enum err_code jump_try(struct work *w, const struct similarity_fit *single, struct similarity_fit *best,
                               size_t at, size_t *jump, struct err *e)
 {
-    double before = best->offset_m[1], sigma = best->sigma_m;
+    double before = best->offset_m[1], sigma = best->sigma_v_m;
     for (size_t i = 0; i < w->n; i++)
         w->trial[i] = i >= at;
-    enum err_code rc = flights_try(w, single, better_in_order, best, e);
-    if (before != best->offset_m[1] || sigma != best->sigma_m)
+    enum err_code rc = flights_try(w, single, PARTITION_JUMP, best, e);
+    if (before != best->offset_m[1] || sigma != best->sigma_v_m)
         *jump = at;
     return rc;
 }
@@ -286,7 +372,7 @@ static enum err_code flights_find(struct work *w, const struct georef_photo *pho
     const struct similarity_fit single = *fit;
     for (size_t i = 0; i < w->n; i++)
         w->trial[i] = photos[i].flight_hint < SIMILARITY_GROUPS_MAX ? photos[i].flight_hint : SIMILARITY_GROUPS_MAX - 1;
-    rc = flights_try(w, &single, better_in_order, fit, e);
+    rc = flights_try(w, &single, PARTITION_PAUSE, fit, e);
     if (rc != ERR_OK || w->p.n_groups > 1)
         return rc;
     /* A jump somewhere along the order of names, then two clusters in any order. */
@@ -304,7 +390,7 @@ static enum err_code flights_find(struct work *w, const struct georef_photo *pho
     for (size_t i = 0; i < w->n; i++)
         w->trial[i] = photos[i].has_gps && height_error(w, &single, i) > split;
     if (rc == ERR_OK && w->p.n_groups == 1)
-        rc = flights_try(w, &single, better_in_clusters, &best, e);
+        rc = flights_try(w, &single, PARTITION_CLUSTER, &best, e);
     *fit = best;
     return rc;
 }
@@ -364,15 +450,33 @@ static bool is_collinear(const struct work *w)
     return sqrt(fmax(0, values[1])) < collinear_ratio * sqrt(fmax(0, values[2]));
 }
 
+/* Two starts: three-dimensional, and level with heights ignored. The likelier end is taken. */
+static enum err_code first_fit(struct work *w, struct similarity_fit *out, struct err *e)
+{
+    struct similarity_fit space = {0}, plan = {0};
+    enum err_code rc_space = ERR_DATA, rc_plan = ERR_DATA;
+    if (draw_fits(w, &space))
+        rc_space = similarity_refine(&w->p, &space, e);
+    if (draw_plans(w, &plan))
+        rc_plan = similarity_refine(&w->p, &plan, e);
+    if (rc_space == ERR_MEM || rc_plan == ERR_MEM)
+        return err_set(e, ERR_MEM, "georeferencing: out of memory for %zu photographs", w->n);
+    if (rc_space != ERR_OK && rc_plan != ERR_OK)
+        return err_set(e, ERR_DATA, "the photographs all stand at one place, in the COLMAP model or by GPS");
+    bool level = rc_plan == ERR_OK && (rc_space != ERR_OK || plan.objective < space.objective);
+    *out = level ? plan : space;
+    log_debug("georef", "starts space=%.1f plan=%.1f sigma_h_m=%.2f sigma_v_m=%.2f share_h=%.3f share_v=%.3f",
+              space.objective, plan.objective, out->sigma_h_m, out->sigma_v_m, out->share_h, out->share_v);
+    return ERR_OK;
+}
+
 static enum err_code fit_all(struct work *w, const struct georef_photo *photos, struct georef_result *r,
                              struct err *e)
 {
     struct similarity_fit f = {0};
     if (w->n_gps < 3)
         return err_set(e, ERR_DATA, "%zu photographs have a GPS position, three at least are needed", w->n_gps);
-    if (!draw_fits(w, &f))
-        return err_set(e, ERR_DATA, "the photographs all stand at one place, in the COLMAP model or by GPS");
-    enum err_code rc = similarity_refine(&w->p, &f, e);
+    enum err_code rc = first_fit(w, &f, e);
     if (rc == ERR_OK)
         rc = flights_find(w, photos, &f, e);
     if (rc == ERR_OK)

@@ -68,6 +68,8 @@ static void print_frame(const struct ingest_result *r)
         printf("         the flight is one straight line: the roll about it comes from the cameras being level\n");
     printf("GPS      %zu positions, distance from the poses: median %.2f m, 90 %% %.2f m, largest kept %.2f m (limit %.1f m)\n", n,
            q[0], q[1], q[2], g->tau_m);
+    printf("         their errors are about %.2f m a horizontal axis, %.2f m in height%s\n", g->fit.sigma_h_m, g->fit.sigma_v_m,
+           g->fit.share_h < 0.5 || g->fit.share_v < 0.5 ? ", and drift: neighbours err alike" : "");
     for (size_t k = 1; k < g->n_flights; k++)
         printf("flight   %zu: its GPS heights read %+.2f m against flight 1\n", k + 1, g->flight_offset_m[k]);
     if (g->fit.scale_rel > 0.03 || g->fit.tilt_rad > 0.05)
@@ -129,9 +131,10 @@ static json_t *georef_to_json(const struct ingest_result *r)
     json_t *flights = json_array();
     for (size_t k = 0; k < g->n_flights; k++)
         json_array_append_new(flights, json_real(g->flight_offset_m[k]));
-    return json_pack("{s:I, s:I, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:b, s:i, s:o}", "positions", (json_int_t)n,
+    return json_pack("{s:I, s:I, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:b, s:i, s:o}", "positions", (json_int_t)n,
                      "dropped", (json_int_t)g->n_dropped, "limit_m", g->tau_m, "residual_median_m", q[0], "residual_90_m",
-                     q[1], "residual_max_m", q[2], "sigma_m", g->fit.sigma_m, "scale_error", g->fit.scale_rel,
+                     q[1], "residual_max_m", q[2], "sigma_horizontal_m", g->fit.sigma_h_m, "sigma_vertical_m",
+                     g->fit.sigma_v_m, "scale_error", g->fit.scale_rel,
                      "tilt_error_rad", g->fit.tilt_rad, "heading_error_rad", g->fit.heading_rad, "place_error_m",
                      g->fit.place_m, "collinear", g->collinear, "rounds", g->rounds, "flight_height_offset_m", flights);
 }

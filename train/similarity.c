@@ -4,13 +4,17 @@
  * a 4x4 matrix, found by Jacobi's method. The refinement minimises, over rotation, scale, shift and one height
  * offset per flight,
  *
- *   sum_i w_i |y_i - s R x_i - t - o_flight(i) e_z|^2 / sigma^2         GPS positions, robust weights
+ *   sum_i w_i |y_i - s R x_i - t - o_flight(i) e_z|^2                  GPS positions
  *   + mean_i (e_z . R right_i)^2 / sigma_level^2                       cameras are level but for their roll
  *   + |R normal - e_z|_xy^2 / sigma_ground^2                           the ground is roughly horizontal
  *
- * The two weak terms decide only what GPS leaves open: the roll about a straight flight line. sigma_level is
- * estimated from the cameras themselves and the mean, not the sum, is taken, because the rolls of one flight
- * (wind, a crooked mount) are not independent.
+ * Weights are robust (Huber, then cut) and differ between places and heights, whose errors are estimated from
+ * the residuals. Errors of receivers drift: neighbours in time err alike, so n positions count for
+ * n (1 - rho) / (1 + rho) independent ones, rho being the correlation of neighbours. A height that drifts by
+ * 100 m over one flight would otherwise tilt the scene by 45 degrees and look certain of it; so counted, the two
+ * weak terms win there, and yield to any GPS that deserves it. sigma_level is estimated from the
+ * cameras themselves and the mean, not the sum, is taken, because rolls of one flight (wind, a crooked mount) are
+ * not independent either.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -25,8 +29,10 @@
 
 enum { UNKNOWNS = 7 + SIMILARITY_GROUPS_MAX - 1, REFINE_MAX = 30, JACOBI_SWEEPS = 40 };
 static const double sigma_floor_m = 0.01, sigma_ground = 0.2, level_floor = 0.01;
-static const double maxwell_median = 1.538; /* median of |r| over sigma per axis, three axes */
-static const double huber_k = 3;            /* of sigma: 97 % of |r| are below */
+static const double median_2d = 1.1774, median_1d = 0.6745; /* of |r| over sigma per axis: Rayleigh, half normal */
+static const double huber_k = 3, cut_k = 6; /* of |r| over sigma, three axes: 97 % are below huber_k */
+static const double share_min = 0.005, height_weight_ratio = 2;
+enum { FREEZE_STEP = 12 }; /* from here on the error estimates stay, so that the iteration can settle */
 
 void similarity_apply(const struct similarity *s, const double x[3], double y[3])
 {
@@ -171,6 +177,59 @@ bool similarity_from_pairs(const double (*x)[3], const double (*y)[3], const uin
     return true;
 }
 
+bool similarity_from_plan(const double (*x)[3], const double (*y)[3], const uint32_t *index, size_t n,
+                          const double up_x[3], double *scratch, struct similarity *out)
+{
+    /* Level axes in the frame of x: any east at right angles to up, and north. */
+    double east[3], north[3], len = 0, c[2] = {0}, mean[4] = {0}, uu = 0;
+    int k0 = fabs(up_x[0]) < 0.8 ? 0 : 1;
+    for (int a = 0; a < 3; a++) {
+        east[a] = (a == k0) - up_x[k0] * up_x[a];
+        len += east[a] * east[a];
+    }
+    for (int a = 0; a < 3; a++)
+        east[a] /= sqrt(len);
+    north[0] = up_x[1] * east[2] - up_x[2] * east[1];
+    north[1] = up_x[2] * east[0] - up_x[0] * east[2];
+    north[2] = up_x[0] * east[1] - up_x[1] * east[0];
+    for (int pass = 0; pass < 2; pass++)
+        for (size_t k = 0; k < n; k++) {
+            size_t i = index ? index[k] : k;
+            const double v[4] = {x[i][0] * east[0] + x[i][1] * east[1] + x[i][2] * east[2],
+                                 x[i][0] * north[0] + x[i][1] * north[1] + x[i][2] * north[2], y[i][0], y[i][1]};
+            for (int a = 0; a < 4; a++)
+                mean[a] += pass ? 0 : v[a] / (double)n;
+            const double p[4] = {v[0] - mean[0], v[1] - mean[1], v[2] - mean[2], v[3] - mean[3]};
+            if (pass) { /* y = (re + i im) x as complex numbers */
+                c[0] += p[0] * p[2] + p[1] * p[3];
+                c[1] += p[0] * p[3] - p[1] * p[2];
+                uu += p[0] * p[0] + p[1] * p[1];
+            }
+        }
+    if (!(uu > 0))
+        return false;
+    double re = c[0] / uu, im = c[1] / uu;
+    out->scale = hypot(re, im);
+    if (!(out->scale > 0))
+        return false;
+    for (int a = 0; a < 3; a++) {
+        out->rot[a] = (re * east[a] - im * north[a]) / out->scale;
+        out->rot[3 + a] = (im * east[a] + re * north[a]) / out->scale;
+        out->rot[6 + a] = up_x[a];
+    }
+    out->trans[0] = mean[2] - (re * mean[0] - im * mean[1]);
+    out->trans[1] = mean[3] - (im * mean[0] + re * mean[1]);
+    out->trans[2] = 0;
+    for (size_t k = 0; k < n; k++) {
+        size_t i = index ? index[k] : k;
+        double at[3];
+        similarity_apply(out, x[i], at);
+        scratch[k] = y[i][2] - at[2];
+    }
+    out->trans[2] = similarity_median(scratch, n);
+    return true;
+}
+
 /* ---- refinement -------------------------------------------------------------------------------------- */
 
 static void residual_at(const struct similarity_problem *p, const struct similarity_fit *f, size_t i, double r[3])
@@ -184,9 +243,11 @@ static void residual_at(const struct similarity_problem *p, const struct similar
 
 double similarity_residual(const struct similarity_problem *p, const struct similarity_fit *fit, size_t i)
 {
-    double r[3];
+    double r[3], trust = 1;
     residual_at(p, fit, i, r);
-    return sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2]);
+    if (fit->sigma_v_m > height_weight_ratio * fit->sigma_h_m && fit->sigma_h_m > 0)
+        trust = height_weight_ratio * fit->sigma_h_m / fit->sigma_v_m;
+    return sqrt(r[0] * r[0] + r[1] * r[1] + trust * r[2] * trust * r[2]);
 }
 
 struct normal_eq { /* upper triangle not mirrored until solved; unknowns: rotation, log scale, shift, offsets */
@@ -240,24 +301,27 @@ static void eq_solve(const struct normal_eq *q, const double *b, double *x)
     }
 }
 
-static double weight_at(double distance, double sigma, double cut)
+/* Robust weight from the residual in units of its errors; pairs within cut_m are never cut. */
+static double weight_at(const struct similarity_problem *p, const struct similarity_fit *f, size_t i, const double r[3])
 {
-    if (!(distance <= cut))
+    double h2 = (r[0] * r[0] + r[1] * r[1]) / (f->sigma_h_m * f->sigma_h_m);
+    double d = sqrt(h2 + r[2] * r[2] / (f->sigma_v_m * f->sigma_v_m));
+    if (!(d <= cut_k) && !(similarity_residual(p, f, i) <= p->cut_m))
         return 0;
-    double k = huber_k * sigma;
-    return (distance <= k ? 1 : k / distance) / (sigma * sigma);
+    return d <= huber_k ? 1 : huber_k / d;
 }
 
-/* Rows of the GPS positions; center is the weighted mean of s R x + t, about which the rotation turns. */
+/* Rows of the GPS positions; center is the mean of s R x + t, about which the rotation turns. */
 static void add_positions(const struct similarity_problem *p, const struct similarity_fit *f, const double center[3],
-                          double cut, struct normal_eq *q)
+                          struct normal_eq *q)
 {
+    double wh = f->share_h / (f->sigma_h_m * f->sigma_h_m), wv = f->share_v / (f->sigma_v_m * f->sigma_v_m);
     for (size_t i = 0; i < p->n; i++) {
         double r[3], y[3];
         if (!p->use[i])
             continue;
         residual_at(p, f, i, r);
-        double w = weight_at(sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2]), f->sigma_m, cut);
+        double w = weight_at(p, f, i, r);
         if (w == 0)
             continue;
         similarity_apply(&f->sim, p->x[i], y);
@@ -270,14 +334,15 @@ static void add_positions(const struct similarity_problem *p, const struct simil
             row[4 + a] = 1;
             if (a == 2 && p->group[i])
                 row[6 + p->group[i]] = 1;
-            eq_add(q, row, r[a], w);
+            eq_add(q, row, r[a], w * (a == 2 ? wv : wh));
         }
     }
 }
 
-static void add_level(const struct similarity_problem *p, const struct similarity_fit *f, struct normal_eq *q)
+/* Rows of the two weak terms; returns what they cost. */
+static double add_level(const struct similarity_problem *p, const struct similarity_fit *f, struct normal_eq *q)
 {
-    double sum2 = 0, v[3];
+    double sum2 = 0, v[3], cost;
     size_t n = 0;
     for (size_t i = 0; i < p->n; i++) {
         if (!p->use[i])
@@ -286,7 +351,8 @@ static void add_level(const struct similarity_problem *p, const struct similarit
         sum2 += v[2] * v[2];
         n++;
     }
-    double sigma2 = fmax(level_floor * level_floor, sum2 / (double)(n ? n : 1)) * (double)n;
+    double sigma2 = fmax(level_floor * level_floor, sum2 / (double)(n ? n : 1)) * (double)(n ? n : 1);
+    cost = sum2 / sigma2;
     for (size_t i = 0; i < p->n; i++) {
         if (!p->use[i])
             continue;
@@ -296,10 +362,12 @@ static void add_level(const struct similarity_problem *p, const struct similarit
     }
     rotate(f->sim.rot, p->normal, v);
     if (v[0] == 0 && v[1] == 0 && v[2] == 0)
-        return;
+        return cost;
+    cost += (v[0] * v[0] + v[1] * v[1] + (v[2] < 0 ? 4 : 0)) / (sigma_ground * sigma_ground);
     double row_x[UNKNOWNS] = {0, v[2], -v[1]}, row_y[UNKNOWNS] = {-v[2], 0, v[0]};
     eq_add(q, row_x, -v[0], 1 / (sigma_ground * sigma_ground));
     eq_add(q, row_y, -v[1], 1 / (sigma_ground * sigma_ground));
+    return cost;
 }
 
 /* Turn by omega and stretch by exp(grow) about center, then shift. */
@@ -340,38 +408,74 @@ static void standard_errors(const struct normal_eq *q, struct similarity_fit *f)
     f->place_m = sqrt(fmax(var[4], fmax(var[5], var[6])));
 }
 
-/* Median distance of the pairs in use, per axis; center = mean of their fitted places. */
-static void spread_at(const struct similarity_problem *p, struct similarity_fit *f, double *scratch, double center[3])
+/* Share of the residuals that is independent, from the correlation of neighbours among the pairs in use;
+ * residuals beyond three sigma are clipped. */
+static double independent_share(const struct similarity_problem *p, const struct similarity_fit *f, int first, int last,
+                                double sigma)
+{
+    double last_r[3] = {0}, product = 0, square = 0;
+    size_t n = 0;
+    for (size_t i = 0; i < p->n; i++) {
+        double r[3];
+        if (!p->use[i])
+            continue;
+        residual_at(p, f, i, r);
+        for (int a = first; a <= last; a++) {
+            r[a] = fmax(-3 * sigma, fmin(3 * sigma, r[a]));
+            product += n ? r[a] * last_r[a] : 0;
+            square += r[a] * r[a];
+            last_r[a] = r[a];
+        }
+        n++;
+    }
+    double rho = square > 0 ? product / square : 0;
+    if (n < 10 || rho < 2.5 / sqrt((double)n)) /* not distinguishable from none */
+        return 1;
+    return fmax(share_min, (1 - rho) / (1 + rho));
+}
+
+/* Mean of the fitted places; unless frozen, errors of places and heights from the medians of the residuals. */
+static void spread_at(const struct similarity_problem *p, struct similarity_fit *f, bool frozen, double *scratch,
+                      double center[3])
 {
     size_t n = 0;
+    double *heights = scratch + p->n;
     memset(center, 0, 3 * sizeof *center);
     for (size_t i = 0; i < p->n; i++) {
-        double y[3];
+        double y[3], r[3];
         if (!p->use[i])
             continue;
         similarity_apply(&f->sim, p->x[i], y);
         for (int a = 0; a < 3; a++)
             center[a] += y[a];
-        scratch[n++] = similarity_residual(p, f, i);
+        residual_at(p, f, i, r);
+        scratch[n] = sqrt(r[0] * r[0] + r[1] * r[1]);
+        heights[n++] = fabs(r[2]);
     }
     for (int a = 0; a < 3; a++)
         center[a] /= (double)(n ? n : 1);
-    f->sigma_m = fmax(sigma_floor_m, similarity_median(scratch, n) / maxwell_median);
+    if (frozen)
+        return;
+    f->sigma_h_m = fmax(sigma_floor_m, similarity_median(scratch, n) / median_2d);
+    f->sigma_v_m = fmax(0.5 * f->sigma_h_m, fmax(sigma_floor_m, similarity_median(heights, n) / median_1d));
+    f->share_h = independent_share(p, f, 0, 1, f->sigma_h_m);
+    f->share_v = independent_share(p, f, 2, 2, f->sigma_v_m);
+    f->objective = (double)n * (2 * log(f->sigma_h_m) + log(f->sigma_v_m));
 }
 
 enum err_code similarity_refine(const struct similarity_problem *p, struct similarity_fit *fit, struct err *e)
 {
-    double *scratch = mem_array(p->n, sizeof *scratch), center[3], d[UNKNOWNS];
+    double *scratch = mem_array(p->n, 2 * sizeof *scratch), center[3], d[UNKNOWNS], weak = 0;
     struct normal_eq q;
     enum err_code rc = ERR_OK;
     if (!scratch)
         return err_set(e, ERR_MEM, "georeferencing: out of memory for %zu photographs", p->n);
     for (int step = 0; step < REFINE_MAX; step++) {
-        spread_at(p, fit, scratch, center);
+        spread_at(p, fit, step >= FREEZE_STEP, scratch, center);
         memset(&q, 0, sizeof q);
         q.n = 6 + p->n_groups;
-        add_positions(p, fit, center, fmax(p->cut_m, 6 * fit->sigma_m), &q);
-        add_level(p, fit, &q);
+        add_positions(p, fit, center, &q);
+        weak = add_level(p, fit, &q);
         if (!eq_factor(&q)) {
             rc = err_set(e, ERR_DATA, "the GPS positions do not determine where the scene lies (all at one place?)");
             break;
@@ -385,7 +489,8 @@ enum err_code similarity_refine(const struct similarity_problem *p, struct simil
             break;
     }
     if (rc == ERR_OK) {
-        spread_at(p, fit, scratch, center);
+        spread_at(p, fit, false, scratch, center);
+        fit->objective += 0.5 * weak;
         standard_errors(&q, fit);
     }
     mem_free(scratch);

@@ -39,15 +39,22 @@ struct similarity_problem { /* all borrowed */
 struct similarity_fit {
     struct similarity sim;
     double offset_m[SIMILARITY_GROUPS_MAX]; /* y_z = ... + offset of the flight; that of flight 0 is 0 */
-    double sigma_m;                         /* per axis, robust */
+    double sigma_h_m, sigma_v_m; /* robust, per horizontal axis and of heights; 0 = not known yet */
+    double share_h, share_v;     /* independent positions / positions: drifting errors repeat themselves */
+    double objective;            /* of competing fits of one problem the smaller is more likely */
     double scale_rel, tilt_rad, heading_rad, place_m; /* standard errors */
 };
 /* Gauss-Newton with iteratively reweighted residuals (Huber, then cut), starting from fit->sim and
  * fit->offset_m. ERR_DATA when the normal equations are singular. */
 enum err_code similarity_refine(const struct similarity_problem *p, struct similarity_fit *fit,
                                 struct err *e) ERR_USE;
-/* Distance of pair i under the fit. */
+/* Distance of pair i under the fit. Where heights are more than twice as uncertain as places, their part is
+ * reduced to that. */
 double similarity_residual(const struct similarity_problem *p, const struct similarity_fit *fit, size_t i);
+/* As similarity_from_pairs with up_x taken for granted: turning about it, scale and shift follow from the
+ * horizontal parts of the pairs alone, the height from their median. scratch: n doubles. */
+bool similarity_from_plan(const double (*x)[3], const double (*y)[3], const uint32_t *index, size_t n,
+                          const double up_x[3], double *scratch, struct similarity *out);
 /* The median of v[0..n), which is reordered; 0 when n is 0. */
 double similarity_median(double *v, size_t n);
 
