@@ -189,7 +189,7 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
         return rc;
     if (format == FORMAT_PLY)
         return write_ply(c, o, in, out, e);
-    if (c->g.origin_enu_m[0] || c->g.origin_enu_m[1] || c->g.origin_enu_m[2])
+    if (c->g.origin_enu_m[0] != 0 || c->g.origin_enu_m[1] != 0 || c->g.origin_enu_m[2] != 0)
         return err_set(e, ERR_LIMIT,
                        "convert : %s : coordinates are about %.0f %.0f %.0f m : such numbers do not fit the "
                        "format ; use --center", in, c->g.origin_enu_m[0], c->g.origin_enu_m[1],

@@ -127,6 +127,12 @@ static double ifd_num(const struct tiff *t, uint32_t ifd, unsigned tag)
     return ifd_find(t, ifd, tag, &f) && field_num(t, &f, 0, &v) ? v : 0;
 }
 
+static uint32_t ifd_offset(const struct tiff *t, uint32_t ifd, unsigned tag)
+{
+    double v = ifd_num(t, ifd, tag);
+    return v >= 0 && v <= UINT32_MAX ? (uint32_t)v : 0;
+}
+
 /* Degrees, minutes and seconds; missing or 0/0 minutes and seconds count as 0 (decimal degrees). */
 static bool ifd_angle(const struct tiff *t, uint32_t ifd, unsigned tag, char negative, double *out)
 {
@@ -151,8 +157,8 @@ static void exif_blob(const uint8_t *p, size_t n, struct image_gps *out)
     struct field f;
     if (!tiff_open(p, n, &t, &ifd0))
         return;
-    uint32_t exif = (uint32_t)ifd_num(&t, ifd0, TAG_EXIF_IFD);
-    uint32_t gps = (uint32_t)ifd_num(&t, ifd0, TAG_GPS_IFD);
+    uint32_t exif = ifd_offset(&t, ifd0, TAG_EXIF_IFD);
+    uint32_t gps = ifd_offset(&t, ifd0, TAG_GPS_IFD);
     out->exposure_s = ifd_num(&t, exif, TAG_EXPOSURE);
     out->iso = ifd_num(&t, exif, TAG_ISO);
     out->focal_mm = ifd_num(&t, exif, TAG_FOCAL);

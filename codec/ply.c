@@ -12,6 +12,7 @@
  */
 #include "codec/ply_head.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -97,7 +98,7 @@ static double source_get(const struct source *s, size_t row, const struct ply_pr
 /* Coordinates in double: the origin goes to the middle of the box, on a whole metre, if it is far. */
 static void means_read(const struct source *s, const struct columns *col, struct gauss *g)
 {
-    double lo[3] = {INFINITY, INFINITY, INFINITY}, hi[3] = {-INFINITY, -INFINITY, -INFINITY};
+    double lo[3] = {DBL_MAX, DBL_MAX, DBL_MAX}, hi[3] = {-DBL_MAX, -DBL_MAX, -DBL_MAX};
     for (int c = 0; c < 3; c++) {
         if (col->fixed[c]->type == PLY_F64 || s->text)
             for (size_t i = 0; i < g->n; i++) {
@@ -106,7 +107,7 @@ static void means_read(const struct source *s, const struct columns *col, struct
                 hi[c] = v > hi[c] ? v : hi[c];
             }
         double far = fmax(fabs(lo[c]), fabs(hi[c]));
-        g->origin_enu_m[c] = far > FLOAT_REACH_M && isfinite(far) ? round(lo[c] / 2 + hi[c] / 2) : 0;
+        g->origin_enu_m[c] = far > FLOAT_REACH_M && lo[c] <= hi[c] && far < 1e9 ? round(lo[c] / 2 + hi[c] / 2) : 0;
     }
     for (size_t i = 0; i < g->n; i++)
         for (int c = 0; c < 3; c++)
@@ -227,7 +228,7 @@ enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, str
         return err_set(e, ERR_DATA, "ply : row %zu : not finite, or no rotation", bad);
     for (size_t i = 0; i < 3 * g->n && !doubles; i++)
         doubles = fabs((double)g->mean_m[i] + g->origin_enu_m[i % 3]) > FLOAT_REACH_M;
-    if (doubles && !g->origin_enu_m[0] && !g->origin_enu_m[1] && !g->origin_enu_m[2])
+    if (doubles && g->origin_enu_m[0] == 0 && g->origin_enu_m[1] == 0 && g->origin_enu_m[2] == 0)
         doubles = false; /* they are float32 already */
     head_write(g, info, doubles, out);
     const size_t n_tail = 3 + 3 * k + 1 + 3 + 4, row = 3 * (doubles ? 8 : 4) + 4 * n_tail;

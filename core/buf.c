@@ -13,7 +13,7 @@ static bool buf_room(struct buf *b, size_t n)
 {
     if (b->failed)
         return false;
-    if (n <= b->cap - b->size)
+    if (b->data && n <= b->cap - b->size)
         return true;
     size_t cap = b->cap ? b->cap : 256;
     while (cap - b->size < n) {
@@ -121,7 +121,7 @@ void buf_free(struct buf *b)
 struct cursor cursor_over(const void *bytes, size_t n)
 {
     const uint8_t *p = bytes;
-    return (struct cursor){.p = p, .end = p + n, .bad = false};
+    return (struct cursor){.p = p, .end = n ? p + n : p, .bad = false};
 }
 
 size_t cursor_left(const struct cursor *c)
