@@ -152,10 +152,19 @@ test("a shared link opens the same view", city, async () => {
 });
 
 test("without WebGL the server's pictures are shown", async () => {
-  await page.goto(`${source.url}/?thin`);
-  const text = await serverViewText(page);
-  if (!NO_DEVICE.test(text)) await page.waitForSelector("#server-image.fresh");
-  assert.equal(await page.isVisible("#problem"), false);
+  const plain = await page.context().browser().newPage({ viewport: SIZE });
+  await plain.addInitScript(() => {
+    const getContext = HTMLCanvasElement.prototype.getContext;
+    HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+      return kind.startsWith("webgl") ? null : getContext.call(this, kind, ...rest);
+    };
+  });
+  await plain.goto(source.url);
+  const text = await serverViewText(plain);
+  assert.match(await plain.textContent("#toast"), /no WebGL 2/);
+  if (!NO_DEVICE.test(text)) await plain.waitForSelector("#server-image.fresh");
+  assert.equal(await plain.isVisible("#problem"), false);
+  await plain.close();
 });
 
 test("problems are said in words", async () => {

@@ -99,13 +99,16 @@ function extentOf(info: SceneInfo, frame: Frame): Box3 {
   return box;
 }
 
+let opening = 0; // counts, so that a slow answer for an earlier choice is dropped
 async function openScene(set: DataSet, pose: Pose | null) {
   if (!server) return;
+  const ticket = ++opening;
   current = set;
   state.dataSet = set.id;
   element("title").textContent = set.title;
   document.title = `${set.title} – citysplat`;
   const info = await server.scene(set);
+  if (ticket !== opening) return;
   element("attribution").textContent = info.attribution;
   stage.frame = new Frame(info.transform);
   stage.setExtent(extentOf(info, stage.frame));
