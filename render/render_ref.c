@@ -33,7 +33,7 @@ enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
         /* t = W (mu + origin) + d: the origin goes into the translation, in double. */
         v.trans[i] = cam->rot[3 * i] * g->origin_enu_m[0] + cam->rot[3 * i + 1] * g->origin_enu_m[1] +
                      cam->rot[3 * i + 2] * g->origin_enu_m[2] + cam->trans[i];
-        v.background[i] = o->background[i];
+        v.background[i] = (double)o->background[i];
     }
     for (int i = 0; i < 3; i++)
         v.eye[i] = -(v.rot[i] * v.trans[0] + v.rot[3 + i] * v.trans[1] + v.rot[6 + i] * v.trans[2]);
