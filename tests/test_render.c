@@ -440,7 +440,7 @@ static void test_limits(void **state)
     bad.fx_px = -1;
     kit_fails(render_forward(render, &m, &bad, &PLAIN, rgb, NULL, &e), ERR_ARG, e, "focal");
     bad = cam;
-    bad.trans[1] = NAN;
+    bad.trans[1] = (double)NAN;
     kit_fails(render_forward(render, &m, &bad, &PLAIN, rgb, NULL, &e), ERR_ARG, e, "not finite");
     render_model_free(&m);
     render_model_free(&m);
