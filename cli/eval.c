@@ -58,8 +58,9 @@ static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px
 }
 
 static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_edge_px, double downsample,
-                                 const struct evaluate_source *src, struct err *e)
+                                 struct evaluate_source src, struct err *e)
 {
+    char folder[64], pictures[FILE_PATH_MAX];
     struct feed *feed = NULL;
     struct evaluate_score score;
     struct feed_config f = {.scene = &v->scene,
@@ -68,9 +69,18 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
                             .max_edge_px = max_edge_px,
                             .downsample = downsample,
                             .cache_bytes = (size_t)64 << 20};
-    enum err_code rc = feed_open(&f, &feed, e);
+    enum err_code rc = ERR_OK;
+    if (v->o.pictures) {
+        snprintf(folder, sizeof(folder), "%s", what);
+        for (char *c = folder; *c; c++)
+            *c = *c == ' ' || *c == ',' ? '_' : *c;
+        rc = file_join(pictures, v->o.pictures, folder, e);
+        src.pictures = pictures;
+    }
     if (!rc)
-        rc = evaluate_run(feed, v->n_images, src, &score, e);
+        rc = feed_open(&f, &feed, e);
+    if (!rc)
+        rc = evaluate_run(feed, v->n_images, &src, &score, e);
     feed_close(&feed);
     if (rc)
         return rc;
@@ -131,9 +141,9 @@ static enum err_code eval_level(struct eval *v, const char *path, unsigned level
         struct evaluate_model m = {
             v->render, &model,
             {.aa = s.aa, .background = {grey, grey, grey}, .near_m = s.near_m, .sh_degree = -1}};
-        struct evaluate_source src = {evaluate_draw_model, &m};
+        struct evaluate_source src = {evaluate_draw_model, &m, NULL};
         uint32_t edge = v->o.max_edge_px ? (uint32_t)v->o.max_edge_px : (uint32_t)s.max_edge_px;
-        rc = eval_source(v, what, edge, v->o.full_size ? 1.0 : s.downsample, &src, e);
+        rc = eval_source(v, what, edge, v->o.full_size ? 1.0 : s.downsample, src, e);
     }
     render_model_free(&model);
     ckpt_free(&c);
@@ -185,13 +195,13 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     };
     w.po.distance_m[0] = v->o.distance_1_m;
     w.po.distance_m[1] = v->o.distance_2_m;
-    struct evaluate_source src = {eval_draw_view, &w};
+    struct evaluate_source src = {eval_draw_view, &w, NULL};
     enum err_code rc = view_open(v->o.tiles, v->render, (size_t)v->o.cache_mib << 20, &w.view, e);
     if (!rc)
-        rc = eval_source(v, "tiles, LOD", (uint32_t)v->o.max_edge_px, 1.0, &src, e);
+        rc = eval_source(v, "tiles, LOD", (uint32_t)v->o.max_edge_px, 1.0, src, e);
     w.po.no_lod = true;
     if (!rc)
-        rc = eval_source(v, "tiles, no LOD", (uint32_t)v->o.max_edge_px, 1.0, &src, e);
+        rc = eval_source(v, "tiles, no LOD", (uint32_t)v->o.max_edge_px, 1.0, src, e);
     view_close(&w.view);
     return rc;
 }

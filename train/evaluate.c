@@ -5,6 +5,8 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <math.h>
+#include <stdio.h>
+#include <string.h>
 
 #include "train/train.h"
 
@@ -37,6 +39,34 @@ static enum err_code evaluate_photo(const struct feed_photo *p, const float *rgb
     return ERR_OK;
 }
 
+/* Photograph and drawing side by side, as DIR/NAME.png. */
+static enum err_code evaluate_picture(const char *dir, const struct feed_photo *p, const float *rgb,
+                                      struct err *e)
+{
+    char name[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    struct image img = {0};
+    uint32_t w = p->cam.width_px, h = p->cam.height_px;
+    const char *dot = strrchr(p->name, '.');
+    snprintf(name, sizeof(name), "%.*s.png", (int)(dot ? dot - p->name : (ptrdiff_t)strlen(p->name)), p->name);
+    enum err_code rc = file_mkdir(dir, e);
+    if (!rc)
+        rc = file_join(path, dir, name, e);
+    if (!rc)
+        rc = image_alloc(2 * w, h, 3, &img, e);
+    if (rc)
+        return rc;
+    for (uint32_t y = 0; y < h; y++) {
+        uint8_t *to = img.px + (size_t)y * 6 * w;
+        memcpy(to, p->px + (size_t)y * 3 * w, 3 * (size_t)w);
+        for (size_t i = 0; i < 3 * (size_t)w; i++)
+            to[3 * (size_t)w + i] =
+                (uint8_t)(fminf(fmaxf(rgb[(size_t)y * 3 * w + i], 0.0f), 1.0f) * 255.0f + 0.5f);
+    }
+    rc = image_write(path, &img, 0, NULL, e);
+    image_free(&img);
+    return rc;
+}
+
 static enum err_code evaluate_one(struct feed *f, size_t nth, const struct evaluate_source *src,
                                   struct evaluate_score *sum, struct err *e)
 {
@@ -60,6 +90,8 @@ static enum err_code evaluate_one(struct feed *f, size_t nth, const struct evalu
         sum->gaussians += gaussians;
         rc = evaluate_photo(&photo, rgb, sum, e);
     }
+    if (!rc && src->pictures)
+        rc = evaluate_picture(src->pictures, &photo, rgb, e);
     mem_free(rgb);
     return rc;
 }

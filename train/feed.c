@@ -215,7 +215,10 @@ static enum err_code feed_take(struct feed *f, size_t slot, const size_t *ahead,
     pthread_mutex_unlock(&f->lock);
     if (rc)
         return rc;
-    *out = (struct feed_photo){f->cfg.images[slot], f->cams[slot], f->slots[slot].img.px};
+    *out = (struct feed_photo){.image = f->cfg.images[slot],
+                               .cam = f->cams[slot],
+                               .px = f->slots[slot].img.px,
+                               .name = f->cfg.scene->images[f->cfg.images[slot]].name};
     return ERR_OK;
 }
 

@@ -256,7 +256,7 @@ static enum err_code train_score(struct train *t, struct evaluate_score *out, st
         .cache_bytes = (size_t)64 << 20,
     };
     struct evaluate_model model = {l->render, &l->model, level_render_options(l, l->step)};
-    struct evaluate_source source = {evaluate_draw_model, &model};
+    struct evaluate_source source = {evaluate_draw_model, &model, NULL};
     enum err_code rc = feed_open(&f, &feed, e);
     if (!rc)
         rc = evaluate_run(feed, t->n_test, &source, out, e);

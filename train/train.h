@@ -90,6 +90,7 @@ struct feed_photo {
     uint32_t image; /* index into the scene's images */
     struct camera cam;
     const uint8_t *px; /* [h][w][3], borrowed until the next feed_get */
+    const char *name;  /* of the file, borrowed from the scene */
 };
 struct feed_config {
     const struct scene *scene; /* borrowed for the feed's lifetime, as is images */
@@ -215,6 +216,7 @@ struct evaluate_source {
     enum err_code (*draw)(void *user, const struct camera *cam, float *rgb, double *gaussians,
                           struct err *e);
     void *user;
+    const char *pictures; /* folder for NAME.png, photograph left and drawing right; NULL: none */
 };
 /* Score every photograph of the feed's list. */
 enum err_code evaluate_run(struct feed *f, size_t n_photos, const struct evaluate_source *src,
