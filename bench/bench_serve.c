@@ -1,7 +1,7 @@
-/* The server's hot path: tiles that are in memory, over loopback, against libmicrohttpd alone answering
- * the same bytes from a constant buffer. The distance between the two is what routing, the guard, the
- * cache and the headers cost. Client and server share the machine, so the requests a second say less than
- * the ratio.
+/* The server's hot path: tiles that are in memory, over loopback, against libmicrohttpd alone
+ * answering the same bytes from a constant buffer. The distance between the two is what routing,
+ * the guard, the cache and the headers cost. Client and server share the machine, so the requests a
+ * second say less than the ratio.
  *
  * Checked before timing: both answer the tile's bytes.
  *
@@ -23,12 +23,15 @@
 
 enum { SERVE_CLIENTS = 2, SERVE_CONNECTIONS = 16 /* a client */, SERVE_ZOOM = 17 };
 
-/* ---- something to serve ------------------------------------------------------------------------------------ */
+/* ---- something to serve ------------------------------------------------------------------------- */
 
 static enum err_code serve_store(const char *path, size_t n, struct key *key, struct err *e)
 {
-    struct store_meta meta = {.name = "bench", .origin = {13.4, 52.5, 40}, .sh_degree = 1,
-                              .zoom_min = SERVE_ZOOM, .zoom_max = SERVE_ZOOM};
+    struct store_meta meta = {.name = "bench",
+                              .origin = {13.4, 52.5, 40},
+                              .sh_degree = 1,
+                              .zoom_min = SERVE_ZOOM,
+                              .zoom_max = SERVE_ZOOM};
     struct store *s = NULL;
     struct gauss g = {0};
     *key = key_at(meta.origin.lon_deg, meta.origin.lat_deg, SERVE_ZOOM);
@@ -77,7 +80,7 @@ static enum err_code serve_config(struct server_config *cfg, struct arena *a, st
     return rc;
 }
 
-/* ---- the client ----------------------------------------------------------------------------------------------- */
+/* ---- the client --------------------------------------------------------------------------------- */
 
 struct serve_load {
     uint16_t port;
@@ -198,7 +201,7 @@ static enum err_code serve_ask(struct serve_load *l, struct buf *body, char etag
     return rc == ERR_OK ? buf_check(body, e) : rc;
 }
 
-/* ---- libmicrohttpd alone ------------------------------------------------------------------------------------------ */
+/* ---- libmicrohttpd alone ------------------------------------------------------------------------ */
 
 struct serve_bare {
     struct MHD_Daemon *daemon;
@@ -207,8 +210,8 @@ struct serve_bare {
 };
 
 static enum MHD_Result serve_bare_answer(void *cls, struct MHD_Connection *c, const char *url,
-                                         const char *method, const char *version, const char *upload,
-                                         size_t *n_upload, void **context)
+                                         const char *method, const char *version,
+                                         const char *upload, size_t *n_upload, void **context)
 {
     struct serve_bare *s = cls;
     (void)url, (void)method, (void)version, (void)upload, (void)n_upload;
@@ -226,8 +229,8 @@ static enum err_code serve_bare_start(struct serve_bare *s, const struct buf *bo
     s->status = status;
     s->response = MHD_create_response_from_buffer(body->size, body->data, MHD_RESPMEM_PERSISTENT);
     s->daemon = MHD_start_daemon(MHD_USE_EPOLL_INTERNAL_THREAD, 0, NULL, NULL, serve_bare_answer, s,
-                                 threads > 1 ? MHD_OPTION_THREAD_POOL_SIZE : MHD_OPTION_END, threads,
-                                 MHD_OPTION_END);
+                                 threads > 1 ? MHD_OPTION_THREAD_POOL_SIZE : MHD_OPTION_END,
+                                 threads, MHD_OPTION_END);
     const union MHD_DaemonInfo *info =
         s->daemon ? MHD_get_daemon_info(s->daemon, MHD_DAEMON_INFO_BIND_PORT) : NULL;
     if (!s->response || !info)
@@ -244,9 +247,10 @@ static void serve_bare_stop(struct serve_bare *s)
         MHD_destroy_response(s->response);
 }
 
-/* ---- the cases -------------------------------------------------------------------------------------------------------- */
+/* ---- the cases ---------------------------------------------------------------------------------- */
 
-/* Both servers under the same load. `tile`: the bytes that the bare one sends, and that ours must. */
+/* Both servers under the same load. `tile`: the bytes that the bare one sends, and that ours must.
+ */
 static enum err_code serve_compare(struct bench *b, const char *name, struct serve_load *ours,
                                    const struct buf *tile, unsigned status, struct err *e)
 {
@@ -267,14 +271,16 @@ static enum err_code serve_compare(struct bench *b, const char *name, struct ser
         rc = bench_time(b, serve_run, &other, &bare_ms, NULL, e);
     if (rc == ERR_OK) {
         double n = SERVE_CLIENTS * (double)ours->requests;
-        bench_report(b, name, n / ours_ms * 1e3, "requests/s", bare_ms / ours_ms, "libmicrohttpd alone");
+        bench_report(b, name, n / ours_ms * 1e3, "requests/s", bare_ms / ours_ms,
+                     "libmicrohttpd alone");
     }
     serve_bare_stop(&bare);
     buf_free(&got);
     return rc;
 }
 
-static enum err_code serve_size(struct bench *b, size_t n_gaussians, const char *name, struct err *e)
+static enum err_code serve_size(struct bench *b, size_t n_gaussians, const char *name,
+                                struct err *e)
 {
     char path[FILE_PATH_MAX], etag[64] = "", text[96];
     struct server_config cfg;
@@ -295,8 +301,10 @@ static enum err_code serve_size(struct bench *b, size_t n_gaussians, const char 
         goto out;
     struct catalog *c = services_catalog(server_services(server));
     load.port = (uint16_t)atoi(strrchr(server_url(server), ':') + 1);
-    int n = snprintf(load.request, sizeof load.request, "GET /d/bench/r/%s/t/%u/%u/%u.spz HTTP/1.1\r\n"
-                     "Host: bench\r\n\r\n", c->ds[0]->meta.revision, key.z, key.x, key.y);
+    int n = snprintf(load.request, sizeof load.request,
+                     "GET /d/bench/r/%s/t/%u/%u/%u.spz HTTP/1.1\r\n"
+                     "Host: bench\r\n\r\n",
+                     c->ds[0]->meta.revision, key.z, key.x, key.y);
     catalog_drop(&c);
     rc = serve_ask(&load, &tile, etag, e); /* makes the tile */
     tile.size = 0;
@@ -307,7 +315,8 @@ static enum err_code serve_size(struct bench *b, size_t n_gaussians, const char 
         rc = serve_compare(b, text, &load, &tile, MHD_HTTP_OK, e);
     }
     if (rc == ERR_OK) {
-        snprintf(load.request + n - 2, sizeof load.request - (size_t)n + 2, "If-None-Match: %s\r\n\r\n", etag);
+        snprintf(load.request + n - 2, sizeof load.request - (size_t)n + 2,
+                 "If-None-Match: %s\r\n\r\n", etag);
         rc = serve_ask(&load, &none, NULL, e);
         snprintf(text, sizeof text, "304 of it");
     }

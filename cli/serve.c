@@ -1,5 +1,5 @@
-/* citysplat serve: tile stores over HTTP, until SIGTERM or Ctrl-C. SIGHUP opens the stores again. stdout
- * gets one line, the address to open; everything else is log.
+/* citysplat serve: tile stores over HTTP, until SIGTERM or Ctrl-C. SIGHUP opens the stores again.
+ * stdout gets one line, the address to open; everything else is log.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -21,11 +21,15 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "serve",
     .usage = "citysplat serve CITY.tiles [MORE.tiles ...] [options]",
-    .about = "Serve tile stores to map clients: Gaussian tiles as .glb, .spz, .drc and .ply, 3D Tiles and\n"
-             "TileJSON descriptions, rendered views as .jpg, .png and .webp, and the viewer itself.\n"
-             "Listens on this machine alone unless --address says otherwise; put a proxy with TLS in front\n"
-             "of it for the world. SIGTERM finishes what is under way and exits; SIGHUP opens the stores\n"
-             "again and serves the older revision for another day.",
+    .about =
+        "Serve tile stores to map clients: Gaussian tiles as .glb, .spz, .drc and .ply, 3D Tiles "
+        "and\n"
+        "TileJSON descriptions, rendered views as .jpg, .png and .webp, and the viewer itself.\n"
+        "Listens on this machine alone unless --address says otherwise; put a proxy with TLS in "
+        "front\n"
+        "of it for the world. SIGTERM finishes what is under way and exits; SIGHUP opens the "
+        "stores\n"
+        "again and serves the older revision for another day.",
     .example = "citysplat serve city.tiles\n"
                "citysplat serve old-town.tiles harbour.tiles --address 0.0.0.0 --port 8000",
     .defs = defs,
@@ -61,7 +65,8 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
     rc = server_start(&cfg, args.arg, args.n, &sv, e);
     if (rc != ERR_OK)
         goto out;
-    printf("citysplat serves %zu dataset%s: open %s\n", args.n, args.n == 1 ? "" : "s", server_url(sv));
+    printf("citysplat serves %zu dataset%s: open %s\n", args.n, args.n == 1 ? "" : "s",
+           server_url(sv));
     fflush(stdout);
     while (!clock_stopping()) {
         const struct timespec wait = {.tv_nsec = 100000000};

@@ -1,6 +1,6 @@
-/* Encoded bytes that several answers share: a counter, the bytes, their entity tag, and for text also
- * the gzip form. A body is written by one thread, then shared and never changed; whoever holds a
- * reference may read it without a lock. libmicrohttpd sends straight from these bytes.
+/* Encoded bytes that several answers share: a counter, the bytes, their entity tag, and for text
+ * also the gzip form. A body is written by one thread, then shared and never changed; whoever holds
+ * a reference may read it without a lock. libmicrohttpd sends straight from these bytes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,7 +15,8 @@ void body_etag(struct hash128 h, char out[BODY_ETAG_SIZE])
     static const char digit[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
     uint64_t hi = h.hi, lo = h.lo;
     out[0] = '"';
-    for (int i = 22; i >= 1; i--) { /* 22 digits of 6 bits hold the 128 bits, least significant last */
+    for (int i = 22; i >= 1;
+         i--) { /* 22 digits of 6 bits hold the 128 bits, least significant last */
         out[i] = digit[lo & 63];
         lo = lo >> 6 | hi << 58;
         hi >>= 6;

@@ -1,6 +1,6 @@
-/* The headers that make an answer conditional, partial or negotiated (RFC 9110 sections 12.5, 13, 14).
- * Each function reads foreign text and answers one question; what it does not understand it ignores, as
- * the RFC asks. Nothing here allocates.
+/* The headers that make an answer conditional, partial or negotiated (RFC 9110 sections 12.5, 13,
+ * 14). Each function reads foreign text and answers one question; what it does not understand it
+ * ignores, as the RFC asks. Nothing here allocates.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -51,7 +51,8 @@ static bool take_size(const char **p, uint64_t *out)
     return *p != start;
 }
 
-enum condition_range condition_range(const char *header, uint64_t size, uint64_t *first, uint64_t *length)
+enum condition_range condition_range(const char *header, uint64_t size, uint64_t *first,
+                                     uint64_t *length)
 {
     uint64_t a = 0, b = UINT64_MAX;
     *first = 0;
@@ -80,7 +81,8 @@ enum condition_range condition_range(const char *header, uint64_t size, uint64_t
     return RANGE_PART;
 }
 
-/* The weight of `name` in a list like "a;q=0.5, b, *;q=0", in thousandths; -1 when it is not listed. */
+/* The weight of `name` in a list like "a;q=0.5, b, *;q=0", in thousandths; -1 when it is not
+ * listed. */
 static int list_weight(const char *header, const char *name)
 {
     size_t n_name = strlen(name);
@@ -95,7 +97,8 @@ static int list_weight(const char *header, const char *name)
             if ((*q | 32) == 'q' && q[1] == '=') {
                 weight = q[2] == '1' ? 1000 : 0;
                 if (q[2] == '0' && q[3] == '.')
-                    for (int i = 4, unit = 100; i < 7 && q[i] >= '0' && q[i] <= '9'; i++, unit /= 10)
+                    for (int i = 4, unit = 100; i < 7 && q[i] >= '0' && q[i] <= '9';
+                         i++, unit /= 10)
                         weight += (q[i] - '0') * unit;
             }
             q += strcspn(q, ";,");

@@ -1,8 +1,9 @@
-/* The stores that are served. A dataset is one revision of one store: its index (read without locks, it
- * never changes), one store handle a worker, and the documents that describe it, made once. A catalog is
- * all datasets at one moment. Both are immutable and counted: a reload makes a new catalog and swaps a
- * pointer, requests under way keep the old one, and a revision that was replaced is served for another
- * day from the handles it holds, although its file has been renamed over.
+/* The stores that are served. A dataset is one revision of one store: its index (read without
+ * locks, it never changes), one store handle a worker, and the documents that describe it, made
+ * once. A catalog is all datasets at one moment. Both are immutable and counted: a reload makes a
+ * new catalog and swaps a pointer, requests under way keep the old one, and a revision that was
+ * replaced is served for another day from the handles it holds, although its file has been renamed
+ * over.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,7 +19,7 @@ static const double RETIRED_KEEP_S = 24 * 3600;
 /* West south hmin east north hmax of the coarsest level's boxes: it covers every Gaussian. */
 static enum err_code find_bbox(struct dataset *d, struct err *e)
 {
-    const double start[6] = {180, 90, INFINITY, -180, -90, -INFINITY};
+    const double start[6] = {180, 90, HUGE_VAL, -180, -90, -HUGE_VAL};
     memcpy(d->bbox, start, sizeof(start));
     for (size_t i = 0; i < d->n_tiles; i++) {
         const struct store_tile *t = &d->tiles[i];
@@ -38,8 +39,8 @@ static enum err_code find_bbox(struct dataset *d, struct err *e)
         }
     }
     if (!d->n_tiles) {
-        const double *o = (const double[]){d->meta.origin.lon_deg, d->meta.origin.lat_deg,
-                                           d->meta.origin.h_m};
+        const double *o =
+            (const double[]){d->meta.origin.lon_deg, d->meta.origin.lat_deg, d->meta.origin.h_m};
         for (int a = 0; a < 6; a++)
             d->bbox[a] = o[a % 3];
     }
@@ -49,8 +50,8 @@ static enum err_code find_bbox(struct dataset *d, struct err *e)
 static enum err_code make_salt(struct dataset *d, struct err *e)
 {
     struct buf b = {0};
-    buf_printf(&b, "%s sh%u embed%u aa%d %.17g %.17g %.17g %s", CITYSPLAT_VERSION, d->meta.sh_degree,
-               d->meta.embed_len, d->meta.antialiased, d->meta.origin.lon_deg,
+    buf_printf(&b, "%s sh%u embed%u aa%d %.17g %.17g %.17g %s", CITYSPLAT_VERSION,
+               d->meta.sh_degree, d->meta.embed_len, d->meta.antialiased, d->meta.origin.lon_deg,
                d->meta.origin.lat_deg, d->meta.origin.h_m, d->meta.attribution);
     enum err_code rc = buf_check(&b, e);
     if (rc == ERR_OK)
@@ -60,7 +61,8 @@ static enum err_code make_salt(struct dataset *d, struct err *e)
 }
 
 /* Take a document's bytes: hash, compress. */
-static enum err_code take_document(enum err_code rc, struct buf *b, struct body **out, struct err *e)
+static enum err_code take_document(enum err_code rc, struct buf *b, struct body **out,
+                                   struct err *e)
 {
     if (rc != ERR_OK) {
         buf_free(b);
@@ -108,7 +110,8 @@ static enum err_code open_stores(struct dataset *d, size_t n, struct err *e)
             return rc;
         d->n_stores++;
         if (i && strcmp(store_info(d->stores[i])->revision, store_info(d->stores[0])->revision))
-            return err_set(e, ERR_BUSY, "dataset %s: replaced while it was opened; try again", d->path);
+            return err_set(e, ERR_BUSY, "dataset %s: replaced while it was opened; try again",
+                           d->path);
         if (i)
             d->free_store[d->n_free++] = d->stores[i];
     }
@@ -186,7 +189,7 @@ void dataset_return(struct dataset *d, struct store *s)
     pthread_mutex_unlock(&d->lock);
 }
 
-/* ---- catalog ------------------------------------------------------------------------------------------- */
+/* ---- catalog ------------------------------------------------------------------------------------ */
 
 static int by_name(const void *pa, const void *pb)
 {
@@ -238,8 +241,9 @@ static enum err_code open_or_keep(const char *path, size_t readers, const char *
     return *out ? ERR_OK : dataset_open(path, readers, public_url, out, e);
 }
 
-enum err_code catalog_open(const char *const *paths, size_t n, size_t readers, const char *public_url,
-                           struct catalog *older, struct catalog **out, struct err *e)
+enum err_code catalog_open(const char *const *paths, size_t n, size_t readers,
+                           const char *public_url, struct catalog *older, struct catalog **out,
+                           struct err *e)
 {
     struct catalog *c = mem_array(1, sizeof(*c));
     enum err_code rc = ERR_OK;
@@ -257,7 +261,8 @@ enum err_code catalog_open(const char *const *paths, size_t n, size_t readers, c
         qsort(c->ds, c->n, sizeof(*c->ds), by_name);
         for (size_t i = 1; i < c->n && rc == ERR_OK; i++)
             if (!(c->ds[i]->retired_s > 0) && !strcmp(c->ds[i]->meta.name, c->ds[i - 1]->meta.name))
-                rc = err_set(e, ERR_ARG, "%s and %s : both hold a dataset named '%s' : serve one of them",
+                rc = err_set(e, ERR_ARG,
+                             "%s and %s : both hold a dataset named '%s' : serve one of them",
                              c->ds[i - 1]->path, c->ds[i]->path, c->ds[i]->meta.name);
     }
     if (rc == ERR_OK)

@@ -1,7 +1,7 @@
-/* The JSON documents that describe the service: landing page, conformance, OpenAPI (made from the route
- * list, so it cannot drift from it), collections after OGC API Common and the 3D GeoVolumes draft, and the
- * posted camera in the other direction. Every link is relative: the host a client used is never echoed,
- * and the service works below any prefix of a proxy.
+/* The JSON documents that describe the service: landing page, conformance, OpenAPI (made from the
+ * route list, so it cannot drift from it), collections after OGC API Common and the 3D GeoVolumes
+ * draft, and the posted camera in the other direction. Every link is relative: the host a client
+ * used is never echoed, and the service works below any prefix of a proxy.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -38,13 +38,14 @@ static json_t *link_to(const char *rel, const char *type, const char *href, cons
 
 enum err_code describe_landing(struct body **out, struct err *e)
 {
-    json_t *o = json_pack("{s:s,s:s,s:[o,o,o,o]}", "title", "citysplat", "description",
-                          "Cities of 3D Gaussians, in tiles and in pictures", "links",
-                          link_to("self", "application/json", "./", "This document"),
-                          link_to("service-desc", "application/vnd.oai.openapi+json;version=3.0",
-                                  "api", "OpenAPI description"),
-                          link_to("conformance", "application/json", "conformance", "Conformance classes"),
-                          link_to("data", "application/json", "collections", "Datasets"));
+    json_t *o =
+        json_pack("{s:s,s:s,s:[o,o,o,o]}", "title", "citysplat", "description",
+                  "Cities of 3D Gaussians, in tiles and in pictures", "links",
+                  link_to("self", "application/json", "./", "This document"),
+                  link_to("service-desc", "application/vnd.oai.openapi+json;version=3.0", "api",
+                          "OpenAPI description"),
+                  link_to("conformance", "application/json", "conformance", "Conformance classes"),
+                  link_to("data", "application/json", "collections", "Datasets"));
     return take_json(o, out, e);
 }
 
@@ -66,7 +67,7 @@ enum err_code describe_conformance(struct body **out, struct err *e)
     return take_json(json_pack("{s:o}", "conformsTo", list), out, e);
 }
 
-/* ---- OpenAPI --------------------------------------------------------------------------------------------- */
+/* ---- OpenAPI ------------------------------------------------------------------------------------ */
 
 /* The {names} of a path template as required string parameters. */
 static json_t *path_parameters(const char *path)
@@ -74,8 +75,8 @@ static json_t *path_parameters(const char *path)
     json_t *list = json_array();
     for (const char *p = strchr(path, '{'); p; p = strchr(p + 1, '{')) {
         size_t n = strcspn(p + 1, "}");
-        json_array_append_new(list, json_pack("{s:s%,s:s,s:b,s:{s:s}}", "name", p + 1, n, "in", "path",
-                                              "required", 1, "schema", "type", "string"));
+        json_array_append_new(list, json_pack("{s:s%,s:s,s:b,s:{s:s}}", "name", p + 1, n, "in",
+                                              "path", "required", 1, "schema", "type", "string"));
     }
     return list;
 }
@@ -102,15 +103,17 @@ static json_t *render_body(void)
 
 static json_t *operation(enum route r, const char *name, const char *summary)
 {
-    json_t *o = json_pack("{s:s,s:s,s:o,s:{s:{s:s},s:{s:s}}}", "operationId", name, "summary", summary,
-                          "parameters", path_parameters(route_path(r)), "responses", "200",
-                          "description", "The resource", "default", "description",
-                          "A problem document, RFC 9457");
+    json_t *o =
+        json_pack("{s:s,s:s,s:o,s:{s:{s:s},s:{s:s}}}", "operationId", name, "summary", summary,
+                  "parameters", path_parameters(route_path(r)), "responses", "200", "description",
+                  "The resource", "default", "description", "A problem document, RFC 9457");
     json_t *parameters = json_object_get(o, "parameters");
     if (r == ROUTE_SEED) {
-        json_array_append_new(parameters, query_parameter("bbox", "west,south,east,north in degrees"));
+        json_array_append_new(parameters,
+                              query_parameter("bbox", "west,south,east,north in degrees"));
         json_array_append_new(parameters, query_parameter("z", "a zoom, or two as in 12-16"));
-        json_array_append_new(parameters, query_parameter("f", "tile format: glb, spz, drc, ply, plain.glb"));
+        json_array_append_new(parameters,
+                              query_parameter("f", "tile format: glb, spz, drc, ply, plain.glb"));
     }
     if (r == ROUTE_RENDER)
         json_object_set_new(o, "requestBody", render_body());
@@ -131,17 +134,17 @@ enum err_code describe_api(struct body **out, struct err *e)
         if (r == ROUTE_STATIC)
             continue;
         const char *verb = route_allow((enum route)r) == ALLOW_POST ? "post" : "get";
-        json_object_set_new(paths, route_path((enum route)r),
-                            json_pack("{s:o}", verb, operation((enum route)r, names[r].name,
-                                                               names[r].summary)));
+        json_object_set_new(
+            paths, route_path((enum route)r),
+            json_pack("{s:o}", verb, operation((enum route)r, names[r].name, names[r].summary)));
     }
-    json_t *o = json_pack("{s:s,s:{s:s,s:s,s:s},s:o}", "openapi", "3.0.3", "info", "title", "citysplat",
-                          "version", CITYSPLAT_VERSION, "description",
+    json_t *o = json_pack("{s:s,s:{s:s,s:s,s:s},s:o}", "openapi", "3.0.3", "info", "title",
+                          "citysplat", "version", CITYSPLAT_VERSION, "description",
                           "Tiles and pictures of cities of 3D Gaussians", "paths", paths);
     return take_json(o, out, e);
 }
 
-/* ---- datasets ------------------------------------------------------------------------------------------------ */
+/* ---- datasets ----------------------------------------------------------------------------------- */
 
 static json_t *numbers(const double *v, size_t n)
 {
@@ -165,26 +168,27 @@ static json_t *collection(const struct dataset *d, const char *up)
     snprintf(tileset, sizeof(tileset), "%sd/%s/tileset.json", up, m->name);
     snprintf(tilejson, sizeof(tilejson), "%scollections/%s/tiles.json", up, m->name);
     snprintf(tile, sizeof(tile), "%sd/%s/r/%s/t/{z}/{x}/{y}.{ext}", up, m->name, m->revision);
-    snprintf(view, sizeof(view), "%sd/%s/static/{lon},{lat},{h}@{heading},{pitch},{fov}/{w}x{h}.{fmt}", up,
-             m->name);
+    snprintf(view, sizeof(view),
+             "%sd/%s/static/{lon},{lat},{h}@{heading},{pitch},{fov}/{w}x{h}.{fmt}", up, m->name);
     json_t *o = json_pack("{s:s,s:s,s:s,s:s,s:{s:{s:[o],s:s}}}", "id", m->name, "title", m->name,
                           "collectionType", "3d-container", "attribution", m->attribution, "extent",
                           "spatial", "bbox", numbers(d->bbox, 6), "crs",
                           "http://www.opengis.net/def/crs/OGC/0/CRS84h");
-    json_object_set_new(o, "links",
-                        json_pack("[o,o,o]", link_to("self", "application/json", self, m->name),
-                                  link_to(volumes, "application/3dtiles+json", tileset, "3D Tiles 1.1"),
-                                  link_to("tiles", "application/json", tilejson, "TileJSON 3.0.0")));
+    json_object_set_new(
+        o, "links",
+        json_pack("[o,o,o]", link_to("self", "application/json", self, m->name),
+                  link_to(volumes, "application/3dtiles+json", tileset, "3D Tiles 1.1"),
+                  link_to("tiles", "application/json", tilejson, "TileJSON 3.0.0")));
     const double origin[3] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m};
     json_object_set_new(
         o, "splats",
-        json_pack("{s:s,s:o,s:i,s:i,s:i,s:i,s:b,s:I,s:I,s:s,s:s,s:[s,s,s,s,s]}", "revision", m->revision,
-                  "origin", numbers(origin, 3), "minzoom", (int)m->zoom_min, "maxzoom", (int)m->zoom_max,
-                  "shDegree", (int)m->sh_degree, "embedLength", (int)m->embed_len, "antialiased",
-                  (int)m->antialiased, "tiles", (json_int_t)d->n_tiles, "gaussians", (json_int_t)count,
-                  "tileTemplate", tile, "viewTemplate", view, "formats", target_ext(FORMAT_GLB),
-                  target_ext(FORMAT_SPZ), target_ext(FORMAT_DRC), target_ext(FORMAT_PLY),
-                  target_ext(FORMAT_GLB_PLAIN)));
+        json_pack("{s:s,s:o,s:i,s:i,s:i,s:i,s:b,s:I,s:I,s:s,s:s,s:[s,s,s,s,s]}", "revision",
+                  m->revision, "origin", numbers(origin, 3), "minzoom", (int)m->zoom_min, "maxzoom",
+                  (int)m->zoom_max, "shDegree", (int)m->sh_degree, "embedLength", (int)m->embed_len,
+                  "antialiased", (int)m->antialiased, "tiles", (json_int_t)d->n_tiles, "gaussians",
+                  (json_int_t)count, "tileTemplate", tile, "viewTemplate", view, "formats",
+                  target_ext(FORMAT_GLB), target_ext(FORMAT_SPZ), target_ext(FORMAT_DRC),
+                  target_ext(FORMAT_PLY), target_ext(FORMAT_GLB_PLAIN)));
     return o;
 }
 
@@ -216,7 +220,8 @@ enum err_code describe_version(struct services *s, struct body **out, struct err
     struct catalog *c = services_catalog(s);
     for (size_t i = 0; i < c->n; i++)
         if (!(c->ds[i]->retired_s > 0))
-            json_object_set_new(revisions, c->ds[i]->meta.name, json_string(c->ds[i]->meta.revision));
+            json_object_set_new(revisions, c->ds[i]->meta.name,
+                                json_string(c->ds[i]->meta.revision));
     catalog_drop(&c);
     return take_json(json_pack("{s:s,s:s,s:o,s:{s:s,s:s}}", "name", "citysplat", "version",
                                CITYSPLAT_VERSION, "datasets", revisions, "pictures", "state", state,
@@ -224,7 +229,7 @@ enum err_code describe_version(struct services *s, struct body **out, struct err
                      out, e);
 }
 
-/* ---- the posted camera ------------------------------------------------------------------------------------------ */
+/* ---- the posted camera -------------------------------------------------------------------------- */
 
 /* An optional whole number in [lo, hi]; `what` was *out already. */
 static enum err_code read_int(const json_t *o, const char *key, json_int_t lo, json_int_t hi,
@@ -240,7 +245,8 @@ static enum err_code read_int(const json_t *o, const char *key, json_int_t lo, j
     return ERR_OK;
 }
 
-static enum err_code check_keys(const json_t *o, const char *const *known, const char *where, struct err *e)
+static enum err_code check_keys(const json_t *o, const char *const *known, const char *where,
+                                struct err *e)
 {
     const char *key;
     json_t *v;
@@ -271,7 +277,8 @@ static enum err_code read_pose(const json_t *o, struct view_pose *out, struct er
         if (!v && i == 5)
             continue;
         if (!json_is_number(v) || !(fabs(json_number_value(v)) <= limit[i]))
-            return err_set(e, ERR_DATA, "pose.%s must be a number, at most %g either way", keys[i], limit[i]);
+            return err_set(e, ERR_DATA, "pose.%s must be a number, at most %g either way", keys[i],
+                           limit[i]);
         *fields[i] = json_number_value(v);
     }
     if (rc == ERR_OK && out->fov_y_deg < 1)
@@ -301,7 +308,8 @@ static enum err_code read_camera(const struct server_config *cfg, const struct g
     if (camera && !json_is_object(camera))
         return err_set(e, ERR_DATA, "camera must be an object");
     if (camera)
-        return camera_from_json(camera, out, e) == ERR_OK ? ERR_OK : (err_add(e, "camera"), ERR_DATA);
+        return camera_from_json(camera, out, e) == ERR_OK ? ERR_OK
+                                                          : (err_add(e, "camera"), ERR_DATA);
     struct view_pose at = {0};
     enum err_code rc = read_int(o, "width", 1, cfg->max_view_px, &width, e);
     if (rc == ERR_OK)
@@ -312,7 +320,8 @@ static enum err_code read_camera(const struct server_config *cfg, const struct g
         rc = read_pose(pose, &at, e);
     if (rc != ERR_OK)
         return rc;
-    return view_camera(origin, &at, (uint32_t)width, (uint32_t)height, out, e) == ERR_OK ? ERR_OK : ERR_DATA;
+    return view_camera(origin, &at, (uint32_t)width, (uint32_t)height, out, e) == ERR_OK ? ERR_OK
+                                                                                         : ERR_DATA;
 }
 
 enum err_code describe_read_render(const struct server_config *cfg, const struct geo_origin *origin,
@@ -324,8 +333,9 @@ enum err_code describe_read_render(const struct server_config *cfg, const struct
     json_t *o = NULL;
     json_int_t quality = cfg->quality, deadline_ms = (json_int_t)(cfg->deadline_s * 1000);
     memset(out, 0, sizeof(*out));
-    enum err_code rc = n ? jsonc_parse(text, n, "body", &o, e)
-                         : err_set(e, ERR_FORMAT, "the body must be a JSON object with a camera or a pose");
+    enum err_code rc =
+        n ? jsonc_parse(text, n, "body", &o, e)
+          : err_set(e, ERR_FORMAT, "the body must be a JSON object with a camera or a pose");
     if (rc == ERR_OK && !json_is_object(o))
         rc = err_set(e, ERR_FORMAT, "the body must be a JSON object with a camera or a pose");
     if (rc == ERR_OK)

@@ -1,7 +1,7 @@
-/* The work of jobs: from a tile in the store to bytes in a format, on a worker thread with a store handle
- * of its own. The result enters the cache before the job ends, so whoever asks next finds the job or the
- * bytes. Axes: .glb, .spz and .drc are in glTF axes about the tile's centre (the tileset's transforms put
- * it in place); .ply keeps east-north-up and says its origin in comments.
+/* The work of jobs: from a tile in the store to bytes in a format, on a worker thread with a store
+ * handle of its own. The result enters the cache before the job ends, so whoever asks next finds
+ * the job or the bytes. Axes: .glb, .spz and .drc are in glTF axes about the tile's centre (the
+ * tileset's transforms put it in place); .ply keeps east-north-up and says its origin in comments.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -62,7 +62,7 @@ out:
     return rc;
 }
 
-/* ---- prefetch list -------------------------------------------------------------------------------------- */
+/* ---- prefetch list ------------------------------------------------------------------------------ */
 
 /* Coarse levels first, since every view needs them; within a level, tiles that hold more. */
 static int by_importance(const void *pa, const void *pb)
@@ -101,7 +101,8 @@ enum err_code encode_seed(const struct dataset *d, const struct target *t, struc
         char etag[BODY_ETAG_SIZE];
         body_etag(encode_tile_id(d, pick[i], t->format), etag);
         etag[strlen(etag) - 1] = 0; /* without its quotes, which JSON would have to escape */
-        buf_printf(out, "{\"url\":\"r/%s/t/%u/%u/%u.%s\",\"etag\":\"\\\"%s\\\"\",\"gaussians\":%u}\n",
+        buf_printf(out,
+                   "{\"url\":\"r/%s/t/%u/%u/%u.%s\",\"etag\":\"\\\"%s\\\"\",\"gaussians\":%u}\n",
                    d->meta.revision, pick[i]->key.z, pick[i]->key.x, pick[i]->key.y,
                    target_ext(t->format), etag + 1, pick[i]->count);
     }
@@ -109,20 +110,21 @@ enum err_code encode_seed(const struct dataset *d, const struct target *t, struc
     return buf_check(out, e);
 }
 
-/* ---- jobs -------------------------------------------------------------------------------------------------- */
+/* ---- jobs --------------------------------------------------------------------------------------- */
 
 static enum err_code make_tile(const struct work *w, struct buf *out, struct err *e)
 {
     struct store *s = dataset_borrow(w->ds);
     if (!s)
-        return err_set(e, ERR_INTERNAL, "dataset %s: fewer store handles than workers", w->ds->path);
+        return err_set(e, ERR_INTERNAL, "dataset %s: fewer store handles than workers",
+                       w->ds->path);
     enum err_code rc = encode_tile(s, w->key, w->format, out, e);
     dataset_return(w->ds, s);
     return rc;
 }
 
-enum err_code encode_run(void *user, const struct job *j, void *work, size_t worker, struct body **out,
-                         struct err *e)
+enum err_code encode_run(void *user, const struct job *j, void *work, size_t worker,
+                         struct body **out, struct err *e)
 {
     struct services *s = user;
     const struct work *w = work;

@@ -1,15 +1,15 @@
-/* libmicrohttpd and nothing else: its requests become struct request, our responses become its own. The
- * only file that includes microhttpd.h.
+/* libmicrohttpd and nothing else: its requests become struct request, our responses become its own.
+ * The only file that includes microhttpd.h.
  *
- * A request's life: URI_LOG (exchange made, raw target copied: the one libmicrohttpd hands out later is
- * decoded and cut at NUL) -> first handler call (guard) -> body calls -> last call (route_answer; sent at
- * once, or suspended behind a job) -> after resume one more call (route_finish, sent) -> COMPLETED (log,
- * metrics, exchange freed).
+ * A request's life: URI_LOG (exchange made, raw target copied: the one libmicrohttpd hands out
+ * later is decoded and cut at NUL) -> first handler call (guard) -> body calls -> last call
+ * (route_answer; sent at once, or suspended behind a job) -> after resume one more call
+ * (route_finish, sent) -> COMPLETED (log, metrics, exchange freed).
  *
- * The guard refuses what version 0.9.75 lets through and a proxy in front might read in another way: both
- * Content-Length and Transfer-Encoding, or two of one, a transfer coding other than chunked, two Hosts,
- * control bytes, targets that are not a path, methods nobody defined. Such a request gets a 4xx or 501 and
- * the connection is closed (RFC 9112, sections 3.2, 6.1, 6.3, 11.2).
+ * The guard refuses what version 0.9.75 lets through and a proxy in front might read in another
+ * way: both Content-Length and Transfer-Encoding, or two of one, a transfer coding other than
+ * chunked, two Hosts, control bytes, targets that are not a path, methods nobody defined. Such a
+ * request gets a 4xx or 501 and the connection is closed (RFC 9112, sections 3.2, 6.1, 6.3, 11.2).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -54,7 +54,7 @@ struct exchange { /* one request and its answer; made by on_target, freed by on_
     uint64_t sent;
 };
 
-/* ---- the answer ------------------------------------------------------------------------------------------ */
+/* ---- the answer --------------------------------------------------------------------------------- */
 
 static void add(struct MHD_Response *m, const char *name, const char *value)
 {
@@ -78,7 +78,8 @@ static void add_headers(const struct exchange *x, struct MHD_Response *m)
         add(m, "Accept-Ranges", "bytes");
     if (r->status == 206) {
         snprintf(text, sizeof(text), "bytes %llu-%llu/%llu", (unsigned long long)r->range_first,
-                 (unsigned long long)(r->range_first + r->size - 1), (unsigned long long)r->range_total);
+                 (unsigned long long)(r->range_first + r->size - 1),
+                 (unsigned long long)r->range_total);
         add(m, "Content-Range", text);
     } else if (r->status == 416) {
         snprintf(text, sizeof(text), "bytes */%llu", (unsigned long long)r->range_total);
@@ -89,7 +90,8 @@ static void add_headers(const struct exchange *x, struct MHD_Response *m)
         add(m, "Retry-After", text);
     }
     if (r->queue_s >= 0) {
-        snprintf(text, sizeof(text), "queue;dur=%.1f, job;dur=%.1f", r->queue_s * 1e3, r->run_s * 1e3);
+        snprintf(text, sizeof(text), "queue;dur=%.1f, job;dur=%.1f", r->queue_s * 1e3,
+                 r->run_s * 1e3);
         add(m, "Server-Timing", text);
     }
     add(m, "Access-Control-Allow-Origin", "*");
@@ -121,8 +123,8 @@ static ssize_t no_bytes(void *cls, uint64_t at, char *out, size_t room)
     return MHD_CONTENT_READER_END_OF_STREAM;
 }
 
-/* A 304 without the body at hand must not claim Content-Length: 0 (RFC 9110, section 8.6), which an empty
- * buffer would; a stream of unknown length claims nothing wrong. */
+/* A 304 without the body at hand must not claim Content-Length: 0 (RFC 9110, section 8.6), which an
+ * empty buffer would; a stream of unknown length claims nothing wrong. */
 static struct MHD_Response *make_response(struct exchange *x)
 {
     struct response *r = &x->res;
@@ -163,7 +165,7 @@ static enum MHD_Result refuse(struct exchange *x, int status, const char *why)
     return send_answer(x);
 }
 
-/* ---- the guard ----------------------------------------------------------------------------------------------- */
+/* ---- the guard ---------------------------------------------------------------------------------- */
 
 struct fields { /* what the guard counts */
     struct exchange *x;
@@ -259,9 +261,9 @@ static enum method read_method(const char *name)
         const char *name;
         enum method method;
     } methods[] = {
-        {"GET", METHOD_GET},      {"HEAD", METHOD_HEAD},     {"POST", METHOD_POST},
-        {"OPTIONS", METHOD_OPTIONS}, {"PUT", METHOD_OTHER},  {"DELETE", METHOD_OTHER},
-        {"PATCH", METHOD_OTHER},  {"TRACE", METHOD_OTHER},   {"CONNECT", METHOD_OTHER},
+        {"GET", METHOD_GET},         {"HEAD", METHOD_HEAD},   {"POST", METHOD_POST},
+        {"OPTIONS", METHOD_OPTIONS}, {"PUT", METHOD_OTHER},   {"DELETE", METHOD_OTHER},
+        {"PATCH", METHOD_OTHER},     {"TRACE", METHOD_OTHER}, {"CONNECT", METHOD_OTHER},
     };
     for (size_t i = 0; i < sizeof(methods) / sizeof(*methods); i++)
         if (!strcmp(name, methods[i].name))
@@ -283,7 +285,8 @@ static bool is_loopback(struct MHD_Connection *c)
     return false;
 }
 
-/* First handler call: headers are complete. 0 when the request may go on, else the status to refuse with. */
+/* First handler call: headers are complete. 0 when the request may go on, else the status to refuse
+ * with. */
 static int guard(struct exchange *x, const char *method, const char *version, const char **why)
 {
     const struct server_config *cfg = x->h->s->cfg;
@@ -312,15 +315,15 @@ static int guard(struct exchange *x, const char *method, const char *version, co
     return 0;
 }
 
-/* ---- jobs --------------------------------------------------------------------------------------------------------- */
+/* ---- jobs --------------------------------------------------------------------------------------- */
 
 static struct exchange *exchange_of(struct job_waiter *w)
 {
     return (struct exchange *)(void *)((char *)w - offsetof(struct exchange, waiter));
 }
 
-/* The job has ended, on a worker's thread: let the connection's own thread go on. After the resume the
- * exchange may be gone. */
+/* The job has ended, on a worker's thread: let the connection's own thread go on. After the resume
+ * the exchange may be gone. */
 static void on_wake(struct job_waiter *w)
 {
     struct exchange *x = exchange_of(w);
@@ -354,7 +357,7 @@ static enum MHD_Result wait_for_job(struct exchange *x)
     return MHD_YES;
 }
 
-/* ---- callbacks ---------------------------------------------------------------------------------------------------- */
+/* ---- callbacks ---------------------------------------------------------------------------------- */
 
 static void *on_target(void *cls, const char *target, struct MHD_Connection *c)
 {
@@ -475,7 +478,8 @@ static void on_connection(void *cls, struct MHD_Connection *c, void **context,
         atomic_fetch_sub_explicit(&h->s->metrics.connections, 1, memory_order_relaxed);
         return;
     }
-    const union MHD_ConnectionInfo *info = MHD_get_connection_info(c, MHD_CONNECTION_INFO_CONNECTION_FD);
+    const union MHD_ConnectionInfo *info =
+        MHD_get_connection_info(c, MHD_CONNECTION_INFO_CONNECTION_FD);
     *context = info ? watch_add(h->watch, info->connect_fd) : NULL;
     watch_phase(*context, WATCH_HEADER, h->s->cfg->header_timeout_s);
     atomic_fetch_add_explicit(&h->s->metrics.connections, 1, memory_order_relaxed);
@@ -497,23 +501,26 @@ static void on_log(void *cls, const char *fmt, va_list args)
     log_debug("http", "%s", text);
 }
 
-/* ---- listening ---------------------------------------------------------------------------------------------------------- */
+/* ---- listening ---------------------------------------------------------------------------------- */
 
 static enum err_code bind_failed(const struct server_config *cfg, struct err *e)
 {
     int port = (int)cfg->port;
     if (errno == EADDRINUSE)
-        return err_set(e, ERR_BUSY,
-                       "port %d of %s is in use by another program : choose one with --port N, or --port 0 "
-                       "for any free one",
-                       port, cfg->address);
+        return err_set(
+            e, ERR_BUSY,
+            "port %d of %s is in use by another program : choose one with --port N, or --port 0 "
+            "for any free one",
+            port, cfg->address);
     if (errno == EACCES)
-        return err_set(e, ERR_IO, "port %d : only root may listen below 1024 : choose another with --port N",
+        return err_set(e, ERR_IO,
+                       "port %d : only root may listen below 1024 : choose another with --port N",
                        port);
     return err_errno(e, ERR_IO, "cannot listen on %s port %d", cfg->address, port);
 }
 
-static enum err_code listen_on(const struct server_config *cfg, int *fd, uint16_t *port, struct err *e)
+static enum err_code listen_on(const struct server_config *cfg, int *fd, uint16_t *port,
+                               struct err *e)
 {
     char service[8];
     struct addrinfo hints = {.ai_flags = AI_NUMERICHOST | AI_NUMERICSERV | AI_PASSIVE,
@@ -554,7 +561,8 @@ static enum err_code start_daemon(struct http *h, int fd, struct err *e)
         {MHD_OPTION_LISTEN_SOCKET, fd, NULL},
         {MHD_OPTION_CONNECTION_LIMIT, 2 * cfg->max_connections, NULL},
         {MHD_OPTION_PER_IP_CONNECTION_LIMIT, cfg->per_ip_connections, NULL},
-        {MHD_OPTION_CONNECTION_TIMEOUT, (intptr_t)(cfg->idle_timeout_s + cfg->write_timeout_s) + 1, NULL},
+        {MHD_OPTION_CONNECTION_TIMEOUT, (intptr_t)(cfg->idle_timeout_s + cfg->write_timeout_s) + 1,
+         NULL},
         {MHD_OPTION_CONNECTION_MEMORY_LIMIT, cfg->max_header_kb << 10, NULL},
         {MHD_OPTION_CONNECTION_MEMORY_INCREMENT, 1024, NULL},
         {MHD_OPTION_STRICT_FOR_CLIENT, 0, NULL},
@@ -567,10 +575,11 @@ static enum err_code start_daemon(struct http *h, int fd, struct err *e)
     };
     h->daemon = MHD_start_daemon(MHD_USE_EPOLL_INTERNAL_THREAD | MHD_ALLOW_SUSPEND_RESUME |
                                      MHD_USE_ERROR_LOG,
-                                 0, NULL, NULL, on_request, h, MHD_OPTION_EXTERNAL_LOGGER, on_log, NULL,
-                                 MHD_OPTION_ARRAY, options, MHD_OPTION_END);
+                                 0, NULL, NULL, on_request, h, MHD_OPTION_EXTERNAL_LOGGER, on_log,
+                                 NULL, MHD_OPTION_ARRAY, options, MHD_OPTION_END);
     if (!h->daemon)
-        return err_set(e, ERR_IO, "the HTTP threads did not start; --http-threads 1 needs fewest resources");
+        return err_set(e, ERR_IO,
+                       "the HTTP threads did not start; --http-threads 1 needs fewest resources");
     return ERR_OK;
 }
 
@@ -582,7 +591,8 @@ enum err_code http_open(struct services *s, struct http **out, struct err *e)
     if (!h)
         return err_set(e, ERR_MEM, "http: out of memory");
     h->s = s;
-    enum err_code rc = watch_open((size_t)s->cfg->max_connections * 2 + 16, s, on_gone, &h->watch, e);
+    enum err_code rc =
+        watch_open((size_t)s->cfg->max_connections * 2 + 16, s, on_gone, &h->watch, e);
     if (rc == ERR_OK)
         rc = listen_on(s->cfg, &fd, &h->port, e);
     if (rc == ERR_OK) {
@@ -603,7 +613,7 @@ uint16_t http_port(const struct http *h)
     return h->port;
 }
 
-/* ---- draining ------------------------------------------------------------------------------------------------------------ */
+/* ---- draining ----------------------------------------------------------------------------------- */
 
 static void pause_ms(long ms)
 {
@@ -633,7 +643,8 @@ void http_close(struct http **out)
         watch_stop_idle(h->watch);
         pause_ms(10);
     }
-    job_stop(s->jobs); /* wakes whoever still waits: libmicrohttpd aborts on suspended connections */
+    job_stop(
+        s->jobs); /* wakes whoever still waits: libmicrohttpd aborts on suspended connections */
     for (double end_s = clock_s() + 2; still_busy(h) && clock_s() < end_s;) {
         watch_stop_idle(h->watch);
         pause_ms(10);

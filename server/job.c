@@ -1,12 +1,14 @@
-/* Slow work, away from the HTTP threads. A job is named by a 128-bit id: while it waits or runs, everyone
- * who asks for the same id becomes one more waiter of the same run (single flight). Queues are bounded:
- * tiles are refused when theirs is full, pictures push out the oldest (a newer camera is worth more),
- * prefetched tiles run when nothing else does and move up when somebody really asks.
+/* Slow work, away from the HTTP threads. A job is named by a 128-bit id: while it waits or runs,
+ * everyone who asks for the same id becomes one more waiter of the same run (single flight). Queues
+ * are bounded: tiles are refused when theirs is full, pictures push out the oldest (a newer camera
+ * is worth more), prefetched tiles run when nothing else does and move up when somebody really
+ * asks.
  *
- * One mutex guards everything, and no callback runs under it. Whoever takes a waiter off a job under the
- * lock (the worker that finished, job_leave, job_tick, job_stop) has claimed it: waiter->job becomes NULL,
- * and only the claimer wakes it. So each waiter is woken exactly once, however those four race, and a job
- * that ends in any way answers all its waiters, because job_finish is the only end.
+ * One mutex guards everything, and no callback runs under it. Whoever takes a waiter off a job
+ * under the lock (the worker that finished, job_leave, job_tick, job_stop) has claimed it:
+ * waiter->job becomes NULL, and only the claimer wakes it. So each waiter is woken exactly once,
+ * however those four race, and a job that ends in any way answers all its waiters, because
+ * job_finish is the only end.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -66,7 +68,7 @@ static bool same(struct hash128 a, struct hash128 b)
     return a.lo == b.lo && a.hi == b.hi;
 }
 
-/* ---- under the lock ---------------------------------------------------------------------------------- */
+/* ---- under the lock ----------------------------------------------------------------------------- */
 
 static struct job **table_find(struct jobs *js, struct hash128 id)
 {
@@ -146,8 +148,8 @@ static void table_remove(struct jobs *js, struct job *j)
         *p = j->table_next;
 }
 
-/* A job that nobody waits for: forget it if it has not begun (then the caller frees it), let a tile be
- * finished for the cache, stop a picture (nobody may join it any more). */
+/* A job that nobody waits for: forget it if it has not begun (then the caller frees it), let a tile
+ * be finished for the cache, stop a picture (nobody may join it any more). */
 static struct job *abandon(struct jobs *js, struct job *j)
 {
     if (j->running && j->cls != JOB_VIEW)
@@ -161,7 +163,7 @@ static struct job *abandon(struct jobs *js, struct job *j)
     return j;
 }
 
-/* ---- not under the lock ------------------------------------------------------------------------------ */
+/* ---- not under the lock ------------------------------------------------------------------------- */
 
 static void wake_all(struct job_waiter *w)
 {
@@ -250,7 +252,7 @@ static void worker_main(void *user)
         js->cfg.view_leave(js->cfg.user);
 }
 
-/* ---- the interface ------------------------------------------------------------------------------------ */
+/* ---- the interface ------------------------------------------------------------------------------ */
 
 enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct err *e)
 {
@@ -279,7 +281,8 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
 }
 
 /* Refuse w: the result says why, and w will not be woken. */
-static enum err_code refuse(struct job_waiter *w, enum job_end end, enum err_code code, const char *why)
+static enum err_code refuse(struct job_waiter *w, enum job_end end, enum err_code code,
+                            const char *why)
 {
     w->result = (struct job_result){.end = end, .code = code};
     snprintf(w->result.msg, sizeof(w->result.msg), "%s", why);
@@ -287,8 +290,8 @@ static enum err_code refuse(struct job_waiter *w, enum job_end end, enum err_cod
     return code;
 }
 
-/* Under the lock: a job for this id to wait for, or NULL with w refused. *unused is work nobody needs,
- * *shed a queued job that had to make room. */
+/* Under the lock: a job for this id to wait for, or NULL with w refused. *unused is work nobody
+ * needs, *shed a queued job that had to make room. */
 static struct job *find_or_add(struct jobs *js, enum job_class cls, struct hash128 id, void **work,
                                struct job_waiter *w, struct job **shed)
 {
@@ -409,7 +412,8 @@ bool job_cancelled(const struct job *j)
     return atomic_load(&j->cancel);
 }
 
-/* Claim every waiter whose deadline is before `before_s` (or everyone); jobs without waiters are forgotten. */
+/* Claim every waiter whose deadline is before `before_s` (or everyone); jobs without waiters are
+ * forgotten. */
 static void claim_where(struct jobs *js, double before_s, const struct job_result *r, bool everyone)
 {
     struct job_waiter *claimed = NULL;

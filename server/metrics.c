@@ -1,6 +1,6 @@
-/* Counters and their Prometheus text (exposition format 0.0.4). Requests are labelled by route template
- * and status, never by path, so the number of series is fixed. Counters are relaxed atomics; the text is
- * a snapshot that need not be consistent between lines.
+/* Counters and their Prometheus text (exposition format 0.0.4). Requests are labelled by route
+ * template and status, never by path, so the number of series is fixed. Counters are relaxed
+ * atomics; the text is a snapshot that need not be consistent between lines.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,14 +9,15 @@
 #include <stdio.h>
 #include <string.h>
 
-static const int codes[METRICS_CODES] = {200, 204, 206, 304, 307, 400, 403, 404, 405, 413, 414, 416,
-                                         422, 431, 499, 500, 501, 503, 504, 0};
+static const int codes[METRICS_CODES] = {200, 204, 206, 304, 307, 400, 403, 404, 405, 413,
+                                         414, 416, 422, 431, 499, 500, 501, 503, 504, 0};
 static const double bounds_s[METRICS_BUCKETS] = {0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05,
                                                  0.1,    0.25,  0.5,    1,     2.5,  5,     10};
 static const char *const classes[JOB_CLASSES] = {"view", "tile", "prefetch"};
 static const char *const ends[JOB_ENDS] = {"ok", "error", "cancel", "shed", "timeout"};
 
-void metrics_request(struct metrics *m, enum route route, int status, double seconds, uint64_t bytes)
+void metrics_request(struct metrics *m, enum route route, int status, double seconds,
+                     uint64_t bytes)
 {
     int c = 0, b = 0;
     while (codes[c] && codes[c] != status)
@@ -26,7 +27,8 @@ void metrics_request(struct metrics *m, enum route route, int status, double sec
     atomic_fetch_add_explicit(&m->requests[route][c], 1, memory_order_relaxed);
     if (b < METRICS_BUCKETS)
         atomic_fetch_add_explicit(&m->seconds_bucket[route][b], 1, memory_order_relaxed);
-    atomic_fetch_add_explicit(&m->seconds_us[route], (uint64_t)(seconds * 1e6), memory_order_relaxed);
+    atomic_fetch_add_explicit(&m->seconds_us[route], (uint64_t)(seconds * 1e6),
+                              memory_order_relaxed);
     atomic_fetch_add_explicit(&m->response_bytes, bytes, memory_order_relaxed);
 }
 
@@ -35,7 +37,8 @@ static void head(struct buf *out, const char *name, const char *type, const char
     buf_printf(out, "# HELP citysplat_%s %s\n# TYPE citysplat_%s %s\n", name, help, name, type);
 }
 
-static void one(struct buf *out, const char *name, const char *type, const char *help, uint64_t value)
+static void one(struct buf *out, const char *name, const char *type, const char *help,
+                uint64_t value)
 {
     head(out, name, type, help);
     buf_printf(out, "citysplat_%s %llu\n", name, (unsigned long long)value);
@@ -44,7 +47,8 @@ static void one(struct buf *out, const char *name, const char *type, const char 
 static void requests_text(struct metrics *m, struct buf *out)
 {
     uint64_t total[ROUTE_COUNT] = {0};
-    head(out, "http_requests_total", "counter", "Requests by route and status (0: another status).");
+    head(out, "http_requests_total", "counter",
+         "Requests by route and status (0: another status).");
     for (int r = 0; r < ROUTE_COUNT; r++)
         for (int c = 0; c < METRICS_CODES; c++) {
             uint64_t n = atomic_load_explicit(&m->requests[r][c], memory_order_relaxed);
@@ -61,15 +65,18 @@ static void requests_text(struct metrics *m, struct buf *out)
         uint64_t sum = 0;
         for (int b = 0; b < METRICS_BUCKETS; b++) {
             sum += atomic_load_explicit(&m->seconds_bucket[r][b], memory_order_relaxed);
-            buf_printf(out, "citysplat_http_request_duration_seconds_bucket{route=\"%s\",le=\"%g\"} %llu\n",
-                       path, bounds_s[b], (unsigned long long)sum);
+            buf_printf(
+                out,
+                "citysplat_http_request_duration_seconds_bucket{route=\"%s\",le=\"%g\"} %llu\n",
+                path, bounds_s[b], (unsigned long long)sum);
         }
-        buf_printf(out, "citysplat_http_request_duration_seconds_bucket{route=\"%s\",le=\"+Inf\"} %llu\n"
-                        "citysplat_http_request_duration_seconds_sum{route=\"%s\"} %.6f\n"
-                        "citysplat_http_request_duration_seconds_count{route=\"%s\"} %llu\n",
+        buf_printf(out,
+                   "citysplat_http_request_duration_seconds_bucket{route=\"%s\",le=\"+Inf\"} %llu\n"
+                   "citysplat_http_request_duration_seconds_sum{route=\"%s\"} %.6f\n"
+                   "citysplat_http_request_duration_seconds_count{route=\"%s\"} %llu\n",
                    path, (unsigned long long)total[r], path,
-                   (double)atomic_load_explicit(&m->seconds_us[r], memory_order_relaxed) * 1e-6, path,
-                   (unsigned long long)total[r]);
+                   (double)atomic_load_explicit(&m->seconds_us[r], memory_order_relaxed) * 1e-6,
+                   path, (unsigned long long)total[r]);
     }
 }
 
@@ -93,7 +100,8 @@ static void jobs_text(struct jobs *jobs, struct buf *out)
     head(out, "job_seconds_total", "counter", "Time spent in jobs.");
     for (int c = 0; c < JOB_CLASSES; c++)
         buf_printf(out, "citysplat_job_seconds_total{kind=\"%s\"} %.6f\n", classes[c], st.run_s[c]);
-    one(out, "job_coalesced_total", "counter", "Requests that joined a job under way.", st.coalesced);
+    one(out, "job_coalesced_total", "counter", "Requests that joined a job under way.",
+        st.coalesced);
 }
 
 enum err_code metrics_text(struct services *s, struct buf *out, struct err *e)
@@ -101,10 +109,12 @@ enum err_code metrics_text(struct services *s, struct buf *out, struct err *e)
     struct metrics *m = &s->metrics;
     struct cache_stats cs;
     requests_text(m, out);
-    one(out, "http_response_bytes_total", "counter", "Bytes of bodies.", atomic_load(&m->response_bytes));
+    one(out, "http_response_bytes_total", "counter", "Bytes of bodies.",
+        atomic_load(&m->response_bytes));
     one(out, "http_inflight", "gauge", "Requests being answered.", atomic_load(&m->inflight));
     one(out, "http_connections", "gauge", "Open connections.", atomic_load(&m->connections));
-    one(out, "http_rejected_total", "counter", "Malformed requests refused.", atomic_load(&m->rejected));
+    one(out, "http_rejected_total", "counter", "Malformed requests refused.",
+        atomic_load(&m->rejected));
     one(out, "client_aborts_total", "counter", "Clients that left before the answer was out.",
         atomic_load(&m->client_aborts));
     one(out, "reaped_connections_total", "counter", "Connections cut for being slow.",

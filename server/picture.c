@@ -1,7 +1,7 @@
-/* Pictures for clients that cannot draw Gaussians. One thread owns the OpenCL device, the compiled kernels
- * and the tiles on the device; it is niced, and OpenCL's own threads, which it starts, inherit that, so
- * tiles keep flowing while a picture is made. Views of the last few datasets stay open. Without a device
- * the server still serves tiles, and says why it has no pictures.
+/* Pictures for clients that cannot draw Gaussians. One thread owns the OpenCL device, the compiled
+ * kernels and the tiles on the device; it is niced, and OpenCL's own threads, which it starts,
+ * inherit that, so tiles keep flowing while a picture is made. Views of the last few datasets stay
+ * open. Without a device the server still serves tiles, and says why it has no pictures.
  *
  * The views belong to the view thread alone; `lock` guards what other threads ask about.
  *
@@ -137,8 +137,9 @@ static enum err_code view_find(struct picture *p, const struct dataset *d, struc
     const char *now = store_info(view_store(oldest->view))->revision;
     oldest->path = mem_text(d->path);
     if (!oldest->path || strcmp(now, d->meta.revision) != 0) {
-        rc = oldest->path ? err_set(e, ERR_NOENT, "no pictures of this revision: its file was replaced")
-                          : err_set(e, ERR_MEM, "picture: out of memory");
+        rc = oldest->path
+                 ? err_set(e, ERR_NOENT, "no pictures of this revision: its file was replaced")
+                 : err_set(e, ERR_MEM, "picture: out of memory");
         view_drop(oldest);
         return rc;
     }
@@ -168,13 +169,14 @@ enum err_code picture_make(struct picture *p, const struct job *j, const struct 
         picture_about(p, why, sizeof(why));
         return err_set(e, ERR_DEVICE, "pictures are off: %s", why);
     }
-    struct render_options ro = {
-        .aa = w->ds->meta.antialiased ? RENDER_AA_2D : RENDER_AA_NONE, .sh_degree = -1};
+    struct render_options ro = {.aa = w->ds->meta.antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
+                                .sh_degree = -1};
     const struct pick_options po = {0};
     enum err_code rc = view_find(p, w->ds, &view, e);
     if (rc == ERR_OK)
         rc = image_alloc(w->cam.width_px, w->cam.height_px, 3, &img, e);
-    if (rc == ERR_OK && !(rgb = mem_array((size_t)w->cam.width_px * w->cam.height_px, 3 * sizeof(float))))
+    if (rc == ERR_OK &&
+        !(rgb = mem_array((size_t)w->cam.width_px * w->cam.height_px, 3 * sizeof(float))))
         rc = err_set(e, ERR_MEM, "picture: out of memory");
     if (rc == ERR_OK)
         rc = view_render(view, &w->cam, &ro, &po, rgb, NULL, e);

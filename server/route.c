@@ -1,9 +1,11 @@
-/* What the server answers. route_answer takes a request and the services and fills a response: it does
- * not block, does not know libmicrohttpd, and cannot fail, since a failure is an answer too. What is not
- * in memory becomes out->work: the caller runs it as a job and comes back with route_finish.
+/* What the server answers. route_answer takes a request and the services and fills a response: it
+ * does not block, does not know libmicrohttpd, and cannot fail, since a failure is an answer too.
+ * What is not in memory becomes out->work: the caller runs it as a job and comes back with
+ * route_finish.
  *
- * Conditions are decided before bodies are touched: the entity tag of a tile comes from the index (hash of
- * the stored payload) and the format, so 304 costs no read and no encoding. RFC 9110, RFC 9111, RFC 9457.
+ * Conditions are decided before bodies are touched: the entity tag of a tile comes from the index
+ * (hash of the stored payload) and the format, so 304 costs no read and no encoding. RFC 9110, RFC
+ * 9111, RFC 9457.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -43,12 +45,23 @@ const char *route_status_text(int status)
         int status;
         const char *text;
     } texts[] = {
-        {200, "OK"},           {204, "No Content"},          {206, "Partial Content"},
-        {304, "Not Modified"}, {307, "Temporary Redirect"},  {400, "Bad Request"},
-        {403, "Forbidden"},    {404, "Not Found"},           {405, "Method Not Allowed"},
-        {413, "Content Too Large"}, {414, "URI Too Long"},   {416, "Range Not Satisfiable"},
-        {422, "Unprocessable Content"}, {500, "Internal Server Error"},
-        {501, "Not Implemented"},       {503, "Service Unavailable"}, {504, "Gateway Timeout"},
+        {200, "OK"},
+        {204, "No Content"},
+        {206, "Partial Content"},
+        {304, "Not Modified"},
+        {307, "Temporary Redirect"},
+        {400, "Bad Request"},
+        {403, "Forbidden"},
+        {404, "Not Found"},
+        {405, "Method Not Allowed"},
+        {413, "Content Too Large"},
+        {414, "URI Too Long"},
+        {416, "Range Not Satisfiable"},
+        {422, "Unprocessable Content"},
+        {500, "Internal Server Error"},
+        {501, "Not Implemented"},
+        {503, "Service Unavailable"},
+        {504, "Gateway Timeout"},
     };
     for (size_t i = 0; i < sizeof(texts) / sizeof(*texts); i++)
         if (texts[i].status == status)
@@ -66,7 +79,7 @@ void route_free(struct response *r)
     r->work = NULL;
 }
 
-/* ---- putting bytes into a response ---------------------------------------------------------------------- */
+/* ---- putting bytes into a response -------------------------------------------------------------- */
 
 void route_problem(struct response *out, int status, const char *detail)
 {
@@ -104,7 +117,8 @@ static bool wants_range(const struct request *r, const struct response *out)
            (!r->if_range || !strcmp(r->if_range, out->etag));
 }
 
-/* 200, 206, 304 or 416 with `b`, whose reference is taken. type and cache_control are set already. */
+/* 200, 206, 304 or 416 with `b`, whose reference is taken. type and cache_control are set already.
+ */
 static void send_body(const struct request *r, struct body *b, struct response *out)
 {
     if (!b) {
@@ -167,8 +181,8 @@ static void send_fresh(const struct request *r, const char *type, struct body *b
     send_document(r, type, NO_STORE, rc == ERR_OK ? b : NULL, out);
 }
 
-/* The result of work with a known name: 304 and hits are answered now, else *out asks for a job, and the
- * caller says which. True when the caller must. */
+/* The result of work with a known name: 304 and hits are answered now, else *out asks for a job,
+ * and the caller says which. True when the caller must. */
 static bool send_made(struct services *s, const struct request *r, struct hash128 id,
                       struct response *out)
 {
@@ -205,7 +219,7 @@ static struct work *make_work(struct dataset *d, enum work_kind kind, struct has
     return out->work = w;
 }
 
-/* ---- the routes ------------------------------------------------------------------------------------------- */
+/* ---- the routes --------------------------------------------------------------------------------- */
 
 static void answer_tile(struct services *s, const struct request *r, struct dataset *d,
                         const struct target *t, struct response *out)
@@ -237,7 +251,10 @@ static void answer_seed(struct services *s, const struct request *r, struct data
         char rev[16];
         int32_t bbox_e7[4];
         uint32_t z_min, z_max, format, has_bbox;
-    } name = {.salt = d->salt, .z_min = t->z_min, .z_max = t->z_max, .format = (uint32_t)t->format,
+    } name = {.salt = d->salt,
+              .z_min = t->z_min,
+              .z_max = t->z_max,
+              .format = (uint32_t)t->format,
               .has_bbox = t->has_bbox};
     memcpy(name.rev, d->meta.revision, sizeof(d->meta.revision));
     memcpy(name.bbox_e7, t->bbox_e7, sizeof(name.bbox_e7));
@@ -254,7 +271,8 @@ static void answer_seed(struct services *s, const struct request *r, struct data
 }
 
 /* False, with the problem set, when pictures cannot be made or this one is too large. */
-static bool check_view(struct services *s, uint32_t width_px, uint32_t height_px, struct response *out)
+static bool check_view(struct services *s, uint32_t width_px, uint32_t height_px,
+                       struct response *out)
 {
     char text[256], why[160] = "this server was started with --device none";
     if (!s->picture || picture_state(s->picture) == PICTURE_OFF) {
@@ -268,8 +286,9 @@ static bool check_view(struct services *s, uint32_t width_px, uint32_t height_px
     uint64_t side = (uint64_t)s->cfg->max_view_px;
     if (!width_px || !height_px || width_px > side || height_px > side ||
         (double)width_px * height_px > s->cfg->max_view_mpx * 1e6) {
-        snprintf(text, sizeof(text), "a picture has 1 to %u pixels a side and at most %g megapixels",
-                 (unsigned)side, s->cfg->max_view_mpx);
+        snprintf(text, sizeof(text),
+                 "a picture has 1 to %u pixels a side and at most %g megapixels", (unsigned)side,
+                 s->cfg->max_view_mpx);
         route_problem(out, 422, text);
         return false;
     }
@@ -309,9 +328,12 @@ static void answer_view(struct services *s, const struct request *r, struct data
     struct err e = {0};
     struct camera cam;
     const struct view_pose pose = {
-        .lon_deg = t->pose.lon_e7 / 1e7,          .lat_deg = t->pose.lat_e7 / 1e7,
-        .h_m = t->pose.h_mm / 1e3,                .heading_deg = t->pose.heading_e3 / 1e3,
-        .pitch_deg = t->pose.pitch_e3 / 1e3,      .fov_y_deg = t->pose.fov_e3 / 1e3,
+        .lon_deg = t->pose.lon_e7 / 1e7,
+        .lat_deg = t->pose.lat_e7 / 1e7,
+        .h_m = t->pose.h_mm / 1e3,
+        .heading_deg = t->pose.heading_e3 / 1e3,
+        .pitch_deg = t->pose.pitch_e3 / 1e3,
+        .fov_y_deg = t->pose.fov_e3 / 1e3,
     };
     if (!check_view(s, t->width_px, t->height_px, out))
         return;
@@ -371,7 +393,8 @@ static void answer_moving(const struct request *r, const struct dataset *d, cons
     const char *up = t->route == ROUTE_TILE_MOVING ? "../../../" : "../../";
     struct buf b = {0};
     size_t at = strlen("/d/") + strlen(t->ds) + strlen(word);
-    buf_printf(&b, "%sr/%s%s%.*s", up, d->meta.revision, word, (int)(t->path_size - at), r->target + at);
+    buf_printf(&b, "%sr/%s%s%.*s", up, d->meta.revision, word, (int)(t->path_size - at),
+               r->target + at);
     if (b.failed || !(out->location = mem_text((const char *)b.data)))
         route_problem(out, 503, "out of memory");
     else
@@ -424,7 +447,8 @@ static void answer_data(struct services *s, const struct request *r, struct data
         send_document(r, JSON_TYPE, MOVING, body_ref(d->tileset_moving), out);
         break;
     case ROUTE_TILESET:
-        snprintf(out->surrogate, sizeof(out->surrogate), "ds-%s rev-%s", d->meta.name, d->meta.revision);
+        snprintf(out->surrogate, sizeof(out->surrogate), "ds-%s rev-%s", d->meta.name,
+                 d->meta.revision);
         send_document(r, JSON_TYPE, IMMUTABLE, body_ref(d->tileset), out);
         break;
     case ROUTE_TILE:
@@ -461,13 +485,15 @@ static bool answer_plain(struct services *s, const struct request *r, const stru
         return true;
     case ROUTE_STATIC:
         file = static_find(&s->web, r->target, t->path_size);
-        send_document(r, file->type, file->immutable ? IMMUTABLE : MOVING, body_ref(file->body), out);
+        send_document(r, file->type, file->immutable ? IMMUTABLE : MOVING, body_ref(file->body),
+                      out);
         return true;
     case ROUTE_CONFORMANCE:
         send_document(r, JSON_TYPE, MOVING, body_ref(s->conformance), out);
         return true;
     case ROUTE_API:
-        send_document(r, "application/vnd.oai.openapi+json;version=3.0", MOVING, body_ref(s->api), out);
+        send_document(r, "application/vnd.oai.openapi+json;version=3.0", MOVING, body_ref(s->api),
+                      out);
         return true;
     case ROUTE_COLLECTIONS:
         c = services_catalog(s);
@@ -535,8 +561,9 @@ void route_answer(struct services *s, const struct request *r, struct response *
     if (d)
         answer_data(s, r, d, &t, out);
     else
-        route_problem(out, 404, catalog_find(c, t.ds, "") ? "this revision is not served any more"
-                                                          : "no dataset has this name");
+        route_problem(out, 404,
+                      catalog_find(c, t.ds, "") ? "this revision is not served any more"
+                                                : "no dataset has this name");
     catalog_drop(&c);
 }
 
@@ -550,7 +577,8 @@ void route_finish(struct services *s, const struct request *r, struct job_result
     struct body *b = result->body;
     result->body = NULL;
     if (result->end == JOB_OK) {
-        if (out->cache_control == NO_STORE) { /* a posted camera: the name of the bytes is of no use */
+        if (out->cache_control ==
+            NO_STORE) { /* a posted camera: the name of the bytes is of no use */
             out->body = b;
             out->data = b->data;
             out->size = b->size;
@@ -568,8 +596,10 @@ void route_finish(struct services *s, const struct request *r, struct job_result
     } else if (result->code == ERR_NOENT) {
         route_problem(out, 404, result->msg);
     } else {
-        /* The message names files and is in the log; the client learns which thing failed by its URL. */
-        route_problem(out, 500, cls == JOB_VIEW ? "the picture could not be made; the log says why"
-                                                : "the tile could not be made; the log says why");
+        /* The message names files and is in the log; the client learns which thing failed by its
+         * URL. */
+        route_problem(out, 500,
+                      cls == JOB_VIEW ? "the picture could not be made; the log says why"
+                                      : "the tile could not be made; the log says why");
     }
 }

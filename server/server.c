@@ -1,5 +1,5 @@
-/* The server as a whole: stores opened, threads started, and all of it taken down again in order. First
- * the listener closes and answers drain, then jobs stop, then what they used is freed.
+/* The server as a whole: stores opened, threads started, and all of it taken down again in order.
+ * First the listener closes and answers drain, then jobs stop, then what they used is freed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -38,7 +38,8 @@ static enum err_code start_jobs(struct server *sv, struct err *e)
     const struct job_config jobs = {
         .tile_threads = sv->workers,
         .view_thread = views,
-        .queue_limit = {(size_t)cfg->queue_views, (size_t)cfg->queue_tiles, (size_t)cfg->queue_prefetch},
+        .queue_limit = {(size_t)cfg->queue_views, (size_t)cfg->queue_tiles,
+                        (size_t)cfg->queue_prefetch},
         .user = s,
         .run = encode_run,
         .drop = encode_drop,
@@ -56,7 +57,8 @@ static enum err_code load_web(struct server *sv, struct err *e)
         return static_load(sv->cfg.web_dir, &sv->services.web, e);
     if (static_default_dir(dir))
         return static_load(dir, &sv->services.web, e);
-    log_warn("serve", "no viewer files found near the program; / shows JSON (build web/, or --web-dir DIR)");
+    log_warn("serve",
+             "no viewer files found near the program; / shows JSON (build web/, or --web-dir DIR)");
     return ERR_OK;
 }
 
@@ -75,7 +77,8 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     *out = sv;
     if (!sv)
         return err_set(e, ERR_MEM, "serve: out of memory");
-    signal(SIGPIPE, SIG_IGN); /* a client that hangs up is an error of write(), not of the program */
+    signal(SIGPIPE,
+           SIG_IGN); /* a client that hangs up is an error of write(), not of the program */
     sv->cfg = *cfg;
     sv->paths = paths;
     sv->n_paths = n;
@@ -116,7 +119,8 @@ enum err_code server_reload(struct server *sv, struct err *e)
 {
     struct services *s = &sv->services;
     struct catalog *older = services_catalog(s), *newer = NULL;
-    enum err_code rc = catalog_open(sv->paths, sv->n_paths, sv->workers, sv->cfg.public_url, older, &newer, e);
+    enum err_code rc =
+        catalog_open(sv->paths, sv->n_paths, sv->workers, sv->cfg.public_url, older, &newer, e);
     if (rc == ERR_OK) {
         pthread_mutex_lock(&s->catalog_lock);
         struct catalog *was = s->catalog;

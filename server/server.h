@@ -1,11 +1,13 @@
 /* The server: tile stores in, HTTP out. One request's way:
  *
- *   http.c    libmicrohttpd -> struct request; guards against malformed requests; suspends and resumes
- *   target.c  the request target, once, into integers and enums: no byte of it ever becomes a path
- *   route.c   request + services -> response, pure; a tile that is not in the cache is a job first
- *   job.c     bounded queues, identical jobs share one run, deadlines, cancellation
- *   encode.c  tile -> .glb .spz .drc .ply            picture.c  camera -> .jpg .png .webp
- *   cache.c   what jobs made, bounded in bytes       watch.c    slow, idle and gone clients
+ *   http.c     libmicrohttpd -> struct request; refuses malformed requests; suspends and resumes
+ *   target.c   the target, once, into integers and enums: no byte of it ever becomes a path
+ *   route.c    request + services -> response, pure; what is not in the cache is a job first
+ *   job.c      bounded queues, identical jobs share one run, deadlines, cancellation
+ *   encode.c   tile -> .glb .spz .drc .ply
+ *   picture.c  camera -> .jpg .png .webp
+ *   cache.c    what jobs made, bounded in bytes
+ *   watch.c    slow, idle and gone clients
  *
  * Nothing slow happens on an HTTP thread. Reading order: this header, target.c, route.c, job.c, http.c.
  *
@@ -38,7 +40,8 @@ struct body { /* immutable once shared; counted, body_drop frees it */
     uint8_t *gzip;             /* the same bytes compressed; NULL when that does not pay */
     size_t gzip_size;
 };
-/* Take b's bytes (b is left {0}). etag NULL: the hash of the bytes. NULL when out of memory (b is freed). */
+/* Take b's bytes (b is left {0}). etag NULL: the hash of the bytes. NULL when out of memory (b is
+ * freed). */
 struct body *body_take(struct buf *b, const char *etag);
 struct body *body_text(const char *text); /* copy of a string; NULL when out of memory */
 struct body *body_ref(struct body *b);
@@ -48,7 +51,7 @@ void body_compress(struct body *b);
 /* "22 characters of base64url", quoted: the strong entity tag of a 128-bit hash. */
 void body_etag(struct hash128 h, char out[BODY_ETAG_SIZE]);
 
-/* ---- cache.c: segmented LRU in 16 shards, bounded in bytes ---------------------------------------- */
+/* ---- cache.c: segmented LRU in 16 shards, bounded in bytes -------------------------------------- */
 
 struct cache;
 struct cache_stats {
@@ -58,11 +61,12 @@ enum err_code cache_open(size_t limit_bytes, struct cache **out, struct err *e) 
 void cache_close(struct cache **c);
 /* A reference to the body, or NULL. Any thread. */
 struct body *cache_get(struct cache *c, struct hash128 key);
-/* Keep a reference of its own. Entries larger than a shard's budget are not kept. The newer wins. */
+/* Keep a reference of its own. Entries larger than a shard's budget are not kept. The newer wins.
+ */
 void cache_put(struct cache *c, struct hash128 key, struct body *b);
 void cache_count(struct cache *c, struct cache_stats *out);
 
-/* ---- job.c: slow work, away from the HTTP threads --------------------------------------------------- */
+/* ---- job.c: slow work, away from the HTTP threads ----------------------------------------------- */
 
 enum job_class { JOB_VIEW, JOB_TILE, JOB_PREFETCH, JOB_CLASSES };
 enum job_end { JOB_OK, JOB_ERROR, JOB_CANCELLED, JOB_SHED, JOB_TIMEOUT, JOB_ENDS };
@@ -76,7 +80,8 @@ struct job_result {
     bool coalesced; /* another request had started this job */
 };
 
-/* Someone who wants a job's result. Lives in the caller's memory from job_submit until it was woken. */
+/* Someone who wants a job's result. Lives in the caller's memory from job_submit until it was
+ * woken. */
 struct job_waiter {
     /* Called exactly once, on another thread, under no lock, unless job_submit refused or job_leave
      * claimed the waiter. The waiter may be freed from inside. */
@@ -92,13 +97,14 @@ struct job_config {
     size_t tile_threads; /* they run JOB_TILE, then JOB_PREFETCH, oldest first */
     bool view_thread;    /* one thread runs JOB_VIEW, newest first */
     size_t queue_limit[JOB_CLASSES];
-    double slow_s;       /* a failed job is not tried again for this long, doubling to 60 s; 0 = 2 s */
+    double slow_s; /* a failed job is not tried again for this long, doubling to 60 s; 0 = 2 s */
     void *user;
-    /* Make the body of `work`; poll job_cancelled where it is cheap. Tile threads pass worker 0..n-1. */
-    enum err_code (*run)(void *user, const struct job *j, void *work, size_t worker, struct body **out,
-                         struct err *e);
+    /* Make the body of `work`; poll job_cancelled where it is cheap. Tile threads pass worker
+     * 0..n-1. */
+    enum err_code (*run)(void *user, const struct job *j, void *work, size_t worker,
+                         struct body **out, struct err *e);
     void (*drop)(void *user, void *work); /* free the work */
-    void (*view_enter)(void *user);       /* on the view thread, before its first job; may be NULL */
+    void (*view_enter)(void *user); /* on the view thread, before its first job; may be NULL */
     void (*view_leave)(void *user);
 };
 struct job_stats {
@@ -107,14 +113,15 @@ struct job_stats {
 };
 struct jobs;
 enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct err *e) ERR_USE;
-/* Ask for the work named `id` (equal ids are equal bytes). `work` is owned by the callee from here on.
- * ERR_OK: w will be woken. ERR_BUSY: the queue is full or the server is stopping; w->result says so and w
- * is not woken. A known failure is refused the same way with its own code and end JOB_ERROR. */
+/* Ask for the work named `id` (equal ids are equal bytes). `work` is owned by the callee from here
+ * on. ERR_OK: w will be woken. ERR_BUSY: the queue is full or the server is stopping; w->result
+ * says so and w is not woken. A known failure is refused the same way with its own code and end
+ * JOB_ERROR. */
 enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id, void *work,
                          double timeout_s, struct job_waiter *w) ERR_USE;
-/* The client is gone. True: w was still waiting, is out of the job now and will not be woken. A job that
- * lost its last waiter is dropped from the queue; a running view is cancelled, a running tile is finished
- * for the cache. */
+/* The client is gone. True: w was still waiting, is out of the job now and will not be woken. A job
+ * that lost its last waiter is dropped from the queue; a running view is cancelled, a running tile
+ * is finished for the cache. */
 bool job_leave(struct jobs *js, struct job_waiter *w);
 enum job_class job_class_of(struct jobs *js, const struct job_waiter *w); /* while w waits */
 bool job_cancelled(const struct job *j);
@@ -128,7 +135,7 @@ bool job_idle(struct jobs *js); /* nothing queued, nothing running */
 void job_stop(struct jobs *js);
 void job_close(struct jobs **js); /* job_stop, then free */
 
-/* ---- dataset.c: the stores that are served ------------------------------------------------------------ */
+/* ---- dataset.c: the stores that are served ------------------------------------------------------ */
 
 struct dataset { /* immutable; counted */
     _Atomic uint32_t refs;
@@ -136,14 +143,14 @@ struct dataset { /* immutable; counted */
     struct store_meta meta;
     const struct store_tile *tiles;
     size_t n_tiles;
-    const struct store *index; /* for store_find only */
-    double bbox[6];            /* west south hmin east north hmax, degrees and metres */
-    struct hash128 salt;       /* of all that goes into an encoded tile beside its payload */
+    const struct store *index;   /* for store_find only */
+    double bbox[6];              /* west south hmin east north hmax, degrees and metres */
+    struct hash128 salt;         /* of all that goes into an encoded tile beside its payload */
     struct body *tileset;        /* URIs relative to d/NAME/r/REV/ */
     struct body *tileset_moving; /* URIs relative to d/NAME/ */
     struct body *tilejson;
     struct body *collection;
-    double retired_s; /* clock_s() when a newer revision took over; 0 = current */
+    double retired_s;     /* clock_s() when a newer revision took over; 0 = current */
     pthread_mutex_t lock; /* of free_store, n_free */
     struct store **stores, **free_store;
     size_t n_stores, n_free;
@@ -153,7 +160,8 @@ enum err_code dataset_open(const char *path, size_t readers, const char *public_
                            struct dataset **out, struct err *e) ERR_USE;
 struct dataset *dataset_ref(struct dataset *d);
 void dataset_drop(struct dataset **d);
-/* A handle for this thread alone until dataset_return. NULL only if more threads borrow than `readers`. */
+/* A handle for this thread alone until dataset_return. NULL only if more threads borrow than
+ * `readers`. */
 struct store *dataset_borrow(struct dataset *d);
 void dataset_return(struct dataset *d, struct store *s);
 
@@ -163,15 +171,17 @@ struct catalog { /* immutable; counted: a reload makes a new one */
     struct dataset **ds; /* sorted by name; the current revision of a name first */
     struct body *collections;
 };
-/* Open every path. `older` (may be NULL) gives unchanged datasets and revisions that stay a day more. */
-enum err_code catalog_open(const char *const *paths, size_t n, size_t readers, const char *public_url,
-                           struct catalog *older, struct catalog **out, struct err *e) ERR_USE;
+/* Open every path. `older` (may be NULL) gives unchanged datasets and revisions that stay a day
+ * more. */
+enum err_code catalog_open(const char *const *paths, size_t n, size_t readers,
+                           const char *public_url, struct catalog *older, struct catalog **out,
+                           struct err *e) ERR_USE;
 struct catalog *catalog_ref(struct catalog *c);
 void catalog_drop(struct catalog **c);
 /* rev "" = the current one. NULL when there is none. */
 struct dataset *catalog_find(const struct catalog *c, const char *name, const char *rev);
 
-/* ---- static.c: the viewer's files, loaded at start ----------------------------------------------------- */
+/* ---- static.c: the viewer's files, loaded at start ---------------------------------------------- */
 
 struct static_file {
     char *path; /* "/assets/x.js" */
@@ -179,7 +189,7 @@ struct static_file {
     bool immutable; /* its name carries a hash */
     struct body *body;
 };
-struct static_table { /* {0} is empty */
+struct static_table {         /* {0} is empty */
     struct static_file *file; /* sorted by path */
     size_t n, cap;
 };
@@ -191,7 +201,7 @@ const struct static_file *static_find(const struct static_table *t, const char *
  * ../share/citysplat/web beside the running program. False when it is in none of them. */
 bool static_default_dir(char out[FILE_PATH_MAX]);
 
-/* ---- target.c: a request target as integers and enums ---------------------------------------------------- */
+/* ---- target.c: a request target as integers and enums ------------------------------------------- */
 
 enum method { METHOD_GET, METHOD_HEAD, METHOD_POST, METHOD_OPTIONS, METHOD_OTHER, METHOD_UNKNOWN };
 /* What a route answers, as bits. */
@@ -210,9 +220,11 @@ enum { ALLOW_READ = 1, ALLOW_POST = 2 };
     X(TILESET, ALLOW_READ, "/d/{ds}/r/{rev}/tileset.json", "3D Tiles 1.1 tileset of a revision")   \
     X(TILE, ALLOW_READ, "/d/{ds}/r/{rev}/t/{z}/{x}/{y}.{ext}", "One tile of Gaussians")            \
     X(TILE_MOVING, ALLOW_READ, "/d/{ds}/t/{z}/{x}/{y}.{ext}", "Redirect to the current revision")  \
-    X(VIEW, ALLOW_READ, "/d/{ds}/r/{rev}/static/{lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt}", \
+    X(VIEW, ALLOW_READ,                                                                            \
+      "/d/{ds}/r/{rev}/static/{lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt}",            \
       "A rendered view")                                                                           \
-    X(VIEW_MOVING, ALLOW_READ, "/d/{ds}/static/{lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt}", \
+    X(VIEW_MOVING, ALLOW_READ,                                                                     \
+      "/d/{ds}/static/{lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt}",                    \
       "Redirect to the current revision")                                                          \
     X(RENDER, ALLOW_POST, "/d/{ds}/render", "A rendered view of a posted camera")                  \
     X(SEED, ALLOW_READ, "/d/{ds}/seed.ndjson", "Tiles to prefetch, most important first")          \
@@ -249,11 +261,11 @@ enum format {
 const char *target_ext(enum format f);
 const char *target_type(enum format f);
 
-struct target_pose { /* fixed point, so that equal views are equal keys */
-    int32_t lon_e7, lat_e7;      /* 1e-7 degrees */
-    int32_t h_mm;                /* ellipsoidal, mm */
+struct target_pose {              /* fixed point, so that equal views are equal keys */
+    int32_t lon_e7, lat_e7;       /* 1e-7 degrees */
+    int32_t h_mm;                 /* ellipsoidal, mm */
     int32_t heading_e3, pitch_e3; /* 1e-3 degrees; heading 0..359999 */
-    int32_t fov_e3;              /* vertical */
+    int32_t fov_e3;               /* vertical */
 };
 struct target {
     enum route route;
@@ -268,27 +280,30 @@ struct target {
     uint8_t z_min, z_max;
     size_t path_size; /* bytes of the path, before '?' */
 };
-/* ERR_FORMAT: bytes no legal target has (status 400). ERR_DATA: well formed, impossible numbers (422).
- * ERR_NOENT: no such route, or a key out of range (404). `path` has n bytes and no NUL. */
+/* ERR_FORMAT: bytes no legal target has (status 400). ERR_DATA: well formed, impossible numbers
+ * (422). ERR_NOENT: no such route, or a key out of range (404). `path` has n bytes and no NUL. */
 enum err_code target_parse(const char *text, size_t n, struct target *out, struct err *e) ERR_USE;
 
-/* ---- condition.c: the conditional and negotiating headers -------------------------------------------------- */
+/* ---- condition.c: the conditional and negotiating headers --------------------------------------- */
 
 /* Does If-None-Match (a list or *) hold `etag`, compared weakly? NULL header: false. */
 bool condition_none_match(const char *header, const char *etag);
 enum condition_range { RANGE_ALL, RANGE_PART, RANGE_BAD };
-/* One `bytes=` range over a body of `size`. Several ranges, other units and nonsense mean RANGE_ALL. */
-enum condition_range condition_range(const char *header, uint64_t size, uint64_t *first, uint64_t *length);
+/* One `bytes=` range over a body of `size`. Several ranges, other units and nonsense mean
+ * RANGE_ALL. */
+enum condition_range condition_range(const char *header, uint64_t size, uint64_t *first,
+                                     uint64_t *length);
 /* Accept-Encoding takes gzip (q > 0). */
 bool condition_gzip(const char *header);
 /* Accept prefers text/html over application/json. */
 bool condition_html(const char *header);
 
-/* ---- picture.c: views of stores, on one thread that owns the OpenCL device ---------------------------------- */
+/* ---- picture.c: views of stores, on one thread that owns the OpenCL device ---------------------- */
 
 struct picture;
 enum picture_state { PICTURE_STARTING, PICTURE_READY, PICTURE_OFF };
-enum err_code picture_open(const struct server_config *cfg, struct picture **out, struct err *e) ERR_USE;
+enum err_code picture_open(const struct server_config *cfg, struct picture **out,
+                           struct err *e) ERR_USE;
 void picture_close(struct picture **p);
 void picture_enter(struct picture *p); /* on the view thread: open the device, build the kernels */
 void picture_leave(struct picture *p);
@@ -296,10 +311,10 @@ enum picture_state picture_state(const struct picture *p);
 /* Device name when ready, else why there is none. Copied under the lock. */
 void picture_about(struct picture *p, char *out, size_t n);
 
-/* ---- encode.c: the work of jobs -------------------------------------------------------------------------------- */
+/* ---- encode.c: the work of jobs ----------------------------------------------------------------- */
 
 enum work_kind { WORK_TILE, WORK_SEED, WORK_VIEW };
-struct work { /* made with encode_work, freed with encode_drop */
+struct work { /* freed with encode_drop */
     enum work_kind kind;
     struct dataset *ds; /* a reference */
     struct hash128 id;  /* names the result: cache key and job id */
@@ -326,7 +341,7 @@ struct hash128 encode_tile_id(const struct dataset *d, const struct store_tile *
 enum err_code picture_make(struct picture *p, const struct job *j, const struct work *w,
                            struct buf *out, struct err *e) ERR_USE;
 
-/* ---- metrics.c -------------------------------------------------------------------------------------------------- */
+/* ---- metrics.c ---------------------------------------------------------------------------------- */
 
 enum { METRICS_CODES = 24, METRICS_BUCKETS = 14 };
 struct metrics {
@@ -335,11 +350,12 @@ struct metrics {
     _Atomic uint64_t response_bytes, inflight, connections, client_aborts, reaped, store_errors,
         reload_failed, rejected;
 };
-void metrics_request(struct metrics *m, enum route route, int status, double seconds, uint64_t bytes);
+void metrics_request(struct metrics *m, enum route route, int status, double seconds,
+                     uint64_t bytes);
 struct services;
 enum err_code metrics_text(struct services *s, struct buf *out, struct err *e) ERR_USE;
 
-/* ---- route.c: the pure heart -------------------------------------------------------------------------------------- */
+/* ---- route.c: the pure heart -------------------------------------------------------------------- */
 
 struct services { /* what an answer may draw on; all shared, all thread-safe */
     const struct server_config *cfg;
@@ -355,7 +371,8 @@ struct services { /* what an answer may draw on; all shared, all thread-safe */
     double start_s;
 };
 /* {0} services -> ready documents; services_free takes back everything. */
-enum err_code services_open(struct services *s, const struct server_config *cfg, struct err *e) ERR_USE;
+enum err_code services_open(struct services *s, const struct server_config *cfg,
+                            struct err *e) ERR_USE;
 void services_free(struct services *s);
 struct catalog *services_catalog(struct services *s); /* a reference */
 
@@ -373,18 +390,18 @@ struct response { /* {0}, then route_answer; route_free it */
     int status;
     enum route route;
     const char *type, *cache_control, *allow, *vary, *encoding; /* static strings, NULL = none */
-    char *location;          /* owned */
-    char etag[BODY_ETAG_SIZE]; /* "" = none */
+    char *location;                                             /* owned */
+    char etag[BODY_ETAG_SIZE];                                  /* "" = none */
     char surrogate[96];
-    struct body *body;       /* a reference; NULL = no bytes */
-    const uint8_t *data;     /* what to send: inside body */
+    struct body *body;   /* a reference; NULL = no bytes */
+    const uint8_t *data; /* what to send: inside body */
     size_t size;
     uint64_t range_first, range_total; /* of 206 and 416 */
     bool accept_ranges;
-    int retry_after_s;  /* 0 = none */
+    int retry_after_s;     /* 0 = none */
     double queue_s, run_s; /* of the job, for Server-Timing; < 0: there was none */
-    const char *cache; /* "hit", "miss", "shared": for the log */
-    struct work *work; /* not NULL: submit it, then route_finish */
+    const char *cache;     /* "hit", "miss", "shared": for the log */
+    struct work *work;     /* not NULL: submit it, then route_finish */
     enum job_class cls;
     double timeout_s;
 };
@@ -404,8 +421,10 @@ unsigned route_allow(enum route r);
 enum err_code describe_landing(struct body **out, struct err *e) ERR_USE;
 enum err_code describe_conformance(struct body **out, struct err *e) ERR_USE;
 enum err_code describe_api(struct body **out, struct err *e) ERR_USE;
-enum err_code describe_collection(const struct dataset *d, struct body **out, struct err *e) ERR_USE;
-enum err_code describe_collections(const struct catalog *c, struct body **out, struct err *e) ERR_USE;
+enum err_code describe_collection(const struct dataset *d, struct body **out,
+                                  struct err *e) ERR_USE;
+enum err_code describe_collections(const struct catalog *c, struct body **out,
+                                   struct err *e) ERR_USE;
 enum err_code describe_version(struct services *s, struct body **out, struct err *e) ERR_USE;
 /* The posted camera of /d/{ds}/render. ERR_FORMAT = 400, ERR_DATA = 422. */
 struct describe_render {
@@ -418,13 +437,13 @@ enum err_code describe_read_render(const struct server_config *cfg, const struct
                                    const void *text, size_t n, struct describe_render *out,
                                    struct err *e) ERR_USE;
 
-/* ---- watch.c: clients that are slow, idle or gone ------------------------------------------------------------------- */
+/* ---- watch.c: clients that are slow, idle or gone ----------------------------------------------- */
 
 enum watch_phase { WATCH_IDLE, WATCH_HEADER, WATCH_BODY, WATCH_WORK, WATCH_SEND };
 struct watch;
 struct watch_slot;
-/* Connections up to `limit`. gone() is called under no lock when a waiting client has hung up and its job
- * was left; it must resume the connection. */
+/* Connections up to `limit`. gone() is called under no lock when a waiting client has hung up and
+ * its job was left; it must resume the connection. */
 enum err_code watch_open(size_t limit, struct services *s, void (*gone)(struct job_waiter *w),
                          struct watch **out, struct err *e) ERR_USE;
 void watch_close(struct watch **w);
@@ -433,14 +452,14 @@ void watch_remove(struct watch *w, struct watch_slot *slot);
 /* Enter a phase that must end within `timeout_s` (0 = for ever). Lock-free. */
 void watch_phase(struct watch_slot *slot, enum watch_phase phase, double timeout_s);
 uint32_t watch_requests(struct watch_slot *slot); /* counts requests of the connection: 1, 2, ... */
-/* While w waits for its job, look whether the client hangs up: expect before job_submit, arm after it,
- * disarm before resuming (if that came first, arm does nothing). */
+/* While w waits for its job, look whether the client hangs up: expect before job_submit, arm after
+ * it, disarm before resuming (if that came first, arm does nothing). */
 void watch_expect(struct watch *w, struct watch_slot *slot);
 void watch_arm(struct watch *w, struct watch_slot *slot, struct job_waiter *waiter);
 void watch_disarm(struct watch *w, struct watch_slot *slot);
 void watch_stop_idle(struct watch *w); /* end of reading for idle connections: used to drain */
 
-/* ---- http.c, server.c ---------------------------------------------------------------------------------------------------- */
+/* ---- http.c, server.c --------------------------------------------------------------------------- */
 
 struct http;
 /* Listen as cfg says. ERR_BUSY names the port and what to do. */

@@ -1,6 +1,6 @@
-/* The viewer's files, read once at start into a sorted table: a request looks a path up among strings
- * that were found on disk before the first request came, and never reaches the file system. Names with a
- * hash in them (Vite's assets/) are immutable; text is also kept gzipped.
+/* The viewer's files, read once at start into a sorted table: a request looks a path up among
+ * strings that were found on disk before the first request came, and never reaches the file system.
+ * Names with a hash in them (Vite's assets/) are immutable; text is also kept gzipped.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -50,12 +50,13 @@ static int type_of(const char *name)
 /* Bytes that a legal request path can hold: other names could never be asked for. */
 static bool plain_name(const char *name)
 {
-    return name[0] != '.' && !name[strspn(name, "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
-                                               "0123456789_.,@:-")];
+    return name[0] != '.' &&
+           !name[strspn(name, "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
+                              "0123456789_.,@:-")];
 }
 
-static enum err_code add_file(const char *dir, const char *url, struct static_table *t, size_t *bytes,
-                              struct err *e)
+static enum err_code add_file(const char *dir, const char *url, struct static_table *t,
+                              size_t *bytes, struct err *e)
 {
     char path[FILE_PATH_MAX];
     struct buf b = {0};
@@ -90,7 +91,8 @@ static enum err_code add_file(const char *dir, const char *url, struct static_ta
     if (type >= 0 && types[type].text)
         body_compress(f.body);
     t->file[t->n++] = f;
-    return *bytes > BYTES_MAX ? err_set(e, ERR_LIMIT, "%s: more than %zu bytes", dir, BYTES_MAX) : ERR_OK;
+    return *bytes > BYTES_MAX ? err_set(e, ERR_LIMIT, "%s: more than %zu bytes", dir, BYTES_MAX)
+                              : ERR_OK;
 }
 
 /* All files below dir + url, depth first. */

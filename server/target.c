@@ -1,8 +1,8 @@
-/* The request target, parsed once into integers and enums. Everything after this file works with a route,
- * a dataset name that was matched against the catalog, and numbers; no byte of the target ever becomes a
- * path. A path needs no percent sign, no empty or dotted segment and no byte outside [A-Za-z0-9/_.,@:-],
- * so anything else is refused here and traversal, NUL and encoding tricks end with it. Numbers are plain
- * decimals without leading zeros, so that a resource has one name.
+/* The request target, parsed once into integers and enums. Everything after this file works with a
+ * route, a dataset name that was matched against the catalog, and numbers; no byte of the target
+ * ever becomes a path. A path needs no percent sign, no empty or dotted segment and no byte outside
+ * [A-Za-z0-9/_.,@:-], so anything else is refused here and traversal, NUL and encoding tricks end
+ * with it. Numbers are plain decimals without leading zeros, so that a resource has one name.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -63,8 +63,8 @@ static bool take_uint(struct text *t, uint32_t *out)
     return n >= 1 && n <= 9 && (n == 1 || *start != '0');
 }
 
-/* [-]digits[.digits] times 10^scale, rounded half away from zero: at most 9 digits before the point and
- * 12 after. "-0" is 0. */
+/* [-]digits[.digits] times 10^scale, rounded half away from zero: at most 9 digits before the point
+ * and 12 after. "-0" is 0. */
 static bool take_fixed(struct text *t, int scale, int64_t *out)
 {
     bool negative = take(t, "-");
@@ -142,12 +142,15 @@ static enum err_code parse_tile(struct text *t, enum route route, struct target 
 {
     uint32_t z, x, y;
     if (!take_uint(t, &z) || !take(t, "/") || !take_uint(t, &x) || !take(t, "/") ||
-        !take_uint(t, &y) || !take(t, ".") || !take_format(t, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->format))
-        return err_set(e, ERR_NOENT, "a tile is z/x/y.ext with ext one of glb, spz, drc, ply, plain.glb");
+        !take_uint(t, &y) || !take(t, ".") ||
+        !take_format(t, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->format))
+        return err_set(e, ERR_NOENT,
+                       "a tile is z/x/y.ext with ext one of glb, spz, drc, ply, plain.glb");
     out->route = route;
     out->key = (struct key){(uint8_t)(z > 255 ? 255 : z), x, y};
     if (!key_valid(out->key))
-        return err_set(e, ERR_NOENT, "tile %u/%u/%u does not exist: z <= 24, x and y < 2^z", z, x, y);
+        return err_set(e, ERR_NOENT, "tile %u/%u/%u does not exist: z <= 24, x and y < 2^z", z, x,
+                       y);
     return ERR_OK;
 }
 
@@ -164,8 +167,9 @@ static enum err_code parse_view(struct text *t, enum route route, struct target 
          take_uint(t, &out->height_px) && take(t, ".") &&
          take_format(t, FORMAT_JPG, FORMAT_WEBP, &out->format);
     if (!ok)
-        return err_set(e, ERR_FORMAT, "a view is lon,lat,h@heading,pitch[,fov]/WxH.ext with plain decimal "
-                                      "numbers and ext one of jpg, png, webp");
+        return err_set(e, ERR_FORMAT,
+                       "a view is lon,lat,h@heading,pitch[,fov]/WxH.ext with plain decimal "
+                       "numbers and ext one of jpg, png, webp");
     if (lon < -1800000000 || lon > 1800000000 || lat < -900000000 || lat > 900000000)
         return err_set(e, ERR_DATA, "longitude is -180..180 and latitude -90..90 degrees");
     if (h < -20000000 || h > 2000000000)
@@ -175,8 +179,9 @@ static enum err_code parse_view(struct text *t, enum route route, struct target 
     if (fov < 1000 || fov > 150000)
         return err_set(e, ERR_DATA, "the vertical field of view is 1..150 degrees");
     out->route = route;
-    out->pose = (struct target_pose){(int32_t)lon, (int32_t)lat, (int32_t)h,
-                                     (int32_t)((heading + 720000) % 360000), (int32_t)pitch, (int32_t)fov};
+    out->pose = (struct target_pose){(int32_t)lon,   (int32_t)lat,
+                                     (int32_t)h,     (int32_t)((heading + 720000) % 360000),
+                                     (int32_t)pitch, (int32_t)fov};
     return ERR_OK;
 }
 
@@ -187,7 +192,8 @@ static enum err_code parse_seed(const char *query, size_t n, struct target *out,
     size_t m = 0;
     unsigned seen = 0;
     for (size_t i = 0; i < n; i++) {
-        bool comma = i + 3 <= n && query[i] == '%' && query[i + 1] == '2' && (query[i + 2] | 32) == 'c';
+        bool comma =
+            i + 3 <= n && query[i] == '%' && query[i + 1] == '2' && (query[i + 2] | 32) == 'c';
         if (m == sizeof(plain))
             return err_set(e, ERR_FORMAT, "the query is too long");
         plain[m++] = comma ? ',' : query[i];
@@ -234,8 +240,8 @@ static enum err_code parse_seed(const char *query, size_t n, struct target *out,
 }
 
 /* What follows /d/ */
-static enum err_code parse_data(struct text *t, const char *query, size_t n_query, struct target *out,
-                                struct err *e)
+static enum err_code parse_data(struct text *t, const char *query, size_t n_query,
+                                struct target *out, struct err *e)
 {
     if (!take_name(t, out->ds, sizeof(out->ds)) || !take(t, "/"))
         return nothing(e);
@@ -286,7 +292,8 @@ static enum err_code check_path(const char *p, size_t n, struct err *e)
         if (!ok)
             return err_set(e, ERR_FORMAT, "the path holds a byte that no path of this server has");
         if (c == '/' && i + 1 < n && (p[i + 1] == '/' || p[i + 1] == '.'))
-            return err_set(e, ERR_FORMAT, "the path holds an empty segment or one that begins with a dot");
+            return err_set(e, ERR_FORMAT,
+                           "the path holds an empty segment or one that begins with a dot");
     }
     return ERR_OK;
 }
@@ -297,8 +304,9 @@ enum err_code target_parse(const char *text, size_t n, struct target *out, struc
         const char *path;
         enum route route;
     } fixed[] = {
-        {"/", ROUTE_LANDING},     {"/conformance", ROUTE_CONFORMANCE}, {"/api", ROUTE_API},
-        {"/healthz", ROUTE_HEALTH}, {"/readyz", ROUTE_READY},          {"/version", ROUTE_VERSION},
+        {"/", ROUTE_LANDING},        {"/conformance", ROUTE_CONFORMANCE},
+        {"/api", ROUTE_API},         {"/healthz", ROUTE_HEALTH},
+        {"/readyz", ROUTE_READY},    {"/version", ROUTE_VERSION},
         {"/metrics", ROUTE_METRICS}, {"/collections", ROUTE_COLLECTIONS},
     };
     memset(out, 0, sizeof(*out));

@@ -1,12 +1,12 @@
-/* Clients that are slow, idle or gone. libmicrohttpd's timeout counts inactivity, so a client that sends
- * one byte a second is never cut; and it does not look at a suspended connection, so a client that hangs
- * up while its tile is made goes unnoticed. This thread does both: each connection has a slot with a
- * deadline for the phase it is in (an atomic, so the request path takes no lock), and the sockets of
- * waiting clients are in an epoll set.
+/* Clients that are slow, idle or gone. libmicrohttpd's timeout counts inactivity, so a client that
+ * sends one byte a second is never cut; and it does not look at a suspended connection, so a client
+ * that hangs up while its tile is made goes unnoticed. This thread does both: each connection has a
+ * slot with a deadline for the phase it is in (an atomic, so the request path takes no lock), and
+ * the sockets of waiting clients are in an epoll set.
  *
- * A slot's fd is valid from watch_add to watch_remove, which libmicrohttpd calls before it closes the
- * socket, so shutdown() under the lock never hits a reused number. A waiter is touched only while the slot
- * is armed and the lock is held; whoever resumes a connection disarms first.
+ * A slot's fd is valid from watch_add to watch_remove, which libmicrohttpd calls before it closes
+ * the socket, so shutdown() under the lock never hits a reused number. A waiter is touched only
+ * while the slot is armed and the lock is held; whoever resumes a connection disarms first.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -50,11 +50,11 @@ static uint64_t now_ms(void)
     return (uint64_t)(clock_s() * 1000);
 }
 
-/* ---- the thread -------------------------------------------------------------------------------------------- */
+/* ---- the thread --------------------------------------------------------------------------------- */
 
-/* The client behind this slot hung up, or closed its sending half. A half-closed client may still read
- * (RFC 9112, section 9.6), and a tile is soon made and worth keeping, so only a picture is given up for
- * that. */
+/* The client behind this slot hung up, or closed its sending half. A half-closed client may still
+ * read (RFC 9112, section 9.6), and a tile is soon made and worth keeping, so only a picture is
+ * given up for that. */
 static void on_event(struct watch *w, uint64_t id, uint32_t events)
 {
     struct job_waiter *left = NULL;
@@ -91,8 +91,8 @@ static void reap(struct watch *w)
     pthread_mutex_unlock(&w->lock);
 }
 
-/* libmicrohttpd listens edge-triggered, and misses a client that closes just as its answer goes out. Idle
- * connections whose client is gone would then be kept until the idle timeout. */
+/* libmicrohttpd listens edge-triggered, and misses a client that closes just as its answer goes
+ * out. Idle connections whose client is gone would then be kept until the idle timeout. */
 static void close_gone(struct watch *w)
 {
     struct pollfd p[POLLED];
@@ -134,7 +134,7 @@ static void watch_main(void *user)
     }
 }
 
-/* ---- the interface ------------------------------------------------------------------------------------------ */
+/* ---- the interface ------------------------------------------------------------------------------ */
 
 enum err_code watch_open(size_t limit, struct services *s, void (*gone)(struct job_waiter *w),
                          struct watch **out, struct err *e)
@@ -214,7 +214,8 @@ void watch_phase(struct watch_slot *s, enum watch_phase phase, double timeout_s)
     if (!s)
         return;
     atomic_store_explicit(&s->phase, phase, memory_order_relaxed);
-    atomic_store_explicit(&s->deadline_ms, timeout_s > 0 ? now_ms() + (uint64_t)(timeout_s * 1000) + 1 : 0,
+    atomic_store_explicit(&s->deadline_ms,
+                          timeout_s > 0 ? now_ms() + (uint64_t)(timeout_s * 1000) + 1 : 0,
                           memory_order_relaxed);
 }
 

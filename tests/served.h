@@ -1,5 +1,5 @@
-/* A small city to serve, for the tests of the server: three zooms about a place, one Gaussian cloud a tile,
- * and options as the command line would give them.
+/* A small city to serve, for the tests of the server: three zooms about a place, one Gaussian cloud
+ * a tile, and options as the command line would give them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -26,13 +26,15 @@ static inline void served_put(struct store *s, struct key key, size_t n)
     kit_gauss(key.z * 1000 + key.x % 100 * 10 + key.y % 10, n, 30, 1, 0, &g);
     kit_ok(geo_to_enu(&served_origin, lon, lat, 40, g.origin_enu_m, &e), e);
     (void)h;
-    struct store_tile t = {.key = key, .level = (uint8_t)(key.z - SERVED_ZOOM_MIN + 1),
+    struct store_tile t = {.key = key,
+                           .level = (uint8_t)(key.z - SERVED_ZOOM_MIN + 1),
                            .geometric_error_m = SERVED_ZOOM_MAX - key.z};
     kit_ok(store_put(s, &t, &g, &e), e);
     gauss_free(&g);
 }
 
-/* The tile at the origin on three zooms and its western neighbour's children are left out: 1 + 1 + 2. */
+/* The tile at the origin on three zooms and its western neighbour's children are left out: 1 + 1
+ * + 2. */
 static inline struct key served_key(uint8_t z)
 {
     return key_at(served_origin.lon_deg, served_origin.lat_deg, z);
@@ -42,7 +44,9 @@ static inline void served_city(const char *path, const char *name, size_t n)
 {
     struct err e = {0};
     struct store *s = NULL;
-    struct store_meta meta = {.origin = served_origin, .sh_degree = 1, .zoom_min = SERVED_ZOOM_MIN,
+    struct store_meta meta = {.origin = served_origin,
+                              .sh_degree = 1,
+                              .zoom_min = SERVED_ZOOM_MIN,
                               .zoom_max = SERVED_ZOOM_MAX};
     snprintf(meta.name, sizeof(meta.name), "%s", name);
     snprintf(meta.attribution, sizeof(meta.attribution), "a test");
@@ -61,8 +65,8 @@ static inline void served_damage(const char *path, struct key k)
     sqlite3 *db = NULL;
     char sql[256];
     snprintf(sql, sizeof(sql),
-             "UPDATE tiles SET payload = zeroblob(length(payload)) WHERE z=%u AND x=%u AND y=%u", k.z, k.x,
-             k.y);
+             "UPDATE tiles SET payload = zeroblob(length(payload)) WHERE z=%u AND x=%u AND y=%u",
+             k.z, k.x, k.y);
     assert_int_equal(sqlite3_open(path, &db), SQLITE_OK);
     assert_int_equal(sqlite3_exec(db, sql, NULL, NULL, NULL), SQLITE_OK);
     assert_int_equal(sqlite3_changes(db), 1);

@@ -1,5 +1,5 @@
-/* The cache of encoded bytes: finds what was put, stays within its bytes, keeps what is used, and frees
- * nothing that somebody still sends.
+/* The cache of encoded bytes: finds what was put, stays within its bytes, keeps what is used, and
+ * frees nothing that somebody still sends.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -99,7 +99,8 @@ static void test_keeps_what_is_used(void **state)
     struct err e = {0};
     struct cache *c = NULL;
     (void)state;
-    kit_ok(cache_open((size_t)4 << 20, &c, &e), e); /* 256 KiB a shard: about 200 entries of 1 KiB */
+    kit_ok(cache_open((size_t)4 << 20, &c, &e),
+           e); /* 256 KiB a shard: about 200 entries of 1 KiB */
     for (uint64_t i = 0; i < 800; i++)
         put(c, i, 1024);
     for (uint64_t i = 0; i < 800; i++)
@@ -153,7 +154,8 @@ static void test_many_threads(void **state)
     struct cache *c = NULL;
     struct cache_stats st;
     (void)state;
-    kit_ok(cache_open((size_t)96 << 10, &c, &e), e); /* room for a third of them: constant eviction */
+    kit_ok(cache_open((size_t)96 << 10, &c, &e),
+           e); /* room for a third of them: constant eviction */
     kit_ok(pool_for(8, 8, hammer, c, &e), e);
     cache_count(c, &st);
     assert_int_equal(st.hits + st.misses, 8 * 4000);

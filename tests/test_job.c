@@ -1,5 +1,5 @@
-/* Jobs: one run for identical requests, bounded queues, every waiter woken exactly once whatever happens.
- * Workers are held at a gate, so the order of events is the test's, not the scheduler's.
+/* Jobs: one run for identical requests, bounded queues, every waiter woken exactly once whatever
+ * happens. Workers are held at a gate, so the order of events is the test's, not the scheduler's.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -99,7 +99,8 @@ static void client_wake(struct job_waiter *w)
     pthread_mutex_unlock(&b->lock);
 }
 
-static void bench_open(struct bench *b, size_t threads, bool view, size_t view_limit, size_t tile_limit)
+static void bench_open(struct bench *b, size_t threads, bool view, size_t view_limit,
+                       size_t tile_limit)
 {
     struct err e = {0};
     memset(b, 0, sizeof(*b));
@@ -194,7 +195,8 @@ static void test_identical_requests_share_a_run(void **state)
 
 static void test_errors_reach_every_waiter(void **state)
 {
-    static const enum err_code errors[] = {ERR_FORMAT, ERR_MEM, ERR_IO, ERR_DEVICE, ERR_LIMIT, ERR_BUSY};
+    static const enum err_code errors[] = {ERR_FORMAT, ERR_MEM,   ERR_IO,
+                                           ERR_DEVICE, ERR_LIMIT, ERR_BUSY};
     static struct client c[WAITERS];
     struct bench b;
     (void)state;
@@ -205,7 +207,8 @@ static void test_errors_reach_every_waiter(void **state)
         gate(&b, false);
         int number = 100 + (int)k;
         for (int i = 0; i < WAITERS; i++)
-            assert_int_equal(ask(&b, &c[i], JOB_TILE, item_new(&b, number, errors[k], false), 60), ERR_OK);
+            assert_int_equal(ask(&b, &c[i], JOB_TILE, item_new(&b, number, errors[k], false), 60),
+                             ERR_OK);
         gate(&b, true);
         await(&b, &b.woken, WAITERS);
         for (int i = 0; i < WAITERS; i++) {
@@ -219,7 +222,8 @@ static void test_errors_reach_every_waiter(void **state)
     bench_close(&b);
 }
 
-/* A failure is remembered for a moment, then tried again; one that memory caused is not remembered. */
+/* A failure is remembered for a moment, then tried again; one that memory caused is not remembered.
+ */
 static void test_failures_are_remembered(void **state)
 {
     struct bench b;

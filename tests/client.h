@@ -1,0 +1,237 @@
+/* A client of the server's tests: blocking, over loopback, every wait with an end far above what a
+ * busy machine needs. And the server under test, started afresh for each test with its own options.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TESTS_CLIENT_H
+#define TESTS_CLIENT_H
+
+#include "tests/served.h"
+
+#include <netinet/in.h>
+#include <poll.h>
+#include <stdlib.h>
+#include <strings.h>
+#include <sys/socket.h>
+#include <time.h>
+#include <unistd.h>
+
+static const double PATIENCE_S = 20; /* an answer that takes longer than this never comes */
+
+static struct {
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], rev[13];
+    struct arena arena;
+    struct server_config cfg;
+    const char *paths[1];
+    struct server *server;
+    uint16_t port;
+} t;
+
+/* ---- a client ----------------------------------------------------------------------------------- */
+
+static inline int dial(uint16_t port)
+{
+    struct sockaddr_in a = {.sin_family = AF_INET, .sin_port = htons(port)};
+    a.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    int fd = socket(AF_INET, SOCK_STREAM, 0);
+    assert_true(fd >= 0);
+    assert_int_equal(connect(fd, (struct sockaddr *)&a, sizeof(a)), 0);
+    return fd;
+}
+
+static inline void say_bytes(int fd, const char *p, size_t n)
+{
+    while (n) {
+        ssize_t k = send(fd, p, n, MSG_NOSIGNAL);
+        if (k <= 0)
+            return; /* the server has closed: what it said is still read */
+        p += k;
+        n -= (size_t)k;
+    }
+}
+
+static inline void say(int fd, const char *text)
+{
+    say_bytes(fd, text, strlen(text));
+}
+
+struct reply { /* one answer; buf_free(&raw) */
+    int status;
+    struct buf raw;
+    const char *head;
+    const uint8_t *body;
+    size_t body_size;
+    char value[512];
+};
+
+/* The value of a header, "" when absent. */
+static const char *header(struct reply *r, const char *name)
+{
+    size_t n = strlen(name);
+    r->value[0] = 0;
+    for (const char *p = strstr(r->head, "\r\n"); p && p[2] != '\r'; p = strstr(p + 2, "\r\n"))
+        if (!strncasecmp(p + 2, name, n) && p[2 + n] == ':') {
+            const char *v = p + 3 + n + strspn(p + 3 + n, " ");
+            snprintf(r->value, sizeof(r->value), "%.*s", (int)strcspn(v, "\r"), v);
+        }
+    return r->value;
+}
+
+/* Add what comes within `wait_s`; false at end of stream. */
+static inline bool hear_some(int fd, struct buf *b, double wait_s)
+{
+    struct pollfd p = {.fd = fd, .events = POLLIN};
+    char bytes[65536];
+    if (poll(&p, 1, (int)(wait_s * 1000)) != 1)
+        return true;
+    ssize_t n = recv(fd, bytes, sizeof(bytes), 0);
+    if (n > 0)
+        buf_add(b, bytes, (size_t)n);
+    return n > 0;
+}
+
+/* One whole answer. `rest` (may be NULL) carries bytes between the answers of a connection. */
+static inline void hear(int fd, bool has_body, struct buf *rest, struct reply *r)
+{
+    double end_s = clock_s() + PATIENCE_S;
+    memset(r, 0, sizeof(*r));
+    if (rest) {
+        r->raw = *rest;
+        memset(rest, 0, sizeof(*rest));
+    }
+    for (bool open = true;;) {
+        buf_add(&r->raw, "", 1); /* so that text functions stop */
+        r->raw.size--;
+        char *end = r->raw.size ? strstr((char *)r->raw.data, "\r\n\r\n") : NULL;
+        if (end) {
+            r->head = (char *)r->raw.data;
+            r->body = (uint8_t *)end + 4;
+            size_t got = r->raw.size - (size_t)(r->body - r->raw.data);
+            r->body_size = has_body ? (size_t)atoll(header(r, "Content-Length")) : 0;
+            r->status = atoi(r->head + 9);
+            if (r->status == 304 || r->status == 204)
+                r->body_size = 0;
+            if (got >= r->body_size) {
+                if (rest && got > r->body_size)
+                    buf_add(rest, r->body + r->body_size, got - r->body_size);
+                return;
+            }
+        }
+        if (!open || clock_s() > end_s)
+            fail_msg("%s after %zu bytes: %.80s", open ? "no whole answer" : "closed", r->raw.size,
+                     r->raw.size ? (char *)r->raw.data : "");
+        open = hear_some(fd, &r->raw, 1);
+    }
+}
+
+/* Request with extra header lines, on a connection of its own. */
+static inline void ask_port(uint16_t port, const char *method, const char *target,
+                            const char *extra, struct reply *r)
+{
+    struct buf q = {0};
+    int fd = dial(port);
+    buf_printf(&q, "%s %s HTTP/1.1\r\nHost: test\r\n%sConnection: close\r\n\r\n", method, target,
+               extra);
+    say_bytes(fd, (char *)q.data, q.size);
+    hear(fd, strcmp(method, "HEAD") != 0, NULL, r);
+    buf_free(&q);
+    close(fd);
+}
+
+static inline void ask(const char *method, const char *target, const char *extra, struct reply *r)
+{
+    ask_port(t.port, method, target, extra, r);
+}
+
+static inline int status_of(const char *method, const char *target, const char *extra)
+{
+    struct reply r;
+    ask(method, target, extra, &r);
+    buf_free(&r.raw);
+    return r.status;
+}
+
+static const char *tile_target(uint8_t z, const char *ext, char out[128])
+{
+    struct key k = served_key(z);
+    snprintf(out, 128, "/d/toy/r/%s/t/%u/%u/%u.%s", t.rev, k.z, k.x, k.y, ext);
+    return out;
+}
+
+/* ---- the server --------------------------------------------------------------------------------- */
+
+static inline void start(void)
+{
+    struct err e = {0};
+    kit_ok(server_start(&t.cfg, t.paths, 1, &t.server, &e), e);
+    const char *colon = strrchr(server_url(t.server), ':');
+    t.port = (uint16_t)atoi(colon + 1);
+    struct catalog *c = services_catalog(server_services(t.server));
+    memcpy(t.rev, c->ds[0]->meta.revision, sizeof(t.rev));
+    catalog_drop(&c);
+}
+
+static inline int setup_all(void **state)
+{
+    struct err e = {0};
+    (void)state;
+    log_set_level(LOG_ERROR);
+    kit_tmpdir(t.dir);
+    kit_ok(file_join(t.path, t.dir, "toy.tiles", &e), e);
+    served_city(t.path, "toy", 2000);
+    t.paths[0] = t.path;
+    return 0;
+}
+
+static inline int teardown_all(void **state)
+{
+    (void)state;
+    kit_rmdir(t.dir);
+    return 0;
+}
+
+static inline int setup(void **state)
+{
+    struct err e = {0};
+    (void)state;
+    arena_free(&t.arena);
+    served_config(&t.cfg, &t.arena);
+    kit_ok(file_mkdir(t.dir, &e), e);
+    t.cfg.web_dir = NULL;
+    t.cfg.workers = 2;
+    t.cfg.http_threads = 2;
+    return 0;
+}
+
+static inline int teardown(void **state)
+{
+    (void)state;
+    server_stop(&t.server);
+    arena_free(&t.arena);
+    return 0;
+}
+
+static inline uint64_t connections(void)
+{
+    return atomic_load(&server_services(t.server)->metrics.connections);
+}
+
+static inline void nap_ms(long ms)
+{
+    const struct timespec ts = {.tv_sec = ms / 1000, .tv_nsec = ms % 1000 * 1000000};
+    nanosleep(&ts, NULL);
+}
+
+static inline void await_no_connections(void)
+{
+    for (double end_s = clock_s() + PATIENCE_S; connections() && clock_s() < end_s;)
+        nap_ms(5);
+    assert_int_equal(connections(), 0);
+}
+
+/* What most requests are made of. */
+#define H "Host: a\r\n"
+#define POST "POST /d/toy/render HTTP/1.1\r\n" H
+#define HTTP_TEST(f) cmocka_unit_test_setup_teardown(f, setup, teardown)
+
+#endif

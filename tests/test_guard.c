@@ -1,0 +1,288 @@
+/* Clients that err, dawdle or swarm: malformed requests, oversized ones, random bytes, slow
+ * headers, slow bodies, slow readers, too many connections.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/client.h"
+
+/* ---- malformed requests ------------------------------------------------------------------------- */
+
+/* Every status in the bytes must be `status` (0: no answer at all), and if `close`, the stream
+ * ends. A request hidden in a body must not be answered: that would be a 200. */
+static void probe(const char *what, const char *bytes, size_t n, int status, bool must_close)
+{
+    struct buf b = {0};
+    int fd = dial(t.port);
+    bool open = true;
+    say_bytes(fd, bytes, n);
+    if (!must_close)
+        shutdown(fd, SHUT_WR); /* or a keep-alive connection would be waited for */
+    for (double end_s = clock_s() + PATIENCE_S; open && clock_s() < end_s;)
+        open = hear_some(fd, &b, 0.2);
+    buf_add(&b, "", 1);
+    if (open)
+        fail_msg("%s: the connection stays open", what);
+    int count = 0;
+    for (const char *p = strstr((char *)b.data, "HTTP/1."); p;
+         p = strstr(p + 1, "HTTP/1."), count++)
+        if (atoi(p + 9) != status)
+            fail_msg("%s: got %d, want %d", what, atoi(p + 9), status);
+    if ((count > 0) != (status > 0))
+        fail_msg("%s: %d answers", what, count);
+    buf_free(&b);
+    close(fd);
+}
+
+static void test_malformed_requests(void **state)
+{
+    static const struct {
+        const char *what, *bytes;
+        int status;
+        bool close;
+    } rows[] = {
+        {"length and coding",
+         POST "Content-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n"
+              "GET /healthz HTTP/1.1\r\n" H "\r\n",
+         400, true},
+        {"coding and length",
+         POST "Transfer-Encoding: chunked\r\nContent-Length: 40\r\n\r\n0\r\n\r\n"
+              "GET /healthz HTTP/1.1\r\n" H "\r\n",
+         400, true},
+        {"two lengths", POST "Content-Length: 5\r\nContent-Length: 6\r\n\r\nhello1", 400, true},
+        {"two equal lengths", POST "Content-Length: 5\r\nContent-Length: 5\r\n\r\nhello", 400,
+         true},
+        {"length before space", POST "Content-Length : 5\r\n\r\nhello", 400, true},
+        {"length +5", POST "Content-Length: +5\r\n\r\nhello", 400, true},
+        {"length -1", POST "Content-Length: -1\r\n\r\nhello", 400, true},
+        {"length 0x5", POST "Content-Length: 0x5\r\n\r\nhello", 400, true},
+        {"length 5,5", POST "Content-Length: 5,5\r\n\r\nhello", 400, true},
+        {"length beyond 64 bits", POST "Content-Length: 99999999999999999999\r\n\r\nhello", 413,
+         true},
+        {"length beyond the limit", POST "Content-Length: 1000000\r\n\r\nhello", 413, true},
+        {"two codings", POST "Transfer-Encoding: gzip, chunked\r\n\r\n0\r\n\r\n", 501, true},
+        {"coding twice",
+         POST "Transfer-Encoding: chunked\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n", 400,
+         true},
+        {"unknown coding", POST "Transfer-Encoding: xchunked\r\n\r\n0\r\n\r\n", 501, true},
+        {"bad chunk", POST "Transfer-Encoding: chunked\r\n\r\nZZ\r\n{}\r\n0\r\n\r\n", 400, true},
+        {"negative chunk", POST "Transfer-Encoding: chunked\r\n\r\n-2\r\n{}\r\n0\r\n\r\n", 400,
+         true},
+        {"chunked in 1.0",
+         "POST /d/toy/render HTTP/1.0\r\n" H "Transfer-Encoding: chunked\r\n\r\n0\r\n\r\n", 400,
+         true},
+        {"body of GET", "GET /healthz HTTP/1.1\r\n" H "Content-Length: 3\r\n\r\nabc", 400, true},
+        {"chunked GET", "GET /healthz HTTP/1.1\r\n" H "Transfer-Encoding: chunked\r\n\r\n0\r\n\r\n",
+         400, true},
+        {"no host", "GET /healthz HTTP/1.1\r\n\r\n", 400, true},
+        {"two hosts", "GET /healthz HTTP/1.1\r\n" H "Host: b\r\n\r\n", 400, true},
+        {"unknown method", "FOO /healthz HTTP/1.1\r\n" H "\r\n", 501, true},
+        {"method with dirt", "helloGET /healthz HTTP/1.1\r\n" H "\r\n", 501, true},
+        {"lower case", "get /healthz HTTP/1.1\r\n" H "\r\n", 501, true},
+        {"absolute form", "GET http://a/healthz HTTP/1.1\r\n" H "\r\n", 400, true},
+        {"asterisk", "OPTIONS * HTTP/1.1\r\n" H "\r\n", 400, true},
+        {"authority form", "CONNECT a:80 HTTP/1.1\r\n" H "\r\n", 400, true},
+        {"bare CR", "GET /healthz HTTP/1.1\r\nHost: a\rX: b\r\n\r\n", 400, true},
+        {"no colon", "GET /healthz HTTP/1.1\r\n" H "foo\r\n\r\n", 400, true},
+        {"name beyond ASCII", "GET /healthz HTTP/1.1\r\n" H "f\xc3\xb6: x\r\n\r\n", 400, true},
+        {"HTTP/2 preface", "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n", 505, true},
+        {"HTTP/3.7", "GET /healthz HTTP/3.7\r\n" H "\r\n", 505, true},
+        {"no version", "GET /healthz\r\n\r\n", 400, true},
+        {"percent", "GET /%2e%2e/etc/passwd HTTP/1.1\r\n" H "\r\n", 400, false},
+        {"percent NUL", "GET /healthz%00x HTTP/1.1\r\n" H "\r\n", 400, false},
+        {"dots", "GET /../../etc/passwd HTTP/1.1\r\n" H "\r\n", 400, false},
+        {"space in target", "GET /a b HTTP/1.1\r\n" H "\r\n", 400, false},
+        {"other method", "DELETE /healthz HTTP/1.1\r\n" H "\r\n", 405, false},
+        {"HTTP/1.0", "GET /healthz HTTP/1.0\r\n\r\n", 200, false},
+        {"bare LF", "GET /healthz HTTP/1.1\nHost: a\n\n", 200, false},
+        {"line before", "\r\nGET /healthz HTTP/1.1\r\n" H "\r\n", 200, false},
+        {"chunk extension", POST "Transfer-Encoding: chunked\r\n\r\n2;a=b\r\n{}\r\n0\r\n\r\n", 422,
+         false},
+        {"half a request", "GET /healthz HT", 0, false},
+        {"nothing", "", 0, false},
+    };
+    (void)state;
+    start();
+    for (size_t i = 0; i < sizeof(rows) / sizeof(*rows); i++)
+        probe(rows[i].what, rows[i].bytes, strlen(rows[i].bytes), rows[i].status, rows[i].close);
+    assert_int_equal(status_of("GET", "/healthz", ""), 200);
+}
+
+static void test_oversized_requests(void **state)
+{
+    struct buf b = {0};
+    (void)state;
+    start();
+    buf_printf(&b, "GET /%03000d HTTP/1.1\r\n" H "\r\n", 0);
+    probe("long target", (char *)b.data, b.size, 414, true);
+    b.size = 0;
+    buf_printf(&b, "GET /%030000d HTTP/1.1\r\n" H "\r\n", 0);
+    probe("longer target", (char *)b.data, b.size, 414, true);
+    b.size = 0;
+    buf_printf(&b, "GET /healthz HTTP/1.1\r\n" H "X: %030000d\r\n\r\n", 0);
+    probe("long field", (char *)b.data, b.size, 431, true);
+    b.size = 0;
+    buf_printf(&b, "GET /healthz HTTP/1.1\r\n" H);
+    for (int i = 0; i < 70; i++)
+        buf_printf(&b, "X: %d\r\n", i);
+    buf_printf(&b, "\r\n");
+    probe("many fields", (char *)b.data, b.size, 431, true);
+    b.size = 0;
+    buf_printf(&b, POST "Transfer-Encoding: chunked\r\n\r\n");
+    for (int i = 0; i < 20; i++)
+        buf_printf(&b, "2000\r\n%08192d\r\n", 0);
+    buf_printf(&b, "0\r\n\r\n");
+    probe("long chunked body", (char *)b.data, b.size, 413, true);
+    buf_free(&b);
+}
+
+/* Random bytes and damaged requests: any answer, or none, but the next request is served. */
+static void test_any_bytes(void **state)
+{
+    enum { EACH = 40 };
+    static const char good[] =
+        POST "Content-Type: application/json\r\nContent-Length: 2\r\n\r\n{}"
+             "GET /collections HTTP/1.1\r\n" H "Accept-Encoding: gzip\r\n\r\n";
+    (void)state;
+    t.cfg.header_timeout_s = t.cfg.body_timeout_s = 1;
+    start();
+    for (uint64_t batch = 0; batch < 10; batch++) {
+        int fd[EACH];
+        for (uint64_t i = 0; i < EACH; i++) {
+            char bytes[sizeof(good)];
+            memcpy(bytes, good, sizeof(good));
+            for (uint64_t k = 0; k < 1 + i % 5; k++)
+                bytes[rng_u64(batch, 2 * k, i) % (sizeof(good) - 1)] =
+                    (char)rng_u64(batch, 2 * k + 1, i);
+            fd[i] = dial(t.port);
+            say_bytes(fd[i], bytes, sizeof(good) - 1);
+            shutdown(fd[i], SHUT_WR);
+        }
+        for (int i = 0; i < EACH; i++) {
+            struct buf b = {0};
+            bool open = true;
+            for (double end_s = clock_s() + PATIENCE_S; open && clock_s() < end_s;)
+                open = hear_some(fd[i], &b, 0.2);
+            assert_false(open);
+            buf_free(&b);
+            close(fd[i]);
+        }
+    }
+    assert_int_equal(status_of("GET", "/healthz", ""), 200);
+}
+
+/* ---- slow clients ------------------------------------------------------------------------------- */
+
+/* Send one byte every 50 ms until the server cuts the connection; seconds until then. */
+static double drip(const char *start_with)
+{
+    struct buf b = {0};
+    int fd = dial(t.port);
+    double start_s = clock_s();
+    say(fd, start_with);
+    bool open = true;
+    while (open && clock_s() - start_s < PATIENCE_S) {
+        say(fd, "x");
+        open = hear_some(fd, &b, 0.05);
+    }
+    close(fd);
+    buf_free(&b);
+    assert_false(open);
+    return clock_s() - start_s;
+}
+
+static void test_slow_clients_are_cut(void **state)
+{
+    (void)state;
+    t.cfg.header_timeout_s = 0.4;
+    t.cfg.body_timeout_s = 0.4;
+    t.cfg.idle_timeout_s = 0.4;
+    start();
+    struct metrics *m = &server_services(t.server)->metrics;
+    assert_in_range((uint64_t)(drip("GET / HTTP/1.1\r\nHost: a\r\nX: ") * 1000), 350, 10000);
+    assert_in_range((uint64_t)(drip("GET /") * 1000), 350, 10000);
+    assert_in_range((uint64_t)(drip(POST "Content-Length: 9999\r\n\r\n") * 1000), 350, 10000);
+    assert_true(atomic_load(&m->reaped) >= 3);
+    int fd = dial(t.port); /* idle after an answer */
+    struct reply r;
+    struct buf b = {0};
+    say(fd, "GET /healthz HTTP/1.1\r\n" H "\r\n");
+    hear(fd, true, NULL, &r);
+    assert_int_equal(r.status, 200);
+    double since_s = clock_s();
+    assert_false(hear_some(fd, &b, PATIENCE_S));
+    assert_true(clock_s() - since_s > 0.3);
+    close(fd);
+    buf_free(&r.raw);
+    int many[60]; /* and while many drip, others are served */
+    for (int i = 0; i < 60; i++) {
+        many[i] = dial(t.port);
+        say(many[i], "GET / HTTP/1.1\r\nX: ");
+    }
+    assert_int_equal(status_of("GET", "/healthz", ""), 200);
+    await_no_connections();
+    for (int i = 0; i < 60; i++)
+        close(many[i]);
+}
+
+/* Someone who does not read an answer is cut as well. The answer must not fit into socket buffers.
+ */
+static void test_a_client_that_does_not_read(void **state)
+{
+    char target[128], request[256];
+    const int small = 4096;
+    (void)state;
+    t.cfg.write_timeout_s = 0.1;
+    start();
+    int fd = dial(t.port);
+    setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &small, sizeof(small));
+    snprintf(request, sizeof(request), "GET %s HTTP/1.1\r\n" H "\r\n",
+             tile_target(17, "spz", target));
+    struct services *s = server_services(t.server);
+    for (int i = 0; i < 300; i++)
+        say(fd, request);
+    for (double end_s = clock_s() + 60; !atomic_load(&s->metrics.reaped) && clock_s() < end_s;)
+        nap_ms(20);
+    assert_true(atomic_load(&s->metrics.reaped) >= 1);
+    await_no_connections();
+    close(fd);
+}
+
+static void test_connection_limit(void **state)
+{
+    enum { LIMIT = 8 };
+    int fd[LIMIT];
+    struct reply r;
+    (void)state;
+    t.cfg.max_connections = LIMIT;
+    t.cfg.http_threads = 1;
+    start();
+    for (int i = 0; i < LIMIT; i++) {
+        fd[i] = dial(t.port);
+        say(fd[i], "GET /healthz HTTP/1.1\r\n" H "\r\n");
+        hear(fd[i], true, NULL, &r);
+        assert_int_equal(r.status, 200);
+        buf_free(&r.raw);
+    }
+    ask("GET", "/healthz", "", &r);
+    assert_int_equal(r.status, 503);
+    assert_string_equal(header(&r, "Connection"), "close");
+    assert_true(atoi(header(&r, "Retry-After")) >= 1);
+    buf_free(&r.raw);
+    for (int i = 0; i < LIMIT; i++)
+        close(fd[i]);
+    await_no_connections();
+    assert_int_equal(status_of("GET", "/healthz", ""), 200);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        HTTP_TEST(test_malformed_requests),
+        HTTP_TEST(test_oversized_requests),
+        HTTP_TEST(test_any_bytes),
+        HTTP_TEST(test_slow_clients_are_cut),
+        HTTP_TEST(test_a_client_that_does_not_read),
+        HTTP_TEST(test_connection_limit),
+    };
+    return cmocka_run_group_tests(tests, setup_all, teardown_all);
+}
