@@ -10,7 +10,8 @@
 // and with q = alpha dL/dalpha (that is dL/d ln alpha; 0 where alpha was cut to its maximum) the moments of
 // q in the whitened offset (u, v), in which the falloff is exp2(-u^2 - v^2):
 //     0-2  w g      3  q    4  q u    5  q v    6  q u^2    7  q u v    8  q v^2
-//     9  |q u|     10  |q (r v - p x_of_y u)|: moduli of the two pixel gradients, up to a factor
+//     9  |q u|     10  |q (r v - p x_of_y u)|: moduli of the two pixel gradients, up to a factor; 0 without
+//                  with_abs
 // Whitened moments stay of the order of q however long and thin the splat is.
 // Every slot has one writer and every sum one order: same input, same bits.
 // Reference: render_ref_backward. Absolute gradients: AbsGS, Ye et al. 2024.
@@ -94,7 +95,7 @@ inline uint backward_active(const struct backward_state *s, uint active)
 
 // One splat over some blocks: moves the pixels on and writes the slot.
 inline void backward_entry(struct backward_state *s, const float *rec, float x0, float y0, uint blocks,
-                           __global float *slot)
+                           uint with_abs, __global float *slot)
 {
     float16 red = 0.0f, green = 0.0f, blue = 0.0f, m = 0.0f, mu = 0.0f, mv = 0.0f, muu = 0.0f, muv = 0.0f,
             mvv = 0.0f, abs_x = 0.0f, abs_y = 0.0f;
@@ -125,8 +126,10 @@ inline void backward_entry(struct backward_state *s, const float *rec, float x0,
         muu = qu * u + muu;
         muv = qu * v + muv;
         mvv = qv * v + mvv;
-        abs_x += fabs(qu);
-        abs_y += fabs(rec[R] * qv - cross * qu);
+        if (with_abs) {
+            abs_x += fabs(qu);
+            abs_y += fabs(rec[R] * qv - cross * qu);
+        }
     }
     float16 x = fold_4(fold_8(red, green), fold_8(blue, m)), y = fold_4(fold_8(mu, mv), fold_8(muu, muv)),
             z = fold_4(fold_8(mvv, abs_x), fold_8(abs_y, abs_y));
@@ -139,7 +142,7 @@ __kernel void blend_backward(__constant struct layout_view *view,
                              __global const struct layout_splat *splats, __global const uint *tile_start,
                              __global const uint *entry_splat, __global const uint *entry_slot,
                              __global const float *color, __global const float *color_grad,
-                             __global float *slots, __global uchar *marks)
+                             uint with_abs, __global float *slots, __global uchar *marks)
 {
     uint tile = (uint)get_global_id(0);
     if (tile >= view->tiles_x * view->tiles_y)
@@ -168,7 +171,7 @@ __kernel void blend_backward(__constant struct layout_view *view,
             if (blocks) {
                 uint slot = entry_slot[at + j];
                 marks[slot] = 1;
-                backward_entry(&s, staged + 16 * j, x0, y0, blocks,
+                backward_entry(&s, staged + 16 * j, x0, y0, blocks, with_abs,
                                slots + (size_t)slot * LAYOUT_SLOT_FLOATS);
             }
             if (j % CHECK_EVERY == CHECK_EVERY - 1)
@@ -188,7 +191,8 @@ __kernel __attribute__((reqd_work_group_size(LAYOUT_TILE *LAYOUT_TILE, 1, 1))) v
 blend_backward(__constant struct layout_view *view, __global const struct layout_splat *splats,
                __global const uint *tile_start, __global const uint *entry_splat,
                __global const uint *entry_slot, __global const float *color,
-               __global const float *color_grad, __global float *slots, __global uchar *marks)
+               __global const float *color_grad, uint with_abs, __global float *slots,
+               __global uchar *marks)
 {
     uint tile = (uint)get_group_id(0), lane = (uint)get_local_id(0);
     uint x = (tile % view->tiles_x) * LAYOUT_TILE + lane % LAYOUT_TILE;
@@ -214,9 +218,10 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
         float q = raw > ALPHA_MAX ? 0.0f : a * (t * gc - rest / (1.0f - a));
         t -= share;
         float qu = q * u, qv = q * v;
+        float ax = with_abs ? fabs(qu) : 0.0f;
+        float ay = with_abs ? fabs(e->r * qv - e->p * e->x_of_y * qu) : 0.0f;
         const float values[LAYOUT_SLOT_FLOATS] = {share * g[0], share * g[1], share * g[2], q, qu, qv,
-                                                  qu * u, qu * v, qv * v, fabs(qu),
-                                                  fabs(e->r * qv - e->p * e->x_of_y * qu)};
+                                                  qu * u, qu * v, qv * v, ax, ay};
         for (uint i = 0; i < LAYOUT_SLOT_FLOATS; i++)
             part[i * PIXELS + lane] = values[i];
         barrier(CLK_LOCAL_MEM_FENCE);

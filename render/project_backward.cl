@@ -327,13 +327,14 @@ inline uint lanes_count(VI mask)
 }
 #endif
 
-inline void stats_add(__global float *grad, __global float *absg, __global float *count,
+inline void stats_add(__global float *grad, __global float *absg, uint with_abs, __global float *count,
                       __global float *radius, const struct gradient *d, float8 k, VI counted)
 {
     V x = d->px[0] * k.s6, y = d->px[1] * k.s7, ax = d->apx[0] * k.s6, ay = d->apx[1] * k.s7;
     V g = sqrt(x * x + y * y), a = sqrt(ax * ax + ay * ay), old = LD(radius, 0);
     ST(grad, 0, LD(grad, 0) + (counted ? g : (V)(0.0f)));
-    ST(absg, 0, LD(absg, 0) + (counted ? a : (V)(0.0f)));
+    if (with_abs)
+        ST(absg, 0, LD(absg, 0) + (counted ? a : (V)(0.0f)));
     ST(count, 0, LD(count, 0) + (counted ? (V)(1.0f) : (V)(0.0f)));
     ST(radius, 0, (counted & (d->radius > old)) ? d->radius : old);
 }
@@ -343,7 +344,7 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
                            __global const uint *slot_first, __global const float *slots,
                            __global const uchar *marks, __global float *m1, __global float *m2, float8 lr,
                            float8 k, uint with_extra, __global const float *extra,
-                           uint with_stats, __global float *stat_grad,
+                           uint with_stats, uint with_abs, __global float *stat_grad,
                            __global float *stat_absg, __global float *stat_count,
                            __global float *stat_radius, __global uint *repaired)
 {
@@ -372,8 +373,8 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
                 d.geo[p] += LD(extra + (size_t)group * 11 * LAYOUT_LANES + lane, p);
         VI usable = gradient_usable(&d) & real;
         if (with_stats && ANY(visible))
-            stats_add(stat_grad + i, stat_absg + i, stat_count + i, stat_radius + i, &d, k,
-                      usable & visible);
+            stats_add(stat_grad + i, stat_absg + (with_abs ? i : 0), with_abs, stat_count + i, stat_radius + i,
+                      &d, k, usable & visible);
         VI bad = adam_quat(&a, &d, usable, real);
         adam_geometry(&a, &d, usable);
         for (uint p = 0; p < 3 * used; p++)

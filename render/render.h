@@ -107,7 +107,7 @@ struct render_adam {
 };
 /* Per-Gaussian densification statistics, accumulated by render_backward_step:
  *   grad   float [cap]  sum of ||(0.5 W g_u, 0.5 H g_v)||        (positional gradient, NDC units)
- *   absg   float [cap]  sum of ||(0.5 W a_u, 0.5 H a_v)||        (AbsGS)
+ *   absg   float [cap]  sum of ||(0.5 W a_u, 0.5 H a_v)||        (AbsGS); NULL: not wanted, a little faster
  *   count  float [cap]  number of frames in which it was visible
  *   radius float [cap]  largest half-size in px
  *   repaired uint32 [1] number of non-finite updates dropped / quaternions reset (F1) */

@@ -114,7 +114,8 @@ enum err_code render_set_color_grad(struct render *r, const float *rgb_grad, str
 /* ---- stages ----------------------------------------------------------------------------------------- */
 
 /* The slots of the last frame, filled. */
-static enum err_code backward_blend(struct render *r, const struct render_model *m, struct err *e)
+static enum err_code backward_blend(struct render *r, const struct render_model *m, cl_uint with_abs,
+                                    struct err *e)
 {
     if (!r->drawn)
         return err_set(e, ERR_ARG, "render_backward: no frame was drawn since the Gaussians changed");
@@ -141,15 +142,15 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
                                 FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->entry_splat.mem),
                                 FRAME_ARG(r->entry_slot.mem), FRAME_ARG(r->color.mem),
-                                FRAME_ARG(r->color_grad.mem), FRAME_ARG(s->slots.mem),
-                                FRAME_ARG(s->marks.mem)),
+                                FRAME_ARG(r->color_grad.mem), FRAME_ARG(with_abs),
+                                FRAME_ARG(s->slots.mem), FRAME_ARG(s->marks.mem)),
                      r->tiles * local, local, e);
 }
 
 enum err_code render_backward(struct render *r, const struct render_model *m, cl_mem grads,
                               struct err *e)
 {
-    enum err_code rc = backward_blend(r, m, e);
+    enum err_code rc = backward_blend(r, m, 0, e);
     if (rc != ERR_OK)
         return rc;
     const struct render_backward_state *s = r->backward;
@@ -190,17 +191,19 @@ enum err_code render_backward_step(struct render *r, struct render_model *m, str
                        "betas are in [0, 1), limits in order",
                        adam->step, (double)adam->beta1, (double)adam->beta2, (double)adam->scale_log_min,
                        (double)adam->scale_log_max);
-    enum err_code rc = backward_blend(r, m, e);
+    enum err_code rc = backward_blend(r, m, stats && stats->absg, e);
     if (rc != ERR_OK)
         return rc;
     const struct render_backward_state *s = r->backward;
     size_t local, items = frame_items(r, m->groups, &local);
-    cl_uint with_stats = stats != NULL, with_extra = adam->extra_grad != NULL;
+    cl_uint with_stats = stats != NULL, with_abs = stats && stats->absg, with_extra = adam->extra_grad != NULL;
     cl_mem none = s->unused, extra = adam->extra_grad ? adam->extra_grad : none;
     struct render_density_stats d = {none, none, none, none, none};
     cl_float8 lr, k;
     if (stats)
         d = *stats;
+    if (!with_abs)
+        d.absg = none;
     adam_fill(r, adam, &lr, &k);
     r->drawn = false; /* the parameters are about to differ from what was drawn */
     return frame_run(r, s->step, "project_step",
@@ -208,8 +211,8 @@ enum err_code render_backward_step(struct render *r, struct render_model *m, str
                                 FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->slot_first.mem),
                                 FRAME_ARG(s->slots.mem), FRAME_ARG(s->marks.mem), FRAME_ARG(adam->m1),
                                 FRAME_ARG(adam->m2), FRAME_ARG(lr), FRAME_ARG(k), FRAME_ARG(with_extra),
-                                FRAME_ARG(extra), FRAME_ARG(with_stats), FRAME_ARG(d.grad),
-                                FRAME_ARG(d.absg), FRAME_ARG(d.count), FRAME_ARG(d.radius),
-                                FRAME_ARG(d.repaired)),
+                                FRAME_ARG(extra), FRAME_ARG(with_stats), FRAME_ARG(with_abs),
+                                FRAME_ARG(d.grad), FRAME_ARG(d.absg), FRAME_ARG(d.count),
+                                FRAME_ARG(d.radius), FRAME_ARG(d.repaired)),
                      items, local, e);
 }

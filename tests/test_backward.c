@@ -982,15 +982,19 @@ static void test_density_statistics(void **state)
             }
         }
         size_t row = splats[i].index;
-        want[0][row] = 2 * hypot(PX_W / 2 * g[0], PX_H / 2 * g[1]);
+        want[0][row] = 3 * hypot(PX_W / 2 * g[0], PX_H / 2 * g[1]);
         want[1][row] = 2 * hypot(PX_W / 2 * a[0], PX_H / 2 * a[1]);
-        want[2][row] = 2;
+        want[2][row] = 3;
         want[3][row] = fmax(splats[i].half_px[0], splats[i].half_px[1]);
     }
     struct trainer t = trainer_make(&s.g);
     t.adam.lr_mean = t.adam.lr_scale = t.adam.lr_quat = t.adam.lr_opacity = t.adam.lr_sh_dc = 0;
     trainer_step(&t, &s);
-    trainer_step(&t, &s); /* twice the same: sums double, the radius does not */
+    trainer_step(&t, &s); /* the same again: sums grow, the radius does not */
+    cl_mem absg = t.stats.absg;
+    t.stats.absg = NULL; /* and once without moduli */
+    trainer_step(&t, &s);
+    t.stats.absg = absg;
     const cl_mem mems[4] = {t.stats.grad, t.stats.absg, t.stats.count, t.stats.radius};
     static const char *const names[4] = {"gradient", "absolute gradient", "count", "radius"};
     for (size_t k = 0; k < 4; k++) {
