@@ -1,5 +1,5 @@
-// Build of the browser client: relative URLs, everything bundled, nothing from a CDN. CesiumJS is copied beside
-// the example page, only the parts that page fetches.
+// Build of the browser client: relative URLs, everything bundled, nothing from a CDN. CesiumJS is
+// copied beside the example page, only the parts that page fetches.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { cpSync, mkdirSync } from "node:fs";
@@ -24,7 +24,10 @@ function copyCesium(): Plugin {
     apply: "build",
     configResolved: (config) => void (out = join(config.root, config.build.outDir, "cesium")),
     closeBundle() {
-      const from = join(dirname(createRequire(import.meta.url).resolve("cesium/package.json")), "Build/Cesium");
+      const from = join(
+        dirname(createRequire(import.meta.url).resolve("cesium/package.json")),
+        "Build/Cesium",
+      );
       for (const part of CESIUM_PARTS) {
         mkdirSync(dirname(join(out, part)), { recursive: true });
         cpSync(join(from, part), join(out, part), { recursive: true });

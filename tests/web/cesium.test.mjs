@@ -16,77 +16,101 @@ const TIMEOUT_MS = 120000;
 let source;
 let opened;
 before(async () => {
-  source = await openSource();
-  const name = await firstDataSet(source.url);
-  opened = await openPage(`${source.url}/cesium.html?ds=${name}`, SIZE);
-  await opened.page.waitForFunction(() => window.tileset !== undefined, null, { timeout: TIMEOUT_MS });
-  await opened.page.addStyleTag({ content: ".cesium-widget-credits{display:none!important}" });
+    source = await openSource();
+    const name = await firstDataSet(source.url);
+    opened = await openPage(`${source.url}/cesium.html?ds=${name}`, SIZE);
+    await opened.page.waitForFunction(() => window.tileset !== undefined, null, {
+        timeout: TIMEOUT_MS,
+    });
+    await opened.page.addStyleTag({ content: ".cesium-widget-credits{display:none!important}" });
 });
 after(async () => {
-  await opened?.close();
-  await source?.close();
+    await opened?.close();
+    await source?.close();
 });
 
-// tilesLoaded alone may still show the coarser level: the merged primitive must hold the selected tiles too.
+// tilesLoaded alone may still show the coarser level: the merged primitive must hold the selected
+// tiles too.
 async function settle(page) {
-  await page.waitForFunction(
-    () => {
-      const { tileset } = window;
-      const note = document.getElementById("note").textContent;
-      if (note) return true;
-      const drawn = tileset.gaussianSplatPrimitive?._numSplats ?? 0;
-      const wanted = tileset._selectedTiles.reduce((sum, tile) => sum + (tile.content?.pointsLength ?? 0), 0);
-      const key = `${drawn}/${wanted}`;
-      const stable = tileset.tilesLoaded && drawn > 0 && (wanted === 0 || drawn === wanted) && key === window.lastKey;
-      window.lastKey = key;
-      window.calm = stable ? (window.calm ?? 0) + 1 : 0;
-      return window.calm > 6;
-    },
-    null,
-    { timeout: TIMEOUT_MS, polling: 150 },
-  );
-  assert.equal(await page.textContent("#note"), "");
+    await page.waitForFunction(
+        () => {
+            const { tileset } = window;
+            const note = document.getElementById("note").textContent;
+            if (note) return true;
+            const drawn = tileset.gaussianSplatPrimitive?._numSplats ?? 0;
+            const wanted = tileset._selectedTiles.reduce(
+                (sum, tile) => sum + (tile.content?.pointsLength ?? 0),
+                0,
+            );
+            const key = `${drawn}/${wanted}`;
+            const stable =
+                tileset.tilesLoaded &&
+                drawn > 0 &&
+                (wanted === 0 || drawn === wanted) &&
+                key === window.lastKey;
+            window.lastKey = key;
+            window.calm = stable ? (window.calm ?? 0) + 1 : 0;
+            return window.calm > 6;
+        },
+        null,
+        { timeout: TIMEOUT_MS, polling: 150 },
+    );
+    assert.equal(await page.textContent("#note"), "");
 }
 
 async function look(page, pose) {
-  await page.evaluate((p) => {
-    const { camera, scene } = window.widget;
-    const aspect = scene.drawingBufferWidth / scene.drawingBufferHeight;
-    const fovy = Cesium.Math.toRadians(p.fov);
-    camera.frustum.fov = aspect > 1 ? 2 * Math.atan(Math.tan(fovy / 2) * aspect) : fovy;
-    camera.setView({
-      destination: Cesium.Cartesian3.fromDegrees(p.lon, p.lat, p.h),
-      orientation: { heading: Cesium.Math.toRadians(p.heading), pitch: Cesium.Math.toRadians(p.pitch), roll: 0 },
-    });
-  }, pose);
-  await page.waitForTimeout(500);
-  await settle(page);
-  await page.waitForTimeout(1000); // sorting for the new direction
-  return decodePng(await page.screenshot());
+    await page.evaluate((p) => {
+        const { camera, scene } = window.widget;
+        const aspect = scene.drawingBufferWidth / scene.drawingBufferHeight;
+        const fovy = Cesium.Math.toRadians(p.fov);
+        camera.frustum.fov = aspect > 1 ? 2 * Math.atan(Math.tan(fovy / 2) * aspect) : fovy;
+        camera.setView({
+            destination: Cesium.Cartesian3.fromDegrees(p.lon, p.lat, p.h),
+            orientation: {
+                heading: Cesium.Math.toRadians(p.heading),
+                pitch: Cesium.Math.toRadians(p.pitch),
+                roll: 0,
+            },
+        });
+    }, pose);
+    await page.waitForTimeout(500);
+    await settle(page);
+    await page.waitForTimeout(1000); // sorting for the new direction
+    return decodePng(await page.screenshot());
 }
 
 test("splats are visible, nothing fails", async () => {
-  await settle(opened.page);
-  const { share, colors } = measureContent(decodePng(await opened.page.screenshot()));
-  const count = await opened.page.evaluate(() => window.tileset.gaussianSplatPrimitive._numSplats);
-  assert.ok(count > 0);
-  assert.ok(share > 0.05, `only ${(100 * share).toFixed(1)} % of the picture is not background`);
-  assert.ok(colors > 10, `only ${colors} colours`);
-  assert.deepEqual(opened.log, []);
+    await settle(opened.page);
+    const { share, colors } = measureContent(decodePng(await opened.page.screenshot()));
+    const count = await opened.page.evaluate(
+        () => window.tileset.gaussianSplatPrimitive._numSplats,
+    );
+    assert.ok(count > 0);
+    assert.ok(share > 0.05, `only ${(100 * share).toFixed(1)} % of the picture is not background`);
+    assert.ok(colors > 10, `only ${colors} colours`);
+    assert.deepEqual(opened.log, []);
 });
 
-test("every part of the city is where it belongs", { skip: GIVEN_TILES ? "needs the test city" : false }, async () => {
-  await opened.page.evaluate(() => (window.tileset.maximumScreenSpaceError = 0.1));
-  assert.deepEqual(checkSouth(await look(opened.page, SOUTH)), []);
-  const count = await opened.page.evaluate(() => window.tileset.gaussianSplatPrimitive._numSplats);
-  assert.equal(count, makeCity().length);
-  assert.deepEqual(checkNorth(await look(opened.page, NORTH)), []);
-});
+test(
+    "every part of the city is where it belongs",
+    { skip: GIVEN_TILES ? "needs the test city" : false },
+    async () => {
+        await opened.page.evaluate(() => (window.tileset.maximumScreenSpaceError = 0.1));
+        assert.deepEqual(checkSouth(await look(opened.page, SOUTH)), []);
+        const count = await opened.page.evaluate(
+            () => window.tileset.gaussianSplatPrimitive._numSplats,
+        );
+        assert.equal(count, makeCity().length);
+        assert.deepEqual(checkNorth(await look(opened.page, NORTH)), []);
+    },
+);
 
 test("Cesium shows whose data it is", async () => {
-  const name = await firstDataSet(source.url);
-  const { asset } = await getJson(`${source.url}/d/${name}/tileset.json`);
-  const credits = asset.extras?.cesium?.credits ?? [];
-  const shown = await opened.page.evaluate(() => (window.tileset.asset.extras?.cesium?.credits ?? []).length);
-  assert.equal(shown, credits.length);
+    const name = await firstDataSet(source.url);
+    const { asset } = await getJson(`${source.url}/d/${name}/tileset.json`);
+    const credits = asset.extras?.cesium?.credits ?? [];
+    const shown = await opened.page.evaluate(
+        () => (window.tileset.asset.extras?.cesium?.credits ?? []).length,
+    );
+    assert.equal(shown, credits.length);
 });

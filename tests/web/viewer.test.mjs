@@ -1,4 +1,5 @@
-// The browser client against a running server: what it draws, where, and that its controls do what they say.
+// The browser client against a running server: what it draws, where, and that its controls do what
+// they say.
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
@@ -6,172 +7,187 @@ import { after, before, test } from "node:test";
 
 import { lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
 import { makeCity } from "./lib/city.mjs";
-import { checkNorth, checkSouth, measureContent, NORTH, rmsDifference, SOUTH } from "./lib/checks.mjs";
+import {
+    checkNorth,
+    checkSouth,
+    measureContent,
+    NORTH,
+    rmsDifference,
+    SOUTH,
+} from "./lib/checks.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { firstDataSet, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
 
 const SIZE = { width: 800, height: 600 };
 const HIDE_PANELS = "#panel,#tools,#compare,#toast,#progress,footer{display:none!important}";
-// Client and server round, cut off and low-pass a little differently; a shifted or mirrored picture gives more than 30.
+// Client and server round, cut off and low-pass a little differently; a shifted or mirrored picture
+// gives more than 30.
 const RMS_MAX = 5;
 
 let source;
 let viewer; // one page for all tests that do not need a fresh one
 let page;
 before(async () => {
-  source = await openSource();
-  viewer = await openPage(source.url, SIZE);
-  page = viewer.page;
-  await waitForViewer(page);
+    source = await openSource();
+    viewer = await openPage(source.url, SIZE);
+    page = viewer.page;
+    await waitForViewer(page);
 });
 after(async () => {
-  await viewer?.close();
-  await source?.close();
+    await viewer?.close();
+    await source?.close();
 });
 
 // The page without its panels.
 async function picture() {
-  const style = await page.addStyleTag({ content: HIDE_PANELS });
-  const png = decodePng(await page.screenshot());
-  await style.evaluate((tag) => tag.remove());
-  return png;
+    const style = await page.addStyleTag({ content: HIDE_PANELS });
+    const png = decodePng(await page.screenshot());
+    await style.evaluate((tag) => tag.remove());
+    return png;
 }
 
 const read = () => page.evaluate(() => ({ ...window.citysplat, pose: window.citysplat.pose() }));
 
 async function setDetail(value) {
-  await page.evaluate((v) => {
-    const slider = document.getElementById("detail");
-    slider.value = v;
-    slider.dispatchEvent(new Event("input"));
-  }, value);
-  await page.waitForTimeout(300);
-  await waitForViewer(page);
+    await page.evaluate((v) => {
+        const slider = document.getElementById("detail");
+        slider.value = v;
+        slider.dispatchEvent(new Event("input"));
+    }, value);
+    await page.waitForTimeout(300);
+    await waitForViewer(page);
 }
 
-// The text under the server view once a picture or an error has come. Servers without a device have none to give.
+// The text under the server view once a picture or an error has come. Servers without a device have
+// none to give.
 async function serverViewText(on) {
-  await on.waitForFunction(() => /kB|MB|Error/.test(document.getElementById("compare-text").textContent));
-  return on.textContent("#compare-text");
+    await on.waitForFunction(() =>
+        /kB|MB|Error/.test(document.getElementById("compare-text").textContent),
+    );
+    return on.textContent("#compare-text");
 }
 const NO_DEVICE = /Error 50[13]/;
 
 test("splats are visible from the first view, without console errors", async () => {
-  const { share, colors } = measureContent(await picture());
-  const state = await read();
-  assert.ok(state.gaussians > 0 && state.tilesLoaded > 0, JSON.stringify(state));
-  assert.ok(share > 0.1, `only ${(100 * share).toFixed(1)} % of the picture is not background`);
-  assert.ok(colors > 10, `only ${colors} colours`);
-  assert.deepEqual(viewer.log, []);
+    const { share, colors } = measureContent(await picture());
+    const state = await read();
+    assert.ok(state.gaussians > 0 && state.tilesLoaded > 0, JSON.stringify(state));
+    assert.ok(share > 0.1, `only ${(100 * share).toFixed(1)} % of the picture is not background`);
+    assert.ok(colors > 10, `only ${colors} colours`);
+    assert.deepEqual(viewer.log, []);
 });
 
 const city = { skip: GIVEN_TILES ? "needs the test city" : false };
 
 test("every part of the city is where it belongs", city, async () => {
-  await setDetail("6");
-  await lookViewer(page, SOUTH);
-  assert.deepEqual(checkSouth(await picture()), []);
-  assert.equal((await read()).gaussians, makeCity().length);
-  await lookViewer(page, NORTH);
-  assert.deepEqual(checkNorth(await picture()), []);
+    await setDetail("6");
+    await lookViewer(page, SOUTH);
+    assert.deepEqual(checkSouth(await picture()), []);
+    assert.equal((await read()).gaussians, makeCity().length);
+    await lookViewer(page, NORTH);
+    assert.deepEqual(checkNorth(await picture()), []);
 });
 
 test("less detail draws fewer Gaussians, and back", city, async () => {
-  await lookViewer(page, SOUTH);
-  const fine = (await read()).gaussians;
-  await setDetail("0");
-  const coarse = (await read()).gaussians;
-  await setDetail("6");
-  assert.ok(coarse < fine, `${coarse} of ${fine}`);
-  assert.equal((await read()).gaussians, fine);
+    await lookViewer(page, SOUTH);
+    const fine = (await read()).gaussians;
+    await setDetail("0");
+    const coarse = (await read()).gaussians;
+    await setDetail("6");
+    assert.ok(coarse < fine, `${coarse} of ${fine}`);
+    assert.equal((await read()).gaussians, fine);
 });
 
 const rendered = { skip: MOCK ? "the mock renders nothing" : city.skip };
 
 test("the server's picture of a view equals the client's", rendered, async (t) => {
-  const name = await firstDataSet(source.url);
-  const place = `${SOUTH.lon.toFixed(7)},${SOUTH.lat.toFixed(7)},${SOUTH.h.toFixed(3)}`;
-  const url = `${source.url}/d/${name}/static/${place}@${SOUTH.heading},${SOUTH.pitch},${SOUTH.fov}/800x600.png`;
-  const response = await fetch(url);
-  if (response.status === 501 || response.status === 503) return t.skip(`no pictures: ${await response.text()}`);
-  assert.equal(response.status, 200, url);
-  const served = decodePng(Buffer.from(await response.arrayBuffer()));
-  assert.deepEqual(checkSouth(served), [], "the server's picture");
-  await lookViewer(page, SOUTH);
-  const rms = rmsDifference(await picture(), served);
-  t.diagnostic(`difference ${rms.toFixed(1)} of 255`);
-  assert.ok(rms < RMS_MAX, `pictures differ by ${rms.toFixed(1)} of 255`);
+    const name = await firstDataSet(source.url);
+    const place = `${SOUTH.lon.toFixed(7)},${SOUTH.lat.toFixed(7)},${SOUTH.h.toFixed(3)}`;
+    const url = `${source.url}/d/${name}/static/${place}@${SOUTH.heading},${SOUTH.pitch},${SOUTH.fov}/800x600.png`;
+    const response = await fetch(url);
+    if (response.status === 501 || response.status === 503)
+        return t.skip(`no pictures: ${await response.text()}`);
+    assert.equal(response.status, 200, url);
+    const served = decodePng(Buffer.from(await response.arrayBuffer()));
+    assert.deepEqual(checkSouth(served), [], "the server's picture");
+    await lookViewer(page, SOUTH);
+    const rms = rmsDifference(await picture(), served);
+    t.diagnostic(`difference ${rms.toFixed(1)} of 255`);
+    assert.ok(rms < RMS_MAX, `pictures differ by ${rms.toFixed(1)} of 255`);
 });
 
 test("the server view opens and closes", async () => {
-  await page.click("#server-button");
-  const text = await serverViewText(page);
-  if (!NO_DEVICE.test(text)) {
-    assert.match(text, /800 × 600 px/);
-    await page.waitForSelector("#server-image.fresh");
-  }
-  await page.keyboard.press("v");
-  assert.equal(await page.isVisible("#server-image"), false);
-  assert.equal(await page.isVisible("#compare"), false);
+    await page.click("#server-button");
+    const text = await serverViewText(page);
+    if (!NO_DEVICE.test(text)) {
+        assert.match(text, /800 × 600 px/);
+        await page.waitForSelector("#server-image.fresh");
+    }
+    await page.keyboard.press("v");
+    assert.equal(await page.isVisible("#server-image"), false);
+    assert.equal(await page.isVisible("#compare"), false);
 });
 
 test("keys move the camera", city, async () => {
-  const hold = async (key) => {
-    await lookViewer(page, SOUTH);
-    const from = (await read()).pose;
-    await page.keyboard.down(key);
+    const hold = async (key) => {
+        await lookViewer(page, SOUTH);
+        const from = (await read()).pose;
+        await page.keyboard.down(key);
+        await page.waitForTimeout(300);
+        await page.keyboard.up(key);
+        return [from, (await read()).pose];
+    };
+    const [a, b] = await hold("ArrowUp");
+    assert.ok(b.lat > a.lat && Math.abs(b.h - a.h) < 0.1, "up goes north at the same height");
+    const [c, d] = await hold("e");
+    assert.ok((d.heading - c.heading + 360) % 360 > 1, "E turns clockwise");
+    await page.keyboard.press("n");
     await page.waitForTimeout(300);
-    await page.keyboard.up(key);
-    return [from, (await read()).pose];
-  };
-  const [a, b] = await hold("ArrowUp");
-  assert.ok(b.lat > a.lat && Math.abs(b.h - a.h) < 0.1, "up goes north at the same height");
-  const [c, d] = await hold("e");
-  assert.ok((d.heading - c.heading + 360) % 360 > 1, "E turns clockwise");
-  await page.keyboard.press("n");
-  await page.waitForTimeout(300);
-  const { heading } = (await read()).pose;
-  assert.ok(Math.min(heading, 360 - heading) < 0.1, `N turns north up, heading is ${heading}`);
-  const [e, f] = await hold("+");
-  assert.ok(f.h < e.h, "+ goes closer");
+    const { heading } = (await read()).pose;
+    assert.ok(Math.min(heading, 360 - heading) < 0.1, `N turns north up, heading is ${heading}`);
+    const [e, f] = await hold("+");
+    assert.ok(f.h < e.h, "+ goes closer");
 });
 
 test("a shared link opens the same view", city, async () => {
-  await lookViewer(page, SOUTH);
-  await page.click("#share");
-  await page.waitForFunction(() => location.hash.startsWith("#camera="));
-  const { pose } = await read();
-  await page.reload();
-  await waitForViewer(page);
-  const { pose: again } = await read();
-  assert.ok(Math.abs(again.lon - pose.lon) < 2e-7 && Math.abs(again.lat - pose.lat) < 2e-7, "place");
-  assert.ok(Math.abs(again.h - pose.h) < 0.02, `height ${again.h}, was ${pose.h}`);
-  assert.ok(Math.abs(again.pitch - pose.pitch) < 0.01, `pitch ${again.pitch}, was ${pose.pitch}`);
-  const turn = Math.abs(((again.heading - pose.heading + 540) % 360) - 180);
-  assert.ok(turn < 0.01, `heading ${again.heading}, was ${pose.heading}`);
+    await lookViewer(page, SOUTH);
+    await page.click("#share");
+    await page.waitForFunction(() => location.hash.startsWith("#camera="));
+    const { pose } = await read();
+    await page.reload();
+    await waitForViewer(page);
+    const { pose: again } = await read();
+    assert.ok(
+        Math.abs(again.lon - pose.lon) < 2e-7 && Math.abs(again.lat - pose.lat) < 2e-7,
+        "place",
+    );
+    assert.ok(Math.abs(again.h - pose.h) < 0.02, `height ${again.h}, was ${pose.h}`);
+    assert.ok(Math.abs(again.pitch - pose.pitch) < 0.01, `pitch ${again.pitch}, was ${pose.pitch}`);
+    const turn = Math.abs(((again.heading - pose.heading + 540) % 360) - 180);
+    assert.ok(turn < 0.01, `heading ${again.heading}, was ${pose.heading}`);
 });
 
 test("without WebGL the server's pictures are shown", async () => {
-  const plain = await page.context().browser().newPage({ viewport: SIZE });
-  await plain.addInitScript(() => {
-    const getContext = HTMLCanvasElement.prototype.getContext;
-    HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
-      return kind.startsWith("webgl") ? null : getContext.call(this, kind, ...rest);
-    };
-  });
-  await plain.goto(source.url);
-  const text = await serverViewText(plain);
-  assert.match(await plain.textContent("#toast"), /no WebGL 2/);
-  if (!NO_DEVICE.test(text)) await plain.waitForSelector("#server-image.fresh");
-  assert.equal(await plain.isVisible("#problem"), false);
-  await plain.close();
+    const plain = await page.context().browser().newPage({ viewport: SIZE });
+    await plain.addInitScript(() => {
+        const getContext = HTMLCanvasElement.prototype.getContext;
+        HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+            return kind.startsWith("webgl") ? null : getContext.call(this, kind, ...rest);
+        };
+    });
+    await plain.goto(source.url);
+    const text = await serverViewText(plain);
+    assert.match(await plain.textContent("#toast"), /no WebGL 2/);
+    if (!NO_DEVICE.test(text)) await plain.waitForSelector("#server-image.fresh");
+    assert.equal(await plain.isVisible("#problem"), false);
+    await plain.close();
 });
 
 test("problems are said in words", async () => {
-  await page.goto(`${source.url}/?ds=no-such-scene`);
-  await page.waitForSelector("#problem:not([hidden])");
-  assert.match(await page.textContent("#problem-text"), /no scene "no-such-scene"/);
-  await page.goto(`${source.url}/?server=http://127.0.0.1:9`);
-  await page.waitForSelector("#problem:not([hidden])");
-  assert.match(await page.textContent("#problem-title"), /does not answer/);
+    await page.goto(`${source.url}/?ds=no-such-scene`);
+    await page.waitForSelector("#problem:not([hidden])");
+    assert.match(await page.textContent("#problem-text"), /no scene "no-such-scene"/);
+    await page.goto(`${source.url}/?server=http://127.0.0.1:9`);
+    await page.waitForSelector("#problem:not([hidden])");
+    assert.match(await page.textContent("#problem-title"), /does not answer/);
 });

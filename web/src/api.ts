@@ -34,7 +34,10 @@ async function getJson(url: URL): Promise<unknown> {
   try {
     response = await fetch(url);
   } catch {
-    throw new Problem("The server does not answer", `No reply from ${url.origin}. Is "citysplat serve" running?`);
+    throw new Problem(
+      "The server does not answer",
+      `No reply from ${url.origin}. Is "citysplat serve" running?`,
+    );
   }
   if (!response.ok) throw new Problem(`Error ${response.status}`, await describe(response, url));
   try {
@@ -82,8 +85,11 @@ export class Server {
   }
 
   private async dataSets(): Promise<DataSet[]> {
-    const body = (await getJson(new URL("collections", this.base))) as { collections?: Partial<DataSet>[] };
-    if (!Array.isArray(body?.collections)) throw new Problem("Not a citysplat server", "It lists no collections.");
+    const body = (await getJson(new URL("collections", this.base))) as {
+      collections?: Partial<DataSet>[];
+    };
+    if (!Array.isArray(body?.collections))
+      throw new Problem("Not a citysplat server", "It lists no collections.");
     return body.collections.map((c) => ({
       id: String(c.id),
       title: c.title || String(c.id),
@@ -97,9 +103,13 @@ export class Server {
     const { transform, boundingVolume } = doc.root ?? {};
     const box = boundingVolume?.box;
     if (transform?.length !== 16 || box?.length !== 12) {
-      throw new Problem("Unreadable tileset", `${url.pathname} has no root transform or bounding box.`);
+      throw new Problem(
+        "Unreadable tileset",
+        `${url.pathname} has no root transform or bounding box.`,
+      );
     }
-    const extent = (axis: number) => Math.abs(box[3 + axis]!) + Math.abs(box[6 + axis]!) + Math.abs(box[9 + axis]!);
+    const extent = (axis: number) =>
+      Math.abs(box[3 + axis]!) + Math.abs(box[6 + axis]!) + Math.abs(box[9 + axis]!);
     const credits = doc.asset?.extras?.cesium?.credits ?? [];
     return {
       url: url.href,

@@ -1,8 +1,9 @@
 // Camera poses as maps give them, and the scene's frame.
 //
-// The scene's world is three.js': x east, y up, z south, metres about the scene origin. A pose is a place on WGS 84
-// (degrees, ellipsoidal height), a heading clockwise from north, a pitch above the horizon and a vertical field
-// of view; heading and pitch are measured in the horizon at the camera.
+// The scene's world is three.js': x east, y up, z south, metres about the scene origin. A pose is a
+// place on WGS 84 (degrees, ellipsoidal height), a heading clockwise from north, a pitch above the
+// horizon and a vertical field of view; heading and pitch are measured in the horizon at the
+// camera.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { WGS84_ELLIPSOID } from "3d-tiles-renderer/three";
@@ -17,7 +18,11 @@ export interface Pose {
   fov: number;
 }
 
-const ENU_TO_WORLD = new Matrix4().makeBasis(new Vector3(1, 0, 0), new Vector3(0, 0, -1), new Vector3(0, 1, 0));
+const ENU_TO_WORLD = new Matrix4().makeBasis(
+  new Vector3(1, 0, 0),
+  new Vector3(0, 0, -1),
+  new Vector3(0, 1, 0),
+);
 
 export class Frame {
   readonly worldFromEcef = new Matrix4();
@@ -33,7 +38,9 @@ export class Frame {
     const eye = position.clone().applyMatrix4(this.ecefFromWorld);
     const { lat, lon, height } = WGS84_ELLIPSOID.getPositionToCartographic(eye, {});
     const enu = WGS84_ELLIPSOID.getEastNorthUpFrame(lat, lon, height, new Matrix4());
-    const ahead = new Vector3(0, 0, -1).applyQuaternion(rotation).transformDirection(this.ecefFromWorld);
+    const ahead = new Vector3(0, 0, -1)
+      .applyQuaternion(rotation)
+      .transformDirection(this.ecefFromWorld);
     ahead.transformDirection(enu.invert());
     return {
       lon: lon * MathUtils.RAD2DEG,
@@ -50,11 +57,18 @@ export class Frame {
     const lat = pose.lat * MathUtils.DEG2RAD;
     const lon = pose.lon * MathUtils.DEG2RAD;
     const enu = WGS84_ELLIPSOID.getEastNorthUpFrame(lat, lon, pose.h, new Matrix4());
-    const local = enu.premultiply(this.worldFromEcef).multiply(new Matrix4().copy(ENU_TO_WORLD).invert());
+    const local = enu
+      .premultiply(this.worldFromEcef)
+      .multiply(new Matrix4().copy(ENU_TO_WORLD).invert());
     const position = new Vector3();
     const rotation = new Quaternion();
     local.decompose(position, rotation, new Vector3());
-    const turn = new Euler(pose.pitch * MathUtils.DEG2RAD, -pose.heading * MathUtils.DEG2RAD, 0, "YXZ");
+    const turn = new Euler(
+      pose.pitch * MathUtils.DEG2RAD,
+      -pose.heading * MathUtils.DEG2RAD,
+      0,
+      "YXZ",
+    );
     return { position, rotation: rotation.multiply(new Quaternion().setFromEuler(turn)) };
   }
 }
@@ -68,9 +82,19 @@ export function formatPose(pose: Pose): string {
 
 export function parsePose(text: string): Pose | null {
   const [place = "", turn = "", ...rest] = text.split("@");
-  const numbers = [...place.split(","), ...turn.split(",")].map((v) => (v.trim() === "" ? NaN : Number(v)));
+  const numbers = [...place.split(","), ...turn.split(",")].map((v) =>
+    v.trim() === "" ? NaN : Number(v),
+  );
   if (rest.length || numbers.length !== 6 || !numbers.every(Number.isFinite)) return null;
-  const [lon, lat, h, heading, pitch, fov] = numbers as [number, number, number, number, number, number];
-  if (Math.abs(lon) > 180 || Math.abs(lat) > 90 || Math.abs(pitch) > 90 || fov < 1 || fov > 160) return null;
+  const [lon, lat, h, heading, pitch, fov] = numbers as [
+    number,
+    number,
+    number,
+    number,
+    number,
+    number,
+  ];
+  if (Math.abs(lon) > 180 || Math.abs(lat) > 90 || Math.abs(pitch) > 90 || fov < 1 || fov > 160)
+    return null;
   return { lon, lat, h, heading, pitch, fov };
 }

@@ -1,5 +1,5 @@
-// The page: finds the server and its scenes, wires camera, splats, server view and controls together, and keeps
-// window.citysplat for tests and for people at the console.
+// The page: finds the server and its scenes, wires camera, splats, server view and controls
+// together, and keeps window.citysplat for tests and for people at the console.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { Box3, Vector3 } from "three";
@@ -15,7 +15,7 @@ const SMALL_DEVICE = matchMedia("(pointer: coarse)").matches;
 const MEMORY_BYTES = (SMALL_DEVICE ? 192 : 768) * 2 ** 20;
 const PIXEL_RATIO_MAX = SMALL_DEVICE ? 1.5 : 2;
 const DETAIL_DEFAULT = SMALL_DEVICE ? 3 : 4;
-const DETAIL_MIDDLE = 4; // the slider position that means 16 px of error, one pixel of a typical Gaussian
+const DETAIL_MIDDLE = 4; // the slider position of 16 px of error: a typical Gaussian is one pixel
 const AWAKE_MS = 200; // keep drawing this long after the last event
 
 interface State {
@@ -67,7 +67,7 @@ let current: DataSet | null = null;
 let awakeUntil = 0;
 let touched = false; // the person has moved the camera, so it is theirs
 
-// ---- problems and notes ------------------------------------------------------------------------------------
+// ---- problems and notes -------------------------------------------------------------------------
 
 function showProblem(error: unknown) {
   const title = error instanceof Problem ? error.title : "Something went wrong";
@@ -87,7 +87,7 @@ function toast(text: string) {
   toastTimer = window.setTimeout(() => (box.hidden = true), 4000);
 }
 
-// ---- scenes ------------------------------------------------------------------------------------------------
+// ---- scenes -------------------------------------------------------------------------------------
 
 function extentOf(info: SceneInfo, frame: Frame): Box3 {
   const box = new Box3();
@@ -127,7 +127,9 @@ async function openScene(set: DataSet, pose: Pose | null) {
 
 function fillChooser(sets: DataSet[], chosen: DataSet) {
   const select = element<HTMLSelectElement>("dataset");
-  select.replaceChildren(...sets.map((set) => new Option(set.title, set.id, false, set === chosen)));
+  select.replaceChildren(
+    ...sets.map((set) => new Option(set.title, set.id, false, set === chosen)),
+  );
   element("chooser").hidden = sets.length < 2;
   select.onchange = () => {
     const set = sets.find((s) => s.id === select.value);
@@ -149,7 +151,7 @@ async function start() {
   await openScene(set, poseOfHash());
 }
 
-// ---- the address bar ---------------------------------------------------------------------------------------
+// ---- the address bar ----------------------------------------------------------------------------
 
 function poseOfHash(): Pose | null {
   const match = /^#camera=(.+)$/.exec(decodeURIComponent(location.hash));
@@ -174,7 +176,7 @@ async function share() {
   }
 }
 
-// ---- drawing -----------------------------------------------------------------------------------------------
+// ---- drawing ------------------------------------------------------------------------------------
 
 function wake() {
   awakeUntil = performance.now() + AWAKE_MS;
@@ -212,11 +214,15 @@ function showNumbers() {
   state.gaussians = stats.gaussians;
   state.bytes = stats.bytes;
   element("stat-gaussians").textContent = short(stats.gaussians);
-  element("stat-tiles").textContent = stats.pending ? `${stats.tiles} + ${stats.pending}` : String(stats.tiles);
-  element("stat-bytes").textContent = `${(stats.bytes / 1e6).toFixed(stats.bytes < 1e7 ? 2 : 1)} MB`;
+  element("stat-tiles").textContent = stats.pending
+    ? `${stats.tiles} + ${stats.pending}`
+    : String(stats.tiles);
+  element("stat-bytes").textContent =
+    `${(stats.bytes / 1e6).toFixed(stats.bytes < 1e7 ? 2 : 1)} MB`;
   element("stat-fps").textContent = frames.average ? (1000 / frames.average).toFixed(0) : "idle";
   element("progress").hidden = stats.pending === 0;
-  if (layer.failure && !state.error) showProblem(new Problem("The tiles cannot be shown", layer.failure.message));
+  if (layer.failure && !state.error)
+    showProblem(new Problem("The tiles cannot be shown", layer.failure.message));
 }
 
 let previous = 0;
@@ -249,7 +255,7 @@ function requestServerView() {
   serverView.schedule(server, current.id, pose, width, height);
 }
 
-// ---- buttons and keys --------------------------------------------------------------------------------------
+// ---- buttons and keys ---------------------------------------------------------------------------
 
 function toggleServerView(open = !serverView.open) {
   askedFor = "";
@@ -259,12 +265,13 @@ function toggleServerView(open = !serverView.open) {
 }
 
 function applyCompare() {
-  const mode = document.querySelector<HTMLInputElement>('input[name="mode"]:checked')!.value as Compare;
+  const mode = document.querySelector<HTMLInputElement>('input[name="mode"]:checked')!
+    .value as Compare;
   serverView.setCompare(mode, Number(element<HTMLInputElement>("amount").value) / 100);
 }
 
-// A step of the slider is a factor of two. A tile's error is 16 times the size of its typical Gaussian, which is
-// the number shown.
+// A step of the slider is a factor of two. A tile's error is 16 times the size of its typical
+// Gaussian, which is the number shown.
 function applyDetail() {
   const slider = element<HTMLInputElement>("detail");
   const pixels = 16 * 2 ** (DETAIL_MIDDLE - Number(slider.value));
@@ -306,7 +313,8 @@ function wireControls() {
     element<HTMLInputElement>("amount").value = String(100 * Math.min(1, Math.max(0, amount)));
     applyCompare();
   };
-  for (const radio of document.querySelectorAll('input[name="mode"]')) radio.addEventListener("change", applyCompare);
+  for (const radio of document.querySelectorAll('input[name="mode"]'))
+    radio.addEventListener("change", applyCompare);
   element<HTMLInputElement>("detail").value = String(DETAIL_DEFAULT);
   element("detail").addEventListener("input", applyDetail);
   for (const kind of ["pointerdown", "wheel", "keydown"]) {
@@ -326,7 +334,8 @@ function wireControls() {
   applyCompare();
 }
 
-// Without WebGL 2, or with ?thin in the address, the server draws every view: the camera works as usual.
+// Without WebGL 2, or with ?thin in the address, the server draws every view: the camera works as
+// usual.
 function startWithoutGraphics(thin: boolean) {
   if (!thin) toast("This browser has no WebGL 2: the server renders the pictures.");
   for (const id of ["detail", "detail-hint", "server-button"]) element(id).hidden = true;

@@ -1,5 +1,5 @@
-// The server's own rendering of the current camera, laid over the client's picture: faded or wiped, for
-// comparison, or alone where the browser cannot draw Gaussians.
+// The server's own rendering of the current camera, laid over the client's picture: faded or wiped,
+// for comparison, or alone where the browser cannot draw Gaussians.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { Problem, type Server } from "./api";
@@ -28,7 +28,8 @@ export class ServerView {
     image.addEventListener("load", () => image.classList.add("fresh"));
     divider.addEventListener("pointerdown", (event) => divider.setPointerCapture(event.pointerId));
     divider.addEventListener("pointermove", (event) => {
-      if (divider.hasPointerCapture(event.pointerId)) this.onDrag(1 - event.clientX / image.clientWidth);
+      if (divider.hasPointerCapture(event.pointerId))
+        this.onDrag(1 - event.clientX / image.clientWidth);
     });
   }
 
@@ -67,21 +68,37 @@ export class ServerView {
   }
 
   private async fetch(server: Server, id: string, pose: Pose, width: number, height: number) {
-    const shrink = Math.min(1, SIDE_MAX_PX / Math.max(width, height), Math.sqrt(AREA_MAX_PX / (width * height)));
-    const [w, h] = [Math.max(16, Math.round(width * shrink)), Math.max(16, Math.round(height * shrink))];
+    const shrink = Math.min(
+      1,
+      SIDE_MAX_PX / Math.max(width, height),
+      Math.sqrt(AREA_MAX_PX / (width * height)),
+    );
+    const [w, h] = [
+      Math.max(16, Math.round(width * shrink)),
+      Math.max(16, Math.round(height * shrink)),
+    ];
     const request = new AbortController();
     this.request = request;
     this.say("The server is rendering …", true);
     try {
-      const { blob, milliseconds } = await server.view(server.viewUrl(id, pose, w, h), request.signal);
+      const { blob, milliseconds } = await server.view(
+        server.viewUrl(id, pose, w, h),
+        request.signal,
+      );
       URL.revokeObjectURL(this.objectUrl);
       this.objectUrl = URL.createObjectURL(blob);
       this.image.src = this.objectUrl;
-      const size = blob.size < 1e6 ? `${Math.round(blob.size / 1e3)} kB` : `${(blob.size / 1e6).toFixed(1)} MB`;
+      const size =
+        blob.size < 1e6
+          ? `${Math.round(blob.size / 1e3)} kB`
+          : `${(blob.size / 1e6).toFixed(1)} MB`;
       this.say(`${w} × ${h} px, ${size}, ${(milliseconds / 1000).toFixed(2)} s`, false);
     } catch (error) {
       if (request.signal.aborted) return;
-      this.say(error instanceof Problem ? `${error.title}. ${error.message}` : String(error), false);
+      this.say(
+        error instanceof Problem ? `${error.title}. ${error.message}` : String(error),
+        false,
+      );
     }
   }
 

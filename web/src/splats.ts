@@ -1,6 +1,6 @@
-// The city on the graphics card: 3d-tiles-renderer picks and loads tiles, this file turns each glTF tile with
-// KHR_gaussian_splatting into a Spark mesh, and one SparkRenderer sorts and draws the Gaussians of all tiles
-// together.
+// The city on the graphics card: 3d-tiles-renderer picks and loads tiles, this file turns each glTF
+// tile with KHR_gaussian_splatting into a Spark mesh, and one SparkRenderer sorts and draws the
+// Gaussians of all tiles together.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { ExtSplats, SparkRenderer, SplatMesh } from "@sparkjsdev/spark";
@@ -20,7 +20,7 @@ const BLUR_PX2 = 0.3; // low-pass of 3D Gaussian splatting, variance in pixels
 const RETRIES = 4;
 const RETRY_AFTER_S = 5; // failed tiles are asked for again
 
-// ---- decoding, in two workers ------------------------------------------------------------------------------
+// ---- decoding, in two workers -------------------------------------------------------------------
 
 type Reply = { id: number; splats?: DecodedSplats; error?: string };
 type Waiter = { resolve: (splats: DecodedSplats) => void; reject: (error: Error) => void };
@@ -62,7 +62,7 @@ class DecoderPool {
   }
 }
 
-// ---- a glTF primitive -> a mesh ----------------------------------------------------------------------------
+// ---- a glTF primitive -> a mesh -----------------------------------------------------------------
 
 // What is known of a loaded tile, kept in its mesh's userData.
 export interface TileFacts {
@@ -80,7 +80,8 @@ interface SplatExtension {
   extensions?: Record<string, { bufferView: number }>;
 }
 
-// GLTFLoader asks for a mesh, so this may only construct it: its arrays are complete before it returns.
+// GLTFLoader asks for a mesh, so this may only construct it: its arrays are complete before it
+// returns.
 class SplatPlugin implements GLTFLoaderPlugin {
   readonly name = EXT;
 
@@ -97,12 +98,20 @@ class SplatPlugin implements GLTFLoaderPlugin {
 
   private async loadSplats(extension: SplatExtension): Promise<Group> {
     const view = extension.extensions?.[EXT_SPZ]?.bufferView;
-    if (view === undefined) throw new Error(`${EXT} without ${EXT_SPZ}: this client reads SPZ tiles`);
-    const gzip = new Uint8Array((await this.parser.getDependency("bufferView", view)) as ArrayBuffer);
-    const binary = this.parser.extensions["KHR_binary_glTF"] as { header: { length: number } } | undefined;
+    if (view === undefined)
+      throw new Error(`${EXT} without ${EXT_SPZ}: this client reads SPZ tiles`);
+    const gzip = new Uint8Array(
+      (await this.parser.getDependency("bufferView", view)) as ArrayBuffer,
+    );
+    const binary = this.parser.extensions["KHR_binary_glTF"] as
+      { header: { length: number } } | undefined;
     const fileBytes = binary?.header.length ?? gzip.byteLength;
     const splats = await this.decoders.decode(gzip);
-    const extSplats = new ExtSplats({ extArrays: [splats.extA, splats.extB], numSplats: splats.count, extra: splats.sh });
+    const extSplats = new ExtSplats({
+      extArrays: [splats.extA, splats.extB],
+      numSplats: splats.count,
+      extra: splats.sh,
+    });
     const mesh = new SplatMesh({ extSplats, raycastable: false, editable: false });
     const arrays = [splats.extA, splats.extB, ...Object.values(splats.sh)];
     const facts: TileFacts = {
@@ -139,7 +148,8 @@ function hasCoarser(tile: Tile): boolean {
 async function fetchPatiently(url: string, options: RequestInit): Promise<Response> {
   for (let attempt = 0; ; attempt++) {
     const response = await fetch(url, options);
-    if ((response.status !== 503 && response.status !== 429) || attempt === RETRIES) return response;
+    if ((response.status !== 503 && response.status !== 429) || attempt === RETRIES)
+      return response;
     const seconds = Number(response.headers.get("retry-after")) || 1;
     await new Promise((resolve) => setTimeout(resolve, 1000 * Math.min(seconds, 10)));
     options.signal?.throwIfAborted();
@@ -153,7 +163,7 @@ type Tiles = TilesRenderer & {
 };
 type TileEngine = { engineData?: { scene: Object3D | null } };
 
-// ---- the layer ---------------------------------------------------------------------------------------------
+// ---- the layer ----------------------------------------------------------------------------------
 
 export interface LayerStats {
   tiles: number; // drawn now
@@ -184,7 +194,11 @@ export class SplatLayer {
     private readonly camera: PerspectiveCamera,
   ) {
     // No multisampling: splats have no edges to smooth, and it costs.
-    this.renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: "high-performance" });
+    this.renderer = new WebGLRenderer({
+      canvas,
+      antialias: false,
+      powerPreference: "high-performance",
+    });
     this.renderer.setClearColor(0x000000); // as in the server's pictures
     // Extended accumulators: float32 centres and half-float colours also between decode and draw.
     this.spark = new SparkRenderer({
@@ -198,7 +212,9 @@ export class SplatLayer {
     this.scene.add(this.spark);
     canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
-      this.error = new Error("The graphics card dropped this page (out of memory?). Reload to continue.");
+      this.error = new Error(
+        "The graphics card dropped this page (out of memory?). Reload to continue.",
+      );
       this.onWake();
     });
   }
@@ -240,7 +256,8 @@ export class SplatLayer {
       fetchData: fetchPatiently,
       calculateBytesUsed: (_tile: Tile, scene: Object3D | null) => factsOf(scene)?.memoryBytes ?? 0,
     });
-    // Tiles near the frame's origin: float32 matrices at the distance of the Earth's centre would shake.
+    // Tiles near the frame's origin: float32 matrices at the distance of the Earth's centre would
+    // shake.
     frame.worldFromEcef.decompose(tiles.group.position, tiles.group.quaternion, tiles.group.scale);
     tiles.group.updateMatrixWorld(true);
     tiles.setCamera(this.camera);
@@ -315,7 +332,8 @@ export class SplatLayer {
       this.tiles.update();
     }
     this.renderer.render(this.scene, this.camera);
-    // Sorting ends between frames: a frame shows the final order if nothing was under way before and after it.
+    // Sorting ends between frames: a frame shows the final order if nothing was under way before
+    // and after it.
     this.quietFrames = calm && !this.busy() ? this.quietFrames + 1 : 0;
   }
 

@@ -1,9 +1,10 @@
-// SPZ version 3 -> the textures Spark draws from ("extended splats": float32 centres, half-float colour and
-// scale, 10+10+12-bit rotation).
+// SPZ version 3 -> the textures Spark draws from ("extended splats": float32 centres, half-float
+// colour and scale, 10+10+12-bit rotation).
 //
-// Spark can read .spz itself, but its compact form keeps centres as half floats (3 cm steps at 50 m) and its
-// extended form, filled by its own loader, rounds each harmonic down to a power of two. Filling the extended
-// arrays here keeps both exact and takes the antialiasing flag from the header. Runs in a worker.
+// Spark can read .spz itself, but its compact form keeps centres as half floats (3 cm steps at 50
+// m) and its extended form, filled by its own loader, rounds each harmonic down to a power of two.
+// Filling the extended arrays here keeps both exact and takes the antialiasing flag from the
+// header. Runs in a worker.
 //
 // SPDX-License-Identifier: Apache-2.0
 
@@ -44,7 +45,8 @@ function halfFrom(value: number): number {
 }
 
 // Every field but position, rotation and harmonics is one byte: 256 halves each.
-const table = (f: (byte: number) => number) => Uint16Array.from({ length: 256 }, (_, i) => halfFrom(f(i)));
+const table = (f: (byte: number) => number) =>
+  Uint16Array.from({ length: 256 }, (_, i) => halfFrom(f(i)));
 const ALPHA = table((v) => v / 255);
 const COLOR = table((v) => 0.5 + (SH_C0 * (v / 255 - 0.5)) / 0.15);
 const SCALE = table((v) => v / 16 - 10);
@@ -71,7 +73,8 @@ function packRotation(x: number, y: number, z: number, w: number): number {
   return ((Math.round((angle * 4095) / Math.PI) << 20) | (quantV << 10) | quantU) >>> 0;
 }
 
-// "Smallest three": index of the largest in the top bits, then sign and 9-bit magnitude of the others.
+// "Smallest three": index of the largest in the top bits, then sign and 9-bit magnitude of the
+// others.
 function convertRotation(packed: number): number {
   const largest = packed >>> 30;
   const q = [0, 0, 0, 0];
@@ -88,8 +91,8 @@ function convertRotation(packed: number): number {
   return packRotation(q[0]!, q[1]!, q[2]!, q[3]!);
 }
 
-// One harmonic coefficient (r, g, b bytes about 128) -> shared exponent and three 8-bit magnitudes. The
-// exponent is the one above the largest value, so nothing saturates.
+// One harmonic coefficient (r, g, b bytes about 128) -> shared exponent and three 8-bit magnitudes.
+// The exponent is the one above the largest value, so nothing saturates.
 function packHarmonic(r: number, g: number, b: number): number {
   const [vr, vg, vb] = [r - 128, g - 128, b - 128];
   const largest = Math.max(Math.abs(vr), Math.abs(vg), Math.abs(vb));
@@ -98,10 +101,18 @@ function packHarmonic(r: number, g: number, b: number): number {
   const unit = 255 / (128 * 2 ** (exponent - 15));
   const signs = (vr < 0 ? 1 : 0) | (vg < 0 ? 2 : 0) | (vb < 0 ? 4 : 0);
   const magnitude = (v: number) => Math.round(Math.abs(v) * unit);
-  return ((exponent << 27) | (signs << 24) | (magnitude(vb) << 16) | (magnitude(vg) << 8) | magnitude(vr)) >>> 0;
+  return (
+    ((exponent << 27) |
+      (signs << 24) |
+      (magnitude(vb) << 16) |
+      (magnitude(vg) << 8) |
+      magnitude(vr)) >>>
+    0
+  );
 }
 
-// Where coefficient k (0-based, without DC) of a Gaussian goes: which array and which of its four words.
+// Where coefficient k (0-based, without DC) of a Gaussian goes: which array and which of its four
+// words.
 function harmonicSlot(k: number): [string, number] {
   if (k < 3) return ["sh1", k];
   if (k === 3) return ["sh1", 3];
@@ -109,9 +120,12 @@ function harmonicSlot(k: number): [string, number] {
   return k < 12 ? ["sh3a", k - 8] : ["sh3b", k - 12];
 }
 
-// Weighted by the area a Gaussian covers, so that a few large ones on open ground count as much as many small
-// ones on a tower, but no single one counts more than four typical ones.
-function percentiles(extA: Uint32Array<ArrayBuffer>, areas: Float32Array<ArrayBuffer>): DecodedSplats["core"] {
+// Weighted by the area a Gaussian covers, so that a few large ones on open ground count as much as
+// many small ones on a tower, but no single one counts more than four typical ones.
+function percentiles(
+  extA: Uint32Array<ArrayBuffer>,
+  areas: Float32Array<ArrayBuffer>,
+): DecodedSplats["core"] {
   const centres = new Float32Array(extA.buffer);
   const step = Math.max(1, Math.floor(areas.length / 20000));
   const rows = Array.from({ length: Math.ceil(areas.length / step) }, (_, i) => i * step);
@@ -122,7 +136,8 @@ function percentiles(extA: Uint32Array<ArrayBuffer>, areas: Float32Array<ArrayBu
     const order = rows.toSorted((a, b) => centres[4 * a + axis]! - centres[4 * b + axis]!);
     const at = (share: number) => {
       let sum = 0;
-      const row = order.find((i) => (sum += weight(i)) >= share * total) ?? order[order.length - 1]!;
+      const row =
+        order.find((i) => (sum += weight(i)) >= share * total) ?? order[order.length - 1]!;
       return centres[4 * row + axis]!;
     };
     return [at(0.02), at(0.98)];

@@ -1,5 +1,6 @@
-// The camera and how a person moves it: mouse and touch through three.js' MapControls, the keyboard here. Needs
-// no graphics card, so it also drives the server-rendered view of browsers without WebGL 2.
+// The camera and how a person moves it: mouse and touch through three.js' MapControls, the keyboard
+// here. Needs no graphics card, so it also drives the server-rendered view of browsers without
+// WebGL 2.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { Box3, MathUtils, Matrix4, PerspectiveCamera, Spherical, Vector3 } from "three";
@@ -14,11 +15,24 @@ const MARGIN = 1.1;
 
 // Held keys and what they do per second.
 const KEYS: Record<string, [action: "east" | "north" | "turn" | "tilt" | "zoom", sign: number]> = {
-  ArrowRight: ["east", 1], KeyD: ["east", 1], ArrowLeft: ["east", -1], KeyA: ["east", -1],
-  ArrowUp: ["north", 1], KeyW: ["north", 1], ArrowDown: ["north", -1], KeyS: ["north", -1],
-  KeyE: ["turn", 1], KeyQ: ["turn", -1], KeyR: ["tilt", 1], KeyF: ["tilt", -1],
-  Equal: ["zoom", 1], NumpadAdd: ["zoom", 1], PageUp: ["zoom", 1],
-  Minus: ["zoom", -1], NumpadSubtract: ["zoom", -1], PageDown: ["zoom", -1],
+  ArrowRight: ["east", 1],
+  KeyD: ["east", 1],
+  ArrowLeft: ["east", -1],
+  KeyA: ["east", -1],
+  ArrowUp: ["north", 1],
+  KeyW: ["north", 1],
+  ArrowDown: ["north", -1],
+  KeyS: ["north", -1],
+  KeyE: ["turn", 1],
+  KeyQ: ["turn", -1],
+  KeyR: ["tilt", 1],
+  KeyF: ["tilt", -1],
+  Equal: ["zoom", 1],
+  NumpadAdd: ["zoom", 1],
+  PageUp: ["zoom", 1],
+  Minus: ["zoom", -1],
+  NumpadSubtract: ["zoom", -1],
+  PageDown: ["zoom", -1],
 };
 const PAN_PER_S = 0.6; // of the distance to the target
 const TURN_RAD_PER_S = 1.2;
@@ -53,7 +67,8 @@ export class Stage {
     window.addEventListener("blur", () => this.held.clear());
   }
 
-  // What the camera looks at, in world metres. Heights are those of most Gaussians, so the lower face is ground.
+  // What the camera looks at, in world metres. Heights are those of most Gaussians, so the lower
+  // face is ground.
   setExtent(box: Box3) {
     this.box.copy(box);
     const size = box.getSize(new Vector3()).length();
@@ -66,7 +81,11 @@ export class Stage {
     const target = this.box.getCenter(new Vector3());
     target.y = MathUtils.lerp(this.box.min.y, this.box.max.y, 0.3);
     const away = new Vector3().setFromSpherical(
-      new Spherical(1, MathUtils.degToRad(90 + HOME_PITCH_DEG), MathUtils.degToRad(-HOME_HEADING_DEG)),
+      new Spherical(
+        1,
+        MathUtils.degToRad(90 + HOME_PITCH_DEG),
+        MathUtils.degToRad(-HOME_HEADING_DEG),
+      ),
     );
     this.camera.fov = FOV_DEG;
     const distance = this.distanceToFit(target, away) * MARGIN;
@@ -110,7 +129,8 @@ export class Stage {
     const ahead = new Vector3(0, 0, -1).applyQuaternion(rotation);
     const size = this.box.getSize(new Vector3()).length();
     const fall = (position.y - this.box.min.y) / Math.max(-ahead.y, 1e-6);
-    const distance = ahead.y < -0.02 && fall > 1 ? Math.min(fall, size * 2) : Math.max(size / 4, 10);
+    const distance =
+      ahead.y < -0.02 && fall > 1 ? Math.min(fall, size * 2) : Math.max(size / 4, 10);
     this.controls.target.copy(position).addScaledVector(ahead, distance);
     this.settle();
   }
@@ -186,9 +206,17 @@ export class Stage {
     const offset = this.camera.position.clone().sub(target);
     const angles = new Spherical().setFromVector3(offset);
     angles.theta -= move.turn * TURN_RAD_PER_S;
-    angles.phi = MathUtils.clamp(angles.phi - move.tilt * TURN_RAD_PER_S, 0.01, this.controls.maxPolarAngle);
+    angles.phi = MathUtils.clamp(
+      angles.phi - move.tilt * TURN_RAD_PER_S,
+      0.01,
+      this.controls.maxPolarAngle,
+    );
     angles.radius *= Math.exp(-move.zoom * ZOOM_PER_S);
-    angles.radius = MathUtils.clamp(angles.radius, this.controls.minDistance, this.controls.maxDistance);
+    angles.radius = MathUtils.clamp(
+      angles.radius,
+      this.controls.minDistance,
+      this.controls.maxDistance,
+    );
     const step = angles.radius * PAN_PER_S;
     const [sin, cos] = [Math.sin(angles.theta), Math.cos(angles.theta)];
     target.x += step * (move.east * cos - move.north * sin);

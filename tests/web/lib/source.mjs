@@ -1,5 +1,6 @@
-// Where the tests' tiles come from: a given tile store (CITYSPLAT_TILES), the mock server (CITYSPLAT_MOCK=1), or,
-// as a rule, the test city written as .ply, imported and served by the real program (CITYSPLAT_BIN).
+// Where the tests' tiles come from: a given tile store (CITYSPLAT_TILES), the mock server
+// (CITYSPLAT_MOCK=1), or, as a rule, the test city written as .ply, imported and served by the real
+// program (CITYSPLAT_BIN).
 //
 // SPDX-License-Identifier: Apache-2.0
 import { spawn, spawnSync } from "node:child_process";
@@ -19,78 +20,88 @@ export const BIN = process.env.CITYSPLAT_BIN;
 export const GIVEN_TILES = process.env.CITYSPLAT_TILES;
 export const MOCK = process.env.CITYSPLAT_MOCK === "1";
 
-
 function importCity(dir) {
-  const ply = join(dir, "city.ply");
-  const tiles = join(dir, "city.tiles");
-  writeFileSync(ply, writePly(makeCity(), ORIGIN));
-  const args = ["import", ply, "--output", tiles, "--name", "fcity", "--tile-edge-m", "60",
-    "--attribution", "Test city, drawn by code"];
-  const run = spawnSync(BIN, args, { encoding: "utf8" });
-  if (run.status !== 0) throw new Error(`citysplat ${args.join(" ")}\n${run.stdout}${run.stderr}`);
-  return tiles;
+    const ply = join(dir, "city.ply");
+    const tiles = join(dir, "city.tiles");
+    writeFileSync(ply, writePly(makeCity(), ORIGIN));
+    const args = [
+        "import",
+        ply,
+        "--output",
+        tiles,
+        "--name",
+        "fcity",
+        "--tile-edge-m",
+        "60",
+        "--attribution",
+        "Test city, drawn by code",
+    ];
+    const run = spawnSync(BIN, args, { encoding: "utf8" });
+    if (run.status !== 0)
+        throw new Error(`citysplat ${args.join(" ")}\n${run.stdout}${run.stderr}`);
+    return tiles;
 }
 
 // Starts `citysplat serve` on a free port; resolves with its address and a function that ends it.
 function serve(tiles) {
-  const args = ["serve", tiles, "--port", "0", "--web-dir", WEB_DIST];
-  const child = spawn(BIN, args, { stdio: ["ignore", "pipe", "pipe"] });
-  let said = "";
-  const close = () =>
-    new Promise((done) => {
-      if (child.exitCode !== null || child.signalCode !== null) return done();
-      child.once("exit", done);
-      child.kill("SIGTERM");
+    const args = ["serve", tiles, "--port", "0", "--web-dir", WEB_DIST];
+    const child = spawn(BIN, args, { stdio: ["ignore", "pipe", "pipe"] });
+    let said = "";
+    const close = () =>
+        new Promise((done) => {
+            if (child.exitCode !== null || child.signalCode !== null) return done();
+            child.once("exit", done);
+            child.kill("SIGTERM");
+        });
+    return new Promise((resolve, reject) => {
+        const timer = setTimeout(() => fail("no address after a minute"), START_TIMEOUT_MS);
+        const fail = (why) => {
+            clearTimeout(timer);
+            child.kill("SIGKILL");
+            reject(new Error(`citysplat ${args.join(" ")}: ${why}\n${said}`));
+        };
+        const listen = (chunk) => {
+            said += chunk;
+            const match = /http:\/\/[\w.[\]:]+:\d+/.exec(said);
+            if (!match) return;
+            clearTimeout(timer);
+            resolve({ url: match[0], close });
+        };
+        child.stdout.on("data", listen);
+        child.stderr.on("data", listen);
+        child.once("error", (e) => fail(e.message));
+        child.once("exit", (code) => fail(`exit ${code}`));
     });
-  return new Promise((resolve, reject) => {
-    const timer = setTimeout(() => fail("no address after a minute"), START_TIMEOUT_MS);
-    const fail = (why) => {
-      clearTimeout(timer);
-      child.kill("SIGKILL");
-      reject(new Error(`citysplat ${args.join(" ")}: ${why}\n${said}`));
-    };
-    const listen = (chunk) => {
-      said += chunk;
-      const match = /http:\/\/[\w.[\]:]+:\d+/.exec(said);
-      if (!match) return;
-      clearTimeout(timer);
-      resolve({ url: match[0], close });
-    };
-    child.stdout.on("data", listen);
-    child.stderr.on("data", listen);
-    child.once("error", (e) => fail(e.message));
-    child.once("exit", (code) => fail(`exit ${code}`));
-  });
 }
 
 // { url, city, close }: a running server; city tells whether it holds the test city.
 export async function openSource() {
-  if (MOCK) return { ...(await startMock()), city: true };
-  if (GIVEN_TILES) return { ...(await serve(GIVEN_TILES)), city: false };
-  const dir = mkdtempSync(join(tmpdir(), "citysplat-web-"));
-  const clean = () => rmSync(dir, { recursive: true, force: true });
-  try {
-    const server = await serve(importCity(dir));
-    return { ...server, city: true, close: () => server.close().finally(clean) };
-  } catch (error) {
-    clean();
-    throw error;
-  }
+    if (MOCK) return { ...(await startMock()), city: true };
+    if (GIVEN_TILES) return { ...(await serve(GIVEN_TILES)), city: false };
+    const dir = mkdtempSync(join(tmpdir(), "citysplat-web-"));
+    const clean = () => rmSync(dir, { recursive: true, force: true });
+    try {
+        const server = await serve(importCity(dir));
+        return { ...server, city: true, close: () => server.close().finally(clean) };
+    } catch (error) {
+        clean();
+        throw error;
+    }
 }
 
 export async function getJson(url) {
-  const response = await fetch(url);
-  if (!response.ok) throw new Error(`${url}: ${response.status} ${await response.text()}`);
-  return response.json();
+    const response = await fetch(url);
+    if (!response.ok) throw new Error(`${url}: ${response.status} ${await response.text()}`);
+    return response.json();
 }
 
 export async function getBytes(url) {
-  const response = await fetch(url);
-  if (!response.ok) throw new Error(`${url}: ${response.status} ${await response.text()}`);
-  return Buffer.from(await response.arrayBuffer());
+    const response = await fetch(url);
+    if (!response.ok) throw new Error(`${url}: ${response.status} ${await response.text()}`);
+    return Buffer.from(await response.arrayBuffer());
 }
 
 // Name of the first data set.
 export async function firstDataSet(url) {
-  return (await getJson(`${url}/collections`)).collections[0].id;
+    return (await getJson(`${url}/collections`)).collections[0].id;
 }
