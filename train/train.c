@@ -87,7 +87,7 @@ static enum err_code train_paths(struct train *t, struct err *e)
         rc = file_join(t->cell_dir, cells, t->level.cell.id, e);
     if (!rc)
         rc = file_join(t->resume_path, t->cell_dir, "resume.ckpt", e);
-    return rc ? rc : file_mkdir(t->cell_dir, e);
+    return rc;
 }
 
 static enum err_code train_level_path(const struct train *t, uint32_t level, char *out, struct err *e)
@@ -169,7 +169,10 @@ static enum err_code train_open_record(struct train *t, struct err *e)
 {
     char path[FILE_PATH_MAX];
     struct level *l = &t->level;
-    enum err_code rc = file_join(path, t->cfg->output ? t->cfg->output : t->scene_dir, "metrics.jsonl", e);
+    /* The first thing written: nothing is left behind when the scene or the device cannot be opened. */
+    enum err_code rc = file_mkdir(t->cell_dir, e);
+    if (!rc)
+        rc = file_join(path, t->cfg->output ? t->cfg->output : t->scene_dir, "metrics.jsonl", e);
     if (!rc)
         rc = record_open(path, t->cfg->resume, &l->record, e);
     if (rc)
