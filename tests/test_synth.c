@@ -1,0 +1,291 @@
+/* The procedural city: same seed, same bytes; model, depth, EXIF and truth tell one story.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <jansson.h>
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "kit.h"
+#include "train/synth.h"
+
+static const double tol_gps_m = 0.02; /* EXIF keeps 1e-4 seconds of arc or better, and centimetres */
+
+struct city {
+    char dir[FILE_PATH_MAX];
+    struct synth_config cfg;
+    struct arena arena;
+};
+
+static void city_defaults(struct city *c, const char *tmp, const char *name)
+{
+    struct err e = {0};
+    memset(c, 0, sizeof *c);
+    snprintf(c->dir, sizeof c->dir, "%.3000s/%s", tmp, name);
+    kit_ok(options_defaults(synth_options(), &c->cfg, &c->arena, &e), e);
+    c->cfg.output = c->dir;
+    c->cfg.photos = 16;
+    c->cfg.width_px = 80;
+    c->cfg.height_px = 60;
+    c->cfg.extent_m = 80;
+    c->cfg.points = 1200;
+    c->cfg.supersample = 1;
+}
+
+static void city_make(struct city *c)
+{
+    struct err e = {0};
+    kit_ok(synth_run(&c->cfg, &e), e);
+}
+
+static void read_file(const struct city *c, const char *name, struct buf *out)
+{
+    char path[FILE_PATH_MAX];
+    struct err e = {0};
+    kit_ok(file_join(path, c->dir, name, &e), e);
+    kit_ok(file_read(path, 0, out, &e), e);
+}
+
+static bool same_file(const struct city *a, const struct city *b, const char *name)
+{
+    struct buf x = {0}, y = {0};
+    read_file(a, name, &x);
+    read_file(b, name, &y);
+    bool same = x.size == y.size && !memcmp(x.data, y.data, x.size);
+    buf_free(&x);
+    buf_free(&y);
+    return same;
+}
+
+static void test_same_seed_same_bytes(void **state)
+{
+    (void)state;
+    static const char *const files[] = {"images/IMG_0003.jpg",    "images/IMG_0016.jpg",  "sparse/0/cameras.bin",
+                                        "sparse/0/images.bin",    "sparse/0/points3D.bin", "truth/truth.json",
+                                        "truth/clean/IMG_0009.png", "truth/depth/IMG_0009.npy"};
+    char tmp[FILE_PATH_MAX];
+    struct city a, b, c;
+    kit_tmpdir(tmp);
+    city_defaults(&a, tmp, "a");
+    city_defaults(&b, tmp, "b");
+    city_defaults(&c, tmp, "c");
+    a.cfg.vehicle_share = b.cfg.vehicle_share = c.cfg.vehicle_share = 0.5;
+    a.cfg.exposure_ev = b.cfg.exposure_ev = c.cfg.exposure_ev = 0.3;
+    c.cfg.seed = 2;
+    city_make(&a);
+    city_make(&b);
+    city_make(&c);
+    for (size_t i = 0; i < sizeof files / sizeof *files; i++) {
+        if (!same_file(&a, &b, files[i]))
+            fail_msg("%s differs between two runs", files[i]);
+        if (strcmp(files[i], "sparse/0/cameras.bin") && same_file(&a, &c, files[i]))
+            fail_msg("%s does not depend on the seed", files[i]);
+    }
+    /* A city is not overwritten unless asked, and nothing else ever is. */
+    struct err e = {0};
+    kit_fails(synth_run(&a.cfg, &e), ERR_ARG, e, "--overwrite");
+    a.cfg.overwrite = true;
+    kit_ok(synth_run(&a.cfg, &e), e);
+    a.cfg.output = tmp;
+    kit_fails(synth_run(&a.cfg, &e), ERR_ARG, e, "not made by this command");
+    arena_free(&a.arena);
+    arena_free(&b.arena);
+    arena_free(&c.arena);
+    kit_rmdir(tmp);
+}
+
+struct truth { /* of one photograph */
+    double m[16], gps[3];
+    bool test, outlier, pose_error, vehicles;
+    int flight;
+};
+
+static json_t *truth_open(const struct city *c, double *scale, double rot[9], double trans[3])
+{
+    char path[FILE_PATH_MAX];
+    struct err e = {0};
+    json_t *root;
+    kit_ok(file_join(path, c->dir, "truth/truth.json", &e), e);
+    kit_ok(jsonc_read(path, &root, &e), e);
+    const json_t *s = json_object_get(root, "colmap_to_enu");
+    kit_ok(jsonc_num(s, "scale", scale, &e), e);
+    kit_ok(jsonc_nums(s, "rot", 9, rot, &e), e);
+    kit_ok(jsonc_nums(s, "trans", 3, trans, &e), e);
+    return root;
+}
+
+static struct truth truth_of(const json_t *root, size_t i)
+{
+    struct truth t;
+    struct err e = {0};
+    const json_t *p = json_array_get(json_object_get(root, "photographs"), i);
+    kit_ok(jsonc_nums(p, "world_to_camera", 16, t.m, &e), e);
+    kit_ok(jsonc_nums(p, "gps_enu_m", 3, t.gps, &e), e);
+    t.test = json_is_true(json_object_get(p, "test"));
+    t.outlier = json_is_true(json_object_get(p, "gps_outlier"));
+    t.pose_error = json_is_true(json_object_get(p, "pose_error"));
+    t.vehicles = json_is_true(json_object_get(p, "vehicles"));
+    t.flight = (int)json_integer_value(json_object_get(p, "flight"));
+    return t;
+}
+
+/* Every observation against the true poses, and the depth map of test photographs against the points. */
+static void check_model(const struct city *c)
+{
+    double scale, rot[9], trans[3], sum = 0, worst_mean = 0;
+    struct colmap_model m;
+    struct err e = {0};
+    json_t *root = truth_open(c, &scale, rot, trans);
+    kit_ok(colmap_read(c->dir, &m, &e), e);
+    assert_int_equal(m.n_images, c->cfg.photos);
+    assert_true(m.n_points > 600);
+    size_t n = 0, n_depth = 0, n_deep = 0;
+    for (size_t i = 0; i < m.n_images; i++) {
+        struct truth t = truth_of(root, i);
+        float *depth = NULL;
+        size_t shape[2] = {0};
+        double mean = 0;
+        if (t.test) {
+            char path[FILE_PATH_MAX + 64];
+            snprintf(path, sizeof path, "%s/truth/depth/IMG_%04zu.npy", c->dir, i + 1);
+            kit_ok(npy_read(path, 2, shape, &depth, &e), e);
+            assert_int_equal(shape[0], c->cfg.height_px);
+            assert_int_equal(shape[1], c->cfg.width_px);
+        }
+        for (size_t k = 0; k < m.images[i].n_obs; k++) {
+            const struct colmap_observation *o = &m.images[i].obs[k];
+            const double *x = m.points[o->point].xyz;
+            double y[3], v[3], px[2];
+            for (int a = 0; a < 3; a++)
+                y[a] = scale * (rot[3 * a] * x[0] + rot[3 * a + 1] * x[1] + rot[3 * a + 2] * x[2]) + trans[a];
+            for (int a = 0; a < 3; a++)
+                v[a] = t.m[4 * a] * y[0] + t.m[4 * a + 1] * y[1] + t.m[4 * a + 2] * y[2] + t.m[4 * a + 3];
+            lens_distort(&m.cameras[0].lens, v[0] / v[2], v[1] / v[2], &px[0], &px[1]);
+            mean += hypot(px[0] - o->x_px, px[1] - o->y_px);
+            if (depth && o->x_px > 0 && o->y_px > 0 && o->x_px < (double)shape[1] && o->y_px < (double)shape[0]) {
+                double z = (double)depth[(size_t)o->y_px * shape[1] + (size_t)o->x_px];
+                n_depth++;
+                n_deep += fabs(z - v[2]) < 0.03 * v[2];
+            }
+        }
+        mem_free(depth);
+        sum += mean;
+        n += m.images[i].n_obs;
+        worst_mean = fmax(worst_mean, mean / (double)m.images[i].n_obs);
+    }
+    /* 0.35 px of feature noise and 0.4 px of place noise per axis make 0.67 px on average. */
+    if (sum / (double)n > 0.9 || worst_mean > 1.2)
+        fail_msg("mean reprojection error %.2f px, worst photograph %.2f px", sum / (double)n, worst_mean);
+    assert_true(n > 5000);
+    /* A pixel holds roof and street where a point lies at an edge: most, not all, agree. */
+    if (n_depth < 300 || (double)n_deep < 0.8 * (double)n_depth)
+        fail_msg("depth agrees with %zu of %zu points", n_deep, n_depth);
+    json_decref(root);
+    colmap_free(&m);
+}
+
+static void test_model_agrees_with_truth(void **state)
+{
+    (void)state;
+    char tmp[FILE_PATH_MAX];
+    struct city a, b;
+    kit_tmpdir(tmp);
+    city_defaults(&a, tmp, "pinhole");
+    city_make(&a);
+    check_model(&a);
+    city_defaults(&b, tmp, "distorted");
+    b.cfg.distorted = true;
+    city_make(&b);
+    check_model(&b);
+    arena_free(&a.arena);
+    arena_free(&b.arena);
+    kit_rmdir(tmp);
+}
+
+static double mean_level(const char *dir, const char *sub, size_t i, const char *ext)
+{
+    char path[FILE_PATH_MAX + 64];
+    struct image img;
+    struct err e = {0};
+    snprintf(path, sizeof path, "%s/%s/IMG_%04zu.%s", dir, sub, i, ext);
+    kit_ok(image_read(path, &(struct codec_limits){0}, &img, &e), e);
+    double sum = 0, spread = 0;
+    size_t n = (size_t)img.width_px * img.height_px * 3;
+    for (size_t k = 0; k < n; k++)
+        sum += img.px[k];
+    for (size_t k = 0; k < n; k++)
+        spread += fabs(img.px[k] - sum / (double)n);
+    assert_true(spread / (double)n > 15); /* texture, not a plain picture */
+    image_free(&img);
+    return sum / (double)n;
+}
+
+static void test_knobs(void **state)
+{
+    (void)state;
+    char tmp[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
+    struct city c;
+    struct err e = {0};
+    kit_tmpdir(tmp);
+    city_defaults(&c, tmp, "hard");
+    c.cfg.photos = 32;
+    c.cfg.exposure_ev = 0.5;
+    c.cfg.vehicle_share = 0.5;
+    c.cfg.gps_sigma_m = 2;
+    c.cfg.gps_outlier_share = 0.2;
+    c.cfg.pose_error_share = 0.2;
+    c.cfg.flight_offset_m = 12;
+    city_make(&c);
+    double scale, rot[9], trans[3], noise2 = 0, changed = 0;
+    json_t *root = truth_open(&c, &scale, rot, trans);
+    const json_t *o = json_object_get(root, "origin");
+    struct geo_origin origin;
+    kit_ok(jsonc_num(o, "lon_deg", &origin.lon_deg, &e), e);
+    kit_ok(jsonc_num(o, "lat_deg", &origin.lat_deg, &e), e);
+    kit_ok(jsonc_num(o, "h_m", &origin.h_m, &e), e);
+    size_t outliers = 0, wrong = 0, vehicles = 0, second = 0, n_noise = 0;
+    for (size_t i = 0; i < 32; i++) {
+        struct truth t = truth_of(root, i);
+        struct image_gps gps;
+        double enu[3], center[3];
+        snprintf(path, sizeof path, "%s/images/IMG_%04zu.jpg", c.dir, i + 1);
+        kit_ok(image_read_info(path, NULL, NULL, &gps, &e), e);
+        assert_true(gps.has_position && gps.has_altitude && gps.time[0]);
+        kit_ok(geo_to_enu(&origin, gps.lon_deg, gps.lat_deg, gps.alt_m, enu, &e), e);
+        kit_near_d("EXIF position", enu, t.gps, 3, tol_gps_m, 0);
+        outliers += t.outlier;
+        wrong += t.pose_error;
+        vehicles += t.vehicles;
+        second += t.flight == 1;
+        for (int a = 0; a < 3; a++)
+            center[a] = -(t.m[a] * t.m[3] + t.m[4 + a] * t.m[7] + t.m[8 + a] * t.m[11]);
+        center[2] += t.flight ? 12 : 0;
+        double off = sqrt(pow(center[0] - enu[0], 2) + pow(center[1] - enu[1], 2) + pow(center[2] - enu[2], 2));
+        assert_true(t.outlier ? off > 30 : off < 11); /* 5.5 sigma */
+        noise2 += t.outlier ? 0 : off * off / 3;
+        n_noise += !t.outlier;
+        if (t.test)
+            changed = fmax(changed, fabs(mean_level(c.dir, "images", i + 1, "jpg") -
+                                         mean_level(c.dir, "truth/clean", i + 1, "png")));
+    }
+    assert_true(outliers > 1 && outliers < 16 && wrong > 1 && wrong < 16 && vehicles > 6 && vehicles < 26);
+    assert_int_equal(second, 16);
+    assert_true(sqrt(noise2 / (double)n_noise) > 1.4 && sqrt(noise2 / (double)n_noise) < 2.6);
+    assert_true(changed > 8); /* exposure shows */
+    json_decref(root);
+    arena_free(&c.arena);
+    kit_rmdir(tmp);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_same_seed_same_bytes),
+        cmocka_unit_test(test_model_agrees_with_truth),
+        cmocka_unit_test(test_knobs),
+    };
+    progress_quiet(true);
+    log_set_level(LOG_WARN);
+    return cmocka_run_group_tests_name("synth", tests, NULL, NULL);
+}
