@@ -70,7 +70,7 @@ inline void backward_load(struct backward_state *s, __constant struct layout_vie
     size_t plane = (size_t)w * h;
     for (uint k = 0; k < 16; k++) {
         uint bx = px + 4 * (k & 3), by = py + 4 * (k >> 2);
-        float16 x = (float)bx + LANE_X, y = (float)by + LANE_Y;
+        float16 x = (float)bx + BLOCK_X[0], y = (float)by + BLOCK_Y[0];
         int16 inside = (x < (float)w) & (y < (float)h);
         float16 rest = (float16)(0.0f);
         for (uint c = 0; c < 3; c++) {
@@ -103,7 +103,7 @@ inline void backward_entry(struct backward_state *s, const float *rec, float x0,
     while (blocks) {
         uint k = 31 - clz(blocks);
         blocks ^= 1u << k;
-        float16 dx = (mx - (float)(4 * (k & 3))) - LANE_X, dy = (my - (float)(4 * (k >> 2))) - LANE_Y;
+        float16 dx = block_dx(mx, k), dy = block_dy(my, k);
         float16 raw = splat_raw(dx, dy, rec[P], rec[X_OF_Y], rec[R], rec[OPACITY_LOG2]), t = s->t[k];
         float16 a = MIN_(raw, ALPHA_MAX);
         a = t > T_STOP ? a : (float16)(0.0f);

@@ -12,9 +12,26 @@
 #define BATCH 64
 #define CHECK_EVERY 16
 
-// Where a block's pixels are within it, and where blocks are within the tile.
-#define LANE_X ((float16)(0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3))
-#define LANE_Y ((float16)(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3))
+// Block k is column k & 3, row k >> 2 of the tile; lane i of it column i & 3, row i >> 2 of the block.
+__constant float16 BLOCK_X[4] = {(float16)(0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3),
+                                 (float16)(4, 5, 6, 7, 4, 5, 6, 7, 4, 5, 6, 7, 4, 5, 6, 7),
+                                 (float16)(8, 9, 10, 11, 8, 9, 10, 11, 8, 9, 10, 11, 8, 9, 10, 11),
+                                 (float16)(12, 13, 14, 15, 12, 13, 14, 15, 12, 13, 14, 15, 12, 13, 14, 15)};
+__constant float16 BLOCK_Y[4] = {(float16)(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3),
+                                 (float16)(4, 4, 4, 4, 5, 5, 5, 5, 6, 6, 6, 6, 7, 7, 7, 7),
+                                 (float16)(8, 8, 8, 8, 9, 9, 9, 9, 10, 10, 10, 10, 11, 11, 11, 11),
+                                 (float16)(12, 12, 12, 12, 13, 13, 13, 13, 14, 14, 14, 14, 15, 15, 15, 15)};
+
+// Offset mean - pixel in block k; the mean is relative to the tile's first pixel centre.
+inline float16 block_dx(float mean, uint k)
+{
+    return mean - BLOCK_X[k & 3];
+}
+
+inline float16 block_dy(float mean, uint k)
+{
+    return mean - BLOCK_Y[k >> 2];
+}
 
 // Words of struct layout_splat in the staged copies.
 enum { MEAN_X, MEAN_Y, P, X_OF_Y, R, OPACITY_LOG2, RED, GREEN, BLUE, Y_OF_X };
@@ -23,13 +40,16 @@ enum { MEAN_X, MEAN_Y, P, X_OF_Y, R, OPACITY_LOG2, RED, GREEN, BLUE, Y_OF_X };
 inline void blend_transpose(float16 w[16])
 {
     float16 t[16];
+#pragma unroll
     for (int round = 0; round < 2; round++) {
+#pragma unroll
         for (int i = 0; i < 8; i++) {
             t[2 * i].even = w[i].lo;
             t[2 * i].odd = w[i + 8].lo;
             t[2 * i + 1].even = w[i].hi;
             t[2 * i + 1].odd = w[i + 8].hi;
         }
+#pragma unroll
         for (int i = 0; i < 8; i++) {
             w[2 * i].even = t[i].lo;
             w[2 * i].odd = t[i + 8].lo;
@@ -45,15 +65,18 @@ inline void blend_transpose(float16 w[16])
 inline void blend_masks(const float *records, float x0, float y0, uint tile_cull, uint *mask)
 {
     float16 w[16];
+#pragma unroll
     for (int j = 0; j < 16; j++)
         w[j] = vload16(j, records);
     blend_transpose(w);
     float16 mx = w[MEAN_X] - x0, my = w[MEAN_Y] - y0, reach = w[OPACITY_LOG2] + (4e-3f - ALPHA_MIN_LOG2);
     uint16 bits = (uint16)(0);
+#pragma unroll
     for (int by = 0; by < 4; by++) {
         float16 top = (float)(4 * by) - my, bottom = top + 3.0f, near_y = CLAMP_(0.0f, top, bottom);
         float16 lean = w[X_OF_Y] * near_y, v2 = w[R] * near_y;
         v2 *= v2;
+#pragma unroll
         for (int bx = 0; bx < 4; bx++) {
             float16 left = (float)(4 * bx) - mx, right = left + 3.0f, near_x = CLAMP_(0.0f, left, right);
             float16 y = w[Y_OF_X] * near_x;
@@ -80,7 +103,7 @@ inline void blend_entry(struct blend_state *s, const float *w, float x0, float y
     while (blocks) {
         uint k = 31 - clz(blocks);
         blocks ^= 1u << k;
-        float16 dx = (mx - (float)(4 * (k & 3))) - LANE_X, dy = (my - (float)(4 * (k >> 2))) - LANE_Y;
+        float16 dx = block_dx(mx, k), dy = block_dy(my, k);
         float16 a = splat_raw(dx, dy, w[P], w[X_OF_Y], w[R], w[OPACITY_LOG2]), t = s->t[k];
         a = MIN_(a, ALPHA_MAX);
         a = t > T_STOP ? a : (float16)(0.0f);
@@ -138,7 +161,7 @@ __kernel void blend(__constant struct layout_view *view, __global const struct l
     struct blend_state s;
 
     for (uint k = 0; k < 16; k++) {
-        float16 x = (float)(px + 4 * (k & 3)) + LANE_X, y = (float)(py + 4 * (k >> 2)) + LANE_Y;
+        float16 x = (float)px + BLOCK_X[k & 3], y = (float)py + BLOCK_Y[k >> 2];
         int16 inside = (x < (float)view->width) & (y < (float)view->height);
         s.t[k] = inside ? (float16)(1.0f) : (float16)(0.0f); // pixels beyond the edge have stopped
         s.r[k] = s.g[k] = s.b[k] = (float16)(0.0f);

@@ -19,7 +19,7 @@ inline void score_load(struct score_state *s, __constant struct layout_view *vie
 {
     for (uint k = 0; k < 16; k++) {
         uint bx = px + 4 * (k & 3), by = py + 4 * (k >> 2);
-        float16 x = (float)bx + LANE_X, y = (float)by + LANE_Y;
+        float16 x = (float)bx + BLOCK_X[0], y = (float)by + BLOCK_Y[0];
         int16 inside = (x < (float)view->width) & (y < (float)view->height);
         s->weight[k] = backward_block(weight, view->width, view->height, bx, by);
         s->t[k] = inside ? (float16)(1.0f) : (float16)(0.0f);
@@ -54,7 +54,7 @@ inline void score_entry(struct score_state *s, const float *rec, float x0, float
     while (blocks) {
         uint k = 31 - clz(blocks);
         blocks ^= 1u << k;
-        float16 dx = (mx - (float)(4 * (k & 3))) - LANE_X, dy = (my - (float)(4 * (k >> 2))) - LANE_Y;
+        float16 dx = block_dx(mx, k), dy = block_dy(my, k);
         float16 raw = splat_raw(dx, dy, rec[P], rec[X_OF_Y], rec[R], rec[OPACITY_LOG2]), t = s->t[k];
         int16 hit = (t > T_STOP) & (raw > 0.0f);
         float16 one = hit ? (float16)(1.0f) : (float16)(0.0f);
