@@ -1,8 +1,9 @@
 /* Training: whole iterations (draw, loss, backward, Adam of 59 parameters) and their parts.
  *
- * The photograph is the city itself, the model the city with every parameter disturbed, so gradients and list
- * lengths are those of training in progress. Learning rates are 0: every timed iteration does the same work.
- * Checked before timing: one iteration at real learning rates must lower the loss.
+ * The photograph is the city itself, the model the city with every parameter disturbed, so
+ * gradients and list lengths are those of training in progress. Learning rates are 0: every timed
+ * iteration does the same work. Checked before timing: one iteration at real learning rates must
+ * lower the loss.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -118,8 +119,8 @@ static void step_disturb(struct gauss *g)
     }
 }
 
-static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h, struct step_case *c,
-                               struct err *e)
+static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h,
+                               struct step_case *c, struct err *e)
 {
     struct gauss g = {0};
     memset(c, 0, sizeof *c);
@@ -167,8 +168,8 @@ static enum err_code step_check(struct step_case *c, struct err *e)
     if (rc == ERR_OK)
         rc = loss_read(c->loss, &after, e);
     if (rc == ERR_OK && !(after.total < before.total))
-        rc = err_set(e, ERR_INTERNAL, "bench_step: the loss rose from %.6f to %.6f in one step", before.total,
-                     after.total);
+        rc = err_set(e, ERR_INTERNAL, "bench_step: the loss rose from %.6f to %.6f in one step",
+                     before.total, after.total);
     return rc;
 }
 

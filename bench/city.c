@@ -1,8 +1,9 @@
 /* The procedural city that benchmarks draw: see city.h.
  *
- * A square of flat discs on the ground, the walls and roofs of 160 blocks, round trees and a few large faint
- * floaters, in the proportions that a trained scene of an oblique flight has (about half of the Gaussians in
- * view, five tiles each, most pixels saturated). It is seeded: every run draws the same.
+ * A square of flat discs on the ground, the walls and roofs of 160 blocks, round trees and a few
+ * large faint floaters, in the proportions that a trained scene of an oblique flight has (about
+ * half of the Gaussians in view, five tiles each, most pixels saturated). It is seeded: every run
+ * draws the same.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -32,10 +33,12 @@ static void city_disc(struct gauss *g, size_t i, const double at[3], int axis, d
         g->sh[i * 3 * gauss_sh_count(g->sh_degree) + k] = (float)((rgb[k] - 0.5) / GAUSS_SH_C0);
     }
     for (int k = 0; k < 4; k++)
-        g->quat_wxyz[4 * i + k] = (float)(turn[axis][k] + 0.08 * rng_normal(SEED, 30 + (unsigned)k, i));
+        g->quat_wxyz[4 * i + k] =
+            (float)(turn[axis][k] + 0.08 * rng_normal(SEED, 30 + (unsigned)k, i));
     g->opacity_logit[i] = (float)(1.5 + 1.5 * rng_normal(SEED, 40, i));
     for (size_t k = 3; k < 3 * gauss_sh_count(g->sh_degree); k++)
-        g->sh[i * 3 * gauss_sh_count(g->sh_degree) + k] = (float)(0.04 * rng_normal(SEED, 50 + k, i));
+        g->sh[i * 3 * gauss_sh_count(g->sh_degree) + k] =
+            (float)(0.04 * rng_normal(SEED, 50 + k, i));
     g->n = i + 1;
 }
 
@@ -55,7 +58,8 @@ static void city_block(struct gauss *g, size_t i, double sigma_m)
     if (axis < 2) {
         at[axis] = center[axis] + (face < 6 ? half[axis] : -half[axis]);
         /* windows */
-        double along = at[1 - axis], dark = fmod(fabs(along), 3.5) < 1.6 && fmod(at[2], 3.2) > 1.3 ? 0.45 : 1;
+        double along = at[1 - axis],
+               dark = fmod(fabs(along), 3.5) < 1.6 && fmod(at[2], 3.2) > 1.3 ? 0.45 : 1;
         for (int k = 0; k < 3; k++)
             rgb[k] *= dark * (axis ? 1.0 : 0.85);
     }
@@ -74,7 +78,8 @@ enum err_code city_make(size_t n, struct gauss *g, struct err *e)
         if (kind < 0.55) {
             city_block(g, i, sigma);
         } else if (kind < 0.90) {
-            double shade = 0.25 + 0.1 * sin(at[0] * 0.4) * sin(at[1] * 0.3) + uniform(14, i, 0, 0.1);
+            double shade =
+                0.25 + 0.1 * sin(at[0] * 0.4) * sin(at[1] * 0.3) + uniform(14, i, 0, 0.1);
             const double grey[3] = {shade, shade, shade * 0.95};
             city_disc(g, i, at, 2, sigma, grey);
         } else if (kind < 0.998) { /* trees along the streets */
@@ -98,7 +103,8 @@ enum err_code city_sorted(size_t n, struct gauss *out, struct err *e)
 {
     struct gauss g = {0};
     uint32_t *order = mem_array(n, sizeof *order);
-    enum err_code rc = order ? city_make(n, &g, e) : err_set(e, ERR_MEM, "city_sorted: %zu Gaussians", n);
+    enum err_code rc =
+        order ? city_make(n, &g, e) : err_set(e, ERR_MEM, "city_sorted: %zu Gaussians", n);
     if (rc == ERR_OK)
         rc = gauss_morton_order(&g, order, e);
     if (rc == ERR_OK)

@@ -1,9 +1,10 @@
-/* citysplat gradient: from dL/dimage of one view to dL/dparameters of every Gaussian, as .npy files.
+/* citysplat gradient: from dL/dimage of one view to dL/dparameters of every Gaussian, as .npy
+ * files.
  *
- * For those who want to put this renderer behind their own loss, and for checking it against another one. The
- * gradients are of the raw parameters (before exp, sigmoid and normalisation), one row for each vertex of the
- * .ply. The five files appear together or not at all: they are written into a folder beside the one asked
- * for, which takes its name at the end.
+ * For those who want to put this renderer behind their own loss, and for checking it against
+ * another one. The gradients are of the raw parameters (before exp, sigmoid and normalisation), one
+ * row for each vertex of the .ply. The five files appear together or not at all: they are written
+ * into a folder beside the one asked for, which takes its name at the end.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -45,13 +46,14 @@ static const struct gradient_file {
                       {"sh.npy", RENDER_PLANE_SH, 0}};
 enum { FILES = sizeof gradient_files / sizeof *gradient_files };
 
-/* ---- input ------------------------------------------------------------------------------------------ */
+/* ---- input
+ * ------------------------------------------------------------------------------------------ */
 
 static enum err_code parse_background(const char *text, float out[3], struct err *e)
 {
     char rest;
-    if (!text || sscanf(text, "%f,%f,%f%c", &out[0], &out[1], &out[2], &rest) != 3 || !isfinite(out[0]) ||
-        !isfinite(out[1]) || !isfinite(out[2]))
+    if (!text || sscanf(text, "%f,%f,%f%c", &out[0], &out[1], &out[2], &rest) != 3 ||
+        !isfinite(out[0]) || !isfinite(out[1]) || !isfinite(out[2]))
         return err_set(e, ERR_ARG, "--background %s: expected three numbers, as in 0,0.5,1",
                        text ? text : "");
     return ERR_OK;
@@ -70,22 +72,25 @@ static enum err_code read_camera(const char *path, struct camera *out, struct er
     return rc;
 }
 
-static enum err_code read_grad(const char *path, const struct camera *cam, float **out, struct err *e)
+static enum err_code read_grad(const char *path, const struct camera *cam, float **out,
+                               struct err *e)
 {
     size_t shape[3];
     enum err_code rc = npy_read(path, 3, shape, out, e);
     if (rc == ERR_OK && (shape[0] != cam->height_px || shape[1] != cam->width_px || shape[2] != 3))
-        rc = err_set(e, ERR_DATA, "%s: shape [%zu, %zu, %zu]: the camera's picture is [%u, %u, 3]", path,
-                     shape[0], shape[1], shape[2], cam->height_px, cam->width_px);
+        rc = err_set(e, ERR_DATA, "%s: shape [%zu, %zu, %zu]: the camera's picture is [%u, %u, 3]",
+                     path, shape[0], shape[1], shape[2], cam->height_px, cam->width_px);
     return rc;
 }
 
-/* ---- the work ----------------------------------------------------------------------------------------- */
+/* ---- the work
+ * ----------------------------------------------------------------------------------------- */
 
 /* Raw gradients in the device layout; *out: mem_free. */
-static enum err_code gradient_run(const char *device, const struct gauss *g, const struct camera *cam,
-                                  const struct render_options *o, const float *rgb_grad, float **out,
-                                  uint32_t *planes, struct err *e)
+static enum err_code gradient_run(const char *device, const struct gauss *g,
+                                  const struct camera *cam, const struct render_options *o,
+                                  const float *rgb_grad, float **out, uint32_t *planes,
+                                  struct err *e)
 {
     struct dev dev = {0};
     struct render *r = NULL;
@@ -119,7 +124,8 @@ static enum err_code gradient_run(const char *device, const struct gauss *g, con
     return rc;
 }
 
-/* ---- output ------------------------------------------------------------------------------------------- */
+/* ---- output
+ * ------------------------------------------------------------------------------------------- */
 
 static enum err_code write_file(const char *dir, const struct gradient_file *f, const float *raw,
                                 uint32_t planes, size_t n, struct err *e)
@@ -166,8 +172,8 @@ static enum err_code check_output(const char *dir, struct err *e)
         for (size_t i = 0; i < FILES; i++)
             ours = ours || !strcmp(entry->d_name, gradient_files[i].name);
         if (!ours)
-            rc = err_set(e, ERR_ARG, "output folder %s: it holds %s: name a new or empty folder", dir,
-                         entry->d_name);
+            rc = err_set(e, ERR_ARG, "output folder %s: it holds %s: name a new or empty folder",
+                         dir, entry->d_name);
     }
     closedir(d);
     return rc;
@@ -208,10 +214,13 @@ enum err_code cli_gradient(int argc, char **argv, struct err *e)
 {
     const struct options_spec spec = {
         .command = "gradient",
-        .usage = "citysplat gradient SCENE.ply --camera cam.json --grad dLdimage.npy -o DIR [options]",
-        .about = "Renders the Gaussians, takes dL/dimage and writes dL/dparameters: mean.npy [n,3], "
-                 "log_scale.npy [n,3], quat_wxyz.npy [n,4], opacity_logit.npy [n] and sh.npy [n,K,3], float32, "
-                 "rows in the order of the file, with respect to the raw parameters.",
+        .usage =
+            "citysplat gradient SCENE.ply --camera cam.json --grad dLdimage.npy -o DIR [options]",
+        .about =
+            "Renders the Gaussians, takes dL/dimage and writes dL/dparameters: mean.npy [n,3], "
+            "log_scale.npy [n,3], quat_wxyz.npy [n,4], opacity_logit.npy [n] and sh.npy [n,K,3], "
+            "float32, "
+            "rows in the order of the file, with respect to the raw parameters.",
         .example = "citysplat gradient city.ply --camera cam.json --grad dl.npy -o grads --aa none",
         .defs = gradient_defs,
         .n_defs = sizeof gradient_defs / sizeof *gradient_defs,
@@ -231,7 +240,10 @@ enum err_code cli_gradient(int argc, char **argv, struct err *e)
         goto out;
     struct render_options ro = {.aa = (enum render_aa)o.aa, .sh_degree = (int)o.sh_degree};
     if (!o.camera || !o.grad || !o.output)
-        rc = err_set(e, ERR_ARG, "%s is missing", !o.camera ? "--camera FILE" : !o.grad ? "--grad FILE" : "-o DIR");
+        rc = err_set(e, ERR_ARG, "%s is missing",
+                     !o.camera ? "--camera FILE"
+                     : !o.grad ? "--grad FILE"
+                               : "-o DIR");
     if (rc == ERR_OK)
         rc = parse_background(o.background, ro.background, e);
     if (rc == ERR_OK)

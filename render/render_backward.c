@@ -1,10 +1,11 @@
 /* The backward pass on the device: dL/dcolour of the last frame -> gradients, or one step of Adam.
  *
- * Two launches: blend_backward leaves eleven sums in one slot per (splat, tile) pair, project_backward or
- * project_step adds a Gaussian's slots in order and applies the chain rule, the latter with Adam on the
- * spot, so that gradients (236 bytes a Gaussian) never travel through memory. Owns its kernels and slots in
- * struct render_backward_state, made on first use; render_close frees it through backward_free. The
- * formulas are in the kernels' heads and, in double, in render_ref_backward.c.
+ * Two launches: blend_backward leaves eleven sums in one slot per (splat, tile) pair,
+ * project_backward or project_step adds a Gaussian's slots in order and applies the chain rule, the
+ * latter with Adam on the spot, so that gradients (236 bytes a Gaussian) never travel through
+ * memory. Owns its kernels and slots in struct render_backward_state, made on first use;
+ * render_close frees it through backward_free. The formulas are in the kernels' heads and, in
+ * double, in render_ref_backward.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -16,14 +17,15 @@
 
 extern const char blend_cpu_cl[], blend_backward_cl[], project_backward_cl[];
 
-/* Pixel gradients are scaled to normalised device coordinates by half the picture, at most this: with
- * larger pictures thresholds tuned on ordinary ones would split without end. */
+/* Pixel gradients are scaled to normalised device coordinates by half the picture, at most this:
+ * with larger pictures thresholds tuned on ordinary ones would split without end. */
 static const double half_max_px = 1600;
 
 struct render_backward_state {
     cl_program program;
     cl_kernel blend, grads, step;
-    struct frame_buffer slots; /* float [entries][LAYOUT_SLOT_FLOATS], and room for one vector load */
+    struct frame_buffer
+        slots; /* float [entries][LAYOUT_SLOT_FLOATS], and room for one vector load */
     struct frame_buffer marks; /* uchar [entries] */
     cl_mem unused;             /* stands for the buffers a caller left out */
 };
@@ -62,8 +64,7 @@ static enum err_code backward_open(struct render *r, struct err *e)
         return err_set(e, ERR_MEM, "render_backward: out of memory");
     r->backward = s;
     r->backward_free = backward_release;
-    enum err_code rc =
-        dev_build(r->dev, cpu ? wide : sources, cpu ? 4 : 3, NULL, &s->program, e);
+    enum err_code rc = dev_build(r->dev, cpu ? wide : sources, cpu ? 4 : 3, NULL, &s->program, e);
     if (rc == ERR_OK)
         rc = dev_kernel(s->program, "blend_backward", &s->blend, e);
     if (rc == ERR_OK)
@@ -77,7 +78,8 @@ static enum err_code backward_open(struct render *r, struct err *e)
     return rc;
 }
 
-/* ---- dL/dcolour ------------------------------------------------------------------------------------ */
+/* ---- dL/dcolour
+ * ------------------------------------------------------------------------------------ */
 
 static size_t picture_bytes(const struct render *r)
 {
@@ -111,17 +113,19 @@ enum err_code render_set_color_grad(struct render *r, const float *rgb_grad, str
     return rc;
 }
 
-/* ---- stages ----------------------------------------------------------------------------------------- */
+/* ---- stages
+ * ----------------------------------------------------------------------------------------- */
 
 /* The slots of the last frame, filled. */
-static enum err_code backward_blend(struct render *r, const struct render_model *m, cl_uint with_abs,
-                                    struct err *e)
+static enum err_code backward_blend(struct render *r, const struct render_model *m,
+                                    cl_uint with_abs, struct err *e)
 {
     if (!r->drawn)
-        return err_set(e, ERR_ARG, "render_backward: no frame was drawn since the Gaussians changed");
+        return err_set(e, ERR_ARG,
+                       "render_backward: no frame was drawn since the Gaussians changed");
     if (m->n != r->view.n || m->groups != r->view.groups || m->planes != r->view.planes)
-        return err_set(e, ERR_ARG, "render_backward: %u Gaussians: the last frame drew %u others", m->n,
-                       r->view.n);
+        return err_set(e, ERR_ARG, "render_backward: %u Gaussians: the last frame drew %u others",
+                       m->n, r->view.n);
     enum err_code rc = backward_open(r, e);
     if (rc != ERR_OK)
         return rc;
@@ -129,14 +133,15 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
     if (r->color_grad.cap_bytes < picture_bytes(r))
         return err_set(e, ERR_ARG, "render_backward: dL/dcolour was not given for this picture");
     size_t mark_bytes = ((size_t)r->entries + 3) / 4 * 4;
-    rc = frame_reserve(r, &s->slots, ((size_t)r->entries * LAYOUT_SLOT_FLOATS + LAYOUT_LANES) * sizeof(float),
-                       e);
+    rc = frame_reserve(r, &s->slots,
+                       ((size_t)r->entries * LAYOUT_SLOT_FLOATS + LAYOUT_LANES) * sizeof(float), e);
     if (rc == ERR_OK)
         rc = frame_reserve(r, &s->marks, mark_bytes, e);
     if (rc == ERR_OK)
         rc = dev_zero(r->dev, s->marks.mem, 0, mark_bytes, e);
     if (rc != ERR_OK)
-        return err_add(e, "render_backward: %llu pairs of splat and tile", (unsigned long long)r->entries);
+        return err_add(e, "render_backward: %llu pairs of splat and tile",
+                       (unsigned long long)r->entries);
     size_t local = r->dev->vector_width > 1 ? 1 : LAYOUT_TILE * LAYOUT_TILE;
     return frame_run(r, s->blend, "blend_backward",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
@@ -156,18 +161,21 @@ enum err_code render_backward(struct render *r, const struct render_model *m, cl
     const struct render_backward_state *s = r->backward;
     size_t local, items = frame_items(r, m->groups, &local);
     return frame_run(r, s->grads, "project_backward",
-                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(r->splats.mem),
-                                FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->slot_first.mem),
-                                FRAME_ARG(s->slots.mem), FRAME_ARG(s->marks.mem), FRAME_ARG(grads)),
+                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params),
+                                FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem),
+                                FRAME_ARG(r->slot_first.mem), FRAME_ARG(s->slots.mem),
+                                FRAME_ARG(s->marks.mem), FRAME_ARG(grads)),
                      items, local, e);
 }
 
 /* Adam's numbers as project_step wants them. */
-static void adam_fill(const struct render *r, const struct render_adam *a, cl_float8 *lr, cl_float8 *k)
+static void adam_fill(const struct render *r, const struct render_adam *a, cl_float8 *lr,
+                      cl_float8 *k)
 {
     double b1 = (double)a->beta1, b2 = (double)a->beta2;
     double bias1 = 1 - pow(b1, a->step), bias2 = 1 - pow(b2, a->step);
-    const float rates[6] = {a->lr_mean, a->lr_scale, a->lr_quat, a->lr_opacity, a->lr_sh_dc, a->lr_sh_rest};
+    const float rates[6] = {a->lr_mean,    a->lr_scale, a->lr_quat,
+                            a->lr_opacity, a->lr_sh_dc, a->lr_sh_rest};
     memset(lr, 0, sizeof *lr);
     for (size_t i = 0; i < 6; i++)
         lr->s[i] = (float)((double)rates[i] / bias1);
@@ -181,22 +189,25 @@ static void adam_fill(const struct render *r, const struct render_adam *a, cl_fl
     k->s[7] = (float)fmin(0.5 * r->view.height, half_max_px);
 }
 
-enum err_code render_backward_step(struct render *r, struct render_model *m, struct render_adam *adam,
-                                   struct render_density_stats *stats, struct err *e)
+enum err_code render_backward_step(struct render *r, struct render_model *m,
+                                   struct render_adam *adam, struct render_density_stats *stats,
+                                   struct err *e)
 {
-    if (adam->step < 1 || !(adam->beta1 >= 0 && adam->beta1 < 1) || !(adam->beta2 >= 0 && adam->beta2 < 1) ||
-        !(adam->scale_log_min <= adam->scale_log_max))
-        return err_set(e, ERR_ARG,
-                       "render_backward_step: step %u, betas %g %g, scale limits %g %g: step counts from 1, "
-                       "betas are in [0, 1), limits in order",
-                       adam->step, (double)adam->beta1, (double)adam->beta2, (double)adam->scale_log_min,
-                       (double)adam->scale_log_max);
+    if (adam->step < 1 || !(adam->beta1 >= 0 && adam->beta1 < 1) ||
+        !(adam->beta2 >= 0 && adam->beta2 < 1) || !(adam->scale_log_min <= adam->scale_log_max))
+        return err_set(
+            e, ERR_ARG,
+            "render_backward_step: step %u, betas %g %g, scale limits %g %g: step counts from 1, "
+            "betas are in [0, 1), limits in order",
+            adam->step, (double)adam->beta1, (double)adam->beta2, (double)adam->scale_log_min,
+            (double)adam->scale_log_max);
     enum err_code rc = backward_blend(r, m, stats && stats->absg, e);
     if (rc != ERR_OK)
         return rc;
     const struct render_backward_state *s = r->backward;
     size_t local, items = frame_items(r, m->groups, &local);
-    cl_uint with_stats = stats != NULL, with_abs = stats && stats->absg, with_extra = adam->extra_grad != NULL;
+    cl_uint with_stats = stats != NULL, with_abs = stats && stats->absg,
+            with_extra = adam->extra_grad != NULL;
     cl_mem none = s->unused, extra = adam->extra_grad ? adam->extra_grad : none;
     struct render_density_stats d = {none, none, none, none, none};
     cl_float8 lr, k;
@@ -207,10 +218,11 @@ enum err_code render_backward_step(struct render *r, struct render_model *m, str
     adam_fill(r, adam, &lr, &k);
     r->drawn = false; /* the parameters are about to differ from what was drawn */
     return frame_run(r, s->step, "project_step",
-                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(r->splats.mem),
-                                FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->slot_first.mem),
-                                FRAME_ARG(s->slots.mem), FRAME_ARG(s->marks.mem), FRAME_ARG(adam->m1),
-                                FRAME_ARG(adam->m2), FRAME_ARG(lr), FRAME_ARG(k), FRAME_ARG(with_extra),
+                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params),
+                                FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem),
+                                FRAME_ARG(r->slot_first.mem), FRAME_ARG(s->slots.mem),
+                                FRAME_ARG(s->marks.mem), FRAME_ARG(adam->m1), FRAME_ARG(adam->m2),
+                                FRAME_ARG(lr), FRAME_ARG(k), FRAME_ARG(with_extra),
                                 FRAME_ARG(extra), FRAME_ARG(with_stats), FRAME_ARG(with_abs),
                                 FRAME_ARG(d.grad), FRAME_ARG(d.absg), FRAME_ARG(d.count),
                                 FRAME_ARG(d.radius), FRAME_ARG(d.repaired)),

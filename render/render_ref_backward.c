@@ -1,11 +1,12 @@
-/* The reference, backwards: gradients of sum(rgb * rgb_grad) in double, by the chain rule written out.
+/* The reference, backwards: gradients of sum(rgb * rgb_grad) in double, by the chain rule written
+ * out.
  *
- * Two halves. Compositing, per pixel, front to back: with w_i = alpha_i T_i, C the final colour (background
- * included) and P_i the colour summed up to and with splat i,
- *     dL/dalpha_i = sum_c g_c (rgb_ic T_i - (C_c - P_ic) / (1 - alpha_i)),   dL/drgb_i = w_i g.
- * An alpha cut to its maximum passes nothing on. Then projection, per Gaussian: EWA splatting (Zwicker et
- * al. 2001) with the derivatives of the covariance as in Kerbl et al. 2023, the clamp of the Jacobian's
- * position in both its branches, and the opacity compensation rho of Mip-Splatting (Yu et al. 2024). The view
+ * Two halves. Compositing, per pixel, front to back: with w_i = alpha_i T_i, C the final colour
+ * (background included) and P_i the colour summed up to and with splat i, dL/dalpha_i = sum_c g_c
+ * (rgb_ic T_i - (C_c - P_ic) / (1 - alpha_i)),   dL/drgb_i = w_i g. An alpha cut to its maximum
+ * passes nothing on. Then projection, per Gaussian: EWA splatting (Zwicker et al. 2001) with the
+ * derivatives of the covariance as in Kerbl et al. 2023, the clamp of the Jacobian's position in
+ * both its branches, and the opacity compensation rho of Mip-Splatting (Yu et al. 2024). The view
  * direction of the spherical harmonics is held fixed: colour does not move a mean.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -23,11 +24,12 @@ struct splat_grad { /* of what is blended */
     double mean_px[2], conic[3], opacity_eff, rgb[3];
 };
 
-/* ---- compositing ---------------------------------------------------------------------------------- */
+/* ---- compositing
+ * ---------------------------------------------------------------------------------- */
 
 /* Add the gradients of one pixel. */
-static void pixel_backward(const struct ref_view *v, const struct ref_splat *splats, size_t n, double px,
-                           double py, const double g[3], struct splat_grad *out)
+static void pixel_backward(const struct ref_view *v, const struct ref_splat *splats, size_t n,
+                           double px, double py, const double g[3], struct splat_grad *out)
 {
     double total[3] = {0}, pre[3] = {0}, t = 1;
     double d[2], alpha;
@@ -65,16 +67,18 @@ static void pixel_backward(const struct ref_view *v, const struct ref_splat *spl
     }
 }
 
-/* ---- projection ------------------------------------------------------------------------------------ */
+/* ---- projection
+ * ------------------------------------------------------------------------------------ */
 
 /* dL/dS of the 2-D covariance (symmetric: G00, G01, G11) and dL/dopacity. */
-static void conic_backward(const struct ref_view *v, const struct ref_splat *s, const struct splat_grad *g,
-                           double cov[3], double *g_opacity)
+static void conic_backward(const struct ref_view *v, const struct ref_splat *s,
+                           const struct splat_grad *g, double cov[3], double *g_opacity)
 {
     double a = s->conic[0], b = s->conic[1], c = s->conic[2];
     double ga = g->conic[0], gb = g->conic[1] / 2, gc = g->conic[2];
     /* G = -Q GQ Q */
-    double m00 = a * ga + b * gb, m01 = a * gb + b * gc, m10 = b * ga + c * gb, m11 = b * gb + c * gc;
+    double m00 = a * ga + b * gb, m01 = a * gb + b * gc, m10 = b * ga + c * gb,
+           m11 = b * gb + c * gc;
     cov[0] = -(m00 * a + m01 * b);
     cov[1] = -(m00 * b + m01 * c);
     cov[2] = -(m10 * b + m11 * c);
@@ -93,8 +97,8 @@ static void sandwich(const double p[6], const double g[3], double out[9])
 {
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
-            out[3 * i + j] = p[i] * (g[0] * p[j] + g[1] * p[3 + j]) +
-                             p[3 + i] * (g[1] * p[j] + g[2] * p[3 + j]);
+            out[3 * i + j] =
+                p[i] * (g[0] * p[j] + g[1] * p[3 + j]) + p[3 + i] * (g[1] * p[j] + g[2] * p[3 + j]);
 }
 
 /* Mean: through the pixel position and through J. `sigma_cam` is W Sigma W^T. */
@@ -129,8 +133,8 @@ static void mean_backward(const struct ref_view *v, const struct ref_splat *s, c
 }
 
 /* Rotation and scale of Sigma = M M^T, M = R diag(s), from dL/dSigma (symmetric). */
-static void shape_backward(const struct ref_splat *s, const double g_sigma[9], double g_scale_log[3],
-                           double g_quat[4])
+static void shape_backward(const struct ref_splat *s, const double g_sigma[9],
+                           double g_scale_log[3], double g_quat[4])
 {
     double v[9]; /* dL/dR */
     for (int k = 0; k < 3; k++) {
@@ -157,10 +161,12 @@ static void shape_backward(const struct ref_splat *s, const double g_sigma[9], d
         g_quat[k] = (d[k] - q[k] * along) / s->quat_len;
 }
 
-static void splat_backward(const struct ref_view *v, const struct gauss *g, const struct ref_splat *s,
-                           const struct splat_grad *in, const struct render_ref_grads *out)
+static void splat_backward(const struct ref_view *v, const struct gauss *g,
+                           const struct ref_splat *s, const struct splat_grad *in,
+                           const struct render_ref_grads *out)
 {
-    size_t i = s->index, sh_count = gauss_sh_count(g->sh_degree), used = gauss_sh_count(v->sh_degree);
+    size_t i = s->index, sh_count = gauss_sh_count(g->sh_degree),
+           used = gauss_sh_count(v->sh_degree);
     double cov[3], g_opacity, m[9], sigma_cam[9] = {0}, g_sigma_cam[9], g_sigma[9] = {0};
     conic_backward(v, s, in, cov, &g_opacity);
     for (int r = 0; r < 3; r++) /* W M */
@@ -178,7 +184,8 @@ static void splat_backward(const struct ref_view *v, const struct gauss *g, cons
         for (int k = 0; k < 3; k++)
             for (int a = 0; a < 3; a++)
                 for (int b = 0; b < 3; b++)
-                    g_sigma[3 * r + k] += v->rot[3 * a + r] * g_sigma_cam[3 * a + b] * v->rot[3 * b + k];
+                    g_sigma[3 * r + k] +=
+                        v->rot[3 * a + r] * g_sigma_cam[3 * a + b] * v->rot[3 * b + k];
     shape_backward(s, g_sigma, out->scale_log + 3 * i, out->quat_wxyz + 4 * i);
     out->opacity_logit[i] = s->opacity * (1 - s->opacity) * g_opacity;
     for (int c = 0; c < 3; c++) {

@@ -1,5 +1,5 @@
-/* citysplat gradient, through the program: files in the order of the .ply against the double reference, and
- * what it says when it cannot.
+/* citysplat gradient, through the program: files in the order of the .ply against the double
+ * reference, and what it says when it cannot.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,8 +14,8 @@
 #include "core/camera.h"
 #include "render/render.h"
 
-/* float kernels against double, see test_backward.c; pixels near a threshold may decide otherwise here, each
- * worth 1/255 of one splat in one pixel of 768. */
+/* float kernels against double, see test_backward.c; pixels near a threshold may decide otherwise
+ * here, each worth 1/255 of one splat in one pixel of 768. */
 #define GRADIENT_REL 5e-3
 
 enum { W = 32, H = 24, N = 21, DEGREE = 2, K = 9 };
@@ -30,13 +30,19 @@ static void files_make(const char *dir, struct gauss *g, struct camera *cam, flo
     const struct ply_info info = {0};
     const size_t shape[3] = {H, W, 3};
     kit_gauss(5, N, 0.8, DEGREE, 0, g);
-    *cam = (struct camera){.width_px = W, .height_px = H, .fx_px = 35, .fy_px = 33, .cx_px = 15, .cy_px = 12.5,
+    *cam = (struct camera){.width_px = W,
+                           .height_px = H,
+                           .fx_px = 35,
+                           .fy_px = 33,
+                           .cx_px = 15,
+                           .cy_px = 12.5,
                            .trans = {0.1, 0, 3}};
     camera_quat_to_rot(quat, cam->rot);
     const double *r = cam->rot, *t = cam->trans;
     buf_printf(&json,
                "{\"width\": %d, \"height\": %d, \"fx\": 35, \"fy\": 33, \"cx\": 15, \"cy\": 12.5, "
-               "\"world_to_camera\": [%.17g,%.17g,%.17g,%g, %.17g,%.17g,%.17g,%g, %.17g,%.17g,%.17g,%g, 0,0,0,1]}\n",
+               "\"world_to_camera\": [%.17g,%.17g,%.17g,%g, %.17g,%.17g,%.17g,%g, "
+               "%.17g,%.17g,%.17g,%g, 0,0,0,1]}\n",
                W, H, r[0], r[1], r[2], t[0], r[3], r[4], r[5], t[1], r[6], r[7], r[8], t[2]);
     kit_ok(ply_encode(g, &info, &ply, &e), e);
     kit_ok(file_join(path, dir, "scene.ply", &e), e);
@@ -51,7 +57,8 @@ static void files_make(const char *dir, struct gauss *g, struct camera *cam, flo
     buf_free(&json);
 }
 
-static void compare(const char *dir, const char *name, size_t ndim, const size_t *shape, const double *want)
+static void compare(const char *dir, const char *name, size_t ndim, const size_t *shape,
+                    const double *want)
 {
     char path[FILE_PATH_MAX];
     struct err e = {0};
@@ -91,11 +98,14 @@ static void test_against_reference(void **state)
         rgb_grad[i] = (double)grad[i];
     kit_ok(file_join(out, dir, "grads", &e), e);
     for (int k = 0; k < 3; k++) { /* the second and third time into the folder of the first */
-        const struct render_options o = {.aa = (enum render_aa)k, .background = {0.25f, 0.5f, 1}, .sh_degree = k ? -1 : 1};
+        const struct render_options o = {
+            .aa = (enum render_aa)k, .background = {0.25f, 0.5f, 1}, .sh_degree = k ? -1 : 1};
         const struct render_ref_grads ref = {mean, scale, rot, opacity, sh};
         struct buf log = {0};
-        if (kit_run(&log, "%s gradient %s/scene.ply --camera %s/cam.json --grad %s/dl.npy -o %s --aa %s "
-                    "--background 0.25,0.5,1 --sh-degree %d", program, dir, dir, dir, out, modes[k], k ? -1 : 1) != 0)
+        if (kit_run(&log,
+                    "%s gradient %s/scene.ply --camera %s/cam.json --grad %s/dl.npy -o %s --aa %s "
+                    "--background 0.25,0.5,1 --sh-degree %d",
+                    program, dir, dir, dir, out, modes[k], k ? -1 : 1) != 0)
             fail_msg("%s", log.data ? (char *)log.data : "no output");
         kit_ok(render_ref_backward(&g, &cam, &o, rgb_grad, &ref, &e), e);
         const size_t n_3[2] = {N, 3}, n_4[2] = {N, 4}, n_1[1] = {N}, n_k[3] = {N, K, 3};
@@ -124,7 +134,8 @@ static void refuse(const char *dir, const char *args, int code, const char *text
     char out[FILE_PATH_MAX];
     int got = kit_run(&log, "cd %s && %s gradient %s", dir, kit_program(), args);
     if (got != code || !strstr((char *)log.data, text))
-        fail_msg("gradient %s: exit %d (want %d), said: %s(want: %s)", args, got, code, (char *)log.data, text);
+        fail_msg("gradient %s: exit %d (want %d), said: %s(want: %s)", args, got, code,
+                 (char *)log.data, text);
     kit_ok(file_join(out, dir, "out", &e), e);
     assert_false(file_exists(out) || file_is_dir(out));
     buf_free(&log);
@@ -144,7 +155,8 @@ static void test_refusals(void **state)
     files_make(dir, &g, &cam, grad);
     refuse(dir, "scene.ply --camera cam.json --grad dl.npy", 2, "-o DIR is missing");
     refuse(dir, "scene.ply --grad dl.npy -o out", 2, "--camera FILE is missing");
-    refuse(dir, "scene.ply --camera cam.json --grad dl.npy -o out --background 1,2", 2, "three numbers");
+    refuse(dir, "scene.ply --camera cam.json --grad dl.npy -o out --background 1,2", 2,
+           "three numbers");
     refuse(dir, "scene.ply --camera cam.json --grad dl.npy -o out --aa fancy", 2, "aa");
     refuse(dir, "scene.ply --camera none.json --grad dl.npy -o out", 1, "none.json");
     refuse(dir, "none.ply --camera cam.json --grad dl.npy -o out", 1, "none.ply");
@@ -165,6 +177,7 @@ static void test_refusals(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {cmocka_unit_test(test_against_reference), cmocka_unit_test(test_refusals)};
+    const struct CMUnitTest tests[] = {cmocka_unit_test(test_against_reference),
+                                       cmocka_unit_test(test_refusals)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -1,5 +1,6 @@
-/* train/loss.c, loss_ref.c, metric.c: closed forms, finite differences in double, the kernels against the
- * reference at awkward sizes, equal bits from run to run and for any number of worker threads.
+/* train/loss.c, loss_ref.c, metric.c: closed forms, finite differences in double, the kernels
+ * against the reference at awkward sizes, equal bits from run to run and for any number of worker
+ * threads.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,12 +14,14 @@
 
 #include "train/loss.h"
 
-/* Central differences in double with h = 1e-5: truncation h^2 * f''' / 6 relative to gradients of 1e-3. */
+/* Central differences in double with h = 1e-5: truncation h^2 * f''' / 6 relative to gradients of
+ * 1e-3. */
 #define FD_STEP 1e-5
 #define FD_REL 1e-6
 #define FD_ABS 1e-10
-/* float kernels: sums of 121 products and a quotient whose denominator may be as small as C2 = 9e-4 with a
- * cancellation error of 2e-7, so 3e-4 relative at worst in single pixels; 1e-5 over the picture (L2). */
+/* float kernels: sums of 121 products and a quotient whose denominator may be as small as C2 = 9e-4
+ * with a cancellation error of 2e-7, so 3e-4 relative at worst in single pixels; 1e-5 over the
+ * picture (L2). */
 #define KERNEL_REL 2e-3
 #define KERNEL_L2 1e-4
 #define VALUE_REL 2e-6
@@ -39,7 +42,8 @@ static struct picture picture_make(uint32_t w, uint32_t h, bool masked, uint64_t
     p.mask = masked ? mem_array(p.n / 3, 1) : NULL;
     assert_true(p.rgb && p.target && p.target_u8 && (p.mask || !masked));
     for (size_t i = 0; i < p.n; i++) {
-        double wave = 0.5 + 0.4 * sin(0.37 * (double)(i / 3 % w) + 0.2 * (double)(i / 3 / w) + (double)(i % 3));
+        double wave = 0.5 + 0.4 * sin(0.37 * (double)(i / 3 % w) + 0.2 * (double)(i / 3 / w) +
+                                      (double)(i % 3));
         p.target_u8[i] = (uint8_t)(255 * wave);
         p.target[i] = p.target_u8[i] / 255.0;
         p.rgb[i] = (double)(float)(p.target[i] + 0.1 * rng_normal(seed, 1, i));
@@ -141,15 +145,18 @@ static void test_metrics(void **state)
     double valid;
     kit_ok(metric_ssim(rgb, p.target_u8, p.mask, p.w, p.h, METRIC_VALID, &valid, &e), e);
     assert_true(valid < 1 && valid > 0 && valid != v.ssim);
-    kit_fails(metric_ssim(rgb, p.target_u8, p.mask, 10, 21, METRIC_VALID, &got, &e), ERR_ARG, e, "too small");
+    kit_fails(metric_ssim(rgb, p.target_u8, p.mask, 10, 21, METRIC_VALID, &got, &e), ERR_ARG, e,
+              "too small");
     mem_fail_at(1);
-    kit_fails(metric_ssim(rgb, p.target_u8, p.mask, p.w, p.h, METRIC_TRAINING, &got, &e), ERR_MEM, e, NULL);
+    kit_fails(metric_ssim(rgb, p.target_u8, p.mask, p.w, p.h, METRIC_TRAINING, &got, &e), ERR_MEM,
+              e, NULL);
     mem_fail_at(0);
     mem_free(rgb);
     picture_free(&p);
 }
 
-/* ---- kernels ---------------------------------------------------------------------------------------- */
+/* ---- kernels
+ * ---------------------------------------------------------------------------------------- */
 
 static struct dev *dev_get(void)
 {
@@ -190,7 +197,8 @@ static void kernel_run(struct loss *l, const struct picture *p, float l1, float 
     mem_free(planar);
 }
 
-static void check_kernel(struct loss *l, uint32_t w, uint32_t h, bool masked, double l1, double ssim)
+static void check_kernel(struct loss *l, uint32_t w, uint32_t h, bool masked, double l1,
+                         double ssim)
 {
     struct picture p = picture_make(w, h, masked, 10 + w);
     struct loss_value want, got;
@@ -214,7 +222,8 @@ static void check_kernel(struct loss *l, uint32_t w, uint32_t h, bool masked, do
     kit_near("kernel loss gradient", kernel, grad, p.n, KERNEL_REL * largest, KERNEL_REL);
     if (sqrt(err2) > KERNEL_L2 * sqrt(ref2))
         fail_msg("%ux%u: relative L2 error %g > %g", w, h, sqrt(err2 / ref2), KERNEL_L2);
-    const double g[4] = {got.total, got.l1, got.ssim, got.mse}, r[4] = {want.total, want.l1, want.ssim, want.mse};
+    const double g[4] = {got.total, got.l1, got.ssim, got.mse},
+                 r[4] = {want.total, want.l1, want.ssim, want.mse};
     kit_near_d("loss values", g, r, 4, VALUE_REL, VALUE_REL);
     for (size_t i = 0; p.mask && i < p.n; i++)
         assert_true(p.mask[i / 3] || kernel[i] == 0.0f);
@@ -231,22 +240,43 @@ static void test_kernel_matches_reference(void **state)
     struct loss_value v;
     kit_ok(loss_open(dev_get(), &l, &e), e);
     kit_fails(loss_read(l, &v, &e), ERR_ARG, e, "nothing was run");
-    static const uint32_t sizes[][2] = {{1, 1},   {3, 2},   {11, 11}, {16, 32}, {17, 33},
-                                        {64, 31}, {65, 64}, {63, 70}, {128, 5}, {130, 97}, {7, 100}};
+    static const uint32_t sizes[][2] = {{1, 1},   {3, 2},   {11, 11}, {16, 32},  {17, 33}, {64, 31},
+                                        {65, 64}, {63, 70}, {128, 5}, {130, 97}, {7, 100}};
     for (size_t i = 0; i < sizeof sizes / sizeof *sizes; i++)
         for (int masked = 0; masked < 2; masked++)
             check_kernel(l, sizes[i][0], sizes[i][1], masked, 0.8, 0.2);
     check_kernel(l, 70, 40, true, 1, 0); /* the L1 shortcut */
     check_kernel(l, 70, 40, false, 0, 1);
-    check_kernel(l, 33, 12, false, 0.8, 0.2); /* a smaller picture in larger buffers: stale margins */
+    check_kernel(l, 33, 12, false, 0.8,
+                 0.2); /* a smaller picture in larger buffers: stale margins */
     struct loss_input bad = {NULL, NULL, NULL, 0, 10, 1, 1};
     kit_fails(loss_run(l, &bad, NULL, &e), ERR_ARG, e, "sizes");
     loss_close(&l);
     loss_close(&l);
 }
 
-/* The bits of one run as text; `test_loss digest` prints it, so that it can be compared between processes
- * with different numbers of worker threads. */
+/* The kernels as a GPU gets them: a work-item a pixel. */
+static void test_narrow_kernel_matches_reference(void **state)
+{
+    (void)state;
+    struct dev *d = dev_get();
+    uint32_t own = d->vector_width;
+    struct loss *l;
+    struct err e = {0};
+    d->vector_width = 1;
+    enum err_code rc = loss_open(d, &l, &e);
+    d->vector_width = own;
+    kit_ok(rc, e);
+    static const uint32_t sizes[][2] = {{1, 1}, {16, 16}, {17, 33}, {70, 31}};
+    for (size_t i = 0; i < sizeof sizes / sizeof *sizes; i++)
+        for (int masked = 0; masked < 2; masked++)
+            check_kernel(l, sizes[i][0], sizes[i][1], masked, 0.8, 0.2);
+    check_kernel(l, 40, 20, true, 1, 0);
+    loss_close(&l);
+}
+
+/* The bits of one run as text; `test_loss digest` prints it, so that it can be compared between
+ * processes with different numbers of worker threads. */
 static void digest(char out[33])
 {
     struct loss *l;
@@ -322,9 +352,13 @@ int main(int argc, char **argv)
     }
     self = argv[0];
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_ref_closed_forms), cmocka_unit_test(test_ref_finite_differences),
-        cmocka_unit_test(test_metrics),          cmocka_unit_test(test_kernel_matches_reference),
-        cmocka_unit_test(test_out_of_memory),    cmocka_unit_test(test_same_bits),
+        cmocka_unit_test(test_ref_closed_forms),
+        cmocka_unit_test(test_ref_finite_differences),
+        cmocka_unit_test(test_metrics),
+        cmocka_unit_test(test_kernel_matches_reference),
+        cmocka_unit_test(test_out_of_memory),
+        cmocka_unit_test(test_narrow_kernel_matches_reference),
+        cmocka_unit_test(test_same_bits),
     };
     int failed = cmocka_run_group_tests(tests, NULL, NULL);
     dev_close(dev_get());

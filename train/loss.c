@@ -1,8 +1,8 @@
 /* The photometric loss on the device: two launches a step, nothing read back unless asked for.
  *
- * The forward kernel writes the derivative maps of SSIM and the partial sums of every band of rows, the
- * backward kernel blurs the maps and adds the L1 part. Owns the compiled kernels and the maps, which grow
- * to the largest picture seen. Kernels and their shape: loss.cl; formulas: loss_ref.c.
+ * The forward kernel writes the derivative maps of SSIM and the partial sums of every band of rows,
+ * the backward kernel blurs the maps and adds the L1 part. Owns the compiled kernels and the maps,
+ * which grow to the largest picture seen. Kernels and their shape: loss.cl; formulas: loss_ref.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,12 +15,13 @@
 
 extern const char loss_cl[];
 
-enum { BAND = 32, STRIP = 64, MARGIN = 16, PARTS = 4 }; /* as in loss.cl */
+enum { BAND = 32, STRIP = 64, MARGIN = 16, TILE = 16, PARTS = 4 }; /* as in loss.cl */
 
 struct loss {
     struct dev *dev; /* borrowed */
     cl_program program;
     cl_kernel forward, backward;
+    bool wide; /* the CPU shape of the kernels */
     cl_mem maps, parts;
     size_t maps_bytes, parts_bytes;
     uint32_t width_px, height_px; /* of the last run; 0 before the first */
@@ -37,11 +38,12 @@ enum err_code loss_open(struct dev *dev, struct loss **out, struct err *e)
     if (!l)
         return err_set(e, ERR_MEM, "loss_open: out of memory");
     l->dev = dev;
+    l->wide = dev->vector_width > 1;
     rc = dev_build(dev, &source, 1, NULL, &l->program, e);
     if (rc == ERR_OK)
-        rc = dev_kernel(l->program, "loss_forward_cpu", &l->forward, e);
+        rc = dev_kernel(l->program, "loss_forward", &l->forward, e);
     if (rc == ERR_OK)
-        rc = dev_kernel(l->program, "loss_backward_cpu", &l->backward, e);
+        rc = dev_kernel(l->program, "loss_backward", &l->backward, e);
     if (rc != ERR_OK)
         loss_close(&l);
     *out = l;
@@ -71,18 +73,24 @@ static uint32_t pitch_of(uint32_t width_px)
     return (width_px + STRIP - 1) / STRIP * STRIP + 2 * MARGIN;
 }
 
-static uint32_t items_of(uint32_t height_px)
+/* Work-groups of either launch: bands of rows or tiles, times 3 channels; *local: their size. */
+static size_t groups_of(const struct loss *l, uint32_t width_px, uint32_t height_px, size_t *local)
 {
-    return (height_px + BAND - 1) / BAND * 3;
+    if (l->wide) {
+        *local = 1;
+        return ((size_t)height_px + BAND - 1) / BAND * 3;
+    }
+    *local = TILE * TILE;
+    return (((size_t)width_px + TILE - 1) / TILE) * (((size_t)height_px + TILE - 1) / TILE) * 3;
 }
 
-/* Buffers for this picture. The kernels rely on zeros in the margins of the maps and write none there, so
- * the maps are cleared whenever the picture's shape changes. */
+/* Buffers for this picture. The kernels rely on zeros in the margins of the maps and write none
+ * there, so the maps are cleared whenever the picture's shape changes. */
 static enum err_code loss_reserve(struct loss *l, uint32_t w, uint32_t h, struct err *e)
 {
     enum err_code rc = ERR_OK;
-    size_t maps_bytes = (size_t)9 * h * pitch_of(w) * sizeof(float);
-    size_t parts_bytes = (size_t)items_of(h) * PARTS * sizeof(float);
+    size_t local, maps_bytes = (size_t)9 * h * pitch_of(w) * sizeof(float);
+    size_t parts_bytes = groups_of(l, w, h, &local) * PARTS * sizeof(float);
     if (w == l->width_px && h == l->height_px)
         return ERR_OK;
     l->width_px = l->height_px = 0;
@@ -118,13 +126,15 @@ enum err_code loss_run(struct loss *l, const struct loss_input *in, cl_mem grad,
 {
     uint32_t w = in->width_px, h = in->height_px;
     if (w == 0 || h == 0 || w > 16384 || h > 16384)
-        return err_set(e, ERR_ARG, "loss_run: a picture of %u x %u px: sizes must be 1 to 16384", w, h);
+        return err_set(e, ERR_ARG, "loss_run: a picture of %u x %u px: sizes must be 1 to 16384", w,
+                       h);
     enum err_code rc = loss_reserve(l, w, h, e);
     if (rc != ERR_OK)
         return rc;
     cl_int wi = (cl_int)w, hi = (cl_int)h, pitch = (cl_int)pitch_of(w);
     cl_int has_mask = in->mask != NULL, with_ssim = in->ssim_weight != 0;
-    cl_mem mask = in->mask ? in->mask : in->target; /* never read without has_mask, but must be a buffer */
+    cl_mem mask =
+        in->mask ? in->mask : in->target; /* never read without has_mask, but must be a buffer */
     double n = 3.0 * w * h;
     cl_float scale_l1 = (float)((double)in->l1_weight / n);
     cl_float scale_ssim = (float)(-(double)in->ssim_weight / n);
@@ -150,9 +160,10 @@ enum err_code loss_run(struct loss *l, const struct loss_input *in, cl_mem grad,
     bad |= dev_arg(l->backward, 11, grad);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "loss_run: arguments: %s", dev_error_name(bad));
-    rc = dev_run(l->dev, l->forward, "loss_forward_cpu", items_of(h), 1, e);
+    size_t local, groups = groups_of(l, w, h, &local);
+    rc = dev_run(l->dev, l->forward, "loss_forward", groups * local, local, e);
     if (rc == ERR_OK)
-        rc = dev_run(l->dev, l->backward, "loss_backward_cpu", items_of(h), 1, e);
+        rc = dev_run(l->dev, l->backward, "loss_backward", groups * local, local, e);
     return rc;
 }
 
@@ -161,7 +172,7 @@ enum err_code loss_read(struct loss *l, struct loss_value *out, struct err *e)
     *out = (struct loss_value){0};
     if (l->width_px == 0)
         return err_set(e, ERR_ARG, "loss_read: nothing was run yet");
-    size_t items = items_of(l->height_px);
+    size_t local, items = groups_of(l, l->width_px, l->height_px, &local);
     enum err_code rc =
         dev_read(l->dev, l->parts, 0, items * PARTS * sizeof(float), l->host_parts, e);
     if (rc != ERR_OK)

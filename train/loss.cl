@@ -3,13 +3,14 @@
  *   in   color  float [3][h][w], target uchar [h][w][3], mask uchar [h][w] or absent
  *   mid  maps   float [3 maps][3 channels][h][pitch], pitch = MARGIN + round_up(w, STRIP) + MARGIN: the
  *               derivatives of S with respect to Kx, Kx^2 and K(xy); zero beyond the picture
- *   out  parts  float [bands][3][4]: |x-y|, S and (x-y)^2 summed over the band; grad float [3][h][w]
+ *   out  parts  float [pieces][3][4]: |x-y|, S and (x-y)^2 summed over a piece; grad float [3][h][w]
  *
- * CPU shape: one work-item = one band of BAND rows of one channel. It walks strips of STRIP columns, blurs
- * each row horizontally into a ring of 11 rows (private memory, 22 KiB: every row is there twice, so that a
- * window is 11 rows in a row) and the ring vertically. All
- * sums are taken in a fixed order. The only products needed are x^2 + y^2 and xy, because the two
- * variances enter S as their sum.
+ * CPU shape (VW 16): one work-item = one band of BAND rows of one channel. It walks strips of STRIP
+ * columns, blurs each row horizontally into a ring of 11 rows (private memory, 22 KiB: every row is there
+ * twice, so that a window is 11 rows in a row) and the ring vertically. GPU shape (VW 1): one work-group =
+ * one tile of 16x16 pixels of one channel, one work-item = one pixel; the tile and 5 pixels around it are
+ * staged in local memory and blurred there. All sums are taken in a fixed order. The only products needed
+ * are x^2 + y^2 and xy, because the two variances enter S as their sum.
  *
  * Reference: loss_ref.c (which has the formulas). Tolerance: float rounding, 1e-5 relative.
  */
@@ -27,6 +28,28 @@
 __constant float taps[TAPS] = {0.00102838008f, 0.00759875814f, 0.0360007721f, 0.10936069f,
                                0.213005538f,   0.266011725f,   0.213005538f,  0.10936069f,
                                0.0360007721f,  0.00759875814f, 0.00102838008f};
+
+#if VW == 16
+typedef float16 V;
+#else
+typedef float V;
+#endif
+
+/* S and its three derivatives. */
+static V ssim_of(V m1, V m2, V qq, V xy, V *pm, V *ps, V *pc)
+{
+    V mm = m1 * m2, m11 = m1 * m1 + m2 * m2;
+    V a1 = 2.0f * mm + SSIM_C1, a2 = 2.0f * (xy - mm) + SSIM_C2;
+    V b1 = m11 + SSIM_C1, b2 = (qq - m11) + SSIM_C2;
+    V r1 = 1.0f / b1, r2 = 1.0f / b2, r = r1 * r2;
+    V s = a1 * a2 * r;
+    *pc = 2.0f * a1 * r;
+    *ps = -s * r2;
+    *pm = 2.0f * m2 * a2 * r - 2.0f * m1 * s * r1 - 2.0f * m1 * *ps - m2 * *pc;
+    return s;
+}
+
+#if VW == 16
 
 /* 16 pixels of channel c out of 48 interleaved bytes. */
 static float16 pixels_channel(const __global uchar *p, int c)
@@ -125,22 +148,7 @@ static void row_blur_products(const float *x, const float *y, float *to, float *
     }
 }
 
-/* S of 16 pixels and its three derivatives. */
-static float16 ssim_of(float16 m1, float16 m2, float16 qq, float16 xy, float16 *pm, float16 *ps,
-                       float16 *pc)
-{
-    float16 mm = m1 * m2, m11 = m1 * m1 + m2 * m2;
-    float16 a1 = 2.0f * mm + SSIM_C1, a2 = 2.0f * (xy - mm) + SSIM_C2;
-    float16 b1 = m11 + SSIM_C1, b2 = (qq - m11) + SSIM_C2;
-    float16 r1 = 1.0f / b1, r2 = 1.0f / b2, r = r1 * r2;
-    float16 s = a1 * a2 * r;
-    *pc = 2.0f * a1 * r;
-    *ps = -s * r2;
-    *pm = 2.0f * m2 * a2 * r - 2.0f * m1 * s * r1 - 2.0f * m1 * *ps - m2 * *pc;
-    return s;
-}
-
-__kernel void loss_forward_cpu(const __global float *color, const __global uchar *target,
+__kernel void loss_forward(const __global float *color, const __global uchar *target,
                                const __global uchar *mask, int has_mask, int w, int h, int pitch,
                                int with_ssim, __global float *maps, __global float *parts)
 {
@@ -217,7 +225,7 @@ static void row_blur_maps(const __global float *from, size_t plane, float *to, f
 }
 
 /* scale_l1 = l1_weight / 3hw, scale_ssim = -ssim_weight / 3hw. */
-__kernel void loss_backward_cpu(const __global float *color, const __global uchar *target,
+__kernel void loss_backward(const __global float *color, const __global uchar *target,
                                 const __global uchar *mask, int has_mask, int w, int h, int pitch,
                                 int with_ssim, const __global float *maps, float scale_l1,
                                 float scale_ssim, __global float *grad)
@@ -267,3 +275,128 @@ __kernel void loss_backward_cpu(const __global float *color, const __global ucha
             }
         }
 }
+
+#else
+
+#define TILE 16
+#define PIXELS (TILE * TILE)
+#define WIDE (TILE + 2 * RADIUS)
+
+/* x or y of one channel at a pixel, 0 beyond the picture and where masked. */
+static int pixel_used(const __global uchar *mask, int has_mask, int w, int h, int x, int y)
+{
+    if (x < 0 || y < 0 || x >= w || y >= h)
+        return 0;
+    return !has_mask || mask[(size_t)y * w + x];
+}
+
+/* sum over k of taps[k] * p[k * step]. */
+static float blur_one(const __local float *p, int step)
+{
+    float a = 0.0f;
+    for (int k = 0; k < TAPS; k++)
+        a = p[k * step] * taps[k] + a;
+    return a;
+}
+
+/* Where this work-group's tile is. */
+static int tile_origin(int w, int *x0, int *y0)
+{
+    int piece = get_group_id(0) / 3, across = (w + TILE - 1) / TILE;
+    *x0 = piece % across * TILE;
+    *y0 = piece / across * TILE;
+    return get_group_id(0) % 3;
+}
+
+__kernel __attribute__((reqd_work_group_size(PIXELS, 1, 1))) void
+loss_forward(const __global float *color, const __global uchar *target, const __global uchar *mask,
+             int has_mask, int w, int h, int pitch, int with_ssim, __global float *maps,
+             __global float *parts)
+{
+    int x0, y0, c = tile_origin(w, &x0, &y0), lane = get_local_id(0), lx = lane % TILE, ly = lane / TILE;
+    __local float xs[WIDE * WIDE], ys[WIDE * WIDE], rows[4][WIDE * TILE], sums[3][PIXELS];
+    for (int i = lane; i < WIDE * WIDE; i += PIXELS) {
+        int x = x0 + i % WIDE - RADIUS, y = y0 + i / WIDE - RADIUS;
+        int used = pixel_used(mask, has_mask, w, h, x, y);
+        xs[i] = used ? color[((size_t)c * h + y) * w + x] : 0.0f;
+        ys[i] = used ? (float)target[((size_t)y * w + x) * 3 + c] * (1.0f / 255.0f) : 0.0f;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int i = lane; i < WIDE * TILE; i += PIXELS) {
+        const __local float *a = xs + i / TILE * WIDE + i % TILE, *b = ys + i / TILE * WIDE + i % TILE;
+        float m1 = 0.0f, m2 = 0.0f, qq = 0.0f, xy = 0.0f;
+        for (int k = 0; k < TAPS; k++) {
+            m1 = a[k] * taps[k] + m1;
+            m2 = b[k] * taps[k] + m2;
+            qq = (a[k] * a[k] + b[k] * b[k]) * taps[k] + qq;
+            xy = (a[k] * b[k]) * taps[k] + xy;
+        }
+        rows[0][i] = m1;
+        rows[1][i] = m2;
+        rows[2][i] = qq;
+        rows[3][i] = xy;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    int inside = x0 + lx < w && y0 + ly < h, at = (ly + RADIUS) * WIDE + lx + RADIUS;
+    float d = xs[at] - ys[at], s = 0.0f, pm, ps, pc;
+    if (with_ssim && inside) {
+        size_t plane = (size_t)3 * h * pitch;
+        __global float *mp = maps + ((size_t)c * h + y0 + ly) * pitch + MARGIN + x0 + lx;
+        s = ssim_of(blur_one(rows[0] + lane, TILE), blur_one(rows[1] + lane, TILE),
+                    blur_one(rows[2] + lane, TILE), blur_one(rows[3] + lane, TILE), &pm, &ps, &pc);
+        mp[0] = pm;
+        mp[plane] = ps;
+        mp[2 * plane] = pc;
+    }
+    sums[0][lane] = fabs(d);
+    sums[1][lane] = s;
+    sums[2][lane] = d * d;
+    for (int half_n = PIXELS / 2; half_n > 0; half_n /= 2) {
+        barrier(CLK_LOCAL_MEM_FENCE);
+        for (int k = 0; k < 3 && lane < half_n; k++)
+            sums[k][lane] += sums[k][lane + half_n];
+    }
+    if (lane == 0) {
+        __global float *p = parts + get_group_id(0) * 4;
+        p[0] = sums[0][0];
+        p[1] = sums[1][0];
+        p[2] = sums[2][0];
+        p[3] = 0.0f;
+    }
+}
+
+__kernel __attribute__((reqd_work_group_size(PIXELS, 1, 1))) void
+loss_backward(const __global float *color, const __global uchar *target, const __global uchar *mask,
+              int has_mask, int w, int h, int pitch, int with_ssim, const __global float *maps,
+              float scale_l1, float scale_ssim, __global float *grad)
+{
+    int x0, y0, c = tile_origin(w, &x0, &y0), lane = get_local_id(0), lx = lane % TILE, ly = lane / TILE;
+    __local float near[3][WIDE * WIDE], rows[3][WIDE * TILE];
+    size_t plane = (size_t)3 * h * pitch;
+    for (int i = lane; i < WIDE * WIDE; i += PIXELS) {
+        int x = x0 + i % WIDE - RADIUS, y = y0 + i / WIDE - RADIUS;
+        int in = with_ssim && x >= 0 && y >= 0 && x < w && y < h;
+        for (int m = 0; m < 3; m++)
+            near[m][i] = in ? maps[m * plane + ((size_t)c * h + y) * pitch + MARGIN + x] : 0.0f;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int i = lane; i < WIDE * TILE; i += PIXELS)
+        for (int m = 0; m < 3; m++)
+            rows[m][i] = blur_one(near[m] + i / TILE * WIDE + i % TILE, 1);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    int px = x0 + lx, py = y0 + ly;
+    if (px >= w || py >= h)
+        return;
+    size_t at = (size_t)py * w + px;
+    float g = 0.0f;
+    if (pixel_used(mask, has_mask, w, h, px, py)) {
+        float x = color[(size_t)c * h * w + at], y = (float)target[at * 3 + c] * (1.0f / 255.0f);
+        g = blur_one(rows[0] + lane, TILE);
+        g = 2.0f * x * blur_one(rows[1] + lane, TILE) + g;
+        g = y * blur_one(rows[2] + lane, TILE) + g;
+        g = g * scale_ssim + (x > y ? scale_l1 : x < y ? -scale_l1 : 0.0f);
+    }
+    grad[(size_t)c * h * w + at] = g;
+}
+
+#endif

@@ -1,10 +1,10 @@
 /* The photometric loss and its gradient in double on the host: what the kernels are tested against.
  *
- * With K the window operator (11x11 Gaussian, zero padded, symmetric), m1 = Kx, m2 = Ky, s1 = Kx^2 - m1^2,
- * s2 = Ky^2 - m2^2, s12 = K(xy) - m1 m2, A1 = 2 m1 m2 + C1, A2 = 2 s12 + C2, B1 = m1^2 + m2^2 + C1,
- * B2 = s1 + s2 + C2: S = A1 A2 / (B1 B2). Seen as a function of (Kx, Kx^2, K(xy)) it has the derivatives
- * pm, ps, pc, and since K is its own transpose d(sum S)/dx = K pm + 2 x K ps + y K pc.
- * Structural similarity: Wang, Bovik, Sheikh, Simoncelli 2004.
+ * With K the window operator (11x11 Gaussian, zero padded, symmetric), m1 = Kx, m2 = Ky, s1 = Kx^2
+ * - m1^2, s2 = Ky^2 - m2^2, s12 = K(xy) - m1 m2, A1 = 2 m1 m2 + C1, A2 = 2 s12 + C2, B1 = m1^2 +
+ * m2^2 + C1, B2 = s1 + s2 + C2: S = A1 A2 / (B1 B2). Seen as a function of (Kx, Kx^2, K(xy)) it has
+ * the derivatives pm, ps, pc, and since K is its own transpose d(sum S)/dx = K pm + 2 x K ps + y K
+ * pc. Structural similarity: Wang, Bovik, Sheikh, Simoncelli 2004.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -60,7 +60,8 @@ size_t loss_ref_scratch_planes(void)
     return PLANES;
 }
 
-static void blur_product(const double *a, const double *b, size_t w, size_t h, double *s, double *out)
+static void blur_product(const double *a, const double *b, size_t w, size_t h, double *s,
+                         double *out)
 {
     size_t n = w * h;
     for (size_t i = 0; i < n; i++)
@@ -87,7 +88,8 @@ void loss_ref_ssim(const double *x, const double *y, size_t w, size_t h, double 
         double pc = 2 * a1 / (b1 * b2), ps = -ssim / b2;
         double pm = 2 * m2 * a2 / (b1 * b2) - 2 * m1 * ssim / b1 - 2 * m1 * ps - m2 * pc;
         map[i] = ssim;
-        s[Q1 * n + i] = pm; /* the blurred products are no longer needed: keep the derivatives there */
+        s[Q1 * n + i] =
+            pm; /* the blurred products are no longer needed: keep the derivatives there */
         s[Q2 * n + i] = ps;
         s[R12 * n + i] = pc;
     }
@@ -110,12 +112,13 @@ static void add_ssim_grad(const double *x, const double *y, size_t w, size_t h, 
 }
 
 enum err_code loss_ref_run(const double *rgb, const double *target, const uint8_t *mask,
-                           uint32_t width_px, uint32_t height_px, double l1_weight, double ssim_weight,
-                           double *grad, struct loss_value *out, struct err *e)
+                           uint32_t width_px, uint32_t height_px, double l1_weight,
+                           double ssim_weight, double *grad, struct loss_value *out, struct err *e)
 {
     size_t w = width_px, h = height_px, n = w * h;
     if (!n)
-        return err_set(e, ERR_ARG, "loss_ref_run: %u x %u: the picture is empty", width_px, height_px);
+        return err_set(e, ERR_ARG, "loss_ref_run: %u x %u: the picture is empty", width_px,
+                       height_px);
     double *block = mem_array(n, (PLANES + 4) * sizeof *block);
     if (!block)
         return err_set(e, ERR_MEM, "loss_ref_run: %u x %u: out of memory", width_px, height_px);

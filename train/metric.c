@@ -1,9 +1,9 @@
 /* PSNR and SSIM of a rendered picture against a photograph, in double.
  *
- * Two windows, because papers use both: METRIC_TRAINING is what the loss minimises (zero padded: border
- * windows see black beyond the edge), METRIC_VALID keeps only windows inside the picture, as the usual
- * metric libraries do. A window is inside exactly when its centre is 5 px from every edge, and there the
- * zero-padded map holds the same number.
+ * Two windows, because papers use both: METRIC_TRAINING is what the loss minimises (zero padded:
+ * border windows see black beyond the edge), METRIC_VALID keeps only windows inside the picture, as
+ * the usual metric libraries do. A window is inside exactly when its centre is 5 px from every
+ * edge, and there the zero-padded map holds the same number.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -20,11 +20,13 @@ static double clamp01(double v)
     return v > 0 ? (v < 1 ? v : 1) : 0; /* NaN becomes 0 */
 }
 
-static enum err_code check_size(const char *who, uint32_t w, uint32_t h, uint32_t least, struct err *e)
+static enum err_code check_size(const char *who, uint32_t w, uint32_t h, uint32_t least,
+                                struct err *e)
 {
     if (w < least || h < least)
-        return err_set(e, ERR_ARG, "%s: a picture of %u x %u px is too small; at least %u x %u is needed",
-                       who, w, h, least, least);
+        return err_set(e, ERR_ARG,
+                       "%s: a picture of %u x %u px is too small; at least %u x %u is needed", who,
+                       w, h, least, least);
     return ERR_OK;
 }
 

@@ -1,0 +1,324 @@
+/* See backward_kit.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/backward_kit.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "render/render_ref.h"
+
+/* A pixel within this of a threshold (alpha at 1/255 or its maximum, T at the stop) may fall on
+ * either side in float: its dL/dcolour is set to 0 so that the comparison does not depend on it. */
+#define THRESHOLD_REL 2e-4
+
+/* ---- scenes
+ * --------------------------------------------------------------------------------------- */
+
+static struct camera scene_camera(void)
+{
+    /* Off-centre principal point: the clamp of the Jacobian differs on every side. */
+    struct camera c = {.width_px = PX_W,
+                       .height_px = PX_H,
+                       .fx_px = 45,
+                       .fy_px = 41,
+                       .cx_px = 18.3,
+                       .cy_px = 17.1};
+    const double quat[4] = {0.83, 0.31, -0.4, 0.2};
+    camera_quat_to_rot(quat, c.rot);
+    for (int i = 0; i < 3; i++) /* looks at the origin from 3 m */
+        c.trans[i] = i == 2 ? 3.0 : 0.05 * i;
+    return c;
+}
+
+/* Steps of the differences are powers of two: with parameters on a grid of 2^-16 every step is
+ * exact. */
+static float on_grid(double v)
+{
+    return (float)(round(v * 65536) / 65536);
+}
+
+double *grad_make(size_t n, uint64_t seed)
+{
+    double *g = mem_array(n, sizeof *g);
+    assert_non_null(g);
+    for (size_t i = 0; i < n; i++)
+        g[i] = (double)(float)rng_normal(seed, 77, i);
+    return g;
+}
+
+struct scene scene_make(uint64_t seed, size_t n, enum render_aa aa, uint32_t degree)
+{
+    struct scene s = {.cam = scene_camera(),
+                      .o = {.aa = aa, .background = {0.2f, 0.5f, 0.9f}, .sh_degree = -1}};
+    struct err e = {0};
+    kit_ok(gauss_alloc(&s.g, n, degree, 0, &e), e);
+    s.g.n = n;
+    size_t k = gauss_sh_count(degree);
+    for (size_t i = 0; i < n; i++) {
+        for (size_t a = 0; a < 3; a++) {
+            s.g.mean_m[3 * i + a] = on_grid(2.2 * rng_unit(seed, a, i) - 1.1);
+            s.g.scale_log[3 * i + a] = on_grid(-1.2 - 1.6 * rng_unit(seed, 3 + a, i));
+        }
+        for (size_t a = 0; a < 4; a++)
+            s.g.quat_wxyz[4 * i + a] = on_grid(rng_normal(seed, 6 + a, i));
+        s.g.opacity_logit[i] = on_grid(3 * rng_normal(seed, 10, i));
+        for (size_t a = 0; a < 3 * k; a++)
+            s.g.sh[3 * k * i + a] = on_grid((a < 3 ? 1.2 : 0.3) * rng_normal(seed, 11 + a, i));
+    }
+    s.rgb_grad = grad_make((size_t)PX_W * PX_H * 3, seed);
+    return s;
+}
+
+void scene_free(struct scene *s)
+{
+    gauss_free(&s->g);
+    mem_free(s->rgb_grad);
+}
+
+/* Opaque splats behind one another: alpha at its maximum, and pixels that stop before the last
+ * splat. */
+struct scene scene_saturated(enum render_aa aa)
+{
+    struct scene s = scene_make(7, 12, aa, 0);
+    for (size_t i = 0; i < s.g.n; i++) {
+        s.g.opacity_logit[i] = on_grid(i % 3 ? 7.0 : 1.0);
+        for (size_t a = 0; a < 3; a++) {
+            s.g.scale_log[3 * i + a] = on_grid(-0.7 - 0.1 * (double)a - 0.02 * (double)i);
+            s.g.mean_m[3 * i + a] = on_grid((double)s.g.mean_m[3 * i + a] * 0.25);
+        }
+    }
+    return s;
+}
+
+/* Large splats whose centres lie outside the picture on every side, beyond the clamp of the
+ * Jacobian. */
+struct scene scene_outside(enum render_aa aa)
+{
+    struct scene s = scene_make(8, 8, aa, 1);
+    for (size_t i = 0; i < s.g.n; i++) {
+        static const double side[8][2] = {{-1, 0},  {1, 0}, {0, -1},   {0, 1},
+                                          {-1, -1}, {1, 1}, {0.9, -1}, {0.1, 0.2}};
+        const double cam[3] = {side[i][0] * 1.7 - s.cam.trans[0], side[i][1] * 1.5 - s.cam.trans[1],
+                               2.4 - s.cam.trans[2] + 0.05 * (double)i};
+        for (size_t a = 0; a < 3; a++) { /* back to the world: R^T */
+            s.g.mean_m[3 * i + a] = on_grid(s.cam.rot[a] * cam[0] + s.cam.rot[3 + a] * cam[1] +
+                                            s.cam.rot[6 + a] * cam[2]);
+            s.g.scale_log[3 * i + a] = on_grid(-0.7 + 0.2 * (double)a);
+        }
+        s.g.opacity_logit[i] = 0.5f;
+    }
+    return s;
+}
+
+/* Needles and discs: axes from 0.4 m down to 0.1 mm. */
+struct scene scene_needles(enum render_aa aa)
+{
+    struct scene s = scene_make(9, 8, aa, 0);
+    for (size_t i = 0; i < s.g.n; i++) {
+        s.g.scale_log[3 * i] = on_grid(-1.0);
+        s.g.scale_log[3 * i + 1] = on_grid(i % 2 ? -1.1 : -6.0);
+        s.g.scale_log[3 * i + 2] = on_grid(-4.0 - (double)(i % 4));
+        s.g.opacity_logit[i] = 3.0f;
+    }
+    return s;
+}
+
+/* ---- reference
+ * ------------------------------------------------------------------------------------- */
+
+struct grads grads_make(const struct gauss *g)
+{
+    struct grads o = {0};
+    size_t k = 3 * gauss_sh_count(g->sh_degree), n = g->n;
+    const size_t count[5] = {3 * n, 3 * n, 4 * n, n, k * n};
+    o.block = mem_array(n * (11 + k), sizeof *o.block);
+    assert_non_null(o.block);
+    double *at = o.block;
+    for (size_t i = 0; i < 5; i++) {
+        o.count[i] = count[i];
+        o.part[i] = at;
+        at += count[i];
+    }
+    o.r = (struct render_ref_grads){o.part[0], o.part[1], o.part[2], o.part[3], o.part[4]};
+    return o;
+}
+
+const char *const backward_part[5] = {"mean", "scale_log", "quat_wxyz", "opacity_logit", "sh"};
+
+double rms(const double *v, size_t n)
+{
+    double sum = 0;
+    for (size_t i = 0; i < n; i++)
+        sum += v[i] * v[i];
+    return sqrt(sum / (double)(n ? n : 1));
+}
+
+/* ---- device
+ * ---------------------------------------------------------------------------------------- */
+
+struct dev *dev_get(void)
+{
+    static struct dev dev;
+    struct err e = {0};
+    if (!dev.context)
+        kit_ok(dev_open(NULL, &dev, &e), e);
+    return &dev;
+}
+
+static bool near(double a, double b)
+{
+    return fabs(a - b) <= THRESHOLD_REL * fabs(b);
+}
+
+/* Clear rgb_grad where float and double could decide differently; the fraction that is left. */
+double clear_ambiguous(struct scene *s)
+{
+    struct ref_view v;
+    struct ref_splat *splats;
+    size_t n, px = (size_t)s->cam.width_px * s->cam.height_px, left = 0;
+    struct err e = {0};
+    kit_ok(ref_view_init(&s->g, &s->cam, &s->o, &v, &e), e);
+    kit_ok(ref_project_all(&v, &s->g, &splats, &n, &e), e);
+    for (size_t at = 0; at < px; at++) {
+        double t = 1, x = (double)(at % s->cam.width_px) + 0.5,
+               y = (double)(at / s->cam.width_px) + 0.5;
+        bool sure = true;
+        for (size_t i = 0; i < n && t > (double)RENDER_T_STOP; i++) {
+            const struct ref_splat *p = &splats[i];
+            double dx = p->mean_px[0] - x, dy = p->mean_px[1] - y;
+            double sigma =
+                0.5 * (p->conic[0] * dx * dx + p->conic[2] * dy * dy) + p->conic[1] * dx * dy;
+            double a = p->opacity_eff * exp(-sigma);
+            sure = sure && !near(a, 1 / 255.0) && !near(a, (double)RENDER_ALPHA_MAX);
+            if (a < 1 / 255.0)
+                continue;
+            t *= 1 - fmin(a, (double)RENDER_ALPHA_MAX);
+            sure = sure && !near(t, (double)RENDER_T_STOP);
+        }
+        for (size_t c = 0; c < 3 && !sure; c++)
+            s->rgb_grad[3 * at + c] = 0;
+        left += sure;
+    }
+    mem_free(splats);
+    return (double)left / (double)px;
+}
+
+/* Forward and set dL/dcolour; the model stays for the caller. */
+void kernel_forward(struct render *r, const struct scene *s, struct render_model *m)
+{
+    struct err e = {0};
+    size_t n = (size_t)s->cam.width_px * s->cam.height_px * 3;
+    float *g = mem_array(n, sizeof *g);
+    assert_non_null(g);
+    for (size_t i = 0; i < n; i++)
+        g[i] = (float)s->rgb_grad[i];
+    if (!m->params)
+        kit_ok(render_model_upload(r, &s->g, m, &e), e);
+    kit_ok(render_forward(r, m, &s->cam, &s->o, NULL, NULL, &e), e);
+    kit_ok(render_set_color_grad(r, g, &e), e);
+    mem_free(g);
+}
+
+/* A buffer in the layout of the parameters, as arrays in the layout of gauss. */
+void planes_read(const struct render_model *m, cl_mem mem, struct gauss *out)
+{
+    struct err e = {0};
+    size_t k = 3 * gauss_sh_count(m->sh_degree), words = (size_t)m->groups * m->planes * 16;
+    float *raw = mem_array(words, sizeof *raw);
+    assert_non_null(raw);
+    kit_ok(dev_read(dev_get(), mem, 0, words * sizeof *raw, raw, &e), e);
+    for (size_t i = 0; i < m->n; i++) {
+        const float *p = raw + i / 16 * m->planes * 16 + i % 16;
+        for (size_t a = 0; a < 3; a++) {
+            out->mean_m[3 * i + a] = p[16 * (RENDER_PLANE_MEAN + a)];
+            out->scale_log[3 * i + a] = p[16 * (RENDER_PLANE_SCALE + a)];
+        }
+        for (size_t a = 0; a < 4; a++)
+            out->quat_wxyz[4 * i + a] = p[16 * (RENDER_PLANE_QUAT + a)];
+        out->opacity_logit[i] = p[16 * RENDER_PLANE_OPACITY];
+        for (size_t a = 0; a < k; a++)
+            out->sh[k * i + a] = p[16 * (RENDER_PLANE_SH + a)];
+    }
+    mem_free(raw);
+}
+
+void gauss_like(const struct gauss *g, struct gauss *out)
+{
+    struct err e = {0};
+    kit_ok(gauss_alloc(out, g->n, g->sh_degree, 0, &e), e);
+    out->n = g->n;
+}
+
+float *part_of(struct gauss *g, size_t part)
+{
+    float *const parts[5] = {g->mean_m, g->scale_log, g->quat_wxyz, g->opacity_logit, g->sh};
+    return parts[part];
+}
+
+/* ---- training
+ * ----------------------------------------------------------------------------------------- */
+
+struct trainer trainer_make(const struct gauss *g)
+{
+    struct trainer t = {.adam = {.lr_mean = 2e-3f,
+                                 .lr_scale = 5e-3f,
+                                 .lr_quat = 1e-3f,
+                                 .lr_opacity = 5e-2f,
+                                 .lr_sh_dc = 2.5e-3f,
+                                 .lr_sh_rest = 1.25e-4f,
+                                 .beta1 = 0.9f,
+                                 .beta2 = 0.999f,
+                                 .eps = 1e-15f,
+                                 .scale_log_min = -13.8f,
+                                 .scale_log_max = 4.5f}};
+    struct dev *d = dev_get();
+    struct err e = {0};
+    kit_ok(render_open(d, &t.r, &e), e);
+    kit_ok(render_model_upload(t.r, g, &t.m, &e), e);
+    size_t bytes = (size_t)t.m.groups * t.m.planes * 64, lanes = (size_t)t.m.groups * 64;
+    cl_mem *const mems[7] = {&t.adam.m1,     &t.adam.m2,      &t.stats.grad,    &t.stats.absg,
+                             &t.stats.count, &t.stats.radius, &t.stats.repaired};
+    for (size_t i = 0; i < 7; i++) {
+        kit_ok(dev_buffer(d, i < 2 ? bytes : lanes, NULL, mems[i], &e), e);
+        kit_ok(dev_zero(d, *mems[i], 0, i < 2 ? bytes : lanes, &e), e);
+    }
+    return t;
+}
+
+void trainer_free(struct trainer *t)
+{
+    cl_mem *const mems[8] = {&t->adam.m1,        &t->adam.m2,        &t->stats.grad,
+                             &t->stats.absg,     &t->stats.count,    &t->stats.radius,
+                             &t->stats.repaired, &t->adam.extra_grad};
+    for (size_t i = 0; i < 8; i++)
+        dev_release(mems[i]);
+    render_model_free(&t->m);
+    render_close(&t->r);
+}
+
+void trainer_step(struct trainer *t, const struct scene *s)
+{
+    struct err e = {0};
+    kernel_forward(t->r, s, &t->m);
+    t->adam.step++;
+    kit_ok(render_backward_step(t->r, &t->m, &t->adam, &t->stats, &e), e);
+}
+
+uint32_t trainer_repaired(const struct trainer *t)
+{
+    uint32_t n;
+    struct err e = {0};
+    kit_ok(dev_read(dev_get(), t->stats.repaired, 0, sizeof n, &n, &e), e);
+    return n;
+}
+
+float *floats_read(cl_mem mem, size_t n)
+{
+    struct err e = {0};
+    float *v = mem_array(n, sizeof *v);
+    assert_non_null(v);
+    kit_ok(dev_read(dev_get(), mem, 0, n * sizeof *v, v, &e), e);
+    return v;
+}

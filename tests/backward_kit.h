@@ -1,0 +1,77 @@
+/* What the tests of the backward pass share: small seeded scenes that go everywhere, the
+ * reference's gradients as one block, moving between struct gauss and the device's layout, a model
+ * with its optimiser.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TESTS_BACKWARD_KIT_H
+#define TESTS_BACKWARD_KIT_H
+
+#include "tests/kit.h"
+
+#include "core/camera.h"
+#include "render/render.h"
+
+enum { PX_W = 40, PX_H = 32 };
+
+/* ---- scenes: parameters on a grid of 2^-16, so that steps of powers of two are exact
+ * ------------------- */
+
+struct scene { /* scene_free */
+    struct gauss g;
+    struct camera cam;
+    struct render_options o;
+    double *rgb_grad; /* [h][w][3] */
+};
+struct scene scene_make(uint64_t seed, size_t n, enum render_aa aa, uint32_t degree);
+struct scene scene_saturated(enum render_aa aa); /* alpha at its maximum, pixels that stop early */
+struct scene
+scene_outside(enum render_aa aa); /* centres beyond the Jacobian's clamp on every side */
+struct scene scene_needles(enum render_aa aa); /* axes from 0.4 m down to 0.1 mm */
+void scene_free(struct scene *s);
+double *grad_make(size_t n, uint64_t seed); /* standard normal; mem_free */
+
+/* ---- the reference's gradients
+ * --------------------------------------------------------------------------- */
+
+struct grads { /* one block: mem_free(block) */
+    double *block;
+    struct render_ref_grads r;
+    size_t count[5];
+    double *part[5]; /* mean, scale_log, quat_wxyz, opacity_logit, sh */
+};
+extern const char *const backward_part[5];
+struct grads grads_make(const struct gauss *g);
+double rms(const double *v, size_t n);
+/* Clear rgb_grad in pixels where float and double could decide differently; the fraction that is
+ * left. */
+double clear_ambiguous(struct scene *s);
+
+/* ---- device
+ * ------------------------------------------------------------------------------------------------
+ */
+
+struct dev *dev_get(void);                /* opened once a process; close it at the end */
+float *floats_read(cl_mem mem, size_t n); /* mem_free */
+/* Draw s (uploading it when m is empty) and set dL/dcolour. */
+void kernel_forward(struct render *r, const struct scene *s, struct render_model *m);
+/* A buffer in the layout of the parameters, as arrays in the layout of gauss. */
+void planes_read(const struct render_model *m, cl_mem mem, struct gauss *out);
+void gauss_like(const struct gauss *g, struct gauss *out);
+float *part_of(struct gauss *g, size_t part);
+
+/* ---- a model with its optimiser
+ * ------------------------------------------------------------------------------ */
+
+struct trainer { /* trainer_free */
+    struct render *r;
+    struct render_model m;
+    struct render_adam adam;
+    struct render_density_stats stats;
+};
+struct trainer trainer_make(const struct gauss *g);
+void trainer_free(struct trainer *t);
+void trainer_step(struct trainer *t, const struct scene *s); /* draw, backward, Adam */
+uint32_t trainer_repaired(const struct trainer *t);
+
+#endif
