@@ -23,13 +23,10 @@ static const struct options_spec spec = {
     .usage = "citysplat serve CITY.tiles [MORE.tiles ...] [options]",
     .about =
         "Serve tile stores to map clients: Gaussian tiles as .glb, .spz, .drc and .ply, 3D Tiles "
-        "and\n"
-        "TileJSON descriptions, rendered views as .jpg, .png and .webp, and the viewer itself.\n"
+        "and TileJSON descriptions, rendered views as .jpg, .png and .webp, and the viewer itself. "
         "Listens on this machine alone unless --address says otherwise; put a proxy with TLS in "
-        "front\n"
-        "of it for the world. SIGTERM finishes what is under way and exits; SIGHUP opens the "
-        "stores\n"
-        "again and serves the older revision for another day.",
+        "front of it for the world. SIGTERM finishes what is under way and exits; SIGHUP opens the "
+        "stores again and serves the older revision for another day.",
     .example = "citysplat serve city.tiles\n"
                "citysplat serve old-town.tiles harbour.tiles --address 0.0.0.0 --port 8000",
     .defs = defs,

@@ -34,6 +34,7 @@ struct http {
     struct services *s;
     struct MHD_Daemon *daemon;
     struct watch *watch;
+    int fd; /* listens; libmicrohttpd's once the daemon runs */
     uint16_t port;
 };
 
@@ -54,7 +55,8 @@ struct exchange { /* one request and its answer; made by on_target, freed by on_
     uint64_t sent;
 };
 
-/* ---- the answer --------------------------------------------------------------------------------- */
+/* ---- the answer ---------------------------------------------------------------------------------
+ */
 
 static void add(struct MHD_Response *m, const char *name, const char *value)
 {
@@ -165,7 +167,8 @@ static enum MHD_Result refuse(struct exchange *x, int status, const char *why)
     return send_answer(x);
 }
 
-/* ---- the guard ---------------------------------------------------------------------------------- */
+/* ---- the guard ----------------------------------------------------------------------------------
+ */
 
 struct fields { /* what the guard counts */
     struct exchange *x;
@@ -315,7 +318,8 @@ static int guard(struct exchange *x, const char *method, const char *version, co
     return 0;
 }
 
-/* ---- jobs --------------------------------------------------------------------------------------- */
+/* ---- jobs ---------------------------------------------------------------------------------------
+ */
 
 static struct exchange *exchange_of(struct job_waiter *w)
 {
@@ -357,7 +361,8 @@ static enum MHD_Result wait_for_job(struct exchange *x)
     return MHD_YES;
 }
 
-/* ---- callbacks ---------------------------------------------------------------------------------- */
+/* ---- callbacks ----------------------------------------------------------------------------------
+ */
 
 static void *on_target(void *cls, const char *target, struct MHD_Connection *c)
 {
@@ -501,7 +506,8 @@ static void on_log(void *cls, const char *fmt, va_list args)
     log_debug("http", "%s", text);
 }
 
-/* ---- listening ---------------------------------------------------------------------------------- */
+/* ---- listening ----------------------------------------------------------------------------------
+ */
 
 static enum err_code bind_failed(const struct server_config *cfg, struct err *e)
 {
@@ -586,26 +592,23 @@ static enum err_code start_daemon(struct http *h, int fd, struct err *e)
 enum err_code http_open(struct services *s, struct http **out, struct err *e)
 {
     struct http *h = mem_array(1, sizeof(*h));
-    int fd = -1;
     *out = h;
     if (!h)
         return err_set(e, ERR_MEM, "http: out of memory");
     h->s = s;
-    enum err_code rc =
-        watch_open((size_t)s->cfg->max_connections * 2 + 16, s, on_gone, &h->watch, e);
-    if (rc == ERR_OK)
-        rc = listen_on(s->cfg, &fd, &h->port, e);
-    if (rc == ERR_OK) {
-        rc = start_daemon(h, fd, e);
-        if (rc != ERR_OK)
-            close(fd);
-    }
+    enum err_code rc = listen_on(s->cfg, &h->fd, &h->port, e);
     if (rc != ERR_OK) {
-        watch_close(&h->watch);
         mem_free(h);
         *out = NULL;
     }
     return rc;
+}
+
+enum err_code http_start(struct http *h, struct err *e)
+{
+    size_t limit = (size_t)h->s->cfg->max_connections * 2 + 16;
+    enum err_code rc = watch_open(limit, h->s, on_gone, &h->watch, e);
+    return rc == ERR_OK ? start_daemon(h, h->fd, e) : rc;
 }
 
 uint16_t http_port(const struct http *h)
@@ -613,7 +616,8 @@ uint16_t http_port(const struct http *h)
     return h->port;
 }
 
-/* ---- draining ----------------------------------------------------------------------------------- */
+/* ---- draining -----------------------------------------------------------------------------------
+ */
 
 static void pause_ms(long ms)
 {
@@ -633,6 +637,12 @@ void http_close(struct http **out)
     if (!h)
         return;
     struct services *s = h->s;
+    if (!h->daemon) { /* never started */
+        close(h->fd);
+        watch_close(&h->watch);
+        mem_free(h);
+        return;
+    }
     atomic_store(&s->draining, true);
     for (double end_s = clock_s() + s->cfg->drain_delay_s; clock_s() < end_s;)
         pause_ms(20);

@@ -88,11 +88,13 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     if (rc == ERR_OK)
         rc = catalog_open(paths, n, sv->workers, cfg->public_url, NULL, &s->catalog, e);
     if (rc == ERR_OK)
+        rc = http_open(s, &sv->http, e);
+    if (rc == ERR_OK)
         rc = load_web(sv, e);
     if (rc == ERR_OK)
         rc = start_jobs(sv, e);
     if (rc == ERR_OK)
-        rc = http_open(s, &sv->http, e);
+        rc = http_start(sv->http, e);
     if (rc == ERR_OK) {
         set_url(sv);
         for (size_t i = 0; i < s->catalog->n; i++)

@@ -462,8 +462,10 @@ void watch_stop_idle(struct watch *w); /* end of reading for idle connections: u
 /* ---- http.c, server.c --------------------------------------------------------------------------- */
 
 struct http;
-/* Listen as cfg says. ERR_BUSY names the port and what to do. */
+/* Take the port that cfg says, before anything slow is started; clients wait in the backlog. ERR_BUSY
+ * names the port and what to do. */
 enum err_code http_open(struct services *s, struct http **out, struct err *e) ERR_USE;
+enum err_code http_start(struct http *h, struct err *e) ERR_USE; /* needs s->jobs */
 uint16_t http_port(const struct http *h);
 /* Stop listening, finish what is under way (at most drain_timeout_s), then everything is closed. */
 void http_close(struct http **h);
