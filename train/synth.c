@@ -11,6 +11,7 @@
 #include <math.h>
 #include <stdatomic.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "core/pool.h"
@@ -102,34 +103,82 @@ static void city_pose(const struct synth_city *c, const struct camera *cam, doub
     }
 }
 
+/* One row or column of three channels blurred by a Gaussian; `step` is the distance of neighbours in floats. */
+static void blur_line(float *v, size_t n, size_t step, const float *tap, int radius, float *line)
+{
+    for (size_t k = 0; k < 3; k++) {
+        for (size_t i = 0; i < n; i++)
+            line[i] = v[i * step + k];
+        for (size_t i = 0; i < n; i++) {
+            float sum = 0;
+            for (int t = -radius; t <= radius; t++) {
+                ptrdiff_t at = (ptrdiff_t)i + t;
+                sum += tap[abs(t)] * line[at < 0 ? 0 : at >= (ptrdiff_t)n ? (ptrdiff_t)n - 1 : at];
+            }
+            v[i * step + k] = sum;
+        }
+    }
+}
+
+/* No lens is sharper than its pixels: without this, detail finer than a pixel turns into patterns that differ
+ * from photograph to photograph and that no scene can explain. */
+static enum err_code blur(float *rgb, size_t w, size_t h, double sigma_px, struct err *e)
+{
+    enum { RADIUS_MAX = 16 };
+    int radius = (int)fmin(ceil(3 * sigma_px), RADIUS_MAX);
+    float tap[RADIUS_MAX + 1], sum = 0;
+    if (radius == 0)
+        return ERR_OK;
+    float *line = mem_array(w > h ? w : h, sizeof *line);
+    if (!line)
+        return err_set(e, ERR_MEM, "synth: out of memory for a picture");
+    for (int t = 0; t <= radius; t++) {
+        tap[t] = (float)exp(-0.5 * t * t / (sigma_px * sigma_px));
+        sum += t ? 2 * tap[t] : tap[t];
+    }
+    for (int t = 0; t <= radius; t++)
+        tap[t] /= sum;
+    for (size_t y = 0; y < h; y++)
+        blur_line(rgb + 3 * w * y, w, 3, tap, radius, line);
+    for (size_t x = 0; x < w; x++)
+        blur_line(rgb + 3 * x, h, 3 * w, tap, radius, line);
+    mem_free(line);
+    return ERR_OK;
+}
+
 static enum err_code render(const struct job *j, const struct synth_photo *p, const struct synth_light *light,
                             const struct synth_grid *moving, struct image *out, struct err *e)
 {
     double eye[3], rot[9], dir[3];
     int ss = (int)j->cfg->supersample;
+    size_t w = p->cam.width_px, h = p->cam.height_px;
     enum err_code rc = image_alloc(p->cam.width_px, p->cam.height_px, 3, out, e);
     if (rc != ERR_OK)
         return rc;
+    float *linear = mem_array(w * h, 3 * sizeof *linear);
+    if (!linear)
+        return err_set(e, ERR_MEM, "synth: out of memory for a picture of %zu x %zu px", w, h);
     city_pose(j->city, &p->cam, eye, rot);
-    for (uint32_t y = 0; y < out->height_px; y++)
-        for (uint32_t x = 0; x < out->width_px; x++) {
-            float sum[3] = {0};
+    for (size_t y = 0; y < h; y++)
+        for (size_t x = 0; x < w; x++) {
+            float *sum = linear + 3 * (y * w + x);
             for (int s = 0; s < ss * ss; s++) {
                 /* The fixed pattern of a rotated grid: no two samples share a row or a column. */
                 double du = ((s % ss) + (0.5 + s / ss) / ss) / ss, dv = ((s / ss) + 1 - (0.5 + s % ss) / ss) / ss;
-                ray_at(j, rot, x + du, y + dv, dir);
+                ray_at(j, rot, (double)x + du, (double)y + dv, dir);
                 struct synth_hit hit;
                 float rgb[3];
                 synth_trace_ray(j->city, moving, eye, dir, &hit);
                 synth_shade_hit(j->city, moving, light, dir, &hit, hit.t_m / p->cam.fx_px, rgb);
                 for (int k = 0; k < 3; k++)
-                    sum[k] += rgb[k] < 1 ? rgb[k] : 1;
+                    sum[k] += (rgb[k] < 1 ? rgb[k] : 1) / (float)(ss * ss);
             }
-            uint8_t *px = out->px + 3 * ((size_t)y * out->width_px + x);
-            for (int k = 0; k < 3; k++)
-                px[k] = synth_shade_encode(sum[k] / (float)(ss * ss));
         }
-    return ERR_OK;
+    rc = blur(linear, w, h, j->cfg->lens_blur_px, e);
+    for (size_t i = 0; rc == ERR_OK && i < 3 * w * h; i++)
+        out->px[i] = synth_shade_encode(linear[i]);
+    mem_free(linear);
+    return rc;
 }
 
 static enum err_code write_depth(const struct job *j, const struct synth_photo *p, const char *path, struct err *e)
