@@ -43,6 +43,9 @@ typedef uint VU;
 #define PREFETCH(p) (void)(p)
 #endif
 
+// Vectors in registers across calls: PoCL passes them through memory otherwise.
+#define INLINE inline __attribute__((always_inline))
+
 #define LOG2E 1.44269504088896f
 #define ALPHA_MAX 0.99f
 #define ALPHA_MIN_LOG2 -7.99435343685886f // log2(1/255)
@@ -50,7 +53,7 @@ typedef uint VU;
 
 // 2^x for x in [-126, 127], relative error 1.5e-7: rounding by adding 1.5 * 2^23, then a polynomial for the
 // fraction in [-1/2, 1/2] (minimax, 7.5e-8). Needs IEEE addition, that is no fast-math.
-inline V exp2_v(V x)
+INLINE V exp2_v(V x)
 {
     V r = x + 12582912.0f, f = x - (r - 12582912.0f);
     V p = f * 0.0013276472f + 0.009675541334f;
@@ -63,7 +66,7 @@ inline V exp2_v(V x)
 
 // 2^e at offset d = mean - pixel, 0 below 1/255: opacity times the falloff of one splat (struct
 // layout_splat). alpha is MIN_(splat_raw, ALPHA_MAX).
-inline V splat_raw(V dx, V dy, float p, float x_of_y, float r, float opacity_log2)
+INLINE V splat_raw(V dx, V dy, float p, float x_of_y, float r, float opacity_log2)
 {
     V u = (dx - x_of_y * dy) * p, v = dy * r;
     V e = (opacity_log2 - u * u) - v * v;
@@ -87,7 +90,7 @@ struct seen {
 };
 
 // Camera-space mean; the mask of lanes in front of the near plane.
-inline VI seen_mean(__constant struct layout_view *v, __global const float *g, struct seen *s)
+INLINE VI seen_mean(__constant struct layout_view *v, __global const float *g, struct seen *s)
 {
     V x = LD(g, 0), y = LD(g, 1), z = LD(g, 2);
     s->cam[0] = v->rot[0] * x + (v->rot[1] * y + (v->rot[2] * z + v->trans[0]));
@@ -96,7 +99,7 @@ inline VI seen_mean(__constant struct layout_view *v, __global const float *g, s
     return (s->cam[2] > v->near_m) & (s->cam[2] < LAYOUT_DEPTH_MAX);
 }
 
-inline void seen_rotation(__global const float *g, struct seen *s)
+INLINE void seen_rotation(__global const float *g, struct seen *s)
 {
     V w = LD(g, 6), x = LD(g, 7), y = LD(g, 8), z = LD(g, 9);
     V len = sqrt(w * w + (x * x + (y * y + z * z)));
@@ -123,7 +126,7 @@ inline void seen_rotation(__global const float *g, struct seen *s)
 }
 
 // Everything about the ellipse, after seen_mean; the mask of lanes with a usable one.
-inline VI seen_ellipse(__constant struct layout_view *v, __global const float *g, struct seen *s)
+INLINE VI seen_ellipse(__constant struct layout_view *v, __global const float *g, struct seen *s)
 {
     V z = s->cam[2], iz = 1.0f / z;
     seen_rotation(g, s);
@@ -162,7 +165,7 @@ inline VI seen_ellipse(__constant struct layout_view *v, __global const float *g
 }
 
 // Normalised direction from the eye to the mean.
-inline void seen_direction(__constant struct layout_view *v, __global const float *g, V dir[3])
+INLINE void seen_direction(__constant struct layout_view *v, __global const float *g, V dir[3])
 {
     V x = LD(g, 0) - v->eye[0], y = LD(g, 1) - v->eye[1], z = LD(g, 2) - v->eye[2];
     V len = sqrt(x * x + (y * y + z * z));
@@ -173,7 +176,7 @@ inline void seen_direction(__constant struct layout_view *v, __global const floa
 }
 
 // Real spherical harmonics, the signs of 3D Gaussian Splatting, up to `degree`; (degree + 1)^2 values.
-inline void sh_basis(const V dir[3], uint degree, V out[16])
+INLINE void sh_basis(const V dir[3], uint degree, V out[16])
 {
     V x = dir[0], y = dir[1], z = dir[2];
     out[0] = (V)(0.28209479177387814f);

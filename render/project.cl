@@ -14,13 +14,13 @@
 #define MARGIN_PX 0.01f
 
 // First and last tile that holds a pixel centre of [lo, hi] (px); empty when first > last.
-inline VI tile_first(V lo, uint tiles)
+INLINE VI tile_first(V lo, uint tiles)
 {
     V t = ceil((lo - (LAYOUT_TILE - 0.5f)) * (1.0f / LAYOUT_TILE));
     return TO_VI(CLAMP_(t, 0.0f, (float)tiles));
 }
 
-inline VI tile_last(V hi, uint tiles)
+INLINE VI tile_last(V hi, uint tiles)
 {
     V t = floor((hi - 0.5f) * (1.0f / LAYOUT_TILE));
     return TO_VI(CLAMP_(t, -1.0f, (float)tiles - 1.0f));
@@ -32,7 +32,7 @@ struct coverage {
 };
 
 // The tiles of an ellipse; `reach` is L. Lanes that are not visible hold anything.
-inline void project_tiles(__constant struct layout_view *v, V mx, V my, V p, V x_of_y, V r, V y_of_x,
+INLINE void project_tiles(__constant struct layout_view *v, V mx, V my, V p, V x_of_y, V r, V y_of_x,
                           V reach, V hx, V hy, struct coverage *c)
 {
     VI row0 = tile_first(my - hy, v->tiles_y), row1 = tile_last(my + hy, v->tiles_y);
@@ -71,7 +71,7 @@ inline void project_tiles(__constant struct layout_view *v, V mx, V my, V p, V x
     }
 }
 
-inline void project_color(__constant struct layout_view *v, __global const float *g, V rgb[3])
+INLINE void project_color(__constant struct layout_view *v, __global const float *g, V rgb[3])
 {
     V dir[3], basis[16];
     uint count = (v->sh_degree + 1) * (v->sh_degree + 1);
@@ -87,16 +87,19 @@ inline void project_color(__constant struct layout_view *v, __global const float
 
 #if VW == 16
 // 16 words of 16 lanes -> 16 records of 16 words: four perfect shuffles transpose.
-inline void project_store(__global struct layout_splat *out, V w[16], VI visible)
+INLINE void project_store(__global struct layout_splat *out, V w[16], VI visible)
 {
     V t[16];
+#pragma unroll
     for (int round = 0; round < 2; round++) {
+#pragma unroll
         for (int i = 0; i < 8; i++) {
             t[2 * i].even = w[i].lo;
             t[2 * i].odd = w[i + 8].lo;
             t[2 * i + 1].even = w[i].hi;
             t[2 * i + 1].odd = w[i + 8].hi;
         }
+#pragma unroll
         for (int i = 0; i < 8; i++) {
             w[2 * i].even = t[i].lo;
             w[2 * i].odd = t[i + 8].lo;
@@ -111,7 +114,7 @@ inline void project_store(__global struct layout_splat *out, V w[16], VI visible
             vstore16(w[i], i, (__global float *)out);
 }
 #else
-inline void project_store(__global struct layout_splat *out, V w[16], VI visible)
+INLINE void project_store(__global struct layout_splat *out, V w[16], VI visible)
 {
     __global float *f = (__global float *)out;
     if (visible)
@@ -121,7 +124,7 @@ inline void project_store(__global struct layout_splat *out, V w[16], VI visible
 #endif
 
 // The group (VW 16) or lane (VW 1) whose parameters start at g and whose first index is `index`.
-inline void project_some(__constant struct layout_view *v, __global const float *g, uint index,
+INLINE void project_some(__constant struct layout_view *v, __global const float *g, uint index,
                          __global struct layout_splat *splats, VU *key, VU *tiles)
 {
     struct seen s;
