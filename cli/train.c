@@ -8,16 +8,26 @@
 #include "cli/cli.h"
 #include "train/train.h"
 
-static void train_print(const struct train_result *r)
+static void train_print_cell(const struct train_cell_result *c)
 {
-    printf("%-8s %12s %10s %8s\n", "level", "Gaussians", "PSNR dB", "SSIM");
-    for (uint32_t i = 0; i < r->n_levels; i++) {
-        printf("%u of %-3u %12zu", i + 1, r->n_levels, r->n_gaussians[i]);
-        if (r->n_gaussians[i] && isfinite(r->psnr_db[i]))
-            printf(" %10.3f %8.4f\n", r->psnr_db[i], r->ssim[i]);
+    if (c->was_done) {
+        printf("%-10s complete already\n", c->id);
+        return;
+    }
+    for (uint32_t i = 0; i < c->n_levels; i++) {
+        printf("%-10s %u of %-3u %12zu", c->id, i + 1, c->n_levels, c->n_gaussians[i]);
+        if (isfinite(c->psnr_db[i]))
+            printf(" %10.3f %8.4f\n", c->psnr_db[i], c->ssim[i]);
         else
             printf(" %10s %8s\n", "-", "-");
     }
+}
+
+static void train_print(const struct train_result *r)
+{
+    printf("%-10s %-8s %12s %10s %8s\n", "cell", "level", "Gaussians", "PSNR dB", "SSIM");
+    for (size_t i = 0; i < r->n_cells; i++)
+        train_print_cell(&r->cells[i]);
     printf("%.1f s, %.0f MiB at most\n", r->seconds, (double)r->peak_bytes / 1048576.0);
 }
 
@@ -26,7 +36,7 @@ enum err_code cli_train(int argc, char **argv, struct err *e)
     struct train_config cfg;
     struct options_args args;
     struct arena arena = {0};
-    struct train_result result;
+    struct train_result result = {0};
     enum err_code rc = options_parse(train_options(), argc, argv, &cfg, &args, &arena, e);
     if (!rc && !args.done) {
         clock_catch_signals();
@@ -34,6 +44,7 @@ enum err_code cli_train(int argc, char **argv, struct err *e)
         if (!rc)
             train_print(&result);
     }
+    train_result_free(&result);
     arena_free(&arena);
     return rc;
 }

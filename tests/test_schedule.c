@@ -9,6 +9,7 @@
 #include "train/train.h"
 
 #define EDGE_M 100.0
+static const struct train_cell cell = {.id = "all", .whole = true, .edge_m = EDGE_M, .extent_m = EDGE_M};
 #define LR_TOL 1e-12 /* exp and log of doubles */
 
 static struct train_config defaults(struct arena *a)
@@ -56,7 +57,7 @@ static void full_run_has_the_published_numbers(void **state)
     struct err e = {0};
     struct train_config c = defaults(&a);
     struct schedule s[3];
-    kit_ok(schedule_make(&c, 600, EDGE_M, s, &e), e);
+    kit_ok(schedule_make(&c, 600, &cell, s, &e), e);
     assert_int_equal(s[0].steps, 15000);
     assert_int_equal(s[1].steps, 15000);
     assert_int_equal(s[2].steps, 30000);
@@ -97,7 +98,7 @@ static void every_index_from_one_to_the_last_is_used_once(void **state)
         struct train_config c = defaults(&a);
         struct schedule s[3];
         c.iterations = iterations;
-        kit_ok(schedule_make(&c, 75, EDGE_M, s, &e), e);
+        kit_ok(schedule_make(&c, 75, &cell, s, &e), e);
         uint64_t total = 0;
         for (int l = 0; l < 3; l++) {
             uint32_t next = 1, n = schedule_densify_count(&s[l]);
@@ -121,17 +122,17 @@ static void many_photographs_stretch_and_short_runs_shrink(void **state)
     struct err e = {0};
     struct train_config c = defaults(&a);
     struct schedule s[3];
-    kit_ok(schedule_make(&c, 901, EDGE_M, s, &e), e); /* 901 / 600 = 1.5017, two decimals up: 1.51 */
+    kit_ok(schedule_make(&c, 901, &cell, s, &e), e); /* 901 / 600 = 1.5017, two decimals up: 1.51 */
     assert_int_equal(s[0].steps, 22650);
     assert_int_equal(s[0].interval, 453);
     assert_int_equal(s[2].interval, 151);
     assert_int_equal(s[0].densify_from, 755);
     assert_int_equal(s[0].reset_interval, 4530);
     c.scale_by_images = false;
-    kit_ok(schedule_make(&c, 901, EDGE_M, s, &e), e);
+    kit_ok(schedule_make(&c, 901, &cell, s, &e), e);
     assert_int_equal(s[0].steps, 15000);
     c.iterations = 2000;
-    kit_ok(schedule_make(&c, 901, EDGE_M, s, &e), e);
+    kit_ok(schedule_make(&c, 901, &cell, s, &e), e);
     assert_int_equal(s[0].steps, 500);
     assert_int_equal(s[1].steps, 500);
     assert_int_equal(s[2].steps, 1000);
@@ -153,7 +154,7 @@ static void fewer_levels_take_the_finest_rows(void **state)
     struct train_config c = defaults(&a);
     struct schedule s[3];
     c.level_count = 1;
-    kit_ok(schedule_make(&c, 10, EDGE_M, s, &e), e);
+    kit_ok(schedule_make(&c, 10, &cell, s, &e), e);
     assert_int_equal(s[0].level, 1);
     assert_int_equal(s[0].steps, 30000);
     assert_true(s[0].downsample == 1.0);
@@ -170,14 +171,14 @@ static void position_rate_decays_exponentially_and_restarts(void **state)
     struct err e = {0};
     struct train_config c = defaults(&a);
     struct schedule s[3];
-    kit_ok(schedule_make(&c, 10, EDGE_M, s, &e), e);
+    kit_ok(schedule_make(&c, 10, &cell, s, &e), e);
     double first = c.lr_mean * EDGE_M / 2, last = c.lr_mean_final * EDGE_M / 2;
     assert_true(fabs(schedule_lr_mean(&s[0], 0) - first) < LR_TOL);
     assert_true(fabs(schedule_lr_mean(&s[0], 15000) - last) < LR_TOL);
     assert_true(fabs(schedule_lr_mean(&s[0], 7500) - sqrt(first * last)) < LR_TOL);
     assert_true(fabs(schedule_lr_mean(&s[1], 0) - first * c.lr_mean_restart) < LR_TOL);
     c.lr_mean = 0.0;
-    kit_ok(schedule_make(&c, 10, EDGE_M, s, &e), e);
+    kit_ok(schedule_make(&c, 10, &cell, s, &e), e);
     assert_true(schedule_lr_mean(&s[0], 100) == 0.0); /* frozen positions are a valid wish */
     arena_free(&a);
 }
@@ -190,10 +191,10 @@ static void impossible_plans_are_refused(void **state)
     struct train_config c = defaults(&a);
     struct schedule s[3];
     c.iterations = 1;
-    kit_fails(schedule_make(&c, 10, EDGE_M, s, &e), ERR_ARG, e, "level 1 of 3");
+    kit_fails(schedule_make(&c, 10, &cell, s, &e), ERR_ARG, e, "level 1 of 3");
     c.iterations = 0;
     c.budget_2 = c.budget_1 - 1;
-    kit_fails(schedule_make(&c, 10, EDGE_M, s, &e), ERR_ARG, e, "budgets must not fall");
+    kit_fails(schedule_make(&c, 10, &cell, s, &e), ERR_ARG, e, "budgets must not fall");
     arena_free(&a);
 }
 

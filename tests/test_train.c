@@ -132,6 +132,14 @@ static struct train_config toy_config(struct arena *a, const char *out)
     return c;
 }
 
+/* train_run into a result that is in use. */
+static enum err_code train_again(const char *dir, const struct train_config *c, struct train_result *r,
+                                 struct err *e)
+{
+    train_result_free(r);
+    return train_run(dir, c, r, e);
+}
+
 /* ---- pieces ----------------------------------------------------------------------------------------- */
 
 static void cameras_at_training_size_keep_the_view(void **state)
@@ -232,14 +240,14 @@ static void training_improves_keeps_budgets_and_repeats(void **state)
     struct err e = {0};
     struct arena a = {0};
     char out[2][FILE_PATH_MAX];
-    struct train_result r[2];
+    struct train_result r[2] = {0};
     for (int i = 0; i < 2; i++) {
         kit_tmpdir(out[i]);
         struct train_config c = toy_config(&a, out[i]);
-        kit_ok(train_run(scene_dir, &c, &r[i], &e), e);
-        assert_true(r[i].n_gaussians[0] <= 80 && r[i].n_gaussians[1] <= 100 && r[i].n_gaussians[2] <= 150);
-        assert_true(r[i].n_gaussians[2] > r[i].n_gaussians[0]);
-        assert_true(r[i].psnr_db[2] > TOY_PSNR_DB);
+        kit_ok(train_again(scene_dir, &c, &r[i], &e), e);
+        assert_true(r[i].cells[0].n_gaussians[0] <= 80 && r[i].cells[0].n_gaussians[1] <= 100 && r[i].cells[0].n_gaussians[2] <= 150);
+        assert_true(r[i].cells[0].n_gaussians[2] > r[i].cells[0].n_gaussians[0]);
+        assert_true(r[i].cells[0].psnr_db[2] > TOY_PSNR_DB);
     }
     assert_same_levels(out[0], out[1]);
     struct ckpt c;
@@ -247,13 +255,15 @@ static void training_improves_keeps_budgets_and_repeats(void **state)
     assert_true(c.g.antialiased);
     assert_int_equal(c.g.sh_degree, 1);
     assert_int_equal(json_integer_value(json_object_get(c.meta, "level")), 2);
-    assert_true(json_number_value(json_object_get(json_object_get(c.meta, "test"), "psnr_db")) == r[0].psnr_db[1]);
+    assert_true(json_number_value(json_object_get(json_object_get(c.meta, "test"), "psnr_db")) == r[0].cells[0].psnr_db[1]);
     ckpt_free(&c);
     char path[FILE_PATH_MAX + 64];
     snprintf(path, sizeof(path), "%s/cells/all/resume.ckpt", out[0]);
     assert_false(file_exists(path)); /* nothing is left to go on from */
-    for (int i = 0; i < 2; i++)
+    for (int i = 0; i < 2; i++) {
         kit_rmdir(out[i]);
+        train_result_free(&r[i]);
+    }
     arena_free(&a);
 }
 
@@ -262,30 +272,31 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
     (void)state;
     struct err e = {0};
     struct arena a = {0};
-    struct train_result r;
+    struct train_result r = {0};
     char whole[FILE_PATH_MAX], parts[FILE_PATH_MAX];
     kit_tmpdir(whole);
     kit_tmpdir(parts);
     struct train_config c = toy_config(&a, whole);
-    kit_ok(train_run(scene_dir, &c, &r, &e), e);
+    kit_ok(train_again(scene_dir, &c, &r, &e), e);
     c.output = parts;
     /* pieces of 1, 7, 30, ... steps: in the middle of levels, at their ends, around densifications */
     static const int64_t pieces[] = {1, 7, 67, 2, 73, 40, 40};
     for (size_t i = 0; i < sizeof(pieces) / sizeof(pieces[0]); i++) {
         c.stop_after = pieces[i];
         c.resume = i > 0;
-        kit_fails(train_run(scene_dir, &c, &r, &e), ERR_CANCEL, e, "--resume goes on");
+        kit_fails(train_again(scene_dir, &c, &r, &e), ERR_CANCEL, e, "--resume goes on");
     }
     c.stop_after = 0;
     c.resume = true;
     c.seed++;
-    kit_fails(train_run(scene_dir, &c, &r, &e), ERR_ARG, e, "seed");
+    kit_fails(train_again(scene_dir, &c, &r, &e), ERR_ARG, e, "seed");
     c.seed--;
     c.cache_mib = 1; /* may change: it cannot matter */
-    kit_ok(train_run(scene_dir, &c, &r, &e), e);
+    kit_ok(train_again(scene_dir, &c, &r, &e), e);
     assert_same_levels(whole, parts);
     kit_rmdir(whole);
     kit_rmdir(parts);
+    train_result_free(&r);
     arena_free(&a);
 }
 
@@ -294,23 +305,24 @@ static void a_damaged_state_is_refused(void **state)
     (void)state;
     struct err e = {0};
     struct arena a = {0};
-    struct train_result r;
+    struct train_result r = {0};
     char out[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
     struct buf file = {0};
     kit_tmpdir(out);
     struct train_config c = toy_config(&a, out);
     c.stop_after = 3;
-    kit_fails(train_run(scene_dir, &c, &r, &e), ERR_CANCEL, e, "step 3");
+    kit_fails(train_again(scene_dir, &c, &r, &e), ERR_CANCEL, e, "step 3");
     snprintf(path, sizeof(path), "%s/cells/all/resume.ckpt", out);
     kit_ok(file_read(path, 0, &file, &e), e);
     c.resume = true;
     kit_ok(file_write(path, file.data, file.size - 5, &e), e);
-    kit_fails(train_run(scene_dir, &c, &r, &e), ERR_FORMAT, e, "truncated");
+    kit_fails(train_again(scene_dir, &c, &r, &e), ERR_FORMAT, e, "truncated");
     file.data[file.size - 1] ^= 1;
     kit_ok(file_write(path, file.data, file.size, &e), e);
-    kit_fails(train_run(scene_dir, &c, &r, &e), ERR_FORMAT, e, "stat_radius");
+    kit_fails(train_again(scene_dir, &c, &r, &e), ERR_FORMAT, e, "stat_radius");
     buf_free(&file);
     kit_rmdir(out);
+    train_result_free(&r);
     arena_free(&a);
 }
 
@@ -336,7 +348,7 @@ static void twenty_steps_give_the_golden_trace(void **state)
     kit_ok(train_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
     struct level l = {.cfg = &c, .scene = &s, .images = images, .n_images = n, .dev = &dev, .n_levels = 1};
     cell_whole(&s, images, n, &l.cell);
-    kit_ok(schedule_make(&c, n, l.cell.edge_m, l.schedule, &e), e);
+    kit_ok(schedule_make(&c, n, &l.cell, l.schedule, &e), e);
     kit_ok(render_open(&dev, &l.render, &e), e);
     kit_ok(loss_open(&dev, &l.loss, &e), e);
     kit_ok(init_gauss(&s, images, n, &l.cell, 1, 1000, 1, &g, &e), e);
@@ -362,7 +374,7 @@ static void a_scene_without_points_starts_from_random_ones(void **state)
     (void)state;
     struct err e = {0};
     struct arena a = {0};
-    struct train_result r;
+    struct train_result r = {0};
     char bare[FILE_PATH_MAX];
     kit_tmpdir(bare);
     toy_write(bare, false);
@@ -371,9 +383,10 @@ static void a_scene_without_points_starts_from_random_ones(void **state)
     c.budget_1 = 200;
     c.budget_2 = 200;
     c.budget_3 = 200;
-    kit_ok(train_run(bare, &c, &r, &e), e);
-    assert_true(r.n_gaussians[2] >= 90);
+    kit_ok(train_again(bare, &c, &r, &e), e);
+    assert_true(r.cells[0].n_gaussians[2] >= 90);
     kit_rmdir(bare);
+    train_result_free(&r);
     arena_free(&a);
 }
 
@@ -382,23 +395,88 @@ static void broken_scenes_are_one_clear_error(void **state)
     (void)state;
     struct err e = {0};
     struct arena a = {0};
-    struct train_result r;
+    struct train_result r = {0};
     char broken[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
     kit_tmpdir(broken);
     struct train_config c = toy_config(&a, NULL);
-    kit_fails(train_run(broken, &c, &r, &e), ERR_NOENT, e, "scene.json");
+    kit_fails(train_again(broken, &c, &r, &e), ERR_NOENT, e, "scene.json");
     toy_write(broken, true);
     snprintf(path, sizeof(path), "%s/images/p4.png", broken);
     assert_int_equal(unlink(path), 0);
-    kit_fails(train_run(broken, &c, &r, &e), ERR_NOENT, e, "p4.png");
+    kit_fails(train_again(broken, &c, &r, &e), ERR_NOENT, e, "p4.png");
     kit_ok(file_write(path, "GIF89a", 6, &e), e);
-    kit_fails(train_run(broken, &c, &r, &e), ERR_FORMAT, e, "p4.png");
+    kit_fails(train_again(broken, &c, &r, &e), ERR_FORMAT, e, "p4.png");
     struct image small = {0};
     kit_ok(image_alloc(7, 5, 3, &small, &e), e);
     kit_ok(image_write(path, &small, 0, NULL, &e), e);
     image_free(&small);
-    kit_fails(train_run(broken, &c, &r, &e), ERR_DATA, e, "7 x 5");
+    kit_fails(train_again(broken, &c, &r, &e), ERR_DATA, e, "7 x 5");
     kit_rmdir(broken);
+    train_result_free(&r);
+    arena_free(&a);
+}
+
+/* Two cells side by side from a plan: each is trained from its own photographs, the second one alone gives the
+ * same bytes, and a finished cell is not trained again by --resume. */
+static void cells_of_a_plan_are_trained_on_their_own(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r = {0};
+    char dir[FILE_PATH_MAX], one[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
+    struct scene s;
+    struct partition plan = {0};
+    struct partition_config pc = partition_defaults();
+    struct ckpt x, y;
+    kit_tmpdir(dir);
+    kit_tmpdir(one);
+    toy_write(dir, true);
+    kit_ok(scene_read(dir, &s, &e), e);
+    pc.edge_m = 8.0;
+    pc.images_few = pc.images_least = 2;
+    pc.use_visibility = false;
+    kit_ok(partition_make(&s, &pc, &plan, &e), e);
+    size_t trained = 0;
+    for (size_t i = 0; i < plan.n_cells; i++)
+        trained += plan.cells[i].parent < 0;
+    assert_true(trained >= 2);
+    snprintf(path, sizeof(path), "%s/plan.json", dir);
+    kit_ok(plan_write(path, &s, &plan, &e), e);
+    struct train_config c = toy_config(&a, NULL);
+    c.iterations = 60;
+    kit_ok(train_again(dir, &c, &r, &e), e);
+    assert_int_equal(r.n_cells, trained);
+    char last[32];
+    snprintf(last, sizeof(last), "%s", r.cells[trained - 1].id);
+    c.cell = last;
+    c.output = one;
+    kit_ok(train_again(dir, &c, &r, &e), e);
+    assert_int_equal(r.n_cells, 1);
+    snprintf(path, sizeof(path), "%s/cells/%s/level3.ckpt", dir, last);
+    kit_ok(ckpt_read(path, &x, &e), e);
+    snprintf(path, sizeof(path), "%s/cells/%s/level3.ckpt", one, last);
+    kit_ok(ckpt_read(path, &y, &e), e);
+    assert_int_equal(x.g.n, y.g.n);
+    assert_memory_equal(x.g.mean_m, y.g.mean_m, x.g.n * 12);
+    assert_string_equal(json_string_value(json_object_get(y.meta, "cell")), last);
+    c.resume = true;
+    kit_ok(train_again(dir, &c, &r, &e), e);
+    assert_true(r.cells[0].was_done);
+    c.output = NULL;
+    ckpt_free(&x);
+    ckpt_free(&y);
+    c.cell = "nowhere";
+    kit_fails(train_again(dir, &c, &r, &e), ERR_ARG, e, "'nowhere'");
+    c.cell = NULL;
+    kit_ok(train_again(dir, &c, &r, &e), e);
+    for (size_t i = 0; i < r.n_cells; i++)
+        assert_true(r.cells[i].was_done);
+    partition_free(&plan);
+    scene_free(&s);
+    train_result_free(&r);
+    kit_rmdir(dir);
+    kit_rmdir(one);
     arena_free(&a);
 }
 
@@ -432,6 +510,7 @@ int main(void)
         cmocka_unit_test(a_stopped_run_goes_on_as_if_it_had_not_been),
         cmocka_unit_test(a_damaged_state_is_refused),
         cmocka_unit_test(a_scene_without_points_starts_from_random_ones),
+        cmocka_unit_test(cells_of_a_plan_are_trained_on_their_own),
         cmocka_unit_test(broken_scenes_are_one_clear_error),
     };
     return cmocka_run_group_tests_name("train", tests, open_device, close_device);

@@ -8,7 +8,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <math.h>
-#include <string.h>
+#include <stdio.h>
 
 #include "train/train.h"
 
@@ -40,6 +40,18 @@ static double cell_length3(const double a[3], const double b[3])
     return sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
 }
 
+static double cell_extent(const struct scene *s, const uint32_t *images, size_t n)
+{
+    double lo[3], hi[3], mean[3], far = 0.0;
+    cell_camera_box(s, images, n, lo, hi, mean);
+    for (size_t i = 0; i < n; i++) {
+        double c[3];
+        camera_center(&s->images[images[i]].cam, c);
+        far = fmax(far, cell_length3(c, mean));
+    }
+    return CELL_EXTENT_FACTOR * far;
+}
+
 void cell_whole(const struct scene *s, const uint32_t *images, size_t n_images, struct train_cell *out)
 {
     double lo[3], hi[3], mean[3], points[3] = {0};
@@ -49,18 +61,27 @@ void cell_whole(const struct scene *s, const uint32_t *images, size_t n_images, 
         for (int k = 0; k < 3; k++)
             points[k] += s->points[i].enu_m[k] / (double)s->n_points;
     double height = s->n_points ? cell_length3(points, mean) : 0.0;
-    double far = 0.0;
-    for (size_t i = 0; i < n_images; i++) {
-        double c[3];
-        camera_center(&s->images[images[i]].cam, c);
-        far = fmax(far, cell_length3(c, mean));
-    }
     out->edge_m = fmax(fmax(hi[0] - lo[0], hi[1] - lo[1]), fmax(height, CELL_SMALLEST_M));
-    out->extent_m = fmax(CELL_EXTENT_FACTOR * far, 0.5 * out->edge_m);
+    out->extent_m = fmax(cell_extent(s, images, n_images), 0.5 * out->edge_m);
     for (int k = 0; k < 2; k++) {
         out->min_enu_m[k] = lo[k];
         out->max_enu_m[k] = hi[k];
     }
+}
+
+void cell_planned(const struct scene *s, const struct partition *p, size_t index, const uint32_t *images,
+                  size_t n_images, struct train_cell *out)
+{
+    const struct partition_cell *c = &p->cells[index];
+    *out = (struct train_cell){.whole = p->n_cells == 1};
+    snprintf(out->id, sizeof(out->id), "%s", c->id);
+    for (int k = 0; k < 2; k++) {
+        out->min_enu_m[k] = c->min_m[k];
+        out->max_enu_m[k] = c->max_m[k];
+    }
+    out->edge_m = p->edge_m > 0.0 ? p->edge_m : fmax(c->max_m[0] - c->min_m[0], c->max_m[1] - c->min_m[1]);
+    out->edge_m = fmax(out->edge_m, CELL_SMALLEST_M);
+    out->extent_m = fmax(cell_extent(s, images, n_images), 0.5 * out->edge_m);
 }
 
 double cell_distance(const struct train_cell *c, double east_m, double north_m)

@@ -188,14 +188,35 @@ static void init_random_points(const struct scene *s, const uint32_t *images, si
     }
 }
 
-static void init_scene_points(const struct scene *s, uint64_t seed, struct init_points *p)
+/* Which points to start from: those that one of the photographs observes, or all for the whole scene and where no
+ * observations are known. Returns their number; `use` is [n_points]. */
+static size_t init_mark_points(const struct scene *s, const uint32_t *images, size_t n_images, bool whole,
+                               uint8_t *use, uint8_t *seen)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < n_images; i++)
+        seen[images[i]] = 1;
+    for (size_t i = 0; i < s->n_tracks; i++)
+        if (seen[s->tracks[i].image])
+            use[s->tracks[i].point] = 1;
+    for (size_t i = 0; i < s->n_points; i++) {
+        use[i] = use[i] || whole || !s->n_tracks;
+        n += use[i];
+    }
+    return n;
+}
+
+static void init_scene_points(const struct scene *s, const uint8_t *use, size_t n_use, uint64_t seed,
+                              struct init_points *p)
 {
     uint64_t stream = train_stream(TRAIN_STREAM_INIT, 1, 0);
-    size_t taken = 0;
+    size_t taken = 0, passed = 0;
     for (size_t i = 0; i < s->n_points && taken < p->n; i++) {
+        if (!use[i])
+            continue;
         /* Selection sampling (Knuth 3.4.2 S): each of the remaining with equal chance. */
-        double left = (double)(s->n_points - i), want = (double)(p->n - taken);
-        if (p->n < s->n_points && rng_unit(seed, stream, i) * left >= want)
+        double left = (double)(n_use - passed++), want = (double)(p->n - taken);
+        if (p->n < n_use && rng_unit(seed, stream, i) * left >= want)
             continue;
         memcpy(p->enu_m + 3 * taken, s->points[i].enu_m, 3 * sizeof(double));
         memcpy(p->rgb + 3 * taken, s->points[i].rgb, 3);
@@ -238,30 +259,43 @@ static enum err_code init_fill(const struct init_points *p, const struct train_c
     return rc;
 }
 
+/* How many to begin with, and a word where that is not simply all points. */
+static size_t init_count(size_t n_use, size_t limit)
+{
+    if (n_use > limit)
+        log_warn("init", "%zu points are more than the first level's budget: %zu of them are used", n_use,
+                 limit);
+    if (n_use)
+        return n_use < limit ? n_use : limit;
+    size_t n = limit < INIT_RANDOM_POINTS ? limit : INIT_RANDOM_POINTS;
+    log_warn("init", "no points are seen: starting from %zu random ones", n);
+    return n;
+}
+
 enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n_images,
                          const struct train_cell *cell, uint32_t sh_degree, size_t limit, uint64_t seed,
                          struct gauss *out, struct err *e)
 {
     enum err_code rc = ERR_OK;
-    struct init_points p = {.n = s->n_points < limit ? s->n_points : limit};
-    if (s->n_points == 0) {
-        p.n = limit < INIT_RANDOM_POINTS ? limit : INIT_RANDOM_POINTS;
-        log_warn("init", "the scene has no points: starting from %zu random ones", p.n);
-    } else if (p.n < s->n_points) {
-        log_warn("init", "%zu points are more than the first level's budget: %zu of them are used",
-                 s->n_points, p.n);
+    struct init_points p = {0};
+    size_t n_use = 0;
+    uint8_t *use = mem_array(s->n_points, 1), *seen = mem_array(s->n_images, 1);
+    *out = (struct gauss){0};
+    if (use && seen) {
+        n_use = init_mark_points(s, images, n_images, cell->whole, use, seen);
+        p.n = init_count(n_use, limit);
+        p.enu_m = mem_array(3 * p.n, sizeof(*p.enu_m));
+        p.rgb = mem_array(3 * p.n, 1);
     }
-    p.enu_m = mem_array(3 * p.n, sizeof(*p.enu_m));
-    p.rgb = mem_array(3 * p.n, 1);
     if (!p.enu_m || !p.rgb) {
-        rc = err_set(e, ERR_MEM, "init: out of memory for %zu points", p.n);
+        rc = err_set(e, ERR_MEM, "init: out of memory for %zu points", s->n_points);
         goto out;
     }
     rc = gauss_alloc(out, p.n, sh_degree, 0, e);
     if (rc)
         goto out;
-    if (s->n_points)
-        init_scene_points(s, seed, &p);
+    if (n_use)
+        init_scene_points(s, use, n_use, seed, &p);
     else
         init_random_points(s, images, n_images, cell, seed, &p);
     rc = init_fill(&p, cell, out, e);
@@ -270,5 +304,7 @@ enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n
 out:
     mem_free(p.enu_m);
     mem_free(p.rgb);
+    mem_free(use);
+    mem_free(seen);
     return rc;
 }

@@ -70,6 +70,26 @@ enum err_code state_load(struct level *l, const char *path, struct err *e) ERR_U
 enum err_code state_save_level(struct level *l, const char *path, const struct evaluate_score *score,
                                struct err *e) ERR_USE;
 
+/* Is this file the result of the level, last of l, by a run with l's options? */
+enum err_code state_is_result_of(const struct level *l, const char *path, bool *yes, struct err *e) ERR_USE;
+
+/* ---- run.c ------------------------------------------------------------------------------------------ */
+
+struct run_cell { /* one cell to train; all borrowed */
+    const struct train_config *cfg;
+    const char *base_dir; /* cells/ goes there */
+    const struct scene *scene;
+    const uint32_t *images;
+    uint32_t *test_images;
+    size_t n_images, n_test;
+    struct train_cell cell;
+    struct dev *dev;
+    struct render *render;
+    struct loss *loss;
+    uint64_t *steps; /* of this process, counted on */
+};
+enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out, struct err *e) ERR_USE;
+
 /* ---- score.c ------------------------------------------------------------------------------------------ */
 
 struct score;

@@ -44,15 +44,24 @@ static void schedule_base(const struct train_config *cfg, struct schedule_base o
                                     cfg->downsample_3, cfg->densify_until_3, cfg->tau_3};
 }
 
+/* A cell that was merged from several has more ground to cover. */
+static double schedule_budget_factor(const struct train_cell *cell)
+{
+    if (cell->whole)
+        return 1.0;
+    double area = (cell->max_enu_m[0] - cell->min_enu_m[0]) * (cell->max_enu_m[1] - cell->min_enu_m[1]);
+    return fmin(fmax(sqrt(area) / cell->edge_m, 1.0), 2.0);
+}
+
 static void schedule_fill(const struct train_config *cfg, const struct schedule_base *b, double kappa,
-                          double edge_m, struct schedule *s)
+                          const struct train_cell *cell, struct schedule *s)
 {
     double shrink = kappa < 1.0 ? kappa : 1.0;
     double interval = (double)b->interval * kappa;
     double floor_steps = fmin((double)b->interval, (double)cfg->densify_interval_min);
     s->kappa = kappa;
     s->downsample = b->downsample;
-    s->budget = (size_t)b->budget;
+    s->budget = (size_t)floor((double)b->budget * schedule_budget_factor(cell));
     s->interval = schedule_round(fmax(interval, floor_steps));
     s->densify_from = (uint32_t)floor((double)cfg->densify_from * kappa + 0.5);
     s->densify_until = (uint32_t)floor((double)s->steps * b->until + 0.5);
@@ -61,12 +70,12 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
     s->sh_degree = (uint32_t)cfg->sh_degree;
     s->sh_interval = s->level == 1 ? schedule_round((double)cfg->sh_interval * shrink) : 0;
     s->tau = b->tau;
-    double unit_m = 0.5 * edge_m;
+    double unit_m = 0.5 * cell->edge_m;
     s->lr_mean_first = cfg->lr_mean * unit_m * (s->level > 1 ? cfg->lr_mean_restart : 1.0);
     s->lr_mean_last = fmin(cfg->lr_mean_final * unit_m, s->lr_mean_first);
 }
 
-enum err_code schedule_make(const struct train_config *cfg, size_t n_photos, double edge_m,
+enum err_code schedule_make(const struct train_config *cfg, size_t n_photos, const struct train_cell *cell,
                             struct schedule out[TRAIN_LEVELS_MAX], struct err *e)
 {
     struct schedule_base base[TRAIN_LEVELS_MAX];
@@ -90,7 +99,7 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos, dou
             return err_set(e, ERR_ARG, "level %u of %u would have %.0f steps: change --iterations or %s",
                            l + 1, n, steps, "--level-count");
         s->steps = (uint32_t)steps;
-        schedule_fill(cfg, b, kappa, edge_m, s);
+        schedule_fill(cfg, b, kappa, cell, s);
         s->absgrad = (int64_t)(first + l + 1) >= cfg->absgrad_from;
         if (l > 0 && s->budget < out[l - 1].budget)
             return err_set(e, ERR_ARG, "level %u: budget %zu is below level %u's %zu: budgets must not fall",

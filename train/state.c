@@ -20,7 +20,7 @@ static const char *const state_stat_names[STATE_STATS] = {"stat_grad", "stat_abs
 
 /* Options that do not change the trajectory. */
 static const char *const state_free_options[] = {
-    "output", "device", "resume", "checkpoint_interval", "stop_after", "cache_mib", NULL,
+    "output", "cell", "device", "resume", "checkpoint_interval", "stop_after", "cache_mib", NULL,
 };
 
 static bool state_is_free(const char *key)
@@ -240,4 +240,20 @@ enum err_code state_load(struct level *l, const char *path, struct err *e)
     rc = state_apply(l, &c, path, e);
     ckpt_free(&c);
     return rc;
+}
+
+enum err_code state_is_result_of(const struct level *l, const char *path, bool *yes, struct err *e)
+{
+    struct ckpt c;
+    struct err why = {0};
+    const char *kind = NULL;
+    double level = 0.0;
+    enum err_code rc = ckpt_read(path, &c, e);
+    if (rc)
+        return rc;
+    *yes = !jsonc_text(c.meta, "kind", &kind, &why) && !strcmp(kind, "level") &&
+           !jsonc_num(c.meta, "level", &level, &why) && level == (double)l->n_levels &&
+           !state_check_config(l, path, json_object_get(c.meta, "config"), &why);
+    ckpt_free(&c);
+    return ERR_OK;
 }

@@ -10,6 +10,8 @@
  * 3D Gaussian Splatting, Kerbl 2023, for the rest). Files of a cell:
  *   cells/<id>/level<k>.ckpt   the result of level k: Gaussians, no optimiser state
  *   cells/<id>/resume.ckpt     everything, while the cell is unfinished
+ *   cells/<id>/metrics.jsonl, config.jsonc
+ * Without a plan.json (train/partition.h) the scene is one cell, "all".
  *
  * Determinism: same seed, scene, options, device and build give the same bytes; a resumed run equals the
  * uninterrupted one. Every random number is rng_*(seed, stream, index); streams are listed below.
@@ -23,6 +25,7 @@
 #include "core/options.h"
 #include "render/render.h"
 #include "train/loss.h"
+#include "train/partition.h"
 
 enum { TRAIN_LEVELS_MAX = 3 };
 
@@ -54,8 +57,9 @@ struct schedule { /* of one level; steps are 1-based and restart at every level 
     double lr_mean_first, lr_mean_last; /* metres */
     double kappa; /* factor on all lengths: photographs / 600 when more, or the share of a short run */
 };
-/* Fill out[0 .. level_count). `edge_m` is the cell's edge. ERR_ARG when a level would have no steps. */
-enum err_code schedule_make(const struct train_config *cfg, size_t n_photos, double edge_m,
+struct train_cell;
+/* Fill out[0 .. level_count). ERR_ARG when a level would have no steps. */
+enum err_code schedule_make(const struct train_config *cfg, size_t n_photos, const struct train_cell *cell,
                             struct schedule out[TRAIN_LEVELS_MAX], struct err *e) ERR_USE;
 /* Ceiling of Gaussians inside the cell at densification x of n: a parabola from start (x = 0) to exactly
  * budget (x = n - 1), fast first. start >= budget: start. n <= 1: budget. */
@@ -81,6 +85,9 @@ struct train_cell { /* a rectangle of the ground plane; Gaussians outside serve 
 };
 /* The single cell "all" of a scene. `images` lists the photographs used for training. */
 void cell_whole(const struct scene *s, const uint32_t *images, size_t n_images, struct train_cell *out);
+/* A cell of a plan; `images` lists its cameras by location, the measure of its extent. */
+void cell_planned(const struct scene *s, const struct partition *p, size_t index, const uint32_t *images,
+                  size_t n_images, struct train_cell *out);
 /* Horizontal distance of a place from the rectangle, 0 inside. */
 double cell_distance(const struct train_cell *c, double east_m, double north_m);
 
@@ -116,8 +123,8 @@ struct camera feed_camera(const struct camera *cam, uint32_t max_edge_px, double
 
 /* ---- init.c ----------------------------------------------------------------------------------------------- */
 
-/* Gaussians at the scene's points: size from the three nearest neighbours, opacity 0.1. More points than
- * `limit`: an even random choice. None: 100 places in front of the cameras. Origin: mean of the points.
+/* Gaussians at the scene's points (for a cell of a plan: at those that its photographs see): size from the
+ * three nearest neighbours, opacity 0.1. More points than `limit`: an even random choice. None: 100 places in front of the cameras. Origin: mean of the points.
  * gauss_free it. */
 enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n_images,
                          const struct train_cell *cell, uint32_t sh_degree, size_t limit, uint64_t seed,
@@ -187,15 +194,24 @@ void record_close(struct record **m);
 
 /* ---- train.c ---------------------------------------------------------------------------------------------------- */
 
-struct train_result {
+struct train_cell_result {
+    char id[32];
+    bool was_done; /* --resume found it complete: the rest is not filled */
     uint32_t n_levels;
     size_t n_gaussians[TRAIN_LEVELS_MAX];
     double psnr_db[TRAIN_LEVELS_MAX], ssim[TRAIN_LEVELS_MAX]; /* test photographs at training size; NaN = none */
     double seconds;
+};
+struct train_result { /* {0} is empty; train_result_free */
+    struct train_cell_result *cells;
+    size_t n_cells;
+    double seconds;
     size_t peak_bytes;
 };
-/* Train the scene in `scene_dir`. ERR_CANCEL: stopped (signal or stop_after), the state was saved and the
- * message says how to go on. */
+void train_result_free(struct train_result *r);
+/* Train the scene in `scene_dir`: the cells of its plan.json, or the one that cfg->cell names, or all of it as
+ * one cell. ERR_CANCEL: stopped (signal or stop_after), the state was saved and the message says how to go
+ * on. */
 enum err_code train_run(const char *scene_dir, const struct train_config *cfg, struct train_result *out,
                         struct err *e) ERR_USE;
 /* Indices of the photographs to train on (or, SCENE_TEST, to score), from the scene's arena. */

@@ -1,0 +1,291 @@
+/* One cell from its first Gaussians to its last level: start or resume, go through the levels, score and save
+ * each, leave a state to resume from whenever the run is interrupted.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+
+#include <jansson.h>
+
+#include "train/level.h"
+
+enum { RUN_LOOK_STEPS = 20, RUN_LINE_STEPS = 100 };
+
+struct run {
+    struct level level;
+    const struct run_cell *job; /* borrowed */
+    const struct train_config *cfg;
+    char dir[FILE_PATH_MAX], resume_path[FILE_PATH_MAX];
+    struct progress progress;
+    double start_s;
+    uint64_t last_saved; /* steps of this process when the state was last saved */
+    struct train_cell_result *result;
+};
+
+static enum err_code run_level_path(const struct run *t, uint32_t level, char *out, struct err *e)
+{
+    char name[32];
+    snprintf(name, sizeof(name), "level%u.ckpt", level);
+    return file_join(out, t->dir, name, e);
+}
+
+static enum err_code run_paths(struct run *t, const char *base, struct err *e)
+{
+    char cells[FILE_PATH_MAX];
+    enum err_code rc = file_join(cells, base, "cells", e);
+    if (!rc)
+        rc = file_join(t->dir, cells, t->level.cell.id, e);
+    if (!rc)
+        rc = file_join(t->resume_path, t->dir, "resume.ckpt", e);
+    return rc ? rc : file_mkdir(t->dir, e);
+}
+
+/* The resolved options beside the results: feeding the file back repeats the run. */
+static enum err_code run_write_config(const struct run *t, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    json_t *o = NULL;
+    enum err_code rc = file_join(path, t->dir, "config.jsonc", e);
+    if (!rc)
+        rc = options_to_json(train_options(), t->cfg, &o, e);
+    if (!rc)
+        rc = jsonc_write(path, o, e);
+    json_decref(o);
+    return rc;
+}
+
+static enum err_code run_open_record(struct run *t, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    struct level *l = &t->level;
+    const char *event = t->cfg->resume ? "resume" : "start";
+    enum err_code rc = file_join(path, t->dir, "metrics.jsonl", e);
+    if (!rc)
+        rc = record_open(path, t->cfg->resume, &l->record, e);
+    if (rc)
+        return rc;
+    return record_line(l->record, event,
+                       json_pack("{s:s, s:s, s:I, s:I, s:I, s:i, s:i, s:f, s:f}", "cell", l->cell.id,
+                                 "device", l->dev->name, "photographs", (json_int_t)l->n_images,
+                                 "test_photographs", (json_int_t)t->job->n_test, "gaussians",
+                                 (json_int_t)l->model.n, "level", (int)l->at + 1, "step", (int)l->step,
+                                 "edge_m", l->cell.edge_m, "extent_m", l->cell.extent_m),
+                       e);
+}
+
+/* --resume and nothing to resume: is the cell complete, with these options? */
+static enum err_code run_is_done(struct run *t, bool *done, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    *done = false;
+    if (!t->cfg->resume || file_exists(t->resume_path))
+        return ERR_OK;
+    enum err_code rc = run_level_path(t, t->level.n_levels, path, e);
+    if (!rc && file_exists(path))
+        rc = state_is_result_of(&t->level, path, done, e);
+    return rc;
+}
+
+static enum err_code run_start(struct run *t, struct err *e)
+{
+    struct gauss g = {0};
+    struct level *l = &t->level;
+    if (t->cfg->resume && file_exists(t->resume_path)) {
+        enum err_code rc = state_load(l, t->resume_path, e);
+        if (!rc)
+            log_info("train", "resume cell=%s level=%u step=%u gaussians=%u", l->cell.id, l->at + 1, l->step,
+                     l->model.n);
+        return rc;
+    }
+    if (file_exists(t->resume_path))
+        log_warn("train", "%s of an unfinished run is ignored and will be replaced; --resume goes on from it",
+                 t->resume_path);
+    enum err_code rc = init_gauss(l->scene, l->images, l->n_images, &l->cell, (uint32_t)t->cfg->sh_degree,
+                                  l->schedule[0].budget, (uint64_t)t->cfg->seed, &g, e);
+    if (!rc)
+        rc = level_open(l, &g, e);
+    gauss_free(&g);
+    return rc;
+}
+
+/* ---- the loop ------------------------------------------------------------------------------------------ */
+
+static enum err_code run_stop(struct run *t, struct err *e)
+{
+    struct level *l = &t->level;
+    enum err_code rc = state_save(l, t->resume_path, e);
+    if (rc)
+        return err_add(e, "stopped, but the state could not be saved");
+    return err_set(e, ERR_CANCEL,
+                   "stopped at level %u of %u, step %u of %u; the state is saved: the same command with "
+                   "--resume goes on",
+                   l->at + 1, l->n_levels, l->step, l->schedule[l->at].steps);
+}
+
+static enum err_code run_report(struct run *t, const struct loss_value *v, struct err *e)
+{
+    struct level *l = &t->level;
+    char note[96];
+    double psnr = l->mse_mean > 0.0 ? -10.0 * log10(l->mse_mean) : 0.0;
+    snprintf(note, sizeof(note), "loss %.4f, PSNR %.2f dB, %.1f k Gaussians", l->loss_mean, psnr,
+             l->model.n * 1e-3);
+    progress_step(&t->progress, l->step, note);
+    if (l->step % RUN_LINE_STEPS && l->step != l->schedule[l->at].steps)
+        return ERR_OK;
+    double now = clock_s(), seconds = now - l->step_s;
+    l->step_s = now;
+    json_t *o = json_pack("{s:i, s:i, s:f, s:f, s:f, s:f, s:I, s:f, s:I}", "level", (int)l->at + 1, "step",
+                          (int)l->step, "loss", v->total, "l1", v->l1, "ssim", v->ssim, "psnr_mean_db",
+                          psnr, "gaussians", (json_int_t)l->model.n, "s_since_last_line", seconds,
+                          "feed_bytes", (json_int_t)feed_bytes(l->feed));
+    return record_line(l->record, "step", o, e);
+}
+
+static enum err_code run_steps(struct run *t, struct err *e)
+{
+    struct level *l = &t->level;
+    uint32_t steps = l->schedule[l->at].steps;
+    while (l->step < steps) {
+        struct loss_value v;
+        uint32_t next = l->step + 1;
+        bool look = next % RUN_LOOK_STEPS == 0 || next == steps;
+        enum err_code rc = level_step(l, look ? &v : NULL, e);
+        (*t->job->steps)++;
+        if (!rc && look)
+            rc = run_report(t, &v, e);
+        if (rc)
+            return rc;
+        bool enough = t->cfg->stop_after > 0 && *t->job->steps >= (uint64_t)t->cfg->stop_after;
+        if (clock_stopping() || enough)
+            return run_stop(t, e);
+        if (*t->job->steps - t->last_saved >= (uint64_t)t->cfg->checkpoint_interval && l->step < steps) {
+            t->last_saved = *t->job->steps;
+            rc = state_save(l, t->resume_path, e);
+            if (rc)
+                return rc;
+        }
+    }
+    return ERR_OK;
+}
+
+static enum err_code run_score(struct run *t, struct evaluate_score *out, struct err *e)
+{
+    struct level *l = &t->level;
+    struct feed *feed = NULL;
+    struct feed_config f = {
+        .scene = l->scene,
+        .images = t->job->test_images,
+        .n_images = t->job->n_test,
+        .max_edge_px = (uint32_t)t->cfg->max_edge_px,
+        .downsample = l->schedule[l->at].downsample,
+        .cache_bytes = (size_t)64 << 20,
+    };
+    struct evaluate_model model = {l->render, &l->model, level_render_options(l, l->step)};
+    struct evaluate_source source = {evaluate_draw_model, &model, NULL};
+    enum err_code rc = feed_open(&f, &feed, e);
+    if (!rc)
+        rc = evaluate_run(feed, t->job->n_test, &source, out, e);
+    feed_close(&feed);
+    return rc;
+}
+
+/* Score and save the level in work, and remove results of finer levels, which belong to an older run. */
+static enum err_code run_finish_level(struct run *t, struct err *e)
+{
+    struct level *l = &t->level;
+    struct evaluate_score score = {0};
+    char path[FILE_PATH_MAX];
+    uint32_t k = l->at + 1;
+    enum err_code rc = t->job->n_test ? run_score(t, &score, e) : ERR_OK;
+    if (rc == ERR_CANCEL)
+        return run_stop(t, e);
+    if (!rc)
+        rc = run_level_path(t, k, path, e);
+    if (!rc)
+        rc = state_save_level(l, path, t->job->n_test ? &score : NULL, e);
+    for (uint32_t j = k + 1; !rc && j <= TRAIN_LEVELS_MAX; j++) {
+        rc = run_level_path(t, j, path, e);
+        if (!rc)
+            (void)unlink(path);
+    }
+    if (rc)
+        return rc;
+    double seconds = clock_s() - t->start_s;
+    t->result->n_gaussians[l->at] = l->model.n;
+    t->result->psnr_db[l->at] = t->job->n_test ? score.psnr_db : (double)NAN;
+    t->result->ssim[l->at] = t->job->n_test ? score.ssim : (double)NAN;
+    if (t->job->n_test)
+        log_info("train", "level=%u done gaussians=%u test_psnr_db=%.3f test_ssim=%.4f seconds=%.1f", k,
+                 l->model.n, score.psnr_db, score.ssim, seconds);
+    else
+        log_info("train", "level=%u done gaussians=%u seconds=%.1f", k, l->model.n, seconds);
+    return record_line(l->record, "level",
+                        json_pack("{s:i, s:I, s:I, s:f, s:f, s:f, s:f, s:f, s:I}", "level", (int)k,
+                                  "gaussians", (json_int_t)l->model.n, "test_photographs",
+                                  (json_int_t)t->job->n_test, "psnr_db", score.psnr_db, "ssim", score.ssim,
+                                  "ssim_valid", score.ssim_valid, "ms_frame", score.ms_frame, "seconds",
+                                  seconds, "peak_bytes", (json_int_t)mem_peak_bytes()),
+                        e);
+}
+
+static enum err_code run_levels(struct run *t, struct err *e)
+{
+    struct level *l = &t->level;
+    enum err_code rc = level_begin(l, e);
+    while (!rc && l->at < l->n_levels) {
+        char what[48];
+        snprintf(what, sizeof(what), "train level %u/%u", l->at + 1, l->n_levels);
+        progress_start(&t->progress, what, l->schedule[l->at].steps);
+        rc = run_steps(t, e);
+        progress_end(&t->progress, NULL);
+        if (!rc)
+            rc = run_finish_level(t, e);
+        if (!rc)
+            rc = level_next(l, e);
+    }
+    return rc;
+}
+
+enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out, struct err *e)
+{
+    struct run *t = mem_array(1, sizeof(*t));
+    bool done = false;
+    if (!t)
+        return err_set(e, ERR_MEM, "train: out of memory");
+    t->job = job;
+    t->cfg = job->cfg;
+    t->start_s = clock_s();
+    t->result = out;
+    t->level = (struct level){.cfg = job->cfg, .scene = job->scene, .images = job->images,
+                              .n_images = job->n_images, .dev = job->dev, .render = job->render,
+                              .loss = job->loss, .cell = job->cell,
+                              .n_levels = (uint32_t)job->cfg->level_count};
+    *out = (struct train_cell_result){.n_levels = t->level.n_levels};
+    memcpy(out->id, job->cell.id, sizeof(out->id));
+    enum err_code rc = schedule_make(job->cfg, job->n_images, &job->cell, t->level.schedule, e);
+    if (!rc)
+        rc = run_paths(t, job->base_dir, e);
+    if (!rc)
+        rc = run_is_done(t, &done, e);
+    out->was_done = done;
+    if (rc || done)
+        goto out;
+    rc = run_start(t, e);
+    if (!rc)
+        rc = run_write_config(t, e);
+    if (!rc)
+        rc = run_open_record(t, e);
+    if (!rc)
+        rc = run_levels(t, e);
+    if (!rc)
+        (void)unlink(t->resume_path); /* nothing is left to go on from */
+    out->seconds = clock_s() - t->start_s;
+out:
+    level_close(&t->level);
+    record_close(&t->level.record);
+    mem_free(t);
+    return rc;
+}
