@@ -1,8 +1,8 @@
 /* Codecs: Gaussians a second through every format on one core, bytes a Gaussian, and pictures.
  *
- * The rows are the procedural city in Morton order, moved about its tile's middle, as tiles are. Checked before
- * timing: each file decodes to the integers (or floats) it was made from. Ratios are to raw float32 rows (236
- * bytes with SH of degree 3).
+ * The rows are the procedural city in Morton order, moved about its tile's middle, as tiles are.
+ * Checked before timing: each file decodes to the integers (or floats) it was made from. Ratios are
+ * to raw float32 rows (236 bytes with SH of degree 3).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -17,7 +17,8 @@
 struct codec_case {
     const char *name;
     enum err_code (*encode)(const struct codec_case *c, struct buf *out, struct err *e);
-    enum err_code (*decode)(const struct codec_case *c, struct quant *q, struct gauss *g, struct err *e);
+    enum err_code (*decode)(const struct codec_case *c, struct quant *q, struct gauss *g,
+                            struct err *e);
     const struct gauss *g; /* borrowed */
     const struct quant *q; /* borrowed */
     struct buf file;
@@ -67,25 +68,29 @@ static enum err_code encode_lossless(const struct codec_case *c, struct buf *out
     return payload_encode(c->g, true, out, e);
 }
 
-static enum err_code decode_spz(const struct codec_case *c, struct quant *q, struct gauss *g, struct err *e)
+static enum err_code decode_spz(const struct codec_case *c, struct quant *q, struct gauss *g,
+                                struct err *e)
 {
     (void)g;
     return spz_decode(c->file.data, c->file.size, NULL, q, e);
 }
 
-static enum err_code decode_drc(const struct codec_case *c, struct quant *q, struct gauss *g, struct err *e)
+static enum err_code decode_drc(const struct codec_case *c, struct quant *q, struct gauss *g,
+                                struct err *e)
 {
     (void)g;
     return draco_decode(c->file.data, c->file.size, NULL, q, e);
 }
 
-static enum err_code decode_glb(const struct codec_case *c, struct quant *q, struct gauss *g, struct err *e)
+static enum err_code decode_glb(const struct codec_case *c, struct quant *q, struct gauss *g,
+                                struct err *e)
 {
     (void)q;
     return glb_decode(c->file.data, c->file.size, NULL, g, e);
 }
 
-static enum err_code decode_ply(const struct codec_case *c, struct quant *q, struct gauss *g, struct err *e)
+static enum err_code decode_ply(const struct codec_case *c, struct quant *q, struct gauss *g,
+                                struct err *e)
 {
     (void)q;
     return ply_decode(c->file.data, c->file.size, NULL, g, NULL, e);

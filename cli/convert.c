@@ -1,7 +1,8 @@
 /* citysplat convert: one file of Gaussians into another format.
  *
- * Integers travel untouched between .spz, .drc and .glb with SPZ when nothing else was asked for. Everything
- * else goes through struct gauss. Axes are turned when both sides' are known, and never on a guess.
+ * Integers travel untouched between .spz, .drc and .glb with SPZ when nothing else was asked for.
+ * Everything else goes through struct gauss. Axes are turned when both sides' are known, and never
+ * on a guess.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -26,7 +27,11 @@ static const struct options_def convert_defs[] = {
 };
 
 enum convert_format { FORMAT_PLY, FORMAT_SPZ, FORMAT_DRC, FORMAT_GLB, FORMAT_SPLAT };
-enum convert_axes { AXES_AUTO, AXES_ENU, AXES_GLTF }; /* as in the options; AUTO is also "unknown" */
+enum convert_axes {
+    AXES_AUTO,
+    AXES_ENU,
+    AXES_GLTF
+}; /* as in the options; AUTO is also "unknown" */
 
 struct converted {
     struct gauss g;
@@ -44,7 +49,8 @@ static enum err_code format_of(const char *path, enum convert_format *out, struc
             *out = (enum convert_format)f;
             return ERR_OK;
         }
-    return err_set(e, ERR_ARG, "%s : its name must end in .ply, .spz, .drc or .glb (.splat to read)", path);
+    return err_set(e, ERR_ARG,
+                   "%s : its name must end in .ply, .spz, .drc or .glb (.splat to read)", path);
 }
 
 static enum err_code decode_glb(const struct buf *b, struct converted *c, struct err *e)
@@ -93,7 +99,8 @@ static enum err_code sort_gauss(struct gauss *g, struct err *e)
 {
     struct gauss sorted = {0};
     uint32_t *order = mem_array(g->n, sizeof *order);
-    enum err_code rc = order ? gauss_morton_order(g, order, e) : err_set(e, ERR_MEM, "convert : out of memory");
+    enum err_code rc =
+        order ? gauss_morton_order(g, order, e) : err_set(e, ERR_MEM, "convert : out of memory");
     if (rc == ERR_OK)
         rc = gauss_alloc(&sorted, g->n, g->sh_degree, g->embed_len, e);
     if (rc == ERR_OK) {
@@ -131,7 +138,8 @@ static enum err_code set_degree(struct gauss *g, uint32_t degree, struct err *e)
 static enum convert_axes turn(struct converted *c, enum convert_axes want, const char *path)
 {
     if (c->axes == AXES_AUTO && want != AXES_AUTO)
-        log_warn("convert", "axes of %s are not known : nothing is turned ; say --axes enu or gltf", path);
+        log_warn("convert", "axes of %s are not known : nothing is turned ; say --axes enu or gltf",
+                 path);
     if (c->axes == AXES_ENU && want == AXES_GLTF)
         frame_enu_to_gltf(&c->g);
     else if (c->axes == AXES_GLTF && want == AXES_ENU)
@@ -144,8 +152,9 @@ static enum convert_axes turn(struct converted *c, enum convert_axes want, const
 static enum err_code write_ply(struct converted *c, const struct convert_options *o, const char *in,
                                struct buf *out, struct err *e)
 {
-    enum convert_axes want = o->ply_axes ? (enum convert_axes)o->ply_axes
-                             : c->axes == AXES_AUTO ? AXES_AUTO : AXES_ENU;
+    enum convert_axes want = o->ply_axes            ? (enum convert_axes)o->ply_axes
+                             : c->axes == AXES_AUTO ? AXES_AUTO
+                                                    : AXES_ENU;
     static const enum ply_axes said[] = {PLY_AXES_UNKNOWN, PLY_AXES_ENU, PLY_AXES_GLTF};
     c->info.axes = said[turn(c, want, in)];
     return ply_encode(&c->g, &c->info, out, e);
@@ -177,7 +186,8 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
                                    struct err *e)
 {
     bool as_is = c->q.block && o->sh_degree < 0 && !o->center && c->axes == AXES_GLTF;
-    bool integers = format == FORMAT_SPZ || format == FORMAT_DRC || (format == FORMAT_GLB && !o->glb_payload);
+    bool integers =
+        format == FORMAT_SPZ || format == FORMAT_DRC || (format == FORMAT_GLB && !o->glb_payload);
     if (as_is && integers)
         return write_integers(c, format, o, out, e);
     enum err_code rc = ERR_OK;
@@ -190,10 +200,11 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
     if (format == FORMAT_PLY)
         return write_ply(c, o, in, out, e);
     if (c->g.origin_enu_m[0] != 0 || c->g.origin_enu_m[1] != 0 || c->g.origin_enu_m[2] != 0)
-        return err_set(e, ERR_LIMIT,
-                       "convert : %s : coordinates are about %.0f %.0f %.0f m : such numbers do not fit the "
-                       "format ; use --center", in, c->g.origin_enu_m[0], c->g.origin_enu_m[1],
-                       c->g.origin_enu_m[2]);
+        return err_set(
+            e, ERR_LIMIT,
+            "convert : %s : coordinates are about %.0f %.0f %.0f m : such numbers do not fit the "
+            "format ; use --center",
+            in, c->g.origin_enu_m[0], c->g.origin_enu_m[1], c->g.origin_enu_m[2]);
     turn(c, AXES_GLTF, in);
     if (o->sort)
         rc = sort_gauss(&c->g, e);
@@ -210,7 +221,8 @@ enum err_code cli_convert(int argc, char **argv, struct err *e)
     const struct options_spec spec = {
         .command = "convert",
         .usage = "citysplat convert IN OUT [options]",
-        .about = "Converts a file of Gaussians: reads .ply (of any trainer, or SuperSplat's compressed one), "
+        .about = "Converts a file of Gaussians: reads .ply (of any trainer, or SuperSplat's "
+                 "compressed one), "
                  ".spz, .drc, .glb and .splat, writes .ply, .spz, .drc and .glb.",
         .example = "citysplat convert point_cloud.ply scene.spz --axes enu\n"
                    "citysplat convert tile.drc tile.glb --glb-payload plain",
@@ -238,8 +250,10 @@ enum err_code cli_convert(int argc, char **argv, struct err *e)
     if (rc == ERR_OK)
         rc = file_write(args.arg[1], out.data, out.size, e);
     if (rc == ERR_OK)
-        log_info("convert", "write file=%s gaussians=%zu sh_degree=%u bytes=%zu bytes_per_gaussian=%.2f",
-                 args.arg[1], c.g.n, c.g.sh_degree, out.size, (double)out.size / (double)(c.g.n ? c.g.n : 1));
+        log_info("convert",
+                 "write file=%s gaussians=%zu sh_degree=%u bytes=%zu bytes_per_gaussian=%.2f",
+                 args.arg[1], c.g.n, c.g.sh_degree, out.size,
+                 (double)out.size / (double)(c.g.n ? c.g.n : 1));
 out:
     quant_free(&c.q);
     gauss_free(&c.g);

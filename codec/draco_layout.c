@@ -1,9 +1,9 @@
 /* What a .drc of ours holds, and a check of foreign bytes before libdraco sees them.
  *
- * libdraco allocates what a file announces: a few bytes can ask for gigabytes. So the start of the stream is
- * read here first: header, metadata (skipped), point count, attribute list. Anything but our own layout in
- * sequential encoding is refused, and so are a count out of proportion to the file and a wrong check value.
- * Source: Draco bitstream 2.3 as libdraco 1.5.5 writes it.
+ * libdraco allocates what a file announces: a few bytes can ask for gigabytes. So the start of the
+ * stream is read here first: header, metadata (skipped), point count, attribute list. Anything but
+ * our own layout in sequential encoding is refused, and so are a count out of proportion to the
+ * file and a wrong check value. Source: Draco bitstream 2.3 as libdraco 1.5.5 writes it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -24,7 +24,8 @@ enum {
     POINTS_PER_BYTE_MAX = 1024, /* real tiles: 0.1 */
 };
 
-size_t draco_layout(uint32_t sh_degree, uint32_t embed_len, struct draco_attribute out[DRACO_ID_COUNT])
+size_t draco_layout(uint32_t sh_degree, uint32_t embed_len,
+                    struct draco_attribute out[DRACO_ID_COUNT])
 {
     const struct draco_attribute all[DRACO_ID_COUNT] = {
         {DRACO_POSITION, "position", DRACO_UINT32, 3, true},
@@ -98,7 +99,10 @@ static bool attributes_match(struct cursor *c, struct draco_head *h)
         components[id] = n;
         type[id] = t;
     }
-    h->sh_degree = components[DRACO_SH3] ? 3 : components[DRACO_SH2] ? 2 : components[DRACO_SH1] ? 1 : 0;
+    h->sh_degree = components[DRACO_SH3]   ? 3
+                   : components[DRACO_SH2] ? 2
+                   : components[DRACO_SH1] ? 1
+                                           : 0;
     h->embed_len = components[DRACO_EMBEDDING];
     if (h->embed_len > GAUSS_EMBED_MAX || draco_layout(h->sh_degree, h->embed_len, want) != count)
         return false;
@@ -119,9 +123,11 @@ enum err_code draco_check(const void *bytes, size_t n, const struct codec_limits
     if (c.bad || memcmp(magic, "DRACO", 5))
         return err_set(e, ERR_FORMAT, "draco : not a Draco file, or truncated in its header");
     if (major != 2 || type != POINT_CLOUD || method != SEQUENTIAL)
-        return err_set(e, ERR_FORMAT,
-                       "draco : version %u.%u, type %u, method %u : only sequential point clouds of version 2 "
-                       "hold tiles", major, minor, type, method);
+        return err_set(
+            e, ERR_FORMAT,
+            "draco : version %u.%u, type %u, method %u : only sequential point clouds of version 2 "
+            "hold tiles",
+            major, minor, type, method);
     if (flags & FLAG_METADATA) {
         for (uint32_t k = varint(&c); k && !c.bad; k--) {
             varint(&c);
@@ -137,7 +143,8 @@ enum err_code draco_check(const void *bytes, size_t n, const struct codec_limits
     if (out->n > most)
         return err_set(e, ERR_LIMIT, "draco : %u Gaussians : the limit is %zu", out->n, most);
     if (!ok || !out->n || out->n / POINTS_PER_BYTE_MAX > n)
-        return err_set(e, ERR_FORMAT, "draco : %u points : not the attributes of a splat tile", out->n);
+        return err_set(e, ERR_FORMAT, "draco : %u points : not the attributes of a splat tile",
+                       out->n);
     if (cursor_left(&c) < DRACO_CRC_BYTES)
         return err_set(e, ERR_FORMAT, "draco : truncated");
     out->stream_bytes = n - DRACO_CRC_BYTES;

@@ -1,4 +1,5 @@
-/* The attributes of a .drc of ours, shared by the writer, the reader and the check of foreign bytes.
+/* The attributes of a .drc of ours, shared by the writer, the reader and the check of foreign
+ * bytes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,9 +14,19 @@
 
 struct codec_limits;
 
-enum draco_id { /* unique ids in the file; sh1..sh3 and embedding are there only when they have values */
-    DRACO_POSITION, DRACO_OPACITY, DRACO_SCALE, DRACO_ROTATION, DRACO_ROTATION_INDEX, DRACO_COLOR,
-    DRACO_SH1, DRACO_SH2, DRACO_SH3, DRACO_EMBEDDING, DRACO_ID_COUNT
+enum draco_id { /* unique ids in the file; sh1..sh3 and embedding are there only when they have
+                   values */
+                DRACO_POSITION,
+                DRACO_OPACITY,
+                DRACO_SCALE,
+                DRACO_ROTATION,
+                DRACO_ROTATION_INDEX,
+                DRACO_COLOR,
+                DRACO_SH1,
+                DRACO_SH2,
+                DRACO_SH3,
+                DRACO_EMBEDDING,
+                DRACO_ID_COUNT
 };
 enum draco_type { DRACO_UINT8 = 2, DRACO_UINT16 = 4, DRACO_UINT32 = 6 }; /* Draco's own numbers */
 struct draco_attribute {
@@ -23,15 +34,16 @@ struct draco_attribute {
     const char *name; /* in the attribute's metadata */
     enum draco_type type;
     uint32_t components;
-    bool delta; /* predicted from the row before; only what is smooth along the Morton curve gains by it */
+    bool delta; /* predicted from the row before; only what is smooth along the Morton curve gains
+                   by it */
 };
 
 struct draco_head {
     uint32_t n, sh_degree, embed_len;
     size_t stream_bytes; /* without the check value */
 };
-/* A CRC-32 follows the Draco stream: other decoders stop before it, and libdraco alone does not notice when the
- * last attribute of a file is cut short. */
+/* A CRC-32 follows the Draco stream: other decoders stop before it, and libdraco alone does not
+ * notice when the last attribute of a file is cut short. */
 enum { DRACO_CRC_BYTES = 4 };
 
 #ifdef __cplusplus
@@ -40,9 +52,11 @@ extern "C" {
 
 uint32_t draco_crc(const void *bytes, size_t n);
 /* The attributes of this degree and embedding; returns how many. */
-size_t draco_layout(uint32_t sh_degree, uint32_t embed_len, struct draco_attribute out[DRACO_ID_COUNT]);
-/* Is this a point cloud of exactly our attributes, of a count that the limits and the file's size allow? Reads
- * the header, skips the metadata, and reads the list of attributes and compares the check value; allocates nothing. */
+size_t draco_layout(uint32_t sh_degree, uint32_t embed_len,
+                    struct draco_attribute out[DRACO_ID_COUNT]);
+/* Is this a point cloud of exactly our attributes, of a count that the limits and the file's size
+ * allow? Reads the header, skips the metadata, and reads the list of attributes and compares the
+ * check value; allocates nothing. */
 enum err_code draco_check(const void *bytes, size_t n, const struct codec_limits *lim,
                           struct draco_head *out, struct err *e) ERR_USE;
 

@@ -1,8 +1,9 @@
 // .drc: the quantiser's integers as generic attributes of a Draco point cloud.
 //
-// Sequential encoding, no Draco quantisation: a reader gets exactly the integers of struct quant. SH bytes go as
-// bucket numbers (255 stands for the top one); bytes of foreign files that are on no bucket go as they are, with
-// metadata sh_raw = 1. Rotation fields go as 511 +- magnitude. The layout is draco_layout.c's.
+// Sequential encoding, no Draco quantisation: a reader gets exactly the integers of struct quant.
+// SH bytes go as bucket numbers (255 stands for the top one); bytes of foreign files that are on no
+// bucket go as they are, with metadata sh_raw = 1. Rotation fields go as 511 +- magnitude. The
+// layout is draco_layout.c's.
 //
 // SPDX-License-Identifier: Apache-2.0
 #include "codec/draco_layout.h"
@@ -55,7 +56,8 @@ static bool sh_is_snapped(const struct quant *q)
     return true;
 }
 
-static void copy_sh_in(const struct quant *q, enum draco_id id, size_t width, bool raw, uint8_t *out)
+static void copy_sh_in(const struct quant *q, enum draco_id id, size_t width, bool raw,
+                       uint8_t *out)
 {
     size_t row = 3 * (gauss_sh_count(q->sh_degree) - 1);
     unsigned step = sh_step(id, raw);
@@ -142,7 +144,9 @@ try {
     add_metadata(q, tile, raw, &pc);
     for (size_t i = 0; i < count; i++) {
         const struct draco_attribute &a = list[i];
-        size_t stride = a.components * (a.type == DRACO_UINT32 ? 4 : a.type == DRACO_UINT16 ? 2 : 1);
+        size_t stride = a.components * (a.type == DRACO_UINT32   ? 4
+                                        : a.type == DRACO_UINT16 ? 2
+                                                                 : 1);
         draco::GeometryAttribute ga;
         ga.Init(a.id == DRACO_POSITION ? draco::GeometryAttribute::POSITION
                                        : draco::GeometryAttribute::GENERIC,
@@ -158,7 +162,8 @@ try {
     enc.SetEncodingMethod(draco::POINT_CLOUD_SEQUENTIAL_ENCODING);
     enc.SetSpeedOptions(0, 0);
     for (size_t i = 0; i < count; i++)
-        if (!list[i].delta && !enc.SetAttributePredictionScheme((int)i, draco::PREDICTION_NONE).ok())
+        if (!list[i].delta &&
+            !enc.SetAttributePredictionScheme((int)i, draco::PREDICTION_NONE).ok())
             return err_set(e, ERR_INTERNAL, "draco : %s : prediction scheme refused", list[i].name);
     draco::EncoderBuffer b;
     draco::Status s = enc.EncodeToBuffer(&b);
@@ -256,11 +261,16 @@ static enum err_code read_cloud(const draco::PointCloud &pc, struct quant *q, st
     for (size_t i = 0; i < count; i++) {
         const draco::PointAttribute *a = pc.GetAttributeByUniqueId(list[i].id);
         size_t bytes = list[i].components *
-                       (list[i].type == DRACO_UINT32 ? 4 : list[i].type == DRACO_UINT16 ? 2 : 1) * q->n;
-        if (!a || a->size() != q->n || !a->is_mapping_identity() || a->buffer()->data_size() < bytes)
+                       (list[i].type == DRACO_UINT32   ? 4
+                        : list[i].type == DRACO_UINT16 ? 2
+                                                       : 1) *
+                       q->n;
+        if (!a || a->size() != q->n || !a->is_mapping_identity() ||
+            a->buffer()->data_size() < bytes)
             return err_set(e, ERR_FORMAT, "draco : attribute %s is damaged", list[i].name);
         if (!copy_out(list[i], a->buffer()->data(), raw, q))
-            return err_set(e, ERR_FORMAT, "draco : attribute %s has a value out of range", list[i].name);
+            return err_set(e, ERR_FORMAT, "draco : attribute %s has a value out of range",
+                           list[i].name);
     }
     return ERR_OK;
 }

@@ -1,9 +1,9 @@
 /* EXIF position, time and exposure of photographs, read from and put into JPEG, PNG, WebP and TIFF.
  *
- * EXIF is a small TIFF file inside the picture. OpenImageIO reads its rationals into float32, which is a metre
- * at the equator for cameras that write decimal degrees, and its writer stores no GPS in PNG, WebP and TIFF
- * (and 0.5" as infinity in JPEG). So the dozen fields that georeferencing needs are handled here: all
- * arithmetic in double, every offset checked against the bytes at hand.
+ * EXIF is a small TIFF file inside the picture. OpenImageIO reads its rationals into float32, which
+ * is a metre at the equator for cameras that write decimal degrees, and its writer stores no GPS in
+ * PNG, WebP and TIFF (and 0.5" as infinity in JPEG). So the dozen fields that georeferencing needs
+ * are handled here: all arithmetic in double, every offset checked against the bytes at hand.
  *
  * Sources: EXIF 2.32 (CIPA DC-008), TIFF 6.0, PNG 1.5 extensions (eXIf), RIFF container of WebP.
  *
@@ -39,7 +39,7 @@ enum {
     HEAD_BYTES = 256 * 1024, /* an APP1 segment is at most 64 KiB and comes first */
 };
 
-/* ---- reading ------------------------------------------------------------------------------------ */
+/* ---- reading -------------------------------------------------------------------------------- */
 
 struct tiff {
     const uint8_t *p;
@@ -289,7 +289,7 @@ enum err_code exif_read(const char *path, struct image_gps *out, struct err *e)
     return rc;
 }
 
-/* ---- writing -------------------------------------------------------------------------------------- */
+/* ---- writing -------------------------------------------------------------------------------- */
 
 struct entry {
     uint16_t tag, type;
@@ -377,7 +377,8 @@ static void ifd_write(struct buf *b, uint32_t base, const struct entry *en, size
             buf_add(b, en[i].data, (en[i].size + 1) & ~1u);
 }
 
-/* Appends the Exif and GPS IFDs to b, whose offsets count from b's start + `shift`; returns where each is. */
+/* Appends the Exif and GPS IFDs to b, whose offsets count from b's start + `shift`; returns where
+ * each is. */
 static void sub_ifds_write(struct buf *b, uint32_t shift, const struct image_gps *g, uint32_t *exif,
                            uint32_t *gps)
 {

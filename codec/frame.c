@@ -1,9 +1,11 @@
-/* ENU (z up) <-> glTF (y up): a quarter turn about the east axis, for means, rotations and SH alike.
+/* ENU (z up) <-> glTF (y up): a quarter turn about the east axis, for means, rotations and SH
+ * alike.
  *
- * p' = (E, U, -N), q' = r q with r = (w x y z) = (h, -h, 0, 0), h = sqrt(1/2). Within a band the real spherical
- * harmonics turn by an orthogonal matrix; those of this turn are mostly signs and swaps and are written out
- * below for the basis of 3D Gaussian splatting (Kerbl 2023), whose odd orders carry a minus sign. Going back
- * is the transpose. Scales, opacities, embeddings and origin_enu_m (which stays ENU) do not change.
+ * p' = (E, U, -N), q' = r q with r = (w x y z) = (h, -h, 0, 0), h = sqrt(1/2). Within a band the
+ * real spherical harmonics turn by an orthogonal matrix; those of this turn are mostly signs and
+ * swaps and are written out below for the basis of 3D Gaussian splatting (Kerbl 2023), whose odd
+ * orders carry a minus sign. Going back is the transpose. Scales, opacities, embeddings and
+ * origin_enu_m (which stays ENU) do not change.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

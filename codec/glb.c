@@ -1,12 +1,14 @@
 /* .glb with KHR_gaussian_splatting: SPZ v3 inside for 3D Tiles clients, or plain float accessors.
  *
- * The SPZ form is the one that CesiumJS, ArcGIS and 3d-tiles-renderer with Spark were seen to draw: one node, one
- * primitive of mode 0, accessors without data whose count and bounds stand for the payload, COLOR_0 present,
- * SH_DEGREE_0 absent (one name more and Cesium drops all SH), no node transform. The bytes inside are in glTF
- * axes and a correct .spz by themselves. The plain form is for three.js, PlayCanvas and Babylon: linear sigmas
- * and opacities, quaternions x y z w, SH as trained.
+ * The SPZ form is the one that CesiumJS, ArcGIS and 3d-tiles-renderer with Spark were seen to draw:
+ * one node, one primitive of mode 0, accessors without data whose count and bounds stand for the
+ * payload, COLOR_0 present, SH_DEGREE_0 absent (one name more and Cesium drops all SH), no node
+ * transform. The bytes inside are in glTF axes and a correct .spz by themselves. The plain form is
+ * for three.js, PlayCanvas and Babylon: linear sigmas and opacities, quaternions x y z w, SH as
+ * trained.
  *
- * Sources: glTF 2.0; KHR_gaussian_splatting (release candidate); KHR_gaussian_splatting_compression_spz_2 (draft).
+ * Sources: glTF 2.0; KHR_gaussian_splatting (release candidate);
+ * KHR_gaussian_splatting_compression_spz_2 (draft).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -29,7 +31,7 @@ enum {
 #define EXT_SPLAT "KHR_gaussian_splatting"
 #define EXT_SPZ "KHR_gaussian_splatting_compression_spz_2"
 
-/* ---- writing ------------------------------------------------------------------------------------------ */
+/* ---- writing -------------------------------------------------------------------------------- */
 
 static enum err_code glb_pack(json_t *root, const struct buf *bin, struct buf *out, struct err *e)
 {
@@ -40,7 +42,8 @@ static enum err_code glb_pack(json_t *root, const struct buf *bin, struct buf *o
     size_t total = HEAD_BYTES + 8 + n_json + 8 + n_bin;
     enum err_code rc = ERR_OK;
     if (total > UINT32_MAX) {
-        rc = err_set(e, ERR_LIMIT, "glb : %zu bytes : at most 4 GiB fit, cut the scene into tiles", total);
+        rc = err_set(e, ERR_LIMIT, "glb : %zu bytes : at most 4 GiB fit, cut the scene into tiles",
+                     total);
     } else {
         buf_u32(out, MAGIC);
         buf_u32(out, 2);
@@ -61,7 +64,8 @@ static enum err_code glb_pack(json_t *root, const struct buf *bin, struct buf *o
 
 static json_t *accessor(size_t count, int component, const char *type)
 {
-    return json_pack("{s:I,s:i,s:s}", "count", (json_int_t)count, "componentType", component, "type", type);
+    return json_pack("{s:I,s:i,s:s}", "count", (json_int_t)count, "componentType", component,
+                     "type", type);
 }
 
 static int set_bounds(json_t *position, const double lo[3], const double hi[3])
@@ -70,22 +74,22 @@ static int set_bounds(json_t *position, const double lo[3], const double hi[3])
            json_object_set_new(position, "max", json_pack("[f,f,f]", hi[0], hi[1], hi[2]));
 }
 
-/* {asset, scene, nodes, meshes: [{primitives: [{mode 0, attributes, extensions}]}], extensionsUsed, ...} around
- * accessors, bufferViews and the primitive's extension, whose references it takes. */
+/* {asset, scene, nodes, meshes: [{primitives: [{mode 0, attributes, extensions}]}], extensionsUsed,
+ * ...} around accessors, bufferViews and the primitive's extension, whose references it takes. */
 static json_t *document(const char *copyright, json_t *attributes, json_t *accessors, json_t *views,
                         size_t n_bytes, json_t *splat, bool spz)
 {
-    json_t *asset = json_pack("{s:s,s:s,s:s*}", "version", "2.0", "generator",
-                              "citysplat " CITYSPLAT_VERSION, "copyright",
-                              copyright && *copyright ? copyright : NULL);
+    json_t *asset =
+        json_pack("{s:s,s:s,s:s*}", "version", "2.0", "generator", "citysplat " CITYSPLAT_VERSION,
+                  "copyright", copyright && *copyright ? copyright : NULL);
     json_t *used = spz ? json_pack("[s,s]", EXT_SPLAT, EXT_SPZ) : json_pack("[s]", EXT_SPLAT);
     json_t *prim = json_pack("{s:i,s:o,s:{s:o}}", "mode", 0, "attributes", attributes, "extensions",
                              EXT_SPLAT, splat);
     json_t *root =
-        json_pack("{s:o,s:i,s:[{s:[i]}],s:[{s:i}],s:[{s:[o]}],s:o,s:o,s:[{s:I}],s:o}", "asset", asset,
-                  "scene", 0, "scenes", "nodes", 0, "nodes", "mesh", 0, "meshes", "primitives", prim,
-                  "accessors", accessors, "bufferViews", views, "buffers", "byteLength",
-                  (json_int_t)n_bytes, "extensionsUsed", used);
+        json_pack("{s:o,s:i,s:[{s:[i]}],s:[{s:i}],s:[{s:[o]}],s:o,s:o,s:[{s:I}],s:o}", "asset",
+                  asset, "scene", 0, "scenes", "nodes", 0, "nodes", "mesh", 0, "meshes",
+                  "primitives", prim, "accessors", accessors, "bufferViews", views, "buffers",
+                  "byteLength", (json_int_t)n_bytes, "extensionsUsed", used);
     /* Without the decoder nothing can be drawn; a plain file shows at least points. */
     if (root && spz)
         json_object_set_new(root, "extensionsRequired", json_pack("[s,s]", EXT_SPLAT, EXT_SPZ));
@@ -110,7 +114,8 @@ static const char *sh_name(char name[64], uint32_t degree, uint32_t coef)
     return name;
 }
 
-enum err_code glb_encode_spz(const struct quant *q, const char *copyright, struct buf *out, struct err *e)
+enum err_code glb_encode_spz(const struct quant *q, const char *copyright, struct buf *out,
+                             struct err *e)
 {
     struct buf spz = {0};
     json_t *root = NULL;
@@ -130,7 +135,8 @@ enum err_code glb_encode_spz(const struct quant *q, const char *copyright, struc
         lo[c] = a / 4096.0;
         hi[c] = b / 4096.0;
     }
-    json_t *attributes = json_object(), *accessors = json_array(), *position = accessor(q->n, FLOAT32, "VEC3");
+    json_t *attributes = json_object(), *accessors = json_array(),
+           *position = accessor(q->n, FLOAT32, "VEC3");
     json_t *color = accessor(q->n, UINT8, "VEC4");
     set_bounds(position, lo, hi);
     json_object_set_new(color, "normalized", json_true());
@@ -140,7 +146,8 @@ enum err_code glb_encode_spz(const struct quant *q, const char *copyright, struc
     add_attribute(attributes, accessors, EXT_SPLAT ":ROTATION", accessor(q->n, FLOAT32, "VEC4"));
     for (uint32_t l = 1; l <= q->sh_degree; l++)
         for (uint32_t m = 0; m <= 2 * l; m++)
-            add_attribute(attributes, accessors, sh_name(name, l, m), accessor(q->n, FLOAT32, "VEC3"));
+            add_attribute(attributes, accessors, sh_name(name, l, m),
+                          accessor(q->n, FLOAT32, "VEC3"));
     json_t *splat = splat_extension();
     json_object_set_new(splat, "extensions", json_pack("{s:{s:i}}", EXT_SPZ, "bufferView", 0));
     json_t *views = json_pack("[{s:i,s:i,s:I}]", "buffer", 0, "byteOffset", 0, "byteLength",
@@ -154,7 +161,7 @@ out:
     return rc;
 }
 
-/* ---- plain: one accessor, one view, one run of floats an attribute -------------------------------------- */
+/* ---- plain: one accessor, one view, one run of floats an attribute -------------------------- */
 
 struct plain {
     const struct gauss *g;
@@ -168,9 +175,9 @@ static float *plain_add(struct plain *p, const char *name, size_t width, json_t 
     size_t bytes = p->g->n * width * sizeof(float);
     json_t *a = accessor(p->g->n, FLOAT32, type[width]);
     json_object_set_new(a, "bufferView", json_integer((json_int_t)json_array_size(p->views)));
-    json_array_append_new(p->views, json_pack("{s:i,s:I,s:I,s:i}", "buffer", 0, "byteOffset",
-                                              (json_int_t)p->bin.size, "byteLength", (json_int_t)bytes,
-                                              "target", 34962)); /* ARRAY_BUFFER */
+    json_array_append_new(
+        p->views, json_pack("{s:i,s:I,s:I,s:i}", "buffer", 0, "byteOffset", (json_int_t)p->bin.size,
+                            "byteLength", (json_int_t)bytes, "target", 34962)); /* ARRAY_BUFFER */
     add_attribute(p->attributes, p->accessors, name, a);
     if (made)
         *made = a;
@@ -210,7 +217,8 @@ static void plain_fill(struct plain *p)
     }
     if (f)
         set_bounds(position, lo, hi);
-    f = plain_add(p, "COLOR_0", 4, NULL); /* for viewers without the extension: points, linear colour */
+    f = plain_add(p, "COLOR_0", 4,
+                  NULL); /* for viewers without the extension: points, linear colour */
     for (size_t i = 0; f && i < g->n; i++) {
         for (size_t c = 0; c < 3; c++)
             f[4 * i + c] = linear_from_srgb((float)GAUSS_SH_C0 * g->sh[3 * k * i + c] + 0.5f);
@@ -240,10 +248,11 @@ enum err_code glb_encode_plain(const struct gauss *g, const char *copyright, str
         return err_set(e, ERR_DATA, "glb : no Gaussians : a glTF accessor cannot be empty");
     if (gauss_count_bad(g, &bad))
         return err_set(e, ERR_DATA, "glb : row %zu : not finite, or no rotation", bad);
-    struct plain p = {.g = g, .attributes = json_object(), .accessors = json_array(), .views = json_array()};
+    struct plain p = {
+        .g = g, .attributes = json_object(), .accessors = json_array(), .views = json_array()};
     plain_fill(&p);
-    json_t *root = document(copyright, p.attributes, p.accessors, p.views, p.bin.size, splat_extension(),
-                            false);
+    json_t *root = document(copyright, p.attributes, p.accessors, p.views, p.bin.size,
+                            splat_extension(), false);
     enum err_code rc = buf_check(&p.bin, e);
     if (rc == ERR_OK && !root)
         rc = err_set(e, ERR_ARG, "glb : the copyright text is not UTF-8, or out of memory");
@@ -254,7 +263,7 @@ enum err_code glb_encode_plain(const struct gauss *g, const char *copyright, str
     return rc;
 }
 
-/* ---- reading ------------------------------------------------------------------------------------------- */
+/* ---- reading -------------------------------------------------------------------------------- */
 
 struct glb {
     json_t *root;
@@ -275,20 +284,26 @@ static enum err_code find_primitive(struct glb *f, struct err *e)
     size_t i, k, found = 0;
     json_t *mesh, *prim, *node;
     json_array_foreach(json_object_get(f->root, "meshes"), i, mesh)
-        json_array_foreach(json_object_get(mesh, "primitives"), k, prim) {
-            json_t *splat = json_object_get(json_object_get(prim, "extensions"), EXT_SPLAT);
-            if (!splat)
-                continue;
-            f->primitive = prim;
-            f->splat = splat;
-            found++;
-        }
+        json_array_foreach(json_object_get(mesh, "primitives"), k, prim)
+    {
+        json_t *splat = json_object_get(json_object_get(prim, "extensions"), EXT_SPLAT);
+        if (!splat)
+            continue;
+        f->primitive = prim;
+        f->splat = splat;
+        found++;
+    }
     if (found != 1)
-        return err_set(e, ERR_FORMAT, "glb : %zu primitives with " EXT_SPLAT " : exactly one is read", found);
-    json_array_foreach(json_object_get(f->root, "nodes"), i, node)
-        if (json_object_get(node, "matrix") || json_object_get(node, "translation") ||
-            json_object_get(node, "rotation") || json_object_get(node, "scale"))
-            return err_set(e, ERR_FORMAT, "glb : node %zu : is transformed : apply the transform first", i);
+        return err_set(e, ERR_FORMAT,
+                       "glb : %zu primitives with " EXT_SPLAT " : exactly one is read", found);
+    json_array_foreach(
+        json_object_get(f->root, "nodes"), i,
+        node) if (json_object_get(node, "matrix") || json_object_get(node, "translation") ||
+                  json_object_get(node, "rotation") ||
+                  json_object_get(node, "scale")) return err_set(e, ERR_FORMAT,
+                                                                 "glb : node %zu : is transformed "
+                                                                 ": apply the transform first",
+                                                                 i);
     return ERR_OK;
 }
 
@@ -302,7 +317,8 @@ static enum err_code glb_open(const void *bytes, size_t n, struct glb *f, struct
         return err_set(e, ERR_FORMAT, "glb : not a binary glTF file, or truncated in its header");
     const uint8_t *text = cursor_take(&c, n_json);
     if (version != 2 || total != n || type != CHUNK_JSON || !text)
-        return err_set(e, ERR_FORMAT, "glb : version %u, %u bytes announced, %zu there : damaged or truncated",
+        return err_set(e, ERR_FORMAT,
+                       "glb : version %u, %u bytes announced, %zu there : damaged or truncated",
                        version, total, n);
     if (cursor_left(&c)) {
         uint32_t n_bin = cursor_u32(&c);
@@ -318,7 +334,8 @@ static enum err_code glb_open(const void *bytes, size_t n, struct glb *f, struct
 
 static bool view_bytes(const struct glb *f, const json_t *view, size_t *at, size_t *n)
 {
-    const json_t *offset = json_object_get(view, "byteOffset"), *len = json_object_get(view, "byteLength");
+    const json_t *offset = json_object_get(view, "byteOffset"),
+                 *len = json_object_get(view, "byteLength");
     json_int_t o = offset ? json_integer_value(offset) : 0, l = json_integer_value(len);
     if (!view || json_integer_value(json_object_get(view, "buffer")) || o < 0 || l < 0 ||
         (uint64_t)o > f->n_bin || (uint64_t)l > f->n_bin - (uint64_t)o)
@@ -333,14 +350,17 @@ static enum err_code find_spz(const struct glb *f, const void **spz, size_t *n_s
     const json_t *ext = json_object_get(json_object_get(f->splat, "extensions"), EXT_SPZ);
     size_t at;
     if (!ext)
-        return err_set(e, ERR_NOENT, "glb : no " EXT_SPZ " inside : its Gaussians are plain accessors");
-    if (!view_bytes(f, array_at(f->root, "bufferViews", json_object_get(ext, "bufferView")), &at, n_spz))
+        return err_set(e, ERR_NOENT,
+                       "glb : no " EXT_SPZ " inside : its Gaussians are plain accessors");
+    if (!view_bytes(f, array_at(f->root, "bufferViews", json_object_get(ext, "bufferView")), &at,
+                    n_spz))
         return err_set(e, ERR_FORMAT, "glb : the SPZ payload's bufferView does not fit the file");
     *spz = f->bin + at;
     return ERR_OK;
 }
 
-enum err_code glb_find_spz(const void *bytes, size_t n, const void **spz, size_t *n_spz, struct err *e)
+enum err_code glb_find_spz(const void *bytes, size_t n, const void **spz, size_t *n_spz,
+                           struct err *e)
 {
     struct glb f = {0};
     enum err_code rc = glb_open(bytes, n, &f, e);
@@ -359,12 +379,14 @@ struct values { /* an accessor, checked to hold count rows of width */
 
 static size_t component_bytes(int component)
 {
-    return component == FLOAT32 ? 4 : component == 5122 || component == 5123 ? 2 : component == 5120 ||
-           component == UINT8 ? 1 : 0;
+    return component == FLOAT32                      ? 4
+           : component == 5122 || component == 5123  ? 2
+           : component == 5120 || component == UINT8 ? 1
+                                                     : 0;
 }
 
-static enum err_code values_find(const struct glb *f, const char *name, size_t width, struct values *v,
-                                 struct err *e)
+static enum err_code values_find(const struct glb *f, const char *name, size_t width,
+                                 struct values *v, struct err *e)
 {
     const json_t *index = json_object_get(json_object_get(f->primitive, "attributes"), name);
     const json_t *a = array_at(f->root, "accessors", index);
@@ -383,11 +405,12 @@ static enum err_code values_find(const struct glb *f, const char *name, size_t w
     if (!row || !type || strcmp(type, want) || json_object_get(a, "sparse") ||
         !view_bytes(f, view, &at, &n) || count < 1 || offset < 0 || stride < 0 || stride > 252 ||
         (stride && (size_t)stride < row) || (uint64_t)offset > n || n - (size_t)offset < row)
-        return err_set(e, ERR_FORMAT, "glb : attribute %s : its accessor is not of a kind that can be read", name);
+        return err_set(e, ERR_FORMAT,
+                       "glb : attribute %s : its accessor is not of a kind that can be read", name);
     v->stride = stride ? (size_t)stride : row;
     if ((uint64_t)count - 1 > (n - (size_t)offset - row) / v->stride)
-        return err_set(e, ERR_FORMAT, "glb : attribute %s : %lld rows do not fit its bufferView", name,
-                       (long long)count);
+        return err_set(e, ERR_FORMAT, "glb : attribute %s : %lld rows do not fit its bufferView",
+                       name, (long long)count);
     v->count = (size_t)count;
     v->p = f->bin + at + offset;
     return ERR_OK;
@@ -415,27 +438,29 @@ static float value_get(const struct values *v, size_t row, size_t c)
     }
 }
 
-static enum err_code values_read(const struct glb *f, const char *name, size_t n, size_t width, float *out,
-                                 size_t out_stride, struct err *e)
+static enum err_code values_read(const struct glb *f, const char *name, size_t n, size_t width,
+                                 float *out, size_t out_stride, struct err *e)
 {
     struct values v;
     enum err_code rc = values_find(f, name, width, &v, e);
     if (rc == ERR_OK && v.count != n)
-        rc = err_set(e, ERR_FORMAT, "glb : attribute %s : %zu rows, POSITION has %zu", name, v.count, n);
+        rc = err_set(e, ERR_FORMAT, "glb : attribute %s : %zu rows, POSITION has %zu", name,
+                     v.count, n);
     for (size_t i = 0; rc == ERR_OK && i < n; i++)
         for (size_t c = 0; c < width; c++)
             out[i * out_stride + c] = value_get(&v, i, c);
     return rc;
 }
 
-/* Linear values of the file to the container's logs and logits; sigma 0 and opacity 0 or 1 become finite. */
+/* Linear values of the file to the container's logs and logits; sigma 0 and opacity 0 or 1 become
+ * finite. */
 static void from_linear(struct gauss *g)
 {
     for (size_t i = 0; i < 3 * g->n; i++)
         g->scale_log[i] = logf(g->scale_log[i] < 1e-9f ? 1e-9f : g->scale_log[i]);
     for (size_t i = 0; i < g->n; i++) {
         float a = g->opacity_logit[i], *q = g->quat_wxyz + 4 * i;
-        float w = q[3]; /* from x y z w */
+        float w = q[3];                                        /* from x y z w */
         a = a < 1e-6f ? 1e-6f : a > 1 - 1e-6f ? 1 - 1e-6f : a; /* NaN stays, and is refused */
         g->opacity_logit[i] = logf(a / (1 - a));
         q[3] = q[2];
@@ -445,8 +470,8 @@ static void from_linear(struct gauss *g)
     }
 }
 
-static enum err_code decode_plain(const struct glb *f, const struct codec_limits *lim, struct gauss *out,
-                                  struct err *e)
+static enum err_code decode_plain(const struct glb *f, const struct codec_limits *lim,
+                                  struct gauss *out, struct err *e)
 {
     struct values position;
     char name[64];
@@ -459,7 +484,8 @@ static enum err_code decode_plain(const struct glb *f, const struct codec_limits
     size_t n = position.count; /* no more than the file holds */
     if (n > most)
         return err_set(e, ERR_LIMIT, "glb : %zu Gaussians : the limit is %zu", n, most);
-    while (degree < GAUSS_SH_DEGREE_MAX && json_object_get(attributes, sh_name(name, degree + 1, 0)))
+    while (degree < GAUSS_SH_DEGREE_MAX &&
+           json_object_get(attributes, sh_name(name, degree + 1, 0)))
         degree++;
     rc = gauss_alloc(out, n, degree, 0, e);
     if (rc != ERR_OK)
@@ -486,8 +512,8 @@ static enum err_code decode_plain(const struct glb *f, const struct codec_limits
     return rc;
 }
 
-enum err_code glb_decode(const void *bytes, size_t n, const struct codec_limits *lim, struct gauss *out,
-                         struct err *e)
+enum err_code glb_decode(const void *bytes, size_t n, const struct codec_limits *lim,
+                         struct gauss *out, struct err *e)
 {
     struct glb f = {0};
     struct quant q = {0};

@@ -1,9 +1,9 @@
 /* Lanczos3 resizing of 8-bit pictures, on the values as stored.
  *
- * The kernel is separable: rows are filtered once each into a ring that holds what the current output row needs,
- * columns are summed from the ring. OpenImageIO's resize gives the same picture within a grey level but sums all
- * taps in two dimensions, which is 20 times slower on a drone photograph. At the border the weights that
- * fall outside are left out and the rest scaled to 1.
+ * The kernel is separable: rows are filtered once each into a ring that holds what the current
+ * output row needs, columns are summed from the ring. OpenImageIO's resize gives the same picture
+ * within two grey levels but sums all taps in two dimensions, which is 20 times slower on a drone
+ * photograph. At the border the weights that fall outside are left out and the rest scaled to 1.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -64,8 +64,8 @@ static bool taps_make(size_t in, size_t out, struct taps *t)
     return true;
 }
 
-static void filter_row(const uint8_t *px, size_t n_in, size_t channels, const struct taps *t, size_t n_out,
-                       float *wide, float *out)
+static void filter_row(const uint8_t *px, size_t n_in, size_t channels, const struct taps *t,
+                       size_t n_out, float *wide, float *out)
 {
     for (size_t i = 0; i < n_in * channels; i++)
         wide[i] = px[i];
@@ -91,16 +91,17 @@ static void filter_row(const uint8_t *px, size_t n_in, size_t channels, const st
 }
 
 /* Output rows from the ring; row y of the input lies in ring slot y % n_max. */
-static void filter(const struct image *in, const struct taps *across, const struct taps *down, float *wide,
-                   float *ring, float *sum, struct image *out)
+static void filter(const struct image *in, const struct taps *across, const struct taps *down,
+                   float *wide, float *ring, float *sum, struct image *out)
 {
-    const size_t row = (size_t)out->width_px * out->channels, in_row = (size_t)in->width_px * in->channels;
+    const size_t row = (size_t)out->width_px * out->channels,
+                 in_row = (size_t)in->width_px * in->channels;
     size_t ready = 0; /* input rows filtered so far */
     for (size_t y = 0; y < out->height_px; y++) {
         const size_t first = down->first[y], n = down->n[y];
         for (ready = ready < first ? first : ready; ready < first + n; ready++)
-            filter_row(in->px + ready * in_row, in->width_px, in->channels, across, out->width_px, wide,
-                       ring + ready % down->n_max * row);
+            filter_row(in->px + ready * in_row, in->width_px, in->channels, across, out->width_px,
+                       wide, ring + ready % down->n_max * row);
         memset(sum, 0, row * sizeof *sum);
         for (size_t k = 0; k < n; k++) {
             const float w = down->weight[y * down->n_max + k];
@@ -115,15 +116,15 @@ static void filter(const struct image *in, const struct taps *across, const stru
     }
 }
 
-enum err_code image_resize(const struct image *in, uint32_t width_px, uint32_t height_px, struct image *out,
-                           struct err *e)
+enum err_code image_resize(const struct image *in, uint32_t width_px, uint32_t height_px,
+                           struct image *out, struct err *e)
 {
     struct taps across = {0}, down = {0};
     float *wide = NULL, *ring = NULL, *sum = NULL;
     *out = (struct image){0};
     if (!width_px || !height_px || !in->px || !in->width_px || !in->height_px)
-        return err_set(e, ERR_ARG, "image_resize : %u x %u to %u x %u : empty picture", in->width_px,
-                       in->height_px, width_px, height_px);
+        return err_set(e, ERR_ARG, "image_resize : %u x %u to %u x %u : empty picture",
+                       in->width_px, in->height_px, width_px, height_px);
     enum err_code rc = image_alloc(width_px, height_px, in->channels, out, e);
     if (rc != ERR_OK)
         return rc;

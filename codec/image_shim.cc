@@ -1,8 +1,8 @@
 // Images by OpenImageIO: 8-bit RGB in, .jpg .png .webp .tif out.
 //
-// Files are encoded in memory, get their EXIF block from exif.c, and reach the disk through file_write,
-// so no half image is ever left behind. OpenImageIO runs single-threaded here: callers work on many
-// images at once, and results must not depend on a thread count.
+// Files are encoded in memory, get their EXIF block from exif.c, and reach the disk through
+// file_write, so no half image is ever left behind. OpenImageIO runs single-threaded here: callers
+// work on many images at once, and results must not depend on a thread count.
 //
 // SPDX-License-Identifier: Apache-2.0
 #include "codec/codec.h"
@@ -59,13 +59,14 @@ static std::unique_ptr<OIIO::ImageInput> open_input(const char *path, enum err_c
     in = OIIO::ImageInput::open(path, &config);
     if (!in) {
         std::string why = first_line(OIIO::geterror());
-        *rc = err_set(e, ERR_FORMAT, "image : %s : not an image that can be read (%s)", path, why.c_str());
+        *rc = err_set(e, ERR_FORMAT, "image : %s : not an image that can be read (%s)", path,
+                      why.c_str());
         return in;
     }
     const OIIO::ImageSpec &s = in->spec();
     if (s.width < 1 || s.height < 1 || s.depth > 1 || s.nchannels < 1) {
-        *rc = err_set(e, ERR_FORMAT, "image : %s : %d x %d x %d pixels of %d channels", path, s.width,
-                      s.height, s.depth, s.nchannels);
+        *rc = err_set(e, ERR_FORMAT, "image : %s : %d x %d x %d pixels of %d channels", path,
+                      s.width, s.height, s.depth, s.nchannels);
         in.reset();
     }
     return in;
@@ -103,8 +104,8 @@ try {
     const OIIO::ImageSpec s = in->spec();
     size_t limit = lim && lim->max_pixels ? lim->max_pixels : CODEC_MAX_PIXELS;
     if ((size_t)s.width * (size_t)s.height > limit)
-        return err_set(e, ERR_LIMIT, "image : %s : %d x %d pixels are more than the limit of %zu", path,
-                       s.width, s.height, limit);
+        return err_set(e, ERR_LIMIT, "image : %s : %d x %d pixels are more than the limit of %zu",
+                       path, s.width, s.height, limit);
     struct image img = {};
     if ((rc = image_alloc((uint32_t)s.width, (uint32_t)s.height, 3, &img, e)) != ERR_OK)
         return rc;
@@ -159,8 +160,8 @@ static enum err_code write_pixels(OIIO::ImageOutput *o, const char *name, const 
                        first_line(OIIO::geterror()).c_str());
     if (!o->open(name, output_spec(img, quality)) ||
         !o->write_image(OIIO::TypeDesc::UINT8, img->px) || !o->close())
-        return err_set(e, ERR_LIMIT, "image : %u x %u as %s : %s", img->width_px, img->height_px, name,
-                       first_line(o->geterror()).c_str());
+        return err_set(e, ERR_LIMIT, "image : %u x %u as %s : %s", img->width_px, img->height_px,
+                       name, first_line(o->geterror()).c_str());
     return ERR_OK;
 }
 
@@ -179,7 +180,8 @@ try {
 }
 SHIM_CATCH("image_encode")
 
-// libtiff seeks while it writes, which OpenImageIO's memory file does not survive: by way of the disk.
+// libtiff seeks while it writes, which OpenImageIO's memory file does not survive: by way of the
+// disk.
 static enum err_code encode_tiff(const char *path, const struct image *img, struct buf *out,
                                  struct err *e)
 {
@@ -208,7 +210,8 @@ try {
     if (dot && !strcasecmp(dot + 1, "tiff"))
         format = "tif";
     if (!format)
-        return err_set(e, ERR_ARG, "image : %s : the name must end in .jpg .png .webp or .tif", path);
+        return err_set(e, ERR_ARG, "image : %s : the name must end in .jpg .png .webp or .tif",
+                       path);
     struct buf b = {};
     enum err_code rc = strcmp(format, "tif") ? image_encode(img, format, quality, &b, e)
                                              : encode_tiff(path, img, &b, e);

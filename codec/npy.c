@@ -1,5 +1,6 @@
-/* Arrays of float32 in NumPy's .npy, format version 1.0, C order: the way depth and normal maps come in and
- * intermediate results go out to other tools. Other types and orders are refused by name.
+/* Arrays of float32 in NumPy's .npy, format version 1.0, C order: the way depth and normal maps
+ * come in and intermediate results go out to other tools. Other types and orders are refused by
+ * name.
  *
  * Source: numpy.lib.format. SPDX-License-Identifier: Apache-2.0
  */
@@ -49,12 +50,14 @@ static const char *dict_find(const char *head, const char *key)
     return p;
 }
 
-static enum err_code head_parse(const char *head, size_t ndim, size_t *shape, size_t *count, struct err *e)
+static enum err_code head_parse(const char *head, size_t ndim, size_t *shape, size_t *count,
+                                struct err *e)
 {
     const char *descr = dict_find(head, "'descr'"), *order = dict_find(head, "'fortran_order'");
     const char *p = dict_find(head, "'shape'");
     if (!descr || !order || !p || *p != '(')
-        return err_set(e, ERR_FORMAT, "npy : header is not a dictionary of descr, fortran_order, shape");
+        return err_set(e, ERR_FORMAT,
+                       "npy : header is not a dictionary of descr, fortran_order, shape");
     if (strncmp(descr, "'<f4'", 5) || strncmp(order, "False", 5))
         return err_set(e, ERR_FORMAT, "npy : only '<f4' in C order is read, this is %.12s", descr);
     *count = 1;
@@ -76,7 +79,8 @@ static enum err_code head_parse(const char *head, size_t ndim, size_t *shape, si
     return ERR_OK;
 }
 
-enum err_code npy_decode(const void *bytes, size_t n, size_t ndim, size_t *shape, float **data, struct err *e)
+enum err_code npy_decode(const void *bytes, size_t n, size_t ndim, size_t *shape, float **data,
+                         struct err *e)
 {
     struct cursor c = cursor_over(bytes, n);
     size_t count = 0;

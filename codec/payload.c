@@ -1,12 +1,15 @@
-/* Master payload of a tile: every field of the container, as the store keeps it and all formats are made from.
+/* Master payload of a tile: every field of the container, as the store keeps it and all formats are
+ * made from.
  *
- *   0  "CSPT"   4 u16 version 1   6 u8 flags   7 u8 SH degree   8 u32 count   12 u32 embedding length
- *   16 f64 origin e, n, u         40 u64 plain bytes            48 zstd frame, nothing behind it
+ *   0  "CSPT"    4 u16 version 1   6 u8 flags        7 u8 SH degree
+ *   8  u32 count  12 u32 embedding length            16 f64 origin e, n, u
+ *   40 u64 plain bytes              48 zstd frame, nothing behind it
  *   plain: planes mean | scale | rotation | opacity | sh | embed
  *
- * Means are float32 about the origin. The rest is half floats, or float32 with flag LOSSLESS, so that import and
- * export give every value back. A plane goes component by component and within one byte by byte, each byte the
- * difference to the row before: neighbours in Morton order share their high bytes, and zstd finds them.
+ * Means are float32 about the origin. The rest is half floats, or float32 with flag LOSSLESS, so
+ * that import and export give every value back. A plane goes component by component and within one
+ * byte by byte, each byte the difference to the row before: neighbours in Morton order share their
+ * high bytes, and zstd finds them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -72,8 +75,8 @@ static uint32_t half_from_float(float v)
 
 static float half_to_float(uint32_t h)
 {
-    /* A product moves the exponent's bias, which makes subnormals right as well. Infinities are never written;
-     * damaged bytes that hold one read as 65536 or more. */
+    /* A product moves the exponent's bias, which makes subnormals right as well. Infinities are
+     * never written; damaged bytes that hold one read as 65536 or more. */
     uint32_t u = (h & 0x7fff) << 13, sign = (h & 0x8000) << 16;
     float v;
     memcpy(&v, &u, 4);
@@ -84,8 +87,8 @@ static float half_to_float(uint32_t h)
     return v;
 }
 
-/* Rows are taken in blocks that stay in the nearest cache while all components pass over them: a component of
- * SH by itself would touch a cache line a row. */
+/* Rows are taken in blocks that stay in the nearest cache while all components pass over them: a
+ * component of SH by itself would touch a cache line a row. */
 static void plane_write(const struct plane *p, size_t n, uint8_t *out)
 {
     uint32_t before[WIDTH_MAX] = {0}, value[BLOCK_ROWS];
@@ -198,8 +201,8 @@ enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *o
     return rc;
 }
 
-/* Head of a payload into g (n, degree, embedding, flags, origin; no arrays) and its plain size, checked
- * against the limits and against what n bytes of zstd can hold. */
+/* Head of a payload into g (n, degree, embedding, flags, origin; no arrays) and its plain size,
+ * checked against the limits and against what n bytes of zstd can hold. */
 static enum err_code head_read(struct cursor *c, const struct codec_limits *lim, struct gauss *g,
                                bool *lossless, size_t *plain, struct err *e)
 {
@@ -214,7 +217,8 @@ static enum err_code head_read(struct cursor *c, const struct codec_limits *lim,
     if (c->bad || memcmp(magic, "CSPT", 4))
         return err_set(e, ERR_FORMAT, "payload : not a tile payload, or truncated in its head");
     if (version != VERSION)
-        return err_set(e, ERR_FORMAT, "payload : version %u : this program reads %d", version, VERSION);
+        return err_set(e, ERR_FORMAT, "payload : version %u : this program reads %d", version,
+                       VERSION);
     if (g->sh_degree > GAUSS_SH_DEGREE_MAX || g->embed_len > GAUSS_EMBED_MAX ||
         flags & ~(unsigned)(FLAG_LOSSLESS | FLAG_ANTIALIASED) || !isfinite(g->origin_enu_m[0]) ||
         !isfinite(g->origin_enu_m[1]) || !isfinite(g->origin_enu_m[2]))
@@ -225,8 +229,9 @@ static enum err_code head_read(struct cursor *c, const struct codec_limits *lim,
     size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS;
     size_t most_bytes = lim && lim->max_bytes ? lim->max_bytes : CODEC_MAX_BYTES;
     if (g->n > most || *plain > most_bytes)
-        return err_set(e, ERR_LIMIT, "payload : %zu Gaussians, %zu bytes : the limits are %zu and %zu",
-                       g->n, *plain, most, most_bytes);
+        return err_set(e, ERR_LIMIT,
+                       "payload : %zu Gaussians, %zu bytes : the limits are %zu and %zu", g->n,
+                       *plain, most, most_bytes);
     if (bytes != *plain || *plain / ZSTD_GROWTH_MAX > cursor_left(c))
         return err_set(e, ERR_FORMAT, "payload : %zu Gaussians do not fit its %zu bytes", g->n,
                        cursor_left(c));

@@ -2,11 +2,12 @@
  *
  *   x y z  nx ny nz  f_dc_0..2  f_rest_0..{9,24,45}  opacity  scale_0..2  rot_0..3      all float32
  *
- * f_rest is channel-major (all of red first), the container coefficient-major; opacity is a logit, scale a
- * logarithm, rot is w x y z and need not be of unit length. Reading goes by names, takes every scalar type and
- * byte order, and skips what it does not know. Writing gives float32 coordinates, or doubles when one is beyond
- * 4096 m, where float32 steps exceed the 0.25 mm of the other formats. Embeddings are not written.
- * Source: the code of Kerbl et al., 3D Gaussian Splatting, 2023.
+ * f_rest is channel-major (all of red first), the container coefficient-major; opacity is a logit,
+ * scale a logarithm, rot is w x y z and need not be of unit length. Reading goes by names, takes
+ * every scalar type and byte order, and skips what it does not know. Writing gives float32
+ * coordinates, or doubles when one is beyond 4096 m, where float32 steps exceed the 0.25 mm of the
+ * other formats. Embeddings are not written. Source: the code of Kerbl et al., 3D Gaussian
+ * Splatting, 2023.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -19,15 +20,16 @@
 #include <string.h>
 
 #define FLOAT_REACH_M 4096.0
-/* What writers make of opacity 1 and of flat Gaussians: infinities, brought back to the last sensible value. */
+/* What writers make of opacity 1 and of flat Gaussians: infinities, brought back to the last
+ * sensible value. */
 #define OPACITY_LOGIT_MAX 16.0f
 #define SCALE_LOG_MIN -23.0f
 
 enum { N_FIXED = 14, N_REST_MAX = 72 }; /* x y z dc opacity scale rot; SH degree 4 is cut to 3 */
 
-static const char *const fixed_names[N_FIXED] = {"x",       "y",       "z",       "f_dc_0", "f_dc_1",
-                                                 "f_dc_2",  "opacity", "scale_0", "scale_1", "scale_2",
-                                                 "rot_0",   "rot_1",   "rot_2",   "rot_3"};
+static const char *const fixed_names[N_FIXED] = {
+    "x",       "y",       "z",       "f_dc_0", "f_dc_1", "f_dc_2", "opacity",
+    "scale_0", "scale_1", "scale_2", "rot_0",  "rot_1",  "rot_2",  "rot_3"};
 
 struct columns {
     const struct ply_property *fixed[N_FIXED];
@@ -51,7 +53,8 @@ static enum err_code columns_find(const struct ply_element *v, struct columns *o
     }
     out->n_rest = n / 3;
     if (n != 0 && n != 9 && n != 24 && n != 45 && n != 72)
-        return err_set(e, ERR_FORMAT, "ply : %zu f_rest properties : 0, 9, 24 or 45 make whole SH degrees", n);
+        return err_set(e, ERR_FORMAT,
+                       "ply : %zu f_rest properties : 0, 9, 24 or 45 make whole SH degrees", n);
     out->sh_degree = n >= 45 ? 3 : n >= 24 ? 2 : n >= 9 ? 1 : 0;
     return ERR_OK;
 }
@@ -65,9 +68,11 @@ static enum err_code ascii_rows(const struct ply_head *h, const struct ply_eleme
     for (size_t i = 0; i < v->n_props; i++)
         lists = lists || v->props[i].type == PLY_LIST;
     if (&h->elements[0] != v || lists)
-        return err_set(e, ERR_FORMAT, "ply : in text form the vertices must come first and hold no lists");
+        return err_set(e, ERR_FORMAT,
+                       "ply : in text form the vertices must come first and hold no lists");
     if (n > h->n_body / (2 * v->n_props) + 1)
-        return err_set(e, ERR_FORMAT, "ply : %zu rows announced in %zu bytes of text : truncated", n, h->n_body);
+        return err_set(e, ERR_FORMAT, "ply : %zu rows announced in %zu bytes of text : truncated",
+                       n, h->n_body);
     char *text = mem_array(h->n_body + 1, 1), *p = text, *end;
     double *out = *rows = mem_array(n, v->n_props * sizeof *out);
     enum err_code rc = text && out ? ERR_OK : err_set(e, ERR_MEM, "ply : out of memory");
@@ -76,7 +81,8 @@ static enum err_code ascii_rows(const struct ply_head *h, const struct ply_eleme
     for (size_t i = 0; rc == ERR_OK && i < n * v->n_props; i++, p = end) {
         out[i] = strtod(p, &end);
         if (end == p)
-            rc = err_set(e, ERR_FORMAT, "ply : row %zu : not a number, or truncated", i / v->n_props);
+            rc = err_set(e, ERR_FORMAT, "ply : row %zu : not a number, or truncated",
+                         i / v->n_props);
     }
     mem_free(text);
     return rc;
@@ -95,7 +101,8 @@ static double source_get(const struct source *s, size_t row, const struct ply_pr
                    : ply_head_value(s->head, p, s->rows + row * s->row_bytes);
 }
 
-/* Coordinates in double: the origin goes to the middle of the box, on a whole metre, if it is far. */
+/* Coordinates in double: the origin goes to the middle of the box, on a whole metre, if it is far.
+ */
 static void means_read(const struct source *s, const struct columns *col, struct gauss *g)
 {
     double lo[3] = {DBL_MAX, DBL_MAX, DBL_MAX}, hi[3] = {-DBL_MAX, -DBL_MAX, -DBL_MAX};
@@ -107,7 +114,8 @@ static void means_read(const struct source *s, const struct columns *col, struct
                 hi[c] = v > hi[c] ? v : hi[c];
             }
         double far = fmax(fabs(lo[c]), fabs(hi[c]));
-        g->origin_enu_m[c] = far > FLOAT_REACH_M && lo[c] <= hi[c] && far < 1e9 ? round(lo[c] / 2 + hi[c] / 2) : 0;
+        g->origin_enu_m[c] =
+            far > FLOAT_REACH_M && lo[c] <= hi[c] && far < 1e9 ? round(lo[c] / 2 + hi[c] / 2) : 0;
     }
     for (size_t i = 0; i < g->n; i++)
         for (int c = 0; c < 3; c++)
@@ -134,13 +142,14 @@ static void rows_read(const struct source *s, const struct columns *col, struct 
     }
 }
 
-static enum err_code inria_read(const struct ply_head *h, const struct codec_limits *lim, struct gauss *out,
-                                struct err *e)
+static enum err_code inria_read(const struct ply_head *h, const struct codec_limits *lim,
+                                struct gauss *out, struct err *e)
 {
     const struct ply_element *v = ply_head_element(h, "vertex");
     struct columns col = {0};
     double *text = NULL;
-    size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS, bad = 0, n_bad;
+    size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS, bad = 0,
+           n_bad;
     if (!v)
         return err_set(e, ERR_FORMAT, "ply : no element vertex");
     enum err_code rc = columns_find(v, &col, e);
@@ -149,7 +158,8 @@ static enum err_code inria_read(const struct ply_head *h, const struct codec_lim
     if (rc == ERR_OK && h->format == PLY_ASCII)
         rc = ascii_rows(h, v, v->count, &text, e);
     else if (rc == ERR_OK && !v->rows)
-        rc = err_set(e, ERR_FORMAT, "ply : the vertices stand behind or hold lists, which are not read");
+        rc = err_set(e, ERR_FORMAT,
+                     "ply : the vertices stand behind or hold lists, which are not read");
     if (rc == ERR_OK)
         rc = gauss_alloc(out, v->count, col.sh_degree, 0, e);
     if (rc == ERR_OK) {
@@ -158,7 +168,8 @@ static enum err_code inria_read(const struct ply_head *h, const struct codec_lim
         out->antialiased = h->antialiased;
         rows_read(&s, &col, out);
         if ((n_bad = gauss_count_bad(out, &bad)))
-            rc = err_set(e, ERR_DATA, "ply : row %zu : not finite, or no rotation (%zu such rows) : remove them",
+            rc = err_set(e, ERR_DATA,
+                         "ply : row %zu : not finite, or no rotation (%zu such rows) : remove them",
                          bad, n_bad);
     }
     if (rc != ERR_OK)
@@ -167,8 +178,8 @@ static enum err_code inria_read(const struct ply_head *h, const struct codec_lim
     return rc;
 }
 
-enum err_code ply_decode(const void *bytes, size_t n, const struct codec_limits *lim, struct gauss *out,
-                         struct ply_info *info, struct err *e)
+enum err_code ply_decode(const void *bytes, size_t n, const struct codec_limits *lim,
+                         struct gauss *out, struct ply_info *info, struct err *e)
 {
     struct ply_head h;
     *out = (struct gauss){0};
@@ -186,16 +197,18 @@ enum err_code ply_read(const char *path, const struct codec_limits *lim, struct 
 {
     struct buf b = {0};
     *out = (struct gauss){0};
-    enum err_code rc = file_read(path, lim && lim->max_bytes ? lim->max_bytes : CODEC_MAX_BYTES, &b, e);
+    enum err_code rc =
+        file_read(path, lim && lim->max_bytes ? lim->max_bytes : CODEC_MAX_BYTES, &b, e);
     if (rc == ERR_OK && (rc = ply_decode(b.data, b.size, lim, out, info, e)) != ERR_OK)
         err_add(e, "%s", path);
     buf_free(&b);
     return rc;
 }
 
-/* ---- writing -------------------------------------------------------------------------------------------- */
+/* ---- writing -------------------------------------------------------------------------------- */
 
-static void head_write(const struct gauss *g, const struct ply_info *info, bool doubles, struct buf *out)
+static void head_write(const struct gauss *g, const struct ply_info *info, bool doubles,
+                       struct buf *out)
 {
     size_t n_rest = 3 * (gauss_sh_count(g->sh_degree) - 1);
     buf_printf(out, "ply\nformat binary_little_endian 1.0\n");
@@ -219,7 +232,8 @@ static void head_write(const struct gauss *g, const struct ply_info *info, bool 
     buf_printf(out, "end_header\n");
 }
 
-enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, struct buf *out, struct err *e)
+enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, struct buf *out,
+                         struct err *e)
 {
     const size_t k = gauss_sh_count(g->sh_degree), n_rest = k - 1;
     size_t bad = 0, start = out->size;

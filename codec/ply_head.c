@@ -1,9 +1,9 @@
 /* Header of a .ply: lines of text up to end_header, then the elements' rows one after the other.
  *
- * Everything a hostile header can say is bounded here: line and property counts, element counts against the
- * bytes that follow. Comments that matter: "citysplat origin lon lat h", "axes ENU|glTF", and the two ways in
- * which trainers say that they used anti-aliasing.
- * Source: G. Turk, The PLY Polygon File Format, 1994.
+ * Everything a hostile header can say is bounded here: line and property counts, element counts
+ * against the bytes that follow. Comments that matter: "citysplat origin lon lat h", "axes
+ * ENU|glTF", and the two ways in which trainers say that they used anti-aliasing. Source: G. Turk,
+ * The PLY Polygon File Format, 1994.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -20,9 +20,9 @@ static const struct {
     const char *name, *other;
     uint8_t bytes;
 } types[] = {
-    [PLY_I8] = {"char", "int8", 1},     [PLY_U8] = {"uchar", "uint8", 1},
-    [PLY_I16] = {"short", "int16", 2},  [PLY_U16] = {"ushort", "uint16", 2},
-    [PLY_I32] = {"int", "int32", 4},    [PLY_U32] = {"uint", "uint32", 4},
+    [PLY_I8] = {"char", "int8", 1},      [PLY_U8] = {"uchar", "uint8", 1},
+    [PLY_I16] = {"short", "int16", 2},   [PLY_U16] = {"ushort", "uint16", 2},
+    [PLY_I32] = {"int", "int32", 4},     [PLY_U32] = {"uint", "uint32", 4},
     [PLY_F32] = {"float", "float32", 4}, [PLY_F64] = {"double", "float64", 8},
 };
 
@@ -68,11 +68,13 @@ static void comment_read(struct ply_head *h, const char *text)
         h->info.axes = PLY_AXES_ENU;
     if (!strcmp(text, "axes glTF"))
         h->info.axes = PLY_AXES_GLTF;
-    if (!strcmp(text, "SplatRenderMode: mip") || (sscanf(text, "antialiased %d", &flag) == 1 && flag))
+    if (!strcmp(text, "SplatRenderMode: mip") ||
+        (sscanf(text, "antialiased %d", &flag) == 1 && flag))
         h->antialiased = true;
 }
 
-static enum err_code element_read(struct ply_head *h, const char *name, const char *count, struct err *e)
+static enum err_code element_read(struct ply_head *h, const char *name, const char *count,
+                                  struct err *e)
 {
     char *end;
     unsigned long long n = strtoull(count, &end, 10);
@@ -95,14 +97,16 @@ static enum err_code element_read(struct ply_head *h, const char *name, const ch
     return ERR_OK;
 }
 
-static enum err_code property_read(struct ply_head *h, const char *type, const char *name, struct err *e)
+static enum err_code property_read(struct ply_head *h, const char *type, const char *name,
+                                   struct err *e)
 {
     if (!h->n_elements)
         return err_set(e, ERR_FORMAT, "a property before the first element");
     struct ply_element *el = &h->elements[h->n_elements - 1];
     struct ply_property *p = &el->props[el->n_props];
     if (el->n_props == PROPERTIES_MAX)
-        return err_set(e, ERR_LIMIT, "element %.40s : more than %d properties", el->name, PROPERTIES_MAX);
+        return err_set(e, ERR_LIMIT, "element %.40s : more than %d properties", el->name,
+                       PROPERTIES_MAX);
     if (!strcmp(type, "list"))
         p->type = PLY_LIST;
     else if (!type_find(type, &p->type))
@@ -168,7 +172,8 @@ static enum err_code place_rows(struct ply_head *h, struct err *e)
             continue;
         if (el->row_bytes && el->count > left / el->row_bytes)
             return err_set(e, ERR_FORMAT,
-                           "ply : element %.40s : %zu rows of %zu bytes announced, %zu bytes are there : truncated",
+                           "ply : element %.40s : %zu rows of %zu bytes announced, %zu bytes are "
+                           "there : truncated",
                            el->name, el->count, el->row_bytes, left);
         el->rows = at;
         at += el->count * el->row_bytes;
@@ -187,7 +192,8 @@ enum err_code ply_head_read(const void *bytes, size_t n, struct ply_head *out, s
         return err_set(e, ERR_FORMAT, "ply : not a .ply file");
     for (size_t i = 2; !done; i++) {
         if (i > LINES_MAX || !next_line(&c, line))
-            return err_set(e, ERR_FORMAT, "ply : line %zu : truncated, too long, or no end_header", i);
+            return err_set(e, ERR_FORMAT, "ply : line %zu : truncated, too long, or no end_header",
+                           i);
         enum err_code rc = line_read(out, line, &format_seen, &done, e);
         if (rc != ERR_OK) {
             err_add(e, "ply : line %zu", i);

@@ -1,4 +1,5 @@
-/* The header of a .ply: elements, properties, comments. Shared by the readers of its two splat dialects.
+/* The header of a .ply: elements, properties, comments. Shared by the readers of its two splat
+ * dialects.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -21,7 +22,8 @@ struct ply_element {
     struct ply_property *props;
     size_t n_props;
     size_t row_bytes;    /* 0 with a list */
-    const uint8_t *rows; /* binary: count * row_bytes checked to be there; NULL behind an ASCII or list element */
+    const uint8_t *rows; /* binary: count * row_bytes checked to be there; NULL behind an ASCII or
+                            list element */
 };
 struct ply_head { /* {0} is empty */
     enum ply_format format;
@@ -35,7 +37,8 @@ struct ply_head { /* {0} is empty */
 };
 
 /* Parse and check against n. ERR_FORMAT names the line. ply_head_free it, also on error. */
-enum err_code ply_head_read(const void *bytes, size_t n, struct ply_head *out, struct err *e) ERR_USE;
+enum err_code ply_head_read(const void *bytes, size_t n, struct ply_head *out,
+                            struct err *e) ERR_USE;
 void ply_head_free(struct ply_head *h);
 const struct ply_element *ply_head_element(const struct ply_head *h, const char *name);
 const struct ply_property *ply_head_property(const struct ply_element *el, const char *name);
@@ -44,7 +47,7 @@ double ply_head_value(const struct ply_head *h, const struct ply_property *p, co
 
 /* ply_packed.c: SuperSplat's compressed .ply. */
 bool ply_packed_is(const struct ply_head *h);
-enum err_code ply_packed_read(const struct ply_head *h, const struct codec_limits *lim, struct gauss *out,
-                              struct err *e) ERR_USE;
+enum err_code ply_packed_read(const struct ply_head *h, const struct codec_limits *lim,
+                              struct gauss *out, struct err *e) ERR_USE;
 
 #endif

@@ -1,11 +1,13 @@
-/* SuperSplat's compressed .ply: 16 bytes a Gaussian, in chunks of 256 that share their ranges. Import only.
+/* SuperSplat's compressed .ply: 16 bytes a Gaussian, in chunks of 256 that share their ranges.
+ * Import only.
  *
- *   chunk   min_x .. max_z, min_scale_x .. max_scale_z (ln sigma), optionally min_r .. max_b    float32
- *   vertex  packed_position 11-10-11, packed_rotation 2-10-10-10, packed_scale 11-10-11, packed_color 8-8-8-8
+ *   chunk   min_x .. max_z, min_scale_x .. max_scale_z (ln sigma), optionally min_r .. max_b
+ *   vertex  packed_position 11-10-11, packed_rotation 2-10-10-10, packed_scale 11-10-11,
+ *           packed_color 8-8-8-8
  *   sh      f_rest_k u8, channel-major: ((v + 0.5) / 256 - 0.5) * 8, with 0 and 255 exact
  *
- * The first field is in the high bits. Rotations leave out the largest of w x y z; opacity is linear.
- * Source: github.com/playcanvas/splat-transform.
+ * The first field is in the high bits. Rotations leave out the largest of w x y z; opacity is
+ * linear. Source: github.com/playcanvas/splat-transform.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -16,11 +18,12 @@
 #include <string.h>
 
 enum { CHUNK = 256, N_PACKED = 4, N_RANGES = 18 };
-static const char *const packed_names[N_PACKED] = {"packed_position", "packed_rotation", "packed_scale",
-                                                   "packed_color"};
+static const char *const packed_names[N_PACKED] = {"packed_position", "packed_rotation",
+                                                   "packed_scale", "packed_color"};
 static const char *const range_names[N_RANGES] = {
-    "min_x", "min_y", "min_z", "max_x", "max_y", "max_z", "min_scale_x", "min_scale_y", "min_scale_z",
-    "max_scale_x", "max_scale_y", "max_scale_z", "min_r", "min_g", "min_b", "max_r", "max_g", "max_b"};
+    "min_x",       "min_y",       "min_z",       "max_x",       "max_y",       "max_z",
+    "min_scale_x", "min_scale_y", "min_scale_z", "max_scale_x", "max_scale_y", "max_scale_z",
+    "min_r",       "min_g",       "min_b",       "max_r",       "max_g",       "max_b"};
 
 bool ply_packed_is(const struct ply_head *h)
 {
@@ -40,8 +43,10 @@ static enum err_code packed_find(const struct ply_head *h, struct packed *p, str
 {
     char name[16];
     size_t n = 0;
-    *p = (struct packed){.head = h, .chunk = ply_head_element(h, "chunk"),
-                         .vertex = ply_head_element(h, "vertex"), .sh = ply_head_element(h, "sh")};
+    *p = (struct packed){.head = h,
+                         .chunk = ply_head_element(h, "chunk"),
+                         .vertex = ply_head_element(h, "vertex"),
+                         .sh = ply_head_element(h, "sh")};
     for (int i = 0; i < N_RANGES; i++)
         p->range[i] = ply_head_property(p->chunk, range_names[i]);
     for (int i = 0; i < N_PACKED; i++)
@@ -51,7 +56,8 @@ static enum err_code packed_find(const struct ply_head *h, struct packed *p, str
             return err_set(e, ERR_FORMAT, "ply : property %s is missing", range_names[i]);
     for (int i = 0; i < N_PACKED; i++)
         if (!p->field[i] || p->field[i]->type != PLY_U32)
-            return err_set(e, ERR_FORMAT, "ply : property %s is missing or no uint", packed_names[i]);
+            return err_set(e, ERR_FORMAT, "ply : property %s is missing or no uint",
+                           packed_names[i]);
     p->has_color_range = true;
     for (int i = 12; i < N_RANGES; i++)
         p->has_color_range = p->has_color_range && p->range[i];
@@ -62,7 +68,8 @@ static enum err_code packed_find(const struct ply_head *h, struct packed *p, str
     }
     p->n_rest = n / 3;
     if (n != 0 && n != 9 && n != 24 && n != 45)
-        return err_set(e, ERR_FORMAT, "ply : %zu f_rest properties : 0, 9, 24 or 45 make whole SH degrees", n);
+        return err_set(e, ERR_FORMAT,
+                       "ply : %zu f_rest properties : 0, 9, 24 or 45 make whole SH degrees", n);
     if (!p->chunk->rows || !p->vertex->rows || (p->sh && !p->sh->rows))
         return err_set(e, ERR_FORMAT, "ply : a compressed file must be binary, without lists");
     if (p->chunk->count < (p->vertex->count + CHUNK - 1) / CHUNK ||
@@ -75,7 +82,8 @@ static enum err_code packed_find(const struct ply_head *h, struct packed *p, str
 /* Fields of 11, 10 and 11 bits into ranges lo[3], lo[3 + 3..]. */
 static void unpack3(uint32_t v, const float range[6], float out[3])
 {
-    const float t[3] = {(float)(v >> 21) / 2047, (float)(v >> 11 & 1023) / 1023, (float)(v & 2047) / 2047};
+    const float t[3] = {(float)(v >> 21) / 2047, (float)(v >> 11 & 1023) / 1023,
+                        (float)(v & 2047) / 2047};
     for (int c = 0; c < 3; c++)
         out[c] = range[c] * (1 - t[c]) + range[3 + c] * t[c];
 }
@@ -123,8 +131,8 @@ static void row_read(const struct packed *p, const float range[N_RANGES], size_t
         }
 }
 
-enum err_code ply_packed_read(const struct ply_head *h, const struct codec_limits *lim, struct gauss *out,
-                              struct err *e)
+enum err_code ply_packed_read(const struct ply_head *h, const struct codec_limits *lim,
+                              struct gauss *out, struct err *e)
 {
     struct packed p;
     float range[N_RANGES] = {0};
@@ -133,16 +141,21 @@ enum err_code ply_packed_read(const struct ply_head *h, const struct codec_limit
     if (rc == ERR_OK && p.vertex->count > most)
         rc = err_set(e, ERR_LIMIT, "ply : %zu Gaussians : the limit is %zu", p.vertex->count, most);
     if (rc == ERR_OK)
-        rc = gauss_alloc(out, p.vertex->count, p.n_rest >= 15 ? 3 : p.n_rest >= 8 ? 2 : p.n_rest >= 3, 0, e);
+        rc = gauss_alloc(out, p.vertex->count,
+                         p.n_rest >= 15  ? 3
+                         : p.n_rest >= 8 ? 2
+                                         : p.n_rest >= 3,
+                         0, e);
     if (rc != ERR_OK)
         return rc;
     out->n = p.vertex->count;
     out->antialiased = h->antialiased;
     for (size_t i = 0; i < out->n; i++) {
         for (int r = 0; i % CHUNK == 0 && r < N_RANGES; r++)
-            range[r] = p.range[r] ? (float)ply_head_value(h, p.range[r],
-                                                          p.chunk->rows + i / CHUNK * p.chunk->row_bytes)
-                                  : 0;
+            range[r] = p.range[r]
+                           ? (float)ply_head_value(h, p.range[r],
+                                                   p.chunk->rows + i / CHUNK * p.chunk->row_bytes)
+                           : 0;
         row_read(&p, range, i, out);
     }
     if (gauss_count_bad(out, &bad)) {

@@ -1,5 +1,5 @@
-/* The one quantiser: the integers of SPZ v3, which .spz, the SPZ payload of .glb and .drc all carry, so that
- * every client draws the same picture and a test can compare files bit for bit.
+/* The one quantiser: the integers of SPZ v3, which .spz, the SPZ payload of .glb and .drc all
+ * carry, so that every client draws the same picture and a test can compare files bit for bit.
  *
  *   position  round(p * 4096), 24 bits         alpha  round(255 * opacity)
  *   color     round(dc * 0.15 * 255 + 127.5)   scale  round((ln(sigma) + 10) * 16)
@@ -105,7 +105,9 @@ void quant_unpack_rotation(uint32_t packed, float quat_wxyz[4])
 
 static uint8_t quant_sh(float c, int step)
 {
-    float v = c < -2 ? -2 : c > 2 ? 2 : c; /* beyond the byte's range already; keeps the integer small */
+    float v = c < -2  ? -2
+              : c > 2 ? 2
+                      : c; /* beyond the byte's range already; keeps the integer small */
     int byte = round_i32(v * 128) + 128;
     int bucket = (byte + step / 2) / step; /* byte < 0 ends in 0 below either way */
     return clamp8((float)(bucket * step));
@@ -128,7 +130,8 @@ static bool row_is_finite(const struct gauss *g, size_t i, size_t n_sh)
 
 static enum err_code quant_row(const struct gauss *g, size_t i, struct quant *q, struct err *e)
 {
-    const size_t n_in = 3 * gauss_sh_count(g->sh_degree), n_out = 3 * (gauss_sh_count(q->sh_degree) - 1);
+    const size_t n_in = 3 * gauss_sh_count(g->sh_degree),
+                 n_out = 3 * (gauss_sh_count(q->sh_degree) - 1);
     const float *quat = g->quat_wxyz + 4 * i, *sh = g->sh + i * n_in;
     if (!row_is_finite(g, i, n_in))
         return err_set(e, ERR_DATA, "quant : row %zu : not a finite number", i);
@@ -138,9 +141,11 @@ static enum err_code quant_row(const struct gauss *g, size_t i, struct quant *q,
         float p = g->mean_m[3 * i + c];
         float v = p * POSITION_STEPS; /* exact: a power of two */
         if (!(fabsf(v) < POSITION_MAX + 0.5f))
-            return err_set(e, ERR_LIMIT,
-                           "quant : row %zu : mean %.1f m from the tile's origin : at most 2048 m fit, "
-                           "cut the scene into tiles or move the origin", i, (double)p);
+            return err_set(
+                e, ERR_LIMIT,
+                "quant : row %zu : mean %.1f m from the tile's origin : at most 2048 m fit, "
+                "cut the scene into tiles or move the origin",
+                i, (double)p);
         q->position[3 * i + c] = (int32_t)lrintf(v);
         q->color[3 * i + c] = clamp8(sh[c] * (COLOR_SCALE * 255) + 127.5f + 0.5f);
         q->scale[3 * i + c] = clamp8((g->scale_log[3 * i + c] + 10) * 16 + 0.5f);
@@ -195,7 +200,8 @@ enum err_code quant_to_gauss(const struct quant *q, struct gauss *out, struct er
         return rc;
     const size_t k = gauss_sh_count(q->sh_degree), rest = 3 * (k - 1), len = q->embed_len;
     float logit[256], sh_value[256];
-    for (int v = 0; v < 256; v++) { /* 0 and 255 stand for a quarter step inside, so that logits are finite */
+    for (int v = 0; v < 256;
+         v++) { /* 0 and 255 stand for a quarter step inside, so that logits are finite */
         double a = v == 0 ? 0.25 : v == 255 ? 254.75 : v;
         logit[v] = (float)log(a / (255 - a));
         sh_value[v] = (float)(v - 128) / 128;

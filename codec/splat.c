@@ -1,9 +1,10 @@
 /* .splat: 32 bytes a Gaussian and no header, as the first web viewer had it. Import only.
  *
- *   3 f32 position   3 f32 sigma (linear)   4 u8 colour and opacity   4 u8 rotation w x y z = q * 128 + 128
+ *   3 f32 position   3 f32 sigma (linear)   4 u8 colour and opacity
+ *   4 u8 rotation w x y z = q * 128 + 128
  *
- * No SH beyond the colour, no frame, no way to tell it from other bytes but that its size is a multiple of 32.
- * Source: github.com/antimatter15/splat.
+ * No SH beyond the colour, no frame, no way to tell it from other bytes but that its size is a
+ * multiple of 32. Source: github.com/antimatter15/splat.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -19,7 +20,8 @@ static void row_read(struct cursor *c, size_t i, struct gauss *g)
         g->mean_m[3 * i + k] = cursor_f32(c);
     for (size_t k = 0; k < 3; k++) {
         float sigma = cursor_f32(c);
-        g->scale_log[3 * i + k] = logf(sigma < 1e-9f ? 1e-9f : sigma); /* NaN stays, and is refused */
+        g->scale_log[3 * i + k] =
+            logf(sigma < 1e-9f ? 1e-9f : sigma); /* NaN stays, and is refused */
     }
     for (size_t k = 0; k < 3; k++)
         g->sh[3 * i + k] = ((float)cursor_u8(c) / 255 - 0.5f) / (float)GAUSS_SH_C0;
@@ -30,8 +32,8 @@ static void row_read(struct cursor *c, size_t i, struct gauss *g)
         g->quat_wxyz[4 * i + k] = ((float)cursor_u8(c) - 128) / 128;
 }
 
-enum err_code splat_decode(const void *bytes, size_t n, const struct codec_limits *lim, struct gauss *out,
-                           struct err *e)
+enum err_code splat_decode(const void *bytes, size_t n, const struct codec_limits *lim,
+                           struct gauss *out, struct err *e)
 {
     size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS, bad = 0;
     struct cursor c = cursor_over(bytes, n);
@@ -39,7 +41,8 @@ enum err_code splat_decode(const void *bytes, size_t n, const struct codec_limit
     if (!n || n % ROW_BYTES)
         return err_set(e, ERR_FORMAT, "splat : %zu bytes : not a multiple of %d", n, ROW_BYTES);
     if (n / ROW_BYTES > most)
-        return err_set(e, ERR_LIMIT, "splat : %zu Gaussians : the limit is %zu", n / ROW_BYTES, most);
+        return err_set(e, ERR_LIMIT, "splat : %zu Gaussians : the limit is %zu", n / ROW_BYTES,
+                       most);
     enum err_code rc = gauss_alloc(out, n / ROW_BYTES, 0, 0, e);
     if (rc != ERR_OK)
         return rc;

@@ -1,12 +1,14 @@
 /* .spz: Gaussians as byte streams under gzip (versions 2 and 3) or zstd (version 4).
  *
- *   v2, v3   gzip( magic version count degree fraction_bits flags 0 | streams back to back )
- *   v4       magic version count degree fraction_bits flags n_streams toc 12*0 | (packed, plain) sizes | zstd frames
- *   streams  position 9n | alpha n | color 3n | scale 3n | rotation 4n (v2: 3n) | sh 3n(K-1)
+ *   v2, v3   gzip( head of 16 bytes | streams back to back )
+ *   v4       head of 32 bytes | (packed, plain) size of each stream | a zstd frame each
+ *   head     magic, version, count, SH degree, fraction bits, flags, 0 or number of streams;
+ *            v4: where the sizes are, 12 * 0
+ *   streams  position 9n, alpha n, color 3n, scale 3n, rotation 4n (v2: 3n), sh 3n(K-1)
  *
- * gzip is libdeflate's: the same bytes twice as fast as zlib's. Sizes are bounded by the file's before anything
- * is allocated: DEFLATE cannot grow data more than 1032 times, zstd not more than 128 KiB a block of 4 bytes.
- * Source: github.com/nianticlabs/spz. Extensions (flag 2) are skipped.
+ * gzip is libdeflate's: the same bytes twice as fast as zlib's. Sizes are bounded by the file's
+ * before anything is allocated: DEFLATE cannot grow data more than 1032 times, zstd not more than
+ * 128 KiB a block of 4 bytes. Source: github.com/nianticlabs/spz. Extensions (flag 2) are skipped.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -25,8 +27,8 @@ enum {
     FRACTION_BITS = 12,
     FLAG_ANTIALIASED = 1,
     FLAG_EXTENSIONS = 2,
-    GZIP_LEVEL = 4,  /* 1 % larger than 6, twice as fast */
-    ZSTD_LEVEL = 6,  /* 3 % larger than 12, four times as fast */
+    GZIP_LEVEL = 4, /* 1 % larger than 6, twice as fast */
+    ZSTD_LEVEL = 6, /* 3 % larger than 12, four times as fast */
     DEFLATE_GROWTH_MAX = 1032,
     ZSTD_GROWTH_MAX = 32768,
     POSITION_LIMIT = 1 << 23,
@@ -38,8 +40,8 @@ struct spz_head {
 
 static size_t stream_bytes(const struct spz_head *h, int stream)
 {
-    const size_t row[N_STREAMS] = {9, 1, 3, 3, h->version == 2 ? 3 : 4,
-                                   3 * (gauss_sh_count(h->sh_degree) - 1)};
+    const size_t row[N_STREAMS] = {
+        9, 1, 3, 3, h->version == 2 ? 3 : 4, 3 * (gauss_sh_count(h->sh_degree) - 1)};
     return h->n * row[stream];
 }
 
@@ -56,7 +58,7 @@ static int32_t get_i24(const uint8_t *p)
     return (int32_t)(v ^ 0x800000) - 0x800000;
 }
 
-/* ---- encode --------------------------------------------------------------------------------------- */
+/* ---- encode --------------------------------------------------------------------------------- */
 
 static void streams_write(const struct quant *q, uint8_t *p)
 {
@@ -97,8 +99,8 @@ static enum err_code gzip_write(const struct buf *plain, struct buf *out, struct
     return ERR_OK;
 }
 
-static enum err_code zstd_write(const struct quant *q, const struct spz_head *h, const uint8_t *plain,
-                                struct buf *out, struct err *e)
+static enum err_code zstd_write(const struct quant *q, const struct spz_head *h,
+                                const uint8_t *plain, struct buf *out, struct err *e)
 {
     const int n_streams = q->sh_degree ? N_STREAMS : N_STREAMS - 1;
     head_write(out, q, 4, (unsigned)n_streams);
@@ -120,7 +122,8 @@ static enum err_code zstd_write(const struct quant *q, const struct spz_head *h,
     for (int s = 0; s < n_streams; s++)
         for (int b = 0; b < 8; b++) {
             out->data[toc + 16 * (size_t)s + b] = (uint8_t)((uint64_t)written[s] >> 8 * b);
-            out->data[toc + 16 * (size_t)s + 8 + b] = (uint8_t)((uint64_t)stream_bytes(h, s) >> 8 * b);
+            out->data[toc + 16 * (size_t)s + 8 + b] =
+                (uint8_t)((uint64_t)stream_bytes(h, s) >> 8 * b);
         }
     return ERR_OK;
 }
@@ -132,7 +135,8 @@ enum err_code spz_encode(const struct quant *q, int version, struct buf *out, st
         return err_set(e, ERR_ARG, "spz : version %d : 3 and 4 are written", version);
     if (q->n > INT32_MAX || (version == 4 && !q->n))
         return err_set(e, ERR_LIMIT, "spz : %zu Gaussians : a file holds 1 to 2^31-1", q->n);
-    struct spz_head h = {.version = (uint32_t)version, .n = (uint32_t)q->n, .sh_degree = q->sh_degree};
+    struct spz_head h = {
+        .version = (uint32_t)version, .n = (uint32_t)q->n, .sh_degree = q->sh_degree};
     size_t bytes = 0, start = out->size;
     for (int s = 0; s < N_STREAMS; s++)
         bytes += stream_bytes(&h, s);
@@ -150,7 +154,7 @@ enum err_code spz_encode(const struct quant *q, int version, struct buf *out, st
     return rc;
 }
 
-/* ---- decode --------------------------------------------------------------------------------------- */
+/* ---- decode --------------------------------------------------------------------------------- */
 
 static enum err_code head_read(struct cursor *c, const struct codec_limits *lim, struct spz_head *h,
                                struct err *e)
@@ -183,8 +187,9 @@ static enum err_code positions_read(const struct spz_head *h, const uint8_t *p, 
         int64_t v = get_i24(p);
         v = up >= 0 ? v * (1 << up) : (v + (1 << (-up - 1))) >> -up;
         if (v <= -POSITION_LIMIT || v >= POSITION_LIMIT)
-            return err_set(e, ERR_LIMIT, "spz : row %zu : %.0f m from the origin : at most 2048 m fit",
-                           i / 3, fabs((double)v / (1 << FRACTION_BITS)));
+            return err_set(e, ERR_LIMIT,
+                           "spz : row %zu : %.0f m from the origin : at most 2048 m fit", i / 3,
+                           fabs((double)v / (1 << FRACTION_BITS)));
         q->position[i] = (int32_t)v;
     }
     return ERR_OK;
@@ -215,7 +220,8 @@ static enum err_code streams_read(const struct spz_head *h, const uint8_t *const
                                   struct quant *q, struct err *e)
 {
     uint32_t degree = h->sh_degree < GAUSS_SH_DEGREE_MAX ? h->sh_degree : GAUSS_SH_DEGREE_MAX;
-    size_t sh_in = 3 * (gauss_sh_count(h->sh_degree) - 1), sh_out = 3 * (gauss_sh_count(degree) - 1);
+    size_t sh_in = 3 * (gauss_sh_count(h->sh_degree) - 1),
+           sh_out = 3 * (gauss_sh_count(degree) - 1);
     enum err_code rc = quant_alloc(q, h->n, degree, 0, e);
     if (rc == ERR_OK)
         rc = positions_read(h, stream[0], q, e);
@@ -228,8 +234,8 @@ static enum err_code streams_read(const struct spz_head *h, const uint8_t *const
     memcpy(q->color, stream[2], 3 * q->n);
     memcpy(q->scale, stream[3], 3 * q->n);
     for (size_t i = 0; i < q->n; i++)
-        q->rotation[i] = h->version == 2 ? rotation_v2(stream[4] + 3 * i)
-                                         : rotation_v3(stream[4] + 4 * i);
+        q->rotation[i] =
+            h->version == 2 ? rotation_v2(stream[4] + 3 * i) : rotation_v3(stream[4] + 4 * i);
     for (size_t i = 0; i < q->n && sh_out; i++) /* degree 4 loses its last band */
         memcpy(q->sh + i * sh_out, stream[5] + i * sh_in, sh_out);
     return ERR_OK;
@@ -272,7 +278,8 @@ static enum err_code decode_gzip(const uint8_t *bytes, size_t n, const struct co
         rc = err_set(e, ERR_FORMAT, "spz : version 4 inside gzip");
     for (int s = 0; rc == ERR_OK && s < N_STREAMS; s++)
         if (!(stream[s] = cursor_take(&c, stream_bytes(&h, s))))
-            rc = err_set(e, ERR_FORMAT, "spz : %u Gaussians announced, stream %d is cut short", h.n, s);
+            rc = err_set(e, ERR_FORMAT, "spz : %u Gaussians announced, stream %d is cut short", h.n,
+                         s);
     if (rc == ERR_OK && cursor_left(&c) && !(h.flags & FLAG_EXTENSIONS))
         rc = err_set(e, ERR_FORMAT, "spz : %zu bytes after the last stream", cursor_left(&c));
     if (rc == ERR_OK)
@@ -287,7 +294,8 @@ static enum err_code toc_read(struct cursor toc, const struct spz_head *h, size_
     size_t left = n_data;
     for (uint32_t s = 0; s < h->n_streams; s++) {
         uint64_t in = cursor_u64(&toc), plain = cursor_u64(&toc);
-        if (toc.bad || in > left || plain != stream_bytes(h, (int)s) || plain / ZSTD_GROWTH_MAX > in)
+        if (toc.bad || in > left || plain != stream_bytes(h, (int)s) ||
+            plain / ZSTD_GROWTH_MAX > in)
             return err_set(e, ERR_FORMAT, "spz : stream %u of %u : sizes do not fit the file", s,
                            h->n_streams);
         packed[s] = (size_t)in;
@@ -312,17 +320,19 @@ static enum err_code decode_zstd(const uint8_t *bytes, size_t n, const struct co
     h.toc = cursor_u32(&c);
     uint32_t want = h.sh_degree ? N_STREAMS : N_STREAMS - 1;
     size_t toc_bytes = (size_t)h.n_streams * 16;
-    if (c.bad || h.version != 4 || !h.n || h.n_streams != want || h.toc < HEAD4_BYTES || h.toc > n ||
-        n - h.toc < toc_bytes)
-        return err_set(e, ERR_FORMAT, "spz : version %u, %u streams : header is damaged or truncated",
-                       h.version, h.n_streams);
+    if (c.bad || h.version != 4 || !h.n || h.n_streams != want || h.toc < HEAD4_BYTES ||
+        h.toc > n || n - h.toc < toc_bytes)
+        return err_set(e, ERR_FORMAT,
+                       "spz : version %u, %u streams : header is damaged or truncated", h.version,
+                       h.n_streams);
     const uint8_t *data = bytes + h.toc + toc_bytes;
     rc = toc_read(cursor_over(bytes + h.toc, toc_bytes), &h, n - h.toc - toc_bytes, packed, e);
     for (int s = 0; s < N_STREAMS; s++)
         bytes_plain += stream_bytes(&h, s);
     size_t most = lim && lim->max_bytes ? lim->max_bytes : CODEC_MAX_BYTES;
     if (rc == ERR_OK && bytes_plain > most)
-        rc = err_set(e, ERR_LIMIT, "spz : %zu bytes unpacked : the limit is %zu", bytes_plain, most);
+        rc =
+            err_set(e, ERR_LIMIT, "spz : %zu bytes unpacked : the limit is %zu", bytes_plain, most);
     uint8_t *p = rc == ERR_OK ? buf_grow(&plain, bytes_plain) : NULL;
     if (rc == ERR_OK)
         rc = buf_check(&plain, e);
@@ -342,8 +352,8 @@ static enum err_code decode_zstd(const uint8_t *bytes, size_t n, const struct co
     return rc;
 }
 
-enum err_code spz_decode(const void *bytes, size_t n, const struct codec_limits *lim, struct quant *out,
-                         struct err *e)
+enum err_code spz_decode(const void *bytes, size_t n, const struct codec_limits *lim,
+                         struct quant *out, struct err *e)
 {
     const uint8_t *p = bytes;
     *out = (struct quant){0};

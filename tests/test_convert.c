@@ -1,4 +1,5 @@
-/* citysplat convert, as a user runs it: formats, axes, degrees, and one clear error with no file left behind.
+/* citysplat convert, as a user runs it: formats, axes, degrees, and one clear error with no file
+ * left behind.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -97,7 +98,8 @@ static void test_integers_pass_untouched(void **state)
     gauss_free(&g);
 }
 
-/* An F on the ground (stem to the north, bars to the east), one Gaussian a stroke's end at its own height. */
+/* An F on the ground (stem to the north, bars to the east), one Gaussian a stroke's end at its own
+ * height. */
 static void test_an_f_stays_an_f(void **state)
 {
     (void)state;
@@ -112,7 +114,7 @@ static void test_an_f_stays_an_f(void **state)
     for (size_t i = 0; i < 5; i++) {
         memcpy(g.mean_m + 3 * i, f[i], sizeof f[i]);
         g.quat_wxyz[4 * i] = 1;
-        g.scale_log[3 * i + 1] = 3; /* long to the north */
+        g.scale_log[3 * i + 1] = 3;  /* long to the north */
         g.sh[12 * i + 3 + 3] = 0.5f; /* bright when seen looking up: coefficient 1 is +z */
     }
     save_ply("f.ply", &g, NULL); /* says that it is ENU */
@@ -123,7 +125,7 @@ static void test_an_f_stays_an_f(void **state)
         const double want[3] = {(double)f[i][0], (double)f[i][2], -(double)f[i][1]};
         for (int c = 0; c < 3; c++)
             assert_true(fabs(q.position[3 * i + c] / 4096.0 - want[c]) < POSITION_TOL);
-        assert_int_equal(q.sh[9 * i + 0], 64);  /* coefficient 0 is -y: looking up, +y, is bright */
+        assert_int_equal(q.sh[9 * i + 0], 64); /* coefficient 0 is -y: looking up, +y, is bright */
         assert_int_equal(q.sh[9 * i + 3], 128);
     }
     quant_free(&q);
@@ -154,7 +156,8 @@ static void test_axes_are_never_guessed(void **state)
     load_ply("as_is.ply", &as_is, &info);
     assert_int_equal(info.axes, PLY_AXES_GLTF);
     assert_memory_equal(as_is.mean_m, g.mean_m, 12 * g.n);
-    assert_int_equal(convert("u.ply", "u2.glb", "--axes enu --glb-payload plain --no-sort", NULL), 0);
+    assert_int_equal(convert("u.ply", "u2.glb", "--axes enu --glb-payload plain --no-sort", NULL),
+                     0);
     assert_int_equal(convert("u2.glb", "turned.ply", "--ply-axes gltf", NULL), 0);
     load_ply("turned.ply", &turned, &info);
     for (size_t i = 0; i < g.n; i++)
@@ -233,7 +236,8 @@ static void test_errors(void **state)
     assert_non_null(strstr((const char *)said.data, "none.ply"));
     assert_int_equal(convert("e.ply", "x.spz", "--sh-degree 4", &said), 2);
     assert_int_equal(convert("e.ply", "x.spz", "--colour red", &said), 2);
-    for (const char *const *f = (const char *const[]){"t.spz", "t.drc", "t.glb", "t.ply", NULL}; *f; f++) {
+    for (const char *const *f = (const char *const[]){"t.spz", "t.drc", "t.glb", "t.ply", NULL}; *f;
+         f++) {
         assert_int_equal(convert("e.ply", *f, "", NULL), 0);
         b.size = 0;
         load(*f, &b);
@@ -244,7 +248,8 @@ static void test_errors(void **state)
     }
     char path[FILE_PATH_MAX];
     struct err e = {0};
-    for (const char *const *f = (const char *const[]){"broken.ply", "x.spz", "e.obj", NULL}; *f; f++) {
+    for (const char *const *f = (const char *const[]){"broken.ply", "x.spz", "e.obj", NULL}; *f;
+         f++) {
         kit_ok(file_join(path, dir, *f, &e), e);
         assert_false(file_exists(path));
     }

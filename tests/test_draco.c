@@ -1,4 +1,5 @@
-/* .drc: the integers of .spz, bit for bit, and hostile files refused before libdraco allocates for them.
+/* .drc: the integers of .spz, bit for bit, and hostile files refused before libdraco allocates for
+ * them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -99,7 +100,8 @@ static void test_foreign_sh_bytes(void **state)
     quant_free(&back);
 }
 
-static enum err_code decode_copy(const uint8_t *p, size_t n, const struct codec_limits *lim, struct err *e)
+static enum err_code decode_copy(const uint8_t *p, size_t n, const struct codec_limits *lim,
+                                 struct err *e)
 {
     uint8_t *copy = mem_array(n, 1);
     struct quant q;

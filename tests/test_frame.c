@@ -50,9 +50,9 @@ static void to_gltf(const double enu[3], double out[3])
 static void rotate(const float q[4], const double v[3], double out[3])
 {
     double w = (double)q[0], x = (double)q[1], y = (double)q[2], z = (double)q[3];
-    const double m[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-                         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-                         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)};
+    const double m[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - w * z),     2 * (x * z + w * y),
+                         2 * (x * y + w * z),     1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+                         2 * (x * z - w * y),     2 * (y * z + w * x),     1 - 2 * (x * x + y * y)};
     for (int r = 0; r < 3; r++)
         out[r] = m[3 * r] * v[0] + m[3 * r + 1] * v[1] + m[3 * r + 2] * v[2];
 }
@@ -131,8 +131,8 @@ static void test_there_and_back(void **state)
     gauss_free(&b);
 }
 
-/* What 3D Tiles clients were measured to show: one coefficient of 0.9 over DC 0.5 grey, six views in glTF axes;
- * coefficient 0 is bright along -y, 1 along +z, 2 along -x, and 128 elsewhere. */
+/* What 3D Tiles clients were measured to show: one coefficient of 0.9 over DC 0.5 grey, six views
+ * in glTF axes; coefficient 0 is bright along -y, 1 along +z, 2 along -x, and 128 elsewhere. */
 static void test_single_coefficients_from_six_directions(void **state)
 {
     (void)state;
@@ -152,7 +152,7 @@ static void test_single_coefficients_from_six_directions(void **state)
     }
     /* The same lobes from ENU: what is bright when looking east, north or up must stay so. */
     static const struct {
-        int coef;      /* ENU coefficient set */
+        int coef;       /* ENU coefficient set */
         double look[3]; /* ENU direction of the bright side */
     } lobes[] = {{0, {0, -1, 0}}, {1, {0, 0, 1}}, {2, {-1, 0, 0}}};
     for (size_t i = 0; i < 3; i++) {

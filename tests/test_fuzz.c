@@ -1,7 +1,8 @@
-/* Every fuzz target over its seeds and a few thousand seeded mutations of them: flips, runs, cuts, copies.
+/* Every fuzz target over its seeds and a few thousand seeded mutations of them: flips, runs, cuts,
+ * copies.
  *
- * A real search is libFuzzer's (tests/fuzz/main.c); this keeps its targets alive and catches the plain mistakes
- * in every run.
+ * A real search is libFuzzer's (tests/fuzz/main.c); this keeps its targets alive and catches the
+ * plain mistakes in every run.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -72,7 +72,8 @@ static void test_spz_form_follows_the_clients(void **state)
         assert_string_equal(
             json_string_value(json_object_get(json_object_get(root, "asset"), "copyright")),
             "\xc2\xa9 Survey \"2026\"");
-        for (const char *const *list = (const char *const[]){"extensionsUsed", "extensionsRequired", NULL};
+        for (const char *const *list =
+                 (const char *const[]){"extensionsUsed", "extensionsRequired", NULL};
              *list; list++) {
             json_t *l = json_object_get(root, *list);
             assert_int_equal(json_array_size(l), 2);
@@ -81,18 +82,21 @@ static void test_spz_form_follows_the_clients(void **state)
         }
         json_t *splat = json_object_get(json_object_get(prim, "extensions"), EXT);
         assert_string_equal(json_string_value(json_object_get(splat, "kernel")), "ellipse");
-        assert_string_equal(json_string_value(json_object_get(splat, "colorSpace")), "srgb_rec709_display");
+        assert_string_equal(json_string_value(json_object_get(splat, "colorSpace")),
+                            "srgb_rec709_display");
 
         json_t *attributes = json_object_get(prim, "attributes"), *index;
         assert_int_equal(json_object_size(attributes), 4 + gauss_sh_count(degree) - 1);
-        assert_null(json_object_get(attributes, EXT ":SH_DEGREE_0_COEF_0")); /* Cesium would drop all SH */
+        assert_null(
+            json_object_get(attributes, EXT ":SH_DEGREE_0_COEF_0")); /* Cesium would drop all SH */
         assert_non_null(json_object_get(attributes, "COLOR_0"));
         assert_non_null(json_object_get(attributes, EXT ":SCALE"));
         assert_non_null(json_object_get(attributes, EXT ":ROTATION"));
         const char *name;
         json_object_foreach(attributes, name, index)
         {
-            json_t *a = json_array_get(json_object_get(root, "accessors"), (size_t)json_integer_value(index));
+            json_t *a = json_array_get(json_object_get(root, "accessors"),
+                                       (size_t)json_integer_value(index));
             assert_int_equal(json_integer_value(json_object_get(a, "count")), 321);
             assert_null(json_object_get(a, "bufferView"));
         }
@@ -104,8 +108,10 @@ static void test_spz_form_follows_the_clients(void **state)
                 lo = fminf(lo, back.mean_m[3 * i + c]);
                 hi = fmaxf(hi, back.mean_m[3 * i + c]);
             }
-            assert_true(json_real_value(json_array_get(json_object_get(pos, "min"), c)) == (double)lo);
-            assert_true(json_real_value(json_array_get(json_object_get(pos, "max"), c)) == (double)hi);
+            assert_true(json_real_value(json_array_get(json_object_get(pos, "min"), c)) ==
+                        (double)lo);
+            assert_true(json_real_value(json_array_get(json_object_get(pos, "max"), c)) ==
+                        (double)hi);
         }
         const void *inside;
         size_t n_inside;
@@ -140,7 +146,8 @@ static void test_plain_form(void **state)
         json_t *root = json_of(&b, &bin_at, &bin_size), *prim = primitive_of(root);
         assert_null(json_object_get(json_object_get(root, "asset"), "copyright"));
         assert_null(json_object_get(root, "extensionsRequired"));
-        assert_int_equal(json_object_size(json_object_get(prim, "attributes")), 5 + gauss_sh_count(degree));
+        assert_int_equal(json_object_size(json_object_get(prim, "attributes")),
+                         5 + gauss_sh_count(degree));
         json_decref(root);
         kit_ok(glb_decode(b.data, b.size, NULL, &back, &e), e);
         assert_int_equal(back.n, g.n);
@@ -174,19 +181,24 @@ static void test_reads_short_and_byte_accessors(void **state)
 {
     (void)state;
     static const char json[] =
-        "{\"asset\":{\"version\":\"2.0\"},\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0}],"
+        "{\"asset\":{\"version\":\"2.0\"},\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{"
+        "\"mesh\":0}],"
         "\"extensionsUsed\":[\"" EXT "\"],\"buffers\":[{\"byteLength\":92}],"
-        "\"meshes\":[{\"primitives\":[{\"mode\":0,\"extensions\":{\"" EXT "\":{\"kernel\":\"ellipse\"}},"
+        "\"meshes\":[{\"primitives\":[{\"mode\":0,\"extensions\":{\"" EXT
+        "\":{\"kernel\":\"ellipse\"}},"
         "\"attributes\":{\"POSITION\":0,\"" EXT ":SCALE\":1,\"" EXT ":ROTATION\":2,"
         "\"" EXT ":OPACITY\":3,\"" EXT ":SH_DEGREE_0_COEF_0\":4}}]}],"
-        "\"bufferViews\":[{\"buffer\":0,\"byteLength\":24},{\"buffer\":0,\"byteOffset\":24,\"byteLength\":16,"
+        "\"bufferViews\":[{\"buffer\":0,\"byteLength\":24},{\"buffer\":0,\"byteOffset\":24,"
+        "\"byteLength\":16,"
         "\"byteStride\":8},{\"buffer\":0,\"byteOffset\":40,\"byteLength\":16},"
         "{\"buffer\":0,\"byteOffset\":56,\"byteLength\":8,\"byteStride\":4},"
         "{\"buffer\":0,\"byteOffset\":64,\"byteLength\":24}],"
         "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":2,\"type\":\"VEC3\"},"
         "{\"bufferView\":1,\"componentType\":5123,\"count\":2,\"type\":\"VEC3\"},"
-        "{\"bufferView\":2,\"componentType\":5122,\"normalized\":true,\"count\":2,\"type\":\"VEC4\"},"
-        "{\"bufferView\":3,\"componentType\":5121,\"normalized\":true,\"count\":2,\"type\":\"SCALAR\"},"
+        "{\"bufferView\":2,\"componentType\":5122,\"normalized\":true,\"count\":2,\"type\":"
+        "\"VEC4\"},"
+        "{\"bufferView\":3,\"componentType\":5121,\"normalized\":true,\"count\":2,\"type\":"
+        "\"SCALAR\"},"
         "{\"bufferView\":4,\"componentType\":5126,\"count\":2,\"type\":\"VEC3\"}]}";
     struct buf b = {0};
     struct gauss g;
@@ -230,7 +242,8 @@ static void test_reads_short_and_byte_accessors(void **state)
     buf_free(&b);
 }
 
-static enum err_code decode_copy(const uint8_t *p, size_t n, const struct codec_limits *lim, struct err *e)
+static enum err_code decode_copy(const uint8_t *p, size_t n, const struct codec_limits *lim,
+                                 struct err *e)
 {
     uint8_t *copy = mem_array(n, 1);
     struct gauss g;

@@ -64,8 +64,8 @@ static void test_write_read(void **state)
     static const struct {
         const char *name;
         double tol;
-    } files[] = {{"a.png", 0}, {"a.tif", 0}, {"a.TIFF", 0}, {"a.jpg", 1.5}, {"a.jpeg", 1.5},
-                 {"a.webp", 2.5}};
+    } files[] = {{"a.png", 0},   {"a.tif", 0},    {"a.TIFF", 0},
+                 {"a.jpg", 1.5}, {"a.jpeg", 1.5}, {"a.webp", 2.5}};
     struct err e = {0};
     struct image img = picture(97, 61, 3), back;
     for (size_t i = 0; i < sizeof files / sizeof *files; i++) {
@@ -78,7 +78,8 @@ static void test_write_read(void **state)
         for (size_t k = 0; k < 97 * 61 * 3; k++)
             sum += abs(img.px[k] - back.px[k]);
         if (sum / (97 * 61 * 3) > files[i].tol)
-            fail_msg("%s: mean difference %g > %g", files[i].name, sum / (97 * 61 * 3), files[i].tol);
+            fail_msg("%s: mean difference %g > %g", files[i].name, sum / (97 * 61 * 3),
+                     files[i].tol);
         image_free(&back);
     }
     image_free(&img);
@@ -188,14 +189,18 @@ static void test_exif_round_trip(void **state)
 {
     (void)state;
     static const struct image_gps all[] = {
-        {true, true, 47.376912345678, 8.541234567891, 408.1234, "2026:05:17 10:20:30", 0.002, 100, 24},
+        {true, true, 47.376912345678, 8.541234567891, 408.1234, "2026:05:17 10:20:30", 0.002, 100,
+         24},
         {true, true, -33.856784, -151.215296, -12.5, "2026:05:17 10:20:31", 0.5, 6400, 4.5},
-        {true, true, 0.00013888888888888889, 180, 0, "", 0, 0, 0}, /* 0.5 arc seconds; the date line */
-        {true, true, 89.99999999999, -0.016666666666666666, 8848.86, "2026:01:01 00:00:00", 30, 50, 8.8},
+        {true, true, 0.00013888888888888889, 180, 0, "", 0, 0,
+         0}, /* 0.5 arc seconds; the date line */
+        {true, true, 89.99999999999, -0.016666666666666666, 8848.86, "2026:01:01 00:00:00", 30, 50,
+         8.8},
     };
     struct err e = {0};
     struct image img = picture(33, 17, 3), back;
-    for (const char *const *f = (const char *const[]){"g.jpg", "g.png", "g.webp", "g.tif", NULL}; *f; f++)
+    for (const char *const *f = (const char *const[]){"g.jpg", "g.png", "g.webp", "g.tif", NULL};
+         *f; f++)
         for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
             struct image_gps got;
             uint32_t w = 0, h = 0;
@@ -244,7 +249,8 @@ static void be_entry(struct buf *b, unsigned tag, unsigned type, uint32_t count,
     be32(b, value);
 }
 
-/* Big-endian, decimal degrees in the first rational, 0/0 minutes and seconds, as some cameras write. */
+/* Big-endian, decimal degrees in the first rational, 0/0 minutes and seconds, as some cameras
+ * write. */
 static void test_exif_big_endian_decimal_degrees(void **state)
 {
     (void)state;
@@ -254,7 +260,7 @@ static void test_exif_big_endian_decimal_degrees(void **state)
     be16(&b, 1);
     be_entry(&b, 0x8825, 4, 1, 26);
     be32(&b, 0);
-    be16(&b, 4); /* GPS IFD at 26; values follow at 26 + 2 + 48 + 4 = 80 */
+    be16(&b, 4);                       /* GPS IFD at 26; values follow at 26 + 2 + 48 + 4 = 80 */
     be_entry(&b, 1, 2, 2, 0x53000000); /* "S" */
     be_entry(&b, 2, 5, 3, 80);
     be_entry(&b, 3, 2, 2, 0x57000000); /* "W" */
@@ -272,7 +278,8 @@ static void test_exif_big_endian_decimal_degrees(void **state)
     assert_true(got.has_position);
     assert_true(fabs(got.lat_deg + 33.8567891) < 1e-12);
     assert_true(fabs(got.lon_deg + 140.1234567) < 1e-12);
-    for (size_t n = 0; n < b.size; n++) { /* every prefix, in its own allocation for the sanitizer */
+    for (size_t n = 0; n < b.size;
+         n++) { /* every prefix, in its own allocation for the sanitizer */
         uint8_t *part = mem_array(n, 1);
         if (n)
             memcpy(part, b.data, n);
@@ -287,7 +294,8 @@ static void test_exif_big_endian_decimal_degrees(void **state)
 static void test_exif_survives_flips(void **state)
 {
     (void)state;
-    static const struct image_gps gps = {true, true, 12.5, -7.25, 90, "2026:05:17 10:20:30", 0.01, 100, 8};
+    static const struct image_gps gps = {true, true, 12.5, -7.25, 90, "2026:05:17 10:20:30",
+                                         0.01, 100,  8};
     struct err e = {0};
     struct image img = picture(9, 9, 3);
     for (const char *const *f = (const char *const[]){"jpg", "png", "webp", NULL}; *f; f++) {
@@ -333,7 +341,8 @@ static void test_truncated(void **state)
     (void)state;
     struct err e = {0};
     struct image img, pic = picture(160, 120, 3);
-    for (const char *const *f = (const char *const[]){"t.jpg", "t.png", "t.webp", "t.tif", NULL}; *f; f++) {
+    for (const char *const *f = (const char *const[]){"t.jpg", "t.png", "t.webp", "t.tif", NULL};
+         *f; f++) {
         struct buf b = {0};
         kit_ok(image_write(in_tmp(*f), &pic, 90, NULL, &e), e);
         kit_ok(file_read(in_tmp(*f), 0, &b, &e), e);
@@ -363,10 +372,12 @@ static void test_resize(void **state)
                 assert_true(abs(half.px[(y * 80 + x) * 3 + c] - mean) <= 2);
             }
     image_free(&half);
-    kit_ok(image_resize(&img, 160, 120, &half, &e), e); /* at the same size every tap but one is 0 */
+    kit_ok(image_resize(&img, 160, 120, &half, &e),
+           e); /* at the same size every tap but one is 0 */
     assert_memory_equal(half.px, img.px, 160 * 120 * 3);
     image_free(&half);
-    kit_ok(image_resize(&img, 480, 360, &half, &e), e); /* enlarged: the middle of each 3 x 3 is the pixel */
+    kit_ok(image_resize(&img, 480, 360, &half, &e),
+           e); /* enlarged: the middle of each 3 x 3 is the pixel */
     for (uint32_t y = 0; y < 120; y++)
         for (uint32_t x = 0; x < 480; x++)
             assert_int_equal(half.px[(3 * y + 1) * 480 * 3 + (x / 3 * 3 + 1) * 3 + x % 3],
@@ -409,8 +420,9 @@ static void test_npy(void **state)
     kit_fails(npy_read(in_tmp("b.npy"), 2, got, &back, &e), ERR_FORMAT, e, "<f4");
     buf_free(&b);
     buf_add(&b, "\x93NUMPY\x01\x00\x60\x00", 10);
-    buf_printf(&b, "%-96s", "{'descr': '<f4', 'fortran_order': False, "
-                            "'shape': (4611686018427387904, 8), }");
+    buf_printf(&b, "%-96s",
+               "{'descr': '<f4', 'fortran_order': False, "
+               "'shape': (4611686018427387904, 8), }");
     kit_ok(file_write(in_tmp("b.npy"), b.data, b.size, &e), e);
     kit_fails(npy_read(in_tmp("b.npy"), 2, got, &back, &e), ERR_LIMIT, e, "overflow");
     buf_free(&b);

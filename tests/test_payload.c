@@ -117,7 +117,8 @@ static void test_refuses_what_is_not_finite(void **state)
 }
 
 /* Decode a copy in its own allocation, so that the sanitizer sees a read behind the end. */
-static enum err_code decode_copy(const uint8_t *p, size_t n, const struct codec_limits *lim, struct err *e)
+static enum err_code decode_copy(const uint8_t *p, size_t n, const struct codec_limits *lim,
+                                 struct err *e)
 {
     uint8_t *copy = mem_array(n, 1);
     struct gauss g;
@@ -168,7 +169,8 @@ static void test_hostile_counts(void **state)
     lim = (struct codec_limits){.max_bytes = 5599};
     kit_fails(decode_copy(b.data, b.size, &lim, &e), ERR_LIMIT, e, "5600 bytes");
     size_t before = mem_peak_bytes();
-    uint64_t n = 60000000, plain = n * 56; /* consistent with itself, but not with a file this small */
+    uint64_t n = 60000000,
+             plain = n * 56; /* consistent with itself, but not with a file this small */
     memcpy(b.data + 8, &n, 4);
     memcpy(b.data + 40, &plain, 8);
     kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_FORMAT, e, "do not fit");

@@ -1,4 +1,5 @@
-/* .ply: every float back, any property order and type, SuperSplat's packed form, and hostile headers.
+/* .ply: every float back, any property order and type, SuperSplat's packed form, and hostile
+ * headers.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -58,8 +59,9 @@ static void test_layout_is_inrias(void **state)
     kit_gauss(1, 2, 10, 3, 0, &g);
     kit_ok(ply_encode(&g, NULL, &b, &e), e);
     const char *head = (const char *)b.data;
-    static const char want[] = "ply\nformat binary_little_endian 1.0\ncomment axes ENU\nelement vertex 2\n"
-                               "property float x\nproperty float y\nproperty float z\nproperty float nx\n";
+    static const char want[] =
+        "ply\nformat binary_little_endian 1.0\ncomment axes ENU\nelement vertex 2\n"
+        "property float x\nproperty float y\nproperty float z\nproperty float nx\n";
     assert_memory_equal(head, want, sizeof want - 1);
     size_t n_head = b.size - 2 * 248;
     assert_memory_equal(head + n_head - 11, "end_header\n", 11);
@@ -71,7 +73,8 @@ static void test_layout_is_inrias(void **state)
     for (size_t k = 0; k < 15; k++)
         for (size_t c = 0; c < 3; c++)
             assert_true(row[9 + c * 15 + k] == g.sh[48 + 3 * (k + 1) + c]);
-    assert_true(row[54] == g.opacity_logit[1] && row[55] == g.scale_log[3] && row[58] == g.quat_wxyz[4]);
+    assert_true(row[54] == g.opacity_logit[1] && row[55] == g.scale_log[3] &&
+                row[58] == g.quat_wxyz[4]);
     buf_free(&b);
     gauss_free(&g);
 }
@@ -100,11 +103,12 @@ static void test_doubles_keep_their_precision(void **state)
     gauss_free(&back);
 }
 
-static const char odd_props[] = "property uchar red\nproperty float rot_3\nproperty double x\n"
-                                "property float32 z\nproperty int16 f_dc_2\nproperty float y\n"
-                                "property uint8 f_dc_0\nproperty int f_dc_1\nproperty float opacity\n"
-                                "property float rot_0\nproperty float rot_1\nproperty float rot_2\n"
-                                "property double scale_1\nproperty float scale_0\nproperty float scale_2\n";
+static const char odd_props[] =
+    "property uchar red\nproperty float rot_3\nproperty double x\n"
+    "property float32 z\nproperty int16 f_dc_2\nproperty float y\n"
+    "property uint8 f_dc_0\nproperty int f_dc_1\nproperty float opacity\n"
+    "property float rot_0\nproperty float rot_1\nproperty float rot_2\n"
+    "property double scale_1\nproperty float scale_0\nproperty float scale_2\n";
 
 static void put(struct buf *b, int big, const void *p, size_t n)
 {
@@ -112,7 +116,8 @@ static void put(struct buf *b, int big, const void *p, size_t n)
         buf_u8(b, ((const uint8_t *)p)[big ? n - 1 - i : i]);
 }
 
-/* Any order, any types, unknown properties, both byte orders, CR LF line ends, elements before and after. */
+/* Any order, any types, unknown properties, both byte orders, CR LF line ends, elements before and
+ * after. */
 static void test_finds_properties_by_name(void **state)
 {
     (void)state;
@@ -121,11 +126,13 @@ static void test_finds_properties_by_name(void **state)
         struct gauss g;
         struct ply_info info;
         struct err e = {0};
-        buf_printf(&b, "ply\r\nformat binary_%s_endian 1.0\r\ncomment SplatRenderMode: mip\n"
-                       "obj_info made by hand\ncomment citysplat origin 8.5 47.25 400\ncomment axes glTF\n"
-                       "element camera 2\nproperty float f\nelement vertex 1\n%selement face 3\n"
-                       "property list uchar int vertex_index\nend_header\n",
-                   big ? "big" : "little", odd_props);
+        buf_printf(
+            &b,
+            "ply\r\nformat binary_%s_endian 1.0\r\ncomment SplatRenderMode: mip\n"
+            "obj_info made by hand\ncomment citysplat origin 8.5 47.25 400\ncomment axes glTF\n"
+            "element camera 2\nproperty float f\nelement vertex 1\n%selement face 3\n"
+            "property list uchar int vertex_index\nend_header\n",
+            big ? "big" : "little", odd_props);
         buf_add(&b, "12345678", 8);
         const double x = 1.25, s1 = -3;
         const float rot3 = 0.5f, z = -2, y = 7, op = 1, one = 0.5f, s0 = -2, s2 = -4;
@@ -172,7 +179,8 @@ static void test_reads_text(void **state)
     kit_ok(ply_decode(b.data, b.size, NULL, &g, NULL, &e), e);
     assert_int_equal(g.n, 2);
     assert_true(g.mean_m[3] == 2.25f && g.mean_m[4] == 7 && g.sh[3] == 3 && g.scale_log[5] == -4);
-    assert_true(g.opacity_logit[0] == 16 && g.scale_log[0] == -23); /* infinities of opaque, flat Gaussians */
+    assert_true(g.opacity_logit[0] == 16 &&
+                g.scale_log[0] == -23); /* infinities of opaque, flat Gaussians */
     gauss_free(&g);
     b.size -= 20;
     kit_fails(ply_decode(b.data, b.size, NULL, &g, NULL, &e), ERR_FORMAT, e, "row 1");
@@ -190,9 +198,11 @@ static void test_reads_supersplats_packed_form(void **state)
     buf_printf(&b, "ply\nformat binary_little_endian 1.0\nelement chunk 1\n");
     for (int part = 0; part < 4; part++)
         for (int c = 0; c < 3; c++)
-            buf_printf(&b, "property float %s_%s\n", part & 1 ? "max" : "min", range[part / 2 * 3 + c]);
-    buf_printf(&b, "element vertex 2\nproperty uint packed_position\nproperty uint packed_rotation\n"
-                   "property uint packed_scale\nproperty uint packed_color\nelement sh 2\n");
+            buf_printf(&b, "property float %s_%s\n", part & 1 ? "max" : "min",
+                       range[part / 2 * 3 + c]);
+    buf_printf(&b,
+               "element vertex 2\nproperty uint packed_position\nproperty uint packed_rotation\n"
+               "property uint packed_scale\nproperty uint packed_color\nelement sh 2\n");
     for (int i = 0; i < 9; i++)
         buf_printf(&b, "property uchar f_rest_%d\n", i);
     buf_printf(&b, "end_header\n");
@@ -224,7 +234,8 @@ static void test_reads_supersplats_packed_form(void **state)
     buf_free(&b);
 }
 
-static enum err_code decode_copy(const void *p, size_t n, const struct codec_limits *lim, struct err *e)
+static enum err_code decode_copy(const void *p, size_t n, const struct codec_limits *lim,
+                                 struct err *e)
 {
     uint8_t *copy = mem_array(n, 1);
     struct gauss g;
@@ -287,16 +298,20 @@ static void test_hostile_headers(void **state)
         {LITTLE "element vertex 1\nproperty float x\nproperty float x\n", ERR_FORMAT, "twice"},
         {LITTLE "element vertex 0\n" ALL_BUT_ROT_3 "end_header\n", ERR_FORMAT, "rot_3 is missing"},
         {LITTLE "element face 0\nend_header\n", ERR_FORMAT, "no element vertex"},
-        {LITTLE "element vertex 60000000\n" ALL_BUT_ROT_3 "property float rot_3\nend_header\n", ERR_FORMAT,
-         "truncated"},
-        {LITTLE "element vertex 1000000000000000000\n" ALL_BUT_ROT_3 "property float rot_3\nend_header\n",
+        {LITTLE "element vertex 60000000\n" ALL_BUT_ROT_3 "property float rot_3\nend_header\n",
          ERR_FORMAT, "truncated"},
-        {"ply\nformat ascii 1.0\nelement vertex 60000000\n" ALL_BUT_ROT_3 "property float rot_3\nend_header\n",
+        {LITTLE "element vertex 1000000000000000000\n" ALL_BUT_ROT_3
+                "property float rot_3\nend_header\n",
+         ERR_FORMAT, "truncated"},
+        {"ply\nformat ascii 1.0\nelement vertex 60000000\n" ALL_BUT_ROT_3
+         "property float rot_3\nend_header\n",
          ERR_FORMAT, "truncated"},
         {LITTLE "element vertex 0\n" ALL_BUT_ROT_3
-                "property float rot_3\nproperty float f_rest_0\nend_header\n", ERR_FORMAT, "1 f_rest"},
+                "property float rot_3\nproperty float f_rest_0\nend_header\n",
+         ERR_FORMAT, "1 f_rest"},
         {LITTLE "element face 1\nproperty list uchar int i\nelement vertex 1\n" ALL_BUT_ROT_3
-                "property float rot_3\nend_header\n", ERR_FORMAT, "lists"},
+                "property float rot_3\nend_header\n",
+         ERR_FORMAT, "lists"},
         {LITTLE "wobble\n", ERR_FORMAT, "wobble"},
         {LITTLE "element vertex 3", ERR_FORMAT, "line 3"},
     };

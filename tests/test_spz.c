@@ -1,4 +1,5 @@
-/* The quantiser and .spz: integers survive every trip, values stay within half a step, hostile files are refused.
+/* The quantiser and .spz: integers survive every trip, values stay within half a step, hostile
+ * files are refused.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -83,8 +84,8 @@ static void test_values_within_half_a_step(void **state)
     gauss_free(&back);
 }
 
-/* Requantising what was dequantised changes nothing (rotations whose two largest components tie may name the
- * other one; they stay within the tolerance above). */
+/* Requantising what was dequantised changes nothing (rotations whose two largest components tie may
+ * name the other one; they stay within the tolerance above). */
 static void test_quantising_twice_is_quantising_once(void **state)
 {
     (void)state;
@@ -143,8 +144,8 @@ static void test_refuses_what_cannot_be_written(void **state)
     g.mean_m[3 * 7 + 2] = -2047.999f;
     kit_ok(quant_from_gauss(&g, 1, &q, &e), e);
     quant_free(&q);
-    float *fields[] = {&g.mean_m[9], &g.scale_log[9], &g.quat_wxyz[12], &g.opacity_logit[3], &g.sh[3 * 12],
-                       &g.embed[3]};
+    float *fields[] = {&g.mean_m[9],        &g.scale_log[9], &g.quat_wxyz[12],
+                       &g.opacity_logit[3], &g.sh[3 * 12],   &g.embed[3]};
     for (size_t i = 0; i < 6; i++)
         for (int k = 0; k < 2; k++) {
             float old = *fields[i];
@@ -224,8 +225,8 @@ static void test_reads_version_2_and_3_by_the_book(void **state)
     for (uint32_t version = 2; version <= 3; version++) {
         spz_head(&plain, version, 1, 1, 11, 1);
         buf_add(&plain, (const uint8_t[]){0x00, 0x08, 0x00, 0xff, 0xff, 0xff, 0x01, 0x00, 0x00}, 9);
-        buf_u8(&plain, 51);                                  /* alpha 0.2 */
-        buf_add(&plain, (const uint8_t[]){255, 0, 128}, 3);  /* color */
+        buf_u8(&plain, 51);                                   /* alpha 0.2 */
+        buf_add(&plain, (const uint8_t[]){255, 0, 128}, 3);   /* color */
         buf_add(&plain, (const uint8_t[]){160, 176, 144}, 3); /* ln sigma 0, 1, -1 */
         if (version == 2)
             buf_add(&plain, (const uint8_t[]){255, 128, 128}, 3); /* half a turn about x */
@@ -243,7 +244,8 @@ static void test_reads_version_2_and_3_by_the_book(void **state)
         assert_true(g.mean_m[0] == 1 && g.scale_log[0] == 0 && g.scale_log[1] == 1 &&
                     g.scale_log[2] == -1);
         assert_true(fabs(sigmoid((double)g.opacity_logit[0]) - 0.2) < 1e-6);
-        assert_true(fabs((double)g.sh[0] - 0.5 / 0.15) < 1e-5 && fabs((double)g.sh[1] + 0.5 / 0.15) < 1e-5);
+        assert_true(fabs((double)g.sh[0] - 0.5 / 0.15) < 1e-5 &&
+                    fabs((double)g.sh[1] + 0.5 / 0.15) < 1e-5);
         for (int i = 0; i < 9; i++)
             assert_true(g.sh[3 + i] == (float)(8 * i - 32) / 128);
         const double want2[4] = {0, 1, 0.00392, 0.00392}, want3[4] = {0, -0.70711, 0, 0.70711};
@@ -275,16 +277,16 @@ static void test_writes_version_3_by_the_book(void **state)
     kit_ok(quant_from_gauss(&g, 1, &q, &e), e);
     kit_ok(spz_encode(&q, 3, &b, &e), e);
     uint8_t out[64];
-    z_stream z = {.next_in = b.data, .avail_in = (uInt)b.size, .next_out = out, .avail_out = sizeof out};
+    z_stream z = {
+        .next_in = b.data, .avail_in = (uInt)b.size, .next_out = out, .avail_out = sizeof out};
     assert_int_equal(inflateInit2(&z, 15 + 16), Z_OK);
     assert_int_equal(inflate(&z, Z_FINISH), Z_STREAM_END);
     inflateEnd(&z);
     static const uint8_t want[] = {
-        'N', 'G', 'S', 'P', 3, 0, 0, 0, 1, 0, 0, 0, 1, 12, 0, 0,
-        0x00, 0x18, 0x00, 0x00, 0xfc, 0xff, 0x00, 0xf8, 0x7f, /* 6144, -1024, 8386560 */
-        128,                                                  /* opacity 0.5 */
-        128, 128, 128, 160, 0, 255,
-        0, 0, 0, 0x40, /* largest is y (1), the others 0 */
+        'N', 'G', 'S', 'P', 3, 0, 0, 0, 1, 0, 0, 0, 1, 12, 0, 0, 0x00, 0x18, 0x00, 0x00, 0xfc, 0xff,
+        0x00, 0xf8, 0x7f,                          /* 6144, -1024, 8386560 */
+        128,                                       /* opacity 0.5 */
+        128, 128, 128, 160, 0, 255, 0, 0, 0, 0x40, /* largest is y (1), the others 0 */
         /* 128 c + 128 in steps of 8: -1.2 -0.9 -0.6 -0.3 0 0.3 0.6 0.9 1.2 */
         0, 16, 48, 88, 128, 168, 208, 240, 255};
     assert_int_equal(z.total_out, sizeof want);
@@ -294,7 +296,8 @@ static void test_writes_version_3_by_the_book(void **state)
     gauss_free(&g);
 }
 
-static enum err_code decode_copy(const uint8_t *p, size_t n, const struct codec_limits *lim, struct err *e)
+static enum err_code decode_copy(const uint8_t *p, size_t n, const struct codec_limits *lim,
+                                 struct err *e)
 {
     uint8_t *copy = mem_array(n, 1);
     struct quant q;

@@ -1,5 +1,5 @@
-/* One libFuzzer program a target (FUZZ_TARGET is set for each). Run it with a corpus folder; an empty one is
- * filled with the seeds first: fuzz_spz corpus/spz -max_total_time=60
+/* One libFuzzer program a target (FUZZ_TARGET is set for each). Run it with a corpus folder; an
+ * empty one is filled with the seeds first: fuzz_spz corpus/spz -max_total_time=60
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -30,7 +30,8 @@ int LLVMFuzzerInitialize(int *argc, char ***argv)
             char path[FILE_PATH_MAX];
             struct buf b = {0};
             snprintf(path, sizeof path, "%s/seed-%zu", dir, i);
-            if (fuzz_seed(TEXT(FUZZ_TARGET), i, &b) && file_write(path, b.data, b.size, NULL) != ERR_OK)
+            if (fuzz_seed(TEXT(FUZZ_TARGET), i, &b) &&
+                file_write(path, b.data, b.size, NULL) != ERR_OK)
                 fprintf(stderr, "%s: cannot write seed\n", path);
             buf_free(&b);
         }

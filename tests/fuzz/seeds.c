@@ -35,8 +35,9 @@ static void sample(size_t i, struct gauss *g)
 static enum err_code npy_seed(size_t i, struct buf *out)
 {
     buf_add(out, "\x93NUMPY\x01\x00\x76\x00", 10);
-    buf_printf(out, "%-117s\n", i ? "{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3), }"
-                                  : "{'descr': '<f4', 'fortran_order': False, 'shape': (6,), }");
+    buf_printf(out, "%-117s\n",
+               i ? "{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3), }"
+                 : "{'descr': '<f4', 'fortran_order': False, 'shape': (6,), }");
     for (int k = 0; k < 6; k++)
         buf_f32(out, (float)k);
     return buf_check(out, NULL);
@@ -45,7 +46,8 @@ static enum err_code npy_seed(size_t i, struct buf *out)
 static enum err_code exif_seed(size_t i, struct buf *out)
 {
     static const char *const formats[] = {"jpg", "png", "webp"};
-    static const struct image_gps gps = {true, true, -12.5, 7.25, 90, "2026:05:17 10:20:30", 0.01, 100, 8};
+    static const struct image_gps gps = {true, true, -12.5, 7.25, 90, "2026:05:17 10:20:30",
+                                         0.01, 100,  8};
     struct image img;
     enum err_code rc = image_alloc(4, 4, 3, &img, NULL);
     if (rc == ERR_OK)
@@ -58,12 +60,15 @@ static enum err_code exif_seed(size_t i, struct buf *out)
 
 static enum err_code text_ply(struct buf *out)
 {
-    static const char *const names[] = {"x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0",
-                                        "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"};
+    static const char *const names[] = {"x",      "y",       "z",       "f_dc_0",  "f_dc_1",
+                                        "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
+                                        "rot_0",  "rot_1",   "rot_2",   "rot_3"};
     buf_printf(out, "ply\nformat ascii 1.0\ncomment axes ENU\nelement vertex 2\n");
     for (int i = 0; i < 14; i++)
         buf_printf(out, "property float %s\n", names[i]);
-    buf_printf(out, "end_header\n1 2 3 .1 .2 .3 0 -1 -2 -3 1 0 0 0\n-1 -2e1 3 0 0 0 inf -1 -2 -3 1 .5 .5 .5\n");
+    buf_printf(
+        out,
+        "end_header\n1 2 3 .1 .2 .3 0 -1 -2 -3 1 0 0 0\n-1 -2e1 3 0 0 0 inf -1 -2 -3 1 .5 .5 .5\n");
     return buf_check(out, NULL);
 }
 
