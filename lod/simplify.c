@@ -25,7 +25,7 @@
 
 enum {
     SIMPLIFY_CURVES = 3,
-    SIMPLIFY_WINDOW = 6,   /* rows looked at on each side along each curve */
+    SIMPLIFY_WINDOW = 4,   /* rows looked at on each side along each curve; 12 gives the same pictures */
     SIMPLIFY_CHUNK = 2048, /* rows per unit of parallel work */
     SIMPLIFY_JACOBI = 12,  /* sweeps; 3x3 matrices need 4 to 6 */
 };
@@ -446,6 +446,7 @@ enum err_code simplify_gauss(const struct gauss *in, size_t target, struct gauss
 {
     struct simplify s = {.reach = SIMPLIFY_HIDDEN_SHARE};
     struct gauss work = {0};
+    uint32_t *order = NULL;
     *out = (struct gauss){0};
     if (target == 0 && in->n > 0)
         return err_set(e, ERR_ARG, "simplify: at least 1 Gaussian must remain");
@@ -456,7 +457,13 @@ enum err_code simplify_gauss(const struct gauss *in, size_t target, struct gauss
         return rc;
     memcpy(work.origin_enu_m, in->origin_enu_m, sizeof work.origin_enu_m);
     work.antialiased = in->antialiased;
-    rc = gauss_append(&work, in, NULL, in->n, e);
+    if (in->n > target) { /* neighbours near each other in memory: a third of the time on rows in random order */
+        order = mem_array(in->n, sizeof *order);
+        rc = order ? gauss_morton_order(in, order, e) : err_set(e, ERR_MEM, "out of memory to simplify %zu Gaussians", in->n);
+    }
+    if (!rc)
+        rc = gauss_append(&work, in, order, in->n, e);
+    mem_free(order);
     if (!rc && in->n > target) {
         rc = simplify_open(&s, &work, e);
         while (!rc && s.n_alive > target)

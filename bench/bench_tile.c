@@ -1,0 +1,307 @@
+/* Tiles: cutting a city into a store, reading it back, selecting levels, and what levels of detail cost and save.
+ *
+ * Checked before timing: every Gaussian is in one tile of the finest level, and every tile reads back whole. Pictures
+ * with levels are compared with pictures of the finest tiles from the same place: PSNR over the picture, Gaussians
+ * drawn, and time. The picture with every n-th Gaussian left out instead, as many as the levels leave, is the naive
+ * way to the same speed.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "bench/bench.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "bench/city.h"
+#include "lod/lod.h"
+#include "lod/tree.h"
+
+enum { PICTURE_SIDE_MAX = 2048, MANY = 20000 };
+
+#define PICTURE_FOCAL_PX 720.0
+#define CITY_M 420.0
+
+static const struct geo_origin origin = {8.6821, 50.1109, 160};
+
+struct tile_case {
+    const struct gauss *g;
+    char path[FILE_PATH_MAX];
+    struct pyramid_report report;
+    struct store *store;
+    size_t n_read;
+    struct gauss less;
+    size_t target;
+};
+
+static enum err_code tile_locate(void *user, struct err *e)
+{
+    const struct tile_case *c = user;
+    enum err_code rc = ERR_OK;
+    uint32_t mix = 0;
+    for (size_t i = 0; rc == ERR_OK && i < c->g->n; i++) {
+        double enu[3], lon, lat, h;
+        for (size_t k = 0; k < 3; k++)
+            enu[k] = (double)c->g->mean_m[3 * i + k] + c->g->origin_enu_m[k];
+        rc = geo_from_enu(&origin, enu, &lon, &lat, &h, e);
+        mix ^= key_at(lon, lat, KEY_ZOOM_MAX).x;
+    }
+    return rc || mix != UINT32_MAX ? rc : err_set(e, ERR_INTERNAL, "no tile has this number");
+}
+
+static enum err_code tile_build(void *user, struct err *e)
+{
+    struct tile_case *c = user;
+    const struct pyramid_config cfg = {.name = "bench", .tile_edge_m = 60};
+    const struct pyramid_level level = {.g = c->g, .level = 3};
+    return pyramid_build(&origin, &level, 1, &cfg, NULL, 0, c->path, &c->report, e);
+}
+
+static enum err_code tile_simplify(void *user, struct err *e)
+{
+    struct tile_case *c = user;
+    gauss_free(&c->less);
+    return simplify_gauss(c->g, c->target, &c->less, e);
+}
+
+static enum err_code tile_read(void *user, struct err *e)
+{
+    struct tile_case *c = user;
+    size_t n;
+    const struct store_tile *t = store_tiles(c->store, &n);
+    enum err_code rc = ERR_OK;
+    c->n_read = 0;
+    for (size_t i = 0; rc == ERR_OK && i < n; i++) {
+        struct gauss g;
+        rc = store_read_gauss(c->store, t[i].key, &g, e);
+        c->n_read += g.n;
+        gauss_free(&g);
+    }
+    return rc;
+}
+
+static enum err_code tile_check(struct tile_case *c, struct err *e)
+{
+    size_t n, bad, total = 0;
+    const struct store_tile *t = store_tiles(c->store, &n);
+    for (size_t i = 0; i < n; i++)
+        total += t[i].level == 3 ? t[i].count : 0;
+    if (total != c->g->n)
+        return err_set(e, ERR_INTERNAL, "%zu of %zu Gaussians are in the finest tiles", total, c->g->n);
+    return store_verify(c->store, &bad, e);
+}
+
+/* ---- selection over many tiles ---- */
+
+struct pick_case {
+    struct store_tile *tile;
+    size_t n, n_out;
+    struct tree tree;
+    uint32_t *out;
+    struct camera cam;
+};
+
+static enum err_code pick_once(void *user, struct err *e)
+{
+    struct pick_case *c = user;
+    return pick_select(c->tile, &c->tree, &c->cam, NULL, c->out, &c->n_out, e);
+}
+
+/* A full pyramid over 16 km: zooms 10 to 17. */
+static enum err_code pick_time(struct bench *b, struct err *e)
+{
+    struct pick_case c = {.tile = mem_array(2 * MANY, sizeof *c.tile), .out = mem_array(2 * MANY, sizeof *c.out)};
+    double ms = 0.0;
+    enum err_code rc = c.tile && c.out ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
+    for (uint8_t z = 0; rc == ERR_OK && z < (b->quick ? 5 : 8); z++)
+        for (uint32_t y = 0; y < 1u << z; y++)
+            for (uint32_t x = 0; x < 1u << z; x++) {
+                double edge = ldexp(16000, -z);
+                c.tile[c.n++] = (struct store_tile){
+                    .key = {(uint8_t)(10 + z), x, y}, .count = 50000, .sigma_max_m = edge / 50, .geometric_error_m = edge / 10,
+                    .min_enu_m = {x * edge - 8000, 8000 - (y + 1) * edge, 0}, .max_enu_m = {(x + 1) * edge - 8000, 8000 - y * edge, 60}};
+            }
+    const double eye[3] = {100, -300, 150};
+    c.cam = camera_heading(eye, 20, -25, 0.9, 1280, 720);
+    if (rc == ERR_OK)
+        rc = tree_build(c.tile, c.n, &c.tree, e);
+    if (rc == ERR_OK)
+        rc = bench_time(b, pick_once, &c, &ms, NULL, e);
+    if (rc == ERR_OK) {
+        bench_report(b, "pick", ms, "ms", 0, NULL);
+        bench_report(b, "pick, tiles in the index", (double)c.n, "", 0, NULL);
+        bench_report(b, "pick, tiles picked", (double)c.n_out, "", 0, NULL);
+    }
+    tree_free(&c.tree);
+    mem_free(c.tile);
+    mem_free(c.out);
+    return rc;
+}
+
+/* ---- pictures ---- */
+
+struct picture {
+    struct view *view;
+    struct camera cam;
+    struct render_options ro;
+    struct pick_options po;
+    struct view_stats stats;
+    float *rgb;
+};
+
+static enum err_code picture_draw(void *user, struct err *e)
+{
+    struct picture *p = user;
+    return view_render(p->view, &p->cam, &p->ro, &p->po, p->rgb, &p->stats, e);
+}
+
+static double picture_psnr(const float *a, const float *b, size_t n)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < n; i++) {
+        double d = (double)fminf(a[i], 1.0f) - (double)fminf(b[i], 1.0f);
+        sum += d * d;
+    }
+    return -10.0 * log10(sum / (double)n + 1e-12);
+}
+
+/* The same view of every n-th Gaussian. */
+static enum err_code picture_thinned(struct render *r, const struct gauss *g, const struct picture *p, float *rgb,
+                                     struct err *e)
+{
+    struct gauss some = {0};
+    struct render_model m = {0};
+    size_t step = p->stats.n_gaussians ? g->n / p->stats.n_gaussians : 1;
+    enum err_code rc = gauss_alloc(&some, g->n, g->sh_degree, 0, e);
+    for (uint32_t i = 0; rc == ERR_OK && i < g->n; i += (uint32_t)(step ? step : 1))
+        rc = gauss_append(&some, g, &i, 1, e);
+    if (rc == ERR_OK)
+        rc = render_model_upload(r, &some, &m, e);
+    if (rc == ERR_OK) {
+        rc = render_forward(r, &m, &p->cam, &p->ro, rgb, NULL, e);
+        render_model_free(&m);
+    }
+    gauss_free(&some);
+    return rc;
+}
+
+static enum err_code picture_from(struct bench *b, struct render *r, const struct tile_case *c, struct picture *p,
+                                  double distance_m, struct err *e)
+{
+    char name[96];
+    double fine_ms = 0.0, ms = 0.0;
+    /* Looking down by 45 degrees at the middle, just as wide as the city. */
+    const double eye[3] = {0, -distance_m / sqrt(2.0), distance_m / sqrt(2.0)};
+    uint32_t side = (uint32_t)fmin(1.2 * CITY_M * PICTURE_FOCAL_PX / distance_m, PICTURE_SIDE_MAX);
+    side = side < 16 ? 16 : side;
+    size_t n = (size_t)side * side * 3;
+    float *fine = mem_array(n, sizeof *fine), *thin = mem_array(n, sizeof *thin);
+    p->cam = camera_heading(eye, 0, -45, 2.0 * atan(side / 2.0 / PICTURE_FOCAL_PX), side, side);
+    enum err_code rc = fine && thin ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
+    p->po.no_lod = true;
+    if (rc == ERR_OK)
+        rc = bench_time(b, picture_draw, p, &fine_ms, NULL, e);
+    uint64_t all = p->stats.n_gaussians;
+    if (rc == ERR_OK)
+        memcpy(fine, p->rgb, n * sizeof *fine);
+    p->po.no_lod = false;
+    if (rc == ERR_OK)
+        rc = bench_time(b, picture_draw, p, &ms, NULL, e);
+    if (rc == ERR_OK)
+        rc = picture_thinned(r, c->g, p, thin, e);
+    if (rc == ERR_OK) {
+        snprintf(name, sizeof name, "from %.0f m: frame", distance_m);
+        bench_report(b, name, ms, "ms", ms / fine_ms, "finest tiles");
+        snprintf(name, sizeof name, "from %.0f m: Gaussians", distance_m);
+        bench_report(b, name, (double)p->stats.n_gaussians, "", (double)p->stats.n_gaussians / (double)all, "finest tiles");
+        snprintf(name, sizeof name, "from %.0f m: PSNR to the finest", distance_m);
+        double db = picture_psnr(fine, p->rgb, n), thin_db = picture_psnr(fine, thin, n);
+        bench_report(b, name, db, "dB", db / thin_db, "leaving Gaussians out");
+    }
+    mem_free(fine);
+    mem_free(thin);
+    return rc;
+}
+
+/* Distance beyond which a typical tile above the finest ones suffices. */
+static double picture_switch_m(const struct store *s)
+{
+    size_t n, found = 0;
+    double sum = 0.0;
+    const struct store_tile *t = store_tiles(s, &n);
+    for (size_t i = 0; i < n; i++)
+        if (t[i].key.z + 1 == store_info(s)->zoom_max) {
+            sum += t[i].geometric_error_m;
+            found++;
+        }
+    return found ? sum / (double)found * PICTURE_FOCAL_PX / TREE_PX_PER_SIGMA : 100.0;
+}
+
+static enum err_code pictures(struct bench *b, const struct tile_case *c, struct err *e)
+{
+    struct render *r = NULL;
+    struct picture p = {.ro = {.aa = RENDER_AA_2D, .sh_degree = -1, .background = {0.6f, 0.8f, 1.0f}}};
+    p.rgb = mem_array((size_t)PICTURE_SIDE_MAX * PICTURE_SIDE_MAX, 3 * sizeof *p.rgb);
+    enum err_code rc = p.rgb ? render_open(b->dev, &r, e) : err_set(e, ERR_MEM, "out of memory");
+    if (rc == ERR_OK)
+        rc = view_open(c->path, r, 0, &p.view, e);
+    for (size_t i = 0; rc == ERR_OK && i < (b->quick ? 1 : 3); i++)
+        rc = picture_from(b, r, c, &p, 1.2 * picture_switch_m(c->store) * (double)(1u << i), e);
+    view_close(&p.view);
+    render_close(&r);
+    mem_free(p.rgb);
+    return rc;
+}
+
+static enum err_code tile_times(struct bench *b, struct tile_case *c, struct err *e)
+{
+    double ms = 0.0, n = (double)c->g->n;
+    enum err_code rc = bench_time(b, tile_locate, c, &ms, NULL, e);
+    double locate = n / ms / 1e3;
+    if (rc == ERR_OK) {
+        bench_report(b, "locate (GeographicLib, one core)", locate, "M Gaussians/s", 0, NULL);
+        rc = bench_time(b, tile_build, c, &ms, NULL, e);
+    }
+    if (rc == ERR_OK) {
+        bench_report(b, "build with two coarser levels", n / ms / 1e3, "M Gaussians/s", n / ms / 1e3 / locate, "locate");
+        rc = store_open(c->path, &c->store, e);
+    }
+    if (rc == ERR_OK)
+        rc = tile_check(c, e);
+    if (rc == ERR_OK)
+        rc = bench_time(b, tile_read, c, &ms, NULL, e);
+    if (rc == ERR_OK) {
+        size_t tiles;
+        const struct store_tile *t = store_tiles(c->store, &tiles);
+        uint64_t bytes = 0;
+        for (size_t i = 0; i < tiles; i++)
+            bytes += t[i].bytes;
+        bench_report(b, "read and decode tiles (one core)", (double)c->n_read / ms / 1e3, "M Gaussians/s", 0, NULL);
+        bench_report(b, "payload", (double)bytes / (double)c->n_read, "bytes/Gaussian",
+                     (double)bytes / (double)c->n_read / 236.0, "float32 rows");
+        c->target = c->g->n / 4;
+        rc = bench_time(b, tile_simplify, c, &ms, NULL, e);
+    }
+    if (rc == ERR_OK)
+        bench_report(b, "simplify to a quarter", n / ms / 1e3, "M Gaussians/s", 0, NULL);
+    return rc;
+}
+
+enum err_code bench_tile(struct bench *b, struct err *e)
+{
+    struct gauss g = {0};
+    struct tile_case c = {.g = &g};
+    enum err_code rc = file_join(c.path, bench_tmpdir(b), "bench.tiles", e);
+    if (rc == ERR_OK)
+        rc = city_make(b->quick ? 5000 : 400000, &g, e);
+    if (rc == ERR_OK)
+        rc = tile_times(b, &c, e);
+    if (rc == ERR_OK)
+        rc = pick_time(b, e);
+    if (rc == ERR_OK && b->dev)
+        rc = pictures(b, &c, e);
+    store_close(&c.store);
+    gauss_free(&c.less);
+    gauss_free(&g);
+    return rc;
+}
