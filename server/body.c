@@ -7,8 +7,8 @@
 #include "server/server.h"
 
 #include <assert.h>
+#include <libdeflate.h>
 #include <string.h>
-#include <zlib.h>
 
 void body_etag(struct hash128 h, char out[BODY_ETAG_SIZE])
 {
@@ -74,23 +74,16 @@ void body_drop(struct body **b)
 
 void body_compress(struct body *b)
 {
-    z_stream z = {0};
-    if (b->size < 256 || b->size > (size_t)1 << 30 ||
-        deflateInit2(&z, 6, Z_DEFLATED, 15 + 16, 8, Z_DEFAULT_STRATEGY) != Z_OK)
+    if (b->size < 256)
         return;
     size_t room = b->size - b->size / 10; /* a larger result is not worth a second form */
     uint8_t *out = mem_array(room, 1);
-    if (out) {
-        z.next_in = b->data;
-        z.avail_in = (uInt)b->size;
-        z.next_out = out;
-        z.avail_out = (uInt)room;
-        if (deflate(&z, Z_FINISH) == Z_STREAM_END) {
-            b->gzip = out;
-            b->gzip_size = room - z.avail_out;
-        } else {
-            mem_free(out);
-        }
-    }
-    deflateEnd(&z);
+    struct libdeflate_compressor *c = out ? libdeflate_alloc_compressor(6) : NULL;
+    if (c)
+        b->gzip_size = libdeflate_gzip_compress(c, b->data, b->size, out, room);
+    if (b->gzip_size)
+        b->gzip = out;
+    else
+        mem_free(out);
+    libdeflate_free_compressor(c);
 }

@@ -47,19 +47,6 @@ static enum err_code find_bbox(struct dataset *d, struct err *e)
     return ERR_OK;
 }
 
-static enum err_code make_salt(struct dataset *d, struct err *e)
-{
-    struct buf b = {0};
-    buf_printf(&b, "%s sh%u embed%u aa%d %.17g %.17g %.17g %s", CITYSPLAT_VERSION,
-               d->meta.sh_degree, d->meta.embed_len, d->meta.antialiased, d->meta.origin.lon_deg,
-               d->meta.origin.lat_deg, d->meta.origin.h_m, d->meta.attribution);
-    enum err_code rc = buf_check(&b, e);
-    if (rc == ERR_OK)
-        d->salt = hash_bytes(b.data, b.size);
-    buf_free(&b);
-    return rc;
-}
-
 /* Take a document's bytes: hash, compress. */
 static enum err_code take_document(enum err_code rc, struct buf *b, struct body **out,
                                    struct err *e)
@@ -139,7 +126,7 @@ enum err_code dataset_open(const char *path, size_t readers, const char *public_
         rc = find_bbox(d, e);
     }
     if (rc == ERR_OK)
-        rc = make_salt(d, e);
+        rc = encode_fingerprint(&d->meta, &d->salt, e);
     if (rc == ERR_OK)
         rc = make_documents(d, public_url, e);
     if (rc != ERR_OK)
@@ -189,7 +176,7 @@ void dataset_return(struct dataset *d, struct store *s)
     pthread_mutex_unlock(&d->lock);
 }
 
-/* ---- catalog ------------------------------------------------------------------------------------ */
+/* ---- catalog --------------------------------------------------------------------------------- */
 
 static int by_name(const void *pa, const void *pb)
 {

@@ -20,22 +20,21 @@ struct hash128 encode_tile_id(const struct dataset *d, const struct store_tile *
     return hash_bytes(&name, sizeof(name));
 }
 
-enum err_code encode_tile(struct store *s, struct key key, enum format format, struct buf *out,
-                          struct err *e)
+/* g (changed) to bytes of a format. */
+static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta, struct key key,
+                                  enum format format, struct buf *out, struct err *e)
 {
-    const struct store_meta *meta = store_info(s);
     const char *copyright = meta->attribution[0] ? meta->attribution : NULL;
     const struct ply_info info = {.has_origin = true, .origin = meta->origin};
-    struct gauss g = {0};
     struct quant q = {0};
     char name[48];
-    enum err_code rc = store_read_gauss(s, key, &g, e);
-    if (rc == ERR_OK && format != FORMAT_PLY)
-        frame_enu_to_gltf(&g);
-    if (rc == ERR_OK && format != FORMAT_PLY && format != FORMAT_GLB_PLAIN)
-        rc = quant_from_gauss(&g, meta->sh_degree, &q, e);
+    enum err_code rc = ERR_OK;
+    if (format != FORMAT_PLY)
+        frame_enu_to_gltf(g);
+    if (format != FORMAT_PLY && format != FORMAT_GLB_PLAIN)
+        rc = quant_from_gauss(g, meta->sh_degree, &q, e);
     if (rc != ERR_OK)
-        goto out;
+        return rc;
     switch (format) {
     case FORMAT_GLB:
         rc = glb_encode_spz(&q, copyright, out, e);
@@ -48,21 +47,77 @@ enum err_code encode_tile(struct store *s, struct key key, enum format format, s
         rc = draco_encode(&q, name, out, e);
         break;
     case FORMAT_PLY:
-        rc = ply_encode(&g, &info, out, e);
+        rc = ply_encode(g, &info, out, e);
         break;
     case FORMAT_GLB_PLAIN:
-        rc = glb_encode_plain(&g, copyright, out, e);
+        rc = glb_encode_plain(g, copyright, out, e);
         break;
     default:
-        rc = err_set(e, ERR_INTERNAL, "encode_tile: %s is not a tile format", target_ext(format));
+        rc = err_set(e, ERR_INTERNAL, "encode: %s is not a tile format", target_ext(format));
     }
-out:
     quant_free(&q);
+    return rc;
+}
+
+enum err_code encode_tile(struct store *s, struct key key, enum format format, struct buf *out,
+                          struct err *e)
+{
+    struct gauss g = {0};
+    enum err_code rc = store_read_gauss(s, key, &g, e);
+    if (rc == ERR_OK)
+        rc = encode_gauss(&g, store_info(s), key, format, out, e);
     gauss_free(&g);
     return rc;
 }
 
-/* ---- prefetch list ------------------------------------------------------------------------------ */
+static enum err_code make_sample(const struct store_meta *meta, struct gauss *g, struct err *e)
+{
+    const size_t n = 300, k = 3 * gauss_sh_count(meta->sh_degree);
+    enum err_code rc = gauss_alloc(g, n, meta->sh_degree, meta->embed_len, e);
+    if (rc != ERR_OK)
+        return rc;
+    g->n = n;
+    g->antialiased = meta->antialiased;
+    for (size_t i = 0; i < n; i++) {
+        for (size_t a = 0; a < 3; a++) {
+            g->mean_m[3 * i + a] = (float)(100 * rng_unit(1, a, i) - 50);
+            g->scale_log[3 * i + a] = (float)(3 * rng_unit(1, 3 + a, i) - 5);
+        }
+        for (size_t a = 0; a < 4; a++)
+            g->quat_wxyz[4 * i + a] = (float)rng_normal(1, 6 + a, i);
+        for (size_t a = 0; a < k; a++)
+            g->sh[k * i + a] = (float)(0.3 * rng_normal(1, 10 + a, i));
+        for (size_t a = 0; a < meta->embed_len; a++)
+            g->embed[meta->embed_len * i + a] = (float)rng_normal(1, 100 + a, i);
+        g->opacity_logit[i] = (float)rng_normal(1, 200, i);
+    }
+    return ERR_OK;
+}
+
+enum err_code encode_fingerprint(const struct store_meta *meta, struct hash128 *out, struct err *e)
+{
+    struct buf all = {0};
+    enum err_code rc = ERR_OK;
+    for (int f = FORMAT_GLB; f <= FORMAT_GLB_PLAIN && rc == ERR_OK; f++) {
+        struct gauss g = {0};
+        struct buf one = {0};
+        rc = make_sample(meta, &g, e);
+        if (rc == ERR_OK)
+            rc = encode_gauss(&g, meta, (struct key){0}, (enum format)f, &one, e);
+        buf_add(&all, one.data, one.size);
+        buf_free(&one);
+        gauss_free(&g);
+    }
+    buf_printf(&all, "%s", CITYSPLAT_VERSION);
+    if (rc == ERR_OK)
+        rc = buf_check(&all, e);
+    if (rc == ERR_OK)
+        *out = hash_bytes(all.data, all.size);
+    buf_free(&all);
+    return rc;
+}
+
+/* ---- prefetch list --------------------------------------------------------------------------- */
 
 /* Coarse levels first, since every view needs them; within a level, tiles that hold more. */
 static int by_importance(const void *pa, const void *pb)
@@ -110,7 +165,7 @@ enum err_code encode_seed(const struct dataset *d, const struct target *t, struc
     return buf_check(out, e);
 }
 
-/* ---- jobs --------------------------------------------------------------------------------------- */
+/* ---- jobs ------------------------------------------------------------------------------------ */
 
 static enum err_code make_tile(const struct work *w, struct buf *out, struct err *e)
 {

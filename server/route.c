@@ -79,7 +79,7 @@ void route_free(struct response *r)
     r->work = NULL;
 }
 
-/* ---- putting bytes into a response -------------------------------------------------------------- */
+/* ---- putting bytes into a response ----------------------------------------------------------- */
 
 void route_problem(struct response *out, int status, const char *detail)
 {
@@ -219,7 +219,7 @@ static struct work *make_work(struct dataset *d, enum work_kind kind, struct has
     return out->work = w;
 }
 
-/* ---- the routes --------------------------------------------------------------------------------- */
+/* ---- the routes ------------------------------------------------------------------------------ */
 
 static void answer_tile(struct services *s, const struct request *r, struct dataset *d,
                         const struct target *t, struct response *out)
