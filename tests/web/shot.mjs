@@ -29,7 +29,10 @@ if (!url || !out) {
 }
 
 const size = { width: Number(values.width), height: Number(values.height) };
-const { page, log, close } = await openPage(url, size);
+const { page, log, close } = await openPage(url, size).catch((error) => {
+    console.error(error.message);
+    process.exit(1);
+});
 try {
     await waitForViewer(page, 1000 * Number(values.wait));
     for (const id of values.click)

@@ -22,7 +22,7 @@ export interface DecodedSplats {
   extA: Uint32Array<ArrayBuffer>; // x, y, z as float32 bits, opacity as half
   extB: Uint32Array<ArrayBuffer>; // r g | b ln sx | ln sy ln sz as halves | rotation
   sh: Record<string, Uint32Array<ArrayBuffer>>; // sh1, sh2, sh3a, sh3b as far as the degree goes
-  // 2nd and 98th percentile of the centres along x, y, z: the scene without its strays
+  // 5th and 95th percentile of the centres along x, y, z: the scene without its strays
   core: { min: [number, number, number]; max: [number, number, number] };
 }
 
@@ -120,27 +120,15 @@ function harmonicSlot(k: number): [string, number] {
   return k < 12 ? ["sh3a", k - 8] : ["sh3b", k - 12];
 }
 
-// Weighted by the area a Gaussian covers, so that a few large ones on open ground count as much as
-// many small ones on a tower, but no single one counts more than four typical ones.
-function percentiles(
-  extA: Uint32Array<ArrayBuffer>,
-  areas: Float32Array<ArrayBuffer>,
-): DecodedSplats["core"] {
+// Trained Gaussians are many where the photographs saw much, and few and large around it.
+function findCore(extA: Uint32Array<ArrayBuffer>, count: number): DecodedSplats["core"] {
   const centres = new Float32Array(extA.buffer);
-  const step = Math.max(1, Math.floor(areas.length / 20000));
-  const rows = Array.from({ length: Math.ceil(areas.length / step) }, (_, i) => i * step);
-  const typical = rows.map((i) => areas[i]!).sort((a, b) => a - b)[rows.length >> 1]!;
-  const weight = (i: number) => Math.min(areas[i]!, 4 * typical) || Number.MIN_VALUE;
-  const total = rows.reduce((sum, i) => sum + weight(i), 0);
+  const step = Math.max(1, Math.floor(count / 20000));
   const along = (axis: number): [number, number] => {
-    const order = rows.toSorted((a, b) => centres[4 * a + axis]! - centres[4 * b + axis]!);
-    const at = (share: number) => {
-      let sum = 0;
-      const row =
-        order.find((i) => (sum += weight(i)) >= share * total) ?? order[order.length - 1]!;
-      return centres[4 * row + axis]!;
-    };
-    return [at(0.02), at(0.98)];
+    const length = Math.ceil(count / step);
+    const values = Float32Array.from({ length }, (_, i) => centres[4 * i * step + axis]!).sort();
+    const at = (share: number) => values[Math.round(share * (length - 1))]!;
+    return [at(0.05), at(0.95)];
   };
   const [x, y, z] = [along(0), along(1), along(2)];
   return { min: [x[0], y[0], z[0]], max: [x[1], y[1], z[1]] };
@@ -165,7 +153,6 @@ export function decodeSpz(raw: Uint8Array<ArrayBuffer>): DecodedSplats {
   const extA = new Uint32Array(4 * rows);
   const extB = new Uint32Array(4 * rows);
   const centres = new Float32Array(extA.buffer);
-  const areas = new Float32Array(count);
   const unit = 2 ** -raw[13]!;
   const alpha = HEADER_BYTES + 9 * count;
   const color = alpha + count;
@@ -184,8 +171,6 @@ export function decodeSpz(raw: Uint8Array<ArrayBuffer>): DecodedSplats {
     extB[4 * i + 1] = COLOR[raw[c + 2]!]! | (SCALE[raw[s]!]! << 16);
     extB[4 * i + 2] = SCALE[raw[s + 1]!]! | (SCALE[raw[s + 2]!]! << 16);
     extB[4 * i + 3] = convertRotation(data.getUint32(rotation + 4 * i, true));
-    const [s0, s1, s2] = [raw[s]!, raw[s + 1]!, raw[s + 2]!];
-    areas[i] = raw[alpha + i]! * Math.exp((s0 + s1 + s2 - Math.min(s0, s1, s2)) / 16 - 20);
   }
 
   const sh: DecodedSplats["sh"] = {};
@@ -199,5 +184,5 @@ export function decodeSpz(raw: Uint8Array<ArrayBuffer>): DecodedSplats {
     }
   }
   const antialiased = (raw[14]! & FLAG_ANTIALIASED) !== 0;
-  return { count, shDegree, antialiased, extA, extB, sh, core: percentiles(extA, areas) };
+  return { count, shDegree, antialiased, extA, extB, sh, core: findCore(extA, count) };
 }

@@ -37,13 +37,18 @@ export async function openPage(url, { width = 800, height = 600 } = {}) {
     page.on("console", (m) => m.type() === "error" && log.push(m.text()));
     page.on("pageerror", (e) => log.push(`uncaught: ${e.message}`));
     page.on("requestfailed", (r) => log.push(`failed: ${r.url()} ${r.failure()?.errorText}`));
-    await page.goto(url, { waitUntil: "load" });
+    try {
+        await page.goto(url, { waitUntil: "load" });
+    } catch (error) {
+        await browser.close();
+        throw new Error(`${url} does not open: ${error.message.split("\n")[0]}`);
+    }
     return { page, log, close: () => browser.close() };
 }
 
 // Waits until the viewer has drawn everything its view needs. Throws with what it knows after the
 // timeout.
-export async function waitForViewer(page, timeoutMs = 60000) {
+export async function waitForViewer(page, timeoutMs = 120000) {
     const ready = () =>
         page.evaluate(() => window.citysplat?.ready === true || window.citysplat?.error != null);
     const until = Date.now() + timeoutMs;
