@@ -1,7 +1,8 @@
-/* Drawing: whole frames of the procedural city (city.h), the stages of one, and what Morton order and exact
- * tile culling are worth.
+/* Drawing: whole frames of the procedural city (city.h), the stages of one, and what Morton order
+ * and exact tile culling are worth.
  *
- * Checked before timing: a frame drawn twice has the same bits, and exact culling changes none of them.
+ * Checked before timing: a frame drawn twice has the same bits, and exact culling changes none of
+ * them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -47,8 +48,9 @@ static enum err_code frame_check(struct frame_case *c, struct err *e)
     return rc;
 }
 
-static enum err_code frame_report(struct bench *b, struct frame_case *c, const char *name, double *ms,
-                                  double ratio_to_ms, const char *against, struct err *e)
+static enum err_code frame_report(struct bench *b, struct frame_case *c, const char *name,
+                                  double *ms, double ratio_to_ms, const char *against,
+                                  struct err *e)
 {
     char text[96];
     enum err_code rc = bench_time(b, frame_once, c, ms, NULL, e);
@@ -59,7 +61,8 @@ static enum err_code frame_report(struct bench *b, struct frame_case *c, const c
     return ERR_OK;
 }
 
-static enum err_code frame_stages(struct bench *b, struct frame_case *c, const char *name, struct err *e)
+static enum err_code frame_stages(struct bench *b, struct frame_case *c, const char *name,
+                                  struct err *e)
 {
     char text[96];
     render_set_timing(c->render, true);
@@ -69,17 +72,20 @@ static enum err_code frame_stages(struct bench *b, struct frame_case *c, const c
     const struct {
         const char *name, *unit;
         double value;
-    } rows[] = {{"visible", "splats", s->visible}, {"pairs of splat and tile", "", (double)s->entries},
-                {"project", "ms", s->ms_project},  {"sort", "ms", s->ms_sort},
-                {"bin", "ms", s->ms_bin},          {"blend", "ms", s->ms_blend}};
+    } rows[] = {
+        {"visible", "splats", s->visible}, {"pairs of splat and tile", "", (double)s->entries},
+        {"project", "ms", s->ms_project},  {"sort", "ms", s->ms_sort},
+        {"bin", "ms", s->ms_bin},          {"blend", "ms", s->ms_blend}};
     for (size_t i = 0; rc == ERR_OK && i < sizeof rows / sizeof *rows; i++) {
-        snprintf(text, sizeof text, "%s, %ux%u: %s", name, c->cam.width_px, c->cam.height_px, rows[i].name);
+        snprintf(text, sizeof text, "%s, %ux%u: %s", name, c->cam.width_px, c->cam.height_px,
+                 rows[i].name);
         bench_report(b, text, rows[i].value, rows[i].unit, 0, NULL);
     }
     return rc;
 }
 
-static enum err_code frame_open(struct bench *b, const struct gauss *g, struct frame_case *c, struct err *e)
+static enum err_code frame_open(struct bench *b, const struct gauss *g, struct frame_case *c,
+                                struct err *e)
 {
     enum err_code rc = render_open(b->dev, &c->render, e);
     if (rc == ERR_OK)

@@ -1,12 +1,14 @@
 /* The OpenCL device: choice, context, queue, programs, buffers.
  *
- * Everything that depends on a vendor is decided here and nowhere else: the vector width of the kernels
- * (16 lanes on CPUs, where PoCL turns a float16 into one register; 1 on GPUs, where a work-item is a lane),
- * whether clang builtins may be used (PoCL), where compiled kernels are cached, and how much memory one
- * buffer may take. One in-order queue a device, so nothing above this file needs events.
+ * Everything that depends on a vendor is decided here and nowhere else: the vector width of the
+ * kernels (16 lanes on CPUs, where PoCL turns a float16 into one register; 1 on GPUs, where a
+ * work-item is a lane), whether clang builtins may be used (PoCL), where compiled kernels are
+ * cached, and how much memory one buffer may take. One in-order queue a device, so nothing above
+ * this file needs events.
  *
- * PoCL compiles kernels to its cache folder and fails late and obscurely when it cannot write there, so
- * the folder is checked before the first OpenCL call. Its worker threads do not survive fork().
+ * PoCL compiles kernels to its cache folder and fails late and obscurely when it cannot write
+ * there, so the folder is checked before the first OpenCL call. Its worker threads do not survive
+ * fork().
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -50,7 +52,8 @@ const char *dev_error_name(cl_int code)
         {CL_MEM_COPY_OVERLAP, "CL_MEM_COPY_OVERLAP"},
         {CL_BUILD_PROGRAM_FAILURE, "CL_BUILD_PROGRAM_FAILURE"},
         {CL_MAP_FAILURE, "CL_MAP_FAILURE"},
-        {CL_EXEC_STATUS_ERROR_FOR_EVENTS_IN_WAIT_LIST, "CL_EXEC_STATUS_ERROR_FOR_EVENTS_IN_WAIT_LIST"},
+        {CL_EXEC_STATUS_ERROR_FOR_EVENTS_IN_WAIT_LIST,
+         "CL_EXEC_STATUS_ERROR_FOR_EVENTS_IN_WAIT_LIST"},
         {CL_INVALID_VALUE, "CL_INVALID_VALUE"},
         {CL_INVALID_DEVICE, "CL_INVALID_DEVICE"},
         {CL_INVALID_CONTEXT, "CL_INVALID_CONTEXT"},
@@ -89,7 +92,8 @@ static enum err_code dev_fail(struct err *e, cl_int code, const char *what, cons
                    dev_error_name(code), (int)code);
 }
 
-/* ---- choice ------------------------------------------------------------------------------------ */
+/* ---- choice ------------------------------------------------------------------------------------
+ */
 
 /* mkdir -p; true when `path` is a folder we may write to afterwards. */
 static bool folder_writable(const char *path)
@@ -110,8 +114,8 @@ static bool folder_writable(const char *path)
     return stat(path, &st) == 0 && S_ISDIR(st.st_mode) && access(path, R_OK | W_OK | X_OK) == 0;
 }
 
-/* PoCL writes compiled kernels to POCL_CACHE_DIR, else $XDG_CACHE_HOME/pocl, else ~/.cache/pocl. A service
- * account may have none of them; then a folder of our own under TMPDIR is used. */
+/* PoCL writes compiled kernels to POCL_CACHE_DIR, else $XDG_CACHE_HOME/pocl, else ~/.cache/pocl. A
+ * service account may have none of them; then a folder of our own under TMPDIR is used. */
 static enum err_code cache_prepare(struct err *e)
 {
     const char *given = getenv("POCL_CACHE_DIR"), *xdg = getenv("XDG_CACHE_HOME"),
@@ -120,9 +124,11 @@ static enum err_code cache_prepare(struct err *e)
     if (given && *given) {
         if (folder_writable(given))
             return ERR_OK;
-        return err_set(e, ERR_DEVICE,
-                       "dev_open: POCL_CACHE_DIR %s: cannot be created or written; compiled kernels are "
-                       "kept there, name another folder", given);
+        return err_set(
+            e, ERR_DEVICE,
+            "dev_open: POCL_CACHE_DIR %s: cannot be created or written; compiled kernels are "
+            "kept there, name another folder",
+            given);
     }
     path[0] = '\0';
     if (xdg && *xdg)
@@ -137,9 +143,10 @@ static enum err_code cache_prepare(struct err *e)
     /* The folder holds code that will be run: it must be ours, and nobody else may write to it. */
     if (!folder_writable(path) || lstat(path, &st) != 0 || !S_ISDIR(st.st_mode) ||
         st.st_uid != getuid() || (st.st_mode & (S_IWGRP | S_IWOTH)))
-        return err_set(e, ERR_DEVICE,
-                       "dev_open: kernel cache %s: not a private writable folder; set POCL_CACHE_DIR to one",
-                       path);
+        return err_set(
+            e, ERR_DEVICE,
+            "dev_open: kernel cache %s: not a private writable folder; set POCL_CACHE_DIR to one",
+            path);
     if (setenv("POCL_CACHE_DIR", path, 1) != 0)
         return err_errno(e, ERR_DEVICE, "dev_open: POCL_CACHE_DIR");
     return ERR_OK;
@@ -169,7 +176,8 @@ static size_t dev_list(struct found *list)
             f->platform = platforms[p];
             f->device = devices[d];
             if (clGetDeviceInfo(devices[d], CL_DEVICE_TYPE, sizeof f->type, &f->type, NULL) ||
-                clGetDeviceInfo(devices[d], CL_DEVICE_COMPILER_AVAILABLE, sizeof usable, &usable, NULL) ||
+                clGetDeviceInfo(devices[d], CL_DEVICE_COMPILER_AVAILABLE, sizeof usable, &usable,
+                                NULL) ||
                 clGetDeviceInfo(devices[d], CL_DEVICE_NAME, sizeof f->name, f->name, NULL))
                 continue;
             f->name[sizeof f->name - 1] = '\0';
@@ -211,9 +219,10 @@ static enum err_code dev_none(const struct found *list, size_t n, const char *wa
 {
     char names[512] = "";
     if (n == 0)
-        return err_set(e, ERR_DEVICE,
-                       "dev_open: no OpenCL device found: install a driver; for the CPU the package is "
-                       "pocl-opencl-icd");
+        return err_set(
+            e, ERR_DEVICE,
+            "dev_open: no OpenCL device found: install a driver; for the CPU the package is "
+            "pocl-opencl-icd");
     for (size_t i = 0, at = 0; i < n && at < sizeof names - 1; i++) {
         int k = snprintf(names + at, sizeof names - at, "%s%s", i ? ", " : "", list[i].name);
         at += k > 0 ? (size_t)k : 0;
@@ -226,7 +235,8 @@ static enum err_code dev_query(struct dev *d, struct err *e)
 {
     char platform[128] = "";
     cl_ulong max_alloc = 0, global = 0;
-    cl_int rc = clGetDeviceInfo(d->device, CL_DEVICE_MAX_MEM_ALLOC_SIZE, sizeof max_alloc, &max_alloc, NULL);
+    cl_int rc = clGetDeviceInfo(d->device, CL_DEVICE_MAX_MEM_ALLOC_SIZE, sizeof max_alloc,
+                                &max_alloc, NULL);
     if (rc == CL_SUCCESS)
         rc = clGetDeviceInfo(d->device, CL_DEVICE_GLOBAL_MEM_SIZE, sizeof global, &global, NULL);
     if (rc == CL_SUCCESS)
@@ -295,16 +305,19 @@ void dev_close(struct dev *d)
     memset(d, 0, sizeof *d);
 }
 
-/* ---- programs ---------------------------------------------------------------------------------- */
+/* ---- programs ----------------------------------------------------------------------------------
+ */
 
-/* As much of the compiler's log as an err holds (its first error comes first); all of it at debug level. */
+/* As much of the compiler's log as an err holds (its first error comes first); all of it at debug
+ * level. */
 static enum err_code build_error(struct dev *d, cl_program program, const char *name, cl_int code,
                                  struct err *e)
 {
     size_t size = 0;
     char *text = NULL;
     enum err_code rc = ERR_DEVICE;
-    if (clGetProgramBuildInfo(program, d->device, CL_PROGRAM_BUILD_LOG, 0, NULL, &size) == CL_SUCCESS)
+    if (clGetProgramBuildInfo(program, d->device, CL_PROGRAM_BUILD_LOG, 0, NULL, &size) ==
+        CL_SUCCESS)
         text = mem_array(size + 1, 1);
     if (text && clGetProgramBuildInfo(program, d->device, CL_PROGRAM_BUILD_LOG, size, text, NULL) ==
                     CL_SUCCESS) {
@@ -339,8 +352,10 @@ enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t 
                      d->is_cpu ? " -DIS_CPU=1" : "", options && *options ? " " : "",
                      options ? options : "");
     if (n < 0 || (size_t)n >= sizeof flags)
-        return err_set(e, ERR_LIMIT, "dev_build: %s: options too long", sources[n_sources - 1].name);
-    program = clCreateProgramWithSource(d->context, (cl_uint)(2 * (n_sources + 1)), text, NULL, &code);
+        return err_set(e, ERR_LIMIT, "dev_build: %s: options too long",
+                       sources[n_sources - 1].name);
+    program =
+        clCreateProgramWithSource(d->context, (cl_uint)(2 * (n_sources + 1)), text, NULL, &code);
     if (code != CL_SUCCESS)
         return dev_fail(e, code, "dev_build", sources[n_sources - 1].name);
     code = clBuildProgram(program, 1, &d->device, flags, NULL, NULL);
@@ -364,17 +379,20 @@ enum err_code dev_kernel(cl_program program, const char *name, cl_kernel *out, s
     return ERR_OK;
 }
 
-/* ---- buffers ----------------------------------------------------------------------------------- */
+/* ---- buffers -----------------------------------------------------------------------------------
+ */
 
-enum err_code dev_buffer(struct dev *d, size_t size_bytes, const void *host, cl_mem *out, struct err *e)
+enum err_code dev_buffer(struct dev *d, size_t size_bytes, const void *host, cl_mem *out,
+                         struct err *e)
 {
     cl_int code = CL_SUCCESS;
     *out = NULL;
     if (size_bytes > SIZE_MAX - BUFFER_ROUND ||
         (size_bytes + BUFFER_ROUND - 1) / BUFFER_ROUND * BUFFER_ROUND > d->max_alloc_bytes)
-        return err_set(e, ERR_LIMIT,
-                       "dev_buffer: %zu bytes: %s allows %llu in one buffer; use smaller cells or images",
-                       size_bytes, d->name, (unsigned long long)d->max_alloc_bytes);
+        return err_set(
+            e, ERR_LIMIT,
+            "dev_buffer: %zu bytes: %s allows %llu in one buffer; use smaller cells or images",
+            size_bytes, d->name, (unsigned long long)d->max_alloc_bytes);
     size_t rounded = (size_bytes + BUFFER_ROUND - 1) / BUFFER_ROUND * BUFFER_ROUND;
     if (rounded == 0)
         rounded = BUFFER_ROUND;
@@ -408,16 +426,18 @@ enum err_code dev_read(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_by
 {
     if (n_bytes == 0)
         return ERR_OK;
-    cl_int code = clEnqueueReadBuffer(d->queue, m, CL_TRUE, offset_bytes, n_bytes, out, 0, NULL, NULL);
+    cl_int code =
+        clEnqueueReadBuffer(d->queue, m, CL_TRUE, offset_bytes, n_bytes, out, 0, NULL, NULL);
     return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_read", d->name);
 }
 
-enum err_code dev_write(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes, const void *in,
-                        struct err *e)
+enum err_code dev_write(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes,
+                        const void *in, struct err *e)
 {
     if (n_bytes == 0)
         return ERR_OK;
-    cl_int code = clEnqueueWriteBuffer(d->queue, m, CL_TRUE, offset_bytes, n_bytes, in, 0, NULL, NULL);
+    cl_int code =
+        clEnqueueWriteBuffer(d->queue, m, CL_TRUE, offset_bytes, n_bytes, in, 0, NULL, NULL);
     return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_write", d->name);
 }
 
@@ -425,14 +445,17 @@ enum err_code dev_zero(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_by
 {
     const cl_uint zero = 0;
     /* The pattern's size must divide offset and length: words where possible, else bytes. */
-    size_t pattern = offset_bytes % sizeof zero == 0 && n_bytes % sizeof zero == 0 ? sizeof zero : 1;
+    size_t pattern =
+        offset_bytes % sizeof zero == 0 && n_bytes % sizeof zero == 0 ? sizeof zero : 1;
     if (n_bytes == 0)
         return ERR_OK;
-    cl_int code = clEnqueueFillBuffer(d->queue, m, &zero, pattern, offset_bytes, n_bytes, 0, NULL, NULL);
+    cl_int code =
+        clEnqueueFillBuffer(d->queue, m, &zero, pattern, offset_bytes, n_bytes, 0, NULL, NULL);
     return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_zero", d->name);
 }
 
-/* ---- launches ---------------------------------------------------------------------------------- */
+/* ---- launches ----------------------------------------------------------------------------------
+ */
 
 enum err_code dev_run(struct dev *d, cl_kernel k, const char *name, size_t global, size_t local,
                       struct err *e)

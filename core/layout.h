@@ -1,5 +1,5 @@
-/* What host and kernels share: plain C that both an OpenCL 1.2 and a C17 compiler read. Sizes are asserted
- * on the host; a test asks the device for its own sizeof.
+/* What host and kernels share: plain C that both an OpenCL 1.2 and a C17 compiler read. Sizes are
+ * asserted on the host; a test asks the device for its own sizeof.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -19,14 +19,14 @@
 #define LAYOUT_LANES 16 /* Gaussians per group of the AoSoA-16 parameter layout */
 #define LAYOUT_TILE 16  /* pixels per tile edge */
 #define LAYOUT_BANDS 10 /* column ranges in a splat record */
-/* Work is cut into fixed pieces, never by the number of threads: orders and sums must not depend on it. */
-#define LAYOUT_PROJECT_GROUPS 64 /* groups per work-item of the per-Gaussian kernels when VW is 16 */
+/* Work is cut into fixed pieces, never by the number of threads: orders and sums must not vary. */
+#define LAYOUT_PROJECT_GROUPS 64 /* groups per work-item of per-Gaussian kernels, VW 16 */
 #define LAYOUT_SORT_CHUNKS 32
-#define LAYOUT_SORT_BITS 11 /* three passes cover a 32-bit key */
-#define LAYOUT_KEY_TILES 2047 /* low bits of a sort key: spent after the first pass, then tile counts */
+#define LAYOUT_SORT_BITS 11   /* three passes cover a 32-bit key */
+#define LAYOUT_KEY_TILES 2047 /* low key bits: spent after the first pass, then tile counts */
 #define LAYOUT_BIN_CHUNKS 32
-#define LAYOUT_DET_MAX 1e30f /* px^4: a 2-D covariance above is culled, long before float overflows */
-#define LAYOUT_DEPTH_MAX 1e10f /* m */
+#define LAYOUT_DET_MAX 1e30f    /* px^4: larger 2-D covariances are culled */
+#define LAYOUT_DEPTH_MAX 1e10f  /* m */
 #define LAYOUT_EXTENT_MAX 3.33f /* sigmas; sqrt(2 ln 255), the reach of an opaque splat */
 #define LAYOUT_RHO2_MIN 2.5e-5f /* floor of det S0 / det S: flat discs seen edge-on stay */
 
@@ -35,13 +35,14 @@
  * With d = mean - pixel centre, the exponent of its falloff in powers of two is
  *     e = opacity_log2 - u^2 - v^2,   u = p (d.x - x_of_y d.y),   v = r d.y,      alpha = 2^e,
  * that is the quadratic form 1/2 log2(e) d^T S^-1 d in Cholesky form, S the 2-D covariance with the
- * anti-aliasing kernel: x_of_y = S01/S11, r^2 = log2(e) / (2 S11), p^2 = log2(e) S11 / (2 det S). A sum of
- * squares cannot turn negative by rounding, however long and thin the splat is.
+ * anti-aliasing kernel: x_of_y = S01/S11, r^2 = log2(e) / (2 S11), p^2 = log2(e) S11 / (2 det S). A
+ * sum of squares cannot turn negative by rounding, however long and thin the splat is.
  *
  * The tiles it touches: rows row0 .. row0 + rows - 1 are cut into at most LAYOUT_BANDS bands of
- * ceil(rows / LAYOUT_BANDS) tile rows; band b has a first and a last byte, at bit 16 (b & 1) and 8 above of
- * bands[b / 2], and covers columns col0 + (first << shift) .. col0 + ((last + 1) << shift) - 1, clipped to
- * the picture, none where first > last. cover = row0 | col0 << 10 | (rows - 1) << 20 | shift << 30. */
+ * ceil(rows / LAYOUT_BANDS) tile rows; band b has a first and a last byte, at bit 16 (b & 1) and 8
+ * above of bands[b / 2], and covers the columns from col0 + (first << shift) to before
+ * col0 + ((last + 1) << shift), clipped to the picture, none where first > last.
+ *     cover = row0 | col0 << 10 | (rows - 1) << 20 | shift << 30 */
 struct layout_splat {
     float mean_x, mean_y; /* px */
     float p, x_of_y, r;
@@ -60,20 +61,21 @@ struct layout_view {
     float fx, fy, cx, cy;
     float lim_neg_x, lim_pos_x, lim_neg_y, lim_pos_y; /* clamp of x/z and y/z inside the Jacobian */
     float near_m;
-    float kernel_px2;    /* added to the diagonal of the 2-D covariance */
-    float half_max_px;   /* culled when larger than this and nearer than 4 near_m */
+    float kernel_px2;  /* added to the diagonal of the 2-D covariance */
+    float half_max_px; /* culled when larger than this and nearer than 4 near_m */
     float background[3];
     LAYOUT_U32 width, height, tiles_x, tiles_y;
-    LAYOUT_U32 n, groups, planes; /* planes of a group in the parameter layout, whatever sh_degree says */
+    LAYOUT_U32 n, groups, planes; /* planes of a group of parameters, whatever sh_degree says */
     LAYOUT_U32 sh_degree;         /* evaluated */
     LAYOUT_U32 compensate;        /* 1: opacity times rho = sqrt(det S0 / det S) */
     LAYOUT_U32 tile_cull;         /* 0: tiles of the bounding box instead of the exact ones */
 };
 
-/* Counts that the device finds in a frame; the host reads them once, before the entry lists are made. */
+/* Counts that the device finds in a frame; the host reads them once, before the entry lists are
+ * made. */
 struct layout_counts {
     LAYOUT_U64 entries;                           /* (splat, tile) pairs */
-    LAYOUT_U64 chunk_entries[LAYOUT_SORT_CHUNKS]; /* of each chunk of Gaussians; then where it starts */
+    LAYOUT_U64 chunk_entries[LAYOUT_SORT_CHUNKS]; /* of chunks of Gaussians; then their starts */
     LAYOUT_U32 visible, unused;
     LAYOUT_U32 bin_pairs[LAYOUT_BIN_CHUNKS]; /* entries of each chunk of the depth order */
 };

@@ -1,14 +1,15 @@
 // Stage: bin. Splats in depth order -> the list of each tile, in depth order.
 //   in   order [visible], keys [visible] (tile counts, see sort.cl), splats, slot_first, tiles_of
 //   out  tile_start [tiles + 1], entry_splat and entry_slot [entries]
-// A counting sort by tile. First the pairs of splat and tile are written out in depth order, row of tiles by
-// row (bin_expand: the only walk that reads records, at random, and the only one with short loops); then
-// two straight walks over the pairs count and place them. LAYOUT_BIN_CHUNKS fixed chunks of the depth order
-// work side by side: sums over chunks and tiles tell each where its part of each list begins.
+// A counting sort by tile. First the pairs of splat and tile are written out in depth order, row of
+// tiles by row (bin_expand: the only walk that reads records, at random, and the only one with
+// short loops); then two straight walks over the pairs count and place them. LAYOUT_BIN_CHUNKS
+// fixed chunks of the depth order work side by side: sums over chunks and tiles tell each where its
+// part of each list begins.
 //   pair_tile, pair_splat, pair_slot [entries]: the pairs in depth order
 //   bin_offset [chunk][stride], stride = tiles rounded up to 16
-// `cap` is the room for pairs. The host has made enough; nothing is written beyond whatever happens.
-// Local size 1: one work-item is one chunk.
+// `cap` is the room for pairs. The host has made enough; nothing is written beyond whatever
+// happens. Local size 1: one work-item is one chunk.
 
 #define AHEAD 16
 #define BURST 8 // pairs written at once; what is too many is overwritten by the next
@@ -44,10 +45,11 @@ inline uint2 bin_pairs(__global const struct layout_counts *counts, uint chunk, 
 }
 
 __kernel void bin_expand(__constant struct layout_view *view, __global const uint *order,
-                         __global const struct layout_splat *splats, __global const uint *slot_first,
+                         __global const struct layout_splat *splats,
+                         __global const uint *slot_first,
                          __global const struct layout_counts *counts, uint cap, uint stride,
-                         __global uint *pair_tile, __global uint *pair_splat, __global uint *pair_slot,
-                         __global uint *bin_offset)
+                         __global uint *pair_tile, __global uint *pair_splat,
+                         __global uint *pair_slot, __global uint *bin_offset)
 {
     uint chunk = (uint)get_global_id(0), tiles_x = view->tiles_x;
     uint2 range = bin_range(counts->visible, chunk), pairs = bin_pairs(counts, chunk, cap);
@@ -61,7 +63,8 @@ __kernel void bin_expand(__constant struct layout_view *view, __global const uin
         uint cover = s->cover, row = cover & 1023, col0 = (cover >> 10) & 1023;
         uint rows = ((cover >> 20) & 1023) + 1, shift = cover >> 30;
         uint step = rows <= LAYOUT_BANDS ? 1 : (rows + LAYOUT_BANDS - 1) / LAYOUT_BANDS;
-        for (uint end_row = row + rows, left = 0, n = 0, in_band = 0, band = 0; row < end_row; row++) {
+        for (uint end_row = row + rows, left = 0, n = 0, in_band = 0, band = 0; row < end_row;
+             row++) {
             if (in_band == 0) {
                 uint pair = (s->bands[band >> 1] >> (16 * (band & 1))) & 0xFFFF;
                 uint first = pair & 255, last = pair >> 8;
@@ -94,7 +97,8 @@ __kernel void bin_expand(__constant struct layout_view *view, __global const uin
         count[pair_tile[k]]++;
 }
 
-// One work-item per 16 tiles: sums over the chunks; tile_start holds the length of each list afterwards.
+// One work-item per 16 tiles: sums over the chunks; tile_start holds the length of each list
+// afterwards.
 __kernel void bin_sum(uint stride, __global uint *bin_offset, __global uint *tile_start)
 {
     uint t = (uint)get_global_id(0) * 16;

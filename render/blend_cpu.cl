@@ -1,26 +1,30 @@
 // Stage: blend, CPU shape. One work-item draws one tile of 16x16 pixels.
 //   in   tile_start, entry_splat, splats
 //   out  color [3][h][w] with background, transmit [h][w]
-// The tile is 16 blocks of 4x4 pixels, a block is one float16. Entries come in batches of 64: their records
-// are copied into a private array first, so that the cache misses overlap (those of the next batch are asked
-// for at the same time); then, 16 entries at a time, the least exponent over each block's pixel centres
-// tells which blocks an entry can touch at all; then each entry visits those blocks. A pixel stops when its
-// transmittance falls to 1e-4 (the splat that does it is still blended), a block when all its pixels have,
-// the tile when all its blocks have.
+// The tile is 16 blocks of 4x4 pixels, a block is one float16. Entries come in batches of 64: their
+// records are copied into a private array first, so that the cache misses overlap (those of the
+// next batch are asked for at the same time); then, 16 entries at a time, the least exponent over
+// each block's pixel centres tells which blocks an entry can touch at all; then each entry visits
+// those blocks. A pixel stops when its transmittance falls to 1e-4 (the splat that does it is still
+// blended), a block when all its pixels have, the tile when all its blocks have.
+//
 // Reference: render_ref_forward. Same order of blending, no atomics.
 
 #define BATCH 64
 #define CHECK_EVERY 16
 
-// Block k is column k & 3, row k >> 2 of the tile; lane i of it column i & 3, row i >> 2 of the block.
-__constant float16 BLOCK_X[4] = {(float16)(0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3),
-                                 (float16)(4, 5, 6, 7, 4, 5, 6, 7, 4, 5, 6, 7, 4, 5, 6, 7),
-                                 (float16)(8, 9, 10, 11, 8, 9, 10, 11, 8, 9, 10, 11, 8, 9, 10, 11),
-                                 (float16)(12, 13, 14, 15, 12, 13, 14, 15, 12, 13, 14, 15, 12, 13, 14, 15)};
-__constant float16 BLOCK_Y[4] = {(float16)(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3),
-                                 (float16)(4, 4, 4, 4, 5, 5, 5, 5, 6, 6, 6, 6, 7, 7, 7, 7),
-                                 (float16)(8, 8, 8, 8, 9, 9, 9, 9, 10, 10, 10, 10, 11, 11, 11, 11),
-                                 (float16)(12, 12, 12, 12, 13, 13, 13, 13, 14, 14, 14, 14, 15, 15, 15, 15)};
+// Block k is column k & 3, row k >> 2 of the tile; lane i of it column i & 3, row i >> 2 of the
+// block.
+__constant float16 BLOCK_X[4] = {
+    (float16)(0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3),
+    (float16)(4, 5, 6, 7, 4, 5, 6, 7, 4, 5, 6, 7, 4, 5, 6, 7),
+    (float16)(8, 9, 10, 11, 8, 9, 10, 11, 8, 9, 10, 11, 8, 9, 10, 11),
+    (float16)(12, 13, 14, 15, 12, 13, 14, 15, 12, 13, 14, 15, 12, 13, 14, 15)};
+__constant float16 BLOCK_Y[4] = {
+    (float16)(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3),
+    (float16)(4, 4, 4, 4, 5, 5, 5, 5, 6, 6, 6, 6, 7, 7, 7, 7),
+    (float16)(8, 8, 8, 8, 9, 9, 9, 9, 10, 10, 10, 10, 11, 11, 11, 11),
+    (float16)(12, 12, 12, 12, 13, 13, 13, 13, 14, 14, 14, 14, 15, 15, 15, 15)};
 
 // Offset mean - pixel in block k; the mean is relative to the tile's first pixel centre.
 inline float16 block_dx(float mean, uint k)
@@ -59,9 +63,9 @@ inline void blend_transpose(float16 w[16])
     }
 }
 
-// Bit b of mask[j]: entry j reaches 1/255 somewhere in the rectangle of pixel centres of block b. The least
-// of the quadratic form over a rectangle is at the mean, if it is inside, or on an edge that faces it; the
-// margin covers the difference in rounding to the evaluation per pixel.
+// Bit b of mask[j]: entry j reaches 1/255 somewhere in the rectangle of pixel centres of block b.
+// The least of the quadratic form over a rectangle is at the mean, if it is inside, or on an edge
+// that faces it; the margin covers the difference in rounding to the evaluation per pixel.
 inline void blend_masks(const float *records, float x0, float y0, uint tile_cull, uint *mask)
 {
     float16 w[16];
@@ -69,7 +73,8 @@ inline void blend_masks(const float *records, float x0, float y0, uint tile_cull
     for (int j = 0; j < 16; j++)
         w[j] = vload16(j, records);
     blend_transpose(w);
-    float16 mx = w[MEAN_X] - x0, my = w[MEAN_Y] - y0, reach = w[OPACITY_LOG2] + (4e-3f - ALPHA_MIN_LOG2);
+    float16 mx = w[MEAN_X] - x0, my = w[MEAN_Y] - y0,
+            reach = w[OPACITY_LOG2] + (4e-3f - ALPHA_MIN_LOG2);
     uint16 bits = (uint16)(0);
 #pragma unroll
     for (int by = 0; by < 4; by++) {
@@ -78,7 +83,8 @@ inline void blend_masks(const float *records, float x0, float y0, uint tile_cull
         v2 *= v2;
 #pragma unroll
         for (int bx = 0; bx < 4; bx++) {
-            float16 left = (float)(4 * bx) - mx, right = left + 3.0f, near_x = CLAMP_(0.0f, left, right);
+            float16 left = (float)(4 * bx) - mx, right = left + 3.0f,
+                    near_x = CLAMP_(0.0f, left, right);
             float16 y = w[Y_OF_X] * near_x;
             y = CLAMP_(y, top, bottom);
             float16 x = CLAMP_(lean, left, right);
@@ -127,8 +133,8 @@ inline uint blend_active(const struct blend_state *s, uint active)
 }
 
 // Planes of the picture from blocks; pixels beyond its edge are skipped.
-inline void blend_store(__constant struct layout_view *view, const float16 blocks[16], uint px, uint py,
-                        __global float *plane)
+inline void blend_store(__constant struct layout_view *view, const float16 blocks[16], uint px,
+                        uint py, __global float *plane)
 {
     uint width = view->width, height = view->height;
     for (uint k = 0; k < 16; k++) {

@@ -1,10 +1,10 @@
 // Stage: blend, GPU shape. One work-group draws one tile, one work-item one pixel.
 //   in   tile_start, entry_splat, splats
 //   out  color [3][h][w] with background, transmit [h][w]
-// Entries come in batches of 256: each work-item fetches one record into local memory (9 KiB), then all walk
-// the batch. The group leaves when every pixel has stopped. Three barriers a batch, reached by all.
-// Same maths and order per pixel as blend_cpu.cl; only the skipping of blocks is missing.
-// Reference: render_ref_forward.
+// Entries come in batches of 256: each work-item fetches one record into local memory (9 KiB), then
+// all walk the batch. The group leaves when every pixel has stopped. Three barriers a batch,
+// reached by all. Same maths and order per pixel as blend_cpu.cl; only the skipping of blocks is
+// missing. Reference: render_ref_forward.
 
 #define TILE_PIXELS (LAYOUT_TILE * LAYOUT_TILE)
 
@@ -51,7 +51,8 @@ blend(__constant struct layout_view *view, __global const struct layout_splat *s
         uint n = min(end - at, (uint)TILE_PIXELS);
         for (uint j = 0; j < n && t > T_STOP; j++) {
             __local const struct blend_record *w = staged + j;
-            float a = splat_raw(w->mean_x - px, w->mean_y - py, w->p, w->x_of_y, w->r, w->opacity_log2);
+            float a =
+                splat_raw(w->mean_x - px, w->mean_y - py, w->p, w->x_of_y, w->r, w->opacity_log2);
             a = MIN_(a, ALPHA_MAX);
             float share = a * t;
             t = t - share;

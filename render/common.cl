@@ -1,10 +1,12 @@
-// First source of every program of render/: the vector type, and the maths that forward and backward must
-// agree on to the last bit (what a splat is on the screen, and what it does to a pixel).
+// First source of every program of render/: the vector type, and the maths that forward and
+// backward must agree on to the last bit (what a splat is on the screen, and what it does to a
+// pixel).
 //
-// VW 16 (CPUs): V is float16; one work-item handles whole groups of 16 Gaussians, or blocks of 4x4 pixels.
-// VW 1 (GPUs): V is float; one work-item is one Gaussian or one pixel.
-// Masks are what comparisons return (-1 in vectors, 1 in scalars): combine them with & and |, choose with
-// ?:, which is right for both. Write a * b + c in one expression: the compiler fuses it where it can.
+// VW 16 (CPUs): V is float16; one work-item handles whole groups of 16 Gaussians, or blocks of 4x4
+// pixels. VW 1 (GPUs): V is float; one work-item is one Gaussian or one pixel. Masks are what
+// comparisons return (-1 in vectors, 1 in scalars): combine them with & and |, choose with
+// ?:, which is right for both. Write a * b + c in one expression: the compiler fuses it where it
+// can.
 
 #if VW == 16
 typedef float16 V;
@@ -23,8 +25,9 @@ typedef uint16 VU;
 typedef float V;
 typedef int VI;
 typedef uint VU;
-#define LD(p, plane) ((p)[(plane) * LAYOUT_LANES]) // p: the lane's place in the first plane of its group
-#define ST(p, plane, v) ((p)[(plane) * LAYOUT_LANES] = (v))
+#define LD(p, plane)                                                                               \
+    ((p)[(plane)*LAYOUT_LANES]) // p: the lane's place in the first plane of its group
+#define ST(p, plane, v) ((p)[(plane)*LAYOUT_LANES] = (v))
 #define ANY(m) (m)
 #define AS_V as_float
 #define AS_VI as_int
@@ -33,7 +36,8 @@ typedef uint VU;
 #define TO_VI convert_int
 #define LANE 0
 #endif
-// One instruction each, where fmin and fmax need several to treat NaN by the book. NaN in a gives b.
+// One instruction each, where fmin and fmax need several to treat NaN by the book. NaN in a gives
+// b.
 #define MIN_(a, b) ((a) < (b) ? (a) : (b))
 #define MAX_(a, b) ((a) > (b) ? (a) : (b))
 #define CLAMP_(x, lo, hi) MIN_(MAX_(x, lo), hi)
@@ -51,8 +55,8 @@ typedef uint VU;
 #define ALPHA_MIN_LOG2 -7.99435343685886f // log2(1/255)
 #define T_STOP 1e-4f
 
-// 2^x for x in [-126, 127], relative error 1.5e-7: rounding by adding 1.5 * 2^23, then a polynomial for the
-// fraction in [-1/2, 1/2] (minimax, 7.5e-8). Needs IEEE addition, that is no fast-math.
+// 2^x for x in [-126, 127], relative error 1.5e-7: rounding by adding 1.5 * 2^23, then a polynomial
+// for the fraction in [-1/2, 1/2] (minimax, 7.5e-8). Needs IEEE addition, that is no fast-math.
 INLINE V exp2_v(V x)
 {
     V r = x + 12582912.0f, f = x - (r - 12582912.0f);
@@ -76,14 +80,14 @@ INLINE V splat_raw(V dx, V dy, float p, float x_of_y, float r, float opacity_log
 
 // A Gaussian as the camera sees it; names as in render_ref.h. Lanes that are culled hold anything.
 struct seen {
-    V cam[3];      // t = W mu + d
+    V cam[3];                   // t = W mu + d
     V qw, qx, qy, qz, quat_len; // normalised; length before, at least 1e-12
-    V rot[9];      // R, row-major
-    V scale[3];    // sigma
+    V rot[9];                   // R, row-major
+    V scale[3];                 // sigma
     V inv_z;
-    V clamped[2];  // t'x / z, t'y / z
-    V jw[6];       // J W, 2 x 3
-    V pr[6];       // P = J W R, 2 x 3, before scaling by sigma
+    V clamped[2];    // t'x / z, t'y / z
+    V jw[6];         // J W, 2 x 3
+    V pr[6];         // P = J W R, 2 x 3, before scaling by sigma
     V s00, s01, s11; // S, kernel included
     V det0, det;
     V opacity, rho; // sigmoid; compensation
@@ -150,7 +154,8 @@ INLINE VI seen_ellipse(__constant struct layout_view *v, __global const float *g
     V c11 = p[3] * p[3] + (p[4] * p[4] + p[5] * p[5]);
     s->s01 = p[0] * p[3] + (p[1] * p[4] + p[2] * p[5]);
     // det S0 by Cauchy-Binet, a sum of squares: no cancellation for needles.
-    V m01 = p[0] * p[4] - p[1] * p[3], m02 = p[0] * p[5] - p[2] * p[3], m12 = p[1] * p[5] - p[2] * p[4];
+    V m01 = p[0] * p[4] - p[1] * p[3], m02 = p[0] * p[5] - p[2] * p[3],
+      m12 = p[1] * p[5] - p[2] * p[4];
     s->det0 = m01 * m01 + (m02 * m02 + m12 * m12);
     s->det = s->det0 + v->kernel_px2 * ((c00 + c11) + v->kernel_px2);
     s->s00 = c00 + v->kernel_px2;
@@ -175,7 +180,8 @@ INLINE void seen_direction(__constant struct layout_view *v, __global const floa
     dir[2] = z * k;
 }
 
-// Real spherical harmonics, the signs of 3D Gaussian Splatting, up to `degree`; (degree + 1)^2 values.
+// Real spherical harmonics, the signs of 3D Gaussian Splatting, up to `degree`; (degree + 1)^2
+// values.
 INLINE void sh_basis(const V dir[3], uint degree, V out[16])
 {
     V x = dir[0], y = dir[1], z = dir[2];

@@ -1,17 +1,18 @@
 /* Inside of render/: what forward leaves on the device for backward, and what both share.
  *
  * Only render/ includes this (and its tests). Life of a frame, all on one in-order queue:
- *   project  params -> splats, depth_key, tiles           one record, key and tile count per Gaussian
- *   sort     depth_key -> order, slot_first               32-bit LSD radix over fixed chunks, ties by index
- *   bin      order -> tile_start, entry_splat, entry_slot entries of a tile in depth order
- *   blend    -> color, transmit                           one work-item per tile on CPUs, one work-group on GPUs
- * No count depends on the number of threads and nothing is added by atomics, so the same input gives the
- * same bits.
+ *   project  params -> splats, depth_key, tiles           one record, key and tile count per
+ * Gaussian sort     depth_key -> order, slot_first               32-bit LSD radix over fixed
+ * chunks, ties by index bin      order -> tile_start, entry_splat, entry_slot entries of a tile in
+ * depth order blend    -> color, transmit                           one work-item per tile on CPUs,
+ * one work-group on GPUs No count depends on the number of threads and nothing is added by atomics,
+ * so the same input gives the same bits.
  *
- * Slots: Gaussian g owns slots slot_first[g] .. slot_first[g] + tiles[g] - 1, one per tile it touches, in
- * row-major order of those tiles; Gaussians are numbered in index order, so a gather over Gaussians walks
- * the slots from front to back. Backward writes what the pair (splat, tile) contributed to its slot (and a
- * flag, since entries behind the stop are never visited) and sums per Gaussian in slot order.
+ * Slots: Gaussian g owns slots slot_first[g] .. slot_first[g] + tiles[g] - 1, one per tile it
+ * touches, in row-major order of those tiles; Gaussians are numbered in index order, so a gather
+ * over Gaussians walks the slots from front to back. Backward writes what the pair (splat, tile)
+ * contributed to its slot (and a flag, since entries behind the stop are never visited) and sums
+ * per Gaussian in slot order.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -25,8 +26,8 @@ struct frame_buffer { /* grows, never shrinks */
     cl_mem mem;
     size_t cap_bytes;
 };
-/* Make b at least n_bytes large; contents are lost when it grows (by half at least, within the device's
- * limit). */
+/* Make b at least n_bytes large; contents are lost when it grows (by half at least, within the
+ * device's limit). */
 enum err_code frame_reserve(struct render *r, struct frame_buffer *b, size_t n_bytes,
                             struct err *e) ERR_USE;
 
@@ -47,14 +48,17 @@ struct render {
     struct frame_buffer slot_first; /* uint */
 
     /* scratch of the sort and the result */
-    struct frame_buffer keys[2], ids[2]; /* uint [n]; depth order ends in ids[0], tile counts in keys[0] */
-    struct frame_buffer histogram;       /* uint [digits][LAYOUT_SORT_CHUNKS] */
-    cl_mem counts;                       /* struct layout_counts[1] */
+    struct frame_buffer keys[2],
+        ids[2]; /* uint [n]; depth order ends in ids[0], tile counts in keys[0] */
+    struct frame_buffer histogram; /* uint [digits][LAYOUT_SORT_CHUNKS] */
+    cl_mem counts;                 /* struct layout_counts[1] */
 
     /* per tile and per entry */
-    struct frame_buffer pair_tile, pair_splat, pair_slot; /* uint [entries]: all pairs in depth order */
-    struct frame_buffer bin_offset;  /* uint [LAYOUT_BIN_CHUNKS][tiles rounded up to 16] */
-    struct frame_buffer tile_start;  /* uint [.. + 1]: entries of tile t are [start[t], start[t + 1]) */
+    struct frame_buffer pair_tile, pair_splat,
+        pair_slot;                  /* uint [entries]: all pairs in depth order */
+    struct frame_buffer bin_offset; /* uint [LAYOUT_BIN_CHUNKS][tiles rounded up to 16] */
+    struct frame_buffer
+        tile_start; /* uint [.. + 1]: entries of tile t are [start[t], start[t + 1]) */
     struct frame_buffer entry_splat; /* uint [entries]: index of the Gaussian (and of its record) */
     struct frame_buffer entry_slot;  /* uint [entries] */
 
@@ -64,10 +68,11 @@ struct render {
     struct frame_buffer color_grad; /* float [3][h][w] planar, dL/dcolor */
 
     /* -- programs ------------------------------------------------------------------------------ */
-    cl_program program; /* forward: layout.h common.cl project.cl sort.cl bin.cl blend_cpu.cl or _gpu */
+    cl_program
+        program; /* forward: layout.h common.cl project.cl sort.cl bin.cl blend_cpu.cl or _gpu */
     struct frame_kernels {
-        cl_kernel project, sort_count, sort_scan, sort_scatter, bin_total, bin_expand, bin_sum, bin_scan,
-            bin_scatter, blend;
+        cl_kernel project, sort_count, sort_scan, sort_scatter, bin_total, bin_expand, bin_sum,
+            bin_scan, bin_scatter, blend;
     } k;
 
     /* -- the other direction: made by render_backward.c on first use, freed by render_close through
@@ -76,13 +81,13 @@ struct render {
     void (*backward_free)(struct render *r);
 
     struct render_stats stats;
-    bool timing;        /* finish the queue after every stage and fill stats.ms_*: render_set_timing */
-    bool box_tiles;     /* tile culling off: the ablation, and the test that culling changes nothing */
+    bool timing;    /* finish the queue after every stage and fill stats.ms_*: render_set_timing */
+    bool box_tiles; /* tile culling off: the ablation, and the test that culling changes nothing */
     uint64_t entry_max; /* ERR_LIMIT above; what 32-bit slots and the device's buffers allow */
 };
 
-/* Number of work-items of a per-Gaussian kernel over `groups` groups, and the local size to launch it with:
- * VW 16: one item per LAYOUT_PROJECT_GROUPS groups; VW 1: one item per Gaussian. */
+/* Number of work-items of a per-Gaussian kernel over `groups` groups, and the local size to launch
+ * it with: VW 16: one item per LAYOUT_PROJECT_GROUPS groups; VW 1: one item per Gaussian. */
 size_t frame_items(const struct render *r, uint32_t groups, size_t *local);
 
 /* Set all arguments of a kernel and launch it:
@@ -91,12 +96,16 @@ struct frame_arg {
     size_t size;
     const void *value;
 };
-#define FRAME_ARG(v) {sizeof(v), &(v)}
+#define FRAME_ARG(v)                                                                               \
+    {                                                                                              \
+        sizeof(v), &(v)                                                                            \
+    }
 #define FRAME_ARGS(...)                                                                            \
     (const struct frame_arg[]){__VA_ARGS__},                                                       \
         sizeof((const struct frame_arg[]){__VA_ARGS__}) / sizeof(struct frame_arg)
-enum err_code frame_run(struct render *r, cl_kernel k, const char *name, const struct frame_arg *args,
-                        size_t n_args, size_t global, size_t local, struct err *e) ERR_USE;
+enum err_code frame_run(struct render *r, cl_kernel k, const char *name,
+                        const struct frame_arg *args, size_t n_args, size_t global, size_t local,
+                        struct err *e) ERR_USE;
 
 extern const char common_cl[]; /* first source of every program of render/ after core/layout.h */
 

@@ -1,13 +1,14 @@
 // Stage: project. Gaussians -> splat records, depth keys, tile counts.
 //   in   params [groups][planes][16]
-//   out  splats [groups * 16] (only where visible), depth_key (bits of depth, ~0 where culled), tiles_of
-// Culling comes in steps, cheapest first, and a whole group leaves as soon as no lane of it is left; the
-// spherical harmonics, three quarters of the bytes, are read last.
+//   out  splats [groups * 16] (only where visible), depth_key (bits of depth, ~0 where culled),
+//   tiles_of
+// Culling comes in steps, cheapest first, and a whole group leaves as soon as no lane of it is
+// left; the spherical harmonics, three quarters of the bytes, are read last.
 //
-// Tiles: alpha >= 1/255 inside the ellipse u^2 + v^2 <= opacity_log2 + log2(255) = L. Over a band of tile
-// rows the columns that it touches are those between its leftmost and rightmost point within the band, which
-// take two square roots (AccuTile, Hanson et al. 2025, in rows of tiles). A margin of 0.01 px covers the
-// rounding, so that no pixel is lost that blending would have drawn.
+// Tiles: alpha >= 1/255 inside the ellipse u^2 + v^2 <= opacity_log2 + log2(255) = L. Over a band
+// of tile rows the columns that it touches are those between its leftmost and rightmost point
+// within the band, which take two square roots (AccuTile, Hanson et al. 2025, in rows of tiles). A
+// margin of 0.01 px covers the rounding, so that no pixel is lost that blending would have drawn.
 //
 // Reference: ref_project in render_ref.c.
 
@@ -32,8 +33,8 @@ struct coverage {
 };
 
 // The tiles of an ellipse; `reach` is L. Lanes that are not visible hold anything.
-INLINE void project_tiles(__constant struct layout_view *v, V mx, V my, V p, V x_of_y, V r, V y_of_x,
-                          V reach, V hx, V hy, struct coverage *c)
+INLINE void project_tiles(__constant struct layout_view *v, V mx, V my, V p, V x_of_y, V r,
+                          V y_of_x, V reach, V hx, V hy, struct coverage *c)
 {
     VI row0 = tile_first(my - hy, v->tiles_y), row1 = tile_last(my + hy, v->tiles_y);
     VI col0 = tile_first(mx - hx, v->tiles_x), col1 = tile_last(mx + hx, v->tiles_x);
@@ -49,7 +50,8 @@ INLINE void project_tiles(__constant struct layout_view *v, V mx, V my, V p, V x
         VI top = row0 + b * step, bottom = MIN_(top + step - 1, row1);
         if (!ANY(top <= row1))
             break;
-        V y0 = TO_V(top) * LAYOUT_TILE + 0.5f - my, y1 = TO_V(bottom) * LAYOUT_TILE + (LAYOUT_TILE - 0.5f) - my;
+        V y0 = TO_V(top) * LAYOUT_TILE + 0.5f - my,
+          y1 = TO_V(bottom) * LAYOUT_TILE + (LAYOUT_TILE - 0.5f) - my;
         V yr = CLAMP_(y_right, y0, y1), yl = CLAMP_(-y_right, y0, y1);
         V wr = reach - (r * yr) * (r * yr), wl = reach - (r * yl) * (r * yl);
         wr = sqrt(MAX_(wr, 0.0f)) * inv_p;
@@ -63,7 +65,8 @@ INLINE void project_tiles(__constant struct layout_view *v, V mx, V my, V p, V x
         first = MAX_(first, col0) - col0; // rounding may put them just outside the box
         last = MIN_(last, col1) - col0;
         last = top <= row1 ? last : (VI)(-1);
-        VI f = first >> shift, l = last >> shift, end = MIN_((l + 1) << shift, (VI)((int)v->tiles_x) - col0);
+        VI f = first >> shift, l = last >> shift,
+           end = MIN_((l + 1) << shift, (VI)((int)v->tiles_x) - col0);
         VI count = (end - (f << shift)) * (bottom - top + 1), pair = f + (l << 8);
         c->tiles += first <= last ? count : (VI)(0);
         pair = first <= last ? pair : (VI)(255); // first 255, last 0: none
@@ -141,7 +144,8 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
     V lo = log(s.opacity * s.rho) * LOG2E, reach = lo - ALPHA_MIN_LOG2;
     V sigmas2 = (reach > 0.0f ? reach : (V)(0.0f)) * (2.0f / LOG2E);
     V hx = sqrt(sigmas2 * s.s00), hy = sqrt(sigmas2 * s.s11), largest = MAX_(hx, hy);
-    live &= (mx + hx > 0.0f) & (mx - hx < (float)v->width) & (my + hy > 0.0f) & (my - hy < (float)v->height);
+    live &= (mx + hx > 0.0f) & (mx - hx < (float)v->width) & (my + hy > 0.0f) &
+            (my - hy < (float)v->height);
     live &= (s.cam[2] >= 4.0f * v->near_m) | (largest <= v->half_max_px);
     if (!ANY(live))
         return;
@@ -151,8 +155,22 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
     live &= c.tiles > 0;
     if (!ANY(live))
         return;
-    V w[16] = {mx, my, p, x_of_y, r, lo, mx, mx, mx, y_of_x, AS_V(c.cover),
-               AS_V(c.bands[0]), AS_V(c.bands[1]), AS_V(c.bands[2]), AS_V(c.bands[3]), AS_V(c.bands[4])};
+    V w[16] = {mx,
+               my,
+               p,
+               x_of_y,
+               r,
+               lo,
+               mx,
+               mx,
+               mx,
+               y_of_x,
+               AS_V(c.cover),
+               AS_V(c.bands[0]),
+               AS_V(c.bands[1]),
+               AS_V(c.bands[2]),
+               AS_V(c.bands[3]),
+               AS_V(c.bands[4])};
     project_color(v, g, w + 6);
     project_store(splats + index, w, live);
     *key = live ? AS_VU(s.cam[2]) : (VU)(0xFFFFFFFFu);
@@ -168,11 +186,12 @@ __kernel void project(__constant struct layout_view *view, __global const float 
     size_t end = min((item + 1) * LAYOUT_PROJECT_GROUPS, (size_t)view->groups);
     for (size_t group = item * LAYOUT_PROJECT_GROUPS; group < end; group++) {
         VU key, tiles;
-        __global const float *ahead = params + min(group + 2, end - 1) * view->planes * LAYOUT_LANES;
+        __global const float *ahead =
+            params + min(group + 2, end - 1) * view->planes * LAYOUT_LANES;
         for (uint plane = 0; plane < 11; plane++) // all but the colour, which streams behind them
             PREFETCH(ahead + plane * LAYOUT_LANES);
-        project_some(view, params + group * view->planes * LAYOUT_LANES, (uint)group * LAYOUT_LANES, splats,
-                     &key, &tiles);
+        project_some(view, params + group * view->planes * LAYOUT_LANES, (uint)group * LAYOUT_LANES,
+                     splats, &key, &tiles);
         vstore16(key, group, depth_key);
         vstore16(tiles, group, tiles_of);
     }
@@ -180,7 +199,8 @@ __kernel void project(__constant struct layout_view *view, __global const float 
     if (item < (size_t)view->groups * LAYOUT_LANES) {
         VU key, tiles;
         project_some(view,
-                     params + (item / LAYOUT_LANES) * view->planes * LAYOUT_LANES + item % LAYOUT_LANES,
+                     params + (item / LAYOUT_LANES) * view->planes * LAYOUT_LANES +
+                         item % LAYOUT_LANES,
                      (uint)item, splats, &key, &tiles);
         depth_key[item] = key;
         tiles_of[item] = tiles;

@@ -1,9 +1,9 @@
 /* The forward pass on the device: programs, buffers, and the order of launches of a frame.
  *
- * Buffers belong to struct render, grow by half when a frame needs more and are kept. The host waits once
- * within a frame, to learn how many (splat, tile) pairs there are before making the lists; nothing is ever
- * written beyond a buffer and nothing is drawn from a list cut short. render/frame.h tells what each stage
- * leaves behind, render_ref.c what the picture is.
+ * Buffers belong to struct render, grow by half when a frame needs more and are kept. The host
+ * waits once within a frame, to learn how many (splat, tile) pairs there are before making the
+ * lists; nothing is ever written beyond a buffer and nothing is drawn from a list cut short.
+ * render/frame.h tells what each stage leaves behind, render_ref.c what the picture is.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,7 +18,8 @@ extern const char project_cl[], sort_cl[], bin_cl[], blend_cpu_cl[], blend_gpu_c
 
 enum { SIZE_MAX_PX = 16384, RADIX_PASSES = 3 };
 
-/* ---- pieces shared with render_backward.c ------------------------------------------------------- */
+/* ---- pieces shared with render_backward.c -------------------------------------------------------
+ */
 
 enum err_code frame_reserve(struct render *r, struct frame_buffer *b, size_t n_bytes, struct err *e)
 {
@@ -47,8 +48,9 @@ size_t frame_items(const struct render *r, uint32_t groups, size_t *local)
     return (size_t)groups * LAYOUT_LANES;
 }
 
-enum err_code frame_run(struct render *r, cl_kernel k, const char *name, const struct frame_arg *args,
-                        size_t n_args, size_t global, size_t local, struct err *e)
+enum err_code frame_run(struct render *r, cl_kernel k, const char *name,
+                        const struct frame_arg *args, size_t n_args, size_t global, size_t local,
+                        struct err *e)
 {
     for (size_t i = 0; i < n_args; i++) {
         cl_int code = clSetKernelArg(k, (cl_uint)i, args[i].size, args[i].value);
@@ -58,7 +60,8 @@ enum err_code frame_run(struct render *r, cl_kernel k, const char *name, const s
     return dev_run(r->dev, k, name, global, local, e);
 }
 
-/* ---- open, close ----------------------------------------------------------------------------------- */
+/* ---- open, close
+ * ----------------------------------------------------------------------------------- */
 
 static enum err_code render_build(struct render *r, struct err *e)
 {
@@ -72,12 +75,13 @@ static enum err_code render_build(struct render *r, struct err *e)
     struct {
         const char *name;
         cl_kernel *to;
-    } kernels[] = {{"project", &r->k.project},       {"sort_count", &r->k.sort_count},
-                   {"sort_scan", &r->k.sort_scan},   {"sort_scatter", &r->k.sort_scatter},
-                   {"bin_total", &r->k.bin_total},   {"bin_expand", &r->k.bin_expand},
-                   {"bin_sum", &r->k.bin_sum},       {"bin_scan", &r->k.bin_scan},
+    } kernels[] = {{"project", &r->k.project},         {"sort_count", &r->k.sort_count},
+                   {"sort_scan", &r->k.sort_scan},     {"sort_scatter", &r->k.sort_scatter},
+                   {"bin_total", &r->k.bin_total},     {"bin_expand", &r->k.bin_expand},
+                   {"bin_sum", &r->k.bin_sum},         {"bin_scan", &r->k.bin_scan},
                    {"bin_scatter", &r->k.bin_scatter}, {"blend", &r->k.blend}};
-    enum err_code rc = dev_build(r->dev, sources, sizeof sources / sizeof *sources, NULL, &r->program, e);
+    enum err_code rc =
+        dev_build(r->dev, sources, sizeof sources / sizeof *sources, NULL, &r->program, e);
     for (size_t i = 0; rc == ERR_OK && i < sizeof kernels / sizeof *kernels; i++)
         rc = dev_kernel(r->program, kernels[i].name, kernels[i].to, e);
     return rc;
@@ -112,14 +116,14 @@ void render_close(struct render **rp)
     if (r->backward_free)
         r->backward_free(r);
     struct frame_buffer *buffers[] = {
-        &r->splats,    &r->depth_key, &r->tiles_of,  &r->slot_first, &r->keys[0],     &r->keys[1],
-        &r->ids[0],    &r->ids[1],    &r->histogram, &r->pair_tile,  &r->pair_splat,  &r->pair_slot,
-        &r->bin_offset, &r->tile_start, &r->entry_splat, &r->entry_slot, &r->color,   &r->transmit,
-        &r->color_grad};
+        &r->splats,     &r->depth_key, &r->tiles_of,   &r->slot_first, &r->keys[0],
+        &r->keys[1],    &r->ids[0],    &r->ids[1],     &r->histogram,  &r->pair_tile,
+        &r->pair_splat, &r->pair_slot, &r->bin_offset, &r->tile_start, &r->entry_splat,
+        &r->entry_slot, &r->color,     &r->transmit,   &r->color_grad};
     for (size_t i = 0; i < sizeof buffers / sizeof *buffers; i++)
         dev_release(&buffers[i]->mem);
-    cl_kernel kernels[] = {r->k.project,   r->k.sort_count, r->k.sort_scan, r->k.sort_scatter,
-                           r->k.bin_total, r->k.bin_expand, r->k.bin_sum,   r->k.bin_scan,
+    cl_kernel kernels[] = {r->k.project,     r->k.sort_count, r->k.sort_scan, r->k.sort_scatter,
+                           r->k.bin_total,   r->k.bin_expand, r->k.bin_sum,   r->k.bin_scan,
                            r->k.bin_scatter, r->k.blend};
     for (size_t i = 0; i < sizeof kernels / sizeof *kernels; i++)
         if (kernels[i])
@@ -132,20 +136,24 @@ void render_close(struct render **rp)
     *rp = NULL;
 }
 
-/* ---- the view --------------------------------------------------------------------------------------- */
+/* ---- the view
+ * --------------------------------------------------------------------------------------- */
 
 static enum err_code view_check(const struct camera *c, struct err *e)
 {
-    bool finite = isfinite(c->cx_px) && isfinite(c->cy_px) && isfinite(c->fx_px) && isfinite(c->fy_px);
+    bool finite =
+        isfinite(c->cx_px) && isfinite(c->cy_px) && isfinite(c->fx_px) && isfinite(c->fy_px);
     for (int i = 0; i < 9; i++)
         finite = finite && isfinite(c->rot[i]);
     for (int i = 0; i < 3; i++)
         finite = finite && isfinite(c->trans[i]);
-    if (c->width_px < 1 || c->height_px < 1 || c->width_px > SIZE_MAX_PX || c->height_px > SIZE_MAX_PX)
-        return err_set(e, ERR_ARG, "render_forward: picture of %u x %u: sizes are 1 to %d", c->width_px,
-                       c->height_px, SIZE_MAX_PX);
+    if (c->width_px < 1 || c->height_px < 1 || c->width_px > SIZE_MAX_PX ||
+        c->height_px > SIZE_MAX_PX)
+        return err_set(e, ERR_ARG, "render_forward: picture of %u x %u: sizes are 1 to %d",
+                       c->width_px, c->height_px, SIZE_MAX_PX);
     if (!finite || !(c->fx_px > 0) || !(c->fy_px > 0))
-        return err_set(e, ERR_ARG, "render_forward: camera: not finite, or focal length not positive");
+        return err_set(e, ERR_ARG,
+                       "render_forward: camera: not finite, or focal length not positive");
     return ERR_OK;
 }
 
@@ -162,7 +170,8 @@ static void view_fill(const struct render *r, const struct render_model *m, cons
         v->background[i] = o->background[i];
     }
     for (int i = 0; i < 3; i++)
-        v->eye[i] = (float)-(c->rot[i] * trans[0] + c->rot[3 + i] * trans[1] + c->rot[6 + i] * trans[2]);
+        v->eye[i] =
+            (float)-(c->rot[i] * trans[0] + c->rot[3 + i] * trans[1] + c->rot[6 + i] * trans[2]);
     for (int i = 0; i < 9; i++)
         v->rot[i] = (float)c->rot[i];
     v->fx = (float)c->fx_px;
@@ -184,12 +193,14 @@ static void view_fill(const struct render *r, const struct render_model *m, cons
     v->n = m->n;
     v->groups = m->groups;
     v->planes = m->planes;
-    v->sh_degree = o->sh_degree >= 0 && (uint32_t)o->sh_degree < m->sh_degree ? (uint32_t)o->sh_degree
-                                                                              : m->sh_degree;
+    v->sh_degree = o->sh_degree >= 0 && (uint32_t)o->sh_degree < m->sh_degree
+                       ? (uint32_t)o->sh_degree
+                       : m->sh_degree;
     v->tile_cull = !r->box_tiles;
 }
 
-/* ---- stages ------------------------------------------------------------------------------------------ */
+/* ---- stages
+ * ------------------------------------------------------------------------------------------ */
 
 static uint32_t bin_stride(const struct render *r)
 {
@@ -230,8 +241,9 @@ static enum err_code stage_project(struct render *r, const struct render_model *
 {
     size_t local, items = frame_items(r, m->groups, &local);
     return frame_run(r, r->k.project, "project",
-                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(r->splats.mem),
-                                FRAME_ARG(r->depth_key.mem), FRAME_ARG(r->tiles_of.mem)),
+                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params),
+                                FRAME_ARG(r->splats.mem), FRAME_ARG(r->depth_key.mem),
+                                FRAME_ARG(r->tiles_of.mem)),
                      items, local, e);
 }
 
@@ -245,19 +257,21 @@ static enum err_code stage_sort(struct render *r, struct err *e)
         const struct frame_buffer *keys_out = &r->keys[pass % 2], *ids_out = &r->ids[pass % 2];
         enum err_code rc = frame_run(r, r->k.sort_count, "sort_count",
                                      FRAME_ARGS(FRAME_ARG(keys->mem), FRAME_ARG(r->tiles_of.mem),
-                                                FRAME_ARG(n), FRAME_ARG(pass), FRAME_ARG(r->histogram.mem),
-                                                FRAME_ARG(r->counts)),
+                                                FRAME_ARG(n), FRAME_ARG(pass),
+                                                FRAME_ARG(r->histogram.mem), FRAME_ARG(r->counts)),
                                      LAYOUT_SORT_CHUNKS, 1, e);
         if (rc == ERR_OK)
-            rc = frame_run(r, r->k.sort_scan, "sort_scan",
-                           FRAME_ARGS(FRAME_ARG(r->histogram.mem), FRAME_ARG(pass), FRAME_ARG(r->counts)),
-                           1, 1, e);
+            rc = frame_run(
+                r, r->k.sort_scan, "sort_scan",
+                FRAME_ARGS(FRAME_ARG(r->histogram.mem), FRAME_ARG(pass), FRAME_ARG(r->counts)), 1,
+                1, e);
         if (rc == ERR_OK)
             rc = frame_run(r, r->k.sort_scatter, "sort_scatter",
-                           FRAME_ARGS(FRAME_ARG(keys->mem), FRAME_ARG(ids->mem), FRAME_ARG(r->tiles_of.mem),
-                                      FRAME_ARG(n), FRAME_ARG(pass), FRAME_ARG(r->histogram.mem),
-                                      FRAME_ARG(r->counts), FRAME_ARG(keys_out->mem),
-                                      FRAME_ARG(ids_out->mem), FRAME_ARG(r->slot_first.mem)),
+                           FRAME_ARGS(FRAME_ARG(keys->mem), FRAME_ARG(ids->mem),
+                                      FRAME_ARG(r->tiles_of.mem), FRAME_ARG(n), FRAME_ARG(pass),
+                                      FRAME_ARG(r->histogram.mem), FRAME_ARG(r->counts),
+                                      FRAME_ARG(keys_out->mem), FRAME_ARG(ids_out->mem),
+                                      FRAME_ARG(r->slot_first.mem)),
                            LAYOUT_SORT_CHUNKS, 1, e);
         if (rc != ERR_OK)
             return rc;
@@ -276,10 +290,11 @@ static enum err_code stage_count(struct render *r, struct err *e)
     r->stats.entries = counts.entries;
     r->stats.visible = counts.visible;
     if (counts.entries > r->entry_max)
-        return err_set(e, ERR_LIMIT,
-                       "render_forward: %llu pairs of splat and tile: at most %llu; draw a smaller picture "
-                       "or fewer Gaussians", (unsigned long long)counts.entries,
-                       (unsigned long long)r->entry_max);
+        return err_set(
+            e, ERR_LIMIT,
+            "render_forward: %llu pairs of splat and tile: at most %llu; draw a smaller picture "
+            "or fewer Gaussians",
+            (unsigned long long)counts.entries, (unsigned long long)r->entry_max);
     struct frame_buffer *lists[] = {&r->pair_tile, &r->pair_splat, &r->pair_slot, &r->entry_splat,
                                     &r->entry_slot};
     for (size_t i = 0; rc == ERR_OK && i < sizeof lists / sizeof *lists; i++)
@@ -336,7 +351,8 @@ static enum err_code frame_output(struct render *r, float *rgb, float *transmitt
 {
     size_t pixels = (size_t)r->view.width * r->view.height;
     if (transmittance) {
-        enum err_code rc = dev_read(r->dev, r->transmit.mem, 0, pixels * sizeof(float), transmittance, e);
+        enum err_code rc =
+            dev_read(r->dev, r->transmit.mem, 0, pixels * sizeof(float), transmittance, e);
         if (rc != ERR_OK)
             return rc;
     }
@@ -353,7 +369,8 @@ static enum err_code frame_output(struct render *r, float *rgb, float *transmitt
         rgb[3 * i + 1] = green[i];
         rgb[3 * i + 2] = blue[i];
     }
-    code = clEnqueueUnmapMemObject(r->dev->queue, r->color.mem, (void *)(uintptr_t)planes, 0, NULL, NULL);
+    code = clEnqueueUnmapMemObject(r->dev->queue, r->color.mem, (void *)(uintptr_t)planes, 0, NULL,
+                                   NULL);
     if (code != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "render_forward: picture: %s", dev_error_name(code));
     return dev_finish(r->dev, e);
@@ -371,9 +388,9 @@ static enum err_code stage_clock(struct render *r, double *since_s, double *ms, 
     return rc;
 }
 
-enum err_code render_forward(struct render *r, const struct render_model *m, const struct camera *cam,
-                             const struct render_options *o, float *rgb, float *transmittance,
-                             struct err *e)
+enum err_code render_forward(struct render *r, const struct render_model *m,
+                             const struct camera *cam, const struct render_options *o, float *rgb,
+                             float *transmittance, struct err *e)
 {
     double start = clock_s(), since = start;
     enum err_code rc = view_check(cam, e);
@@ -412,7 +429,8 @@ enum err_code render_forward(struct render *r, const struct render_model *m, con
     return rc;
 }
 
-/* ---- what the last frame left ------------------------------------------------------------------------ */
+/* ---- what the last frame left
+ * ------------------------------------------------------------------------ */
 
 const struct render_stats *render_last_stats(const struct render *r)
 {

@@ -1,8 +1,9 @@
 /* Gaussians on the device: packing into the AoSoA-16 layout and back.
  *
- * Groups of 16 Gaussians hold their parameters plane by plane, so that one vector load gets one parameter
- * of 16 neighbours and a group that is culled costs no memory traffic for the rest. Padding lanes of the
- * last group are zero; kernels leave them alone because their index is not below n.
+ * Groups of 16 Gaussians hold their parameters plane by plane, so that one vector load gets one
+ * parameter of 16 neighbours and a group that is culled costs no memory traffic for the rest.
+ * Padding lanes of the last group are zero; kernels leave them alone because their index is not
+ * below n.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -25,10 +26,12 @@ static void plane_sets(const struct gauss *g, struct plane_set out[5])
     out[1] = (struct plane_set){g->scale_log, RENDER_PLANE_SCALE, 3};
     out[2] = (struct plane_set){g->quat_wxyz, RENDER_PLANE_QUAT, 4};
     out[3] = (struct plane_set){g->opacity_logit, RENDER_PLANE_OPACITY, 1};
-    out[4] = (struct plane_set){g->sh, RENDER_PLANE_SH, (uint32_t)(3 * gauss_sh_count(g->sh_degree))};
+    out[4] =
+        (struct plane_set){g->sh, RENDER_PLANE_SH, (uint32_t)(3 * gauss_sh_count(g->sh_degree))};
 }
 
-static void model_pack(const struct gauss *g, uint32_t planes, size_t group0, size_t groups, float *out)
+static void model_pack(const struct gauss *g, uint32_t planes, size_t group0, size_t groups,
+                       float *out)
 {
     struct plane_set sets[5];
     plane_sets(g, sets);
@@ -40,7 +43,8 @@ static void model_pack(const struct gauss *g, uint32_t planes, size_t group0, si
         }
 }
 
-static void model_unpack(const float *in, uint32_t planes, size_t group0, size_t groups, struct gauss *g)
+static void model_unpack(const float *in, uint32_t planes, size_t group0, size_t groups,
+                         struct gauss *g)
 {
     struct plane_set sets[5];
     plane_sets(g, sets);
@@ -60,8 +64,8 @@ enum err_code render_model_upload(struct render *r, const struct gauss *g, struc
     float *staging = NULL;
     memset(out, 0, sizeof *out);
     if (g->n > INT32_MAX - LANES)
-        return err_set(e, ERR_LIMIT, "render_model_upload: %zu Gaussians: at most 2^31; use smaller cells",
-                       g->n);
+        return err_set(e, ERR_LIMIT,
+                       "render_model_upload: %zu Gaussians: at most 2^31; use smaller cells", g->n);
     m.n = (uint32_t)g->n;
     m.groups = (m.n + LANES - 1) / LANES;
     m.cap = m.groups * LANES;

@@ -1,11 +1,12 @@
 /* The method in double precision: how Gaussians become a picture, without tiles, lists or vectors.
  *
  * A Gaussian with mean mu and covariance Sigma = R diag(s)^2 R^T is splatted by the local affine
- * approximation of the perspective map (EWA splatting, Zwicker et al. 2001): its picture is a 2-D Gaussian
- * with covariance S0 = J W Sigma W^T J^T. A small kernel is added against aliasing, S = S0 + eps I; with
- * compensation opacity is multiplied by rho = sqrt(det S0 / det S), so that the splat keeps its mass
- * (Mip-Splatting, Yu et al. 2024). Colour is a real spherical-harmonics series in the direction from the
- * camera. Pixels blend the splats front to back (3D Gaussian Splatting, Kerbl et al. 2023).
+ * approximation of the perspective map (EWA splatting, Zwicker et al. 2001): its picture is a 2-D
+ * Gaussian with covariance S0 = J W Sigma W^T J^T. A small kernel is added against aliasing, S = S0
+ * + eps I; with compensation opacity is multiplied by rho = sqrt(det S0 / det S), so that the splat
+ * keeps its mass (Mip-Splatting, Yu et al. 2024). Colour is a real spherical-harmonics series in
+ * the direction from the camera. Pixels blend the splats front to back (3D Gaussian Splatting,
+ * Kerbl et al. 2023).
  *
  * Everything the kernels do is stated here first and tested against it; nothing here is fast.
  *
@@ -26,12 +27,14 @@ enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
     struct ref_view v = {0};
     double w = cam->width_px, h = cam->height_px;
     if (cam->width_px < 1 || cam->height_px < 1 || !(cam->fx_px > 0) || !(cam->fy_px > 0))
-        return err_set(e, ERR_ARG, "render: camera %ux%u, focal %g %g: sizes and focals must be positive",
+        return err_set(e, ERR_ARG,
+                       "render: camera %ux%u, focal %g %g: sizes and focals must be positive",
                        cam->width_px, cam->height_px, cam->fx_px, cam->fy_px);
     memcpy(v.rot, cam->rot, sizeof v.rot);
     for (int i = 0; i < 3; i++) {
         /* t = W (mu + origin) + d: the origin goes into the translation, in double. */
-        v.trans[i] = cam->rot[3 * i] * g->origin_enu_m[0] + cam->rot[3 * i + 1] * g->origin_enu_m[1] +
+        v.trans[i] = cam->rot[3 * i] * g->origin_enu_m[0] +
+                     cam->rot[3 * i + 1] * g->origin_enu_m[1] +
                      cam->rot[3 * i + 2] * g->origin_enu_m[2] + cam->trans[i];
         v.background[i] = (double)o->background[i];
     }
@@ -43,7 +46,8 @@ enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
     v.cy = cam->cy_px;
     v.width = cam->width_px;
     v.height = cam->height_px;
-    /* The Jacobian grows without bound at grazing angles: it is taken at most 15 % of the picture outside. */
+    /* The Jacobian grows without bound at grazing angles: it is taken at most 15 % of the picture
+     * outside. */
     v.lim_neg[0] = v.cx / v.fx + 0.15 * w / v.fx;
     v.lim_pos[0] = (w - v.cx) / v.fx + 0.15 * w / v.fx;
     v.lim_neg[1] = v.cy / v.fy + 0.15 * h / v.fy;
@@ -52,8 +56,9 @@ enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
     v.kernel_px2 = o->aa == RENDER_AA_MIP ? 0.1 : 0.3;
     v.compensate = o->aa != RENDER_AA_NONE;
     v.half_max_px = 2 * fmax(w, h);
-    v.sh_degree = o->sh_degree >= 0 && (uint32_t)o->sh_degree < g->sh_degree ? (uint32_t)o->sh_degree
-                                                                             : g->sh_degree;
+    v.sh_degree = o->sh_degree >= 0 && (uint32_t)o->sh_degree < g->sh_degree
+                      ? (uint32_t)o->sh_degree
+                      : g->sh_degree;
     *out = v;
     return ERR_OK;
 }
@@ -98,15 +103,17 @@ static void ref_shape(const struct gauss *g, size_t i, struct ref_splat *s)
     for (int k = 0; k < 4; k++)
         s->quat[k] /= s->quat_len;
     double w = s->quat[0], x = s->quat[1], y = s->quat[2], z = s->quat[3];
-    const double rot[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - w * z),     2 * (x * z + w * y),
-                           2 * (x * y + w * z),     1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-                           2 * (x * z - w * y),     2 * (y * z + w * x),     1 - 2 * (x * x + y * y)};
+    const double rot[9] = {
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z),     2 * (x * z + w * y),
+        2 * (x * y + w * z),     1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y),     2 * (y * z + w * x),     1 - 2 * (x * x + y * y)};
     memcpy(s->rot, rot, sizeof rot);
     for (int k = 0; k < 3; k++)
         s->scale[k] = exp((double)g->scale_log[3 * i + k]);
 }
 
-/* S0 = P P^T with P = J W R diag(s), 2 x 3; its determinant by Cauchy-Binet, as a sum of squares. */
+/* S0 = P P^T with P = J W R diag(s), 2 x 3; its determinant by Cauchy-Binet, as a sum of squares.
+ */
 static void ref_covariance(const struct ref_view *v, struct ref_splat *s)
 {
     double rx = s->cam[0] / s->cam[2], ry = s->cam[1] / s->cam[2], z = s->cam[2], p[6];
@@ -114,8 +121,8 @@ static void ref_covariance(const struct ref_view *v, struct ref_splat *s)
     s->clamped[1] = fmin(fmax(ry, -v->lim_neg[1]), v->lim_pos[1]);
     s->inside[0] = s->clamped[0] == rx;
     s->inside[1] = s->clamped[1] == ry;
-    const double jac[6] = {v->fx / z, 0, -v->fx * s->clamped[0] / z,
-                           0, v->fy / z, -v->fy * s->clamped[1] / z};
+    const double jac[6] = {v->fx / z, 0,         -v->fx * s->clamped[0] / z,
+                           0,         v->fy / z, -v->fy * s->clamped[1] / z};
     memcpy(s->jac, jac, sizeof jac);
     for (int row = 0; row < 2; row++)
         for (int col = 0; col < 3; col++) {
@@ -136,7 +143,8 @@ static void ref_covariance(const struct ref_view *v, struct ref_splat *s)
     s->det = s->det0 + v->kernel_px2 * (s->cov0[0] + s->cov0[2]) + v->kernel_px2 * v->kernel_px2;
 }
 
-static void ref_color(const struct ref_view *v, const struct gauss *g, size_t i, struct ref_splat *s)
+static void ref_color(const struct ref_view *v, const struct gauss *g, size_t i,
+                      struct ref_splat *s)
 {
     size_t count = gauss_sh_count(g->sh_degree);
     double dir[3], len = 0;
@@ -188,7 +196,8 @@ bool ref_project(const struct ref_view *v, const struct gauss *g, size_t i, stru
     if (!(s.mean_px[0] + s.half_px[0] > 0) || !(s.mean_px[0] - s.half_px[0] < v->width) ||
         !(s.mean_px[1] + s.half_px[1] > 0) || !(s.mean_px[1] - s.half_px[1] < v->height))
         return false;
-    /* A splat just before the lens that covers everything is an artefact of the affine approximation. */
+    /* A splat just before the lens that covers everything is an artefact of the affine
+     * approximation. */
     if (s.cam[2] < 4 * v->near_m && fmax(s.half_px[0], s.half_px[1]) > v->half_max_px)
         return false;
     ref_color(v, g, i, &s);
@@ -205,8 +214,8 @@ static int ref_order(const void *a, const void *b)
     return x->index < y->index ? -1 : x->index > y->index;
 }
 
-enum err_code ref_project_all(const struct ref_view *v, const struct gauss *g, struct ref_splat **out,
-                              size_t *n, struct err *e)
+enum err_code ref_project_all(const struct ref_view *v, const struct gauss *g,
+                              struct ref_splat **out, size_t *n, struct err *e)
 {
     struct ref_splat *splats = mem_array(g->n, sizeof *splats);
     size_t count = 0;
@@ -223,12 +232,13 @@ enum err_code ref_project_all(const struct ref_view *v, const struct gauss *g, s
     return ERR_OK;
 }
 
-bool ref_alpha(const struct ref_splat *s, double px, double py, double d[2], double *alpha, bool *clamped)
+bool ref_alpha(const struct ref_splat *s, double px, double py, double d[2], double *alpha,
+               bool *clamped)
 {
     d[0] = s->mean_px[0] - px;
     d[1] = s->mean_px[1] - py;
-    double sigma = 0.5 * (s->conic[0] * d[0] * d[0] + s->conic[2] * d[1] * d[1]) +
-                   s->conic[1] * d[0] * d[1];
+    double sigma =
+        0.5 * (s->conic[0] * d[0] * d[0] + s->conic[2] * d[1] * d[1]) + s->conic[1] * d[0] * d[1];
     double a = s->opacity_eff * exp(-sigma);
     if (!(sigma >= 0) || !(a >= (double)RENDER_ALPHA_MIN))
         return false;

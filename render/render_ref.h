@@ -1,6 +1,6 @@
 /* Inside of the reference: one Gaussian on the screen, in double, for render_ref.c and
- * render_ref_backward.c. Names follow the EWA splatting derivation (Zwicker et al. 2001; Kerbl et al.
- * 2023); formulas are written where they are computed.
+ * render_ref_backward.c. Names follow the EWA splatting derivation (Zwicker et al. 2001; Kerbl et
+ * al. 2023); formulas are written where they are computed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,7 +11,7 @@
 
 enum { REF_SH_MAX = 16 };
 
-struct ref_view { /* a camera and options with every default resolved */
+struct ref_view {            /* a camera and options with every default resolved */
     double rot[9], trans[3]; /* model frame -> camera; trans holds the model's origin */
     double eye[3];           /* centre of projection, relative to the model's origin */
     double fx, fy, cx, cy;
@@ -52,12 +52,12 @@ enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
                             struct err *e) ERR_USE;
 /* False when Gaussian i is culled; *out is unspecified then. */
 bool ref_project(const struct ref_view *v, const struct gauss *g, size_t i, struct ref_splat *out);
-/* All visible splats in blending order: by depth as float32 (what the device sorts by), ties by index.
- * *out: caller frees with mem_free. */
-enum err_code ref_project_all(const struct ref_view *v, const struct gauss *g, struct ref_splat **out,
-                              size_t *n, struct err *e) ERR_USE;
-/* Exponent and alpha of a splat at a pixel centre; false when it does not contribute there. d = mean -
- * pixel; *clamped tells that alpha was cut to RENDER_ALPHA_MAX. */
+/* All visible splats in blending order: by depth as float32 (what the device sorts by), ties by
+ * index. *out: caller frees with mem_free. */
+enum err_code ref_project_all(const struct ref_view *v, const struct gauss *g,
+                              struct ref_splat **out, size_t *n, struct err *e) ERR_USE;
+/* Exponent and alpha of a splat at a pixel centre; false when it does not contribute there. d =
+ * mean - pixel; *clamped tells that alpha was cut to RENDER_ALPHA_MAX. */
 bool ref_alpha(const struct ref_splat *s, double px, double py, double d[2], double *alpha,
                bool *clamped);
 /* Real spherical harmonics basis, INRIA's signs, up to `degree`; dir is normalised. */

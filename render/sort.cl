@@ -2,9 +2,9 @@
 //   in   depth_key [n], tiles_of [n]
 //   out  ids [visible]; slot_first [n]: exclusive sum of tiles_of in index order; counts;
 //        keys [visible]: min(tiles_of, 2047) in the low 11 bits, which the first pass has spent
-// Least-significant-digit radix sort, three passes of 11 bits over LAYOUT_SORT_CHUNKS fixed chunks; each
-// chunk keeps its own histogram, so equal keys keep their order, and ties are by index. The first pass also
-// drops what was culled and numbers the slots. Positive floats sort as integers.
+// Least-significant-digit radix sort, three passes of 11 bits over LAYOUT_SORT_CHUNKS fixed chunks;
+// each chunk keeps its own histogram, so equal keys keep their order, and ties are by index. The
+// first pass also drops what was culled and numbers the slots. Positive floats sort as integers.
 //   histogram [digit][chunk]: after the scan, where that chunk puts its first key of that digit
 // Local size 1: one work-item is one chunk.
 
@@ -16,8 +16,8 @@ inline uint2 sort_range(uint n, uint chunk)
     return min((uint2)(each * chunk, each * (chunk + 1)), (uint2)(n));
 }
 
-__kernel void sort_count(__global const uint *keys, __global const uint *tiles_of, uint n, uint pass,
-                         __global uint *histogram, __global struct layout_counts *counts)
+__kernel void sort_count(__global const uint *keys, __global const uint *tiles_of, uint n,
+                         uint pass, __global uint *histogram, __global struct layout_counts *counts)
 {
     uint chunk = (uint)get_global_id(0), shift = pass * LAYOUT_SORT_BITS;
     uint2 range = sort_range(pass ? counts->visible : n, chunk);
@@ -63,8 +63,9 @@ __kernel void sort_scan(__global uint *histogram, uint pass, __global struct lay
 
 __kernel void sort_scatter(__global const uint *keys, __global const uint *ids,
                            __global const uint *tiles_of, uint n, uint pass,
-                           __global const uint *histogram, __global const struct layout_counts *counts,
-                           __global uint *keys_out, __global uint *ids_out, __global uint *slot_first)
+                           __global const uint *histogram,
+                           __global const struct layout_counts *counts, __global uint *keys_out,
+                           __global uint *ids_out, __global uint *slot_first)
 {
     uint chunk = (uint)get_global_id(0), shift = pass * LAYOUT_SORT_BITS;
     uint2 range = sort_range(pass ? counts->visible : n, chunk);

@@ -1,4 +1,5 @@
-/* core/dev.c: choosing a device, building programs with errors people can read, buffers and their limits.
+/* core/dev.c: choosing a device, building programs with errors people can read, buffers and their
+ * limits.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -12,14 +13,14 @@
 #include "core/dev.h"
 #include "core/layout.h"
 
-static const char DOUBLE_CL[] =
-    "__kernel void double_it(__global float *x, uint n)\n"
-    "{\n"
-    "    uint i = get_global_id(0);\n"
-    "    if (i < n)\n"
-    "        x[i] = 2.0f * x[i] + (float)(VW - VW);\n"
-    "}\n";
-static const char BROKEN_CL[] = "__kernel void broken(__global float *x)\n{\n    x[0] = no_such_name;\n}\n";
+static const char DOUBLE_CL[] = "__kernel void double_it(__global float *x, uint n)\n"
+                                "{\n"
+                                "    uint i = get_global_id(0);\n"
+                                "    if (i < n)\n"
+                                "        x[i] = 2.0f * x[i] + (float)(VW - VW);\n"
+                                "}\n";
+static const char BROKEN_CL[] =
+    "__kernel void broken(__global float *x)\n{\n    x[0] = no_such_name;\n}\n";
 
 static int setup(void **state)
 {
@@ -130,7 +131,8 @@ static void test_build_error_cites_file_and_line(void **state)
     struct dev *d = *state;
     struct err e = {0};
     cl_program p = NULL;
-    const struct dev_source src[2] = {{"tests/double.cl", DOUBLE_CL}, {"tests/broken.cl", BROKEN_CL}};
+    const struct dev_source src[2] = {{"tests/double.cl", DOUBLE_CL},
+                                      {"tests/broken.cl", BROKEN_CL}};
     assert_int_equal(dev_build(d, src, 2, NULL, &p, &e), ERR_DEVICE);
     assert_null(p);
     assert_non_null(strstr(e.msg, "tests/broken.cl:3"));
@@ -158,7 +160,8 @@ static void test_buffer_limits(void **state)
     dev_release(&m);
 }
 
-/* A child process of its own, because the choice of folder is made once, before the first OpenCL call. */
+/* A child process of its own, because the choice of folder is made once, before the first OpenCL
+ * call. */
 static void test_unwritable_cache_is_named(void **state)
 {
     (void)state;

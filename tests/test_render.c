@@ -1,5 +1,6 @@
-/* The forward kernels against the double-precision reference, and what must hold for any scene: tiles change
- * nothing, two runs give the same bits, distance from the origin does not matter, nonsense is culled.
+/* The forward kernels against the double-precision reference, and what must hold for any scene:
+ * tiles change nothing, two runs give the same bits, distance from the origin does not matter,
+ * nonsense is culled.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -17,9 +18,11 @@
 
 /* Float against double: typical pixels agree to a few rounding errors of sums of tens of terms. */
 #define RMS_TOL 4e-6
-/* A splat at the 1/255 cut-off may be drawn by one and not by the other: 0.004 of its colour (about 1). */
+/* A splat at the 1/255 cut-off may be drawn by one and not by the other: 0.004 of its colour (about
+ * 1). */
 #define MAX_TOL 6e-3
-/* How many pixels may be off by more than rounding: those with a splat within 1e-5 of the cut-off. */
+/* How many pixels may be off by more than rounding: those with a splat within 1e-5 of the cut-off.
+ */
 #define ROUNDING_TOL 5e-5
 #define OUTLIERS_PER_VALUE 2e-3
 
@@ -74,7 +77,8 @@ static struct picture draw_with(struct render *r, const struct gauss *g, const s
     return p;
 }
 
-static struct picture draw(const struct gauss *g, const struct camera *cam, const struct render_options *o)
+static struct picture draw(const struct gauss *g, const struct camera *cam,
+                           const struct render_options *o)
 {
     return draw_with(render, g, cam, o);
 }
@@ -97,8 +101,9 @@ static void compare(const char *what, const float *got, const double *want, size
     }
     if (worst > MAX_TOL || sqrt(sum / (double)n) > RMS_TOL ||
         (double)outliers > 1 + OUTLIERS_PER_VALUE * (double)n)
-        fail_msg("%s: rms %.3g (limit %.3g), %zu of %zu beyond rounding, worst [%zu] got %.9g want %.9g",
-                 what, sqrt(sum / (double)n), RMS_TOL, outliers, n, at, (double)got[at], want[at]);
+        fail_msg(
+            "%s: rms %.3g (limit %.3g), %zu of %zu beyond rounding, worst [%zu] got %.9g want %.9g",
+            what, sqrt(sum / (double)n), RMS_TOL, outliers, n, at, (double)got[at], want[at]);
 }
 
 /* Device against reference for one view. */
@@ -126,7 +131,8 @@ static struct camera view_from(double x, double y, double z, uint32_t width, uin
 
 static const struct render_options PLAIN = {.aa = RENDER_AA_2D, .sh_degree = -1};
 
-/* ---- against the reference ---------------------------------------------------------------------------- */
+/* ---- against the reference
+ * ---------------------------------------------------------------------------- */
 
 static void test_counts_and_sizes(void **state)
 {
@@ -159,7 +165,8 @@ static void test_antialiasing_modes(void **state)
         snprintf(what, sizeof what, "aa %d", aa);
         o.aa = (enum render_aa)aa;
         kit_gauss(21, 250, 3.0, 1, 0, &g);
-        for (size_t i = 0; i < g.n; i += 2) /* some smaller than a pixel: that is where the modes differ */
+        for (size_t i = 0; i < g.n;
+             i += 2) /* some smaller than a pixel: that is where the modes differ */
             for (int k = 0; k < 3; k++)
                 g.scale_log[3 * i + k] -= 3.0f;
         struct camera cam = view_from(-8, 5, 4, 60, 44);
@@ -266,7 +273,8 @@ static void test_saturated(void **state)
     gauss_free(&g);
 }
 
-/* Splats taller than LAYOUT_BANDS tile rows, so that bands hold several; long diagonal needles among them. */
+/* Splats taller than LAYOUT_BANDS tile rows, so that bands hold several; long diagonal needles
+ * among them. */
 static void test_large_splats(void **state)
 {
     struct gauss g;
@@ -295,7 +303,8 @@ static void test_ties_are_by_index(void **state)
     gauss_free(&g);
 }
 
-/* ---- properties ---------------------------------------------------------------------------------------- */
+/* ---- properties
+ * ---------------------------------------------------------------------------------------- */
 
 static void expect_same_bits(const char *what, const struct picture *a, const struct picture *b)
 {
@@ -304,8 +313,8 @@ static void expect_same_bits(const char *what, const struct picture *a, const st
         fail_msg("%s: pictures differ", what);
 }
 
-/* Exact tiles and block masks only skip what draws nothing: the same bits as with bounding boxes and no
- * masks, for fewer entries. */
+/* Exact tiles and block masks only skip what draws nothing: the same bits as with bounding boxes
+ * and no masks, for fewer entries. */
 static void test_culling_changes_nothing(void **state)
 {
     struct gauss g;
@@ -358,7 +367,8 @@ static void test_far_from_origin(void **state)
     }
     struct picture moved = draw(&g, &cam, &PLAIN);
     for (size_t i = 0; i < 3 * near.pixels; i++)
-        /* 1e6 m in double is good to 1e-10 m: far below a pixel, so only rounding at cut-offs is left */
+        /* 1e6 m in double is good to 1e-10 m: far below a pixel, so only rounding at cut-offs is
+         * left */
         assert_true(fabsf(near.rgb[i] - moved.rgb[i]) <= 1.0f / 255);
     check("far from origin", &g, &cam, &PLAIN);
     picture_free(&near);
@@ -379,7 +389,8 @@ static void test_background(void **state)
         o.background[c] = 0.3f * (float)(c + 1);
     struct picture lit = draw(&g, &cam, &o);
     for (size_t i = 0; i < 3 * black.pixels; i++)
-        assert_true(fabsf(black.rgb[i] + black.t[i / 3] * o.background[i % 3] - lit.rgb[i]) < 1e-6f);
+        assert_true(fabsf(black.rgb[i] + black.t[i / 3] * o.background[i % 3] - lit.rgb[i]) <
+                    1e-6f);
     picture_free(&black);
     picture_free(&lit);
     gauss_free(&g);
@@ -450,8 +461,8 @@ static void test_limits(void **state)
 /* F2: whatever the parameters, pictures are finite; zero quaternions and needles still draw. */
 static void test_hostile_parameters(void **state)
 {
-    static const float odd[] = {0.0f, -0.0f, 1e-30f, -1e-30f, 1e30f, -1e30f, 88.0f, -88.0f, 200.0f,
-                                INFINITY, -INFINITY, NAN, 1.0f, -7.0f};
+    static const float odd[] = {0.0f,   -0.0f,  1e-30f,   -1e-30f,   1e30f, -1e30f, 88.0f,
+                                -88.0f, 200.0f, INFINITY, -INFINITY, NAN,   1.0f,   -7.0f};
     enum { ODD = sizeof odd / sizeof *odd, N = 4096 };
     struct gauss g;
     struct camera cam = view_from(6, -5, 5, 80, 60);
@@ -526,7 +537,8 @@ static void test_many_entries(void **state)
     gauss_free(&g);
 }
 
-/* ---- model, lists and layout ------------------------------------------------------------------------------ */
+/* ---- model, lists and layout
+ * ------------------------------------------------------------------------------ */
 
 static void test_upload_download(void **state)
 {
@@ -556,7 +568,8 @@ static void test_upload_download(void **state)
     }
 }
 
-/* What backward relies on: lists in depth order, every slot of every visible Gaussian used exactly once. */
+/* What backward relies on: lists in depth order, every slot of every visible Gaussian used exactly
+ * once. */
 static void test_lists(void **state)
 {
     struct gauss g;
@@ -568,7 +581,8 @@ static void test_lists(void **state)
     kit_ok(render_model_upload(render, &g, &m, &e), e);
     kit_ok(render_forward(render, &m, &cam, &PLAIN, NULL, NULL, &e), e);
     size_t entries = (size_t)render->entries, tiles = render->tiles, n = g.n;
-    uint32_t *start = mem_array(tiles + 1, 4), *splat = mem_array(entries, 4), *slot = mem_array(entries, 4);
+    uint32_t *start = mem_array(tiles + 1, 4), *splat = mem_array(entries, 4),
+             *slot = mem_array(entries, 4);
     uint32_t *of = mem_array(n, 4), *first = mem_array(n, 4), *key = mem_array(n, 4);
     uint32_t *owner = mem_array(entries, 4);
     kit_ok(dev_read(&dev, render->tile_start.mem, 0, 4 * (tiles + 1), start, &e), e);
@@ -637,7 +651,8 @@ static void test_exp2(void **state)
 {
     static const char text[] =
         "__kernel void powers(__global float *x)\n{\n    size_t i = get_global_id(0);\n"
-        "#if VW == 16\n    vstore16(exp2_v(vload16(i, x)), i, x);\n#else\n    x[i] = exp2_v(x[i]);\n#endif\n}\n";
+        "#if VW == 16\n    vstore16(exp2_v(vload16(i, x)), i, x);\n#else\n    x[i] = "
+        "exp2_v(x[i]);\n#endif\n}\n";
     const struct dev_source src[2] = {{"render/common.cl", common_cl}, {"tests/powers.cl", text}};
     enum { N = 1 << 16 };
     struct err e = {0};
@@ -655,7 +670,8 @@ static void test_exp2(void **state)
     kit_ok(dev_run(&dev, k, "powers", N / dev.vector_width, 1, &e), e);
     kit_ok(dev_read(&dev, m, 0, N * sizeof *y, y, &e), e);
     for (int i = 0; i < N; i++)
-        assert_true(fabs((double)y[i] / exp2((double)x[i]) - 1.0) < 2.5e-7); /* 7.5e-8 and two roundings */
+        assert_true(fabs((double)y[i] / exp2((double)x[i]) - 1.0) <
+                    2.5e-7); /* 7.5e-8 and two roundings */
     dev_release(&m);
     clReleaseKernel(k);
     clReleaseProgram(p);
@@ -663,7 +679,8 @@ static void test_exp2(void **state)
     mem_free(y);
 }
 
-/* The shapes for GPUs, on whatever device there is: one Gaussian a work-item, one tile a work-group. */
+/* The shapes for GPUs, on whatever device there is: one Gaussian a work-item, one tile a
+ * work-group. */
 static void test_gpu_shapes(void **state)
 {
     static const size_t counts[] = {0, 17, 400};
