@@ -43,6 +43,8 @@ inline float16 fold_1(float16 x, float16 y) // aebfcgdh, i.j.k.l. -> a b c d e f
     return s.s048c159d26ae37bf;
 }
 
+#define AHEAD 4
+
 struct backward_state { // of each block; pixels beyond the picture's edge have t 0
     float16 t[16], rest[16], g[16][3];
 };
@@ -162,12 +164,20 @@ __kernel void blend_backward(__constant struct layout_view *view,
         vstore16((float16)(0.0f), 0, staged + j); // a short last batch masks what it does not use
     while (at < end && active) {
         uint n = min(end - at, (uint)BATCH);
-        for (uint j = 0; j < n; j++)
+        for (uint j = 0; j < n; j++) {
+            PREFETCH(splats + entry_splat[min(at + BATCH + j, end - 1)]); // records lie anywhere
             vstore16(vload16(entry_splat[at + j], (__global const float *)splats), j, staged);
+        }
         for (uint j = 0; j < n; j += 16)
             blend_masks(staged + 16 * j, x0, y0, view->tile_cull, mask + j);
         for (uint j = 0; j < n && active; j++) {
             uint blocks = mask[j] & active;
+            if (j + AHEAD < n) { // slots lie anywhere: have their lines ready when they are written
+                uint next = entry_slot[at + j + AHEAD];
+                PREFETCH(slots + (size_t)next * LAYOUT_SLOT_FLOATS);
+                PREFETCH(slots + (size_t)next * LAYOUT_SLOT_FLOATS + LAYOUT_SLOT_FLOATS - 1);
+                PREFETCH(marks + next);
+            }
             if (blocks) {
                 uint slot = entry_slot[at + j];
                 marks[slot] = 1;

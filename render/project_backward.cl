@@ -76,7 +76,8 @@ struct gradient {
     V radius;       // larger half-size, px
 };
 
-// Gradient of mean, scale, rotation and opacity. Lanes that were culled hold anything.
+// Gradient of mean, scale, rotation and opacity. Lanes that were culled hold anything. One piece, because every
+// part uses N, B and the axes in the camera frame, which cost more to pass on than to use.
 inline void gradient_geometry(__constant struct layout_view *v, __global const float *g,
                               const struct sums *m, struct gradient *out)
 {
