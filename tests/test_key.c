@@ -54,7 +54,7 @@ static void poles_and_antimeridian_are_clamped(void **state)
     assert_key(key_at(180, 0, 24), 24, (1u << 24) - 1, 1u << 23);
     assert_key(key_at(-200, 89.9, 3), 3, 0, 0);
     assert_key(key_at(1e9, -1e9, 3), 3, 7, 7);
-    assert_true(key_valid(key_at(NAN, NAN, 24)));
+    assert_true(key_valid(key_at((double)NAN, (double)NAN, 24)));
     assert_int_equal(key_at(0, 0, 99).z, KEY_ZOOM_MAX);
 }
 
@@ -114,7 +114,7 @@ static void edge_lengths_and_the_zoom_for_them(void **state)
     }
     assert_int_equal(key_zoom_for(0, 1e12), 0);
     assert_int_equal(key_zoom_for(0, 1e-12), KEY_ZOOM_MAX);
-    assert_int_equal(key_zoom_for(0, NAN), 0);
+    assert_int_equal(key_zoom_for(0, (double)NAN), 0);
 }
 
 int main(void)

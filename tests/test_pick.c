@@ -319,7 +319,7 @@ static void nothing_to_pick_from(void **state)
     assert_int_equal(n, 0);
     struct scene_tiles s;
     random_scene(1, &s);
-    cam.fx_px = NAN;
+    cam.fx_px = (double)NAN;
     kit_fails(pick_select(s.tile, &s.tree, &cam, NULL, out, &n, &e), ERR_ARG, e, "focal");
     tree_free(&s.tree);
 }

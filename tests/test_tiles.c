@@ -270,7 +270,7 @@ static void write_scene(const struct fixture *f, struct partition *p)
         s.points[i] = (struct scene_point){.enu_m = {140 * rng_unit(1, 0, i) - 20, 40 * rng_unit(1, 1, i) - 20, 0}, .track_length = 3};
     for (size_t i = 0; i < 2; i++) {
         const double eye[3] = {100.0 * (double)i, 0, 40};
-        s.images[i] = (struct scene_image){.cam = camera_heading(eye, 0, -90, 1, 64, 48), .gps_enu_m = {NAN, NAN, NAN}, .residual_m = NAN};
+        s.images[i] = (struct scene_image){.cam = camera_heading(eye, 0, -90, 1, 64, 48), .gps_enu_m = {(double)NAN, (double)NAN, (double)NAN}, .residual_m = (double)NAN};
         s.images[i].name = arena_printf(&s.arena, "p%zu.jpg", i);
     }
     path_in(f, "scene", path);
