@@ -110,6 +110,11 @@ void log_set_level(enum log_level level); /* before threads start */
 /* One line on stderr: "12.41 info train step n=1200 loss=0.0812": elapsed, level, module, event and
  * key=value pairs with units in the keys. */
 void log_line(enum log_level level, const char *module, const char *fmt, ...) ERR_PRINTF(3, 4);
+/* The same in two steps, for those who gather many lines: the length of the line composed with its newline
+ * (0: the level is off), and bytes to stderr as they are. */
+size_t log_compose(char *line, size_t room, enum log_level level, const char *module, const char *fmt,
+                   ...) ERR_PRINTF(5, 6);
+void log_write(const char *lines, size_t n);
 #define log_error(module, ...) log_line(LOG_ERROR, module, __VA_ARGS__)
 #define log_warn(module, ...) log_line(LOG_WARN, module, __VA_ARGS__)
 #define log_info(module, ...) log_line(LOG_INFO, module, __VA_ARGS__)

@@ -441,10 +441,16 @@ static enum MHD_Result on_request(void *cls, struct MHD_Connection *c, const cha
 static void log_access(const struct exchange *x, int status, double seconds)
 {
     static const char *const methods[] = {"GET", "HEAD", "POST", "OPTIONS", "OTHER", "UNKNOWN"};
-    /* A target that names no route may hold anything; it is not repeated. */
-    const char *target = x->res.route == ROUTE_NONE ? "-" : x->target;
-    log_info("http", "%s %s status=%d bytes=%llu ms=%.2f cache=%s", methods[x->req.method], target,
-             status, (unsigned long long)x->sent, seconds * 1e3, x->res.cache ? x->res.cache : "-");
+    const struct access_line line = {
+        .method = methods[x->req.method],
+        /* a target that names no route may hold anything: it is not repeated */
+        .target = x->res.route == ROUTE_NONE ? "-" : x->target,
+        .cache = x->res.cache,
+        .status = status,
+        .bytes = x->sent,
+        .seconds = seconds,
+    };
+    access_add(x->h->s->access, &line);
 }
 
 static void on_completed(void *cls, struct MHD_Connection *c, void **con_cls,
@@ -462,7 +468,7 @@ static void on_completed(void *cls, struct MHD_Connection *c, void **con_cls,
     if (!whole)
         atomic_fetch_add(&h->s->metrics.client_aborts, 1);
     metrics_request(&h->s->metrics, x->res.route, status, seconds, whole ? x->sent : 0);
-    if (h->s->cfg->access_log)
+    if (h->s->access)
         log_access(x, status, seconds);
     watch_phase(x->slot, WATCH_IDLE, h->s->cfg->idle_timeout_s);
     atomic_fetch_sub_explicit(&h->s->metrics.inflight, 1, memory_order_relaxed);

@@ -361,6 +361,21 @@ void metrics_request(struct metrics *m, enum route route, int status, double sec
 struct services;
 enum err_code metrics_text(struct services *s, struct buf *out, struct err *e) ERR_USE;
 
+/* ---- access.c: one log line a request, written in batches ------------------------------------ */
+
+struct access;
+struct access_line {
+    const char *method, *target, *cache; /* cache may be NULL */
+    int status;
+    uint64_t bytes;
+    double seconds;
+};
+enum err_code access_open(struct access **out, struct err *e) ERR_USE;
+void access_add(struct access *a,
+                const struct access_line *x); /* any thread, never waits for I/O */
+void access_flush(struct access *a);
+void access_close(struct access **a); /* flushes */
+
 /* ---- route.c: the pure heart ----------------------------------------------------------------- */
 
 struct services { /* what an answer may draw on; all shared, all thread-safe */
@@ -371,6 +386,7 @@ struct services { /* what an answer may draw on; all shared, all thread-safe */
     struct cache *cache;
     struct jobs *jobs;
     struct picture *picture; /* NULL: pictures are off */
+    struct access *access;   /* NULL: no access log */
     struct metrics metrics;
     struct body *landing, *conformance, *api; /* documents that never change */
     _Atomic bool draining;

@@ -127,6 +127,8 @@ static void watch_main(void *user)
         next = now_ms() + TICK_MS;
         reap(w);
         job_tick(w->s->jobs, clock_s());
+        if (w->s->access)
+            access_flush(w->s->access);
         if (now_ms() >= next_gone) {
             close_gone(w);
             next_gone = now_ms() + GONE_MS;

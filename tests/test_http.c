@@ -318,23 +318,43 @@ static void test_stopping_finishes_answers(void **state)
     close(idle);
 }
 
+/* Wait until a file holds this text. */
+static void await_text(const char *path, const char *text)
+{
+    struct err e = {0};
+    bool found = false;
+    for (double end_s = clock_s() + PATIENCE_S; !found && clock_s() < end_s;) {
+        struct buf b = {0};
+        nap_ms(5);
+        kit_ok(file_read(path, 0, &b, &e), e);
+        buf_add(&b, "", 1);
+        found = strstr((char *)b.data, text);
+        buf_free(&b);
+    }
+    if (!found)
+        fail_msg("%s: '%s' did not come", path, text);
+}
+
 /* The program itself: prints where it listens, drains on SIGTERM, exits 0. */
 static void test_program(void **state)
 {
     const char *program = kit_program();
     int out[2], status = -1;
-    char line[256] = "", target[128], request[256];
+    char line[256] = "", target[128], request[256], log[FILE_PATH_MAX];
+    struct err e = {0};
     (void)state;
     start();
     server_stop(&t.server); /* for the revision alone */
+    kit_ok(file_join(log, t.dir, "serve.log", &e), e);
     assert_int_equal(pipe(out), 0);
     pid_t pid = fork();
     assert_true(pid >= 0);
     if (pid == 0) {
         dup2(out[1], 1);
         close(out[0]);
-        execl(program, program, "serve", t.path, "--port", "0", "--device", "none", "-q",
-              (char *)NULL);
+        if (!freopen(log, "w", stderr))
+            _exit(126);
+        execl(program, program, "serve", t.path, "--port", "0", "--device", "none", (char *)NULL);
         _exit(127);
     }
     close(out[1]);
@@ -343,6 +363,8 @@ static void test_program(void **state)
     const char *colon = strrchr(line, ':');
     assert_non_null(colon);
     uint16_t port = (uint16_t)atoi(colon + 1);
+    assert_int_equal(kill(pid, SIGHUP), 0); /* opens the stores again, and goes on */
+    await_text(log, "info serve reloaded");
     int fd = dial(port);
     snprintf(request, sizeof(request), "GET %s HTTP/1.1\r\n" H "\r\n",
              tile_target(17, "ply", target));
@@ -351,7 +373,6 @@ static void test_program(void **state)
     struct reply r;
     while (!rest.size) /* the answer has begun */
         assert_true(hear_some(fd, &rest, PATIENCE_S));
-    assert_int_equal(kill(pid, SIGHUP), 0); /* opens the stores again, and goes on */
     assert_int_equal(kill(pid, SIGTERM), 0);
     hear(fd, true, &rest, &r);
     assert_int_equal(r.status, 200);
@@ -363,6 +384,12 @@ static void test_program(void **state)
     assert_int_equal(waitpid(pid, &status, 0), pid);
     assert_true(WIFEXITED(status));
     assert_int_equal(WEXITSTATUS(status), 0);
+    struct buf said = {0};
+    kit_ok(file_read(log, 0, &said, &e), e);
+    buf_add(&said, "", 1);
+    snprintf(line, sizeof(line), "http GET %.150s status=200 bytes=%zu ", target, r.body_size);
+    assert_non_null(strstr((char *)said.data, line)); /* the last request is in the log, too */
+    buf_free(&said);
     close(fd);
     fclose(f);
 }
