@@ -2,8 +2,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "cli/cli.h"
 #include "train/ingest.h"
+#include "cli/cli.h"
 
 enum err_code cli_ingest(int argc, char **argv, struct err *e)
 {

@@ -19,8 +19,9 @@ enum err_code cli_synth(int argc, char **argv, struct err *e)
     double start = clock_s();
     rc = synth_run(&cfg, e);
     if (rc == ERR_OK)
-        printf("%s: %lld photographs of %lld x %lld px in %.1f s\n", cfg.output, (long long)cfg.photos,
-               (long long)cfg.width_px, (long long)cfg.height_px, clock_s() - start);
+        printf("%s: %lld photographs of %lld x %lld px in %.1f s\n", cfg.output,
+               (long long)cfg.photos, (long long)cfg.width_px, (long long)cfg.height_px,
+               clock_s() - start);
 out:
     arena_free(&a);
     return rc;

@@ -1,10 +1,10 @@
 /* COLMAP sparse models: finding the files, resolving ids, and what a sound record is.
  *
  * COLMAP writes a model as three files, binary or text, that refer to each other by id. Readers
- * (colmap_bin.c, colmap_txt.c) take the records as they come; here everything is sorted by id and every
- * reference becomes an index, so that nobody behind this file has to look up or doubt an id again. A point
- * and the observations in its track must agree both ways: files of two different models fail there.
- * Source: https://colmap.github.io/format.html
+ * (colmap_bin.c, colmap_txt.c) take the records as they come; here everything is sorted by id and
+ * every reference becomes an index, so that nobody behind this file has to look up or doubt an id
+ * again. A point and the observations in its track must agree both ways: files of two different
+ * models fail there. Source: https://colmap.github.io/format.html
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -24,7 +24,8 @@ void colmap_free(struct colmap_model *m)
     *m = (struct colmap_model){0};
 }
 
-/* ---- records ---------------------------------------------------------------------------------- */
+/* ---- records ----------------------------------------------------------------------------------
+ */
 
 const char *colmap_check_camera(const struct colmap_camera *c)
 {
@@ -64,7 +65,8 @@ const char *colmap_check_point(const struct colmap_point *p)
     return NULL;
 }
 
-/* ---- ids to indices ----------------------------------------------------------------------------- */
+/* ---- ids to indices -----------------------------------------------------------------------------
+ */
 
 static int camera_compare(const void *a, const void *b)
 {
@@ -155,7 +157,8 @@ static enum err_code resolve_images(struct colmap_model *m, struct err *e)
         struct colmap_image *im = &m->images[i];
         size_t cam = find_id(m, m->n_cameras, im->camera, camera_id_at);
         if (cam == m->n_cameras)
-            return err_set(e, ERR_FORMAT, "images: '%.200s' refers to camera %zu, which cameras does not hold",
+            return err_set(e, ERR_FORMAT,
+                           "images: '%.200s' refers to camera %zu, which cameras does not hold",
                            im->name, im->camera);
         im->camera = cam;
         for (size_t j = 0; j < im->n_obs; j++) {
@@ -164,7 +167,8 @@ static enum err_code resolve_images(struct colmap_model *m, struct err *e)
             size_t pt = find_id(m, m->n_points, (uint64_t)im->obs[j].point, point_id_at);
             if (pt == m->n_points)
                 return err_set(e, ERR_FORMAT,
-                               "images: '%.200s': observation %zu refers to point %lld, which points3D does not hold",
+                               "images: '%.200s': observation %zu refers to point %lld, which "
+                               "points3D does not hold",
                                im->name, j, (long long)im->obs[j].point);
             im->obs[j].point = (int64_t)pt;
         }
@@ -180,14 +184,19 @@ static enum err_code resolve_tracks(struct colmap_model *m, struct err *e)
             struct colmap_track_element *t = &m->tracks[pt->track + k];
             size_t i = find_id(m, m->n_images, t->image, image_id_at);
             if (i == m->n_images)
-                return err_set(e, ERR_FORMAT, "points3D: point %llu refers to image %u, which images does not hold",
-                               (unsigned long long)pt->id, t->image);
+                return err_set(
+                    e, ERR_FORMAT,
+                    "points3D: point %llu refers to image %u, which images does not hold",
+                    (unsigned long long)pt->id, t->image);
             if (t->obs >= m->images[i].n_obs)
-                return err_set(e, ERR_FORMAT, "points3D: point %llu refers to observation %u of '%.200s', which has %zu",
-                               (unsigned long long)pt->id, t->obs, m->images[i].name, m->images[i].n_obs);
+                return err_set(
+                    e, ERR_FORMAT,
+                    "points3D: point %llu refers to observation %u of '%.200s', which has %zu",
+                    (unsigned long long)pt->id, t->obs, m->images[i].name, m->images[i].n_obs);
             if (m->images[i].obs[t->obs].point != (int64_t)p)
                 return err_set(e, ERR_FORMAT,
-                               "points3D: point %llu: observation %u of '%.200s' belongs to another point; are the "
+                               "points3D: point %llu: observation %u of '%.200s' belongs to "
+                               "another point; are the "
                                "files of one model?",
                                (unsigned long long)pt->id, t->obs, m->images[i].name);
             t->image = (uint32_t)i;
@@ -206,12 +215,14 @@ static enum err_code model_resolve(struct colmap_model *m, struct err *e)
     return rc;
 }
 
-/* ---- files --------------------------------------------------------------------------------------- */
+/* ---- files
+ * --------------------------------------------------------------------------------------- */
 
 enum layout { LAYOUT_NONE, LAYOUT_BIN, LAYOUT_TXT };
 static const char *const suffixes[] = {"", ".bin", ".txt"};
 
-/* Which complete set is in `dir`; `partial` (a file name) is filled with one that has no companions. */
+/* Which complete set is in `dir`; `partial` (a file name) is filled with one that has no
+ * companions. */
 static enum layout model_in(const char *dir, char *partial, size_t n_partial)
 {
     for (enum layout l = LAYOUT_BIN; l <= LAYOUT_TXT; l++) {
@@ -227,7 +238,8 @@ static enum layout model_in(const char *dir, char *partial, size_t n_partial)
         if (found == PART_COUNT)
             return l;
         if (found && !partial[0])
-            snprintf(partial, n_partial, "; %.300s has no %s%s", dir, part_names[missing], suffixes[l]);
+            snprintf(partial, n_partial, "; %.300s has no %s%s", dir, part_names[missing],
+                     suffixes[l]);
     }
     return LAYOUT_NONE;
 }
@@ -237,7 +249,8 @@ static enum err_code model_find(const char *dir, char *out, enum layout *layout,
     static const char *const below[] = {"", "sparse", "sparse/0", "0"};
     char partial[400] = "";
     for (size_t i = 0; i < sizeof below / sizeof *below; i++) {
-        enum err_code rc = below[i][0] ? file_join(out, dir, below[i], e) : file_join(out, dir, ".", e);
+        enum err_code rc =
+            below[i][0] ? file_join(out, dir, below[i], e) : file_join(out, dir, ".", e);
         if (rc != ERR_OK)
             return rc;
         *layout = model_in(out, partial, sizeof partial);
@@ -245,8 +258,10 @@ static enum err_code model_find(const char *dir, char *out, enum layout *layout,
             return ERR_OK;
     }
     return err_set(e, ERR_NOENT,
-                   "%.300s: no COLMAP model: looked for cameras, images and points3D as .bin or .txt there, in "
-                   "sparse/ and in sparse/0/%s", dir, partial);
+                   "%.300s: no COLMAP model: looked for cameras, images and points3D as .bin or "
+                   ".txt there, in "
+                   "sparse/ and in sparse/0/%s",
+                   dir, partial);
 }
 
 static enum err_code model_read_part(const char *dir, int part, enum layout layout,

@@ -1,12 +1,14 @@
-/* COLMAP's binary files: cameras.bin, images.bin, points3D.bin, read and written. All little-endian.
+/* COLMAP's binary files: cameras.bin, images.bin, points3D.bin, read and written. All
+ * little-endian.
  *
  *   cameras.bin   u64 n; each: i32 id, i32 model, u64 width, u64 height, f64 params[k]
  *   images.bin    u64 n; each: i32 id, f64 q[4] (w x y z), f64 t[3], i32 camera, name NUL, u64 m,
  *                        m times: f64 x, f64 y, i64 point (-1 = none)
- *   points3D.bin  u64 n; each: u64 id, f64 xyz[3], u8 rgb[3], f64 error, u64 len, len times: i32 image, i32 obs
+ *   points3D.bin  u64 n; each: u64 id, f64 xyz[3], u8 rgb[3], f64 error, u64 len, len times: i32
+ * image, i32 obs
  *
- * A count is believed only after it was compared with the bytes that are left, so a hostile count cannot
- * make us allocate more than a small multiple of the file.
+ * A count is believed only after it was compared with the bytes that are left, so a hostile count
+ * cannot make us allocate more than a small multiple of the file.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,8 +16,13 @@
 
 #include "codec/colmap_parse.h"
 
-enum { CAMERA_MIN = 24 + 3 * 8, IMAGE_MIN = 4 + 7 * 8 + 4 + 1 + 8, POINT_MIN = 8 + 24 + 3 + 8 + 8,
-       OBS_SIZE = 24, TRACK_SIZE = 8 };
+enum {
+    CAMERA_MIN = 24 + 3 * 8,
+    IMAGE_MIN = 4 + 7 * 8 + 4 + 1 + 8,
+    POINT_MIN = 8 + 24 + 3 + 8 + 8,
+    OBS_SIZE = 24,
+    TRACK_SIZE = 8
+};
 
 /* A count of records of at least `min` bytes each. */
 static bool count_read(struct cursor *c, size_t min, size_t *out)
@@ -30,7 +37,8 @@ static bool count_read(struct cursor *c, size_t min, size_t *out)
 
 static enum err_code count_error(const char *file, const struct cursor *c, struct err *e)
 {
-    return err_set(e, ERR_FORMAT, "%s: its count of records does not fit its size (%zu bytes after it): truncated",
+    return err_set(e, ERR_FORMAT,
+                   "%s: its count of records does not fit its size (%zu bytes after it): truncated",
                    file, cursor_left(c));
 }
 
@@ -63,15 +71,16 @@ enum err_code colmap_bin_cameras(const struct buf *file, struct colmap_model *m,
         uint32_t model = cursor_u32(&c);
         uint64_t w = cursor_u64(&c), h = cursor_u64(&c);
         if (!c.bad && model >= LENS_COUNT)
-            return err_set(e, ERR_FORMAT, "%s: camera %zu of %zu: unknown model %u", name, i + 1, n, model);
+            return err_set(e, ERR_FORMAT, "%s: camera %zu of %zu: unknown model %u", name, i + 1, n,
+                           model);
         cam->lens.model = (enum lens_model)model;
         for (size_t k = 0; !c.bad && k < lens_param_count(cam->lens.model); k++)
             cam->lens.params[k] = cursor_f64(&c);
         if (c.bad)
             return err_set(e, ERR_FORMAT, "%s: camera %zu of %zu: truncated", name, i + 1, n);
         if (!(w >= 1 && h >= 1 && w <= 1 << 20 && h <= 1 << 20))
-            return err_set(e, ERR_FORMAT, "%s: camera %zu of %zu: impossible size %llu x %llu px", name, i + 1, n,
-                           (unsigned long long)w, (unsigned long long)h);
+            return err_set(e, ERR_FORMAT, "%s: camera %zu of %zu: impossible size %llu x %llu px",
+                           name, i + 1, n, (unsigned long long)w, (unsigned long long)h);
         cam->lens.width_px = (uint32_t)w;
         cam->lens.height_px = (uint32_t)h;
         const char *why = colmap_check_camera(cam);
@@ -96,8 +105,8 @@ static char *name_read(struct cursor *c, struct arena *a)
     return out;
 }
 
-static enum err_code image_read_record(struct cursor *c, struct colmap_model *m, struct colmap_image *im,
-                                       struct err *e)
+static enum err_code image_read_record(struct cursor *c, struct colmap_model *m,
+                                       struct colmap_image *im, struct err *e)
 {
     im->id = cursor_u32(c);
     for (int k = 0; k < 4; k++)
@@ -164,7 +173,8 @@ enum err_code colmap_bin_points(const struct buf *file, struct colmap_model *m, 
     size_t n, total = 0;
     if (!count_read(&c, POINT_MIN, &n))
         return count_error(name, &c, e);
-    bool whole = tracks_count(c, n, &total); /* a truncated file is read up to the record to be named */
+    bool whole =
+        tracks_count(c, n, &total); /* a truncated file is read up to the record to be named */
     m->points = arena_get(&m->arena, n, sizeof *m->points);
     m->tracks = arena_get(&m->arena, total, sizeof *m->tracks);
     if (!m->points || !m->tracks)
@@ -196,7 +206,8 @@ enum err_code colmap_bin_points(const struct buf *file, struct colmap_model *m, 
     return trailing_check(name, &c, e);
 }
 
-/* ---- writing ------------------------------------------------------------------------------------- */
+/* ---- writing
+ * ------------------------------------------------------------------------------------- */
 
 static void cameras_write(const struct colmap_model *m, struct buf *b)
 {
@@ -255,8 +266,8 @@ static void points_write(const struct colmap_model *m, struct buf *b)
 enum err_code colmap_write_bin(const char *dir, const struct colmap_model *m, struct err *e)
 {
     static const char *const names[] = {"cameras.bin", "images.bin", "points3D.bin"};
-    static void (*const writers[])(const struct colmap_model *, struct buf *) = {
-        cameras_write, images_write, points_write};
+    static void (*const writers[])(const struct colmap_model *,
+                                   struct buf *) = {cameras_write, images_write, points_write};
     enum err_code rc = file_mkdir(dir, e);
     for (int i = 0; i < 3 && rc == ERR_OK; i++) {
         char path[FILE_PATH_MAX];

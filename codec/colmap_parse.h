@@ -11,9 +11,12 @@
 #include "codec/codec.h"
 
 /* Each fills its part of m from the bytes of one file; name is for messages ("images.bin"). */
-enum err_code colmap_bin_cameras(const struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;
-enum err_code colmap_bin_images(const struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;
-enum err_code colmap_bin_points(const struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;
+enum err_code colmap_bin_cameras(const struct buf *file, struct colmap_model *m,
+                                 struct err *e) ERR_USE;
+enum err_code colmap_bin_images(const struct buf *file, struct colmap_model *m,
+                                struct err *e) ERR_USE;
+enum err_code colmap_bin_points(const struct buf *file, struct colmap_model *m,
+                                struct err *e) ERR_USE;
 /* The text readers write into the buffer (line ends become NUL); it must end in a NUL byte. */
 enum err_code colmap_txt_cameras(struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;
 enum err_code colmap_txt_images(struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;

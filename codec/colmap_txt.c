@@ -1,11 +1,11 @@
 /* COLMAP's text files: cameras.txt, images.txt, points3D.txt.
  *
  *   cameras.txt   ID MODEL WIDTH HEIGHT PARAMS...
- *   images.txt    ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, and on the next line (it may be empty) X Y POINT_ID ...
- *   points3D.txt  ID X Y Z R G B ERROR IMAGE_ID OBS ...
+ *   images.txt    ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, and on the next line (it may be empty) X
+ * Y POINT_ID ... points3D.txt  ID X Y Z R G B ERROR IMAGE_ID OBS ...
  *
- * Lines that start with # are comments. Record counts are not known beforehand: records are collected in a
- * growing list and moved to the model's arena at the end.
+ * Lines that start with # are comments. Record counts are not known beforehand: records are
+ * collected in a growing list and moved to the model's arena at the end.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -136,14 +136,17 @@ static enum err_code camera_line(char *s, struct colmap_camera *cam, struct err 
     size_t want = lens_param_count(cam->lens.model);
     for (size_t k = 0; k < want; k++)
         if (!number_next(&s, &cam->lens.params[k]))
-            return err_set(e, ERR_FORMAT, "%s needs %zu parameters", lens_name(cam->lens.model), want);
+            return err_set(e, ERR_FORMAT, "%s needs %zu parameters", lens_name(cam->lens.model),
+                           want);
     if (!at_end(s))
-        return err_set(e, ERR_FORMAT, "%s has only %zu parameters", lens_name(cam->lens.model), want);
+        return err_set(e, ERR_FORMAT, "%s has only %zu parameters", lens_name(cam->lens.model),
+                       want);
     const char *why = colmap_check_camera(cam);
     return why ? err_set(e, ERR_FORMAT, "%s", why) : ERR_OK;
 }
 
-/* ---- growing lists -------------------------------------------------------------------------------- */
+/* ---- growing lists
+ * -------------------------------------------------------------------------------- */
 
 struct list {
     void *data;
@@ -175,7 +178,8 @@ static void *list_move(struct list *l, struct arena *a)
     return out;
 }
 
-/* ---- files ------------------------------------------------------------------------------------------ */
+/* ---- files
+ * ------------------------------------------------------------------------------------------ */
 
 static enum err_code no_memory(const char *name, struct err *e)
 {
@@ -215,15 +219,18 @@ static enum err_code image_line(char *s, struct colmap_image *im, struct arena *
     if (!id32_next(&s, &camera))
         return err_set(e, ERR_FORMAT, "expected a camera id");
     im->camera = camera;
-    im->name = arena_text(a, s + strspn(s, " \t")); /* the rest of the line: names may hold blanks */
+    im->name =
+        arena_text(a, s + strspn(s, " \t")); /* the rest of the line: names may hold blanks */
     return im->name ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
 }
 
-static enum err_code observations_line(char *s, struct colmap_image *im, struct arena *a, struct err *e)
+static enum err_code observations_line(char *s, struct colmap_image *im, struct arena *a,
+                                       struct err *e)
 {
     size_t words = word_count(s);
     if (words % 3)
-        return err_set(e, ERR_FORMAT, "observations come in threes: X Y POINT_ID; found %zu words", words);
+        return err_set(e, ERR_FORMAT, "observations come in threes: X Y POINT_ID; found %zu words",
+                       words);
     im->n_obs = words / 3;
     im->obs = arena_get(a, im->n_obs, sizeof *im->obs);
     if (!im->obs)
@@ -255,7 +262,8 @@ enum err_code colmap_txt_images(struct buf *file, struct colmap_model *m, struct
         if (rc == ERR_OK) {
             s = line_next(&l);
             if (!s)
-                rc = err_set(&inner, ERR_FORMAT, "image '%.200s': the line of its observations is missing: truncated",
+                rc = err_set(&inner, ERR_FORMAT,
+                             "image '%.200s': the line of its observations is missing: truncated",
                              im->name);
             else
                 rc = observations_line(s, im, &m->arena, &inner);

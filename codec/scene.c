@@ -1,4 +1,5 @@
-/* A scene folder: scene.json (origin, transform, cameras, split) and points.bin (points and tracks).
+/* A scene folder: scene.json (origin, transform, cameras, split) and points.bin (points and
+ * tracks).
  *
  * scene.json is for people and scripts too; the bulk is binary. points.bin, little-endian:
  *
@@ -7,7 +8,8 @@
  *   tracks: u32 point, u32 image, f32 x_px, f32 y_px, sorted by image            (16 bytes)
  *   u64 lo, hi of XXH3-128 over all that precedes
  *
- * points.bin is written before scene.json, which holds its hash, so a half-written pair does not load.
+ * points.bin is written before scene.json, which holds its hash, so a half-written pair does not
+ * load.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -27,7 +29,8 @@ void scene_free(struct scene *s)
     *s = (struct scene){0};
 }
 
-/* ---- points.bin --------------------------------------------------------------------------------- */
+/* ---- points.bin ---------------------------------------------------------------------------------
+ */
 
 static enum err_code points_write(const char *path, const struct scene *s, struct hash128 *hash,
                                   struct err *e)
@@ -66,14 +69,15 @@ static enum err_code points_write(const char *path, const struct scene *s, struc
     return rc;
 }
 
-static enum err_code points_head(const char *path, const struct buf *b, struct cursor *c, struct scene *s,
-                                 struct hash128 *hash, struct err *e)
+static enum err_code points_head(const char *path, const struct buf *b, struct cursor *c,
+                                 struct scene *s, struct hash128 *hash, struct err *e)
 {
     *c = cursor_over(b->data, b->size);
     const uint8_t *magic = cursor_take(c, sizeof points_magic);
     uint32_t version = cursor_u32(c);
     if (!magic || memcmp(magic, points_magic, sizeof points_magic) || version != SCENE_VERSION)
-        return err_set(e, ERR_FORMAT, "%s: not the points of a scene, version %d", path, SCENE_VERSION);
+        return err_set(e, ERR_FORMAT, "%s: not the points of a scene, version %d", path,
+                       SCENE_VERSION);
     uint64_t np = cursor_u64(c), nt = cursor_u64(c);
     size_t left = cursor_left(c);
     if (c->bad || left < POINTS_TAIL || np > left / POINT_SIZE || nt > left / TRACK_SIZE ||
@@ -94,7 +98,8 @@ static enum err_code points_head(const char *path, const struct buf *b, struct c
 }
 
 /* Needs s->n_images. */
-static enum err_code points_read(const char *path, struct scene *s, struct hash128 *hash, struct err *e)
+static enum err_code points_read(const char *path, struct scene *s, struct hash128 *hash,
+                                 struct err *e)
 {
     struct buf b = {0};
     struct cursor c;
@@ -122,14 +127,15 @@ static enum err_code points_read(const char *path, struct scene *s, struct hash1
         t->y_px = cursor_f32(&c);
         if (t->point >= s->n_points || t->image >= s->n_images ||
             (i && t->image < s->tracks[i - 1].image))
-            rc = err_set(e, ERR_FORMAT, "%s: track %zu (point %u, image %u) does not fit the scene", path, i,
-                         t->point, t->image);
+            rc = err_set(e, ERR_FORMAT, "%s: track %zu (point %u, image %u) does not fit the scene",
+                         path, i, t->point, t->image);
     }
     buf_free(&b);
     return rc;
 }
 
-/* ---- scene.json -------------------------------------------------------------------------------------- */
+/* ---- scene.json
+ * -------------------------------------------------------------------------------------- */
 
 static json_t *nums_to_json(const double *v, size_t n)
 {
@@ -157,16 +163,17 @@ static json_t *camera_to_json(const struct camera *c)
         m[4 * i + 3] = c->trans[i];
     }
     m[15] = 1;
-    return json_pack("{s:I, s:I, s:f, s:f, s:f, s:f, s:o}", "width", (json_int_t)c->width_px, "height",
-                     (json_int_t)c->height_px, "fx", c->fx_px, "fy", c->fy_px, "cx", c->cx_px, "cy",
-                     c->cy_px, "world_to_camera", nums_to_json(m, 16));
+    return json_pack("{s:I, s:I, s:f, s:f, s:f, s:f, s:o}", "width", (json_int_t)c->width_px,
+                     "height", (json_int_t)c->height_px, "fx", c->fx_px, "fy", c->fy_px, "cx",
+                     c->cx_px, "cy", c->cy_px, "world_to_camera", nums_to_json(m, 16));
 }
 
 static json_t *image_to_json(const struct scene_image *im)
 {
     return json_pack("{s:s, s:s, s:I, s:o, s:o, s:o}", "name", im->name, "split",
-                     im->split == SCENE_TEST ? "test" : "train", "group", (json_int_t)im->group, "camera",
-                     camera_to_json(&im->cam), "gps_enu_m", maybe_nums(im->gps_enu_m, 3), "residual_m",
+                     im->split == SCENE_TEST ? "test" : "train", "group", (json_int_t)im->group,
+                     "camera", camera_to_json(&im->cam), "gps_enu_m", maybe_nums(im->gps_enu_m, 3),
+                     "residual_m",
                      isfinite(im->residual_m) ? json_real(im->residual_m) : json_null());
 }
 
@@ -181,12 +188,13 @@ static json_t *scene_to_json(const struct scene *s, struct hash128 points_hash)
             images = NULL;
         }
     return json_pack(
-        "{s:s, s:i, s:{s:f, s:f, s:f}, s:{s:f, s:o, s:o}, s:f, s:s?, s:{s:s, s:I, s:I, s:s}, s:o}", "format",
-        "citysplat-scene", "version", SCENE_VERSION, "origin", "lon_deg", s->origin.lon_deg, "lat_deg",
-        s->origin.lat_deg, "h_m", s->origin.h_m, "colmap_to_enu", "scale", s->scale, "rot",
-        nums_to_json(s->rot, 9), "trans", nums_to_json(s->trans, 3), "vertical_offset_m",
-        s->vertical_offset_m, "attribution", s->attribution, "points", "file", "points.bin", "count",
-        (json_int_t)s->n_points, "tracks", (json_int_t)s->n_tracks, "hash", hash, "images", images);
+        "{s:s, s:i, s:{s:f, s:f, s:f}, s:{s:f, s:o, s:o}, s:f, s:s?, s:{s:s, s:I, s:I, s:s}, s:o}",
+        "format", "citysplat-scene", "version", SCENE_VERSION, "origin", "lon_deg",
+        s->origin.lon_deg, "lat_deg", s->origin.lat_deg, "h_m", s->origin.h_m, "colmap_to_enu",
+        "scale", s->scale, "rot", nums_to_json(s->rot, 9), "trans", nums_to_json(s->trans, 3),
+        "vertical_offset_m", s->vertical_offset_m, "attribution", s->attribution, "points", "file",
+        "points.bin", "count", (json_int_t)s->n_points, "tracks", (json_int_t)s->n_tracks, "hash",
+        hash, "images", images);
 }
 
 enum err_code scene_write(const char *dir, const struct scene *s, struct err *e)
@@ -202,7 +210,9 @@ enum err_code scene_write(const char *dir, const struct scene *s, struct err *e)
         return rc;
     json_t *json = scene_to_json(s, hash);
     if (!json)
-        return err_set(e, ERR_DATA, "%s: cannot be written: a number is not finite, or a name is not UTF-8", path);
+        return err_set(e, ERR_DATA,
+                       "%s: cannot be written: a number is not finite, or a name is not UTF-8",
+                       path);
     rc = jsonc_write(path, json, e);
     json_decref(json);
     return rc;
@@ -214,7 +224,8 @@ static bool name_is_plain(const char *s)
     return s[0] && !strchr(s, '/') && strcmp(s, ".") && strcmp(s, "..");
 }
 
-static enum err_code nums_or_nan(const json_t *o, const char *key, size_t n, double *out, struct err *e)
+static enum err_code nums_or_nan(const json_t *o, const char *key, size_t n, double *out,
+                                 struct err *e)
 {
     const json_t *v = json_object_get(o, key);
     if (v && !json_is_null(v))
@@ -276,7 +287,8 @@ static enum err_code images_from_json(const json_t *root, struct scene *s, struc
 
 static enum err_code frame_from_json(const json_t *root, struct scene *s, struct err *e)
 {
-    const json_t *origin = json_object_get(root, "origin"), *sim = json_object_get(root, "colmap_to_enu");
+    const json_t *origin = json_object_get(root, "origin"),
+                 *sim = json_object_get(root, "colmap_to_enu");
     const char *text;
     double version;
     enum err_code rc = jsonc_text(root, "format", &text, e);
@@ -285,7 +297,8 @@ static enum err_code frame_from_json(const json_t *root, struct scene *s, struct
     if (rc == ERR_OK)
         rc = jsonc_num(root, "version", &version, e);
     if (rc == ERR_OK && version != SCENE_VERSION)
-        rc = err_set(e, ERR_FORMAT, "version: this program reads %d; run ingest again", SCENE_VERSION);
+        rc = err_set(e, ERR_FORMAT, "version: this program reads %d; run ingest again",
+                     SCENE_VERSION);
     if (rc == ERR_OK)
         rc = jsonc_num(origin, "lon_deg", &s->origin.lon_deg, e);
     if (rc == ERR_OK)
@@ -303,21 +316,24 @@ static enum err_code frame_from_json(const json_t *root, struct scene *s, struct
     if (rc == ERR_OK)
         rc = jsonc_num(root, "vertical_offset_m", &s->vertical_offset_m, e);
     const json_t *who = json_object_get(root, "attribution");
-    if (rc == ERR_OK && json_is_string(who) && !(s->attribution = arena_text(&s->arena, json_string_value(who))))
+    if (rc == ERR_OK && json_is_string(who) &&
+        !(s->attribution = arena_text(&s->arena, json_string_value(who))))
         rc = err_set(e, ERR_MEM, "out of memory");
     return rc;
 }
 
 /* The points must be those this scene.json was written with. */
-static enum err_code points_match(const json_t *root, const char *path, struct hash128 hash, struct err *e)
+static enum err_code points_match(const json_t *root, const char *path, struct hash128 hash,
+                                  struct err *e)
 {
     const char *want;
     char got[33];
     enum err_code rc = jsonc_text(json_object_get(root, "points"), "hash", &want, e);
     hash_text(hash, got);
     if (rc == ERR_OK && strcmp(want, got))
-        rc = err_set(e, ERR_FORMAT, "%s: does not belong to this scene.json (hash %s, expected %.40s)", path,
-                     got, want);
+        rc = err_set(e, ERR_FORMAT,
+                     "%s: does not belong to this scene.json (hash %s, expected %.40s)", path, got,
+                     want);
     return rc;
 }
 
@@ -330,7 +346,8 @@ enum err_code scene_read(const char *dir, struct scene *out, struct err *e)
     if (rc == ERR_OK)
         rc = file_join(points, dir, "points.bin", e);
     if (rc == ERR_OK && !file_exists(path))
-        rc = err_set(e, ERR_NOENT, "%s: not found; make a scene with `citysplat ingest PHOTOS SPARSE -o %.200s`",
+        rc = err_set(e, ERR_NOENT,
+                     "%s: not found; make a scene with `citysplat ingest PHOTOS SPARSE -o %.200s`",
                      path, dir);
     if (rc == ERR_OK)
         rc = jsonc_read(path, &root, e);

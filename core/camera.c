@@ -1,8 +1,8 @@
 /* Pinhole cameras: poses from look-at, heading and JSON, quaternions, resizing.
  *
- * Rotations are world -> camera with rows right, down, forward. A pose that comes from outside is made
- * orthonormal again through its quaternion (Shepperd's method picks the largest component, so no
- * cancellation), because the renderer inverts rotations by transposing them.
+ * Rotations are world -> camera with rows right, down, forward. A pose that comes from outside is
+ * made orthonormal again through its quaternion (Shepperd's method picks the largest component, so
+ * no cancellation), because the renderer inverts rotations by transposing them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -60,8 +60,9 @@ struct camera camera_resize(const struct camera *c, uint32_t width_px, uint32_t 
 }
 
 /* A camera at eye with the given unit right and forward axes. */
-static struct camera camera_place(const double eye[3], const double right[3], const double forward[3],
-                                  double fov_y_rad, uint32_t width_px, uint32_t height_px)
+static struct camera camera_place(const double eye[3], const double right[3],
+                                  const double forward[3], double fov_y_rad, uint32_t width_px,
+                                  uint32_t height_px)
 {
     struct camera c = {.width_px = width_px, .height_px = height_px};
     double down[3];
@@ -160,15 +161,16 @@ void camera_rot_to_quat(const double rot[9], double quat_wxyz[4])
         quat_wxyz[i] = q[i] * sign;
 }
 
-static enum err_code json_edge(const struct json_t *o, const char *key, uint32_t *out, struct err *e)
+static enum err_code json_edge(const struct json_t *o, const char *key, uint32_t *out,
+                               struct err *e)
 {
     double v;
     enum err_code rc = jsonc_num(o, key, &v, e);
     if (rc != ERR_OK)
         return rc;
     if (!(v >= 1 && v <= CAMERA_EDGE_MAX) || v != floor(v))
-        return err_set(e, ERR_FORMAT, "camera: %s: expected a whole number of pixels from 1 to %d", key,
-                       CAMERA_EDGE_MAX);
+        return err_set(e, ERR_FORMAT, "camera: %s: expected a whole number of pixels from 1 to %d",
+                       key, CAMERA_EDGE_MAX);
     *out = (uint32_t)v;
     return ERR_OK;
 }
@@ -192,17 +194,20 @@ static enum err_code pose_from_matrix(const double m[16], struct camera *out, st
             if (!(fabs(vec_dot(rot + 3 * i, rot + 3 * j) - (i == j)) <= ortho_tol))
                 return err_set(e, ERR_FORMAT,
                                "camera: world_to_camera: rows %d and %d of the rotation are not "
-                               "orthonormal (row-major [R|t; 0 0 0 1], no scale)", i, j);
+                               "orthonormal (row-major [R|t; 0 0 0 1], no scale)",
+                               i, j);
     double cross[3];
     vec_cross(rot, rot + 3, cross);
     if (!(vec_dot(cross, rot + 6) > 0))
-        return err_set(e, ERR_FORMAT, "camera: world_to_camera: the rotation is a mirror image "
-                                      "(axes are x right, y down, z forward)");
+        return err_set(e, ERR_FORMAT,
+                       "camera: world_to_camera: the rotation is a mirror image "
+                       "(axes are x right, y down, z forward)");
     double row3[4] = {0, 0, 0, 1};
     for (int i = 0; i < 4; i++)
         if (!(fabs(m[12 + i] - row3[i]) <= ortho_tol))
-            return err_set(e, ERR_FORMAT, "camera: world_to_camera: last row must be 0 0 0 1 "
-                                          "(the matrix is row-major)");
+            return err_set(e, ERR_FORMAT,
+                           "camera: world_to_camera: last row must be 0 0 0 1 "
+                           "(the matrix is row-major)");
     double quat[4];
     camera_rot_to_quat(rot, quat);
     camera_quat_to_rot(quat, out->rot);

@@ -1,7 +1,7 @@
 /* WGS 84 through GeographicLib: the scene's local frame, and its place in ECEF.
  *
- * The only C++ of core. Nothing is kept between calls: a LocalCartesian costs a few sines to set up, which
- * is nothing beside what its callers do. No exception leaves this file.
+ * The only C++ of core. Nothing is kept between calls: a LocalCartesian costs a few sines to set
+ * up, which is nothing beside what its callers do. No exception leaves this file.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -52,8 +52,7 @@ try {
 }
 
 extern "C" enum err_code geo_from_enu(const struct geo_origin *o, const double enu_m[3],
-                                      double *lon_deg, double *lat_deg, double *h_m,
-                                      struct err *e)
+                                      double *lon_deg, double *lat_deg, double *h_m, struct err *e)
 try {
     enum err_code rc = check_place(o->lon_deg, o->lat_deg, o->h_m, e);
     if (rc != ERR_OK)
@@ -69,8 +68,7 @@ try {
     return caught(e, "unknown exception");
 }
 
-extern "C" enum err_code geo_enu_to_ecef(const struct geo_origin *o, double m[16],
-                                         struct err *e)
+extern "C" enum err_code geo_enu_to_ecef(const struct geo_origin *o, double m[16], struct err *e)
 try {
     enum err_code rc = check_place(o->lon_deg, o->lat_deg, o->h_m, e);
     if (rc != ERR_OK)

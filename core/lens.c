@@ -1,11 +1,12 @@
 /* COLMAP's eleven lens models, forwards in closed form and backwards by Newton's method.
  *
- * Every model is a warp of a plane followed by focal length and principal point. For the fisheye models the
- * plane is the equidistant one (direction times angle), for the others the perspective one (x/z, y/z); in
- * its own plane each warp is smooth, so one Newton iteration with a numeric Jacobian serves all. It walks
- * out from the principal point in a few steps and demands a positive Jacobian all the way: a pixel beyond
- * the radius where a distortion polynomial folds back has no honest inverse and is refused.
- * Source: COLMAP, src/colmap/sensor/models.h (formulas and parameter orders).
+ * Every model is a warp of a plane followed by focal length and principal point. For the fisheye
+ * models the plane is the equidistant one (direction times angle), for the others the perspective
+ * one (x/z, y/z); in its own plane each warp is smooth, so one Newton iteration with a numeric
+ * Jacobian serves all. It walks out from the principal point in a few steps and demands a positive
+ * Jacobian all the way: a pixel beyond the radius where a distortion polynomial folds back has no
+ * honest inverse and is refused. Source: COLMAP, src/colmap/sensor/models.h (formulas and parameter
+ * orders).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -81,17 +82,21 @@ bool lens_is_pinhole(const struct lens *l)
 struct lens lens_resize(const struct lens *l, uint32_t width_px, uint32_t height_px)
 {
     static const enum lens_model with_two[LENS_COUNT] = {
-        [LENS_SIMPLE_PINHOLE] = LENS_PINHOLE,          [LENS_SIMPLE_RADIAL] = LENS_OPENCV,
-        [LENS_RADIAL] = LENS_OPENCV,                   [LENS_SIMPLE_RADIAL_FISHEYE] = LENS_OPENCV_FISHEYE,
+        [LENS_SIMPLE_PINHOLE] = LENS_PINHOLE,
+        [LENS_SIMPLE_RADIAL] = LENS_OPENCV,
+        [LENS_RADIAL] = LENS_OPENCV,
+        [LENS_SIMPLE_RADIAL_FISHEYE] = LENS_OPENCV_FISHEYE,
         [LENS_RADIAL_FISHEYE] = LENS_OPENCV_FISHEYE,
     };
     struct lens out = *l;
-    double sx = (double)width_px / l->width_px, sy = (double)height_px / l->height_px, fx, fy, cx, cy;
+    double sx = (double)width_px / l->width_px, sy = (double)height_px / l->height_px, fx, fy, cx,
+           cy;
     lens_focal(l, &fx, &fy, &cx, &cy);
     if (infos[l->model].one_focal) {
         memset(out.params, 0, sizeof out.params);
         out.model = with_two[l->model];
-        for (size_t i = 3; i < infos[l->model].n_params; i++) /* k1, k2 stay the first two coefficients */
+        for (size_t i = 3; i < infos[l->model].n_params;
+             i++) /* k1, k2 stay the first two coefficients */
             out.params[i + 1] = l->params[i];
     }
     out.width_px = width_px;
@@ -104,8 +109,8 @@ struct lens lens_resize(const struct lens *l, uint32_t width_px, uint32_t height
 }
 
 /* Brown's model with up to four radial terms over three, two tangential ones. */
-static void warp_brown(const double *k, const double *k_den, double p1, double p2, double a, double b,
-                       double *u, double *v)
+static void warp_brown(const double *k, const double *k_den, double p1, double p2, double a,
+                       double b, double *u, double *v)
 {
     double r2 = a * a + b * b;
     double num = 1 + r2 * (k[0] + r2 * (k[1] + r2 * (k[2] + r2 * k[3])));
@@ -185,7 +190,8 @@ void lens_distort(const struct lens *l, double x, double y, double *u_px, double
     *v_px = fy * v + cy;
 }
 
-/* Central differences; false where the warp is not locally one-to-one and orientation-preserving. */
+/* Central differences; false where the warp is not locally one-to-one and orientation-preserving.
+ */
 static bool warp_jacobian(const struct lens *l, double a, double b, double j[4])
 {
     double h = 1e-6, up, vp, un, vn;

@@ -10,14 +10,16 @@
 #include "kit.h"
 
 static const double tol_exact = 1e-12; /* a few roundings of double */
-static const double tol_newton = 1e-7; /* px: the solver stops at 1e-9 px, 1e2 of slack for its last step */
+static const double tol_newton =
+    1e-7; /* px: the solver stops at 1e-9 px, 1e2 of slack for its last step */
 
 /* Pixel of a world point. */
 static void project(const struct camera *c, const double x[3], double uv[2])
 {
     double t[3];
     for (int i = 0; i < 3; i++)
-        t[i] = c->rot[3 * i] * x[0] + c->rot[3 * i + 1] * x[1] + c->rot[3 * i + 2] * x[2] + c->trans[i];
+        t[i] = c->rot[3 * i] * x[0] + c->rot[3 * i + 1] * x[1] + c->rot[3 * i + 2] * x[2] +
+               c->trans[i];
     uv[0] = c->fx_px * t[0] / t[2] + c->cx_px;
     uv[1] = c->fy_px * t[1] / t[2] + c->cy_px;
 }
@@ -53,8 +55,10 @@ static void test_heading_agrees_with_look_at(void **state)
     (void)state;
     const double eye[3] = {-3, 7, 50};
     for (int k = 0; k < 24; k++) {
-        double heading = k * 15.0, pitch = -80 + 6.5 * k, h = heading * M_PI / 180, p = pitch * M_PI / 180;
-        double target[3] = {eye[0] + 9 * sin(h) * cos(p), eye[1] + 9 * cos(h) * cos(p), eye[2] + 9 * sin(p)};
+        double heading = k * 15.0, pitch = -80 + 6.5 * k, h = heading * M_PI / 180,
+               p = pitch * M_PI / 180;
+        double target[3] = {eye[0] + 9 * sin(h) * cos(p), eye[1] + 9 * cos(h) * cos(p),
+                            eye[2] + 9 * sin(p)};
         struct camera a = camera_heading(eye, heading, pitch, 0.8, 320, 200);
         struct camera b = camera_look_at(eye, target, 0.8, 320, 200);
         kit_near_d("rot", a.rot, b.rot, 9, 1e-9, 0);
@@ -70,7 +74,8 @@ static void test_heading_agrees_with_look_at(void **state)
 static void test_resize_keeps_the_view(void **state)
 {
     (void)state;
-    struct camera c = camera_look_at((double[3]){0, -30, 40}, (double[3]){1, 2, 3}, 0.9, 1600, 1200);
+    struct camera c =
+        camera_look_at((double[3]){0, -30, 40}, (double[3]){1, 2, 3}, 0.9, 1600, 1200);
     struct camera d = camera_resize(&c, 400, 301);
     const double x[3] = {4, 5, 6};
     double a[2], b[2];
@@ -128,9 +133,14 @@ static void test_json(void **state)
     static const struct {
         const char *from, *to, *names;
     } bad[] = {
-        {"640", "0", "width"},           {"480", "99999", "height"},    {"480", "4.5", "height"},
-        {"500", "-1", "fx"},             {"\"cx\":320,", "", "cx"},     {"1,0,0,1,", "1,0,0,", "world_to_camera"},
-        {"1,0,0,1,", "2,0,0,1,", "world_to_camera"}, {"1,0,0,1,", "-1,0,0,1,", "mirror"},
+        {"640", "0", "width"},
+        {"480", "99999", "height"},
+        {"480", "4.5", "height"},
+        {"500", "-1", "fx"},
+        {"\"cx\":320,", "", "cx"},
+        {"1,0,0,1,", "1,0,0,", "world_to_camera"},
+        {"1,0,0,1,", "2,0,0,1,", "world_to_camera"},
+        {"1,0,0,1,", "-1,0,0,1,", "mirror"},
         {"0,0,0,1]", "1,2,3,1]", "row"},
     };
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
@@ -197,9 +207,8 @@ static void test_lens_values(void **state)
     struct lens l = lens_of(LENS_OPENCV);
     lens_distort(&l, x, y, &got[0], &got[1]);
     double d = 1 + -0.11 * r2 + 0.05 * r2 * r2;
-    const double opencv[2] = {
-        700 * (x * d + 2 * 0.001 * x * y - 0.002 * (r2 + 2 * x * x)) + 505,
-        710 * (y * d + 2 * -0.002 * x * y + 0.001 * (r2 + 2 * y * y)) + 395};
+    const double opencv[2] = {700 * (x * d + 2 * 0.001 * x * y - 0.002 * (r2 + 2 * x * x)) + 505,
+                              710 * (y * d + 2 * -0.002 * x * y + 0.001 * (r2 + 2 * y * y)) + 395};
     kit_near_d("OPENCV", got, opencv, 2, 1e-10, 0);
     l = lens_of(LENS_OPENCV_FISHEYE);
     lens_distort(&l, x, y, &got[0], &got[1]);
@@ -215,9 +224,8 @@ static void test_lens_values(void **state)
     lens_distort(&l, x, y, &got[0], &got[1]);
     double r4 = r2 * r2, r6 = r4 * r2;
     d = (1 - 0.2 * r2 + 0.05 * r4 + 0.01 * r6) / (1 - 0.05 * r2 + 0.02 * r4 + 0.001 * r6);
-    const double full[2] = {
-        700 * (x * d + 2 * 0.001 * x * y - 0.002 * (r2 + 2 * x * x)) + 505,
-        710 * (y * d + 2 * -0.002 * x * y + 0.001 * (r2 + 2 * y * y)) + 395};
+    const double full[2] = {700 * (x * d + 2 * 0.001 * x * y - 0.002 * (r2 + 2 * x * x)) + 505,
+                            710 * (y * d + 2 * -0.002 * x * y + 0.001 * (r2 + 2 * y * y)) + 395};
     kit_near_d("FULL_OPENCV", got, full, 2, 1e-10, 0);
     l = lens_of(LENS_THIN_PRISM_FISHEYE);
     lens_distort(&l, x, y, &got[0], &got[1]);
@@ -229,7 +237,8 @@ static void test_lens_values(void **state)
     kit_near_d("THIN_PRISM_FISHEYE", got, prism, 2, 1e-10, 0);
 }
 
-/* A picture of another size sees the same, whatever the model and however the aspect was rounded. */
+/* A picture of another size sees the same, whatever the model and however the aspect was rounded.
+ */
 static void test_lens_resize(void **state)
 {
     (void)state;
@@ -252,7 +261,9 @@ static void test_lens_resize(void **state)
 static void test_lens_without_inverse(void **state)
 {
     (void)state;
-    struct lens l = {.model = LENS_SIMPLE_RADIAL, .width_px = 1000, .height_px = 800,
+    struct lens l = {.model = LENS_SIMPLE_RADIAL,
+                     .width_px = 1000,
+                     .height_px = 800,
                      .params = {500, 500, 400, -0.5}};
     double edge = sqrt(2.0 / 3.0) * (1 - 0.5 * 2.0 / 3.0), x, y;
     assert_true(lens_undistort(&l, 500 + 500 * (edge - 0.01), 400, &x, &y));
@@ -267,10 +278,14 @@ static void test_lens_without_inverse(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_look_at_conventions), cmocka_unit_test(test_heading_agrees_with_look_at),
-        cmocka_unit_test(test_resize_keeps_the_view), cmocka_unit_test(test_quaternions),
-        cmocka_unit_test(test_json), cmocka_unit_test(test_lens_round_trip),
-        cmocka_unit_test(test_lens_values), cmocka_unit_test(test_lens_resize),
+        cmocka_unit_test(test_look_at_conventions),
+        cmocka_unit_test(test_heading_agrees_with_look_at),
+        cmocka_unit_test(test_resize_keeps_the_view),
+        cmocka_unit_test(test_quaternions),
+        cmocka_unit_test(test_json),
+        cmocka_unit_test(test_lens_round_trip),
+        cmocka_unit_test(test_lens_values),
+        cmocka_unit_test(test_lens_resize),
         cmocka_unit_test(test_lens_without_inverse),
     };
     return cmocka_run_group_tests_name("camera", tests, NULL, NULL);

@@ -7,8 +7,8 @@
 #include "core/geo.h"
 #include "kit.h"
 
-static const double tol_m = 1e-8;       /* double at the earth's radius: eps * 6.4e6 m = 1.4e-9 m */
-static const double tol_deg = 1e-13;    /* 1e-8 m over 1.1e5 m per degree */
+static const double tol_m = 1e-8;    /* double at the earth's radius: eps * 6.4e6 m = 1.4e-9 m */
+static const double tol_deg = 1e-13; /* 1e-8 m over 1.1e5 m per degree */
 static const double wgs_a = 6378137.0, wgs_f = 1 / 298.257223563;
 
 static void ecef(double lon_deg, double lat_deg, double h, double out[3])
@@ -27,13 +27,15 @@ static void test_enu_by_formula(void **state)
     for (uint64_t i = 0; i < 200; i++) {
         struct geo_origin o = {rng_unit(2, i, 0) * 360 - 180, rng_unit(2, i, 1) * 178 - 89,
                                rng_unit(2, i, 2) * 3000};
-        double lon = o.lon_deg + rng_normal(2, i, 3) * 0.05, lat = o.lat_deg + rng_normal(2, i, 4) * 0.01;
+        double lon = o.lon_deg + rng_normal(2, i, 3) * 0.05,
+               lat = o.lat_deg + rng_normal(2, i, 4) * 0.01;
         double h = o.h_m + rng_normal(2, i, 5) * 100, a[3], b[3], got[3], want[3], m[16];
         ecef(o.lon_deg, o.lat_deg, o.h_m, a);
         ecef(lon, lat, h, b);
         double l = o.lon_deg * M_PI / 180, p = o.lat_deg * M_PI / 180;
-        const double axes[9] = {-sin(l), cos(l), 0, -sin(p) * cos(l), -sin(p) * sin(l), cos(p),
-                                cos(p) * cos(l), cos(p) * sin(l), sin(p)};
+        const double axes[9] = {-sin(l),          cos(l),           0,
+                                -sin(p) * cos(l), -sin(p) * sin(l), cos(p),
+                                cos(p) * cos(l),  cos(p) * sin(l),  sin(p)};
         for (int k = 0; k < 3; k++)
             want[k] = axes[3 * k] * (b[0] - a[0]) + axes[3 * k + 1] * (b[1] - a[1]) +
                       axes[3 * k + 2] * (b[2] - a[2]);

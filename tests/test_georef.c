@@ -1,7 +1,8 @@
-/* Georeferencing against known frames: noise, outliers, two flights, wrong poses, straight lines; many seeds.
+/* Georeferencing against known frames: noise, outliers, two flights, wrong poses, straight lines;
+ * many seeds.
  *
- * A survey of cameras is made in ENU (nadir strips and four oblique passes), told to the code in a frame with a
- * random rotation, scale and shift, and compared with what comes back.
+ * A survey of cameras is made in ENU (nadir strips and four oblique passes), told to the code in a
+ * frame with a random rotation, scale and shift, and compared with what comes back.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,7 +12,7 @@
 #include "kit.h"
 #include "train/ingest.h"
 
-enum { SEEDS = 60, N_MAX = 400 };
+enum { SEEDS = 40, N_MAX = 400 };
 static const double sigma_m = 3;
 
 struct survey {
@@ -67,11 +68,13 @@ static void make_survey(uint64_t seed, size_t n, double edge, struct survey *s)
     for (size_t i = 0; i < n; i++) {
         size_t k = i % (n / 2);
         double eye[3] = {edge * ((double)(k % side) / (double)(side - 1) - 0.5),
-                         edge * ((double)(k / side) / (double)(side - 1) - 0.5), 80 + rng_normal(seed, 1, i)};
+                         edge * ((double)(k / side) / (double)(side - 1) - 0.5),
+                         80 + rng_normal(seed, 1, i)};
         bool nadir = i < n / 2;
         double heading = nadir ? (k / side % 2 ? 180 : 0) : 90.0 * (double)(k % 4);
-        struct camera cam = camera_heading(eye, heading + 5 * rng_normal(seed, 2, i),
-                                           (nadir ? -90 : -45) + 2 * rng_normal(seed, 3, i), 0.8, 400, 300);
+        struct camera cam =
+            camera_heading(eye, heading + 5 * rng_normal(seed, 2, i),
+                           (nadir ? -90 : -45) + 2 * rng_normal(seed, 3, i), 0.8, 400, 300);
         put_camera(s, i, &cam);
     }
 }
@@ -120,7 +123,8 @@ static double rotation_error(const double a[9], const double b[9])
     return acos(fmin(1, fmax(-1, 0.5 * (trace - 1))));
 }
 
-static void count_drops(const struct survey *s, const struct georef_result *r, size_t *missed, size_t *good)
+static void count_drops(const struct survey *s, const struct georef_result *r, size_t *missed,
+                        size_t *good)
 {
     *missed = *good = 0;
     for (size_t i = 0; i < s->n; i++) {
@@ -141,7 +145,8 @@ static void test_exact(void **state)
         make_survey(seed, 40, 150, &s);
         kit_ok(georef_fit(s.photos, s.n, &cfg, &r, &e), e);
         center_error(&s, &r.sim, off);
-        kit_near_d("centre", off, (const double[3]){0, 0, 0}, 3, 1e-4, 0); /* level prior: 1e-2 m / 1e-2 rad */
+        kit_near_d("centre", off, (const double[3]){0, 0, 0}, 3, 1e-4,
+                   0); /* level prior: 1e-2 m / 1e-2 rad */
         assert_true(fabs(r.sim.scale / s.truth.scale - 1) < 1e-6);
         assert_true(rotation_error(r.sim.rot, s.truth.rot) < 1e-5);
         assert_int_equal(r.n_dropped, 0);
@@ -151,9 +156,9 @@ static void test_exact(void **state)
     }
 }
 
-/* Gaussian noise of 3 m an axis and 5 % gross outliers. The error of a mean of N positions has the standard
- * deviation sigma / sqrt(N): of 3 * SEEDS draws at most 1 % may be beyond three of them (0.27 % expected), and
- * their root mean square must show that no information is lost. */
+/* Gaussian noise of 3 m an axis and 5 % gross outliers. The error of a mean of N positions has the
+ * standard deviation sigma / sqrt(N): of 120 draws at most 2 may be beyond three of them (0.3
+ * expected), and their root mean square must show that no information is lost. */
 static void test_noise_and_outliers(void **state)
 {
     (void)state;
@@ -182,17 +187,21 @@ static void test_noise_and_outliers(void **state)
                          100 * (r.sim.scale / s.truth.scale - 1));
             count_drops(&s, &r, &missed, &good);
             if (missed || (double)good > 0.02 * (double)s.n || r.n_flights != 1)
-                fail_msg("seed %zu, %zu photos: %zu outliers kept, %zu good ones dropped, %zu flights, tau %.1f m",
+                fail_msg("seed %zu, %zu photos: %zu outliers kept, %zu good ones dropped, %zu "
+                         "flights, tau %.1f m",
                          (size_t)seed, s.n, missed, good, r.n_flights, r.tau_m);
             /* A median of 57 distances is good to 13 %: 3.5 of that. */
             if (!(r.fit.sigma_h_m > 0.55 * sigma_m && r.fit.sigma_h_m < 1.45 * sigma_m))
-                fail_msg("seed %zu, %zu photos: noise judged %.2f m", (size_t)seed, s.n, r.fit.sigma_h_m);
+                fail_msg("seed %zu, %zu photos: noise judged %.2f m", (size_t)seed, s.n,
+                         r.fit.sigma_h_m);
             georef_free(&r);
         }
         double rms = sqrt(sum2 / (3 * SEEDS)) / unit;
-        print_message("%zu photos: rms error %.2f sigma/sqrt(N), %zu of %d beyond 3\n", counts[c], rms, beyond, 3 * SEEDS);
-        assert_true(rms < 1.15);
-        assert_true(beyond <= 3 * SEEDS / 100);
+        print_message("%zu photos: rms error %.2f sigma/sqrt(N), %zu of %d beyond 3\n", counts[c],
+                      rms, beyond, 3 * SEEDS);
+        assert_true(rms <
+                    1.2); /* 1 when nothing is lost; 120 draws tell it to 6.5 %, three of that */
+        assert_true(beyond <= 2);
     }
 }
 
@@ -212,7 +221,8 @@ static void test_two_flights(void **state)
             make_survey(seed, 120, 200, &s);
             add_noise(seed, scatter, &s);
             for (size_t i = 0; i < s.n; i++) {
-                /* how 0: second half, told by a pause; 1: second half, untold; 2: every third, untold */
+                /* how 0: second half, told by a pause; 1: second half, untold; 2: every third,
+                 * untold */
                 bool second = how == 2 ? i % 3 == 0 : i >= 70;
                 s.photos[i].flight_hint = how == 0 && second;
                 s.photos[i].gps_enu_m[2] += second ? offset : 0;
@@ -222,11 +232,43 @@ static void test_two_flights(void **state)
                 rejected += r.dropped[i];
             center_error(&s, &r.sim, off);
             double low = fabs(r.flight_offset_m[1] - offset);
-            if (rejected > 2 || r.n_flights != 2 || low > 3 * scatter || hypot(off[0], off[1]) > scatter)
-                fail_msg("seed %zu, how %d, offset %g: %zu rejected, %zu flights, offset %.2f, centre off %.2f %.2f %.2f",
-                         (size_t)seed, how, offset, rejected, r.n_flights, r.flight_offset_m[1], off[0], off[1], off[2]);
+            if (rejected > 2 || r.n_flights != 2 || low > 3 * scatter ||
+                hypot(off[0], off[1]) > scatter)
+                fail_msg("seed %zu, how %d, offset %g: %zu rejected, %zu flights, offset %.2f, "
+                         "centre off %.2f %.2f %.2f",
+                         (size_t)seed, how, offset, rejected, r.n_flights, r.flight_offset_m[1],
+                         off[0], off[1], off[2]);
             georef_free(&r);
         }
+}
+
+/* A receiver whose height drifts by 110 m while the drone flies level: the scene must not tilt for
+ * it, at most 5 % are dropped, and no second flight is invented. */
+static void test_drifting_heights(void **state)
+{
+    (void)state;
+    struct survey s;
+    struct err e = {0};
+    for (uint64_t seed = 0; seed < SEEDS; seed++) {
+        struct georef_result r;
+        struct georef_config cfg = config();
+        make_survey(seed, 80, 150, &s);
+        add_noise(seed, 2, &s);
+        for (size_t i = 0; i < s.n; i++)
+            s.photos[i].gps_enu_m[2] += 110 * (1 - exp(-2.5 * (double)i / (double)s.n));
+        if (seed % 2) /* the ground's normal, in COLMAP's frame, a few degrees off */
+            for (int a = 0; a < 3; a++)
+                cfg.ground_normal[a] = s.truth.rot[6 + a] + 0.04 * s.truth.rot[a];
+        kit_ok(georef_fit(s.photos, s.n, &cfg, &r, &e), e);
+        double turned = rotation_error(r.sim.rot, s.truth.rot) * 180 / M_PI;
+        double stretched = fabs(r.sim.scale / s.truth.scale - 1);
+        if (turned > 4 || stretched > 0.05 || r.n_dropped > 4 || r.n_flights > 1)
+            fail_msg(
+                "seed %zu: turned by %.1f degrees, scale off by %.1f %%, %zu dropped, %zu flights",
+                (size_t)seed, turned, 100 * stretched, r.n_dropped, r.n_flights);
+        assert_true(r.fit.share_v < 0.2); /* and it knows */
+        georef_free(&r);
+    }
 }
 
 /* A camera 15 m from where it says, good GPS: flagged, and nothing else. */
@@ -254,7 +296,8 @@ static void test_pose_errors(void **state)
         kit_ok(georef_fit(s.photos, s.n, &cfg, &r, &e), e);
         count_drops(&s, &r, &missed, &good);
         if (missed || good)
-            fail_msg("seed %zu: %zu wrong poses kept, %zu good ones dropped, tau %.1f m", (size_t)seed, missed, good, r.tau_m);
+            fail_msg("seed %zu: %zu wrong poses kept, %zu good ones dropped, tau %.1f m",
+                     (size_t)seed, missed, good, r.tau_m);
         georef_free(&r);
     }
 }
@@ -283,8 +326,8 @@ static void test_collinear(void **state)
         assert_true(r.collinear);
         center_error(&s, &r.sim, off);
         if (!(fabs(off[0]) < 1 && fabs(off[1]) < 1 && fabs(off[2]) < 1))
-            fail_msg("seed %zu: centre off %.2f %.2f %.2f m, scale %g, sigma %g", (size_t)seed, off[0], off[1], off[2],
-                     r.sim.scale / s.truth.scale, r.fit.sigma_h_m);
+            fail_msg("seed %zu: centre off %.2f %.2f %.2f m, scale %g, sigma %g", (size_t)seed,
+                     off[0], off[1], off[2], r.sim.scale / s.truth.scale, r.fit.sigma_h_m);
         assert_true(fabs(r.sim.scale / s.truth.scale - 1) < 0.01);
         double turned = rotation_error(r.sim.rot, s.truth.rot) * 180 / M_PI;
         if (turned > 2) /* degrees: 2 degrees of pitch and heading jitter, averaged */
@@ -306,7 +349,8 @@ static void test_upright_without_gps(void **state)
         /* COLMAP's image of ENU up must come out as up. */
         double up[3];
         for (int i = 0; i < 3; i++)
-            up[i] = sim.rot[3 * i] * s.truth.rot[6] + sim.rot[3 * i + 1] * s.truth.rot[7] + sim.rot[3 * i + 2] * s.truth.rot[8];
+            up[i] = sim.rot[3 * i] * s.truth.rot[6] + sim.rot[3 * i + 1] * s.truth.rot[7] +
+                    sim.rot[3 * i + 2] * s.truth.rot[8];
         assert_true(up[2] > cos(2 * M_PI / 180));
         assert_true(sim.scale == 2);
     }
@@ -360,10 +404,15 @@ static void test_out_of_memory(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_exact),     cmocka_unit_test(test_noise_and_outliers),
-        cmocka_unit_test(test_two_flights), cmocka_unit_test(test_pose_errors),
-        cmocka_unit_test(test_collinear), cmocka_unit_test(test_upright_without_gps),
-        cmocka_unit_test(test_refused),   cmocka_unit_test(test_out_of_memory),
+        cmocka_unit_test(test_exact),
+        cmocka_unit_test(test_noise_and_outliers),
+        cmocka_unit_test(test_two_flights),
+        cmocka_unit_test(test_pose_errors),
+        cmocka_unit_test(test_drifting_heights),
+        cmocka_unit_test(test_collinear),
+        cmocka_unit_test(test_upright_without_gps),
+        cmocka_unit_test(test_refused),
+        cmocka_unit_test(test_out_of_memory),
     };
     return cmocka_run_group_tests_name("georef", tests, NULL, NULL);
 }

@@ -57,7 +57,8 @@ static void truth_center(const json_t *root, const struct geo_origin *to, size_t
 {
     struct err e = {0};
     struct geo_origin from;
-    const json_t *o = json_object_get(root, "origin"), *p = json_array_get(json_object_get(root, "photographs"), i);
+    const json_t *o = json_object_get(root, "origin"),
+                 *p = json_array_get(json_object_get(root, "photographs"), i);
     double enu[3], lon, lat, h;
     kit_ok(jsonc_num(o, "lon_deg", &from.lon_deg, &e), e);
     kit_ok(jsonc_num(o, "lat_deg", &from.lat_deg, &e), e);
@@ -87,8 +88,10 @@ static double track_error(const struct scene *s)
         const double *x = s->points[t->point].enu_m;
         double p[3];
         for (int a = 0; a < 3; a++)
-            p[a] = c->rot[3 * a] * x[0] + c->rot[3 * a + 1] * x[1] + c->rot[3 * a + 2] * x[2] + c->trans[a];
-        v[k] = hypot(c->fx_px * p[0] / p[2] + c->cx_px - (double)t->x_px, c->fy_px * p[1] / p[2] + c->cy_px - (double)t->y_px);
+            p[a] = c->rot[3 * a] * x[0] + c->rot[3 * a + 1] * x[1] + c->rot[3 * a + 2] * x[2] +
+                   c->trans[a];
+        v[k] = hypot(c->fx_px * p[0] / p[2] + c->cx_px - (double)t->x_px,
+                     c->fy_px * p[1] / p[2] + c->cy_px - (double)t->y_px);
     }
     double median = similarity_median(v, s->n_tracks);
     mem_free(v);
@@ -177,8 +180,10 @@ static void test_everything_wrong(void **state)
     const json_t *photos = json_object_get(report, "photos");
     size_t bad = 0;
     for (size_t i = 0; i < json_array_size(photos); i++) {
-        const json_t *t = json_array_get(json_object_get(truth, "photographs"), i), *p = json_array_get(photos, i);
-        bool must = json_is_true(json_object_get(t, "gps_outlier")) || json_is_true(json_object_get(t, "pose_error"));
+        const json_t *t = json_array_get(json_object_get(truth, "photographs"), i),
+                     *p = json_array_get(photos, i);
+        bool must = json_is_true(json_object_get(t, "gps_outlier")) ||
+                    json_is_true(json_object_get(t, "pose_error"));
         bool kept = json_is_true(json_object_get(p, "kept"));
         bad += must;
         if (must == kept)
@@ -186,7 +191,8 @@ static void test_everything_wrong(void **state)
                      kept ? "kept" : json_string_value(json_object_get(p, "why")));
     }
     assert_true(bad >= 2);
-    const json_t *offsets = json_object_get(json_object_get(report, "georeferencing"), "flight_height_offset_m");
+    const json_t *offsets =
+        json_object_get(json_object_get(report, "georeferencing"), "flight_height_offset_m");
     assert_int_equal(json_array_size(offsets), 2);
     double offset = json_number_value(json_array_get(offsets, 1));
     if (fabs(fabs(offset) - 12) > 1)
@@ -201,7 +207,8 @@ static void test_everything_wrong(void **state)
     json_decref(report);
 }
 
-/* ---- pixels -------------------------------------------------------------------------------------------- */
+/* ---- pixels
+ * -------------------------------------------------------------------------------------------- */
 
 /* A smooth picture: colours are a known function of the place. */
 static void smooth(double u, double v, double rgb[3])
@@ -249,15 +256,19 @@ static void test_undistorted_pixels(void **state)
                     double u, w, want[3];
                     lens_distort(&lenses[l], (x + 0.5 - v.pinhole.cx_px) / v.pinhole.fx_px,
                                  (y + 0.5 - v.pinhole.cy_px) / v.pinhole.fy_px, &u, &w);
-                    assert_true(u > -1e-3 && w > -1e-3 && u < 320.001 && w < 240.001); /* no black borders */
+                    assert_true(u > -1e-3 && w > -1e-3 && u < 320.001 &&
+                                w < 240.001); /* no black borders */
                     smooth(u, w, want);
                     bool border = x < 3 || y < 3 || x + 3 >= img.width_px || y + 3 >= img.height_px;
                     for (int k = 0; k < 3 && !border; k++)
-                        worst = fmax(worst, fabs(img.px[3 * ((size_t)y * img.width_px + x) + (size_t)k] - want[k]));
+                        worst = fmax(
+                            worst,
+                            fabs(img.px[3 * ((size_t)y * img.width_px + x) + (size_t)k] - want[k]));
                 }
             image_free(&img);
             if (worst > 4) /* two or three roundings to bytes, and curvature within a pixel of 4 */
-                fail_msg("%s to %u px: off by %.1f levels", lens_name(lenses[l].model), edge, worst);
+                fail_msg("%s to %u px: off by %.1f levels", lens_name(lenses[l].model), edge,
+                         worst);
             /* Observations land where the pixels do. */
             double u, w, mu, mw;
             lens_distort(&lenses[l], 0.1, -0.2, &u, &w);
@@ -267,7 +278,8 @@ static void test_undistorted_pixels(void **state)
         }
 }
 
-/* ---- bad input --------------------------------------------------------------------------------------------- */
+/* ---- bad input
+ * --------------------------------------------------------------------------------------------- */
 
 static void expect_nothing_left(const char *out)
 {
@@ -283,7 +295,8 @@ static void expect_nothing_left(const char *out)
 static void test_bad_input(void **state)
 {
     (void)state;
-    char city[FILE_PATH_MAX], out[FILE_PATH_MAX], photo[FILE_PATH_MAX], images[FILE_PATH_MAX], other[FILE_PATH_MAX];
+    char city[FILE_PATH_MAX], out[FILE_PATH_MAX], photo[FILE_PATH_MAX], images[FILE_PATH_MAX],
+        other[FILE_PATH_MAX];
     struct synth_config sc;
     struct ingest_config ic;
     struct err e = {0};
@@ -366,7 +379,8 @@ static void test_without_gps(void **state)
         double want[3], got[3];
         truth_center(truth, &(struct geo_origin){7.5733, 47.5584, 280}, i, want);
         camera_center(&s.images[i].cam, got);
-        if (fabs(got[2] - want[2]) > 6) /* level and to scale, to a few degrees; heading is arbitrary */
+        if (fabs(got[2] - want[2]) >
+            6) /* level and to scale, to a few degrees; heading is arbitrary */
             fail_msg("camera %zu at height %.1f m, want %.1f m", i, got[2], want[2]);
         assert_true(isnan(s.images[i].residual_m));
     }
@@ -374,7 +388,8 @@ static void test_without_gps(void **state)
     scene_free(&s);
 }
 
-/* A real flight with a drifting receiver: nothing is rejected in masses, and its cameras look down. */
+/* A real flight with a drifting receiver: nothing is rejected in masses, and its cameras look down.
+ */
 static void test_caliterra(void **state)
 {
     (void)state;
@@ -428,9 +443,9 @@ static int teardown(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_whole_way),   cmocka_unit_test(test_everything_wrong),
+        cmocka_unit_test(test_whole_way),          cmocka_unit_test(test_everything_wrong),
         cmocka_unit_test(test_undistorted_pixels), cmocka_unit_test(test_bad_input),
-        cmocka_unit_test(test_without_gps), cmocka_unit_test(test_caliterra),
+        cmocka_unit_test(test_without_gps),        cmocka_unit_test(test_caliterra),
     };
     progress_quiet(true);
     log_set_level(LOG_WARN);

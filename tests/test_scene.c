@@ -14,8 +14,13 @@ static const double tol_rot = 1e-14; /* a rotation is made orthonormal again whe
 
 static void make_scene(struct scene *s)
 {
-    *s = (struct scene){.origin = {7.5, 47.25, 312.125}, .scale = 3.25, .rot = {0, -1, 0, 1, 0, 0, 0, 0, 1},
-                        .trans = {1, 2, 3}, .vertical_offset_m = -1.5, .n_images = N_IMAGES, .n_points = N_POINTS};
+    *s = (struct scene){.origin = {7.5, 47.25, 312.125},
+                        .scale = 3.25,
+                        .rot = {0, -1, 0, 1, 0, 0, 0, 0, 1},
+                        .trans = {1, 2, 3},
+                        .vertical_offset_m = -1.5,
+                        .n_images = N_IMAGES,
+                        .n_points = N_POINTS};
     s->images = arena_get(&s->arena, N_IMAGES, sizeof *s->images);
     s->points = arena_get(&s->arena, N_POINTS, sizeof *s->points);
     s->tracks = arena_get(&s->arena, N_POINTS, sizeof *s->tracks);
@@ -23,7 +28,8 @@ static void make_scene(struct scene *s)
     for (uint32_t i = 0; i < N_IMAGES; i++) {
         struct scene_image *im = &s->images[i];
         im->name = arena_printf(&s->arena, "IMG %u.jpg", i);
-        im->cam = camera_look_at((double[3]){10.0 * i, 5, 80}, (double[3]){1.0 + i, 2, 0}, 0.9, 400, 300);
+        im->cam =
+            camera_look_at((double[3]){10.0 * i, 5, 80}, (double[3]){1.0 + i, 2, 0}, 0.9, 400, 300);
         im->split = i ? SCENE_TRAIN : SCENE_TEST;
         im->group = i;
         im->residual_m = i == 2 ? (double)NAN : 0.1 * i;
@@ -109,10 +115,14 @@ static void test_refused(void **state)
     static const struct {
         const char *from, *to, *says;
     } bad[] = {
-        {"citysplat-scene", "other", "format"}, {"\"version\": 1", "\"version\": 9", "version"},
-        {"IMG 1.jpg", "../x.jpg", "images[1]"},  {"\"test\"", "\"both\"", "split"},
-        {"\"group\": 2", "\"group\": -2", "group"}, {"\"fx\"", "\"fxx\"", "images[0]"},
-        {"\"lat_deg\": 47.25", "\"lat_deg\": 147.25", "origin"}, {"\"scale\"", "\"skale\"", "scale"},
+        {"citysplat-scene", "other", "format"},
+        {"\"version\": 1", "\"version\": 9", "version"},
+        {"IMG 1.jpg", "../x.jpg", "images[1]"},
+        {"\"test\"", "\"both\"", "split"},
+        {"\"group\": 2", "\"group\": -2", "group"},
+        {"\"fx\"", "\"fxx\"", "images[0]"},
+        {"\"lat_deg\": 47.25", "\"lat_deg\": 147.25", "origin"},
+        {"\"scale\"", "\"skale\"", "scale"},
         {"\"images\"", "\"pictures\"", "images"},
     };
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {

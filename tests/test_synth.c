@@ -10,7 +10,8 @@
 #include "kit.h"
 #include "train/synth.h"
 
-static const double tol_gps_m = 0.02; /* EXIF keeps 1e-4 seconds of arc or better, and centimetres */
+static const double tol_gps_m =
+    0.02; /* EXIF keeps 1e-4 seconds of arc or better, and centimetres */
 
 struct city {
     char dir[FILE_PATH_MAX];
@@ -61,8 +62,9 @@ static bool same_file(const struct city *a, const struct city *b, const char *na
 static void test_same_seed_same_bytes(void **state)
 {
     (void)state;
-    static const char *const files[] = {"images/IMG_0003.jpg",    "images/IMG_0016.jpg",  "sparse/0/cameras.bin",
-                                        "sparse/0/images.bin",    "sparse/0/points3D.bin", "truth/truth.json",
+    static const char *const files[] = {"images/IMG_0003.jpg",      "images/IMG_0016.jpg",
+                                        "sparse/0/cameras.bin",     "sparse/0/images.bin",
+                                        "sparse/0/points3D.bin",    "truth/truth.json",
                                         "truth/clean/IMG_0009.png", "truth/depth/IMG_0009.npy"};
     char tmp[FILE_PATH_MAX];
     struct city a, b, c;
@@ -130,7 +132,8 @@ static struct truth truth_of(const json_t *root, size_t i)
     return t;
 }
 
-/* Every observation against the true poses, and the depth map of test photographs against the points. */
+/* Every observation against the true poses, and the depth map of test photographs against the
+ * points. */
 static void check_model(const struct city *c)
 {
     double scale, rot[9], trans[3], sum = 0, worst_mean = 0;
@@ -158,12 +161,15 @@ static void check_model(const struct city *c)
             const double *x = m.points[o->point].xyz;
             double y[3], v[3], px[2];
             for (int a = 0; a < 3; a++)
-                y[a] = scale * (rot[3 * a] * x[0] + rot[3 * a + 1] * x[1] + rot[3 * a + 2] * x[2]) + trans[a];
+                y[a] = scale * (rot[3 * a] * x[0] + rot[3 * a + 1] * x[1] + rot[3 * a + 2] * x[2]) +
+                       trans[a];
             for (int a = 0; a < 3; a++)
-                v[a] = t.m[4 * a] * y[0] + t.m[4 * a + 1] * y[1] + t.m[4 * a + 2] * y[2] + t.m[4 * a + 3];
+                v[a] = t.m[4 * a] * y[0] + t.m[4 * a + 1] * y[1] + t.m[4 * a + 2] * y[2] +
+                       t.m[4 * a + 3];
             lens_distort(&m.cameras[0].lens, v[0] / v[2], v[1] / v[2], &px[0], &px[1]);
             mean += hypot(px[0] - o->x_px, px[1] - o->y_px);
-            if (depth && o->x_px > 0 && o->y_px > 0 && o->x_px < (double)shape[1] && o->y_px < (double)shape[0]) {
+            if (depth && o->x_px > 0 && o->y_px > 0 && o->x_px < (double)shape[1] &&
+                o->y_px < (double)shape[0]) {
                 double z = (double)depth[(size_t)o->y_px * shape[1] + (size_t)o->x_px];
                 n_depth++;
                 n_deep += fabs(z - v[2]) < 0.03 * v[2];
@@ -176,7 +182,8 @@ static void check_model(const struct city *c)
     }
     /* 0.35 px of feature noise and 0.4 px of place noise per axis make 0.67 px on average. */
     if (sum / (double)n > 0.9 || worst_mean > 1.2)
-        fail_msg("mean reprojection error %.2f px, worst photograph %.2f px", sum / (double)n, worst_mean);
+        fail_msg("mean reprojection error %.2f px, worst photograph %.2f px", sum / (double)n,
+                 worst_mean);
     assert_true(n > 5000);
     /* A pixel holds roof and street where a point lies at an edge: most, not all, agree. */
     if (n_depth < 300 || (double)n_deep < 0.8 * (double)n_depth)
@@ -261,7 +268,8 @@ static void test_knobs(void **state)
         for (int a = 0; a < 3; a++)
             center[a] = -(t.m[a] * t.m[3] + t.m[4 + a] * t.m[7] + t.m[8 + a] * t.m[11]);
         center[2] += t.flight ? 12 : 0;
-        double off = sqrt(pow(center[0] - enu[0], 2) + pow(center[1] - enu[1], 2) + pow(center[2] - enu[2], 2));
+        double off = sqrt(pow(center[0] - enu[0], 2) + pow(center[1] - enu[1], 2) +
+                          pow(center[2] - enu[2], 2));
         assert_true(t.outlier ? off > 30 : off < 11); /* 5.5 sigma */
         noise2 += t.outlier ? 0 : off * off / 3;
         n_noise += !t.outlier;
@@ -269,7 +277,8 @@ static void test_knobs(void **state)
             changed = fmax(changed, fabs(mean_level(c.dir, "images", i + 1, "jpg") -
                                          mean_level(c.dir, "truth/clean", i + 1, "png")));
     }
-    assert_true(outliers > 1 && outliers < 16 && wrong > 1 && wrong < 16 && vehicles > 6 && vehicles < 26);
+    assert_true(outliers > 1 && outliers < 16 && wrong > 1 && wrong < 16 && vehicles > 6 &&
+                vehicles < 26);
     assert_int_equal(second, 16);
     assert_true(sqrt(noise2 / (double)n_noise) > 1.4 && sqrt(noise2 / (double)n_noise) < 2.6);
     assert_true(changed > 8); /* exposure shows */

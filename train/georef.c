@@ -1,13 +1,13 @@
 /* Which GPS positions to trust, and the frame that follows from them.
  *
- * Random draws of three photographs give a similarity that many agree with (RANSAC, scored by truncated squares,
- * MSAC); a robust least-squares fit follows. Flights on different days or with different receivers may have
- * heights that are metres apart while everything else agrees, and a fit that ignores that would tilt the scene
- * and reject half of it: partitions into flights (by pauses, by a jump along the order of names, by two clusters
- * of height) are tried, each with a height offset per flight, and one is taken when it explains the
- * positions much better. Then photographs farther from their GPS position than
- *   tau = clamp(median(e) + 5 * 1.4826 * MAD(e), tau_min, tau_max)
- * are dropped and the fit repeated, three times at most.
+ * Random draws of three photographs give a similarity that many agree with (RANSAC, scored by
+ * truncated squares, MSAC); a robust least-squares fit follows. Flights on different days or with
+ * different receivers may have heights that are metres apart while everything else agrees, and a
+ * fit that ignores that would tilt the scene and reject half of it: partitions into flights (by
+ * pauses, by a jump along the order of names, by two clusters of height) are tried, each with a
+ * height offset per flight, and one is taken when it explains the positions much better. Then
+ * photographs farther from their GPS position than tau = clamp(median(e) + 5 * 1.4826 * MAD(e),
+ * tau_min, tau_max) are dropped and the fit repeated, three times at most.
  *
  * Sources: Fischler and Bolles 1981 (RANSAC), Torr and Zisserman 2000 (MSAC), Horn 1987.
  *
@@ -18,17 +18,26 @@
 
 #include "train/ingest.h"
 
-enum { DRAWS_MAX = 10000, DRAWS_MIN = 300, ROUNDS_MAX = 3, JUMPS_TRIED = 48, FLIGHT_MIN = 3,
-       FLIGHTS_PHOTOS_MIN = 12 };
+enum {
+    DRAWS_MAX = 10000,
+    DRAWS_MIN = 300,
+    ROUNDS_MAX = 3,
+    JUMPS_TRIED = 48,
+    FLIGHT_MIN = 3,
+    FLIGHTS_PHOTOS_MIN = 12
+};
 static const double collinear_ratio = 0.01;
-/* For a partition to be taken: cost against that of one flight. Cutting one normal distribution of heights at
- * its middle leaves 0.79 of the cost, so clusters must do much better than that. A receiver that drifts is no
- * second flight: a jump must be sudden, and clusters that follow each other in order are a jump. */
-static const double better_in_order = 0.8, better_in_clusters = 0.6, offset_min_m = 1, offset_sigmas = 4;
-static const double jump_sudden = 0.5, cluster_changes = 0.1;
+/* For a partition to be taken: cost against that of one flight. Cutting one normal distribution of
+ * heights at its middle leaves 0.79 of the cost, so clusters must do much better than that. A
+ * receiver that drifts is no second flight: a jump must be sudden and fit better than a parabola,
+ * and clusters that follow each other in order are a jump. */
+static const double better_in_order = 0.8, better_in_clusters = 0.6, offset_min_m = 1,
+                    offset_sigmas = 4;
+static const double jump_sudden = 0.5, jump_better = 0.9, cluster_changes = 0.1;
 enum { JUMP_WINDOW = 10 };
 enum partition { PARTITION_PAUSE, PARTITION_JUMP, PARTITION_CLUSTER };
-static const double level_sigma = 0.03, normal_sigma = 0.2, hint_sigma = 0.5; /* radians, of upright_at */
+static const double level_sigma = 0.03, normal_sigma = 0.2,
+                    hint_sigma = 0.5; /* radians, of upright_at */
 
 void georef_free(struct georef_result *r)
 {
@@ -38,15 +47,18 @@ void georef_free(struct georef_result *r)
     *r = (struct georef_result){0};
 }
 
-/* ---- which way is up ------------------------------------------------------------------------------ */
+/* ---- which way is up
+ * ------------------------------------------------------------------------------ */
 
-/* Up in COLMAP's frame, from cameras that do not roll, over ground that is roughly level: the direction most
- * at right angles to all camera x axes and closest to the ground normal. */
-static void upright_at(const struct georef_photo *photos, size_t n, const double normal[3], double up[3])
+/* Up in COLMAP's frame, from cameras that do not roll, over ground that is roughly level: the
+ * direction most at right angles to all camera x axes and closest to the ground normal. */
+static void upright_at(const struct georef_photo *photos, size_t n, const double normal[3],
+                       double up[3])
 {
     double hint[3] = {0}, m[9] = {0}, values[3], vectors[9];
     bool known = normal[0] != 0 || normal[1] != 0 || normal[2] != 0;
-    for (size_t i = 0; i < n; i++) /* between "up in the picture" and "backwards": right for any pitch down */
+    for (size_t i = 0; i < n;
+         i++) /* between "up in the picture" and "backwards": right for any pitch down */
         for (int a = 0; a < 3; a++)
             hint[a] -= photos[i].rot[3 + a] + photos[i].rot[6 + a];
     double len = sqrt(hint[0] * hint[0] + hint[1] * hint[1] + hint[2] * hint[2]);
@@ -55,7 +67,8 @@ static void upright_at(const struct georef_photo *photos, size_t n, const double
     for (int a = 0; a < 3; a++)
         for (int b = 0; b < 3; b++) {
             for (size_t i = 0; i < n; i++)
-                m[3 * a + b] += photos[i].rot[a] * photos[i].rot[b] / ((double)n * level_sigma * level_sigma);
+                m[3 * a + b] +=
+                    photos[i].rot[a] * photos[i].rot[b] / ((double)n * level_sigma * level_sigma);
             double s2 = known ? normal_sigma * normal_sigma : hint_sigma * hint_sigma;
             m[3 * a + b] += ((a == b) - (known ? normal[a] * normal[b] : hint[a] * hint[b])) / s2;
         }
@@ -65,8 +78,9 @@ static void upright_at(const struct georef_photo *photos, size_t n, const double
         up[a] = sign * vectors[a];
 }
 
-enum err_code georef_upright(const struct georef_photo *photos, size_t n, const double ground_normal[3],
-                             double scale, struct similarity *out, struct err *e)
+enum err_code georef_upright(const struct georef_photo *photos, size_t n,
+                             const double ground_normal[3], double scale, struct similarity *out,
+                             struct err *e)
 {
     double up[3], east[3], north[3], mean[3] = {0}, at[3];
     if (!n)
@@ -93,7 +107,8 @@ enum err_code georef_upright(const struct georef_photo *photos, size_t n, const 
     return ERR_OK;
 }
 
-/* ---- the fit ----------------------------------------------------------------------------------------- */
+/* ---- the fit
+ * ----------------------------------------------------------------------------------------- */
 
 struct work { /* arrays of one georef_fit, all [n] */
     size_t n;
@@ -132,7 +147,8 @@ static enum err_code work_make(struct work *w, const struct georef_photo *photos
     w->group = mem_array(n, sizeof *w->group);
     w->trial = mem_array(n, sizeof *w->trial);
     w->with_gps = mem_array(n, sizeof *w->with_gps);
-    if (!w->x || !w->y || !w->right || !w->scratch || !w->e || !w->use || !w->group || !w->trial || !w->with_gps)
+    if (!w->x || !w->y || !w->right || !w->scratch || !w->e || !w->use || !w->group || !w->trial ||
+        !w->with_gps)
         return err_set(e, ERR_MEM, "georeferencing: out of memory for %zu photographs", n);
     for (size_t i = 0; i < n; i++) {
         memcpy(w->x[i], photos[i].center, sizeof w->x[i]);
@@ -143,13 +159,25 @@ static enum err_code work_make(struct work *w, const struct georef_photo *photos
             w->with_gps[w->n_gps++] = (uint32_t)i;
     }
     upright_at(photos, n, cfg->ground_normal, w->up);
-    w->p = (struct similarity_problem){.x = (const double (*)[3])w->x, .y = (const double (*)[3])w->y,
-                                       .right = (const double (*)[3])w->right, .use = w->use, .group = w->group,
-                                       .n = n, .n_groups = 1, .cut_m = cfg->inlier_m};
+    w->p = (struct similarity_problem){.x = (const double(*)[3])w->x,
+                                       .y = (const double(*)[3])w->y,
+                                       .right = (const double(*)[3])w->right,
+                                       .use = w->use,
+                                       .group = w->group,
+                                       .n = n,
+                                       .n_groups = 1,
+                                       .cut_m = cfg->inlier_m};
     const double *g = cfg->ground_normal;
     double sign = g[0] * w->up[0] + g[1] * w->up[1] + g[2] * w->up[2] < 0 ? -1 : 1;
-    for (int a = 0; a < 3; a++)
+    double m[9] = {0}, values[3], vectors[9];
+    for (int a = 0; a < 3; a++) {
         w->p.normal[a] = sign * g[a];
+        for (int b = 0; b < 3; b++)
+            for (size_t i = 0; i < n; i++)
+                m[3 * a + b] += photos[i].rot[a] * photos[i].rot[b] / (double)n;
+    }
+    similarity_eigen(m, 3, values, vectors);
+    w->p.level_sigma = sqrt(fmax(0, values[0]));
     return ERR_OK;
 }
 
@@ -175,7 +203,8 @@ static size_t count_within(const struct work *w, const struct similarity_fit *f,
 }
 
 /* As truncated_cost and count_within, horizontally. */
-static double plan_cost(const struct work *w, const struct similarity *s, double cap, size_t *within)
+static double plan_cost(const struct work *w, const struct similarity *s, double cap,
+                        size_t *within)
 {
     double sum = 0;
     *within = 0;
@@ -196,17 +225,20 @@ static double draws_needed(double share, int k)
     return miss < 0 ? log(1e-6) / miss : DRAWS_MAX;
 }
 
-/* The best of many fits to two photographs, up taken from the cameras and the ground, heights ignored. */
+/* The best of many fits to two photographs, up taken from the cameras and the ground, heights
+ * ignored. */
 static bool draw_plans(const struct work *w, struct similarity_fit *best)
 {
     double best_cost = HUGE_VAL, needed = DRAWS_MAX;
-    for (uint64_t draw = 0; draw < DRAWS_MAX && (draw < DRAWS_MIN || (double)draw < needed); draw++) {
+    for (uint64_t draw = 0; draw < DRAWS_MAX && (draw < DRAWS_MIN || (double)draw < needed);
+         draw++) {
         uint32_t pick[2];
         size_t within;
         for (uint64_t k = 0; k < 2; k++)
             pick[k] = w->with_gps[rng_u64(w->cfg->seed, draw, 8 + k) % w->n_gps];
         struct similarity s;
-        if (pick[0] == pick[1] || !similarity_from_plan(w->p.x, w->p.y, pick, 2, w->up, w->scratch, &s))
+        if (pick[0] == pick[1] ||
+            !similarity_from_plan(w->p.x, w->p.y, pick, 2, w->up, w->scratch, &s))
             continue;
         double cost = plan_cost(w, &s, w->cfg->inlier_m, &within);
         if (!(cost < best_cost))
@@ -230,7 +262,8 @@ static bool draw_plans(const struct work *w, struct similarity_fit *best)
 static bool draw_fits(const struct work *w, struct similarity_fit *best)
 {
     double best_cost = HUGE_VAL, needed = DRAWS_MAX;
-    for (uint64_t draw = 0; draw < DRAWS_MAX && (draw < DRAWS_MIN || (double)draw < needed); draw++) {
+    for (uint64_t draw = 0; draw < DRAWS_MAX && (draw < DRAWS_MIN || (double)draw < needed);
+         draw++) {
         uint32_t pick[3];
         for (uint64_t k = 0; k < 3; k++)
             pick[k] = w->with_gps[rng_u64(w->cfg->seed, draw, k) % w->n_gps];
@@ -249,7 +282,8 @@ static bool draw_fits(const struct work *w, struct similarity_fit *best)
     return best_cost < HUGE_VAL;
 }
 
-/* ---- flights ------------------------------------------------------------------------------------------- */
+/* ---- flights
+ * ------------------------------------------------------------------------------------------- */
 
 static double height_error(const struct work *w, const struct similarity_fit *f, size_t i)
 {
@@ -258,7 +292,8 @@ static double height_error(const struct work *w, const struct similarity_fit *f,
     return w->y[i][2] - y[2];
 }
 
-/* Number the flights of `trial` by size, largest first; false when one is too small or there is only one. */
+/* Number the flights of `trial` by size, largest first; false when one is too small or there is
+ * only one. */
 static bool flights_rank(struct work *w, size_t *n_groups)
 {
     size_t count[SIMILARITY_GROUPS_MAX] = {0}, rank[SIMILARITY_GROUPS_MAX], n = 0;
@@ -273,7 +308,8 @@ static bool flights_rank(struct work *w, size_t *n_groups)
             rank[g] += count[h] > count[g] || (count[h] == count[g] && h < g);
     }
     for (size_t i = 0; i < w->n; i++)
-        w->trial[i] = rank[w->trial[i]] < n ? (uint32_t)rank[w->trial[i]] : 0; /* flights without GPS join the first */
+        w->trial[i] = rank[w->trial[i]] < n ? (uint32_t)rank[w->trial[i]]
+                                            : 0; /* flights without GPS join the first */
     *n_groups = n;
     return n > 1;
 }
@@ -288,6 +324,32 @@ static double window_height(struct work *w, const struct similarity_fit *f, size
     return similarity_median(w->scratch, n);
 }
 
+/* Residual sum of squares of v[0..n) about its best parabola; *steps gets that about two levels
+ * that meet at `at`. Values are in order of names. */
+static double parabola_cost(const double *v, size_t n, size_t at, double *steps)
+{
+    double moment[5] = {0}, b[3] = {0}, square = 0, sum[2] = {0};
+    for (size_t k = 0; k < n; k++) {
+        double t = 2 * ((double)k + 0.5) / (double)n - 1, power = 1;
+        for (int a = 0; a < 5; a++, power *= t) {
+            moment[a] += power;
+            if (a < 3)
+                b[a] += power * v[k];
+        }
+        square += v[k] * v[k];
+        sum[k >= at] += v[k];
+    }
+    *steps = square - (at ? sum[0] * sum[0] / (double)at : 0) -
+             (at < n ? sum[1] * sum[1] / (double)(n - at) : 0);
+    /* Odd moments vanish by symmetry, so the linear term stands alone. */
+    double det = moment[0] * moment[4] - moment[2] * moment[2];
+    if (n < 4 || !(det > 0))
+        return *steps;
+    double c0 = (moment[4] * b[0] - moment[2] * b[2]) / det,
+           c2 = (moment[0] * b[2] - moment[2] * b[0]) / det;
+    return square - b[1] * b[1] / moment[2] - c0 * b[0] - c2 * b[2];
+}
+
 /* Are the two flights of `trial` told apart as their kind of partition demands? */
 static bool flights_distinct(struct work *w, const struct similarity_fit *f, enum partition how)
 {
@@ -296,7 +358,15 @@ static bool flights_distinct(struct work *w, const struct similarity_fit *f, enu
         size_t at = 1;
         while (at < w->n_gps && w->trial[w->with_gps[at]] == w->trial[w->with_gps[at - 1]])
             at++;
-        return fabs(window_height(w, f, at, true) - window_height(w, f, at, false)) > jump_sudden * fabs(offset);
+        if (fabs(window_height(w, f, at, true) - window_height(w, f, at, false)) <=
+            jump_sudden * fabs(offset))
+            return false;
+        double cap = fabs(offset) + 4 * f->sigma_v_m, steps; /* outliers count little */
+        for (size_t k = 0; k < w->n_gps; k++)
+            w->scratch[k] =
+                fmax(-cap, fmin(cap, height_error(w, f, w->with_gps[k]) - 0.5 * offset));
+        double smooth = parabola_cost(w->scratch, w->n_gps, at, &steps);
+        return steps < jump_better * smooth;
     }
     if (how == PARTITION_CLUSTER) {
         size_t changes = 0;
@@ -307,10 +377,10 @@ static bool flights_distinct(struct work *w, const struct similarity_fit *f, enu
     return true;
 }
 
-/* Fit with the flights of `trial`; take fit and flights when they explain the positions much better than
- * `single`, which has no flights, and better than `best`. */
-static enum err_code flights_try(struct work *w, const struct similarity_fit *single, enum partition how,
-                                 struct similarity_fit *best, struct err *e)
+/* Fit with the flights of `trial`; take fit and flights when they explain the positions much better
+ * than `single`, which has no flights, and better than `best`. */
+static enum err_code flights_try(struct work *w, const struct similarity_fit *single,
+                                 enum partition how, struct similarity_fit *best, struct err *e)
 {
     double better_cost = how == PARTITION_CLUSTER ? better_in_clusters : better_in_order;
     size_t n_groups;
@@ -336,9 +406,11 @@ static enum err_code flights_try(struct work *w, const struct similarity_fit *si
     enum err_code rc = similarity_refine(&w->p, &f, NULL);
     if (rc == ERR_MEM)
         return err_set(e, rc, "georeferencing: out of memory");
-    double cap = 4.6 * fmax(f.sigma_h_m, f.sigma_v_m), cost = truncated_cost(w, &f, cap), largest = 0;
+    double cap = 4.6 * fmax(f.sigma_h_m, f.sigma_v_m), cost = truncated_cost(w, &f, cap),
+           largest = 0;
     w->p = old;
-    bool better = cost < truncated_cost(w, best, cap) && cost < better_cost * truncated_cost(w, single, cap);
+    bool better =
+        cost < truncated_cost(w, best, cap) && cost < better_cost * truncated_cost(w, single, cap);
     for (size_t g = 1; g < n_groups; g++) {
         double error = f.sigma_v_m * sqrt(1 / (double)count[0] + 1 / (double)count[g]);
         if (fabs(f.offset_m[g]) > offset_sigmas * error)
@@ -352,9 +424,10 @@ static enum err_code flights_try(struct work *w, const struct similarity_fit *si
     return ERR_OK;
 }
 
-/* Flights before and from place `at` in the order of names; *jump = at when that is the best so far. */
-static enum err_code jump_try(struct work *w, const struct similarity_fit *single, struct similarity_fit *best,
-                              size_t at, size_t *jump, struct err *e)
+/* Flights before and from place `at` in the order of names; *jump = at when that is the best so
+ * far. */
+static enum err_code jump_try(struct work *w, const struct similarity_fit *single,
+                              struct similarity_fit *best, size_t at, size_t *jump, struct err *e)
 {
     double before = best->offset_m[1], sigma = best->sigma_v_m;
     for (size_t i = 0; i < w->n; i++)
@@ -365,13 +438,14 @@ static enum err_code jump_try(struct work *w, const struct similarity_fit *singl
     return rc;
 }
 
-static enum err_code flights_find(struct work *w, const struct georef_photo *photos, struct similarity_fit *fit,
-                                  struct err *e)
+static enum err_code flights_find(struct work *w, const struct georef_photo *photos,
+                                  struct similarity_fit *fit, struct err *e)
 {
     enum err_code rc = ERR_OK;
     const struct similarity_fit single = *fit;
     for (size_t i = 0; i < w->n; i++)
-        w->trial[i] = photos[i].flight_hint < SIMILARITY_GROUPS_MAX ? photos[i].flight_hint : SIMILARITY_GROUPS_MAX - 1;
+        w->trial[i] = photos[i].flight_hint < SIMILARITY_GROUPS_MAX ? photos[i].flight_hint
+                                                                    : SIMILARITY_GROUPS_MAX - 1;
     rc = flights_try(w, &single, PARTITION_PAUSE, fit, e);
     if (rc != ERR_OK || w->p.n_groups > 1)
         return rc;
@@ -381,7 +455,8 @@ static enum err_code flights_find(struct work *w, const struct georef_photo *pho
     size_t jump = 0;
     for (size_t at = FLIGHT_MIN; rc == ERR_OK && at + FLIGHT_MIN <= w->n; at += step)
         rc = jump_try(w, &single, &best, at, &jump, e);
-    for (size_t at = jump > step ? jump - step + 1 : 1, end = jump + step; rc == ERR_OK && jump && at < end; at++)
+    for (size_t at = jump > step ? jump - step + 1 : 1, end = jump + step;
+         rc == ERR_OK && jump && at < end; at++)
         rc = jump_try(w, &single, &best, at, &jump, e);
     for (size_t k = 0; k < w->n_gps; k++)
         w->scratch[k] = height_error(w, &single, w->with_gps[k]);
@@ -395,7 +470,8 @@ static enum err_code flights_find(struct work *w, const struct georef_photo *pho
     return rc;
 }
 
-/* ---- dropping --------------------------------------------------------------------------------------------- */
+/* ---- dropping
+ * --------------------------------------------------------------------------------------------- */
 
 static double rejection_distance(struct work *w, const struct similarity_fit *f)
 {
@@ -408,7 +484,8 @@ static double rejection_distance(struct work *w, const struct similarity_fit *f)
     return fmin(fmax(tau, w->cfg->tau_min_m), w->cfg->tau_max_m);
 }
 
-static enum err_code drop_rounds(struct work *w, struct similarity_fit *f, struct georef_result *r, struct err *e)
+static enum err_code drop_rounds(struct work *w, struct similarity_fit *f, struct georef_result *r,
+                                 struct err *e)
 {
     enum err_code rc = ERR_OK;
     for (r->rounds = 0; r->rounds < ROUNDS_MAX && rc == ERR_OK;) {
@@ -424,8 +501,11 @@ static enum err_code drop_rounds(struct work *w, struct similarity_fit *f, struc
             kept += !far;
         }
         if (kept < 3)
-            return err_set(e, ERR_DATA, "only %zu of %zu GPS positions agree within %.1f m: they do not fit the COLMAP "
-                                        "model", kept, w->n_gps, r->tau_m);
+            return err_set(
+                e, ERR_DATA,
+                "only %zu of %zu GPS positions agree within %.1f m: they do not fit the COLMAP "
+                "model",
+                kept, w->n_gps, r->tau_m);
         if (!changed)
             break;
         rc = similarity_refine(&w->p, f, e);
@@ -462,20 +542,24 @@ static enum err_code first_fit(struct work *w, struct similarity_fit *out, struc
     if (rc_space == ERR_MEM || rc_plan == ERR_MEM)
         return err_set(e, ERR_MEM, "georeferencing: out of memory for %zu photographs", w->n);
     if (rc_space != ERR_OK && rc_plan != ERR_OK)
-        return err_set(e, ERR_DATA, "the photographs all stand at one place, in the COLMAP model or by GPS");
+        return err_set(e, ERR_DATA,
+                       "the photographs all stand at one place, in the COLMAP model or by GPS");
     bool level = rc_plan == ERR_OK && (rc_space != ERR_OK || plan.objective < space.objective);
     *out = level ? plan : space;
-    log_debug("georef", "starts space=%.1f plan=%.1f sigma_h_m=%.2f sigma_v_m=%.2f share_h=%.3f share_v=%.3f",
-              space.objective, plan.objective, out->sigma_h_m, out->sigma_v_m, out->share_h, out->share_v);
+    log_debug("georef",
+              "starts space=%.1f plan=%.1f sigma_h_m=%.2f sigma_v_m=%.2f share_h=%.3f share_v=%.3f",
+              space.objective, plan.objective, out->sigma_h_m, out->sigma_v_m, out->share_h,
+              out->share_v);
     return ERR_OK;
 }
 
-static enum err_code fit_all(struct work *w, const struct georef_photo *photos, struct georef_result *r,
-                             struct err *e)
+static enum err_code fit_all(struct work *w, const struct georef_photo *photos,
+                             struct georef_result *r, struct err *e)
 {
     struct similarity_fit f = {0};
     if (w->n_gps < 3)
-        return err_set(e, ERR_DATA, "%zu photographs have a GPS position, three at least are needed", w->n_gps);
+        return err_set(e, ERR_DATA,
+                       "%zu photographs have a GPS position, three at least are needed", w->n_gps);
     enum err_code rc = first_fit(w, &f, e);
     if (rc == ERR_OK)
         rc = flights_find(w, photos, &f, e);
@@ -497,8 +581,8 @@ static enum err_code fit_all(struct work *w, const struct georef_photo *photos, 
     return ERR_OK;
 }
 
-enum err_code georef_fit(const struct georef_photo *photos, size_t n, const struct georef_config *cfg,
-                         struct georef_result *out, struct err *e)
+enum err_code georef_fit(const struct georef_photo *photos, size_t n,
+                         const struct georef_config *cfg, struct georef_result *out, struct err *e)
 {
     struct work w;
     struct georef_result r = {0};

@@ -1,6 +1,7 @@
-/* Photographs and COLMAP poses in, a scene in metres out. Reading order: ingest.c (the whole way), georef.c
- * (which positions to trust, and the frame that follows), similarity.c (the mathematics), ingest_photo.c
- * (pixels), ingest_report.c (what is told).
+/* Photographs and COLMAP poses in, a scene in metres out. Reading order: ingest.c (the whole way),
+ * ingest_frame.c (where the scene lies), georef.c (which positions to trust), similarity.c (the
+ * mathematics), ingest_scene.c (cameras, points), ingest_photo.c (pixels), ingest_report.c (what is
+ * told).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -19,9 +20,10 @@ struct ingest_config {
 /* The table behind struct ingest_config: flags, defaults, ranges, help. */
 const struct options_spec *ingest_options(void);
 
-/* ---- georef.c ------------------------------------------------------------------------------------------ */
+/* ---- georef.c
+ * ------------------------------------------------------------------------------------------ */
 
-struct georef_photo { /* in order of file names */
+struct georef_photo {         /* in order of file names */
     double center[3], rot[9]; /* in COLMAP's frame; rot is world -> camera */
     bool has_gps;
     double gps_enu_m[3];
@@ -33,47 +35,59 @@ struct georef_config {
     double ground_normal[3];     /* unit, in COLMAP's frame, either sign; 0 0 0 = unknown */
     uint64_t seed;
 };
-struct georef_result { /* {0} is empty; georef_free */
+struct georef_result {     /* {0} is empty; georef_free */
     struct similarity sim; /* COLMAP -> ENU */
     struct similarity_fit fit;
     double tau_m; /* photographs farther than this from their GPS position were dropped */
     int rounds;
     bool collinear; /* the flight line is straight: its roll comes from the cameras being level */
     size_t n_gps, n_dropped, n_flights;
-    double flight_offset_m[SIMILARITY_GROUPS_MAX]; /* of the GPS heights, relative to flight 0, the largest */
-    double *residual_m; /* [n] after flight offsets; NaN without GPS */
-    bool *dropped;      /* [n] */
-    uint32_t *flight;   /* [n] */
+    double flight_offset_m[SIMILARITY_GROUPS_MAX]; /* of the GPS heights, relative to flight 0, the
+                                                      largest */
+    double *residual_m;                            /* [n] after flight offsets; NaN without GPS */
+    bool *dropped;                                 /* [n] */
+    uint32_t *flight;                              /* [n] */
 };
-/* ERR_DATA: fewer than three usable positions, or all cameras at one place; the message says which. */
-enum err_code georef_fit(const struct georef_photo *photos, size_t n, const struct georef_config *cfg,
-                         struct georef_result *out, struct err *e) ERR_USE;
-/* Without GPS: COLMAP's frame turned upright and scaled, the mean camera over the origin's east and north. */
-enum err_code georef_upright(const struct georef_photo *photos, size_t n, const double ground_normal[3],
-                             double scale, struct similarity *out, struct err *e) ERR_USE;
+/* ERR_DATA: fewer than three usable positions, or all cameras at one place; the message says which.
+ */
+enum err_code georef_fit(const struct georef_photo *photos, size_t n,
+                         const struct georef_config *cfg, struct georef_result *out,
+                         struct err *e) ERR_USE;
+/* Without GPS: COLMAP's frame turned upright and scaled, the mean camera over the origin's east and
+ * north. */
+enum err_code georef_upright(const struct georef_photo *photos, size_t n,
+                             const double ground_normal[3], double scale, struct similarity *out,
+                             struct err *e) ERR_USE;
 void georef_free(struct georef_result *r);
 
-/* ---- ingest_photo.c --------------------------------------------------------------------------------------- */
+/* ---- ingest_photo.c
+ * --------------------------------------------------------------------------------------- */
 
-struct ingest_view { /* how one camera's photographs become pinhole pictures */
-    struct lens lens;            /* at the size of the photograph itself */
-    struct camera pinhole;       /* intrinsics of the result; pose unused */
-    uint32_t mid_width_px, mid_height_px; /* the photograph is first shrunk to this, then undistorted */
+struct ingest_view {       /* how one camera's photographs become pinhole pictures */
+    struct lens lens;      /* at the size of the photograph itself */
+    struct camera pinhole; /* intrinsics of the result; pose unused */
+    uint32_t mid_width_px,
+        mid_height_px; /* the photograph is first shrunk to this, then undistorted */
     bool undistort;
     size_t camera; /* index in the COLMAP model; set by ingest.c */
 };
-/* Choose size and pinhole: longest edge at most max_edge_px; without distortion the intrinsics are kept, with
- * it the focal length is the smallest that leaves no pixel without a source. ERR_DATA: no such view. */
+/* Choose size and pinhole: longest edge at most max_edge_px; without distortion the intrinsics are
+ * kept, with it the focal length is the smallest that leaves no pixel without a source. ERR_DATA:
+ * no such view. */
 enum err_code ingest_view_make(const struct lens *lens, uint32_t width_px, uint32_t height_px,
-                               uint32_t max_edge_px, struct ingest_view *out, struct err *e) ERR_USE;
-/* Where an observation (pixels of the COLMAP camera `lens`) lies in the result; false when outside. */
+                               uint32_t max_edge_px, struct ingest_view *out,
+                               struct err *e) ERR_USE;
+/* Where an observation (pixels of the COLMAP camera `lens`) lies in the result; false when outside.
+ */
 bool ingest_view_map(const struct ingest_view *v, const struct lens *lens, double x_px, double y_px,
                      double *u_px, double *v_px);
 /* Convert one photograph. Its bytes are copied when nothing changes and the format fits. */
 enum err_code ingest_photo_convert(const struct ingest_view *v, const char *from, const char *to,
                                    const struct codec_limits *lim, struct err *e) ERR_USE;
 
-/* ---- ingest.c ------------------------------------------------------------------------------------------------ */
+/* ---- ingest.c
+ * ------------------------------------------------------------------------------------------------
+ */
 
 enum ingest_verdict { INGEST_KEPT, INGEST_FEW_POINTS, INGEST_POSE, INGEST_GPS, INGEST_MISSING };
 struct ingest_photo {
@@ -82,9 +96,9 @@ struct ingest_photo {
     uint32_t width_px, height_px;
     struct image_gps gps;
     struct georef_photo geo;
-    size_t n_points;       /* triangulated observations */
+    size_t n_points;        /* triangulated observations */
     double reprojection_px; /* median */
-    double residual_m;     /* NaN without GPS */
+    double residual_m;      /* NaN without GPS */
     uint32_t flight, view;
     enum ingest_verdict verdict;
 };
@@ -97,9 +111,10 @@ struct ingest_result { /* what ingest_report.c tells */
     double seconds;
 };
 /* Make the scene folder. A report is printed on stdout and kept as report.json. */
-enum err_code ingest_run(const char *images_dir, const char *sparse_dir, const struct ingest_config *cfg,
-                         struct err *e) ERR_USE;
+enum err_code ingest_run(const char *images_dir, const char *sparse_dir,
+                         const struct ingest_config *cfg, struct err *e) ERR_USE;
 void ingest_report_print(const struct ingest_result *r);
-enum err_code ingest_report_write(const struct ingest_result *r, const char *path, struct err *e) ERR_USE;
+enum err_code ingest_report_write(const struct ingest_result *r, const char *path,
+                                  struct err *e) ERR_USE;
 
 #endif

@@ -1,10 +1,11 @@
 /* One photograph on its way into a scene: shrunk, and with its lens distortion taken out.
  *
- * The pinhole that replaces a distorted lens has square pixels, its principal point in the middle, and the
- * smallest focal length that leaves no pixel without a source: the widest view without black borders, which a
- * trainer would take for black buildings. A photograph much larger than needed is first shrunk to twice the final size,
- * undistorted there with Catmull-Rom splines, and shrunk again with Lanczos: as sharp as undistorting at full
- * size, at a fraction of the time. Pixels of a pinhole camera are only shrunk, or copied as they are.
+ * The pinhole that replaces a distorted lens has square pixels, its principal point in the middle,
+ * and the smallest focal length that leaves no pixel without a source: the widest view without
+ * black borders, which a trainer would take for black buildings. A photograph much larger than
+ * needed is first shrunk to twice the final size, undistorted there with Catmull-Rom splines, and
+ * shrunk again with Lanczos: as sharp as undistorting at full size, at a fraction of the time.
+ * Pixels of a pinhole camera are only shrunk, or copied as they are.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -17,7 +18,8 @@
 enum { JPEG_QUALITY = 98, FOCAL_STEPS = 60 };
 static const double focal_max = 8; /* times the lens' own: beyond that the view is a keyhole */
 
-/* Does every border pixel of a w x h pinhole picture of focal length f come from inside the photograph? */
+/* Does every border pixel of a w x h pinhole picture of focal length f come from inside the
+ * photograph? */
 static bool borders_inside(const struct lens *l, double f)
 {
     double w = l->width_px, h = l->height_px;
@@ -25,13 +27,19 @@ static bool borders_inside(const struct lens *l, double f)
     for (uint32_t side = 0; side < 4; side++)
         for (uint32_t i = 0; i <= steps; i++) {
             double t = (double)i / steps, u, v;
-            double px = side == 0 ? 0 : side == 1 ? w : t * w, py = side == 2 ? 0 : side == 3 ? h : t * h;
+            double px = side == 0   ? 0
+                        : side == 1 ? w
+                                    : t * w,
+                   py = side == 2   ? 0
+                        : side == 3 ? h
+                                    : t * h;
             double x = (px - 0.5 * w) / f, y = (py - 0.5 * h) / f, bx, by;
             lens_distort(l, x, y, &u, &v);
             if (!(u >= 0 && v >= 0 && u <= w && v <= h))
                 return false;
             if (i % 20 == 0) { /* and not by way of a fold in the distortion */
-                if (!lens_undistort(l, u, v, &bx, &by) || fabs(bx - x) > 1e-6 || fabs(by - y) > 1e-6)
+                if (!lens_undistort(l, u, v, &bx, &by) || fabs(bx - x) > 1e-6 ||
+                    fabs(by - y) > 1e-6)
                     return false;
             }
         }
@@ -60,17 +68,21 @@ static bool find_focal(const struct lens *l, double *out)
     return true;
 }
 
-enum err_code ingest_view_make(const struct lens *lens, uint32_t width_px, uint32_t height_px, uint32_t max_edge_px,
-                               struct ingest_view *out, struct err *e)
+enum err_code ingest_view_make(const struct lens *lens, uint32_t width_px, uint32_t height_px,
+                               uint32_t max_edge_px, struct ingest_view *out, struct err *e)
 {
-    struct ingest_view v = {.lens = lens_resize(lens, width_px, height_px), .undistort = !lens_is_pinhole(lens)};
+    struct ingest_view v = {.lens = lens_resize(lens, width_px, height_px),
+                            .undistort = !lens_is_pinhole(lens)};
     double shrink = fmin(1, max_edge_px / fmax(width_px, height_px));
-    uint32_t w = (uint32_t)fmax(1, floor(width_px * shrink + 0.5)), h = (uint32_t)fmax(1, floor(height_px * shrink + 0.5));
+    uint32_t w = (uint32_t)fmax(1, floor(width_px * shrink + 0.5)),
+             h = (uint32_t)fmax(1, floor(height_px * shrink + 0.5));
     struct camera full = {.width_px = width_px, .height_px = height_px};
     if (v.undistort) {
         if (!find_focal(&v.lens, &full.fx_px))
-            return err_set(e, ERR_DATA, "the %s lens has no pinhole view without black borders; undistort the "
-                                        "photographs with COLMAP's image_undistorter first", lens_name(lens->model));
+            return err_set(e, ERR_DATA,
+                           "the %s lens has no pinhole view without black borders; undistort the "
+                           "photographs with COLMAP's image_undistorter first",
+                           lens_name(lens->model));
         full.fy_px = full.fx_px;
         full.cx_px = 0.5 * width_px;
         full.cy_px = 0.5 * height_px;
@@ -83,8 +95,8 @@ enum err_code ingest_view_make(const struct lens *lens, uint32_t width_px, uint3
     return ERR_OK;
 }
 
-bool ingest_view_map(const struct ingest_view *v, const struct lens *lens, double x_px, double y_px, double *u_px,
-                     double *v_px)
+bool ingest_view_map(const struct ingest_view *v, const struct lens *lens, double x_px, double y_px,
+                     double *u_px, double *v_px)
 {
     double x, y;
     if (!lens_undistort(lens, x_px, y_px, &x, &y))
@@ -94,7 +106,8 @@ bool ingest_view_map(const struct ingest_view *v, const struct lens *lens, doubl
     return *u_px >= 0 && *v_px >= 0 && *u_px < v->pinhole.width_px && *v_px < v->pinhole.height_px;
 }
 
-/* ---- pixels ----------------------------------------------------------------------------------------- */
+/* ---- pixels
+ * ----------------------------------------------------------------------------------------- */
 
 /* Catmull-Rom weights of four neighbours at fraction t between the middle two. */
 static void cubic_weights(float t, float w[4])
@@ -142,7 +155,8 @@ static enum err_code undistort(const struct ingest_view *v, struct image *img, s
     for (uint32_t y = 0; y < out.height_px; y++)
         for (uint32_t x = 0; x < out.width_px; x++) {
             double u, w;
-            lens_distort(&lens, (x + 0.5 - cam.cx_px) / cam.fx_px, (y + 0.5 - cam.cy_px) / cam.fy_px, &u, &w);
+            lens_distort(&lens, (x + 0.5 - cam.cx_px) / cam.fx_px,
+                         (y + 0.5 - cam.cy_px) / cam.fy_px, &u, &w);
             sample_cubic(img, u, w, out.px + 3 * ((size_t)y * out.width_px + x));
         }
     image_free(img);
@@ -151,7 +165,8 @@ static enum err_code undistort(const struct ingest_view *v, struct image *img, s
 }
 
 /* Replace img by itself at another size. */
-static enum err_code shrink_to(struct image *img, uint32_t width_px, uint32_t height_px, struct err *e)
+static enum err_code shrink_to(struct image *img, uint32_t width_px, uint32_t height_px,
+                               struct err *e)
 {
     struct image out = {0};
     if (img->width_px == width_px && img->height_px == height_px)
@@ -184,12 +199,13 @@ enum err_code ingest_photo_convert(const struct ingest_view *v, const char *from
                                    const struct codec_limits *lim, struct err *e)
 {
     struct image img = {0};
-    enum err_code rc = image_read(from, lim, &img, e); /* also when it is only copied: it must be readable */
+    enum err_code rc =
+        image_read(from, lim, &img, e); /* also when it is only copied: it must be readable */
     if (rc != ERR_OK)
         goto out;
     if (img.width_px != v->lens.width_px || img.height_px != v->lens.height_px) {
-        rc = err_set(e, ERR_FORMAT, "%s: decodes to %u x %u px, its header says %u x %u", from, img.width_px,
-                     img.height_px, v->lens.width_px, v->lens.height_px);
+        rc = err_set(e, ERR_FORMAT, "%s: decodes to %u x %u px, its header says %u x %u", from,
+                     img.width_px, img.height_px, v->lens.width_px, v->lens.height_px);
         goto out;
     }
     bool same_size = img.width_px == v->pinhole.width_px && img.height_px == v->pinhole.height_px;

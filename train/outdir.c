@@ -1,5 +1,6 @@
-/* Output folders by rename. A run that fails, or a disk that is full, leaves no half scene behind that a
- * later command could take for a whole one; an older scene stays until the new one is complete.
+/* Output folders by rename. A run that fails, or a disk that is full, leaves no half scene behind
+ * that a later command could take for a whole one; an older scene stays until the new one is
+ * complete.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -39,7 +40,8 @@ static bool is_empty_dir(const char *path)
     return n == 0;
 }
 
-static enum err_code place_check(const char *path, const char *marker, bool overwrite, struct err *e)
+static enum err_code place_check(const char *path, const char *marker, bool overwrite,
+                                 struct err *e)
 {
     struct stat st;
     char inside[FILE_PATH_MAX];
@@ -51,9 +53,11 @@ static enum err_code place_check(const char *path, const char *marker, bool over
     if (rc != ERR_OK)
         return rc;
     if (!S_ISDIR(st.st_mode) || !file_exists(inside))
-        return err_set(e, ERR_ARG, "%s: exists and was not made by this command; choose another folder", path);
+        return err_set(e, ERR_ARG,
+                       "%s: exists and was not made by this command; choose another folder", path);
     if (!overwrite)
-        return err_set(e, ERR_ARG, "%s: exists; choose another folder, or replace it with --overwrite", path);
+        return err_set(e, ERR_ARG,
+                       "%s: exists; choose another folder, or replace it with --overwrite", path);
     return ERR_OK;
 }
 

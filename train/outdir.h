@@ -11,8 +11,9 @@ struct outdir {
     char path[FILE_PATH_MAX]; /* where it will be */
     char part[FILE_PATH_MAX]; /* where to write until then */
 };
-/* Make the working folder beside `path`. An existing `path` is refused, unless it is an empty folder, or
- * `overwrite` is set and it holds the file `marker` (so that only our own output can be replaced). */
+/* Make the working folder beside `path`. An existing `path` is refused, unless it is an empty
+ * folder, or `overwrite` is set and it holds the file `marker` (so that only our own output can be
+ * replaced). */
 enum err_code outdir_begin(const char *path, const char *marker, bool overwrite, struct outdir *out,
                            struct err *e) ERR_USE;
 /* Put it in place; what was there before is removed afterwards. */

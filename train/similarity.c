@@ -1,20 +1,23 @@
 /* Similarities between camera centres and GPS positions.
  *
- * The closed form is Horn's (1987): the rotation is the quaternion that belongs to the largest eigenvalue of
- * a 4x4 matrix, found by Jacobi's method. The refinement minimises, over rotation, scale, shift and one height
- * offset per flight,
+ * The closed form is Horn's (1987): the rotation is the quaternion that belongs to the largest
+ * eigenvalue of a 4x4 matrix, found by Jacobi's method. The refinement minimises, over rotation,
+ * scale, shift and one height offset per flight,
  *
  *   sum_i w_i |y_i - s R x_i - t - o_flight(i) e_z|^2                  GPS positions
- *   + mean_i (e_z . R right_i)^2 / sigma_level^2                       cameras are level but for their roll
- *   + |R normal - e_z|_xy^2 / sigma_ground^2                           the ground is roughly horizontal
+ *   + mean_i (e_z . R right_i)^2 / sigma_level^2                       cameras are level but for
+ * their roll
+ *   + |R normal - e_z|_xy^2 / sigma_ground^2                           the ground is roughly
+ * horizontal
  *
- * Weights are robust (Huber, then cut) and differ between places and heights, whose errors are estimated from
- * the residuals. Errors of receivers drift: neighbours in time err alike, so n positions count for
- * n (1 - rho) / (1 + rho) independent ones, rho being the correlation of neighbours. A height that drifts by
- * 100 m over one flight would otherwise tilt the scene by 45 degrees and look certain of it; so counted, the two
- * weak terms win there, and yield to any GPS that deserves it. sigma_level is estimated from the
- * cameras themselves and the mean, not the sum, is taken, because rolls of one flight (wind, a crooked mount) are
- * not independent either.
+ * Weights are robust (Huber, then cut) and differ between places and heights, whose errors are
+ * estimated from the residuals. Errors of receivers drift: neighbours in time err alike, so n
+ * positions count for n (1 - rho) / (1 + rho) independent ones, rho being the correlation of
+ * neighbours. A height that drifts by 100 m over one flight would otherwise tilt the scene by 45
+ * degrees and look certain of it; so counted, the two weak terms win there, and yield to any GPS
+ * that deserves it. sigma_level is how far the cameras are from being level with each other; the
+ * mean, not the sum, is taken, because rolls of one flight (wind, a crooked mount) are not
+ * independent either.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -28,16 +31,22 @@
 #include "core/camera.h"
 
 enum { UNKNOWNS = 7 + SIMILARITY_GROUPS_MAX - 1, REFINE_MAX = 30, JACOBI_SWEEPS = 40 };
-static const double sigma_floor_m = 0.01, sigma_ground = 0.2, level_floor = 0.01;
-static const double median_2d = 1.1774, median_1d = 0.6745; /* of |r| over sigma per axis: Rayleigh, half normal */
-static const double huber_k = 3, cut_k = 6; /* of |r| over sigma, three axes: 97 % are below huber_k */
+static const double sigma_floor_m = 0.01, sigma_ground = 0.2, level_floor = 0.02;
+static const double median_2d = 1.1774,
+                    median_1d = 0.6745; /* of |r| over sigma per axis: Rayleigh, half normal */
+static const double huber_k = 3,
+                    cut_k = 6; /* of |r| over sigma, three axes: 97 % are below huber_k */
 static const double share_min = 0.005, height_weight_ratio = 2;
-enum { FREEZE_STEP = 12 }; /* from here on the error estimates stay, so that the iteration can settle */
+enum {
+    FREEZE_STEP = 12
+}; /* from here on the error estimates stay, so that the iteration can settle */
 
 void similarity_apply(const struct similarity *s, const double x[3], double y[3])
 {
     for (int i = 0; i < 3; i++)
-        y[i] = s->scale * (s->rot[3 * i] * x[0] + s->rot[3 * i + 1] * x[1] + s->rot[3 * i + 2] * x[2]) + s->trans[i];
+        y[i] = s->scale *
+                   (s->rot[3 * i] * x[0] + s->rot[3 * i + 1] * x[1] + s->rot[3 * i + 2] * x[2]) +
+               s->trans[i];
 }
 
 static void rotate(const double r[9], const double x[3], double y[3])
@@ -60,7 +69,8 @@ double similarity_median(double *v, size_t n)
     return n % 2 ? v[n / 2] : 0.5 * (v[n / 2 - 1] + v[n / 2]);
 }
 
-/* ---- eigenvectors --------------------------------------------------------------------------------- */
+/* ---- eigenvectors
+ * --------------------------------------------------------------------------------- */
 
 /* One Jacobi rotation that clears a[p][q]. */
 static void jacobi_turn(double *a, double *v, size_t n, size_t p, size_t q)
@@ -120,23 +130,23 @@ void similarity_eigen(const double *matrix, size_t n, double *values, double *ve
             }
 }
 
-/* ---- closed form ----------------------------------------------------------------------------------- */
+/* ---- closed form
+ * ----------------------------------------------------------------------------------- */
 
 /* Rotation that maximises sum y . R x, given h[3*a+b] = sum x_a y_b. */
 static void rotation_from_moments(const double h[9], double rot[9])
 {
-    const double n[16] = {
-        h[0] + h[4] + h[8], h[5] - h[7],        h[6] - h[2],         h[1] - h[3],
-        h[5] - h[7],        h[0] - h[4] - h[8], h[1] + h[3],         h[6] + h[2],
-        h[6] - h[2],        h[1] + h[3],        -h[0] + h[4] - h[8], h[5] + h[7],
-        h[1] - h[3],        h[6] + h[2],        h[5] + h[7],         -h[0] - h[4] + h[8]};
+    const double n[16] = {h[0] + h[4] + h[8],  h[5] - h[7], h[6] - h[2], h[1] - h[3], h[5] - h[7],
+                          h[0] - h[4] - h[8],  h[1] + h[3], h[6] + h[2], h[6] - h[2], h[1] + h[3],
+                          -h[0] + h[4] - h[8], h[5] + h[7], h[1] - h[3], h[6] + h[2], h[5] + h[7],
+                          -h[0] - h[4] + h[8]};
     double values[4], vectors[16];
     similarity_eigen(n, 4, values, vectors);
     camera_quat_to_rot(vectors + 12, rot);
 }
 
-bool similarity_from_pairs(const double (*x)[3], const double (*y)[3], const uint32_t *index, size_t n,
-                           const double up_x[3], struct similarity *out)
+bool similarity_from_pairs(const double (*x)[3], const double (*y)[3], const uint32_t *index,
+                           size_t n, const double up_x[3], struct similarity *out)
 {
     double mx[3] = {0}, my[3] = {0}, h[9] = {0}, xx = 0, yy = 0, yrx = 0, norm = 0;
     for (size_t k = 0; k < n; k++) {
@@ -177,8 +187,8 @@ bool similarity_from_pairs(const double (*x)[3], const double (*y)[3], const uin
     return true;
 }
 
-bool similarity_from_plan(const double (*x)[3], const double (*y)[3], const uint32_t *index, size_t n,
-                          const double up_x[3], double *scratch, struct similarity *out)
+bool similarity_from_plan(const double (*x)[3], const double (*y)[3], const uint32_t *index,
+                          size_t n, const double up_x[3], double *scratch, struct similarity *out)
 {
     /* Level axes in the frame of x: any east at right angles to up, and north. */
     double east[3], north[3], len = 0, c[2] = {0}, mean[4] = {0}, uu = 0;
@@ -196,7 +206,8 @@ bool similarity_from_plan(const double (*x)[3], const double (*y)[3], const uint
         for (size_t k = 0; k < n; k++) {
             size_t i = index ? index[k] : k;
             const double v[4] = {x[i][0] * east[0] + x[i][1] * east[1] + x[i][2] * east[2],
-                                 x[i][0] * north[0] + x[i][1] * north[1] + x[i][2] * north[2], y[i][0], y[i][1]};
+                                 x[i][0] * north[0] + x[i][1] * north[1] + x[i][2] * north[2],
+                                 y[i][0], y[i][1]};
             for (int a = 0; a < 4; a++)
                 mean[a] += pass ? 0 : v[a] / (double)n;
             const double p[4] = {v[0] - mean[0], v[1] - mean[1], v[2] - mean[2], v[3] - mean[3]};
@@ -230,9 +241,11 @@ bool similarity_from_plan(const double (*x)[3], const double (*y)[3], const uint
     return true;
 }
 
-/* ---- refinement -------------------------------------------------------------------------------------- */
+/* ---- refinement
+ * -------------------------------------------------------------------------------------- */
 
-static void residual_at(const struct similarity_problem *p, const struct similarity_fit *f, size_t i, double r[3])
+static void residual_at(const struct similarity_problem *p, const struct similarity_fit *f,
+                        size_t i, double r[3])
 {
     double y[3];
     similarity_apply(&f->sim, p->x[i], y);
@@ -241,7 +254,8 @@ static void residual_at(const struct similarity_problem *p, const struct similar
         r[a] = p->y[i][a] - y[a];
 }
 
-double similarity_residual(const struct similarity_problem *p, const struct similarity_fit *fit, size_t i)
+double similarity_residual(const struct similarity_problem *p, const struct similarity_fit *fit,
+                           size_t i)
 {
     double r[3], trust = 1;
     residual_at(p, fit, i, r);
@@ -250,7 +264,8 @@ double similarity_residual(const struct similarity_problem *p, const struct simi
     return sqrt(r[0] * r[0] + r[1] * r[1] + trust * r[2] * trust * r[2]);
 }
 
-struct normal_eq { /* upper triangle not mirrored until solved; unknowns: rotation, log scale, shift, offsets */
+struct normal_eq { /* upper triangle not mirrored until solved; unknowns: rotation, log scale,
+                      shift, offsets */
     double a[UNKNOWNS][UNKNOWNS], b[UNKNOWNS];
     size_t n;
 };
@@ -302,7 +317,8 @@ static void eq_solve(const struct normal_eq *q, const double *b, double *x)
 }
 
 /* Robust weight from the residual in units of its errors; pairs within cut_m are never cut. */
-static double weight_at(const struct similarity_problem *p, const struct similarity_fit *f, size_t i, const double r[3])
+static double weight_at(const struct similarity_problem *p, const struct similarity_fit *f,
+                        size_t i, const double r[3])
 {
     double h2 = (r[0] * r[0] + r[1] * r[1]) / (f->sigma_h_m * f->sigma_h_m);
     double d = sqrt(h2 + r[2] * r[2] / (f->sigma_v_m * f->sigma_v_m));
@@ -312,10 +328,11 @@ static double weight_at(const struct similarity_problem *p, const struct similar
 }
 
 /* Rows of the GPS positions; center is the mean of s R x + t, about which the rotation turns. */
-static void add_positions(const struct similarity_problem *p, const struct similarity_fit *f, const double center[3],
-                          struct normal_eq *q)
+static void add_positions(const struct similarity_problem *p, const struct similarity_fit *f,
+                          const double center[3], struct normal_eq *q)
 {
-    double wh = f->share_h / (f->sigma_h_m * f->sigma_h_m), wv = f->share_v / (f->sigma_v_m * f->sigma_v_m);
+    double wh = f->share_h / (f->sigma_h_m * f->sigma_h_m),
+           wv = f->share_v / (f->sigma_v_m * f->sigma_v_m);
     for (size_t i = 0; i < p->n; i++) {
         double r[3], y[3];
         if (!p->use[i])
@@ -340,25 +357,21 @@ static void add_positions(const struct similarity_problem *p, const struct simil
 }
 
 /* Rows of the two weak terms; returns what they cost. */
-static double add_level(const struct similarity_problem *p, const struct similarity_fit *f, struct normal_eq *q)
+static double add_level(const struct similarity_problem *p, const struct similarity_fit *f,
+                        struct normal_eq *q)
 {
-    double sum2 = 0, v[3], cost;
+    double v[3], cost = 0;
     size_t n = 0;
-    for (size_t i = 0; i < p->n; i++) {
-        if (!p->use[i])
-            continue;
-        rotate(f->sim.rot, p->right[i], v);
-        sum2 += v[2] * v[2];
-        n++;
-    }
-    double sigma2 = fmax(level_floor * level_floor, sum2 / (double)(n ? n : 1)) * (double)(n ? n : 1);
-    cost = sum2 / sigma2;
+    for (size_t i = 0; i < p->n; i++)
+        n += p->use[i];
+    double sigma2 = fmax(level_floor * level_floor, p->level_sigma * p->level_sigma) * (double)n;
     for (size_t i = 0; i < p->n; i++) {
         if (!p->use[i])
             continue;
         rotate(f->sim.rot, p->right[i], v); /* e_z . (omega x v) = omega . (v x e_z) */
         double row[UNKNOWNS] = {v[1], -v[0], 0};
         eq_add(q, row, -v[2], 1 / sigma2);
+        cost += v[2] * v[2] / sigma2;
     }
     rotate(f->sim.rot, p->normal, v);
     if (v[0] == 0 && v[1] == 0 && v[2] == 0)
@@ -371,10 +384,13 @@ static double add_level(const struct similarity_problem *p, const struct similar
 }
 
 /* Turn by omega and stretch by exp(grow) about center, then shift. */
-static void fit_step(struct similarity_fit *f, const double *d, const double center[3], size_t n_groups)
+static void fit_step(struct similarity_fit *f, const double *d, const double center[3],
+                     size_t n_groups)
 {
-    double angle = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]), half = angle > 1e-12 ? sin(0.5 * angle) / angle : 0.5;
-    double quat[4] = {cos(0.5 * angle), d[0] * half, d[1] * half, d[2] * half}, turn[9], rot[9], v[3];
+    double angle = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]),
+           half = angle > 1e-12 ? sin(0.5 * angle) / angle : 0.5;
+    double quat[4] = {cos(0.5 * angle), d[0] * half, d[1] * half, d[2] * half}, turn[9], rot[9],
+           v[3];
     double grow = exp(fmin(1, fmax(-1, d[3])));
     camera_quat_to_rot(quat, turn);
     for (int i = 0; i < 3; i++)
@@ -383,8 +399,10 @@ static void fit_step(struct similarity_fit *f, const double *d, const double cen
         for (int j = 0; j < 3; j++)
             rot[3 * i + j] = turn[3 * i] * f->sim.rot[j] + turn[3 * i + 1] * f->sim.rot[3 + j] +
                              turn[3 * i + 2] * f->sim.rot[6 + j];
-        f->sim.trans[i] = center[i] + grow * (turn[3 * i] * v[0] + turn[3 * i + 1] * v[1] + turn[3 * i + 2] * v[2]) +
-                          d[4 + i];
+        f->sim.trans[i] =
+            center[i] +
+            grow * (turn[3 * i] * v[0] + turn[3 * i + 1] * v[1] + turn[3 * i + 2] * v[2]) +
+            d[4 + i];
     }
     f->sim.scale *= grow;
     camera_rot_to_quat(rot, quat);
@@ -408,10 +426,10 @@ static void standard_errors(const struct normal_eq *q, struct similarity_fit *f)
     f->place_m = sqrt(fmax(var[4], fmax(var[5], var[6])));
 }
 
-/* Share of the residuals that is independent, from the correlation of neighbours among the pairs in use;
- * residuals beyond three sigma are clipped. */
-static double independent_share(const struct similarity_problem *p, const struct similarity_fit *f, int first, int last,
-                                double sigma)
+/* Share of the residuals that is independent, from the correlation of neighbours among the pairs in
+ * use; residuals beyond three sigma are clipped. */
+static double independent_share(const struct similarity_problem *p, const struct similarity_fit *f,
+                                int first, int last, double sigma)
 {
     double last_r[3] = {0}, product = 0, square = 0;
     size_t n = 0;
@@ -434,9 +452,10 @@ static double independent_share(const struct similarity_problem *p, const struct
     return fmax(share_min, (1 - rho) / (1 + rho));
 }
 
-/* Mean of the fitted places; unless frozen, errors of places and heights from the medians of the residuals. */
-static void spread_at(const struct similarity_problem *p, struct similarity_fit *f, bool frozen, double *scratch,
-                      double center[3])
+/* Mean of the fitted places; unless frozen, errors of places and heights from the medians of the
+ * residuals. */
+static void spread_at(const struct similarity_problem *p, struct similarity_fit *f, bool frozen,
+                      double *scratch, double center[3])
 {
     size_t n = 0;
     double *heights = scratch + p->n;
@@ -457,13 +476,15 @@ static void spread_at(const struct similarity_problem *p, struct similarity_fit 
     if (frozen)
         return;
     f->sigma_h_m = fmax(sigma_floor_m, similarity_median(scratch, n) / median_2d);
-    f->sigma_v_m = fmax(0.5 * f->sigma_h_m, fmax(sigma_floor_m, similarity_median(heights, n) / median_1d));
+    f->sigma_v_m =
+        fmax(0.5 * f->sigma_h_m, fmax(sigma_floor_m, similarity_median(heights, n) / median_1d));
     f->share_h = independent_share(p, f, 0, 1, f->sigma_h_m);
     f->share_v = independent_share(p, f, 2, 2, f->sigma_v_m);
     f->objective = (double)n * (2 * log(f->sigma_h_m) + log(f->sigma_v_m));
 }
 
-enum err_code similarity_refine(const struct similarity_problem *p, struct similarity_fit *fit, struct err *e)
+enum err_code similarity_refine(const struct similarity_problem *p, struct similarity_fit *fit,
+                                struct err *e)
 {
     double *scratch = mem_array(p->n, 2 * sizeof *scratch), center[3], d[UNKNOWNS], weak = 0;
     struct normal_eq q;
@@ -477,7 +498,9 @@ enum err_code similarity_refine(const struct similarity_problem *p, struct simil
         add_positions(p, fit, center, &q);
         weak = add_level(p, fit, &q);
         if (!eq_factor(&q)) {
-            rc = err_set(e, ERR_DATA, "the GPS positions do not determine where the scene lies (all at one place?)");
+            rc = err_set(
+                e, ERR_DATA,
+                "the GPS positions do not determine where the scene lies (all at one place?)");
             break;
         }
         eq_solve(&q, q.b, d);

@@ -1,7 +1,7 @@
 /* The procedural city written out: photographs, COLMAP model, truth.
  *
- * Photographs are independent, so they are rendered on all cores; each is a function of the seed and its
- * number. The folder appears when everything in it is complete.
+ * Photographs are independent, so they are rendered on all cores; each is a function of the seed
+ * and its number. The folder appears when everything in it is complete.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,7 +18,8 @@
 #include "train/outdir.h"
 
 static const struct options_def defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_ROW(struct synth_config, type, key, def, lo, hi, unit, help)
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct synth_config, type, key, def, lo, hi, unit, help)
 #include "train/synth.def"
 #undef OPT
 };
@@ -28,10 +29,12 @@ const struct options_spec *synth_options(void)
     static const struct options_spec spec = {
         .command = "synth",
         .usage = "citysplat synth -o DIR [options]",
-        .about = "Make a procedural city and photograph it from the air: DIR/images with EXIF GPS, a COLMAP model in "
+        .about = "Make a procedural city and photograph it from the air: DIR/images with EXIF GPS, "
+                 "a COLMAP model in "
                  "DIR/sparse/0, and the exact truth (poses, depth, clean pictures) in DIR/truth.",
         .example = "citysplat synth -o city\n"
-                   "citysplat synth -o hard --exposure-ev 0.4 --white-balance 0.2 --gps-sigma-m 3 --vehicle-share 0.2",
+                   "citysplat synth -o hard --exposure-ev 0.4 --white-balance 0.2 --gps-sigma-m 3 "
+                   "--vehicle-share 0.2",
         .defs = defs,
         .n_defs = sizeof defs / sizeof *defs,
     };
@@ -59,13 +62,17 @@ static enum err_code rays_make(struct job *j, struct err *e)
     j->rows = (size_t)j->lens.height_px / LENS_STEP_PX + 2;
     j->rays = mem_array(j->rows * j->cols, 2 * sizeof *j->rays);
     if (!j->rays)
-        return err_set(e, ERR_MEM, "synth: out of memory for a picture of %u x %u px", j->lens.width_px, j->lens.height_px);
+        return err_set(e, ERR_MEM, "synth: out of memory for a picture of %u x %u px",
+                       j->lens.width_px, j->lens.height_px);
     for (size_t r = 0; r < j->rows; r++)
         for (size_t c = 0; c < j->cols; c++) {
             double x, y;
-            if (!lens_undistort(&j->lens, (double)(c * LENS_STEP_PX), (double)(r * LENS_STEP_PX), &x, &y))
-                return err_set(e, ERR_ARG, "synth: the distorted lens has no view at the corner of such a wide picture; "
-                                           "use a smaller --fov-deg");
+            if (!lens_undistort(&j->lens, (double)(c * LENS_STEP_PX), (double)(r * LENS_STEP_PX),
+                                &x, &y))
+                return err_set(
+                    e, ERR_ARG,
+                    "synth: the distorted lens has no view at the corner of such a wide picture; "
+                    "use a smaller --fov-deg");
             j->rays[2 * (r * j->cols + c)] = (float)x;
             j->rays[2 * (r * j->cols + c) + 1] = (float)y;
         }
@@ -89,7 +96,8 @@ static double ray_at(const struct job *j, const double rot[9], double u, double 
 }
 
 /* Camera pose in the city's frame. */
-static void city_pose(const struct synth_city *c, const struct camera *cam, double eye[3], double rot[9])
+static void city_pose(const struct synth_city *c, const struct camera *cam, double eye[3],
+                      double rot[9])
 {
     double cs = cos(c->yaw_rad), sn = sin(c->yaw_rad), p[3];
     camera_center(cam, p);
@@ -103,7 +111,8 @@ static void city_pose(const struct synth_city *c, const struct camera *cam, doub
     }
 }
 
-/* One row or column of three channels blurred by a Gaussian; `step` is the distance of neighbours in floats. */
+/* One row or column of three channels blurred by a Gaussian; `step` is the distance of neighbours
+ * in floats. */
 static void blur_line(float *v, size_t n, size_t step, const float *tap, int radius, float *line)
 {
     for (size_t k = 0; k < 3; k++) {
@@ -120,8 +129,8 @@ static void blur_line(float *v, size_t n, size_t step, const float *tap, int rad
     }
 }
 
-/* No lens is sharper than its pixels: without this, detail finer than a pixel turns into patterns that differ
- * from photograph to photograph and that no scene can explain. */
+/* No lens is sharper than its pixels: without this, detail finer than a pixel turns into patterns
+ * that differ from photograph to photograph and that no scene can explain. */
 static enum err_code blur(float *rgb, size_t w, size_t h, double sigma_px, struct err *e)
 {
     enum { RADIUS_MAX = 16 };
@@ -146,8 +155,9 @@ static enum err_code blur(float *rgb, size_t w, size_t h, double sigma_px, struc
     return ERR_OK;
 }
 
-static enum err_code render(const struct job *j, const struct synth_photo *p, const struct synth_light *light,
-                            const struct synth_grid *moving, struct image *out, struct err *e)
+static enum err_code render(const struct job *j, const struct synth_photo *p,
+                            const struct synth_light *light, const struct synth_grid *moving,
+                            struct image *out, struct err *e)
 {
     double eye[3], rot[9], dir[3];
     int ss = (int)j->cfg->supersample;
@@ -164,7 +174,8 @@ static enum err_code render(const struct job *j, const struct synth_photo *p, co
             float *sum = linear + 3 * (y * w + x);
             for (int s = 0; s < ss * ss; s++) {
                 /* The fixed pattern of a rotated grid: no two samples share a row or a column. */
-                double du = ((s % ss) + (0.5 + s / ss) / ss) / ss, dv = ((s / ss) + 1 - (0.5 + s % ss) / ss) / ss;
+                double du = ((s % ss) + (0.5 + s / ss) / ss) / ss,
+                       dv = ((s / ss) + 1 - (0.5 + s % ss) / ss) / ss;
                 ray_at(j, rot, (double)x + du, (double)y + dv, dir);
                 struct synth_hit hit;
                 float rgb[3];
@@ -181,7 +192,8 @@ static enum err_code render(const struct job *j, const struct synth_photo *p, co
     return rc;
 }
 
-static enum err_code write_depth(const struct job *j, const struct synth_photo *p, const char *path, struct err *e)
+static enum err_code write_depth(const struct job *j, const struct synth_photo *p, const char *path,
+                                 struct err *e)
 {
     size_t w = p->cam.width_px, h = p->cam.height_px;
     double eye[3], rot[9], dir[3];
@@ -201,8 +213,8 @@ static enum err_code write_depth(const struct job *j, const struct synth_photo *
 }
 
 /* "DIR/sub/STEM.ext" of a photograph. */
-static enum err_code photo_path(const struct job *j, const char *sub, const struct synth_photo *p, const char *ext,
-                                char *out, struct err *e)
+static enum err_code photo_path(const struct job *j, const char *sub, const struct synth_photo *p,
+                                const char *ext, char *out, struct err *e)
 {
     char name[96];
     snprintf(name, sizeof name, "%s/%.*s%s", sub, (int)strcspn(p->name, "."), p->name, ext);
@@ -215,10 +227,13 @@ static enum err_code photo_gps(const struct job *j, size_t i, struct image_gps *
     struct geo_origin o = {cfg->lon_deg, cfg->lat_deg, cfg->ground_h_m};
     const struct synth_photo *p = &j->photos[i];
     size_t second = 36000 + 3 * i + (p->flight && cfg->flight_offset_m != 0 ? 14400 : 0);
-    *gps = (struct image_gps){.has_position = true, .has_altitude = true, .iso = 100,
+    *gps = (struct image_gps){.has_position = true,
+                              .has_altitude = true,
+                              .iso = 100,
                               .exposure_s = 0.001 * exp2(p->exposure_ev)};
-    snprintf(gps->time, sizeof gps->time, "2024:06:%02u %02u:%02u:%02u", 1 + (unsigned)(second / 86400) % 28,
-             (unsigned)(second / 3600 % 24), (unsigned)(second / 60 % 60), (unsigned)(second % 60));
+    snprintf(gps->time, sizeof gps->time, "2024:06:%02u %02u:%02u:%02u",
+             1 + (unsigned)(second / 86400) % 28, (unsigned)(second / 3600 % 24),
+             (unsigned)(second / 60 % 60), (unsigned)(second % 60));
     return geo_from_enu(&o, p->gps_enu_m, &gps->lon_deg, &gps->lat_deg, &gps->alt_m, e);
 }
 
@@ -281,7 +296,8 @@ static enum err_code photo_task(void *user, size_t i, struct err *e)
     return rc;
 }
 
-/* ---- truth.json ----------------------------------------------------------------------------------------- */
+/* ---- truth.json
+ * ----------------------------------------------------------------------------------------- */
 
 static json_t *nums(const double *v, size_t n)
 {
@@ -301,13 +317,15 @@ static json_t *photo_to_json(const struct synth_photo *p, bool test)
     m[15] = 1;
     camera_center(&p->cam, center);
     double gain[3] = {(double)p->light.gain[0], (double)p->light.gain[1], (double)p->light.gain[2]};
-    return json_pack("{s:s, s:o, s:o, s:o, s:b, s:b, s:o, s:i, s:b, s:o, s:b}", "name", p->name, "center_enu_m",
-                     nums(center, 3), "world_to_camera", nums(m, 16), "gps_enu_m", nums(p->gps_enu_m, 3), "gps_outlier",
-                     p->gps_outlier, "pose_error", p->pose_error, "pose_shift_m", nums(p->pose_shift_m, 3), "flight",
+    return json_pack("{s:s, s:o, s:o, s:o, s:b, s:b, s:o, s:i, s:b, s:o, s:b}", "name", p->name,
+                     "center_enu_m", nums(center, 3), "world_to_camera", nums(m, 16), "gps_enu_m",
+                     nums(p->gps_enu_m, 3), "gps_outlier", p->gps_outlier, "pose_error",
+                     p->pose_error, "pose_shift_m", nums(p->pose_shift_m, 3), "flight",
                      (int)p->flight, "vehicles", p->vehicles, "gain", nums(gain, 3), "test", test);
 }
 
-static enum err_code write_truth(const struct job *j, const struct synth_similarity *f, struct err *e)
+static enum err_code write_truth(const struct job *j, const struct synth_similarity *f,
+                                 struct err *e)
 {
     const struct synth_config *cfg = j->cfg;
     char path[FILE_PATH_MAX];
@@ -316,15 +334,17 @@ static enum err_code write_truth(const struct job *j, const struct synth_similar
     if (rc == ERR_OK)
         rc = options_to_json(synth_options(), cfg, &config, e);
     for (size_t i = 0; i < (size_t)cfg->photos; i++)
-        json_array_append_new(photos, photo_to_json(&j->photos[i], i % (size_t)cfg->test_every == 0));
+        json_array_append_new(photos,
+                              photo_to_json(&j->photos[i], i % (size_t)cfg->test_every == 0));
     json_object_del(config, "output"); /* the same city has the same bytes wherever it is */
     json_object_del(config, "overwrite");
     json_t *root = json_pack(
-        "{s:s, s:o, s:{s:f, s:f, s:f}, s:{s:f, s:o, s:o}, s:{s:s, s:i, s:i, s:o}, s:o}", "format", "citysplat-truth",
-        "config", config ? config : json_object(), "origin", "lon_deg", cfg->lon_deg, "lat_deg", cfg->lat_deg, "h_m",
-        cfg->ground_h_m, "colmap_to_enu", "scale", f->scale, "rot", nums(f->rot, 9), "trans", nums(f->trans, 3), "lens",
-        "model", lens_name(j->lens.model), "width", (int)cfg->width_px, "height", (int)cfg->height_px, "params",
-        nums(j->lens.params, lens_param_count(j->lens.model)), "photographs", photos);
+        "{s:s, s:o, s:{s:f, s:f, s:f}, s:{s:f, s:o, s:o}, s:{s:s, s:i, s:i, s:o}, s:o}", "format",
+        "citysplat-truth", "config", config ? config : json_object(), "origin", "lon_deg",
+        cfg->lon_deg, "lat_deg", cfg->lat_deg, "h_m", cfg->ground_h_m, "colmap_to_enu", "scale",
+        f->scale, "rot", nums(f->rot, 9), "trans", nums(f->trans, 3), "lens", "model",
+        lens_name(j->lens.model), "width", (int)cfg->width_px, "height", (int)cfg->height_px,
+        "params", nums(j->lens.params, lens_param_count(j->lens.model)), "photographs", photos);
     if (rc == ERR_OK && !root)
         rc = err_set(e, ERR_MEM, "synth: out of memory for truth.json");
     if (rc == ERR_OK)
@@ -346,7 +366,8 @@ static enum err_code make_folders(const char *dir, struct err *e)
     return rc;
 }
 
-static enum err_code write_all(struct job *j, struct synth_photo *photos, const struct synth_city *city, struct err *e)
+static enum err_code write_all(struct job *j, struct synth_photo *photos,
+                               const struct synth_city *city, struct err *e)
 {
     char path[FILE_PATH_MAX];
     struct colmap_model model = {0};
@@ -362,7 +383,8 @@ static enum err_code write_all(struct job *j, struct synth_photo *photos, const 
     if (rc == ERR_OK)
         rc = colmap_write_bin(path, &model, e);
     if (rc == ERR_OK) {
-        log_info("synth", "city solids=%zu points=%zu observations=%zu", city->n_solids, model.n_points, model.n_tracks);
+        log_info("synth", "city solids=%zu points=%zu observations=%zu", city->n_solids,
+                 model.n_points, model.n_tracks);
         progress_start(&j->progress, "photograph the city", (uint64_t)j->cfg->photos);
         rc = pool_for((size_t)j->cfg->photos, 0, photo_task, j, e);
         progress_end(&j->progress, NULL);
@@ -378,7 +400,10 @@ enum err_code synth_run(const struct synth_config *cfg, struct err *e)
     struct outdir dir = {0};
     struct synth_city city = {0};
     struct synth_photo *photos = NULL;
-    struct job j = {.cfg = cfg, .city = &city, .lens = synth_flight_lens(cfg), .progress_busy = ATOMIC_FLAG_INIT};
+    struct job j = {.cfg = cfg,
+                    .city = &city,
+                    .lens = synth_flight_lens(cfg),
+                    .progress_busy = ATOMIC_FLAG_INIT};
     if (!cfg->output)
         return err_set(e, ERR_ARG, "synth: no output folder: give -o DIR");
     enum err_code rc = outdir_begin(cfg->output, "truth/truth.json", cfg->overwrite, &dir, e);
@@ -386,7 +411,8 @@ enum err_code synth_run(const struct synth_config *cfg, struct err *e)
         return rc;
     photos = mem_array((size_t)cfg->photos, sizeof *photos);
     if (!photos) {
-        rc = err_set(e, ERR_MEM, "synth: out of memory for %lld photographs", (long long)cfg->photos);
+        rc = err_set(e, ERR_MEM, "synth: out of memory for %lld photographs",
+                     (long long)cfg->photos);
         goto out;
     }
     rc = synth_city_make(cfg, &city, e);

@@ -1,8 +1,10 @@
-/* What stands where: streets on a jittered grid, blocks cut into lots, and on the lots houses with flat or
- * gabled roofs, parks, car parks; trees along streets and in the fields around, parked cars.
+/* What stands where: streets on a jittered grid, blocks cut into lots, and on the lots houses with
+ * flat or gabled roofs, parks, car parks; trees along streets and in the fields around, parked
+ * cars.
  *
- * A lot is cut in two across its longer edge until it is house-sized, as real parcels are. Every number comes
- * from rng_unit(seed, stream, counter), so a city is a function of its seed and extent alone.
+ * A lot is cut in two across its longer edge until it is house-sized, as real parcels are. Every
+ * number comes from rng_unit(seed, stream, counter), so a city is a function of its seed and extent
+ * alone.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -55,7 +57,8 @@ static void add(struct builder *b, const struct synth_solid *s)
         c->cap_solids = want;
     }
     c->solids[c->n_solids] = *s;
-    c->solids[c->n_solids].seed = (uint32_t)rng_u64(c->seed, SYNTH_STREAM_LOTS, 0x10000000u + c->n_solids);
+    c->solids[c->n_solids].seed =
+        (uint32_t)rng_u64(c->seed, SYNTH_STREAM_LOTS, 0x10000000u + c->n_solids);
     if (s->kind != SYNTH_GABLE)
         c->solids[c->n_solids].ridge_m = s->z1_m;
     c->n_solids++;
@@ -67,26 +70,39 @@ static void set_color(struct synth_solid *s, const float rgb[3], double gain)
         s->color[i] = rgb[i] * (float)gain;
 }
 
-/* ---- vegetation and cars ------------------------------------------------------------------------- */
+/* ---- vegetation and cars
+ * ------------------------------------------------------------------------- */
 
 static void add_tree(struct builder *b, double x, double y, double size)
 {
-    static const float greens[][3] = {
-        {.10f, .22f, .05f}, {.16f, .28f, .06f}, {.07f, .16f, .05f}, {.24f, .26f, .07f}, {.30f, .17f, .05f}};
+    static const float greens[][3] = {{.10f, .22f, .05f},
+                                      {.16f, .28f, .06f},
+                                      {.07f, .16f, .05f},
+                                      {.24f, .26f, .07f},
+                                      {.30f, .17f, .05f}};
     struct dice *d = &b->trees;
     double height = size * roll(d, 3.6, 5.6), radius = size * roll(d, 1.5, 2.4);
     const float *green = greens[(int)roll(d, 0, 4.15)]; /* the last, autumn, is rare */
-    struct synth_solid trunk = {.kind = SYNTH_BOX, .material = SYNTH_TRUNK, .center_m = {x, y},
-                                .cos_yaw = 1, .half_m = {0.16 * size, 0.16 * size}, .z1_m = 0.5 * height,
+    struct synth_solid trunk = {.kind = SYNTH_BOX,
+                                .material = SYNTH_TRUNK,
+                                .center_m = {x, y},
+                                .cos_yaw = 1,
+                                .half_m = {0.16 * size, 0.16 * size},
+                                .z1_m = 0.5 * height,
                                 .color = {.13f, .09f, .06f}};
     add(b, &trunk);
     int lobes = 1 + (int)roll(d, 0, 2.99);
     for (int i = 0; i < lobes; i++) {
-        double shift = i ? 0.55 * radius : 0, turn = roll(d, 0, 2 * M_PI), r = radius * (i ? 0.72 : 1);
+        double shift = i ? 0.55 * radius : 0, turn = roll(d, 0, 2 * M_PI),
+               r = radius * (i ? 0.72 : 1);
         double top = height * (i ? roll(d, 0.75, 0.95) : 1);
-        struct synth_solid crown = {.kind = SYNTH_ELLIPSOID, .material = SYNTH_TREE, .cos_yaw = 1,
+        struct synth_solid crown = {.kind = SYNTH_ELLIPSOID,
+                                    .material = SYNTH_TREE,
+                                    .cos_yaw = 1,
                                     .center_m = {x + shift * cos(turn), y + shift * sin(turn)},
-                                    .half_m = {r, r}, .z0_m = 0.28 * height, .z1_m = top};
+                                    .half_m = {r, r},
+                                    .z0_m = 0.28 * height,
+                                    .z1_m = top};
         set_color(&crown, green, roll(d, 0.85, 1.2));
         add(b, &crown);
     }
@@ -102,10 +118,15 @@ static void make_car(double x, double y, double yaw, double u, struct synth_soli
     size_t n = sizeof car_colors / sizeof *car_colors;
     const float *rgb = car_colors[(size_t)(u * (double)n) % n];
     bool van = u > 0.86;
-    struct synth_solid body = {.kind = SYNTH_BOX, .material = SYNTH_CAR, .center_m = {x, y},
-                               .cos_yaw = cos(yaw), .sin_yaw = sin(yaw),
+    struct synth_solid body = {.kind = SYNTH_BOX,
+                               .material = SYNTH_CAR,
+                               .center_m = {x, y},
+                               .cos_yaw = cos(yaw),
+                               .sin_yaw = sin(yaw),
                                .half_m = {van ? 2.7 : 2.2, van ? 1.05 : 0.92},
-                               .z0_m = 0.25, .z1_m = van ? 2.3 : 0.95, .ridge_m = van ? 2.3 : 0.95};
+                               .z0_m = 0.25,
+                               .z1_m = van ? 2.3 : 0.95,
+                               .ridge_m = van ? 2.3 : 0.95};
     struct synth_solid cabin = body;
     cabin.material = SYNTH_CABIN;
     cabin.half_m[0] = van ? 0.6 : 1.15;
@@ -127,11 +148,13 @@ static void add_car(struct builder *b, double x, double y, double yaw)
     add(b, &car[1]);
 }
 
-/* ---- lots ------------------------------------------------------------------------------------------- */
+/* ---- lots
+ * ------------------------------------------------------------------------------------------- */
 
-static const float wall_colors[][3] = {
-    {.42f, .20f, .14f}, {.55f, .46f, .33f}, {.60f, .57f, .52f}, {.36f, .30f, .26f}, {.63f, .53f, .30f},
-    {.30f, .36f, .42f}, {.52f, .32f, .22f}, {.68f, .66f, .62f}, {.40f, .44f, .36f}, {.58f, .40f, .36f}};
+static const float wall_colors[][3] = {{.42f, .20f, .14f}, {.55f, .46f, .33f}, {.60f, .57f, .52f},
+                                       {.36f, .30f, .26f}, {.63f, .53f, .30f}, {.30f, .36f, .42f},
+                                       {.52f, .32f, .22f}, {.68f, .66f, .62f}, {.40f, .44f, .36f},
+                                       {.58f, .40f, .36f}};
 
 static void add_roof_machines(struct builder *b, const struct synth_solid *house)
 {
@@ -139,9 +162,14 @@ static void add_roof_machines(struct builder *b, const struct synth_solid *house
     int n = (int)roll(d, 0, 3.99);
     for (int i = 0; i < n; i++) {
         double hx = roll(d, 0.5, 1.7), hy = roll(d, 0.5, 1.4);
-        double u = roll(d, -0.7, 0.7) * (house->half_m[0] - hx), v = roll(d, -0.7, 0.7) * (house->half_m[1] - hy);
-        struct synth_solid m = {.kind = SYNTH_BOX, .material = SYNTH_SHED, .cos_yaw = house->cos_yaw,
-                                .sin_yaw = house->sin_yaw, .half_m = {hx, hy}, .z0_m = house->z1_m,
+        double u = roll(d, -0.7, 0.7) * (house->half_m[0] - hx),
+               v = roll(d, -0.7, 0.7) * (house->half_m[1] - hy);
+        struct synth_solid m = {.kind = SYNTH_BOX,
+                                .material = SYNTH_SHED,
+                                .cos_yaw = house->cos_yaw,
+                                .sin_yaw = house->sin_yaw,
+                                .half_m = {hx, hy},
+                                .z0_m = house->z1_m,
                                 .z1_m = house->z1_m + roll(d, 0.7, 2.2)};
         m.center_m[0] = house->center_m[0] + u * house->cos_yaw - v * house->sin_yaw;
         m.center_m[1] = house->center_m[1] + u * house->sin_yaw + v * house->cos_yaw;
@@ -154,14 +182,18 @@ static void add_roof_machines(struct builder *b, const struct synth_solid *house
 static void add_house(struct builder *b, struct rect r)
 {
     struct dice *d = &b->lots;
-    double inset = roll(d, 0.9, 2.2), hx = 0.5 * (r.x1 - r.x0) - inset, hy = 0.5 * (r.y1 - r.y0) - inset;
+    double inset = roll(d, 0.9, 2.2), hx = 0.5 * (r.x1 - r.x0) - inset,
+           hy = 0.5 * (r.y1 - r.y0) - inset;
     if (hx < 2 || hy < 2)
         return;
     double x = 0.5 * (r.x0 + r.x1), y = 0.5 * (r.y0 + r.y1), half = b->city->half_m;
     double center = exp(-(x * x + y * y) / (0.25 * half * half)); /* taller towards the middle */
     double floors = floor(roll(d, 2, 4.5) + center * roll(d, 0, 4.5));
-    struct synth_solid h = {.kind = SYNTH_BOX, .material = SYNTH_HOUSE, .center_m = {x, y},
-                            .half_m = {hx, hy}, .z1_m = 3.1 * floors + 0.6};
+    struct synth_solid h = {.kind = SYNTH_BOX,
+                            .material = SYNTH_HOUSE,
+                            .center_m = {x, y},
+                            .half_m = {hx, hy},
+                            .z1_m = 3.1 * floors + 0.6};
     double yaw = chance(d, 0.12) ? roll(d, -0.12, 0.12) : 0;
     if (yaw != 0 && hx > 3 && hy > 3)
         h.half_m[0] -= 0.8, h.half_m[1] -= 0.8;
@@ -199,8 +231,8 @@ static void add_park(struct builder *b, struct rect r)
     double area = (r.x1 - r.x0) * (r.y1 - r.y0);
     int n = 2 + (int)(area / 28);
     for (int i = 0; i < n; i++)
-        add_tree(b, roll(&b->trees, r.x0 + 1.5, r.x1 - 1.5), roll(&b->trees, r.y0 + 1.5, r.y1 - 1.5),
-                 roll(&b->trees, 0.6, 1.5));
+        add_tree(b, roll(&b->trees, r.x0 + 1.5, r.x1 - 1.5),
+                 roll(&b->trees, r.y0 + 1.5, r.y1 - 1.5), roll(&b->trees, 0.6, 1.5));
 }
 
 static void add_car_park(struct builder *b, struct rect r)
@@ -237,7 +269,8 @@ static void fill_lot(struct builder *b, struct rect r)
         add_tree(b, r.x0 + 0.8, r.y0 + 0.8, roll(&b->trees, 0.4, 0.7));
 }
 
-/* ---- streets ---------------------------------------------------------------------------------------- */
+/* ---- streets
+ * ---------------------------------------------------------------------------------------- */
 
 static void lay_streets(struct synth_city *c, double extent_m)
 {
@@ -256,7 +289,8 @@ static void lay_streets(struct synth_city *c, double extent_m)
     }
 }
 
-/* Parked cars and trees along both sides of a street. `axis` 0: the street runs along y at x = at. */
+/* Parked cars and trees along both sides of a street. `axis` 0: the street runs along y at x = at.
+ */
 static void line_street(struct builder *b, int axis, size_t i)
 {
     struct synth_city *c = b->city;
@@ -271,7 +305,8 @@ static void line_street(struct builder *b, int axis, size_t i)
                 continue;
             double car = at + side * (half - 1.05), tree = at + side * (half + 1.1);
             if (chance(&b->cars, 0.34))
-                add_car(b, axis ? s : car, axis ? car : s, (axis ? 0 : M_PI / 2) + roll(&b->cars, -0.04, 0.04));
+                add_car(b, axis ? s : car, axis ? car : s,
+                        (axis ? 0 : M_PI / 2) + roll(&b->cars, -0.04, 0.04));
             if (chance(&b->trees, 0.22))
                 add_tree(b, axis ? s : tree, axis ? tree : s, roll(&b->trees, 0.55, 1.0));
         }
@@ -292,8 +327,11 @@ static void plant_fields(struct builder *b, double extent_m)
 enum err_code synth_city_make(const struct synth_config *cfg, struct synth_city *out, struct err *e)
 {
     struct synth_city c = {.seed = (uint32_t)cfg->seed, .half_m = 0.5 * cfg->extent_m};
-    struct builder b = {.city = &c, .lots = {c.seed, SYNTH_STREAM_LOTS, 0}, .e = e,
-                        .trees = {c.seed, SYNTH_STREAM_TREES, 0}, .cars = {c.seed, SYNTH_STREAM_CARS, 0}};
+    struct builder b = {.city = &c,
+                        .lots = {c.seed, SYNTH_STREAM_LOTS, 0},
+                        .e = e,
+                        .trees = {c.seed, SYNTH_STREAM_TREES, 0},
+                        .cars = {c.seed, SYNTH_STREAM_CARS, 0}};
     c.yaw_rad = (rng_unit(c.seed, SYNTH_STREAM_YAW, 0) - 0.5) * 0.9;
     double azimuth = 2 * M_PI * rng_unit(c.seed, SYNTH_STREAM_YAW, 1);
     double rise = 0.75 + 0.25 * rng_unit(c.seed, SYNTH_STREAM_YAW, 2); /* 43 to 57 degrees */
@@ -330,7 +368,8 @@ void synth_city_free(struct synth_city *c)
     *c = (struct synth_city){0};
 }
 
-void synth_city_vehicles(const struct synth_city *c, uint64_t photo, size_t n, struct synth_solid *out)
+void synth_city_vehicles(const struct synth_city *c, uint64_t photo, size_t n,
+                         struct synth_solid *out)
 {
     struct dice d = {c->seed, SYNTH_STREAM_MOVING, photo << 16};
     for (size_t i = 0; i < n; i++) {

@@ -1,6 +1,6 @@
-/* Who looks from where: nadir strips back and forth over the city, then four oblique passes that look north,
- * east, south and west at 48 degrees below the horizon, shifted back so that they see the city; and what each
- * photograph suffers: light, exposure, GPS noise and outliers, wrong poses.
+/* Who looks from where: nadir strips back and forth over the city, then four oblique passes that
+ * look north, east, south and west at 48 degrees below the horizon, shifted back so that they see
+ * the city; and what each photograph suffers: light, exposure, GPS noise and outliers, wrong poses.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -10,32 +10,40 @@
 
 #include "train/synth.h"
 
-static const double oblique_pitch_deg = -48, oblique_height = 0.8; /* of the nadir height above ground */
+static const double oblique_pitch_deg = -48,
+                    oblique_height = 0.8; /* of the nadir height above ground */
 
-static double unit(const struct synth_config *cfg, enum synth_stream stream, size_t photo, uint64_t k)
+static double unit(const struct synth_config *cfg, enum synth_stream stream, size_t photo,
+                   uint64_t k)
 {
     return rng_unit((uint64_t)cfg->seed, stream, (uint64_t)photo * 64 + k);
 }
 
-static double normal(const struct synth_config *cfg, enum synth_stream stream, size_t photo, uint64_t k)
+static double normal(const struct synth_config *cfg, enum synth_stream stream, size_t photo,
+                     uint64_t k)
 {
     return rng_normal((uint64_t)cfg->seed, stream, (uint64_t)photo * 64 + k);
 }
 
 struct lens synth_flight_lens(const struct synth_config *cfg)
 {
-    double w = (double)cfg->width_px, h = (double)cfg->height_px, f = 0.5 * w / tan(cfg->fov_deg * M_PI / 360);
-    struct lens l = {.model = LENS_PINHOLE, .width_px = (uint32_t)cfg->width_px,
-                     .height_px = (uint32_t)cfg->height_px, .params = {f, f, 0.5 * w, 0.5 * h}};
+    double w = (double)cfg->width_px, h = (double)cfg->height_px,
+           f = 0.5 * w / tan(cfg->fov_deg * M_PI / 360);
+    struct lens l = {.model = LENS_PINHOLE,
+                     .width_px = (uint32_t)cfg->width_px,
+                     .height_px = (uint32_t)cfg->height_px,
+                     .params = {f, f, 0.5 * w, 0.5 * h}};
     if (cfg->distorted) { /* a compact camera: barrel, slightly decentred */
-        const double p[8] = {f, f * 1.001, 0.5 * w + 0.011 * w, 0.5 * h - 0.008 * h, -0.10, 0.035, 0.0008, -0.0011};
+        const double p[8] = {
+            f, f * 1.001, 0.5 * w + 0.011 * w, 0.5 * h - 0.008 * h, -0.10, 0.035, 0.0008, -0.0011};
         l.model = LENS_OPENCV;
         memcpy(l.params, p, sizeof p);
     }
     return l;
 }
 
-/* n positions in a grid over a rectangle of w x h metres, walked back and forth; columns follow the aspect. */
+/* n positions in a grid over a rectangle of w x h metres, walked back and forth; columns follow the
+ * aspect. */
 struct strips {
     size_t n, rows, cols;
 };
@@ -59,11 +67,14 @@ static void strips_at(const struct strips *s, size_t k, double *u, double *v)
 
 static struct camera photo_camera(const struct synth_config *cfg, size_t i, double yaw_rad)
 {
-    size_t n = (size_t)cfg->photos, n_oblique = (size_t)((double)n * cfg->oblique_share + 0.5), n_nadir = n - n_oblique;
-    double fov_y = 2 * atan(tan(cfg->fov_deg * M_PI / 360) * (double)cfg->height_px / (double)cfg->width_px);
+    size_t n = (size_t)cfg->photos, n_oblique = (size_t)((double)n * cfg->oblique_share + 0.5),
+           n_nadir = n - n_oblique;
+    double fov_y =
+        2 * atan(tan(cfg->fov_deg * M_PI / 360) * (double)cfg->height_px / (double)cfg->width_px);
     double height = cfg->altitude_m;
     if (height <= 0) /* neighbours of the nadir grid overlap by about 70 % */
-        height = fmax(45, cfg->extent_m / fmax(1, sqrt((double)n_nadir) - 1) / (0.6 * tan(0.5 * fov_y)));
+        height =
+            fmax(45, cfg->extent_m / fmax(1, sqrt((double)n_nadir) - 1) / (0.6 * tan(0.5 * fov_y)));
     double u, v, heading = 0, pitch = -90, back = 0, x, y;
     double side = 0.92 * cfg->extent_m;
     if (i < n_nadir) {
@@ -86,12 +97,14 @@ static struct camera photo_camera(const struct synth_config *cfg, size_t i, doub
     x += 0.01 * height * normal(cfg, SYNTH_STREAM_FLIGHT, i, 0);
     y += 0.01 * height * normal(cfg, SYNTH_STREAM_FLIGHT, i, 1);
     double z = height * (1 + 0.008 * normal(cfg, SYNTH_STREAM_FLIGHT, i, 2));
-    x -= back * sin(heading * M_PI / 180); /* in the city's frame, so passes look along its streets */
+    x -= back *
+         sin(heading * M_PI / 180); /* in the city's frame, so passes look along its streets */
     y -= back * cos(heading * M_PI / 180);
     double eye[3] = {x * cos(yaw_rad) - y * sin(yaw_rad), x * sin(yaw_rad) + y * cos(yaw_rad), z};
     heading += -yaw_rad * 180 / M_PI + 1.5 * normal(cfg, SYNTH_STREAM_FLIGHT, i, 3);
     pitch += 0.7 * normal(cfg, SYNTH_STREAM_FLIGHT, i, 4);
-    struct camera cam = camera_heading(eye, heading, pitch, fov_y, (uint32_t)cfg->width_px, (uint32_t)cfg->height_px);
+    struct camera cam = camera_heading(eye, heading, pitch, fov_y, (uint32_t)cfg->width_px,
+                                       (uint32_t)cfg->height_px);
     struct lens l = synth_flight_lens(cfg);
     lens_focal(&l, &cam.fx_px, &cam.fy_px, &cam.cx_px, &cam.cy_px);
     return cam;
@@ -113,7 +126,8 @@ static void photo_light(const struct synth_config *cfg, size_t i, struct synth_p
 }
 
 /* A random direction times a length. */
-static void shift_by(const struct synth_config *cfg, enum synth_stream stream, size_t i, double length, double out[3])
+static void shift_by(const struct synth_config *cfg, enum synth_stream stream, size_t i,
+                     double length, double out[3])
 {
     double d[3], n = 0;
     for (uint64_t k = 0; k < 3; k++) {
@@ -146,7 +160,8 @@ static void photo_errors(const struct synth_config *cfg, size_t i, struct synth_
 
 void synth_flight_make(const struct synth_config *cfg, struct synth_photo *out)
 {
-    double yaw = (rng_unit((uint32_t)cfg->seed, SYNTH_STREAM_YAW, 0) - 0.5) * 0.9; /* as in synth_city_make */
+    double yaw = (rng_unit((uint32_t)cfg->seed, SYNTH_STREAM_YAW, 0) - 0.5) *
+                 0.9; /* as in synth_city_make */
     for (size_t i = 0; i < (size_t)cfg->photos; i++) {
         struct synth_photo *p = &out[i];
         *p = (struct synth_photo){.cam = photo_camera(cfg, i, yaw)};

@@ -1,8 +1,9 @@
 /* The COLMAP model of the procedural city: what structure from motion would have found.
  *
- * Points are places that random pixels see; a photograph observes a point when a ray from its camera reaches
- * it. Pixels and places carry a little noise, poses are exact unless the options ask for wrong ones, and all of
- * it is told in a frame with a rotation, scale and shift of its own, as a reconstruction without GPS would be.
+ * Points are places that random pixels see; a photograph observes a point when a ray from its
+ * camera reaches it. Pixels and places carry a little noise, poses are exact unless the options ask
+ * for wrong ones, and all of it is told in a frame with a rotation, scale and shift of its own, as
+ * a reconstruction without GPS would be.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,8 +12,9 @@
 
 #include "train/synth.h"
 
-static const double noise_px = 0.35, place_noise_px = 0.4; /* of a feature; of its triangulated place */
-static const double reach_rel = 1e-5, reach_m = 0.02;      /* a ray this near its goal has reached it */
+static const double noise_px = 0.35,
+                    place_noise_px = 0.4;             /* of a feature; of its triangulated place */
+static const double reach_rel = 1e-5, reach_m = 0.02; /* a ray this near its goal has reached it */
 enum { TRACK_MIN = 2 };
 
 struct synth_similarity synth_model_frame(const struct synth_config *cfg)
@@ -64,11 +66,13 @@ static void city_to_enu(const struct synth_city *c, const double v[3], double ou
 }
 
 /* Pixel of an ENU place; false when it is behind or outside. */
-static bool project(const struct maker *m, const struct camera *cam, const double p[3], double *u, double *v)
+static bool project(const struct maker *m, const struct camera *cam, const double p[3], double *u,
+                    double *v)
 {
     double t[3];
     for (int i = 0; i < 3; i++)
-        t[i] = cam->rot[3 * i] * p[0] + cam->rot[3 * i + 1] * p[1] + cam->rot[3 * i + 2] * p[2] + cam->trans[i];
+        t[i] = cam->rot[3 * i] * p[0] + cam->rot[3 * i + 1] * p[1] + cam->rot[3 * i + 2] * p[2] +
+               cam->trans[i];
     if (!(t[2] > 0.1))
         return false;
     double x = t[0] / t[2], y = t[1] / t[2];
@@ -101,7 +105,8 @@ static bool sees(const struct maker *m, const struct camera *cam, const double p
 }
 
 /* The place that a random pixel sees, in ENU; false for sky. */
-static bool pick_place(const struct maker *m, uint64_t k, double place[3], uint8_t rgb[3], double *gsd_m)
+static bool pick_place(const struct maker *m, uint64_t k, double place[3], uint8_t rgb[3],
+                       double *gsd_m)
 {
     uint64_t seed = (uint64_t)m->cfg->seed;
     const struct camera *cam = &m->photos[k % m->n_photos].cam;
@@ -152,13 +157,15 @@ static enum err_code point_try(struct maker *m, uint64_t k, struct err *e)
     if (!pick_place(m, k, place, p.rgb, &gsd))
         return ERR_OK;
     for (int i = 0; i < 3; i++)
-        p.xyz[i] = place[i] + place_noise_px * gsd * rng_normal(seed, SYNTH_STREAM_POINTS, 16 * k + 4 + (uint64_t)i);
+        p.xyz[i] = place[i] + place_noise_px * gsd *
+                                  rng_normal(seed, SYNTH_STREAM_POINTS, 16 * k + 4 + (uint64_t)i);
     double error2 = 0;
     for (size_t i = 0; i < m->n_photos; i++) {
         struct sighting s = {(uint32_t)m->n_points, (uint32_t)i, 0, 0};
         const struct camera *cam = &m->photos[i].cam;
         double u, v, un, vn;
-        if (!project(m, cam, place, &u, &v) || !sees(m, cam, place) || !project(m, cam, p.xyz, &un, &vn))
+        if (!project(m, cam, place, &u, &v) || !sees(m, cam, place) ||
+            !project(m, cam, p.xyz, &un, &vn))
             continue;
         uint64_t at = (k * m->n_photos + i) * 2;
         s.x_px = u + noise_px * rng_normal(seed, SYNTH_STREAM_PIXELS, at);
@@ -186,7 +193,8 @@ static void to_model(const struct synth_similarity *f, const double enu[3], doub
         out[i] = (f->rot[i] * d[0] + f->rot[3 + i] * d[1] + f->rot[6 + i] * d[2]) / f->scale;
 }
 
-static void image_pose(const struct synth_similarity *f, const struct synth_photo *p, struct colmap_image *im)
+static void image_pose(const struct synth_similarity *f, const struct synth_photo *p,
+                       struct colmap_image *im)
 {
     double rot[9] = {0}, center[3], moved[3], c[3];
     for (int i = 0; i < 3; i++)
@@ -245,14 +253,20 @@ static enum err_code model_assemble(const struct maker *m, struct colmap_model *
 }
 
 enum err_code synth_model_make(const struct synth_config *cfg, const struct synth_city *city,
-                               const struct synth_photo *photos, const struct synth_similarity *frame,
-                               struct colmap_model *out, struct err *e)
+                               const struct synth_photo *photos,
+                               const struct synth_similarity *frame, struct colmap_model *out,
+                               struct err *e)
 {
-    struct maker m = {.cfg = cfg, .city = city, .photos = photos, .frame = frame, .lens = synth_flight_lens(cfg),
+    struct maker m = {.cfg = cfg,
+                      .city = city,
+                      .photos = photos,
+                      .frame = frame,
+                      .lens = synth_flight_lens(cfg),
                       .n_photos = (size_t)cfg->photos};
     *out = (struct colmap_model){0};
     m.points = mem_array((size_t)cfg->points, sizeof *m.points);
-    enum err_code rc = m.points ? ERR_OK : err_set(e, ERR_MEM, "synth: out of memory for the points");
+    enum err_code rc =
+        m.points ? ERR_OK : err_set(e, ERR_MEM, "synth: out of memory for the points");
     for (uint64_t k = 0; rc == ERR_OK && k < (uint64_t)cfg->points; k++)
         rc = clock_stopping() ? err_set(e, ERR_CANCEL, "stopped") : point_try(&m, k, e);
     if (rc == ERR_OK)

@@ -1,9 +1,10 @@
 /* What colour a place is: procedural textures on everything, one sun with shadows, a sky.
  *
- * Gaussians are judged by texture, so no surface is plain: asphalt with markings and stains, tiled pavements,
- * facades with bays of windows, roofs of tiles, gravel or panels, leaves, fields with furrows. Noise is value
- * noise in octaves; an octave finer than the sample is left out, so distance blurs instead of flickering.
- * Surfaces are matt: colour does not depend on the direction of view.
+ * Gaussians are judged by texture, so no surface is plain: asphalt with markings and stains, tiled
+ * pavements, facades with bays of windows, roofs of tiles, gravel or panels, leaves, fields with
+ * furrows. Noise is value noise in octaves; an octave finer than the sample is left out, so
+ * distance blurs instead of flickering. Surfaces are matt: colour does not depend on the direction
+ * of view.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,7 +12,8 @@
 
 #include "train/synth.h"
 
-/* ---- noise ----------------------------------------------------------------------------------------- */
+/* ---- noise
+ * ----------------------------------------------------------------------------------------- */
 
 static uint32_t hash3(int32_t x, int32_t y, uint32_t seed)
 {
@@ -51,7 +53,8 @@ static float visible(const struct sample *s, float size)
     return v < 0 ? 0 : v > 1 ? 1 : v;
 }
 
-/* Octaves of noise from wavelength `wave` down, each with 0.62 of the strength of the one before. */
+/* Octaves of noise from wavelength `wave` down, each with 0.62 of the strength of the one before.
+ */
 static float fbm(const struct sample *s, float x, float y, uint32_t seed, float wave, int octaves)
 {
     float sum = 0, amp = 0.55f;
@@ -96,9 +99,10 @@ static float grid_line(const struct sample *s, float v, float size, float width)
     return p < width || p > size - width ? visible(s, width * 2.5f) : 0;
 }
 
-/* ---- ground ------------------------------------------------------------------------------------------ */
+/* ---- ground
+ * ------------------------------------------------------------------------------------------ */
 
-struct street { /* nearest along one axis */
+struct street {         /* nearest along one axis */
     float across, half; /* signed distance from the centre line, half width */
 };
 
@@ -129,8 +133,8 @@ static float street_mark(const struct street *s, float along, const struct stree
     return 0;
 }
 
-static void road_albedo(const struct sample *s, float x, float y, const struct street *sx, const struct street *sy,
-                        uint32_t seed, float rgb[3])
+static void road_albedo(const struct sample *s, float x, float y, const struct street *sx,
+                        const struct street *sy, uint32_t seed, float rgb[3])
 {
     bool along_y = fabsf(sx->across) < sx->half, along_x = fabsf(sy->across) < sy->half;
     float grey = 0.115f * (1 + 0.55f * fbm(s, x, y, seed, 9, 6));
@@ -201,7 +205,8 @@ static void field_albedo(const struct sample *s, float x, float y, uint32_t seed
     const float *crop = crops[h % 6];
     paint(rgb, crop[0], crop[1], crop[2]);
     float along = h & 64 ? u : v, furrow = cell_phase(along, h & 128 ? 1.6f : 2.4f);
-    tone(rgb, 1 + visible(s, 0.8f) * 0.35f * (furrow < 0.5f ? 1 : -1) * (0.7f + 0.5f * noise(u / 2, v / 2, seed)));
+    tone(rgb, 1 + visible(s, 0.8f) * 0.35f * (furrow < 0.5f ? 1 : -1) *
+                      (0.7f + 0.5f * noise(u / 2, v / 2, seed)));
     tone(rgb, 1 + 0.6f * fbm(s, x, y, seed + 3, 11, 7));
     float du = cell_phase(u, 42) * 42, dv = cell_phase(v, 27) * 27; /* farm tracks between fields */
     if (du < 2.2f || dv < 1.8f) {
@@ -210,13 +215,15 @@ static void field_albedo(const struct sample *s, float x, float y, uint32_t seed
     }
 }
 
-static void ground_albedo(const struct synth_city *c, const struct sample *s, const double pos[3], float rgb[3])
+static void ground_albedo(const struct synth_city *c, const struct sample *s, const double pos[3],
+                          float rgb[3])
 {
     float x = (float)pos[0], y = (float)pos[1], margin = 2.4f;
     struct street sx = street_near(c, 0, pos[0]), sy = street_near(c, 1, pos[1]);
     float reach = (float)c->half_m;
     float dx = fabsf(sx.across) - sx.half, dy = fabsf(sy.across) - sy.half;
-    bool in_x = fabsf(x) < reach + 7, in_y = fabsf(y) < reach + 7; /* outer streets and their pavements */
+    bool in_x = fabsf(x) < reach + 7,
+         in_y = fabsf(y) < reach + 7; /* outer streets and their pavements */
     bool on_x = dx < 0 && in_y, on_y = dy < 0 && in_x;
     float outer = fmaxf(fabsf(x), fabsf(y)) - reach;
     if (on_x || on_y) {
@@ -236,7 +243,8 @@ static void ground_albedo(const struct synth_city *c, const struct sample *s, co
         field_albedo(s, x, y, c->seed + 41, rgb);
 }
 
-/* ---- houses ------------------------------------------------------------------------------------------- */
+/* ---- houses
+ * ------------------------------------------------------------------------------------------- */
 
 static void window_albedo(const struct sample *s, float u, float v, uint32_t pane, float rgb[3])
 {
@@ -259,15 +267,19 @@ static void window_albedo(const struct sample *s, float u, float v, uint32_t pan
 static void wall_albedo(const struct sample *s, const struct synth_hit *hit, float rgb[3])
 {
     const struct synth_solid *h = hit->solid;
-    int side = fabs(hit->local_normal[0]) > fabs(hit->local_normal[1]) ? 1 : 0; /* coordinate along the wall */
+    int side = fabs(hit->local_normal[0]) > fabs(hit->local_normal[1])
+                   ? 1
+                   : 0; /* coordinate along the wall */
     uint32_t face = h->seed + (uint32_t)(2 * side + (hit->local_normal[1 - side] > 0)) * 131u;
     float u = (float)(hit->local[side] + h->half_m[side]), width = (float)(2 * h->half_m[side]);
     float z = (float)hit->local[2], eaves = (float)(h->z1_m - h->z0_m);
     paint(rgb, h->color[0], h->color[1], h->color[2]);
-    float stain = 0.42f * fbm(s, u, z, face, 6, 6) + 0.22f * noise(u / 0.4f, z / 5, face + 5) * visible(s, 0.4f);
+    float stain = 0.42f * fbm(s, u, z, face, 6, 6) +
+                  0.22f * noise(u / 0.4f, z / 5, face + 5) * visible(s, 0.4f);
     tone(rgb, (1 + stain) * (0.78f + 0.22f * fminf(1, z / 4)));
     if (h->seed & 1) { /* courses of brick */
-        int32_t j = (int32_t)floorf(z / 0.3f), i = (int32_t)floorf(u / 0.6f + 0.5f * (float)(j & 1));
+        int32_t j = (int32_t)floorf(z / 0.3f),
+                i = (int32_t)floorf(u / 0.6f + 0.5f * (float)(j & 1));
         tone(rgb, 1 + visible(s, 0.35f) * 0.35f * (hash_unit(i, j, face + 6) - 0.5f));
     }
     float storey = 3.1f, level = floorf(z / storey), v = z - level * storey;
@@ -279,7 +291,8 @@ static void wall_albedo(const struct sample *s, const struct synth_hit *hit, flo
         return;
     float want = 2.1f + 0.12f * (float)(h->seed >> 4 & 15);
     float bays = floorf(width / want + 0.5f), bay = width / (bays < 1 ? 1 : bays);
-    float p = cell_phase(u, bay), open = 0.20f + 0.012f * (float)(h->seed >> 8 & 7); /* wall beside the opening */
+    float p = cell_phase(u, bay),
+          open = 0.20f + 0.012f * (float)(h->seed >> 8 & 7); /* wall beside the opening */
     int32_t column = (int32_t)floorf(u / bay);
     uint32_t pane = hash3(column, (int32_t)level, face + 9);
     bool shop = level < 1 && h->z0_m == 0 && (h->seed >> 12 & 3) != 0;
@@ -289,7 +302,8 @@ static void wall_albedo(const struct sample *s, const struct synth_hit *hit, flo
     if (shop && v >= top && v < top + 0.42f) { /* awnings and signs */
         uint32_t sign = hash3(column / 2, 3, face + 10);
         float stripe = cell_phase(u, 0.5f) < 0.5f ? 1 : 0.75f;
-        paint(rgb, (0.15f + 0.5f * (float)(sign & 255) / 255) * stripe, (0.12f + 0.35f * (float)(sign >> 8 & 255) / 255) * stripe,
+        paint(rgb, (0.15f + 0.5f * (float)(sign & 255) / 255) * stripe,
+              (0.12f + 0.35f * (float)(sign >> 8 & 255) / 255) * stripe,
               (0.12f + 0.4f * (float)(sign >> 16 & 255) / 255) * stripe);
     } else if ((pane >> 20 & 15) != 0 && p > open && p < 1 - open && v > sill && v < top)
         window_albedo(s, (p - open) / (1 - 2 * open), (v - sill) / (top - sill), pane, rgb);
@@ -299,23 +313,27 @@ static void wall_albedo(const struct sample *s, const struct synth_hit *hit, flo
 
 static void tiled_roof_albedo(const struct sample *s, const struct synth_hit *hit, float rgb[3])
 {
-    static const float tiles[][3] = {{.33f, .12f, .07f}, {.26f, .09f, .06f}, {.14f, .13f, .14f}, {.36f, .20f, .11f}};
+    static const float tiles[][3] = {
+        {.33f, .12f, .07f}, {.26f, .09f, .06f}, {.14f, .13f, .14f}, {.36f, .20f, .11f}};
     const struct synth_solid *h = hit->solid;
     const float *base = tiles[h->seed >> 3 & 3];
     float u = (float)hit->local[0], len = (float)hypot(h->ridge_m - h->z1_m, h->half_m[1]);
     float v = (float)(fabs(hit->local[1]) / h->half_m[1]) * len;
     int32_t j = (int32_t)floorf(v / 0.4f), i = (int32_t)floorf(u / 0.35f);
     paint(rgb, base[0], base[1], base[2]);
-    tone(rgb, 1 + visible(s, 0.35f) * 0.5f * (hash_unit(i, j, h->seed) - 0.5f) + 0.5f * fbm(s, u, v, h->seed + 1, 4, 5));
+    tone(rgb, 1 + visible(s, 0.35f) * 0.5f * (hash_unit(i, j, h->seed) - 0.5f) +
+                  0.5f * fbm(s, u, v, h->seed + 1, 4, 5));
     tone(rgb, 1 - 0.3f * grid_line(s, v, 0.4f, 0.06f));
     float moss = noise(u / 2.2f, v / 2.2f + (hit->local[1] > 0 ? 40.f : 0.f), h->seed + 2);
     if (moss > 0.4f)
         mix(rgb, (const float[3]){.13f, .15f, .06f}, moss - 0.2f);
     if (v < 0.25f) /* ridge tiles */
         tone(rgb, 1.35f);
-    float w = fabsf(cell_phase(u + 50, 3.4f) * 3.4f - 1.7f), mid = fabsf(v - 0.55f * len); /* roof windows */
+    float w = fabsf(cell_phase(u + 50, 3.4f) * 3.4f - 1.7f),
+          mid = fabsf(v - 0.55f * len); /* roof windows */
     if ((h->seed >> 6 & 1) && w < 0.42f && mid < 0.6f)
-        paint(rgb, w > 0.34f || mid > 0.5f ? .4f : .06f, w > 0.34f || mid > 0.5f ? .4f : .08f, w > 0.34f ? .4f : .12f);
+        paint(rgb, w > 0.34f || mid > 0.5f ? .4f : .06f, w > 0.34f || mid > 0.5f ? .4f : .08f,
+              w > 0.34f ? .4f : .12f);
 }
 
 static void flat_roof_albedo(const struct sample *s, const struct synth_hit *hit, float rgb[3])
@@ -325,7 +343,8 @@ static void flat_roof_albedo(const struct sample *s, const struct synth_hit *hit
     const struct synth_solid *h = hit->solid;
     const float *base = roofs[(h->seed >> 3) % 6];
     float u = (float)hit->local[0], v = (float)hit->local[1];
-    float edge = (float)fmin(h->half_m[0] - fabs(hit->local[0]), h->half_m[1] - fabs(hit->local[1]));
+    float edge =
+        (float)fmin(h->half_m[0] - fabs(hit->local[0]), h->half_m[1] - fabs(hit->local[1]));
     paint(rgb, base[0], base[1], base[2]);
     tone(rgb, 1 + 0.62f * fbm(s, u, v, h->seed, 6, 7));
     tone(rgb, 1 - 0.25f * grid_line(s, u + 77, 1.9f, 0.05f)); /* seams of the felt */
@@ -345,7 +364,8 @@ static void flat_roof_albedo(const struct sample *s, const struct synth_hit *hit
     }
 }
 
-/* ---- the rest -------------------------------------------------------------------------------------------- */
+/* ---- the rest
+ * -------------------------------------------------------------------------------------------- */
 
 static void shed_albedo(const struct sample *s, const struct synth_hit *hit, float rgb[3])
 {
@@ -393,7 +413,8 @@ static void car_albedo(const struct synth_hit *hit, float rgb[3])
         paint(rgb, .02f, .02f, .02f); /* wheels */
 }
 
-static void hit_albedo(const struct synth_city *c, const struct sample *s, const struct synth_hit *hit, float rgb[3])
+static void hit_albedo(const struct synth_city *c, const struct sample *s,
+                       const struct synth_hit *hit, float rgb[3])
 {
     if (!hit->solid) {
         ground_albedo(c, s, hit->pos, rgb);
@@ -425,15 +446,18 @@ static void hit_albedo(const struct synth_city *c, const struct sample *s, const
     }
 }
 
-/* ---- light ------------------------------------------------------------------------------------------------- */
+/* ---- light
+ * -------------------------------------------------------------------------------------------------
+ */
 
 struct synth_light synth_shade_light(void)
 {
     return (struct synth_light){{1.75f, 1.62f, 1.38f}, {.46f, .53f, .66f}, {1, 1, 1}};
 }
 
-void synth_shade_hit(const struct synth_city *c, const struct synth_grid *moving, const struct synth_light *light,
-                     const double dir[3], const struct synth_hit *hit, double footprint_m, float rgb[3])
+void synth_shade_hit(const struct synth_city *c, const struct synth_grid *moving,
+                     const struct synth_light *light, const double dir[3],
+                     const struct synth_hit *hit, double footprint_m, float rgb[3])
 {
     float out[3];
     if (!isfinite(hit->t_m)) {

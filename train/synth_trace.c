@@ -1,8 +1,9 @@
-/* What a ray hits: a uniform grid over the ground plane, walked cell by cell (Amanatides and Woo 1987), with
- * the height of each cell's tallest solid, so that rays high above the roofs skip whole cells.
+/* What a ray hits: a uniform grid over the ground plane, walked cell by cell (Amanatides and Woo
+ * 1987), with the height of each cell's tallest solid, so that rays high above the roofs skip whole
+ * cells.
  *
- * Solids are boxes, gabled houses (a box cut by two slopes) and ellipsoids, each in a frame turned about z.
- * The ground is the plane z = 0, without end.
+ * Solids are boxes, gabled houses (a box cut by two slopes) and ellipsoids, each in a frame turned
+ * about z. The ground is the plane z = 0, without end.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,7 +14,8 @@
 
 static const double far_m = 1e9;
 
-/* ---- the grid ------------------------------------------------------------------------------------- */
+/* ---- the grid
+ * ------------------------------------------------------------------------------------- */
 
 static double solid_reach(const struct synth_solid *s, int axis)
 {
@@ -111,15 +113,16 @@ void synth_grid_free(struct synth_grid *g)
     *g = (struct synth_grid){0};
 }
 
-/* ---- one solid -------------------------------------------------------------------------------------- */
+/* ---- one solid
+ * -------------------------------------------------------------------------------------- */
 
 struct span { /* of a ray inside a convex body, with the normal where it enters */
     double enter, leave, normal[3];
 };
 
 /* Keep the part of the span on the inner side of the plane normal . p <= offset. */
-static bool span_clip(struct span *s, const double o[3], const double d[3], double nx, double ny, double nz,
-                      double offset)
+static bool span_clip(struct span *s, const double o[3], const double d[3], double nx, double ny,
+                      double nz, double offset)
 {
     double dist = nx * o[0] + ny * o[1] + nz * o[2] - offset;
     double rate = nx * d[0] + ny * d[1] + nz * d[2];
@@ -138,11 +141,14 @@ static bool span_clip(struct span *s, const double o[3], const double d[3], doub
     return s->enter < s->leave;
 }
 
-static bool box_span(const struct synth_solid *s, const double o[3], const double d[3], struct span *out)
+static bool box_span(const struct synth_solid *s, const double o[3], const double d[3],
+                     struct span *out)
 {
     *out = (struct span){.enter = -far_m, .leave = far_m};
-    if (!span_clip(out, o, d, 1, 0, 0, s->half_m[0]) || !span_clip(out, o, d, -1, 0, 0, s->half_m[0]) ||
-        !span_clip(out, o, d, 0, 1, 0, s->half_m[1]) || !span_clip(out, o, d, 0, -1, 0, s->half_m[1]) ||
+    if (!span_clip(out, o, d, 1, 0, 0, s->half_m[0]) ||
+        !span_clip(out, o, d, -1, 0, 0, s->half_m[0]) ||
+        !span_clip(out, o, d, 0, 1, 0, s->half_m[1]) ||
+        !span_clip(out, o, d, 0, -1, 0, s->half_m[1]) ||
         !span_clip(out, o, d, 0, 0, 1, s->ridge_m) || !span_clip(out, o, d, 0, 0, -1, -s->z0_m))
         return false;
     if (s->kind != SYNTH_GABLE)
@@ -153,7 +159,8 @@ static bool box_span(const struct synth_solid *s, const double o[3], const doubl
     return span_clip(out, o, d, 0, ny, nz, offset) && span_clip(out, o, d, 0, -ny, nz, offset);
 }
 
-static bool ellipsoid_span(const struct synth_solid *s, const double o[3], const double d[3], struct span *out)
+static bool ellipsoid_span(const struct synth_solid *s, const double o[3], const double d[3],
+                           struct span *out)
 {
     double hz = 0.5 * (s->z1_m - s->z0_m), cz = 0.5 * (s->z1_m + s->z0_m);
     const double inv[3] = {1 / s->half_m[0], 1 / s->half_m[1], 1 / hz};
@@ -180,7 +187,8 @@ static bool ellipsoid_span(const struct synth_solid *s, const double o[3], const
     return true;
 }
 
-static bool solid_span(const struct synth_solid *s, const double o[3], const double d[3], struct span *out)
+static bool solid_span(const struct synth_solid *s, const double o[3], const double d[3],
+                       struct span *out)
 {
     double rx = o[0] - s->center_m[0], ry = o[1] - s->center_m[1], c = s->cos_yaw, n = s->sin_yaw;
     const double lo[3] = {c * rx + n * ry, -n * rx + c * ry, o[2]};
@@ -188,7 +196,8 @@ static bool solid_span(const struct synth_solid *s, const double o[3], const dou
     return s->kind == SYNTH_ELLIPSOID ? ellipsoid_span(s, lo, ld, out) : box_span(s, lo, ld, out);
 }
 
-/* ---- the walk ----------------------------------------------------------------------------------------- */
+/* ---- the walk
+ * ----------------------------------------------------------------------------------------- */
 
 struct walk {
     int64_t cell[2], step[2];
@@ -196,8 +205,8 @@ struct walk {
 };
 
 /* The stretch of the ray over the grid and below the tallest solid; false when there is none. */
-static bool walk_start(const struct synth_grid *g, const double o[3], const double d[3], double t_end,
-                       struct walk *w)
+static bool walk_start(const struct synth_grid *g, const double o[3], const double d[3],
+                       double t_end, struct walk *w)
 {
     double lo = 0, hi = t_end;
     const double size[2] = {g->nx * g->cell_m, g->ny * g->cell_m};
@@ -239,7 +248,8 @@ static bool walk_start(const struct synth_grid *g, const double o[3], const doub
     return true;
 }
 
-/* Nearest solid of one grid with enter in (t_min, *t); updates *t, *best, span. With `any` the first will do. */
+/* Nearest solid of one grid with enter in (t_min, *t); updates *t, *best, span. With `any` the
+ * first will do. */
 static void grid_trace(const struct synth_grid *g, const double o[3], const double d[3], double *t,
                        const struct synth_solid **best, struct span *span, bool any)
 {
@@ -248,12 +258,14 @@ static void grid_trace(const struct synth_grid *g, const double o[3], const doub
         return;
     while (w.cell[0] >= 0 && w.cell[1] >= 0 && w.cell[0] < g->nx && w.cell[1] < g->ny) {
         size_t cell = (size_t)w.cell[1] * g->nx + (size_t)w.cell[0];
-        double t_out = fmin(w.next[0], w.next[1]);
-        double z_low = o[2] + (d[2] < 0 ? fmin(t_out, w.t_end) : w.t) * d[2];
+        double t_out = w.next[0] < w.next[1] ? w.next[0] : w.next[1];
+        double z_low = o[2] + (d[2] < 0 ? (t_out < w.t_end ? t_out : w.t_end) : w.t) * d[2];
         if (z_low < (double)g->cell_top_m[cell])
             for (uint32_t k = g->start[cell]; k < g->start[cell + 1]; k++) {
                 struct span s;
                 const struct synth_solid *solid = &g->solids[g->items[k]];
+                if (z_low >= solid->ridge_m) /* the ray leaves the cell before it is that low */
+                    continue;
                 if (solid_span(solid, o, d, &s) && s.enter > 1e-9 && s.enter < *t) {
                     *t = s.enter;
                     *best = solid;
@@ -271,8 +283,8 @@ static void grid_trace(const struct synth_grid *g, const double o[3], const doub
     }
 }
 
-void synth_trace_ray(const struct synth_city *c, const struct synth_grid *moving, const double origin[3],
-                     const double dir[3], struct synth_hit *out)
+void synth_trace_ray(const struct synth_city *c, const struct synth_grid *moving,
+                     const double origin[3], const double dir[3], struct synth_hit *out)
 {
     const struct synth_solid *best = NULL;
     struct span span = {0};
@@ -303,7 +315,8 @@ void synth_trace_ray(const struct synth_city *c, const struct synth_grid *moving
     out->normal[2] = span.normal[2];
 }
 
-bool synth_trace_shadow(const struct synth_city *c, const struct synth_grid *moving, const double origin[3])
+bool synth_trace_shadow(const struct synth_city *c, const struct synth_grid *moving,
+                        const double origin[3])
 {
     const struct synth_solid *best = NULL;
     struct span span;
