@@ -1,9 +1,10 @@
-/* Tiles: cutting a city into a store, reading it back, selecting levels, and what levels of detail cost and save.
+/* Tiles: cutting a city into a store, reading it back, selecting levels, and what levels of detail
+ * cost and save.
  *
- * Checked before timing: every Gaussian is in one tile of the finest level, and every tile reads back whole. Pictures
- * with levels are compared with pictures of the finest tiles from the same place: PSNR over the picture, Gaussians
- * drawn, and time. The picture with every n-th Gaussian left out instead, as many as the levels leave, is the naive
- * way to the same speed.
+ * Checked before timing: every Gaussian is in one tile of the finest level, and every tile reads
+ * back whole. Pictures with levels are compared with pictures of the finest tiles from the same
+ * place: PSNR over the picture, Gaussians drawn, and time. The picture with every n-th Gaussian
+ * left out instead, as many as the levels leave, is the naive way to the same speed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -87,7 +88,8 @@ static enum err_code tile_check(struct tile_case *c, struct err *e)
     for (size_t i = 0; i < n; i++)
         total += t[i].level == 3 ? t[i].count : 0;
     if (total != c->g->n)
-        return err_set(e, ERR_INTERNAL, "%zu of %zu Gaussians are in the finest tiles", total, c->g->n);
+        return err_set(e, ERR_INTERNAL, "%zu of %zu Gaussians are in the finest tiles", total,
+                       c->g->n);
     return store_verify(c->store, &bad, e);
 }
 
@@ -110,16 +112,21 @@ static enum err_code pick_once(void *user, struct err *e)
 /* A full pyramid over 16 km: zooms 10 to 17. */
 static enum err_code pick_time(struct bench *b, struct err *e)
 {
-    struct pick_case c = {.tile = mem_array(2 * MANY, sizeof *c.tile), .out = mem_array(2 * MANY, sizeof *c.out)};
+    struct pick_case c = {.tile = mem_array(2 * MANY, sizeof *c.tile),
+                          .out = mem_array(2 * MANY, sizeof *c.out)};
     double ms = 0.0;
     enum err_code rc = c.tile && c.out ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
     for (uint8_t z = 0; rc == ERR_OK && z < (b->quick ? 5 : 8); z++)
         for (uint32_t y = 0; y < 1u << z; y++)
             for (uint32_t x = 0; x < 1u << z; x++) {
                 double edge = ldexp(16000, -z);
-                c.tile[c.n++] = (struct store_tile){
-                    .key = {(uint8_t)(10 + z), x, y}, .count = 50000, .sigma_max_m = edge / 50, .geometric_error_m = edge / 10,
-                    .min_enu_m = {x * edge - 8000, 8000 - (y + 1) * edge, 0}, .max_enu_m = {(x + 1) * edge - 8000, 8000 - y * edge, 60}};
+                c.tile[c.n++] =
+                    (struct store_tile){.key = {(uint8_t)(10 + z), x, y},
+                                        .count = 50000,
+                                        .sigma_max_m = edge / 50,
+                                        .geometric_error_m = edge / 10,
+                                        .min_enu_m = {x * edge - 8000, 8000 - (y + 1) * edge, 0},
+                                        .max_enu_m = {(x + 1) * edge - 8000, 8000 - y * edge, 60}};
             }
     const double eye[3] = {100, -300, 150};
     c.cam = camera_heading(eye, 20, -25, 0.9, 1280, 720);
@@ -166,8 +173,8 @@ static double picture_psnr(const float *a, const float *b, size_t n)
 }
 
 /* The same view of every n-th Gaussian. */
-static enum err_code picture_thinned(struct render *r, const struct gauss *g, const struct picture *p, float *rgb,
-                                     struct err *e)
+static enum err_code picture_thinned(struct render *r, const struct gauss *g,
+                                     const struct picture *p, float *rgb, struct err *e)
 {
     struct gauss some = {0};
     struct render_model m = {0};
@@ -185,8 +192,8 @@ static enum err_code picture_thinned(struct render *r, const struct gauss *g, co
     return rc;
 }
 
-static enum err_code picture_from(struct bench *b, struct render *r, const struct tile_case *c, struct picture *p,
-                                  double distance_m, struct err *e)
+static enum err_code picture_from(struct bench *b, struct render *r, const struct tile_case *c,
+                                  struct picture *p, double distance_m, struct err *e)
 {
     char name[96];
     double fine_ms = 0.0, ms = 0.0;
@@ -213,7 +220,8 @@ static enum err_code picture_from(struct bench *b, struct render *r, const struc
         snprintf(name, sizeof name, "from %.0f m: frame", distance_m);
         bench_report(b, name, ms, "ms", ms / fine_ms, "finest tiles");
         snprintf(name, sizeof name, "from %.0f m: Gaussians", distance_m);
-        bench_report(b, name, (double)p->stats.n_gaussians, "", (double)p->stats.n_gaussians / (double)all, "finest tiles");
+        bench_report(b, name, (double)p->stats.n_gaussians, "",
+                     (double)p->stats.n_gaussians / (double)all, "finest tiles");
         snprintf(name, sizeof name, "from %.0f m: PSNR to the finest", distance_m);
         double db = picture_psnr(fine, p->rgb, n), thin_db = picture_psnr(fine, thin, n);
         bench_report(b, name, db, "dB", db / thin_db, "leaving Gaussians out");
@@ -240,7 +248,8 @@ static double picture_switch_m(const struct store *s)
 static enum err_code pictures(struct bench *b, const struct tile_case *c, struct err *e)
 {
     struct render *r = NULL;
-    struct picture p = {.ro = {.aa = RENDER_AA_2D, .sh_degree = -1, .background = {0.6f, 0.8f, 1.0f}}};
+    struct picture p = {
+        .ro = {.aa = RENDER_AA_2D, .sh_degree = -1, .background = {0.6f, 0.8f, 1.0f}}};
     p.rgb = mem_array((size_t)PICTURE_SIDE_MAX * PICTURE_SIDE_MAX, 3 * sizeof *p.rgb);
     enum err_code rc = p.rgb ? render_open(b->dev, &r, e) : err_set(e, ERR_MEM, "out of memory");
     if (rc == ERR_OK)
@@ -263,7 +272,8 @@ static enum err_code tile_times(struct bench *b, struct tile_case *c, struct err
         rc = bench_time(b, tile_build, c, &ms, NULL, e);
     }
     if (rc == ERR_OK) {
-        bench_report(b, "build with two coarser levels", n / ms / 1e3, "M Gaussians/s", n / ms / 1e3 / locate, "locate");
+        bench_report(b, "build with two coarser levels", n / ms / 1e3, "M Gaussians/s",
+                     n / ms / 1e3 / locate, "locate");
         rc = store_open(c->path, &c->store, e);
     }
     if (rc == ERR_OK)
@@ -276,7 +286,8 @@ static enum err_code tile_times(struct bench *b, struct tile_case *c, struct err
         uint64_t bytes = 0;
         for (size_t i = 0; i < tiles; i++)
             bytes += t[i].bytes;
-        bench_report(b, "read and decode tiles (one core)", (double)c->n_read / ms / 1e3, "M Gaussians/s", 0, NULL);
+        bench_report(b, "read and decode tiles (one core)", (double)c->n_read / ms / 1e3,
+                     "M Gaussians/s", 0, NULL);
         bench_report(b, "payload", (double)bytes / (double)c->n_read, "bytes/Gaussian",
                      (double)bytes / (double)c->n_read / 236.0, "float32 rows");
         c->target = c->g->n / 4;

@@ -1,5 +1,6 @@
-/* citysplat export: a tile store -> one .ply or .spz of a level, or a static 3D Tiles folder that any web server or
- * CDN can hand out without us. The .glb files are the bytes `citysplat serve` would send.
+/* citysplat export: a tile store -> one .ply or .spz of a level, or a static 3D Tiles folder that
+ * any web server or CDN can hand out without us. The .glb files are the bytes `citysplat serve`
+ * would send.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -33,7 +34,8 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "export",
     .usage = "citysplat export CITY.tiles -o FILE [options]",
-    .about = "Writes one level of a tile store as .ply (east-north-up, every bit of a lossless store) or .spz, or the whole\n"
+    .about = "Writes one level of a tile store as .ply (east-north-up, every bit of a lossless "
+             "store) or .spz, or the whole\n"
              "pyramid as a folder with tileset.json and .glb tiles for a web server or CDN.",
     .example = "citysplat export city.tiles -o city.ply\n"
                "citysplat export city.tiles -o public/city --format 3dtiles",
@@ -43,7 +45,8 @@ static const struct options_spec spec = {
     .max_args = 1};
 
 /* Zoom of a level by its name: tiles above it count only where nothing finer is. */
-static enum err_code export_zoom(const struct store *s, const char *level, uint8_t *zoom, struct err *e)
+static enum err_code export_zoom(const struct store *s, const char *level, uint8_t *zoom,
+                                 struct err *e)
 {
     size_t n;
     const struct store_tile *t = store_tiles(s, &n);
@@ -97,12 +100,14 @@ static enum err_code export_spz(struct gauss *g, struct buf *out, struct err *e)
     return rc;
 }
 
-static enum err_code export_file(struct store *s, const struct export_options *o, int format, struct err *e)
+static enum err_code export_file(struct store *s, const struct export_options *o, int format,
+                                 struct err *e)
 {
     struct gauss g = {0};
     struct buf b = {0};
     uint8_t zoom = 0;
-    const struct ply_info info = {.has_origin = true, .origin = store_info(s)->origin, .axes = PLY_AXES_ENU};
+    const struct ply_info info = {
+        .has_origin = true, .origin = store_info(s)->origin, .axes = PLY_AXES_ENU};
     enum err_code rc = export_zoom(s, o->level, &zoom, e);
     if (!rc)
         rc = export_gather(s, zoom, &g, e);
@@ -111,8 +116,8 @@ static enum err_code export_file(struct store *s, const struct export_options *o
     if (!rc)
         rc = file_write(o->output, b.data, b.size, e);
     if (!rc)
-        printf("%s: %zu Gaussians, %zu bytes, origin %.9g, %.9g, %.3f m\n", o->output, g.n, b.size, info.origin.lon_deg,
-               info.origin.lat_deg, info.origin.h_m);
+        printf("%s: %zu Gaussians, %zu bytes, origin %.9g, %.9g, %.3f m\n", o->output, g.n, b.size,
+               info.origin.lon_deg, info.origin.lat_deg, info.origin.h_m);
     buf_free(&b);
     gauss_free(&g);
     return rc;
@@ -120,7 +125,8 @@ static enum err_code export_file(struct store *s, const struct export_options *o
 
 /* ---- a folder of 3D Tiles ---- */
 
-static enum err_code export_glb(struct store *s, const struct store_tile *t, const char *dir, struct err *e)
+static enum err_code export_glb(struct store *s, const struct store_tile *t, const char *dir,
+                                struct err *e)
 {
     struct gauss g = {0};
     struct quant q = {0};
@@ -128,7 +134,9 @@ static enum err_code export_glb(struct store *s, const struct store_tile *t, con
     char path[FILE_PATH_MAX];
     const struct store_meta *m = store_info(s);
     int n = snprintf(path, sizeof path, "%s/t/%u/%u", dir, t->key.z, t->key.x);
-    enum err_code rc = n > 0 && n + 16 < FILE_PATH_MAX ? file_mkdir(path, e) : err_set(e, ERR_LIMIT, "%s: path too long", dir);
+    enum err_code rc = n > 0 && n + 16 < FILE_PATH_MAX
+                           ? file_mkdir(path, e)
+                           : err_set(e, ERR_LIMIT, "%s: path too long", dir);
     if (!rc)
         snprintf(path + n, sizeof path - (size_t)n, "/%u.glb", t->key.y);
     if (!rc)
@@ -150,7 +158,8 @@ static enum err_code export_glb(struct store *s, const struct store_tile *t, con
 }
 
 static enum err_code export_document(const struct store *s, const char *dir, const char *name,
-                                     enum err_code (*write)(const struct store *, const char *, struct buf *, struct err *),
+                                     enum err_code (*write)(const struct store *, const char *,
+                                                            struct buf *, struct err *),
                                      struct err *e)
 {
     struct buf b = {0};

@@ -1,4 +1,5 @@
-/* citysplat import: Gaussians that another trainer made -> a tile store. Coarser levels are made by simplification.
+/* citysplat import: Gaussians that another trainer made -> a tile store. Coarser levels are made by
+ * simplification.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -27,8 +28,10 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "import",
     .usage = "citysplat import FILE --origin LON,LAT,H -o CITY.tiles [options]",
-    .about = "Puts Gaussians trained elsewhere on the map: reads .ply (INRIA's and SuperSplat's compressed), .spz, .glb,\n"
-             ".drc, .splat or a checkpoint, cuts it into tiles, makes the coarser levels and writes a tile store.",
+    .about = "Puts Gaussians trained elsewhere on the map: reads .ply (INRIA's and SuperSplat's "
+             "compressed), .spz, .glb,\n"
+             ".drc, .splat or a checkpoint, cuts it into tiles, makes the coarser levels and "
+             "writes a tile store.",
     .example = "citysplat import bridge.ply --origin 8.6821,50.1109,160 -o bridge.tiles\n"
                "citysplat import garden.spz --origin 8.68,50.11,160 --scale 2.5 -o garden.tiles",
     .defs = defs,
@@ -36,10 +39,12 @@ static const struct options_spec spec = {
     .min_args = 1,
     .max_args = 1};
 
-/* To ENU. y down (x right, y down, z forward, forward taken as north) is glTF's turn the other way round. */
+/* To ENU. y down (x right, y down, z forward, forward taken as north) is glTF's turn the other way
+ * round. */
 static void import_turn(const struct splats *s, int axes, struct gauss *g)
 {
-    bool gltf = s->kind == SPLATS_SPZ || s->kind == SPLATS_GLB || s->kind == SPLATS_DRC || (s->kind == SPLATS_PLY && s->info.axes == PLY_AXES_GLTF);
+    bool gltf = s->kind == SPLATS_SPZ || s->kind == SPLATS_GLB || s->kind == SPLATS_DRC ||
+                (s->kind == SPLATS_PLY && s->info.axes == PLY_AXES_GLTF);
     if (axes == IMPORT_AXES_AUTO)
         axes = gltf ? IMPORT_AXES_YUP : IMPORT_AXES_ENU;
     if (axes == IMPORT_AXES_YUP)
@@ -62,8 +67,8 @@ static void import_scale(struct gauss *g, double scale)
 
 static void import_print(const char *path, const struct pyramid_report *r)
 {
-    printf("%s: %zu tiles, zoom %u to %u, at most %zu Gaussians in one, revision %s, %.1f s\n", path, r->n_tiles, r->zoom_min,
-           r->zoom_max, r->max_in_tile, r->revision, r->seconds);
+    printf("%s: %zu tiles, zoom %u to %u, at most %zu Gaussians in one, revision %s, %.1f s\n",
+           path, r->n_tiles, r->zoom_min, r->zoom_max, r->max_in_tile, r->revision, r->seconds);
 }
 
 static enum err_code import_run(const char *path, const struct import_options *o, struct err *e)
@@ -71,7 +76,9 @@ static enum err_code import_run(const char *path, const struct import_options *o
     struct splats s = {0};
     struct geo_origin origin;
     struct pyramid_report report;
-    struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m, .max_per_tile = (uint32_t)o->max_per_tile, .lossless = o->lossless};
+    struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m,
+                                 .max_per_tile = (uint32_t)o->max_per_tile,
+                                 .lossless = o->lossless};
     enum err_code rc = o->origin ? splats_place("--origin", o->origin, &origin, e) : ERR_OK;
     if (!rc && o->attribution && strlen(o->attribution) >= sizeof cfg.attribution)
         rc = err_set(e, ERR_ARG, "--attribution: at most %zu bytes", sizeof cfg.attribution - 1);
@@ -80,7 +87,8 @@ static enum err_code import_run(const char *path, const struct import_options *o
     if (rc)
         goto out;
     if (!o->origin && !s.info.has_origin) {
-        rc = err_set(e, ERR_ARG, "%s does not say where on Earth it is: give --origin LON,LAT,H", path);
+        rc = err_set(e, ERR_ARG, "%s does not say where on Earth it is: give --origin LON,LAT,H",
+                     path);
         goto out;
     }
     if (!o->origin)

@@ -1,4 +1,5 @@
-/* citysplat info: what is in a file. One JSON object is made and printed as it is or as text, so that both say the same.
+/* citysplat info: what is in a file. One JSON object is made and printed as it is or as text, so
+ * that both say the same.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -28,7 +29,8 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "info",
     .usage = "citysplat info FILE [--json]",
-    .about = "Tells what a tile store, a scene, a checkpoint or a file of Gaussians (.ply .spz .glb .drc .splat) holds: counts,\n"
+    .about = "Tells what a tile store, a scene, a checkpoint or a file of Gaussians (.ply .spz "
+             ".glb .drc .splat) holds: counts,\n"
              "sizes, bounds, levels.",
     .example = "citysplat info city.tiles\ncitysplat info bridge.ply --json",
     .defs = defs,
@@ -39,7 +41,9 @@ static const struct options_spec spec = {
 /* Members that are NULL (out of memory) make the whole call fail. */
 static enum err_code info_set(json_t *o, const char *key, json_t *value, struct err *e)
 {
-    return value && !json_object_set_new(o, key, value) ? ERR_OK : err_set(e, ERR_MEM, "info: out of memory");
+    return value && !json_object_set_new(o, key, value)
+               ? ERR_OK
+               : err_set(e, ERR_MEM, "info: out of memory");
 }
 
 static json_t *info_box(const double lo[3], const double hi[3])
@@ -78,10 +82,12 @@ static json_t *info_zooms(const struct store_tile *t, size_t n)
     }
     for (int i = 0; i <= KEY_ZOOM_MAX; i++)
         if (z[i].tiles)
-            json_array_append_new(list, json_pack("{s:i,s:i,s:I,s:I,s:I,s:I,s:f}", "zoom", i, "level", (int)z[i].level_max,
-                                                  "tiles", (json_int_t)z[i].tiles, "gaussians", (json_int_t)z[i].gaussians,
-                                                  "bytes", (json_int_t)z[i].bytes, "most_in_tile", (json_int_t)z[i].most,
-                                                  "sigma_median_m", z[i].sigma_sum / (double)z[i].gaussians));
+            json_array_append_new(
+                list,
+                json_pack("{s:i,s:i,s:I,s:I,s:I,s:I,s:f}", "zoom", i, "level", (int)z[i].level_max,
+                          "tiles", (json_int_t)z[i].tiles, "gaussians", (json_int_t)z[i].gaussians,
+                          "bytes", (json_int_t)z[i].bytes, "most_in_tile", (json_int_t)z[i].most,
+                          "sigma_median_m", z[i].sigma_sum / (double)z[i].gaussians));
     return list;
 }
 
@@ -94,10 +100,11 @@ static json_t *info_tiles(const struct store *s)
         char hash[33], key[48];
         hash_text(t[i].hash, hash);
         snprintf(key, sizeof key, "%u/%u/%u", t[i].key.z, t[i].key.x, t[i].key.y);
-        json_t *o = json_pack("{s:s,s:i,s:I,s:I,s:I,s:f,s:f,s:s}", "tile", key, "level", (int)t[i].level, "gaussians",
-                              (json_int_t)t[i].count, "bytes", (json_int_t)t[i].bytes, "version", (json_int_t)t[i].version,
-                              "sigma_median_m", t[i].sigma_median_m, "geometric_error_m",
-                              store_tree(s)->nodes[i].geometric_error_m, "hash", hash);
+        json_t *o =
+            json_pack("{s:s,s:i,s:I,s:I,s:I,s:f,s:f,s:s}", "tile", key, "level", (int)t[i].level,
+                      "gaussians", (json_int_t)t[i].count, "bytes", (json_int_t)t[i].bytes,
+                      "version", (json_int_t)t[i].version, "sigma_median_m", t[i].sigma_median_m,
+                      "geometric_error_m", store_tree(s)->nodes[i].geometric_error_m, "hash", hash);
         json_object_set_new(o, "box_enu_m", info_box(t[i].min_enu_m, t[i].max_enu_m));
         json_array_append_new(list, o);
     }
@@ -234,16 +241,17 @@ static void info_print_table(const json_t *rows)
     const json_t *row;
     const char *key;
     json_t *value;
-    json_array_foreach(rows, i, row) {
+    json_array_foreach(rows, i, row)
+    {
         json_t *object = json_array_get(rows, i);
         if (i == 0) {
             printf(" ");
-            json_object_foreach(object, key, value)
-                printf(" %15s", key);
+            json_object_foreach(object, key, value) printf(" %15s", key);
             printf("\n");
         }
         printf(" ");
-        json_object_foreach(object, key, value) {
+        json_object_foreach(object, key, value)
+        {
             if (json_is_integer(value))
                 printf(" %15lld", (long long)json_integer_value(value));
             else if (json_is_real(value))
@@ -259,7 +267,8 @@ static void info_print(json_t *o)
 {
     const char *key;
     json_t *value;
-    json_object_foreach(o, key, value) {
+    json_object_foreach(o, key, value)
+    {
         printf("%-22s", key);
         if (json_is_array(value) && json_is_object(json_array_get(value, 0))) {
             printf("\n");
@@ -290,7 +299,8 @@ enum err_code cli_info(int argc, char **argv, struct err *e)
     struct arena arena = {0};
     enum splats_kind kind = SPLATS_UNKNOWN;
     json_t *j = json_object();
-    enum err_code rc = j ? options_parse(&spec, argc, argv, &o, &args, &arena, e) : err_set(e, ERR_MEM, "info: out of memory");
+    enum err_code rc = j ? options_parse(&spec, argc, argv, &o, &args, &arena, e)
+                         : err_set(e, ERR_MEM, "info: out of memory");
     if (rc || args.done)
         goto out;
     const char *path = args.arg[0];

@@ -1,4 +1,5 @@
-/* citysplat render: one picture, of a tile store with its levels of detail or straight from a file of Gaussians.
+/* citysplat render: one picture, of a tile store with its levels of detail or straight from a file
+ * of Gaussians.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -28,10 +29,13 @@ static const struct options_def defs[] = {
 
 static const struct options_spec spec = {
     .command = "render",
-    .usage = "citysplat render FILE -o PICTURE (--lon --lat --height-m ... | --camera FILE) [options]",
-    .about = "Draws one picture of a tile store, or of a .ply, .spz, .glb, .splat or checkpoint as it is. With --camera the\n"
+    .usage =
+        "citysplat render FILE -o PICTURE (--lon --lat --height-m ... | --camera FILE) [options]",
+    .about = "Draws one picture of a tile store, or of a .ply, .spz, .glb, .splat or checkpoint as "
+             "it is. With --camera the\n"
              "world is east-north-up metres about the store's origin, or the file's own axes.",
-    .example = "citysplat render city.tiles --lon 8.6821 --lat 50.1095 --height-m 260 --heading-deg 10 --pitch-deg -30 -o view.jpg\n"
+    .example = "citysplat render city.tiles --lon 8.6821 --lat 50.1095 --height-m 260 "
+               "--heading-deg 10 --pitch-deg -30 -o view.jpg\n"
                "citysplat render bridge.ply --camera cam.json -o view.npy",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,
@@ -47,15 +51,19 @@ static enum err_code render_background(const char *text, float out[3], struct er
         char *end;
         double v = strtod(p, &end);
         if (end == p || *end != (i < 2 ? ',' : '\0') || !(v >= 0.0 && v <= 1.0))
-            return err_set(e, ERR_ARG, "--background: '%s': three numbers from 0 to 1 are expected, e.g. 0.5,0.7,1", text ? text : "");
+            return err_set(
+                e, ERR_ARG,
+                "--background: '%s': three numbers from 0 to 1 are expected, e.g. 0.5,0.7,1",
+                text ? text : "");
         out[i] = (float)v;
         p = end + 1;
     }
     return ERR_OK;
 }
 
-static enum err_code render_camera(const struct render_cli_options *o, const struct geo_origin *origin,
-                                   struct camera *cam, struct err *e)
+static enum err_code render_camera(const struct render_cli_options *o,
+                                   const struct geo_origin *origin, struct camera *cam,
+                                   struct err *e)
 {
     bool placed = o->lon && o->lat && o->height_m;
     if (!o->camera == !placed)
@@ -69,14 +77,21 @@ static enum err_code render_camera(const struct render_cli_options *o, const str
         return rc;
     }
     if (!origin)
-        return err_set(e, ERR_ARG, "this file has no place on Earth: use --camera, or `citysplat import` it first");
+        return err_set(
+            e, ERR_ARG,
+            "this file has no place on Earth: use --camera, or `citysplat import` it first");
     struct geo_origin at;
     char text[128];
     snprintf(text, sizeof text, "%.40s,%.40s,%.40s", o->lon, o->lat, o->height_m);
     enum err_code rc = splats_place("--lon --lat --height-m", text, &at, e);
-    const struct view_pose pose = {.lon_deg = at.lon_deg, .lat_deg = at.lat_deg, .h_m = at.h_m, .heading_deg = o->heading_deg,
-                                   .pitch_deg = o->pitch_deg, .fov_y_deg = o->fov_deg};
-    return rc ? rc : view_camera(origin, &pose, (uint32_t)o->width_px, (uint32_t)o->height_px, cam, e);
+    const struct view_pose pose = {.lon_deg = at.lon_deg,
+                                   .lat_deg = at.lat_deg,
+                                   .h_m = at.h_m,
+                                   .heading_deg = o->heading_deg,
+                                   .pitch_deg = o->pitch_deg,
+                                   .fov_y_deg = o->fov_deg};
+    return rc ? rc
+              : view_camera(origin, &pose, (uint32_t)o->width_px, (uint32_t)o->height_px, cam, e);
 }
 
 static enum render_aa render_aa_of(const struct render_cli_options *o, bool antialiased)
@@ -86,8 +101,8 @@ static enum render_aa render_aa_of(const struct render_cli_options *o, bool anti
     return (enum render_aa)(o->aa - 1);
 }
 
-static enum err_code render_write(const struct render_cli_options *o, const struct camera *cam, const float *rgb,
-                                  struct err *e)
+static enum err_code render_write(const struct render_cli_options *o, const struct camera *cam,
+                                  const float *rgb, struct err *e)
 {
     const char *dot = strrchr(o->output, '.');
     size_t n = (size_t)cam->width_px * cam->height_px * 3;
@@ -117,7 +132,8 @@ static enum err_code render_buffer(struct render_job *job, struct err *e)
 {
     size_t pixels = (size_t)job->cam.width_px * job->cam.height_px;
     job->rgb = mem_array(pixels, 3 * sizeof *job->rgb);
-    return job->rgb ? ERR_OK : err_set(e, ERR_MEM, "out of memory for a picture of %zu pixels", pixels);
+    return job->rgb ? ERR_OK
+                    : err_set(e, ERR_MEM, "out of memory for a picture of %zu pixels", pixels);
 }
 
 static enum err_code render_store(struct render_job *job, const char *path, struct err *e)
@@ -130,7 +146,8 @@ static enum err_code render_store(struct render_job *job, const char *path, stru
     if (rc)
         return rc;
     const struct store_meta *m = store_info(view_store(v));
-    const struct pick_options po = {.error_px = o->error_px, .max_gaussians = (uint64_t)o->max_gaussians, .no_lod = o->no_lod};
+    const struct pick_options po = {
+        .error_px = o->error_px, .max_gaussians = (uint64_t)o->max_gaussians, .no_lod = o->no_lod};
     rc = render_camera(o, &m->origin, &job->cam, e);
     job->ro.aa = render_aa_of(o, m->antialiased);
     if (!rc)
@@ -143,9 +160,11 @@ static enum err_code render_store(struct render_job *job, const char *path, stru
     if (!rc)
         rc = render_write(o, &job->cam, job->rgb, e);
     if (!rc)
-        printf("%s: %u x %u, %zu tiles, %llu Gaussians, %u visible; pick %.2f ms, load %.1f ms, render %.1f ms\n", o->output,
-               job->cam.width_px, job->cam.height_px, st.n_tiles, (unsigned long long)st.n_gaussians,
-               render_last_stats(job->render)->visible, st.ms_pick, first, rest / (double)o->repeat);
+        printf("%s: %u x %u, %zu tiles, %llu Gaussians, %u visible; pick %.2f ms, load %.1f ms, "
+               "render %.1f ms\n",
+               o->output, job->cam.width_px, job->cam.height_px, st.n_tiles,
+               (unsigned long long)st.n_gaussians, render_last_stats(job->render)->visible,
+               st.ms_pick, first, rest / (double)o->repeat);
     view_close(&v);
     return rc;
 }
@@ -175,8 +194,9 @@ static enum err_code render_file(struct render_job *job, const char *path, struc
     if (!rc)
         rc = render_write(o, &job->cam, job->rgb, e);
     if (!rc)
-        printf("%s: %u x %u, %zu Gaussians, %u visible; load %.1f ms, render %.1f ms\n", o->output, job->cam.width_px,
-               job->cam.height_px, s.g.n, render_last_stats(job->render)->visible, 1e3 * (t1 - t0),
+        printf("%s: %u x %u, %zu Gaussians, %u visible; load %.1f ms, render %.1f ms\n", o->output,
+               job->cam.width_px, job->cam.height_px, s.g.n,
+               render_last_stats(job->render)->visible, 1e3 * (t1 - t0),
                1e3 * (t2 - t1) / (double)o->repeat);
     if (uploaded)
         render_model_free(&m);

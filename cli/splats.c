@@ -1,4 +1,5 @@
-/* Files of Gaussians by what is in them. The extension is asked only where the bytes do not tell (.splat).
+/* Files of Gaussians by what is in them. The extension is asked only where the bytes do not tell
+ * (.splat).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -73,7 +74,8 @@ static enum err_code splats_decode(const char *path, struct splats *s, struct er
     if (rc)
         return rc;
     if (s->kind == SPLATS_SPZ || s->kind == SPLATS_DRC) {
-        rc = s->kind == SPLATS_SPZ ? spz_decode(b.data, b.size, NULL, &q, e) : draco_decode(b.data, b.size, NULL, &q, e);
+        rc = s->kind == SPLATS_SPZ ? spz_decode(b.data, b.size, NULL, &q, e)
+                                   : draco_decode(b.data, b.size, NULL, &q, e);
         if (!rc)
             rc = quant_to_gauss(&q, &s->g, e);
     } else if (s->kind == SPLATS_GLB) {
@@ -112,8 +114,10 @@ enum err_code splats_read(const char *path, struct splats *out, struct err *e)
     case SPLATS_UNKNOWN:
     case SPLATS_STORE:
     case SPLATS_SCENE:
-        rc = err_set(e, ERR_FORMAT, "%s: %s; .ply, .spz, .glb, .drc, .splat or .ckpt is expected here", path,
-                     out->kind == SPLATS_UNKNOWN ? "not a file of Gaussians that is known" : splats_kind_name(out->kind));
+        rc = err_set(e, ERR_FORMAT,
+                     "%s: %s; .ply, .spz, .glb, .drc, .splat or .ckpt is expected here", path,
+                     out->kind == SPLATS_UNKNOWN ? "not a file of Gaussians that is known"
+                                                 : splats_kind_name(out->kind));
         break;
     }
     if (rc)
@@ -127,7 +131,8 @@ void splats_free(struct splats *s)
     *s = (struct splats){0};
 }
 
-enum err_code splats_place(const char *option, const char *text, struct geo_origin *out, struct err *e)
+enum err_code splats_place(const char *option, const char *text, struct geo_origin *out,
+                           struct err *e)
 {
     double v[3];
     const char *p = text;
@@ -135,12 +140,17 @@ enum err_code splats_place(const char *option, const char *text, struct geo_orig
         char *end;
         v[i] = strtod(p, &end);
         if (end == p || *end != (i < 2 ? ',' : '\0') || !isfinite(v[i]))
-            return err_set(e, ERR_ARG, "%s: '%s': longitude, latitude and height are expected, e.g. 8.6821,50.1109,160", option, text);
+            return err_set(
+                e, ERR_ARG,
+                "%s: '%s': longitude, latitude and height are expected, e.g. 8.6821,50.1109,160",
+                option, text);
         p = end + 1;
     }
     *out = (struct geo_origin){v[0], v[1], v[2]};
     if (fabs(v[0]) > 180.0 || fabs(v[1]) > 90.0 || fabs(v[2]) > 1e6)
-        return err_set(e, ERR_ARG, "%s: '%s': no place on Earth (longitude first, then latitude, then metres)", option, text);
+        return err_set(e, ERR_ARG,
+                       "%s: '%s': no place on Earth (longitude first, then latitude, then metres)",
+                       option, text);
     return ERR_OK;
 }
 

@@ -8,22 +8,34 @@
 #include "codec/codec.h"
 #include "lod/lod.h"
 
-enum splats_kind { SPLATS_UNKNOWN, SPLATS_PLY, SPLATS_SPZ, SPLATS_GLB, SPLATS_DRC, SPLATS_SPLAT, SPLATS_STORE, SPLATS_CKPT, SPLATS_SCENE };
+enum splats_kind {
+    SPLATS_UNKNOWN,
+    SPLATS_PLY,
+    SPLATS_SPZ,
+    SPLATS_GLB,
+    SPLATS_DRC,
+    SPLATS_SPLAT,
+    SPLATS_STORE,
+    SPLATS_CKPT,
+    SPLATS_SCENE
+};
 
 struct splats { /* {0} is empty */
     enum splats_kind kind;
-    struct gauss g;        /* axes as in the file */
-    struct ply_info info;  /* what a .ply said about its frame */
+    struct gauss g;       /* axes as in the file */
+    struct ply_info info; /* what a .ply said about its frame */
 };
 
 /* By the first bytes; a folder with a scene.json is a scene. ERR_NOENT, ERR_IO. */
 enum err_code splats_kind(const char *path, enum splats_kind *out, struct err *e) ERR_USE;
 const char *splats_kind_name(enum splats_kind k);
-/* Read .ply, .spz, .glb, .drc, .splat or a checkpoint. ERR_FORMAT for anything else. splats_free it. */
+/* Read .ply, .spz, .glb, .drc, .splat or a checkpoint. ERR_FORMAT for anything else. splats_free
+ * it. */
 enum err_code splats_read(const char *path, struct splats *out, struct err *e) ERR_USE;
 void splats_free(struct splats *s);
 /* "lon,lat,h" in degrees and metres; ERR_ARG names the option. */
-enum err_code splats_place(const char *option, const char *text, struct geo_origin *out, struct err *e) ERR_USE;
+enum err_code splats_place(const char *option, const char *text, struct geo_origin *out,
+                           struct err *e) ERR_USE;
 /* A store's name out of a path: lower case, other characters become '-'. */
 void splats_name(const char *path, char out[64]);
 

@@ -1,8 +1,9 @@
 /* citysplat tile: the checkpoints of a trained scene -> one tile store.
  *
- * Each level is put together from all cells that were trained, one level in memory at a time. A cell's checkpoint
- * also holds background beyond its own ground; every Gaussian is taken from the one cell that owns its place. A
- * cell that lacks a level gives its next coarser one instead, so that no level has holes.
+ * Each level is put together from all cells that were trained, one level in memory at a time. A
+ * cell's checkpoint also holds background beyond its own ground; every Gaussian is taken from the
+ * one cell that owns its place. A cell that lacks a level gives its next coarser one instead, so
+ * that no level has holes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -34,8 +35,10 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "tile",
     .usage = "citysplat tile SCENE -o CITY.tiles [options]",
-    .about = "Cuts the trained levels of a scene into tiles z/x/y of the Web Mercator grid, makes overviews until\n"
-             "one tile holds the scene, and writes all of it into one file that `citysplat serve` serves.",
+    .about = "Cuts the trained levels of a scene into tiles z/x/y of the Web Mercator grid, makes "
+             "overviews until\n"
+             "one tile holds the scene, and writes all of it into one file that `citysplat serve` "
+             "serves.",
     .example = "citysplat tile scene -o city.tiles --attribution '© Survey 2026'",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,
@@ -62,8 +65,8 @@ struct tile_level { /* what load() needs */
     uint8_t level;
 };
 
-static enum err_code tile_path(char path[FILE_PATH_MAX], const struct tile_scene *s, const char *id, uint8_t level,
-                               struct err *e)
+static enum err_code tile_path(char path[FILE_PATH_MAX], const struct tile_scene *s, const char *id,
+                               uint8_t level, struct err *e)
 {
     int n = snprintf(path, FILE_PATH_MAX, "%s/cells/%s/level%u.ckpt", s->dir, id, level);
     return n > 0 && n < FILE_PATH_MAX ? ERR_OK : err_set(e, ERR_LIMIT, "%s: path too long", s->dir);
@@ -81,7 +84,9 @@ static enum err_code tile_find_cells(struct tile_scene *s, struct err *e)
     enum err_code rc = file_join(dir, s->dir, "cells", e);
     DIR *d = rc ? NULL : opendir(dir);
     if (!rc && !d)
-        return err_set(e, ERR_NOENT, "%s: no trained cells in there; run `citysplat train %s` first", dir, s->dir);
+        return err_set(e, ERR_NOENT,
+                       "%s: no trained cells in there; run `citysplat train %s` first", dir,
+                       s->dir);
     size_t cap = 0;
     for (struct dirent *ent; !rc && (ent = readdir(d));) {
         struct tile_cell c = {0};
@@ -111,13 +116,16 @@ static enum err_code tile_find_cells(struct tile_scene *s, struct err *e)
     if (d)
         closedir(d);
     if (!rc && !s->n_cells)
-        rc = err_set(e, ERR_NOENT, "%s: no level<n>.ckpt in any cell; run `citysplat train %s` first", dir, s->dir);
+        rc = err_set(e, ERR_NOENT,
+                     "%s: no level<n>.ckpt in any cell; run `citysplat train %s` first", dir,
+                     s->dir);
     if (!rc)
         qsort(s->cells, s->n_cells, sizeof *s->cells, tile_cell_compare);
     return rc;
 }
 
-/* Match cells to the plan and keep in the plan those that are trained: they share all the ground. */
+/* Match cells to the plan and keep in the plan those that are trained: they share all the ground.
+ */
 static enum err_code tile_match_plan(struct tile_scene *s, const struct scene *scene, struct err *e)
 {
     char path[FILE_PATH_MAX];
@@ -125,7 +133,9 @@ static enum err_code tile_match_plan(struct tile_scene *s, const struct scene *s
     if (rc || s->n_cells == 1)
         return rc;
     if (!file_exists(path))
-        return err_set(e, ERR_DATA, "%s: %zu cells are trained and plan.json is missing, so nothing says which owns which ground",
+        return err_set(e, ERR_DATA,
+                       "%s: %zu cells are trained and plan.json is missing, so nothing says which "
+                       "owns which ground",
                        s->dir, s->n_cells);
     rc = plan_read(path, scene, &s->plan, e);
     size_t kept = 0;
@@ -136,22 +146,26 @@ static enum err_code tile_match_plan(struct tile_scene *s, const struct scene *s
         snprintf(want.id, sizeof want.id, "%s", s->plan.cells[i].id);
         struct tile_cell *c = bsearch(&want, s->cells, s->n_cells, sizeof want, tile_cell_compare);
         if (!c) {
-            log_warn("tile", "cell %s of the plan is not trained: its ground is left to its neighbours", want.id);
+            log_warn("tile",
+                     "cell %s of the plan is not trained: its ground is left to its neighbours",
+                     want.id);
             continue;
         }
         c->owner = kept;
         s->plan.cells[kept++] = s->plan.cells[i];
     }
     if (!rc && kept != s->n_cells)
-        rc = err_set(e, ERR_DATA, "%s: %zu cells are trained, the plan knows %zu of them; remove those of an older plan from cells/",
+        rc = err_set(e, ERR_DATA,
+                     "%s: %zu cells are trained, the plan knows %zu of them; remove those of an "
+                     "older plan from cells/",
                      s->dir, s->n_cells, kept);
     s->plan.n_cells = kept;
     return rc;
 }
 
 /* Append the rows of a checkpoint that its cell owns. */
-static enum err_code tile_append(const struct tile_scene *s, const struct tile_cell *c, const char *path,
-                                 struct gauss *out, struct err *e)
+static enum err_code tile_append(const struct tile_scene *s, const struct tile_cell *c,
+                                 const char *path, struct gauss *out, struct err *e)
 {
     struct ckpt k = {0};
     uint32_t *index = NULL;
@@ -162,7 +176,8 @@ static enum err_code tile_append(const struct tile_scene *s, const struct tile_c
     if (k.g.n >= UINT32_MAX || !(index = mem_array(k.g.n, sizeof *index)))
         rc = err_set(e, ERR_MEM, "%s: out of memory for %zu Gaussians", path, k.g.n);
     for (size_t i = 0; !rc && i < k.g.n; i++) {
-        double x = (double)k.g.mean_m[3 * i] + k.g.origin_enu_m[0], y = (double)k.g.mean_m[3 * i + 1] + k.g.origin_enu_m[1];
+        double x = (double)k.g.mean_m[3 * i] + k.g.origin_enu_m[0],
+               y = (double)k.g.mean_m[3 * i + 1] + k.g.origin_enu_m[1];
         if (!s->plan.n_cells || partition_owner(&s->plan, x, y) == c->owner)
             index[n++] = (uint32_t)i;
     }
@@ -171,8 +186,11 @@ static enum err_code tile_append(const struct tile_scene *s, const struct tile_c
         memcpy(out->origin_enu_m, k.g.origin_enu_m, sizeof out->origin_enu_m);
         out->antialiased = k.g.antialiased;
     }
-    if (!rc && (k.g.sh_degree != out->sh_degree || k.g.embed_len != out->embed_len || k.g.antialiased != out->antialiased))
-        rc = err_set(e, ERR_DATA, "%s: SH degree, embedding or anti-aliasing differs from that of other cells; train them with the same options",
+    if (!rc && (k.g.sh_degree != out->sh_degree || k.g.embed_len != out->embed_len ||
+                k.g.antialiased != out->antialiased))
+        rc = err_set(e, ERR_DATA,
+                     "%s: SH degree, embedding or anti-aliasing differs from that of other cells; "
+                     "train them with the same options",
                      path);
     if (!rc)
         rc = gauss_append(out, &k.g, index, n, e);
@@ -191,7 +209,8 @@ static enum err_code tile_load(void *user, struct gauss *out, struct err *e)
         uint8_t level = l->level;
         while (level > 0 && !c->has[level])
             level--;
-        for (uint8_t up = l->level; level == 0 && up <= TILE_LEVELS_MAX; up++) /* nothing coarser: take finer */
+        for (uint8_t up = l->level; level == 0 && up <= TILE_LEVELS_MAX;
+             up++) /* nothing coarser: take finer */
             level = c->has[up] ? up : 0;
         rc = tile_path(path, l->scene, c->id, level, e);
         if (!rc)
@@ -205,12 +224,14 @@ static void tile_warn_missing(const struct tile_scene *s)
     for (size_t i = 0; i < s->n_cells; i++)
         for (uint8_t l = 1; l <= s->n_levels; l++)
             if (!s->cells[i].has[l])
-                log_warn("tile", "cell %s has no level %u yet: its nearest other level stands in", s->cells[i].id, l);
+                log_warn("tile", "cell %s has no level %u yet: its nearest other level stands in",
+                         s->cells[i].id, l);
 }
 
-/* Appearance models and the like travel with the tiles: blobs of the finest checkpoint that are named so. */
-static enum err_code tile_find_blobs(const struct tile_scene *s, struct ckpt *from, struct ckpt_blob **blobs, size_t *n,
-                                     struct err *e)
+/* Appearance models and the like travel with the tiles: blobs of the finest checkpoint that are
+ * named so. */
+static enum err_code tile_find_blobs(const struct tile_scene *s, struct ckpt *from,
+                                     struct ckpt_blob **blobs, size_t *n, struct err *e)
 {
     char path[FILE_PATH_MAX];
     uint8_t level = s->n_levels;
@@ -232,8 +253,8 @@ static enum err_code tile_find_blobs(const struct tile_scene *s, struct ckpt *fr
 
 static void tile_print(const char *path, const struct pyramid_report *r)
 {
-    printf("%s: %zu tiles, zoom %u to %u, at most %zu Gaussians in one, revision %s, %.1f s\n", path, r->n_tiles, r->zoom_min,
-           r->zoom_max, r->max_in_tile, r->revision, r->seconds);
+    printf("%s: %zu tiles, zoom %u to %u, at most %zu Gaussians in one, revision %s, %.1f s\n",
+           path, r->n_tiles, r->zoom_min, r->zoom_max, r->max_in_tile, r->revision, r->seconds);
     for (size_t l = 7; l > 0; l--)
         if (r->n_gaussians[l])
             printf("level %zu    %10zu Gaussians\n", l, r->n_gaussians[l]);
@@ -247,7 +268,9 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
     struct scene scene = {0};
     struct tile_level level[TILE_LEVELS_MAX];
     struct pyramid_level levels[TILE_LEVELS_MAX] = {{0}};
-    struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m, .max_per_tile = (uint32_t)o->max_per_tile, .lossless = o->lossless};
+    struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m,
+                                 .max_per_tile = (uint32_t)o->max_per_tile,
+                                 .lossless = o->lossless};
     struct pyramid_report report;
     struct ckpt from = {0};
     struct ckpt_blob *blobs = NULL;
@@ -272,11 +295,13 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
         splats_name(o->output, cfg.name);
     for (uint8_t i = 0; i < s.n_levels; i++) {
         level[i] = (struct tile_level){.scene = &s, .level = (uint8_t)(i + 1)};
-        levels[i] = (struct pyramid_level){.level = level[i].level, .load = tile_load, .user = &level[i]};
+        levels[i] =
+            (struct pyramid_level){.level = level[i].level, .load = tile_load, .user = &level[i]};
     }
     rc = tile_find_blobs(&s, &from, &blobs, &n_blobs, e);
     if (!rc)
-        rc = pyramid_build(&scene.origin, levels, s.n_levels, &cfg, blobs, n_blobs, o->output, &report, e);
+        rc = pyramid_build(&scene.origin, levels, s.n_levels, &cfg, blobs, n_blobs, o->output,
+                           &report, e);
     if (!rc)
         tile_print(o->output, &report);
 out:

@@ -1,8 +1,9 @@
 /* Tile keys: the Web Mercator quad tree (OGC WebMercatorQuad, the z/x/y of every slippy map).
  *
- * The column is floor(u 2^z) with u = lon / 360 + 1/2, the row floor(v 2^z) with v = 1/2 - asinh(tan lat) / 2 pi.
- * u and v are computed once in double and scaling by 2^z is exact, so the tile at zoom z is always the
- * ancestor of the tile at any finer zoom: key_at(p, z) == key_parent(key_at(p, z + 1)). The pyramid rests on that.
+ * The column is floor(u 2^z) with u = lon / 360 + 1/2, the row floor(v 2^z) with v = 1/2 -
+ * asinh(tan lat) / 2 pi. u and v are computed once in double and scaling by 2^z is exact, so the
+ * tile at zoom z is always the ancestor of the tile at any finer zoom: key_at(p, z) ==
+ * key_parent(key_at(p, z + 1)). The pyramid rests on that.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -65,7 +66,8 @@ void key_center(struct key k, double *lon_deg, double *lat_deg)
     *lat_deg = key_lat_deg((k.y + 0.5) / n);
 }
 
-void key_bounds(struct key k, double *west_deg, double *south_deg, double *east_deg, double *north_deg)
+void key_bounds(struct key k, double *west_deg, double *south_deg, double *east_deg,
+                double *north_deg)
 {
     double n = ldexp(1.0, k.z);
     *west_deg = k.x / n * 360.0 - 180.0;

@@ -1,14 +1,15 @@
 /* Which tiles a view needs: a cut through the tree, so that what is drawn covers the scene once.
  *
- * The cut starts at the root and is refined where the error is largest on the screen, until it is small enough
- * everywhere or the budget of Gaussians is used up. The screen error of a tile is geometric_error * f / d
- * with d the distance to its box, the measure of 3D Tiles clients, so that the server's pictures and the web
- * client show the same levels. The distance metric is that of the CityGaussian family: horizontal distance to
- * the tile against one threshold a level.
+ * The cut starts at the root and is refined where the error is largest on the screen, until it is
+ * small enough everywhere or the budget of Gaussians is used up. The screen error of a tile is
+ * geometric_error * f / d with d the distance to its box, the measure of 3D Tiles clients, so that
+ * the server's pictures and the web client show the same levels. The distance metric is that of the
+ * CityGaussian family: horizontal distance to the tile against one threshold a level.
  *
- * A tile is left out only if no splat in it can touch the picture: its box (means grown by 3.33 sigma) must lie
- * wholly behind one of five planes. EWA splatting evaluates its Jacobian at the mean and so draws a little beyond
- * the true cone; pick_frustum adds exactly what that can be. There is no far plane.
+ * A tile is left out only if no splat in it can touch the picture: its box (means grown by 3.33
+ * sigma) must lie wholly behind one of five planes. EWA splatting evaluates its Jacobian at the
+ * mean and so draws a little beyond the true cone; pick_frustum adds exactly what that can be.
+ * There is no far plane.
  *
  * The same input gives the same cut: no state, no hysteresis, or pictures could not be cached.
  *
@@ -20,9 +21,9 @@
 #include "lod/lod.h"
 #include "lod/tree.h"
 
-#define PICK_ERROR_PX 1.0   /* default: one pixel of median sigma */
-#define PICK_LENS_MARGIN 0.15 /* of the picture: where the renderer clamps x / z inside the Jacobian */
-#define PICK_SOFT_PX 3.0    /* 3.33 sqrt(0.3) of low-pass and 1 of rounding, upwards */
+#define PICK_ERROR_PX 1.0 /* default: one pixel of median sigma */
+#define PICK_LENS_MARGIN 0.15 /* of the picture: where the renderer clamps x / z in the Jacobian */
+#define PICK_SOFT_PX 3.0 /* 3.33 sqrt(0.3) of low-pass and 1 of rounding, upwards */
 #define PICK_REACH_SIGMA 3.33
 
 struct pick_plane { /* inside: dot(n, x) + d >= -slack_per_sigma * sigma_max */
@@ -46,8 +47,9 @@ struct pick {
     uint64_t total; /* Gaussians of the heap and of what was chosen */
 };
 
-/* Plane through the eye with the camera-frame normal (a, 0, c) or (0, a, c), in the world frame. `t` is tan of the
- * angle between axis and plane, `t_clamp` that of the steepest ray the Jacobian is evaluated at. */
+/* Plane through the eye with the camera-frame normal (a, 0, c) or (0, a, c), in the world frame.
+ * `t` is tan of the angle between axis and plane, `t_clamp` that of the steepest ray the Jacobian
+ * is evaluated at. */
 static struct pick_plane pick_side(const struct camera *cam, size_t axis, double sign, double t,
                                    double t_clamp, double soft)
 {
@@ -56,9 +58,11 @@ static struct pick_plane pick_side(const struct camera *cam, size_t axis, double
     for (size_t k = 0; k < 3; k++)
         p.n[k] = (sign * cam->rot[3 * axis + k] + edge * cam->rot[6 + k]) / len;
     p.d = (sign * cam->trans[axis] + edge * cam->trans[2]) / len;
-    /* A splat at x/z = r > t reaches 3.33 sigma sqrt(1 + min(r, t_clamp)^2), the box has 3.33 sigma sqrt(1 + t^2). */
+    /* A splat at x/z = r > t reaches 3.33 sigma sqrt(1 + min(r, t_clamp)^2), the box has 3.33 sigma
+     * sqrt(1 + t^2). */
     double steepest = fmax(fabs(t), fabs(t_clamp));
-    p.slack_per_sigma = PICK_REACH_SIGMA * (sqrt(1.0 + steepest * steepest) - sqrt(1.0 + t * t)) / len;
+    p.slack_per_sigma =
+        PICK_REACH_SIGMA * (sqrt(1.0 + steepest * steepest) - sqrt(1.0 + t * t)) / len;
     return p;
 }
 
@@ -76,13 +80,15 @@ static void pick_frustum(struct pick *p, const struct camera *cam)
                 pick_side(cam, axis, side ? 1.0 : -1.0, t, t + margin[axis], soft[axis]);
         }
     /* The near plane cuts by the mean, which is inside the box, and lies in front of the eye. */
-    p->plane[4] = (struct pick_plane){.n = {cam->rot[6], cam->rot[7], cam->rot[8]}, .d = cam->trans[2]};
+    p->plane[4] =
+        (struct pick_plane){.n = {cam->rot[6], cam->rot[7], cam->rot[8]}, .d = cam->trans[2]};
     camera_center(cam, p->eye);
     p->focal_px = fmax(cam->fx_px, cam->fy_px);
 }
 
 /* May anything within this box touch the picture? The corner farthest along each normal decides. */
-static bool pick_visible(const struct pick *p, const double lo[3], const double hi[3], double sigma_max)
+static bool pick_visible(const struct pick *p, const double lo[3], const double hi[3],
+                         double sigma_max)
 {
     for (size_t i = 0; i < 5; i++) {
         const struct pick_plane *f = &p->plane[i];
@@ -115,7 +121,8 @@ static double pick_error(const struct pick *p, const struct tree_node *v)
         return HUGE_VAL;
     if (p->o->metric == PICK_SCREEN)
         return v->geometric_error_m * p->focal_px / (pick_distance(p, v, 3) * p->limit);
-    /* Threshold i holds for the level i below the finest; past the last one tiles are always refined. */
+    /* Threshold i holds for the level i below the finest; past the last one tiles are always
+     * refined. */
     uint8_t below = (uint8_t)(p->zoom_max - p->tiles[v->tile].key.z);
     double far = below >= 1 && below <= 8 ? p->o->distance_m[below - 1] : 0.0;
     if (!(far > 0.0))
@@ -231,8 +238,8 @@ enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
     return ERR_OK;
 }
 
-enum err_code pick_tiles(const struct store *s, const struct camera *cam, const struct pick_options *o,
-                         uint32_t *out, size_t *n_out, struct err *e)
+enum err_code pick_tiles(const struct store *s, const struct camera *cam,
+                         const struct pick_options *o, uint32_t *out, size_t *n_out, struct err *e)
 {
     size_t n;
     const struct store_tile *tiles = store_tiles(s, &n);

@@ -1,11 +1,12 @@
-/* Levels -> tiles. Each row of a level gets the Morton code of its tile at the finest zoom there is; sorted by it,
- * the tiles of every zoom are runs of rows and their quadrants are runs within them. The codes of all levels (16
- * bytes a row) come first, because the zoom depends on how full the fullest tile of any level would be. Then the
- * levels are written, finest first, with one level and one tile in memory, and what is coarser is made from the
- * tiles below, which are read back from the unfinished store.
+/* Levels -> tiles. Each row of a level gets the Morton code of its tile at the finest zoom there
+ * is; sorted by it, the tiles of every zoom are runs of rows and their quadrants are runs within
+ * them. The codes of all levels (16 bytes a row) come first, because the zoom depends on how full
+ * the fullest tile of any level would be. Then the levels are written, finest first, with one level
+ * and one tile in memory, and what is coarser is made from the tiles below, which are read back
+ * from the unfinished store.
  *
- * Which tile owns a row is decided by geo_from_enu and key_at for every single one: a cheaper local approximation
- * would have to be right to the last bit at the edges.
+ * Which tile owns a row is decided by geo_from_enu and key_at for every single one: a cheaper local
+ * approximation would have to be right to the last bit at the edges.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -17,17 +18,17 @@
 #include "lod/lod.h"
 
 enum {
-    PYRAMID_PER_TILE = 50000, /* wanted on average: about a megabyte as .drc, a second of a slow line */
+    PYRAMID_PER_TILE = 50000, /* wanted on average: a megabyte as .drc, a second of a slow line */
     PYRAMID_PER_TILE_MAX = 200000,
     PYRAMID_LEVEL_MAX = 7,
     PYRAMID_CHUNK = 16384,
-    PYRAMID_KEEP = 64,       /* tiles this small are not thinned */
-    PYRAMID_LONE_ROOTS = 4,  /* so few tiles may stand side by side at the top ... */
-    PYRAMID_CLIMB_MAX = 3,   /* ... if one tile over them all is more zooms up than this */
+    PYRAMID_KEEP = 64,      /* tiles this small are not thinned */
+    PYRAMID_LONE_ROOTS = 4, /* so few tiles may stand side by side at the top ... */
+    PYRAMID_CLIMB_MAX = 3,  /* ... if one tile over them all is more zooms up than this */
 };
 
-/* Fixed-point formats (SPZ, .drc) hold means within 2048 m of the tile's centre: no tile is wider than twice this, and
- * rows farther up or down are left out. */
+/* Fixed-point formats (SPZ, .drc) hold means within 2048 m of the tile's centre: no tile is wider
+ * than twice this, and rows farther up or down are left out. */
 #define PYRAMID_REACH_M 2000.0
 
 struct pyramid_row {
@@ -41,7 +42,7 @@ struct pyramid_rows { /* one level, sorted by code */
 };
 
 struct pyramid_node { /* a tile that exists, or one with tiles below */
-    uint64_t code; /* at its zoom */
+    uint64_t code;    /* at its zoom */
     bool content;
 };
 
@@ -168,7 +169,8 @@ static enum err_code pyramid_code_level(struct pyramid *p, size_t i, struct err 
     struct pyramid_rows *r = &p->rows[i];
     enum err_code rc = pyramid_open_level(&p->levels[i], &own, &g, e);
     if (!rc && (g->n == 0 || g->n >= UINT32_MAX))
-        rc = err_set(e, ERR_DATA, "level %u has %zu Gaussians, 1 to 2^32 - 2 can be tiled", p->levels[i].level, g->n);
+        rc = err_set(e, ERR_DATA, "level %u has %zu Gaussians, 1 to 2^32 - 2 can be tiled",
+                     p->levels[i].level, g->n);
     if (!rc && !(r->row = mem_array(g->n, sizeof *r->row)))
         rc = err_set(e, ERR_MEM, "out of memory for the tile codes of %zu Gaussians", g->n);
     if (!rc) {
@@ -185,7 +187,8 @@ static enum err_code pyramid_code_level(struct pyramid *p, size_t i, struct err 
             p->meta.embed_len = g->embed_len;
         p->meta.antialiased = p->meta.antialiased || g->antialiased;
         if (r->n == 0)
-            rc = err_set(e, ERR_DATA, "level %u: none of its %zu Gaussians is finite", p->levels[i].level, g->n);
+            rc = err_set(e, ERR_DATA, "level %u: none of its %zu Gaussians is finite",
+                         p->levels[i].level, g->n);
     }
     gauss_free(&own);
     return rc;
@@ -259,14 +262,17 @@ static void pyramid_choose_zoom(struct pyramid *p)
         if (most <= p->max_per_tile)
             break;
         if (p->zoom_max == KEY_ZOOM_MAX) {
-            log_warn("tile", "a tile of the finest zoom there is holds n=%zu Gaussians, more than max=%u", most,
-                     p->max_per_tile);
+            log_warn("tile",
+                     "a tile of the finest zoom there is holds n=%zu Gaussians, more than max=%u",
+                     most, p->max_per_tile);
             break;
         }
         p->zoom_max++;
     }
     if (p->zoom_max > wanted && p->cfg->tile_edge_m > 0.0)
-        log_warn("tile", "zoom=%u instead of %u, which is nearest to tile_edge_m=%g: tiles would hold more than max=%u",
+        log_warn("tile",
+                 "zoom=%u instead of %u, which is nearest to tile_edge_m=%g: tiles would hold more "
+                 "than max=%u",
                  p->zoom_max, wanted, p->cfg->tile_edge_m, p->max_per_tile);
 }
 
@@ -278,9 +284,9 @@ static int pyramid_double_compare(const void *a, const void *b)
     return x < y ? -1 : x > y;
 }
 
-/* Centre of the rows along one axis: whole metres, the middle, but the median where a stray Gaussian would push all
- * others out of reach. A lossless store needs m - c to
- * be exact in float32: true for c = 0, and by Sterbenz's lemma for c / 2 <= m <= 2 c. */
+/* Centre of the rows along one axis: whole metres, the middle, but the median where a stray
+ * Gaussian would push all others out of reach. A lossless store needs m - c to be exact in float32:
+ * true for c = 0, and by Sterbenz's lemma for c / 2 <= m <= 2 c. */
 static double pyramid_center_axis(const struct pyramid *p, double *at, size_t n)
 {
     qsort(at, n, sizeof *at, pyramid_double_compare);
@@ -288,12 +294,13 @@ static double pyramid_center_axis(const struct pyramid *p, double *at, size_t n)
     double c = round(hi - lo < 2.0 * PYRAMID_REACH_M ? 0.5 * (lo + hi) : at[n / 2]) + 0.0;
     if (!p->cfg->lossless)
         return c;
-    bool exact = (lo > 0.0 && c <= 2.0 * lo && hi <= 2.0 * c) || (hi < 0.0 && c >= 2.0 * hi && lo >= 2.0 * c);
+    bool exact = (lo > 0.0 && c <= 2.0 * lo && hi <= 2.0 * c) ||
+                 (hi < 0.0 && c >= 2.0 * hi && lo >= 2.0 * c);
     return exact || fmax(-lo, hi) > PYRAMID_REACH_M ? c : 0.0;
 }
 
-static enum err_code pyramid_center(const struct pyramid *p, const struct gauss *g, double center[3],
-                                    struct err *e)
+static enum err_code pyramid_center(const struct pyramid *p, const struct gauss *g,
+                                    double center[3], struct err *e)
 {
     double *at = mem_array(g->n, sizeof *at);
     if (!at)
@@ -308,13 +315,15 @@ static enum err_code pyramid_center(const struct pyramid *p, const struct gauss 
 }
 
 /* Drop rows out of reach from the order; at least one remains, since the centre is near one. */
-static size_t pyramid_drop_far(struct pyramid *p, const struct gauss *g, const double center[3], uint32_t *order)
+static size_t pyramid_drop_far(struct pyramid *p, const struct gauss *g, const double center[3],
+                               uint32_t *order)
 {
     size_t n = 0;
     for (size_t i = 0; i < g->n; i++) {
         double far = 0.0;
         for (size_t k = 0; k < 3; k++)
-            far = fmax(far, fabs((double)g->mean_m[3 * order[i] + k] + g->origin_enu_m[k] - center[k]));
+            far = fmax(far,
+                       fabs((double)g->mean_m[3 * order[i] + k] + g->origin_enu_m[k] - center[k]));
         if (far < PYRAMID_REACH_M + 40.0)
             order[n++] = order[i];
     }
@@ -323,14 +332,15 @@ static size_t pyramid_drop_far(struct pyramid *p, const struct gauss *g, const d
 }
 
 /* Centre, order along the Morton curve, write. */
-static enum err_code pyramid_put(struct pyramid *p, struct key k, uint8_t level, const struct gauss *g,
-                                 struct err *e)
+static enum err_code pyramid_put(struct pyramid *p, struct key k, uint8_t level,
+                                 const struct gauss *g, struct err *e)
 {
     struct gauss sorted = {0};
     struct store_tile t = {.key = k, .level = level};
     double center[3];
     uint32_t *order = mem_array(g->n, sizeof *order);
-    enum err_code rc = order ? pyramid_center(p, g, center, e) : err_set(e, ERR_MEM, "out of memory for a tile");
+    enum err_code rc =
+        order ? pyramid_center(p, g, center, e) : err_set(e, ERR_MEM, "out of memory for a tile");
     if (!rc)
         rc = gauss_alloc(&sorted, g->n, p->meta.sh_degree, p->meta.embed_len, e);
     if (!rc)
@@ -411,12 +421,15 @@ static enum err_code pyramid_add_parents(struct pyramid *p, uint8_t z, struct er
 }
 
 /* Write rows [from, to) of a level as one tile. */
-static enum err_code pyramid_put_rows(struct pyramid *p, const struct gauss *g, const struct pyramid_rows *r,
-                                      size_t from, size_t to, struct key k, uint8_t level, struct err *e)
+static enum err_code pyramid_put_rows(struct pyramid *p, const struct gauss *g,
+                                      const struct pyramid_rows *r, size_t from, size_t to,
+                                      struct key k, uint8_t level, struct err *e)
 {
     struct gauss tile = {0};
     uint32_t *index = mem_array(to - from, sizeof *index);
-    enum err_code rc = index ? ERR_OK : err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", to - from);
+    enum err_code rc =
+        index ? ERR_OK
+              : err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", to - from);
     if (!rc)
         rc = gauss_alloc(&tile, to - from, g->sh_degree, g->embed_len, e);
     if (!rc) {
@@ -434,11 +447,13 @@ static enum err_code pyramid_put_rows(struct pyramid *p, const struct gauss *g, 
     return rc;
 }
 
-/* Rows [from, to) are those of a tile at zoom z with content. If anything lies below it, it will be replaced by
- * that, so its rows in quadrants without a tile of their own go one zoom down, and on where needed. Such copies
- * are no nodes: the tile they come from stands for them in everything that is made from below. */
-static enum err_code pyramid_carry(struct pyramid *p, const struct gauss *g, const struct pyramid_rows *r,
-                                   size_t from, size_t to, uint8_t z, uint8_t level, struct err *e)
+/* Rows [from, to) are those of a tile at zoom z with content. If anything lies below it, it will be
+ * replaced by that, so its rows in quadrants without a tile of their own go one zoom down, and on
+ * where needed. Such copies are no nodes: the tile they come from stands for them in everything
+ * that is made from below. */
+static enum err_code pyramid_carry(struct pyramid *p, const struct gauss *g,
+                                   const struct pyramid_rows *r, size_t from, size_t to, uint8_t z,
+                                   uint8_t level, struct err *e)
 {
     uint8_t down = (uint8_t)(z + 1);
     unsigned shift = 2u * (unsigned)(KEY_ZOOM_MAX - down);
@@ -463,8 +478,9 @@ static enum err_code pyramid_carry(struct pyramid *p, const struct gauss *g, con
     return rc;
 }
 
-static enum err_code pyramid_carry_level(struct pyramid *p, const struct gauss *g, const struct pyramid_rows *r,
-                                         uint8_t z, uint8_t level, struct err *e)
+static enum err_code pyramid_carry_level(struct pyramid *p, const struct gauss *g,
+                                         const struct pyramid_rows *r, uint8_t z, uint8_t level,
+                                         struct err *e)
 {
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < r->n;) {
@@ -526,15 +542,16 @@ static enum err_code pyramid_gather(struct pyramid *p, uint8_t z, uint64_t code,
     return rc;
 }
 
-/* A merged mean lies among the means it came from; on the curved edge of a tile that can be some micrometres
- * outside. Draw it towards the middle until the tile owns it. */
-static enum err_code pyramid_pull_inside(const struct pyramid *p, struct key k, struct gauss *g, struct err *e)
+/* A merged mean lies among the means it came from; on the curved edge of a tile that can be some
+ * micrometres outside. Draw it towards the middle until the tile owns it. */
+static enum err_code pyramid_pull_inside(const struct pyramid *p, struct key k, struct gauss *g,
+                                         struct err *e)
 {
     double lon, lat, h, mid[3];
     key_center(k, &lon, &lat);
     enum err_code rc = geo_to_enu(p->origin, lon, lat, p->origin->h_m, mid, e);
     for (size_t i = 0; !rc && i < g->n; i++) {
-        for (double pull = 0.0; !rc && pull < 1.0; pull = pull > 0.0 ? 4.0 * pull : 1e-7) {
+        for (double pull = 0.0; !rc && pull<1.0; pull = pull> 0.0 ? 4.0 * pull : 1e-7) {
             double enu[3];
             for (size_t a = 0; a < 3; a++) {
                 float *m = &g->mean_m[3 * i + a];
@@ -598,13 +615,15 @@ static enum err_code pyramid_make_coarser(struct pyramid *p, struct err *e)
     while (!rc && z > 0) {
         const struct pyramid_zoom *l = &p->zoom[z];
         int level = (int)p->top_level - (p->zoom_max - z) - 1;
-        bool lone = l->n == 1 || (l->n <= PYRAMID_LONE_ROOTS && pyramid_climb(l) > PYRAMID_CLIMB_MAX);
+        bool lone =
+            l->n == 1 || (l->n <= PYRAMID_LONE_ROOTS && pyramid_climb(l) > PYRAMID_CLIMB_MAX);
         if ((lone || z <= p->zoom_least) && level < 1)
             break;
         z--;
         rc = pyramid_add_parents(p, z, e);
         for (size_t i = 0; !rc && i < p->zoom[z].n; i++) {
-            rc = pyramid_make_tile(p, z, p->zoom[z].node[i].code, (uint8_t)(level > 0 ? level : 0), e);
+            rc = pyramid_make_tile(p, z, p->zoom[z].node[i].code, (uint8_t)(level > 0 ? level : 0),
+                                   e);
             p->zoom[z].node[i].content = true;
         }
     }
@@ -617,11 +636,13 @@ static enum err_code pyramid_make_coarser(struct pyramid *p, struct err *e)
 static enum err_code pyramid_check(const struct pyramid_level *levels, size_t n, struct err *e)
 {
     if (n == 0 || n > PYRAMID_LEVEL_MAX)
-        return err_set(e, ERR_ARG, "pyramid: %zu levels, 1 to %d are possible", n, PYRAMID_LEVEL_MAX);
+        return err_set(e, ERR_ARG, "pyramid: %zu levels, 1 to %d are possible", n,
+                       PYRAMID_LEVEL_MAX);
     for (size_t i = 0; i < n; i++) {
         if (levels[i].level < 1 || levels[i].level > PYRAMID_LEVEL_MAX ||
             (i > 0 && levels[i].level != levels[i - 1].level + 1))
-            return err_set(e, ERR_ARG, "pyramid: levels must be consecutive, coarsest first, within 1 to %d",
+            return err_set(e, ERR_ARG,
+                           "pyramid: levels must be consecutive, coarsest first, within 1 to %d",
                            PYRAMID_LEVEL_MAX);
         if (!levels[i].g && !levels[i].load)
             return err_set(e, ERR_ARG, "pyramid: level %u has no Gaussians", levels[i].level);
@@ -661,7 +682,10 @@ enum err_code pyramid_build(const struct geo_origin *origin, const struct pyrami
 {
     struct pyramid_report none;
     double start = clock_s();
-    struct pyramid p = {.origin = origin, .levels = levels, .n_levels = n_levels, .cfg = cfg,
+    struct pyramid p = {.origin = origin,
+                        .levels = levels,
+                        .n_levels = n_levels,
+                        .cfg = cfg,
                         .report = report ? report : &none};
     *p.report = (struct pyramid_report){0};
     p.max_per_tile = cfg->max_per_tile ? cfg->max_per_tile : PYRAMID_PER_TILE_MAX;
@@ -678,13 +702,15 @@ enum err_code pyramid_build(const struct geo_origin *origin, const struct pyrami
         rc = pyramid_write(&p, blobs, n_blobs, out_path, e);
     }
     if (!rc && p.report->n_bad)
-        log_warn("tile", "left out n=%zu Gaussians with values that are not finite", p.report->n_bad);
+        log_warn("tile", "left out n=%zu Gaussians with values that are not finite",
+                 p.report->n_bad);
     if (!rc && p.report->n_far)
-        log_warn("tile", "left out n=%zu Gaussians farther than max_m=%g from the centre of their tile", p.report->n_far,
-                 PYRAMID_REACH_M + 40.0);
+        log_warn("tile",
+                 "left out n=%zu Gaussians farther than max_m=%g from the centre of their tile",
+                 p.report->n_far, PYRAMID_REACH_M + 40.0);
     if (!rc && p.report->n_carried)
-        log_info("tile", "carried n=%zu Gaussians into tiles=%zu where a finer level has none", p.report->n_carried,
-                 p.report->n_carried_tiles);
+        log_info("tile", "carried n=%zu Gaussians into tiles=%zu where a finer level has none",
+                 p.report->n_carried, p.report->n_carried_tiles);
     p.report->zoom_max = p.zoom_max;
     p.report->seconds = clock_s() - start;
     for (size_t i = 0; i < PYRAMID_LEVEL_MAX; i++)

@@ -1,14 +1,16 @@
 /* Fewer Gaussians of the same look, for the levels that no training made.
  *
- * Rounds of pairwise merging: every Gaussian finds its cheapest neighbour, pairs that chose each other are merged,
- * cheapest first, until `target` are left. Neighbours are looked for in windows of three Morton curves, shifted by
- * thirds of the box (Chan 1998), which together miss few near pairs. The cost of a pair is Runnalls' upper bound
- * of the Kullback-Leibler divergence between the two and their merger (Runnalls 2007), weighted by coverage, plus
- * the difference in colour: it keeps walls from melting into roofs and edges of colour sharp.
+ * Rounds of pairwise merging: every Gaussian finds its cheapest neighbour, pairs that chose each
+ * other are merged, cheapest first, until `target` are left. Neighbours are looked for in windows
+ * of three Morton curves, shifted by thirds of the box (Chan 1998), which together miss few near
+ * pairs. The cost of a pair is Runnalls' upper bound of the Kullback-Leibler divergence between the
+ * two and their merger (Runnalls 2007), weighted by coverage, plus the difference in colour: it
+ * keeps walls from melting into roofs and edges of colour sharp.
  *
- * A merger has the pair's mean, covariance (including the spread of the means) and colour, all weighted by coverage
- * = opacity times projected area. Its coverage is the pair's sum less what the two hid of each other; where
- * that asks for more than full opacity the splat is made larger instead, so opaque surfaces do not thin out.
+ * A merger has the pair's mean, covariance (including the spread of the means) and colour, all
+ * weighted by coverage = opacity times projected area. Its coverage is the pair's sum less what the
+ * two hid of each other; where that asks for more than full opacity the splat is made larger
+ * instead, so opaque surfaces do not thin out.
  *
  * Deterministic: ties are broken by row, and threads only fill their own rows.
  *
@@ -25,15 +27,15 @@
 
 enum {
     SIMPLIFY_CURVES = 3,
-    SIMPLIFY_WINDOW = 4,   /* rows looked at on each side along each curve; 12 gives the same pictures */
+    SIMPLIFY_WINDOW = 4,   /* rows each side of a curve; 12 gives the same pictures */
     SIMPLIFY_CHUNK = 2048, /* rows per unit of parallel work */
     SIMPLIFY_JACOBI = 12,  /* sweeps; 3x3 matrices need 4 to 6 */
 };
 
-#define SIMPLIFY_OPACITY_MAX 0.99   /* the renderer's own ceiling */
-#define SIMPLIFY_BLUR 0.5           /* of the median sigma: thinner than this is not worth keeping apart */
-#define SIMPLIFY_COLOR_WEIGHT 4.0   /* a colour step of 0.2 counts like a distance of one sigma */
-#define SIMPLIFY_PAIRS_A_ROUND 0.75 /* of the mutual pairs, so that later choices see earlier mergers */
+#define SIMPLIFY_OPACITY_MAX 0.99 /* the renderer's own ceiling */
+#define SIMPLIFY_BLUR 0.5 /* of the median sigma: thinner than this is not worth keeping apart */
+#define SIMPLIFY_COLOR_WEIGHT 4.0 /* a colour step of 0.2 counts like a distance of one sigma */
+#define SIMPLIFY_PAIRS_A_ROUND 0.75 /* of the mutual pairs: later choices see earlier mergers */
 
 struct simplify_cluster {
     double mean[3], cov[6]; /* xx xy xz yy yz zz, metres^2 */
@@ -58,7 +60,7 @@ struct simplify {
     struct simplify_cluster *cluster;
     uint32_t *alive; /* rows of living clusters, ascending */
     size_t n_alive;
-    struct simplify_code *codes;     /* scratch */
+    struct simplify_code *codes;      /* scratch */
     uint32_t *curve[SIMPLIFY_CURVES]; /* rows along each curve */
     uint32_t *place[SIMPLIFY_CURVES]; /* row -> position along each curve */
     struct simplify_pair *best;       /* [n], by row */
@@ -66,7 +68,8 @@ struct simplify {
     double reach; /* coverage hidden in overlaps counts this much, 0..1 */
 };
 
-/* Eigenvalues (descending) and vectors (columns of v, right-handed) of a symmetric 3x3 by cyclic Jacobi. */
+/* Eigenvalues (descending) and vectors (columns of v, right-handed) of a symmetric 3x3 by cyclic
+ * Jacobi. */
 void simplify_eigen(const double cov[6], double value[3], double v[9])
 {
     double a[3][3] = {{cov[0], cov[1], cov[2]}, {cov[1], cov[3], cov[4]}, {cov[2], cov[4], cov[5]}};
@@ -115,8 +118,8 @@ void simplify_eigen(const double cov[6], double value[3], double v[9])
         v[3 * k + 2] = -v[3 * k + 2];
 }
 
-/* Mean projected area of an ellipsoid of these half axes, over pi: a quarter of its surface (Cauchy), the surface
- * by Thomsen's formula (within 1.1 %). */
+/* Mean projected area of an ellipsoid of these half axes, over pi: a quarter of its surface
+ * (Cauchy), the surface by Thomsen's formula (within 1.1 %). */
 double simplify_area(const double s[3])
 {
     const double p = 1.6075;
@@ -143,7 +146,8 @@ static void simplify_init(struct simplify *s, size_t i)
     for (size_t k = 0; k < 3; k++) {
         sigma[k] = exp((double)g->scale_log[3 * i + k]);
         c->mean[k] = (double)g->mean_m[3 * i + k];
-        c->color[k] = (float)(GAUSS_SH_C0 * (double)g->sh[3 * gauss_sh_count(g->sh_degree) * i + k]);
+        c->color[k] =
+            (float)(GAUSS_SH_C0 * (double)g->sh[3 * gauss_sh_count(g->sh_degree) * i + k]);
     }
     static const int at[6][2] = {{0, 0}, {0, 1}, {0, 2}, {1, 1}, {1, 2}, {2, 2}};
     for (size_t m = 0; m < 6; m++)
@@ -212,7 +216,8 @@ static enum err_code simplify_search(void *user, size_t chunk, struct err *e)
                 uint32_t other = s->curve[c][q];
                 if (other == row)
                     continue;
-                struct simplify_pair t = {.a = row < other ? row : other, .b = row < other ? other : row};
+                struct simplify_pair t = {.a = row < other ? row : other,
+                                          .b = row < other ? other : row};
                 t.cost = simplify_cost(s, t.a, t.b);
                 if (simplify_better(&t, &best))
                     best = t;
@@ -241,7 +246,8 @@ static int simplify_code_compare(const void *a, const void *b)
     return x->row < y->row ? -1 : x->row > y->row;
 }
 
-/* Curve c: the living rows along a Morton curve over a cube twice the box, the box shifted by c/3 of it. */
+/* Curve c: the living rows along a Morton curve over a cube twice the box, the box shifted by c/3
+ * of it. */
 static void simplify_walk(struct simplify *s, size_t c)
 {
     double lo[3] = {HUGE_VAL, HUGE_VAL, HUGE_VAL}, span = 0.0;
@@ -257,7 +263,8 @@ static void simplify_walk(struct simplify *s, size_t c)
         uint32_t row = s->alive[i];
         uint64_t code = 0;
         for (size_t k = 0; k < 3; k++)
-            code |= simplify_spread((uint64_t)((s->cluster[row].mean[k] - lo[k]) * scale + shift)) << k;
+            code |= simplify_spread((uint64_t)((s->cluster[row].mean[k] - lo[k]) * scale + shift))
+                    << k;
         s->codes[i] = (struct simplify_code){code, row};
     }
     qsort(s->codes, s->n_alive, sizeof *s->codes, simplify_code_compare);
@@ -269,8 +276,8 @@ static void simplify_walk(struct simplify *s, size_t c)
 
 /* ---- merging ---- */
 
-/* Share of the pair's coverage that one hides of the other, seen along the merger's thinnest axis n: the integral
- * of the product of two projected Gaussians over the sum of their integrals. */
+/* Share of the pair's coverage that one hides of the other, seen along the merger's thinnest axis
+ * n: the integral of the product of two projected Gaussians over the sum of their integrals. */
 static double simplify_hidden(const struct simplify_cluster *a, const struct simplify_cluster *b,
                               const double v[9])
 {
@@ -278,7 +285,8 @@ static double simplify_hidden(const struct simplify_cluster *a, const struct sim
     static const int at[3][3] = {{0, 1, 2}, {1, 3, 4}, {2, 4, 5}};
     for (int r = 0; r < 3; r++) {
         for (int c = 0; c < 3; c++) {
-            double xx = v[3 * r] * v[3 * c], xy = v[3 * r] * v[3 * c + 1], yy = v[3 * r + 1] * v[3 * c + 1];
+            double xx = v[3 * r] * v[3 * c], xy = v[3 * r] * v[3 * c + 1],
+                   yy = v[3 * r + 1] * v[3 * c + 1];
             double ca = a->cov[at[r][c]], cb = b->cov[at[r][c]];
             s1[0] += xx * ca;
             s1[1] += xy * ca;
@@ -301,7 +309,8 @@ static double simplify_hidden(const struct simplify_cluster *a, const struct sim
     return fmin(both / sum, 0.5);
 }
 
-/* Attributes of row b into row a by weights; quaternion, scale and opacity come from the merged moments. */
+/* Attributes of row b into row a by weights; quaternion, scale and opacity come from the merged
+ * moments. */
 static void simplify_mix_row(struct gauss *g, size_t a, size_t b, double wa, double wb)
 {
     size_t k = 3 * gauss_sh_count(g->sh_degree);
@@ -369,8 +378,8 @@ static enum err_code simplify_round(struct simplify *s, size_t target, struct er
     enum err_code rc = pool_for(chunks, 0, simplify_search, s, e);
     if (rc)
         return rc;
-    /* Pairs that chose each other, packed to the front of best[]: pair i is never behind row i. The cheapest of
-     * all pairs is always among them, so every round makes progress. */
+    /* Pairs that chose each other, packed to the front of best[]: pair i is never behind row i. The
+     * cheapest of all pairs is always among them, so every round makes progress. */
     size_t n_pairs = 0;
     for (size_t i = 0; i < s->n_alive; i++) {
         uint32_t row = s->alive[i];
@@ -417,7 +426,8 @@ static enum err_code simplify_open(struct simplify *s, struct gauss *work, struc
         return err_set(e, ERR_MEM, "out of memory to simplify %zu Gaussians", n);
     }
     for (size_t i = 0; i < n; i++)
-        sigma[i] = fmaxf(work->scale_log[3 * i], fmaxf(work->scale_log[3 * i + 1], work->scale_log[3 * i + 2]));
+        sigma[i] = fmaxf(work->scale_log[3 * i],
+                         fmaxf(work->scale_log[3 * i + 1], work->scale_log[3 * i + 2]));
     qsort(sigma, n, sizeof *sigma, simplify_float_compare);
     double blur = SIMPLIFY_BLUR * exp((double)sigma[n / 2]);
     s->blur2 = blur * blur;
@@ -442,7 +452,8 @@ static void simplify_close(struct simplify *s)
     }
 }
 
-enum err_code simplify_gauss(const struct gauss *in, size_t target, struct gauss *out, struct err *e)
+enum err_code simplify_gauss(const struct gauss *in, size_t target, struct gauss *out,
+                             struct err *e)
 {
     struct simplify s = {.reach = SIMPLIFY_HIDDEN_SHARE};
     struct gauss work = {0};
@@ -457,9 +468,11 @@ enum err_code simplify_gauss(const struct gauss *in, size_t target, struct gauss
         return rc;
     memcpy(work.origin_enu_m, in->origin_enu_m, sizeof work.origin_enu_m);
     work.antialiased = in->antialiased;
-    if (in->n > target) { /* neighbours near each other in memory: a third of the time on rows in random order */
+    if (in->n > target) { /* neighbours near each other in memory: a third of the time on rows in
+                             random order */
         order = mem_array(in->n, sizeof *order);
-        rc = order ? gauss_morton_order(in, order, e) : err_set(e, ERR_MEM, "out of memory to simplify %zu Gaussians", in->n);
+        rc = order ? gauss_morton_order(in, order, e)
+                   : err_set(e, ERR_MEM, "out of memory to simplify %zu Gaussians", in->n);
     }
     if (!rc)
         rc = gauss_append(&work, in, order, in->n, e);

@@ -1,8 +1,9 @@
 /* The tile store, reading: one immutable SQLite file, its index in memory.
  *
- * The header is checked by hand first, because SQLite fills a truncated file with zeros instead of saying so.
- * Each index row carries a hash of itself and each payload one of its bytes: a damaged row is left out with a
- * warning, a damaged payload fails alone when it is read, and all other tiles go on being served.
+ * The header is checked by hand first, because SQLite fills a truncated file with zeros instead of
+ * saying so. Each index row carries a hash of itself and each payload one of its bytes: a damaged
+ * row is left out with a warning, a damaged payload fails alone when it is read, and all other
+ * tiles go on being served.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -23,7 +24,8 @@ enum err_code store_db_fail(const struct store *s, int code, const char *what, s
     switch (code & 0xff) {
     case SQLITE_CORRUPT:
     case SQLITE_NOTADB:
-        return err_set(e, ERR_FORMAT, "%s: %s: the file is damaged (%s); restore it or tile the scene again",
+        return err_set(e, ERR_FORMAT,
+                       "%s: %s: the file is damaged (%s); restore it or tile the scene again",
                        s->path, what, why);
     case SQLITE_NOMEM:
         return err_set(e, ERR_MEM, "%s: %s: out of memory", s->path, what);
@@ -66,13 +68,18 @@ static struct hash128 store_hash_in(const uint8_t in[STORE_HASH_BYTES])
 
 struct hash128 store_db_row_hash(const struct store_tile *t)
 {
-    const double nums[] = {
-        t->center_enu_m[0], t->center_enu_m[1], t->center_enu_m[2], t->min_enu_m[0],
-        t->min_enu_m[1],    t->min_enu_m[2],    t->max_enu_m[0],    t->max_enu_m[1],
-        t->max_enu_m[2],    t->sigma_median_m,  t->sigma_max_m,     t->geometric_error_m};
+    const double nums[] = {t->center_enu_m[0], t->center_enu_m[1], t->center_enu_m[2],
+                           t->min_enu_m[0],    t->min_enu_m[1],    t->min_enu_m[2],
+                           t->max_enu_m[0],    t->max_enu_m[1],    t->max_enu_m[2],
+                           t->sigma_median_m,  t->sigma_max_m,     t->geometric_error_m};
     enum { N_NUMS = sizeof nums / sizeof *nums, N_INTS = 7 };
-    uint64_t word[N_INTS + N_NUMS] = {(uint64_t)store_db_id(t->key), t->level,   t->count,  t->bytes,
-                                      t->version,                   t->hash.lo, t->hash.hi};
+    uint64_t word[N_INTS + N_NUMS] = {(uint64_t)store_db_id(t->key),
+                                      t->level,
+                                      t->count,
+                                      t->bytes,
+                                      t->version,
+                                      t->hash.lo,
+                                      t->hash.hi};
     memcpy(word + N_INTS, nums, sizeof nums);
     uint8_t bytes[sizeof word]; /* little-endian whatever the machine */
     for (size_t i = 0; i < sizeof bytes; i++)
@@ -105,17 +112,19 @@ static enum err_code store_check_header(const char *path, struct err *e)
     close(fd);
     if (got != (ssize_t)sizeof h || memcmp(h, "SQLite format 3", 16) ||
         store_be32(h + 68) != STORE_APPLICATION_ID)
-        return err_set(e, ERR_FORMAT, "%s: not a tile store (make one with `citysplat tile` or `citysplat import`)",
-                       path);
+        return err_set(
+            e, ERR_FORMAT,
+            "%s: not a tile store (make one with `citysplat tile` or `citysplat import`)", path);
     if (store_be32(h + 60) != STORE_SCHEMA)
-        return err_set(e, ERR_FORMAT,
-                       "%s: tile store of schema %u, this program reads schema %d; tile the scene again",
-                       path, store_be32(h + 60), STORE_SCHEMA);
+        return err_set(
+            e, ERR_FORMAT,
+            "%s: tile store of schema %u, this program reads schema %d; tile the scene again", path,
+            store_be32(h + 60), STORE_SCHEMA);
     uint64_t page = (uint64_t)h[16] << 8 | h[17], pages = store_be32(h + 28);
     uint64_t want = (page == 1 ? 65536 : page) * pages;
     if (want != (uint64_t)st.st_size)
-        return err_set(e, ERR_FORMAT, "%s: truncated or overlong: %llu bytes, its header says %llu", path,
-                       (unsigned long long)st.st_size, (unsigned long long)want);
+        return err_set(e, ERR_FORMAT, "%s: truncated or overlong: %llu bytes, its header says %llu",
+                       path, (unsigned long long)st.st_size, (unsigned long long)want);
     return ERR_OK;
 }
 
@@ -148,9 +157,9 @@ static enum err_code store_connect(struct store *s, struct err *e)
     if (code == SQLITE_OK) {
         sqlite3_db_config(s->db, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, NULL);
         sqlite3_db_config(s->db, SQLITE_DBCONFIG_DEFENSIVE, 1, NULL);
-        code = sqlite3_exec(s->db,
-                            "PRAGMA mmap_size=274877906944; PRAGMA cell_size_check=ON; PRAGMA query_only=ON",
-                            NULL, NULL, NULL);
+        code = sqlite3_exec(
+            s->db, "PRAGMA mmap_size=274877906944; PRAGMA cell_size_check=ON; PRAGMA query_only=ON",
+            NULL, NULL, NULL);
     }
     if (code != SQLITE_OK)
         rc = store_db_fail(s, code, "cannot open", e);
@@ -173,7 +182,8 @@ static enum err_code store_meta_text(struct store *s, sqlite3_stmt *q, const cha
     if (!text)
         return err_set(e, ERR_FORMAT, "%s: meta: %s is missing", s->path, key);
     if (strlen(text) >= cap)
-        return err_set(e, ERR_FORMAT, "%s: meta: %s is longer than %zu bytes", s->path, key, cap - 1);
+        return err_set(e, ERR_FORMAT, "%s: meta: %s is longer than %zu bytes", s->path, key,
+                       cap - 1);
     memcpy(out, text, strlen(text) + 1);
     return ERR_OK;
 }
@@ -187,8 +197,8 @@ static enum err_code store_meta_num(struct store *s, sqlite3_stmt *q, const char
         return rc;
     *out = strtod(text, &end);
     if (end == text || *end || !(*out >= lo && *out <= hi))
-        return err_set(e, ERR_FORMAT, "%s: meta: %s is '%s', a number from %g to %g is expected", s->path,
-                       key, text, lo, hi);
+        return err_set(e, ERR_FORMAT, "%s: meta: %s is '%s', a number from %g to %g is expected",
+                       s->path, key, text, lo, hi);
     return ERR_OK;
 }
 
@@ -281,7 +291,8 @@ static bool store_row(sqlite3_stmt *q, struct store_tile *t)
     t->geometric_error_m = sqlite3_column_double(q, 19);
     t->hash = store_column_hash(q, 20, &ok);
     struct hash128 want = store_column_hash(q, 21, &ok), have = store_db_row_hash(t);
-    return ok && key_valid(t->key) && store_db_id(t->key) == id && have.lo == want.lo && have.hi == want.hi;
+    return ok && key_valid(t->key) && store_db_id(t->key) == id && have.lo == want.lo &&
+           have.hi == want.hi;
 }
 
 /* Rows come in order of id; the damaged ones are left out and counted. */
@@ -306,8 +317,8 @@ static enum err_code store_read_index(struct store *s, size_t *n_bad, struct err
             s->tiles[s->n_tiles++] = t;
         } else {
             *n_bad += 1;
-            log_warn("store", "%s: index row of tile %u/%u/%u is damaged, the tile is left out", s->path,
-                     t.key.z, t.key.x, t.key.y);
+            log_warn("store", "%s: index row of tile %u/%u/%u is damaged, the tile is left out",
+                     s->path, t.key.z, t.key.x, t.key.y);
         }
     }
     if (!rc && code != SQLITE_DONE)
@@ -410,9 +421,10 @@ static enum err_code store_take(struct store *s, sqlite3_stmt *q, const char *wh
         return store_db_fail(s, sqlite3_errcode(s->db), what, e);
     struct hash128 have = hash_bytes(p ? p : "", n);
     if (!ok || have.lo != want.lo || have.hi != want.hi)
-        return err_set(e, ERR_FORMAT,
-                       "%s: %s: damaged (its hash differs); restore the file or tile the scene again",
-                       s->path, what);
+        return err_set(
+            e, ERR_FORMAT,
+            "%s: %s: damaged (its hash differs); restore the file or tile the scene again", s->path,
+            what);
     out->size = 0;
     buf_add(out, p, n);
     return buf_check(out, e);
@@ -425,7 +437,8 @@ enum err_code store_read(struct store *s, struct key k, struct buf *out, struct 
     if (!key_valid(k))
         return err_set(e, ERR_NOENT, "%s: %s: no such tile", s->path, what);
     if (!s->get) {
-        int code = sqlite3_prepare_v2(s->db, "SELECT hash,payload FROM tiles WHERE id=?1", -1, &s->get, NULL);
+        int code = sqlite3_prepare_v2(s->db, "SELECT hash,payload FROM tiles WHERE id=?1", -1,
+                                      &s->get, NULL);
         if (code != SQLITE_OK)
             return store_db_fail(s, code, what, e);
     }
@@ -443,7 +456,8 @@ enum err_code store_read_gauss(struct store *s, struct key k, struct gauss *out,
     *out = (struct gauss){0};
     const struct store_tile *t = store_find(s, k);
     if (!t)
-        return err_set(e, ERR_NOENT, "%s: tile %u/%u/%u: not in this store", s->path, k.z, k.x, k.y);
+        return err_set(e, ERR_NOENT, "%s: tile %u/%u/%u: not in this store", s->path, k.z, k.x,
+                       k.y);
     enum err_code rc = store_read(s, k, &b, e);
     if (!rc) {
         rc = payload_decode(b.data, b.size, NULL, out, e);
@@ -461,7 +475,8 @@ enum err_code store_get_blob(struct store *s, const char *name, struct buf *out,
     char what[160];
     snprintf(what, sizeof what, "blob '%.120s'", name);
     if (!s->get_blob) {
-        int code = sqlite3_prepare_v2(s->db, "SELECT hash,bytes FROM blobs WHERE name=?1", -1, &s->get_blob, NULL);
+        int code = sqlite3_prepare_v2(s->db, "SELECT hash,bytes FROM blobs WHERE name=?1", -1,
+                                      &s->get_blob, NULL);
         if (code != SQLITE_OK)
             return store_db_fail(s, code, what, e);
     }
@@ -474,13 +489,15 @@ enum err_code store_get_blob(struct store *s, const char *name, struct buf *out,
     return rc;
 }
 
-enum err_code store_list_blobs(struct store *s, struct arena *a, char ***names, size_t *n, struct err *e)
+enum err_code store_list_blobs(struct store *s, struct arena *a, char ***names, size_t *n,
+                               struct err *e)
 {
     sqlite3_stmt *q = NULL;
     char **list = NULL;
     *n = 0;
     *names = NULL;
-    int code = sqlite3_prepare_v2(s->db, "SELECT name,count(*) OVER () FROM blobs ORDER BY name", -1, &q, NULL);
+    int code = sqlite3_prepare_v2(s->db, "SELECT name,count(*) OVER () FROM blobs ORDER BY name",
+                                  -1, &q, NULL);
     enum err_code rc = code == SQLITE_OK ? ERR_OK : store_db_fail(s, code, "blobs", e);
     while (!rc && (code = sqlite3_step(q)) == SQLITE_ROW) {
         size_t total = (size_t)sqlite3_column_int64(q, 1);
@@ -540,8 +557,10 @@ static void store_verify_tiles(struct store *s, struct err *first, size_t *n_bad
         struct gauss g = {0};
         struct err e = {0};
         if (!store_read_gauss(s, t->key, &g, &e) && (g.n != t->count || gauss_count_bad(&g, NULL)))
-            err_set(&e, ERR_FORMAT, "%s: tile %u/%u/%u: %zu Gaussians (%zu of them unusable), the index says %u",
-                    s->path, t->key.z, t->key.x, t->key.y, g.n, gauss_count_bad(&g, NULL), t->count);
+            err_set(&e, ERR_FORMAT,
+                    "%s: tile %u/%u/%u: %zu Gaussians (%zu of them unusable), the index says %u",
+                    s->path, t->key.z, t->key.x, t->key.y, g.n, gauss_count_bad(&g, NULL),
+                    t->count);
         if (e.code != ERR_OK)
             store_note(first, &e, n_bad);
         gauss_free(&g);

@@ -1,9 +1,10 @@
-/* The tile store, writing: a new SQLite file beside the old one, without journal and without syncs, synced once
- * and renamed at the end. A crash or a full disk leaves the old file as it was.
+/* The tile store, writing: a new SQLite file beside the old one, without journal and without syncs,
+ * synced once and renamed at the end. A crash or a full disk leaves the old file as it was.
  *
- * A tile that replaces one of another content in the file that stood there before gets that one's version + 1, one
- * of the same content keeps it. The revision is a hash over everything that is served, in key order, so the
- * same input gives the same revision whatever the order of writing and the clock.
+ * A tile that replaces one of another content in the file that stood there before gets that one's
+ * version + 1, one of the same content keeps it. The revision is a hash over everything that is
+ * served, in key order, so the same input gives the same revision whatever the order of writing and
+ * the clock.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -21,7 +22,8 @@ static const char store_schema_sql[] =
     "CREATE TABLE meta(key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;"
     "CREATE TABLE tiles(id INTEGER PRIMARY KEY, z INTEGER NOT NULL, x INTEGER NOT NULL,"
     " y INTEGER NOT NULL, level INTEGER NOT NULL, count INTEGER NOT NULL, bytes INTEGER NOT NULL,"
-    " version INTEGER NOT NULL, center_e REAL NOT NULL, center_n REAL NOT NULL, center_u REAL NOT NULL,"
+    " version INTEGER NOT NULL, center_e REAL NOT NULL, center_n REAL NOT NULL, center_u REAL NOT "
+    "NULL,"
     " min_e REAL NOT NULL, min_n REAL NOT NULL, min_u REAL NOT NULL,"
     " max_e REAL NOT NULL, max_n REAL NOT NULL, max_u REAL NOT NULL,"
     " sigma_median_m REAL NOT NULL, sigma_max_m REAL NOT NULL, geometric_error_m REAL NOT NULL,"
@@ -29,7 +31,8 @@ static const char store_schema_sql[] =
     "CREATE TABLE blobs(name TEXT PRIMARY KEY, hash BLOB NOT NULL, bytes BLOB NOT NULL);";
 
 static const char store_put_sql[] =
-    "INSERT INTO tiles(id,z,x,y,level,count,bytes,version,center_e,center_n,center_u,min_e,min_n,min_u,"
+    "INSERT INTO "
+    "tiles(id,z,x,y,level,count,bytes,version,center_e,center_n,center_u,min_e,min_n,min_u,"
     "max_e,max_n,max_u,sigma_median_m,sigma_max_m,geometric_error_m,hash,row_hash,payload)"
     " VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11,?12,?13,?14,?15,?16,?17,?18,?19,?20,?21,?22,?23)";
 
@@ -55,8 +58,8 @@ static enum err_code store_start(struct store *s, struct err *e)
     if (rc)
         return rc;
     file_abort(s->part); /* a leftover of a killed process with our id */
-    int code = sqlite3_open_v2(s->part, &s->db,
-                               SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE | SQLITE_OPEN_NOMUTEX, NULL);
+    int code = sqlite3_open_v2(
+        s->part, &s->db, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE | SQLITE_OPEN_NOMUTEX, NULL);
     if (code != SQLITE_OK)
         return store_db_fail(s, code, "cannot create", e);
     char pragmas[256];
@@ -78,9 +81,12 @@ enum err_code store_create(const char *path, const struct store_meta *meta, stru
     *out = NULL;
     const struct geo_origin *o = &meta->origin;
     if (!memchr(meta->name, 0, sizeof meta->name) || !store_name_ok(meta->name))
-        return err_set(e, ERR_ARG, "name of a tile store: '%.64s': letters a-z, digits, - and _ are allowed, at most 63",
-                       meta->name);
-    if (!isfinite(o->lon_deg) || !isfinite(o->lat_deg) || !isfinite(o->h_m) || fabs(o->lat_deg) > 90.0)
+        return err_set(
+            e, ERR_ARG,
+            "name of a tile store: '%.64s': letters a-z, digits, - and _ are allowed, at most 63",
+            meta->name);
+    if (!isfinite(o->lon_deg) || !isfinite(o->lat_deg) || !isfinite(o->h_m) ||
+        fabs(o->lat_deg) > 90.0)
         return err_set(e, ERR_ARG, "%s: origin %g, %g, %g is no place on Earth", path, o->lon_deg,
                        o->lat_deg, o->h_m);
     if (meta->sh_degree > GAUSS_SH_DEGREE_MAX || meta->embed_len > GAUSS_EMBED_MAX)
@@ -143,8 +149,8 @@ static enum err_code store_measure(struct store_tile *t, const struct gauss *g, 
     return ERR_OK;
 }
 
-static enum err_code store_insert(struct store *s, const struct store_tile *t, const struct buf *payload,
-                                  struct err *e)
+static enum err_code store_insert(struct store *s, const struct store_tile *t,
+                                  const struct buf *payload, struct err *e)
 {
     uint8_t hash[STORE_HASH_BYTES], row_hash[STORE_HASH_BYTES];
     store_db_hash_out(t->hash, hash);
@@ -155,8 +161,9 @@ static enum err_code store_insert(struct store *s, const struct store_tile *t, c
             return store_db_fail(s, code, "cannot write", e);
     }
     sqlite3_stmt *q = s->put;
-    const sqlite3_int64 ints[] = {store_db_id(t->key), t->key.z, t->key.x, t->key.y, t->level,
-                                  t->count, (sqlite3_int64)t->bytes, t->version};
+    const sqlite3_int64 ints[] = {
+        store_db_id(t->key),     t->key.z,  t->key.x, t->key.y, t->level, t->count,
+        (sqlite3_int64)t->bytes, t->version};
     for (int i = 0; i < 8; i++)
         sqlite3_bind_int64(q, 1 + i, ints[i]);
     for (int k = 0; k < 3; k++) {
@@ -197,14 +204,15 @@ enum err_code store_put(struct store *s, struct store_tile *t, const struct gaus
     if (!s->building)
         return err_set(e, ERR_INTERNAL, "%s: a published store is never changed", s->path);
     if (!key_valid(t->key) || g->n == 0 || g->n > UINT32_MAX)
-        return err_set(e, ERR_ARG, "%s: tile %u/%u/%u with %zu Gaussians cannot be stored", s->path, t->key.z,
-                       t->key.x, t->key.y, g->n);
+        return err_set(e, ERR_ARG, "%s: tile %u/%u/%u with %zu Gaussians cannot be stored", s->path,
+                       t->key.z, t->key.x, t->key.y, g->n);
     t->count = (uint32_t)g->n;
     enum err_code rc = store_measure(t, g, e);
     if (!rc)
         rc = payload_encode(g, s->meta.lossless, &payload, e);
     if (!rc && payload.size > INT32_MAX)
-        rc = err_set(e, ERR_LIMIT, "payload of %zu bytes, at most 2 GiB; use smaller tiles", payload.size);
+        rc = err_set(e, ERR_LIMIT, "payload of %zu bytes, at most 2 GiB; use smaller tiles",
+                     payload.size);
     if (!rc) {
         t->bytes = payload.size;
         t->hash = hash_bytes(payload.data, payload.size);
@@ -227,7 +235,8 @@ enum err_code store_put_blob(struct store *s, const char *name, const void *byte
     if (!s->building)
         return err_set(e, ERR_INTERNAL, "%s: a published store is never changed", s->path);
     store_db_hash_out(hash_bytes(n ? bytes : "", n), hash);
-    int code = sqlite3_prepare_v2(s->db, "INSERT INTO blobs(name,hash,bytes) VALUES(?1,?2,?3)", -1, &q, NULL);
+    int code = sqlite3_prepare_v2(s->db, "INSERT INTO blobs(name,hash,bytes) VALUES(?1,?2,?3)", -1,
+                                  &q, NULL);
     if (code == SQLITE_OK) {
         sqlite3_bind_text(q, 1, name, -1, SQLITE_STATIC);
         sqlite3_bind_blob(q, 2, hash, sizeof hash, SQLITE_STATIC);
@@ -241,7 +250,8 @@ enum err_code store_put_blob(struct store *s, const char *name, const void *byte
 
 /* ---- commit ---- */
 
-/* Hash over what is served: identity, origin, attribution, every tile's row and every blob, in fixed order. */
+/* Hash over what is served: identity, origin, attribution, every tile's row and every blob, in
+ * fixed order. */
 static enum err_code store_revision(struct store *s, struct err *e)
 {
     struct buf b = {0};
@@ -283,16 +293,26 @@ static enum err_code store_write_meta(struct store *s, struct err *e)
 {
     const struct store_meta *m = &s->meta;
     char num[9][40];
-    const double values[9] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m, m->sh_degree, m->embed_len,
-                              m->antialiased,    m->lossless,       m->zoom_min,   m->zoom_max};
+    const double values[9] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m,
+                              m->sh_degree,      m->embed_len,      m->antialiased,
+                              m->lossless,       m->zoom_min,       m->zoom_max};
     for (size_t i = 0; i < 9; i++)
         snprintf(num[i], sizeof num[i], "%.17g", values[i]);
     const char *const rows[][2] = {
-        {"name", m->name},           {"origin_lon_deg", num[0]}, {"origin_lat_deg", num[1]},
-        {"origin_h_m", num[2]},      {"sh_degree", num[3]},      {"embed_len", num[4]},
-        {"antialiased", num[5]},     {"lossless", num[6]},       {"zoom_min", num[7]},
-        {"zoom_max", num[8]},        {"attribution", m->attribution}, {"revision", m->revision},
-        {"created", m->created},     {"writer", "citysplat " CITYSPLAT_VERSION},
+        {"name", m->name},
+        {"origin_lon_deg", num[0]},
+        {"origin_lat_deg", num[1]},
+        {"origin_h_m", num[2]},
+        {"sh_degree", num[3]},
+        {"embed_len", num[4]},
+        {"antialiased", num[5]},
+        {"lossless", num[6]},
+        {"zoom_min", num[7]},
+        {"zoom_max", num[8]},
+        {"attribution", m->attribution},
+        {"revision", m->revision},
+        {"created", m->created},
+        {"writer", "citysplat " CITYSPLAT_VERSION},
     };
     sqlite3_stmt *q = NULL;
     int code = sqlite3_prepare_v2(s->db, "INSERT INTO meta(key,value) VALUES(?1,?2)", -1, &q, NULL);

@@ -1,15 +1,16 @@
-/* What the two halves of the tile store share: store.c reads, store_build.c writes. Internal to lod/.
+/* What the two halves of the tile store share: store.c reads, store_build.c writes. Internal to
+ * lod/.
  *
  * The file is an SQLite database:
  *
  *   application_id  "CSPT"          user_version  schema, STORE_SCHEMA
- *   meta   key, value               name, origin, degrees, zooms, revision, ... as text (doubles with 17 digits)
- *   tiles  id = zoom and Morton code of x, y; one row a tile: index columns, hash of the payload,
- *          row_hash over the index columns and that hash, payload (codec's master payload)
+ *   meta   key, value               name, origin, degrees, zooms, revision, ... as text (doubles
+ * with 17 digits) tiles  id = zoom and Morton code of x, y; one row a tile: index columns, hash of
+ * the payload, row_hash over the index columns and that hash, payload (codec's master payload)
  *   blobs  name, hash, bytes        anything that travels with the tiles
  *
- * Hashes are XXH3-128, 16 bytes, low word first. Nothing is ever changed in place: a file is built beside and
- * renamed, so readers may map it.
+ * Hashes are XXH3-128, 16 bytes, low word first. Nothing is ever changed in place: a file is built
+ * beside and renamed, so readers may map it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -37,8 +38,9 @@ struct store {
     struct store_meta meta;
     struct store_tile *tiles; /* opened: sorted by key; building: in order of store_put */
     size_t n_tiles, cap_tiles;
-    struct tree tree;     /* opened only */
-    struct store *before; /* building: the store that will be replaced, for tile versions; may be NULL */
+    struct tree tree; /* opened only */
+    struct store
+        *before; /* building: the store that will be replaced, for tile versions; may be NULL */
 };
 
 /* ERR_IO / ERR_FORMAT / ERR_MEM by SQLite's code, "PATH: WHAT: sqlite's message". */

@@ -1,12 +1,14 @@
 /* 3D Tiles 1.1 and TileJSON 3.0.0 of a store: what map engines read first.
  *
- * One explicit document, REPLACE, one glb a tile. The root's transform is east-north-up at the scene's origin to
- * ECEF, moved to the root tile's centre; below it only translations, because engines share one rotation (and
- * one rotation of SH) between the tiles of a tileset. Boxes are in each tile's own z-up frame. Both names of
- * the splat extensions stand in the tileset's own extensions block: CesiumJS chooses its splat path from there.
- * 3DTILES_content_gltf itself is never required in 1.1 (specification, section "glTF").
+ * One explicit document, REPLACE, one glb a tile. The root's transform is east-north-up at the
+ * scene's origin to ECEF, moved to the root tile's centre; below it only translations, because
+ * engines share one rotation (and one rotation of SH) between the tiles of a tileset. Boxes are in
+ * each tile's own z-up frame. Both names of the splat extensions stand in the tileset's own
+ * extensions block: CesiumJS chooses its splat path from there. 3DTILES_content_gltf itself is
+ * never required in 1.1 (specification, section "glTF").
  *
- * Written by hand rather than through jansson: a city has 10^5 tiles, and numbers need 17 digits only in the root.
+ * Written by hand rather than through jansson: a city has 10^5 tiles, and numbers need 17 digits
+ * only in the root.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -137,10 +139,12 @@ enum err_code tileset_write(const struct store *s, const char *content_template,
         tileset_text(out, m->attribution);
         buf_printf(out, ",\"showOnScreen\":true}]}}");
     }
-    buf_printf(out,
-               "},\"extensionsUsed\":[\"3DTILES_content_gltf\"],\"extensions\":{\"3DTILES_content_gltf\":"
-               "{\"extensionsUsed\":%s,\"extensionsRequired\":%s}},\"geometricError\":%.9g,\"root\":",
-               names, names, TILESET_TOP_ERROR * fmax(root->geometric_error_m, t.tiles[0].geometric_error_m));
+    buf_printf(
+        out,
+        "},\"extensionsUsed\":[\"3DTILES_content_gltf\"],\"extensions\":{\"3DTILES_content_gltf\":"
+        "{\"extensionsUsed\":%s,\"extensionsRequired\":%s}},\"geometricError\":%.9g,\"root\":",
+        names, names,
+        TILESET_TOP_ERROR * fmax(root->geometric_error_m, t.tiles[0].geometric_error_m));
     tileset_node(&t, t.tree->root, ecef);
     buf_printf(out, "}\n");
     return buf_check(out, e);
@@ -179,9 +183,9 @@ static void tileset_rows(const struct store *s, struct buf *out)
                     "\"min_e\",\"min_n\",\"min_u\",\"max_e\",\"max_n\",\"max_u\"],\n\"tiles\":[");
     for (size_t i = 0; i < n; i++) {
         const struct store_tile *x = &tiles[i];
-        buf_printf(out, "%s\n[%u,%u,%u,%u,%u,%u,%llu,%.7g,%.7g", i ? "," : "", x->key.z, x->key.x, x->key.y,
-                   x->level, x->version, x->count, (unsigned long long)x->bytes, t->nodes[i].geometric_error_m,
-                   x->sigma_max_m);
+        buf_printf(out, "%s\n[%u,%u,%u,%u,%u,%u,%llu,%.7g,%.7g", i ? "," : "", x->key.z, x->key.x,
+                   x->key.y, x->level, x->version, x->count, (unsigned long long)x->bytes,
+                   t->nodes[i].geometric_error_m, x->sigma_max_m);
         for (size_t k = 0; k < 3; k++)
             buf_printf(out, ",%.17g", x->center_enu_m[k]);
         for (size_t k = 0; k < 3; k++)
@@ -211,20 +215,28 @@ enum err_code tileset_tilejson(const struct store *s, const char *tiles_template
         top = tiles[i].level > top ? tiles[i].level : top;
     }
     tileset_bounds(s, b);
-    buf_printf(out, "{\"tilejson\":\"3.0.0\",\"name\":\"%s\",\"version\":\"1.0.0\",\"scheme\":\"xyz\",\"tiles\":[",
+    buf_printf(out,
+               "{\"tilejson\":\"3.0.0\",\"name\":\"%s\",\"version\":\"1.0.0\",\"scheme\":\"xyz\","
+               "\"tiles\":[",
                m->name);
     tileset_text(out, tiles_template);
-    buf_printf(out, "],\"vector_layers\":[],\"minzoom\":%u,\"maxzoom\":%u,\"attribution\":", m->zoom_min, m->zoom_max);
+    buf_printf(out,
+               "],\"vector_layers\":[],\"minzoom\":%u,\"maxzoom\":%u,\"attribution\":", m->zoom_min,
+               m->zoom_max);
     tileset_text(out, m->attribution);
-    buf_printf(out, ",\n\"bounds\":[%.12g,%.12g,%.12g,%.12g],\"center\":[%.12g,%.12g,%u],\n", b[0], b[1], b[2], b[3],
-               0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3]), m->zoom_max);
-    buf_printf(out, "\"splats\":{\"revision\":\"%s\",\"created\":\"%s\",\"origin\":[%.17g,%.17g,%.17g],"
-                    "\"frame\":\"enu\",\"levels\":%u,\"sh_degree\":%u,\"embed_len\":%u,\"antialiased\":%s,"
-                    "\"gaussians\":%llu,\"store_bytes\":%llu,\n\"box_enu_m\":[",
-               m->revision, m->created, m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m, top, m->sh_degree,
-               m->embed_len, m->antialiased ? "true" : "false", (unsigned long long)total, (unsigned long long)bytes);
+    buf_printf(out, ",\n\"bounds\":[%.12g,%.12g,%.12g,%.12g],\"center\":[%.12g,%.12g,%u],\n", b[0],
+               b[1], b[2], b[3], 0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3]), m->zoom_max);
+    buf_printf(
+        out,
+        "\"splats\":{\"revision\":\"%s\",\"created\":\"%s\",\"origin\":[%.17g,%.17g,%.17g],"
+        "\"frame\":\"enu\",\"levels\":%u,\"sh_degree\":%u,\"embed_len\":%u,\"antialiased\":%s,"
+        "\"gaussians\":%llu,\"store_bytes\":%llu,\n\"box_enu_m\":[",
+        m->revision, m->created, m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m, top,
+        m->sh_degree, m->embed_len, m->antialiased ? "true" : "false", (unsigned long long)total,
+        (unsigned long long)bytes);
     for (size_t k = 0; k < 6; k++)
-        buf_printf(out, "%s%.3f", k ? "," : "", k < 3 ? root->min_enu_m[k] : root->max_enu_m[k - 3]);
+        buf_printf(out, "%s%.3f", k ? "," : "",
+                   k < 3 ? root->min_enu_m[k] : root->max_enu_m[k - 3]);
     buf_printf(out, "],\n");
     tileset_rows(s, out);
     buf_printf(out, "}}\n");

@@ -1,6 +1,6 @@
-/* The tiles of a store as a tree. Two passes over the sorted index: downwards each tile finds its nearest existing
- * ancestor, upwards (parents come first, so backwards) bounds are united and geometric errors made strictly
- * larger than those below.
+/* The tiles of a store as a tree. Two passes over the sorted index: downwards each tile finds its
+ * nearest existing ancestor, upwards (parents come first, so backwards) bounds are united and
+ * geometric errors made strictly larger than those below.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -78,7 +78,8 @@ static void tree_measure(struct tree *t, const struct store_tile *tiles, size_t 
         if (v->parent != TREE_NONE)
             tree_raise(&t->nodes[v->parent], v);
     }
-    /* A root without content draws nothing, so its own error is that of an empty picture: twice the tiles'. */
+    /* A root without content draws nothing, so its own error is that of an empty picture: twice the
+     * tiles'. */
     if (t->root == n) {
         struct tree_node *r = &t->nodes[t->root];
         for (size_t i = 0; i < n; i++)

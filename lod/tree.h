@@ -1,8 +1,9 @@
-/* The tiles of a store as a tree, shared by level selection, the tileset writer and the store: internal to lod/.
+/* The tiles of a store as a tree, shared by level selection, the tileset writer and the store:
+ * internal to lod/.
  *
- * Node i is tile i of the index (sorted by key_compare, so a parent comes before its children). A tile's parent
- * is its nearest ancestor that exists, so sparse pyramids need no empty nodes. Where several tiles have no
- * ancestor one node without content stands above them.
+ * Node i is tile i of the index (sorted by key_compare, so a parent comes before its children). A
+ * tile's parent is its nearest ancestor that exists, so sparse pyramids need no empty nodes. Where
+ * several tiles have no ancestor one node without content stands above them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -12,7 +13,7 @@
 #include "lod/lod.h"
 
 #define TREE_NONE UINT32_MAX
-#define TREE_ERROR_GROWTH 1.01 /* geometric errors fall strictly, at least by this, towards the leaves */
+#define TREE_ERROR_GROWTH 1.01 /* errors fall strictly, at least by this, towards the leaves */
 #define TREE_PX_PER_SIGMA 16.0 /* geometric error over sigma: 16 px of error are 1 px of sigma */
 
 struct tree_node {

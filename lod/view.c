@@ -1,11 +1,11 @@
 /* A picture of a store: pick the tiles, have them decoded, put them together on the device, render.
  *
- * Two caches. Decoded tiles stay in memory up to a number of bytes, least recently used out first. The tiles of
- * the last picture stay together on the device as one model, used again while the same tiles are picked, so a
- * camera that turns a little costs a render and nothing else.
+ * Two caches. Decoded tiles stay in memory up to a number of bytes, least recently used out first.
+ * The tiles of the last picture stay together on the device as one model, used again while the same
+ * tiles are picked, so a camera that turns a little costs a render and nothing else.
  *
- * The model's origin is the centre of its finest tile, not the eye: pictures depend on the request alone, never
- * on the ones before.
+ * The model's origin is the centre of its finest tile, not the eye: pictures depend on the request
+ * alone, never on the ones before.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -40,8 +40,8 @@ struct view {
     void *bake_user;
 };
 
-enum err_code view_open(const char *store_path, struct render *r, size_t cache_bytes, struct view **out,
-                        struct err *e)
+enum err_code view_open(const char *store_path, struct render *r, size_t cache_bytes,
+                        struct view **out, struct err *e)
 {
     *out = NULL;
     struct view *v = mem_array(1, sizeof *v);
@@ -92,8 +92,8 @@ const struct store *view_store(const struct view *v)
     return v->store;
 }
 
-void view_set_bake(struct view *v, enum err_code (*bake)(void *user, struct gauss *g, struct err *e),
-                   void *user)
+void view_set_bake(struct view *v,
+                   enum err_code (*bake)(void *user, struct gauss *g, struct err *e), void *user)
 {
     v->bake = bake;
     v->bake_user = user;
@@ -174,7 +174,8 @@ static int view_use_compare(const void *a, const void *b)
     return (*x)->used < (*y)->used ? -1 : (*x)->used > (*y)->used;
 }
 
-/* Least recently used out until the limit is kept. Without memory for the list nothing is evicted this time. */
+/* Least recently used out until the limit is kept. Without memory for the list nothing is evicted
+ * this time. */
 static void view_evict(struct view *v)
 {
     if (v->resident_bytes <= v->limit_bytes)
@@ -226,7 +227,8 @@ static enum err_code view_assemble(struct view *v, size_t n, struct err *e)
 
 static enum err_code view_prepare(struct view *v, size_t n, struct err *e)
 {
-    bool same = v->model_valid && n == v->n_picked && (n == 0 || !memcmp(v->now, v->picked, n * sizeof *v->now));
+    bool same = v->model_valid && n == v->n_picked &&
+                (n == 0 || !memcmp(v->now, v->picked, n * sizeof *v->now));
     if (same) {
         for (size_t i = 0; i < n; i++)
             v->tile[v->now[i]].used = ++v->clock;
@@ -265,12 +267,12 @@ enum err_code view_render(struct view *v, const struct camera *cam, const struct
 }
 
 enum err_code view_camera(const struct geo_origin *origin, const struct view_pose *pose,
-                          uint32_t width_px, uint32_t height_px, struct camera *out,
-                          struct err *e)
+                          uint32_t width_px, uint32_t height_px, struct camera *out, struct err *e)
 {
     double eye[3], axes[9], zero[3] = {0};
     if (!(pose->fov_y_deg > 0.0 && pose->fov_y_deg < 180.0))
-        return err_set(e, ERR_ARG, "view: vertical field of view %g is not between 0 and 180 degrees",
+        return err_set(e, ERR_ARG,
+                       "view: vertical field of view %g is not between 0 and 180 degrees",
                        pose->fov_y_deg);
     if (!(fabs(pose->pitch_deg) <= 90.0) || !isfinite(pose->heading_deg) || !width_px || !height_px)
         return err_set(e, ERR_ARG, "view: heading, pitch (-90..90) or picture size is not usable");
@@ -280,9 +282,10 @@ enum err_code view_camera(const struct geo_origin *origin, const struct view_pos
     if (rc)
         return rc;
     const double rad = 3.14159265358979323846 / 180.0;
-    struct camera c = camera_heading(zero, pose->heading_deg, pose->pitch_deg, pose->fov_y_deg * rad, width_px,
-                                     height_px);
-    /* c.rot turns the place's own frame into the camera's; axes turns that frame into the origin's. */
+    struct camera c = camera_heading(zero, pose->heading_deg, pose->pitch_deg,
+                                     pose->fov_y_deg * rad, width_px, height_px);
+    /* c.rot turns the place's own frame into the camera's; axes turns that frame into the origin's.
+     */
     struct camera far = c;
     for (size_t r = 0; r < 3; r++) {
         for (size_t k = 0; k < 3; k++) {

@@ -24,8 +24,8 @@ static void known_places(void **state)
 {
     (void)state;
     assert_key(key_at(0, 0, 0), 0, 0, 0);
-    assert_key(key_at(13.3777, 52.5163, 15), 15, 17601, 10746); /* Brandenburg Gate */
-    assert_key(key_at(-122.4783, 37.8199, 12), 12, 654, 1582);  /* Golden Gate */
+    assert_key(key_at(13.3777, 52.5163, 15), 15, 17601, 10746);   /* Brandenburg Gate */
+    assert_key(key_at(-122.4783, 37.8199, 12), 12, 654, 1582);    /* Golden Gate */
     assert_key(key_at(151.2153, -33.8568, 16), 16, 60295, 39325); /* Sydney Opera House */
 }
 

@@ -1,5 +1,5 @@
-/* Level selection: cases by hand, and the two promises: what is picked covers every visible leaf exactly once, and
- * what is left out would not have changed a pixel.
+/* Level selection: cases by hand, and the two promises: what is picked covers every visible leaf
+ * exactly once, and what is left out would not have changed a pixel.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -62,7 +62,8 @@ static void load_scene(const json_t *rows, struct scene_tiles *s)
 
 static struct camera load_camera(const json_t *c)
 {
-    static const double down[9] = {1, 0, 0, 0, -1, 0, 0, 0, -1}, west[9] = {0, 1, 0, 0, 0, -1, -1, 0, 0};
+    static const double down[9] = {1, 0, 0, 0, -1, 0, 0, 0, -1},
+                        west[9] = {0, 1, 0, 0, 0, -1, -1, 0, 0};
     struct err e = {0};
     double eye[3], size[2], focal;
     const char *look;
@@ -70,8 +71,12 @@ static struct camera load_camera(const json_t *c)
     kit_ok(jsonc_nums(c, "size_px", 2, size, &e), e);
     kit_ok(jsonc_num(c, "focal_px", &focal, &e), e);
     kit_ok(jsonc_text(c, "look", &look, &e), e);
-    struct camera cam = {.width_px = (uint32_t)size[0], .height_px = (uint32_t)size[1], .fx_px = focal,
-                         .fy_px = focal, .cx_px = size[0] / 2, .cy_px = size[1] / 2};
+    struct camera cam = {.width_px = (uint32_t)size[0],
+                         .height_px = (uint32_t)size[1],
+                         .fx_px = focal,
+                         .fy_px = focal,
+                         .cx_px = size[0] / 2,
+                         .cy_px = size[1] / 2};
     memcpy(cam.rot, !strcmp(look, "down") ? down : west, sizeof cam.rot);
     for (size_t r = 0; r < 3; r++)
         for (size_t k = 0; k < 3; k++)
@@ -124,7 +129,8 @@ static void cases_by_hand(void **state)
     json_t *root, *c;
     size_t i;
     kit_ok(jsonc_read("tests/data/pick.json", &root, &e), e);
-    json_array_foreach(json_object_get(root, "cases"), i, c) run_case(json_object_get(root, "scenes"), c);
+    json_array_foreach(json_object_get(root, "cases"), i, c)
+        run_case(json_object_get(root, "scenes"), c);
     assert_int_equal(i, 15);
     json_decref(root);
 }
@@ -145,7 +151,8 @@ static void random_scene(uint64_t seed, struct scene_tiles *s)
                 struct store_tile *t = &s->tile[s->n++];
                 t->key = (struct key){z, x, y};
                 const double lo[3] = {x * edge - 200 - grow, 200 - (y + 1) * edge - grow, -grow};
-                const double hi[3] = {lo[0] + edge + 2 * grow, lo[1] + edge + 2 * grow, 30 * rng_unit(seed, 2, draw)};
+                const double hi[3] = {lo[0] + edge + 2 * grow, lo[1] + edge + 2 * grow,
+                                      30 * rng_unit(seed, 2, draw)};
                 memcpy(t->min_enu_m, lo, sizeof lo);
                 memcpy(t->max_enu_m, hi, sizeof hi);
                 t->sigma_max_m = edge / 30;
@@ -153,7 +160,8 @@ static void random_scene(uint64_t seed, struct scene_tiles *s)
                 t->count = 1 + (uint32_t)(1000 * rng_unit(seed, 4, draw));
             }
     finish(s);
-    /* Let each tile's own box hold those below, so that an ancestor is visible wherever a leaf is. */
+    /* Let each tile's own box hold those below, so that an ancestor is visible wherever a leaf is.
+     */
     for (size_t i = 0; i < s->n; i++) {
         memcpy(s->tile[i].min_enu_m, s->tree.nodes[i].min_enu_m, sizeof s->tile[i].min_enu_m);
         memcpy(s->tile[i].max_enu_m, s->tree.nodes[i].max_enu_m, sizeof s->tile[i].max_enu_m);
@@ -163,9 +171,10 @@ static void random_scene(uint64_t seed, struct scene_tiles *s)
 
 static struct camera random_camera(uint64_t seed)
 {
-    double eye[3] = {600 * rng_unit(seed, 5, 0) - 300, 600 * rng_unit(seed, 5, 1) - 300, 1 + 200 * rng_unit(seed, 5, 2)};
-    return camera_heading(eye, 360 * rng_unit(seed, 5, 3), -90 * rng_unit(seed, 5, 4), 0.3 + rng_unit(seed, 5, 5), 320,
-                          240);
+    double eye[3] = {600 * rng_unit(seed, 5, 0) - 300, 600 * rng_unit(seed, 5, 1) - 300,
+                     1 + 200 * rng_unit(seed, 5, 2)};
+    return camera_heading(eye, 360 * rng_unit(seed, 5, 3), -90 * rng_unit(seed, 5, 4),
+                          0.3 + rng_unit(seed, 5, 5), 320, 240);
 }
 
 /* How many picked nodes stand on the way from `node` to the root, itself included. */
@@ -242,17 +251,20 @@ static void errors_fall_strictly_and_boxes_nest(void **state)
         struct scene_tiles s;
         random_scene(seed, &s);
         for (size_t i = 0; i < s.tree.n_nodes; i++) {
-            const struct tree_node *v = &s.tree.nodes[i], *p = v->parent == TREE_NONE ? NULL : &s.tree.nodes[v->parent];
+            const struct tree_node *v = &s.tree.nodes[i],
+                                   *p = v->parent == TREE_NONE ? NULL : &s.tree.nodes[v->parent];
             assert_true(v->child_count ? v->geometric_error_m > 0 : v->geometric_error_m == 0);
             for (size_t k = 0; p && k < 3; k++)
-                assert_true(p->min_enu_m[k] <= v->min_enu_m[k] && p->max_enu_m[k] >= v->max_enu_m[k]);
+                assert_true(p->min_enu_m[k] <= v->min_enu_m[k] &&
+                            p->max_enu_m[k] >= v->max_enu_m[k]);
             assert_true(!p || p->geometric_error_m > v->geometric_error_m);
         }
         tree_free(&s.tree);
     }
 }
 
-/* Groups of five large Gaussians as tiles, a wide lens among them: leaving out the culled groups changes nothing. */
+/* Groups of five large Gaussians as tiles, a wide lens among them: leaving out the culled groups
+ * changes nothing. */
 static void culled_tiles_contribute_nothing(void **state)
 {
     (void)state;
@@ -269,7 +281,8 @@ static void culled_tiles_contribute_nothing(void **state)
         /* Groups stay together: means near their group's first. */
         for (size_t i = 0; i < all.n; i++)
             for (size_t k = 0; k < 3; k++)
-                all.mean_m[3 * i + k] = all.mean_m[3 * (i - i % EACH) + k] + 0.05f * all.mean_m[3 * i + k];
+                all.mean_m[3 * i + k] =
+                    all.mean_m[3 * (i - i % EACH) + k] + 0.05f * all.mean_m[3 * i + k];
         for (uint32_t i = 0; i < GROUPS; i++) {
             struct gauss g = all;
             g.n = EACH;
@@ -282,9 +295,11 @@ static void culled_tiles_contribute_nothing(void **state)
                 t->sigma_max_m = fmax(t->sigma_max_m, exp((double)g.scale_log[k]));
         }
         finish(&s);
-        double eye[3] = {20 * rng_normal(seed, 7, 0), 20 * rng_normal(seed, 7, 1), 20 * rng_normal(seed, 7, 2)};
-        struct camera cam = camera_heading(eye, 360 * rng_unit(seed, 7, 3), 160 * rng_unit(seed, 7, 4) - 80,
-                                           0.4 + 1.8 * rng_unit(seed, 7, 5), W, H);
+        double eye[3] = {20 * rng_normal(seed, 7, 0), 20 * rng_normal(seed, 7, 1),
+                         20 * rng_normal(seed, 7, 2)};
+        struct camera cam =
+            camera_heading(eye, 360 * rng_unit(seed, 7, 3), 160 * rng_unit(seed, 7, 4) - 80,
+                           0.4 + 1.8 * rng_unit(seed, 7, 5), W, H);
         cam.cx_px += 10 * rng_normal(seed, 7, 6);
         const struct pick_options o = {.no_lod = true};
         const struct render_options ro = {.aa = RENDER_AA_2D, .sh_degree = -1};

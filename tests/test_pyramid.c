@@ -1,5 +1,5 @@
-/* The pyramid: every Gaussian in exactly one tile of its level, no holes under REPLACE, and simplification that
- * keeps mass, colour and the look.
+/* The pyramid: every Gaussian in exactly one tile of its level, no holes under REPLACE, and
+ * simplification that keeps mass, colour and the look.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -38,7 +38,8 @@ static int teardown(void **state)
     return 0;
 }
 
-/* n Gaussians over a square of half-edge `half`, flat, small; the first SH value is the row's number. */
+/* n Gaussians over a square of half-edge `half`, flat, small; the first SH value is the row's
+ * number. */
 static void city(uint64_t seed, size_t n, double half, struct gauss *g)
 {
     kit_gauss(seed, n, half, 0, 0, g);
@@ -61,7 +62,8 @@ static struct key key_of(const double enu[3], uint8_t z)
     return key_at(lon, lat, z);
 }
 
-/* Count how often each row of the level occurs in tiles at that level's zoom, and check ownership. */
+/* Count how often each row of the level occurs in tiles at that level's zoom, and check ownership.
+ */
 static void assert_exactly_once(struct store *s, uint8_t level, uint8_t z, size_t n)
 {
     struct err e = {0};
@@ -97,7 +99,8 @@ static bool is_child(struct key parent, struct key k)
     return key_compare(k, parent) == 0;
 }
 
-/* Where any tile has a Gaussian, the deepest tile there is a leaf: refining all the way never loses a place. */
+/* Where any tile has a Gaussian, the deepest tile there is a leaf: refining all the way never loses
+ * a place. */
 static void assert_no_holes(struct store *s)
 {
     struct err e = {0};
@@ -167,7 +170,8 @@ static void three_levels(void **state)
         gauss_free(&g[l]);
 }
 
-/* Level 3 only in one corner, level 2 only in the west, level 1 everywhere, and some of level 3 where no level 2 is. */
+/* Level 3 only in one corner, level 2 only in the west, level 1 everywhere, and some of level 3
+ * where no level 2 is. */
 static void sparse_levels_leave_no_holes(void **state)
 {
     struct fixture *f = *state;
@@ -184,7 +188,8 @@ static void sparse_levels_leave_no_holes(void **state)
         g[1].mean_m[3 * i] = -fabsf(g[1].mean_m[3 * i]) - 20;
     for (size_t i = 0; i < g[2].n; i++)
         for (size_t k = 0; k < 2; k++)
-            g[2].mean_m[3 * i + k] = i % 2 ? 0.2f * g[2].mean_m[3 * i + k] + 150 : -120 + 0.2f * g[2].mean_m[3 * i + k];
+            g[2].mean_m[3 * i + k] =
+                i % 2 ? 0.2f * g[2].mean_m[3 * i + k] + 150 : -120 + 0.2f * g[2].mean_m[3 * i + k];
     kit_ok(pyramid_build(&origin, levels, 3, &config, NULL, 0, f->path, &rep, &e), e);
     assert_true(rep.n_carried_tiles > 4 && rep.n_carried > 400);
     kit_ok(store_open(f->path, &s, &e), e);
@@ -288,15 +293,17 @@ static void unusable_rows_are_left_out(void **state)
         g.mean_m[3 * i] = NAN;
     char other[FILE_PATH_MAX];
     kit_ok(file_join(other, f->dir, "none.tiles", &e), e);
-    kit_fails(pyramid_build(&origin, &level, 1, &config, NULL, 0, other, NULL, &e), ERR_DATA, e, "none of its 300");
+    kit_fails(pyramid_build(&origin, &level, 1, &config, NULL, 0, other, NULL, &e), ERR_DATA, e,
+              "none of its 300");
     assert_false(file_exists(other));
     const struct pyramid_level gap[2] = {{.g = &g, .level = 1}, {.g = &g, .level = 3}};
-    kit_fails(pyramid_build(&origin, gap, 2, &config, NULL, 0, other, NULL, &e), ERR_ARG, e, "consecutive");
+    kit_fails(pyramid_build(&origin, gap, 2, &config, NULL, 0, other, NULL, &e), ERR_ARG, e,
+              "consecutive");
     gauss_free(&g);
 }
 
-/* A splat far above its tile is left out, kilometres to the side it gets a tile, and no tile is wider than formats
- * can hold. */
+/* A splat far above its tile is left out, kilometres to the side it gets a tile, and no tile is
+ * wider than formats can hold. */
 static void far_rows(void **state)
 {
     struct fixture *f = *state;
@@ -367,7 +374,8 @@ static void lossless_means(void **state)
     gauss_free(&g);
 }
 
-/* A scene across the corner of four zoom-0..n tiles (0, 0): no chain of overviews down to zoom 0. */
+/* A scene across the corner of four zoom-0..n tiles (0, 0): no chain of overviews down to zoom 0.
+ */
 static void a_scene_across_the_equator(void **state)
 {
     struct fixture *f = *state;
@@ -420,7 +428,8 @@ static void eigen_of_known_matrices(void **state)
         kit_near_d("V diag V^T", back, cov, 6, 1e-13, 0);
         kit_near_d("V V^T", orth, one, 6, 1e-13, 0);
         double det = v[0] * (v[4] * v[8] - v[5] * v[7]) - v[1] * (v[3] * v[8] - v[5] * v[6]) +
-                     v[2] * (v[3] * v[7] - v[4] * v[6]), right = 1;
+                     v[2] * (v[3] * v[7] - v[4] * v[6]),
+               right = 1;
         kit_near_d("det", &det, &right, 1, 1e-12, 0);
     }
 }
@@ -440,7 +449,8 @@ static double logistic(double x)
     return 1 / (1 + exp(-x));
 }
 
-/* Two small, far apart, faint discs: their merger has the weighted moments and the sum of the coverage. */
+/* Two small, far apart, faint discs: their merger has the weighted moments and the sum of the
+ * coverage. */
 static void two_become_one_by_moments(void **state)
 {
     (void)state;
@@ -514,8 +524,8 @@ static double psnr(const double *a, const double *b, size_t n)
     return -10 * log10(sum / (double)n + 1e-30);
 }
 
-/* An opaque chequered floor from where the simplified sigma is about a pixel: close to the original, far closer than
- * taking every fourth splat, and no thinner. */
+/* An opaque chequered floor from where the simplified sigma is about a pixel: close to the
+ * original, far closer than taking every fourth splat, and no thinner. */
 static void a_quarter_looks_like_the_whole(void **state)
 {
     (void)state;
@@ -539,7 +549,8 @@ static void a_quarter_looks_like_the_whole(void **state)
             g.sh[3 * i + k] = dark ? -1.0f : 0.8f + 0.4f * (float)rng_unit(90, 2, i);
     }
     const double eye[3] = {0, 0, 60};
-    struct camera cam = camera_heading(eye, 0, -90, 2 * atan(H / 2.0 / 60), W, H); /* 1 px a metre */
+    struct camera cam =
+        camera_heading(eye, 0, -90, 2 * atan(H / 2.0 / 60), W, H); /* 1 px a metre */
     const struct render_options ro = {.aa = RENDER_AA_2D, .background = {1, 0, 1}, .sh_degree = -1};
     kit_ok(simplify_gauss(&g, g.n / 4, &less, &e), e);
     kit_ok(gauss_alloc(&some, g.n, 0, 0, &e), e);

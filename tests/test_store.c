@@ -21,8 +21,10 @@ static void assert_near(double got, double want, double tolerance)
     kit_near_d("value", &got, &want, 1, tolerance, 0);
 }
 
-static const struct store_meta meta = {
-    .name = "test-city", .origin = {8.5, 50.1, 120.25}, .sh_degree = 1, .attribution = "Survey \"A\" & Co"};
+static const struct store_meta meta = {.name = "test-city",
+                                       .origin = {8.5, 50.1, 120.25},
+                                       .sh_degree = 1,
+                                       .attribution = "Survey \"A\" & Co"};
 
 struct fixture {
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
@@ -239,7 +241,8 @@ static void a_flipped_payload_byte_costs_one_tile(void **state)
     store_close(&s);
     flip(f->path, b.data, 64, 60);
     kit_ok(store_open(f->path, &s, &e), e);
-    kit_fails(store_read(s, (struct key){16, 34309, 22253}, &b, &e), ERR_FORMAT, e, "tile 16/34309/22253");
+    kit_fails(store_read(s, (struct key){16, 34309, 22253}, &b, &e), ERR_FORMAT, e,
+              "tile 16/34309/22253");
     assert_int_equal(b.size, 0);
     kit_ok(store_read(s, (struct key){16, 34308, 22252}, &b, &e), e);
     kit_ok(store_read(s, (struct key){15, 17154, 11126}, &b, &e), e);
@@ -330,7 +333,8 @@ static void truncated_files(void **state)
     kit_ok(file_read(f->path, 0, &b, &e), e);
     for (size_t n = 0; n < b.size; n += 1777) {
         kit_ok(file_write(f->path, b.data, n, &e), e);
-        kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, n < 100 ? "not a tile store" : "truncated");
+        kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e,
+                  n < 100 ? "not a tile store" : "truncated");
         assert_null(s);
     }
     buf_free(&b);
@@ -386,7 +390,8 @@ static void names_with_odd_characters(void **state)
     store_close(&s);
 }
 
-/* Fail the k-th allocation of writing and reading, for every k: ERR_MEM, nothing leaked (LeakSanitizer sees). */
+/* Fail the k-th allocation of writing and reading, for every k: ERR_MEM, nothing leaked
+ * (LeakSanitizer sees). */
 static void out_of_memory_everywhere(void **state)
 {
     struct fixture *f = *state;

@@ -1,5 +1,5 @@
-/* The commands around tile stores, through the program: import, export and import again without losing a bit; the
- * cells of a scene put together; pictures; errors.
+/* The commands around tile stores, through the program: import, export and import again without
+ * losing a bit; the cells of a scene put together; pictures; errors.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -36,8 +36,8 @@ static int teardown(void **state)
 
 /* Run the program in the fixture's folder; `part` (may be NULL) must be in its output. */
 #define run(f, want, part, ...) run_at(f, want, part, __FILE__, __LINE__, __VA_ARGS__)
-static void ERR_PRINTF(6, 7) run_at(struct fixture *f, int want, const char *part, const char *file, int line,
-                                    const char *fmt, ...)
+static void ERR_PRINTF(6, 7) run_at(struct fixture *f, int want, const char *part, const char *file,
+                                    int line, const char *fmt, ...)
 {
     char args[2048];
     struct buf out = {0};
@@ -48,7 +48,8 @@ static void ERR_PRINTF(6, 7) run_at(struct fixture *f, int want, const char *par
     va_end(ap);
     int got = kit_run(&out, "cd '%s' && '%s' %s", f->dir, f->bin, args);
     if (got != want)
-        fail_msg("%s:%d: citysplat %s: exit code %d, want %d\n%s", file, line, args, got, want, (const char *)out.data);
+        fail_msg("%s:%d: citysplat %s: exit code %d, want %d\n%s", file, line, args, got, want,
+                 (const char *)out.data);
     if (part)
         kit_expect_text((const char *)out.data, part, file, line);
     buf_free(&out);
@@ -72,7 +73,8 @@ static void write_ply(const struct fixture *f, const char *name, const struct ga
     buf_free(&b);
 }
 
-static void read_ply(const struct fixture *f, const char *name, struct gauss *g, struct ply_info *info)
+static void read_ply(const struct fixture *f, const char *name, struct gauss *g,
+                     struct ply_info *info)
 {
     struct err e = {0};
     char path[FILE_PATH_MAX];
@@ -95,7 +97,8 @@ static void import_export_import_is_lossless(void **state)
     for (size_t i = 0; i < in.n; i++)
         in.sh[48 * i + 47] = (float)i; /* to find rows again */
     write_ply(f, "a.ply", &in);
-    run(f, 0, "revision", "import a.ply --origin 8.6821,50.1109,160.5 --tile-edge-m 60 -o a.tiles -q");
+    run(f, 0, "revision",
+        "import a.ply --origin 8.6821,50.1109,160.5 --tile-edge-m 60 -o a.tiles -q");
     run(f, 0, "are whole", "verify a.tiles -q");
     run(f, 0, "3000 Gaussians", "export a.tiles -o b.ply -q");
     read_ply(f, "b.ply", &out, &info);
@@ -136,7 +139,9 @@ static void levels_and_formats(void **state)
     struct ply_info info;
     kit_gauss(2, 2000, 60, 1, 0, &in);
     write_ply(f, "a.ply", &in);
-    run(f, 0, NULL, "import a.ply --origin -122.4,37.8,10 --level-count 3 --no-lossless -o a.tiles -q --attribution 'A & B'");
+    run(f, 0, NULL,
+        "import a.ply --origin -122.4,37.8,10 --level-count 3 --no-lossless -o a.tiles -q "
+        "--attribution 'A & B'");
     run(f, 0, NULL, "export a.tiles --level 1 -o one.ply -q");
     read_ply(f, "one.ply", &out, &info);
     assert_in_range(out.n, 120, 300); /* a sixteenth, rounded up a tile */
@@ -162,7 +167,8 @@ static void levels_and_formats(void **state)
     char path[FILE_PATH_MAX];
     path_in(f, "static/tileset.json", path);
     kit_ok(jsonc_read(path, &j, &e), e);
-    json_t *content = json_object_get(json_object_get(json_object_get(j, "root"), "content"), "uri");
+    json_t *content =
+        json_object_get(json_object_get(json_object_get(j, "root"), "content"), "uri");
     char glb[FILE_PATH_MAX];
     snprintf(glb, sizeof glb, "static/%s", json_string_value(content));
     run(f, 0, ".glb", "info '%s'", glb);
@@ -180,7 +186,8 @@ static void info_as_json(void **state)
     kit_gauss(3, 500, 50, 2, 0, &in);
     write_ply(f, "a.ply", &in);
     run(f, 0, NULL, "import a.ply --origin 8,50,0 -o a.tiles -q");
-    assert_int_equal(kit_run(&out, "cd '%s' && '%s' info a.tiles --json --tiles", f->dir, kit_program()), 0);
+    assert_int_equal(
+        kit_run(&out, "cd '%s' && '%s' info a.tiles --json --tiles", f->dir, kit_program()), 0);
     kit_ok(jsonc_parse((const char *)out.data, out.size, "info", &j, &e), e);
     assert_int_equal(json_integer_value(json_object_get(j, "gaussians")), 500);
     assert_int_equal(json_integer_value(json_object_get(j, "sh_degree")), 2);
@@ -192,7 +199,8 @@ static void info_as_json(void **state)
     gauss_free(&in);
 }
 
-/* The same camera, once by place and once as JSON, once of the store and once of the file, gives the same picture. */
+/* The same camera, once by place and once as JSON, once of the store and once of the file, gives
+ * the same picture. */
 static void pictures(void **state)
 {
     struct fixture *f = *state;
@@ -206,8 +214,9 @@ static void pictures(void **state)
     run(f, 0, NULL, "import a.ply --origin 8,50,100 -o a.tiles -q");
     const struct view_pose pose = {8, 49.9995, 130, 3, -25, 50};
     kit_ok(view_camera(&origin, &pose, 64, 48, &cam, &e), e);
-    json_t *j = json_pack("{s:i,s:i,s:f,s:f,s:f,s:f,s:o}", "width", 64, "height", 48, "fx", cam.fx_px, "fy", cam.fy_px,
-                          "cx", cam.cx_px, "cy", cam.cy_px, "world_to_camera", json_array());
+    json_t *j =
+        json_pack("{s:i,s:i,s:f,s:f,s:f,s:f,s:o}", "width", 64, "height", 48, "fx", cam.fx_px, "fy",
+                  cam.fy_px, "cx", cam.cx_px, "cy", cam.cy_px, "world_to_camera", json_array());
     for (size_t i = 0; i < 16; i++) {
         double v = i < 12 ? (i % 4 < 3 ? cam.rot[3 * (i / 4) + i % 4] : cam.trans[i / 4]) : i == 15;
         json_array_append_new(json_object_get(j, "world_to_camera"), json_real(v));
@@ -215,10 +224,12 @@ static void pictures(void **state)
     path_in(f, "cam.json", path);
     kit_ok(jsonc_write(path, j, &e), e);
     json_decref(j);
-    const char *place = "--lon 8 --lat 49.9995 --height-m 130 --heading-deg 3 --pitch-deg -25 --fov-deg 50 --width-px 64 "
+    const char *place = "--lon 8 --lat 49.9995 --height-m 130 --heading-deg 3 --pitch-deg -25 "
+                        "--fov-deg 50 --width-px 64 "
                         "--height-px 48 --background 0.2,0.4,0.6 --no-lod -q";
     run(f, 0, "visible", "render a.tiles %s -o place.npy", place);
-    run(f, 0, "visible", "render a.tiles --camera cam.json --background 0.2,0.4,0.6 --no-lod -o cam.npy -q");
+    run(f, 0, "visible",
+        "render a.tiles --camera cam.json --background 0.2,0.4,0.6 --no-lod -o cam.npy -q");
     run(f, 0, "visible", "render a.ply --camera cam.json --background 0.2,0.4,0.6 -o ply.npy -q");
     run(f, 0, "visible", "render a.tiles %s -o place.png", place);
     size_t shape[3];
@@ -232,7 +243,8 @@ static void pictures(void **state)
     kit_ok(npy_read(path, 3, shape, &c, &e), e);
     double lo = 1, hi = 0;
     for (size_t i = 0; i < 48 * 64 * 3; i++) {
-        /* Camera numbers pass through text with 17 digits; the origin on the device differs for the file. */
+        /* Camera numbers pass through text with 17 digits; the origin on the device differs for the
+         * file. */
         assert_true(fabsf(a[i] - b[i]) < 1e-4f && fabsf(a[i] - c[i]) < 2e-3f);
         lo = fmin(lo, (double)a[i]);
         hi = fmax(hi, (double)a[i]);
@@ -267,10 +279,14 @@ static void write_scene(const struct fixture *f, struct partition *p)
     s.n_points = 200;
     s.points = arena_get(&s.arena, s.n_points, sizeof *s.points);
     for (size_t i = 0; i < s.n_points; i++)
-        s.points[i] = (struct scene_point){.enu_m = {140 * rng_unit(1, 0, i) - 20, 40 * rng_unit(1, 1, i) - 20, 0}, .track_length = 3};
+        s.points[i] = (struct scene_point){
+            .enu_m = {140 * rng_unit(1, 0, i) - 20, 40 * rng_unit(1, 1, i) - 20, 0},
+            .track_length = 3};
     for (size_t i = 0; i < 2; i++) {
         const double eye[3] = {100.0 * (double)i, 0, 40};
-        s.images[i] = (struct scene_image){.cam = camera_heading(eye, 0, -90, 1, 64, 48), .gps_enu_m = {(double)NAN, (double)NAN, (double)NAN}, .residual_m = (double)NAN};
+        s.images[i] = (struct scene_image){.cam = camera_heading(eye, 0, -90, 1, 64, 48),
+                                           .gps_enu_m = {(double)NAN, (double)NAN, (double)NAN},
+                                           .residual_m = (double)NAN};
         s.images[i].name = arena_printf(&s.arena, "p%zu.jpg", i);
     }
     path_in(f, "scene", path);
@@ -286,7 +302,8 @@ static void write_scene(const struct fixture *f, struct partition *p)
     scene_free(&s);
 }
 
-/* Every cell's checkpoint covers all of the ground; the first DC value says which cell it is from. */
+/* Every cell's checkpoint covers all of the ground; the first DC value says which cell it is from.
+ */
 static void write_cell(const struct fixture *f, const char *id, float tag, int level, size_t n)
 {
     struct err e = {0};
@@ -329,7 +346,8 @@ static void cells_become_one_store(void **state)
         struct gauss one;
         kit_gauss(3 + 10 * (uint64_t)c, 800, 60, 0, 0, &one);
         for (size_t i = 0; i < one.n; i++)
-            want += partition_owner(&p, (double)one.mean_m[3 * i] + 50, (double)one.mean_m[3 * i + 1]) == c;
+            want += partition_owner(&p, (double)one.mean_m[3 * i] + 50,
+                                    (double)one.mean_m[3 * i + 1]) == c;
         gauss_free(&one);
     }
     assert_in_range(g.n, want, want + want / 10); /* and some carried down from coarser levels */

@@ -13,14 +13,16 @@
 #include "lod/lod.h"
 #include "lod/tree.h"
 
-#define PLACE_TOLERANCE_M 1e-3 /* boxes are printed to micrometres; ECEF doubles hold nanometres */
+#define PLACE_TOLERANCE_M 1e-3 /* boxes are printed to micrometres; ECEF doubles hold nanometres   \
+                                */
 
 struct fixture {
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
     struct store *s;
 };
 
-static void build(struct fixture *f, const struct geo_origin *origin, size_t n, const char *attribution)
+static void build(struct fixture *f, const struct geo_origin *origin, size_t n,
+                  const char *attribution)
 {
     struct err e = {0};
     struct gauss g;
@@ -87,8 +89,10 @@ static void heads_are_what_engines_look_for(void **state)
     json_t *j = tileset_of(f);
     json_t *asset = json_object_get(j, "asset");
     assert_string_equal(json_string_value(json_object_get(asset, "version")), "1.1");
-    assert_string_equal(json_string_value(json_object_get(asset, "tilesetVersion")), store_info(f->s)->revision);
-    json_t *credits = json_object_get(json_object_get(json_object_get(asset, "extras"), "cesium"), "credits");
+    assert_string_equal(json_string_value(json_object_get(asset, "tilesetVersion")),
+                        store_info(f->s)->revision);
+    json_t *credits =
+        json_object_get(json_object_get(json_object_get(asset, "extras"), "cesium"), "credits");
     assert_string_equal(json_string_value(json_object_get(json_array_get(credits, 0), "html")),
                         "© Survey <2026> & \"Co\"");
     assert_true(json_is_true(json_object_get(json_array_get(credits, 0), "showOnScreen")));
@@ -121,7 +125,8 @@ static struct key key_of_uri(const char *uri)
 }
 
 /* `at` is the ECEF place of the parent's frame. */
-static void walk(struct walk *w, const json_t *node, const double at[3], double error_above, bool root)
+static void walk(struct walk *w, const json_t *node, const double at[3], double error_above,
+                 bool root)
 {
     struct err e = {0};
     double m[16], box[12], here[3];
@@ -136,7 +141,8 @@ static void walk(struct walk *w, const json_t *node, const double at[3], double 
         for (size_t i = 0; i < 12; i++)
             assert_true(m[i] == (i % 5 == 0 ? 1.0 : 0.0));
         for (size_t r = 0; r < 3; r++)
-            here[r] = at[r] + w->rot[3 * r] * m[12] + w->rot[3 * r + 1] * m[13] + w->rot[3 * r + 2] * m[14];
+            here[r] = at[r] + w->rot[3 * r] * m[12] + w->rot[3 * r + 1] * m[13] +
+                      w->rot[3 * r + 2] * m[14];
         assert_null(json_object_get(node, "refine"));
     }
     assert_true(m[3] == 0 && m[7] == 0 && m[11] == 0 && m[15] == 1);
@@ -172,7 +178,8 @@ static void walk(struct walk *w, const json_t *node, const double at[3], double 
         nums(json_object_get(child, "transform"), 16, cm);
         nums(json_object_get(json_object_get(child, "boundingVolume"), "box"), 12, cb);
         for (size_t k3 = 0; k3 < 3; k3++)
-            assert_true(fabs(cm[12 + k3] + cb[k3] - box[k3]) + cb[3 + 4 * k3] <= box[3 + 4 * k3] + 1e-5);
+            assert_true(fabs(cm[12 + k3] + cb[k3] - box[k3]) + cb[3 + 4 * k3] <=
+                        box[3 + 4 * k3] + 1e-5);
     }
 }
 
@@ -237,10 +244,13 @@ static void tilejson(void **state)
     assert_int_equal(json_integer_value(json_object_get(j, "maxzoom")), store_info(f->s)->zoom_max);
     nums(json_object_get(j, "bounds"), 4, bounds);
     nums(json_object_get(j, "center"), 3, center);
-    assert_true(bounds[0] < 8.6821 && bounds[2] > 8.6821 && bounds[1] < 50.1109 && bounds[3] > 50.1109);
-    assert_true(center[0] > bounds[0] && center[0] < bounds[2] && center[1] > bounds[1] && center[1] < bounds[3]);
+    assert_true(bounds[0] < 8.6821 && bounds[2] > 8.6821 && bounds[1] < 50.1109 &&
+                bounds[3] > 50.1109);
+    assert_true(center[0] > bounds[0] && center[0] < bounds[2] && center[1] > bounds[1] &&
+                center[1] < bounds[3]);
     json_t *s = json_object_get(j, "splats"), *fields = json_object_get(s, "tile_fields");
-    assert_string_equal(json_string_value(json_object_get(s, "revision")), store_info(f->s)->revision);
+    assert_string_equal(json_string_value(json_object_get(s, "revision")),
+                        store_info(f->s)->revision);
     assert_int_equal(json_integer_value(json_object_get(s, "gaussians")), 3000);
     const struct store_tile *t = store_tiles(f->s, &n);
     json_t *rows = json_object_get(s, "tiles");
