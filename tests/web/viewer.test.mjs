@@ -20,9 +20,9 @@ import { firstDataSet, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
 
 const SIZE = { width: 800, height: 600 };
 const HIDE_PANELS = "#panel,#tools,#compare,#toast,#progress,footer{display:none!important}";
-// Client and server round, cut off and low-pass a little differently; a shifted or mirrored picture
-// gives more than 30.
-const RMS_MAX = 8;
+// Client and server round and cut off a little differently (1.7 on the test city, 4.3 on a trained one,
+// where they may also choose other levels). A shift by 5 pixels gives 10, a mirrored picture 21.
+const RMS_MAX = GIVEN_TILES ? 8 : 4;
 
 let source;
 let viewer; // one page for all tests that do not need a fresh one
