@@ -9,7 +9,12 @@ status=0
 for f in render/*.cl train/*.cl bench/*.cl; do
     [ -f "$f" ] || continue
     for target in spir64 nvptx64 amdgcn--amdhsa; do
-        for vw in 16 1; do
+        case $f in
+            *_gpu.cl) widths=1 ;; # one shape only: a work-group a tile, scalar lanes
+            *_cpu.cl) widths=16 ;;
+            *) widths="16 1" ;;
+        esac
+        for vw in $widths; do
             prelude="-include core/layout.h"
             case $f in
                 render/common.cl) ;;
