@@ -52,7 +52,7 @@ struct tile_cell {
 };
 
 struct tile_scene {
-    const char *dir;
+    const char *dir, *trained; /* scene.json and plan.json; cells/ */
     struct tile_cell *cells; /* sorted by id */
     size_t n_cells;
     struct partition plan; /* only cells with checkpoints; n_cells 0 = no plan */
@@ -68,7 +68,7 @@ struct tile_level { /* what load() needs */
 static enum err_code tile_path(char path[FILE_PATH_MAX], const struct tile_scene *s, const char *id,
                                uint8_t level, struct err *e)
 {
-    int n = snprintf(path, FILE_PATH_MAX, "%s/cells/%s/level%u.ckpt", s->dir, id, level);
+    int n = snprintf(path, FILE_PATH_MAX, "%s/cells/%s/level%u.ckpt", s->trained, id, level);
     return n > 0 && n < FILE_PATH_MAX ? ERR_OK : err_set(e, ERR_LIMIT, "%s: path too long", s->dir);
 }
 
@@ -81,7 +81,7 @@ static int tile_cell_compare(const void *a, const void *b)
 static enum err_code tile_find_cells(struct tile_scene *s, struct err *e)
 {
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
-    enum err_code rc = file_join(dir, s->dir, "cells", e);
+    enum err_code rc = file_join(dir, s->trained, "cells", e);
     DIR *d = rc ? NULL : opendir(dir);
     if (!rc && !d)
         return err_set(e, ERR_NOENT,
@@ -264,7 +264,7 @@ static void tile_print(const char *path, const struct pyramid_report *r)
 
 static enum err_code tile_run(const char *dir, const struct tile_options *o, struct err *e)
 {
-    struct tile_scene s = {.dir = dir};
+    struct tile_scene s = {.dir = dir, .trained = o->trained ? o->trained : dir};
     struct scene scene = {0};
     struct tile_level level[TILE_LEVELS_MAX];
     struct pyramid_level levels[TILE_LEVELS_MAX] = {{0}};

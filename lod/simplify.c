@@ -34,7 +34,7 @@ enum {
 
 #define SIMPLIFY_OPACITY_MAX 0.99 /* the renderer's own ceiling */
 #define SIMPLIFY_BLUR 0.5 /* of the median sigma: thinner than this is not worth keeping apart */
-#define SIMPLIFY_COLOR_WEIGHT 4.0 /* a colour step of 0.2 counts like a distance of one sigma */
+#define SIMPLIFY_COLOR_WEIGHT 4.0   /* a colour step of 0.2 counts like a distance of one sigma */
 #define SIMPLIFY_PAIRS_A_ROUND 0.75 /* of the mutual pairs: later choices see earlier mergers */
 
 struct simplify_cluster {
