@@ -34,9 +34,9 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "export",
     .usage = "citysplat export CITY.tiles -o FILE [options]",
-    .about = "Writes one level of a tile store as .ply (east-north-up, every bit of a lossless "
-             "store) or .spz, or the whole\n"
-             "pyramid as a folder with tileset.json and .glb tiles for a web server or CDN.",
+    .about = "Writes one level of a tile store as .ply (east-north-up, every bit of a "
+             "lossless store) or .spz, or the whole pyramid as a folder with tileset.json "
+             "and .glb tiles for a web server or CDN.",
     .example = "citysplat export city.tiles -o city.ply\n"
                "citysplat export city.tiles -o public/city --format 3dtiles",
     .defs = defs,

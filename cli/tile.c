@@ -35,10 +35,9 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "tile",
     .usage = "citysplat tile SCENE -o CITY.tiles [options]",
-    .about = "Cuts the trained levels of a scene into tiles z/x/y of the Web Mercator grid, makes "
-             "overviews until\n"
-             "one tile holds the scene, and writes all of it into one file that `citysplat serve` "
-             "serves.",
+    .about = "Cuts the trained levels of a scene into tiles z/x/y of the Web Mercator grid, "
+             "makes overviews until one tile holds the scene, and writes all of it into one "
+             "file that `citysplat serve` serves.",
     .example = "citysplat tile scene -o city.tiles --attribution '© Survey 2026'",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,
@@ -53,7 +52,7 @@ struct tile_cell {
 
 struct tile_scene {
     const char *dir, *trained; /* scene.json and plan.json; cells/ */
-    struct tile_cell *cells; /* sorted by id */
+    struct tile_cell *cells;   /* sorted by id */
     size_t n_cells;
     struct partition plan; /* only cells with checkpoints; n_cells 0 = no plan */
     uint8_t n_levels;
