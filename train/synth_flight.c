@@ -76,7 +76,7 @@ static struct camera photo_camera(const struct synth_config *cfg, size_t i, doub
         height =
             fmax(45, cfg->extent_m / fmax(1, sqrt((double)n_nadir) - 1) / (0.6 * tan(0.5 * fov_y)));
     double u, v, heading = 0, pitch = -90, back = 0, x, y;
-    double side = 0.92 * cfg->extent_m;
+    double side = 0.78 * cfg->extent_m; /* photographs reach half a picture farther */
     if (i < n_nadir) {
         struct strips s = strips_make(n_nadir);
         strips_at(&s, i, &u, &v);
