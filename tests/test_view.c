@@ -1,0 +1,284 @@
+/* Views of a store: the same bits whatever was drawn before and however small the cache is, one
+ * assembly for as long as the same tiles are picked, appearances baked in, damage named; and
+ * cameras given as maps give them.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "lod/lod.h"
+
+enum { W = 96, H = 64 };
+
+static const struct geo_origin origin = {8.6821, 50.1109, 160};
+
+struct fixture {
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    struct dev dev;
+    struct render *render;
+};
+
+static int setup(void **state)
+{
+    static struct fixture f;
+    struct err e = {0};
+    struct gauss g;
+    kit_tmpdir(f.dir);
+    kit_ok(file_join(f.path, f.dir, "city.tiles", &e), e);
+    kit_gauss(1, 3000, 120, 1, 4, &g);
+    for (size_t i = 0; i < g.n; i++) {
+        g.mean_m[3 * i + 2] *= 0.1f;
+        for (size_t k = 0; k < 3; k++)
+            g.scale_log[3 * i + k] -= 1.0f;
+    }
+    const struct pyramid_config cfg = {.tile_edge_m = 60, .name = "view"};
+    const struct pyramid_level level = {.g = &g, .level = 3};
+    kit_ok(pyramid_build(&origin, &level, 1, &cfg, NULL, 0, f.path, NULL, &e), e);
+    gauss_free(&g);
+    kit_ok(dev_open(NULL, &f.dev, &e), e);
+    kit_ok(render_open(&f.dev, &f.render, &e), e);
+    *state = &f;
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    struct fixture *f = *state;
+    render_close(&f->render);
+    dev_close(&f->dev);
+    kit_rmdir(f->dir);
+    return 0;
+}
+
+static const struct render_options draw = {
+    .aa = RENDER_AA_2D, .background = {0.1f, 0.2f, 0.3f}, .sh_degree = -1};
+
+static struct camera camera_at(double east_m, double height_m, double pitch_deg)
+{
+    const double eye[3] = {east_m, -100, height_m};
+    return camera_heading(eye, 10, pitch_deg, 0.9, W, H);
+}
+
+static void drawn_again_it_is_the_same(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct view *v, *tiny;
+    struct view_stats st;
+    static float first[W * H * 3], again[W * H * 3], other[W * H * 3];
+    struct camera a = camera_at(0, 60, -30), b = camera_at(40, 900, -80);
+    kit_ok(view_open(f->path, f->render, 0, &v, &e), e);
+    kit_ok(view_open(f->path, f->render, 1, &tiny, &e), e); /* nothing stays resident */
+    kit_ok(view_render(v, &a, &draw, NULL, first, &st, &e), e);
+    assert_true(st.n_tiles > 3 && st.n_gaussians > 300);
+    kit_ok(view_render(v, &b, &draw, NULL, other, &st, &e), e);
+    assert_true(memcmp(first, other, sizeof first) != 0);
+    kit_ok(view_render(v, &a, &draw, NULL, again, &st, &e), e);
+    assert_memory_equal(first, again, sizeof first);
+    for (int i = 0; i < 3; i++) {
+        kit_ok(view_render(tiny, &b, &draw, NULL, again, &st, &e), e);
+        assert_memory_equal(other, again, sizeof again);
+        kit_ok(view_render(tiny, &a, &draw, NULL, again, &st, &e), e);
+        assert_memory_equal(first, again, sizeof again);
+    }
+    view_close(&v);
+    view_close(&v);
+    view_close(&tiny);
+}
+
+/* Against all leaves put together by hand. */
+static void without_levels_it_is_the_finest(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct view *v;
+    struct gauss all;
+    struct render_model m;
+    static float got[W * H * 3], want[W * H * 3];
+    struct camera cam = camera_at(0, 60, -30);
+    const struct pick_options o = {.no_lod = true};
+    kit_ok(view_open(f->path, f->render, 0, &v, &e), e);
+    kit_ok(view_render(v, &cam, &draw, &o, got, NULL, &e), e);
+    size_t n;
+    struct store *s;
+    kit_ok(store_open(f->path, &s, &e), e);
+    const struct store_tile *t = store_tiles(s, &n);
+    kit_ok(gauss_alloc(&all, 0, 1, 4, &e), e);
+    for (size_t i = 0; i < n; i++) {
+        struct gauss g;
+        if (t[i].level != 3)
+            continue;
+        kit_ok(store_read_gauss(s, t[i].key, &g, &e), e);
+        kit_ok(gauss_append(&all, &g, NULL, g.n, &e), e);
+        gauss_free(&g);
+    }
+    assert_int_equal(all.n, 3000);
+    kit_ok(render_model_upload(f->render, &all, &m, &e), e);
+    kit_ok(render_forward(f->render, &m, &cam, &draw, want, NULL, &e), e);
+    for (size_t i = 0; i < W * H * 3;
+         i++) /* other origin, other order of equal depths: roundings */
+        assert_true(fabsf(got[i] - want[i]) < 2e-3f);
+    render_model_free(&m);
+    gauss_free(&all);
+    store_close(&s);
+    view_close(&v);
+}
+
+struct baking {
+    size_t calls;
+    float red;
+};
+
+static enum err_code bake(void *user, struct gauss *g, struct err *e)
+{
+    struct baking *b = user;
+    if (g->embed_len != 4)
+        return err_set(e, ERR_INTERNAL, "no embeddings");
+    b->calls++;
+    for (size_t i = 0; i < g->n; i++)
+        g->sh[3 * gauss_sh_count(g->sh_degree) * i] += b->red;
+    return ERR_OK;
+}
+
+static double mean_of(const float *rgb, size_t channel)
+{
+    double sum = 0;
+    for (size_t i = 0; i < W * H; i++)
+        sum += (double)rgb[3 * i + channel] / (W * H);
+    return sum;
+}
+
+static void appearances_are_baked_once(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct view *v;
+    struct baking b = {.red = 2};
+    static float plain[W * H * 3], red[W * H * 3];
+    struct camera cam = camera_at(0, 60, -30);
+    kit_ok(view_open(f->path, f->render, 0, &v, &e), e);
+    kit_ok(view_render(v, &cam, &draw, NULL, plain, NULL, &e), e);
+    view_set_bake(v, bake, &b);
+    kit_ok(view_render(v, &cam, &draw, NULL, red, NULL, &e), e);
+    cam.width_px = W / 2; /* the left half: no tile more, and often the same */
+    kit_ok(view_render(v, &cam, &draw, NULL, red, NULL, &e), e);
+    cam.width_px = W;
+    kit_ok(view_render(v, &cam, &draw, NULL, red, NULL, &e), e);
+    assert_in_range(b.calls, 1, 3);
+    size_t before = b.calls;
+    for (int i = 0; i < 5; i++)
+        kit_ok(view_render(v, &cam, &draw, NULL, red, NULL, &e), e);
+    assert_int_equal(b.calls, before); /* the model was used again */
+    assert_true(mean_of(red, 0) > mean_of(plain, 0) + 0.1);
+    assert_true(fabs(mean_of(red, 1) - mean_of(plain, 1)) < 1e-4);
+    view_set_bake(v, NULL, NULL);
+    kit_ok(view_render(v, &cam, &draw, NULL, red, NULL, &e), e);
+    assert_memory_equal(plain, red, sizeof plain);
+    view_close(&v);
+}
+
+static void looking_away_shows_the_background(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct view *v;
+    struct view_stats st;
+    static float rgb[W * H * 3];
+    struct camera cam = camera_at(0, 500, 80);
+    kit_ok(view_open(f->path, f->render, 0, &v, &e), e);
+    kit_ok(view_render(v, &cam, &draw, NULL, rgb, &st, &e), e);
+    assert_int_equal(st.n_tiles, 0);
+    for (size_t i = 0; i < W * H * 3; i++)
+        assert_true(rgb[i] == draw.background[i % 3]);
+    view_close(&v);
+}
+
+static void a_damaged_tile_spoils_only_the_views_that_need_it(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct buf file = {0}, payload = {0};
+    struct store *s;
+    struct view *v;
+    size_t n, at = 0;
+    static float rgb[W * H * 3];
+    kit_ok(store_open(f->path, &s, &e), e);
+    const struct store_tile *t = store_tiles(s, &n);
+    kit_ok(store_read(s, t[n - 1].key, &payload, &e), e); /* one of the finest */
+    char name[64], path[FILE_PATH_MAX];
+    snprintf(name, sizeof name, "tile %u/%u/%u", t[n - 1].key.z, t[n - 1].key.x, t[n - 1].key.y);
+    store_close(&s);
+    kit_ok(file_read(f->path, 0, &file, &e), e);
+    while (memcmp(file.data + at, payload.data, 64))
+        at++;
+    file.data[at + 50] ^= 4;
+    kit_ok(file_join(path, f->dir, "damaged.tiles", &e), e);
+    kit_ok(file_write(path, file.data, file.size, &e), e);
+    kit_ok(view_open(path, f->render, 0, &v, &e), e);
+    struct camera far = camera_at(0, 3000, -88);
+    const struct pick_options all = {.no_lod = true};
+    struct camera near = camera_heading((double[3]){0, 0, 1500}, 0, -90, 0.9, W, H);
+    kit_fails(view_render(v, &near, &draw, &all, rgb, NULL, &e), ERR_FORMAT, e, name);
+    kit_ok(view_render(v, &far, &draw, NULL, rgb, NULL, &e), e);
+    kit_fails(view_render(v, &near, &draw, &all, rgb, NULL, &e), ERR_FORMAT, e, name);
+    view_close(&v);
+    buf_free(&file);
+    buf_free(&payload);
+}
+
+/* 80 km north-east of the origin, where the ground leans by 0.7 degrees: a point 500 m ahead by the
+ * map is in the middle of the picture. */
+static void cameras_by_heading_and_pitch(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    const double place[3][2] = {{8.6821, 50.1109}, {9.5, 50.6}, {7.9, 49.5}};
+    for (size_t i = 0; i < 3; i++) {
+        const struct geo_origin here = {place[i][0], place[i][1], 300};
+        const struct view_pose pose = {here.lon_deg,           here.lat_deg, here.h_m,
+                                       30.0 + 100 * (double)i, -20,          60};
+        struct camera cam;
+        double eye[3], want[3], got[3], lon, lat, h, x[3];
+        kit_ok(view_camera(&origin, &pose, 800, 600, &cam, &e), e);
+        camera_center(&cam, got);
+        kit_ok(geo_to_enu(&origin, here.lon_deg, here.lat_deg, here.h_m, eye, &e), e);
+        kit_near_d("eye", got, eye, 3, 1e-6, 0);
+        double heading = pose.heading_deg * 3.14159265358979323846 / 180,
+               pitch = -20 * 3.14159265358979323846 / 180;
+        const double ahead[3] = {500 * sin(heading) * cos(pitch), 500 * cos(heading) * cos(pitch),
+                                 500 * sin(pitch)};
+        kit_ok(geo_from_enu(&here, ahead, &lon, &lat, &h, &e), e);
+        kit_ok(geo_to_enu(&origin, lon, lat, h, want, &e), e);
+        for (size_t r = 0; r < 3; r++)
+            x[r] = cam.rot[3 * r] * want[0] + cam.rot[3 * r + 1] * want[1] +
+                   cam.rot[3 * r + 2] * want[2] + cam.trans[r];
+        const double middle[3] = {0, 0, 500};
+        kit_near_d("point ahead", x, middle, 3, 1e-5, 0);
+        assert_true(fabs(cam.fy_px - 300 / tan(30 * 3.14159265358979323846 / 180)) < 1e-9);
+    }
+    struct view_pose bad = {0, 0, 0, 0, -91, 60};
+    struct camera cam;
+    kit_fails(view_camera(&origin, &bad, 8, 6, &cam, &e), ERR_ARG, e, "pitch");
+    bad = (struct view_pose){0, 0, 0, 0, 0, 0};
+    kit_fails(view_camera(&origin, &bad, 8, 6, &cam, &e), ERR_ARG, e, "field of view");
+    bad = (struct view_pose){0, 95, 0, 0, 0, 60};
+    kit_fails(view_camera(&origin, &bad, 8, 6, &cam, &e), ERR_ARG, e, "latitude");
+}
+
+int main(void)
+{
+    progress_quiet(true);
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(drawn_again_it_is_the_same),
+        cmocka_unit_test(without_levels_it_is_the_finest),
+        cmocka_unit_test(appearances_are_baked_once),
+        cmocka_unit_test(looking_away_shows_the_background),
+        cmocka_unit_test(a_damaged_tile_spoils_only_the_views_that_need_it),
+        cmocka_unit_test(cameras_by_heading_and_pitch),
+    };
+    return cmocka_run_group_tests(tests, setup, teardown);
+}
