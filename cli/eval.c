@@ -30,6 +30,7 @@ struct eval {
     struct scene scene;
     uint32_t *images;
     size_t n_images;
+    struct partition plan; /* n_cells 0: the scene is one cell */
     struct dev dev;
     bool dev_is_open;
     struct render *render;
@@ -124,19 +125,69 @@ static enum err_code eval_read_settings(const struct ckpt *c, const char *path, 
     return ERR_OK;
 }
 
-static enum err_code eval_level(struct eval *v, const char *path, unsigned level, struct err *e)
+/* Add the rows that cell `index` of the plan owns (without a plan: all of them). */
+static enum err_code eval_append(const struct eval *v, size_t index, const struct gauss *g, struct gauss *out,
+                                 struct err *e)
 {
-    struct ckpt c = {0};
+    size_t n = 0;
+    if (!out->block) {
+        enum err_code rc = gauss_alloc(out, g->n, g->sh_degree, g->embed_len, e);
+        if (rc)
+            return rc;
+        memcpy(out->origin_enu_m, g->origin_enu_m, sizeof(g->origin_enu_m));
+    }
+    if (v->plan.n_cells < 2)
+        return gauss_append(out, g, NULL, g->n, e);
+    uint32_t *rows = mem_array(g->n, sizeof(*rows));
+    if (!rows)
+        return err_set(e, ERR_MEM, "eval: out of memory for %zu Gaussians", g->n);
+    for (size_t i = 0; i < g->n; i++)
+        if (partition_owner(&v->plan, g->origin_enu_m[0] + (double)g->mean_m[3 * i],
+                            g->origin_enu_m[1] + (double)g->mean_m[3 * i + 1]) == index)
+            rows[n++] = (uint32_t)i;
+    enum err_code rc = gauss_append(out, g, rows, n, e);
+    mem_free(rows);
+    return rc;
+}
+
+/* A level of all cells put together. *found: how many cells have it. */
+static enum err_code eval_load_level(const struct eval *v, const char *dir, unsigned level, struct gauss *g,
+                                     struct eval_settings *s, size_t *found, struct err *e)
+{
+    char path[FILE_PATH_MAX + 64];
+    size_t n = v->plan.n_cells ? v->plan.n_cells : 1;
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; !rc && i < n; i++) {
+        struct ckpt c = {0};
+        if (v->plan.n_cells && v->plan.cells[i].parent >= 0)
+            continue;
+        snprintf(path, sizeof(path), "%s/cells/%s/level%u.ckpt", dir, v->plan.n_cells ? v->plan.cells[i].id : "all",
+                 level);
+        if (!file_exists(path))
+            continue;
+        rc = ckpt_read(path, &c, e);
+        if (!rc)
+            rc = eval_read_settings(&c, path, s, e);
+        if (!rc)
+            rc = eval_append(v, i, &c.g, g, e);
+        (*found)++;
+        ckpt_free(&c);
+    }
+    return rc;
+}
+
+static enum err_code eval_level(struct eval *v, const char *dir, unsigned level, size_t *found, struct err *e)
+{
+    struct gauss g = {0};
     struct render_model model = {0};
-    struct eval_settings s;
+    struct eval_settings s = {0};
     char what[32];
+    size_t n = 0;
     snprintf(what, sizeof(what), "level %u", level);
-    enum err_code rc = ckpt_read(path, &c, e);
-    if (!rc)
-        rc = eval_read_settings(&c, path, &s, e);
-    if (!rc)
-        rc = render_model_upload(v->render, &c.g, &model, e);
-    if (!rc) {
+    enum err_code rc = eval_load_level(v, dir, level, &g, &s, &n, e);
+    if (!rc && n)
+        rc = render_model_upload(v->render, &g, &model, e);
+    if (!rc && n) {
         float grey = (float)s.background;
         struct evaluate_model m = {
             v->render, &model,
@@ -146,25 +197,23 @@ static enum err_code eval_level(struct eval *v, const char *path, unsigned level
         rc = eval_source(v, what, edge, v->o.full_size ? 1.0 : s.downsample, src, e);
     }
     render_model_free(&model);
-    ckpt_free(&c);
+    gauss_free(&g);
+    *found += n;
     return rc;
 }
 
-static enum err_code eval_levels(struct eval *v, const char *dir, struct err *e)
+static enum err_code eval_levels(struct eval *v, const char *scene_dir, struct err *e)
 {
-    char cell[FILE_PATH_MAX], path[FILE_PATH_MAX], name[32];
+    const char *dir = v->o.results ? v->o.results : scene_dir;
+    char path[FILE_PATH_MAX];
     size_t found = 0;
-    enum err_code rc = file_join(cell, dir, "cells/all", e);
-    for (unsigned level = 1; !rc && level <= TRAIN_LEVELS_MAX; level++) {
-        snprintf(name, sizeof(name), "level%u.ckpt", level);
-        rc = file_join(path, cell, name, e);
-        if (rc || !file_exists(path))
-            continue;
-        found++;
-        rc = eval_level(v, path, level, e);
-    }
+    enum err_code rc = file_join(path, scene_dir, "plan.json", e);
+    if (!rc && file_exists(path))
+        rc = plan_read(path, &v->scene, &v->plan, e);
+    for (unsigned level = 1; !rc && level <= TRAIN_LEVELS_MAX; level++)
+        rc = eval_level(v, dir, level, &found, e);
     if (!rc && !found)
-        rc = err_set(e, ERR_NOENT, "%s: no level1.ckpt; `citysplat train` makes it", cell);
+        rc = err_set(e, ERR_NOENT, "%s: no level1.ckpt in cells/; `citysplat train` makes it", dir);
     return rc;
 }
 
@@ -260,7 +309,7 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
     if (rc)
         goto out;
     eval_print_head();
-    rc = v.o.tiles ? eval_tiles(&v, e) : eval_levels(&v, v.o.results ? v.o.results : args.arg[0], e);
+    rc = v.o.tiles ? eval_tiles(&v, e) : eval_levels(&v, args.arg[0], e);
     if (!rc && v.o.output)
         rc = eval_write(&v, args.arg[0], e);
 out:
@@ -268,6 +317,7 @@ out:
     render_close(&v.render);
     if (v.dev_is_open)
         dev_close(&v.dev);
+    partition_free(&v.plan);
     scene_free(&v.scene);
     arena_free(&arena);
     return rc;
