@@ -48,12 +48,9 @@ enum { ENTRIES = sizeof entries / sizeof entries[0], ROWS_MAX = 4096 };
 void bench_report(struct bench *b, const char *case_name, double value, const char *unit, double ratio,
                   const char *against)
 {
-    json_t *o = json_pack("{s:s, s:s, s:f, s:s}", "bench", b->name, "case", case_name, "value", value,
-                          "unit", unit);
-    if (o && against) {
-        json_object_set_new(o, "ratio", json_real(ratio));
-        json_object_set_new(o, "against", json_string(against));
-    }
+    json_t *o = json_pack("{s:s, s:s, s:f, s:s, s:o, s:s?}", "bench", b->name, "case", case_name, "value",
+                          value, "unit", unit, "ratio", against ? json_real(ratio) : json_null(), "against",
+                          against);
     if (o)
         json_dumpf(o, stdout, JSON_COMPACT | JSON_PRESERVE_ORDER | JSON_REAL_PRECISION(6));
     json_decref(o);
