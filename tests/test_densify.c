@@ -393,7 +393,7 @@ static void neighbours_agree_with_looking_at_all_pairs(void **state)
         xyz[i] = xyz[30 + i];
     kit_ok(init_neighbour_dist2(xyz, N, got, &e), e);
     for (size_t i = 0; i < N; i++) {
-        double best[3] = {INFINITY, INFINITY, INFINITY};
+        double best[3] = {HUGE_VAL, HUGE_VAL, HUGE_VAL};
         for (size_t j = 0; j < N; j++) {
             double d = 0.0;
             for (int k = 0; k < 3; k++)

@@ -19,8 +19,8 @@ static void cell_camera_box(const struct scene *s, const uint32_t *images, size_
                             double hi[3], double mean[3])
 {
     for (int k = 0; k < 3; k++) {
-        lo[k] = INFINITY;
-        hi[k] = -INFINITY;
+        lo[k] = HUGE_VAL;
+        hi[k] = -HUGE_VAL;
         mean[k] = 0.0;
     }
     for (size_t i = 0; i < n; i++) {

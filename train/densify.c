@@ -162,7 +162,7 @@ static enum densify_class densify_classify(const struct densify_params *p,
                                            const struct densify_input *in, size_t i, bool *inside)
 {
     float mean[3];
-    double largest = -INFINITY;
+    double largest = -HUGE_VAL;
     for (uint32_t k = 0; k < 3; k++) {
         mean[k] = in->params[densify_at(i, in->planes, RENDER_PLANE_MEAN + k)];
         largest = fmax(largest, (double)in->params[densify_at(i, in->planes, RENDER_PLANE_SCALE + k)]);

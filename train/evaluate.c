@@ -24,7 +24,7 @@ static enum err_code evaluate_photo(const struct feed_photo *p, const float *rgb
                                     struct evaluate_score *sum, struct err *e)
 {
     uint32_t w = p->cam.width_px, h = p->cam.height_px;
-    double psnr, ssim, ssim_valid = NAN;
+    double psnr, ssim, ssim_valid = (double)NAN;
     enum err_code rc = metric_psnr(rgb, p->px, NULL, w, h, &psnr, e);
     if (!rc)
         rc = metric_ssim(rgb, p->px, NULL, w, h, METRIC_TRAINING, &ssim, e);
