@@ -120,10 +120,9 @@ static void a_binding_budget_asks_for_scores_and_is_met_exactly(void **state)
         kit_ok(densify_choose(&p, &in, &plan, &e), e);
         size_t room = cap - 300;
         assert_int_equal(plan.report.room, room);
-        assert_int_equal(plan.report.cloned, room * 200 / 300); /* shares, rounded down */
-        assert_int_equal(plan.report.split, room * 100 / 300);
-        assert_int_equal(plan.n, 300 + plan.report.cloned + plan.report.split);
-        assert_true(plan.n <= cap);
+        assert_int_equal(plan.report.cloned, room * 200 / 300); /* rounded down; splits take the rest */
+        assert_int_equal(plan.report.split, room - plan.report.cloned);
+        assert_int_equal(plan.n, cap);
         densify_plan_free(&plan);
     }
     toy_free(&t);

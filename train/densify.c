@@ -278,9 +278,10 @@ static enum err_code densify_fill(const struct densify_params *p, const struct d
     }
     enum err_code rc = ERR_OK;
     if (wanted) {
-        /* Shares of the room, rounded down: exact in integers for any counts below 2^32. */
+        /* Shares of the room that leave none of it: exact in integers for any counts below 2^32, and since the
+         * room is at most `wanted`, what clones leave is never more than there are splits. */
         size_t clones = (size_t)((uint64_t)r->room * w->n_clones / wanted);
-        size_t splits = (size_t)((uint64_t)r->room * w->n_splits / wanted);
+        size_t splits = r->room - clones;
         rc = densify_draw(p, in, w, w->clones, w->n_clones, clones, &r->cloned, e);
         if (!rc)
             rc = densify_draw(p, in, w, w->splits, w->n_splits, splits, &r->split, e);
