@@ -49,9 +49,10 @@ static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px
     printf("%-14s %6zu %9u %9.3f %8.4f %10.4f %8.5f %12.0f %9.2f\n", what, s->n_photos, edge_px, s->psnr_db,
            s->ssim, s->ssim_valid, s->l1, s->gaussians, s->ms_frame);
     fflush(stdout);
-    json_t *row = json_pack("{s:s, s:I, s:i, s:f, s:f, s:f, s:f, s:f, s:f}", "what", what, "photographs",
-                            (json_int_t)s->n_photos, "edge_px", (int)edge_px, "psnr_db", s->psnr_db, "ssim",
-                            s->ssim, "ssim_valid", s->ssim_valid, "l1", s->l1, "gaussians", s->gaussians,
+    json_t *row = json_pack("{s:s, s:I, s:i, s:o, s:o, s:o, s:f, s:f, s:f}", "what", what, "photographs",
+                            (json_int_t)s->n_photos, "edge_px", (int)edge_px, "psnr_db",
+                            jsonc_real(s->psnr_db), "ssim", jsonc_real(s->ssim), "ssim_valid",
+                            jsonc_real(s->ssim_valid), "l1", s->l1, "gaussians", s->gaussians,
                             "ms_frame", s->ms_frame);
     if (!row || json_array_append_new(v->rows, row))
         return err_set(e, ERR_MEM, "eval: out of memory");

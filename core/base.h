@@ -171,6 +171,8 @@ enum err_code jsonc_nums(const struct json_t *o, const char *key, size_t n, doub
                          struct err *e) ERR_USE;
 enum err_code jsonc_text(const struct json_t *o, const char *key, const char **out,
                          struct err *e) ERR_USE; /* borrowed from o */
+/* A number to write, for json_pack's "o": null where it is not finite, which JSON cannot say. */
+struct json_t *jsonc_real(double v);
 
 #ifdef __cplusplus
 }

@@ -3,6 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <math.h>
 #include <string.h>
 
 #include <jansson.h>
@@ -102,4 +103,9 @@ enum err_code jsonc_text(const struct json_t *o, const char *key, const char **o
                        v ? "wrong type" : "missing");
     *out = json_string_value(v);
     return ERR_OK;
+}
+
+json_t *jsonc_real(double v)
+{
+    return isfinite(v) ? json_real(v) : json_null();
 }

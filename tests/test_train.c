@@ -390,6 +390,32 @@ static void a_scene_without_points_starts_from_random_ones(void **state)
     arena_free(&a);
 }
 
+/* SSIM over whole windows does not exist where a picture is smaller than the window: the level is scored and
+ * written down without it. */
+static void pictures_smaller_than_the_window_are_scored_without_it(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r = {0};
+    char out[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
+    struct buf lines = {0};
+    kit_tmpdir(out);
+    struct train_config c = toy_config(&a, out);
+    c.iterations = 12;
+    c.downsample_1 = 5.0; /* 13 x 10 px */
+    kit_ok(train_again(scene_dir, &c, &r, &e), e);
+    assert_true(isfinite(r.cells[0].psnr_db[0]) && isfinite(r.cells[0].ssim[0]));
+    snprintf(path, sizeof(path), "%s/cells/all/metrics.jsonl", out);
+    kit_ok(file_read(path, 0, &lines, &e), e);
+    buf_u8(&lines, 0);
+    assert_non_null(strstr((const char *)lines.data, "\"ssim_valid\":null"));
+    buf_free(&lines);
+    kit_rmdir(out);
+    train_result_free(&r);
+    arena_free(&a);
+}
+
 static void broken_scenes_are_one_clear_error(void **state)
 {
     (void)state;
@@ -511,6 +537,7 @@ int main(void)
         cmocka_unit_test(a_damaged_state_is_refused),
         cmocka_unit_test(a_scene_without_points_starts_from_random_ones),
         cmocka_unit_test(cells_of_a_plan_are_trained_on_their_own),
+        cmocka_unit_test(pictures_smaller_than_the_window_are_scored_without_it),
         cmocka_unit_test(broken_scenes_are_one_clear_error),
     };
     return cmocka_run_group_tests_name("train", tests, open_device, close_device);

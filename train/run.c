@@ -223,11 +223,11 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
     else
         log_info("train", "level=%u done gaussians=%u seconds=%.1f", k, l->model.n, seconds);
     return record_line(l->record, "level",
-                        json_pack("{s:i, s:I, s:I, s:f, s:f, s:f, s:f, s:f, s:I}", "level", (int)k,
+                        json_pack("{s:i, s:I, s:I, s:o, s:o, s:o, s:f, s:f, s:I}", "level", (int)k,
                                   "gaussians", (json_int_t)l->model.n, "test_photographs",
-                                  (json_int_t)t->job->n_test, "psnr_db", score.psnr_db, "ssim", score.ssim,
-                                  "ssim_valid", score.ssim_valid, "ms_frame", score.ms_frame, "seconds",
-                                  seconds, "peak_bytes", (json_int_t)mem_peak_bytes()),
+                                  (json_int_t)t->job->n_test, "psnr_db", jsonc_real(score.psnr_db), "ssim",
+                                  jsonc_real(score.ssim), "ssim_valid", jsonc_real(score.ssim_valid),
+                                  "ms_frame", score.ms_frame, "seconds", seconds, "peak_bytes", (json_int_t)mem_peak_bytes()),
                         e);
 }
 

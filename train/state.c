@@ -68,8 +68,8 @@ enum err_code state_save_level(struct level *l, const char *path, const struct e
         return ERR_MEM;
     enum err_code rc = ERR_OK;
     if (score) {
-        json_t *test = json_pack("{s:I, s:f, s:f}", "photographs", (json_int_t)score->n_photos, "psnr_db",
-                                 score->psnr_db, "ssim", score->ssim);
+        json_t *test = json_pack("{s:I, s:o, s:o}", "photographs", (json_int_t)score->n_photos, "psnr_db",
+                                 jsonc_real(score->psnr_db), "ssim", jsonc_real(score->ssim));
         if (!test || json_object_set_new(meta, "test", test))
             rc = err_set(e, ERR_MEM, "%s: out of memory", path);
     }
