@@ -251,6 +251,12 @@ static void test_kernel_matches_reference(void **state)
                  0.2); /* a smaller picture in larger buffers: stale margins */
     struct loss_input bad = {NULL, NULL, NULL, 0, 10, 1, 1};
     kit_fails(loss_run(l, &bad, NULL, &e), ERR_ARG, e, "sizes");
+    /* What render_color_grad_buffer gives when the device is full: no crash in a kernel. */
+    cl_mem full;
+    kit_ok(dev_buffer(dev_get(), 8 * 8 * 3 * sizeof(float), NULL, &full, &e), e);
+    struct loss_input small = {full, full, NULL, 8, 8, 0.8f, 0.2f};
+    kit_fails(loss_run(l, &small, NULL, &e), ERR_MEM, e, "8 x 8");
+    dev_release(&full);
     loss_close(&l);
     loss_close(&l);
 }

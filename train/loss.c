@@ -128,6 +128,9 @@ enum err_code loss_run(struct loss *l, const struct loss_input *in, cl_mem grad,
     if (w == 0 || h == 0 || w > 16384 || h > 16384)
         return err_set(e, ERR_ARG, "loss_run: a picture of %u x %u px: sizes must be 1 to 16384", w,
                        h);
+    if (!grad) /* a kernel would take it for an address */
+        return err_set(e, ERR_MEM, "loss_run: no room on the device for the gradient of %u x %u px",
+                       w, h);
     enum err_code rc = loss_reserve(l, w, h, e);
     if (rc != ERR_OK)
         return rc;

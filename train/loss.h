@@ -33,7 +33,8 @@ struct loss_input {       /* all borrowed */
     float l1_weight, ssim_weight; /* LOSS_L1_WEIGHT, LOSS_SSIM_WEIGHT; ssim_weight 0 skips that work */
 };
 /* Enqueue: write dL/dx into `grad`, float [3][h][w] planar (render_color_grad_buffer); 0 where masked. Does
- * not wait for the device. ERR_ARG for an empty picture, ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
+ * not wait for the device. ERR_ARG for an empty picture, ERR_MEM (also when grad is NULL, which is how
+ * render_color_grad_buffer tells that the device is full), ERR_LIMIT, ERR_DEVICE. */
 enum err_code loss_run(struct loss *l, const struct loss_input *in, cl_mem grad, struct err *e) ERR_USE;
 
 struct loss_value { /* means over h * w * 3 of the last loss_run */
