@@ -202,6 +202,22 @@ static enum err_code store_meta_num(struct store *s, sqlite3_stmt *q, const char
     return ERR_OK;
 }
 
+/* Name, revision and date are written into addresses, headers and documents without quoting. */
+static enum err_code store_check_meta(const struct store *s, struct err *e)
+{
+    const struct store_meta *m = &s->meta;
+    if (!store_db_name_ok(m->name))
+        return err_set(e, ERR_FORMAT, "%s: meta: name is '%s', only a-z, 0-9, - and _ are allowed",
+                       s->path, m->name);
+    if (strlen(m->revision) != 12 || strspn(m->revision, "0123456789abcdef") != 12)
+        return err_set(e, ERR_FORMAT, "%s: meta: revision is '%s', 12 hex digits are expected",
+                       s->path, m->revision);
+    if (m->created[strspn(m->created, "0123456789-:.+TZ")])
+        return err_set(e, ERR_FORMAT, "%s: meta: created is '%s', a date is expected", s->path,
+                       m->created);
+    return ERR_OK;
+}
+
 static enum err_code store_read_meta(struct store *s, struct err *e)
 {
     struct store_meta *m = &s->meta;
@@ -242,7 +258,7 @@ static enum err_code store_read_meta(struct store *s, struct err *e)
     m->lossless = lossless != 0.0;
     m->zoom_min = (uint8_t)z0;
     m->zoom_max = (uint8_t)z1;
-    return rc;
+    return rc ? rc : store_check_meta(s, e);
 }
 
 /* ---- index ---- */

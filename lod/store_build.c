@@ -36,7 +36,7 @@ static const char store_put_sql[] =
     "max_e,max_n,max_u,sigma_median_m,sigma_max_m,geometric_error_m,hash,row_hash,payload)"
     " VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11,?12,?13,?14,?15,?16,?17,?18,?19,?20,?21,?22,?23)";
 
-static bool store_name_ok(const char *name)
+bool store_db_name_ok(const char *name)
 {
     if (!((*name >= 'a' && *name <= 'z') || (*name >= '0' && *name <= '9')))
         return false;
@@ -80,7 +80,7 @@ enum err_code store_create(const char *path, const struct store_meta *meta, stru
 {
     *out = NULL;
     const struct geo_origin *o = &meta->origin;
-    if (!memchr(meta->name, 0, sizeof meta->name) || !store_name_ok(meta->name))
+    if (!memchr(meta->name, 0, sizeof meta->name) || !store_db_name_ok(meta->name))
         return err_set(
             e, ERR_ARG,
             "name of a tile store: '%.64s': letters a-z, digits, - and _ are allowed, at most 63",

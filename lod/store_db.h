@@ -50,5 +50,7 @@ void store_db_hash_out(struct hash128 h, uint8_t out[STORE_HASH_BYTES]);
 /* Over everything in `t`, so that a damaged index row is seen. */
 struct hash128 store_db_row_hash(const struct store_tile *t);
 int store_db_tile_compare(const void *a, const void *b);
+/* Fit for addresses and documents as it is: a-z, 0-9, - and _. */
+bool store_db_name_ok(const char *name);
 
 #endif

@@ -362,6 +362,17 @@ static void files_that_are_no_stores(void **state)
     kit_ok(file_write(f->path, b.data, b.size, &e), e);
     kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, "not a tile store");
     buf_free(&b);
+    /* Names go into addresses and documents as they are: also a file's own name is checked. */
+    make_store(f->path, 1);
+    flip(f->path, "nametest-city", 13, 8); /* "test=city" */
+    kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, "name is 'test=city'");
+    make_store(f->path, 1);
+    kit_ok(store_open(f->path, &s, &e), e);
+    char row[32];
+    int n_row = snprintf(row, sizeof row, "revision%s", store_info(s)->revision);
+    store_close(&s);
+    flip(f->path, row, (size_t)n_row, 8); /* no hex digit stays one */
+    kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, "revision is");
     struct store_meta bad = meta;
     snprintf(bad.name, sizeof bad.name, "Bad Name");
     kit_fails(store_create(f->path, &bad, &s, &e), ERR_ARG, e, "Bad Name");
