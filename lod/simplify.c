@@ -35,6 +35,7 @@ enum {
 #define SIMPLIFY_OPACITY_MAX 0.99 /* the renderer's own ceiling */
 #define SIMPLIFY_BLUR 0.5 /* of the median sigma: thinner than this is not worth keeping apart */
 #define SIMPLIFY_COLOR_WEIGHT 4.0   /* a colour step of 0.2 counts like a distance of one sigma */
+#define SIMPLIFY_SCALE_LOG_MAX 40.0 /* of ln(sigma / m): squares and their determinants stay finite */
 #define SIMPLIFY_PAIRS_A_ROUND 0.75 /* of the mutual pairs: later choices see earlier mergers */
 
 struct simplify_cluster {
@@ -135,6 +136,13 @@ static double simplify_log_det(const double c[6], double blur2)
     return log(fmax(det, 1e-300));
 }
 
+/* Sigma as it is reckoned with. Files hold any finite logarithm; one cost that is no number would be
+ * nobody's cheapest, and merging would never end. */
+static double simplify_sigma(float scale_log)
+{
+    return exp(fmin(fmax((double)scale_log, -SIMPLIFY_SCALE_LOG_MAX), SIMPLIFY_SCALE_LOG_MAX));
+}
+
 static void simplify_init(struct simplify *s, size_t i)
 {
     const struct gauss *g = s->g;
@@ -144,7 +152,7 @@ static void simplify_init(struct simplify *s, size_t i)
         quat[k] = (double)g->quat_wxyz[4 * i + k];
     camera_quat_to_rot(quat, rot);
     for (size_t k = 0; k < 3; k++) {
-        sigma[k] = exp((double)g->scale_log[3 * i + k]);
+        sigma[k] = simplify_sigma(g->scale_log[3 * i + k]);
         c->mean[k] = (double)g->mean_m[3 * i + k];
         c->color[k] =
             (float)(GAUSS_SH_C0 * (double)g->sh[3 * gauss_sh_count(g->sh_degree) * i + k]);
@@ -387,6 +395,8 @@ static enum err_code simplify_round(struct simplify *s, size_t target, struct er
         if (p.b != row && p.b != UINT32_MAX && s->best[p.b].a == p.a && s->best[p.b].b == p.b)
             s->best[n_pairs++] = p;
     }
+    if (!n_pairs)
+        return err_set(e, ERR_DATA, "simplify: %zu Gaussians cannot be compared", s->n_alive);
     qsort(s->best, n_pairs, sizeof *s->best, simplify_pair_compare);
     size_t need = s->n_alive - target;
     size_t some = (size_t)ceil(SIMPLIFY_PAIRS_A_ROUND * (double)n_pairs);
@@ -429,7 +439,7 @@ static enum err_code simplify_open(struct simplify *s, struct gauss *work, struc
         sigma[i] = fmaxf(work->scale_log[3 * i],
                          fmaxf(work->scale_log[3 * i + 1], work->scale_log[3 * i + 2]));
     qsort(sigma, n, sizeof *sigma, simplify_float_compare);
-    double blur = SIMPLIFY_BLUR * exp((double)sigma[n / 2]);
+    double blur = SIMPLIFY_BLUR * simplify_sigma(sigma[n / 2]);
     s->blur2 = blur * blur;
     mem_free(sigma);
     for (size_t i = 0; i < n; i++) {

@@ -9,6 +9,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "lod/lod.h"
 #include "lod/simplify.h"
@@ -526,6 +527,28 @@ static double psnr(const double *a, const double *b, size_t n)
 
 /* An opaque chequered floor from where the simplified sigma is about a pixel: close to the
  * original, far closer than taking every fourth splat, and no thinner. */
+/* Foreign files hold any finite number: sizes beyond the range of a squared double, in all rows or in some. */
+static void absurd_sizes_come_to_an_end(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    static const float absurd[] = {300.0f, -300.0f, 88.0f, 3e38f};
+    for (size_t k = 0; k < sizeof absurd / sizeof *absurd; k++)
+        for (size_t every = 1; every <= 7; every += 3) {
+            struct gauss g, out;
+            city(40 + k, 200, 10, &g);
+            for (size_t i = 0; i < 3 * g.n; i += 1 + (every - 1) * (i % 2))
+                g.scale_log[i] = absurd[k];
+            alarm(20); /* a hang is a failure */
+            kit_ok(simplify_gauss(&g, 3, &out, &e), e);
+            alarm(0);
+            assert_int_equal(out.n, 3);
+            assert_int_equal(gauss_count_bad(&out, NULL), 0);
+            gauss_free(&g);
+            gauss_free(&out);
+        }
+}
+
 static void a_quarter_looks_like_the_whole(void **state)
 {
     (void)state;
@@ -590,6 +613,7 @@ int main(void)
         cmocka_unit_test(projected_areas),
         cmocka_unit_test(two_become_one_by_moments),
         cmocka_unit_test(targets_are_met_exactly),
+        cmocka_unit_test(absurd_sizes_come_to_an_end),
         cmocka_unit_test(a_quarter_looks_like_the_whole),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
