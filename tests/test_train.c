@@ -498,6 +498,20 @@ static void cells_of_a_plan_are_trained_on_their_own(void **state)
     kit_ok(train_again(dir, &c, &r, &e), e);
     for (size_t i = 0; i < r.n_cells; i++)
         assert_true(r.cells[i].was_done);
+    /* Another plan, whose cells have the same names but not the same ground: nothing of it is done. */
+    for (size_t i = 0; i < plan.n_cells; i++)
+        for (int k = 0; k < 2; k++) {
+            plan.cells[i].min_m[k] += 0.25;
+            plan.cells[i].max_m[k] += 0.25;
+        }
+    snprintf(path, sizeof(path), "%s/plan.json", dir);
+    kit_ok(plan_write(path, &s, &plan, &e), e);
+    c.stop_after = 5;
+    kit_fails(train_again(dir, &c, &r, &e), ERR_CANCEL, e, "step 5");
+    for (size_t i = 0; i < plan.n_cells; i++)
+        plan.cells[i].max_m[0] += 0.25;
+    kit_ok(plan_write(path, &s, &plan, &e), e);
+    kit_fails(train_again(dir, &c, &r, &e), ERR_DATA, e, "plan");
     partition_free(&plan);
     scene_free(&s);
     train_result_free(&r);

@@ -70,7 +70,7 @@ enum err_code state_load(struct level *l, const char *path, struct err *e) ERR_U
 enum err_code state_save_level(struct level *l, const char *path, const struct evaluate_score *score,
                                struct err *e) ERR_USE;
 
-/* Is this file the result of the level, last of l, by a run with l's options? */
+/* Is this file the result of the level, last of l, by a run with l's options, cell and photographs? */
 enum err_code state_is_result_of(const struct level *l, const char *path, bool *yes, struct err *e) ERR_USE;
 
 /* ---- run.c ------------------------------------------------------------------------------------------ */

@@ -2,11 +2,12 @@
  *
  * The state is the Gaussians, both Adam moments and the densification statistics in the device's layout, and three
  * numbers: level, step, Gaussians at the level's start. Everything else (order of photographs, schedules, random
- * numbers) is a function of these and the configuration, which is stored and compared: a run can only go on with
- * the options it began with.
+ * numbers) is a function of these, the configuration and the cell, which are stored and compared: a run can only
+ * go on with the options and the plan it began with.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -14,6 +15,7 @@
 
 #include "train/level.h"
 
+#define STATE_SAME_M 1e-6 /* lengths of a plan go through text */
 enum { STATE_STATS = 4 };
 static const char *const state_stat_names[STATE_STATS] = {"stat_grad", "stat_absg", "stat_count",
                                                           "stat_radius"};
@@ -47,11 +49,13 @@ static json_t *state_meta(const struct level *l, const char *kind, struct err *e
         return NULL;
     const struct schedule *s = &l->schedule[l->at < l->n_levels ? l->at : l->n_levels - 1];
     json_t *o = json_pack(
-        "{s:s, s:s, s:s, s:i, s:i, s:i, s:i, s:I, s:I, s:I, s:f, s:f, s:f, s:o}", "kind", kind,
+        "{s:s, s:s, s:s, s:i, s:i, s:i, s:i, s:I, s:I, s:I, s:f, s:f, s:f, s:[f,f,f,f], s:o}", "kind", kind,
         "version", CITYSPLAT_VERSION, "cell", l->cell.id, "level", (int)s->level, "levels",
         (int)l->n_levels, "step", (int)l->step, "steps", (int)s->steps, "start", (json_int_t)l->start,
         "gaussians", (json_int_t)l->model.n, "photographs", (json_int_t)l->n_images, "downsample",
-        s->downsample, "edge_m", l->cell.edge_m, "extent_m", l->cell.extent_m, "config", config);
+        s->downsample, "edge_m", l->cell.edge_m, "extent_m", l->cell.extent_m, "box_m",
+        l->cell.min_enu_m[0], l->cell.min_enu_m[1], l->cell.max_enu_m[0], l->cell.max_enu_m[1], "config",
+        config);
     if (!o)
         err_set(e, ERR_MEM, "out of memory for a checkpoint's head");
     return o;
@@ -152,6 +156,35 @@ static enum err_code state_check_config(const struct level *l, const char *path,
     return rc;
 }
 
+/* A plan that was made anew gives other cells the same names. */
+static enum err_code state_check_cell(const struct level *l, const char *path, const json_t *meta,
+                                      struct err *e)
+{
+    double lengths[2], box[4], photos;
+    const struct train_cell *c = &l->cell;
+    const double want[6] = {c->edge_m,       c->extent_m,     c->min_enu_m[0],
+                            c->min_enu_m[1], c->max_enu_m[0], c->max_enu_m[1]};
+    enum err_code rc = jsonc_num(meta, "edge_m", &lengths[0], e);
+    if (!rc)
+        rc = jsonc_num(meta, "extent_m", &lengths[1], e);
+    if (!rc)
+        rc = jsonc_nums(meta, "box_m", 4, box, e);
+    if (!rc)
+        rc = jsonc_num(meta, "photographs", &photos, e);
+    if (rc)
+        return err_add(e, "%s", path);
+    if (photos != (double)l->n_images)
+        return err_set(e, ERR_DATA, "%s: the run was begun with %.0f photographs, the scene has %zu now", path,
+                       photos, l->n_images);
+    for (size_t i = 0; i < 6; i++)
+        if (!(fabs((i < 2 ? lengths[i] : box[i - 2]) - want[i]) <= STATE_SAME_M))
+            return err_set(e, ERR_DATA,
+                           "%s: cell %s was another one when the run was begun: go back to that plan, or leave "
+                           "out --resume to start anew",
+                           path, c->id);
+    return ERR_OK;
+}
+
 static enum err_code state_integer(const struct ckpt *c, const char *path, const char *key, double lo,
                                    double hi, double *out, struct err *e)
 {
@@ -202,7 +235,7 @@ static enum err_code state_upload(struct level *l, const struct ckpt *c, const c
 static enum err_code state_apply(struct level *l, const struct ckpt *c, const char *path, struct err *e)
 {
     const char *kind;
-    double level, step, start, photos;
+    double level, step, start;
     enum err_code rc = jsonc_text(c->meta, "kind", &kind, e);
     if (!rc && strcmp(kind, "resume"))
         rc = err_set(e, ERR_FORMAT, "is the result of a level, not a state to go on from");
@@ -210,10 +243,7 @@ static enum err_code state_apply(struct level *l, const struct ckpt *c, const ch
         return err_add(e, "%s", path);
     rc = state_check_config(l, path, json_object_get(c->meta, "config"), e);
     if (!rc)
-        rc = state_integer(c, path, "photographs", 1, 1e9, &photos, e);
-    if (!rc && photos != (double)l->n_images)
-        rc = err_set(e, ERR_DATA, "%s: the run was begun with %.0f photographs, the scene has %zu now", path,
-                     photos, l->n_images);
+        rc = state_check_cell(l, path, c->meta, e);
     if (!rc)
         rc = state_integer(c, path, "level", 1, l->n_levels, &level, e);
     if (!rc)
@@ -253,7 +283,8 @@ enum err_code state_is_result_of(const struct level *l, const char *path, bool *
         return rc;
     *yes = !jsonc_text(c.meta, "kind", &kind, &why) && !strcmp(kind, "level") &&
            !jsonc_num(c.meta, "level", &level, &why) && level == (double)l->n_levels &&
-           !state_check_config(l, path, json_object_get(c.meta, "config"), &why);
+           !state_check_config(l, path, json_object_get(c.meta, "config"), &why) &&
+           !state_check_cell(l, path, c.meta, &why);
     ckpt_free(&c);
     return ERR_OK;
 }
