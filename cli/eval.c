@@ -39,28 +39,28 @@ struct eval {
 
 static void eval_print_head(void)
 {
-    printf("%-14s %6s %9s %9s %8s %10s %8s %12s %9s\n", "what", "photos", "edge px", "PSNR dB", "SSIM",
-           "SSIM valid", "L1", "Gaussians", "ms/frame");
+    printf("%-14s %6s %9s %9s %8s %10s %8s %12s %9s\n", "what", "photos", "edge px", "PSNR dB",
+           "SSIM", "SSIM valid", "L1", "Gaussians", "ms/frame");
 }
 
 static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px,
                               const struct evaluate_score *s, struct err *e)
 {
-    printf("%-14s %6zu %9u %9.3f %8.4f %10.4f %8.5f %12.0f %9.2f\n", what, s->n_photos, edge_px, s->psnr_db,
-           s->ssim, s->ssim_valid, s->l1, s->gaussians, s->ms_frame);
+    printf("%-14s %6zu %9u %9.3f %8.4f %10.4f %8.5f %12.0f %9.2f\n", what, s->n_photos, edge_px,
+           s->psnr_db, s->ssim, s->ssim_valid, s->l1, s->gaussians, s->ms_frame);
     fflush(stdout);
-    json_t *row = json_pack("{s:s, s:I, s:i, s:o, s:o, s:o, s:f, s:f, s:f}", "what", what, "photographs",
-                            (json_int_t)s->n_photos, "edge_px", (int)edge_px, "psnr_db",
-                            jsonc_real(s->psnr_db), "ssim", jsonc_real(s->ssim), "ssim_valid",
-                            jsonc_real(s->ssim_valid), "l1", s->l1, "gaussians", s->gaussians,
-                            "ms_frame", s->ms_frame);
+    json_t *row = json_pack("{s:s, s:I, s:i, s:o, s:o, s:o, s:f, s:f, s:f}", "what", what,
+                            "photographs", (json_int_t)s->n_photos, "edge_px", (int)edge_px,
+                            "psnr_db", jsonc_real(s->psnr_db), "ssim", jsonc_real(s->ssim),
+                            "ssim_valid", jsonc_real(s->ssim_valid), "l1", s->l1, "gaussians",
+                            s->gaussians, "ms_frame", s->ms_frame);
     if (!row || json_array_append_new(v->rows, row))
         return err_set(e, ERR_MEM, "eval: out of memory");
     return ERR_OK;
 }
 
-static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_edge_px, double downsample,
-                                 struct evaluate_source src, struct err *e)
+static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_edge_px,
+                                 double downsample, struct evaluate_source src, struct err *e)
 {
     char folder[64], pictures[FILE_PATH_MAX];
     struct feed *feed = NULL;
@@ -91,7 +91,8 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
     return eval_row(v, what, edge, &score, e);
 }
 
-/* ---- trained levels ------------------------------------------------------------------------------ */
+/* ---- trained levels
+ * ------------------------------------------------------------------------------ */
 
 /* What a level was trained with and must be drawn with. */
 struct eval_settings {
@@ -99,8 +100,8 @@ struct eval_settings {
     enum render_aa aa;
 };
 
-static enum err_code eval_read_settings(const struct ckpt *c, const char *path, struct eval_settings *out,
-                                        struct err *e)
+static enum err_code eval_read_settings(const struct ckpt *c, const char *path,
+                                        struct eval_settings *out, struct err *e)
 {
     const json_t *config = json_object_get(c->meta, "config");
     const char *aa = NULL;
@@ -127,8 +128,8 @@ static enum err_code eval_read_settings(const struct ckpt *c, const char *path, 
 }
 
 /* Add the rows that cell `index` of the plan owns (without a plan: all of them). */
-static enum err_code eval_append(const struct eval *v, size_t index, const struct gauss *g, struct gauss *out,
-                                 struct err *e)
+static enum err_code eval_append(const struct eval *v, size_t index, const struct gauss *g,
+                                 struct gauss *out, struct err *e)
 {
     size_t n = 0;
     if (!out->block) {
@@ -152,8 +153,9 @@ static enum err_code eval_append(const struct eval *v, size_t index, const struc
 }
 
 /* A level of all cells put together. *found: how many cells have it. */
-static enum err_code eval_load_level(const struct eval *v, const char *dir, unsigned level, struct gauss *g,
-                                     struct eval_settings *s, size_t *found, struct err *e)
+static enum err_code eval_load_level(const struct eval *v, const char *dir, unsigned level,
+                                     struct gauss *g, struct eval_settings *s, size_t *found,
+                                     struct err *e)
 {
     char path[FILE_PATH_MAX + 64];
     size_t n = v->plan.n_cells ? v->plan.n_cells : 1;
@@ -162,8 +164,8 @@ static enum err_code eval_load_level(const struct eval *v, const char *dir, unsi
         struct ckpt c = {0};
         if (v->plan.n_cells && v->plan.cells[i].parent >= 0)
             continue;
-        snprintf(path, sizeof(path), "%s/cells/%s/level%u.ckpt", dir, v->plan.n_cells ? v->plan.cells[i].id : "all",
-                 level);
+        snprintf(path, sizeof(path), "%s/cells/%s/level%u.ckpt", dir,
+                 v->plan.n_cells ? v->plan.cells[i].id : "all", level);
         if (!file_exists(path))
             continue;
         rc = ckpt_read(path, &c, e);
@@ -177,7 +179,8 @@ static enum err_code eval_load_level(const struct eval *v, const char *dir, unsi
     return rc;
 }
 
-static enum err_code eval_level(struct eval *v, const char *dir, unsigned level, size_t *found, struct err *e)
+static enum err_code eval_level(struct eval *v, const char *dir, unsigned level, size_t *found,
+                                struct err *e)
 {
     struct gauss g = {0};
     struct render_model model = {0};
@@ -191,7 +194,8 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
     if (!rc && n) {
         float grey = (float)s.background;
         struct evaluate_model m = {
-            v->render, &model,
+            v->render,
+            &model,
             {.aa = s.aa, .background = {grey, grey, grey}, .near_m = s.near_m, .sh_degree = -1}};
         struct evaluate_source src = {evaluate_draw_model, &m, NULL};
         uint32_t edge = v->o.max_edge_px ? (uint32_t)v->o.max_edge_px : (uint32_t)s.max_edge_px;
@@ -218,7 +222,8 @@ static enum err_code eval_levels(struct eval *v, const char *scene_dir, struct e
     return rc;
 }
 
-/* ---- a tile store ------------------------------------------------------------------------------------ */
+/* ---- a tile store
+ * ------------------------------------------------------------------------------------ */
 
 struct eval_view {
     struct view *view;
@@ -226,8 +231,8 @@ struct eval_view {
     struct pick_options po;
 };
 
-static enum err_code eval_draw_view(void *user, const struct camera *cam, float *rgb, double *gaussians,
-                                    struct err *e)
+static enum err_code eval_draw_view(void *user, const struct camera *cam, float *rgb,
+                                    double *gaussians, struct err *e)
 {
     struct eval_view *w = user;
     struct view_stats stats = {0};
@@ -256,13 +261,15 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     return rc;
 }
 
-/* ---- the command --------------------------------------------------------------------------------------- */
+/* ---- the command
+ * --------------------------------------------------------------------------------------- */
 
 static enum err_code eval_open(struct eval *v, const char *scene_dir, struct err *e)
 {
     enum err_code rc = scene_read(scene_dir, &v->scene, e);
     if (!rc)
-        rc = train_images(&v->scene, v->o.split ? SCENE_TRAIN : SCENE_TEST, true, &v->images, &v->n_images, e);
+        rc = train_images(&v->scene, v->o.split ? SCENE_TRAIN : SCENE_TEST, true, &v->images,
+                          &v->n_images, e);
     if (!rc && !v->n_images)
         rc = err_set(e, ERR_DATA, "%s: the scene keeps no %s photographs", scene_dir,
                      v->o.split ? "training" : "test");
@@ -277,8 +284,8 @@ static enum err_code eval_open(struct eval *v, const char *scene_dir, struct err
 
 static enum err_code eval_write(const struct eval *v, const char *scene_dir, struct err *e)
 {
-    json_t *o = json_pack("{s:s, s:s, s:s, s:O}", "scene", scene_dir, "device", v->dev.name, "version",
-                          CITYSPLAT_VERSION, "scores", v->rows);
+    json_t *o = json_pack("{s:s, s:s, s:s, s:O}", "scene", scene_dir, "device", v->dev.name,
+                          "version", CITYSPLAT_VERSION, "scores", v->rows);
     if (!o)
         return err_set(e, ERR_MEM, "eval: out of memory");
     enum err_code rc = jsonc_write(v->o.output, o, e);
@@ -291,10 +298,13 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
     const struct options_spec spec = {
         .command = "eval",
         .usage = "citysplat eval SCENE [options]",
-        .about = "Draws the scene's test photographs from the trained Gaussians, or from a tile store with and "
-                 "without level of detail, and prints PSNR, SSIM (zero padded as in training, and inner "
-                 "windows only), mean |difference|, Gaussians and time a frame.",
-        .example = "citysplat eval scene\ncitysplat eval scene --tiles city.tiles --max-edge-px 800",
+        .about =
+            "Draws the scene's test photographs from the trained Gaussians, or from a tile store "
+            "with and "
+            "without level of detail, and prints PSNR, SSIM (zero padded as in training, and inner "
+            "windows only), mean |difference|, Gaussians and time a frame.",
+        .example =
+            "citysplat eval scene\ncitysplat eval scene --tiles city.tiles --max-edge-px 800",
         .defs = eval_defs,
         .n_defs = sizeof(eval_defs) / sizeof(eval_defs[0]),
         .min_args = 1,

@@ -1,13 +1,14 @@
-/* Checkpoints: one file with a JSON head, a set of Gaussians and named blobs, every part hashed (XXH3-128).
+/* Checkpoints: one file with a JSON head, a set of Gaussians and named blobs, every part hashed
+ * (XXH3-128).
  *
  *   0   "CSPLCKPT"   8  version u32   12 number of sections u32   16 bytes of the whole file u64
  *   24  hash of [0, 24) and the section table (lo, hi u64)   40  zeros to 64
  *   64  section table: per section { name[32], offset u64, size u64, hash lo u64, hash hi u64 }
  *   ... sections, each at a multiple of 64, zeros between
  *
- * Sections of our own begin with '#': #meta (JSON text), #gauss (counts and origin) and one per array of
- * the container; the others are the caller's. Little-endian. Reading loads the file once: blobs point into
- * that buffer, the Gaussians are copied into a container of their own.
+ * Sections of our own begin with '#': #meta (JSON text), #gauss (counts and origin) and one per
+ * array of the container; the others are the caller's. Little-endian. Reading loads the file once:
+ * blobs point into that buffer, the Gaussians are copied into a container of their own.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -76,7 +77,8 @@ static enum err_code ckpt_plan(const char *path, const char *meta, const struct 
     struct ckpt_array arrays[CKPT_ARRAYS];
     ckpt_arrays(g, arrays);
     size_t k = 0;
-    t[k++] = (struct ckpt_entry){.name = "#meta", .data = (const uint8_t *)meta, .size = strlen(meta)};
+    t[k++] =
+        (struct ckpt_entry){.name = "#meta", .data = (const uint8_t *)meta, .size = strlen(meta)};
     t[k++] = (struct ckpt_entry){.name = "#gauss", .data = head->data, .size = head->size};
     for (size_t i = 0; i < CKPT_ARRAYS; i++, k++) {
         t[k].data = (const uint8_t *)arrays[i].data;
@@ -218,7 +220,8 @@ static enum err_code ckpt_bad(const char *path, const char *why, struct err *e)
     return err_set(e, ERR_FORMAT, "%s: %s", path, why);
 }
 
-/* Check the head and the table and list the sections; the caller frees *out, also after an error. */
+/* Check the head and the table and list the sections; the caller frees *out, also after an error.
+ */
 static enum err_code ckpt_read_table(const char *path, const struct buf *file,
                                      struct ckpt_entry **out, size_t *n_out, struct err *e)
 {
@@ -329,7 +332,8 @@ static enum err_code ckpt_read_rest(const char *path, const struct ckpt_entry *t
     const struct ckpt_entry *meta = ckpt_section(t, n, "#meta");
     if (!meta)
         return ckpt_bad(path, "damaged: section '#meta' is missing", e);
-    enum err_code rc = jsonc_parse((const char *)meta->data, (size_t)meta->size, path, &out->meta, e);
+    enum err_code rc =
+        jsonc_parse((const char *)meta->data, (size_t)meta->size, path, &out->meta, e);
     if (rc)
         return rc;
     if (!json_is_object(out->meta))

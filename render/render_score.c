@@ -1,5 +1,6 @@
-/* Importance of Gaussians in the last frame: launches score.cl over what render_forward left on the device. Owns
- * the compiled kernels and buffers that grow; nothing of the frame is changed, so render_backward may follow.
+/* Importance of Gaussians in the last frame: launches score.cl over what render_forward left on the
+ * device. Owns the compiled kernels and buffers that grow; nothing of the frame is changed, so
+ * render_backward may follow.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -23,7 +24,8 @@ enum err_code render_score_open(struct render *r, struct render_score **out, str
                                      {"render/blend_cpu.cl", blend_cpu_cl},
                                      {"render/blend_backward.cl", blend_backward_cl},
                                      {"render/score.cl", score_cl}};
-    const struct dev_source gpu[] = {{"render/common.cl", common_cl}, {"render/score.cl", score_cl}};
+    const struct dev_source gpu[] = {{"render/common.cl", common_cl},
+                                     {"render/score.cl", score_cl}};
     bool wide = r->dev->vector_width > 1;
     *out = NULL;
     struct render_score *s = mem_array(1, sizeof(*s));
@@ -62,7 +64,7 @@ static enum err_code render_score_tiles(struct render_score *s, cl_mem weight, s
 {
     struct render *r = s->render;
     size_t group = r->dev->vector_width == 1 ? RENDER_TILE * RENDER_TILE : 1;
-    cl_mem args[] = {r->view_mem,        r->splats.mem, r->tile_start.mem, r->entry_splat.mem,
+    cl_mem args[] = {r->view_mem,       r->splats.mem, r->tile_start.mem, r->entry_splat.mem,
                      r->entry_slot.mem, weight,        s->slots.mem};
     cl_int bad = CL_SUCCESS;
     for (cl_uint i = 0; i < sizeof(args) / sizeof(args[0]); i++)

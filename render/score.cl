@@ -1,12 +1,13 @@
 // Stage: importance of splats in a frame, for density control. Compiled after blend_cpu.cl and
-// blend_backward.cl on CPUs, whose masks and sums it shares. Replays the blending of the last frame and adds
-// up, for every Gaussian, over the pixels it was blended into:
+// blend_backward.cl on CPUs, whose masks and sums it shares. Replays the blending of the last frame
+// and adds up, for every Gaussian, over the pixels it was blended into:
 //   in   splats, tile_start, entry_splat, entry_slot, slot_first, tiles_of, depth_key: the frame
 //        weight [h][w]: what a pixel counts
-//   out  slots [entries][4] (cleared by the host): weight, 1, alpha T, distance of the pixel from the mean
+//   out  slots [entries][4] (cleared by the host): weight, 1, alpha T, distance of the pixel from
+//   the mean
 //        sums [n][8]: those four, then depth in m, half-size in px, 0, 0; all 0 where invisible
-// One writer a slot, fixed order: same input, same bits. The sums are those of Taming 3DGS, Mallick et al.
-// 2024.
+// One writer a slot, fixed order: same input, same bits. The sums are those of Taming 3DGS, Mallick
+// et al. 2024.
 
 #if VW == 16
 
@@ -55,7 +56,8 @@ inline void score_entry(struct score_state *s, const float *rec, float x0, float
         uint k = 31 - clz(blocks);
         blocks ^= 1u << k;
         float16 dx = block_dx(mx, k), dy = block_dy(my, k);
-        float16 raw = splat_raw(dx, dy, rec[P], rec[X_OF_Y], rec[R], rec[OPACITY_LOG2]), t = s->t[k];
+        float16 raw = splat_raw(dx, dy, rec[P], rec[X_OF_Y], rec[R], rec[OPACITY_LOG2]),
+                t = s->t[k];
         int16 hit = (t > T_STOP) & (raw > 0.0f);
         float16 one = hit ? (float16)(1.0f) : (float16)(0.0f);
         float16 share = one * MIN_(raw, ALPHA_MAX) * t;
@@ -65,10 +67,12 @@ inline void score_entry(struct score_state *s, const float *rec, float x0, float
         shares += share;
         dist += one * sqrt(dx * dx + dy * dy);
     }
-    vstore4((float4)(score_sum(weight), score_sum(count), score_sum(shares), score_sum(dist)), 0, slot);
+    vstore4((float4)(score_sum(weight), score_sum(count), score_sum(shares), score_sum(dist)), 0,
+            slot);
 }
 
-__kernel void score_tiles(__constant struct layout_view *view, __global const struct layout_splat *splats,
+__kernel void score_tiles(__constant struct layout_view *view,
+                          __global const struct layout_splat *splats,
                           __global const uint *tile_start, __global const uint *entry_splat,
                           __global const uint *entry_slot, __global const float *weight,
                           __global float *slots)
@@ -95,7 +99,8 @@ __kernel void score_tiles(__constant struct layout_view *view, __global const st
         for (uint j = 0; j < n && active; j++) {
             uint blocks = mask[j] & active;
             if (blocks)
-                score_entry(&s, staged + 16 * j, x0, y0, blocks, slots + 4 * (size_t)entry_slot[at + j]);
+                score_entry(&s, staged + 16 * j, x0, y0, blocks,
+                            slots + 4 * (size_t)entry_slot[at + j]);
             if (j % CHECK_EVERY == CHECK_EVERY - 1)
                 active = score_active(&s, active);
         }
@@ -105,8 +110,9 @@ __kernel void score_tiles(__constant struct layout_view *view, __global const st
 
 #else
 
-// GPU shape: one work-group is one tile, one work-item one pixel; an entry is summed by a tree of fixed shape.
-__kernel __attribute__((reqd_work_group_size(LAYOUT_TILE *LAYOUT_TILE, 1, 1))) void
+// GPU shape: one work-group is one tile, one work-item one pixel; an entry is summed by a tree of
+// fixed shape.
+__kernel __attribute__((reqd_work_group_size(LAYOUT_TILE * LAYOUT_TILE, 1, 1))) void
 score_tiles(__constant struct layout_view *v, __global const struct layout_splat *splats,
             __global const uint *tile_start, __global const uint *entry_splat,
             __global const uint *entry_slot, __global const float *weight, __global float *slots)

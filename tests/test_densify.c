@@ -27,11 +27,16 @@ static float *at(float *p, size_t i, uint32_t plane)
     return p + (i / LANES * PLANES + plane) * LANES + i % LANES;
 }
 
-/* n Gaussians in a square of half-edge 10 m, sigma 0.1 m (every third 5 m), opacity 0.5, gradient 1. */
+/* n Gaussians in a square of half-edge 10 m, sigma 0.1 m (every third 5 m), opacity 0.5,
+ * gradient 1. */
 static struct toy toy_make(size_t n)
 {
     size_t floats = densify_floats(n, PLANES);
-    struct toy t = {n, mem_array(floats, 4), mem_array(n, 4), mem_array(n, 4), mem_array(floats, 4),
+    struct toy t = {n,
+                    mem_array(floats, 4),
+                    mem_array(n, 4),
+                    mem_array(n, 4),
+                    mem_array(floats, 4),
                     mem_array(floats, 4)};
     for (size_t i = 0; i < n; i++) {
         for (uint32_t k = 0; k < 3; k++) {
@@ -61,15 +66,27 @@ static void toy_free(struct toy *t)
     mem_free(t->m2);
 }
 
-static const struct train_cell everything = {.id = "all", .whole = true, .edge_m = 20.0, .extent_m = 20.0};
-static const struct train_cell western = { /* x < 0 is inside */
-    .id = "west", .min_enu_m = {-100.0, -100.0}, .max_enu_m = {0.0, 100.0}, .edge_m = 5.0, .extent_m = 20.0};
+static const struct train_cell everything = {
+    .id = "all", .whole = true, .edge_m = 20.0, .extent_m = 20.0};
+static const struct train_cell western = {/* x < 0 is inside */
+                                          .id = "west",
+                                          .min_enu_m = {-100.0, -100.0},
+                                          .max_enu_m = {0.0, 100.0},
+                                          .edge_m = 5.0,
+                                          .extent_m = 20.0};
 
 static struct densify_params params_of(const struct train_cell *cell, size_t inside, size_t outside)
 {
-    return (struct densify_params){.cell = cell, .cap_inside = inside, .cap_outside = outside, .tau = 0.5,
-                                   .tau_outside = 4.0, .split_above_m = 1.0, .prune_opacity = 0.005,
-                                   .seed = 7, .level = 1, .step = 100};
+    return (struct densify_params){.cell = cell,
+                                   .cap_inside = inside,
+                                   .cap_outside = outside,
+                                   .tau = 0.5,
+                                   .tau_outside = 4.0,
+                                   .split_above_m = 1.0,
+                                   .prune_opacity = 0.005,
+                                   .seed = 7,
+                                   .level = 1,
+                                   .step = 100};
 }
 
 static struct densify_input input_of(const struct toy *t, bool with_score)
@@ -94,7 +111,8 @@ static void with_room_every_candidate_is_taken(void **state)
     assert_int_equal(plan.n, 198);
     densify_plan_free(&plan);
     for (size_t i = 0; i < t.n; i++)
-        t.grad[i] = i % 2 ? 0.4f : NAN; /* below the threshold, or no number at all: neither grows */
+        t.grad[i] =
+            i % 2 ? 0.4f : NAN; /* below the threshold, or no number at all: neither grows */
     kit_ok(densify_choose(&p, &in, &plan, &e), e);
     assert_int_equal(plan.n, 99);
     assert_int_equal(plan.report.room, 0);
@@ -120,7 +138,8 @@ static void a_binding_budget_asks_for_scores_and_is_met_exactly(void **state)
         kit_ok(densify_choose(&p, &in, &plan, &e), e);
         size_t room = cap - 300;
         assert_int_equal(plan.report.room, room);
-        assert_int_equal(plan.report.cloned, room * 200 / 300); /* rounded down; splits take the rest */
+        assert_int_equal(plan.report.cloned,
+                         room * 200 / 300); /* rounded down; splits take the rest */
         assert_int_equal(plan.report.split, room - plan.report.cloned);
         assert_int_equal(plan.n, cap);
         densify_plan_free(&plan);
@@ -174,8 +193,8 @@ static void transparent_huge_tiny_and_broken_ones_are_removed(void **state)
 }
 
 /* Count the rows of a plan by side, children of splits at their own places. */
-static void count_sides(const struct densify_params *p, const struct toy *t, struct densify_plan *plan,
-                        size_t *inside, size_t *outside)
+static void count_sides(const struct densify_params *p, const struct toy *t,
+                        struct densify_plan *plan, size_t *inside, size_t *outside)
 {
     struct err e = {0};
     size_t floats = densify_floats(plan->n, PLANES);
@@ -185,7 +204,8 @@ static void count_sides(const struct densify_params *p, const struct toy *t, str
     kit_ok(densify_apply(p, &in, plan, &from, &to, &e), e);
     *inside = *outside = 0;
     for (size_t i = 0; i < plan->n; i++) {
-        bool in_cell = cell_distance(p->cell, (double)*at(to.params, i, 0), (double)*at(to.params, i, 1)) <= 0.0;
+        bool in_cell = cell_distance(p->cell, (double)*at(to.params, i, 0),
+                                     (double)*at(to.params, i, 1)) <= 0.0;
         *inside += in_cell;
         *outside += !in_cell;
     }
@@ -227,7 +247,8 @@ static void the_threshold_rises_outside_the_cell(void **state)
     (void)state;
     struct err e = {0};
     struct toy t = toy_make(3);
-    static const float east[3] = {-1.0f, 2.5f, 50.0f}; /* inside; half a cell edge; far beyond one */
+    static const float east[3] = {-1.0f, 2.5f,
+                                  50.0f}; /* inside; half a cell edge; far beyond one */
     for (size_t i = 0; i < 3; i++)
         *at(t.params, i, 0) = east[i];
     struct densify_params p = params_of(&western, 100, 100);
@@ -241,7 +262,8 @@ static void the_threshold_rises_outside_the_cell(void **state)
         for (size_t i = 0; i < 3; i++)
             t.grad[i] = want[k].grad;
         kit_ok(densify_choose(&p, &in, &plan, &e), e);
-        assert_int_equal(plan.report.clone_candidates + plan.report.split_candidates, want[k].candidates);
+        assert_int_equal(plan.report.clone_candidates + plan.report.split_candidates,
+                         want[k].candidates);
         densify_plan_free(&plan);
     }
     toy_free(&t);
@@ -264,7 +286,8 @@ static void clones_are_copies_and_halves_lie_within_their_parent(void **state)
     for (size_t i = 0; i < plan.n; i++) {
         size_t source = (size_t)*at(to.params, i, 11); /* its colour says who the parent was */
         bool split = source % 3 == 2;
-        bool carries = *at(to.m1, i, 5) == 1.0f + (float)source && *at(to.m2, i, 12) == 2.0f + (float)source;
+        bool carries =
+            *at(to.m1, i, 5) == 1.0f + (float)source && *at(to.m2, i, 12) == 2.0f + (float)source;
         bool zero = *at(to.m1, i, 5) == 0.0f && *at(to.m2, i, 12) == 0.0f;
         assert_true(carries || zero);
         kept += carries;

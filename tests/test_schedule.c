@@ -9,7 +9,8 @@
 #include "train/train.h"
 
 #define EDGE_M 100.0
-static const struct train_cell cell = {.id = "all", .whole = true, .edge_m = EDGE_M, .extent_m = EDGE_M};
+static const struct train_cell cell = {
+    .id = "all", .whole = true, .edge_m = EDGE_M, .extent_m = EDGE_M};
 #define LR_TOL 1e-12 /* exp and log of doubles */
 
 static struct train_config defaults(struct arena *a)
@@ -47,7 +48,8 @@ static void cap_has_no_edge_that_divides_by_zero_or_shrinks(void **state)
     assert_int_equal(schedule_cap(100, 400, 0, 1), 400); /* a single densification may fill it */
     assert_int_equal(schedule_cap(100, 400, 0, 0), 400);
     assert_int_equal(schedule_cap(100, 400, 99, 10), 400);
-    assert_int_equal(schedule_cap(0, (size_t)1 << 40, 5, 11), (size_t)(0.75 * (double)((size_t)1 << 40)));
+    assert_int_equal(schedule_cap(0, (size_t)1 << 40, 5, 11),
+                     (size_t)(0.75 * (double)((size_t)1 << 40)));
 }
 
 static void full_run_has_the_published_numbers(void **state)

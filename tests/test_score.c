@@ -41,8 +41,8 @@ static struct frame_sums run(const struct gauss *g, const float *weight)
     kit_ok(dev_buffer(&dev, PIXELS * sizeof(float), weight, &weights, &e), e);
     kit_ok(render_score_open(render, &s, &e), e);
     kit_ok(render_model_upload(render, g, &m, &e), e);
-    kit_fails(render_score_run(s, &(struct render_model){.n = 12345}, weights, out.sums, &e), ERR_ARG, e,
-              "no frame");
+    kit_fails(render_score_run(s, &(struct render_model){.n = 12345}, weights, out.sums, &e),
+              ERR_ARG, e, "no frame");
     kit_ok(render_forward(render, &m, &cam, &options, rgb, out.transmittance, &e), e);
     kit_ok(render_score_run(s, &m, weights, out.sums, &e), e);
     render_score_close(&s);

@@ -1,8 +1,8 @@
-/* Training as a whole on a toy: the loss falls as it did before, runs repeat bit by bit, a stopped run goes on as
- * if it had not been stopped, and broken scenes give one clear error.
+/* Training as a whole on a toy: the loss falls as it did before, runs repeat bit by bit, a stopped
+ * run goes on as if it had not been stopped, and broken scenes give one clear error.
  *
- * The toy: coloured blobs on a patch of ground, photographed from above by cameras on a ring, pictures drawn by
- * the renderer itself, so a perfect fit exists.
+ * The toy: coloured blobs on a patch of ground, photographed from above by cameras on a ring,
+ * pictures drawn by the renderer itself, so a perfect fit exists.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -20,13 +20,15 @@
 enum { BLOBS = 60, PHOTOS = 9, WIDTH = 64, HEIGHT = 48 };
 #define GROUND_M 6.0
 #define TOY_PSNR_DB 19.0 /* 20.3 when written */
-/* Golden numbers were made on one CPU; another one's exp() or fused operations may differ by this much. */
+/* Golden numbers were made on one CPU; another one's exp() or fused operations may differ by this
+ * much. */
 #define GOLDEN_REL 2e-3
 
 static struct dev dev; /* one for all tests: kernels are built once */
 static char scene_dir[FILE_PATH_MAX];
 
-/* ---- the toy ------------------------------------------------------------------------------------- */
+/* ---- the toy
+ * ------------------------------------------------------------------------------------- */
 
 static void toy_gauss(struct gauss *g)
 {
@@ -133,14 +135,15 @@ static struct train_config toy_config(struct arena *a, const char *out)
 }
 
 /* train_run into a result that is in use. */
-static enum err_code train_again(const char *dir, const struct train_config *c, struct train_result *r,
-                                 struct err *e)
+static enum err_code train_again(const char *dir, const struct train_config *c,
+                                 struct train_result *r, struct err *e)
 {
     train_result_free(r);
     return train_run(dir, c, r, e);
 }
 
-/* ---- pieces ----------------------------------------------------------------------------------------- */
+/* ---- pieces
+ * ----------------------------------------------------------------------------------------- */
 
 static void cameras_at_training_size_keep_the_view(void **state)
 {
@@ -176,8 +179,13 @@ static void the_feed_shows_every_photograph_once_an_epoch_within_its_cache(void 
     const size_t caches[2] = {photo, 1 << 20};
     for (int k = 0; k < 2; k++) {
         struct feed *f = NULL;
-        struct feed_config cfg = {.scene = &s, .images = images, .n_images = n, .downsample = 1.0,
-                                  .cache_bytes = caches[k], .seed = 5, .level = 1};
+        struct feed_config cfg = {.scene = &s,
+                                  .images = images,
+                                  .n_images = n,
+                                  .downsample = 1.0,
+                                  .cache_bytes = caches[k],
+                                  .seed = 5,
+                                  .level = 1};
         kit_ok(feed_open(&cfg, &f, &e), e);
         for (uint32_t t = 1; t <= 4 * n; t++) {
             struct feed_photo p;
@@ -207,7 +215,8 @@ static void the_feed_shows_every_photograph_once_an_epoch_within_its_cache(void 
     scene_free(&s);
 }
 
-/* ---- whole runs ------------------------------------------------------------------------------------- */
+/* ---- whole runs
+ * ------------------------------------------------------------------------------------- */
 
 static void read_level(const char *out, unsigned level, struct ckpt *c)
 {
@@ -245,7 +254,8 @@ static void training_improves_keeps_budgets_and_repeats(void **state)
         kit_tmpdir(out[i]);
         struct train_config c = toy_config(&a, out[i]);
         kit_ok(train_again(scene_dir, &c, &r[i], &e), e);
-        assert_true(r[i].cells[0].n_gaussians[0] <= 80 && r[i].cells[0].n_gaussians[1] <= 100 && r[i].cells[0].n_gaussians[2] <= 150);
+        assert_true(r[i].cells[0].n_gaussians[0] <= 80 && r[i].cells[0].n_gaussians[1] <= 100 &&
+                    r[i].cells[0].n_gaussians[2] <= 150);
         assert_true(r[i].cells[0].n_gaussians[2] > r[i].cells[0].n_gaussians[0]);
         assert_true(r[i].cells[0].psnr_db[2] > TOY_PSNR_DB);
     }
@@ -255,7 +265,8 @@ static void training_improves_keeps_budgets_and_repeats(void **state)
     assert_true(c.g.antialiased);
     assert_int_equal(c.g.sh_degree, 1);
     assert_int_equal(json_integer_value(json_object_get(c.meta, "level")), 2);
-    assert_true(json_number_value(json_object_get(json_object_get(c.meta, "test"), "psnr_db")) == r[0].cells[0].psnr_db[1]);
+    assert_true(json_number_value(json_object_get(json_object_get(c.meta, "test"), "psnr_db")) ==
+                r[0].cells[0].psnr_db[1]);
     ckpt_free(&c);
     char path[FILE_PATH_MAX + 64];
     snprintf(path, sizeof(path), "%s/cells/all/resume.ckpt", out[0]);
@@ -279,7 +290,8 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
     struct train_config c = toy_config(&a, whole);
     kit_ok(train_again(scene_dir, &c, &r, &e), e);
     c.output = parts;
-    /* pieces of 1, 7, 30, ... steps: in the middle of levels, at their ends, around densifications */
+    /* pieces of 1, 7, 30, ... steps: in the middle of levels, at their ends, around densifications
+     */
     static const int64_t pieces[] = {1, 7, 67, 2, 73, 40, 40};
     for (size_t i = 0; i < sizeof(pieces) / sizeof(pieces[0]); i++) {
         c.stop_after = pieces[i];
@@ -326,13 +338,15 @@ static void a_damaged_state_is_refused(void **state)
     arena_free(&a);
 }
 
-/* The trace of a level's first steps: any change of a formula on the way from photograph to parameter shows. */
+/* The trace of a level's first steps: any change of a formula on the way from photograph to
+ * parameter shows. */
 static void twenty_steps_give_the_golden_trace(void **state)
 {
     (void)state;
-    static const double golden[20] = {0.250743, 0.263665, 0.238544, 0.235704, 0.229938, 0.225960, 0.230517,
-                                      0.223437, 0.222595, 0.216115, 0.219659, 0.227272, 0.205244, 0.207920,
-                                      0.206061, 0.203116, 0.201210, 0.204415, 0.203900, 0.191031};
+    static const double golden[20] = {0.250743, 0.263665, 0.238544, 0.235704, 0.229938,
+                                      0.225960, 0.230517, 0.223437, 0.222595, 0.216115,
+                                      0.219659, 0.227272, 0.205244, 0.207920, 0.206061,
+                                      0.203116, 0.201210, 0.204415, 0.203900, 0.191031};
     struct err e = {0};
     struct arena a = {0};
     struct scene s;
@@ -346,7 +360,8 @@ static void twenty_steps_give_the_golden_trace(void **state)
     c.densify_from = 1000000; /* choices of who is split may tip over by rounding; steps may not */
     kit_ok(scene_read(scene_dir, &s, &e), e);
     kit_ok(train_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
-    struct level l = {.cfg = &c, .scene = &s, .images = images, .n_images = n, .dev = &dev, .n_levels = 1};
+    struct level l = {
+        .cfg = &c, .scene = &s, .images = images, .n_images = n, .dev = &dev, .n_levels = 1};
     cell_whole(&s, images, n, &l.cell);
     kit_ok(schedule_make(&c, n, &l.cell, l.schedule, &e), e);
     kit_ok(render_open(&dev, &l.render, &e), e);
@@ -390,8 +405,8 @@ static void a_scene_without_points_starts_from_random_ones(void **state)
     arena_free(&a);
 }
 
-/* SSIM over whole windows does not exist where a picture is smaller than the window: the level is scored and
- * written down without it. */
+/* SSIM over whole windows does not exist where a picture is smaller than the window: the level is
+ * scored and written down without it. */
 static void pictures_smaller_than_the_window_are_scored_without_it(void **state)
 {
     (void)state;
@@ -442,8 +457,8 @@ static void broken_scenes_are_one_clear_error(void **state)
     arena_free(&a);
 }
 
-/* Two cells side by side from a plan: each is trained from its own photographs, the second one alone gives the
- * same bytes, and a finished cell is not trained again by --resume. */
+/* Two cells side by side from a plan: each is trained from its own photographs, the second one
+ * alone gives the same bytes, and a finished cell is not trained again by --resume. */
 static void cells_of_a_plan_are_trained_on_their_own(void **state)
 {
     (void)state;
@@ -498,7 +513,8 @@ static void cells_of_a_plan_are_trained_on_their_own(void **state)
     kit_ok(train_again(dir, &c, &r, &e), e);
     for (size_t i = 0; i < r.n_cells; i++)
         assert_true(r.cells[i].was_done);
-    /* Another plan, whose cells have the same names but not the same ground: nothing of it is done. */
+    /* Another plan, whose cells have the same names but not the same ground: nothing of it is done.
+     */
     for (size_t i = 0; i < plan.n_cells; i++)
         for (int k = 0; k < 2; k++) {
             plan.cells[i].min_m[k] += 0.25;

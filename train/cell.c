@@ -1,9 +1,11 @@
-/* Training cells: the rectangle of ground one job covers, and the two lengths everything is measured in.
+/* Training cells: the rectangle of ground one job covers, and the two lengths everything is
+ * measured in.
  *
- * edge_m is what a cell's side would be (learning rates of positions, the ramp of thresholds outside); extent_m
- * is 1.1 times the largest distance of a camera from the cameras' mean (3D Gaussian Splatting's scene extent:
- * what counts as a large Gaussian). A whole scene takes the larger side of the box around its cameras, or their
- * height above the points where they hardly move.
+ * edge_m is what a cell's side would be (learning rates of positions, the ramp of thresholds
+ * outside); extent_m is 1.1 times the largest distance of a camera from the cameras' mean (3D
+ * Gaussian Splatting's scene extent: what counts as a large Gaussian). A whole scene takes the
+ * larger side of the box around its cameras, or their height above the points where they hardly
+ * move.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -52,7 +54,8 @@ static double cell_extent(const struct scene *s, const uint32_t *images, size_t 
     return CELL_EXTENT_FACTOR * far;
 }
 
-void cell_whole(const struct scene *s, const uint32_t *images, size_t n_images, struct train_cell *out)
+void cell_whole(const struct scene *s, const uint32_t *images, size_t n_images,
+                struct train_cell *out)
 {
     double lo[3], hi[3], mean[3], points[3] = {0};
     *out = (struct train_cell){.id = "all", .whole = true};
@@ -69,8 +72,8 @@ void cell_whole(const struct scene *s, const uint32_t *images, size_t n_images, 
     }
 }
 
-void cell_planned(const struct scene *s, const struct partition *p, size_t index, const uint32_t *images,
-                  size_t n_images, struct train_cell *out)
+void cell_planned(const struct scene *s, const struct partition *p, size_t index,
+                  const uint32_t *images, size_t n_images, struct train_cell *out)
 {
     const struct partition_cell *c = &p->cells[index];
     *out = (struct train_cell){.whole = p->n_cells == 1};
@@ -79,7 +82,8 @@ void cell_planned(const struct scene *s, const struct partition *p, size_t index
         out->min_enu_m[k] = c->min_m[k];
         out->max_enu_m[k] = c->max_m[k];
     }
-    out->edge_m = p->edge_m > 0.0 ? p->edge_m : fmax(c->max_m[0] - c->min_m[0], c->max_m[1] - c->min_m[1]);
+    out->edge_m =
+        p->edge_m > 0.0 ? p->edge_m : fmax(c->max_m[0] - c->min_m[0], c->max_m[1] - c->min_m[1]);
     out->edge_m = fmax(out->edge_m, CELL_SMALLEST_M);
     out->extent_m = fmax(cell_extent(s, images, n_images), 0.5 * out->edge_m);
 }

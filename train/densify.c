@@ -1,13 +1,15 @@
 /* Density control under a budget: who is cloned, split or removed.
  *
- * Candidates are Gaussians whose mean positional gradient exceeds a threshold that grows with the distance from
- * the cell (1 inside .. tau_outside at one cell edge). Small ones are cloned, large ones split in two (3D Gaussian
- * Splatting, Kerbl 2023). Room is what the ceiling leaves; each class gets its share of it, drawn without
- * replacement with chances proportional to an importance score (Taming 3DGS, Mallick 2024). The draw is an
- * exponential race: the k smallest -ln(u_i) / score_i, with u_i from the counter generator, so it is the same on
- * every machine and has no limit of size.
+ * Candidates are Gaussians whose mean positional gradient exceeds a threshold that grows with the
+ * distance from the cell (1 inside .. tau_outside at one cell edge). Small ones are cloned, large
+ * ones split in two (3D Gaussian Splatting, Kerbl 2023). Room is what the ceiling leaves; each
+ * class gets its share of it, drawn without replacement with chances proportional to an importance
+ * score (Taming 3DGS, Mallick 2024). The draw is an exponential race: the k smallest -ln(u_i) /
+ * score_i, with u_i from the counter generator, so it is the same on every machine and has no limit
+ * of size.
  *
- * Everything here runs on host copies in the device layout; nothing depends on the number of threads.
+ * Everything here runs on host copies in the device layout; nothing depends on the number of
+ * threads.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -33,7 +35,8 @@ static size_t densify_at(size_t i, uint32_t planes, uint32_t plane)
     return (i / DENSIFY_LANES * planes + plane) * DENSIFY_LANES + i % DENSIFY_LANES;
 }
 
-/* ---- the race ---------------------------------------------------------------------------------- */
+/* ---- the race ----------------------------------------------------------------------------------
+ */
 
 /* Non-negative floats keep their order as integers; the place in the list breaks ties. */
 static uint64_t densify_key(float key, uint32_t place)
@@ -79,8 +82,8 @@ static int densify_compare(const void *a, const void *b)
     return x < y ? -1 : x > y;
 }
 
-enum err_code densify_race(const float *score, const uint32_t *ids, size_t n, size_t k, uint64_t seed,
-                           uint64_t stream, uint32_t *chosen, struct err *e)
+enum err_code densify_race(const float *score, const uint32_t *ids, size_t n, size_t k,
+                           uint64_t seed, uint64_t stream, uint32_t *chosen, struct err *e)
 {
     if (k > n)
         return err_set(e, ERR_ARG, "densify: %zu of %zu cannot be drawn", k, n);
@@ -101,7 +104,8 @@ enum err_code densify_race(const float *score, const uint32_t *ids, size_t n, si
     return ERR_OK;
 }
 
-/* ---- geometry of one row -------------------------------------------------------------------------- */
+/* ---- geometry of one row
+ * -------------------------------------------------------------------------- */
 
 static void densify_rotation(const float *params, uint32_t planes, size_t i, double rot[9])
 {
@@ -148,12 +152,13 @@ static bool densify_row_inside(const struct densify_params *p, const struct dens
     return densify_distance(p, mean) <= 0.0;
 }
 
-/* ---- choosing --------------------------------------------------------------------------------------- */
+/* ---- choosing
+ * --------------------------------------------------------------------------------------- */
 
 enum densify_class { CLASS_KEEP, CLASS_PRUNE, CLASS_CLONE, CLASS_SPLIT };
 
 struct densify_work {
-    uint8_t *class, *inside, *chosen; /* [n] */
+    uint8_t *class, *inside, *chosen;  /* [n] */
     uint32_t *clones, *splits, *drawn; /* candidates, ascending; scratch for a draw */
     size_t n_clones, n_splits, n_in, n_out;
 };
@@ -165,11 +170,12 @@ static enum densify_class densify_classify(const struct densify_params *p,
     double largest = -HUGE_VAL;
     for (uint32_t k = 0; k < 3; k++) {
         mean[k] = in->params[densify_at(i, in->planes, RENDER_PLANE_MEAN + k)];
-        largest = fmax(largest, (double)in->params[densify_at(i, in->planes, RENDER_PLANE_SCALE + k)]);
+        largest =
+            fmax(largest, (double)in->params[densify_at(i, in->planes, RENDER_PLANE_SCALE + k)]);
     }
     largest = exp(largest);
-    double opacity = 1.0 / (1.0 + exp(-(double)in->params[densify_at(i, in->planes,
-                                                                      RENDER_PLANE_OPACITY)]));
+    double opacity =
+        1.0 / (1.0 + exp(-(double)in->params[densify_at(i, in->planes, RENDER_PLANE_OPACITY)]));
     double d = densify_distance(p, mean);
     *inside = d <= 0.0;
     if (!(opacity >= p->prune_opacity) || !(largest >= DENSIFY_SMALLEST_M) ||
@@ -217,8 +223,8 @@ static void densify_gain(const struct densify_params *p, const struct densify_in
 
 /* Draw `quota` of one class and mark them, keeping to both ceilings. */
 static enum err_code densify_draw(const struct densify_params *p, const struct densify_input *in,
-                                  struct densify_work *w, const uint32_t *ids, size_t n, size_t quota,
-                                  size_t *taken, struct err *e)
+                                  struct densify_work *w, const uint32_t *ids, size_t n,
+                                  size_t quota, size_t *taken, struct err *e)
 {
     /* Only a border can make the ceilings refuse one and call up the next in line. */
     size_t line = p->cell->whole ? quota : n;
@@ -278,8 +284,9 @@ static enum err_code densify_fill(const struct densify_params *p, const struct d
     }
     enum err_code rc = ERR_OK;
     if (wanted) {
-        /* Shares of the room that leave none of it: exact in integers for any counts below 2^32, and since the
-         * room is at most `wanted`, what clones leave is never more than there are splits. */
+        /* Shares of the room that leave none of it: exact in integers for any counts below 2^32,
+         * and since the room is at most `wanted`, what clones leave is never more than there are
+         * splits. */
         size_t clones = (size_t)((uint64_t)r->room * w->n_clones / wanted);
         size_t splits = r->room - clones;
         rc = densify_draw(p, in, w, w->clones, w->n_clones, clones, &r->cloned, e);
@@ -299,7 +306,8 @@ enum err_code densify_choose(const struct densify_params *p, const struct densif
     struct densify_work w = {0};
     *out = (struct densify_plan){0};
     if (in->n > UINT32_MAX / 2)
-        return err_set(e, ERR_LIMIT, "densify: %zu Gaussians are more than one cell can hold", in->n);
+        return err_set(e, ERR_LIMIT, "densify: %zu Gaussians are more than one cell can hold",
+                       in->n);
     w.class = mem_array(in->n, 1);
     w.inside = mem_array(in->n, 1);
     w.chosen = mem_array(in->n, 1);
@@ -327,7 +335,8 @@ void densify_plan_free(struct densify_plan *p)
     *p = (struct densify_plan){0};
 }
 
-/* ---- applying ------------------------------------------------------------------------------------------ */
+/* ---- applying
+ * ------------------------------------------------------------------------------------------ */
 
 struct densify_copy {
     const struct densify_input *in;

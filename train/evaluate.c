@@ -1,6 +1,6 @@
-/* Scores of a picture source against photographs: PSNR, SSIM with both window rules, L1, Gaussians and time a
- * frame. The first photograph is drawn once more before the clock starts, so that building kernels and growing
- * buffers is not counted.
+/* Scores of a picture source against photographs: PSNR, SSIM with both window rules, L1, Gaussians
+ * and time a frame. The first photograph is drawn once more before the clock starts, so that
+ * building kernels and growing buffers is not counted.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -47,7 +47,8 @@ static enum err_code evaluate_picture(const char *dir, const struct feed_photo *
     struct image img = {0};
     uint32_t w = p->cam.width_px, h = p->cam.height_px;
     const char *dot = strrchr(p->name, '.');
-    snprintf(name, sizeof(name), "%.*s.png", (int)(dot ? dot - p->name : (ptrdiff_t)strlen(p->name)), p->name);
+    snprintf(name, sizeof(name), "%.*s.png",
+             (int)(dot ? dot - p->name : (ptrdiff_t)strlen(p->name)), p->name);
     enum err_code rc = file_mkdir(dir, e);
     if (!rc)
         rc = file_join(path, dir, name, e);
@@ -119,8 +120,8 @@ enum err_code evaluate_run(struct feed *f, size_t n_photos, const struct evaluat
     return ERR_OK;
 }
 
-enum err_code evaluate_draw_model(void *user, const struct camera *cam, float *rgb, double *gaussians,
-                                  struct err *e)
+enum err_code evaluate_draw_model(void *user, const struct camera *cam, float *rgb,
+                                  double *gaussians, struct err *e)
 {
     const struct evaluate_model *m = user;
     *gaussians = m->model->n;

@@ -1,11 +1,13 @@
 /* Photographs at training size, decoded ahead of their use.
  *
- * Order: every epoch is a fresh Fisher-Yates shuffle made from (seed, level, epoch) alone, so step t's photograph
- * does not depend on caches, threads or where a run was resumed. Memory: decoded bytes are kept up to a limit and
- * the least recently used go first; a photograph handed out is pinned until the next call. One thread decodes the
- * photographs of the coming steps while the device works.
+ * Order: every epoch is a fresh Fisher-Yates shuffle made from (seed, level, epoch) alone, so step
+ * t's photograph does not depend on caches, threads or where a run was resumed. Memory: decoded
+ * bytes are kept up to a limit and the least recently used go first; a photograph handed out is
+ * pinned until the next call. One thread decodes the photographs of the coming steps while the
+ * device works.
  *
- * `lock` guards everything below it in struct feed; pixels of a slot in state READY and pinned are read without it.
+ * `lock` guards everything below it in struct feed; pixels of a slot in state READY and pinned are
+ * read without it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -35,12 +37,12 @@ struct feed {
     struct feed_slot *slots; /* [n] */
     size_t bytes;
     uint64_t clock;
-    size_t pinned; /* slot handed out, or n */
+    size_t pinned;           /* slot handed out, or n */
     size_t want[FEED_AHEAD]; /* slots to decode ahead, in order of use */
     size_t n_want;
-    uint32_t *shuffle; /* [n], of epoch shuffle_epoch; used by callers of feed_get only */
+    uint32_t *shuffle;      /* [n], of epoch shuffle_epoch; used by callers of feed_get only */
     uint64_t shuffle_epoch; /* 1-based, 0 = none yet */
-    struct err fail; /* why a slot failed */
+    struct err fail;        /* why a slot failed */
 };
 
 struct camera feed_camera(const struct camera *cam, uint32_t max_edge_px, double downsample)
@@ -55,9 +57,11 @@ struct camera feed_camera(const struct camera *cam, uint32_t max_edge_px, double
     return camera_resize(cam, (uint32_t)w, (uint32_t)h);
 }
 
-/* ---- decoding ---------------------------------------------------------------------------------- */
+/* ---- decoding ----------------------------------------------------------------------------------
+ */
 
-static enum err_code feed_decode(const struct feed *f, size_t slot, struct image *out, struct err *e)
+static enum err_code feed_decode(const struct feed *f, size_t slot, struct image *out,
+                                 struct err *e)
 {
     const struct scene_image *im = &f->cfg.scene->images[f->cfg.images[slot]];
     const struct camera *cam = &f->cams[slot];
@@ -70,9 +74,11 @@ static enum err_code feed_decode(const struct feed *f, size_t slot, struct image
         rc = image_read(path, NULL, &full, e);
     if (rc)
         return rc;
-    if (full.channels != 3 || full.width_px != im->cam.width_px || full.height_px != im->cam.height_px) {
-        rc = err_set(e, ERR_DATA, "%s: %u x %u pixels, the scene says %u x %u: ingest the scene again",
-                     path, full.width_px, full.height_px, im->cam.width_px, im->cam.height_px);
+    if (full.channels != 3 || full.width_px != im->cam.width_px ||
+        full.height_px != im->cam.height_px) {
+        rc = err_set(e, ERR_DATA,
+                     "%s: %u x %u pixels, the scene says %u x %u: ingest the scene again", path,
+                     full.width_px, full.height_px, im->cam.width_px, im->cam.height_px);
     } else if (full.width_px == cam->width_px && full.height_px == cam->height_px) {
         *out = full;
         return ERR_OK;
@@ -101,14 +107,15 @@ static size_t feed_oldest(const struct feed *f, bool even_wanted)
 {
     size_t oldest = f->cfg.n_images;
     for (size_t i = 0; i < f->cfg.n_images; i++)
-        if (f->slots[i].state == FEED_READY && i != f->pinned && (even_wanted || !feed_wanted(f, i)) &&
+        if (f->slots[i].state == FEED_READY && i != f->pinned &&
+            (even_wanted || !feed_wanted(f, i)) &&
             (oldest == f->cfg.n_images || f->slots[i].used < f->slots[oldest].used))
             oldest = i;
     return oldest;
 }
 
-/* Lock held. Make room for `need` more bytes as far as possible; what is wanted soon goes only when the
- * photograph wanted now has no place otherwise. */
+/* Lock held. Make room for `need` more bytes as far as possible; what is wanted soon goes only when
+ * the photograph wanted now has no place otherwise. */
 static void feed_evict(struct feed *f, size_t need, bool even_wanted)
 {
     while (f->bytes + need > f->cfg.cache_bytes) {
@@ -170,7 +177,8 @@ static void feed_thread(void *user)
     pthread_mutex_unlock(&f->lock);
 }
 
-/* ---- order --------------------------------------------------------------------------------------- */
+/* ---- order
+ * --------------------------------------------------------------------------------------- */
 
 static size_t feed_slot_of(struct feed *f, uint64_t step)
 {
@@ -206,8 +214,7 @@ static enum err_code feed_take(struct feed *f, size_t slot, const size_t *ahead,
         else if (f->slots[slot].state == FEED_EMPTY) {
             feed_evict(f, feed_size(f, slot), true);
             feed_load(f, slot);
-        }
-        else
+        } else
             pthread_cond_wait(&f->changed, &f->lock);
     }
     f->slots[slot].used = ++f->clock;
@@ -247,7 +254,8 @@ size_t feed_bytes(const struct feed *f)
     return n;
 }
 
-/* ---- life ------------------------------------------------------------------------------------------ */
+/* ---- life
+ * ------------------------------------------------------------------------------------------ */
 
 enum err_code feed_open(const struct feed_config *cfg, struct feed **out, struct err *e)
 {
@@ -270,8 +278,8 @@ enum err_code feed_open(const struct feed_config *cfg, struct feed **out, struct
         goto out;
     }
     for (size_t i = 0; i < cfg->n_images; i++)
-        f->cams[i] = feed_camera(&cfg->scene->images[cfg->images[i]].cam, cfg->max_edge_px,
-                                 cfg->downsample);
+        f->cams[i] =
+            feed_camera(&cfg->scene->images[cfg->images[i]].cam, cfg->max_edge_px, cfg->downsample);
     rc = pool_start(feed_thread, f, &f->thread, e);
 out:
     if (rc)

@@ -1,8 +1,9 @@
-/* The first Gaussians: one at each point of the sparse model, as large as its neighbours are far (3D Gaussian
- * Splatting, Kerbl 2023, section 5.1), round, opacity 0.1, colour of the point in the constant harmonic.
+/* The first Gaussians: one at each point of the sparse model, as large as its neighbours are far
+ * (3D Gaussian Splatting, Kerbl 2023, section 5.1), round, opacity 0.1, colour of the point in the
+ * constant harmonic.
  *
- * Neighbours come from a balanced k-d tree laid out in an index array: the median of a range is its node, the
- * halves are its children, so the tree needs no memory of its own.
+ * Neighbours come from a balanced k-d tree laid out in an index array: the median of a range is its
+ * node, the halves are its children, so the tree needs no memory of its own.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -161,7 +162,8 @@ out:
     return rc;
 }
 
-/* ---- points to Gaussians ----------------------------------------------------------------------- */
+/* ---- points to Gaussians -----------------------------------------------------------------------
+ */
 
 struct init_points {
     double *enu_m; /* [n][3] */
@@ -188,10 +190,10 @@ static void init_random_points(const struct scene *s, const uint32_t *images, si
     }
 }
 
-/* Which points to start from: those that one of the photographs observes, or all for the whole scene and where no
- * observations are known. Returns their number; `use` is [n_points]. */
-static size_t init_mark_points(const struct scene *s, const uint32_t *images, size_t n_images, bool whole,
-                               uint8_t *use, uint8_t *seen)
+/* Which points to start from: those that one of the photographs observes, or all for the whole
+ * scene and where no observations are known. Returns their number; `use` is [n_points]. */
+static size_t init_mark_points(const struct scene *s, const uint32_t *images, size_t n_images,
+                               bool whole, uint8_t *use, uint8_t *seen)
 {
     size_t n = 0;
     for (size_t i = 0; i < n_images; i++)
@@ -206,8 +208,8 @@ static size_t init_mark_points(const struct scene *s, const uint32_t *images, si
     return n;
 }
 
-static void init_scene_points(const struct scene *s, const uint8_t *use, size_t n_use, uint64_t seed,
-                              struct init_points *p)
+static void init_scene_points(const struct scene *s, const uint8_t *use, size_t n_use,
+                              uint64_t seed, struct init_points *p)
 {
     uint64_t stream = train_stream(TRAIN_STREAM_INIT, 1, 0);
     size_t taken = 0, passed = 0;
@@ -224,7 +226,8 @@ static void init_scene_points(const struct scene *s, const uint8_t *use, size_t 
     }
 }
 
-static void init_row(struct gauss *g, size_t i, const uint8_t rgb[3], double dist2, double largest_m)
+static void init_row(struct gauss *g, size_t i, const uint8_t rgb[3], double dist2,
+                     double largest_m)
 {
     size_t per_row = 3 * gauss_sh_count(g->sh_degree);
     double sigma = fmin(sqrt(fmax(dist2, INIT_DIST2_MIN_M2)), largest_m);
@@ -263,8 +266,8 @@ static enum err_code init_fill(const struct init_points *p, const struct train_c
 static size_t init_count(size_t n_use, size_t limit)
 {
     if (n_use > limit)
-        log_warn("init", "%zu points are more than the first level's budget: %zu of them are used", n_use,
-                 limit);
+        log_warn("init", "%zu points are more than the first level's budget: %zu of them are used",
+                 n_use, limit);
     if (n_use)
         return n_use < limit ? n_use : limit;
     size_t n = limit < INIT_RANDOM_POINTS ? limit : INIT_RANDOM_POINTS;
@@ -273,8 +276,8 @@ static size_t init_count(size_t n_use, size_t limit)
 }
 
 enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n_images,
-                         const struct train_cell *cell, uint32_t sh_degree, size_t limit, uint64_t seed,
-                         struct gauss *out, struct err *e)
+                         const struct train_cell *cell, uint32_t sh_degree, size_t limit,
+                         uint64_t seed, struct gauss *out, struct err *e)
 {
     enum err_code rc = ERR_OK;
     struct init_points p = {0};

@@ -1,10 +1,13 @@
-/* The training loop of one cell: a step, what follows it at certain steps, and the hand-over between levels.
+/* The training loop of one cell: a step, what follows it at certain steps, and the hand-over
+ * between levels.
  *
- * A step is photograph -> forward -> loss -> backward fused with Adam; then, where the schedule says so, density
- * control and opacity reset (step first, then densify: a new Gaussian starts with the parameters it was given).
- * Density control is rare and runs on host copies of parameters and moments in the device's own layout.
+ * A step is photograph -> forward -> loss -> backward fused with Adam; then, where the schedule
+ * says so, density control and opacity reset (step first, then densify: a new Gaussian starts with
+ * the parameters it was given). Density control is rare and runs on host copies of parameters and
+ * moments in the device's own layout.
  *
- * At a hand-over the Gaussians stay and everything of the optimiser starts anew: moments and statistics 0, step 0.
+ * At a hand-over the Gaussians stay and everything of the optimiser starts anew: moments and
+ * statistics 0, step 0.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -17,7 +20,8 @@
 
 #include "core/layout.h"
 
-#define LEVEL_SIGMA_MIN 1e-6 /* of the cell's edge: beyond, exp() and determinants lose their digits */
+#define LEVEL_SIGMA_MIN                                                                            \
+    1e-6 /* of the cell's edge: beyond, exp() and determinants lose their digits */
 #define LEVEL_SIGMA_MAX 0.5
 #define LEVEL_BETA1 0.9f
 #define LEVEL_BETA2 0.999f
@@ -42,7 +46,8 @@ struct render_options level_render_options(const struct level *l, uint32_t step)
     };
 }
 
-/* ---- buffers ------------------------------------------------------------------------------------ */
+/* ---- buffers ------------------------------------------------------------------------------------
+ */
 
 static void level_release(struct level *l)
 {
@@ -61,7 +66,8 @@ static enum err_code level_reserve(struct level *l, size_t n, struct err *e)
     struct render_model keep = l->model;
     if (n <= keep.cap && l->adam.m1)
         return ERR_OK;
-    size_t groups = (n + n / 4 + LEVEL_LANES - 1) / LEVEL_LANES; /* grow by steps, not at every call */
+    size_t groups =
+        (n + n / 4 + LEVEL_LANES - 1) / LEVEL_LANES; /* grow by steps, not at every call */
     size_t cap = groups * LEVEL_LANES, bytes = cap * keep.planes * sizeof(float);
     if (cap > UINT32_MAX)
         return err_set(e, ERR_LIMIT, "%zu Gaussians are more than the renderer counts", n);
@@ -221,12 +227,14 @@ enum err_code level_next(struct level *l, struct err *e)
         return rc;
     const struct schedule *s = level_schedule(l);
     if (l->start > s->budget)
-        log_warn("train", "level %u starts with %zu Gaussians, its budget is %zu: none will be added",
+        log_warn("train",
+                 "level %u starts with %zu Gaussians, its budget is %zu: none will be added",
                  s->level, l->start, s->budget);
     return level_begin(l, e);
 }
 
-/* ---- density control ---------------------------------------------------------------------------------- */
+/* ---- density control
+ * ---------------------------------------------------------------------------------- */
 
 /* Host copies around one densification. */
 struct level_copy {
@@ -237,8 +245,8 @@ struct level_copy {
 
 static void level_copy_free(struct level_copy *c)
 {
-    float *all[] = {c->from.params, c->from.m1,   c->from.m2, c->to.params,   c->to.m1,
-                    c->to.m2,       c->sum,       c->count,   c->mean_grad,   c->score};
+    float *all[] = {c->from.params, c->from.m1, c->from.m2, c->to.params, c->to.m1,
+                    c->to.m2,       c->sum,     c->count,   c->mean_grad, c->score};
     for (size_t i = 0; i < sizeof(all) / sizeof(all[0]); i++)
         mem_free(all[i]);
     densify_plan_free(&c->plan);
@@ -268,8 +276,10 @@ static enum err_code level_download(struct level *l, struct level_copy *c, struc
         cl_mem from;
         float *to;
         size_t floats;
-    } part[] = {{l->model.params, c->from.params, floats}, {l->adam.m1, c->from.m1, floats},
-                {l->adam.m2, c->from.m2, floats}, {l->stats.count, c->count, n},
+    } part[] = {{l->model.params, c->from.params, floats},
+                {l->adam.m1, c->from.m1, floats},
+                {l->adam.m2, c->from.m2, floats},
+                {l->stats.count, c->count, n},
                 {absgrad ? l->stats.absg : l->stats.grad, c->sum, n}};
     for (size_t i = 0; !rc && i < sizeof(part) / sizeof(part[0]); i++)
         rc = dev_read(l->dev, part[i].from, 0, part[i].floats * sizeof(float), part[i].to, e);
@@ -283,20 +293,21 @@ static enum err_code level_download(struct level *l, struct level_copy *c, struc
 static enum err_code level_report(struct level *l, const struct densify_report *r, size_t cap,
                                   struct err *e)
 {
-    log_debug("train",
-              "densify level=%u step=%u before=%zu pruned=%zu candidates=%zu+%zu room=%zu cloned=%zu "
-              "split=%zu after=%zu outside=%zu cap=%zu",
-              level_schedule(l)->level, l->step, r->before, r->pruned, r->clone_candidates,
-              r->split_candidates, r->room, r->cloned, r->split, r->after, r->outside, cap);
+    log_debug(
+        "train",
+        "densify level=%u step=%u before=%zu pruned=%zu candidates=%zu+%zu room=%zu cloned=%zu "
+        "split=%zu after=%zu outside=%zu cap=%zu",
+        level_schedule(l)->level, l->step, r->before, r->pruned, r->clone_candidates,
+        r->split_candidates, r->room, r->cloned, r->split, r->after, r->outside, cap);
     if (!l->record)
         return ERR_OK;
-    json_t *o = json_pack("{s:i, s:i, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I}", "level",
-                          (int)level_schedule(l)->level, "step", (int)l->step, "pruned",
-                          (json_int_t)r->pruned, "clone_candidates", (json_int_t)r->clone_candidates,
-                          "split_candidates", (json_int_t)r->split_candidates, "room",
-                          (json_int_t)r->room, "cloned", (json_int_t)r->cloned, "split",
-                          (json_int_t)r->split, "inside", (json_int_t)r->inside, "outside",
-                          (json_int_t)r->outside, "cap", (json_int_t)cap);
+    json_t *o =
+        json_pack("{s:i, s:i, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I}", "level",
+                  (int)level_schedule(l)->level, "step", (int)l->step, "pruned",
+                  (json_int_t)r->pruned, "clone_candidates", (json_int_t)r->clone_candidates,
+                  "split_candidates", (json_int_t)r->split_candidates, "room", (json_int_t)r->room,
+                  "cloned", (json_int_t)r->cloned, "split", (json_int_t)r->split, "inside",
+                  (json_int_t)r->inside, "outside", (json_int_t)r->outside, "cap", (json_int_t)cap);
     return record_line(l->record, "densify", o, e);
 }
 
@@ -328,7 +339,9 @@ static enum err_code level_densify(struct level *l, uint32_t x, struct err *e)
     enum err_code rc = level_download(l, &c, e);
     if (rc)
         goto out;
-    struct densify_input in = {.params = c.from.params, .n = l->model.n, .planes = l->model.planes,
+    struct densify_input in = {.params = c.from.params,
+                               .n = l->model.n,
+                               .planes = l->model.planes,
                                .mean_grad = c.mean_grad};
     rc = densify_choose(&p, &in, &c.plan, e);
     if (!rc && c.plan.report.needs_score) {
@@ -342,8 +355,10 @@ static enum err_code level_densify(struct level *l, uint32_t x, struct err *e)
     if (rc)
         goto out;
     if (!c.plan.n) {
-        rc = err_set(e, ERR_DATA, "level %u, step %u: every Gaussian became transparent and was removed; "
-                                  "are the poses right?", level_schedule(l)->level, l->step);
+        rc = err_set(e, ERR_DATA,
+                     "level %u, step %u: every Gaussian became transparent and was removed; "
+                     "are the poses right?",
+                     level_schedule(l)->level, l->step);
         goto out;
     }
     rc = level_state_alloc(&c.to, densify_floats(c.plan.n, l->model.planes), e);
@@ -369,7 +384,8 @@ static enum err_code level_reset_opacity(struct level *l, struct err *e)
     for (size_t b = 0; !rc && b < 3; b++) {
         rc = dev_read(l->dev, buffers[b], 0, bytes, host, e);
         for (size_t i = 0; i < l->model.n; i++) {
-            float *o = host + (i / LEVEL_LANES * l->model.planes + RENDER_PLANE_OPACITY) * LEVEL_LANES +
+            float *o = host +
+                       (i / LEVEL_LANES * l->model.planes + RENDER_PLANE_OPACITY) * LEVEL_LANES +
                        i % LEVEL_LANES;
             *o = b ? 0.0f : fminf(*o, top);
         }
@@ -380,7 +396,8 @@ static enum err_code level_reset_opacity(struct level *l, struct err *e)
     return rc;
 }
 
-/* ---- a step ---------------------------------------------------------------------------------------------- */
+/* ---- a step
+ * ---------------------------------------------------------------------------------------------- */
 
 static enum err_code level_upload_photo(struct level *l, const struct feed_photo *p, struct err *e)
 {
@@ -429,7 +446,8 @@ static enum err_code level_read_loss(struct level *l, struct loss_value *v, stru
     if (rc)
         return rc;
     if (!isfinite(v->total))
-        return err_set(e, ERR_DATA, "level %u, step %u: the loss is not finite; lower the learning rates",
+        return err_set(e, ERR_DATA,
+                       "level %u, step %u: the loss is not finite; lower the learning rates",
                        level_schedule(l)->level, l->step);
     double keep = l->mse_mean > 0.0 ? LEVEL_MEAN_KEEP : 0.0;
     l->loss_mean = keep * l->loss_mean + (1.0 - keep) * v->total;
@@ -452,7 +470,7 @@ enum err_code level_step(struct level *l, struct loss_value *value, struct err *
     l->adam.step = step;
     l->adam.lr_mean = (float)schedule_lr_mean(s, step);
     struct render_density_stats stats = l->stats;
-    if (!s->absgrad)
+    if (!s->absgrad || step >= s->densify_until)
         stats.absg = NULL; /* densification would not look at it: saves a tenth of the way back */
     if (!rc)
         rc = render_backward_step(l->render, &l->model, &l->adam, &stats, e);

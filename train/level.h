@@ -1,5 +1,5 @@
-/* Inside of train/: the state of one cell in training. level.c moves it on, state.c saves and restores it,
- * score.c looks at it, train.c makes it. Nobody else includes this but tests.
+/* Inside of train/: the state of one cell in training. level.c moves it on, state.c saves and
+ * restores it, score.c looks at it, train.c makes it. Nobody else includes this but tests.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -17,36 +17,37 @@ struct level {
     struct dev *dev;
     struct render *render;
     struct loss *loss;
-    struct score *score;     /* made on first use by score.c, freed by level_close */
+    struct score *score;   /* made on first use by score.c, freed by level_close */
     struct record *record; /* NULL: none are written */
     struct train_cell cell;
     struct schedule schedule[TRAIN_LEVELS_MAX];
     uint32_t n_levels;
 
     /* -- the state that a checkpoint holds */
-    uint32_t at;   /* schedule[at] is in work; n_levels = all done */
-    uint32_t step; /* steps of this level that are done */
-    size_t start;  /* Gaussians inside the cell when this level began */
+    uint32_t at;               /* schedule[at] is in work; n_levels = all done */
+    uint32_t step;             /* steps of this level that are done */
+    size_t start;              /* Gaussians inside the cell when this level began */
     struct render_model model; /* cap may exceed n */
-    struct render_adam adam;   /* moments in the layout of the model; step counts within the level */
+    struct render_adam adam; /* moments in the layout of the model; step counts within the level */
     struct render_density_stats stats;
 
     /* -- scratch */
     struct feed *feed; /* of this level; opened by level_begin */
     cl_mem target;     /* uint8 [h][w][3] of the step's photograph */
     size_t target_bytes;
-    uint32_t repaired; /* non-finite updates seen so far */
+    uint32_t repaired;          /* non-finite updates seen so far */
     double loss_mean, mse_mean; /* running means for people */
-    double step_s;     /* when steps were last timed */
+    double step_s;              /* when steps were last timed */
 };
 
-/* Device buffers and the first level at step 0, from these Gaussians. level_close it, also after an error. */
+/* Device buffers and the first level at step 0, from these Gaussians. level_close it, also after an
+ * error. */
 enum err_code level_open(struct level *l, const struct gauss *g, struct err *e) ERR_USE;
 void level_close(struct level *l);
 /* Open the feed of the level in work. After level_open, level_next and a restore. */
 enum err_code level_begin(struct level *l, struct err *e) ERR_USE;
-/* One step: photograph, forward, loss, backward with Adam, density control. `value` (may be NULL) gets the
- * loss, which waits for the device. */
+/* One step: photograph, forward, loss, backward with Adam, density control. `value` (may be NULL)
+ * gets the loss, which waits for the device. */
 enum err_code level_step(struct level *l, struct loss_value *value, struct err *e) ERR_USE;
 /* The level in work is done: the next one starts from its Gaussians with a fresh optimiser. */
 enum err_code level_next(struct level *l, struct err *e) ERR_USE;
@@ -54,26 +55,31 @@ enum err_code level_next(struct level *l, struct err *e) ERR_USE;
 enum err_code level_gauss(struct level *l, struct gauss *out, struct err *e) ERR_USE;
 struct render_options level_render_options(const struct level *l, uint32_t step);
 /* Replace the model: n rows of these host arrays (layout of the device). Statistics become 0. */
-enum err_code level_replace(struct level *l, const struct densify_state *s, size_t n, struct err *e) ERR_USE;
+enum err_code level_replace(struct level *l, const struct densify_state *s, size_t n,
+                            struct err *e) ERR_USE;
 
 /* Upload a photograph and run the loss of the last frame against it. */
 enum err_code level_photo_loss(struct level *l, const struct feed_photo *p, struct err *e) ERR_USE;
 
-/* ---- state.c ---------------------------------------------------------------------------------------- */
+/* ---- state.c
+ * ---------------------------------------------------------------------------------------- */
 
 /* Everything needed to go on, and where the run stands. */
 enum err_code state_save(struct level *l, const char *path, struct err *e) ERR_USE;
-/* Into a level whose fixed part is set and which was not opened. ERR_ARG names the first option that
- * differs from the saved run's; level_close it, also after an error. */
+/* Into a level whose fixed part is set and which was not opened. ERR_ARG names the first option
+ * that differs from the saved run's; level_close it, also after an error. */
 enum err_code state_load(struct level *l, const char *path, struct err *e) ERR_USE;
 /* The result of the level in work; `score` may be NULL. */
-enum err_code state_save_level(struct level *l, const char *path, const struct evaluate_score *score,
-                               struct err *e) ERR_USE;
+enum err_code state_save_level(struct level *l, const char *path,
+                               const struct evaluate_score *score, struct err *e) ERR_USE;
 
-/* Is this file the result of the level, last of l, by a run with l's options, cell and photographs? */
-enum err_code state_is_result_of(const struct level *l, const char *path, bool *yes, struct err *e) ERR_USE;
+/* Is this file the result of the level, last of l, by a run with l's options, cell and photographs?
+ */
+enum err_code state_is_result_of(const struct level *l, const char *path, bool *yes,
+                                 struct err *e) ERR_USE;
 
-/* ---- run.c ------------------------------------------------------------------------------------------ */
+/* ---- run.c
+ * ------------------------------------------------------------------------------------------ */
 
 struct run_cell { /* one cell to train; all borrowed */
     const struct train_config *cfg;
@@ -88,18 +94,20 @@ struct run_cell { /* one cell to train; all borrowed */
     struct loss *loss;
     uint64_t *steps; /* of this process, counted on */
 };
-enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out, struct err *e) ERR_USE;
+enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out,
+                       struct err *e) ERR_USE;
 
-/* ---- score.c ------------------------------------------------------------------------------------------ */
+/* ---- score.c
+ * ------------------------------------------------------------------------------------------ */
 
 struct score;
 void score_free(struct score **s);
-/* Importance of every Gaussian over cfg->score_views random training views: score[n], finite and >= 0.
- * params: host copy of the model's parameters; mean_grad [n]. */
+/* Importance of every Gaussian over cfg->score_views random training views: score[n], finite and >=
+ * 0. params: host copy of the model's parameters; mean_grad [n]. */
 enum err_code score_run(struct level *l, const float *params, const float *mean_grad, float *score,
                         struct err *e) ERR_USE;
-/* Its parts, for tests. x -> 0..1, 0 when all are equal. Edges: [h][w], stretched. 1 / median of the values
- * above 0 (0 when there are none); scratch[n]. */
+/* Its parts, for tests. x -> 0..1, 0 when all are equal. Edges: [h][w], stretched. 1 / median of
+ * the values above 0 (0 when there are none); scratch[n]. */
 void score_stretch(float *x, size_t n);
 void score_edges(const uint8_t *px, uint32_t w, uint32_t h, float *out);
 float score_inverse_median(const float *x, size_t n, float *scratch);

@@ -1,5 +1,5 @@
-/* metrics.jsonl: one JSON object a line, for programs that plot or compare runs. Lines are flushed as they are
- * written, so a running or killed job can be read.
+/* metrics.jsonl: one JSON object a line, for programs that plot or compare runs. Lines are flushed
+ * as they are written, so a running or killed job can be read.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -36,7 +36,8 @@ enum err_code record_open(const char *path, bool append, struct record **out, st
     return ERR_OK;
 }
 
-enum err_code record_line(struct record *m, const char *event, struct json_t *members, struct err *e)
+enum err_code record_line(struct record *m, const char *event, struct json_t *members,
+                          struct err *e)
 {
     json_t *line = json_pack("{s:s, s:f}", "event", event, "t_s", clock_s() - m->start_s);
     char *text = NULL;

@@ -1,5 +1,5 @@
-/* One cell from its first Gaussians to its last level: start or resume, go through the levels, score and save
- * each, leave a state to resume from whenever the run is interrupted.
+/* One cell from its first Gaussians to its last level: start or resume, go through the levels,
+ * score and save each, leave a state to resume from whenever the run is interrupted.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -68,11 +68,12 @@ static enum err_code run_open_record(struct run *t, struct err *e)
     if (rc)
         return rc;
     return record_line(l->record, event,
-                       json_pack("{s:s, s:s, s:I, s:I, s:I, s:i, s:i, s:f, s:f}", "cell", l->cell.id,
-                                 "device", l->dev->name, "photographs", (json_int_t)l->n_images,
-                                 "test_photographs", (json_int_t)t->job->n_test, "gaussians",
-                                 (json_int_t)l->model.n, "level", (int)l->at + 1, "step", (int)l->step,
-                                 "edge_m", l->cell.edge_m, "extent_m", l->cell.extent_m),
+                       json_pack("{s:s, s:s, s:I, s:I, s:I, s:i, s:i, s:f, s:f}", "cell",
+                                 l->cell.id, "device", l->dev->name, "photographs",
+                                 (json_int_t)l->n_images, "test_photographs",
+                                 (json_int_t)t->job->n_test, "gaussians", (json_int_t)l->model.n,
+                                 "level", (int)l->at + 1, "step", (int)l->step, "edge_m",
+                                 l->cell.edge_m, "extent_m", l->cell.extent_m),
                        e);
 }
 
@@ -96,22 +97,26 @@ static enum err_code run_start(struct run *t, struct err *e)
     if (t->cfg->resume && file_exists(t->resume_path)) {
         enum err_code rc = state_load(l, t->resume_path, e);
         if (!rc)
-            log_info("train", "resume cell=%s level=%u step=%u gaussians=%u", l->cell.id, l->at + 1, l->step,
-                     l->model.n);
+            log_info("train", "resume cell=%s level=%u step=%u gaussians=%u", l->cell.id, l->at + 1,
+                     l->step, l->model.n);
         return rc;
     }
     if (file_exists(t->resume_path))
-        log_warn("train", "%s of an unfinished run is ignored and will be replaced; --resume goes on from it",
-                 t->resume_path);
-    enum err_code rc = init_gauss(l->scene, l->images, l->n_images, &l->cell, (uint32_t)t->cfg->sh_degree,
-                                  l->schedule[0].budget, (uint64_t)t->cfg->seed, &g, e);
+        log_warn(
+            "train",
+            "%s of an unfinished run is ignored and will be replaced; --resume goes on from it",
+            t->resume_path);
+    enum err_code rc =
+        init_gauss(l->scene, l->images, l->n_images, &l->cell, (uint32_t)t->cfg->sh_degree,
+                   l->schedule[0].budget, (uint64_t)t->cfg->seed, &g, e);
     if (!rc)
         rc = level_open(l, &g, e);
     gauss_free(&g);
     return rc;
 }
 
-/* ---- the loop ------------------------------------------------------------------------------------------ */
+/* ---- the loop
+ * ------------------------------------------------------------------------------------------ */
 
 static enum err_code run_stop(struct run *t, struct err *e)
 {
@@ -119,10 +124,11 @@ static enum err_code run_stop(struct run *t, struct err *e)
     enum err_code rc = state_save(l, t->resume_path, e);
     if (rc)
         return err_add(e, "stopped, but the state could not be saved");
-    return err_set(e, ERR_CANCEL,
-                   "stopped at level %u of %u, step %u of %u; the state is saved: the same command with "
-                   "--resume goes on",
-                   l->at + 1, l->n_levels, l->step, l->schedule[l->at].steps);
+    return err_set(
+        e, ERR_CANCEL,
+        "stopped at level %u of %u, step %u of %u; the state is saved: the same command with "
+        "--resume goes on",
+        l->at + 1, l->n_levels, l->step, l->schedule[l->at].steps);
 }
 
 static enum err_code run_report(struct run *t, const struct loss_value *v, struct err *e)
@@ -137,10 +143,11 @@ static enum err_code run_report(struct run *t, const struct loss_value *v, struc
         return ERR_OK;
     double now = clock_s(), seconds = now - l->step_s;
     l->step_s = now;
-    json_t *o = json_pack("{s:i, s:i, s:f, s:f, s:f, s:f, s:I, s:f, s:I}", "level", (int)l->at + 1, "step",
-                          (int)l->step, "loss", v->total, "l1", v->l1, "ssim", v->ssim, "psnr_mean_db",
-                          psnr, "gaussians", (json_int_t)l->model.n, "s_since_last_line", seconds,
-                          "feed_bytes", (json_int_t)feed_bytes(l->feed));
+    json_t *o =
+        json_pack("{s:i, s:i, s:f, s:f, s:f, s:f, s:I, s:f, s:I}", "level", (int)l->at + 1, "step",
+                  (int)l->step, "loss", v->total, "l1", v->l1, "ssim", v->ssim, "psnr_mean_db",
+                  psnr, "gaussians", (json_int_t)l->model.n, "s_since_last_line", seconds,
+                  "feed_bytes", (json_int_t)feed_bytes(l->feed));
     return record_line(l->record, "step", o, e);
 }
 
@@ -161,7 +168,8 @@ static enum err_code run_steps(struct run *t, struct err *e)
         bool enough = t->cfg->stop_after > 0 && *t->job->steps >= (uint64_t)t->cfg->stop_after;
         if (clock_stopping() || enough)
             return run_stop(t, e);
-        if (*t->job->steps - t->last_saved >= (uint64_t)t->cfg->checkpoint_interval && l->step < steps) {
+        if (*t->job->steps - t->last_saved >= (uint64_t)t->cfg->checkpoint_interval &&
+            l->step < steps) {
             t->last_saved = *t->job->steps;
             rc = state_save(l, t->resume_path, e);
             if (rc)
@@ -192,7 +200,8 @@ static enum err_code run_score(struct run *t, struct evaluate_score *out, struct
     return rc;
 }
 
-/* Score and save the level in work, and remove results of finer levels, which belong to an older run. */
+/* Score and save the level in work, and remove results of finer levels, which belong to an older
+ * run. */
 static enum err_code run_finish_level(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
@@ -218,17 +227,19 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
     t->result->psnr_db[l->at] = t->job->n_test ? score.psnr_db : (double)NAN;
     t->result->ssim[l->at] = t->job->n_test ? score.ssim : (double)NAN;
     if (t->job->n_test)
-        log_info("train", "level=%u done gaussians=%u test_psnr_db=%.3f test_ssim=%.4f seconds=%.1f", k,
+        log_info("train",
+                 "level=%u done gaussians=%u test_psnr_db=%.3f test_ssim=%.4f seconds=%.1f", k,
                  l->model.n, score.psnr_db, score.ssim, seconds);
     else
         log_info("train", "level=%u done gaussians=%u seconds=%.1f", k, l->model.n, seconds);
     return record_line(l->record, "level",
-                        json_pack("{s:i, s:I, s:I, s:o, s:o, s:o, s:f, s:f, s:I}", "level", (int)k,
-                                  "gaussians", (json_int_t)l->model.n, "test_photographs",
-                                  (json_int_t)t->job->n_test, "psnr_db", jsonc_real(score.psnr_db), "ssim",
-                                  jsonc_real(score.ssim), "ssim_valid", jsonc_real(score.ssim_valid),
-                                  "ms_frame", score.ms_frame, "seconds", seconds, "peak_bytes", (json_int_t)mem_peak_bytes()),
-                        e);
+                       json_pack("{s:i, s:I, s:I, s:o, s:o, s:o, s:f, s:f, s:I}", "level", (int)k,
+                                 "gaussians", (json_int_t)l->model.n, "test_photographs",
+                                 (json_int_t)t->job->n_test, "psnr_db", jsonc_real(score.psnr_db),
+                                 "ssim", jsonc_real(score.ssim), "ssim_valid",
+                                 jsonc_real(score.ssim_valid), "ms_frame", score.ms_frame,
+                                 "seconds", seconds, "peak_bytes", (json_int_t)mem_peak_bytes()),
+                       e);
 }
 
 static enum err_code run_levels(struct run *t, struct err *e)
@@ -259,9 +270,14 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
     t->cfg = job->cfg;
     t->start_s = clock_s();
     t->result = out;
-    t->level = (struct level){.cfg = job->cfg, .scene = job->scene, .images = job->images,
-                              .n_images = job->n_images, .dev = job->dev, .render = job->render,
-                              .loss = job->loss, .cell = job->cell,
+    t->level = (struct level){.cfg = job->cfg,
+                              .scene = job->scene,
+                              .images = job->images,
+                              .n_images = job->n_images,
+                              .dev = job->dev,
+                              .render = job->render,
+                              .loss = job->loss,
+                              .cell = job->cell,
                               .n_levels = (uint32_t)job->cfg->level_count};
     *out = (struct train_cell_result){.n_levels = t->level.n_levels};
     memcpy(out->id, job->cell.id, sizeof(out->id));

@@ -1,9 +1,10 @@
-/* What happens at which step of a level: length, densification, opacity resets, harmonics degree, the learning
- * rate of positions. Pure functions of the configuration, so a resumed run needs no state of its own here.
+/* What happens at which step of a level: length, densification, opacity resets, harmonics degree,
+ * the learning rate of positions. Pure functions of the configuration, so a resumed run needs no
+ * state of its own here.
  *
- * Lengths stretch with the number of photographs, kappa = max(n / 600, 1), rounded up to two decimals. A run of a
- * given total length (--iterations) shrinks instead; what then happens to each interval was measured, not
- * derived, and stands beside its constant.
+ * Lengths stretch with the number of photographs, kappa = max(n / 600, 1), rounded up to two
+ * decimals. A run of a given total length (--iterations) shrinks instead; what then happens to each
+ * interval was measured, not derived, and stands beside its constant.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -34,14 +35,18 @@ struct schedule_base {
     int64_t steps, budget, interval;
     double downsample, until, tau;
 };
-static void schedule_base(const struct train_config *cfg, struct schedule_base out[TRAIN_LEVELS_MAX])
+static void schedule_base(const struct train_config *cfg,
+                          struct schedule_base out[TRAIN_LEVELS_MAX])
 {
-    out[0] = (struct schedule_base){cfg->iterations_1, cfg->budget_1, cfg->densify_interval_1,
-                                    cfg->downsample_1, cfg->densify_until_1, cfg->tau_1};
-    out[1] = (struct schedule_base){cfg->iterations_2, cfg->budget_2, cfg->densify_interval_2,
-                                    cfg->downsample_2, cfg->densify_until_2, cfg->tau_2};
-    out[2] = (struct schedule_base){cfg->iterations_3, cfg->budget_3, cfg->densify_interval_3,
-                                    cfg->downsample_3, cfg->densify_until_3, cfg->tau_3};
+    out[0] =
+        (struct schedule_base){cfg->iterations_1, cfg->budget_1,        cfg->densify_interval_1,
+                               cfg->downsample_1, cfg->densify_until_1, cfg->tau_1};
+    out[1] =
+        (struct schedule_base){cfg->iterations_2, cfg->budget_2,        cfg->densify_interval_2,
+                               cfg->downsample_2, cfg->densify_until_2, cfg->tau_2};
+    out[2] =
+        (struct schedule_base){cfg->iterations_3, cfg->budget_3,        cfg->densify_interval_3,
+                               cfg->downsample_3, cfg->densify_until_3, cfg->tau_3};
 }
 
 /* A cell that was merged from several has more ground to cover. */
@@ -49,12 +54,13 @@ static double schedule_budget_factor(const struct train_cell *cell)
 {
     if (cell->whole)
         return 1.0;
-    double area = (cell->max_enu_m[0] - cell->min_enu_m[0]) * (cell->max_enu_m[1] - cell->min_enu_m[1]);
+    double area =
+        (cell->max_enu_m[0] - cell->min_enu_m[0]) * (cell->max_enu_m[1] - cell->min_enu_m[1]);
     return fmin(fmax(sqrt(area) / cell->edge_m, 1.0), 2.0);
 }
 
-static void schedule_fill(const struct train_config *cfg, const struct schedule_base *b, double kappa,
-                          const struct train_cell *cell, struct schedule *s)
+static void schedule_fill(const struct train_config *cfg, const struct schedule_base *b,
+                          double kappa, const struct train_cell *cell, struct schedule *s)
 {
     double shrink = kappa < 1.0 ? kappa : 1.0;
     double interval = (double)b->interval * kappa;
@@ -75,8 +81,9 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
     s->lr_mean_last = fmin(cfg->lr_mean_final * unit_m, s->lr_mean_first);
 }
 
-enum err_code schedule_make(const struct train_config *cfg, size_t n_photos, const struct train_cell *cell,
-                            struct schedule out[TRAIN_LEVELS_MAX], struct err *e)
+enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
+                            const struct train_cell *cell, struct schedule out[TRAIN_LEVELS_MAX],
+                            struct err *e)
 {
     struct schedule_base base[TRAIN_LEVELS_MAX];
     schedule_base(cfg, base);
@@ -96,13 +103,15 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos, con
             steps = (double)left; /* the last level takes what rounding left */
         left -= (int64_t)steps;
         if (!(steps >= 1.0) || steps > SCHEDULE_STEPS_MAX)
-            return err_set(e, ERR_ARG, "level %u of %u would have %.0f steps: change --iterations or %s",
-                           l + 1, n, steps, "--level-count");
+            return err_set(e, ERR_ARG,
+                           "level %u of %u would have %.0f steps: change --iterations or %s", l + 1,
+                           n, steps, "--level-count");
         s->steps = (uint32_t)steps;
         schedule_fill(cfg, b, kappa, cell, s);
         s->absgrad = (int64_t)(first + l + 1) >= cfg->absgrad_from;
         if (l > 0 && s->budget < out[l - 1].budget)
-            return err_set(e, ERR_ARG, "level %u: budget %zu is below level %u's %zu: budgets must not fall",
+            return err_set(e, ERR_ARG,
+                           "level %u: budget %zu is below level %u's %zu: budgets must not fall",
                            l + 1, s->budget, l, out[l - 1].budget);
     }
     return ERR_OK;

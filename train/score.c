@@ -1,11 +1,13 @@
-/* Importance of every Gaussian, the chances in the draw of density control (Taming 3DGS, Mallick 2024).
+/* Importance of every Gaussian, the chances in the draw of density control (Taming 3DGS, Mallick
+ * 2024).
  *
- * A number of random training views is drawn. In each, a pixel weighs 50 times its error plus 50 times the edge
- * strength of the photograph (both stretched to 0..1); every Gaussian collects what it touches. Nine quantities,
- * each divided by its median over the Gaussians that have it, are added with fixed coefficients, and the view
- * counts by its loss:
+ * A number of random training views is drawn. In each, a pixel weighs 50 times its error plus 50
+ * times the edge strength of the photograph (both stretched to 0..1); every Gaussian collects what
+ * it touches. Nine quantities, each divided by its median over the Gaussians that have it, are
+ * added with fixed coefficients, and the view counts by its loss:
  *
- *   50 L (25 gradient + 100 opacity + 5 depth + 10 radius + 25 volume + 50 distance + 10 weight + 0.1 pixels
+ *   50 L (25 gradient + 100 opacity + 5 depth + 10 radius + 25 volume + 50 distance + 10 weight +
+ * 0.1 pixels
  *         + 50 alpha T)
  *
  * A picture of one colour or a view that sees nothing gives zeros, never a division by zero.
@@ -20,8 +22,17 @@
 #include "train/level.h"
 
 enum { SCORE_SUMS = 8, SCORE_FIELDS = 9, SCORE_MEDIAN_SAMPLE = 65536, SCORE_CHUNK = 16384 };
-enum score_field { SCORE_GRADIENT, SCORE_OPACITY, SCORE_VOLUME, /* the same in every view */
-                   SCORE_WEIGHT, SCORE_PIXELS, SCORE_SHARE, SCORE_DISTANCE, SCORE_DEPTH, SCORE_RADIUS };
+enum score_field {
+    SCORE_GRADIENT,
+    SCORE_OPACITY,
+    SCORE_VOLUME, /* the same in every view */
+    SCORE_WEIGHT,
+    SCORE_PIXELS,
+    SCORE_SHARE,
+    SCORE_DISTANCE,
+    SCORE_DEPTH,
+    SCORE_RADIUS
+};
 static const float score_coefficient[SCORE_FIELDS] = {25.0f, 100.0f, 25.0f, 10.0f, 0.1f,
                                                       50.0f, 50.0f,  5.0f,  10.0f};
 #define SCORE_VIEW 50.0
@@ -45,7 +56,8 @@ void score_free(struct score **p)
     *p = NULL;
 }
 
-/* ---- weights of pixels ------------------------------------------------------------------------- */
+/* ---- weights of pixels -------------------------------------------------------------------------
+ */
 
 /* x -> (x - least) / (largest - least); 0 when all are equal or none is finite. */
 void score_stretch(float *x, size_t n)
@@ -95,17 +107,20 @@ static void score_errors(const float *color, const uint8_t *px, size_t n, float 
     score_stretch(out, n);
 }
 
-/* ---- one view --------------------------------------------------------------------------------------- */
+/* ---- one view
+ * --------------------------------------------------------------------------------------- */
 
 /* Draw the view, find its loss, weigh its pixels on the device. */
-static enum err_code score_draw(struct level *l, const struct feed_photo *p, double *view_loss, struct err *e)
+static enum err_code score_draw(struct level *l, const struct feed_photo *p, double *view_loss,
+                                struct err *e)
 {
     struct score *s = l->score;
     size_t n = (size_t)p->cam.width_px * p->cam.height_px, bytes = n * sizeof(float);
     struct render_options ro = level_render_options(l, l->step);
     float *color = mem_array(3 * n, sizeof(float)), *error = mem_array(n, sizeof(float));
     float *edge = mem_array(n, sizeof(float));
-    enum err_code rc = color && error && edge ? ERR_OK : err_set(e, ERR_MEM, "score: out of memory");
+    enum err_code rc =
+        color && error && edge ? ERR_OK : err_set(e, ERR_MEM, "score: out of memory");
     struct loss_value v = {0};
     if (!rc && bytes > s->weight_bytes) {
         dev_release(&s->weight);
@@ -135,7 +150,8 @@ static enum err_code score_draw(struct level *l, const struct feed_photo *p, dou
     return rc;
 }
 
-/* ---- adding up ---------------------------------------------------------------------------------------- */
+/* ---- adding up
+ * ---------------------------------------------------------------------------------------- */
 
 /* Hoare's selection of the middle one. */
 static float score_middle(float *x, size_t n)
@@ -234,7 +250,8 @@ static enum err_code score_add_chunk(void *user, size_t chunk, struct err *e)
     return ERR_OK;
 }
 
-static enum err_code score_alloc(struct score_work *w, float **sums, const float *mean_grad, struct err *e)
+static enum err_code score_alloc(struct score_work *w, float **sums, const float *mean_grad,
+                                 struct err *e)
 {
     bool ok = (*sums = mem_array(w->n * SCORE_SUMS, sizeof(float))) != NULL;
     for (size_t f = 0; f < SCORE_FIELDS; f++) {
@@ -281,9 +298,11 @@ enum err_code score_run(struct level *l, const float *params, const float *mean_
     struct score_work w = {.l = l, .params = params, .total = score, .n = l->model.n};
     float *sums = NULL;
     uint32_t *views = NULL, *all = mem_array(l->n_images, sizeof(*all));
-    size_t wanted = (size_t)l->cfg->score_views, n_views = wanted < l->n_images ? wanted : l->n_images;
+    size_t wanted = (size_t)l->cfg->score_views,
+           n_views = wanted < l->n_images ? wanted : l->n_images;
     views = mem_array(n_views, sizeof(*views));
-    enum err_code rc = all && views ? score_make(l, e) : err_set(e, ERR_MEM, "score: out of memory");
+    enum err_code rc =
+        all && views ? score_make(l, e) : err_set(e, ERR_MEM, "score: out of memory");
     if (!rc)
         rc = score_alloc(&w, &sums, mean_grad, e);
     if (rc)

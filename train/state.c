@@ -1,9 +1,9 @@
 /* What a run writes down: the state to go on from, and the result of each level.
  *
- * The state is the Gaussians, both Adam moments and the densification statistics in the device's layout, and three
- * numbers: level, step, Gaussians at the level's start. Everything else (order of photographs, schedules, random
- * numbers) is a function of these, the configuration and the cell, which are stored and compared: a run can only
- * go on with the options and the plan it began with.
+ * The state is the Gaussians, both Adam moments and the densification statistics in the device's
+ * layout, and three numbers: level, step, Gaussians at the level's start. Everything else (order of
+ * photographs, schedules, random numbers) is a function of these, the configuration and the cell,
+ * which are stored and compared: a run can only go on with the options and the plan it began with.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -49,22 +49,23 @@ static json_t *state_meta(const struct level *l, const char *kind, struct err *e
         return NULL;
     const struct schedule *s = &l->schedule[l->at < l->n_levels ? l->at : l->n_levels - 1];
     json_t *o = json_pack(
-        "{s:s, s:s, s:s, s:i, s:i, s:i, s:i, s:I, s:I, s:I, s:f, s:f, s:f, s:[f,f,f,f], s:o}", "kind", kind,
-        "version", CITYSPLAT_VERSION, "cell", l->cell.id, "level", (int)s->level, "levels",
-        (int)l->n_levels, "step", (int)l->step, "steps", (int)s->steps, "start", (json_int_t)l->start,
-        "gaussians", (json_int_t)l->model.n, "photographs", (json_int_t)l->n_images, "downsample",
-        s->downsample, "edge_m", l->cell.edge_m, "extent_m", l->cell.extent_m, "box_m",
-        l->cell.min_enu_m[0], l->cell.min_enu_m[1], l->cell.max_enu_m[0], l->cell.max_enu_m[1], "config",
-        config);
+        "{s:s, s:s, s:s, s:i, s:i, s:i, s:i, s:I, s:I, s:I, s:f, s:f, s:f, s:[f,f,f,f], s:o}",
+        "kind", kind, "version", CITYSPLAT_VERSION, "cell", l->cell.id, "level", (int)s->level,
+        "levels", (int)l->n_levels, "step", (int)l->step, "steps", (int)s->steps, "start",
+        (json_int_t)l->start, "gaussians", (json_int_t)l->model.n, "photographs",
+        (json_int_t)l->n_images, "downsample", s->downsample, "edge_m", l->cell.edge_m, "extent_m",
+        l->cell.extent_m, "box_m", l->cell.min_enu_m[0], l->cell.min_enu_m[1], l->cell.max_enu_m[0],
+        l->cell.max_enu_m[1], "config", config);
     if (!o)
         err_set(e, ERR_MEM, "out of memory for a checkpoint's head");
     return o;
 }
 
-/* ---- writing --------------------------------------------------------------------------------------- */
+/* ---- writing
+ * --------------------------------------------------------------------------------------- */
 
-enum err_code state_save_level(struct level *l, const char *path, const struct evaluate_score *score,
-                               struct err *e)
+enum err_code state_save_level(struct level *l, const char *path,
+                               const struct evaluate_score *score, struct err *e)
 {
     struct gauss g = {0};
     json_t *meta = state_meta(l, "level", e);
@@ -72,8 +73,9 @@ enum err_code state_save_level(struct level *l, const char *path, const struct e
         return ERR_MEM;
     enum err_code rc = ERR_OK;
     if (score) {
-        json_t *test = json_pack("{s:I, s:o, s:o}", "photographs", (json_int_t)score->n_photos, "psnr_db",
-                                 jsonc_real(score->psnr_db), "ssim", jsonc_real(score->ssim));
+        json_t *test =
+            json_pack("{s:I, s:o, s:o}", "photographs", (json_int_t)score->n_photos, "psnr_db",
+                      jsonc_real(score->psnr_db), "ssim", jsonc_real(score->ssim));
         if (!test || json_object_set_new(meta, "test", test))
             rc = err_set(e, ERR_MEM, "%s: out of memory", path);
     }
@@ -120,7 +122,8 @@ enum err_code state_save(struct level *l, const char *path, struct err *e)
     if (!rc)
         rc = state_blob(l, "adam_m2", l->adam.m2, moments, &blobs[n++], e);
     for (size_t i = 0; !rc && i < STATE_STATS; i++)
-        rc = state_blob(l, state_stat_names[i], stats[i], l->model.n * sizeof(float), &blobs[n++], e);
+        rc = state_blob(l, state_stat_names[i], stats[i], l->model.n * sizeof(float), &blobs[n++],
+                        e);
     if (!rc)
         rc = ckpt_write(path, meta, &g, blobs, n, e);
     state_free_blobs(blobs, n);
@@ -129,10 +132,11 @@ enum err_code state_save(struct level *l, const char *path, struct err *e)
     return rc;
 }
 
-/* ---- reading ------------------------------------------------------------------------------------------ */
+/* ---- reading
+ * ------------------------------------------------------------------------------------------ */
 
-static enum err_code state_check_config(const struct level *l, const char *path, const json_t *saved,
-                                        struct err *e)
+static enum err_code state_check_config(const struct level *l, const char *path,
+                                        const json_t *saved, struct err *e)
 {
     json_t *now = NULL;
     const char *key;
@@ -140,15 +144,17 @@ static enum err_code state_check_config(const struct level *l, const char *path,
     enum err_code rc = options_to_json(train_options(), l->cfg, &now, e);
     if (rc)
         return rc;
-    json_object_foreach(now, key, value) {
+    json_object_foreach(now, key, value)
+    {
         if (rc || state_is_free(key) || json_equal(value, json_object_get(saved, key)))
             continue;
         char *was = json_dumps(json_object_get(saved, key), JSON_ENCODE_ANY | JSON_COMPACT);
         char *is = json_dumps(value, JSON_ENCODE_ANY | JSON_COMPACT);
-        rc = err_set(e, ERR_ARG,
-                     "%s: the run was begun with %s = %s, now it is %s: use the same options to go on, "
-                     "or leave out --resume to start anew",
-                     path, key, was ? was : "nothing", is ? is : "nothing");
+        rc = err_set(
+            e, ERR_ARG,
+            "%s: the run was begun with %s = %s, now it is %s: use the same options to go on, "
+            "or leave out --resume to start anew",
+            path, key, was ? was : "nothing", is ? is : "nothing");
         free(was); /* jansson's, made with malloc */
         free(is);
     }
@@ -174,30 +180,33 @@ static enum err_code state_check_cell(const struct level *l, const char *path, c
     if (rc)
         return err_add(e, "%s", path);
     if (photos != (double)l->n_images)
-        return err_set(e, ERR_DATA, "%s: the run was begun with %.0f photographs, the scene has %zu now", path,
+        return err_set(e, ERR_DATA,
+                       "%s: the run was begun with %.0f photographs, the scene has %zu now", path,
                        photos, l->n_images);
     for (size_t i = 0; i < 6; i++)
         if (!(fabs((i < 2 ? lengths[i] : box[i - 2]) - want[i]) <= STATE_SAME_M))
             return err_set(e, ERR_DATA,
-                           "%s: cell %s was another one when the run was begun: go back to that plan, or leave "
+                           "%s: cell %s was another one when the run was begun: go back to that "
+                           "plan, or leave "
                            "out --resume to start anew",
                            path, c->id);
     return ERR_OK;
 }
 
-static enum err_code state_integer(const struct ckpt *c, const char *path, const char *key, double lo,
-                                   double hi, double *out, struct err *e)
+static enum err_code state_integer(const struct ckpt *c, const char *path, const char *key,
+                                   double lo, double hi, double *out, struct err *e)
 {
     enum err_code rc = jsonc_num(c->meta, key, out, e);
     if (rc)
         return err_add(e, "%s", path);
     if (!(*out >= lo && *out <= hi))
-        return err_set(e, ERR_FORMAT, "%s: \"%s\" is %g, expected %g to %g", path, key, *out, lo, hi);
+        return err_set(e, ERR_FORMAT, "%s: \"%s\" is %g, expected %g to %g", path, key, *out, lo,
+                       hi);
     return ERR_OK;
 }
 
-static const void *state_find(const struct ckpt *c, const char *path, const char *name, size_t bytes,
-                              struct err *e)
+static const void *state_find(const struct ckpt *c, const char *path, const char *name,
+                              size_t bytes, struct err *e)
 {
     const struct ckpt_blob *b = ckpt_find(c, name);
     if (b && b->size_bytes == bytes)
@@ -206,7 +215,8 @@ static const void *state_find(const struct ckpt *c, const char *path, const char
     return NULL;
 }
 
-static enum err_code state_upload(struct level *l, const struct ckpt *c, const char *path, struct err *e)
+static enum err_code state_upload(struct level *l, const struct ckpt *c, const char *path,
+                                  struct err *e)
 {
     size_t moments = densify_floats(c->g.n, l->model.planes) * sizeof(float);
     struct {
@@ -232,7 +242,8 @@ static enum err_code state_upload(struct level *l, const struct ckpt *c, const c
     return ERR_OK;
 }
 
-static enum err_code state_apply(struct level *l, const struct ckpt *c, const char *path, struct err *e)
+static enum err_code state_apply(struct level *l, const struct ckpt *c, const char *path,
+                                 struct err *e)
 {
     const char *kind;
     double level, step, start;

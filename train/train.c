@@ -16,8 +16,10 @@ static const struct options_def train_defs[] = {
 static const struct options_spec train_spec = {
     .command = "train",
     .usage = "citysplat train SCENE [options]",
-    .about = "Train Gaussians at several levels of detail from a scene that `citysplat ingest` or `citysplat "
-             "synth` made. Results and measurements go to SCENE/cells/<id>/, one folder a cell of `citysplat plan`, or cells/all/ without a plan. Ctrl-C saves the "
+    .about = "Train Gaussians at several levels of detail from a scene that `citysplat ingest` or "
+             "`citysplat "
+             "synth` made. Results and measurements go to SCENE/cells/<id>/, one folder a cell of "
+             "`citysplat plan`, or cells/all/ without a plan. Ctrl-C saves the "
              "state and --resume goes on from it. configs/ holds presets with their reasons.",
     .example = "citysplat train scene --iterations 2000 --max-edge-px 400   # a few minutes\n"
                "citysplat train scene --config configs/demo.jsonc\n"
@@ -52,7 +54,8 @@ enum err_code train_images(struct scene *s, enum scene_split split, bool test_sp
     return ERR_OK;
 }
 
-/* ---- cells ------------------------------------------------------------------------------------------- */
+/* ---- cells
+ * ------------------------------------------------------------------------------------------- */
 
 struct train { /* everything that lives as long as the run */
     const struct train_config *cfg;
@@ -75,7 +78,8 @@ static enum err_code train_open(struct train *t, struct err *e)
     if (!rc && file_exists(path))
         rc = plan_read(path, &t->scene, &t->plan, e);
     else if (!rc && t->cfg->cell)
-        rc = err_set(e, ERR_NOENT, "%s: --cell needs a plan; `citysplat plan %s` makes it", path, t->scene_dir);
+        rc = err_set(e, ERR_NOENT, "%s: --cell needs a plan; `citysplat plan %s` makes it", path,
+                     t->scene_dir);
     if (!rc)
         rc = dev_open(t->cfg->device, &t->dev, e);
     if (rc)
@@ -95,15 +99,17 @@ static void train_close(struct train *t)
     scene_free(&t->scene);
 }
 
-/* The photographs of a planned cell that train, those by location first; and the test photographs taken from
- * inside it. */
-static enum err_code train_planned(struct train *t, size_t index, struct run_cell *job, struct err *e)
+/* The photographs of a planned cell that train, those by location first; and the test photographs
+ * taken from inside it. */
+static enum err_code train_planned(struct train *t, size_t index, struct run_cell *job,
+                                   struct err *e)
 {
     const struct partition_cell *c = &t->plan.cells[index];
     size_t n_location = 0, n = 0, n_test = 0;
     uint32_t *images = arena_get(&t->scene.arena, c->n_images + 1, sizeof(*images));
     if (!images)
-        return err_set(e, ERR_MEM, "%s: out of memory for %zu photographs", t->scene_dir, c->n_images);
+        return err_set(e, ERR_MEM, "%s: out of memory for %zu photographs", t->scene_dir,
+                       c->n_images);
     for (size_t i = 0; i < c->n_images; i++) {
         if (t->cfg->test_split && t->scene.images[c->images[i]].split == SCENE_TEST)
             continue;
@@ -124,7 +130,8 @@ static enum err_code train_planned(struct train *t, size_t index, struct run_cel
 }
 
 /* index: of the plan's cells; ignored without a plan. */
-static enum err_code train_cell(struct train *t, size_t index, struct train_cell_result *out, struct err *e)
+static enum err_code train_cell(struct train *t, size_t index, struct train_cell_result *out,
+                                struct err *e)
 {
     uint32_t *images;
     struct run_cell job = {
@@ -168,13 +175,16 @@ static enum err_code train_cells(struct train *t, struct train_result *out, stru
         out->n_cells++;
     }
     if (!rc && !out->n_cells)
-        rc = t->cfg->cell ? err_set(e, ERR_ARG, "--cell: %s/plan.json has no trained cell '%s'", t->scene_dir, t->cfg->cell)
-                          : err_set(e, ERR_DATA, "%s/plan.json: no cell has photographs enough to be trained", t->scene_dir);
+        rc = t->cfg->cell ? err_set(e, ERR_ARG, "--cell: %s/plan.json has no trained cell '%s'",
+                                    t->scene_dir, t->cfg->cell)
+                          : err_set(e, ERR_DATA,
+                                    "%s/plan.json: no cell has photographs enough to be trained",
+                                    t->scene_dir);
     return rc;
 }
 
-enum err_code train_run(const char *scene_dir, const struct train_config *cfg, struct train_result *out,
-                        struct err *e)
+enum err_code train_run(const char *scene_dir, const struct train_config *cfg,
+                        struct train_result *out, struct err *e)
 {
     struct train *t = mem_array(1, sizeof(*t));
     double start_s = clock_s();

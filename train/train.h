@@ -1,20 +1,21 @@
 /* Photographs in, Gaussians at three levels of detail out.
  *
- * Reading order: level.c is the loop (one step is a dozen lines); schedule.c says what happens at which
- * step; feed.c brings photographs; init.c, densify.c and score.c decide which Gaussians there are; state.c
- * saves and restores all of it; train.c strings levels together; evaluate.c scores the result. The loss and the
- * metrics have train/loss.h.
+ * Reading order: level.c is the loop (one step is a dozen lines); schedule.c says what happens at
+ * which step; feed.c brings photographs; init.c, densify.c and score.c decide which Gaussians there
+ * are; state.c saves and restores all of it; train.c strings levels together; evaluate.c scores the
+ * result. The loss and the metrics have train/loss.h.
  *
- * One trajectory through the levels, level 1 the coarsest: each continues from the Gaussians of the one before
- * with its own budget, densification interval and picture size (Taming 3DGS, Mallick 2024, for the budgets;
- * 3D Gaussian Splatting, Kerbl 2023, for the rest). Files of a cell:
+ * One trajectory through the levels, level 1 the coarsest: each continues from the Gaussians of the
+ * one before with its own budget, densification interval and picture size (Taming 3DGS, Mallick
+ * 2024, for the budgets; 3D Gaussian Splatting, Kerbl 2023, for the rest). Files of a cell:
  *   cells/<id>/level<k>.ckpt   the result of level k: Gaussians, no optimiser state
  *   cells/<id>/resume.ckpt     everything, while the cell is unfinished
  *   cells/<id>/metrics.jsonl, config.jsonc
  * Without a plan.json (train/partition.h) the scene is one cell, "all".
  *
- * Determinism: same seed, scene, options, device and build give the same bytes; a resumed run equals the
- * uninterrupted one. Every random number is rng_*(seed, stream, index); streams are listed below.
+ * Determinism: same seed, scene, options, device and build give the same bytes; a resumed run
+ * equals the uninterrupted one. Every random number is rng_*(seed, stream, index); streams are
+ * listed below.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -38,31 +39,40 @@ struct train_config {
 const struct options_spec *train_options(void);
 
 /* Streams of the random numbers; level and step are mixed in by train_stream. */
-enum train_stream_id { TRAIN_STREAM_SHUFFLE = 1, TRAIN_STREAM_INIT, TRAIN_STREAM_RACE, TRAIN_STREAM_SPLIT,
-                       TRAIN_STREAM_VIEWS };
+enum train_stream_id {
+    TRAIN_STREAM_SHUFFLE = 1,
+    TRAIN_STREAM_INIT,
+    TRAIN_STREAM_RACE,
+    TRAIN_STREAM_SPLIT,
+    TRAIN_STREAM_VIEWS
+};
 uint64_t train_stream(enum train_stream_id id, uint32_t level, uint64_t step);
 
-/* ---- schedule.c: what happens at which step --------------------------------------------------------- */
+/* ---- schedule.c: what happens at which step
+ * --------------------------------------------------------- */
 
-struct schedule { /* of one level; steps are 1-based and restart at every level */
+struct schedule {             /* of one level; steps are 1-based and restart at every level */
     uint32_t level, n_levels; /* 1 .. n_levels, 1 = coarsest */
     uint32_t steps;
     double downsample;
     size_t budget;
-    uint32_t interval, densify_from, densify_until; /* densify when from < step < until and interval | step */
+    uint32_t interval, densify_from,
+        densify_until; /* densify when from < step < until and interval | step */
     uint32_t reset_interval;
     uint32_t sh_interval, sh_degree; /* sh_interval 0: the full degree from the start */
     bool absgrad;
     double tau;
     double lr_mean_first, lr_mean_last; /* metres */
-    double kappa; /* factor on all lengths: photographs / 600 when more, or the share of a short run */
+    double
+        kappa; /* factor on all lengths: photographs / 600 when more, or the share of a short run */
 };
 struct train_cell;
 /* Fill out[0 .. level_count). ERR_ARG when a level would have no steps. */
-enum err_code schedule_make(const struct train_config *cfg, size_t n_photos, const struct train_cell *cell,
-                            struct schedule out[TRAIN_LEVELS_MAX], struct err *e) ERR_USE;
-/* Ceiling of Gaussians inside the cell at densification x of n: a parabola from start (x = 0) to exactly
- * budget (x = n - 1), fast first. start >= budget: start. n <= 1: budget. */
+enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
+                            const struct train_cell *cell, struct schedule out[TRAIN_LEVELS_MAX],
+                            struct err *e) ERR_USE;
+/* Ceiling of Gaussians inside the cell at densification x of n: a parabola from start (x = 0) to
+ * exactly budget (x = n - 1), fast first. start >= budget: start. n <= 1: budget. */
 size_t schedule_cap(size_t start, size_t budget, uint32_t x, uint32_t n);
 /* Number n of the above, counting x = 0, which no step uses. */
 uint32_t schedule_densify_count(const struct schedule *s);
@@ -74,7 +84,8 @@ bool schedule_was_reset(const struct schedule *s, uint32_t step);
 uint32_t schedule_sh_degree(const struct schedule *s, uint32_t step);
 double schedule_lr_mean(const struct schedule *s, uint32_t step);
 
-/* ---- cell: what one training job covers --------------------------------------------------------------- */
+/* ---- cell: what one training job covers
+ * --------------------------------------------------------------- */
 
 struct train_cell { /* a rectangle of the ground plane; Gaussians outside serve as background */
     char id[32];    /* folder name below cells/ */
@@ -84,14 +95,16 @@ struct train_cell { /* a rectangle of the ground plane; Gaussians outside serve 
     double extent_m; /* 1.1 * largest distance of a camera from their mean: unit of sizes */
 };
 /* The single cell "all" of a scene. `images` lists the photographs used for training. */
-void cell_whole(const struct scene *s, const uint32_t *images, size_t n_images, struct train_cell *out);
+void cell_whole(const struct scene *s, const uint32_t *images, size_t n_images,
+                struct train_cell *out);
 /* A cell of a plan; `images` lists its cameras by location, the measure of its extent. */
-void cell_planned(const struct scene *s, const struct partition *p, size_t index, const uint32_t *images,
-                  size_t n_images, struct train_cell *out);
+void cell_planned(const struct scene *s, const struct partition *p, size_t index,
+                  const uint32_t *images, size_t n_images, struct train_cell *out);
 /* Horizontal distance of a place from the rectangle, 0 inside. */
 double cell_distance(const struct train_cell *c, double east_m, double north_m);
 
-/* ---- feed.c: photographs, ahead of time ----------------------------------------------------------------- */
+/* ---- feed.c: photographs, ahead of time
+ * ----------------------------------------------------------------- */
 
 struct feed_photo {
     uint32_t image; /* index into the scene's images */
@@ -112,27 +125,33 @@ struct feed_config {
 struct feed; /* an LRU cache and one thread that decodes ahead of the order of use */
 enum err_code feed_open(const struct feed_config *cfg, struct feed **out, struct err *e) ERR_USE;
 void feed_close(struct feed **f);
-/* The photograph of a step (1-based): position in this epoch's shuffle, a function of seed, level and step.
- * Waits until it is decoded and lets the thread go on with the ones after it. */
-enum err_code feed_get(struct feed *f, uint32_t step, struct feed_photo *out, struct err *e) ERR_USE;
+/* The photograph of a step (1-based): position in this epoch's shuffle, a function of seed, level
+ * and step. Waits until it is decoded and lets the thread go on with the ones after it. */
+enum err_code feed_get(struct feed *f, uint32_t step, struct feed_photo *out,
+                       struct err *e) ERR_USE;
 /* The n-th of the list, out of order (scoring, evaluation); also borrowed until the next call. */
-enum err_code feed_get_nth(struct feed *f, size_t nth, struct feed_photo *out, struct err *e) ERR_USE;
+enum err_code feed_get_nth(struct feed *f, size_t nth, struct feed_photo *out,
+                           struct err *e) ERR_USE;
 size_t feed_bytes(const struct feed *f); /* held by the cache now */
 /* The camera of a photograph at training size. */
 struct camera feed_camera(const struct camera *cam, uint32_t max_edge_px, double downsample);
 
-/* ---- init.c ----------------------------------------------------------------------------------------------- */
+/* ---- init.c
+ * -----------------------------------------------------------------------------------------------
+ */
 
-/* Gaussians at the scene's points (for a cell of a plan: at those that its photographs see): size from the
- * three nearest neighbours, opacity 0.1. More points than `limit`: an even random choice. None: 100 places in front of the cameras. Origin: mean of the points.
- * gauss_free it. */
+/* Gaussians at the scene's points (for a cell of a plan: at those that its photographs see): size
+ * from the three nearest neighbours, opacity 0.1. More points than `limit`: an even random choice.
+ * None: 100 places in front of the cameras. Origin: mean of the points. gauss_free it. */
 enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n_images,
-                         const struct train_cell *cell, uint32_t sh_degree, size_t limit, uint64_t seed,
-                         struct gauss *out, struct err *e) ERR_USE;
-/* dist2[i]: mean squared distance of point i to its three nearest others (fewer when there are fewer). */
+                         const struct train_cell *cell, uint32_t sh_degree, size_t limit,
+                         uint64_t seed, struct gauss *out, struct err *e) ERR_USE;
+/* dist2[i]: mean squared distance of point i to its three nearest others (fewer when there are
+ * fewer). */
 enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, struct err *e) ERR_USE;
 
-/* ---- densify.c: which Gaussians are added and removed ------------------------------------------------------- */
+/* ---- densify.c: which Gaussians are added and removed
+ * ------------------------------------------------------- */
 
 enum densify_kind { DENSIFY_KEEP, DENSIFY_CLONE, DENSIFY_SPLIT_A, DENSIFY_SPLIT_B };
 struct densify_row {
@@ -153,10 +172,11 @@ struct densify_input { /* host copies in the device layout, [groups][planes][16]
     size_t n;
     uint32_t planes;
     const float *mean_grad; /* [n] mean positional gradient per frame seen, NDC units */
-    const float *score;     /* [n] importance, >= 0; NULL while the budget does not bind: all equal */
+    const float *score; /* [n] importance, >= 0; NULL while the budget does not bind: all equal */
 };
 struct densify_report {
-    size_t before, pruned, clone_candidates, split_candidates, room, cloned, split, after, inside, outside;
+    size_t before, pruned, clone_candidates, split_candidates, room, cloned, split, after, inside,
+        outside;
     bool needs_score; /* the budget binds: call again with a score */
 };
 struct densify_plan { /* {0} is empty; densify_plan_free */
@@ -164,13 +184,15 @@ struct densify_plan { /* {0} is empty; densify_plan_free */
     size_t n;
     struct densify_report report;
 };
-/* Choose. Without a score and with a binding budget only the report is filled (rows stays NULL). Inside the
- * cell there are never more than cap_inside afterwards, unless there were more before; same outside. */
+/* Choose. Without a score and with a binding budget only the report is filled (rows stays NULL).
+ * Inside the cell there are never more than cap_inside afterwards, unless there were more before;
+ * same outside. */
 enum err_code densify_choose(const struct densify_params *p, const struct densify_input *in,
                              struct densify_plan *out, struct err *e) ERR_USE;
 void densify_plan_free(struct densify_plan *p);
-/* Order the rows of a plan along the Morton curve of their new means, and write parameters and moments of the
- * result: kept rows carry their moments, new ones start at 0. Arrays hold densify_floats(plan->n, planes). */
+/* Order the rows of a plan along the Morton curve of their new means, and write parameters and
+ * moments of the result: kept rows carry their moments, new ones start at 0. Arrays hold
+ * densify_floats(plan->n, planes). */
 struct densify_state {
     float *params, *m1, *m2;
 };
@@ -178,28 +200,34 @@ enum err_code densify_apply(const struct densify_params *p, const struct densify
                             struct densify_plan *plan, const struct densify_state *from,
                             const struct densify_state *to, struct err *e) ERR_USE;
 size_t densify_floats(size_t n, uint32_t planes); /* of an array in the device layout */
-/* The k smallest of -ln(u_i) / score_i (exponential race = sampling without replacement): ids of the chosen,
- * in order of arrival. Scores of 0 come last. */
-enum err_code densify_race(const float *score, const uint32_t *ids, size_t n, size_t k, uint64_t seed,
-                           uint64_t stream, uint32_t *chosen, struct err *e) ERR_USE;
+/* The k smallest of -ln(u_i) / score_i (exponential race = sampling without replacement): ids of
+ * the chosen, in order of arrival. Scores of 0 come last. */
+enum err_code densify_race(const float *score, const uint32_t *ids, size_t n, size_t k,
+                           uint64_t seed, uint64_t stream, uint32_t *chosen, struct err *e) ERR_USE;
 
-/* ---- record.c: one JSON object a line ------------------------------------------------------------------------ */
+/* ---- record.c: one JSON object a line
+ * ------------------------------------------------------------------------ */
 
 struct record; /* an open metrics.jsonl */
-enum err_code record_open(const char *path, bool append, struct record **out, struct err *e) ERR_USE;
-/* Add the line {"event": event, ...}; takes over the reference to `members` (may be NULL: out of memory). */
+enum err_code record_open(const char *path, bool append, struct record **out,
+                          struct err *e) ERR_USE;
+/* Add the line {"event": event, ...}; takes over the reference to `members` (may be NULL: out of
+ * memory). */
 enum err_code record_line(struct record *m, const char *event, struct json_t *members,
-                           struct err *e) ERR_USE;
+                          struct err *e) ERR_USE;
 void record_close(struct record **m);
 
-/* ---- train.c ---------------------------------------------------------------------------------------------------- */
+/* ---- train.c
+ * ----------------------------------------------------------------------------------------------------
+ */
 
 struct train_cell_result {
     char id[32];
     bool was_done; /* --resume found it complete: the rest is not filled */
     uint32_t n_levels;
     size_t n_gaussians[TRAIN_LEVELS_MAX];
-    double psnr_db[TRAIN_LEVELS_MAX], ssim[TRAIN_LEVELS_MAX]; /* test photographs at training size; NaN = none */
+    double psnr_db[TRAIN_LEVELS_MAX],
+        ssim[TRAIN_LEVELS_MAX]; /* test photographs at training size; NaN = none */
     double seconds;
 };
 struct train_result { /* {0} is empty; train_result_free */
@@ -209,20 +237,22 @@ struct train_result { /* {0} is empty; train_result_free */
     size_t peak_bytes;
 };
 void train_result_free(struct train_result *r);
-/* Train the scene in `scene_dir`: the cells of its plan.json, or the one that cfg->cell names, or all of it as
- * one cell. ERR_CANCEL: stopped (signal or stop_after), the state was saved and the message says how to go
- * on. */
-enum err_code train_run(const char *scene_dir, const struct train_config *cfg, struct train_result *out,
-                        struct err *e) ERR_USE;
+/* Train the scene in `scene_dir`: the cells of its plan.json, or the one that cfg->cell names, or
+ * all of it as one cell. ERR_CANCEL: stopped (signal or stop_after), the state was saved and the
+ * message says how to go on. */
+enum err_code train_run(const char *scene_dir, const struct train_config *cfg,
+                        struct train_result *out, struct err *e) ERR_USE;
 /* Indices of the photographs to train on (or, SCENE_TEST, to score), from the scene's arena. */
 enum err_code train_images(struct scene *s, enum scene_split split, bool test_split, uint32_t **out,
                            size_t *n, struct err *e) ERR_USE;
 
-/* ---- evaluate.c: how good it is ------------------------------------------------------------------------------------ */
+/* ---- evaluate.c: how good it is
+ * ------------------------------------------------------------------------------------ */
 
 struct evaluate_score { /* means over the photographs */
     size_t n_photos;
-    double psnr_db, ssim, ssim_valid; /* ssim: zero padded as in the loss; ssim_valid: inner windows only */
+    double psnr_db, ssim,
+        ssim_valid; /* ssim: zero padded as in the loss; ssim_valid: inner windows only */
     double l1;
     double gaussians; /* handed to the renderer a frame */
     double ms_frame;
@@ -243,7 +273,7 @@ struct evaluate_model {
     const struct render_model *model;
     struct render_options options;
 };
-enum err_code evaluate_draw_model(void *user, const struct camera *cam, float *rgb, double *gaussians,
-                                  struct err *e) ERR_USE;
+enum err_code evaluate_draw_model(void *user, const struct camera *cam, float *rgb,
+                                  double *gaussians, struct err *e) ERR_USE;
 
 #endif
