@@ -212,6 +212,12 @@ static void the_plan_file_reads_back_and_refuses_another_scene(void **state)
         assert_memory_equal(q.cells[i].azimuth, p.cells[i].azimuth, sizeof p.cells[i].azimuth);
     }
     partition_free(&q);
+    /* Two cells of one id would share a folder. */
+    memcpy(p.cells[1].id, p.cells[0].id, sizeof p.cells[0].id);
+    kit_ok(plan_write(path, &s, &p, &e), e);
+    kit_fails(plan_read(path, &s, &q, &e), ERR_FORMAT, e, "is taken by cell 0");
+    snprintf(p.cells[1].id, sizeof p.cells[1].id, "other");
+    kit_ok(plan_write(path, &s, &p, &e), e);
     s.images[3].name = arena_text(&s.arena, "other.jpg");
     kit_fails(plan_read(path, &s, &q, &e), ERR_FORMAT, e, "img0003.jpg");
     kit_ok(file_join(path, dir, "plan.svg", &e), e);

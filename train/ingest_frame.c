@@ -104,8 +104,10 @@ static enum err_code ground_normal(const struct ingest *g, double out[3], struct
                     cov[3 * a + b] += r[a] * r[b];
             }
         }
-        if (n < 50)
-            break;
+        if (n < 50) { /* too few to call anything a ground */
+            mem_free(d);
+            return ERR_OK;
+        }
         for (int a = 0; a < 3; a++)
             mean[a] = sum[a] / (double)n;
         limit = pass ? 3 * similarity_median(d, n) : HUGE_VAL;

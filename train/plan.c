@@ -151,6 +151,10 @@ static enum err_code plan_read_cells(const json_t *root, const struct scene *s, 
             err_add(e, "cell %zu", i);
         else
             out->n_cells++;
+        for (size_t k = 0; !rc && k + 1 < out->n_cells; k++)
+            if (!strcmp(out->cells[k].id, out->cells[out->n_cells - 1].id))
+                rc = err_set(e, ERR_FORMAT, "cell %zu: the id '%s' is taken by cell %zu", i,
+                             out->cells[k].id, k);
     }
     return rc ? rc : plan_read_parents(cells, out, e);
 }
