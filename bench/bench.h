@@ -1,8 +1,9 @@
-/* Benchmarks: named, each checks before it times, each figure a median with what it is compared against.
+/* Benchmarks: named, each checks before it times, each figure a median with what it is compared
+ * against.
  *
- * A benchmark is a function in bench_NAME.c and a row in benches.def. It calls bench_report once a case:
- * one JSON line on stdout, {"bench","case","value","unit","ratio","against"}; a table follows at the end.
- * Benchmarks never fail for being slow: a busy neighbour is not a bug.
+ * A benchmark is a function in bench_NAME.c and a row in benches.def. It calls bench_report once a
+ * case: one JSON line on stdout, {"bench","case","value","unit","ratio","against"}; a table follows
+ * at the end. Benchmarks never fail for being slow: a busy neighbour is not a bug.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,12 +14,12 @@
 #include "core/dev.h"
 
 struct bench {
-    const char *name;     /* of the running benchmark */
-    struct dev *dev;      /* opened once for all; NULL when there is no device */
-    double fma_gflops;    /* ceiling of the device, measured in this run */
-    double triad_gbps;    /* a[i] = b[i] + s * c[i], bytes of all three streams */
-    int runs;             /* how often to time each case (median), --runs */
-    bool quick;           /* --quick: small sizes, for checking that benchmarks work */
+    const char *name;  /* of the running benchmark */
+    struct dev *dev;   /* opened once for all; NULL when there is no device */
+    double fma_gflops; /* ceiling of the device, measured in this run */
+    double triad_gbps; /* a[i] = b[i] + s * c[i], bytes of all three streams */
+    int runs;          /* how often to time each case (median), --runs */
+    bool quick;        /* --quick: small sizes, for checking that benchmarks work */
     struct bench_row *rows;
     size_t n_rows;
     struct arena arena;
@@ -26,12 +27,12 @@ struct bench {
 };
 
 /* ratio 0 = none; `against` says what the ratio is to ("DRAM triad", "naive C"), NULL when none. */
-void bench_report(struct bench *b, const char *case_name, double value, const char *unit, double ratio,
-                  const char *against);
-/* Median of b->runs timed calls of fn (after one that is not counted), in milliseconds of wall time; spread
- * (may be NULL): half the distance between the quartiles. */
-enum err_code bench_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e), void *user,
-                         double *median_ms, double *spread_ms, struct err *e) ERR_USE;
+void bench_report(struct bench *b, const char *case_name, double value, const char *unit,
+                  double ratio, const char *against);
+/* Median of b->runs timed calls of fn (after one that is not counted), in milliseconds of wall
+ * time; spread (may be NULL): half the distance between the quartiles. */
+enum err_code bench_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e),
+                         void *user, double *median_ms, double *spread_ms, struct err *e) ERR_USE;
 /* A path for scratch files of this run; removed at exit. */
 const char *bench_tmpdir(struct bench *b);
 

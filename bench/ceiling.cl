@@ -1,5 +1,5 @@
-// The machine's ceilings. fma: 16 independent chains of float16 multiply-adds a work-item, nothing but
-// arithmetic. triad: a = b + s * c over arrays far larger than any cache.
+// The machine's ceilings. fma: 16 independent chains of float16 multiply-adds a work-item, nothing
+// but arithmetic. triad: a = b + s * c over arrays far larger than any cache.
 //
 // SPDX-License-Identifier: Apache-2.0
 __kernel void ceiling_fma(__global float *out, const float x, const int rounds)

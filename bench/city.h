@@ -8,7 +8,8 @@
 #include "core/camera.h"
 #include "core/gauss.h"
 
-/* n Gaussians with SH of degree 3, in random order; and in Morton order, as trained tiles come. gauss_free. */
+/* n Gaussians with SH of degree 3, in random order; and in Morton order, as trained tiles come.
+ * gauss_free. */
 enum err_code city_make(size_t n, struct gauss *out, struct err *e) ERR_USE;
 enum err_code city_sorted(size_t n, struct gauss *out, struct err *e) ERR_USE;
 /* The oblique view of it that every figure is about. */

@@ -1,5 +1,5 @@
-/* citysplat-bench [NAME...]: runs the named benchmarks (all without a name), the ceilings always first.
- * JSON lines on stdout as they come, then a table on stderr.
+/* citysplat-bench [NAME...]: runs the named benchmarks (all without a name), the ceilings always
+ * first. JSON lines on stdout as they come, then a table on stderr.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -27,12 +27,14 @@ struct bench_config {
 };
 
 static const struct options_def bench_defs[] = {
-    OPTIONS_ROW(struct bench_config, INT, runs, "20", 1, 10000, "N", "timed runs a case; the median counts")
-    OPTIONS_ROW(struct bench_config, BOOL, quick, "false", 0, 0, "", "small sizes: does it run at all?")
-    OPTIONS_ROW(struct bench_config, TEXT, device, "", 0, 0, "NAME", "OpenCL device: cpu, gpu or part of a name")
-    OPTIONS_ROW(struct bench_config, TEXT, compare, "", 0, 0, "FILE",
-                "JSON lines of an earlier run: the table gains a column now/then")
-};
+    OPTIONS_ROW(struct bench_config, INT, runs, "20", 1, 10000, "N",
+                "timed runs a case; the median counts")
+        OPTIONS_ROW(struct bench_config, BOOL, quick, "false", 0, 0, "",
+                    "small sizes: does it run at all?")
+            OPTIONS_ROW(struct bench_config, TEXT, device, "", 0, 0, "NAME",
+                        "OpenCL device: cpu, gpu or part of a name")
+                OPTIONS_ROW(struct bench_config, TEXT, compare, "", 0, 0, "FILE",
+                            "JSON lines of an earlier run: the table gains a column now/then")};
 
 struct bench_entry {
     const char *name, *about;
@@ -45,12 +47,12 @@ static const struct bench_entry entries[] = {
 };
 enum { ENTRIES = sizeof entries / sizeof entries[0], ROWS_MAX = 4096 };
 
-void bench_report(struct bench *b, const char *case_name, double value, const char *unit, double ratio,
-                  const char *against)
+void bench_report(struct bench *b, const char *case_name, double value, const char *unit,
+                  double ratio, const char *against)
 {
-    json_t *o = json_pack("{s:s, s:s, s:f, s:s, s:o, s:s?}", "bench", b->name, "case", case_name, "value",
-                          value, "unit", unit, "ratio", against ? json_real(ratio) : json_null(), "against",
-                          against);
+    json_t *o = json_pack("{s:s, s:s, s:f, s:s, s:o, s:s?}", "bench", b->name, "case", case_name,
+                          "value", value, "unit", unit, "ratio",
+                          against ? json_real(ratio) : json_null(), "against", against);
     if (o)
         json_dumpf(o, stdout, JSON_COMPACT | JSON_PRESERVE_ORDER | JSON_REAL_PRECISION(6));
     json_decref(o);
@@ -72,8 +74,8 @@ static int bench_compare_double(const void *a, const void *b)
     return (*x > *y) - (*x < *y);
 }
 
-enum err_code bench_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e), void *user,
-                         double *median_ms, double *spread_ms, struct err *e)
+enum err_code bench_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e),
+                         void *user, double *median_ms, double *spread_ms, struct err *e)
 {
     size_t n = (size_t)b->runs;
     double *ms = mem_array(n, sizeof *ms);
@@ -206,14 +208,18 @@ int main(int argc, char **argv)
     struct bench b = {0};
     struct bench_config cfg = {0};
     struct options_args args;
-    char about[1024] = "Runs the named benchmarks, all without a name. JSON lines on stdout, a table on "
-                       "stderr. Names:";
+    char about[1024] =
+        "Runs the named benchmarks, all without a name. JSON lines on stdout, a table on "
+        "stderr. Names:";
     for (size_t i = 0; i < ENTRIES; i++)
         snprintf(about + strlen(about), sizeof about - strlen(about), " %s (%s)%s", entries[i].name,
                  entries[i].about, i + 1 < ENTRIES ? "," : ".");
-    const struct options_spec spec = {.command = "bench", .usage = "citysplat-bench [NAME...] [options]",
-                                      .about = about, .defs = bench_defs,
-                                      .n_defs = sizeof bench_defs / sizeof bench_defs[0], .max_args = 16};
+    const struct options_spec spec = {.command = "bench",
+                                      .usage = "citysplat-bench [NAME...] [options]",
+                                      .about = about,
+                                      .defs = bench_defs,
+                                      .n_defs = sizeof bench_defs / sizeof bench_defs[0],
+                                      .max_args = 16};
     enum err_code rc = options_parse(&spec, argc, argv, &cfg, &args, &b.arena, &e);
     if (!rc && args.done)
         goto out;

@@ -1,7 +1,7 @@
 /* citysplat: drone photographs in, a city of Gaussians that a web map can stream out.
  *
- * Finds the command and runs it. stdout is data, stderr is the log. Exit codes: 0 done, 1 failed, 2 the
- * command line was wrong. This is the only file that turns an error into text and an exit code.
+ * Finds the command and runs it. stdout is data, stderr is the log. Exit codes: 0 done, 1 failed, 2
+ * the command line was wrong. This is the only file that turns an error into text and an exit code.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -38,11 +38,14 @@ static void print_help(FILE *f)
                "usage: citysplat COMMAND [arguments] [--options]\n\ncommands:\n");
     for (const struct command *c = commands; c->name; c++)
         fprintf(f, "  %-9s %s\n", c->name, c->about);
-    fprintf(f, "\n`citysplat help COMMAND` tells about one of them. The usual way:\n"
-               "  citysplat ingest photos/ photos/sparse/0 -o scene   # poses + GPS -> metres, east-north-up\n"
-               "  citysplat train scene                               # Gaussians at three levels of detail\n"
-               "  citysplat tile scene -o city.tiles                  # z/x/y pyramid in one file\n"
-               "  citysplat serve city.tiles                          # open http://127.0.0.1:8080/\n");
+    fprintf(
+        f, "\n`citysplat help COMMAND` tells about one of them. The usual way:\n"
+           "  citysplat ingest photos/ photos/sparse/0 -o scene   # poses + GPS -> metres, "
+           "east-north-up\n"
+           "  citysplat train scene                               # Gaussians at three levels of "
+           "detail\n"
+           "  citysplat tile scene -o city.tiles                  # z/x/y pyramid in one file\n"
+           "  citysplat serve city.tiles                          # open http://127.0.0.1:8080/\n");
 }
 
 static int run(const struct command *c, int argc, char **argv)

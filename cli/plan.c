@@ -22,9 +22,10 @@ static const struct options_def plan_defs[] = {
 
 static void plan_print(const struct scene *s, const struct partition *p)
 {
-    printf("%zu photographs, %zu points, %zu cells of %.4g m (%zu merged, %zu divided)\n", s->n_images,
-           s->n_points, p->n_cells, p->edge_m, p->n_merged, p->n_divided);
-    printf("%-12s %10s %10s %10s %12s  %s\n", "cell", "location", "visible", "points", "size m", "");
+    printf("%zu photographs, %zu points, %zu cells of %.4g m (%zu merged, %zu divided)\n",
+           s->n_images, s->n_points, p->n_cells, p->edge_m, p->n_merged, p->n_divided);
+    printf("%-12s %10s %10s %10s %12s  %s\n", "cell", "location", "visible", "points", "size m",
+           "");
     for (size_t i = 0; i < p->n_cells; i++) {
         const struct partition_cell *c = &p->cells[i];
         printf("%-12s %10zu %10zu %10zu %5.0f x %-4.0f  %s%s\n", c->id, c->n_location,
@@ -39,8 +40,10 @@ enum err_code cli_plan(int argc, char **argv, struct err *e)
     const struct options_spec spec = {
         .command = "plan",
         .usage = "citysplat plan SCENE [options]",
-        .about = "Cuts a scene into cells that are trained independently: writes SCENE/plan.json, which "
-                 "`citysplat train` follows, and SCENE/plan.svg, a picture of the cells, cameras and points.",
+        .about =
+            "Cuts a scene into cells that are trained independently: writes SCENE/plan.json, which "
+            "`citysplat train` follows, and SCENE/plan.svg, a picture of the cells, cameras and "
+            "points.",
         .example = "citysplat plan scene --edge-m 50 --images-few 16 --images-least 8",
         .defs = plan_defs,
         .n_defs = sizeof plan_defs / sizeof plan_defs[0],

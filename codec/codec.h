@@ -1,7 +1,9 @@
-/* Bytes <-> structs: images and EXIF, COLMAP models, scenes, checkpoints, and every file of Gaussians.
+/* Bytes <-> structs: images and EXIF, COLMAP models, scenes, checkpoints, and every file of
+ * Gaussians.
  *
- * Decoders are safe on any bytes: they check counts against the bytes at hand before they allocate, keep to
- * codec_limits, and on error leave their output empty. Writers of files go through core's file_begin.
+ * Decoders are safe on any bytes: they check counts against the bytes at hand before they allocate,
+ * keep to codec_limits, and on error leave their output empty. Writers of files go through core's
+ * file_begin.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -25,22 +27,23 @@ extern "C" {
 #define CODEC_MAX_BYTES ((size_t)16 << 30)
 #define CODEC_MAX_PIXELS ((size_t)512 << 20)
 
-struct codec_limits { /* {0} = the defaults in brackets */
+struct codec_limits {     /* {0} = the defaults in brackets */
     size_t max_gaussians; /* [64 Mi] */
     size_t max_bytes;     /* decompressed bytes of one file [16 GiB] */
     size_t max_pixels;    /* of one image [512 Mi] */
 };
 
-/* ---- image_shim.cc (OpenImageIO) ---------------------------------------------------------------- */
+/* ---- image_shim.cc (OpenImageIO) ----------------------------------------------------------------
+ */
 
-struct image { /* {0} is empty */
+struct image {                              /* {0} is empty */
     uint32_t width_px, height_px, channels; /* 1 or 3 */
     uint8_t *px;                            /* [h][w][channels], sRGB values as stored */
 };
 struct image_gps {
     bool has_position, has_altitude;
-    double lat_deg, lon_deg, alt_m; /* alt_m as the file says it: usually above sea level */
-    char time[32];                  /* EXIF DateTimeOriginal or "" */
+    double lat_deg, lon_deg, alt_m;   /* alt_m as the file says it: usually above sea level */
+    char time[32];                    /* EXIF DateTimeOriginal or "" */
     double exposure_s, iso, focal_mm; /* 0 = not given */
 };
 /* Read as 8-bit RGB (grey is expanded, alpha dropped), EXIF orientation ignored as COLMAP does.
@@ -50,40 +53,45 @@ enum err_code image_read(const char *path, const struct codec_limits *lim, struc
 /* Size and EXIF only, without decoding pixels. Either output may be NULL. */
 enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *height_px,
                               struct image_gps *gps, struct err *e) ERR_USE;
-/* By extension: .jpg .png .webp .tif. quality 1..100 for jpg and webp (0 = 95; jpg >= 95 writes 4:4:4).
- * gps (may be NULL) goes into EXIF. */
+/* By extension: .jpg .png .webp .tif. quality 1..100 for jpg and webp (0 = 95; jpg >= 95 writes
+ * 4:4:4). gps (may be NULL) goes into EXIF. */
 enum err_code image_write(const char *path, const struct image *img, int quality,
                           const struct image_gps *gps, struct err *e) ERR_USE;
 /* The same into memory; format is "jpg", "png" or "webp". */
-enum err_code image_encode(const struct image *img, const char *format, int quality, struct buf *out,
-                           struct err *e) ERR_USE;
+enum err_code image_encode(const struct image *img, const char *format, int quality,
+                           struct buf *out, struct err *e) ERR_USE;
 /* image_resize.c: Lanczos3. out is allocated; image_free it. */
 enum err_code image_resize(const struct image *in, uint32_t width_px, uint32_t height_px,
                            struct image *out, struct err *e) ERR_USE;
-enum err_code image_alloc(uint32_t width_px, uint32_t height_px, uint32_t channels, struct image *out,
-                          struct err *e) ERR_USE;
+enum err_code image_alloc(uint32_t width_px, uint32_t height_px, uint32_t channels,
+                          struct image *out, struct err *e) ERR_USE;
 void image_free(struct image *img);
 
-/* ---- exif.c: the few EXIF fields we need, in JPEG, PNG, WebP and TIFF files ------------------------- */
+/* ---- exif.c: the few EXIF fields we need, in JPEG, PNG, WebP and TIFF files
+ * ------------------------- */
 
-/* Missing, unknown or damaged fields are simply not there (has_position false, 0, ""): photographs with
- * strange EXIF are still photographs. ERR_NOENT, ERR_IO. */
+/* Missing, unknown or damaged fields are simply not there (has_position false, 0, ""): photographs
+ * with strange EXIF are still photographs. ERR_NOENT, ERR_IO. */
 enum err_code exif_read(const char *path, struct image_gps *out, struct err *e) ERR_USE;
 /* The same from a whole file in memory. */
 void exif_parse(const void *bytes, size_t n, struct image_gps *out);
-/* Put an EXIF block into an encoded picture. Angles are stored to 1e-7 arc seconds, heights to 0.1 mm. */
+/* Put an EXIF block into an encoded picture. Angles are stored to 1e-7 arc seconds, heights to 0.1
+ * mm. */
 enum err_code exif_insert(struct buf *file, const struct image_gps *gps, struct err *e) ERR_USE;
 
-/* ---- npy.c ------------------------------------------------------------------------------------------ */
+/* ---- npy.c
+ * ------------------------------------------------------------------------------------------ */
 
 /* float32 .npy, C order. shape has ndim entries. npy_read allocates (mem_free). */
 enum err_code npy_write(const char *path, const float *data, size_t ndim, const size_t *shape,
                         struct err *e) ERR_USE;
-enum err_code npy_read(const char *path, size_t ndim, size_t *shape, float **data, struct err *e) ERR_USE;
+enum err_code npy_read(const char *path, size_t ndim, size_t *shape, float **data,
+                       struct err *e) ERR_USE;
 enum err_code npy_decode(const void *bytes, size_t n, size_t ndim, size_t *shape, float **data,
                          struct err *e) ERR_USE;
 
-/* ---- colmap.c ------------------------------------------------------------------------------------- */
+/* ---- colmap.c
+ * ------------------------------------------------------------------------------------- */
 
 struct colmap_camera {
     uint32_t id;
@@ -123,23 +131,25 @@ struct colmap_model { /* {0} is empty; sorted by id; ids are resolved to indices
     size_t n_tracks;
     struct arena arena; /* owns everything above */
 };
-/* From a folder that holds cameras/images/points3D as .bin (preferred) or .txt, or its sparse/ or sparse/0/.
- * ERR_NOENT names what was looked for; ERR_FORMAT names file and record ("images.bin: image 17 of 75:
- * truncated"). colmap_free it. */
+/* From a folder that holds cameras/images/points3D as .bin (preferred) or .txt, or its sparse/ or
+ * sparse/0/. ERR_NOENT names what was looked for; ERR_FORMAT names file and record ("images.bin:
+ * image 17 of 75: truncated"). colmap_free it. */
 enum err_code colmap_read(const char *dir, struct colmap_model *out, struct err *e) ERR_USE;
-enum err_code colmap_write_bin(const char *dir, const struct colmap_model *m, struct err *e) ERR_USE;
+enum err_code colmap_write_bin(const char *dir, const struct colmap_model *m,
+                               struct err *e) ERR_USE;
 void colmap_free(struct colmap_model *m);
 
-/* ---- scene.c: what ingest makes and train reads ---------------------------------------------------- */
+/* ---- scene.c: what ingest makes and train reads
+ * ---------------------------------------------------- */
 
 enum scene_split { SCENE_TRAIN, SCENE_TEST };
 struct scene_image {
-    char *name;            /* file in images/, borrowed from the scene's arena */
-    struct camera cam;     /* undistorted pinhole, world = ENU metres */
+    char *name;        /* file in images/, borrowed from the scene's arena */
+    struct camera cam; /* undistorted pinhole, world = ENU metres */
     enum scene_split split;
-    uint32_t group;        /* appearance group; one per photograph by default */
-    double gps_enu_m[3];   /* NaN when there is none */
-    double residual_m;     /* after registration; NaN when there is no GPS */
+    uint32_t group;      /* appearance group; one per photograph by default */
+    double gps_enu_m[3]; /* NaN when there is none */
+    double residual_m;   /* after registration; NaN when there is no GPS */
 };
 struct scene_point {
     double enu_m[3];
@@ -150,12 +160,15 @@ struct scene_point {
 struct scene { /* {0} is empty */
     struct geo_origin origin;
     double scale, rot[9], trans[3]; /* COLMAP -> ENU: y = scale * rot * x + trans */
-    double vertical_offset_m;       /* fitted GPS altitude offset kept apart, see docs/conventions.md */
+    double vertical_offset_m; /* fitted GPS altitude offset kept apart, see docs/conventions.md */
     struct scene_image *images;
     size_t n_images;
     struct scene_point *points;
     size_t n_points;
-    struct scene_track { uint32_t point, image; float x_px, y_px; } *tracks; /* sorted by image; image pixels after undistortion and resize */
+    struct scene_track {
+        uint32_t point, image;
+        float x_px, y_px;
+    } * tracks; /* sorted by image; image pixels after undistortion and resize */
     size_t n_tracks;
     char *attribution; /* may be NULL */
     char dir[FILE_PATH_MAX];
@@ -166,14 +179,15 @@ enum err_code scene_read(const char *dir, struct scene *out, struct err *e) ERR_
 enum err_code scene_write(const char *dir, const struct scene *s, struct err *e) ERR_USE;
 void scene_free(struct scene *s);
 
-/* ---- ckpt.c: one file, a JSON head and named blobs, hashed ------------------------------------------- */
+/* ---- ckpt.c: one file, a JSON head and named blobs, hashed
+ * ------------------------------------------- */
 
 struct ckpt_blob {
     char name[32];
     const void *data; /* write: borrowed; read: points into the ckpt's buffer, 64-byte aligned */
     size_t size_bytes;
 };
-struct ckpt { /* {0} is empty */
+struct ckpt {            /* {0} is empty */
     struct json_t *meta; /* level, step, seed, config, metrics ... */
     struct gauss g;
     struct ckpt_blob *blobs;
@@ -188,87 +202,98 @@ enum err_code ckpt_read(const char *path, struct ckpt *out, struct err *e) ERR_U
 const struct ckpt_blob *ckpt_find(const struct ckpt *c, const char *name); /* NULL when absent */
 void ckpt_free(struct ckpt *c);
 
-/* ---- Gaussians in files --------------------------------------------------------------------------- */
+/* ---- Gaussians in files
+ * --------------------------------------------------------------------------- */
 
-/* ENU (z up) -> glTF (y up): p' = (E, U, -N), rotations and SH turned with it; and back. In place. */
+/* ENU (z up) -> glTF (y up): p' = (E, U, -N), rotations and SH turned with it; and back. In place.
+ */
 void frame_enu_to_gltf(struct gauss *g);
 void frame_gltf_to_enu(struct gauss *g);
 
-/* INRIA .ply, and on import SuperSplat's compressed one. Import finds properties by name, any scalar type, skips unknown ones; SH degree from the
- * number of f_rest. Comments "citysplat origin lon lat h" are read and written (origin may be NULL; on read
- * has_origin tells). Means are read into float32 about origin_enu_m = 0 unless the file carries doubles. */
+/* INRIA .ply, and on import SuperSplat's compressed one. Import finds properties by name, any
+ * scalar type, skips unknown ones; SH degree from the number of f_rest. Comments "citysplat origin
+ * lon lat h" are read and written (origin may be NULL; on read has_origin tells). Means are read
+ * into float32 about origin_enu_m = 0 unless the file carries doubles. */
 enum ply_axes { PLY_AXES_NONE, PLY_AXES_ENU, PLY_AXES_GLTF, PLY_AXES_UNKNOWN };
 struct ply_info {
     bool has_origin;
     struct geo_origin origin;
-    enum ply_axes axes; /* comment "axes ENU" or "axes glTF"; NONE: read, it said nothing; written, it is ENU as
-                         * every struct gauss is by default; UNKNOWN: write no comment */
+    enum ply_axes
+        axes; /* comment "axes ENU" or "axes glTF"; NONE: read, it said nothing; written, it is ENU
+               * as every struct gauss is by default; UNKNOWN: write no comment */
 };
 enum err_code ply_read(const char *path, const struct codec_limits *lim, struct gauss *out,
                        struct ply_info *info, struct err *e) ERR_USE;
-enum err_code ply_decode(const void *bytes, size_t n, const struct codec_limits *lim, struct gauss *out,
-                         struct ply_info *info, struct err *e) ERR_USE;
+enum err_code ply_decode(const void *bytes, size_t n, const struct codec_limits *lim,
+                         struct gauss *out, struct ply_info *info, struct err *e) ERR_USE;
 enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, struct buf *out,
                          struct err *e) ERR_USE;
 
-/* antimatter15's .splat: no header, so nothing but its size tells. SH degree 0, frame unknown. gauss_free it. */
-enum err_code splat_decode(const void *bytes, size_t n, const struct codec_limits *lim, struct gauss *out,
-                           struct err *e) ERR_USE;
+/* antimatter15's .splat: no header, so nothing but its size tells. SH degree 0, frame unknown.
+ * gauss_free it. */
+enum err_code splat_decode(const void *bytes, size_t n, const struct codec_limits *lim,
+                           struct gauss *out, struct err *e) ERR_USE;
 
-/* One quantiser for SPZ and Draco: integers of SPZ v3 (docs/formats.md). g is in the axes to be written
- * (glTF for tiles), means relative to its origin, |mean| < 2048 m or ERR_LIMIT. */
+/* One quantiser for SPZ and Draco: integers of SPZ v3 (docs/formats.md). g is in the axes to be
+ * written (glTF for tiles), means relative to its origin, |mean| < 2048 m or ERR_LIMIT. */
 struct quant { /* {0} is empty; arrays in one allocation */
     size_t n;
     uint32_t sh_degree, embed_len;
     bool antialiased;
-    int32_t *position; /* [n][3], 2^-12 m */
-    uint8_t *alpha;    /* [n] */
-    uint8_t *color;    /* [n][3] */
-    uint8_t *scale;    /* [n][3] */
+    int32_t *position;  /* [n][3], 2^-12 m */
+    uint8_t *alpha;     /* [n] */
+    uint8_t *color;     /* [n][3] */
+    uint8_t *scale;     /* [n][3] */
     uint32_t *rotation; /* [n] SPZ v3 packed smallest-three */
-    uint8_t *sh;       /* [n][K-1][3] */
-    uint8_t *embed;    /* [n][embed_len] */
+    uint8_t *sh;        /* [n][K-1][3] */
+    uint8_t *embed;     /* [n][embed_len] */
     float embed_min[GAUSS_EMBED_MAX], embed_max[GAUSS_EMBED_MAX];
     void *block;
 };
 /* Zeroed arrays for n rows. */
 enum err_code quant_alloc(struct quant *q, size_t n, uint32_t sh_degree, uint32_t embed_len,
                           struct err *e) ERR_USE;
-/* sh_degree may differ from g's: missing bands are 0. Rows keep their order (files are smaller when it is
- * Morton's). ERR_DATA names the row that is not finite or has no rotation. */
+/* sh_degree may differ from g's: missing bands are 0. Rows keep their order (files are smaller when
+ * it is Morton's). ERR_DATA names the row that is not finite or has no rotation. */
 enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree, struct quant *out,
                                struct err *e) ERR_USE;
 enum err_code quant_to_gauss(const struct quant *q, struct gauss *out, struct err *e) ERR_USE;
 void quant_free(struct quant *q);
-/* One rotation, SPZ v3: index of the largest component (x y z w) << 30 | three times sign and 9-bit size. */
+/* One rotation, SPZ v3: index of the largest component (x y z w) << 30 | three times sign and 9-bit
+ * size. */
 uint32_t quant_pack_rotation(const float quat_wxyz[4]);
 void quant_unpack_rotation(uint32_t packed, float quat_wxyz[4]);
 
 /* .spz, versions 2, 3, 4 read; 3 and 4 written. */
-enum err_code spz_encode(const struct quant *q, int version, struct buf *out, struct err *e) ERR_USE;
-enum err_code spz_decode(const void *bytes, size_t n, const struct codec_limits *lim, struct quant *out,
+enum err_code spz_encode(const struct quant *q, int version, struct buf *out,
                          struct err *e) ERR_USE;
-/* .drc: sequential point cloud of integer attributes (draco_shim.cc). `tile` is text for the metadata. */
+enum err_code spz_decode(const void *bytes, size_t n, const struct codec_limits *lim,
+                         struct quant *out, struct err *e) ERR_USE;
+/* .drc: sequential point cloud of integer attributes (draco_shim.cc). `tile` is text for the
+ * metadata. */
 enum err_code draco_encode(const struct quant *q, const char *tile, struct buf *out,
                            struct err *e) ERR_USE;
 enum err_code draco_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                            struct quant *out, struct err *e) ERR_USE;
-/* .glb with KHR_gaussian_splatting: payload SPZ v3 (CesiumJS, ArcGIS, 3d-tiles-renderer + Spark) ... */
+/* .glb with KHR_gaussian_splatting: payload SPZ v3 (CesiumJS, ArcGIS, 3d-tiles-renderer + Spark)
+ * ... */
 enum err_code glb_encode_spz(const struct quant *q, const char *copyright, struct buf *out,
                              struct err *e) ERR_USE;
 /* ... or plain float accessors (three, PlayCanvas, Babylon). g in glTF axes. */
 enum err_code glb_encode_plain(const struct gauss *g, const char *copyright, struct buf *out,
                                struct err *e) ERR_USE;
 /* Either form of glb: one splat primitive, no node transform, glTF axes. gauss_free it. */
-enum err_code glb_decode(const void *bytes, size_t n, const struct codec_limits *lim, struct gauss *out,
-                         struct err *e) ERR_USE;
-/* The payload back out of a glb: the .spz bytes inside (borrowed from bytes). ERR_NOENT: a plain one. */
+enum err_code glb_decode(const void *bytes, size_t n, const struct codec_limits *lim,
+                         struct gauss *out, struct err *e) ERR_USE;
+/* The payload back out of a glb: the .spz bytes inside (borrowed from bytes). ERR_NOENT: a plain
+ * one. */
 enum err_code glb_find_spz(const void *bytes, size_t n, const void **spz, size_t *n_spz,
                            struct err *e) ERR_USE;
 
-/* Master payload of a tile in the store: float32 mean relative to the tile centre, half floats elsewhere
- * (opacity, scale and rotation float32 where lossless is set), zstd. ENU axes. */
-enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *out, struct err *e) ERR_USE;
+/* Master payload of a tile in the store: float32 mean relative to the tile centre, half floats
+ * elsewhere (opacity, scale and rotation float32 where lossless is set), zstd. ENU axes. */
+enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *out,
+                             struct err *e) ERR_USE;
 enum err_code payload_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                              struct gauss *out, struct err *e) ERR_USE;
 

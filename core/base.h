@@ -20,11 +20,12 @@ struct json_t;
 
 /* ---- mem.c: sizes are multiplied here and nowhere else -------------------------------------- */
 
-/* n * size zeroed bytes, aligned to 64, or NULL (overflow, out of memory). n == 0 gives a valid pointer.
- * Free with mem_free. Tests make the k-th allocation fail with mem_fail_at(k) (0 = never). */
+/* n * size zeroed bytes, aligned to 64, or NULL (overflow, out of memory). n == 0 gives a valid
+ * pointer. Free with mem_free. Tests make the k-th allocation fail with mem_fail_at(k) (0 = never).
+ */
 void *mem_array(size_t n, size_t size);
-/* Grow or shrink: contents kept up to the smaller size, new bytes zeroed. The old block stays valid on
- * failure (NULL). */
+/* Grow or shrink: contents kept up to the smaller size, new bytes zeroed. The old block stays valid
+ * on failure (NULL). */
 void *mem_resize(void *p, size_t n_old, size_t n_new, size_t size);
 char *mem_text(const char *s); /* strdup; caller frees with mem_free; NULL when out of memory */
 void mem_free(void *p);
@@ -58,13 +59,16 @@ void buf_u32(struct buf *b, uint32_t v);
 void buf_u64(struct buf *b, uint64_t v);
 void buf_f32(struct buf *b, float v);
 void buf_f64(struct buf *b, double v);
-void buf_printf(struct buf *b, const char *fmt, ...) ERR_PRINTF(2, 3); /* no NUL counted in size, but one follows */
-/* Make room for n more bytes and return where they go (size grows by n); NULL when out of memory. */
+void buf_printf(struct buf *b, const char *fmt, ...)
+    ERR_PRINTF(2, 3); /* no NUL counted in size, but one follows */
+/* Make room for n more bytes and return where they go (size grows by n); NULL when out of memory.
+ */
 uint8_t *buf_grow(struct buf *b, size_t n);
 enum err_code buf_check(const struct buf *b, struct err *e) ERR_USE; /* ERR_MEM if failed */
 void buf_free(struct buf *b);
 
-/* A reader over foreign bytes: reads past the end set `bad` and return 0, so check once per record. */
+/* A reader over foreign bytes: reads past the end set `bad` and return 0, so check once per record.
+ */
 struct cursor {
     const uint8_t *p, *end;
     bool bad;
@@ -81,13 +85,16 @@ double cursor_f64(struct cursor *c);
 
 /* ---- file.c: whole files in, whole files out ------------------------------------------------- */
 
-/* Read all of `path`. ERR_NOENT, ERR_IO, ERR_LIMIT (larger than limit_bytes; 0 = 8 GiB). buf_free it. */
-enum err_code file_read(const char *path, size_t limit_bytes, struct buf *out, struct err *e) ERR_USE;
-/* Write beside (`path.part-PID`), fsync, rename. On any error nothing is left behind and an older file
- * of that name is untouched. */
+/* Read all of `path`. ERR_NOENT, ERR_IO, ERR_LIMIT (larger than limit_bytes; 0 = 8 GiB). buf_free
+ * it. */
+enum err_code file_read(const char *path, size_t limit_bytes, struct buf *out,
+                        struct err *e) ERR_USE;
+/* Write beside (`path.part-PID`), fsync, rename. On any error nothing is left behind and an older
+ * file of that name is untouched. */
 enum err_code file_write(const char *path, const void *bytes, size_t n, struct err *e) ERR_USE;
-/* The same in two steps, for libraries that want a path or a stream: file_begin gives the name to write
- * to, file_commit syncs and renames it, file_abort removes it. `part` holds PATH_MAX bytes. */
+/* The same in two steps, for libraries that want a path or a stream: file_begin gives the name to
+ * write to, file_commit syncs and renames it, file_abort removes it. `part` holds PATH_MAX bytes.
+ */
 enum { FILE_PATH_MAX = 4096 };
 enum err_code file_begin(const char *path, char *part, struct err *e) ERR_USE;
 enum err_code file_commit(const char *part, const char *path, struct err *e) ERR_USE;
@@ -100,56 +107,62 @@ bool file_is_dir(const char *path);
 enum err_code file_join(char *out, const char *dir, const char *name, struct err *e) ERR_USE;
 /* Names (not paths) of the regular files in `dir` with one of the suffixes (NULL-terminated list,
  * case-insensitive, NULL = all), sorted bytewise; strings live in the arena. */
-enum err_code file_list(const char *dir, const char *const *suffixes, struct arena *a, char ***names,
-                        size_t *n, struct err *e) ERR_USE;
+enum err_code file_list(const char *dir, const char *const *suffixes, struct arena *a,
+                        char ***names, size_t *n, struct err *e) ERR_USE;
 
-/* ---- log.c ------------------------------------------------------------------------------------ */
+/* ---- log.c ------------------------------------------------------------------------------------
+ */
 
 enum log_level { LOG_ERROR, LOG_WARN, LOG_INFO, LOG_DEBUG };
 void log_set_level(enum log_level level); /* before threads start */
 /* One line on stderr: "12.41 info train step n=1200 loss=0.0812": elapsed, level, module, event and
  * key=value pairs with units in the keys. */
 void log_line(enum log_level level, const char *module, const char *fmt, ...) ERR_PRINTF(3, 4);
-/* The same in two steps, for those who gather many lines: the length of the line composed with its newline
- * (0: the level is off), and bytes to stderr as they are. */
-size_t log_compose(char *line, size_t room, enum log_level level, const char *module, const char *fmt,
-                   ...) ERR_PRINTF(5, 6);
+/* The same in two steps, for those who gather many lines: the length of the line composed with its
+ * newline (0: the level is off), and bytes to stderr as they are. */
+size_t log_compose(char *line, size_t room, enum log_level level, const char *module,
+                   const char *fmt, ...) ERR_PRINTF(5, 6);
 void log_write(const char *lines, size_t n);
 #define log_error(module, ...) log_line(LOG_ERROR, module, __VA_ARGS__)
 #define log_warn(module, ...) log_line(LOG_WARN, module, __VA_ARGS__)
 #define log_info(module, ...) log_line(LOG_INFO, module, __VA_ARGS__)
 #define log_debug(module, ...) log_line(LOG_DEBUG, module, __VA_ARGS__)
 
-/* ---- progress.c: long work tells its rate and the time left ----------------------------------- */
+/* ---- progress.c: long work tells its rate and the time left -----------------------------------
+ */
 
-struct progress { /* one thread updates it */
+struct progress {     /* one thread updates it */
     const char *what; /* borrowed for the lifetime, "train level 1" */
     uint64_t total, done;
     double start_s, last_s;
     bool tty, active;
 };
 void progress_start(struct progress *p, const char *what, uint64_t total);
-/* `note` (may be NULL) is appended: "loss 0.08, 41 k Gaussians". Cheap: prints at most 10 times a second
- * on a terminal, one line every 5 s otherwise. */
+/* `note` (may be NULL) is appended: "loss 0.08, 41 k Gaussians". Cheap: prints at most 10 times a
+ * second on a terminal, one line every 5 s otherwise. */
 void progress_step(struct progress *p, uint64_t done, const char *note);
 void progress_end(struct progress *p, const char *note);
 void progress_quiet(bool quiet); /* -q: no bars at all; before threads start */
 
-/* ---- clock.c: clock and stop flag -------------------------------------------------------------- */
+/* ---- clock.c: clock and stop flag --------------------------------------------------------------
+ */
 
-double clock_s(void);     /* monotonic seconds */
-double clock_cpu_s(void); /* CPU seconds of the whole process, all threads */
+double clock_s(void);           /* monotonic seconds */
+double clock_cpu_s(void);       /* CPU seconds of the whole process, all threads */
 void clock_catch_signals(void); /* SIGINT and SIGTERM set the stop flag; a second one kills */
 bool clock_stopping(void);
 
-/* ---- rng.c: counter-based, so that the order of threads cannot matter -------------------------- */
+/* ---- rng.c: counter-based, so that the order of threads cannot matter --------------------------
+ */
 
 /* 64 random bits of (seed, stream, index): the same on every machine and in any order. */
 uint64_t rng_u64(uint64_t seed, uint64_t stream, uint64_t index);
-double rng_unit(uint64_t seed, uint64_t stream, uint64_t index);   /* uniform in [0, 1), 53 bits */
-double rng_normal(uint64_t seed, uint64_t stream, uint64_t index); /* standard normal (Box-Muller) */
+double rng_unit(uint64_t seed, uint64_t stream, uint64_t index); /* uniform in [0, 1), 53 bits */
+double rng_normal(uint64_t seed, uint64_t stream,
+                  uint64_t index); /* standard normal (Box-Muller) */
 
-/* ---- hash.c: XXH3-128 (libxxhash) --------------------------------------------------------------- */
+/* ---- hash.c: XXH3-128 (libxxhash) ---------------------------------------------------------------
+ */
 
 struct hash128 {
     uint64_t lo, hi;
@@ -157,7 +170,8 @@ struct hash128 {
 struct hash128 hash_bytes(const void *bytes, size_t n);
 void hash_text(struct hash128 h, char out[33]); /* 32 lower-case hex digits and NUL */
 
-/* ---- jsonc.c: JSON with whole-line // comments, by jansson ---------------------------------------- */
+/* ---- jsonc.c: JSON with whole-line // comments, by jansson
+ * ---------------------------------------- */
 
 /* Load and parse; duplicate keys are refused, errors name file, line and column. json_decref it. */
 enum err_code jsonc_read(const char *path, struct json_t **out, struct err *e) ERR_USE;
@@ -166,7 +180,8 @@ enum err_code jsonc_parse(const char *text, size_t n, const char *name, struct j
 /* Write through file_write, indented by 2, numbers with 17 digits, keys in insertion order. */
 enum err_code jsonc_write(const char *path, const struct json_t *json, struct err *e) ERR_USE;
 /* Typed members, ERR_FORMAT "NAME: key: expected number" when missing or of another type. */
-enum err_code jsonc_num(const struct json_t *o, const char *key, double *out, struct err *e) ERR_USE;
+enum err_code jsonc_num(const struct json_t *o, const char *key, double *out,
+                        struct err *e) ERR_USE;
 enum err_code jsonc_nums(const struct json_t *o, const char *key, size_t n, double *out,
                          struct err *e) ERR_USE;
 enum err_code jsonc_text(const struct json_t *o, const char *key, const char **out,

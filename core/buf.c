@@ -1,5 +1,5 @@
-/* Byte strings: a growing writer with a sticky error, and a bounds-checked reader. Little-endian files on
- * any host.
+/* Byte strings: a growing writer with a sticky error, and a bounds-checked reader. Little-endian
+ * files on any host.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,5 @@
-/* The OpenCL device: choice, context, queue, programs, buffers. The only file that knows device quirks.
+/* The OpenCL device: choice, context, queue, programs, buffers. The only file that knows device
+ * quirks.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -25,30 +26,33 @@ struct dev { /* made by dev_open; one caller at a time */
     char name[128], driver[64];
 };
 
-/* `want` selects: NULL or "auto" (first GPU, else first CPU), "cpu", "gpu", or a substring of the device
- * name. ERR_DEVICE lists what was found, or says how to install PoCL when there is none. Must be called
- * before any fork; kernels are cached in POCL_CACHE_DIR / XDG_CACHE_HOME. dev_close it. */
+/* `want` selects: NULL or "auto" (first GPU, else first CPU), "cpu", "gpu", or a substring of the
+ * device name. ERR_DEVICE lists what was found, or says how to install PoCL when there is none.
+ * Must be called before any fork; kernels are cached in POCL_CACHE_DIR / XDG_CACHE_HOME. dev_close
+ * it. */
 enum err_code dev_open(const char *want, struct dev *out, struct err *e) ERR_USE;
 void dev_close(struct dev *d);
 
-/* One source file of a program: `text` is embedded by core/embed.cmake; `name` is what the log cites. */
+/* One source file of a program: `text` is embedded by core/embed.cmake; `name` is what the log
+ * cites. */
 struct dev_source {
     const char *name, *text;
 };
-/* Build from sources in order, core/layout.h first, each preceded by a #line. `options` is added to the
- * fixed set (-cl-std=CL1.2 -cl-denorms-are-zero -DVW=...). The whole build log goes into e. */
+/* Build from sources in order, core/layout.h first, each preceded by a #line. `options` is added to
+ * the fixed set (-cl-std=CL1.2 -cl-denorms-are-zero -DVW=...). The whole build log goes into e. */
 enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t n_sources,
                         const char *options, cl_program *out, struct err *e) ERR_USE;
-enum err_code dev_kernel(cl_program program, const char *name, cl_kernel *out, struct err *e) ERR_USE;
-/* size_bytes is rounded up to 64; 0 becomes 64. `host` (may be NULL) is copied. ERR_MEM / ERR_LIMIT say how
- * much was asked and what the device allows. */
+enum err_code dev_kernel(cl_program program, const char *name, cl_kernel *out,
+                         struct err *e) ERR_USE;
+/* size_bytes is rounded up to 64; 0 becomes 64. `host` (may be NULL) is copied. ERR_MEM / ERR_LIMIT
+ * say how much was asked and what the device allows. */
 enum err_code dev_buffer(struct dev *d, size_t size_bytes, const void *host, cl_mem *out,
                          struct err *e) ERR_USE;
 void dev_release(cl_mem *m); /* NULL is accepted; leaves NULL */
 enum err_code dev_read(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes, void *out,
                        struct err *e) ERR_USE; /* blocking */
-enum err_code dev_write(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes, const void *in,
-                        struct err *e) ERR_USE;
+enum err_code dev_write(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes,
+                        const void *in, struct err *e) ERR_USE;
 enum err_code dev_zero(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes,
                        struct err *e) ERR_USE;
 /* Set argument `index`, collecting failures: call per argument, check once at dev_run. */

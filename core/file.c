@@ -1,6 +1,6 @@
-/* Whole files in, whole files out. A file is written under a sibling name, synced and renamed, so a reader
- * never sees half of one and a full disk leaves the old one alone. POSIX calls rather than stdio, so that
- * fault injection reaches them.
+/* Whole files in, whole files out. A file is written under a sibling name, synced and renamed, so a
+ * reader never sees half of one and a full disk leaves the old one alone. POSIX calls rather than
+ * stdio, so that fault injection reaches them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -223,8 +223,8 @@ static enum err_code file_scan(const char *dir, const char *const *suffixes, str
     return rc;
 }
 
-enum err_code file_list(const char *dir, const char *const *suffixes, struct arena *a, char ***names,
-                        size_t *n, struct err *e)
+enum err_code file_list(const char *dir, const char *const *suffixes, struct arena *a,
+                        char ***names, size_t *n, struct err *e)
 {
     size_t cap = 0;
     enum err_code rc = file_scan(dir, suffixes, a, NULL, 0, &cap, e);

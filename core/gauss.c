@@ -1,5 +1,5 @@
-/* The Gaussian container. One allocation of `cap` rows holds all arrays, one after the other; growing copies
- * array by array.
+/* The Gaussian container. One allocation of `cap` rows holds all arrays, one after the other;
+ * growing copies array by array.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -50,8 +50,9 @@ enum err_code gauss_alloc(struct gauss *g, size_t cap, uint32_t sh_degree, uint3
 {
     *g = (struct gauss){0};
     if (sh_degree > GAUSS_SH_DEGREE_MAX || embed_len > GAUSS_EMBED_MAX)
-        return err_set(e, ERR_LIMIT, "SH degree %u (at most %d) or embedding length %u (at most %d)",
-                       sh_degree, GAUSS_SH_DEGREE_MAX, embed_len, GAUSS_EMBED_MAX);
+        return err_set(e, ERR_LIMIT,
+                       "SH degree %u (at most %d) or embedding length %u (at most %d)", sh_degree,
+                       GAUSS_SH_DEGREE_MAX, embed_len, GAUSS_EMBED_MAX);
     struct gauss made = {.cap = cap, .sh_degree = sh_degree, .embed_len = embed_len};
     made.block = mem_array(cap, gauss_row_floats(&made) * sizeof(float));
     if (!made.block)
@@ -80,7 +81,8 @@ enum err_code gauss_reserve(struct gauss *g, size_t want, struct err *e)
         return rc;
     size_t width[GAUSS_FIELDS];
     gauss_widths(g->sh_degree, g->embed_len, width);
-    float *from[GAUSS_FIELDS] = {g->mean_m, g->scale_log, g->quat_wxyz, g->opacity_logit, g->sh, g->embed};
+    float *from[GAUSS_FIELDS] = {g->mean_m,        g->scale_log, g->quat_wxyz,
+                                 g->opacity_logit, g->sh,        g->embed};
     float *to[GAUSS_FIELDS] = {big.mean_m,        big.scale_log, big.quat_wxyz,
                                big.opacity_logit, big.sh,        big.embed};
     for (size_t f = 0; f < GAUSS_FIELDS; f++)
@@ -219,7 +221,8 @@ size_t gauss_count_bad(const struct gauss *g, size_t *first_bad)
     for (size_t i = 0; i < g->n; i++) {
         const float *q = &g->quat_wxyz[4 * i];
         bool ok = gauss_finite(&g->mean_m[3 * i], 3) && gauss_finite(&g->scale_log[3 * i], 3) &&
-                  gauss_finite(q, 4) && isfinite(g->opacity_logit[i]) && gauss_finite(&g->sh[k * i], k) &&
+                  gauss_finite(q, 4) && isfinite(g->opacity_logit[i]) &&
+                  gauss_finite(&g->sh[k * i], k) &&
                   gauss_finite(g->embed ? &g->embed[g->embed_len * i] : NULL, g->embed_len) &&
                   q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] > 0.0f;
         if (!ok && bad++ == 0 && first_bad)

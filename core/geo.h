@@ -23,10 +23,11 @@ enum err_code geo_from_enu(const struct geo_origin *o, const double enu_m[3], do
                            double *lat_deg, double *h_m, struct err *e) ERR_USE;
 /* ENU -> ECEF at the origin as a column-major 4x4 (3D Tiles' root.transform). */
 enum err_code geo_enu_to_ecef(const struct geo_origin *o, double m[16], struct err *e) ERR_USE;
-/* Rotation of the ENU frame at (lon, lat) expressed in the origin's ENU frame, row-major: columns are that
- * place's east, north and up. For cameras given by heading and pitch far from the origin. */
-enum err_code geo_local_axes(const struct geo_origin *o, double lon_deg, double lat_deg, double rot[9],
-                             struct err *e) ERR_USE;
+/* Rotation of the ENU frame at (lon, lat) expressed in the origin's ENU frame, row-major: columns
+ * are that place's east, north and up. For cameras given by heading and pitch far from the origin.
+ */
+enum err_code geo_local_axes(const struct geo_origin *o, double lon_deg, double lat_deg,
+                             double rot[9], struct err *e) ERR_USE;
 
 #ifdef __cplusplus
 }

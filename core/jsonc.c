@@ -1,5 +1,5 @@
-/* JSON with whole-line // comments. A JSON string cannot hold a newline, so blanking lines whose first
- * characters are // can never change a string, and line numbers in errors stay right.
+/* JSON with whole-line // comments. A JSON string cannot hold a newline, so blanking lines whose
+ * first characters are // can never change a string, and line numbers in errors stay right.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -39,7 +39,8 @@ enum err_code jsonc_parse(const char *text, size_t n, const char *name, struct j
     json_t *j = json_loadb(copy, n, JSON_REJECT_DUPLICATES, &je);
     mem_free(copy);
     if (!j)
-        return err_set(e, ERR_FORMAT, "%s: line %d, column %d: %s", name, je.line, je.column, je.text);
+        return err_set(e, ERR_FORMAT, "%s: line %d, column %d: %s", name, je.line, je.column,
+                       je.text);
     *out = j;
     return ERR_OK;
 }

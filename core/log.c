@@ -1,4 +1,5 @@
-/* One line an event on stderr, composed first and written by one call, so that threads do not mix lines.
+/* One line an event on stderr, composed first and written by one call, so that threads do not mix
+ * lines.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

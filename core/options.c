@@ -1,5 +1,6 @@
-/* Options from defaults, config files and flags into a config struct described by a table. One setter
- * (options_set) checks type and range for all three sources, so a rule cannot hold for one and not another.
+/* Options from defaults, config files and flags into a config struct described by a table. One
+ * setter (options_set) checks type and range for all three sources, so a rule cannot hold for one
+ * and not another.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -72,8 +73,8 @@ static enum err_code options_set_number(const struct options_def *d, const char 
         return ERR_OK;
     }
     double v = strtod(text, &end);
-    snprintf(want, sizeof want, "a number from %.15g to %.15g%s%s", d->lo, d->hi, *d->unit ? " " : "",
-             d->unit);
+    snprintf(want, sizeof want, "a number from %.15g to %.15g%s%s", d->lo, d->hi,
+             *d->unit ? " " : "", d->unit);
     if (end == text || *end || !isfinite(v) || !(v >= d->lo && v <= d->hi))
         return options_bad(d, text, want, e);
     *(OPTIONS_C_NUM *)options_at(d, config) = v;
@@ -161,7 +162,8 @@ static enum err_code options_unknown(const struct options_spec *spec, const char
     }
     const char *dash = flag ? "--" : "";
     if (best_d <= strlen(name) / 2 + 1)
-        return err_set(e, ERR_ARG, "unknown option %s%s; did you mean %s%s?", dash, name, dash, best);
+        return err_set(e, ERR_ARG, "unknown option %s%s; did you mean %s%s?", dash, name, dash,
+                       best);
     return err_set(e, ERR_ARG, "unknown option %s%s", dash, name);
 }
 
@@ -205,7 +207,8 @@ static enum err_code options_config_file(const struct options_spec *spec, const 
         rc = err_set(e, ERR_ARG, "%s: an object { \"key\": value } is expected", path);
     const char *key;
     json_t *v;
-    for (void *it = rc ? NULL : json_object_iter(root); it && !rc; it = json_object_iter_next(root, it)) {
+    for (void *it = rc ? NULL : json_object_iter(root); it && !rc;
+         it = json_object_iter_next(root, it)) {
         key = json_object_iter_key(it);
         v = json_object_iter_value(it);
         const struct options_def *d = NULL;
@@ -220,7 +223,8 @@ static enum err_code options_config_file(const struct options_spec *spec, const 
     return rc;
 }
 
-/* ---- help ------------------------------------------------------------------------------------------ */
+/* ---- help
+ * ------------------------------------------------------------------------------------------ */
 
 static void options_print_wrapped(const char *text, size_t column, size_t indent)
 {
@@ -250,7 +254,7 @@ static void options_print_one(const struct options_def *d)
         snprintf(head, sizeof head, "  --%s%s", !strcmp(d->def, "true") ? "no-" : "", flag);
     else
         snprintf(head, sizeof head, "  --%s %s", flag,
-                 *d->unit               ? d->unit
+                 *d->unit                 ? d->unit
                  : d->type == OPTIONS_INT ? "N"
                                           : "X");
     const char *quote = d->type == OPTIONS_BOOL || !*d->def ? NULL : d->def;
@@ -270,17 +274,18 @@ static void options_print_help(const struct options_spec *spec)
         printf("\noptions (defaults in brackets):\n");
     for (size_t i = 0; i < spec->n_defs; i++)
         options_print_one(&spec->defs[i]);
-    printf("\nalways there:\n"
-           "  --config FILE                   options from a .jsonc file; later files and flags win\n"
-           "  --print-config                  print the resolved options as JSON and stop\n"
-           "  -v, -q                          more log lines; no progress and warnings only\n"
-           "  -h, --help                      this text\n");
+    printf(
+        "\nalways there:\n"
+        "  --config FILE                   options from a .jsonc file; later files and flags win\n"
+        "  --print-config                  print the resolved options as JSON and stop\n"
+        "  -v, -q                          more log lines; no progress and warnings only\n"
+        "  -h, --help                      this text\n");
     if (spec->example)
         printf("\nexample:\n  %s\n", spec->example);
 }
 
-enum err_code options_to_json(const struct options_spec *spec, const void *config, struct json_t **out,
-                              struct err *e)
+enum err_code options_to_json(const struct options_spec *spec, const void *config,
+                              struct json_t **out, struct err *e)
 {
     json_t *o = json_object();
     bool bad = !o;
@@ -313,7 +318,8 @@ enum err_code options_to_json(const struct options_spec *spec, const void *confi
     return ERR_OK;
 }
 
-/* ---- flags ------------------------------------------------------------------------------------------- */
+/* ---- flags
+ * ------------------------------------------------------------------------------------------- */
 
 struct options_walk { /* where the walk over argv is */
     const struct options_spec *spec;
@@ -322,11 +328,12 @@ struct options_walk { /* where the walk over argv is */
     void *config;
     struct options_args *args;
     struct arena *arena;
-    bool help, print, files; /* files: this pass reads --config only; the other pass everything else */
+    bool help, print,
+        files; /* files: this pass reads --config only; the other pass everything else */
 };
 
-static enum err_code options_value(struct options_walk *w, const char *flag, const char *inline_value,
-                                   const char **out, struct err *e)
+static enum err_code options_value(struct options_walk *w, const char *flag,
+                                   const char *inline_value, const char **out, struct err *e)
 {
     if (inline_value) {
         *out = inline_value;
@@ -352,8 +359,9 @@ static enum err_code options_long(struct options_walk *w, const char *arg, struc
     }
     const struct options_def *d = options_find(w->spec, name, n);
     if (d && d->type == OPTIONS_BOOL)
-        return w->files ? ERR_OK
-                        : options_set(d, inline_value ? inline_value : "true", w->config, w->arena, e);
+        return w->files
+                   ? ERR_OK
+                   : options_set(d, inline_value ? inline_value : "true", w->config, w->arena, e);
     if (!d && n > 3 && !memcmp(name, "no-", 3)) {
         d = options_find(w->spec, name + 3, n - 3);
         if (d && d->type == OPTIONS_BOOL && !inline_value)
@@ -432,8 +440,8 @@ enum err_code options_parse(const struct options_spec *spec, int argc, char **ar
 {
     *args = (struct options_args){0};
     enum err_code rc = options_defaults(spec, config, a, e);
-    struct options_walk w = {.spec = spec, .argc = argc, .argv = argv, .config = config, .args = args,
-                             .arena = a};
+    struct options_walk w = {
+        .spec = spec, .argc = argc, .argv = argv, .config = config, .args = args, .arena = a};
     if (!rc)
         rc = options_pass(&w, true, e);
     if (!rc && !w.help)
@@ -450,7 +458,7 @@ enum err_code options_parse(const struct options_spec *spec, int argc, char **ar
     if (!rc && args->n < spec->min_args)
         rc = err_set(e, ERR_ARG, "too few arguments; usage: %s", spec->usage);
     if (!rc && args->n > spec->max_args)
-        rc = err_set(e, ERR_ARG, "'%s' is one argument too many; usage: %s", args->arg[spec->max_args],
-                     spec->usage);
+        rc = err_set(e, ERR_ARG, "'%s' is one argument too many; usage: %s",
+                     args->arg[spec->max_args], spec->usage);
     return rc;
 }

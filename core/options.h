@@ -1,5 +1,5 @@
-/* Options: one X-macro table a command, from which come the config struct, the flags, the config-file
- * keys, the range checks, --help and --print-config. A default exists in one place.
+/* Options: one X-macro table a command, from which come the config struct, the flags, the
+ * config-file keys, the range checks, --help and --print-config. A default exists in one place.
  *
  *   train/options.def:   OPT(NUM, cell_edge_m, "180", 1, 5000, "m", "edge P of a training cell")
  *                        OPT(ENUM, aa, "2d", 0, 0, "none|2d|mip", "anti-aliasing")
@@ -15,8 +15,9 @@
  *                        #undef OPT
  *                        };
  *
- * The flag of cell_edge_m is --cell-edge-m VALUE (or =VALUE). BOOL takes --key and --no-key. Precedence:
- * default < --config FILE... in order < flags. Unknown flags and keys are errors that name the nearest one.
+ * The flag of cell_edge_m is --cell-edge-m VALUE (or =VALUE). BOOL takes --key and --no-key.
+ * Precedence: default < --config FILE... in order < flags. Unknown flags and keys are errors that
+ * name the nearest one.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -39,10 +40,10 @@ enum options_type { OPTIONS_NUM, OPTIONS_INT, OPTIONS_BOOL, OPTIONS_TEXT, OPTION
 
 struct options_def {
     enum options_type type;
-    const char *key; /* cell_edge_m */
-    size_t offset;   /* in the config struct */
-    const char *def; /* default as text; "true"/"false" for BOOL; "" = unset for TEXT */
-    double lo, hi;   /* NUM and INT: inclusive range */
+    const char *key;  /* cell_edge_m */
+    size_t offset;    /* in the config struct */
+    const char *def;  /* default as text; "true"/"false" for BOOL; "" = unset for TEXT */
+    double lo, hi;    /* NUM and INT: inclusive range */
     const char *unit; /* "m"; for ENUM the choices; for TEXT what it is: "FILE" */
     const char *help;
 };
@@ -62,20 +63,22 @@ struct options_spec {
 struct options_args { /* positional arguments, borrowed from argv */
     const char *arg[16];
     size_t n;
-    bool done; /* --help or --print-config was answered on stdout: the command returns ERR_OK at once */
+    bool done; /* --help or --print-config was answered on stdout: the command returns ERR_OK at
+                  once */
 };
 
-/* Fill `config` (zeroed by the callee) from defaults, config files and argv[1..]. TEXT values live in the
- * arena. -h/--help, --config FILE, --print-config, -v (debug log) and -q (no progress, warnings only) are
- * understood by every command; -o X is the same as --output X where that key exists.
- * ERR_ARG for anything a user mistyped. */
+/* Fill `config` (zeroed by the callee) from defaults, config files and argv[1..]. TEXT values live
+ * in the arena. -h/--help, --config FILE, --print-config, -v (debug log) and -q (no progress,
+ * warnings only) are understood by every command; -o X is the same as --output X where that key
+ * exists. ERR_ARG for anything a user mistyped. */
 enum err_code options_parse(const struct options_spec *spec, int argc, char **argv, void *config,
                             struct options_args *args, struct arena *a, struct err *e) ERR_USE;
 /* Fill with the defaults alone (tests, library use). */
 enum err_code options_defaults(const struct options_spec *spec, void *config, struct arena *a,
                                struct err *e) ERR_USE;
-/* The resolved values as a JSON object: what --print-config prints and a run stores beside its output. */
-enum err_code options_to_json(const struct options_spec *spec, const void *config, struct json_t **out,
-                              struct err *e) ERR_USE;
+/* The resolved values as a JSON object: what --print-config prints and a run stores beside its
+ * output. */
+enum err_code options_to_json(const struct options_spec *spec, const void *config,
+                              struct json_t **out, struct err *e) ERR_USE;
 
 #endif

@@ -9,16 +9,17 @@
 
 #include "core/err.h"
 
-/* Call fn(user, i) for every i in [0, n), on up to `threads` threads (0 = one per core). Blocks until all
- * are done. Each i runs exactly once; which thread runs it is not defined, so results must depend on i
- * alone. The first non-ERR_OK result stops handing out work and is returned with its message; among
- * several failures the lowest i wins. */
+/* Call fn(user, i) for every i in [0, n), on up to `threads` threads (0 = one per core). Blocks
+ * until all are done. Each i runs exactly once; which thread runs it is not defined, so results
+ * must depend on i alone. The first non-ERR_OK result stops handing out work and is returned with
+ * its message; among several failures the lowest i wins. */
 enum err_code pool_for(size_t n, size_t threads,
                        enum err_code (*fn)(void *user, size_t i, struct err *e), void *user,
                        struct err *e) ERR_USE;
 size_t pool_cores(void); /* online cores, at least 1 */
 
-/* One background thread that runs fn(user) once; pool_join waits and frees. Used for prefetching. */
+/* One background thread that runs fn(user) once; pool_join waits and frees. Used for prefetching.
+ */
 struct pool_thread;
 enum err_code pool_start(void (*fn)(void *user), void *user, struct pool_thread **out,
                          struct err *e) ERR_USE;

@@ -1,5 +1,5 @@
-/* Progress: a bar with rate and time left on a terminal, a plain line every few seconds elsewhere. The only
- * file that knows which of the two stderr is.
+/* Progress: a bar with rate and time left on a terminal, a plain line every few seconds elsewhere.
+ * The only file that knows which of the two stderr is.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -44,13 +44,14 @@ static void progress_print(const struct progress *p, const char *note, bool last
         for (int i = 0; i < PROGRESS_BAR; i++)
             bar[i] = i < full ? '#' : '.';
         bar[PROGRESS_BAR] = '\0';
-        snprintf(line, sizeof line, "\r\033[K%s [%s] %3.0f%% %llu/%llu %.3g/s %s%s%s%s%s", p->what, bar,
-                 100.0 * share, (unsigned long long)p->done, (unsigned long long)p->total, rate, left,
-                 last ? "" : " left", note ? "  " : "", note ? note : "", last ? "\n" : "");
+        snprintf(line, sizeof line, "\r\033[K%s [%s] %3.0f%% %llu/%llu %.3g/s %s%s%s%s%s", p->what,
+                 bar, 100.0 * share, (unsigned long long)p->done, (unsigned long long)p->total,
+                 rate, left, last ? "" : " left", note ? "  " : "", note ? note : "",
+                 last ? "\n" : "");
     } else {
         snprintf(line, sizeof line, "%s: %llu/%llu (%.0f%%) %.3g/s %s%s%s%s\n", p->what,
-                 (unsigned long long)p->done, (unsigned long long)p->total, 100.0 * share, rate, left,
-                 last ? "" : " left", note ? ", " : "", note ? note : "");
+                 (unsigned long long)p->done, (unsigned long long)p->total, 100.0 * share, rate,
+                 left, last ? "" : " left", note ? ", " : "", note ? note : "");
     }
     ssize_t put = write(STDERR_FILENO, line, strlen(line));
     (void)put; /* a progress bar that cannot be shown is no error */

@@ -1,8 +1,10 @@
-/* Levels of detail: tile keys, the pyramid, the tile store (SQLite), level selection, views of a store.
+/* Levels of detail: tile keys, the pyramid, the tile store (SQLite), level selection, views of a
+ * store.
  *
- * Key: z/x/y of the Web Mercator quad tree (OGC WebMercatorQuad). The zoom identifies the level: level 3
- * (finest) at zoom Z, level 2 at Z-1, level 1 at Z-2, overviews below that until one tile holds the scene.
- * A Gaussian belongs to the tile that holds the longitude/latitude of its mean, half-open.
+ * Key: z/x/y of the Web Mercator quad tree (OGC WebMercatorQuad). The zoom identifies the level:
+ * level 3 (finest) at zoom Z, level 2 at Z-1, level 1 at Z-2, overviews below that until one tile
+ * holds the scene. A Gaussian belongs to the tile that holds the longitude/latitude of its mean,
+ * half-open.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -16,37 +18,41 @@
 #include "core/geo.h"
 #include "render/render.h"
 
-/* ---- key.c ---------------------------------------------------------------------------------------- */
+/* ---- key.c
+ * ---------------------------------------------------------------------------------------- */
 
 enum { KEY_ZOOM_MAX = 24 };
 struct key {
     uint8_t z;
     uint32_t x, y;
 };
-/* Tile that holds a place: half-open, x grows east, y grows south. Latitude clamped to +-85.0511. */
+/* Tile that holds a place: half-open, x grows east, y grows south. Latitude clamped to +-85.0511.
+ */
 struct key key_at(double lon_deg, double lat_deg, uint8_t z);
 struct key key_parent(struct key k);
-bool key_valid(struct key k); /* z <= 24, x, y < 2^z */
+bool key_valid(struct key k);                /* z <= 24, x, y < 2^z */
 int key_compare(struct key a, struct key b); /* by z, then y, then x */
 void key_center(struct key k, double *lon_deg, double *lat_deg);
-void key_bounds(struct key k, double *west_deg, double *south_deg, double *east_deg, double *north_deg);
+void key_bounds(struct key k, double *west_deg, double *south_deg, double *east_deg,
+                double *north_deg);
 double key_edge_m(double lat_deg, uint8_t z); /* ground size of a tile's edge at that latitude */
 uint8_t key_zoom_for(double lat_deg, double edge_m); /* zoom whose edge is nearest, in log */
 
-/* ---- store.c: one SQLite file ------------------------------------------------------------------------ */
+/* ---- store.c: one SQLite file
+ * ------------------------------------------------------------------------ */
 
 struct store_tile { /* the index entry of one tile */
     struct key key;
-    uint8_t level;        /* 1..3 trained, 0 = overview */
-    uint32_t count;       /* Gaussians */
-    uint64_t bytes;       /* of the payload */
-    double center_enu_m[3]; /* origin of the payload's means */
+    uint8_t level;                     /* 1..3 trained, 0 = overview */
+    uint32_t count;                    /* Gaussians */
+    uint64_t bytes;                    /* of the payload */
+    double center_enu_m[3];            /* origin of the payload's means */
     double min_enu_m[3], max_enu_m[3]; /* conservative: means grown by 3.33 sigma */
-    double sigma_median_m;  /* median over the tile of each Gaussian's largest sigma */
-    double sigma_max_m;     /* the largest of them: how far EWA may reach beyond the box */
+    double sigma_median_m;             /* median over the tile of each Gaussian's largest sigma */
+    double sigma_max_m;       /* the largest of them: how far EWA may reach beyond the box */
     double geometric_error_m; /* 16 sigma_median_m: sigma is 1 px where clients refine at 16 px */
-    struct hash128 hash; /* of the payload */
-    uint32_t version;    /* counts up when the tile is replaced */
+    struct hash128 hash;      /* of the payload */
+    uint32_t version;         /* counts up when the tile is replaced */
 };
 struct store_meta {
     char name[64]; /* [a-z0-9][a-z0-9_-]* */
@@ -56,24 +62,29 @@ struct store_meta {
     bool lossless;              /* payloads keep every field in float32 (imports) */
     uint8_t zoom_min, zoom_max; /* root .. finest level; found by store_commit */
     char attribution[256];
-    char revision[13]; /* first 12 hex digits of the hash over all tile hashes, set by store_commit */
+    char revision[13]; /* first 12 hex digits of the hash over all tile hashes, set by store_commit
+                        */
     char created[32];  /* ISO 8601; not part of the revision */
 };
 
 struct store; /* one thread at a time; opening is cheap, so open one a thread */
-/* Create `path` (written as a sibling file and renamed by store_commit; an existing file is replaced only
- * then). */
+/* Create `path` (written as a sibling file and renamed by store_commit; an existing file is
+ * replaced only then). */
 enum err_code store_create(const char *path, const struct store_meta *meta, struct store **out,
                            struct err *e) ERR_USE;
-/* Encode and add one tile; g's origin becomes center_enu_m; count, bytes, bounds, sigma, hash are filled in t. */
+/* Encode and add one tile; g's origin becomes center_enu_m; count, bytes, bounds, sigma, hash are
+ * filled in t. */
 enum err_code store_put(struct store *s, struct store_tile *t, const struct gauss *g,
                         struct err *e) ERR_USE;
 /* Any named JSON or binary beside the tiles: appearance models, embeddings, report. */
 enum err_code store_put_blob(struct store *s, const char *name, const void *bytes, size_t n,
                              struct err *e) ERR_USE;
-enum err_code store_get_blob(struct store *s, const char *name, struct buf *out, struct err *e) ERR_USE;
-enum err_code store_commit(struct store **s, struct err *e) ERR_USE; /* revision, sync, rename, close */
-/* Read-only. ERR_NOENT, ERR_FORMAT (not a tile store, other schema version, corrupt: what and which). */
+enum err_code store_get_blob(struct store *s, const char *name, struct buf *out,
+                             struct err *e) ERR_USE;
+enum err_code store_commit(struct store **s,
+                           struct err *e) ERR_USE; /* revision, sync, rename, close */
+/* Read-only. ERR_NOENT, ERR_FORMAT (not a tile store, other schema version, corrupt: what and
+ * which). */
 enum err_code store_open(const char *path, struct store **out, struct err *e) ERR_USE;
 void store_close(struct store **s); /* of a store being created: removes the unfinished file */
 const struct store_meta *store_info(const struct store *s);
@@ -83,24 +94,27 @@ const struct store_tile *store_find(const struct store *s, struct key k); /* NUL
 /* Payload bytes, hash verified (ERR_FORMAT names the tile). ERR_NOENT when absent. */
 enum err_code store_read(struct store *s, struct key k, struct buf *out, struct err *e) ERR_USE;
 /* Decoded, ENU axes, origin = center_enu_m. */
-enum err_code store_read_gauss(struct store *s, struct key k, struct gauss *out, struct err *e) ERR_USE;
-/* Every page, index row, payload and blob checked. The first fault is returned; `n_bad` (may be NULL) counts
- * them and each is logged. */
+enum err_code store_read_gauss(struct store *s, struct key k, struct gauss *out,
+                               struct err *e) ERR_USE;
+/* Every page, index row, payload and blob checked. The first fault is returned; `n_bad` (may be
+ * NULL) counts them and each is logged. */
 enum err_code store_verify(struct store *s, size_t *n_bad, struct err *e) ERR_USE;
 /* Names of the blobs, sorted; live in the arena. */
 enum err_code store_list_blobs(struct store *s, struct arena *a, char ***names, size_t *n,
                                struct err *e) ERR_USE;
 
-/* ---- pyramid.c ------------------------------------------------------------------------------------------ */
+/* ---- pyramid.c
+ * ------------------------------------------------------------------------------------------ */
 
 struct pyramid_config {
-    double tile_edge_m;   /* edge wanted for the finest level's tiles; 0 = chosen so that tiles hold about 50 k */
+    double tile_edge_m; /* edge wanted for the finest level's tiles; 0 = chosen so that tiles hold
+                           about 50 k */
     uint32_t max_per_tile; /* 0 = 200,000; finer zooms are taken until it holds */
-    bool lossless;         /* float32 payloads, and tile centres that lose no bit of a float32 mean */
+    bool lossless; /* float32 payloads, and tile centres that lose no bit of a float32 mean */
     char name[64];
     char attribution[256];
 };
-struct pyramid_level { /* levels given must be consecutive, e.g. 1, 2, 3 or 3 alone */
+struct pyramid_level {     /* levels given must be consecutive, e.g. 1, 2, 3 or 3 alone */
     const struct gauss *g; /* borrowed; NULL: load() makes it, twice, one level at a time */
     uint8_t level;         /* 1 coarsest .. n finest, at most 7 */
     enum err_code (*load)(void *user, struct gauss *out, struct err *e); /* the pyramid frees it */
@@ -109,18 +123,20 @@ struct pyramid_level { /* levels given must be consecutive, e.g. 1, 2, 3 or 3 al
 struct pyramid_report {
     size_t n_tiles, n_gaussians[8]; /* per level, [0] = overviews */
     size_t n_bad;                   /* rows with non-finite values, left out */
-    size_t n_far;                   /* rows that no tile format can hold: kilometres above or below, left out */
-    size_t n_carried_tiles, n_carried; /* copies of coarse Gaussians where a finer level has nothing at all */
+    size_t n_far; /* rows that no tile format can hold: kilometres above or below, left out */
+    size_t n_carried_tiles,
+        n_carried; /* copies of coarse Gaussians where a finer level has nothing at all */
     size_t max_in_tile;
     uint8_t zoom_min, zoom_max;
     char revision[13];
     double seconds;
 };
-/* Cut levels into tiles, make what is coarser than the coarsest one given (levels down to 1, then overviews) by
- * simplification, write the store. Every Gaussian of each level lands in exactly one tile of that level's zoom.
- * Where a tile has finer tiles under some of its quadrants only, the Gaussians of the others are copied one zoom
- * down, so that replacing a tile by its children never opens a hole; such a tile keeps the level of its
- * Gaussians. blobs (n_blobs, may be 0) are stored as they are. */
+/* Cut levels into tiles, make what is coarser than the coarsest one given (levels down to 1, then
+ * overviews) by simplification, write the store. Every Gaussian of each level lands in exactly one
+ * tile of that level's zoom. Where a tile has finer tiles under some of its quadrants only, the
+ * Gaussians of the others are copied one zoom down, so that replacing a tile by its children never
+ * opens a hole; such a tile keeps the level of its Gaussians. blobs (n_blobs, may be 0) are stored
+ * as they are. */
 enum err_code pyramid_build(const struct geo_origin *origin, const struct pyramid_level *levels,
                             size_t n_levels, const struct pyramid_config *cfg,
                             const struct ckpt_blob *blobs, size_t n_blobs, const char *out_path,
@@ -129,42 +145,48 @@ enum err_code pyramid_build(const struct geo_origin *origin, const struct pyrami
 enum err_code simplify_gauss(const struct gauss *in, size_t target, struct gauss *out,
                              struct err *e) ERR_USE;
 
-/* ---- tileset.c: 3D Tiles 1.1 ------------------------------------------------------------------------------ */
+/* ---- tileset.c: 3D Tiles 1.1
+ * ------------------------------------------------------------------------------ */
 
-/* The explicit tileset JSON: one document. `content_format` is a printf-free template with {z}/{x}/{y},
- * "t/{z}/{x}/{y}.glb". */
+/* The explicit tileset JSON: one document. `content_format` is a printf-free template with
+ * {z}/{x}/{y}, "t/{z}/{x}/{y}.glb". */
 enum err_code tileset_write(const struct store *s, const char *content_template, struct buf *out,
                             struct err *e) ERR_USE;
 /* TileJSON 3.0.0 with the "splats" member. `tiles_template` as above, may be relative. */
 enum err_code tileset_tilejson(const struct store *s, const char *tiles_template, struct buf *out,
                                struct err *e) ERR_USE;
 
-/* ---- pick.c: which tiles a view needs --------------------------------------------------------------------- */
+/* ---- pick.c: which tiles a view needs
+ * --------------------------------------------------------------------- */
 
 enum pick_metric { PICK_SCREEN, PICK_DISTANCE };
 struct pick_options { /* {0} = screen metric, defaults */
     enum pick_metric metric;
-    double error_px;        /* screen: refine while error > this; 0 = 1 px of median sigma (formats: 16 ge) */
-    double distance_m[8];   /* distance metric: level l+1.. thresholds, finest first; 0-terminated */
+    double
+        error_px; /* screen: refine while error > this; 0 = 1 px of median sigma (formats: 16 ge) */
+    double distance_m[8]; /* distance metric: level l+1.. thresholds, finest first; 0-terminated */
     uint64_t max_gaussians; /* 0 = no limit: coarsen farthest first until it fits */
     bool no_lod;            /* finest level everywhere */
 };
-/* Writes indices into store_tiles(); out holds n_tiles entries. Never drops a tile that may be visible. */
-enum err_code pick_tiles(const struct store *s, const struct camera *cam, const struct pick_options *o,
-                         uint32_t *out, size_t *n_out, struct err *e) ERR_USE;
+/* Writes indices into store_tiles(); out holds n_tiles entries. Never drops a tile that may be
+ * visible. */
+enum err_code pick_tiles(const struct store *s, const struct camera *cam,
+                         const struct pick_options *o, uint32_t *out, size_t *n_out,
+                         struct err *e) ERR_USE;
 
-/* ---- view.c: a picture of a store ---------------------------------------------------------------------------- */
+/* ---- view.c: a picture of a store
+ * ---------------------------------------------------------------------------- */
 
 struct view; /* a store, a renderer, and the tiles resident on the device; one caller at a time */
 /* cache_bytes: of decoded tiles in memory, 0 = 1 GiB. r is borrowed until view_close. */
-enum err_code view_open(const char *store_path, struct render *r, size_t cache_bytes, struct view **out,
-                        struct err *e) ERR_USE;
+enum err_code view_open(const char *store_path, struct render *r, size_t cache_bytes,
+                        struct view **out, struct err *e) ERR_USE;
 void view_close(struct view **v);
 const struct store *view_store(const struct view *v);
-/* Change the Gaussians before they go to the device (an appearance: g carries the embeddings then); NULL for none.
- * Takes effect with the next picture. */
-void view_set_bake(struct view *v, enum err_code (*bake)(void *user, struct gauss *g, struct err *e),
-                   void *user);
+/* Change the Gaussians before they go to the device (an appearance: g carries the embeddings then);
+ * NULL for none. Takes effect with the next picture. */
+void view_set_bake(struct view *v,
+                   enum err_code (*bake)(void *user, struct gauss *g, struct err *e), void *user);
 struct view_stats {
     size_t n_tiles;
     uint64_t n_gaussians;
@@ -175,7 +197,8 @@ enum err_code view_render(struct view *v, const struct camera *cam, const struct
                           const struct pick_options *po, float *rgb, struct view_stats *stats,
                           struct err *e) ERR_USE;
 
-/* A camera as maps give it: heading clockwise from north, pitch above the horizon, height ellipsoidal. */
+/* A camera as maps give it: heading clockwise from north, pitch above the horizon, height
+ * ellipsoidal. */
 struct view_pose {
     double lon_deg, lat_deg, h_m, heading_deg, pitch_deg, fov_y_deg;
 };

@@ -21,10 +21,11 @@
 #include "lod/lod.h"
 #include "lod/tree.h"
 
-#define PICK_ERROR_PX 1.0     /* default: one pixel of median sigma */
-#define PICK_LENS_MARGIN 0.15 /* of the picture: where the renderer clamps x / z in the Jacobian   \
-                               */
-#define PICK_SOFT_PX 3.0      /* 3.33 sqrt(0.3) of low-pass and 1 of rounding, upwards */
+#define PICK_ERROR_PX 1.0 /* default: one pixel of median sigma */
+#define PICK_LENS_MARGIN                                                                           \
+    0.15                 /* of the picture: where the renderer clamps x / z in the Jacobian        \
+                          */
+#define PICK_SOFT_PX 3.0 /* 3.33 sqrt(0.3) of low-pass and 1 of rounding, upwards */
 #define PICK_REACH_SIGMA 3.33
 
 struct pick_plane { /* inside: dot(n, x) + d >= -slack_per_sigma * sigma_max */

@@ -34,8 +34,9 @@ enum {
 
 #define SIMPLIFY_OPACITY_MAX 0.99 /* the renderer's own ceiling */
 #define SIMPLIFY_BLUR 0.5 /* of the median sigma: thinner than this is not worth keeping apart */
-#define SIMPLIFY_COLOR_WEIGHT 4.0   /* a colour step of 0.2 counts like a distance of one sigma */
-#define SIMPLIFY_SCALE_LOG_MAX 40.0 /* of ln(sigma / m): squares and their determinants stay finite */
+#define SIMPLIFY_COLOR_WEIGHT 4.0 /* a colour step of 0.2 counts like a distance of one sigma */
+#define SIMPLIFY_SCALE_LOG_MAX                                                                     \
+    40.0 /* of ln(sigma / m): squares and their determinants stay finite */
 #define SIMPLIFY_PAIRS_A_ROUND 0.75 /* of the mutual pairs: later choices see earlier mergers */
 
 struct simplify_cluster {
@@ -136,8 +137,8 @@ static double simplify_log_det(const double c[6], double blur2)
     return log(fmax(det, 1e-300));
 }
 
-/* Sigma as it is reckoned with. Files hold any finite logarithm; one cost that is no number would be
- * nobody's cheapest, and merging would never end. */
+/* Sigma as it is reckoned with. Files hold any finite logarithm; one cost that is no number would
+ * be nobody's cheapest, and merging would never end. */
 static double simplify_sigma(float scale_log)
 {
     return exp(fmin(fmax((double)scale_log, -SIMPLIFY_SCALE_LOG_MAX), SIMPLIFY_SCALE_LOG_MAX));

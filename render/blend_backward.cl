@@ -1,16 +1,20 @@
-// Stage: blend, backward. From dL/dcolour of every pixel to eleven sums of every (splat, tile) pair. The CPU
-// shape is compiled after blend_cpu.cl, whose masks and names it shares.
+// Stage: blend, backward. From dL/dcolour of every pixel to eleven sums of every (splat, tile)
+// pair. The CPU shape is compiled after blend_cpu.cl, whose masks and names it shares.
 //   in   splats, tile_start, entry_splat, entry_slot; color, color_grad [3][h][w]
-//   out  slots [entries][LAYOUT_SLOT_FLOATS]; marks [entries], 1 where a slot was written (the host clears
+//   out  slots [entries][LAYOUT_SLOT_FLOATS]; marks [entries], 1 where a slot was written (the host
+//   clears
 //        them: entries behind the stop are never visited)
-// Front to back once more, so every decision is that of blend to the last bit. With g = dL/dC of a pixel,
-// w = alpha T and P the colour summed so far (this splat included), the colour behind is C - P, hence
+// Front to back once more, so every decision is that of blend to the last bit. With g = dL/dC of a
+// pixel, w = alpha T and P the colour summed so far (this splat included), the colour behind is C -
+// P, hence
 //     dL/dalpha = T (g.rgb) - rest / (1 - alpha),   rest = g.C - sum w (g.rgb),
-// and nothing walks back through small T. What a Gaussian needs is sums over its pixels: w g for the colour,
-// and with q = alpha dL/dalpha (that is dL/d ln alpha; 0 where alpha was cut to its maximum) the moments of
-// q in the whitened offset (u, v), in which the falloff is exp2(-u^2 - v^2):
+// and nothing walks back through small T. What a Gaussian needs is sums over its pixels: w g for
+// the colour, and with q = alpha dL/dalpha (that is dL/d ln alpha; 0 where alpha was cut to its
+// maximum) the moments of q in the whitened offset (u, v), in which the falloff is exp2(-u^2 -
+// v^2):
 //     0-2  w g      3  q    4  q u    5  q v    6  q u^2    7  q u v    8  q v^2
-//     9  |q u|     10  |q (r v - p x_of_y u)|: moduli of the two pixel gradients, up to a factor; 0 without
+//     9  |q u|     10  |q (r v - p x_of_y u)|: moduli of the two pixel gradients, up to a factor; 0
+//     without
 //                  with_abs
 // Whitened moments stay of the order of q however long and thin the splat is.
 // Every slot has one writer and every sum one order: same input, same bits.
@@ -18,8 +22,8 @@
 
 #if VW == 16 // CPU shape: one work-item is one tile, a block of 4x4 pixels is one vector
 
-// Lane sums of up to twelve vectors at once: each step adds halves of two vectors side by side, with two
-// shuffles and one addition, in a fixed order.
+// Lane sums of up to twelve vectors at once: each step adds halves of two vectors side by side,
+// with two shuffles and one addition, in a fixed order.
 inline float16 fold_8(float16 a, float16 b) // -> a8 b8
 {
     return (float16)(a.lo, b.lo) + (float16)(a.hi, b.hi);
@@ -27,7 +31,8 @@ inline float16 fold_8(float16 a, float16 b) // -> a8 b8
 
 inline float16 fold_4(float16 ab, float16 cd) // -> a4 b4 c4 d4
 {
-    return (float16)(ab.s0123, ab.s89ab, cd.s0123, cd.s89ab) + (float16)(ab.s4567, ab.scdef, cd.s4567, cd.scdef);
+    return (float16)(ab.s0123, ab.s89ab, cd.s0123, cd.s89ab) +
+           (float16)(ab.s4567, ab.scdef, cd.s4567, cd.scdef);
 }
 
 inline float16 fold_2(float16 x, float16 y) // abcd, efgh -> a2 e2 b2 f2 c2 g2 d2 h2
@@ -36,7 +41,8 @@ inline float16 fold_2(float16 x, float16 y) // abcd, efgh -> a2 e2 b2 f2 c2 g2 d
            (float16)(x.s23, y.s23, x.s67, y.s67, x.sab, y.sab, x.sef, y.sef);
 }
 
-inline float16 fold_1(float16 x, float16 y) // aebfcgdh, i.j.k.l. -> a b c d e f g h i j k l and four more
+inline float16 fold_1(float16 x,
+                      float16 y) // aebfcgdh, i.j.k.l. -> a b c d e f g h i j k l and four more
 {
     float16 s = (float16)(x.s02, y.s02, x.s46, y.s46, x.s8a, y.s8a, x.sce, y.sce) +
                 (float16)(x.s13, y.s13, x.s57, y.s57, x.s9b, y.s9b, x.sdf, y.sdf);
@@ -96,17 +102,18 @@ inline uint backward_active(const struct backward_state *s, uint active)
 }
 
 // One splat over some blocks: moves the pixels on and writes the slot.
-inline void backward_entry(struct backward_state *s, const float *rec, float x0, float y0, uint blocks,
-                           uint with_abs, __global float *slot)
+inline void backward_entry(struct backward_state *s, const float *rec, float x0, float y0,
+                           uint blocks, uint with_abs, __global float *slot)
 {
-    float16 red = 0.0f, green = 0.0f, blue = 0.0f, m = 0.0f, mu = 0.0f, mv = 0.0f, muu = 0.0f, muv = 0.0f,
-            mvv = 0.0f, abs_x = 0.0f, abs_y = 0.0f;
+    float16 red = 0.0f, green = 0.0f, blue = 0.0f, m = 0.0f, mu = 0.0f, mv = 0.0f, muu = 0.0f,
+            muv = 0.0f, mvv = 0.0f, abs_x = 0.0f, abs_y = 0.0f;
     float mx = rec[MEAN_X] - x0, my = rec[MEAN_Y] - y0, cross = rec[P] * rec[X_OF_Y];
     while (blocks) {
         uint k = 31 - clz(blocks);
         blocks ^= 1u << k;
         float16 dx = block_dx(mx, k), dy = block_dy(my, k);
-        float16 raw = splat_raw(dx, dy, rec[P], rec[X_OF_Y], rec[R], rec[OPACITY_LOG2]), t = s->t[k];
+        float16 raw = splat_raw(dx, dy, rec[P], rec[X_OF_Y], rec[R], rec[OPACITY_LOG2]),
+                t = s->t[k];
         float16 a = MIN_(raw, ALPHA_MAX);
         a = t > T_STOP ? a : (float16)(0.0f);
         float16 share = a * t;
@@ -133,7 +140,8 @@ inline void backward_entry(struct backward_state *s, const float *rec, float x0,
             abs_y += fabs(rec[R] * qv - cross * qu);
         }
     }
-    float16 x = fold_4(fold_8(red, green), fold_8(blue, m)), y = fold_4(fold_8(mu, mv), fold_8(muu, muv)),
+    float16 x = fold_4(fold_8(red, green), fold_8(blue, m)),
+            y = fold_4(fold_8(mu, mv), fold_8(muu, muv)),
             z = fold_4(fold_8(mvv, abs_x), fold_8(abs_y, abs_y));
     float16 sums = fold_1(fold_2(x, y), fold_2(z, z));
     vstore8(sums.lo, 0, slot);
@@ -141,10 +149,11 @@ inline void backward_entry(struct backward_state *s, const float *rec, float x0,
 }
 
 __kernel void blend_backward(__constant struct layout_view *view,
-                             __global const struct layout_splat *splats, __global const uint *tile_start,
-                             __global const uint *entry_splat, __global const uint *entry_slot,
-                             __global const float *color, __global const float *color_grad,
-                             uint with_abs, __global float *slots, __global uchar *marks)
+                             __global const struct layout_splat *splats,
+                             __global const uint *tile_start, __global const uint *entry_splat,
+                             __global const uint *entry_slot, __global const float *color,
+                             __global const float *color_grad, uint with_abs, __global float *slots,
+                             __global uchar *marks)
 {
     uint tile = (uint)get_global_id(0);
     if (tile >= view->tiles_x * view->tiles_y)
@@ -191,13 +200,14 @@ __kernel void blend_backward(__constant struct layout_view *view,
     }
 }
 
-#else // GPU shape: one work-group is one tile, one work-item one pixel. Barriers stay in the kernel's own body:
+#else // GPU shape: one work-group is one tile, one work-item one pixel. Barriers stay in the
+      // kernel's own body:
 // in a function that is called PoCL does not divide the work-group at them.
 
 #define PIXELS (LAYOUT_TILE * LAYOUT_TILE)
 #define STRIPES 16 // each sum is taken in 16 stripes of 16 pixels, then over the stripes
 
-__kernel __attribute__((reqd_work_group_size(LAYOUT_TILE *LAYOUT_TILE, 1, 1))) void
+__kernel __attribute__((reqd_work_group_size(LAYOUT_TILE * LAYOUT_TILE, 1, 1))) void
 blend_backward(__constant struct layout_view *view, __global const struct layout_splat *splats,
                __global const uint *tile_start, __global const uint *entry_splat,
                __global const uint *entry_slot, __global const float *color,
@@ -230,8 +240,8 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
         float qu = q * u, qv = q * v;
         float ax = with_abs ? fabs(qu) : 0.0f;
         float ay = with_abs ? fabs(e->r * qv - e->p * e->x_of_y * qu) : 0.0f;
-        const float values[LAYOUT_SLOT_FLOATS] = {share * g[0], share * g[1], share * g[2], q, qu, qv,
-                                                  qu * u, qu * v, qv * v, ax, ay};
+        const float values[LAYOUT_SLOT_FLOATS] = {
+            share * g[0], share * g[1], share * g[2], q, qu, qv, qu * u, qu * v, qv * v, ax, ay};
         for (uint i = 0; i < LAYOUT_SLOT_FLOATS; i++)
             part[i * PIXELS + lane] = values[i];
         barrier(CLK_LOCAL_MEM_FENCE);

@@ -1,22 +1,25 @@
-// Stage: gather and project, backward. Eleven sums of every (splat, tile) pair -> gradients of the raw
-// parameters of every Gaussian, written out (project_backward) or put into Adam at once (project_step).
+// Stage: gather and project, backward. Eleven sums of every (splat, tile) pair -> gradients of the
+// raw parameters of every Gaussian, written out (project_backward) or put into Adam at once
+// (project_step).
 //   in   params [groups][planes][16], tiles_of, slot_first, slots, marks (see blend_backward.cl)
 //   out  grads, same layout; or params and both moments in place, and the densification statistics
-// One work-item: LAYOUT_PROJECT_GROUPS groups when VW is 16, one Gaussian when VW is 1. Slots of a Gaussian
-// are added in slot order, so the sum does not depend on who ran when.
+// One work-item: LAYOUT_PROJECT_GROUPS groups when VW is 16, one Gaussian when VW is 1. Slots of a
+// Gaussian are added in slot order, so the sum does not depend on who ran when.
 //
-// With P = J W R diag(s) (2 x 3), S = P P^T + eps I, L = [[p, 0], [-p x_of_y, r]] and d the pixel offset,
-// (u, v) = L^T d and S^-1 = 2 ln2 L L^T. From the sums M = [[q u^2, q u v], [q u v, q v^2]]
+// With P = J W R diag(s) (2 x 3), S = P P^T + eps I, L = [[p, 0], [-p x_of_y, r]] and d the pixel
+// offset, (u, v) = L^T d and S^-1 = 2 ln2 L L^T. From the sums M = [[q u^2, q u v], [q u v, q v^2]]
 //     dL/dP = L B N,    N = L^T P,    B = (2 ln2)^2 M - [compensated] 2 ln2 q I.
-// Everything that hangs on P is taken through N, whose entries are at most 1: for needles L is large and P is
-// large, but N is not. Compensation multiplies alpha by rho = sqrt(det S0 / det S): det S is in B, and
-//     det S0 = sum_k m_k^2,  m_k = (product of the other two sigmas) (R_k . n),  n = (J W)_0 x (J W)_1
+// Everything that hangs on P is taken through N, whose entries are at most 1: for needles L is
+// large and P is large, but N is not. Compensation multiplies alpha by rho = sqrt(det S0 / det S):
+// det S is in B, and
+//     det S0 = sum_k m_k^2,  m_k = (product of the other two sigmas) (R_k . n),  n = (J W)_0 x (J
+//     W)_1
 // has simple derivatives of its own: d(1/2 ln det S0) = 1 - m_k^2 / det S0 for ln s_k.
-// Rotations: V_k = dL/dR_k gives the torque a = sum_k R_k x V_k, and dL/dq = 2 (0, a) q, which is already
-// tangent. The view direction of SH is held fixed.
+// Rotations: V_k = dL/dR_k gives the torque a = sum_k R_k x V_k, and dL/dq = 2 (0, a) q, which is
+// already tangent. The view direction of SH is held fixed.
 //
-// Reference: render_ref_backward. Adam: Kingma and Ba 2015, every parameter every frame, also where the
-// gradient is 0.
+// Reference: render_ref_backward. Adam: Kingma and Ba 2015, every parameter every frame, also where
+// the gradient is 0.
 
 #define LN2_2 1.38629436111989f // 2 ln 2
 #define GRAD_LIMIT 1e18f        // its square is still a float
@@ -26,8 +29,8 @@ struct sums {
 };
 
 #if VW == 16
-inline void sums_gather(__global const uint *tiles, __global const uint *first, __global const float *slots,
-                        __global const uchar *marks, struct sums *s)
+inline void sums_gather(__global const uint *tiles, __global const uint *first,
+                        __global const float *slots, __global const uchar *marks, struct sums *s)
 {
     float rows[16 * 16];
     V t[LAYOUT_SLOT_FLOATS];
@@ -40,12 +43,13 @@ inline void sums_gather(__global const uint *tiles, __global const uint *first, 
         vstore16(sum, lane, rows);
     }
     for (uint k = 0; k < LAYOUT_SLOT_FLOATS; k++)
-        t[k] = (float16)(rows[k], rows[16 + k], rows[32 + k], rows[48 + k], rows[64 + k], rows[80 + k],
-                         rows[96 + k], rows[112 + k], rows[128 + k], rows[144 + k], rows[160 + k],
-                         rows[176 + k], rows[192 + k], rows[208 + k], rows[224 + k], rows[240 + k]);
+        t[k] =
+            (float16)(rows[k], rows[16 + k], rows[32 + k], rows[48 + k], rows[64 + k], rows[80 + k],
+                      rows[96 + k], rows[112 + k], rows[128 + k], rows[144 + k], rows[160 + k],
+                      rows[176 + k], rows[192 + k], rows[208 + k], rows[224 + k], rows[240 + k]);
 #else
-inline void sums_gather(__global const uint *tiles, __global const uint *first, __global const float *slots,
-                        __global const uchar *marks, struct sums *s)
+inline void sums_gather(__global const uint *tiles, __global const uint *first,
+                        __global const float *slots, __global const uchar *marks, struct sums *s)
 {
     V t[LAYOUT_SLOT_FLOATS];
     uint from = first[0], n = tiles[0];
@@ -70,14 +74,15 @@ inline void sums_gather(__global const uint *tiles, __global const uint *first, 
 }
 
 struct gradient {
-    V geo[11];      // planes 0-10
-    V rgb[3];       // of the colour, 0 where it was clamped
+    V geo[11];       // planes 0-10
+    V rgb[3];        // of the colour, 0 where it was clamped
     V px[2], apx[2]; // of the mean in pixels; sum of moduli
-    V radius;       // larger half-size, px
+    V radius;        // larger half-size, px
 };
 
-// Gradient of mean, scale, rotation and opacity. Lanes that were culled hold anything. One piece, because every
-// part uses N, B and the axes in the camera frame, which cost more to pass on than to use.
+// Gradient of mean, scale, rotation and opacity. Lanes that were culled hold anything. One piece,
+// because every part uses N, B and the axes in the camera frame, which cost more to pass on than to
+// use.
 inline void gradient_geometry(__constant struct layout_view *v, __global const float *g,
                               const struct sums *m, struct gradient *out)
 {
@@ -88,19 +93,23 @@ inline void gradient_geometry(__constant struct layout_view *v, __global const f
     V rc[9];
     for (int row = 0; row < 3; row++)
         for (int k = 0; k < 3; k++)
-            rc[3 * row + k] = v->rot[3 * row] * s.rot[k] +
-                              (v->rot[3 * row + 1] * s.rot[3 + k] + v->rot[3 * row + 2] * s.rot[6 + k]);
-    V x_of_y = s.s01 / s.s11, r = sqrt((0.5f * LOG2E) / s.s11), p = sqrt((0.5f * LOG2E) * s.s11 / s.det);
+            rc[3 * row + k] = v->rot[3 * row] * s.rot[k] + (v->rot[3 * row + 1] * s.rot[3 + k] +
+                                                            v->rot[3 * row + 2] * s.rot[6 + k]);
+    V x_of_y = s.s01 / s.s11, r = sqrt((0.5f * LOG2E) / s.s11),
+      p = sqrt((0.5f * LOG2E) * s.s11 / s.det);
     V rho2 = s.det0 / s.det, act = (V)(0.0f);
     if (v->compensate)
         act = rho2 > LAYOUT_RHO2_MIN ? m->q : (V)(0.0f); // dL/d ln rho
     V bq = LN2_2 * act, b00 = (LN2_2 * LN2_2) * m->quu - bq, b01 = (LN2_2 * LN2_2) * m->quv,
       b11 = (LN2_2 * LN2_2) * m->qvv - bq;
     // n in the camera frame is nz (x, y, 1) with x, y the clamped position.
-    V fx = v->fx * s.inv_z, fy = v->fy * s.inv_z, nz = fx * fy, cx = s.clamped[0], cy = s.clamped[1];
+    V fx = v->fx * s.inv_z, fy = v->fy * s.inv_z, nz = fx * fy, cx = s.clamped[0],
+      cy = s.clamped[1];
     V mk[3], det0 = (V)(0.0f);
     for (int k = 0; k < 3; k++) {
-        V others = k == 0 ? s.scale[1] * s.scale[2] : k == 1 ? s.scale[0] * s.scale[2] : s.scale[0] * s.scale[1];
+        V others = k == 0   ? s.scale[1] * s.scale[2]
+                   : k == 1 ? s.scale[0] * s.scale[2]
+                            : s.scale[0] * s.scale[1];
         mk[k] = others * (nz * (rc[k] * cx + (rc[3 + k] * cy + rc[6 + k])));
         det0 = mk[k] * mk[k] + det0;
     }
@@ -119,7 +128,9 @@ inline void gradient_geometry(__constant struct layout_view *v, __global const f
         V x = rc[k], y = rc[3 + k], z = rc[6 + k], e0s = e0 * s.scale[k], e1s = e1 * s.scale[k];
         h02 = e0s * z + h02;
         h12 = e1s * z + h12;
-        V others = k == 0 ? s.scale[1] * s.scale[2] : k == 1 ? s.scale[0] * s.scale[2] : s.scale[0] * s.scale[1];
+        V others = k == 0   ? s.scale[1] * s.scale[2]
+                   : k == 1 ? s.scale[0] * s.scale[2]
+                            : s.scale[0] * s.scale[1];
         V w = per_det0 * mk[k] * others;
         gn0 = w * x + gn0;
         gn1 = w * y + gn1;
@@ -210,9 +221,10 @@ inline uint item_groups(__constant struct layout_view *v, uint *to, uint *lane)
 }
 
 __kernel void project_backward(__constant struct layout_view *v, __global const float *params,
-                               __global const struct layout_splat *splats, __global const uint *tiles_of,
-                               __global const uint *slot_first, __global const float *slots,
-                               __global const uchar *marks, __global float *grads)
+                               __global const struct layout_splat *splats,
+                               __global const uint *tiles_of, __global const uint *slot_first,
+                               __global const float *slots, __global const uchar *marks,
+                               __global float *grads)
 {
     uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1);
     for (uint group = item_groups(v, &to, &lane); group < to; group++) {
@@ -227,7 +239,8 @@ __kernel void project_backward(__constant struct layout_view *v, __global const 
         }
         struct gradient d;
         V dir[3], basis[16];
-        gradient_all(v, params + at, splats + i, tiles_of + i, slot_first + i, slots, marks, visible, &d);
+        gradient_all(v, params + at, splats + i, tiles_of + i, slot_first + i, slots, marks,
+                     visible, &d);
         seen_direction(v, params + at, dir);
         sh_basis(dir, v->sh_degree, basis);
         for (uint p = 0; p < 11; p++)
@@ -240,12 +253,13 @@ __kernel void project_backward(__constant struct layout_view *v, __global const 
     }
 }
 
-// ---- Adam ------------------------------------------------------------------------------------------------
+// ---- Adam
+// ------------------------------------------------------------------------------------------------
 
-// Learning rates over the first moment's bias correction: s0-s5 mean, scale, rotation, opacity, SH DC, rest.
-// k: s0 beta1, s1 beta2, s2 eps, s3 1/sqrt of the second moment's bias correction, s4 s5 limits of scale_log,
-// s6 s7 half the picture, px (at most 1600): pixel gradients times these are per unit of normalised device
-// coordinates, which is what densification thresholds are stated in.
+// Learning rates over the first moment's bias correction: s0-s5 mean, scale, rotation, opacity, SH
+// DC, rest. k: s0 beta1, s1 beta2, s2 eps, s3 1/sqrt of the second moment's bias correction, s4 s5
+// limits of scale_log, s6 s7 half the picture, px (at most 1600): pixel gradients times these are
+// per unit of normalised device coordinates, which is what densification thresholds are stated in.
 struct adam {
     __global float *p, *m1, *m2; // of this group
     float8 lr, k;
@@ -262,8 +276,9 @@ inline V adam_plane(const struct adam *a, uint plane, float lr, V g, VI keep)
     return keep ? q : p;
 }
 
-// Rotation: four planes, and what must never be: a quaternion near 0 or not finite becomes the identity and
-// starts over. Returns the lanes that were repaired; lanes that are not real stay as they are.
+// Rotation: four planes, and what must never be: a quaternion near 0 or not finite becomes the
+// identity and starts over. Returns the lanes that were repaired; lanes that are not real stay as
+// they are.
 inline VI adam_quat(const struct adam *a, const struct gradient *d, VI keep, VI real)
 {
     V q[4], n = (V)(0.0f);
@@ -328,8 +343,9 @@ inline uint lanes_count(VI mask)
 }
 #endif
 
-inline void stats_add(__global float *grad, __global float *absg, uint with_abs, __global float *count,
-                      __global float *radius, const struct gradient *d, float8 k, VI counted)
+inline void stats_add(__global float *grad, __global float *absg, uint with_abs,
+                      __global float *count, __global float *radius, const struct gradient *d,
+                      float8 k, VI counted)
 {
     V x = d->px[0] * k.s6, y = d->px[1] * k.s7, ax = d->apx[0] * k.s6, ay = d->apx[1] * k.s7;
     V g = sqrt(x * x + y * y), a = sqrt(ax * ax + ay * ay), old = LD(radius, 0);
@@ -341,13 +357,14 @@ inline void stats_add(__global float *grad, __global float *absg, uint with_abs,
 }
 
 __kernel void project_step(__constant struct layout_view *v, __global float *params,
-                           __global const struct layout_splat *splats, __global const uint *tiles_of,
-                           __global const uint *slot_first, __global const float *slots,
-                           __global const uchar *marks, __global float *m1, __global float *m2, float8 lr,
-                           float8 k, uint with_extra, __global const float *extra,
-                           uint with_stats, uint with_abs, __global float *stat_grad,
-                           __global float *stat_absg, __global float *stat_count,
-                           __global float *stat_radius, __global uint *repaired)
+                           __global const struct layout_splat *splats,
+                           __global const uint *tiles_of, __global const uint *slot_first,
+                           __global const float *slots, __global const uchar *marks,
+                           __global float *m1, __global float *m2, float8 lr, float8 k,
+                           uint with_extra, __global const float *extra, uint with_stats,
+                           uint with_abs, __global float *stat_grad, __global float *stat_absg,
+                           __global float *stat_count, __global float *stat_radius,
+                           __global uint *repaired)
 {
     uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1);
     for (uint group = item_groups(v, &to, &lane); group < to; group++) {
@@ -358,7 +375,8 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
         struct gradient d;
         V dir[3], basis[16];
         if (ANY(visible)) {
-            gradient_all(v, a.p, splats + i, tiles_of + i, slot_first + i, slots, marks, visible, &d);
+            gradient_all(v, a.p, splats + i, tiles_of + i, slot_first + i, slots, marks, visible,
+                         &d);
             seen_direction(v, a.p, dir); // before the mean moves
             sh_basis(dir, v->sh_degree, basis);
         } else {
@@ -374,12 +392,13 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
                 d.geo[p] += LD(extra + (size_t)group * 11 * LAYOUT_LANES + lane, p);
         VI usable = gradient_usable(&d) & real;
         if (with_stats && ANY(visible))
-            stats_add(stat_grad + i, stat_absg + (with_abs ? i : 0), with_abs, stat_count + i, stat_radius + i,
-                      &d, k, usable & visible);
+            stats_add(stat_grad + i, stat_absg + (with_abs ? i : 0), with_abs, stat_count + i,
+                      stat_radius + i, &d, k, usable & visible);
         VI bad = adam_quat(&a, &d, usable, real);
         adam_geometry(&a, &d, usable);
         for (uint p = 0; p < 3 * used; p++)
-            ST(a.p, 11 + p, adam_plane(&a, 11 + p, p < 3 ? lr.s4 : lr.s5, basis[p / 3] * d.rgb[p % 3], usable));
+            ST(a.p, 11 + p,
+               adam_plane(&a, 11 + p, p < 3 ? lr.s4 : lr.s5, basis[p / 3] * d.rgb[p % 3], usable));
         bad |= real & !usable;
         if (with_stats && ANY(bad))
             atomic_add(repaired, lanes_count(bad)); // whole numbers: any order gives the same sum

@@ -1,12 +1,14 @@
-/* Gaussians -> image and back, on an OpenCL device, with a plain-C double-precision twin of every stage.
+/* Gaussians -> image and back, on an OpenCL device, with a plain-C double-precision twin of every
+ * stage.
  *
  * Reading order: the reference (render_ref.c) is the method in 600 lines; the kernels are the same
  * algorithm in another shape; this header is all that callers need.
  *
- * The stages of a frame: project (cull, conic, SH colour, tile rows) -> sort visible splats by depth ->
- * tile lists -> blend, front to back, one work-item per 16x16 tile. Backwards: blend backward writes one
- * slot per (splat, tile) -> gather per Gaussian in fixed order -> projection backward, optionally fused
- * with Adam. No float atomics anywhere: same input, same bits, any number of threads.
+ * The stages of a frame: project (cull, conic, SH colour, tile rows) -> sort visible splats by
+ * depth -> tile lists -> blend, front to back, one work-item per 16x16 tile. Backwards: blend
+ * backward writes one slot per (splat, tile) -> gather per Gaussian in fixed order -> projection
+ * backward, optionally fused with Adam. No float atomics anywhere: same input, same bits, any
+ * number of threads.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -20,7 +22,8 @@
 enum render_aa {
     RENDER_AA_NONE, /* classic 3DGS: +0.3 px^2 without compensation */
     RENDER_AA_2D,   /* the same with opacity scaled by rho = sqrt(det S0 / det S) */
-    RENDER_AA_MIP,  /* Mip-Splatting: kernel 0.1 px^2 with rho; the 3-D filter is folded into the Gaussians */
+    RENDER_AA_MIP,  /* Mip-Splatting: kernel 0.1 px^2 with rho; the 3-D filter is folded into the
+                       Gaussians */
 };
 
 struct render_options {
@@ -39,8 +42,13 @@ enum { RENDER_TILE = 16 };
 /* Parameters of one Gaussian as planes of the device layout (AoSoA-16): mean 0-2, scale_log 3-5,
  * quat_wxyz 6-9, opacity_logit 10, then sh coefficient-major (11 + 3 k + channel).
  * Value of plane p of Gaussian i: params[((i / 16) * planes + p) * 16 + i % 16]. */
-enum { RENDER_PLANE_MEAN = 0, RENDER_PLANE_SCALE = 3, RENDER_PLANE_QUAT = 6, RENDER_PLANE_OPACITY = 10,
-       RENDER_PLANE_SH = 11 };
+enum {
+    RENDER_PLANE_MEAN = 0,
+    RENDER_PLANE_SCALE = 3,
+    RENDER_PLANE_QUAT = 6,
+    RENDER_PLANE_OPACITY = 10,
+    RENDER_PLANE_SH = 11
+};
 static inline uint32_t render_planes(uint32_t sh_degree)
 {
     return 11 + 3 * (sh_degree + 1) * (sh_degree + 1);
@@ -52,7 +60,7 @@ void render_close(struct render **r);
 
 /* Gaussians on the device. */
 struct render_model {
-    cl_mem params;  /* float [groups][planes][16] */
+    cl_mem params; /* float [groups][planes][16] */
     uint32_t n, cap, groups, planes, sh_degree;
     double origin_enu_m[3]; /* means on the device are relative to this */
 };
@@ -65,28 +73,30 @@ enum err_code render_model_download(struct render *r, const struct render_model 
 void render_model_free(struct render_model *m);
 
 struct render_stats { /* of the last frame */
-    uint32_t visible;  /* splats that passed the cull */
-    uint64_t entries;  /* (splat, tile) pairs */
-    double ms_project, ms_sort, ms_bin, ms_blend, ms_total; /* filled when timing is on, else only total */
+    uint32_t visible; /* splats that passed the cull */
+    uint64_t entries; /* (splat, tile) pairs */
+    double ms_project, ms_sort, ms_bin, ms_blend,
+        ms_total; /* filled when timing is on, else only total */
 };
 
-/* Draw. rgb (may be NULL): [h][w][3] float, 0..1 not clamped above; transmittance (may be NULL): [h][w].
- * The camera's ENU pose is combined with the model's origin in double. The frame stays on the device for
- * render_backward. Method: EWA projection, exact tile culling, inclusive stop. */
-enum err_code render_forward(struct render *r, const struct render_model *m, const struct camera *cam,
-                             const struct render_options *o, float *rgb, float *transmittance,
-                             struct err *e) ERR_USE;
+/* Draw. rgb (may be NULL): [h][w][3] float, 0..1 not clamped above; transmittance (may be NULL):
+ * [h][w]. The camera's ENU pose is combined with the model's origin in double. The frame stays on
+ * the device for render_backward. Method: EWA projection, exact tile culling, inclusive stop. */
+enum err_code render_forward(struct render *r, const struct render_model *m,
+                             const struct camera *cam, const struct render_options *o, float *rgb,
+                             float *transmittance, struct err *e) ERR_USE;
 const struct render_stats *render_last_stats(const struct render *r);
 /* Stage times in render_stats cost a wait after every stage: off unless asked for. */
 void render_set_timing(struct render *r, bool on);
 /* The colour of the last frame on the device: float [3][h][w] planar, for the loss. Borrowed. */
 cl_mem render_color_buffer(struct render *r);
 
-/* ---- backward: see render_backward.c ----------------------------------------------------------- */
+/* ---- backward: see render_backward.c -----------------------------------------------------------
+ */
 
 /* dL/d(colour) of the last forward frame: float [3][h][w] planar on the device, same layout as
- * render_color_buffer; borrowed, filled by the loss (or by render_set_color_grad). Ask after each frame. NULL
- * when no frame was drawn or memory is out. */
+ * render_color_buffer; borrowed, filled by the loss (or by render_set_color_grad). Ask after each
+ * frame. NULL when no frame was drawn or memory is out. */
 cl_mem render_color_grad_buffer(struct render *r);
 enum err_code render_set_color_grad(struct render *r, const float *rgb_grad /*[h][w][3]*/,
                                     struct err *e) ERR_USE;
@@ -100,46 +110,52 @@ struct render_adam {
     cl_mem m1, m2; /* first and second moments */
     float lr_mean, lr_scale, lr_quat, lr_opacity, lr_sh_dc, lr_sh_rest;
     float beta1, beta2, eps;
-    uint32_t step; /* 1-based, for bias correction */
+    uint32_t step;                      /* 1-based, for bias correction */
     float scale_log_min, scale_log_max; /* clamp after the step */
-    cl_mem extra_grad; /* may be NULL: float [groups][11][16], added to the gradients of planes 0-10 of every
-                        * Gaussian, seen or not (regularisers) */
+    cl_mem extra_grad; /* may be NULL: float [groups][11][16], added to the gradients of planes 0-10
+                        * of every Gaussian, seen or not (regularisers) */
 };
 /* Per-Gaussian densification statistics, accumulated by render_backward_step:
  *   grad   float [cap]  sum of ||(0.5 W g_u, 0.5 H g_v)||        (positional gradient, NDC units)
- *   absg   float [cap]  sum of ||(0.5 W a_u, 0.5 H a_v)||        (AbsGS); NULL: not wanted, a little faster
- *   count  float [cap]  number of frames in which it was visible
- *   radius float [cap]  largest half-size in px
- *   repaired uint32 [1] number of non-finite updates dropped / quaternions reset (F1) */
+ *   absg   float [cap]  sum of ||(0.5 W a_u, 0.5 H a_v)||        (AbsGS); NULL: not wanted, a
+ * little faster count  float [cap]  number of frames in which it was visible radius float [cap]
+ * largest half-size in px repaired uint32 [1] number of non-finite updates dropped / quaternions
+ * reset (F1) */
 struct render_density_stats {
     cl_mem grad, absg, count, radius, repaired;
 };
-/* Backward fused with Adam: updates m->params and the moments in place; `stats` may be NULL. Dense: Gaussians
- * that were not seen move on with gradient 0, as Adam has it. SH above the degree of the frame is left alone.
- * A Gaussian whose gradient is not finite is left as it is, a quaternion shorter than 1e-6 or not finite
- * becomes the identity with zero moments; both are counted in `repaired`. Draw again before the next call. */
-enum err_code render_backward_step(struct render *r, struct render_model *m, struct render_adam *adam,
-                                   struct render_density_stats *stats, struct err *e) ERR_USE;
+/* Backward fused with Adam: updates m->params and the moments in place; `stats` may be NULL. Dense:
+ * Gaussians that were not seen move on with gradient 0, as Adam has it. SH above the degree of the
+ * frame is left alone. A Gaussian whose gradient is not finite is left as it is, a quaternion
+ * shorter than 1e-6 or not finite becomes the identity with zero moments; both are counted in
+ * `repaired`. Draw again before the next call. */
+enum err_code render_backward_step(struct render *r, struct render_model *m,
+                                   struct render_adam *adam, struct render_density_stats *stats,
+                                   struct err *e) ERR_USE;
 
-/* ---- importance for density control: see render_score.c ------------------------------------------ */
+/* ---- importance for density control: see render_score.c
+ * ------------------------------------------ */
 
 struct render_score; /* compiled kernels and buffers; borrows the renderer; one caller at a time */
 enum err_code render_score_open(struct render *r, struct render_score **out, struct err *e) ERR_USE;
 void render_score_close(struct render_score **s); /* before render_close */
-/* Sums over the pixels that a Gaussian was blended into in the last frame of m. weight: float [h][w] on the
- * device, what each pixel counts. sums (host): float [n][8]: sum of weight, number of pixels, sum of alpha T,
- * sum of distances pixel - mean in px, depth in m, half-size in px, 0, 0; all 0 where invisible. */
+/* Sums over the pixels that a Gaussian was blended into in the last frame of m. weight: float
+ * [h][w] on the device, what each pixel counts. sums (host): float [n][8]: sum of weight, number of
+ * pixels, sum of alpha T, sum of distances pixel - mean in px, depth in m, half-size in px, 0, 0;
+ * all 0 where invisible. */
 enum err_code render_score_run(struct render_score *s, const struct render_model *m, cl_mem weight,
                                float *sums, struct err *e) ERR_USE;
 
-/* ---- the reference, double precision: see render_ref.c ------------------------------------------ */
+/* ---- the reference, double precision: see render_ref.c ------------------------------------------
+ */
 
-/* Brute force, per pixel over all splats in depth order. rgb [h][w][3], transmittance [h][w] or NULL. */
+/* Brute force, per pixel over all splats in depth order. rgb [h][w][3], transmittance [h][w] or
+ * NULL. */
 enum err_code render_ref_forward(const struct gauss *g, const struct camera *cam,
                                  const struct render_options *o, double *rgb, double *transmittance,
                                  struct err *e) ERR_USE;
-/* Gradients of sum(rgb * rgb_grad) with respect to the raw parameters; arrays in the layout of gauss
- * (n x 3, n x 3, n x 4, n, n x K x 3), written, not added. */
+/* Gradients of sum(rgb * rgb_grad) with respect to the raw parameters; arrays in the layout of
+ * gauss (n x 3, n x 3, n x 4, n, n x K x 3), written, not added. */
 struct render_ref_grads {
     double *mean, *scale_log, *quat_wxyz, *opacity_logit, *sh;
 };

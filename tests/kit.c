@@ -23,8 +23,8 @@ void kit_expect_text(const char *msg, const char *part, const char *file, int li
 
 static void kit_worst(const char *what, size_t i, double got, double want, double tol)
 {
-    fail_msg("%s: worst at [%zu]: got %.9g, want %.9g, difference %.3g, tolerance %.3g", what, i, got,
-             want, fabs(got - want), tol);
+    fail_msg("%s: worst at [%zu]: got %.9g, want %.9g, difference %.3g, tolerance %.3g", what, i,
+             got, want, fabs(got - want), tol);
 }
 
 void kit_near(const char *what, const float *got, const double *want, size_t n, double abs_tol,
@@ -40,7 +40,8 @@ void kit_near(const char *what, const float *got, const double *want, size_t n, 
         }
     }
     if (worst < n)
-        kit_worst(what, worst, (double)got[worst], want[worst], abs_tol + rel_tol * fabs(want[worst]));
+        kit_worst(what, worst, (double)got[worst], want[worst],
+                  abs_tol + rel_tol * fabs(want[worst]));
 }
 
 void kit_near_d(const char *what, const double *got, const double *want, size_t n, double abs_tol,

@@ -1,5 +1,5 @@
-/* What the tests share: cmocka in the right order, error printing, temporary folders, near-equality that says
- * where and by how much it failed.
+/* What the tests share: cmocka in the right order, error printing, temporary folders, near-equality
+ * that says where and by how much it failed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -29,7 +29,8 @@
     do {                                                                                           \
         enum err_code kit_rc = (call);                                                             \
         if (kit_rc != (want))                                                                      \
-            fail_msg("%s: got %s (%s), want %s", #call, err_name(kit_rc), (e).msg, err_name(want)); \
+            fail_msg("%s: got %s (%s), want %s", #call, err_name(kit_rc), (e).msg,                 \
+                     err_name(want));                                                              \
         kit_expect_text((e).msg, part, __FILE__, __LINE__);                                        \
     } while (0)
 void kit_expect_text(const char *msg, const char *part, const char *file, int line);
@@ -43,14 +44,14 @@ void kit_near_d(const char *what, const double *got, const double *want, size_t 
 /* A fresh folder under the system's temporary one; kit_rmdir removes it with everything inside. */
 void kit_tmpdir(char path[FILE_PATH_MAX]);
 void kit_rmdir(const char *path);
-/* Run a command line through the shell; returns its exit status, output (stdout and stderr) goes into `out`
- * (may be NULL). */
+/* Run a command line through the shell; returns its exit status, output (stdout and stderr) goes
+ * into `out` (may be NULL). */
 int kit_run(struct buf *out, const char *fmt, ...) ERR_PRINTF(2, 3);
 /* The program under test (CITYSPLAT_BIN, set by ctest); skips the test when it is not set. */
 const char *kit_program(void);
 
-/* n seeded Gaussians in a box of half-edge `half_m` about the origin: sizes 1-10 % of the box, random
- * rotations, opacities 0.05-0.95, SH of the given degree. gauss_free it. */
+/* n seeded Gaussians in a box of half-edge `half_m` about the origin: sizes 1-10 % of the box,
+ * random rotations, opacities 0.05-0.95, SH of the given degree. gauss_free it. */
 void kit_gauss(uint64_t seed, size_t n, double half_m, uint32_t sh_degree, uint32_t embed_len,
                struct gauss *out);
 

@@ -166,7 +166,8 @@ static void jsonc_reads_comments_and_names_the_line(void **state)
     kit_fails(jsonc_num(j, "b", &v, &e), ERR_FORMAT, e, "missing");
     json_decref(j);
     const char twice[] = "{\n\"a\": 1,\n\"a\": 2}";
-    kit_fails(jsonc_parse(twice, sizeof twice - 1, "y.jsonc", &j, &e), ERR_FORMAT, e, "y.jsonc: line 3");
+    kit_fails(jsonc_parse(twice, sizeof twice - 1, "y.jsonc", &j, &e), ERR_FORMAT, e,
+              "y.jsonc: line 3");
 }
 
 struct toy {
@@ -178,14 +179,17 @@ struct toy {
 };
 static const struct options_def toy_defs[] = {
     OPTIONS_ROW(struct toy, NUM, edge_m, "180", 1, 5000, "m", "edge")
-    OPTIONS_ROW(struct toy, INT, count, "3", 1, 8, "", "levels")
-    OPTIONS_ROW(struct toy, BOOL, serve, "true", 0, 0, "", "serve")
-    OPTIONS_ROW(struct toy, TEXT, output, "", 0, 0, "FILE", "out")
-    OPTIONS_ROW(struct toy, ENUM, aa, "2d", 0, 0, "none|2d|mip", "anti-aliasing")
-};
-static const struct options_spec toy_spec = {
-    .command = "toy", .usage = "toy IN", .about = "Test.", .defs = toy_defs,
-    .n_defs = sizeof toy_defs / sizeof toy_defs[0], .min_args = 1, .max_args = 2};
+        OPTIONS_ROW(struct toy, INT, count, "3", 1, 8, "", "levels")
+            OPTIONS_ROW(struct toy, BOOL, serve, "true", 0, 0, "", "serve")
+                OPTIONS_ROW(struct toy, TEXT, output, "", 0, 0, "FILE", "out")
+                    OPTIONS_ROW(struct toy, ENUM, aa, "2d", 0, 0, "none|2d|mip", "anti-aliasing")};
+static const struct options_spec toy_spec = {.command = "toy",
+                                             .usage = "toy IN",
+                                             .about = "Test.",
+                                             .defs = toy_defs,
+                                             .n_defs = sizeof toy_defs / sizeof toy_defs[0],
+                                             .min_args = 1,
+                                             .max_args = 2};
 
 /* Parse a command line given as one text; words are split at spaces and live in the arena. */
 static enum err_code toy_parse(struct toy *t, struct options_args *args, struct arena *a,

@@ -236,8 +236,7 @@ static void test_errors(void **state)
     assert_non_null(strstr((const char *)said.data, "none.ply"));
     assert_int_equal(convert("e.ply", "x.spz", "--sh-degree 4", &said), 2);
     assert_int_equal(convert("e.ply", "x.spz", "--colour red", &said), 2);
-    for (const char *const *f = (const char *const[]){"t.spz", "t.ply", NULL}; *f;
-         f++) {
+    for (const char *const *f = (const char *const[]){"t.spz", "t.ply", NULL}; *f; f++) {
         assert_int_equal(convert("e.ply", *f, "", NULL), 0);
         b.size = 0;
         load(*f, &b);

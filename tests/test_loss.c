@@ -123,8 +123,8 @@ static void test_ref_finite_differences(void **state)
     }
 }
 
-/* Numbers from a program of its own: windows of 11 x 11 weights exp(-r^2 / 4.5), normalised, summed one by one
- * in double as Wang et al. 2004 write it, over a picture anybody can make. */
+/* Numbers from a program of its own: windows of 11 x 11 weights exp(-r^2 / 4.5), normalised, summed
+ * one by one in double as Wang et al. 2004 write it, over a picture anybody can make. */
 static void test_metrics_by_another_program(void **state)
 {
     (void)state;

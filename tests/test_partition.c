@@ -10,8 +10,8 @@
 
 #include "train/partition.h"
 
-/* A flight of nx x ny nadir photographs, `step` metres apart, over flat ground with a point every 2 m; each
- * photograph sees a square of 2 * reach metres. Tracks are exact. */
+/* A flight of nx x ny nadir photographs, `step` metres apart, over flat ground with a point every 2
+ * m; each photograph sees a square of 2 * reach metres. Tracks are exact. */
 static void flight_make(size_t nx, size_t ny, double step, double reach, struct scene *s)
 {
     *s = (struct scene){.scale = 1.0};
@@ -19,7 +19,8 @@ static void flight_make(size_t nx, size_t ny, double step, double reach, struct 
     const uint32_t px = 200;
     s->n_images = nx * ny;
     s->images = arena_get(&s->arena, s->n_images, sizeof *s->images);
-    const double wide = (double)(nx - 1) * step + 2.0 * reach, deep = (double)(ny - 1) * step + 2.0 * reach;
+    const double wide = (double)(nx - 1) * step + 2.0 * reach,
+                 deep = (double)(ny - 1) * step + 2.0 * reach;
     size_t px_n = (size_t)(wide / 2.0) + 1, py_n = (size_t)(deep / 2.0) + 1;
     s->n_points = px_n * py_n;
     s->points = arena_get(&s->arena, s->n_points, sizeof *s->points);
@@ -36,9 +37,11 @@ static void flight_make(size_t nx, size_t ny, double step, double reach, struct 
         for (size_t k = 0; k < s->n_points; k++) {
             double dx = s->points[k].enu_m[0] - eye[0], dy = s->points[k].enu_m[1] - eye[1];
             if (fabs(dx) < reach && fabs(dy) < reach)
-                s->tracks[s->n_tracks++] = (struct scene_track){
-                    .point = (uint32_t)k, .image = (uint32_t)i,
-                    .x_px = (float)(100.0 + 100.0 * dx / reach), .y_px = (float)(100.0 - 100.0 * dy / reach)};
+                s->tracks[s->n_tracks++] =
+                    (struct scene_track){.point = (uint32_t)k,
+                                         .image = (uint32_t)i,
+                                         .x_px = (float)(100.0 + 100.0 * dx / reach),
+                                         .y_px = (float)(100.0 - 100.0 * dy / reach)};
         }
     }
 }
@@ -98,8 +101,9 @@ static void visibility_adds_photographs_that_look_in(void **state)
     for (size_t j = 0; j < 2; j++) {
         const struct partition_cell *c = &with.cells[j];
         assert_int_equal(c->n_location, without.cells[j].n_images);
-        /* A photograph at d metres beyond the cell sees 20 - d of its 40 m inside: with threshold 1/6 those up to
-         * 13.3 m beyond belong. Location alone takes 4.5 m, and columns are 10 m apart: one more column of 4. */
+        /* A photograph at d metres beyond the cell sees 20 - d of its 40 m inside: with threshold
+         * 1/6 those up to 13.3 m beyond belong. Location alone takes 4.5 m, and columns are 10 m
+         * apart: one more column of 4. */
         assert_int_equal(c->n_images - c->n_location, 4);
         for (size_t k = c->n_location; k < c->n_images; k++) {
             double at[3];
@@ -129,7 +133,8 @@ static void poor_cells_merge_into_rectangles_and_rich_ones_divide(void **state)
     assert_true(p.n_merged > 0);
     double area = 0.0;
     for (size_t i = 0; i < p.n_cells; i++) {
-        double w = p.cells[i].max_m[0] - p.cells[i].min_m[0], h = p.cells[i].max_m[1] - p.cells[i].min_m[1];
+        double w = p.cells[i].max_m[0] - p.cells[i].min_m[0],
+               h = p.cells[i].max_m[1] - p.cells[i].min_m[1];
         assert_true(fmax(w / h, h / w) <= 2.0 + 1e-9);
         area += w * h;
         for (size_t j = 0; j < i; j++)
@@ -142,9 +147,12 @@ static void poor_cells_merge_into_rectangles_and_rich_ones_divide(void **state)
     cfg.images_few = 0;
     cfg.images_many = 100;
     kit_ok(partition_make(&s, &cfg, &p, &e), e);
-    assert_int_equal(p.n_divided, 1); /* one cell of 144: two halves of 72 and up to two columns of 12 in the overlap */
+    assert_int_equal(
+        p.n_divided,
+        1); /* one cell of 144: two halves of 72 and up to two columns of 12 in the overlap */
     assert_int_equal(p.n_cells, 2);
-    assert_true(p.cells[0].max_m[0] == p.cells[1].min_m[0] || p.cells[0].max_m[1] == p.cells[1].min_m[1]);
+    assert_true(p.cells[0].max_m[0] == p.cells[1].min_m[0] ||
+                p.cells[0].max_m[1] == p.cells[1].min_m[1]);
     partition_free(&p);
     scene_free(&s);
 }
@@ -207,7 +215,8 @@ static void the_plan_file_reads_back_and_refuses_another_scene(void **state)
         assert_int_equal(q.cells[i].n_images, p.cells[i].n_images);
         assert_int_equal(q.cells[i].n_location, p.cells[i].n_location);
         assert_int_equal(q.cells[i].parent, p.cells[i].parent);
-        assert_memory_equal(q.cells[i].images, p.cells[i].images, p.cells[i].n_images * sizeof(uint32_t));
+        assert_memory_equal(q.cells[i].images, p.cells[i].images,
+                            p.cells[i].n_images * sizeof(uint32_t));
         assert_memory_equal(q.cells[i].min_m, p.cells[i].min_m, sizeof p.cells[i].min_m);
         assert_memory_equal(q.cells[i].azimuth, p.cells[i].azimuth, sizeof p.cells[i].azimuth);
     }

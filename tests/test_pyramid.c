@@ -527,7 +527,8 @@ static double psnr(const double *a, const double *b, size_t n)
 
 /* An opaque chequered floor from where the simplified sigma is about a pixel: close to the
  * original, far closer than taking every fourth splat, and no thinner. */
-/* Foreign files hold any finite number: sizes beyond the range of a squared double, in all rows or in some. */
+/* Foreign files hold any finite number: sizes beyond the range of a squared double, in all rows or
+ * in some. */
 static void absurd_sizes_come_to_an_end(void **state)
 {
     (void)state;

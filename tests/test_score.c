@@ -135,8 +135,8 @@ static void shares_of_all_add_up_to_what_the_picture_lost(void **state)
     gauss_free(&g);
 }
 
-/* A pixel near a threshold may fall on either side in the two shapes: that is one pixel, at most 1/255 of alpha
- * and at most a picture's diagonal of distance. */
+/* A pixel near a threshold may fall on either side in the two shapes: that is one pixel, at most
+ * 1/255 of alpha and at most a picture's diagonal of distance. */
 static void the_other_shape_of_the_kernels_gives_the_same_sums(void **state)
 {
     (void)state;

@@ -13,8 +13,9 @@
 #include "lod/lod.h"
 #include "lod/tree.h"
 
-#define PLACE_TOLERANCE_M 1e-3 /* boxes are printed to micrometres; ECEF doubles hold nanometres   \
-                                */
+#define PLACE_TOLERANCE_M                                                                          \
+    1e-3 /* boxes are printed to micrometres; ECEF doubles hold nanometres                         \
+          */
 
 struct fixture {
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];

@@ -1,16 +1,17 @@
 /* Stage: L1 + SSIM loss, forward (maps and partial sums) and backward (dL/dx).
  *
  *   in   color  float [3][h][w], target uchar [h][w][3], mask uchar [h][w] or absent
- *   mid  maps   float [3 maps][3 channels][h][pitch], pitch = MARGIN + round_up(w, STRIP) + MARGIN: the
- *               derivatives of S with respect to Kx, Kx^2 and K(xy); zero beyond the picture
- *   out  parts  float [pieces][3][4]: |x-y|, S and (x-y)^2 summed over a piece; grad float [3][h][w]
+ *   mid  maps   float [3 maps][3 channels][h][pitch], pitch = MARGIN + round_up(w, STRIP) + MARGIN:
+ * the derivatives of S with respect to Kx, Kx^2 and K(xy); zero beyond the picture out  parts float
+ * [pieces][3][4]: |x-y|, S and (x-y)^2 summed over a piece; grad float [3][h][w]
  *
  * CPU shape (VW 16): one work-item = one band of BAND rows of one channel. It walks strips of STRIP
- * columns, blurs each row horizontally into a ring of 11 rows (private memory, 22 KiB: every row is there
- * twice, so that a window is 11 rows in a row) and the ring vertically. GPU shape (VW 1): one work-group =
- * one tile of 16x16 pixels of one channel, one work-item = one pixel; the tile and 5 pixels around it are
- * staged in local memory and blurred there. All sums are taken in a fixed order. The only products needed
- * are x^2 + y^2 and xy, because the two variances enter S as their sum.
+ * columns, blurs each row horizontally into a ring of 11 rows (private memory, 22 KiB: every row is
+ * there twice, so that a window is 11 rows in a row) and the ring vertically. GPU shape (VW 1): one
+ * work-group = one tile of 16x16 pixels of one channel, one work-item = one pixel; the tile and 5
+ * pixels around it are staged in local memory and blurred there. All sums are taken in a fixed
+ * order. The only products needed are x^2 + y^2 and xy, because the two variances enter S as their
+ * sum.
  *
  * Reference: loss_ref.c (which has the formulas). Tolerance: float rounding, 1e-5 relative.
  */
@@ -67,8 +68,8 @@ static float16 pixels_channel(const __global uchar *p, int c)
 
 /* One row of x and y, columns [col0, col0 + 16 * n), zero outside the picture and where masked. */
 static void row_load(const __global float *color, const __global uchar *target,
-                     const __global uchar *mask, int has_mask, int w, int h, int c, int row, int col0,
-                     int n, float *x, float *y)
+                     const __global uchar *mask, int has_mask, int w, int h, int c, int row,
+                     int col0, int n, float *x, float *y)
 {
     const __global float *cp = color + ((size_t)c * h + row) * w;
     const __global uchar *tp = target + (size_t)row * w * 3;
@@ -149,8 +150,8 @@ static void row_blur_products(const float *x, const float *y, float *to, float *
 }
 
 __kernel void loss_forward(const __global float *color, const __global uchar *target,
-                               const __global uchar *mask, int has_mask, int w, int h, int pitch,
-                               int with_ssim, __global float *maps, __global float *parts)
+                           const __global uchar *mask, int has_mask, int w, int h, int pitch,
+                           int with_ssim, __global float *maps, __global float *parts)
 {
     int band = get_global_id(0) / 3, c = get_global_id(0) % 3;
     int y0 = band * BAND, y1 = min(y0 + BAND, h);
@@ -184,10 +185,11 @@ __kernel void loss_forward(const __global float *color, const __global uchar *ta
             __global float *mp = maps + ((size_t)c * h + out) * pitch + MARGIN + x0;
             for (int j = 0; j < VECS; j++) {
                 float16 pm, ps, pc;
-                float16 s = ssim_of(blur_steps(from + 16 * j, 4 * STRIP),
-                                    blur_steps(from + 16 * (VECS + j), 4 * STRIP),
-                                    blur_steps(from + 16 * (2 * VECS + j), 4 * STRIP),
-                                    blur_steps(from + 16 * (3 * VECS + j), 4 * STRIP), &pm, &ps, &pc);
+                float16 s =
+                    ssim_of(blur_steps(from + 16 * j, 4 * STRIP),
+                            blur_steps(from + 16 * (VECS + j), 4 * STRIP),
+                            blur_steps(from + 16 * (2 * VECS + j), 4 * STRIP),
+                            blur_steps(from + 16 * (3 * VECS + j), 4 * STRIP), &pm, &ps, &pc);
                 if (x0 + 16 * (j + 1) > w) { /* windows centred beyond the edge do not exist */
                     int16 lane = (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
                     int16 in = lane + (x0 + 16 * j) < w;
@@ -226,9 +228,9 @@ static void row_blur_maps(const __global float *from, size_t plane, float *to, f
 
 /* scale_l1 = l1_weight / 3hw, scale_ssim = -ssim_weight / 3hw. */
 __kernel void loss_backward(const __global float *color, const __global uchar *target,
-                                const __global uchar *mask, int has_mask, int w, int h, int pitch,
-                                int with_ssim, const __global float *maps, float scale_l1,
-                                float scale_ssim, __global float *grad)
+                            const __global uchar *mask, int has_mask, int w, int h, int pitch,
+                            int with_ssim, const __global float *maps, float scale_l1,
+                            float scale_ssim, __global float *grad)
 {
     int band = get_global_id(0) / 3, c = get_global_id(0) % 3;
     int y0 = band * BAND, y1 = min(y0 + BAND, h);
@@ -313,7 +315,8 @@ loss_forward(const __global float *color, const __global uchar *target, const __
              int has_mask, int w, int h, int pitch, int with_ssim, __global float *maps,
              __global float *parts)
 {
-    int x0, y0, c = tile_origin(w, &x0, &y0), lane = get_local_id(0), lx = lane % TILE, ly = lane / TILE;
+    int x0, y0, c = tile_origin(w, &x0, &y0), lane = get_local_id(0), lx = lane % TILE,
+                ly = lane / TILE;
     __local float xs[WIDE * WIDE], ys[WIDE * WIDE], rows[4][WIDE * TILE], sums[3][PIXELS];
     for (int i = lane; i < WIDE * WIDE; i += PIXELS) {
         int x = x0 + i % WIDE - RADIUS, y = y0 + i / WIDE - RADIUS;
@@ -323,7 +326,8 @@ loss_forward(const __global float *color, const __global uchar *target, const __
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int i = lane; i < WIDE * TILE; i += PIXELS) {
-        const __local float *a = xs + i / TILE * WIDE + i % TILE, *b = ys + i / TILE * WIDE + i % TILE;
+        const __local float *a = xs + i / TILE * WIDE + i % TILE,
+                            *b = ys + i / TILE * WIDE + i % TILE;
         float m1 = 0.0f, m2 = 0.0f, qq = 0.0f, xy = 0.0f;
         for (int k = 0; k < TAPS; k++) {
             m1 = a[k] * taps[k] + m1;
@@ -370,7 +374,8 @@ loss_backward(const __global float *color, const __global uchar *target, const _
               int has_mask, int w, int h, int pitch, int with_ssim, const __global float *maps,
               float scale_l1, float scale_ssim, __global float *grad)
 {
-    int x0, y0, c = tile_origin(w, &x0, &y0), lane = get_local_id(0), lx = lane % TILE, ly = lane / TILE;
+    int x0, y0, c = tile_origin(w, &x0, &y0), lane = get_local_id(0), lx = lane % TILE,
+                ly = lane / TILE;
     __local float near[3][WIDE * WIDE], rows[3][WIDE * TILE];
     size_t plane = (size_t)3 * h * pitch;
     for (int i = lane; i < WIDE * WIDE; i += PIXELS) {

@@ -9,8 +9,10 @@
 
 /* out = K in: separable 11x11 Gaussian window of sigma 1.5, zero padded; all planes [h][w]. */
 void loss_ref_blur(const double *in, size_t w, size_t h, double *tmp, double *out);
-/* SSIM at every pixel of one channel, zero padded. scratch: loss_ref_scratch_planes() planes [h][w]. */
-void loss_ref_ssim(const double *x, const double *y, size_t w, size_t h, double *scratch, double *map);
+/* SSIM at every pixel of one channel, zero padded. scratch: loss_ref_scratch_planes() planes
+ * [h][w]. */
+void loss_ref_ssim(const double *x, const double *y, size_t w, size_t h, double *scratch,
+                   double *map);
 size_t loss_ref_scratch_planes(void);
 
 #endif

@@ -1,9 +1,9 @@
 /* Grid, assignment by location and visibility, rebalancing, ownership. See partition.h.
  *
- * The hull of all scene points a photograph could see does not depend on the cells, so it is computed once a
- * photograph; of each image row only the leftmost and rightmost point can lie on the hull, which bounds the
- * candidates by twice the height. Rebalancing works on rectangles: a merge is allowed only where the union is
- * one, with an aspect of at most 2.
+ * The hull of all scene points a photograph could see does not depend on the cells, so it is
+ * computed once a photograph; of each image row only the leftmost and rightmost point can lie on
+ * the hull, which bounds the candidates by twice the height. Rebalancing works on rectangles: a
+ * merge is allowed only where the union is one, with an aspect of at most 2.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -17,13 +17,15 @@
 #include "core/pool.h"
 
 enum {
-    PARTITION_TRACK_MIN = 3,   /* "reliable" point: seen in three photographs ... */
-    PARTITION_STEPS_MAX = 64,  /* rebalancing ends here */
+    PARTITION_TRACK_MIN = 3,  /* "reliable" point: seen in three photographs ... */
+    PARTITION_STEPS_MAX = 64, /* rebalancing ends here */
     PARTITION_CELLS_MAX = 4096,
-    PARTITION_BORDER_PX = 64,  /* points this far outside the picture still count, clamped to its edge */
-    PARTITION_RELAX = 4,       /* cells without a camera of their own: gate times, threshold divided by this */
+    PARTITION_BORDER_PX =
+        64, /* points this far outside the picture still count, clamped to its edge */
+    PARTITION_RELAX =
+        4, /* cells without a camera of their own: gate times, threshold divided by this */
     PARTITION_ASPECT_MAX = 2,
-    PARTITION_SNAP = 8,        /* cuts lie on multiples of P/8 */
+    PARTITION_SNAP = 8, /* cuts lie on multiples of P/8 */
 };
 #define PARTITION_ERROR_PX 2.0f /* ... with at most this reprojection error */
 #define PARTITION_NEAR_M 0.01
@@ -41,7 +43,8 @@ struct partition_config partition_defaults(void)
                                      .use_visibility = true};
 }
 
-/* ---- convex hulls -------------------------------------------------------------------------------------- */
+/* ---- convex hulls
+ * -------------------------------------------------------------------------------------- */
 
 struct xy {
     double x, y;
@@ -60,7 +63,8 @@ static double xy_cross(struct xy o, struct xy a, struct xy b)
     return (a.x - o.x) * (b.y - o.y) - (a.y - o.y) * (b.x - o.x);
 }
 
-/* Area of the convex hull (Andrew's monotone chain). Sorts p; `hull` holds 2 n. 0 for n < 3 or collinear. */
+/* Area of the convex hull (Andrew's monotone chain). Sorts p; `hull` holds 2 n. 0 for n < 3 or
+ * collinear. */
 static double hull_area(struct xy *p, size_t n, struct xy *hull)
 {
     if (n < 3)
@@ -83,15 +87,16 @@ static double hull_area(struct xy *p, size_t n, struct xy *hull)
     return 0.5 * fabs(twice);
 }
 
-/* ---- what does not depend on the cells -------------------------------------------------------------------- */
+/* ---- what does not depend on the cells
+ * -------------------------------------------------------------------- */
 
 struct survey {
     const struct scene *scene;
     const struct partition_config *cfg;
-    struct xy *center;      /* [n_images] camera centres */
-    double *view_area_px2;  /* [n_images] hull of everything it could see */
-    bool *reliable;         /* [n_points] */
-    size_t *track_first;    /* [n_images + 1] into scene.tracks */
+    struct xy *center;     /* [n_images] camera centres */
+    double *view_area_px2; /* [n_images] hull of everything it could see */
+    bool *reliable;        /* [n_points] */
+    size_t *track_first;   /* [n_images + 1] into scene.tracks */
 };
 
 static void survey_free(struct survey *v)
@@ -108,7 +113,8 @@ static bool survey_uses(const struct survey *v, size_t image)
     return v->cfg->all_images || v->scene->images[image].split == SCENE_TRAIN;
 }
 
-/* Project a point; false when it is behind the camera or more than the border outside. Clamps to the picture. */
+/* Project a point; false when it is behind the camera or more than the border outside. Clamps to
+ * the picture. */
 static bool survey_project(const struct camera *c, const double enu[3], struct xy *out)
 {
     double t[3];
@@ -185,7 +191,8 @@ static enum err_code survey_make(const struct scene *s, const struct partition_c
     return cfg->use_visibility ? pool_for(s->n_images, 0, survey_view_area, v, e) : ERR_OK;
 }
 
-/* ---- assignment ------------------------------------------------------------------------------------------- */
+/* ---- assignment
+ * ------------------------------------------------------------------------------------------- */
 
 double partition_distance(const struct partition_cell *c, double x_m, double y_m)
 {
@@ -201,7 +208,8 @@ static bool cell_near(const struct partition_cell *c, struct xy p, double grow)
            p.y <= c->max_m[1] + grow;
 }
 
-/* Share of what the photograph could see that lies in the cell. `scratch` holds 3 n of its observations. */
+/* Share of what the photograph could see that lies in the cell. `scratch` holds 3 n of its
+ * observations. */
 static double cell_visibility(const struct survey *v, const struct partition_cell *c, size_t image,
                               struct xy *scratch)
 {
@@ -258,7 +266,8 @@ static enum err_code cell_assign(const struct survey *v, double edge_m, struct p
             at++;
             continue;
         }
-        if (survey_uses(v, i) && cell_near(c, v->center[i], relax * cfg->visibility_gate * edge_m) &&
+        if (survey_uses(v, i) &&
+            cell_near(c, v->center[i], relax * cfg->visibility_gate * edge_m) &&
             cell_visibility(v, c, i, scratch) >= cfg->visibility_min / relax)
             list[c->n_images++] = (uint32_t)i;
     }
@@ -271,7 +280,8 @@ static enum err_code cell_assign(const struct survey *v, double edge_m, struct p
     return ERR_OK;
 }
 
-/* ---- grid and rebalancing ------------------------------------------------------------------------------------ */
+/* ---- grid and rebalancing
+ * ------------------------------------------------------------------------------------ */
 
 static enum err_code grid_make(const struct survey *v, struct partition *p, struct err *e)
 {
@@ -286,11 +296,14 @@ static enum err_code grid_make(const struct survey *v, struct partition *p, stru
     double fx = ceil((hi.x - lo.x) / edge - PARTITION_EPS_M);
     double fy = ceil((hi.y - lo.y) / edge - PARTITION_EPS_M);
     if (!(fmax(fx, 1.0) * fmax(fy, 1.0) <= PARTITION_CELLS_MAX))
-        return err_set(e, ERR_LIMIT, "an edge of %g m over %g m x %g m makes more than %d cells; take a larger one",
-                       edge, hi.x - lo.x, hi.y - lo.y, PARTITION_CELLS_MAX);
+        return err_set(
+            e, ERR_LIMIT,
+            "an edge of %g m over %g m x %g m makes more than %d cells; take a larger one", edge,
+            hi.x - lo.x, hi.y - lo.y, PARTITION_CELLS_MAX);
     size_t nx = fx < 1.0 ? 1 : (size_t)fx, ny = fy < 1.0 ? 1 : (size_t)fy;
     /* The grid is centred on the cameras: the outer cells lose equally on all sides. */
-    double x0 = 0.5 * (lo.x + hi.x - (double)nx * edge), y0 = 0.5 * (lo.y + hi.y - (double)ny * edge);
+    double x0 = 0.5 * (lo.x + hi.x - (double)nx * edge),
+           y0 = 0.5 * (lo.y + hi.y - (double)ny * edge);
     /* A division adds a cell a step. */
     p->cells = arena_get(&p->arena, nx * ny + PARTITION_STEPS_MAX, sizeof *p->cells);
     if (!p->cells)
@@ -335,7 +348,8 @@ static bool find_merge(const struct partition *p, size_t few, size_t *cell, size
 {
     bool found = false;
     for (size_t i = 0; i < p->n_cells; i++) {
-        if (p->cells[i].n_images >= few || (found && p->cells[i].n_images >= p->cells[*cell].n_images))
+        if (p->cells[i].n_images >= few ||
+            (found && p->cells[i].n_images >= p->cells[*cell].n_images))
             continue;
         size_t best = p->n_cells;
         for (size_t j = 0; j < p->n_cells; j++) {
@@ -375,7 +389,8 @@ static int double_compare(const void *a, const void *b)
 }
 
 /* Bisect the longer edge at the median of the location cameras, snapped to P/8. */
-static enum err_code divide_cell(const struct survey *v, struct partition *p, size_t i, struct err *e)
+static enum err_code divide_cell(const struct survey *v, struct partition *p, size_t i,
+                                 struct err *e)
 {
     struct partition_cell *c = &p->cells[i];
     size_t k = c->max_m[0] - c->min_m[0] >= c->max_m[1] - c->min_m[1] ? 0 : 1;
@@ -422,14 +437,17 @@ static enum err_code rebalance(const struct survey *v, struct partition *p, stru
     size_t steps = 0, i = 0, j = 0;
     while (!rc && steps++ < PARTITION_STEPS_MAX && find_merge(p, v->cfg->images_few, &i, &j))
         rc = merge_cells(v, p, i, j, e);
-    /* A merge undone by a division, or the other way round, would be a loop: divisions come last. */
-    while (!rc && steps++ < PARTITION_STEPS_MAX && (i = find_divide(p, v->cfg->images_many)) < p->n_cells)
+    /* A merge undone by a division, or the other way round, would be a loop: divisions come last.
+     */
+    while (!rc && steps++ < PARTITION_STEPS_MAX &&
+           (i = find_divide(p, v->cfg->images_many)) < p->n_cells)
         rc = divide_cell(v, p, i, e);
     return rc;
 }
 
-/* Cells too poor to train become the background of the neighbour with most photographs (any cell if none
- * touches). If all are too poor, the richest is trained all the same: a small scene is still a scene. */
+/* Cells too poor to train become the background of the neighbour with most photographs (any cell if
+ * none touches). If all are too poor, the richest is trained all the same: a small scene is still a
+ * scene. */
 static void attach_poor(struct partition *p, size_t least)
 {
     size_t richest = 0;
@@ -490,7 +508,8 @@ size_t partition_owner(const struct partition *p, double x_m, double y_m)
     double nearest = HUGE_VAL;
     for (size_t i = 0; i < p->n_cells; i++) {
         const struct partition_cell *c = &p->cells[i];
-        bool inside = x_m >= c->min_m[0] && x_m < c->max_m[0] && y_m >= c->min_m[1] && y_m < c->max_m[1];
+        bool inside =
+            x_m >= c->min_m[0] && x_m < c->max_m[0] && y_m >= c->min_m[1] && y_m < c->max_m[1];
         double d = inside ? -1.0 : partition_distance(c, x_m, y_m);
         if (d < nearest) {
             nearest = d;

@@ -1,5 +1,5 @@
-/* The partition as plan.json, which cell jobs on other machines read, and as an SVG that shows at a glance
- * whether the cells make sense.
+/* The partition as plan.json, which cell jobs on other machines read, and as an SVG that shows at a
+ * glance whether the cells make sense.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -21,29 +21,31 @@ static json_t *plan_cell_json(const struct scene *s, const struct partition *p, 
         json_array_append_new(names, json_string(s->images[c->images[k]].name));
     for (size_t k = 0; k < 8; k++)
         json_array_append_new(azimuth, json_integer(c->azimuth[k]));
-    return json_pack("{s:s, s:[f,f], s:[f,f], s:s?, s:I, s:I, s:o, s:o}", "id", c->id, "min_m", c->min_m[0],
-                     c->min_m[1], "max_m", c->max_m[0], c->max_m[1], "parent",
+    return json_pack("{s:s, s:[f,f], s:[f,f], s:s?, s:I, s:I, s:o, s:o}", "id", c->id, "min_m",
+                     c->min_m[0], c->min_m[1], "max_m", c->max_m[0], c->max_m[1], "parent",
                      c->parent >= 0 ? p->cells[c->parent].id : NULL, "by_location",
-                     (json_int_t)c->n_location, "points", (json_int_t)c->n_points, "azimuth_octants",
-                     azimuth, "photographs", names);
+                     (json_int_t)c->n_location, "points", (json_int_t)c->n_points,
+                     "azimuth_octants", azimuth, "photographs", names);
 }
 
 enum err_code plan_write(const char *path, const struct scene *s, const struct partition *p,
                          struct err *e)
 {
     json_t *cells = json_array();
-    json_t *root = json_pack("{s:i, s:f, s:I, s:I, s:o}", "plan_version", PLAN_VERSION, "edge_m", p->edge_m,
-                             "merged", (json_int_t)p->n_merged, "divided", (json_int_t)p->n_divided,
-                             "cells", cells);
+    json_t *root = json_pack("{s:i, s:f, s:I, s:I, s:o}", "plan_version", PLAN_VERSION, "edge_m",
+                             p->edge_m, "merged", (json_int_t)p->n_merged, "divided",
+                             (json_int_t)p->n_divided, "cells", cells);
     bool bad = !root;
     for (size_t i = 0; !bad && i < p->n_cells; i++)
         bad = json_array_append_new(cells, plan_cell_json(s, p, i)) != 0;
-    enum err_code rc = bad ? err_set(e, ERR_MEM, "out of memory for %s", path) : jsonc_write(path, root, e);
+    enum err_code rc =
+        bad ? err_set(e, ERR_MEM, "out of memory for %s", path) : jsonc_write(path, root, e);
     json_decref(root);
     return rc;
 }
 
-/* ---- reading -------------------------------------------------------------------------------------------- */
+/* ---- reading
+ * -------------------------------------------------------------------------------------------- */
 
 struct plan_name { /* for finding a photograph by name */
     const char *name;
@@ -56,8 +58,9 @@ static int plan_name_compare(const void *a, const void *b)
     return strcmp(x->name, y->name);
 }
 
-static enum err_code plan_read_images(const json_t *o, const struct plan_name *names, size_t n_names,
-                                      struct partition_cell *c, struct arena *a, struct err *e)
+static enum err_code plan_read_images(const json_t *o, const struct plan_name *names,
+                                      size_t n_names, struct partition_cell *c, struct arena *a,
+                                      struct err *e)
 {
     const json_t *list = json_object_get(o, "photographs");
     double by_location = 0.0;
@@ -71,9 +74,11 @@ static enum err_code plan_read_images(const json_t *o, const struct plan_name *n
     for (size_t k = 0; k < c->n_images; k++) {
         const char *name = json_string_value(json_array_get(list, k));
         struct plan_name key = {.name = name ? name : ""};
-        const struct plan_name *hit = bsearch(&key, names, n_names, sizeof *names, plan_name_compare);
+        const struct plan_name *hit =
+            bsearch(&key, names, n_names, sizeof *names, plan_name_compare);
         if (!hit)
-            return err_set(e, ERR_FORMAT, "photograph '%s' is not in the scene; make the plan again", key.name);
+            return err_set(e, ERR_FORMAT,
+                           "photograph '%s' is not in the scene; make the plan again", key.name);
         c->images[k] = hit->image;
     }
     if (!(by_location >= 0.0 && by_location <= (double)c->n_images))
@@ -88,7 +93,8 @@ static enum err_code plan_read_cell(const json_t *o, const struct plan_name *nam
     const char *id = NULL;
     double points = 0.0;
     enum err_code rc = jsonc_text(o, "id", &id, e);
-    if (!rc && (!*id || strlen(id) >= sizeof c->id || strspn(id, "abcdefghijklmnopqrstuvwxyz0123456789") != strlen(id)))
+    if (!rc && (!*id || strlen(id) >= sizeof c->id ||
+                strspn(id, "abcdefghijklmnopqrstuvwxyz0123456789") != strlen(id)))
         rc = err_set(e, ERR_FORMAT, "\"id\": small letters and digits are expected");
     if (!rc) {
         memcpy(c->id, id, strlen(id) + 1);
@@ -116,22 +122,25 @@ static enum err_code plan_read_parents(const json_t *cells, struct partition *p,
             if (!strcmp(p->cells[j].id, parent))
                 p->cells[i].parent = (ptrdiff_t)j;
         if (parent && p->cells[i].parent < 0)
-            return err_set(e, ERR_FORMAT, "cell %s: its parent '%s' does not exist", p->cells[i].id, parent);
+            return err_set(e, ERR_FORMAT, "cell %s: its parent '%s' does not exist", p->cells[i].id,
+                           parent);
     }
     for (size_t i = 0; i < p->n_cells; i++)
         if (p->cells[i].parent >= 0 && p->cells[p->cells[i].parent].parent >= 0)
-            return err_set(e, ERR_FORMAT, "cell %s: its parent is a background cell itself", p->cells[i].id);
+            return err_set(e, ERR_FORMAT, "cell %s: its parent is a background cell itself",
+                           p->cells[i].id);
     return ERR_OK;
 }
 
-static enum err_code plan_read_cells(const json_t *root, const struct scene *s, struct partition *out,
-                                     struct err *e)
+static enum err_code plan_read_cells(const json_t *root, const struct scene *s,
+                                     struct partition *out, struct err *e)
 {
     double version = 0.0;
     const json_t *cells = json_object_get(root, "cells");
     enum err_code rc = jsonc_num(root, "plan_version", &version, e);
     if (!rc && version != PLAN_VERSION)
-        rc = err_set(e, ERR_FORMAT, "plan version %g, this program reads %d", version, PLAN_VERSION);
+        rc =
+            err_set(e, ERR_FORMAT, "plan version %g, this program reads %d", version, PLAN_VERSION);
     if (!rc)
         rc = jsonc_num(root, "edge_m", &out->edge_m, e);
     if (!rc && (!json_array_size(cells) || !(out->edge_m > 0.0)))
@@ -159,7 +168,8 @@ static enum err_code plan_read_cells(const json_t *root, const struct scene *s, 
     return rc ? rc : plan_read_parents(cells, out, e);
 }
 
-enum err_code plan_read(const char *path, const struct scene *s, struct partition *out, struct err *e)
+enum err_code plan_read(const char *path, const struct scene *s, struct partition *out,
+                        struct err *e)
 {
     *out = (struct partition){0};
     struct json_t *root = NULL;
@@ -175,7 +185,8 @@ enum err_code plan_read(const char *path, const struct scene *s, struct partitio
     return rc;
 }
 
-/* ---- the picture -------------------------------------------------------------------------------------------- */
+/* ---- the picture
+ * -------------------------------------------------------------------------------------------- */
 
 struct plan_frame { /* metres -> SVG pixels, north up */
     double x0, y1, scale;
@@ -193,17 +204,21 @@ static double plan_y(const struct plan_frame *f, double y)
 
 static void plan_svg_cells(const struct partition *p, const struct plan_frame *f, struct buf *b)
 {
-    static const char *const fills[] = {"#4e79a7", "#f28e2b", "#59a14f", "#b07aa1", "#76b7b2", "#edc948"};
+    static const char *const fills[] = {"#4e79a7", "#f28e2b", "#59a14f",
+                                        "#b07aa1", "#76b7b2", "#edc948"};
     for (size_t i = 0; i < p->n_cells; i++) {
         const struct partition_cell *c = &p->cells[i];
         double x = plan_x(f, c->min_m[0]), y = plan_y(f, c->max_m[1]);
-        double w = (c->max_m[0] - c->min_m[0]) * f->scale, h = (c->max_m[1] - c->min_m[1]) * f->scale;
-        buf_printf(b, "<rect x=\"%.1f\" y=\"%.1f\" width=\"%.1f\" height=\"%.1f\" fill=\"%s\" fill-opacity=\"%s\" stroke=\"#222\"/>\n",
+        double w = (c->max_m[0] - c->min_m[0]) * f->scale,
+               h = (c->max_m[1] - c->min_m[1]) * f->scale;
+        buf_printf(b,
+                   "<rect x=\"%.1f\" y=\"%.1f\" width=\"%.1f\" height=\"%.1f\" fill=\"%s\" "
+                   "fill-opacity=\"%s\" stroke=\"#222\"/>\n",
                    x, y, w, h, fills[i % 6], c->parent < 0 ? "0.25" : "0.06");
-        buf_printf(b, "<text x=\"%.1f\" y=\"%.1f\" font-weight=\"bold\">%s%s</text>\n", x + 6, y + 18, c->id,
-                   c->parent < 0 ? "" : " (background)");
-        buf_printf(b, "<text x=\"%.1f\" y=\"%.1f\">%zu + %zu photographs, %zu points</text>\n", x + 6, y + 34,
-                   c->n_location, c->n_images - c->n_location, c->n_points);
+        buf_printf(b, "<text x=\"%.1f\" y=\"%.1f\" font-weight=\"bold\">%s%s</text>\n", x + 6,
+                   y + 18, c->id, c->parent < 0 ? "" : " (background)");
+        buf_printf(b, "<text x=\"%.1f\" y=\"%.1f\">%zu + %zu photographs, %zu points</text>\n",
+                   x + 6, y + 34, c->n_location, c->n_images - c->n_location, c->n_points);
     }
 }
 
@@ -220,16 +235,19 @@ enum err_code plan_svg(const char *path, const struct scene *s, const struct par
     struct plan_frame f = {.x0 = lo[0], .y1 = hi[1], .scale = scale};
     double w = (hi[0] - lo[0]) * scale, h = (hi[1] - lo[1]) * scale;
     struct buf b = {0};
-    buf_printf(&b, "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"%.0f\" height=\"%.0f\" viewBox=\"0 0 %.0f %.0f\" "
-                   "font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"100%%\" height=\"100%%\" fill=\"#fff\"/>\n",
+    buf_printf(&b,
+               "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"%.0f\" height=\"%.0f\" "
+               "viewBox=\"0 0 %.0f %.0f\" "
+               "font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"100%%\" "
+               "height=\"100%%\" fill=\"#fff\"/>\n",
                w, h + 30, w, h + 30);
     size_t every = s->n_points / PLAN_SVG_POINTS + 1;
     for (size_t i = 0; i < s->n_points; i += every) {
         double x = plan_x(&f, s->points[i].enu_m[0]), y = plan_y(&f, s->points[i].enu_m[1]);
         const uint8_t *c = s->points[i].rgb;
         if (x >= 0.0 && x <= w && y >= 0.0 && y <= h)
-            buf_printf(&b, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"0.8\" fill=\"#%02x%02x%02x\"/>\n", x, y, c[0], c[1],
-                       c[2]);
+            buf_printf(&b, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"0.8\" fill=\"#%02x%02x%02x\"/>\n",
+                       x, y, c[0], c[1], c[2]);
     }
     plan_svg_cells(p, &f, &b);
     for (size_t i = 0; i < s->n_images; i++) {
@@ -239,12 +257,16 @@ enum err_code plan_svg(const char *path, const struct scene *s, const struct par
         double x = plan_x(&f, at[0]), y = plan_y(&f, at[1]);
         const char *color = s->images[i].split == SCENE_TEST ? "#d62728" : "#111";
         /* The horizontal part of the direction of view; a nadir view has none. */
-        buf_printf(&b, "<line x1=\"%.1f\" y1=\"%.1f\" x2=\"%.1f\" y2=\"%.1f\" stroke=\"%s\"/>"
-                       "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"2.5\" fill=\"%s\"/>\n",
+        buf_printf(&b,
+                   "<line x1=\"%.1f\" y1=\"%.1f\" x2=\"%.1f\" y2=\"%.1f\" stroke=\"%s\"/>"
+                   "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"2.5\" fill=\"%s\"/>\n",
                    x, y, x + 14.0 * cam->rot[6], y - 14.0 * cam->rot[7], color, x, y, color);
     }
-    buf_printf(&b, "<text x=\"8\" y=\"%.0f\">edge %.4g m; black: training photographs, red: test photographs; "
-                   "counts: by location + by visibility</text>\n</svg>\n", h + 20, p->edge_m);
+    buf_printf(
+        &b,
+        "<text x=\"8\" y=\"%.0f\">edge %.4g m; black: training photographs, red: test photographs; "
+        "counts: by location + by visibility</text>\n</svg>\n",
+        h + 20, p->edge_m);
     enum err_code rc = buf_check(&b, e);
     if (!rc)
         rc = file_write(path, b.data, b.size, e);
