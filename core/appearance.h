@@ -56,7 +56,8 @@ ptrdiff_t appearance_find(const struct appearance *a, const char *name);
  * b2 [4]. image: [len_image], not normalised. */
 size_t appearance_frame_floats(uint32_t len_gauss, uint32_t hidden);
 void appearance_frame(const struct appearance *a, const float *image, float *out);
-/* y of one Gaussian in double (the reference of the kernels). embed: [len_gauss], not normalised. */
+/* y of one Gaussian in double (the reference of the kernels). embed: [len_gauss], not normalised.
+ */
 void appearance_eval(const struct appearance *a, const float *embed, const float *image,
                      double y[APPEARANCE_OUT]);
 /* Apply a photograph's look for good: DC += (2 y - 1) / C0, opacity = min(opacity + y3, 1 - 1e-6).
