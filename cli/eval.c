@@ -5,6 +5,7 @@
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/stat.h>
 
 #include <jansson.h>
 
@@ -39,21 +40,22 @@ struct eval {
 
 static void eval_print_head(void)
 {
-    printf("%-14s %6s %9s %9s %8s %10s %8s %12s %9s\n", "what", "photos", "edge px", "PSNR dB",
-           "SSIM", "SSIM valid", "L1", "Gaussians", "ms/frame");
+    printf("%-14s %6s %9s %9s %8s %10s %8s %12s %9s %9s\n", "what", "photos", "edge px", "PSNR dB",
+           "SSIM", "SSIM valid", "L1", "Gaussians", "ms/frame", "MB");
 }
 
 static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px,
                               const struct evaluate_score *s, struct err *e)
 {
-    printf("%-14s %6zu %9u %9.3f %8.4f %10.4f %8.5f %12.0f %9.2f\n", what, s->n_photos, edge_px,
-           s->psnr_db, s->ssim, s->ssim_valid, s->l1, s->gaussians, s->ms_frame);
+    printf("%-14s %6zu %9u %9.3f %8.4f %10.4f %8.5f %12.0f %9.2f %9.2f\n", what, s->n_photos,
+           edge_px, s->psnr_db, s->ssim, s->ssim_valid, s->l1, s->gaussians, s->ms_frame,
+           s->bytes / 1e6);
     fflush(stdout);
-    json_t *row = json_pack("{s:s, s:I, s:i, s:o, s:o, s:o, s:f, s:f, s:f}", "what", what,
+    json_t *row = json_pack("{s:s, s:I, s:i, s:o, s:o, s:o, s:f, s:f, s:f, s:f}", "what", what,
                             "photographs", (json_int_t)s->n_photos, "edge_px", (int)edge_px,
                             "psnr_db", jsonc_real(s->psnr_db), "ssim", jsonc_real(s->ssim),
                             "ssim_valid", jsonc_real(s->ssim_valid), "l1", s->l1, "gaussians",
-                            s->gaussians, "ms_frame", s->ms_frame);
+                            s->gaussians, "ms_frame", s->ms_frame, "bytes", s->bytes);
     if (!row || json_array_append_new(v->rows, row))
         return err_set(e, ERR_MEM, "eval: out of memory");
     return ERR_OK;
@@ -152,10 +154,16 @@ static enum err_code eval_append(const struct eval *v, size_t index, const struc
     return rc;
 }
 
+static double eval_bytes(const char *path)
+{
+    struct stat st;
+    return stat(path, &st) ? 0.0 : (double)st.st_size;
+}
+
 /* A level of all cells put together. *found: how many cells have it. */
 static enum err_code eval_load_level(const struct eval *v, const char *dir, unsigned level,
                                      struct gauss *g, struct eval_settings *s, size_t *found,
-                                     struct err *e)
+                                     double *bytes, struct err *e)
 {
     char path[FILE_PATH_MAX + 64];
     size_t n = v->plan.n_cells ? v->plan.n_cells : 1;
@@ -174,6 +182,8 @@ static enum err_code eval_load_level(const struct eval *v, const char *dir, unsi
         if (!rc)
             rc = eval_append(v, i, &c.g, g, e);
         (*found)++;
+        if (!rc)
+            *bytes += eval_bytes(path);
         ckpt_free(&c);
     }
     return rc;
@@ -187,8 +197,9 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
     struct eval_settings s = {0};
     char what[32];
     size_t n = 0;
+    double bytes = 0.0;
     snprintf(what, sizeof(what), "level %u", level);
-    enum err_code rc = eval_load_level(v, dir, level, &g, &s, &n, e);
+    enum err_code rc = eval_load_level(v, dir, level, &g, &s, &n, &bytes, e);
     if (!rc && n)
         rc = render_model_upload(v->render, &g, &model, e);
     if (!rc && n) {
@@ -197,7 +208,7 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
             v->render,
             &model,
             {.aa = s.aa, .background = {grey, grey, grey}, .near_m = s.near_m, .sh_degree = -1}};
-        struct evaluate_source src = {evaluate_draw_model, &m, NULL};
+        struct evaluate_source src = {evaluate_draw_model, &m, NULL, bytes};
         uint32_t edge = v->o.max_edge_px ? (uint32_t)v->o.max_edge_px : (uint32_t)s.max_edge_px;
         rc = eval_source(v, what, edge, v->o.full_size ? 1.0 : s.downsample, src, e);
     }
@@ -250,7 +261,7 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     };
     w.po.distance_m[0] = v->o.distance_1_m;
     w.po.distance_m[1] = v->o.distance_2_m;
-    struct evaluate_source src = {eval_draw_view, &w, NULL};
+    struct evaluate_source src = {eval_draw_view, &w, NULL, eval_bytes(v->o.tiles)};
     enum err_code rc = view_open(v->o.tiles, v->render, (size_t)v->o.cache_mib << 20, &w.view, e);
     if (!rc)
         rc = eval_source(v, "tiles, LOD", (uint32_t)v->o.max_edge_px, 1.0, src, e);

@@ -100,7 +100,7 @@ static enum err_code evaluate_one(struct feed *f, size_t nth, const struct evalu
 enum err_code evaluate_run(struct feed *f, size_t n_photos, const struct evaluate_source *src,
                            struct evaluate_score *out, struct err *e)
 {
-    *out = (struct evaluate_score){.n_photos = n_photos};
+    *out = (struct evaluate_score){.n_photos = n_photos, .bytes = src->bytes};
     if (!n_photos)
         return err_set(e, ERR_DATA, "evaluate: no test photographs");
     for (size_t i = 0; i < n_photos; i++) {

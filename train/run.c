@@ -192,7 +192,7 @@ static enum err_code run_score(struct run *t, struct evaluate_score *out, struct
         .cache_bytes = (size_t)64 << 20,
     };
     struct evaluate_model model = {l->render, &l->model, level_render_options(l, l->step)};
-    struct evaluate_source source = {evaluate_draw_model, &model, NULL};
+    struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model};
     enum err_code rc = feed_open(&f, &feed, e);
     if (!rc)
         rc = evaluate_run(feed, t->job->n_test, &source, out, e);

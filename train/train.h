@@ -256,6 +256,7 @@ struct evaluate_score { /* means over the photographs */
     double l1;
     double gaussians; /* handed to the renderer a frame */
     double ms_frame;
+    double bytes; /* what the source takes in files, 0 when not told */
 };
 /* Something that draws: draw() renders into rgb [h][w][3] and says how many Gaussians it took. */
 struct evaluate_source {
@@ -263,6 +264,7 @@ struct evaluate_source {
                           struct err *e);
     void *user;
     const char *pictures; /* folder for NAME.png, photograph left and drawing right; NULL: none */
+    double bytes;         /* of the source's files, handed through to the score */
 };
 /* Score every photograph of the feed's list. */
 enum err_code evaluate_run(struct feed *f, size_t n_photos, const struct evaluate_source *src,

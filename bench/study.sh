@@ -1,0 +1,279 @@
+#!/usr/bin/env bash
+# study.sh: accuracy, size and time under varied settings, recorded for the charts of docs/benchmarks.md.
+#
+#   bench/study.sh [--dry-run] all | STUDY...      --list names the studies
+#
+# Every row of a study is one run: train, then score, then `citysplat note` into docs/runs/STUDY.jsonl. A row that
+# is recorded there by the same command is skipped, so a stopped study goes on where it was, and changing a
+# setting repeats the rows it touches. Training itself is resumed too. Redraw afterwards with
+# `citysplat chart docs/runs --markdown docs/benchmarks.md -o docs/charts`.
+#
+# Environment:
+#   CITYSPLAT_CALITERRA   folder with images/ and sparse/ of the caliterra survey (docs/caliterra.md); without it
+#                         the studies on photographs are skipped, those on the procedural city are not
+#   STUDY_STEPS           steps of a single-cell run [2000]
+#   STUDY_CELL_STEPS      steps of every cell of a multi-cell run [2000]
+#   STUDY_LEVEL_STEPS     steps of all three levels of the study `levels` [4000]
+#   STUDY_OUT             where scenes and trained cells go [out/study]
+#   STUDY_RUNS            where runs are recorded [docs/runs]
+#   CITYSPLAT_BUILD       folder of the programs [build/release]
+#
+# SPDX-License-Identifier: Apache-2.0
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+
+readonly BIN=${CITYSPLAT_BUILD:-build/release}
+readonly OUT=${STUDY_OUT:-out/study}
+readonly RUNS=${STUDY_RUNS:-docs/runs}
+readonly STEPS=${STUDY_STEPS:-2000}
+readonly CELL_STEPS=${STUDY_CELL_STEPS:-2000}
+readonly LEVEL_STEPS=${STUDY_LEVEL_STEPS:-4000}
+DRY=0
+COMMIT=
+
+say() { printf '== %s\n' "$*" >&2; }
+die() { printf 'study: error: %s\n' "$*" >&2; exit 1; }
+
+citysplat() { "$BIN/citysplat" "$@"; }
+
+# ---- scenes: NAME -> $OUT/NAME, made on first use ---------------------------------------------------------
+
+# What a scene is, for the tables.
+scene_about() {
+  case $1 in
+    caliterra-400) echo "caliterra, 400 x 300 px" ;;
+    caliterra-800) echo "caliterra, 800 x 600 px" ;;
+    caliterra-cells) echo "caliterra, 800 x 600 px, cells of 60 m" ;;
+    caliterra-cells-location) echo "caliterra, 800 x 600 px, cells of 60 m, without visibility selection" ;;
+    city) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m" ;;
+    city-location) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m, without visibility selection" ;;
+    city-light) echo "procedural city 200 m, 150 photographs of 400 x 300 px under changing light" ;;
+    *) die "no scene '$1'" ;;
+  esac
+}
+
+scene_ingest_caliterra() { # FOLDER EDGE_PX
+  citysplat ingest "$CITYSPLAT_CALITERRA/images" "$CITYSPLAT_CALITERRA/sparse" --max-edge-px "$2" -o "$1" -q
+}
+
+scene_ingest_city() { # FOLDER synth options
+  local folder=$1
+  shift
+  citysplat synth -o "$folder-photos" --overwrite -q "$@"
+  citysplat ingest "$folder-photos/images" "$folder-photos/sparse" --min-points 24 -o "$folder" -q
+}
+
+scene_build() { # NAME FOLDER
+  local cells=(--edge-m 60 --images-few 8 --images-least 6)
+  case $1 in
+    caliterra-400) scene_ingest_caliterra "$2" 400 ;;
+    caliterra-800) scene_ingest_caliterra "$2" 800 ;;
+    caliterra-cells) scene_ingest_caliterra "$2" 800; citysplat plan "$2" "${cells[@]}" ;;
+    caliterra-cells-location) scene_ingest_caliterra "$2" 800; citysplat plan "$2" "${cells[@]}" --no-visibility ;;
+    city) scene_ingest_city "$2" --extent-m 300 --photos 300; citysplat plan "$2" --edge-m 100 --images-few 16 ;;
+    city-location) scene_ingest_city "$2" --extent-m 300 --photos 300; citysplat plan "$2" --edge-m 100 --images-few 16 --no-visibility ;;
+    city-light) scene_ingest_city "$2" --extent-m 200 --photos 150 --exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5 ;;
+  esac >&2
+}
+
+# scene NAME: makes it unless it is there, and fails when its photographs are not at hand.
+scene() {
+  case $1 in caliterra*) [ -n "${CITYSPLAT_CALITERRA:-}" ] || return 1 ;; esac
+  [ -f "$OUT/$1/scene.json" ] && [ ! -e "$OUT/$1.unfinished" ] && return 0
+  say "scene $1: $(scene_about "$1")"
+  mkdir -p "$OUT"
+  touch "$OUT/$1.unfinished"
+  rm -rf "${OUT:?}/$1"
+  scene_build "$1" "$OUT/$1"
+  rm "$OUT/$1.unfinished"
+}
+
+# ---- recording --------------------------------------------------------------------------------------------
+
+# The ceilings are measured next to every run: what a neighbour takes away shows in them as well.
+ceilings() { "$BIN/citysplat-bench" ceiling --runs 5 >"$OUT/ceilings.jsonl" 2>/dev/null; }
+
+note() { # STUDY ROW COMMAND, then options of `citysplat note`
+  local study=$1 row=$2 command=$3
+  shift 3
+  citysplat note "$RUNS/$study.jsonl" --study "$study" --row "$row" --command "$command" "$@"
+}
+
+# wanted STUDY ROW COMMAND: says what will be done; false when the row is recorded or this is a dry run.
+wanted() {
+  if [ -f "$RUNS/$1.jsonl" ] && note "$1" "$2" "$3" --check 2>/dev/null; then
+    say "$1: $2: recorded"
+    return 1
+  fi
+  if [ $DRY = 1 ]; then
+    printf '%s\t%s\t%s\n' "$1" "$2" "$3"
+    return 1
+  fi
+  say "$1: $2: $3"
+}
+
+slug() { printf '%s' "$*" | tr -c 'A-Za-z0-9.' '-'; }
+
+# trained FOLDER SCENE OPTIONS...: FOLDER/cells complete, or resumed, or begun afresh when the options changed.
+trained() {
+  local folder=$1 scene=$2
+  shift 2
+  if [ "$(cat "$folder/options" 2>/dev/null)" != "$scene $*" ]; then
+    rm -rf "$folder"
+    mkdir -p "$folder"
+    printf '%s' "$scene $*" >"$folder/options"
+  fi
+  [ -e "$folder/done" ] && return 0
+  citysplat train "$OUT/$scene" --output "$folder" --resume "$@" >&2
+  touch "$folder/done"
+}
+
+# row STUDY ROW SCENE SET OPTIONS...: train with OPTIONS, score every level at its own size, record with the
+# numbers SET (budget=50000,...). Options of eval come after `--eval`, those of a second scoring as tiles after
+# `--tiles`. KEEP=1 leaves the trained cells where they are.
+row() {
+  local study=$1 name=$2 scene=$3 set=$4 part=train folder command o
+  shift 4
+  local train=() eval=() tiles=()
+  for o in "$@"; do
+    case $o in
+      --eval | --tiles) part=${o#--} ;;
+      *) case $part in
+        train) train+=("$o") ;;
+        eval) eval+=("$o") ;;
+        tiles) tiles+=("$o") ;;
+        esac ;;
+    esac
+  done
+  command="citysplat train $scene ${train[*]}; citysplat eval $scene${eval[*]:+ ${eval[*]}}"
+  [ $part != tiles ] || command+="; citysplat tile $scene; citysplat eval $scene --tiles CITY.tiles${tiles[*]:+ ${tiles[*]}}"
+  wanted "$study" "$name" "$command" || return 0
+  scene "$scene" || { say "$study: $name: skipped: CITYSPLAT_CALITERRA is not set"; return 0; }
+  folder=$OUT/trained/$(slug "$study" "$name")
+  ceilings
+  trained "$folder" "$scene" "${train[@]}"
+  citysplat eval "$OUT/$scene" --results "$folder" -o "$folder/scores.json" "${eval[@]}" >&2
+  local scores=$folder/scores.json
+  if [ $part = tiles ]; then
+    citysplat tile "$OUT/$scene" --trained "$folder" -o "$folder/city.tiles" >&2
+    citysplat eval "$OUT/$scene" --tiles "$folder/city.tiles" -o "$folder/tiles.json" "${tiles[@]}" >&2
+    scores+=,$folder/tiles.json
+  fi
+  note "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" --scores "$scores" \
+    --results "$folder" --ceilings "$OUT/ceilings.jsonl" ${set:+--set "$set"}
+  [ "${KEEP:-0}" = 1 ] || rm -rf "$folder"
+}
+
+# tile_row STUDY ROW SCENE SET TILE-OPTIONS --eval EVAL-OPTIONS -- TRAIN-OPTIONS: score tiles of a scene that is
+# trained once for all rows with the same TRAIN-OPTIONS.
+tile_row() {
+  local study=$1 name=$2 scene=$3 set=$4 part=tile folder tiles command o
+  shift 4
+  local tile=() eval=() train=()
+  for o in "$@"; do
+    case $o in
+      --eval) part=eval ;;
+      --) part=train ;;
+      *) case $part in
+        tile) tile+=("$o") ;;
+        eval) eval+=("$o") ;;
+        train) train+=("$o") ;;
+        esac ;;
+    esac
+  done
+  command="citysplat train $scene ${train[*]}; citysplat tile $scene ${tile[*]}; citysplat eval $scene --tiles CITY.tiles ${eval[*]}"
+  wanted "$study" "$name" "$command" || return 0
+  scene "$scene" || { say "$study: $name: skipped: CITYSPLAT_CALITERRA is not set"; return 0; }
+  folder=$OUT/trained/$(slug shared "$scene")
+  ceilings
+  trained "$folder" "$scene" "${train[@]}"
+  tiles=$folder/$(slug "${tile[*]}").tiles
+  [ -f "$tiles" ] || citysplat tile "$OUT/$scene" --trained "$folder" -o "$tiles" "${tile[@]}" >&2
+  set+=${set:+,}tiles=$(citysplat info "$tiles" --json | sed -n 's/.*"tiles_count": *\([0-9][0-9]*\).*/\1/p' | head -1)
+  citysplat eval "$OUT/$scene" --tiles "$tiles" -o "$folder/scores.json" "${eval[@]}" >&2
+  note "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" \
+    --scores "$folder/scores.json" --ceilings "$OUT/ceilings.jsonl" --set "$set"
+}
+
+# ---- the studies: study_NAME, in the order of `all` -------------------------------------------------------
+
+# Budgets of cells of about 300 m^2 a thousand Gaussians; the presets' budgets are for larger ones.
+readonly SMALL=(--budget-1 40000 --budget-2 80000 --budget-3 160000)
+
+study_time() { # accuracy against training time
+  local n
+  for n in 500 1000 2000 4000 8000; do
+    row time "$n steps" caliterra-400 "steps=$n" --level-count 1 --iterations "$n" --budget-3 200000
+  done
+}
+
+study_budgets() { # accuracy against the number of Gaussians
+  local b
+  for b in 25000 50000 100000 200000 400000 800000; do
+    row budgets "$((b / 1000)) k" caliterra-400 "budget=$b" --level-count 1 --iterations "$STEPS" --budget-3 "$b" --tau-3 1e-4
+  done
+}
+
+study_levels() { # every level at its own picture size (Table 9 of the paper), and tiles with and without LOD
+  row levels caliterra caliterra-800 "" --iterations "$LEVEL_STEPS" "${SMALL[@]}" --tiles
+  row levels city city "" --iterations "$CELL_STEPS" "${SMALL[@]}" --tiles
+}
+
+study_sh() { # accuracy and bytes at SH degree 0 to 3
+  local d
+  for d in 0 1 2 3; do
+    row sh "degree $d" caliterra-400 "sh_degree=$d" --level-count 1 --iterations "$STEPS" --budget-3 100000 --sh-degree "$d" --sh-interval 250 --tiles
+  done
+}
+
+# Rows of Table 10 and of the main ablation: each turns one thing off.
+ablation() { # STUDY SCENE
+  local base=(--iterations "$CELL_STEPS" "${SMALL[@]}")
+  row "$1" full "$2" "" "${base[@]}" --tiles
+  row "$1" "no anti-aliasing" "$2" "" "${base[@]}" --aa none --tiles --aa none
+  row "$1" "no AbsGS" "$2" "" "${base[@]}" --absgrad-from 4 --tau-3 2e-4 --tiles
+  row "$1" "AbsGS at every level" "$2" "" "${base[@]}" --absgrad-from 1 --tau-1 6e-4 --tau-2 6e-4 --tiles
+  row "$1" "no prioritised densification" "$2" "" "${base[@]}" --tau-outside 1 --tiles
+  row "$1" "one view a score" "$2" "" "${base[@]}" --score-views 1 --tiles
+  row "$1" "one level" "$2" "" "${base[@]}" --level-count 1
+  row "$1" "no visibility selection" "$2-location" "" "${base[@]}" --tiles
+}
+study_ablation() { ablation ablation caliterra-cells; }
+study_ablation_city() { ablation ablation_city city; }
+
+study_lod() { # tile sizes and distances (Tables 12 and 13); distances in tenths of the city
+  local edge d base=(--iterations "$CELL_STEPS" "${SMALL[@]}")
+  for edge in 20 40 80 160; do
+    tile_row lod "edge $edge m" city "edge_m=$edge,distance_1_m=60,distance_2_m=120" --tile-edge-m "$edge" \
+      --eval --metric distance --distance-1-m 60 --distance-2-m 120 -- "${base[@]}"
+  done
+  for d in 15 30 60 90 120; do
+    tile_row lod "distance $d m" city "edge_m=40,distance_1_m=$d,distance_2_m=$((2 * d))" --tile-edge-m 40 \
+      --eval --metric distance --distance-1-m "$d" --distance-2-m $((2 * d)) -- "${base[@]}"
+  done
+  for d in 0.5 1 2 4 8; do
+    tile_row lod "screen $d px" city "edge_m=40,error_px=$d" --tile-edge-m 40 --eval --metric screen --error-px "$d" -- "${base[@]}"
+  done
+}
+
+readonly STUDIES=(time budgets levels sh ablation ablation_city lod)
+
+main() {
+  local s wanted_studies=()
+  for s in "$@"; do
+    case $s in
+      --dry-run) DRY=1 ;;
+      --list) printf '%s\n' "${STUDIES[@]}"; return ;;
+      -h | --help) sed -n '2,23s/^# \{0,1\}//p' "${BASH_SOURCE[0]}"; return ;;
+      all) wanted_studies=("${STUDIES[@]}") ;;
+      *) declare -F "study_$s" >/dev/null || die "no study '$s'; --list names them"
+        wanted_studies+=("$s") ;;
+    esac
+  done
+  [ ${#wanted_studies[@]} -gt 0 ] || { "${BASH_SOURCE[0]}" --help >&2; exit 2; }
+  [ $DRY = 1 ] || [ -x "$BIN/citysplat" ] || die "$BIN/citysplat is not there; ./bootstrap build makes it"
+  [ $DRY = 1 ] || mkdir -p "$OUT" "$RUNS"
+  COMMIT=$(git rev-parse --short HEAD 2>/dev/null || echo unknown)
+  for s in "${wanted_studies[@]}"; do "study_$s"; done
+}
+main "$@"

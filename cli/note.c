@@ -1,0 +1,351 @@
+/* citysplat note: adds the numbers of a run to a file of recorded runs (cli/runs.h), from what
+ * `citysplat eval -o`, `citysplat train` (cells/<id>/metrics.jsonl) and citysplat-bench wrote.
+ *
+ * Training time of a level: from the start of the cell to the level's end, summed over cells; and
+ * the longest cell, which is the time when every cell has a machine of its own.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <dirent.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <jansson.h>
+
+#include "cli/cli.h"
+#include "cli/runs.h"
+#include "train/train.h"
+
+struct note_options {
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/note.def"
+#undef OPT
+};
+
+static const struct options_def note_defs[] = {
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct note_options, type, key, def, lo, hi, unit, help)
+#include "cli/note.def"
+#undef OPT
+};
+
+struct note_level { /* over cells */
+    double train_s, train_longest_s, peak_bytes;
+};
+
+struct note_run {
+    struct note_options o;
+    json_t *lines; /* of the file, then of this run as well */
+    struct note_level level[TRAIN_LEVELS_MAX];
+    unsigned n_levels;
+    double fma_gflops, triad_gbps; /* 0: not told */
+    json_t *more;                  /* --set */
+};
+
+static enum err_code note_full(struct err *e)
+{
+    return err_set(e, ERR_MEM, "note: out of memory");
+}
+
+/* ---- what the run left ---- */
+
+static enum err_code note_read_cell(struct note_run *r, const char *path, struct err *e)
+{
+    json_t *lines = NULL, *line;
+    size_t i;
+    enum err_code rc = runs_read_lines(path, &lines, e);
+    if (rc != ERR_OK)
+        return rc;
+    json_array_foreach(lines, i, line)
+    {
+        double level = runs_number(line, "level"), s = runs_number(line, "seconds");
+        if (strcmp(runs_text(line, "event"), "level") || !(level >= 1.0) ||
+            !(level <= TRAIN_LEVELS_MAX))
+            continue;
+        struct note_level *l = &r->level[(size_t)level - 1];
+        l->train_s += s;
+        l->train_longest_s = fmax(l->train_longest_s, s);
+        l->peak_bytes = fmax(l->peak_bytes, runs_number(line, "peak_bytes"));
+        r->n_levels = (unsigned)level > r->n_levels ? (unsigned)level : r->n_levels;
+    }
+    json_decref(lines);
+    return ERR_OK;
+}
+
+static enum err_code note_read_results(struct note_run *r, struct err *e)
+{
+    char path[FILE_PATH_MAX], file[FILE_PATH_MAX + 288];
+    size_t found = 0;
+    enum err_code rc = file_join(path, r->o.results, "cells", e);
+    if (rc != ERR_OK)
+        return rc;
+    DIR *dir = opendir(path);
+    if (!dir)
+        return err_errno(e, ERR_NOENT, "%s: not the results of `citysplat train`", path);
+    for (struct dirent *d; rc == ERR_OK && (d = readdir(dir));) {
+        snprintf(file, sizeof file, "%s/%s/metrics.jsonl", path, d->d_name);
+        if (d->d_name[0] == '.' || !file_exists(file))
+            continue;
+        rc = note_read_cell(r, file, e);
+        found++;
+    }
+    closedir(dir);
+    if (rc == ERR_OK && !found)
+        rc = err_set(e, ERR_NOENT, "%s: no metrics.jsonl of any cell", path);
+    return rc;
+}
+
+static enum err_code note_read_ceilings(struct note_run *r, struct err *e)
+{
+    json_t *lines = NULL, *line;
+    size_t i;
+    enum err_code rc = runs_read_lines(r->o.ceilings, &lines, e);
+    if (rc != ERR_OK)
+        return rc;
+    json_array_foreach(lines, i, line)
+    {
+        if (strcmp(runs_text(line, "bench"), "ceiling"))
+            continue;
+        if (!strcmp(runs_text(line, "case"), "fma"))
+            r->fma_gflops = runs_number(line, "value");
+        if (!strcmp(runs_text(line, "case"), "triad"))
+            r->triad_gbps = runs_number(line, "value");
+    }
+    json_decref(lines);
+    if (!(r->fma_gflops > 0.0) || !(r->triad_gbps > 0.0))
+        return err_set(e, ERR_DATA, "%s: no ceilings; `citysplat-bench ceiling` prints them",
+                       r->o.ceilings);
+    return ERR_OK;
+}
+
+static enum err_code note_parse_set(struct note_run *r, struct err *e)
+{
+    const char *at = r->o.set ? r->o.set : "";
+    r->more = json_object();
+    if (!r->more)
+        return note_full(e);
+    while (*at) {
+        char key[64];
+        char *end = NULL;
+        size_t n = strcspn(at, "=");
+        if (!n || n >= sizeof key || at[n] != '=')
+            return err_set(e, ERR_ARG, "--set: expected key=number at '%s'", at);
+        memcpy(key, at, n);
+        key[n] = '\0';
+        double v = strtod(at + n + 1, &end);
+        if (end == at + n + 1 || (*end && *end != ',') || !isfinite(v))
+            return err_set(e, ERR_ARG, "--set: %s: expected a number at '%s'", key, at + n + 1);
+        if (json_object_set_new(r->more, key, json_real(v)))
+            return note_full(e);
+        at = *end ? end + 1 : end;
+    }
+    return ERR_OK;
+}
+
+/* ---- the records ---- */
+
+static bool note_is(const json_t *line, const char *study, const char *row)
+{
+    return !strcmp(runs_text(line, "study"), study) && !strcmp(runs_text(line, "row"), row);
+}
+
+/* Remove what the file has of this row: a row is one run. */
+static void note_remove(struct note_run *r)
+{
+    for (size_t i = json_array_size(r->lines); i-- > 0;)
+        if (note_is(json_array_get(r->lines, i), r->o.study, r->o.row))
+            json_array_remove(r->lines, i);
+}
+
+/* Takes over the reference to `numbers`. */
+static enum err_code note_add(struct note_run *r, const char *what, const char *device,
+                              json_t *numbers, struct err *e)
+{
+    const struct note_options *o = &r->o;
+    json_t *line = json_pack(
+        "{s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:o, s:o}", "study", o->study, "row", o->row, "what",
+        what, "dataset", o->dataset ? o->dataset : "", "command", o->command ? o->command : "",
+        "commit", o->commit ? o->commit : "", "device", device, "fma_gflops",
+        r->fma_gflops > 0.0 ? json_real(r->fma_gflops) : json_null(), "triad_gbps",
+        r->triad_gbps > 0.0 ? json_real(r->triad_gbps) : json_null());
+    if (!line || !numbers || json_object_update(numbers, r->more) ||
+        json_object_set(line, "numbers", numbers) || json_array_append(r->lines, line)) {
+        json_decref(line);
+        json_decref(numbers);
+        return note_full(e);
+    }
+    json_decref(line);
+    json_decref(numbers);
+    return ERR_OK;
+}
+
+static enum err_code note_set(json_t *o, const char *key, double v, struct err *e)
+{
+    return v > 0.0 && json_object_set_new(o, key, json_real(v)) ? note_full(e) : ERR_OK;
+}
+
+/* Numbers of a score, and of the training up to its level (the last one for a tile store). */
+static enum err_code note_score(struct note_run *r, const json_t *score, const char *device,
+                                struct err *e)
+{
+    const char *what = runs_text(score, "what"), *key;
+    json_t *numbers = json_object(), *v;
+    unsigned level = r->n_levels;
+    enum err_code rc = numbers ? ERR_OK : note_full(e);
+    if (sscanf(what, "level %u", &level) == 1 && rc == ERR_OK)
+        rc = note_set(numbers, "level", level, e);
+    json_object_foreach((json_t *)(uintptr_t)score, key, v)
+    {
+        if (rc == ERR_OK && json_is_number(v) && json_object_set(numbers, key, v))
+            rc = note_full(e);
+    }
+    if (rc == ERR_OK && level >= 1 && level <= r->n_levels) {
+        const struct note_level *l = &r->level[level - 1];
+        rc = note_set(numbers, "train_s", l->train_s, e);
+        if (rc == ERR_OK)
+            rc = note_set(numbers, "train_longest_s", l->train_longest_s, e);
+        if (rc == ERR_OK)
+            rc = note_set(numbers, "train_peak_bytes", l->peak_bytes, e);
+    }
+    if (rc != ERR_OK) {
+        json_decref(numbers);
+        return rc;
+    }
+    return note_add(r, what, device, numbers, e);
+}
+
+static enum err_code note_scores_of(struct note_run *r, const char *path, struct err *e)
+{
+    json_t *file = NULL, *score;
+    size_t i;
+    enum err_code rc = jsonc_read(path, &file, e);
+    if (rc == ERR_OK && !json_array_size(json_object_get(file, "scores")))
+        rc = err_set(e, ERR_DATA, "%s: no scores; `citysplat eval -o` writes them", path);
+    json_array_foreach(json_object_get(file, "scores"), i, score)
+    {
+        if (rc == ERR_OK)
+            rc = note_score(r, score, runs_text(file, "device"), e);
+    }
+    json_decref(file);
+    return rc;
+}
+
+static enum err_code note_scores(struct note_run *r, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    enum err_code rc = ERR_OK;
+    for (const char *at = r->o.scores; rc == ERR_OK && *at;) {
+        size_t n = strcspn(at, ",");
+        snprintf(path, sizeof path, "%.*s", (int)n, at);
+        rc = note_scores_of(r, path, e);
+        at += n + (at[n] == ',');
+    }
+    return rc;
+}
+
+static enum err_code note_bench(struct note_run *r, struct err *e)
+{
+    json_t *lines = NULL, *line;
+    size_t i;
+    char what[256];
+    enum err_code rc = runs_read_lines(r->o.bench, &lines, e);
+    json_array_foreach(lines, i, line)
+    {
+        if (rc != ERR_OK || !strcmp(runs_text(line, "bench"), "ceiling"))
+            continue;
+        snprintf(what, sizeof what, "%s: %s (%s)", runs_text(line, "bench"),
+                 runs_text(line, "case"), runs_text(line, "unit"));
+        json_t *numbers = json_deep_copy(json_object_get(line, "numbers"));
+        if (!numbers)
+            numbers = json_object();
+        double ratio = runs_number(line, "ratio");
+        rc = numbers &&
+                     !json_object_set_new(numbers, "value",
+                                          jsonc_real(runs_number(line, "value"))) &&
+                     !json_object_set_new(numbers, "ratio", jsonc_real(ratio))
+                 ? ERR_OK
+                 : note_full(e);
+        if (rc == ERR_OK)
+            rc = note_add(r, what, runs_text(line, "device"), numbers, e);
+        else
+            json_decref(numbers);
+    }
+    json_decref(lines);
+    return rc;
+}
+
+static enum err_code note_open(struct note_run *r, const char *path, struct err *e)
+{
+    enum err_code rc = note_parse_set(r, e);
+    if (rc == ERR_OK && file_exists(path))
+        return runs_read(path, &r->lines, e);
+    if (rc == ERR_OK && !(r->lines = json_array()))
+        rc = note_full(e);
+    return rc;
+}
+
+/* --check: the row is there, made by the same command. */
+static enum err_code note_find(const struct note_run *r, const char *path, struct err *e)
+{
+    size_t i;
+    json_t *line;
+    json_array_foreach(r->lines, i, line)
+    {
+        if (note_is(line, r->o.study, r->o.row) &&
+            !strcmp(runs_text(line, "command"), r->o.command ? r->o.command : ""))
+            return ERR_OK;
+    }
+    return err_set(e, ERR_NOENT, "%s: no row '%s' of study '%s' by that command", path, r->o.row,
+                   r->o.study);
+}
+
+static enum err_code note_run(struct note_run *r, const char *path, struct err *e)
+{
+    enum err_code rc = note_open(r, path, e);
+    if (rc != ERR_OK || r->o.check)
+        return rc != ERR_OK ? rc : note_find(r, path, e);
+    note_remove(r);
+    if (r->o.ceilings)
+        rc = note_read_ceilings(r, e);
+    if (rc == ERR_OK && r->o.results)
+        rc = note_read_results(r, e);
+    if (rc == ERR_OK && r->o.scores)
+        rc = note_scores(r, e);
+    if (rc == ERR_OK && r->o.bench)
+        rc = note_bench(r, e);
+    if (rc == ERR_OK && !r->o.scores && !r->o.bench) {
+        json_t *numbers = json_object();
+        rc = note_add(r, "", "", numbers, e);
+    }
+    return rc == ERR_OK ? runs_write(path, r->lines, e) : rc;
+}
+
+enum err_code cli_note(int argc, char **argv, struct err *e)
+{
+    const struct options_spec spec = {
+        .command = "note",
+        .usage = "citysplat note FILE.jsonl --study NAME --row NAME [options]",
+        .about = "Adds the numbers of a run to a file of recorded runs, from which `citysplat "
+                 "chart` draws. A row that is there already is replaced. bench/study.sh uses it.",
+        .example = "citysplat eval scene -o scores.json\ncitysplat note docs/runs/budgets.jsonl "
+                   "--study budgets --row '50 k' --scores scores.json --results scene --set "
+                   "budget=50000",
+        .defs = note_defs,
+        .n_defs = sizeof note_defs / sizeof *note_defs,
+        .min_args = 1,
+        .max_args = 1};
+    struct note_run r = {0};
+    struct options_args args;
+    struct arena arena = {0};
+    enum err_code rc = options_parse(&spec, argc, argv, &r.o, &args, &arena, e);
+    if (rc == ERR_OK && !args.done && (!r.o.study || !r.o.row))
+        rc = err_set(e, ERR_ARG, "note: --study and --row are required");
+    if (rc == ERR_OK && !args.done)
+        rc = note_run(&r, args.arg[0], e);
+    json_decref(r.lines);
+    json_decref(r.more);
+    arena_free(&arena);
+    return rc;
+}
