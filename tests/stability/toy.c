@@ -256,7 +256,7 @@ struct evaluate_score toy_run_score(struct toy_run *r, double downsample)
         .cache_bytes = TOY_CACHE_BYTES,
     };
     struct evaluate_model model = {l->render, &l->model, level_render_options(l, l->step)};
-    struct evaluate_source source = {evaluate_draw_model, &model, NULL};
+    struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model};
     kit_ok(feed_open(&f, &feed, &e), e);
     kit_ok(evaluate_run(feed, f.n_images, &source, &score, &e), e);
     feed_close(&feed);
