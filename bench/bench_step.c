@@ -173,6 +173,31 @@ static enum err_code step_check(struct step_case *c, struct err *e)
     return rc;
 }
 
+/* The stages of one iteration, each waited for. */
+static enum err_code step_stages(struct bench *b, struct step_case *c, const char *name,
+                                 struct err *e)
+{
+    char text[128];
+    render_set_timing(c->render, true);
+    enum err_code rc = step_once(c, e);
+    render_set_timing(c->render, false);
+    const struct render_stats *s = render_last_stats(c->render);
+    const struct {
+        const char *name;
+        double ms;
+    } rows[] = {{"project", s->ms_project},
+                {"sort", s->ms_sort},
+                {"bin", s->ms_bin},
+                {"blend", s->ms_blend},
+                {"blend backward", s->ms_blend_backward},
+                {"projection backward and Adam", s->ms_project_backward}};
+    for (size_t i = 0; rc == ERR_OK && i < sizeof rows / sizeof *rows; i++) {
+        snprintf(text, sizeof text, "%s: %s", name, rows[i].name);
+        bench_report(b, text, rows[i].ms, "ms", 0, NULL);
+    }
+    return rc;
+}
+
 static enum err_code step_measure(struct bench *b, size_t n, uint32_t w, uint32_t h, struct err *e)
 {
     struct step_case c;
@@ -196,6 +221,7 @@ static enum err_code step_measure(struct bench *b, size_t n, uint32_t w, uint32_
         bench_report(b, text, loss_ms, "ms", 0, NULL);
         snprintf(text, sizeof text, "%s: backward and Adam", name);
         bench_report(b, text, ms - draw_ms - loss_ms, "ms", 0, NULL);
+        rc = step_stages(b, &c, name, e);
     }
     step_free(&c);
     return rc;
@@ -205,7 +231,9 @@ enum err_code bench_step(struct bench *b, struct err *e)
 {
     if (b->quick)
         return step_measure(b, 5000, 200, 150, e);
-    enum err_code rc = step_measure(b, 100000, 400, 300, e);
+    enum err_code rc = step_measure(b, 50000, 400, 301, e);
+    if (rc == ERR_OK)
+        rc = step_measure(b, 100000, 400, 300, e);
     if (rc == ERR_OK)
         rc = step_measure(b, 100000, 800, 600, e);
     if (rc == ERR_OK)

@@ -109,4 +109,7 @@ enum err_code frame_run(struct render *r, cl_kernel k, const char *name,
 
 extern const char common_cl[]; /* first source of every program of render/ after core/layout.h */
 
+/* With timing on: wait, and give the milliseconds since *since_s, which moves on. */
+enum err_code frame_clock(struct render *r, double *since_s, double *ms, struct err *e) ERR_USE;
+
 #endif

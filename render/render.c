@@ -376,8 +376,7 @@ static enum err_code frame_output(struct render *r, float *rgb, float *transmitt
     return dev_finish(r->dev, e);
 }
 
-/* With timing on: wait, and give the time since *since_s. */
-static enum err_code stage_clock(struct render *r, double *since_s, double *ms, struct err *e)
+enum err_code frame_clock(struct render *r, double *since_s, double *ms, struct err *e)
 {
     if (!r->timing)
         return ERR_OK;
@@ -407,21 +406,21 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
     if (rc == ERR_OK)
         rc = stage_project(r, m, e);
     if (rc == ERR_OK)
-        rc = stage_clock(r, &since, &r->stats.ms_project, e);
+        rc = frame_clock(r, &since, &r->stats.ms_project, e);
     if (rc == ERR_OK)
         rc = stage_sort(r, e);
     if (rc == ERR_OK)
         rc = stage_count(r, e);
     if (rc == ERR_OK)
-        rc = stage_clock(r, &since, &r->stats.ms_sort, e);
+        rc = frame_clock(r, &since, &r->stats.ms_sort, e);
     if (rc == ERR_OK)
         rc = stage_bin(r, e);
     if (rc == ERR_OK)
-        rc = stage_clock(r, &since, &r->stats.ms_bin, e);
+        rc = frame_clock(r, &since, &r->stats.ms_bin, e);
     if (rc == ERR_OK)
         rc = stage_blend(r, e);
     if (rc == ERR_OK)
-        rc = stage_clock(r, &since, &r->stats.ms_blend, e);
+        rc = frame_clock(r, &since, &r->stats.ms_blend, e);
     if (rc == ERR_OK)
         rc = frame_output(r, rgb, transmittance, e);
     r->drawn = rc == ERR_OK;

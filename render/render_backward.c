@@ -201,7 +201,10 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
             "betas are in [0, 1), limits in order",
             adam->step, (double)adam->beta1, (double)adam->beta2, (double)adam->scale_log_min,
             (double)adam->scale_log_max);
+    double since = clock_s();
     enum err_code rc = backward_blend(r, m, stats && stats->absg, e);
+    if (rc == ERR_OK)
+        rc = frame_clock(r, &since, &r->stats.ms_blend_backward, e);
     if (rc != ERR_OK)
         return rc;
     const struct render_backward_state *s = r->backward;
@@ -217,7 +220,7 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
         d.absg = none;
     adam_fill(r, adam, &lr, &k);
     r->drawn = false; /* the parameters are about to differ from what was drawn */
-    return frame_run(r, s->step, "project_step",
+    rc = frame_run(r, s->step, "project_step",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params),
                                 FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem),
                                 FRAME_ARG(r->slot_first.mem), FRAME_ARG(s->slots.mem),
@@ -227,4 +230,5 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
                                 FRAME_ARG(d.grad), FRAME_ARG(d.absg), FRAME_ARG(d.count),
                                 FRAME_ARG(d.radius), FRAME_ARG(d.repaired)),
                      items, local, e);
+    return rc == ERR_OK ? frame_clock(r, &since, &r->stats.ms_project_backward, e) : rc;
 }

@@ -42,7 +42,7 @@ static V ssim_of(V m1, V m2, V qq, V xy, V *pm, V *ps, V *pc)
     V mm = m1 * m2, m11 = m1 * m1 + m2 * m2;
     V a1 = 2.0f * mm + SSIM_C1, a2 = 2.0f * (xy - mm) + SSIM_C2;
     V b1 = m11 + SSIM_C1, b2 = (qq - m11) + SSIM_C2;
-    V r1 = 1.0f / b1, r2 = 1.0f / b2, r = r1 * r2;
+    V r = 1.0f / (b1 * b2), r1 = r * b2, r2 = r * b1;
     V s = a1 * a2 * r;
     *pc = 2.0f * a1 * r;
     *ps = -s * r2;
@@ -122,22 +122,38 @@ static float16 blur_steps(const float *p, int step)
     return vload16(0, p + 10 * step) * taps[10] + a;
 }
 
+/* The vector that begins k lanes into a followed by b. A load from there would cross a cache line
+ * and take twice as long as an aligned one; two aligned vectors in registers shift in one step. */
+#define SHIFT(a, b, k)                                                                             \
+    __builtin_shufflevector(a, b, k, k + 1, k + 2, k + 3, k + 4, k + 5, k + 6, k + 7, k + 8,       \
+                            k + 9, k + 10, k + 11, k + 12, k + 13, k + 14, k + 15)
+
+/* Horizontal blur: 16 columns of b, a and c the vectors on either side. */
+static float16 blur_row(float16 a, float16 b, float16 c)
+{
+    float16 s = SHIFT(a, b, 11) * taps[0];
+    s = SHIFT(a, b, 12) * taps[1] + s;
+    s = SHIFT(a, b, 13) * taps[2] + s;
+    s = SHIFT(a, b, 14) * taps[3] + s;
+    s = SHIFT(a, b, 15) * taps[4] + s;
+    s = b * taps[5] + s;
+    s = SHIFT(b, c, 1) * taps[6] + s;
+    s = SHIFT(b, c, 2) * taps[7] + s;
+    s = SHIFT(b, c, 3) * taps[8] + s;
+    s = SHIFT(b, c, 4) * taps[9] + s;
+    return SHIFT(b, c, 5) * taps[10] + s;
+}
+
 /* Horizontal blur of x, y, x^2 + y^2, xy of one row into ring rows `to` and `twin` ([4][STRIP]). */
 static void row_blur_products(const float *x, const float *y, float *to, float *twin)
 {
+    float16 x0 = vload16(0, x), x1 = vload16(1, x), y0 = vload16(0, y), y1 = vload16(1, y);
+    float16 q0 = x0 * x0 + y0 * y0, q1 = x1 * x1 + y1 * y1, p0 = x0 * y0, p1 = x1 * y1;
     for (int j = 0; j < VECS; j++) {
-        float16 m1 = 0.0f, m2 = 0.0f, qq = 0.0f, xy = 0.0f;
-        for (int k = 0; k < TAPS; k++) {
-            float16 a = vload16(0, x + MARGIN - RADIUS + 16 * j + k);
-            float16 b = vload16(0, y + MARGIN - RADIUS + 16 * j + k);
-            float t = taps[k];
-            m1 = a * t + m1;
-            m2 = b * t + m2;
-            float16 q = a * a;
-            q = b * b + q;
-            qq = q * t + qq;
-            xy = (a * b) * t + xy;
-        }
+        float16 x2 = vload16(j + 2, x), y2 = vload16(j + 2, y);
+        float16 q2 = x2 * x2 + y2 * y2, p2 = x2 * y2;
+        float16 m1 = blur_row(x0, x1, x2), m2 = blur_row(y0, y1, y2);
+        float16 qq = blur_row(q0, q1, q2), xy = blur_row(p0, p1, p2);
         vstore16(m1, 0 * VECS + j, to);
         vstore16(m2, 1 * VECS + j, to);
         vstore16(qq, 2 * VECS + j, to);
@@ -146,6 +162,7 @@ static void row_blur_products(const float *x, const float *y, float *to, float *
         vstore16(m2, 1 * VECS + j, twin);
         vstore16(qq, 2 * VECS + j, twin);
         vstore16(xy, 3 * VECS + j, twin);
+        x0 = x1, x1 = x2, y0 = y1, y1 = y2, q0 = q1, q1 = q2, p0 = p1, p1 = p2;
     }
 }
 
@@ -215,15 +232,16 @@ __kernel void loss_forward(const __global float *color, const __global uchar *ta
 /* Horizontal blur of one row of the three maps into ring rows `to` and `twin` ([3][STRIP]). */
 static void row_blur_maps(const __global float *from, size_t plane, float *to, float *twin)
 {
-    for (int m = 0; m < 3; m++)
+    for (int m = 0; m < 3; m++) {
+        const __global float *p = from + m * plane;
+        float16 a = vload16(0, p - 16), b = vload16(0, p);
         for (int j = 0; j < VECS; j++) {
-            const __global float *p = from + m * plane + 16 * j - RADIUS;
-            float16 acc = 0.0f;
-            for (int k = 0; k < TAPS; k++)
-                acc = vload16(0, p + k) * taps[k] + acc;
-            vstore16(acc, m * VECS + j, to);
-            vstore16(acc, m * VECS + j, twin);
+            float16 c = vload16(j + 1, p), s = blur_row(a, b, c);
+            vstore16(s, m * VECS + j, to);
+            vstore16(s, m * VECS + j, twin);
+            a = b, b = c;
         }
+    }
 }
 
 /* scale_l1 = l1_weight / 3hw, scale_ssim = -ssim_weight / 3hw. */
