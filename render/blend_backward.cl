@@ -1,6 +1,6 @@
 // Stage: blend, backward. From dL/dcolour of every pixel to eleven sums of every (splat, tile)
-// pair. The CPU shape is compiled after blend_cpu.cl, whose masks and names it shares.
-//   in   splats, tile_start, entry_splat, entry_slot; color, color_grad [3][h][w]
+// pair. The CPU shape is compiled after blend_cpu.cl, whose names it shares.
+//   in   splats, tile_start, entry_splat, entry_slot; color, color_grad [3][h][w]; hits, tile_stop
 //   out  slots [entries][LAYOUT_SLOT_FLOATS]; marks [entries], 1 where a slot was written (the host
 //   clears
 //        them: entries behind the stop are never visited)
@@ -90,17 +90,6 @@ inline void backward_load(struct backward_state *s, __constant struct layout_vie
     }
 }
 
-inline uint backward_active(const struct backward_state *s, uint active)
-{
-    for (uint left = active; left;) {
-        uint k = 31 - clz(left);
-        left ^= 1u << k;
-        if (!any(s->t[k] > T_STOP))
-            active ^= 1u << k;
-    }
-    return active;
-}
-
 // One splat over some blocks: moves the pixels on and writes the slot.
 inline void backward_entry(struct backward_state *s, const float *rec, float x0, float y0,
                            uint blocks, uint with_abs, __global float *slot)
@@ -153,50 +142,42 @@ __kernel void blend_backward(__constant struct layout_view *view,
                              __global const uint *tile_start, __global const uint *entry_splat,
                              __global const uint *entry_slot, __global const float *color,
                              __global const float *color_grad, uint with_abs, __global float *slots,
-                             __global uchar *marks)
+                             __global uchar *marks, __global const ushort *hits,
+                             __global const uint *tile_stop)
 {
     uint tile = (uint)get_global_id(0);
     if (tile >= view->tiles_x * view->tiles_y)
         return;
     uint px = (tile % view->tiles_x) * LAYOUT_TILE, py = (tile / view->tiles_x) * LAYOUT_TILE;
     float x0 = (float)px + 0.5f, y0 = (float)py + 0.5f;
-    uint at = tile_start[tile], end = tile_start[tile + 1], active = 0xFFFF;
+    uint at = tile_start[tile], end = tile_stop[tile];
     float staged[BATCH * 16];
-    uint mask[BATCH];
+    uint mask[BATCH], slot[BATCH];
     struct backward_state s;
 
     if (at == end)
         return;
     backward_load(&s, view, color, color_grad, px, py);
-    active = backward_active(&s, active);
-    for (uint j = 0; j < BATCH * 16; j += 16)
-        vstore16((float16)(0.0f), 0, staged + j); // a short last batch masks what it does not use
-    while (at < end && active) {
-        uint n = min(end - at, (uint)BATCH);
+    while (at < end) {
+        uint n = 0;
+        for (; at < end && n < BATCH; at++) { // what blend drew; records and slots lie anywhere
+            PREFETCH(splats + entry_splat[min(at + BATCH, end - 1)]);
+            uint blocks = hits[at];
+            if (!blocks)
+                continue;
+            mask[n] = blocks;
+            slot[n] = entry_slot[at];
+            vstore16(vload16(entry_splat[at], (__global const float *)splats), n++, staged);
+        }
         for (uint j = 0; j < n; j++) {
-            PREFETCH(splats + entry_splat[min(at + BATCH + j, end - 1)]); // records lie anywhere
-            vstore16(vload16(entry_splat[at + j], (__global const float *)splats), j, staged);
+            uint next = slot[min(j + AHEAD, n - 1)]; // have the lines ready when they are written
+            PREFETCH(slots + (size_t)next * LAYOUT_SLOT_FLOATS);
+            PREFETCH(slots + (size_t)next * LAYOUT_SLOT_FLOATS + LAYOUT_SLOT_FLOATS - 1);
+            PREFETCH(marks + next);
+            marks[slot[j]] = 1;
+            backward_entry(&s, staged + 16 * j, x0, y0, mask[j], with_abs,
+                           slots + (size_t)slot[j] * LAYOUT_SLOT_FLOATS);
         }
-        for (uint j = 0; j < n; j += 16)
-            blend_masks(staged + 16 * j, x0, y0, view->tile_cull, mask + j);
-        for (uint j = 0; j < n && active; j++) {
-            uint blocks = mask[j] & active;
-            if (j + AHEAD < n) { // slots lie anywhere: have their lines ready when they are written
-                uint next = entry_slot[at + j + AHEAD];
-                PREFETCH(slots + (size_t)next * LAYOUT_SLOT_FLOATS);
-                PREFETCH(slots + (size_t)next * LAYOUT_SLOT_FLOATS + LAYOUT_SLOT_FLOATS - 1);
-                PREFETCH(marks + next);
-            }
-            if (blocks) {
-                uint slot = entry_slot[at + j];
-                marks[slot] = 1;
-                backward_entry(&s, staged + 16 * j, x0, y0, blocks, with_abs,
-                               slots + (size_t)slot * LAYOUT_SLOT_FLOATS);
-            }
-            if (j % CHECK_EVERY == CHECK_EVERY - 1)
-                active = backward_active(&s, active);
-        }
-        at += n;
     }
 }
 
@@ -212,7 +193,8 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
                __global const uint *tile_start, __global const uint *entry_splat,
                __global const uint *entry_slot, __global const float *color,
                __global const float *color_grad, uint with_abs, __global float *slots,
-               __global uchar *marks)
+               __global uchar *marks, __global const ushort *hits,
+               __global const uint *tile_stop)
 {
     uint tile = (uint)get_group_id(0), lane = (uint)get_local_id(0);
     uint x = (tile % view->tiles_x) * LAYOUT_TILE + lane % LAYOUT_TILE;

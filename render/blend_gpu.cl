@@ -15,7 +15,7 @@ struct blend_record { // what blending takes from struct layout_splat
 __kernel __attribute__((reqd_work_group_size(TILE_PIXELS, 1, 1))) void
 blend(__constant struct layout_view *view, __global const struct layout_splat *splats,
       __global const uint *tile_start, __global const uint *entry_splat, __global float *color,
-      __global float *transmit)
+      __global float *transmit, __global ushort *hits, __global uint *tile_stop)
 {
     __local struct blend_record staged[TILE_PIXELS];
     __local uint alive;

@@ -61,6 +61,8 @@ struct render {
         tile_start; /* uint [.. + 1]: entries of tile t are [start[t], start[t + 1]) */
     struct frame_buffer entry_splat; /* uint [entries]: index of the Gaussian (and of its record) */
     struct frame_buffer entry_slot;  /* uint [entries] */
+    struct frame_buffer hits;        /* ushort [entries]: blocks drawn into, see blend_cpu.cl */
+    struct frame_buffer tile_stop;   /* uint [tiles] */
 
     /* pictures */
     struct frame_buffer color;      /* float [3][h][w] planar, background included */

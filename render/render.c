@@ -119,7 +119,8 @@ void render_close(struct render **rp)
         &r->splats,     &r->depth_key, &r->tiles_of,   &r->slot_first, &r->keys[0],
         &r->keys[1],    &r->ids[0],    &r->ids[1],     &r->histogram,  &r->pair_tile,
         &r->pair_splat, &r->pair_slot, &r->bin_offset, &r->tile_start, &r->entry_splat,
-        &r->entry_slot, &r->color,     &r->transmit,   &r->color_grad};
+        &r->entry_slot, &r->color,     &r->transmit,   &r->color_grad, &r->hits,
+        &r->tile_stop};
     for (size_t i = 0; i < sizeof buffers / sizeof *buffers; i++)
         dev_release(&buffers[i]->mem);
     cl_kernel kernels[] = {r->k.project,     r->k.sort_count, r->k.sort_scan, r->k.sort_scatter,
@@ -226,6 +227,7 @@ static enum err_code frame_buffers(struct render *r, struct err *e)
                  {&r->histogram, (word << LAYOUT_SORT_BITS) * LAYOUT_SORT_CHUNKS},
                  {&r->bin_offset, LAYOUT_BIN_CHUNKS * stride * word},
                  {&r->tile_start, (stride + 1) * word},
+                 {&r->tile_stop, stride * word},
                  {&r->color, 3 * pixels * sizeof(float)},
                  {&r->transmit, pixels * sizeof(float)}};
     for (size_t i = 0; i < sizeof wants / sizeof *wants; i++) {
@@ -299,6 +301,8 @@ static enum err_code stage_count(struct render *r, struct err *e)
                                     &r->entry_slot};
     for (size_t i = 0; rc == ERR_OK && i < sizeof lists / sizeof *lists; i++)
         rc = frame_reserve(r, lists[i], (size_t)counts.entries * sizeof(uint32_t), e);
+    if (rc == ERR_OK)
+        rc = frame_reserve(r, &r->hits, (size_t)counts.entries * sizeof(uint16_t), e);
     return rc;
 }
 
@@ -342,7 +346,8 @@ static enum err_code stage_blend(struct render *r, struct err *e)
     return frame_run(r, r->k.blend, "blend",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
                                 FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->entry_splat.mem),
-                                FRAME_ARG(r->color.mem), FRAME_ARG(r->transmit.mem)),
+                                FRAME_ARG(r->color.mem), FRAME_ARG(r->transmit.mem),
+                                FRAME_ARG(r->hits.mem), FRAME_ARG(r->tile_stop.mem)),
                      r->tiles * local, local, e);
 }
 

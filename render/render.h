@@ -76,7 +76,7 @@ struct render_stats { /* of the last frame */
     uint32_t visible; /* splats that passed the cull */
     uint64_t entries; /* (splat, tile) pairs */
     double ms_project, ms_sort, ms_bin, ms_blend,
-        ms_total; /* filled when timing is on, else only total */
+        ms_total;                                  /* filled when timing is on, else only total */
     double ms_blend_backward, ms_project_backward; /* of render_backward_step, with timing on */
 };
 

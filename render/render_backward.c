@@ -148,7 +148,8 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
                                 FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->entry_splat.mem),
                                 FRAME_ARG(r->entry_slot.mem), FRAME_ARG(r->color.mem),
                                 FRAME_ARG(r->color_grad.mem), FRAME_ARG(with_abs),
-                                FRAME_ARG(s->slots.mem), FRAME_ARG(s->marks.mem)),
+                                FRAME_ARG(s->slots.mem), FRAME_ARG(s->marks.mem),
+                                FRAME_ARG(r->hits.mem), FRAME_ARG(r->tile_stop.mem)),
                      r->tiles * local, local, e);
 }
 
@@ -220,15 +221,15 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
         d.absg = none;
     adam_fill(r, adam, &lr, &k);
     r->drawn = false; /* the parameters are about to differ from what was drawn */
-    rc = frame_run(r, s->step, "project_step",
-                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params),
-                                FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem),
-                                FRAME_ARG(r->slot_first.mem), FRAME_ARG(s->slots.mem),
-                                FRAME_ARG(s->marks.mem), FRAME_ARG(adam->m1), FRAME_ARG(adam->m2),
-                                FRAME_ARG(lr), FRAME_ARG(k), FRAME_ARG(with_extra),
-                                FRAME_ARG(extra), FRAME_ARG(with_stats), FRAME_ARG(with_abs),
-                                FRAME_ARG(d.grad), FRAME_ARG(d.absg), FRAME_ARG(d.count),
-                                FRAME_ARG(d.radius), FRAME_ARG(d.repaired)),
-                     items, local, e);
+    rc =
+        frame_run(r, s->step, "project_step",
+                  FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(r->splats.mem),
+                             FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->slot_first.mem),
+                             FRAME_ARG(s->slots.mem), FRAME_ARG(s->marks.mem), FRAME_ARG(adam->m1),
+                             FRAME_ARG(adam->m2), FRAME_ARG(lr), FRAME_ARG(k),
+                             FRAME_ARG(with_extra), FRAME_ARG(extra), FRAME_ARG(with_stats),
+                             FRAME_ARG(with_abs), FRAME_ARG(d.grad), FRAME_ARG(d.absg),
+                             FRAME_ARG(d.count), FRAME_ARG(d.radius), FRAME_ARG(d.repaired)),
+                  items, local, e);
     return rc == ERR_OK ? frame_clock(r, &since, &r->stats.ms_project_backward, e) : rc;
 }
