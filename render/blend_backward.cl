@@ -193,8 +193,7 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
                __global const uint *tile_start, __global const uint *entry_splat,
                __global const uint *entry_slot, __global const float *color,
                __global const float *color_grad, uint with_abs, __global float *slots,
-               __global uchar *marks, __global const ushort *hits,
-               __global const uint *tile_stop)
+               __global uchar *marks, __global const ushort *hits, __global const uint *tile_stop)
 {
     uint tile = (uint)get_group_id(0), lane = (uint)get_local_id(0);
     uint x = (tile % view->tiles_x) * LAYOUT_TILE + lane % LAYOUT_TILE;

@@ -1,8 +1,9 @@
 // Stage: blend, CPU shape. One work-item draws one tile of 16x16 pixels.
 //   in   tile_start, entry_splat, splats
 //   out  color [3][h][w] with background, transmit [h][w]
-//        hits [entries]: bit k of an entry is set when it was drawn into block k, tile_stop [tiles]:
-//        entries from there on were not looked at. The way back visits these and nothing else.
+//        hits [entries]: bit k of an entry is set when it was drawn into block k, tile_stop
+//        [tiles]: entries from there on were not looked at. The way back visits these and nothing
+//        else.
 // The tile is 16 blocks of 4x4 pixels, a block is one float16. Entries come in batches of 64: their
 // records are copied into a private array first, so that the cache misses overlap (those of the
 // next batch are asked for at the same time); then, 16 entries at a time, the least exponent over
