@@ -123,7 +123,9 @@ static enum err_code eval_read_settings(const struct ckpt *c, const char *path,
         return err_add(e, "%s", path);
     if (!(out->downsample >= 1.0) || !(out->max_edge_px >= 0.0 && out->max_edge_px <= 65535.0))
         return err_set(e, ERR_FORMAT, "%s: impossible picture size", path);
-    out->aa = strcmp(aa, "none") ? RENDER_AA_2D : RENDER_AA_NONE;
+    out->aa = !strcmp(aa, "none")  ? RENDER_AA_NONE
+              : !strcmp(aa, "mip") ? RENDER_AA_MIP
+                                   : RENDER_AA_2D;
     if (!(out->near_m > 0.0))
         out->near_m = fmax(RENDER_NEAR_M, edge_m / 1000.0);
     return ERR_OK;

@@ -1,5 +1,5 @@
 // Stage: project. Gaussians -> splat records, depth keys, tile counts.
-//   in   params [groups][planes][16]
+//   in   params [groups][planes][16]; filter [groups][16], m, with view->smooth
 //   out  splats [groups * 16] (only where visible), depth_key (bits of depth, ~0 where culled),
 //   tiles_of
 // Culling comes in steps, cheapest first, and a whole group leaves as soon as no lane of it is
@@ -127,7 +127,8 @@ INLINE void project_store(__global struct layout_splat *out, V w[16], VI visible
 #endif
 
 // The group (VW 16) or lane (VW 1) whose parameters start at g and whose first index is `index`.
-INLINE void project_some(__constant struct layout_view *v, __global const float *g, uint index,
+INLINE void project_some(__constant struct layout_view *v, __global const float *g,
+                         __global const float *filter, uint index,
                          __global struct layout_splat *splats, VU *key, VU *tiles)
 {
     struct seen s;
@@ -137,7 +138,7 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
     *tiles = (VU)(0);
     if (!ANY(live))
         return;
-    live &= seen_ellipse(v, g, &s);
+    live &= seen_ellipse(v, g, filter, &s);
     if (!ANY(live))
         return;
     V mx = v->fx * (s.cam[0] * s.inv_z) + v->cx, my = v->fy * (s.cam[1] * s.inv_z) + v->cy;
@@ -178,8 +179,8 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
 }
 
 __kernel void project(__constant struct layout_view *view, __global const float *params,
-                      __global struct layout_splat *splats, __global uint *depth_key,
-                      __global uint *tiles_of)
+                      __global const float *filter, __global struct layout_splat *splats,
+                      __global uint *depth_key, __global uint *tiles_of)
 {
     size_t item = get_global_id(0);
 #if VW == 16
@@ -190,8 +191,9 @@ __kernel void project(__constant struct layout_view *view, __global const float 
             params + min(group + 2, end - 1) * view->planes * LAYOUT_LANES;
         for (uint plane = 0; plane < 11; plane++) // all but the colour, which streams behind them
             PREFETCH(ahead + plane * LAYOUT_LANES);
-        project_some(view, params + group * view->planes * LAYOUT_LANES, (uint)group * LAYOUT_LANES,
-                     splats, &key, &tiles);
+        project_some(view, params + group * view->planes * LAYOUT_LANES,
+                     filter + group * LAYOUT_LANES, (uint)group * LAYOUT_LANES, splats, &key,
+                     &tiles);
         vstore16(key, group, depth_key);
         vstore16(tiles, group, tiles_of);
     }
@@ -201,7 +203,7 @@ __kernel void project(__constant struct layout_view *view, __global const float 
         project_some(view,
                      params + (item / LAYOUT_LANES) * view->planes * LAYOUT_LANES +
                          item % LAYOUT_LANES,
-                     (uint)item, splats, &key, &tiles);
+                     filter + item, (uint)item, splats, &key, &tiles);
         depth_key[item] = key;
         tiles_of[item] = tiles;
     }

@@ -84,11 +84,12 @@ struct gradient {
 // because every part uses N, B and the axes in the camera frame, which cost more to pass on than to
 // use.
 inline void gradient_geometry(__constant struct layout_view *v, __global const float *g,
-                              const struct sums *m, struct gradient *out)
+                              __global const float *filter, const struct sums *m,
+                              struct gradient *out)
 {
     struct seen s;
     (void)seen_mean(v, g, &s);
-    (void)seen_ellipse(v, g, &s);
+    (void)seen_ellipse(v, g, filter, &s);
     // W R: the axes of the Gaussian in the camera frame.
     V rc[9];
     for (int row = 0; row < 3; row++)
@@ -124,7 +125,7 @@ inline void gradient_geometry(__constant struct layout_view *v, __global const f
         V own = n0 * t0 + n1 * t1;
         along += own;
         V sum = own + (act - per_det0 * (mk[k] * mk[k]));
-        out->geo[3 + k] = sum;
+        out->geo[3 + k] = v->smooth ? s.keep[k] * (sum - m->q) + m->q : sum;
         V x = rc[k], y = rc[3 + k], z = rc[6 + k], e0s = e0 * s.scale[k], e1s = e1 * s.scale[k];
         h02 = e0s * z + h02;
         h12 = e1s * z + h12;
@@ -192,13 +193,14 @@ inline VI tiles_some(__global const uint *tiles)
 
 // All gradients of a group, 0 in lanes that were not seen.
 inline void gradient_all(__constant struct layout_view *v, __global const float *g,
-                         __global const struct layout_splat *splats, __global const uint *tiles,
-                         __global const uint *first, __global const float *slots,
-                         __global const uchar *marks, VI visible, struct gradient *out)
+                         __global const float *filter, __global const struct layout_splat *splats,
+                         __global const uint *tiles, __global const uint *first,
+                         __global const float *slots, __global const uchar *marks, VI visible,
+                         struct gradient *out)
 {
     struct sums s;
     sums_gather(tiles, first, slots, marks, &s);
-    gradient_geometry(v, g, &s, out);
+    gradient_geometry(v, g, filter, &s, out);
     for (uint k = 0; k < 11; k++)
         out->geo[k] = visible ? out->geo[k] : (V)(0.0f);
     for (uint c = 0; c < 3; c++)
@@ -221,6 +223,7 @@ inline uint item_groups(__constant struct layout_view *v, uint *to, uint *lane)
 }
 
 __kernel void project_backward(__constant struct layout_view *v, __global const float *params,
+                               __global const float *filter,
                                __global const struct layout_splat *splats,
                                __global const uint *tiles_of, __global const uint *slot_first,
                                __global const float *slots, __global const uchar *marks,
@@ -239,8 +242,8 @@ __kernel void project_backward(__constant struct layout_view *v, __global const 
         }
         struct gradient d;
         V dir[3], basis[16];
-        gradient_all(v, params + at, splats + i, tiles_of + i, slot_first + i, slots, marks,
-                     visible, &d);
+        gradient_all(v, params + at, filter + i, splats + i, tiles_of + i, slot_first + i, slots,
+                     marks, visible, &d);
         seen_direction(v, params + at, dir);
         sh_basis(dir, v->sh_degree, basis);
         for (uint p = 0; p < 11; p++)
@@ -357,7 +360,7 @@ inline void stats_add(__global float *grad, __global float *absg, uint with_abs,
 }
 
 __kernel void project_step(__constant struct layout_view *v, __global float *params,
-                           __global const struct layout_splat *splats,
+                           __global const float *filter, __global const struct layout_splat *splats,
                            __global const uint *tiles_of, __global const uint *slot_first,
                            __global const float *slots, __global const uchar *marks,
                            __global float *m1, __global float *m2, float8 lr, float8 k,
@@ -375,8 +378,8 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
         struct gradient d;
         V dir[3], basis[16];
         if (ANY(visible)) {
-            gradient_all(v, a.p, splats + i, tiles_of + i, slot_first + i, slots, marks, visible,
-                         &d);
+            gradient_all(v, a.p, filter + i, splats + i, tiles_of + i, slot_first + i, slots, marks,
+                         visible, &d);
             seen_direction(v, a.p, dir); // before the mean moves
             sh_basis(dir, v->sh_degree, basis);
         } else {

@@ -198,6 +198,7 @@ static void view_fill(const struct render *r, const struct render_model *m, cons
                        ? (uint32_t)o->sh_degree
                        : m->sh_degree;
     v->tile_cull = !r->box_tiles;
+    v->smooth = m->filter != NULL;
 }
 
 /* ---- stages
@@ -242,8 +243,9 @@ static enum err_code frame_buffers(struct render *r, struct err *e)
 static enum err_code stage_project(struct render *r, const struct render_model *m, struct err *e)
 {
     size_t local, items = frame_items(r, m->groups, &local);
+    cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
     return frame_run(r, r->k.project, "project",
-                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params),
+                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(filter),
                                 FRAME_ARG(r->splats.mem), FRAME_ARG(r->depth_key.mem),
                                 FRAME_ARG(r->tiles_of.mem)),
                      items, local, e);

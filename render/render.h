@@ -22,8 +22,8 @@
 enum render_aa {
     RENDER_AA_NONE, /* classic 3DGS: +0.3 px^2 without compensation */
     RENDER_AA_2D,   /* the same with opacity scaled by rho = sqrt(det S0 / det S) */
-    RENDER_AA_MIP,  /* Mip-Splatting: kernel 0.1 px^2 with rho; the 3-D filter is folded into the
-                       Gaussians */
+    RENDER_AA_MIP,  /* Mip-Splatting: kernel 0.1 px^2 with rho; the 3-D filter is in
+                       render_model.filter, or folded into the Gaussians */
 };
 
 struct render_options {
@@ -61,6 +61,10 @@ void render_close(struct render **r);
 /* Gaussians on the device. */
 struct render_model {
     cl_mem params; /* float [groups][planes][16] */
+    cl_mem filter; /* may be NULL: float [groups][16], m: sigma of the 3-D smoothing filter of each
+                    * Gaussian (Mip-Splatting, Yu et al. 2024): it is drawn with sqrt(sigma^2 + f^2)
+                    * and opacity times prod sigma / sigma'; gradients are of the raw parameters,
+                    * f has none. Set by the caller, freed with the model */
     uint32_t n, cap, groups, planes, sh_degree;
     double origin_enu_m[3]; /* means on the device are relative to this */
 };

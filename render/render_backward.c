@@ -161,8 +161,9 @@ enum err_code render_backward(struct render *r, const struct render_model *m, cl
         return rc;
     const struct render_backward_state *s = r->backward;
     size_t local, items = frame_items(r, m->groups, &local);
+    cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
     return frame_run(r, s->grads, "project_backward",
-                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params),
+                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(filter),
                                 FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem),
                                 FRAME_ARG(r->slot_first.mem), FRAME_ARG(s->slots.mem),
                                 FRAME_ARG(s->marks.mem), FRAME_ARG(grads)),
@@ -213,6 +214,7 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
     cl_uint with_stats = stats != NULL, with_abs = stats && stats->absg,
             with_extra = adam->extra_grad != NULL;
     cl_mem none = s->unused, extra = adam->extra_grad ? adam->extra_grad : none;
+    cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
     struct render_density_stats d = {none, none, none, none, none};
     cl_float8 lr, k;
     if (stats)
@@ -221,15 +223,15 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
         d.absg = none;
     adam_fill(r, adam, &lr, &k);
     r->drawn = false; /* the parameters are about to differ from what was drawn */
-    rc =
-        frame_run(r, s->step, "project_step",
-                  FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(r->splats.mem),
-                             FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->slot_first.mem),
-                             FRAME_ARG(s->slots.mem), FRAME_ARG(s->marks.mem), FRAME_ARG(adam->m1),
-                             FRAME_ARG(adam->m2), FRAME_ARG(lr), FRAME_ARG(k),
-                             FRAME_ARG(with_extra), FRAME_ARG(extra), FRAME_ARG(with_stats),
-                             FRAME_ARG(with_abs), FRAME_ARG(d.grad), FRAME_ARG(d.absg),
-                             FRAME_ARG(d.count), FRAME_ARG(d.radius), FRAME_ARG(d.repaired)),
-                  items, local, e);
+    rc = frame_run(r, s->step, "project_step",
+                   FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(filter),
+                              FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem),
+                              FRAME_ARG(r->slot_first.mem), FRAME_ARG(s->slots.mem),
+                              FRAME_ARG(s->marks.mem), FRAME_ARG(adam->m1), FRAME_ARG(adam->m2),
+                              FRAME_ARG(lr), FRAME_ARG(k), FRAME_ARG(with_extra), FRAME_ARG(extra),
+                              FRAME_ARG(with_stats), FRAME_ARG(with_abs), FRAME_ARG(d.grad),
+                              FRAME_ARG(d.absg), FRAME_ARG(d.count), FRAME_ARG(d.radius),
+                              FRAME_ARG(d.repaired)),
+                   items, local, e);
     return rc == ERR_OK ? frame_clock(r, &since, &r->stats.ms_project_backward, e) : rc;
 }

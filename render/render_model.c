@@ -135,5 +135,6 @@ void render_model_free(struct render_model *m)
     if (!m)
         return;
     dev_release(&m->params);
+    dev_release(&m->filter);
     memset(m, 0, sizeof *m);
 }

@@ -19,6 +19,7 @@ for f in render/*.cl train/*.cl bench/*.cl; do
             case $f in
                 render/common.cl) ;;
                 render/*) prelude="$prelude -include render/common.cl" ;;
+                train/mip.cl | train/scale_loss.cl | train/depth.cl) prelude="$prelude -include train/lanes.cl" ;;
             esac
             case $f:$vw in # compiled after others, see their heads
                 render/blend_cpu.cl:1) continue ;; # the CPU shape alone

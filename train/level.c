@@ -109,6 +109,7 @@ enum err_code level_replace(struct level *l, const struct densify_state *s, size
         rc = dev_write(l->dev, l->adam.m2, 0, bytes, s->m2, e);
     if (rc)
         return rc;
+    l->filter_is_current = false;
     l->model.n = (uint32_t)n;
     l->model.groups = (uint32_t)((n + LEVEL_LANES - 1) / LEVEL_LANES);
     return level_zero_stats(l, e);
@@ -177,6 +178,7 @@ void level_close(struct level *l)
     dev_release(&l->target);
     feed_close(&l->feed);
     score_free(&l->score);
+    regular_free(&l->regular);
 }
 
 enum err_code level_gauss(struct level *l, struct gauss *out, struct err *e)
@@ -215,6 +217,7 @@ enum err_code level_next(struct level *l, struct err *e)
         return rc;
     l->at++;
     l->step = 0;
+    l->filter_is_current = false;
     l->start = level_count_inside(l, &g);
     gauss_free(&g);
     size_t bytes = densify_floats(l->model.cap, l->model.planes) * sizeof(float);
@@ -464,7 +467,9 @@ enum err_code level_step(struct level *l, struct loss_value *value, struct err *
     if (rc)
         return rc;
     struct render_options ro = level_render_options(l, step);
-    rc = render_forward(l->render, &l->model, &photo.cam, &ro, NULL, NULL, e);
+    rc = regular_step(l, step, &photo, e);
+    if (!rc)
+        rc = render_forward(l->render, &l->model, &photo.cam, &ro, NULL, NULL, e);
     if (!rc)
         rc = level_photo_loss(l, &photo, e);
     l->adam.step = step;

@@ -6,6 +6,7 @@
 #ifndef TRAIN_LEVEL_H
 #define TRAIN_LEVEL_H
 
+#include "train/regular.h"
 #include "train/train.h"
 
 struct level {
@@ -17,8 +18,9 @@ struct level {
     struct dev *dev;
     struct render *render;
     struct loss *loss;
-    struct score *score;   /* made on first use by score.c, freed by level_close */
-    struct record *record; /* NULL: none are written */
+    struct score *score;     /* made on first use by score.c, freed by level_close */
+    struct regular *regular; /* the same, by regular.c */
+    struct record *record;   /* NULL: none are written */
     struct train_cell cell;
     struct schedule schedule[TRAIN_LEVELS_MAX];
     uint32_t n_levels;
@@ -30,6 +32,7 @@ struct level {
     struct render_model model; /* cap may exceed n */
     struct render_adam adam; /* moments in the layout of the model; step counts within the level */
     struct render_density_stats stats;
+    bool filter_is_current; /* model.filter is that of these Gaussians; with --aa mip only */
 
     /* -- scratch */
     struct feed *feed; /* of this level; opened by level_begin */

@@ -208,7 +208,9 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
     struct evaluate_score score = {0};
     char path[FILE_PATH_MAX];
     uint32_t k = l->at + 1;
-    enum err_code rc = t->job->n_test ? run_score(t, &score, e) : ERR_OK;
+    enum err_code rc = regular_filter(l, e);
+    if (!rc && t->job->n_test)
+        rc = run_score(t, &score, e);
     if (rc == ERR_CANCEL)
         return run_stop(t, e);
     if (!rc)

@@ -64,6 +64,24 @@ static json_t *state_meta(const struct level *l, const char *kind, struct err *e
 /* ---- writing
  * --------------------------------------------------------------------------------------- */
 
+/* Results carry the 3-D filter in their sizes and opacities: whoever draws them needs to know
+ * nothing of it. */
+static enum err_code state_fold(struct level *l, struct gauss *g, struct err *e)
+{
+    if (l->cfg->aa != RENDER_AA_MIP)
+        return ERR_OK;
+    enum err_code rc = regular_filter(l, e);
+    float *filter = mem_array(g->n, sizeof(*filter));
+    if (!rc && !filter)
+        rc = err_set(e, ERR_MEM, "checkpoint: out of memory for %zu Gaussians", g->n);
+    if (!rc)
+        rc = dev_read(l->dev, l->model.filter, 0, g->n * sizeof(*filter), filter, e);
+    if (!rc)
+        mip_fold(g, filter);
+    mem_free(filter);
+    return rc;
+}
+
 enum err_code state_save_level(struct level *l, const char *path,
                                const struct evaluate_score *score, struct err *e)
 {
@@ -81,6 +99,8 @@ enum err_code state_save_level(struct level *l, const char *path,
     }
     if (!rc)
         rc = level_gauss(l, &g, e);
+    if (!rc)
+        rc = state_fold(l, &g, e);
     if (!rc)
         rc = ckpt_write(path, meta, &g, NULL, 0, e);
     gauss_free(&g);
@@ -109,7 +129,7 @@ static void state_free_blobs(struct ckpt_blob *b, size_t n)
 enum err_code state_save(struct level *l, const char *path, struct err *e)
 {
     struct gauss g = {0};
-    struct ckpt_blob blobs[2 + STATE_STATS] = {0};
+    struct ckpt_blob blobs[3 + STATE_STATS] = {0};
     size_t n = 0, moments = densify_floats(l->model.n, l->model.planes) * sizeof(float);
     json_t *meta = state_meta(l, "resume", e);
     if (!meta)
@@ -124,6 +144,8 @@ enum err_code state_save(struct level *l, const char *path, struct err *e)
     for (size_t i = 0; !rc && i < STATE_STATS; i++)
         rc = state_blob(l, state_stat_names[i], stats[i], l->model.n * sizeof(float), &blobs[n++],
                         e);
+    if (!rc && l->model.filter && l->filter_is_current)
+        rc = state_blob(l, "filter", l->model.filter, l->model.n * sizeof(float), &blobs[n++], e);
     if (!rc)
         rc = ckpt_write(path, meta, &g, blobs, n, e);
     state_free_blobs(blobs, n);
@@ -242,6 +264,24 @@ static enum err_code state_upload(struct level *l, const struct ckpt *c, const c
     return ERR_OK;
 }
 
+/* The filter of Mip-Splatting is as old as its last computation: without it the next one would come
+ * too early and the run would take another way. */
+static enum err_code state_upload_filter(struct level *l, const struct ckpt *c, const char *path,
+                                         struct err *e)
+{
+    size_t bytes = c->g.n * sizeof(float);
+    if (l->cfg->aa != RENDER_AA_MIP || !ckpt_find(c, "filter"))
+        return ERR_OK;
+    const void *data = state_find(c, path, "filter", bytes, e);
+    if (!data)
+        return ERR_FORMAT;
+    enum err_code rc = dev_buffer(l->dev, l->model.cap * sizeof(float), NULL, &l->model.filter, e);
+    if (!rc)
+        rc = dev_write(l->dev, l->model.filter, 0, bytes, data, e);
+    l->filter_is_current = !rc;
+    return rc;
+}
+
 static enum err_code state_apply(struct level *l, const struct ckpt *c, const char *path,
                                  struct err *e)
 {
@@ -269,7 +309,9 @@ static enum err_code state_apply(struct level *l, const struct ckpt *c, const ch
     l->step = (uint32_t)step;
     rc = level_open(l, &c->g, e);
     l->start = (size_t)start;
-    return rc ? rc : state_upload(l, c, path, e);
+    if (!rc)
+        rc = state_upload(l, c, path, e);
+    return rc ? rc : state_upload_filter(l, c, path, e);
 }
 
 enum err_code state_load(struct level *l, const char *path, struct err *e)

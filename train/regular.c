@@ -1,0 +1,134 @@
+/* What the configuration asks of a step besides its photograph: which regularisers act, with what
+ * weight, and the buffer in which their gradients meet.
+ *
+ * The scale regulariser writes the whole buffer, the others add to it; without it the buffer is
+ * cleared. Owns everything behind struct regular; level.c calls regular_step before each step and
+ * regular_free at the end.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "train/regular.h"
+
+#include <math.h>
+
+#include "core/base.h"
+#include "core/layout.h"
+#include "train/level.h"
+
+#define REGULAR_SIZE_OF_CELL 0.1 /* largest size where none is configured, in cell edges */
+/* A limit of size below the size at which Gaussians are split would keep them from being split. */
+#define REGULAR_SPLIT_ROOM 1.5
+enum { REGULAR_FILTER_STEPS = 100, REGULAR_PLANES = 11 };
+
+struct regular {
+    struct scale_loss *scale;
+    struct mip *mip;
+    cl_mem extra; /* float [groups][11][16] */
+    size_t groups;
+};
+
+void regular_free(struct regular **p)
+{
+    struct regular *r = *p;
+    if (!r)
+        return;
+    scale_loss_close(&r->scale);
+    mip_close(&r->mip);
+    dev_release(&r->extra);
+    mem_free(r);
+    *p = NULL;
+}
+
+static enum err_code regular_make(struct level *l, struct err *e)
+{
+    if (!l->regular)
+        l->regular = mem_array(1, sizeof(*l->regular));
+    return l->regular ? ERR_OK : err_set(e, ERR_MEM, "regularisers: out of memory");
+}
+
+/* ---- the 3-D filter
+ * ------------------------------------------------------------------------------ */
+
+enum err_code regular_filter(struct level *l, struct err *e)
+{
+    struct camera *cams = NULL;
+    if (l->cfg->aa != RENDER_AA_MIP || l->filter_is_current || l->at >= l->n_levels)
+        return ERR_OK;
+    enum err_code rc = regular_make(l, e);
+    if (!rc && !l->regular->mip)
+        rc = mip_open(l->dev, &l->regular->mip, e);
+    if (rc)
+        return rc;
+    cams = mem_array(l->n_images, sizeof(*cams));
+    if (!cams)
+        return err_set(e, ERR_MEM, "mip: out of memory for %zu cameras", l->n_images);
+    for (size_t i = 0; i < l->n_images; i++)
+        cams[i] = feed_camera(&l->scene->images[l->images[i]].cam, (uint32_t)l->cfg->max_edge_px,
+                              l->schedule[l->at].downsample);
+    rc = mip_run(l->regular->mip, &l->model, cams, l->n_images, e);
+    l->filter_is_current = !rc;
+    mem_free(cams);
+    return rc;
+}
+
+/* ---- the gradients
+ * ------------------------------------------------------------------------------- */
+
+static enum err_code regular_reserve(struct level *l, struct err *e)
+{
+    struct regular *r = l->regular;
+    size_t groups = l->model.cap / LAYOUT_LANES;
+    if (r->extra && r->groups >= groups)
+        return ERR_OK;
+    dev_release(&r->extra);
+    r->groups = 0;
+    enum err_code rc = dev_buffer(l->dev, groups * REGULAR_PLANES * LAYOUT_LANES * sizeof(float),
+                                  NULL, &r->extra, e);
+    if (rc)
+        return err_add(e, "regularisers of %u Gaussians", l->model.n);
+    r->groups = groups;
+    return ERR_OK;
+}
+
+/* From the first opacity reset and one densification after it; later levels go on with it. */
+static bool regular_scale_acts(const struct level *l, uint32_t step)
+{
+    const struct schedule *s = &l->schedule[l->at];
+    double from = s->level == 1 ? (double)l->cfg->scale_from * s->kappa : 0.0;
+    return l->cfg->scale_weight > 0.0 && (double)step > from;
+}
+
+static enum err_code regular_scale(struct level *l, struct err *e)
+{
+    const struct train_config *c = l->cfg;
+    struct regular *r = l->regular;
+    double size = c->scale_max_m > 0.0 ? c->scale_max_m : REGULAR_SIZE_OF_CELL * l->cell.edge_m;
+    struct scale_loss_input in = {
+        .s_max_m = fmax(size, REGULAR_SPLIT_ROOM * c->percent_dense * l->cell.extent_m),
+        .r_max = c->scale_ratio_max,
+        .weight = c->scale_weight,
+    };
+    enum err_code rc = r->scale ? ERR_OK : scale_loss_open(l->dev, &r->scale, e);
+    return rc ? rc : scale_loss_run(r->scale, &l->model, &in, r->extra, e);
+}
+
+enum err_code regular_step(struct level *l, uint32_t step, const struct feed_photo *photo,
+                           struct err *e)
+{
+    (void)photo;
+    bool scale = regular_scale_acts(l, step);
+    if (step % REGULAR_FILTER_STEPS == 0)
+        l->filter_is_current = false;
+    l->adam.extra_grad = NULL;
+    enum err_code rc = regular_filter(l, e);
+    if (rc || !scale)
+        return rc;
+    rc = regular_make(l, e);
+    if (!rc)
+        rc = regular_reserve(l, e);
+    if (!rc)
+        rc = regular_scale(l, e);
+    if (!rc)
+        l->adam.extra_grad = l->regular->extra;
+    return rc;
+}
