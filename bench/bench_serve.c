@@ -12,10 +12,12 @@
 #include <microhttpd.h>
 #include <netinet/in.h>
 #include <poll.h>
+#include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/socket.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "core/pool.h"
@@ -330,8 +332,146 @@ out:
     return rc;
 }
 
+/* ---- tiles while views are drawn ------------------------------------------------------------- */
+
+enum { BUSY_GAUSSIANS = 200000, BUSY_REQUESTS = 1500, BUSY_PAUSE_US = 1000 };
+
+struct busy {
+    struct serve_load tile;
+    char view_prefix[256];
+    double ms[BUSY_REQUESTS]; /* of each request of the paced client */
+    atomic_bool draw, stop;
+    atomic_int views;
+};
+
+/* One request on an open connection; reads until answer_bytes have come, or to the end of the
+ * connection when that is 0. */
+static bool busy_ask(int fd, const char *request, size_t answer_bytes)
+{
+    static _Thread_local char bytes[1 << 18];
+    if (!serve_send(fd, request))
+        return false;
+    for (size_t got = 0; !answer_bytes || got < answer_bytes;) {
+        ssize_t n = recv(fd, bytes, sizeof bytes, 0);
+        if (n <= 0)
+            return n == 0 && !answer_bytes && got > 0;
+        got += (size_t)n;
+    }
+    return true;
+}
+
+/* Worker 0 asks for a tile every millisecond; worker 1 keeps the renderer drawing, every view
+ * another one. */
+static enum err_code busy_work(void *user, size_t index, struct err *e)
+{
+    struct busy *w = user;
+    char request[512];
+    bool ok = true;
+    int fd = index == 0 ? serve_dial(w->tile.port) : -1;
+    for (int i = 0; index == 0 && ok && i < BUSY_REQUESTS; i++) {
+        double start_s = clock_s();
+        ok = fd >= 0 && busy_ask(fd, w->tile.request, w->tile.answer_bytes);
+        w->ms[i] = (clock_s() - start_s) * 1e3;
+        nanosleep(&(struct timespec){.tv_nsec = BUSY_PAUSE_US * 1000}, NULL);
+    }
+    if (index == 0)
+        atomic_store(&w->stop, true);
+    while (index == 1 && ok && atomic_load(&w->draw) && !atomic_load(&w->stop)) {
+        snprintf(
+            request, sizeof request,
+            "GET %s,150@%d,-60/1280x720.jpg HTTP/1.1\r\nHost: bench\r\nConnection: close\r\n\r\n",
+            w->view_prefix, atomic_fetch_add(&w->views, 1) % 360);
+        int view = serve_dial(w->tile.port);
+        ok = view >= 0 && busy_ask(view, request, 0);
+        if (view >= 0)
+            close(view);
+    }
+    if (fd >= 0)
+        close(fd);
+    return ok ? ERR_OK : err_set(e, ERR_IO, "bench_serve: a connection broke");
+}
+
+static int busy_order(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static enum err_code busy_measure(struct bench *b, struct busy *w, const char *name,
+                                  double idle_ms[2], struct err *e)
+{
+    static const struct {
+        const char *name;
+        double share;
+    } at[2] = {{"median", 0.5}, {"99th percentile", 0.99}};
+    char text[96];
+    bool idle = !atomic_load(&w->draw);
+    atomic_store(&w->stop, false);
+    enum err_code rc = pool_for(2, 2, busy_work, w, e);
+    qsort(w->ms, BUSY_REQUESTS, sizeof w->ms[0], busy_order);
+    for (int i = 0; rc == ERR_OK && i < 2; i++) {
+        double ms = w->ms[(size_t)(at[i].share * BUSY_REQUESTS)];
+        idle_ms[i] = idle ? ms : idle_ms[i];
+        snprintf(text, sizeof text, "hot tile, %s, %s", name, at[i].name);
+        bench_report(b, text, ms, "ms", idle ? 0 : ms / idle_ms[i], idle ? NULL : "no drawing");
+    }
+    return rc;
+}
+
+/* How long a hot tile takes while the server draws one view after the other. */
+static enum err_code serve_busy(struct bench *b, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    struct server_config cfg;
+    struct arena arena = {0};
+    struct server *server = NULL;
+    struct buf tile = {0};
+    struct key key;
+    const char *const paths[] = {path};
+    double idle_ms[2] = {1, 1};
+    struct busy *w = mem_array(1, sizeof *w);
+    enum err_code rc = w ? file_join(path, bench_tmpdir(b), "bench.tiles", e)
+                         : err_set(e, ERR_MEM, "bench_serve: out of memory");
+    if (rc == ERR_OK)
+        rc = serve_store(path, b->quick ? 2000 : BUSY_GAUSSIANS, &key, e);
+    if (rc == ERR_OK)
+        rc = serve_config(&cfg, &arena, e);
+    cfg.device = "auto";
+    if (rc == ERR_OK)
+        rc = server_start(&cfg, paths, 1, &server, e);
+    if (rc != ERR_OK)
+        goto out;
+    struct catalog *c = services_catalog(server_services(server));
+    w->tile.port = (uint16_t)atoi(strrchr(server_url(server), ':') + 1);
+    snprintf(w->tile.request, sizeof w->tile.request,
+             "GET /d/bench/r/%s/t/%u/%u/%u.spz HTTP/1.1\r\nHost: bench\r\n\r\n",
+             c->ds[0]->meta.revision, key.z, key.x, key.y);
+    snprintf(w->view_prefix, sizeof w->view_prefix, "/d/bench/r/%s/static/%.6f,%.6f",
+             c->ds[0]->meta.revision, c->ds[0]->meta.origin.lon_deg, c->ds[0]->meta.origin.lat_deg);
+    catalog_drop(&c);
+    for (int i = 0; rc == ERR_OK && i < 2; i++) { /* make the tile; then the size of a hit */
+        tile.size = 0;
+        rc = serve_ask(&w->tile, &tile, NULL, e);
+    }
+    if (rc == ERR_OK)
+        rc = busy_measure(b, w, "idle", idle_ms, e);
+    atomic_store(&w->draw, true);
+    if (rc == ERR_OK)
+        rc = busy_measure(b, w, "while drawing", idle_ms, e);
+    if (rc == ERR_OK)
+        bench_report(b, "views drawn meanwhile", atomic_load(&w->views), "", 0, NULL);
+out:
+    server_stop(&server);
+    arena_free(&arena);
+    buf_free(&tile);
+    mem_free(w);
+    return rc;
+}
+
 enum err_code bench_serve(struct bench *b, struct err *e)
 {
     enum err_code rc = serve_size(b, 280, "small", e);
-    return rc == ERR_OK ? serve_size(b, 2600, "usual", e) : rc;
+    if (rc == ERR_OK)
+        rc = serve_size(b, 2600, "usual", e);
+    return rc == ERR_OK ? serve_busy(b, e) : rc;
 }
