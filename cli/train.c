@@ -6,7 +6,7 @@
 #include <stdio.h>
 
 #include "cli/cli.h"
-#include "train/train.h"
+#include "train/jobs.h"
 
 static void train_print_cell(const struct train_cell_result *c)
 {
@@ -31,6 +31,40 @@ static void train_print(const struct train_result *r)
     printf("%.1f s, %.0f MiB at most\n", r->seconds, (double)r->peak_bytes / 1048576.0);
 }
 
+/* A line a cell, tab-separated, the id first: `cut -f1` feeds a scheduler. */
+static enum err_code train_print_list(const char *scene_dir, const struct train_config *cfg,
+                                      struct err *e)
+{
+    struct jobs_list list;
+    enum err_code rc = jobs_list(scene_dir, cfg, &list, e);
+    for (size_t i = 0; i < list.n_cells; i++) {
+        const struct jobs_cell *c = &list.cells[i];
+        uint64_t steps = 0;
+        for (uint32_t l = 0; l < c->n_levels; l++)
+            steps += c->steps[l];
+        printf("%s\t%s\t%zu\t%llu\n", c->id, jobs_state_name(c->state), c->photos,
+               (unsigned long long)steps);
+    }
+    jobs_list_free(&list);
+    return rc;
+}
+
+static enum err_code train_all(const char *scene_dir, const struct train_config *cfg,
+                               struct train_result *out, struct err *e)
+{
+    struct jobs_list list;
+    clock_catch_signals();
+    if (cfg->jobs == 1)
+        return train_run(scene_dir, cfg, out, e);
+    enum err_code rc = jobs_list(scene_dir, cfg, &list, e);
+    size_t n = list.n_cells;
+    jobs_list_free(&list);
+    if (rc)
+        return rc;
+    return n > 1 ? jobs_run("/proc/self/exe", scene_dir, cfg, out, e)
+                 : train_run(scene_dir, cfg, out, e);
+}
+
 enum err_code cli_train(int argc, char **argv, struct err *e)
 {
     struct train_config cfg;
@@ -38,10 +72,11 @@ enum err_code cli_train(int argc, char **argv, struct err *e)
     struct arena arena = {0};
     struct train_result result = {0};
     enum err_code rc = options_parse(train_options(), argc, argv, &cfg, &args, &arena, e);
-    if (!rc && !args.done) {
-        clock_catch_signals();
-        rc = train_run(args.arg[0], &cfg, &result, e);
-        if (!rc)
+    if (!rc && !args.done && cfg.list) {
+        rc = train_print_list(args.arg[0], &cfg, e);
+    } else if (!rc && !args.done) {
+        rc = train_all(args.arg[0], &cfg, &result, e);
+        if (!rc || result.n_cells)
             train_print(&result);
     }
     train_result_free(&result);

@@ -199,10 +199,16 @@ static bool text_contains(const char *text, const char *part)
 static const struct found *dev_pick(const struct found *list, size_t n, const char *want)
 {
     bool any = !want || !*want || strcmp(want, "auto") == 0;
-    if (any || strcmp(want, "gpu") == 0)
-        for (size_t i = 0; i < n; i++)
-            if (list[i].type & CL_DEVICE_TYPE_GPU)
-                return &list[i];
+    bool gpu = any || strcmp(want, "gpu") == 0;
+    unsigned long nth = 0;
+    if (!gpu && strncmp(want, "gpu:", 4) == 0 && isdigit((unsigned char)want[4])) {
+        char *end;
+        nth = strtoul(want + 4, &end, 10);
+        gpu = *end == '\0';
+    }
+    for (size_t i = 0; gpu && i < n; i++)
+        if ((list[i].type & CL_DEVICE_TYPE_GPU) && nth-- == 0)
+            return &list[i];
     if (any || strcmp(want, "cpu") == 0)
         for (size_t i = 0; i < n; i++)
             if (list[i].type & CL_DEVICE_TYPE_CPU)

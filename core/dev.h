@@ -26,10 +26,10 @@ struct dev { /* made by dev_open; one caller at a time */
     char name[128], driver[64];
 };
 
-/* `want` selects: NULL or "auto" (first GPU, else first CPU), "cpu", "gpu", or a substring of the
- * device name. ERR_DEVICE lists what was found, or says how to install PoCL when there is none.
- * Must be called before any fork; kernels are cached in POCL_CACHE_DIR / XDG_CACHE_HOME. dev_close
- * it. */
+/* `want` selects: NULL or "auto" (first GPU, else first CPU), "cpu", "gpu", "gpu:K" (the K-th from
+ * 0), or a substring of the device name. ERR_DEVICE lists what was found, or says how to install
+ * PoCL when there is none. Must be called before any fork; kernels are cached in POCL_CACHE_DIR /
+ * XDG_CACHE_HOME. dev_close it. */
 enum err_code dev_open(const char *want, struct dev *out, struct err *e) ERR_USE;
 void dev_close(struct dev *d);
 

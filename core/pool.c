@@ -5,6 +5,8 @@
 #include "core/pool.h"
 
 #include <pthread.h>
+#include <stdio.h>
+#include <stdlib.h>
 #include <unistd.h>
 
 #include "core/base.h"
@@ -44,8 +46,25 @@ static void *pool_worker(void *arg)
     }
 }
 
+static size_t pool_most; /* 0 = one a core */
+
+void pool_limit(size_t threads)
+{
+    char text[32];
+    pool_most = threads;
+    if (!threads)
+        return;
+    /* PoCL asks the machine, not the process, how many cores there are; what a user set stays.
+     * The first name is PoCL's up to 4, the second one's from 5 on. */
+    snprintf(text, sizeof text, "%zu", threads);
+    (void)setenv("POCL_MAX_PTHREAD_COUNT", text, 0);
+    (void)setenv("POCL_CPU_MAX_CU_COUNT", text, 0);
+}
+
 size_t pool_cores(void)
 {
+    if (pool_most)
+        return pool_most;
     long n = sysconf(_SC_NPROCESSORS_ONLN);
     return n > 0 ? (size_t)n : 1;
 }

@@ -16,7 +16,11 @@
 enum err_code pool_for(size_t n, size_t threads,
                        enum err_code (*fn)(void *user, size_t i, struct err *e), void *user,
                        struct err *e) ERR_USE;
-size_t pool_cores(void); /* online cores, at least 1 */
+/* Threads that 0 stands for: the limit if there is one, else the online cores; at least 1. */
+size_t pool_cores(void);
+/* Use at most this many threads (0 = no limit), here and in a CPU device that is opened afterwards.
+ * Call it before threads start. */
+void pool_limit(size_t threads);
 
 /* One background thread that runs fn(user) once; pool_join waits and frees. Used for prefetching.
  */

@@ -217,8 +217,10 @@ static void plan_svg_cells(const struct partition *p, const struct plan_frame *f
                    x, y, w, h, fills[i % 6], c->parent < 0 ? "0.25" : "0.06");
         buf_printf(b, "<text x=\"%.1f\" y=\"%.1f\" font-weight=\"bold\">%s%s</text>\n", x + 6,
                    y + 18, c->id, c->parent < 0 ? "" : " (background)");
-        buf_printf(b, "<text x=\"%.1f\" y=\"%.1f\">%zu + %zu photographs, %zu points</text>\n",
-                   x + 6, y + 34, c->n_location, c->n_images - c->n_location, c->n_points);
+        buf_printf(b, "<text x=\"%.1f\" y=\"%.1f\">%zu + %zu photographs</text>\n", x + 6, y + 34,
+                   c->n_location, c->n_images - c->n_location);
+        buf_printf(b, "<text x=\"%.1f\" y=\"%.1f\">%zu points</text>\n", x + 6, y + 50,
+                   c->n_points);
     }
 }
 

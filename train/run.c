@@ -3,6 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <errno.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -10,6 +11,7 @@
 
 #include <jansson.h>
 
+#include "train/jobs.h"
 #include "train/level.h"
 
 enum { RUN_LOOK_STEPS = 20, RUN_LINE_STEPS = 100 };
@@ -23,6 +25,7 @@ struct run {
     double start_s;
     uint64_t last_saved; /* steps of this process when the state was last saved */
     struct train_cell_result *result;
+    int lock_fd;
 };
 
 static enum err_code run_level_path(const struct run *t, uint32_t level, char *out, struct err *e)
@@ -82,11 +85,27 @@ static enum err_code run_is_done(struct run *t, bool *done, struct err *e)
 {
     char path[FILE_PATH_MAX];
     *done = false;
-    if (!t->cfg->resume || file_exists(t->resume_path))
+    struct train_cell_result was;
+    struct err why = {0};
+    if (!t->cfg->resume || file_exists(t->resume_path) || done_read(t->dir, &was, &why))
         return ERR_OK;
     enum err_code rc = run_level_path(t, t->level.n_levels, path, e);
-    if (!rc && file_exists(path))
+    if (!rc)
         rc = state_is_result_of(&t->level, path, done, e);
+    if (!rc && *done) {
+        *t->result = was;
+        t->result->was_done = true;
+    }
+    return rc;
+}
+
+/* What follows will not be what the done-file tells of. */
+static enum err_code run_forget_done(const struct run *t, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    enum err_code rc = file_join(path, t->dir, "done.json", e);
+    if (!rc && unlink(path) && errno != ENOENT)
+        rc = err_errno(e, ERR_IO, "%s: cannot be removed", path);
     return rc;
 }
 
@@ -269,6 +288,7 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
     if (!t)
         return err_set(e, ERR_MEM, "train: out of memory");
     t->job = job;
+    t->lock_fd = -1;
     t->cfg = job->cfg;
     t->start_s = clock_s();
     t->result = out;
@@ -287,8 +307,11 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
     if (!rc)
         rc = run_paths(t, job->base_dir, e);
     if (!rc)
+        rc = done_lock(t->dir, &t->lock_fd, e);
+    if (!rc)
         rc = run_is_done(t, &done, e);
-    out->was_done = done;
+    if (!rc && !done)
+        rc = run_forget_done(t, e);
     if (rc || done)
         goto out;
     rc = run_start(t, e);
@@ -298,12 +321,15 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
         rc = run_open_record(t, e);
     if (!rc)
         rc = run_levels(t, e);
+    out->seconds = clock_s() - t->start_s;
+    if (!rc)
+        rc = done_write(t->dir, out, e);
     if (!rc)
         (void)unlink(t->resume_path); /* nothing is left to go on from */
-    out->seconds = clock_s() - t->start_s;
 out:
     level_close(&t->level);
     record_close(&t->level.record);
+    done_unlock(&t->lock_fd);
     mem_free(t);
     return rc;
 }

@@ -22,7 +22,8 @@ static const char *const state_stat_names[STATE_STATS] = {"stat_grad", "stat_abs
 
 /* Options that do not change the trajectory. */
 static const char *const state_free_options[] = {
-    "output", "cell", "device", "resume", "checkpoint_interval", "stop_after", "cache_mib", NULL,
+    "output",     "cell",      "device", "jobs", "threads", "list", "resume", "checkpoint_interval",
+    "stop_after", "cache_mib", NULL,
 };
 
 static bool state_is_free(const char *key)
@@ -47,6 +48,9 @@ static json_t *state_meta(const struct level *l, const char *kind, struct err *e
     json_t *config = NULL;
     if (options_to_json(train_options(), l->cfg, &config, e))
         return NULL;
+    /* What cannot change the result must not change its bytes either. */
+    for (const char *const *k = state_free_options; *k; k++)
+        json_object_del(config, *k);
     const struct schedule *s = &l->schedule[l->at < l->n_levels ? l->at : l->n_levels - 1];
     json_t *o = json_pack(
         "{s:s, s:s, s:s, s:i, s:i, s:i, s:i, s:I, s:I, s:I, s:f, s:f, s:f, s:[f,f,f,f], s:o}",

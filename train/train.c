@@ -4,6 +4,7 @@
  */
 #include <string.h>
 
+#include "core/pool.h"
 #include "train/level.h"
 
 static const struct options_def train_defs[] = {
@@ -54,14 +55,101 @@ enum err_code train_images(struct scene *s, enum scene_split split, bool test_sp
     return ERR_OK;
 }
 
-/* ---- cells
- * ------------------------------------------------------------------------------------------- */
+/* ---- the scene and its cells
+ * --------------------------------------------------------------------------- */
+
+enum err_code train_scene_open(const char *dir, const struct train_config *cfg,
+                               struct train_scene *out, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    *out = (struct train_scene){.cfg = cfg, .dir = dir};
+    enum err_code rc = scene_read(dir, &out->scene, e);
+    if (!rc)
+        rc = file_join(path, dir, "plan.json", e);
+    if (!rc && file_exists(path))
+        rc = plan_read(path, &out->scene, &out->plan, e);
+    else if (!rc && cfg->cell)
+        rc = err_set(e, ERR_NOENT, "%s: --cell needs a plan; `citysplat plan %s` makes it", path,
+                     dir);
+    if (rc)
+        return rc;
+    size_t n = out->plan.n_cells ? out->plan.n_cells : 1;
+    out->cells = mem_array(n, sizeof(*out->cells));
+    if (!out->cells)
+        return err_set(e, ERR_MEM, "train: out of memory for %zu cells", n);
+    for (size_t i = 0; i < n; i++) {
+        const struct partition_cell *c = out->plan.n_cells ? &out->plan.cells[i] : NULL;
+        if (!c || (c->parent < 0 && (!cfg->cell || !strcmp(cfg->cell, c->id))))
+            out->cells[out->n_cells++] = i;
+    }
+    if (out->n_cells)
+        return ERR_OK;
+    return cfg->cell ? err_set(e, ERR_ARG, "--cell: %s/plan.json has no trained cell '%s'", dir,
+                               cfg->cell)
+                     : err_set(e, ERR_DATA,
+                               "%s/plan.json: no cell has photographs enough to be trained", dir);
+}
+
+void train_scene_close(struct train_scene *s)
+{
+    mem_free(s->cells);
+    partition_free(&s->plan);
+    scene_free(&s->scene);
+}
+
+/* The photographs of a planned cell that train, those by location first; and the test photographs
+ * taken from inside it. */
+static enum err_code train_planned(struct train_scene *s, size_t index, struct run_cell *job,
+                                   struct err *e)
+{
+    const struct partition_cell *c = &s->plan.cells[index];
+    size_t n_location = 0, n = 0, n_test = 0;
+    uint32_t *images = arena_get(&s->scene.arena, c->n_images + 1, sizeof(*images));
+    if (!images)
+        return err_set(e, ERR_MEM, "%s: out of memory for %zu photographs", s->dir, c->n_images);
+    for (size_t i = 0; i < c->n_images; i++) {
+        if (s->cfg->test_split && s->scene.images[c->images[i]].split == SCENE_TEST)
+            continue;
+        images[n++] = c->images[i];
+        n_location += i < c->n_location;
+    }
+    job->images = images;
+    job->n_images = n;
+    cell_planned(&s->scene, &s->plan, index, images, n_location ? n_location : n, &job->cell);
+    for (size_t i = 0; i < job->n_test; i++) {
+        double at[3];
+        camera_center(&s->scene.images[job->test_images[i]].cam, at);
+        if (cell_distance(&job->cell, at[0], at[1]) <= 0.0)
+            job->test_images[n_test++] = job->test_images[i];
+    }
+    job->n_test = n_test;
+    return ERR_OK;
+}
+
+enum err_code train_scene_cell(struct train_scene *s, size_t index, struct run_cell *job,
+                               struct err *e)
+{
+    uint32_t *images;
+    enum err_code rc =
+        train_images(&s->scene, SCENE_TEST, s->cfg->test_split, &job->test_images, &job->n_test, e);
+    if (!rc && s->plan.n_cells) {
+        rc = train_planned(s, index, job, e);
+    } else if (!rc) {
+        rc = train_images(&s->scene, SCENE_TRAIN, s->cfg->test_split, &images, &job->n_images, e);
+        job->images = images;
+        if (!rc && job->n_images)
+            cell_whole(&s->scene, images, job->n_images, &job->cell);
+    }
+    if (!rc && !job->n_images)
+        rc = err_set(e, ERR_DATA, "%s: no photographs to train on", s->dir);
+    return rc && s->plan.n_cells > 1 ? err_add(e, "cell %s", s->plan.cells[index].id) : rc;
+}
+
+/* ---- running them
+ * ------------------------------------------------------------------------------------- */
 
 struct train { /* everything that lives as long as the run */
-    const struct train_config *cfg;
-    const char *scene_dir;
-    struct scene scene;
-    struct partition plan; /* n_cells 0: none, the scene is one cell */
+    struct train_scene scene;
     struct dev dev;
     bool dev_is_open;
     struct render *render;
@@ -69,19 +157,14 @@ struct train { /* everything that lives as long as the run */
     uint64_t steps; /* in this process, over all cells */
 };
 
-static enum err_code train_open(struct train *t, struct err *e)
+static enum err_code train_open(struct train *t, const char *scene_dir,
+                                const struct train_config *cfg, struct err *e)
 {
-    char path[FILE_PATH_MAX];
-    enum err_code rc = scene_read(t->scene_dir, &t->scene, e);
+    enum err_code rc = train_scene_open(scene_dir, cfg, &t->scene, e);
     if (!rc)
-        rc = file_join(path, t->scene_dir, "plan.json", e);
-    if (!rc && file_exists(path))
-        rc = plan_read(path, &t->scene, &t->plan, e);
-    else if (!rc && t->cfg->cell)
-        rc = err_set(e, ERR_NOENT, "%s: --cell needs a plan; `citysplat plan %s` makes it", path,
-                     t->scene_dir);
+        pool_limit((size_t)cfg->threads);
     if (!rc)
-        rc = dev_open(t->cfg->device, &t->dev, e);
+        rc = dev_open(cfg->device, &t->dev, e);
     if (rc)
         return rc;
     t->dev_is_open = true;
@@ -95,91 +178,37 @@ static void train_close(struct train *t)
     render_close(&t->render);
     if (t->dev_is_open)
         dev_close(&t->dev);
-    partition_free(&t->plan);
-    scene_free(&t->scene);
+    train_scene_close(&t->scene);
 }
 
-/* The photographs of a planned cell that train, those by location first; and the test photographs
- * taken from inside it. */
-static enum err_code train_planned(struct train *t, size_t index, struct run_cell *job,
-                                   struct err *e)
-{
-    const struct partition_cell *c = &t->plan.cells[index];
-    size_t n_location = 0, n = 0, n_test = 0;
-    uint32_t *images = arena_get(&t->scene.arena, c->n_images + 1, sizeof(*images));
-    if (!images)
-        return err_set(e, ERR_MEM, "%s: out of memory for %zu photographs", t->scene_dir,
-                       c->n_images);
-    for (size_t i = 0; i < c->n_images; i++) {
-        if (t->cfg->test_split && t->scene.images[c->images[i]].split == SCENE_TEST)
-            continue;
-        images[n++] = c->images[i];
-        n_location += i < c->n_location;
-    }
-    job->images = images;
-    job->n_images = n;
-    cell_planned(&t->scene, &t->plan, index, images, n_location ? n_location : n, &job->cell);
-    for (size_t i = 0; i < job->n_test; i++) {
-        double at[3];
-        camera_center(&t->scene.images[job->test_images[i]].cam, at);
-        if (cell_distance(&job->cell, at[0], at[1]) <= 0.0)
-            job->test_images[n_test++] = job->test_images[i];
-    }
-    job->n_test = n_test;
-    return ERR_OK;
-}
-
-/* index: of the plan's cells; ignored without a plan. */
 static enum err_code train_cell(struct train *t, size_t index, struct train_cell_result *out,
                                 struct err *e)
 {
-    uint32_t *images;
+    struct train_scene *s = &t->scene;
     struct run_cell job = {
-        .cfg = t->cfg,
-        .base_dir = t->cfg->output ? t->cfg->output : t->scene_dir,
-        .scene = &t->scene,
+        .cfg = s->cfg,
+        .base_dir = s->cfg->output ? s->cfg->output : s->dir,
+        .scene = &s->scene,
         .dev = &t->dev,
         .render = t->render,
         .loss = t->loss,
         .steps = &t->steps,
     };
-    enum err_code rc =
-        train_images(&t->scene, SCENE_TEST, t->cfg->test_split, &job.test_images, &job.n_test, e);
-    if (!rc && t->plan.n_cells) {
-        rc = train_planned(t, index, &job, e);
-    } else if (!rc) {
-        rc = train_images(&t->scene, SCENE_TRAIN, t->cfg->test_split, &images, &job.n_images, e);
-        job.images = images;
-        if (!rc && job.n_images)
-            cell_whole(&t->scene, images, job.n_images, &job.cell);
-    }
-    if (!rc && !job.n_images)
-        rc = err_set(e, ERR_DATA, "%s: no photographs to train on", t->scene_dir);
-    if (!rc)
-        rc = run_cell(&job, out, e);
-    return rc && t->plan.n_cells > 1 ? err_add(e, "cell %s", t->plan.cells[index].id) : rc;
+    enum err_code rc = train_scene_cell(s, index, &job, e);
+    if (rc)
+        return rc;
+    rc = run_cell(&job, out, e);
+    return rc && s->plan.n_cells > 1 ? err_add(e, "cell %s", s->plan.cells[index].id) : rc;
 }
 
 static enum err_code train_cells(struct train *t, struct train_result *out, struct err *e)
 {
-    size_t n = t->plan.n_cells ? t->plan.n_cells : 1;
     enum err_code rc = ERR_OK;
-    out->cells = mem_array(n, sizeof(*out->cells));
+    out->cells = mem_array(t->scene.n_cells, sizeof(*out->cells));
     if (!out->cells)
-        return err_set(e, ERR_MEM, "train: out of memory for %zu cells", n);
-    for (size_t i = 0; !rc && i < n; i++) {
-        const struct partition_cell *c = t->plan.n_cells ? &t->plan.cells[i] : NULL;
-        if (c && (c->parent >= 0 || (t->cfg->cell && strcmp(t->cfg->cell, c->id))))
-            continue;
-        rc = train_cell(t, i, &out->cells[out->n_cells], e);
-        out->n_cells++;
-    }
-    if (!rc && !out->n_cells)
-        rc = t->cfg->cell ? err_set(e, ERR_ARG, "--cell: %s/plan.json has no trained cell '%s'",
-                                    t->scene_dir, t->cfg->cell)
-                          : err_set(e, ERR_DATA,
-                                    "%s/plan.json: no cell has photographs enough to be trained",
-                                    t->scene_dir);
+        return err_set(e, ERR_MEM, "train: out of memory for %zu cells", t->scene.n_cells);
+    for (size_t i = 0; !rc && i < t->scene.n_cells; i++)
+        rc = train_cell(t, t->scene.cells[i], &out->cells[out->n_cells++], e);
     return rc;
 }
 
@@ -191,9 +220,7 @@ enum err_code train_run(const char *scene_dir, const struct train_config *cfg,
     *out = (struct train_result){0};
     if (!t)
         return err_set(e, ERR_MEM, "train: out of memory");
-    t->cfg = cfg;
-    t->scene_dir = scene_dir;
-    enum err_code rc = train_open(t, e);
+    enum err_code rc = train_open(t, scene_dir, cfg, e);
     if (!rc)
         rc = train_cells(t, out, e);
     out->seconds = clock_s() - start_s;

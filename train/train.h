@@ -10,6 +10,7 @@
  * 2024, for the budgets; 3D Gaussian Splatting, Kerbl 2023, for the rest). Files of a cell:
  *   cells/<id>/level<k>.ckpt   the result of level k: Gaussians, no optimiser state
  *   cells/<id>/resume.ckpt     everything, while the cell is unfinished
+ *   cells/<id>/done.json       written last
  *   cells/<id>/metrics.jsonl, config.jsonc
  * Without a plan.json (train/partition.h) the scene is one cell, "all".
  *

@@ -1,0 +1,111 @@
+#!/bin/sh
+# Cells as jobs, through the program: one process, several processes, job array with a dependent merge; what
+# happens when a job fails, is stopped, or is started twice. Results must be the same bytes whichever way.
+#
+# SPDX-License-Identifier: Apache-2.0
+bin=${CITYSPLAT_BIN:?set it to the citysplat program}
+top=$(cd "$(dirname "$0")/.." && pwd)
+work=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-jobs-XXXXXX") || exit 1
+trap 'rm -rf "$work"' EXIT
+failed=0
+check() { # NAME CONDITION...
+    name=$1
+    shift
+    if "$@" >"$work/check" 2>&1; then
+        echo "ok   $name"
+    else
+        failed=$((failed + 1))
+        echo "FAIL $name: $*"
+        sed 's/^/  | /' "$work/check" "$work/log" | tail -20
+    fi
+}
+said() { grep -Eq -- "$1" "$work/log"; }
+same_levels() { # DIR-A DIR-B: the levels of all cells, byte by byte
+    for f in "$1"/cells/*/level?.ckpt; do cmp "$f" "$2/${f#"$1"/}" || return 1; done
+    [ "$(ls "$1"/cells/*/level?.ckpt | wc -l)" = 10 ]
+}
+
+"$bin" synth -o "$work/city" --photos 24 --width-px 64 --height-px 48 --extent-m 120 --points 1200 >"$work/log" 2>&1 &&
+    "$bin" ingest "$work/city/images" "$work/city/sparse" -o "$work/scene" --min-points 8 >>"$work/log" 2>&1 &&
+    "$bin" plan "$work/scene" --edge-m 70 --images-few 6 --images-least 3 >>"$work/log" 2>&1 ||
+    { cat "$work/log"; exit 1; }
+short="--iterations 40 --level-count 2 --budget-2 1500 --budget-3 1800"
+train() { "$bin" train "$work/scene" $short "$@" >"$work/log" 2>&1; }
+
+check 'the picture of the plan shows cells, cameras and points' sh -c \
+    "grep -c '<rect' $work/scene/plan.svg | grep -qv '^0' && [ \$(grep -c '<line' $work/scene/plan.svg) = 24 ] &&
+     [ \$(grep -c 'r=\"0.8\"' $work/scene/plan.svg) -gt 100 ]"
+"$bin" train "$work/scene" $short --list >"$work/list" 2>"$work/log"
+n=$(wc -l <"$work/list")
+check 'the list has a line a cell' [ "$n" = 5 ]
+check 'all are new' [ "$(cut -f2 "$work/list" | sort -u)" = new ]
+second=$(sed -n 2p "$work/list" | cut -f1)
+
+check 'one process' train -o "$work/serial"
+check 'four processes' train -o "$work/jobs" --jobs 4
+check 'the same bytes' same_levels "$work/serial" "$work/jobs"
+check 'done is listed' sh -c "[ \"\$('$bin' train '$work/scene' $short -o '$work/jobs' --list | cut -f2 | sort -u)\" = done ]"
+check 'again: nothing to do' train -o "$work/jobs" --jobs 4 --resume
+check 'says so' [ "$(grep -c 'complete already' "$work/jobs"/cells/*/train.log | grep -c ':1$')" = "$n" ]
+check 'the table is whole' [ "$(grep -c ' of 2 ' "$work/log")" = $((2 * n)) ]
+
+# A file that cannot be put in place fails one cell; the others are trained, and the rest is done later.
+mkdir -p "$work/fail/cells/$second/level1.ckpt"
+train -o "$work/fail" --jobs 3
+check 'a failure is an exit code' [ $? = 1 ]
+check 'names the cell' said "error: cell $second: .*level1.ckpt"
+check 'and counts the others' said "$((n - 1)) of $n cells are complete"
+check 'one error line' [ "$(grep -c 'citysplat train: error:' "$work/log")" = 1 ]
+rmdir "$work/fail/cells/$second/level1.ckpt"
+cut -f1 "$work/list" | xargs -P 3 -I{} "$bin" train "$work/scene" $short -o "$work/fail" --resume --threads 1 --cell {} >"$work/log" 2>&1
+check 'the rest later, by a list for parallel or xargs' [ $? = 0 ]
+check 'is the same' same_levels "$work/serial" "$work/fail"
+
+# A result that lost bytes is not complete.
+: >"$work/fail/cells/$second/level2.ckpt"
+check 'a damaged result is trained again' train -o "$work/fail" --jobs 2 --resume
+check 'and is the same again' same_levels "$work/serial" "$work/fail"
+
+# A stop reaches every child; nothing is lost and nothing is left running.
+"$bin" train "$work/scene" --level-count 1 --iterations 900000 -o "$work/stop" --jobs 2 --threads 2 --budget-3 1500 \
+    >"$work/log" 2>&1 &
+parent=$!
+for _ in $(seq 300); do
+    [ "$(cat "$work"/stop/cells/*/metrics.jsonl 2>/dev/null | grep -c '"start"')" = 2 ] && break
+    sleep 0.1
+done
+kill -TERM $parent # a background job of a script ignores SIGINT
+wait $parent
+check 'a stop ends it' said 'error: stopped: 0 of 5 cells are complete; .*--resume'
+check 'with states saved' [ "$(ls "$work"/stop/cells/*/resume.ckpt | wc -l)" = 2 ]
+check 'and no process left' sh -c "! ps ax -o args | grep -v grep | grep -q '$work/stop'"
+
+# The job array of configs/slurm on a make-believe Slurm that runs jobs at once, one of them twice at a time.
+mkdir "$work/path"
+ln -s "$bin" "$work/path/citysplat"
+cat >"$work/path/sbatch" <<'SBATCH'
+#!/bin/sh
+array=0 dep=
+while :; do
+    case $1 in
+        --parsable) ;;
+        --array=*) array=${1#--array=} ;;
+        --dependency=afterok:7) dep=ok ;;
+        *) break ;;
+    esac
+    shift
+done
+for i in $(seq "${array%-*}" "${array#*-}"); do
+    SLURM_ARRAY_TASK_ID=$i SLURM_CPUS_PER_TASK=1 sh "$@" >&2 || exit 1
+done
+[ "$array" = 0 ] && [ -z "$dep" ] && exit 1
+echo '7;cluster'
+SBATCH
+chmod +x "$work/path/sbatch"
+PATH="$work/path:$PATH" "$top/configs/slurm/submit.sh" "$work/scene" "$work/out.tiles" $short >"$work/log" 2>&1
+check 'job array and merge' [ $? = 0 ]
+check 'the same bytes as one process' same_levels "$work/serial" "$work/scene"
+check 'tiles were cut' "$bin" verify "$work/out.tiles"
+flock "$work/fail/cells/$second/lock" "$bin" train "$work/scene" $short -o "$work/fail" --cell "$second" >"$work/log" 2>&1
+check 'two processes keep out of one cell' said "cells/$second: another process trains this cell"
+[ $failed = 0 ] || { echo "$failed checks failed"; exit 1; }
