@@ -53,6 +53,10 @@ enum err_code image_read(const char *path, const struct codec_limits *lim, struc
 /* Size and EXIF only, without decoding pixels. Either output may be NULL. */
 enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *height_px,
                               struct image_gps *gps, struct err *e) ERR_USE;
+/* First channel as floats, [h][w]: 8- and 16-bit files as 0..1, float files (.pfm .tif .exr) as
+ * they are. For maps, not photographs. *data is allocated; mem_free it. Errors as image_read. */
+enum err_code image_read_map(const char *path, const struct codec_limits *lim, uint32_t *width_px,
+                             uint32_t *height_px, float **data, struct err *e) ERR_USE;
 /* By extension: .jpg .png .webp .tif. quality 1..100 for jpg and webp (0 = 95; jpg >= 95 writes
  * 4:4:4). gps (may be NULL) goes into EXIF. */
 enum err_code image_write(const char *path, const struct image *img, int quality,

@@ -125,6 +125,38 @@ try {
 }
 SHIM_CATCH("image_read")
 
+extern "C" enum err_code image_read_map(const char *path, const struct codec_limits *lim,
+                                        uint32_t *width_px, uint32_t *height_px, float **data,
+                                        struct err *e)
+try {
+    *data = nullptr;
+    enum err_code rc = ERR_OK;
+    std::unique_ptr<OIIO::ImageInput> in = open_input(path, &rc, e);
+    if (!in)
+        return rc;
+    const OIIO::ImageSpec s = in->spec();
+    size_t n = (size_t)s.width * (size_t)s.height;
+    size_t limit = lim && lim->max_pixels ? lim->max_pixels : CODEC_MAX_PIXELS;
+    if (n > limit)
+        return err_set(e, ERR_LIMIT, "image : %s : %d x %d pixels are more than the limit of %zu",
+                       path, s.width, s.height, limit);
+    float *px = static_cast<float *>(mem_array(n, sizeof(float)));
+    if (!px)
+        return err_set(e, ERR_MEM, "image : %s : out of memory for %zu pixels", path, n);
+    bool ok = in->read_image(0, 0, 0, 1, OIIO::TypeDesc::FLOAT, px);
+    std::string why = in->geterror();
+    if (!ok || !why.empty()) {
+        mem_free(px);
+        return err_set(e, ERR_FORMAT, "image : %s : damaged or truncated (%s)", path,
+                       first_line(why).c_str());
+    }
+    *width_px = (uint32_t)s.width;
+    *height_px = (uint32_t)s.height;
+    *data = px;
+    return ERR_OK;
+}
+SHIM_CATCH("image_read_map")
+
 extern "C" enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *height_px,
                                          struct image_gps *gps, struct err *e)
 try {

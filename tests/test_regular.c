@@ -8,6 +8,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "train/knn.h"
 #include "train/regular.h"
 
 #define FD_STEP 1e-6
@@ -248,6 +249,244 @@ static void filter_kernels_match_the_reference(void **state)
     check_filter_kernels(1);
 }
 
+/* ---- depth
+ * -------------------------------------------------------------------------------------- */
+
+/* backward_kit.h has a struct scene of its own: what depth needs of it. */
+struct depth_case {
+    struct scene s;
+    struct depth_input in;
+    float *target;
+};
+
+/* A target well away from the picture, unknown in every fifth pixel: signs do not change. */
+static struct depth_case depth_case_make(uint64_t seed, size_t n, bool hard)
+{
+    struct depth_case c = {.s = scene_make(seed, n, RENDER_AA_2D, 1)};
+    struct err e = {0};
+    size_t pixels = (size_t)PX_W * PX_H;
+    double loss, *depth = mem_array(pixels, sizeof(*depth));
+    c.target = mem_array(pixels, sizeof(*c.target));
+    assert_true(depth && c.target);
+    c.in = (struct depth_input){.cam = &c.s.cam,
+                                .options = c.s.o,
+                                .target = c.target,
+                                .unit_m = 2.5,
+                                .n_known = pixels,
+                                .weight = 0.5,
+                                .hard = hard};
+    kit_ok(depth_ref_loss(&c.s.g, &c.in, depth, &loss, &e), e);
+    for (size_t i = 0; i < pixels; i++) {
+        double away = rng_unit(seed, 99, i) < 0.5 ? 0.4 : -0.4;
+        c.target[i] = i % 5 ? (float)fmax(depth[i] + away, 0.0) : -1.0f;
+        if (i % 5 && fabs((double)c.target[i] - depth[i]) < 0.05)
+            c.target[i] = (float)(depth[i] + 0.4);
+    }
+    mem_free(depth);
+    return c;
+}
+
+static void depth_case_free(struct depth_case *c)
+{
+    mem_free(c->target);
+    scene_free(&c->s);
+}
+
+static double depth_loss_of(struct depth_case *c)
+{
+    static double depth[PX_W * PX_H];
+    double loss;
+    struct err e = {0};
+    c->in.cam = &c->s.cam;
+    kit_ok(depth_ref_loss(&c->s.g, &c->in, depth, &loss, &e), e);
+    return loss;
+}
+
+/* Fourth-order difference at two steps; false where they disagree: a splat crossed 1/255 there. */
+static bool depth_differ(struct depth_case *c, float *p, double *out)
+{
+    const float keep = *p;
+    double d[2];
+    for (int k = 0; k < 2; k++) {
+        double h = ldexp(1, -14 - k), f[4];
+        for (int j = 0; j < 4; j++) {
+            *p = (float)((double)keep + (j < 2 ? j - 2 : j - 1) * h);
+            f[j] = depth_loss_of(c);
+        }
+        d[k] = (8 * (f[2] - f[1]) - (f[3] - f[0])) / (12 * h);
+    }
+    *p = keep;
+    *out = d[1];
+    return fabs(d[0] - d[1]) <= 1e-7 + 1e-5 * fabs(d[1]);
+}
+
+static void depth_reference_matches_differences(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    for (int hard = 0; hard < 2; hard++) {
+        struct depth_case c = depth_case_make(51, 6, hard);
+        struct grads want = grads_make(&c.s.g);
+        size_t skipped = 0, all = 0;
+        c.in.cam = &c.s.cam;
+        kit_ok(depth_ref_grads(&c.s.g, &c.in, &want.r, &e), e);
+        for (size_t part = 0; part < (hard ? 3u : 4u); part++) { /* opacity of hard: see below */
+            double *fd = mem_array(want.count[part], sizeof(*fd));
+            assert_non_null(fd);
+            for (size_t i = 0; i < want.count[part]; i++, all++)
+                if (!depth_differ(&c, &part_of(&c.s.g, part)[i], &fd[i])) {
+                    fd[i] = want.part[part][i];
+                    skipped++;
+                }
+            kit_near_d(backward_part[part], want.part[part], fd, want.count[part],
+                       1e-6 * rms(fd, want.count[part]) + 1e-9, 1e-5);
+            mem_free(fd);
+        }
+        assert_true(skipped * 3 < all);
+        mem_free(want.block);
+        depth_case_free(&c);
+    }
+}
+
+/* Straight through: dL/do of the hard pass is that of a soft pass in which all have DEPTH_HARD. */
+static void opacity_of_the_hard_pass_goes_straight_through(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct depth_case hard = depth_case_make(52, 9, true), soft = depth_case_make(52, 9, true);
+    struct grads h = grads_make(&hard.s.g), s = grads_make(&soft.s.g);
+    soft.in.hard = false;
+    soft.in.target = hard.target;
+    soft.in.cam = &soft.s.cam;
+    hard.in.cam = &hard.s.cam;
+    for (size_t i = 0; i < soft.s.g.n; i++)
+        soft.s.g.opacity_logit[i] = (float)log(DEPTH_HARD / (1.0 - DEPTH_HARD));
+    kit_ok(depth_ref_grads(&hard.s.g, &hard.in, &h.r, &e), e);
+    kit_ok(depth_ref_grads(&soft.s.g, &soft.in, &s.r, &e), e);
+    double largest = 0.0;
+    for (size_t i = 0; i < hard.s.g.n; i++) {
+        double o = 1.0 / (1.0 + exp(-(double)hard.s.g.opacity_logit[i]));
+        double want = s.r.opacity_logit[i] / (DEPTH_HARD * (1.0 - DEPTH_HARD)) * o * (1.0 - o);
+        assert_true(fabs(h.r.opacity_logit[i] - want) <= 1e-12 + 1e-6 * fabs(want));
+        largest = fmax(largest, fabs(want));
+    }
+    assert_true(largest > 1e-6);
+    mem_free(h.block);
+    mem_free(s.block);
+    depth_case_free(&hard);
+    depth_case_free(&soft);
+}
+
+static void check_depth_kernels(uint32_t width, bool hard)
+{
+    struct depth_case c = depth_case_make(53, 70, hard);
+    struct grads want = grads_make(&c.s.g);
+    struct render *r = NULL;
+    struct render_model m = {0};
+    struct depth *d = NULL;
+    struct err e = {0};
+    cl_mem extra = NULL;
+    double loss;
+    uint32_t own = dev_get()->vector_width;
+    c.in.cam = &c.s.cam;
+    /* Pixels near a threshold may be decided differently in float: make them unknown. */
+    struct scene twin = scene_make(53, 70, RENDER_AA_2D, 1);
+    for (size_t i = 0; hard && i < twin.g.n; i++)
+        twin.g.opacity_logit[i] = (float)log(DEPTH_HARD / (1.0 - DEPTH_HARD));
+    (void)clear_ambiguous(&twin);
+    for (size_t i = 0; i < (size_t)PX_W * PX_H; i++)
+        if (twin.rgb_grad[3 * i] == 0.0)
+            c.target[i] = -1.0f;
+    scene_free(&twin);
+    kit_ok(depth_ref_grads(&c.s.g, &c.in, &want.r, &e), e);
+    kit_ok(render_open(dev_get(), &r, &e), e);
+    kit_ok(render_model_upload(r, &c.s.g, &m, &e), e);
+    size_t floats = (size_t)m.groups * 11 * 16;
+    kit_ok(dev_buffer(dev_get(), floats * sizeof(float), NULL, &extra, &e), e);
+    kit_ok(dev_zero(dev_get(), extra, 0, floats * sizeof(float), &e), e);
+    dev_get()->vector_width = width ? width : own;
+    enum err_code rc = depth_open(dev_get(), &d, &e);
+    dev_get()->vector_width = own;
+    kit_ok(rc, e);
+    for (int k = 0; k < 2; k++) /* added, not written: twice the gradient */
+        kit_ok(depth_run(d, r, &m, &c.in, extra, &e), e);
+    kit_ok(depth_read(d, &loss, &e), e);
+    double expected = depth_loss_of(&c);
+    assert_true(fabs(loss - expected) < 1e-4 * expected);
+    float *got = floats_read(extra, floats);
+    static const size_t first[4] = {0, 3, 6, 10}, planes[4] = {3, 3, 4, 1};
+    for (size_t part = 0; part < 4; part++) {
+        float *v = mem_array(want.count[part], sizeof(*v));
+        assert_non_null(v);
+        for (size_t i = 0; i < want.count[part]; i++) {
+            size_t row = i / planes[part], p = first[part] + i % planes[part];
+            v[i] = 0.5f * got[(row / 16 * 11 + p) * 16 + row % 16];
+        }
+        kit_near(backward_part[part], v, want.part[part], want.count[part],
+                 2e-3 * rms(want.part[part], want.count[part]), 2e-3);
+        mem_free(v);
+    }
+    mem_free(got);
+    dev_release(&extra);
+    depth_close(&d);
+    render_model_free(&m);
+    render_close(&r);
+    mem_free(want.block);
+    depth_case_free(&c);
+}
+
+static void depth_kernels_match_the_reference(void **state)
+{
+    (void)state;
+    for (int hard = 0; hard < 2; hard++)
+        for (uint32_t width = 0; width < 2; width++)
+            check_depth_kernels(width, hard);
+}
+
+/* ---- neighbours
+ * --------------------------------------------------------------------------------- */
+
+static void neighbours_are_exact(void **state)
+{
+    (void)state;
+    enum { N = 700, K = 16 };
+    static float xyz[3 * N];
+    struct knn t;
+    struct err e = {0};
+    for (size_t i = 0; i < 3 * N; i++) /* on a coarse grid: many equal distances and places */
+        xyz[i] = floorf((float)(6.0 * rng_unit(61, 1, i)));
+    kit_ok(knn_build(xyz, N, &t, &e), e);
+    for (uint32_t i = 0; i < N; i++) {
+        uint32_t ids[K];
+        float dist2[K];
+        uint32_t skip = i % 2 ? i : KNN_NOBODY;
+        assert_int_equal(knn_find(&t, xyz + 3 * i, skip, K, ids, dist2), K);
+        bool taken[N] = {false};
+        for (size_t k = 0; k < K; k++) { /* the k-th by brute force, lower ids first */
+            uint32_t best = KNN_NOBODY;
+            float least = INFINITY;
+            for (uint32_t j = 0; j < N; j++) {
+                float d = 0.0f;
+                for (size_t a = 0; a < 3; a++)
+                    d += (xyz[3 * j + a] - xyz[3 * i + a]) * (xyz[3 * j + a] - xyz[3 * i + a]);
+                if (j != skip && !taken[j] && d < least) {
+                    least = d;
+                    best = j;
+                }
+            }
+            taken[best] = true;
+            assert_int_equal(ids[k], best);
+            assert_true(dist2[k] == least);
+        }
+    }
+    knn_free(&t);
+    kit_ok(knn_build(xyz, 3, &t, &e), e); /* fewer than asked for */
+    uint32_t ids[K];
+    float dist2[K];
+    assert_int_equal(knn_find(&t, xyz, 0, K, ids, dist2), 2);
+    knn_free(&t);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -256,6 +495,10 @@ int main(void)
         cmocka_unit_test(folding_a_filter_has_the_right_derivatives),
         cmocka_unit_test(kernels_draw_the_folded_gaussians),
         cmocka_unit_test(filter_kernels_match_the_reference),
+        cmocka_unit_test(depth_reference_matches_differences),
+        cmocka_unit_test(opacity_of_the_hard_pass_goes_straight_through),
+        cmocka_unit_test(depth_kernels_match_the_reference),
+        cmocka_unit_test(neighbours_are_exact),
     };
     int failed = cmocka_run_group_tests(tests, NULL, NULL);
     dev_close(dev_get());

@@ -2,163 +2,51 @@
  * (3D Gaussian Splatting, Kerbl 2023, section 5.1), round, opacity 0.1, colour of the point in the
  * constant harmonic.
  *
- * Neighbours come from a balanced k-d tree laid out in an index array: the median of a range is its
- * node, the halves are its children, so the tree needs no memory of its own.
- *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <math.h>
 #include <string.h>
 
 #include "core/pool.h"
+#include "train/knn.h"
 #include "train/train.h"
 
 #define INIT_OPACITY 0.1
 #define INIT_DIST2_MIN_M2 1e-7 /* coincident points */
-enum { INIT_NEIGHBOURS = 3, INIT_RANDOM_POINTS = 100, INIT_LEAF = 8, INIT_CHUNK = 4096 };
+enum { INIT_NEIGHBOURS = 3, INIT_RANDOM_POINTS = 100, INIT_CHUNK = 4096 };
 
 /* ---- nearest neighbours ---------------------------------------------------------------------- */
 
-struct init_tree {
-    const float *xyz; /* [n][3] */
-    uint32_t *order;  /* [n] */
-    uint8_t *axis;    /* [n]: split axis of the node at that place of `order` */
-    size_t n;
+struct init_search {
+    struct knn tree;
     float *dist2;
 };
-
-static int init_widest_axis(const struct init_tree *t, size_t a, size_t b)
-{
-    float lo[3] = {INFINITY, INFINITY, INFINITY}, hi[3] = {-INFINITY, -INFINITY, -INFINITY};
-    for (size_t i = a; i < b; i++)
-        for (int k = 0; k < 3; k++) {
-            float v = t->xyz[3 * t->order[i] + k];
-            lo[k] = fminf(lo[k], v);
-            hi[k] = fmaxf(hi[k], v);
-        }
-    int best = 0;
-    for (int k = 1; k < 3; k++)
-        if (hi[k] - lo[k] > hi[best] - lo[best])
-            best = k;
-    return best;
-}
-
-/* Hoare's selection: afterwards order[m] is the one that sorting [a, b) would put there. */
-static void init_select(struct init_tree *t, size_t a, size_t b, size_t m, int axis)
-{
-    ptrdiff_t lo = (ptrdiff_t)a, hi = (ptrdiff_t)b - 1;
-    while (lo < hi) {
-        float pivot = t->xyz[3 * t->order[lo + (hi - lo) / 2] + axis];
-        ptrdiff_t i = lo, j = hi;
-        while (i <= j) {
-            while (t->xyz[3 * t->order[i] + axis] < pivot)
-                i++;
-            while (t->xyz[3 * t->order[j] + axis] > pivot)
-                j--;
-            if (i <= j) {
-                uint32_t swap = t->order[i];
-                t->order[i++] = t->order[j];
-                t->order[j--] = swap;
-            }
-        }
-        if ((ptrdiff_t)m <= j)
-            hi = j;
-        else if ((ptrdiff_t)m >= i)
-            lo = i;
-        else
-            return;
-    }
-}
-
-static void init_build(struct init_tree *t, size_t a, size_t b)
-{
-    while (b - a > INIT_LEAF) {
-        size_t m = a + (b - a) / 2;
-        int axis = init_widest_axis(t, a, b);
-        init_select(t, a, b, m, axis);
-        t->axis[m] = (uint8_t)axis;
-        init_build(t, a, m); /* recursion on one half: depth is log2 n */
-        a = m + 1;
-    }
-}
-
-struct init_query {
-    const float *p;
-    uint32_t self;
-    float best[INIT_NEIGHBOURS]; /* ascending */
-};
-
-static void init_offer(const struct init_tree *t, uint32_t id, struct init_query *q)
-{
-    if (id == q->self)
-        return;
-    const float *v = t->xyz + 3 * (size_t)id;
-    float dx = v[0] - q->p[0], dy = v[1] - q->p[1], dz = v[2] - q->p[2];
-    float d = dx * dx + dy * dy + dz * dz;
-    for (int k = 0; k < INIT_NEIGHBOURS; k++)
-        if (d < q->best[k]) {
-            float old = q->best[k];
-            q->best[k] = d;
-            d = old;
-        }
-}
-
-static void init_search(const struct init_tree *t, size_t a, size_t b, struct init_query *q)
-{
-    while (b - a > INIT_LEAF) {
-        size_t m = a + (b - a) / 2;
-        uint32_t id = t->order[m];
-        int axis = t->axis[m];
-        float gap = q->p[axis] - t->xyz[3 * (size_t)id + axis];
-        size_t near_a = gap < 0.0f ? a : m + 1, near_b = gap < 0.0f ? m : b;
-        size_t far_a = gap < 0.0f ? m + 1 : a, far_b = gap < 0.0f ? b : m;
-        init_offer(t, id, q);
-        init_search(t, near_a, near_b, q);
-        if (gap * gap >= q->best[INIT_NEIGHBOURS - 1])
-            return;
-        a = far_a;
-        b = far_b;
-    }
-    for (size_t i = a; i < b; i++)
-        init_offer(t, t->order[i], q);
-}
 
 static enum err_code init_search_chunk(void *user, size_t chunk, struct err *e)
 {
     (void)e;
-    struct init_tree *t = user;
-    size_t end = (chunk + 1) * INIT_CHUNK < t->n ? (chunk + 1) * INIT_CHUNK : t->n;
+    struct init_search *s = user;
+    size_t n = s->tree.n, end = (chunk + 1) * INIT_CHUNK < n ? (chunk + 1) * INIT_CHUNK : n;
     for (size_t i = chunk * INIT_CHUNK; i < end; i++) {
-        struct init_query q = {.p = t->xyz + 3 * i, .self = (uint32_t)i};
-        for (int k = 0; k < INIT_NEIGHBOURS; k++)
-            q.best[k] = INFINITY;
-        init_search(t, 0, t->n, &q);
+        uint32_t ids[INIT_NEIGHBOURS];
+        float dist2[INIT_NEIGHBOURS];
         double sum = 0.0;
-        int found = 0;
-        for (; found < INIT_NEIGHBOURS && isfinite(q.best[found]); found++)
-            sum += (double)q.best[found];
-        t->dist2[i] = found ? (float)(sum / found) : 0.0f;
+        size_t found =
+            knn_find(&s->tree, s->tree.xyz + 3 * i, (uint32_t)i, INIT_NEIGHBOURS, ids, dist2);
+        for (size_t k = 0; k < found; k++)
+            sum += (double)dist2[k];
+        s->dist2[i] = found ? (float)(sum / (double)found) : 0.0f;
     }
     return ERR_OK;
 }
 
 enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, struct err *e)
 {
-    struct init_tree t = {.xyz = xyz, .n = n, .dist2 = dist2};
-    enum err_code rc = ERR_OK;
-    t.order = mem_array(n, sizeof(*t.order));
-    t.axis = mem_array(n, 1);
-    if (!t.order || !t.axis) {
-        rc = err_set(e, ERR_MEM, "init: out of memory for %zu points", n);
-        goto out;
-    }
-    for (size_t i = 0; i < n; i++)
-        t.order[i] = (uint32_t)i;
-    init_build(&t, 0, n);
-    rc = pool_for((n + INIT_CHUNK - 1) / INIT_CHUNK, 0, init_search_chunk, &t, e);
-out:
-    mem_free(t.order);
-    mem_free(t.axis);
+    struct init_search s = {.dist2 = dist2};
+    enum err_code rc = knn_build(xyz, n, &s.tree, e);
+    if (!rc)
+        rc = pool_for((n + INIT_CHUNK - 1) / INIT_CHUNK, 0, init_search_chunk, &s, e);
+    knn_free(&s.tree);
     return rc;
 }
 

@@ -19,10 +19,13 @@
 /* A limit of size below the size at which Gaussians are split would keep them from being split. */
 #define REGULAR_SPLIT_ROOM 1.5
 enum { REGULAR_FILTER_STEPS = 100, REGULAR_PLANES = 11 };
+enum { REGULAR_PASS_BOTH, REGULAR_PASS_SOFT, REGULAR_PASS_HARD }; /* option depth_pass */
 
 struct regular {
     struct scale_loss *scale;
     struct mip *mip;
+    struct depth *depth;
+    struct depth_map *maps;
     cl_mem extra; /* float [groups][11][16] */
     size_t groups;
 };
@@ -34,6 +37,8 @@ void regular_free(struct regular **p)
         return;
     scale_loss_close(&r->scale);
     mip_close(&r->mip);
+    depth_close(&r->depth);
+    depth_map_close(&r->maps);
     dev_release(&r->extra);
     mem_free(r);
     *p = NULL;
@@ -90,6 +95,12 @@ static enum err_code regular_reserve(struct level *l, struct err *e)
     return ERR_OK;
 }
 
+static enum err_code regular_clear(struct level *l, struct err *e)
+{
+    size_t floats = (size_t)l->model.groups * REGULAR_PLANES * LAYOUT_LANES;
+    return dev_zero(l->dev, l->regular->extra, 0, floats * sizeof(float), e);
+}
+
 /* From the first opacity reset and one densification after it; later levels go on with it. */
 static bool regular_scale_acts(const struct level *l, uint32_t step)
 {
@@ -112,22 +123,77 @@ static enum err_code regular_scale(struct level *l, struct err *e)
     return rc ? rc : scale_loss_run(r->scale, &l->model, &in, r->extra, e);
 }
 
+static bool regular_depth_acts(const struct level *l, uint32_t step)
+{
+    const struct train_config *c = l->cfg;
+    return (c->depth_dir || c->depth_sparse) && c->depth_weight > 0.0 &&
+           step % (uint32_t)c->depth_interval == 0;
+}
+
+static enum err_code regular_depth_open(struct level *l, struct err *e)
+{
+    struct regular *r = l->regular;
+    struct depth_map_config maps = {.scene = l->scene,
+                                    .images = l->images,
+                                    .n_images = l->n_images,
+                                    .dir = l->cfg->depth_dir,
+                                    .sparse = l->cfg->depth_sparse};
+    enum err_code rc = r->maps ? ERR_OK : depth_map_open(&maps, &r->maps, e);
+    return rc || r->depth ? rc : depth_open(l->dev, &r->depth, e);
+}
+
+/* From depth_weight down to depth_weight_final over the level, exponentially. */
+static double regular_depth_weight(const struct level *l, uint32_t step)
+{
+    const struct train_config *c = l->cfg;
+    double t = fmin((double)step / (double)l->schedule[l->at].steps, 1.0);
+    if (!(c->depth_weight_final > 0.0))
+        return c->depth_weight * (1.0 - t);
+    return c->depth_weight * pow(c->depth_weight_final / c->depth_weight, t);
+}
+
+static enum err_code regular_depth(struct level *l, uint32_t step, const struct feed_photo *photo,
+                                   struct err *e)
+{
+    struct depth_target target = {0};
+    enum err_code rc = regular_depth_open(l, e);
+    if (!rc)
+        rc = depth_map_target(l->regular->maps, photo->image, &photo->cam, &target, e);
+    if (rc || !target.n_known)
+        return rc;
+    uint32_t turn = step / (uint32_t)l->cfg->depth_interval;
+    struct depth_input in = {
+        .cam = &photo->cam,
+        .options = level_render_options(l, step),
+        .target = target.t,
+        .unit_m = target.unit_m,
+        .n_known = target.n_known,
+        .weight = regular_depth_weight(l, step),
+        .hard = l->cfg->depth_pass == REGULAR_PASS_HARD ||
+                (l->cfg->depth_pass == REGULAR_PASS_BOTH && turn % 2),
+    };
+    return depth_run(l->regular->depth, l->render, &l->model, &in, l->regular->extra, e);
+}
+
 enum err_code regular_step(struct level *l, uint32_t step, const struct feed_photo *photo,
                            struct err *e)
 {
-    (void)photo;
-    bool scale = regular_scale_acts(l, step);
+    bool scale = regular_scale_acts(l, step), depth = regular_depth_acts(l, step);
     if (step % REGULAR_FILTER_STEPS == 0)
         l->filter_is_current = false;
     l->adam.extra_grad = NULL;
     enum err_code rc = regular_filter(l, e);
-    if (rc || !scale)
+    if (rc || (!scale && !depth))
         return rc;
     rc = regular_make(l, e);
     if (!rc)
         rc = regular_reserve(l, e);
-    if (!rc)
+    if (!rc && scale)
         rc = regular_scale(l, e);
+    else if (!rc)
+        rc = regular_clear(l, e);
+    if (!rc && depth)
+        rc = regular_depth(l, step, photo, e);
     if (!rc)
         l->adam.extra_grad = l->regular->extra;
     return rc;

@@ -70,4 +70,78 @@ void mip_fold_one(double f, double scale_log[3], double *opacity_logit);
 void mip_fold_grad(double f, const double scale_log[3], double opacity_logit, double g_scale[3],
                    double *g_opacity);
 
+/* ---- depth.c: pictures of inverse depth against what is known of it
+ * --------------------------------- */
+
+#define DEPTH_HARD                                                                                 \
+    0.9899 /* opacity of every Gaussian in the hard pass: just below the cut of alpha */
+
+struct depth_input {
+    const struct camera *cam;
+    struct render_options options; /* of the colours; degree and background are not used */
+    const float *target;           /* [h][w]: inverse depth times unit_m; below 0 = unknown */
+    double unit_m;  /* 1 / median inverse depth: the loss is without unit, at any scale */
+    size_t n_known; /* pixels over which the mean is taken */
+    double weight;
+    bool hard; /* every Gaussian with opacity o + stop_gradient(DEPTH_HARD - o) */
+};
+struct depth; /* compiled kernels, and a shadow of the model */
+enum err_code depth_open(struct dev *dev, struct depth **out, struct err *e) ERR_USE;
+void depth_close(struct depth **d);
+/* Enqueue: L = weight / n_known sum |D - target| over the known pixels, D = sum alpha T unit / z,
+ * its gradient added to extra, float [groups][11][16]. Draws a frame of r. */
+enum err_code depth_run(struct depth *d, struct render *r, const struct render_model *m,
+                        const struct depth_input *in, cl_mem extra, struct err *e) ERR_USE;
+enum err_code depth_read(struct depth *d, double *loss,
+                         struct err *e) ERR_USE; /* of the last run */
+/* In double. depth [h][w] is D; out->sh is that of the shadow and of no use. */
+enum err_code depth_ref_loss(const struct gauss *g, const struct depth_input *in, double *depth,
+                             double *loss, struct err *e) ERR_USE;
+enum err_code depth_ref_grads(const struct gauss *g, const struct depth_input *in,
+                              const struct render_ref_grads *out, struct err *e) ERR_USE;
+
+/* ---- depth_map.c: what is known of a photograph's depth
+ * --------------------------------------------- */
+
+struct scene;
+/* Why a map is not used; DEPTH_MAP_OK: it is. */
+enum depth_verdict {
+    DEPTH_MAP_OK,
+    DEPTH_MAP_MISSING, /* no file of that name */
+    DEPTH_MAP_FEW,     /* 10 good observations or fewer */
+    DEPTH_MAP_FLAT,    /* the points' inverse depths, or the map at them, hardly differ */
+    DEPTH_MAP_MISFIT,  /* falls where it should rise, or is off by a factor e^0.3 after alignment */
+    DEPTH_MAP_SCALE,   /* aligned by another scale than the other photographs' maps */
+    DEPTH_VERDICTS
+};
+extern const char *const depth_verdict_text[DEPTH_VERDICTS];
+/* Align a map to inverse depths x of n points, y the map there: x ~ a y + b by mean absolute
+ * deviations about medians, which outliers do not move far. */
+enum depth_verdict depth_align(const double *x, const double *y, size_t n, double *a, double *b);
+
+struct depth_map_config {
+    const struct scene *scene; /* borrowed, as is images */
+    const uint32_t *images;
+    size_t n_images;
+    const char *dir; /* NAME.npy, .png, .pfm or .tif of inverse depth, NAME with or without its own
+                      * ending; NULL: none */
+    bool sparse;     /* photographs without a map: the points that they observe */
+};
+struct depth_map; /* alignments of all maps, and the target of one photograph */
+/* Reads every map once. ERR_DATA when not one can be used, with the reason; depth_map_close it. */
+enum err_code depth_map_open(const struct depth_map_config *cfg, struct depth_map **out,
+                             struct err *e) ERR_USE;
+void depth_map_close(struct depth_map **d);
+size_t depth_map_count(const struct depth_map *d, enum depth_verdict v);
+
+struct depth_target {
+    const float
+        *t; /* [h][w] inverse depth times unit_m, below 0 = unknown; borrowed until the next */
+    double unit_m;  /* 1 / median inverse depth */
+    size_t n_known; /* over which the mean is taken; 0: nothing is known, t is NULL */
+};
+/* The target of a photograph seen by `cam`, that of the scene at any size. */
+enum err_code depth_map_target(struct depth_map *d, uint32_t image, const struct camera *cam,
+                               struct depth_target *out, struct err *e) ERR_USE;
+
 #endif

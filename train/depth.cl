@@ -1,0 +1,86 @@
+// The depth loss around an ordinary frame: Gaussians whose colour is their inverse depth, the loss
+// of the picture that they make, and the way of its gradients back to the trained Gaussians.
+//   depth_model  params -> shadow [groups][14][16]: planes 0-10 (opacity replaced in the hard
+//   pass),
+//                harmonics of degree 0 with red = unit / z
+//   depth_loss   color, target -> grad [3][h][w], pieces: |D - t| summed over a piece
+//   depth_add    grads of the shadow -> added to extra [groups][11][16]
+// z = row . mean + row.w with row the camera's third: the mean moves the colour too.
+// Reference: depth_ref.c.
+#define DEPTH_PIECES 256
+#define SH_C0 0.28209479177387814f
+#define SHADOW_PLANES 14
+#define DC 11
+
+inline V depth_of(__global const float *g, float4 row)
+{
+    return row.x * LD(g, 0) + (row.y * LD(g, 1) + (row.z * LD(g, 2) + row.w));
+}
+
+__kernel void depth_model(__global const float *params, uint planes, uint groups, float4 row,
+                          float unit, uint hard, float hard_logit, __global float *shadow)
+{
+    uint item = (uint)get_global_id(0), from = item * LAYOUT_PROJECT_GROUPS,
+         to = min(from + LAYOUT_PROJECT_GROUPS, groups);
+    for (uint group = from; group < to; group++)
+        LANES_EACH(lane)
+        {
+            __global const float *g = params + (size_t)group * planes * LAYOUT_LANES + lane;
+            __global float *out = shadow + (size_t)group * SHADOW_PLANES * LAYOUT_LANES + lane;
+            V z = depth_of(g, row), inverse = unit / (z > 0.0f ? z : (V)(INFINITY));
+            for (uint p = 0; p < 10; p++)
+                ST(out, p, LD(g, p));
+            ST(out, 10, hard ? (V)(hard_logit) : LD(g, 10));
+            ST(out, DC, (inverse - 0.5f) / SH_C0);
+            ST(out, DC + 1, (V)(-0.5f / SH_C0)); // black
+            ST(out, DC + 2, (V)(-0.5f / SH_C0));
+        }
+}
+
+// target: t / median, below 0 where nothing is known.
+__kernel void depth_loss(__global const float *color, __global const float *target, uint pixels,
+                         float per_pixel, __global float *grad, __global float *pieces)
+{
+    uint item = (uint)get_global_id(0);
+    if (item >= DEPTH_PIECES)
+        return;
+    uint from = (uint)((ulong)item * pixels / DEPTH_PIECES),
+         to = (uint)((ulong)(item + 1) * pixels / DEPTH_PIECES);
+    float sum = 0.0f;
+    for (uint i = from; i < to; i++) {
+        float t = target[i], d = color[i] - t;
+        int known = t >= 0.0f;
+        sum += known ? fabs(d) : 0.0f;
+        grad[i] = !known || d == 0.0f ? 0.0f : d > 0.0f ? per_pixel : -per_pixel;
+        grad[pixels + i] = 0.0f;
+        grad[2 * (size_t)pixels + i] = 0.0f;
+    }
+    pieces[item] = sum;
+}
+
+// unit_c0: unit / SH_C0; per_hard: 1 / (h (1 - h)) of the hard opacity h.
+__kernel void depth_add(__global const float *params, uint planes, uint groups, float4 row,
+                        float unit_c0, uint hard, float per_hard, __global const float *grads,
+                        __global float *extra)
+{
+    uint item = (uint)get_global_id(0), from = item * LAYOUT_PROJECT_GROUPS,
+         to = min(from + LAYOUT_PROJECT_GROUPS, groups);
+    for (uint group = from; group < to; group++)
+        LANES_EACH(lane)
+        {
+            __global const float *g = params + (size_t)group * planes * LAYOUT_LANES + lane;
+            __global const float *in = grads + (size_t)group * SHADOW_PLANES * LAYOUT_LANES + lane;
+            __global float *out = extra + (size_t)group * 11 * LAYOUT_LANES + lane;
+            V z = depth_of(g, row), along = LD(in, DC) * (-unit_c0 / (z * z)); // dL/dz
+            along = z > 0.0f ? along : (V)(0.0f);
+            ST(out, 0, LD(out, 0) + (LD(in, 0) + along * row.x));
+            ST(out, 1, LD(out, 1) + (LD(in, 1) + along * row.y));
+            ST(out, 2, LD(out, 2) + (LD(in, 2) + along * row.z));
+            for (uint p = 3; p < 10; p++)
+                ST(out, p, LD(out, p) + LD(in, p));
+            V o = 1.0f / (1.0f + exp(-LD(g, 10))), own = LD(in, 10);
+            // Straight through: o + constant is drawn, so dL/do is that of the hard opacity.
+            own = hard ? own * per_hard * (o * (1.0f - o)) : own;
+            ST(out, 10, LD(out, 10) + own);
+        }
+}
