@@ -26,6 +26,10 @@
 #define LEVEL_BETA1 0.9f
 #define LEVEL_BETA2 0.999f
 #define LEVEL_EPS 1e-15f
+/* Spacings of the budget's Gaussians, laid out on a grid over the cell: what is smaller than this
+ * is never removed for its size. Below about one spacing the ground cannot be covered, and then
+ * every removal makes the others grow until they are removed too. */
+#define LEVEL_SPACINGS 4.0
 #define LEVEL_MEAN_KEEP 0.95 /* of the running means shown to people */
 enum { LEVEL_LANES = LAYOUT_LANES };
 
@@ -314,6 +318,14 @@ static enum err_code level_report(struct level *l, const struct densify_report *
     return record_line(l->record, "densify", o, e);
 }
 
+static double level_prune_above(const struct level *l)
+{
+    double spacing_m = l->cell.edge_m / sqrt((double)level_schedule(l)->budget);
+    return l->cfg->prune_size > 0.0
+               ? fmax(l->cfg->prune_size * l->cell.extent_m, LEVEL_SPACINGS * spacing_m)
+               : 0.0;
+}
+
 static struct densify_params level_densify_params(const struct level *l, uint32_t x)
 {
     const struct schedule *s = level_schedule(l);
@@ -326,7 +338,7 @@ static struct densify_params level_densify_params(const struct level *l, uint32_
         .tau_outside = c->tau_outside,
         .split_above_m = c->percent_dense * l->cell.extent_m,
         .prune_opacity = c->prune_opacity,
-        .prune_above_m = schedule_was_reset(s, l->step) ? c->prune_size * l->cell.extent_m : 0.0,
+        .prune_above_m = schedule_was_reset(s, l->step) ? level_prune_above(l) : 0.0,
         .seed = (uint64_t)c->seed,
         .level = s->level,
         .step = l->step,
