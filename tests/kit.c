@@ -117,6 +117,17 @@ const char *kit_program(void)
     return p;
 }
 
+void kit_figure(const char *row, const char *fmt, ...)
+{
+    va_list ap;
+    va_start(ap, fmt);
+    printf("stability %s ", row);
+    vprintf(fmt, ap);
+    printf("\n");
+    fflush(stdout);
+    va_end(ap);
+}
+
 void kit_gauss(uint64_t seed, size_t n, double half_m, uint32_t sh_degree, uint32_t embed_len,
                struct gauss *out)
 {

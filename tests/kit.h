@@ -50,6 +50,11 @@ int kit_run(struct buf *out, const char *fmt, ...) ERR_PRINTF(2, 3);
 /* The program under test (CITYSPLAT_BIN, set by ctest); skips the test when it is not set. */
 const char *kit_program(void);
 
+/* One figure measured against a failure of docs/stability.md, on one line of standard output:
+ * "stability F22 worst_drop_db=0.31 limit=1.50". Fields are name=value; tests/stability/collect.sh
+ * gathers them. */
+void kit_figure(const char *row, const char *fmt, ...) ERR_PRINTF(2, 3);
+
 /* n seeded Gaussians in a box of half-edge `half_m` about the origin: sizes 1-10 % of the box,
  * random rotations, opacities 0.05-0.95, SH of the given degree. gauss_free it. */
 void kit_gauss(uint64_t seed, size_t n, double half_m, uint32_t sh_degree, uint32_t embed_len,

@@ -160,6 +160,7 @@ static void test_same_decisions(void **state)
     kit_ok(dev_buffer(dev_get(), (size_t)m.groups * m.planes * 64, NULL, &grads, &e), e);
     gauss_like(&s.g, &g);
     size_t stopped = 0;
+    double worst = 0;
     for (uint64_t k = 0; k < 200; k++) {
         size_t at = (size_t)(rng_unit(4, 0, k) * (double)px);
         double sum = 0, want = 0;
@@ -176,8 +177,11 @@ static void test_same_decisions(void **state)
         if (fabs(sum - want) > LINEAR_REL * fmax(want, 0.1))
             fail_msg("pixel %zu: colours give %.8g, backward took in %.8g", at, want, sum);
         stopped += t[at] <= RENDER_T_STOP;
+        worst = fmax(worst, fabs(sum - want) / fmax(want, 0.1));
     }
     assert_true(stopped > 5);
+    kit_figure("F25", "pixels=200 stopped=%zu worst_relative=%.1e limit=%.0e", stopped, worst,
+               LINEAR_REL);
     dev_release(&grads);
     render_model_free(&m);
     render_close(&r);

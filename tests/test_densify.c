@@ -358,22 +358,33 @@ static void the_draw_is_proportional_to_the_score(void **state)
     }
 }
 
+/* F32: beyond the 2^24 that sampling by a float's cumulative sum can count. */
 static void the_draw_has_no_limit_at_two_to_the_24(void **state)
 {
     (void)state;
     struct err e = {0};
-    const size_t n = 17 * 1000 * 1000, k = 12345;
+    const size_t n = 20 * 1000 * 1000, k = 12345;
     uint32_t *ids = mem_array(n, sizeof(*ids)), *chosen = mem_array(k, sizeof(*chosen));
-    assert_non_null(ids);
-    assert_non_null(chosen);
-    for (size_t i = 0; i < n; i++)
+    float *score = mem_array(n, sizeof(*score));
+    assert_true(ids && chosen && score);
+    for (size_t i = 0; i < n; i++) {
         ids[i] = (uint32_t)i;
-    kit_ok(densify_race(NULL, ids, n, k, 1, 1, chosen, &e), e);
-    size_t beyond = 0;
-    for (size_t j = 0; j < k; j++)
+        score[i] = 1.0f + (float)(i % 7);
+    }
+    memset(chosen, 0xff, k * sizeof(*chosen));
+    kit_ok(densify_race(score, ids, n, k, 1, 1, chosen, &e), e);
+    size_t beyond = 0, different = 0;
+    for (size_t j = 0; j < k; j++) {
+        assert_true(chosen[j] < n);
+        different += score[chosen[j]] > 0.0f;
+        score[chosen[j]] = 0.0f; /* seen */
         beyond += chosen[j] >= (1u << 24);
+    }
+    kit_figure("F32", "scores=%zu quota=%zu selected=%zu beyond_2_24=%zu", n, k, different, beyond);
+    assert_int_equal(different, k);
     double p = 1.0 - (double)(1u << 24) / (double)n, sigma = sqrt(p * (1.0 - p) / (double)k);
     assert_true(fabs((double)beyond / (double)k - p) < SIGMAS * sigma);
+    mem_free(score);
     mem_free(ids);
     mem_free(chosen);
 }

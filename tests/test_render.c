@@ -366,6 +366,10 @@ static void test_far_from_origin(void **state)
             cam.trans[i] -= cam.rot[3 * i + k] * far[k];
     }
     struct picture moved = draw(&g, &cam, &PLAIN);
+    float worst = 0.0f;
+    for (size_t i = 0; i < 3 * near.pixels; i++)
+        worst = fmaxf(worst, fabsf(near.rgb[i] - moved.rgb[i]));
+    kit_figure("F20", "moved_m=1e6 max_difference=%.6f limit=%.6f", (double)worst, 1.0 / 255);
     for (size_t i = 0; i < 3 * near.pixels; i++)
         /* 1e6 m in double is good to 1e-10 m: far below a pixel, so only rounding at cut-offs is
          * left */

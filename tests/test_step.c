@@ -168,6 +168,7 @@ static void test_repairs(void **state)
         assert_true(out.quat_wxyz[4 * rows[i]] == 1.0f && out.quat_wxyz[4 * rows[i] + 3] == 0.0f);
     trainer_step(&t, &s);
     assert_int_equal(trainer_repaired(&t), 4); /* once is enough */
+    kit_figure("F1", "injected=4 repaired=%u bad_after=0", trainer_repaired(&t));
     gauss_free(&out);
     trainer_free(&t);
     scene_free(&s);

@@ -62,7 +62,7 @@ static void the_next_level_keeps_what_was_learnt(void **state)
         toy_run_steps(&r, (uint32_t)(F27_SHARE * after->steps));
         double soon = toy_run_score(&r, after->downsample).psnr_db;
         double soon_old = toy_run_score(&r, before->downsample).psnr_db;
-        toy_figure("F27",
+        kit_figure("F27",
                    "level=%u drop_db=%.2f limit=%.2f end_db=%.2f later_db=%.2f "
                    "drop_in_old_pictures_db=%.2f",
                    before->level, end - soon, F27_LIMIT_DB, end, soon, end_old - soon_old);
@@ -89,7 +89,7 @@ static void even_the_truth_differs_from_a_shrunk_photograph(void **state)
     double at[3];
     for (int k = 0; k < 3; k++)
         at[k] = toy_run_score(&r, (double)(1 << k)).psnr_db;
-    toy_figure("F27", "truth_db=%.2f truth_at_half_db=%.2f truth_at_quarter_db=%.2f", at[0], at[1],
+    kit_figure("F27", "truth_db=%.2f truth_at_half_db=%.2f truth_at_quarter_db=%.2f", at[0], at[1],
                at[2]);
     assert_true(at[0] > at[1] + 6.0 && at[0] > at[2] + 6.0);
     toy_run_close(&r);
@@ -117,7 +117,7 @@ static void resets_do_not_starve_a_small_budget(void **state)
     double before = toy_run_score(&r, 4.0).psnr_db;
     toy_run_level(&r);
     double after = toy_run_score(&r, 4.0).psnr_db;
-    toy_figure("F4", "reset_loss_db=%.2f limit=%.2f before_db=%.2f after_db=%.2f", before - after,
+    kit_figure("F4", "reset_loss_db=%.2f limit=%.2f before_db=%.2f after_db=%.2f", before - after,
                RESET_LIMIT_DB, before, after);
     assert_true(before - after <= RESET_LIMIT_DB);
     toy_run_close(&r);

@@ -221,6 +221,15 @@ void toy_run_open(struct toy_run *r, const char *dir, const struct train_config 
     gauss_free(&g);
 }
 
+void toy_run_load(struct toy_run *r, const char *dir, const struct train_config *cfg,
+                  const char *state_path)
+{
+    struct err e = {0};
+    toy_run_prepare(r, dir, cfg);
+    kit_ok(state_load(&r->level, state_path, &e), e);
+    kit_ok(level_begin(&r->level, &e), e);
+}
+
 double toy_run_steps(struct toy_run *r, uint32_t n)
 {
     struct err e = {0};
@@ -309,15 +318,4 @@ double toy_max_diff(const float *a, const float *b, size_t n)
 bool toy_finite(const struct gauss *g)
 {
     return gauss_count_bad(g, NULL) == 0;
-}
-
-void toy_figure(const char *row, const char *fmt, ...)
-{
-    va_list ap;
-    va_start(ap, fmt);
-    printf("stability %s ", row);
-    vprintf(fmt, ap);
-    printf("\n");
-    fflush(stdout);
-    va_end(ap);
 }

@@ -66,6 +66,9 @@ void toy_run_open(struct toy_run *r, const char *dir, const struct train_config 
 /* Starts from these Gaussians (means relative to any origin). */
 void toy_run_open_from(struct toy_run *r, const char *dir, const struct train_config *cfg,
                        const struct gauss *first);
+/* Goes on from a state that state_save wrote. */
+void toy_run_load(struct toy_run *r, const char *dir, const struct train_config *cfg,
+                  const char *state_path);
 /* n steps of the level in work; fails the test when a step does. Loss of the last one, NaN for 0.
  */
 double toy_run_steps(struct toy_run *r, uint32_t n);
@@ -84,8 +87,6 @@ double toy_max_diff(const float *a, const float *b, size_t n);
 /* All parameters finite and no zero quaternion. */
 bool toy_finite(const struct gauss *g);
 
-/* One figure on one line of standard output, "stability F22 worst_drop_db=0.31 limit=1.5":
- * tests/stability/collect.sh gathers them for docs/stability.md. Fields are name=value. */
-void toy_figure(const char *row, const char *fmt, ...) ERR_PRINTF(2, 3);
+#define toy_figure kit_figure
 
 #endif
