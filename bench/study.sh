@@ -244,15 +244,15 @@ study_ablation_city() { ablation ablation_city city; }
 study_lod() { # tile sizes and distances (Tables 12 and 13); distances in tenths of the city
   local edge d base=(--iterations "$CELL_STEPS" "${SMALL[@]}")
   for edge in 20 40 80 160; do
-    tile_row lod "edge $edge m" city "edge_m=$edge,distance_1_m=60,distance_2_m=120" --tile-edge-m "$edge" \
+    tile_row lod "edge: $edge m" city "edge_m=$edge,distance_1_m=60,distance_2_m=120" --tile-edge-m "$edge" \
       --eval --metric distance --distance-1-m 60 --distance-2-m 120 -- "${base[@]}"
   done
   for d in 15 30 60 90 120; do
-    tile_row lod "distance $d m" city "edge_m=40,distance_1_m=$d,distance_2_m=$((2 * d))" --tile-edge-m 40 \
+    tile_row lod "distance: $d m" city "edge_m=40,distance_1_m=$d,distance_2_m=$((2 * d))" --tile-edge-m 40 \
       --eval --metric distance --distance-1-m "$d" --distance-2-m $((2 * d)) -- "${base[@]}"
   done
   for d in 0.5 1 2 4 8; do
-    tile_row lod "screen $d px" city "edge_m=40,error_px=$d" --tile-edge-m 40 --eval --metric screen --error-px "$d" -- "${base[@]}"
+    tile_row lod "screen: $d px" city "edge_m=40,error_px=$d" --tile-edge-m 40 --eval --metric screen --error-px "$d" -- "${base[@]}"
   done
 }
 

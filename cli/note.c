@@ -42,6 +42,7 @@ struct note_run {
     unsigned n_levels;
     double fma_gflops, triad_gbps; /* 0: not told */
     json_t *more;                  /* --set */
+    size_t at;                     /* where the next record goes */
 };
 
 static enum err_code note_full(struct err *e)
@@ -151,12 +152,15 @@ static bool note_is(const json_t *line, const char *study, const char *row)
     return !strcmp(runs_text(line, "study"), study) && !strcmp(runs_text(line, "row"), row);
 }
 
-/* Remove what the file has of this row: a row is one run. */
+/* Remove what the file has of this row: a row is one run. The new records take its place. */
 static void note_remove(struct note_run *r)
 {
-    for (size_t i = json_array_size(r->lines); i-- > 0;)
-        if (note_is(json_array_get(r->lines, i), r->o.study, r->o.row))
+    r->at = json_array_size(r->lines);
+    for (size_t i = r->at; i-- > 0;)
+        if (note_is(json_array_get(r->lines, i), r->o.study, r->o.row)) {
             json_array_remove(r->lines, i);
+            r->at = i;
+        }
 }
 
 /* Takes over the reference to `numbers`. */
@@ -171,7 +175,7 @@ static enum err_code note_add(struct note_run *r, const char *what, const char *
         r->fma_gflops > 0.0 ? json_real(r->fma_gflops) : json_null(), "triad_gbps",
         r->triad_gbps > 0.0 ? json_real(r->triad_gbps) : json_null());
     if (!line || !numbers || json_object_update(numbers, r->more) ||
-        json_object_set(line, "numbers", numbers) || json_array_append(r->lines, line)) {
+        json_object_set(line, "numbers", numbers) || json_array_insert(r->lines, r->at++, line)) {
         json_decref(line);
         json_decref(numbers);
         return note_full(e);

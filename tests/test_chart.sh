@@ -1,0 +1,94 @@
+#!/bin/sh
+# `citysplat note` and `citysplat chart`: a tiny set of recorded runs becomes charts and tables; missing gnuplot
+# and bad records are one clear error. Needs CITYSPLAT_BIN; what needs gnuplot is skipped (77) without it.
+#
+# SPDX-License-Identifier: Apache-2.0
+bin=${CITYSPLAT_BIN:?set it to the citysplat program}
+work=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-chart-XXXXXX") || exit 1
+trap 'rm -rf "$work"' EXIT
+fail() { echo "FAIL $*"; exit 1; }
+expect() { grep -q -- "$1" "$2" || { cat "$2"; fail "$2 lacks '$1'"; }; }
+
+# Runs: what eval, train and the benchmarks write.
+runs=$work/runs
+mkdir -p "$runs" "$work/run/cells/a" "$work/run/cells/b"
+scores() { # PSNR SSIM GAUSSIANS
+    printf '{"device": "a device", "scores": [{"what": "level 1", "photographs": 4, "edge_px": 100, "psnr_db": 20, "ssim": 0.5, "gaussians": 10, "ms_frame": 1, "bytes": 100}, {"what": "level 2", "photographs": 4, "edge_px": 200, "psnr_db": %s, "ssim": %s, "gaussians": %s, "ms_frame": 2, "bytes": 2000000}]}\n' "$@" >"$work/scores.json"
+}
+for cell in a b; do
+    printf '{"event":"start","t_s":0}\n{"event":"level","level":1,"seconds":10,"peak_bytes":1000000}\n{"event":"level","level":2,"seconds":3%s,"peak_bytes":5000000}\n' \
+        "$([ $cell = a ] && echo 0 || echo 5)" >"$work/run/cells/$cell/metrics.jsonl"
+done
+printf '{"bench":"ceiling","case":"fma","value":80,"unit":"GFLOP/s"}\n{"bench":"ceiling","case":"triad","value":20,"unit":"GB/s"}\n' >"$work/ceilings"
+add() { # STUDY ROW SET
+    "$bin" note "$runs/$1.jsonl" --study "$1" --row "$2" --command "train $2" --dataset "toy city" --commit abc \
+        --scores "$work/scores.json" --results "$work/run" --ceilings "$work/ceilings" --set "$3" || fail "note $1 $2"
+}
+scores 21 0.6 1000; add budgets "1 k" budget=1000
+scores 23 0.7 2000; add budgets "2 k" budget=2000
+scores 24.5 0.75 4000; add budgets "4 k" budget=4000
+scores 24 0.74 4000; add ablation full n=1
+scores 23.5 0.75 3000; add ablation "no anti-aliasing" n=1
+scores 24.25 0.745 5000; add ablation "it's \`odd\` \$HOME \"x\"" n=1
+expect '"train_s":65' "$runs/budgets.jsonl"         # 30 + 35, both cells
+expect '"train_longest_s":35' "$runs/budgets.jsonl" # the slower one
+expect '"fma_gflops":80' "$runs/budgets.jsonl"
+[ "$(wc -l <"$runs/budgets.jsonl")" = 6 ] || fail "three runs of two levels make $(wc -l <"$runs/budgets.jsonl") records"
+scores 25 0.76 4000; add budgets "2 k" budget=2000
+[ "$(wc -l <"$runs/budgets.jsonl")" = 6 ] || fail "a run recorded again is not replaced"
+sed -n 4p "$runs/budgets.jsonl" | grep -q '"psnr_db":25' || fail "a replaced run changes its place"
+
+# Refusals.
+refuse() { # PATTERN COMMAND...
+    pattern=$1
+    shift
+    "$@" >"$work/log" 2>&1 && fail "taken: $*"
+    expect "$pattern" "$work/log"
+    [ "$(grep -c 'error:' "$work/log")" = 1 ] || fail "not one error line: $*"
+}
+refuse 'expected a number' "$bin" note "$work/x.jsonl" --study a --row b --set k=x
+refuse 'required' "$bin" note "$work/x.jsonl" --study a
+refuse 'not the results' "$bin" note "$work/x.jsonl" --study a --row b --results "$work/none"
+refuse 'apt-get install gnuplot' env PATH=/nonexistent "$bin" chart "$runs" -o "$work/none"
+ls "$work/none"/* >/dev/null 2>&1 && fail "without gnuplot something was written"
+mkdir "$work/empty"
+refuse 'no recorded runs' "$bin" chart "$work/empty" -o "$work/none"
+echo '{"study":"a","row":"b"}' >"$work/bad.jsonl"
+refuse "record 1: no text 'what'" "$bin" chart "$work/bad.jsonl" -o "$work/none"
+echo 'nonsense' >"$work/bad.jsonl"
+refuse 'line 1: expected a JSON object' "$bin" chart "$work/bad.jsonl" -o "$work/none"
+refuse 'no such chart' "$bin" chart "$runs" -o "$work/none" --only nosuch
+
+command -v gnuplot >/dev/null || { echo "skipped: gnuplot is not installed"; exit 77; }
+
+# Charts and tables.
+mkdir "$work/docs"
+doc=$work/docs/page.md
+printf 'Before.\n\n<!-- chart budgets -->\nold\n<!-- end -->\n\nBetween.\n\n<!-- table budgets -->\n<!-- end -->\n<!-- table lod -->\nold\n<!-- end -->\nAfter.\n' >"$doc"
+"$bin" chart "$runs" -o "$work/docs/charts" --markdown "$doc" >"$work/log" 2>&1 || { cat "$work/log"; fail chart; }
+for f in budgets ablation; do
+    [ -s "$work/docs/charts/$f.svg" ] && [ -s "$work/docs/charts/$f.png" ] || fail "no chart $f"
+    head -c 400 "$work/docs/charts/$f.svg" | grep -q '<svg' || fail "$f.svg is not SVG"
+done
+expect 'PSNR (dB)' "$work/docs/charts/budgets.svg"
+expect 'no anti-aliasing' "$work/docs/charts/ablation.svg"
+expect '-0.50' "$work/docs/charts/ablation.svg" # 23.5 - 24
+expect '+0.25' "$work/docs/charts/ablation.svg"
+expect 'odd HOME x' "$work/docs/charts/ablation.svg" # what gnuplot would interpret is gone
+grep -q "$(basename "$HOME")/" "$work/docs/charts/ablation.svg" && fail "a variable was expanded"
+expect '^!\[.*\](charts/budgets.svg)$' "$doc"
+expect '^| 2 k | 4.0 | 25.00 | 0.7600 |' "$doc"
+expect 'Not recorded: `bench/study.sh lod`' "$doc"
+expect 'abc, on a device, FMA 80 GFLOP/s, triad 20 GB/s' "$doc"
+for text in Before Between After; do expect "^$text" "$doc"; done
+grep -q '^old' "$doc" && fail "old tables stay"
+cp "$doc" "$work/again"
+"$bin" chart "$runs" -o "$work/docs/charts" --no-png --markdown "$doc" -q >/dev/null || fail "chart again"
+cmp -s "$doc" "$work/again" || fail "writing again changes the page"
+echo '<!-- chart nosuch -->' >>"$doc"
+refuse "no chart is called 'nosuch'" "$bin" chart "$runs" -o "$work/docs/charts" --markdown "$doc"
+printf '<!-- chart lod -->\nopen\n' >"$doc"
+refuse "not closed" "$bin" chart "$runs" -o "$work/docs/charts" --markdown "$doc"
+expect '^open' "$doc"
+ls "$work/docs/charts"/*.part* >/dev/null 2>&1 && fail "part files stay"
+echo ok
