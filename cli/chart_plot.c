@@ -20,6 +20,7 @@ extern char **environ;
 static const char *const plot_colors[] = {"#0072B2", "#D55E00", "#009E73", "#CC79A7",
                                           "#E69F00", "#56B4E9", "#000000"};
 static const int plot_shapes[] = {7, 5, 9, 13, 11, 15, 2};
+#define PLOT_LOG_LEAST 3.0 /* axes that span less stay linear: logarithmic tics would be few */
 enum {
     PLOT_COLORS = sizeof plot_colors / sizeof *plot_colors,
     PLOT_PANEL_W_PX = 560,
@@ -79,7 +80,7 @@ struct plot_axis {
 static void plot_set_axis(struct buf *b, const struct plot_axis *a)
 {
     double lo = a->lo, hi = a->hi;
-    if (a->logarithmic && lo > 0.0) {
+    if (a->logarithmic && lo > 0.0 && hi > PLOT_LOG_LEAST * lo) {
         double span = fmax(log(hi / lo), log(1.5));
         lo *= exp(-a->below * span);
         hi *= exp(a->above * span);
@@ -204,7 +205,8 @@ static void plot_panel(struct buf *b, const struct chart_def *d, const struct ch
     chart_part(d->y, panel, key);
     buf_printf(b, "set ylabel '%s'\n", chart_find_key(key).axis);
     buf_printf(b, "unset logscale\n");
-    plot_set_axis(b, &(struct plot_axis){'x', log_x, lo[0], hi[0], 0.1, plot_room(c)});
+    double below = c->n_series > 1 ? plot_room(c) : 0.1;
+    plot_set_axis(b, &(struct plot_axis){'x', log_x, lo[0], hi[0], below, plot_room(c)});
     plot_set_axis(b, &(struct plot_axis){'y', log_y, lo[1], hi[1], 0.12, 0.1});
     buf_printf(b, plot_has_key(d, c) ? "set key bmargin center vertical maxcols 1 noenhanced\n"
                                      : "unset key\n");
