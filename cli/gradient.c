@@ -128,10 +128,11 @@ static enum err_code gradient_run(const char *device, const struct gauss *g,
  * ------------------------------------------------------------------------------------------- */
 
 static enum err_code write_file(const char *dir, const struct gradient_file *f, const float *raw,
-                                uint32_t planes, size_t n, struct err *e)
+                                uint32_t planes, const struct gauss *g, struct err *e)
 {
     char path[FILE_PATH_MAX];
-    uint32_t width = f->width ? f->width : planes - RENDER_PLANE_SH;
+    size_t n = g->n;
+    uint32_t width = f->width ? f->width : (uint32_t)(3 * gauss_sh_count(g->sh_degree));
     const size_t shape_2[2] = {n, width}, shape_3[3] = {n, width / 3, 3};
     float *rows = mem_array(n, width * sizeof *rows);
     if (!rows)
@@ -179,8 +180,8 @@ static enum err_code check_output(const char *dir, struct err *e)
     return rc;
 }
 
-static enum err_code write_folder(const char *dir, const float *raw, uint32_t planes, size_t n,
-                                  struct err *e)
+static enum err_code write_folder(const char *dir, const float *raw, uint32_t planes,
+                                  const struct gauss *g, struct err *e)
 {
     char name[FILE_PATH_MAX - 32], part[FILE_PATH_MAX], old[FILE_PATH_MAX];
     size_t len = strlen(dir);
@@ -194,7 +195,7 @@ static enum err_code write_folder(const char *dir, const float *raw, uint32_t pl
     snprintf(old, sizeof old, "%s.old-%ld", name, (long)getpid());
     enum err_code rc = file_mkdir(part, e);
     for (size_t i = 0; rc == ERR_OK && i < FILES; i++)
-        rc = write_file(part, &gradient_files[i], raw, planes, n, e);
+        rc = write_file(part, &gradient_files[i], raw, planes, g, e);
     bool had = file_is_dir(name);
     if (rc == ERR_OK && had && rename(name, old) != 0)
         rc = err_errno(e, ERR_IO, "gradient: moving %s away", name);
@@ -257,7 +258,7 @@ enum err_code cli_gradient(int argc, char **argv, struct err *e)
     if (rc == ERR_OK)
         rc = gradient_run(o.device, &g, &cam, &ro, rgb_grad, &raw, &planes, e);
     if (rc == ERR_OK)
-        rc = write_folder(o.output, raw, planes, g.n, e);
+        rc = write_folder(o.output, raw, planes, &g, e);
 out:
     mem_free(rgb_grad);
     mem_free(raw);

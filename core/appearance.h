@@ -28,6 +28,7 @@ enum {
     APPEARANCE_HIDDEN = 32,
     APPEARANCE_OUT = 4,
     APPEARANCE_IMAGE_MAX = 64,
+    APPEARANCE_HIDDEN_MAX = 64,
     APPEARANCE_NAME_MAX = 128
 };
 
@@ -40,7 +41,8 @@ struct appearance { /* {0} is empty; appearance_free */
     void *block;
 };
 
-/* Room, all zero. ERR_LIMIT: lengths out of range (len_gauss 1..GAUSS_EMBED_MAX). */
+/* Room, all zero. ERR_LIMIT: lengths out of range (len_gauss 1..GAUSS_EMBED_MAX, len_image
+ * 1..APPEARANCE_IMAGE_MAX, hidden 1..APPEARANCE_HIDDEN_MAX). */
 enum err_code appearance_alloc(struct appearance *a, uint32_t len_gauss, uint32_t len_image,
                                uint32_t hidden, size_t n_images, struct err *e) ERR_USE;
 void appearance_free(struct appearance *a);
@@ -60,6 +62,11 @@ void appearance_frame(const struct appearance *a, const float *image, float *out
  */
 void appearance_eval(const struct appearance *a, const float *embed, const float *image,
                      double y[APPEARANCE_OUT]);
+/* From dL/d(frame), laid out as the frame, to dL/d(weights) (laid out from w1 on, see
+ * appearance_weights) and dL/d(image) [len_image], through the normalisation v^ = v / max(|v|,
+ * 1e-12): g_v = (g_v^ - v^ (v^ . g_v^)) / |v|. Written, not added; either may be NULL. */
+void appearance_backward(const struct appearance *a, const float *image, const float *frame_grad,
+                         float *weights_grad, float *image_grad);
 /* Apply a photograph's look for good: DC += (2 y - 1) / C0, opacity = min(opacity + y3, 1 - 1e-6).
  * g keeps its embeddings. ERR_DATA when g's embedding length is not len_gauss. Parallel. */
 enum err_code appearance_bake(const struct appearance *a, const float *image, struct gauss *g,
@@ -68,8 +75,9 @@ enum err_code appearance_bake(const struct appearance *a, const float *image, st
 void appearance_blend(const struct appearance *a, const uint32_t *index, const double *weight,
                       size_t n, float *out);
 
-/* One self-describing little-endian block, versioned and hashed: the blob "appearance" of
- * checkpoints and tile stores. Reading hostile bytes is safe: ERR_FORMAT, ERR_LIMIT. */
+/* One self-describing little-endian block, versioned and hashed, appended to out: the blob
+ * "appearance" of checkpoints and tile stores. Reading hostile bytes is safe: ERR_FORMAT,
+ * ERR_LIMIT; *out is empty then, else appearance_free it. */
 enum err_code appearance_write(const struct appearance *a, struct buf *out, struct err *e) ERR_USE;
 enum err_code appearance_read(const void *bytes, size_t n, struct appearance *out,
                               struct err *e) ERR_USE;

@@ -188,7 +188,11 @@ INLINE VI seen_ellipse(__constant struct layout_view *v, __global const float *g
     }
     if (v->smooth)
         s->rho *= smooth;
-    return (s->det > 0.0f) & (s->det < LAYOUT_DET_MAX) & (s->opacity * s->rho >= (1.0f / 255.0f));
+    VI ok = (s->det > 0.0f) & (s->det < LAYOUT_DET_MAX);
+#ifndef APPEARANCE_LEN // with it, opacity is not final yet
+    ok &= s->opacity * s->rho >= (1.0f / 255.0f);
+#endif
+    return ok;
 }
 
 // Normalised direction from the eye to the mean.

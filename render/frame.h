@@ -69,6 +69,15 @@ struct render {
     struct frame_buffer transmit;   /* float [h][w] */
     struct frame_buffer color_grad; /* float [3][h][w] planar, dL/dcolor */
 
+    /* -- appearance: look.c ------------------------------------------------------- */
+    struct render_look *look;       /* the last frame was drawn with it; NULL: plain */
+    struct render_look *looks;      /* all that were made */
+    struct frame_buffer look_frame; /* float [appearance_frame_floats]: constants of the frame */
+    struct frame_buffer effective;  /* float [groups * 16]: min(o + y3, 1), of the visible */
+    struct frame_buffer look_grad;  /* float [groups][4][16]: dL/dy, of the visible */
+    struct frame_buffer look_parts; /* float [LAYOUT_APPEARANCE_CHUNKS][frame floats + 1] */
+    struct frame_buffer look_sums;  /* float [frame floats + 1], the last: sum of y3 */
+
     /* -- programs ------------------------------------------------------------------------------ */
     cl_program
         program; /* forward: layout.h common.cl project.cl sort.cl bin.cl blend_cpu.cl or _gpu */
@@ -108,6 +117,26 @@ struct frame_arg {
 enum err_code frame_run(struct render *r, cl_kernel k, const char *name,
                         const struct frame_arg *args, size_t n_args, size_t global, size_t local,
                         struct err *e) ERR_USE;
+
+/* Appearance: look.c. look_begin sets r->look for this frame, or NULL, and uploads its
+ * constants; the others are for frames that have it. */
+struct look_adam { /* numbers as project_step takes them; lr.s[0] is the embedding's */
+    cl_mem m1, m2;
+    cl_float8 lr, k;
+};
+enum err_code look_begin(struct render *r, const struct render_model *m,
+                         const struct render_options *o, struct err *e) ERR_USE;
+enum err_code look_project(struct render *r, const struct render_model *m, struct err *e) ERR_USE;
+/* The kernels to take in place of project_backward and project_step: they have two more arguments,
+ * r->effective and r->look_grad. */
+enum err_code look_kernels(struct render *r, cl_kernel *grads, cl_kernel *step,
+                           struct err *e) ERR_USE;
+/* After one of these: the embedding's planes of `grads`, or (adam not NULL) of params and moments;
+ * sums into *out when it is not NULL. */
+enum err_code look_backward(struct render *r, const struct render_model *m, cl_mem grads,
+                            const struct look_adam *adam, struct render_appearance_grad *out,
+                            struct err *e) ERR_USE;
+void look_close(struct render *r);
 
 extern const char common_cl[]; /* first source of every program of render/ after core/layout.h */
 

@@ -10,9 +10,20 @@
 // within the band, which take two square roots (AccuTile, Hanson et al. 2025, in rows of tiles). A
 // margin of 0.01 px covers the rounding, so that no pixel is lost that blending would have drawn.
 //
+// With APPEARANCE_LEN (appearance.cl) the network runs where an opaque splat would reach into the
+// picture, before extents and culling:
+//   in   look, constants of the frame;   out  effective [groups * 16], opacity with its offset
+//
 // Reference: ref_project in render_ref.c.
 
 #define MARGIN_PX 0.01f
+#ifdef APPEARANCE_LEN
+#define LOOK_ARGS , __constant float *look, __global float *effective
+#define LOOK(at) , look, effective + (at)
+#else
+#define LOOK_ARGS
+#define LOOK(at)
+#endif
 
 // First and last tile that holds a pixel centre of [lo, hi] (px); empty when first > last.
 INLINE VI tile_first(V lo, uint tiles)
@@ -84,8 +95,10 @@ INLINE void project_color(__constant struct layout_view *v, __global const float
     for (uint k = 0; k < count; k++)
         for (uint ch = 0; ch < 3; ch++)
             rgb[ch] = basis[k] * LD(g, 11 + 3 * k + ch) + rgb[ch];
+#ifndef APPEARANCE_LEN
     for (uint ch = 0; ch < 3; ch++)
         rgb[ch] = CLAMP_(rgb[ch], 0.0f, 1e30f); // finite: blending multiplies it by zeros
+#endif
 }
 
 #if VW == 16
@@ -126,10 +139,17 @@ INLINE void project_store(__global struct layout_splat *out, V w[16], VI visible
 }
 #endif
 
+// The mask of lanes within `hx`, `hy` of the picture.
+INLINE VI project_within(__constant struct layout_view *v, V mx, V my, V hx, V hy)
+{
+    return (mx + hx > 0.0f) & (mx - hx < (float)v->width) & (my + hy > 0.0f) &
+           (my - hy < (float)v->height);
+}
+
 // The group (VW 16) or lane (VW 1) whose parameters start at g and whose first index is `index`.
 INLINE void project_some(__constant struct layout_view *v, __global const float *g,
                          __global const float *filter, uint index,
-                         __global struct layout_splat *splats, VU *key, VU *tiles)
+                         __global struct layout_splat *splats, VU *key, VU *tiles LOOK_ARGS)
 {
     struct seen s;
     struct coverage c;
@@ -142,11 +162,22 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
     if (!ANY(live))
         return;
     V mx = v->fx * (s.cam[0] * s.inv_z) + v->cx, my = v->fy * (s.cam[1] * s.inv_z) + v->cy;
+#ifdef APPEARANCE_LEN
+    V y[4]; // at most opaque: no splat reaches farther
+    live &= project_within(v, mx, my, sqrt((-ALPHA_MIN_LOG2 * (2.0f / LOG2E)) * s.s00),
+                           sqrt((-ALPHA_MIN_LOG2 * (2.0f / LOG2E)) * s.s11));
+    if (!ANY(live))
+        return;
+    appearance_eval(look, g + (v->planes - APPEARANCE_LEN) * LAYOUT_LANES, y);
+    V opacity = s.opacity + y[3];
+    s.opacity = MIN_(opacity, 1.0f);
+    ST(effective, 0, s.opacity);
+    live &= s.opacity * s.rho >= (1.0f / 255.0f);
+#endif
     V lo = log(s.opacity * s.rho) * LOG2E, reach = lo - ALPHA_MIN_LOG2;
     V sigmas2 = (reach > 0.0f ? reach : (V)(0.0f)) * (2.0f / LOG2E);
     V hx = sqrt(sigmas2 * s.s00), hy = sqrt(sigmas2 * s.s11), largest = MAX_(hx, hy);
-    live &= (mx + hx > 0.0f) & (mx - hx < (float)v->width) & (my + hy > 0.0f) &
-            (my - hy < (float)v->height);
+    live &= project_within(v, mx, my, hx, hy);
     live &= (s.cam[2] >= 4.0f * v->near_m) | (largest <= v->half_max_px);
     if (!ANY(live))
         return;
@@ -173,6 +204,10 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
                AS_V(c.bands[3]),
                AS_V(c.bands[4])};
     project_color(v, g, w + 6);
+#ifdef APPEARANCE_LEN
+    for (uint ch = 0; ch < 3; ch++)
+        w[6 + ch] = CLAMP_(w[6 + ch] + (2.0f * y[ch] - 1.0f), 0.0f, 1.0f);
+#endif
     project_store(splats + index, w, live);
     *key = live ? AS_VU(s.cam[2]) : (VU)(0xFFFFFFFFu);
     *tiles = live ? AS_VU(c.tiles) : (VU)(0);
@@ -180,7 +215,7 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
 
 __kernel void project(__constant struct layout_view *view, __global const float *params,
                       __global const float *filter, __global struct layout_splat *splats,
-                      __global uint *depth_key, __global uint *tiles_of)
+                      __global uint *depth_key, __global uint *tiles_of LOOK_ARGS)
 {
     size_t item = get_global_id(0);
 #if VW == 16
@@ -193,7 +228,7 @@ __kernel void project(__constant struct layout_view *view, __global const float 
             PREFETCH(ahead + plane * LAYOUT_LANES);
         project_some(view, params + group * view->planes * LAYOUT_LANES,
                      filter + group * LAYOUT_LANES, (uint)group * LAYOUT_LANES, splats, &key,
-                     &tiles);
+                     &tiles LOOK(group * LAYOUT_LANES));
         vstore16(key, group, depth_key);
         vstore16(tiles, group, tiles_of);
     }
@@ -203,7 +238,7 @@ __kernel void project(__constant struct layout_view *view, __global const float 
         project_some(view,
                      params + (item / LAYOUT_LANES) * view->planes * LAYOUT_LANES +
                          item % LAYOUT_LANES,
-                     filter + item, (uint)item, splats, &key, &tiles);
+                     filter + item, (uint)item, splats, &key, &tiles LOOK(item));
         depth_key[item] = key;
         tiles_of[item] = tiles;
     }

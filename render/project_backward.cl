@@ -18,6 +18,10 @@
 // Rotations: V_k = dL/dR_k gives the torque a = sum_k R_k x V_k, and dL/dq = 2 (0, a) q, which is
 // already tangent. The view direction of SH is held fixed.
 //
+// With APPEARANCE_LEN (appearance.cl) opacity is min(o + y3, 1) and colour clamp(SH + 0.5 + 2 y -
+// 1, 0, 1): nothing passes where they were cut, and dL/dy goes to `look` [groups][4][16] for
+// appearance_backward.cl.
+//
 // Reference: render_ref_backward. Adam: Kingma and Ba 2015, every parameter every frame, also where
 // the gradient is 0.
 
@@ -78,14 +82,28 @@ struct gradient {
     V rgb[3];        // of the colour, 0 where it was clamped
     V px[2], apx[2]; // of the mean in pixels; sum of moduli
     V radius;        // larger half-size, px
+    V opacity;       // as it was drawn, before compensation
+#ifdef APPEARANCE_LEN
+    V look[4]; // dL/dy
+#endif
 };
+
+#ifdef APPEARANCE_LEN
+#define EFFECTIVE_ARG , __global const float *effective
+#define EFFECTIVE(at) , effective + (at)
+#define LOOK_ARG , __global float *look
+#else
+#define EFFECTIVE_ARG
+#define EFFECTIVE(at)
+#define LOOK_ARG
+#endif
 
 // Gradient of mean, scale, rotation and opacity. Lanes that were culled hold anything. One piece,
 // because every part uses N, B and the axes in the camera frame, which cost more to pass on than to
 // use.
 inline void gradient_geometry(__constant struct layout_view *v, __global const float *g,
                               __global const float *filter, const struct sums *m,
-                              struct gradient *out)
+                              struct gradient *out EFFECTIVE_ARG)
 {
     struct seen s;
     (void)seen_mean(v, g, &s);
@@ -159,7 +177,15 @@ inline void gradient_geometry(__constant struct layout_view *v, __global const f
     out->geo[7] = two * (s.qw * wx + (wy * s.qz - wz * s.qy));
     out->geo[8] = two * (s.qw * wy + (wz * s.qx - wx * s.qz));
     out->geo[9] = two * (s.qw * wz + (wx * s.qy - wy * s.qx));
+#ifdef APPEARANCE_LEN
+    V drawn = LD(effective, 0), pass = drawn < 1.0f ? m->q / drawn : (V)(0.0f);
+    out->geo[10] = s.opacity * (1.0f - s.opacity) * pass;
+    out->look[3] = pass;
+    s.opacity = drawn;
+#else
     out->geo[10] = (1.0f - s.opacity) * m->q;
+#endif
+    out->opacity = s.opacity;
     out->px[0] = gu;
     out->px[1] = gv;
     out->apx[0] = LN2_2 * p * m->abs_x;
@@ -196,15 +222,26 @@ inline void gradient_all(__constant struct layout_view *v, __global const float 
                          __global const float *filter, __global const struct layout_splat *splats,
                          __global const uint *tiles, __global const uint *first,
                          __global const float *slots, __global const uchar *marks, VI visible,
-                         struct gradient *out)
+                         struct gradient *out EFFECTIVE_ARG)
 {
     struct sums s;
     sums_gather(tiles, first, slots, marks, &s);
-    gradient_geometry(v, g, filter, &s, out);
+    gradient_geometry(v, g, filter, &s, out EFFECTIVE(0));
     for (uint k = 0; k < 11; k++)
         out->geo[k] = visible ? out->geo[k] : (V)(0.0f);
+    for (uint c = 0; c < 3; c++) {
+        V rgb = record_rgb(splats, c);
+        VI inside = visible & (rgb > 0.0f);
+#ifdef APPEARANCE_LEN
+        inside &= rgb < 1.0f;
+#endif
+        out->rgb[c] = inside ? s.rgb[c] : (V)(0.0f);
+    }
+#ifdef APPEARANCE_LEN
+    out->look[3] = visible ? out->look[3] : (V)(0.0f);
     for (uint c = 0; c < 3; c++)
-        out->rgb[c] = (visible & (record_rgb(splats, c) > 0.0f)) ? s.rgb[c] : (V)(0.0f);
+        out->look[c] = 2.0f * out->rgb[c];
+#endif
 }
 
 // Groups of this work-item, as [from, to), and the lane.
@@ -227,7 +264,7 @@ __kernel void project_backward(__constant struct layout_view *v, __global const 
                                __global const struct layout_splat *splats,
                                __global const uint *tiles_of, __global const uint *slot_first,
                                __global const float *slots, __global const uchar *marks,
-                               __global float *grads)
+                               __global float *grads EFFECTIVE_ARG LOOK_ARG)
 {
     uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1);
     for (uint group = item_groups(v, &to, &lane); group < to; group++) {
@@ -243,7 +280,11 @@ __kernel void project_backward(__constant struct layout_view *v, __global const 
         struct gradient d;
         V dir[3], basis[16];
         gradient_all(v, params + at, filter + i, splats + i, tiles_of + i, slot_first + i, slots,
-                     marks, visible, &d);
+                     marks, visible, &d EFFECTIVE(i));
+#ifdef APPEARANCE_LEN
+        for (uint p = 0; p < 4; p++)
+            ST(look + (size_t)group * 4 * LAYOUT_LANES + lane, p, d.look[p]);
+#endif
         seen_direction(v, params + at, dir);
         sh_basis(dir, v->sh_degree, basis);
         for (uint p = 0; p < 11; p++)
@@ -328,6 +369,9 @@ inline VI gradient_usable(const struct gradient *d)
         ok &= fabs(d->geo[k]) < GRAD_LIMIT;
     for (uint c = 0; c < 3; c++)
         ok &= fabs(d->rgb[c]) < GRAD_LIMIT;
+#ifdef APPEARANCE_LEN
+    ok &= fabs(d->look[3]) < GRAD_LIMIT;
+#endif
     return ok;
 }
 
@@ -347,8 +391,8 @@ inline uint lanes_count(VI mask)
 #endif
 
 inline void stats_add(__global float *grad, __global float *absg, uint with_abs,
-                      __global float *count, __global float *radius, const struct gradient *d,
-                      float8 k, VI counted)
+                      __global float *count, __global float *radius, __global float *opacity,
+                      uint with_opacity, const struct gradient *d, float8 k, VI counted)
 {
     V x = d->px[0] * k.s6, y = d->px[1] * k.s7, ax = d->apx[0] * k.s6, ay = d->apx[1] * k.s7;
     V g = sqrt(x * x + y * y), a = sqrt(ax * ax + ay * ay), old = LD(radius, 0);
@@ -357,6 +401,10 @@ inline void stats_add(__global float *grad, __global float *absg, uint with_abs,
         ST(absg, 0, LD(absg, 0) + (counted ? a : (V)(0.0f)));
     ST(count, 0, LD(count, 0) + (counted ? (V)(1.0f) : (V)(0.0f)));
     ST(radius, 0, (counted & (d->radius > old)) ? d->radius : old);
+    if (with_opacity) {
+        V most = LD(opacity, 0);
+        ST(opacity, 0, (counted & (d->opacity > most)) ? d->opacity : most);
+    }
 }
 
 __kernel void project_step(__constant struct layout_view *v, __global float *params,
@@ -365,9 +413,10 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
                            __global const float *slots, __global const uchar *marks,
                            __global float *m1, __global float *m2, float8 lr, float8 k,
                            uint with_extra, __global const float *extra, uint with_stats,
-                           uint with_abs, __global float *stat_grad, __global float *stat_absg,
-                           __global float *stat_count, __global float *stat_radius,
-                           __global uint *repaired)
+                           uint with_abs, uint with_opacity, __global float *stat_grad,
+                           __global float *stat_absg, __global float *stat_count,
+                           __global float *stat_radius, __global float *stat_opacity,
+                           __global uint *repaired EFFECTIVE_ARG LOOK_ARG)
 {
     uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1);
     for (uint group = item_groups(v, &to, &lane); group < to; group++) {
@@ -379,7 +428,7 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
         V dir[3], basis[16];
         if (ANY(visible)) {
             gradient_all(v, a.p, filter + i, splats + i, tiles_of + i, slot_first + i, slots, marks,
-                         visible, &d);
+                         visible, &d EFFECTIVE(i));
             seen_direction(v, a.p, dir); // before the mean moves
             sh_basis(dir, v->sh_degree, basis);
         } else {
@@ -389,14 +438,25 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
                 d.rgb[c] = (V)(0.0f);
             for (uint p = 0; p < 16; p++)
                 basis[p] = (V)(0.0f);
+#ifdef APPEARANCE_LEN
+            for (uint p = 0; p < 4; p++)
+                d.look[p] = (V)(0.0f);
+#endif
         }
         if (with_extra)
             for (uint p = 0; p < 11; p++)
                 d.geo[p] += LD(extra + (size_t)group * 11 * LAYOUT_LANES + lane, p);
         VI usable = gradient_usable(&d) & real;
+#ifdef APPEARANCE_LEN
+        if (ANY(visible))
+            for (uint p = 0; p < 4; p++)
+                ST(look + (size_t)group * 4 * LAYOUT_LANES + lane, p,
+                   usable ? d.look[p] : (V)(0.0f));
+#endif
         if (with_stats && ANY(visible))
             stats_add(stat_grad + i, stat_absg + (with_abs ? i : 0), with_abs, stat_count + i,
-                      stat_radius + i, &d, k, usable & visible);
+                      stat_radius + i, stat_opacity + (with_opacity ? i : 0), with_opacity, &d, k,
+                      usable & visible);
         VI bad = adam_quat(&a, &d, usable, real);
         adam_geometry(&a, &d, usable);
         for (uint p = 0; p < 3 * used; p++)

@@ -115,6 +115,7 @@ void render_close(struct render **rp)
         return;
     if (r->backward_free)
         r->backward_free(r);
+    look_close(r);
     struct frame_buffer *buffers[] = {
         &r->splats,     &r->depth_key, &r->tiles_of,   &r->slot_first, &r->keys[0],
         &r->keys[1],    &r->ids[0],    &r->ids[1],     &r->histogram,  &r->pair_tile,
@@ -244,6 +245,8 @@ static enum err_code stage_project(struct render *r, const struct render_model *
 {
     size_t local, items = frame_items(r, m->groups, &local);
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
+    if (r->look)
+        return look_project(r, m, e);
     return frame_run(r, r->k.project, "project",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(filter),
                                 FRAME_ARG(r->splats.mem), FRAME_ARG(r->depth_key.mem),
@@ -404,10 +407,13 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
     memset(&r->stats, 0, sizeof r->stats);
     if (rc != ERR_OK)
         return rc;
-    assert(m->n <= (size_t)m->groups * LAYOUT_LANES && m->planes == render_planes(m->sh_degree));
+    assert(m->n <= (size_t)m->groups * LAYOUT_LANES &&
+           m->planes == render_planes_embed(m->sh_degree, m->embed_len));
     view_fill(r, m, cam, o, &r->view);
     r->tiles = r->view.tiles_x * r->view.tiles_y;
     rc = frame_buffers(r, e);
+    if (rc == ERR_OK)
+        rc = look_begin(r, m, o, e);
     if (rc == ERR_OK)
         rc = dev_write(r->dev, r->view_mem, 0, sizeof r->view, &r->view, e);
     if (rc == ERR_OK)

@@ -31,6 +31,11 @@ struct render_options {
     float background[3]; /* 0..1, shown where transmittance is left */
     double near_m;       /* 0: 0.2 m */
     int sh_degree;       /* highest degree evaluated; -1: all that the model has */
+    /* Appearance, see core/appearance.h: constants made by appearance_frame() for embeddings of the
+     * model's length and this many hidden units; copied. NULL: plain spherical harmonics. The first
+     * frame of a pair of lengths compiles kernels for it. */
+    const float *appearance_frame;
+    uint32_t appearance_hidden;
 };
 
 #define RENDER_NEAR_M 0.2
@@ -40,7 +45,8 @@ struct render_options {
 enum { RENDER_TILE = 16 };
 
 /* Parameters of one Gaussian as planes of the device layout (AoSoA-16): mean 0-2, scale_log 3-5,
- * quat_wxyz 6-9, opacity_logit 10, then sh coefficient-major (11 + 3 k + channel).
+ * quat_wxyz 6-9, opacity_logit 10, then sh coefficient-major (11 + 3 k + channel), then the
+ * appearance embedding, if any.
  * Value of plane p of Gaussian i: params[((i / 16) * planes + p) * 16 + i % 16]. */
 enum {
     RENDER_PLANE_MEAN = 0,
@@ -52,6 +58,11 @@ enum {
 static inline uint32_t render_planes(uint32_t sh_degree)
 {
     return 11 + 3 * (sh_degree + 1) * (sh_degree + 1);
+}
+/* The same with embeddings behind: they start at plane render_planes(sh_degree). */
+static inline uint32_t render_planes_embed(uint32_t sh_degree, uint32_t embed_len)
+{
+    return render_planes(sh_degree) + embed_len;
 }
 
 struct render; /* compiled kernels and per-frame buffers of one device; one caller at a time */
@@ -65,13 +76,14 @@ struct render_model {
                     * Gaussian (Mip-Splatting, Yu et al. 2024): it is drawn with sqrt(sigma^2 + f^2)
                     * and opacity times prod sigma / sigma'; gradients are of the raw parameters,
                     * f has none. Set by the caller, freed with the model */
-    uint32_t n, cap, groups, planes, sh_degree;
+    uint32_t n, cap, groups, planes, sh_degree, embed_len;
     double origin_enu_m[3]; /* means on the device are relative to this */
 };
 /* Upload g (its origin is kept). render_model_free it. */
 enum err_code render_model_upload(struct render *r, const struct gauss *g, struct render_model *out,
                                   struct err *e) ERR_USE;
-/* Download into g (gauss_alloc'ed by the callee if cap is 0; embed untouched otherwise). */
+/* Download into g (gauss_alloc'ed by the callee if cap is 0, else its degree must be the model's;
+ * embeddings are left alone when its length differs). */
 enum err_code render_model_download(struct render *r, const struct render_model *m, struct gauss *g,
                                     struct err *e) ERR_USE;
 void render_model_free(struct render_model *m);
@@ -106,9 +118,24 @@ cl_mem render_color_grad_buffer(struct render *r);
 enum err_code render_set_color_grad(struct render *r, const float *rgb_grad /*[h][w][3]*/,
                                     struct err *e) ERR_USE;
 /* Gradients of the last frame into `grads`: float [groups][planes][16], raw parameters (before
- * activation); every plane of every Gaussian is written (0 where invisible). */
+ * activation); every plane of every Gaussian is written (0 where invisible, and the embedding's 0
+ * after a frame without appearance). */
 enum err_code render_backward(struct render *r, const struct render_model *m, cl_mem grads,
                               struct err *e) ERR_USE;
+
+/* Gradients of a frame with appearance beyond the Gaussians' own. The objective is the loss plus
+ * offset_weight times the mean of y3 (the opacity offset) over the visible Gaussians. */
+struct render_appearance_grad {
+    float offset_weight; /* in */
+    float *frame;        /* out, NULL: not wanted: [appearance_frame_floats], laid out as the frame,
+                          * see appearance_backward() for the weights' and the photograph's */
+    double offset_mean;  /* out: mean of y3 over the visible; 0 when there are none */
+    uint32_t visible;    /* out: how many that are */
+};
+/* render_backward of a frame that was drawn with appearance (ERR_ARG else), with these as well. */
+enum err_code render_backward_appearance(struct render *r, const struct render_model *m,
+                                         cl_mem grads, struct render_appearance_grad *a,
+                                         struct err *e) ERR_USE;
 
 /* Adam state of a trainable model: same layout as params. */
 struct render_adam {
@@ -117,17 +144,27 @@ struct render_adam {
     float beta1, beta2, eps;
     uint32_t step;                      /* 1-based, for bias correction */
     float scale_log_min, scale_log_max; /* clamp after the step */
+    /* After frames with appearance, and only then, the embeddings step as well, all of them as the
+     * other parameters do. embed_step: as step, for their bias correction: 1 at the first frame
+     * with appearance. `appearance` (NULL: not wanted, no offset_weight) gets the frame's part,
+     * which waits for the device. */
+    float lr_embed;
+    uint32_t embed_step;
+    struct render_appearance_grad *appearance;
     cl_mem extra_grad; /* may be NULL: float [groups][11][16], added to the gradients of planes 0-10
                         * of every Gaussian, seen or not (regularisers) */
 };
 /* Per-Gaussian densification statistics, accumulated by render_backward_step:
  *   grad   float [cap]  sum of ||(0.5 W g_u, 0.5 H g_v)||        (positional gradient, NDC units)
  *   absg   float [cap]  sum of ||(0.5 W a_u, 0.5 H a_v)||        (AbsGS); NULL: not wanted, a
- * little faster count  float [cap]  number of frames in which it was visible radius float [cap]
- * largest half-size in px repaired uint32 [1] number of non-finite updates dropped / quaternions
- * reset (F1) */
+ *                       little faster
+ *   count  float [cap]  number of frames in which it was visible
+ *   radius float [cap]  largest half-size in px
+ *   repaired uint32 [1] number of non-finite updates dropped / quaternions reset (F1)
+ *   opacity float [cap] largest opacity it was drawn with, before compensation: min(o + y3, 1) with
+ *                       appearance, o without; 0 when it was not visible; NULL: not wanted */
 struct render_density_stats {
-    cl_mem grad, absg, count, radius, repaired;
+    cl_mem grad, absg, count, radius, repaired, opacity;
 };
 /* Backward fused with Adam: updates m->params and the moments in place; `stats` may be NULL. Dense:
  * Gaussians that were not seen move on with gradient 0, as Adam has it. SH above the degree of the
@@ -163,6 +200,10 @@ enum err_code render_ref_forward(const struct gauss *g, const struct camera *cam
  * gauss (n x 3, n x 3, n x 4, n, n x K x 3), written, not added. */
 struct render_ref_grads {
     double *mean, *scale_log, *quat_wxyz, *opacity_logit, *sh;
+    /* With appearance, NULL: not wanted: [n][embed_len], [appearance_frame_floats]. The objective
+     * is then sum(rgb * rgb_grad) + offset_weight * mean of y3 over the visible. */
+    double *embed, *frame;
+    double offset_weight;
 };
 enum err_code render_ref_backward(const struct gauss *g, const struct camera *cam,
                                   const struct render_options *o, const double *rgb_grad,

@@ -153,29 +153,48 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
                      r->tiles * local, local, e);
 }
 
-enum err_code render_backward(struct render *r, const struct render_model *m, cl_mem grads,
-                              struct err *e)
+/* Kernels of frames with appearance take the opacities drawn, and leave dL/dy. */
+enum { LOOK_ARGS = 2 };
+
+enum err_code render_backward_appearance(struct render *r, const struct render_model *m,
+                                         cl_mem grads, struct render_appearance_grad *a,
+                                         struct err *e)
 {
+    if (r->drawn && a && !r->look)
+        return err_set(e, ERR_ARG, "render_backward: the last frame was drawn without appearance");
     enum err_code rc = backward_blend(r, m, 0, e);
     if (rc != ERR_OK)
         return rc;
     const struct render_backward_state *s = r->backward;
     size_t local, items = frame_items(r, m->groups, &local);
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
-    return frame_run(r, s->grads, "project_backward",
-                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(filter),
-                                FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem),
-                                FRAME_ARG(r->slot_first.mem), FRAME_ARG(s->slots.mem),
-                                FRAME_ARG(s->marks.mem), FRAME_ARG(grads)),
-                     items, local, e);
+    cl_kernel k = s->grads, step;
+    if (r->look)
+        rc = look_kernels(r, &k, &step, e);
+    const struct frame_arg args[] = {
+        FRAME_ARG(r->view_mem),      FRAME_ARG(m->params),        FRAME_ARG(filter),
+        FRAME_ARG(r->splats.mem),    FRAME_ARG(r->tiles_of.mem),  FRAME_ARG(r->slot_first.mem),
+        FRAME_ARG(s->slots.mem),     FRAME_ARG(s->marks.mem),     FRAME_ARG(grads),
+        FRAME_ARG(r->effective.mem), FRAME_ARG(r->look_grad.mem),
+    };
+    if (rc == ERR_OK)
+        rc = frame_run(r, k, "project_backward", args,
+                       sizeof args / sizeof *args - (r->look ? 0 : LOOK_ARGS), items, local, e);
+    return rc == ERR_OK && r->look ? look_backward(r, m, grads, NULL, a, e) : rc;
 }
 
-/* Adam's numbers as project_step wants them. */
-static void adam_fill(const struct render *r, const struct render_adam *a, cl_float8 *lr,
-                      cl_float8 *k)
+enum err_code render_backward(struct render *r, const struct render_model *m, cl_mem grads,
+                              struct err *e)
+{
+    return render_backward_appearance(r, m, grads, NULL, e);
+}
+
+/* Adam's numbers as project_step wants them, at this step. */
+static void adam_fill(const struct render *r, const struct render_adam *a, uint32_t step,
+                      cl_float8 *lr, cl_float8 *k)
 {
     double b1 = (double)a->beta1, b2 = (double)a->beta2;
-    double bias1 = 1 - pow(b1, a->step), bias2 = 1 - pow(b2, a->step);
+    double bias1 = 1 - pow(b1, step), bias2 = 1 - pow(b2, step);
     const float rates[6] = {a->lr_mean,    a->lr_scale, a->lr_quat,
                             a->lr_opacity, a->lr_sh_dc, a->lr_sh_rest};
     memset(lr, 0, sizeof *lr);
@@ -191,6 +210,76 @@ static void adam_fill(const struct render *r, const struct render_adam *a, cl_fl
     k->s[7] = (float)fmin(0.5 * r->view.height, half_max_px);
 }
 
+/* The embeddings' part of a step. */
+static enum err_code backward_embed(struct render *r, const struct render_model *m,
+                                    const struct render_adam *adam, struct err *e)
+{
+    struct look_adam a = {.m1 = adam->m1, .m2 = adam->m2};
+    double bias1 = 1 - pow((double)adam->beta1, adam->embed_step);
+    adam_fill(r, adam, adam->embed_step, &a.lr, &a.k);
+    a.lr.s[0] = (float)((double)adam->lr_embed / bias1);
+    return look_backward(r, m, NULL, &a, adam->appearance, e);
+}
+
+/* After the slots are filled. */
+static enum err_code backward_adam(struct render *r, const struct render_model *m,
+                                   const struct render_adam *adam,
+                                   const struct render_density_stats *stats, struct err *e)
+{
+    const struct render_backward_state *s = r->backward;
+    size_t local, items = frame_items(r, m->groups, &local);
+    cl_uint with_stats = stats != NULL, with_abs = stats && stats->absg,
+            with_opacity = stats && stats->opacity, with_extra = adam->extra_grad != NULL;
+    cl_mem none = s->unused, extra = adam->extra_grad ? adam->extra_grad : none;
+    struct render_density_stats d = {none, none, none, none, none, none};
+    cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
+    enum err_code rc = ERR_OK;
+    cl_kernel grads, step = s->step;
+    cl_float8 lr, k;
+    if (stats)
+        d = *stats;
+    if (!with_abs)
+        d.absg = none;
+    if (!with_opacity)
+        d.opacity = none;
+    if (r->look)
+        rc = look_kernels(r, &grads, &step, e);
+    if (rc != ERR_OK)
+        return rc;
+    adam_fill(r, adam, adam->step, &lr, &k);
+    r->drawn = false; /* the parameters are about to differ from what was drawn */
+    const struct frame_arg args[] = {
+        FRAME_ARG(r->view_mem),
+        FRAME_ARG(m->params),
+        FRAME_ARG(filter),
+        FRAME_ARG(r->splats.mem),
+        FRAME_ARG(r->tiles_of.mem),
+        FRAME_ARG(r->slot_first.mem),
+        FRAME_ARG(s->slots.mem),
+        FRAME_ARG(s->marks.mem),
+        FRAME_ARG(adam->m1),
+        FRAME_ARG(adam->m2),
+        FRAME_ARG(lr),
+        FRAME_ARG(k),
+        FRAME_ARG(with_extra),
+        FRAME_ARG(extra),
+        FRAME_ARG(with_stats),
+        FRAME_ARG(with_abs),
+        FRAME_ARG(with_opacity),
+        FRAME_ARG(d.grad),
+        FRAME_ARG(d.absg),
+        FRAME_ARG(d.count),
+        FRAME_ARG(d.radius),
+        FRAME_ARG(d.opacity),
+        FRAME_ARG(d.repaired),
+        FRAME_ARG(r->effective.mem),
+        FRAME_ARG(r->look_grad.mem),
+    };
+    rc = frame_run(r, step, "project_step", args,
+                   sizeof args / sizeof *args - (r->look ? 0 : LOOK_ARGS), items, local, e);
+    return rc == ERR_OK && r->look ? backward_embed(r, m, adam, e) : rc;
+}
+
 enum err_code render_backward_step(struct render *r, struct render_model *m,
                                    struct render_adam *adam, struct render_density_stats *stats,
                                    struct err *e)
@@ -203,35 +292,15 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
             "betas are in [0, 1), limits in order",
             adam->step, (double)adam->beta1, (double)adam->beta2, (double)adam->scale_log_min,
             (double)adam->scale_log_max);
+    if (r->drawn && r->look ? adam->embed_step < 1 : adam->appearance != NULL)
+        return err_set(e, ERR_ARG,
+                       "render_backward_step: appearance: embed_step counts from 1, and gradients "
+                       "can be had after frames with appearance only");
     double since = clock_s();
     enum err_code rc = backward_blend(r, m, stats && stats->absg, e);
     if (rc == ERR_OK)
         rc = frame_clock(r, &since, &r->stats.ms_blend_backward, e);
-    if (rc != ERR_OK)
-        return rc;
-    const struct render_backward_state *s = r->backward;
-    size_t local, items = frame_items(r, m->groups, &local);
-    cl_uint with_stats = stats != NULL, with_abs = stats && stats->absg,
-            with_extra = adam->extra_grad != NULL;
-    cl_mem none = s->unused, extra = adam->extra_grad ? adam->extra_grad : none;
-    cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
-    struct render_density_stats d = {none, none, none, none, none};
-    cl_float8 lr, k;
-    if (stats)
-        d = *stats;
-    if (!with_abs)
-        d.absg = none;
-    adam_fill(r, adam, &lr, &k);
-    r->drawn = false; /* the parameters are about to differ from what was drawn */
-    rc = frame_run(r, s->step, "project_step",
-                   FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(filter),
-                              FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem),
-                              FRAME_ARG(r->slot_first.mem), FRAME_ARG(s->slots.mem),
-                              FRAME_ARG(s->marks.mem), FRAME_ARG(adam->m1), FRAME_ARG(adam->m2),
-                              FRAME_ARG(lr), FRAME_ARG(k), FRAME_ARG(with_extra), FRAME_ARG(extra),
-                              FRAME_ARG(with_stats), FRAME_ARG(with_abs), FRAME_ARG(d.grad),
-                              FRAME_ARG(d.absg), FRAME_ARG(d.count), FRAME_ARG(d.radius),
-                              FRAME_ARG(d.repaired)),
-                   items, local, e);
+    if (rc == ERR_OK)
+        rc = backward_adam(r, m, adam, stats, e);
     return rc == ERR_OK ? frame_clock(r, &since, &r->stats.ms_project_backward, e) : rc;
 }

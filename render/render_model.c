@@ -20,7 +20,9 @@ struct plane_set {
     uint32_t first, count;
 };
 
-static void plane_sets(const struct gauss *g, struct plane_set out[5])
+enum { SETS = 6 };
+
+static void plane_sets(const struct gauss *g, struct plane_set out[SETS])
 {
     out[0] = (struct plane_set){g->mean_m, RENDER_PLANE_MEAN, 3};
     out[1] = (struct plane_set){g->scale_log, RENDER_PLANE_SCALE, 3};
@@ -28,14 +30,15 @@ static void plane_sets(const struct gauss *g, struct plane_set out[5])
     out[3] = (struct plane_set){g->opacity_logit, RENDER_PLANE_OPACITY, 1};
     out[4] =
         (struct plane_set){g->sh, RENDER_PLANE_SH, (uint32_t)(3 * gauss_sh_count(g->sh_degree))};
+    out[5] = (struct plane_set){g->embed, render_planes(g->sh_degree), g->embed_len};
 }
 
 static void model_pack(const struct gauss *g, uint32_t planes, size_t group0, size_t groups,
                        float *out)
 {
-    struct plane_set sets[5];
+    struct plane_set sets[SETS];
     plane_sets(g, sets);
-    for (size_t k = 0; k < 5; k++)
+    for (size_t k = 0; k < SETS; k++)
         for (size_t i = group0 * LANES; i < (group0 + groups) * LANES && i < g->n; i++) {
             float *to = out + (i / LANES - group0) * planes * LANES + i % LANES;
             for (uint32_t p = 0; p < sets[k].count; p++)
@@ -43,12 +46,15 @@ static void model_pack(const struct gauss *g, uint32_t planes, size_t group0, si
         }
 }
 
-static void model_unpack(const float *in, uint32_t planes, size_t group0, size_t groups,
-                         struct gauss *g)
+static void model_unpack(const float *in, const struct render_model *m, size_t group0,
+                         size_t groups, struct gauss *g)
 {
-    struct plane_set sets[5];
+    struct plane_set sets[SETS];
+    uint32_t planes = m->planes;
     plane_sets(g, sets);
-    for (size_t k = 0; k < 5; k++)
+    if (g->embed_len != m->embed_len)
+        sets[SETS - 1].count = 0;
+    for (size_t k = 0; k < SETS; k++)
         for (size_t i = group0 * LANES; i < (group0 + groups) * LANES && i < g->n; i++) {
             const float *from = in + (i / LANES - group0) * planes * LANES + i % LANES;
             for (uint32_t p = 0; p < sets[k].count; p++)
@@ -70,7 +76,8 @@ enum err_code render_model_upload(struct render *r, const struct gauss *g, struc
     m.groups = (m.n + LANES - 1) / LANES;
     m.cap = m.groups * LANES;
     m.sh_degree = g->sh_degree;
-    m.planes = render_planes(g->sh_degree);
+    m.embed_len = g->embed_len;
+    m.planes = render_planes_embed(g->sh_degree, g->embed_len);
     memcpy(m.origin_enu_m, g->origin_enu_m, sizeof m.origin_enu_m);
     size_t group_floats = (size_t)m.planes * LANES;
     size_t at_once = m.groups < GROUPS_AT_ONCE ? m.groups : GROUPS_AT_ONCE;
@@ -106,7 +113,7 @@ enum err_code render_model_download(struct render *r, const struct render_model 
     enum err_code rc = ERR_OK;
     float *staging = NULL;
     if (g->cap == 0)
-        rc = gauss_alloc(g, m->n, m->sh_degree, 0, e);
+        rc = gauss_alloc(g, m->n, m->sh_degree, m->embed_len, e);
     else if (g->sh_degree != m->sh_degree)
         rc = err_set(e, ERR_ARG, "render_model_download: degree %u into a container of degree %u",
                      m->sh_degree, g->sh_degree);
@@ -124,7 +131,7 @@ enum err_code render_model_download(struct render *r, const struct render_model 
         rc = dev_read(r->dev, m->params, at * group_floats * sizeof(float),
                       n * group_floats * sizeof(float), staging, e);
         if (rc == ERR_OK)
-            model_unpack(staging, m->planes, at, n, g);
+            model_unpack(staging, m, at, n, g);
     }
     mem_free(staging);
     return rc;

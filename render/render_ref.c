@@ -59,6 +59,12 @@ enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
     v.sh_degree = o->sh_degree >= 0 && (uint32_t)o->sh_degree < g->sh_degree
                       ? (uint32_t)o->sh_degree
                       : g->sh_degree;
+    v.frame = o->appearance_frame;
+    v.embed_len = g->embed_len;
+    v.hidden = o->appearance_hidden;
+    if (v.frame && (!v.embed_len || v.hidden < 1 || v.hidden > APPEARANCE_HIDDEN_MAX))
+        return err_set(e, ERR_ARG, "render: appearance of %u hidden units, embeddings of %u",
+                       v.hidden, v.embed_len);
     *out = v;
     return ERR_OK;
 }
@@ -143,6 +149,37 @@ static void ref_covariance(const struct ref_view *v, struct ref_splat *s)
     s->det = s->det0 + v->kernel_px2 * (s->cov0[0] + s->cov0[2]) + v->kernel_px2 * v->kernel_px2;
 }
 
+/* y = sigmoid(W2 max(0, W1 g^ + b) + b2), see core/appearance.h. */
+double ref_appearance(const struct ref_view *v, const struct gauss *g, size_t i, double *unit,
+                      double *hidden, double y[APPEARANCE_OUT])
+{
+    const float *embed = g->embed + i * v->embed_len, *bias = v->frame + v->hidden * v->embed_len,
+                *w2 = bias + v->hidden, *b2 = w2 + APPEARANCE_OUT * v->hidden;
+    double len = 0;
+    for (size_t k = 0; k < v->embed_len; k++)
+        len += (double)embed[k] * (double)embed[k];
+    len = fmax(sqrt(len), 1e-12);
+    for (size_t k = 0; k < v->embed_len; k++)
+        unit[k] = (double)embed[k] / len;
+    for (size_t h = 0; h < v->hidden; h++) {
+        hidden[h] = (double)bias[h];
+        for (size_t k = 0; k < v->embed_len; k++)
+            hidden[h] += (double)v->frame[h * v->embed_len + k] * unit[k];
+    }
+    for (size_t o = 0; o < APPEARANCE_OUT; o++) {
+        double z = (double)b2[o];
+        for (size_t h = 0; h < v->hidden; h++)
+            z += (double)w2[o * v->hidden + h] * fmax(hidden[h], 0);
+        y[o] = 1 / (1 + exp(-z));
+    }
+    return len;
+}
+
+bool ref_color_open(const struct ref_view *v, const struct ref_splat *s, int channel)
+{
+    return s->rgb_raw[channel] > 0 && (!v->frame || s->rgb_raw[channel] < 1);
+}
+
 static void ref_color(const struct ref_view *v, const struct gauss *g, size_t i,
                       struct ref_splat *s)
 {
@@ -160,7 +197,11 @@ static void ref_color(const struct ref_view *v, const struct gauss *g, size_t i,
         s->rgb_raw[c] = 0.5;
         for (size_t k = 0; k < count; k++)
             s->rgb_raw[c] += s->basis[k] * (double)g->sh[(i * count + k) * 3 + c];
+        if (v->frame)
+            s->rgb_raw[c] += 2 * s->look[c] - 1;
         s->rgb[c] = fmax(s->rgb_raw[c], 0);
+        if (v->frame)
+            s->rgb[c] = fmin(s->rgb[c], 1);
     }
 }
 
@@ -178,7 +219,12 @@ bool ref_project(const struct ref_view *v, const struct gauss *g, size_t i, stru
     ref_covariance(v, &s);
     if (!(s.det > 0) || !(s.det < (double)LAYOUT_DET_MAX))
         return false;
-    s.opacity = 1 / (1 + exp(-(double)g->opacity_logit[i]));
+    s.opacity = s.opacity_raw = 1 / (1 + exp(-(double)g->opacity_logit[i]));
+    if (v->frame) {
+        double unit[GAUSS_EMBED_MAX], hidden[APPEARANCE_HIDDEN_MAX];
+        (void)ref_appearance(v, g, i, unit, hidden, s.look);
+        s.opacity = fmin(s.opacity_raw + s.look[3], 1);
+    }
     s.rho = v->compensate ? sqrt(fmax((double)LAYOUT_RHO2_MIN, s.det0 / s.det)) : 1;
     s.opacity_eff = s.opacity * s.rho;
     if (!(s.opacity_eff >= 1.0 / 255))

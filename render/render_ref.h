@@ -7,6 +7,7 @@
 #ifndef RENDER_RENDER_REF_H
 #define RENDER_RENDER_REF_H
 
+#include "core/appearance.h"
 #include "render/render.h"
 
 enum { REF_SH_MAX = 16 };
@@ -21,6 +22,8 @@ struct ref_view {            /* a camera and options with every default resolved
     double background[3];
     bool compensate;
     uint32_t sh_degree; /* evaluated */
+    const float *frame; /* constants of an appearance, borrowed; NULL: none */
+    uint32_t embed_len, hidden;
 };
 
 struct ref_splat {
@@ -35,9 +38,11 @@ struct ref_splat {
     double jac[6];            /* J, 2 x 3 row-major, at the clamped position */
     double cov0[3], det0;     /* S0 = J W Sigma W^T J^T: s00, s01, s11 */
     double det;               /* of S = S0 + kernel I */
-    double opacity, rho;      /* sigmoid; compensation factor (1 when off) */
+    double opacity_raw;       /* sigmoid */
+    double opacity, rho;      /* as drawn: raw, or min(raw + y3, 1); compensation (1 when off) */
+    double look[4];           /* y of the appearance, 0 without */
     double basis[REF_SH_MAX]; /* Y_k at the view direction, 0 above the evaluated degree */
-    double rgb_raw[3];        /* before max(0, .) */
+    double rgb_raw[3];        /* before the clamp: from 0, with appearance to 1 */
     /* what is blended */
     double mean_px[2];
     double conic[3];    /* A, B, C of S^-1 */
@@ -56,6 +61,12 @@ bool ref_project(const struct ref_view *v, const struct gauss *g, size_t i, stru
  * index. *out: caller frees with mem_free. */
 enum err_code ref_project_all(const struct ref_view *v, const struct gauss *g,
                               struct ref_splat **out, size_t *n, struct err *e) ERR_USE;
+/* One Gaussian through the network: its embedding normalised (returns the divisor), the hidden
+ * layer before the ReLU, and y. The arrays hold embed_len and hidden values. */
+double ref_appearance(const struct ref_view *v, const struct gauss *g, size_t i, double *unit,
+                      double *hidden, double y[APPEARANCE_OUT]);
+/* The splat's colour passes a gradient on. */
+bool ref_color_open(const struct ref_view *v, const struct ref_splat *s, int channel);
 /* Exponent and alpha of a splat at a pixel centre; false when it does not contribute there. d =
  * mean - pixel; *clamped tells that alpha was cut to RENDER_ALPHA_MAX. */
 bool ref_alpha(const struct ref_splat *s, double px, double py, double d[2], double *alpha,

@@ -7,7 +7,9 @@
  * passes nothing on. Then projection, per Gaussian: EWA splatting (Zwicker et al. 2001) with the
  * derivatives of the covariance as in Kerbl et al. 2023, the clamp of the Jacobian's position in
  * both its branches, and the opacity compensation rho of Mip-Splatting (Yu et al. 2024). The view
- * direction of the spherical harmonics is held fixed: colour does not move a mean.
+ * direction of the spherical harmonics is held fixed: colour does not move a mean. With appearance,
+ * colour and opacity go on through clamp and sum to the network's outputs, and from there to
+ * embeddings and to the constants of the frame.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -161,8 +163,49 @@ static void shape_backward(const struct ref_splat *s, const double g_sigma[9],
         g_quat[k] = (d[k] - q[k] * along) / s->quat_len;
 }
 
+/* From dL/dy (colours: of `in`) through the network; frame gradients are added. */
+static void appearance_splat(const struct ref_view *v, const struct gauss *g,
+                             const struct ref_splat *s, const struct splat_grad *in, double g_y3,
+                             const struct render_ref_grads *out)
+{
+    size_t len = v->embed_len, units = v->hidden;
+    double unit[GAUSS_EMBED_MAX], hidden[APPEARANCE_HIDDEN_MAX], y[APPEARANCE_OUT],
+        g_z[APPEARANCE_OUT], g_unit[GAUSS_EMBED_MAX] = {0}, along = 0;
+    double divisor = ref_appearance(v, g, s->index, unit, hidden, y);
+    const float *w2 = v->frame + units * (len + 1);
+    double *f = out->frame, *f_bias = f ? f + units * len : NULL, *f_w2 = f ? f_bias + units : NULL;
+    for (int o = 0; o < APPEARANCE_OUT; o++) {
+        double g_y = o == 3 ? g_y3 : ref_color_open(v, s, o) ? 2 * in->rgb[o] : 0;
+        g_z[o] = g_y * y[o] * (1 - y[o]);
+        if (f)
+            f_w2[APPEARANCE_OUT * units + (size_t)o] += g_z[o];
+    }
+    for (size_t h = 0; h < units; h++) {
+        double g_h = 0;
+        for (size_t o = 0; o < APPEARANCE_OUT; o++) {
+            g_h += (double)w2[o * units + h] * g_z[o];
+            if (f)
+                f_w2[o * units + h] += g_z[o] * fmax(hidden[h], 0);
+        }
+        if (!(hidden[h] > 0))
+            continue;
+        for (size_t k = 0; k < len; k++) {
+            g_unit[k] += (double)v->frame[h * len + k] * g_h;
+            if (f)
+                f[h * len + k] += g_h * unit[k];
+        }
+        if (f)
+            f_bias[h] += g_h;
+    }
+    for (size_t k = 0; k < len && divisor > 1e-12; k++)
+        along += unit[k] * g_unit[k];
+    for (size_t k = 0; k < len && out->embed; k++)
+        out->embed[s->index * len + k] = (g_unit[k] - unit[k] * along) / divisor;
+}
+
+/* each: of the mean opacity offset, for one Gaussian's. */
 static void splat_backward(const struct ref_view *v, const struct gauss *g,
-                           const struct ref_splat *s, const struct splat_grad *in,
+                           const struct ref_splat *s, const struct splat_grad *in, double each,
                            const struct render_ref_grads *out)
 {
     size_t i = s->index, sh_count = gauss_sh_count(g->sh_degree),
@@ -187,9 +230,13 @@ static void splat_backward(const struct ref_view *v, const struct gauss *g,
                     g_sigma[3 * r + k] +=
                         v->rot[3 * a + r] * g_sigma_cam[3 * a + b] * v->rot[3 * b + k];
     shape_backward(s, g_sigma, out->scale_log + 3 * i, out->quat_wxyz + 4 * i);
-    out->opacity_logit[i] = s->opacity * (1 - s->opacity) * g_opacity;
+    if (s->opacity_raw + s->look[3] >= 1 && v->frame)
+        g_opacity = 0; /* cut to 1 */
+    out->opacity_logit[i] = s->opacity_raw * (1 - s->opacity_raw) * g_opacity;
+    if (v->frame)
+        appearance_splat(v, g, s, in, g_opacity + each, out);
     for (int c = 0; c < 3; c++) {
-        double g_raw = s->rgb_raw[c] > 0 ? in->rgb[c] : 0;
+        double g_raw = ref_color_open(v, s, c) ? in->rgb[c] : 0;
         for (size_t k = 0; k < used; k++)
             out->sh[3 * (i * sh_count + k) + (size_t)c] = s->basis[k] * g_raw;
     }
@@ -218,12 +265,16 @@ enum err_code render_ref_backward(const struct gauss *g, const struct camera *ca
     memset(out->quat_wxyz, 0, g->n * 4 * sizeof(double));
     memset(out->opacity_logit, 0, g->n * sizeof(double));
     memset(out->sh, 0, g->n * gauss_sh_count(g->sh_degree) * 3 * sizeof(double));
+    if (out->embed)
+        memset(out->embed, 0, g->n * g->embed_len * sizeof(double));
+    if (out->frame)
+        memset(out->frame, 0, appearance_frame_floats(v.embed_len, v.hidden) * sizeof(double));
     for (size_t y = 0; y < v.height; y++)
         for (size_t x = 0; x < v.width; x++)
             pixel_backward(&v, splats, n, (double)x + 0.5, (double)y + 0.5,
                            rgb_grad + 3 * (y * v.width + x), grads);
     for (size_t i = 0; i < n; i++)
-        splat_backward(&v, g, &splats[i], &grads[i], out);
+        splat_backward(&v, g, &splats[i], &grads[i], out->offset_weight / (double)n, out);
 out:
     mem_free(splats);
     mem_free(grads);

@@ -125,6 +125,90 @@ struct scene scene_needles(enum render_aa aa)
     return s;
 }
 
+/* ---- differences
+ * ----------------------------------------------------------------------------------- */
+
+/* The signs of the hidden units, and what was cut. */
+static void look_decisions(const struct ref_view *v, const struct gauss *g,
+                           const struct ref_splat *p, struct buf *out)
+{
+    double unit[GAUSS_EMBED_MAX], hidden[APPEARANCE_HIDDEN_MAX], y[APPEARANCE_OUT];
+    (void)ref_appearance(v, g, p->index, unit, hidden, y);
+    for (size_t h = 0; h < v->hidden; h++)
+        buf_u8(out, hidden[h] > 0);
+    buf_u8(out, (unsigned)((p->rgb_raw[0] < 1) | (p->rgb_raw[1] < 1) << 1 |
+                           (p->rgb_raw[2] < 1) << 2 | (p->opacity_raw + y[3] < 1) << 3));
+}
+
+double scene_objective(const struct scene *s, const double *rgb_of, uint64_t *signature)
+{
+    struct ref_view v;
+    struct ref_splat *splats;
+    size_t n;
+    struct err e = {0};
+    struct buf decisions = {0};
+    double sum = 0;
+    kit_ok(ref_view_init(&s->g, &s->cam, &s->o, &v, &e), e);
+    kit_ok(ref_project_all(&v, &s->g, &splats, &n, &e), e);
+    for (size_t i = 0; i < n; i++) {
+        struct ref_splat *p = &splats[i];
+        for (size_t c = 0; rgb_of && c < 3; c++)
+            p->rgb[c] = p->rgb_raw[c] = rgb_of[3 * p->index + c];
+        buf_u32(&decisions, (uint32_t)p->index);
+        buf_u8(&decisions, (unsigned)(p->inside[0] | p->inside[1] << 1 | (p->rgb_raw[0] > 0) << 2 |
+                                      (p->rgb_raw[1] > 0) << 3 | (p->rgb_raw[2] > 0) << 4));
+        buf_u8(&decisions, p->rho > 0.005);
+        if (v.frame) {
+            look_decisions(&v, &s->g, p, &decisions);
+            sum += s->offset_weight * p->look[3] / (double)n;
+        }
+    }
+    for (size_t at = 0; at < (size_t)PX_W * PX_H; at++) {
+        double t = 1, d[2], alpha;
+        bool clamped;
+        for (size_t i = 0; i < n && t > (double)RENDER_T_STOP; i++) {
+            if (!ref_alpha(&splats[i], (double)(at % PX_W) + 0.5, (double)(at / PX_W) + 0.5, d,
+                           &alpha, &clamped))
+                continue;
+            buf_u32(&decisions, (uint32_t)(2 * i + clamped));
+            for (size_t c = 0; c < 3; c++)
+                sum += splats[i].rgb[c] * alpha * t * s->rgb_grad[3 * at + c];
+            t *= 1 - alpha;
+        }
+        buf_u32(&decisions, ~0u);
+        for (size_t c = 0; c < 3; c++)
+            sum += t * v.background[c] * s->rgb_grad[3 * at + c];
+    }
+    *signature = hash_bytes(decisions.data, decisions.size).lo;
+    buf_free(&decisions);
+    mem_free(splats);
+    return sum;
+}
+
+bool scene_differentiate(struct scene *s, float *p, const double *rgb_of, double *out)
+{
+    uint64_t here, sig[4];
+    const float keep = *p;
+    (void)scene_objective(s, rgb_of, &here);
+    for (double h = ldexp(1, -12); h >= ldexp(1, -15); h /= 2) {
+        double f[4];
+        bool same = true;
+        for (int k = 0; k < 4 && same; k++) {
+            static const double at[4] = {-2, -1, 1, 2};
+            *p = (float)((double)keep + at[k] * h);
+            assert_true((double)*p - (double)keep == at[k] * h);
+            f[k] = scene_objective(s, rgb_of, &sig[k]);
+            same = sig[k] == here;
+        }
+        *p = keep;
+        if (same) {
+            *out = (8 * (f[2] - f[1]) - (f[3] - f[0])) / (12 * h);
+            return true;
+        }
+    }
+    return false;
+}
+
 /* ---- reference
  * ------------------------------------------------------------------------------------- */
 
@@ -141,7 +225,11 @@ struct grads grads_make(const struct gauss *g)
         o.part[i] = at;
         at += count[i];
     }
-    o.r = (struct render_ref_grads){o.part[0], o.part[1], o.part[2], o.part[3], o.part[4]};
+    o.r = (struct render_ref_grads){.mean = o.part[0],
+                                    .scale_log = o.part[1],
+                                    .quat_wxyz = o.part[2],
+                                    .opacity_logit = o.part[3],
+                                    .sh = o.part[4]};
     return o;
 }
 

@@ -21,7 +21,8 @@ struct scene { /* scene_free */
     struct gauss g;
     struct camera cam;
     struct render_options o;
-    double *rgb_grad; /* [h][w][3] */
+    double *rgb_grad;     /* [h][w][3] */
+    double offset_weight; /* of the mean opacity offset, in frames with appearance */
 };
 struct scene scene_make(uint64_t seed, size_t n, enum render_aa aa, uint32_t degree);
 struct scene scene_saturated(enum render_aa aa); /* alpha at its maximum, pixels that stop early */
@@ -30,6 +31,13 @@ scene_outside(enum render_aa aa); /* centres beyond the Jacobian's clamp on ever
 struct scene scene_needles(enum render_aa aa); /* axes from 0.4 m down to 0.1 mm */
 void scene_free(struct scene *s);
 double *grad_make(size_t n, uint64_t seed); /* standard normal; mem_free */
+/* sum(rgb * rgb_grad) + offset_weight * mean of y3 in double, and a hash of every decision taken on
+ * the way. The method holds the view direction of SH fixed when a mean moves: `rgb_of` (may be
+ * NULL) [n][3] replaces the colours then. */
+double scene_objective(const struct scene *s, const double *rgb_of, uint64_t *signature);
+/* Its fourth-order central difference with respect to *p, on the grid; false when every step
+ * changes a decision. */
+bool scene_differentiate(struct scene *s, float *p, const double *rgb_of, double *out);
 
 /* ---- the reference's gradients
  * --------------------------------------------------------------------------- */

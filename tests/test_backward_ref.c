@@ -22,75 +22,6 @@
 /* Relative to the rms of the same kind of parameter: many true gradients are nearly 0. */
 #define FD_ABS 1e-6
 
-/* sum(rgb * rgb_grad), and a hash of every decision taken on the way. The method holds the view
- * direction of SH fixed when a mean moves: `rgb_of` (may be NULL) [n][3] replaces the colours then.
- */
-static double evaluate(const struct scene *s, const double *rgb_of, uint64_t *signature)
-{
-    struct ref_view v;
-    struct ref_splat *splats;
-    size_t n;
-    struct err e = {0};
-    struct buf decisions = {0};
-    double sum = 0;
-    kit_ok(ref_view_init(&s->g, &s->cam, &s->o, &v, &e), e);
-    kit_ok(ref_project_all(&v, &s->g, &splats, &n, &e), e);
-    for (size_t i = 0; i < n; i++) {
-        struct ref_splat *p = &splats[i];
-        for (size_t c = 0; rgb_of && c < 3; c++)
-            p->rgb[c] = p->rgb_raw[c] = rgb_of[3 * p->index + c];
-        buf_u32(&decisions, (uint32_t)p->index);
-        buf_u8(&decisions, (unsigned)(p->inside[0] | p->inside[1] << 1 | (p->rgb_raw[0] > 0) << 2 |
-                                      (p->rgb_raw[1] > 0) << 3 | (p->rgb_raw[2] > 0) << 4));
-        buf_u8(&decisions, p->rho > 0.005);
-    }
-    for (size_t at = 0; at < (size_t)PX_W * PX_H; at++) {
-        double t = 1, d[2], alpha;
-        bool clamped;
-        for (size_t i = 0; i < n && t > (double)RENDER_T_STOP; i++) {
-            if (!ref_alpha(&splats[i], (double)(at % PX_W) + 0.5, (double)(at / PX_W) + 0.5, d,
-                           &alpha, &clamped))
-                continue;
-            buf_u32(&decisions, (uint32_t)(2 * i + clamped));
-            for (size_t c = 0; c < 3; c++)
-                sum += splats[i].rgb[c] * alpha * t * s->rgb_grad[3 * at + c];
-            t *= 1 - alpha;
-        }
-        buf_u32(&decisions, ~0u);
-        for (size_t c = 0; c < 3; c++)
-            sum += t * v.background[c] * s->rgb_grad[3 * at + c];
-    }
-    *signature = hash_bytes(decisions.data, decisions.size).lo;
-    buf_free(&decisions);
-    mem_free(splats);
-    return sum;
-}
-
-/* Fourth-order central difference with respect to *p; false when every step changes a decision. */
-static bool differentiate(struct scene *s, float *p, const double *rgb_of, double *out)
-{
-    uint64_t here, sig[4];
-    const float keep = *p;
-    (void)evaluate(s, rgb_of, &here);
-    for (double h = ldexp(1, -12); h >= ldexp(1, -15); h /= 2) {
-        double f[4];
-        bool same = true;
-        for (int k = 0; k < 4 && same; k++) {
-            static const double at[4] = {-2, -1, 1, 2};
-            *p = (float)((double)keep + at[k] * h);
-            assert_true((double)*p - (double)keep == at[k] * h);
-            f[k] = evaluate(s, rgb_of, &sig[k]);
-            same = sig[k] == here;
-        }
-        *p = keep;
-        if (same) {
-            *out = (8 * (f[2] - f[1]) - (f[3] - f[0])) / (12 * h);
-            return true;
-        }
-    }
-    return false;
-}
-
 /* Colours of the scene as it stands, by row. */
 static double *colors_of(const struct scene *s)
 {
@@ -121,7 +52,7 @@ static void check_reference(struct scene *s, const char *what)
         char name[96];
         assert_non_null(fd);
         for (size_t i = 0; i < want.count[k]; i++, all++)
-            if (!differentiate(s, &params[k][i], k == 0 ? rgb : NULL, &fd[i])) {
+            if (!scene_differentiate(s, &params[k][i], k == 0 ? rgb : NULL, &fd[i])) {
                 fd[i] = want.part[k][i];
                 skipped++;
             }

@@ -6,6 +6,12 @@
 cd "$(dirname "$0")/.." || exit 1
 clang=$(command -v clang || command -v clang-14) || { echo "skipped: clang is not installed"; exit 77; }
 status=0
+compile() { # options, besides those of $f, $target and $vw
+    # shellcheck disable=SC2086
+    "$clang" -x cl -cl-std=CL1.2 -Xclang -finclude-default-header -target "$target" -nogpulib -DVW="$vw" \
+        -I. $1 -fsyntax-only -Wall -Wno-unused-function -Werror "$f" || {
+        echo "$f: does not compile for $target with VW=$vw and $1"; status=1; }
+}
 for f in render/*.cl train/*.cl bench/*.cl; do
     [ -f "$f" ] || continue
     for target in spir64 nvptx64 amdgcn--amdhsa; do
@@ -23,13 +29,18 @@ for f in render/*.cl train/*.cl bench/*.cl; do
             esac
             case $f:$vw in # compiled after others, see their heads
                 render/blend_cpu.cl:1) continue ;; # the CPU shape alone
+                render/appearance_backward.cl:*)
+                    prelude="$prelude -DAPPEARANCE_LEN=16 -DAPPEARANCE_HIDDEN=32 -include render/appearance.cl -include render/project_backward.cl" ;;
                 render/blend_backward.cl:16) prelude="$prelude -include render/blend_cpu.cl" ;;
                 render/score.cl:16) prelude="$prelude -include render/blend_cpu.cl -include render/blend_backward.cl" ;;
             esac
-            # shellcheck disable=SC2086
-            "$clang" -x cl -cl-std=CL1.2 -Xclang -finclude-default-header -target "$target" -nogpulib -DVW="$vw" \
-                -I. $prelude -fsyntax-only -Wall -Wno-unused-function -Werror "$f" || {
-                echo "$f: does not compile for $target with VW=$vw"; status=1; }
+            compile "$prelude"
+            case $f in # with appearance they are others
+                render/project.cl | render/project_backward.cl)
+                    compile "-DAPPEARANCE_LEN=16 -DAPPEARANCE_HIDDEN=32 $prelude -include render/appearance.cl" ;;
+                render/appearance_backward.cl)
+                    compile "$prelude -UAPPEARANCE_LEN -DAPPEARANCE_LEN=17 -UAPPEARANCE_HIDDEN -DAPPEARANCE_HIDDEN=63" ;;
+            esac
         done
     done
 done

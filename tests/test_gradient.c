@@ -100,7 +100,8 @@ static void test_against_reference(void **state)
     for (int k = 0; k < 3; k++) { /* the second and third time into the folder of the first */
         const struct render_options o = {
             .aa = (enum render_aa)k, .background = {0.25f, 0.5f, 1}, .sh_degree = k ? -1 : 1};
-        const struct render_ref_grads ref = {mean, scale, rot, opacity, sh};
+        const struct render_ref_grads ref = {
+            .mean = mean, .scale_log = scale, .quat_wxyz = rot, .opacity_logit = opacity, .sh = sh};
         struct buf log = {0};
         if (kit_run(&log,
                     "%s gradient %s/scene.ply --camera %s/cam.json --grad %s/dl.npy -o %s --aa %s "

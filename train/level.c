@@ -78,6 +78,7 @@ static enum err_code level_reserve(struct level *l, size_t n, struct err *e)
     level_release(l);
     l->model.planes = keep.planes;
     l->model.sh_degree = keep.sh_degree;
+    l->model.embed_len = keep.embed_len;
     memcpy(l->model.origin_enu_m, keep.origin_enu_m, sizeof(keep.origin_enu_m));
     cl_mem *per_plane[] = {&l->model.params, &l->adam.m1, &l->adam.m2};
     cl_mem *per_row[] = {&l->stats.grad, &l->stats.absg, &l->stats.count, &l->stats.radius};
@@ -153,6 +154,7 @@ enum err_code level_open(struct level *l, const struct gauss *g, struct err *e)
         return rc;
     l->model.planes = packed.planes;
     l->model.sh_degree = g->sh_degree;
+    l->model.embed_len = g->embed_len;
     memcpy(l->model.origin_enu_m, g->origin_enu_m, sizeof(g->origin_enu_m));
     size_t floats = densify_floats(g->n, packed.planes);
     params = mem_array(floats, sizeof(float));
