@@ -41,7 +41,7 @@ struct eval {
 static void eval_print_head(void)
 {
     printf("%-14s %6s %9s %9s %8s %10s %8s %12s %9s %9s\n", "what", "photos", "edge px", "PSNR dB",
-           "SSIM", "SSIM valid", "L1", "Gaussians", "ms/frame", "MB");
+           "SSIM", "SSIM valid", "GMSD", "Gaussians", "ms/frame", "MB");
 }
 
 static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px,
@@ -51,11 +51,11 @@ static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px
            edge_px, s->psnr_db, s->ssim, s->ssim_valid, s->l1, s->gaussians, s->ms_frame,
            s->bytes / 1e6);
     fflush(stdout);
-    json_t *row = json_pack("{s:s, s:I, s:i, s:o, s:o, s:o, s:f, s:f, s:f, s:f}", "what", what,
+    json_t *row = json_pack("{s:s, s:I, s:i, s:o, s:o, s:o, s:f, s:f, s:f, s:f, s:f}", "what", what,
                             "photographs", (json_int_t)s->n_photos, "edge_px", (int)edge_px,
                             "psnr_db", jsonc_real(s->psnr_db), "ssim", jsonc_real(s->ssim),
-                            "ssim_valid", jsonc_real(s->ssim_valid), "l1", s->l1, "gaussians",
-                            s->gaussians, "ms_frame", s->ms_frame, "bytes", s->bytes);
+                            "ssim_valid", jsonc_real(s->ssim_valid), "l1", s->l1, "gmsd", s->gmsd,
+                            "gaussians", s->gaussians, "ms_frame", s->ms_frame, "bytes", s->bytes);
     if (!row || json_array_append_new(v->rows, row))
         return err_set(e, ERR_MEM, "eval: out of memory");
     return ERR_OK;
@@ -315,7 +315,7 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
             "Draws the scene's test photographs from the trained Gaussians, or from a tile store "
             "with and "
             "without level of detail, and prints PSNR, SSIM (zero padded as in training, and inner "
-            "windows only), mean |difference|, Gaussians and time a frame.",
+            "windows only), GMSD (perceptual, lower is better), Gaussians and time a frame.",
         .example =
             "citysplat eval scene\ncitysplat eval scene --tiles city.tiles --max-edge-px 800",
         .defs = eval_defs,

@@ -147,6 +147,39 @@ static void test_metrics_by_another_program(void **state)
     kit_near_d("SSIM padded, SSIM inside, PSNR", got, want, 3, 0, 1e-6); /* rgb is float */
 }
 
+/* GMSD against a program of its own that follows the authors' published one line by line, over
+ * pictures anybody can make; odd sizes are the ones where implementations differ. */
+static void test_gmsd_by_another_program(void **state)
+{
+    (void)state;
+    enum { MOST = 31 * 23 };
+    static const uint32_t sizes[3][2] = {{24, 16}, {31, 23}, {9, 40}};
+    static const double want[3] = {0.169543333740, 0.155236467582, 0.154097179833};
+    float rgb[MOST * 3], same[MOST * 3];
+    uint8_t target[MOST * 3];
+    double got[3], zero;
+    struct err e = {0};
+    for (unsigned k = 0; k < 3; k++) {
+        unsigned w = sizes[k][0], h = sizes[k][1];
+        for (unsigned j = 0; j < h; j++)
+            for (unsigned i = 0; i < w; i++)
+                for (unsigned c = 0; c < 3; c++) {
+                    unsigned at = (j * w + i) * 3 + c;
+                    rgb[at] = (float)((29 * i + 57 * j + 11 * c + i * i) % 256) / 255.0f;
+                    target[at] = (uint8_t)((37 * i + 91 * j + 53 * c + i * j * (c + 1)) % 256);
+                    same[at] = (float)target[at] / 255.0f;
+                }
+        kit_ok(metric_gmsd(rgb, target, NULL, w, h, &got[k], &e), e);
+        kit_ok(metric_gmsd(same, target, NULL, w, h, &zero, &e), e);
+        assert_true(zero < 1e-6); /* rgb is float */
+    }
+    kit_near_d("GMSD", got, want, 3, 0, 1e-6); /* rgb is float */
+    uint8_t mask[MOST] = {0};
+    kit_ok(metric_gmsd(rgb, target, mask, 9, 40, &zero, &e), e);
+    assert_true(zero < 1e-12); /* masked pixels are black in both */
+    kit_fails(metric_gmsd(rgb, target, NULL, 3, 9, &zero, &e), ERR_ARG, e, "too small");
+}
+
 static void test_metrics(void **state)
 {
     (void)state;
@@ -385,6 +418,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_ref_closed_forms),
         cmocka_unit_test(test_ref_finite_differences),
         cmocka_unit_test(test_metrics_by_another_program),
+        cmocka_unit_test(test_gmsd_by_another_program),
         cmocka_unit_test(test_metrics),
         cmocka_unit_test(test_kernel_matches_reference),
         cmocka_unit_test(test_out_of_memory),

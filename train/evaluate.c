@@ -1,6 +1,7 @@
-/* Scores of a picture source against photographs: PSNR, SSIM with both window rules, L1, Gaussians
- * and time a frame. The first photograph is drawn once more before the clock starts, so that
- * building kernels and growing buffers is not counted.
+/* Scores of a picture source against photographs: PSNR, SSIM with both window rules, GMSD, L1,
+ * Gaussians and time a frame (the quickest of three, mean over photographs). The first photograph
+ * is drawn once more before the clock starts, so that building kernels and growing buffers is not
+ * counted.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -10,7 +11,11 @@
 
 #include "train/train.h"
 
-enum { EVALUATE_VALID_MIN = 11 }; /* px: the SSIM window */
+enum {
+    EVALUATE_VALID_MIN = 11, /* px: the SSIM window */
+    EVALUATE_DRAWS =
+        3, /* of a photograph; the quickest counts, so that a busy neighbour does not */
+};
 
 static double evaluate_l1(const float *rgb, const uint8_t *target, size_t n)
 {
@@ -24,14 +29,17 @@ static enum err_code evaluate_photo(const struct feed_photo *p, const float *rgb
                                     struct evaluate_score *sum, struct err *e)
 {
     uint32_t w = p->cam.width_px, h = p->cam.height_px;
-    double psnr, ssim, ssim_valid = (double)NAN;
+    double psnr, ssim, gmsd, ssim_valid = (double)NAN;
     enum err_code rc = metric_psnr(rgb, p->px, NULL, w, h, &psnr, e);
     if (!rc)
         rc = metric_ssim(rgb, p->px, NULL, w, h, METRIC_TRAINING, &ssim, e);
     if (!rc && w >= EVALUATE_VALID_MIN && h >= EVALUATE_VALID_MIN)
         rc = metric_ssim(rgb, p->px, NULL, w, h, METRIC_VALID, &ssim_valid, e);
+    if (!rc)
+        rc = metric_gmsd(rgb, p->px, NULL, w, h, &gmsd, e);
     if (rc)
         return rc;
+    sum->gmsd += gmsd;
     sum->psnr_db += psnr;
     sum->ssim += ssim;
     sum->ssim_valid += ssim_valid;
@@ -79,15 +87,16 @@ static enum err_code evaluate_one(struct feed *f, size_t nth, const struct evalu
     if (!rgb)
         return err_set(e, ERR_MEM, "evaluate: out of memory for %u x %u pixels", photo.cam.width_px,
                        photo.cam.height_px);
-    double gaussians = 0.0, start = 0.0;
+    double gaussians = 0.0, start = 0.0, quickest = HUGE_VAL;
     if (nth == 0)
         rc = src->draw(src->user, &photo.cam, rgb, &gaussians, e);
-    if (!rc) {
+    for (int k = 0; !rc && k < EVALUATE_DRAWS; k++) {
         start = clock_s();
         rc = src->draw(src->user, &photo.cam, rgb, &gaussians, e);
+        quickest = fmin(quickest, clock_s() - start);
     }
     if (!rc) {
-        sum->ms_frame += 1e3 * (clock_s() - start);
+        sum->ms_frame += 1e3 * quickest;
         sum->gaussians += gaussians;
         rc = evaluate_photo(&photo, rgb, sum, e);
     }
@@ -115,6 +124,7 @@ enum err_code evaluate_run(struct feed *f, size_t n_photos, const struct evaluat
     out->ssim /= n;
     out->ssim_valid /= n;
     out->l1 /= n;
+    out->gmsd /= n;
     out->gaussians /= n;
     out->ms_frame /= n;
     return ERR_OK;

@@ -254,7 +254,7 @@ struct evaluate_score { /* means over the photographs */
     size_t n_photos;
     double psnr_db, ssim,
         ssim_valid; /* ssim: zero padded as in the loss; ssim_valid: inner windows only */
-    double l1;
+    double l1, gmsd;
     double gaussians; /* handed to the renderer a frame */
     double ms_frame;
     double bytes; /* what the source takes in files, 0 when not told */
