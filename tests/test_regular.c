@@ -8,7 +8,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "train/knn.h"
 #include "train/regular.h"
 
 #define FD_STEP 1e-6
@@ -443,50 +442,6 @@ static void depth_kernels_match_the_reference(void **state)
             check_depth_kernels(width, hard);
 }
 
-/* ---- neighbours
- * --------------------------------------------------------------------------------- */
-
-static void neighbours_are_exact(void **state)
-{
-    (void)state;
-    enum { N = 700, K = 16 };
-    static float xyz[3 * N];
-    struct knn t;
-    struct err e = {0};
-    for (size_t i = 0; i < 3 * N; i++) /* on a coarse grid: many equal distances and places */
-        xyz[i] = floorf((float)(6.0 * rng_unit(61, 1, i)));
-    kit_ok(knn_build(xyz, N, &t, &e), e);
-    for (uint32_t i = 0; i < N; i++) {
-        uint32_t ids[K];
-        float dist2[K];
-        uint32_t skip = i % 2 ? i : KNN_NOBODY;
-        assert_int_equal(knn_find(&t, xyz + 3 * i, skip, K, ids, dist2), K);
-        bool taken[N] = {false};
-        for (size_t k = 0; k < K; k++) { /* the k-th by brute force, lower ids first */
-            uint32_t best = KNN_NOBODY;
-            float least = INFINITY;
-            for (uint32_t j = 0; j < N; j++) {
-                float d = 0.0f;
-                for (size_t a = 0; a < 3; a++)
-                    d += (xyz[3 * j + a] - xyz[3 * i + a]) * (xyz[3 * j + a] - xyz[3 * i + a]);
-                if (j != skip && !taken[j] && d < least) {
-                    least = d;
-                    best = j;
-                }
-            }
-            taken[best] = true;
-            assert_int_equal(ids[k], best);
-            assert_true(dist2[k] == least);
-        }
-    }
-    knn_free(&t);
-    kit_ok(knn_build(xyz, 3, &t, &e), e); /* fewer than asked for */
-    uint32_t ids[K];
-    float dist2[K];
-    assert_int_equal(knn_find(&t, xyz, 0, K, ids, dist2), 2);
-    knn_free(&t);
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -498,7 +453,6 @@ int main(void)
         cmocka_unit_test(depth_reference_matches_differences),
         cmocka_unit_test(opacity_of_the_hard_pass_goes_straight_through),
         cmocka_unit_test(depth_kernels_match_the_reference),
-        cmocka_unit_test(neighbours_are_exact),
     };
     int failed = cmocka_run_group_tests(tests, NULL, NULL);
     dev_close(dev_get());

@@ -144,4 +144,22 @@ struct depth_target {
 enum err_code depth_map_target(struct depth_map *d, uint32_t image, const struct camera *cam,
                                struct depth_target *out, struct err *e) ERR_USE;
 
+/* ---- similarity_loss.c: neighbours look alike
+ * ------------------------------------------------------ */
+
+/* With i over `samples` Gaussians drawn at random (all when there are fewer), n_0 .. n_k-1 the k
+ * nearest of i, itself included, in order of distance, and e^ = e / |e|:
+ *   L = weight / (M C(k, 2)) sum_i sum_{a < b} w_ib (1 - e^_{n_a} . e^_{n_b}),
+ *   w_ib = exp(-falloff |mu_i - mu_{n_b}|^2). */
+struct similarity_loss_input {
+    const float *mean_m; /* [n][3] */
+    const float *embed;  /* [n][len], not normalised */
+    size_t n, len, samples, neighbours;
+    double falloff, weight; /* 1 / m^2 */
+    uint64_t seed, stream;
+};
+/* grad [n][len], written: dL/dembed. Same input, same bits, on any number of threads. */
+enum err_code similarity_loss_run(const struct similarity_loss_input *in, double *loss, float *grad,
+                                  struct err *e) ERR_USE;
+
 #endif

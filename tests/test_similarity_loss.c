@@ -1,0 +1,171 @@
+/* The similarity loss on appearance embeddings, and the search for neighbours that it stands on:
+ * against brute force, the definition written out, and finite differences.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "train/knn.h"
+#include "train/regular.h"
+
+/* ---- neighbours
+ * --------------------------------------------------------------------------------- */
+
+static void neighbours_are_exact(void **state)
+{
+    (void)state;
+    enum { N = 700, K = 16 };
+    static float xyz[3 * N];
+    struct knn t;
+    struct err e = {0};
+    for (size_t i = 0; i < 3 * N; i++) /* on a coarse grid: many equal distances and places */
+        xyz[i] = floorf((float)(6.0 * rng_unit(61, 1, i)));
+    kit_ok(knn_build(xyz, N, &t, &e), e);
+    for (uint32_t i = 0; i < N; i++) {
+        uint32_t ids[K];
+        float dist2[K];
+        uint32_t skip = i % 2 ? i : KNN_NOBODY;
+        assert_int_equal(knn_find(&t, xyz + 3 * i, skip, K, ids, dist2), K);
+        bool taken[N] = {false};
+        for (size_t k = 0; k < K; k++) { /* the k-th by brute force, lower ids first */
+            uint32_t best = KNN_NOBODY;
+            float least = INFINITY;
+            for (uint32_t j = 0; j < N; j++) {
+                float d = 0.0f;
+                for (size_t a = 0; a < 3; a++)
+                    d += (xyz[3 * j + a] - xyz[3 * i + a]) * (xyz[3 * j + a] - xyz[3 * i + a]);
+                if (j != skip && !taken[j] && d < least) {
+                    least = d;
+                    best = j;
+                }
+            }
+            taken[best] = true;
+            assert_int_equal(ids[k], best);
+            assert_true(dist2[k] == least);
+        }
+    }
+    knn_free(&t);
+    kit_ok(knn_build(xyz, 3, &t, &e), e); /* fewer than asked for */
+    uint32_t ids[K];
+    float dist2[K];
+    assert_int_equal(knn_find(&t, xyz, 0, K, ids, dist2), 2);
+    knn_free(&t);
+}
+
+/* ---- similarity
+ * --------------------------------------------------------------------------------- */
+
+enum { ALIKE = 60, ALIKE_LEN = 5 };
+
+struct alike {
+    float mean_m[3 * ALIKE], embed[ALIKE * ALIKE_LEN];
+    struct similarity_loss_input in;
+};
+
+static void alike_make(struct alike *s, size_t samples)
+{
+    for (size_t i = 0; i < 3 * ALIKE; i++)
+        s->mean_m[i] = (float)(10.0 * rng_unit(71, 1, i));
+    for (size_t i = 0; i < ALIKE * ALIKE_LEN; i++) /* on a grid: steps are exact */
+        s->embed[i] = (float)(round(4096.0 * rng_normal(71, 2, i)) / 4096.0);
+    s->in = (struct similarity_loss_input){.mean_m = s->mean_m,
+                                           .embed = s->embed,
+                                           .n = ALIKE,
+                                           .len = ALIKE_LEN,
+                                           .samples = samples,
+                                           .neighbours = 16,
+                                           .falloff = 0.05,
+                                           .weight = 0.2,
+                                           .seed = 3,
+                                           .stream = 4};
+}
+
+/* The definition, pair by pair: all Gaussians are samples. */
+static double alike_by_definition(const struct alike *s)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < ALIKE; i++) {
+        double d2[ALIKE];
+        size_t order[ALIKE];
+        for (size_t j = 0; j < ALIKE; j++) {
+            size_t at = j;
+            d2[j] = 0.0;
+            for (size_t c = 0; c < 3; c++) {
+                double d = (double)s->mean_m[3 * j + c] - (double)s->mean_m[3 * i + c];
+                d2[j] += d * d;
+            }
+            for (; at > 0 && d2[order[at - 1]] > d2[j]; at--)
+                order[at] = order[at - 1];
+            order[at] = j;
+        }
+        for (size_t b = 1; b < 16; b++)
+            for (size_t a = 0; a < b; a++) {
+                const float *x = s->embed + order[a] * ALIKE_LEN,
+                            *y = s->embed + order[b] * ALIKE_LEN;
+                double xy = 0.0, xx = 0.0, yy = 0.0;
+                for (size_t c = 0; c < ALIKE_LEN; c++) {
+                    xy += (double)x[c] * (double)y[c];
+                    xx += (double)x[c] * (double)x[c];
+                    yy += (double)y[c] * (double)y[c];
+                }
+                sum += exp(-0.05 * d2[order[b]]) * (1.0 - xy / sqrt(xx * yy));
+            }
+    }
+    return 0.2 * sum / (ALIKE * 120.0);
+}
+
+static void similarity_is_its_definition_and_derivative(void **state)
+{
+    (void)state;
+    static struct alike s;
+    static float grad[ALIKE * ALIKE_LEN], none[ALIKE * ALIKE_LEN];
+    static double fd[ALIKE * ALIKE_LEN];
+    struct err e = {0};
+    double loss;
+    alike_make(&s, 20480);
+    kit_ok(similarity_loss_run(&s.in, &loss, grad, &e), e);
+    double want = alike_by_definition(&s);
+    assert_true(fabs(loss - want) < 1e-6 * want);
+    for (int part = 0; part < 2; part++) { /* all, then a draw of 20 */
+        s.in.samples = part ? 20 : 20480;
+        kit_ok(similarity_loss_run(&s.in, &loss, grad, &e), e);
+        for (size_t i = 0; i < ALIKE * ALIKE_LEN; i++) {
+            const float keep = s.embed[i];
+            double f[4], h = ldexp(1, -11);
+            for (int j = 0; j < 4; j++) {
+                s.embed[i] = (float)((double)keep + (j < 2 ? j - 2 : j - 1) * h);
+                kit_ok(similarity_loss_run(&s.in, &f[j], none, &e), e);
+            }
+            s.embed[i] = keep;
+            fd[i] = (8 * (f[2] - f[1]) - (f[3] - f[0])) / (12 * h);
+        }
+        kit_near("dL/dembed", grad, fd, ALIKE * ALIKE_LEN, 1e-9,
+                 1e-5); /* groups are kept in float */
+    }
+    s.in.seed++; /* another draw is another loss */
+    double other;
+    kit_ok(similarity_loss_run(&s.in, &other, grad, &e), e);
+    assert_true(other != loss);
+    for (size_t i = 0; i < ALIKE * ALIKE_LEN; i++) /* all alike: nothing to do */
+        s.embed[i] = (float)(1 + i % ALIKE_LEN);
+    kit_ok(similarity_loss_run(&s.in, &loss, grad, &e), e);
+    assert_true(fabs(loss) < 1e-7);
+    memset(s.embed, 0, sizeof(s.embed)); /* no direction: finite all the same */
+    kit_ok(similarity_loss_run(&s.in, &loss, grad, &e), e);
+    for (size_t i = 0; i < ALIKE * ALIKE_LEN; i++)
+        assert_true(isfinite(grad[i]));
+    s.in.neighbours = 1;
+    kit_fails(similarity_loss_run(&s.in, &loss, grad, &e), ERR_ARG, e, "neighbours");
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(neighbours_are_exact),
+        cmocka_unit_test(similarity_is_its_definition_and_derivative),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
