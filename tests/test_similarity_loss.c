@@ -161,11 +161,73 @@ static void similarity_is_its_definition_and_derivative(void **state)
     kit_fails(similarity_loss_run(&s.in, &loss, grad, &e), ERR_ARG, e, "neighbours");
 }
 
+/* The gradient reaches Adam's moments of the embeddings, and nothing else. */
+static void gradients_enter_the_moments(void **state)
+{
+    (void)state;
+    static struct alike s;
+    static float grad[ALIKE * ALIKE_LEN];
+    struct dev dev;
+    struct err e = {0};
+    struct gauss g = {0};
+    struct render *r = NULL;
+    struct render_model m = {0};
+    struct similarity_step *step = NULL;
+    double loss, again;
+    alike_make(&s, 20);
+    kit_gauss(5, ALIKE, 10.0, 1, ALIKE_LEN, &g);
+    memcpy(g.mean_m, s.mean_m, sizeof(s.mean_m));
+    memcpy(g.embed, s.embed, sizeof(s.embed));
+    kit_ok(similarity_loss_run(&s.in, &loss, grad, &e), e);
+    kit_ok(dev_open(NULL, &dev, &e), e);
+    kit_ok(render_open(&dev, &r, &e), e);
+    kit_ok(render_model_upload(r, &g, &m, &e), e);
+    size_t floats = (size_t)m.groups * m.planes * 16;
+    float *before = mem_array(2 * floats, sizeof(*before)),
+          *after = mem_array(2 * floats, sizeof(*after));
+    assert_true(before && after);
+    for (size_t i = 0; i < 2 * floats; i++)
+        before[i] = (float)(1e-3 * rng_unit(72, 1, i));
+    struct render_adam adam = {.beta1 = 0.9f, .beta2 = 0.999f};
+    kit_ok(dev_buffer(&dev, floats * sizeof(float), before, &adam.m1, &e), e);
+    kit_ok(dev_buffer(&dev, floats * sizeof(float), before + floats, &adam.m2, &e), e);
+    kit_ok(similarity_step_open(&dev, &step, &e), e);
+    kit_ok(similarity_step_run(step, &m, &adam, &s.in, &again, &e), e);
+    assert_true(again == loss);
+    kit_ok(dev_read(&dev, adam.m1, 0, floats * sizeof(float), after, &e), e);
+    kit_ok(dev_read(&dev, adam.m2, 0, floats * sizeof(float), after + floats, &e), e);
+    uint32_t first = render_planes(1), touched = 0;
+    for (uint32_t p = 0; p < m.planes; p++)
+        for (size_t i = 0; i < (size_t)m.groups * 16; i++) {
+            size_t at = (i / 16 * m.planes + p) * 16 + i % 16;
+            bool embed = p >= first && i < ALIKE;
+            double d = embed ? (double)grad[i * ALIKE_LEN + p - first] : 0.0;
+            double m1 = (double)before[at] + d * 0.1 / 0.9,
+                   m2 = (double)before[floats + at] + d * d * 0.001 / 0.999;
+            assert_true(fabs((double)after[at] - m1) <= 1e-9);
+            assert_true(fabs((double)after[floats + at] - m2) <= 1e-9);
+            touched += after[at] != before[at];
+            if (!embed)
+                assert_true(after[at] == before[at] && after[floats + at] == before[floats + at]);
+        }
+    assert_true(touched > ALIKE);
+    similarity_step_close(&step);
+    dev_release(&adam.m1);
+    dev_release(&adam.m2);
+    render_model_free(&m);
+    render_close(&r);
+    dev_close(&dev);
+    gauss_free(&g);
+    mem_free(before);
+    mem_free(after);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(neighbours_are_exact),
         cmocka_unit_test(similarity_is_its_definition_and_derivative),
+        cmocka_unit_test(gradients_enter_the_moments),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

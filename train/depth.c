@@ -133,6 +133,7 @@ static enum err_code depth_draw(struct depth *d, struct render *r, const struct 
     enum err_code rc = dev_run(d->dev, d->model, "depth_model", items, 1, e);
     struct render_options o = in->options;
     o.sh_degree = 0;
+    o.appearance_frame = NULL;
     for (int k = 0; k < 3; k++)
         o.background[k] = 0.0f; /* infinitely far */
     *shadow = (struct render_model){.params = d->shadow,

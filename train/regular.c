@@ -26,6 +26,7 @@ struct regular {
     struct mip *mip;
     struct depth *depth;
     struct depth_map *maps;
+    struct similarity_step *similarity;
     cl_mem extra; /* float [groups][11][16] */
     size_t groups;
 };
@@ -39,6 +40,7 @@ void regular_free(struct regular **p)
     mip_close(&r->mip);
     depth_close(&r->depth);
     depth_map_close(&r->maps);
+    similarity_step_close(&r->similarity);
     dev_release(&r->extra);
     mem_free(r);
     *p = NULL;
@@ -175,6 +177,31 @@ static enum err_code regular_depth(struct level *l, uint32_t step, const struct 
     return depth_run(l->regular->depth, l->render, &l->model, &in, l->regular->extra, e);
 }
 
+/* Embeddings that have begun to learn; before, there is nothing to be alike. */
+static bool regular_similarity_acts(const struct level *l, uint32_t step)
+{
+    return l->model.embed_len && l->adam.embed_step > 0 && l->cfg->similarity_weight > 0.0 &&
+           step % (uint32_t)l->cfg->similarity_interval == 0;
+}
+
+static enum err_code regular_similarity(struct level *l, uint32_t step, struct err *e)
+{
+    struct similarity_loss_input in = {
+        .samples = (size_t)l->cfg->similarity_samples,
+        .neighbours = (size_t)l->cfg->similarity_neighbours,
+        .falloff = l->cfg->similarity_falloff / (l->cell.edge_m * l->cell.edge_m),
+        .weight = l->cfg->similarity_weight,
+        .seed = (uint64_t)l->cfg->seed,
+        .stream = train_stream(TRAIN_STREAM_SIMILARITY, l->at + 1, step),
+    };
+    double loss;
+    enum err_code rc = regular_make(l, e);
+    if (!rc && !l->regular->similarity)
+        rc = similarity_step_open(l->dev, &l->regular->similarity, e);
+    return rc ? rc
+              : similarity_step_run(l->regular->similarity, &l->model, &l->adam, &in, &loss, e);
+}
+
 enum err_code regular_step(struct level *l, uint32_t step, const struct feed_photo *photo,
                            struct err *e)
 {
@@ -183,6 +210,8 @@ enum err_code regular_step(struct level *l, uint32_t step, const struct feed_pho
         l->filter_is_current = false;
     l->adam.extra_grad = NULL;
     enum err_code rc = regular_filter(l, e);
+    if (!rc && regular_similarity_acts(l, step))
+        rc = regular_similarity(l, step, e);
     if (rc || (!scale && !depth))
         return rc;
     rc = regular_make(l, e);

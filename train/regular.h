@@ -162,4 +162,18 @@ struct similarity_loss_input {
 enum err_code similarity_loss_run(const struct similarity_loss_input *in, double *loss, float *grad,
                                   struct err *e) ERR_USE;
 
+/* ---- similarity_step.c: the same on a model in training
+ * --------------------------------------------- */
+
+struct similarity_step; /* compiled kernels, and a buffer */
+enum err_code similarity_step_open(struct dev *dev, struct similarity_step **out,
+                                   struct err *e) ERR_USE;
+void similarity_step_close(struct similarity_step **s);
+/* Add the loss's gradient to Adam's moments of the embeddings, for the next render_backward_step to
+ * take up; `like` without the fields of the model. Models without embeddings: nothing, loss 0. */
+enum err_code similarity_step_run(struct similarity_step *s, const struct render_model *m,
+                                  const struct render_adam *adam,
+                                  const struct similarity_loss_input *like, double *loss,
+                                  struct err *e) ERR_USE;
+
 #endif

@@ -45,7 +45,8 @@ enum train_stream_id {
     TRAIN_STREAM_INIT,
     TRAIN_STREAM_RACE,
     TRAIN_STREAM_SPLIT,
-    TRAIN_STREAM_VIEWS
+    TRAIN_STREAM_VIEWS,
+    TRAIN_STREAM_SIMILARITY
 };
 uint64_t train_stream(enum train_stream_id id, uint32_t level, uint64_t step);
 
