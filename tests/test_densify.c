@@ -242,6 +242,41 @@ static void both_ceilings_hold_where_children_cross_the_border(void **state)
     toy_free(&t);
 }
 
+/* Candidates outside have a room of their own: however many and however important they are, those
+ * inside get all that the cell's ceiling leaves. */
+static void many_candidates_outside_take_no_room_inside(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct toy t = toy_make(900);
+    size_t in0 = 0;
+    for (size_t i = 0; i < t.n; i++) {
+        bool inside = i < 90;
+        *at(t.params, i, 0) = inside ? -5.0f : 5.0f;
+        for (uint32_t k = 3; k < 6; k++)
+            *at(t.params, i, k) = logf(0.1f); /* all are clones */
+        t.grad[i] = 100.0f;
+        t.score[i] = inside ? 0.01f : 100.0f;
+        in0 += inside;
+    }
+    struct densify_params p = params_of(&western, in0 + 60, t.n - in0 + 50);
+    struct densify_input in = input_of(&t, true);
+    struct densify_plan plan;
+    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    assert_int_equal(plan.report.inside, in0 + 60);
+    assert_int_equal(plan.report.outside, t.n - in0 + 50);
+    assert_int_equal(plan.report.room, 110);
+    assert_int_equal(plan.report.cloned, 110);
+    densify_plan_free(&plan);
+    /* No room outside: the same inside. */
+    p.cap_outside = 0;
+    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    assert_int_equal(plan.report.inside, in0 + 60);
+    assert_int_equal(plan.report.outside, t.n - in0);
+    densify_plan_free(&plan);
+    toy_free(&t);
+}
+
 static void the_threshold_rises_outside_the_cell(void **state)
 {
     (void)state;
@@ -456,6 +491,7 @@ int main(void)
         cmocka_unit_test(more_than_the_budget_neither_grows_nor_is_cut),
         cmocka_unit_test(transparent_huge_tiny_and_broken_ones_are_removed),
         cmocka_unit_test(both_ceilings_hold_where_children_cross_the_border),
+        cmocka_unit_test(many_candidates_outside_take_no_room_inside),
         cmocka_unit_test(the_threshold_rises_outside_the_cell),
         cmocka_unit_test(clones_are_copies_and_halves_lie_within_their_parent),
         cmocka_unit_test(the_draw_takes_exactly_k_different_ones),

@@ -2,11 +2,11 @@
  *
  * Candidates are Gaussians whose mean positional gradient exceeds a threshold that grows with the
  * distance from the cell (1 inside .. tau_outside at one cell edge). Small ones are cloned, large
- * ones split in two (3D Gaussian Splatting, Kerbl 2023). Room is what the ceiling leaves; each
- * class gets its share of it, drawn without replacement with chances proportional to an importance
- * score (Taming 3DGS, Mallick 2024). The draw is an exponential race: the k smallest -ln(u_i) /
- * score_i, with u_i from the counter generator, so it is the same on every machine and has no limit
- * of size.
+ * ones split in two (3D Gaussian Splatting, Kerbl 2023). Inside and outside have a ceiling each,
+ * and room is what a ceiling leaves to its own candidates; each class gets its share of it, drawn
+ * without replacement with chances proportional to an importance score (Taming 3DGS, Mallick 2024).
+ * The draw is an exponential race: the k smallest -ln(u_i) / score_i, with u_i from the counter
+ * generator, so it is the same on every machine and has no limit of size.
  *
  * Everything here runs on host copies in the device layout; nothing depends on the number of
  * threads.
@@ -158,9 +158,13 @@ static bool densify_row_inside(const struct densify_params *p, const struct dens
 enum densify_class { CLASS_KEEP, CLASS_PRUNE, CLASS_CLONE, CLASS_SPLIT };
 
 struct densify_work {
-    uint8_t *class, *inside, *chosen;  /* [n] */
-    uint32_t *clones, *splits, *drawn; /* candidates, ascending; scratch for a draw */
-    size_t n_clones, n_splits, n_in, n_out;
+    uint8_t *class, *inside, *chosen; /* [n] */
+    uint32_t *drawn;                  /* scratch for a draw */
+    struct densify_side {             /* 0 outside the cell, 1 inside */
+        uint32_t *clones, *splits;    /* candidates, ascending */
+        size_t n_clones, n_splits, room;
+    } side[2];
+    size_t n_in, n_out;
 };
 
 static enum densify_class densify_classify(const struct densify_params *p,
@@ -199,10 +203,11 @@ static void densify_classify_all(const struct densify_params *p, const struct de
             continue;
         w->n_in += inside;
         w->n_out += !inside;
+        struct densify_side *side = &w->side[inside];
         if (c == CLASS_CLONE)
-            w->clones[w->n_clones++] = (uint32_t)i;
+            side->clones[side->n_clones++] = (uint32_t)i;
         else if (c == CLASS_SPLIT)
-            w->splits[w->n_splits++] = (uint32_t)i;
+            side->splits[side->n_splits++] = (uint32_t)i;
     }
 }
 
@@ -265,34 +270,57 @@ static enum err_code densify_rows(const struct densify_input *in, const struct d
     return ERR_OK;
 }
 
+/* Room of one side: what its ceiling leaves, but no more than wants in. True when not all of them
+ * can have it, or a split near the border could be refused. */
+static bool densify_room(struct densify_side *side, size_t n, size_t cap, bool border)
+{
+    size_t wanted = side->n_clones + side->n_splits, left = cap > n ? cap - n : 0;
+    side->room = left < wanted ? left : wanted;
+    return side->room > 0 && (side->room < wanted || (border && left < 2 * wanted));
+}
+
+/* Shares of a room between its classes that leave none of it: exact in integers for any counts
+ * below 2^32, and since the room is at most what is wanted, what clones leave is never more than
+ * there are splits. */
+static enum err_code densify_draw_side(const struct densify_params *p,
+                                       const struct densify_input *in, struct densify_work *w,
+                                       const struct densify_side *side, struct densify_report *r,
+                                       struct err *e)
+{
+    size_t wanted = side->n_clones + side->n_splits, cloned = 0, split = 0;
+    if (!wanted)
+        return ERR_OK;
+    size_t clones = (size_t)((uint64_t)side->room * side->n_clones / wanted);
+    size_t splits = side->room - clones;
+    enum err_code rc = densify_draw(p, in, w, side->clones, side->n_clones, clones, &cloned, e);
+    if (!rc)
+        rc = densify_draw(p, in, w, side->splits, side->n_splits, splits, &split, e);
+    r->cloned += cloned;
+    r->split += split;
+    return rc;
+}
+
 static enum err_code densify_fill(const struct densify_params *p, const struct densify_input *in,
                                   struct densify_work *w, struct densify_plan *out, struct err *e)
 {
     struct densify_report *r = &out->report;
+    struct densify_side *inside = &w->side[1], *outside = &w->side[0];
     densify_classify_all(p, in, w);
-    size_t wanted = w->n_clones + w->n_splits;
-    size_t free_in = p->cap_inside > w->n_in ? p->cap_inside - w->n_in : 0;
+    bool border = !p->cell->whole;
+    bool binds = densify_room(inside, w->n_in, p->cap_inside, border);
+    binds |= densify_room(outside, w->n_out, p->cap_outside, border);
     *r = (struct densify_report){.before = in->n,
                                  .pruned = in->n - w->n_in - w->n_out,
-                                 .clone_candidates = w->n_clones,
-                                 .split_candidates = w->n_splits,
-                                 .room = free_in < wanted ? free_in : wanted};
-    bool outside_binds = !p->cell->whole && w->n_out + 2 * wanted > p->cap_outside;
-    if (!in->score && r->room > 0 && (r->room < wanted || outside_binds)) {
+                                 .clone_candidates = inside->n_clones + outside->n_clones,
+                                 .split_candidates = inside->n_splits + outside->n_splits,
+                                 .room = inside->room + outside->room};
+    if (!in->score && binds) {
         r->needs_score = true;
         return ERR_OK;
     }
-    enum err_code rc = ERR_OK;
-    if (wanted) {
-        /* Shares of the room that leave none of it: exact in integers for any counts below 2^32,
-         * and since the room is at most `wanted`, what clones leave is never more than there are
-         * splits. */
-        size_t clones = (size_t)((uint64_t)r->room * w->n_clones / wanted);
-        size_t splits = r->room - clones;
-        rc = densify_draw(p, in, w, w->clones, w->n_clones, clones, &r->cloned, e);
-        if (!rc)
-            rc = densify_draw(p, in, w, w->splits, w->n_splits, splits, &r->split, e);
-    }
+    enum err_code rc = densify_draw_side(p, in, w, inside, r, e);
+    if (!rc)
+        rc = densify_draw_side(p, in, w, outside, r, e);
     r->inside = w->n_in;
     r->outside = w->n_out;
     r->after = w->n_in + w->n_out;
@@ -311,19 +339,25 @@ enum err_code densify_choose(const struct densify_params *p, const struct densif
     w.class = mem_array(in->n, 1);
     w.inside = mem_array(in->n, 1);
     w.chosen = mem_array(in->n, 1);
-    w.clones = mem_array(in->n, sizeof(*w.clones));
-    w.splits = mem_array(in->n, sizeof(*w.splits));
     w.drawn = mem_array(in->n, sizeof(*w.drawn));
-    if (!w.class || !w.inside || !w.chosen || !w.clones || !w.splits || !w.drawn)
+    bool ok = w.class && w.inside && w.chosen && w.drawn;
+    for (size_t k = 0; k < 2; k++) {
+        w.side[k].clones = mem_array(in->n, sizeof(uint32_t));
+        w.side[k].splits = mem_array(in->n, sizeof(uint32_t));
+        ok = ok && w.side[k].clones && w.side[k].splits;
+    }
+    if (!ok)
         rc = err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", in->n);
     else
         rc = densify_fill(p, in, &w, out, e);
     mem_free(w.class);
     mem_free(w.inside);
     mem_free(w.chosen);
-    mem_free(w.clones);
-    mem_free(w.splits);
     mem_free(w.drawn);
+    for (size_t k = 0; k < 2; k++) {
+        mem_free(w.side[k].clones);
+        mem_free(w.side[k].splits);
+    }
     if (rc)
         densify_plan_free(out);
     return rc;

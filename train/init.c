@@ -163,6 +163,21 @@ static size_t init_count(size_t n_use, size_t limit)
     return n;
 }
 
+enum err_code init_count_points(const struct scene *s, const uint32_t *images, size_t n_images,
+                                const struct train_cell *cell, size_t *out, struct err *e)
+{
+    uint8_t *use = mem_array(s->n_points, 1), *seen = mem_array(s->n_images, 1);
+    *out = 0;
+    enum err_code rc = use && seen
+                           ? ERR_OK
+                           : err_set(e, ERR_MEM, "init: out of memory for %zu points", s->n_points);
+    if (!rc)
+        *out = init_mark_points(s, images, n_images, cell->whole, use, seen);
+    mem_free(use);
+    mem_free(seen);
+    return rc;
+}
+
 enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n_images,
                          const struct train_cell *cell, uint32_t sh_degree, size_t limit,
                          uint64_t seed, struct gauss *out, struct err *e)

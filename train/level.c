@@ -23,6 +23,8 @@
 #define LEVEL_SIGMA_MIN                                                                            \
     1e-6 /* of the cell's edge: beyond, exp() and determinants lose their digits */
 #define LEVEL_SIGMA_MAX 0.5
+#define LEVEL_SHARE_MIN 1e-3 /* of the Gaussians; see docs/decisions/006-density-control.md */
+#define LEVEL_SHARE_MAX 0.6
 #define LEVEL_BETA1 0.9f
 #define LEVEL_BETA2 0.999f
 #define LEVEL_EPS 1e-15f
@@ -183,6 +185,7 @@ void level_close(struct level *l)
     dev_release(&l->stats.repaired);
     dev_release(&l->target);
     feed_close(&l->feed);
+    budget_close(&l->budget);
     score_free(&l->score);
     regular_free(&l->regular);
 }
@@ -223,6 +226,8 @@ enum err_code level_next(struct level *l, struct err *e)
         return rc;
     l->at++;
     l->step = 0;
+    budget_close(&l->budget);
+    l->budget.at = (struct budget_point){0};
     l->filter_is_current = false;
     l->start = level_count_inside(l, &g);
     gauss_free(&g);
@@ -297,6 +302,20 @@ static enum err_code level_download(struct level *l, struct level_copy *c, struc
         c->mean_grad[i] = mean > 0.0f && isfinite(mean) ? mean : 0.0f;
     }
     return rc;
+}
+
+/* At a level's first densification: thresholds in a wrong unit show in the share of candidates. */
+static void level_check_share(const struct level *l, const struct densify_report *r, uint32_t x)
+{
+    double share = (double)(r->clone_candidates + r->split_candidates) / (double)r->before;
+    const struct schedule *s = level_schedule(l);
+    if (x != 1 || (share >= LEVEL_SHARE_MIN && share <= LEVEL_SHARE_MAX))
+        return;
+    log_warn("train",
+             "level %u: %.2g %% of the Gaussians are candidates for densification, %.2g to %.0f %% "
+             "are usual; the threshold tau is %g: it is in NDC units (2e-4, or 6e-4 with absolute "
+             "gradients), and a loss with other weights shifts it",
+             s->level, 100.0 * share, 100.0 * LEVEL_SHARE_MIN, 100.0 * LEVEL_SHARE_MAX, s->tau);
 }
 
 static enum err_code level_report(struct level *l, const struct densify_report *r, size_t cap,
@@ -383,8 +402,10 @@ static enum err_code level_densify(struct level *l, uint32_t x, struct err *e)
         rc = densify_apply(&p, &in, &c.plan, &c.from, &c.to, e);
     if (!rc)
         rc = level_replace(l, &c.to, c.plan.n, e);
-    if (!rc)
+    if (!rc) {
+        level_check_share(l, &c.plan.report, x);
         rc = level_report(l, &c.plan.report, p.cap_inside, e);
+    }
 out:
     level_copy_free(&c);
     return rc;
@@ -497,6 +518,8 @@ enum err_code level_step(struct level *l, struct loss_value *value, struct err *
     if (!rc && value)
         rc = level_read_loss(l, value, e);
     uint32_t x = schedule_densify_index(s, step);
+    if (!rc && x)
+        rc = budget_look(l, x, e);
     if (!rc && x)
         rc = level_densify(l, x, e);
     if (!rc && schedule_resets(s, step))

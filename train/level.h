@@ -6,6 +6,7 @@
 #ifndef TRAIN_LEVEL_H
 #define TRAIN_LEVEL_H
 
+#include "train/budget.h"
 #include "train/regular.h"
 #include "train/train.h"
 
@@ -24,6 +25,8 @@ struct level {
     struct train_cell cell;
     struct schedule schedule[TRAIN_LEVELS_MAX];
     uint32_t n_levels;
+
+    struct budget budget; /* the decisions of --budget auto */
 
     /* -- the state that a checkpoint holds */
     uint32_t at;               /* schedule[at] is in work; n_levels = all done */

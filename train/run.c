@@ -25,6 +25,7 @@ struct run {
     double start_s;
     uint64_t last_saved; /* steps of this process when the state was last saved */
     struct train_cell_result *result;
+    uint32_t *images; /* training, then held-out photographs */
     int lock_fd;
 };
 
@@ -281,6 +282,33 @@ static enum err_code run_levels(struct run *t, struct err *e)
     return rc;
 }
 
+/* Which photographs train, and how many Gaussians each level may have. */
+static enum err_code run_budget(struct run *t, struct err *e)
+{
+    struct level *l = &t->level;
+    const struct run_cell *job = t->job;
+    size_t n_points = 0, n_held = 0;
+    t->images = mem_array(2 * job->n_images, sizeof(*t->images));
+    if (!t->images)
+        return err_set(e, ERR_MEM, "train: out of memory for %zu photographs", job->n_images);
+    uint32_t *held = t->images + job->n_images;
+    budget_hold_out(t->cfg, job->images, job->n_images, t->images, &l->n_images, held, &n_held);
+    l->images = t->images;
+    l->budget.held = held;
+    l->budget.n_held = n_held;
+    if (t->cfg->budget == BUDGET_AUTO && !n_held)
+        log_warn("train", "%zu photographs are too few to hold any out: --budget fit is used",
+                 job->n_images);
+    enum err_code rc = schedule_make(t->cfg, l->n_images, &l->cell, l->schedule, e);
+    if (!rc)
+        rc = init_count_points(l->scene, l->images, l->n_images, &l->cell, &n_points, e);
+    for (uint32_t i = 0; i < l->n_levels; i++)
+        l->budget.table[i] = l->schedule[i].budget;
+    if (!rc)
+        budget_limit(l->scene, l->images, l->n_images, t->cfg, n_points, l->schedule);
+    return rc;
+}
+
 enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out, struct err *e)
 {
     struct run *t = mem_array(1, sizeof(*t));
@@ -303,7 +331,7 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
                               .n_levels = (uint32_t)job->cfg->level_count};
     *out = (struct train_cell_result){.n_levels = t->level.n_levels};
     memcpy(out->id, job->cell.id, sizeof(out->id));
-    enum err_code rc = schedule_make(job->cfg, job->n_images, &job->cell, t->level.schedule, e);
+    enum err_code rc = run_budget(t, e);
     if (!rc)
         rc = run_paths(t, job->base_dir, e);
     if (!rc)
@@ -330,6 +358,7 @@ out:
     level_close(&t->level);
     record_close(&t->level.record);
     done_unlock(&t->lock_fd);
+    mem_free(t->images);
     mem_free(t);
     return rc;
 }

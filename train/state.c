@@ -60,6 +60,15 @@ static json_t *state_meta(const struct level *l, const char *kind, struct err *e
         (json_int_t)l->n_images, "downsample", s->downsample, "edge_m", l->cell.edge_m, "extent_m",
         l->cell.extent_m, "box_m", l->cell.min_enu_m[0], l->cell.min_enu_m[1], l->cell.max_enu_m[0],
         l->cell.max_enu_m[1], "config", config);
+    const struct budget_point *b = &l->budget.at;
+    if (o && l->budget.n_held &&
+        json_object_set_new(o, "budget",
+                            json_pack("{s:I, s:f, s:f, s:b}", "budget", (json_int_t)s->budget,
+                                      "gaussians", b->n, "psnr_db", b->psnr_db, "stopped",
+                                      (int)b->stopped))) {
+        json_decref(o);
+        o = NULL;
+    }
     if (!o)
         err_set(e, ERR_MEM, "out of memory for a checkpoint's head");
     return o;
@@ -286,6 +295,28 @@ static enum err_code state_upload_filter(struct level *l, const struct ckpt *c, 
     return rc;
 }
 
+/* What --budget auto has decided at this level. */
+static enum err_code state_budget(struct level *l, const json_t *meta, struct err *e)
+{
+    double budget;
+    struct budget_point *b = &l->budget.at;
+    const json_t *o = json_object_get(meta, "budget");
+    if (!l->budget.n_held)
+        return ERR_OK;
+    enum err_code rc = jsonc_num(o, "budget", &budget, e);
+    if (!rc)
+        rc = jsonc_num(o, "gaussians", &b->n, e);
+    if (!rc)
+        rc = jsonc_num(o, "psnr_db", &b->psnr_db, e);
+    if (!rc && !(budget >= 1.0 && budget <= 1e9))
+        rc = err_set(e, ERR_FORMAT, "a budget of %g", budget);
+    if (rc)
+        return rc;
+    b->stopped = json_is_true(json_object_get(o, "stopped"));
+    l->schedule[l->at].budget = (size_t)budget;
+    return ERR_OK;
+}
+
 static enum err_code state_apply(struct level *l, const struct ckpt *c, const char *path,
                                  struct err *e)
 {
@@ -311,6 +342,9 @@ static enum err_code state_apply(struct level *l, const struct ckpt *c, const ch
         return rc;
     l->at = (uint32_t)level - 1;
     l->step = (uint32_t)step;
+    rc = state_budget(l, c->meta, e);
+    if (rc)
+        return err_add(e, "%s", path);
     rc = level_open(l, &c->g, e);
     l->start = (size_t)start;
     if (!rc)

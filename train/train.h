@@ -148,6 +148,9 @@ struct camera feed_camera(const struct camera *cam, uint32_t max_edge_px, double
 enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n_images,
                          const struct train_cell *cell, uint32_t sh_degree, size_t limit,
                          uint64_t seed, struct gauss *out, struct err *e) ERR_USE;
+/* How many points that would be without a limit. */
+enum err_code init_count_points(const struct scene *s, const uint32_t *images, size_t n_images,
+                                const struct train_cell *cell, size_t *out, struct err *e) ERR_USE;
 /* dist2[i]: mean squared distance of point i to its three nearest others (fewer when there are
  * fewer). */
 enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, struct err *e) ERR_USE;

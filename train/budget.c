@@ -1,0 +1,154 @@
+/* Budgets that follow the photographs.
+ *
+ * Why: a level with more Gaussians than its photographs can tell apart fits their noise and their
+ * wrong poses. On 65 aerial photographs of 400 x 300 px, 7000 steps reach 33.7 dB with 240 k
+ * Gaussians and 32.3 dB with the 770 k that gradients alone ask for, in half the time
+ * (docs/decisions/006-density-control.md).
+ *
+ * Automatic: the held-out PSNR is looked at while the level grows; growth goes on as long as it
+ * pays. The optimiser's own progress counts as gain too, so a run errs on the side of growing, up
+ * to the table.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "train/budget.h"
+
+#include <math.h>
+
+#include "train/level.h"
+
+#define BUDGET_RAISE_FACTOR 1.3
+#define BUDGET_FULL 0.9  /* of the budget in use: only then is a higher one of use */
+#define BUDGET_GREW 1.05 /* fewer new Gaussians than this say nothing about their worth */
+enum { BUDGET_EVERY = 16, BUDGET_OFFSET = 8, BUDGET_LOOKS = 10 };
+
+size_t budget_fit(const struct scene *s, const uint32_t *images, size_t n_images,
+                  const struct train_config *cfg, double downsample, size_t n_points, size_t table)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < n_images; i++) {
+        struct camera c =
+            feed_camera(&s->images[images[i]].cam, (uint32_t)cfg->max_edge_px, downsample);
+        sum += sqrt((double)c.width_px * c.height_px);
+    }
+    double fit = fmax(floor(cfg->budget_density * sum), (double)n_points);
+    return fit < (double)table ? (size_t)fmax(fit, 1.0) : table;
+}
+
+void budget_limit(const struct scene *s, const uint32_t *images, size_t n_images,
+                  const struct train_config *cfg, size_t n_points,
+                  struct schedule levels[TRAIN_LEVELS_MAX])
+{
+    size_t before = 0;
+    for (int64_t i = 0; cfg->budget != BUDGET_TABLE && i < cfg->level_count; i++) {
+        struct schedule *l = &levels[i];
+        size_t table = l->budget;
+        size_t fit = budget_fit(s, images, n_images, cfg, l->downsample, n_points, table);
+        if (cfg->budget == BUDGET_AUTO)
+            fit = fit / 2 > n_points ? fit / 2 : n_points < fit ? n_points : fit;
+        l->budget = fit > before ? fit : before;
+        before = l->budget;
+        if (l->budget < table)
+            log_info("train",
+                     "level %u: budget %zu instead of %zu for %zu photographs of this size; "
+                     "--budget table takes the latter",
+                     l->level, l->budget, table, n_images);
+    }
+}
+
+/* ---- automatic
+ * ---------------------------------------------------------------------------------------- */
+
+void budget_hold_out(const struct train_config *cfg, const uint32_t *images, size_t n_images,
+                     uint32_t *train, size_t *n_train, uint32_t *held, size_t *n_held)
+{
+    bool some = cfg->budget == BUDGET_AUTO && n_images >= BUDGET_EVERY;
+    *n_train = *n_held = 0;
+    for (size_t i = 0; i < n_images; i++)
+        if (some && i % BUDGET_EVERY == BUDGET_OFFSET)
+            held[(*n_held)++] = images[i];
+        else
+            train[(*n_train)++] = images[i];
+}
+
+void budget_close(struct budget *b)
+{
+    feed_close(&b->feed);
+}
+
+static enum err_code budget_open_feed(struct level *l, struct err *e)
+{
+    struct budget *b = &l->budget;
+    struct feed_config f = {
+        .scene = l->scene,
+        .images = b->held,
+        .n_images = b->n_held,
+        .max_edge_px = (uint32_t)l->cfg->max_edge_px,
+        .downsample = l->schedule[l->at].downsample,
+        .cache_bytes = (size_t)l->cfg->cache_mib << 16, /* a sixteenth, as of the photographs */
+        .level = l->schedule[l->at].level,
+    };
+    return b->feed ? ERR_OK : feed_open(&f, &b->feed, e);
+}
+
+static enum err_code budget_psnr(struct level *l, double *mean_db, struct err *e)
+{
+    struct render_options ro = level_render_options(l, l->step);
+    enum err_code rc = budget_open_feed(l, e);
+    *mean_db = 0.0;
+    for (size_t i = 0; !rc && i < l->budget.n_held; i++) {
+        struct feed_photo p;
+        double db = 0.0;
+        rc = feed_get_nth(l->budget.feed, i, &p, e);
+        if (rc)
+            break;
+        float *rgb = mem_array((size_t)p.cam.width_px * p.cam.height_px * 3, sizeof(*rgb));
+        rc = rgb ? render_forward(l->render, &l->model, &p.cam, &ro, rgb, NULL, e)
+                 : err_set(e, ERR_MEM, "budget: out of memory");
+        if (!rc)
+            rc = metric_psnr(rgb, p.px, NULL, p.cam.width_px, p.cam.height_px, &db, e);
+        mem_free(rgb);
+        *mean_db += db / (double)l->budget.n_held;
+    }
+    return rc;
+}
+
+enum budget_step budget_decide(const struct budget_point *last, double n, double psnr_db,
+                               size_t budget, double gain_db)
+{
+    if (last->stopped || !(last->n > 0.0) || n < BUDGET_GREW * last->n)
+        return BUDGET_KEEP;
+    if ((psnr_db - last->psnr_db) / log2(n / last->n) < gain_db)
+        return BUDGET_STOP;
+    return n >= BUDGET_FULL * (double)budget ? BUDGET_RAISE : BUDGET_KEEP;
+}
+
+enum err_code budget_look(struct level *l, uint32_t x, struct err *e)
+{
+    struct budget *b = &l->budget;
+    struct schedule *s = &l->schedule[l->at];
+    uint32_t count = schedule_densify_count(s), every = count / BUDGET_LOOKS + 1;
+    double psnr = 0.0, n = l->model.n;
+    if (!b->n_held || b->at.stopped || x % every)
+        return ERR_OK;
+    enum err_code rc = budget_psnr(l, &psnr, e);
+    if (rc)
+        return rc;
+    enum budget_step step = budget_decide(&b->at, n, psnr, s->budget, l->cfg->budget_gain_db);
+    log_debug("train", "budget level=%u step=%u gaussians=%.0f held_out_psnr_db=%.3f decision=%d",
+              s->level, l->step, n, psnr, step);
+    if (step == BUDGET_STOP) {
+        b->at.stopped = true;
+        s->budget = l->model.n;
+        log_info("train", "level=%u growth stops at %u Gaussians (step %u): more do not pay",
+                 s->level, l->model.n, l->step);
+    } else if (step == BUDGET_RAISE) {
+        double up = floor(BUDGET_RAISE_FACTOR * (double)s->budget);
+        s->budget = up < (double)b->table[l->at] ? (size_t)up : b->table[l->at];
+    }
+    if (!(b->at.n > 0.0) || n >= BUDGET_GREW * b->at.n) {
+        b->at.n = n;
+        b->at.psnr_db = psnr;
+    }
+    return ERR_OK;
+}

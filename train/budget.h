@@ -1,0 +1,57 @@
+/* How many Gaussians a level may have, beside the table of budgets: what its photographs can
+ * support, and, on request, what a few held-out photographs say.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TRAIN_BUDGET_H
+#define TRAIN_BUDGET_H
+
+#include "train/train.h"
+
+struct level;
+
+enum budget_mode { BUDGET_TABLE, BUDGET_FIT, BUDGET_AUTO }; /* as options.def lists them */
+
+/* The budget that n photographs of one level support: density * sum over them of sqrt(w h) px, but
+ * at least n_points, the Gaussians that training starts from, and at most `table`. Detail grows
+ * like the length of edges in a picture, not like its area. */
+size_t budget_fit(const struct scene *s, const uint32_t *images, size_t n_images,
+                  const struct train_config *cfg, double downsample, size_t n_points, size_t table);
+/* Apply cfg->budget to the budgets of all levels, which are the table's before; they never fall
+ * from level to level. Logs what was lowered. With BUDGET_AUTO a level begins with half of what
+ * fits. */
+void budget_limit(const struct scene *s, const uint32_t *images, size_t n_images,
+                  const struct train_config *cfg, size_t n_points,
+                  struct schedule levels[TRAIN_LEVELS_MAX]);
+
+/* ---- BUDGET_AUTO -------------------------------------------------------------------------------
+ */
+
+/* Photographs i with i % 16 = 8 of the training photographs are held out: they carry no gradient
+ * and are not the test photographs. Both lists are filled, [n_images] each; in any other mode, and
+ * with fewer than 16 photographs, none is held out. */
+void budget_hold_out(const struct train_config *cfg, const uint32_t *images, size_t n_images,
+                     uint32_t *train, size_t *n_train, uint32_t *held, size_t *n_held);
+
+struct budget { /* {0}: not automatic. What a state to resume from holds of it is in `at`. */
+    const uint32_t *held;
+    size_t n_held;
+    size_t table[TRAIN_LEVELS_MAX]; /* the most that a budget can be raised to */
+    struct feed *feed;              /* of the level in work; made on first use */
+    struct budget_point {           /* where the last decision was taken */
+        double n, psnr_db;          /* n 0: none yet */
+        bool stopped;
+    } at;
+};
+void budget_close(struct budget *b);
+/* At densification x of the level in work, before it: look at the held-out photographs about ten
+ * times a level. Gain since the last decision, dB a doubling of the Gaussians: at or above
+ * cfg->budget_gain_db the budget rises by 1.3 when it is nearly used, below it growth stops for the
+ * rest of the level. Changes l->schedule[l->at].budget. */
+enum err_code budget_look(struct level *l, uint32_t x, struct err *e) ERR_USE;
+/* The decision by itself. */
+enum budget_step { BUDGET_KEEP, BUDGET_RAISE, BUDGET_STOP };
+enum budget_step budget_decide(const struct budget_point *last, double n, double psnr_db,
+                               size_t budget, double gain_db);
+
+#endif
