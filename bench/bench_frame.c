@@ -21,12 +21,16 @@ struct frame_case {
     struct render_model model;
     struct camera cam;
     float *rgb, *again;
+    const float *look; /* constants of an appearance, or NULL; borrowed */
 };
 
 static enum err_code frame_once(void *user, struct err *e)
 {
     struct frame_case *c = user;
-    const struct render_options o = {.aa = RENDER_AA_2D, .sh_degree = -1};
+    const struct render_options o = {.aa = RENDER_AA_2D,
+                                     .sh_degree = -1,
+                                     .appearance_frame = c->look,
+                                     .appearance_hidden = APPEARANCE_HIDDEN};
     return render_forward(c->render, &c->model, &c->cam, &o, c->rgb, NULL, e);
 }
 
@@ -105,6 +109,34 @@ static void frame_close(struct frame_case *c)
     render_close(&c->render);
 }
 
+/* The city under a photograph's light; against the same frame without. */
+static enum err_code frame_appearance(struct bench *b, const struct gauss *plain, double plain_ms,
+                                      struct err *e)
+{
+    struct gauss g = {0};
+    struct appearance a = {0};
+    struct frame_case c = {.cam = city_camera(1280, 720)};
+    float *look = NULL;
+    double ms = 0;
+    char name[64];
+    enum err_code rc = city_appearance(plain, &g, &a, &look, e);
+    snprintf(name, sizeof name, "%zu k, appearance", plain->n / 1000);
+    if (rc == ERR_OK)
+        rc = frame_open(b, &g, &c, e);
+    c.look = look;
+    if (rc == ERR_OK)
+        rc = frame_check(&c, e);
+    if (rc == ERR_OK)
+        rc = frame_report(b, &c, name, &ms, plain_ms, "without appearance", e);
+    if (rc == ERR_OK)
+        rc = frame_stages(b, &c, name, e);
+    frame_close(&c);
+    appearance_free(&a);
+    gauss_free(&g);
+    mem_free(look);
+    return rc;
+}
+
 enum err_code bench_frame(struct bench *b, struct err *e)
 {
     static const uint32_t sizes[][2] = {{1280, 720}, {1600, 1200}, {400, 300}};
@@ -133,6 +165,8 @@ enum err_code bench_frame(struct bench *b, struct err *e)
         rc = frame_report(b, &c, name, &ms, hd_ms, "exact tile culling", e);
         c.render->box_tiles = false;
     }
+    if (rc == ERR_OK)
+        rc = frame_appearance(b, &sorted, hd_ms, e);
     if (rc == ERR_OK)
         rc = city_make(n, &random, e);
     if (rc == ERR_OK)

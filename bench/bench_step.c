@@ -27,6 +27,10 @@ struct step_case {
     struct render_density_stats stats;
     struct camera cam;
     cl_mem target;
+    /* with appearance; frame NULL: without */
+    struct appearance look;
+    float *frame, *frame_grad;
+    struct render_appearance_grad grad;
 };
 
 static void step_free(struct step_case *c)
@@ -38,6 +42,9 @@ static void step_free(struct step_case *c)
     render_model_free(&c->model);
     loss_close(&c->loss);
     render_close(&c->render);
+    appearance_free(&c->look);
+    mem_free(c->frame);
+    mem_free(c->frame_grad);
 }
 
 static void step_rates(struct step_case *c, float scale)
@@ -49,12 +56,16 @@ static void step_rates(struct step_case *c, float scale)
     a->lr_opacity = 5e-2f * scale;
     a->lr_sh_dc = 2.5e-3f * scale;
     a->lr_sh_rest = 1.25e-4f * scale;
+    a->lr_embed = 1e-2f * scale;
 }
 
 static enum err_code step_draw(void *user, struct err *e)
 {
     struct step_case *c = user;
-    const struct render_options o = {.aa = RENDER_AA_2D, .sh_degree = -1};
+    const struct render_options o = {.aa = RENDER_AA_2D,
+                                     .sh_degree = -1,
+                                     .appearance_frame = c->frame,
+                                     .appearance_hidden = APPEARANCE_HIDDEN};
     enum err_code rc = render_forward(c->render, &c->model, &c->cam, &o, NULL, NULL, e);
     return rc == ERR_OK ? dev_finish(c->dev, e) : rc;
 }
@@ -79,6 +90,7 @@ static enum err_code step_once(void *user, struct err *e)
     if (rc == ERR_OK)
         rc = step_loss(c, e);
     c->adam.step++;
+    c->adam.embed_step = c->adam.step;
     if (rc == ERR_OK)
         rc = render_backward_step(c->render, &c->model, &c->adam, &c->stats, e);
     return rc == ERR_OK ? dev_finish(c->dev, e) : rc;
@@ -119,7 +131,23 @@ static void step_disturb(struct gauss *g)
     }
 }
 
-static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h,
+/* Embeddings for these Gaussians, and room for the frame's gradients. */
+static enum err_code step_look(struct step_case *c, struct gauss *g, struct err *e)
+{
+    struct gauss with = {0};
+    enum err_code rc = city_appearance(g, &with, &c->look, &c->frame, e);
+    c->frame_grad = mem_array(appearance_frame_floats(APPEARANCE_GAUSS_LEN, APPEARANCE_HIDDEN),
+                              sizeof *c->frame_grad);
+    if (rc == ERR_OK && !c->frame_grad)
+        rc = err_set(e, ERR_MEM, "bench_step: appearance");
+    c->grad = (struct render_appearance_grad){.frame = c->frame_grad, .offset_weight = 0.05f};
+    c->adam.appearance = &c->grad;
+    gauss_free(g);
+    *g = with;
+    return rc;
+}
+
+static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h, bool look,
                                struct step_case *c, struct err *e)
 {
     struct gauss g = {0};
@@ -138,7 +166,10 @@ static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h
         rc = loss_open(b->dev, &c->loss, e);
     if (rc == ERR_OK)
         rc = step_target(c, &g, e);
-    step_disturb(&g);
+    if (rc == ERR_OK)
+        step_disturb(&g);
+    if (rc == ERR_OK && look)
+        rc = step_look(c, &g, e);
     if (rc == ERR_OK)
         rc = render_model_upload(c->render, &g, &c->model, e);
     size_t lanes = (size_t)c->model.groups * 16 * sizeof(float), state = lanes * c->model.planes;
@@ -198,12 +229,14 @@ static enum err_code step_stages(struct bench *b, struct step_case *c, const cha
     return rc;
 }
 
-static enum err_code step_measure(struct bench *b, size_t n, uint32_t w, uint32_t h, struct err *e)
+/* *total_ms: of the iteration; with appearance it is read as well, as what to compare against. */
+static enum err_code step_measure(struct bench *b, size_t n, uint32_t w, uint32_t h, bool look,
+                                  double *total_ms, struct err *e)
 {
     struct step_case c;
     char name[64], text[128];
     double ms = 0, draw_ms = 0, loss_ms = 0, spread = 0;
-    enum err_code rc = step_open(b, n, w, h, &c, e);
+    enum err_code rc = step_open(b, n, w, h, look, &c, e);
     if (rc == ERR_OK)
         rc = step_check(&c, e);
     if (rc == ERR_OK)
@@ -213,8 +246,10 @@ static enum err_code step_measure(struct bench *b, size_t n, uint32_t w, uint32_
     if (rc == ERR_OK)
         rc = bench_time(b, step_loss, &c, &loss_ms, &spread, e);
     if (rc == ERR_OK) {
-        snprintf(name, sizeof name, "%zu k, %ux%u", n / 1000, w, h);
-        bench_report(b, name, ms, "ms", 0, NULL);
+        snprintf(name, sizeof name, "%zu k, %ux%u%s", n / 1000, w, h, look ? ", appearance" : "");
+        bench_report(b, name, ms, "ms", look ? ms / *total_ms : 0,
+                     look ? "without appearance" : NULL);
+        *total_ms = ms;
         snprintf(text, sizeof text, "%s: draw", name);
         bench_report(b, text, draw_ms, "ms", 0, NULL);
         snprintf(text, sizeof text, "%s: loss", name);
@@ -229,14 +264,19 @@ static enum err_code step_measure(struct bench *b, size_t n, uint32_t w, uint32_
 
 enum err_code bench_step(struct bench *b, struct err *e)
 {
-    if (b->quick)
-        return step_measure(b, 5000, 200, 150, e);
-    enum err_code rc = step_measure(b, 50000, 400, 301, e);
-    if (rc == ERR_OK)
-        rc = step_measure(b, 100000, 400, 300, e);
-    if (rc == ERR_OK)
-        rc = step_measure(b, 100000, 800, 600, e);
-    if (rc == ERR_OK)
-        rc = step_measure(b, 1000000, 1280, 720, e);
+    static const struct {
+        size_t n;
+        uint32_t w, h;
+    } cases[] = {{50000, 400, 301}, {100000, 400, 300}, {100000, 800, 600}, {1000000, 1280, 720}},
+      quick[] = {{5000, 200, 150}};
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; rc == ERR_OK && i < (b->quick ? 1 : sizeof cases / sizeof *cases); i++) {
+        double ms = 0;
+        size_t n = b->quick ? quick[i].n : cases[i].n;
+        uint32_t w = b->quick ? quick[i].w : cases[i].w, h = b->quick ? quick[i].h : cases[i].h;
+        rc = step_measure(b, n, w, h, false, &ms, e);
+        if (rc == ERR_OK)
+            rc = step_measure(b, n, w, h, true, &ms, e);
+    }
     return rc;
 }

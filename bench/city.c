@@ -10,6 +10,7 @@
 #include "bench/city.h"
 
 #include <math.h>
+#include <string.h>
 
 #include "core/base.h"
 
@@ -114,6 +115,31 @@ enum err_code city_sorted(size_t n, struct gauss *out, struct err *e)
     mem_free(order);
     gauss_free(&g);
     return rc;
+}
+
+enum err_code city_appearance(const struct gauss *g, struct gauss *out, struct appearance *a,
+                              float **frame, struct err *e)
+{
+    memset(out, 0, sizeof *out);
+    memset(a, 0, sizeof *a);
+    enum err_code rc = gauss_alloc(out, g->n, g->sh_degree, APPEARANCE_GAUSS_LEN, e);
+    if (rc == ERR_OK)
+        rc = gauss_append(out, g, NULL, g->n, e);
+    if (rc == ERR_OK)
+        rc = appearance_alloc(a, APPEARANCE_GAUSS_LEN, APPEARANCE_IMAGE_LEN, APPEARANCE_HIDDEN, 1,
+                              e);
+    *frame =
+        mem_array(appearance_frame_floats(APPEARANCE_GAUSS_LEN, APPEARANCE_HIDDEN), sizeof **frame);
+    if (rc == ERR_OK && !*frame)
+        rc = err_set(e, ERR_MEM, "city: out of memory");
+    if (rc != ERR_OK)
+        return rc;
+    memcpy(out->origin_enu_m, g->origin_enu_m, sizeof out->origin_enu_m);
+    for (size_t i = 0; i < out->n * APPEARANCE_GAUSS_LEN; i++)
+        out->embed[i] = (float)rng_normal(SEED, 70, i);
+    appearance_init(a, SEED);
+    appearance_frame(a, a->images, *frame);
+    return ERR_OK;
 }
 
 struct camera city_camera(uint32_t width_px, uint32_t height_px)

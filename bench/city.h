@@ -5,6 +5,7 @@
 #ifndef BENCH_CITY_H
 #define BENCH_CITY_H
 
+#include "core/appearance.h"
 #include "core/camera.h"
 #include "core/gauss.h"
 
@@ -12,6 +13,10 @@
  * gauss_free. */
 enum err_code city_make(size_t n, struct gauss *out, struct err *e) ERR_USE;
 enum err_code city_sorted(size_t n, struct gauss *out, struct err *e) ERR_USE;
+/* The same Gaussians with embeddings, of the default length, and a network for them as training
+ * begins: one photograph, and *frame its constants. gauss_free, appearance_free, mem_free. */
+enum err_code city_appearance(const struct gauss *g, struct gauss *out, struct appearance *a,
+                              float **frame, struct err *e) ERR_USE;
 /* The oblique view of it that every figure is about. */
 struct camera city_camera(uint32_t width_px, uint32_t height_px);
 
