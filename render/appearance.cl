@@ -8,7 +8,14 @@
 // A vector of lanes runs through the network at once: LEN and HIDDEN are compile-time constants, so
 // an embedding stays in registers and every weight is one broadcast of a constant.
 //
-// Reference: appearance_eval in core/appearance.c, ref_appearance in render/render_ref.c.
+// Backward: with s = W1 g^ + bias, a = max(0, s), z = W2 a + b2:  g_z = g_y y (1 - y),
+// g_a = W2^T g_z, g_s = g_a where s > 0, g_g^ = W1^T g_s, and g_g = (g_g^ - g^ (g^ . g_g^)) / |g|.
+// The frame's gradients are sums over the Gaussians of g_s g^T, g_s, g_z a^T and g_z; they are kept
+// in rows of APPEARANCE_ROW floats, one a fixed piece of the Gaussians, the last of which that
+// counts is the sum of y3, and appearance_sum (appearance_backward.cl) adds the rows in order.
+//
+// Reference: appearance_eval in core/appearance.c, ref_appearance in render/render_ref.c and
+// appearance_splat in render/render_ref_backward.c.
 
 #ifndef APPEARANCE_LEN // defined by look.c for the model at hand
 #define APPEARANCE_LEN 16
@@ -18,6 +25,8 @@
 #define APPEARANCE_W2 (APPEARANCE_BIAS + APPEARANCE_HIDDEN)
 #define APPEARANCE_B2 (APPEARANCE_W2 + 4 * APPEARANCE_HIDDEN)
 #define APPEARANCE_FLOATS (APPEARANCE_B2 + 4)
+#define APPEARANCE_SUMS (APPEARANCE_FLOATS + 1)
+#define APPEARANCE_ROW ((APPEARANCE_SUMS + 15) / 16 * 16)
 // Units at a time: as many independent sums as hide the latency of a fused multiply-add.
 #if APPEARANCE_HIDDEN % 4
 #define APPEARANCE_UNITS 1
@@ -87,3 +96,170 @@ INLINE void appearance_eval(__constant float *frame, __global const float *g, V 
     for (uint o = 0; o < 4; o++)
         y[o] = appearance_sigmoid(y[o]);
 }
+
+// ---- backward
+// --------------------------------------------------------------------------------------------
+
+// One group or Gaussian: what the sums are made of, all 0 where it was not seen.
+struct look_terms {
+    V unit[APPEARANCE_LEN];
+    V act[APPEARANCE_HIDDEN], g_act[APPEARANCE_HIDDEN]; // a and g_s
+    V g_out[4], offset;                                 // g_z and y3
+    V embed[APPEARANCE_LEN];                            // gradient of the embedding
+};
+
+// From dL/dy. `each` is added to that of y3.
+INLINE void look_terms(__constant float *frame, __global const float *g, const V g_y[4], float each,
+                       VI visible, struct look_terms *t)
+{
+    V y[4], g_unit[APPEARANCE_LEN], along = (V)(0.0f);
+    V len = appearance_unit(g, t->unit);
+#pragma unroll
+    for (uint o = 0; o < 4; o++)
+        y[o] = (V)(frame[APPEARANCE_B2 + o]);
+    for (uint h = 0; h < APPEARANCE_HIDDEN; h += APPEARANCE_UNITS) {
+        V s[APPEARANCE_UNITS];
+        appearance_units(frame, t->unit, h, s);
+#pragma unroll
+        for (uint j = 0; j < APPEARANCE_UNITS; j++) {
+            V a = MAX_(s[j], 0.0f);
+            t->act[h + j] = a;
+#pragma unroll
+            for (uint o = 0; o < 4; o++)
+                y[o] = frame[APPEARANCE_W2 + o * APPEARANCE_HIDDEN + h + j] * a + y[o];
+        }
+    }
+#pragma unroll
+    for (uint o = 0; o < 4; o++) {
+        V p = appearance_sigmoid(y[o]), gy = o == 3 ? g_y[o] + each : g_y[o];
+        t->g_out[o] = visible ? gy * (p * (1.0f - p)) : (V)(0.0f);
+        if (o == 3)
+            t->offset = visible ? p : (V)(0.0f);
+    }
+#pragma unroll
+    for (uint k = 0; k < APPEARANCE_LEN; k++)
+        g_unit[k] = (V)(0.0f);
+    for (uint h = 0; h < APPEARANCE_HIDDEN; h++) {
+        V g_a = (V)(0.0f);
+#pragma unroll
+        for (uint o = 0; o < 4; o++)
+            g_a = frame[APPEARANCE_W2 + o * APPEARANCE_HIDDEN + h] * t->g_out[o] + g_a;
+        g_a = t->act[h] > 0.0f ? g_a : (V)(0.0f);
+        t->g_act[h] = g_a;
+#pragma unroll
+        for (uint k = 0; k < APPEARANCE_LEN; k++)
+            g_unit[k] = frame[h * APPEARANCE_LEN + k] * g_a + g_unit[k];
+    }
+#pragma unroll
+    for (uint k = 0; k < APPEARANCE_LEN; k++)
+        along = t->unit[k] * g_unit[k] + along;
+    along = len > 1e-12f ? along : (V)(0.0f); // below, the divisor is a constant
+    V inv = 1.0f / len;
+#pragma unroll
+    for (uint k = 0; k < APPEARANCE_LEN; k++)
+        t->embed[k] = (g_unit[k] - t->unit[k] * along) * inv;
+}
+
+#if VW == 16
+// 16 Gaussians share a vector, except that for g_s g^T lanes run over the embedding: 16 Gaussians,
+// transposed, are added to one row of it.
+
+#define LOOK_BLOCKS ((APPEARANCE_LEN + 15) / 16)
+
+struct look_sums {
+    V w1[APPEARANCE_HIDDEN][LOOK_BLOCKS]; // lanes run over the embedding
+    V act[APPEARANCE_HIDDEN], w2[4][APPEARANCE_HIDDEN], out[4], offset;
+};
+
+// 16 planes of 16 lanes -> 16 lanes of 16 planes.
+INLINE void look_transpose(V w[16])
+{
+    V t[16];
+#pragma unroll
+    for (int round = 0; round < 2; round++) {
+#pragma unroll
+        for (int i = 0; i < 8; i++) {
+            t[2 * i].even = w[i].lo;
+            t[2 * i].odd = w[i + 8].lo;
+            t[2 * i + 1].even = w[i].hi;
+            t[2 * i + 1].odd = w[i + 8].hi;
+        }
+#pragma unroll
+        for (int i = 0; i < 8; i++) {
+            w[2 * i].even = t[i].lo;
+            w[2 * i].odd = t[i + 8].lo;
+            w[2 * i + 1].even = t[i].hi;
+            w[2 * i + 1].odd = t[i + 8].hi;
+        }
+    }
+}
+
+INLINE void look_clear(struct look_sums *s)
+{
+    for (uint h = 0; h < APPEARANCE_HIDDEN; h++) {
+        for (uint b = 0; b < LOOK_BLOCKS; b++)
+            s->w1[h][b] = (V)(0.0f);
+        s->act[h] = s->w2[0][h] = s->w2[1][h] = s->w2[2][h] = s->w2[3][h] = (V)(0.0f);
+    }
+    s->out[0] = s->out[1] = s->out[2] = s->out[3] = s->offset = (V)(0.0f);
+}
+
+INLINE void look_add(const struct look_terms *t, struct look_sums *sums)
+{
+    const float *g_act = (const float *)t->g_act; // [HIDDEN][16]
+#pragma unroll
+    for (uint b = 0; b < LOOK_BLOCKS; b++) {
+        V lane[16];
+#pragma unroll
+        for (uint k = 0; k < 16; k++)
+            lane[k] = 16 * b + k < APPEARANCE_LEN ? t->unit[16 * b + k] : (V)(0.0f);
+        look_transpose(lane);
+        for (uint h = 0; h < APPEARANCE_HIDDEN; h += APPEARANCE_UNITS) {
+            V row[APPEARANCE_UNITS];
+#pragma unroll
+            for (uint j = 0; j < APPEARANCE_UNITS; j++)
+                row[j] = sums->w1[h + j][b];
+#pragma unroll
+            for (uint i = 0; i < 16; i++)
+#pragma unroll
+                for (uint j = 0; j < APPEARANCE_UNITS; j++)
+                    row[j] = g_act[16 * (h + j) + i] * lane[i] + row[j];
+#pragma unroll
+            for (uint j = 0; j < APPEARANCE_UNITS; j++)
+                sums->w1[h + j][b] = row[j];
+        }
+    }
+    for (uint h = 0; h < APPEARANCE_HIDDEN; h++) {
+        sums->act[h] += t->g_act[h];
+#pragma unroll
+        for (uint o = 0; o < 4; o++)
+            sums->w2[o][h] = t->g_out[o] * t->act[h] + sums->w2[o][h];
+    }
+#pragma unroll
+    for (uint o = 0; o < 4; o++)
+        sums->out[o] += t->g_out[o];
+    sums->offset += t->offset;
+}
+
+INLINE float look_lanes(V v) // always in this order
+{
+    float8 a = v.lo + v.hi;
+    float4 b = a.lo + a.hi;
+    return (b.x + b.y) + (b.z + b.w);
+}
+
+INLINE void look_write(const struct look_sums *s, __global float *out)
+{
+    for (uint h = 0; h < APPEARANCE_HIDDEN; h++) {
+        const float *row = (const float *)s->w1[h];
+        for (uint k = 0; k < APPEARANCE_LEN; k++)
+            out[h * APPEARANCE_LEN + k] = row[k];
+        out[APPEARANCE_BIAS + h] = look_lanes(s->act[h]);
+        for (uint o = 0; o < 4; o++)
+            out[APPEARANCE_W2 + o * APPEARANCE_HIDDEN + h] = look_lanes(s->w2[o][h]);
+    }
+    for (uint o = 0; o < 4; o++)
+        out[APPEARANCE_B2 + o] = look_lanes(s->out[o]);
+    out[APPEARANCE_FLOATS] = look_lanes(s->offset);
+}
+#endif

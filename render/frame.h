@@ -74,9 +74,9 @@ struct render {
     struct render_look *looks;      /* all that were made */
     struct frame_buffer look_frame; /* float [appearance_frame_floats]: constants of the frame */
     struct frame_buffer effective;  /* float [groups * 16]: min(o + y3, 1), of the visible */
-    struct frame_buffer look_grad;  /* float [groups][4][16]: dL/dy, of the visible */
-    struct frame_buffer look_parts; /* float [LAYOUT_APPEARANCE_CHUNKS][frame floats + 1] */
-    struct frame_buffer look_sums;  /* float [frame floats + 1], the last: sum of y3 */
+    struct frame_buffer look_grad;  /* VW 1: float [groups][4][16]: dL/dy, of the visible */
+    struct frame_buffer look_parts; /* float [pieces][look_row]: sums of the frame's gradients */
+    struct frame_buffer look_sums;  /* float [look_row]: their sum; behind them that of y3 */
 
     /* -- programs ------------------------------------------------------------------------------ */
     cl_program
@@ -120,22 +120,27 @@ enum err_code frame_run(struct render *r, cl_kernel k, const char *name,
 
 /* Appearance: look.c. look_begin sets r->look for this frame, or NULL, and uploads its
  * constants; the others are for frames that have it. */
-struct look_adam { /* numbers as project_step takes them; lr.s[0] is the embedding's */
-    cl_mem m1, m2;
-    cl_float8 lr, k;
-};
 enum err_code look_begin(struct render *r, const struct render_model *m,
                          const struct render_options *o, struct err *e) ERR_USE;
 enum err_code look_project(struct render *r, const struct render_model *m, struct err *e) ERR_USE;
-/* The kernels to take in place of project_backward and project_step: they have two more arguments,
- * r->effective and r->look_grad. */
-enum err_code look_kernels(struct render *r, cl_kernel *grads, cl_kernel *step,
-                           struct err *e) ERR_USE;
-/* After one of these: the embedding's planes of `grads`, or (adam not NULL) of params and moments;
- * sums into *out when it is not NULL. */
-enum err_code look_backward(struct render *r, const struct render_model *m, cl_mem grads,
-                            const struct look_adam *adam, struct render_appearance_grad *out,
-                            struct err *e) ERR_USE;
+/* A way back: which kernels to take in place of project_backward and project_step, and the
+ * arguments that come after theirs. */
+struct look_call { /* stays where it is until look_finish: arguments point into it */
+    cl_kernel grads, step;
+    struct frame_arg args[5];
+    size_t n_grads, n_step; /* how many of them each takes */
+    cl_float each;
+    cl_float2 embed;
+};
+/* embed: of adam_embed in project_backward.cl. out NULL: no sums wanted, no offset_weight. */
+enum err_code look_prepare(struct render *r, const struct render_appearance_grad *out,
+                           cl_float2 embed, struct look_call *c, struct err *e) ERR_USE;
+/* After that kernel: embeddings, where it left them to do, in grads or (adam not NULL: Adam's k) in
+ * params and moments; sums into *out when it is not NULL. */
+enum err_code look_finish(struct render *r, const struct render_model *m, cl_mem grads,
+                          const struct render_adam *adam, const cl_float8 *k,
+                          const struct look_call *c, struct render_appearance_grad *out,
+                          struct err *e) ERR_USE;
 void look_close(struct render *r);
 
 extern const char common_cl[]; /* first source of every program of render/ after core/layout.h */

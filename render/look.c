@@ -4,8 +4,8 @@
  * Kernels are compiled for the lengths of the model at hand (one program a pair of lengths, kept
  * until render_close), because loops of constant length keep embeddings in registers; the plain
  * renderer's program knows nothing of it. A frame drawn with appearance has r->look set and its
- * constants in r->look_frame; render.c and render_backward.c ask for these and launch the kernels
- * given here instead of their own. What the network computes stands in render/appearance.cl and, in
+ * constants in r->look_frame; render.c and render_backward.c launch the kernels given here instead
+ * of their own. What the network computes stands in render/appearance.cl and, in
  * double, in core/appearance.c and render_ref.c.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -22,8 +22,9 @@ extern const char appearance_cl[], project_cl[], project_backward_cl[], appearan
 struct render_look {
     uint32_t len, hidden;
     cl_program program;
-    cl_kernel project, grads, step;         /* as the plain ones, with two more arguments */
-    cl_kernel backward, backward_step, sum; /* of appearance_backward.cl */
+    cl_kernel project, grads, step; /* as the plain ones, with more arguments */
+    cl_kernel backward, backward_step,
+        sum; /* of appearance_backward.cl; the first two VW 1 alone */
     struct render_look *next;
 };
 
@@ -72,15 +73,18 @@ static enum err_code look_build(struct render *r, struct render_look *l, struct 
     } kernels[] = {{"project", &l->project},
                    {"project_backward", &l->grads},
                    {"project_step", &l->step},
-                   {"appearance_backward", &l->backward},
-                   {"appearance_step", &l->backward_step},
-                   {"appearance_sum", &l->sum}};
+                   {"appearance_sum", &l->sum},
+                   {"appearance_backward", &l->backward}, /* the last two: VW 1 alone */
+                   {"appearance_step", &l->backward_step}};
+    size_t n_kernels = sizeof kernels / sizeof *kernels;
+    if (r->dev->vector_width == LAYOUT_LANES)
+        n_kernels -= 2;
     char options[80];
     snprintf(options, sizeof options, "-DAPPEARANCE_LEN=%u -DAPPEARANCE_HIDDEN=%u", l->len,
              l->hidden);
     enum err_code rc =
         dev_build(r->dev, sources, sizeof sources / sizeof *sources, options, &l->program, e);
-    for (size_t i = 0; rc == ERR_OK && i < sizeof kernels / sizeof *kernels; i++)
+    for (size_t i = 0; rc == ERR_OK && i < n_kernels; i++)
         rc = dev_kernel(l->program, kernels[i].name, kernels[i].to, e);
     return rc;
 }
@@ -154,29 +158,83 @@ enum err_code look_project(struct render *r, const struct render_model *m, struc
 /* ---- backward ---------------------------------------------------------------------------------
  */
 
-enum err_code look_kernels(struct render *r, cl_kernel *grads, cl_kernel *step, struct err *e)
+/* Numbers in a row of sums: APPEARANCE_ROW in appearance.cl. */
+static size_t look_row(const struct render_look *l)
 {
-    *grads = r->look->grads;
-    *step = r->look->step;
-    return frame_reserve(r, &r->look_grad,
-                         (size_t)r->view.groups * APPEARANCE_OUT * LAYOUT_LANES * sizeof(float), e);
+    return (appearance_frame_floats(l->len, l->hidden) + 1 + LAYOUT_LANES - 1) / LAYOUT_LANES *
+           LAYOUT_LANES;
 }
 
-/* The local size of appearance_backward.cl: LOOK_ITEMS there. */
-static size_t look_items(const struct render *r)
+/* Rows: work-items of the kernels that go through the network, or work-groups. */
+static size_t look_rows(const struct render *r)
 {
-    uint32_t columns = (r->look->len + 2 * r->look->hidden + APPEARANCE_OUT + 2) | 1;
-    return r->dev->vector_width > 1 ? 1 : columns > 128 ? 32 : 64;
+    size_t local, items = frame_items(r, r->view.groups, &local);
+    return r->dev->vector_width == LAYOUT_LANES ? items : LAYOUT_APPEARANCE_CHUNKS;
+}
+
+enum err_code look_prepare(struct render *r, const struct render_appearance_grad *out,
+                           cl_float2 embed, struct look_call *c, struct err *e)
+{
+    bool wide = r->dev->vector_width == LAYOUT_LANES;
+    size_t row = look_row(r->look) * sizeof(float);
+    size_t grad = (size_t)r->view.groups * APPEARANCE_OUT * LAYOUT_LANES * sizeof(float);
+    memset(c, 0, sizeof *c);
+    c->grads = r->look->grads;
+    c->step = r->look->step;
+    c->each = out && r->stats.visible ? out->offset_weight / (float)r->stats.visible : 0;
+    c->embed = embed;
+    enum err_code rc = frame_reserve(r, &r->look_parts, look_rows(r) * row, e);
+    if (rc == ERR_OK)
+        rc = frame_reserve(r, &r->look_sums, row, e);
+    if (rc == ERR_OK && !wide)
+        rc = frame_reserve(r, &r->look_grad, grad, e);
+    const struct frame_arg all[5] = {FRAME_ARG(r->effective.mem), FRAME_ARG(r->look_frame.mem),
+                                     FRAME_ARG(c->each), FRAME_ARG(r->look_parts.mem),
+                                     FRAME_ARG(c->embed)},
+                           narrow[2] = {FRAME_ARG(r->effective.mem), FRAME_ARG(r->look_grad.mem)};
+    memcpy(c->args, wide ? all : narrow, wide ? sizeof all : sizeof narrow);
+    c->n_grads = wide ? 4 : 2;
+    c->n_step = wide ? 5 : 2;
+    return rc;
+}
+
+/* VW 1: what project_backward.cl left to do. */
+static enum err_code look_backward(struct render *r, const struct render_model *m, cl_mem grads,
+                                   const struct render_adam *adam, const cl_float8 *k,
+                                   const struct look_call *c, struct err *e)
+{
+    const struct render_look *l = r->look;
+    uint32_t columns = (l->len + 2 * l->hidden + APPEARANCE_OUT + 2) | 1;
+    size_t items = columns > 128 ? 32 : 64; /* LOOK_ITEMS in appearance_backward.cl */
+    const struct frame_arg common[] = {FRAME_ARG(r->view_mem),      FRAME_ARG(r->look_frame.mem),
+                                       FRAME_ARG(m->params),        FRAME_ARG(r->tiles_of.mem),
+                                       FRAME_ARG(r->look_grad.mem), FRAME_ARG(c->each),
+                                       FRAME_ARG(r->look_parts.mem)};
+    struct frame_arg args[sizeof common / sizeof *common + 4];
+    size_t n = sizeof common / sizeof *common;
+    memcpy(args, common, sizeof common);
+    if (adam) {
+        args[n++] = (struct frame_arg)FRAME_ARG(adam->m1);
+        args[n++] = (struct frame_arg)FRAME_ARG(adam->m2);
+        args[n++] = (struct frame_arg)FRAME_ARG(*k);
+        args[n++] = (struct frame_arg)FRAME_ARG(c->embed);
+    } else {
+        args[n++] = (struct frame_arg)FRAME_ARG(grads);
+    }
+    return frame_run(r, adam ? l->backward_step : l->backward, "appearance_backward", args, n,
+                     LAYOUT_APPEARANCE_CHUNKS * items, items, e);
 }
 
 /* Sums to the host. */
 static enum err_code look_read(struct render *r, struct render_appearance_grad *out, struct err *e)
 {
     size_t floats = appearance_frame_floats(r->look->len, r->look->hidden);
+    cl_uint rows = (cl_uint)look_rows(r);
     float offset = 0;
     enum err_code rc = frame_run(
         r, r->look->sum, "appearance_sum",
-        FRAME_ARGS(FRAME_ARG(r->look_parts.mem), FRAME_ARG(r->look_sums.mem)), floats + 1, 1, e);
+        FRAME_ARGS(FRAME_ARG(r->look_parts.mem), FRAME_ARG(rows), FRAME_ARG(r->look_sums.mem)),
+        look_row(r->look) / r->dev->vector_width, 1, e);
     if (rc == ERR_OK && out->frame)
         rc = dev_read(r->dev, r->look_sums.mem, 0, floats * sizeof(float), out->frame, e);
     if (rc == ERR_OK)
@@ -186,35 +244,13 @@ static enum err_code look_read(struct render *r, struct render_appearance_grad *
     return rc;
 }
 
-enum err_code look_backward(struct render *r, const struct render_model *m, cl_mem grads,
-                            const struct look_adam *adam, struct render_appearance_grad *out,
-                            struct err *e)
+enum err_code look_finish(struct render *r, const struct render_model *m, cl_mem grads,
+                          const struct render_adam *adam, const cl_float8 *k,
+                          const struct look_call *c, struct render_appearance_grad *out,
+                          struct err *e)
 {
-    struct render_look *l = r->look;
-    size_t sums = appearance_frame_floats(l->len, l->hidden) + 1, items = look_items(r);
-    cl_float each = out && r->stats.visible ? out->offset_weight / (float)r->stats.visible : 0;
-    enum err_code rc =
-        frame_reserve(r, &r->look_parts, LAYOUT_APPEARANCE_CHUNKS * sums * sizeof(float), e);
-    if (rc == ERR_OK)
-        rc = frame_reserve(r, &r->look_sums, sums * sizeof(float), e);
-    if (rc != ERR_OK)
-        return rc;
-    const struct frame_arg common[] = {FRAME_ARG(r->view_mem),      FRAME_ARG(r->look_frame.mem),
-                                       FRAME_ARG(m->params),        FRAME_ARG(r->tiles_of.mem),
-                                       FRAME_ARG(r->look_grad.mem), FRAME_ARG(each),
-                                       FRAME_ARG(r->look_parts.mem)};
-    struct frame_arg args[sizeof common / sizeof *common + 4];
-    size_t n = sizeof common / sizeof *common;
-    memcpy(args, common, sizeof common);
-    if (adam) {
-        args[n++] = (struct frame_arg)FRAME_ARG(adam->m1);
-        args[n++] = (struct frame_arg)FRAME_ARG(adam->m2);
-        args[n++] = (struct frame_arg)FRAME_ARG(adam->lr);
-        args[n++] = (struct frame_arg)FRAME_ARG(adam->k);
-    } else {
-        args[n++] = (struct frame_arg)FRAME_ARG(grads);
-    }
-    rc = frame_run(r, adam ? l->backward_step : l->backward, "appearance_backward", args, n,
-                   LAYOUT_APPEARANCE_CHUNKS * items, items, e);
+    enum err_code rc = ERR_OK;
+    if (r->dev->vector_width != LAYOUT_LANES)
+        rc = look_backward(r, m, grads, adam, k, c, e);
     return rc == ERR_OK && out ? look_read(r, out, e) : rc;
 }

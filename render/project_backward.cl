@@ -19,8 +19,9 @@
 // already tangent. The view direction of SH is held fixed.
 //
 // With APPEARANCE_LEN (appearance.cl) opacity is min(o + y3, 1) and colour clamp(SH + 0.5 + 2 y -
-// 1, 0, 1): nothing passes where they were cut, and dL/dy goes to `look` [groups][4][16] for
-// appearance_backward.cl.
+// 1, 0, 1): nothing passes where they were cut. VW 16 goes on through the network at once, so that
+// the embeddings pass through the cache with the other planes: in `frame` and `each`, out a row of
+// sums a work-item. VW 1 leaves dL/dy in `look` [groups][4][16] for appearance_backward.cl.
 //
 // Reference: render_ref_backward. Adam: Kingma and Ba 2015, every parameter every frame, also where
 // the gradient is 0.
@@ -91,11 +92,9 @@ struct gradient {
 #ifdef APPEARANCE_LEN
 #define EFFECTIVE_ARG , __global const float *effective
 #define EFFECTIVE(at) , effective + (at)
-#define LOOK_ARG , __global float *look
 #else
 #define EFFECTIVE_ARG
 #define EFFECTIVE(at)
-#define LOOK_ARG
 #endif
 
 // Gradient of mean, scale, rotation and opacity. Lanes that were culled hold anything. One piece,
@@ -259,44 +258,6 @@ inline uint item_groups(__constant struct layout_view *v, uint *to, uint *lane)
 #endif
 }
 
-__kernel void project_backward(__constant struct layout_view *v, __global const float *params,
-                               __global const float *filter,
-                               __global const struct layout_splat *splats,
-                               __global const uint *tiles_of, __global const uint *slot_first,
-                               __global const float *slots, __global const uchar *marks,
-                               __global float *grads EFFECTIVE_ARG LOOK_ARG)
-{
-    uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1);
-    for (uint group = item_groups(v, &to, &lane); group < to; group++) {
-        size_t at = (size_t)group * v->planes * LAYOUT_LANES + lane;
-        uint i = group * LAYOUT_LANES + lane;
-        VI visible = tiles_some(tiles_of + i);
-        __global float *out = grads + at;
-        if (!ANY(visible)) {
-            for (uint p = 0; p < v->planes; p++)
-                ST(out, p, (V)(0.0f));
-            continue;
-        }
-        struct gradient d;
-        V dir[3], basis[16];
-        gradient_all(v, params + at, filter + i, splats + i, tiles_of + i, slot_first + i, slots,
-                     marks, visible, &d EFFECTIVE(i));
-#ifdef APPEARANCE_LEN
-        for (uint p = 0; p < 4; p++)
-            ST(look + (size_t)group * 4 * LAYOUT_LANES + lane, p, d.look[p]);
-#endif
-        seen_direction(v, params + at, dir);
-        sh_basis(dir, v->sh_degree, basis);
-        for (uint p = 0; p < 11; p++)
-            ST(out, p, d.geo[p]);
-        for (uint k = 0; k < used; k++)
-            for (uint c = 0; c < 3; c++)
-                ST(out, 11 + 3 * k + c, basis[k] * d.rgb[c]);
-        for (uint p = 11 + 3 * used; p < v->planes; p++)
-            ST(out, p, (V)(0.0f));
-    }
-}
-
 // ---- Adam
 // ------------------------------------------------------------------------------------------------
 
@@ -407,6 +368,96 @@ inline void stats_add(__global float *grad, __global float *absg, uint with_abs,
     }
 }
 
+// ---- appearance
+// ------------------------------------------------------------------------------------------------
+
+#ifdef APPEARANCE_LEN
+// The embedding's planes, which start at `first`. embed: learning rate over the first moment's
+// correction, 1/sqrt of the second's.
+INLINE void adam_embed(const struct adam *a, float2 embed, uint first, const V g[APPEARANCE_LEN],
+                       VI real)
+{
+    struct adam b = *a;
+    VI keep = real;
+    b.k.s3 = embed.y;
+    for (uint k = 0; k < APPEARANCE_LEN; k++)
+        keep &= fabs(g[k]) < GRAD_LIMIT;
+    for (uint k = 0; k < APPEARANCE_LEN; k++)
+        ST(b.p, first + k, adam_plane(&b, first + k, embed.x, g[k], keep));
+}
+#if VW == 16
+#define LOOK_ARG , __constant float *frame, float each, __global float *parts
+#define EMBED_ARG , float2 embed
+#define LOOK_OPEN                                                                                  \
+    struct look_terms terms;                                                                       \
+    struct look_sums look_sums;                                                                    \
+    look_clear(&look_sums);
+#define LOOK_CLOSE                                                                                 \
+    if (get_global_id(0) * LAYOUT_PROJECT_GROUPS < v->groups)                                      \
+        look_write(&look_sums, parts + get_global_id(0) * APPEARANCE_ROW);
+#else
+#define LOOK_ARG , __global float *look
+#define EMBED_ARG
+#define LOOK_OPEN
+#define LOOK_CLOSE
+#endif
+#else
+#define LOOK_ARG
+#define EMBED_ARG
+#define LOOK_OPEN
+#define LOOK_CLOSE
+#endif
+
+// ---- kernels
+// ------------------------------------------------------------------------------------------------
+
+__kernel void project_backward(__constant struct layout_view *v, __global const float *params,
+                               __global const float *filter,
+                               __global const struct layout_splat *splats,
+                               __global const uint *tiles_of, __global const uint *slot_first,
+                               __global const float *slots, __global const uchar *marks,
+                               __global float *grads EFFECTIVE_ARG LOOK_ARG)
+{
+    uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1);
+    LOOK_OPEN
+    for (uint group = item_groups(v, &to, &lane); group < to; group++) {
+        size_t at = (size_t)group * v->planes * LAYOUT_LANES + lane;
+        uint i = group * LAYOUT_LANES + lane;
+        VI visible = tiles_some(tiles_of + i);
+        __global float *out = grads + at;
+        if (!ANY(visible)) {
+            for (uint p = 0; p < v->planes; p++)
+                ST(out, p, (V)(0.0f));
+            continue;
+        }
+        struct gradient d;
+        V dir[3], basis[16];
+        gradient_all(v, params + at, filter + i, splats + i, tiles_of + i, slot_first + i, slots,
+                     marks, visible, &d EFFECTIVE(i));
+#if defined(APPEARANCE_LEN) && VW == 1
+        for (uint p = 0; p < 4; p++)
+            ST(look + (size_t)group * 4 * LAYOUT_LANES + lane, p, d.look[p]);
+#endif
+        seen_direction(v, params + at, dir);
+        sh_basis(dir, v->sh_degree, basis);
+        for (uint p = 0; p < 11; p++)
+            ST(out, p, d.geo[p]);
+        for (uint k = 0; k < used; k++)
+            for (uint c = 0; c < 3; c++)
+                ST(out, 11 + 3 * k + c, basis[k] * d.rgb[c]);
+        for (uint p = 11 + 3 * used; p < v->planes; p++)
+            ST(out, p, (V)(0.0f));
+#if defined(APPEARANCE_LEN) && VW == 16
+        uint first = v->planes - APPEARANCE_LEN;
+        look_terms(frame, params + at + first * LAYOUT_LANES, d.look, each, visible, &terms);
+        look_add(&terms, &look_sums);
+        for (uint p = 0; p < APPEARANCE_LEN; p++)
+            ST(out, first + p, terms.embed[p]);
+#endif
+    }
+    LOOK_CLOSE
+}
+
 __kernel void project_step(__constant struct layout_view *v, __global float *params,
                            __global const float *filter, __global const struct layout_splat *splats,
                            __global const uint *tiles_of, __global const uint *slot_first,
@@ -416,9 +467,10 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
                            uint with_abs, uint with_opacity, __global float *stat_grad,
                            __global float *stat_absg, __global float *stat_count,
                            __global float *stat_radius, __global float *stat_opacity,
-                           __global uint *repaired EFFECTIVE_ARG LOOK_ARG)
+                           __global uint *repaired EFFECTIVE_ARG LOOK_ARG EMBED_ARG)
 {
     uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1);
+    LOOK_OPEN
     for (uint group = item_groups(v, &to, &lane); group < to; group++) {
         size_t at = (size_t)group * v->planes * LAYOUT_LANES + lane;
         uint i = group * LAYOUT_LANES + lane;
@@ -448,10 +500,13 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
                 d.geo[p] += LD(extra + (size_t)group * 11 * LAYOUT_LANES + lane, p);
         VI usable = gradient_usable(&d) & real;
 #ifdef APPEARANCE_LEN
-        if (ANY(visible))
+        for (uint p = 0; p < 4; p++)
+            d.look[p] = usable ? d.look[p] : (V)(0.0f);
+#if VW == 1
+        if (visible)
             for (uint p = 0; p < 4; p++)
-                ST(look + (size_t)group * 4 * LAYOUT_LANES + lane, p,
-                   usable ? d.look[p] : (V)(0.0f));
+                ST(look + (size_t)group * 4 * LAYOUT_LANES + lane, p, d.look[p]);
+#endif
 #endif
         if (with_stats && ANY(visible))
             stats_add(stat_grad + i, stat_absg + (with_abs ? i : 0), with_abs, stat_count + i,
@@ -462,8 +517,20 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
         for (uint p = 0; p < 3 * used; p++)
             ST(a.p, 11 + p,
                adam_plane(&a, 11 + p, p < 3 ? lr.s4 : lr.s5, basis[p / 3] * d.rgb[p % 3], usable));
+#if defined(APPEARANCE_LEN) && VW == 16
+        uint plane = v->planes - APPEARANCE_LEN;
+        if (ANY(visible)) {
+            look_terms(frame, a.p + plane * LAYOUT_LANES, d.look, each, visible, &terms);
+            look_add(&terms, &look_sums);
+        } else {
+            for (uint p = 0; p < APPEARANCE_LEN; p++)
+                terms.embed[p] = (V)(0.0f);
+        }
+        adam_embed(&a, embed, plane, terms.embed, real);
+#endif
         bad |= real & !usable;
         if (with_stats && ANY(bad))
             atomic_add(repaired, lanes_count(bad)); // whole numbers: any order gives the same sum
     }
+    LOOK_CLOSE
 }

@@ -9,6 +9,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <assert.h>
 #include <math.h>
 #include <string.h>
 
@@ -153,8 +154,18 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
                      r->tiles * local, local, e);
 }
 
-/* Kernels of frames with appearance take the opacities drawn, and leave dL/dy. */
-enum { LOOK_ARGS = 2 };
+/* Launch project_backward or project_step with the arguments of a frame with appearance behind. */
+static enum err_code backward_run(struct render *r, cl_kernel k, const char *name,
+                                  const struct frame_arg *args, size_t n,
+                                  const struct frame_arg *more, size_t n_more, struct err *e)
+{
+    struct frame_arg all[40];
+    size_t local, items = frame_items(r, r->view.groups, &local);
+    assert(n + n_more <= sizeof all / sizeof *all);
+    memcpy(all, args, n * sizeof *all);
+    memcpy(all + n, more, n_more * sizeof *all);
+    return frame_run(r, k, name, all, n + n_more, items, local, e);
+}
 
 enum err_code render_backward_appearance(struct render *r, const struct render_model *m,
                                          cl_mem grads, struct render_appearance_grad *a,
@@ -166,21 +177,19 @@ enum err_code render_backward_appearance(struct render *r, const struct render_m
     if (rc != ERR_OK)
         return rc;
     const struct render_backward_state *s = r->backward;
-    size_t local, items = frame_items(r, m->groups, &local);
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
-    cl_kernel k = s->grads, step;
+    struct look_call look = {.grads = s->grads};
     if (r->look)
-        rc = look_kernels(r, &k, &step, e);
+        rc = look_prepare(r, a, (cl_float2){{0, 0}}, &look, e);
     const struct frame_arg args[] = {
-        FRAME_ARG(r->view_mem),      FRAME_ARG(m->params),        FRAME_ARG(filter),
-        FRAME_ARG(r->splats.mem),    FRAME_ARG(r->tiles_of.mem),  FRAME_ARG(r->slot_first.mem),
-        FRAME_ARG(s->slots.mem),     FRAME_ARG(s->marks.mem),     FRAME_ARG(grads),
-        FRAME_ARG(r->effective.mem), FRAME_ARG(r->look_grad.mem),
+        FRAME_ARG(r->view_mem),   FRAME_ARG(m->params),       FRAME_ARG(filter),
+        FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->slot_first.mem),
+        FRAME_ARG(s->slots.mem),  FRAME_ARG(s->marks.mem),    FRAME_ARG(grads),
     };
     if (rc == ERR_OK)
-        rc = frame_run(r, k, "project_backward", args,
-                       sizeof args / sizeof *args - (r->look ? 0 : LOOK_ARGS), items, local, e);
-    return rc == ERR_OK && r->look ? look_backward(r, m, grads, NULL, a, e) : rc;
+        rc = backward_run(r, look.grads, "project_backward", args, sizeof args / sizeof *args,
+                          look.args, look.n_grads, e);
+    return rc == ERR_OK && r->look ? look_finish(r, m, grads, NULL, NULL, &look, a, e) : rc;
 }
 
 enum err_code render_backward(struct render *r, const struct render_model *m, cl_mem grads,
@@ -189,12 +198,12 @@ enum err_code render_backward(struct render *r, const struct render_model *m, cl
     return render_backward_appearance(r, m, grads, NULL, e);
 }
 
-/* Adam's numbers as project_step wants them, at this step. */
-static void adam_fill(const struct render *r, const struct render_adam *a, uint32_t step,
-                      cl_float8 *lr, cl_float8 *k)
+/* Adam's numbers as project_step wants them. */
+static void adam_fill(const struct render *r, const struct render_adam *a, cl_float8 *lr,
+                      cl_float8 *k)
 {
     double b1 = (double)a->beta1, b2 = (double)a->beta2;
-    double bias1 = 1 - pow(b1, step), bias2 = 1 - pow(b2, step);
+    double bias1 = 1 - pow(b1, a->step), bias2 = 1 - pow(b2, a->step);
     const float rates[6] = {a->lr_mean,    a->lr_scale, a->lr_quat,
                             a->lr_opacity, a->lr_sh_dc, a->lr_sh_rest};
     memset(lr, 0, sizeof *lr);
@@ -210,15 +219,12 @@ static void adam_fill(const struct render *r, const struct render_adam *a, uint3
     k->s[7] = (float)fmin(0.5 * r->view.height, half_max_px);
 }
 
-/* The embeddings' part of a step. */
-static enum err_code backward_embed(struct render *r, const struct render_model *m,
-                                    const struct render_adam *adam, struct err *e)
+/* adam_embed's numbers in project_backward.cl. */
+static cl_float2 adam_embed(const struct render_adam *a)
 {
-    struct look_adam a = {.m1 = adam->m1, .m2 = adam->m2};
-    double bias1 = 1 - pow((double)adam->beta1, adam->embed_step);
-    adam_fill(r, adam, adam->embed_step, &a.lr, &a.k);
-    a.lr.s[0] = (float)((double)adam->lr_embed / bias1);
-    return look_backward(r, m, NULL, &a, adam->appearance, e);
+    double bias1 = 1 - pow((double)a->beta1, a->embed_step),
+           bias2 = 1 - pow((double)a->beta2, a->embed_step);
+    return (cl_float2){{(float)((double)a->lr_embed / bias1), (float)(1 / sqrt(bias2))}};
 }
 
 /* After the slots are filled. */
@@ -227,14 +233,13 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
                                    const struct render_density_stats *stats, struct err *e)
 {
     const struct render_backward_state *s = r->backward;
-    size_t local, items = frame_items(r, m->groups, &local);
     cl_uint with_stats = stats != NULL, with_abs = stats && stats->absg,
             with_opacity = stats && stats->opacity, with_extra = adam->extra_grad != NULL;
     cl_mem none = s->unused, extra = adam->extra_grad ? adam->extra_grad : none;
     struct render_density_stats d = {none, none, none, none, none, none};
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
     enum err_code rc = ERR_OK;
-    cl_kernel grads, step = s->step;
+    struct look_call look = {.step = s->step};
     cl_float8 lr, k;
     if (stats)
         d = *stats;
@@ -243,10 +248,10 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
     if (!with_opacity)
         d.opacity = none;
     if (r->look)
-        rc = look_kernels(r, &grads, &step, e);
+        rc = look_prepare(r, adam->appearance, adam_embed(adam), &look, e);
     if (rc != ERR_OK)
         return rc;
-    adam_fill(r, adam, adam->step, &lr, &k);
+    adam_fill(r, adam, &lr, &k);
     r->drawn = false; /* the parameters are about to differ from what was drawn */
     const struct frame_arg args[] = {
         FRAME_ARG(r->view_mem),
@@ -272,12 +277,11 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
         FRAME_ARG(d.radius),
         FRAME_ARG(d.opacity),
         FRAME_ARG(d.repaired),
-        FRAME_ARG(r->effective.mem),
-        FRAME_ARG(r->look_grad.mem),
     };
-    rc = frame_run(r, step, "project_step", args,
-                   sizeof args / sizeof *args - (r->look ? 0 : LOOK_ARGS), items, local, e);
-    return rc == ERR_OK && r->look ? backward_embed(r, m, adam, e) : rc;
+    rc = backward_run(r, look.step, "project_step", args, sizeof args / sizeof *args, look.args,
+                      look.n_step, e);
+    return rc == ERR_OK && r->look ? look_finish(r, m, NULL, adam, &k, &look, adam->appearance, e)
+                                   : rc;
 }
 
 enum err_code render_backward_step(struct render *r, struct render_model *m,

@@ -29,17 +29,21 @@ for f in render/*.cl train/*.cl bench/*.cl; do
             esac
             case $f:$vw in # compiled after others, see their heads
                 render/blend_cpu.cl:1) continue ;; # the CPU shape alone
-                render/appearance_backward.cl:*)
-                    prelude="$prelude -DAPPEARANCE_LEN=16 -DAPPEARANCE_HIDDEN=32 -include render/appearance.cl -include render/project_backward.cl" ;;
+                render/appearance*.cl:*) prelude="-DAPPEARANCE_LEN=16 -DAPPEARANCE_HIDDEN=32 $prelude" ;;
                 render/blend_backward.cl:16) prelude="$prelude -include render/blend_cpu.cl" ;;
                 render/score.cl:16) prelude="$prelude -include render/blend_cpu.cl -include render/blend_backward.cl" ;;
+            esac
+            case $f in
+                render/appearance_backward.cl)
+                    prelude="$prelude -include render/appearance.cl -include render/project_backward.cl" ;;
             esac
             compile "$prelude"
             case $f in # with appearance they are others
                 render/project.cl | render/project_backward.cl)
-                    compile "-DAPPEARANCE_LEN=16 -DAPPEARANCE_HIDDEN=32 $prelude -include render/appearance.cl" ;;
-                render/appearance_backward.cl)
-                    compile "$prelude -UAPPEARANCE_LEN -DAPPEARANCE_LEN=17 -UAPPEARANCE_HIDDEN -DAPPEARANCE_HIDDEN=63" ;;
+                    for lengths in "16 32" "17 63"; do
+                        compile "-DAPPEARANCE_LEN=${lengths% *} -DAPPEARANCE_HIDDEN=${lengths#* } $prelude \
+                            -include render/appearance.cl"
+                    done ;;
             esac
         done
     done
