@@ -168,6 +168,8 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
                            sqrt((-ALPHA_MIN_LOG2 * (2.0f / LOG2E)) * s.s11));
     if (!ANY(live))
         return;
+    for (uint plane = 11; plane < v->planes; plane++) // the network is long enough to wait for them
+        PREFETCH(g + plane * LAYOUT_LANES);
     appearance_eval(look, g + (v->planes - APPEARANCE_LEN) * LAYOUT_LANES, y);
     V opacity = s.opacity + y[3];
     s.opacity = MIN_(opacity, 1.0f);
