@@ -24,6 +24,8 @@ struct bench {
     size_t n_rows;
     struct arena arena;
     struct json_t *baseline; /* --compare FILE, or NULL */
+    const char *scene, *tiles, *dataset, *record; /* of `rd`; NULL when not given */
+    const char *command;                          /* that gives its rows again */
 };
 
 /* ratio 0 = none; `against` says what the ratio is to ("DRAM triad", "naive C"), NULL when none. */
@@ -33,6 +35,10 @@ void bench_report(struct bench *b, const char *case_name, double value, const ch
  * time; spread (may be NULL): half the distance between the quartiles. */
 enum err_code bench_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e),
                          void *user, double *median_ms, double *spread_ms, struct err *e) ERR_USE;
+/* The same by the process's CPU clock: for work of one thread, what a core of its own would take. */
+enum err_code bench_cpu_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e),
+                             void *user, double *median_ms, double *spread_ms,
+                             struct err *e) ERR_USE;
 /* A path for scratch files of this run; removed at exit. */
 const char *bench_tmpdir(struct bench *b);
 

@@ -1,8 +1,10 @@
-/* Codecs: Gaussians a second through every format on one core, bytes a Gaussian, and pictures.
+/* Codecs: Gaussians a second through every format on one core, bytes a Gaussian, a tile from the
+ * store to bytes, and pictures.
  *
- * The rows are the procedural city in Morton order, moved about its tile's middle, as tiles are.
- * Checked before timing: each file decodes to the integers (or floats) it was made from. Ratios are
- * to raw float32 rows (236 bytes with SH of degree 3).
+ * The rows are a trained store's finest tiles (--tiles), or the procedural city in Morton order.
+ * Encoding is from floats and decoding to floats: quantising is part of both. Checked before
+ * timing (CPU time of the one thread): each file decodes to the integers (or floats) it was made from. Ratios are to raw float32
+ * rows (236 bytes with SH of degree 3).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,109 +15,75 @@
 
 #include "bench/city.h"
 #include "codec/codec.h"
+#include "lod/lod.h"
+#include "lod/tree.h"
+#include "server/server.h"
 
+enum { ROWS = 200000, TILE_ROWS = 100000 };
+
+enum codec_kind { CODEC_SPZ3, CODEC_SPZ4, CODEC_DRC, CODEC_GLB, CODEC_PLY, CODEC_PAYLOAD };
 struct codec_case {
     const char *name;
-    enum err_code (*encode)(const struct codec_case *c, struct buf *out, struct err *e);
-    enum err_code (*decode)(const struct codec_case *c, struct quant *q, struct gauss *g,
-                            struct err *e);
+    enum codec_kind kind;
+    enum quant_preset preset;
+    bool lossless;
     const struct gauss *g; /* borrowed */
-    const struct quant *q; /* borrowed */
     struct buf file;
 };
 
-static enum err_code encode_quant(const struct codec_case *c, struct buf *out, struct err *e)
+static bool codec_is_quantised(const struct codec_case *c)
 {
-    struct quant q;
-    enum err_code rc = quant_from_gauss(c->g, c->g->sh_degree, &q, e);
-    quant_free(&q);
-    (void)out;
-    return rc;
-}
-
-static enum err_code encode_spz3(const struct codec_case *c, struct buf *out, struct err *e)
-{
-    return spz_encode(c->q, 3, out, e);
-}
-
-static enum err_code encode_spz4(const struct codec_case *c, struct buf *out, struct err *e)
-{
-    return spz_encode(c->q, 4, out, e);
-}
-
-static enum err_code encode_drc(const struct codec_case *c, struct buf *out, struct err *e)
-{
-    return draco_encode(c->q, "bench", out, e);
-}
-
-static enum err_code encode_glb(const struct codec_case *c, struct buf *out, struct err *e)
-{
-    return glb_encode_plain(c->g, NULL, out, e);
-}
-
-static enum err_code encode_ply(const struct codec_case *c, struct buf *out, struct err *e)
-{
-    return ply_encode(c->g, NULL, out, e);
-}
-
-static enum err_code encode_payload(const struct codec_case *c, struct buf *out, struct err *e)
-{
-    return payload_encode(c->g, false, out, e);
-}
-
-static enum err_code encode_lossless(const struct codec_case *c, struct buf *out, struct err *e)
-{
-    return payload_encode(c->g, true, out, e);
-}
-
-static enum err_code decode_spz(const struct codec_case *c, struct quant *q, struct gauss *g,
-                                struct err *e)
-{
-    (void)g;
-    return spz_decode(c->file.data, c->file.size, NULL, q, e);
-}
-
-static enum err_code decode_drc(const struct codec_case *c, struct quant *q, struct gauss *g,
-                                struct err *e)
-{
-    (void)g;
-    return draco_decode(c->file.data, c->file.size, NULL, q, e);
-}
-
-static enum err_code decode_glb(const struct codec_case *c, struct quant *q, struct gauss *g,
-                                struct err *e)
-{
-    (void)q;
-    return glb_decode(c->file.data, c->file.size, NULL, g, e);
-}
-
-static enum err_code decode_ply(const struct codec_case *c, struct quant *q, struct gauss *g,
-                                struct err *e)
-{
-    (void)q;
-    return ply_decode(c->file.data, c->file.size, NULL, g, NULL, e);
-}
-
-static enum err_code decode_payload(const struct codec_case *c, struct quant *q, struct gauss *g,
-                                    struct err *e)
-{
-    (void)q;
-    return payload_decode(c->file.data, c->file.size, NULL, g, e);
+    return c->kind <= CODEC_DRC;
 }
 
 static enum err_code codec_encode(void *user, struct err *e)
 {
     struct codec_case *c = user;
+    struct quant q = {0};
+    enum err_code rc = ERR_OK;
     c->file.size = 0;
-    return c->encode(c, &c->file, e);
+    if (codec_is_quantised(c))
+        rc = quant_from_gauss(c->g, c->g->sh_degree, quant_preset_grid(c->preset), &q, e);
+    if (rc == ERR_OK)
+        switch (c->kind) {
+        case CODEC_SPZ3:
+        case CODEC_SPZ4:
+            rc = spz_encode(&q, c->kind == CODEC_SPZ3 ? 3 : 4, &c->file, e);
+            break;
+        case CODEC_DRC:
+            rc = draco_encode(&q, "bench", &c->file, e);
+            break;
+        case CODEC_GLB:
+            rc = glb_encode_plain(c->g, NULL, &c->file, e);
+            break;
+        case CODEC_PLY:
+            rc = ply_encode(c->g, NULL, &c->file, e);
+            break;
+        case CODEC_PAYLOAD:
+            rc = payload_encode(c->g, c->lossless, &c->file, e);
+        }
+    quant_free(&q);
+    return rc;
+}
+
+static enum err_code codec_read(const struct codec_case *c, struct quant *q, struct gauss *g,
+                                struct err *e)
+{
+    const void *p = c->file.data;
+    size_t n = c->file.size;
+    enum err_code rc = c->kind == CODEC_GLB       ? glb_decode(p, n, NULL, g, e)
+                       : c->kind == CODEC_PLY     ? ply_decode(p, n, NULL, g, NULL, e)
+                       : c->kind == CODEC_PAYLOAD ? payload_decode(p, n, NULL, g, e)
+                       : c->kind == CODEC_DRC     ? draco_decode(p, n, NULL, q, e)
+                                                  : spz_decode(p, n, NULL, q, e);
+    return rc == ERR_OK && codec_is_quantised(c) ? quant_to_gauss(q, g, e) : rc;
 }
 
 static enum err_code codec_decode(void *user, struct err *e)
 {
-    struct codec_case *c = user;
     struct quant q = {0};
     struct gauss g = {0};
-    enum err_code rc = c->decode(c, &q, &g, e);
+    enum err_code rc = codec_read(user, &q, &g, e);
     quant_free(&q);
     gauss_free(&g);
     return rc;
@@ -124,18 +92,22 @@ static enum err_code codec_decode(void *user, struct err *e)
 /* Integers equal, or means equal: enough to know that the whole file was read. */
 static enum err_code codec_check(struct codec_case *c, struct err *e)
 {
-    struct quant q = {0};
+    struct quant q = {0}, want = {0};
     struct gauss g = {0};
     enum err_code rc = codec_encode(c, e);
     if (rc == ERR_OK)
-        rc = c->decode(c, &q, &g, e);
-    if (rc == ERR_OK && q.block &&
-        (q.n != c->q->n || memcmp(q.position, c->q->position, 12 * q.n) ||
-         memcmp(q.sh, c->q->sh, 3 * (gauss_sh_count(q.sh_degree) - 1) * q.n)))
+        rc = codec_read(c, &q, &g, e);
+    if (rc == ERR_OK && codec_is_quantised(c))
+        rc = quant_from_gauss(c->g, c->g->sh_degree, quant_preset_grid(c->preset), &want, e);
+    if (rc == ERR_OK && want.block &&
+        (q.n != want.n || memcmp(q.position, want.position, 12 * q.n) ||
+         memcmp(q.sh, want.sh, 3 * (gauss_sh_count(q.sh_degree) - 1) * q.n)))
         rc = err_set(e, ERR_INTERNAL, "bench_codec: %s : integers differ", c->name);
-    if (rc == ERR_OK && !q.block && (g.n != c->g->n || memcmp(g.mean_m, c->g->mean_m, 12 * g.n)))
+    if (rc == ERR_OK && !want.block &&
+        (g.n != c->g->n || memcmp(g.mean_m, c->g->mean_m, 12 * g.n)))
         rc = err_set(e, ERR_INTERNAL, "bench_codec: %s : means differ", c->name);
     quant_free(&q);
+    quant_free(&want);
     gauss_free(&g);
     return rc;
 }
@@ -144,17 +116,16 @@ static enum err_code codec_time(struct bench *b, struct codec_case *c, struct er
 {
     char name[64];
     double ms = 0, n = (double)c->g->n;
-    const double raw = 4.0 * (11 + 3 * (double)gauss_sh_count(c->g->sh_degree));
-    enum err_code rc = c->decode ? codec_check(c, e) : ERR_OK;
+    const double raw = 4.0 * (11 + 3 * (double)gauss_sh_count(c->g->sh_degree) + c->g->embed_len);
+    enum err_code rc = codec_check(c, e);
     if (rc == ERR_OK)
-        rc = bench_time(b, codec_encode, c, &ms, NULL, e);
+        rc = bench_cpu_time(b, codec_encode, c, &ms, NULL, e);
     if (rc == ERR_OK) {
         snprintf(name, sizeof name, "%s encode", c->name);
         bench_report(b, name, n / ms / 1e3, "M Gaussians/s", 0, NULL);
+        rc = bench_cpu_time(b, codec_decode, c, &ms, NULL, e);
     }
-    if (rc == ERR_OK && c->decode)
-        rc = bench_time(b, codec_decode, c, &ms, NULL, e);
-    if (rc == ERR_OK && c->decode) {
+    if (rc == ERR_OK) {
         snprintf(name, sizeof name, "%s decode", c->name);
         bench_report(b, name, n / ms / 1e3, "M Gaussians/s", 0, NULL);
         snprintf(name, sizeof name, "%s size", c->name);
@@ -162,6 +133,69 @@ static enum err_code codec_time(struct bench *b, struct codec_case *c, struct er
                      "float32 rows");
     }
     buf_free(&c->file);
+    return rc;
+}
+
+static enum err_code quantise(void *user, struct err *e)
+{
+    const struct gauss *g = user;
+    struct quant q;
+    enum err_code rc =
+        quant_from_gauss(g, g->sh_degree, quant_preset_grid(QUANT_BALANCED), &q, e);
+    quant_free(&q);
+    return rc;
+}
+
+/* ---- a tile of 100,000 Gaussians from the store to bytes ------------------------------------ */
+
+struct tile_request {
+    struct store *store;
+    struct key key;
+    enum format format;
+    struct buf out;
+};
+
+static enum err_code tile_make(void *user, struct err *e)
+{
+    struct tile_request *t = user;
+    t->out.size = 0;
+    return encode_tile(t->store, t->key, t->format, &t->out, e);
+}
+
+static enum err_code tile_requests(struct bench *b, const struct gauss *g, struct err *e)
+{
+    const struct store_meta meta = {
+        .name = "bench", .origin = {8.6, 50.1, 160}, .sh_degree = g->sh_degree};
+    struct tile_request t = {.key = key_at(8.6, 50.1, 16)};
+    struct store_tile entry = {.key = t.key, .level = 1};
+    struct gauss part = {0};
+    char path[FILE_PATH_MAX], name[64];
+    double ms = 0;
+    size_t n = g->n < TILE_ROWS ? g->n : TILE_ROWS;
+    enum err_code rc = file_join(path, bench_tmpdir(b), "codec.tiles", e);
+    if (rc == ERR_OK)
+        rc = gauss_alloc(&part, n, g->sh_degree, g->embed_len, e);
+    if (rc == ERR_OK)
+        rc = gauss_append(&part, g, NULL, n, e);
+    if (rc == ERR_OK)
+        rc = store_create(path, &meta, &t.store, e);
+    if (rc == ERR_OK)
+        rc = store_put(t.store, &entry, &part, e);
+    if (rc == ERR_OK)
+        rc = store_commit(&t.store, e);
+    if (rc == ERR_OK)
+        rc = store_open(path, &t.store, e);
+    for (int f = FORMAT_GLB; rc == ERR_OK && f <= FORMAT_PLY; f++) {
+        t.format = (enum format)f;
+        rc = bench_cpu_time(b, tile_make, &t, &ms, NULL, e);
+        snprintf(name, sizeof name, "tile of %zu k from store to .%s", n / 1000,
+                 target_ext(t.format));
+        if (rc == ERR_OK)
+            bench_report(b, name, ms, "ms", 0, NULL);
+    }
+    store_close(&t.store);
+    gauss_free(&part);
+    buf_free(&t.out);
     return rc;
 }
 
@@ -207,28 +241,61 @@ static enum err_code pictures(struct bench *b, struct err *e)
     return rc;
 }
 
+/* The finest tiles of a store in glTF axes, each about its own middle, up to `most` rows. */
+static enum err_code trained_rows(const char *path, size_t most, struct gauss *out, struct err *e)
+{
+    struct store *s = NULL;
+    size_t n = 0;
+    enum err_code rc = store_open(path, &s, e);
+    const struct store_tile *t = rc ? NULL : store_tiles(s, &n);
+    if (rc == ERR_OK)
+        rc = gauss_alloc(out, most, store_info(s)->sh_degree, store_info(s)->embed_len, e);
+    for (size_t i = 0; rc == ERR_OK && i < n && out->n < most; i++) {
+        struct gauss g = {0};
+        if (store_tree(s)->nodes[i].child_count)
+            continue;
+        rc = store_read_gauss(s, t[i].key, &g, e);
+        memset(g.origin_enu_m, 0, sizeof g.origin_enu_m);
+        if (rc == ERR_OK)
+            rc = gauss_append(out, &g, NULL, g.n < most - out->n ? g.n : most - out->n, e);
+        gauss_free(&g);
+    }
+    store_close(&s);
+    frame_enu_to_gltf(out);
+    return rc;
+}
+
 enum err_code bench_codec(struct bench *b, struct err *e)
 {
     struct gauss g = {0};
-    struct quant q = {0};
-    enum err_code rc = city_sorted(b->quick ? 2000 : 200000, &g, e);
-    if (rc == ERR_OK)
-        rc = quant_from_gauss(&g, g.sh_degree, &q, e);
+    double ms = 0;
+    size_t n = b->quick ? 2000 : ROWS;
+    enum err_code rc = b->tiles ? trained_rows(b->tiles, n, &g, e) : city_sorted(n, &g, e);
     struct codec_case cases[] = {
-        {"quantise", encode_quant, NULL, &g, &q, {0}},
-        {"spz v3", encode_spz3, decode_spz, &g, &q, {0}},
-        {"spz v4", encode_spz4, decode_spz, &g, &q, {0}},
-        {"drc", encode_drc, decode_drc, &g, &q, {0}},
-        {"glb plain", encode_glb, decode_glb, &g, &q, {0}},
-        {"ply", encode_ply, decode_ply, &g, &q, {0}},
-        {"payload", encode_payload, decode_payload, &g, &q, {0}},
-        {"payload lossless", encode_lossless, decode_payload, &g, &q, {0}},
+        {.name = "spz 3, spz", .kind = CODEC_SPZ3, .preset = QUANT_SPZ},
+        {.name = "spz 3, balanced", .kind = CODEC_SPZ3, .preset = QUANT_BALANCED},
+        {.name = "spz 4, balanced", .kind = CODEC_SPZ4, .preset = QUANT_BALANCED},
+        {.name = "drc, spz", .kind = CODEC_DRC, .preset = QUANT_SPZ},
+        {.name = "drc, preview", .kind = CODEC_DRC, .preset = QUANT_PREVIEW},
+        {.name = "drc, balanced", .kind = CODEC_DRC, .preset = QUANT_BALANCED},
+        {.name = "drc, near-lossless", .kind = CODEC_DRC, .preset = QUANT_NEAR_LOSSLESS},
+        {.name = "glb plain", .kind = CODEC_GLB},
+        {.name = "ply", .kind = CODEC_PLY},
+        {.name = "payload", .kind = CODEC_PAYLOAD},
+        {.name = "payload lossless", .kind = CODEC_PAYLOAD, .lossless = true},
     };
-    for (size_t i = 0; rc == ERR_OK && i < sizeof cases / sizeof *cases; i++)
+    if (rc == ERR_OK)
+        rc = bench_cpu_time(b, quantise, &g, &ms, NULL, e);
+    if (rc == ERR_OK)
+        bench_report(b, "quantise", (double)g.n / ms / 1e3, "M Gaussians/s", 0, NULL);
+    for (size_t i = 0; rc == ERR_OK && i < sizeof cases / sizeof *cases; i++) {
+        cases[i].g = &g;
         rc = codec_time(b, &cases[i], e);
+    }
+    if (rc == ERR_OK)
+        rc = tile_requests(b, &g, e);
     if (rc == ERR_OK)
         rc = pictures(b, e);
-    quant_free(&q);
     gauss_free(&g);
     return rc;
 }

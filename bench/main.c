@@ -23,7 +23,7 @@ struct bench_row {
 struct bench_config {
     OPTIONS_C_INT runs;
     OPTIONS_C_BOOL quick;
-    OPTIONS_C_TEXT device, compare;
+    OPTIONS_C_TEXT device, compare, scene, tiles, dataset, record;
 };
 
 static const struct options_def bench_defs[] = {
@@ -34,7 +34,11 @@ static const struct options_def bench_defs[] = {
             OPTIONS_ROW(struct bench_config, TEXT, device, "", 0, 0, "NAME",
                         "OpenCL device: cpu, gpu or part of a name")
                 OPTIONS_ROW(struct bench_config, TEXT, compare, "", 0, 0, "FILE",
-                            "JSON lines of an earlier run: the table gains a column now/then")};
+                            "JSON lines of an earlier run: the table gains a column now/then")
+    OPTIONS_ROW(struct bench_config, TEXT, scene, "", 0, 0, "DIR", "rd: scene with test photographs")
+    OPTIONS_ROW(struct bench_config, TEXT, tiles, "", 0, 0, "FILE", "rd, codec: tile store trained on it")
+    OPTIONS_ROW(struct bench_config, TEXT, dataset, "", 0, 0, "TEXT", "rd: what the scene is, for records")
+    OPTIONS_ROW(struct bench_config, TEXT, record, "", 0, 0, "FILE", "rd: write every row as a JSON line")};
 
 struct bench_entry {
     const char *name, *about;
@@ -74,8 +78,9 @@ static int bench_compare_double(const void *a, const void *b)
     return (*x > *y) - (*x < *y);
 }
 
-enum err_code bench_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e),
-                         void *user, double *median_ms, double *spread_ms, struct err *e)
+static enum err_code bench_clock(struct bench *b, double (*now)(void),
+                                 enum err_code (*fn)(void *user, struct err *e), void *user,
+                                 double *median_ms, double *spread_ms, struct err *e)
 {
     size_t n = (size_t)b->runs;
     double *ms = mem_array(n, sizeof *ms);
@@ -83,9 +88,9 @@ enum err_code bench_time(struct bench *b, enum err_code (*fn)(void *user, struct
         return err_set(e, ERR_MEM, "out of memory");
     enum err_code rc = fn(user, e); /* builds kernels and warms caches; not counted */
     for (size_t i = 0; !rc && i < n; i++) {
-        double start = clock_s();
+        double start = now();
         rc = fn(user, e);
-        ms[i] = 1e3 * (clock_s() - start);
+        ms[i] = 1e3 * (now() - start);
     }
     qsort(ms, n, sizeof *ms, bench_compare_double);
     *median_ms = ms[n / 2];
@@ -93,6 +98,18 @@ enum err_code bench_time(struct bench *b, enum err_code (*fn)(void *user, struct
         *spread_ms = 0.5 * (ms[3 * n / 4] - ms[n / 4]);
     mem_free(ms);
     return rc;
+}
+
+enum err_code bench_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e),
+                         void *user, double *median_ms, double *spread_ms, struct err *e)
+{
+    return bench_clock(b, clock_s, fn, user, median_ms, spread_ms, e);
+}
+
+enum err_code bench_cpu_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e),
+                             void *user, double *median_ms, double *spread_ms, struct err *e)
+{
+    return bench_clock(b, clock_cpu_s, fn, user, median_ms, spread_ms, e);
 }
 
 static char tmpdir[FILE_PATH_MAX]; /* made on first use by one thread, removed at the end of main */
@@ -225,6 +242,11 @@ int main(int argc, char **argv)
         goto out;
     b.runs = (int)cfg.runs;
     b.quick = cfg.quick;
+    b.scene = cfg.scene;
+    b.tiles = cfg.tiles;
+    b.record = cfg.record;
+    b.dataset = cfg.dataset ? cfg.dataset : "unnamed";
+    b.command = "citysplat-bench rd --scene SCENE --tiles CITY.tiles";
     b.rows = mem_array(ROWS_MAX, sizeof *b.rows);
     if (!rc && !b.rows)
         rc = err_set(&e, ERR_MEM, "out of memory");

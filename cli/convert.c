@@ -212,7 +212,7 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
         return glb_encode_plain(&c->g, o->copyright, out, e);
     quant_free(&c->q);
     if (rc == ERR_OK)
-        rc = quant_from_gauss(&c->g, c->g.sh_degree, &c->q, e);
+        rc = quant_from_gauss(&c->g, c->g.sh_degree, NULL, &c->q, e);
     return rc == ERR_OK ? write_integers(c, format, o, out, e) : rc;
 }
 

@@ -93,7 +93,7 @@ static enum err_code export_spz(struct gauss *g, struct buf *out, struct err *e)
 {
     struct quant q = {0};
     frame_enu_to_gltf(g);
-    enum err_code rc = quant_from_gauss(g, g->sh_degree, &q, e);
+    enum err_code rc = quant_from_gauss(g, g->sh_degree, NULL, &q, e);
     if (!rc)
         rc = spz_encode(&q, 3, out, e);
     quant_free(&q);
@@ -143,7 +143,7 @@ static enum err_code export_glb(struct store *s, const struct store_tile *t, con
         rc = store_read_gauss(s, t->key, &g, e);
     if (!rc) {
         frame_enu_to_gltf(&g);
-        rc = quant_from_gauss(&g, m->sh_degree, &q, e);
+        rc = quant_from_gauss(&g, m->sh_degree, NULL, &q, e);
     }
     if (!rc)
         rc = glb_encode_spz(&q, m->attribution[0] ? m->attribution : NULL, &b, e);

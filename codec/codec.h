@@ -238,13 +238,34 @@ enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, str
 enum err_code splat_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                            struct gauss *out, struct err *e) ERR_USE;
 
+/* How fine the integers are (presets.def). */
+struct quant_grid {
+    uint8_t position; /* log2 of position steps to the median sigma; 0: steps of 2^-12 m */
+    uint8_t scale, rotation, alpha, color, sh[3], embed; /* low bits left out, 0..7 */
+    uint8_t sh_degree;                                   /* higher bands are dropped */
+};
+enum quant_preset {
+#define PRESET(id, name, about, position, scale, rotation, alpha, color, sh1, sh2, sh3, embed,     \
+               degree)                                                                             \
+    QUANT_##id,
+#include "codec/presets.def"
+#undef PRESET
+    QUANT_PRESETS
+};
+#define QUANT_PRESET_NAMES "spz|preview|balanced|near-lossless" /* in this order, for options */
+#define QUANT_PRESET_DEFAULT "balanced"
+enum { QUANT_FRAC_BITS = 12 };
+const struct quant_grid *quant_preset_grid(enum quant_preset p);
+const char *quant_preset_name(enum quant_preset p);
+
 /* One quantiser for SPZ and Draco: integers of SPZ v3 (docs/formats.md). g is in the axes to be
- * written (glTF for tiles), means relative to its origin, |mean| < 2048 m or ERR_LIMIT. */
+ * written (glTF for tiles), means relative to its origin. */
 struct quant { /* {0} is empty; arrays in one allocation */
     size_t n;
     uint32_t sh_degree, embed_len;
+    uint32_t frac_bits; /* of positions */
     bool antialiased;
-    int32_t *position;  /* [n][3], 2^-12 m */
+    int32_t *position;  /* [n][3], 2^-frac_bits m, in +-(2^23 - 1) */
     uint8_t *alpha;     /* [n] */
     uint8_t *color;     /* [n][3] */
     uint8_t *scale;     /* [n][3] */
@@ -257,9 +278,12 @@ struct quant { /* {0} is empty; arrays in one allocation */
 /* Zeroed arrays for n rows. */
 enum err_code quant_alloc(struct quant *q, size_t n, uint32_t sh_degree, uint32_t embed_len,
                           struct err *e) ERR_USE;
-/* sh_degree may differ from g's: missing bands are 0. Rows keep their order (files are smaller when
- * it is Morton's). ERR_DATA names the row that is not finite or has no rotation. */
-enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree, struct quant *out,
+/* sh_degree may differ from g's: missing bands are 0. grid NULL: QUANT_SPZ's. Rows keep their order
+ * (files are smaller when it is Morton's). frac_bits is 12, more where the grid asks for it, fewer
+ * where the range does. ERR_DATA names the row that is not finite or has no rotation; ERR_LIMIT the
+ * row that is too far from the origin for Gaussians of this size. */
+enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree,
+                               const struct quant_grid *grid, struct quant *out,
                                struct err *e) ERR_USE;
 enum err_code quant_to_gauss(const struct quant *q, struct gauss *out, struct err *e) ERR_USE;
 void quant_free(struct quant *q);

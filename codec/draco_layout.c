@@ -28,16 +28,20 @@ size_t draco_layout(uint32_t sh_degree, uint32_t embed_len,
                     struct draco_attribute out[DRACO_ID_COUNT])
 {
     const struct draco_attribute all[DRACO_ID_COUNT] = {
-        {DRACO_POSITION, "position", DRACO_UINT32, 3, true},
-        {DRACO_OPACITY, "opacity", DRACO_UINT8, 1, false},
-        {DRACO_SCALE, "scale", DRACO_UINT8, 3, false},
-        {DRACO_ROTATION, "rotation", DRACO_UINT16, 3, false},
-        {DRACO_ROTATION_INDEX, "rotation_index", DRACO_UINT8, 1, false},
-        {DRACO_COLOR, "color", DRACO_UINT8, 3, true},
-        {DRACO_SH1, "sh1", DRACO_UINT8, sh_degree >= 1 ? 9 : 0, false},
-        {DRACO_SH2, "sh2", DRACO_UINT8, sh_degree >= 2 ? 15 : 0, false},
-        {DRACO_SH3, "sh3", DRACO_UINT8, sh_degree >= 3 ? 21 : 0, false},
-        {DRACO_EMBEDDING, "embedding", DRACO_UINT8, embed_len, false},
+        {DRACO_POSITION, "position", DRACO_UINT32, 3},
+        {DRACO_OPACITY, "opacity", DRACO_UINT8, 1},
+        {DRACO_SCALE, "scale", DRACO_UINT8, 3},
+        {DRACO_ROTATION, "rotation", DRACO_UINT16, 3},
+        {DRACO_ROTATION_INDEX, "rotation_index", DRACO_UINT8, 1},
+        {DRACO_COLOR_G, "color_g", DRACO_UINT8, 1},
+        {DRACO_COLOR_RB, "color_rb", DRACO_UINT8, 2},
+        {DRACO_SH1_G, "sh1_g", DRACO_UINT8, sh_degree >= 1 ? 3 : 0},
+        {DRACO_SH1_RB, "sh1_rb", DRACO_UINT8, sh_degree >= 1 ? 6 : 0},
+        {DRACO_SH2_G, "sh2_g", DRACO_UINT8, sh_degree >= 2 ? 5 : 0},
+        {DRACO_SH2_RB, "sh2_rb", DRACO_UINT8, sh_degree >= 2 ? 10 : 0},
+        {DRACO_SH3_G, "sh3_g", DRACO_UINT8, sh_degree >= 3 ? 7 : 0},
+        {DRACO_SH3_RB, "sh3_rb", DRACO_UINT8, sh_degree >= 3 ? 14 : 0},
+        {DRACO_EMBEDDING, "embedding", DRACO_UINT8, embed_len},
     };
     size_t n = 0;
     for (size_t i = 0; i < DRACO_ID_COUNT; i++)
@@ -99,9 +103,9 @@ static bool attributes_match(struct cursor *c, struct draco_head *h)
         components[id] = n;
         type[id] = t;
     }
-    h->sh_degree = components[DRACO_SH3]   ? 3
-                   : components[DRACO_SH2] ? 2
-                   : components[DRACO_SH1] ? 1
+    h->sh_degree = components[DRACO_SH3_G]   ? 3
+                   : components[DRACO_SH2_G] ? 2
+                   : components[DRACO_SH1_G] ? 1
                                            : 0;
     h->embed_len = components[DRACO_EMBEDDING];
     if (h->embed_len > GAUSS_EMBED_MAX || draco_layout(h->sh_degree, h->embed_len, want) != count)

@@ -14,17 +14,21 @@
 
 struct codec_limits;
 
-enum draco_id { /* unique ids in the file; sh1..sh3 and embedding are there only when they have
-                   values */
+enum draco_id { /* unique ids in the file; sh.. and embedding are there only when they have values.
+                   _rb: red and blue about the green of the same coefficient */
                 DRACO_POSITION,
                 DRACO_OPACITY,
                 DRACO_SCALE,
                 DRACO_ROTATION,
                 DRACO_ROTATION_INDEX,
-                DRACO_COLOR,
-                DRACO_SH1,
-                DRACO_SH2,
-                DRACO_SH3,
+                DRACO_COLOR_G,
+                DRACO_COLOR_RB,
+                DRACO_SH1_G,
+                DRACO_SH1_RB,
+                DRACO_SH2_G,
+                DRACO_SH2_RB,
+                DRACO_SH3_G,
+                DRACO_SH3_RB,
                 DRACO_EMBEDDING,
                 DRACO_ID_COUNT
 };
@@ -34,8 +38,6 @@ struct draco_attribute {
     const char *name; /* in the attribute's metadata */
     enum draco_type type;
     uint32_t components;
-    bool delta; /* predicted from the row before; only what is smooth along the Morton curve gains
-                   by it */
 };
 
 struct draco_head {

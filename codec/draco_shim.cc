@@ -1,9 +1,13 @@
 // .drc: the quantiser's integers as generic attributes of a Draco point cloud.
 //
 // Sequential encoding, no Draco quantisation: a reader gets exactly the integers of struct quant.
-// SH bytes go as bucket numbers (255 stands for the top one); bytes of foreign files that are on no
-// bucket go as they are, with metadata sh_raw = 1. Rotation fields go as 511 +- magnitude. The
-// layout is draco_layout.c's.
+// What makes it small is done to the integers before:
+//   - low bits that are 0 in all rows are left out (the attribute's "shift"; presets make them, and
+//     an .spz that was made by one is recognised); a field's largest value counts as one step more
+//   - red and blue are written about green: a coefficient's three channels are nearly equal
+//   - attributes of different statistics have their own tables; an attribute is predicted from the
+//     row before only where that was measured to be smaller
+// The layout is draco_layout.c's.
 //
 // SPDX-License-Identifier: Apache-2.0
 #include "codec/draco_layout.h"
@@ -12,6 +16,7 @@
 #include <draco/compression/expert_encode.h>
 #include <draco/point_cloud/point_cloud.h>
 
+#include <cmath>
 #include <cstdlib>
 #include <cstring>
 #include <memory>
@@ -21,7 +26,9 @@
 #include "codec/codec.h"
 
 static constexpr int32_t POSITION_OFFSET = 1 << 23;
-static constexpr uint32_t ROTATION_ZERO = 511;
+static constexpr uint32_t MAGNITUDE_MAX = 511, GREEN_OFFSET = 128;
+static constexpr int BYTE_SHIFT_MAX = 7, MAGNITUDE_SHIFT_MAX = 8, POSITION_SHIFT_MAX = 22;
+static constexpr size_t SAMPLE_ROWS = 256, SAMPLE_EVERY = 2048; // for the choice of prediction
 
 #define SHIM_CATCH(who)                                                                            \
     catch (const std::bad_alloc &)                                                                 \
@@ -37,69 +44,165 @@ static constexpr uint32_t ROTATION_ZERO = 511;
         return err_set(e, ERR_INTERNAL, who ": unknown exception");                                \
     }
 
+// ---- where values stand in struct quant, and how many low bits they do without ------------------
+
+struct triples { // (r, g, b) of coefficient c of row i: data[i * stride + 3 * c ...]
+    uint8_t *data;
+    size_t stride;
+};
+
 static size_t sh_first(enum draco_id id) // of the bands before, in bytes of a row
 {
-    return id == DRACO_SH1 ? 0 : id == DRACO_SH2 ? 9 : 24;
+    return id <= DRACO_SH1_RB ? 0 : id <= DRACO_SH2_RB ? 9 : 24;
 }
 
-static unsigned sh_step(enum draco_id id, bool raw)
+static bool is_rb(enum draco_id id)
 {
-    return raw ? 1 : id == DRACO_SH1 ? 8 : 16;
+    return id == DRACO_COLOR_RB || id == DRACO_SH1_RB || id == DRACO_SH2_RB || id == DRACO_SH3_RB;
 }
 
-static bool sh_is_snapped(const struct quant *q)
+// What a _g or _rb attribute is about.
+static struct triples triples_of(const struct quant *q, enum draco_id id)
 {
-    size_t row = 3 * (gauss_sh_count(q->sh_degree) - 1);
-    for (size_t i = 0; i < q->n * row; i++)
-        if (q->sh[i] % (i % row < 9 ? 8 : 16) && q->sh[i] != 255)
-            return false;
-    return true;
+    if (id == DRACO_COLOR_G || id == DRACO_COLOR_RB)
+        return {q->color, 3};
+    return {q->sh + sh_first(id), 3 * (gauss_sh_count(q->sh_degree) - 1)};
 }
 
-static void copy_sh_in(const struct quant *q, enum draco_id id, size_t width, bool raw,
-                       uint8_t *out)
+static int zero_bits(uint32_t all, int most) // low bits that are 0 in the OR of all values
 {
-    size_t row = 3 * (gauss_sh_count(q->sh_degree) - 1);
-    unsigned step = sh_step(id, raw);
-    for (size_t i = 0; i < q->n; i++)
-        for (size_t c = 0; c < width; c++)
-            *out++ = (uint8_t)((q->sh[i * row + sh_first(id) + c] + (raw ? 0u : 1u)) / step);
+    int k = 0;
+    while (k < most && !(all >> k & 1))
+        k++;
+    return k;
 }
 
-static void copy_in(const struct quant *q, const struct draco_attribute &a, bool raw, uint8_t *out)
+static int shift_of_bytes(const uint8_t *v, size_t rows, size_t stride, size_t width)
 {
-    uint32_t *out32 = reinterpret_cast<uint32_t *>(out);
-    uint16_t *out16 = reinterpret_cast<uint16_t *>(out);
+    uint8_t all = 0;
+    for (size_t i = 0; i < rows; i++)
+        for (size_t c = 0; c < width; c++) {
+            uint8_t b = v[i * stride + c];
+            all |= (uint8_t)(b == 255 ? 0 : b);
+        }
+    return zero_bits(all, BYTE_SHIFT_MAX);
+}
+
+static int shift_of(const struct quant *q, const struct draco_attribute &a)
+{
+    uint32_t all = 0;
+    size_t width = is_rb(a.id) ? a.components / 2 * 3 : a.components * 3;
     switch (a.id) {
     case DRACO_POSITION:
         for (size_t i = 0; i < 3 * q->n; i++)
-            out32[i] = (uint32_t)(q->position[i] + POSITION_OFFSET);
+            all |= (uint32_t)q->position[i];
+        return zero_bits(all, POSITION_SHIFT_MAX);
+    case DRACO_ROTATION:
+        for (size_t i = 0; i < q->n; i++)
+            for (int f = 0; f < 30; f += 10) {
+                uint32_t mag = q->rotation[i] >> f & 511;
+                all |= mag == MAGNITUDE_MAX ? 0 : mag;
+            }
+        return zero_bits(all, MAGNITUDE_SHIFT_MAX);
+    case DRACO_ROTATION_INDEX:
+        return 0;
+    case DRACO_OPACITY:
+        return shift_of_bytes(q->alpha, 1, 0, q->n);
+    case DRACO_SCALE:
+        return shift_of_bytes(q->scale, 1, 0, 3 * q->n);
+    case DRACO_EMBEDDING:
+        return shift_of_bytes(q->embed, 1, 0, q->embed_len * q->n);
+    default:
+        struct triples t = triples_of(q, a.id);
+        return shift_of_bytes(t.data, q->n, t.stride, width);
+    }
+}
+
+// ---- to values ---------------------------------------------------------------------------------
+
+static unsigned index_of(unsigned v, int shift) // 255 and 511 stand for the step above them
+{
+    return (v + (1u << shift) - 1) >> shift;
+}
+
+static void copy_bytes_in(const uint8_t *in, size_t n, int shift, uint8_t *out)
+{
+    for (size_t i = 0; i < n; i++)
+        out[i] = (uint8_t)index_of(in[i], shift);
+}
+
+static void copy_triples_in(const struct quant *q, const struct draco_attribute &a, int shift,
+                            uint8_t *out)
+{
+    struct triples t = triples_of(q, a.id);
+    if (!is_rb(a.id)) {
+        for (size_t i = 0; i < q->n; i++)
+            for (size_t c = 0; c < a.components; c++)
+                *out++ = (uint8_t)index_of(t.data[i * t.stride + 3 * c + 1], shift);
+        return;
+    }
+    for (size_t i = 0; i < q->n; i++)
+        for (size_t c = 0; c < a.components / 2; c++) {
+            const uint8_t *rgb = t.data + i * t.stride + 3 * c;
+            unsigned g = index_of(rgb[1], shift);
+            *out++ = (uint8_t)(index_of(rgb[0], shift) - g + GREEN_OFFSET);
+            *out++ = (uint8_t)(index_of(rgb[2], shift) - g + GREEN_OFFSET);
+        }
+}
+
+static void copy_in(const struct quant *q, const struct draco_attribute &a, int shift, uint8_t *out)
+{
+    uint32_t *out32 = reinterpret_cast<uint32_t *>(out);
+    uint16_t *out16 = reinterpret_cast<uint16_t *>(out);
+    const uint32_t zero = index_of(MAGNITUDE_MAX, shift);
+    switch (a.id) {
+    case DRACO_POSITION:
+        for (size_t i = 0; i < 3 * q->n; i++) // a multiple: the division is exact
+            out32[i] = (uint32_t)(q->position[i] / (1 << shift) + POSITION_OFFSET);
         break;
     case DRACO_ROTATION:
-        for (size_t i = 0; i < 3 * q->n; i++) {
-            uint32_t f = q->rotation[i / 3] >> 10 * (2 - i % 3) & 1023, mag = f & 511;
-            out16[i] = (uint16_t)(f & 512 ? ROTATION_ZERO - mag : ROTATION_ZERO + mag);
-        }
+        for (size_t i = 0; i < q->n; i++)
+            for (int f = 20; f >= 0; f -= 10) {
+                uint32_t field = q->rotation[i] >> f & 1023;
+                uint32_t mag = index_of(field & 511, shift);
+                *out16++ = (uint16_t)(field & 512 ? zero - mag : zero + mag);
+            }
         break;
     case DRACO_ROTATION_INDEX:
         for (size_t i = 0; i < q->n; i++)
             out[i] = (uint8_t)(q->rotation[i] >> 30);
         break;
     case DRACO_OPACITY:
-        memcpy(out, q->alpha, q->n);
+        copy_bytes_in(q->alpha, q->n, shift, out);
         break;
     case DRACO_SCALE:
-        memcpy(out, q->scale, 3 * q->n);
-        break;
-    case DRACO_COLOR:
-        memcpy(out, q->color, 3 * q->n);
+        copy_bytes_in(q->scale, 3 * q->n, shift, out);
         break;
     case DRACO_EMBEDDING:
-        memcpy(out, q->embed, q->embed_len * q->n);
+        copy_bytes_in(q->embed, q->embed_len * q->n, shift, out);
         break;
     default:
-        copy_sh_in(q, a.id, a.components, raw, out);
+        copy_triples_in(q, a, shift, out);
     }
+}
+
+// Would differences to the row before take fewer bits? Order-0 entropy of some rows.
+static bool delta_pays(const uint8_t *v, size_t n, size_t width)
+{
+    uint32_t plain[256] = {0}, delta[256] = {0};
+    double bits = 0;
+    for (size_t at = 0; at < n; at += n > 8 * SAMPLE_EVERY ? SAMPLE_EVERY : SAMPLE_ROWS) {
+        size_t end = at + SAMPLE_ROWS < n ? at + SAMPLE_ROWS : n;
+        for (size_t i = (at + 1) * width; i < end * width; i++) {
+            plain[v[i]]++;
+            delta[(uint8_t)(v[i] - v[i - width])]++;
+        }
+    }
+    for (int k = 0; k < 256; k++) {
+        bits += plain[k] ? plain[k] * std::log2((double)plain[k]) : 0;
+        bits -= delta[k] ? delta[k] * std::log2((double)delta[k]) : 0;
+    }
+    return bits < 0; // sum c log2 c is larger where the entropy is smaller
 }
 
 static std::string number_list(const float *v, size_t n) // exact: 9 digits give a float32 back
@@ -113,13 +216,12 @@ static std::string number_list(const float *v, size_t n) // exact: 9 digits give
     return s;
 }
 
-static void add_metadata(const struct quant *q, const char *tile, bool raw, draco::PointCloud *pc)
+static void add_metadata(const struct quant *q, const char *tile, draco::PointCloud *pc)
 {
     std::unique_ptr<draco::GeometryMetadata> m(new draco::GeometryMetadata());
-    m->AddEntryString("format", "citysplat-1");
-    m->AddEntryInt("frac_bits", 12);
+    m->AddEntryString("format", "citysplat-2");
+    m->AddEntryInt("frac_bits", (int32_t)q->frac_bits);
     m->AddEntryInt("sh_degree", (int32_t)q->sh_degree);
-    m->AddEntryInt("sh_raw", raw);
     m->AddEntryInt("antialiased", q->antialiased);
     m->AddEntryString("axes", "gltf");
     if (tile && *tile) // libdraco cannot read back empty text
@@ -131,39 +233,53 @@ static void add_metadata(const struct quant *q, const char *tile, bool raw, drac
     pc->AddMetadata(std::move(m));
 }
 
+static size_t value_bytes(const struct draco_attribute &a)
+{
+    return a.type == DRACO_UINT32 ? 4 : a.type == DRACO_UINT16 ? 2 : 1;
+}
+
+// Returns whether the attribute is to be predicted.
+static bool add_attribute(const struct quant *q, const struct draco_attribute &a, int shift,
+                          draco::PointCloud *pc)
+{
+    draco::GeometryAttribute ga;
+    ga.Init(a.id == DRACO_POSITION ? draco::GeometryAttribute::POSITION
+                                   : draco::GeometryAttribute::GENERIC,
+            nullptr, (uint8_t)a.components, (draco::DataType)a.type, false,
+            (int64_t)(a.components * value_bytes(a)), 0);
+    int id = pc->AddAttribute(ga, true, (uint32_t)q->n);
+    pc->attribute(id)->set_unique_id(a.id);
+    uint8_t *values = pc->attribute(id)->buffer()->data();
+    copy_in(q, a, shift, values);
+    std::unique_ptr<draco::AttributeMetadata> m(new draco::AttributeMetadata());
+    m->AddEntryString("name", a.name);
+    m->AddEntryInt("shift", shift);
+    pc->AddAttributeMetadata(id, std::move(m));
+    return a.id == DRACO_POSITION ||
+           (a.type == DRACO_UINT8 && delta_pays(values, q->n, a.components));
+}
+
 extern "C" enum err_code draco_encode(const struct quant *q, const char *tile, struct buf *out,
                                       struct err *e)
 try {
     struct draco_attribute list[DRACO_ID_COUNT];
+    bool delta[DRACO_ID_COUNT];
+    int shift[DRACO_ID_COUNT];
     size_t count = draco_layout(q->sh_degree, q->embed_len, list);
     if (!q->n || q->n > INT32_MAX)
         return err_set(e, ERR_LIMIT, "draco : %zu Gaussians : a file holds 1 to 2^31-1", q->n);
-    bool raw = !sh_is_snapped(q);
     draco::PointCloud pc;
     pc.set_num_points((uint32_t)q->n);
-    add_metadata(q, tile, raw, &pc);
-    for (size_t i = 0; i < count; i++) {
-        const struct draco_attribute &a = list[i];
-        size_t stride = a.components * (a.type == DRACO_UINT32   ? 4
-                                        : a.type == DRACO_UINT16 ? 2
-                                                                 : 1);
-        draco::GeometryAttribute ga;
-        ga.Init(a.id == DRACO_POSITION ? draco::GeometryAttribute::POSITION
-                                       : draco::GeometryAttribute::GENERIC,
-                nullptr, (uint8_t)a.components, (draco::DataType)a.type, false, (int64_t)stride, 0);
-        int id = pc.AddAttribute(ga, true, (uint32_t)q->n);
-        pc.attribute(id)->set_unique_id(a.id);
-        copy_in(q, a, raw, pc.attribute(id)->buffer()->data());
-        std::unique_ptr<draco::AttributeMetadata> m(new draco::AttributeMetadata());
-        m->AddEntryString("name", a.name);
-        pc.AddAttributeMetadata(id, std::move(m));
+    add_metadata(q, tile, &pc);
+    for (size_t i = 0; i < count; i++) { // red and blue go in the steps of their green
+        shift[i] = is_rb(list[i].id) ? shift[i - 1] : shift_of(q, list[i]);
+        delta[i] = add_attribute(q, list[i], shift[i], &pc);
     }
     draco::ExpertEncoder enc(pc);
     enc.SetEncodingMethod(draco::POINT_CLOUD_SEQUENTIAL_ENCODING);
     enc.SetSpeedOptions(0, 0);
     for (size_t i = 0; i < count; i++)
-        if (!list[i].delta &&
-            !enc.SetAttributePredictionScheme((int)i, draco::PREDICTION_NONE).ok())
+        if (!delta[i] && !enc.SetAttributePredictionScheme((int)i, draco::PREDICTION_NONE).ok())
             return err_set(e, ERR_INTERNAL, "draco : %s : prediction scheme refused", list[i].name);
     draco::EncoderBuffer b;
     draco::Status s = enc.EncodeToBuffer(&b);
@@ -175,56 +291,92 @@ try {
 }
 SHIM_CATCH("draco_encode")
 
+// ---- and back ----------------------------------------------------------------------------------
+
+// One step's number back to the byte; false when there is no such step.
+static bool byte_of(unsigned index, int shift, uint8_t *out)
+{
+    unsigned v = index << shift;
+    *out = (uint8_t)(v > 255 ? 255 : v);
+    return v <= 256;
+}
+
+static bool copy_bytes_out(const uint8_t *in, size_t n, int shift, uint8_t *out)
+{
+    bool ok = true;
+    for (size_t i = 0; i < n; i++)
+        ok &= byte_of(in[i], shift, out + i);
+    return ok;
+}
+
+// Green first: it is in place when red and blue come.
+static bool copy_triples_out(const struct draco_attribute &a, const uint8_t *in, int shift,
+                             struct quant *q)
+{
+    struct triples t = triples_of(q, a.id);
+    bool ok = true;
+    if (!is_rb(a.id)) {
+        for (size_t i = 0; i < q->n; i++)
+            for (size_t c = 0; c < a.components; c++)
+                ok &= byte_of(*in++, shift, t.data + i * t.stride + 3 * c + 1);
+        return ok;
+    }
+    for (size_t i = 0; i < q->n; i++)
+        for (size_t c = 0; c < a.components / 2; c++) {
+            uint8_t *rgb = t.data + i * t.stride + 3 * c;
+            unsigned g = index_of(rgb[1], shift) + 256 - GREEN_OFFSET;
+            ok &= byte_of((*in++ + g) & 255, shift, rgb);
+            ok &= byte_of((*in++ + g) & 255, shift, rgb + 2);
+        }
+    return ok;
+}
+
+static bool copy_rotations_out(const uint16_t *in, int shift, struct quant *q)
+{
+    const uint32_t zero = index_of(MAGNITUDE_MAX, shift);
+    bool ok = true;
+    for (size_t i = 0; i < q->n; i++)
+        for (int f = 20; f >= 0; f -= 10) {
+            uint32_t v = *in++, mag = v < zero ? zero - v : v - zero;
+            ok &= v <= 2 * zero;
+            mag <<= shift;
+            mag = mag > MAGNITUDE_MAX ? MAGNITUDE_MAX : mag;
+            q->rotation[i] |= (v < zero ? 512 | mag : mag) << f;
+        }
+    return ok;
+}
+
 // One attribute back into the quant; false when a value is out of its range.
-static bool copy_out(const struct draco_attribute &a, const uint8_t *in, bool raw, struct quant *q)
+static bool copy_out(const struct draco_attribute &a, const uint8_t *in, int shift, struct quant *q)
 {
     const uint32_t *in32 = reinterpret_cast<const uint32_t *>(in);
-    const uint16_t *in16 = reinterpret_cast<const uint16_t *>(in);
-    size_t row = 3 * (gauss_sh_count(q->sh_degree) - 1);
-    unsigned step = sh_step(a.id, raw);
     bool ok = true;
     switch (a.id) {
     case DRACO_POSITION:
         for (size_t i = 0; i < 3 * q->n; i++) {
-            ok = ok && in32[i] > 0 && in32[i] < 2 * (uint32_t)POSITION_OFFSET;
-            q->position[i] = (int32_t)(in32[i] & 0xffffff) - POSITION_OFFSET;
+            int64_t v = ((int64_t)in32[i] - POSITION_OFFSET) * (1 << shift);
+            bool fits = v > -POSITION_OFFSET && v < POSITION_OFFSET;
+            q->position[i] = fits ? (int32_t)v : 0;
+            ok &= fits;
         }
-        break;
+        return ok;
     case DRACO_ROTATION:
-        for (size_t i = 0; i < 3 * q->n; i++) {
-            uint32_t v = in16[i];
-            ok = ok && v <= 2 * ROTATION_ZERO;
-            uint32_t f = v < ROTATION_ZERO ? 512 | (ROTATION_ZERO - v) : v - ROTATION_ZERO;
-            q->rotation[i / 3] |= (f & 1023) << 10 * (2 - i % 3);
-        }
-        break;
+        return copy_rotations_out(reinterpret_cast<const uint16_t *>(in), shift, q);
     case DRACO_ROTATION_INDEX:
         for (size_t i = 0; i < q->n; i++) {
-            ok = ok && in[i] < 4;
+            ok &= in[i] < 4;
             q->rotation[i] |= (uint32_t)(in[i] & 3) << 30;
         }
-        break;
+        return ok;
     case DRACO_OPACITY:
-        memcpy(q->alpha, in, q->n);
-        break;
+        return copy_bytes_out(in, q->n, shift, q->alpha);
     case DRACO_SCALE:
-        memcpy(q->scale, in, 3 * q->n);
-        break;
-    case DRACO_COLOR:
-        memcpy(q->color, in, 3 * q->n);
-        break;
+        return copy_bytes_out(in, 3 * q->n, shift, q->scale);
     case DRACO_EMBEDDING:
-        memcpy(q->embed, in, q->embed_len * q->n);
-        break;
+        return copy_bytes_out(in, q->embed_len * q->n, shift, q->embed);
     default:
-        for (size_t i = 0; i < q->n; i++)
-            for (size_t c = 0; c < a.components; c++) {
-                unsigned v = *in++ * step;
-                ok = ok && v <= 256;
-                q->sh[i * row + sh_first(a.id) + c] = (uint8_t)(v > 255 ? 255 : v);
-            }
+        return copy_triples_out(a, in, shift, q);
     }
-    return ok;
 }
 
 static bool read_numbers(const draco::Metadata *m, const char *name, float *out, size_t n)
@@ -243,32 +395,42 @@ static bool read_numbers(const draco::Metadata *m, const char *name, float *out,
     return true;
 }
 
+static bool read_shift(const draco::PointCloud &pc, enum draco_id id, int *out)
+{
+    const draco::AttributeMetadata *m =
+        pc.GetAttributeMetadataByAttributeId(pc.GetAttributeIdByUniqueId(id));
+    int32_t shift;
+    if (!m || !m->GetEntryInt("shift", &shift))
+        return false;
+    *out = shift;
+    return shift >= 0 && shift <= (id == DRACO_POSITION   ? POSITION_SHIFT_MAX
+                                   : id == DRACO_ROTATION ? MAGNITUDE_SHIFT_MAX
+                                                          : BYTE_SHIFT_MAX);
+}
+
 static enum err_code read_cloud(const draco::PointCloud &pc, struct quant *q, struct err *e)
 {
     struct draco_attribute list[DRACO_ID_COUNT];
     size_t count = draco_layout(q->sh_degree, q->embed_len, list);
     const draco::GeometryMetadata *m = pc.GetMetadata();
     std::string format;
-    int32_t bits = 0, raw = 0, antialiased = 0;
-    if (!m || !m->GetEntryString("format", &format) || format != "citysplat-1" ||
-        !m->GetEntryInt("frac_bits", &bits) || bits != 12)
-        return err_set(e, ERR_FORMAT, "draco : not a splat tile of format citysplat-1");
-    m->GetEntryInt("sh_raw", &raw);
+    int32_t bits = -1, antialiased = 0;
+    if (!m || !m->GetEntryString("format", &format) || format != "citysplat-2" ||
+        !m->GetEntryInt("frac_bits", &bits) || bits < 0 || bits > 23)
+        return err_set(e, ERR_FORMAT, "draco : not a splat tile of format citysplat-2");
+    q->frac_bits = (uint32_t)bits;
     q->antialiased = m->GetEntryInt("antialiased", &antialiased) && antialiased;
     if (q->embed_len && (!read_numbers(m, "embed_min", q->embed_min, q->embed_len) ||
                          !read_numbers(m, "embed_max", q->embed_max, q->embed_len)))
         return err_set(e, ERR_FORMAT, "draco : ranges of the embedding are missing");
     for (size_t i = 0; i < count; i++) {
         const draco::PointAttribute *a = pc.GetAttributeByUniqueId(list[i].id);
-        size_t bytes = list[i].components *
-                       (list[i].type == DRACO_UINT32   ? 4
-                        : list[i].type == DRACO_UINT16 ? 2
-                                                       : 1) *
-                       q->n;
+        size_t bytes = list[i].components * value_bytes(list[i]) * q->n;
+        int shift;
         if (!a || a->size() != q->n || !a->is_mapping_identity() ||
-            a->buffer()->data_size() < bytes)
+            a->buffer()->data_size() < bytes || !read_shift(pc, list[i].id, &shift))
             return err_set(e, ERR_FORMAT, "draco : attribute %s is damaged", list[i].name);
-        if (!copy_out(list[i], a->buffer()->data(), raw, q))
+        if (!copy_out(list[i], a->buffer()->data(), shift, q))
             return err_set(e, ERR_FORMAT, "draco : attribute %s has a value out of range",
                            list[i].name);
     }

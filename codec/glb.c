@@ -132,8 +132,8 @@ enum err_code glb_encode_spz(const struct quant *q, const char *copyright, struc
             a = q->position[3 * i + c] < a ? q->position[3 * i + c] : a;
             b = q->position[3 * i + c] > b ? q->position[3 * i + c] : b;
         }
-        lo[c] = a / 4096.0;
-        hi[c] = b / 4096.0;
+        lo[c] = ldexp(a, -(int)q->frac_bits);
+        hi[c] = ldexp(b, -(int)q->frac_bits);
     }
     json_t *attributes = json_object(), *accessors = json_array(),
            *position = accessor(q->n, FLOAT32, "VEC3");

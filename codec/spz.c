@@ -24,7 +24,7 @@ enum {
     HEAD_BYTES = 16,
     HEAD4_BYTES = 32,
     N_STREAMS = 6,
-    FRACTION_BITS = 12,
+    FRACTION_BITS_MAX = 23,
     FLAG_ANTIALIASED = 1,
     FLAG_EXTENSIONS = 2,
     GZIP_LEVEL = 4, /* 1 % larger than 6, twice as fast */
@@ -80,7 +80,7 @@ static void head_write(struct buf *b, const struct quant *q, int version, unsign
     buf_u32(b, (uint32_t)version);
     buf_u32(b, (uint32_t)q->n);
     buf_u8(b, q->sh_degree);
-    buf_u8(b, FRACTION_BITS);
+    buf_u8(b, q->frac_bits);
     buf_u8(b, q->antialiased ? FLAG_ANTIALIASED : 0);
     buf_u8(b, last);
 }
@@ -170,7 +170,7 @@ static enum err_code head_read(struct cursor *c, const struct codec_limits *lim,
         return err_set(e, ERR_FORMAT, "spz : not an SPZ file, or truncated in its header");
     if (h->version < 2 || h->version > 4)
         return err_set(e, ERR_FORMAT, "spz : version %u : 2, 3 and 4 are read", h->version);
-    if (h->sh_degree > (h->version == 4 ? 4u : 3u) || h->fraction_bits > 23)
+    if (h->sh_degree > (h->version == 4 ? 4u : 3u) || h->fraction_bits > FRACTION_BITS_MAX)
         return err_set(e, ERR_FORMAT, "spz : SH degree %u, %u fraction bits : out of range",
                        h->sh_degree, h->fraction_bits);
     size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS;
@@ -182,15 +182,12 @@ static enum err_code head_read(struct cursor *c, const struct codec_limits *lim,
 static enum err_code positions_read(const struct spz_head *h, const uint8_t *p, struct quant *q,
                                     struct err *e)
 {
-    int up = FRACTION_BITS - (int)h->fraction_bits;
+    q->frac_bits = h->fraction_bits;
     for (size_t i = 0; i < 3 * q->n; i++, p += 3) {
-        int64_t v = get_i24(p);
-        v = up >= 0 ? v * (1 << up) : (v + (1 << (-up - 1))) >> -up;
-        if (v <= -POSITION_LIMIT || v >= POSITION_LIMIT)
-            return err_set(e, ERR_LIMIT,
-                           "spz : row %zu : %.0f m from the origin : at most 2048 m fit", i / 3,
-                           fabs((double)v / (1 << FRACTION_BITS)));
-        q->position[i] = (int32_t)v;
+        q->position[i] = get_i24(p);
+        if (q->position[i] == -POSITION_LIMIT)
+            return err_set(e, ERR_FORMAT, "spz : row %zu : its position is beyond the range",
+                           i / 3);
     }
     return ERR_OK;
 }

@@ -209,15 +209,36 @@ void gauss_bounds(const struct gauss *g, double k_sigma, double min_enu_m[3], do
 
 static bool gauss_finite(const float *p, size_t n)
 {
-    for (size_t i = 0; i < n; i++)
-        if (!isfinite(p[i]))
-            return false;
-    return true;
+    uint32_t most = 0; /* of the exponents: no branch, so that it becomes vector code */
+    for (size_t i = 0; i < n; i++) {
+        uint32_t bits;
+        memcpy(&bits, p + i, sizeof bits);
+        bits &= 0x7f800000;
+        most = bits > most ? bits : most;
+    }
+    return most < 0x7f800000;
+}
+
+static bool gauss_all_good(const struct gauss *g)
+{
+    float least = INFINITY;
+    for (size_t i = 0; i < g->n; i++) {
+        const float *q = &g->quat_wxyz[4 * i];
+        float norm = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+        least = norm < least ? norm : least;
+    }
+    return least > 0.0f && gauss_finite(g->mean_m, 3 * g->n) &&
+           gauss_finite(g->scale_log, 3 * g->n) && gauss_finite(g->quat_wxyz, 4 * g->n) &&
+           gauss_finite(g->opacity_logit, g->n) &&
+           gauss_finite(g->sh, 3 * gauss_sh_count(g->sh_degree) * g->n) &&
+           gauss_finite(g->embed, (g->embed ? g->embed_len : 0) * g->n);
 }
 
 size_t gauss_count_bad(const struct gauss *g, size_t *first_bad)
 {
     size_t bad = 0, k = 3 * gauss_sh_count(g->sh_degree);
+    if (gauss_all_good(g))
+        return 0;
     for (size_t i = 0; i < g->n; i++) {
         const float *q = &g->quat_wxyz[4 * i];
         bool ok = gauss_finite(&g->mean_m[3 * i], 3) && gauss_finite(&g->scale_log[3 * i], 3) &&

@@ -32,7 +32,7 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
     if (format != FORMAT_PLY)
         frame_enu_to_gltf(g);
     if (format != FORMAT_PLY && format != FORMAT_GLB_PLAIN)
-        rc = quant_from_gauss(g, meta->sh_degree, &q, e);
+        rc = quant_from_gauss(g, meta->sh_degree, NULL, &q, e);
     if (rc != ERR_OK)
         return rc;
     switch (format) {

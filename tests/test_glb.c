@@ -66,7 +66,7 @@ static void test_spz_form_follows_the_clients(void **state)
         struct err e = {0};
         size_t bin_at, bin_size;
         kit_gauss(degree, 321, 500, degree, 0, &g);
-        kit_ok(quant_from_gauss(&g, degree, &q, &e), e);
+        kit_ok(quant_from_gauss(&g, degree, NULL, &q, &e), e);
         kit_ok(glb_encode_spz(&q, "\xc2\xa9 Survey \"2026\"", &b, &e), e);
         json_t *root = json_of(&b, &bin_at, &bin_size), *prim = primitive_of(root);
         assert_string_equal(
@@ -266,7 +266,7 @@ static void test_truncation_and_flips(void **state)
         struct buf b = {0};
         struct err e = {0};
         kit_gauss(3, 12, 100, 1, 0, &g);
-        kit_ok(quant_from_gauss(&g, 1, &q, &e), e);
+        kit_ok(quant_from_gauss(&g, 1, NULL, &q, &e), e);
         kit_ok(plain ? glb_encode_plain(&g, "c", &b, &e) : glb_encode_spz(&q, "c", &b, &e), e);
         for (size_t n = 0; n < b.size; n++)
             kit_fails(decode_copy(b.data, n, NULL, &e), ERR_FORMAT, e, "glb");

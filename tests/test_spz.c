@@ -8,6 +8,7 @@
 #include "codec/codec.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 #include <zlib.h>
 
@@ -16,8 +17,8 @@
 #define SCALE_TOL (0.5 / 16 + 1e-5)
 #define ALPHA_TOL (0.5 / 255 + 1e-6)
 #define COLOR_TOL (0.5 / 255 / 0.15 + 1e-5)
-#define SH1_TOL (4.5 / 128) /* steps of 8, after rounding to 1/128 */
-#define SH_TOL (8.5 / 128)
+#define SH1_TOL (4 / 128.0 + 1e-6) /* steps of 8 */
+#define SH_TOL (8 / 128.0 + 1e-6)
 /* 9 bits over sqrt(1/2): half a step on three components, and what it makes of the largest one. */
 #define ROTATION_TOL_DEG 0.3
 
@@ -27,6 +28,7 @@ static void expect_same(const struct quant *a, const struct quant *b)
     assert_int_equal(a->n, b->n);
     assert_int_equal(a->sh_degree, b->sh_degree);
     assert_int_equal(a->antialiased, b->antialiased);
+    assert_int_equal(a->frac_bits, b->frac_bits);
     assert_memory_equal(a->position, b->position, a->n * 12);
     assert_memory_equal(a->alpha, b->alpha, a->n);
     assert_memory_equal(a->color, b->color, a->n * 3);
@@ -47,7 +49,7 @@ static void test_values_within_half_a_step(void **state)
     struct quant q;
     struct err e = {0};
     kit_gauss(1, 2000, 1000, 3, 4, &g);
-    kit_ok(quant_from_gauss(&g, 3, &q, &e), e);
+    kit_ok(quant_from_gauss(&g, 3, NULL, &q, &e), e);
     kit_ok(quant_to_gauss(&q, &back, &e), e);
     for (size_t i = 0; i < g.n; i++) {
         double want[48], dot = 0, norm = 0, alpha = sigmoid((double)g.opacity_logit[i]);
@@ -95,12 +97,12 @@ static void test_quantising_twice_is_quantising_once(void **state)
     kit_gauss(2, 1000, 500, 3, 0, &g);
     g.opacity_logit[0] = 1e5f;
     g.opacity_logit[1] = -1e5f;
-    kit_ok(quant_from_gauss(&g, 3, &q, &e), e);
+    kit_ok(quant_from_gauss(&g, 3, NULL, &q, &e), e);
     assert_int_equal(q.alpha[0], 255);
     assert_int_equal(q.alpha[1], 0);
     kit_ok(quant_to_gauss(&q, &back, &e), e);
     assert_int_equal(gauss_count_bad(&back, NULL), 0);
-    kit_ok(quant_from_gauss(&back, 3, &again, &e), e);
+    kit_ok(quant_from_gauss(&back, 3, NULL, &again, &e), e);
     size_t differ = 0;
     for (size_t i = 0; i < q.n; i++)
         differ += q.rotation[i] != again.rotation[i];
@@ -120,12 +122,12 @@ static void test_degrees(void **state)
     struct quant q;
     struct err e = {0};
     kit_gauss(3, 5, 10, 2, 0, &g);
-    kit_ok(quant_from_gauss(&g, 3, &q, &e), e);
+    kit_ok(quant_from_gauss(&g, 3, NULL, &q, &e), e);
     assert_int_equal(q.sh_degree, 3);
     for (size_t i = 24; i < 45; i++)
         assert_int_equal(q.sh[i], 128);
     quant_free(&q);
-    kit_ok(quant_from_gauss(&g, 0, &q, &e), e);
+    kit_ok(quant_from_gauss(&g, 0, NULL, &q, &e), e);
     assert_int_equal(q.sh_degree, 0);
     quant_free(&q);
     gauss_free(&g);
@@ -138,23 +140,115 @@ static void test_refuses_what_cannot_be_written(void **state)
     struct quant q;
     struct err e = {0};
     kit_gauss(4, 10, 10, 1, 1, &g);
-    g.mean_m[3 * 7 + 2] = 2048;
-    kit_fails(quant_from_gauss(&g, 1, &q, &e), ERR_LIMIT, e, "row 7");
+    g.mean_m[3 * 7 + 2] = 1e6f; /* Gaussians of 10 cm need finer steps than 24 bits have there */
+    kit_fails(quant_from_gauss(&g, 1, NULL, &q, &e), ERR_LIMIT, e, "row 7");
     assert_null(q.block);
-    g.mean_m[3 * 7 + 2] = -2047.999f;
-    kit_ok(quant_from_gauss(&g, 1, &q, &e), e);
-    quant_free(&q);
+    g.mean_m[3 * 7 + 2] = 0;
     float *fields[] = {&g.mean_m[9],        &g.scale_log[9], &g.quat_wxyz[12],
                        &g.opacity_logit[3], &g.sh[3 * 12],   &g.embed[3]};
     for (size_t i = 0; i < 6; i++)
         for (int k = 0; k < 2; k++) {
             float old = *fields[i];
             *fields[i] = k ? NAN : INFINITY;
-            kit_fails(quant_from_gauss(&g, 1, &q, &e), ERR_DATA, e, "row 3");
+            kit_fails(quant_from_gauss(&g, 1, NULL, &q, &e), ERR_DATA, e, "row 3");
             *fields[i] = old;
         }
     memset(g.quat_wxyz + 8, 0, 16);
-    kit_fails(quant_from_gauss(&g, 1, &q, &e), ERR_DATA, e, "row 2");
+    kit_fails(quant_from_gauss(&g, 1, NULL, &q, &e), ERR_DATA, e, "row 2");
+    gauss_free(&g);
+}
+
+/* Where 12 bits behind the point are too few or too many: what the range and the sizes ask for. */
+static void test_position_bits_fit_the_tile(void **state)
+{
+    (void)state;
+    static const struct {
+        double half_m, sigma_m;
+        enum quant_preset preset;
+        uint32_t frac_bits, zero_bits;
+    } cases[] = {
+        {100, 0.5, QUANT_SPZ, 12, 0},           {2047, 0.5, QUANT_SPZ, 12, 0},
+        {2049, 0.5, QUANT_SPZ, 11, 0},          {60000, 20, QUANT_SPZ, 7, 0},
+        {100, 0.5, QUANT_BALANCED, 12, 5},      {100, 0.5, QUANT_NEAR_LOSSLESS, 12, 3},
+        {100, 32, QUANT_BALANCED, 12, 11},      {3, 0.001, QUANT_BALANCED, 16, 0},
+        {3, 0.001, QUANT_NEAR_LOSSLESS, 18, 0}, {300, 0.001, QUANT_NEAR_LOSSLESS, 14, 0},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct gauss g, back;
+        struct quant q, again;
+        struct buf b = {0};
+        struct err e = {0};
+        uint32_t all = 0;
+        kit_gauss(i, 101, cases[i].half_m, 0, 0, &g);
+        g.mean_m[0] = (float)cases[i].half_m;
+        for (size_t k = 0; k < 3 * g.n; k++)
+            g.scale_log[k] = (float)log(cases[i].sigma_m);
+        kit_ok(quant_from_gauss(&g, 0, quant_preset_grid(cases[i].preset), &q, &e), e);
+        assert_int_equal(q.frac_bits, cases[i].frac_bits);
+        for (size_t k = 0; k < 3 * q.n; k++)
+            all |= (uint32_t)q.position[k];
+        assert_int_equal(all & ((1u << cases[i].zero_bits) - 1), 0);
+        assert_int_not_equal(all & ((2u << cases[i].zero_bits) - 1), 0);
+        kit_ok(spz_encode(&q, 3, &b, &e), e);
+        kit_ok(spz_decode(b.data, b.size, NULL, &again, &e), e);
+        expect_same(&q, &again);
+        kit_ok(quant_to_gauss(&again, &back, &e), e);
+        double step = ldexp(1, (int)cases[i].zero_bits - (int)q.frac_bits);
+        assert_true(step <= cases[i].sigma_m / 16);
+        for (size_t k = 0; k < 3 * g.n; k++)
+            assert_true(fabs((double)back.mean_m[k] - (double)g.mean_m[k]) <=
+                        step / 2 + 1e-7 * cases[i].half_m);
+        buf_free(&b);
+        quant_free(&q);
+        quant_free(&again);
+        gauss_free(&back);
+        gauss_free(&g);
+    }
+}
+
+/* What a preset leaves out is left out of every value, and no value is further off than half of its
+ * step. */
+static void test_presets_keep_to_their_steps(void **state)
+{
+    (void)state;
+    struct gauss g;
+    struct quant q, fine;
+    struct err e = {0};
+    kit_gauss(8, 4000, 60, 3, 4, &g);
+    const struct quant_grid all = {0, 0, 0, 0, 0, {0, 0, 0}, 0, 3};
+    kit_ok(quant_from_gauss(&g, 3, &all, &fine, &e), e);
+    for (int p = 0; p < QUANT_PRESETS; p++) {
+        const struct quant_grid *grid = quant_preset_grid((enum quant_preset)p);
+        kit_ok(quant_from_gauss(&g, 3, grid, &q, &e), e);
+        assert_int_equal(q.sh_degree, grid->sh_degree);
+        size_t row = 3 * (gauss_sh_count(q.sh_degree) - 1);
+        for (size_t i = 0; i < q.n; i++) {
+            const struct {
+                const uint8_t *got, *want;
+                size_t n;
+                int shift;
+            } f[] = {{q.alpha + i, fine.alpha + i, 1, grid->alpha},
+                     {q.color + 3 * i, fine.color + 3 * i, 3, grid->color},
+                     {q.scale + 3 * i, fine.scale + 3 * i, 3, grid->scale},
+                     {q.sh + row * i, fine.sh + 45 * i, 9, grid->sh[0]},
+                     {q.sh + row * i + 9, fine.sh + 45 * i + 9, row > 9 ? 15 : 0, grid->sh[1]},
+                     {q.sh + row * i + 24, fine.sh + 45 * i + 24, row > 24 ? 21 : 0, grid->sh[2]},
+                     {q.embed + 4 * i, fine.embed + 4 * i, 4, grid->embed}};
+            for (size_t k = 0; k < sizeof f / sizeof *f; k++)
+                for (size_t c = 0; c < f[k].n; c++) {
+                    int step = 1 << f[k].shift, v = f[k].got[c];
+                    assert_true(v % step == 0 || v == 255);
+                    /* fine is rounded itself */
+                    assert_true(abs(v - f[k].want[c]) <= step / 2 + (step > 1));
+                }
+            for (int at = 0; at < 30; at += 10) {
+                uint32_t mag = q.rotation[i] >> at & 511;
+                assert_true(mag % (1u << grid->rotation) == 0 || mag == 511);
+            }
+        }
+        quant_free(&q);
+    }
+    quant_free(&fine);
     gauss_free(&g);
 }
 
@@ -170,7 +264,7 @@ static void test_round_trip(void **state)
         int version = i & 1 ? 4 : 3;
         kit_gauss(i, counts[i % 3], 2000, (uint32_t)i % 4, 0, &g);
         g.antialiased = i & 2;
-        kit_ok(quant_from_gauss(&g, (uint32_t)i % 4, &q, &e), e);
+        kit_ok(quant_from_gauss(&g, (uint32_t)i % 4, NULL, &q, &e), e);
         kit_ok(spz_encode(&q, version, &b, &e), e);
         kit_ok(spz_decode(b.data, b.size, NULL, &back, &e), e);
         expect_same(&q, &back);
@@ -237,9 +331,10 @@ static void test_reads_version_2_and_3_by_the_book(void **state)
         gzip(&plain, &z);
         kit_ok(spz_decode(z.data, z.size, NULL, &q, &e), e);
         assert_true(q.antialiased);
-        assert_int_equal(q.position[0], 4096); /* 2048 of 1/2048 m is 1 m */
-        assert_int_equal(q.position[1], -2);
-        assert_int_equal(q.position[2], 2);
+        assert_int_equal(q.frac_bits, 11);
+        assert_int_equal(q.position[0], 2048); /* of 1/2048 m is 1 m */
+        assert_int_equal(q.position[1], -1);
+        assert_int_equal(q.position[2], 1);
         kit_ok(quant_to_gauss(&q, &g, &e), e);
         assert_true(g.mean_m[0] == 1 && g.scale_log[0] == 0 && g.scale_log[1] == 1 &&
                     g.scale_log[2] == -1);
@@ -274,7 +369,7 @@ static void test_writes_version_3_by_the_book(void **state)
         g.sh[3 + i] = (float)(i - 4) * 0.3f;
     g.scale_log[1] = -20;
     g.scale_log[2] = 20;
-    kit_ok(quant_from_gauss(&g, 1, &q, &e), e);
+    kit_ok(quant_from_gauss(&g, 1, NULL, &q, &e), e);
     kit_ok(spz_encode(&q, 3, &b, &e), e);
     uint8_t out[64];
     z_stream z = {
@@ -320,7 +415,7 @@ static void test_truncation_and_flips(void **state)
         struct buf b = {0};
         struct err e = {0};
         kit_gauss(5, 30, 100, 1, 0, &g);
-        kit_ok(quant_from_gauss(&g, 1, &q, &e), e);
+        kit_ok(quant_from_gauss(&g, 1, NULL, &q, &e), e);
         kit_ok(spz_encode(&q, version, &b, &e), e);
         for (size_t n = 0; n < b.size; n++)
             kit_fails(decode_copy(b.data, n, NULL, &e), ERR_FORMAT, e, "spz");
@@ -389,7 +484,7 @@ static void test_out_of_memory(void **state)
         for (size_t k = 1; rc == ERR_MEM && k < 100; k++) {
             buf_free(&b);
             mem_fail_at(k);
-            rc = quant_from_gauss(&g, 2, &q, &e);
+            rc = quant_from_gauss(&g, 2, NULL, &q, &e);
             if (rc == ERR_OK && (rc = spz_encode(&q, version, &b, &e)) != ERR_OK)
                 quant_free(&q);
             mem_fail_at(0);
@@ -416,6 +511,8 @@ int main(void)
         cmocka_unit_test(test_values_within_half_a_step),
         cmocka_unit_test(test_quantising_twice_is_quantising_once),
         cmocka_unit_test(test_degrees),
+        cmocka_unit_test(test_position_bits_fit_the_tile),
+        cmocka_unit_test(test_presets_keep_to_their_steps),
         cmocka_unit_test(test_refuses_what_cannot_be_written),
         cmocka_unit_test(test_round_trip),
         cmocka_unit_test(test_reads_version_2_and_3_by_the_book),

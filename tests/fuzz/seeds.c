@@ -77,7 +77,7 @@ static enum err_code gauss_seed(const char *target, size_t i, struct buf *out)
     struct gauss g;
     struct quant q;
     sample(i, &g);
-    enum err_code rc = quant_from_gauss(&g, g.sh_degree, &q, NULL);
+    enum err_code rc = quant_from_gauss(&g, g.sh_degree, NULL, &q, NULL);
     if (rc != ERR_OK)
         goto out;
     if (!strcmp(target, "ply"))
