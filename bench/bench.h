@@ -23,7 +23,7 @@ struct bench {
     struct bench_row *rows;
     size_t n_rows;
     struct arena arena;
-    struct json_t *baseline; /* --compare FILE, or NULL */
+    struct json_t *baseline;                      /* --compare FILE, or NULL */
     const char *scene, *tiles, *dataset, *record; /* of `rd`; NULL when not given */
     const char *command;                          /* that gives its rows again */
 };
@@ -35,7 +35,8 @@ void bench_report(struct bench *b, const char *case_name, double value, const ch
  * time; spread (may be NULL): half the distance between the quartiles. */
 enum err_code bench_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e),
                          void *user, double *median_ms, double *spread_ms, struct err *e) ERR_USE;
-/* The same by the process's CPU clock: for work of one thread, what a core of its own would take. */
+/* The same by the process's CPU clock: for work of one thread, what a core of its own would take.
+ */
 enum err_code bench_cpu_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e),
                              void *user, double *median_ms, double *spread_ms,
                              struct err *e) ERR_USE;

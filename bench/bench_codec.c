@@ -3,8 +3,8 @@
  *
  * The rows are a trained store's finest tiles (--tiles), or the procedural city in Morton order.
  * Encoding is from floats and decoding to floats: quantising is part of both. Checked before
- * timing (CPU time of the one thread): each file decodes to the integers (or floats) it was made from. Ratios are to raw float32
- * rows (236 bytes with SH of degree 3).
+ * timing (CPU time of the one thread): each file decodes to the integers (or floats) it was made
+ * from. Ratios are to raw float32 rows (236 bytes with SH of degree 3).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -103,8 +103,7 @@ static enum err_code codec_check(struct codec_case *c, struct err *e)
         (q.n != want.n || memcmp(q.position, want.position, 12 * q.n) ||
          memcmp(q.sh, want.sh, 3 * (gauss_sh_count(q.sh_degree) - 1) * q.n)))
         rc = err_set(e, ERR_INTERNAL, "bench_codec: %s : integers differ", c->name);
-    if (rc == ERR_OK && !want.block &&
-        (g.n != c->g->n || memcmp(g.mean_m, c->g->mean_m, 12 * g.n)))
+    if (rc == ERR_OK && !want.block && (g.n != c->g->n || memcmp(g.mean_m, c->g->mean_m, 12 * g.n)))
         rc = err_set(e, ERR_INTERNAL, "bench_codec: %s : means differ", c->name);
     quant_free(&q);
     quant_free(&want);
@@ -140,8 +139,7 @@ static enum err_code quantise(void *user, struct err *e)
 {
     const struct gauss *g = user;
     struct quant q;
-    enum err_code rc =
-        quant_from_gauss(g, g->sh_degree, quant_preset_grid(QUANT_BALANCED), &q, e);
+    enum err_code rc = quant_from_gauss(g, g->sh_degree, quant_preset_grid(QUANT_BALANCED), &q, e);
     quant_free(&q);
     return rc;
 }
@@ -151,7 +149,7 @@ static enum err_code quantise(void *user, struct err *e)
 struct tile_request {
     struct store *store;
     struct key key;
-    enum format format;
+    struct form form;
     struct buf out;
 };
 
@@ -159,7 +157,7 @@ static enum err_code tile_make(void *user, struct err *e)
 {
     struct tile_request *t = user;
     t->out.size = 0;
-    return encode_tile(t->store, t->key, t->format, &t->out, e);
+    return encode_tile(t->store, t->key, t->form, &t->out, e);
 }
 
 static enum err_code tile_requests(struct bench *b, const struct gauss *g, struct err *e)
@@ -186,10 +184,10 @@ static enum err_code tile_requests(struct bench *b, const struct gauss *g, struc
     if (rc == ERR_OK)
         rc = store_open(path, &t.store, e);
     for (int f = FORMAT_GLB; rc == ERR_OK && f <= FORMAT_PLY; f++) {
-        t.format = (enum format)f;
+        t.form = (struct form){(enum format)f, QUANT_BALANCED, (uint8_t)g->sh_degree};
         rc = bench_cpu_time(b, tile_make, &t, &ms, NULL, e);
         snprintf(name, sizeof name, "tile of %zu k from store to .%s", n / 1000,
-                 target_ext(t.format));
+                 target_ext(t.form.format));
         if (rc == ERR_OK)
             bench_report(b, name, ms, "ms", 0, NULL);
     }

@@ -221,8 +221,8 @@ static enum err_code rd_ladders(struct rd *r, struct err *e)
             struct quant_grid g = *quant_preset_grid((enum quant_preset)p);
             memcpy(g.sh, steps[i], sizeof g.sh);
             g.sh_degree = 3;
-            snprintf(row, sizeof row, "%s geometry:%u%u%u",
-                     quant_preset_name((enum quant_preset)p), g.sh[0], g.sh[1], g.sh[2]);
+            snprintf(row, sizeof row, "%s geometry:%u%u%u", quant_preset_name((enum quant_preset)p),
+                     g.sh[0], g.sh[1], g.sh[2]);
             rc = rd_row(r, row, RD_DRC, &g, e);
         }
     return rc;
@@ -318,10 +318,10 @@ enum err_code bench_rd(struct bench *b, struct err *e)
     }
     enum err_code rc = rd_open(&r, e);
     if (!rc)
-        rc = rd_record(&r, "trained", "float32",
-                       4.0 * (11 + 3 * (double)gauss_sh_count(r.tiles[0].sh_degree) +
-                              r.tiles[0].embed_len),
-                       r.psnr_db, 120, e);
+        rc = rd_record(
+            &r, "trained", "float32",
+            4.0 * (11 + 3 * (double)gauss_sh_count(r.tiles[0].sh_degree) + r.tiles[0].embed_len),
+            r.psnr_db, 120, e);
     if (!rc)
         rc = rd_presets(&r, e);
     if (!rc && !b->quick)

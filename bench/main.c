@@ -35,10 +35,14 @@ static const struct options_def bench_defs[] = {
                         "OpenCL device: cpu, gpu or part of a name")
                 OPTIONS_ROW(struct bench_config, TEXT, compare, "", 0, 0, "FILE",
                             "JSON lines of an earlier run: the table gains a column now/then")
-    OPTIONS_ROW(struct bench_config, TEXT, scene, "", 0, 0, "DIR", "rd: scene with test photographs")
-    OPTIONS_ROW(struct bench_config, TEXT, tiles, "", 0, 0, "FILE", "rd, codec: tile store trained on it")
-    OPTIONS_ROW(struct bench_config, TEXT, dataset, "", 0, 0, "TEXT", "rd: what the scene is, for records")
-    OPTIONS_ROW(struct bench_config, TEXT, record, "", 0, 0, "FILE", "rd: write every row as a JSON line")};
+                    OPTIONS_ROW(struct bench_config, TEXT, scene, "", 0, 0, "DIR",
+                                "rd: scene with test photographs")
+                        OPTIONS_ROW(struct bench_config, TEXT, tiles, "", 0, 0, "FILE",
+                                    "rd, codec: tile store trained on it")
+                            OPTIONS_ROW(struct bench_config, TEXT, dataset, "", 0, 0, "TEXT",
+                                        "rd: what the scene is, for records")
+                                OPTIONS_ROW(struct bench_config, TEXT, record, "", 0, 0, "FILE",
+                                            "rd: write every row as a JSON line")};
 
 struct bench_entry {
     const char *name, *about;

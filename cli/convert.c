@@ -181,11 +181,16 @@ static void center(struct gauss *g)
     memset(g->origin_enu_m, 0, sizeof g->origin_enu_m);
 }
 
+static const struct quant_grid *convert_grid(const struct convert_options *o)
+{
+    return quant_preset_grid(o->preset ? (enum quant_preset)(o->preset - 1) : QUANT_BALANCED);
+}
+
 static enum err_code convert_write(struct converted *c, enum convert_format format,
                                    const struct convert_options *o, const char *in, struct buf *out,
                                    struct err *e)
 {
-    bool as_is = c->q.block && o->sh_degree < 0 && !o->center && c->axes == AXES_GLTF;
+    bool as_is = c->q.block && o->sh_degree < 0 && !o->center && !o->preset && c->axes == AXES_GLTF;
     bool integers =
         format == FORMAT_SPZ || format == FORMAT_DRC || (format == FORMAT_GLB && !o->glb_payload);
     if (as_is && integers)
@@ -212,7 +217,7 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
         return glb_encode_plain(&c->g, o->copyright, out, e);
     quant_free(&c->q);
     if (rc == ERR_OK)
-        rc = quant_from_gauss(&c->g, c->g.sh_degree, NULL, &c->q, e);
+        rc = quant_from_gauss(&c->g, c->g.sh_degree, convert_grid(o), &c->q, e);
     return rc == ERR_OK ? write_integers(c, format, o, out, e) : rc;
 }
 

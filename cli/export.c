@@ -89,11 +89,12 @@ static enum err_code export_gather(struct store *s, uint8_t zoom, struct gauss *
     return rc;
 }
 
-static enum err_code export_spz(struct gauss *g, struct buf *out, struct err *e)
+static enum err_code export_spz(struct gauss *g, const struct quant_grid *grid, struct buf *out,
+                                struct err *e)
 {
     struct quant q = {0};
     frame_enu_to_gltf(g);
-    enum err_code rc = quant_from_gauss(g, g->sh_degree, NULL, &q, e);
+    enum err_code rc = quant_from_gauss(g, g->sh_degree, grid, &q, e);
     if (!rc)
         rc = spz_encode(&q, 3, out, e);
     quant_free(&q);
@@ -106,13 +107,14 @@ static enum err_code export_file(struct store *s, const struct export_options *o
     struct gauss g = {0};
     struct buf b = {0};
     uint8_t zoom = 0;
+    const struct quant_grid *grid = quant_preset_grid((enum quant_preset)o->preset);
     const struct ply_info info = {
         .has_origin = true, .origin = store_info(s)->origin, .axes = PLY_AXES_ENU};
     enum err_code rc = export_zoom(s, o->level, &zoom, e);
     if (!rc)
         rc = export_gather(s, zoom, &g, e);
     if (!rc)
-        rc = format == EXPORT_PLY ? ply_encode(&g, &info, &b, e) : export_spz(&g, &b, e);
+        rc = format == EXPORT_PLY ? ply_encode(&g, &info, &b, e) : export_spz(&g, grid, &b, e);
     if (!rc)
         rc = file_write(o->output, b.data, b.size, e);
     if (!rc)
@@ -125,8 +127,8 @@ static enum err_code export_file(struct store *s, const struct export_options *o
 
 /* ---- a folder of 3D Tiles ---- */
 
-static enum err_code export_glb(struct store *s, const struct store_tile *t, const char *dir,
-                                struct err *e)
+static enum err_code export_glb(struct store *s, const struct store_tile *t,
+                                const struct quant_grid *grid, const char *dir, struct err *e)
 {
     struct gauss g = {0};
     struct quant q = {0};
@@ -143,7 +145,7 @@ static enum err_code export_glb(struct store *s, const struct store_tile *t, con
         rc = store_read_gauss(s, t->key, &g, e);
     if (!rc) {
         frame_enu_to_gltf(&g);
-        rc = quant_from_gauss(&g, m->sh_degree, NULL, &q, e);
+        rc = quant_from_gauss(&g, m->sh_degree, grid, &q, e);
     }
     if (!rc)
         rc = glb_encode_spz(&q, m->attribution[0] ? m->attribution : NULL, &b, e);
@@ -175,6 +177,7 @@ static enum err_code export_document(const struct store *s, const char *dir, con
 
 static enum err_code export_3dtiles(struct store *s, const struct export_options *o, struct err *e)
 {
+    const struct quant_grid *grid = quant_preset_grid((enum quant_preset)o->preset);
     struct outdir d = {0};
     struct progress p;
     size_t n;
@@ -182,7 +185,7 @@ static enum err_code export_3dtiles(struct store *s, const struct export_options
     enum err_code rc = outdir_begin(o->output, "tileset.json", o->overwrite, &d, e);
     progress_start(&p, "export", n);
     for (size_t i = 0; !rc && i < n; i++) {
-        rc = export_glb(s, &t[i], d.part, e);
+        rc = export_glb(s, &t[i], grid, d.part, e);
         progress_step(&p, i + 1, NULL);
         if (!rc && clock_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped");

@@ -240,7 +240,7 @@ enum err_code splat_decode(const void *bytes, size_t n, const struct codec_limit
 
 /* How fine the integers are (presets.def). */
 struct quant_grid {
-    uint8_t position; /* log2 of position steps to the median sigma; 0: steps of 2^-12 m */
+    uint8_t position; /* log2 of steps to the median of the middle sigmas; 0: steps of 2^-12 m */
     uint8_t scale, rotation, alpha, color, sh[3], embed; /* low bits left out, 0..7 */
     uint8_t sh_degree;                                   /* higher bands are dropped */
 };

@@ -106,7 +106,7 @@ static bool attributes_match(struct cursor *c, struct draco_head *h)
     h->sh_degree = components[DRACO_SH3_G]   ? 3
                    : components[DRACO_SH2_G] ? 2
                    : components[DRACO_SH1_G] ? 1
-                                           : 0;
+                                             : 0;
     h->embed_len = components[DRACO_EMBEDDING];
     if (h->embed_len > GAUSS_EMBED_MAX || draco_layout(h->sh_degree, h->embed_len, want) != count)
         return false;

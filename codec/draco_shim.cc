@@ -191,7 +191,7 @@ static bool delta_pays(const uint8_t *v, size_t n, size_t width)
 {
     uint32_t plain[256] = {0}, delta[256] = {0};
     double bits = 0;
-    for (size_t at = 0; at < n; at += n > 8 * SAMPLE_EVERY ? SAMPLE_EVERY : SAMPLE_ROWS) {
+    for (size_t at = 0; at<n; at += n> 8 * SAMPLE_EVERY ? SAMPLE_EVERY : SAMPLE_ROWS) {
         size_t end = at + SAMPLE_ROWS < n ? at + SAMPLE_ROWS : n;
         for (size_t i = (at + 1) * width; i < end * width; i++) {
             plain[v[i]]++;

@@ -35,8 +35,8 @@ static const struct {
 } presets[QUANT_PRESETS] = {
 #define PRESET(id, name, about, position, scale, rotation, alpha, color, sh1, sh2, sh3, embed,     \
                degree)                                                                             \
-    [QUANT_##id] = {name,                                                                          \
-                    {position, scale, rotation, alpha, color, {sh1, sh2, sh3}, embed, degree}},
+    [QUANT_##                                                                                      \
+        id] = {name, {position, scale, rotation, alpha, color, {sh1, sh2, sh3}, embed, degree}},
 #include "codec/presets.def"
 #undef PRESET
 };
@@ -185,14 +185,15 @@ static void quant_embed(const struct gauss *g, int shift, struct quant *q)
     }
 }
 
-/* log2 of the median over the rows of each one's largest sigma, in metres, to a sixteenth of ln. */
+/* log2 of the median over the rows of each one's middle sigma, in metres, to a sixteenth of ln: the
+ * width of a needle, not its length, and the breadth of a disc, not its thickness. */
 static double sigma_log2(const struct gauss *g)
 {
     uint32_t bins[SIGMA_BINS] = {0};
     for (size_t i = 0; i < g->n; i++) {
         const float *s = g->scale_log + 3 * i;
-        float m = s[0] > s[1] ? s[0] : s[1];
-        m = (m > s[2] ? m : s[2]) * 16 + SIGMA_BINS / 2;
+        float lo = s[0] < s[1] ? s[0] : s[1], hi = s[0] < s[1] ? s[1] : s[0];
+        float m = (s[2] < lo ? lo : s[2] > hi ? hi : s[2]) * 16 + SIGMA_BINS / 2;
         bins[(int)(m < 0 ? 0 : m > SIGMA_BINS - 1 ? SIGMA_BINS - 1 : m)]++;
     }
     size_t seen = 0, at = 0;
@@ -272,16 +273,14 @@ enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree,
     const float alpha_step = 1 / (float)(1 << grid->alpha),
                 color_step = 1 / (float)(1 << grid->color);
     out->antialiased = g->antialiased;
-    quant_positions(g->mean_m, 3 * n, ldexpf(1, (int)out->frac_bits - shift), shift,
-                    out->position);
+    quant_positions(g->mean_m, 3 * n, ldexpf(1, (int)out->frac_bits - shift), shift, out->position);
     quant_bytes(g->scale_log, 3 * n, 16, 160, grid->scale, out->scale);
     for (size_t i = 0; i < n; i++) {
-        out->alpha[i] =
-            byte_at(255 / (1 + expf(-g->opacity_logit[i])), alpha_step, grid->alpha);
+        out->alpha[i] = byte_at(255 / (1 + expf(-g->opacity_logit[i])), alpha_step, grid->alpha);
         out->rotation[i] = pack_rotation(g->quat_wxyz + 4 * i, grid->rotation);
         for (size_t c = 0; c < 3; c++)
-            out->color[3 * i + c] = byte_at(g->sh[k * i + c] * (COLOR_SCALE * 255) + 127.5f,
-                                            color_step, grid->color);
+            out->color[3 * i + c] =
+                byte_at(g->sh[k * i + c] * (COLOR_SCALE * 255) + 127.5f, color_step, grid->color);
     }
     quant_sh(g, grid->sh, out);
     quant_embed(g, grid->embed, out);

@@ -115,6 +115,11 @@ static json_t *operation(enum route r, const char *name, const char *summary)
         json_array_append_new(parameters,
                               query_parameter("f", "tile format: glb, spz, drc, ply, plain.glb"));
     }
+    if (r == ROUTE_SEED || r == ROUTE_TILE || r == ROUTE_TILE_MOVING) {
+        json_array_append_new(parameters,
+                              query_parameter("preset", "of glb, spz, drc: " QUANT_PRESET_NAMES));
+        json_array_append_new(parameters, query_parameter("sh", "degree of harmonics, 0 to 3"));
+    }
     if (r == ROUTE_RENDER)
         json_object_set_new(o, "requestBody", render_body());
     return o;

@@ -11,19 +11,38 @@
 #include <stdlib.h>
 #include <string.h>
 
-struct hash128 encode_tile_id(const struct dataset *d, const struct store_tile *t, enum format f)
+static bool is_quantised(enum format f)
+{
+    return f == FORMAT_GLB || f == FORMAT_SPZ || f == FORMAT_DRC;
+}
+
+struct form encode_form(const struct server_config *cfg, const struct store_meta *meta,
+                        const struct form *asked)
+{
+    struct form f = {.format = asked->format};
+    if (is_quantised(f.format)) {
+        f.preset = asked->preset < QUANT_PRESETS ? asked->preset : (uint8_t)cfg->preset;
+        f.sh_degree =
+            asked->sh_degree < meta->sh_degree ? asked->sh_degree : (uint8_t)meta->sh_degree;
+    }
+    return f;
+}
+
+struct hash128 encode_tile_id(const struct dataset *d, const struct store_tile *t, struct form f)
 {
     struct { /* no padding */
         struct hash128 payload, salt;
-        uint32_t z, x, y, format;
-    } name = {t->hash, d->salt, t->key.z, t->key.x, t->key.y, (uint32_t)f};
+        uint32_t z, x, y, form;
+    } name = {t->hash,  d->salt,  t->key.z,
+              t->key.x, t->key.y, (uint32_t)f.format << 16 | (uint32_t)f.preset << 8 | f.sh_degree};
     return hash_bytes(&name, sizeof(name));
 }
 
-/* g (changed) to bytes of a format. */
+/* g (changed) to bytes of a form. */
 static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta, struct key key,
-                                  enum format format, struct buf *out, struct err *e)
+                                  struct form form, struct buf *out, struct err *e)
 {
+    const enum format format = form.format;
     const char *copyright = meta->attribution[0] ? meta->attribution : NULL;
     const struct ply_info info = {.has_origin = true, .origin = meta->origin};
     struct quant q = {0};
@@ -31,8 +50,9 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
     enum err_code rc = ERR_OK;
     if (format != FORMAT_PLY)
         frame_enu_to_gltf(g);
-    if (format != FORMAT_PLY && format != FORMAT_GLB_PLAIN)
-        rc = quant_from_gauss(g, meta->sh_degree, NULL, &q, e);
+    if (is_quantised(format))
+        rc = quant_from_gauss(g, form.sh_degree, quant_preset_grid((enum quant_preset)form.preset),
+                              &q, e);
     if (rc != ERR_OK)
         return rc;
     switch (format) {
@@ -59,13 +79,13 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
     return rc;
 }
 
-enum err_code encode_tile(struct store *s, struct key key, enum format format, struct buf *out,
+enum err_code encode_tile(struct store *s, struct key key, struct form form, struct buf *out,
                           struct err *e)
 {
     struct gauss g = {0};
     enum err_code rc = store_read_gauss(s, key, &g, e);
     if (rc == ERR_OK)
-        rc = encode_gauss(&g, store_info(s), key, format, out, e);
+        rc = encode_gauss(&g, store_info(s), key, form, out, e);
     gauss_free(&g);
     return rc;
 }
@@ -98,12 +118,17 @@ enum err_code encode_fingerprint(const struct store_meta *meta, struct hash128 *
 {
     struct buf all = {0};
     enum err_code rc = ERR_OK;
-    for (int f = FORMAT_GLB; f <= FORMAT_GLB_PLAIN && rc == ERR_OK; f++) {
+    const int n_forms = (FORMAT_GLB_PLAIN + 1) * QUANT_PRESETS;
+    for (int f = 0; f < n_forms && rc == ERR_OK; f++) {
         struct gauss g = {0};
         struct buf one = {0};
+        const struct form form = {(enum format)(f / QUANT_PRESETS), (uint8_t)(f % QUANT_PRESETS),
+                                  (uint8_t)meta->sh_degree};
+        if (form.preset && !is_quantised(form.format))
+            continue;
         rc = make_sample(meta, &g, e);
         if (rc == ERR_OK)
-            rc = encode_gauss(&g, meta, (struct key){0}, (enum format)f, &one, e);
+            rc = encode_gauss(&g, meta, (struct key){0}, form, &one, e);
         buf_add(&all, one.data, one.size);
         buf_free(&one);
         gauss_free(&g);
@@ -139,9 +164,21 @@ static bool in_bbox(struct key k, const int32_t bbox_e7[4])
            north * 1e7 > bbox_e7[1];
 }
 
-enum err_code encode_seed(const struct dataset *d, const struct target *t, struct buf *out,
-                          struct err *e)
+/* ?preset=NAME&sh=N as far as a target says them. */
+static const char *form_query(const struct form *f, char out[48])
 {
+    out[0] = 0;
+    if (f->preset < QUANT_PRESETS)
+        snprintf(out, 48, "?preset=%s", quant_preset_name((enum quant_preset)f->preset));
+    if (f->sh_degree <= GAUSS_SH_DEGREE_MAX)
+        snprintf(out + strlen(out), 48 - strlen(out), "%csh=%u", out[0] ? '&' : '?', f->sh_degree);
+    return out;
+}
+
+enum err_code encode_seed(const struct dataset *d, const struct target *t, struct form form,
+                          struct buf *out, struct err *e)
+{
+    char query[48];
     const struct store_tile **pick = mem_array(d->n_tiles, sizeof(*pick));
     size_t n = 0;
     if (!pick)
@@ -154,12 +191,12 @@ enum err_code encode_seed(const struct dataset *d, const struct target *t, struc
     qsort(pick, n, sizeof(*pick), by_importance);
     for (size_t i = 0; i < n; i++) {
         char etag[BODY_ETAG_SIZE];
-        body_etag(encode_tile_id(d, pick[i], t->format), etag);
+        body_etag(encode_tile_id(d, pick[i], form), etag);
         etag[strlen(etag) - 1] = 0; /* without its quotes, which JSON would have to escape */
-        buf_printf(out,
-                   "{\"url\":\"r/%s/t/%u/%u/%u.%s\",\"etag\":\"\\\"%s\\\"\",\"gaussians\":%u}\n",
-                   d->meta.revision, pick[i]->key.z, pick[i]->key.x, pick[i]->key.y,
-                   target_ext(t->format), etag + 1, pick[i]->count);
+        buf_printf(
+            out, "{\"url\":\"r/%s/t/%u/%u/%u.%s%s\",\"etag\":\"\\\"%s\\\"\",\"gaussians\":%u}\n",
+            d->meta.revision, pick[i]->key.z, pick[i]->key.x, pick[i]->key.y,
+            target_ext(t->form.format), form_query(&t->form, query), etag + 1, pick[i]->count);
     }
     mem_free(pick);
     return buf_check(out, e);
@@ -173,7 +210,7 @@ static enum err_code make_tile(const struct work *w, struct buf *out, struct err
     if (!s)
         return err_set(e, ERR_INTERNAL, "dataset %s: fewer store handles than workers",
                        w->ds->path);
-    enum err_code rc = encode_tile(s, w->key, w->format, out, e);
+    enum err_code rc = encode_tile(s, w->key, w->form, out, e);
     dataset_return(w->ds, s);
     return rc;
 }
@@ -189,7 +226,7 @@ enum err_code encode_run(void *user, const struct job *j, void *work, size_t wor
     if (w->keep && (*out = cache_get(s->cache, w->id)))
         return ERR_OK; /* made between the look into the cache and the question for a job */
     enum err_code rc = w->kind == WORK_VIEW   ? picture_make(s->picture, j, w, &b, e)
-                       : w->kind == WORK_SEED ? encode_seed(w->ds, &w->seed, &b, e)
+                       : w->kind == WORK_SEED ? encode_seed(w->ds, &w->seed, w->form, &b, e)
                                               : make_tile(w, &b, e);
     if (rc == ERR_OK)
         rc = buf_check(&b, e);
@@ -205,7 +242,7 @@ enum err_code encode_run(void *user, const struct job *j, void *work, size_t wor
         atomic_fetch_add(&s->metrics.store_errors, w->kind == WORK_TILE);
         log_error("serve", "job failed ds=%s %s %u/%u/%u.%s: %s", w->ds->meta.name,
                   w->kind == WORK_VIEW ? "view" : "tile", w->key.z, w->key.x, w->key.y,
-                  target_ext(w->format), e->msg);
+                  target_ext(w->form.format), e->msg);
     }
     buf_free(&b);
     return rc;

@@ -184,7 +184,7 @@ enum err_code picture_make(struct picture *p, const struct job *j, const struct 
         rc = err_set(e, ERR_CANCEL, "cancelled");
     if (rc == ERR_OK) {
         to_bytes(rgb, &img);
-        rc = image_encode(&img, target_ext(w->format), w->quality, out, e);
+        rc = image_encode(&img, target_ext(w->form.format), w->quality, out, e);
     }
     mem_free(rgb);
     image_free(&img);

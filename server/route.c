@@ -203,7 +203,7 @@ static bool send_made(struct services *s, const struct request *r, struct hash12
 }
 
 static struct work *make_work(struct dataset *d, enum work_kind kind, struct hash128 id,
-                              enum format format, struct response *out)
+                              struct form form, struct response *out)
 {
     struct work *w = mem_array(1, sizeof(*w));
     if (!w) {
@@ -214,7 +214,7 @@ static struct work *make_work(struct dataset *d, enum work_kind kind, struct has
     w->kind = kind;
     w->ds = dataset_ref(d);
     w->id = id;
-    w->format = format;
+    w->form = form;
     w->keep = true;
     return out->work = w;
 }
@@ -229,14 +229,15 @@ static void answer_tile(struct services *s, const struct request *r, struct data
         route_problem(out, 404, "no Gaussians in this tile");
         return;
     }
-    struct hash128 id = encode_tile_id(d, tile, t->format);
-    out->type = target_type(t->format);
+    const struct form form = encode_form(s->cfg, &d->meta, &t->form);
+    struct hash128 id = encode_tile_id(d, tile, form);
+    out->type = target_type(form.format);
     out->cache_control = IMMUTABLE;
     snprintf(out->surrogate, sizeof(out->surrogate), "ds-%s rev-%s z-%u", d->meta.name,
              d->meta.revision, t->key.z);
     if (!send_made(s, r, id, out))
         return;
-    struct work *w = make_work(d, WORK_TILE, id, t->format, out);
+    struct work *w = make_work(d, WORK_TILE, id, form, out);
     if (w)
         w->key = t->key;
     out->cls = r->prefetch ? JOB_PREFETCH : JOB_TILE;
@@ -246,15 +247,18 @@ static void answer_tile(struct services *s, const struct request *r, struct data
 static void answer_seed(struct services *s, const struct request *r, struct dataset *d,
                         const struct target *t, struct response *out)
 {
+    const struct form form = encode_form(s->cfg, &d->meta, &t->form);
     struct {
         struct hash128 salt;
         char rev[16];
         int32_t bbox_e7[4];
-        uint32_t z_min, z_max, format, has_bbox;
+        uint32_t z_min, z_max, format, has_bbox, asked, preset;
     } name = {.salt = d->salt,
               .z_min = t->z_min,
               .z_max = t->z_max,
-              .format = (uint32_t)t->format,
+              .format = (uint32_t)form.format,
+              .asked = (uint32_t)t->form.preset << 8 | t->form.sh_degree,
+              .preset = form.preset,
               .has_bbox = t->has_bbox};
     memcpy(name.rev, d->meta.revision, sizeof(d->meta.revision));
     memcpy(name.bbox_e7, t->bbox_e7, sizeof(name.bbox_e7));
@@ -263,7 +267,7 @@ static void answer_seed(struct services *s, const struct request *r, struct data
     out->cache_control = MOVING;
     if (!send_made(s, r, id, out))
         return;
-    struct work *w = make_work(d, WORK_SEED, id, t->format, out);
+    struct work *w = make_work(d, WORK_SEED, id, form, out);
     if (w)
         w->seed = *t;
     out->cls = JOB_TILE;
@@ -342,14 +346,14 @@ static void answer_view(struct services *s, const struct request *r, struct data
         return;
     }
     int quality = (int)s->cfg->quality;
-    struct hash128 id = view_id(s, d, &cam, t->format, quality);
-    out->type = target_type(t->format);
+    struct hash128 id = view_id(s, d, &cam, t->form.format, quality);
+    out->type = target_type(t->form.format);
     out->cache_control = IMMUTABLE;
     snprintf(out->surrogate, sizeof(out->surrogate), "ds-%s rev-%s view", d->meta.name,
              d->meta.revision);
     if (!send_made(s, r, id, out))
         return;
-    struct work *w = make_work(d, WORK_VIEW, id, t->format, out);
+    struct work *w = make_work(d, WORK_VIEW, id, (struct form){.format = t->form.format}, out);
     if (w) {
         w->cam = cam;
         w->quality = quality;
@@ -374,8 +378,8 @@ static void answer_render(struct services *s, const struct request *r, struct da
     out->cache_control = NO_STORE;
     out->cache = "none";
     out->status = 200;
-    struct work *w =
-        make_work(d, WORK_VIEW, view_id(s, d, &p.cam, p.format, p.quality), p.format, out);
+    struct work *w = make_work(d, WORK_VIEW, view_id(s, d, &p.cam, p.format, p.quality),
+                               (struct form){.format = p.format}, out);
     if (w) {
         w->cam = p.cam;
         w->quality = p.quality;
@@ -393,8 +397,8 @@ static void answer_moving(const struct request *r, const struct dataset *d, cons
     const char *up = t->route == ROUTE_TILE_MOVING ? "../../../" : "../../";
     struct buf b = {0};
     size_t at = strlen("/d/") + strlen(t->ds) + strlen(word);
-    buf_printf(&b, "%sr/%s%s%.*s", up, d->meta.revision, word, (int)(t->path_size - at),
-               r->target + at);
+    size_t n = t->route == ROUTE_TILE_MOVING ? r->target_size : t->path_size; /* with its query */
+    buf_printf(&b, "%sr/%s%s%.*s", up, d->meta.revision, word, (int)(n - at), r->target + at);
     if (b.failed || !(out->location = mem_text((const char *)b.data)))
         route_problem(out, 503, "out of memory");
     else

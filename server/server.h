@@ -268,11 +268,19 @@ struct target_pose {              /* fixed point, so that equal views are equal 
     int32_t heading_e3, pitch_e3; /* 1e-3 degrees; heading 0..359999 */
     int32_t fov_e3;               /* vertical */
 };
+/* A tile's bytes are those of a format, and of the quantised ones (.glb .spz .drc) in a preset and
+ * a degree of harmonics. */
+enum { FORM_UNSAID = 255 };
+struct form {
+    enum format format;
+    uint8_t preset;    /* enum quant_preset; QUANT_PRESETS: not said */
+    uint8_t sh_degree; /* highest band; FORM_UNSAID */
+};
 struct target {
     enum route route;
     char ds[64], rev[13];
     struct key key;
-    enum format format;
+    struct form form; /* of views only the format counts */
     struct target_pose pose;
     uint32_t width_px, height_px;
     /* seed: */
@@ -320,7 +328,7 @@ struct work { /* freed with encode_drop */
     struct dataset *ds; /* a reference */
     struct hash128 id;  /* names the result: cache key and job id */
     struct key key;     /* WORK_TILE */
-    enum format format;
+    struct form form;   /* nothing left unsaid */
     struct target seed; /* WORK_SEED */
     struct camera cam;  /* WORK_VIEW */
     int quality;
@@ -331,18 +339,23 @@ struct services;
 enum err_code encode_run(void *services, const struct job *j, void *work, size_t worker,
                          struct body **out, struct err *e) ERR_USE;
 void encode_drop(void *services, void *work);
-/* One tile to bytes of a format. */
-enum err_code encode_tile(struct store *s, struct key key, enum format format, struct buf *out,
+/* What a target leaves unsaid: the preset that `citysplat serve` was given, the dataset's degree.
+ * Of formats that are not quantised there is one form only. */
+struct form encode_form(const struct server_config *cfg, const struct store_meta *meta,
+                        const struct form *asked);
+/* One tile to bytes of a form. */
+enum err_code encode_tile(struct store *s, struct key key, struct form form, struct buf *out,
                           struct err *e) ERR_USE;
-enum err_code encode_seed(const struct dataset *d, const struct target *t, struct buf *out,
-                          struct err *e) ERR_USE;
+/* form: of the entity tags; the addresses have it where t says it. */
+enum err_code encode_seed(const struct dataset *d, const struct target *t, struct form form,
+                          struct buf *out, struct err *e) ERR_USE;
 /* Hash of what the encoders make of a fixed sample with this meta. Entity tags contain it, so that
  * they change whenever the encoders, or the libraries below them, do: equal tags are equal bytes.
  */
 enum err_code encode_fingerprint(const struct store_meta *meta, struct hash128 *out,
                                  struct err *e) ERR_USE;
-/* Name of a tile's bytes: payload, format, and everything else that decides them. */
-struct hash128 encode_tile_id(const struct dataset *d, const struct store_tile *t, enum format f);
+/* Name of a tile's bytes: payload, form, and everything else that decides them. */
+struct hash128 encode_tile_id(const struct dataset *d, const struct store_tile *t, struct form f);
 /* On the view thread. */
 enum err_code picture_make(struct picture *p, const struct job *j, const struct work *w,
                            struct buf *out, struct err *e) ERR_USE;

@@ -137,13 +137,57 @@ static enum err_code nothing(struct err *e)
     return err_set(e, ERR_NOENT, "there is nothing at this path");
 }
 
+/* preset=NAME or sh=N, each at most once; *known says whether it was one of them. */
+static enum err_code take_form(struct text *one, struct form *out, bool *known, struct err *e)
+{
+    *known = true;
+    if (take(one, "preset=")) {
+        int found = QUANT_PRESETS;
+        for (int p = 0; p < QUANT_PRESETS; p++) {
+            struct text at = *one;
+            if (take(&at, quant_preset_name((enum quant_preset)p)) && at_end(&at))
+                found = p;
+        }
+        if (found == QUANT_PRESETS || out->preset != QUANT_PRESETS)
+            return err_set(e, ERR_FORMAT, "preset is one of " QUANT_PRESET_NAMES ", given once");
+        out->preset = (uint8_t)found;
+        one->p = one->end;
+    } else if (take(one, "sh=")) {
+        uint32_t degree;
+        if (!take_uint(one, &degree) || degree > GAUSS_SH_DEGREE_MAX ||
+            out->sh_degree != FORM_UNSAID)
+            return err_set(e, ERR_FORMAT, "sh is 0 to %d, given once", GAUSS_SH_DEGREE_MAX);
+        out->sh_degree = (uint8_t)degree;
+    } else {
+        *known = false;
+    }
+    return ERR_OK;
+}
+
+/* Of a tile's query; what else it holds is for caches and not ours (Cesium adds v=REVISION). */
+static enum err_code parse_form(const char *query, size_t n, struct form *out, struct err *e)
+{
+    for (struct text t = {query, query + n}; !at_end(&t);) {
+        const char *amp = memchr(t.p, '&', (size_t)(t.end - t.p));
+        struct text one = {t.p, amp ? amp : t.end};
+        bool known;
+        t.p = amp ? amp + 1 : t.end;
+        enum err_code rc = take_form(&one, out, &known, e);
+        if (rc == ERR_OK && known && !at_end(&one))
+            rc = err_set(e, ERR_FORMAT, "the query has a malformed value");
+        if (rc != ERR_OK)
+            return rc;
+    }
+    return ERR_OK;
+}
+
 /* {z}/{x}/{y}.{ext} */
 static enum err_code parse_tile(struct text *t, enum route route, struct target *out, struct err *e)
 {
     uint32_t z, x, y;
     if (!take_uint(t, &z) || !take(t, "/") || !take_uint(t, &x) || !take(t, "/") ||
         !take_uint(t, &y) || !take(t, ".") ||
-        !take_format(t, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->format))
+        !take_format(t, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->form.format))
         return err_set(e, ERR_NOENT,
                        "a tile is z/x/y.ext with ext one of glb, spz, drc, ply, plain.glb");
     out->route = route;
@@ -165,7 +209,7 @@ static enum err_code parse_view(struct text *t, enum route route, struct target 
         ok = take_fixed(t, 3, &fov);
     ok = ok && take(t, "/") && take_uint(t, &out->width_px) && take(t, "x") &&
          take_uint(t, &out->height_px) && take(t, ".") &&
-         take_format(t, FORMAT_JPG, FORMAT_WEBP, &out->format);
+         take_format(t, FORMAT_JPG, FORMAT_WEBP, &out->form.format);
     if (!ok)
         return err_set(e, ERR_FORMAT,
                        "a view is lon,lat,h@heading,pitch[,fov]/WxH.ext with plain decimal "
@@ -200,14 +244,20 @@ static enum err_code parse_seed(const char *query, size_t n, struct target *out,
         i += comma ? 2 : 0;
     }
     out->z_max = KEY_ZOOM_MAX;
-    out->format = FORMAT_GLB;
+    out->form.format = FORMAT_GLB;
     for (struct text t = {plain, plain + m}; !at_end(&t);) {
         const char *amp = memchr(t.p, '&', (size_t)(t.end - t.p));
         struct text one = {t.p, amp ? amp : t.end};
         t.p = amp ? amp + 1 : t.end;
         int64_t v[4];
         uint32_t a, b;
-        if (take(&one, "bbox=") && !(seen & 1)) {
+        bool known;
+        enum err_code rc = take_form(&one, &out->form, &known, e);
+        if (rc != ERR_OK)
+            return rc;
+        if (known) {
+            /* it is taken */
+        } else if (take(&one, "bbox=") && !(seen & 1)) {
             seen |= 1;
             for (int i = 0; i < 4; i++) {
                 if ((i && !take(&one, ",")) || !take_fixed(&one, 7, &v[i]) || v[i] < -1800000000 ||
@@ -228,10 +278,11 @@ static enum err_code parse_seed(const char *query, size_t n, struct target *out,
             out->z_max = (uint8_t)b;
         } else if (take(&one, "f=") && !(seen & 4)) {
             seen |= 4;
-            if (!take_format(&one, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->format))
+            if (!take_format(&one, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->form.format))
                 return err_set(e, ERR_FORMAT, "f is one of glb, spz, drc, ply, plain.glb");
         } else {
-            return err_set(e, ERR_FORMAT, "the query may hold bbox, z and f, each once");
+            return err_set(e, ERR_FORMAT,
+                           "the query may hold bbox, z, f, preset and sh, each once");
         }
         if (!at_end(&one))
             return err_set(e, ERR_FORMAT, "the query has a malformed value");
@@ -262,8 +313,10 @@ static enum err_code parse_data(struct text *t, const char *query, size_t n_quer
     at = *t;
     if (revisioned && take(&at, "tileset.json") && at_end(&at))
         return out->route = ROUTE_TILESET, ERR_OK;
-    if (take(t, "t/"))
-        return parse_tile(t, revisioned ? ROUTE_TILE : ROUTE_TILE_MOVING, out, e);
+    if (take(t, "t/")) {
+        enum err_code rc = parse_tile(t, revisioned ? ROUTE_TILE : ROUTE_TILE_MOVING, out, e);
+        return rc == ERR_OK ? parse_form(query, n_query, &out->form, e) : rc;
+    }
     if (take(t, "static/"))
         return parse_view(t, revisioned ? ROUTE_VIEW : ROUTE_VIEW_MOVING, out, e);
     return nothing(e);
@@ -311,6 +364,8 @@ enum err_code target_parse(const char *text, size_t n, struct target *out, struc
     };
     memset(out, 0, sizeof(*out));
     out->route = ROUTE_NONE;
+    out->form.preset = QUANT_PRESETS;
+    out->form.sh_degree = FORM_UNSAID;
     const char *mark = n ? memchr(text, '?', n) : NULL;
     size_t n_path = mark ? (size_t)(mark - text) : n;
     out->path_size = n_path;

@@ -118,7 +118,7 @@ static void test_an_f_stays_an_f(void **state)
         g.sh[12 * i + 3 + 3] = 0.5f; /* bright when seen looking up: coefficient 1 is +z */
     }
     save_ply("f.ply", &g, NULL); /* says that it is ENU */
-    assert_int_equal(convert("f.ply", "f.spz", "--no-sort", NULL), 0);
+    assert_int_equal(convert("f.ply", "f.spz", "--no-sort --preset spz", NULL), 0);
     load("f.spz", &b);
     kit_ok(spz_decode(b.data, b.size, NULL, &q, &e), e);
     for (size_t i = 0; i < 5; i++) {

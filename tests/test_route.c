@@ -484,6 +484,52 @@ static void test_seed(void **state)
     route_free(&r);
 }
 
+/* Presets and degrees are bytes of their own, each with a tag of its own; what is not said is the
+ * server's; what a format does not know makes no other bytes. */
+static void test_presets(void **state)
+{
+    static const struct {
+        const char *a, *b;
+        bool same;
+    } rows[] = {
+        {"drc", "drc?preset=balanced", true},
+        {"drc", "drc?preset=spz", false},
+        {"drc?preset=preview", "drc?preset=near-lossless", false},
+        {"glb", "glb?preset=preview", false},
+        {"spz", "spz?v=17", true},
+        {"spz?sh=0", "spz?sh=1", false},
+        {"spz?sh=3", "spz", true},
+        {"ply", "ply?preset=preview&sh=0", true},
+        {"plain.glb", "plain.glb?preset=preview", true},
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof(rows) / sizeof(*rows); i++) {
+        char target[128];
+        snprintf(target, sizeof(target), "/d/toy/r/REV/t/KEY17.%s", rows[i].a);
+        struct response a = get(target);
+        snprintf(target, sizeof(target), "/d/toy/r/REV/t/KEY17.%s", rows[i].b);
+        struct response b = get(target);
+        assert_int_equal(a.status, 200);
+        assert_int_equal(b.status, 200);
+        bool same = a.size == b.size && !memcmp(a.data, b.data, a.size);
+        if (same != rows[i].same || !strcmp(a.etag, b.etag) != rows[i].same)
+            fail_msg("%s and %s: bytes %s, tags %s and %s", rows[i].a, rows[i].b,
+                     same ? "equal" : "differ", a.etag, b.etag);
+        route_free(&a);
+        route_free(&b);
+    }
+    struct response r = get("/d/toy/t/KEY17.drc?preset=preview&sh=0");
+    assert_int_equal(r.status, 307);
+    assert_non_null(strstr(r.location, ".drc?preset=preview&sh=0"));
+    route_free(&r);
+    r = get("/d/toy/r/REV/t/KEY17.drc?preset=best");
+    assert_int_equal(r.status, 400);
+    route_free(&r);
+    r = get("/d/toy/seed.ndjson?z=17&f=drc&preset=spz&sh=1");
+    assert_non_null(strstr((const char *)r.data, ".drc?preset=spz&sh=1\","));
+    route_free(&r);
+}
+
 /* A damaged tile is that tile's problem alone. */
 static void test_damaged_tile(void **state)
 {
@@ -674,7 +720,7 @@ static void test_reload(void **state)
     struct buf b = {
         0}; /* the older revision's tiles are read from the file that was renamed over */
     struct store *s = dataset_borrow(old);
-    kit_ok(encode_tile(s, served_key(17), FORMAT_SPZ, &b, &e), e);
+    kit_ok(encode_tile(s, served_key(17), (struct form){FORMAT_SPZ, QUANT_BALANCED, 3}, &b, &e), e);
     dataset_return(old, s);
     buf_free(&b);
     struct catalog *bad = NULL;
@@ -701,6 +747,7 @@ int main(void)
         cmocka_unit_test(test_viewer_files),
         cmocka_unit_test(test_ranges),
         cmocka_unit_test(test_seed),
+        cmocka_unit_test(test_presets),
         cmocka_unit_test(test_damaged_tile),
         cmocka_unit_test(test_views),
         cmocka_unit_test(test_posted_cameras),

@@ -164,14 +164,12 @@ static void test_position_bits_fit_the_tile(void **state)
     (void)state;
     static const struct {
         double half_m, sigma_m;
-        enum quant_preset preset;
+        uint8_t steps_log2;
         uint32_t frac_bits, zero_bits;
     } cases[] = {
-        {100, 0.5, QUANT_SPZ, 12, 0},           {2047, 0.5, QUANT_SPZ, 12, 0},
-        {2049, 0.5, QUANT_SPZ, 11, 0},          {60000, 20, QUANT_SPZ, 7, 0},
-        {100, 0.5, QUANT_BALANCED, 12, 5},      {100, 0.5, QUANT_NEAR_LOSSLESS, 12, 3},
-        {100, 32, QUANT_BALANCED, 12, 11},      {3, 0.001, QUANT_BALANCED, 16, 0},
-        {3, 0.001, QUANT_NEAR_LOSSLESS, 18, 0}, {300, 0.001, QUANT_NEAR_LOSSLESS, 14, 0},
+        {100, 0.5, 0, 12, 0}, {2047, 0.5, 0, 12, 0},  {2049, 0.5, 0, 11, 0}, {60000, 20, 0, 7, 0},
+        {100, 0.5, 6, 12, 5}, {100, 0.5, 8, 12, 3},   {100, 32, 6, 12, 11},  {3, 0.001, 6, 16, 0},
+        {3, 0.001, 8, 18, 0}, {300, 0.001, 8, 14, 0},
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         struct gauss g, back;
@@ -179,11 +177,12 @@ static void test_position_bits_fit_the_tile(void **state)
         struct buf b = {0};
         struct err e = {0};
         uint32_t all = 0;
+        const struct quant_grid grid = {.position = cases[i].steps_log2};
         kit_gauss(i, 101, cases[i].half_m, 0, 0, &g);
         g.mean_m[0] = (float)cases[i].half_m;
         for (size_t k = 0; k < 3 * g.n; k++)
             g.scale_log[k] = (float)log(cases[i].sigma_m);
-        kit_ok(quant_from_gauss(&g, 0, quant_preset_grid(cases[i].preset), &q, &e), e);
+        kit_ok(quant_from_gauss(&g, 0, &grid, &q, &e), e);
         assert_int_equal(q.frac_bits, cases[i].frac_bits);
         for (size_t k = 0; k < 3 * q.n; k++)
             all |= (uint32_t)q.position[k];

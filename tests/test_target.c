@@ -46,6 +46,15 @@ static void test_targets(void **state)
         {"/d/toy/r/0123456789ab/t/1/0/0.glb/", ERR_NOENT, ROUTE_NONE},
         {"/d/toy/r/0123456789ab/t/1/0/0", ERR_NOENT, ROUTE_NONE},
         {"/d/toy/t/1/0/0.drc", ERR_OK, ROUTE_TILE_MOVING},
+        {"/d/toy/t/1/0/0.drc?preset=preview&sh=0", ERR_OK, ROUTE_TILE_MOVING},
+        {"/d/toy/r/0123456789ab/t/1/0/0.glb?v=0123456789ab&x", ERR_OK, ROUTE_TILE},
+        {"/d/toy/r/0123456789ab/t/1/0/0.glb?preset=", ERR_FORMAT, ROUTE_TILE},
+        {"/d/toy/r/0123456789ab/t/1/0/0.glb?preset=balance", ERR_FORMAT, ROUTE_TILE},
+        {"/d/toy/r/0123456789ab/t/1/0/0.glb?preset=spz&preset=spz", ERR_FORMAT, ROUTE_TILE},
+        {"/d/toy/r/0123456789ab/t/1/0/0.glb?sh=4", ERR_FORMAT, ROUTE_TILE},
+        {"/d/toy/r/0123456789ab/t/1/0/0.glb?sh=1a", ERR_FORMAT, ROUTE_TILE},
+        {"/d/toy/seed.ndjson?preset=balanced&sh=2&f=drc", ERR_OK, ROUTE_SEED},
+        {"/d/toy/seed.ndjson?preset=best", ERR_FORMAT, ROUTE_SEED},
         {"/d/toy/r/0123456789ab/static/13.4,52.5,120@0,-90/64x64.jpg", ERR_OK, ROUTE_VIEW},
         {"/d/toy/static/-13.4,-52.5,-1.5@359.9,-89.25,75/640x480.webp", ERR_OK, ROUTE_VIEW_MOVING},
         {"/d/toy/static/1e3,0,0@0,0/64x64.jpg", ERR_FORMAT, ROUTE_NONE},
@@ -127,7 +136,7 @@ static void test_target_numbers(void **state)
     assert_int_equal(g.pose.fov_e3, 60250);
     assert_int_equal(g.width_px, 640);
     assert_int_equal(g.height_px, 480);
-    assert_int_equal(g.format, FORMAT_PNG);
+    assert_int_equal(g.form.format, FORMAT_PNG);
     assert_string_equal(g.rev, "0123456789ab");
     const char *same = "/d/toy/static/-0,0.0,0.000@360,-0.0,60/1x1.png";
     kit_ok(target_parse(same, strlen(same), &g, &e), e);
@@ -139,7 +148,13 @@ static void test_target_numbers(void **state)
     assert_int_equal(g.key.z, 17);
     assert_int_equal(g.key.x, 70406);
     assert_int_equal(g.key.y, 42987);
-    assert_int_equal(g.format, FORMAT_SPZ);
+    assert_int_equal(g.form.format, FORMAT_SPZ);
+    assert_int_equal(g.form.preset, QUANT_PRESETS);
+    assert_int_equal(g.form.sh_degree, FORM_UNSAID);
+    tile = "/d/toy/t/17/70406/42987.drc?sh=1&v=2&preset=near-lossless";
+    kit_ok(target_parse(tile, strlen(tile), &g, &e), e);
+    assert_int_equal(g.form.preset, QUANT_NEAR_LOSSLESS);
+    assert_int_equal(g.form.sh_degree, 1);
     const char *seed = "/d/toy/seed.ndjson?z=16&bbox=-1.5,2,3.25,4";
     kit_ok(target_parse(seed, strlen(seed), &g, &e), e);
     assert_int_equal(g.z_min, 16);

@@ -11,6 +11,7 @@ import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
 import { after, before, test } from "node:test";
 
+import { decodeDrc } from "./lib/drc.mjs";
 import { findSpz } from "./lib/glb.mjs";
 import { readPly } from "./lib/ply.mjs";
 import { firstDataSet, getBytes, getJson, MOCK, openSource } from "./lib/source.mjs";
@@ -148,7 +149,7 @@ test(
             for (const name of own.names.filter((n) => !n.startsWith("n"))) {
                 assertColumn(other.column(name), own.column(name), 0, `${tile} ${name}`);
             }
-            const spz = decodeSpz(await getBytes(`${tile}.spz`));
+            const spz = decodeSpz(await getBytes(`${tile}.spz?preset=spz`));
             assert.equal(own.count, spz.count, tile);
             compareAsSets(own, spz, tile);
         }
@@ -194,116 +195,25 @@ function compareAsSets(ply, spz, tile) {
 
 // ---- Draco --------------------------------------------------------------------------------------
 
-function readAttribute(draco, cloud, decoder, querier, name) {
-    const id = decoder.GetAttributeIdByMetadataEntry(cloud, "name", name);
-    if (id < 0) return null;
-    const attribute = decoder.GetAttribute(cloud, id);
-    const width = attribute.num_components();
-    const length = cloud.num_points() * width;
-    const kinds = {
-        [draco.DT_UINT8]: ["DT_UINT8", Uint8Array, "HEAPU8"],
-        [draco.DT_UINT16]: ["DT_UINT16", Uint16Array, "HEAPU16"],
-        [draco.DT_UINT32]: ["DT_UINT32", Uint32Array, "HEAPU32"],
-    };
-    const [kind, Type, heap] = kinds[attribute.data_type()];
-    const bytes = length * Type.BYTES_PER_ELEMENT;
-    const at = draco._malloc(bytes);
-    assert.ok(
-        decoder.GetAttributeDataArrayForAllPoints(cloud, attribute, draco[kind], bytes, at),
-        name,
-    );
-    const first = at / Type.BYTES_PER_ELEMENT;
-    const values = draco[heap].slice(first, first + length);
-    draco._free(at);
-    return { width, values };
+// draco3d's rows against those of the .spz of the same preset: the same integers in the same order.
+for (const preset of ["spz", "preview", "balanced", "near-lossless"]) {
+    test(`draco3d decodes .drc, ${preset}, to the integers of the .spz`, { skip }, async (t) => {
+        const draco = await require("draco3d").createDecoderModule({});
+        let [rows, size, spzSize] = [0, 0, 0];
+        for (const tile of tiles) {
+            const file = await getBytes(`${tile}.drc?preset=${preset}`);
+            const spzFile = await getBytes(`${tile}.spz?preset=${preset}`);
+            const drc = decodeDrc(draco, file);
+            const spz = decodeSpz(spzFile);
+            assert.equal(drc.format, "citysplat-2", tile);
+            for (const key of ["count", "shDegree", "fractionBits", "antialiased"])
+                assert.equal(drc[key], spz[key], `${tile} ${key}`);
+            for (const key of ["position", "alpha", "color", "scale", "rotation", "sh"])
+                assert.deepEqual(Array.from(drc[key]), Array.from(spz[key]), `${tile} ${key}`);
+            rows += spz.count;
+            size += file.length;
+            spzSize += spzFile.length;
+        }
+        t.diagnostic(`${rows} Gaussians of ${tiles.length} tiles: ${size} bytes, .spz ${spzSize}`);
+    });
 }
-
-async function decodeDraco(bytes) {
-    const draco = await require("draco3d").createDecoderModule({});
-    const decoder = new draco.Decoder();
-    const buffer = new draco.DecoderBuffer();
-    buffer.Init(new Int8Array(bytes), bytes.length);
-    const cloud = new draco.PointCloud();
-    const status = decoder.DecodeBufferToPointCloud(buffer, cloud);
-    assert.ok(status.ok(), status.error_msg());
-    const querier = new draco.MetadataQuerier();
-    const metadata = decoder.GetMetadata(cloud);
-    const out = {
-        count: cloud.num_points(),
-        format: querier.GetStringEntry(metadata, "format"),
-        shDegree: querier.GetIntEntry(metadata, "sh_degree"),
-        fractionBits: querier.GetIntEntry(metadata, "frac_bits"),
-    };
-    for (const name of [
-        "position",
-        "opacity",
-        "scale",
-        "rotation",
-        "rotation_index",
-        "color",
-        "sh1",
-        "sh2",
-        "sh3",
-    ]) {
-        out[name] = readAttribute(draco, cloud, decoder, querier, name);
-    }
-    [cloud, buffer, querier, decoder].forEach((object) => draco.destroy(object));
-    return out;
-}
-
-// The Draco values of row i as the SPZ stores them, as one string: rows may be in another order.
-function dracoRow(drc, i) {
-    const slice = (name) => [
-        ...drc[name].values.subarray(i * drc[name].width, (i + 1) * drc[name].width),
-    ];
-    const fields = slice("rotation").map((v) => (v < 511 ? 512 + (511 - v) : v - 511));
-    const packed = [drc.rotation_index.values[i], ...fields].reduce((sum, v) => sum * 1024 + v, 0);
-    const sh = ["sh1", "sh2", "sh3"].flatMap((name, band) =>
-        drc[name] ? slice(name).map((v) => Math.min(255, v * (band === 0 ? 8 : 16))) : [],
-    );
-    return [
-        slice("position").map((v) => v - 2 ** 23),
-        slice("opacity"),
-        slice("color"),
-        slice("scale"),
-        sameRotation(packed),
-        sh,
-    ].join(";");
-}
-
-function spzRow(spz, i) {
-    const coefs = 3 * shCoefs(spz.shDegree);
-    const slice = (array, width) => [...array.subarray(i * width, (i + 1) * width)];
-    return [
-        slice(spz.position, 3),
-        slice(spz.alpha, 1),
-        slice(spz.color, 3),
-        slice(spz.scale, 3),
-        sameRotation(spz.rotation[i]),
-        slice(spz.sh, coefs),
-    ].join(";");
-}
-
-// A field of magnitude 0 has two signs; both are the same rotation.
-function sameRotation(packed) {
-    return unpackRotation(packed >>> 0).map((v) =>
-        (v + 0).toFixed(6).replace("-0.000000", "0.000000"),
-    );
-}
-
-test("draco3d decodes .drc to the integers of the .spz", { skip }, async (t) => {
-    let rows = 0;
-    for (const tile of tiles) {
-        const drc = await decodeDraco(await getBytes(`${tile}.drc`));
-        const spz = decodeSpz(await getBytes(`${tile}.spz`));
-        assert.equal(drc.format, "citysplat-1", tile);
-        assert.equal(drc.count, spz.count, tile);
-        assert.equal(drc.shDegree, spz.shDegree, tile);
-        assert.equal(drc.fractionBits, spz.fractionBits, tile);
-        const left = Array.from({ length: drc.count }, (_, i) => dracoRow(drc, i)).sort();
-        const right = Array.from({ length: spz.count }, (_, i) => spzRow(spz, i)).sort();
-        assert.deepEqual(left, right, tile);
-        rows += spz.count;
-    }
-    t.diagnostic(`${rows} Gaussians of ${tiles.length} tiles`);
-});
