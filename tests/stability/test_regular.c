@@ -1,5 +1,6 @@
 /* Stability of what regularises: sizes and needles (F4), floaters (F5), statistics that know
- * nothing of depth (F16), depth maps that are wrong or of another scale (F21).
+ * nothing of depth (F16), depth maps that are wrong or of another scale (F21), resuming with all of
+ * it (F30).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -612,6 +613,71 @@ static void maps_are_read_aligned_and_left_out(void **state)
     kit_rmdir(dir);
 }
 
+/* ---- F30 with everything on
+ * --------------------------------------------------------------------- */
+
+static void resume_train(const char *out, const int64_t *pieces, size_t n_pieces)
+{
+    struct arena a = {0};
+    struct err e = {0};
+    struct train_result r = {0};
+    struct train_config c = toy_config(&a, out);
+    c.iterations = 330;
+    c.aa = RENDER_AA_MIP;
+    c.depth_sparse = true;
+    c.depth_interval = 2;
+    c.scale_from = 0;
+    c.scale_max_m = 0.5;
+    c.budget_1 = 660;
+    c.budget_2 = 700;
+    c.budget_3 = 800;
+    for (size_t i = 0; i < n_pieces; i++) {
+        c.stop_after = pieces[i];
+        c.resume = i > 0;
+        kit_fails(train_run(scene_dir, &c, &r, &e), ERR_CANCEL, e, "--resume goes on");
+        train_result_free(&r);
+    }
+    c.stop_after = 0;
+    c.resume = n_pieces > 0;
+    kit_ok(train_run(scene_dir, &c, &r, &e), e);
+    train_result_free(&r);
+    arena_free(&a);
+}
+
+static void resumed_runs_with_filter_and_depth_are_the_same(void **state)
+{
+    (void)state;
+    /* in the middle of levels, around densifications and the filter's 100 steps */
+    static const int64_t pieces[] = {37, 30, 45, 103};
+    char *out[2];
+    for (int i = 0; i < 2; i++) {
+        out[i] = mem_array(FILE_PATH_MAX, 1);
+        assert_non_null(out[i]);
+        kit_tmpdir(out[i]);
+        resume_train(out[i], pieces, i ? sizeof(pieces) / sizeof(pieces[0]) : 0);
+    }
+    for (int level = 1; level <= 3; level++) {
+        struct ckpt c[2];
+        struct err e = {0};
+        for (int i = 0; i < 2; i++) {
+            char path[FILE_PATH_MAX], name[64];
+            snprintf(name, sizeof(name), "cells/all/level%d.ckpt", level);
+            kit_ok(file_join(path, out[i], name, &e), e);
+            kit_ok(ckpt_read(path, &c[i], &e), e);
+        }
+        assert_int_equal(c[0].g.n, c[1].g.n);
+        assert_memory_equal(c[0].g.mean_m, c[1].g.mean_m, c[0].g.n * 12);
+        assert_memory_equal(c[0].g.scale_log, c[1].g.scale_log, c[0].g.n * 12);
+        assert_memory_equal(c[0].g.opacity_logit, c[1].g.opacity_logit, c[0].g.n * 4);
+        for (int i = 0; i < 2; i++)
+            ckpt_free(&c[i]);
+    }
+    for (int i = 0; i < 2; i++) {
+        kit_rmdir(out[i]);
+        mem_free(out[i]);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -621,6 +687,7 @@ int main(void)
         cmocka_unit_test(depth_loss_does_not_depend_on_the_scale),
         cmocka_unit_test(maps_that_do_not_fit_are_told_apart),
         cmocka_unit_test(maps_are_read_aligned_and_left_out),
+        cmocka_unit_test(resumed_runs_with_filter_and_depth_are_the_same),
     };
     return cmocka_run_group_tests(tests, ground_setup, ground_teardown);
 }
