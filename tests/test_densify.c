@@ -10,7 +10,7 @@
 #include "core/layout.h"
 #include "train/level.h"
 
-enum { PLANES = 14 /* degree 0 */, LANES = LAYOUT_LANES };
+enum { PLANES = 18 /* degree 0, embeddings of 4 */, LANES = LAYOUT_LANES };
 #define LOGIT_HALF 0.0f
 #define SHRINK 0.47000363f /* ln 1.6 */
 #define FLOAT_TOL 1e-6f    /* one rounding of values of order 1 */
@@ -330,6 +330,7 @@ static void clones_are_copies_and_halves_lie_within_their_parent(void **state)
         float shrink = split ? SHRINK : 0.0f;
         assert_true(fabsf(*at(to.params, i, 3) - (*at(t.params, source, 3) - shrink)) < FLOAT_TOL);
         assert_true(*at(to.params, i, 10) == LOGIT_HALF);
+        assert_true(*at(to.params, i, PLANES - 1) == (float)source); /* and its embedding */
         float d = fabsf(*at(to.params, i, 0) - *at(t.params, source, 0));
         moved += d > 0.0f;
         assert_true(split ? d < 6.0f * 5.0f : d == 0.0f);

@@ -8,6 +8,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "core/appearance.h"
 #include "train/regular.h"
 
 #define FD_STEP 1e-6
@@ -153,10 +154,34 @@ static void folding_a_filter_has_the_right_derivatives(void **state)
     }
 }
 
-/* A model drawn with a filter: picture and gradients are those of the folded Gaussians. */
-static void kernels_draw_the_folded_gaussians(void **state)
+/* Embeddings, and the constants of an appearance that leaves opacity alone: folding is before its
+ * offset, the kernels' filter after it. *frame: mem_free. */
+static void add_appearance(struct scene *s, float **frame)
 {
-    (void)state;
+    struct gauss with = {0};
+    struct appearance a = {0};
+    struct err e = {0};
+    kit_ok(gauss_alloc(&with, s->g.n, s->g.sh_degree, 8, &e), e);
+    kit_ok(gauss_append(&with, &s->g, NULL, s->g.n, &e), e);
+    for (size_t i = 0; i < with.n * 8; i++)
+        with.embed[i] = (float)rng_normal(33, 0, i);
+    gauss_free(&s->g);
+    s->g = with;
+    kit_ok(appearance_alloc(&a, 8, 4, 12, 1, &e), e);
+    appearance_init(&a, 34);
+    a.b2[3] = -60.0f;
+    *frame = mem_array(appearance_frame_floats(8, 12), sizeof **frame);
+    assert_non_null(*frame);
+    appearance_frame(&a, a.images, *frame);
+    s->o.appearance_frame = *frame;
+    s->o.appearance_hidden = 12;
+    appearance_free(&a);
+}
+
+/* A model drawn with a filter: picture and gradients are those of the folded Gaussians. */
+static void check_folded(bool look)
+{
+    float *frames[2] = {NULL, NULL};
     struct scene s = scene_make(31, 40, RENDER_AA_MIP, 1),
                  folded = scene_make(31, 40, RENDER_AA_MIP, 1);
     struct render *r = NULL;
@@ -168,6 +193,10 @@ static void kernels_draw_the_folded_gaussians(void **state)
     kit_ok(render_open(dev_get(), &r, &e), e);
     for (size_t i = 0; i < s.g.n; i++)
         filter[i] = (float)(0.01 + 0.2 * rng_unit(32, 1, i));
+    if (look) {
+        add_appearance(&s, &frames[0]);
+        add_appearance(&folded, &frames[1]);
+    }
     mip_fold(&folded.g, filter);
     memcpy(folded.rgb_grad, s.rgb_grad, (size_t)PX_W * PX_H * 3 * sizeof(double));
     (void)clear_ambiguous(&folded);
@@ -196,8 +225,17 @@ static void kernels_draw_the_folded_gaussians(void **state)
     dev_release(&grads);
     render_model_free(&m);
     render_close(&r);
+    mem_free(frames[0]);
+    mem_free(frames[1]);
     scene_free(&s);
     scene_free(&folded);
+}
+
+static void kernels_draw_the_folded_gaussians(void **state)
+{
+    (void)state;
+    check_folded(false);
+    check_folded(true);
 }
 
 static void check_filter_kernels(uint32_t width)

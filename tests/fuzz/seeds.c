@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "codec/codec.h"
+#include "core/appearance.h"
 
 static void sample(size_t i, struct gauss *g)
 {
@@ -98,8 +99,23 @@ out:
     return rc;
 }
 
+static enum err_code appearance_seed(size_t i, struct buf *out)
+{
+    struct appearance a;
+    enum err_code rc = appearance_alloc(&a, 1 + 3 * (uint32_t)i, 2, 3, 2 * i, NULL);
+    assert(rc == ERR_OK);
+    appearance_init(&a, i);
+    for (size_t k = 0; k < a.n_images; k++)
+        memset(a.names[k], 'a', 1 + k);
+    rc = appearance_write(&a, out, NULL);
+    appearance_free(&a);
+    return rc;
+}
+
 bool fuzz_seed(const char *target, size_t i, struct buf *out)
 {
+    if (!strcmp(target, "appearance"))
+        return appearance_seed(i, out) == ERR_OK;
     if (!strcmp(target, "npy"))
         return npy_seed(i, out) == ERR_OK;
     if (!strcmp(target, "exif"))

@@ -10,6 +10,7 @@
 
 #include "codec/codec.h"
 #include "codec/draco_layout.h"
+#include "core/appearance.h"
 
 static const struct codec_limits limits = {.max_gaussians = 1 << 16, .max_bytes = 1 << 24};
 
@@ -122,4 +123,23 @@ void fuzz_exif(const uint8_t *bytes, size_t n)
     exif_parse(bytes, n, &gps);
     assert(!gps.has_position || (fabs(gps.lat_deg) <= 90 && fabs(gps.lon_deg) <= 180));
     assert(memchr(gps.time, 0, sizeof gps.time));
+}
+
+/* The checksum is made right, or nothing behind it would ever be reached. */
+void fuzz_appearance(const uint8_t *bytes, size_t n)
+{
+    struct appearance a;
+    struct buf b = {0}, again = {0};
+    size_t hashed = n < 16 ? 0 : n - 16;
+    buf_add(&b, bytes, hashed);
+    struct hash128 h = hash_bytes(bytes, hashed);
+    buf_u64(&b, h.lo);
+    buf_u64(&b, h.hi);
+    if (appearance_read(b.data, b.size, &a, NULL) == ERR_OK) {
+        enum err_code rc = appearance_write(&a, &again, NULL);
+        assert(rc == ERR_OK && again.size == b.size && !memcmp(again.data, b.data, b.size));
+    }
+    appearance_free(&a);
+    buf_free(&again);
+    buf_free(&b);
 }
