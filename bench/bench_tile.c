@@ -93,6 +93,63 @@ static enum err_code tile_check(struct tile_case *c, struct err *e)
     return store_verify(c->store, &bad, e);
 }
 
+/* ---- a city that does not fit into memory ---- */
+
+enum { LARGE_COPIES = 25, LARGE_ROWS = 100000 };
+
+struct large_case {
+    const struct gauss *g;
+    size_t parts_a_copy;
+};
+
+/* A slice of the city, moved to its place among the copies, as a checkpoint would be read. */
+static enum err_code large_load(void *user, size_t part, struct gauss *out, struct err *e)
+{
+    const struct large_case *c = user;
+    size_t copy = part / c->parts_a_copy, from = part % c->parts_a_copy * LARGE_ROWS;
+    size_t n = c->g->n - from < LARGE_ROWS ? c->g->n - from : LARGE_ROWS;
+    struct gauss view = *c->g;
+    view.mean_m += 3 * from;
+    view.scale_log += 3 * from;
+    view.quat_wxyz += 4 * from;
+    view.opacity_logit += from;
+    view.sh += 3 * gauss_sh_count(view.sh_degree) * from;
+    view.n = n;
+    enum err_code rc = gauss_alloc(out, n, view.sh_degree, 0, e);
+    if (rc == ERR_OK)
+        rc = gauss_append(out, &view, NULL, n, e);
+    out->origin_enu_m[0] = CITY_M * ((double)(copy % 5) - 2);
+    out->origin_enu_m[1] = CITY_M * ((double)(copy / 5) - 2);
+    return rc;
+}
+
+/* 25 cities side by side, streamed: the speed and memory of `citysplat tile` without the disk that
+ * checkpoints come from. Once, because it takes long. */
+static enum err_code large_time(struct bench *b, const struct gauss *g, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    struct large_case c = {.g = g, .parts_a_copy = (g->n + LARGE_ROWS - 1) / LARGE_ROWS};
+    const struct pyramid_config cfg = {.name = "large"};
+    const struct pyramid_level level = {
+        .level = 3, .load = large_load, .user = &c, .n_parts = LARGE_COPIES * c.parts_a_copy};
+    struct pyramid_report report;
+    enum err_code rc = file_join(path, bench_tmpdir(b), "large.tiles", e);
+    double wall = clock_s(), cpu = clock_cpu_s(), n = (double)(LARGE_COPIES * g->n);
+    if (rc == ERR_OK)
+        rc = pyramid_build(&origin, &level, 1, &cfg, NULL, 0, path, &report, e);
+    wall = clock_s() - wall;
+    cpu = clock_cpu_s() - cpu;
+    if (rc == ERR_OK) {
+        bench_report(b, "streamed build: Gaussians", n, "", 0, NULL);
+        bench_report(b, "streamed build", n / wall / 1e6, "M Gaussians/s", 0, NULL);
+        bench_report(b, "streamed build, a core's time", n / cpu / 1e6, "M Gaussians/s", 0, NULL);
+        bench_report(b, "streamed build: peak memory of the process",
+                     (double)mem_peak_bytes() / 1048576.0, "MiB", 0, NULL);
+        bench_report(b, "streamed build: tiles", (double)report.n_tiles, "", 0, NULL);
+    }
+    return rc;
+}
+
 /* ---- selection over many tiles ---- */
 
 struct pick_case {
@@ -305,6 +362,8 @@ enum err_code bench_tile(struct bench *b, struct err *e)
     enum err_code rc = file_join(c.path, bench_tmpdir(b), "bench.tiles", e);
     if (rc == ERR_OK)
         rc = city_make(b->quick ? 5000 : 400000, &g, e);
+    if (rc == ERR_OK)
+        rc = large_time(b, &g, e);
     if (rc == ERR_OK)
         rc = tile_times(b, &c, e);
     if (rc == ERR_OK)

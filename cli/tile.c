@@ -1,8 +1,8 @@
 /* citysplat tile: the checkpoints of a trained scene -> one tile store.
  *
- * Each level is put together from all cells that were trained, one level in memory at a time. A
- * cell's checkpoint also holds background beyond its own ground; every Gaussian is taken from the
- * one cell that owns its place. A cell that lacks a level gives its next coarser one instead, so
+ * Each level is put together from all cells that were trained, a slice of rows at a time. A cell's
+ * checkpoint also holds background beyond its own ground; every Gaussian is taken from the one cell
+ * that owns its place. A cell that lacks a level gives its next coarser one instead, so
  * that no level has holes.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -17,7 +17,7 @@
 #include "cli/splats.h"
 #include "train/partition.h"
 
-enum { TILE_LEVELS_MAX = 7 };
+enum { TILE_LEVELS_MAX = 7, TILE_PART_ROWS = 131072 };
 
 struct tile_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -59,9 +59,16 @@ struct tile_scene {
     struct arena arena;
 };
 
+struct tile_file { /* an opened checkpoint and the cell whose ground is taken from it */
+    struct ckpt_rows *rows;
+    size_t cell;
+};
 struct tile_level { /* what load() needs */
     const struct tile_scene *scene;
     uint8_t level;
+    struct tile_file *file; /* one a cell that is not empty */
+    size_t n_files;
+    size_t *first; /* [n_files + 1] number of the first part of each file */
 };
 
 static enum err_code tile_path(char path[FILE_PATH_MAX], const struct tile_scene *s, const char *id,
@@ -162,60 +169,81 @@ static enum err_code tile_match_plan(struct tile_scene *s, const struct scene *s
     return rc;
 }
 
-/* Append the rows of a checkpoint that its cell owns. */
-static enum err_code tile_append(const struct tile_scene *s, const struct tile_cell *c,
-                                 const char *path, struct gauss *out, struct err *e)
+/* The rows of a slice that its cell owns. */
+static enum err_code tile_own(const struct tile_scene *s, const struct tile_cell *c,
+                              struct gauss *g, struct err *e)
 {
-    struct ckpt k = {0};
-    uint32_t *index = NULL;
+    (void)e;
     size_t n = 0;
-    enum err_code rc = ckpt_read(path, &k, e);
-    if (rc)
-        return rc;
-    if (k.g.n >= UINT32_MAX || !(index = mem_array(k.g.n, sizeof *index)))
-        rc = err_set(e, ERR_MEM, "%s: out of memory for %zu Gaussians", path, k.g.n);
-    for (size_t i = 0; !rc && i < k.g.n; i++) {
-        double x = (double)k.g.mean_m[3 * i] + k.g.origin_enu_m[0],
-               y = (double)k.g.mean_m[3 * i + 1] + k.g.origin_enu_m[1];
-        if (!s->plan.n_cells || partition_owner(&s->plan, x, y) == c->owner)
-            index[n++] = (uint32_t)i;
+    for (size_t i = 0; s->plan.n_cells && i < g->n; i++) {
+        double x = (double)g->mean_m[3 * i] + g->origin_enu_m[0],
+               y = (double)g->mean_m[3 * i + 1] + g->origin_enu_m[1];
+        if (partition_owner(&s->plan, x, y) != c->owner)
+            continue;
+        if (n != i)
+            gauss_copy_row(g, n, g, i);
+        n++;
     }
-    if (!rc && out->cap == 0) {
-        rc = gauss_alloc(out, n, k.g.sh_degree, k.g.embed_len, e);
-        memcpy(out->origin_enu_m, k.g.origin_enu_m, sizeof out->origin_enu_m);
-        out->antialiased = k.g.antialiased;
+    if (s->plan.n_cells)
+        g->n = n;
+    return ERR_OK;
+}
+
+static enum err_code tile_load(void *user, size_t part, struct gauss *out, struct err *e)
+{
+    const struct tile_level *l = user;
+    size_t f = 0;
+    while (part >= l->first[f + 1])
+        f++;
+    const struct tile_file *file = &l->file[f];
+    size_t from = (part - l->first[f]) * TILE_PART_ROWS, n = ckpt_rows_count(file->rows) - from;
+    enum err_code rc =
+        ckpt_rows_read(file->rows, from, n < TILE_PART_ROWS ? n : TILE_PART_ROWS, out, e);
+    return rc ? rc : tile_own(l->scene, &l->scene->cells[file->cell], out, e);
+}
+
+/* The nearest level that a cell has: coarser ones first. */
+static uint8_t tile_nearest(const struct tile_cell *c, uint8_t level)
+{
+    uint8_t l = level;
+    while (l > 0 && !c->has[l])
+        l--;
+    for (uint8_t up = level; l == 0 && up <= TILE_LEVELS_MAX; up++)
+        l = c->has[up] ? up : 0;
+    return l;
+}
+
+static enum err_code tile_open_level(const struct tile_scene *s, uint8_t level,
+                                     struct tile_level *l, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    *l = (struct tile_level){.scene = s, .level = level};
+    l->file = mem_array(s->n_cells, sizeof *l->file);
+    l->first = mem_array(s->n_cells + 1, sizeof *l->first);
+    if (!l->file || !l->first)
+        return err_set(e, ERR_MEM, "out of memory for %zu cells", s->n_cells);
+    for (size_t i = 0; !rc && i < s->n_cells; i++) {
+        char path[FILE_PATH_MAX];
+        struct tile_file *f = &l->file[l->n_files];
+        f->cell = i;
+        rc = tile_path(path, s, s->cells[i].id, tile_nearest(&s->cells[i], level), e);
+        if (!rc)
+            rc = ckpt_rows_open(path, &f->rows, e);
+        if (rc)
+            break;
+        size_t parts = (ckpt_rows_count(f->rows) + TILE_PART_ROWS - 1) / TILE_PART_ROWS;
+        l->first[l->n_files + 1] = l->first[l->n_files] + parts;
+        l->n_files++;
     }
-    if (!rc && (k.g.sh_degree != out->sh_degree || k.g.embed_len != out->embed_len ||
-                k.g.antialiased != out->antialiased))
-        rc = err_set(e, ERR_DATA,
-                     "%s: SH degree, embedding or anti-aliasing differs from that of other cells; "
-                     "train them with the same options",
-                     path);
-    if (!rc)
-        rc = gauss_append(out, &k.g, index, n, e);
-    mem_free(index);
-    ckpt_free(&k);
     return rc;
 }
 
-static enum err_code tile_load(void *user, struct gauss *out, struct err *e)
+static void tile_close_level(struct tile_level *l)
 {
-    const struct tile_level *l = user;
-    char path[FILE_PATH_MAX];
-    enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < l->scene->n_cells; i++) {
-        const struct tile_cell *c = &l->scene->cells[i];
-        uint8_t level = l->level;
-        while (level > 0 && !c->has[level])
-            level--;
-        for (uint8_t up = l->level; level == 0 && up <= TILE_LEVELS_MAX;
-             up++) /* nothing coarser: take finer */
-            level = c->has[up] ? up : 0;
-        rc = tile_path(path, l->scene, c->id, level, e);
-        if (!rc)
-            rc = tile_append(l->scene, c, path, out, e);
-    }
-    return rc;
+    for (size_t i = 0; i < l->n_files; i++)
+        ckpt_rows_close(&l->file[i].rows);
+    mem_free(l->file);
+    mem_free(l->first);
 }
 
 static void tile_warn_missing(const struct tile_scene *s)
@@ -265,7 +293,7 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
 {
     struct tile_scene s = {.dir = dir, .trained = o->trained ? o->trained : dir};
     struct scene scene = {0};
-    struct tile_level level[TILE_LEVELS_MAX];
+    struct tile_level level[TILE_LEVELS_MAX] = {{0}};
     struct pyramid_level levels[TILE_LEVELS_MAX] = {{0}};
     struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m,
                                  .max_per_tile = (uint32_t)o->max_per_tile,
@@ -292,18 +320,24 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
         snprintf(cfg.name, sizeof cfg.name, "%s", o->name);
     else
         splats_name(o->output, cfg.name);
-    for (uint8_t i = 0; i < s.n_levels; i++) {
-        level[i] = (struct tile_level){.scene = &s, .level = (uint8_t)(i + 1)};
-        levels[i] =
-            (struct pyramid_level){.level = level[i].level, .load = tile_load, .user = &level[i]};
+    for (uint8_t i = 0; !rc && i < s.n_levels; i++) {
+        rc = tile_open_level(&s, (uint8_t)(i + 1), &level[i], e);
+        levels[i] = (struct pyramid_level){
+            .level = level[i].level,
+            .load = tile_load,
+            .user = &level[i],
+            .n_parts = level[i].first ? level[i].first[level[i].n_files] : 0};
     }
-    rc = tile_find_blobs(&s, &from, &blobs, &n_blobs, e);
+    if (!rc)
+        rc = tile_find_blobs(&s, &from, &blobs, &n_blobs, e);
     if (!rc)
         rc = pyramid_build(&scene.origin, levels, s.n_levels, &cfg, blobs, n_blobs, o->output,
                            &report, e);
     if (!rc)
         tile_print(o->output, &report);
 out:
+    for (uint8_t i = 0; i < TILE_LEVELS_MAX; i++)
+        tile_close_level(&level[i]);
     mem_free(blobs);
     ckpt_free(&from);
     partition_free(&s.plan);

@@ -13,9 +13,12 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <errno.h>
+#include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include <jansson.h>
 
@@ -220,14 +223,14 @@ static enum err_code ckpt_bad(const char *path, const char *why, struct err *e)
     return err_set(e, ERR_FORMAT, "%s: %s", path, why);
 }
 
-/* Check the head and the table and list the sections; the caller frees *out, also after an error.
- */
-static enum err_code ckpt_read_table(const char *path, const struct buf *file,
+/* Check the head and the table and list the sections; `head` begins the file of `file_size` bytes
+ * and holds at least them. The caller frees *out, also after an error. */
+static enum err_code ckpt_read_table(const char *path, const struct buf *head, uint64_t file_size,
                                      struct ckpt_entry **out, size_t *n_out, struct err *e)
 {
-    if (file->size < CKPT_HEAD || memcmp(file->data, ckpt_magic, sizeof(ckpt_magic)))
+    if (head->size < CKPT_HEAD || memcmp(head->data, ckpt_magic, sizeof(ckpt_magic)))
         return ckpt_bad(path, "not a checkpoint of citysplat", e);
-    struct cursor c = cursor_over(file->data + 8, file->size - 8);
+    struct cursor c = cursor_over(head->data + 8, head->size - 8);
     uint32_t version = cursor_u32(&c), n = cursor_u32(&c);
     uint64_t bytes = cursor_u64(&c);
     struct hash128 want = {.lo = cursor_u64(&c)};
@@ -235,16 +238,16 @@ static enum err_code ckpt_read_table(const char *path, const struct buf *file,
     if (version != CKPT_VERSION)
         return err_set(e, ERR_FORMAT, "%s: checkpoint version %u, this program reads %d", path,
                        version, CKPT_VERSION);
-    if (bytes != file->size)
-        return err_set(e, ERR_FORMAT, "%s: %s: %zu bytes, the head says %llu", path,
-                       file->size < bytes ? "truncated" : "damaged", file->size,
+    if (bytes != file_size)
+        return err_set(e, ERR_FORMAT, "%s: %s: %llu bytes, the head says %llu", path,
+                       file_size < bytes ? "truncated" : "damaged", (unsigned long long)file_size,
                        (unsigned long long)bytes);
-    if (n < CKPT_OWN || n > CKPT_SECTIONS_MAX || (file->size - CKPT_HEAD) / CKPT_ENTRY < n)
+    if (n < CKPT_OWN || n > CKPT_SECTIONS_MAX || (head->size - CKPT_HEAD) / CKPT_ENTRY < n)
         return ckpt_bad(path, "damaged: impossible number of sections", e);
     size_t table = (size_t)n * CKPT_ENTRY;
     struct buf body = {0};
-    buf_add(&body, file->data, 24);
-    buf_add(&body, file->data + CKPT_HEAD, table);
+    buf_add(&body, head->data, 24);
+    buf_add(&body, head->data + CKPT_HEAD, table);
     struct hash128 got = body.failed ? (struct hash128){0} : hash_bytes(body.data, body.size);
     struct ckpt_entry *t = mem_array(n, sizeof(*t));
     bool no_memory = body.failed || !t;
@@ -255,13 +258,19 @@ static enum err_code ckpt_read_table(const char *path, const struct buf *file,
         return err_set(e, ERR_MEM, "%s: out of memory", path);
     if (got.lo != want.lo || got.hi != want.hi)
         return ckpt_bad(path, "damaged: the hash of the section table differs", e);
-    c = cursor_over(file->data + CKPT_HEAD, table);
+    c = cursor_over(head->data + CKPT_HEAD, table);
     for (size_t i = 0; i < n; i++) {
         memcpy(t[i].name, cursor_take(&c, CKPT_NAME), CKPT_NAME);
         t[i].offset = cursor_u64(&c);
         t[i].size = cursor_u64(&c);
         t[i].hash.lo = cursor_u64(&c);
         t[i].hash.hi = cursor_u64(&c);
+        if (!memchr(t[i].name, 0, CKPT_NAME) || !t[i].name[0])
+            return ckpt_bad(path, "damaged: a section without a name", e);
+        if (t[i].offset % CKPT_ALIGN || t[i].offset > file_size ||
+            t[i].size > file_size - t[i].offset)
+            return err_set(e, ERR_FORMAT, "%s: damaged: section '%s' lies outside the file", path,
+                           t[i].name);
     }
     return ERR_OK;
 }
@@ -270,12 +279,6 @@ static enum err_code ckpt_check_sections(const char *path, const struct buf *fil
                                          struct ckpt_entry *t, size_t n, struct err *e)
 {
     for (size_t i = 0; i < n; i++) {
-        if (!memchr(t[i].name, 0, CKPT_NAME) || !t[i].name[0])
-            return ckpt_bad(path, "damaged: a section without a name", e);
-        if (t[i].offset % CKPT_ALIGN || t[i].offset > file->size ||
-            t[i].size > file->size - t[i].offset)
-            return err_set(e, ERR_FORMAT, "%s: damaged: section '%s' lies outside the file", path,
-                           t[i].name);
         t[i].data = file->data + t[i].offset;
         struct hash128 h = hash_bytes(t[i].data, (size_t)t[i].size);
         if (h.lo != t[i].hash.lo || h.hi != t[i].hash.hi)
@@ -293,33 +296,54 @@ static const struct ckpt_entry *ckpt_section(const struct ckpt_entry *t, size_t 
     return NULL;
 }
 
+/* Counts, degrees and origin; no arrays. `head` is the section '#gauss'. */
+static enum err_code ckpt_read_counts(const char *path, const struct ckpt_entry *t, size_t n,
+                                      const uint8_t *head, struct gauss *g, struct err *e)
+{
+    struct cursor c = cursor_over(head, CKPT_GAUSS_BYTES);
+    uint64_t rows = cursor_u64(&c);
+    g->sh_degree = cursor_u32(&c);
+    g->embed_len = cursor_u32(&c);
+    g->antialiased = cursor_u32(&c) != 0;
+    (void)cursor_u32(&c);
+    for (int i = 0; i < 3; i++)
+        g->origin_enu_m[i] = cursor_f64(&c);
+    const struct ckpt_entry *opacity = ckpt_section(t, n, "#opacity_logit");
+    if (!opacity || rows > opacity->size / sizeof(float))
+        return ckpt_bad(path, "damaged: fewer Gaussians than the head says", e);
+    if (g->sh_degree > GAUSS_SH_DEGREE_MAX || g->embed_len > GAUSS_EMBED_MAX)
+        return ckpt_bad(path, "damaged: impossible SH degree or embedding", e);
+    g->n = (size_t)rows;
+    struct ckpt_array arrays[CKPT_ARRAYS];
+    ckpt_arrays(g, arrays);
+    for (size_t i = 0; i < CKPT_ARRAYS; i++) {
+        const struct ckpt_entry *s = ckpt_section(t, n, arrays[i].name);
+        if (!s || s->size != g->n * arrays[i].per_row * sizeof(float))
+            return err_set(e, ERR_FORMAT, "%s: damaged: section '%s' does not hold %zu rows", path,
+                           arrays[i].name, g->n);
+    }
+    return ERR_OK;
+}
+
 static enum err_code ckpt_read_gauss(const char *path, const struct ckpt_entry *t, size_t n,
                                      struct gauss *g, struct err *e)
 {
     const struct ckpt_entry *s = ckpt_section(t, n, "#gauss");
+    struct gauss head = {0};
     if (!s || s->size != CKPT_GAUSS_BYTES)
         return ckpt_bad(path, "damaged: section '#gauss' is missing or too short", e);
-    struct cursor c = cursor_over(s->data, (size_t)s->size);
-    uint64_t rows = cursor_u64(&c);
-    uint32_t degree = cursor_u32(&c), embed = cursor_u32(&c), aa = cursor_u32(&c);
-    (void)cursor_u32(&c);
-    const struct ckpt_entry *opacity = ckpt_section(t, n, "#opacity_logit");
-    if (!opacity || rows > opacity->size / sizeof(float))
-        return ckpt_bad(path, "damaged: fewer Gaussians than the head says", e);
-    enum err_code rc = gauss_alloc(g, (size_t)rows, degree, embed, e);
+    enum err_code rc = ckpt_read_counts(path, t, n, s->data, &head, e);
+    if (!rc)
+        rc = gauss_alloc(g, head.n, head.sh_degree, head.embed_len, e);
     if (rc)
-        return err_add(e, "%s", path);
-    g->n = (size_t)rows;
-    g->antialiased = aa != 0;
-    for (int i = 0; i < 3; i++)
-        g->origin_enu_m[i] = cursor_f64(&c);
+        return rc;
+    g->n = head.n;
+    g->antialiased = head.antialiased;
+    memcpy(g->origin_enu_m, head.origin_enu_m, sizeof(g->origin_enu_m));
     struct ckpt_array arrays[CKPT_ARRAYS];
     ckpt_arrays(g, arrays);
     for (size_t i = 0; i < CKPT_ARRAYS; i++) {
         s = ckpt_section(t, n, arrays[i].name);
-        if (!s || s->size != g->n * arrays[i].per_row * sizeof(float))
-            return err_set(e, ERR_FORMAT, "%s: damaged: section '%s' does not hold %zu rows", path,
-                           arrays[i].name, g->n);
         if (s->size)
             memcpy(arrays[i].data, s->data, (size_t)s->size);
     }
@@ -362,7 +386,7 @@ enum err_code ckpt_read(const char *path, struct ckpt *out, struct err *e)
     *out = (struct ckpt){0};
     enum err_code rc = file_read(path, ckpt_limit_bytes, &out->file, e);
     if (!rc)
-        rc = ckpt_read_table(path, &out->file, &t, &n, e);
+        rc = ckpt_read_table(path, &out->file, out->file.size, &t, &n, e);
     if (!rc)
         rc = ckpt_check_sections(path, &out->file, t, n, e);
     if (!rc)
@@ -388,4 +412,141 @@ void ckpt_free(struct ckpt *c)
     mem_free(c->blobs);
     buf_free(&c->file);
     *c = (struct ckpt){0};
+}
+
+/* ---- reading by the slice -------------------------------------------------------------------- */
+
+struct ckpt_rows {
+    char path[FILE_PATH_MAX];
+    int fd;
+    struct gauss head; /* counts only */
+    struct ckpt_entry *entry;
+    size_t n_entries;
+};
+
+static enum err_code ckpt_pread(const struct ckpt_rows *r, void *out, size_t n, uint64_t at,
+                                struct err *e)
+{
+    uint8_t *p = out;
+    while (n > 0) {
+        ssize_t got = pread(r->fd, p, n, (off_t)at);
+        if (got < 0 && errno == EINTR)
+            continue;
+        if (got < 0)
+            return err_errno(e, ERR_IO, "%s", r->path);
+        if (got == 0)
+            return err_set(e, ERR_FORMAT, "%s: truncated", r->path);
+        p += got;
+        n -= (size_t)got;
+        at += (uint64_t)got;
+    }
+    return ERR_OK;
+}
+
+static enum err_code ckpt_verify_section(const struct ckpt_rows *r, const struct ckpt_entry *t,
+                                         struct err *e)
+{
+    enum { BLOCK = 1 << 20 };
+    uint8_t *block = mem_array(BLOCK, 1);
+    struct hash_state *h = hash_begin();
+    enum err_code rc = block && h ? ERR_OK : err_set(e, ERR_MEM, "%s: out of memory", r->path);
+    for (uint64_t at = 0; !rc && at < t->size; at += BLOCK) {
+        size_t n = t->size - at < BLOCK ? (size_t)(t->size - at) : BLOCK;
+        rc = ckpt_pread(r, block, n, t->offset + at, e);
+        if (!rc)
+            hash_add(h, block, n);
+    }
+    struct hash128 got = hash_end(h);
+    if (!rc && (got.lo != t->hash.lo || got.hi != t->hash.hi))
+        rc = err_set(e, ERR_FORMAT, "%s: damaged: the hash of section '%s' differs", r->path,
+                     t->name);
+    mem_free(block);
+    return rc;
+}
+
+static enum err_code ckpt_open_head(struct ckpt_rows *r, struct err *e)
+{
+    struct buf head = {0};
+    struct stat st;
+    uint8_t counts[CKPT_GAUSS_BYTES];
+    if (fstat(r->fd, &st))
+        return err_errno(e, ERR_IO, "%s", r->path);
+    size_t most = CKPT_HEAD + (size_t)CKPT_SECTIONS_MAX * CKPT_ENTRY, size = (size_t)st.st_size;
+    size_t n = size < most ? size : most;
+    uint8_t *p = buf_grow(&head, n);
+    enum err_code rc = buf_check(&head, e);
+    if (!rc)
+        rc = ckpt_pread(r, p, n, 0, e);
+    if (!rc)
+        rc = ckpt_read_table(r->path, &head, size, &r->entry, &r->n_entries, e);
+    buf_free(&head);
+    const struct ckpt_entry *s = rc ? NULL : ckpt_section(r->entry, r->n_entries, "#gauss");
+    if (!rc && (!s || s->size != CKPT_GAUSS_BYTES))
+        rc = ckpt_bad(r->path, "damaged: section '#gauss' is missing or too short", e);
+    if (!rc)
+        rc = ckpt_pread(r, counts, sizeof(counts), s->offset, e);
+    if (!rc)
+        rc = ckpt_read_counts(r->path, r->entry, r->n_entries, counts, &r->head, e);
+    for (size_t i = 0; !rc && i < r->n_entries; i++)
+        if (r->entry[i].name[0] == '#')
+            rc = ckpt_verify_section(r, &r->entry[i], e);
+    return rc;
+}
+
+enum err_code ckpt_rows_open(const char *path, struct ckpt_rows **out, struct err *e)
+{
+    struct ckpt_rows *r = mem_array(1, sizeof(*r));
+    *out = NULL;
+    if (!r)
+        return err_set(e, ERR_MEM, "%s: out of memory", path);
+    snprintf(r->path, sizeof(r->path), "%s", path);
+    r->fd = open(path, O_RDONLY | O_CLOEXEC);
+    enum err_code rc = r->fd < 0 ? err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", path)
+                                 : ckpt_open_head(r, e);
+    if (rc)
+        ckpt_rows_close(&r);
+    *out = r;
+    return rc;
+}
+
+size_t ckpt_rows_count(const struct ckpt_rows *r)
+{
+    return r->head.n;
+}
+
+enum err_code ckpt_rows_read(const struct ckpt_rows *r, size_t from, size_t n, struct gauss *out,
+                             struct err *e)
+{
+    *out = (struct gauss){0};
+    if (from > r->head.n || n > r->head.n - from)
+        return err_set(e, ERR_ARG, "%s: rows %zu to %zu of %zu", r->path, from, from + n,
+                       r->head.n);
+    enum err_code rc = gauss_alloc(out, n, r->head.sh_degree, r->head.embed_len, e);
+    if (rc)
+        return rc;
+    out->n = n;
+    out->antialiased = r->head.antialiased;
+    memcpy(out->origin_enu_m, r->head.origin_enu_m, sizeof(out->origin_enu_m));
+    struct ckpt_array arrays[CKPT_ARRAYS];
+    ckpt_arrays(out, arrays);
+    for (size_t i = 0; !rc && i < CKPT_ARRAYS; i++) {
+        const struct ckpt_entry *s = ckpt_section(r->entry, r->n_entries, arrays[i].name);
+        size_t row = arrays[i].per_row * sizeof(float);
+        rc = ckpt_pread(r, arrays[i].data, n * row, s->offset + from * row, e);
+    }
+    if (rc)
+        gauss_free(out);
+    return rc;
+}
+
+void ckpt_rows_close(struct ckpt_rows **rp)
+{
+    struct ckpt_rows *r = *rp;
+    if (!r)
+        return;
+    if (r->fd >= 0)
+        close(r->fd);
+    mem_free(r->entry);
+    mem_free(r);
+    *rp = NULL;
 }

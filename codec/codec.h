@@ -205,6 +205,14 @@ enum err_code ckpt_write(const char *path, const struct json_t *meta, const stru
 enum err_code ckpt_read(const char *path, struct ckpt *out, struct err *e) ERR_USE;
 const struct ckpt_blob *ckpt_find(const struct ckpt *c, const char *name); /* NULL when absent */
 void ckpt_free(struct ckpt *c);
+/* The Gaussians of a checkpoint by the slice, for those larger than memory. Opening reads it once
+ * against its hashes; rows may be read from several threads. */
+struct ckpt_rows;
+enum err_code ckpt_rows_open(const char *path, struct ckpt_rows **out, struct err *e) ERR_USE;
+size_t ckpt_rows_count(const struct ckpt_rows *r);
+enum err_code ckpt_rows_read(const struct ckpt_rows *r, size_t from, size_t n, struct gauss *out,
+                             struct err *e) ERR_USE; /* gauss_free it */
+void ckpt_rows_close(struct ckpt_rows **r);
 
 /* ---- Gaussians in files
  * --------------------------------------------------------------------------- */

@@ -168,6 +168,12 @@ struct hash128 {
     uint64_t lo, hi;
 };
 struct hash128 hash_bytes(const void *bytes, size_t n);
+/* The same over bytes that come piece by piece. hash_end frees the state (NULL: out of memory at
+ * the start, and everything is a no-op that ends in zeros). */
+struct hash_state;
+struct hash_state *hash_begin(void);
+void hash_add(struct hash_state *s, const void *bytes, size_t n);
+struct hash128 hash_end(struct hash_state *s);
 void hash_text(struct hash128 h, char out[33]); /* 32 lower-case hex digits and NUL */
 
 /* ---- jsonc.c: JSON with whole-line // comments, by jansson

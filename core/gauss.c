@@ -10,6 +10,7 @@
 #include <string.h>
 
 #include "core/base.h"
+#include "core/sort.h"
 
 enum { GAUSS_FIELDS = 6, GAUSS_MORTON_BITS = 21 };
 
@@ -137,42 +138,20 @@ void gauss_recenter(struct gauss *g, const double origin_enu_m[3])
     }
 }
 
-struct gauss_code {
-    uint64_t code;
-    uint32_t row;
-};
-
-/* Spread the low 21 bits so that two zero bits follow each. */
-static uint64_t gauss_spread(uint64_t x)
-{
-    x &= 0x1fffff;
-    x = (x | x << 32) & UINT64_C(0x1f00000000ffff);
-    x = (x | x << 16) & UINT64_C(0x1f0000ff0000ff);
-    x = (x | x << 8) & UINT64_C(0x100f00f00f00f00f);
-    x = (x | x << 4) & UINT64_C(0x10c30c30c30c30c3);
-    return (x | x << 2) & UINT64_C(0x1249249249249249);
-}
-
-static int gauss_code_compare(const void *a, const void *b)
-{
-    const struct gauss_code *x = a, *y = b;
-    if (x->code != y->code)
-        return x->code < y->code ? -1 : 1;
-    return x->row < y->row ? -1 : x->row > y->row;
-}
-
 enum err_code gauss_morton_order(const struct gauss *g, uint32_t *order, struct err *e)
 {
     if (g->n > UINT32_MAX)
         return err_set(e, ERR_LIMIT, "%zu Gaussians, at most 2^32 - 1 can be ordered", g->n);
-    struct gauss_code *codes = mem_array(g->n, sizeof *codes);
+    struct sort_item *codes = mem_array(g->n, 2 * sizeof *codes);
     if (!codes)
         return err_set(e, ERR_MEM, "out of memory to order %zu Gaussians", g->n);
     float lo[3] = {INFINITY, INFINITY, INFINITY}, hi[3] = {-INFINITY, -INFINITY, -INFINITY};
-    for (size_t i = 0; i < 3 * g->n; i++) {
-        lo[i % 3] = fminf(lo[i % 3], g->mean_m[i]);
-        hi[i % 3] = fmaxf(hi[i % 3], g->mean_m[i]);
-    }
+    for (size_t i = 0; i < g->n; i++)
+        for (size_t k = 0; k < 3; k++) {
+            float x = g->mean_m[3 * i + k];
+            lo[k] = x < lo[k] ? x : lo[k];
+            hi[k] = x > hi[k] ? x : hi[k];
+        }
     const double top = (1 << GAUSS_MORTON_BITS) - 1;
     for (size_t i = 0; i < g->n; i++) {
         codes[i].row = (uint32_t)i;
@@ -180,10 +159,10 @@ enum err_code gauss_morton_order(const struct gauss *g, uint32_t *order, struct 
             double span = (double)hi[k] - (double)lo[k];
             double t = span > 0.0 ? ((double)g->mean_m[3 * i + k] - (double)lo[k]) / span : 0.0;
             uint64_t cell = t >= 0.0 && t <= 1.0 ? (uint64_t)(t * top) : 0; /* NaN goes first */
-            codes[i].code |= gauss_spread(cell) << k;
+            codes[i].key |= sort_spread3(cell) << k;
         }
     }
-    qsort(codes, g->n, sizeof *codes, gauss_code_compare);
+    sort_items(codes, codes + g->n, g->n);
     for (size_t i = 0; i < g->n; i++)
         order[i] = codes[i].row;
     mem_free(codes);

@@ -76,6 +76,12 @@ enum err_code store_create(const char *path, const struct store_meta *meta, stru
  * filled in t. */
 enum err_code store_put(struct store *s, struct store_tile *t, const struct gauss *g,
                         struct err *e) ERR_USE;
+/* The same in two halves: encode on any thread (the store is only asked for its options), add one
+ * at a time. store_add sets the version. */
+enum err_code store_encode(const struct store *s, struct store_tile *t, const struct gauss *g,
+                           struct buf *payload, struct err *e) ERR_USE;
+enum err_code store_add(struct store *s, struct store_tile *t, const struct buf *payload,
+                        struct err *e) ERR_USE;
 /* Any named JSON or binary beside the tiles: appearance models, embeddings, report. */
 enum err_code store_put_blob(struct store *s, const char *name, const void *bytes, size_t n,
                              struct err *e) ERR_USE;
@@ -115,10 +121,13 @@ struct pyramid_config {
     char attribution[256];
 };
 struct pyramid_level {     /* levels given must be consecutive, e.g. 1, 2, 3 or 3 alone */
-    const struct gauss *g; /* borrowed; NULL: load() makes it, twice, one level at a time */
+    const struct gauss *g; /* borrowed; NULL: load() makes it in n_parts parts */
     uint8_t level;         /* 1 coarsest .. n finest, at most 7 */
-    enum err_code (*load)(void *user, struct gauss *out, struct err *e); /* the pyramid frees it */
+    /* Part `part`, once each, from several threads at a time; the pyramid frees it. A part should
+     * have some 100,000 rows: each worker holds one. */
+    enum err_code (*load)(void *user, size_t part, struct gauss *out, struct err *e);
     void *user;
+    size_t n_parts;
 };
 struct pyramid_report {
     size_t n_tiles, n_gaussians[8]; /* per level, [0] = overviews */
@@ -160,16 +169,25 @@ enum err_code tileset_tilejson(const struct store *s, const char *tiles_template
  * --------------------------------------------------------------------- */
 
 enum pick_metric { PICK_SCREEN, PICK_DISTANCE };
-struct pick_options { /* {0} = screen metric, defaults */
+#define PICK_HYSTERESIS 0.05 /* a usual band */
+struct pick_options {        /* {0} = screen metric, defaults */
     enum pick_metric metric;
     double
         error_px; /* screen: refine while error > this; 0 = 1 px of median sigma (formats: 16 ge) */
     double distance_m[8]; /* distance metric: level l+1.. thresholds, finest first; 0-terminated */
     uint64_t max_gaussians; /* 0 = no limit: coarsen farthest first until it fits */
+    uint64_t max_bytes;     /* likewise of the payloads: what a client must fetch and keep */
     bool no_lod;            /* finest level everywhere */
+    /* For cameras that move: a tile that was refined in the picture before stays so until its error
+     * is this share below the limit, so that a camera that trembles at a limit does not make the
+     * level flicker. `before` is what pick_tiles gave then, NULL for none; without it a view
+     * depends on its own camera alone. Never coarser than without. */
+    double hysteresis; /* 0 to 0.5 */
+    const uint32_t *before;
+    size_t n_before;
 };
-/* Writes indices into store_tiles(); out holds n_tiles entries. Never drops a tile that may be
- * visible. */
+/* Writes indices into store_tiles(), ascending; out holds n_tiles entries and must not be `before`.
+ * Never drops a tile that may be visible. */
 enum err_code pick_tiles(const struct store *s, const struct camera *cam,
                          const struct pick_options *o, uint32_t *out, size_t *n_out,
                          struct err *e) ERR_USE;

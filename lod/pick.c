@@ -11,7 +11,8 @@
  * mean and so draws a little beyond the true cone; pick_frustum adds exactly what that can be.
  * There is no far plane.
  *
- * The same input gives the same cut: no state, no hysteresis, or pictures could not be cached.
+ * The same input gives the same cut, or pictures could not be cached: the state that keeps a moving
+ * camera's levels from flickering is the cut before, and the caller's.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -46,7 +47,8 @@ struct pick {
     uint8_t zoom_max;
     struct pick_entry *heap;
     size_t n_heap;
-    uint64_t total; /* Gaussians of the heap and of what was chosen */
+    uint64_t total, bytes; /* Gaussians and payload bytes of the heap and of what was chosen */
+    bool *refined;         /* [n_nodes] in the cut before; NULL: there was none */
 };
 
 /* Plane through the eye with the camera-frame normal (a, 0, c) or (0, a, c), in the world frame.
@@ -164,10 +166,15 @@ static struct pick_entry pick_pop(struct pick *p)
     return top;
 }
 
-static uint64_t pick_count(const struct pick *p, uint32_t node)
+/* Add (or take away) a node to what is drawn. */
+static void pick_account(const struct pick *p, uint32_t node, int sign, uint64_t *total,
+                         uint64_t *bytes)
 {
     uint32_t tile = p->tree->nodes[node].tile;
-    return tile == TREE_NONE ? 0 : p->tiles[tile].count;
+    if (tile == TREE_NONE)
+        return;
+    *total += sign > 0 ? p->tiles[tile].count : 0 - (uint64_t)p->tiles[tile].count;
+    *bytes += sign > 0 ? p->tiles[tile].bytes : 0 - p->tiles[tile].bytes;
 }
 
 static bool pick_node_visible(const struct pick *p, uint32_t node)
@@ -176,23 +183,52 @@ static bool pick_node_visible(const struct pick *p, uint32_t node)
     return pick_visible(p, v->min_enu_m, v->max_enu_m, v->sigma_max_m);
 }
 
-/* Replace the node by its visible children, unless that would break the budget. */
+/* Replace the node by its visible children, unless that would break a budget. */
 static bool pick_refine(struct pick *p, uint32_t node)
 {
     const struct tree_node *v = &p->tree->nodes[node];
     const uint32_t *child = p->tree->children + v->child_first;
-    uint64_t total = p->total - pick_count(p, node);
+    uint64_t total = p->total, bytes = p->bytes;
+    pick_account(p, node, -1, &total, &bytes);
     for (uint32_t i = 0; i < v->child_count; i++)
         if (pick_node_visible(p, child[i]))
-            total += pick_count(p, child[i]);
-    uint64_t most = p->o->max_gaussians;
-    if (v->tile != TREE_NONE && most && total > most && total > p->total)
+            pick_account(p, child[i], 1, &total, &bytes);
+    uint64_t most = p->o->max_gaussians, most_bytes = p->o->max_bytes;
+    if (v->tile != TREE_NONE && ((most && total > most && total > p->total) ||
+                                 (most_bytes && bytes > most_bytes && bytes > p->bytes)))
         return false;
     for (uint32_t i = 0; i < v->child_count; i++)
         if (pick_node_visible(p, child[i]))
             pick_push(p, child[i]);
     p->total = total;
+    p->bytes = bytes;
     return true;
+}
+
+/* What stood refined in the cut before: everything above its tiles. */
+static enum err_code pick_remember(struct pick *p, size_t n_tiles, struct err *e)
+{
+    const struct tree *t = p->tree;
+    if (!(p->o->hysteresis > 0.0) || !p->o->before)
+        return ERR_OK;
+    if (p->o->hysteresis > 0.5)
+        return err_set(e, ERR_ARG, "pick: a hysteresis of %g, at most 0.5", p->o->hysteresis);
+    p->refined = mem_array(t->n_nodes, sizeof *p->refined);
+    if (!p->refined)
+        return err_set(e, ERR_MEM, "pick: out of memory for %zu tiles", t->n_nodes);
+    for (size_t i = 0; i < p->o->n_before; i++) {
+        uint32_t at = p->o->before[i];
+        if (at >= n_tiles)
+            return err_set(e, ERR_ARG, "pick: the cut before has tile %u of %zu", at, n_tiles);
+        for (at = t->nodes[at].parent; at != TREE_NONE && !p->refined[at]; at = t->nodes[at].parent)
+            p->refined[at] = true;
+    }
+    return ERR_OK;
+}
+
+static bool pick_too_coarse(const struct pick *p, const struct pick_entry *x)
+{
+    return x->error > (p->refined && p->refined[x->node] ? 1.0 - p->o->hysteresis : 1.0);
 }
 
 static int pick_index_compare(const void *a, const void *b)
@@ -220,24 +256,27 @@ enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
     /* Nodes ascend with zoom but for a root without content, which stands last. */
     size_t last = t->nodes[t->n_nodes - 1].tile == TREE_NONE ? t->n_nodes - 2 : t->n_nodes - 1;
     p.zoom_max = tiles[last].key.z;
-    if (pick_node_visible(&p, t->root)) {
-        p.total = pick_count(&p, t->root);
+    enum err_code rc = pick_remember(&p, last + 1, e);
+    if (!rc && pick_node_visible(&p, t->root)) {
+        pick_account(&p, t->root, 1, &p.total, &p.bytes);
         pick_push(&p, t->root);
     }
     while (p.n_heap > 0) {
         struct pick_entry top = pick_pop(&p);
         const struct tree_node *v = &t->nodes[top.node];
-        if (v->child_count > 0 && top.error > 1.0 && pick_refine(&p, top.node))
+        if (v->child_count > 0 && pick_too_coarse(&p, &top) && pick_refine(&p, top.node))
             continue;
         const struct store_tile *tile = v->tile == TREE_NONE ? NULL : &tiles[v->tile];
         if (tile && pick_visible(&p, tile->min_enu_m, tile->max_enu_m, tile->sigma_max_m))
             out[(*n_out)++] = v->tile;
         else if (tile)
-            p.total -= tile->count;
+            pick_account(&p, top.node, -1, &p.total, &p.bytes);
     }
     mem_free(p.heap);
-    qsort(out, *n_out, sizeof *out, pick_index_compare);
-    return ERR_OK;
+    mem_free(p.refined);
+    if (*n_out > 0)
+        qsort(out, *n_out, sizeof *out, pick_index_compare);
+    return rc;
 }
 
 enum err_code pick_tiles(const struct store *s, const struct camera *cam,

@@ -1,18 +1,18 @@
 /* Fewer Gaussians of the same look, for the levels that no training made.
  *
- * Rounds of pairwise merging: every Gaussian finds its cheapest neighbour, pairs that chose each
- * other are merged, cheapest first, until `target` are left. Neighbours are looked for in windows
- * of three Morton curves, shifted by thirds of the box (Chan 1998), which together miss few near
- * pairs. The cost of a pair is Runnalls' upper bound of the Kullback-Leibler divergence between the
- * two and their merger (Runnalls 2007), weighted by coverage, plus the difference in colour: it
- * keeps walls from melting into roofs and edges of colour sharp.
+ * Rounds of pairwise merging: the clusters stand along a Morton curve, another one each round
+ * (shifted, Chan 1998), every one finds its cheapest neighbour within a window of the curve, and
+ * the cheapest pairs whose halves are both free are merged, until `target` are left. Sorting by
+ * digits and costs as vectors make it linear; 0.3 of the clusters go a round, so that later
+ * choices see earlier mergers.
  *
  * A merger has the pair's mean, covariance (including the spread of the means) and colour, all
  * weighted by coverage = opacity times projected area. Its coverage is the pair's sum less what the
  * two hid of each other; where that asks for more than full opacity the splat is made larger
- * instead, so opaque surfaces do not thin out.
+ * instead, so opaque surfaces do not thin out. SH and embeddings are mixed once at the end, by the
+ * weights that the mergers left each row.
  *
- * Deterministic: ties are broken by row, and threads only fill their own rows.
+ * Deterministic, one thread: the pyramid makes many tiles at once.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -23,51 +23,33 @@
 #include <string.h>
 
 #include "core/camera.h"
-#include "core/pool.h"
+#include "core/sort.h"
 
-enum {
-    SIMPLIFY_CURVES = 3,
-    SIMPLIFY_WINDOW = 4,   /* rows each side of a curve; 12 gives the same pictures */
-    SIMPLIFY_CHUNK = 2048, /* rows per unit of parallel work */
-    SIMPLIFY_JACOBI = 12,  /* sweeps; 3x3 matrices need 4 to 6 */
-};
+enum { SIMPLIFY_JACOBI = 12 /* sweeps; 3x3 matrices need 4 to 6 */ };
 
+#define SIMPLIFY_TAKEN (UINT32_MAX - 1)
+#define SIMPLIFY_FREE UINT32_MAX
 #define SIMPLIFY_OPACITY_MAX 0.99 /* the renderer's own ceiling */
 #define SIMPLIFY_BLUR 0.5 /* of the median sigma: thinner than this is not worth keeping apart */
-#define SIMPLIFY_COLOR_WEIGHT 4.0 /* a colour step of 0.2 counts like a distance of one sigma */
 #define SIMPLIFY_SCALE_LOG_MAX                                                                     \
-    40.0 /* of ln(sigma / m): squares and their determinants stay finite */
-#define SIMPLIFY_PAIRS_A_ROUND 0.75 /* of the mutual pairs: later choices see earlier mergers */
+    11.0f                    /* 60 km: squares and their determinants fit single precision */
+#define SIMPLIFY_A_ROUND 0.3 /* of the clusters */
 
-struct simplify_cluster {
-    double mean[3], cov[6]; /* xx xy xz yy yz zz, metres^2 */
-    double coverage;        /* opacity x mean projected area, metres^2 */
-    double log_det;         /* of the blurred covariance */
-    double opacity, area;
-    float color[3]; /* 0..1 scale */
-};
-
-struct simplify_pair {
-    double cost;
-    uint32_t a, b; /* a < b */
-};
-
-struct simplify_code {
-    uint64_t code;
-    uint32_t row;
+struct simplify_join { /* rows of the input; a lives on */
+    uint32_t a, b;
+    float share_b;
 };
 
 struct simplify {
-    struct gauss *g; /* row i holds the merged attributes of cluster i */
-    struct simplify_cluster *cluster;
-    uint32_t *alive; /* rows of living clusters, ascending */
-    size_t n_alive;
-    struct simplify_code *codes;      /* scratch */
-    uint32_t *curve[SIMPLIFY_CURVES]; /* rows along each curve */
-    uint32_t *place[SIMPLIFY_CURVES]; /* row -> position along each curve */
-    struct simplify_pair *best;       /* [n], by row */
+    struct simplify_set set, spare; /* spare: where the next order is put together */
+    struct simplify_join *join;
+    size_t n_join;
+    float *cost, *scratch;
+    uint32_t *who;
+    struct sort_item *items, *items_spare;
+    uint32_t *partner; /* of a cluster in this round, SIMPLIFY_FREE or SIMPLIFY_TAKEN */
     double blur2;
-    double reach; /* coverage hidden in overlaps counts this much, 0..1 */
+    unsigned round;
 };
 
 /* Eigenvalues (descending) and vectors (columns of v, right-handed) of a symmetric 3x3 by cyclic
@@ -78,7 +60,7 @@ void simplify_eigen(const double cov[6], double value[3], double v[9])
     double q[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
     for (int sweep = 0; sweep < SIMPLIFY_JACOBI; sweep++) {
         double off = fabs(a[0][1]) + fabs(a[0][2]) + fabs(a[1][2]);
-        if (!(off > 1e-15 * (fabs(a[0][0]) + fabs(a[1][1]) + fabs(a[2][2]))))
+        if (!(off > 1e-12 * (fabs(a[0][0]) + fabs(a[1][1]) + fabs(a[2][2]))))
             break;
         for (int r = 0; r < 2; r++)
             for (int c = r + 1; c < 3; c++) {
@@ -120,389 +102,423 @@ void simplify_eigen(const double cov[6], double value[3], double v[9])
         v[3 * k + 2] = -v[3 * k + 2];
 }
 
-/* Mean projected area of an ellipsoid of these half axes, over pi: a quarter of its surface
- * (Cauchy), the surface by Thomsen's formula (within 1.1 %). */
+/* Over pi: a quarter of the surface (Cauchy), and the surface as Thomsen's means of powers, 4/5 of
+ * the one with p = 3/2 and 1/5 of that with p = 2: exact for spheres and thin discs, within 1.5 %
+ * between, and no power to compute. */
 double simplify_area(const double s[3])
 {
-    const double p = 1.6075;
-    double ab = pow(s[0] * s[1], p), ac = pow(s[0] * s[2], p), bc = pow(s[1] * s[2], p);
-    return pow((ab + ac + bc) / 3.0, 1.0 / p);
+    double ab = s[0] * s[1], ac = s[0] * s[2], bc = s[1] * s[2];
+    double m = (ab * sqrt(ab) + ac * sqrt(ac) + bc * sqrt(bc)) / 3.0,
+           root = (double)cbrtf((float)m);
+    return 0.8 * root * root + 0.2 * sqrt((ab * ab + ac * ac + bc * bc) / 3.0);
 }
 
-static double simplify_log_det(const double c[6], double blur2)
+/* ---- clusters ---- */
+
+static bool simplify_set_alloc(struct simplify_set *s, size_t n)
 {
-    double xx = c[0] + blur2, yy = c[3] + blur2, zz = c[5] + blur2;
-    double det = xx * (yy * zz - c[4] * c[4]) - c[1] * (c[1] * zz - c[4] * c[2]) +
-                 c[2] * (c[1] * c[4] - yy * c[2]);
-    return log(fmax(det, 1e-300));
+    float *all = mem_array(n, SIMPLIFY_FIELDS * sizeof *all);
+    s->root = mem_array(n, sizeof *s->root);
+    for (size_t k = 0; k < SIMPLIFY_FIELDS; k++)
+        s->f[k] = all ? all + k * n : NULL;
+    return all && s->root;
 }
 
-/* Sigma as it is reckoned with. Files hold any finite logarithm; one cost that is no number would
- * be nobody's cheapest, and merging would never end. */
-static double simplify_sigma(float scale_log)
+static void simplify_set_free(struct simplify_set *s)
 {
-    return exp(fmin(fmax((double)scale_log, -SIMPLIFY_SCALE_LOG_MAX), SIMPLIFY_SCALE_LOG_MAX));
+    mem_free(s->f[0]);
+    mem_free(s->root);
 }
 
-static void simplify_init(struct simplify *s, size_t i)
+static void simplify_weigh(struct simplify_set *s, size_t i, double blur2)
 {
-    const struct gauss *g = s->g;
-    struct simplify_cluster *c = &s->cluster[i];
+    float cov[6];
+    for (size_t m = 0; m < 6; m++)
+        cov[m] = s->f[SIMPLIFY_CXX + m][i];
+    s->f[SIMPLIFY_INFO][i] = s->f[SIMPLIFY_COVER][i] * simplify_log_det(cov, (float)blur2);
+}
+
+static void simplify_init(struct simplify *s, const struct gauss *g, size_t i)
+{
+    struct simplify_set *to = &s->set;
     double quat[4], rot[9], sigma[3];
     for (size_t k = 0; k < 4; k++)
         quat[k] = (double)g->quat_wxyz[4 * i + k];
     camera_quat_to_rot(quat, rot);
+    size_t sh = 3 * gauss_sh_count(g->sh_degree) * i;
     for (size_t k = 0; k < 3; k++) {
-        sigma[k] = simplify_sigma(g->scale_log[3 * i + k]);
-        c->mean[k] = (double)g->mean_m[3 * i + k];
-        c->color[k] =
-            (float)(GAUSS_SH_C0 * (double)g->sh[3 * gauss_sh_count(g->sh_degree) * i + k]);
+        float l = g->scale_log[3 * i + k];
+        l = l < SIMPLIFY_SCALE_LOG_MAX ? l : SIMPLIFY_SCALE_LOG_MAX;
+        l = l > -SIMPLIFY_SCALE_LOG_MAX ? l : -SIMPLIFY_SCALE_LOG_MAX;
+        sigma[k] = (double)expf(l);
+        to->f[SIMPLIFY_X + k][i] = g->mean_m[3 * i + k];
+        to->f[SIMPLIFY_RED + k][i] = (float)GAUSS_SH_C0 * g->sh[sh + k];
     }
     static const int at[6][2] = {{0, 0}, {0, 1}, {0, 2}, {1, 1}, {1, 2}, {2, 2}};
-    for (size_t m = 0; m < 6; m++)
+    for (size_t m = 0; m < 6; m++) {
+        double sum = 0.0;
         for (size_t k = 0; k < 3; k++)
-            c->cov[m] += rot[3 * at[m][0] + k] * rot[3 * at[m][1] + k] * sigma[k] * sigma[k];
-    c->opacity = 1.0 / (1.0 + exp(-(double)g->opacity_logit[i]));
-    c->area = simplify_area(sigma);
-    c->coverage = fmax(c->opacity * c->area, 1e-30);
-    c->log_det = simplify_log_det(c->cov, s->blur2);
-}
-
-/* ---- choosing pairs ---- */
-
-/* Moments of the pair's mixture. */
-static void simplify_moments(const struct simplify_cluster *a, const struct simplify_cluster *b,
-                             double mean[3], double cov[6])
-{
-    double w = a->coverage + b->coverage, wa = a->coverage / w, wb = b->coverage / w;
-    double d[3] = {b->mean[0] - a->mean[0], b->mean[1] - a->mean[1], b->mean[2] - a->mean[2]};
-    static const int at[6][2] = {{0, 0}, {0, 1}, {0, 2}, {1, 1}, {1, 2}, {2, 2}};
-    for (size_t k = 0; k < 3; k++)
-        mean[k] = a->mean[k] + wb * d[k];
-    for (size_t m = 0; m < 6; m++)
-        cov[m] = wa * a->cov[m] + wb * b->cov[m] + wa * wb * d[at[m][0]] * d[at[m][1]];
-}
-
-static double simplify_cost(const struct simplify *s, uint32_t ra, uint32_t rb)
-{
-    const struct simplify_cluster *a = &s->cluster[ra], *b = &s->cluster[rb];
-    double mean[3], cov[6], step = 0.0;
-    simplify_moments(a, b, mean, cov);
-    for (size_t k = 0; k < 3; k++) {
-        double d = (double)a->color[k] - (double)b->color[k];
-        step += d * d;
+            sum += rot[3 * at[m][0] + k] * rot[3 * at[m][1] + k] * sigma[k] * sigma[k];
+        to->f[SIMPLIFY_CXX + m][i] = (float)sum;
     }
-    double w = a->coverage + b->coverage;
-    return 0.5 * (w * simplify_log_det(cov, s->blur2) - a->coverage * a->log_det -
-                  b->coverage * b->log_det) +
-           SIMPLIFY_COLOR_WEIGHT * a->coverage * b->coverage / w * step;
+    double opacity = 1.0 / (1.0 + (double)expf(-g->opacity_logit[i]));
+    to->f[SIMPLIFY_OPACITY][i] = (float)opacity;
+    to->f[SIMPLIFY_COVER][i] = (float)fmax(opacity * simplify_area(sigma), 1e-24);
+    to->root[i] = (uint32_t)i;
+    simplify_weigh(to, i, s->blur2);
 }
 
-static bool simplify_better(const struct simplify_pair *x, const struct simplify_pair *y)
+/* Stand along a Morton curve over a cube four times the box, the box shifted differently each
+ * round: what one curve separates another keeps together. */
+static void simplify_walk(struct simplify *s)
 {
-    if (x->cost != y->cost)
-        return x->cost < y->cost;
-    return x->a != y->a ? x->a < y->a : x->b < y->b;
-}
-
-static int simplify_pair_compare(const void *x, const void *y)
-{
-    return simplify_better(x, y) ? -1 : simplify_better(y, x);
-}
-
-static enum err_code simplify_search(void *user, size_t chunk, struct err *e)
-{
-    (void)e;
-    struct simplify *s = user;
-    size_t from = chunk * SIMPLIFY_CHUNK, to = from + SIMPLIFY_CHUNK;
-    for (size_t i = from; i < to && i < s->n_alive; i++) {
-        uint32_t row = s->alive[i];
-        struct simplify_pair best = {.cost = HUGE_VAL, .a = UINT32_MAX, .b = UINT32_MAX};
-        for (size_t c = 0; c < SIMPLIFY_CURVES; c++) {
-            size_t p = s->place[c][row];
-            size_t first = p > SIMPLIFY_WINDOW ? p - SIMPLIFY_WINDOW : 0;
-            for (size_t q = first; q <= p + SIMPLIFY_WINDOW && q < s->n_alive; q++) {
-                uint32_t other = s->curve[c][q];
-                if (other == row)
-                    continue;
-                struct simplify_pair t = {.a = row < other ? row : other,
-                                          .b = row < other ? other : row};
-                t.cost = simplify_cost(s, t.a, t.b);
-                if (simplify_better(&t, &best))
-                    best = t;
-            }
+    struct simplify_set *from = &s->set, *to = &s->spare;
+    float lo[3], span = 0.0f;
+    for (size_t k = 0; k < 3; k++) {
+        const float *x = from->f[SIMPLIFY_X + k];
+        float hi = x[0];
+        lo[k] = x[0];
+        for (size_t i = 0; i < from->n; i++) {
+            lo[k] = x[i] < lo[k] ? x[i] : lo[k];
+            hi = x[i] > hi ? x[i] : hi;
         }
-        s->best[row] = best;
+        span = hi - lo[k] > span ? hi - lo[k] : span;
     }
-    return ERR_OK;
-}
-
-static uint64_t simplify_spread(uint64_t x)
-{
-    x &= 0x1fffff;
-    x = (x | x << 32) & UINT64_C(0x1f00000000ffff);
-    x = (x | x << 16) & UINT64_C(0x1f0000ff0000ff);
-    x = (x | x << 8) & UINT64_C(0x100f00f00f00f00f);
-    x = (x | x << 4) & UINT64_C(0x10c30c30c30c30c3);
-    return (x | x << 2) & UINT64_C(0x1249249249249249);
-}
-
-static int simplify_code_compare(const void *a, const void *b)
-{
-    const struct simplify_code *x = a, *y = b;
-    if (x->code != y->code)
-        return x->code < y->code ? -1 : 1;
-    return x->row < y->row ? -1 : x->row > y->row;
-}
-
-/* Curve c: the living rows along a Morton curve over a cube twice the box, the box shifted by c/3
- * of it. */
-static void simplify_walk(struct simplify *s, size_t c)
-{
-    double lo[3] = {HUGE_VAL, HUGE_VAL, HUGE_VAL}, span = 0.0;
-    for (size_t i = 0; i < s->n_alive; i++)
-        for (size_t k = 0; k < 3; k++)
-            lo[k] = fmin(lo[k], s->cluster[s->alive[i]].mean[k]);
-    for (size_t i = 0; i < s->n_alive; i++)
-        for (size_t k = 0; k < 3; k++)
-            span = fmax(span, s->cluster[s->alive[i]].mean[k] - lo[k]);
-    double scale = span > 0.0 ? (double)((1 << 20) - 1) / span : 0.0;
-    double shift = (double)(1 << 20) * (double)c / 3.0;
-    for (size_t i = 0; i < s->n_alive; i++) {
-        uint32_t row = s->alive[i];
-        uint64_t code = 0;
-        for (size_t k = 0; k < 3; k++)
-            code |= simplify_spread((uint64_t)((s->cluster[row].mean[k] - lo[k]) * scale + shift))
-                    << k;
-        s->codes[i] = (struct simplify_code){code, row};
+    static const double shift[4] = {0.0, 0.29, 0.57, 0.83};
+    double scale = span > 0.0f ? (double)((1 << 20) - 1) / (double)span : 0.0;
+    double by = (double)(1 << 20) * shift[s->round % 4];
+    for (size_t i = 0; i < from->n; i++) {
+        uint64_t key = 0;
+        for (size_t k = 0; k < 3; k++) {
+            double at = ((double)from->f[SIMPLIFY_X + k][i] - (double)lo[k]) * scale + by;
+            key |= sort_spread3(at >= 0.0 && at < 0x1p21 ? (uint64_t)at : 0) << k;
+        }
+        s->items[i] = (struct sort_item){key, (uint32_t)i};
     }
-    qsort(s->codes, s->n_alive, sizeof *s->codes, simplify_code_compare);
-    for (size_t i = 0; i < s->n_alive; i++) {
-        s->curve[c][i] = s->codes[i].row;
-        s->place[c][s->codes[i].row] = (uint32_t)i;
-    }
+    sort_items(s->items, s->items_spare, from->n);
+    for (size_t k = 0; k < SIMPLIFY_FIELDS; k++)
+        for (size_t i = 0; i < from->n; i++)
+            to->f[k][i] = from->f[k][s->items[i].row];
+    for (size_t i = 0; i < from->n; i++)
+        to->root[i] = from->root[s->items[i].row];
+    to->n = from->n;
+    struct simplify_set swap = s->set;
+    s->set = s->spare;
+    s->spare = swap;
 }
 
 /* ---- merging ---- */
 
-/* Share of the pair's coverage that one hides of the other, seen along the merger's thinnest axis
- * n: the integral of the product of two projected Gaussians over the sum of their integrals. */
-static double simplify_hidden(const struct simplify_cluster *a, const struct simplify_cluster *b,
-                              const double v[9])
+/* Eigenvalues, descending, in closed form (Smith 1961), and the direction of the smallest one. */
+static void simplify_thin_axis(const double c[6], double value[3], double axis[3])
 {
-    double s1[3] = {0}, s2[3] = {0}, d[2] = {0}; /* projected covariances xx xy yy, offset */
-    static const int at[3][3] = {{0, 1, 2}, {1, 3, 4}, {2, 4, 5}};
-    for (int r = 0; r < 3; r++) {
-        for (int c = 0; c < 3; c++) {
-            double xx = v[3 * r] * v[3 * c], xy = v[3 * r] * v[3 * c + 1],
-                   yy = v[3 * r + 1] * v[3 * c + 1];
-            double ca = a->cov[at[r][c]], cb = b->cov[at[r][c]];
-            s1[0] += xx * ca;
-            s1[1] += xy * ca;
-            s1[2] += yy * ca;
-            s2[0] += xx * cb;
-            s2[1] += xy * cb;
-            s2[2] += yy * cb;
-        }
-        d[0] += v[3 * r] * (b->mean[r] - a->mean[r]);
-        d[1] += v[3 * r + 1] * (b->mean[r] - a->mean[r]);
+    double mean = (c[0] + c[3] + c[5]) / 3.0;
+    double a = c[0] - mean, b = c[3] - mean, d = c[5] - mean;
+    double off = c[1] * c[1] + c[2] * c[2] + c[4] * c[4];
+    double p = sqrt((a * a + b * b + d * d + 2.0 * off) / 6.0);
+    axis[0] = axis[1] = 0.0;
+    axis[2] = 1.0;
+    value[0] = value[1] = value[2] = mean;
+    if (!(p > 1e-12 * mean))
+        return;
+    double det = a * (b * d - c[4] * c[4]) - c[1] * (c[1] * d - c[4] * c[2]) +
+                 c[2] * (c[1] * c[4] - b * c[2]);
+    float angle = acosf((float)fmax(-1.0, fmin(1.0, det / (2.0 * p * p * p)))) / 3.0f;
+    double cosine = (double)cosf(angle), sine = sqrt(fmax(0.0, 1.0 - cosine * cosine));
+    value[0] = mean + 2.0 * p * cosine; /* angle is within 0 and pi / 3 */
+    value[2] = mean - p * (cosine + 1.7320508075688772 * sine);
+    value[1] = 3.0 * mean - value[0] - value[2];
+    /* Rows of C - value[2] I span the plane across the axis: the largest of their products. */
+    double x = c[0] - value[2], y = c[3] - value[2], z = c[5] - value[2];
+    const double n[3][3] = {{c[1] * c[4] - c[2] * y, c[2] * c[1] - x * c[4], x * y - c[1] * c[1]},
+                            {c[1] * z - c[2] * c[4], c[2] * c[2] - x * z, x * c[4] - c[1] * c[2]},
+                            {y * z - c[4] * c[4], c[4] * c[2] - c[1] * z, c[1] * c[4] - y * c[2]}};
+    double best = 0.0;
+    size_t which = 0;
+    for (size_t i = 0; i < 3; i++) {
+        double len = n[i][0] * n[i][0] + n[i][1] * n[i][1] + n[i][2] * n[i][2];
+        which = len > best ? i : which;
+        best = len > best ? len : best;
     }
+    for (size_t k = 0; best > 0.0 && k < 3; k++)
+        axis[k] = n[which][k] / sqrt(best);
+}
+
+/* Two unit vectors across `n` (Duff et al. 2017). */
+static void simplify_across(const double n[3], double u[3], double v[3])
+{
+    double sign = copysign(1.0, n[2]), a = -1.0 / (sign + n[2]), b = n[0] * n[1] * a;
+    u[0] = 1.0 + sign * n[0] * n[0] * a;
+    u[1] = sign * b;
+    u[2] = -sign * n[0];
+    v[0] = b;
+    v[1] = sign + n[1] * n[1] * a;
+    v[2] = -n[1];
+}
+
+/* Covariance of cluster i projected on u and v: uu uv vv. */
+static void simplify_project(const struct simplify_set *s, size_t i, const double u[3],
+                             const double v[3], double out[3])
+{
+    double c[6];
+    for (size_t m = 0; m < 6; m++)
+        c[m] = (double)s->f[SIMPLIFY_CXX + m][i];
+    const double cu[3] = {c[0] * u[0] + c[1] * u[1] + c[2] * u[2],
+                          c[1] * u[0] + c[3] * u[1] + c[4] * u[2],
+                          c[2] * u[0] + c[4] * u[1] + c[5] * u[2]};
+    const double cv[3] = {c[0] * v[0] + c[1] * v[1] + c[2] * v[2],
+                          c[1] * v[0] + c[3] * v[1] + c[4] * v[2],
+                          c[2] * v[0] + c[4] * v[1] + c[5] * v[2]};
+    out[0] = u[0] * cu[0] + u[1] * cu[1] + u[2] * cu[2];
+    out[1] = v[0] * cu[0] + v[1] * cu[1] + v[2] * cu[2];
+    out[2] = v[0] * cv[0] + v[1] * cv[1] + v[2] * cv[2];
+}
+
+/* Share of the pair's coverage that one hides of the other, seen along the merger's thinnest axis:
+ * the integral of the product of two projected Gaussians over the sum of their integrals. */
+static double simplify_hidden(const struct simplify_set *s, size_t a, size_t b, const double d[3],
+                              const double axis[3])
+{
+    double u[3], v[3], s1[3], s2[3];
+    simplify_across(axis, u, v);
+    simplify_project(s, a, u, v, s1);
+    simplify_project(s, b, u, v, s2);
+    double du = u[0] * d[0] + u[1] * d[1] + u[2] * d[2];
+    double dv = v[0] * d[0] + v[1] * d[1] + v[2] * d[2];
+    double oa = (double)s->f[SIMPLIFY_OPACITY][a], ob = (double)s->f[SIMPLIFY_OPACITY][b];
     double d1 = s1[0] * s1[2] - s1[1] * s1[1], d2 = s2[0] * s2[2] - s2[1] * s2[1];
     double t[3] = {s1[0] + s2[0], s1[1] + s2[1], s1[2] + s2[2]};
     double dt = t[0] * t[2] - t[1] * t[1];
-    double sum = a->opacity * sqrt(fmax(d1, 0.0)) + b->opacity * sqrt(fmax(d2, 0.0));
+    double sum = oa * sqrt(fmax(d1, 0.0)) + ob * sqrt(fmax(d2, 0.0));
     if (!(d1 > 0.0 && d2 > 0.0 && dt > 0.0 && sum > 0.0))
         return 0.0;
-    double maha = (t[2] * d[0] * d[0] - 2.0 * t[1] * d[0] * d[1] + t[0] * d[1] * d[1]) / dt;
-    double both = a->opacity * b->opacity * sqrt(d1 * d2 / dt) * exp(-0.5 * maha);
+    double maha = (t[2] * du * du - 2.0 * t[1] * du * dv + t[0] * dv * dv) / dt;
+    double both = oa * ob * sqrt(d1 * d2 / dt) * (double)expf(-0.5f * (float)maha);
     return fmin(both / sum, 0.5);
 }
 
-/* Attributes of row b into row a by weights; quaternion, scale and opacity come from the merged
- * moments. */
-static void simplify_mix_row(struct gauss *g, size_t a, size_t b, double wa, double wb)
+/* Cluster b into a. */
+static void simplify_merge(struct simplify *s, size_t a, size_t b)
 {
-    size_t k = 3 * gauss_sh_count(g->sh_degree);
-    for (size_t j = 0; j < k; j++)
-        g->sh[k * a + j] = (float)(wa * (double)g->sh[k * a + j] + wb * (double)g->sh[k * b + j]);
-    for (size_t j = 0; j < g->embed_len; j++) {
-        float *x = &g->embed[g->embed_len * a + j];
-        *x = (float)(wa * (double)*x + wb * (double)g->embed[g->embed_len * b + j]);
-    }
-}
-
-static void simplify_write_row(struct gauss *g, size_t i, const struct simplify_cluster *c,
-                               const double value[3], const double v[9])
-{
-    double quat[4];
-    camera_rot_to_quat(v, quat);
-    for (size_t k = 0; k < 3; k++) {
-        g->mean_m[3 * i + k] = (float)c->mean[k];
-        g->scale_log[3 * i + k] = (float)(0.5 * log(fmax(value[k], 1e-12)));
-    }
-    for (size_t k = 0; k < 4; k++)
-        g->quat_wxyz[4 * i + k] = (float)quat[k];
-    double o = fmin(fmax(c->opacity, 1e-6), SIMPLIFY_OPACITY_MAX);
-    g->opacity_logit[i] = (float)log(o / (1.0 - o));
-}
-
-static void simplify_merge(struct simplify *s, uint32_t ra, uint32_t rb)
-{
-    struct simplify_cluster *a = &s->cluster[ra];
-    const struct simplify_cluster *b = &s->cluster[rb];
-    struct simplify_cluster m = {0};
-    double value[3], v[9], sigma[3];
-    double w = a->coverage + b->coverage, wa = a->coverage / w, wb = b->coverage / w;
-    simplify_moments(a, b, m.mean, m.cov);
-    simplify_eigen(m.cov, value, v);
-    m.coverage = w * (1.0 - s->reach * simplify_hidden(a, b, v));
-    for (size_t k = 0; k < 3; k++) {
+    struct simplify_set *t = &s->set;
+    double wa = (double)t->f[SIMPLIFY_COVER][a], wb = (double)t->f[SIMPLIFY_COVER][b], w = wa + wb;
+    double d[3], cov[6], value[3], axis[3], sigma[3];
+    wa /= w;
+    wb /= w;
+    for (size_t k = 0; k < 3; k++)
+        d[k] = (double)t->f[SIMPLIFY_X + k][b] - (double)t->f[SIMPLIFY_X + k][a];
+    static const int at[6][2] = {{0, 0}, {0, 1}, {0, 2}, {1, 1}, {1, 2}, {2, 2}};
+    for (size_t m = 0; m < 6; m++)
+        cov[m] = wa * (double)t->f[SIMPLIFY_CXX + m][a] + wb * (double)t->f[SIMPLIFY_CXX + m][b] +
+                 wa * wb * d[at[m][0]] * d[at[m][1]];
+    simplify_thin_axis(cov, value, axis);
+    double cover = w * (1.0 - SIMPLIFY_HIDDEN_SHARE * simplify_hidden(t, a, b, d, axis));
+    for (size_t k = 0; k < 3; k++)
         sigma[k] = sqrt(fmax(value[k], 1e-12));
-        m.color[k] = (float)(wa * (double)a->color[k] + wb * (double)b->color[k]);
+    double opacity = cover / simplify_area(sigma), grow = 1.0;
+    if (opacity > SIMPLIFY_OPACITY_MAX) {
+        grow = opacity / SIMPLIFY_OPACITY_MAX;
+        opacity = SIMPLIFY_OPACITY_MAX;
     }
-    m.area = simplify_area(sigma);
-    m.opacity = m.coverage / m.area;
-    if (m.opacity > SIMPLIFY_OPACITY_MAX) {
-        double grow = m.opacity / SIMPLIFY_OPACITY_MAX;
-        for (size_t k = 0; k < 6; k++)
-            m.cov[k] *= grow;
-        for (size_t k = 0; k < 3; k++)
-            value[k] *= grow;
-        m.area *= grow;
-        m.opacity = SIMPLIFY_OPACITY_MAX;
+    for (size_t m = 0; m < 6; m++)
+        t->f[SIMPLIFY_CXX + m][a] = (float)(grow * cov[m]);
+    for (size_t k = 0; k < 3; k++) {
+        float *color = t->f[SIMPLIFY_RED + k], *x = t->f[SIMPLIFY_X + k];
+        x[a] = (float)((double)x[a] + wb * d[k]);
+        color[a] = (float)(wa * (double)color[a] + wb * (double)color[b]);
     }
-    m.log_det = simplify_log_det(m.cov, s->blur2);
-    simplify_mix_row(s->g, ra, rb, wa, wb);
-    simplify_write_row(s->g, ra, &m, value, v);
-    *a = m;
-    s->cluster[rb].coverage = 0.0; /* dead */
+    t->f[SIMPLIFY_COVER][a] = (float)cover;
+    t->f[SIMPLIFY_OPACITY][a] = (float)opacity;
+    simplify_weigh(t, a, s->blur2);
+    s->join[s->n_join++] = (struct simplify_join){t->root[a], t->root[b], (float)wb};
 }
 
-/* One round; returns how many pairs were merged. */
-static enum err_code simplify_round(struct simplify *s, size_t target, struct err *e)
+/* The cheapest pairs whose halves are free, at most `most`: the later one's place goes into
+ * partner[] of the earlier one, and the later one is marked as taken. */
+static void simplify_choose(struct simplify *s, size_t most)
 {
-    for (size_t c = 0; c < SIMPLIFY_CURVES; c++)
-        simplify_walk(s, c);
-    size_t chunks = (s->n_alive + SIMPLIFY_CHUNK - 1) / SIMPLIFY_CHUNK;
-    enum err_code rc = pool_for(chunks, 0, simplify_search, s, e);
-    if (rc)
-        return rc;
-    /* Pairs that chose each other, packed to the front of best[]: pair i is never behind row i. The
-     * cheapest of all pairs is always among them, so every round makes progress. */
-    size_t n_pairs = 0;
-    for (size_t i = 0; i < s->n_alive; i++) {
-        uint32_t row = s->alive[i];
-        struct simplify_pair p = s->best[row];
-        if (p.b != row && p.b != UINT32_MAX && s->best[p.b].a == p.a && s->best[p.b].b == p.b)
-            s->best[n_pairs++] = p;
-    }
-    if (!n_pairs)
-        return err_set(e, ERR_DATA, "simplify: %zu Gaussians cannot be compared", s->n_alive);
-    qsort(s->best, n_pairs, sizeof *s->best, simplify_pair_compare);
-    size_t need = s->n_alive - target;
-    size_t some = (size_t)ceil(SIMPLIFY_PAIRS_A_ROUND * (double)n_pairs);
-    for (size_t i = 0; i < some && i < need; i++)
-        simplify_merge(s, s->best[i].a, s->best[i].b);
-    size_t alive = 0;
-    for (size_t i = 0; i < s->n_alive; i++)
-        if (s->cluster[s->alive[i]].coverage > 0.0)
-            s->alive[alive++] = s->alive[i];
-    s->n_alive = alive;
-    return ERR_OK;
-}
-
-static int simplify_float_compare(const void *a, const void *b)
-{
-    float x = *(const float *)a, y = *(const float *)b;
-    return x < y ? -1 : x > y;
-}
-
-static enum err_code simplify_open(struct simplify *s, struct gauss *work, struct err *e)
-{
-    size_t n = work->n;
-    s->g = work;
-    s->cluster = mem_array(n, sizeof *s->cluster);
-    s->alive = mem_array(n, sizeof *s->alive);
-    s->codes = mem_array(n, sizeof *s->codes);
-    s->best = mem_array(n, sizeof *s->best);
-    bool ok = s->cluster && s->alive && s->codes && s->best;
-    for (size_t c = 0; c < SIMPLIFY_CURVES; c++) {
-        s->curve[c] = mem_array(n, sizeof **s->curve);
-        s->place[c] = mem_array(n, sizeof **s->place);
-        ok = ok && s->curve[c] && s->place[c];
-    }
-    float *sigma = mem_array(n, sizeof *sigma);
-    if (!ok || !sigma) {
-        mem_free(sigma);
-        return err_set(e, ERR_MEM, "out of memory to simplify %zu Gaussians", n);
-    }
-    for (size_t i = 0; i < n; i++)
-        sigma[i] = fmaxf(work->scale_log[3 * i],
-                         fmaxf(work->scale_log[3 * i + 1], work->scale_log[3 * i + 2]));
-    qsort(sigma, n, sizeof *sigma, simplify_float_compare);
-    double blur = SIMPLIFY_BLUR * simplify_sigma(sigma[n / 2]);
-    s->blur2 = blur * blur;
-    mem_free(sigma);
+    const size_t n = s->set.n;
     for (size_t i = 0; i < n; i++) {
-        simplify_init(s, i);
-        s->alive[i] = (uint32_t)i;
+        s->items[i] = (struct sort_item){sort_key_float(s->cost[i]), (uint32_t)i};
+        s->partner[i] = SIMPLIFY_FREE;
     }
-    s->n_alive = n;
+    sort_items(s->items, s->items_spare, n);
+    for (size_t i = 0, done = 0; i < n && done < most; i++) {
+        uint32_t a = s->items[i].row, b = s->who[a];
+        if (s->partner[a] != SIMPLIFY_FREE || s->partner[b] != SIMPLIFY_FREE)
+            continue;
+        s->partner[a < b ? a : b] = a < b ? b : a;
+        s->partner[a < b ? b : a] = SIMPLIFY_TAKEN;
+        done++;
+    }
+}
+
+/* One round. Pairs are disjoint, so they are merged in the order of memory. */
+static void simplify_round(struct simplify *s, size_t target)
+{
+    struct simplify_set *t = &s->set;
+    simplify_walk(s);
+    simplify_cost(t, (float)s->blur2, s->cost, s->who, s->scratch);
+    size_t need = t->n - target, most = 1 + (size_t)(SIMPLIFY_A_ROUND * (double)t->n);
+    simplify_choose(s, need < most ? need : most);
+    for (size_t i = 0; i < t->n; i++)
+        if (s->partner[i] < SIMPLIFY_TAKEN)
+            simplify_merge(s, i, s->partner[i]);
+    size_t n = 0;
+    for (size_t i = 0; i < t->n; i++)
+        if (s->partner[i] != SIMPLIFY_TAKEN)
+            s->who[n++] = (uint32_t)i;
+    for (size_t k = 0; k < SIMPLIFY_FIELDS; k++)
+        for (size_t i = 0; i < n; i++)
+            t->f[k][i] = t->f[k][s->who[i]];
+    for (size_t i = 0; i < n; i++)
+        t->root[i] = t->root[s->who[i]];
+    t->n = n;
+    s->round++;
+}
+
+/* ---- all of it ---- */
+
+/* sigma^2 below which thickness does not matter. */
+static double simplify_blur2(const struct gauss *g, struct sort_item *items,
+                             struct sort_item *spare)
+{
+    for (size_t i = 0; i < g->n; i++) {
+        const float *l = &g->scale_log[3 * i];
+        float big = l[0] > l[1] ? l[0] : l[1];
+        big = big > l[2] ? big : l[2];
+        items[i] = (struct sort_item){sort_key_float(big), (uint32_t)i};
+    }
+    sort_items(items, spare, g->n);
+    const float *l = &g->scale_log[3 * items[g->n / 2].row];
+    double big = (double)fmaxf(l[0], fmaxf(l[1], l[2])), max = (double)SIMPLIFY_SCALE_LOG_MAX;
+    double blur = SIMPLIFY_BLUR * exp(fmin(fmax(big, -max), max));
+    return blur * blur;
+}
+
+static enum err_code simplify_open(struct simplify *s, const struct gauss *g, struct err *e)
+{
+    size_t n = g->n;
+    bool ok = simplify_set_alloc(&s->set, n) && simplify_set_alloc(&s->spare, n);
+    s->join = mem_array(n, sizeof *s->join);
+    s->cost = mem_array(n, sizeof *s->cost);
+    s->scratch = mem_array(n, sizeof *s->scratch);
+    s->who = mem_array(n, sizeof *s->who);
+    s->items = mem_array(n, sizeof *s->items);
+    s->items_spare = mem_array(n, sizeof *s->items);
+    s->partner = mem_array(n, sizeof *s->partner);
+    if (!ok || !s->join || !s->cost || !s->scratch || !s->who || !s->items || !s->items_spare ||
+        !s->partner)
+        return err_set(e, ERR_MEM, "out of memory to simplify %zu Gaussians", n);
+    s->blur2 = simplify_blur2(g, s->items, s->items_spare);
+    for (size_t i = 0; i < n; i++)
+        simplify_init(s, g, i);
+    s->set.n = n;
     return ERR_OK;
 }
 
 static void simplify_close(struct simplify *s)
 {
-    mem_free(s->cluster);
-    mem_free(s->alive);
-    mem_free(s->codes);
-    mem_free(s->best);
-    for (size_t c = 0; c < SIMPLIFY_CURVES; c++) {
-        mem_free(s->curve[c]);
-        mem_free(s->place[c]);
+    simplify_set_free(&s->set);
+    simplify_set_free(&s->spare);
+    mem_free(s->join);
+    mem_free(s->cost);
+    mem_free(s->scratch);
+    mem_free(s->who);
+    mem_free(s->items);
+    mem_free(s->items_spare);
+    mem_free(s->partner);
+}
+
+/* Shape and opacity of a merger, from its moments. */
+static void simplify_write_row(const struct simplify_set *s, size_t i, struct gauss *g, size_t to)
+{
+    double cov[6], value[3], v[9], quat[4];
+    for (size_t m = 0; m < 6; m++)
+        cov[m] = (double)s->f[SIMPLIFY_CXX + m][i];
+    simplify_eigen(cov, value, v);
+    camera_rot_to_quat(v, quat);
+    for (size_t k = 0; k < 3; k++) {
+        g->mean_m[3 * to + k] = s->f[SIMPLIFY_X + k][i];
+        g->scale_log[3 * to + k] = (float)(0.5 * log(fmax(value[k], 1e-12)));
     }
+    for (size_t k = 0; k < 4; k++)
+        g->quat_wxyz[4 * to + k] = (float)quat[k];
+    double o = fmin(fmax((double)s->f[SIMPLIFY_OPACITY][i], 1e-6), SIMPLIFY_OPACITY_MAX);
+    g->opacity_logit[to] = (float)log(o / (1.0 - o));
+}
+
+/* Rows of the input into `out` by the weights that the mergers left them: the last merger's pair
+ * shares a weight of 1, and backwards from there. */
+static enum err_code simplify_collect(struct simplify *s, const struct gauss *in, struct gauss *out,
+                                      struct err *e)
+{
+    size_t n_sh = 3 * gauss_sh_count(in->sh_degree), n_embed = in->embed_len;
+    float *weight = mem_array(in->n, sizeof *weight);
+    uint32_t *owner = mem_array(in->n, sizeof *owner);
+    bool *merged = mem_array(in->n, sizeof *merged);
+    enum err_code rc = weight && owner && merged
+                           ? gauss_alloc(out, s->set.n, in->sh_degree, in->embed_len, e)
+                           : err_set(e, ERR_MEM, "out of memory to simplify");
+    if (rc)
+        goto out;
+    for (size_t i = 0; i < s->n_join; i++)
+        merged[s->join[i].a] = true;
+    for (size_t i = 0; i < s->set.n; i++) {
+        owner[s->set.root[i]] = (uint32_t)i;
+        weight[s->set.root[i]] = 1.0f;
+    }
+    for (size_t i = s->n_join; i-- > 0;) {
+        const struct simplify_join *j = &s->join[i];
+        weight[j->b] = weight[j->a] * j->share_b;
+        weight[j->a] -= weight[j->b];
+        owner[j->b] = owner[j->a];
+    }
+    memcpy(out->origin_enu_m, in->origin_enu_m, sizeof out->origin_enu_m);
+    out->antialiased = in->antialiased;
+    out->n = s->set.n;
+    for (size_t r = 0; r < in->n; r++) {
+        float w = weight[r], *sh = out->sh + n_sh * owner[r];
+        const float *from = in->sh + n_sh * r;
+        for (size_t k = 0; k < n_sh; k++)
+            sh[k] += w * from[k];
+        for (size_t k = 0; k < n_embed; k++)
+            out->embed[n_embed * owner[r] + k] += w * in->embed[n_embed * r + k];
+    }
+    for (size_t i = 0; i < s->set.n; i++)
+        if (merged[s->set.root[i]])
+            simplify_write_row(&s->set, i, out, i);
+        else
+            gauss_copy_row(out, i, in, s->set.root[i]);
+out:
+    mem_free(weight);
+    mem_free(owner);
+    mem_free(merged);
+    return rc;
 }
 
 enum err_code simplify_gauss(const struct gauss *in, size_t target, struct gauss *out,
                              struct err *e)
 {
-    struct simplify s = {.reach = SIMPLIFY_HIDDEN_SHARE};
-    struct gauss work = {0};
-    uint32_t *order = NULL;
+    struct simplify s = {0};
     *out = (struct gauss){0};
     if (target == 0 && in->n > 0)
         return err_set(e, ERR_ARG, "simplify: at least 1 Gaussian must remain");
     if (in->n >= UINT32_MAX)
         return err_set(e, ERR_LIMIT, "simplify: %zu Gaussians at once, at most 2^32 - 2", in->n);
-    enum err_code rc = gauss_alloc(&work, in->n, in->sh_degree, in->embed_len, e);
-    if (rc)
-        return rc;
-    memcpy(work.origin_enu_m, in->origin_enu_m, sizeof work.origin_enu_m);
-    work.antialiased = in->antialiased;
-    if (in->n > target) { /* neighbours near each other in memory: a third of the time on rows in
-                             random order */
-        order = mem_array(in->n, sizeof *order);
-        rc = order ? gauss_morton_order(in, order, e)
-                   : err_set(e, ERR_MEM, "out of memory to simplify %zu Gaussians", in->n);
+    if (in->n <= target) {
+        enum err_code rc = gauss_alloc(out, in->n, in->sh_degree, in->embed_len, e);
+        memcpy(out->origin_enu_m, in->origin_enu_m, sizeof out->origin_enu_m);
+        out->antialiased = in->antialiased;
+        return rc ? rc : gauss_append(out, in, NULL, in->n, e);
     }
+    enum err_code rc = simplify_open(&s, in, e);
+    while (!rc && s.set.n > target)
+        simplify_round(&s, target);
     if (!rc)
-        rc = gauss_append(&work, in, order, in->n, e);
-    mem_free(order);
-    if (!rc && in->n > target) {
-        rc = simplify_open(&s, &work, e);
-        while (!rc && s.n_alive > target)
-            rc = simplify_round(&s, target, e);
-        /* Living rows ascend, so each moves forward onto one that is no longer needed. */
-        for (size_t i = 0; !rc && i < s.n_alive; i++)
-            if (s.alive[i] != i)
-                gauss_copy_row(&work, i, &work, s.alive[i]);
-        if (!rc)
-            work.n = s.n_alive;
-    }
+        rc = simplify_collect(&s, in, out, e);
     simplify_close(&s);
     if (rc)
-        gauss_free(&work);
-    else
-        *out = work;
+        gauss_free(out);
     return rc;
 }

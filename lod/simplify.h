@@ -1,4 +1,4 @@
-/* Parts of the simplifier that tests look at: internal to lod/.
+/* Parts of the simplifier: internal to lod/ and to its tests.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,11 +9,34 @@
 
 /* Share of the coverage that two splats hide of each other which their merger loses. 1 would keep
  * the coverage of the pair seen alone and thins out layers of many splats; 0 that of splats which
- * never overlap, and thickens them. Over a synthetic block of ground, walls and trees at 1/4, 1/16
- * and 1/64 of its splats, each seen from where its median sigma is a pixel: PSNR 31.2, 26.6, 24.1
- * dB with 1; 36.9, 33.6, 29.6 with 1/2; 32.1, 28.1, 23.8 with 0, and the mean coverage within 0.5 %
- * with 1/2. */
+ * never overlap, and thickens them. docs/decisions/007-pyramid.md has the pictures behind 1/2. */
 #define SIMPLIFY_HIDDEN_SHARE 0.5
+#define SIMPLIFY_COLOR_WEIGHT                                                                      \
+    4.0f /* half a squared step of 0.2 in colour counts like a mean one sigma apart */
+
+/* The living clusters, in order along a curve; one array a field, so that costs are vectors. */
+enum {
+    SIMPLIFY_X,          /* mean x y z, metres */
+    SIMPLIFY_CXX = 3,    /* covariance xx xy xz yy yz zz, metres^2 */
+    SIMPLIFY_RED = 9,    /* colour r g b, 0..1 */
+    SIMPLIFY_COVER = 12, /* opacity x mean projected area, metres^2 */
+    SIMPLIFY_INFO,       /* coverage x log2 det of the blurred covariance */
+    SIMPLIFY_OPACITY,
+    SIMPLIFY_FIELDS,
+    SIMPLIFY_WINDOW = 5, /* neighbours along the curve that are looked at, each side */
+};
+struct simplify_set {
+    float *f[SIMPLIFY_FIELDS];
+    uint32_t *root; /* row of the input that this cluster began as */
+    size_t n;
+};
+/* cost[i] of merging i with its cheapest neighbour who[i] within SIMPLIFY_WINDOW, both [n]; scratch
+ * [n]. Runnalls' upper bound of the Kullback-Leibler divergence between the two and their merger,
+ * weighted by coverage, plus the difference in colour. Never NaN; n >= 2. */
+void simplify_cost(const struct simplify_set *s, float blur2, float *cost, uint32_t *who,
+                   float *scratch);
+/* log2 of the determinant of cov + blur2 I, as the cost reckons it; cov at the stride of a set. */
+float simplify_log_det(const float cov[6], float blur2);
 
 /* Eigenvalues, descending, and eigenvectors (columns of v, row-major, right-handed) of a symmetric
  * matrix given as xx xy xz yy yz zz. */

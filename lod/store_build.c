@@ -14,6 +14,7 @@
 #include <string.h>
 #include <time.h>
 
+#include "core/sort.h"
 #include "lod/store_db.h"
 
 #define STORE_REACH_SIGMA 3.33 /* sqrt(2 ln 255): where the most opaque splat falls below 1/255 */
@@ -113,26 +114,32 @@ enum err_code store_create(const char *path, const struct store_meta *meta, stru
     return ERR_OK;
 }
 
-static int store_float_compare(const void *a, const void *b)
+/* Median and largest of the rows' largest sigmas. */
+static enum err_code store_sigmas(struct store_tile *t, const struct gauss *g, struct err *e)
 {
-    float x = *(const float *)a, y = *(const float *)b;
-    return x < y ? -1 : x > y;
+    struct sort_item *items = mem_array(g->n, 2 * sizeof *items);
+    if (!items)
+        return err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", g->n);
+    for (size_t i = 0; i < g->n; i++) {
+        const float *s = &g->scale_log[3 * i];
+        float big = s[0] > s[1] ? s[0] : s[1];
+        items[i] = (struct sort_item){sort_key_float(big > s[2] ? big : s[2]), (uint32_t)i};
+    }
+    sort_items(items, items + g->n, g->n);
+    const float *mid = &g->scale_log[3 * items[g->n / 2].row];
+    const float *top = &g->scale_log[3 * items[g->n - 1].row];
+    t->sigma_median_m = exp((double)fmaxf(mid[0], fmaxf(mid[1], mid[2])));
+    t->sigma_max_m = exp((double)fmaxf(top[0], fmaxf(top[1], top[2])));
+    mem_free(items);
+    return ERR_OK;
 }
 
 /* Bounds and sigmas of the rows. */
 static enum err_code store_measure(struct store_tile *t, const struct gauss *g, struct err *e)
 {
-    float *largest = mem_array(g->n, sizeof *largest);
-    if (!largest)
-        return err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", g->n);
-    for (size_t i = 0; i < g->n; i++) {
-        const float *s = &g->scale_log[3 * i];
-        largest[i] = fmaxf(s[0], fmaxf(s[1], s[2]));
-    }
-    qsort(largest, g->n, sizeof *largest, store_float_compare);
-    t->sigma_median_m = exp((double)largest[g->n / 2]);
-    t->sigma_max_m = exp((double)largest[g->n - 1]);
-    mem_free(largest);
+    enum err_code rc = store_sigmas(t, g, e);
+    if (rc)
+        return rc;
     gauss_bounds(g, STORE_REACH_SIGMA, t->min_enu_m, t->max_enu_m);
     if (!(t->geometric_error_m > 0.0))
         t->geometric_error_m = TREE_PX_PER_SIGMA * t->sigma_median_m;
@@ -198,9 +205,9 @@ static enum err_code store_remember(struct store *s, const struct store_tile *t,
     return ERR_OK;
 }
 
-enum err_code store_put(struct store *s, struct store_tile *t, const struct gauss *g, struct err *e)
+enum err_code store_encode(const struct store *s, struct store_tile *t, const struct gauss *g,
+                           struct buf *payload, struct err *e)
 {
-    struct buf payload = {0};
     if (!s->building)
         return err_set(e, ERR_INTERNAL, "%s: a published store is never changed", s->path);
     if (!key_valid(t->key) || g->n == 0 || g->n > UINT32_MAX)
@@ -209,22 +216,39 @@ enum err_code store_put(struct store *s, struct store_tile *t, const struct gaus
     t->count = (uint32_t)g->n;
     enum err_code rc = store_measure(t, g, e);
     if (!rc)
-        rc = payload_encode(g, s->meta.lossless, &payload, e);
-    if (!rc && payload.size > INT32_MAX)
+        rc = payload_encode(g, s->meta.lossless, payload, e);
+    if (!rc && payload->size > INT32_MAX)
         rc = err_set(e, ERR_LIMIT, "payload of %zu bytes, at most 2 GiB; use smaller tiles",
-                     payload.size);
-    if (!rc) {
-        t->bytes = payload.size;
-        t->hash = hash_bytes(payload.data, payload.size);
-        const struct store_tile *old = s->before ? store_find(s->before, t->key) : NULL;
-        bool same = old && old->hash.lo == t->hash.lo && old->hash.hi == t->hash.hi;
-        t->version = old ? old->version + (same ? 0 : 1) : 1;
-        rc = store_insert(s, t, &payload, e);
-    }
-    buf_free(&payload);
+                     payload->size);
+    if (rc)
+        return err_add(e, "tile %u/%u/%u", t->key.z, t->key.x, t->key.y);
+    t->bytes = payload->size;
+    t->hash = hash_bytes(payload->data, payload->size);
+    return ERR_OK;
+}
+
+enum err_code store_add(struct store *s, struct store_tile *t, const struct buf *payload,
+                        struct err *e)
+{
+    if (!s->building)
+        return err_set(e, ERR_INTERNAL, "%s: a published store is never changed", s->path);
+    const struct store_tile *old = s->before ? store_find(s->before, t->key) : NULL;
+    bool same = old && old->hash.lo == t->hash.lo && old->hash.hi == t->hash.hi;
+    t->version = old ? old->version + (same ? 0 : 1) : 1;
+    enum err_code rc = store_insert(s, t, payload, e);
     if (rc)
         return err_add(e, "tile %u/%u/%u", t->key.z, t->key.x, t->key.y);
     return store_remember(s, t, e);
+}
+
+enum err_code store_put(struct store *s, struct store_tile *t, const struct gauss *g, struct err *e)
+{
+    struct buf payload = {0};
+    enum err_code rc = store_encode(s, t, g, &payload, e);
+    if (!rc)
+        rc = store_add(s, t, &payload, e);
+    buf_free(&payload);
+    return rc;
 }
 
 enum err_code store_put_blob(struct store *s, const char *name, const void *bytes, size_t n,

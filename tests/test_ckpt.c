@@ -189,6 +189,54 @@ static void running_out_of_memory_is_an_error_and_nothing_leaks(void **state)
     fixture_free(&f);
 }
 
+/* Slices put together are the whole, and opening finds what reading the whole would find. */
+static void slices_are_the_whole(void **state)
+{
+    (void)state;
+    struct fixture f;
+    struct err e = {0};
+    struct ckpt_rows *r = NULL;
+    struct buf file = {0};
+    fixture_make(&f, 1000, 4);
+    kit_ok(ckpt_write(f.path, f.meta, &f.g, f.blobs, 3, &e), e);
+    kit_ok(ckpt_rows_open(f.path, &r, &e), e);
+    assert_int_equal(ckpt_rows_count(r), 1000);
+    for (size_t from = 0; from < 1000; from += 300) {
+        struct gauss part, want = f.g;
+        size_t n = from + 300 < 1000 ? 300 : 1000 - from;
+        kit_ok(ckpt_rows_read(r, from, n, &part, &e), e);
+        want.n = n;
+        want.mean_m += 3 * from;
+        want.scale_log += 3 * from;
+        want.quat_wxyz += 4 * from;
+        want.opacity_logit += from;
+        want.sh += 3 * gauss_sh_count(want.sh_degree) * from;
+        want.embed += want.embed_len * from;
+        assert_same_gauss(&part, &want);
+        gauss_free(&part);
+    }
+    struct gauss none;
+    kit_fails(ckpt_rows_read(r, 900, 101, &none, &e), ERR_ARG, e, "rows 900 to 1001 of 1000");
+    ckpt_rows_close(&r);
+    ckpt_rows_close(&r);
+    kit_ok(file_read(f.path, 0, &file, &e), e);
+    for (size_t at = 3; at < file.size; at += 997) { /* blobs are another reader's */
+        file.data[at] ^= 0x20;
+        kit_ok(file_write(f.path, file.data, file.size, &e), e);
+        struct ckpt c;
+        enum err_code whole = ckpt_read(f.path, &c, &e), rows = ckpt_rows_open(f.path, &r, &e);
+        assert_true(rows == ERR_OK || whole != ERR_OK);
+        assert_true(rows != ERR_OK || at > file.size - 200 || whole == ERR_OK);
+        ckpt_free(&c);
+        ckpt_rows_close(&r);
+        file.data[at] ^= 0x20;
+    }
+    kit_ok(file_write(f.path, file.data, file.size / 2, &e), e);
+    kit_fails(ckpt_rows_open(f.path, &r, &e), ERR_FORMAT, e, "truncated");
+    buf_free(&file);
+    fixture_free(&f);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -196,6 +244,7 @@ int main(void)
         cmocka_unit_test(every_cut_and_every_flipped_byte_is_noticed),
         cmocka_unit_test(foreign_files_are_refused_by_name),
         cmocka_unit_test(a_failed_write_leaves_the_old_file_alone),
+        cmocka_unit_test(slices_are_the_whole),
         cmocka_unit_test(running_out_of_memory_is_an_error_and_nothing_leaks),
     };
     return cmocka_run_group_tests_name("ckpt", tests, NULL, NULL);

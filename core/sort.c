@@ -1,0 +1,66 @@
+/* Radix sort, 11 bits a pass: see sort.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "core/sort.h"
+
+#include <string.h>
+
+enum { SORT_BITS = 11, SORT_BINS = 1 << SORT_BITS, SORT_FEW = 48 };
+
+static void sort_insertion(struct sort_item *items, size_t n)
+{
+    for (size_t i = 1; i < n; i++) {
+        struct sort_item x = items[i];
+        size_t at = i;
+        for (; at > 0 && items[at - 1].key > x.key; at--)
+            items[at] = items[at - 1];
+        items[at] = x;
+    }
+}
+
+static void sort_pass(const struct sort_item *from, struct sort_item *to, size_t n, unsigned shift)
+{
+    size_t at[SORT_BINS] = {0}, sum = 0;
+    for (size_t i = 0; i < n; i++)
+        at[from[i].key >> shift & (SORT_BINS - 1)]++;
+    for (size_t b = 0; b < SORT_BINS; b++) {
+        size_t count = at[b];
+        at[b] = sum;
+        sum += count;
+    }
+    for (size_t i = 0; i < n; i++)
+        to[at[from[i].key >> shift & (SORT_BINS - 1)]++] = from[i];
+}
+
+void sort_items(struct sort_item *items, struct sort_item *scratch, size_t n)
+{
+    if (n <= SORT_FEW) {
+        sort_insertion(items, n);
+        return;
+    }
+    uint64_t differ = 0;
+    for (size_t i = 1; i < n; i++)
+        differ |= items[i].key ^ items[0].key;
+    struct sort_item *from = items, *to = scratch;
+    for (unsigned shift = 0; shift < 64; shift += SORT_BITS) {
+        if (!(differ >> shift & (SORT_BINS - 1)))
+            continue;
+        sort_pass(from, to, n, shift);
+        struct sort_item *swap = from;
+        from = to;
+        to = swap;
+    }
+    if (from != items)
+        memcpy(items, from, n * sizeof *items);
+}
+
+uint64_t sort_spread3(uint64_t x)
+{
+    x &= 0x1fffff;
+    x = (x | x << 32) & UINT64_C(0x1f00000000ffff);
+    x = (x | x << 16) & UINT64_C(0x1f0000ff0000ff);
+    x = (x | x << 8) & UINT64_C(0x100f00f00f00f00f);
+    x = (x | x << 4) & UINT64_C(0x10c30c30c30c30c3);
+    return (x | x << 2) & UINT64_C(0x1249249249249249);
+}

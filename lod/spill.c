@@ -1,0 +1,152 @@
+/* Runs of rows in one unlinked file: see spill.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "lod/spill.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+
+enum { SPILL_FIELDS = 6, SPILL_BLOCK_ROWS = 4096 };
+
+enum err_code spill_open(const char *near, struct spill *out, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    *out = (struct spill){.fd = -1};
+    pthread_mutex_init(&out->lock, NULL);
+    snprintf(out->near, sizeof out->near, "%s", near);
+    int n = snprintf(path, sizeof path, "%s.spill-%ld", near, (long)getpid());
+    if (n < 0 || (size_t)n >= sizeof path)
+        return err_set(e, ERR_LIMIT, "%s: path too long", near);
+    out->fd = open(path, O_RDWR | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
+    if (out->fd < 0)
+        return err_errno(e, ERR_IO, "%s: cannot create the file for rows in between", path);
+    unlink(path);
+    return ERR_OK;
+}
+
+void spill_close(struct spill *s)
+{
+    if (!s->near[0])
+        return;
+    if (s->fd >= 0)
+        close(s->fd);
+    pthread_mutex_destroy(&s->lock);
+    *s = (struct spill){.fd = -1};
+}
+
+size_t spill_row_floats(const struct spill_run *r)
+{
+    return 3 + 3 + 4 + 1 + 3 * gauss_sh_count(r->sh_degree) + r->embed_len;
+}
+
+static float *spill_pack(const struct gauss *g, size_t i, float *out)
+{
+    const size_t n_sh = 3 * gauss_sh_count(g->sh_degree);
+    memcpy(out, g->mean_m + 3 * i, 3 * sizeof *out);
+    memcpy(out + 3, g->scale_log + 3 * i, 3 * sizeof *out);
+    memcpy(out + 6, g->quat_wxyz + 4 * i, 4 * sizeof *out);
+    out[10] = g->opacity_logit[i];
+    memcpy(out + 11, g->sh + n_sh * i, n_sh * sizeof *out);
+    if (g->embed_len)
+        memcpy(out + 11 + n_sh, g->embed + g->embed_len * i, g->embed_len * sizeof *out);
+    return out + 11 + n_sh + g->embed_len;
+}
+
+static enum err_code spill_write_at(struct spill *s, const void *bytes, size_t n, uint64_t at,
+                                    struct err *e)
+{
+    const char *p = bytes;
+    while (n > 0) {
+        ssize_t put = pwrite(s->fd, p, n, (off_t)at);
+        if (put < 0 && errno == EINTR)
+            continue;
+        if (put <= 0)
+            return err_errno(e, ERR_IO, "%s: cannot write the rows in between", s->near);
+        p += put;
+        n -= (size_t)put;
+        at += (uint64_t)put;
+    }
+    return ERR_OK;
+}
+
+enum err_code spill_add(struct spill *s, const struct gauss *g, const struct sort_item *order,
+                        size_t n, struct spill_run *run, struct err *e)
+{
+    run->n = n;
+    run->sh_degree = g->sh_degree;
+    run->embed_len = g->embed_len;
+    memcpy(run->origin_enu_m, g->origin_enu_m, sizeof run->origin_enu_m);
+    size_t row = spill_row_floats(run);
+    float *block = mem_array(SPILL_BLOCK_ROWS, row * sizeof *block);
+    if (!block)
+        return err_set(e, ERR_MEM, "out of memory for %d rows", SPILL_BLOCK_ROWS);
+    pthread_mutex_lock(&s->lock);
+    run->offset = s->size;
+    s->size += n * row * sizeof *block;
+    pthread_mutex_unlock(&s->lock);
+    enum err_code rc = ERR_OK;
+    for (size_t at = 0; !rc && at < n; at += SPILL_BLOCK_ROWS) {
+        size_t end = at + SPILL_BLOCK_ROWS < n ? at + SPILL_BLOCK_ROWS : n;
+        float *p = block;
+        for (size_t i = at; i < end; i++)
+            p = spill_pack(g, order ? order[i].row : i, p);
+        rc = spill_write_at(s, block, (end - at) * row * sizeof *block,
+                            run->offset + at * row * sizeof *block, e);
+    }
+    mem_free(block);
+    return rc;
+}
+
+enum err_code spill_read(struct spill *s, const struct spill_run *r, size_t from, size_t to,
+                         float *out, struct err *e)
+{
+    size_t row = spill_row_floats(r) * sizeof *out, n = (to - from) * row;
+    uint64_t at = r->offset + from * row;
+    char *p = (char *)out;
+    while (n > 0) {
+        ssize_t got = pread(s->fd, p, n, (off_t)at);
+        if (got < 0 && errno == EINTR)
+            continue;
+        if (got <= 0)
+            return got < 0 ? err_errno(e, ERR_IO, "%s: cannot read the rows in between", s->near)
+                           : err_set(e, ERR_IO, "%s: the rows in between end early", s->near);
+        p += got;
+        n -= (size_t)got;
+        at += (uint64_t)got;
+    }
+    return ERR_OK;
+}
+
+static size_t spill_lower(const struct spill_run *r, uint64_t code)
+{
+    size_t lo = 0, hi = r->n;
+    while (lo < hi) {
+        size_t mid = lo + (hi - lo) / 2;
+        if (r->code[mid] < code)
+            lo = mid + 1;
+        else
+            hi = mid;
+    }
+    return lo;
+}
+
+void spill_slice(const struct spill_run *r, uint64_t first, uint64_t last, size_t *from, size_t *to)
+{
+    *from = *to = 0;
+    if (!r->code) {
+        *to = r->code_first >= first && r->code_first < last ? r->n : 0;
+    } else if (r->n > 0 && r->code[0] < last && r->code[r->n - 1] >= first) {
+        *from = spill_lower(r, first);
+        *to = spill_lower(r, last);
+    }
+}
+
+void spill_run_free(struct spill_run *r)
+{
+    mem_free(r->code);
+    *r = (struct spill_run){0};
+}

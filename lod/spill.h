@@ -1,0 +1,46 @@
+/* Rows of Gaussians on disk between two passes: internal to lod/.
+ *
+ * A city does not fit into memory, and its rows come in the order of training, not of tiles. Every
+ * part that is read is sorted along the Z curve and written here as one run; a tile is then one
+ * slice of each run. Only the codes stay in memory, 8 bytes a Gaussian.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef LOD_SPILL_H
+#define LOD_SPILL_H
+
+#include <pthread.h>
+
+#include "core/sort.h"
+#include "lod/lod.h"
+
+struct spill {     /* spill_open makes it; adding and reading from any thread */
+    int fd;        /* of a file without a name: gone when the process is */
+    uint64_t size; /* guarded by lock */
+    pthread_mutex_t lock;
+    char near[FILE_PATH_MAX]; /* for messages */
+};
+struct spill_run {  /* {0} is empty; spill_run_free */
+    uint64_t *code; /* [n] ascending, of the finest zoom; NULL: all rows have code_first */
+    uint64_t code_first, offset;
+    size_t n;
+    uint32_t sh_degree, embed_len;
+    double origin_enu_m[3];
+};
+
+/* Beside `near`, the file to be written, because there is room for it. */
+enum err_code spill_open(const char *near, struct spill *out, struct err *e) ERR_USE;
+void spill_close(struct spill *s); /* idempotent on {0} and after spill_open failed */
+size_t spill_row_floats(const struct spill_run *r);
+/* Append rows order[0..n) of g as a run; run->code and code_first are the caller's. */
+enum err_code spill_add(struct spill *s, const struct gauss *g, const struct sort_item *order,
+                        size_t n, struct spill_run *run, struct err *e) ERR_USE;
+/* Rows [from, to) of a run, spill_row_floats each, fields in the container's order. */
+enum err_code spill_read(struct spill *s, const struct spill_run *r, size_t from, size_t to,
+                         float *out, struct err *e) ERR_USE;
+/* Rows of the run with first <= code < last. */
+void spill_slice(const struct spill_run *r, uint64_t first, uint64_t last, size_t *from,
+                 size_t *to);
+void spill_run_free(struct spill_run *r);
+
+#endif

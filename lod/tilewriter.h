@@ -1,0 +1,32 @@
+/* Tiles that many workers encode, written in order by whoever holds the next one: internal to lod/.
+ *
+ * The bytes of a store depend on the order in which tiles are written; this makes it that of their
+ * numbers, whatever the number of threads, and keeps at most TILEWRITER_AHEAD payloads in memory.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef LOD_TILEWRITER_H
+#define LOD_TILEWRITER_H
+
+#include "lod/lod.h"
+
+enum { TILEWRITER_AHEAD = 16 };
+
+struct tilewriter;
+/* For tiles 0 .. n - 1 of a store that is being built (borrowed). */
+enum err_code tilewriter_open(struct store *s, size_t n, struct tilewriter **out,
+                              struct err *e) ERR_USE;
+void tilewriter_close(struct tilewriter **w);
+/* Encode tile i and write it when its turn comes; waits while it is too far ahead, so low numbers
+ * must be begun first (as pool_for does). Each number once. Thread-safe. */
+enum err_code tilewriter_put(struct tilewriter *w, size_t i, struct store_tile *t,
+                             const struct gauss *g, struct err *e) ERR_USE;
+/* The same of a payload that exists; taken over, also on failure. t is complete but for version. */
+enum err_code tilewriter_put_payload(struct tilewriter *w, size_t i, const struct store_tile *t,
+                                     struct buf *payload, struct err *e) ERR_USE;
+/* Number i writes no tile. */
+enum err_code tilewriter_skip(struct tilewriter *w, size_t i, struct err *e) ERR_USE;
+/* A worker gave up: nobody waits for it. */
+void tilewriter_fail(struct tilewriter *w);
+
+#endif
