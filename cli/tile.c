@@ -130,6 +130,63 @@ static enum err_code tile_find_cells(struct tile_scene *s, struct err *e)
     return rc;
 }
 
+/* Leave out of the plan what is not trained, and number the rest anew: keep[i] says whether cell i
+ * stays. A background cell stays with its parent, whose ground it is. */
+static void tile_thin_plan(struct partition *p, const bool *keep, size_t *number)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < p->n_cells; i++)
+        number[i] = keep[i] ? n++ : SIZE_MAX;
+    for (size_t i = 0; i < p->n_cells; i++) {
+        if (!keep[i])
+            continue;
+        struct partition_cell c = p->cells[i];
+        if (c.parent >= 0)
+            c.parent = (ptrdiff_t)number[c.parent];
+        p->cells[number[i]] = c; /* number[i] <= i */
+    }
+    p->n_cells = n;
+}
+
+/* The trained cell of this id; NULL when there is none. */
+static struct tile_cell *tile_find(struct tile_scene *s, const char *id)
+{
+    struct tile_cell want = {0};
+    snprintf(want.id, sizeof want.id, "%s", id);
+    return bsearch(&want, s->cells, s->n_cells, sizeof want, tile_cell_compare);
+}
+
+/* Which cells of the plan are trained, or background of one that is? number: scratch of n_cells. */
+static enum err_code tile_keep(struct tile_scene *s, bool *keep, size_t *number, struct err *e)
+{
+    const struct partition *p = &s->plan;
+    size_t trained = 0;
+    for (size_t i = 0; i < p->n_cells; i++) {
+        const struct partition_cell *c = &p->cells[i];
+        keep[i] = c->parent < 0 && tile_find(s, c->id);
+        trained += keep[i];
+        if (c->parent < 0 && !keep[i])
+            log_warn("tile",
+                     "cell %s of the plan is not trained: its ground is left to its neighbours",
+                     c->id);
+    }
+    if (trained != s->n_cells)
+        return err_set(e, ERR_DATA,
+                       "%s: %zu cells are trained, the plan knows %zu of them; remove those of an "
+                       "older plan from cells/",
+                       s->dir, s->n_cells, trained);
+    for (size_t i = 0; i < p->n_cells; i++) {
+        size_t up = i;
+        while (p->cells[up].parent >= 0)
+            up = (size_t)p->cells[up].parent;
+        number[i] = up;
+    }
+    for (size_t i = 0; i < p->n_cells; i++)
+        if (number[i] != i)
+            keep[i] = keep[number[i]];
+    return ERR_OK;
+}
+
 /* Match cells to the plan and keep in the plan those that are trained: they share all the ground.
  */
 static enum err_code tile_match_plan(struct tile_scene *s, const struct scene *scene, struct err *e)
@@ -144,28 +201,21 @@ static enum err_code tile_match_plan(struct tile_scene *s, const struct scene *s
                        "owns which ground",
                        s->dir, s->n_cells);
     rc = plan_read(path, scene, &s->plan, e);
-    size_t kept = 0;
-    for (size_t i = 0; !rc && i < s->plan.n_cells; i++) {
-        struct tile_cell want = {0};
-        if (s->plan.cells[i].parent >= 0)
-            continue;
-        snprintf(want.id, sizeof want.id, "%s", s->plan.cells[i].id);
-        struct tile_cell *c = bsearch(&want, s->cells, s->n_cells, sizeof want, tile_cell_compare);
-        if (!c) {
-            log_warn("tile",
-                     "cell %s of the plan is not trained: its ground is left to its neighbours",
-                     want.id);
-            continue;
-        }
-        c->owner = kept;
-        s->plan.cells[kept++] = s->plan.cells[i];
-    }
-    if (!rc && kept != s->n_cells)
-        rc = err_set(e, ERR_DATA,
-                     "%s: %zu cells are trained, the plan knows %zu of them; remove those of an "
-                     "older plan from cells/",
-                     s->dir, s->n_cells, kept);
-    s->plan.n_cells = kept;
+    if (rc)
+        return rc;
+    bool *keep = mem_array(s->plan.n_cells, sizeof *keep);
+    size_t *number = mem_array(s->plan.n_cells, sizeof *number);
+    if (!keep || !number)
+        rc = err_set(e, ERR_MEM, "%s: out of memory for %zu cells", path, s->plan.n_cells);
+    if (!rc)
+        rc = tile_keep(s, keep, number, e);
+    if (!rc)
+        tile_thin_plan(&s->plan, keep, number);
+    for (size_t i = 0; !rc && i < s->plan.n_cells; i++)
+        if (s->plan.cells[i].parent < 0)
+            tile_find(s, s->plan.cells[i].id)->owner = i;
+    mem_free(keep);
+    mem_free(number);
     return rc;
 }
 
