@@ -85,6 +85,7 @@ static enum err_code budget_open_feed(struct level *l, struct err *e)
         .n_images = b->n_held,
         .max_edge_px = (uint32_t)l->cfg->max_edge_px,
         .downsample = l->schedule[l->at].downsample,
+        .no_masks = !l->cfg->masks,
         .cache_bytes = (size_t)l->cfg->cache_mib << 16, /* a sixteenth, as of the photographs */
         .level = l->schedule[l->at].level,
     };
@@ -106,7 +107,7 @@ static enum err_code budget_psnr(struct level *l, double *mean_db, struct err *e
         rc = rgb ? render_forward(l->render, &l->model, &p.cam, &ro, rgb, NULL, e)
                  : err_set(e, ERR_MEM, "budget: out of memory");
         if (!rc)
-            rc = metric_psnr(rgb, p.px, NULL, p.cam.width_px, p.cam.height_px, &db, e);
+            rc = metric_psnr(rgb, p.px, p.mask, p.cam.width_px, p.cam.height_px, &db, e);
         mem_free(rgb);
         *mean_db += db / (double)l->budget.n_held;
     }

@@ -17,11 +17,13 @@ enum {
         3, /* of a photograph; the quickest counts, so that a busy neighbour does not */
 };
 
-static double evaluate_l1(const float *rgb, const uint8_t *target, size_t n)
+static double evaluate_l1(const float *rgb, const uint8_t *target, const uint8_t *mask, size_t n)
 {
     double sum = 0.0;
     for (size_t i = 0; i < n; i++)
-        sum += fabs((double)fminf(fmaxf(rgb[i], 0.0f), 1.0f) - target[i] / 255.0);
+        sum += mask && !mask[i / 3]
+                   ? 0.0
+                   : fabs((double)fminf(fmaxf(rgb[i], 0.0f), 1.0f) - target[i] / 255.0);
     return n ? sum / (double)n : 0.0;
 }
 
@@ -30,20 +32,20 @@ static enum err_code evaluate_photo(const struct feed_photo *p, const float *rgb
 {
     uint32_t w = p->cam.width_px, h = p->cam.height_px;
     double psnr, ssim, gmsd, ssim_valid = (double)NAN;
-    enum err_code rc = metric_psnr(rgb, p->px, NULL, w, h, &psnr, e);
+    enum err_code rc = metric_psnr(rgb, p->px, p->mask, w, h, &psnr, e);
     if (!rc)
-        rc = metric_ssim(rgb, p->px, NULL, w, h, METRIC_TRAINING, &ssim, e);
+        rc = metric_ssim(rgb, p->px, p->mask, w, h, METRIC_TRAINING, &ssim, e);
     if (!rc && w >= EVALUATE_VALID_MIN && h >= EVALUATE_VALID_MIN)
-        rc = metric_ssim(rgb, p->px, NULL, w, h, METRIC_VALID, &ssim_valid, e);
+        rc = metric_ssim(rgb, p->px, p->mask, w, h, METRIC_VALID, &ssim_valid, e);
     if (!rc)
-        rc = metric_gmsd(rgb, p->px, NULL, w, h, &gmsd, e);
+        rc = metric_gmsd(rgb, p->px, p->mask, w, h, &gmsd, e);
     if (rc)
         return rc;
     sum->gmsd += gmsd;
     sum->psnr_db += psnr;
     sum->ssim += ssim;
     sum->ssim_valid += ssim_valid;
-    sum->l1 += evaluate_l1(rgb, p->px, (size_t)w * h * 3);
+    sum->l1 += evaluate_l1(rgb, p->px, p->mask, (size_t)w * h * 3);
     return ERR_OK;
 }
 

@@ -16,6 +16,7 @@
 #include <string.h>
 
 #include "core/pool.h"
+#include "train/mask.h"
 #include "train/train.h"
 
 enum { FEED_AHEAD = 3 };
@@ -23,13 +24,14 @@ enum feed_state { FEED_EMPTY, FEED_LOADING, FEED_READY, FEED_FAILED };
 
 struct feed_slot {
     enum feed_state state;
-    struct image img;
-    uint64_t used; /* clock of the last use */
+    struct image img, mask; /* mask: empty when the photograph has none */
+    uint64_t used;          /* clock of the last use */
 };
 
 struct feed {
     struct feed_config cfg;
     struct camera *cams; /* [n] at training size */
+    uint8_t *masked;     /* [n] has a mask in the scene */
     struct pool_thread *thread;
     pthread_mutex_t lock;
     pthread_cond_t changed;
@@ -89,9 +91,34 @@ static enum err_code feed_decode(const struct feed *f, size_t slot, struct image
     return rc;
 }
 
+static enum err_code feed_mask_path(const struct feed_config *cfg, size_t slot,
+                                    char out[FILE_PATH_MAX], struct err *e)
+{
+    char dir[FILE_PATH_MAX];
+    enum err_code rc = file_join(dir, cfg->scene->dir, "masks", e);
+    return rc ? rc : mask_path(dir, cfg->scene->images[cfg->images[slot]].name, out, e);
+}
+
+static enum err_code feed_decode_mask(const struct feed *f, size_t slot, struct image *out,
+                                      struct err *e)
+{
+    const struct camera *full = &f->cfg.scene->images[f->cfg.images[slot]].cam;
+    char path[FILE_PATH_MAX];
+    struct image whole = {0};
+    if (!f->masked[slot])
+        return ERR_OK;
+    enum err_code rc = feed_mask_path(&f->cfg, slot, path, e);
+    if (!rc)
+        rc = mask_read(path, full->width_px, full->height_px, &whole, e);
+    if (!rc)
+        rc = mask_resize(&whole, f->cams[slot].width_px, f->cams[slot].height_px, out, e);
+    image_free(&whole);
+    return rc;
+}
+
 static size_t feed_size(const struct feed *f, size_t slot)
 {
-    return (size_t)f->cams[slot].width_px * f->cams[slot].height_px * 3;
+    return (size_t)f->cams[slot].width_px * f->cams[slot].height_px * (f->masked[slot] ? 4 : 3);
 }
 
 static bool feed_wanted(const struct feed *f, size_t slot)
@@ -126,6 +153,7 @@ static void feed_evict(struct feed *f, size_t need, bool even_wanted)
             return;
         f->bytes -= feed_size(f, oldest);
         image_free(&f->slots[oldest].img);
+        image_free(&f->slots[oldest].mask);
         f->slots[oldest].state = FEED_EMPTY;
     }
 }
@@ -133,15 +161,18 @@ static void feed_evict(struct feed *f, size_t need, bool even_wanted)
 /* Lock held on entry and exit, released while decoding. */
 static void feed_load(struct feed *f, size_t slot)
 {
-    struct image img = {0};
+    struct image img = {0}, mask = {0};
     struct err e = {0};
     f->slots[slot].state = FEED_LOADING;
     f->bytes += feed_size(f, slot);
     pthread_mutex_unlock(&f->lock);
     enum err_code rc = feed_decode(f, slot, &img, &e);
+    if (!rc)
+        rc = feed_decode_mask(f, slot, &mask, &e);
     pthread_mutex_lock(&f->lock);
     f->slots[slot].state = rc ? FEED_FAILED : FEED_READY;
     f->slots[slot].img = img;
+    f->slots[slot].mask = mask;
     f->slots[slot].used = ++f->clock;
     if (rc) {
         f->bytes -= feed_size(f, slot);
@@ -225,6 +256,7 @@ static enum err_code feed_take(struct feed *f, size_t slot, const size_t *ahead,
     *out = (struct feed_photo){.image = f->cfg.images[slot],
                                .cam = f->cams[slot],
                                .px = f->slots[slot].img.px,
+                               .mask = f->slots[slot].mask.px,
                                .name = f->cfg.scene->images[f->cfg.images[slot]].name};
     return ERR_OK;
 }
@@ -271,16 +303,22 @@ enum err_code feed_open(const struct feed_config *cfg, struct feed **out, struct
     pthread_mutex_init(&f->lock, NULL);
     pthread_cond_init(&f->changed, NULL);
     f->cams = mem_array(cfg->n_images, sizeof(*f->cams));
+    f->masked = mem_array(cfg->n_images, 1);
     f->slots = mem_array(cfg->n_images, sizeof(*f->slots));
     f->shuffle = mem_array(cfg->n_images, sizeof(*f->shuffle));
-    if (!f->cams || !f->slots || !f->shuffle) {
+    if (!f->cams || !f->masked || !f->slots || !f->shuffle) {
         rc = err_set(e, ERR_MEM, "feed: out of memory for %zu photographs", cfg->n_images);
         goto out;
     }
-    for (size_t i = 0; i < cfg->n_images; i++)
+    for (size_t i = 0; !rc && i < cfg->n_images; i++) {
+        char path[FILE_PATH_MAX];
         f->cams[i] =
             feed_camera(&cfg->scene->images[cfg->images[i]].cam, cfg->max_edge_px, cfg->downsample);
-    rc = pool_start(feed_thread, f, &f->thread, e);
+        rc = feed_mask_path(cfg, i, path, e);
+        f->masked[i] = !rc && !cfg->no_masks && file_exists(path);
+    }
+    if (!rc)
+        rc = pool_start(feed_thread, f, &f->thread, e);
 out:
     if (rc)
         feed_close(&f);
@@ -300,8 +338,11 @@ void feed_close(struct feed **p)
         pthread_mutex_unlock(&f->lock);
         pool_join(&f->thread);
     }
-    for (size_t i = 0; f->slots && i < f->cfg.n_images; i++)
+    for (size_t i = 0; f->slots && i < f->cfg.n_images; i++) {
         image_free(&f->slots[i].img);
+        image_free(&f->slots[i].mask);
+    }
+    mem_free(f->masked);
     pthread_cond_destroy(&f->changed);
     pthread_mutex_destroy(&f->lock);
     mem_free(f->cams);

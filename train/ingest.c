@@ -17,6 +17,7 @@
 
 #include "core/pool.h"
 #include "train/ingest_steps.h"
+#include "train/mask.h"
 
 static const struct options_def defs[] = {
 #define OPT(type, key, def, lo, hi, unit, help)                                                    \
@@ -329,6 +330,24 @@ static enum err_code check_some_left(const struct ingest *g, struct err *e)
                    few, g->n, (long long)g->cfg->min_points, most, pose);
 }
 
+static enum err_code convert_mask(struct ingest *g, const struct ingest_photo *p, struct err *e)
+{
+    char from[FILE_PATH_MAX], to[FILE_PATH_MAX], folder[FILE_PATH_MAX];
+    enum err_code rc = mask_path(g->cfg->mask_dir, p->image->name, from, e);
+    if (rc == ERR_OK && !file_exists(from))
+        return ERR_OK;
+    if (rc == ERR_OK)
+        rc = file_join(folder, g->dir.part, "masks", e);
+    if (rc == ERR_OK)
+        rc = file_mkdir(folder, e);
+    if (rc == ERR_OK)
+        rc = mask_path(folder, p->out_name, to, e);
+    if (rc == ERR_OK)
+        rc = mask_convert(&g->views[p->view], from, to, e);
+    atomic_fetch_add(&g->masks, 1);
+    return rc;
+}
+
 static enum err_code convert_task(void *user, size_t i, struct err *e)
 {
     struct ingest *g = user;
@@ -346,9 +365,24 @@ static enum err_code convert_task(void *user, size_t i, struct err *e)
             rc = file_join(to, folder, p->out_name, e);
         if (rc == ERR_OK)
             rc = ingest_photo_convert(&g->views[p->view], from, to, &lim, e);
+        if (rc == ERR_OK && g->cfg->mask_dir)
+            rc = convert_mask(g, p, e);
     }
     step_done(g);
     return rc;
+}
+
+/* A folder in which no name fits was named wrongly, or its files were. */
+static enum err_code check_masks(struct ingest *g, struct err *e)
+{
+    size_t found = atomic_load(&g->masks);
+    if (!found)
+        return err_set(e, ERR_NOENT,
+                       "--mask-dir %s: no mask of any photograph is in there; the one of %s would "
+                       "be %s.png",
+                       g->cfg->mask_dir, g->photos[0].image->name, g->photos[0].image->name);
+    log_info("ingest", "%zu of %zu photographs have a mask", found, g->scene.n_images);
+    return ERR_OK;
 }
 
 static enum err_code count_unregistered(const struct ingest *g, size_t *out, struct err *e)
@@ -418,6 +452,8 @@ static enum err_code run_steps(struct ingest *g, const char *sparse_dir, double 
         rc = file_mkdir(folder, e);
     if (rc == ERR_OK)
         rc = for_photos(g, "undistort and shrink", convert_task, e);
+    if (rc == ERR_OK && g->cfg->mask_dir)
+        rc = check_masks(g, e);
     if (rc == ERR_OK)
         rc = write_scene(g, start_s, e);
     return rc;

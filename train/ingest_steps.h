@@ -26,7 +26,7 @@ struct ingest {
     struct scene scene;
     struct progress progress;
     atomic_flag progress_busy; /* whoever holds it may touch `progress` */
-    atomic_size_t done;
+    atomic_size_t done, masks;
 };
 
 /* ingest_frame.c: origin and similarity into the scene, verdicts of those that contradict their

@@ -9,6 +9,7 @@
 
 #include "core/pool.h"
 #include "train/knn.h"
+#include "train/mask.h"
 #include "train/train.h"
 
 #define INIT_OPACITY 0.1
@@ -163,6 +164,17 @@ static size_t init_count(size_t n_use, size_t limit)
     return n;
 }
 
+/* Points that a photograph sees on an ignored pixel lie on what moves. */
+static enum err_code init_drop_masked(const struct scene *s, const uint32_t *images,
+                                      size_t n_images, uint8_t *use, size_t *n, struct err *e)
+{
+    enum err_code rc = mask_points(s, images, n_images, use, e);
+    *n = 0;
+    for (size_t i = 0; i < s->n_points; i++)
+        *n += use[i];
+    return rc;
+}
+
 enum err_code init_count_points(const struct scene *s, const uint32_t *images, size_t n_images,
                                 const struct train_cell *cell, size_t *out, struct err *e)
 {
@@ -189,10 +201,15 @@ enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n
     *out = (struct gauss){0};
     if (use && seen) {
         n_use = init_mark_points(s, images, n_images, cell->whole, use, seen);
+        rc = init_drop_masked(s, images, n_images, use, &n_use, e);
+    }
+    if (!rc && use && seen) {
         p.n = init_count(n_use, limit);
         p.enu_m = mem_array(3 * p.n, sizeof(*p.enu_m));
         p.rgb = mem_array(3 * p.n, 1);
     }
+    if (rc)
+        goto out;
     if (!p.enu_m || !p.rgb) {
         rc = err_set(e, ERR_MEM, "init: out of memory for %zu points", s->n_points);
         goto out;

@@ -19,6 +19,7 @@
 #include <jansson.h>
 
 #include "core/layout.h"
+#include "train/mask.h"
 
 #define LEVEL_SIGMA_MIN                                                                            \
     1e-6 /* of the cell's edge: beyond, exp() and determinants lose their digits */
@@ -184,6 +185,7 @@ void level_close(struct level *l)
     level_release(l);
     dev_release(&l->stats.repaired);
     dev_release(&l->target);
+    dev_release(&l->mask);
     feed_close(&l->feed);
     budget_close(&l->budget);
     score_free(&l->score);
@@ -208,6 +210,7 @@ enum err_code level_begin(struct level *l, struct err *e)
         .max_edge_px = (uint32_t)l->cfg->max_edge_px,
         .downsample = s->downsample,
         .cache_bytes = (size_t)l->cfg->cache_mib << 20,
+        .no_masks = !l->cfg->masks,
         .seed = (uint64_t)l->cfg->seed,
         .level = s->level,
     };
@@ -437,18 +440,53 @@ static enum err_code level_reset_opacity(struct level *l, struct err *e)
 /* ---- a step
  * ---------------------------------------------------------------------------------------------- */
 
+static enum err_code level_upload(struct level *l, cl_mem *to, size_t *room, const void *from,
+                                  size_t bytes, struct err *e)
+{
+    if (bytes > *room) {
+        dev_release(to);
+        *room = 0;
+        enum err_code rc = dev_buffer(l->dev, bytes, NULL, to, e);
+        if (rc)
+            return rc;
+        *room = bytes;
+    }
+    return dev_write(l->dev, *to, 0, bytes, from, e);
+}
+
 static enum err_code level_upload_photo(struct level *l, const struct feed_photo *p, struct err *e)
 {
     size_t bytes = (size_t)p->cam.width_px * p->cam.height_px * 3;
-    if (bytes > l->target_bytes) {
-        dev_release(&l->target);
-        l->target_bytes = 0;
-        enum err_code rc = dev_buffer(l->dev, bytes, NULL, &l->target, e);
-        if (rc)
-            return rc;
-        l->target_bytes = bytes;
-    }
-    return dev_write(l->dev, l->target, 0, bytes, p->px, e);
+    return level_upload(l, &l->target, &l->target_bytes, p->px, bytes, e);
+}
+
+/* The photograph's mask, and in a run with robust weighting the pixels that do not fit. Leaves
+ * *mask NULL when all pixels count. */
+static enum err_code level_upload_mask(struct level *l, const struct feed_photo *p, cl_mem *mask,
+                                       struct err *e)
+{
+    size_t n = (size_t)p->cam.width_px * p->cam.height_px;
+    bool robust = l->cfg->robust_from > 0 && l->step + 1 >= (uint32_t)l->cfg->robust_from;
+    *mask = NULL;
+    if (!p->mask && !robust)
+        return ERR_OK;
+    uint8_t *use = mem_array(n, 1);
+    float *color = robust ? mem_array(4 * n, sizeof(float)) : NULL;
+    enum err_code rc = use && (color || !robust) ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
+    if (!rc && p->mask)
+        memcpy(use, p->mask, n);
+    else if (!rc)
+        memset(use, 255, n);
+    if (!rc && robust)
+        rc = dev_read(l->dev, render_color_buffer(l->render), 0, 3 * n * sizeof(float), color, e);
+    if (!rc && robust)
+        mask_robust(color, p->px, p->cam.width_px, p->cam.height_px, color + 3 * n, use);
+    if (!rc)
+        rc = level_upload(l, &l->mask, &l->mask_bytes, use, n, e);
+    *mask = rc ? NULL : l->mask;
+    mem_free(use);
+    mem_free(color);
+    return rc;
 }
 
 enum err_code level_photo_loss(struct level *l, const struct feed_photo *p, struct err *e)
@@ -462,6 +500,8 @@ enum err_code level_photo_loss(struct level *l, const struct feed_photo *p, stru
     };
     enum err_code rc = level_upload_photo(l, p, e);
     in.target = l->target;
+    if (!rc)
+        rc = level_upload_mask(l, p, &in.mask, e);
     return rc ? rc : loss_run(l->loss, &in, render_color_grad_buffer(l->render), e);
 }
 

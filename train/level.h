@@ -41,6 +41,8 @@ struct level {
     struct feed *feed; /* of this level; opened by level_begin */
     cl_mem target;     /* uint8 [h][w][3] of the step's photograph */
     size_t target_bytes;
+    cl_mem mask; /* uint8 [h][w] of the step's photograph, when it has one */
+    size_t mask_bytes;
     uint32_t repaired;          /* non-finite updates seen so far */
     double loss_mean, mse_mean; /* running means for people */
     double step_s;              /* when steps were last timed */

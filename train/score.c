@@ -96,9 +96,13 @@ void score_edges(const uint8_t *px, uint32_t w, uint32_t h, float *out)
 }
 
 /* color: planar [3][n]. */
-static void score_errors(const float *color, const uint8_t *px, size_t n, float *out)
+static void score_errors(const float *color, const uint8_t *px, const uint8_t *mask, size_t n,
+                         float *out)
 {
     for (size_t i = 0; i < n; i++) {
+        out[i] = 0.0f;
+        if (mask && !mask[i])
+            continue;
         float sum = 0.0f;
         for (size_t c = 0; c < 3; c++)
             sum += fabsf(color[c * n + i] - (float)px[3 * i + c] / 255.0f);
@@ -137,10 +141,11 @@ static enum err_code score_draw(struct level *l, const struct feed_photo *p, dou
     if (!rc)
         rc = dev_read(l->dev, render_color_buffer(l->render), 0, 3 * bytes, color, e);
     if (!rc) {
-        score_errors(color, p->px, n, error);
+        score_errors(color, p->px, p->mask, n, error);
         score_edges(p->px, p->cam.width_px, p->cam.height_px, edge);
         for (size_t i = 0; i < n; i++)
-            error[i] = SCORE_ERROR * error[i] + SCORE_EDGE * edge[i];
+            error[i] =
+                p->mask && !p->mask[i] ? 0.0f : SCORE_ERROR * error[i] + SCORE_EDGE * edge[i];
         rc = dev_write(l->dev, s->weight, 0, bytes, error, e);
     }
     *view_loss = isfinite(v.total) ? v.total : 0.0;

@@ -237,6 +237,31 @@ static enum err_code photo_gps(const struct job *j, size_t i, struct image_gps *
     return geo_from_enu(&o, p->gps_enu_m, &gps->lon_deg, &gps->lat_deg, &gps->alt_m, e);
 }
 
+/* masks/NAME.jpg.png: 0 where the vehicles on the move changed the photograph in any way, by their
+ * shadows and the blur of the lens too; found by drawing it without them. */
+static enum err_code write_mask(const struct job *j, const struct synth_photo *p,
+                                const struct image *with, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    struct image without = {0}, mask = {0};
+    enum err_code rc = render(j, p, &p->light, NULL, &without, e);
+    if (rc == ERR_OK)
+        rc = image_alloc(with->width_px, with->height_px, 1, &mask, e);
+    for (size_t i = 0; rc == ERR_OK && i < (size_t)with->width_px * with->height_px; i++)
+        mask.px[i] = memcmp(with->px + 3 * i, without.px + 3 * i, 3) ? 0 : 255;
+    if (rc == ERR_OK)
+        rc = file_join(path, j->dir, "masks", e);
+    if (rc == ERR_OK)
+        rc = file_mkdir(path, e);
+    if (rc == ERR_OK)
+        rc = photo_path(j, "masks", p, ".jpg.png", path, e);
+    if (rc == ERR_OK)
+        rc = image_write(path, &mask, 0, NULL, e);
+    image_free(&without);
+    image_free(&mask);
+    return rc;
+}
+
 static enum err_code write_clean(const struct job *j, const struct synth_photo *p, struct err *e)
 {
     char path[FILE_PATH_MAX];
@@ -283,6 +308,8 @@ static enum err_code photo_task(void *user, size_t i, struct err *e)
         rc = photo_path(j, "images", p, ".jpg", path, e);
     if (rc == ERR_OK)
         rc = image_write(path, &img, 95, &gps, e);
+    if (rc == ERR_OK && n)
+        rc = write_mask(j, p, &img, e);
     if (rc == ERR_OK && i % (size_t)j->cfg->test_every == 0)
         rc = write_clean(j, p, e);
     synth_grid_free(&moving);

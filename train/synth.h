@@ -25,6 +25,7 @@ struct synth_config {
 const struct options_spec *synth_options(void);
 /* Make the city of cfg in cfg->output:
  *   images/IMG_0001.jpg ...         photographs with EXIF GPS
+ *   masks/IMG_0001.jpg.png ...     of photographs with moving vehicles: 0 where those show
  *   sparse/0/...                     COLMAP model in a frame of its own (rotation, scale and shift)
  *   truth/truth.json                origin, COLMAP -> ENU, per photograph: exact pose, what was
  * done to it truth/clean/NAME.png            every test_every-th photograph without appearance

@@ -111,8 +111,9 @@ double cell_distance(const struct train_cell *c, double east_m, double north_m);
 struct feed_photo {
     uint32_t image; /* index into the scene's images */
     struct camera cam;
-    const uint8_t *px; /* [h][w][3], borrowed until the next feed_get */
-    const char *name;  /* of the file, borrowed from the scene */
+    const uint8_t *px;   /* [h][w][3], borrowed until the next feed_get */
+    const uint8_t *mask; /* [h][w], 0 = ignore; NULL: use all. From scene/masks (train/mask.h) */
+    const char *name;    /* of the file, borrowed from the scene */
 };
 struct feed_config {
     const struct scene *scene; /* borrowed for the feed's lifetime, as is images */
@@ -120,6 +121,7 @@ struct feed_config {
     size_t n_images;
     uint32_t max_edge_px; /* 0 = as ingested */
     double downsample;
+    bool no_masks;      /* use photographs whole even where the scene has masks */
     size_t cache_bytes; /* decoded photographs kept; at least one is */
     uint64_t seed;
     uint32_t level;
