@@ -235,6 +235,9 @@ ablation() { # STUDY SCENE
   row "$1" "AbsGS at every level" "$2" "" "${base[@]}" --absgrad-from 1 --tau-1 6e-4 --tau-2 6e-4 --tiles
   row "$1" "no prioritised densification" "$2" "" "${base[@]}" --tau-outside 1 --tiles
   row "$1" "one view a score" "$2" "" "${base[@]}" --score-views 1 --tiles
+  row "$1" "Mip-Splatting" "$2" "" "${base[@]}" --aa mip --tiles
+  row "$1" "no scale regulariser" "$2" "" "${base[@]}" --scale-weight 0 --tiles
+  row "$1" "sparse depth" "$2" "" "${base[@]}" --depth-sparse --tiles
   row "$1" "one level" "$2" "" "${base[@]}" --level-count 1
   row "$1" "no visibility selection" "$2-location" "" "${base[@]}" --tiles
 }

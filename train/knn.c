@@ -12,20 +12,18 @@
 
 enum { KNN_LEAF = 8 };
 
-static int knn_widest_axis(const struct knn *t, size_t a, size_t b)
+/* The box of all points. */
+static void knn_bounds(const struct knn *t, float lo[3], float hi[3])
 {
-    float lo[3] = {INFINITY, INFINITY, INFINITY}, hi[3] = {-INFINITY, -INFINITY, -INFINITY};
-    for (size_t i = a; i < b; i++)
-        for (int k = 0; k < 3; k++) {
-            float v = t->xyz[3 * (size_t)t->order[i] + (size_t)k];
-            lo[k] = fminf(lo[k], v);
-            hi[k] = fmaxf(hi[k], v);
-        }
-    int best = 0;
-    for (int k = 1; k < 3; k++)
-        if (hi[k] - lo[k] > hi[best] - lo[best])
-            best = k;
-    return best;
+    for (int k = 0; k < 3; k++) {
+        lo[k] = INFINITY;
+        hi[k] = -INFINITY;
+    }
+    for (size_t i = 0; i < 3 * t->n; i++) {
+        float v = t->xyz[i];
+        lo[i % 3] = v < lo[i % 3] ? v : lo[i % 3];
+        hi[i % 3] = v > hi[i % 3] ? v : hi[i % 3];
+    }
 }
 
 /* Hoare's selection: afterwards order[m] is the one that sorting [a, b) would put there. */
@@ -55,14 +53,23 @@ static void knn_select(struct knn *t, size_t a, size_t b, size_t m, int axis)
     }
 }
 
-static void knn_split(struct knn *t, size_t a, size_t b)
+/* Split [a, b), whose points lie in the box, across the box's longest side. */
+static void knn_split(struct knn *t, size_t a, size_t b, const float box_lo[3],
+                      const float box_hi[3])
 {
+    float lo[3] = {box_lo[0], box_lo[1], box_lo[2]}, hi[3] = {box_hi[0], box_hi[1], box_hi[2]};
     while (b - a > KNN_LEAF) {
         size_t m = a + (b - a) / 2;
-        int axis = knn_widest_axis(t, a, b);
+        int axis = 0;
+        for (int k = 1; k < 3; k++)
+            axis = hi[k] - lo[k] > hi[axis] - lo[axis] ? k : axis;
         knn_select(t, a, b, m, axis);
         t->axis[m] = (uint8_t)axis;
-        knn_split(t, a, m); /* recursion on one half: depth is log2 n */
+        float at = t->xyz[3 * (size_t)t->order[m] + (size_t)axis], top = hi[axis];
+        hi[axis] = at;
+        knn_split(t, a, m, lo, hi); /* recursion on one half: depth is log2 n */
+        hi[axis] = top;
+        lo[axis] = at;
         a = m + 1;
     }
 }
@@ -76,6 +83,7 @@ void knn_free(struct knn *t)
 
 enum err_code knn_build(const float *xyz, size_t n, struct knn *out, struct err *e)
 {
+    float lo[3], hi[3];
     *out = (struct knn){.xyz = xyz, .n = n};
     if (n >= UINT32_MAX)
         return err_set(e, ERR_LIMIT, "%zu points are more than the neighbour search counts", n);
@@ -87,7 +95,8 @@ enum err_code knn_build(const float *xyz, size_t n, struct knn *out, struct err 
     }
     for (size_t i = 0; i < n; i++)
         out->order[i] = (uint32_t)i;
-    knn_split(out, 0, n);
+    knn_bounds(out, lo, hi);
+    knn_split(out, 0, n, lo, hi);
     return ERR_OK;
 }
 

@@ -98,18 +98,22 @@ static enum err_code similarity_draw(struct similarity_work *w, struct err *e)
     return rc;
 }
 
-/* Add the groups up, in order, and go back through the normalisation. */
+/* Add the groups up, in order, and go back through the normalisation. Rows in no group keep 0. */
 static void similarity_gather(const struct similarity_work *w, double scale, double *sum,
-                              float *grad)
+                              uint8_t *touched, float *grad)
 {
     const struct similarity_loss_input *in = w->in;
     for (size_t s = 0; s < w->samples; s++)
-        for (size_t a = 0; a < w->found[s]; a++)
+        for (size_t a = 0; a < w->found[s]; a++) {
+            size_t row = w->ids[s * w->k + a];
+            touched[row] = 1;
             for (size_t c = 0; c < in->len; c++)
-                sum[w->ids[s * w->k + a] * in->len + c] +=
-                    (double)w->grad[(s * w->k + a) * in->len + c];
+                sum[row * in->len + c] += (double)w->grad[(s * w->k + a) * in->len + c];
+        }
     for (size_t i = 0; i < in->n; i++) {
         double unit[SIMILARITY_EMBED_MAX], along = 0.0;
+        if (!touched[i])
+            continue;
         double len = similarity_unit(in, i, unit);
         for (size_t c = 0; c < in->len; c++)
             along += unit[c] * sum[i * in->len + c];
@@ -123,6 +127,7 @@ enum err_code similarity_loss_run(const struct similarity_loss_input *in, double
 {
     struct similarity_work w = {.in = in};
     double *sum = NULL;
+    uint8_t *touched = NULL;
     *loss = 0.0;
     if (in->len < 1 || in->len > SIMILARITY_EMBED_MAX || in->neighbours < 2 ||
         in->neighbours > KNN_MAX)
@@ -144,7 +149,8 @@ enum err_code similarity_loss_run(const struct similarity_loss_input *in, double
     w.loss = mem_array(w.samples, sizeof(*w.loss));
     w.found = mem_array(w.samples, sizeof(*w.found));
     sum = mem_array(in->n, in->len * sizeof(*sum));
-    if (!w.chosen || !w.ids || !w.grad || !w.loss || !w.found || !sum)
+    touched = mem_array(in->n, 1);
+    if (!w.chosen || !w.ids || !w.grad || !w.loss || !w.found || !sum || !touched)
         rc = err_set(e, ERR_MEM, "similarity: out of memory for %zu Gaussians", in->n);
     if (!rc)
         rc = similarity_draw(&w, e);
@@ -155,7 +161,7 @@ enum err_code similarity_loss_run(const struct similarity_loss_input *in, double
         double scale = in->weight / ((double)w.samples * 0.5 * (double)(w.k * (w.k - 1)));
         for (size_t i = 0; i < w.samples; i++)
             *loss += scale * w.loss[i];
-        similarity_gather(&w, scale, sum, grad);
+        similarity_gather(&w, scale, sum, touched, grad);
     }
     knn_free(&w.tree);
     mem_free(w.chosen);
@@ -164,5 +170,6 @@ enum err_code similarity_loss_run(const struct similarity_loss_input *in, double
     mem_free(w.loss);
     mem_free(w.found);
     mem_free(sum);
+    mem_free(touched);
     return rc;
 }
