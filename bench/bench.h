@@ -2,8 +2,9 @@
  * against.
  *
  * A benchmark is a function in bench_NAME.c and a row in benches.def. It calls bench_report once a
- * case: one JSON line on stdout, {"bench","case","value","unit","ratio","against"}; a table follows
- * at the end. Benchmarks never fail for being slow: a busy neighbour is not a bug.
+ * case: one JSON line on stdout, {"bench","case","value","unit","ratio","against","device"}, growth
+ * cases with "gaussians" and "pixels" as well; a table follows at the end. docs/runs/README.md
+ * documents the keys. Benchmarks never fail for being slow: a busy neighbour is not a bug.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -31,6 +32,9 @@ struct bench {
 /* ratio 0 = none; `against` says what the ratio is to ("DRAM triad", "naive C"), NULL when none. */
 void bench_report(struct bench *b, const char *case_name, double value, const char *unit,
                   double ratio, const char *against);
+/* A case of a series: value at so many Gaussians and pixels. */
+void bench_report_at(struct bench *b, const char *case_name, double value, const char *unit,
+                     double gaussians, double pixels);
 /* Median of b->runs timed calls of fn (after one that is not counted), in milliseconds of wall
  * time; spread (may be NULL): half the distance between the quartiles. */
 enum err_code bench_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e),
@@ -44,7 +48,9 @@ enum err_code bench_cpu_time(struct bench *b, enum err_code (*fn)(void *user, st
 const char *bench_tmpdir(struct bench *b);
 
 #define BENCH(name, about) enum err_code bench_##name(struct bench *b, struct err *e) ERR_USE;
+#define BENCH_LONG(name, about) BENCH(name, about)
 #include "bench/benches.def"
+#undef BENCH_LONG
 #undef BENCH
 
 #endif

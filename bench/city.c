@@ -69,7 +69,12 @@ static void city_block(struct gauss *g, size_t i, double sigma_m)
 
 enum err_code city_make(size_t n, struct gauss *g, struct err *e)
 {
-    enum err_code rc = gauss_alloc(g, n, 3, 0, e);
+    return city_make_degree(n, 3, g, e);
+}
+
+enum err_code city_make_degree(size_t n, uint32_t sh_degree, struct gauss *g, struct err *e)
+{
+    enum err_code rc = gauss_alloc(g, n, sh_degree, 0, e);
     double sigma = 1.5 * sqrt(480e3 / (double)n); /* ground and walls are 480 000 m^2 */
     if (rc != ERR_OK)
         return rc;
@@ -102,10 +107,15 @@ enum err_code city_make(size_t n, struct gauss *g, struct err *e)
 
 enum err_code city_sorted(size_t n, struct gauss *out, struct err *e)
 {
+    return city_sorted_degree(n, 3, out, e);
+}
+
+enum err_code city_sorted_degree(size_t n, uint32_t sh_degree, struct gauss *out, struct err *e)
+{
     struct gauss g = {0};
     uint32_t *order = mem_array(n, sizeof *order);
-    enum err_code rc =
-        order ? city_make(n, &g, e) : err_set(e, ERR_MEM, "city_sorted: %zu Gaussians", n);
+    enum err_code rc = order ? city_make_degree(n, sh_degree, &g, e)
+                             : err_set(e, ERR_MEM, "city_sorted: %zu Gaussians", n);
     if (rc == ERR_OK)
         rc = gauss_morton_order(&g, order, e);
     if (rc == ERR_OK)

@@ -13,6 +13,11 @@
  * gauss_free. */
 enum err_code city_make(size_t n, struct gauss *out, struct err *e) ERR_USE;
 enum err_code city_sorted(size_t n, struct gauss *out, struct err *e) ERR_USE;
+/* The same with fewer harmonics: ten million fit into memory without them. */
+enum err_code city_make_degree(size_t n, uint32_t sh_degree, struct gauss *out,
+                               struct err *e) ERR_USE;
+enum err_code city_sorted_degree(size_t n, uint32_t sh_degree, struct gauss *out,
+                                 struct err *e) ERR_USE;
 /* The same Gaussians with embeddings, of the default length, and a network for them as training
  * begins: one photograph, and *frame its constants. gauss_free, appearance_free, mem_free. */
 enum err_code city_appearance(const struct gauss *g, struct gauss *out, struct appearance *a,

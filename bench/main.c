@@ -5,6 +5,7 @@
  */
 #define _XOPEN_SOURCE 700
 #include <ftw.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -20,6 +21,8 @@ struct bench_row {
     double value, ratio;
 };
 
+enum { BENCH_TEXT_MAX = 160 };
+
 struct bench_config {
     OPTIONS_C_INT runs;
     OPTIONS_C_BOOL quick;
@@ -34,7 +37,8 @@ static const struct options_def bench_defs[] = {
             OPTIONS_ROW(struct bench_config, TEXT, device, "", 0, 0, "NAME",
                         "OpenCL device: cpu, gpu or part of a name")
                 OPTIONS_ROW(struct bench_config, TEXT, compare, "", 0, 0, "FILE",
-                            "JSON lines of an earlier run: the table gains a column now/then")
+                            "JSON lines of an earlier run, such as bench/baseline.jsonl: the table "
+                            "gains now/then, as it is and as if the ceilings had been the same")
                     OPTIONS_ROW(struct bench_config, TEXT, scene, "", 0, 0, "DIR",
                                 "rd: scene with test photographs")
                         OPTIONS_ROW(struct bench_config, TEXT, tiles, "", 0, 0, "FILE",
@@ -47,25 +51,30 @@ static const struct options_def bench_defs[] = {
 struct bench_entry {
     const char *name, *about;
     enum err_code (*run)(struct bench *b, struct err *e);
+    bool only_named; /* too long for a run of all */
 };
 static const struct bench_entry entries[] = {
-#define BENCH(name, about) {#name, about, bench_##name},
+#define BENCH(name, about) {#name, about, bench_##name, false},
+#define BENCH_LONG(name, about) {#name, about, bench_##name, true},
 #include "bench/benches.def"
+#undef BENCH_LONG
 #undef BENCH
 };
 enum { ENTRIES = sizeof entries / sizeof entries[0], ROWS_MAX = 4096 };
 
-void bench_report(struct bench *b, const char *case_name, double value, const char *unit,
-                  double ratio, const char *against)
+/* Print a case as a line of JSON and keep it for the table; takes over the reference to `o`. */
+static void bench_emit(struct bench *b, json_t *o)
 {
-    json_t *o = json_pack("{s:s, s:s, s:f, s:s, s:o, s:s?}", "bench", b->name, "case", case_name,
-                          "value", value, "unit", unit, "ratio",
-                          against ? json_real(ratio) : json_null(), "against", against);
-    if (o)
+    if (o && b->dev && !json_object_set_new(o, "device", json_string(b->dev->name)))
         json_dumpf(o, stdout, JSON_COMPACT | JSON_PRESERVE_ORDER | JSON_REAL_PRECISION(6));
     json_decref(o);
     putchar('\n');
     fflush(stdout);
+}
+
+static void bench_keep(struct bench *b, const char *case_name, double value, const char *unit,
+                       double ratio, const char *against)
+{
     if (b->n_rows < ROWS_MAX)
         b->rows[b->n_rows++] =
             (struct bench_row){.bench = b->name,
@@ -74,6 +83,26 @@ void bench_report(struct bench *b, const char *case_name, double value, const ch
                                .against = against ? arena_text(&b->arena, against) : NULL,
                                .value = value,
                                .ratio = ratio};
+}
+
+void bench_report(struct bench *b, const char *case_name, double value, const char *unit,
+                  double ratio, const char *against)
+{
+    bench_emit(b, json_pack("{s:s, s:s, s:f, s:s, s:o, s:s?}", "bench", b->name, "case", case_name,
+                            "value", value, "unit", unit, "ratio",
+                            against ? json_real(ratio) : json_null(), "against", against));
+    bench_keep(b, case_name, value, unit, ratio, against);
+}
+
+void bench_report_at(struct bench *b, const char *case_name, double value, const char *unit,
+                     double gaussians, double pixels)
+{
+    char text[BENCH_TEXT_MAX];
+    snprintf(text, sizeof text, "%s: %.0f Gaussians, %.0f pixels", case_name, gaussians, pixels);
+    bench_emit(b, json_pack("{s:s, s:s, s:f, s:s, s:n, s:n, s:s, s:f, s:f}", "bench", b->name,
+                            "case", text, "value", value, "unit", unit, "ratio", "against",
+                            "series", case_name, "gaussians", gaussians, "pixels", pixels));
+    bench_keep(b, text, value, unit, 0.0, NULL);
 }
 
 static int bench_compare_double(const void *a, const void *b)
@@ -139,7 +168,7 @@ static int remove_one(const char *path, const struct stat *st, int type, struct 
 }
 
 /* The value of the same case in the baseline, 0 when it has none. The file is JSON lines. */
-static double baseline_value(const json_t *lines, const struct bench_row *r)
+static double baseline_value(const json_t *lines, const char *of, const char *case_name)
 {
     size_t i;
     json_t *o;
@@ -147,10 +176,35 @@ static double baseline_value(const json_t *lines, const struct bench_row *r)
     {
         const char *bench = json_string_value(json_object_get(o, "bench"));
         const char *name = json_string_value(json_object_get(o, "case"));
-        if (bench && name && !strcmp(bench, r->bench) && !strcmp(name, r->name))
+        if (bench && name && !strcmp(bench, of) && !strcmp(name, case_name))
             return json_number_value(json_object_get(o, "value"));
     }
     return 0.0;
+}
+
+/* How much slower (+1) or faster (-1) a larger value of this unit is; 0: neither. */
+static int baseline_sense(const char *unit)
+{
+    return !strcmp(unit, "ms") || !strcmp(unit, "s") || !strcmp(unit, "us") ? 1
+           : strstr(unit, "/s")                                             ? -1
+                                                                            : 0;
+}
+
+/* Now against then, and for times and rates also as if the machine had had the same ceilings then:
+ * slower memory or cores (or a neighbour) show in both, so that a ratio far from 1 is ours. */
+static void print_compared(const struct bench *b, const struct bench_row *r)
+{
+    double then = baseline_value(b->baseline, r->bench, r->name);
+    double fma = baseline_value(b->baseline, "ceiling", "fma");
+    double triad = baseline_value(b->baseline, "ceiling", "triad");
+    if (!(then > 0.0))
+        return;
+    int sense = strcmp(r->bench, "ceiling") ? baseline_sense(r->unit) : 0;
+    fprintf(stderr, "  now/then %.3f", r->value / then);
+    if (sense && fma > 0.0 && triad > 0.0)
+        fprintf(stderr, " (by FMA %.3f, by triad %.3f)",
+                r->value / then * pow(b->fma_gflops / fma, sense),
+                r->value / then * pow(b->triad_gbps / triad, sense));
 }
 
 static enum err_code baseline_read(const char *path, json_t **out, struct err *e)
@@ -180,19 +234,18 @@ static void print_table(const struct bench *b)
         fprintf(stderr, "%-10s %-44s %12.4g %-12s", r->bench, r->name, r->value, r->unit);
         if (r->against)
             fprintf(stderr, " %.3g of %s", r->ratio, r->against);
-        double then = b->baseline ? baseline_value(b->baseline, r) : 0.0;
-        if (then > 0.0)
-            fprintf(stderr, "  now/then %.3f", r->value / then);
+        if (b->baseline)
+            print_compared(b, r);
         fputc('\n', stderr);
     }
 }
 
-static bool wanted(const struct options_args *args, const char *name)
+static bool wanted(const struct options_args *args, const struct bench_entry *entry)
 {
     for (size_t i = 0; i < args->n; i++)
-        if (!strcmp(args->arg[i], name))
+        if (!strcmp(args->arg[i], entry->name))
             return true;
-    return args->n == 0;
+    return args->n == 0 && !entry->only_named;
 }
 
 static enum err_code check_names(const struct options_args *args, struct err *e)
@@ -212,7 +265,7 @@ static enum err_code run_all(struct bench *b, const struct options_args *args, s
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < ENTRIES; i++) {
         /* The ceilings come first whatever was asked: the others are fractions of them. */
-        if (i > 0 && !wanted(args, entries[i].name))
+        if (i > 0 && !wanted(args, &entries[i]))
             continue;
         b->name = entries[i].name;
         rc = entries[i].run(b, e);

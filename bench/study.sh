@@ -16,6 +16,7 @@
 #   STUDY_LEVEL_STEPS     steps of all three levels of the study `levels` [4000]
 #   STUDY_OUT             where scenes and trained cells go [out/study]
 #   STUDY_RUNS            where runs are recorded [docs/runs]
+#   STUDY_AGAIN           1: also rows that are recorded
 #   CITYSPLAT_BUILD       folder of the programs [build/release]
 #
 # SPDX-License-Identifier: Apache-2.0
@@ -101,7 +102,7 @@ note() { # STUDY ROW COMMAND, then options of `citysplat note`
 
 # wanted STUDY ROW COMMAND: says what will be done; false when the row is recorded or this is a dry run.
 wanted() {
-  if [ -f "$RUNS/$1.jsonl" ] && note "$1" "$2" "$3" --check 2>/dev/null; then
+  if [ "${STUDY_AGAIN:-0}" != 1 ] && [ -f "$RUNS/$1.jsonl" ] && note "$1" "$2" "$3" --check 2>/dev/null; then
     say "$1: $2: recorded"
     return 1
   fi
@@ -239,6 +240,10 @@ ablation() { # STUDY SCENE
   row "$1" "no scale regulariser" "$2" "" "${base[@]}" --scale-weight 0 --tiles
   row "$1" "sparse depth" "$2" "" "${base[@]}" --depth-sparse --tiles
   row "$1" "one level" "$2" "" "${base[@]}" --level-count 1
+  row "$1" "Mip anti-aliasing" "$2" "" "${base[@]}" --aa mip
+  row "$1" "no loss on sizes" "$2" "" "${base[@]}" --scale-weight 0 --tiles
+  row "$1" "sizes from the first step" "$2" "" "${base[@]}" --scale-from 0 --tiles
+  row "$1" "depth of sparse points" "$2" "" "${base[@]}" --depth-sparse --tiles
   row "$1" "no visibility selection" "$2-location" "" "${base[@]}" --tiles
 }
 study_ablation() { ablation ablation caliterra-cells; }
@@ -259,7 +264,21 @@ study_lod() { # tile sizes and distances (Tables 12 and 13); distances in tenths
   done
 }
 
-readonly STUDIES=(time budgets levels sh ablation ablation_city lod)
+# citysplat-bench on a quiet machine: `bench` all cases, `growth` against Gaussians and pixels.
+bench_rows() { # STUDY NAMES...
+  local study=$1 command
+  shift
+  command="citysplat-bench${*:+ $*}"
+  wanted "$study" citysplat-bench "$command" || return 0
+  mkdir -p "$OUT"
+  "$BIN/citysplat-bench" "$@" >"$OUT/$study.jsonl"
+  note "$study" citysplat-bench "$command" --dataset "procedural city of benchmarks" --commit "$COMMIT" \
+    --bench "$OUT/$study.jsonl" --ceilings "$OUT/$study.jsonl"
+}
+study_bench() { bench_rows bench; }
+study_growth() { bench_rows growth growth; }
+
+readonly STUDIES=(time budgets levels sh ablation ablation_city lod growth bench)
 
 main() {
   local s wanted_studies=()
@@ -267,7 +286,7 @@ main() {
     case $s in
       --dry-run) DRY=1 ;;
       --list) printf '%s\n' "${STUDIES[@]}"; return ;;
-      -h | --help) sed -n '2,23s/^# \{0,1\}//p' "${BASH_SOURCE[0]}"; return ;;
+      -h | --help) sed -n '2,/SPDX/{/SPDX/d;s/^# \{0,1\}//p}' "${BASH_SOURCE[0]}"; return ;;
       all) wanted_studies=("${STUDIES[@]}") ;;
       *) declare -F "study_$s" >/dev/null || die "no study '$s'; --list names them"
         wanted_studies+=("$s") ;;

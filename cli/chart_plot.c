@@ -53,7 +53,7 @@ static void plot_log_tics(struct buf *b, char axis, double lo, double hi)
             double v = m * pow(10.0, k);
             if (v < lo || v > hi)
                 continue;
-            if (m == 1 || m == 5 || (m == 2 && fine) || (m == 3 && finer) || finest)
+            if (m == 1 || (m == 5 && fine) || (m == 2 && fine) || (m == 3 && finer) || finest)
                 buf_printf(b, "%s'%.6g' %.9g", comma, v, v);
             else
                 buf_printf(b, "%s'' %.9g 1", comma, v);
@@ -128,23 +128,15 @@ static void plot_points(struct buf *b, const struct chart_data *c, size_t panel)
     }
 }
 
-/* The title of a line; of a fitted one with its slope. */
-static void plot_title(struct buf *b, const struct chart_def *d, const struct chart_series *s,
-                       size_t panel, struct chart_fit *fit, bool *fitted)
-{
-    *fitted = !strncmp(d->kind, "fit", 3) && chart_fit(s, panel, fit);
-    buf_printf(b, " title '");
-    plot_text(b, s->name);
-    if (*fitted)
-        buf_printf(b, ": grows as power %.2f, %.3g ms per million more", fit->k,
-                   1e6 * fit->b * chart_find_key(d->x).scale);
-    buf_printf(b, "'");
-}
-
 /* Does the line rise from its first point to its last? */
 static bool plot_rises(const struct chart_series *s, size_t panel)
 {
     return s->n < 2 || s->points[s->n - 1].y[panel] >= s->points[0].y[panel];
+}
+
+static bool plot_is_fit(const struct chart_def *d)
+{
+    return !strncmp(d->kind, "fit", 3);
 }
 
 static void plot_series(struct buf *b, const struct chart_def *d, const struct chart_data *c,
@@ -154,26 +146,45 @@ static void plot_series(struct buf *b, const struct chart_def *d, const struct c
     for (size_t s = 0; s < c->n_series; s++) {
         const char *color = plot_colors[s % PLOT_COLORS];
         struct chart_fit fit = {0};
-        bool fitted = false;
-        buf_printf(b, "%s $d%zu_%zu using 1:2 with linespoints lw 2 ps 1.1 pt %d lc rgb '%s'",
+        buf_printf(b,
+                   "%s $d%zu_%zu using 1:2 with linespoints lw 2 ps 1.1 pt %d lc rgb '%s' title '",
                    s ? "," : "", panel, s, plot_shapes[s % PLOT_COLORS], color);
-        plot_title(b, d, &c->series[s], panel, &fit, &fitted);
+        plot_text(b, c->series[s].name);
+        buf_printf(b, "'");
         if (*d->label)
             buf_printf(b,
                        ", $d%zu_%zu using 1:2:3 with labels font ',10' textcolor rgb '%s' %s,%s "
                        "notitle",
                        panel, s, color, s % 2 ? "right offset -0.8" : "left offset 0.8",
                        plot_rises(&c->series[s], panel) == (s % 2 != 0) ? "0.5" : "-0.5");
-        if (fitted)
-            buf_printf(b, ", %.9g * x**%.9g with lines dt 2 lw 1 lc rgb '%s' notitle", fit.c, fit.k,
-                       color);
+        if (plot_is_fit(d) && chart_fit(&c->series[s], panel, &fit))
+            buf_printf(b, ", %.9g + %.9g * x with lines dt 2 lw 1 lc rgb '%s' notitle", fit.a,
+                       fit.b, color);
     }
     buf_printf(b, "\n");
 }
 
-static bool plot_has_key(const struct chart_def *d, const struct chart_data *c)
+/* The x axis' title; under it the fits, in words. */
+static void plot_x_title(struct buf *b, const struct chart_def *d, const struct chart_data *c,
+                         size_t panel)
 {
-    return c->n_series > 1 || !strncmp(d->kind, "fit", 3);
+    struct chart_key x = chart_find_key(d->x);
+    buf_printf(b, "set xlabel \"%s", x.axis);
+    for (size_t s = 0; s < c->n_series && plot_is_fit(d); s++) {
+        struct chart_fit fit;
+        if (!chart_fit(&c->series[s], panel, &fit))
+            continue;
+        buf_printf(b, "\\ndashed: %.4g + %.4g a million; mean slope in these axes %.2f", fit.a,
+                   1e6 * fit.b * x.scale, fit.k);
+    }
+    buf_printf(b, "\" noenhanced\n");
+}
+
+/* Pixels below the x axis' title: fits in words, a legend. */
+static int plot_below_px(const struct chart_def *d, const struct chart_data *c)
+{
+    int lines = (c->n_series > 1 ? (int)c->n_series : 0) + (plot_is_fit(d) ? (int)c->n_series : 0);
+    return PLOT_KEY_PX * lines;
 }
 
 /* Room to the right for the longest label, in parts of the axis. */
@@ -193,7 +204,7 @@ static void plot_panel(struct buf *b, const struct chart_def *d, const struct ch
 {
     char key[CHART_TEXT_MAX];
     double lo[2], hi[2];
-    bool log_y = !strncmp(d->kind, "loglog", 6) || !strncmp(d->kind, "fit", 3);
+    bool log_y = !strncmp(d->kind, "loglog", 6) || plot_is_fit(d);
     bool log_x = log_y || !strncmp(d->kind, "log", 3);
     plot_extent(c, panel, lo, hi);
     if (!(lo[0] <= hi[0])) { /* nobody measured it */
@@ -201,15 +212,15 @@ static void plot_panel(struct buf *b, const struct chart_def *d, const struct ch
         return;
     }
     plot_points(b, c, panel);
-    buf_printf(b, "set xlabel '%s'\n", chart_find_key(d->x).axis);
+    plot_x_title(b, d, c, panel);
     chart_part(d->y, panel, key);
     buf_printf(b, "set ylabel '%s'\n", chart_find_key(key).axis);
     buf_printf(b, "unset logscale\n");
     double below = c->n_series > 1 ? plot_room(c) : 0.1;
     plot_set_axis(b, &(struct plot_axis){'x', log_x, lo[0], hi[0], below, plot_room(c)});
     plot_set_axis(b, &(struct plot_axis){'y', log_y, lo[1], hi[1], 0.12, 0.1});
-    buf_printf(b, plot_has_key(d, c) ? "set key bmargin center vertical maxcols 1 noenhanced\n"
-                                     : "unset key\n");
+    buf_printf(b, c->n_series > 1 ? "set key bmargin center vertical maxcols 1 noenhanced\n"
+                                  : "unset key\n");
     plot_series(b, d, c, panel);
 }
 
@@ -217,8 +228,8 @@ static void plot_panels(struct buf *b, const struct chart_def *d, const struct c
                         int width_px, int height_px)
 {
     double each = 1.0 / (double)c->n_panels, left = 84.0 / width_px, right = 20.0 / width_px;
-    int key_px = plot_has_key(d, c) ? PLOT_KEY_PX * (int)c->n_series : 0;
-    buf_printf(b, "set bmargin at screen %.4f\n", (double)(PLOT_AXIS_PX + key_px) / height_px);
+    buf_printf(b, "set bmargin at screen %.4f\n",
+               (double)(PLOT_AXIS_PX + plot_below_px(d, c)) / height_px);
     for (size_t k = 0; k < c->n_panels; k++) {
         buf_printf(b, "set lmargin at screen %.4f\nset rmargin at screen %.4f\n",
                    each * (double)k + left, each * (double)(k + 1) - right);
@@ -318,7 +329,7 @@ static void plot_size(const struct chart_def *d, const struct chart_data *c, int
 {
     int panels = (int)c->n_panels;
     *w = PLOT_PANEL_W_PX * panels;
-    *h = PLOT_PANEL_H_PX + PLOT_KEY_PX * (plot_has_key(d, c) ? (int)c->n_series : 0);
+    *h = PLOT_PANEL_H_PX + plot_below_px(d, c);
     if (!strncmp(d->kind, "bars", 4)) {
         size_t longest = 0;
         for (size_t i = 0; i < c->series[0].n; i++) {

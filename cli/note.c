@@ -251,7 +251,8 @@ static enum err_code note_scores(struct note_run *r, struct err *e)
 
 static enum err_code note_bench(struct note_run *r, struct err *e)
 {
-    json_t *lines = NULL, *line;
+    json_t *lines = NULL, *line, *v;
+    const char *key;
     size_t i;
     char what[256];
     enum err_code rc = runs_read_lines(r->o.bench, &lines, e);
@@ -261,16 +262,13 @@ static enum err_code note_bench(struct note_run *r, struct err *e)
             continue;
         snprintf(what, sizeof what, "%s: %s (%s)", runs_text(line, "bench"),
                  runs_text(line, "case"), runs_text(line, "unit"));
-        json_t *numbers = json_deep_copy(json_object_get(line, "numbers"));
-        if (!numbers)
-            numbers = json_object();
-        double ratio = runs_number(line, "ratio");
-        rc = numbers &&
-                     !json_object_set_new(numbers, "value",
-                                          jsonc_real(runs_number(line, "value"))) &&
-                     !json_object_set_new(numbers, "ratio", jsonc_real(ratio))
-                 ? ERR_OK
-                 : note_full(e);
+        json_t *numbers = json_object();
+        rc = numbers ? ERR_OK : note_full(e);
+        json_object_foreach(line, key, v)
+        {
+            if (rc == ERR_OK && json_is_number(v) && json_object_set(numbers, key, v))
+                rc = note_full(e);
+        }
         if (rc == ERR_OK)
             rc = note_add(r, what, runs_text(line, "device"), numbers, e);
         else

@@ -1,0 +1,145 @@
+/* How time a frame grows with the number of Gaussians and with the number of pixels, and what a
+ * Gaussian takes in memory while it is drawn.
+ *
+ * The city (city.h) without harmonics: the extent stays, so more Gaussians are smaller ones, as in
+ * trained levels. Memory is the growth of the process' resident set from a small model to a large
+ * one, pictures and kernels not counted; it tells about devices that share the host's memory.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "bench/bench.h"
+
+#include <stdio.h>
+#include <unistd.h>
+
+#include "bench/city.h"
+#include "render/render.h"
+
+struct growth_case {
+    struct render *render;
+    struct render_model model;
+    struct camera cam;
+    float *rgb;
+};
+
+static const uint32_t growth_sizes[][2] = {{320, 180},   {640, 360},   {1280, 720},
+                                           {1920, 1080}, {2560, 1440}, {3840, 2160}};
+enum {
+    GROWTH_SIZES = sizeof growth_sizes / sizeof *growth_sizes,
+    GROWTH_HD = 2, /* of growth_sizes: the one against which Gaussians grow */
+};
+static const size_t growth_counts[] = {10000, 30000, 100000, 300000, 1000000, 3000000, 10000000};
+enum {
+    GROWTH_COUNTS = sizeof growth_counts / sizeof *growth_counts,
+    GROWTH_QUICK = 2,  /* counts of --quick */
+    GROWTH_PIXELS = 4, /* of growth_counts: the one against which pixels grow */
+};
+
+static enum err_code growth_draw(void *user, struct err *e)
+{
+    struct growth_case *c = user;
+    const struct render_options o = {.aa = RENDER_AA_2D, .sh_degree = -1};
+    return render_forward(c->render, &c->model, &c->cam, &o, c->rgb, NULL, e);
+}
+
+/* Bytes of this process in memory now. */
+static double growth_resident_bytes(void)
+{
+    double pages = 0.0;
+    FILE *f = fopen("/proc/self/statm", "r");
+    if (!f)
+        return 0.0;
+    if (fscanf(f, "%*s %lf", &pages) != 1)
+        pages = 0.0;
+    fclose(f);
+    return pages * (double)sysconf(_SC_PAGESIZE);
+}
+
+static enum err_code growth_measure(struct bench *b, struct growth_case *c, const char *name,
+                                    size_t n, size_t size, struct err *e)
+{
+    double ms = 0.0;
+    c->cam = city_camera(growth_sizes[size][0], growth_sizes[size][1]);
+    enum err_code rc = bench_time(b, growth_draw, c, &ms, NULL, e);
+    if (rc == ERR_OK && render_last_stats(c->render)->visible == 0)
+        rc = err_set(e, ERR_INTERNAL, "bench_growth: check: nothing is visible");
+    if (rc == ERR_OK)
+        bench_report_at(b, name, ms, "ms", (double)n, (double)c->cam.width_px * c->cam.height_px);
+    return rc;
+}
+
+static enum err_code growth_open(struct bench *b, size_t n, uint32_t sh_degree,
+                                 struct growth_case *c, struct err *e)
+{
+    struct gauss g = {0};
+    const uint32_t *largest = growth_sizes[GROWTH_SIZES - 1];
+    c->rgb = mem_array(3 * (size_t)largest[0] * largest[1], sizeof *c->rgb);
+    enum err_code rc = c->rgb ? ERR_OK : err_set(e, ERR_MEM, "bench_growth: pictures");
+    if (rc == ERR_OK)
+        rc = city_sorted_degree(n, sh_degree, &g, e);
+    if (rc == ERR_OK)
+        rc = render_open(b->dev, &c->render, e);
+    if (rc == ERR_OK)
+        rc = render_model_upload(c->render, &g, &c->model, e);
+    gauss_free(&g);
+    return rc;
+}
+
+static void growth_close(struct growth_case *c)
+{
+    mem_free(c->rgb);
+    render_model_free(&c->model);
+    render_close(&c->render);
+}
+
+/* One number of Gaussians; *resident: what the process takes with this model drawn. */
+static enum err_code growth_count(struct bench *b, size_t which, double *resident, struct err *e)
+{
+    size_t n = growth_counts[which];
+    struct growth_case c = {0};
+    enum err_code rc = growth_open(b, n, 0, &c, e);
+    if (rc == ERR_OK)
+        rc = growth_measure(b, &c, "Gaussians", n, GROWTH_HD, e);
+    *resident = growth_resident_bytes();
+    for (size_t s = 0; rc == ERR_OK && which == GROWTH_PIXELS && s < GROWTH_SIZES; s++)
+        rc = growth_measure(b, &c, "pixels", n, s, e);
+    growth_close(&c);
+    return rc;
+}
+
+/* Memory with all harmonics: what the process takes after a frame of `n` Gaussians. */
+static enum err_code growth_full(struct bench *b, size_t n, double *resident, struct err *e)
+{
+    struct growth_case c = {0};
+    enum err_code rc = growth_open(b, n, 3, &c, e);
+    c.cam = city_camera(growth_sizes[GROWTH_HD][0], growth_sizes[GROWTH_HD][1]);
+    if (rc == ERR_OK)
+        rc = growth_draw(&c, e);
+    *resident = growth_resident_bytes();
+    growth_close(&c);
+    return rc;
+}
+
+enum err_code bench_growth(struct bench *b, struct err *e)
+{
+    size_t counts = b->quick ? GROWTH_QUICK : GROWTH_COUNTS;
+    double resident[GROWTH_COUNTS] = {0};
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; rc == ERR_OK && i < counts; i++)
+        rc = growth_count(b, i, &resident[i], e);
+    if (rc == ERR_OK && counts == GROWTH_COUNTS)
+        bench_report(b, "memory a resident Gaussian, SH degree 0",
+                     (resident[counts - 1] - resident[GROWTH_PIXELS]) /
+                         (double)(growth_counts[counts - 1] - growth_counts[GROWTH_PIXELS]),
+                     "B", 0, NULL);
+    double small = 0.0, large = 0.0;
+    size_t n = b->quick ? 5000 : 500000;
+    if (rc == ERR_OK)
+        rc = growth_full(b, n, &small, e);
+    if (rc == ERR_OK)
+        rc = growth_full(b, 4 * n, &large, e);
+    if (rc == ERR_OK)
+        bench_report(b, "memory a resident Gaussian, SH degree 3",
+                     (large - small) / (3.0 * (double)n), "B", 0, NULL);
+    return rc;
+}
