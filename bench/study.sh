@@ -278,7 +278,27 @@ bench_rows() { # STUDY NAMES...
 study_bench() { bench_rows bench; }
 study_growth() { bench_rows growth growth; }
 
-readonly STUDIES=(time budgets levels sh ablation ablation_city lod growth bench)
+# Rate and distortion of formats on a trained scene; citysplat-bench writes the records itself.
+study_rd() {
+  local scene=caliterra-800 folder=$OUT/trained/rd command
+  local train=(--iterations "$LEVEL_STEPS" "${SMALL[@]}")
+  command="citysplat train $scene ${train[*]}; citysplat tile $scene; citysplat-bench rd --scene $scene --tiles CITY.tiles"
+  if [ -f "$RUNS/rd.jsonl" ] && [ "${STUDY_AGAIN:-0}" != 1 ]; then
+    say "rd: recorded"
+    return 0
+  fi
+  if [ $DRY = 1 ]; then
+    printf 'rd\tcitysplat-bench\t%s\n' "$command"
+    return 0
+  fi
+  scene "$scene" || { say "rd: skipped: CITYSPLAT_CALITERRA is not set"; return 0; }
+  trained "$folder" "$scene" "${train[@]}"
+  [ -f "$folder/city.tiles" ] || citysplat tile "$OUT/$scene" --trained "$folder" -o "$folder/city.tiles" >&2
+  "$BIN/citysplat-bench" rd --scene "$OUT/$scene" --tiles "$folder/city.tiles" --dataset "$(scene_about "$scene")" \
+    --record "$RUNS/rd.jsonl" >/dev/null
+}
+
+readonly STUDIES=(time budgets levels sh ablation ablation_city lod rd growth bench)
 
 main() {
   local s wanted_studies=()

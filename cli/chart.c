@@ -149,7 +149,8 @@ static bool chart_has_records(const struct chart_run *r, const struct chart_def 
 static void chart_write_block(const struct chart_run *r, const struct chart_def *d, struct buf *out)
 {
     if (!chart_has_records(r, d)) {
-        buf_printf(out, "*Not recorded: `bench/study.sh %s` does.*\n", d->study);
+        buf_printf(out, "*Not recorded: `bench/study.sh %.*s` does.*\n",
+                   (int)strcspn(d->study, "/"), d->study);
     } else if (d->columns) {
         buf_u8(out, '\n');
         chart_table(d, r->lines, out);

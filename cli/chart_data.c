@@ -71,7 +71,10 @@ bool chart_takes(const struct chart_def *d, const json_t *line, const json_t *li
 {
     size_t i;
     json_t *other;
-    if (strcmp(runs_text(line, "study"), d->study))
+    size_t n = strcspn(d->study, "/");
+    const char *study = runs_text(line, "study"), *group = d->study + n + (d->study[n] == '/');
+    if (strlen(study) != n || strncmp(study, d->study, n) ||
+        strncmp(runs_text(line, "row"), group, strlen(group)))
         return false;
     if (strcmp(d->what, "finest"))
         return !strncmp(runs_text(line, "what"), d->what, strlen(d->what));
@@ -94,8 +97,8 @@ static double chart_scaled(const json_t *line, const char *key)
 /* The row's name without its group: "edge: 20 m" -> "20 m". */
 static const char *chart_row_name(const json_t *line)
 {
-    const char *row = runs_text(line, "row"), *colon = strstr(row, ": ");
-    return colon ? colon + 2 : row;
+    const char *row = runs_text(line, "row"), *colon = strchr(row, ':');
+    return colon ? colon + 1 + strspn(colon + 1, " ") : row;
 }
 
 static void chart_label(const struct chart_def *d, const json_t *line, char *out, size_t room)

@@ -139,6 +139,18 @@ static bool plot_is_fit(const struct chart_def *d)
     return !strncmp(d->kind, "fit", 3);
 }
 
+/* Labels in the line's colour, beside the points where the line does not run; each of four lines
+ * has a side of its own. */
+static void plot_labels(struct buf *b, const struct chart_series *s, size_t panel, size_t nth)
+{
+    static const char *const side[] = {"left offset 0.8", "right offset -0.8", "center offset 0",
+                                       "center offset 0"};
+    static const double lift[] = {-0.5, 0.5, -1.1, 1.1};
+    double up = plot_rises(s, panel) ? lift[nth % 4] : -lift[nth % 4];
+    buf_printf(b, ", $d%zu_%zu using 1:2:3 with labels font ',10' textcolor rgb '%s' %s,%g notitle",
+               panel, nth, plot_colors[nth % PLOT_COLORS], side[nth % 4], up);
+}
+
 static void plot_series(struct buf *b, const struct chart_def *d, const struct chart_data *c,
                         size_t panel)
 {
@@ -152,11 +164,7 @@ static void plot_series(struct buf *b, const struct chart_def *d, const struct c
         plot_text(b, c->series[s].name);
         buf_printf(b, "'");
         if (*d->label)
-            buf_printf(b,
-                       ", $d%zu_%zu using 1:2:3 with labels font ',10' textcolor rgb '%s' %s,%s "
-                       "notitle",
-                       panel, s, color, s % 2 ? "right offset -0.8" : "left offset 0.8",
-                       plot_rises(&c->series[s], panel) == (s % 2 != 0) ? "0.5" : "-0.5");
+            plot_labels(b, &c->series[s], panel, s);
         if (plot_is_fit(d) && chart_fit(&c->series[s], panel, &fit))
             buf_printf(b, ", %.9g + %.9g * x with lines dt 2 lw 1 lc rgb '%s' notitle", fit.a,
                        fit.b, color);
