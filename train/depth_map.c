@@ -394,7 +394,7 @@ static enum err_code depth_unit(const float *t, size_t pixels, double *unit, str
 }
 
 enum err_code depth_map_target(struct depth_map *d, uint32_t image, const struct camera *cam,
-                               struct depth_target *out, struct err *e)
+                               const uint8_t *mask, struct depth_target *out, struct err *e)
 {
     size_t pixels = (size_t)cam->width_px * cam->height_px;
     enum err_code rc = ERR_OK;
@@ -413,6 +413,11 @@ enum err_code depth_map_target(struct depth_map *d, uint32_t image, const struct
         rc = depth_fill_map(d, image, cam, &out->n_known, e);
     else
         depth_fill_points(d, image, cam, &out->n_known);
+    for (size_t i = 0; !rc && mask && i < pixels; i++)
+        if (!mask[i] && d->target[i] >= 0.0f) {
+            d->target[i] = -1.0f;
+            out->n_known--;
+        }
     if (!rc && out->n_known)
         rc = depth_unit(d->target, pixels, &out->unit_m, e);
     if (rc || !(out->unit_m > 0.0)) {

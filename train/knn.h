@@ -11,7 +11,8 @@
 
 #include "core/err.h"
 
-enum { KNN_MAX = 64, KNN_NOBODY = UINT32_MAX };
+#define KNN_NOBODY UINT32_MAX
+enum { KNN_MAX = 64 };
 
 struct knn {          /* {0} is empty; knn_free */
     const float *xyz; /* [n][3], borrowed */

@@ -160,7 +160,7 @@ static enum err_code regular_depth(struct level *l, uint32_t step, const struct 
     struct depth_target target = {0};
     enum err_code rc = regular_depth_open(l, e);
     if (!rc)
-        rc = depth_map_target(l->regular->maps, photo->image, &photo->cam, &target, e);
+        rc = depth_map_target(l->regular->maps, photo->image, &photo->cam, photo->mask, &target, e);
     if (rc || !target.n_known)
         return rc;
     uint32_t turn = step / (uint32_t)l->cfg->depth_interval;

@@ -140,9 +140,11 @@ struct depth_target {
     double unit_m;  /* 1 / median inverse depth */
     size_t n_known; /* over which the mean is taken; 0: nothing is known, t is NULL */
 };
-/* The target of a photograph seen by `cam`, that of the scene at any size. */
+/* The target of a photograph seen by `cam`, that of the scene at any size. mask: [h][w], 0 =
+ * nothing is known there; NULL: none. */
 enum err_code depth_map_target(struct depth_map *d, uint32_t image, const struct camera *cam,
-                               struct depth_target *out, struct err *e) ERR_USE;
+                               const uint8_t *mask, struct depth_target *out,
+                               struct err *e) ERR_USE;
 
 /* ---- similarity_loss.c: neighbours look alike
  * ------------------------------------------------------ */

@@ -489,7 +489,7 @@ static double f21_loss(double scale)
             s.images[i].cam.trans[k] *= scale;
     struct depth_map_config cfg = {.scene = &s, .images = &image, .n_images = 1, .sparse = true};
     kit_ok(depth_map_open(&cfg, &maps, &e), e);
-    kit_ok(depth_map_target(maps, image, &s.images[image].cam, &target, &e), e);
+    kit_ok(depth_map_target(maps, image, &s.images[image].cam, NULL, &target, &e), e);
     assert_true(target.n_known > 50);
     struct depth_input in = {.cam = &s.images[image].cam,
                              .options = {.aa = RENDER_AA_2D},
@@ -582,7 +582,7 @@ static void maps_are_read_aligned_and_left_out(void **state)
     assert_int_equal(depth_map_count(maps, DEPTH_MAP_MISSING), 1);
     assert_int_equal(depth_map_count(maps, DEPTH_MAP_MISFIT), 1);
     for (size_t i = 0; i < n; i++) {
-        kit_ok(depth_map_target(maps, images[i], &s.images[images[i]].cam, &target, &e), e);
+        kit_ok(depth_map_target(maps, images[i], &s.images[images[i]].cam, NULL, &target, &e), e);
         if (i < 2) {
             assert_int_equal(target.n_known, 0);
             continue;
@@ -596,6 +596,14 @@ static void maps_are_read_aligned_and_left_out(void **state)
             }
     }
     error /= (double)compared;
+    uint8_t *mask = mem_array(pixels, 1); /* all but a corner is a car */
+    assert_non_null(mask);
+    memset(mask, 255, 40);
+    kit_ok(depth_map_target(maps, images[n - 1], &s.images[images[n - 1]].cam, mask, &target, &e),
+           e);
+    assert_int_equal(target.n_known, 40);
+    assert_true(target.t[39] >= 0.0f && target.t[40] < 0.0f);
+    mem_free(mask);
     toy_figure("F21", "maps=%zu rejected=1 missing=1 mean_relative_error=%.4f limit=%.2f", n, error,
                F21_MAP_ERROR);
     assert_true(compared > 1000 && error < F21_MAP_ERROR);
