@@ -10,6 +10,7 @@
 #include <jansson.h>
 
 #include "cli/cli.h"
+#include "cli/halves.h"
 #include "lod/lod.h"
 #include "train/train.h"
 
@@ -35,6 +36,7 @@ struct eval {
     struct dev dev;
     bool dev_is_open;
     struct render *render;
+    struct halves halves; /* of what is being scored */
     json_t *rows;
 };
 
@@ -61,8 +63,27 @@ static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px
     return ERR_OK;
 }
 
+enum { EVAL_HALVES_AUTO, EVAL_HALVES_ON, EVAL_HALVES_OFF };
+
+static enum err_code eval_halves(struct eval *v, const char *what, uint32_t edge_px,
+                                 struct feed *feed, const struct half_source *src, double bytes,
+                                 struct err *e)
+{
+    struct evaluate_score score;
+    char name[64];
+    if (v->o.halves == EVAL_HALVES_OFF ||
+        (v->o.halves == EVAL_HALVES_AUTO && !halves_look(&v->halves)))
+        return ERR_OK;
+    snprintf(name, sizeof(name), "%s, halves", what);
+    enum err_code rc = halves_run(&v->halves, &v->dev, v->render, (uint32_t)v->o.half_steps,
+                                  v->o.half_random, feed, v->n_images, src, &score, e);
+    score.bytes = bytes;
+    return rc ? rc : eval_row(v, name, edge_px, &score, e);
+}
+
 static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_edge_px,
-                                 double downsample, struct evaluate_source src, struct err *e)
+                                 double downsample, struct evaluate_source src,
+                                 const struct half_source *half, struct err *e)
 {
     char folder[64], pictures[FILE_PATH_MAX];
     struct feed *feed = NULL;
@@ -85,12 +106,14 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
         rc = feed_open(&f, &feed, e);
     if (!rc)
         rc = evaluate_run(feed, v->n_images, &src, &score, e);
-    feed_close(&feed);
-    if (rc)
-        return rc;
     struct camera cam = feed_camera(&v->scene.images[v->images[0]].cam, max_edge_px, downsample);
     uint32_t edge = cam.width_px > cam.height_px ? cam.width_px : cam.height_px;
-    return eval_row(v, what, edge, &score, e);
+    if (!rc)
+        rc = eval_row(v, what, edge, &score, e);
+    if (!rc)
+        rc = eval_halves(v, what, edge, feed, half, src.bytes, e);
+    feed_close(&feed);
+    return rc;
 }
 
 /* ---- trained levels
@@ -163,7 +186,7 @@ static double eval_bytes(const char *path)
 }
 
 /* A level of all cells put together. *found: how many cells have it. */
-static enum err_code eval_load_level(const struct eval *v, const char *dir, unsigned level,
+static enum err_code eval_load_level(struct eval *v, const char *dir, unsigned level,
                                      struct gauss *g, struct eval_settings *s, size_t *found,
                                      double *bytes, struct err *e)
 {
@@ -182,6 +205,8 @@ static enum err_code eval_load_level(const struct eval *v, const char *dir, unsi
         if (!rc)
             rc = eval_read_settings(&c, path, s, e);
         if (!rc)
+            rc = halves_take(&v->halves, *found == 0, &c, path, &v->scene, e);
+        if (!rc)
             rc = eval_append(v, i, &c.g, g, e);
         (*found)++;
         if (!rc)
@@ -189,6 +214,18 @@ static enum err_code eval_load_level(const struct eval *v, const char *dir, unsi
         ckpt_free(&c);
     }
     return rc;
+}
+
+static enum err_code eval_prepare_model(void *user, const struct camera *cam,
+                                        const struct render_model **model,
+                                        struct render_options *ro, struct err *e)
+{
+    const struct evaluate_model *m = user;
+    (void)cam;
+    (void)e;
+    *model = m->model;
+    *ro = m->options;
+    return ERR_OK;
 }
 
 static enum err_code eval_level(struct eval *v, const char *dir, unsigned level, size_t *found,
@@ -209,11 +246,14 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
         struct evaluate_model m = {
             v->render,
             &model,
-            {.aa = s.aa, .background = {grey, grey, grey}, .near_m = s.near_m, .sh_degree = -1}};
+            {.aa = s.aa, .background = {grey, grey, grey}, .near_m = s.near_m, .sh_degree = -1},
+            halves_look(&v->halves)};
+        const struct half_source half = {eval_prepare_model, &m};
         struct evaluate_source src = {evaluate_draw_model, &m, NULL, bytes};
         uint32_t edge = v->o.max_edge_px ? (uint32_t)v->o.max_edge_px : (uint32_t)s.max_edge_px;
-        rc = eval_source(v, what, edge, v->o.full_size ? 1.0 : s.downsample, src, e);
+        rc = eval_source(v, what, edge, v->o.full_size ? 1.0 : s.downsample, src, &half, e);
     }
+    halves_clear(&v->halves);
     render_model_free(&model);
     gauss_free(&g);
     *found += n;
@@ -242,14 +282,30 @@ struct eval_view {
     struct view *view;
     struct render_options ro;
     struct pick_options po;
+    struct light_view *look; /* NULL: without appearance */
 };
+
+static enum err_code eval_prepare_view(void *user, const struct camera *cam,
+                                       const struct render_model **model, struct render_options *ro,
+                                       struct err *e)
+{
+    struct eval_view *w = user;
+    struct view_stats stats;
+    *ro = w->ro;
+    return view_model(w->view, cam, &w->po, model, &stats, e);
+}
 
 static enum err_code eval_draw_view(void *user, const struct camera *cam, float *rgb,
                                     double *gaussians, struct err *e)
 {
     struct eval_view *w = user;
     struct view_stats stats = {0};
-    enum err_code rc = view_render(w->view, cam, &w->ro, &w->po, rgb, &stats, e);
+    struct render_options ro = w->ro;
+    if (w->look) {
+        ro.appearance_frame = light_view_frame(w->look, cam);
+        ro.appearance_hidden = w->look->model->hidden;
+    }
+    enum err_code rc = view_render(w->view, cam, &ro, &w->po, rgb, &stats, e);
     *gaussians = (double)stats.n_gaussians;
     return rc;
 }
@@ -264,12 +320,18 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     w.po.distance_m[0] = v->o.distance_1_m;
     w.po.distance_m[1] = v->o.distance_2_m;
     struct evaluate_source src = {eval_draw_view, &w, NULL, eval_bytes(v->o.tiles)};
+    const struct half_source half = {eval_prepare_view, &w};
     enum err_code rc = view_open(v->o.tiles, v->render, (size_t)v->o.cache_mib << 20, &w.view, e);
     if (!rc)
-        rc = eval_source(v, "tiles, LOD", (uint32_t)v->o.max_edge_px, 1.0, src, e);
+        rc = halves_take_store(&v->halves, view_appearance(w.view), &v->scene, e);
+    if (!rc && (w.look = halves_look(&v->halves)))
+        view_set_raw(w.view, true);
+    if (!rc)
+        rc = eval_source(v, "tiles, LOD", (uint32_t)v->o.max_edge_px, 1.0, src, &half, e);
     w.po.no_lod = true;
     if (!rc)
-        rc = eval_source(v, "tiles, no LOD", (uint32_t)v->o.max_edge_px, 1.0, src, e);
+        rc = eval_source(v, "tiles, no LOD", (uint32_t)v->o.max_edge_px, 1.0, src, &half, e);
+    halves_clear(&v->halves);
     view_close(&w.view);
     return rc;
 }
@@ -315,7 +377,10 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
             "Draws the scene's test photographs from the trained Gaussians, or from a tile store "
             "with and "
             "without level of detail, and prints PSNR, SSIM (zero padded as in training, and inner "
-            "windows only), GMSD (perceptual, lower is better), Gaussians and time a frame.",
+            "windows only), GMSD (perceptual, lower is better), Gaussians and time a frame. Where "
+            "appearance was trained, a photograph is drawn in the look of the nearest training "
+            "photographs; rows \"halves\" learn its own look from one half of it and score the "
+            "other.",
         .example =
             "citysplat eval scene\ncitysplat eval scene --tiles city.tiles --max-edge-px 800",
         .defs = eval_defs,
@@ -338,6 +403,7 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
         rc = eval_write(&v, args.arg[0], e);
 out:
     json_decref(v.rows);
+    halves_clear(&v.halves);
     render_close(&v.render);
     if (v.dev_is_open)
         dev_close(&v.dev);

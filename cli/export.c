@@ -65,7 +65,8 @@ static enum err_code export_zoom(const struct store *s, const char *level, uint8
 }
 
 /* All Gaussians of the cut through the tree at `zoom`: tiles of that zoom, and leaves above it. */
-static enum err_code export_gather(struct store *s, uint8_t zoom, struct gauss *out, struct err *e)
+static enum err_code export_gather(struct store *s, uint8_t zoom, const float *look,
+                                   struct gauss *out, struct err *e)
 {
     size_t n;
     const struct store_tile *t = store_tiles(s, &n);
@@ -80,7 +81,7 @@ static enum err_code export_gather(struct store *s, uint8_t zoom, struct gauss *
         if (t[i].key.z != zoom && !(leaf && t[i].key.z < zoom))
             continue;
         struct gauss g;
-        rc = store_read_gauss(s, t[i].key, &g, e);
+        rc = bake_read(s, t[i].key, look, &g, e);
         if (!rc)
             rc = gauss_append(out, &g, NULL, g.n, e);
         gauss_free(&g);
@@ -102,7 +103,7 @@ static enum err_code export_spz(struct gauss *g, const struct quant_grid *grid, 
 }
 
 static enum err_code export_file(struct store *s, const struct export_options *o, int format,
-                                 struct err *e)
+                                 const float *look, struct err *e)
 {
     struct gauss g = {0};
     struct buf b = {0};
@@ -112,7 +113,7 @@ static enum err_code export_file(struct store *s, const struct export_options *o
         .has_origin = true, .origin = store_info(s)->origin, .axes = PLY_AXES_ENU};
     enum err_code rc = export_zoom(s, o->level, &zoom, e);
     if (!rc)
-        rc = export_gather(s, zoom, &g, e);
+        rc = export_gather(s, zoom, look, &g, e);
     if (!rc)
         rc = format == EXPORT_PLY ? ply_encode(&g, &info, &b, e) : export_spz(&g, grid, &b, e);
     if (!rc)
@@ -128,7 +129,8 @@ static enum err_code export_file(struct store *s, const struct export_options *o
 /* ---- a folder of 3D Tiles ---- */
 
 static enum err_code export_glb(struct store *s, const struct store_tile *t,
-                                const struct quant_grid *grid, const char *dir, struct err *e)
+                                const struct quant_grid *grid, const char *dir, const float *look,
+                                struct err *e)
 {
     struct gauss g = {0};
     struct quant q = {0};
@@ -142,7 +144,7 @@ static enum err_code export_glb(struct store *s, const struct store_tile *t,
     if (!rc)
         snprintf(path + n, sizeof path - (size_t)n, "/%u.glb", t->key.y);
     if (!rc)
-        rc = store_read_gauss(s, t->key, &g, e);
+        rc = bake_read(s, t->key, look, &g, e);
     if (!rc) {
         frame_enu_to_gltf(&g);
         rc = quant_from_gauss(&g, m->sh_degree, grid, &q, e);
@@ -175,7 +177,8 @@ static enum err_code export_document(const struct store *s, const char *dir, con
     return rc;
 }
 
-static enum err_code export_3dtiles(struct store *s, const struct export_options *o, struct err *e)
+static enum err_code export_3dtiles(struct store *s, const struct export_options *o,
+                                    const float *look, struct err *e)
 {
     const struct quant_grid *grid = quant_preset_grid((enum quant_preset)o->preset);
     struct outdir d = {0};
@@ -185,7 +188,7 @@ static enum err_code export_3dtiles(struct store *s, const struct export_options
     enum err_code rc = outdir_begin(o->output, "tileset.json", o->overwrite, &d, e);
     progress_start(&p, "export", n);
     for (size_t i = 0; !rc && i < n; i++) {
-        rc = export_glb(s, &t[i], grid, d.part, e);
+        rc = export_glb(s, &t[i], grid, d.part, look, e);
         progress_step(&p, i + 1, NULL);
         if (!rc && clock_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped");
@@ -225,9 +228,14 @@ enum err_code cli_export(int argc, char **argv, struct err *e)
         rc = err_set(e, ERR_ARG, "-o is missing: where to write");
     if (!rc)
         rc = store_open(args.arg[0], &s, e);
+    float image[APPEARANCE_IMAGE_MAX];
+    const float *look = o.appearance ? image : NULL;
+    if (!rc && look)
+        rc = bake_find(s, o.appearance, image, e);
     int format = rc || o.format != EXPORT_AUTO ? o.format : export_format(o.output);
     if (!rc)
-        rc = format == EXPORT_3DTILES ? export_3dtiles(s, &o, e) : export_file(s, &o, format, e);
+        rc = format == EXPORT_3DTILES ? export_3dtiles(s, &o, look, e)
+                                      : export_file(s, &o, format, look, e);
 out:
     store_close(&s);
     arena_free(&arena);

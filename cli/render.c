@@ -148,7 +148,13 @@ static enum err_code render_store(struct render_job *job, const char *path, stru
     const struct store_meta *m = store_info(view_store(v));
     const struct pick_options po = {
         .error_px = o->error_px, .max_gaussians = (uint64_t)o->max_gaussians, .no_lod = o->no_lod};
-    rc = render_camera(o, &m->origin, &job->cam, e);
+    float image[APPEARANCE_IMAGE_MAX];
+    if (o->appearance)
+        rc = view_find_look(v, o->appearance, image, e);
+    if (!rc && o->appearance)
+        rc = view_set_look(v, image, e);
+    if (!rc)
+        rc = render_camera(o, &m->origin, &job->cam, e);
     job->ro.aa = render_aa_of(o, m->antialiased);
     if (!rc)
         rc = render_buffer(job, e);
@@ -178,7 +184,10 @@ static enum err_code render_file(struct render_job *job, const char *path, struc
     enum err_code rc = splats_read(path, &s, e);
     if (rc)
         return rc;
-    rc = render_camera(o, s.info.has_origin ? &s.info.origin : NULL, &job->cam, e);
+    if (o->appearance)
+        rc = err_set(e, ERR_ARG, "--appearance: %s has one look only; give a tile store", path);
+    if (!rc)
+        rc = render_camera(o, s.info.has_origin ? &s.info.origin : NULL, &job->cam, e);
     job->ro.aa = render_aa_of(o, s.g.antialiased);
     if (!rc)
         rc = render_buffer(job, e);

@@ -56,6 +56,8 @@ struct tile_scene {
     size_t n_cells;
     struct partition plan; /* only cells with checkpoints; n_cells 0 = no plan */
     uint8_t n_levels;
+    struct buf look; /* appearance model of all checkpoints, as they hold it; empty: none */
+    bool look_known;
     struct arena arena;
 };
 
@@ -97,7 +99,8 @@ static enum err_code tile_find_cells(struct tile_scene *s, struct err *e)
     for (struct dirent *ent; !rc && (ent = readdir(d));) {
         struct tile_cell c = {0};
         bool any = false;
-        if (ent->d_name[0] == '.' || strlen(ent->d_name) >= sizeof c.id)
+        if (ent->d_name[0] == '.' || strlen(ent->d_name) >= sizeof c.id ||
+            !strcmp(ent->d_name, "appearance")) /* the coarse run whose network all cells share */
             continue;
         memcpy(c.id, ent->d_name, strlen(ent->d_name));
         for (uint8_t l = 1; !rc && l <= TILE_LEVELS_MAX; l++) {
@@ -263,8 +266,30 @@ static uint8_t tile_nearest(const struct tile_cell *c, uint8_t level)
     return l;
 }
 
-static enum err_code tile_open_level(const struct tile_scene *s, uint8_t level,
-                                     struct tile_level *l, struct err *e)
+/* One network reads the embeddings of all tiles: cells and levels must have been trained with it.
+ */
+static enum err_code tile_check_look(struct tile_scene *s, const struct ckpt_rows *rows,
+                                     const char *path, struct err *e)
+{
+    struct buf b = {0};
+    enum err_code rc = ckpt_rows_blob(rows, "appearance", &b, e);
+    if (!rc && !s->look_known) {
+        s->look = b;
+        s->look_known = true;
+        return ERR_OK;
+    }
+    if (!rc && (b.size != s->look.size || (b.size && memcmp(b.data, s->look.data, b.size) != 0)))
+        rc = err_set(e, ERR_DATA,
+                     "%s: its appearance model is not that of the checkpoints before: tiles share "
+                     "one; train all levels and cells with --appearance-levels 1 and "
+                     "--appearance-shared",
+                     path);
+    buf_free(&b);
+    return rc;
+}
+
+static enum err_code tile_open_level(struct tile_scene *s, uint8_t level, struct tile_level *l,
+                                     struct err *e)
 {
     enum err_code rc = ERR_OK;
     *l = (struct tile_level){.scene = s, .level = level};
@@ -281,6 +306,7 @@ static enum err_code tile_open_level(const struct tile_scene *s, uint8_t level,
             rc = ckpt_rows_open(path, &f->rows, e);
         if (rc)
             break;
+        rc = tile_check_look(s, f->rows, path, e);
         size_t parts = (ckpt_rows_count(f->rows) + TILE_PART_ROWS - 1) / TILE_PART_ROWS;
         l->first[l->n_files + 1] = l->first[l->n_files] + parts;
         l->n_files++;
@@ -305,26 +331,27 @@ static void tile_warn_missing(const struct tile_scene *s)
                          s->cells[i].id, l);
 }
 
-/* Appearance models and the like travel with the tiles: blobs of the finest checkpoint that are
- * named so. */
-static enum err_code tile_find_blobs(const struct tile_scene *s, struct ckpt *from,
-                                     struct ckpt_blob **blobs, size_t *n, struct err *e)
+/* The appearance model as the store keeps it: with the default look, fitted to the first Gaussians
+ * of the finest level. Stays empty where there is none. */
+static enum err_code tile_make_look(const struct tile_scene *s, const struct tile_level *finest,
+                                    struct buf *out, struct err *e)
 {
-    char path[FILE_PATH_MAX];
-    uint8_t level = s->n_levels;
-    while (level > 1 && !s->cells[0].has[level])
-        level--;
-    enum err_code rc = tile_path(path, s, s->cells[0].id, level, e);
+    struct appearance a = {0}, full = {0};
+    struct gauss g = {0};
+    if (!s->look.size || !finest->n_files)
+        return ERR_OK;
+    const struct ckpt_rows *rows = finest->file[finest->n_files / 2].rows;
+    size_t n = ckpt_rows_count(rows);
+    enum err_code rc = appearance_read(s->look.data, s->look.size, &a, e);
     if (!rc)
-        rc = ckpt_read(path, from, e);
-    gauss_free(&from->g);
-    *blobs = rc ? NULL : mem_array(from->n_blobs, sizeof **blobs);
-    *n = 0;
-    if (!rc && !*blobs)
-        rc = err_set(e, ERR_MEM, "out of memory");
-    for (size_t i = 0; !rc && i < from->n_blobs; i++)
-        if (!strncmp(from->blobs[i].name, "appearance", 10))
-            (*blobs)[(*n)++] = from->blobs[i];
+        rc = ckpt_rows_read(rows, 0, n < TILE_PART_ROWS ? n : TILE_PART_ROWS, &g, e);
+    if (!rc)
+        rc = bake_with_default(&a, &g, &full, e);
+    if (!rc)
+        rc = appearance_write(&full, out, e);
+    gauss_free(&g);
+    appearance_free(&a);
+    appearance_free(&full);
     return rc;
 }
 
@@ -349,9 +376,7 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
                                  .max_per_tile = (uint32_t)o->max_per_tile,
                                  .lossless = o->lossless};
     struct pyramid_report report;
-    struct ckpt from = {0};
-    struct ckpt_blob *blobs = NULL;
-    size_t n_blobs = 0;
+    struct buf look = {0};
     enum err_code rc = scene_read(dir, &scene, e);
     if (!rc)
         rc = tile_find_cells(&s, e);
@@ -379,17 +404,18 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
             .n_parts = level[i].first ? level[i].first[level[i].n_files] : 0};
     }
     if (!rc)
-        rc = tile_find_blobs(&s, &from, &blobs, &n_blobs, e);
+        rc = tile_make_look(&s, &level[s.n_levels - 1], &look, e);
+    const struct ckpt_blob blob = {"appearance", look.data, look.size};
     if (!rc)
-        rc = pyramid_build(&scene.origin, levels, s.n_levels, &cfg, blobs, n_blobs, o->output,
+        rc = pyramid_build(&scene.origin, levels, s.n_levels, &cfg, &blob, look.size > 0, o->output,
                            &report, e);
     if (!rc)
         tile_print(o->output, &report);
 out:
     for (uint8_t i = 0; i < TILE_LEVELS_MAX; i++)
         tile_close_level(&level[i]);
-    mem_free(blobs);
-    ckpt_free(&from);
+    buf_free(&look);
+    buf_free(&s.look);
     partition_free(&s.plan);
     mem_free(s.cells);
     scene_free(&scene);

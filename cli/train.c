@@ -4,6 +4,7 @@
  */
 #include <math.h>
 #include <stdio.h>
+#include <string.h>
 
 #include "cli/cli.h"
 #include "train/jobs.h"
@@ -49,6 +50,22 @@ static enum err_code train_print_list(const char *scene_dir, const struct train_
     return rc;
 }
 
+/* What all cells wait for, before each gets a process of its own. */
+static enum err_code train_shared_first(const char *scene_dir, const struct train_config *cfg,
+                                        struct train_result *out, struct err *e)
+{
+    struct train_config shared = *cfg;
+    char device[128];
+    if (!cfg->appearance_only && !train_needs_shared(cfg))
+        return ERR_OK;
+    snprintf(device, sizeof(device), "%.*s", (int)strcspn(cfg->device, ","), cfg->device);
+    shared.device = device;
+    shared.appearance_only = true;
+    enum err_code rc = train_run(scene_dir, &shared, out, e);
+    train_result_free(out);
+    return rc;
+}
+
 static enum err_code train_all(const char *scene_dir, const struct train_config *cfg,
                                struct train_result *out, struct err *e)
 {
@@ -59,7 +76,9 @@ static enum err_code train_all(const char *scene_dir, const struct train_config 
     enum err_code rc = jobs_list(scene_dir, cfg, &list, e);
     size_t n = list.n_cells;
     jobs_list_free(&list);
-    if (rc)
+    if (!rc && n > 1)
+        rc = train_shared_first(scene_dir, cfg, out, e);
+    if (rc || cfg->appearance_only)
         return rc;
     return n > 1 ? jobs_run("/proc/self/exe", scene_dir, cfg, out, e)
                  : train_run(scene_dir, cfg, out, e);

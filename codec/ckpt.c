@@ -539,6 +539,23 @@ enum err_code ckpt_rows_read(const struct ckpt_rows *r, size_t from, size_t n, s
     return rc;
 }
 
+enum err_code ckpt_rows_blob(const struct ckpt_rows *r, const char *name, struct buf *out,
+                             struct err *e)
+{
+    const struct ckpt_entry *s = ckpt_section(r->entry, r->n_entries, name);
+    if (!s)
+        return ERR_OK;
+    uint8_t *to = buf_grow(out, s->size);
+    enum err_code rc = to ? ckpt_pread(r, to, s->size, s->offset, e)
+                          : err_set(e, ERR_MEM, "%s: out of memory for '%s'", r->path, name);
+    struct hash128 h = rc ? (struct hash128){0} : hash_bytes(to, s->size);
+    if (!rc && (h.lo != s->hash.lo || h.hi != s->hash.hi))
+        rc = err_set(e, ERR_FORMAT, "%s: '%s' is damaged", r->path, name);
+    if (rc)
+        buf_free(out);
+    return rc;
+}
+
 void ckpt_rows_close(struct ckpt_rows **rp)
 {
     struct ckpt_rows *r = *rp;

@@ -212,6 +212,9 @@ enum err_code ckpt_rows_open(const char *path, struct ckpt_rows **out, struct er
 size_t ckpt_rows_count(const struct ckpt_rows *r);
 enum err_code ckpt_rows_read(const struct ckpt_rows *r, size_t from, size_t n, struct gauss *out,
                              struct err *e) ERR_USE; /* gauss_free it */
+/* A named blob, against its hash; *out stays empty where there is none. buf_free it. */
+enum err_code ckpt_rows_blob(const struct ckpt_rows *r, const char *name, struct buf *out,
+                             struct err *e) ERR_USE;
 void ckpt_rows_close(struct ckpt_rows **r);
 
 /* ---- Gaussians in files

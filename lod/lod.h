@@ -12,6 +12,7 @@
 #define LOD_LOD_H
 
 #include "codec/codec.h"
+#include "core/appearance.h"
 #include "core/base.h"
 #include "core/camera.h"
 #include "core/gauss.h"
@@ -109,6 +110,35 @@ enum err_code store_verify(struct store *s, size_t *n_bad, struct err *e) ERR_US
 enum err_code store_list_blobs(struct store *s, struct arena *a, char ***names, size_t *n,
                                struct err *e) ERR_USE;
 
+/* ---- bake.c: looks of a store (docs/appearance.md)
+ * ------------------------------------------------------- */
+
+#define BAKE_DEFAULT "default" /* the look of clients that know of none */
+/* The store's appearance model, read once; NULL when it has none. Borrowed until store_close. Its
+ * rows are the training photographs and BAKE_DEFAULT. */
+enum err_code bake_of(struct store *s, const struct appearance **out, struct err *e) ERR_USE;
+/* Hash of the model, for names of what is made with it; 0 when there is none. */
+enum err_code bake_hash(struct store *s, struct hash128 *out, struct err *e) ERR_USE;
+/* The embedding [len_image] of a look: a photograph's name, BAKE_DEFAULT, or a blend
+ * "NAME:WEIGHT,NAME:WEIGHT" of unit embeddings (weights are divided by their sum). ERR_NOENT: no
+ * such photograph, or a store without appearance. */
+enum err_code bake_find(struct store *s, const char *look, float *image, struct err *e) ERR_USE;
+/* Change g's colours and opacities to a look (NULL: the default one); does nothing where the store
+ * has no appearance. g carries the store's embeddings. */
+enum err_code bake_apply(struct store *s, const float *image, struct gauss *g,
+                         struct err *e) ERR_USE;
+/* store_read_gauss and bake_apply. */
+enum err_code bake_read(struct store *s, struct key k, const float *image, struct gauss *out,
+                        struct err *e) ERR_USE;
+/* The default look of a model whose Gaussians have embeddings like g's: image [len_image]. */
+enum err_code bake_default(const struct appearance *a, const struct gauss *g, float *image,
+                           struct err *e) ERR_USE;
+/* A copy of the model with it as last row, named BAKE_DEFAULT: what a store keeps. */
+enum err_code bake_with_default(const struct appearance *a, const struct gauss *g,
+                                struct appearance *out, struct err *e) ERR_USE;
+/* A row of the table, of length 1. */
+void bake_unit(const struct appearance *a, size_t row, float *out);
+
 /* ---- pyramid.c
  * ------------------------------------------------------------------------------------------ */
 
@@ -201,10 +231,19 @@ enum err_code view_open(const char *store_path, struct render *r, size_t cache_b
                         struct view **out, struct err *e) ERR_USE;
 void view_close(struct view **v);
 const struct store *view_store(const struct view *v);
+const struct appearance *view_appearance(const struct view *v); /* of the store; NULL: none */
 /* Change the Gaussians before they go to the device (an appearance: g carries the embeddings then);
  * NULL for none. Takes effect with the next picture. */
 void view_set_bake(struct view *v,
                    enum err_code (*bake)(void *user, struct gauss *g, struct err *e), void *user);
+/* The look of pictures of a store with appearance: an embedding (copied), NULL for the default one.
+ */
+enum err_code view_set_look(struct view *v, const float *image, struct err *e) ERR_USE;
+/* bake_find of the view's store. */
+enum err_code view_find_look(struct view *v, const char *look, float *image, struct err *e) ERR_USE;
+/* Leave colours as they were trained and embeddings on the device, for render_options that carry a
+ * frame of the network; no baking then. */
+void view_set_raw(struct view *v, bool raw);
 struct view_stats {
     size_t n_tiles;
     uint64_t n_gaussians;
@@ -214,6 +253,11 @@ struct view_stats {
 enum err_code view_render(struct view *v, const struct camera *cam, const struct render_options *ro,
                           const struct pick_options *po, float *rgb, struct view_stats *stats,
                           struct err *e) ERR_USE;
+
+/* The Gaussians that such a picture is drawn from, on the device until the next call. */
+enum err_code view_model(struct view *v, const struct camera *cam, const struct pick_options *po,
+                         const struct render_model **out, struct view_stats *stats,
+                         struct err *e) ERR_USE;
 
 /* A camera as maps give it: heading clockwise from north, pitch above the horizon, height
  * ellipsoidal. */

@@ -383,6 +383,7 @@ void store_close(struct store **sp)
     if (s->building)
         file_abort(s->part);
     store_close(&s->before);
+    bake_close(s);
     tree_free(&s->tree);
     mem_free(s->tiles);
     mem_free(s);

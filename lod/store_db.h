@@ -38,7 +38,9 @@ struct store {
     struct store_meta meta;
     struct store_tile *tiles; /* opened: sorted by key; building: in order of store_put */
     size_t n_tiles, cap_tiles;
-    struct tree tree; /* opened only */
+    struct tree tree;  /* opened only */
+    struct bake *bake; /* opened: appearance, read on first use; NULL: none */
+    bool bake_known;
     struct store
         *before; /* building: the store that will be replaced, for tile versions; may be NULL */
 };
@@ -52,5 +54,6 @@ struct hash128 store_db_row_hash(const struct store_tile *t);
 int store_db_tile_compare(const void *a, const void *b);
 /* Fit for addresses and documents as it is: a-z, 0-9, - and _. */
 bool store_db_name_ok(const char *name);
+void bake_close(struct store *s);
 
 #endif

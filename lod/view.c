@@ -38,6 +38,9 @@ struct view {
     bool model_valid;
     enum err_code (*bake)(void *user, struct gauss *g, struct err *e);
     void *bake_user;
+    const struct appearance *appearance; /* of the store; NULL: none */
+    float *look;                         /* [len_image]; NULL: the default one */
+    bool raw;
 };
 
 enum err_code view_open(const char *store_path, struct render *r, size_t cache_bytes,
@@ -50,6 +53,8 @@ enum err_code view_open(const char *store_path, struct render *r, size_t cache_b
     v->render = r;
     v->limit_bytes = cache_bytes ? cache_bytes : VIEW_CACHE_BYTES;
     enum err_code rc = store_open(store_path, &v->store, e);
+    if (!rc)
+        rc = bake_of(v->store, &v->appearance, e);
     if (!rc) {
         store_tiles(v->store, &v->n_tiles);
         v->tile = mem_array(v->n_tiles, sizeof *v->tile);
@@ -82,6 +87,7 @@ void view_close(struct view **vp)
     mem_free(v->tile);
     mem_free(v->picked);
     mem_free(v->now);
+    mem_free(v->look);
     store_close(&v->store);
     mem_free(v);
     *vp = NULL;
@@ -92,11 +98,42 @@ const struct store *view_store(const struct view *v)
     return v->store;
 }
 
+const struct appearance *view_appearance(const struct view *v)
+{
+    return v->appearance;
+}
+
 void view_set_bake(struct view *v,
                    enum err_code (*bake)(void *user, struct gauss *g, struct err *e), void *user)
 {
     v->bake = bake;
     v->bake_user = user;
+    view_drop_model(v);
+}
+
+enum err_code view_set_look(struct view *v, const float *image, struct err *e)
+{
+    float *look = NULL;
+    if (image && v->appearance) {
+        look = mem_array(v->appearance->len_image, sizeof *look);
+        if (!look)
+            return err_set(e, ERR_MEM, "view: out of memory");
+        memcpy(look, image, v->appearance->len_image * sizeof *look);
+    }
+    mem_free(v->look);
+    v->look = look;
+    view_drop_model(v);
+    return ERR_OK;
+}
+
+enum err_code view_find_look(struct view *v, const char *look, float *image, struct err *e)
+{
+    return bake_find(v->store, look, image, e);
+}
+
+void view_set_raw(struct view *v, bool raw)
+{
+    v->raw = raw;
     view_drop_model(v);
 }
 
@@ -205,7 +242,8 @@ static enum err_code view_assemble(struct view *v, size_t n, struct err *e)
     const struct store_tile *tiles = store_tiles(v->store, &n_tiles);
     for (size_t i = 0; i < n; i++)
         total += v->tile[v->now[i]].g.n;
-    enum err_code rc = gauss_alloc(&all, total, m->sh_degree, v->bake ? m->embed_len : 0, e);
+    bool embed = v->bake || v->raw || v->appearance;
+    enum err_code rc = gauss_alloc(&all, total, m->sh_degree, embed ? m->embed_len : 0, e);
     if (rc)
         return rc;
     all.antialiased = m->antialiased;
@@ -217,6 +255,10 @@ static enum err_code view_assemble(struct view *v, size_t n, struct err *e)
     }
     if (!rc && v->bake)
         rc = v->bake(v->bake_user, &all, e);
+    else if (!rc && !v->raw)
+        rc = bake_apply(v->store, v->look, &all, e);
+    if (!rc && !v->raw)
+        all.embed_len = 0; /* the device need not hold what nothing asks for */
     view_drop_model(v);
     if (!rc)
         rc = render_model_upload(v->render, &all, &v->model, e);
@@ -244,25 +286,39 @@ static enum err_code view_prepare(struct view *v, size_t n, struct err *e)
     return rc;
 }
 
-enum err_code view_render(struct view *v, const struct camera *cam, const struct render_options *ro,
-                          const struct pick_options *po, float *rgb, struct view_stats *stats,
-                          struct err *e)
+enum err_code view_model(struct view *v, const struct camera *cam, const struct pick_options *po,
+                         const struct render_model **out, struct view_stats *stats, struct err *e)
 {
     double t0 = clock_s();
     size_t n = 0;
+    *out = NULL;
     enum err_code rc = pick_tiles(v->store, cam, po, v->now, &n, e);
     double t1 = clock_s();
     if (!rc)
         rc = view_prepare(v, n, e);
-    double t2 = clock_s();
+    if (rc)
+        return rc;
+    *out = &v->model;
+    *stats = (struct view_stats){.n_tiles = n,
+                                 .n_gaussians = v->model.n,
+                                 .ms_pick = 1e3 * (t1 - t0),
+                                 .ms_load = 1e3 * (clock_s() - t1)};
+    return ERR_OK;
+}
+
+enum err_code view_render(struct view *v, const struct camera *cam, const struct render_options *ro,
+                          const struct pick_options *po, float *rgb, struct view_stats *stats,
+                          struct err *e)
+{
+    struct view_stats st;
+    const struct render_model *m;
+    enum err_code rc = view_model(v, cam, po, &m, &st, e);
+    double start = clock_s();
     if (!rc)
-        rc = render_forward(v->render, &v->model, cam, ro, rgb, NULL, e);
+        rc = render_forward(v->render, m, cam, ro, rgb, NULL, e);
+    st.ms_render = 1e3 * (clock_s() - start);
     if (!rc && stats)
-        *stats = (struct view_stats){.n_tiles = n,
-                                     .n_gaussians = v->model.n,
-                                     .ms_pick = 1e3 * (t1 - t0),
-                                     .ms_load = 1e3 * (t2 - t1),
-                                     .ms_render = 1e3 * (clock_s() - t2)};
+        *stats = st;
     return rc;
 }
 

@@ -83,7 +83,7 @@ enum err_code encode_tile(struct store *s, struct key key, struct form form, str
                           struct err *e)
 {
     struct gauss g = {0};
-    enum err_code rc = store_read_gauss(s, key, &g, e);
+    enum err_code rc = bake_read(s, key, NULL, &g, e);
     if (rc == ERR_OK)
         rc = encode_gauss(&g, store_info(s), key, form, out, e);
     gauss_free(&g);

@@ -91,7 +91,11 @@ static struct densify_params params_of(const struct train_cell *cell, size_t ins
 
 static struct densify_input input_of(const struct toy *t, bool with_score)
 {
-    return (struct densify_input){t->params, t->n, PLANES, t->grad, with_score ? t->score : NULL};
+    return (struct densify_input){.params = t->params,
+                                  .n = t->n,
+                                  .planes = PLANES,
+                                  .mean_grad = t->grad,
+                                  .score = with_score ? t->score : NULL};
 }
 
 static void with_room_every_candidate_is_taken(void **state)

@@ -179,7 +179,10 @@ static enum densify_class densify_classify(const struct densify_params *p,
     }
     largest = exp(largest);
     double opacity =
-        1.0 / (1.0 + exp(-(double)in->params[densify_at(i, in->planes, RENDER_PLANE_OPACITY)]));
+        in->opacity
+            ? (double)in->opacity[i]
+            : 1.0 /
+                  (1.0 + exp(-(double)in->params[densify_at(i, in->planes, RENDER_PLANE_OPACITY)]));
     double d = densify_distance(p, mean);
     *inside = d <= 0.0;
     if (!(opacity >= p->prune_opacity) || !(largest >= DENSIFY_SMALLEST_M) ||

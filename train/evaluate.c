@@ -9,6 +9,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "train/light.h"
 #include "train/train.h"
 
 enum {
@@ -27,8 +28,8 @@ static double evaluate_l1(const float *rgb, const uint8_t *target, const uint8_t
     return n ? sum / (double)n : 0.0;
 }
 
-static enum err_code evaluate_photo(const struct feed_photo *p, const float *rgb,
-                                    struct evaluate_score *sum, struct err *e)
+enum err_code evaluate_photo(const struct feed_photo *p, const float *rgb,
+                             struct evaluate_score *sum, struct err *e)
 {
     uint32_t w = p->cam.width_px, h = p->cam.height_px;
     double psnr, ssim, gmsd, ssim_valid = (double)NAN;
@@ -108,6 +109,17 @@ static enum err_code evaluate_one(struct feed *f, size_t nth, const struct evalu
     return rc;
 }
 
+void evaluate_divide(struct evaluate_score *sum, double n)
+{
+    sum->psnr_db /= n;
+    sum->ssim /= n;
+    sum->ssim_valid /= n;
+    sum->l1 /= n;
+    sum->gmsd /= n;
+    sum->gaussians /= n;
+    sum->ms_frame /= n;
+}
+
 enum err_code evaluate_run(struct feed *f, size_t n_photos, const struct evaluate_source *src,
                            struct evaluate_score *out, struct err *e)
 {
@@ -121,14 +133,7 @@ enum err_code evaluate_run(struct feed *f, size_t n_photos, const struct evaluat
         if (clock_stopping())
             return err_set(e, ERR_CANCEL, "stopped while scoring");
     }
-    double n = (double)n_photos;
-    out->psnr_db /= n;
-    out->ssim /= n;
-    out->ssim_valid /= n;
-    out->l1 /= n;
-    out->gmsd /= n;
-    out->gaussians /= n;
-    out->ms_frame /= n;
+    evaluate_divide(out, (double)n_photos);
     return ERR_OK;
 }
 
@@ -136,6 +141,11 @@ enum err_code evaluate_draw_model(void *user, const struct camera *cam, float *r
                                   double *gaussians, struct err *e)
 {
     const struct evaluate_model *m = user;
+    struct render_options ro = m->options;
     *gaussians = m->model->n;
-    return render_forward(m->render, m->model, cam, &m->options, rgb, NULL, e);
+    if (m->look) {
+        ro.appearance_frame = light_view_frame(m->look, cam);
+        ro.appearance_hidden = m->look->model->hidden;
+    }
+    return render_forward(m->render, m->model, cam, &ro, rgb, NULL, e);
 }

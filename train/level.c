@@ -53,6 +53,15 @@ struct render_options level_render_options(const struct level *l, uint32_t step)
     };
 }
 
+struct render_options level_photo_options(struct level *l, uint32_t step, uint32_t image)
+{
+    struct render_options ro = level_render_options(l, step);
+    if (light_is_on(&l->light) && step > light_warmup(&l->light, l->cfg, level_schedule(l)))
+        ro.appearance_frame = light_frame(&l->light, image);
+    ro.appearance_hidden = l->light.model.hidden;
+    return ro;
+}
+
 /* ---- buffers ------------------------------------------------------------------------------------
  */
 
@@ -65,6 +74,7 @@ static void level_release(struct level *l)
     dev_release(&l->stats.absg);
     dev_release(&l->stats.count);
     dev_release(&l->stats.radius);
+    dev_release(&l->stats.opacity);
 }
 
 /* Room for at least n Gaussians, all planes; contents are lost when it grows. */
@@ -84,11 +94,13 @@ static enum err_code level_reserve(struct level *l, size_t n, struct err *e)
     l->model.embed_len = keep.embed_len;
     memcpy(l->model.origin_enu_m, keep.origin_enu_m, sizeof(keep.origin_enu_m));
     cl_mem *per_plane[] = {&l->model.params, &l->adam.m1, &l->adam.m2};
-    cl_mem *per_row[] = {&l->stats.grad, &l->stats.absg, &l->stats.count, &l->stats.radius};
+    cl_mem *per_row[] = {&l->stats.grad, &l->stats.absg, &l->stats.count, &l->stats.radius,
+                         &l->stats.opacity};
+    const size_t rows = light_is_on(&l->light) ? 5 : 4;
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < 3; i++)
         rc = dev_buffer(l->dev, bytes, NULL, per_plane[i], e);
-    for (size_t i = 0; !rc && i < 4; i++)
+    for (size_t i = 0; !rc && i < rows; i++)
         rc = dev_buffer(l->dev, cap * sizeof(float), NULL, per_row[i], e);
     if (rc)
         return err_add(e, "training %zu Gaussians", n);
@@ -98,10 +110,11 @@ static enum err_code level_reserve(struct level *l, size_t n, struct err *e)
 
 static enum err_code level_zero_stats(struct level *l, struct err *e)
 {
-    cl_mem rows[] = {l->stats.grad, l->stats.absg, l->stats.count, l->stats.radius};
+    cl_mem rows[] = {l->stats.grad, l->stats.absg, l->stats.count, l->stats.radius,
+                     l->stats.opacity};
     enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < 4; i++)
-        rc = dev_zero(l->dev, rows[i], 0, l->model.cap * sizeof(float), e);
+    for (size_t i = 0; !rc && i < 5; i++)
+        rc = !rows[i] ? ERR_OK : dev_zero(l->dev, rows[i], 0, l->model.cap * sizeof(float), e);
     return rc;
 }
 
@@ -190,6 +203,7 @@ void level_close(struct level *l)
     budget_close(&l->budget);
     score_free(&l->score);
     regular_free(&l->regular);
+    light_close(&l->light);
 }
 
 enum err_code level_gauss(struct level *l, struct gauss *out, struct err *e)
@@ -233,6 +247,7 @@ enum err_code level_next(struct level *l, struct err *e)
     l->budget.at = (struct budget_point){0};
     l->filter_is_current = false;
     l->start = level_count_inside(l, &g);
+    light_restart(&l->light);
     gauss_free(&g);
     size_t bytes = densify_floats(l->model.cap, l->model.planes) * sizeof(float);
     rc = dev_zero(l->dev, l->adam.m1, 0, bytes, e);
@@ -256,14 +271,14 @@ enum err_code level_next(struct level *l, struct err *e)
 /* Host copies around one densification. */
 struct level_copy {
     struct densify_state from, to;
-    float *sum, *count, *mean_grad, *score;
+    float *sum, *count, *mean_grad, *score, *opacity;
     struct densify_plan plan;
 };
 
 static void level_copy_free(struct level_copy *c)
 {
-    float *all[] = {c->from.params, c->from.m1, c->from.m2, c->to.params, c->to.m1,
-                    c->to.m2,       c->sum,     c->count,   c->mean_grad, c->score};
+    float *all[] = {c->from.params, c->from.m1, c->from.m2,   c->to.params, c->to.m1,  c->to.m2,
+                    c->sum,         c->count,   c->mean_grad, c->score,     c->opacity};
     for (size_t i = 0; i < sizeof(all) / sizeof(all[0]); i++)
         mem_free(all[i]);
     densify_plan_free(&c->plan);
@@ -371,17 +386,42 @@ static struct densify_params level_densify_params(const struct level *l, uint32_
     return p;
 }
 
+/* A Gaussian that shows under the light of some photographs only must not go for being faint by
+ * itself: the limit is for the largest opacity it was drawn with since the last densification. */
+static enum err_code level_opacity(struct level *l, struct level_copy *c, struct densify_params *p,
+                                   struct err *e)
+{
+    if (!light_is_on(&l->light) || l->step <= light_warmup(&l->light, l->cfg, level_schedule(l)))
+        return ERR_OK;
+    c->opacity = mem_array(l->model.n, sizeof(float));
+    if (!c->opacity)
+        return err_set(e, ERR_MEM, "densify: out of memory for %u Gaussians", l->model.n);
+    p->prune_opacity += LIGHT_OFFSET_IDLE;
+    enum err_code rc =
+        dev_read(l->dev, l->stats.opacity, 0, l->model.n * sizeof(float), c->opacity, e);
+    for (size_t i = 0; !rc && i < l->model.n; i++) {
+        const float *row = c->from.params + i / LEVEL_LANES * l->model.planes * LEVEL_LANES;
+        float own = row[RENDER_PLANE_OPACITY * LEVEL_LANES + i % LEVEL_LANES];
+        if (!(c->count[i] > 0.0f)) /* not seen: nothing was added to its own */
+            c->opacity[i] = 1.0f / (1.0f + expf(-own)) + (float)LIGHT_OFFSET_IDLE;
+    }
+    return rc;
+}
+
 static enum err_code level_densify(struct level *l, uint32_t x, struct err *e)
 {
     struct level_copy c = {0};
     struct densify_params p = level_densify_params(l, x);
     enum err_code rc = level_download(l, &c, e);
+    if (!rc)
+        rc = level_opacity(l, &c, &p, e);
     if (rc)
         goto out;
     struct densify_input in = {.params = c.from.params,
                                .n = l->model.n,
                                .planes = l->model.planes,
-                               .mean_grad = c.mean_grad};
+                               .mean_grad = c.mean_grad,
+                               .opacity = c.opacity};
     rc = densify_choose(&p, &in, &c.plan, e);
     if (!rc && c.plan.report.needs_score) {
         c.score = mem_array(in.n, sizeof(float));
@@ -533,6 +573,32 @@ static enum err_code level_read_loss(struct level *l, struct loss_value *v, stru
     return level_check_repaired(l, e);
 }
 
+/* What the way back of this step does about appearance. */
+static void level_light(struct level *l, uint32_t step, const struct render_options *ro,
+                        struct render_appearance_grad *grad)
+{
+    const struct schedule *s = level_schedule(l);
+    l->adam.appearance = NULL;
+    if (!ro->appearance_frame)
+        return;
+    *grad = (struct render_appearance_grad){
+        .offset_weight = (float)l->cfg->opacity_offset_weight,
+        .frame = light_learns(&l->light, l->cfg, s) ? l->light.frame_grad : NULL};
+    l->adam.lr_embed = (float)light_lr(&l->light, l->cfg, s, step);
+    l->adam.embed_step = step - light_warmup(&l->light, l->cfg, s);
+    l->adam.appearance = grad;
+}
+
+/* The step's gradient of the frame's constants moves the network and the photograph. */
+static void level_learn_light(struct level *l, uint32_t image)
+{
+    const struct render_appearance_grad *grad = l->adam.appearance;
+    l->offset_mean = grad->offset_mean;
+    if (grad->frame)
+        light_update(&l->light, image, (double)l->adam.lr_embed);
+    l->adam.appearance = NULL; /* it lives in the step's frame */
+}
+
 enum err_code level_step(struct level *l, struct loss_value *value, struct err *e)
 {
     const struct schedule *s = level_schedule(l);
@@ -541,7 +607,7 @@ enum err_code level_step(struct level *l, struct loss_value *value, struct err *
     enum err_code rc = feed_get(l->feed, step, &photo, e);
     if (rc)
         return rc;
-    struct render_options ro = level_render_options(l, step);
+    struct render_options ro = level_photo_options(l, step, photo.image);
     rc = regular_step(l, step, &photo, e);
     if (!rc)
         rc = render_forward(l->render, &l->model, &photo.cam, &ro, NULL, NULL, e);
@@ -549,11 +615,15 @@ enum err_code level_step(struct level *l, struct loss_value *value, struct err *
         rc = level_photo_loss(l, &photo, e);
     l->adam.step = step;
     l->adam.lr_mean = (float)schedule_lr_mean(s, step);
+    struct render_appearance_grad grad;
+    level_light(l, step, &ro, &grad);
     struct render_density_stats stats = l->stats;
     if (!s->absgrad || step >= s->densify_until)
         stats.absg = NULL; /* densification would not look at it: saves a tenth of the way back */
     if (!rc)
         rc = render_backward_step(l->render, &l->model, &l->adam, &stats, e);
+    if (!rc && l->adam.appearance)
+        level_learn_light(l, photo.image);
     l->step = step;
     if (!rc && value)
         rc = level_read_loss(l, value, e);

@@ -7,6 +7,7 @@
 #define TRAIN_LEVEL_H
 
 #include "train/budget.h"
+#include "train/light.h"
 #include "train/regular.h"
 #include "train/train.h"
 
@@ -36,6 +37,7 @@ struct level {
     struct render_adam adam; /* moments in the layout of the model; step counts within the level */
     struct render_density_stats stats;
     bool filter_is_current; /* model.filter is that of these Gaussians; with --aa mip only */
+    struct light light;     /* {0}: without appearance; opened before level_open */
 
     /* -- scratch */
     struct feed *feed; /* of this level; opened by level_begin */
@@ -45,6 +47,7 @@ struct level {
     size_t mask_bytes;
     uint32_t repaired;          /* non-finite updates seen so far */
     double loss_mean, mse_mean; /* running means for people */
+    double offset_mean;         /* opacity offset, mean over the visible of the last step */
     double step_s;              /* when steps were last timed */
 };
 
@@ -62,6 +65,8 @@ enum err_code level_next(struct level *l, struct err *e) ERR_USE;
 /* Gaussians as they are now. gauss_free it. */
 enum err_code level_gauss(struct level *l, struct gauss *out, struct err *e) ERR_USE;
 struct render_options level_render_options(const struct level *l, uint32_t step);
+/* The same with the look of a training photograph, once the warm-up is over. */
+struct render_options level_photo_options(struct level *l, uint32_t step, uint32_t image);
 /* Replace the model: n rows of these host arrays (layout of the device). Statistics become 0. */
 enum err_code level_replace(struct level *l, const struct densify_state *s, size_t n,
                             struct err *e) ERR_USE;
@@ -100,7 +105,8 @@ struct run_cell { /* one cell to train; all borrowed */
     struct dev *dev;
     struct render *render;
     struct loss *loss;
-    uint64_t *steps; /* of this process, counted on */
+    const struct appearance *shared; /* of all cells; NULL: the cell learns its own */
+    uint64_t *steps;                 /* of this process, counted on */
 };
 /* Locks the cell's folder, trains what is missing in it and writes done.json last. ERR_BUSY:
  * another process is at it. */

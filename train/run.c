@@ -129,6 +129,8 @@ static enum err_code run_start(struct run *t, struct err *e)
     enum err_code rc =
         init_gauss(l->scene, l->images, l->n_images, &l->cell, (uint32_t)t->cfg->sh_degree,
                    l->schedule[0].budget, (uint64_t)t->cfg->seed, &g, e);
+    if (!rc && light_is_on(&l->light))
+        rc = light_embed(&l->light, (uint64_t)t->cfg->seed, &g, e);
     if (!rc)
         rc = level_open(l, &g, e);
     gauss_free(&g);
@@ -163,11 +165,11 @@ static enum err_code run_report(struct run *t, const struct loss_value *v, struc
         return ERR_OK;
     double now = clock_s(), seconds = now - l->step_s;
     l->step_s = now;
-    json_t *o =
-        json_pack("{s:i, s:i, s:f, s:f, s:f, s:f, s:I, s:f, s:I}", "level", (int)l->at + 1, "step",
-                  (int)l->step, "loss", v->total, "l1", v->l1, "ssim", v->ssim, "psnr_mean_db",
-                  psnr, "gaussians", (json_int_t)l->model.n, "s_since_last_line", seconds,
-                  "feed_bytes", (json_int_t)feed_bytes(l->feed));
+    json_t *o = json_pack("{s:i, s:i, s:f, s:f, s:f, s:f, s:I, s:f, s:I, s:f}", "level",
+                          (int)l->at + 1, "step", (int)l->step, "loss", v->total, "l1", v->l1,
+                          "ssim", v->ssim, "psnr_mean_db", psnr, "gaussians",
+                          (json_int_t)l->model.n, "s_since_last_line", seconds, "feed_bytes",
+                          (json_int_t)feed_bytes(l->feed), "opacity_offset", l->offset_mean);
     return record_line(l->record, "step", o, e);
 }
 
@@ -211,11 +213,16 @@ static enum err_code run_score(struct run *t, struct evaluate_score *out, struct
         .downsample = l->schedule[l->at].downsample,
         .cache_bytes = (size_t)64 << 20,
     };
-    struct evaluate_model model = {l->render, &l->model, level_render_options(l, l->step)};
+    struct light_view look = {0};
+    struct evaluate_model model = {l->render, &l->model, level_render_options(l, l->step),
+                                   light_is_on(&l->light) ? &look : NULL};
     struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model};
     enum err_code rc = feed_open(&f, &feed, e);
+    if (!rc && model.look)
+        rc = light_view_open(&look, &l->light.model, l->scene, e);
     if (!rc)
         rc = evaluate_run(feed, t->job->n_test, &source, out, e);
+    light_view_close(&look);
     feed_close(&feed);
     return rc;
 }
@@ -334,6 +341,9 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
     enum err_code rc = run_budget(t, e);
     if (!rc)
         rc = run_paths(t, job->base_dir, e);
+    if (!rc && light_wanted(job->cfg))
+        rc = light_open(&t->level.light, job->cfg, job->scene, job->images, job->n_images,
+                        job->shared, e);
     if (!rc)
         rc = done_lock(t->dir, &t->lock_fd, e);
     if (!rc)

@@ -120,7 +120,7 @@ static enum err_code score_draw(struct level *l, const struct feed_photo *p, dou
 {
     struct score *s = l->score;
     size_t n = (size_t)p->cam.width_px * p->cam.height_px, bytes = n * sizeof(float);
-    struct render_options ro = level_render_options(l, l->step);
+    struct render_options ro = level_photo_options(l, l->step, p->image);
     float *color = mem_array(3 * n, sizeof(float)), *error = mem_array(n, sizeof(float));
     float *edge = mem_array(n, sizeof(float));
     enum err_code rc =

@@ -16,14 +16,15 @@
 #include "train/level.h"
 
 #define STATE_SAME_M 1e-6 /* lengths of a plan go through text */
-enum { STATE_STATS = 4 };
+enum { STATE_STATS = 5, STATE_LIGHTS = 2 };
 static const char *const state_stat_names[STATE_STATS] = {"stat_grad", "stat_absg", "stat_count",
-                                                          "stat_radius"};
+                                                          "stat_radius", "stat_opacity"};
 
 /* Options that do not change the trajectory. */
 static const char *const state_free_options[] = {
-    "output",     "cell",      "device", "jobs", "threads", "list", "resume", "checkpoint_interval",
-    "stop_after", "cache_mib", NULL,
+    "output",     "cell",      "device",          "jobs",
+    "threads",    "list",      "resume",          "checkpoint_interval",
+    "stop_after", "cache_mib", "appearance_only", NULL,
 };
 
 static bool state_is_free(const char *key)
@@ -40,6 +41,7 @@ static void state_stat_buffers(const struct level *l, cl_mem out[STATE_STATS])
     out[1] = l->stats.absg;
     out[2] = l->stats.count;
     out[3] = l->stats.radius;
+    out[4] = l->stats.opacity; /* NULL without appearance */
 }
 
 /* Head of every checkpoint; NULL when out of memory. */
@@ -112,10 +114,18 @@ enum err_code state_save_level(struct level *l, const char *path,
     }
     if (!rc)
         rc = level_gauss(l, &g, e);
+    struct buf look = {0};
+    struct ckpt_blob blob = {.name = LIGHT_BLOB};
+    bool with = light_is_on(&l->light);
+    if (!rc && with)
+        rc = appearance_write(&l->light.model, &look, e);
+    blob.data = look.data;
+    blob.size_bytes = look.size;
     if (!rc)
         rc = state_fold(l, &g, e);
     if (!rc)
-        rc = ckpt_write(path, meta, &g, NULL, 0, e);
+        rc = ckpt_write(path, meta, &g, &blob, with, e);
+    buf_free(&look);
     gauss_free(&g);
     json_decref(meta);
     return rc;
@@ -133,6 +143,23 @@ static enum err_code state_blob(struct level *l, const char *name, cl_mem from, 
     return dev_read(l->dev, from, 0, bytes, host, e);
 }
 
+/* The appearance model, and the moments of its optimiser. */
+static enum err_code state_light_blobs(const struct level *l, struct ckpt_blob out[STATE_LIGHTS],
+                                       struct err *e)
+{
+    struct buf b[STATE_LIGHTS] = {{0}};
+    enum err_code rc = appearance_write(&l->light.model, &b[0], e);
+    if (!rc)
+        rc = light_write_state(&l->light, &b[1], e);
+    memcpy(out[0].name, LIGHT_BLOB, sizeof(LIGHT_BLOB));
+    memcpy(out[1].name, LIGHT_BLOB_STATE, sizeof(LIGHT_BLOB_STATE));
+    for (size_t i = 0; i < STATE_LIGHTS; i++) { /* freed with the other blobs */
+        out[i].data = b[i].data;
+        out[i].size_bytes = b[i].size;
+    }
+    return rc;
+}
+
 static void state_free_blobs(struct ckpt_blob *b, size_t n)
 {
     for (size_t i = 0; i < n; i++)
@@ -142,7 +169,7 @@ static void state_free_blobs(struct ckpt_blob *b, size_t n)
 enum err_code state_save(struct level *l, const char *path, struct err *e)
 {
     struct gauss g = {0};
-    struct ckpt_blob blobs[3 + STATE_STATS] = {0};
+    struct ckpt_blob blobs[3 + STATE_STATS + STATE_LIGHTS] = {0};
     size_t n = 0, moments = densify_floats(l->model.n, l->model.planes) * sizeof(float);
     json_t *meta = state_meta(l, "resume", e);
     if (!meta)
@@ -154,11 +181,15 @@ enum err_code state_save(struct level *l, const char *path, struct err *e)
         rc = state_blob(l, "adam_m1", l->adam.m1, moments, &blobs[n++], e);
     if (!rc)
         rc = state_blob(l, "adam_m2", l->adam.m2, moments, &blobs[n++], e);
-    for (size_t i = 0; !rc && i < STATE_STATS; i++)
+    for (size_t i = 0; !rc && i < STATE_STATS && stats[i]; i++)
         rc = state_blob(l, state_stat_names[i], stats[i], l->model.n * sizeof(float), &blobs[n++],
                         e);
     if (!rc && l->model.filter && l->filter_is_current)
         rc = state_blob(l, "filter", l->model.filter, l->model.n * sizeof(float), &blobs[n++], e);
+    if (!rc && light_is_on(&l->light)) {
+        rc = state_light_blobs(l, blobs + n, e);
+        n += STATE_LIGHTS;
+    }
     if (!rc)
         rc = ckpt_write(path, meta, &g, blobs, n, e);
     state_free_blobs(blobs, n);
@@ -266,7 +297,17 @@ static enum err_code state_upload(struct level *l, const struct ckpt *c, const c
         part[2 + i].to = stats[i];
         part[2 + i].bytes = c->g.n * sizeof(float);
     }
-    for (size_t i = 0; i < 2 + STATE_STATS; i++) {
+    if (light_is_on(&l->light)) {
+        const struct ckpt_blob *model = ckpt_find(c, LIGHT_BLOB);
+        const struct ckpt_blob *adam = ckpt_find(c, LIGHT_BLOB_STATE);
+        if (!model || !adam)
+            return err_set(e, ERR_FORMAT, "%s: holds no appearance model", path);
+        enum err_code rc = light_read_state(&l->light, model->data, model->size_bytes, adam->data,
+                                            adam->size_bytes, e);
+        if (rc)
+            return err_add(e, "%s", path);
+    }
+    for (size_t i = 0; i < 2 + STATE_STATS && part[i].to; i++) {
         const void *data = state_find(c, path, part[i].name, part[i].bytes, e);
         if (!data)
             return ERR_FORMAT;
@@ -338,6 +379,8 @@ static enum err_code state_apply(struct level *l, const struct ckpt *c, const ch
         rc = state_integer(c, path, "start", 0, 4e9, &start, e);
     if (!rc && c->g.sh_degree != (uint32_t)l->cfg->sh_degree)
         rc = err_set(e, ERR_FORMAT, "%s: harmonics of degree %u", path, c->g.sh_degree);
+    if (!rc && c->g.embed_len != l->light.model.len_gauss)
+        rc = err_set(e, ERR_FORMAT, "%s: embeddings of length %u", path, c->g.embed_len);
     if (rc)
         return rc;
     l->at = (uint32_t)level - 1;
@@ -363,6 +406,20 @@ enum err_code state_load(struct level *l, const char *path, struct err *e)
     return rc;
 }
 
+/* A cell that was trained with an older shared appearance model does not fit its neighbours. */
+static bool state_has_light(const struct level *l, const struct ckpt *c)
+{
+    struct appearance a = {0};
+    struct err why = {0};
+    const struct ckpt_blob *b = ckpt_find(c, LIGHT_BLOB);
+    if (!light_is_on(&l->light) || !l->light.shared)
+        return (b != NULL) == light_is_on(&l->light);
+    bool same =
+        b && !appearance_read(b->data, b->size_bytes, &a, &why) && light_same(&a, &l->light.model);
+    appearance_free(&a);
+    return same;
+}
+
 enum err_code state_is_result_of(const struct level *l, const char *path, bool *yes, struct err *e)
 {
     struct ckpt c;
@@ -375,7 +432,7 @@ enum err_code state_is_result_of(const struct level *l, const char *path, bool *
     *yes = !jsonc_text(c.meta, "kind", &kind, &why) && !strcmp(kind, "level") &&
            !jsonc_num(c.meta, "level", &level, &why) && level == (double)l->n_levels &&
            !state_check_config(l, path, json_object_get(c.meta, "config"), &why) &&
-           !state_check_cell(l, path, c.meta, &why);
+           !state_check_cell(l, path, c.meta, &why) && state_has_light(l, &c);
     ckpt_free(&c);
     return ERR_OK;
 }

@@ -6,6 +6,7 @@
 
 #include "core/pool.h"
 #include "train/level.h"
+#include "train/shared.h"
 
 static const struct options_def train_defs[] = {
 #define OPT(type, key, def, lo, hi, unit, help)                                                    \
@@ -154,7 +155,8 @@ struct train { /* everything that lives as long as the run */
     bool dev_is_open;
     struct render *render;
     struct loss *loss;
-    uint64_t steps; /* in this process, over all cells */
+    struct appearance shared; /* of all cells; empty: none */
+    uint64_t steps;           /* in this process, over all cells */
 };
 
 static enum err_code train_open(struct train *t, const char *scene_dir,
@@ -174,11 +176,50 @@ static enum err_code train_open(struct train *t, const char *scene_dir,
 
 static void train_close(struct train *t)
 {
+    appearance_free(&t->shared);
     loss_close(&t->loss);
     render_close(&t->render);
     if (t->dev_is_open)
         dev_close(&t->dev);
     train_scene_close(&t->scene);
+}
+
+/* The appearance model that all cells of the plan use, where one is wanted. */
+static enum err_code train_shared(struct train *t, struct err *e)
+{
+    struct train_scene *s = &t->scene;
+    const struct train_config *cfg = s->cfg;
+    uint32_t *images;
+    size_t n = 0;
+    for (size_t i = 0; i < s->plan.n_cells; i++)
+        n += s->plan.cells[i].parent < 0;
+    if (!shared_wanted(cfg, n))
+        return cfg->appearance_only
+                   ? err_set(e, ERR_ARG,
+                             "--appearance-only: nothing to train: it needs --appearance and "
+                             "--appearance-shared, and a plan of several cells (%s/plan.json has "
+                             "%zu)",
+                             s->dir, n)
+                   : ERR_OK;
+    struct run_cell job = {
+        .cfg = cfg,
+        .base_dir = cfg->output ? cfg->output : s->dir,
+        .scene = &s->scene,
+        .dev = &t->dev,
+        .render = t->render,
+        .loss = t->loss,
+        .steps = &t->steps,
+    };
+    enum err_code rc =
+        train_images(&s->scene, SCENE_TEST, cfg->test_split, &job.test_images, &job.n_test, e);
+    if (!rc)
+        rc = train_images(&s->scene, SCENE_TRAIN, cfg->test_split, &images, &job.n_images, e);
+    if (!rc && !job.n_images)
+        rc = err_set(e, ERR_DATA, "%s: no photographs to train on", s->dir);
+    if (rc)
+        return rc;
+    job.images = images;
+    return shared_get(&job, !cfg->cell, &t->shared, e);
 }
 
 static enum err_code train_cell(struct train *t, size_t index, struct train_cell_result *out,
@@ -192,6 +233,7 @@ static enum err_code train_cell(struct train *t, size_t index, struct train_cell
         .dev = &t->dev,
         .render = t->render,
         .loss = t->loss,
+        .shared = t->shared.block ? &t->shared : NULL,
         .steps = &t->steps,
     };
     enum err_code rc = train_scene_cell(s, index, &job, e);
@@ -222,6 +264,8 @@ enum err_code train_run(const char *scene_dir, const struct train_config *cfg,
         return err_set(e, ERR_MEM, "train: out of memory");
     enum err_code rc = train_open(t, scene_dir, cfg, e);
     if (!rc)
+        rc = train_shared(t, e);
+    if (!rc && !cfg->appearance_only)
         rc = train_cells(t, out, e);
     out->seconds = clock_s() - start_s;
     out->peak_bytes = mem_peak_bytes();

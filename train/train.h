@@ -46,7 +46,8 @@ enum train_stream_id {
     TRAIN_STREAM_RACE,
     TRAIN_STREAM_SPLIT,
     TRAIN_STREAM_VIEWS,
-    TRAIN_STREAM_SIMILARITY
+    TRAIN_STREAM_SIMILARITY,
+    TRAIN_STREAM_EMBED
 };
 uint64_t train_stream(enum train_stream_id id, uint32_t level, uint64_t step);
 
@@ -179,7 +180,8 @@ struct densify_input { /* host copies in the device layout, [groups][planes][16]
     size_t n;
     uint32_t planes;
     const float *mean_grad; /* [n] mean positional gradient per frame seen, NDC units */
-    const float *score; /* [n] importance, >= 0; NULL while the budget does not bind: all equal */
+    const float *opacity; /* [n] what to compare with prune_opacity; NULL: that of the parameters */
+    const float *score;   /* [n] importance, >= 0; NULL while the budget does not bind: all equal */
 };
 struct densify_report {
     size_t before, pruned, clone_candidates, split_candidates, room, cloned, split, after, inside,
@@ -244,6 +246,9 @@ struct train_result { /* {0} is empty; train_result_free */
     size_t peak_bytes;
 };
 void train_result_free(struct train_result *r);
+/* Do several cells with these options wait for an appearance model that they share
+ * (train/shared.h)? cfg->appearance_only makes train_run train that and nothing else. */
+bool train_needs_shared(const struct train_config *cfg);
 /* Train the scene in `scene_dir`: the cells of its plan.json, or the one that cfg->cell names, or
  * all of it as one cell. ERR_CANCEL: stopped (signal or stop_after), the state was saved and the
  * message says how to go on. */
@@ -273,14 +278,21 @@ struct evaluate_source {
     const char *pictures; /* folder for NAME.png, photograph left and drawing right; NULL: none */
     double bytes;         /* of the source's files, handed through to the score */
 };
+/* Add the scores of one photograph against its drawing to `sum` (PSNR, SSIM, L1), and make means of
+ * `n` such sums. */
+enum err_code evaluate_photo(const struct feed_photo *p, const float *rgb,
+                             struct evaluate_score *sum, struct err *e) ERR_USE;
+void evaluate_divide(struct evaluate_score *sum, double n);
 /* Score every photograph of the feed's list. */
 enum err_code evaluate_run(struct feed *f, size_t n_photos, const struct evaluate_source *src,
                            struct evaluate_score *out, struct err *e) ERR_USE;
 /* A model on the device as a source; `user` is a struct evaluate_model. */
+struct light_view;
 struct evaluate_model {
     struct render *render;
     const struct render_model *model;
     struct render_options options;
+    struct light_view *look; /* NULL: without appearance; else the nearest training cameras' look */
 };
 enum err_code evaluate_draw_model(void *user, const struct camera *cam, float *rgb,
                                   double *gaussians, struct err *e) ERR_USE;

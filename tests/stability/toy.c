@@ -195,6 +195,8 @@ static void toy_run_prepare(struct toy_run *r, const char *dir, const struct tra
                               .n_levels = (uint32_t)cfg->level_count};
     cell_whole(&r->scene, r->images, r->n_images, &r->level.cell);
     kit_ok(schedule_make(cfg, r->n_images, &r->level.cell, r->level.schedule, &e), e);
+    if (light_wanted(cfg))
+        kit_ok(light_open(&r->level.light, cfg, &r->scene, r->images, r->n_images, NULL, &e), e);
     kit_ok(render_open(&toy_dev, &r->level.render, &e), e);
     kit_ok(loss_open(&toy_dev, &r->level.loss, &e), e);
 }
@@ -216,6 +218,8 @@ void toy_run_open(struct toy_run *r, const char *dir, const struct train_config 
     kit_ok(init_gauss(&r->scene, r->images, r->n_images, &r->level.cell, (uint32_t)cfg->sh_degree,
                       r->level.schedule[0].budget, (uint64_t)cfg->seed, &g, &e),
            e);
+    if (light_is_on(&r->level.light))
+        kit_ok(light_embed(&r->level.light, (uint64_t)cfg->seed, &g, &e), e);
     kit_ok(level_open(&r->level, &g, &e), e);
     kit_ok(level_begin(&r->level, &e), e);
     gauss_free(&g);
@@ -264,11 +268,16 @@ struct evaluate_score toy_run_score(struct toy_run *r, double downsample)
         .downsample = downsample,
         .cache_bytes = TOY_CACHE_BYTES,
     };
-    struct evaluate_model model = {l->render, &l->model, level_render_options(l, l->step)};
+    struct light_view look = {0};
+    struct evaluate_model model = {l->render, &l->model, level_render_options(l, l->step),
+                                   light_is_on(&l->light) ? &look : NULL};
+    if (model.look)
+        kit_ok(light_view_open(&look, &l->light.model, &r->scene, &e), e);
     struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model};
     kit_ok(feed_open(&f, &feed, &e), e);
     kit_ok(evaluate_run(feed, f.n_images, &source, &score, &e), e);
     feed_close(&feed);
+    light_view_close(&look);
     return score;
 }
 

@@ -1,0 +1,364 @@
+/* Looks of a tile store: from colours as they were trained to colours under some light.
+ *
+ * Tiles hold the trained colour and every Gaussian's embedding; the blob "appearance" holds the
+ * network, the photographs' embeddings and one more row, BAKE_DEFAULT: the look that clients get
+ * who know nothing of all this. Whoever hands out Gaussians reads them through here, so every
+ * format and every picture agree, and any look can still be made from the tile.
+ *
+ * The default look is the one embedding whose colours are nearest, in the mean square over a sample
+ * of Gaussians, to the mean of the colours under all training photographs: every photograph counts
+ * the same. Averaging the embeddings themselves is only where the search starts, since the network
+ * is not linear in them.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "lod/store_db.h"
+
+enum {
+    BAKE_SAMPLE = 2048, /* Gaussians the default look is fitted to */
+    BAKE_PHOTOS = 512,  /* photographs, evenly taken */
+    BAKE_STEPS = 300,
+    BAKE_BLEND_MAX = 16,
+};
+#define BAKE_LR 0.02
+#define BAKE_LR_FALL 0.02 /* of it is left at the end */
+static const char bake_blob[] = "appearance";
+
+struct bake {
+    struct appearance model;
+    size_t default_row;
+};
+
+/* ---- of a store ---------------------------------------------------------------------------------
+ */
+
+static void bake_free(struct bake *b)
+{
+    if (!b)
+        return;
+    appearance_free(&b->model);
+    mem_free(b);
+}
+
+void bake_close(struct store *s)
+{
+    bake_free(s->bake);
+    s->bake = NULL;
+    s->bake_known = false;
+}
+
+static enum err_code bake_parse(const struct buf *blob, struct bake **out, struct err *e)
+{
+    struct bake *b = mem_array(1, sizeof(*b));
+    if (!b)
+        return err_set(e, ERR_MEM, "appearance: out of memory");
+    enum err_code rc = appearance_read(blob->data, blob->size, &b->model, e);
+    ptrdiff_t row = rc ? -1 : appearance_find(&b->model, BAKE_DEFAULT);
+    if (!rc && row < 0)
+        rc = err_set(e, ERR_FORMAT, "the appearance model has no look \"" BAKE_DEFAULT "\"");
+    if (rc) {
+        bake_free(b);
+        return rc;
+    }
+    b->default_row = (size_t)row;
+    *out = b;
+    return ERR_OK;
+}
+
+enum err_code bake_of(struct store *s, const struct appearance **out, struct err *e)
+{
+    *out = NULL;
+    if (!s->bake_known && s->meta.embed_len > 0) {
+        struct buf blob = {0};
+        struct err none = {0};
+        enum err_code rc = store_get_blob(s, bake_blob, &blob, &none);
+        if (!rc)
+            rc = bake_parse(&blob, &s->bake, e) ? err_add(e, "%s", s->path) : ERR_OK;
+        else if (rc != ERR_NOENT)
+            rc = err_set(e, none.code, "%s", none.msg);
+        else
+            rc = ERR_OK; /* embeddings of another program: nothing says what they mean */
+        buf_free(&blob);
+        if (rc)
+            return rc;
+    }
+    s->bake_known = true;
+    *out = s->bake ? &s->bake->model : NULL;
+    return ERR_OK;
+}
+
+enum err_code bake_hash(struct store *s, struct hash128 *out, struct err *e)
+{
+    struct buf blob = {0};
+    *out = (struct hash128){0};
+    enum err_code rc = store_get_blob(s, bake_blob, &blob, e);
+    if (!rc)
+        *out = hash_bytes(blob.data, blob.size);
+    buf_free(&blob);
+    return rc == ERR_NOENT ? ERR_OK : rc;
+}
+
+enum err_code bake_apply(struct store *s, const float *image, struct gauss *g, struct err *e)
+{
+    const struct appearance *a;
+    enum err_code rc = bake_of(s, &a, e);
+    if (rc || !a)
+        return rc;
+    if (!image)
+        image = a->images + s->bake->default_row * a->len_image;
+    rc = appearance_bake(a, image, g, e);
+    return rc ? err_add(e, "%s", s->path) : ERR_OK;
+}
+
+enum err_code bake_read(struct store *s, struct key k, const float *image, struct gauss *out,
+                        struct err *e)
+{
+    enum err_code rc = store_read_gauss(s, k, out, e);
+    if (!rc)
+        rc = bake_apply(s, image, out, e);
+    if (rc)
+        gauss_free(out);
+    return rc;
+}
+
+/* ---- by name ------------------------------------------------------------------------------------
+ */
+
+/* One "NAME" or "NAME:WEIGHT" of n bytes. */
+static enum err_code bake_find_one(const struct appearance *a, const char *text, size_t n,
+                                   uint32_t *row, double *weight, struct err *e)
+{
+    char name[APPEARANCE_NAME_MAX + 32], *end;
+    if (n >= sizeof(name))
+        return err_set(e, ERR_NOENT, "no photograph has a name of %zu bytes", n);
+    memcpy(name, text, n);
+    name[n] = '\0';
+    ptrdiff_t at = appearance_find(a, name);
+    char *colon = strrchr(name, ':');
+    *weight = 1.0;
+    if (at < 0 && colon) {
+        *weight = strtod(colon + 1, &end);
+        if (end == colon + 1 || *end || !isfinite(*weight))
+            return err_set(e, ERR_ARG, "'%s': a number is expected after the last ':'", name);
+        *colon = '\0';
+        at = appearance_find(a, name);
+    }
+    if (at < 0)
+        return err_set(e, ERR_NOENT,
+                       "no photograph is called '%s'; there are %zu, the first '%s', and the "
+                       "look '" BAKE_DEFAULT "'",
+                       name, a->n_images - 1, a->names[0]);
+    *row = (uint32_t)at;
+    return ERR_OK;
+}
+
+enum err_code bake_find(struct store *s, const char *look, float *image, struct err *e)
+{
+    const struct appearance *a;
+    uint32_t row[BAKE_BLEND_MAX];
+    double weight[BAKE_BLEND_MAX], sum = 0.0;
+    size_t n = 0;
+    enum err_code rc = bake_of(s, &a, e);
+    if (!rc && !a)
+        rc = err_set(e, ERR_NOENT, "%s: was trained without appearance: it has one look only",
+                     s->path);
+    for (const char *p = look; !rc && *p;) {
+        size_t len = strcspn(p, ",");
+        if (n == BAKE_BLEND_MAX)
+            return err_set(e, ERR_ARG, "a blend of more than %d looks", BAKE_BLEND_MAX);
+        rc = bake_find_one(a, p, len, &row[n], &weight[n], e);
+        sum += rc ? 0.0 : weight[n++];
+        p += len + (p[len] == ',');
+    }
+    if (rc)
+        return rc;
+    if (!n || !(fabs(sum) > 0.0))
+        return err_set(e, ERR_ARG,
+                       "'%s': the name of a photograph is expected, or "
+                       "NAME:WEIGHT,NAME:WEIGHT with weights that do not add up to 0",
+                       look);
+    float unit[APPEARANCE_IMAGE_MAX];
+    memset(image, 0, a->len_image * sizeof(float));
+    for (size_t i = 0; i < n; i++) { /* of unit vectors: their lengths mean nothing */
+        bake_unit(a, row[i], unit);
+        for (uint32_t j = 0; j < a->len_image; j++)
+            image[j] += (float)(weight[i] / sum * (double)unit[j]);
+    }
+    return ERR_OK;
+}
+
+void bake_unit(const struct appearance *a, size_t row, float *out)
+{
+    const float *v = a->images + row * a->len_image;
+    double sum = 0.0;
+    for (uint32_t j = 0; j < a->len_image; j++)
+        sum += (double)v[j] * (double)v[j];
+    double len = fmax(sqrt(sum), 1e-12);
+    for (uint32_t j = 0; j < a->len_image; j++)
+        out[j] = (float)((double)v[j] / len);
+}
+
+/* ---- the default look ---------------------------------------------------------------------------
+ */
+
+struct bake_fit {
+    const struct appearance *a;
+    size_t n;     /* Gaussians of the sample */
+    float *embed; /* [n][len_gauss] */
+    double *want; /* [n][3] mean colour offsets */
+    float *grad, *image_grad;
+};
+
+/* Hidden layer and outputs of one Gaussian in a frame. */
+static void bake_forward(const struct appearance *a, const float *frame, const float *embed,
+                         double *hidden, double y[APPEARANCE_OUT])
+{
+    const float *bias = frame + (size_t)a->hidden * a->len_gauss, *w2 = bias + a->hidden,
+                *b2 = w2 + (size_t)APPEARANCE_OUT * a->hidden;
+    double norm = 0.0;
+    for (uint32_t c = 0; c < a->len_gauss; c++)
+        norm += (double)embed[c] * (double)embed[c];
+    norm = fmax(sqrt(norm), 1e-12);
+    for (int o = 0; o < APPEARANCE_OUT; o++)
+        y[o] = (double)b2[o];
+    for (uint32_t h = 0; h < a->hidden; h++) {
+        double u = 0.0;
+        for (uint32_t c = 0; c < a->len_gauss; c++)
+            u += (double)frame[h * a->len_gauss + c] * (double)embed[c];
+        hidden[h] = fmax(0.0, u / norm + (double)bias[h]);
+        for (uint32_t o = 0; o < APPEARANCE_OUT; o++)
+            y[o] += (double)w2[o * a->hidden + h] * hidden[h];
+    }
+    for (int o = 0; o < APPEARANCE_OUT; o++)
+        y[o] = 1.0 / (1.0 + exp(-y[o]));
+}
+
+/* Gradient of 1/2 mean |y - want|^2 with respect to the bias of the frame, the only thing in it
+ * that depends on the photograph. Returns the error. */
+static double bake_slope(const struct bake_fit *f, const float *frame)
+{
+    const struct appearance *a = f->a;
+    const float *w2 = frame + (size_t)a->hidden * a->len_gauss + a->hidden;
+    float *bias = f->grad + (size_t)a->hidden * a->len_gauss;
+    double hidden[APPEARANCE_HIDDEN_MAX], y[APPEARANCE_OUT], sum[APPEARANCE_HIDDEN_MAX] = {0.0};
+    double error = 0.0;
+    for (size_t i = 0; i < f->n; i++) {
+        bake_forward(a, frame, f->embed + i * a->len_gauss, hidden, y);
+        for (uint32_t o = 0; o < 3; o++) {
+            double d = y[o] - f->want[3 * i + o], z = d * y[o] * (1.0 - y[o]) / (double)f->n;
+            error += 0.5 * d * d / (double)f->n;
+            for (uint32_t h = 0; h < a->hidden; h++)
+                sum[h] += hidden[h] > 0.0 ? z * (double)w2[o * a->hidden + h] : 0.0;
+        }
+    }
+    for (uint32_t h = 0; h < a->hidden; h++)
+        bias[h] = (float)sum[h];
+    return error;
+}
+
+/* Adam from the mean of the photographs; the best embedding met is the answer. */
+static void bake_search(struct bake_fit *f, float *frame, float *image)
+{
+    const struct appearance *a = f->a;
+    double m1[APPEARANCE_IMAGE_MAX] = {0.0}, m2[APPEARANCE_IMAGE_MAX] = {0.0}, least = HUGE_VAL;
+    float best[APPEARANCE_IMAGE_MAX];
+    for (int t = 1; t <= BAKE_STEPS; t++) {
+        appearance_frame(a, image, frame);
+        double error = bake_slope(f, frame);
+        if (error < least) {
+            least = error;
+            memcpy(best, image, a->len_image * sizeof(float));
+        }
+        appearance_backward(a, image, f->grad, NULL, f->image_grad);
+        double lr = BAKE_LR * pow(BAKE_LR_FALL, (double)t / BAKE_STEPS);
+        for (uint32_t j = 0; j < a->len_image; j++) {
+            double g = (double)f->image_grad[j];
+            m1[j] = 0.9 * m1[j] + 0.1 * g;
+            m2[j] = 0.999 * m2[j] + 0.001 * g * g;
+            double a1 = m1[j] / (1.0 - pow(0.9, t)), a2 = m2[j] / (1.0 - pow(0.999, t));
+            image[j] = (float)((double)image[j] - lr * a1 / (sqrt(a2) + 1e-15));
+        }
+    }
+    memcpy(image, best, a->len_image * sizeof(float));
+}
+
+static void bake_targets(struct bake_fit *f, float *frame, float *image)
+{
+    const struct appearance *a = f->a;
+    double hidden[APPEARANCE_HIDDEN_MAX], y[APPEARANCE_OUT];
+    size_t n = a->n_images < BAKE_PHOTOS ? a->n_images : BAKE_PHOTOS;
+    memset(image, 0, a->len_image * sizeof(float));
+    for (size_t p = 0; p < n; p++) {
+        size_t row = p * a->n_images / n;
+        float unit[APPEARANCE_IMAGE_MAX];
+        bake_unit(a, row, unit);
+        for (uint32_t j = 0; j < a->len_image; j++)
+            image[j] += unit[j] / (float)n;
+        appearance_frame(a, unit, frame);
+        for (size_t i = 0; i < f->n; i++) {
+            bake_forward(a, frame, f->embed + i * a->len_gauss, hidden, y);
+            for (size_t o = 0; o < 3; o++)
+                f->want[3 * i + o] += y[o] / (double)n;
+        }
+    }
+}
+
+enum err_code bake_default(const struct appearance *a, const struct gauss *g, float *image,
+                           struct err *e)
+{
+    struct bake_fit f = {.a = a, .n = g->n < BAKE_SAMPLE ? g->n : BAKE_SAMPLE};
+    size_t floats = appearance_frame_floats(a->len_gauss, a->hidden);
+    float *frame = mem_array(floats, sizeof(float));
+    if (g->embed_len != a->len_gauss || !a->n_images || !g->n) {
+        mem_free(frame);
+        return err_set(e, ERR_DATA,
+                       "default look: %zu photographs, %zu Gaussians with embeddings of %u values, "
+                       "the network takes %u",
+                       a->n_images, g->n, g->embed_len, a->len_gauss);
+    }
+    f.embed = mem_array(f.n * a->len_gauss, sizeof(float));
+    f.want = mem_array(3 * f.n, sizeof(double));
+    f.grad = mem_array(floats, sizeof(float));
+    f.image_grad = mem_array(a->len_image, sizeof(float));
+    enum err_code rc = frame && f.embed && f.want && f.grad && f.image_grad
+                           ? ERR_OK
+                           : err_set(e, ERR_MEM, "default look: out of memory");
+    for (size_t i = 0; !rc && i < f.n; i++)
+        memcpy(f.embed + i * a->len_gauss, g->embed + i * g->n / f.n * a->len_gauss,
+               a->len_gauss * sizeof(float));
+    if (!rc) {
+        bake_targets(&f, frame, image);
+        bake_search(&f, frame, image);
+    }
+    mem_free(frame);
+    mem_free(f.embed);
+    mem_free(f.want);
+    mem_free(f.grad);
+    mem_free(f.image_grad);
+    return rc;
+}
+
+enum err_code bake_with_default(const struct appearance *a, const struct gauss *g,
+                                struct appearance *out, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    *out = (struct appearance){0};
+    if (appearance_find(a, BAKE_DEFAULT) >= 0)
+        return err_set(e, ERR_DATA, "a photograph is called '" BAKE_DEFAULT "': rename it");
+    rc = appearance_alloc(out, a->len_gauss, a->len_image, a->hidden, a->n_images + 1, e);
+    if (rc)
+        return rc;
+    memcpy(out->w1, a->w1, appearance_weights(a) * sizeof(float));
+    memcpy(out->images, a->images, a->n_images * a->len_image * sizeof(float));
+    memcpy(out->names, a->names, a->n_images * sizeof(*a->names));
+    memcpy(out->names[a->n_images], BAKE_DEFAULT, sizeof(BAKE_DEFAULT));
+    rc = bake_default(a, g, out->images + a->n_images * a->len_image, e);
+    if (rc)
+        appearance_free(out);
+    return rc;
+}
