@@ -83,6 +83,7 @@ static struct densify_params params_of(const struct train_cell *cell, size_t ins
                                    .tau = 0.5,
                                    .tau_outside = 4.0,
                                    .split_above_m = 1.0,
+                                   .split = DENSIFY_SPLIT_RANDOM,
                                    .prune_opacity = 0.005,
                                    .seed = 7,
                                    .level = 1,
@@ -351,6 +352,69 @@ static void clones_are_copies_and_halves_lie_within_their_parent(void **state)
     toy_free(&t);
 }
 
+/* Split along its longest axis, a Gaussian is replaced by two that have its mean, its covariance
+ * and its mass together: what it contributed to pictures hardly changes. */
+static void halves_along_the_axis_keep_the_moments(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct toy t = toy_make(3);
+    struct densify_params p = params_of(&everything, 1000, 0);
+    struct densify_input in = input_of(&t, false);
+    struct densify_plan plan;
+    static const float quat[4] = {0.5f, 0.1f, -0.7f, 0.3f};
+    static const double sigma[3] = {1.5, 4.0, 2.5};
+    double rot[9], axis[3], opacity = 0.0, second = 0.0, middle[3] = {0};
+    const double quat_d[4] = {0.5, (double)0.1f, (double)-0.7f, (double)0.3f};
+    p.split = DENSIFY_SPLIT_AXIS;
+    for (uint32_t k = 0; k < 4; k++)
+        *at(t.params, 2, 6 + k) = quat[k];
+    for (uint32_t k = 0; k < 3; k++)
+        *at(t.params, 2, 3 + k) = (float)log(sigma[k]);
+    t.grad[0] = t.grad[1] = 0.0f;
+    t.grad[2] = 1.0f;
+    camera_quat_to_rot(quat_d, rot);
+    for (uint32_t k = 0; k < 3; k++)
+        axis[k] = rot[3 * k + 1];
+    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    assert_int_equal(plan.n, 4);
+    size_t floats = densify_floats(plan.n, PLANES);
+    struct densify_state from = {t.params, t.m1, t.m2};
+    struct densify_state to = {mem_array(floats, 4), mem_array(floats, 4), mem_array(floats, 4)};
+    kit_ok(densify_apply(&p, &in, &plan, &from, &to, &e), e);
+    size_t halves = 0;
+    for (size_t i = 0; i < plan.n; i++) {
+        if (*at(to.params, i, 11) != 2.0f)
+            continue;
+        double along = 0.0, across = 0.0, d[3];
+        for (uint32_t k = 0; k < 3; k++) {
+            d[k] = (double)*at(to.params, i, k) - (double)*at(t.params, 2, k);
+            middle[k] += d[k];
+            along += d[k] * axis[k];
+        }
+        for (uint32_t k = 0; k < 3; k++)
+            across = fmax(across, fabs(d[k] - along * axis[k]));
+        double half = exp((double)*at(to.params, i, 4));
+        assert_true(across < 1e-5);
+        assert_true(fabs(along * along + half * half - 16.0) < 1e-4); /* variance of the pair */
+        assert_true(*at(to.params, i, 3) == *at(t.params, 2, 3));
+        assert_true(*at(to.params, i, 5) == *at(t.params, 2, 5));
+        double o = 1.0 / (1.0 + exp(-(double)*at(to.params, i, 10)));
+        opacity += o * half;
+        second += along;
+        halves++;
+    }
+    assert_int_equal(halves, 2);
+    assert_true(fabs(second) < 1e-5 && fabs(middle[0]) + fabs(middle[1]) + fabs(middle[2]) < 1e-5);
+    double before = 1.0 / (1.0 + exp(-(double)LOGIT_HALF)) * 4.0;
+    assert_true(fabs(opacity - before) < 1e-5); /* opacity times length: mass */
+    mem_free(to.params);
+    mem_free(to.m1);
+    mem_free(to.m2);
+    densify_plan_free(&plan);
+    toy_free(&t);
+}
+
 static void the_draw_takes_exactly_k_different_ones(void **state)
 {
     (void)state;
@@ -498,6 +562,7 @@ int main(void)
         cmocka_unit_test(both_ceilings_hold_where_children_cross_the_border),
         cmocka_unit_test(many_candidates_outside_take_no_room_inside),
         cmocka_unit_test(the_threshold_rises_outside_the_cell),
+        cmocka_unit_test(halves_along_the_axis_keep_the_moments),
         cmocka_unit_test(clones_are_copies_and_halves_lie_within_their_parent),
         cmocka_unit_test(the_draw_takes_exactly_k_different_ones),
         cmocka_unit_test(the_draw_is_proportional_to_the_score),

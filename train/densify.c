@@ -22,6 +22,8 @@
 #include "train/train.h"
 
 #define DENSIFY_SPLIT_SHRINK 1.6
+#define DENSIFY_AXIS_OFFSET 0.8 /* d, in sigmas of the parent */
+#define DENSIFY_AXIS_SHRINK 0.6 /* sqrt(1 - d^2): the pair keeps the parent's covariance */
 #define DENSIFY_SMALLEST_M 1e-4 /* scene units; smaller Gaussians are removed */
 enum { DENSIFY_LANES = LAYOUT_LANES, DENSIFY_CHUNK_GROUPS = 512 };
 
@@ -115,6 +117,35 @@ static void densify_rotation(const float *params, uint32_t planes, size_t i, dou
     camera_quat_to_rot(q, rot);
 }
 
+static uint32_t densify_longest(const float *params, uint32_t planes, size_t i)
+{
+    uint32_t axis = 0;
+    for (uint32_t k = 1; k < 3; k++)
+        if (params[densify_at(i, planes, RENDER_PLANE_SCALE + k)] >
+            params[densify_at(i, planes, RENDER_PLANE_SCALE + axis)])
+            axis = k;
+    return axis;
+}
+
+/* Of a half from its parent, along the parent's axes, m. */
+static void densify_offset(const struct densify_params *p, const struct densify_input *in,
+                           struct densify_row row, double local[3])
+{
+    size_t i = row.source;
+    bool second = row.kind == DENSIFY_SPLIT_B;
+    uint64_t stream = train_stream(TRAIN_STREAM_SPLIT, p->level, p->step);
+    uint64_t first = (uint64_t)i * 6 + (second ? 3 : 0);
+    uint32_t longest = densify_longest(in->params, in->planes, i);
+    for (uint32_t k = 0; k < 3; k++) {
+        double along = p->split == DENSIFY_SPLIT_RANDOM ? rng_normal(p->seed, stream, first + k)
+                       : k != longest                   ? 0.0
+                       : second                         ? DENSIFY_AXIS_OFFSET
+                                                        : -DENSIFY_AXIS_OFFSET;
+        local[k] =
+            along * exp((double)in->params[densify_at(i, in->planes, RENDER_PLANE_SCALE + k)]);
+    }
+}
+
 /* Mean of a row of the plan, metres from the origin. */
 static void densify_mean(const struct densify_params *p, const struct densify_input *in,
                          struct densify_row row, float mean[3])
@@ -125,12 +156,8 @@ static void densify_mean(const struct densify_params *p, const struct densify_in
     if (row.kind != DENSIFY_SPLIT_A && row.kind != DENSIFY_SPLIT_B)
         return;
     double rot[9], local[3];
-    uint64_t stream = train_stream(TRAIN_STREAM_SPLIT, p->level, p->step);
-    uint64_t first = (uint64_t)i * 6 + (row.kind == DENSIFY_SPLIT_B ? 3 : 0);
     densify_rotation(in->params, in->planes, i, rot);
-    for (uint32_t k = 0; k < 3; k++)
-        local[k] = exp((double)in->params[densify_at(i, in->planes, RENDER_PLANE_SCALE + k)]) *
-                   rng_normal(p->seed, stream, first + k);
+    densify_offset(p, in, row, local);
     for (int k = 0; k < 3; k++)
         mean[k] = (float)((double)mean[k] + rot[3 * k] * local[0] + rot[3 * k + 1] * local[1] +
                           rot[3 * k + 2] * local[2]);
@@ -381,8 +408,29 @@ struct densify_copy {
     const struct densify_row *rows;
     const uint32_t *order;
     const float *means; /* [n][3], by row of the plan */
+    enum densify_split split;
     size_t n;
 };
+
+/* Row d holds a copy of a parent: make it one of its halves. */
+static void densify_halve(const struct densify_copy *c, size_t d, const float mean[3])
+{
+    uint32_t planes = c->in->planes, longest = densify_longest(c->to->params, planes, d);
+    for (uint32_t k = 0; k < 3; k++) {
+        float *scale = &c->to->params[densify_at(d, planes, RENDER_PLANE_SCALE + k)];
+        c->to->params[densify_at(d, planes, RENDER_PLANE_MEAN + k)] = mean[k];
+        if (c->split == DENSIFY_SPLIT_RANDOM)
+            *scale -= (float)log(DENSIFY_SPLIT_SHRINK);
+        else if (k == longest)
+            *scale += (float)log(DENSIFY_AXIS_SHRINK);
+    }
+    if (c->split == DENSIFY_SPLIT_RANDOM)
+        return;
+    /* 2 x 0.6 sigma long: as much mass needs 1 / 1.2 of the opacity. */
+    float *logit = &c->to->params[densify_at(d, planes, RENDER_PLANE_OPACITY)];
+    double opacity = 0.5 / DENSIFY_AXIS_SHRINK / (1.0 + exp(-(double)*logit));
+    *logit = (float)log(opacity / (1.0 - opacity));
+}
 
 static void densify_copy_row(const struct densify_copy *c, size_t d)
 {
@@ -398,11 +446,8 @@ static void densify_copy_row(const struct densify_copy *c, size_t d)
         c->to->m1[b] = keep ? c->from->m1[a] : 0.0f;
         c->to->m2[b] = keep ? c->from->m2[a] : 0.0f;
     }
-    for (size_t k = 0; split && k < 3; k++) {
-        c->to->params[to + (RENDER_PLANE_MEAN + k) * DENSIFY_LANES] = mean[k];
-        c->to->params[to + (RENDER_PLANE_SCALE + k) * DENSIFY_LANES] -=
-            (float)log(DENSIFY_SPLIT_SHRINK);
-    }
+    if (split)
+        densify_halve(c, d, mean);
 }
 
 static enum err_code densify_copy_chunk(void *user, size_t chunk, struct err *e)
@@ -443,7 +488,14 @@ enum err_code densify_apply(const struct densify_params *p, const struct densify
     rc = gauss_morton_order(&shape, order, e);
     if (rc)
         goto out;
-    struct densify_copy c = {in, from, to, plan->rows, order, means, plan->n};
+    struct densify_copy c = {.in = in,
+                             .from = from,
+                             .to = to,
+                             .rows = plan->rows,
+                             .order = order,
+                             .means = means,
+                             .split = p->split,
+                             .n = plan->n};
     size_t per_chunk = (size_t)DENSIFY_CHUNK_GROUPS * DENSIFY_LANES;
     rc = pool_for((plan->n + per_chunk - 1) / per_chunk, 0, densify_copy_chunk, &c, e);
     densify_clear_tail(to, plan->n, in->planes);

@@ -376,6 +376,7 @@ static struct densify_params level_densify_params(const struct level *l, uint32_
         .tau = s->tau,
         .tau_outside = c->tau_outside,
         .split_above_m = c->percent_dense * l->cell.extent_m,
+        .split = (enum densify_split)c->split,
         .prune_opacity = c->prune_opacity,
         .prune_above_m = schedule_was_reset(s, l->step) ? level_prune_above(l) : 0.0,
         .seed = (uint64_t)c->seed,

@@ -166,12 +166,19 @@ struct densify_row {
     uint32_t source;
     enum densify_kind kind;
 };
+/* Where the two halves of a Gaussian go (order of --split):
+ *   AXIS    at +-0.8 sigma on its longest axis, 0.6 sigma long: mean and covariance of the pair are
+ *           those of the parent, and with 0.83 of its opacity so is the mass. The long-axis split
+ * of Improved-GS (arXiv 2508.12313), with offsets from the moments. RANDOM  at two places drawn
+ * from it, all axes 1.6 times shorter, opacity as it was (3DGS). */
+enum densify_split { DENSIFY_SPLIT_AXIS, DENSIFY_SPLIT_RANDOM };
 struct densify_params {
     const struct train_cell *cell;
     double origin_enu_m[3]; /* of the means in `params` */
     size_t cap_inside, cap_outside;
     double tau, tau_outside, split_above_m; /* larger ones are split */
-    double prune_opacity, prune_above_m;    /* 0 = no limit of size */
+    enum densify_split split;
+    double prune_opacity, prune_above_m; /* 0 = no limit of size */
     uint64_t seed;
     uint32_t level, step;
 };
