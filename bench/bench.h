@@ -24,9 +24,9 @@ struct bench {
     struct bench_row *rows;
     size_t n_rows;
     struct arena arena;
-    struct json_t *baseline;                      /* --compare FILE, or NULL */
-    const char *scene, *tiles, *dataset, *record; /* of `rd`; NULL when not given */
-    const char *command;                          /* that gives its rows again */
+    struct json_t *baseline;                              /* --compare FILE, or NULL */
+    const char *scene, *tiles, *dataset, *study, *record; /* of `rd`; NULL when not given */
+    const char *command;                                  /* that gives its rows again */
 };
 
 /* ratio 0 = none; `against` says what the ratio is to ("DRAM triad", "naive C"), NULL when none. */

@@ -8,7 +8,8 @@
  * field finer and coarser at a time, and ladders of all SH bands together: a preset is well chosen
  * when nothing here is smaller and better.
  *
- * Every row is a line of docs/runs/rd.jsonl (--record), written when all are there.
+ * Every row is a line of a recorded study (--record docs/runs/rd.jsonl), written when all are
+ * there.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -130,11 +131,11 @@ static enum err_code rd_record(struct rd *r, const char *row, const char *what, 
 {
     char name[2 * NAME_MAX_BYTES];
     json_t *o =
-        json_pack("{s:s, s:s, s:s, s:s, s:s, s:s, s:{s:f, s:f, s:f, s:f, s:I, s:i}}", "study", "rd",
-                  "row", row, "what", what, "dataset", r->b->dataset, "command", r->b->command,
-                  "device", r->b->dev->name, "numbers", "bytes_per_gaussian", bytes, "psnr_db",
-                  psnr_db, "drop_db", r->psnr_db - psnr_db, "self_db", self_db, "gaussians",
-                  (json_int_t)r->n, "photographs", (int)r->n_images);
+        json_pack("{s:s, s:s, s:s, s:s, s:s, s:s, s:{s:f, s:f, s:f, s:f, s:I, s:i}}", "study",
+                  r->b->study, "row", row, "what", what, "dataset", r->b->dataset, "command",
+                  r->b->command, "device", r->b->dev->name, "numbers", "bytes_per_gaussian", bytes,
+                  "psnr_db", psnr_db, "drop_db", r->psnr_db - psnr_db, "self_db", self_db,
+                  "gaussians", (json_int_t)r->n, "photographs", (int)r->n_images);
     if (!o || json_array_append_new(r->lines, o))
         return err_set(e, ERR_MEM, "out of memory");
     snprintf(name, sizeof name, "%s, %s", row, what);

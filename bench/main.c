@@ -26,7 +26,7 @@ enum { BENCH_TEXT_MAX = 160 };
 struct bench_config {
     OPTIONS_C_INT runs;
     OPTIONS_C_BOOL quick;
-    OPTIONS_C_TEXT device, compare, scene, tiles, dataset, record;
+    OPTIONS_C_TEXT device, compare, scene, tiles, dataset, study, command, record;
 };
 
 static const struct options_def bench_defs[] = {
@@ -45,8 +45,14 @@ static const struct options_def bench_defs[] = {
                                     "rd, codec: tile store trained on it")
                             OPTIONS_ROW(struct bench_config, TEXT, dataset, "", 0, 0, "TEXT",
                                         "rd: what the scene is, for records")
-                                OPTIONS_ROW(struct bench_config, TEXT, record, "", 0, 0, "FILE",
-                                            "rd: write every row as a JSON line")};
+                                OPTIONS_ROW(struct bench_config, TEXT, study, "rd", 0, 0, "NAME",
+                                            "rd: name of the study in records")
+                                    OPTIONS_ROW(
+                                        struct bench_config, TEXT, command,
+                                        "citysplat-bench rd --scene SCENE --tiles CITY.tiles", 0, 0,
+                                        "TEXT", "rd: what gives the records again")
+                                        OPTIONS_ROW(struct bench_config, TEXT, record, "", 0, 0,
+                                                    "FILE", "rd: write every row as a JSON line")};
 
 struct bench_entry {
     const char *name, *about;
@@ -303,7 +309,8 @@ int main(int argc, char **argv)
     b.tiles = cfg.tiles;
     b.record = cfg.record;
     b.dataset = cfg.dataset ? cfg.dataset : "unnamed";
-    b.command = "citysplat-bench rd --scene SCENE --tiles CITY.tiles";
+    b.study = cfg.study;
+    b.command = cfg.command;
     b.rows = mem_array(ROWS_MAX, sizeof *b.rows);
     if (!rc && !b.rows)
         rc = err_set(&e, ERR_MEM, "out of memory");

@@ -278,24 +278,23 @@ bench_rows() { # STUDY NAMES...
 study_bench() { bench_rows bench; }
 study_growth() { bench_rows growth growth; }
 
-# Rate and distortion of formats on a trained scene; citysplat-bench writes the records itself.
+# Bytes a Gaussian against PSNR: every preset and format, and every field of the quantiser by itself.
+rate() { # STUDY SCENE TRAIN-OPTIONS
+  local study=$1 scene=$2 folder command
+  shift 2
+  command="citysplat train $scene $*; citysplat tile $scene; citysplat-bench rd --scene $scene --tiles CITY.tiles"
+  wanted "$study" "preset:balanced" "$command" || return 0
+  scene "$scene" || { say "$study: skipped: CITYSPLAT_CALITERRA is not set"; return 0; }
+  folder=$OUT/trained/$(slug "$study" "$scene")
+  trained "$folder" "$scene" "$@"
+  citysplat tile "$OUT/$scene" --trained "$folder" -o "$folder/city.tiles" >&2
+  "$BIN/citysplat-bench" rd --scene "$OUT/$scene" --tiles "$folder/city.tiles" --study "$study" \
+    --dataset "$(scene_about "$scene")" --command "$command" --record "$RUNS/$study.jsonl" >&2
+  [ "${KEEP:-0}" = 1 ] || rm -rf "$folder"
+}
 study_rd() {
-  local scene=caliterra-800 folder=$OUT/trained/rd command
-  local train=(--iterations "$LEVEL_STEPS" "${SMALL[@]}")
-  command="citysplat train $scene ${train[*]}; citysplat tile $scene; citysplat-bench rd --scene $scene --tiles CITY.tiles"
-  if [ -f "$RUNS/rd.jsonl" ] && [ "${STUDY_AGAIN:-0}" != 1 ]; then
-    say "rd: recorded"
-    return 0
-  fi
-  if [ $DRY = 1 ]; then
-    printf 'rd\tcitysplat-bench\t%s\n' "$command"
-    return 0
-  fi
-  scene "$scene" || { say "rd: skipped: CITYSPLAT_CALITERRA is not set"; return 0; }
-  trained "$folder" "$scene" "${train[@]}"
-  [ -f "$folder/city.tiles" ] || citysplat tile "$OUT/$scene" --trained "$folder" -o "$folder/city.tiles" >&2
-  "$BIN/citysplat-bench" rd --scene "$OUT/$scene" --tiles "$folder/city.tiles" --dataset "$(scene_about "$scene")" \
-    --record "$RUNS/rd.jsonl" >/dev/null
+  rate rd caliterra-400 --level-count 1 --iterations "$STEPS" --budget-3 150000
+  rate rd_city city --iterations "$CELL_STEPS" "${SMALL[@]}"
 }
 
 readonly STUDIES=(time budgets levels sh ablation ablation_city lod rd growth bench)

@@ -1,18 +1,19 @@
 /* Every fuzz target over its seeds and a few thousand seeded mutations of them: flips, runs, cuts,
  * copies.
  *
- * A real search is libFuzzer's (tests/fuzz/main.c); this keeps its targets alive and catches the
- * plain mistakes in every run.
+ * A real search is libFuzzer's (tests/fuzz/main.c); this keeps its targets alive, replays what it
+ * found worth keeping (tests/fuzz/corpus/), and catches the plain mistakes in every run.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "tests/kit.h"
 
+#include <stdio.h>
 #include <string.h>
 
 #include "tests/fuzz/fuzz.h"
 
-enum { MUTATIONS = 600 };
+enum { MUTATIONS = 600, CORPUS_LEAST = 8 };
 
 /* A mutation of `in` that depends on `seed` alone, in an allocation of its own size. */
 static uint8_t *mutate(const struct buf *in, uint64_t seed, size_t *n)
@@ -58,11 +59,36 @@ static void replay(const char *name, void (*target)(const uint8_t *, size_t))
     }
 }
 
+/* Every file of the target's corpus, each in an allocation of its own size. */
+static void replay_corpus(const char *name, void (*target)(const uint8_t *, size_t))
+{
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], **names;
+    struct arena arena = {0};
+    struct err e = {0};
+    size_t n = 0;
+    snprintf(dir, sizeof dir, "tests/fuzz/corpus/%s", name); /* ctest runs in the source folder */
+    kit_ok(file_list(dir, NULL, &arena, &names, &n, &e), e);
+    assert_true(n >= CORPUS_LEAST);
+    for (size_t i = 0; i < n; i++) {
+        struct buf b = {0};
+        kit_ok(file_join(path, dir, names[i], &e), e);
+        kit_ok(file_read(path, 0, &b, &e), e);
+        uint8_t *copy = mem_array(b.size, 1);
+        if (b.size)
+            memcpy(copy, b.data, b.size);
+        target(copy, b.size);
+        mem_free(copy);
+        buf_free(&b);
+    }
+    arena_free(&arena);
+}
+
 #define FUZZ(name)                                                                                 \
     static void test_##name(void **state)                                                          \
     {                                                                                              \
         (void)state;                                                                               \
         replay(#name, fuzz_##name);                                                                \
+        replay_corpus(#name, fuzz_##name);                                                         \
     }
 #include "tests/fuzz/targets.def"
 #undef FUZZ
