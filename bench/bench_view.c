@@ -1,0 +1,189 @@
+/* A large city through the level-of-detail path, as the server draws it: select tiles, bring them to
+ * the device, draw with the look of a photograph, encode a JPEG. A camera flies over the city in
+ * small steps, once to fill the cache of tiles, then timed; the look changes every few frames.
+ *
+ * The city is the one of bench_frame side by side, with random appearance embeddings; its coarser
+ * levels are those of the pyramid.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "bench/bench.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "bench/city.h"
+#include "core/appearance.h"
+#include "lod/lod.h"
+
+enum {
+    VIEW_SIDE = 4, /* cities along an edge */
+    VIEW_FRAMES = 60,
+    VIEW_PHOTOS = 8,
+    VIEW_W = 1280,
+    VIEW_H = 720,
+    VIEW_JPEG = 85,
+    VIEW_SEED = 11
+};
+#define VIEW_CITY_M 420.0
+
+static const struct geo_origin view_origin = {8.6821, 50.1109, 160};
+
+struct view_case {
+    struct render *render;
+    struct view *view;
+    struct appearance look;
+    float *frame, *rgb;
+    struct image picture;
+    double ms[VIEW_FRAMES], pick_ms, load_ms, draw_ms, jpeg_ms;
+    uint64_t gaussians;
+};
+
+/* n Gaussians in VIEW_SIDE^2 copies of the city, SH degree 1, with embeddings. */
+static enum err_code view_city(size_t n, struct gauss *out, struct err *e)
+{
+    struct gauss one = {0};
+    size_t copies = (size_t)VIEW_SIDE * VIEW_SIDE, per = n / copies;
+    enum err_code rc = city_sorted(per, &one, e);
+    if (rc == ERR_OK)
+        rc = gauss_alloc(out, per * copies, 1, APPEARANCE_GAUSS_LEN, e);
+    for (size_t c = 0; rc == ERR_OK && c < copies; c++)
+        for (size_t i = 0; i < per; i++) {
+            size_t to = out->n++;
+            gauss_copy_row(out, to, &one, i);
+            out->mean_m[3 * to] += (float)(VIEW_CITY_M * ((double)(c % VIEW_SIDE) - 1.5));
+            out->mean_m[3 * to + 1] += (float)(VIEW_CITY_M * ((double)(c / VIEW_SIDE) - 1.5));
+            for (size_t k = 0; k < APPEARANCE_GAUSS_LEN; k++)
+                out->embed[APPEARANCE_GAUSS_LEN * to + k] = (float)rng_normal(VIEW_SEED, k, to);
+        }
+    gauss_free(&one);
+    return rc;
+}
+
+static enum err_code view_store(struct bench *b, size_t n, const char *path, struct err *e)
+{
+    const struct pyramid_config cfg = {.name = "bench", .tile_edge_m = 60};
+    struct pyramid_report report;
+    struct gauss g = {0};
+    char text[96];
+    enum err_code rc = view_city(n, &g, e);
+    const struct pyramid_level level = {.g = &g, .level = 3};
+    double start_s = clock_s();
+    if (rc == ERR_OK)
+        rc = pyramid_build(&view_origin, &level, 1, &cfg, NULL, 0, path, &report, e);
+    if (rc == ERR_OK) {
+        snprintf(text, sizeof text, "%.1f M: tiling", (double)g.n * 1e-6);
+        bench_report(b, text, (double)g.n * 1e-6 / (clock_s() - start_s), "M Gaussians/s", 0, NULL);
+    }
+    gauss_free(&g);
+    return rc;
+}
+
+/* Frame k of the flight: over the roofs, looking ahead and down. */
+static struct camera view_flight(int k)
+{
+    double at = VIEW_CITY_M * (-1.4 + 2.4 * k / VIEW_FRAMES);
+    const double eye[3] = {at, 0.6 * at, 120}, target[3] = {at + 200, 0.6 * at + 120, 10};
+    return camera_look_at(eye, target, 0.9, VIEW_W, VIEW_H);
+}
+
+static enum err_code view_frame(struct view_case *c, int k, struct err *e)
+{
+    struct camera cam = view_flight(k);
+    struct view_stats stats;
+    struct buf jpeg = {0};
+    double start_s = clock_s();
+    appearance_frame(&c->look, c->look.images + (size_t)(k / 8 % VIEW_PHOTOS) * c->look.len_image,
+                     c->frame);
+    const struct render_options ro = {.aa = RENDER_AA_2D,
+                                      .sh_degree = -1,
+                                      .appearance_frame = c->frame,
+                                      .appearance_hidden = c->look.hidden};
+    const struct pick_options po = {0};
+    enum err_code rc = view_render(c->view, &cam, &ro, &po, c->rgb, &stats, e);
+    double drawn_s = clock_s();
+    for (size_t i = 0; rc == ERR_OK && i < 3 * (size_t)VIEW_W * VIEW_H; i++)
+        c->picture.px[i] = (uint8_t)(255.0f * (c->rgb[i] < 1.0f ? c->rgb[i] : 1.0f) + 0.5f);
+    if (rc == ERR_OK)
+        rc = image_encode(&c->picture, "jpg", VIEW_JPEG, &jpeg, e);
+    c->ms[k] = (clock_s() - start_s) * 1e3;
+    c->pick_ms += stats.ms_pick / VIEW_FRAMES;
+    c->load_ms += stats.ms_load / VIEW_FRAMES;
+    c->draw_ms += stats.ms_render / VIEW_FRAMES;
+    c->jpeg_ms += (clock_s() - drawn_s) * 1e3 / VIEW_FRAMES;
+    c->gaussians += stats.n_gaussians / VIEW_FRAMES;
+    buf_free(&jpeg);
+    return rc;
+}
+
+static int view_order(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static enum err_code view_open_case(struct bench *b, const char *path, struct view_case *c,
+                                    struct err *e)
+{
+    enum err_code rc = appearance_alloc(&c->look, APPEARANCE_GAUSS_LEN, APPEARANCE_IMAGE_LEN,
+                                        APPEARANCE_HIDDEN, VIEW_PHOTOS, e);
+    if (rc == ERR_OK)
+        appearance_init(&c->look, VIEW_SEED);
+    c->frame = mem_array(appearance_frame_floats(APPEARANCE_GAUSS_LEN, APPEARANCE_HIDDEN),
+                         sizeof *c->frame);
+    c->rgb = mem_array(3 * (size_t)VIEW_W * VIEW_H, sizeof *c->rgb);
+    if (rc == ERR_OK && (!c->frame || !c->rgb))
+        rc = err_set(e, ERR_MEM, "bench_view: out of memory");
+    if (rc == ERR_OK)
+        rc = image_alloc(VIEW_W, VIEW_H, 3, &c->picture, e);
+    if (rc == ERR_OK)
+        rc = render_open(b->dev, &c->render, e);
+    return rc == ERR_OK ? view_open(path, c->render, (size_t)4 << 30, &c->view, e) : rc;
+}
+
+enum err_code bench_view(struct bench *b, struct err *e)
+{
+    char path[FILE_PATH_MAX], text[96];
+    struct view_case c = {0};
+    size_t n = b->quick ? 160000 : 10400000;
+    enum err_code rc = file_join(path, bench_tmpdir(b), "city.tiles", e);
+    if (rc == ERR_OK)
+        rc = view_store(b, n, path, e);
+    if (rc == ERR_OK)
+        rc = view_open_case(b, path, &c, e);
+    for (int pass = 0; rc == ERR_OK && pass < 2; pass++) {
+        c.pick_ms = c.load_ms = c.draw_ms = c.jpeg_ms = 0;
+        c.gaussians = 0;
+        for (int k = 0; rc == ERR_OK && k < VIEW_FRAMES; k++)
+            rc = view_frame(&c, k, e);
+    }
+    if (rc == ERR_OK && c.gaussians == 0)
+        rc = err_set(e, ERR_INTERNAL, "bench_view: check: nothing was drawn");
+    if (rc == ERR_OK) {
+        qsort(c.ms, VIEW_FRAMES, sizeof c.ms[0], view_order);
+        const struct {
+            const char *name, *unit;
+            double value;
+        } rows[] = {{"frames", "1/s", 1e3 / c.ms[VIEW_FRAMES / 2]},
+                    {"median frame", "ms", c.ms[VIEW_FRAMES / 2]},
+                    {"slowest of twenty", "ms", c.ms[VIEW_FRAMES * 19 / 20]},
+                    {"select tiles", "ms", c.pick_ms},
+                    {"bring tiles", "ms", c.load_ms},
+                    {"draw", "ms", c.draw_ms},
+                    {"JPEG", "ms", c.jpeg_ms},
+                    {"Gaussians a frame", "", (double)c.gaussians}};
+        for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+            snprintf(text, sizeof text, "%.1f M, %dx%d, appearance: %s", (double)n * 1e-6, VIEW_W,
+                     VIEW_H, rows[i].name);
+            bench_report(b, text, rows[i].value, rows[i].unit, 0, NULL);
+        }
+    }
+    view_close(&c.view);
+    render_close(&c.render);
+    image_free(&c.picture);
+    appearance_free(&c.look);
+    mem_free(c.frame);
+    mem_free(c.rgb);
+    return rc;
+}
