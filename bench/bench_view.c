@@ -1,5 +1,5 @@
-/* A large city through the level-of-detail path, as the server draws it: select tiles, bring them to
- * the device, draw with the look of a photograph, encode a JPEG. A camera flies over the city in
+/* A large city through the level-of-detail path, as the server draws it: select tiles, bring them
+ * to the device, draw with the look of a photograph, encode a JPEG. A camera flies over the city in
  * small steps, once to fill the cache of tiles, then timed; the look changes every few frames.
  *
  * The city is the one of bench_frame side by side, with random appearance embeddings; its coarser
@@ -28,9 +28,9 @@ enum {
 };
 #define VIEW_CITY_M 420.0
 
-static const struct geo_origin view_origin = {8.6821, 50.1109, 160};
+static const struct geo_origin flight_origin = {8.6821, 50.1109, 160};
 
-struct view_case {
+struct flight {
     struct render *render;
     struct view *view;
     struct appearance look;
@@ -41,7 +41,7 @@ struct view_case {
 };
 
 /* n Gaussians in VIEW_SIDE^2 copies of the city, SH degree 1, with embeddings. */
-static enum err_code view_city(size_t n, struct gauss *out, struct err *e)
+static enum err_code flight_city(size_t n, struct gauss *out, struct err *e)
 {
     struct gauss one = {0};
     size_t copies = (size_t)VIEW_SIDE * VIEW_SIDE, per = n / copies;
@@ -61,17 +61,17 @@ static enum err_code view_city(size_t n, struct gauss *out, struct err *e)
     return rc;
 }
 
-static enum err_code view_store(struct bench *b, size_t n, const char *path, struct err *e)
+static enum err_code flight_store(struct bench *b, size_t n, const char *path, struct err *e)
 {
     const struct pyramid_config cfg = {.name = "bench", .tile_edge_m = 60};
     struct pyramid_report report;
     struct gauss g = {0};
     char text[96];
-    enum err_code rc = view_city(n, &g, e);
+    enum err_code rc = flight_city(n, &g, e);
     const struct pyramid_level level = {.g = &g, .level = 3};
     double start_s = clock_s();
     if (rc == ERR_OK)
-        rc = pyramid_build(&view_origin, &level, 1, &cfg, NULL, 0, path, &report, e);
+        rc = pyramid_build(&flight_origin, &level, 1, &cfg, NULL, 0, path, &report, e);
     if (rc == ERR_OK) {
         snprintf(text, sizeof text, "%.1f M: tiling", (double)g.n * 1e-6);
         bench_report(b, text, (double)g.n * 1e-6 / (clock_s() - start_s), "M Gaussians/s", 0, NULL);
@@ -81,16 +81,16 @@ static enum err_code view_store(struct bench *b, size_t n, const char *path, str
 }
 
 /* Frame k of the flight: over the roofs, looking ahead and down. */
-static struct camera view_flight(int k)
+static struct camera flight_camera(int k)
 {
     double at = VIEW_CITY_M * (-1.4 + 2.4 * k / VIEW_FRAMES);
     const double eye[3] = {at, 0.6 * at, 120}, target[3] = {at + 200, 0.6 * at + 120, 10};
     return camera_look_at(eye, target, 0.9, VIEW_W, VIEW_H);
 }
 
-static enum err_code view_frame(struct view_case *c, int k, struct err *e)
+static enum err_code flight_frame(struct flight *c, int k, struct err *e)
 {
-    struct camera cam = view_flight(k);
+    struct camera cam = flight_camera(k);
     struct view_stats stats;
     struct buf jpeg = {0};
     double start_s = clock_s();
@@ -117,14 +117,13 @@ static enum err_code view_frame(struct view_case *c, int k, struct err *e)
     return rc;
 }
 
-static int view_order(const void *a, const void *b)
+static int flight_order(const void *a, const void *b)
 {
     double x = *(const double *)a, y = *(const double *)b;
     return (x > y) - (x < y);
 }
 
-static enum err_code view_open_case(struct bench *b, const char *path, struct view_case *c,
-                                    struct err *e)
+static enum err_code flight_open(struct bench *b, const char *path, struct flight *c, struct err *e)
 {
     enum err_code rc = appearance_alloc(&c->look, APPEARANCE_GAUSS_LEN, APPEARANCE_IMAGE_LEN,
                                         APPEARANCE_HIDDEN, VIEW_PHOTOS, e);
@@ -145,23 +144,23 @@ static enum err_code view_open_case(struct bench *b, const char *path, struct vi
 enum err_code bench_view(struct bench *b, struct err *e)
 {
     char path[FILE_PATH_MAX], text[96];
-    struct view_case c = {0};
+    struct flight c = {0};
     size_t n = b->quick ? 160000 : 10400000;
     enum err_code rc = file_join(path, bench_tmpdir(b), "city.tiles", e);
     if (rc == ERR_OK)
-        rc = view_store(b, n, path, e);
+        rc = flight_store(b, n, path, e);
     if (rc == ERR_OK)
-        rc = view_open_case(b, path, &c, e);
+        rc = flight_open(b, path, &c, e);
     for (int pass = 0; rc == ERR_OK && pass < 2; pass++) {
         c.pick_ms = c.load_ms = c.draw_ms = c.jpeg_ms = 0;
         c.gaussians = 0;
         for (int k = 0; rc == ERR_OK && k < VIEW_FRAMES; k++)
-            rc = view_frame(&c, k, e);
+            rc = flight_frame(&c, k, e);
     }
     if (rc == ERR_OK && c.gaussians == 0)
         rc = err_set(e, ERR_INTERNAL, "bench_view: check: nothing was drawn");
     if (rc == ERR_OK) {
-        qsort(c.ms, VIEW_FRAMES, sizeof c.ms[0], view_order);
+        qsort(c.ms, VIEW_FRAMES, sizeof c.ms[0], flight_order);
         const struct {
             const char *name, *unit;
             double value;

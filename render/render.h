@@ -88,6 +88,26 @@ enum err_code render_model_download(struct render *r, const struct render_model 
                                     struct err *e) ERR_USE;
 void render_model_free(struct render_model *m);
 
+/* Models out of pieces that are packed once and put together often (tiles of a city): memory is
+ * copied, nothing is computed. A piece is whole groups, [n_groups][planes][16], with means relative
+ * to the model's origin; lanes beyond its last Gaussian are never drawn. */
+struct render_piece {
+    const float *groups;
+    uint32_t n_groups;
+};
+static inline uint32_t render_piece_groups(size_t n_gaussians)
+{
+    return (uint32_t)((n_gaussians + 15) / 16);
+}
+/* out: render_piece_groups(g->n) * render_planes_embed(...) * 16 floats, 64-byte aligned. */
+void render_piece_pack(const struct gauss *g, const double origin_enu_m[3], float *out);
+/* Put pieces together in m, in their order. The caller has set sh_degree, embed_len and
+ * origin_enu_m; {0} besides these is a model without memory. The first n_same pieces are in m
+ * already, from the last call. */
+enum err_code render_model_assemble(struct render *r, const struct render_piece *pieces,
+                                    size_t n_pieces, size_t n_same, struct render_model *m,
+                                    struct err *e) ERR_USE;
+
 struct render_stats { /* of the last frame */
     uint32_t visible; /* splats that passed the cull */
     uint64_t entries; /* (splat, tile) pairs */

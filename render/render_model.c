@@ -10,6 +10,7 @@
 #include <string.h>
 
 #include "core/base.h"
+#include "core/pool.h"
 #include "render/frame.h"
 
 enum { LANES = LAYOUT_LANES, GROUPS_AT_ONCE = 4096 };
@@ -134,6 +135,95 @@ enum err_code render_model_download(struct render *r, const struct render_model 
             model_unpack(staging, m, at, n, g);
     }
     mem_free(staging);
+    return rc;
+}
+
+/* ---- pieces
+ * --------------------------------------------------------------------------------------- */
+
+/* Behind every camera or beyond every far plane, and no appearance changes that. */
+#define NOWHERE_M 1e20f
+
+void render_piece_pack(const struct gauss *g, const double origin_enu_m[3], float *out)
+{
+    uint32_t planes = render_planes_embed(g->sh_degree, g->embed_len);
+    size_t groups = render_piece_groups(g->n), lanes = groups * LANES;
+    memset(out, 0, lanes * planes * sizeof *out);
+    model_pack(g, planes, 0, groups, out);
+    for (size_t i = 0; i < lanes; i++)
+        for (size_t k = 0; k < 3; k++) {
+            float *at = out + (i / LANES * planes + RENDER_PLANE_MEAN + k) * LANES + i % LANES;
+            *at = i < g->n ? (float)((double)*at + (g->origin_enu_m[k] - origin_enu_m[k]))
+                           : NOWHERE_M;
+        }
+}
+
+struct assembly {
+    const struct render_piece *pieces;
+    const size_t *first; /* group at which each piece goes */
+    float *to;           /* of the first group that changes */
+    size_t n_same, group_floats;
+};
+
+static enum err_code assemble_piece(void *user, size_t i, struct err *e)
+{
+    const struct assembly *a = user;
+    const struct render_piece *p = &a->pieces[a->n_same + i];
+    (void)e;
+    memcpy(a->to + (a->first[a->n_same + i] - a->first[a->n_same]) * a->group_floats, p->groups,
+           p->n_groups * a->group_floats * sizeof(float));
+    return ERR_OK;
+}
+
+/* Room for `groups`, contents lost when it grows. */
+static enum err_code model_reserve(struct render *r, struct render_model *m, size_t groups,
+                                   struct err *e)
+{
+    if (m->params && groups * LANES <= m->cap)
+        return ERR_OK;
+    size_t cap = groups + groups / 4 + 1;
+    if (cap > (size_t)(INT32_MAX / LANES))
+        return err_set(e, ERR_LIMIT, "%zu Gaussians in one picture: at most 2^31", groups * LANES);
+    dev_release(&m->params);
+    m->cap = 0;
+    enum err_code rc =
+        dev_buffer(r->dev, cap * LANES * m->planes * sizeof(float), NULL, &m->params, e);
+    m->cap = rc == ERR_OK ? (uint32_t)(cap * LANES) : 0;
+    return rc;
+}
+
+enum err_code render_model_assemble(struct render *r, const struct render_piece *pieces,
+                                    size_t n_pieces, size_t n_same, struct render_model *m,
+                                    struct err *e)
+{
+    size_t groups = 0, *first = mem_array(n_pieces + 1, sizeof *first);
+    cl_int code = CL_SUCCESS;
+    if (!first)
+        return err_set(e, ERR_MEM, "out of memory for %zu pieces", n_pieces);
+    for (size_t i = 0; i < n_pieces; i++) {
+        first[i] = groups;
+        groups += pieces[i].n_groups;
+    }
+    cl_mem before = m->params;
+    m->planes = render_planes_embed(m->sh_degree, m->embed_len);
+    enum err_code rc = model_reserve(r, m, groups, e);
+    struct assembly a = {pieces, first, NULL, before == m->params ? n_same : 0,
+                         (size_t)m->planes * LANES};
+    size_t at = first[a.n_same < n_pieces ? a.n_same : 0], bytes = sizeof(float) * a.group_floats;
+    if (rc == ERR_OK && a.n_same < n_pieces && groups > at) {
+        a.to = clEnqueueMapBuffer(r->dev->queue, m->params, CL_TRUE, CL_MAP_WRITE, at * bytes,
+                                  (groups - at) * bytes, 0, NULL, NULL, &code);
+        if (code == CL_SUCCESS) {
+            rc = pool_for(n_pieces - a.n_same, 0, assemble_piece, &a, e);
+            code = clEnqueueUnmapMemObject(r->dev->queue, m->params, a.to, 0, NULL, NULL);
+        }
+        if (rc == ERR_OK && code != CL_SUCCESS)
+            rc = err_set(e, ERR_DEVICE, "putting %zu tiles together: %s", n_pieces,
+                         dev_error_name(code));
+    }
+    m->groups = (uint32_t)groups;
+    m->n = (uint32_t)(groups * LANES);
+    mem_free(first);
     return rc;
 }
 
