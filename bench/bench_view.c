@@ -61,22 +61,32 @@ static enum err_code flight_city(size_t n, struct gauss *out, struct err *e)
     return rc;
 }
 
-static enum err_code flight_store(struct bench *b, size_t n, const char *path, struct err *e)
+static enum err_code flight_store(struct bench *b, const struct appearance *look, size_t n,
+                                  const char *path, struct err *e)
 {
+    struct appearance kept = {0};
+    struct buf bytes = {0};
     const struct pyramid_config cfg = {.name = "bench", .tile_edge_m = 60};
     struct pyramid_report report;
     struct gauss g = {0};
     char text[96];
     enum err_code rc = flight_city(n, &g, e);
     const struct pyramid_level level = {.g = &g, .level = 3};
+    if (rc == ERR_OK)
+        rc = bake_with_default(look, &g, &kept, e);
+    if (rc == ERR_OK)
+        rc = appearance_write(&kept, &bytes, e);
+    const struct ckpt_blob blob = {.name = "appearance", bytes.data, bytes.size};
     double start_s = clock_s();
     if (rc == ERR_OK)
-        rc = pyramid_build(&flight_origin, &level, 1, &cfg, NULL, 0, path, &report, e);
+        rc = pyramid_build(&flight_origin, &level, 1, &cfg, &blob, 1, path, &report, e);
     if (rc == ERR_OK) {
         snprintf(text, sizeof text, "%.1f M: tiling", (double)g.n * 1e-6);
         bench_report(b, text, (double)g.n * 1e-6 / (clock_s() - start_s), "M Gaussians/s", 0, NULL);
     }
     gauss_free(&g);
+    appearance_free(&kept);
+    buf_free(&bytes);
     return rc;
 }
 
@@ -125,14 +135,11 @@ static int flight_order(const void *a, const void *b)
 
 static enum err_code flight_open(struct bench *b, const char *path, struct flight *c, struct err *e)
 {
-    enum err_code rc = appearance_alloc(&c->look, APPEARANCE_GAUSS_LEN, APPEARANCE_IMAGE_LEN,
-                                        APPEARANCE_HIDDEN, VIEW_PHOTOS, e);
-    if (rc == ERR_OK)
-        appearance_init(&c->look, VIEW_SEED);
+    enum err_code rc = ERR_OK;
     c->frame = mem_array(appearance_frame_floats(APPEARANCE_GAUSS_LEN, APPEARANCE_HIDDEN),
                          sizeof *c->frame);
     c->rgb = mem_array(3 * (size_t)VIEW_W * VIEW_H, sizeof *c->rgb);
-    if (rc == ERR_OK && (!c->frame || !c->rgb))
+    if (!c->frame || !c->rgb)
         rc = err_set(e, ERR_MEM, "bench_view: out of memory");
     if (rc == ERR_OK)
         rc = image_alloc(VIEW_W, VIEW_H, 3, &c->picture, e);
@@ -148,7 +155,12 @@ enum err_code bench_view(struct bench *b, struct err *e)
     size_t n = b->quick ? 160000 : 10400000;
     enum err_code rc = file_join(path, bench_tmpdir(b), "city.tiles", e);
     if (rc == ERR_OK)
-        rc = flight_store(b, n, path, e);
+        rc = appearance_alloc(&c.look, APPEARANCE_GAUSS_LEN, APPEARANCE_IMAGE_LEN,
+                              APPEARANCE_HIDDEN, VIEW_PHOTOS, e);
+    if (rc == ERR_OK) {
+        appearance_init(&c.look, VIEW_SEED);
+        rc = flight_store(b, &c.look, n, path, e);
+    }
     if (rc == ERR_OK)
         rc = flight_open(b, path, &c, e);
     for (int pass = 0; rc == ERR_OK && pass < 2; pass++) {

@@ -324,8 +324,7 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     enum err_code rc = view_open(v->o.tiles, v->render, (size_t)v->o.cache_mib << 20, &w.view, e);
     if (!rc)
         rc = halves_take_store(&v->halves, view_appearance(w.view), &v->scene, e);
-    if (!rc && (w.look = halves_look(&v->halves)))
-        view_set_raw(w.view, true);
+    w.look = rc ? NULL : halves_look(&v->halves);
     if (!rc)
         rc = eval_source(v, "tiles, LOD", (uint32_t)v->o.max_edge_px, 1.0, src, &half, e);
     w.po.no_lod = true;

@@ -232,29 +232,23 @@ enum err_code view_open(const char *store_path, struct render *r, size_t cache_b
 void view_close(struct view **v);
 const struct store *view_store(const struct view *v);
 const struct appearance *view_appearance(const struct view *v); /* of the store; NULL: none */
-/* Change the Gaussians before they go to the device (an appearance: g carries the embeddings then);
- * NULL for none. Takes effect with the next picture. */
-void view_set_bake(struct view *v,
-                   enum err_code (*bake)(void *user, struct gauss *g, struct err *e), void *user);
 /* The look of pictures of a store with appearance: an embedding (copied), NULL for the default one.
  */
 enum err_code view_set_look(struct view *v, const float *image, struct err *e) ERR_USE;
 /* bake_find of the view's store. */
 enum err_code view_find_look(struct view *v, const char *look, float *image, struct err *e) ERR_USE;
-/* Leave colours as they were trained and embeddings on the device, for render_options that carry a
- * frame of the network; no baking then. */
-void view_set_raw(struct view *v, bool raw);
 struct view_stats {
     size_t n_tiles;
     uint64_t n_gaussians;
     double ms_pick, ms_load, ms_render;
 };
-/* rgb [h][w][3] float. */
+/* rgb [h][w][3] float. A frame of the network in ro comes before the look that was set. */
 enum err_code view_render(struct view *v, const struct camera *cam, const struct render_options *ro,
                           const struct pick_options *po, float *rgb, struct view_stats *stats,
                           struct err *e) ERR_USE;
 
-/* The Gaussians that such a picture is drawn from, on the device until the next call. */
+/* The Gaussians that such a picture is drawn from, on the device until the next call: colours as
+ * they were trained, with embeddings where the store has appearance. */
 enum err_code view_model(struct view *v, const struct camera *cam, const struct pick_options *po,
                          const struct render_model **out, struct view_stats *stats,
                          struct err *e) ERR_USE;

@@ -1,11 +1,14 @@
 /* A picture of a store: pick the tiles, have them decoded, put them together on the device, render.
  *
- * Two caches. Decoded tiles stay in memory up to a number of bytes, least recently used out first.
- * The tiles of the last picture stay together on the device as one model, used again while the same
- * tiles are picked, so a camera that turns a little costs a render and nothing else.
+ * Two caches. Decoded tiles stay in memory, in the device's layout, up to a number of bytes, least
+ * recently used out first. The tiles of the last picture stay together on the device as one model:
+ * while the same tiles are picked a picture costs a render and nothing else, and when some change,
+ * those behind the first that differs are copied. Nothing is computed for it: colours are as they
+ * were trained, and the look of a photograph is a few hundred numbers that the renderer gets with
+ * the frame.
  *
- * The model's origin is the centre of its finest tile, not the eye: pictures depend on the request
- * alone, never on the ones before.
+ * The model's origin is the centre of the first tile of the store, whatever is in view: pictures
+ * depend on the request alone, never on the ones before.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -20,8 +23,9 @@ enum { VIEW_BATCH = 16 /* payloads in memory at once while decoding */ };
 #define VIEW_CACHE_BYTES ((size_t)1 << 30)
 
 struct view_tile { /* decoded tile, by index into store_tiles */
-    struct gauss g;
-    size_t bytes; /* 0 = not resident */
+    float *packed; /* see render_piece_pack */
+    uint32_t n;    /* Gaussians */
+    size_t bytes;  /* 0 = not resident */
     uint64_t used;
 };
 
@@ -36,12 +40,21 @@ struct view {
     size_t n_picked;
     struct render_model model;
     bool model_valid;
-    enum err_code (*bake)(void *user, struct gauss *g, struct err *e);
-    void *bake_user;
     const struct appearance *appearance; /* of the store; NULL: none */
-    float *look;                         /* [len_image]; NULL: the default one */
-    bool raw;
+    float *frame;                        /* of the look, see appearance_frame; NULL: none */
+    struct render_piece *pieces;         /* scratch, [n_tiles] */
 };
+
+/* An empty model, about the first tile: an index that never changes. */
+static void view_model_start(struct view *v)
+{
+    size_t n;
+    const struct store_tile *tiles = store_tiles(v->store, &n);
+    v->model.sh_degree = store_info(v->store)->sh_degree;
+    v->model.embed_len = v->appearance ? store_info(v->store)->embed_len : 0;
+    if (n > 0)
+        memcpy(v->model.origin_enu_m, tiles[0].center_enu_m, sizeof v->model.origin_enu_m);
+}
 
 enum err_code view_open(const char *store_path, struct render *r, size_t cache_bytes,
                         struct view **out, struct err *e)
@@ -60,20 +73,18 @@ enum err_code view_open(const char *store_path, struct render *r, size_t cache_b
         v->tile = mem_array(v->n_tiles, sizeof *v->tile);
         v->picked = mem_array(v->n_tiles, sizeof *v->picked);
         v->now = mem_array(v->n_tiles, sizeof *v->now);
-        if (!v->tile || !v->picked || !v->now)
+        v->pieces = mem_array(v->n_tiles, sizeof *v->pieces);
+        if (!v->tile || !v->picked || !v->now || !v->pieces)
             rc = err_set(e, ERR_MEM, "%s: out of memory for %zu tiles", store_path, v->n_tiles);
     }
+    if (!rc)
+        view_model_start(v);
+    if (!rc && v->appearance)
+        rc = view_set_look(v, NULL, e);
     if (rc)
         view_close(&v);
     *out = v;
     return rc;
-}
-
-static void view_drop_model(struct view *v)
-{
-    if (v->model_valid)
-        render_model_free(&v->model);
-    v->model_valid = false;
 }
 
 void view_close(struct view **vp)
@@ -81,13 +92,14 @@ void view_close(struct view **vp)
     struct view *v = *vp;
     if (!v)
         return;
-    view_drop_model(v);
+    render_model_free(&v->model);
     for (size_t i = 0; v->tile && i < v->n_tiles; i++)
-        gauss_free(&v->tile[i].g);
+        mem_free(v->tile[i].packed);
     mem_free(v->tile);
     mem_free(v->picked);
     mem_free(v->now);
-    mem_free(v->look);
+    mem_free(v->pieces);
+    mem_free(v->frame);
     store_close(&v->store);
     mem_free(v);
     *vp = NULL;
@@ -103,27 +115,22 @@ const struct appearance *view_appearance(const struct view *v)
     return v->appearance;
 }
 
-void view_set_bake(struct view *v,
-                   enum err_code (*bake)(void *user, struct gauss *g, struct err *e), void *user)
-{
-    v->bake = bake;
-    v->bake_user = user;
-    view_drop_model(v);
-}
-
 enum err_code view_set_look(struct view *v, const float *image, struct err *e)
 {
-    float *look = NULL;
-    if (image && v->appearance) {
-        look = mem_array(v->appearance->len_image, sizeof *look);
-        if (!look)
-            return err_set(e, ERR_MEM, "view: out of memory");
-        memcpy(look, image, v->appearance->len_image * sizeof *look);
-    }
-    mem_free(v->look);
-    v->look = look;
-    view_drop_model(v);
-    return ERR_OK;
+    const struct appearance *a = v->appearance;
+    float default_look[APPEARANCE_IMAGE_MAX];
+    enum err_code rc = ERR_OK;
+    if (!a)
+        return ERR_OK;
+    if (!v->frame)
+        v->frame = mem_array(appearance_frame_floats(a->len_gauss, a->hidden), sizeof *v->frame);
+    if (!v->frame)
+        return err_set(e, ERR_MEM, "view: out of memory");
+    if (!image)
+        rc = bake_find(v->store, BAKE_DEFAULT, default_look, e);
+    if (!rc)
+        appearance_frame(a, image ? image : default_look, v->frame);
+    return rc;
 }
 
 enum err_code view_find_look(struct view *v, const char *look, float *image, struct err *e)
@@ -131,18 +138,7 @@ enum err_code view_find_look(struct view *v, const char *look, float *image, str
     return bake_find(v->store, look, image, e);
 }
 
-void view_set_raw(struct view *v, bool raw)
-{
-    v->raw = raw;
-    view_drop_model(v);
-}
-
 /* ---- decoded tiles ---- */
-
-static size_t view_gauss_bytes(const struct gauss *g)
-{
-    return g->cap * (11 + 3 * gauss_sh_count(g->sh_degree) + g->embed_len) * sizeof(float);
-}
 
 struct view_batch {
     struct view *view;
@@ -157,11 +153,28 @@ static enum err_code view_decode(void *user, size_t i, struct err *e)
     size_t n;
     const struct store_tile *t = &store_tiles(b->view->store, &n)[b->tile[i]];
     struct view_tile *to = &b->view->tile[b->tile[i]];
-    enum err_code rc = payload_decode(b->payload[i].data, b->payload[i].size, NULL, &to->g, e);
+    struct gauss g = {0};
+    enum err_code rc = payload_decode(b->payload[i].data, b->payload[i].size, NULL, &g, e);
     if (rc)
         return err_add(e, "tile %u/%u/%u", t->key.z, t->key.x, t->key.y);
-    memcpy(to->g.origin_enu_m, t->center_enu_m, sizeof to->g.origin_enu_m);
-    return ERR_OK;
+    const struct render_model *m = &b->view->model;
+    memcpy(g.origin_enu_m, t->center_enu_m, sizeof g.origin_enu_m);
+    if (!m->embed_len)
+        g.embed_len = 0; /* nothing would say what they mean */
+    if (g.sh_degree != m->sh_degree || g.embed_len != m->embed_len)
+        rc = err_set(e, ERR_FORMAT, "tile %u/%u/%u: other harmonics or embeddings than the store's",
+                     t->key.z, t->key.x, t->key.y);
+    size_t floats = (size_t)render_piece_groups(g.n) * RENDER_LANES *
+                    render_planes_embed(g.sh_degree, g.embed_len);
+    if (!rc && !(to->packed = mem_array(floats ? floats : 1, sizeof(float))))
+        rc = err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", g.n);
+    if (!rc) {
+        render_piece_pack(&g, m->origin_enu_m, to->packed);
+        to->n = (uint32_t)g.n;
+        to->bytes = floats * sizeof(float) + sizeof *to;
+    }
+    gauss_free(&g);
+    return rc;
 }
 
 static enum err_code view_load_batch(struct view_batch *b, struct err *e)
@@ -176,10 +189,12 @@ static enum err_code view_load_batch(struct view_batch *b, struct err *e)
     for (size_t i = 0; i < b->n; i++) {
         struct view_tile *t = &b->view->tile[b->tile[i]];
         buf_free(&b->payload[i]);
-        if (rc)
-            gauss_free(&t->g);
-        else
-            b->view->resident_bytes += t->bytes = view_gauss_bytes(&t->g) + sizeof *t;
+        if (rc) { /* of all or of none */
+            mem_free(t->packed);
+            t->packed = NULL;
+            t->bytes = 0;
+        }
+        b->view->resident_bytes += t->bytes;
     }
     b->n = 0;
     return rc;
@@ -227,7 +242,8 @@ static void view_evict(struct view *v)
     for (size_t i = 0; i < n && v->resident_bytes > v->limit_bytes; i++) {
         v->resident_bytes -= list[i]->bytes;
         list[i]->bytes = 0;
-        gauss_free(&list[i]->g);
+        mem_free(list[i]->packed);
+        list[i]->packed = NULL;
     }
     mem_free(list);
 }
@@ -236,34 +252,15 @@ static void view_evict(struct view *v)
 
 static enum err_code view_assemble(struct view *v, size_t n, struct err *e)
 {
-    struct gauss all = {0};
-    const struct store_meta *m = store_info(v->store);
-    size_t total = 0, n_tiles;
-    const struct store_tile *tiles = store_tiles(v->store, &n_tiles);
-    for (size_t i = 0; i < n; i++)
-        total += v->tile[v->now[i]].g.n;
-    bool embed = v->bake || v->raw || v->appearance;
-    enum err_code rc = gauss_alloc(&all, total, m->sh_degree, embed ? m->embed_len : 0, e);
-    if (rc)
-        return rc;
-    all.antialiased = m->antialiased;
-    if (n > 0) /* the index ascends with zoom: the last one is among the finest */
-        memcpy(all.origin_enu_m, tiles[v->now[n - 1]].center_enu_m, sizeof all.origin_enu_m);
-    for (size_t i = 0; !rc && i < n; i++) {
-        const struct gauss *g = &v->tile[v->now[i]].g;
-        rc = gauss_append(&all, g, NULL, g->n, e);
+    size_t same = 0;
+    while (v->model_valid && same < n && same < v->n_picked && v->now[same] == v->picked[same])
+        same++;
+    for (size_t i = 0; i < n; i++) {
+        const struct view_tile *t = &v->tile[v->now[i]];
+        v->pieces[i] = (struct render_piece){t->packed, render_piece_groups(t->n)};
     }
-    if (!rc && v->bake)
-        rc = v->bake(v->bake_user, &all, e);
-    else if (!rc && !v->raw)
-        rc = bake_apply(v->store, v->look, &all, e);
-    if (!rc && !v->raw)
-        all.embed_len = 0; /* the device need not hold what nothing asks for */
-    view_drop_model(v);
-    if (!rc)
-        rc = render_model_upload(v->render, &all, &v->model, e);
+    enum err_code rc = render_model_assemble(v->render, v->pieces, n, same, &v->model, e);
     v->model_valid = rc == ERR_OK;
-    gauss_free(&all);
     return rc;
 }
 
@@ -286,6 +283,16 @@ static enum err_code view_prepare(struct view *v, size_t n, struct err *e)
     return rc;
 }
 
+static uint64_t view_count(const struct view *v, size_t n)
+{
+    size_t n_tiles;
+    const struct store_tile *tiles = store_tiles(v->store, &n_tiles);
+    uint64_t sum = 0;
+    for (size_t i = 0; i < n; i++)
+        sum += tiles[v->now[i]].count;
+    return sum;
+}
+
 enum err_code view_model(struct view *v, const struct camera *cam, const struct pick_options *po,
                          const struct render_model **out, struct view_stats *stats, struct err *e)
 {
@@ -300,7 +307,7 @@ enum err_code view_model(struct view *v, const struct camera *cam, const struct 
         return rc;
     *out = &v->model;
     *stats = (struct view_stats){.n_tiles = n,
-                                 .n_gaussians = v->model.n,
+                                 .n_gaussians = view_count(v, n),
                                  .ms_pick = 1e3 * (t1 - t0),
                                  .ms_load = 1e3 * (clock_s() - t1)};
     return ERR_OK;
@@ -314,8 +321,13 @@ enum err_code view_render(struct view *v, const struct camera *cam, const struct
     const struct render_model *m;
     enum err_code rc = view_model(v, cam, po, &m, &st, e);
     double start = clock_s();
+    struct render_options o = *ro;
+    if (v->frame && !o.appearance_frame) {
+        o.appearance_frame = v->frame;
+        o.appearance_hidden = v->appearance->hidden;
+    }
     if (!rc)
-        rc = render_forward(v->render, m, cam, ro, rgb, NULL, e);
+        rc = render_forward(v->render, m, cam, &o, rgb, NULL, e);
     st.ms_render = 1e3 * (clock_s() - start);
     if (!rc && stats)
         *stats = st;

@@ -42,7 +42,7 @@ struct render_options {
 #define RENDER_ALPHA_MAX 0.99f
 #define RENDER_ALPHA_MIN (1.0f / 255.0f)
 #define RENDER_T_STOP 1e-4f
-enum { RENDER_TILE = 16 };
+enum { RENDER_TILE = 16, RENDER_LANES = 16 /* Gaussians a group, see below */ };
 
 /* Parameters of one Gaussian as planes of the device layout (AoSoA-16): mean 0-2, scale_log 3-5,
  * quat_wxyz 6-9, opacity_logit 10, then sh coefficient-major (11 + 3 k + channel), then the
@@ -97,9 +97,9 @@ struct render_piece {
 };
 static inline uint32_t render_piece_groups(size_t n_gaussians)
 {
-    return (uint32_t)((n_gaussians + 15) / 16);
+    return (uint32_t)((n_gaussians + RENDER_LANES - 1) / RENDER_LANES);
 }
-/* out: render_piece_groups(g->n) * render_planes_embed(...) * 16 floats, 64-byte aligned. */
+/* out: render_piece_groups(g->n) * render_planes_embed(...) * RENDER_LANES floats. */
 void render_piece_pack(const struct gauss *g, const double origin_enu_m[3], float *out);
 /* Put pieces together in m, in their order. The caller has set sh_degree, embed_len and
  * origin_enu_m; {0} besides these is a model without memory. The first n_same pieces are in m

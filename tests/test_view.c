@@ -128,59 +128,6 @@ static void without_levels_it_is_the_finest(void **state)
     view_close(&v);
 }
 
-struct baking {
-    size_t calls;
-    float red;
-};
-
-static enum err_code bake(void *user, struct gauss *g, struct err *e)
-{
-    struct baking *b = user;
-    if (g->embed_len != 4)
-        return err_set(e, ERR_INTERNAL, "no embeddings");
-    b->calls++;
-    for (size_t i = 0; i < g->n; i++)
-        g->sh[3 * gauss_sh_count(g->sh_degree) * i] += b->red;
-    return ERR_OK;
-}
-
-static double mean_of(const float *rgb, size_t channel)
-{
-    double sum = 0;
-    for (size_t i = 0; i < W * H; i++)
-        sum += (double)rgb[3 * i + channel] / (W * H);
-    return sum;
-}
-
-static void appearances_are_baked_once(void **state)
-{
-    struct fixture *f = *state;
-    struct err e = {0};
-    struct view *v;
-    struct baking b = {.red = 2};
-    static float plain[W * H * 3], red[W * H * 3];
-    struct camera cam = camera_at(0, 60, -30);
-    kit_ok(view_open(f->path, f->render, 0, &v, &e), e);
-    kit_ok(view_render(v, &cam, &draw, NULL, plain, NULL, &e), e);
-    view_set_bake(v, bake, &b);
-    kit_ok(view_render(v, &cam, &draw, NULL, red, NULL, &e), e);
-    cam.width_px = W / 2; /* the left half: no tile more, and often the same */
-    kit_ok(view_render(v, &cam, &draw, NULL, red, NULL, &e), e);
-    cam.width_px = W;
-    kit_ok(view_render(v, &cam, &draw, NULL, red, NULL, &e), e);
-    assert_in_range(b.calls, 1, 3);
-    size_t before = b.calls;
-    for (int i = 0; i < 5; i++)
-        kit_ok(view_render(v, &cam, &draw, NULL, red, NULL, &e), e);
-    assert_int_equal(b.calls, before); /* the model was used again */
-    assert_true(mean_of(red, 0) > mean_of(plain, 0) + 0.1);
-    assert_true(fabs(mean_of(red, 1) - mean_of(plain, 1)) < 1e-4);
-    view_set_bake(v, NULL, NULL);
-    kit_ok(view_render(v, &cam, &draw, NULL, red, NULL, &e), e);
-    assert_memory_equal(plain, red, sizeof plain);
-    view_close(&v);
-}
-
 static void looking_away_shows_the_background(void **state)
 {
     struct fixture *f = *state;
@@ -275,7 +222,6 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(drawn_again_it_is_the_same),
         cmocka_unit_test(without_levels_it_is_the_finest),
-        cmocka_unit_test(appearances_are_baked_once),
         cmocka_unit_test(looking_away_shows_the_background),
         cmocka_unit_test(a_damaged_tile_spoils_only_the_views_that_need_it),
         cmocka_unit_test(cameras_by_heading_and_pitch),
