@@ -171,7 +171,7 @@ enum err_code picture_make(struct picture *p, const struct job *j, const struct 
     }
     struct render_options ro = {.aa = w->ds->meta.antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
                                 .sh_degree = -1};
-    const struct pick_options po = {0};
+    const struct pick_options po = {.max_gaussians = (uint64_t)p->cfg->view_gaussians};
     enum err_code rc = view_find(p, w->ds, &view, e);
     if (rc == ERR_OK)
         rc = image_alloc(w->cam.width_px, w->cam.height_px, 3, &img, e);
