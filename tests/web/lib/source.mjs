@@ -95,8 +95,9 @@ export async function getJson(url) {
     return response.json();
 }
 
+// A kept connection may have idled out while another program ran: then once more on a new one.
 export async function getBytes(url) {
-    const response = await fetch(url);
+    const response = await fetch(url).catch(() => fetch(url));
     if (!response.ok) throw new Error(`${url}: ${response.status} ${await response.text()}`);
     return Buffer.from(await response.arrayBuffer());
 }
