@@ -25,7 +25,7 @@
 #define LAYOUT_SORT_BITS 11   /* three passes cover a 32-bit key */
 #define LAYOUT_KEY_TILES 2047 /* low key bits: spent after the first pass, then tile counts */
 #define LAYOUT_BIN_CHUNKS 32
-#define LAYOUT_APPEARANCE_CHUNKS 128 /* partial sums of the appearance network's gradients */
+#define LAYOUT_APPEARANCE_CHUNKS 512 /* partial sums of the appearance network, VW 1 */
 #define LAYOUT_DET_MAX 1e30f         /* px^4: larger 2-D covariances are culled */
 #define LAYOUT_DEPTH_MAX 1e10f       /* m */
 #define LAYOUT_EXTENT_MAX 3.33f      /* sigmas; sqrt(2 ln 255), the reach of an opaque splat */
