@@ -290,7 +290,7 @@ static void test_kernels(void **state)
         int degree;
         uint32_t width;
     } cases[] = {{16, 32, 40, 3, 0}, {16, 32, 300, 1, 0}, {4, 32, 25, 0, 0}, {8, 7, 20, 2, 0},
-                 {64, 8, 20, 0, 0}, {16, 32, 70, 1, 1},  {17, 5, 20, 0, 1}};
+                 {64, 8, 20, 0, 0},  {16, 32, 70, 1, 1},  {17, 5, 20, 0, 1}};
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         char what[64];
         struct look l =
