@@ -76,7 +76,9 @@ bool chart_takes(const struct chart_def *d, const json_t *line, const json_t *li
     if (strlen(study) != n || strncmp(study, d->study, n) ||
         strncmp(runs_text(line, "row"), group, strlen(group)))
         return false;
-    if (strcmp(d->what, "finest"))
+    if (*d->what && !strstr(d->what, "halves") != !strstr(runs_text(line, "what"), "halves"))
+        return false;
+    if (strncmp(d->what, "finest", 6))
         return !strncmp(runs_text(line, "what"), d->what, strlen(d->what));
     double level = runs_number(line, "level");
     if (!(level > 0.0))

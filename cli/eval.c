@@ -12,6 +12,7 @@
 #include "cli/cli.h"
 #include "cli/halves.h"
 #include "lod/lod.h"
+#include "train/lpips.h"
 #include "train/train.h"
 
 struct eval_options {
@@ -37,6 +38,7 @@ struct eval {
     bool dev_is_open;
     struct render *render;
     struct halves halves; /* of what is being scored */
+    struct lpips *lpips;  /* NULL: no weights */
     json_t *rows;
 };
 
@@ -50,14 +52,21 @@ static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px
                               const struct evaluate_score *s, struct err *e)
 {
     printf("%-14s %6zu %9u %9.3f %8.4f %10.4f %8.5f %12.0f %9.2f %9.2f\n", what, s->n_photos,
-           edge_px, s->psnr_db, s->ssim, s->ssim_valid, s->l1, s->gaussians, s->ms_frame,
+           edge_px, s->psnr_db, s->ssim, s->ssim_valid, s->gmsd, s->gaussians, s->ms_frame,
            s->bytes / 1e6);
+    bool lpips = v->lpips && s->lpips > 0.0; /* rows of halves have none */
+    if (lpips)
+        printf("%-14s %s %.4f\n", "", lpips_key(v->lpips), s->lpips);
     fflush(stdout);
     json_t *row = json_pack("{s:s, s:I, s:i, s:o, s:o, s:o, s:f, s:f, s:f, s:f, s:f}", "what", what,
                             "photographs", (json_int_t)s->n_photos, "edge_px", (int)edge_px,
                             "psnr_db", jsonc_real(s->psnr_db), "ssim", jsonc_real(s->ssim),
                             "ssim_valid", jsonc_real(s->ssim_valid), "l1", s->l1, "gmsd", s->gmsd,
                             "gaussians", s->gaussians, "ms_frame", s->ms_frame, "bytes", s->bytes);
+    if (row && lpips && json_object_set_new(row, lpips_key(v->lpips), json_real(s->lpips))) {
+        json_decref(row);
+        row = NULL;
+    }
     if (!row || json_array_append_new(v->rows, row))
         return err_set(e, ERR_MEM, "eval: out of memory");
     return ERR_OK;
@@ -95,6 +104,7 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
                             .downsample = downsample,
                             .cache_bytes = (size_t)64 << 20};
     enum err_code rc = ERR_OK;
+    src.lpips = v->lpips;
     if (v->o.pictures) {
         snprintf(folder, sizeof(folder), "%s", what);
         for (char *c = folder; *c; c++)
@@ -249,7 +259,7 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
             {.aa = s.aa, .background = {grey, grey, grey}, .near_m = s.near_m, .sh_degree = -1},
             halves_look(&v->halves)};
         const struct half_source half = {eval_prepare_model, &m};
-        struct evaluate_source src = {evaluate_draw_model, &m, NULL, bytes};
+        struct evaluate_source src = {.draw = evaluate_draw_model, .user = &m, .bytes = bytes};
         uint32_t edge = v->o.max_edge_px ? (uint32_t)v->o.max_edge_px : (uint32_t)s.max_edge_px;
         rc = eval_source(v, what, edge, v->o.full_size ? 1.0 : s.downsample, src, &half, e);
     }
@@ -319,7 +329,8 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     };
     w.po.distance_m[0] = v->o.distance_1_m;
     w.po.distance_m[1] = v->o.distance_2_m;
-    struct evaluate_source src = {eval_draw_view, &w, NULL, eval_bytes(v->o.tiles)};
+    struct evaluate_source src = {
+        .draw = eval_draw_view, .user = &w, .bytes = eval_bytes(v->o.tiles)};
     const struct half_source half = {eval_prepare_view, &w};
     enum err_code rc = view_open(v->o.tiles, v->render, (size_t)v->o.cache_mib << 20, &w.view, e);
     if (!rc)
@@ -352,6 +363,8 @@ static enum err_code eval_open(struct eval *v, const char *scene_dir, struct err
     v->dev_is_open = rc == ERR_OK;
     if (!rc)
         rc = render_open(&v->dev, &v->render, e);
+    if (!rc && v->o.lpips)
+        rc = lpips_open(&v->dev, v->o.lpips, (enum lpips_range)v->o.lpips_range, &v->lpips, e);
     v->rows = json_array();
     return rc;
 }
@@ -398,11 +411,14 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
         goto out;
     eval_print_head();
     rc = v.o.tiles ? eval_tiles(&v, e) : eval_levels(&v, args.arg[0], e);
+    if (!rc && !v.lpips)
+        printf("LPIPS is not scored: --lpips FILE supplies its weights (docs/evaluation.md).\n");
     if (!rc && v.o.output)
         rc = eval_write(&v, args.arg[0], e);
 out:
     json_decref(v.rows);
     halves_clear(&v.halves);
+    lpips_close(&v.lpips);
     render_close(&v.render);
     if (v.dev_is_open)
         dev_close(&v.dev);

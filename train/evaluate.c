@@ -10,6 +10,7 @@
 #include <string.h>
 
 #include "train/light.h"
+#include "train/lpips.h"
 #include "train/train.h"
 
 enum {
@@ -90,7 +91,7 @@ static enum err_code evaluate_one(struct feed *f, size_t nth, const struct evalu
     if (!rgb)
         return err_set(e, ERR_MEM, "evaluate: out of memory for %u x %u pixels", photo.cam.width_px,
                        photo.cam.height_px);
-    double gaussians = 0.0, start = 0.0, quickest = HUGE_VAL;
+    double gaussians = 0.0, start = 0.0, quickest = HUGE_VAL, lpips = 0.0;
     if (nth == 0)
         rc = src->draw(src->user, &photo.cam, rgb, &gaussians, e);
     for (int k = 0; !rc && k < EVALUATE_DRAWS; k++) {
@@ -103,6 +104,10 @@ static enum err_code evaluate_one(struct feed *f, size_t nth, const struct evalu
         sum->gaussians += gaussians;
         rc = evaluate_photo(&photo, rgb, sum, e);
     }
+    if (!rc && src->lpips)
+        rc = lpips_run(src->lpips, rgb, photo.px, photo.mask, photo.cam.width_px,
+                       photo.cam.height_px, &lpips, e);
+    sum->lpips += lpips;
     if (!rc && src->pictures)
         rc = evaluate_picture(src->pictures, &photo, rgb, e);
     mem_free(rgb);
@@ -116,6 +121,7 @@ void evaluate_divide(struct evaluate_score *sum, double n)
     sum->ssim_valid /= n;
     sum->l1 /= n;
     sum->gmsd /= n;
+    sum->lpips /= n;
     sum->gaussians /= n;
     sum->ms_frame /= n;
 }

@@ -271,12 +271,13 @@ enum err_code train_images(struct scene *s, enum scene_split split, bool test_sp
 struct evaluate_score { /* means over the photographs */
     size_t n_photos;
     double psnr_db, ssim,
-        ssim_valid; /* ssim: zero padded as in the loss; ssim_valid: inner windows only */
-    double l1, gmsd;
-    double gaussians; /* handed to the renderer a frame */
+        ssim_valid;         /* ssim: zero padded as in the loss; ssim_valid: inner windows only */
+    double l1, gmsd, lpips; /* lpips: 0 without weights */
+    double gaussians;       /* handed to the renderer a frame */
     double ms_frame;
     double bytes; /* what the source takes in files, 0 when not told */
 };
+struct lpips; /* train/lpips.h */
 /* Something that draws: draw() renders into rgb [h][w][3] and says how many Gaussians it took. */
 struct evaluate_source {
     enum err_code (*draw)(void *user, const struct camera *cam, float *rgb, double *gaussians,
@@ -284,6 +285,7 @@ struct evaluate_source {
     void *user;
     const char *pictures; /* folder for NAME.png, photograph left and drawing right; NULL: none */
     double bytes;         /* of the source's files, handed through to the score */
+    struct lpips *lpips;  /* NULL: no weights, not scored */
 };
 /* Add the scores of one photograph against its drawing to `sum` (PSNR, SSIM, L1), and make means of
  * `n` such sums. */
