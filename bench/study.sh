@@ -244,10 +244,20 @@ ablation() { # STUDY SCENE
   row "$1" "no loss on sizes" "$2" "" "${base[@]}" --scale-weight 0 --tiles
   row "$1" "sizes from the first step" "$2" "" "${base[@]}" --scale-from 0 --tiles
   row "$1" "depth of sparse points" "$2" "" "${base[@]}" --depth-sparse --tiles
+  row "$1" "appearance" "$2" "" "${base[@]}" --appearance --appearance-iterations "$CELL_STEPS" --tiles
+  row "$1" "appearance, no similarity loss" "$2" "" "${base[@]}" --appearance --appearance-iterations "$CELL_STEPS" --similarity-weight 0 --tiles
   row "$1" "no visibility selection" "$2-location" "" "${base[@]}" --tiles
 }
 study_ablation() { ablation ablation caliterra-cells; }
 study_ablation_city() { ablation ablation_city city; }
+
+study_embedding() { # length of a Gaussian's appearance embedding (Table 11), under changing light
+  local n base=(--level-count 1 --iterations "$STEPS" --budget-3 100000)
+  row embedding "no appearance" city-light "embed_len=0" "${base[@]}" --eval --halves on
+  for n in 4 8 16 32; do
+    row embedding "length $n" city-light "embed_len=$n" "${base[@]}" --appearance --appearance-warmup 250 --embed-len "$n" --eval --halves on
+  done
+}
 
 study_lod() { # tile sizes and distances (Tables 12 and 13); distances in tenths of the city
   local edge d base=(--iterations "$CELL_STEPS" "${SMALL[@]}")
@@ -297,7 +307,7 @@ study_rd() {
   rate rd_city city --iterations "$CELL_STEPS" "${SMALL[@]}"
 }
 
-readonly STUDIES=(time budgets levels sh ablation ablation_city lod rd growth bench)
+readonly STUDIES=(time budgets levels sh embedding ablation ablation_city lod rd growth bench)
 
 main() {
   local s wanted_studies=()

@@ -79,6 +79,7 @@ static enum err_code note_read_results(struct note_run *r, struct err *e)
 {
     char path[FILE_PATH_MAX], file[FILE_PATH_MAX + 288];
     size_t found = 0;
+    struct note_run before = {0};
     enum err_code rc = file_join(path, r->o.results, "cells", e);
     if (rc != ERR_OK)
         return rc;
@@ -89,10 +90,16 @@ static enum err_code note_read_results(struct note_run *r, struct err *e)
         snprintf(file, sizeof file, "%s/%s/metrics.jsonl", path, d->d_name);
         if (d->d_name[0] == '.' || !file_exists(file))
             continue;
-        rc = note_read_cell(r, file, e);
-        found++;
+        bool shared = !strcmp(d->d_name, "appearance"); /* trained before all cells */
+        rc = note_read_cell(shared ? &before : r, file, e);
+        found += !shared;
     }
     closedir(dir);
+    for (unsigned k = 0; k < r->n_levels; k++) {
+        r->level[k].train_s += before.level[0].train_s;
+        r->level[k].train_longest_s += before.level[0].train_s;
+        r->level[k].peak_bytes = fmax(r->level[k].peak_bytes, before.level[0].peak_bytes);
+    }
     if (rc == ERR_OK && !found)
         rc = err_set(e, ERR_NOENT, "%s: no metrics.jsonl of any cell", path);
     return rc;
