@@ -243,6 +243,7 @@ enum err_code level_next(struct level *l, struct err *e)
         return rc;
     l->at++;
     l->step = 0;
+    l->pruned = false;
     budget_close(&l->budget);
     l->budget.at = (struct budget_point){0};
     l->filter_is_current = false;

@@ -32,6 +32,7 @@ struct level {
     /* -- the state that a checkpoint holds */
     uint32_t at;               /* schedule[at] is in work; n_levels = all done */
     uint32_t step;             /* steps of this level that are done */
+    bool pruned;               /* its last step, contribute_prune, is done */
     size_t start;              /* Gaussians inside the cell when this level began */
     struct render_model model; /* cap may exceed n */
     struct render_adam adam; /* moments in the layout of the model; step counts within the level */

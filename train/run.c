@@ -11,6 +11,7 @@
 
 #include <jansson.h>
 
+#include "train/contribute.h"
 #include "train/jobs.h"
 #include "train/level.h"
 
@@ -227,6 +228,29 @@ static enum err_code run_score(struct run *t, struct evaluate_score *out, struct
     return rc;
 }
 
+/* Remove what contributes nothing, and tell. A run that was stopped after this and resumed must not
+ * do it again. */
+static enum err_code run_prune(struct run *t, struct err *e)
+{
+    struct level *l = &t->level;
+    struct contribute_report r = {0};
+    enum err_code rc = l->pruned ? ERR_OK : contribute_prune(l, &r, e);
+    l->pruned = !rc;
+    if (rc || !(r.faint + r.unsupported))
+        return rc;
+    log_info("train",
+             "level=%u prune before=%zu faint=%zu unsupported=%zu train_psnr_db=%.3f after=%.3f%s",
+             l->at + 1, r.before, r.faint, r.unsupported, r.psnr_before_db, r.psnr_after_db,
+             r.undone ? ": taken back" : "");
+    return record_line(l->record, "prune",
+                       json_pack("{s:i, s:I, s:I, s:I, s:o, s:o, s:b}", "level", (int)l->at + 1,
+                                 "before", (json_int_t)r.before, "faint", (json_int_t)r.faint,
+                                 "unsupported", (json_int_t)r.unsupported, "psnr_before_db",
+                                 jsonc_real(r.psnr_before_db), "psnr_after_db",
+                                 jsonc_real(r.psnr_after_db), "undone", (int)r.undone),
+                       e);
+}
+
 /* Score and save the level in work, and remove results of finer levels, which belong to an older
  * run. */
 static enum err_code run_finish_level(struct run *t, struct err *e)
@@ -235,7 +259,9 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
     struct evaluate_score score = {0};
     char path[FILE_PATH_MAX];
     uint32_t k = l->at + 1;
-    enum err_code rc = regular_filter(l, e);
+    enum err_code rc = run_prune(t, e);
+    if (!rc)
+        rc = regular_filter(l, e);
     if (!rc && t->job->n_test)
         rc = run_score(t, &score, e);
     if (rc == ERR_CANCEL)

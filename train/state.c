@@ -62,6 +62,10 @@ static json_t *state_meta(const struct level *l, const char *kind, struct err *e
         (json_int_t)l->n_images, "downsample", s->downsample, "edge_m", l->cell.edge_m, "extent_m",
         l->cell.extent_m, "box_m", l->cell.min_enu_m[0], l->cell.min_enu_m[1], l->cell.max_enu_m[0],
         l->cell.max_enu_m[1], "config", config);
+    if (o && json_object_set_new(o, "pruned", json_boolean(l->pruned))) {
+        json_decref(o);
+        o = NULL;
+    }
     const struct budget_point *b = &l->budget.at;
     if (o && l->budget.n_held &&
         json_object_set_new(o, "budget",
@@ -385,6 +389,7 @@ static enum err_code state_apply(struct level *l, const struct ckpt *c, const ch
         return rc;
     l->at = (uint32_t)level - 1;
     l->step = (uint32_t)step;
+    l->pruned = json_is_true(json_object_get(c->meta, "pruned"));
     rc = state_budget(l, c->meta, e);
     if (rc)
         return err_add(e, "%s", path);

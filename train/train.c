@@ -249,8 +249,10 @@ static enum err_code train_cells(struct train *t, struct train_result *out, stru
     out->cells = mem_array(t->scene.n_cells, sizeof(*out->cells));
     if (!out->cells)
         return err_set(e, ERR_MEM, "train: out of memory for %zu cells", t->scene.n_cells);
-    for (size_t i = 0; !rc && i < t->scene.n_cells; i++)
-        rc = train_cell(t, t->scene.cells[i], &out->cells[out->n_cells++], e);
+    for (size_t i = 0; !rc && i < t->scene.n_cells; i++) {
+        rc = train_cell(t, t->scene.cells[i], &out->cells[i], e);
+        out->n_cells += !rc;
+    }
     return rc;
 }
 

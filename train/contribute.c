@@ -1,0 +1,210 @@
+/* Contribution pruning: Gaussians that add next to nothing to any training photograph cost bytes
+ * and time for ever after. The score is the blending weight itself, the sum of alpha T over all
+ * pixels of all training views; the faintest go that together hold no more than a given share of
+ * all weight, which bounds what can change whatever the size of pictures and Gaussians. Support,
+ * the number of photographs that see a Gaussian, finds floaters close to one camera.
+ *
+ * One pass over the photographs measures, a second one checks: a removal that costs more than the
+ * option allows is taken back. Views are added in the order of the list.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "train/contribute.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/layout.h"
+#include "train/regular.h"
+
+enum { CONTRIBUTE_SUMS = 8, CONTRIBUTE_PIXELS = 1, CONTRIBUTE_SHARE = 2 };
+
+struct contribute {
+    struct level *l;
+    struct render_score *device;
+    cl_mem weight; /* zeros: only alpha T is of interest */
+    size_t weight_bytes;
+    float *sums, *total; /* [n][8] of a view; [n] */
+    uint16_t *views;     /* [n] */
+};
+
+/* Draw a photograph; its squared error. */
+static enum err_code contribute_draw(struct contribute *c, size_t nth, double *mse, struct err *e)
+{
+    struct level *l = c->l;
+    struct feed_photo p;
+    struct loss_value v = {0};
+    struct render_options ro = level_render_options(l, l->step);
+    enum err_code rc = feed_get_nth(l->feed, nth, &p, e);
+    if (!rc)
+        rc = render_forward(l->render, &l->model, &p.cam, &ro, NULL, NULL, e);
+    if (!rc)
+        rc = level_photo_loss(l, &p, e);
+    if (!rc)
+        rc = loss_read(l->loss, &v, e);
+    *mse += v.mse / (double)l->n_images;
+    size_t bytes = (size_t)p.cam.width_px * p.cam.height_px * sizeof(float);
+    if (rc || !c->sums || bytes <= c->weight_bytes)
+        return rc;
+    dev_release(&c->weight);
+    c->weight_bytes = 0;
+    rc = dev_buffer(l->dev, bytes, NULL, &c->weight, e);
+    if (!rc)
+        rc = dev_zero(l->dev, c->weight, 0, bytes, e);
+    c->weight_bytes = rc ? 0 : bytes;
+    return rc;
+}
+
+static enum err_code contribute_measure(struct contribute *c, double *mse, struct err *e)
+{
+    struct level *l = c->l;
+    size_t n = l->model.n;
+    c->sums = mem_array(n * CONTRIBUTE_SUMS, sizeof(float));
+    c->total = mem_array(n, sizeof(float));
+    c->views = mem_array(n, sizeof(uint16_t));
+    if (!c->sums || !c->total || !c->views)
+        return err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
+    enum err_code rc = render_score_open(l->render, &c->device, e);
+    if (!rc)
+        rc = regular_filter(l, e);
+    for (size_t v = 0; !rc && v < l->n_images; v++) {
+        rc = contribute_draw(c, v, mse, e);
+        if (!rc)
+            rc = render_score_run(c->device, &l->model, c->weight, c->sums, e);
+        for (size_t i = 0; !rc && i < n; i++) {
+            c->total[i] += c->sums[CONTRIBUTE_SUMS * i + CONTRIBUTE_SHARE];
+            if (c->sums[CONTRIBUTE_SUMS * i + CONTRIBUTE_PIXELS] > 0.0f && c->views[i] < UINT16_MAX)
+                c->views[i]++;
+        }
+        if (!rc && clock_stopping())
+            rc = err_set(e, ERR_CANCEL, "stopped while pruning");
+    }
+    return rc;
+}
+
+static int contribute_compare(const void *a, const void *b)
+{
+    float x, y;
+    memcpy(&x, a, sizeof(x));
+    memcpy(&y, b, sizeof(y));
+    return (x > y) - (x < y);
+}
+
+void contribute_choose(const float *sum, const uint16_t *views, size_t n, double share,
+                       uint32_t least_views, float *scratch, uint8_t *keep,
+                       struct contribute_report *out)
+{
+    double all = 0.0, given = 0.0;
+    float limit = 0.0f; /* those with at least this stay */
+    memcpy(scratch, sum, n * sizeof(*sum));
+    qsort(scratch, n, sizeof(*scratch), contribute_compare);
+    for (size_t i = 0; i < n; i++)
+        all += (double)scratch[i];
+    for (size_t i = 0; i < n && given <= share * all; i++) {
+        limit = scratch[i];
+        given += (double)scratch[i];
+    }
+    for (size_t i = 0; i < n; i++) {
+        bool faint = share > 0.0 && sum[i] < limit, alone = views[i] < least_views;
+        keep[i] = !faint && !alone;
+        out->faint += faint;
+        out->unsupported += alone && !faint;
+    }
+}
+
+/* ---- removing rows
+ * ------------------------------------------------------------------------------------- */
+
+static void contribute_compact(const float *from, float *to, const uint8_t *keep, size_t n,
+                               uint32_t planes)
+{
+    size_t k = 0;
+    for (size_t i = 0; i < n; i++) {
+        if (!keep[i])
+            continue;
+        size_t a = i / LAYOUT_LANES * planes * LAYOUT_LANES + i % LAYOUT_LANES;
+        size_t b = k / LAYOUT_LANES * planes * LAYOUT_LANES + k % LAYOUT_LANES;
+        for (size_t p = 0; p < planes; p++)
+            to[b + p * LAYOUT_LANES] = from[a + p * LAYOUT_LANES];
+        k++;
+    }
+}
+
+static enum err_code contribute_download(struct level *l, float *to[3], struct err *e)
+{
+    cl_mem from[3] = {l->model.params, l->adam.m1, l->adam.m2};
+    size_t floats = densify_floats(l->model.n, l->model.planes);
+    enum err_code rc = ERR_OK;
+    for (size_t k = 0; !rc && k < 3; k++) {
+        to[k] = mem_array(floats, sizeof(float));
+        rc = to[k] ? dev_read(l->dev, from[k], 0, floats * sizeof(float), to[k], e)
+                   : err_set(e, ERR_MEM, "pruning: out of memory for %zu floats", floats);
+    }
+    return rc;
+}
+
+/* Keep the rows of `keep`, look at the photographs again, take it back if need be. */
+static enum err_code contribute_apply(struct contribute *c, const uint8_t *keep, size_t n_keep,
+                                      double mse, struct contribute_report *r, struct err *e)
+{
+    struct level *l = c->l;
+    float *all[3] = {0}, *kept[3] = {0};
+    size_t n = l->model.n, floats = densify_floats(n_keep, l->model.planes);
+    double after = 0.0;
+    enum err_code rc = contribute_download(l, all, e);
+    for (size_t k = 0; !rc && k < 3; k++) {
+        kept[k] = mem_array(floats, sizeof(float));
+        if (kept[k])
+            contribute_compact(all[k], kept[k], keep, n, l->model.planes);
+        else
+            rc = err_set(e, ERR_MEM, "pruning: out of memory for %zu floats", floats);
+    }
+    if (!rc)
+        rc = level_replace(l, &(struct densify_state){kept[0], kept[1], kept[2]}, n_keep, e);
+    if (!rc)
+        rc = regular_filter(l, e);
+    mem_free(c->sums);
+    c->sums = NULL; /* the second pass only draws */
+    for (size_t v = 0; !rc && v < l->n_images; v++)
+        rc = contribute_draw(c, v, &after, e);
+    r->psnr_before_db = -10.0 * log10(mse);
+    r->psnr_after_db = -10.0 * log10(after);
+    r->undone = !(r->psnr_after_db >= r->psnr_before_db - l->cfg->prune_loss_db);
+    if (!rc && r->undone)
+        rc = level_replace(l, &(struct densify_state){all[0], all[1], all[2]}, n, e);
+    for (size_t k = 0; k < 3; k++) {
+        mem_free(all[k]);
+        mem_free(kept[k]);
+    }
+    return rc;
+}
+
+enum err_code contribute_prune(struct level *l, struct contribute_report *out, struct err *e)
+{
+    struct contribute c = {.l = l};
+    double mse = 0.0;
+    size_t n = l->model.n;
+    uint32_t support = (uint32_t)l->cfg->prune_support;
+    *out = (struct contribute_report){.before = n};
+    if (!(l->cfg->prune_contribution > 0.0) && !support)
+        return ERR_OK;
+    if (l->n_images < 2 * support) /* then few views are all there are */
+        support = 0;
+    uint8_t *keep = mem_array(n, 1);
+    enum err_code rc = keep ? contribute_measure(&c, &mse, e)
+                            : err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
+    if (!rc)
+        contribute_choose(c.total, c.views, n, l->cfg->prune_contribution, support, c.sums, keep,
+                          out);
+    size_t n_keep = n - out->faint - out->unsupported;
+    if (!rc && n_keep && n_keep < n)
+        rc = contribute_apply(&c, keep, n_keep, mse, out, e);
+    render_score_close(&c.device);
+    dev_release(&c.weight);
+    mem_free(c.sums);
+    mem_free(c.total);
+    mem_free(c.views);
+    mem_free(keep);
+    return rc;
+}
