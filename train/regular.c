@@ -177,10 +177,11 @@ static enum err_code regular_depth(struct level *l, uint32_t step, const struct 
     return depth_run(l->regular->depth, l->render, &l->model, &in, l->regular->extra, e);
 }
 
-/* Embeddings that have begun to learn; before, there is nothing to be alike. */
+/* From the first frame with appearance on; before, embeddings do not step. */
 static bool regular_similarity_acts(const struct level *l, uint32_t step)
 {
-    return l->model.embed_len && l->adam.embed_step > 0 && l->cfg->similarity_weight > 0.0 &&
+    return l->model.embed_len && l->cfg->similarity_weight > 0.0 && light_is_on(&l->light) &&
+           step > light_warmup(&l->light, l->cfg, &l->schedule[l->at]) &&
            step % (uint32_t)l->cfg->similarity_interval == 0;
 }
 
