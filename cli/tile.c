@@ -14,6 +14,7 @@
 #include <string.h>
 
 #include "cli/cli.h"
+#include "cli/ground.h"
 #include "cli/splats.h"
 #include "train/partition.h"
 
@@ -34,7 +35,8 @@ static const struct options_def defs[] = {
 
 static const struct options_spec spec = {
     .command = "tile",
-    .usage = "citysplat tile SCENE -o CITY.tiles [options]",
+    .usage = "citysplat tile SCENE -o CITY.tiles [options]\n"
+             "       citysplat tile SCENE --update CITY.tiles --cell ID",
     .about = "Cuts the trained levels of a scene into tiles z/x/y of the Web Mercator grid, "
              "makes overviews until one tile holds the scene, and writes all of it into one "
              "file that `citysplat serve` serves.",
@@ -54,6 +56,8 @@ struct tile_scene {
     const char *dir, *trained; /* scene.json and plan.json; cells/ */
     struct tile_cell *cells;   /* sorted by id */
     size_t n_cells;
+    struct ground ground;  /* of the photographs */
+    double crop_margin_m;  /* negative: nothing is left out */
     struct partition plan; /* only cells with checkpoints; n_cells 0 = no plan */
     uint8_t n_levels;
     struct buf look; /* appearance model of all checkpoints, as they hold it; empty: none */
@@ -222,24 +226,24 @@ static enum err_code tile_match_plan(struct tile_scene *s, const struct scene *s
     return rc;
 }
 
-/* The rows of a slice that its cell owns. */
-static enum err_code tile_own(const struct tile_scene *s, const struct tile_cell *c,
-                              struct gauss *g, struct err *e)
+/* The rows of a slice that its cell owns, within the crop. */
+static void tile_own(const struct tile_scene *s, const struct tile_cell *c, struct gauss *g)
 {
-    (void)e;
     size_t n = 0;
-    for (size_t i = 0; s->plan.n_cells && i < g->n; i++) {
+    if (!s->plan.n_cells && s->crop_margin_m < 0.0)
+        return;
+    for (size_t i = 0; i < g->n; i++) {
         double x = (double)g->mean_m[3 * i] + g->origin_enu_m[0],
                y = (double)g->mean_m[3 * i + 1] + g->origin_enu_m[1];
-        if (partition_owner(&s->plan, x, y) != c->owner)
+        if (s->plan.n_cells && partition_owner(&s->plan, x, y) != c->owner)
+            continue;
+        if (s->crop_margin_m >= 0.0 && !(ground_distance(&s->ground, x, y) <= s->crop_margin_m))
             continue;
         if (n != i)
             gauss_copy_row(g, n, g, i);
         n++;
     }
-    if (s->plan.n_cells)
-        g->n = n;
-    return ERR_OK;
+    g->n = n;
 }
 
 static enum err_code tile_load(void *user, size_t part, struct gauss *out, struct err *e)
@@ -252,7 +256,9 @@ static enum err_code tile_load(void *user, size_t part, struct gauss *out, struc
     size_t from = (part - l->first[f]) * TILE_PART_ROWS, n = ckpt_rows_count(file->rows) - from;
     enum err_code rc =
         ckpt_rows_read(file->rows, from, n < TILE_PART_ROWS ? n : TILE_PART_ROWS, out, e);
-    return rc ? rc : tile_own(l->scene, &l->scene->cells[file->cell], out, e);
+    if (!rc)
+        tile_own(l->scene, &l->scene->cells[file->cell], out);
+    return rc;
 }
 
 /* The nearest level that a cell has: coarser ones first. */
@@ -366,6 +372,76 @@ static void tile_print(const char *path, const struct pyramid_report *r)
         printf("overviews  %10zu Gaussians\n", r->n_gaussians[0]);
 }
 
+/* ---- one cell into a store that exists ---- */
+
+struct tile_ground { /* of one cell, for lod/update.c */
+    const struct partition *plan;
+    size_t cell;
+};
+
+static bool tile_owns(void *user, double x_m, double y_m)
+{
+    const struct tile_ground *t = user;
+    return partition_owner(t->plan, x_m, y_m) == t->cell;
+}
+
+/* Not when the box lies within another cell. */
+static bool tile_may_own(void *user, const double min_m[3], const double max_m[3])
+{
+    const struct tile_ground *t = user;
+    for (size_t i = 0; i < t->plan->n_cells; i++) {
+        const struct partition_cell *c = &t->plan->cells[i];
+        if (i != t->cell && min_m[0] >= c->min_m[0] && min_m[1] >= c->min_m[1] &&
+            max_m[0] < c->max_m[0] && max_m[1] < c->max_m[1])
+            return false;
+    }
+    return true;
+}
+
+static enum err_code tile_update(const struct tile_scene *s, const struct tile_options *o,
+                                 struct err *e)
+{
+    struct tile_ground ground = {.plan = &s->plan};
+    struct update_config cfg = {.owns = tile_owns,
+                                .may_own = tile_may_own,
+                                .user = &ground,
+                                .max_per_tile = (uint32_t)o->max_per_tile};
+    struct update_report r;
+    struct ckpt level[TILE_LEVELS_MAX + 1] = {{0}};
+    const struct tile_cell *cell = NULL;
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; i < s->n_cells; i++)
+        if (!strcmp(s->cells[i].id, o->cell))
+            cell = &s->cells[i];
+    if (!s->plan.n_cells)
+        return err_set(e, ERR_ARG,
+                       "%s has one cell: there is nothing to keep, so tile it anew "
+                       "with -o instead of --update",
+                       s->dir);
+    if (!cell)
+        return err_set(e, ERR_ARG, "--cell %s: no trained cell of this name in %s/cells", o->cell,
+                       s->trained);
+    ground.cell = cell->owner;
+    for (uint8_t l = 1; !rc && l <= s->n_levels; l++) {
+        char path[FILE_PATH_MAX];
+        rc = tile_path(path, s, cell->id, tile_nearest(cell, l), e);
+        if (!rc)
+            rc = ckpt_read(path, &level[l], e);
+        if (!rc)
+            tile_own(s, cell, &level[l].g);
+        cfg.level[l] = &level[l].g;
+    }
+    if (!rc)
+        rc = update_build(o->update, &cfg, o->output ? o->output : o->update, &r, e);
+    if (!rc)
+        printf("%s: cell %s: %zu tiles written, %zu kept, %zu removed, revision %s\n",
+               o->output ? o->output : o->update, cell->id, r.n_written, r.n_copied, r.n_removed,
+               r.revision);
+    for (uint8_t l = 1; l <= TILE_LEVELS_MAX; l++)
+        ckpt_free(&level[l]);
+    return rc;
+}
+
 static enum err_code tile_run(const char *dir, const struct tile_options *o, struct err *e)
 {
     struct tile_scene s = {.dir = dir, .trained = o->trained ? o->trained : dir};
@@ -378,11 +454,16 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
     struct pyramid_report report;
     struct buf look = {0};
     enum err_code rc = scene_read(dir, &scene, e);
+    s.crop_margin_m = o->crop_margin_m;
+    if (!rc && s.crop_margin_m >= 0.0)
+        rc = ground_of(&scene, &s.ground, e);
     if (!rc)
         rc = tile_find_cells(&s, e);
     if (!rc)
         rc = tile_match_plan(&s, &scene, e);
-    if (rc)
+    if (!rc && o->update)
+        rc = tile_update(&s, o, e);
+    if (rc || o->update)
         goto out;
     tile_warn_missing(&s);
     const char *attribution = o->attribution ? o->attribution : scene.attribution;
@@ -417,6 +498,7 @@ out:
     buf_free(&look);
     buf_free(&s.look);
     partition_free(&s.plan);
+    ground_free(&s.ground);
     mem_free(s.cells);
     scene_free(&scene);
     return rc;
@@ -428,7 +510,9 @@ enum err_code cli_tile(int argc, char **argv, struct err *e)
     struct options_args args;
     struct arena arena = {0};
     enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
-    if (!rc && !args.done && !o.output)
+    if (!rc && !args.done && (!o.update != !o.cell))
+        rc = err_set(e, ERR_ARG, "--update FILE and --cell ID belong together");
+    if (!rc && !args.done && !o.output && !o.update)
         rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
     if (!rc && !args.done) {
         clock_catch_signals();

@@ -180,6 +180,40 @@ enum err_code pyramid_build(const struct geo_origin *origin, const struct pyrami
                             size_t n_levels, const struct pyramid_config *cfg,
                             const struct ckpt_blob *blobs, size_t n_blobs, const char *out_path,
                             struct pyramid_report *report, struct err *e) ERR_USE;
+/* ---- update.c, merge.c: a store from stores
+ * --------------------------------------------------------------------------------------- */
+
+struct update_config {            /* one cell, trained again */
+    const struct gauss *level[8]; /* [1..7] its rows; NULL: this level was made, not trained */
+    bool (*owns)(void *user, double x_m, double y_m); /* whose ground it is: ENU */
+    /* Could anything within the box be on the cell's ground? Tiles of which this is false are not
+     * even read. */
+    bool (*may_own)(void *user, const double min_m[3], const double max_m[3]);
+    void *user;
+    uint32_t max_per_tile; /* 0 = 200,000; fuller tiles are thinned */
+};
+struct update_report {
+    size_t n_written, n_copied, n_removed; /* tiles */
+    char revision[13];
+};
+/* Replace the rows of one cell and everything made of them; all other tiles are copied byte by
+ * byte. out_path may be store_path: written beside and renamed. ERR_DATA when SH, embedding or
+ * anti-aliasing do not fit the store. */
+enum err_code update_build(const char *store_path, const struct update_config *c,
+                           const char *out_path, struct update_report *report,
+                           struct err *e) ERR_USE;
+
+struct merge_report {
+    size_t n_written, n_copied; /* tiles made of both or moved; taken over as they are */
+    double turn_deg;            /* between the frames of the two */
+    char revision[13];
+};
+/* Two stores of neighbouring places in one, in the frame of the first: tiles of both with one key
+ * are made of both's Gaussians. Origins may differ; rows of the second are then moved and turned,
+ * SH too. name NULL = the first's. ERR_DATA when embeddings or anti-aliasing do not fit. */
+enum err_code merge_build(const char *path_a, const char *path_b, const char *name,
+                          const char *out_path, struct merge_report *report, struct err *e) ERR_USE;
+
 /* Fewer Gaussians of the same look: merge neighbours by moment matching down to `target` rows. */
 enum err_code simplify_gauss(const struct gauss *in, size_t target, struct gauss *out,
                              struct err *e) ERR_USE;

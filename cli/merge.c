@@ -1,0 +1,54 @@
+/* citysplat merge: tile stores of neighbouring areas -> one.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <stdio.h>
+#include <string.h>
+
+#include "cli/cli.h"
+#include "lod/lod.h"
+
+struct merge_options {
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/merge.def"
+#undef OPT
+};
+
+static const struct options_def defs[] = {
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct merge_options, type, key, def, lo, hi, unit, help)
+#include "cli/merge.def"
+#undef OPT
+};
+
+static const struct options_spec spec = {
+    .command = "merge",
+    .usage = "citysplat merge A.tiles B.tiles -o C.tiles [options]",
+    .about = "Puts two tile stores of neighbouring areas into one, in the frame of the first. "
+             "Origins may differ. Tiles that only one has are taken over; those that both have are "
+             "made of the Gaussians of both.",
+    .example = "citysplat merge north.tiles south.tiles -o city.tiles --name city",
+    .defs = defs,
+    .n_defs = sizeof defs / sizeof *defs,
+    .min_args = 2,
+    .max_args = 2};
+
+enum err_code cli_merge(int argc, char **argv, struct err *e)
+{
+    struct merge_options o = {0};
+    struct options_args args;
+    struct merge_report r;
+    struct arena arena = {0};
+    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    if (!rc && !args.done && !o.output)
+        rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
+    if (!rc && !args.done) {
+        clock_catch_signals();
+        rc = merge_build(args.arg[0], args.arg[1], o.name, o.output, &r, e);
+        if (!rc)
+            printf("%s: %zu tiles made, %zu taken over, revision %s\n", o.output, r.n_written,
+                   r.n_copied, r.revision);
+    }
+    arena_free(&arena);
+    return rc;
+}

@@ -1,0 +1,225 @@
+/* Edits of a pyramid: see edit.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "lod/edit.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+void edit_free(struct edit *d)
+{
+    for (size_t i = 0; i < d->n; i++)
+        gauss_free(&d->tile[i].g);
+    mem_free(d->tile);
+    d->tile = NULL;
+    d->n = d->cap = 0;
+}
+
+/* First edit that is not before k: they are kept sorted. */
+static size_t edit_lower(const struct edit *d, struct key k)
+{
+    size_t lo = 0, hi = d->n;
+    while (lo < hi) {
+        size_t mid = lo + (hi - lo) / 2;
+        if (key_compare(d->tile[mid].key, k) < 0)
+            lo = mid + 1;
+        else
+            hi = mid;
+    }
+    return lo;
+}
+
+struct edit_tile *edit_find(const struct edit *d, struct key k)
+{
+    size_t i = edit_lower(d, k);
+    return i < d->n && key_compare(d->tile[i].key, k) == 0 ? &d->tile[i] : NULL;
+}
+
+enum err_code edit_touch(struct edit *d, struct key k, uint8_t level, struct edit_tile **out,
+                         struct err *e)
+{
+    *out = edit_find(d, k);
+    if (*out)
+        return ERR_OK;
+    if (d->n == d->cap) {
+        size_t cap = d->cap ? 2 * d->cap : 64;
+        struct edit_tile *p = mem_resize(d->tile, d->cap, cap, sizeof *p);
+        if (!p)
+            return err_set(e, ERR_MEM, "out of memory for %zu tiles", cap);
+        d->tile = p;
+        d->cap = cap;
+    }
+    size_t at = edit_lower(d, k);
+    memmove(d->tile + at + 1, d->tile + at, (d->n - at) * sizeof *d->tile);
+    d->n++;
+    d->tile[at] = (struct edit_tile){.key = k, .level = level};
+    *out = &d->tile[at];
+    return ERR_OK;
+}
+
+enum err_code edit_append(struct edit *d, struct edit_tile *t, const struct gauss *g,
+                          const uint32_t *index, size_t n, struct err *e)
+{
+    if (n == 0)
+        return ERR_OK;
+    if (t->g.cap == 0) {
+        enum err_code rc = gauss_alloc(&t->g, n, d->meta.sh_degree, d->meta.embed_len, e);
+        if (rc)
+            return rc;
+        memcpy(t->g.origin_enu_m, g->origin_enu_m, sizeof t->g.origin_enu_m);
+        t->g.antialiased = d->meta.antialiased;
+    }
+    return gauss_append(&t->g, g, index, n, e);
+}
+
+enum err_code edit_key(const struct edit *d, const struct gauss *g, size_t i, uint8_t z,
+                       struct key *out, struct err *e)
+{
+    double enu[3];
+    struct key k;
+    for (size_t a = 0; a < 3; a++)
+        enu[a] = (double)g->mean_m[3 * i + a] + g->origin_enu_m[a];
+    enum err_code rc = locate_key(&d->locate, enu, &k, e);
+    if (!rc)
+        *out = (struct key){.z = z, .x = k.x >> (KEY_ZOOM_MAX - z), .y = k.y >> (KEY_ZOOM_MAX - z)};
+    return rc;
+}
+
+/* ---- writing ---- */
+
+/* Rows about a centre within reach of all of them (the old one if that is, so that nothing moves),
+ * in Morton order, no more than a tile may have. */
+static enum err_code edit_settle(struct edit *d, struct gauss *g, struct err *e)
+{
+    struct gauss sorted = {0};
+    double lo[3], hi[3], center[3];
+    bool far = false;
+    size_t n = 0;
+    gauss_bounds(g, 0.0, lo, hi);
+    for (size_t k = 0; k < 3; k++) {
+        center[k] = round(0.5 * (lo[k] + hi[k])) + 0.0;
+        far = far || fmax(hi[k] - g->origin_enu_m[k], g->origin_enu_m[k] - lo[k]) > PYRAMID_REACH_M;
+    }
+    if (far)
+        gauss_recenter(g, center);
+    for (size_t i = 0; i < g->n; i++) {
+        const float *m = &g->mean_m[3 * i];
+        float reach = fmaxf(fabsf(m[0]), fmaxf(fabsf(m[1]), fabsf(m[2])));
+        if (!(reach < (float)(PYRAMID_REACH_M + 40.0)))
+            continue; /* as in the pyramid: no format could hold it */
+        if (n != i)
+            gauss_copy_row(g, n, g, i);
+        n++;
+    }
+    d->n_far += g->n - n;
+    g->n = n;
+    if (d->max_per_tile && n > d->max_per_tile) {
+        struct gauss less;
+        enum err_code rc = simplify_gauss(g, d->max_per_tile, &less, e);
+        if (rc)
+            return rc;
+        log_warn("tile", "a tile would hold n=%zu Gaussians: thinned to max=%u", n,
+                 d->max_per_tile);
+        gauss_free(g);
+        *g = less;
+    }
+    uint32_t *order = mem_array(g->n, sizeof *order);
+    enum err_code rc =
+        order ? gauss_morton_order(g, order, e) : err_set(e, ERR_MEM, "out of memory for a tile");
+    if (!rc)
+        rc = gauss_alloc(&sorted, g->n, g->sh_degree, g->embed_len, e);
+    if (!rc) {
+        memcpy(sorted.origin_enu_m, g->origin_enu_m, sizeof sorted.origin_enu_m);
+        sorted.antialiased = g->antialiased;
+        rc = gauss_append(&sorted, g, order, g->n, e);
+    }
+    mem_free(order);
+    gauss_free(g);
+    *g = sorted;
+    return rc;
+}
+
+static enum err_code edit_copy(struct store *from, struct store *to, const struct store_tile *t,
+                               struct err *e)
+{
+    struct buf payload = {0};
+    struct store_tile copy = *t;
+    enum err_code rc = store_read(from, t->key, &payload, e);
+    if (!rc)
+        rc = store_add(to, &copy, &payload, e);
+    buf_free(&payload);
+    return rc;
+}
+
+static enum err_code edit_copy_tiles(const struct edit *d, struct store *from,
+                                     const struct store *before, struct store *to, size_t *n_copied,
+                                     struct err *e)
+{
+    size_t n;
+    const struct store_tile *t = store_tiles(from, &n);
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; !rc && i < n; i++) {
+        if (edit_find(d, t[i].key) || (before && store_find(before, t[i].key)))
+            continue;
+        rc = clock_stopping() ? err_set(e, ERR_CANCEL, "stopped") : edit_copy(from, to, &t[i], e);
+        *n_copied += 1;
+    }
+    return rc;
+}
+
+static enum err_code edit_copy_blobs(struct store *from, struct store *before, struct store *to,
+                                     struct err *e)
+{
+    struct arena a = {0};
+    struct buf b = {0};
+    char **names = NULL;
+    size_t n = 0;
+    enum err_code rc = store_list_blobs(from, &a, &names, &n, e);
+    for (size_t i = 0; !rc && i < n; i++) {
+        if (before && !store_get_blob(before, names[i], &b, NULL))
+            continue;
+        rc = store_get_blob(from, names[i], &b, e);
+        if (!rc)
+            rc = store_put_blob(to, names[i], b.data, b.size, e);
+    }
+    buf_free(&b);
+    arena_free(&a);
+    return rc;
+}
+
+enum err_code edit_write(struct edit *d, struct store *a, struct store *b, const char *out_path,
+                         size_t *n_copied, size_t *n_written, struct err *e)
+{
+    struct store *to = NULL;
+    size_t none[2] = {0};
+    n_copied = n_copied ? n_copied : &none[0];
+    n_written = n_written ? n_written : &none[1];
+    struct store_meta meta = d->meta;
+    meta.created[0] = '\0';
+    enum err_code rc = store_create(out_path, &meta, &to, e);
+    for (size_t i = 0; !rc && i < d->n; i++) {
+        struct edit_tile *x = &d->tile[i];
+        struct store_tile t = {.key = x->key, .level = x->level};
+        if (x->g.n == 0)
+            continue;
+        rc = edit_settle(d, &x->g, e);
+        if (!rc && x->g.n > 0) {
+            rc = store_put(to, &t, &x->g, e);
+            *n_written += 1;
+        }
+    }
+    if (!rc)
+        rc = edit_copy_tiles(d, a, NULL, to, n_copied, e);
+    if (!rc && b)
+        rc = edit_copy_tiles(d, b, a, to, n_copied, e);
+    if (!rc)
+        rc = edit_copy_blobs(a, NULL, to, e);
+    if (!rc && b)
+        rc = edit_copy_blobs(b, a, to, e);
+    if (!rc)
+        rc = store_commit(&to, e);
+    store_close(&to);
+    return rc;
+}

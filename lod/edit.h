@@ -1,0 +1,46 @@
+/* A pyramid changed in places: internal to lod/, shared by update.c and merge.c.
+ *
+ * An edit holds the new Gaussians of tiles, by key. Everything that is not edited is copied byte by
+ * byte from the store it is in.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef LOD_EDIT_H
+#define LOD_EDIT_H
+
+#include "lod/pyramid.h"
+
+struct edit_tile {
+    struct key key;
+    uint8_t level;
+    bool carried;   /* a copy of coarser rows: stands for nothing in what is made above */
+    struct gauss g; /* n == 0: the tile goes away */
+};
+struct edit { /* {0} and `locate`, `meta` filled in; edit_free */
+    struct locate locate;
+    struct store_meta meta; /* of the store that will be written */
+    uint32_t max_per_tile;
+    struct edit_tile *tile;
+    size_t n, cap;
+    size_t n_made, n_far;
+};
+
+void edit_free(struct edit *d);
+struct edit_tile *edit_find(const struct edit *d, struct key k);
+/* The edit of a tile, made empty if there is none yet. Pointers to others become invalid. */
+enum err_code edit_touch(struct edit *d, struct key k, uint8_t level, struct edit_tile **out,
+                         struct err *e) ERR_USE;
+/* Append rows index[0..n) (NULL: all) of g to an edit; the first rows set its origin, which a tile
+ * keeps as its centre. */
+enum err_code edit_append(struct edit *d, struct edit_tile *t, const struct gauss *g,
+                          const uint32_t *index, size_t n, struct err *e) ERR_USE;
+/* Key of row i at zoom z. */
+enum err_code edit_key(const struct edit *d, const struct gauss *g, size_t i, uint8_t z,
+                       struct key *out, struct err *e) ERR_USE;
+/* Sort rows, thin what is too full, write edits and copies of `a` and then `b` (NULL; only tiles
+ * that neither an edit nor a has), blobs of a and those of b that a lacks, and commit.
+ * n_copied may be NULL. */
+enum err_code edit_write(struct edit *d, struct store *a, struct store *b, const char *out_path,
+                         size_t *n_copied, size_t *n_written, struct err *e) ERR_USE;
+
+#endif
