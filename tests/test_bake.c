@@ -1,0 +1,254 @@
+/* Looks of a store: tiles keep what was trained, readers get the default look or the one they ask
+ * for, pictures of baked Gaussians are those of the network, and what cannot be found is named.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "lod/lod.h"
+
+enum { W = 80, H = 60, PHOTOS = 6, LEN = 8 };
+/* Baked colours are cut at 0 alone, those of the network at 1 as well: compared below 1 only. */
+#define SAME_TOL 2e-4
+
+static const struct geo_origin origin = {8.6821, 50.1109, 160};
+
+struct fixture {
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], plain[FILE_PATH_MAX];
+    struct dev dev;
+    struct render *render;
+    struct appearance model;
+};
+
+static void make_model(struct appearance *a)
+{
+    struct err e = {0};
+    kit_ok(appearance_alloc(a, LEN, 12, 16, PHOTOS, &e), e);
+    appearance_init(a, 5);
+    for (size_t i = 0; i < PHOTOS; i++)
+        memcpy(a->names[i], (char[]){'p', (char)('0' + i), '.', 'j', 'p', 'g', 0}, 7);
+    for (size_t i = 0; i < APPEARANCE_OUT * 16; i++)
+        a->w2[i] *= 2.0f; /* looks that differ visibly */
+}
+
+static int setup(void **state)
+{
+    static struct fixture f;
+    struct err e = {0};
+    struct gauss g;
+    struct appearance full;
+    struct buf blob = {0};
+    const struct pyramid_config cfg = {.tile_edge_m = 60, .name = "bake", .lossless = true};
+    progress_quiet(true);
+    kit_tmpdir(f.dir);
+    kit_ok(file_join(f.path, f.dir, "city.tiles", &e), e);
+    kit_ok(file_join(f.plain, f.dir, "plain.tiles", &e), e);
+    make_model(&f.model);
+    kit_gauss(3, 1500, 60, 1, LEN, &g);
+    for (size_t i = 0; i < g.n; i++) {
+        g.mean_m[3 * i + 2] *= 0.1f;
+        for (size_t k = 0; k < 3 * gauss_sh_count(1); k++)
+            g.sh[12 * i + k] *= k < 3 ? 0.3f : 0.1f; /* away from 0 and 1 */
+    }
+    kit_ok(bake_with_default(&f.model, &g, &full, &e), e);
+    kit_ok(appearance_write(&full, &blob, &e), e);
+    const struct ckpt_blob b = {"appearance", blob.data, blob.size};
+    const struct pyramid_level level = {.g = &g, .level = 3};
+    kit_ok(pyramid_build(&origin, &level, 1, &cfg, &b, 1, f.path, NULL, &e), e);
+    kit_ok(pyramid_build(&origin, &level, 1, &cfg, NULL, 0, f.plain, NULL, &e), e);
+    buf_free(&blob);
+    appearance_free(&full);
+    gauss_free(&g);
+    kit_ok(dev_open(NULL, &f.dev, &e), e);
+    kit_ok(render_open(&f.dev, &f.render, &e), e);
+    *state = &f;
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    struct fixture *f = *state;
+    appearance_free(&f->model);
+    render_close(&f->render);
+    dev_close(&f->dev);
+    kit_rmdir(f->dir);
+    return 0;
+}
+
+static void readers_get_a_look_and_tiles_keep_what_was_trained(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    const struct appearance *a;
+    size_t n;
+    kit_ok(store_open(f->path, &s, &e), e);
+    kit_ok(bake_of(s, &a, &e), e);
+    assert_int_equal(a->n_images, PHOTOS + 1);
+    assert_string_equal(a->names[PHOTOS], BAKE_DEFAULT);
+    const struct store_tile *t = store_tiles(s, &n);
+    for (size_t k = 0; k < 3; k++) { /* default, a photograph, a photograph by its row */
+        float image[APPEARANCE_IMAGE_MAX];
+        struct gauss raw = {0}, baked = {0};
+        size_t row = k ? 2 : PHOTOS;
+        kit_ok(bake_find(s, k == 1 ? "p2.jpg" : BAKE_DEFAULT, image, &e), e);
+        const float *look = k == 0 ? NULL : k == 1 ? image : a->images + row * a->len_image;
+        kit_ok(store_read_gauss(s, t[n - 1].key, &raw, &e), e);
+        kit_ok(bake_read(s, t[n - 1].key, look, &baked, &e), e);
+        assert_int_equal(raw.n, baked.n);
+        assert_int_equal(baked.embed_len, LEN);
+        for (size_t i = 0; i < raw.n; i++) {
+            double y[APPEARANCE_OUT];
+            appearance_eval(a, raw.embed + LEN * i, a->images + row * a->len_image, y);
+            for (size_t c = 0; c < 3; c++) {
+                double want = (double)raw.sh[12 * i + c] + (2.0 * y[c] - 1.0) / GAUSS_SH_C0;
+                assert_true(fabs((double)baked.sh[12 * i + c] - want) < 1e-4);
+            }
+            assert_true(baked.opacity_logit[i] > raw.opacity_logit[i]);
+        }
+        gauss_free(&raw);
+        gauss_free(&baked);
+    }
+    store_close(&s);
+}
+
+/* Mean square difference of a look's colours to the mean over photographs. */
+static double look_error(const struct appearance *a, const struct gauss *g, const float *image)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < g->n; i++) {
+        double mean[3] = {0.0}, y[APPEARANCE_OUT];
+        for (size_t p = 0; p < PHOTOS; p++) {
+            appearance_eval(a, g->embed + LEN * i, a->images + p * a->len_image, y);
+            for (size_t c = 0; c < 3; c++)
+                mean[c] += y[c] / PHOTOS;
+        }
+        appearance_eval(a, g->embed + LEN * i, image, y);
+        for (size_t c = 0; c < 3; c++)
+            sum += (y[c] - mean[c]) * (y[c] - mean[c]) / (double)g->n;
+    }
+    return sum;
+}
+
+static void the_default_look_is_nearest_to_the_mean_of_all(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct gauss g;
+    float image[APPEARANCE_IMAGE_MAX], mean[APPEARANCE_IMAGE_MAX] = {0};
+    kit_gauss(4, 400, 60, 0, LEN, &g);
+    kit_ok(bake_default(&f->model, &g, image, &e), e);
+    double got = look_error(&f->model, &g, image);
+    for (size_t p = 0; p < PHOTOS; p++) {
+        float unit[APPEARANCE_IMAGE_MAX];
+        bake_unit(&f->model, p, unit);
+        for (size_t k = 0; k < f->model.len_image; k++)
+            mean[k] += unit[k] / PHOTOS;
+        assert_true(got < look_error(&f->model, &g, f->model.images + p * f->model.len_image));
+    }
+    assert_true(got < look_error(&f->model, &g, mean));
+    gauss_free(&g);
+}
+
+static void a_picture_of_baked_gaussians_is_the_network_s(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct view *v;
+    static float baked[W * H * 3], network[W * H * 3], other[W * H * 3];
+    float image[APPEARANCE_IMAGE_MAX], frame[2000];
+    const double eye[3] = {0, -60, 70};
+    struct camera cam = camera_heading(eye, 5, -45, 0.9, W, H);
+    struct render_options ro = {.aa = RENDER_AA_2D, .sh_degree = -1};
+    kit_ok(view_open(f->path, f->render, 0, &v, &e), e);
+    const struct appearance *a = view_appearance(v);
+    assert_non_null(a);
+    kit_ok(view_render(v, &cam, &ro, NULL, other, NULL, &e), e);
+    kit_ok(view_find_look(v, "p1.jpg", image, &e), e);
+    kit_ok(view_set_look(v, image, &e), e);
+    kit_ok(view_render(v, &cam, &ro, NULL, baked, NULL, &e), e);
+    assert_memory_not_equal(baked, other, sizeof baked);
+    view_set_raw(v, true);
+    assert_true(appearance_frame_floats(a->len_gauss, a->hidden) <= 2000);
+    appearance_frame(a, image, frame);
+    ro.appearance_frame = frame;
+    ro.appearance_hidden = a->hidden;
+    kit_ok(view_render(v, &cam, &ro, NULL, network, NULL, &e), e);
+    size_t compared = 0;
+    for (size_t i = 0; i < W * H * 3; i++)
+        if (baked[i] < 0.9f) {
+            assert_true(fabs((double)baked[i] - (double)network[i]) < SAME_TOL);
+            compared++;
+        }
+    assert_true(compared > W * H);
+    view_set_raw(v, false);
+    ro.appearance_frame = NULL;
+    kit_ok(view_set_look(v, NULL, &e), e);
+    kit_ok(view_render(v, &cam, &ro, NULL, baked, NULL, &e), e);
+    assert_memory_equal(baked, other, sizeof baked);
+    view_close(&v);
+}
+
+static void looks_are_found_by_name_and_blended(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    float x[APPEARANCE_IMAGE_MAX], a[APPEARANCE_IMAGE_MAX], b[APPEARANCE_IMAGE_MAX];
+    kit_ok(store_open(f->path, &s, &e), e);
+    kit_ok(bake_find(s, "p0.jpg", a, &e), e);
+    kit_ok(bake_find(s, "p3.jpg", b, &e), e);
+    kit_ok(bake_find(s, "p0.jpg:1,p3.jpg:3", x, &e), e);
+    for (size_t i = 0; i < 12; i++)
+        assert_true(fabs((double)x[i] - 0.25 * (double)a[i] - 0.75 * (double)b[i]) < 1e-6);
+    kit_fails(bake_find(s, "p9.jpg", x, &e), ERR_NOENT, e, "p9.jpg");
+    kit_fails(bake_find(s, "p0.jpg:much", x, &e), ERR_ARG, e, "number");
+    kit_fails(bake_find(s, "p0.jpg:1,p3.jpg:-1", x, &e), ERR_ARG, e, "weights");
+    kit_fails(bake_find(s, "", x, &e), ERR_ARG, e, "photograph");
+    store_close(&s);
+    kit_ok(store_open(f->plain, &s, &e), e); /* embeddings, but nothing to read them with */
+    const struct appearance *none;
+    struct gauss raw, same;
+    size_t n;
+    kit_ok(bake_of(s, &none, &e), e);
+    assert_null(none);
+    kit_fails(bake_find(s, "p0.jpg", x, &e), ERR_NOENT, e, "without appearance");
+    const struct store_tile *t = store_tiles(s, &n);
+    kit_ok(store_read_gauss(s, t[0].key, &raw, &e), e);
+    kit_ok(bake_read(s, t[0].key, NULL, &same, &e), e);
+    assert_memory_equal(raw.sh, same.sh, raw.n * 12 * sizeof(float));
+    gauss_free(&raw);
+    gauss_free(&same);
+    store_close(&s);
+}
+
+/* Tiles of the same bytes and another network are other tiles to a cache. */
+static void another_model_is_another_hash(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    struct hash128 with, without;
+    kit_ok(store_open(f->path, &s, &e), e);
+    kit_ok(bake_hash(s, &with, &e), e);
+    store_close(&s);
+    kit_ok(store_open(f->plain, &s, &e), e);
+    kit_ok(bake_hash(s, &without, &e), e);
+    store_close(&s);
+    assert_true((with.lo || with.hi) && !without.lo && !without.hi);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(readers_get_a_look_and_tiles_keep_what_was_trained),
+        cmocka_unit_test(the_default_look_is_nearest_to_the_mean_of_all),
+        cmocka_unit_test(a_picture_of_baked_gaussians_is_the_network_s),
+        cmocka_unit_test(looks_are_found_by_name_and_blended),
+        cmocka_unit_test(another_model_is_another_hash),
+    };
+    return cmocka_run_group_tests_name("bake", tests, setup, teardown);
+}
