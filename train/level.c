@@ -150,6 +150,8 @@ static void level_start_optimiser(struct level *l)
     l->adam.scale_log_min = (float)log(LEVEL_SIGMA_MIN * l->cell.edge_m);
     l->adam.scale_log_max = (float)log(LEVEL_SIGMA_MAX * l->cell.edge_m);
     l->adam.step = l->step;
+    uint32_t warmup = light_is_on(&l->light) ? light_warmup(&l->light, c, level_schedule(l)) : 0;
+    l->adam.embed_step = light_is_on(&l->light) && l->step > warmup ? l->step - warmup : 0;
 }
 
 static size_t level_count_inside(const struct level *l, const struct gauss *g)

@@ -24,7 +24,7 @@
 #define F9_SEAM (2.0 / 255.0)
 #define NOISE 0.04
 #define GAIN_MIN_DB 3.0 /* of appearance over none where the light changes */
-enum { PHOTOS = 24, STEPS = 1600, SEAM_STEPS = 800 };
+enum { PHOTOS = 24, STEPS = 1600, SEAM_STEPS = 1600 };
 
 /* Exposure of up to +-1 EV and tint times the strength, in pairs: photographs 2 k and 2 k + 1 have
  * the same light. And the noise that photographs have: without it the toy can be fitted to 37 dB,
