@@ -171,7 +171,6 @@ static void a_picture_of_baked_gaussians_is_the_network_s(void **state)
     kit_ok(view_set_look(v, image, &e), e);
     kit_ok(view_render(v, &cam, &ro, NULL, baked, NULL, &e), e);
     assert_memory_not_equal(baked, other, sizeof baked);
-    view_set_raw(v, true);
     assert_true(appearance_frame_floats(a->len_gauss, a->hidden) <= 2000);
     appearance_frame(a, image, frame);
     ro.appearance_frame = frame;
@@ -184,7 +183,6 @@ static void a_picture_of_baked_gaussians_is_the_network_s(void **state)
             compared++;
         }
     assert_true(compared > W * H);
-    view_set_raw(v, false);
     ro.appearance_frame = NULL;
     kit_ok(view_set_look(v, NULL, &e), e);
     kit_ok(view_render(v, &cam, &ro, NULL, baked, NULL, &e), e);
