@@ -44,8 +44,8 @@ scene_about() {
   case $1 in
     caliterra-400) echo "caliterra, 400 x 300 px" ;;
     caliterra-800) echo "caliterra, 800 x 600 px" ;;
-    caliterra-cells) echo "caliterra, 800 x 600 px, cells of 60 m" ;;
-    caliterra-cells-location) echo "caliterra, 800 x 600 px, cells of 60 m, without visibility selection" ;;
+    caliterra-cells) echo "caliterra, 800 x 600 px, cells of 80 m" ;;
+    caliterra-cells-location) echo "caliterra, 800 x 600 px, cells of 80 m, without visibility selection" ;;
     city) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m" ;;
     city-location) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m, without visibility selection" ;;
     city-light) echo "procedural city 200 m, 150 photographs of 400 x 300 px under changing light" ;;
@@ -65,15 +65,15 @@ scene_ingest_city() { # FOLDER synth options
 }
 
 scene_build() { # NAME FOLDER
-  local cells=(--edge-m 60 --images-few 8 --images-least 6)
+  local cells=(--edge-m 80 --images-few 8 --images-least 6)
   case $1 in
     caliterra-400) scene_ingest_caliterra "$2" 400 ;;
     caliterra-800) scene_ingest_caliterra "$2" 800 ;;
     caliterra-cells) scene_ingest_caliterra "$2" 800; citysplat plan "$2" "${cells[@]}" ;;
     caliterra-cells-location) scene_ingest_caliterra "$2" 800; citysplat plan "$2" "${cells[@]}" --no-visibility ;;
-    city) scene_ingest_city "$2" --extent-m 300 --photos 300; citysplat plan "$2" --edge-m 100 --images-few 16 ;;
-    city-location) scene_ingest_city "$2" --extent-m 300 --photos 300; citysplat plan "$2" --edge-m 100 --images-few 16 --no-visibility ;;
-    city-light) scene_ingest_city "$2" --extent-m 200 --photos 150 --exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5 ;;
+    city) scene_ingest_city "$2" --extent-m 300 --photos 300 --points 100000; citysplat plan "$2" --edge-m 100 --images-few 16 ;;
+    city-location) scene_ingest_city "$2" --extent-m 300 --photos 300 --points 100000; citysplat plan "$2" --edge-m 100 --images-few 16 --no-visibility ;;
+    city-light) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 60000 --exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5 ;;
   esac >&2
 }
 
@@ -237,15 +237,10 @@ ablation() { # STUDY SCENE
   row "$1" "no prioritised densification" "$2" "" "${base[@]}" --tau-outside 1 --tiles
   row "$1" "one view a score" "$2" "" "${base[@]}" --score-views 1 --tiles
   row "$1" "Mip-Splatting" "$2" "" "${base[@]}" --aa mip --tiles
-  row "$1" "no scale regulariser" "$2" "" "${base[@]}" --scale-weight 0 --tiles
   row "$1" "sparse depth" "$2" "" "${base[@]}" --depth-sparse --tiles
   row "$1" "one level" "$2" "" "${base[@]}" --level-count 1
-  row "$1" "Mip anti-aliasing" "$2" "" "${base[@]}" --aa mip
   row "$1" "no loss on sizes" "$2" "" "${base[@]}" --scale-weight 0 --tiles
-  row "$1" "sizes from the first step" "$2" "" "${base[@]}" --scale-from 0 --tiles
-  row "$1" "depth of sparse points" "$2" "" "${base[@]}" --depth-sparse --tiles
   row "$1" "appearance" "$2" "" "${base[@]}" --appearance --appearance-iterations "$CELL_STEPS" --tiles
-  row "$1" "appearance, no similarity loss" "$2" "" "${base[@]}" --appearance --appearance-iterations "$CELL_STEPS" --similarity-weight 0 --tiles
   row "$1" "no visibility selection" "$2-location" "" "${base[@]}" --tiles
 }
 study_ablation() { ablation ablation caliterra-cells; }
@@ -254,7 +249,7 @@ study_ablation_city() { ablation ablation_city city; }
 study_embedding() { # length of a Gaussian's appearance embedding (Table 11), under changing light
   local n base=(--level-count 1 --iterations "$STEPS" --budget-3 100000)
   row embedding "no appearance" city-light "embed_len=0" "${base[@]}" --eval --halves on
-  for n in 4 8 16 32; do
+  for n in 4 8 16; do
     row embedding "length $n" city-light "embed_len=$n" "${base[@]}" --appearance --appearance-warmup 250 --embed-len "$n" --eval --halves on
   done
 }
