@@ -200,9 +200,33 @@ static void impossible_plans_are_refused(void **state)
     arena_free(&a);
 }
 
+/* 60,000 steps and a quarter of them have the published rates; very short runs twice those. */
+static void short_runs_take_larger_steps(void **state)
+{
+    (void)state;
+    const struct {
+        int64_t steps;
+        double factor;
+    } want[] = {{60000, 1}, {15000, 1}, {6000, 1.3572088}, {1000, 2}};
+    for (size_t i = 0; i < sizeof want / sizeof *want; i++) {
+        struct arena a = {0};
+        struct train_config cfg;
+        struct schedule s[TRAIN_LEVELS_MAX];
+        struct train_cell whole = {.whole = true, .edge_m = 100};
+        struct err e = {0};
+        kit_ok(options_defaults(train_options(), &cfg, &a, &e), e);
+        cfg.iterations = want[i].steps;
+        kit_ok(schedule_make(&cfg, 60, &whole, s, &e), e);
+        assert_true(fabs(s[2].lr_factor - want[i].factor) < 1e-6);
+        assert_true(fabs(s[0].lr_mean_first - want[i].factor * cfg.lr_mean * 50) < 1e-9);
+        arena_free(&a);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(short_runs_take_larger_steps),
         cmocka_unit_test(cap_rises_from_start_to_exactly_the_budget),
         cmocka_unit_test(cap_has_no_edge_that_divides_by_zero_or_shrinks),
         cmocka_unit_test(full_run_has_the_published_numbers),

@@ -139,8 +139,8 @@ enum err_code level_replace(struct level *l, const struct densify_state *s, size
 static void level_start_optimiser(struct level *l)
 {
     const struct train_config *c = l->cfg;
-    l->adam.lr_scale = (float)c->lr_scale;
-    l->adam.lr_quat = (float)c->lr_quat;
+    l->adam.lr_scale = (float)(c->lr_scale * level_schedule(l)->lr_factor);
+    l->adam.lr_quat = (float)(c->lr_quat * level_schedule(l)->lr_factor);
     l->adam.lr_opacity = (float)c->lr_opacity;
     l->adam.lr_sh_dc = (float)c->lr_sh_dc;
     l->adam.lr_sh_rest = (float)c->lr_sh_rest;

@@ -59,6 +59,13 @@ static double schedule_budget_factor(const struct train_cell *cell)
     return fmin(fmax(sqrt(area) / cell->edge_m, 1.0), 2.0);
 }
 
+/* Runs of less than a quarter of the full length have fewer steps to get anywhere in: with twice
+ * the rates 65 photographs of 400 px reach 32.8 instead of 32.3 dB in 1000 steps. */
+static double schedule_lr_factor(double most, double kappa)
+{
+    return fmin(fmax(cbrt(0.25 / kappa), 1.0), most);
+}
+
 static void schedule_fill(const struct train_config *cfg, const struct schedule_base *b,
                           double kappa, const struct train_cell *cell, struct schedule *s)
 {
@@ -77,7 +84,9 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
     s->sh_interval = s->level == 1 ? schedule_round((double)cfg->sh_interval * shrink) : 0;
     s->tau = b->tau;
     double unit_m = 0.5 * cell->edge_m;
-    s->lr_mean_first = cfg->lr_mean * unit_m * (s->level > 1 ? cfg->lr_mean_restart : 1.0);
+    s->lr_factor = schedule_lr_factor(cfg->lr_short, kappa);
+    s->lr_mean_first =
+        cfg->lr_mean * s->lr_factor * unit_m * (s->level > 1 ? cfg->lr_mean_restart : 1.0);
     s->lr_mean_last = fmin(cfg->lr_mean_final * unit_m, s->lr_mean_first);
 }
 

@@ -65,6 +65,7 @@ struct schedule {             /* of one level; steps are 1-based and restart at 
     uint32_t sh_interval, sh_degree; /* sh_interval 0: the full degree from the start */
     bool absgrad;
     double tau;
+    double lr_factor; /* on the learning rates of positions (included below), sizes and rotations */
     double lr_mean_first, lr_mean_last; /* metres */
     double
         kappa; /* factor on all lengths: photographs / 600 when more, or the share of a short run */
