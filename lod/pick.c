@@ -2,9 +2,11 @@
  *
  * The cut starts at the root and is refined where the error is largest on the screen, until it is
  * small enough everywhere or the budget of Gaussians is used up. The screen error of a tile is
- * geometric_error * f / d with d the distance to its box, the measure of 3D Tiles clients, so that
- * the server's pictures and the web client show the same levels. The distance metric is that of the
- * CityGaussian family: horizontal distance to the tile against one threshold a level.
+ * geometric_error * f / d, the measure of 3D Tiles clients. d is the distance to the tile's core,
+ * where nearly all of it is, not to the box that holds every splat whole: a web client, which knows
+ * the box alone, may show a finer level than the server's picture, never a coarser one. The
+ * distance metric is that of the CityGaussian family: horizontal distance against one threshold a
+ * level.
  *
  * A tile is left out only if no splat in it can touch the picture: its box (means grown by 3.33
  * sigma) must lie wholly behind one of five planes. EWA splatting evaluates its Jacobian at the
@@ -105,12 +107,13 @@ static bool pick_visible(const struct pick *p, const double lo[3], const double 
     return true;
 }
 
-/* Distance from the eye to the box, over the axes [0, n_axes). */
+/* Distance from the eye to where nearly all of the tile is, over the axes [0, n_axes). */
 static double pick_distance(const struct pick *p, const struct tree_node *v, size_t n_axes)
 {
     double sum = 0.0;
     for (size_t k = 0; k < n_axes; k++) {
-        double d = fmax(fmax(v->min_enu_m[k] - p->eye[k], p->eye[k] - v->max_enu_m[k]), 0.0);
+        double d =
+            fmax(fmax(v->core_min_enu_m[k] - p->eye[k], p->eye[k] - v->core_max_enu_m[k]), 0.0);
         sum += d * d;
     }
     return sqrt(sum);

@@ -68,10 +68,12 @@ static struct hash128 store_hash_in(const uint8_t in[STORE_HASH_BYTES])
 
 struct hash128 store_db_row_hash(const struct store_tile *t)
 {
-    const double nums[] = {t->center_enu_m[0], t->center_enu_m[1], t->center_enu_m[2],
-                           t->min_enu_m[0],    t->min_enu_m[1],    t->min_enu_m[2],
-                           t->max_enu_m[0],    t->max_enu_m[1],    t->max_enu_m[2],
-                           t->sigma_median_m,  t->sigma_max_m,     t->geometric_error_m};
+    const double nums[] = {t->center_enu_m[0],   t->center_enu_m[1],   t->center_enu_m[2],
+                           t->min_enu_m[0],      t->min_enu_m[1],      t->min_enu_m[2],
+                           t->max_enu_m[0],      t->max_enu_m[1],      t->max_enu_m[2],
+                           t->core_min_enu_m[0], t->core_min_enu_m[1], t->core_min_enu_m[2],
+                           t->core_max_enu_m[0], t->core_max_enu_m[1], t->core_max_enu_m[2],
+                           t->sigma_median_m,    t->sigma_max_m,       t->geometric_error_m};
     enum { N_NUMS = sizeof nums / sizeof *nums, N_INTS = 7 };
     uint64_t word[N_INTS + N_NUMS] = {(uint64_t)store_db_id(t->key),
                                       t->level,
@@ -265,7 +267,8 @@ static enum err_code store_read_meta(struct store *s, struct err *e)
 
 #define STORE_INDEX_SQL                                                                            \
     "SELECT id,z,x,y,level,count,bytes,version,center_e,center_n,center_u,min_e,min_n,min_u,"      \
-    "max_e,max_n,max_u,sigma_median_m,sigma_max_m,geometric_error_m,hash,row_hash FROM tiles"
+    "max_e,max_n,max_u,core_min_e,core_min_n,core_min_u,core_max_e,core_max_n,core_max_u,"         \
+    "sigma_median_m,sigma_max_m,geometric_error_m,hash,row_hash FROM tiles"
 
 static uint64_t store_column_u(sqlite3_stmt *q, int column, uint64_t limit, bool *ok)
 {
@@ -301,12 +304,14 @@ static bool store_row(sqlite3_stmt *q, struct store_tile *t)
         t->center_enu_m[k] = sqlite3_column_double(q, 8 + k);
         t->min_enu_m[k] = sqlite3_column_double(q, 11 + k);
         t->max_enu_m[k] = sqlite3_column_double(q, 14 + k);
+        t->core_min_enu_m[k] = sqlite3_column_double(q, 17 + k);
+        t->core_max_enu_m[k] = sqlite3_column_double(q, 20 + k);
     }
-    t->sigma_median_m = sqlite3_column_double(q, 17);
-    t->sigma_max_m = sqlite3_column_double(q, 18);
-    t->geometric_error_m = sqlite3_column_double(q, 19);
-    t->hash = store_column_hash(q, 20, &ok);
-    struct hash128 want = store_column_hash(q, 21, &ok), have = store_db_row_hash(t);
+    t->sigma_median_m = sqlite3_column_double(q, 23);
+    t->sigma_max_m = sqlite3_column_double(q, 24);
+    t->geometric_error_m = sqlite3_column_double(q, 25);
+    t->hash = store_column_hash(q, 26, &ok);
+    struct hash128 want = store_column_hash(q, 27, &ok), have = store_db_row_hash(t);
     return ok && key_valid(t->key) && store_db_id(t->key) == id && have.lo == want.lo &&
            have.hi == want.hi;
 }

@@ -62,6 +62,8 @@ static void tree_raise(struct tree_node *p, const struct tree_node *c)
     for (size_t k = 0; k < 3; k++) {
         p->min_enu_m[k] = fmin(p->min_enu_m[k], c->min_enu_m[k]);
         p->max_enu_m[k] = fmax(p->max_enu_m[k], c->max_enu_m[k]);
+        p->core_min_enu_m[k] = fmin(p->core_min_enu_m[k], c->core_min_enu_m[k]);
+        p->core_max_enu_m[k] = fmax(p->core_max_enu_m[k], c->core_max_enu_m[k]);
     }
     p->sigma_max_m = fmax(p->sigma_max_m, c->sigma_max_m);
     p->geometric_error_m = fmax(p->geometric_error_m, TREE_ERROR_GROWTH * c->geometric_error_m);
@@ -87,6 +89,15 @@ static void tree_measure(struct tree *t, const struct store_tile *tiles, size_t 
     }
 }
 
+static void tree_core(struct tree_node *v, const struct store_tile *t)
+{
+    bool known = false;
+    for (size_t k = 0; k < 3; k++)
+        known = known || t->core_min_enu_m[k] != 0.0 || t->core_max_enu_m[k] != 0.0;
+    memcpy(v->core_min_enu_m, known ? t->core_min_enu_m : t->min_enu_m, sizeof v->core_min_enu_m);
+    memcpy(v->core_max_enu_m, known ? t->core_max_enu_m : t->max_enu_m, sizeof v->core_max_enu_m);
+}
+
 enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *out, struct err *e)
 {
     *out = (struct tree){.root = TREE_NONE};
@@ -110,6 +121,7 @@ enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *
         v->parent = tree_ancestor(tiles, n, tiles[i].key);
         memcpy(v->min_enu_m, tiles[i].min_enu_m, sizeof v->min_enu_m);
         memcpy(v->max_enu_m, tiles[i].max_enu_m, sizeof v->max_enu_m);
+        tree_core(v, &tiles[i]);
         if (v->parent == TREE_NONE && roots++ == 0)
             t.root = (uint32_t)i;
     }
@@ -119,8 +131,8 @@ enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *
         struct tree_node *r = &t.nodes[n];
         *r = (struct tree_node){.tile = TREE_NONE, .parent = TREE_NONE};
         for (size_t k = 0; k < 3; k++) {
-            r->min_enu_m[k] = HUGE_VAL;
-            r->max_enu_m[k] = -HUGE_VAL;
+            r->min_enu_m[k] = r->core_min_enu_m[k] = HUGE_VAL;
+            r->max_enu_m[k] = r->core_max_enu_m[k] = -HUGE_VAL;
         }
         for (size_t i = 0; i < n; i++)
             if (t.nodes[i].parent == TREE_NONE)

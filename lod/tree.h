@@ -19,10 +19,11 @@
 struct tree_node {
     uint32_t tile;   /* index into the tiles, TREE_NONE for a root without content */
     uint32_t parent; /* TREE_NONE at the root */
-    uint32_t child_first, child_count; /* slice of tree.children */
-    double min_enu_m[3], max_enu_m[3]; /* around this tile and all below it */
-    double sigma_max_m;                /* likewise */
-    double geometric_error_m;          /* 0 at leaves */
+    uint32_t child_first, child_count;           /* slice of tree.children */
+    double min_enu_m[3], max_enu_m[3];           /* around this tile and all below it */
+    double core_min_enu_m[3], core_max_enu_m[3]; /* likewise */
+    double sigma_max_m;                          /* likewise */
+    double geometric_error_m;                    /* 0 at leaves */
 };
 
 struct tree { /* {0} is empty */

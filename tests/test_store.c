@@ -354,10 +354,10 @@ static void files_that_are_no_stores(void **state)
     kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, "not a tile store");
     make_store(f->path, 1);
     kit_ok(file_read(f->path, 0, &b, &e), e);
-    b.data[63] = 2; /* user_version, big-endian at 60 */
+    b.data[63] = 3; /* user_version, big-endian at 60 */
     kit_ok(file_write(f->path, b.data, b.size, &e), e);
-    kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, "schema 2");
-    b.data[63] = 1;
+    kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, "schema 3");
+    b.data[63] = 2;
     b.data[68] ^= 1; /* application_id: another program's database */
     kit_ok(file_write(f->path, b.data, b.size, &e), e);
     kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, "not a tile store");
