@@ -258,7 +258,9 @@ static void options_print_one(const struct options_def *d)
                  : d->type == OPTIONS_INT ? "N"
                                           : "X");
     const char *quote = d->type == OPTIONS_BOOL || !*d->def ? NULL : d->def;
-    snprintf(tail, sizeof tail, "%s%s%s%s", d->help, quote ? " [" : "", quote ? quote : "",
+    /* The help says what the option does; where it is on, the flag that is shown turns it off. */
+    const char *off = d->type == OPTIONS_BOOL && !strcmp(d->def, "true") ? "turn off: " : "";
+    snprintf(tail, sizeof tail, "%s%s%s%s%s", off, d->help, quote ? " [" : "", quote ? quote : "",
              quote ? "]" : "");
     int n = printf("%-*s", OPTIONS_HELP_COLUMN, head);
     if (n > OPTIONS_HELP_COLUMN)

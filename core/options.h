@@ -15,7 +15,8 @@
  *                        #undef OPT
  *                        };
  *
- * The flag of cell_edge_m is --cell-edge-m VALUE (or =VALUE). BOOL takes --key and --no-key.
+ * The flag of cell_edge_m is --cell-edge-m VALUE (or =VALUE). BOOL takes --key and --no-key; --help
+ * shows the one that changes the default ("--no-masks  turn off: " and the help text).
  * Precedence: default < --config FILE... in order < flags. Unknown flags and keys are errors that
  * name the nearest one.
  *

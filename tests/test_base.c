@@ -256,6 +256,23 @@ static void options_refuse_with_the_nearest_name(void **state)
     arena_free(&a);
 }
 
+/* An option that is on is shown by the flag that turns it off, and is said to. */
+static void help_of_a_switch_says_what_the_shown_flag_does(void **state)
+{
+    (void)state;
+    struct buf b = {0};
+    assert_int_equal(kit_run(&b, "%s plan --help", kit_program()), 0);
+    buf_u8(&b, 0);
+    const char *line = strstr((const char *)b.data, "--no-visibility");
+    assert_non_null(line);
+    kit_expect_text(line, "turn off: also take photographs", __FILE__, __LINE__);
+    line = strstr((const char *)b.data, "--all-images");
+    assert_non_null(line);
+    assert_true(!strncmp(line + strlen("--all-images") + strspn(line + strlen("--all-images"), " "),
+                         "test photographs", strlen("test photographs")));
+    buf_free(&b);
+}
+
 static enum err_code square(void *user, size_t i, struct err *e)
 {
     size_t *out = user;
@@ -335,6 +352,7 @@ int main(void)
         cmocka_unit_test(jsonc_reads_comments_and_names_the_line),
         cmocka_unit_test(options_come_from_defaults_then_files_then_flags),
         cmocka_unit_test(options_refuse_with_the_nearest_name),
+        cmocka_unit_test(help_of_a_switch_says_what_the_shown_flag_does),
         cmocka_unit_test(pool_runs_each_once_and_reports_the_lowest_failure),
         cmocka_unit_test(gauss_survives_growth_and_a_moved_origin),
         cmocka_unit_test(gauss_alloc_fails_cleanly),
