@@ -13,6 +13,7 @@
 #include "cli/halves.h"
 #include "lod/lod.h"
 #include "train/lpips.h"
+#include "train/residual.h"
 #include "train/train.h"
 
 struct eval_options {
@@ -37,10 +38,14 @@ struct eval {
     struct dev dev;
     bool dev_is_open;
     struct render *render;
-    struct halves halves; /* of what is being scored */
-    struct lpips *lpips;  /* NULL: no weights */
+    struct halves halves;           /* of what is being scored */
+    struct lpips *lpips;            /* NULL: no weights */
+    struct residual_list residuals; /* of the last row that was scored */
+    char residuals_of[64];          /* what that row is called */
     json_t *rows;
 };
+
+enum { EVAL_SUSPICIOUS_MAX = 20 }; /* rows printed; the file has all */
 
 static void eval_print_head(void)
 {
@@ -105,6 +110,9 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
                             .cache_bytes = (size_t)64 << 20};
     enum err_code rc = ERR_OK;
     src.lpips = v->lpips;
+    src.residuals = &v->residuals;
+    residual_clear(&v->residuals);
+    snprintf(v->residuals_of, sizeof(v->residuals_of), "%s", what);
     if (v->o.pictures) {
         snprintf(folder, sizeof(folder), "%s", what);
         for (char *c = folder; *c; c++)
@@ -380,6 +388,36 @@ static enum err_code eval_write(const struct eval *v, const char *scene_dir, str
     return rc;
 }
 
+/* The photographs that fit worst, on paper and on the screen. */
+static enum err_code eval_residuals(struct eval *v, const char *scene_dir, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    struct residual_list *l = &v->residuals;
+    if (!v->o.residuals && !v->o.split)
+        return ERR_OK;
+    enum err_code rc = residual_rank(l, e);
+    const char *to = v->o.residuals ? v->o.residuals : path;
+    if (!rc && !v->o.residuals)
+        rc = file_join(path, v->o.results ? v->o.results : scene_dir, "residuals.json", e);
+    if (!rc)
+        rc = residual_write(l, to, v->residuals_of, e);
+    if (rc || !l->n)
+        return rc;
+    if (!l->n_suspicious) {
+        printf("No photograph stands out: the worst of %zu, %s, has a robust z-score of %.1f "
+               "(limit %.0f).\n",
+               l->n, l->rows[0].name, l->rows[0].z, RESIDUAL_LIMIT);
+        return ERR_OK;
+    }
+    printf("%zu of %zu photographs fit much worse than the others (wrong pose? another light?); "
+           "all of them are in %s\n%-32s %9s %8s %8s %8s\n",
+           l->n_suspicious, l->n, to, "photograph", "PSNR dB", "SSIM", "z MSE", "z SSIM");
+    for (size_t i = 0; i < l->n_suspicious && i < EVAL_SUSPICIOUS_MAX; i++)
+        printf("%-32s %9.3f %8.4f %8.1f %8.1f\n", l->rows[i].name, -10.0 * log10(l->rows[i].mse),
+               l->rows[i].ssim, l->rows[i].z_mse, l->rows[i].z_ssim);
+    return ERR_OK;
+}
+
 enum err_code cli_eval(int argc, char **argv, struct err *e)
 {
     const struct options_spec spec = {
@@ -413,10 +451,13 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
     rc = v.o.tiles ? eval_tiles(&v, e) : eval_levels(&v, args.arg[0], e);
     if (!rc && !v.lpips)
         printf("LPIPS is not scored: --lpips FILE supplies its weights (docs/evaluation.md).\n");
+    if (!rc)
+        rc = eval_residuals(&v, args.arg[0], e);
     if (!rc && v.o.output)
         rc = eval_write(&v, args.arg[0], e);
 out:
     json_decref(v.rows);
+    residual_free(&v.residuals);
     halves_clear(&v.halves);
     lpips_close(&v.lpips);
     render_close(&v.render);

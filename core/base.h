@@ -30,6 +30,11 @@ void *mem_resize(void *p, size_t n_old, size_t n_new, size_t size);
 char *mem_text(const char *s); /* strdup; caller frees with mem_free; NULL when out of memory */
 void mem_free(void *p);
 void mem_fail_at(size_t k);
+/* From now on a freed block of 256 KiB or more goes back to the system at once. glibc otherwise
+ * learns from the first one that such blocks come and go and keeps them, in a heap a thread: a
+ * cache of photographs filled by two threads took twice its limit. Where the C library is another
+ * one, nothing happens. */
+void mem_return_large(void);
 /* Peak resident set of this process so far, bytes. */
 size_t mem_peak_bytes(void);
 

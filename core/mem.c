@@ -9,10 +9,13 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
+#ifdef __GLIBC__
+#include <malloc.h>
+#endif
 
 #include "core/base.h"
 
-enum { MEM_ALIGN = 64 };
+enum { MEM_ALIGN = 64, MEM_LARGE = 256 << 10 };
 static atomic_size_t mem_countdown; /* 0 = never fail */
 
 void mem_fail_at(size_t k)
@@ -74,6 +77,13 @@ char *mem_text(const char *s)
 void mem_free(void *p)
 {
     free(p);
+}
+
+void mem_return_large(void)
+{
+#ifdef __GLIBC__
+    (void)mallopt(M_MMAP_THRESHOLD, MEM_LARGE);
+#endif
 }
 
 size_t mem_peak_bytes(void)

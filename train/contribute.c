@@ -17,6 +17,7 @@
 
 #include "core/layout.h"
 #include "train/regular.h"
+#include "train/residual.h"
 
 enum { CONTRIBUTE_SUMS = 8, CONTRIBUTE_PIXELS = 1, CONTRIBUTE_SHARE = 2 };
 
@@ -25,8 +26,9 @@ struct contribute {
     struct render_score *device;
     cl_mem weight; /* zeros: only alpha T is of interest */
     size_t weight_bytes;
-    float *sums, *total; /* [n][8] of a view; [n] */
-    uint16_t *views;     /* [n] */
+    float *sums, *total;             /* [n][8] of a view; [n] */
+    uint16_t *views;                 /* [n] */
+    struct residual_list *residuals; /* NULL: not wanted (any more) */
 };
 
 /* Draw a photograph; its squared error. */
@@ -44,6 +46,8 @@ static enum err_code contribute_draw(struct contribute *c, size_t nth, double *m
     if (!rc)
         rc = loss_read(l->loss, &v, e);
     *mse += v.mse / (double)l->n_images;
+    if (!rc && c->residuals)
+        rc = residual_add(c->residuals, p.name, v.mse, v.ssim, e);
     size_t bytes = (size_t)p.cam.width_px * p.cam.height_px * sizeof(float);
     if (rc || !c->sums || bytes <= c->weight_bytes)
         return rc;
@@ -166,6 +170,7 @@ static enum err_code contribute_apply(struct contribute *c, const uint8_t *keep,
         rc = regular_filter(l, e);
     mem_free(c->sums);
     c->sums = NULL; /* the second pass only draws */
+    c->residuals = NULL;
     for (size_t v = 0; !rc && v < l->n_images; v++)
         rc = contribute_draw(c, v, &after, e);
     r->psnr_before_db = -10.0 * log10(mse);
@@ -180,9 +185,10 @@ static enum err_code contribute_apply(struct contribute *c, const uint8_t *keep,
     return rc;
 }
 
-enum err_code contribute_prune(struct level *l, struct contribute_report *out, struct err *e)
+enum err_code contribute_prune(struct level *l, struct contribute_report *out,
+                               struct residual_list *residuals, struct err *e)
 {
-    struct contribute c = {.l = l};
+    struct contribute c = {.l = l, .residuals = light_is_on(&l->light) ? NULL : residuals};
     double mse = 0.0;
     size_t n = l->model.n;
     uint32_t support = (uint32_t)l->cfg->prune_support;

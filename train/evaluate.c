@@ -11,6 +11,7 @@
 
 #include "train/light.h"
 #include "train/lpips.h"
+#include "train/residual.h"
 #include "train/train.h"
 
 enum {
@@ -80,6 +81,17 @@ static enum err_code evaluate_picture(const char *dir, const struct feed_photo *
     return rc;
 }
 
+static void evaluate_add(struct evaluate_score *sum, const struct evaluate_score *one)
+{
+    sum->psnr_db += one->psnr_db;
+    sum->ssim += one->ssim;
+    sum->ssim_valid += one->ssim_valid;
+    sum->l1 += one->l1;
+    sum->gmsd += one->gmsd;
+    sum->gaussians += one->gaussians;
+    sum->ms_frame += one->ms_frame;
+}
+
 static enum err_code evaluate_one(struct feed *f, size_t nth, const struct evaluate_source *src,
                                   struct evaluate_score *sum, struct err *e)
 {
@@ -99,10 +111,15 @@ static enum err_code evaluate_one(struct feed *f, size_t nth, const struct evalu
         rc = src->draw(src->user, &photo.cam, rgb, &gaussians, e);
         quickest = fmin(quickest, clock_s() - start);
     }
+    struct evaluate_score one = {0};
+    if (!rc)
+        rc = evaluate_photo(&photo, rgb, &one, e);
+    if (!rc && src->residuals)
+        rc = residual_add(src->residuals, photo.name, pow(10.0, -0.1 * one.psnr_db), one.ssim, e);
     if (!rc) {
-        sum->ms_frame += 1e3 * quickest;
-        sum->gaussians += gaussians;
-        rc = evaluate_photo(&photo, rgb, sum, e);
+        one.ms_frame = 1e3 * quickest;
+        one.gaussians = gaussians;
+        evaluate_add(sum, &one);
     }
     if (!rc && src->lpips)
         rc = lpips_run(src->lpips, rgb, photo.px, photo.mask, photo.cam.width_px,

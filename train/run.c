@@ -14,6 +14,7 @@
 #include "train/contribute.h"
 #include "train/jobs.h"
 #include "train/level.h"
+#include "train/residual.h"
 
 enum { RUN_LOOK_STEPS = 20, RUN_LINE_STEPS = 100 };
 
@@ -228,14 +229,39 @@ static enum err_code run_score(struct run *t, struct evaluate_score *out, struct
     return rc;
 }
 
+/* Name the photographs that fit the finest level badly, and write residuals.json. */
+static enum err_code run_residuals(struct run *t, struct residual_list *r, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    enum { NAMED = 3 };
+    struct level *l = &t->level;
+    if (!r->n || l->at + 1 < l->n_levels)
+        return ERR_OK;
+    enum err_code rc = residual_rank(r, e);
+    if (!rc)
+        rc = file_join(path, t->dir, "residuals.json", e);
+    if (!rc)
+        rc = residual_write(r, path, l->cell.id, e);
+    for (size_t i = 0; !rc && i < r->n_suspicious && i < NAMED; i++)
+        log_warn("train", "%s fits much worse than the other photographs (robust z-score %.1f)",
+                 r->rows[i].name, r->rows[i].z);
+    if (!rc && r->n_suspicious > NAMED)
+        log_warn("train", "so do %zu more: %s", r->n_suspicious - NAMED, path);
+    return rc;
+}
+
 /* Remove what contributes nothing, and tell. A run that was stopped after this and resumed must not
  * do it again. */
 static enum err_code run_prune(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
     struct contribute_report r = {0};
-    enum err_code rc = l->pruned ? ERR_OK : contribute_prune(l, &r, e);
+    struct residual_list residuals = {0};
+    enum err_code rc = l->pruned ? ERR_OK : contribute_prune(l, &r, &residuals, e);
     l->pruned = !rc;
+    if (!rc)
+        rc = run_residuals(t, &residuals, e);
+    residual_free(&residuals);
     if (rc || !(r.faint + r.unsupported))
         return rc;
     log_info("train",

@@ -278,7 +278,8 @@ struct evaluate_score { /* means over the photographs */
     double ms_frame;
     double bytes; /* what the source takes in files, 0 when not told */
 };
-struct lpips; /* train/lpips.h */
+struct lpips;         /* train/lpips.h */
+struct residual_list; /* train/residual.h */
 /* Something that draws: draw() renders into rgb [h][w][3] and says how many Gaussians it took. */
 struct evaluate_source {
     enum err_code (*draw)(void *user, const struct camera *cam, float *rgb, double *gaussians,
@@ -287,6 +288,7 @@ struct evaluate_source {
     const char *pictures; /* folder for NAME.png, photograph left and drawing right; NULL: none */
     double bytes;         /* of the source's files, handed through to the score */
     struct lpips *lpips;  /* NULL: no weights, not scored */
+    struct residual_list *residuals; /* gets a row a photograph; NULL: none kept */
 };
 /* Add the scores of one photograph against its drawing to `sum` (PSNR, SSIM, L1), and make means of
  * `n` such sums. */

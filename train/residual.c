@@ -1,0 +1,137 @@
+/* Residuals of single photographs, ranked by robust z-scores.
+ *
+ * Median and MAD in place of mean and standard deviation: a few bad photographs must not widen the
+ * scale that they are measured with. Two columns, since two kinds of failure exist: a wrong pose
+ * ruins structure (SSIM) also where the ground has little contrast, a wrong exposure ruins colours
+ * (squared error, in logarithms, whose spread over photographs is nearly even).
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "train/residual.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <jansson.h>
+
+#define RESIDUAL_NORMAL 0.6745 /* MAD of a normal distribution of deviation 1 */
+#define RESIDUAL_MSE_MIN 1e-10 /* far below what 8 bits resolve: keeps the logarithm finite */
+#define RESIDUAL_MAD_MIN 1e-3
+enum { RESIDUAL_FIRST = 64 };
+
+enum err_code residual_add(struct residual_list *l, const char *name, double mse, double ssim,
+                           struct err *e)
+{
+    if (l->n == l->cap) {
+        size_t cap = l->cap ? 2 * l->cap : RESIDUAL_FIRST;
+        struct residual *rows = mem_resize(l->rows, l->cap, cap, sizeof(*rows));
+        if (!rows)
+            return err_set(e, ERR_MEM, "residuals: out of memory for %zu photographs", cap);
+        l->rows = rows;
+        l->cap = cap;
+    }
+    l->rows[l->n++] = (struct residual){.name = name, .mse = mse, .ssim = ssim};
+    return ERR_OK;
+}
+
+void residual_clear(struct residual_list *l)
+{
+    l->n = l->n_suspicious = 0;
+}
+
+void residual_free(struct residual_list *l)
+{
+    mem_free(l->rows);
+    *l = (struct residual_list){0};
+}
+
+/* ---- z-scores
+ * ---------------------------------------------------------------------------------------- */
+
+static int residual_by_value(const void *a, const void *b)
+{
+    double x, y;
+    memcpy(&x, a, sizeof(x));
+    memcpy(&y, b, sizeof(y));
+    return (x > y) - (x < y);
+}
+
+/* Sorts x. */
+static double residual_median(double *x, size_t n)
+{
+    qsort(x, n, sizeof(*x), residual_by_value);
+    return n % 2 ? x[n / 2] : 0.5 * (x[n / 2 - 1] + x[n / 2]);
+}
+
+void residual_z(const double *x, size_t n, double least, double *scratch, double *z)
+{
+    if (!n)
+        return;
+    memcpy(scratch, x, n * sizeof(*x));
+    double median = residual_median(scratch, n);
+    for (size_t i = 0; i < n; i++)
+        scratch[i] = fabs(x[i] - median);
+    double mad = fmax(residual_median(scratch, n), least);
+    for (size_t i = 0; i < n; i++)
+        z[i] = RESIDUAL_NORMAL * (x[i] - median) / mad;
+}
+
+static int residual_by_z(const void *a, const void *b)
+{
+    const struct residual *x = a, *y = b;
+    int order = (x->z < y->z) - (x->z > y->z);
+    return order ? order : strcmp(x->name, y->name);
+}
+
+enum err_code residual_rank(struct residual_list *l, struct err *e)
+{
+    size_t n = l->n;
+    double *x = mem_array(3 * n, sizeof(*x));
+    if (!x)
+        return err_set(e, ERR_MEM, "residuals: out of memory for %zu photographs", n);
+    double *scratch = x + n, *z = x + 2 * n;
+    for (size_t i = 0; i < n; i++)
+        x[i] = log(fmax(l->rows[i].mse, RESIDUAL_MSE_MIN));
+    residual_z(x, n, RESIDUAL_MAD_MIN, scratch, z);
+    for (size_t i = 0; i < n; i++) {
+        l->rows[i].z_mse = z[i];
+        x[i] = 1.0 - l->rows[i].ssim;
+    }
+    residual_z(x, n, RESIDUAL_MAD_MIN, scratch, z);
+    l->n_suspicious = 0;
+    for (size_t i = 0; i < n; i++) {
+        struct residual *r = &l->rows[i];
+        r->z_ssim = z[i];
+        r->z = fmax(r->z_mse, r->z_ssim);
+        l->n_suspicious += r->z > RESIDUAL_LIMIT;
+    }
+    if (n)
+        qsort(l->rows, n, sizeof(*l->rows), residual_by_z);
+    mem_free(x);
+    return ERR_OK;
+}
+
+/* ---- the file
+ * ---------------------------------------------------------------------------------------- */
+
+enum err_code residual_write(const struct residual_list *l, const char *path, const char *what,
+                             struct err *e)
+{
+    json_t *rows = json_array();
+    bool ok = rows != NULL;
+    for (size_t i = 0; ok && i < l->n; i++) {
+        const struct residual *r = &l->rows[i];
+        ok = !json_array_append_new(
+            rows, json_pack("{s:s, s:o, s:f, s:f, s:f, s:b}", "name", r->name, "psnr_db",
+                            jsonc_real(-10.0 * log10(r->mse)), "ssim", r->ssim, "z_mse", r->z_mse,
+                            "z_ssim", r->z_ssim, "suspicious", (int)(r->z > RESIDUAL_LIMIT)));
+    }
+    json_t *o = ok ? json_pack("{s:s, s:f, s:I, s:O}", "what", what, "limit", RESIDUAL_LIMIT,
+                               "suspicious", (json_int_t)l->n_suspicious, "photographs", rows)
+                   : NULL;
+    enum err_code rc = o ? jsonc_write(path, o, e) : err_set(e, ERR_MEM, "%s: out of memory", path);
+    json_decref(rows);
+    json_decref(o);
+    return rc;
+}

@@ -1,0 +1,43 @@
+/* Which photographs do not fit: how far each training photograph is from its drawing, and how
+ * unusual that is among all of them. A photograph with a wrong pose, another season or a thumb on
+ * the lens stands out, since the others agree against it.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TRAIN_RESIDUAL_H
+#define TRAIN_RESIDUAL_H
+
+#include "core/base.h"
+
+#define RESIDUAL_LIMIT 3.0 /* robust z-scores above it are suspicious */
+
+struct residual {         /* one photograph */
+    const char *name;     /* borrowed from the scene */
+    double mse;           /* mean squared error, colours 0..1 */
+    double ssim;          /* zero padded, as in the loss */
+    double z_mse, z_ssim; /* by residual_rank: of ln mse, of 1 - ssim; larger fits worse */
+    double z;             /* the larger of the two */
+};
+struct residual_list { /* {0} is empty; residual_free */
+    struct residual *rows;
+    size_t n, cap;
+    size_t n_suspicious; /* by residual_rank */
+};
+enum err_code residual_add(struct residual_list *l, const char *name, double mse, double ssim,
+                           struct err *e) ERR_USE;
+void residual_clear(struct residual_list *l); /* n = 0, the room stays */
+void residual_free(struct residual_list *l);
+
+/* Robust z-scores, 0.6745 (x - median) / MAD (Iglewicz and Hoaglin 1993), of the logarithm of the
+ * squared error and of 1 - SSIM; sorts the rows by z, worst first, ties by name. A MAD below a
+ * thousandth of what the numbers are made of counts as that, so that photographs which all fit
+ * alike are not suspected for rounding. */
+enum err_code residual_rank(struct residual_list *l, struct err *e) ERR_USE;
+/* The same for one column: z[n]; scratch[n]. `least`: of the MAD. */
+void residual_z(const double *x, size_t n, double least, double *scratch, double *z);
+
+/* After residual_rank: {"what": ..., "photographs": [worst first]} into a file. */
+enum err_code residual_write(const struct residual_list *l, const char *path, const char *what,
+                             struct err *e) ERR_USE;
+
+#endif
