@@ -117,6 +117,88 @@ static void visibility_adds_photographs_that_look_in(void **state)
     scene_free(&s);
 }
 
+/* Photographs that look 45 degrees down, north, east, south and west in turn; tracks are exact. */
+static void oblique_make(size_t nx, size_t ny, double step, struct scene *s)
+{
+    const uint32_t px = 200;
+    const double height = 30.0;
+    *s = (struct scene){.scale = 1.0, .n_images = nx * ny};
+    size_t wide = (size_t)((double)(nx - 1) * step / 2.0) + 1,
+           deep = (size_t)((double)(ny - 1) * step / 2.0) + 1;
+    s->n_points = wide * deep;
+    s->images = arena_get(&s->arena, s->n_images, sizeof *s->images);
+    s->points = arena_get(&s->arena, s->n_points, sizeof *s->points);
+    s->tracks = arena_get(&s->arena, s->n_points * s->n_images, sizeof *s->tracks);
+    for (size_t i = 0; i < s->n_points; i++)
+        s->points[i] = (struct scene_point){
+            .enu_m = {2.0 * (double)(i % wide), 2.0 * (double)(i / wide), 0.0}, .track_length = 3};
+    for (size_t i = 0; i < s->n_images; i++) {
+        double eye[3] = {step * (double)(i % nx), step * (double)(i / nx), height};
+        const struct camera *c = &s->images[i].cam;
+        s->images[i].cam = camera_heading(eye, 90.0 * (double)(i % 4), -45.0, 0.9, px, px);
+        s->images[i].name = arena_printf(&s->arena, "img%04zu.jpg", i);
+        for (size_t k = 0; k < s->n_points; k++) {
+            double v[3];
+            for (size_t r = 0; r < 3; r++)
+                v[r] = c->rot[3 * r] * s->points[k].enu_m[0] +
+                       c->rot[3 * r + 1] * s->points[k].enu_m[1] +
+                       c->rot[3 * r + 2] * s->points[k].enu_m[2] + c->trans[r];
+            double x = c->cx_px + c->fx_px * v[0] / v[2], y = c->cy_px + c->fy_px * v[1] / v[2];
+            if (v[2] > 1.0 && x >= 0.0 && x < px && y >= 0.0 && y < px)
+                s->tracks[s->n_tracks++] = (struct scene_track){
+                    .point = (uint32_t)k, .image = (uint32_t)i, .x_px = (float)x, .y_px = (float)y};
+        }
+    }
+}
+
+/* F14: the photographs of a cell see all of it, though most of them were taken elsewhere. */
+static void every_point_of_a_cell_is_seen_by_three_of_its_photographs(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct scene s;
+    struct partition p;
+    oblique_make(14, 14, 8.0, &s);
+    struct partition_config cfg = partition_defaults();
+    cfg.edge_m = 35.0;
+    cfg.images_few = 0;
+    cfg.images_least = 1;
+    kit_ok(partition_make(&s, &cfg, &p, &e), e);
+    uint32_t *all = mem_array(s.n_points, sizeof *all), *own = mem_array(s.n_points, sizeof *own);
+    uint8_t *has = mem_array(s.n_images, 1);
+    assert_true(all && own && has && p.n_cells >= 9);
+    size_t points = 0, few = 0, selected = 0;
+    for (size_t k = 0; k < s.n_tracks; k++)
+        all[s.tracks[k].point]++;
+    for (size_t j = 0; j < p.n_cells; j++) {
+        memset(has, 0, s.n_images);
+        memset(own, 0, s.n_points * sizeof *own);
+        for (size_t k = 0; k < p.cells[j].n_images; k++)
+            has[p.cells[j].images[k]] = 1;
+        selected += p.cells[j].n_images;
+        for (size_t k = 0; k < s.n_tracks; k++)
+            own[s.tracks[k].point] += has[s.tracks[k].image];
+        for (size_t k = 0; k < s.n_points; k++) {
+            const double *at = s.points[k].enu_m;
+            if (all[k] < 3 || partition_distance(&p.cells[j], at[0], at[1]) > 0.0)
+                continue; /* at the rim of the flight nobody sees it three times */
+            points++;
+            few += own[k] < 3;
+        }
+    }
+    kit_figure(
+        "F14",
+        "points=%zu seen_by_fewer_than_3=%zu limit=0 cells=%zu photographs_a_cell=%zu of=%zu",
+        points, few, p.n_cells, selected / p.n_cells, s.n_images);
+    assert_true(points > s.n_points / 2 && selected < p.n_cells * s.n_images);
+    assert_int_equal(few, 0);
+    mem_free(all);
+    mem_free(own);
+    mem_free(has);
+    partition_free(&p);
+    scene_free(&s);
+}
+
 static void poor_cells_merge_into_rectangles_and_rich_ones_divide(void **state)
 {
     (void)state;
@@ -246,6 +328,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(a_grid_covers_every_camera_and_cells_tile_the_plane),
         cmocka_unit_test(visibility_adds_photographs_that_look_in),
+        cmocka_unit_test(every_point_of_a_cell_is_seen_by_three_of_its_photographs),
         cmocka_unit_test(poor_cells_merge_into_rectangles_and_rich_ones_divide),
         cmocka_unit_test(empty_and_tiny_cells_become_background),
         cmocka_unit_test(the_plan_file_reads_back_and_refuses_another_scene),

@@ -1,0 +1,129 @@
+/* Failures of cells: F11 (Gaussians outside a cell take its room), F13 (cells without photographs).
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/stability/toy.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include <jansson.h>
+
+#include "train/partition.h"
+
+/* ---- F11, F13 -----------------------------------------------------------------------------------
+ */
+
+enum { CELLS_PHOTOS = 36, CELLS_FEW = 3, CELLS_STEPS = 150, CELLS_BUDGET = 600 };
+
+/* Every "densify" line: largest shares of the ceilings. */
+struct ceilings {
+    size_t lines, grown;
+    double inside, outside, total; /* of cap, budget / 2, 1.5 budget */
+};
+
+static void read_ceilings(const char *path, const int64_t budget[3], struct ceilings *c)
+{
+    struct err e = {0};
+    struct buf b = {0};
+    kit_ok(file_read(path, 0, &b, &e), e);
+    buf_u8(&b, 0);
+    for (char *line = strtok((char *)b.data, "\n"); line; line = strtok(NULL, "\n")) {
+        json_t *o = json_loads(line, 0, NULL);
+        assert_non_null(o);
+        const char *event = json_string_value(json_object_get(o, "event"));
+        if (event && !strcmp(event, "densify")) {
+            double inside = json_number_value(json_object_get(o, "inside"));
+            double outside = json_number_value(json_object_get(o, "outside"));
+            double cap = json_number_value(json_object_get(o, "cap"));
+            double most = (double)budget[json_integer_value(json_object_get(o, "level")) - 1];
+            c->lines++;
+            c->grown += json_integer_value(json_object_get(o, "cloned")) +
+                            json_integer_value(json_object_get(o, "split")) >
+                        0;
+            c->inside = fmax(c->inside, inside / cap);
+            c->outside = fmax(c->outside, outside / (0.5 * most));
+            c->total = fmax(c->total, (inside + outside) / (1.5 * most));
+        }
+        json_decref(o);
+    }
+    buf_free(&b);
+}
+
+/* A ring of photographs that look at its middle, cut into cells: those at the rim look out of their
+ * cell into others, those in the middle have no photograph, some have too few. */
+static void cells_that_look_outside_keep_their_ceilings(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct toy t = toy_spec();
+    struct gauss g = {0};
+    struct scene s;
+    struct partition plan = {0};
+    struct partition_config pc = partition_defaults();
+    struct train_result r = {0};
+    struct ceilings c = {0};
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
+    t.n = 150;
+    t.half_m[0] = t.half_m[1] = 16.0;
+    t.photos = CELLS_PHOTOS;
+    t.ring_m = 15.0;
+    toy_gauss(&t, &g);
+    kit_tmpdir(dir);
+    toy_write(dir, &t, &g);
+    kit_ok(scene_read(dir, &s, &e), e);
+    pc.edge_m = 6.0;
+    pc.images_few = 0;
+    pc.images_least = CELLS_FEW;
+    pc.use_visibility = false;
+    kit_ok(partition_make(&s, &pc, &plan, &e), e);
+    snprintf(path, sizeof(path), "%s/plan.json", dir);
+    kit_ok(plan_write(path, &s, &plan, &e), e);
+    size_t empty = 0, poor = 0, trained = 0;
+    for (size_t i = 0; i < plan.n_cells; i++) {
+        empty += plan.cells[i].n_images == 0;
+        poor += plan.cells[i].n_images > 0 && plan.cells[i].n_images < CELLS_FEW;
+        trained += plan.cells[i].parent < 0;
+    }
+    assert_true(empty >= 3 && poor >= 1 && trained >= 2);
+    struct train_config cfg = toy_config(&a, NULL);
+    cfg.iterations = CELLS_STEPS;
+    cfg.budget_1 = CELLS_BUDGET / 2;
+    cfg.budget_2 = CELLS_BUDGET * 3 / 4;
+    cfg.budget_3 = CELLS_BUDGET;
+    cfg.budget = BUDGET_TABLE;
+    cfg.tau_1 = cfg.tau_2 = cfg.tau_3 = 1e-6; /* everything wants to grow */
+    kit_ok(train_run(dir, &cfg, &r, &e), e);
+    assert_int_equal(r.n_cells, trained);
+    const int64_t budget[3] = {cfg.budget_1, cfg.budget_2, cfg.budget_3};
+    for (size_t i = 0; i < r.n_cells; i++) {
+        snprintf(path, sizeof(path), "%s/cells/%s/metrics.jsonl", dir, r.cells[i].id);
+        read_ceilings(path, budget, &c);
+        assert_true(r.cells[i].n_gaussians[2] > 0);
+    }
+    kit_figure("F11",
+               "inside_of_cap=%.3f outside_of_half_budget=%.3f total_of_1.5_budget=%.3f limit=1 "
+               "densifications=%zu",
+               c.inside, c.outside, c.total, c.lines);
+    kit_figure("F13",
+               "cells=%zu trained=%zu without_photographs=%zu with_too_few=%zu completed=%zu",
+               plan.n_cells, trained, empty, poor, r.n_cells);
+    assert_true(c.lines > 0 && c.grown > 0 && c.outside > 0.0);
+    assert_true(c.inside <= 1.0 && c.outside <= 1.0 && c.total <= 1.0);
+    train_result_free(&r);
+    partition_free(&plan);
+    scene_free(&s);
+    gauss_free(&g);
+    kit_rmdir(dir);
+    arena_free(&a);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(cells_that_look_outside_keep_their_ceilings),
+    };
+    return cmocka_run_group_tests_name("cells", tests, toy_open_device, toy_close_device);
+}
