@@ -183,7 +183,7 @@ static void center(struct gauss *g)
 
 static const struct quant_grid *convert_grid(const struct convert_options *o)
 {
-    return quant_preset_grid(o->preset ? (enum quant_preset)(o->preset - 1) : QUANT_BALANCED);
+    return quant_preset_grid(o->preset ? (enum quant_preset)(o->preset - 1) : QUANT_NEAR_LOSSLESS);
 }
 
 static enum err_code convert_write(struct converted *c, enum convert_format format,

@@ -264,7 +264,8 @@ enum quant_preset {
     QUANT_PRESETS
 };
 #define QUANT_PRESET_NAMES "spz|preview|balanced|near-lossless" /* in this order, for options */
-#define QUANT_PRESET_DEFAULT "balanced"
+#define QUANT_PRESET_DEFAULT "balanced"   /* of what is served: a browser shows it and forgets it */
+#define QUANT_PRESET_FILE "near-lossless" /* of files: others edit and convert them again */
 enum { QUANT_FRAC_BITS = 12 };
 const struct quant_grid *quant_preset_grid(enum quant_preset p);
 const char *quant_preset_name(enum quant_preset p);
