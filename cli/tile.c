@@ -274,22 +274,34 @@ static uint8_t tile_nearest(const struct tile_cell *c, uint8_t level)
 
 /* One network reads the embeddings of all tiles: cells and levels must have been trained with it.
  */
+static enum err_code tile_check_blob(struct tile_scene *s, const struct ckpt_blob *blob,
+                                     const char *path, struct err *e)
+{
+    static const struct ckpt_blob none = {0};
+    blob = blob ? blob : &none;
+    if (!s->look_known) {
+        s->look_known = true;
+        buf_add(&s->look, blob->data, blob->size_bytes);
+        return buf_check(&s->look, e);
+    }
+    if (blob->size_bytes == s->look.size &&
+        (!s->look.size || !memcmp(blob->data, s->look.data, s->look.size)))
+        return ERR_OK;
+    return err_set(e, ERR_DATA,
+                   "%s: its appearance model is not that of the checkpoints before: tiles share "
+                   "one; train all levels and cells with --appearance-levels 1 and "
+                   "--appearance-shared",
+                   path);
+}
+
 static enum err_code tile_check_look(struct tile_scene *s, const struct ckpt_rows *rows,
                                      const char *path, struct err *e)
 {
     struct buf b = {0};
     enum err_code rc = ckpt_rows_blob(rows, "appearance", &b, e);
-    if (!rc && !s->look_known) {
-        s->look = b;
-        s->look_known = true;
-        return ERR_OK;
-    }
-    if (!rc && (b.size != s->look.size || (b.size && memcmp(b.data, s->look.data, b.size) != 0)))
-        rc = err_set(e, ERR_DATA,
-                     "%s: its appearance model is not that of the checkpoints before: tiles share "
-                     "one; train all levels and cells with --appearance-levels 1 and "
-                     "--appearance-shared",
-                     path);
+    const struct ckpt_blob blob = {"appearance", b.data, b.size};
+    if (!rc)
+        rc = tile_check_blob(s, &blob, path, e);
     buf_free(&b);
     return rc;
 }
@@ -401,8 +413,7 @@ static bool tile_may_own(void *user, const double min_m[3], const double max_m[3
     return true;
 }
 
-static enum err_code tile_update(const struct tile_scene *s, const struct tile_options *o,
-                                 struct err *e)
+static enum err_code tile_update(struct tile_scene *s, const struct tile_options *o, struct err *e)
 {
     struct tile_ground ground = {.plan = &s->plan};
     struct update_config cfg = {.owns = tile_owns,
@@ -412,6 +423,7 @@ static enum err_code tile_update(const struct tile_scene *s, const struct tile_o
     struct update_report r;
     struct ckpt level[TILE_LEVELS_MAX + 1] = {{0}};
     const struct tile_cell *cell = NULL;
+    struct appearance look = {0};
     enum err_code rc = ERR_OK;
     for (size_t i = 0; i < s->n_cells; i++)
         if (!strcmp(s->cells[i].id, o->cell))
@@ -432,7 +444,13 @@ static enum err_code tile_update(const struct tile_scene *s, const struct tile_o
             rc = ckpt_read(path, &level[l], e);
         if (!rc)
             tile_own(s, cell, &level[l].g);
+        if (!rc)
+            rc = tile_check_blob(s, ckpt_find(&level[l], "appearance"), path, e);
         cfg.level[l] = &level[l].g;
+    }
+    if (!rc && s->look.size) {
+        rc = appearance_read(s->look.data, s->look.size, &look, e);
+        cfg.look = &look;
     }
     if (!rc)
         rc = update_build(o->update, &cfg, o->output ? o->output : o->update, &r, e);
@@ -442,6 +460,7 @@ static enum err_code tile_update(const struct tile_scene *s, const struct tile_o
                r.revision);
     for (uint8_t l = 1; l <= TILE_LEVELS_MAX; l++)
         ckpt_free(&level[l]);
+    appearance_free(&look);
     return rc;
 }
 

@@ -92,6 +92,38 @@ enum err_code bake_of(struct store *s, const struct appearance **out, struct err
     return ERR_OK;
 }
 
+/* What differs between two models of Gaussians that are to be read by one; NULL: nothing. */
+static const char *bake_difference(const struct appearance *a, const struct appearance *b)
+{
+    if (a->len_gauss != b->len_gauss || a->len_image != b->len_image || a->hidden != b->hidden)
+        return "its sizes differ";
+    if (memcmp(a->w1, b->w1, appearance_weights(a) * sizeof *a->w1) != 0)
+        return "its network has other weights";
+    for (size_t i = 0; i < a->n_images; i++) {
+        ptrdiff_t at = strcmp(a->names[i], BAKE_DEFAULT) ? appearance_find(b, a->names[i]) : -1;
+        size_t len = a->len_image;
+        if (at >= 0 &&
+            memcmp(a->images + i * len, b->images + (size_t)at * len, len * sizeof *a->images) != 0)
+            return "a photograph has another embedding";
+    }
+    return NULL;
+}
+
+enum err_code bake_fits(struct store *s, const struct appearance *a, struct err *e)
+{
+    const struct appearance *own;
+    enum err_code rc = bake_of(s, &own, e);
+    if (rc)
+        return rc;
+    const char *what = !own && !a ? NULL
+                       : !own     ? "the store has none"
+                       : !a       ? "there is none, the store has one"
+                                  : bake_difference(own, a);
+    return what ? err_set(e, ERR_DATA, "%s: the appearance model is not the store's: %s", s->path,
+                          what)
+                : ERR_OK;
+}
+
 enum err_code bake_hash(struct store *s, struct hash128 *out, struct err *e)
 {
     struct buf blob = {0};

@@ -121,6 +121,10 @@ enum err_code store_list_blobs(struct store *s, struct arena *a, char ***names, 
 /* The store's appearance model, read once; NULL when it has none. Borrowed until store_close. Its
  * rows are the training photographs and BAKE_DEFAULT. */
 enum err_code bake_of(struct store *s, const struct appearance **out, struct err *e) ERR_USE;
+/* Do Gaussians with embeddings that model `a` reads (NULL: none) belong into the store? Only with
+ * the store's own network and the same embedding of every photograph that both know; the other
+ * looks are the store's affair. ERR_DATA, which says what differs. */
+enum err_code bake_fits(struct store *s, const struct appearance *a, struct err *e) ERR_USE;
 /* Hash of the model, for names of what is made with it; 0 when there is none. */
 enum err_code bake_hash(struct store *s, struct hash128 *out, struct err *e) ERR_USE;
 /* The embedding [len_image] of a look: a photograph's name, BAKE_DEFAULT, or a blend
@@ -194,15 +198,16 @@ struct update_config {            /* one cell, trained again */
      * even read. */
     bool (*may_own)(void *user, const double min_m[3], const double max_m[3]);
     void *user;
-    uint32_t max_per_tile; /* 0 = 200,000; fuller tiles are thinned */
+    uint32_t max_per_tile;         /* 0 = 200,000; fuller tiles are thinned */
+    const struct appearance *look; /* what reads the rows' embeddings; NULL: nothing does */
 };
 struct update_report {
     size_t n_written, n_copied, n_removed; /* tiles */
     char revision[13];
 };
 /* Replace the rows of one cell and everything made of them; all other tiles are copied byte by
- * byte. out_path may be store_path: written beside and renamed. ERR_DATA when SH, embedding or
- * anti-aliasing do not fit the store. */
+ * byte. out_path may be store_path: written beside and renamed. ERR_DATA when SH, embedding,
+ * appearance model, anti-aliasing or the number of levels do not fit the store. */
 enum err_code update_build(const char *store_path, const struct update_config *c,
                            const char *out_path, struct update_report *report,
                            struct err *e) ERR_USE;
@@ -214,7 +219,8 @@ struct merge_report {
 };
 /* Two stores of neighbouring places in one, in the frame of the first: tiles of both with one key
  * are made of both's Gaussians. Origins may differ; rows of the second are then moved and turned,
- * SH too. name NULL = the first's. ERR_DATA when embeddings or anti-aliasing do not fit. */
+ * SH too. name NULL = the first's. ERR_DATA when embeddings, the models that read them, or
+ * anti-aliasing do not fit. */
 enum err_code merge_build(const char *path_a, const char *path_b, const char *name,
                           const char *out_path, struct merge_report *report, struct err *e) ERR_USE;
 

@@ -334,10 +334,18 @@ static enum err_code merge_open(struct merge *m, const char *path_a, const char 
                        "%s and %s do not fit: appearance embeddings of %u and %u, anti-aliasing %d "
                        "and %d; train and tile both with the same options",
                        path_a, path_b, a->embed_len, b->embed_len, a->antialiased, b->antialiased);
+    const struct appearance *look = NULL;
     if (a->embed_len > 0)
-        log_warn("merge",
-                 "both have appearance embeddings; those of %s are read by the model of %s", path_b,
-                 path_a);
+        rc = bake_of(m->b, &look, e);
+    if (rc)
+        return rc;
+    if (a->embed_len > 0 && bake_fits(m->a, look, e))
+        return err_add(
+            e,
+            "%s: its embeddings mean nothing to another model; give each store one look "
+            "(citysplat export -o FILE.ply --appearance LOOK, citysplat import FILE.ply) "
+            "and merge those",
+            path_b);
     if (a->zoom_max != b->zoom_max)
         log_warn("merge",
                  "the finest zooms differ: %u and %u; tile with the same --tile-edge-m for "

@@ -341,6 +341,16 @@ static enum err_code update_check(struct update *u, struct err *e)
     }
     if (!first)
         return err_set(e, ERR_ARG, "update: no level is given");
+    for (uint8_t l = (uint8_t)(u->top + 1); l < 8; l++)
+        if (u->c->level[l])
+            return err_set(e, ERR_DATA,
+                           "level %u is given, the store ends at level %u: tile the whole scene "
+                           "again",
+                           l, u->top);
+    if (m->embed_len > 0 && bake_fits(u->old, u->c->look, e))
+        return err_add(e, "the cell was trained with another appearance model than the store's "
+                          "tiles: train it again with theirs (--appearance-shared), or tile the "
+                          "whole scene again");
     u->zoom_given = update_zoom(u, first);
     return ERR_OK;
 }

@@ -6,6 +6,7 @@
 #include "tests/kit.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "lod/lod.h"
@@ -239,6 +240,61 @@ static void another_model_is_another_hash(void **state)
     assert_true((with.lo || with.hi) && !without.lo && !without.hi);
 }
 
+static bool owns_all(void *user, double x_m, double y_m)
+{
+    (void)user;
+    (void)x_m;
+    (void)y_m;
+    return true;
+}
+
+static bool may_own_all(void *user, const double lo[3], const double hi[3])
+{
+    (void)user;
+    (void)lo;
+    (void)hi;
+    return true;
+}
+
+/* Embeddings mean something to their own network only: nothing is put beside those of another. */
+static void rows_of_another_model_are_refused(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    struct gauss g;
+    char out[FILE_PATH_MAX];
+    struct appearance other;
+    make_model(&other);
+    kit_ok(file_join(out, f->dir, "never.tiles", &e), e);
+    kit_gauss(8, 300, 60, 1, LEN, &g);
+    const struct update_config same = {.level = {[3] = &g},
+                                       .owns = owns_all,
+                                       .may_own = may_own_all,
+                                       .look = &other},
+                               none = {
+                                   .level = {[3] = &g}, .owns = owns_all, .may_own = may_own_all};
+    kit_ok(update_build(f->path, &same, out, NULL, &e), e);
+    assert_int_equal(remove(out), 0);
+    kit_fails(update_build(f->path, &none, out, NULL, &e), ERR_DATA, e, "there is none");
+    kit_fails(update_build(f->plain, &same, out, NULL, &e), ERR_DATA, e, "the store has none");
+    kit_fails(merge_build(f->path, f->plain, NULL, out, NULL, &e), ERR_DATA, e, "there is none");
+    kit_ok(store_open(f->path, &s, &e), e);
+    kit_ok(bake_fits(s, &other, &e), e);
+    memcpy(other.names[1], "new.jpg", 8); /* a photograph that the store does not know */
+    other.images[other.len_image] += 1.0f;
+    kit_ok(bake_fits(s, &other, &e), e);
+    other.images[0] += 1.0f;
+    kit_fails(bake_fits(s, &other, &e), ERR_DATA, e, "photograph has another embedding");
+    other.b2[0] += 1e-6f;
+    kit_fails(bake_fits(s, &other, &e), ERR_DATA, e, "other weights");
+    kit_fails(update_build(f->path, &same, out, NULL, &e), ERR_DATA, e, "--appearance-shared");
+    assert_false(file_exists(out));
+    store_close(&s);
+    appearance_free(&other);
+    gauss_free(&g);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -247,6 +303,7 @@ int main(void)
         cmocka_unit_test(a_picture_of_baked_gaussians_is_the_network_s),
         cmocka_unit_test(looks_are_found_by_name_and_blended),
         cmocka_unit_test(another_model_is_another_hash),
+        cmocka_unit_test(rows_of_another_model_are_refused),
     };
     return cmocka_run_group_tests_name("bake", tests, setup, teardown);
 }

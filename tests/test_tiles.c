@@ -333,6 +333,43 @@ static void write_cell(const struct fixture *f, const char *id, float tag, int l
     gauss_free(&g);
 }
 
+/* Cell 1 trained again, put into a.tiles: its ground has the new rows, the others what they had
+ * (`at`, a cell). */
+static void update_one_cell(struct fixture *f, const struct partition *p, const size_t *at)
+{
+    struct gauss g;
+    struct ply_info info;
+    size_t now[8] = {0};
+    const char *id = p->cells[1].id;
+    assert_int_equal(kit_run(NULL, "cp '%s/a.tiles' '%s/u.tiles'", f->dir, f->dir), 0);
+    for (int l = 1; l <= 3; l++)
+        write_cell(f, id, 7.0f, l, (size_t)150 << l);
+    run(f, 2, "belong together", "tile scene --update u.tiles -q");
+    run(f, 2, "no trained cell", "tile scene --update u.tiles --cell nowhere -q");
+    run(f, 1, "none.tiles", "tile scene --update none.tiles --cell %s -q", id);
+    run(f, 0, "tiles written", "tile scene --update u.tiles --cell %s -q", id);
+    run(f, 0, NULL, "verify u.tiles");
+    run(f, 0, "© Someone", "info u.tiles");
+    run(f, 0, NULL, "export u.tiles -o u.ply -q");
+    read_ply(f, "u.ply", &g, &info);
+    for (size_t i = 0; i < g.n; i++) {
+        size_t owner = partition_owner(p, (double)g.mean_m[3 * i], (double)g.mean_m[3 * i + 1]);
+        assert_true(fabs((double)g.sh[3 * i] - (owner == 1 ? 7.0 : (double)owner)) < 1e-6);
+        now[owner]++;
+    }
+    gauss_free(&g);
+    /* Carried copies of coarse rows may come and go where the cell's finest rows do. */
+    for (size_t c = 0; c < p->n_cells; c++)
+        if (c == 1)
+            assert_true(now[c] > at[c]); /* half as many again */
+        else
+            assert_in_range(now[c], at[c] - at[c] / 20, at[c] + at[c] / 20);
+    /* A level that the store has not is refused. */
+    write_cell(f, id, 7.0f, 4, 1000);
+    run(f, 1, "level 4", "tile scene --update u.tiles --cell %s -q", id);
+    assert_int_equal(kit_run(NULL, "rm '%s/scene/cells/%s/level4.ckpt'", f->dir, id), 0);
+}
+
 static void cells_become_one_store(void **state)
 {
     struct fixture *f = *state;
@@ -367,6 +404,7 @@ static void cells_become_one_store(void **state)
     for (size_t c = 0; c < p.n_cells; c++)
         assert_true(at[c] > 100);
     gauss_free(&g);
+    update_one_cell(f, &p, at);
     /* A level that one cell lacks is filled with its coarser one. */
     assert_int_equal(kit_run(NULL, "rm '%s/scene/cells/%s/level3.ckpt'", f->dir, p.cells[0].id), 0);
     run(f, 0, "no level 3", "tile scene -o b.tiles");
