@@ -135,6 +135,83 @@ static void cases_by_hand(void **state)
     json_decref(root);
 }
 
+/* ---- vectors of an implementation that shares no code (tests/pick_vectors.c) ---- */
+
+static void check_picked(const struct scene_tiles *s, const uint32_t *out, size_t n,
+                         const json_t *want, size_t number)
+{
+    if (n != json_array_size(want))
+        fail_msg("case %zu: %zu tiles, not %zu", number, n, json_array_size(want));
+    for (size_t i = 0; i < n; i++) {
+        char key[64];
+        bool found = false;
+        size_t j;
+        json_t *x;
+        struct key k = s->tile[out[i]].key;
+        snprintf(key, sizeof key, "%u/%u/%u", k.z, k.x, k.y);
+        json_array_foreach(want, j, x) found = found || !strcmp(key, json_string_value(x));
+        if (!found)
+            fail_msg("case %zu: %s is picked", number, key);
+    }
+}
+
+static struct camera vector_camera(const json_t *root, const json_t *c, const char *eye)
+{
+    json_t *at = json_pack("{s:O, s:O, s:O, s:s}", "eye", json_object_get(c, eye), "size_px",
+                           json_object_get(root, "size_px"), "focal_px",
+                           json_object_get(root, "focal_px"), "look", "down");
+    struct camera cam = load_camera(at);
+    json_decref(at);
+    return cam;
+}
+
+static void vectors(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    json_t *root, *c, *row;
+    size_t i, n;
+    struct scene_tiles s = {0};
+    kit_ok(jsonc_read("tests/vectors/pick.json", &root, &e), e);
+    json_array_foreach(json_object_get(root, "tiles"), i, row)
+    {
+        double v[11];
+        for (size_t k = 0; k < 11; k++)
+            v[k] = json_number_value(json_array_get(row, k));
+        struct store_tile *t = &s.tile[s.n++];
+        *t = (struct store_tile){.key = {(uint8_t)v[0], (uint32_t)v[1], (uint32_t)v[2]},
+                                 .min_enu_m = {v[3], v[4], v[5]},
+                                 .max_enu_m = {v[6], v[7], v[8]},
+                                 .geometric_error_m = v[9],
+                                 .sigma_max_m = v[10],
+                                 .count = 1};
+    }
+    finish(&s);
+    json_array_foreach(json_object_get(root, "cases"), i, c)
+    {
+        uint32_t first[TILES_MAX], out[TILES_MAX];
+        size_t n_first;
+        struct pick_options o = {.error_px = json_number_value(json_object_get(c, "error_px"))};
+        if (!strcmp(json_string_value(json_object_get(c, "metric")), "distance")) {
+            o.metric = PICK_DISTANCE;
+            kit_ok(jsonc_nums(root, "distance_m", 3, o.distance_m, &e), e);
+        }
+        struct camera cam = vector_camera(root, c, "eye"), then = vector_camera(root, c, "then");
+        kit_ok(pick_select(s.tile, &s.tree, &cam, &o, first, &n_first, &e), e);
+        check_picked(&s, first, n_first, json_object_get(c, "picked"), i);
+        kit_ok(pick_select(s.tile, &s.tree, &then, &o, out, &n, &e), e);
+        check_picked(&s, out, n, json_object_get(c, "picked_then"), i);
+        o.hysteresis = json_number_value(json_object_get(root, "hysteresis"));
+        o.before = first;
+        o.n_before = n_first;
+        kit_ok(pick_select(s.tile, &s.tree, &then, &o, out, &n, &e), e);
+        check_picked(&s, out, n, json_object_get(c, "picked_then_with_hysteresis"), i);
+    }
+    assert_int_equal(i, 60);
+    tree_free(&s.tree);
+    json_decref(root);
+}
+
 /* ---- promises ---- */
 
 /* A random sparse pyramid over a square of 400 m, zooms 3 to 7. */
@@ -343,6 +420,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(cases_by_hand),
+        cmocka_unit_test(vectors),
         cmocka_unit_test(a_pick_is_a_cut),
         cmocka_unit_test(tighter_errors_only_refine),
         cmocka_unit_test(errors_fall_strictly_and_boxes_nest),
