@@ -3,10 +3,11 @@
  * The documented rule, by brute force and without lod/: nothing here knows of heaps, node order or
  * lod/pick.c. A tile is drawn when it is not refined and all above it are. It is refined when it
  * has children and its error is above the limit: screen, geometricError f / d with d the distance
- * to its box (infinite within it), limit 16 px times error_px; distance, the threshold of its level
- * over the horizontal distance to its box, limit 1. What was refined before stays so down to
- * 1 - hysteresis of the limit. Every camera sees every tile, so that frustums play no part.
- * Cameras at which an error is within 1e-6 of its limit are not taken: rounding may decide there.
+ * to its core (infinite within it; these tiles name none, so it is the box), limit 16 px times
+ * error_px; distance, the threshold of its level over the horizontal distance to its box, limit 1.
+ * What was refined before stays so down to 1 - hysteresis of the limit. Every camera sees every
+ * tile, so that frustums play no part. Cameras at which an error is within 1e-6 of its limit are
+ * not taken: rounding may decide there.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
