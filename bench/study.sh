@@ -203,15 +203,15 @@ readonly SMALL=(--budget-1 40000 --budget-2 80000 --budget-3 160000)
 
 study_time() { # accuracy against training time
   local n
-  for n in 500 1000 2000 4000 8000; do
+  for n in 500 1000 2000 4000; do
     row time "$n steps" caliterra-400 "steps=$n" --level-count 1 --iterations "$n" --budget-3 200000
   done
 }
 
 study_budgets() { # accuracy against the number of Gaussians
   local b
-  for b in 25000 50000 100000 200000 400000 800000; do
-    row budgets "$((b / 1000)) k" caliterra-400 "budget=$b" --level-count 1 --iterations "$STEPS" --budget-3 "$b" --tau-3 1e-4
+  for b in 25000 50000 100000 200000 400000; do
+    row budgets "$((b / 1000)) k" caliterra-400 "budget=$b" --level-count 1 --iterations "$STEPS" --budget table --budget-3 "$b" --tau-3 1e-4
   done
 }
 
@@ -240,7 +240,7 @@ ablation() { # STUDY SCENE
   row "$1" "sparse depth" "$2" "" "${base[@]}" --depth-sparse --tiles
   row "$1" "one level" "$2" "" "${base[@]}" --level-count 1
   row "$1" "no loss on sizes" "$2" "" "${base[@]}" --scale-weight 0 --tiles
-  row "$1" "appearance" "$2" "" "${base[@]}" --appearance --appearance-iterations "$CELL_STEPS" --tiles
+  row "$1" "appearance" "$2" "" "${base[@]}" --appearance --appearance-iterations "$CELL_STEPS" --eval --halves off --tiles --halves off
   row "$1" "no visibility selection" "$2-location" "" "${base[@]}" --tiles
 }
 study_ablation() { ablation ablation caliterra-cells; }

@@ -71,7 +71,7 @@ check 'and is the same again' same_levels "$work/serial" "$work/fail"
     >"$work/log" 2>&1 &
 parent=$!
 for _ in $(seq 300); do
-    [ "$(cat "$work"/stop/cells/*/metrics.jsonl 2>/dev/null | grep -c '"start"')" = 2 ] && break
+    [ "$(grep -l '"event":"step"' "$work"/stop/cells/*/metrics.jsonl 2>/dev/null | wc -l)" = 2 ] && break
     sleep 0.1
 done
 kill -TERM $parent # a background job of a script ignores SIGINT
