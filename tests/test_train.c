@@ -357,7 +357,7 @@ static void twenty_steps_give_the_golden_trace(void **state)
     struct train_config c = toy_config(&a, NULL);
     c.level_count = 1;
     c.iterations = 200;
-    c.lr_short = 1; /* the published rates */
+    c.lr_short = 1;           /* the published rates */
     c.densify_from = 1000000; /* choices of who is split may tip over by rounding; steps may not */
     kit_ok(scene_read(scene_dir, &s, &e), e);
     kit_ok(train_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
