@@ -14,6 +14,7 @@
 #include "train/contribute.h"
 #include "train/jobs.h"
 #include "train/level.h"
+#include "train/memory.h"
 #include "train/residual.h"
 
 enum { RUN_LOOK_STEPS = 20, RUN_LINE_STEPS = 100 };
@@ -368,6 +369,19 @@ static enum err_code run_budget(struct run *t, struct err *e)
     return rc;
 }
 
+/* What people need to know before days of computing. */
+static void run_tell_memory(const struct run *t)
+{
+    const struct level *l = &t->level;
+    struct memory_need m = memory_estimate(t->cfg, l->scene, l->images, l->n_images, l->schedule,
+                                           l->n_levels, l->cell.whole);
+    log_info("train",
+             "cell=%s memory_mib<=%.0f beside the program: %zu Gaussians of %zu B, %zu pixels of "
+             "%zu B, photographs %.0f MiB",
+             l->cell.id, (double)m.total / 1048576.0, m.gaussians, m.per_gaussian, m.pixels,
+             m.per_pixel, (double)m.photo_bytes / 1048576.0);
+}
+
 enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out, struct err *e)
 {
     struct run *t = mem_array(1, sizeof(*t));
@@ -404,6 +418,7 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
         rc = run_forget_done(t, e);
     if (rc || done)
         goto out;
+    run_tell_memory(t);
     rc = run_start(t, e);
     if (!rc)
         rc = run_write_config(t, e);

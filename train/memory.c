@@ -1,0 +1,85 @@
+/* Memory of a cell in training: sizes of every buffer that grows with Gaussians or pixels, added
+ * up. Buffers grow by steps, so each counts with the most room it may have beyond its need.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "train/memory.h"
+
+#include <math.h>
+
+#include "core/layout.h"
+
+enum {
+    MEMORY_WORD = 4,
+    MEMORY_STATS = 4, /* words: grad, absg, count, radius; + opacity with appearance */
+    MEMORY_KEYS = 7,  /* words a Gaussian: depth_key, tiles_of, slot_first, keys, ids */
+    MEMORY_PAIR = 5 * 4 + 2 /* lists, hits */ + LAYOUT_SLOT_FLOATS * 4 + 1 /* slot, mark */,
+    MEMORY_CHOICE = 64, /* plan's rows, classes, candidates, Morton order, new means */
+    MEMORY_SUMS = 2 * 8 * 4 /* device and host */ + 2 * 9 * 4 /* fields and scratch */ + 4,
+    MEMORY_FRAME_PX = 7 * 4,          /* colour, transmittance, gradient of the colour */
+    MEMORY_LOSS_PX = 9 * 4,           /* derivative maps of SSIM, less margins */
+    MEMORY_HOST_PX = 3 + 1 + 6 * 4,   /* photograph, mask, weights and errors of the score */
+    MEMORY_EVALUATE_PX = 12 + 12 * 8, /* drawing, and planes of doubles of SSIM and GMSD */
+    MEMORY_DECODERS = 2,              /* feed's thread and the training's */
+};
+#define MEMORY_ROOM 1.25       /* of level.c's buffers */
+#define MEMORY_FRAME_ROOM 1.5  /* of a frame's */
+#define MEMORY_PAIRS 3.0       /* (splat, tile) pairs a Gaussian of the cell, in the fullest view */
+#define MEMORY_MARGIN_PX 128.0 /* of a row of the loss's maps */
+#define MEMORY_OUTSIDE 1.5     /* budget inside, half of it outside */
+
+static double memory_photos(const struct train_config *cfg, const struct scene *s,
+                            const uint32_t *images, size_t n, double downsample, double *pixels,
+                            double *loss_pixels)
+{
+    double kept = 0.0, decoding = 0.0;
+    for (size_t i = 0; i < n; i++) {
+        const struct camera *full = &s->images[images[i]].cam;
+        struct camera cam = feed_camera(full, (uint32_t)cfg->max_edge_px, downsample);
+        double px = (double)cam.width_px * cam.height_px;
+        kept += 4.0 * px;
+        *pixels = fmax(*pixels, px);
+        *loss_pixels = fmax(*loss_pixels, (cam.width_px + MEMORY_MARGIN_PX) * cam.height_px);
+        /* Whole, as the decoder's own copy, and shrunk in floats by rows at most. */
+        decoding = fmax(decoding, 2.0 * 3.0 * full->width_px * full->height_px);
+    }
+    return fmin(kept, (double)cfg->cache_mib * 1048576.0) + MEMORY_DECODERS * decoding;
+}
+
+struct memory_need memory_estimate(const struct train_config *cfg, const struct scene *s,
+                                   const uint32_t *images, size_t n_images,
+                                   const struct schedule *levels, uint32_t n_levels, bool whole)
+{
+    bool light = cfg->appearance && cfg->embed_len > 0;
+    double row = MEMORY_WORD * (double)render_planes_embed((uint32_t)cfg->sh_degree,
+                                                           light ? (uint32_t)cfg->embed_len : 0);
+    double n = 0.0, pixels = 0.0, loss_pixels = 0.0, downsample = HUGE_VAL;
+    for (uint32_t i = 0; i < n_levels; i++) {
+        n = fmax(n, (double)levels[i].budget);
+        downsample = fmin(downsample, levels[i].downsample);
+    }
+    n *= whole ? 1.0 : MEMORY_OUTSIDE;
+    double photos = memory_photos(cfg, s, images, n_images, downsample, &pixels, &loss_pixels);
+    double trained =
+        MEMORY_ROOM *
+        (3.0 * row + MEMORY_WORD * (MEMORY_STATS + 2.0 * light + (cfg->aa == RENDER_AA_MIP)));
+    double drawn = MEMORY_FRAME_ROOM * (sizeof(struct layout_splat) + MEMORY_WORD * MEMORY_KEYS +
+                                        MEMORY_PAIRS * MEMORY_PAIR);
+    double copied = 6.0 * row + MEMORY_WORD * 5.0 + MEMORY_CHOICE;
+    double scored = fmax(3.0 * row + MEMORY_SUMS - copied, 0.0); /* before the second three rows */
+    double per_pixel = MEMORY_FRAME_ROOM * MEMORY_FRAME_PX +
+                       (pixels > 0.0 ? MEMORY_LOSS_PX * loss_pixels / pixels : 0.0) +
+                       MEMORY_HOST_PX + MEMORY_EVALUATE_PX +
+                       MEMORY_FRAME_ROOM * 2.0 * MEMORY_PAIR; /* large splats: 2 pairs a pixel */
+    double per_gaussian = trained + drawn + copied + scored;
+    return (struct memory_need){.per_gaussian = (size_t)per_gaussian,
+                                .trained = (size_t)trained,
+                                .drawn = (size_t)drawn,
+                                .copied = (size_t)copied,
+                                .scored = (size_t)scored,
+                                .per_pixel = (size_t)per_pixel,
+                                .photo_bytes = (size_t)photos,
+                                .gaussians = (size_t)n,
+                                .pixels = (size_t)pixels,
+                                .total = (size_t)(n * per_gaussian + pixels * per_pixel + photos)};
+}

@@ -1,0 +1,29 @@
+/* What training a cell takes, as a function of Gaussians, pictures and options. The formula is
+ * stated in docs/cells.md and held by stability_cells: whoever adds a buffer adds it here.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TRAIN_MEMORY_H
+#define TRAIN_MEMORY_H
+
+#include "train/train.h"
+
+/* Device and host together: on a CPU device they are the same memory. */
+struct memory_need {
+    size_t per_gaussian; /* bytes, the sum of the next four */
+    size_t trained;      /* parameters, two Adam moments, statistics, with the room to grow */
+    size_t drawn;     /* a frame's records and keys, lists of (splat, tile) pairs and their slots */
+    size_t copied;    /* host copies while density control or pruning rebuilds all of that */
+    size_t scored;    /* sums and fields of the draw, where they exceed what is copied later */
+    size_t per_pixel; /* of the finest level's picture: pictures, loss, scores, evaluation */
+    size_t photo_bytes; /* decoded photographs kept, and those being decoded */
+    size_t gaussians;   /* most of them: inside the cell and out */
+    size_t pixels;      /* of the largest picture */
+    size_t total;       /* without the program itself and its OpenCL compiler */
+};
+/* budgets: levels[0 .. n_levels - 1].budget. `whole`: the cell has no outside. */
+struct memory_need memory_estimate(const struct train_config *cfg, const struct scene *s,
+                                   const uint32_t *images, size_t n_images,
+                                   const struct schedule *levels, uint32_t n_levels, bool whole);
+
+#endif
