@@ -25,7 +25,7 @@
     1e-6 /* of the cell's edge: beyond, exp() and determinants lose their digits */
 #define LEVEL_SIGMA_MAX 0.5
 #define LEVEL_SHARE_MIN 1e-3 /* of the Gaussians; see docs/decisions/006-density-control.md */
-#define LEVEL_SHARE_MAX 0.6
+#define LEVEL_SHARE_MAX 0.98
 #define LEVEL_BETA1 0.9f
 #define LEVEL_BETA2 0.999f
 #define LEVEL_EPS 1e-15f
