@@ -171,29 +171,6 @@ struct look_sums {
     V act[APPEARANCE_HIDDEN], w2[4][APPEARANCE_HIDDEN], out[4], offset;
 };
 
-// 16 planes of 16 lanes -> 16 lanes of 16 planes.
-INLINE void look_transpose(V w[16])
-{
-    V t[16];
-#pragma unroll
-    for (int round = 0; round < 2; round++) {
-#pragma unroll
-        for (int i = 0; i < 8; i++) {
-            t[2 * i].even = w[i].lo;
-            t[2 * i].odd = w[i + 8].lo;
-            t[2 * i + 1].even = w[i].hi;
-            t[2 * i + 1].odd = w[i + 8].hi;
-        }
-#pragma unroll
-        for (int i = 0; i < 8; i++) {
-            w[2 * i].even = t[i].lo;
-            w[2 * i].odd = t[i + 8].lo;
-            w[2 * i + 1].even = t[i].hi;
-            w[2 * i + 1].odd = t[i + 8].hi;
-        }
-    }
-}
-
 INLINE void look_clear(struct look_sums *s)
 {
     for (uint h = 0; h < APPEARANCE_HIDDEN; h++) {
@@ -213,7 +190,7 @@ INLINE void look_add(const struct look_terms *t, struct look_sums *sums)
 #pragma unroll
         for (uint k = 0; k < 16; k++)
             lane[k] = 16 * b + k < APPEARANCE_LEN ? t->unit[16 * b + k] : (V)(0.0f);
-        look_transpose(lane);
+        transpose_16(lane);
         for (uint h = 0; h < APPEARANCE_HIDDEN; h += APPEARANCE_UNITS) {
             V row[APPEARANCE_UNITS];
 #pragma unroll

@@ -43,29 +43,6 @@ inline float16 block_dy(float mean, uint k)
 // Words of struct layout_splat in the staged copies.
 enum { MEAN_X, MEAN_Y, P, X_OF_Y, R, OPACITY_LOG2, RED, GREEN, BLUE, Y_OF_X };
 
-// 16 records of 16 words <-> 16 words of 16 records.
-inline void blend_transpose(float16 w[16])
-{
-    float16 t[16];
-#pragma unroll
-    for (int round = 0; round < 2; round++) {
-#pragma unroll
-        for (int i = 0; i < 8; i++) {
-            t[2 * i].even = w[i].lo;
-            t[2 * i].odd = w[i + 8].lo;
-            t[2 * i + 1].even = w[i].hi;
-            t[2 * i + 1].odd = w[i + 8].hi;
-        }
-#pragma unroll
-        for (int i = 0; i < 8; i++) {
-            w[2 * i].even = t[i].lo;
-            w[2 * i].odd = t[i + 8].lo;
-            w[2 * i + 1].even = t[i].hi;
-            w[2 * i + 1].odd = t[i + 8].hi;
-        }
-    }
-}
-
 // Bit b of mask[j]: entry j reaches 1/255 somewhere in the rectangle of pixel centres of block b.
 // The least of the quadratic form over a rectangle is at the mean, if it is inside, or on an edge
 // that faces it; the margin covers the difference in rounding to the evaluation per pixel.
@@ -75,7 +52,7 @@ inline void blend_masks(const float *records, float x0, float y0, uint tile_cull
 #pragma unroll
     for (int j = 0; j < 16; j++)
         w[j] = vload16(j, records);
-    blend_transpose(w);
+    transpose_16(w);
     float16 mx = w[MEAN_X] - x0, my = w[MEAN_Y] - y0,
             reach = w[OPACITY_LOG2] + (4e-3f - ALPHA_MIN_LOG2);
     uint16 bits = (uint16)(0);

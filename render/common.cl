@@ -50,6 +50,31 @@ typedef uint VU;
 // Vectors in registers across calls: PoCL passes them through memory otherwise.
 #define INLINE inline __attribute__((always_inline))
 
+#if VW == 16
+// 16 words of 16 lanes <-> 16 records of 16 words: four perfect shuffles.
+INLINE void transpose_16(V w[16])
+{
+    V t[16];
+#pragma unroll
+    for (int round = 0; round < 2; round++) {
+#pragma unroll
+        for (int i = 0; i < 8; i++) {
+            t[2 * i].even = w[i].lo;
+            t[2 * i].odd = w[i + 8].lo;
+            t[2 * i + 1].even = w[i].hi;
+            t[2 * i + 1].odd = w[i + 8].hi;
+        }
+#pragma unroll
+        for (int i = 0; i < 8; i++) {
+            w[2 * i].even = t[i].lo;
+            w[2 * i].odd = t[i + 8].lo;
+            w[2 * i + 1].even = t[i].hi;
+            w[2 * i + 1].odd = t[i + 8].hi;
+        }
+    }
+}
+#endif
+
 #define LOG2E 1.44269504088896f
 #define ALPHA_MAX 0.99f
 #define ALPHA_MIN_LOG2 -7.99435343685886f // log2(1/255)

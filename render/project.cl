@@ -102,27 +102,9 @@ INLINE void project_color(__constant struct layout_view *v, __global const float
 }
 
 #if VW == 16
-// 16 words of 16 lanes -> 16 records of 16 words: four perfect shuffles transpose.
 INLINE void project_store(__global struct layout_splat *out, V w[16], VI visible)
 {
-    V t[16];
-#pragma unroll
-    for (int round = 0; round < 2; round++) {
-#pragma unroll
-        for (int i = 0; i < 8; i++) {
-            t[2 * i].even = w[i].lo;
-            t[2 * i].odd = w[i + 8].lo;
-            t[2 * i + 1].even = w[i].hi;
-            t[2 * i + 1].odd = w[i + 8].hi;
-        }
-#pragma unroll
-        for (int i = 0; i < 8; i++) {
-            w[2 * i].even = t[i].lo;
-            w[2 * i].odd = t[i + 8].lo;
-            w[2 * i + 1].even = t[i].hi;
-            w[2 * i + 1].odd = t[i + 8].hi;
-        }
-    }
+    transpose_16(w);
     int keep[16];
     vstore16(visible, 0, keep);
     for (int i = 0; i < 16; i++)

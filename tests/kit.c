@@ -151,3 +151,19 @@ void kit_gauss(uint64_t seed, size_t n, double half_m, uint32_t sh_degree, uint3
             out->embed[embed_len * i + k] = (float)rng_normal(seed, 100 + k, i);
     }
 }
+
+void kit_same_bits(const char *self, void (*digest)(char out[33]))
+{
+    char first[33], again[33];
+    digest(first);
+    digest(again);
+    assert_string_equal(first, again);
+    for (int threads = 1; threads <= 3; threads++) {
+        struct buf out = {0};
+        if (kit_run(&out, "POCL_MAX_PTHREAD_COUNT=%d %s digest", threads, self) != 0 ||
+            !strstr((char *)out.data, first))
+            fail_msg("%d threads: got %s, want %s", threads,
+                     out.data ? (char *)out.data : "nothing", first);
+        buf_free(&out);
+    }
+}

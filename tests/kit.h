@@ -50,6 +50,10 @@ int kit_run(struct buf *out, const char *fmt, ...) ERR_PRINTF(2, 3);
 /* The program under test (CITYSPLAT_BIN, set by ctest); skips the test when it is not set. */
 const char *kit_program(void);
 
+/* digest() gives the same text twice in this process, and as the program's own `digest` argument
+ * prints it, with one, two and three PoCL worker threads. self: argv[0]. */
+void kit_same_bits(const char *self, void (*digest)(char out[33]));
+
 /* One figure measured against a failure of docs/stability.md, on one line of standard output:
  * "stability F22 worst_drop_db=0.31 limit=1.50". Fields are name=value; tests/stability/collect.sh
  * gathers them. */

@@ -227,18 +227,7 @@ static const char *self;
 static void test_same_bits(void **state)
 {
     (void)state;
-    char first[33], again[33];
-    digest(first);
-    digest(again);
-    assert_string_equal(first, again);
-    for (int threads = 1; threads <= 3; threads++) {
-        struct buf out = {0};
-        if (kit_run(&out, "POCL_MAX_PTHREAD_COUNT=%d %s digest", threads, self) != 0 ||
-            !strstr((char *)out.data, first))
-            fail_msg("%d threads: got %s, want %s", threads,
-                     out.data ? (char *)out.data : "nothing", first);
-        buf_free(&out);
-    }
+    kit_same_bits(self, digest);
 }
 
 static void test_errors(void **state)

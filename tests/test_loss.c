@@ -390,18 +390,7 @@ static const char *self;
 static void test_same_bits(void **state)
 {
     (void)state;
-    char first[33], again[33];
-    digest(first);
-    digest(again);
-    assert_string_equal(first, again);
-    for (int threads = 1; threads <= 3; threads++) {
-        struct buf out = {0};
-        if (kit_run(&out, "POCL_MAX_PTHREAD_COUNT=%d %s digest", threads, self) != 0)
-            fail_msg("%d threads: %s", threads, out.data ? (char *)out.data : "");
-        if (!strstr((char *)out.data, first))
-            fail_msg("%d threads: got %s, want %s", threads, (char *)out.data, first);
-        buf_free(&out);
-    }
+    kit_same_bits(self, digest);
 }
 
 int main(int argc, char **argv)
