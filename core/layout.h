@@ -25,6 +25,11 @@
 #define LAYOUT_SORT_BITS 11   /* three passes cover a 32-bit key */
 #define LAYOUT_KEY_TILES 2047 /* low key bits: spent after the first pass, then tile counts */
 #define LAYOUT_BIN_CHUNKS 32
+#define LAYOUT_ORDER_ITEMS 256  /* sort and bin, VW 1: items of a work-group, */
+#define LAYOUT_ORDER_BLOCK 2048 /* values of a work-group, */
+#define LAYOUT_ORDER_BITS 5     /* bits a pass: seven cover a key, and end where three do */
+#define LAYOUT_TOTAL_ENTRIES 1  /* what the total of a sum_scan is; 0: nothing of use */
+#define LAYOUT_TOTAL_VISIBLE 2
 #define LAYOUT_APPEARANCE_CHUNKS 512 /* partial sums of the appearance network, VW 1 */
 #define LAYOUT_DET_MAX 1e30f         /* px^4: larger 2-D covariances are culled */
 #define LAYOUT_DEPTH_MAX 1e10f       /* m */

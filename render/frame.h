@@ -78,6 +78,8 @@ struct render {
     struct frame_buffer look_parts; /* float [pieces][look_row]: sums of the frame's gradients */
     struct frame_buffer look_sums;  /* float [look_row]: their sum; behind them that of y3 */
 
+    struct order_gpu *order_gpu; /* sort and bin on GPUs: order_gpu.c; NULL on CPUs */
+
     /* -- programs ------------------------------------------------------------------------------ */
     cl_program
         program; /* forward: layout.h common.cl project.cl sort.cl bin.cl blend_cpu.cl or _gpu */
@@ -142,6 +144,13 @@ enum err_code look_finish(struct render *r, const struct render_model *m, cl_mem
                           const struct look_call *c, struct render_appearance_grad *out,
                           struct err *e) ERR_USE;
 void look_close(struct render *r);
+
+/* Sort and bin where vector_width is 1: order_gpu.c. They leave behind what the stages of CPUs do.
+ */
+enum err_code order_gpu_open(struct dev *dev, struct order_gpu **out, struct err *e) ERR_USE;
+enum err_code order_gpu_sort(struct render *r, struct err *e) ERR_USE;
+enum err_code order_gpu_bin(struct render *r, struct err *e) ERR_USE;
+void order_gpu_close(struct order_gpu **op);
 
 extern const char common_cl[]; /* first source of every program of render/ after core/layout.h */
 

@@ -97,6 +97,8 @@ enum err_code render_open(struct dev *dev, struct render **out, struct err *e)
     r->dev = dev;
     r->entry_max = UINT32_MAX - LAYOUT_TILE; /* slots are 32-bit */
     rc = render_build(r, e);
+    if (rc == ERR_OK && dev->vector_width != LAYOUT_LANES)
+        rc = order_gpu_open(dev, &r->order_gpu, e);
     if (rc == ERR_OK)
         rc = dev_buffer(dev, sizeof(struct layout_view), NULL, &r->view_mem, e);
     if (rc == ERR_OK)
@@ -116,6 +118,7 @@ void render_close(struct render **rp)
     if (r->backward_free)
         r->backward_free(r);
     look_close(r);
+    order_gpu_close(&r->order_gpu);
     struct frame_buffer *buffers[] = {
         &r->splats,     &r->depth_key, &r->tiles_of,   &r->slot_first, &r->keys[0],
         &r->keys[1],    &r->ids[0],    &r->ids[1],     &r->histogram,  &r->pair_tile,
@@ -421,13 +424,13 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
     if (rc == ERR_OK)
         rc = frame_clock(r, &since, &r->stats.ms_project, e);
     if (rc == ERR_OK)
-        rc = stage_sort(r, e);
+        rc = r->order_gpu ? order_gpu_sort(r, e) : stage_sort(r, e);
     if (rc == ERR_OK)
         rc = stage_count(r, e);
     if (rc == ERR_OK)
         rc = frame_clock(r, &since, &r->stats.ms_sort, e);
     if (rc == ERR_OK)
-        rc = stage_bin(r, e);
+        rc = r->order_gpu ? order_gpu_bin(r, e) : stage_bin(r, e);
     if (rc == ERR_OK)
         rc = frame_clock(r, &since, &r->stats.ms_bin, e);
     if (rc == ERR_OK)
