@@ -31,6 +31,8 @@ enum {
     WIDTH_MAX = GAUSS_EMBED_MAX, /* of a plane; SH has 48 */
 };
 
+#define UNIT_TOLERANCE 1e-3f /* four halves of 2^-12 are within 0.5e-3 */
+
 struct plane {
     float *data; /* [n][width] */
     size_t width, value_bytes;
@@ -139,7 +141,9 @@ static void plane_read(const struct plane *p, size_t n, const uint8_t *in)
     }
 }
 
-/* Unit quaternions, because half floats would lose those far from unit length. mem_free it. */
+/* Unit quaternions, because half floats would lose those far from unit length. Those that are half
+ * floats already, of unit length but for their rounding, stay as they are: the rows of a payload
+ * give the same payload again. mem_free it. */
 static float *unit_quats(const struct gauss *g)
 {
     float *q = mem_array(4 * g->n, sizeof *q);
@@ -148,8 +152,12 @@ static float *unit_quats(const struct gauss *g)
         float big = fmaxf(fmaxf(fabsf(r[0]), fabsf(r[1])), fmaxf(fabsf(r[2]), fabsf(r[3])));
         float s[4] = {r[0] / big, r[1] / big, r[2] / big, r[3] / big};
         float norm = sqrtf(s[0] * s[0] + s[1] * s[1] + s[2] * s[2] + s[3] * s[3]);
+        uint32_t u[4];
+        memcpy(u, r, sizeof u);
+        bool halves = ((u[0] | u[1] | u[2] | u[3]) & 0x1fff) == 0; /* 10 bits of mantissa */
+        bool keep = halves && fabsf(norm * big - 1) < UNIT_TOLERANCE;
         for (int c = 0; c < 4; c++)
-            q[4 * i + c] = s[c] / norm;
+            q[4 * i + c] = keep ? r[c] : s[c] / norm;
     }
     return q;
 }

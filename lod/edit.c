@@ -59,19 +59,82 @@ enum err_code edit_touch(struct edit *d, struct key k, uint8_t level, struct edi
     return ERR_OK;
 }
 
-enum err_code edit_append(struct edit *d, struct edit_tile *t, const struct gauss *g,
-                          const uint32_t *index, size_t n, struct err *e)
+static enum err_code edit_open(struct edit *d, struct edit_tile *t, size_t n,
+                               const double center[3], struct err *e)
+{
+    enum err_code rc = gauss_alloc(&t->g, n, d->meta.sh_degree, d->meta.embed_len, e);
+    memcpy(t->g.origin_enu_m, center, sizeof t->g.origin_enu_m);
+    t->g.antialiased = d->meta.antialiased;
+    return rc;
+}
+
+enum err_code edit_keep(struct edit *d, struct edit_tile *t, const struct gauss *g,
+                        const uint32_t *index, size_t n, struct err *e)
 {
     if (n == 0)
         return ERR_OK;
-    if (t->g.cap == 0) {
-        enum err_code rc = gauss_alloc(&t->g, n, d->meta.sh_degree, d->meta.embed_len, e);
-        if (rc)
-            return rc;
-        memcpy(t->g.origin_enu_m, g->origin_enu_m, sizeof t->g.origin_enu_m);
-        t->g.antialiased = d->meta.antialiased;
+    enum err_code rc = edit_open(d, t, n, g->origin_enu_m, e);
+    return rc ? rc : gauss_append(&t->g, g, index, n, e);
+}
+
+/* Coordinates along axis k of what a tile has and gets. */
+static size_t edit_coordinates(const struct edit_tile *t, const struct edit_part *part,
+                               size_t n_parts, size_t k, double *out)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < t->g.n; i++)
+        out[n++] = (double)t->g.mean_m[3 * i + k] + t->g.origin_enu_m[k];
+    for (size_t p = 0; p < n_parts; p++)
+        for (size_t i = 0; i < part[p].n; i++) {
+            size_t row = part[p].index ? part[p].index[i] : i;
+            out[n++] = (double)part[p].g->mean_m[3 * row + k] + part[p].g->origin_enu_m[k];
+        }
+    return n;
+}
+
+/* The centre for all rows together. */
+static enum err_code edit_center(const struct edit *d, const struct edit_tile *t,
+                                 const struct edit_part *part, size_t n_parts, size_t n,
+                                 double center[3], struct err *e)
+{
+    bool far = t->g.n == 0;
+    double *at = mem_array(n, sizeof *at);
+    if (!at)
+        return err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", n);
+    for (size_t k = 0; k < 3; k++) {
+        edit_coordinates(t, part, n_parts, k, at);
+        for (size_t i = 0; !far && i < n; i++)
+            far = !(fabs(at[i] - t->g.origin_enu_m[k]) <= PYRAMID_REACH_M);
     }
-    return gauss_append(&t->g, g, index, n, e);
+    memcpy(center, t->g.origin_enu_m, 3 * sizeof *center);
+    for (size_t k = 0; far && k < 3; k++) {
+        edit_coordinates(t, part, n_parts, k, at);
+        center[k] = pyramid_center_axis(d->meta.lossless, at, n);
+    }
+    mem_free(at);
+    return ERR_OK;
+}
+
+enum err_code edit_add(struct edit *d, struct edit_tile *t, const struct edit_part *part,
+                       size_t n_parts, struct err *e)
+{
+    double center[3];
+    size_t n = t->g.n;
+    for (size_t p = 0; p < n_parts; p++)
+        n += part[p].n;
+    if (n == t->g.n)
+        return ERR_OK;
+    enum err_code rc = edit_center(d, t, part, n_parts, n, center, e);
+    if (!rc && t->g.cap == 0)
+        rc = edit_open(d, t, n, center, e);
+    if (!rc) {
+        gauss_recenter(&t->g, center);
+        rc = gauss_reserve(&t->g, n, e);
+    }
+    for (size_t p = 0; !rc && p < n_parts; p++)
+        rc = gauss_append(&t->g, part[p].g, part[p].index, part[p].n, e);
+    t->settled = false;
+    return rc;
 }
 
 enum err_code edit_key(const struct edit *d, const struct gauss *g, size_t i, uint8_t z,
@@ -89,42 +152,9 @@ enum err_code edit_key(const struct edit *d, const struct gauss *g, size_t i, ui
 
 /* ---- writing ---- */
 
-/* Rows about a centre within reach of all of them (the old one if that is, so that nothing moves),
- * in Morton order, no more than a tile may have. */
-static enum err_code edit_settle(struct edit *d, struct gauss *g, struct err *e)
+static enum err_code edit_sort(struct gauss *g, struct err *e)
 {
     struct gauss sorted = {0};
-    double lo[3], hi[3], center[3];
-    bool far = false;
-    size_t n = 0;
-    gauss_bounds(g, 0.0, lo, hi);
-    for (size_t k = 0; k < 3; k++) {
-        center[k] = round(0.5 * (lo[k] + hi[k])) + 0.0;
-        far = far || fmax(hi[k] - g->origin_enu_m[k], g->origin_enu_m[k] - lo[k]) > PYRAMID_REACH_M;
-    }
-    if (far)
-        gauss_recenter(g, center);
-    for (size_t i = 0; i < g->n; i++) {
-        const float *m = &g->mean_m[3 * i];
-        float reach = fmaxf(fabsf(m[0]), fmaxf(fabsf(m[1]), fabsf(m[2])));
-        if (!(reach < (float)(PYRAMID_REACH_M + 40.0)))
-            continue; /* as in the pyramid: no format could hold it */
-        if (n != i)
-            gauss_copy_row(g, n, g, i);
-        n++;
-    }
-    d->n_far += g->n - n;
-    g->n = n;
-    if (d->max_per_tile && n > d->max_per_tile) {
-        struct gauss less;
-        enum err_code rc = simplify_gauss(g, d->max_per_tile, &less, e);
-        if (rc)
-            return rc;
-        log_warn("tile", "a tile would hold n=%zu Gaussians: thinned to max=%u", n,
-                 d->max_per_tile);
-        gauss_free(g);
-        *g = less;
-    }
     uint32_t *order = mem_array(g->n, sizeof *order);
     enum err_code rc =
         order ? gauss_morton_order(g, order, e) : err_set(e, ERR_MEM, "out of memory for a tile");
@@ -138,6 +168,35 @@ static enum err_code edit_settle(struct edit *d, struct gauss *g, struct err *e)
     mem_free(order);
     gauss_free(g);
     *g = sorted;
+    return rc;
+}
+
+enum err_code edit_settle(struct edit *d, struct edit_tile *t, struct err *e)
+{
+    struct gauss *g = &t->g;
+    size_t n = 0;
+    if (t->settled || g->n == 0)
+        return ERR_OK;
+    for (size_t i = 0; i < g->n; i++) {
+        const float *m = &g->mean_m[3 * i];
+        float reach = fmaxf(fabsf(m[0]), fmaxf(fabsf(m[1]), fabsf(m[2])));
+        if (!(reach < (float)(PYRAMID_REACH_M + 40.0)))
+            continue; /* as in the pyramid: no format could hold it */
+        if (n != i)
+            gauss_copy_row(g, n, g, i);
+        n++;
+    }
+    d->n_far += g->n - n;
+    g->n = n;
+    enum err_code rc = edit_sort(g, e);
+    if (!rc && d->max_per_tile && n > d->max_per_tile && !t->whole) {
+        struct gauss less;
+        rc = simplify_gauss(g, d->max_per_tile, &less, e);
+        gauss_free(g);
+        if (!rc)
+            *g = less;
+    }
+    t->settled = !rc;
     return rc;
 }
 
@@ -202,9 +261,7 @@ enum err_code edit_write(struct edit *d, struct store *a, struct store *b, const
     for (size_t i = 0; !rc && i < d->n; i++) {
         struct edit_tile *x = &d->tile[i];
         struct store_tile t = {.key = x->key, .level = x->level};
-        if (x->g.n == 0)
-            continue;
-        rc = edit_settle(d, &x->g, e);
+        rc = edit_settle(d, x, e);
         if (!rc && x->g.n > 0) {
             rc = store_put(to, &t, &x->g, e);
             *n_written += 1;

@@ -14,7 +14,14 @@ struct edit_tile {
     struct key key;
     uint8_t level;
     bool carried;   /* a copy of coarser rows: stands for nothing in what is made above */
+    bool whole;     /* never thinned for being too full: rows of a trained level */
+    bool settled;   /* edit_settle was here: the rows are as the store will have them */
     struct gauss g; /* n == 0: the tile goes away */
+};
+struct edit_part { /* some rows; borrowed */
+    const struct gauss *g;
+    const uint32_t *index; /* [n]; NULL: the first n */
+    size_t n;
 };
 struct edit { /* {0} and `locate`, `meta` filled in; edit_free */
     struct locate locate;
@@ -22,7 +29,7 @@ struct edit { /* {0} and `locate`, `meta` filled in; edit_free */
     uint32_t max_per_tile;
     struct edit_tile *tile;
     size_t n, cap;
-    size_t n_made, n_far;
+    size_t n_far;
 };
 
 void edit_free(struct edit *d);
@@ -30,14 +37,20 @@ struct edit_tile *edit_find(const struct edit *d, struct key k);
 /* The edit of a tile, made empty if there is none yet. Pointers to others become invalid. */
 enum err_code edit_touch(struct edit *d, struct key k, uint8_t level, struct edit_tile **out,
                          struct err *e) ERR_USE;
-/* Append rows index[0..n) (NULL: all) of g to an edit; the first rows set its origin, which a tile
- * keeps as its centre. */
-enum err_code edit_append(struct edit *d, struct edit_tile *t, const struct gauss *g,
-                          const uint32_t *index, size_t n, struct err *e) ERR_USE;
+/* The rows that an edit keeps of the store's tile, about that tile's centre. */
+enum err_code edit_keep(struct edit *d, struct edit_tile *t, const struct gauss *g,
+                        const uint32_t *index, size_t n, struct err *e) ERR_USE;
+/* Add rows. A tile keeps its centre, so that what it kept does not move, unless there is none yet
+ * or rows would be out of its reach; all rows are known then, so that it moves once. */
+enum err_code edit_add(struct edit *d, struct edit_tile *t, const struct edit_part *part,
+                       size_t n_parts, struct err *e) ERR_USE;
+/* Leave out rows beyond every format's reach, thin to what a tile may hold, put along the Z curve.
+ * What is made of a tile is made of its settled rows, as in the pyramid. */
+enum err_code edit_settle(struct edit *d, struct edit_tile *t, struct err *e) ERR_USE;
 /* Key of row i at zoom z. */
 enum err_code edit_key(const struct edit *d, const struct gauss *g, size_t i, uint8_t z,
                        struct key *out, struct err *e) ERR_USE;
-/* Sort rows, thin what is too full, write edits and copies of `a` and then `b` (NULL; only tiles
+/* Settle what is not, write edits and copies of `a` and then `b` (NULL; only tiles
  * that neither an edit nor a has), blobs of a and those of b that a lacks, and commit.
  * n_copied may be NULL. */
 enum err_code edit_write(struct edit *d, struct store *a, struct store *b, const char *out_path,

@@ -197,12 +197,12 @@ static enum err_code merge_add(struct merge *m, struct key k, uint8_t level, con
             struct gauss first;
             rc = merge_read(m, false, k, &first, e);
             if (!rc)
-                rc = edit_append(&m->d, x, &first, NULL, first.n, e);
+                rc = edit_keep(&m->d, x, &first, NULL, first.n, e);
             gauss_free(&first);
             x->level = have->level;
         }
     }
-    return rc ? rc : edit_append(&m->d, x, g, NULL, g->n, e);
+    return rc ? rc : edit_add(&m->d, x, &(struct edit_part){.g = g, .n = g->n}, 1, e);
 }
 
 /* Rows of g, of which nothing finer exists, go down with the tiles of `s` below k. */

@@ -21,6 +21,9 @@
 #include "lod/tilewriter.h"
 
 enum { PYRAMID_PART_ROWS = 131072 /* of a level in memory */ };
+#define PYRAMID_ROUNDING_M 2.5e-4 /* float32 within 2 km, twice, is closer */
+#define PYRAMID_FENCE_PAD 0.01    /* of a tile's width */
+#define PYRAMID_FENCE_WIDE 2e4    /* metres: edges bend by less than 0.5 % up to 85 degrees */
 
 /* ---- rows to runs ---- */
 
@@ -43,7 +46,7 @@ static size_t pyramid_n_parts(const struct pyramid_level *l)
     return l->g ? (l->g->n + PYRAMID_PART_ROWS - 1) / PYRAMID_PART_ROWS : l->n_parts;
 }
 
-static struct gauss pyramid_view(const struct gauss *g, size_t from, size_t n)
+struct gauss pyramid_view(const struct gauss *g, size_t from, size_t n)
 {
     struct gauss v = *g;
     v.n = v.cap = n;
@@ -244,10 +247,9 @@ static int pyramid_double_compare(const void *a, const void *b)
     return x < y ? -1 : x > y;
 }
 
-/* Centre of the rows along one axis: whole metres, the middle, but the median where a stray
- * Gaussian would push all others out of reach. A lossless store needs m - c to be exact in float32:
- * true for c = 0, and by Sterbenz's lemma for c / 2 <= m <= 2 c. */
-static double pyramid_center_axis(bool lossless, double *at, size_t n)
+/* A lossless store needs m - c to be exact in float32: true for c = 0, and by Sterbenz's lemma for
+ * c / 2 <= m <= 2 c. */
+double pyramid_center_axis(bool lossless, double *at, size_t n)
 {
     double lo = at[0], hi = at[0];
     for (size_t i = 1; i < n; i++) {
@@ -368,37 +370,114 @@ static struct pyramid_runs pyramid_below(const struct pyramid_runs *all, uint64_
     return (struct pyramid_runs){.run = all->run + lo, .n = end - lo};
 }
 
+size_t pyramid_thin_count(size_t n)
+{
+    size_t target = (n + 3) / 4;
+    return target >= PYRAMID_KEEP ? target : n < PYRAMID_KEEP ? n : PYRAMID_KEEP;
+}
+
+struct pyramid_fence { /* the ground of a tile, for rows of about one height */
+    const struct locate *l;
+    uint64_t code;
+    unsigned shift;
+    double mid[3];
+    double min_m[2], max_m[2]; /* ENU; surely inside, empty when the tile is too wide to say */
+};
+
+/* The rectangle inside the tile's corners at the lowest and the highest row. Edges bend by less
+ * than the part of them that is left out, up to PYRAMID_FENCE_WIDE. */
+static enum err_code pyramid_fence_open(const struct locate *l, const struct gauss *g, struct key k,
+                                        struct pyramid_fence *out, struct err *e)
+{
+    double lon[3], lat[3], low = 0.0, high = 0.0;
+    *out = (struct pyramid_fence){
+        .l = l,
+        .code = locate_code(k),
+        .shift = 2u * (unsigned)(KEY_ZOOM_MAX - k.z),
+        .min_m = {-HUGE_VAL, -HUGE_VAL},
+        .max_m = {HUGE_VAL, HUGE_VAL},
+    };
+    key_bounds(k, &lon[0], &lat[0], &lon[2], &lat[2]);
+    key_center(k, &lon[1], &lat[1]);
+    enum err_code rc = geo_to_enu(&l->origin, lon[1], lat[1], l->origin.h_m, out->mid, e);
+    for (size_t i = 0; i < g->n; i++) {
+        double up = (double)g->mean_m[3 * i + 2] + g->origin_enu_m[2] - out->mid[2];
+        low = up < low ? up : low;
+        high = up > high ? up : high;
+    }
+    for (size_t i = 0; !rc && i < 8; i++) {
+        double at[3], h = l->origin.h_m + (i & 4 ? high : low);
+        rc = geo_to_enu(&l->origin, lon[i & 1 ? 2 : 0], lat[i & 2 ? 2 : 0], h, at, e);
+        for (size_t a = 0; !rc && a < 2; a++) {
+            bool upper = i & (a ? 2 : 1);
+            if (upper)
+                out->max_m[a] = fmin(out->max_m[a], at[a]);
+            else
+                out->min_m[a] = fmax(out->min_m[a], at[a]);
+        }
+    }
+    bool wide = key_edge_m(lat[1], k.z) > PYRAMID_FENCE_WIDE;
+    for (size_t a = 0; a < 2; a++) {
+        double pad = PYRAMID_FENCE_PAD * (out->max_m[a] - out->min_m[a]);
+        out->min_m[a] = wide ? HUGE_VAL : out->min_m[a] + pad;
+        out->max_m[a] -= pad;
+    }
+    return rc;
+}
+
+/* Is the place in the tile, and everything within PYRAMID_ROUNDING_M of it? */
+static enum err_code pyramid_fence_holds(const struct pyramid_fence *f, const double enu[3],
+                                         bool *holds, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    *holds = enu[0] > f->min_m[0] && enu[0] < f->max_m[0] && enu[1] > f->min_m[1] &&
+             enu[1] < f->max_m[1];
+    if (*holds)
+        return ERR_OK;
+    *holds = true;
+    for (unsigned i = 0; !rc && *holds && i < 4; i++) {
+        const double at[3] = {enu[0] + (i & 1 ? PYRAMID_ROUNDING_M : -PYRAMID_ROUNDING_M),
+                              enu[1] + (i & 2 ? PYRAMID_ROUNDING_M : -PYRAMID_ROUNDING_M), enu[2]};
+        struct key k;
+        rc = locate_key(f->l, at, &k, e);
+        *holds = !rc && locate_code(k) >> f->shift == f->code;
+    }
+    return rc;
+}
+
+/* A merged mean lies among the means it came from, which can be outside by what float32 rounded or
+ * by the bend of an edge. Draw it towards the middle until the tile owns it. */
+static enum err_code pyramid_fence_in(const struct pyramid_fence *f, struct gauss *g, size_t i,
+                                      struct err *e)
+{
+    for (double pull = 0.0; pull<1.0; pull = pull> 0.0 ? 4.0 * pull : 1e-7) {
+        double enu[3];
+        bool holds;
+        for (size_t a = 0; a < 3; a++) {
+            float *m = &g->mean_m[3 * i + a];
+            enu[a] = (double)*m + g->origin_enu_m[a];
+            if (a < 2 && pull > 0.0) {
+                enu[a] += pull * (f->mid[a] - enu[a]);
+                *m = (float)(enu[a] - g->origin_enu_m[a]);
+                enu[a] = (double)*m + g->origin_enu_m[a];
+            }
+        }
+        enum err_code rc = pyramid_fence_holds(f, enu, &holds, e);
+        if (rc || holds)
+            return rc;
+    }
+    return ERR_OK;
+}
+
 enum err_code pyramid_thin(const struct locate *l, const struct gauss *g, struct key k,
                            struct gauss *out, struct err *e)
 {
-    size_t target = (g->n + 3) / 4;
-    if (target < PYRAMID_KEEP)
-        target = g->n < PYRAMID_KEEP ? g->n : PYRAMID_KEEP;
-    enum err_code rc = simplify_gauss(g, target, out, e);
-    double lon, lat, mid[3];
-    key_center(k, &lon, &lat);
+    struct pyramid_fence f;
+    enum err_code rc = simplify_gauss(g, pyramid_thin_count(g->n), out, e);
     if (!rc)
-        rc = geo_to_enu(&l->origin, lon, lat, l->origin.h_m, mid, e);
-    /* A merged mean lies among the means it came from; on the curved edge of a tile that can be
-     * some micrometres outside. Draw it towards the middle until the tile owns it. */
-    unsigned shift = 2u * (unsigned)(KEY_ZOOM_MAX - k.z);
+        rc = pyramid_fence_open(l, out, k, &f, e);
     for (size_t i = 0; !rc && i < out->n; i++)
-        for (double pull = 0.0; !rc && pull<1.0; pull = pull> 0.0 ? 4.0 * pull : 1e-7) {
-            double enu[3];
-            struct key at;
-            for (size_t a = 0; a < 3; a++) {
-                float *m = &out->mean_m[3 * i + a];
-                enu[a] = (double)*m + out->origin_enu_m[a];
-                if (a < 2 && pull > 0.0) {
-                    enu[a] += pull * (mid[a] - enu[a]);
-                    *m = (float)(enu[a] - out->origin_enu_m[a]);
-                    enu[a] = (double)*m + out->origin_enu_m[a];
-                }
-            }
-            rc = locate_key(l, enu, &at, e);
-            if (!rc && locate_code(at) >> shift == locate_code(k))
-                break;
-        }
+        rc = pyramid_fence_in(&f, out, i, e);
     return rc;
 }
 

@@ -92,7 +92,15 @@ enum err_code pyramid_choose_zoom(struct pyramid *p, struct err *e) ERR_USE;
 enum err_code pyramid_plan(struct pyramid *p, struct err *e) ERR_USE;
 /* The zoom above z that is to be made of what lies below, and its nodes; false: z is the top. */
 bool pyramid_plan_up(struct pyramid *p, uint8_t z, enum err_code *rc, struct err *e);
-/* A quarter of a tile's rows (but not below PYRAMID_KEEP), all of them inside the tile. */
+/* Rows [from, from + n) of g, borrowed. */
+struct gauss pyramid_view(const struct gauss *g, size_t from, size_t n);
+/* Centre of rows along one axis (spoils `at`): whole metres, the middle, but the median where a
+ * stray Gaussian would push all others out of reach. */
+double pyramid_center_axis(bool lossless, double *at, size_t n);
+/* How many of n rows a tile passes on to the one above. */
+size_t pyramid_thin_count(size_t n);
+/* So many of a tile's rows by merging, all of them inside the tile, by more than what the next tile
+ * above may round. */
 enum err_code pyramid_thin(const struct locate *l, const struct gauss *g, struct key k,
                            struct gauss *out, struct err *e) ERR_USE;
 const struct pyramid_node *pyramid_find(const struct pyramid *p, uint8_t z, uint64_t code);

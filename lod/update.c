@@ -1,11 +1,15 @@
 /* One retrained cell into a store that exists.
  *
  * On the cell's own ground the rows of every trained level are replaced; only tiles that hold such
- * rows, old or new, are written anew. An overview is made of its children thinned apart
- * (pyramid.c), and a thinned row stays inside the child it came from: so an overview is edited by
- * taking out what lies in the children that changed and putting their thinned rows in. Copies of
- * coarse rows under tiles without finer ones are found again where something changed. All other
- * tiles keep their bytes and hash.
+ * rows, old or new, are written anew, copies of coarse rows under tiles without finer ones too. An
+ * overview is made of its four children, thinned apart and to the inside of each (pyramid.c): so
+ * the rows of a child that changed are taken out of it by their place and made again, the others
+ * stay. All other tiles keep their bytes and hash.
+ *
+ * The same cell twice gives the same bytes as once. That asks for some care: rows that are read and
+ * written again must not change (payload.c keeps what is rounded), what is made of a tile is made
+ * of its rows in the order they are stored in, and rows of the cell whose rounding put them across
+ * its border are known again by their place (update_border).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,32 +17,80 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "lod/edit.h"
+#include "core/sort.h"
+#include "lod/update.h"
 
-struct update {
-    const struct update_config *c;
-    struct store *old;
-    const struct store_tile *tiles;
-    size_t n_tiles;
-    uint8_t top;        /* the finest level */
-    uint8_t zoom_given; /* the coarsest zoom of a level that is given */
-    struct edit d;
-};
+/* Stored means are float32 about a tile's centre: a row is within this of where it was. */
+#define UPDATE_ROUNDING_M 2.5e-4
 
 static uint8_t update_zoom(const struct update *u, uint8_t level)
 {
     return (uint8_t)(store_info(u->old)->zoom_max - (u->top - level));
 }
 
-static bool update_is_carried(const struct update *u, const struct store_tile *t)
+bool update_is_carried(const struct update *u, const struct store_tile *t)
 {
     return t->level > 0 && t->key.z != update_zoom(u, t->level);
 }
 
-static bool update_owned(const struct update *u, const struct gauss *g, size_t i)
+/* ---- whose rows ---- */
+
+static void update_place(const struct gauss *g, size_t i, double at[3])
 {
-    return u->c->owns(u->c->user, (double)g->mean_m[3 * i] + g->origin_enu_m[0],
-                      (double)g->mean_m[3 * i + 1] + g->origin_enu_m[1]);
+    for (size_t k = 0; k < 3; k++)
+        at[k] = (double)g->mean_m[3 * i + k] + g->origin_enu_m[k];
+}
+
+static bool update_owned(const struct update *u, const double at[3])
+{
+    return u->c->owns(u->c->user, at[0], at[1]);
+}
+
+/* Would rounding do to change hands? */
+static bool update_at_border(const struct update *u, const double at[3], bool owned)
+{
+    const double r = UPDATE_ROUNDING_M;
+    return u->c->owns(u->c->user, at[0] - r, at[1] - r) != owned ||
+           u->c->owns(u->c->user, at[0] + r, at[1] - r) != owned ||
+           u->c->owns(u->c->user, at[0] - r, at[1] + r) != owned ||
+           u->c->owns(u->c->user, at[0] + r, at[1] + r) != owned;
+}
+
+static enum err_code update_border_add(struct update_border *b, const double at[3], struct err *e)
+{
+    if (b->n == b->cap) {
+        size_t cap = b->cap ? 2 * b->cap : 64;
+        double *p = mem_resize(b->at, 3 * b->cap, 3 * cap, sizeof *p);
+        if (!p)
+            return err_set(e, ERR_MEM, "out of memory for %zu rows at the border", cap);
+        b->at = p;
+        b->cap = cap;
+    }
+    memcpy(b->at + 3 * b->n++, at, 3 * sizeof *at);
+    return ERR_OK;
+}
+
+static bool update_border_has(const struct update_border *b, const double at[3])
+{
+    for (size_t i = 0; i < b->n; i++) {
+        double far = 0.0;
+        for (size_t k = 0; k < 3; k++)
+            far = fmax(far, fabs(b->at[3 * i + k] - at[k]));
+        if (far <= UPDATE_ROUNDING_M)
+            return true;
+    }
+    return false;
+}
+
+/* Is a stored row one that the update replaces? */
+static bool update_replaces(const struct update *u, uint8_t level, const struct gauss *g, size_t i)
+{
+    double at[3];
+    update_place(g, i, at);
+    bool owned = update_owned(u, at);
+    if (owned || u->border[level].n == 0 || !update_at_border(u, at, owned))
+        return owned;
+    return update_border_has(&u->border[level], at);
 }
 
 /* Old tiles with rows of the cell's ground: what they keep becomes their edit. */
@@ -54,19 +106,22 @@ static enum err_code update_take_out(struct update *u, const struct store_tile *
     if (!rc && !keep)
         rc = err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", g.n);
     for (size_t i = 0; !rc && i < g.n; i++)
-        if (!update_owned(u, &g, i))
+        if (!update_replaces(u, t->level, &g, i))
             keep[n++] = (uint32_t)i;
     if (!rc && n < g.n) {
         rc = edit_touch(&u->d, t->key, t->level, &x, e);
         if (!rc) {
             x->carried = update_is_carried(u, t);
-            rc = edit_append(&u->d, x, &g, keep, x->carried ? 0 : n, e);
+            x->whole = true;
+            rc = edit_keep(&u->d, x, &g, keep, x->carried ? 0 : n, e);
         }
     }
     mem_free(keep);
     gauss_free(&g);
     return rc;
 }
+
+/* ---- the cell's rows ---- */
 
 /* The edit of a tile that holds what the store has there. */
 static enum err_code update_open_tile(struct update *u, struct key k, uint8_t level,
@@ -82,49 +137,137 @@ static enum err_code update_open_tile(struct update *u, struct key k, uint8_t le
     struct gauss g;
     rc = store_read_gauss(u->old, k, &g, e);
     if (!rc)
-        rc = edit_append(&u->d, *out, &g, NULL, g.n, e);
+        rc = edit_keep(&u->d, *out, &g, NULL, g.n, e);
     gauss_free(&g);
     return rc;
 }
 
-static enum err_code update_put_in(struct update *u, uint8_t level, const struct gauss *g,
-                                   struct err *e)
+/* Fewer rows: all at the cell's border, which are known again by their place, and mergers of the
+ * others, less those that a notch of the cell's ground leaves outside. */
+static enum err_code update_thin(struct update *u, const struct edit_part *part, size_t target,
+                                 struct gauss *out, struct err *e)
+{
+    struct gauss inner = {0}, less = {0};
+    const struct gauss *g = part->g;
+    double at[3];
+    enum err_code rc = gauss_alloc(&inner, part->n, g->sh_degree, g->embed_len, e);
+    if (!rc)
+        rc = gauss_alloc(out, part->n, g->sh_degree, g->embed_len, e);
+    memcpy(inner.origin_enu_m, g->origin_enu_m, sizeof inner.origin_enu_m);
+    memcpy(out->origin_enu_m, g->origin_enu_m, sizeof out->origin_enu_m);
+    for (size_t i = 0; !rc && i < part->n; i++) {
+        update_place(g, part->index[i], at);
+        rc = gauss_append(update_at_border(u, at, true) ? out : &inner, g, &part->index[i], 1, e);
+    }
+    if (!rc && inner.n)
+        rc = simplify_gauss(&inner, target > out->n ? target - out->n : 1, &less, e);
+    for (uint32_t i = 0; !rc && i < less.n; i++) {
+        update_place(&less, i, at);
+        if (update_owned(u, at) && !update_at_border(u, at, true))
+            rc = gauss_append(out, &less, &i, 1, e);
+    }
+    gauss_free(&inner);
+    gauss_free(&less);
+    return rc;
+}
+
+/* New rows of one tile. Where the tile would be too full they are thinned, never what it keeps,
+ * which would thin out more with every update; and not to less than a quarter. */
+static enum err_code update_put_tile(struct update *u, struct key k, uint8_t level,
+                                     struct edit_part part, struct err *e)
+{
+    struct edit_tile *x;
+    struct gauss less = {0};
+    enum err_code rc = update_open_tile(u, k, level, &x, e);
+    if (rc)
+        return rc;
+    if (x->carried) { /* what was a copy is a tile of its own now */
+        gauss_free(&x->g);
+        x->carried = false;
+        x->level = level;
+    }
+    x->whole = true;
+    size_t max = u->d.max_per_tile, n = x->g.n + part.n;
+    if (n > max) {
+        size_t target = pyramid_thin_count(part.n);
+        target = max > x->g.n && max - x->g.n > target ? max - x->g.n : target;
+        log_warn("update",
+                 "tile %u/%u/%u would hold n=%zu Gaussians, more than max=%zu: those of the cell "
+                 "are thinned to %zu; tile the whole scene again for smaller tiles",
+                 k.z, k.x, k.y, n, max, target);
+        rc = update_thin(u, &part, target, &less, e);
+        part = (struct edit_part){.g = &less, .n = less.n};
+    }
+    if (!rc)
+        rc = edit_add(&u->d, x, &part, 1, e);
+    gauss_free(&less);
+    return rc;
+}
+
+/* The usable rows on the cell's ground, by tile: items [*n], sorted. */
+static enum err_code update_sort_rows(struct update *u, uint8_t level, const struct gauss *g,
+                                      struct sort_item *items, size_t *n, struct err *e)
 {
     enum err_code rc = ERR_OK;
-    for (uint32_t i = 0; !rc && i < g->n; i++) {
-        struct gauss one = *g; /* of one row, to ask whether it is usable */
+    bool all_good = gauss_count_bad(g, NULL) == 0;
+    uint8_t z = update_zoom(u, level);
+    *n = 0;
+    for (size_t i = 0; !rc && i < g->n; i++) {
+        struct gauss one;
         struct key k;
-        struct edit_tile *x;
-        if (!update_owned(u, g, i))
+        double at[3];
+        update_place(g, i, at);
+        if (!all_good && (one = pyramid_view(g, i, 1), gauss_count_bad(&one, NULL)))
             continue;
-        one.n = 1;
-        one.mean_m += 3 * (size_t)i;
-        one.scale_log += 3 * (size_t)i;
-        one.quat_wxyz += 4 * (size_t)i;
-        one.opacity_logit += i;
-        one.sh += 3 * gauss_sh_count(g->sh_degree) * i;
-        if (g->embed)
-            one.embed += g->embed_len * (size_t)i;
-        if (gauss_count_bad(&one, NULL))
+        if (!update_owned(u, at))
             continue;
-        rc = edit_key(&u->d, g, i, update_zoom(u, level), &k, e);
-        if (!rc)
-            rc = update_open_tile(u, k, level, &x, e);
-        if (!rc && x->carried) { /* what was a copy is a tile of its own now */
-            gauss_free(&x->g);
-            x->carried = false;
-            x->level = level;
-        }
-        if (!rc)
-            rc = edit_append(&u->d, x, g, &i, 1, e);
+        rc = edit_key(&u->d, g, i, z, &k, e);
+        items[(*n)++] = (struct sort_item){locate_code(k), (uint32_t)i};
+    }
+    if (!rc)
+        sort_items(items, items + g->n, *n);
+    return rc;
+}
+
+static enum err_code update_put_in(struct update *u, uint8_t level, struct err *e)
+{
+    const struct gauss *g = u->c->level[level];
+    struct sort_item *items = mem_array(g->n, 2 * sizeof *items);
+    uint32_t *index = mem_array(g->n, sizeof *index);
+    size_t n = 0;
+    enum err_code rc = items && index
+                           ? update_sort_rows(u, level, g, items, &n, e)
+                           : err_set(e, ERR_MEM, "out of memory for %zu Gaussians", g->n);
+    for (size_t i = 0; i < n; i++)
+        index[i] = items[i].row;
+    for (size_t from = 0, to; !rc && from < n; from = to) {
+        for (to = from; to < n && items[to].key == items[from].key; to++)
+            continue;
+        const struct edit_part part = {g, index + from, to - from};
+        rc = update_put_tile(u, locate_decode(items[from].key, update_zoom(u, level)), level, part,
+                             e);
+    }
+    mem_free(items);
+    mem_free(index);
+    return rc;
+}
+
+static enum err_code update_find_border(struct update *u, uint8_t level, struct err *e)
+{
+    const struct gauss *g = u->c->level[level];
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; !rc && i < g->n; i++) {
+        double at[3];
+        update_place(g, i, at);
+        if (isfinite(at[0] + at[1] + at[2]) && update_owned(u, at) && update_at_border(u, at, true))
+            rc = update_border_add(&u->border[level], at, e);
     }
     return rc;
 }
 
 /* ---- what there will be ---- */
 
-/* Will there be a tile of its own (not a copy) at k? */
-static bool update_has(const struct update *u, struct key k)
+bool update_has(const struct update *u, struct key k)
 {
     const struct edit_tile *x = edit_find(&u->d, k);
     if (x)
@@ -133,7 +276,7 @@ static bool update_has(const struct update *u, struct key k)
     return t && !update_is_carried(u, t);
 }
 
-static bool update_under(struct key over, struct key k)
+bool update_under(struct key over, struct key k)
 {
     return k.z > over.z && k.x >> (k.z - over.z) == over.x && k.y >> (k.z - over.z) == over.y;
 }
@@ -148,6 +291,20 @@ static bool update_has_below(const struct update *u, struct key k)
         if (update_under(k, u->tiles[i].key) && update_has(u, u->tiles[i].key))
             return true;
     return false;
+}
+
+enum err_code update_now(struct update *u, struct key k, struct gauss *out, struct err *e)
+{
+    struct edit_tile *x = edit_find(&u->d, k);
+    *out = (struct gauss){0};
+    if (!x)
+        return store_read_gauss(u->old, k, out, e);
+    enum err_code rc = edit_settle(&u->d, x, e);
+    if (!rc)
+        rc = gauss_alloc(out, x->g.n, x->g.sh_degree, x->g.embed_len, e);
+    memcpy(out->origin_enu_m, x->g.origin_enu_m, sizeof out->origin_enu_m);
+    out->antialiased = x->g.antialiased;
+    return rc ? rc : gauss_append(out, &x->g, NULL, x->g.n, e);
 }
 
 /* ---- copies of coarse rows ---- */
@@ -180,9 +337,10 @@ static enum err_code update_carry_quadrant(struct update *u, const struct gauss 
         }
         if (!rc && !whole && !(rc = edit_touch(&u->d, q, level, &x, e))) {
             x->carried = true;
+            x->whole = true;
             x->level = level;
             gauss_free(&x->g);
-            rc = edit_append(&u->d, x, &some, NULL, n, e);
+            rc = edit_add(&u->d, x, &(struct edit_part){.g = &some, .n = n}, 1, e);
         }
         if (!rc)
             rc = update_carry(u, &some, q, level, e);
@@ -226,92 +384,13 @@ static enum err_code update_carry_level(struct update *u, uint8_t level, struct 
             over[n++] = k;
     }
     for (size_t i = 0; !rc && i < n; i++) {
-        const struct edit_tile *x = edit_find(&u->d, over[i]);
         struct gauss g = {0};
-        if (x) {
-            rc = gauss_alloc(&g, x->g.n, x->g.sh_degree, x->g.embed_len, e);
-            memcpy(g.origin_enu_m, x->g.origin_enu_m, sizeof g.origin_enu_m);
-            if (!rc)
-                rc = gauss_append(&g, &x->g, NULL, x->g.n, e);
-        } else {
-            rc = store_read_gauss(u->old, over[i], &g, e);
-        }
+        rc = update_now(u, over[i], &g, e);
         if (!rc)
             rc = update_carry(u, &g, over[i], level, e);
         gauss_free(&g);
     }
     mem_free(over);
-    return rc;
-}
-
-/* ---- overviews ---- */
-
-/* Does k feed what is made above: no tile of another given level over it? */
-static bool update_feeds(const struct update *u, const struct edit_tile *x)
-{
-    struct key k = x->key;
-    if (x->carried || k.z < u->zoom_given)
-        return false;
-    while (k.z > u->zoom_given) {
-        k = key_parent(k);
-        if (update_has(u, k))
-            return false;
-    }
-    return true;
-}
-
-/* Edit `over` for the change of what is below it at `from`. */
-static enum err_code update_overview(struct update *u, struct key over, struct key from,
-                                     struct err *e)
-{
-    struct edit_tile *x;
-    struct gauss less = {0};
-    int level = (int)u->top - (store_info(u->old)->zoom_max - over.z);
-    enum err_code rc = update_open_tile(u, over, (uint8_t)(level > 0 ? level : 0), &x, e);
-    size_t n = 0;
-    for (size_t i = 0; !rc && i < x->g.n; i++) {
-        struct key k;
-        rc = edit_key(&u->d, &x->g, i, from.z, &k, e);
-        if (rc || key_compare(k, from) == 0)
-            continue;
-        if (n != i)
-            gauss_copy_row(&x->g, n, &x->g, i);
-        n++;
-    }
-    if (rc)
-        return rc;
-    x->g.n = n;
-    const struct gauss *g = &edit_find(&u->d, from)->g;
-    if (g->n > 0)
-        rc = pyramid_thin(&u->d.locate, g, from, &less, e);
-    if (!rc)
-        rc = edit_append(&u->d, x, &less, NULL, less.n, e);
-    gauss_free(&less);
-    return rc;
-}
-
-/* One zoom above the given levels after the other, up to the store's top. */
-static enum err_code update_overviews(struct update *u, struct err *e)
-{
-    enum err_code rc = ERR_OK;
-    for (uint8_t z = u->zoom_given; !rc && z > store_info(u->old)->zoom_min; z--) {
-        size_t n = 0;
-        struct key *from = mem_array(u->d.n, sizeof *from);
-        if (!from)
-            return err_set(e, ERR_MEM, "out of memory for %zu tiles", u->d.n);
-        for (size_t i = 0; i < u->d.n; i++) {
-            const struct edit_tile *x = &u->d.tile[i];
-            if (z == u->zoom_given ? update_feeds(u, x) : x->key.z == z)
-                from[n++] = x->key;
-        }
-        for (size_t i = 0; !rc && i < n; i++) {
-            struct key k = from[i];
-            while (k.z >= z)
-                k = key_parent(k);
-            rc = update_overview(u, k, from[i], e);
-        }
-        mem_free(from);
-    }
     return rc;
 }
 
@@ -371,12 +450,15 @@ enum err_code update_build(const char *store_path, const struct update_config *c
     rc = update_check(&u, e);
     if (!rc)
         rc = locate_open(&u.d.meta.origin, &u.d.locate, e);
+    for (uint8_t l = 1; !rc && l <= u.top; l++)
+        if (c->level[l])
+            rc = update_find_border(&u, l, e);
     for (size_t i = 0; !rc && i < u.n_tiles; i++)
         if (u.tiles[i].level > 0 && c->level[u.tiles[i].level])
             rc = update_take_out(&u, &u.tiles[i], e);
     for (uint8_t l = u.top; !rc && l > 0; l--)
         if (c->level[l])
-            rc = update_put_in(&u, l, c->level[l], e);
+            rc = update_put_in(&u, l, e);
     for (uint8_t l = 1; !rc && l < u.top; l++)
         if (c->level[l])
             rc = update_carry_level(&u, l, e);
@@ -386,6 +468,8 @@ enum err_code update_build(const char *store_path, const struct update_config *c
         rc = edit_write(&u.d, u.old, NULL, out_path, &report->n_copied, &report->n_written, e);
     for (size_t i = 0; !rc && i < u.d.n; i++)
         report->n_removed += u.d.tile[i].g.n == 0 && store_find(u.old, u.d.tile[i].key);
+    for (size_t l = 0; l < 8; l++)
+        mem_free(u.border[l].at);
     edit_free(&u.d);
     store_close(&u.old);
     if (!rc && !(rc = store_open(out_path, &u.old, e))) {

@@ -90,11 +90,12 @@ static void test_half_floats(void **state)
             kit_near("rotation", back.quat_wxyz + 4 * i + k, &want, 1, 1e-6, HALF_REL);
         }
     }
-    /* A second trip changes nothing but the last bit of rotations. */
+    /* What was rounded stays as it is: the rows of a payload give that payload again. */
     kit_ok(payload_encode(&back, false, &c, &e), e);
+    assert_int_equal(b.size, c.size);
+    assert_memory_equal(b.data, c.data, c.size);
     kit_ok(payload_decode(c.data, c.size, NULL, &again, &e), e);
-    assert_memory_equal(back.sh, again.sh, g.n * 48 * 4);
-    assert_memory_equal(back.scale_log, again.scale_log, g.n * 12);
+    expect_same(&back, &again);
     gauss_free(&again);
     buf_free(&c);
     buf_free(&b);
