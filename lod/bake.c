@@ -27,7 +27,6 @@ enum {
 };
 #define BAKE_LR 0.02
 #define BAKE_LR_FALL 0.02 /* of it is left at the end */
-static const char bake_blob[] = "appearance";
 
 struct bake {
     struct appearance model;
@@ -76,7 +75,7 @@ enum err_code bake_of(struct store *s, const struct appearance **out, struct err
     if (!s->bake_known && s->meta.embed_len > 0) {
         struct buf blob = {0};
         struct err none = {0};
-        enum err_code rc = store_get_blob(s, bake_blob, &blob, &none);
+        enum err_code rc = store_get_blob(s, BAKE_BLOB, &blob, &none);
         if (!rc)
             rc = bake_parse(&blob, &s->bake, e) ? err_add(e, "%s", s->path) : ERR_OK;
         else if (rc != ERR_NOENT)
@@ -124,11 +123,47 @@ enum err_code bake_fits(struct store *s, const struct appearance *a, struct err 
                 : ERR_OK;
 }
 
+enum err_code bake_join(struct store *s, const struct appearance *a, struct buf *out, struct err *e)
+{
+    const struct appearance *own;
+    struct appearance all = {0};
+    size_t more = 0, at = 0;
+    enum err_code rc = bake_fits(s, a, e);
+    if (!rc)
+        rc = bake_of(s, &own, e);
+    if (rc || !own)
+        return rc;
+    for (size_t i = 0; i < a->n_images; i++)
+        more += strcmp(a->names[i], BAKE_DEFAULT) != 0 && appearance_find(own, a->names[i]) < 0;
+    if (!more) /* byte by byte: nothing made with it is outdated */
+        return store_get_blob(s, BAKE_BLOB, out, e);
+    rc = appearance_alloc(&all, own->len_gauss, own->len_image, own->hidden, own->n_images + more,
+                          e);
+    if (rc)
+        return rc;
+    size_t len = own->len_image;
+    memcpy(all.w1, own->w1, appearance_weights(own) * sizeof(float));
+    for (size_t i = 0; i < own->n_images + a->n_images; i++) {
+        const struct appearance *from = i < own->n_images ? own : a;
+        size_t row = i < own->n_images ? i : i - own->n_images;
+        bool is_default = !strcmp(from->names[row], BAKE_DEFAULT);
+        if (is_default || (from == a && appearance_find(own, from->names[row]) >= 0))
+            continue;
+        memcpy(all.images + at * len, from->images + row * len, len * sizeof(float));
+        memcpy(all.names[at++], from->names[row], sizeof(*all.names));
+    }
+    memcpy(all.images + at * len, own->images + s->bake->default_row * len, len * sizeof(float));
+    memcpy(all.names[at], BAKE_DEFAULT, sizeof(BAKE_DEFAULT));
+    rc = appearance_write(&all, out, e);
+    appearance_free(&all);
+    return rc;
+}
+
 enum err_code bake_hash(struct store *s, struct hash128 *out, struct err *e)
 {
     struct buf blob = {0};
     *out = (struct hash128){0};
-    enum err_code rc = store_get_blob(s, bake_blob, &blob, e);
+    enum err_code rc = store_get_blob(s, BAKE_BLOB, &blob, e);
     if (!rc)
         *out = hash_bytes(blob.data, blob.size);
     buf_free(&blob);

@@ -13,6 +13,7 @@ void edit_free(struct edit *d)
     for (size_t i = 0; i < d->n; i++)
         gauss_free(&d->tile[i].g);
     mem_free(d->tile);
+    buf_free(&d->look);
     d->tile = NULL;
     d->n = d->cap = 0;
 }
@@ -228,8 +229,8 @@ static enum err_code edit_copy_tiles(const struct edit *d, struct store *from,
     return rc;
 }
 
-static enum err_code edit_copy_blobs(struct store *from, struct store *before, struct store *to,
-                                     struct err *e)
+static enum err_code edit_copy_blobs(const struct edit *d, struct store *from, struct store *before,
+                                     struct store *to, struct err *e)
 {
     struct arena a = {0};
     struct buf b = {0};
@@ -240,7 +241,9 @@ static enum err_code edit_copy_blobs(struct store *from, struct store *before, s
         if (before && !store_get_blob(before, names[i], &b, NULL))
             continue;
         rc = store_get_blob(from, names[i], &b, e);
-        if (!rc)
+        if (!rc && !strcmp(names[i], BAKE_BLOB) && d->look.size)
+            rc = store_put_blob(to, names[i], d->look.data, d->look.size, e);
+        else if (!rc)
             rc = store_put_blob(to, names[i], b.data, b.size, e);
     }
     buf_free(&b);
@@ -272,9 +275,9 @@ enum err_code edit_write(struct edit *d, struct store *a, struct store *b, const
     if (!rc && b)
         rc = edit_copy_tiles(d, b, a, to, n_copied, e);
     if (!rc)
-        rc = edit_copy_blobs(a, NULL, to, e);
+        rc = edit_copy_blobs(d, a, NULL, to, e);
     if (!rc && b)
-        rc = edit_copy_blobs(b, a, to, e);
+        rc = edit_copy_blobs(d, b, a, to, e);
     if (!rc)
         rc = store_commit(&to, e);
     store_close(&to);

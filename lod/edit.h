@@ -27,6 +27,7 @@ struct edit { /* {0} and `locate`, `meta` filled in; edit_free */
     struct locate locate;
     struct store_meta meta; /* of the store that will be written */
     uint32_t max_per_tile;
+    struct buf look; /* in place of the blob "appearance"; empty: what the store has */
     struct edit_tile *tile;
     size_t n, cap;
     size_t n_far;

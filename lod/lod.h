@@ -117,6 +117,7 @@ enum err_code store_list_blobs(struct store *s, struct arena *a, char ***names, 
 /* ---- bake.c: looks of a store (docs/appearance.md)
  * ------------------------------------------------------- */
 
+#define BAKE_BLOB "appearance"
 #define BAKE_DEFAULT "default" /* the look of clients that know of none */
 /* The store's appearance model, read once; NULL when it has none. Borrowed until store_close. Its
  * rows are the training photographs and BAKE_DEFAULT. */
@@ -125,6 +126,11 @@ enum err_code bake_of(struct store *s, const struct appearance **out, struct err
  * the store's own network and the same embedding of every photograph that both know; the other
  * looks are the store's affair. ERR_DATA, which says what differs. */
 enum err_code bake_fits(struct store *s, const struct appearance *a, struct err *e) ERR_USE;
+/* The store's model and the photographs that only `a` has (bake_fits, else ERR_DATA), as a blob;
+ * the default look stays the store's, so nothing that was made with it changes. Empty where the
+ * store has no appearance. */
+enum err_code bake_join(struct store *s, const struct appearance *a, struct buf *out,
+                        struct err *e) ERR_USE;
 /* Hash of the model, for names of what is made with it; 0 when there is none. */
 enum err_code bake_hash(struct store *s, struct hash128 *out, struct err *e) ERR_USE;
 /* The embedding [len_image] of a look: a photograph's name, BAKE_DEFAULT, or a blend
@@ -206,8 +212,12 @@ struct update_report {
     char revision[13];
 };
 /* Replace the rows of one cell and everything made of them; all other tiles are copied byte by
- * byte. out_path may be store_path: written beside and renamed. ERR_DATA when SH, embedding,
- * appearance model, anti-aliasing or the number of levels do not fit the store. */
+ * byte. out_path may be store_path: written beside and renamed, so whoever dies in between leaves
+ * the old store. The same cell again gives the same revision. A store of all cells tiled at once
+ * has the same rows in the same tiles; its bytes are the same, too, in a lossless store, but for
+ * tiles that keep a centre which it would choose elsewhere, and what is made of them. Photographs
+ * that only c->look has join the store's. ERR_DATA when SH, embedding, appearance model,
+ * anti-aliasing or the number of levels do not fit the store. */
 enum err_code update_build(const char *store_path, const struct update_config *c,
                            const char *out_path, struct update_report *report,
                            struct err *e) ERR_USE;
@@ -219,8 +229,10 @@ struct merge_report {
 };
 /* Two stores of neighbouring places in one, in the frame of the first: tiles of both with one key
  * are made of both's Gaussians. Origins may differ; rows of the second are then moved and turned,
- * SH too. name NULL = the first's. ERR_DATA when embeddings, the models that read them, or
- * anti-aliasing do not fit. */
+ * SH too. Ground that both cover shows both. name NULL = the first's. Attributions are put side by
+ * side, each once; the appearance model has the photographs of both and the first's default look;
+ * of other blobs of one name the first's is kept. ERR_DATA when embeddings, the models that read
+ * them, or anti-aliasing do not fit; ERR_ARG for a store and itself. */
 enum err_code merge_build(const char *path_a, const char *path_b, const char *name,
                           const char *out_path, struct merge_report *report, struct err *e) ERR_USE;
 

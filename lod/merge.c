@@ -13,6 +13,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -320,6 +321,28 @@ static enum err_code merge_raise(struct merge *m, struct err *e)
 
 /* ---- all of it ---- */
 
+/* Put the parts of `more`, with "; " between them, behind those of `all` that lack them; false when
+ * all of it fits. */
+static bool merge_attribution(char *all, size_t room, const char *more)
+{
+    while (*more) {
+        size_t n = strcspn(more, ";"), have = strlen(all);
+        bool known = n == 0;
+        for (const char *p = all; !known && *p;) {
+            size_t len = strcspn(p, ";");
+            known = len == n && !memcmp(p, more, n);
+            p += len + strspn(p + len, "; ");
+        }
+        if (!known) {
+            if (have + 2 + n >= room)
+                return true;
+            snprintf(all + have, room - have, "%s%.*s", have ? "; " : "", (int)n, more);
+        }
+        more += n + strspn(more + n, "; ");
+    }
+    return false;
+}
+
 static enum err_code merge_open(struct merge *m, const char *path_a, const char *path_b,
                                 struct err *e)
 {
@@ -329,6 +352,11 @@ static enum err_code merge_open(struct merge *m, const char *path_a, const char 
     if (rc)
         return rc;
     const struct store_meta *a = store_info(m->a), *b = store_info(m->b);
+    if (!strcmp(a->revision, b->revision))
+        return err_set(e, ERR_ARG,
+                       "%s and %s are the same tiles (revision %s): every Gaussian would be twice "
+                       "in the result",
+                       path_a, path_b, a->revision);
     if (a->embed_len != b->embed_len || a->antialiased != b->antialiased)
         return err_set(e, ERR_DATA,
                        "%s and %s do not fit: appearance embeddings of %u and %u, anti-aliasing %d "
@@ -356,15 +384,13 @@ static enum err_code merge_open(struct merge *m, const char *path_a, const char 
         m->d.meta.sh_degree = b->sh_degree;
     m->d.meta.lossless = a->lossless && b->lossless;
     m->d.max_per_tile = PYRAMID_PER_TILE_MAX;
-    size_t have = strlen(a->attribution), more = strlen(b->attribution);
-    if (more && !strstr(a->attribution, b->attribution)) {
-        if (have + more + 3 > sizeof m->d.meta.attribution)
-            return err_set(e, ERR_DATA, "the attributions of %s and %s are too long together",
-                           path_a, path_b);
-        if (have)
-            memcpy(m->d.meta.attribution + have, "; ", 2);
-        memcpy(m->d.meta.attribution + have + (have ? 2 : 0), b->attribution, more + 1);
-    }
+    if (look && (rc = bake_join(m->a, look, &m->d.look, e)))
+        return rc;
+    if (merge_attribution(m->d.meta.attribution, sizeof m->d.meta.attribution, b->attribution))
+        return err_set(e, ERR_DATA,
+                       "the attributions of %s and %s have more than %zu bytes together; tile one "
+                       "with a shorter --attribution",
+                       path_a, path_b, sizeof m->d.meta.attribution - 1);
     return locate_open(&a->origin, &m->d.locate, e);
 }
 

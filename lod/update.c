@@ -448,6 +448,8 @@ enum err_code update_build(const char *store_path, const struct update_config *c
     u.d.meta = *store_info(u.old);
     u.d.max_per_tile = c->max_per_tile ? c->max_per_tile : PYRAMID_PER_TILE_MAX;
     rc = update_check(&u, e);
+    if (!rc && c->look)
+        rc = bake_join(u.old, c->look, &u.d.look, e);
     if (!rc)
         rc = locate_open(&u.d.meta.origin, &u.d.locate, e);
     for (uint8_t l = 1; !rc && l <= u.top; l++)

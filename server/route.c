@@ -81,7 +81,8 @@ void route_free(struct response *r)
 
 /* ---- putting bytes into a response ----------------------------------------------------------- */
 
-void route_problem(struct response *out, int status, const char *detail)
+/* members: JSON that goes before the end, beginning with a comma. */
+static void send_problem(struct response *out, int status, const char *detail, const char *members)
 {
     struct buf b = {0};
     route_free(out);
@@ -90,7 +91,7 @@ void route_problem(struct response *out, int status, const char *detail)
     for (const char *p = detail; *p; p++)
         if ((unsigned char)*p >= 0x20)
             buf_printf(&b, *p == '"' || *p == '\\' ? "\\%c" : "%c", *p);
-    buf_printf(&b, "\"}\n");
+    buf_printf(&b, "\"%s}\n", members);
     out->status = status;
     out->type = "application/problem+json";
     out->cache_control = status == 404 ? SHORT : NO_STORE;
@@ -101,6 +102,30 @@ void route_problem(struct response *out, int status, const char *detail)
     out->body = body_take(&b, NULL);
     out->data = out->body ? out->body->data : NULL;
     out->size = out->body ? out->body->size : 0;
+}
+
+void route_problem(struct response *out, int status, const char *detail)
+{
+    send_problem(out, status, detail, "");
+}
+
+/* A tile that cannot be made. The client learns which and what to do; where the file is and what
+ * its hashes are is in the log. */
+static void send_tile_problem(struct response *out, bool damaged)
+{
+    char members[160], text[400];
+    const struct key k = out->tile;
+    snprintf(members, sizeof(members), ",\"dataset\":\"%s\",\"tile\":{\"z\":%u,\"x\":%u,\"y\":%u}",
+             out->tile_of, k.z, k.x, k.y);
+    snprintf(
+        text, sizeof(text),
+        damaged ? "tile %u/%u/%u of dataset %s is damaged: its bytes do not have the hash that the "
+                  "index says, so none of them are sent; all other tiles are served. Whoever runs "
+                  "this server finds the file in its log, checks it with citysplat verify, and "
+                  "restores it or tiles the scene again"
+                : "tile %u/%u/%u of dataset %s could not be made; the server's log says why",
+        k.z, k.x, k.y, out->tile_of);
+    send_problem(out, 500, text, members);
 }
 
 /* "tag" -> "tag-gz": another coding of a resource is another representation. */
@@ -240,6 +265,8 @@ static void answer_tile(struct services *s, const struct request *r, struct data
     struct work *w = make_work(d, WORK_TILE, id, form, out);
     if (w)
         w->key = t->key;
+    out->tile = t->key;
+    memcpy(out->tile_of, d->meta.name, sizeof(out->tile_of));
     out->cls = r->prefetch ? JOB_PREFETCH : JOB_TILE;
     out->timeout_s = s->cfg->deadline_s;
 }
@@ -600,10 +627,12 @@ void route_finish(struct services *s, const struct request *r, struct job_result
     } else if (result->code == ERR_NOENT) {
         route_problem(out, 404, result->msg);
     } else {
-        /* The message names files and is in the log; the client learns which thing failed by its
-         * URL. */
-        route_problem(out, 500,
-                      cls == JOB_VIEW ? "the picture could not be made; the log says why"
-                                      : "the tile could not be made; the log says why");
+        /* The message names files and is in the log. */
+        if (out->tile_of[0])
+            send_tile_problem(out, result->code == ERR_FORMAT);
+        else
+            route_problem(out, 500,
+                          cls == JOB_VIEW ? "the picture could not be made; the log says why"
+                                          : "the list could not be made; the log says why");
     }
 }

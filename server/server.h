@@ -428,6 +428,8 @@ struct response { /* {0}, then route_answer; route_free it */
     char *location;                                             /* owned */
     char etag[BODY_ETAG_SIZE];                                  /* "" = none */
     char surrogate[96];
+    struct key tile;     /* that is asked for, and the name of its dataset, "" for anything else: */
+    char tile_of[64];    /* what a problem with it names */
     struct body *body;   /* a reference; NULL = no bytes */
     const uint8_t *data; /* what to send: inside body */
     size_t size;

@@ -8,7 +8,6 @@
 
 #include "tests/kit.h"
 
-#include <sqlite3.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -59,18 +58,27 @@ static inline void served_city(const char *path, const char *name, size_t n)
     kit_ok(store_commit(&s, &e), e);
 }
 
-/* Damage the stored bytes of one tile, as a failing disk would. */
+/* Flip one bit in the stored bytes of a tile, as a failing disk would. */
 static inline void served_damage(const char *path, struct key k)
 {
-    sqlite3 *db = NULL;
-    char sql[256];
-    snprintf(sql, sizeof(sql),
-             "UPDATE tiles SET payload = zeroblob(length(payload)) WHERE z=%u AND x=%u AND y=%u",
-             k.z, k.x, k.y);
-    assert_int_equal(sqlite3_open(path, &db), SQLITE_OK);
-    assert_int_equal(sqlite3_exec(db, sql, NULL, NULL, NULL), SQLITE_OK);
-    assert_int_equal(sqlite3_changes(db), 1);
-    sqlite3_close(db);
+    struct err e = {0};
+    struct store *s = NULL;
+    struct buf payload = {0}, file = {0};
+    enum { PROBE = 48, AT = 200 };
+    kit_ok(store_open(path, &s, &e), e);
+    kit_ok(store_read(s, k, &payload, &e), e);
+    store_close(&s);
+    kit_ok(file_read(path, 0, &file, &e), e);
+    assert_true(payload.size > AT + PROBE);
+    const uint8_t *probe = payload.data + AT; /* within one page of the database, near enough */
+    size_t at = 0;
+    while (at + PROBE <= file.size && memcmp(file.data + at, probe, PROBE))
+        at++;
+    assert_true(at + PROBE <= file.size);
+    file.data[at + PROBE / 2] ^= 4;
+    kit_ok(file_write(path, file.data, file.size, &e), e);
+    buf_free(&payload);
+    buf_free(&file);
 }
 
 static inline void served_config(struct server_config *cfg, struct arena *arena)

@@ -290,8 +290,69 @@ static void rows_of_another_model_are_refused(void **state)
     kit_fails(bake_fits(s, &other, &e), ERR_DATA, e, "other weights");
     kit_fails(update_build(f->path, &same, out, NULL, &e), ERR_DATA, e, "--appearance-shared");
     assert_false(file_exists(out));
+    kit_fails(merge_build(f->path, f->path, NULL, out, NULL, &e), ERR_ARG, e, "the same tiles");
     store_close(&s);
     appearance_free(&other);
+    gauss_free(&g);
+}
+
+/* A store of other photographs read by the same network, merged or put in as a cell: every
+ * photograph's look is there, those of both once, and the default look is the first store's. */
+static void photographs_of_both_are_there(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    struct gauss g;
+    struct buf blob = {0};
+    struct appearance other, full;
+    const struct appearance *both;
+    char second[FILE_PATH_MAX], out[FILE_PATH_MAX];
+    static const struct geo_origin near = {8.6921, 50.1109, 160}; /* 700 m to the east */
+    make_model(&other);
+    for (size_t i = 1; i < other.n_images; i++) {
+        snprintf(other.names[i], APPEARANCE_NAME_MAX, "second%zu.jpg", i);
+        other.images[i * other.len_image] += 0.25f;
+    }
+    kit_ok(file_join(second, f->dir, "second.tiles", &e), e);
+    kit_ok(file_join(out, f->dir, "both.tiles", &e), e);
+    kit_gauss(9, 300, 60, 1, LEN, &g);
+    kit_ok(bake_with_default(&other, &g, &full, &e), e);
+    kit_ok(appearance_write(&full, &blob, &e), e);
+    const struct ckpt_blob b = {BAKE_BLOB, blob.data, blob.size};
+    const struct pyramid_level level = {.g = &g, .level = 3};
+    const struct pyramid_config cfg = {.name = "second", .attribution = "B; Survey"};
+    kit_ok(pyramid_build(&near, &level, 1, &cfg, &b, 1, second, NULL, &e), e);
+    const struct update_config cell = {
+        .level = {[3] = &g}, .owns = owns_all, .may_own = may_own_all, .look = &other};
+    for (int round = 0; round < 2; round++) {
+        float first[APPEARANCE_IMAGE_MAX], now[APPEARANCE_IMAGE_MAX];
+        kit_ok(store_open(f->path, &s, &e), e);
+        kit_ok(bake_find(s, BAKE_DEFAULT, first, &e), e);
+        store_close(&s);
+        if (round == 0)
+            kit_ok(merge_build(f->path, second, NULL, out, NULL, &e), e);
+        else
+            kit_ok(update_build(f->path, &cell, out, NULL, &e), e);
+        kit_ok(store_open(out, &s, &e), e);
+        kit_ok(bake_of(s, &both, &e), e);
+        assert_int_equal(both->n_images, 2 * (other.n_images - 1) + 1 + 1);
+        for (size_t i = 0; i < other.n_images; i++) {
+            ptrdiff_t at = appearance_find(both, other.names[i]);
+            assert_true(at >= 0);
+            assert_memory_equal(both->images + (size_t)at * both->len_image,
+                                other.images + i * other.len_image,
+                                other.len_image * sizeof(float));
+        }
+        kit_ok(bake_find(s, BAKE_DEFAULT, now, &e), e);
+        assert_memory_equal(first, now, both->len_image * sizeof(float));
+        size_t bad;
+        kit_ok(store_verify(s, &bad, &e), e);
+        store_close(&s);
+    }
+    appearance_free(&other);
+    appearance_free(&full);
+    buf_free(&blob);
     gauss_free(&g);
 }
 
@@ -304,6 +365,7 @@ int main(void)
         cmocka_unit_test(looks_are_found_by_name_and_blended),
         cmocka_unit_test(another_model_is_another_hash),
         cmocka_unit_test(rows_of_another_model_are_refused),
+        cmocka_unit_test(photographs_of_both_are_there),
     };
     return cmocka_run_group_tests_name("bake", tests, setup, teardown);
 }

@@ -549,6 +549,20 @@ static void test_damaged_tile(void **state)
     struct response r = get(target);
     assert_int_equal(r.status, 500);
     assert_null(strstr((const char *)r.data, path)); /* no file name for the client */
+    expect("type", r.type, "application/problem+json");
+    expect("cache", r.cache_control, "no-store");
+    json_t *o = json_of(&r);
+    const struct key k = served_key(17);
+    unsigned z, x, y;
+    const char *dataset, *detail;
+    assert_int_equal(json_unpack(o, "{s:s,s:s,s:{s:i,s:i,s:i}}", "detail", &detail, "dataset",
+                                 &dataset, "tile", "z", &z, "x", &x, "y", &y),
+                     0);
+    assert_true(z == k.z && x == k.x && y == k.y);
+    expect("dataset", dataset, "damaged");
+    snprintf(where, sizeof(where), "tile %u/%u/%u of dataset damaged is damaged", k.z, k.x, k.y);
+    assert_non_null(strstr(detail, where));
+    json_decref(o);
     route_free(&r);
     snprintf(target, sizeof(target), "/d/damaged/r/%s/t/%s.glb", damaged->ds[0]->meta.revision,
              expand("KEY16", where, sizeof(where)));

@@ -539,7 +539,7 @@ static void two_areas_become_one(void **state)
     struct merge_report rep;
     struct store *s, *sb;
     const struct geo_origin other = {8.6851, 50.1120, 140};
-    struct pyramid_config cb = config;
+    struct pyramid_config ca = config, cb = config;
     kit_tmpdir(dir);
     kit_ok(file_join(a, dir, "a.tiles", &e), e);
     kit_ok(file_join(b, dir, "b.tiles", &e), e);
@@ -548,8 +548,9 @@ static void two_areas_become_one(void **state)
     rows(32, 3000, -200, 200, &gb);
     const struct pyramid_level la = {.g = &ga, .level = 3}, lb = {.g = &gb, .level = 2};
     cb.tile_edge_m = 120;
-    memcpy(cb.attribution, "B", 2);
-    kit_ok(pyramid_build(&origin, &la, 1, &config, NULL, 0, a, NULL, &e), e);
+    memcpy(ca.attribution, "Bureau; A", 10);
+    memcpy(cb.attribution, "A; B", 5);
+    kit_ok(pyramid_build(&origin, &la, 1, &ca, NULL, 0, a, NULL, &e), e);
     kit_ok(pyramid_build(&other, &lb, 1, &cb, NULL, 0, b, NULL, &e), e);
     log_set_level(LOG_ERROR);
     kit_ok(merge_build(a, b, "both", out, &rep, &e), e);
@@ -557,7 +558,7 @@ static void two_areas_become_one(void **state)
     kit_ok(store_open(out, &s, &e), e);
     kit_ok(store_open(b, &sb, &e), e);
     assert_string_equal(store_info(s)->name, "both");
-    assert_string_equal(store_info(s)->attribution, "B");
+    assert_string_equal(store_info(s)->attribution, "Bureau; A; B");
     assert_in_range((uint64_t)(1e5 * rep.turn_deg), 100,
                     400); /* 214 m east: 0.0019 degrees of longitude */
     assert_no_holes(s);
