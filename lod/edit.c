@@ -99,18 +99,19 @@ static enum err_code edit_center(const struct edit *d, const struct edit_tile *t
                                  double center[3], struct err *e)
 {
     bool far = t->g.n == 0;
+    double reach = pyramid_reach_m(d->meta.origin.lat_deg, t->key.z);
     double *at = mem_array(n, sizeof *at);
     if (!at)
         return err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", n);
     for (size_t k = 0; k < 3; k++) {
         edit_coordinates(t, part, n_parts, k, at);
         for (size_t i = 0; !far && i < n; i++)
-            far = !(fabs(at[i] - t->g.origin_enu_m[k]) <= PYRAMID_REACH_M);
+            far = !(fabs(at[i] - t->g.origin_enu_m[k]) <= reach);
     }
     memcpy(center, t->g.origin_enu_m, 3 * sizeof *center);
     for (size_t k = 0; far && k < 3; k++) {
         edit_coordinates(t, part, n_parts, k, at);
-        center[k] = pyramid_center_axis(d->meta.lossless, at, n);
+        center[k] = pyramid_center_axis(d->meta.lossless, reach, at, n);
     }
     mem_free(at);
     return ERR_OK;
@@ -175,22 +176,11 @@ static enum err_code edit_sort(struct gauss *g, struct err *e)
 enum err_code edit_settle(struct edit *d, struct edit_tile *t, struct err *e)
 {
     struct gauss *g = &t->g;
-    size_t n = 0;
     if (t->settled || g->n == 0)
         return ERR_OK;
-    for (size_t i = 0; i < g->n; i++) {
-        const float *m = &g->mean_m[3 * i];
-        float reach = fmaxf(fabsf(m[0]), fmaxf(fabsf(m[1]), fabsf(m[2])));
-        if (!(reach < (float)(PYRAMID_REACH_M + 40.0)))
-            continue; /* as in the pyramid: no format could hold it */
-        if (n != i)
-            gauss_copy_row(g, n, g, i);
-        n++;
-    }
-    d->n_far += g->n - n;
-    g->n = n;
+    d->n_far += pyramid_fit(g, pyramid_reach_m(d->meta.origin.lat_deg, t->key.z));
     enum err_code rc = edit_sort(g, e);
-    if (!rc && d->max_per_tile && n > d->max_per_tile && !t->whole) {
+    if (!rc && d->max_per_tile && g->n > d->max_per_tile && !t->whole) {
         struct gauss less;
         rc = simplify_gauss(g, d->max_per_tile, &less, e);
         gauss_free(g);

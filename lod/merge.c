@@ -310,13 +310,82 @@ static enum err_code merge_raise_from(struct merge *m, const struct store *s, ui
     return rc;
 }
 
-/* Overviews of the store that begins at a finer zoom, up to where the other begins. */
+static int merge_key_compare(const void *a, const void *b)
+{
+    return key_compare(*(const struct key *)a, *(const struct key *)b);
+}
+
+static int merge_code_compare(const void *a, const void *b)
+{
+    uint64_t x = *(const uint64_t *)a, y = *(const uint64_t *)b;
+    return x < y ? -1 : x > y;
+}
+
+/* The tiles at zoom z of both stores and all edits, sorted, each once; room for all there are. */
+static size_t merge_list(const struct merge *m, uint8_t z, struct key *out)
+{
+    size_t n = 0, once = 0, n_tiles;
+    for (size_t i = 0; i < m->d.n; i++)
+        if (m->d.tile[i].key.z == z)
+            out[n++] = m->d.tile[i].key;
+    for (int s = 0; s < 2; s++) {
+        const struct store_tile *t = store_tiles(s ? m->b : m->a, &n_tiles);
+        for (size_t i = 0; i < n_tiles; i++)
+            if (t[i].key.z == z)
+                out[n++] = t[i].key;
+    }
+    if (n)
+        qsort(out, n, sizeof *out, merge_key_compare);
+    for (size_t i = 0; i < n; i++)
+        if (!once || key_compare(out[once - 1], out[i]) != 0)
+            out[once++] = out[i];
+    return once;
+}
+
+/* One zoom of overviews above z, of what both show there; *top: there is none to be made. */
+static enum err_code merge_raise_once(struct merge *m, uint8_t z, bool *top, struct err *e)
+{
+    size_t na, nb;
+    store_tiles(m->a, &na);
+    store_tiles(m->b, &nb);
+    struct key *key = mem_array(na + nb + m->d.n, sizeof *key);
+    uint64_t *code = mem_array(na + nb + m->d.n, sizeof *code);
+    enum err_code rc =
+        key && code ? ERR_OK : err_set(e, ERR_MEM, "out of memory for %zu tiles", na + nb);
+    size_t n = rc ? 0 : merge_list(m, z, key);
+    for (size_t i = 0; i < n; i++)
+        code[i] = locate_code(key[i]);
+    if (n)
+        qsort(code, n, sizeof *code, merge_code_compare);
+    *top = pyramid_is_top(code, n, z);
+    for (size_t i = 0; !rc && !*top && i < n; i++) {
+        struct gauss g, less = {0};
+        rc = merge_now(m, key[i], &g, e);
+        if (!rc)
+            rc = pyramid_thin(&m->d.locate, &g, key[i], &less, e);
+        if (!rc)
+            rc = merge_add(m, key_parent(key[i]), 0, &less, e);
+        gauss_free(&g);
+        gauss_free(&less);
+    }
+    mem_free(key);
+    mem_free(code);
+    return rc;
+}
+
+/* Overviews of the store that begins at a finer zoom, up to where the other begins; then of both,
+ * as a pyramid of all would have them. */
 static enum err_code merge_raise(struct merge *m, struct err *e)
 {
     uint8_t za = store_info(m->a)->zoom_min, zb = store_info(m->b)->zoom_min;
-    if (za == zb)
-        return ERR_OK;
-    return merge_raise_from(m, za > zb ? m->a : m->b, za > zb ? zb : za, e);
+    uint8_t z = za < zb ? za : zb;
+    enum err_code rc = za == zb ? ERR_OK : merge_raise_from(m, za > zb ? m->a : m->b, z, e);
+    for (bool top = false; !rc; z--) {
+        rc = merge_raise_once(m, z, &top, e);
+        if (top)
+            break;
+    }
+    return rc;
 }
 
 /* ---- all of it ---- */

@@ -20,10 +20,14 @@
 #include "core/pool.h"
 #include "lod/tilewriter.h"
 
-enum { PYRAMID_PART_ROWS = 131072 /* of a level in memory */ };
-#define PYRAMID_ROUNDING_M 2.5e-4 /* float32 within 2 km, twice, is closer */
-#define PYRAMID_FENCE_PAD 0.01    /* of a tile's width */
-#define PYRAMID_FENCE_WIDE 2e4    /* metres: edges bend by less than 0.5 % up to 85 degrees */
+enum {
+    PYRAMID_PART_ROWS = 131072, /* of a level in memory */
+    PYRAMID_ZOOM_LOCAL = 6,     /* above, a tile has latitudes of many scales */
+};
+#define PYRAMID_ROUNDING 1.25e-7 /* of the reach: float32, twice, is closer */
+#define PYRAMID_ALLOWANCE 1.02   /* of the reach */
+#define PYRAMID_FENCE_PAD 0.01   /* of a tile's width */
+#define PYRAMID_FENCE_WIDE 2e4   /* metres: edges bend by less than 0.5 % up to 85 degrees */
 
 /* ---- rows to runs ---- */
 
@@ -249,7 +253,7 @@ static int pyramid_double_compare(const void *a, const void *b)
 
 /* A lossless store needs m - c to be exact in float32: true for c = 0, and by Sterbenz's lemma for
  * c / 2 <= m <= 2 c. */
-double pyramid_center_axis(bool lossless, double *at, size_t n)
+double pyramid_center_axis(bool lossless, double reach_m, double *at, size_t n)
 {
     double lo = at[0], hi = at[0];
     for (size_t i = 1; i < n; i++) {
@@ -257,7 +261,7 @@ double pyramid_center_axis(bool lossless, double *at, size_t n)
         hi = fmax(hi, at[i]);
     }
     double c = round(0.5 * (lo + hi)) + 0.0;
-    if (!(hi - lo < 2.0 * PYRAMID_REACH_M)) {
+    if (!(hi - lo < 2.0 * reach_m)) {
         qsort(at, n, sizeof *at, pyramid_double_compare);
         c = round(at[n / 2]) + 0.0;
     }
@@ -265,11 +269,38 @@ double pyramid_center_axis(bool lossless, double *at, size_t n)
         return c;
     bool exact = (lo > 0.0 && c <= 2.0 * lo && hi <= 2.0 * c) ||
                  (hi < 0.0 && c >= 2.0 * hi && lo >= 2.0 * c);
-    return exact || fmax(-lo, hi) > PYRAMID_REACH_M ? c : 0.0;
+    return exact || fmax(-lo, hi) > reach_m ? c : 0.0;
+}
+
+double pyramid_reach_m(double lat_deg, uint8_t z)
+{
+    /* Far up, tiles of one zoom differ: the widest. */
+    double edge = key_edge_m(z > PYRAMID_ZOOM_LOCAL ? lat_deg : 0.0, z);
+    return edge > 2.0 * PYRAMID_REACH_M ? edge : PYRAMID_REACH_M;
+}
+
+size_t pyramid_fit(struct gauss *g, double reach_m)
+{
+    const float most = (float)(PYRAMID_ALLOWANCE * reach_m);
+    const float least = (float)log(PYRAMID_SIGMA_LEAST * reach_m);
+    size_t n = 0;
+    for (size_t i = 0; i < g->n; i++) {
+        const float *m = &g->mean_m[3 * i];
+        if (!(fmaxf(fabsf(m[0]), fmaxf(fabsf(m[1]), fabsf(m[2]))) < most))
+            continue;
+        if (n != i)
+            gauss_copy_row(g, n, g, i);
+        n++;
+    }
+    for (size_t i = 0; reach_m > PYRAMID_REACH_M && i < 3 * n; i++)
+        g->scale_log[i] = g->scale_log[i] > least ? g->scale_log[i] : least;
+    size_t n_far = g->n - n;
+    g->n = n;
+    return n_far;
 }
 
 static enum err_code pyramid_center(const struct pyramid *p, const struct pyramid_slices *s,
-                                    double center[3], struct err *e)
+                                    double reach_m, double center[3], struct err *e)
 {
     double *at = mem_array(s->n, sizeof *at);
     if (!at)
@@ -277,7 +308,7 @@ static enum err_code pyramid_center(const struct pyramid *p, const struct pyrami
     for (size_t k = 0; k < 3; k++) {
         for (size_t i = 0; i < s->n; i++)
             at[i] = (double)s->row[i][k] + s->run[i]->origin_enu_m[k];
-        center[k] = pyramid_center_axis(p->cfg->lossless, at, s->n);
+        center[k] = pyramid_center_axis(p->cfg->lossless, reach_m, at, s->n);
     }
     mem_free(at);
     return ERR_OK;
@@ -300,13 +331,14 @@ static void pyramid_unpack(struct gauss *g, size_t i, const float *row, const fl
 /* Rows within reach of the centre, about it, in Morton order; *n_far are not. At least one remains,
  * since the centre is near one. */
 static enum err_code pyramid_arrange(const struct pyramid *p, struct pyramid_slices *s,
-                                     struct gauss *out, size_t *n_far, struct err *e)
+                                     double reach_m, struct gauss *out, size_t *n_far,
+                                     struct err *e)
 {
     double center[3];
     float *mean = mem_array(s->n, 3 * sizeof *mean);
     uint32_t *order = mem_array(s->n, sizeof *order);
     size_t n = 0;
-    enum err_code rc = mean && order ? pyramid_center(p, s, center, e)
+    enum err_code rc = mean && order ? pyramid_center(p, s, reach_m, center, e)
                                      : err_set(e, ERR_MEM, "out of memory for a tile");
     if (rc)
         goto out;
@@ -316,7 +348,7 @@ static enum err_code pyramid_arrange(const struct pyramid *p, struct pyramid_sli
             at[k] = (double)s->row[i][k] + (s->run[i]->origin_enu_m[k] - center[k]);
             far = fmax(far, fabs(at[k]));
         }
-        if (!(far < PYRAMID_REACH_M + 40.0))
+        if (!(far < PYRAMID_ALLOWANCE * reach_m))
             continue;
         for (size_t k = 0; k < 3; k++)
             mean[3 * n + k] = (float)at[k];
@@ -335,6 +367,7 @@ static enum err_code pyramid_arrange(const struct pyramid *p, struct pyramid_sli
     out->n = n;
     for (size_t i = 0; i < n; i++)
         pyramid_unpack(out, i, s->row[order[i]], mean + 3 * order[i], s->run[order[i]]);
+    *n_far += pyramid_fit(out, reach_m);
 out:
     mem_free(mean);
     mem_free(order);
@@ -380,7 +413,7 @@ struct pyramid_fence { /* the ground of a tile, for rows of about one height */
     const struct locate *l;
     uint64_t code;
     unsigned shift;
-    double mid[3];
+    double mid[3], rounding_m;
     double min_m[2], max_m[2]; /* ENU; surely inside, empty when the tile is too wide to say */
 };
 
@@ -394,6 +427,8 @@ static enum err_code pyramid_fence_open(const struct locate *l, const struct gau
         .l = l,
         .code = locate_code(k),
         .shift = 2u * (unsigned)(KEY_ZOOM_MAX - k.z),
+        .rounding_m = /* about the centre of the tile above */
+        PYRAMID_ROUNDING * pyramid_reach_m(l->origin.lat_deg, k.z ? (uint8_t)(k.z - 1) : 0),
         .min_m = {-HUGE_VAL, -HUGE_VAL},
         .max_m = {HUGE_VAL, HUGE_VAL},
     };
@@ -425,7 +460,7 @@ static enum err_code pyramid_fence_open(const struct locate *l, const struct gau
     return rc;
 }
 
-/* Is the place in the tile, and everything within PYRAMID_ROUNDING_M of it? */
+/* Is the place in the tile, and all around it that it may be rounded to? */
 static enum err_code pyramid_fence_holds(const struct pyramid_fence *f, const double enu[3],
                                          bool *holds, struct err *e)
 {
@@ -436,8 +471,8 @@ static enum err_code pyramid_fence_holds(const struct pyramid_fence *f, const do
         return ERR_OK;
     *holds = true;
     for (unsigned i = 0; !rc && *holds && i < 4; i++) {
-        const double at[3] = {enu[0] + (i & 1 ? PYRAMID_ROUNDING_M : -PYRAMID_ROUNDING_M),
-                              enu[1] + (i & 2 ? PYRAMID_ROUNDING_M : -PYRAMID_ROUNDING_M), enu[2]};
+        const double at[3] = {enu[0] + (i & 1 ? f->rounding_m : -f->rounding_m),
+                              enu[1] + (i & 2 ? f->rounding_m : -f->rounding_m), enu[2]};
         struct key k;
         rc = locate_key(f->l, at, &k, e);
         *holds = !rc && locate_code(k) >> f->shift == f->code;
@@ -504,7 +539,8 @@ static enum err_code pyramid_fill_tile(struct pyramid_writing *w, const struct p
     size_t n_far = 0;
     enum err_code rc = pyramid_gather(w->p, &runs, j->code, j->z, &s, e);
     if (!rc)
-        rc = pyramid_arrange(w->p, &s, out, &n_far, e);
+        rc = pyramid_arrange(w->p, &s, pyramid_reach_m(w->p->locate.origin.lat_deg, j->z), out,
+                             &n_far, e);
     pyramid_slices_free(&s);
     if (!rc && j->made && out->n > w->p->max_per_tile) {
         struct gauss less;
@@ -667,7 +703,7 @@ static void pyramid_tell(const struct pyramid_report *r)
     if (r->n_far)
         log_warn("tile",
                  "left out n=%zu Gaussians farther than max_m=%g from the centre of their tile",
-                 r->n_far, PYRAMID_REACH_M + 40.0);
+                 r->n_far, PYRAMID_ALLOWANCE * PYRAMID_REACH_M);
     if (r->n_carried)
         log_info("tile", "carried n=%zu Gaussians into tiles=%zu where a finer level has none",
                  r->n_carried, r->n_carried_tiles);

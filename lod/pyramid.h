@@ -16,11 +16,15 @@ enum {
     PYRAMID_PER_TILE_MAX = 200000,
     PYRAMID_KEEP = 16,      /* tiles this small are not thinned: four of them are 64 */
     PYRAMID_LONE_ROOTS = 4, /* so few tiles may stand side by side at the top ... */
-    PYRAMID_CLIMB_MAX = 3,  /* ... if one tile over them all is more zooms up than this */
+    PYRAMID_CLIMB_MAX = 3,  /* ... if there are no fewer of them so many zooms up */
 };
-/* Fixed-point formats (SPZ, .drc) hold means within 2048 m of the tile's centre: no tile is wider
- * than twice this, and rows farther up or down are left out. */
+/* Tiles of trained levels are no wider than twice this, so that fixed-point formats (SPZ, .drc)
+ * hold their means within 2048 m of the centre to 2^-12 m, and rows farther up or down are left
+ * out. */
 #define PYRAMID_REACH_M 2000.0
+/* Overviews may be wider: their formats take fewer bits behind the point, as many as the sigmas
+ * need. That there are enough is seen to: no sigma is below this part of the reach. */
+#define PYRAMID_SIGMA_LEAST 0x1p-18
 
 struct pyramid_count { /* a tile and how many rows of a level are in it */
     uint64_t code;     /* at its zoom */
@@ -90,13 +94,21 @@ enum err_code pyramid_choose_zoom(struct pyramid *p, struct err *e) ERR_USE;
 /* All tiles that take rows of a level, carried ones included, finest level first; p->zoom holds the
  * nodes. */
 enum err_code pyramid_plan(struct pyramid *p, struct err *e) ERR_USE;
+/* Tiles side by side, their codes at one zoom sorted: are there no fewer within PYRAMID_CLIMB_MAX
+ * zooms above, and few enough to be the top? */
+bool pyramid_is_top(const uint64_t *code, size_t n, uint8_t z);
 /* The zoom above z that is to be made of what lies below, and its nodes; false: z is the top. */
 bool pyramid_plan_up(struct pyramid *p, uint8_t z, enum err_code *rc, struct err *e);
 /* Rows [from, from + n) of g, borrowed. */
 struct gauss pyramid_view(const struct gauss *g, size_t from, size_t n);
+/* How far from the centre of a tile at this zoom rows may be, along each axis. */
+double pyramid_reach_m(double lat_deg, uint8_t z);
 /* Centre of rows along one axis (spoils `at`): whole metres, the middle, but the median where a
  * stray Gaussian would push all others out of reach. */
-double pyramid_center_axis(bool lossless, double *at, size_t n);
+double pyramid_center_axis(bool lossless, double reach_m, double *at, size_t n);
+/* Leave out rows beyond reach, with a small allowance; returns how many. Widen sigmas of overviews
+ * to PYRAMID_SIGMA_LEAST. */
+size_t pyramid_fit(struct gauss *g, double reach_m);
 /* How many of n rows a tile passes on to the one above. */
 size_t pyramid_thin_count(size_t n);
 /* So many of a tile's rows by merging, all of them inside the tile, by more than what the next tile

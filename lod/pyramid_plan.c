@@ -306,22 +306,29 @@ enum err_code pyramid_plan(struct pyramid *p, struct err *e)
     return rc;
 }
 
-/* Zooms between z and the tile over all tiles of zoom z. */
-static uint8_t pyramid_climb(const struct pyramid_zoom *l)
+bool pyramid_is_top(const uint64_t *code, size_t n, uint8_t z)
 {
-    uint64_t differ = l->node[0].code ^ l->node[l->n - 1].code;
-    uint8_t up = 0;
-    for (; differ; differ >>= 2)
-        up++;
-    return up;
+    size_t n_up = 1;
+    unsigned up = z < PYRAMID_CLIMB_MAX ? z : PYRAMID_CLIMB_MAX;
+    for (size_t i = 1; i < n; i++)
+        n_up += code[i] >> 2 * up != code[i - 1] >> 2 * up;
+    return n <= 1 || z == 0 || (n <= PYRAMID_LONE_ROOTS && n_up == n);
+}
+
+static bool pyramid_zoom_is_top(const struct pyramid_zoom *l, uint8_t z)
+{
+    uint64_t code[PYRAMID_LONE_ROOTS];
+    if (l->n > PYRAMID_LONE_ROOTS)
+        return z == 0;
+    for (size_t i = 0; i < l->n; i++)
+        code[i] = l->node[i].code;
+    return pyramid_is_top(code, l->n, z);
 }
 
 bool pyramid_plan_up(struct pyramid *p, uint8_t z, enum err_code *rc, struct err *e)
 {
-    const struct pyramid_zoom *l = &p->zoom[z];
     int level = (int)p->top_level - (p->zoom_max - z) - 1;
-    bool lone = l->n == 1 || (l->n <= PYRAMID_LONE_ROOTS && pyramid_climb(l) > PYRAMID_CLIMB_MAX);
-    if (z == 0 || ((lone || z <= p->zoom_least) && level < 1))
+    if (z == 0 || (level < 1 && pyramid_zoom_is_top(&p->zoom[z], z)))
         return false;
     if (p->zoom[z - 1].n == 0)
         *rc = pyramid_add_parents(p, (uint8_t)(z - 1), e);

@@ -398,6 +398,71 @@ static void a_scene_across_the_equator(void **state)
     gauss_free(&g);
 }
 
+/* A scene two cells wide across an edge of the quad tree at every zoom, small and wide: overviews
+ * go on until one tile holds it, or up to four that meet at a corner and would not become fewer for
+ * three zooms. Every tile fits the formats, and what it shows is inside. */
+static void one_tile_or_a_corner_holds_the_scene(void **state)
+{
+    struct fixture *f = *state;
+    static const struct {
+        double half_m, edge_m;
+    } sizes[] = {{200, 60}, {15000, 3000}, {90000, 4000}};
+    static const double lats[] = {0, 50.1, -33.4, 72.3};
+    log_set_level(LOG_ERROR);
+    for (uint8_t zb = 0; zb <= 16; zb += 2)
+        for (size_t i = 0; i < sizeof sizes / sizeof *sizes; i++) {
+            struct err e = {0};
+            struct gauss g;
+            struct pyramid_report rep;
+            struct pyramid_config cfg = config;
+            struct store *s;
+            double west, south, east, north;
+            const struct key k = key_at(zb ? 25.0 : 180.0, lats[zb / 2 % 4], zb ? zb : 1);
+            key_bounds(k, &west, &south, &east, &north);
+            const struct geo_origin o = {zb ? west : 180, zb % 4 ? north : lats[zb / 2 % 4], 100};
+            cfg.tile_edge_m = sizes[i].edge_m;
+            cfg.lossless = zb % 4 == 0;
+            city(zb + 100 * i, 1500, sizes[i].half_m, &g);
+            const struct pyramid_level level = {.g = &g, .level = 1};
+            kit_ok(pyramid_build(&o, &level, 1, &cfg, NULL, 0, f->path, &rep, &e), e);
+            kit_ok(store_open(f->path, &s, &e), e);
+            size_t n, roots = 0, up = 0, leaves = 0;
+            struct key above = {0};
+            const struct store_tile *t = store_tiles(s, &n);
+            for (size_t r = 0; r < n; r++) {
+                struct gauss x;
+                struct quant q;
+                kit_ok(store_read_gauss(s, t[r].key, &x, &e), e);
+                for (size_t c = 0; c < x.n; c++) {
+                    double enu[3], lon, lat, h;
+                    for (size_t a = 0; a < 3; a++)
+                        enu[a] = (double)x.mean_m[3 * c + a] + x.origin_enu_m[a];
+                    kit_ok(geo_from_enu(&o, enu, &lon, &lat, &h, &e), e);
+                    if (t[r].level == 0) /* trained rows: float32 on an edge, see three_levels */
+                        assert_int_equal(key_compare(key_at(lon, lat, t[r].key.z), t[r].key), 0);
+                }
+                kit_ok(quant_from_gauss(&x, 3, NULL, &q, &e), e);
+                quant_free(&q);
+                gauss_free(&x);
+                leaves += store_tree(s)->nodes[r].child_count ? 0 : t[r].count;
+                if (t[r].key.z != rep.zoom_min)
+                    continue;
+                struct key at = t[r].key;
+                for (int z = 0; z < 3 && at.z > 0; z++)
+                    at = key_parent(at);
+                up += roots++ == 0 || key_compare(at, above) != 0;
+                above = at;
+            }
+            assert_int_equal(leaves, g.n);
+            if (!(roots == 1 || (roots <= 4 && up == roots)))
+                fail_msg("edge of zoom %u, %g m: %zu roots at zoom %u", zb, sizes[i].half_m, roots,
+                         rep.zoom_min);
+            store_close(&s);
+            gauss_free(&g);
+        }
+    log_set_level(LOG_INFO);
+}
+
 /* The fast way to a tile gives the tile that GeographicLib and key_at give: all over a city, on the
  * edges of tiles to the last bit, high up, at the date line and at the poles. */
 static void located_as_by_definition(void **state)
@@ -646,6 +711,7 @@ int main(void)
         CASE(far_rows),
         CASE(lossless_means),
         CASE(a_scene_across_the_equator),
+        CASE(one_tile_or_a_corner_holds_the_scene),
         cmocka_unit_test(located_as_by_definition),
         cmocka_unit_test(eigen_of_known_matrices),
         cmocka_unit_test(projected_areas),

@@ -597,6 +597,45 @@ static void two_areas_become_one(void **state)
     kit_rmdir(dir);
 }
 
+/* Two neighbours, each with a single tile on top, get overviews until one tile holds both, once. */
+static void neighbours_get_a_common_overview(void **state)
+{
+    (void)state;
+    char dir[FILE_PATH_MAX], path[3][FILE_PATH_MAX];
+    struct err e = {0};
+    struct gauss g;
+    struct store *s;
+    const struct geo_origin east = {8.7021, 50.1109, 160}; /* 1430 m to the east */
+    kit_tmpdir(dir);
+    for (size_t i = 0; i < 3; i++)
+        kit_ok(file_join(path[i], dir, (const char *[]){"a", "b", "c"}[i], &e), e);
+    rows(33, 3000, -150, 150, &g);
+    for (size_t i = 0; i < g.n; i++)
+        g.sh[3 * i] = 0.5f;
+    const struct pyramid_level level = {.g = &g, .level = 1};
+    struct pyramid_config other = config;
+    memcpy(other.name, "east", 5);
+    kit_ok(pyramid_build(&origin, &level, 1, &config, NULL, 0, path[0], NULL, &e), e);
+    kit_ok(pyramid_build(&east, &level, 1, &other, NULL, 0, path[1], NULL, &e), e);
+    kit_ok(merge_build(path[0], path[1], NULL, path[2], NULL, &e), e);
+    kit_ok(store_open(path[2], &s, &e), e);
+    size_t n, at_zoom[KEY_ZOOM_MAX + 1] = {0}, n_tiles[KEY_ZOOM_MAX + 1] = {0};
+    const struct store_tile *t = store_tiles(s, &n);
+    for (size_t i = 0; i < n; i++) {
+        at_zoom[t[i].key.z] += t[i].count;
+        n_tiles[t[i].key.z]++;
+    }
+    uint8_t z0 = store_info(s)->zoom_min, z1 = store_info(s)->zoom_max;
+    assert_int_equal(n_tiles[z0], 1);
+    assert_int_equal(at_zoom[z1], 2 * g.n);
+    for (uint8_t z = z0; z < z1; z++) /* a quarter each, and what rounding up adds */
+        assert_in_range(at_zoom[z], at_zoom[z + 1] / 4, at_zoom[z + 1] / 4 + 16 * n_tiles[z + 1]);
+    assert_no_holes(s);
+    store_close(&s);
+    gauss_free(&g);
+    kit_rmdir(dir);
+}
+
 /* SH turned with the frame: far apart, so that the turn is large, a Gaussian looks the same from
  * the same place on Earth. */
 static void views_turn_with_the_frame(void **state)
@@ -672,6 +711,7 @@ int main(void)
         cmocka_unit_test(an_update_is_what_a_full_build_gives),
         cmocka_unit_test(a_death_in_the_middle_leaves_the_old_store),
         cmocka_unit_test(two_areas_become_one),
+        cmocka_unit_test(neighbours_get_a_common_overview),
         cmocka_unit_test(views_turn_with_the_frame),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
