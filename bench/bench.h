@@ -24,9 +24,12 @@ struct bench {
     struct bench_row *rows;
     size_t n_rows;
     struct arena arena;
-    struct json_t *baseline;                              /* --compare FILE, or NULL */
-    const char *scene, *tiles, *dataset, *study, *record; /* of `rd`; NULL when not given */
-    const char *command;                                  /* that gives its rows again */
+    struct json_t *baseline; /* --compare FILE, or NULL */
+    /* Of the studies `rd` and `pyramid`, NULL when not given: the scene; what was made of it; where
+     * rows go. */
+    const char *scene, *tiles, *trained, *record;
+    const char *dataset, *study, *command, *commit; /* what rows say of themselves */
+    struct json_t *lines;                           /* rows so far, or NULL */
 };
 
 /* ratio 0 = none; `against` says what the ratio is to ("DRAM triad", "naive C"), NULL when none. */
@@ -44,6 +47,11 @@ enum err_code bench_time(struct bench *b, enum err_code (*fn)(void *user, struct
 enum err_code bench_cpu_time(struct bench *b, enum err_code (*fn)(void *user, struct err *e),
                              void *user, double *median_ms, double *spread_ms,
                              struct err *e) ERR_USE;
+/* A row of the study that runs: `numbers` is taken over. Written to b->record, if any, when all are
+ * there. */
+enum err_code bench_record(struct bench *b, const char *row, const char *what,
+                           struct json_t *numbers, struct err *e) ERR_USE;
+enum err_code bench_record_write(struct bench *b, struct err *e) ERR_USE; /* forgets the rows */
 /* A path for scratch files of this run; removed at exit. */
 const char *bench_tmpdir(struct bench *b);
 

@@ -15,14 +15,14 @@
  */
 #include "bench/bench.h"
 
-#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
 #include <jansson.h>
 
+#include "bench/leaves.h"
+#include "bench/shots.h"
 #include "lod/lod.h"
-#include "lod/tree.h"
 #include "train/train.h"
 
 enum { NAME_MAX_BYTES = 64 };
@@ -35,64 +35,18 @@ struct rd {
     struct scene scene;
     uint32_t *images;
     size_t n_images;
-    struct feed *feed;
     struct render *render;
-    struct gauss *tiles; /* [n_tiles], glTF axes about each one's centre */
-    size_t n_tiles, n;
-    float **truth; /* [n_images] pictures of the tiles as they are */
-    double psnr_db;
-    json_t *lines;
+    struct shots shots;   /* the truth: pictures of the tiles as they are */
+    struct leaves leaves; /* in glTF axes */
+    double psnr_db;       /* of the tiles as they are */
 };
 
-static double clamped(float v)
-{
-    return (double)fminf(fmaxf(v, 0), 1);
-}
-
-static double psnr_of(const float *a, const float *b, size_t n)
-{
-    double sum = 0;
-    for (size_t i = 0; i < n; i++) {
-        double d = clamped(a[i]) - clamped(b[i]);
-        sum += d * d;
-    }
-    return 10 * log10((double)n / (sum + 1e-12));
-}
-
-/* Mean scores of g (ENU); with `keep` its pictures become the truth. */
-static enum err_code rd_score(struct rd *r, const struct gauss *g, bool keep, double *psnr_db,
-                              double *self_db, struct err *e)
+static enum err_code rd_score(struct rd *r, const struct gauss *g, bool keep,
+                              struct shots_score *out, struct err *e)
 {
     const struct render_options ro = {.aa = g->antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
                                       .sh_degree = -1};
-    struct render_model m = {0};
-    enum err_code rc = render_model_upload(r->render, g, &m, e);
-    *psnr_db = *self_db = 0;
-    for (size_t i = 0; !rc && i < r->n_images; i++) {
-        struct feed_photo photo;
-        double psnr;
-        rc = feed_get_nth(r->feed, i, &photo, e);
-        uint32_t w = rc ? 0 : photo.cam.width_px, h = rc ? 0 : photo.cam.height_px;
-        size_t n = (size_t)w * h * 3;
-        float *rgb = rc ? NULL : mem_array(n, sizeof *rgb);
-        if (!rc && !rgb)
-            rc = err_set(e, ERR_MEM, "out of memory for a picture");
-        if (!rc)
-            rc = render_forward(r->render, &m, &photo.cam, &ro, rgb, NULL, e);
-        if (!rc)
-            rc = metric_psnr(rgb, photo.px, NULL, w, h, &psnr, e);
-        if (!rc) {
-            *psnr_db += psnr / (double)r->n_images;
-            *self_db += keep ? 0 : psnr_of(rgb, r->truth[i], n) / (double)r->n_images;
-        }
-        if (!rc && keep) {
-            r->truth[i] = rgb;
-            rgb = NULL;
-        }
-        mem_free(rgb);
-    }
-    render_model_free(&m);
-    return rc;
+    return shots_score(&r->shots, g, &ro, keep, out, e);
 }
 
 /* One tile through a format; what a reader gets is added to `all` in ENU. */
@@ -127,36 +81,34 @@ static enum err_code rd_tile(const struct gauss *tile, enum rd_format f,
 }
 
 static enum err_code rd_record(struct rd *r, const char *row, const char *what, double bytes,
-                               double psnr_db, double self_db, struct err *e)
+                               const struct shots_score *score, struct err *e)
 {
     char name[2 * NAME_MAX_BYTES];
-    json_t *o =
-        json_pack("{s:s, s:s, s:s, s:s, s:s, s:s, s:{s:f, s:f, s:f, s:f, s:I, s:i}}", "study",
-                  r->b->study, "row", row, "what", what, "dataset", r->b->dataset, "command",
-                  r->b->command, "device", r->b->dev->name, "numbers", "bytes_per_gaussian", bytes,
-                  "psnr_db", psnr_db, "drop_db", r->psnr_db - psnr_db, "self_db", self_db,
-                  "gaussians", (json_int_t)r->n, "photographs", (int)r->n_images);
-    if (!o || json_array_append_new(r->lines, o))
-        return err_set(e, ERR_MEM, "out of memory");
     snprintf(name, sizeof name, "%s, %s", row, what);
-    bench_report(r->b, name, bytes, "bytes", psnr_db, "dB");
-    return ERR_OK;
+    bench_report(r->b, name, bytes, "bytes", score->psnr_db, "dB");
+    return bench_record(r->b, row, what,
+                        json_pack("{s:f, s:f, s:f, s:f, s:I, s:i}", "bytes_per_gaussian", bytes,
+                                  "psnr_db", score->psnr_db, "drop_db", r->psnr_db - score->psnr_db,
+                                  "self_db", score->self_db, "gaussians", (json_int_t)r->leaves.n,
+                                  "photographs", (int)r->n_images),
+                        e);
 }
 
 static enum err_code rd_row(struct rd *r, const char *row, enum rd_format f,
                             const struct quant_grid *grid, struct err *e)
 {
     struct gauss all = {0};
-    double psnr_db, self_db;
+    struct shots_score score;
     size_t bytes = 0;
-    enum err_code rc = gauss_alloc(&all, r->n, r->tiles[0].sh_degree, r->tiles[0].embed_len, e);
-    memcpy(all.origin_enu_m, r->tiles[0].origin_enu_m, sizeof all.origin_enu_m);
-    for (size_t i = 0; !rc && i < r->n_tiles; i++)
-        rc = rd_tile(&r->tiles[i], f, grid, &all, &bytes, e);
+    enum err_code rc =
+        gauss_alloc(&all, r->leaves.n, r->leaves.tile[0].sh_degree, r->leaves.tile[0].embed_len, e);
+    memcpy(all.origin_enu_m, r->leaves.tile[0].origin_enu_m, sizeof all.origin_enu_m);
+    for (size_t i = 0; !rc && i < r->leaves.n_tiles; i++)
+        rc = rd_tile(&r->leaves.tile[i], f, grid, &all, &bytes, e);
     if (!rc)
-        rc = rd_score(r, &all, false, &psnr_db, &self_db, e);
+        rc = rd_score(r, &all, false, &score, e);
     if (!rc)
-        rc = rd_record(r, row, format_names[f], (double)bytes / (double)r->n, psnr_db, self_db, e);
+        rc = rd_record(r, row, format_names[f], (double)bytes / (double)r->leaves.n, &score, e);
     gauss_free(&all);
     if (!rc && clock_stopping())
         rc = err_set(e, ERR_CANCEL, "stopped");
@@ -174,7 +126,7 @@ static enum err_code rd_presets(struct rd *r, struct err *e)
             snprintf(row, sizeof row, "preset:%s", quant_preset_name((enum quant_preset)p));
             rc = rd_row(r, row, (enum rd_format)f, quant_preset_grid((enum quant_preset)p), e);
         }
-    for (uint32_t degree = 0; !rc && degree < r->tiles[0].sh_degree; degree++) {
+    for (uint32_t degree = 0; !rc && degree < r->leaves.tile[0].sh_degree; degree++) {
         struct quant_grid spz = *quant_preset_grid(QUANT_SPZ),
                           balanced = *quant_preset_grid(QUANT_BALANCED);
         spz.sh_degree = balanced.sh_degree = (uint8_t)degree;
@@ -231,82 +183,34 @@ static enum err_code rd_ladders(struct rd *r, struct err *e)
 
 /* ---- the scene ---- */
 
-static enum err_code rd_read_tiles(struct rd *r, struct err *e)
-{
-    struct store *s = NULL;
-    size_t n = 0;
-    enum err_code rc = store_open(r->b->tiles, &s, e);
-    const struct store_tile *t = rc ? NULL : store_tiles(s, &n);
-    r->tiles = mem_array(n, sizeof *r->tiles);
-    if (!rc && !r->tiles)
-        rc = err_set(e, ERR_MEM, "out of memory");
-    for (size_t i = 0; !rc && i < n; i++) {
-        if (store_tree(s)->nodes[i].child_count) /* leaves show the finest level */
-            continue;
-        rc = store_read_gauss(s, t[i].key, &r->tiles[r->n_tiles], e);
-        if (!rc)
-            r->n += r->tiles[r->n_tiles++].n;
-    }
-    store_close(&s);
-    return rc;
-}
-
-static enum err_code rd_open(struct rd *r, struct err *e)
+static enum err_code rd_open(struct rd *r, struct shots_score *trained, struct err *e)
 {
     struct gauss all = {0};
-    double self_db;
     enum err_code rc = scene_read(r->b->scene, &r->scene, e);
     if (!rc)
         rc = train_images(&r->scene, SCENE_TEST, true, &r->images, &r->n_images, e);
     if (!rc && !r->n_images)
         rc = err_set(e, ERR_DATA, "%s: keeps no test photographs", r->b->scene);
-    const struct feed_config f = {.scene = &r->scene,
-                                  .images = r->images,
-                                  .n_images = r->n_images,
-                                  .downsample = 1,
-                                  .cache_bytes = (size_t)1 << 30};
-    if (!rc)
-        rc = feed_open(&f, &r->feed, e);
     if (!rc)
         rc = render_open(r->b->dev, &r->render, e);
     if (!rc)
-        rc = rd_read_tiles(r, e);
-    if (!rc && !r->n)
-        rc = err_set(e, ERR_DATA, "%s: no Gaussians", r->b->tiles);
-    r->lines = json_array();
-    r->truth = mem_array(r->n_images, sizeof *r->truth);
-    if (!rc && (!r->truth || !r->lines))
-        rc = err_set(e, ERR_MEM, "out of memory");
+        rc = shots_open(r->render, &r->scene, r->images, r->n_images, 0, 1, &r->shots, e);
     if (!rc)
-        rc = gauss_alloc(&all, r->n, r->tiles[0].sh_degree, r->tiles[0].embed_len, e);
-    for (size_t i = 0; !rc && i < r->n_tiles; i++) {
+        rc = leaves_read(r->b->tiles, &r->leaves, e);
+    if (!rc)
+        rc = gauss_alloc(&all, r->leaves.n, r->leaves.tile[0].sh_degree,
+                         r->leaves.tile[0].embed_len, e);
+    for (size_t i = 0; !rc && i < r->leaves.n_tiles; i++) {
         if (i == 0)
-            memcpy(all.origin_enu_m, r->tiles[0].origin_enu_m, sizeof all.origin_enu_m);
-        all.antialiased = r->tiles[i].antialiased;
-        rc = gauss_append(&all, &r->tiles[i], NULL, r->tiles[i].n, e);
-        frame_enu_to_gltf(&r->tiles[i]);
+            memcpy(all.origin_enu_m, r->leaves.tile[0].origin_enu_m, sizeof all.origin_enu_m);
+        all.antialiased = r->leaves.tile[i].antialiased;
+        rc = gauss_append(&all, &r->leaves.tile[i], NULL, r->leaves.tile[i].n, e);
+        frame_enu_to_gltf(&r->leaves.tile[i]);
     }
     if (!rc)
-        rc = rd_score(r, &all, true, &r->psnr_db, &self_db, e);
+        rc = rd_score(r, &all, true, trained, e);
+    r->psnr_db = trained->psnr_db;
     gauss_free(&all);
-    return rc;
-}
-
-static enum err_code rd_write(const struct rd *r, struct err *e)
-{
-    struct buf b = {0};
-    json_t *line;
-    size_t i;
-    json_array_foreach(r->lines, i, line)
-    {
-        char *text = json_dumps(line, JSON_COMPACT | JSON_REAL_PRECISION(7));
-        buf_printf(&b, "%s\n", text ? text : "");
-        free(text);
-    }
-    enum err_code rc = buf_check(&b, e);
-    if (!rc)
-        rc = file_write(r->b->record, b.data, b.size, e);
-    buf_free(&b);
     return rc;
 }
 
@@ -317,29 +221,24 @@ enum err_code bench_rd(struct bench *b, struct err *e)
         log_info("bench", "rd skipped: it takes --scene DIR --tiles FILE");
         return ERR_OK;
     }
-    enum err_code rc = rd_open(&r, e);
+    struct shots_score trained;
+    enum err_code rc = rd_open(&r, &trained, e);
     if (!rc)
-        rc = rd_record(
-            &r, "trained", "float32",
-            4.0 * (11 + 3 * (double)gauss_sh_count(r.tiles[0].sh_degree) + r.tiles[0].embed_len),
-            r.psnr_db, 120, e);
+        rc = rd_record(&r, "trained", "float32",
+                       4.0 * (11 + 3 * (double)gauss_sh_count(r.leaves.tile[0].sh_degree) +
+                              r.leaves.tile[0].embed_len),
+                       &trained, e);
     if (!rc)
         rc = rd_presets(&r, e);
     if (!rc && !b->quick)
         rc = rd_fields(&r, e);
     if (!rc && !b->quick)
         rc = rd_ladders(&r, e);
-    if (!rc && b->record)
-        rc = rd_write(&r, e);
-    for (size_t i = 0; r.truth && i < r.n_images; i++)
-        mem_free(r.truth[i]);
-    for (size_t i = 0; i < r.n_tiles; i++)
-        gauss_free(&r.tiles[i]);
-    mem_free(r.truth);
-    mem_free(r.tiles);
-    json_decref(r.lines);
+    if (!rc)
+        rc = bench_record_write(b, e);
+    leaves_free(&r.leaves);
+    shots_close(&r.shots);
     render_close(&r.render);
-    feed_close(&r.feed);
     scene_free(&r.scene);
     return rc;
 }

@@ -26,7 +26,7 @@ enum { BENCH_TEXT_MAX = 160 };
 struct bench_config {
     OPTIONS_C_INT runs;
     OPTIONS_C_BOOL quick;
-    OPTIONS_C_TEXT device, compare, scene, tiles, dataset, study, command, record;
+    OPTIONS_C_TEXT device, compare, scene, tiles, trained, dataset, study, command, commit, record;
 };
 
 static const struct options_def bench_defs[] = {
@@ -40,19 +40,26 @@ static const struct options_def bench_defs[] = {
                             "JSON lines of an earlier run, such as bench/baseline.jsonl: the table "
                             "gains now/then, as it is and as if the ceilings had been the same")
                     OPTIONS_ROW(struct bench_config, TEXT, scene, "", 0, 0, "DIR",
-                                "rd: scene with test photographs")
+                                "rd, pyramid: scene with test photographs")
                         OPTIONS_ROW(struct bench_config, TEXT, tiles, "", 0, 0, "FILE",
                                     "rd, codec: tile store trained on it")
-                            OPTIONS_ROW(struct bench_config, TEXT, dataset, "", 0, 0, "TEXT",
-                                        "rd: what the scene is, for records")
-                                OPTIONS_ROW(struct bench_config, TEXT, study, "rd", 0, 0, "NAME",
-                                            "rd: name of the study in records")
-                                    OPTIONS_ROW(
-                                        struct bench_config, TEXT, command,
-                                        "citysplat-bench rd --scene SCENE --tiles CITY.tiles", 0, 0,
-                                        "TEXT", "rd: what gives the records again")
-                                        OPTIONS_ROW(struct bench_config, TEXT, record, "", 0, 0,
-                                                    "FILE", "rd: write every row as a JSON line")};
+                            OPTIONS_ROW(struct bench_config, TEXT, trained, "", 0, 0, "DIR",
+                                        "pyramid: folder with the scene's trained cells/; the "
+                                        "scene itself by default")
+                                OPTIONS_ROW(struct bench_config, TEXT, dataset, "", 0, 0, "TEXT",
+                                            "rd, pyramid: what the scene is, for records")
+                                    OPTIONS_ROW(struct bench_config, TEXT, study, "rd", 0, 0,
+                                                "NAME", "rd, pyramid: name of the study in records")
+                                        OPTIONS_ROW(struct bench_config, TEXT, command,
+                                                    "citysplat-bench", 0, 0, "TEXT",
+                                                    "rd, pyramid: what gives the records again")
+                                            OPTIONS_ROW(
+                                                struct bench_config, TEXT, commit, "", 0, 0, "HASH",
+                                                "rd, pyramid: version of the program, for records")
+                                                OPTIONS_ROW(
+                                                    struct bench_config, TEXT, record, "", 0, 0,
+                                                    "FILE",
+                                                    "rd, pyramid: write every row as a JSON line")};
 
 struct bench_entry {
     const char *name, *about;
@@ -307,10 +314,12 @@ int main(int argc, char **argv)
     b.quick = cfg.quick;
     b.scene = cfg.scene;
     b.tiles = cfg.tiles;
+    b.trained = cfg.trained ? cfg.trained : cfg.scene;
     b.record = cfg.record;
     b.dataset = cfg.dataset ? cfg.dataset : "unnamed";
     b.study = cfg.study;
     b.command = cfg.command;
+    b.commit = cfg.commit ? cfg.commit : "";
     b.rows = mem_array(ROWS_MAX, sizeof *b.rows);
     if (!rc && !b.rows)
         rc = err_set(&e, ERR_MEM, "out of memory");
@@ -332,6 +341,7 @@ out:
         fprintf(stderr, "citysplat-bench: error: %s\n", e.msg);
     dev_close(&dev);
     json_decref(b.baseline);
+    json_decref(b.lines);
     mem_free(b.rows);
     arena_free(&b.arena);
     if (tmpdir[0] && strcmp(tmpdir, "."))

@@ -12,6 +12,7 @@
 
 #include "core/err.h"
 
+struct buf;
 struct codec_limits;
 
 enum draco_id { /* unique ids in the file; sh.. and embedding are there only when they have values.
@@ -61,6 +62,18 @@ size_t draco_layout(uint32_t sh_degree, uint32_t embed_len,
  * check value; allocates nothing. */
 enum err_code draco_check(const void *bytes, size_t n, const struct codec_limits *lim,
                           struct draco_head *out, struct err *e) ERR_USE;
+
+/* Integers as attributes of a sequential cloud without names: what other layouts than ours would
+ * take (citysplat-bench layout). No reader of ours opens it. */
+enum draco_prediction { DRACO_PREDICT_NEVER, DRACO_PREDICT_ROW, DRACO_PREDICT_WHERE_IT_PAYS };
+struct draco_column {
+    enum draco_type type;
+    uint32_t components;
+    enum draco_prediction prediction; /* where it pays: of bytes only */
+    const void *values;               /* [n][components], below 2^31 */
+};
+enum err_code draco_encode_columns(const struct draco_column *column, size_t n_columns, size_t n,
+                                   struct buf *out, struct err *e) ERR_USE;
 
 #ifdef __cplusplus
 }

@@ -233,21 +233,26 @@ static void add_metadata(const struct quant *q, const char *tile, draco::PointCl
     pc->AddMetadata(std::move(m));
 }
 
-static size_t value_bytes(const struct draco_attribute &a)
+static size_t value_bytes(enum draco_type type)
 {
-    return a.type == DRACO_UINT32 ? 4 : a.type == DRACO_UINT16 ? 2 : 1;
+    return type == DRACO_UINT32 ? 4 : type == DRACO_UINT16 ? 2 : 1;
+}
+
+static int add_values(draco::PointCloud *pc, bool position, enum draco_type type,
+                      uint32_t components, size_t n)
+{
+    draco::GeometryAttribute ga;
+    ga.Init(position ? draco::GeometryAttribute::POSITION : draco::GeometryAttribute::GENERIC,
+            nullptr, (uint8_t)components, (draco::DataType)type, false,
+            (int64_t)(components * value_bytes(type)), 0);
+    return pc->AddAttribute(ga, true, (uint32_t)n);
 }
 
 // Returns whether the attribute is to be predicted.
 static bool add_attribute(const struct quant *q, const struct draco_attribute &a, int shift,
                           draco::PointCloud *pc)
 {
-    draco::GeometryAttribute ga;
-    ga.Init(a.id == DRACO_POSITION ? draco::GeometryAttribute::POSITION
-                                   : draco::GeometryAttribute::GENERIC,
-            nullptr, (uint8_t)a.components, (draco::DataType)a.type, false,
-            (int64_t)(a.components * value_bytes(a)), 0);
-    int id = pc->AddAttribute(ga, true, (uint32_t)q->n);
+    int id = add_values(pc, a.id == DRACO_POSITION, a.type, a.components, q->n);
     pc->attribute(id)->set_unique_id(a.id);
     uint8_t *values = pc->attribute(id)->buffer()->data();
     copy_in(q, a, shift, values);
@@ -258,6 +263,46 @@ static bool add_attribute(const struct quant *q, const struct draco_attribute &a
     return a.id == DRACO_POSITION ||
            (a.type == DRACO_UINT8 && delta_pays(values, q->n, a.components));
 }
+
+static bool encode_cloud(const draco::PointCloud &pc, const bool *predicted, size_t count,
+                         draco::EncoderBuffer *out, std::string *why)
+{
+    draco::ExpertEncoder enc(pc);
+    enc.SetEncodingMethod(draco::POINT_CLOUD_SEQUENTIAL_ENCODING);
+    enc.SetSpeedOptions(0, 0);
+    draco::Status s;
+    for (size_t i = 0; i < count && s.ok(); i++)
+        if (!predicted[i])
+            s = enc.SetAttributePredictionScheme((int)i, draco::PREDICTION_NONE);
+    if (s.ok())
+        s = enc.EncodeToBuffer(out);
+    *why = s.error_msg_string();
+    return s.ok();
+}
+
+extern "C" enum err_code draco_encode_columns(const struct draco_column *column, size_t n_columns,
+                                              size_t n, struct buf *out, struct err *e)
+try {
+    draco::PointCloud pc;
+    draco::EncoderBuffer b;
+    std::string why;
+    std::unique_ptr<bool[]> predicted(new bool[n_columns]);
+    pc.set_num_points((uint32_t)n);
+    for (size_t i = 0; i < n_columns; i++) {
+        const struct draco_column &c = column[i];
+        int id = add_values(&pc, i == 0, c.type, c.components, n);
+        memcpy(pc.attribute(id)->buffer()->data(), c.values,
+               n * c.components * value_bytes(c.type));
+        predicted[i] = c.prediction == DRACO_PREDICT_WHERE_IT_PAYS
+                           ? delta_pays(static_cast<const uint8_t *>(c.values), n, c.components)
+                           : c.prediction == DRACO_PREDICT_ROW;
+    }
+    if (!encode_cloud(pc, predicted.get(), n_columns, &b, &why))
+        return err_set(e, ERR_INTERNAL, "draco : %s", why.c_str());
+    buf_add(out, b.data(), b.size());
+    return buf_check(out, e);
+}
+SHIM_CATCH("draco_encode_columns")
 
 extern "C" enum err_code draco_encode(const struct quant *q, const char *tile, struct buf *out,
                                       struct err *e)
@@ -275,16 +320,10 @@ try {
         shift[i] = is_rb(list[i].id) ? shift[i - 1] : shift_of(q, list[i]);
         delta[i] = add_attribute(q, list[i], shift[i], &pc);
     }
-    draco::ExpertEncoder enc(pc);
-    enc.SetEncodingMethod(draco::POINT_CLOUD_SEQUENTIAL_ENCODING);
-    enc.SetSpeedOptions(0, 0);
-    for (size_t i = 0; i < count; i++)
-        if (!delta[i] && !enc.SetAttributePredictionScheme((int)i, draco::PREDICTION_NONE).ok())
-            return err_set(e, ERR_INTERNAL, "draco : %s : prediction scheme refused", list[i].name);
     draco::EncoderBuffer b;
-    draco::Status s = enc.EncodeToBuffer(&b);
-    if (!s.ok())
-        return err_set(e, ERR_INTERNAL, "draco : %s", s.error_msg());
+    std::string why;
+    if (!encode_cloud(pc, delta, count, &b, &why))
+        return err_set(e, ERR_INTERNAL, "draco : %s", why.c_str());
     buf_add(out, b.data(), b.size());
     buf_u32(out, draco_crc(b.data(), b.size()));
     return buf_check(out, e);
@@ -425,7 +464,7 @@ static enum err_code read_cloud(const draco::PointCloud &pc, struct quant *q, st
         return err_set(e, ERR_FORMAT, "draco : ranges of the embedding are missing");
     for (size_t i = 0; i < count; i++) {
         const draco::PointAttribute *a = pc.GetAttributeByUniqueId(list[i].id);
-        size_t bytes = list[i].components * value_bytes(list[i]) * q->n;
+        size_t bytes = list[i].components * value_bytes(list[i].type) * q->n;
         int shift;
         if (!a || a->size() != q->n || !a->is_mapping_identity() ||
             a->buffer()->data_size() < bytes || !read_shift(pc, list[i].id, &shift))
