@@ -31,6 +31,7 @@ enum { PRESETS = sizeof presets / sizeof *presets };
 
 enum order {
     ORDER_STORED,
+    ORDER_CUBES,
     ORDER_HILBERT,
     ORDER_BRIGHT_BLOCKS,
     ORDER_SIZE,
@@ -41,7 +42,8 @@ static const struct {
     const char *name;
     enum order order;
 } orders[] = {{"Morton curve", ORDER_STORED},
-              {"Hilbert curve", ORDER_HILBERT},
+              {"Morton curve of cubes", ORDER_CUBES},
+              {"Hilbert curve of cubes", ORDER_HILBERT},
               {"Morton curve, runs of 64 by brightness", ORDER_BRIGHT_BLOCKS},
               {"by size, then the Morton curve", ORDER_SIZE},
               {"Morton curve in colour, not in space", ORDER_COLOR},
@@ -102,6 +104,9 @@ static uint64_t order_key(const struct gauss *g, enum order o, size_t i, const f
     case ORDER_HILBERT:
         grid_cell(g->mean_m, 3, i, lo, span, cell);
         return hilbert_key(cell);
+    case ORDER_CUBES:
+        grid_cell(g->mean_m, 3, i, lo, span, cell);
+        return sort_spread3(cell[0]) << 2 | sort_spread3(cell[1]) << 1 | sort_spread3(cell[2]);
     case ORDER_BRIGHT_BLOCKS:
         return (uint64_t)(i / BLOCK) << 32 | sort_key_float(dc[0] + dc[1] + dc[2]);
     case ORDER_SIZE: /* steps of a factor of two */
@@ -125,7 +130,7 @@ static enum err_code reorder(const struct gauss *g, enum order o, uint32_t embed
     float lo[3] = {0}, span = 0;
     enum err_code rc = item && spare ? gauss_alloc(out, g->n, g->sh_degree, embed_len, e)
                                      : err_set(e, ERR_MEM, "out of memory");
-    if (o == ORDER_HILBERT)
+    if (o == ORDER_HILBERT || o == ORDER_CUBES)
         span = range_of(g->mean_m, 3, g->n, lo);
     if (o == ORDER_COLOR)
         span = range_of(g->sh, 3 * gauss_sh_count(g->sh_degree), g->n, lo);

@@ -283,26 +283,72 @@ bench_rows() { # STUDY NAMES...
 study_bench() { bench_rows bench; }
 study_growth() { bench_rows growth growth; }
 
-# Bytes a Gaussian against PSNR: every preset and format, and every field of the quantiser by itself.
-rate() { # STUDY SCENE TRAIN-OPTIONS
-  local study=$1 scene=$2 folder command
+# scored STUDY SCENE TRAIN-OPTIONS: trains SCENE and sets FOLDER; those of the city are the same for several studies.
+scored() {
+  local study=$1 scene=$2
   shift 2
-  command="citysplat train $scene $*; citysplat tile $scene; citysplat-bench rd --scene $scene --tiles CITY.tiles"
-  wanted "$study" "preset:balanced" "$command" || return 0
-  scene "$scene" || { say "$study: skipped: CITYSPLAT_CALITERRA is not set"; return 0; }
-  folder=$OUT/trained/$(slug "$study" "$scene")
-  trained "$folder" "$scene" "$@"
-  citysplat tile "$OUT/$scene" --trained "$folder" -o "$folder/city.tiles" >&2
-  "$BIN/citysplat-bench" rd --scene "$OUT/$scene" --tiles "$folder/city.tiles" --study "$study" \
-    --dataset "$(scene_about "$scene")" --command "$command" --record "$RUNS/$study.jsonl" >&2
-  [ "${KEEP:-0}" = 1 ] || rm -rf "$folder"
+  scene "$scene" || { say "$study: skipped: CITYSPLAT_CALITERRA is not set"; return 1; }
+  case $scene in city) FOLDER=$OUT/trained/$(slug shared city) ;; *) FOLDER=$OUT/trained/$(slug "$study" "$scene") ;; esac
+  ceilings
+  trained "$FOLDER" "$scene" "$@"
 }
-study_rd() {
-  rate rd caliterra-400 --level-count 1 --iterations "$STEPS" --budget-3 150000
-  rate rd_city city --iterations "$CELL_STEPS" "${SMALL[@]}"
+forget() { [ "${KEEP:-0}" = 1 ] || [ "$FOLDER" = "$OUT/trained/shared-city" ] || rm -rf "$FOLDER"; }
+
+# What rd, layout and pyramid record by themselves.
+bench_scored() { # NAME STUDY SCENE COMMAND, then options of citysplat-bench
+  local name=$1 study=$2 scene=$3 command=$4
+  shift 4
+  "$BIN/citysplat-bench" "$name" "$@" --study "$study" --dataset "$(scene_about "$scene")" --command "$command" \
+    --commit "$COMMIT" --record "$RUNS/$study.jsonl" >&2
 }
 
-readonly STUDIES=(time budgets levels sh embedding ablation ablation_city lod rd growth bench)
+# Bytes a Gaussian against PSNR: every preset and format, and every field of the quantiser by itself; and, as the
+# study layout, bytes by what no picture shows.
+rate() { # SUFFIX SCENE TRAIN-OPTIONS
+  local rd=rd$1 layout=layout$1 scene=$2 command todo=
+  shift 2
+  command="citysplat train $scene $*; citysplat tile $scene; citysplat-bench"
+  wanted "$rd" "preset:balanced" "$command rd --scene $scene --tiles CITY.tiles" && todo=rd
+  wanted "$layout" "order: Hilbert curve of cubes" "$command layout --tiles CITY.tiles" && todo+=layout
+  [ -n "$todo" ] || return 0
+  scored "$rd" "$scene" "$@" || return 0
+  citysplat tile "$OUT/$scene" --trained "$FOLDER" -o "$FOLDER/city.tiles" >&2
+  case $todo in rd*) bench_scored rd "$rd" "$scene" "$command rd --scene $scene --tiles CITY.tiles" --scene "$OUT/$scene" --tiles "$FOLDER/city.tiles" ;; esac
+  case $todo in *layout) bench_scored layout "$layout" "$scene" "$command layout --tiles CITY.tiles" --tiles "$FOLDER/city.tiles" ;; esac
+  forget
+}
+study_rd() {
+  rate "" caliterra-400 --level-count 1 --iterations "$STEPS" --budget-3 150000
+  rate _city city --iterations "$CELL_STEPS" "${SMALL[@]}"
+}
+
+study_layout() { # study_rd has two scenes; this one has appearance embeddings
+  local command="citysplat train city-light --level-count 1 --iterations $STEPS --budget-3 100000 --appearance --appearance-warmup 250 --embed-len 16"
+  command+="; citysplat tile city-light; citysplat-bench layout --tiles CITY.tiles"
+  wanted layout_light "order: Hilbert curve of cubes" "$command" || return 0
+  scored layout city-light --level-count 1 --iterations "$STEPS" --budget-3 100000 --appearance --appearance-warmup 250 --embed-len 16
+  citysplat tile "$OUT/city-light" --trained "$FOLDER" -o "$FOLDER/city.tiles" >&2
+  bench_scored layout layout_light city-light "$command" --tiles "$FOLDER/city.tiles"
+  forget
+}
+
+# Trained levels against the finest one simplified to as many Gaussians: levels that were trained for long, and for a
+# few hundred steps.
+pyramid() { # STUDY SCENE TRAIN-OPTIONS
+  local study=$1 scene=$2 command
+  shift 2
+  command="citysplat train $scene $*; citysplat-bench pyramid --scene $scene"
+  wanted "$study" trained "$command" || return 0
+  scored "$study" "$scene" "$@" || return 0
+  bench_scored pyramid "$study" "$scene" "$command" --scene "$OUT/$scene" --trained "$FOLDER"
+  forget
+}
+study_pyramid() {
+  pyramid pyramid caliterra-400 --iterations "$((3 * STEPS))" --budget table --budget-1 25000 --budget-2 50000 --budget-3 100000
+  pyramid pyramid_city city --iterations "$CELL_STEPS" "${SMALL[@]}"
+}
+
+readonly STUDIES=(time budgets levels sh embedding ablation ablation_city lod rd layout pyramid growth bench)
 
 main() {
   local s wanted_studies=()
