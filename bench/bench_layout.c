@@ -22,7 +22,7 @@
 #include "codec/codec.h"
 #include "core/sort.h"
 
-enum { NAME_MAX_BYTES = 64, HILBERT_BITS = 20, BLOCK = 64 };
+enum { NAME_MAX_BYTES = 64, CELL_BITS = 20, BLOCK = 64 };
 
 static const enum quant_preset presets[] = {QUANT_SPZ, QUANT_BALANCED};
 enum { PRESETS = sizeof presets / sizeof *presets };
@@ -32,8 +32,8 @@ enum { PRESETS = sizeof presets / sizeof *presets };
 enum order {
     ORDER_STORED,
     ORDER_CUBES,
-    ORDER_HILBERT,
-    ORDER_BRIGHT_BLOCKS,
+    ORDER_BOX,
+    ORDER_BRIGHT,
     ORDER_SIZE,
     ORDER_COLOR,
     ORDER_NONE
@@ -41,79 +41,55 @@ enum order {
 static const struct {
     const char *name;
     enum order order;
-} orders[] = {{"Morton curve", ORDER_STORED},
+} orders[] = {{"Hilbert curve", ORDER_STORED},
               {"Morton curve of cubes", ORDER_CUBES},
-              {"Hilbert curve of cubes", ORDER_HILBERT},
-              {"Morton curve, runs of 64 by brightness", ORDER_BRIGHT_BLOCKS},
-              {"by size, then the Morton curve", ORDER_SIZE},
+              {"Morton curve of the box", ORDER_BOX},
+              {"Hilbert curve, runs of 64 by brightness", ORDER_BRIGHT},
+              {"by size, then the Hilbert curve", ORDER_SIZE},
               {"Morton curve in colour, not in space", ORDER_COLOR},
               {"shuffled", ORDER_NONE}};
 
-/* Along Hilbert's curve: Skilling, Programming the Hilbert curve (2004), axes to transpose. */
-static uint64_t hilbert_key(uint32_t x[3])
+/* Morton code of v[3] of row i over the range of all rows. */
+static uint64_t cell_key(const float *v, const float lo[3], const float span[3])
 {
-    for (uint32_t q = 1u << (HILBERT_BITS - 1); q > 1; q >>= 1)
-        for (size_t i = 0; i < 3; i++) {
-            uint32_t t = (x[0] ^ x[i]) & (q - 1);
-            if (x[i] & q)
-                x[0] ^= q - 1;
-            else {
-                x[0] ^= t;
-                x[i] ^= t;
-            }
-        }
-    x[1] ^= x[0];
-    x[2] ^= x[1];
-    uint32_t t = 0;
-    for (uint32_t q = 1u << (HILBERT_BITS - 1); q > 1; q >>= 1)
-        t ^= x[2] & q ? q - 1 : 0;
-    return sort_spread3(x[0] ^ t) << 2 | sort_spread3(x[1] ^ t) << 1 | sort_spread3(x[2] ^ t);
+    uint64_t key = 0;
+    for (size_t c = 0; c < 3; c++) {
+        float t = span[c] > 0 ? (v[c] - lo[c]) / span[c] : 0;
+        key |= sort_spread3((uint64_t)(t * (float)((1 << CELL_BITS) - 1))) << c;
+    }
+    return key;
 }
 
-/* v[3] of row i over the range of all rows, in 20 bits. */
-static void grid_cell(const float *v, size_t stride, size_t i, const float lo[3], float span,
-                      uint32_t out[3])
+static void range_of(const float *v, size_t stride, size_t n, bool cube, float lo[3], float span[3])
 {
-    for (size_t c = 0; c < 3; c++)
-        out[c] =
-            span > 0
-                ? (uint32_t)((v[stride * i + c] - lo[c]) / span * (float)((1 << HILBERT_BITS) - 1))
-                : 0;
-}
-
-static float range_of(const float *v, size_t stride, size_t n, float lo[3])
-{
-    float span = 0;
+    float most = 0;
     for (size_t c = 0; c < 3; c++) {
         float hi = lo[c] = v[c];
         for (size_t i = 0; i < n; i++) {
             lo[c] = fminf(lo[c], v[stride * i + c]);
             hi = fmaxf(hi, v[stride * i + c]);
         }
-        span = fmaxf(span, hi - lo[c]);
+        span[c] = hi - lo[c];
+        most = fmaxf(most, span[c]);
     }
-    return span;
+    for (size_t c = 0; cube && c < 3; c++)
+        span[c] = most;
 }
 
 static uint64_t order_key(const struct gauss *g, enum order o, size_t i, const float lo[3],
-                          float span)
+                          const float span[3])
 {
     const float *s = g->scale_log + 3 * i, *dc = g->sh + 3 * gauss_sh_count(g->sh_degree) * i;
-    uint32_t cell[3];
     switch (o) {
-    case ORDER_HILBERT:
-        grid_cell(g->mean_m, 3, i, lo, span, cell);
-        return hilbert_key(cell);
     case ORDER_CUBES:
-        grid_cell(g->mean_m, 3, i, lo, span, cell);
-        return sort_spread3(cell[0]) << 2 | sort_spread3(cell[1]) << 1 | sort_spread3(cell[2]);
-    case ORDER_BRIGHT_BLOCKS:
+    case ORDER_BOX:
+        return cell_key(g->mean_m + 3 * i, lo, span);
+    case ORDER_BRIGHT:
         return (uint64_t)(i / BLOCK) << 32 | sort_key_float(dc[0] + dc[1] + dc[2]);
     case ORDER_SIZE: /* steps of a factor of two */
         return sort_key_float(floorf((s[0] + s[1] + s[2]) / 3 / 0.69f));
     case ORDER_COLOR:
-        grid_cell(g->sh, 3 * gauss_sh_count(g->sh_degree), i, lo, span, cell);
-        return sort_spread3(cell[0]) << 2 | sort_spread3(cell[1]) << 1 | sort_spread3(cell[2]);
+        return cell_key(dc, lo, span);
     case ORDER_NONE:
         return rng_u64(1, 2, i);
     default:
@@ -121,19 +97,19 @@ static uint64_t order_key(const struct gauss *g, enum order o, size_t i, const f
     }
 }
 
-/* A copy of the tile (Morton order as it comes) in another order, with `embed_len` numbers of its
- * embedding. */
+/* A copy of the tile (as it comes, along a Hilbert curve) in another order, with `embed_len`
+ * numbers of its embedding. */
 static enum err_code reorder(const struct gauss *g, enum order o, uint32_t embed_len,
                              struct gauss *out, struct err *e)
 {
     struct sort_item *item = mem_array(g->n, sizeof *item), *spare = mem_array(g->n, sizeof *item);
-    float lo[3] = {0}, span = 0;
+    float lo[3] = {0}, span[3] = {0};
     enum err_code rc = item && spare ? gauss_alloc(out, g->n, g->sh_degree, embed_len, e)
                                      : err_set(e, ERR_MEM, "out of memory");
-    if (o == ORDER_HILBERT || o == ORDER_CUBES)
-        span = range_of(g->mean_m, 3, g->n, lo);
     if (o == ORDER_COLOR)
-        span = range_of(g->sh, 3 * gauss_sh_count(g->sh_degree), g->n, lo);
+        range_of(g->sh, 3 * gauss_sh_count(g->sh_degree), g->n, true, lo, span);
+    else
+        range_of(g->mean_m, 3, g->n, o == ORDER_CUBES, lo, span);
     for (size_t i = 0; !rc && i < g->n; i++)
         item[i] = (struct sort_item){order_key(g, o, i, lo, span), (uint32_t)i};
     if (!rc)

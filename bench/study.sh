@@ -309,7 +309,7 @@ rate() { # SUFFIX SCENE TRAIN-OPTIONS
   shift 2
   command="citysplat train $scene $*; citysplat tile $scene; citysplat-bench"
   wanted "$rd" "preset:balanced" "$command rd --scene $scene --tiles CITY.tiles" && todo=rd
-  wanted "$layout" "order: Hilbert curve of cubes" "$command layout --tiles CITY.tiles" && todo+=layout
+  wanted "$layout" "order: Hilbert curve" "$command layout --tiles CITY.tiles" && todo+=layout
   [ -n "$todo" ] || return 0
   scored "$rd" "$scene" "$@" || return 0
   citysplat tile "$OUT/$scene" --trained "$FOLDER" -o "$FOLDER/city.tiles" >&2
@@ -325,7 +325,7 @@ study_rd() {
 study_layout() { # study_rd has two scenes; this one has appearance embeddings
   local command="citysplat train city-light --level-count 1 --iterations $STEPS --budget-3 100000 --appearance --appearance-warmup 250 --embed-len 16"
   command+="; citysplat tile city-light; citysplat-bench layout --tiles CITY.tiles"
-  wanted layout_light "order: Hilbert curve of cubes" "$command" || return 0
+  wanted layout_light "order: Hilbert curve" "$command" || return 0
   scored layout city-light --level-count 1 --iterations "$STEPS" --budget-3 100000 --appearance --appearance-warmup 250 --embed-len 16
   citysplat tile "$OUT/city-light" --trained "$FOLDER" -o "$FOLDER/city.tiles" >&2
   bench_scored layout layout_light city-light "$command" --tiles "$FOLDER/city.tiles"

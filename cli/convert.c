@@ -100,7 +100,7 @@ static enum err_code sort_gauss(struct gauss *g, struct err *e)
     struct gauss sorted = {0};
     uint32_t *order = mem_array(g->n, sizeof *order);
     enum err_code rc =
-        order ? gauss_morton_order(g, order, e) : err_set(e, ERR_MEM, "convert : out of memory");
+        order ? gauss_hilbert_order(g, order, e) : err_set(e, ERR_MEM, "convert : out of memory");
     if (rc == ERR_OK)
         rc = gauss_alloc(&sorted, g->n, g->sh_degree, g->embed_len, e);
     if (rc == ERR_OK) {

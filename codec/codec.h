@@ -291,9 +291,9 @@ struct quant { /* {0} is empty; arrays in one allocation */
 enum err_code quant_alloc(struct quant *q, size_t n, uint32_t sh_degree, uint32_t embed_len,
                           struct err *e) ERR_USE;
 /* sh_degree may differ from g's: missing bands are 0. grid NULL: QUANT_SPZ's. Rows keep their order
- * (files are smaller when it is Morton's). frac_bits is 12, more where the grid asks for it, fewer
- * where the range does. ERR_DATA names the row that is not finite or has no rotation; ERR_LIMIT the
- * row that is too far from the origin for Gaussians of this size. */
+ * (files are smaller when neighbours follow each other). frac_bits is 12, more where the grid asks
+ * for it, fewer where the range does. ERR_DATA names the row that is not finite or has no rotation;
+ * ERR_LIMIT the row that is too far from the origin for Gaussians of this size. */
 enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree,
                                const struct quant_grid *grid, struct quant *out,
                                struct err *e) ERR_USE;

@@ -8,7 +8,7 @@
  *
  * Means are float32 about the origin. The rest is half floats, or float32 with flag LOSSLESS, so
  * that import and export give every value back. A plane goes component by component and within one
- * byte by byte, each byte the difference to the row before: neighbours in Morton order share their
+ * byte by byte, each byte the difference to the row before: neighbours along the curve share their
  * high bytes, and zstd finds them.
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -138,34 +138,83 @@ void gauss_recenter(struct gauss *g, const double origin_enu_m[3])
     }
 }
 
-enum err_code gauss_morton_order(const struct gauss *g, uint32_t *order, struct err *e)
+static void gauss_extent(const struct gauss *g, float lo[3], float hi[3])
 {
-    if (g->n > UINT32_MAX)
-        return err_set(e, ERR_LIMIT, "%zu Gaussians, at most 2^32 - 1 can be ordered", g->n);
-    struct sort_item *codes = mem_array(g->n, 2 * sizeof *codes);
-    if (!codes)
-        return err_set(e, ERR_MEM, "out of memory to order %zu Gaussians", g->n);
-    float lo[3] = {INFINITY, INFINITY, INFINITY}, hi[3] = {-INFINITY, -INFINITY, -INFINITY};
+    for (size_t k = 0; k < 3; k++) {
+        lo[k] = INFINITY;
+        hi[k] = -INFINITY;
+    }
     for (size_t i = 0; i < g->n; i++)
         for (size_t k = 0; k < 3; k++) {
             float x = g->mean_m[3 * i + k];
             lo[k] = x < lo[k] ? x : lo[k];
             hi[k] = x > hi[k] ? x : hi[k];
         }
+}
+
+/* 0 .. 2^21 - 1 along an axis; NaN goes first. */
+static uint32_t gauss_cell(float x, float lo, double span)
+{
     const double top = (1 << GAUSS_MORTON_BITS) - 1;
+    double t = span > 0.0 ? ((double)x - (double)lo) / span : 0.0;
+    return t >= 0.0 && t <= 1.0 ? (uint32_t)(t * top) : 0;
+}
+
+static enum err_code gauss_order_rows(const struct gauss *g, struct sort_item **item, struct err *e)
+{
+    if (g->n > UINT32_MAX)
+        return err_set(e, ERR_LIMIT, "%zu Gaussians, at most 2^32 - 1 can be ordered", g->n);
+    *item = mem_array(g->n, 2 * sizeof **item);
+    return *item ? ERR_OK : err_set(e, ERR_MEM, "out of memory to order %zu Gaussians", g->n);
+}
+
+static void gauss_order_sort(struct sort_item *item, size_t n, uint32_t *order)
+{
+    sort_items(item, item + n, n);
+    for (size_t i = 0; i < n; i++)
+        order[i] = item[i].row;
+    mem_free(item);
+}
+
+enum err_code gauss_morton_order(const struct gauss *g, uint32_t *order, struct err *e)
+{
+    struct sort_item *item;
+    float lo[3], hi[3];
+    enum err_code rc = gauss_order_rows(g, &item, e);
+    if (rc)
+        return rc;
+    gauss_extent(g, lo, hi);
     for (size_t i = 0; i < g->n; i++) {
-        codes[i].row = (uint32_t)i;
-        for (size_t k = 0; k < 3; k++) {
-            double span = (double)hi[k] - (double)lo[k];
-            double t = span > 0.0 ? ((double)g->mean_m[3 * i + k] - (double)lo[k]) / span : 0.0;
-            uint64_t cell = t >= 0.0 && t <= 1.0 ? (uint64_t)(t * top) : 0; /* NaN goes first */
-            codes[i].key |= sort_spread3(cell) << k;
-        }
+        item[i].row = (uint32_t)i;
+        for (size_t k = 0; k < 3; k++)
+            item[i].key |=
+                sort_spread3(gauss_cell(g->mean_m[3 * i + k], lo[k], (double)hi[k] - (double)lo[k]))
+                << k;
     }
-    sort_items(codes, codes + g->n, g->n);
-    for (size_t i = 0; i < g->n; i++)
-        order[i] = codes[i].row;
-    mem_free(codes);
+    gauss_order_sort(item, g->n, order);
+    return ERR_OK;
+}
+
+enum err_code gauss_hilbert_order(const struct gauss *g, uint32_t *order, struct err *e)
+{
+    struct sort_item *item;
+    struct sort_hilbert curve;
+    float lo[3], hi[3];
+    double span = 0.0;
+    enum err_code rc = gauss_order_rows(g, &item, e);
+    if (rc)
+        return rc;
+    sort_hilbert_init(&curve);
+    gauss_extent(g, lo, hi);
+    for (size_t k = 0; k < 3; k++)
+        span = fmax(span, (double)hi[k] - (double)lo[k]);
+    for (size_t i = 0; i < g->n; i++) {
+        const float *at = g->mean_m + 3 * i;
+        const uint32_t cell[3] = {gauss_cell(at[0], lo[0], span), gauss_cell(at[1], lo[1], span),
+                                  gauss_cell(at[2], lo[2], span)};
+        item[i] = (struct sort_item){sort_hilbert_key(&curve, cell), (uint32_t)i};
+    }
+    gauss_order_sort(item, g->n, order);
     return ERR_OK;
 }
 

@@ -56,6 +56,8 @@ void gauss_recenter(struct gauss *g, const double origin_enu_m[3]);
 /* order[0..n): rows in Morton order of their means (21 bits an axis over the bounding box), ties by
  * row. */
 enum err_code gauss_morton_order(const struct gauss *g, uint32_t *order, struct err *e) ERR_USE;
+/* The same along Hilbert's curve through a cube: rows of files, where neighbours save bytes. */
+enum err_code gauss_hilbert_order(const struct gauss *g, uint32_t *order, struct err *e) ERR_USE;
 /* Bounds of the means grown by k_sigma * largest sigma of each Gaussian, in ENU metres. n == 0: all
  * 0. */
 void gauss_bounds(const struct gauss *g, double k_sigma, double min_enu_m[3], double max_enu_m[3]);

@@ -64,3 +64,47 @@ uint64_t sort_spread3(uint64_t x)
     x = (x | x << 4) & UINT64_C(0x10c30c30c30c30c3);
     return (x | x << 2) & UINT64_C(0x1249249249249249);
 }
+
+static unsigned hilbert_rotate(unsigned x, unsigned left)
+{
+    left %= 3;
+    return (x << left | x >> (3 - left)) & 7;
+}
+
+/* Ones at the end of x. */
+static unsigned hilbert_ones(unsigned x)
+{
+    unsigned n = 0;
+    while (x >> n & 1)
+        n++;
+    return n;
+}
+
+/* A state is where the curve enters a cube (a corner, e) and along which axis it leaves (d). */
+void sort_hilbert_init(struct sort_hilbert *h)
+{
+    for (unsigned state = 0; state < SORT_HILBERT_STATES; state++)
+        for (unsigned octant = 0; octant < 8; octant++) {
+            unsigned e = state / 3, d = state % 3;
+            unsigned gray = hilbert_rotate(octant ^ e, 3 - (d + 1) % 3);
+            unsigned w = gray ^ gray >> 1 ^ gray >> 2, even = w ? (w - 1) & ~1u : 0;
+            unsigned enter = even ^ even >> 1;
+            unsigned axis = w == 0 ? 0 : hilbert_ones(w & 1 ? w : w - 1) % 3;
+            h->place[state][octant] = (uint8_t)w;
+            h->next[state][octant] =
+                (uint8_t)((e ^ hilbert_rotate(enter, d + 1)) * 3 + (d + axis + 1) % 3);
+        }
+}
+
+uint64_t sort_hilbert_key(const struct sort_hilbert *h, const uint32_t cell[3])
+{
+    uint64_t key = 0;
+    unsigned state = 0;
+    for (int bit = 20; bit >= 0; bit--) {
+        unsigned octant =
+            (cell[0] >> bit & 1) | (cell[1] >> bit & 1) << 1 | (cell[2] >> bit & 1) << 2;
+        key = key << 3 | h->place[state][octant];
+        state = h->next[state][octant];
+    }
+    return key;
+}

@@ -28,4 +28,14 @@ static inline uint64_t sort_key_float(float x)
 /* Spread the low 21 bits of x so that two zero bits follow each: a third of a Morton code. */
 uint64_t sort_spread3(uint64_t x);
 
+/* Place along Hilbert's curve through a cube of 2^21 cells an edge, of the cell (x, y, z):
+ * neighbours along the curve share a face. Compact Hilbert indices, Hamilton (2006), as an
+ * automaton. */
+enum { SORT_HILBERT_STATES = 24 };
+struct sort_hilbert { /* [state][octant]: place of the octant among eight, state within it */
+    uint8_t place[SORT_HILBERT_STATES][8], next[SORT_HILBERT_STATES][8];
+};
+void sort_hilbert_init(struct sort_hilbert *h);
+uint64_t sort_hilbert_key(const struct sort_hilbert *h, const uint32_t cell[3]);
+
 #endif

@@ -328,8 +328,8 @@ static void pyramid_unpack(struct gauss *g, size_t i, const float *row, const fl
         memcpy(g->embed + g->embed_len * i, row + 11 + have, n * sizeof *row);
 }
 
-/* Rows within reach of the centre, about it, in Morton order; *n_far are not. At least one remains,
- * since the centre is near one. */
+/* Rows within reach of the centre, about it, in Hilbert order; *n_far are not. At least one
+ * remains, since the centre is near one. */
 static enum err_code pyramid_arrange(const struct pyramid *p, struct pyramid_slices *s,
                                      double reach_m, struct gauss *out, size_t *n_far,
                                      struct err *e)
@@ -357,7 +357,7 @@ static enum err_code pyramid_arrange(const struct pyramid *p, struct pyramid_sli
     }
     *n_far = s->n - n;
     const struct gauss means = {.n = n, .mean_m = mean};
-    rc = gauss_morton_order(&means, order, e);
+    rc = gauss_hilbert_order(&means, order, e);
     if (!rc)
         rc = gauss_alloc(out, n, p->meta.sh_degree, p->meta.embed_len, e);
     if (rc)

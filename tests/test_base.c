@@ -13,6 +13,7 @@
 
 #include "core/options.h"
 #include "core/pool.h"
+#include "core/sort.h"
 
 static void err_set_keeps_arguments_that_point_into_the_message(void **state)
 {
@@ -317,6 +318,12 @@ static void gauss_survives_growth_and_a_moved_origin(void **state)
         seen[order[i]]++;
     for (size_t i = 0; i < 50; i++)
         assert_int_equal(seen[i], 1);
+    memset(seen, 0, sizeof seen);
+    kit_ok(gauss_hilbert_order(&h, order, &e), e);
+    for (size_t i = 0; i < 50; i++)
+        seen[order[i]]++;
+    for (size_t i = 0; i < 50; i++)
+        assert_int_equal(seen[i], 1);
     size_t first = 0;
     assert_int_equal(gauss_count_bad(&h, &first), 0);
     h.sh[48 * 7 + 3] = NAN;
@@ -326,6 +333,36 @@ static void gauss_survives_growth_and_a_moved_origin(void **state)
     gauss_free(&g);
     gauss_free(&h);
     gauss_free(&h);
+}
+
+/* Every cell of a cube of 16 has its own place, and the next one is across a face, so nothing
+ * jumps.
+ */
+static void hilbert_curve_is_one(void **state)
+{
+    (void)state;
+    enum { EDGE = 16, CELLS = EDGE * EDGE * EDGE };
+    struct sort_hilbert curve;
+    static uint32_t at[CELLS][3];
+    static bool seen[CELLS];
+    sort_hilbert_init(&curve);
+    for (uint32_t i = 0; i < CELLS; i++) {
+        /* the cube's cells are the blocks of 2^17 an edge; the low bits do not matter */
+        const uint32_t c[3] = {i % EDGE, i / EDGE % EDGE, i / EDGE / EDGE};
+        const uint32_t cell[3] = {c[0] << 17, c[1] << 17, c[2] << 17};
+        uint64_t place = sort_hilbert_key(&curve, cell) >> (3 * 17);
+        assert_true(place < CELLS && !seen[place]);
+        seen[place] = true;
+        memcpy(at[place], c, sizeof c);
+    }
+    for (size_t i = 1; i < CELLS; i++) {
+        uint32_t steps = 0;
+        for (size_t k = 0; k < 3; k++)
+            steps += at[i][k] > at[i - 1][k] ? at[i][k] - at[i - 1][k] : at[i - 1][k] - at[i][k];
+        assert_int_equal(steps, 1);
+    }
+    const uint32_t last[3] = {(1u << 21) - 1, (1u << 21) - 1, (1u << 21) - 1};
+    assert_true(sort_hilbert_key(&curve, last) >> 63 == 0);
 }
 
 static void gauss_alloc_fails_cleanly(void **state)
@@ -355,6 +392,7 @@ int main(void)
         cmocka_unit_test(help_of_a_switch_says_what_the_shown_flag_does),
         cmocka_unit_test(pool_runs_each_once_and_reports_the_lowest_failure),
         cmocka_unit_test(gauss_survives_growth_and_a_moved_origin),
+        cmocka_unit_test(hilbert_curve_is_one),
         cmocka_unit_test(gauss_alloc_fails_cleanly),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
