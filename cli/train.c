@@ -26,10 +26,19 @@ static void train_print_cell(const struct train_cell_result *c)
 
 static void train_print(const struct train_result *r)
 {
+    struct spent_times spent = {0};
+    char text[512];
     printf("%-10s %-8s %12s %10s %8s\n", "cell", "level", "Gaussians", "PSNR dB", "SSIM");
     for (size_t i = 0; i < r->n_cells; i++)
         train_print_cell(&r->cells[i]);
+    for (size_t i = 0; i < r->n_cells; i++)
+        if (!r->cells[i].was_done)
+            spent_add(&spent, &r->cells[i].spent);
     printf("%.1f s, %.0f MiB at most\n", r->seconds, (double)r->peak_bytes / 1048576.0);
+    if (spent_total(&spent) > 0.0) {
+        spent_text(&spent, text, sizeof(text));
+        printf("time: %s\n", text);
+    }
 }
 
 /* A line a cell, tab-separated, the id first: `cut -f1` feeds a scheduler. */

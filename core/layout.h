@@ -16,6 +16,16 @@
 #define LAYOUT_U64 uint64_t
 #endif
 
+#if defined(__OPENCL_C_VERSION__) && VW == 16
+/* 16 values at p, which may lie anywhere, in one instruction: vload16 and vstore16 of PoCL are made
+ * of single elements, which its compiler puts together again in pieces of four more often than not.
+ * space: with its qualifiers, as const __global. */
+typedef float16 layout_float16 __attribute__((aligned(4)));
+typedef uint16 layout_uint16 __attribute__((aligned(4)));
+typedef uchar16 layout_uchar16 __attribute__((aligned(1)));
+#define LAYOUT_WIDE(space, type, p) (*(space layout_##type##16 *)(p))
+#endif
+
 #define LAYOUT_LANES 16 /* Gaussians per group of the AoSoA-16 parameter layout */
 #define LAYOUT_TILE 16  /* pixels per tile edge */
 #define LAYOUT_BANDS 10 /* column ranges in a splat record */

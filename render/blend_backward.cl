@@ -167,7 +167,8 @@ __kernel void blend_backward(__constant struct layout_view *view,
                 continue;
             mask[n] = blocks;
             slot[n] = entry_slot[at];
-            vstore16(vload16(entry_splat[at], (__global const float *)splats), n++, staged);
+            LAYOUT_WIDE(__private, float, staged + 16 * n++) =
+                LAYOUT_WIDE(const __global, float, splats + entry_splat[at]);
         }
         for (uint j = 0; j < n; j++) {
             uint next = slot[min(j + AHEAD, n - 1)]; // have the lines ready when they are written

@@ -51,7 +51,7 @@ inline void blend_masks(const float *records, float x0, float y0, uint tile_cull
     float16 w[16];
 #pragma unroll
     for (int j = 0; j < 16; j++)
-        w[j] = vload16(j, records);
+        w[j] = LAYOUT_WIDE(const __private, float, records + 16 * j);
     transpose_16(w);
     float16 mx = w[MEAN_X] - x0, my = w[MEAN_Y] - y0,
             reach = w[OPACITY_LOG2] + (4e-3f - ALPHA_MIN_LOG2);
@@ -76,7 +76,7 @@ inline void blend_masks(const float *records, float x0, float y0, uint tile_cull
     }
     if (!tile_cull)
         bits = (uint16)(0xFFFF);
-    vstore16(bits, 0, mask);
+    LAYOUT_WIDE(__private, uint, mask) = bits;
 }
 
 struct blend_state {
@@ -168,7 +168,8 @@ __kernel void blend(__constant struct layout_view *view, __global const struct l
         uint n = min(end - at, (uint)BATCH);
         for (uint j = 0; j < n; j++) {
             PREFETCH(splats + entry_splat[min(at + BATCH + j, end - 1)]);
-            vstore16(vload16(entry_splat[at + j], (__global const float *)splats), j, staged);
+            LAYOUT_WIDE(__private, float, staged + 16 * j) =
+                LAYOUT_WIDE(const __global, float, splats + entry_splat[at + j]);
         }
         for (uint j = 0; j < n; j += 16)
             blend_masks(staged + 16 * j, x0, y0, view->tile_cull, mask + j);

@@ -12,8 +12,9 @@
 typedef float16 V;
 typedef int16 VI;
 typedef uint16 VU;
-#define LD(p, plane) vload16((plane), (p)) // p: first float of the group
-#define ST(p, plane, v) vstore16((v), (plane), (p))
+// p: first float of the group
+#define LD(p, plane) LAYOUT_WIDE(const __global, float, (p) + 16 * (plane))
+#define ST(p, plane, v) LAYOUT_WIDE(__global, float, (p) + 16 * (plane)) = (v)
 #define ANY(m) any(m)
 #define AS_V as_float16
 #define AS_VI as_int16

@@ -109,7 +109,7 @@ INLINE void project_store(__global struct layout_splat *out, V w[16], VI visible
     vstore16(visible, 0, keep);
     for (int i = 0; i < 16; i++)
         if (keep[i])
-            vstore16(w[i], i, (__global float *)out);
+            LAYOUT_WIDE(__global, float, out + i) = w[i];
 }
 #else
 INLINE void project_store(__global struct layout_splat *out, V w[16], VI visible)
@@ -213,8 +213,8 @@ __kernel void project(__constant struct layout_view *view, __global const float 
         project_some(view, params + group * view->planes * LAYOUT_LANES,
                      filter + group * LAYOUT_LANES, (uint)group * LAYOUT_LANES, splats, &key,
                      &tiles LOOK(group * LAYOUT_LANES));
-        vstore16(key, group, depth_key);
-        vstore16(tiles, group, tiles_of);
+        LAYOUT_WIDE(__global, uint, depth_key + 16 * group) = key;
+        LAYOUT_WIDE(__global, uint, tiles_of + 16 * group) = tiles;
     }
 #else
     if (item < (size_t)view->groups * LAYOUT_LANES) {

@@ -44,8 +44,8 @@ inline void sums_gather(__global const uint *tiles, __global const uint *first,
         float16 sum = (float16)(0.0f);
         for (uint i = from; i < from + n; i++)
             if (marks[i]) // the load reaches into the next slot: the buffer ends with room for that
-                sum += vload16(0, slots + (size_t)i * LAYOUT_SLOT_FLOATS);
-        vstore16(sum, lane, rows);
+                sum += LAYOUT_WIDE(const __global, float, slots + (size_t)i * LAYOUT_SLOT_FLOATS);
+        LAYOUT_WIDE(__private, float, rows + 16 * lane) = sum;
     }
     for (uint k = 0; k < LAYOUT_SLOT_FLOATS; k++)
         t[k] =
@@ -210,7 +210,7 @@ inline V record_rgb(__global const struct layout_splat *splats, uint c)
 inline VI tiles_some(__global const uint *tiles)
 {
 #if VW == 16
-    return vload16(0, tiles) != (uint16)(0);
+    return LAYOUT_WIDE(const __global, uint, tiles) != (uint16)(0);
 #else
     return tiles[0] != 0;
 #endif

@@ -93,7 +93,8 @@ __kernel void score_tiles(__constant struct layout_view *view,
     while (at < end && active) {
         uint n = min(end - at, (uint)BATCH);
         for (uint j = 0; j < n; j++)
-            vstore16(vload16(entry_splat[at + j], (__global const float *)splats), j, staged);
+            LAYOUT_WIDE(__private, float, staged + 16 * j) =
+                LAYOUT_WIDE(const __global, float, splats + entry_splat[at + j]);
         for (uint j = 0; j < n; j += 16)
             blend_masks(staged + 16 * j, x0, y0, view->tile_cull, mask + j);
         for (uint j = 0; j < n && active; j++) {

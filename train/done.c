@@ -43,6 +43,10 @@ enum err_code done_write(const char *cell_dir, const struct train_cell_result *r
     json_t *root =
         json_pack("{s:i, s:s, s:s, s:f, s:o}", "done_version", DONE_VERSION, "cell", r->id,
                   "version", CITYSPLAT_VERSION, "seconds", r->seconds, "levels", levels);
+    if (root && json_object_set_new(root, "spent", spent_json(&r->spent))) {
+        json_decref(root);
+        root = NULL;
+    }
     enum err_code rc = file_join(path, cell_dir, "done.json", e);
     for (uint32_t i = 0; !rc && root && i < r->n_levels; i++) {
         double bytes = 0.0;
@@ -116,6 +120,8 @@ enum err_code done_read(const char *cell_dir, struct train_cell_result *out, str
         rc = done_read_levels(cell_dir, json_object_get(root, "levels"), out, e);
     if (!rc)
         snprintf(out->id, sizeof(out->id), "%s", id);
+    if (!rc) /* files of older versions have none */
+        spent_from_json(json_object_get(root, "spent"), &out->spent);
     json_decref(root);
     return rc ? err_add(e, "%s", path) : ERR_OK;
 }

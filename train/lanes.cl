@@ -8,8 +8,9 @@
 typedef float16 V;
 typedef int16 VI;
 typedef uint16 VU;
-#define LD(p, plane) vload16((plane), (p))
-#define ST(p, plane, v) vstore16((v), (plane), (p))
+// p: first float of the group
+#define LD(p, plane) LAYOUT_WIDE(const __global, float, (p) + 16 * (plane))
+#define ST(p, plane, v) LAYOUT_WIDE(__global, float, (p) + 16 * (plane)) = (v)
 #define LANE ((int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15))
 #define LANES_EACH(lane) for (uint lane = 0; lane < 1; lane++)
 #else

@@ -429,8 +429,10 @@ static enum err_code level_densify(struct level *l, uint32_t x, struct err *e)
     rc = densify_choose(&p, &in, &c.plan, e);
     if (!rc && c.plan.report.needs_score) {
         c.score = mem_array(in.n, sizeof(float));
+        enum spent_on was = spent_turn(&l->spent, SPENT_SCORE);
         rc = c.score ? score_run(l, c.from.params, c.mean_grad, c.score, e)
                      : err_set(e, ERR_MEM, "densify: out of memory for %zu scores", in.n);
+        (void)spent_turn(&l->spent, was);
         in.score = c.score;
         if (!rc)
             rc = densify_choose(&p, &in, &c.plan, e);
@@ -478,6 +480,22 @@ static enum err_code level_reset_opacity(struct level *l, struct err *e)
             rc = dev_write(l->dev, buffers[b], 0, bytes, host, e);
     }
     mem_free(host);
+    return rc;
+}
+
+/* What follows some steps. The device finishes the step before the clock turns. */
+static enum err_code level_control(struct level *l, uint32_t x, struct err *e)
+{
+    enum err_code rc = dev_finish(l->dev, e);
+    enum spent_on was = spent_turn(&l->spent, SPENT_BUDGET);
+    if (!rc && x)
+        rc = budget_look(l, x, e);
+    (void)spent_turn(&l->spent, SPENT_DENSIFY);
+    if (!rc && x)
+        rc = level_densify(l, x, e);
+    if (!rc && schedule_resets(level_schedule(l), l->step))
+        rc = level_reset_opacity(l, e);
+    (void)spent_turn(&l->spent, was);
     return rc;
 }
 
@@ -608,7 +626,9 @@ enum err_code level_step(struct level *l, struct loss_value *value, struct err *
     const struct schedule *s = level_schedule(l);
     uint32_t step = l->step + 1;
     struct feed_photo photo;
+    enum spent_on was = spent_turn(&l->spent, SPENT_PHOTOGRAPHS);
     enum err_code rc = feed_get(l->feed, step, &photo, e);
+    (void)spent_turn(&l->spent, was);
     if (rc)
         return rc;
     struct render_options ro = level_photo_options(l, step, photo.image);
@@ -632,11 +652,5 @@ enum err_code level_step(struct level *l, struct loss_value *value, struct err *
     if (!rc && value)
         rc = level_read_loss(l, value, e);
     uint32_t x = schedule_densify_index(s, step);
-    if (!rc && x)
-        rc = budget_look(l, x, e);
-    if (!rc && x)
-        rc = level_densify(l, x, e);
-    if (!rc && schedule_resets(s, step))
-        rc = level_reset_opacity(l, e);
-    return rc;
+    return !rc && (x || schedule_resets(s, step)) ? level_control(l, x, e) : rc;
 }

@@ -26,6 +26,7 @@ struct level {
     struct train_cell cell;
     struct schedule schedule[TRAIN_LEVELS_MAX];
     uint32_t n_levels;
+    struct spent spent; /* the clock that run.c started; {0} in tests, where nobody reads it */
 
     struct budget budget; /* the decisions of --budget auto */
 

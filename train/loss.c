@@ -15,7 +15,7 @@
 
 extern const char loss_cl[];
 
-enum { BAND = 32, STRIP = 64, MARGIN = 16, TILE = 16, PARTS = 4 }; /* as in loss.cl */
+enum { BAND = 64, STRIP = 64, MARGIN = 16, TILE = 16, PARTS = 4 }; /* as in loss.cl */
 
 struct loss {
     struct dev *dev; /* borrowed */
@@ -73,12 +73,14 @@ static uint32_t pitch_of(uint32_t width_px)
     return (width_px + STRIP - 1) / STRIP * STRIP + 2 * MARGIN;
 }
 
-/* Work-groups of either launch: bands of rows or tiles, times 3 channels; *local: their size. */
+/* Work-groups of either launch: pieces of STRIP x BAND pixels or tiles, times 3 channels; *local:
+ * their size. */
 static size_t groups_of(const struct loss *l, uint32_t width_px, uint32_t height_px, size_t *local)
 {
     if (l->wide) {
         *local = 1;
-        return ((size_t)height_px + BAND - 1) / BAND * 3;
+        return (((size_t)width_px + STRIP - 1) / STRIP) * (((size_t)height_px + BAND - 1) / BAND) *
+               3;
     }
     *local = TILE * TILE;
     return (((size_t)width_px + TILE - 1) / TILE) * (((size_t)height_px + TILE - 1) / TILE) * 3;

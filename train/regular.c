@@ -211,8 +211,13 @@ enum err_code regular_step(struct level *l, uint32_t step, const struct feed_pho
         l->filter_is_current = false;
     l->adam.extra_grad = NULL;
     enum err_code rc = regular_filter(l, e);
-    if (!rc && regular_similarity_acts(l, step))
-        rc = regular_similarity(l, step, e);
+    if (!rc && regular_similarity_acts(l, step)) {
+        rc = dev_finish(l->dev, e); /* what follows shall not pay for the last step */
+        enum spent_on was = spent_turn(&l->spent, SPENT_SIMILARITY);
+        if (!rc)
+            rc = regular_similarity(l, step, e);
+        (void)spent_turn(&l->spent, was);
+    }
     if (rc || (!scale && !depth))
         return rc;
     rc = regular_make(l, e);

@@ -25,6 +25,7 @@ struct run {
     const struct train_config *cfg;
     char dir[FILE_PATH_MAX], resume_path[FILE_PATH_MAX];
     struct progress progress;
+    struct spent_times spent_before; /* when the level in work began */
     double start_s;
     uint64_t last_saved; /* steps of this process when the state was last saved */
     struct train_cell_result *result;
@@ -143,10 +144,21 @@ static enum err_code run_start(struct run *t, struct err *e)
 /* ---- the loop
  * ------------------------------------------------------------------------------------------ */
 
+static enum err_code run_save(struct run *t, struct err *e)
+{
+    struct level *l = &t->level;
+    enum err_code rc = dev_finish(l->dev, e);
+    enum spent_on was = spent_turn(&l->spent, SPENT_CHECKPOINT);
+    if (!rc)
+        rc = state_save(l, t->resume_path, e);
+    (void)spent_turn(&l->spent, was);
+    return rc;
+}
+
 static enum err_code run_stop(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
-    enum err_code rc = state_save(l, t->resume_path, e);
+    enum err_code rc = run_save(t, e);
     if (rc)
         return err_add(e, "stopped, but the state could not be saved");
     return err_set(
@@ -196,7 +208,7 @@ static enum err_code run_steps(struct run *t, struct err *e)
         if (*t->job->steps - t->last_saved >= (uint64_t)t->cfg->checkpoint_interval &&
             l->step < steps) {
             t->last_saved = *t->job->steps;
-            rc = state_save(l, t->resume_path, e);
+            rc = run_save(t, e);
             if (rc)
                 return rc;
         }
@@ -286,17 +298,21 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
     struct evaluate_score score = {0};
     char path[FILE_PATH_MAX];
     uint32_t k = l->at + 1;
+    (void)spent_turn(&l->spent, SPENT_PRUNE);
     enum err_code rc = run_prune(t, e);
     if (!rc)
         rc = regular_filter(l, e);
+    (void)spent_turn(&l->spent, SPENT_EVALUATE);
     if (!rc && t->job->n_test)
         rc = run_score(t, &score, e);
     if (rc == ERR_CANCEL)
         return run_stop(t, e);
+    (void)spent_turn(&l->spent, SPENT_CHECKPOINT);
     if (!rc)
         rc = run_level_path(t, k, path, e);
     if (!rc)
         rc = state_save_level(l, path, t->job->n_test ? &score : NULL, e);
+    (void)spent_turn(&l->spent, SPENT_OTHER);
     for (uint32_t j = k + 1; !rc && j <= TRAIN_LEVELS_MAX; j++) {
         rc = run_level_path(t, j, path, e);
         if (!rc)
@@ -324,6 +340,21 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
                        e);
 }
 
+/* Where the level's time went. */
+static enum err_code run_report_spent(struct run *t, struct err *e)
+{
+    struct level *l = &t->level;
+    char text[512];
+    struct spent_times now = spent_now(&l->spent), here = spent_since(&now, &t->spent_before);
+    t->spent_before = now;
+    spent_text(&here, text, sizeof(text));
+    log_debug("train", "level=%u time: %s", l->at + 1, text);
+    return record_line(l->record, "time",
+                       json_pack("{s:i, s:f, s:o}", "level", (int)l->at + 1, "seconds",
+                                 spent_total(&here), "spent", spent_json(&here)),
+                       e);
+}
+
 static enum err_code run_levels(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
@@ -332,10 +363,16 @@ static enum err_code run_levels(struct run *t, struct err *e)
         char what[48];
         snprintf(what, sizeof(what), "train level %u/%u", l->at + 1, l->n_levels);
         progress_start(&t->progress, what, l->schedule[l->at].steps);
+        (void)spent_turn(&l->spent, SPENT_STEP);
         rc = run_steps(t, e);
+        if (!rc)
+            rc = dev_finish(l->dev, e);
+        (void)spent_turn(&l->spent, SPENT_OTHER);
         progress_end(&t->progress, NULL);
         if (!rc)
             rc = run_finish_level(t, e);
+        if (!rc)
+            rc = run_report_spent(t, e);
         if (!rc)
             rc = level_next(l, e);
     }
@@ -402,6 +439,7 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
                               .loss = job->loss,
                               .cell = job->cell,
                               .n_levels = (uint32_t)job->cfg->level_count};
+    spent_start(&t->level.spent, SPENT_START);
     *out = (struct train_cell_result){.n_levels = t->level.n_levels};
     memcpy(out->id, job->cell.id, sizeof(out->id));
     enum err_code rc = run_budget(t, e);
@@ -427,6 +465,7 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
     if (!rc)
         rc = run_levels(t, e);
     out->seconds = clock_s() - t->start_s;
+    out->spent = spent_now(&t->level.spent);
     if (!rc)
         rc = done_write(t->dir, out, e);
     if (!rc)

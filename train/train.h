@@ -28,6 +28,7 @@
 #include "render/render.h"
 #include "train/loss.h"
 #include "train/partition.h"
+#include "train/spent.h"
 
 enum { TRAIN_LEVELS_MAX = 3 };
 
@@ -246,6 +247,7 @@ struct train_cell_result {
     double psnr_db[TRAIN_LEVELS_MAX],
         ssim[TRAIN_LEVELS_MAX]; /* test photographs at training size; NaN = none */
     double seconds;
+    struct spent_times spent; /* of this process: what came before --resume is not in it */
 };
 struct train_result { /* {0} is empty; train_result_free */
     struct train_cell_result *cells;

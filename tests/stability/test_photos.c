@@ -18,9 +18,13 @@
 /* ---- F17 ----------------------------------------------------------------------------------------
  */
 
-#define F17_LIMIT_DB 0.2 /* masked run below the run without any box */
+/* One run of so small a scene says little: over seeds, and over the rounding of sums, the
+ * difference of two runs has a standard deviation of 0.6 dB. Means of three are held to twice that
+ * of a mean.
+ */
+#define F17_LIMIT_DB 0.7 /* masked runs below the runs without any box */
 #define F17_GAIN_DB 0.5  /* what masks are worth where the boxes were, at least */
-enum { F17_BOX_PX = 30, F17_EVERY = 5, F17_STEPS = 500 };
+enum { F17_BOX_PX = 30, F17_EVERY = 5, F17_STEPS = 500, F17_SEEDS = 3 };
 
 /* Where the box is in photograph i; it is in every fifth, never in those for tests. */
 static bool box_at(const struct toy *t, size_t i, uint32_t *x, uint32_t *y)
@@ -66,13 +70,13 @@ static void write_masks(const char *dir, const struct toy *t)
     }
 }
 
-/* How well the ground is drawn, dB: [0] in all photographs, [1] where boxes were. */
+/* How well the ground is drawn, dB: in all photographs, and where boxes were. */
 struct ground {
     double all_db, box_db;
 };
 
 static struct ground ground_after_training(const char *dir, const struct toy *t,
-                                           const struct gauss *g, bool masks)
+                                           const struct gauss *g, bool masks, int64_t seed)
 {
     struct err e = {0};
     struct arena a = {0};
@@ -85,6 +89,7 @@ static struct ground ground_after_training(const char *dir, const struct toy *t,
     c.iterations = F17_STEPS;
     c.level_count = 1;
     c.masks = masks;
+    c.seed = seed;
     toy_run_open(&r, dir, &c);
     toy_run_level(&r);
     struct render_options ro = level_render_options(&r.level, r.level.step);
@@ -111,6 +116,19 @@ static struct ground ground_after_training(const char *dir, const struct toy *t,
                            -10.0 * log10(box / (double)n_box)};
 }
 
+/* The mean over seeds. */
+static struct ground ground_over_seeds(const char *dir, const struct toy *t, const struct gauss *g,
+                                       bool masks)
+{
+    struct ground mean = {0.0, 0.0};
+    for (int64_t seed = 1; seed <= F17_SEEDS; seed++) {
+        struct ground one = ground_after_training(dir, t, g, masks, seed);
+        mean.all_db += one.all_db / F17_SEEDS;
+        mean.box_db += one.box_db / F17_SEEDS;
+    }
+    return mean;
+}
+
 static void masked_things_that_move_leave_no_trace(void **state)
 {
     (void)state;
@@ -121,15 +139,15 @@ static void masked_things_that_move_leave_no_trace(void **state)
     toy_gauss(&t, &g);
     kit_tmpdir(dir);
     toy_write(dir, &t, &g);
-    struct ground clean = ground_after_training(dir, &t, &g, true);
+    struct ground clean = ground_over_seeds(dir, &t, &g, true);
     kit_rmdir(dir);
     kit_tmpdir(dir);
     t.paint = paint_box;
     t.user = &t;
     toy_write(dir, &t, &g);
     write_masks(dir, &t);
-    struct ground masked = ground_after_training(dir, &t, &g, true);
-    struct ground unmasked = ground_after_training(dir, &t, &g, false);
+    struct ground masked = ground_over_seeds(dir, &t, &g, true);
+    struct ground unmasked = ground_over_seeds(dir, &t, &g, false);
     kit_figure(
         "F17", "masked_loss_db=%.2f limit=%.2f clean_db=%.2f masked_db=%.2f unmasked_db=%.2f",
         clean.all_db - masked.all_db, F17_LIMIT_DB, clean.all_db, masked.all_db, unmasked.all_db);
