@@ -49,15 +49,18 @@ enum { EVAL_SUSPICIOUS_MAX = 20 }; /* rows printed; the file has all */
 
 static void eval_print_head(void)
 {
-    printf("%-14s %6s %9s %9s %8s %10s %8s %12s %9s %9s\n", "what", "photos", "edge px", "PSNR dB",
-           "SSIM", "SSIM valid", "GMSD", "Gaussians", "ms/frame", "MB");
+    printf("%-14s %6s %9s %9s %8s %10s %8s %12s %12s %9s %9s\n", "what", "photos", "edge px",
+           "PSNR dB", "SSIM", "SSIM valid", "GMSD", "Gaussians", "in view", "ms/frame", "MB");
 }
 
 static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px,
                               const struct evaluate_score *s, struct err *e)
 {
-    printf("%-14s %6zu %9u %9.3f %8.4f %10.4f %8.5f %12.0f %9.2f %9.2f\n", what, s->n_photos,
-           edge_px, s->psnr_db, s->ssim, s->ssim_valid, s->gmsd, s->gaussians, s->ms_frame,
+    char visible[32] = "";
+    if (s->visible > 0.0)
+        snprintf(visible, sizeof(visible), "%.0f", s->visible);
+    printf("%-14s %6zu %9u %9.3f %8.4f %10.4f %8.5f %12.0f %12s %9.2f %9.2f\n", what, s->n_photos,
+           edge_px, s->psnr_db, s->ssim, s->ssim_valid, s->gmsd, s->gaussians, visible, s->ms_frame,
            s->bytes / 1e6);
     bool lpips = v->lpips && s->lpips > 0.0; /* rows of halves have none */
     if (lpips)
@@ -69,6 +72,10 @@ static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px
                             "ssim_valid", jsonc_real(s->ssim_valid), "l1", s->l1, "gmsd", s->gmsd,
                             "gaussians", s->gaussians, "ms_frame", s->ms_frame, "bytes", s->bytes);
     if (row && lpips && json_object_set_new(row, lpips_key(v->lpips), json_real(s->lpips))) {
+        json_decref(row);
+        row = NULL;
+    }
+    if (row && s->visible > 0.0 && json_object_set_new(row, "visible", json_real(s->visible))) {
         json_decref(row);
         row = NULL;
     }
@@ -267,7 +274,8 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
             {.aa = s.aa, .background = {grey, grey, grey}, .near_m = s.near_m, .sh_degree = -1},
             halves_look(&v->halves)};
         const struct half_source half = {eval_prepare_model, &m};
-        struct evaluate_source src = {.draw = evaluate_draw_model, .user = &m, .bytes = bytes};
+        struct evaluate_source src = {
+            .draw = evaluate_draw_model, .user = &m, .bytes = bytes, .render = v->render};
         uint32_t edge = v->o.max_edge_px ? (uint32_t)v->o.max_edge_px : (uint32_t)s.max_edge_px;
         rc = eval_source(v, what, edge, v->o.full_size ? 1.0 : s.downsample, src, &half, e);
     }
@@ -338,7 +346,7 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     w.po.distance_m[0] = v->o.distance_1_m;
     w.po.distance_m[1] = v->o.distance_2_m;
     struct evaluate_source src = {
-        .draw = eval_draw_view, .user = &w, .bytes = eval_bytes(v->o.tiles)};
+        .draw = eval_draw_view, .user = &w, .bytes = eval_bytes(v->o.tiles), .render = v->render};
     const struct half_source half = {eval_prepare_view, &w};
     enum err_code rc = view_open(v->o.tiles, v->render, (size_t)v->o.cache_mib << 20, &w.view, e);
     if (!rc)

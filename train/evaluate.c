@@ -89,6 +89,7 @@ static void evaluate_add(struct evaluate_score *sum, const struct evaluate_score
     sum->l1 += one->l1;
     sum->gmsd += one->gmsd;
     sum->gaussians += one->gaussians;
+    sum->visible += one->visible;
     sum->ms_frame += one->ms_frame;
 }
 
@@ -119,6 +120,7 @@ static enum err_code evaluate_one(struct feed *f, size_t nth, const struct evalu
     if (!rc) {
         one.ms_frame = 1e3 * quickest;
         one.gaussians = gaussians;
+        one.visible = src->render ? render_last_stats(src->render)->visible : 0.0;
         evaluate_add(sum, &one);
     }
     if (!rc && src->lpips)
@@ -140,6 +142,7 @@ void evaluate_divide(struct evaluate_score *sum, double n)
     sum->gmsd /= n;
     sum->lpips /= n;
     sum->gaussians /= n;
+    sum->visible /= n;
     sum->ms_frame /= n;
 }
 

@@ -277,6 +277,7 @@ struct evaluate_score { /* means over the photographs */
         ssim_valid;         /* ssim: zero padded as in the loss; ssim_valid: inner windows only */
     double l1, gmsd, lpips; /* lpips: 0 without weights */
     double gaussians;       /* handed to the renderer a frame */
+    double visible;         /* of them in the picture; 0 when not told */
     double ms_frame;
     double bytes; /* what the source takes in files, 0 when not told */
 };
@@ -289,7 +290,9 @@ struct evaluate_source {
     void *user;
     const char *pictures; /* folder for NAME.png, photograph left and drawing right; NULL: none */
     double bytes;         /* of the source's files, handed through to the score */
-    struct lpips *lpips;  /* NULL: no weights, not scored */
+    const struct render
+        *render;         /* what draw() draws with: visible is asked of it; NULL: not told */
+    struct lpips *lpips; /* NULL: no weights, not scored */
     struct residual_list *residuals; /* gets a row a photograph; NULL: none kept */
 };
 /* Add the scores of one photograph against its drawing to `sum` (PSNR, SSIM, L1), and make means of
