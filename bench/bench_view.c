@@ -41,7 +41,7 @@ struct flight {
     float *frame, *rgb;
     struct image picture;
     double ms[VIEW_FRAMES], pick_ms, load_ms, draw_ms, jpeg_ms;
-    uint64_t gaussians;
+    uint64_t gaussians, visible;
 };
 
 /* n Gaussians in VIEW_SIDE^2 copies of the city, SH degree 1, with embeddings. */
@@ -129,6 +129,7 @@ static enum err_code flight_frame(struct flight *c, int k, struct err *e)
     c->draw_ms += stats.ms_render / VIEW_FRAMES;
     c->jpeg_ms += (clock_s() - drawn_s) * 1e3 / VIEW_FRAMES;
     c->gaussians += stats.n_gaussians / VIEW_FRAMES;
+    c->visible += stats.n_visible / VIEW_FRAMES;
     buf_free(&jpeg);
     return rc;
 }
@@ -193,7 +194,7 @@ enum err_code bench_view(struct bench *b, struct err *e)
         rc = flight_open(b, path, &c, e);
     for (int pass = 0; rc == ERR_OK && pass < 2; pass++) {
         c.pick_ms = c.load_ms = c.draw_ms = c.jpeg_ms = 0;
-        c.gaussians = 0;
+        c.gaussians = c.visible = 0;
         for (int k = 0; rc == ERR_OK && k < VIEW_FRAMES; k++)
             rc = flight_frame(&c, k, e);
     }
@@ -214,6 +215,7 @@ enum err_code bench_view(struct bench *b, struct err *e)
                     {"draw", "ms", c.draw_ms},
                     {"JPEG", "ms", c.jpeg_ms},
                     {"Gaussians a frame", "", (double)c.gaussians},
+                    {"Gaussians in the picture", "", (double)c.visible},
                     {"against no limit of Gaussians", "dB", psnr_db}};
         for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
             snprintf(text, sizeof text, "%.1f M, %dx%d, appearance: %s", (double)n * 1e-6, VIEW_W,

@@ -86,6 +86,7 @@ struct layout_view {
     LAYOUT_U32 compensate;        /* 1: opacity times rho = sqrt(det S0 / det S) */
     LAYOUT_U32 tile_cull;         /* 0: tiles of the bounding box instead of the exact ones */
     LAYOUT_U32 smooth;            /* 1: Gaussians are widened by a 3-D filter each */
+    LAYOUT_U32 listed;            /* 1: a list says which groups of parameters these are */
 };
 
 /* Counts that the device finds in a frame; the host reads them once, before the entry lists are
@@ -104,7 +105,7 @@ struct layout_counts {
 static_assert(sizeof(struct layout_splat) == 64, "one cache line a splat");
 static_assert(sizeof(struct layout_counts) == 8 * (2 + LAYOUT_SORT_CHUNKS) + 4 * LAYOUT_BIN_CHUNKS,
               "no padding");
-static_assert(sizeof(struct layout_view) == 40 * 4, "no padding: kernels read the same words");
+static_assert(sizeof(struct layout_view) == 41 * 4, "no padding: kernels read the same words");
 #endif
 
 #endif

@@ -264,6 +264,7 @@ struct pick_options {        /* {0} = screen metric, defaults */
     uint64_t max_gaussians; /* 0 = no limit: coarsen farthest first until it fits */
     uint64_t max_bytes;     /* likewise of the payloads: what a client must fetch and keep */
     bool no_lod;            /* finest level everywhere */
+    bool whole_tiles;       /* view_render: hand over tiles whole, not only their blocks in view */
     /* For cameras that move: a tile that was refined in the picture before stays so until its error
      * is this share below the limit, so that a camera that trembles at a limit does not make the
      * level flicker. `before` is what pick_tiles gave then, NULL for none; without it a view
@@ -295,7 +296,8 @@ enum err_code view_set_look(struct view *v, const float *image, struct err *e) E
 enum err_code view_find_look(struct view *v, const char *look, float *image, struct err *e) ERR_USE;
 struct view_stats {
     size_t n_tiles;
-    uint64_t n_gaussians;
+    uint64_t n_gaussians; /* handed to the renderer: blocks of the tiles that may be in view */
+    uint64_t n_visible;   /* of them in the picture; 0 from view_model */
     double ms_pick, ms_load, ms_render;
 };
 /* rgb [h][w][3] float. A frame of the network in ro comes before the look that was set. */
@@ -303,8 +305,9 @@ enum err_code view_render(struct view *v, const struct camera *cam, const struct
                           const struct pick_options *po, float *rgb, struct view_stats *stats,
                           struct err *e) ERR_USE;
 
-/* The Gaussians that such a picture is drawn from, on the device until the next call: colours as
- * they were trained, with embeddings where the store has appearance. */
+/* The Gaussians that such a picture is drawn from, tiles whole, on the device until the next call:
+ * colours as they were trained, with embeddings where the store has appearance. There is a way back
+ * through this model (render_backward). */
 enum err_code view_model(struct view *v, const struct camera *cam, const struct pick_options *po,
                          const struct render_model **out, struct view_stats *stats,
                          struct err *e) ERR_USE;

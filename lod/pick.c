@@ -8,10 +8,7 @@
  * distance metric is that of the CityGaussian family: horizontal distance against one threshold a
  * level.
  *
- * A tile is left out only if no splat in it can touch the picture: its box (means grown by 3.33
- * sigma) must lie wholly behind one of five planes. EWA splatting evaluates its Jacobian at the
- * mean and so draws a little beyond the true cone; pick_frustum adds exactly what that can be.
- * There is no far plane.
+ * A tile is left out only if no splat in it can touch the picture: frustum.h.
  *
  * The same input gives the same cut, or pictures could not be cached: the state that keeps a moving
  * camera's levels from flickering is the cut before, and the caller's.
@@ -21,19 +18,11 @@
 #include <math.h>
 #include <stdlib.h>
 
+#include "lod/frustum.h"
 #include "lod/lod.h"
 #include "lod/tree.h"
 
 #define PICK_ERROR_PX 1.0 /* default: one pixel of median sigma */
-#define PICK_LENS_MARGIN                                                                           \
-    0.15                 /* of the picture: where the renderer clamps x / z in the Jacobian        \
-                          */
-#define PICK_SOFT_PX 3.0 /* 3.33 sqrt(0.3) of low-pass and 1 of rounding, upwards */
-#define PICK_REACH_SIGMA 3.33
-
-struct pick_plane { /* inside: dot(n, x) + d >= -slack_per_sigma * sigma_max */
-    double n[3], d, slack_per_sigma;
-};
 
 struct pick_entry { /* of the heap: the node with the largest error on top */
     double error;
@@ -44,7 +33,7 @@ struct pick {
     const struct store_tile *tiles;
     const struct tree *tree;
     const struct pick_options *o;
-    struct pick_plane plane[5];
+    struct frustum frustum;
     double eye[3], focal_px, limit;
     uint8_t zoom_max;
     struct pick_entry *heap;
@@ -52,60 +41,6 @@ struct pick {
     uint64_t total, bytes; /* Gaussians and payload bytes of the heap and of what was chosen */
     bool *refined;         /* [n_nodes] in the cut before; NULL: there was none */
 };
-
-/* Plane through the eye with the camera-frame normal (a, 0, c) or (0, a, c), in the world frame.
- * `t` is tan of the angle between axis and plane, `t_clamp` that of the steepest ray the Jacobian
- * is evaluated at. */
-static struct pick_plane pick_side(const struct camera *cam, size_t axis, double sign, double t,
-                                   double t_clamp, double soft)
-{
-    struct pick_plane p = {0};
-    double edge = t + soft, len = sqrt(1.0 + edge * edge);
-    for (size_t k = 0; k < 3; k++)
-        p.n[k] = (sign * cam->rot[3 * axis + k] + edge * cam->rot[6 + k]) / len;
-    p.d = (sign * cam->trans[axis] + edge * cam->trans[2]) / len;
-    /* A splat at x/z = r > t reaches 3.33 sigma sqrt(1 + min(r, t_clamp)^2), the box has 3.33 sigma
-     * sqrt(1 + t^2). */
-    double steepest = fmax(fabs(t), fabs(t_clamp));
-    p.slack_per_sigma =
-        PICK_REACH_SIGMA * (sqrt(1.0 + steepest * steepest) - sqrt(1.0 + t * t)) / len;
-    return p;
-}
-
-static void pick_frustum(struct pick *p, const struct camera *cam)
-{
-    double w = cam->width_px, h = cam->height_px;
-    const double edge[2][2] = {{(w - cam->cx_px) / cam->fx_px, cam->cx_px / cam->fx_px},
-                               {(h - cam->cy_px) / cam->fy_px, cam->cy_px / cam->fy_px}};
-    const double margin[2] = {PICK_LENS_MARGIN * w / cam->fx_px, PICK_LENS_MARGIN * h / cam->fy_px};
-    const double soft[2] = {PICK_SOFT_PX / cam->fx_px, PICK_SOFT_PX / cam->fy_px};
-    for (size_t axis = 0; axis < 2; axis++)
-        for (size_t side = 0; side < 2; side++) {
-            double t = edge[axis][side];
-            p->plane[2 * axis + side] =
-                pick_side(cam, axis, side ? 1.0 : -1.0, t, t + margin[axis], soft[axis]);
-        }
-    /* The near plane cuts by the mean, which is inside the box, and lies in front of the eye. */
-    p->plane[4] =
-        (struct pick_plane){.n = {cam->rot[6], cam->rot[7], cam->rot[8]}, .d = cam->trans[2]};
-    camera_center(cam, p->eye);
-    p->focal_px = fmax(cam->fx_px, cam->fy_px);
-}
-
-/* May anything within this box touch the picture? The corner farthest along each normal decides. */
-static bool pick_visible(const struct pick *p, const double lo[3], const double hi[3],
-                         double sigma_max)
-{
-    for (size_t i = 0; i < 5; i++) {
-        const struct pick_plane *f = &p->plane[i];
-        double at = f->d + f->slack_per_sigma * sigma_max;
-        for (size_t k = 0; k < 3; k++)
-            at += f->n[k] * (f->n[k] > 0.0 ? hi[k] : lo[k]);
-        if (at < 0.0)
-            return false;
-    }
-    return true;
-}
 
 /* Distance from the eye to where nearly all of the tile is, over the axes [0, n_axes). */
 static double pick_distance(const struct pick *p, const struct tree_node *v, size_t n_axes)
@@ -183,7 +118,7 @@ static void pick_account(const struct pick *p, uint32_t node, int sign, uint64_t
 static bool pick_node_visible(const struct pick *p, uint32_t node)
 {
     const struct tree_node *v = &p->tree->nodes[node];
-    return pick_visible(p, v->min_enu_m, v->max_enu_m, v->sigma_max_m);
+    return frustum_sees(&p->frustum, v->min_enu_m, v->max_enu_m, v->sigma_max_m);
 }
 
 /* Replace the node by its visible children, unless that would break a budget. */
@@ -255,7 +190,9 @@ enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
     if (!p.heap)
         return err_set(e, ERR_MEM, "pick: out of memory for %zu tiles", t->n_nodes);
     p.limit = TREE_PX_PER_SIGMA * (p.o->error_px > 0.0 ? p.o->error_px : PICK_ERROR_PX);
-    pick_frustum(&p, cam);
+    frustum_make(cam, &p.frustum);
+    camera_center(cam, p.eye);
+    p.focal_px = fmax(cam->fx_px, cam->fy_px);
     /* Nodes ascend with zoom but for a root without content, which stands last. */
     size_t last = t->nodes[t->n_nodes - 1].tile == TREE_NONE ? t->n_nodes - 2 : t->n_nodes - 1;
     p.zoom_max = tiles[last].key.z;
@@ -270,7 +207,7 @@ enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
         if (v->child_count > 0 && pick_too_coarse(&p, &top) && pick_refine(&p, top.node))
             continue;
         const struct store_tile *tile = v->tile == TREE_NONE ? NULL : &tiles[v->tile];
-        if (tile && pick_visible(&p, tile->min_enu_m, tile->max_enu_m, tile->sigma_max_m))
+        if (tile && frustum_sees(&p.frustum, tile->min_enu_m, tile->max_enu_m, tile->sigma_max_m))
             out[(*n_out)++] = v->tile;
         else if (tile)
             pick_account(&p, top.node, -1, &p.total, &p.bytes);

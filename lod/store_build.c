@@ -195,16 +195,29 @@ static enum err_code store_core(struct store_tile *t, const struct gauss *g, str
     return ERR_OK;
 }
 
-/* Bounds and sigmas of the rows. */
-static enum err_code store_measure(struct store_tile *t, const struct gauss *g, struct err *e)
+/* How much larger a sigma may come out of the payload than it went in: its logarithm is rounded to
+ * a half float, by 2^-11 of itself. */
+static double store_growth(const struct store *s, const struct gauss *g)
 {
+    float most = 0.0f;
+    for (size_t i = 0; i < 3 * g->n; i++)
+        most = fmaxf(most, fabsf(g->scale_log[i]));
+    return s->meta.lossless ? 1.0 : exp(ldexp((double)most, -11));
+}
+
+/* Bounds and sigmas of the rows. */
+static enum err_code store_measure(const struct store *s, struct store_tile *t,
+                                   const struct gauss *g, struct err *e)
+{
+    double growth = store_growth(s, g);
     enum err_code rc = store_sigmas(t, g, e);
     if (rc)
         return rc;
     rc = store_core(t, g, e);
     if (rc)
         return rc;
-    gauss_bounds(g, STORE_REACH_SIGMA, t->min_enu_m, t->max_enu_m);
+    gauss_bounds(g, STORE_REACH_SIGMA * growth, t->min_enu_m, t->max_enu_m);
+    t->sigma_max_m *= growth;
     if (!(t->geometric_error_m > 0.0))
         t->geometric_error_m = TREE_PX_PER_SIGMA * t->sigma_median_m;
     double sum = t->sigma_median_m + t->sigma_max_m + t->geometric_error_m;
@@ -282,7 +295,7 @@ enum err_code store_encode(const struct store *s, struct store_tile *t, const st
         return err_set(e, ERR_ARG, "%s: tile %u/%u/%u with %zu Gaussians cannot be stored", s->path,
                        t->key.z, t->key.x, t->key.y, g->n);
     t->count = (uint32_t)g->n;
-    enum err_code rc = store_measure(t, g, e);
+    enum err_code rc = store_measure(s, t, g, e);
     if (!rc)
         rc = payload_encode(g, s->meta.lossless, payload, e);
     if (!rc && payload->size > INT32_MAX)

@@ -1,60 +1,27 @@
-/* A picture of a store: pick the tiles, have them decoded, put them together on the device, render.
+/* A picture of a store: pick the tiles, have them brought to the device, list their blocks that may
+ * be in view, render.
  *
- * Two caches. Decoded tiles stay in memory, in the device's layout, up to a number of bytes, least
- * recently used out first. The tiles of the last picture stay together on the device as one model:
- * while the same tiles are picked a picture costs a render and nothing else, and when some change,
- * those behind the first that differs are copied. Nothing is computed for it: colours are as they
- * were trained, and the look of a photograph is a few hundred numbers that the renderer gets with
- * the frame.
- *
- * The model's origin is the centre of the first tile of the store, whatever is in view: pictures
- * depend on the request alone, never on the ones before.
+ * Nothing is computed for the model: colours are as they were trained, and the look of a photograph
+ * is a few hundred numbers that the renderer gets with the frame.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
-#include "core/pool.h"
 #include "lod/lod.h"
+#include "lod/resident.h"
 
-enum { VIEW_BATCH = 16 /* payloads in memory at once while decoding */ };
 #define VIEW_CACHE_BYTES ((size_t)1 << 30)
-
-struct view_tile { /* decoded tile, by index into store_tiles */
-    float *packed; /* see render_piece_pack */
-    uint32_t n;    /* Gaussians */
-    size_t bytes;  /* 0 = not resident */
-    uint64_t used;
-};
 
 struct view {
     struct store *store;
     struct render *render; /* borrowed */
-    struct view_tile *tile;
-    size_t n_tiles;
-    size_t resident_bytes, limit_bytes;
-    uint64_t clock;
-    uint32_t *picked, *now; /* tiles of the model; of the picture being made */
-    size_t n_picked;
-    struct render_model model;
-    bool model_valid;
+    struct resident resident;
+    uint32_t *now;                       /* tiles of the picture being made, scratch */
     const struct appearance *appearance; /* of the store; NULL: none */
     float *frame;                        /* of the look, see appearance_frame; NULL: none */
-    struct render_piece *pieces;         /* scratch, [n_tiles] */
 };
-
-/* An empty model, about the first tile: an index that never changes. */
-static void view_model_start(struct view *v)
-{
-    size_t n;
-    const struct store_tile *tiles = store_tiles(v->store, &n);
-    v->model.sh_degree = store_info(v->store)->sh_degree;
-    v->model.embed_len = v->appearance ? store_info(v->store)->embed_len : 0;
-    if (n > 0)
-        memcpy(v->model.origin_enu_m, tiles[0].center_enu_m, sizeof v->model.origin_enu_m);
-}
 
 enum err_code view_open(const char *store_path, struct render *r, size_t cache_bytes,
                         struct view **out, struct err *e)
@@ -64,21 +31,15 @@ enum err_code view_open(const char *store_path, struct render *r, size_t cache_b
     if (!v)
         return err_set(e, ERR_MEM, "%s: out of memory", store_path);
     v->render = r;
-    v->limit_bytes = cache_bytes ? cache_bytes : VIEW_CACHE_BYTES;
     enum err_code rc = store_open(store_path, &v->store, e);
     if (!rc)
         rc = bake_of(v->store, &v->appearance, e);
-    if (!rc) {
-        store_tiles(v->store, &v->n_tiles);
-        v->tile = mem_array(v->n_tiles, sizeof *v->tile);
-        v->picked = mem_array(v->n_tiles, sizeof *v->picked);
-        v->now = mem_array(v->n_tiles, sizeof *v->now);
-        v->pieces = mem_array(v->n_tiles, sizeof *v->pieces);
-        if (!v->tile || !v->picked || !v->now || !v->pieces)
-            rc = err_set(e, ERR_MEM, "%s: out of memory for %zu tiles", store_path, v->n_tiles);
-    }
     if (!rc)
-        view_model_start(v);
+        rc = resident_open(v->store, r, v->appearance ? store_info(v->store)->embed_len : 0,
+                           cache_bytes ? cache_bytes : VIEW_CACHE_BYTES, &v->resident, e);
+    if (!rc && !(v->now = mem_array(v->resident.n_tiles, sizeof *v->now)))
+        rc =
+            err_set(e, ERR_MEM, "%s: out of memory for %zu tiles", store_path, v->resident.n_tiles);
     if (!rc && v->appearance)
         rc = view_set_look(v, NULL, e);
     if (rc)
@@ -92,13 +53,8 @@ void view_close(struct view **vp)
     struct view *v = *vp;
     if (!v)
         return;
-    render_model_free(&v->model);
-    for (size_t i = 0; v->tile && i < v->n_tiles; i++)
-        mem_free(v->tile[i].packed);
-    mem_free(v->tile);
-    mem_free(v->picked);
+    resident_close(&v->resident);
     mem_free(v->now);
-    mem_free(v->pieces);
     mem_free(v->frame);
     store_close(&v->store);
     mem_free(v);
@@ -138,178 +94,24 @@ enum err_code view_find_look(struct view *v, const char *look, float *image, str
     return bake_find(v->store, look, image, e);
 }
 
-/* ---- decoded tiles ---- */
-
-struct view_batch {
-    struct view *view;
-    uint32_t tile[VIEW_BATCH];
-    struct buf payload[VIEW_BATCH];
-    size_t n;
-};
-
-static enum err_code view_decode(void *user, size_t i, struct err *e)
-{
-    struct view_batch *b = user;
-    size_t n;
-    const struct store_tile *t = &store_tiles(b->view->store, &n)[b->tile[i]];
-    struct view_tile *to = &b->view->tile[b->tile[i]];
-    struct gauss g = {0};
-    enum err_code rc = payload_decode(b->payload[i].data, b->payload[i].size, NULL, &g, e);
-    if (rc)
-        return err_add(e, "tile %u/%u/%u", t->key.z, t->key.x, t->key.y);
-    const struct render_model *m = &b->view->model;
-    memcpy(g.origin_enu_m, t->center_enu_m, sizeof g.origin_enu_m);
-    if (!m->embed_len)
-        g.embed_len = 0; /* nothing would say what they mean */
-    if (g.sh_degree != m->sh_degree || g.embed_len != m->embed_len)
-        rc = err_set(e, ERR_FORMAT, "tile %u/%u/%u: other harmonics or embeddings than the store's",
-                     t->key.z, t->key.x, t->key.y);
-    size_t floats = (size_t)render_piece_groups(g.n) * RENDER_LANES *
-                    render_planes_embed(g.sh_degree, g.embed_len);
-    if (!rc && !(to->packed = mem_array(floats ? floats : 1, sizeof(float))))
-        rc = err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", g.n);
-    if (!rc) {
-        render_piece_pack(&g, m->origin_enu_m, to->packed);
-        to->n = (uint32_t)g.n;
-        to->bytes = floats * sizeof(float) + sizeof *to;
-    }
-    gauss_free(&g);
-    return rc;
-}
-
-static enum err_code view_load_batch(struct view_batch *b, struct err *e)
-{
-    size_t n;
-    const struct store_tile *tiles = store_tiles(b->view->store, &n);
-    enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < b->n; i++)
-        rc = store_read(b->view->store, tiles[b->tile[i]].key, &b->payload[i], e);
-    if (!rc)
-        rc = pool_for(b->n, 0, view_decode, b, e);
-    for (size_t i = 0; i < b->n; i++) {
-        struct view_tile *t = &b->view->tile[b->tile[i]];
-        buf_free(&b->payload[i]);
-        if (rc) { /* of all or of none */
-            mem_free(t->packed);
-            t->packed = NULL;
-            t->bytes = 0;
-        }
-        b->view->resident_bytes += t->bytes;
-    }
-    b->n = 0;
-    return rc;
-}
-
-/* Make the tiles v->now[0..n) resident. */
-static enum err_code view_load(struct view *v, size_t n, struct err *e)
-{
-    struct view_batch b = {.view = v};
-    enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < n; i++) {
-        struct view_tile *t = &v->tile[v->now[i]];
-        t->used = ++v->clock;
-        if (t->bytes)
-            continue;
-        b.tile[b.n++] = v->now[i];
-        if (b.n == VIEW_BATCH)
-            rc = view_load_batch(&b, e);
-    }
-    if (!rc && b.n)
-        rc = view_load_batch(&b, e);
-    return rc;
-}
-
-static int view_use_compare(const void *a, const void *b)
-{
-    const struct view_tile *const *x = a;
-    const struct view_tile *const *y = b;
-    return (*x)->used < (*y)->used ? -1 : (*x)->used > (*y)->used;
-}
-
-/* Least recently used out until the limit is kept. Without memory for the list nothing is evicted
- * this time. */
-static void view_evict(struct view *v)
-{
-    if (v->resident_bytes <= v->limit_bytes)
-        return;
-    struct view_tile **list = mem_array(v->n_tiles, sizeof *list);
-    size_t n = 0;
-    for (size_t i = 0; list && i < v->n_tiles; i++)
-        if (v->tile[i].bytes)
-            list[n++] = &v->tile[i];
-    if (list)
-        qsort(list, n, sizeof *list, view_use_compare);
-    for (size_t i = 0; i < n && v->resident_bytes > v->limit_bytes; i++) {
-        v->resident_bytes -= list[i]->bytes;
-        list[i]->bytes = 0;
-        mem_free(list[i]->packed);
-        list[i]->packed = NULL;
-    }
-    mem_free(list);
-}
-
-/* ---- the model ---- */
-
-static enum err_code view_assemble(struct view *v, size_t n, struct err *e)
-{
-    size_t same = 0;
-    while (v->model_valid && same < n && same < v->n_picked && v->now[same] == v->picked[same])
-        same++;
-    for (size_t i = 0; i < n; i++) {
-        const struct view_tile *t = &v->tile[v->now[i]];
-        v->pieces[i] = (struct render_piece){t->packed, render_piece_groups(t->n)};
-    }
-    enum err_code rc = render_model_assemble(v->render, v->pieces, n, same, &v->model, e);
-    v->model_valid = rc == ERR_OK;
-    return rc;
-}
-
-static enum err_code view_prepare(struct view *v, size_t n, struct err *e)
-{
-    bool same = v->model_valid && n == v->n_picked &&
-                (n == 0 || !memcmp(v->now, v->picked, n * sizeof *v->now));
-    if (same) {
-        for (size_t i = 0; i < n; i++)
-            v->tile[v->now[i]].used = ++v->clock;
-        return ERR_OK;
-    }
-    enum err_code rc = view_load(v, n, e);
-    if (!rc)
-        rc = view_assemble(v, n, e);
-    if (!rc && n > 0)
-        memcpy(v->picked, v->now, n * sizeof *v->now);
-    v->n_picked = n;
-    view_evict(v);
-    return rc;
-}
-
-static uint64_t view_count(const struct view *v, size_t n)
-{
-    size_t n_tiles;
-    const struct store_tile *tiles = store_tiles(v->store, &n_tiles);
-    uint64_t sum = 0;
-    for (size_t i = 0; i < n; i++)
-        sum += tiles[v->now[i]].count;
-    return sum;
-}
-
 enum err_code view_model(struct view *v, const struct camera *cam, const struct pick_options *po,
                          const struct render_model **out, struct view_stats *stats, struct err *e)
 {
     double t0 = clock_s();
-    size_t n = 0;
+    size_t n = 0, n_tiles;
     *out = NULL;
     enum err_code rc = pick_tiles(v->store, cam, po, v->now, &n, e);
     double t1 = clock_s();
     if (!rc)
-        rc = view_prepare(v, n, e);
+        rc = resident_flat(&v->resident, v->now, n, e);
     if (rc)
         return rc;
-    *out = &v->model;
-    *stats = (struct view_stats){.n_tiles = n,
-                                 .n_gaussians = view_count(v, n),
-                                 .ms_pick = 1e3 * (t1 - t0),
-                                 .ms_load = 1e3 * (clock_s() - t1)};
+    const struct store_tile *tiles = store_tiles(v->store, &n_tiles);
+    *out = &v->resident.flat;
+    *stats = (struct view_stats){
+        .n_tiles = n, .ms_pick = 1e3 * (t1 - t0), .ms_load = 1e3 * (clock_s() - t1)};
+    for (size_t i = 0; i < n; i++)
+        stats->n_gaussians += tiles[v->now[i]].count;
     return ERR_OK;
 }
 
@@ -317,18 +119,28 @@ enum err_code view_render(struct view *v, const struct camera *cam, const struct
                           const struct pick_options *po, float *rgb, struct view_stats *stats,
                           struct err *e)
 {
-    struct view_stats st;
-    const struct render_model *m;
-    enum err_code rc = view_model(v, cam, po, &m, &st, e);
-    double start = clock_s();
+    struct view_stats st = {0};
+    struct frustum f;
+    double t0 = clock_s();
+    enum err_code rc = pick_tiles(v->store, cam, po, v->now, &st.n_tiles, e);
+    double t1 = clock_s();
+    st.ms_pick = 1e3 * (t1 - t0);
+    if (!rc) {
+        frustum_make(cam, &f);
+        rc = resident_show(&v->resident, v->now, st.n_tiles, po && po->whole_tiles ? NULL : &f,
+                           &st.n_gaussians, e);
+    }
+    double t2 = clock_s();
+    st.ms_load = 1e3 * (t2 - t1);
     struct render_options o = *ro;
     if (v->frame && !o.appearance_frame) {
         o.appearance_frame = v->frame;
         o.appearance_hidden = v->appearance->hidden;
     }
     if (!rc)
-        rc = render_forward(v->render, m, cam, &o, rgb, NULL, e);
-    st.ms_render = 1e3 * (clock_s() - start);
+        rc = render_forward(v->render, &v->resident.model, cam, &o, rgb, NULL, e);
+    st.ms_render = 1e3 * (clock_s() - t2);
+    st.n_visible = render_last_stats(v->render)->visible;
     if (!rc && stats)
         *stats = st;
     return rc;

@@ -147,11 +147,12 @@ enum err_code look_project(struct render *r, const struct render_model *m, struc
 {
     size_t local, items = frame_items(r, m->groups, &local);
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
+    cl_mem list = m->list ? m->list : m->params;
     return frame_run(r, r->look->project, "project with appearance",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(filter),
-                                FRAME_ARG(r->splats.mem), FRAME_ARG(r->depth_key.mem),
-                                FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->look_frame.mem),
-                                FRAME_ARG(r->effective.mem)),
+                                FRAME_ARG(list), FRAME_ARG(r->splats.mem),
+                                FRAME_ARG(r->depth_key.mem), FRAME_ARG(r->tiles_of.mem),
+                                FRAME_ARG(r->look_frame.mem), FRAME_ARG(r->effective.mem)),
                      items, local, e);
 }
 

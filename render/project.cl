@@ -1,5 +1,6 @@
 // Stage: project. Gaussians -> splat records, depth keys, tile counts.
 //   in   params [groups][planes][16]; filter [groups][16], m, with view->smooth
+//        list [groups], with view->listed: which groups of params these are
 //   out  splats [groups * 16] (only where visible), depth_key (bits of depth, ~0 where culled),
 //   tiles_of
 // Culling comes in steps, cheapest first, and a whole group leaves as soon as no lane of it is
@@ -198,20 +199,22 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
 }
 
 __kernel void project(__constant struct layout_view *view, __global const float *params,
-                      __global const float *filter, __global struct layout_splat *splats,
-                      __global uint *depth_key, __global uint *tiles_of LOOK_ARGS)
+                      __global const float *filter, __global const uint *list,
+                      __global struct layout_splat *splats, __global uint *depth_key,
+                      __global uint *tiles_of LOOK_ARGS)
 {
     size_t item = get_global_id(0);
 #if VW == 16
     size_t end = min((item + 1) * LAYOUT_PROJECT_GROUPS, (size_t)view->groups);
     for (size_t group = item * LAYOUT_PROJECT_GROUPS; group < end; group++) {
         VU key, tiles;
+        size_t next = min(group + 2, end - 1), from = view->listed ? list[group] : group;
         __global const float *ahead =
-            params + min(group + 2, end - 1) * view->planes * LAYOUT_LANES;
+            params + (view->listed ? list[next] : next) * view->planes * LAYOUT_LANES;
         for (uint plane = 0; plane < 11; plane++) // all but the colour, which streams behind them
             PREFETCH(ahead + plane * LAYOUT_LANES);
-        project_some(view, params + group * view->planes * LAYOUT_LANES,
-                     filter + group * LAYOUT_LANES, (uint)group * LAYOUT_LANES, splats, &key,
+        project_some(view, params + from * view->planes * LAYOUT_LANES,
+                     filter + from * LAYOUT_LANES, (uint)group * LAYOUT_LANES, splats, &key,
                      &tiles LOOK(group * LAYOUT_LANES));
         LAYOUT_WIDE(__global, uint, depth_key + 16 * group) = key;
         LAYOUT_WIDE(__global, uint, tiles_of + 16 * group) = tiles;
@@ -219,10 +222,11 @@ __kernel void project(__constant struct layout_view *view, __global const float 
 #else
     if (item < (size_t)view->groups * LAYOUT_LANES) {
         VU key, tiles;
-        project_some(view,
-                     params + (item / LAYOUT_LANES) * view->planes * LAYOUT_LANES +
-                         item % LAYOUT_LANES,
-                     filter + item, (uint)item, splats, &key, &tiles LOOK(item));
+        size_t group = item / LAYOUT_LANES, lane = item % LAYOUT_LANES;
+        size_t from = view->listed ? list[group] : group;
+        project_some(view, params + from * view->planes * LAYOUT_LANES + lane,
+                     filter + from * LAYOUT_LANES + lane, (uint)item, splats, &key,
+                     &tiles LOOK(item));
         depth_key[item] = key;
         tiles_of[item] = tiles;
     }

@@ -203,6 +203,7 @@ static void view_fill(const struct render *r, const struct render_model *m, cons
                        : m->sh_degree;
     v->tile_cull = !r->box_tiles;
     v->smooth = m->filter != NULL;
+    v->listed = m->list != NULL;
 }
 
 /* ---- stages
@@ -248,12 +249,13 @@ static enum err_code stage_project(struct render *r, const struct render_model *
 {
     size_t local, items = frame_items(r, m->groups, &local);
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
+    cl_mem list = m->list ? m->list : m->params;
     if (r->look)
         return look_project(r, m, e);
     return frame_run(r, r->k.project, "project",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(filter),
-                                FRAME_ARG(r->splats.mem), FRAME_ARG(r->depth_key.mem),
-                                FRAME_ARG(r->tiles_of.mem)),
+                                FRAME_ARG(list), FRAME_ARG(r->splats.mem),
+                                FRAME_ARG(r->depth_key.mem), FRAME_ARG(r->tiles_of.mem)),
                      items, local, e);
 }
 

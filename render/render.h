@@ -76,6 +76,8 @@ struct render_model {
                     * Gaussian (Mip-Splatting, Yu et al. 2024): it is drawn with sqrt(sigma^2 + f^2)
                     * and opacity times prod sigma / sigma'; gradients are of the raw parameters,
                     * f has none. Set by the caller, freed with the model */
+    cl_mem list;   /* may be NULL: uint [groups], see render_model_list; there is no way back
+                    * through a model with one (ERR_ARG) */
     uint32_t n, cap, groups, planes, sh_degree, embed_len;
     double origin_enu_m[3]; /* means on the device are relative to this */
 };
@@ -88,12 +90,13 @@ enum err_code render_model_download(struct render *r, const struct render_model 
                                     struct err *e) ERR_USE;
 void render_model_free(struct render_model *m);
 
-/* Models out of pieces that are packed once and put together often (tiles of a city): memory is
+/* Models out of pieces that are packed once and drawn often (blocks of a city's tiles): memory is
  * copied, nothing is computed. A piece is whole groups, [n_groups][planes][16], with means relative
- * to the model's origin; lanes beyond its last Gaussian are never drawn. */
+ * to the model's origin; lanes beyond its last Gaussian are never drawn. Pieces stay where they
+ * were placed, in any order, and each picture lists the groups it takes. */
 struct render_piece {
     const float *groups;
-    uint32_t n_groups;
+    uint32_t n_groups, at; /* at: first group in params */
 };
 static inline uint32_t render_piece_groups(size_t n_gaussians)
 {
@@ -101,12 +104,21 @@ static inline uint32_t render_piece_groups(size_t n_gaussians)
 }
 /* out: render_piece_groups(g->n) * render_planes_embed(...) * RENDER_LANES floats. */
 void render_piece_pack(const struct gauss *g, const double origin_enu_m[3], float *out);
-/* Put pieces together in m, in their order. The caller has set sh_degree, embed_len and
- * origin_enu_m; {0} besides these is a model without memory. The first n_same pieces are in m
- * already, from the last call. */
-enum err_code render_model_assemble(struct render *r, const struct render_piece *pieces,
-                                    size_t n_pieces, size_t n_same, struct render_model *m,
-                                    struct err *e) ERR_USE;
+/* Room for n_groups in m. The caller has set sh_degree, embed_len and origin_enu_m; {0} besides
+ * these is a model without memory. *kept: false when it had to grow, by a quarter more than asked
+ * for at least; what was placed before is lost then. render_model_capacity says how much there is.
+ */
+enum err_code render_model_reserve(struct render *r, struct render_model *m, size_t n_groups,
+                                   bool *kept, struct err *e) ERR_USE;
+static inline uint32_t render_model_capacity(const struct render_model *m)
+{
+    return m->cap / RENDER_LANES;
+}
+enum err_code render_model_place(struct render *r, const struct render_piece *pieces,
+                                 size_t n_pieces, struct render_model *m, struct err *e) ERR_USE;
+/* Draw these groups of params, in this order; NULL: the first n of them. */
+enum err_code render_model_list(struct render *r, const uint32_t *groups, size_t n,
+                                struct render_model *m, struct err *e) ERR_USE;
 
 struct render_stats { /* of the last frame */
     uint32_t visible; /* splats that passed the cull */

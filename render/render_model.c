@@ -7,6 +7,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <assert.h>
 #include <string.h>
 
 #include "core/base.h"
@@ -158,72 +159,90 @@ void render_piece_pack(const struct gauss *g, const double origin_enu_m[3], floa
         }
 }
 
-struct assembly {
-    const struct render_piece *pieces;
-    const size_t *first; /* group at which each piece goes */
-    float *to;           /* of the first group that changes */
-    size_t n_same, group_floats;
-};
-
-static enum err_code assemble_piece(void *user, size_t i, struct err *e)
+enum err_code render_model_reserve(struct render *r, struct render_model *m, size_t n_groups,
+                                   bool *kept, struct err *e)
 {
-    const struct assembly *a = user;
-    const struct render_piece *p = &a->pieces[a->n_same + i];
-    (void)e;
-    memcpy(a->to + (a->first[a->n_same + i] - a->first[a->n_same]) * a->group_floats, p->groups,
-           p->n_groups * a->group_floats * sizeof(float));
-    return ERR_OK;
-}
-
-/* Room for `groups`, contents lost when it grows. */
-static enum err_code model_reserve(struct render *r, struct render_model *m, size_t groups,
-                                   struct err *e)
-{
-    if (m->params && groups * LANES <= m->cap)
+    *kept = true;
+    m->planes = render_planes_embed(m->sh_degree, m->embed_len);
+    if (m->params && n_groups <= render_model_capacity(m))
         return ERR_OK;
-    size_t cap = groups + groups / 4 + 1;
+    size_t cap = n_groups + n_groups / 4 + 1;
     if (cap > (size_t)(INT32_MAX / LANES))
-        return err_set(e, ERR_LIMIT, "%zu Gaussians in one picture: at most 2^31", groups * LANES);
+        return err_set(e, ERR_LIMIT, "%zu Gaussians in one picture: at most 2^31",
+                       n_groups * LANES);
+    *kept = false;
     dev_release(&m->params);
-    m->cap = 0;
+    m->cap = m->n = m->groups = 0;
     enum err_code rc =
         dev_buffer(r->dev, cap * LANES * m->planes * sizeof(float), NULL, &m->params, e);
     m->cap = rc == ERR_OK ? (uint32_t)(cap * LANES) : 0;
     return rc;
 }
 
-enum err_code render_model_assemble(struct render *r, const struct render_piece *pieces,
-                                    size_t n_pieces, size_t n_same, struct render_model *m,
-                                    struct err *e)
+struct placing {
+    const struct render_piece *pieces;
+    float *to;
+    size_t group_floats;
+};
+
+static enum err_code place_piece(void *user, size_t i, struct err *e)
 {
-    size_t groups = 0, *first = mem_array(n_pieces + 1, sizeof *first);
+    const struct placing *a = user;
+    const struct render_piece *p = &a->pieces[i];
+    (void)e;
+    memcpy(a->to + p->at * a->group_floats, p->groups,
+           p->n_groups * a->group_floats * sizeof(float));
+    return ERR_OK;
+}
+
+/* On a CPU the buffer is memory like any other: all cores copy. */
+static enum err_code place_mapped(struct render *r, struct placing *a, size_t n, cl_mem params,
+                                  size_t bytes, struct err *e)
+{
     cl_int code = CL_SUCCESS;
-    if (!first)
-        return err_set(e, ERR_MEM, "out of memory for %zu pieces", n_pieces);
-    for (size_t i = 0; i < n_pieces; i++) {
-        first[i] = groups;
-        groups += pieces[i].n_groups;
+    a->to = clEnqueueMapBuffer(r->dev->queue, params, CL_TRUE, CL_MAP_READ | CL_MAP_WRITE, 0, bytes,
+                               0, NULL, NULL, &code);
+    if (code != CL_SUCCESS)
+        return err_set(e, ERR_DEVICE, "placing %zu pieces: %s", n, dev_error_name(code));
+    enum err_code rc = pool_for(n, 0, place_piece, a, e);
+    code = clEnqueueUnmapMemObject(r->dev->queue, params, a->to, 0, NULL, NULL);
+    if (rc == ERR_OK && code != CL_SUCCESS)
+        rc = err_set(e, ERR_DEVICE, "placing %zu pieces: %s", n, dev_error_name(code));
+    return rc;
+}
+
+enum err_code render_model_place(struct render *r, const struct render_piece *pieces,
+                                 size_t n_pieces, struct render_model *m, struct err *e)
+{
+    struct placing a = {pieces, NULL, (size_t)m->planes * LANES};
+    size_t bytes = a.group_floats * sizeof(float);
+    enum err_code rc = ERR_OK;
+    if (n_pieces == 0)
+        return ERR_OK;
+    for (size_t i = 0; i < n_pieces; i++)
+        assert((size_t)pieces[i].at + pieces[i].n_groups <= render_model_capacity(m));
+    if (r->dev->is_cpu)
+        return place_mapped(r, &a, n_pieces, m->params, render_model_capacity(m) * bytes, e);
+    for (size_t i = 0; rc == ERR_OK && i < n_pieces; i++)
+        rc = dev_write(r->dev, m->params, pieces[i].at * bytes, pieces[i].n_groups * bytes,
+                       pieces[i].groups, e);
+    return rc;
+}
+
+enum err_code render_model_list(struct render *r, const uint32_t *groups, size_t n,
+                                struct render_model *m, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    if (n > INT32_MAX / LANES)
+        return err_set(e, ERR_LIMIT, "%zu Gaussians in one picture: at most 2^31", n * LANES);
+    m->groups = m->n = 0;
+    dev_release(&m->list);
+    if (groups)
+        rc = dev_buffer(r->dev, n * sizeof *groups, groups, &m->list, e);
+    if (rc == ERR_OK) {
+        m->groups = (uint32_t)n;
+        m->n = (uint32_t)(n * LANES);
     }
-    cl_mem before = m->params;
-    m->planes = render_planes_embed(m->sh_degree, m->embed_len);
-    enum err_code rc = model_reserve(r, m, groups, e);
-    struct assembly a = {pieces, first, NULL, before == m->params ? n_same : 0,
-                         (size_t)m->planes * LANES};
-    size_t at = first[a.n_same < n_pieces ? a.n_same : 0], bytes = sizeof(float) * a.group_floats;
-    if (rc == ERR_OK && a.n_same < n_pieces && groups > at) {
-        a.to = clEnqueueMapBuffer(r->dev->queue, m->params, CL_TRUE, CL_MAP_WRITE, at * bytes,
-                                  (groups - at) * bytes, 0, NULL, NULL, &code);
-        if (code == CL_SUCCESS) {
-            rc = pool_for(n_pieces - a.n_same, 0, assemble_piece, &a, e);
-            code = clEnqueueUnmapMemObject(r->dev->queue, m->params, a.to, 0, NULL, NULL);
-        }
-        if (rc == ERR_OK && code != CL_SUCCESS)
-            rc = err_set(e, ERR_DEVICE, "putting %zu tiles together: %s", n_pieces,
-                         dev_error_name(code));
-    }
-    m->groups = (uint32_t)groups;
-    m->n = (uint32_t)(groups * LANES);
-    mem_free(first);
     return rc;
 }
 
@@ -233,5 +252,6 @@ void render_model_free(struct render_model *m)
         return;
     dev_release(&m->params);
     dev_release(&m->filter);
+    dev_release(&m->list);
     memset(m, 0, sizeof *m);
 }
