@@ -139,7 +139,7 @@ static enum err_code frame_appearance(struct bench *b, const struct gauss *plain
 
 enum err_code bench_frame(struct bench *b, struct err *e)
 {
-    static const uint32_t sizes[][2] = {{1280, 720}, {1600, 1200}, {400, 300}};
+    static const uint32_t sizes[][2] = {{1280, 720}, {1600, 1200}, {640, 480}, {400, 300}};
     size_t n = b->quick ? 20000 : 1000000;
     struct gauss sorted = {0}, random = {0};
     struct frame_case c = {0}, r = {0};
