@@ -1,4 +1,5 @@
-/* Drawing: whole frames of the procedural city (city.h), the stages of one, and what Morton order
+/* Drawing: whole frames of the procedural city (city.h), with harmonics of degree 3 where nothing
+ * else is said, the stages of one, and what Morton order
  * and exact tile culling are worth.
  *
  * Checked before timing: a frame drawn twice has the same bits, and exact culling changes none of
@@ -137,6 +138,29 @@ static enum err_code frame_appearance(struct bench *b, const struct gauss *plain
     return rc;
 }
 
+/* Without harmonics, as overview levels and most splats of other programs are. */
+static enum err_code frame_plain(struct bench *b, size_t n, struct err *e)
+{
+    static const uint32_t sizes[][2] = {{1280, 720}, {640, 480}};
+    struct gauss g = {0};
+    struct frame_case c = {0};
+    double ms = 0;
+    char name[48];
+    enum err_code rc = city_sorted_degree(n, 0, &g, e);
+    snprintf(name, sizeof name, "%zu k, SH 0", n / 1000);
+    if (rc == ERR_OK)
+        rc = frame_open(b, &g, &c, e);
+    for (size_t i = 0; rc == ERR_OK && i < sizeof sizes / sizeof *sizes; i++) {
+        c.cam = city_camera(sizes[i][0], sizes[i][1]);
+        rc = frame_check(&c, e);
+        if (rc == ERR_OK)
+            rc = frame_report(b, &c, name, &ms, 0, NULL, e);
+    }
+    frame_close(&c);
+    gauss_free(&g);
+    return rc;
+}
+
 enum err_code bench_frame(struct bench *b, struct err *e)
 {
     static const uint32_t sizes[][2] = {{1280, 720}, {1600, 1200}, {640, 480}, {400, 300}};
@@ -167,6 +191,8 @@ enum err_code bench_frame(struct bench *b, struct err *e)
     }
     if (rc == ERR_OK)
         rc = frame_appearance(b, &sorted, hd_ms, e);
+    if (rc == ERR_OK)
+        rc = frame_plain(b, n, e);
     if (rc == ERR_OK)
         rc = city_make(n, &random, e);
     if (rc == ERR_OK)
