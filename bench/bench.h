@@ -52,6 +52,8 @@ enum err_code bench_cpu_time(struct bench *b, enum err_code (*fn)(void *user, st
 enum err_code bench_record(struct bench *b, const char *row, const char *what,
                            struct json_t *numbers, struct err *e) ERR_USE;
 enum err_code bench_record_write(struct bench *b, struct err *e) ERR_USE; /* forgets the rows */
+/* Part of the growth benchmark: bench_step.c. */
+enum err_code bench_step_growth(struct bench *b, struct err *e) ERR_USE;
 /* A path for scratch files of this run; removed at exit. */
 const char *bench_tmpdir(struct bench *b);
 

@@ -1,5 +1,5 @@
-/* How time a frame grows with the number of Gaussians and with the number of pixels, and what a
- * Gaussian takes in memory while it is drawn.
+/* How time a frame and an iteration of training grow with the number of Gaussians and with the
+ * number of pixels, and what a Gaussian takes in memory while it is drawn.
  *
  * The city (city.h) without harmonics: the extent stays, so more Gaussians are smaller ones, as in
  * trained levels. Memory is the growth of the process' resident set from a small model to a large
@@ -141,5 +141,5 @@ enum err_code bench_growth(struct bench *b, struct err *e)
     if (rc == ERR_OK)
         bench_report(b, "memory a resident Gaussian, SH degree 3",
                      (large - small) / (3.0 * (double)n), "B", 0, NULL);
-    return rc;
+    return rc == ERR_OK ? bench_step_growth(b, e) : rc;
 }

@@ -280,3 +280,32 @@ enum err_code bench_step(struct bench *b, struct err *e)
     }
     return rc;
 }
+
+/* Whole iterations against Gaussians at 1280 x 720, and against pixels with 100,000 Gaussians; part
+ * of the growth benchmark. Not checked again: the rates of step_check suit the sizes above. */
+enum err_code bench_step_growth(struct bench *b, struct err *e)
+{
+    static const struct {
+        const char *name;
+        size_t n;
+        uint32_t w, h;
+    } cases[] = {
+        {"training, Gaussians", 10000, 1280, 720},   {"training, Gaussians", 30000, 1280, 720},
+        {"training, Gaussians", 100000, 1280, 720},  {"training, Gaussians", 300000, 1280, 720},
+        {"training, Gaussians", 1000000, 1280, 720}, {"training, Gaussians", 3000000, 1280, 720},
+        {"training, pixels", 100000, 320, 180},      {"training, pixels", 100000, 640, 360},
+        {"training, pixels", 100000, 1280, 720},     {"training, pixels", 100000, 1920, 1080}};
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; rc == ERR_OK && i < (b->quick ? 2 : sizeof cases / sizeof *cases); i++) {
+        struct step_case c;
+        double ms = 0;
+        rc = step_open(b, cases[i].n, cases[i].w, cases[i].h, false, &c, e);
+        if (rc == ERR_OK)
+            rc = bench_time(b, step_once, &c, &ms, NULL, e);
+        if (rc == ERR_OK)
+            bench_report_at(b, cases[i].name, ms, "ms", (double)cases[i].n,
+                            (double)cases[i].w * cases[i].h);
+        step_free(&c);
+    }
+    return rc;
+}
