@@ -224,6 +224,55 @@ static enum err_code bake_find_one(const struct appearance *a, const char *text,
     return ERR_OK;
 }
 
+static const char bake_digits[] =
+    "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
+
+void bake_text(const float *image, uint32_t len_image, char out[BAKE_TEXT_MAX])
+{
+    uint32_t bits = 0;
+    int n_bits = 0;
+    *out++ = '=';
+    for (uint32_t i = 0; i < 4 * len_image; i++) {
+        uint32_t word;
+        memcpy(&word, &image[i / 4], sizeof(word));
+        bits = bits << 8 | (word >> 8 * (i % 4) & 255);
+        for (n_bits += 8; n_bits >= 6; n_bits -= 6)
+            *out++ = bake_digits[bits >> (n_bits - 6) & 63];
+    }
+    if (n_bits)
+        *out++ = bake_digits[bits << (6 - n_bits) & 63];
+    *out = '\0';
+}
+
+/* What bake_text wrote; `text` begins behind the "=". */
+static enum err_code bake_untext(const char *text, uint32_t len_image, float *image, struct err *e)
+{
+    uint8_t bytes[4 * APPEARANCE_IMAGE_MAX];
+    uint32_t bits = 0, want = 4 * len_image, n = 0;
+    int n_bits = 0;
+    bool good = strlen(text) == (4 * want + 2) / 3;
+    for (; good && *text; text++) {
+        const char *at = strchr(bake_digits, *text);
+        good = at != NULL;
+        bits = bits << 6 | (good ? (uint32_t)(at - bake_digits) : 0);
+        n_bits += 6;
+        if (n_bits >= 8 && n < want) {
+            n_bits -= 8;
+            bytes[n++] = (uint8_t)(bits >> n_bits);
+        }
+    }
+    for (uint32_t i = 0; good && i < len_image; i++) {
+        const uint8_t *b = bytes + 4 * (size_t)i;
+        uint32_t word = b[0] | (uint32_t)b[1] << 8 | (uint32_t)b[2] << 16 | (uint32_t)b[3] << 24;
+        memcpy(&image[i], &word, sizeof(word));
+        good = isfinite(image[i]);
+    }
+    return good ? ERR_OK
+                : err_set(e, ERR_ARG,
+                          "an embedding is '=' and %u float32 values in base64url, %u characters",
+                          len_image, (4 * want + 2) / 3);
+}
+
 enum err_code bake_find(struct store *s, const char *look, float *image, struct err *e)
 {
     const struct appearance *a;
@@ -234,6 +283,8 @@ enum err_code bake_find(struct store *s, const char *look, float *image, struct 
     if (!rc && !a)
         rc = err_set(e, ERR_NOENT, "%s: was trained without appearance: it has one look only",
                      s->path);
+    if (!rc && *look == '=')
+        return bake_untext(look + 1, a->len_image, image, e);
     for (const char *p = look; !rc && *p;) {
         size_t len = strcspn(p, ",");
         if (n == BAKE_BLEND_MAX)
@@ -247,7 +298,8 @@ enum err_code bake_find(struct store *s, const char *look, float *image, struct 
     if (!n || !(fabs(sum) > 0.0))
         return err_set(e, ERR_ARG,
                        "'%s': the name of a photograph is expected, or "
-                       "NAME:WEIGHT,NAME:WEIGHT with weights that do not add up to 0",
+                       "NAME:WEIGHT,NAME:WEIGHT with weights that do not add up to 0, or =BASE64 "
+                       "of an embedding",
                        look);
     float unit[APPEARANCE_IMAGE_MAX];
     memset(image, 0, a->len_image * sizeof(float));

@@ -133,10 +133,15 @@ enum err_code bake_join(struct store *s, const struct appearance *a, struct buf 
                         struct err *e) ERR_USE;
 /* Hash of the model, for names of what is made with it; 0 when there is none. */
 enum err_code bake_hash(struct store *s, struct hash128 *out, struct err *e) ERR_USE;
-/* The embedding [len_image] of a look: a photograph's name, BAKE_DEFAULT, or a blend
- * "NAME:WEIGHT,NAME:WEIGHT" of unit embeddings (weights are divided by their sum). ERR_NOENT: no
- * such photograph, or a store without appearance. */
+/* The embedding [len_image] of a look: a photograph's name, BAKE_DEFAULT, a blend
+ * "NAME:WEIGHT,NAME:WEIGHT" of unit embeddings (weights are divided by their sum), or "=" and the
+ * embedding itself, see bake_text. ERR_NOENT: no such photograph, or a store without appearance;
+ * ERR_ARG: no look at all. Threads may share a store for this once bake_of was called. */
 enum err_code bake_find(struct store *s, const char *look, float *image, struct err *e) ERR_USE;
+/* An embedding as a look's text: "=" and its float32 values, little-endian, in base64url without
+ * padding (RFC 4648). */
+enum { BAKE_TEXT_MAX = 2 + (4 * 4 * APPEARANCE_IMAGE_MAX + 2) / 3 };
+void bake_text(const float *image, uint32_t len_image, char out[BAKE_TEXT_MAX]);
 /* Change g's colours and opacities to a look (NULL: the default one); does nothing where the store
  * has no appearance. g carries the store's embeddings. */
 enum err_code bake_apply(struct store *s, const float *image, struct gauss *g,

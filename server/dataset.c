@@ -82,6 +82,8 @@ static enum err_code make_documents(struct dataset *d, const char *public_url, s
         rc = tileset_tilejson(d->index, text, &b, e);
         rc = take_document(rc, &b, &d->tilejson, e);
     }
+    if (rc == ERR_OK)
+        rc = look_list(d, &d->appearances, e);
     return rc == ERR_OK ? describe_collection(d, &d->collection, e) : rc;
 }
 
@@ -141,6 +143,8 @@ enum err_code dataset_open(const char *path, size_t readers, const char *public_
     if (rc == ERR_OK)
         rc = salt_look(d, e);
     if (rc == ERR_OK)
+        rc = bake_of(d->stores[0], &d->appearance, e);
+    if (rc == ERR_OK)
         rc = make_documents(d, public_url, e);
     if (rc != ERR_OK)
         dataset_drop(out);
@@ -167,6 +171,7 @@ void dataset_drop(struct dataset **out)
     body_drop(&d->tileset_moving);
     body_drop(&d->tilejson);
     body_drop(&d->collection);
+    body_drop(&d->appearances);
     pthread_mutex_destroy(&d->lock);
     mem_free(d->path);
     mem_free(d);

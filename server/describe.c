@@ -90,7 +90,8 @@ static json_t *query_parameter(const char *name, const char *about)
 static json_t *render_body(void)
 {
     return json_pack(
-        "{s:b,s:{s:{s:{s:s,s:{s:{s:s,s:s},s:{s:s,s:s},s:{s:s},s:{s:s},s:{s:s},s:{s:s},s:{s:s}}}}}}",
+        "{s:b,s:{s:{s:{s:s,s:{s:{s:s,s:s},s:{s:s,s:s},s:{s:s},s:{s:s},s:{s:s},s:{s:s},s:{s:s},s:{s:"
+        "s}}}}}}",
         "required", 1, "content", "application/json", "schema", "type", "object", "properties",
         "camera", "type", "object", "description",
         "width, height, fx, fy, cx, cy in pixels and world_to_camera, 16 numbers row-major, "
@@ -98,7 +99,8 @@ static json_t *render_body(void)
         "pose", "type", "object", "description",
         "instead of camera: lon, lat, height (ellipsoidal metres), heading, pitch, fov (degrees)",
         "width", "type", "integer", "height", "type", "integer", "format", "type", "string",
-        "quality", "type", "integer", "deadline_ms", "type", "integer");
+        "quality", "type", "integer", "deadline_ms", "type", "integer", "appearance", "type",
+        "string");
 }
 
 static json_t *operation(enum route r, const char *name, const char *summary)
@@ -115,11 +117,21 @@ static json_t *operation(enum route r, const char *name, const char *summary)
         json_array_append_new(parameters,
                               query_parameter("f", "tile format: glb, spz, drc, ply, plain.glb"));
     }
-    if (r == ROUTE_SEED || r == ROUTE_TILE || r == ROUTE_TILE_MOVING) {
+    if (r == ROUTE_SEED || r == ROUTE_TILE || r == ROUTE_TILE_MOVING || r == ROUTE_TILESET ||
+        r == ROUTE_TILESET_MOVING) {
         json_array_append_new(parameters,
                               query_parameter("preset", "of glb, spz, drc: " QUANT_PRESET_NAMES));
         json_array_append_new(parameters, query_parameter("sh", "degree of harmonics, 0 to 3"));
     }
+    static const enum route with_look[] = {
+        ROUTE_SEED,           ROUTE_TILE, ROUTE_TILE_MOVING, ROUTE_TILESET,
+        ROUTE_TILESET_MOVING, ROUTE_VIEW, ROUTE_VIEW_MOVING, ROUTE_APPEARANCE};
+    for (size_t i = 0; i < sizeof(with_look) / sizeof(*with_look); i++)
+        if (r == with_look[i])
+            json_array_append_new(
+                parameters,
+                query_parameter("appearance", "a photograph, NAME:WEIGHT,NAME:WEIGHT, or =BASE64 "
+                                              "of an embedding"));
     if (r == ROUTE_RENDER)
         json_object_set_new(o, "requestBody", render_body());
     return o;
@@ -164,7 +176,7 @@ static json_t *collection(const struct dataset *d, const char *up)
 {
     static const char volumes[] = "http://www.opengis.net/def/rel/ogc/1.0/3d-geovolumes";
     const struct store_meta *m = &d->meta;
-    char self[160], tileset[160], tilejson[160], tile[200], view[200];
+    char self[160], tileset[160], tilejson[160], looks[160], tile[200], view[200];
     uint64_t count = 0;
     for (size_t i = 0; i < d->n_tiles; i++)
         if (d->tiles[i].key.z == m->zoom_max)
@@ -172,6 +184,7 @@ static json_t *collection(const struct dataset *d, const char *up)
     snprintf(self, sizeof(self), "%scollections/%s", up, m->name);
     snprintf(tileset, sizeof(tileset), "%sd/%s/tileset.json", up, m->name);
     snprintf(tilejson, sizeof(tilejson), "%scollections/%s/tiles.json", up, m->name);
+    snprintf(looks, sizeof(looks), "%sd/%s/appearances", up, m->name);
     snprintf(tile, sizeof(tile), "%sd/%s/r/%s/t/{z}/{x}/{y}.{ext}", up, m->name, m->revision);
     snprintf(view, sizeof(view),
              "%sd/%s/static/{lon},{lat},{h}@{heading},{pitch},{fov}/{w}x{h}.{fmt}", up, m->name);
@@ -184,6 +197,10 @@ static json_t *collection(const struct dataset *d, const char *up)
         json_pack("[o,o,o]", link_to("self", "application/json", self, m->name),
                   link_to(volumes, "application/3dtiles+json", tileset, "3D Tiles 1.1"),
                   link_to("tiles", "application/json", tilejson, "TileJSON 3.0.0")));
+    if (d->appearance)
+        json_array_append_new(
+            json_object_get(o, "links"),
+            link_to("appearances", "application/json", looks, "Light and weather to choose from"));
     const double origin[3] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m};
     json_object_set_new(
         o, "splats",
@@ -329,12 +346,24 @@ static enum err_code read_camera(const struct server_config *cfg, const struct g
                                                                                          : ERR_DATA;
 }
 
+static enum err_code read_appearance(const json_t *o, char out[LOOK_TEXT_MAX], struct err *e)
+{
+    const json_t *v = json_object_get(o, "appearance");
+    if (!v)
+        return ERR_OK;
+    if (!json_is_string(v) || json_string_length(v) >= LOOK_TEXT_MAX)
+        return err_set(e, ERR_DATA, "appearance must be a look, a string of at most %d bytes",
+                       LOOK_TEXT_MAX - 1);
+    strcpy(out, json_string_value(v));
+    return ERR_OK;
+}
+
 enum err_code describe_read_render(const struct server_config *cfg, const struct geo_origin *origin,
                                    const void *text, size_t n, struct describe_render *out,
                                    struct err *e)
 {
-    static const char *const keys[] = {"camera", "pose",    "width",       "height",
-                                       "format", "quality", "deadline_ms", NULL};
+    static const char *const keys[] = {"camera",  "pose",        "width",      "height", "format",
+                                       "quality", "deadline_ms", "appearance", NULL};
     json_t *o = NULL;
     json_int_t quality = cfg->quality, deadline_ms = (json_int_t)(cfg->deadline_s * 1000);
     memset(out, 0, sizeof(*out));
@@ -353,6 +382,8 @@ enum err_code describe_read_render(const struct server_config *cfg, const struct
         rc = read_int(o, "quality", 1, 100, &quality, e);
     if (rc == ERR_OK)
         rc = read_int(o, "deadline_ms", 50, 30000, &deadline_ms, e);
+    if (rc == ERR_OK)
+        rc = read_appearance(o, out->appearance, e);
     out->quality = (int)quality;
     out->timeout_s = (double)deadline_ms / 1000;
     json_decref(o);

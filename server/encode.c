@@ -28,14 +28,17 @@ struct form encode_form(const struct server_config *cfg, const struct store_meta
     return f;
 }
 
-struct hash128 encode_tile_id(const struct dataset *d, const struct store_tile *t, struct form f)
+struct hash128 encode_tile_id(const struct dataset *d, const struct store_tile *t, struct form f,
+                              const struct look *look)
 {
     struct { /* no padding */
         struct hash128 payload, salt;
         uint32_t z, x, y, form;
     } name = {t->hash,  d->salt,  t->key.z,
               t->key.x, t->key.y, (uint32_t)f.format << 16 | (uint32_t)f.preset << 8 | f.sh_degree};
-    return hash_bytes(&name, sizeof(name));
+    struct hash128 id = hash_bytes(&name, sizeof(name));
+    look_mix(&id, look);
+    return id;
 }
 
 /* g (changed) to bytes of a form. */
@@ -79,11 +82,11 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
     return rc;
 }
 
-enum err_code encode_tile(struct store *s, struct key key, struct form form, struct buf *out,
-                          struct err *e)
+enum err_code encode_tile(struct store *s, struct key key, struct form form,
+                          const struct look *look, struct buf *out, struct err *e)
 {
     struct gauss g = {0};
-    enum err_code rc = bake_read(s, key, NULL, &g, e);
+    enum err_code rc = bake_read(s, key, look->set ? look->image : NULL, &g, e);
     if (rc == ERR_OK)
         rc = encode_gauss(&g, store_info(s), key, form, out, e);
     gauss_free(&g);
@@ -164,21 +167,10 @@ static bool in_bbox(struct key k, const int32_t bbox_e7[4])
            north * 1e7 > bbox_e7[1];
 }
 
-/* ?preset=NAME&sh=N as far as a target says them. */
-static const char *form_query(const struct form *f, char out[48])
-{
-    out[0] = 0;
-    if (f->preset < QUANT_PRESETS)
-        snprintf(out, 48, "?preset=%s", quant_preset_name((enum quant_preset)f->preset));
-    if (f->sh_degree <= GAUSS_SH_DEGREE_MAX)
-        snprintf(out + strlen(out), 48 - strlen(out), "%csh=%u", out[0] ? '&' : '?', f->sh_degree);
-    return out;
-}
-
 enum err_code encode_seed(const struct dataset *d, const struct target *t, struct form form,
-                          struct buf *out, struct err *e)
+                          const struct look *look, struct buf *out, struct err *e)
 {
-    char query[48];
+    char query[LOOK_QUERY_MAX];
     const struct store_tile **pick = mem_array(d->n_tiles, sizeof(*pick));
     size_t n = 0;
     if (!pick)
@@ -189,14 +181,15 @@ enum err_code encode_seed(const struct dataset *d, const struct target *t, struc
             pick[n++] = &d->tiles[i];
     }
     qsort(pick, n, sizeof(*pick), by_importance);
+    look_query(t, query);
     for (size_t i = 0; i < n; i++) {
         char etag[BODY_ETAG_SIZE];
-        body_etag(encode_tile_id(d, pick[i], form), etag);
+        body_etag(encode_tile_id(d, pick[i], form, look), etag);
         etag[strlen(etag) - 1] = 0; /* without its quotes, which JSON would have to escape */
-        buf_printf(
-            out, "{\"url\":\"r/%s/t/%u/%u/%u.%s%s\",\"etag\":\"\\\"%s\\\"\",\"gaussians\":%u}\n",
-            d->meta.revision, pick[i]->key.z, pick[i]->key.x, pick[i]->key.y,
-            target_ext(t->form.format), form_query(&t->form, query), etag + 1, pick[i]->count);
+        buf_printf(out,
+                   "{\"url\":\"r/%s/t/%u/%u/%u.%s%s\",\"etag\":\"\\\"%s\\\"\",\"gaussians\":%u}\n",
+                   d->meta.revision, pick[i]->key.z, pick[i]->key.x, pick[i]->key.y,
+                   target_ext(t->form.format), query, etag + 1, pick[i]->count);
     }
     mem_free(pick);
     return buf_check(out, e);
@@ -210,9 +203,36 @@ static enum err_code make_tile(const struct work *w, struct buf *out, struct err
     if (!s)
         return err_set(e, ERR_INTERNAL, "dataset %s: fewer store handles than workers",
                        w->ds->path);
-    enum err_code rc = encode_tile(s, w->key, w->form, out, e);
+    enum err_code rc = encode_tile(s, w->key, w->form, &w->look, out, e);
     dataset_return(w->ds, s);
     return rc;
+}
+
+/* A tileset whose tiles are all asked for with the same query. */
+static enum err_code make_tileset(const struct work *w, struct buf *out, struct err *e)
+{
+    char query[LOOK_QUERY_MAX], uri[LOOK_QUERY_MAX + 64];
+    look_query(&w->target, query);
+    if (w->target.route == ROUTE_TILESET)
+        snprintf(uri, sizeof(uri), "t/{z}/{x}/{y}.glb%s", query);
+    else
+        snprintf(uri, sizeof(uri), "r/%s/t/{z}/{x}/{y}.glb%s", w->ds->meta.revision, query);
+    return tileset_write(w->ds->index, uri, out, e);
+}
+
+static enum err_code make_bytes(struct services *s, const struct job *j, const struct work *w,
+                                struct buf *out, struct err *e)
+{
+    switch (w->kind) {
+    case WORK_VIEW:
+        return picture_make(s->picture, j, w, out, e);
+    case WORK_SEED:
+        return encode_seed(w->ds, &w->target, w->form, &w->look, out, e);
+    case WORK_TILESET:
+        return make_tileset(w, out, e);
+    default:
+        return make_tile(w, out, e);
+    }
 }
 
 enum err_code encode_run(void *user, const struct job *j, void *work, size_t worker,
@@ -225,9 +245,7 @@ enum err_code encode_run(void *user, const struct job *j, void *work, size_t wor
     (void)worker;
     if (w->keep && (*out = cache_get(s->cache, w->id)))
         return ERR_OK; /* made between the look into the cache and the question for a job */
-    enum err_code rc = w->kind == WORK_VIEW   ? picture_make(s->picture, j, w, &b, e)
-                       : w->kind == WORK_SEED ? encode_seed(w->ds, &w->seed, w->form, &b, e)
-                                              : make_tile(w, &b, e);
+    enum err_code rc = make_bytes(s, j, w, &b, e);
     if (rc == ERR_OK)
         rc = buf_check(&b, e);
     if (rc == ERR_OK) {
@@ -236,6 +254,8 @@ enum err_code encode_run(void *user, const struct job *j, void *work, size_t wor
         if (!*out)
             rc = err_set(e, ERR_MEM, "out of memory for the encoded bytes");
     }
+    if (rc == ERR_OK && w->kind == WORK_TILESET)
+        body_compress(*out);
     if (rc == ERR_OK && w->keep)
         cache_put(s->cache, w->id, *out);
     if (rc != ERR_OK && rc != ERR_CANCEL) {

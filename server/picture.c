@@ -174,6 +174,8 @@ enum err_code picture_make(struct picture *p, const struct job *j, const struct 
     const struct pick_options po = {.max_gaussians = (uint64_t)p->cfg->view_gaussians};
     enum err_code rc = view_find(p, w->ds, &view, e);
     if (rc == ERR_OK)
+        rc = view_set_look(view, w->look.set ? w->look.image : NULL, e);
+    if (rc == ERR_OK)
         rc = image_alloc(w->cam.width_px, w->cam.height_px, 3, &img, e);
     if (rc == ERR_OK &&
         !(rgb = mem_array((size_t)w->cam.width_px * w->cam.height_px, 3 * sizeof(float))))

@@ -244,6 +244,24 @@ static struct work *make_work(struct dataset *d, enum work_kind kind, struct has
     return out->work = w;
 }
 
+/* The look that a target or a body asks for; false, with the problem set, when there is none such.
+ */
+static bool find_look(const struct dataset *d, const char *text, struct look *look,
+                      struct response *out)
+{
+    struct err e = {0};
+    enum err_code rc = look_find(d, text, look, &e);
+    if (rc != ERR_OK)
+        route_problem(out,
+                      rc == ERR_NOENT ? 404
+                      : rc == ERR_MEM ? 503
+                                      : 400,
+                      d->appearance ? e.msg
+                                    : "this dataset was trained without appearance: it has one "
+                                      "look, leave `appearance` out");
+    return rc == ERR_OK;
+}
+
 /* ---- the routes ------------------------------------------------------------------------------ */
 
 static void answer_tile(struct services *s, const struct request *r, struct dataset *d,
@@ -255,7 +273,10 @@ static void answer_tile(struct services *s, const struct request *r, struct data
         return;
     }
     const struct form form = encode_form(s->cfg, &d->meta, &t->form);
-    struct hash128 id = encode_tile_id(d, tile, form);
+    struct look look;
+    if (!find_look(d, t->appearance, &look, out))
+        return;
+    struct hash128 id = encode_tile_id(d, tile, form, &look);
     out->type = target_type(form.format);
     out->cache_control = IMMUTABLE;
     snprintf(out->surrogate, sizeof(out->surrogate), "ds-%s rev-%s z-%u", d->meta.name,
@@ -263,12 +284,26 @@ static void answer_tile(struct services *s, const struct request *r, struct data
     if (!send_made(s, r, id, out))
         return;
     struct work *w = make_work(d, WORK_TILE, id, form, out);
-    if (w)
+    if (w) {
         w->key = t->key;
+        w->look = look;
+    }
     out->tile = t->key;
     memcpy(out->tile_of, d->meta.name, sizeof(out->tile_of));
     out->cls = r->prefetch ? JOB_PREFETCH : JOB_TILE;
     out->timeout_s = s->cfg->deadline_s;
+}
+
+/* Add the query to the name of what is made from it. */
+static void name_query(struct hash128 *id, const struct target *t)
+{
+    struct {
+        struct hash128 id, query;
+    } name = {.id = *id};
+    char query[LOOK_QUERY_MAX];
+    look_query(t, query);
+    name.query = hash_bytes(query, strlen(query));
+    *id = hash_bytes(&name, sizeof(name));
 }
 
 static void answer_seed(struct services *s, const struct request *r, struct dataset *d,
@@ -289,16 +324,87 @@ static void answer_seed(struct services *s, const struct request *r, struct data
               .has_bbox = t->has_bbox};
     memcpy(name.rev, d->meta.revision, sizeof(d->meta.revision));
     memcpy(name.bbox_e7, t->bbox_e7, sizeof(name.bbox_e7));
+    struct look look;
+    if (!find_look(d, t->appearance, &look, out))
+        return;
     struct hash128 id = hash_bytes(&name, sizeof(name));
+    name_query(&id, t);
     out->type = "application/x-ndjson";
     out->cache_control = MOVING;
     if (!send_made(s, r, id, out))
         return;
     struct work *w = make_work(d, WORK_SEED, id, form, out);
-    if (w)
-        w->seed = *t;
+    if (w) {
+        w->target = *t;
+        w->look = look;
+    }
     out->cls = JOB_TILE;
     out->timeout_s = s->cfg->deadline_s;
+}
+
+/* The plain one is made when a dataset is opened; one that asks for its tiles with a query is a
+ * job. */
+static void answer_tileset(struct services *s, const struct request *r, struct dataset *d,
+                           const struct target *t, struct response *out)
+{
+    char query[LOOK_QUERY_MAX];
+    struct look look;
+    bool moving = t->route == ROUTE_TILESET_MOVING;
+    look_query(t, query);
+    out->type = JSON_TYPE;
+    out->cache_control = moving ? MOVING : IMMUTABLE;
+    if (!moving)
+        snprintf(out->surrogate, sizeof(out->surrogate), "ds-%s rev-%s", d->meta.name,
+                 d->meta.revision);
+    if (!query[0]) {
+        send_body(r, body_ref(moving ? d->tileset_moving : d->tileset), out);
+        return;
+    }
+    struct {
+        struct hash128 salt;
+        char rev[16], kind[16];
+    } name = {.salt = d->salt};
+    memcpy(name.rev, d->meta.revision, sizeof(d->meta.revision));
+    memcpy(name.kind, moving ? "tileset moving" : "tileset", moving ? 15 : 8);
+    struct hash128 id = hash_bytes(&name, sizeof(name));
+    name_query(&id, t);
+    if (!find_look(d, t->appearance, &look, out) || !send_made(s, r, id, out))
+        return;
+    struct work *w = make_work(d, WORK_TILESET, id, (struct form){0}, out);
+    if (w)
+        w->target = *t;
+    out->cls = JOB_TILE;
+    out->timeout_s = s->cfg->deadline_s;
+}
+
+static void send_look(const struct request *r, struct dataset *d, const char *text,
+                      const char *cache_control, struct response *out)
+{
+    struct err e = {0};
+    struct look look;
+    struct body *b = NULL;
+    if (!d->appearance)
+        route_problem(out, 404, "this dataset was trained without appearance: it has one look");
+    else if (find_look(d, text, &look, out) && look_describe(d, text, &b, &e) == ERR_OK)
+        send_document(r, JSON_TYPE, cache_control, b, out);
+    else if (!out->status)
+        route_problem(out, 503, e.msg);
+}
+
+static void answer_mix(const struct request *r, struct dataset *d, struct response *out)
+{
+    struct err e = {0};
+    char text[LOOK_TEXT_MAX];
+    enum err_code rc = look_read_mix(d, r->body, r->body_size, text, &e);
+    if (rc == ERR_OK)
+        send_look(r, d, text, NO_STORE, out);
+    else
+        route_problem(out,
+                      rc == ERR_MEM     ? 503
+                      : rc == ERR_NOENT ? 404
+                      : rc == ERR_DATA  ? 422
+                                        : 400,
+                      e.msg);
 }
 
 /* False, with the problem set, when pictures cannot be made or this one is too large. */
@@ -328,7 +434,7 @@ static bool check_view(struct services *s, uint32_t width_px, uint32_t height_px
 
 /* What decides a picture's bytes. The device counts: other hardware rounds otherwise. */
 static struct hash128 view_id(struct services *s, const struct dataset *d, const struct camera *cam,
-                              enum format format, int quality)
+                              const struct look *look, enum format format, int quality)
 {
     struct {
         struct hash128 salt;
@@ -350,7 +456,9 @@ static struct hash128 view_id(struct services *s, const struct dataset *d, const
     name.height = cam->height_px;
     name.format = (uint32_t)format;
     name.quality = (uint32_t)quality;
-    return hash_bytes(&name, sizeof(name));
+    struct hash128 id = hash_bytes(&name, sizeof(name));
+    look_mix(&id, look);
+    return id;
 }
 
 static void answer_view(struct services *s, const struct request *r, struct dataset *d,
@@ -366,14 +474,15 @@ static void answer_view(struct services *s, const struct request *r, struct data
         .pitch_deg = t->pose.pitch_e3 / 1e3,
         .fov_y_deg = t->pose.fov_e3 / 1e3,
     };
-    if (!check_view(s, t->width_px, t->height_px, out))
+    struct look look;
+    if (!check_view(s, t->width_px, t->height_px, out) || !find_look(d, t->appearance, &look, out))
         return;
     if (view_camera(&d->meta.origin, &pose, t->width_px, t->height_px, &cam, &e) != ERR_OK) {
         route_problem(out, 422, e.msg);
         return;
     }
     int quality = (int)s->cfg->quality;
-    struct hash128 id = view_id(s, d, &cam, t->form.format, quality);
+    struct hash128 id = view_id(s, d, &cam, &look, t->form.format, quality);
     out->type = target_type(t->form.format);
     out->cache_control = IMMUTABLE;
     snprintf(out->surrogate, sizeof(out->surrogate), "ds-%s rev-%s view", d->meta.name,
@@ -383,6 +492,7 @@ static void answer_view(struct services *s, const struct request *r, struct data
     struct work *w = make_work(d, WORK_VIEW, id, (struct form){.format = t->form.format}, out);
     if (w) {
         w->cam = cam;
+        w->look = look;
         w->quality = quality;
     }
     out->cls = JOB_VIEW;
@@ -394,21 +504,24 @@ static void answer_render(struct services *s, const struct request *r, struct da
 {
     struct err e = {0};
     struct describe_render p;
+    struct look look;
     enum err_code rc = describe_read_render(s->cfg, &d->meta.origin, r->body, r->body_size, &p, &e);
     if (rc != ERR_OK) {
         route_problem(out, rc == ERR_MEM ? 503 : rc == ERR_DATA ? 422 : 400, e.msg);
         return;
     }
-    if (!check_view(s, p.cam.width_px, p.cam.height_px, out))
+    if (!check_view(s, p.cam.width_px, p.cam.height_px, out) ||
+        !find_look(d, p.appearance, &look, out))
         return;
     out->type = target_type(p.format);
     out->cache_control = NO_STORE;
     out->cache = "none";
     out->status = 200;
-    struct work *w = make_work(d, WORK_VIEW, view_id(s, d, &p.cam, p.format, p.quality),
+    struct work *w = make_work(d, WORK_VIEW, view_id(s, d, &p.cam, &look, p.format, p.quality),
                                (struct form){.format = p.format}, out);
     if (w) {
         w->cam = p.cam;
+        w->look = look;
         w->quality = p.quality;
         w->keep = false;
     }
@@ -424,8 +537,8 @@ static void answer_moving(const struct request *r, const struct dataset *d, cons
     const char *up = t->route == ROUTE_TILE_MOVING ? "../../../" : "../../";
     struct buf b = {0};
     size_t at = strlen("/d/") + strlen(t->ds) + strlen(word);
-    size_t n = t->route == ROUTE_TILE_MOVING ? r->target_size : t->path_size; /* with its query */
-    buf_printf(&b, "%sr/%s%s%.*s", up, d->meta.revision, word, (int)(n - at), r->target + at);
+    buf_printf(&b, "%sr/%s%s%.*s", up, d->meta.revision, word, (int)(r->target_size - at),
+               r->target + at); /* with its query */
     if (b.failed || !(out->location = mem_text((const char *)b.data)))
         route_problem(out, 503, "out of memory");
     else
@@ -475,12 +588,17 @@ static void answer_data(struct services *s, const struct request *r, struct data
         send_document(r, JSON_TYPE, MOVING, body_ref(d->tilejson), out);
         break;
     case ROUTE_TILESET_MOVING:
-        send_document(r, JSON_TYPE, MOVING, body_ref(d->tileset_moving), out);
-        break;
     case ROUTE_TILESET:
-        snprintf(out->surrogate, sizeof(out->surrogate), "ds-%s rev-%s", d->meta.name,
-                 d->meta.revision);
-        send_document(r, JSON_TYPE, IMMUTABLE, body_ref(d->tileset), out);
+        answer_tileset(s, r, d, t, out);
+        break;
+    case ROUTE_APPEARANCES:
+        send_document(r, JSON_TYPE, MOVING, body_ref(d->appearances), out);
+        break;
+    case ROUTE_APPEARANCE:
+        send_look(r, d, t->appearance, MOVING, out);
+        break;
+    case ROUTE_MIX:
+        answer_mix(r, d, out);
         break;
     case ROUTE_TILE:
         answer_tile(s, r, d, t, out);

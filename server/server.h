@@ -136,6 +136,32 @@ bool job_idle(struct jobs *js); /* nothing queued, nothing running */
 void job_stop(struct jobs *js);
 void job_close(struct jobs **js); /* job_stop, then free */
 
+/* ---- look.c: the appearance API -------------------------------------------------------------- */
+
+enum { LOOK_TEXT_MAX = 512, LOOK_QUERY_MAX = 3 * LOOK_TEXT_MAX + 96 };
+struct dataset;
+struct target;
+struct look { /* {0} is the default one */
+    bool set;
+    float image[APPEARANCE_IMAGE_MAX]; /* embedding, [len_image] */
+    struct hash128 hash;               /* of it */
+};
+/* The look that a text names (bake_find); "" and BAKE_DEFAULT are the default one. */
+enum err_code look_find(const struct dataset *d, const char *text, struct look *out,
+                        struct err *e) ERR_USE;
+/* Make *id the name of the same thing in this look. */
+void look_mix(struct hash128 *id, const struct look *look);
+/* "?preset=NAME&sh=N&appearance=LOOK" as far as the target says them, else "". */
+void look_query(const struct target *t, char out[LOOK_QUERY_MAX]);
+/* The documents: all looks of a dataset, one look. ERR_NOENT: no such look; ERR_ARG: it is no look.
+ */
+enum err_code look_list(const struct dataset *d, struct body **out, struct err *e) ERR_USE;
+enum err_code look_describe(const struct dataset *d, const char *text, struct body **out,
+                            struct err *e) ERR_USE;
+/* The posted mix, as a look's text. ERR_FORMAT = 400, ERR_DATA = 422, ERR_NOENT = 404. */
+enum err_code look_read_mix(const struct dataset *d, const void *body, size_t n,
+                            char text[LOOK_TEXT_MAX], struct err *e) ERR_USE;
+
 /* ---- dataset.c: the stores that are served --------------------------------------------------- */
 
 struct dataset { /* immutable; counted */
@@ -144,13 +170,15 @@ struct dataset { /* immutable; counted */
     struct store_meta meta;
     const struct store_tile *tiles;
     size_t n_tiles;
-    const struct store *index;   /* for store_find only */
-    double bbox[6];              /* west south hmin east north hmax, degrees and metres */
+    const struct store *index;           /* for store_find and look_find only */
+    const struct appearance *appearance; /* of the store; NULL: one look only */
+    double bbox[6];                      /* west south hmin east north hmax, degrees and metres */
     struct hash128 salt;         /* of all that goes into an encoded tile beside its payload */
     struct body *tileset;        /* URIs relative to d/NAME/r/REV/ */
     struct body *tileset_moving; /* URIs relative to d/NAME/ */
     struct body *tilejson;
     struct body *collection;
+    struct body *appearances;
     double retired_s;     /* clock_s() when a newer revision took over; 0 = current */
     pthread_mutex_t lock; /* of free_store, n_free */
     struct store **stores, **free_store;
@@ -227,6 +255,10 @@ enum { ALLOW_READ = 1, ALLOW_POST = 2 };
     X(VIEW_MOVING, ALLOW_READ,                                                                     \
       "/d/{ds}/static/{lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt}",                    \
       "Redirect to the current revision")                                                          \
+    X(APPEARANCES, ALLOW_READ, "/d/{ds}/appearances", "All looks of a dataset")                    \
+    X(APPEARANCE, ALLOW_READ, "/d/{ds}/appearance",                                                \
+      "One look or blend: embedding, nearest photographs, links")                                  \
+    X(MIX, ALLOW_POST, "/d/{ds}/appearances:mix", "A look from weights or from an embedding")      \
     X(RENDER, ALLOW_POST, "/d/{ds}/render", "A rendered view of a posted camera")                  \
     X(SEED, ALLOW_READ, "/d/{ds}/seed.ndjson", "Tiles to prefetch, most important first")          \
     X(HEALTH, ALLOW_READ, "/healthz", "200 while the process lives")                               \
@@ -280,7 +312,8 @@ struct target {
     enum route route;
     char ds[64], rev[13];
     struct key key;
-    struct form form; /* of views only the format counts */
+    struct form form;               /* of views only the format counts */
+    char appearance[LOOK_TEXT_MAX]; /* the look, "": not said */
     struct target_pose pose;
     uint32_t width_px, height_px;
     /* seed: */
@@ -322,15 +355,16 @@ void picture_about(struct picture *p, char *out, size_t n);
 
 /* ---- encode.c: the work of jobs -------------------------------------------------------------- */
 
-enum work_kind { WORK_TILE, WORK_SEED, WORK_VIEW };
+enum work_kind { WORK_TILE, WORK_SEED, WORK_TILESET, WORK_VIEW };
 struct work { /* freed with encode_drop */
     enum work_kind kind;
     struct dataset *ds; /* a reference */
     struct hash128 id;  /* names the result: cache key and job id */
     struct key key;     /* WORK_TILE */
     struct form form;   /* nothing left unsaid */
-    struct target seed; /* WORK_SEED */
-    struct camera cam;  /* WORK_VIEW */
+    struct look look;
+    struct target target; /* WORK_SEED, WORK_TILESET */
+    struct camera cam;    /* WORK_VIEW */
     int quality;
     bool keep; /* put the result into the cache */
 };
@@ -343,19 +377,20 @@ void encode_drop(void *services, void *work);
  * Of formats that are not quantised there is one form only. */
 struct form encode_form(const struct server_config *cfg, const struct store_meta *meta,
                         const struct form *asked);
-/* One tile to bytes of a form. */
-enum err_code encode_tile(struct store *s, struct key key, struct form form, struct buf *out,
-                          struct err *e) ERR_USE;
-/* form: of the entity tags; the addresses have it where t says it. */
+/* One tile to bytes of a form, in a look. */
+enum err_code encode_tile(struct store *s, struct key key, struct form form,
+                          const struct look *look, struct buf *out, struct err *e) ERR_USE;
+/* form, look: of the entity tags; the addresses have them where t says them. */
 enum err_code encode_seed(const struct dataset *d, const struct target *t, struct form form,
-                          struct buf *out, struct err *e) ERR_USE;
+                          const struct look *look, struct buf *out, struct err *e) ERR_USE;
 /* Hash of what the encoders make of a fixed sample with this meta. Entity tags contain it, so that
  * they change whenever the encoders, or the libraries below them, do: equal tags are equal bytes.
  */
 enum err_code encode_fingerprint(const struct store_meta *meta, struct hash128 *out,
                                  struct err *e) ERR_USE;
 /* Name of a tile's bytes: payload, form, and everything else that decides them. */
-struct hash128 encode_tile_id(const struct dataset *d, const struct store_tile *t, struct form f);
+struct hash128 encode_tile_id(const struct dataset *d, const struct store_tile *t, struct form f,
+                              const struct look *look);
 /* On the view thread. */
 enum err_code picture_make(struct picture *p, const struct job *j, const struct work *w,
                            struct buf *out, struct err *e) ERR_USE;
@@ -469,6 +504,7 @@ struct describe_render {
     enum format format;
     int quality;
     double timeout_s;
+    char appearance[LOOK_TEXT_MAX]; /* "": the default look */
 };
 enum err_code describe_read_render(const struct server_config *cfg, const struct geo_origin *origin,
                                    const void *text, size_t n, struct describe_render *out,

@@ -137,11 +137,50 @@ static enum err_code nothing(struct err *e)
     return err_set(e, ERR_NOENT, "there is nothing at this path");
 }
 
-/* preset=NAME or sh=N, each at most once; *known says whether it was one of them. */
-static enum err_code take_form(struct text *one, struct form *out, bool *known, struct err *e)
+static int hex_value(char c)
 {
+    return c >= '0' && c <= '9'   ? c - '0'
+           : c >= 'a' && c <= 'f' ? c - 'a' + 10
+           : c >= 'A' && c <= 'F' ? c - 'A' + 10
+                                  : -1;
+}
+
+/* The rest of t, percent-decoded ('+' is a space, as forms write it). False: no text, too long, a
+ * broken escape, or a control character. */
+static bool take_decoded(struct text *t, char *out, size_t room)
+{
+    size_t n = 0;
+    for (; t->p < t->end; t->p++) {
+        char c = *t->p == '+' ? ' ' : *t->p;
+        if (c == '%') {
+            int hi = t->end - t->p > 2 ? hex_value(t->p[1]) : -1,
+                lo = hi < 0 ? -1 : hex_value(t->p[2]);
+            if (lo < 0)
+                return false;
+            c = (char)(hi * 16 + lo);
+            t->p += 2;
+        }
+        if (n + 1 >= room || (unsigned char)c < 0x20 || c == 0x7f)
+            return false;
+        out[n++] = c;
+    }
+    out[n] = '\0';
+    return n > 0;
+}
+
+/* preset=NAME, sh=N or appearance=LOOK, each at most once; *known says whether it was one of them.
+ */
+static enum err_code take_form(struct text *one, struct target *target, bool *known, struct err *e)
+{
+    struct form *out = &target->form;
     *known = true;
-    if (take(one, "preset=")) {
+    if (take(one, "appearance=")) {
+        if (target->appearance[0] ||
+            !take_decoded(one, target->appearance, sizeof(target->appearance)))
+            return err_set(e, ERR_FORMAT,
+                           "appearance is a look of at most %d bytes, percent-encoded, given once",
+                           LOOK_TEXT_MAX - 1);
+    } else if (take(one, "preset=")) {
         int found = QUANT_PRESETS;
         for (int p = 0; p < QUANT_PRESETS; p++) {
             struct text at = *one;
@@ -164,8 +203,8 @@ static enum err_code take_form(struct text *one, struct form *out, bool *known, 
     return ERR_OK;
 }
 
-/* Of a tile's query; what else it holds is for caches and not ours (Cesium adds v=REVISION). */
-static enum err_code parse_form(const char *query, size_t n, struct form *out, struct err *e)
+/* Of a query; what else it holds is for caches and not ours (Cesium adds v=REVISION). */
+static enum err_code parse_form(const char *query, size_t n, struct target *out, struct err *e)
 {
     for (struct text t = {query, query + n}; !at_end(&t);) {
         const char *amp = memchr(t.p, '&', (size_t)(t.end - t.p));
@@ -232,7 +271,7 @@ static enum err_code parse_view(struct text *t, enum route route, struct target 
 /* ?bbox=w,s,e,n&z=a-b&f=ext, in any order, each at most once. Commas may come as %2C. */
 static enum err_code parse_seed(const char *query, size_t n, struct target *out, struct err *e)
 {
-    char plain[256];
+    char plain[LOOK_QUERY_MAX];
     size_t m = 0;
     unsigned seen = 0;
     for (size_t i = 0; i < n; i++) {
@@ -252,7 +291,7 @@ static enum err_code parse_seed(const char *query, size_t n, struct target *out,
         int64_t v[4];
         uint32_t a, b;
         bool known;
-        enum err_code rc = take_form(&one, &out->form, &known, e);
+        enum err_code rc = take_form(&one, out, &known, e);
         if (rc != ERR_OK)
             return rc;
         if (known) {
@@ -282,7 +321,7 @@ static enum err_code parse_seed(const char *query, size_t n, struct target *out,
                 return err_set(e, ERR_FORMAT, "f is one of glb, spz, drc, ply, plain.glb");
         } else {
             return err_set(e, ERR_FORMAT,
-                           "the query may hold bbox, z, f, preset and sh, each once");
+                           "the query may hold bbox, z, f, preset, sh and appearance, each once");
         }
         if (!at_end(&one))
             return err_set(e, ERR_FORMAT, "the query has a malformed value");
@@ -296,30 +335,36 @@ static enum err_code parse_data(struct text *t, const char *query, size_t n_quer
 {
     if (!take_name(t, out->ds, sizeof(out->ds)) || !take(t, "/"))
         return nothing(e);
-    struct text at = *t;
-    if (take(&at, "tileset.json") && at_end(&at))
-        return out->route = ROUTE_TILESET_MOVING, ERR_OK;
-    at = *t;
-    if (take(&at, "render") && at_end(&at))
-        return out->route = ROUTE_RENDER, ERR_OK;
-    at = *t;
-    if (take(&at, "seed.ndjson") && at_end(&at)) {
-        out->route = ROUTE_SEED;
-        return parse_seed(query, n_query, out, e);
+    static const struct {
+        const char *path;
+        enum route route;
+    } words[] = {{"tileset.json", ROUTE_TILESET_MOVING},
+                 {"render", ROUTE_RENDER},
+                 {"seed.ndjson", ROUTE_SEED},
+                 {"appearances", ROUTE_APPEARANCES},
+                 {"appearance", ROUTE_APPEARANCE},
+                 {"appearances:mix", ROUTE_MIX}};
+    for (size_t i = 0; i < sizeof(words) / sizeof(*words); i++) {
+        struct text at = *t;
+        if (!take(&at, words[i].path) || !at_end(&at))
+            continue;
+        out->route = words[i].route;
+        return out->route == ROUTE_SEED ? parse_seed(query, n_query, out, e)
+                                        : parse_form(query, n_query, out, e);
     }
     bool revisioned = take(t, "r/");
     if (revisioned && (!take_rev(t, out->rev) || !take(t, "/")))
         return err_set(e, ERR_NOENT, "a revision is 12 hexadecimal digits");
-    at = *t;
-    if (revisioned && take(&at, "tileset.json") && at_end(&at))
-        return out->route = ROUTE_TILESET, ERR_OK;
-    if (take(t, "t/")) {
-        enum err_code rc = parse_tile(t, revisioned ? ROUTE_TILE : ROUTE_TILE_MOVING, out, e);
-        return rc == ERR_OK ? parse_form(query, n_query, &out->form, e) : rc;
-    }
-    if (take(t, "static/"))
-        return parse_view(t, revisioned ? ROUTE_VIEW : ROUTE_VIEW_MOVING, out, e);
-    return nothing(e);
+    enum err_code rc = ERR_OK;
+    if (revisioned && take(t, "tileset.json") && at_end(t))
+        out->route = ROUTE_TILESET;
+    else if (take(t, "t/"))
+        rc = parse_tile(t, revisioned ? ROUTE_TILE : ROUTE_TILE_MOVING, out, e);
+    else if (take(t, "static/"))
+        rc = parse_view(t, revisioned ? ROUTE_VIEW : ROUTE_VIEW_MOVING, out, e);
+    else
+        rc = nothing(e);
+    return rc == ERR_OK ? parse_form(query, n_query, out, e) : rc;
 }
 
 static enum err_code parse_collection(struct text *t, struct target *out, struct err *e)

@@ -734,7 +734,9 @@ static void test_reload(void **state)
     struct buf b = {
         0}; /* the older revision's tiles are read from the file that was renamed over */
     struct store *s = dataset_borrow(old);
-    kit_ok(encode_tile(s, served_key(17), (struct form){FORMAT_SPZ, QUANT_BALANCED, 3}, &b, &e), e);
+    const struct look plain = {0};
+    const struct form form = {FORMAT_SPZ, QUANT_BALANCED, 3};
+    kit_ok(encode_tile(s, served_key(17), form, &plain, &b, &e), e);
     dataset_return(old, s);
     buf_free(&b);
     struct catalog *bad = NULL;

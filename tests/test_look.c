@@ -1,0 +1,407 @@
+/* The appearance API: the list of looks, one look, blends, posted mixes, and tiles, tilesets and
+ * prefetch lists in a look. Requests are pure calls; jobs are run by the test itself.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/served.h"
+
+#include <jansson.h>
+#include <math.h>
+
+enum { PHOTOS = 6, LEN = 4, IMAGE = 12 };
+static const char ODD_NAME[] = "roof 50%&=+\u00e9.jpg"; /* all of it has to be escaped */
+
+static struct {
+    char dir[FILE_PATH_MAX], lit[FILE_PATH_MAX], plain[FILE_PATH_MAX];
+    struct appearance model; /* with the default look */
+    struct arena arena;
+    struct server_config cfg;
+    struct services s;
+} t;
+
+static enum err_code no_run(void *user, const struct job *j, void *work, size_t worker,
+                            struct body **out, struct err *e)
+{
+    (void)user, (void)j, (void)work, (void)worker, (void)out;
+    return err_set(e, ERR_INTERNAL, "the test runs jobs itself");
+}
+
+/* One tile under six photographs' light. */
+static void lit_city(void)
+{
+    struct err e = {0};
+    struct store *s = NULL;
+    struct gauss g;
+    struct appearance photos;
+    struct buf blob = {0};
+    struct store_meta meta = {.origin = served_origin,
+                              .name = "lit",
+                              .sh_degree = 1,
+                              .embed_len = LEN,
+                              .zoom_min = 17,
+                              .zoom_max = 17};
+    kit_ok(appearance_alloc(&photos, LEN, IMAGE, 8, PHOTOS, &e), e);
+    appearance_init(&photos, 5);
+    for (size_t i = 0; i < PHOTOS; i++)
+        snprintf(photos.names[i], APPEARANCE_NAME_MAX, "p%zu.jpg", i);
+    snprintf(photos.names[3], APPEARANCE_NAME_MAX, "%s", ODD_NAME);
+    kit_gauss(7, 60, 20, 1, LEN, &g);
+    kit_ok(bake_with_default(&photos, &g, &t.model, &e), e);
+    kit_ok(appearance_write(&t.model, &blob, &e), e);
+    kit_ok(store_create(t.lit, &meta, &s, &e), e);
+    struct store_tile tile = {.key = served_key(17), .level = 1};
+    kit_ok(store_put(s, &tile, &g, &e), e);
+    kit_ok(store_put_blob(s, "appearance", blob.data, blob.size, &e), e);
+    kit_ok(store_commit(&s, &e), e);
+    buf_free(&blob);
+    appearance_free(&photos);
+    gauss_free(&g);
+}
+
+static int setup(void **state)
+{
+    struct err e = {0};
+    (void)state;
+    kit_tmpdir(t.dir);
+    kit_ok(file_join(t.lit, t.dir, "lit.tiles", &e), e);
+    kit_ok(file_join(t.plain, t.dir, "plain.tiles", &e), e);
+    lit_city();
+    served_city(t.plain, "plain", 20);
+    served_config(&t.cfg, &t.arena);
+    kit_ok(services_open(&t.s, &t.cfg, &e), e);
+    const char *paths[] = {t.lit, t.plain};
+    kit_ok(catalog_open(paths, 2, 1, NULL, NULL, &t.s.catalog, &e), e);
+    const struct job_config jobs = {.queue_limit = {1, 1, 1}, .run = no_run, .drop = encode_drop};
+    kit_ok(job_open(&jobs, &t.s.jobs, &e), e);
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    (void)state;
+    services_free(&t.s);
+    arena_free(&t.arena);
+    appearance_free(&t.model);
+    kit_rmdir(t.dir);
+    return 0;
+}
+
+static struct response ask(enum method method, const char *target, const char *body)
+{
+    const struct request r = {.method = method,
+                              .target = target,
+                              .target_size = strlen(target),
+                              .body = body,
+                              .body_size = body ? strlen(body) : 0,
+                              .local = true};
+    struct response out;
+    route_answer(&t.s, &r, &out);
+    if (out.work) {
+        struct err e = {0};
+        struct work *w = out.work;
+        struct job_result result = {.end = JOB_OK};
+        out.work = NULL;
+        kit_ok(encode_run(&t.s, NULL, w, 0, &result.body, &e), e);
+        encode_drop(NULL, w);
+        route_finish(&t.s, &r, &result, &out);
+    }
+    return out;
+}
+
+static struct response get(const char *target, int status)
+{
+    struct response r = ask(METHOD_GET, target, NULL);
+    if (r.status != status)
+        fail_msg("%s: %d instead of %d: %.*s", target, r.status, status, (int)r.size,
+                 (const char *)r.data);
+    return r;
+}
+
+static json_t *json_of(struct response *r)
+{
+    json_error_t je;
+    json_t *o = json_loadb((const char *)r->data, r->size, JSON_REJECT_DUPLICATES, &je);
+    if (!o)
+        fail_msg("not JSON: %s line %d", je.text, je.line);
+    route_free(r);
+    return o;
+}
+
+static json_t *get_json(const char *target)
+{
+    struct response r = get(target, 200);
+    return json_of(&r);
+}
+
+static bool says(const struct response *r, const char *words)
+{
+    char *text = mem_array(r->size + 1, 1);
+    assert_non_null(text);
+    memcpy(text, r->data, r->size);
+    bool found = strstr(text, words) != NULL;
+    mem_free(text);
+    return found;
+}
+
+static const char *text_of(const json_t *o, const char *key)
+{
+    const char *text = json_string_value(json_object_get(o, key));
+    assert_non_null(text);
+    return text;
+}
+
+static void embedding_of(const json_t *o, float out[IMAGE])
+{
+    const json_t *list = json_object_get(o, "embedding");
+    assert_int_equal(json_array_size(list), IMAGE);
+    for (size_t i = 0; i < IMAGE; i++)
+        out[i] = (float)json_number_value(json_array_get(list, i));
+}
+
+/* sum of weights of unit embeddings, in double */
+static void blend(const size_t *row, const double *weight, size_t n, double out[IMAGE])
+{
+    memset(out, 0, IMAGE * sizeof(*out));
+    for (size_t k = 0; k < n; k++) {
+        float unit[APPEARANCE_IMAGE_MAX];
+        bake_unit(&t.model, row[k], unit);
+        for (size_t i = 0; i < IMAGE; i++)
+            out[i] += weight[k] * (double)unit[i];
+    }
+}
+
+static void assert_embedding(const json_t *o, const double want[IMAGE])
+{
+    float got[IMAGE];
+    embedding_of(o, got);
+    for (size_t i = 0; i < IMAGE; i++)
+        assert_true(fabs((double)got[i] - want[i]) < 1e-6);
+}
+
+/* href of a link of an object, below the dataset's address */
+static const char *href(const json_t *o, const char *rel, char out[2048])
+{
+    size_t i;
+    json_t *link;
+    json_array_foreach(json_object_get(o, "links"), i, link)
+    {
+        if (strcmp(text_of(link, "rel"), rel) != 0)
+            continue;
+        snprintf(out, 2048, "/d/lit/%s", text_of(link, "href"));
+        return out;
+    }
+    fail_msg("no link %s", rel);
+    return NULL;
+}
+
+static void the_list_names_every_look_with_links_that_work(void **state)
+{
+    (void)state;
+    char path[2048];
+    json_t *o = get_json("/d/lit/appearances"), *list = json_object_get(o, "appearances");
+    assert_string_equal(text_of(o, "default"), BAKE_DEFAULT);
+    assert_int_equal(json_array_size(list), PHOTOS + 1);
+    for (size_t i = 0; i <= PHOTOS; i++) {
+        const size_t row[] = {i};
+        const double one[] = {1};
+        double want[IMAGE];
+        const json_t *item = json_array_get(list, i);
+        assert_string_equal(text_of(item, "name"), t.model.names[i]);
+        json_t *look = get_json(href(item, "item", path));
+        assert_string_equal(text_of(look, "appearance"), t.model.names[i]);
+        blend(row, one, 1, want);
+        assert_embedding(look, want);
+        const json_t *near = json_array_get(json_object_get(look, "nearest"), 0);
+        assert_string_equal(text_of(near, "name"), t.model.names[i]);
+        assert_true(fabs(json_number_value(json_object_get(near, "cosine")) - 1) < 1e-6);
+        json_decref(look);
+        struct response r = get(href(item, "tileset", path), 200);
+        route_free(&r);
+    }
+    json_decref(o);
+    o = get_json("/d/plain/appearances");
+    assert_int_equal(json_array_size(json_object_get(o, "appearances")), 0);
+    json_decref(o);
+    struct response r = get("/collections/lit", 200);
+    assert_true(says(&r, "d/lit/appearances"));
+    route_free(&r);
+}
+
+static void blends_and_posted_mixes_are_the_same_embedding(void **state)
+{
+    (void)state;
+    char target[2048];
+    double want[IMAGE];
+    float first[IMAGE], again[IMAGE];
+    const size_t rows[] = {1, 2};
+    const double weights[] = {0.25, 0.75};
+    blend(rows, weights, 2, want);
+    json_t *o = get_json("/d/lit/appearance?appearance=p1.jpg:1,p2.jpg%3A3");
+    assert_embedding(o, want);
+    json_decref(o);
+    struct response r =
+        ask(METHOD_POST, "/d/lit/appearances:mix", "{\"weights\":{\"p1.jpg\":1,\"p2.jpg\":3}}");
+    assert_int_equal(r.status, 200);
+    o = json_of(&r);
+    assert_embedding(o, want);
+    json_t *linked = get_json(href(o, "self", target));
+    assert_embedding(linked, want);
+    json_decref(linked);
+    json_decref(o);
+
+    /* an embedding comes back to the last bit */
+    struct buf body = {0};
+    buf_printf(&body, "{\"embedding\":[");
+    for (size_t i = 0; i < IMAGE; i++) {
+        first[i] = (float)(i % 2 ? -1.0 : 1.0) / (float)(3 * i + 1);
+        buf_printf(&body, "%s%.9g", i ? "," : "", (double)first[i]);
+    }
+    buf_printf(&body, "]}");
+    r = ask(METHOD_POST, "/d/lit/appearances:mix", (const char *)body.data);
+    assert_int_equal(r.status, 200);
+    o = json_of(&r);
+    assert_int_equal(text_of(o, "appearance")[0], '=');
+    linked = get_json(href(o, "self", target));
+    embedding_of(linked, again);
+    assert_memory_equal(first, again, sizeof(first));
+    json_decref(linked);
+    json_decref(o);
+    buf_free(&body);
+}
+
+/* The .ply of the tile, and what it should be. */
+static void tile_in(const char *query, char etag[BODY_ETAG_SIZE], struct gauss *out)
+{
+    struct err e = {0};
+    char target[2048];
+    struct ply_info info;
+    const struct key k = served_key(17);
+    const struct dataset *d = catalog_find(t.s.catalog, "lit", "");
+    snprintf(target, sizeof(target), "/d/lit/r/%s/t/%u/%u/%u.ply%s", d->meta.revision, k.z, k.x,
+             k.y, query);
+    struct response r = get(target, 200);
+    memcpy(etag, r.etag, BODY_ETAG_SIZE);
+    kit_ok(ply_decode(r.data, r.size, NULL, out, &info, &e), e);
+    route_free(&r);
+}
+
+static void tiles_are_baked_in_the_look_that_is_asked_for(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    char tag[4][BODY_ETAG_SIZE];
+    struct gauss g[4], want = {0};
+    struct store *s;
+    float image[APPEARANCE_IMAGE_MAX];
+    static const char *const query[4] = {"", "?appearance=default", "?appearance=p2.jpg",
+                                         "?sh=1&appearance=p2.jpg%3A7.0"};
+    for (size_t i = 0; i < 4; i++)
+        tile_in(query[i], tag[i], &g[i]);
+    assert_string_equal(tag[0], tag[1]);
+    assert_string_not_equal(tag[0], tag[2]);
+    assert_string_equal(tag[2], tag[3]); /* another text of the same embedding */
+    kit_ok(store_open(t.lit, &s, &e), e);
+    kit_ok(bake_find(s, "p2.jpg", image, &e), e);
+    kit_ok(bake_read(s, served_key(17), image, &want, &e), e);
+    assert_int_equal(g[2].n, want.n);
+    assert_memory_equal(g[2].sh, want.sh, 12 * want.n * sizeof(float));
+    assert_memory_equal(g[2].opacity_logit, want.opacity_logit, want.n * sizeof(float));
+    assert_memory_not_equal(g[0].sh, want.sh, 12 * want.n * sizeof(float));
+    store_close(&s);
+    gauss_free(&want);
+    for (size_t i = 0; i < 4; i++)
+        gauss_free(&g[i]);
+}
+
+static void tilesets_and_prefetch_lists_carry_the_look(void **state)
+{
+    (void)state;
+    char want[256], target[512];
+    const struct dataset *d = catalog_find(t.s.catalog, "lit", "");
+    const struct key k = served_key(17);
+    static const char look[] = "?preset=preview&sh=0&appearance=roof%2050%25%26=%2B%C3%A9.jpg";
+    for (int moving = 0; moving < 2; moving++) {
+        snprintf(target, sizeof(target), "/d/lit/%s%s%stileset.json%s", moving ? "" : "r/",
+                 moving ? "" : d->meta.revision, moving ? "" : "/", look);
+        struct response r = get(target, 200);
+        snprintf(want, sizeof(want), "\"%s%s%st/%u/%u/%u.glb%s\"", moving ? "r/" : "",
+                 moving ? d->meta.revision : "", moving ? "/" : "", k.z, k.x, k.y, look);
+        if (!says(&r, want))
+            fail_msg("%s lacks %s: %.*s", target, want, (int)r.size, (const char *)r.data);
+        route_free(&r);
+    }
+    snprintf(target, sizeof(target), "/d/lit/seed.ndjson?f=spz&appearance=p1.jpg");
+    struct response r = get(target, 200);
+    json_t *line = json_loadb((const char *)r.data, r.size, JSON_DISABLE_EOF_CHECK, NULL);
+    assert_non_null(line);
+    snprintf(target, sizeof(target), "/d/lit/%s", text_of(line, "url"));
+    struct response tile = get(target, 200);
+    assert_string_equal(tile.etag, text_of(line, "etag"));
+    assert_non_null(strstr(target, ".spz?appearance=p1.jpg"));
+    json_decref(line);
+    route_free(&tile);
+    route_free(&r);
+    r = get("/d/lit/static/13.4,52.5,120@0,-90/64x64.jpg?appearance=p1.jpg", 307);
+    assert_non_null(strstr(r.location, "64x64.jpg?appearance=p1.jpg"));
+    route_free(&r);
+}
+
+static void what_is_no_look_is_a_clear_answer(void **state)
+{
+    (void)state;
+    char target[2048];
+    static const struct {
+        enum method method;
+        const char *target, *body;
+        int status;
+        const char *says;
+    } rows[] = {
+        {METHOD_GET, "/d/lit/appearance?appearance=p9.jpg", NULL, 404, "p9.jpg"},
+        {METHOD_GET, "/d/lit/appearance?appearance=p1.jpg:x", NULL, 400, "number"},
+        {METHOD_GET, "/d/lit/appearance?appearance=p1.jpg:1,p2.jpg:-1", NULL, 400, "add up to 0"},
+        {METHOD_GET, "/d/lit/appearance?appearance==AAAA", NULL, 400, "base64url"},
+        {METHOD_GET, "/d/lit/appearance?appearance=", NULL, 400, "appearance"},
+        {METHOD_GET, "/d/lit/appearance?appearance=%4", NULL, 400, "percent-encoded"},
+        {METHOD_GET, "/d/lit/appearance?appearance=%00", NULL, 400, "percent-encoded"},
+        {METHOD_GET, "/d/lit/appearance?appearance=a&appearance=b", NULL, 400, "once"},
+        {METHOD_GET, "/d/lit/tileset.json?appearance=p9.jpg", NULL, 404, "p9.jpg"},
+        {METHOD_GET, "/d/lit/seed.ndjson?appearance=p9.jpg", NULL, 404, "p9.jpg"},
+        {METHOD_GET, "/d/plain/tileset.json?appearance=p1.jpg", NULL, 404, "without appearance"},
+        {METHOD_GET, "/d/plain/appearance", NULL, 404, "without appearance"},
+        {METHOD_POST, "/d/lit/appearances:mix", NULL, 400, "weights"},
+        {METHOD_POST, "/d/lit/appearances:mix", "{", 400, "body"},
+        {METHOD_POST, "/d/lit/appearances:mix", "{}", 422, "weights"},
+        {METHOD_POST, "/d/lit/appearances:mix", "{\"weights\":{}}", 422, "1 to 16"},
+        {METHOD_POST, "/d/lit/appearances:mix", "{\"weights\":{\"p9.jpg\":1}}", 404, "p9.jpg"},
+        {METHOD_POST, "/d/lit/appearances:mix", "{\"weights\":{\"p1.jpg\":\"1\"}}", 422, "number"},
+        {METHOD_POST, "/d/lit/appearances:mix", "{\"embedding\":[1,2]}", 422, "12 numbers"},
+        {METHOD_POST, "/d/lit/appearances:mix", "{\"embedding\":[1,2,3,4,5,6,7,8,9,10,11,\"x\"]}",
+         422, "number 11"},
+        {METHOD_POST, "/d/plain/appearances:mix", "{\"embedding\":[1]}", 404, "without appearance"},
+        {METHOD_GET, "/d/lit/appearances:mix", NULL, 405, "method"},
+    };
+    for (size_t i = 0; i < sizeof(rows) / sizeof(*rows); i++) {
+        struct response r = ask(rows[i].method, rows[i].target, rows[i].body);
+        if (r.status != rows[i].status || !says(&r, rows[i].says))
+            fail_msg("%s %s: %d (%d wanted) %.*s", rows[i].target, rows[i].body ? rows[i].body : "",
+                     r.status, rows[i].status, (int)r.size, (const char *)r.data);
+        route_free(&r);
+    }
+    int n = snprintf(target, sizeof(target), "/d/lit/appearance?appearance=");
+    memset(target + n, 'a', LOOK_TEXT_MAX);
+    target[n + LOOK_TEXT_MAX] = '\0';
+    struct response r = get(target, 400);
+    route_free(&r);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(the_list_names_every_look_with_links_that_work),
+        cmocka_unit_test(blends_and_posted_mixes_are_the_same_embedding),
+        cmocka_unit_test(tiles_are_baked_in_the_look_that_is_asked_for),
+        cmocka_unit_test(tilesets_and_prefetch_lists_carry_the_look),
+        cmocka_unit_test(what_is_no_look_is_a_clear_answer),
+    };
+    return cmocka_run_group_tests(tests, setup, teardown);
+}
