@@ -1,4 +1,5 @@
-// What the client asks of a citysplat server: the data sets, a tileset document, rendered views.
+// What the client asks of a citysplat server: the data sets, their looks, a tileset document, rendered
+// views.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { Matrix4, Vector3 } from "three";
@@ -9,6 +10,7 @@ export interface DataSet {
   id: string;
   title: string;
   attribution: string;
+  looks: URL | null; // the list of its looks; null where it was trained without appearance
 }
 
 export interface SceneInfo {
@@ -85,20 +87,32 @@ export class Server {
   }
 
   private async dataSets(): Promise<DataSet[]> {
-    const body = (await getJson(new URL("collections", this.base))) as {
-      collections?: Partial<DataSet>[];
-    };
+    const at = new URL("collections", this.base);
+    const body = (await getJson(at)) as { collections?: Collection[] };
     if (!Array.isArray(body?.collections))
       throw new Problem("Not a citysplat server", "It lists no collections.");
-    return body.collections.map((c) => ({
-      id: String(c.id),
-      title: c.title || String(c.id),
-      attribution: plainText(c.attribution ?? ""),
-    }));
+    return body.collections.map((c) => {
+      const looks = c.links?.find((link) => link.rel === "appearances")?.href;
+      return {
+        id: String(c.id),
+        title: c.title || String(c.id),
+        attribution: plainText(c.attribution ?? ""),
+        looks: looks ? new URL(looks, at) : null,
+      };
+    });
   }
 
-  async scene(set: DataSet): Promise<SceneInfo> {
+  // Names of the looks of a scene.
+  async lights(set: DataSet): Promise<string[]> {
+    if (!set.looks) return [];
+    const body = (await getJson(set.looks)) as { appearances?: { name?: string }[] };
+    return (body.appearances ?? []).map((look) => String(look.name));
+  }
+
+  // light: a look as the server takes it, "" for the default one
+  async scene(set: DataSet, light: string): Promise<SceneInfo> {
     const url = new URL(`d/${set.id}/tileset.json`, this.base);
+    if (light) url.searchParams.set("appearance", light);
     const doc = (await getJson(url)) as TilesetDocument;
     const { transform, boundingVolume } = doc.root ?? {};
     const box = boundingVolume?.box;
@@ -120,8 +134,10 @@ export class Server {
     };
   }
 
-  viewUrl(id: string, pose: Pose, width: number, height: number): URL {
-    return new URL(`d/${id}/static/${formatPose(pose)}/${width}x${height}.jpg`, this.base);
+  viewUrl(id: string, light: string, pose: Pose, width: number, height: number): URL {
+    const url = new URL(`d/${id}/static/${formatPose(pose)}/${width}x${height}.jpg`, this.base);
+    if (light) url.searchParams.set("appearance", light);
+    return url;
   }
 
   // The rendered view as a picture, and how long the server says it took.
@@ -140,6 +156,12 @@ export class Server {
   }
 }
 
+interface Collection {
+  id?: string;
+  title?: string;
+  attribution?: string;
+  links?: { rel?: string; href?: string }[];
+}
 interface TilesetDocument {
   asset?: { extras?: { cesium?: { credits?: { html?: string }[] } } };
   root?: { transform?: number[]; boundingVolume?: { box?: number[] } };

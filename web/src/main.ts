@@ -25,6 +25,7 @@ interface State {
   bytes: number;
   error: string | null;
   dataSet: string | null;
+  light: string; // the look that is drawn, "" for the default one
   pose(): Pose;
   look(pose: Pose): void;
 }
@@ -56,6 +57,7 @@ const state: State = {
   bytes: 0,
   error: null,
   dataSet: null,
+  light: "",
   pose: () => stage.pose(),
   look: (pose) => stage.look(pose),
 };
@@ -107,7 +109,7 @@ async function openScene(set: DataSet, pose: Pose | null) {
   state.dataSet = set.id;
   element("title").textContent = set.title;
   document.title = `${set.title} – citysplat`;
-  const info = await server.scene(set);
+  const info = await server.scene(set, state.light);
   if (ticket !== opening) return;
   element("attribution").textContent = info.attribution;
   stage.frame = new Frame(info.transform);
@@ -133,8 +135,74 @@ function fillChooser(sets: DataSet[], chosen: DataSet) {
   element("chooser").hidden = sets.length < 2;
   select.onchange = () => {
     const set = sets.find((s) => s.id === select.value);
-    if (set) void openScene(set, null).catch(showProblem);
+    if (!set) return;
+    state.light = "";
+    void openScene(set, null).catch(showProblem);
+    void fillLights(set).catch(showProblem);
   };
+}
+
+// ---- light and weather --------------------------------------------------------------------------
+
+const NAME_DEFAULT = "default";
+const LIGHT_WAIT_MS = 400; // after the slider came to rest: every mix is a set of tiles of its own
+
+// A look is a name, or NAME:WEIGHT,NAME:WEIGHT.
+function lightChosen(): string {
+  const from = element<HTMLSelectElement>("light").value;
+  const to = element<HTMLSelectElement>("light-to").value;
+  const percent = Number(element<HTMLInputElement>("light-mix").value);
+  if (!to || percent === 0) return from === NAME_DEFAULT ? "" : from;
+  return percent === 100 ? to : `${from}:${(100 - percent) / 100},${to}:${percent / 100}`;
+}
+
+// The other way round, for links: false when the look is none of those two shapes.
+function chooseLight(light: string, names: string[]): boolean {
+  const parts = light.split(",").map((part) => /^(.*?)(?::([\d.]+))?$/.exec(part)!);
+  const weights = parts.map((part) => Number(part[2] ?? 1));
+  if (parts.length > 2 || parts.some((part) => !names.includes(part[1]!))) return false;
+  element<HTMLSelectElement>("light").value = parts[0]![1]!;
+  element<HTMLSelectElement>("light-to").value = parts[1]?.[1] ?? "";
+  if (parts[1])
+    element<HTMLInputElement>("light-mix").value = String(
+      (100 * weights[1]!) / (weights[0]! + weights[1]!),
+    );
+  return true;
+}
+
+let lightTimer = 0;
+async function fillLights(set: DataSet) {
+  if (!server) return;
+  const names = await server.lights(set);
+  if (set !== current) return;
+  const from = element<HTMLSelectElement>("light");
+  const to = element<HTMLSelectElement>("light-to");
+  const mix = element<HTMLInputElement>("light-mix");
+  element("lights").hidden = names.length === 0;
+  const photographs = names.filter((name) => name !== NAME_DEFAULT);
+  from.replaceChildren(
+    new Option("all photographs", NAME_DEFAULT),
+    ...photographs.map((name) => new Option(name, name)),
+  );
+  to.replaceChildren(
+    new Option("nothing", ""),
+    ...photographs.filter((name) => !name.includes(",")).map((name) => new Option(name, name)),
+  );
+  if (state.light) chooseLight(state.light, names);
+  mix.hidden = !to.value;
+  const apply = (waitMs: number) => {
+    mix.hidden = !to.value;
+    clearTimeout(lightTimer);
+    lightTimer = window.setTimeout(() => {
+      if (lightChosen() === state.light) return;
+      state.light = lightChosen();
+      state.ready = false;
+      askedFor = "";
+      void openScene(set, stage.pose()).catch(showProblem);
+    }, waitMs);
+  };
+  from.onchange = to.onchange = () => apply(0);
+  mix.oninput = () => apply(LIGHT_WAIT_MS);
 }
 
 async function start() {
@@ -148,7 +216,9 @@ async function start() {
     throw new Problem("Nothing to show", text);
   }
   fillChooser(found.dataSets, set);
+  state.light = page.searchParams.get("light") ?? "";
   await openScene(set, poseOfHash());
+  await fillLights(set);
 }
 
 // ---- the address bar ----------------------------------------------------------------------------
@@ -161,6 +231,8 @@ function poseOfHash(): Pose | null {
 function shareUrl(): string {
   const url = new URL(location.href);
   if (current) url.searchParams.set("ds", current.id);
+  if (state.light) url.searchParams.set("light", state.light);
+  else url.searchParams.delete("light");
   url.hash = `camera=${formatPose(stage.pose())}`;
   return url.href;
 }
@@ -248,11 +320,11 @@ function requestServerView() {
   if (!serverView.open || !server || !current) return;
   const { clientWidth: width, clientHeight: height } = surface;
   const pose = stage.pose();
-  const key = `${current.id} ${formatPose(pose)} ${width}x${height}`;
+  const key = `${current.id} ${state.light} ${formatPose(pose)} ${width}x${height}`;
   if (key === askedFor) return;
   askedFor = key;
   serverView.stale();
-  serverView.schedule(server, current.id, pose, width, height);
+  serverView.schedule(server, current.id, state.light, pose, width, height);
 }
 
 // ---- buttons and keys ---------------------------------------------------------------------------

@@ -55,10 +55,11 @@ export class ServerView {
   }
 
   // Ask for the picture once the camera has been still for a moment.
-  schedule(server: Server, id: string, pose: Pose, width: number, height: number) {
+  schedule(server: Server, id: string, light: string, pose: Pose, width: number, height: number) {
     if (!this.open) return;
     this.cancel();
-    this.timer = window.setTimeout(() => void this.fetch(server, id, pose, width, height), WAIT_MS);
+    const url = (w: number, h: number) => server.viewUrl(id, light, pose, w, h);
+    this.timer = window.setTimeout(() => void this.fetch(server, url, width, height), WAIT_MS);
   }
 
   private cancel() {
@@ -67,7 +68,12 @@ export class ServerView {
     this.request = null;
   }
 
-  private async fetch(server: Server, id: string, pose: Pose, width: number, height: number) {
+  private async fetch(
+    server: Server,
+    url: (width: number, height: number) => URL,
+    width: number,
+    height: number,
+  ) {
     const shrink = Math.min(
       1,
       SIDE_MAX_PX / Math.max(width, height),
@@ -81,10 +87,7 @@ export class ServerView {
     this.request = request;
     this.say("The server is rendering …", true);
     try {
-      const { blob, milliseconds } = await server.view(
-        server.viewUrl(id, pose, w, h),
-        request.signal,
-      );
+      const { blob, milliseconds } = await server.view(url(w, h), request.signal);
       URL.revokeObjectURL(this.objectUrl);
       this.objectUrl = URL.createObjectURL(blob);
       this.image.src = this.objectUrl;

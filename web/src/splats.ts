@@ -238,6 +238,7 @@ export class SplatLayer {
     this.close();
     const tiles = new TilesRenderer(url) as Tiles;
     this.tiles = tiles;
+    this.quietFrames = 0; // what was settled is gone
     tiles.errorTarget = this.target;
     tiles.lruCache.minBytesSize = memoryBytes / 2;
     tiles.lruCache.maxBytesSize = memoryBytes;

@@ -89,6 +89,43 @@ export async function openSource() {
     }
 }
 
+function run(args) {
+    const done = spawnSync(BIN, args, { encoding: "utf8" });
+    if (done.status !== 0)
+        throw new Error(`citysplat ${args.join(" ")}\n${done.stdout}${done.stderr}`);
+}
+
+// A small city under changing light, trained with appearance in a few seconds and served.
+export async function openLitCity() {
+    const dir = mkdtempSync(join(tmpdir(), "citysplat-lit-"));
+    const at = (name) => join(dir, name);
+    const clean = () => rmSync(dir, { recursive: true, force: true });
+    const options = (text) => text.split(" ");
+    try {
+        run([
+            ...options("synth -q --photos 16 --extent-m 40 --width-px 96 --height-px 72 --seed 3"),
+            ...options("--points 3000 --exposure-ev 0.8 --sun-variation 0.5 -o"),
+            at("photos"),
+        ]);
+        run([
+            ...["ingest", at("photos/images"), at("photos/sparse")],
+            ...options("--min-points 8 -q -o"),
+            at("scene"),
+        ]);
+        run([
+            ...["train", at("scene"), "-o", at("trained")],
+            ...options("-q --level-count 1 --iterations 200 --budget-3 3000"),
+            ...options("--appearance --appearance-warmup 50"),
+        ]);
+        run(["tile", at("scene"), "--trained", at("trained"), "-o", at("lit.tiles"), "-q"]);
+        const server = await serve(at("lit.tiles"));
+        return { ...server, close: () => server.close().finally(clean) };
+    } catch (error) {
+        clean();
+        throw error;
+    }
+}
+
 export async function getJson(url) {
     const response = await fetch(url);
     if (!response.ok) throw new Error(`${url}: ${response.status} ${await response.text()}`);

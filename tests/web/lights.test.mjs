@@ -1,0 +1,107 @@
+// Light and weather in the browser: the lists offer every photograph, a choice changes the picture,
+// a mix lies between its two ends, and a link keeps it.
+//
+// SPDX-License-Identifier: Apache-2.0
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+
+import { openPage, waitForViewer } from "./lib/browser.mjs";
+import { rmsDifference } from "./lib/checks.mjs";
+import { decodePng } from "./lib/png.mjs";
+import { firstDataSet, getJson, GIVEN_TILES, MOCK, openLitCity } from "./lib/source.mjs";
+
+const SIZE = { width: 720, height: 480 };
+const HIDE_PANELS = "#panel,#tools,#compare,#toast,#progress,footer{display:none!important}";
+const skip = { skip: MOCK || GIVEN_TILES ? "needs a city trained with appearance" : false };
+
+let source;
+let viewer;
+let page;
+let names; // of the photographs, darkest light first
+before(async () => {
+    if (skip.skip) return;
+    source = await openLitCity();
+    viewer = await openPage(source.url, SIZE);
+    page = viewer.page;
+    await waitForViewer(page);
+});
+after(async () => {
+    await viewer?.close();
+    await source?.close();
+});
+
+async function picture() {
+    const style = await page.addStyleTag({ content: HIDE_PANELS });
+    const png = decodePng(await page.screenshot());
+    await style.evaluate((tag) => tag.remove());
+    return png;
+}
+
+function brightness(png) {
+    let sum = 0;
+    for (let y = 0; y < png.height; y += 2)
+        for (let x = 0; x < png.width; x += 2) for (const v of png.at(x, y).slice(0, 3)) sum += v;
+    return sum;
+}
+
+const lightOnPage = () => page.evaluate(() => window.citysplat.light);
+
+async function choose(id, value) {
+    const before = await lightOnPage();
+    await page.evaluate(
+        ([name, v]) => {
+            const control = document.getElementById(name);
+            control.value = v;
+            control.dispatchEvent(new Event(control.type === "range" ? "input" : "change"));
+        },
+        [id, value],
+    );
+    await page.waitForFunction((light) => window.citysplat.light !== light, before);
+    await waitForViewer(page);
+}
+
+test("every look of the server is offered", skip, async () => {
+    const id = await firstDataSet(source.url);
+    const list = await getJson(`${source.url}/d/${id}/appearances`);
+    const offered = await page.$$eval("#light option", (all) => all.map((one) => one.value));
+    assert.deepEqual([...offered].sort(), list.appearances.map((one) => one.name).sort());
+    assert.equal(await page.isVisible("#lights"), true);
+    assert.equal(await lightOnPage(), "");
+    names = offered.filter((name) => name !== "default");
+    assert.ok(names.length > 8, `${names.length} photographs`);
+});
+
+test("a photograph's light changes the picture, a mix lies between", skip, async () => {
+    const seen = [];
+    for (const name of names.slice(0, 4)) {
+        await choose("light", name);
+        seen.push({ name, png: await picture() });
+    }
+    seen.sort((a, b) => brightness(a.png) - brightness(b.png));
+    const [dark, light] = [seen[0], seen.at(-1)];
+    assert.ok(rmsDifference(dark.png, light.png) > 3, "all lights look the same");
+    await choose("light", "default");
+    await choose("light", dark.name);
+    const again = await picture();
+    assert.ok(rmsDifference(again, dark.png) < 0.5, "the same light gives another picture");
+    await choose("light-to", light.name);
+    assert.equal(await page.isVisible("#light-mix"), true);
+    const mixed = brightness(await picture());
+    assert.ok(brightness(dark.png) < mixed && mixed < brightness(light.png), "not between");
+});
+
+test("a shared link keeps the light", skip, async () => {
+    await page.click("#share");
+    const url = new URL(page.url());
+    const light = await lightOnPage();
+    assert.match(light, /:0\.5,.*:0\.5$/);
+    assert.equal(url.searchParams.get("light"), light);
+    const before = await picture();
+    await page.goto(url.href);
+    await page.reload();
+    await waitForViewer(page);
+    assert.equal(await lightOnPage(), light);
+    assert.notEqual(await page.inputValue("#light-to"), "");
+    assert.ok(rmsDifference(before, await picture()) < 2, "the link shows another picture");
+    assert.deepEqual(viewer.log, []);
+});
