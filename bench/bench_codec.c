@@ -157,7 +157,8 @@ static enum err_code tile_make(void *user, struct err *e)
 {
     struct tile_request *t = user;
     t->out.size = 0;
-    return encode_tile(t->store, t->key, t->form, &t->out, e);
+    const struct look plain = {0};
+    return encode_tile(t->store, t->key, t->form, &plain, &t->out, e);
 }
 
 static enum err_code tile_requests(struct bench *b, const struct gauss *g, struct err *e)
