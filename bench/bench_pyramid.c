@@ -168,9 +168,8 @@ static enum err_code pyr_contribution(struct pyr *p, struct err *e)
     struct render_model m = {0};
     struct render_score *score = NULL;
     cl_mem weight = NULL;
-    float *sums = mem_array(l->g.n * SUMS, sizeof *sums);
-    enum err_code rc = sums ? render_score_open(p->render, &score, e)
-                            : err_set(e, ERR_MEM, "out of memory for contributions");
+    const float *sums = NULL;
+    enum err_code rc = render_score_open(p->render, &score, e);
     if (!rc)
         rc = render_model_upload(p->render, &l->g, &m, e);
     for (size_t v = 0; !rc && v < p->n_train; v++) {
@@ -184,14 +183,13 @@ static enum err_code pyr_contribution(struct pyr *p, struct err *e)
         if (!rc)
             rc = render_forward(p->render, &m, &cam, &ro, NULL, NULL, e);
         if (!rc)
-            rc = render_score_run(score, &m, weight, sums, e);
+            rc = render_score_run(score, &m, weight, &sums, e);
         for (size_t i = 0; !rc && i < l->g.n; i++)
             p->given[i] += sums[SUMS * i + SHARE];
     }
     dev_release(&weight);
     render_score_close(&score);
     render_model_free(&m);
-    mem_free(sums);
     return rc;
 }
 

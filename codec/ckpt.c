@@ -37,6 +37,7 @@ enum {
     CKPT_OWN = 8, /* #meta, #gauss and the six arrays */
     CKPT_SECTIONS_MAX = 4096,
     CKPT_GAUSS_BYTES = 48,
+    CKPT_SLICE = 4096, /* rows at a time */
 };
 static const char ckpt_magic[8] = {'C', 'S', 'P', 'L', 'C', 'K', 'P', 'T'};
 static const size_t ckpt_limit_bytes = (size_t)64 << 30;
@@ -73,19 +74,28 @@ static void ckpt_arrays(const struct gauss *g, struct ckpt_array out[CKPT_ARRAYS
 
 /* ---- writing --------------------------------------------------------------------------------- */
 
+struct ckpt_writer {
+    const char *path;
+    FILE *f;
+    const struct ckpt_source *from;
+    struct ckpt_entry *t; /* [n]; offsets and hashes as far as sections are written */
+    size_t n;
+    float *rows; /* [CKPT_SLICE] of the array at hand */
+    uint64_t at;
+};
+
 static enum err_code ckpt_plan(const char *path, const char *meta, const struct buf *head,
-                               const struct gauss *g, const struct ckpt_blob *blobs, size_t n_blobs,
-                               struct ckpt_entry *t, struct err *e)
+                               const struct ckpt_source *from, const struct ckpt_blob *blobs,
+                               size_t n_blobs, struct ckpt_entry *t, struct err *e)
 {
     struct ckpt_array arrays[CKPT_ARRAYS];
-    ckpt_arrays(g, arrays);
+    ckpt_arrays(from->like, arrays);
     size_t k = 0;
     t[k++] =
         (struct ckpt_entry){.name = "#meta", .data = (const uint8_t *)meta, .size = strlen(meta)};
     t[k++] = (struct ckpt_entry){.name = "#gauss", .data = head->data, .size = head->size};
     for (size_t i = 0; i < CKPT_ARRAYS; i++, k++) {
-        t[k].data = (const uint8_t *)arrays[i].data;
-        t[k].size = g->n * arrays[i].per_row * sizeof(float);
+        t[k].size = from->like->n * arrays[i].per_row * sizeof(float);
         memcpy(t[k].name, arrays[i].name, strlen(arrays[i].name) + 1);
     }
     for (size_t i = 0; i < n_blobs; i++, k++) {
@@ -102,22 +112,16 @@ static enum err_code ckpt_plan(const char *path, const char *meta, const struct 
     return ERR_OK;
 }
 
-/* Head and section table; offsets and hashes are filled in on the way. */
-static void ckpt_table(struct ckpt_entry *t, size_t n, struct buf *out)
+/* Head and section table of sections that are written. */
+static void ckpt_table(const struct ckpt_writer *w, struct buf *out)
 {
     struct buf body = {0};
-    uint64_t at = ckpt_align(CKPT_HEAD + n * CKPT_ENTRY), end = at;
-    for (size_t i = 0; i < n; i++) {
-        t[i].offset = at;
-        t[i].hash = hash_bytes(t[i].data, t[i].size);
-        end = at + t[i].size;
-        at = ckpt_align(end);
-    }
+    const struct ckpt_entry *t = w->t;
     buf_add(&body, ckpt_magic, sizeof(ckpt_magic));
     buf_u32(&body, CKPT_VERSION);
-    buf_u32(&body, (uint32_t)n);
-    buf_u64(&body, end);
-    for (size_t i = 0; i < n; i++) {
+    buf_u32(&body, (uint32_t)w->n);
+    buf_u64(&body, w->at);
+    for (size_t i = 0; i < w->n; i++) {
         buf_add(&body, t[i].name, CKPT_NAME);
         buf_u64(&body, t[i].offset);
         buf_u64(&body, t[i].size);
@@ -136,60 +140,124 @@ static void ckpt_table(struct ckpt_entry *t, size_t n, struct buf *out)
     buf_free(&body);
 }
 
-static bool ckpt_put(FILE *f, const void *bytes, size_t n, uint64_t *at)
+static enum err_code ckpt_put(struct ckpt_writer *w, const void *bytes, size_t n, struct err *e)
 {
-    *at += n;
-    return n == 0 || fwrite(bytes, 1, n, f) == n;
+    w->at += n;
+    return n == 0 || fwrite(bytes, 1, n, w->f) == n
+               ? ERR_OK
+               : err_errno(e, ERR_IO, "ckpt_write: %s", w->path);
 }
 
-static enum err_code ckpt_put_all(FILE *f, const char *path, const struct buf *head,
-                                  const struct ckpt_entry *t, size_t n, struct err *e)
+/* Zeros up to the next place where a section may begin. */
+static enum err_code ckpt_pad(struct ckpt_writer *w, uint64_t to, struct err *e)
 {
-    static const uint8_t zeros[CKPT_ALIGN] = {0};
-    uint64_t at = 0;
-    bool ok = ckpt_put(f, head->data, head->size, &at);
-    for (size_t i = 0; ok && i < n; i++)
-        ok = ckpt_put(f, zeros, (size_t)(t[i].offset - at), &at) &&
-             ckpt_put(f, t[i].data, (size_t)t[i].size, &at);
-    if (!ok || fflush(f))
-        return err_errno(e, ERR_IO, "ckpt_write: %s", path);
-    return ERR_OK;
+    static const uint8_t zeros[4096] = {0};
+    enum err_code rc = ERR_OK;
+    while (!rc && w->at < to)
+        rc = ckpt_put(w, zeros, to - w->at < sizeof(zeros) ? (size_t)(to - w->at) : sizeof(zeros),
+                      e);
+    return rc;
 }
 
-static enum err_code ckpt_put_file(const char *path, const struct buf *head,
-                                   const struct ckpt_entry *t, size_t n, struct err *e)
+/* An array of the Gaussians, slice by slice. */
+static enum err_code ckpt_put_rows(struct ckpt_writer *w, enum ckpt_field field, size_t per_row,
+                                   struct hash128 *hash, struct err *e)
+{
+    const struct ckpt_source *from = w->from;
+    struct hash_state *h = hash_begin();
+    enum err_code rc = h ? ERR_OK : err_set(e, ERR_MEM, "ckpt_write: %s: out of memory", w->path);
+    for (size_t i = 0; !rc && per_row && i < from->like->n; i += CKPT_SLICE) {
+        size_t n = from->like->n - i < CKPT_SLICE ? from->like->n - i : CKPT_SLICE;
+        size_t bytes = n * per_row * sizeof(float);
+        rc = from->rows(from->user, field, i, n, w->rows, e);
+        if (!rc) {
+            hash_add(h, w->rows, bytes);
+            rc = ckpt_put(w, w->rows, bytes, e);
+        }
+    }
+    *hash = hash_end(h);
+    return rc;
+}
+
+static enum err_code ckpt_put_sections(struct ckpt_writer *w, struct err *e)
+{
+    struct ckpt_array arrays[CKPT_ARRAYS];
+    ckpt_arrays(w->from->like, arrays);
+    enum err_code rc = ERR_OK;
+    w->at = 0;
+    uint64_t begin = ckpt_align(CKPT_HEAD + w->n * CKPT_ENTRY);
+    for (size_t i = 0; !rc && i < w->n; i++) {
+        struct ckpt_entry *t = &w->t[i];
+        size_t array = i - (CKPT_OWN - CKPT_ARRAYS); /* wraps round before them */
+        rc = ckpt_pad(w, i ? ckpt_align(w->at) : begin, e);
+        t->offset = w->at;
+        if (!rc && array < CKPT_ARRAYS) {
+            rc = ckpt_put_rows(w, (enum ckpt_field)array, arrays[array].per_row, &t->hash, e);
+        } else if (!rc) {
+            t->hash = hash_bytes(t->data, t->size);
+            rc = ckpt_put(w, t->data, (size_t)t->size, e);
+        }
+    }
+    return rc;
+}
+
+/* The table comes last, into the room left for it: nothing has to be gone through twice. */
+static enum err_code ckpt_put_all(struct ckpt_writer *w, struct err *e)
+{
+    struct buf table = {0};
+    enum err_code rc = ckpt_put_sections(w, e);
+    if (!rc) {
+        ckpt_table(w, &table);
+        rc = buf_check(&table, e);
+    }
+    if (!rc && (fseek(w->f, 0, SEEK_SET) || fwrite(table.data, 1, table.size, w->f) != table.size ||
+                fflush(w->f)))
+        rc = err_errno(e, ERR_IO, "ckpt_write: %s", w->path);
+    buf_free(&table);
+    return rc;
+}
+
+static enum err_code ckpt_put_file(struct ckpt_writer *w, struct err *e)
 {
     char part[FILE_PATH_MAX];
-    enum err_code rc = file_begin(path, part, e);
+    enum err_code rc = file_begin(w->path, part, e);
     if (rc)
         return rc;
-    FILE *f = fopen(part, "wb");
-    if (!f)
-        return err_errno(e, ERR_IO, "ckpt_write: %s: cannot create", path);
-    rc = ckpt_put_all(f, path, head, t, n, e);
-    if (fclose(f) && !rc)
-        rc = err_errno(e, ERR_IO, "ckpt_write: %s: cannot close", path);
+    w->f = fopen(part, "wb");
+    if (!w->f)
+        return err_errno(e, ERR_IO, "ckpt_write: %s: cannot create", w->path);
+    rc = ckpt_put_all(w, e);
+    if (fclose(w->f) && !rc)
+        rc = err_errno(e, ERR_IO, "ckpt_write: %s: cannot close", w->path);
     if (rc) {
         file_abort(part);
         return rc;
     }
-    return file_commit(part, path, e);
+    return file_commit(part, w->path, e);
 }
 
-enum err_code ckpt_write(const char *path, const struct json_t *meta, const struct gauss *g,
-                         const struct ckpt_blob *blobs, size_t n_blobs, struct err *e)
+enum err_code ckpt_write_from(const char *path, const struct json_t *meta,
+                              const struct ckpt_source *from, const struct ckpt_blob *blobs,
+                              size_t n_blobs, struct err *e)
 {
+    const struct gauss *g = from->like;
+    struct ckpt_writer w = {.path = path, .from = from, .n = CKPT_OWN + n_blobs};
     enum err_code rc = ERR_MEM;
-    struct buf table = {0}, head = {0};
+    struct buf head = {0};
     char *text = NULL;
-    struct ckpt_entry *t = NULL;
     if (!json_is_object(meta))
         return err_set(e, ERR_ARG, "ckpt_write: %s: the metadata must be a JSON object", path);
     if (n_blobs > CKPT_SECTIONS_MAX - CKPT_OWN)
         return err_set(e, ERR_LIMIT, "ckpt_write: %s: %zu blobs, at most %d", path, n_blobs,
                        CKPT_SECTIONS_MAX - CKPT_OWN);
+    struct ckpt_array arrays[CKPT_ARRAYS];
+    size_t widest = 0;
+    ckpt_arrays(g, arrays);
+    for (size_t i = 0; i < CKPT_ARRAYS; i++)
+        widest = arrays[i].per_row > widest ? arrays[i].per_row : widest;
     text = json_dumps(meta, JSON_REAL_PRECISION(17) | JSON_COMPACT);
-    t = mem_array(CKPT_OWN + n_blobs, sizeof(*t));
+    w.t = mem_array(w.n, sizeof(*w.t));
+    w.rows = mem_array(g->n < CKPT_SLICE ? g->n : CKPT_SLICE, widest * sizeof(float));
     buf_u64(&head, g->n);
     buf_u32(&head, g->sh_degree);
     buf_u32(&head, g->embed_len);
@@ -197,23 +265,36 @@ enum err_code ckpt_write(const char *path, const struct json_t *meta, const stru
     buf_u32(&head, 0);
     for (int i = 0; i < 3; i++)
         buf_f64(&head, g->origin_enu_m[i]);
-    if (!text || !t || head.failed) {
+    if (!text || !w.t || !w.rows || head.failed)
         err_set(e, ERR_MEM, "ckpt_write: %s: out of memory", path);
-        goto out;
-    }
-    rc = ckpt_plan(path, text, &head, g, blobs, n_blobs, t, e);
-    if (rc)
-        goto out;
-    ckpt_table(t, CKPT_OWN + n_blobs, &table);
-    rc = buf_check(&table, e);
+    else
+        rc = ckpt_plan(path, text, &head, from, blobs, n_blobs, w.t, e);
     if (!rc)
-        rc = ckpt_put_file(path, &table, t, CKPT_OWN + n_blobs, e);
-out:
+        rc = ckpt_put_file(&w, e);
     free(text); /* jansson's, made with malloc */
-    mem_free(t);
+    mem_free(w.t);
+    mem_free(w.rows);
     buf_free(&head);
-    buf_free(&table);
     return rc;
+}
+
+static enum err_code ckpt_copy_rows(void *user, enum ckpt_field field, size_t first, size_t n,
+                                    float *out, struct err *e)
+{
+    struct ckpt_array arrays[CKPT_ARRAYS];
+    (void)e;
+    ckpt_arrays(user, arrays);
+    const struct ckpt_array *a = &arrays[field];
+    memcpy(out, a->data + first * a->per_row, n * a->per_row * sizeof(float));
+    return ERR_OK;
+}
+
+enum err_code ckpt_write(const char *path, const struct json_t *meta, const struct gauss *g,
+                         const struct ckpt_blob *blobs, size_t n_blobs, struct err *e)
+{
+    struct gauss all = *g;
+    struct ckpt_source from = {.like = g, .rows = ckpt_copy_rows, .user = &all};
+    return ckpt_write_from(path, meta, &from, blobs, n_blobs, e);
 }
 
 /* ---- reading --------------------------------------------------------------------------------- */
@@ -514,6 +595,26 @@ size_t ckpt_rows_count(const struct ckpt_rows *r)
     return r->head.n;
 }
 
+const struct gauss *ckpt_rows_like(const struct ckpt_rows *r)
+{
+    return &r->head;
+}
+
+enum err_code ckpt_rows_meta(const struct ckpt_rows *r, struct json_t **out, struct err *e)
+{
+    struct buf text = {0};
+    *out = NULL;
+    enum err_code rc = ckpt_rows_blob(r, "#meta", &text, e);
+    if (!rc && !text.data)
+        rc = ckpt_bad(r->path, "damaged: section '#meta' is missing", e);
+    if (!rc)
+        rc = jsonc_parse((const char *)text.data, text.size, r->path, out, e);
+    if (!rc && !json_is_object(*out))
+        rc = ckpt_bad(r->path, "damaged: the metadata is not an object", e);
+    buf_free(&text);
+    return rc;
+}
+
 enum err_code ckpt_rows_read(const struct ckpt_rows *r, size_t from, size_t n, struct gauss *out,
                              struct err *e)
 {
@@ -539,6 +640,18 @@ enum err_code ckpt_rows_read(const struct ckpt_rows *r, size_t from, size_t n, s
     return rc;
 }
 
+/* A section's bytes to where there is room for them, against its hash. */
+static enum err_code ckpt_read_section(const struct ckpt_rows *r, const struct ckpt_entry *s,
+                                       void *to, struct err *e)
+{
+    enum err_code rc = ckpt_pread(r, to, (size_t)s->size, s->offset, e);
+    struct hash128 h = rc ? (struct hash128){0} : hash_bytes(to, (size_t)s->size);
+    if (!rc && (h.lo != s->hash.lo || h.hi != s->hash.hi))
+        rc = err_set(e, ERR_FORMAT, "%s: damaged: the hash of section '%s' differs", r->path,
+                     s->name);
+    return rc;
+}
+
 enum err_code ckpt_rows_blob(const struct ckpt_rows *r, const char *name, struct buf *out,
                              struct err *e)
 {
@@ -546,14 +659,25 @@ enum err_code ckpt_rows_blob(const struct ckpt_rows *r, const char *name, struct
     if (!s)
         return ERR_OK;
     uint8_t *to = buf_grow(out, s->size);
-    enum err_code rc = to ? ckpt_pread(r, to, s->size, s->offset, e)
+    enum err_code rc = to ? ckpt_read_section(r, s, to, e)
                           : err_set(e, ERR_MEM, "%s: out of memory for '%s'", r->path, name);
-    struct hash128 h = rc ? (struct hash128){0} : hash_bytes(to, s->size);
-    if (!rc && (h.lo != s->hash.lo || h.hi != s->hash.hi))
-        rc = err_set(e, ERR_FORMAT, "%s: '%s' is damaged", r->path, name);
     if (rc)
         buf_free(out);
     return rc;
+}
+
+bool ckpt_rows_has(const struct ckpt_rows *r, const char *name)
+{
+    return ckpt_section(r->entry, r->n_entries, name) != NULL;
+}
+
+enum err_code ckpt_rows_blob_to(const struct ckpt_rows *r, const char *name, void *out,
+                                size_t n_bytes, struct err *e)
+{
+    const struct ckpt_entry *s = ckpt_section(r->entry, r->n_entries, name);
+    if (!s || s->size != n_bytes)
+        return err_set(e, ERR_FORMAT, "%s: '%s' does not hold %zu bytes", r->path, name, n_bytes);
+    return ckpt_read_section(r, s, out, e);
 }
 
 void ckpt_rows_close(struct ckpt_rows **rp)

@@ -460,6 +460,27 @@ enum err_code dev_zero(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_by
     return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_zero", d->name);
 }
 
+enum err_code dev_map(struct dev *d, cl_mem m, cl_map_flags flags, size_t n_bytes, void **out,
+                      struct err *e)
+{
+    cl_int code = CL_SUCCESS;
+    *out = clEnqueueMapBuffer(d->queue, m, CL_TRUE, flags, 0, n_bytes ? n_bytes : 1, 0, NULL, NULL,
+                              &code);
+    if (code == CL_SUCCESS)
+        return ERR_OK;
+    *out = NULL;
+    return dev_fail(e, code, "dev_map", d->name);
+}
+
+enum err_code dev_unmap(struct dev *d, cl_mem m, void **mapped, struct err *e)
+{
+    cl_int code = CL_SUCCESS;
+    if (*mapped)
+        code = clEnqueueUnmapMemObject(d->queue, m, *mapped, 0, NULL, NULL);
+    *mapped = NULL;
+    return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_unmap", d->name);
+}
+
 /* ---- launches ----------------------------------------------------------------------------------
  */
 

@@ -55,6 +55,13 @@ enum err_code dev_write(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_b
                         const void *in, struct err *e) ERR_USE;
 enum err_code dev_zero(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes,
                        struct err *e) ERR_USE;
+/* The first n_bytes of a buffer as the host sees them, to read (CL_MAP_READ), to write or both: no
+ * copy where host and device share memory. Blocking. Meanwhile kernels may read what is mapped for
+ * reading only, and must leave everything else alone. dev_unmap gives *out back; NULL is accepted
+ * and it leaves NULL. */
+enum err_code dev_map(struct dev *d, cl_mem m, cl_map_flags flags, size_t n_bytes, void **out,
+                      struct err *e) ERR_USE;
+enum err_code dev_unmap(struct dev *d, cl_mem m, void **mapped, struct err *e) ERR_USE;
 /* Set argument `index`, collecting failures: call per argument, check once at dev_run. */
 #define dev_arg(k, index, value) clSetKernelArg((k), (index), sizeof(value), &(value))
 /* Enqueue a one-dimensional launch; global is rounded up to a multiple of local. */

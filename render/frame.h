@@ -64,6 +64,9 @@ struct render {
     struct frame_buffer hits;        /* ushort [entries]: blocks drawn into, see blend_cpu.cl */
     struct frame_buffer tile_stop;   /* uint [tiles] */
 
+    struct frame_buffer slots; /* float [entries][..]: what the pairs leave for their Gaussians
+                                * in the backward pass, or in render_score_run */
+
     /* pictures */
     struct frame_buffer color;      /* float [3][h][w] planar, background included */
     struct frame_buffer transmit;   /* float [h][w] */

@@ -124,7 +124,7 @@ void render_close(struct render **rp)
         &r->keys[1],    &r->ids[0],    &r->ids[1],     &r->histogram,  &r->pair_tile,
         &r->pair_splat, &r->pair_slot, &r->bin_offset, &r->tile_start, &r->entry_splat,
         &r->entry_slot, &r->color,     &r->transmit,   &r->color_grad, &r->hits,
-        &r->tile_stop};
+        &r->tile_stop,  &r->slots};
     for (size_t i = 0; i < sizeof buffers / sizeof *buffers; i++)
         dev_release(&buffers[i]->mem);
     cl_kernel kernels[] = {r->k.project,     r->k.sort_count, r->k.sort_scan, r->k.sort_scatter,

@@ -84,6 +84,10 @@ struct render_model {
 /* Upload g (its origin is kept). render_model_free it. */
 enum err_code render_model_upload(struct render *r, const struct gauss *g, struct render_model *out,
                                   struct err *e) ERR_USE;
+/* Put g's rows at row `first`, a multiple of RENDER_LANES, of a model with room for them, g's
+ * degree and length of embeddings, and the same origin. Lanes behind the last row become 0. */
+enum err_code render_model_write(struct render *r, struct render_model *m, size_t first,
+                                 const struct gauss *g, struct err *e) ERR_USE;
 /* Download into g (gauss_alloc'ed by the callee if cap is 0, else its degree must be the model's;
  * embeddings are left alone when its length differs). */
 enum err_code render_model_download(struct render *r, const struct render_model *m, struct gauss *g,
@@ -214,11 +218,13 @@ struct render_score; /* compiled kernels and buffers; borrows the renderer; one 
 enum err_code render_score_open(struct render *r, struct render_score **out, struct err *e) ERR_USE;
 void render_score_close(struct render_score **s); /* before render_close */
 /* Sums over the pixels that a Gaussian was blended into in the last frame of m. weight: float
- * [h][w] on the device, what each pixel counts. sums (host): float [n][8]: sum of weight, number of
- * pixels, sum of alpha T, sum of distances pixel - mean in px, depth in m, half-size in px, 0, 0;
- * all 0 where invisible. */
+ * [h][w] on the device, what each pixel counts. *sums: float [n][8], until the next call and
+ * render_score_close: sum of weight, number of pixels, sum of alpha T, sum of distances pixel -
+ * mean in px, depth in m, half-size in px, 0, 0; all 0 where invisible. */
 enum err_code render_score_run(struct render_score *s, const struct render_model *m, cl_mem weight,
-                               float *sums, struct err *e) ERR_USE;
+                               const float **sums, struct err *e) ERR_USE;
+/* Give back the sums and the memory they took, 32 bytes a Gaussian. */
+void render_score_forget(struct render_score *s);
 
 /* ---- the reference, double precision: see render_ref.c ------------------------------------------
  */

@@ -3,7 +3,7 @@
  * Two launches: blend_backward leaves eleven sums in one slot per (splat, tile) pair,
  * project_backward or project_step adds a Gaussian's slots in order and applies the chain rule, the
  * latter with Adam on the spot, so that gradients (236 bytes a Gaussian) never travel through
- * memory. Owns its kernels and slots in struct render_backward_state, made on first use;
+ * memory. Owns its kernels and marks in struct render_backward_state, made on first use;
  * render_close frees it through backward_free. The formulas are in the kernels' heads and, in
  * double, in render_ref_backward.c.
  *
@@ -25,8 +25,6 @@ static const double half_max_px = 1600;
 struct render_backward_state {
     cl_program program;
     cl_kernel blend, grads, step;
-    struct frame_buffer
-        slots; /* float [entries][LAYOUT_SLOT_FLOATS], and room for one vector load */
     struct frame_buffer marks; /* uchar [entries] */
     cl_mem unused;             /* stands for the buffers a caller left out */
 };
@@ -42,7 +40,6 @@ static void backward_release(struct render *r)
             clReleaseKernel(kernels[i]);
     if (s->program)
         clReleaseProgram(s->program);
-    dev_release(&s->slots.mem);
     dev_release(&s->marks.mem);
     dev_release(&s->unused);
     mem_free(s);
@@ -136,7 +133,8 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
     if (r->color_grad.cap_bytes < picture_bytes(r))
         return err_set(e, ERR_ARG, "render_backward: dL/dcolour was not given for this picture");
     size_t mark_bytes = ((size_t)r->entries + 3) / 4 * 4;
-    rc = frame_reserve(r, &s->slots,
+    /* [entries][LAYOUT_SLOT_FLOATS], and room for one vector load */
+    rc = frame_reserve(r, &r->slots,
                        ((size_t)r->entries * LAYOUT_SLOT_FLOATS + LAYOUT_LANES) * sizeof(float), e);
     if (rc == ERR_OK)
         rc = frame_reserve(r, &s->marks, mark_bytes, e);
@@ -151,7 +149,7 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
                                 FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->entry_splat.mem),
                                 FRAME_ARG(r->entry_slot.mem), FRAME_ARG(r->color.mem),
                                 FRAME_ARG(r->color_grad.mem), FRAME_ARG(with_abs),
-                                FRAME_ARG(s->slots.mem), FRAME_ARG(s->marks.mem),
+                                FRAME_ARG(r->slots.mem), FRAME_ARG(s->marks.mem),
                                 FRAME_ARG(r->hits.mem), FRAME_ARG(r->tile_stop.mem)),
                      r->tiles * local, local, e);
 }
@@ -186,7 +184,7 @@ enum err_code render_backward_appearance(struct render *r, const struct render_m
     const struct frame_arg args[] = {
         FRAME_ARG(r->view_mem),   FRAME_ARG(m->params),       FRAME_ARG(filter),
         FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->slot_first.mem),
-        FRAME_ARG(s->slots.mem),  FRAME_ARG(s->marks.mem),    FRAME_ARG(grads),
+        FRAME_ARG(r->slots.mem),  FRAME_ARG(s->marks.mem),    FRAME_ARG(grads),
     };
     if (rc == ERR_OK)
         rc = backward_run(r, look.grads, "project_backward", args, sizeof args / sizeof *args,
@@ -262,7 +260,7 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
         FRAME_ARG(r->splats.mem),
         FRAME_ARG(r->tiles_of.mem),
         FRAME_ARG(r->slot_first.mem),
-        FRAME_ARG(s->slots.mem),
+        FRAME_ARG(r->slots.mem),
         FRAME_ARG(s->marks.mem),
         FRAME_ARG(adam->m1),
         FRAME_ARG(adam->m2),

@@ -64,12 +64,31 @@ static void model_unpack(const float *in, const struct render_model *m, size_t g
         }
 }
 
+enum err_code render_model_write(struct render *r, struct render_model *m, size_t first,
+                                 const struct gauss *g, struct err *e)
+{
+    size_t group_floats = (size_t)m->planes * LANES, groups = (g->n + LANES - 1) / LANES;
+    size_t at_once = groups < GROUPS_AT_ONCE ? groups : GROUPS_AT_ONCE;
+    enum err_code rc = ERR_OK;
+    assert(first % LANES == 0 && g->n <= m->cap && first <= m->cap - g->n);
+    float *staging = mem_array(at_once * group_floats, sizeof *staging);
+    if (!staging)
+        return err_set(e, ERR_MEM, "render_model_write: %zu Gaussians", g->n);
+    for (size_t at = 0; at < groups && rc == ERR_OK; at += at_once) {
+        size_t n = groups - at < at_once ? groups - at : at_once;
+        memset(staging, 0, n * group_floats * sizeof *staging);
+        model_pack(g, m->planes, at, n, staging);
+        rc = dev_write(r->dev, m->params, (first / LANES + at) * group_floats * sizeof(float),
+                       n * group_floats * sizeof(float), staging, e);
+    }
+    mem_free(staging);
+    return rc;
+}
+
 enum err_code render_model_upload(struct render *r, const struct gauss *g, struct render_model *out,
                                   struct err *e)
 {
     struct render_model m = {0};
-    enum err_code rc = ERR_OK;
-    float *staging = NULL;
     memset(out, 0, sizeof *out);
     if (g->n > INT32_MAX - LANES)
         return err_set(e, ERR_LIMIT,
@@ -81,25 +100,10 @@ enum err_code render_model_upload(struct render *r, const struct gauss *g, struc
     m.embed_len = g->embed_len;
     m.planes = render_planes_embed(g->sh_degree, g->embed_len);
     memcpy(m.origin_enu_m, g->origin_enu_m, sizeof m.origin_enu_m);
-    size_t group_floats = (size_t)m.planes * LANES;
-    size_t at_once = m.groups < GROUPS_AT_ONCE ? m.groups : GROUPS_AT_ONCE;
-    rc = dev_buffer(r->dev, m.groups * group_floats * sizeof(float), NULL, &m.params, e);
-    if (rc != ERR_OK)
-        goto out;
-    staging = mem_array(at_once * group_floats, sizeof *staging);
-    if (!staging) {
-        rc = err_set(e, ERR_MEM, "render_model_upload: %u Gaussians", m.n);
-        goto out;
-    }
-    for (size_t at = 0; at < m.groups && rc == ERR_OK; at += at_once) {
-        size_t n = m.groups - at < at_once ? m.groups - at : at_once;
-        memset(staging, 0, n * group_floats * sizeof *staging);
-        model_pack(g, m.planes, at, n, staging);
-        rc = dev_write(r->dev, m.params, at * group_floats * sizeof(float),
-                       n * group_floats * sizeof(float), staging, e);
-    }
-out:
-    mem_free(staging);
+    enum err_code rc =
+        dev_buffer(r->dev, (size_t)m.groups * m.planes * LANES * sizeof(float), NULL, &m.params, e);
+    if (rc == ERR_OK)
+        rc = render_model_write(r, &m, 0, g, e);
     if (rc != ERR_OK)
         render_model_free(&m);
     else

@@ -1,6 +1,6 @@
 /* Importance of Gaussians in the last frame: launches score.cl over what render_forward left on the
- * device. Owns the compiled kernels and buffers that grow; nothing of the frame is changed, so
- * render_backward may follow.
+ * device. Owns the compiled kernels and the sums; slots are those of the backward pass, and nothing
+ * else of the frame is changed, so render_backward may follow.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,7 +15,8 @@ struct render_score {
     struct render *render; /* borrowed */
     cl_program program;
     cl_kernel tiles, gather;
-    struct frame_buffer slots, sums;
+    struct frame_buffer sums;
+    void *seen; /* sums, mapped for the caller */
 };
 
 enum err_code render_score_open(struct render *r, struct render_score **out, struct err *e)
@@ -43,6 +44,15 @@ enum err_code render_score_open(struct render *r, struct render_score **out, str
     return rc;
 }
 
+void render_score_forget(struct render_score *s)
+{
+    if (s->seen)
+        clEnqueueUnmapMemObject(s->render->dev->queue, s->sums.mem, s->seen, 0, NULL, NULL);
+    s->seen = NULL;
+    dev_release(&s->sums.mem);
+    s->sums.cap_bytes = 0;
+}
+
 void render_score_close(struct render_score **p)
 {
     struct render_score *s = *p;
@@ -54,8 +64,7 @@ void render_score_close(struct render_score **p)
         clReleaseKernel(s->gather);
     if (s->program)
         clReleaseProgram(s->program);
-    dev_release(&s->slots.mem);
-    dev_release(&s->sums.mem);
+    render_score_forget(s);
     mem_free(s);
     *p = NULL;
 }
@@ -65,7 +74,7 @@ static enum err_code render_score_tiles(struct render_score *s, cl_mem weight, s
     struct render *r = s->render;
     size_t group = r->dev->vector_width == 1 ? RENDER_TILE * RENDER_TILE : 1;
     cl_mem args[] = {r->view_mem,       r->splats.mem, r->tile_start.mem, r->entry_splat.mem,
-                     r->entry_slot.mem, weight,        s->slots.mem};
+                     r->entry_slot.mem, weight,        r->slots.mem};
     cl_int bad = CL_SUCCESS;
     for (cl_uint i = 0; i < sizeof(args) / sizeof(args[0]); i++)
         bad |= dev_arg(s->tiles, i, args[i]);
@@ -79,7 +88,7 @@ static enum err_code render_score_gather(struct render_score *s, uint32_t n, str
     struct render *r = s->render;
     cl_uint count = n;
     cl_mem args[] = {r->splats.mem,     r->depth_key.mem, r->tiles_of.mem,
-                     r->slot_first.mem, s->slots.mem,     s->sums.mem};
+                     r->slot_first.mem, r->slots.mem,     s->sums.mem};
     cl_int bad = dev_arg(s->gather, 0, count);
     for (cl_uint i = 0; i < sizeof(args) / sizeof(args[0]); i++)
         bad |= dev_arg(s->gather, i + 1, args[i]);
@@ -89,23 +98,29 @@ static enum err_code render_score_gather(struct render_score *s, uint32_t n, str
 }
 
 enum err_code render_score_run(struct render_score *s, const struct render_model *m, cl_mem weight,
-                               float *sums, struct err *e)
+                               const float **sums, struct err *e)
 {
     struct render *r = s->render;
+    *sums = NULL;
     if (!r->drawn || r->view.n != m->n)
         return err_set(e, ERR_ARG, "render_score: no frame of this model was drawn");
     if (m->n == 0)
         return ERR_OK;
     size_t slots_bytes = (size_t)r->entries * 4 * sizeof(float);
     size_t sums_bytes = (size_t)m->n * SCORE_FLOATS * sizeof(float);
-    enum err_code rc = frame_reserve(r, &s->slots, slots_bytes, e);
+    enum err_code rc = dev_unmap(r->dev, s->sums.mem, &s->seen, e);
+    if (!rc)
+        rc = frame_reserve(r, &r->slots, slots_bytes, e);
     if (!rc)
         rc = frame_reserve(r, &s->sums, sums_bytes, e);
     if (!rc && slots_bytes)
-        rc = dev_zero(r->dev, s->slots.mem, 0, slots_bytes, e);
+        rc = dev_zero(r->dev, r->slots.mem, 0, slots_bytes, e);
     if (!rc && r->entries)
         rc = render_score_tiles(s, weight, e);
     if (!rc)
         rc = render_score_gather(s, m->n, e);
-    return rc ? rc : dev_read(r->dev, s->sums.mem, 0, sums_bytes, sums, e);
+    if (!rc)
+        rc = dev_map(r->dev, s->sums.mem, CL_MAP_READ, sums_bytes, &s->seen, e);
+    *sums = s->seen;
+    return rc;
 }

@@ -31,7 +31,7 @@ static float *at(float *p, size_t i, uint32_t plane)
  * gradient 1. */
 static struct toy toy_make(size_t n)
 {
-    size_t floats = densify_floats(n, PLANES);
+    size_t floats = rows_floats(n, PLANES);
     struct toy t = {n,
                     mem_array(floats, 4),
                     mem_array(n, 4),
@@ -197,16 +197,41 @@ static void transparent_huge_tiny_and_broken_ones_are_removed(void **state)
     toy_free(&t);
 }
 
+struct arrays {
+    float *params, *m1, *m2;
+};
+
+/* The rows of a plan; the caller frees the arrays. */
+static struct arrays apply(const struct densify_params *p, const struct toy *t,
+                           const struct densify_plan *plan)
+{
+    struct err e = {0};
+    struct densify_input in = input_of(t, false);
+    struct densify_order order;
+    size_t floats = rows_floats(plan->n, PLANES);
+    struct arrays to = {mem_array(floats, 4), mem_array(floats, 4), mem_array(floats, 4)};
+    assert_true(to.params && to.m1 && to.m2);
+    kit_ok(densify_order(p, &in, plan, &order, &e), e);
+    kit_ok(rows_move(&order.rows, false, t->params, to.params, &e), e);
+    kit_ok(rows_move(&order.rows, true, t->m1, to.m1, &e), e);
+    kit_ok(rows_move(&order.rows, true, t->m2, to.m2, &e), e);
+    densify_halve(&order, to.params);
+    densify_order_free(&order);
+    return to;
+}
+
+static void arrays_free(struct arrays *a)
+{
+    mem_free(a->params);
+    mem_free(a->m1);
+    mem_free(a->m2);
+}
+
 /* Count the rows of a plan by side, children of splits at their own places. */
 static void count_sides(const struct densify_params *p, const struct toy *t,
                         struct densify_plan *plan, size_t *inside, size_t *outside)
 {
-    struct err e = {0};
-    size_t floats = densify_floats(plan->n, PLANES);
-    struct densify_input in = input_of(t, false);
-    struct densify_state from = {t->params, t->m1, t->m2};
-    struct densify_state to = {mem_array(floats, 4), mem_array(floats, 4), mem_array(floats, 4)};
-    kit_ok(densify_apply(p, &in, plan, &from, &to, &e), e);
+    struct arrays to = apply(p, t, plan);
     *inside = *outside = 0;
     for (size_t i = 0; i < plan->n; i++) {
         bool in_cell = cell_distance(p->cell, (double)*at(to.params, i, 0),
@@ -214,9 +239,7 @@ static void count_sides(const struct densify_params *p, const struct toy *t,
         *inside += in_cell;
         *outside += !in_cell;
     }
-    mem_free(to.params);
-    mem_free(to.m1);
-    mem_free(to.m2);
+    arrays_free(&to);
 }
 
 static void both_ceilings_hold_where_children_cross_the_border(void **state)
@@ -318,10 +341,7 @@ static void clones_are_copies_and_halves_lie_within_their_parent(void **state)
     struct densify_input in = input_of(&t, false);
     struct densify_plan plan;
     kit_ok(densify_choose(&p, &in, &plan, &e), e);
-    size_t floats = densify_floats(plan.n, PLANES);
-    struct densify_state from = {t.params, t.m1, t.m2};
-    struct densify_state to = {mem_array(floats, 4), mem_array(floats, 4), mem_array(floats, 4)};
-    kit_ok(densify_apply(&p, &in, &plan, &from, &to, &e), e);
+    struct arrays to = apply(&p, &t, &plan);
     size_t kept = 0, fresh = 0, moved = 0;
     for (size_t i = 0; i < plan.n; i++) {
         size_t source = (size_t)*at(to.params, i, 11); /* its colour says who the parent was */
@@ -345,9 +365,7 @@ static void clones_are_copies_and_halves_lie_within_their_parent(void **state)
     assert_int_equal(moved, 22);
     for (size_t i = plan.n; i % LANES; i++) /* lanes after the last one are zero */
         assert_true(*at(to.params, i, 6) == 0.0f && *at(to.m1, i, 6) == 0.0f);
-    mem_free(to.params);
-    mem_free(to.m1);
-    mem_free(to.m2);
+    arrays_free(&to);
     densify_plan_free(&plan);
     toy_free(&t);
 }
@@ -378,10 +396,7 @@ static void halves_along_the_axis_keep_the_moments(void **state)
         axis[k] = rot[3 * k + 1];
     kit_ok(densify_choose(&p, &in, &plan, &e), e);
     assert_int_equal(plan.n, 4);
-    size_t floats = densify_floats(plan.n, PLANES);
-    struct densify_state from = {t.params, t.m1, t.m2};
-    struct densify_state to = {mem_array(floats, 4), mem_array(floats, 4), mem_array(floats, 4)};
-    kit_ok(densify_apply(&p, &in, &plan, &from, &to, &e), e);
+    struct arrays to = apply(&p, &t, &plan);
     size_t halves = 0;
     for (size_t i = 0; i < plan.n; i++) {
         if (*at(to.params, i, 11) != 2.0f)
@@ -408,9 +423,7 @@ static void halves_along_the_axis_keep_the_moments(void **state)
     assert_true(fabs(second) < 1e-5 && fabs(middle[0]) + fabs(middle[1]) + fabs(middle[2]) < 1e-5);
     double before = 1.0 / (1.0 + exp(-(double)LOGIT_HALF)) * 4.0;
     assert_true(fabs(opacity - before) < 1e-5); /* opacity times length: mass */
-    mem_free(to.params);
-    mem_free(to.m1);
-    mem_free(to.m2);
+    arrays_free(&to);
     densify_plan_free(&plan);
     toy_free(&t);
 }
@@ -496,17 +509,24 @@ static void the_draw_has_no_limit_at_two_to_the_24(void **state)
 static void score_parts_survive_constant_and_empty_input(void **state)
 {
     (void)state;
-    float x[4] = {3.0f, 3.0f, 3.0f, 3.0f}, scratch[4];
+    struct err e = {0};
+    float x[4] = {3.0f, 3.0f, 3.0f, 3.0f}, inverse = 1.0f;
     uint8_t grey[3 * 4 * 5];
     float edges[4 * 5];
     score_stretch(x, 4);
     for (int i = 0; i < 4; i++)
         assert_true(x[i] == 0.0f);
     score_stretch(x, 0);
-    assert_true(score_inverse_median(x, 4, scratch) == 0.0f); /* none above 0 */
-    assert_true(score_inverse_median(x, 0, scratch) == 0.0f);
+    kit_ok(score_inverse_median(x, 4, 1, &inverse, &e), e);
+    assert_true(inverse == 0.0f); /* none above 0 */
+    kit_ok(score_inverse_median(x, 0, 1, &inverse, &e), e);
+    assert_true(inverse == 0.0f);
     float y[4] = {0.0f, 4.0f, NAN, 4.0f};
-    assert_true(score_inverse_median(y, 4, scratch) == 0.25f);
+    kit_ok(score_inverse_median(y, 4, 1, &inverse, &e), e);
+    assert_true(inverse == 0.25f);
+    const float rows[6] = {8.0f, 1.0f, 8.0f, 2.0f, 8.0f, 4.0f};
+    kit_ok(score_inverse_median(rows + 1, 3, 2, &inverse, &e), e); /* of a column */
+    assert_true(inverse == 0.5f);
     memset(grey, 77, sizeof(grey));
     score_edges(grey, 4, 5, edges);
     for (int i = 0; i < 20; i++)

@@ -101,6 +101,18 @@ static void test_build_and_run(void **state)
         unsigned char want = ((const unsigned char *)x)[i];
         assert_int_equal(bytes[i], i >= hole.at && i < hole.at + hole.n ? 0 : want);
     }
+    void *seen = NULL; /* the host writes into the buffer, and the device has it */
+    assert_int_equal(dev_map(d, m, CL_MAP_READ | CL_MAP_WRITE, sizeof x, &seen, &e), ERR_OK);
+    assert_memory_equal(seen, bytes, sizeof bytes);
+    ((float *)seen)[N - 1] = 0.25f;
+    assert_int_equal(dev_unmap(d, m, &seen, &e), ERR_OK);
+    assert_null(seen);
+    assert_int_equal(dev_unmap(d, m, &seen, &e), ERR_OK); /* nothing to give back */
+    assert_int_equal(dev_run(d, k, "double_it", N, 64, &e), ERR_OK);
+    assert_int_equal(dev_read(d, m, 0, sizeof x, x, &e), ERR_OK);
+    assert_true(x[N - 1] == 0.5f);
+    assert_int_equal(dev_map(d, m, CL_MAP_READ, 2 * sizeof x, &seen, &e), ERR_DEVICE);
+    assert_null(seen);
     clReleaseKernel(k);
     assert_int_equal(dev_kernel(p, "no_such_kernel", &k, &e), ERR_DEVICE);
     assert_null(k);

@@ -58,12 +58,24 @@ static void neighbours_are_exact(void **state)
 /* ---- similarity
  * --------------------------------------------------------------------------------- */
 
-enum { ALIKE = 60, ALIKE_LEN = 5 };
+enum { ALIKE = 60, ALIKE_LEN = 5, EMBED_GROUP = 16 * ALIKE_LEN /* an array without gaps */ };
 
 struct alike {
     float mean_m[3 * ALIKE], embed[ALIKE * ALIKE_LEN];
     struct similarity_loss_input in;
 };
+
+/* The gradient in pieces of seven rows, which divides nothing here. */
+static enum err_code loss_run(const struct similarity_loss_input *in, double *loss, float *grad,
+                              struct err *e)
+{
+    struct similarity_loss *w = NULL;
+    enum err_code rc = similarity_loss_open(in, &w, loss, e);
+    for (size_t i = 0; !rc && i < in->n; i += 7)
+        similarity_loss_rows(w, i, in->n - i < 7 ? in->n - i : 7, grad + i * in->len);
+    similarity_loss_close(&w);
+    return rc;
+}
 
 static void alike_make(struct alike *s, size_t samples)
 {
@@ -73,6 +85,9 @@ static void alike_make(struct alike *s, size_t samples)
         s->embed[i] = (float)(round(4096.0 * rng_normal(71, 2, i)) / 4096.0);
     s->in = (struct similarity_loss_input){.mean_m = s->mean_m,
                                            .embed = s->embed,
+                                           .embed_group = EMBED_GROUP,
+                                           .embed_lane = ALIKE_LEN,
+                                           .embed_next = 1,
                                            .n = ALIKE,
                                            .len = ALIKE_LEN,
                                            .samples = samples,
@@ -126,18 +141,18 @@ static void similarity_is_its_definition_and_derivative(void **state)
     struct err e = {0};
     double loss;
     alike_make(&s, 20480);
-    kit_ok(similarity_loss_run(&s.in, &loss, grad, &e), e);
+    kit_ok(loss_run(&s.in, &loss, grad, &e), e);
     double want = alike_by_definition(&s);
     assert_true(fabs(loss - want) < 1e-6 * want);
     for (int part = 0; part < 2; part++) { /* all, then a draw of 20 */
         s.in.samples = part ? 20 : 20480;
-        kit_ok(similarity_loss_run(&s.in, &loss, grad, &e), e);
+        kit_ok(loss_run(&s.in, &loss, grad, &e), e);
         for (size_t i = 0; i < ALIKE * ALIKE_LEN; i++) {
             const float keep = s.embed[i];
             double f[4], h = ldexp(1, -11);
             for (int j = 0; j < 4; j++) {
                 s.embed[i] = (float)((double)keep + (j < 2 ? j - 2 : j - 1) * h);
-                kit_ok(similarity_loss_run(&s.in, &f[j], none, &e), e);
+                kit_ok(loss_run(&s.in, &f[j], none, &e), e);
             }
             s.embed[i] = keep;
             fd[i] = (8 * (f[2] - f[1]) - (f[3] - f[0])) / (12 * h);
@@ -147,18 +162,18 @@ static void similarity_is_its_definition_and_derivative(void **state)
     }
     s.in.seed++; /* another draw is another loss */
     double other;
-    kit_ok(similarity_loss_run(&s.in, &other, grad, &e), e);
+    kit_ok(loss_run(&s.in, &other, grad, &e), e);
     assert_true(other != loss);
     for (size_t i = 0; i < ALIKE * ALIKE_LEN; i++) /* all alike: nothing to do */
         s.embed[i] = (float)(1 + i % ALIKE_LEN);
-    kit_ok(similarity_loss_run(&s.in, &loss, grad, &e), e);
+    kit_ok(loss_run(&s.in, &loss, grad, &e), e);
     assert_true(fabs(loss) < 1e-7);
     memset(s.embed, 0, sizeof(s.embed)); /* no direction: finite all the same */
-    kit_ok(similarity_loss_run(&s.in, &loss, grad, &e), e);
+    kit_ok(loss_run(&s.in, &loss, grad, &e), e);
     for (size_t i = 0; i < ALIKE * ALIKE_LEN; i++)
         assert_true(isfinite(grad[i]));
     s.in.neighbours = 1;
-    kit_fails(similarity_loss_run(&s.in, &loss, grad, &e), ERR_ARG, e, "neighbours");
+    kit_fails(loss_run(&s.in, &loss, grad, &e), ERR_ARG, e, "neighbours");
 }
 
 /* Mean cosine between a Gaussian's embedding and those of its 15 nearest. */
@@ -203,6 +218,9 @@ static void neighbours_become_alike(void **state)
         embed[i] = (float)rng_normal(73, 2, i);
     struct similarity_loss_input in = {.mean_m = mean_m,
                                        .embed = embed,
+                                       .embed_group = 16 * LEN,
+                                       .embed_lane = LEN,
+                                       .embed_next = 1,
                                        .n = N,
                                        .len = LEN,
                                        .samples = N / 4,
@@ -213,7 +231,7 @@ static void neighbours_become_alike(void **state)
     double before = crowd_likeness(mean_m, embed, N, LEN);
     for (uint64_t t = 1; t <= STEPS; t++) {
         in.stream = t; /* another quarter of them every time */
-        kit_ok(similarity_loss_run(&in, &loss, grad, &e), e);
+        kit_ok(loss_run(&in, &loss, grad, &e), e);
         for (size_t i = 0; i < N * LEN; i++) {
             double g = (double)grad[i];
             m1[i] = 0.9 * m1[i] + 0.1 * g;
@@ -246,7 +264,7 @@ static void gradients_enter_the_moments(void **state)
     kit_gauss(5, ALIKE, 10.0, 1, ALIKE_LEN, &g);
     memcpy(g.mean_m, s.mean_m, sizeof(s.mean_m));
     memcpy(g.embed, s.embed, sizeof(s.embed));
-    kit_ok(similarity_loss_run(&s.in, &loss, grad, &e), e);
+    kit_ok(loss_run(&s.in, &loss, grad, &e), e);
     kit_ok(dev_open(NULL, &dev, &e), e);
     kit_ok(render_open(&dev, &r, &e), e);
     kit_ok(render_model_upload(r, &g, &m, &e), e);

@@ -15,7 +15,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "core/layout.h"
 #include "train/regular.h"
 #include "train/residual.h"
 
@@ -26,7 +25,7 @@ struct contribute {
     struct render_score *device;
     cl_mem weight; /* zeros: only alpha T is of interest */
     size_t weight_bytes;
-    float *sums, *total;             /* [n][8] of a view; [n] */
+    float *total;                    /* [n] */
     uint16_t *views;                 /* [n] */
     struct residual_list *residuals; /* NULL: not wanted (any more) */
 };
@@ -49,7 +48,7 @@ static enum err_code contribute_draw(struct contribute *c, size_t nth, double *m
     if (!rc && c->residuals)
         rc = residual_add(c->residuals, p.name, v.mse, v.ssim, e);
     size_t bytes = (size_t)p.cam.width_px * p.cam.height_px * sizeof(float);
-    if (rc || !c->sums || bytes <= c->weight_bytes)
+    if (rc || !c->device || bytes <= c->weight_bytes)
         return rc;
     dev_release(&c->weight);
     c->weight_bytes = 0;
@@ -64,21 +63,21 @@ static enum err_code contribute_measure(struct contribute *c, double *mse, struc
 {
     struct level *l = c->l;
     size_t n = l->model.n;
-    c->sums = mem_array(n * CONTRIBUTE_SUMS, sizeof(float));
     c->total = mem_array(n, sizeof(float));
     c->views = mem_array(n, sizeof(uint16_t));
-    if (!c->sums || !c->total || !c->views)
+    if (!c->total || !c->views)
         return err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     enum err_code rc = render_score_open(l->render, &c->device, e);
     if (!rc)
         rc = regular_filter(l, e);
     for (size_t v = 0; !rc && v < l->n_images; v++) {
+        const float *sums = NULL;
         rc = contribute_draw(c, v, mse, e);
         if (!rc)
-            rc = render_score_run(c->device, &l->model, c->weight, c->sums, e);
+            rc = render_score_run(c->device, &l->model, c->weight, &sums, e);
         for (size_t i = 0; !rc && i < n; i++) {
-            c->total[i] += c->sums[CONTRIBUTE_SUMS * i + CONTRIBUTE_SHARE];
-            if (c->sums[CONTRIBUTE_SUMS * i + CONTRIBUTE_PIXELS] > 0.0f && c->views[i] < UINT16_MAX)
+            c->total[i] += sums[CONTRIBUTE_SUMS * i + CONTRIBUTE_SHARE];
+            if (sums[CONTRIBUTE_SUMS * i + CONTRIBUTE_PIXELS] > 0.0f && c->views[i] < UINT16_MAX)
                 c->views[i]++;
         }
         if (!rc && clock_stopping())
@@ -120,68 +119,48 @@ void contribute_choose(const float *sum, const uint16_t *views, size_t n, double
 /* ---- removing rows
  * ------------------------------------------------------------------------------------- */
 
-static void contribute_compact(const float *from, float *to, const uint8_t *keep, size_t n,
-                               uint32_t planes)
+/* Rows that stay in front, the others behind them, each in their order; and the way back. */
+static void contribute_order(const uint8_t *keep, size_t n, size_t n_keep, uint32_t *there,
+                             uint32_t *back)
 {
-    size_t k = 0;
+    size_t front = 0, behind = n_keep;
     for (size_t i = 0; i < n; i++) {
-        if (!keep[i])
-            continue;
-        size_t a = i / LAYOUT_LANES * planes * LAYOUT_LANES + i % LAYOUT_LANES;
-        size_t b = k / LAYOUT_LANES * planes * LAYOUT_LANES + k % LAYOUT_LANES;
-        for (size_t p = 0; p < planes; p++)
-            to[b + p * LAYOUT_LANES] = from[a + p * LAYOUT_LANES];
-        k++;
+        size_t d = keep[i] ? front++ : behind++;
+        there[d] = (uint32_t)i;
+        back[i] = (uint32_t)d;
     }
 }
 
-static enum err_code contribute_download(struct level *l, float *to[3], struct err *e)
-{
-    cl_mem from[3] = {l->model.params, l->adam.m1, l->adam.m2};
-    size_t floats = densify_floats(l->model.n, l->model.planes);
-    enum err_code rc = ERR_OK;
-    for (size_t k = 0; !rc && k < 3; k++) {
-        to[k] = mem_array(floats, sizeof(float));
-        rc = to[k] ? dev_read(l->dev, from[k], 0, floats * sizeof(float), to[k], e)
-                   : err_set(e, ERR_MEM, "pruning: out of memory for %zu floats", floats);
-    }
-    return rc;
-}
-
-/* Keep the rows of `keep`, look at the photographs again, take it back if need be. */
+/* Keep the rows of `keep`, look at the photographs again, take it back if need be: until then those
+ * that go lie behind the last row that is drawn. */
 static enum err_code contribute_apply(struct contribute *c, const uint8_t *keep, size_t n_keep,
                                       double mse, struct contribute_report *r, struct err *e)
 {
     struct level *l = c->l;
-    float *all[3] = {0}, *kept[3] = {0};
-    size_t n = l->model.n, floats = densify_floats(n_keep, l->model.planes);
+    size_t n = l->model.n;
+    uint32_t planes = l->model.planes, *order = mem_array(2 * n, sizeof(*order));
     double after = 0.0;
-    enum err_code rc = contribute_download(l, all, e);
-    for (size_t k = 0; !rc && k < 3; k++) {
-        kept[k] = mem_array(floats, sizeof(float));
-        if (kept[k])
-            contribute_compact(all[k], kept[k], keep, n, l->model.planes);
-        else
-            rc = err_set(e, ERR_MEM, "pruning: out of memory for %zu floats", floats);
-    }
+    if (!order)
+        return err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
+    contribute_order(keep, n, n_keep, order, order + n);
+    enum err_code rc = level_move(l, &(struct rows){order, n, n, planes}, e);
     if (!rc)
-        rc = level_replace(l, &(struct densify_state){kept[0], kept[1], kept[2]}, n_keep, e);
+        rc = level_show(l, n_keep, e);
     if (!rc)
         rc = regular_filter(l, e);
-    mem_free(c->sums);
-    c->sums = NULL; /* the second pass only draws */
-    c->residuals = NULL;
+    c->residuals = NULL; /* the second pass only draws */
     for (size_t v = 0; !rc && v < l->n_images; v++)
         rc = contribute_draw(c, v, &after, e);
     r->psnr_before_db = -10.0 * log10(mse);
     r->psnr_after_db = -10.0 * log10(after);
     r->undone = !(r->psnr_after_db >= r->psnr_before_db - l->cfg->prune_loss_db);
     if (!rc && r->undone)
-        rc = level_replace(l, &(struct densify_state){all[0], all[1], all[2]}, n, e);
-    for (size_t k = 0; k < 3; k++) {
-        mem_free(all[k]);
-        mem_free(kept[k]);
-    }
+        rc = level_show(l, n, e);
+    if (!rc && r->undone)
+        rc = level_move(l, &(struct rows){order + n, n, n, planes}, e);
+    else if (!rc)
+        rc = level_forget(l, e);
+    mem_free(order);
     return rc;
 }
 
@@ -200,17 +179,20 @@ enum err_code contribute_prune(struct level *l, struct contribute_report *out,
     uint8_t *keep = mem_array(n, 1);
     enum err_code rc = keep ? contribute_measure(&c, &mse, e)
                             : err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
+    render_score_close(&c.device);
+    float *scratch = rc ? NULL : mem_array(n, sizeof(*scratch));
+    if (!rc && !scratch)
+        rc = err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     if (!rc)
-        contribute_choose(c.total, c.views, n, l->cfg->prune_contribution, support, c.sums, keep,
+        contribute_choose(c.total, c.views, n, l->cfg->prune_contribution, support, scratch, keep,
                           out);
+    mem_free(scratch);
+    mem_free(c.total);
+    mem_free(c.views);
     size_t n_keep = n - out->faint - out->unsupported;
     if (!rc && n_keep && n_keep < n)
         rc = contribute_apply(&c, keep, n_keep, mse, out, e);
-    render_score_close(&c.device);
     dev_release(&c.weight);
-    mem_free(c.sums);
-    mem_free(c.total);
-    mem_free(c.views);
     mem_free(keep);
     return rc;
 }

@@ -17,24 +17,17 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "core/layout.h"
-#include "core/pool.h"
+#include "train/rows.h"
 #include "train/train.h"
 
 #define DENSIFY_SPLIT_SHRINK 1.6
 #define DENSIFY_AXIS_OFFSET 0.8 /* d, in sigmas of the parent */
 #define DENSIFY_AXIS_SHRINK 0.6 /* sqrt(1 - d^2): the pair keeps the parent's covariance */
 #define DENSIFY_SMALLEST_M 1e-4 /* scene units; smaller Gaussians are removed */
-enum { DENSIFY_LANES = LAYOUT_LANES, DENSIFY_CHUNK_GROUPS = 512 };
-
-size_t densify_floats(size_t n, uint32_t planes)
-{
-    return (n + DENSIFY_LANES - 1) / DENSIFY_LANES * planes * DENSIFY_LANES;
-}
 
 static size_t densify_at(size_t i, uint32_t planes, uint32_t plane)
 {
-    return (i / DENSIFY_LANES * planes + plane) * DENSIFY_LANES + i % DENSIFY_LANES;
+    return rows_at(i, planes) + (size_t)plane * LAYOUT_LANES;
 }
 
 /* ---- the race ----------------------------------------------------------------------------------
@@ -402,105 +395,92 @@ void densify_plan_free(struct densify_plan *p)
 /* ---- applying
  * ------------------------------------------------------------------------------------------ */
 
-struct densify_copy {
-    const struct densify_input *in;
-    const struct densify_state *from, *to;
-    const struct densify_row *rows;
-    const uint32_t *order;
-    const float *means; /* [n][3], by row of the plan */
-    enum densify_split split;
-    size_t n;
-};
-
 /* Row d holds a copy of a parent: make it one of its halves. */
-static void densify_halve(const struct densify_copy *c, size_t d, const float mean[3])
+static void densify_halve_row(const struct densify_order *o, float *params, size_t d,
+                              const float mean[3])
 {
-    uint32_t planes = c->in->planes, longest = densify_longest(c->to->params, planes, d);
+    uint32_t planes = o->rows.planes, longest = densify_longest(params, planes, d);
     for (uint32_t k = 0; k < 3; k++) {
-        float *scale = &c->to->params[densify_at(d, planes, RENDER_PLANE_SCALE + k)];
-        c->to->params[densify_at(d, planes, RENDER_PLANE_MEAN + k)] = mean[k];
-        if (c->split == DENSIFY_SPLIT_RANDOM)
+        float *scale = &params[densify_at(d, planes, RENDER_PLANE_SCALE + k)];
+        params[densify_at(d, planes, RENDER_PLANE_MEAN + k)] = mean[k];
+        if (o->how == DENSIFY_SPLIT_RANDOM)
             *scale -= (float)log(DENSIFY_SPLIT_SHRINK);
         else if (k == longest)
             *scale += (float)log(DENSIFY_AXIS_SHRINK);
     }
-    if (c->split == DENSIFY_SPLIT_RANDOM)
+    if (o->how == DENSIFY_SPLIT_RANDOM)
         return;
     /* 2 x 0.6 sigma long: as much mass needs 1 / 1.2 of the opacity. */
-    float *logit = &c->to->params[densify_at(d, planes, RENDER_PLANE_OPACITY)];
+    float *logit = &params[densify_at(d, planes, RENDER_PLANE_OPACITY)];
     double opacity = 0.5 / DENSIFY_AXIS_SHRINK / (1.0 + exp(-(double)*logit));
     *logit = (float)log(opacity / (1.0 - opacity));
 }
 
-static void densify_copy_row(const struct densify_copy *c, size_t d)
+void densify_halve(const struct densify_order *o, float *params)
 {
-    struct densify_row row = c->rows[c->order[d]];
-    const float *mean = c->means + 3 * (size_t)c->order[d];
-    uint32_t planes = c->in->planes;
-    size_t from = densify_at(row.source, planes, 0), to = densify_at(d, planes, 0);
-    bool keep = row.kind == DENSIFY_KEEP;
-    bool split = row.kind == DENSIFY_SPLIT_A || row.kind == DENSIFY_SPLIT_B;
-    for (size_t k = 0; k < planes; k++) {
-        size_t a = from + k * DENSIFY_LANES, b = to + k * DENSIFY_LANES;
-        c->to->params[b] = c->from->params[a];
-        c->to->m1[b] = keep ? c->from->m1[a] : 0.0f;
-        c->to->m2[b] = keep ? c->from->m2[a] : 0.0f;
-    }
-    if (split)
-        densify_halve(c, d, mean);
+    for (size_t i = 0; i < o->n_split; i++)
+        densify_halve_row(o, params, o->split[i], o->mean + 3 * i);
 }
 
-static enum err_code densify_copy_chunk(void *user, size_t chunk, struct err *e)
+static bool densify_is_half(struct densify_row row)
 {
-    (void)e;
-    const struct densify_copy *c = user;
-    size_t per_chunk = (size_t)DENSIFY_CHUNK_GROUPS * DENSIFY_LANES;
-    size_t end = (chunk + 1) * per_chunk < c->n ? (chunk + 1) * per_chunk : c->n;
-    for (size_t d = chunk * per_chunk; d < end; d++)
-        densify_copy_row(c, d);
+    return row.kind == DENSIFY_SPLIT_A || row.kind == DENSIFY_SPLIT_B;
+}
+
+/* Along the curve; which row of the plan comes where is forgotten once rows and halves are known.
+ */
+static enum err_code densify_sort(const struct densify_plan *plan, const float *mean,
+                                  uint32_t *source, struct densify_order *o, struct err *e)
+{
+    struct gauss shape = {.n = plan->n, .mean_m = (float *)(uintptr_t)mean};
+    size_t n = 0;
+    enum err_code rc = gauss_morton_order(&shape, source, e);
+    if (rc)
+        return rc;
+    for (size_t d = 0; d < plan->n; d++)
+        o->n_split += densify_is_half(plan->rows[d]);
+    o->split = mem_array(o->n_split, sizeof(*o->split));
+    o->mean = mem_array(3 * o->n_split, sizeof(*o->mean));
+    if (!o->split || !o->mean)
+        return err_set(e, ERR_MEM, "densify: out of memory for %zu halves", o->n_split);
+    for (size_t d = 0; d < plan->n; d++) {
+        uint32_t at = source[d];
+        struct densify_row row = plan->rows[at];
+        source[d] = row.source | (row.kind == DENSIFY_KEEP ? 0 : ROWS_NEW);
+        if (!densify_is_half(row))
+            continue;
+        o->split[n] = (uint32_t)d;
+        memcpy(o->mean + 3 * n++, mean + 3 * (size_t)at, 3 * sizeof(*mean));
+    }
     return ERR_OK;
 }
 
-/* Lanes after the last Gaussian hold zeros, as after an upload. */
-static void densify_clear_tail(const struct densify_state *s, size_t n, uint32_t planes)
+enum err_code densify_order(const struct densify_params *p, const struct densify_input *in,
+                            const struct densify_plan *plan, struct densify_order *out,
+                            struct err *e)
 {
-    for (size_t d = n; d % DENSIFY_LANES; d++)
-        for (uint32_t k = 0; k < planes; k++) {
-            size_t at = densify_at(d, planes, k);
-            s->params[at] = s->m1[at] = s->m2[at] = 0.0f;
-        }
+    float *mean = mem_array(3 * plan->n, sizeof(*mean));
+    uint32_t *source = mem_array(plan->n, sizeof(*source));
+    enum err_code rc = mean && source ? ERR_OK
+                                      : err_set(e, ERR_MEM,
+                                                "densify: out of memory for %zu "
+                                                "Gaussians",
+                                                plan->n);
+    *out = (struct densify_order){.rows = {source, plan->n, in->n, in->planes}, .how = p->split};
+    for (size_t i = 0; !rc && i < plan->n; i++)
+        densify_mean(p, in, plan->rows[i], mean + 3 * i);
+    if (!rc)
+        rc = densify_sort(plan, mean, source, out, e);
+    mem_free(mean);
+    if (rc)
+        densify_order_free(out);
+    return rc;
 }
 
-enum err_code densify_apply(const struct densify_params *p, const struct densify_input *in,
-                            struct densify_plan *plan, const struct densify_state *from,
-                            const struct densify_state *to, struct err *e)
+void densify_order_free(struct densify_order *o)
 {
-    enum err_code rc = ERR_OK;
-    float *means = mem_array(3 * plan->n, sizeof(*means));
-    uint32_t *order = mem_array(plan->n, sizeof(*order));
-    if (!means || !order) {
-        rc = err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", plan->n);
-        goto out;
-    }
-    for (size_t d = 0; d < plan->n; d++)
-        densify_mean(p, in, plan->rows[d], means + 3 * d);
-    struct gauss shape = {.n = plan->n, .mean_m = means};
-    rc = gauss_morton_order(&shape, order, e);
-    if (rc)
-        goto out;
-    struct densify_copy c = {.in = in,
-                             .from = from,
-                             .to = to,
-                             .rows = plan->rows,
-                             .order = order,
-                             .means = means,
-                             .split = p->split,
-                             .n = plan->n};
-    size_t per_chunk = (size_t)DENSIFY_CHUNK_GROUPS * DENSIFY_LANES;
-    rc = pool_for((plan->n + per_chunk - 1) / per_chunk, 0, densify_copy_chunk, &c, e);
-    densify_clear_tail(to, plan->n, in->planes);
-out:
-    mem_free(means);
-    mem_free(order);
-    return rc;
+    mem_free((void *)(uintptr_t)o->rows.source);
+    mem_free(o->split);
+    mem_free(o->mean);
+    *o = (struct densify_order){0};
 }

@@ -149,7 +149,7 @@ enum err_code half_fit(struct half *h, const struct feed_photo *p, const struct 
 {
     struct camera cam = half_camera(&p->cam, side);
     size_t bytes = (size_t)cam.width_px * cam.height_px * 3, len = h->c.look->model->len_image;
-    size_t floats = densify_floats(m->cap, m->planes);
+    size_t floats = rows_floats(m->cap, m->planes);
     uint8_t *cut = mem_array(bytes, 1);
     enum err_code rc = cut ? half_grow(h, &h->target, &h->target_bytes, bytes, e)
                            : err_set(e, ERR_MEM, "half-image score: out of memory");

@@ -3,8 +3,7 @@
  *
  * A step is photograph -> forward -> loss -> backward fused with Adam; then, where the schedule
  * says so, density control and opacity reset (step first, then densify: a new Gaussian starts with
- * the parameters it was given). Density control is rare and runs on host copies of parameters and
- * moments in the device's own layout.
+ * the parameters it was given): density.c.
  *
  * At a hand-over the Gaussians stay and everything of the optimiser starts anew: moments and
  * statistics 0, step 0.
@@ -18,23 +17,17 @@
 
 #include <jansson.h>
 
-#include "core/layout.h"
+#include "train/density.h"
 #include "train/mask.h"
+#include "train/rows.h"
 
 #define LEVEL_SIGMA_MIN                                                                            \
     1e-6 /* of the cell's edge: beyond, exp() and determinants lose their digits */
 #define LEVEL_SIGMA_MAX 0.5
-#define LEVEL_SHARE_MIN 1e-3 /* of the Gaussians; see docs/decisions/006-density-control.md */
-#define LEVEL_SHARE_MAX 0.98
 #define LEVEL_BETA1 0.9f
 #define LEVEL_BETA2 0.999f
 #define LEVEL_EPS 1e-15f
-/* Spacings of the budget's Gaussians, laid out on a grid over the cell: what is smaller than this
- * is never removed for its size. Below about one spacing the ground cannot be covered, and then
- * every removal makes the others grow until they are removed too. */
-#define LEVEL_SPACINGS 4.0
 #define LEVEL_MEAN_KEEP 0.95 /* of the running means shown to people */
-enum { LEVEL_LANES = LAYOUT_LANES };
 
 static const struct schedule *level_schedule(const struct level *l)
 {
@@ -65,75 +58,141 @@ struct render_options level_photo_options(struct level *l, uint32_t step, uint32
 /* ---- buffers ------------------------------------------------------------------------------------
  */
 
+/* The statistics, and how many there are: the last only with appearance. */
+static size_t level_stats(struct level *l, cl_mem *out[5])
+{
+    out[0] = &l->stats.grad;
+    out[1] = &l->stats.absg;
+    out[2] = &l->stats.count;
+    out[3] = &l->stats.radius;
+    out[4] = &l->stats.opacity;
+    return light_is_on(&l->light) ? 5 : 4;
+}
+
+static void level_release_stats(struct level *l)
+{
+    cl_mem *rows[5];
+    (void)level_stats(l, rows);
+    for (size_t i = 0; i < 5; i++)
+        dev_release(rows[i]);
+}
+
 static void level_release(struct level *l)
 {
     render_model_free(&l->model);
     dev_release(&l->adam.m1);
     dev_release(&l->adam.m2);
-    dev_release(&l->stats.grad);
-    dev_release(&l->stats.absg);
-    dev_release(&l->stats.count);
-    dev_release(&l->stats.radius);
-    dev_release(&l->stats.opacity);
+    level_release_stats(l);
 }
 
-/* Room for at least n Gaussians, all planes; contents are lost when it grows. */
-static enum err_code level_reserve(struct level *l, size_t n, struct err *e)
+/* Room for n Gaussians that are there, and for those to come. Memory that is reserved and not
+ * touched costs a CPU device nothing, but a buffer that has become too small takes a copy: when all
+ * that the level may have is no more than twice as many, that is the size. */
+static size_t level_room(const struct level *l, size_t n)
 {
-    struct render_model keep = l->model;
-    if (n <= keep.cap && l->adam.m1)
-        return ERR_OK;
-    size_t groups =
-        (n + n / 4 + LEVEL_LANES - 1) / LEVEL_LANES; /* grow by steps, not at every call */
-    size_t cap = groups * LEVEL_LANES, bytes = cap * keep.planes * sizeof(float);
-    if (cap > UINT32_MAX)
-        return err_set(e, ERR_LIMIT, "%zu Gaussians are more than the renderer counts", n);
-    level_release(l);
-    l->model.planes = keep.planes;
-    l->model.sh_degree = keep.sh_degree;
-    l->model.embed_len = keep.embed_len;
-    memcpy(l->model.origin_enu_m, keep.origin_enu_m, sizeof(keep.origin_enu_m));
-    cl_mem *per_plane[] = {&l->model.params, &l->adam.m1, &l->adam.m2};
-    cl_mem *per_row[] = {&l->stats.grad, &l->stats.absg, &l->stats.count, &l->stats.radius,
-                         &l->stats.opacity};
-    const size_t rows = light_is_on(&l->light) ? 5 : 4;
-    enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < 3; i++)
-        rc = dev_buffer(l->dev, bytes, NULL, per_plane[i], e);
-    for (size_t i = 0; !rc && i < rows; i++)
-        rc = dev_buffer(l->dev, cap * sizeof(float), NULL, per_row[i], e);
-    if (rc)
-        return err_add(e, "training %zu Gaussians", n);
-    l->model.cap = (uint32_t)cap;
-    return ERR_OK;
+    size_t most = level_schedule(l)->budget;
+    most += l->cell.whole ? 0 : most / 2;
+    size_t cap = most >= n && most / 2 <= n ? most : n + n / 4;
+    return (cap + LAYOUT_LANES - 1) / LAYOUT_LANES * LAYOUT_LANES;
 }
 
 static enum err_code level_zero_stats(struct level *l, struct err *e)
 {
-    cl_mem rows[] = {l->stats.grad, l->stats.absg, l->stats.count, l->stats.radius,
-                     l->stats.opacity};
+    cl_mem *rows[5];
+    size_t n = level_stats(l, rows);
     enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < 5; i++)
-        rc = !rows[i] ? ERR_OK : dev_zero(l->dev, rows[i], 0, l->model.cap * sizeof(float), e);
+    for (size_t i = 0; !rc && i < n; i++)
+        if (!*rows[i])
+            rc = dev_buffer(l->dev, l->model.cap * sizeof(float), NULL, rows[i], e);
+    for (size_t i = 0; !rc && i < n; i++)
+        rc = dev_zero(l->dev, *rows[i], 0, rows_floats(l->model.n, 1) * sizeof(float), e);
     return rc;
 }
 
-enum err_code level_replace(struct level *l, const struct densify_state *s, size_t n, struct err *e)
+static void level_count(struct level *l, size_t n)
 {
-    enum err_code rc = level_reserve(l, n, e);
-    size_t bytes = densify_floats(n, l->model.planes) * sizeof(float);
-    if (!rc)
-        rc = dev_write(l->dev, l->model.params, 0, bytes, s->params, e);
-    if (!rc)
-        rc = dev_write(l->dev, l->adam.m1, 0, bytes, s->m1, e);
-    if (!rc)
-        rc = dev_write(l->dev, l->adam.m2, 0, bytes, s->m2, e);
-    if (rc)
-        return rc;
     l->filter_is_current = false;
     l->model.n = (uint32_t)n;
-    l->model.groups = (uint32_t)((n + LEVEL_LANES - 1) / LEVEL_LANES);
+    l->model.groups = (uint32_t)((n + LAYOUT_LANES - 1) / LAYOUT_LANES);
+}
+
+/* One of the three arrays, in place or into a new one of `cap`, which takes its place. */
+static enum err_code level_move_part(struct level *l, size_t part, const struct rows *r, size_t cap,
+                                     struct err *e)
+{
+    cl_mem *parts[] = {&l->model.params, &l->adam.m1, &l->adam.m2}, *at = parts[part], grown = NULL;
+    size_t before = rows_floats(r->n_old, r->planes), after = rows_floats(r->n, r->planes);
+    size_t most = before > after ? before : after;
+    bool grows = cap > l->model.cap;
+    void *from = NULL, *to = NULL;
+    struct err why = {0};
+    enum err_code rc = ERR_OK, done = ERR_OK;
+    if (grows)
+        rc = dev_buffer(l->dev, rows_floats(cap, r->planes) * sizeof(float), NULL, &grown, e);
+    if (!rc)
+        rc = dev_map(l->dev, *at, grows ? CL_MAP_READ : CL_MAP_READ | CL_MAP_WRITE,
+                     (grows ? before : most) * sizeof(float), &from, e);
+    if (!rc && grows)
+        rc = dev_map(l->dev, grown, CL_MAP_WRITE, after * sizeof(float), &to, e);
+    if (!rc)
+        rc = rows_move(r, part > 0, from, grows ? to : from, e);
+    done = dev_unmap(l->dev, *at, &from, &why);
+    if (!done && grows)
+        done = dev_unmap(l->dev, grown, &to, &why);
+    if (!done)
+        done = dev_finish(l->dev, &why); /* what is released below goes at once */
+    if (!rc && done)
+        rc = err_set(e, done, "%s", why.msg);
+    if (!rc && grows) {
+        cl_mem old = *at;
+        *at = grown;
+        grown = old;
+    }
+    dev_release(&grown);
+    return rc;
+}
+
+enum err_code level_move(struct level *l, const struct rows *r, struct err *e)
+{
+    size_t cap = r->n > l->model.cap ? level_room(l, r->n) : l->model.cap;
+    enum err_code rc = ERR_OK;
+    if (cap > UINT32_MAX)
+        return err_set(e, ERR_LIMIT, "%zu Gaussians are more than the renderer counts", r->n);
+    if (cap > l->model.cap) {
+        level_release_stats(l);
+        dev_release(&l->model.filter);
+    }
+    for (size_t k = 0; !rc && k < 3; k++)
+        rc = level_move_part(l, k, r, cap, e);
+    if (rc)
+        return err_add(e, "training %zu Gaussians", r->n);
+    l->model.cap = (uint32_t)cap;
+    level_count(l, r->n);
     return level_zero_stats(l, e);
+}
+
+enum err_code level_show(struct level *l, size_t n, struct err *e)
+{
+    level_count(l, n);
+    return level_zero_stats(l, e);
+}
+
+enum err_code level_forget(struct level *l, struct err *e)
+{
+    const uint32_t n = l->model.n, planes = l->model.planes, lane = n % LAYOUT_LANES;
+    cl_mem parts[] = {l->model.params, l->adam.m1, l->adam.m2};
+    size_t bytes = rows_floats(n, planes) * sizeof(float);
+    enum err_code rc = ERR_OK;
+    for (size_t k = 0; !rc && lane && k < 3; k++) {
+        void *at = NULL;
+        rc = dev_map(l->dev, parts[k], CL_MAP_READ | CL_MAP_WRITE, bytes, &at, e);
+        for (uint32_t p = 0; !rc && p < planes; p++)
+            memset((float *)at + rows_at(n, planes) + (size_t)p * LAYOUT_LANES, 0,
+                   (LAYOUT_LANES - lane) * sizeof(float));
+        if (!rc)
+            rc = dev_unmap(l->dev, parts[k], &at, e);
+    }
+    return rc;
 }
 
 static void level_start_optimiser(struct level *l)
@@ -154,45 +213,66 @@ static void level_start_optimiser(struct level *l)
     l->adam.embed_step = light_is_on(&l->light) && l->step > warmup ? l->step - warmup : 0;
 }
 
-static size_t level_count_inside(const struct level *l, const struct gauss *g)
+/* Gaussians inside the cell. */
+static enum err_code level_count_inside(const struct level *l, size_t *out, struct err *e)
 {
-    size_t n = 0;
-    for (size_t i = 0; i < g->n; i++)
-        n += cell_distance(&l->cell, g->origin_enu_m[0] + (double)g->mean_m[3 * i],
-                           g->origin_enu_m[1] + (double)g->mean_m[3 * i + 1]) <= 0.0;
-    return n;
-}
-
-enum err_code level_open(struct level *l, const struct gauss *g, struct err *e)
-{
-    struct render_model packed = {0};
-    float *params = NULL, *zeros = NULL;
-    enum err_code rc = render_model_upload(l->render, g, &packed, e);
+    const struct render_model *m = &l->model;
+    size_t n = 0, bytes = rows_floats(m->n, m->planes) * sizeof(float);
+    void *params = NULL;
+    enum err_code rc = dev_map(l->dev, m->params, CL_MAP_READ, bytes, &params, e);
     if (rc)
         return rc;
-    l->model.planes = packed.planes;
-    l->model.sh_degree = g->sh_degree;
-    l->model.embed_len = g->embed_len;
-    memcpy(l->model.origin_enu_m, g->origin_enu_m, sizeof(g->origin_enu_m));
-    size_t floats = densify_floats(g->n, packed.planes);
-    params = mem_array(floats, sizeof(float));
-    zeros = mem_array(floats, sizeof(float));
-    if (!params || !zeros)
-        rc = err_set(e, ERR_MEM, "out of memory for %zu Gaussians", g->n);
-    if (!rc)
-        rc = dev_read(l->dev, packed.params, 0, floats * sizeof(float), params, e);
-    render_model_free(&packed);
+    for (size_t i = 0; i < m->n; i++) {
+        const float *mean = (const float *)params + rows_at(i, m->planes);
+        n += cell_distance(&l->cell, m->origin_enu_m[0] + (double)mean[0],
+                           m->origin_enu_m[1] + (double)mean[LAYOUT_LANES]) <= 0.0;
+    }
+    *out = n;
+    return dev_unmap(l->dev, m->params, &params, e);
+}
+
+enum err_code level_reserve(struct level *l, const struct gauss *like, struct err *e)
+{
+    size_t cap = level_room(l, like->n);
+    struct render_model *m = &l->model;
+    if (cap > UINT32_MAX)
+        return err_set(e, ERR_LIMIT, "%zu Gaussians are more than the renderer counts", like->n);
+    m->sh_degree = like->sh_degree;
+    m->embed_len = like->embed_len;
+    m->planes = render_planes_embed(like->sh_degree, like->embed_len);
+    memcpy(m->origin_enu_m, like->origin_enu_m, sizeof(m->origin_enu_m));
+    m->cap = (uint32_t)cap;
+    level_count(l, like->n);
+    cl_mem *parts[] = {&m->params, &l->adam.m1, &l->adam.m2};
+    size_t bytes = rows_floats(cap, m->planes) * sizeof(float);
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; !rc && i < 3; i++)
+        rc = dev_buffer(l->dev, bytes, NULL, parts[i], e);
     if (!rc)
         rc = dev_buffer(l->dev, sizeof(uint32_t), NULL, &l->stats.repaired, e);
     if (!rc)
         rc = dev_zero(l->dev, l->stats.repaired, 0, sizeof(uint32_t), e);
     if (!rc)
-        rc = level_replace(l, &(struct densify_state){params, zeros, zeros}, g->n, e);
-    l->start = level_count_inside(l, g);
+        rc = level_zero_stats(l, e);
     level_start_optimiser(l);
-    mem_free(params);
-    mem_free(zeros);
-    return rc;
+    return rc ? err_add(e, "training %zu Gaussians", like->n) : ERR_OK;
+}
+
+static enum err_code level_zero_moments(struct level *l, struct err *e)
+{
+    size_t bytes = rows_floats(l->model.n, l->model.planes) * sizeof(float);
+    enum err_code rc = dev_zero(l->dev, l->adam.m1, 0, bytes, e);
+    return rc ? rc : dev_zero(l->dev, l->adam.m2, 0, bytes, e);
+}
+
+enum err_code level_open(struct level *l, const struct gauss *g, struct err *e)
+{
+    enum err_code rc = level_reserve(l, g, e);
+    if (!rc)
+        rc = render_model_write(l->render, &l->model, 0, g, e);
+    if (!rc)
+        rc = level_zero_moments(l, e);
+    return rc ? rc : level_count_inside(l, &l->start, e);
 }
 
 void level_close(struct level *l)
@@ -239,8 +319,7 @@ enum err_code level_begin(struct level *l, struct err *e)
 
 enum err_code level_next(struct level *l, struct err *e)
 {
-    struct gauss g = {0};
-    enum err_code rc = level_gauss(l, &g, e);
+    enum err_code rc = level_count_inside(l, &l->start, e);
     if (rc)
         return rc;
     l->at++;
@@ -249,13 +328,8 @@ enum err_code level_next(struct level *l, struct err *e)
     budget_close(&l->budget);
     l->budget.at = (struct budget_point){0};
     l->filter_is_current = false;
-    l->start = level_count_inside(l, &g);
     light_restart(&l->light);
-    gauss_free(&g);
-    size_t bytes = densify_floats(l->model.cap, l->model.planes) * sizeof(float);
-    rc = dev_zero(l->dev, l->adam.m1, 0, bytes, e);
-    if (!rc)
-        rc = dev_zero(l->dev, l->adam.m2, 0, bytes, e);
+    rc = level_zero_moments(l, e);
     if (!rc)
         rc = level_zero_stats(l, e);
     if (rc || l->at == l->n_levels)
@@ -268,221 +342,6 @@ enum err_code level_next(struct level *l, struct err *e)
     return level_begin(l, e);
 }
 
-/* ---- density control
- * ---------------------------------------------------------------------------------- */
-
-/* Host copies around one densification. */
-struct level_copy {
-    struct densify_state from, to;
-    float *sum, *count, *mean_grad, *score, *opacity;
-    struct densify_plan plan;
-};
-
-static void level_copy_free(struct level_copy *c)
-{
-    float *all[] = {c->from.params, c->from.m1, c->from.m2,   c->to.params, c->to.m1,  c->to.m2,
-                    c->sum,         c->count,   c->mean_grad, c->score,     c->opacity};
-    for (size_t i = 0; i < sizeof(all) / sizeof(all[0]); i++)
-        mem_free(all[i]);
-    densify_plan_free(&c->plan);
-}
-
-static enum err_code level_state_alloc(struct densify_state *s, size_t floats, struct err *e)
-{
-    s->params = mem_array(floats, sizeof(float));
-    s->m1 = mem_array(floats, sizeof(float));
-    s->m2 = mem_array(floats, sizeof(float));
-    if (!s->params || !s->m1 || !s->m2)
-        return err_set(e, ERR_MEM, "densify: out of memory for %zu floats", 3 * floats);
-    return ERR_OK;
-}
-
-static enum err_code level_download(struct level *l, struct level_copy *c, struct err *e)
-{
-    size_t n = l->model.n, floats = densify_floats(n, l->model.planes);
-    bool absgrad = level_schedule(l)->absgrad;
-    enum err_code rc = level_state_alloc(&c->from, floats, e);
-    c->sum = mem_array(n, sizeof(float));
-    c->count = mem_array(n, sizeof(float));
-    c->mean_grad = mem_array(n, sizeof(float));
-    if (!rc && (!c->sum || !c->count || !c->mean_grad))
-        rc = err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", n);
-    struct {
-        cl_mem from;
-        float *to;
-        size_t floats;
-    } part[] = {{l->model.params, c->from.params, floats},
-                {l->adam.m1, c->from.m1, floats},
-                {l->adam.m2, c->from.m2, floats},
-                {l->stats.count, c->count, n},
-                {absgrad ? l->stats.absg : l->stats.grad, c->sum, n}};
-    for (size_t i = 0; !rc && i < sizeof(part) / sizeof(part[0]); i++)
-        rc = dev_read(l->dev, part[i].from, 0, part[i].floats * sizeof(float), part[i].to, e);
-    for (size_t i = 0; !rc && i < n; i++) {
-        float mean = c->count[i] > 0.0f ? c->sum[i] / c->count[i] : 0.0f;
-        c->mean_grad[i] = mean > 0.0f && isfinite(mean) ? mean : 0.0f;
-    }
-    return rc;
-}
-
-/* At a level's first densification: thresholds in a wrong unit show in the share of candidates. */
-static void level_check_share(const struct level *l, const struct densify_report *r, uint32_t x)
-{
-    double share = (double)(r->clone_candidates + r->split_candidates) / (double)r->before;
-    const struct schedule *s = level_schedule(l);
-    if (x != 1 || (share >= LEVEL_SHARE_MIN && share <= LEVEL_SHARE_MAX))
-        return;
-    log_warn("train",
-             "level %u: %.2g %% of the Gaussians are candidates for densification, %.2g to %.0f %% "
-             "are usual; the threshold tau is %g: it is in NDC units (2e-4, or 6e-4 with absolute "
-             "gradients), and a loss with other weights shifts it",
-             s->level, 100.0 * share, 100.0 * LEVEL_SHARE_MIN, 100.0 * LEVEL_SHARE_MAX, s->tau);
-}
-
-static enum err_code level_report(struct level *l, const struct densify_report *r, size_t cap,
-                                  struct err *e)
-{
-    log_debug(
-        "train",
-        "densify level=%u step=%u before=%zu pruned=%zu candidates=%zu+%zu room=%zu cloned=%zu "
-        "split=%zu after=%zu outside=%zu cap=%zu",
-        level_schedule(l)->level, l->step, r->before, r->pruned, r->clone_candidates,
-        r->split_candidates, r->room, r->cloned, r->split, r->after, r->outside, cap);
-    if (!l->record)
-        return ERR_OK;
-    json_t *o =
-        json_pack("{s:i, s:i, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I}", "level",
-                  (int)level_schedule(l)->level, "step", (int)l->step, "pruned",
-                  (json_int_t)r->pruned, "clone_candidates", (json_int_t)r->clone_candidates,
-                  "split_candidates", (json_int_t)r->split_candidates, "room", (json_int_t)r->room,
-                  "cloned", (json_int_t)r->cloned, "split", (json_int_t)r->split, "inside",
-                  (json_int_t)r->inside, "outside", (json_int_t)r->outside, "cap", (json_int_t)cap);
-    return record_line(l->record, "densify", o, e);
-}
-
-static double level_prune_above(const struct level *l)
-{
-    double spacing_m = l->cell.edge_m / sqrt((double)level_schedule(l)->budget);
-    return l->cfg->prune_size > 0.0
-               ? fmax(l->cfg->prune_size * l->cell.extent_m, LEVEL_SPACINGS * spacing_m)
-               : 0.0;
-}
-
-static struct densify_params level_densify_params(const struct level *l, uint32_t x)
-{
-    const struct schedule *s = level_schedule(l);
-    const struct train_config *c = l->cfg;
-    struct densify_params p = {
-        .cell = &l->cell,
-        .cap_inside = schedule_cap(l->start, s->budget, x, schedule_densify_count(s)),
-        .cap_outside = s->budget / 2,
-        .tau = s->tau,
-        .tau_outside = c->tau_outside,
-        .split_above_m = c->percent_dense * l->cell.extent_m,
-        .split = (enum densify_split)c->split,
-        .prune_opacity = c->prune_opacity,
-        .prune_above_m = schedule_was_reset(s, l->step) ? level_prune_above(l) : 0.0,
-        .seed = (uint64_t)c->seed,
-        .level = s->level,
-        .step = l->step,
-    };
-    memcpy(p.origin_enu_m, l->model.origin_enu_m, sizeof(p.origin_enu_m));
-    return p;
-}
-
-/* A Gaussian that shows under the light of some photographs only must not go for being faint by
- * itself: the limit is for the largest opacity it was drawn with since the last densification. */
-static enum err_code level_opacity(struct level *l, struct level_copy *c, struct densify_params *p,
-                                   struct err *e)
-{
-    if (!light_is_on(&l->light) || l->step <= light_warmup(&l->light, l->cfg, level_schedule(l)))
-        return ERR_OK;
-    c->opacity = mem_array(l->model.n, sizeof(float));
-    if (!c->opacity)
-        return err_set(e, ERR_MEM, "densify: out of memory for %u Gaussians", l->model.n);
-    p->prune_opacity += LIGHT_OFFSET_IDLE;
-    enum err_code rc =
-        dev_read(l->dev, l->stats.opacity, 0, l->model.n * sizeof(float), c->opacity, e);
-    for (size_t i = 0; !rc && i < l->model.n; i++) {
-        const float *row = c->from.params + i / LEVEL_LANES * l->model.planes * LEVEL_LANES;
-        float own = row[RENDER_PLANE_OPACITY * LEVEL_LANES + i % LEVEL_LANES];
-        if (!(c->count[i] > 0.0f)) /* not seen: nothing was added to its own */
-            c->opacity[i] = 1.0f / (1.0f + expf(-own)) + (float)LIGHT_OFFSET_IDLE;
-    }
-    return rc;
-}
-
-static enum err_code level_densify(struct level *l, uint32_t x, struct err *e)
-{
-    struct level_copy c = {0};
-    struct densify_params p = level_densify_params(l, x);
-    enum err_code rc = level_download(l, &c, e);
-    if (!rc)
-        rc = level_opacity(l, &c, &p, e);
-    if (rc)
-        goto out;
-    struct densify_input in = {.params = c.from.params,
-                               .n = l->model.n,
-                               .planes = l->model.planes,
-                               .mean_grad = c.mean_grad,
-                               .opacity = c.opacity};
-    rc = densify_choose(&p, &in, &c.plan, e);
-    if (!rc && c.plan.report.needs_score) {
-        c.score = mem_array(in.n, sizeof(float));
-        enum spent_on was = spent_turn(&l->spent, SPENT_SCORE);
-        rc = c.score ? score_run(l, c.from.params, c.mean_grad, c.score, e)
-                     : err_set(e, ERR_MEM, "densify: out of memory for %zu scores", in.n);
-        (void)spent_turn(&l->spent, was);
-        in.score = c.score;
-        if (!rc)
-            rc = densify_choose(&p, &in, &c.plan, e);
-    }
-    if (rc)
-        goto out;
-    if (!c.plan.n) {
-        rc = err_set(e, ERR_DATA,
-                     "level %u, step %u: every Gaussian became transparent and was removed; "
-                     "are the poses right?",
-                     level_schedule(l)->level, l->step);
-        goto out;
-    }
-    rc = level_state_alloc(&c.to, densify_floats(c.plan.n, l->model.planes), e);
-    if (!rc)
-        rc = densify_apply(&p, &in, &c.plan, &c.from, &c.to, e);
-    if (!rc)
-        rc = level_replace(l, &c.to, c.plan.n, e);
-    if (!rc) {
-        level_check_share(l, &c.plan.report, x);
-        rc = level_report(l, &c.plan.report, p.cap_inside, e);
-    }
-out:
-    level_copy_free(&c);
-    return rc;
-}
-
-/* Lower every opacity to the reset value and forget its moments. */
-static enum err_code level_reset_opacity(struct level *l, struct err *e)
-{
-    size_t floats = densify_floats(l->model.n, l->model.planes), bytes = floats * sizeof(float);
-    float top = (float)log(l->cfg->reset_opacity / (1.0 - l->cfg->reset_opacity));
-    cl_mem buffers[] = {l->model.params, l->adam.m1, l->adam.m2};
-    float *host = mem_array(floats, sizeof(float));
-    enum err_code rc = host ? ERR_OK : err_set(e, ERR_MEM, "out of memory for %zu floats", floats);
-    for (size_t b = 0; !rc && b < 3; b++) {
-        rc = dev_read(l->dev, buffers[b], 0, bytes, host, e);
-        for (size_t i = 0; i < l->model.n; i++) {
-            float *o = host +
-                       (i / LEVEL_LANES * l->model.planes + RENDER_PLANE_OPACITY) * LEVEL_LANES +
-                       i % LEVEL_LANES;
-            *o = b ? 0.0f : fminf(*o, top);
-        }
-        if (!rc)
-            rc = dev_write(l->dev, buffers[b], 0, bytes, host, e);
-    }
-    mem_free(host);
-    return rc;
-}
-
 /* What follows some steps. The device finishes the step before the clock turns. */
 static enum err_code level_control(struct level *l, uint32_t x, struct err *e)
 {
@@ -492,9 +351,9 @@ static enum err_code level_control(struct level *l, uint32_t x, struct err *e)
         rc = budget_look(l, x, e);
     (void)spent_turn(&l->spent, SPENT_DENSIFY);
     if (!rc && x)
-        rc = level_densify(l, x, e);
+        rc = density_run(l, x, e);
     if (!rc && schedule_resets(level_schedule(l), l->step))
-        rc = level_reset_opacity(l, e);
+        rc = density_reset_opacity(l, e);
     (void)spent_turn(&l->spent, was);
     return rc;
 }

@@ -9,6 +9,7 @@
 #include "train/budget.h"
 #include "train/light.h"
 #include "train/regular.h"
+#include "train/rows.h"
 #include "train/train.h"
 
 struct level {
@@ -69,9 +70,18 @@ enum err_code level_gauss(struct level *l, struct gauss *out, struct err *e) ERR
 struct render_options level_render_options(const struct level *l, uint32_t step);
 /* The same with the look of a training photograph, once the warm-up is over. */
 struct render_options level_photo_options(struct level *l, uint32_t step, uint32_t image);
-/* Replace the model: n rows of these host arrays (layout of the device). Statistics become 0. */
-enum err_code level_replace(struct level *l, const struct densify_state *s, size_t n,
-                            struct err *e) ERR_USE;
+/* Room for like->n Gaussians of this kind, not yet filled, moments neither; `like` without arrays.
+ * For level_open, and for a restore, which fills them. */
+enum err_code level_reserve(struct level *l, const struct gauss *like, struct err *e) ERR_USE;
+/* Other rows out of those there are: parameters as r says, moments 0 where that is ROWS_NEW. The
+ * arrays are done one after the other, so that when they grow no more than one of them is there
+ * twice. Statistics become 0. */
+enum err_code level_move(struct level *l, const struct rows *r, struct err *e) ERR_USE;
+/* Draw the first n rows only, or again those that level_move made; the others stay. Statistics
+ * become 0. */
+enum err_code level_show(struct level *l, size_t n, struct err *e) ERR_USE;
+/* The rows that are not shown are gone for good. */
+enum err_code level_forget(struct level *l, struct err *e) ERR_USE;
 
 /* Upload a photograph and run the loss of the last frame against it. */
 enum err_code level_photo_loss(struct level *l, const struct feed_photo *p, struct err *e) ERR_USE;
@@ -140,13 +150,14 @@ enum err_code train_scene_cell(struct train_scene *s, size_t index, struct run_c
 struct score;
 void score_free(struct score **s);
 /* Importance of every Gaussian over cfg->score_views random training views: score[n], finite and >=
- * 0. params: host copy of the model's parameters; mean_grad [n]. */
+ * 0. params: the model's parameters as the host sees them; mean_grad [n]. */
 enum err_code score_run(struct level *l, const float *params, const float *mean_grad, float *score,
                         struct err *e) ERR_USE;
 /* Its parts, for tests. x -> 0..1, 0 when all are equal. Edges: [h][w], stretched. 1 / median of
- * the values above 0 (0 when there are none); scratch[n]. */
+ * the values above 0 among x[0], x[stride] .. x[(n - 1) stride] (0 when there are none). */
 void score_stretch(float *x, size_t n);
 void score_edges(const uint8_t *px, uint32_t w, uint32_t h, float *out);
-float score_inverse_median(const float *x, size_t n, float *scratch);
+enum err_code score_inverse_median(const float *x, size_t n, size_t stride, float *out,
+                                   struct err *e) ERR_USE;
 
 #endif

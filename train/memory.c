@@ -1,5 +1,7 @@
 /* Memory of a cell in training: sizes of every buffer that grows with Gaussians or pixels, added
- * up. Buffers grow by steps, so each counts with the most room it may have beyond its need.
+ * up. Parameters and moments have the room that their level's budget asks for; a frame's buffers
+ * grow by steps and count with the most they may have beyond their need. What comes and goes
+ * (densification, scores, pruning, similarity) never meets: the largest counts.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,15 +16,16 @@ enum {
     MEMORY_STATS = 4, /* words: grad, absg, count, radius; + opacity with appearance */
     MEMORY_KEYS = 7,  /* words a Gaussian: depth_key, tiles_of, slot_first, keys, ids */
     MEMORY_PAIR = 5 * 4 + 2 /* lists, hits */ + LAYOUT_SLOT_FLOATS * 4 + 1 /* slot, mark */,
-    MEMORY_CHOICE = 64, /* plan's rows, classes, candidates, Morton order, new means */
-    MEMORY_SUMS = 2 * 8 * 4 /* device and host */ + 2 * 9 * 4 /* fields and scratch */ + 4,
+    MEMORY_EXTRA = 11,  /* words: gradients of the regularisers of size and depth */
+    MEMORY_DEPTH = 14,  /* words: means, sizes, ... of the depth picture's own model */
+    MEMORY_CHOICE = 64, /* plan's rows, classes, candidates, Morton order, new means, spare rows */
+    MEMORY_SUMS = 8 * 4 /* of a view */ + 5 * 4 /* opacity, volume, mean gradient, score */,
     MEMORY_FRAME_PX = 7 * 4,          /* colour, transmittance, gradient of the colour */
     MEMORY_LOSS_PX = 9 * 4,           /* derivative maps of SSIM, less margins */
     MEMORY_HOST_PX = 3 + 1 + 6 * 4,   /* photograph, mask, weights and errors of the score */
     MEMORY_EVALUATE_PX = 12 + 12 * 8, /* drawing, and planes of doubles of SSIM and GMSD */
     MEMORY_DECODERS = 2,              /* feed's thread and the training's */
 };
-#define MEMORY_ROOM 1.25       /* of level.c's buffers */
 #define MEMORY_FRAME_ROOM 1.5  /* of a frame's */
 #define MEMORY_PAIRS 3.0       /* (splat, tile) pairs a Gaussian of the cell, in the fullest view */
 #define MEMORY_MARGIN_PX 128.0 /* of a row of the loss's maps */
@@ -59,27 +62,33 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
         downsample = fmin(downsample, levels[i].downsample);
     }
     n *= whole ? 1.0 : MEMORY_OUTSIDE;
+    double groups = 0.0; /* of neighbours whose embeddings are compared: ids, places, gradients */
+    if (light && cfg->similarity_weight > 0.0)
+        groups = fmin((double)cfg->similarity_samples, n) * (double)cfg->similarity_neighbours *
+                 MEMORY_WORD * (2.0 + (double)cfg->embed_len);
     double photos = memory_photos(cfg, s, images, n_images, downsample, &pixels, &loss_pixels);
-    double trained =
-        MEMORY_ROOM *
-        (3.0 * row + MEMORY_WORD * (MEMORY_STATS + 2.0 * light + (cfg->aa == RENDER_AA_MIP)));
+    bool depth = (cfg->depth_dir || cfg->depth_sparse) && cfg->depth_weight > 0.0;
+    bool extra = depth || cfg->scale_weight > 0.0;
+    double words = MEMORY_STATS + 2.0 * light + (cfg->aa == RENDER_AA_MIP) +
+                   MEMORY_EXTRA * (double)extra + MEMORY_DEPTH * (double)depth;
+    double trained = 3.0 * row + MEMORY_WORD * words;
     double drawn = MEMORY_FRAME_ROOM * (sizeof(struct layout_splat) + MEMORY_WORD * MEMORY_KEYS +
                                         MEMORY_PAIRS * MEMORY_PAIR);
-    double copied = 6.0 * row + MEMORY_WORD * 5.0 + MEMORY_CHOICE;
-    double scored = fmax(3.0 * row + MEMORY_SUMS - copied, 0.0); /* before the second three rows */
+    double passing = fmax(MEMORY_CHOICE, MEMORY_SUMS);
     double per_pixel = MEMORY_FRAME_ROOM * MEMORY_FRAME_PX +
                        (pixels > 0.0 ? MEMORY_LOSS_PX * loss_pixels / pixels : 0.0) +
                        MEMORY_HOST_PX + MEMORY_EVALUATE_PX +
                        MEMORY_FRAME_ROOM * 2.0 * MEMORY_PAIR; /* large splats: 2 pairs a pixel */
-    double per_gaussian = trained + drawn + copied + scored;
-    return (struct memory_need){.per_gaussian = (size_t)per_gaussian,
-                                .trained = (size_t)trained,
-                                .drawn = (size_t)drawn,
-                                .copied = (size_t)copied,
-                                .scored = (size_t)scored,
-                                .per_pixel = (size_t)per_pixel,
-                                .photo_bytes = (size_t)photos,
-                                .gaussians = (size_t)n,
-                                .pixels = (size_t)pixels,
-                                .total = (size_t)(n * per_gaussian + pixels * per_pixel + photos)};
+    double per_gaussian = trained + drawn + passing;
+    return (struct memory_need){
+        .per_gaussian = (size_t)per_gaussian,
+        .trained = (size_t)trained,
+        .drawn = (size_t)drawn,
+        .passing = (size_t)passing,
+        .per_pixel = (size_t)per_pixel,
+        .photo_bytes = (size_t)photos,
+        .group_bytes = (size_t)groups,
+        .gaussians = (size_t)n,
+        .pixels = (size_t)pixels,
+        .total = (size_t)(n * per_gaussian + pixels * per_pixel + photos + groups)};
 }

@@ -10,13 +10,13 @@
 
 /* Device and host together: on a CPU device they are the same memory. */
 struct memory_need {
-    size_t per_gaussian; /* bytes, the sum of the next four */
-    size_t trained;      /* parameters, two Adam moments, statistics, with the room to grow */
+    size_t per_gaussian; /* bytes, the sum of the next three */
+    size_t trained;      /* parameters, two Adam moments, statistics, gradients of regularisers */
     size_t drawn;     /* a frame's records and keys, lists of (splat, tile) pairs and their slots */
-    size_t copied;    /* host copies while density control or pruning rebuilds all of that */
-    size_t scored;    /* sums and fields of the draw, where they exceed what is copied later */
+    size_t passing;   /* the most that density control, scores or pruning need for a moment */
     size_t per_pixel; /* of the finest level's picture: pictures, loss, scores, evaluation */
     size_t photo_bytes; /* decoded photographs kept, and those being decoded */
+    size_t group_bytes; /* with appearance: groups of neighbours whose embeddings are compared */
     size_t gaussians;   /* most of them: inside the cell and out */
     size_t pixels;      /* of the largest picture */
     size_t total;       /* without the program itself and its OpenCL compiler */

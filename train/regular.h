@@ -155,14 +155,24 @@ enum err_code depth_map_target(struct depth_map *d, uint32_t image, const struct
  *   w_ib = exp(-falloff |mu_i - mu_{n_b}|^2). */
 struct similarity_loss_input {
     const float *mean_m; /* [n][3] */
-    const float *embed;  /* [n][len], not normalised */
+    const float
+        *embed; /* not normalised: value c of row i is embed[i / 16 * embed_group + i % 16
+                 * embed_lane + c * embed_next], as in a model or, 16 len, len, 1, [n][len] */
+    size_t embed_group, embed_lane, embed_next;
     size_t n, len, samples, neighbours;
     double falloff, weight; /* 1 / m^2 */
     uint64_t seed, stream;
 };
-/* grad [n][len], written: dL/dembed. Same input, same bits, on any number of threads. */
-enum err_code similarity_loss_run(const struct similarity_loss_input *in, double *loss, float *grad,
-                                  struct err *e) ERR_USE;
+/* The loss now, the gradient in pieces that the caller has room for. Same input, same bits, on any
+ * number of threads and with pieces of any size. The input is borrowed until similarity_loss_close,
+ * which is due after an error as well. */
+struct similarity_loss;
+enum err_code similarity_loss_open(const struct similarity_loss_input *in,
+                                   struct similarity_loss **out, double *loss,
+                                   struct err *e) ERR_USE;
+/* grad [count][len], written: dL/dembed of rows first .. first + count - 1. */
+void similarity_loss_rows(const struct similarity_loss *w, size_t first, size_t count, float *grad);
+void similarity_loss_close(struct similarity_loss **w);
 
 /* ---- similarity_step.c: the same on a model in training
  * --------------------------------------------- */

@@ -414,9 +414,9 @@ static void run_tell_memory(const struct run *t)
                                            l->n_levels, l->cell.whole);
     log_info("train",
              "cell=%s memory_mib<=%.0f beside the program: %zu Gaussians of %zu B, %zu pixels of "
-             "%zu B, photographs %.0f MiB",
+             "%zu B, photographs %.0f MiB, neighbours %.0f MiB",
              l->cell.id, (double)m.total / 1048576.0, m.gaussians, m.per_gaussian, m.pixels,
-             m.per_pixel, (double)m.photo_bytes / 1048576.0);
+             m.per_pixel, (double)m.photo_bytes / 1048576.0, (double)m.group_bytes / 1048576.0);
 }
 
 enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out, struct err *e)

@@ -17,7 +17,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "core/layout.h"
 #include "core/pool.h"
 #include "train/level.h"
 
@@ -187,23 +186,36 @@ static float score_middle(float *x, size_t n)
 }
 
 /* 1 / median of the finite values above 0, from an even sample of them; 0 when there are none. */
-float score_inverse_median(const float *x, size_t n, float *scratch)
+enum err_code score_inverse_median(const float *x, size_t n, size_t stride, float *out,
+                                   struct err *e)
 {
     size_t step = n / SCORE_MEDIAN_SAMPLE + 1, k = 0;
-    for (size_t i = 0; i < n; i += step)
-        if (x[i] > 0.0f && isfinite(x[i]))
-            scratch[k++] = x[i];
-    for (size_t i = 0; !k && i < n; i++) /* few have it: look at all */
-        if (x[i] > 0.0f && isfinite(x[i]))
-            scratch[k++] = x[i];
-    return k ? 1.0f / score_middle(scratch, k) : 0.0f;
+    *out = 0.0f;
+    for (int pass = 0; !k && pass < 2; pass++, step = 1) { /* few have it: look at all */
+        float *sample;
+        for (size_t i = 0; i < n; i += step)
+            k += x[stride * i] > 0.0f && isfinite(x[stride * i]);
+        if (!k)
+            continue;
+        sample = mem_array(k, sizeof(*sample));
+        if (!sample)
+            return err_set(e, ERR_MEM, "score: out of memory for a median of %zu values", k);
+        k = 0;
+        for (size_t i = 0; i < n; i += step)
+            if (x[stride * i] > 0.0f && isfinite(x[stride * i]))
+                sample[k++] = x[stride * i];
+        *out = 1.0f / score_middle(sample, k);
+        mem_free(sample);
+    }
+    return ERR_OK;
 }
 
 struct score_work {
     struct level *l;
-    const float *params, *sums;
-    float *field[SCORE_FIELDS], *scratch[SCORE_FIELDS], inverse[SCORE_FIELDS];
-    float *total;
+    const float *params, *sums;          /* mapped; sums [n][SCORE_SUMS] of the view */
+    const float *own[SCORE_WEIGHT];      /* [n] fields that no view changes */
+    float *opacity, *volume;             /* two of them */
+    float *total, inverse[SCORE_FIELDS]; /* [n] */
     size_t n;
     float view_factor;
 };
@@ -215,26 +227,27 @@ static enum err_code score_static_chunk(void *user, size_t chunk, struct err *e)
     uint32_t planes = w->l->model.planes;
     size_t end = (chunk + 1) * SCORE_CHUNK < w->n ? (chunk + 1) * SCORE_CHUNK : w->n;
     for (size_t i = chunk * SCORE_CHUNK; i < end; i++) {
-        const float *p = w->params + i / LAYOUT_LANES * planes * LAYOUT_LANES + i % LAYOUT_LANES;
+        const float *p = w->params + rows_at(i, planes);
         float volume = 0.0f;
         for (size_t k = 0; k < 3; k++)
             volume += p[(RENDER_PLANE_SCALE + k) * LAYOUT_LANES];
-        w->field[SCORE_OPACITY][i] = 1.0f / (1.0f + expf(-p[RENDER_PLANE_OPACITY * LAYOUT_LANES]));
-        w->field[SCORE_VOLUME][i] = expf(volume);
+        w->opacity[i] = 1.0f / (1.0f + expf(-p[RENDER_PLANE_OPACITY * LAYOUT_LANES]));
+        w->volume[i] = expf(volume);
     }
     return ERR_OK;
 }
 
-/* Fields of the view, one column a call. */
+static enum err_code score_own_field(void *user, size_t f, struct err *e)
+{
+    struct score_work *w = user;
+    return score_inverse_median(w->own[f], w->n, 1, &w->inverse[f], e);
+}
+
+/* Fields of the view, one column of its sums a call. */
 static enum err_code score_view_field(void *user, size_t k, struct err *e)
 {
-    (void)e;
     struct score_work *w = user;
-    size_t f = SCORE_WEIGHT + k;
-    for (size_t i = 0; i < w->n; i++)
-        w->field[f][i] = w->sums[SCORE_SUMS * i + k];
-    w->inverse[f] = score_inverse_median(w->field[f], w->n, w->scratch[f]);
-    return ERR_OK;
+    return score_inverse_median(w->sums + k, w->n, SCORE_SUMS, &w->inverse[SCORE_WEIGHT + k], e);
 }
 
 static enum err_code score_add_chunk(void *user, size_t chunk, struct err *e)
@@ -243,11 +256,14 @@ static enum err_code score_add_chunk(void *user, size_t chunk, struct err *e)
     struct score_work *w = user;
     size_t end = (chunk + 1) * SCORE_CHUNK < w->n ? (chunk + 1) * SCORE_CHUNK : w->n;
     for (size_t i = chunk * SCORE_CHUNK; i < end; i++) {
+        const float *view = w->sums + SCORE_SUMS * i;
         float sum = 0.0f;
-        if (!(w->field[SCORE_DEPTH][i] > 0.0f)) /* not visible */
+        if (!(view[SCORE_DEPTH - SCORE_WEIGHT] > 0.0f)) /* not visible */
             continue;
-        for (size_t f = 0; f < SCORE_FIELDS; f++)
-            sum += score_coefficient[f] * w->field[f][i] * w->inverse[f];
+        for (size_t f = 0; f < SCORE_WEIGHT; f++)
+            sum += score_coefficient[f] * w->own[f][i] * w->inverse[f];
+        for (size_t f = SCORE_WEIGHT; f < SCORE_FIELDS; f++)
+            sum += score_coefficient[f] * view[f - SCORE_WEIGHT] * w->inverse[f];
         sum *= w->view_factor;
         if (sum > 0.0f && isfinite(sum))
             w->total[i] += sum;
@@ -255,23 +271,17 @@ static enum err_code score_add_chunk(void *user, size_t chunk, struct err *e)
     return ERR_OK;
 }
 
-static enum err_code score_alloc(struct score_work *w, float **sums, const float *mean_grad,
-                                 struct err *e)
+static enum err_code score_alloc(struct score_work *w, const float *mean_grad, struct err *e)
 {
-    bool ok = (*sums = mem_array(w->n * SCORE_SUMS, sizeof(float))) != NULL;
-    for (size_t f = 0; f < SCORE_FIELDS; f++) {
-        w->field[f] = mem_array(w->n, sizeof(float));
-        w->scratch[f] = mem_array(w->n, sizeof(float));
-        ok = ok && w->field[f] && w->scratch[f];
-    }
-    if (!ok)
-        return err_set(e, ERR_MEM, "score: out of memory for %zu Gaussians", w->n);
-    memcpy(w->field[SCORE_GRADIENT], mean_grad, w->n * sizeof(float));
-    w->sums = *sums;
-    return ERR_OK;
+    w->own[SCORE_GRADIENT] = mean_grad;
+    w->own[SCORE_OPACITY] = w->opacity = mem_array(w->n, sizeof(float));
+    w->own[SCORE_VOLUME] = w->volume = mem_array(w->n, sizeof(float));
+    return w->opacity && w->volume
+               ? ERR_OK
+               : err_set(e, ERR_MEM, "score: out of memory for %zu Gaussians", w->n);
 }
 
-static enum err_code score_view(struct score_work *w, size_t nth, float *sums, struct err *e)
+static enum err_code score_view(struct score_work *w, size_t nth, struct err *e)
 {
     struct feed_photo photo;
     double loss = 0.0;
@@ -280,7 +290,7 @@ static enum err_code score_view(struct score_work *w, size_t nth, float *sums, s
     if (!rc)
         rc = score_draw(w->l, &photo, &loss, e);
     if (!rc)
-        rc = render_score_run(w->l->score->device, &w->l->model, w->l->score->weight, sums, e);
+        rc = render_score_run(w->l->score->device, &w->l->model, w->l->score->weight, &w->sums, e);
     w->view_factor = (float)(SCORE_VIEW * loss);
     if (!rc)
         rc = pool_for(SCORE_FIELDS - SCORE_WEIGHT, 0, score_view_field, w, e);
@@ -301,7 +311,6 @@ enum err_code score_run(struct level *l, const float *params, const float *mean_
                         struct err *e)
 {
     struct score_work w = {.l = l, .params = params, .total = score, .n = l->model.n};
-    float *sums = NULL;
     uint32_t *views = NULL, *all = mem_array(l->n_images, sizeof(*all));
     size_t wanted = (size_t)l->cfg->score_views,
            n_views = wanted < l->n_images ? wanted : l->n_images;
@@ -309,7 +318,7 @@ enum err_code score_run(struct level *l, const float *params, const float *mean_
     enum err_code rc =
         all && views ? score_make(l, e) : err_set(e, ERR_MEM, "score: out of memory");
     if (!rc)
-        rc = score_alloc(&w, &sums, mean_grad, e);
+        rc = score_alloc(&w, mean_grad, e);
     if (rc)
         goto out;
     for (size_t i = 0; i < l->n_images; i++)
@@ -319,16 +328,15 @@ enum err_code score_run(struct level *l, const float *params, const float *mean_
                       train_stream(TRAIN_STREAM_VIEWS, l->at + 1, l->step), views, e);
     if (!rc)
         rc = pool_for((w.n + SCORE_CHUNK - 1) / SCORE_CHUNK, 0, score_static_chunk, &w, e);
-    for (size_t f = 0; !rc && f < SCORE_WEIGHT; f++)
-        w.inverse[f] = score_inverse_median(w.field[f], w.n, w.scratch[f]);
+    if (!rc)
+        rc = pool_for(SCORE_WEIGHT, 0, score_own_field, &w, e);
     for (size_t v = 0; !rc && v < n_views; v++)
-        rc = score_view(&w, views[v], sums, e);
+        rc = score_view(&w, views[v], e);
 out:
-    for (size_t f = 0; f < SCORE_FIELDS; f++) {
-        mem_free(w.field[f]);
-        mem_free(w.scratch[f]);
-    }
-    mem_free(sums);
+    if (l->score && l->score->device)
+        render_score_forget(l->score->device);
+    mem_free(w.opacity);
+    mem_free(w.volume);
     mem_free(views);
     mem_free(all);
     return rc;

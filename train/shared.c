@@ -59,14 +59,17 @@ enum err_code shared_read_model(const struct ckpt *c, const char *path, struct a
 
 static enum err_code shared_load(const char *path, struct appearance *out, struct err *e)
 {
-    struct ckpt c;
-    enum err_code rc = ckpt_read(path, &c, e);
-    if (rc)
-        return rc;
-    rc = shared_read_model(&c, path, out, e);
-    if (!rc && !out->block)
+    struct ckpt_rows *c = NULL;
+    struct buf b = {0};
+    enum err_code rc = ckpt_rows_open(path, &c, e);
+    if (!rc)
+        rc = ckpt_rows_blob(c, LIGHT_BLOB, &b, e);
+    if (!rc && !b.data)
         rc = err_set(e, ERR_FORMAT, "%s: holds no appearance model", path);
-    ckpt_free(&c);
+    else if (!rc && appearance_read(b.data, b.size, out, e))
+        rc = err_add(e, "%s", path);
+    buf_free(&b);
+    ckpt_rows_close(&c);
     return rc;
 }
 

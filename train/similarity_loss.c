@@ -12,41 +12,52 @@
 #include <math.h>
 #include <string.h>
 
+#include "core/layout.h"
 #include "core/pool.h"
 #include "train/knn.h"
 #include "train/regular.h"
 #include "train/train.h"
 
 #define SIMILARITY_LENGTH_MIN 1e-12
-enum { SIMILARITY_CHUNK = 256, SIMILARITY_EMBED_MAX = GAUSS_EMBED_MAX };
+enum {
+    SIMILARITY_CHUNK = 256,
+    SIMILARITY_EMBED_MAX = GAUSS_EMBED_MAX,
+    SIMILARITY_LANES = LAYOUT_LANES
+};
 
-struct similarity_work {
-    const struct similarity_loss_input *in;
+struct similarity_loss {
+    struct similarity_loss_input in;
     struct knn tree;
     uint32_t *chosen, *ids; /* [samples], [samples][k] */
     float *grad;            /* [samples][k][len], with respect to the unit embeddings */
     double *loss;           /* [samples] */
     size_t *found;          /* [samples] */
     size_t samples, k;
+    double scale;           /* of the gradients */
+    uint32_t *first, *part; /* rows: parts of row i are part[first[i]] .. part[first[i + 1] - 1],
+                             * indices into ids, ascending */
 };
 
 /* v / max(|v|, 1e-12) of a row; returns the divisor. */
 static double similarity_unit(const struct similarity_loss_input *in, size_t row, double *out)
 {
-    const float *v = in->embed + row * in->len;
+    const float *v = in->embed + row / SIMILARITY_LANES * in->embed_group +
+                     row % SIMILARITY_LANES * in->embed_lane;
     double sum = 0.0;
-    for (size_t c = 0; c < in->len; c++)
-        sum += (double)v[c] * (double)v[c];
+    for (size_t c = 0; c < in->len; c++) {
+        out[c] = (double)v[c * in->embed_next];
+        sum += out[c] * out[c];
+    }
     double len = fmax(sqrt(sum), SIMILARITY_LENGTH_MIN);
     for (size_t c = 0; c < in->len; c++)
-        out[c] = (double)v[c] / len;
+        out[c] /= len;
     return len;
 }
 
 /* One group: sum over a < b of w_b (1 - a.b), by prefix sums forth and suffix sums back. */
-static void similarity_group(struct similarity_work *w, size_t sample)
+static void similarity_group(struct similarity_loss *w, size_t sample)
 {
-    const struct similarity_loss_input *in = w->in;
+    const struct similarity_loss_input *in = &w->in;
     double unit[KNN_MAX][SIMILARITY_EMBED_MAX], sum[SIMILARITY_EMBED_MAX] = {0};
     double weight[KNN_MAX];
     float dist2[KNN_MAX];
@@ -77,16 +88,16 @@ static void similarity_group(struct similarity_work *w, size_t sample)
 static enum err_code similarity_chunk(void *user, size_t chunk, struct err *e)
 {
     (void)e;
-    struct similarity_work *w = user;
+    struct similarity_loss *w = user;
     size_t end = (chunk + 1) * SIMILARITY_CHUNK;
     for (size_t i = chunk * SIMILARITY_CHUNK; i < end && i < w->samples; i++)
         similarity_group(w, i);
     return ERR_OK;
 }
 
-static enum err_code similarity_draw(struct similarity_work *w, struct err *e)
+static enum err_code similarity_draw(struct similarity_loss *w, struct err *e)
 {
-    const struct similarity_loss_input *in = w->in;
+    const struct similarity_loss_input *in = &w->in;
     uint32_t *all = mem_array(in->n, sizeof(*all));
     if (!all)
         return err_set(e, ERR_MEM, "similarity: out of memory for %zu Gaussians", in->n);
@@ -98,78 +109,110 @@ static enum err_code similarity_draw(struct similarity_work *w, struct err *e)
     return rc;
 }
 
-/* Add the groups up, in order, and go back through the normalisation. Rows in no group keep 0. */
-static void similarity_gather(const struct similarity_work *w, double scale, double *sum,
-                              uint8_t *touched, float *grad)
+/* Which groups have a part in each row, in their order. */
+static enum err_code similarity_index(struct similarity_loss *w, struct err *e)
 {
-    const struct similarity_loss_input *in = w->in;
+    size_t n = w->in.n;
+    w->first = mem_array(n + 2, sizeof(*w->first));
+    w->part = mem_array(w->samples * w->k, sizeof(*w->part));
+    if (!w->first || !w->part)
+        return err_set(e, ERR_MEM, "similarity: out of memory for %zu Gaussians", n);
     for (size_t s = 0; s < w->samples; s++)
-        for (size_t a = 0; a < w->found[s]; a++) {
-            size_t row = w->ids[s * w->k + a];
-            touched[row] = 1;
-            for (size_t c = 0; c < in->len; c++)
-                sum[row * in->len + c] += (double)w->grad[(s * w->k + a) * in->len + c];
-        }
-    for (size_t i = 0; i < in->n; i++) {
-        double unit[SIMILARITY_EMBED_MAX], along = 0.0;
-        if (!touched[i])
+        for (size_t a = 0; a < w->found[s]; a++)
+            w->first[w->ids[s * w->k + a] + 2]++;
+    for (size_t i = 2; i < n + 2; i++)
+        w->first[i] += w->first[i - 1];
+    for (size_t s = 0; s < w->samples; s++) /* [i + 1] walks from the first part to the last */
+        for (size_t a = 0; a < w->found[s]; a++)
+            w->part[w->first[w->ids[s * w->k + a] + 1]++] = (uint32_t)(s * w->k + a);
+    return ERR_OK;
+}
+
+/* Add the groups up, in order, and go back through the normalisation. Rows in no group have 0. */
+void similarity_loss_rows(const struct similarity_loss *w, size_t first, size_t count, float *grad)
+{
+    const struct similarity_loss_input *in = &w->in;
+    memset(grad, 0, count * in->len * sizeof(*grad));
+    for (size_t i = first; w->first && i < first + count; i++, grad += in->len) {
+        double unit[SIMILARITY_EMBED_MAX], sum[SIMILARITY_EMBED_MAX] = {0}, along = 0.0;
+        if (w->first[i] == w->first[i + 1])
             continue;
+        for (uint32_t k = w->first[i]; k < w->first[i + 1]; k++)
+            for (size_t c = 0; c < in->len; c++)
+                sum[c] += (double)w->grad[w->part[k] * in->len + c];
         double len = similarity_unit(in, i, unit);
         for (size_t c = 0; c < in->len; c++)
-            along += unit[c] * sum[i * in->len + c];
+            along += unit[c] * sum[c];
         for (size_t c = 0; c < in->len; c++)
-            grad[i * in->len + c] = (float)(scale * (sum[i * in->len + c] - unit[c] * along) / len);
+            grad[c] = (float)(w->scale * (sum[c] - unit[c] * along) / len);
     }
 }
 
-enum err_code similarity_loss_run(const struct similarity_loss_input *in, double *loss, float *grad,
-                                  struct err *e)
+void similarity_loss_close(struct similarity_loss **p)
 {
-    struct similarity_work w = {.in = in};
-    double *sum = NULL;
-    uint8_t *touched = NULL;
+    struct similarity_loss *w = *p;
+    if (!w)
+        return;
+    knn_free(&w->tree);
+    mem_free(w->chosen);
+    mem_free(w->ids);
+    mem_free(w->grad);
+    mem_free(w->loss);
+    mem_free(w->found);
+    mem_free(w->first);
+    mem_free(w->part);
+    mem_free(w);
+    *p = NULL;
+}
+
+static enum err_code similarity_groups(struct similarity_loss *w, struct err *e)
+{
+    const struct similarity_loss_input *in = &w->in;
+    w->samples = in->samples < in->n ? in->samples : in->n;
+    w->k = in->neighbours < in->n ? in->neighbours : in->n;
+    if (w->samples > UINT32_MAX / w->k)
+        return err_set(e, ERR_LIMIT, "similarity: %zu groups of %zu are more than 2^32", w->samples,
+                       w->k);
+    w->chosen = mem_array(w->samples, sizeof(*w->chosen));
+    enum err_code rc =
+        w->chosen ? similarity_draw(w, e) : err_set(e, ERR_MEM, "similarity: out of memory");
+    if (!rc)
+        rc = knn_build(in->mean_m, in->n, &w->tree, e);
+    if (rc)
+        return rc;
+    w->ids = mem_array(w->samples * w->k, sizeof(*w->ids));
+    w->grad = mem_array(w->samples * w->k, in->len * sizeof(*w->grad));
+    w->loss = mem_array(w->samples, sizeof(*w->loss));
+    w->found = mem_array(w->samples, sizeof(*w->found));
+    if (!w->ids || !w->grad || !w->loss || !w->found)
+        return err_set(e, ERR_MEM, "similarity: out of memory for %zu groups", w->samples);
+    rc =
+        pool_for((w->samples + SIMILARITY_CHUNK - 1) / SIMILARITY_CHUNK, 0, similarity_chunk, w, e);
+    knn_free(&w->tree);
+    return rc ? rc : similarity_index(w, e);
+}
+
+enum err_code similarity_loss_open(const struct similarity_loss_input *in,
+                                   struct similarity_loss **out, double *loss, struct err *e)
+{
     *loss = 0.0;
+    *out = NULL;
     if (in->len < 1 || in->len > SIMILARITY_EMBED_MAX || in->neighbours < 2 ||
         in->neighbours > KNN_MAX)
         return err_set(
             e, ERR_ARG,
             "similarity: %zu neighbours, embeddings of %zu: 2 to %d, 1 to %d are possible",
             in->neighbours, in->len, KNN_MAX, SIMILARITY_EMBED_MAX);
-    memset(grad, 0, in->n * in->len * sizeof(*grad));
+    struct similarity_loss *w = mem_array(1, sizeof(*w));
+    if (!w)
+        return err_set(e, ERR_MEM, "similarity: out of memory");
+    w->in = *in;
+    *out = w;
     if (in->n < 2)
         return ERR_OK;
-    w.samples = in->samples < in->n ? in->samples : in->n;
-    w.k = in->neighbours < in->n ? in->neighbours : in->n;
-    enum err_code rc = knn_build(in->mean_m, in->n, &w.tree, e);
-    if (rc)
-        return rc;
-    w.chosen = mem_array(w.samples, sizeof(*w.chosen));
-    w.ids = mem_array(w.samples * w.k, sizeof(*w.ids));
-    w.grad = mem_array(w.samples * w.k, in->len * sizeof(*w.grad));
-    w.loss = mem_array(w.samples, sizeof(*w.loss));
-    w.found = mem_array(w.samples, sizeof(*w.found));
-    sum = mem_array(in->n, in->len * sizeof(*sum));
-    touched = mem_array(in->n, 1);
-    if (!w.chosen || !w.ids || !w.grad || !w.loss || !w.found || !sum || !touched)
-        rc = err_set(e, ERR_MEM, "similarity: out of memory for %zu Gaussians", in->n);
-    if (!rc)
-        rc = similarity_draw(&w, e);
-    if (!rc)
-        rc = pool_for((w.samples + SIMILARITY_CHUNK - 1) / SIMILARITY_CHUNK, 0, similarity_chunk,
-                      &w, e);
-    if (!rc) {
-        double scale = in->weight / ((double)w.samples * 0.5 * (double)(w.k * (w.k - 1)));
-        for (size_t i = 0; i < w.samples; i++)
-            *loss += scale * w.loss[i];
-        similarity_gather(&w, scale, sum, touched, grad);
-    }
-    knn_free(&w.tree);
-    mem_free(w.chosen);
-    mem_free(w.ids);
-    mem_free(w.grad);
-    mem_free(w.loss);
-    mem_free(w.found);
-    mem_free(sum);
-    mem_free(touched);
+    enum err_code rc = similarity_groups(w, e);
+    w->scale = in->weight / ((double)w->samples * 0.5 * (double)(w->k * (w->k - 1)));
+    for (size_t i = 0; !rc && i < w->samples; i++)
+        *loss += w->scale * w->loss[i];
     return rc;
 }

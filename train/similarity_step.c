@@ -1,24 +1,26 @@
-/* The similarity loss in training: embeddings come to the host, their gradient goes into Adam's
- * moments, where the step that follows takes it up (similarity_loss.cl says why that is right).
+/* The similarity loss in training: the host looks at the embeddings where they lie, their gradient
+ * goes in pieces into Adam's moments, where the step that follows takes it up (similarity_loss.cl
+ * says why that is right).
  *
- * Owns its kernels and one buffer of rows, which serves both ways.
+ * Owns its kernel and a buffer for one piece.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "core/base.h"
 #include "core/layout.h"
 #include "train/regular.h"
+#include "train/rows.h"
 
 extern const char similarity_loss_cl[];
 
-enum { SIMILARITY_LOCAL = 64 };
+enum { SIMILARITY_LOCAL = 64, SIMILARITY_PIECE = 16384 };
 
 struct similarity_step {
     struct dev *dev; /* borrowed */
     cl_program program;
-    cl_kernel pack, add;
-    cl_mem rows;
-    size_t floats; /* room in rows */
+    cl_kernel add;
+    cl_mem rows; /* float [SIMILARITY_PIECE][len] */
+    uint32_t len;
 };
 
 void similarity_step_close(struct similarity_step **p)
@@ -26,8 +28,6 @@ void similarity_step_close(struct similarity_step **p)
     struct similarity_step *s = *p;
     if (!s)
         return;
-    if (s->pack)
-        clReleaseKernel(s->pack);
     if (s->add)
         clReleaseKernel(s->add);
     if (s->program)
@@ -47,8 +47,6 @@ enum err_code similarity_step_open(struct dev *dev, struct similarity_step **out
     s->dev = dev;
     enum err_code rc = dev_build(dev, &source, 1, NULL, &s->program, e);
     if (!rc)
-        rc = dev_kernel(s->program, "similarity_pack", &s->pack, e);
-    if (!rc)
         rc = dev_kernel(s->program, "similarity_add", &s->add, e);
     if (rc)
         similarity_step_close(&s);
@@ -56,51 +54,61 @@ enum err_code similarity_step_open(struct dev *dev, struct similarity_step **out
     return rc;
 }
 
-static enum err_code similarity_download(struct similarity_step *s, const struct render_model *m,
-                                         uint32_t first, float *rows, struct err *e)
+static enum err_code similarity_reserve(struct similarity_step *s, uint32_t len, struct err *e)
 {
-    cl_uint n = m->n, planes = m->planes, at = first, len = m->planes - first;
-    size_t floats = (size_t)m->n * (3 + len);
-    enum err_code rc = ERR_OK;
-    if (floats > s->floats) {
-        dev_release(&s->rows);
-        s->floats = 0;
-        rc = dev_buffer(s->dev, floats * sizeof(float), NULL, &s->rows, e);
-        s->floats = rc ? 0 : floats;
-    }
-    if (rc)
-        return rc;
-    cl_int bad = dev_arg(s->pack, 0, m->params);
-    bad |= dev_arg(s->pack, 1, n);
-    bad |= dev_arg(s->pack, 2, planes);
-    bad |= dev_arg(s->pack, 3, at);
-    bad |= dev_arg(s->pack, 4, len);
-    bad |= dev_arg(s->pack, 5, s->rows);
-    if (bad != CL_SUCCESS)
-        return err_set(e, ERR_DEVICE, "similarity_pack: arguments: %s", dev_error_name(bad));
-    rc = dev_run(s->dev, s->pack, "similarity_pack", n, SIMILARITY_LOCAL, e);
-    return rc ? rc : dev_read(s->dev, s->rows, 0, floats * sizeof(float), rows, e);
+    if (s->len == len)
+        return ERR_OK;
+    dev_release(&s->rows);
+    s->len = 0;
+    enum err_code rc =
+        dev_buffer(s->dev, SIMILARITY_PIECE * len * sizeof(float), NULL, &s->rows, e);
+    s->len = rc ? 0 : len;
+    return rc;
 }
 
-static enum err_code similarity_upload(struct similarity_step *s, const struct render_model *m,
-                                       const struct render_adam *adam, uint32_t first,
-                                       const float *grad, struct err *e)
+/* Gradients of `count` rows from `row` on into the moments. */
+static enum err_code similarity_add(struct similarity_step *s, const struct render_model *m,
+                                    const struct render_adam *adam, size_t row, size_t count,
+                                    const float *grad, struct err *e)
 {
-    cl_uint n = m->n, planes = m->planes, at = first, len = m->planes - first;
+    cl_uint from = (cl_uint)row, n = (cl_uint)count, planes = m->planes, len = s->len,
+            at = m->planes - len;
     cl_float k1 = (1.0f - adam->beta1) / adam->beta1, k2 = (1.0f - adam->beta2) / adam->beta2;
-    enum err_code rc = dev_write(s->dev, s->rows, 0, (size_t)m->n * len * sizeof(*grad), grad, e);
+    enum err_code rc = dev_write(s->dev, s->rows, 0, count * len * sizeof(*grad), grad, e);
     cl_int bad = dev_arg(s->add, 0, s->rows);
-    bad |= dev_arg(s->add, 1, n);
-    bad |= dev_arg(s->add, 2, planes);
-    bad |= dev_arg(s->add, 3, at);
-    bad |= dev_arg(s->add, 4, len);
-    bad |= dev_arg(s->add, 5, k1);
-    bad |= dev_arg(s->add, 6, k2);
-    bad |= dev_arg(s->add, 7, adam->m1);
-    bad |= dev_arg(s->add, 8, adam->m2);
+    bad |= dev_arg(s->add, 1, from);
+    bad |= dev_arg(s->add, 2, n);
+    bad |= dev_arg(s->add, 3, planes);
+    bad |= dev_arg(s->add, 4, at);
+    bad |= dev_arg(s->add, 5, len);
+    bad |= dev_arg(s->add, 6, k1);
+    bad |= dev_arg(s->add, 7, k2);
+    bad |= dev_arg(s->add, 8, adam->m1);
+    bad |= dev_arg(s->add, 9, adam->m2);
     if (!rc && bad != CL_SUCCESS)
         rc = err_set(e, ERR_DEVICE, "similarity_add: arguments: %s", dev_error_name(bad));
     return rc ? rc : dev_run(s->dev, s->add, "similarity_add", n, SIMILARITY_LOCAL, e);
+}
+
+static enum err_code similarity_run(struct similarity_step *s, const struct render_model *m,
+                                    const struct render_adam *adam,
+                                    const struct similarity_loss_input *in, double *loss,
+                                    struct err *e)
+{
+    struct similarity_loss *w = NULL;
+    float *grad = mem_array(SIMILARITY_PIECE, in->len * sizeof(*grad));
+    enum err_code rc = grad ? similarity_reserve(s, (uint32_t)in->len, e)
+                            : err_set(e, ERR_MEM, "similarity: out of memory");
+    if (!rc)
+        rc = similarity_loss_open(in, &w, loss, e);
+    for (size_t i = 0; !rc && i < in->n; i += SIMILARITY_PIECE) {
+        size_t count = in->n - i < SIMILARITY_PIECE ? in->n - i : SIMILARITY_PIECE;
+        similarity_loss_rows(w, i, count, grad);
+        rc = similarity_add(s, m, adam, i, count, grad, e);
+    }
+    similarity_loss_close(&w);
+    mem_free(grad);
+    return rc;
 }
 
 enum err_code similarity_step_run(struct similarity_step *s, const struct render_model *m,
@@ -108,36 +116,33 @@ enum err_code similarity_step_run(struct similarity_step *s, const struct render
                                   const struct similarity_loss_input *like, double *loss,
                                   struct err *e)
 {
-    uint32_t first = render_planes(m->sh_degree), len = m->planes - first;
-    size_t n = m->n, row = 3 + len;
+    const size_t n = m->n, embed = render_planes(m->sh_degree), group = m->planes * LAYOUT_LANES;
     struct similarity_loss_input in = *like;
+    struct err why = {0};
+    void *params = NULL;
     *loss = 0.0;
-    if (!len || !n)
+    if (!m->embed_len || !n)
         return ERR_OK;
     if (!(adam->beta1 > 0.0f) || !(adam->beta2 > 0.0f))
         return err_set(e, ERR_ARG, "similarity: Adam without momentum has no place for it");
-    float *rows = mem_array(n, row * sizeof(*rows)), *mean = mem_array(n, 3 * sizeof(*mean)),
-          *embed = mem_array(n, len * sizeof(*embed)), *grad = mem_array(n, len * sizeof(*grad));
-    enum err_code rc = rows && mean && embed && grad
-                           ? similarity_download(s, m, first, rows, e)
-                           : err_set(e, ERR_MEM, "similarity: out of memory for %zu Gaussians", n);
-    for (size_t i = 0; !rc && i < n; i++) {
+    float *mean = mem_array(n, 3 * sizeof(*mean));
+    enum err_code rc = mean ? dev_map(s->dev, m->params, CL_MAP_READ,
+                                      rows_floats(n, m->planes) * sizeof(float), &params, e)
+                            : err_set(e, ERR_MEM, "similarity: out of memory for %zu Gaussians", n);
+    for (size_t i = 0; !rc && i < n; i++)
         for (size_t k = 0; k < 3; k++)
-            mean[3 * i + k] = rows[i * row + k];
-        for (size_t k = 0; k < len; k++)
-            embed[i * len + k] = rows[i * row + 3 + k];
+            mean[3 * i + k] = ((const float *)params)[rows_at(i, m->planes) + k * LAYOUT_LANES];
+    if (!rc) {
+        in.mean_m = mean;
+        in.embed = (const float *)params + embed * LAYOUT_LANES;
+        in.embed_group = group;
+        in.embed_lane = 1;
+        in.embed_next = LAYOUT_LANES;
+        in.n = n;
+        in.len = m->embed_len;
+        rc = similarity_run(s, m, adam, &in, loss, e);
     }
-    in.mean_m = mean;
-    in.embed = embed;
-    in.n = n;
-    in.len = len;
-    if (!rc)
-        rc = similarity_loss_run(&in, loss, grad, e);
-    if (!rc)
-        rc = similarity_upload(s, m, adam, first, grad, e);
-    mem_free(rows);
+    enum err_code done = dev_unmap(s->dev, m->params, &params, &why);
     mem_free(mean);
-    mem_free(embed);
-    mem_free(grad);
-    return rc;
+    return !rc && done ? err_set(e, done, "%s", why.msg) : rc;
 }

@@ -16,7 +16,7 @@
 #include "train/level.h"
 
 #define STATE_SAME_M 1e-6 /* lengths of a plan go through text */
-enum { STATE_STATS = 5, STATE_LIGHTS = 2 };
+enum { STATE_STATS = 5, STATE_LIGHTS = 2, STATE_SLICE = 65536 };
 static const char *const state_stat_names[STATE_STATS] = {"stat_grad", "stat_absg", "stat_count",
                                                           "stat_radius", "stat_opacity"};
 
@@ -83,28 +83,104 @@ static json_t *state_meta(const struct level *l, const char *kind, struct err *e
 /* ---- writing
  * --------------------------------------------------------------------------------------- */
 
+/* Buffers of the device that the host looks at while a file is written: on CPU devices nothing is
+ * copied, however large the level. */
+struct state_view {
+    struct level *l;
+    struct gauss like;
+    cl_mem mem[4 + STATE_STATS];
+    void *at[4 + STATE_STATS]; /* [0]: the parameters */
+    size_t n;
+    float *filter; /* [n] to fold in, or NULL */
+};
+
+static enum err_code state_look(struct state_view *v, cl_mem mem, size_t bytes, struct err *e)
+{
+    enum err_code rc = dev_map(v->l->dev, mem, CL_MAP_READ, bytes, &v->at[v->n], e);
+    if (!rc)
+        v->mem[v->n++] = mem;
+    return rc;
+}
+
+static enum err_code state_view_open(struct level *l, struct state_view *v, struct err *e)
+{
+    const struct render_model *m = &l->model;
+    *v = (struct state_view){.l = l,
+                             .like = {.n = m->n,
+                                      .sh_degree = m->sh_degree,
+                                      .embed_len = m->embed_len,
+                                      .antialiased = l->cfg->aa != RENDER_AA_NONE}};
+    memcpy(v->like.origin_enu_m, m->origin_enu_m, sizeof(v->like.origin_enu_m));
+    return state_look(v, m->params, rows_floats(m->n, m->planes) * sizeof(float), e);
+}
+
+/* Give the buffers back; rc is what came before. */
+static enum err_code state_view_close(struct state_view *v, enum err_code rc, struct err *e)
+{
+    struct err why = {0};
+    for (size_t i = 0; i < v->n; i++) {
+        enum err_code done = dev_unmap(v->l->dev, v->mem[i], &v->at[i], &why);
+        if (!rc && done)
+            rc = err_set(e, done, "%s", why.msg);
+    }
+    mem_free(v->filter);
+    return rc;
+}
+
 /* Results carry the 3-D filter in their sizes and opacities: whoever draws them needs to know
  * nothing of it. */
-static enum err_code state_fold(struct level *l, struct gauss *g, struct err *e)
+static void state_fold(const struct state_view *v, enum ckpt_field field, size_t row, float *out)
 {
+    const float *p = (const float *)v->at[0] + rows_at(row, v->l->model.planes);
+    float scale[3], opacity = p[RENDER_PLANE_OPACITY * LAYOUT_LANES];
+    struct gauss one = {.n = 1, .scale_log = scale, .opacity_logit = &opacity};
+    for (size_t k = 0; k < 3; k++)
+        scale[k] = p[(RENDER_PLANE_SCALE + k) * LAYOUT_LANES];
+    mip_fold(&one, v->filter + row);
+    memcpy(out, field == CKPT_SCALE ? scale : &opacity,
+           (field == CKPT_SCALE ? 3 : 1) * sizeof(*out));
+}
+
+/* Rows of one array of the Gaussians, for ckpt_write_from. */
+static enum err_code state_rows(void *user, enum ckpt_field field, size_t first, size_t n,
+                                float *out, struct err *e)
+{
+    (void)e;
+    const struct state_view *v = user;
+    const struct render_model *m = &v->l->model;
+    const uint32_t plane[] = {
+        RENDER_PLANE_MEAN, RENDER_PLANE_SCALE,          RENDER_PLANE_QUAT, RENDER_PLANE_OPACITY,
+        RENDER_PLANE_SH,   render_planes(m->sh_degree), m->planes};
+    size_t count = plane[field + 1] - plane[field];
+    bool fold = v->filter && (field == CKPT_SCALE || field == CKPT_OPACITY);
+    for (size_t i = 0; i < n; i++) {
+        const float *p = (const float *)v->at[0] + rows_at(first + i, m->planes) +
+                         (size_t)plane[field] * LAYOUT_LANES;
+        if (fold)
+            state_fold(v, field, first + i, out + i * count);
+        for (size_t k = 0; !fold && k < count; k++)
+            out[i * count + k] = p[k * LAYOUT_LANES];
+    }
+    return ERR_OK;
+}
+
+static enum err_code state_view_filter(struct state_view *v, struct err *e)
+{
+    struct level *l = v->l;
     if (l->cfg->aa != RENDER_AA_MIP)
         return ERR_OK;
     enum err_code rc = regular_filter(l, e);
-    float *filter = mem_array(g->n, sizeof(*filter));
-    if (!rc && !filter)
-        rc = err_set(e, ERR_MEM, "checkpoint: out of memory for %zu Gaussians", g->n);
-    if (!rc)
-        rc = dev_read(l->dev, l->model.filter, 0, g->n * sizeof(*filter), filter, e);
-    if (!rc)
-        mip_fold(g, filter);
-    mem_free(filter);
-    return rc;
+    v->filter = mem_array(l->model.n, sizeof(*v->filter));
+    if (!rc && !v->filter)
+        rc = err_set(e, ERR_MEM, "checkpoint: out of memory for %u Gaussians", l->model.n);
+    return rc ? rc
+              : dev_read(l->dev, l->model.filter, 0, l->model.n * sizeof(*v->filter), v->filter, e);
 }
 
 enum err_code state_save_level(struct level *l, const char *path,
                                const struct evaluate_score *score, struct err *e)
 {
-    struct gauss g = {0};
+    struct state_view v = {0};
     json_t *meta = state_meta(l, "level", e);
     if (!meta)
         return ERR_MEM;
@@ -116,8 +192,6 @@ enum err_code state_save_level(struct level *l, const char *path,
         if (!test || json_object_set_new(meta, "test", test))
             rc = err_set(e, ERR_MEM, "%s: out of memory", path);
     }
-    if (!rc)
-        rc = level_gauss(l, &g, e);
     struct buf look = {0};
     struct ckpt_blob blob = {.name = LIGHT_BLOB};
     bool with = light_is_on(&l->light);
@@ -125,26 +199,29 @@ enum err_code state_save_level(struct level *l, const char *path,
         rc = appearance_write(&l->light.model, &look, e);
     blob.data = look.data;
     blob.size_bytes = look.size;
-    if (!rc)
-        rc = state_fold(l, &g, e);
-    if (!rc)
-        rc = ckpt_write(path, meta, &g, &blob, with, e);
+    if (!rc) {
+        rc = state_view_open(l, &v, e);
+        if (!rc)
+            rc = state_view_filter(&v, e);
+        const struct ckpt_source from = {&v.like, state_rows, &v};
+        if (!rc)
+            rc = ckpt_write_from(path, meta, &from, &blob, with, e);
+        rc = state_view_close(&v, rc, e);
+    }
     buf_free(&look);
-    gauss_free(&g);
     json_decref(meta);
     return rc;
 }
 
-static enum err_code state_blob(struct level *l, const char *name, cl_mem from, size_t bytes,
+/* A buffer of the device as a blob. */
+static enum err_code state_blob(struct state_view *v, const char *name, cl_mem from, size_t bytes,
                                 struct ckpt_blob *b, struct err *e)
 {
-    void *host = mem_array(bytes, 1);
-    if (!host)
-        return err_set(e, ERR_MEM, "checkpoint: out of memory for %zu bytes", bytes);
+    enum err_code rc = state_look(v, from, bytes, e);
     memcpy(b->name, name, strlen(name) + 1);
-    b->data = host;
+    b->data = rc ? NULL : v->at[v->n - 1];
     b->size_bytes = bytes;
-    return dev_read(l->dev, from, 0, bytes, host, e);
+    return rc;
 }
 
 /* The appearance model, and the moments of its optimiser. */
@@ -157,49 +234,44 @@ static enum err_code state_light_blobs(const struct level *l, struct ckpt_blob o
         rc = light_write_state(&l->light, &b[1], e);
     memcpy(out[0].name, LIGHT_BLOB, sizeof(LIGHT_BLOB));
     memcpy(out[1].name, LIGHT_BLOB_STATE, sizeof(LIGHT_BLOB_STATE));
-    for (size_t i = 0; i < STATE_LIGHTS; i++) { /* freed with the other blobs */
+    for (size_t i = 0; i < STATE_LIGHTS; i++) { /* the caller frees them */
         out[i].data = b[i].data;
         out[i].size_bytes = b[i].size;
     }
     return rc;
 }
 
-static void state_free_blobs(struct ckpt_blob *b, size_t n)
-{
-    for (size_t i = 0; i < n; i++)
-        mem_free((void *)(uintptr_t)b[i].data);
-}
-
 enum err_code state_save(struct level *l, const char *path, struct err *e)
 {
-    struct gauss g = {0};
+    struct state_view v = {0};
     struct ckpt_blob blobs[3 + STATE_STATS + STATE_LIGHTS] = {0};
-    size_t n = 0, moments = densify_floats(l->model.n, l->model.planes) * sizeof(float);
+    const struct render_model *m = &l->model;
+    size_t n = 0, moments = rows_floats(m->n, m->planes) * sizeof(float), lights = 0;
     json_t *meta = state_meta(l, "resume", e);
     if (!meta)
         return ERR_MEM;
     cl_mem stats[STATE_STATS];
     state_stat_buffers(l, stats);
-    enum err_code rc = level_gauss(l, &g, e);
+    enum err_code rc = state_view_open(l, &v, e);
     if (!rc)
-        rc = state_blob(l, "adam_m1", l->adam.m1, moments, &blobs[n++], e);
+        rc = state_blob(&v, "adam_m1", l->adam.m1, moments, &blobs[n++], e);
     if (!rc)
-        rc = state_blob(l, "adam_m2", l->adam.m2, moments, &blobs[n++], e);
+        rc = state_blob(&v, "adam_m2", l->adam.m2, moments, &blobs[n++], e);
     for (size_t i = 0; !rc && i < STATE_STATS && stats[i]; i++)
-        rc = state_blob(l, state_stat_names[i], stats[i], l->model.n * sizeof(float), &blobs[n++],
-                        e);
-    if (!rc && l->model.filter && l->filter_is_current)
-        rc = state_blob(l, "filter", l->model.filter, l->model.n * sizeof(float), &blobs[n++], e);
+        rc = state_blob(&v, state_stat_names[i], stats[i], m->n * sizeof(float), &blobs[n++], e);
+    if (!rc && m->filter && l->filter_is_current)
+        rc = state_blob(&v, "filter", m->filter, m->n * sizeof(float), &blobs[n++], e);
     if (!rc && light_is_on(&l->light)) {
         rc = state_light_blobs(l, blobs + n, e);
-        n += STATE_LIGHTS;
+        lights = STATE_LIGHTS;
     }
+    const struct ckpt_source from = {&v.like, state_rows, &v};
     if (!rc)
-        rc = ckpt_write(path, meta, &g, blobs, n, e);
-    state_free_blobs(blobs, n);
-    gauss_free(&g);
+        rc = ckpt_write_from(path, meta, &from, blobs, n + lights, e);
+    for (size_t i = 0; i < lights; i++)
+        mem_free((void *)(uintptr_t)blobs[n + i].data);
     json_decref(meta);
-    return rc;
+    return state_view_close(&v, rc, e);
 }
 
 /* ---- reading
@@ -263,10 +335,10 @@ static enum err_code state_check_cell(const struct level *l, const char *path, c
     return ERR_OK;
 }
 
-static enum err_code state_integer(const struct ckpt *c, const char *path, const char *key,
-                                   double lo, double hi, double *out, struct err *e)
+static enum err_code state_integer(const json_t *meta, const char *path, const char *key, double lo,
+                                   double hi, double *out, struct err *e)
 {
-    enum err_code rc = jsonc_num(c->meta, key, out, e);
+    enum err_code rc = jsonc_num(meta, key, out, e);
     if (rc)
         return err_add(e, "%s", path);
     if (!(*out >= lo && *out <= hi))
@@ -275,67 +347,79 @@ static enum err_code state_integer(const struct ckpt *c, const char *path, const
     return ERR_OK;
 }
 
-static const void *state_find(const struct ckpt *c, const char *path, const char *name,
-                              size_t bytes, struct err *e)
+/* A blob straight into a buffer of the device. */
+static enum err_code state_fill(const struct level *l, const struct ckpt_rows *c, const char *name,
+                                cl_mem to, size_t bytes, struct err *e)
 {
-    const struct ckpt_blob *b = ckpt_find(c, name);
-    if (b && b->size_bytes == bytes)
-        return b->data;
-    err_set(e, ERR_FORMAT, "%s: '%s' does not hold %zu bytes", path, name, bytes);
-    return NULL;
+    void *at = NULL;
+    struct err why = {0};
+    enum err_code rc = dev_map(l->dev, to, CL_MAP_WRITE, bytes, &at, e);
+    if (!rc)
+        rc = ckpt_rows_blob_to(c, name, at, bytes, e);
+    enum err_code done = dev_unmap(l->dev, to, &at, &why);
+    return !rc && done ? err_set(e, done, "%s", why.msg) : rc;
 }
 
-static enum err_code state_upload(struct level *l, const struct ckpt *c, const char *path,
-                                  struct err *e)
+static enum err_code state_fill_light(struct level *l, const struct ckpt_rows *c, const char *path,
+                                      struct err *e)
 {
-    size_t moments = densify_floats(c->g.n, l->model.planes) * sizeof(float);
-    struct {
-        const char *name;
-        cl_mem to;
-        size_t bytes;
-    } part[2 + STATE_STATS] = {{"adam_m1", l->adam.m1, moments}, {"adam_m2", l->adam.m2, moments}};
+    struct buf model = {0}, adam = {0};
+    if (!light_is_on(&l->light))
+        return ERR_OK;
+    enum err_code rc = ckpt_rows_blob(c, LIGHT_BLOB, &model, e);
+    if (!rc)
+        rc = ckpt_rows_blob(c, LIGHT_BLOB_STATE, &adam, e);
+    if (!rc && (!model.data || !adam.data))
+        rc = err_set(e, ERR_FORMAT, "%s: holds no appearance model", path);
+    else if (!rc && light_read_state(&l->light, model.data, model.size, adam.data, adam.size, e))
+        rc = err_add(e, "%s", path);
+    buf_free(&model);
+    buf_free(&adam);
+    return rc;
+}
+
+/* The Gaussians, by the slice. */
+static enum err_code state_fill_rows(struct level *l, const struct ckpt_rows *c, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; !rc && i < l->model.n; i += STATE_SLICE) {
+        struct gauss g = {0};
+        rc = ckpt_rows_read(c, i, l->model.n - i < STATE_SLICE ? l->model.n - i : STATE_SLICE, &g,
+                            e);
+        if (!rc)
+            rc = render_model_write(l->render, &l->model, i, &g, e);
+        gauss_free(&g);
+    }
+    return rc;
+}
+
+static enum err_code state_fill_all(struct level *l, const struct ckpt_rows *c, const char *path,
+                                    struct err *e)
+{
+    size_t moments = rows_floats(l->model.n, l->model.planes) * sizeof(float);
     cl_mem stats[STATE_STATS];
     state_stat_buffers(l, stats);
-    for (size_t i = 0; i < STATE_STATS; i++) {
-        part[2 + i].name = state_stat_names[i];
-        part[2 + i].to = stats[i];
-        part[2 + i].bytes = c->g.n * sizeof(float);
-    }
-    if (light_is_on(&l->light)) {
-        const struct ckpt_blob *model = ckpt_find(c, LIGHT_BLOB);
-        const struct ckpt_blob *adam = ckpt_find(c, LIGHT_BLOB_STATE);
-        if (!model || !adam)
-            return err_set(e, ERR_FORMAT, "%s: holds no appearance model", path);
-        enum err_code rc = light_read_state(&l->light, model->data, model->size_bytes, adam->data,
-                                            adam->size_bytes, e);
-        if (rc)
-            return err_add(e, "%s", path);
-    }
-    for (size_t i = 0; i < 2 + STATE_STATS && part[i].to; i++) {
-        const void *data = state_find(c, path, part[i].name, part[i].bytes, e);
-        if (!data)
-            return ERR_FORMAT;
-        enum err_code rc = dev_write(l->dev, part[i].to, 0, part[i].bytes, data, e);
-        if (rc)
-            return rc;
-    }
-    return ERR_OK;
+    enum err_code rc = state_fill_rows(l, c, e);
+    if (!rc)
+        rc = state_fill_light(l, c, path, e);
+    if (!rc)
+        rc = state_fill(l, c, "adam_m1", l->adam.m1, moments, e);
+    if (!rc)
+        rc = state_fill(l, c, "adam_m2", l->adam.m2, moments, e);
+    for (size_t i = 0; !rc && i < STATE_STATS && stats[i]; i++)
+        rc = state_fill(l, c, state_stat_names[i], stats[i], l->model.n * sizeof(float), e);
+    return rc;
 }
 
 /* The filter of Mip-Splatting is as old as its last computation: without it the next one would come
  * too early and the run would take another way. */
-static enum err_code state_upload_filter(struct level *l, const struct ckpt *c, const char *path,
-                                         struct err *e)
+static enum err_code state_fill_filter(struct level *l, const struct ckpt_rows *c, struct err *e)
 {
-    size_t bytes = c->g.n * sizeof(float);
-    if (l->cfg->aa != RENDER_AA_MIP || !ckpt_find(c, "filter"))
+    if (l->cfg->aa != RENDER_AA_MIP || !ckpt_rows_has(c, "filter"))
         return ERR_OK;
-    const void *data = state_find(c, path, "filter", bytes, e);
-    if (!data)
-        return ERR_FORMAT;
     enum err_code rc = dev_buffer(l->dev, l->model.cap * sizeof(float), NULL, &l->model.filter, e);
     if (!rc)
-        rc = dev_write(l->dev, l->model.filter, 0, bytes, data, e);
+        rc = state_fill(l, c, "filter", l->model.filter, l->model.n * sizeof(float), e);
     l->filter_is_current = !rc;
     return rc;
 }
@@ -362,82 +446,90 @@ static enum err_code state_budget(struct level *l, const json_t *meta, struct er
     return ERR_OK;
 }
 
-static enum err_code state_apply(struct level *l, const struct ckpt *c, const char *path,
-                                 struct err *e)
+/* Is this a state of l's run? Then take over where it stood. */
+static enum err_code state_apply(struct level *l, const json_t *meta, const struct gauss *like,
+                                 const char *path, struct err *e)
 {
     const char *kind;
     double level, step, start;
-    enum err_code rc = jsonc_text(c->meta, "kind", &kind, e);
+    enum err_code rc = jsonc_text(meta, "kind", &kind, e);
     if (!rc && strcmp(kind, "resume"))
         rc = err_set(e, ERR_FORMAT, "is the result of a level, not a state to go on from");
     if (rc)
         return err_add(e, "%s", path);
-    rc = state_check_config(l, path, json_object_get(c->meta, "config"), e);
+    rc = state_check_config(l, path, json_object_get(meta, "config"), e);
     if (!rc)
-        rc = state_check_cell(l, path, c->meta, e);
+        rc = state_check_cell(l, path, meta, e);
     if (!rc)
-        rc = state_integer(c, path, "level", 1, l->n_levels, &level, e);
+        rc = state_integer(meta, path, "level", 1, l->n_levels, &level, e);
     if (!rc)
-        rc = state_integer(c, path, "step", 0, l->schedule[(int)level - 1].steps, &step, e);
+        rc = state_integer(meta, path, "step", 0, l->schedule[(int)level - 1].steps, &step, e);
     if (!rc)
-        rc = state_integer(c, path, "start", 0, 4e9, &start, e);
-    if (!rc && c->g.sh_degree != (uint32_t)l->cfg->sh_degree)
-        rc = err_set(e, ERR_FORMAT, "%s: harmonics of degree %u", path, c->g.sh_degree);
-    if (!rc && c->g.embed_len != l->light.model.len_gauss)
-        rc = err_set(e, ERR_FORMAT, "%s: embeddings of length %u", path, c->g.embed_len);
+        rc = state_integer(meta, path, "start", 0, 4e9, &start, e);
+    if (!rc && like->sh_degree != (uint32_t)l->cfg->sh_degree)
+        rc = err_set(e, ERR_FORMAT, "%s: harmonics of degree %u", path, like->sh_degree);
+    if (!rc && like->embed_len != l->light.model.len_gauss)
+        rc = err_set(e, ERR_FORMAT, "%s: embeddings of length %u", path, like->embed_len);
     if (rc)
         return rc;
     l->at = (uint32_t)level - 1;
     l->step = (uint32_t)step;
-    l->pruned = json_is_true(json_object_get(c->meta, "pruned"));
-    rc = state_budget(l, c->meta, e);
-    if (rc)
-        return err_add(e, "%s", path);
-    rc = level_open(l, &c->g, e);
     l->start = (size_t)start;
-    if (!rc)
-        rc = state_upload(l, c, path, e);
-    return rc ? rc : state_upload_filter(l, c, path, e);
+    l->pruned = json_is_true(json_object_get(meta, "pruned"));
+    rc = state_budget(l, meta, e);
+    return rc ? err_add(e, "%s", path) : ERR_OK;
 }
 
 enum err_code state_load(struct level *l, const char *path, struct err *e)
 {
-    struct ckpt c;
-    enum err_code rc = ckpt_read(path, &c, e);
-    if (rc)
-        return rc;
-    rc = state_apply(l, &c, path, e);
-    ckpt_free(&c);
+    struct ckpt_rows *c = NULL;
+    json_t *meta = NULL;
+    enum err_code rc = ckpt_rows_open(path, &c, e);
+    if (!rc)
+        rc = ckpt_rows_meta(c, &meta, e);
+    if (!rc)
+        rc = state_apply(l, meta, ckpt_rows_like(c), path, e);
+    if (!rc)
+        rc = level_reserve(l, ckpt_rows_like(c), e);
+    if (!rc)
+        rc = state_fill_all(l, c, path, e);
+    if (!rc)
+        rc = state_fill_filter(l, c, e);
+    json_decref(meta);
+    ckpt_rows_close(&c);
     return rc;
 }
 
 /* A cell that was trained with an older shared appearance model does not fit its neighbours. */
-static bool state_has_light(const struct level *l, const struct ckpt *c)
+static bool state_has_light(const struct level *l, const struct ckpt_rows *c)
 {
     struct appearance a = {0};
+    struct buf b = {0};
     struct err why = {0};
-    const struct ckpt_blob *b = ckpt_find(c, LIGHT_BLOB);
     if (!light_is_on(&l->light) || !l->light.shared)
-        return (b != NULL) == light_is_on(&l->light);
-    bool same =
-        b && !appearance_read(b->data, b->size_bytes, &a, &why) && light_same(&a, &l->light.model);
+        return ckpt_rows_has(c, LIGHT_BLOB) == light_is_on(&l->light);
+    bool same = !ckpt_rows_blob(c, LIGHT_BLOB, &b, &why) && b.data &&
+                !appearance_read(b.data, b.size, &a, &why) && light_same(&a, &l->light.model);
     appearance_free(&a);
+    buf_free(&b);
     return same;
 }
 
 enum err_code state_is_result_of(const struct level *l, const char *path, bool *yes, struct err *e)
 {
-    struct ckpt c;
+    struct ckpt_rows *c = NULL;
+    json_t *meta = NULL;
     struct err why = {0};
     const char *kind = NULL;
     double level = 0.0;
-    enum err_code rc = ckpt_read(path, &c, e);
-    if (rc)
-        return rc;
-    *yes = !jsonc_text(c.meta, "kind", &kind, &why) && !strcmp(kind, "level") &&
-           !jsonc_num(c.meta, "level", &level, &why) && level == (double)l->n_levels &&
-           !state_check_config(l, path, json_object_get(c.meta, "config"), &why) &&
-           !state_check_cell(l, path, c.meta, &why) && state_has_light(l, &c);
-    ckpt_free(&c);
-    return ERR_OK;
+    enum err_code rc = ckpt_rows_open(path, &c, e);
+    if (!rc)
+        rc = ckpt_rows_meta(c, &meta, e);
+    *yes = !rc && !jsonc_text(meta, "kind", &kind, &why) && !strcmp(kind, "level") &&
+           !jsonc_num(meta, "level", &level, &why) && level == (double)l->n_levels &&
+           !state_check_config(l, path, json_object_get(meta, "config"), &why) &&
+           !state_check_cell(l, path, meta, &why) && state_has_light(l, c);
+    json_decref(meta);
+    ckpt_rows_close(&c);
+    return rc;
 }

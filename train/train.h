@@ -28,6 +28,7 @@
 #include "render/render.h"
 #include "train/loss.h"
 #include "train/partition.h"
+#include "train/rows.h"
 #include "train/spent.h"
 
 enum { TRAIN_LEVELS_MAX = 3 };
@@ -208,16 +209,20 @@ struct densify_plan { /* {0} is empty; densify_plan_free */
 enum err_code densify_choose(const struct densify_params *p, const struct densify_input *in,
                              struct densify_plan *out, struct err *e) ERR_USE;
 void densify_plan_free(struct densify_plan *p);
-/* Order the rows of a plan along the Morton curve of their new means, and write parameters and
- * moments of the result: kept rows carry their moments, new ones start at 0. Arrays hold
- * densify_floats(plan->n, planes). */
-struct densify_state {
-    float *params, *m1, *m2;
+/* The rows of a plan along the Morton curve of their new means. */
+struct densify_order { /* {0} is empty; densify_order_free */
+    struct rows rows;  /* where each comes from; all but those kept are ROWS_NEW */
+    uint32_t *split;   /* [n_split] rows that are halves ... */
+    float *mean;       /* [n_split][3] ... and go there */
+    size_t n_split;
+    enum densify_split how;
 };
-enum err_code densify_apply(const struct densify_params *p, const struct densify_input *in,
-                            struct densify_plan *plan, const struct densify_state *from,
-                            const struct densify_state *to, struct err *e) ERR_USE;
-size_t densify_floats(size_t n, uint32_t planes); /* of an array in the device layout */
+enum err_code densify_order(const struct densify_params *p, const struct densify_input *in,
+                            const struct densify_plan *plan, struct densify_order *out,
+                            struct err *e) ERR_USE;
+void densify_order_free(struct densify_order *o);
+/* After rows_move of the parameters: copies of parents that were split become their halves. */
+void densify_halve(const struct densify_order *o, float *params);
 /* The k smallest of -ln(u_i) / score_i (exponential race = sampling without replacement): ids of
  * the chosen, in order of arrival. Scores of 0 come last. */
 enum err_code densify_race(const float *score, const uint32_t *ids, size_t n, size_t k,

@@ -401,7 +401,7 @@ static float *f16_train(const struct train_config *c, uint32_t steps, size_t *fl
     toy_run_open(&r, scene_dir, c);
     (void)toy_run_steps(&r, steps);
     const struct render_model *m = &r.level.model;
-    size_t n = m->n, params = densify_floats(n, m->planes);
+    size_t n = m->n, params = rows_floats(n, m->planes);
     float *out = mem_array(F16_STATS * n + params, sizeof(*out));
     assert_non_null(out);
     cl_mem stats[F16_STATS] = {r.level.stats.grad, r.level.stats.absg, r.level.stats.count,

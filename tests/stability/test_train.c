@@ -132,7 +132,7 @@ static void to_the_end(struct toy_run *r)
 static struct hash128 model_hash(struct toy_run *r)
 {
     struct err e = {0};
-    size_t bytes = densify_floats(r->level.model.n, r->level.model.planes) * sizeof(float);
+    size_t bytes = rows_floats(r->level.model.n, r->level.model.planes) * sizeof(float);
     float *v = mem_array(bytes, 1);
     assert_non_null(v);
     kit_ok(dev_read(&toy_dev, r->level.model.params, 0, bytes, v, &e), e);
@@ -214,7 +214,7 @@ static void expect_finite_scores(const char *what, const char *dir, const struct
     struct train_config c = toy_config(&a, NULL);
     c.level_count = 1;
     toy_run_open_from(&r, dir, &c, g);
-    size_t n = g->n, floats = densify_floats(n, r.level.model.planes), bad = 0, positive = 0;
+    size_t n = g->n, floats = rows_floats(n, r.level.model.planes), bad = 0, positive = 0;
     float *params = mem_array(floats, sizeof(float)), *grad = mem_array(n, sizeof(float)),
           *score = mem_array(n, sizeof(float));
     assert_true(params && grad && score);
