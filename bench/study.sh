@@ -254,18 +254,45 @@ study_embedding() { # length of a Gaussian's appearance embedding (Table 11), un
   done
 }
 
+# level_row STUDY ROW SCENE SET EVAL-OPTIONS -- TRAIN-OPTIONS: every level of the same trained scene.
+level_row() {
+  local study=$1 name=$2 scene=$3 set=$4 folder command o eval=()
+  shift 4
+  while [ "$1" != -- ]; do
+    eval+=("$1")
+    shift
+  done
+  shift
+  command="citysplat train $scene $*; citysplat eval $scene ${eval[*]}"
+  wanted "$study" "$name" "$command" || return 0
+  scene "$scene" || { say "$study: $name: skipped: CITYSPLAT_CALITERRA is not set"; return 0; }
+  folder=$OUT/trained/$(slug shared "$scene")
+  ceilings
+  trained "$folder" "$scene" "$@"
+  citysplat eval "$OUT/$scene" --results "$folder" -o "$folder/scores.json" "${eval[@]}" >&2
+  note "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" \
+    --scores "$folder/scores.json" --ceilings "$OUT/ceilings.jsonl" --set "$set"
+}
+
+study_far() { # where each level suits: all of them from farther and farther away, which is to say, smaller
+  local px base=(--iterations "$CELL_STEPS" "${SMALL[@]}")
+  for px in 400 283 200 141 100 71 50; do
+    level_row far "$px px" city "" --halves off --full-size --max-edge-px "$px" -- "${base[@]}"
+  done
+}
+
 study_lod() { # tile sizes and distances (Tables 12 and 13); distances in tenths of the city
   local edge d base=(--iterations "$CELL_STEPS" "${SMALL[@]}")
-  for edge in 20 40 80 160; do
+  for edge in 12 25 50 100; do # those of zooms 21 to 18; in larger ones tiles would hold more than they may
     tile_row lod "edge: $edge m" city "edge_m=$edge,distance_1_m=60,distance_2_m=120" --tile-edge-m "$edge" \
       --eval --metric distance --distance-1-m 60 --distance-2-m 120 -- "${base[@]}"
   done
   for d in 15 30 60 90 120; do
-    tile_row lod "distance: $d m" city "edge_m=40,distance_1_m=$d,distance_2_m=$((2 * d))" --tile-edge-m 40 \
+    tile_row lod "distance: $d m" city "edge_m=25,distance_1_m=$d,distance_2_m=$((2 * d))" --tile-edge-m 25 \
       --eval --metric distance --distance-1-m "$d" --distance-2-m $((2 * d)) -- "${base[@]}"
   done
   for d in 0.5 1 2 4 8; do
-    tile_row lod "screen: $d px" city "edge_m=40,error_px=$d" --tile-edge-m 40 --eval --metric screen --error-px "$d" -- "${base[@]}"
+    tile_row lod "screen: $d px" city "edge_m=25,error_px=$d" --tile-edge-m 25 --eval --metric screen --error-px "$d" -- "${base[@]}"
   done
 }
 
@@ -348,7 +375,7 @@ study_pyramid() {
   pyramid pyramid_city city --iterations "$CELL_STEPS" "${SMALL[@]}"
 }
 
-readonly STUDIES=(time budgets levels sh embedding ablation ablation_city lod rd layout pyramid growth bench)
+readonly STUDIES=(time budgets levels sh embedding ablation ablation_city lod far rd layout pyramid growth bench)
 
 main() {
   local s wanted_studies=()
