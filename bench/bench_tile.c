@@ -158,12 +158,39 @@ struct pick_case {
     struct tree tree;
     uint32_t *out;
     struct camera cam;
+    struct pick_options o;
 };
 
 static enum err_code pick_once(void *user, struct err *e)
 {
     struct pick_case *c = user;
-    return pick_select(c->tile, &c->tree, &c->cam, NULL, c->out, &c->n_out, e);
+    return pick_select(c->tile, &c->tree, &c->cam, &c->o, c->out, &c->n_out, e);
+}
+
+/* A thousand tiles in view and more, with everything on: a cut before, and limits that bind. */
+static enum err_code pick_thousand(struct bench *b, struct pick_case *c, struct err *e)
+{
+    double ms = 0.0;
+    uint32_t *before = mem_array(c->n, sizeof *before);
+    enum err_code rc = before ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
+    for (c->o.error_px = 1.0; rc == ERR_OK && (c->n_out < 1100 && c->o.error_px > 1e-3);
+         c->o.error_px *= 0.9)
+        rc = pick_once(c, e);
+    if (rc == ERR_OK) {
+        memcpy(before, c->out, c->n_out * sizeof *before);
+        c->o.before = before;
+        c->o.n_before = c->n_out;
+        c->o.hysteresis = PICK_HYSTERESIS;
+        c->o.max_gaussians = (uint64_t)c->n_out * 49000;
+        c->o.max_bytes = (uint64_t)c->n_out * 1000000;
+        rc = bench_time(b, pick_once, c, &ms, NULL, e);
+    }
+    if (rc == ERR_OK) {
+        bench_report(b, "pick, limits and hysteresis", ms, "ms", 0, NULL);
+        bench_report(b, "pick, limits and hysteresis: tiles picked", (double)c->n_out, "", 0, NULL);
+    }
+    mem_free(before);
+    return rc;
 }
 
 /* A full pyramid over 16 km: zooms 10 to 17. */
@@ -180,6 +207,7 @@ static enum err_code pick_time(struct bench *b, struct err *e)
                 c.tile[c.n++] =
                     (struct store_tile){.key = {(uint8_t)(10 + z), x, y},
                                         .count = 50000,
+                                        .bytes = 1000000,
                                         .sigma_max_m = edge / 50,
                                         .geometric_error_m = edge / 10,
                                         .min_enu_m = {x * edge - 8000, 8000 - (y + 1) * edge, 0},
@@ -195,6 +223,7 @@ static enum err_code pick_time(struct bench *b, struct err *e)
         bench_report(b, "pick", ms, "ms", 0, NULL);
         bench_report(b, "pick, tiles in the index", (double)c.n, "", 0, NULL);
         bench_report(b, "pick, tiles picked", (double)c.n_out, "", 0, NULL);
+        rc = pick_thousand(b, &c, e);
     }
     tree_free(&c.tree);
     mem_free(c.tile);

@@ -16,7 +16,6 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <math.h>
-#include <stdlib.h>
 
 #include "lod/frustum.h"
 #include "lod/lod.h"
@@ -126,18 +125,22 @@ static bool pick_refine(struct pick *p, uint32_t node)
 {
     const struct tree_node *v = &p->tree->nodes[node];
     const uint32_t *child = p->tree->children + v->child_first;
+    struct pick_entry *seen = p->heap + p->n_heap; /* behind the heap there is room for all */
+    size_t n = 0;
     uint64_t total = p->total, bytes = p->bytes;
     pick_account(p, node, -1, &total, &bytes);
-    for (uint32_t i = 0; i < v->child_count; i++)
-        if (pick_node_visible(p, child[i]))
-            pick_account(p, child[i], 1, &total, &bytes);
+    for (uint32_t i = 0; i < v->child_count; i++) {
+        if (!pick_node_visible(p, child[i]))
+            continue;
+        seen[n++].node = child[i];
+        pick_account(p, child[i], 1, &total, &bytes);
+    }
     uint64_t most = p->o->max_gaussians, most_bytes = p->o->max_bytes;
     if (v->tile != TREE_NONE && ((most && total > most && total > p->total) ||
                                  (most_bytes && bytes > most_bytes && bytes > p->bytes)))
         return false;
-    for (uint32_t i = 0; i < v->child_count; i++)
-        if (pick_node_visible(p, child[i]))
-            pick_push(p, child[i]);
+    for (size_t i = 0; i < n; i++) /* each takes the place that it stood in, or one before */
+        pick_push(p, seen[i].node);
     p->total = total;
     p->bytes = bytes;
     return true;
@@ -169,10 +172,15 @@ static bool pick_too_coarse(const struct pick *p, const struct pick_entry *x)
     return x->error > (p->refined && p->refined[x->node] ? 1.0 - p->o->hysteresis : 1.0);
 }
 
-static int pick_index_compare(const void *a, const void *b)
+/* The tiles of a set of bits, ascending. */
+static size_t pick_list(const uint64_t *set, size_t n_tiles, uint32_t *out)
 {
-    uint32_t x = *(const uint32_t *)a, y = *(const uint32_t *)b;
-    return x < y ? -1 : x > y;
+    size_t n = 0;
+    for (size_t w = 0; w <= n_tiles / 64; w++)
+        for (uint64_t bits = set[w], i = 0; bits; bits >>= 1, i++)
+            if (bits & 1)
+                out[n++] = (uint32_t)(64 * w + i);
+    return n;
 }
 
 enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
@@ -187,8 +195,12 @@ enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
     if (!(cam->fx_px > 0.0 && cam->fy_px > 0.0 && cam->width_px > 0 && cam->height_px > 0))
         return err_set(e, ERR_ARG, "pick: the camera has no focal length or no pixels");
     p.heap = mem_array(t->n_nodes, sizeof *p.heap); /* a node enters at most once */
-    if (!p.heap)
+    uint64_t *set = mem_array(t->n_nodes / 64 + 1, sizeof *set);
+    if (!p.heap || !set) {
+        mem_free(p.heap);
+        mem_free(set);
         return err_set(e, ERR_MEM, "pick: out of memory for %zu tiles", t->n_nodes);
+    }
     p.limit = TREE_PX_PER_SIGMA * (p.o->error_px > 0.0 ? p.o->error_px : PICK_ERROR_PX);
     frustum_make(cam, &p.frustum);
     camera_center(cam, p.eye);
@@ -208,14 +220,15 @@ enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
             continue;
         const struct store_tile *tile = v->tile == TREE_NONE ? NULL : &tiles[v->tile];
         if (tile && frustum_sees(&p.frustum, tile->min_enu_m, tile->max_enu_m, tile->sigma_max_m))
-            out[(*n_out)++] = v->tile;
+            set[v->tile / 64] |= UINT64_C(1) << v->tile % 64;
         else if (tile)
             pick_account(&p, top.node, -1, &p.total, &p.bytes);
     }
+    if (!rc)
+        *n_out = pick_list(set, last + 1, out);
     mem_free(p.heap);
     mem_free(p.refined);
-    if (*n_out > 0)
-        qsort(out, *n_out, sizeof *out, pick_index_compare);
+    mem_free(set);
     return rc;
 }
 

@@ -235,9 +235,8 @@ static struct camera random_camera(uint64_t seed, double eye[3])
     return c;
 }
 
-static void what_is_left_out_changes_no_bit(void **state)
+static void check_pictures(struct fixture *f)
 {
-    struct fixture *f = *state;
     struct err e = {0};
     struct view *v;
     static float full[W * H * 3], got[W * H * 3];
@@ -290,6 +289,23 @@ static void what_is_left_out_changes_no_bit(void **state)
     view_close(&v);
 }
 
+static void what_is_left_out_changes_no_bit(void **state)
+{
+    check_pictures(*state);
+}
+
+/* The kernels of GPUs, and no mapping of buffers. */
+static void nor_as_on_a_gpu(void **state)
+{
+    struct fixture f = *(struct fixture *)*state;
+    struct err e = {0};
+    f.dev.vector_width = 1;
+    f.dev.is_cpu = false;
+    kit_ok(render_open(&f.dev, &f.render, &e), e);
+    check_pictures(&f);
+    render_close(&f.render);
+}
+
 /* Among the Gaussians of many sizes the reach of the longest one counts, wherever it is. */
 static void frustums_by_brute_force(void **state)
 {
@@ -328,6 +344,7 @@ int main(void)
         cmocka_unit_test(every_splat_lies_in_its_boxes),
         cmocka_unit_test(frustums_by_brute_force),
         cmocka_unit_test(what_is_left_out_changes_no_bit),
+        cmocka_unit_test(nor_as_on_a_gpu),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
 }

@@ -267,6 +267,16 @@ static void tiles_keep_to_the_limit_and_to_the_wish(void **state)
     log_set_level(LOG_INFO);
     assert_true(rep.max_in_tile <= 700);
     assert_true(rep.zoom_max > key_zoom_for(origin.lat_deg, 500));
+    struct store *s;
+    size_t n, finest = 0;
+    kit_ok(store_open(f->path, &s, &e), e);
+    const struct store_tile *t = store_tiles(s, &n);
+    for (size_t i = 0; i < n; i++) {
+        assert_in_range(t[i].count, 1, 700); /* overviews too, which are thinned */
+        finest += t[i].level == 1 ? t[i].count : 0;
+    }
+    assert_int_equal(finest, 20000); /* split, none left out */
+    store_close(&s);
     c = config;
     c.tile_edge_m = 0; /* 20,000 fit into one tile: the smallest that holds all of them */
     kit_ok(pyramid_build(&origin, &level, 1, &c, NULL, 0, f->path, &rep, &e), e);

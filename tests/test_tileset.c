@@ -6,6 +6,7 @@
 
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include <jansson.h>
@@ -270,6 +271,133 @@ static void tilejson(void **state)
     buf_free(&b);
 }
 
+/* ---- geometric errors: against their definition ---- */
+
+static int compare_doubles(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* 16 times the median over the tile of each Gaussian's largest sigma. */
+static double defined_error(struct store *s, struct key k)
+{
+    struct err e = {0};
+    struct gauss g;
+    kit_ok(store_read_gauss(s, k, &g, &e), e);
+    double *big = mem_array(g.n, sizeof *big);
+    for (size_t i = 0; i < g.n; i++) {
+        const float *x = &g.scale_log[3 * i];
+        big[i] = exp(fmax(fmax((double)x[0], (double)x[1]), (double)x[2]));
+    }
+    qsort(big, g.n, sizeof *big, compare_doubles);
+    double median = big[g.n / 2];
+    mem_free(big);
+    gauss_free(&g);
+    return 16.0 * median;
+}
+
+struct errors_found {
+    const struct tree *tree;
+    struct store *s;
+    size_t n;
+};
+
+/* Errors in the document are those of the tree. */
+static void compare_errors(struct errors_found *f, const json_t *node)
+{
+    const json_t *content = json_object_get(node, "content");
+    size_t i, n;
+    json_t *child;
+    if (content) {
+        struct key k = key_of_uri(json_string_value(json_object_get(content, "uri")));
+        const struct store_tile *first = store_tiles(f->s, &n);
+        const struct tree_node *v = &f->tree->nodes[store_find(f->s, k) - first];
+        double got = json_number_value(json_object_get(node, "geometricError"));
+        assert_true(fabs(got - v->geometric_error_m) <= 1e-8 * v->geometric_error_m);
+        f->n++;
+    }
+    json_array_foreach(json_object_get(node, "children"), i, child) compare_errors(f, child);
+}
+
+/* Is the node's tile, or one above it, shown by a camera that looks down from so far over its core?
+ */
+static bool is_refined(struct store *s, uint32_t node, double distance_m)
+{
+    struct err e = {0};
+    size_t n, n_out;
+    const struct store_tile *t = store_tiles(s, &n);
+    const struct tree *tree = store_tree(s);
+    const struct tree_node *v = &tree->nodes[node];
+    uint32_t *out = mem_array(n, sizeof *out);
+    const double eye[3] = {0.5 * (v->core_min_enu_m[0] + v->core_max_enu_m[0]),
+                           0.5 * (v->core_min_enu_m[1] + v->core_max_enu_m[1]),
+                           v->core_max_enu_m[2] + distance_m};
+    const double down[3] = {eye[0], eye[1] + 1e-3, eye[2] - 1};
+    struct camera cam = camera_look_at(eye, down, 2.8, 2000, 2000);
+    bool shown = false;
+    kit_ok(pick_select(t, tree, &cam, NULL, out, &n_out, &e), e);
+    for (size_t i = 0; i < n_out; i++)
+        for (uint32_t up = node; up != TREE_NONE; up = tree->nodes[up].parent)
+            shown = shown || out[i] == up;
+    mem_free(out);
+    return !shown;
+}
+
+static void errors_are_what_is_documented(void **state)
+{
+    struct fixture *f = *state;
+    struct err e = {0};
+    struct gauss g;
+    const struct geo_origin origin = {8.6821, 50.1109, 160};
+    const struct pyramid_config c = {.tile_edge_m = 60, .name = "errors", .lossless = true};
+    kit_gauss(2, 3000, 100, 0, 0, &g);
+    for (size_t i = 0; i < g.n; i++) /* one corner is far coarser than the rest */
+        for (size_t k = 0; k < 3; k++)
+            g.scale_log[3 * i + k] += g.mean_m[3 * i] + g.mean_m[3 * i + 1] > 120 ? 1.5f : -1.0f;
+    const struct pyramid_level level = {.g = &g, .level = 3};
+    kit_ok(pyramid_build(&origin, &level, 1, &c, NULL, 0, f->path, NULL, &e), e);
+    kit_ok(store_open(f->path, &f->s, &e), e);
+    gauss_free(&g);
+    size_t n, raised = 0;
+    const struct store_tile *t = store_tiles(f->s, &n);
+    const struct tree *tree = store_tree(f->s);
+    assert_true(tree->nodes[tree->root].tile != TREE_NONE && n > 10);
+    for (size_t i = 0; i < n; i++) {
+        const struct tree_node *v = &tree->nodes[i];
+        double own = defined_error(f->s, t[i].key), want = own;
+        /* In the store: of the rows alone. */
+        assert_true(fabs(t[i].geometric_error_m - own) <= 1e-6 * own);
+        assert_true(fabs(t[i].sigma_median_m - own / 16) <= 1e-6 * own);
+        /* In the tree: 0 at the near end, larger than all below elsewhere. */
+        for (uint32_t k = 0; k < v->child_count; k++)
+            want = fmax(want,
+                        1.01 * tree->nodes[tree->children[v->child_first + k]].geometric_error_m);
+        want = v->child_count ? want : 0.0;
+        raised += want > own;
+        assert_true(fabs(v->geometric_error_m - want) <= 1e-6 * want);
+        if (v->parent != TREE_NONE)
+            assert_true(tree->nodes[v->parent].geometric_error_m > v->geometric_error_m);
+        if (!v->child_count)
+            continue;
+        /* Selection switches where error f / d is 16 px: 1 px of sigma. */
+        struct camera cam =
+            camera_look_at((double[3]){0, 0, 1}, (double[3]){0, 1e-3, 0}, 2.8, 2000, 2000);
+        double at = v->geometric_error_m * cam.fy_px / 16;
+        assert_true(is_refined(f->s, (uint32_t)i, 0.999 * at));
+        assert_false(is_refined(f->s, (uint32_t)i, 1.001 * at));
+    }
+    assert_true(raised > 0); /* or nothing would have tested that */
+    /* The far end: the error above all of them is beyond the root's. */
+    json_t *j = tileset_of(f);
+    struct errors_found found = {.tree = tree, .s = f->s};
+    compare_errors(&found, json_object_get(j, "root"));
+    assert_int_equal(found.n, n);
+    assert_true(json_number_value(json_object_get(j, "geometricError")) >=
+                2 * tree->nodes[tree->root].geometric_error_m);
+    json_decref(j);
+}
+
 int main(void)
 {
 #define CASE(name) cmocka_unit_test_setup_teardown(name, setup, teardown)
@@ -278,6 +406,7 @@ int main(void)
         CASE(heads_are_what_engines_look_for),
         CASE(transforms_errors_and_boxes),
         CASE(a_root_without_content),
+        CASE(errors_are_what_is_documented),
         CASE(tilejson),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
