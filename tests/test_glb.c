@@ -8,6 +8,7 @@
 
 #include <jansson.h>
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 #define EXT "KHR_gaussian_splatting"
@@ -56,6 +57,72 @@ static json_t *primitive_of(json_t *root)
     return prim;
 }
 
+/* The accessor of an attribute, of this type. */
+static json_t *accessor_of(json_t *root, json_t *prim, const char *name, int component,
+                           const char *type)
+{
+    json_t *index = json_object_get(json_object_get(prim, "attributes"), name);
+    if (!json_is_integer(index))
+        fail_msg("no attribute %s", name);
+    json_t *a =
+        json_array_get(json_object_get(root, "accessors"), (size_t)json_integer_value(index));
+    assert_int_equal(json_integer_value(json_object_get(a, "componentType")), component);
+    assert_string_equal(json_string_value(json_object_get(a, "type")), type);
+    return a;
+}
+
+/* Whole bands of harmonics from `first` on, and no other. */
+static void expect_bands(json_t *root, json_t *prim, uint32_t first, uint32_t degree)
+{
+    size_t n = 0, have = 0;
+    const char *name;
+    json_t *index;
+    for (uint32_t l = first; l <= degree; l++)
+        for (uint32_t m = 0; m <= 2 * l; m++, n++) {
+            char want[64];
+            snprintf(want, sizeof want, EXT ":SH_DEGREE_%u_COEF_%u", l, m);
+            accessor_of(root, prim, want, 5126, "VEC3");
+        }
+    json_object_foreach(json_object_get(prim, "attributes"), name, index)
+    {
+        have += strstr(name, "SH_DEGREE") != NULL;
+    }
+    assert_int_equal(have, n);
+}
+
+/* What the container itself must be: one scene of one node, chunks padded as glTF says, one buffer
+ * that is the binary chunk, the extension's constants. */
+static void expect_container(const struct buf *b, json_t *root, json_t *prim, size_t bin_at,
+                             size_t bin_size)
+{
+    json_t *scenes = json_object_get(root, "scenes"), *buffers = json_object_get(root, "buffers");
+    assert_int_equal(json_array_size(scenes), 1);
+    assert_int_equal(json_integer_value(json_object_get(root, "scene")), 0);
+    json_t *nodes = json_object_get(json_array_get(scenes, 0), "nodes");
+    assert_int_equal(json_array_size(nodes), 1);
+    assert_int_equal(json_integer_value(json_array_get(nodes, 0)), 0);
+    assert_string_equal(
+        json_string_value(json_object_get(json_object_get(root, "asset"), "version")), "2.0");
+    assert_int_equal(json_array_size(buffers), 1);
+    size_t used =
+        (size_t)json_integer_value(json_object_get(json_array_get(buffers, 0), "byteLength"));
+    assert_true(used <= bin_size && bin_size - used < 4);
+    for (size_t i = used; i < bin_size; i++)
+        assert_int_equal(b->data[bin_at + i], 0);
+    size_t end = 20 + u32_at(b, 12);
+    while (end > 20 && b->data[end - 1] == ' ')
+        end--;
+    assert_int_equal(b->data[end - 1], '}');
+    json_t *splat = json_object_get(json_object_get(prim, "extensions"), EXT);
+    static const char *const constants[][2] = {{"kernel", "ellipse"},
+                                               {"colorSpace", "srgb_rec709_display"},
+                                               {"sortingMethod", "cameraDistance"},
+                                               {"projection", "perspective"}};
+    for (size_t i = 0; i < 4; i++)
+        assert_string_equal(json_string_value(json_object_get(splat, constants[i][0])),
+                            constants[i][1]);
+}
+
 static void test_spz_form_follows_the_clients(void **state)
 {
     (void)state;
@@ -80,10 +147,18 @@ static void test_spz_form_follows_the_clients(void **state)
             assert_string_equal(json_string_value(json_array_get(l, 0)), EXT);
             assert_string_equal(json_string_value(json_array_get(l, 1)), EXT "_compression_spz_2");
         }
-        json_t *splat = json_object_get(json_object_get(prim, "extensions"), EXT);
-        assert_string_equal(json_string_value(json_object_get(splat, "kernel")), "ellipse");
-        assert_string_equal(json_string_value(json_object_get(splat, "colorSpace")),
-                            "srgb_rec709_display");
+        expect_container(&b, root, prim, bin_at, bin_size);
+        json_t *spz_ext = json_object_get(
+            json_object_get(json_object_get(json_object_get(prim, "extensions"), EXT),
+                            "extensions"),
+            EXT "_compression_spz_2");
+        assert_int_equal(json_integer_value(json_object_get(spz_ext, "bufferView")), 0);
+        accessor_of(root, prim, "POSITION", 5126, "VEC3");
+        assert_true(json_is_true(
+            json_object_get(accessor_of(root, prim, "COLOR_0", 5121, "VEC4"), "normalized")));
+        accessor_of(root, prim, EXT ":SCALE", 5126, "VEC3");
+        accessor_of(root, prim, EXT ":ROTATION", 5126, "VEC4");
+        expect_bands(root, prim, 1, degree);
 
         json_t *attributes = json_object_get(prim, "attributes"), *index;
         assert_int_equal(json_object_size(attributes), 4 + gauss_sh_count(degree) - 1);
@@ -120,6 +195,10 @@ static void test_spz_form_follows_the_clients(void **state)
         assert_int_equal(n_inside, spz.size);
         assert_memory_equal(inside, spz.data, spz.size);
         assert_ptr_equal(inside, b.data + bin_at);
+        json_t *views = json_object_get(root, "bufferViews"), *view = json_array_get(views, 0);
+        assert_int_equal(json_array_size(views), 1);
+        assert_int_equal(json_integer_value(json_object_get(view, "byteOffset")), 0);
+        assert_int_equal(json_integer_value(json_object_get(view, "byteLength")), spz.size);
         json_decref(root);
         gauss_free(&back);
         gauss_free(&g);
@@ -132,6 +211,53 @@ static void test_spz_form_follows_the_clients(void **state)
 /* Float32 rounding of exp and log, there and back. */
 #define LOG_TOL 2e-5
 #define QUAT_TOL 1e-6
+#define LINEAR_TOL 1e-5 /* float32 exp and pow against double */
+
+/* Sigma and opacity are linear, rotations x y z w of unit length, COLOR_0 is the base colour
+ * without the sRGB curve, and every row starts on four bytes. */
+static void expect_linear_values(const struct buf *b, json_t *root, json_t *prim, size_t bin_at,
+                                 const struct gauss *g)
+{
+    const struct {
+        const char *name, *type;
+        size_t width;
+    } list[] = {{EXT ":SCALE", "VEC3", 3},
+                {EXT ":OPACITY", "SCALAR", 1},
+                {EXT ":ROTATION", "VEC4", 4},
+                {"COLOR_0", "VEC4", 4}};
+    for (size_t a = 0; a < 4; a++) {
+        json_t *acc = accessor_of(root, prim, list[a].name, 5126, list[a].type);
+        json_t *view =
+            json_array_get(json_object_get(root, "bufferViews"),
+                           (size_t)json_integer_value(json_object_get(acc, "bufferView")));
+        size_t at = (size_t)json_integer_value(json_object_get(view, "byteOffset"));
+        assert_int_equal(at % 4, 0);
+        for (size_t i = 0; i < g->n; i++) {
+            float v[4];
+            double want[4] = {0}, len = 0;
+            memcpy(v, b->data + bin_at + at + 4 * list[a].width * i, 4 * list[a].width);
+            const float *q = g->quat_wxyz + 4 * i;
+            for (int c = 0; c < 4; c++)
+                len += (double)q[c] * (double)q[c];
+            for (size_t c = 0; c < list[a].width; c++) {
+                double srgb =
+                    c < 3 ? 0.28209479177387814 *
+                                    (double)g->sh[3 * gauss_sh_count(g->sh_degree) * i + c] +
+                                0.5
+                          : 0;
+                srgb = fmin(fmax(srgb, 0), 1);
+                want[c] = a == 0             ? exp((double)g->scale_log[3 * i + c])
+                          : a == 1 || c == 3 ? 1 / (1 + exp(-(double)g->opacity_logit[i]))
+                                             : pow((srgb + 0.055) / 1.055, 2.4);
+                if (a == 3 && c < 3 && srgb <= 0.04045)
+                    want[c] = srgb / 12.92;
+                if (a == 2)
+                    want[c] = (double)q[(c + 1) % 4] / sqrt(len);
+            }
+            kit_near(list[a].name, v, want, list[a].width, LINEAR_TOL, LINEAR_TOL);
+        }
+    }
+}
 
 static void test_plain_form(void **state)
 {
@@ -148,6 +274,18 @@ static void test_plain_form(void **state)
         assert_null(json_object_get(root, "extensionsRequired"));
         assert_int_equal(json_object_size(json_object_get(prim, "attributes")),
                          5 + gauss_sh_count(degree));
+        expect_container(&b, root, prim, bin_at, bin_size);
+        json_t *used = json_object_get(root, "extensionsUsed");
+        assert_int_equal(json_array_size(used), 1);
+        assert_string_equal(json_string_value(json_array_get(used, 0)), EXT);
+        json_t *position = accessor_of(root, prim, "POSITION", 5126, "VEC3");
+        assert_int_equal(json_array_size(json_object_get(position, "min")), 3);
+        assert_int_equal(json_array_size(json_object_get(position, "max")), 3);
+        accessor_of(root, prim, EXT ":SCALE", 5126, "VEC3");
+        accessor_of(root, prim, EXT ":ROTATION", 5126, "VEC4");
+        accessor_of(root, prim, EXT ":OPACITY", 5126, "SCALAR");
+        expect_bands(root, prim, 0, degree);
+        expect_linear_values(&b, root, prim, bin_at, &g);
         json_decref(root);
         kit_ok(glb_decode(b.data, b.size, NULL, &back, &e), e);
         assert_int_equal(back.n, g.n);
