@@ -22,5 +22,9 @@ enum { FUZZ_SEEDS = 3 };
 /* Seed i < FUZZ_SEEDS of the named target, a small valid file; false when there is no such target.
  */
 bool fuzz_seed(const char *target, size_t i, struct buf *out);
+/* Of the targets in files.c. */
+struct gauss;
+bool fuzz_seed_ckpt(const struct gauss *g, struct buf *out);
+bool fuzz_seed_colmap(size_t i, struct buf *out);
 
 #endif

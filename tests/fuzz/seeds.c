@@ -89,6 +89,8 @@ static enum err_code gauss_seed(const char *target, size_t i, struct buf *out)
         rc = draco_encode(&q, "1/2/3", out, NULL);
     else if (!strcmp(target, "glb"))
         rc = i == 2 ? glb_encode_spz(&q, "c", out, NULL) : glb_encode_plain(&g, NULL, out, NULL);
+    else if (!strcmp(target, "ckpt"))
+        rc = fuzz_seed_ckpt(&g, out) ? ERR_OK : ERR_IO;
     else if (!strcmp(target, "payload"))
         rc = payload_encode(&g, i == 0, out, NULL);
     else
@@ -116,6 +118,8 @@ bool fuzz_seed(const char *target, size_t i, struct buf *out)
 {
     if (!strcmp(target, "appearance"))
         return appearance_seed(i, out) == ERR_OK;
+    if (!strcmp(target, "colmap"))
+        return fuzz_seed_colmap(i, out);
     if (!strcmp(target, "npy"))
         return npy_seed(i, out) == ERR_OK;
     if (!strcmp(target, "exif"))
