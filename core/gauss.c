@@ -10,6 +10,7 @@
 #include <string.h>
 
 #include "core/base.h"
+#include "core/simd.h"
 #include "core/sort.h"
 
 enum { GAUSS_FIELDS = 6, GAUSS_MORTON_BITS = 21 };
@@ -114,6 +115,25 @@ void gauss_copy_row(struct gauss *dst, size_t d, const struct gauss *src, size_t
             k < src->embed_len ? src->embed[src->embed_len * s + k] : 0.0f;
 }
 
+/* The first rows of a container with the same fields. */
+static void gauss_append_block(struct gauss *dst, const struct gauss *src, size_t count)
+{
+    size_t width[GAUSS_FIELDS], at = dst->n;
+    gauss_widths(dst->sh_degree, dst->embed_len, width);
+    const float *from[GAUSS_FIELDS] = {src->mean_m,        src->scale_log, src->quat_wxyz,
+                                       src->opacity_logit, src->sh,        src->embed};
+    float *to[GAUSS_FIELDS] = {dst->mean_m,        dst->scale_log, dst->quat_wxyz,
+                               dst->opacity_logit, dst->sh,        dst->embed};
+    for (size_t f = 1; f < GAUSS_FIELDS; f++)
+        if (count && width[f])
+            memcpy(to[f] + at * width[f], from[f], count * width[f] * sizeof(float));
+    for (size_t k = 0; k < 3; k++) {
+        double shift = src->origin_enu_m[k] - dst->origin_enu_m[k];
+        for (size_t i = 0; i < count; i++)
+            dst->mean_m[3 * (at + i) + k] = (float)((double)src->mean_m[3 * i + k] + shift);
+    }
+}
+
 enum err_code gauss_append(struct gauss *dst, const struct gauss *src, const uint32_t *index,
                            size_t count, struct err *e)
 {
@@ -122,8 +142,11 @@ enum err_code gauss_append(struct gauss *dst, const struct gauss *src, const uin
     enum err_code rc = gauss_reserve(dst, dst->n + count, e);
     if (rc)
         return rc;
-    for (size_t i = 0; i < count; i++)
-        gauss_copy_row(dst, dst->n + i, src, index ? index[i] : i);
+    if (!index && src->sh_degree == dst->sh_degree && src->embed_len == dst->embed_len)
+        gauss_append_block(dst, src, count);
+    else
+        for (size_t i = 0; i < count; i++)
+            gauss_copy_row(dst, dst->n + i, src, index ? index[i] : i);
     dst->n += count;
     return ERR_OK;
 }
@@ -226,16 +249,18 @@ void gauss_bounds(const struct gauss *g, double k_sigma, double min_enu_m[3], do
     }
     for (size_t i = 0; i < g->n; i++) {
         const float *s = &g->scale_log[3 * i];
-        double reach = k_sigma * exp((double)fmaxf(s[0], fmaxf(s[1], s[2])));
+        float big = s[0] > s[1] ? s[0] : s[1];
+        double reach = k_sigma * exp((double)(big > s[2] ? big : s[2]));
         for (size_t k = 0; k < 3; k++) {
             double at = (double)g->mean_m[3 * i + k] + g->origin_enu_m[k];
-            min_enu_m[k] = fmin(min_enu_m[k], at - reach);
-            max_enu_m[k] = fmax(max_enu_m[k], at + reach);
+            double lo = at - reach, hi = at + reach;
+            min_enu_m[k] = lo < min_enu_m[k] ? lo : min_enu_m[k];
+            max_enu_m[k] = hi > max_enu_m[k] ? hi : max_enu_m[k];
         }
     }
 }
 
-static bool gauss_finite(const float *p, size_t n)
+SIMD_WIDE static bool gauss_finite(const float *p, size_t n)
 {
     uint32_t most = 0; /* of the exponents: no branch, so that it becomes vector code */
     for (size_t i = 0; i < n; i++) {
@@ -247,15 +272,21 @@ static bool gauss_finite(const float *p, size_t n)
     return most < 0x7f800000;
 }
 
-static bool gauss_all_good(const struct gauss *g)
+/* NaN compares as false here: gauss_finite sees it. */
+SIMD_WIDE static float gauss_least_norm2(const float *quat, size_t n)
 {
     float least = INFINITY;
-    for (size_t i = 0; i < g->n; i++) {
-        const float *q = &g->quat_wxyz[4 * i];
+    for (size_t i = 0; i < n; i++) {
+        const float *q = &quat[4 * i];
         float norm = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
         least = norm < least ? norm : least;
     }
-    return least > 0.0f && gauss_finite(g->mean_m, 3 * g->n) &&
+    return least;
+}
+
+static bool gauss_all_good(const struct gauss *g)
+{
+    return gauss_least_norm2(g->quat_wxyz, g->n) > 0.0f && gauss_finite(g->mean_m, 3 * g->n) &&
            gauss_finite(g->scale_log, 3 * g->n) && gauss_finite(g->quat_wxyz, 4 * g->n) &&
            gauss_finite(g->opacity_logit, g->n) &&
            gauss_finite(g->sh, 3 * gauss_sh_count(g->sh_degree) * g->n) &&

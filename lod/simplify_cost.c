@@ -6,13 +6,14 @@
  */
 #include <string.h>
 
+#include "core/simd.h"
 #include "lod/simplify.h"
 
 #define SIMPLIFY_COST_MAX 3e37f /* of what cannot be compared: merged last */
 enum { SIMPLIFY_BLOCK = 1024 };
 
 /* log2 for positive normal floats within 2e-5: exponent, and a polynomial over [0.75, 1.5). */
-static inline float simplify_log2(float x)
+SIMD_INLINE float simplify_log2(float x)
 {
     int32_t bits;
     memcpy(&bits, &x, sizeof bits);
@@ -25,8 +26,8 @@ static inline float simplify_log2(float x)
     return (float)exponent + t * p;
 }
 
-static inline float simplify_log_det6(float xx, float xy, float xz, float yy, float yz, float zz,
-                                      float blur2)
+SIMD_INLINE float simplify_log_det6(float xx, float xy, float xz, float yy, float yz, float zz,
+                                    float blur2)
 {
     xx += blur2;
     yy += blur2;
@@ -47,8 +48,8 @@ float simplify_log_det(const float c[6], float blur2)
 }
 
 /* Costs of the pairs (i, i + d) for i in [from, to). */
-static void simplify_pairs(const struct simplify_set *s, size_t d, size_t from, size_t to,
-                           float blur2, float *restrict cost)
+SIMD_INLINE void simplify_pairs(const struct simplify_set *s, size_t d, size_t from, size_t to,
+                                float blur2, float *restrict cost)
 {
     const float *x = s->f[SIMPLIFY_X], *y = s->f[SIMPLIFY_X + 1], *z = s->f[SIMPLIFY_X + 2];
     const float *xx = s->f[SIMPLIFY_CXX], *xy = s->f[SIMPLIFY_CXX + 1],
@@ -77,8 +78,8 @@ static void simplify_pairs(const struct simplify_set *s, size_t d, size_t from, 
     }
 }
 
-static void simplify_keep(const float *restrict c, size_t n, uint32_t first_other,
-                          float *restrict cost, uint32_t *restrict who)
+SIMD_INLINE void simplify_keep(const float *restrict c, size_t n, uint32_t first_other,
+                               float *restrict cost, uint32_t *restrict who)
 {
     for (size_t i = 0; i < n; i++) {
         uint32_t other = first_other + (uint32_t)i;
@@ -87,8 +88,8 @@ static void simplify_keep(const float *restrict c, size_t n, uint32_t first_othe
     }
 }
 
-void simplify_cost(const struct simplify_set *s, float blur2, float *cost, uint32_t *who,
-                   float *scratch)
+SIMD_WIDE void simplify_cost(const struct simplify_set *s, float blur2, float *cost, uint32_t *who,
+                             float *scratch)
 {
     for (size_t i = 0; i < s->n; i++) {
         cost[i] = 3.2e37f; /* a little above what any pair costs: the first one is taken */
