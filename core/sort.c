@@ -19,6 +19,17 @@ static void sort_insertion(struct sort_item *items, size_t n)
     }
 }
 
+/* Where each digit's items begin, from how many there are. */
+static void sort_offsets(uint32_t count[SORT_BINS])
+{
+    uint32_t sum = 0;
+    for (size_t b = 0; b < SORT_BINS; b++) {
+        uint32_t n = count[b];
+        count[b] = sum;
+        sum += n;
+    }
+}
+
 static void sort_pass(const struct sort_item *from, struct sort_item *to, size_t n, unsigned shift)
 {
     size_t at[SORT_BINS] = {0}, sum = 0;
@@ -53,6 +64,58 @@ void sort_items(struct sort_item *items, struct sort_item *scratch, size_t n)
     }
     if (from != items)
         memcpy(items, from, n * sizeof *items);
+}
+
+/* Three digits of the upper half: all are counted in one pass. */
+void sort_words(uint64_t *words, uint64_t *scratch, size_t n)
+{
+    enum { DIGITS = 3, LOW = 32 };
+    uint32_t at[DIGITS][SORT_BINS] = {{0}};
+    for (size_t i = 0; i < n; i++)
+        for (unsigned d = 0; d < DIGITS; d++)
+            at[d][words[i] >> (LOW + SORT_BITS * d) & (SORT_BINS - 1)]++;
+    uint64_t *from = words, *to = scratch;
+    for (unsigned d = 0; d < DIGITS && n > 0; d++) {
+        unsigned shift = LOW + SORT_BITS * d;
+        if (at[d][words[0] >> shift & (SORT_BINS - 1)] == n)
+            continue; /* all alike */
+        sort_offsets(at[d]);
+        for (size_t i = 0; i < n; i++)
+            to[at[d][from[i] >> shift & (SORT_BINS - 1)]++] = from[i];
+        uint64_t *swap = from;
+        from = to;
+        to = swap;
+    }
+    if (from != words)
+        memcpy(words, from, n * sizeof *words);
+}
+
+/* Hoare's selection, about the median of three. */
+float sort_select(float *x, size_t n, size_t k)
+{
+    size_t lo = 0, hi = n - 1;
+    while (lo < hi) {
+        float a = x[lo], b = x[lo + (hi - lo) / 2], c = x[hi];
+        float least = a < b ? a : b, most = a < b ? b : a;
+        float pivot = c < least ? least : c > most ? most : c;
+        size_t i = lo, j = hi;
+        for (;; i++, j--) { /* a median is never alone at the end, so j ends below hi */
+            while (x[i] < pivot)
+                i++;
+            while (x[j] > pivot)
+                j--;
+            if (i >= j)
+                break;
+            float t = x[i];
+            x[i] = x[j];
+            x[j] = t;
+        }
+        if (k <= j)
+            hi = j;
+        else
+            lo = j + 1;
+    }
+    return x[k];
 }
 
 uint64_t sort_spread3(uint64_t x)

@@ -46,8 +46,9 @@ struct simplify {
     size_t n_join;
     float *cost, *scratch;
     uint32_t *who;
-    struct sort_item *items, *items_spare;
-    uint32_t *partner; /* of a cluster in this round, SIMPLIFY_FREE or SIMPLIFY_TAKEN */
+    uint64_t *words, *words_spare; /* sorted: a key of 32 bits, a cluster's place */
+    uint32_t *partner; /* of a cluster in the last round, SIMPLIFY_FREE or SIMPLIFY_TAKEN */
+    size_t n_left;     /* living clusters: the set less those taken in the last round */
     double blur2;
     unsigned round;
 };
@@ -102,14 +103,29 @@ void simplify_eigen(const double cov[6], double value[3], double v[9])
         v[3 * k + 2] = -v[3 * k + 2];
 }
 
+/* Third root of a positive number: a third of its logarithm's bits, then Halley's step twice, which
+ * leaves 3e-14. */
+static inline double simplify_root3(double m)
+{
+    uint64_t bits;
+    double y;
+    memcpy(&bits, &m, sizeof bits);
+    bits = bits / 3 + UINT64_C(0x2a9f7893782da1ce);
+    memcpy(&y, &bits, sizeof y);
+    for (int i = 0; i < 2; i++) {
+        double cube = y * y * y;
+        y *= (cube + 2.0 * m) / (2.0 * cube + m);
+    }
+    return m > 0.0 ? y : 0.0;
+}
+
 /* Over pi: a quarter of the surface (Cauchy), and the surface as Thomsen's means of powers, 4/5 of
  * the one with p = 3/2 and 1/5 of that with p = 2: exact for spheres and thin discs, within 1.5 %
  * between, and no power to compute. */
 double simplify_area(const double s[3])
 {
     double ab = s[0] * s[1], ac = s[0] * s[2], bc = s[1] * s[2];
-    double m = (ab * sqrt(ab) + ac * sqrt(ac) + bc * sqrt(bc)) / 3.0,
-           root = (double)cbrtf((float)m);
+    double m = (ab * sqrt(ab) + ac * sqrt(ac) + bc * sqrt(bc)) / 3.0, root = simplify_root3(m);
     return 0.8 * root * root + 0.2 * sqrt((ab * ab + ac * ac + bc * bc) / 3.0);
 }
 
@@ -168,8 +184,21 @@ static void simplify_init(struct simplify *s, const struct gauss *g, size_t i)
     simplify_weigh(to, i, s->blur2);
 }
 
-/* Stand along a Morton curve over a cube four times the box, the box shifted differently each
- * round: what one curve separates another keeps together. */
+/* Key along a Morton curve: 11 bits of x less the last, 11 of y, 11 of z. */
+static inline uint64_t simplify_key(const struct simplify_set *s, size_t i, const float lo[3],
+                                    float scale, float by)
+{
+    uint64_t key = 0;
+    for (size_t k = 0; k < 3; k++) {
+        float at = (s->f[SIMPLIFY_X + k][i] - lo[k]) * scale + by;
+        key |= sort_spread3(at >= 0.0f && at < 2048.0f ? (uint64_t)at : 0) << k;
+    }
+    return key >> 1;
+}
+
+/* Let those that were not taken in the last round stand along a Morton curve over a cube four times
+ * the box, the box shifted differently each round: what one curve separates another keeps together.
+ */
 static void simplify_walk(struct simplify *s)
 {
     struct simplify_set *from = &s->set, *to = &s->spare;
@@ -184,30 +213,42 @@ static void simplify_walk(struct simplify *s)
         }
         span = hi - lo[k] > span ? hi - lo[k] : span;
     }
-    static const double shift[4] = {0.0, 0.29, 0.57, 0.83};
-    double scale = span > 0.0f ? (double)((1 << 20) - 1) / (double)span : 0.0;
-    double by = (double)(1 << 20) * shift[s->round % 4];
-    for (size_t i = 0; i < from->n; i++) {
-        uint64_t key = 0;
-        for (size_t k = 0; k < 3; k++) {
-            double at = ((double)from->f[SIMPLIFY_X + k][i] - (double)lo[k]) * scale + by;
-            key |= sort_spread3(at >= 0.0 && at < 0x1p21 ? (uint64_t)at : 0) << k;
-        }
-        s->items[i] = (struct sort_item){key, (uint32_t)i};
-    }
-    sort_items(s->items, s->items_spare, from->n);
-    for (size_t k = 0; k < SIMPLIFY_FIELDS; k++)
-        for (size_t i = 0; i < from->n; i++)
-            to->f[k][i] = from->f[k][s->items[i].row];
+    static const float shift[4] = {0.0f, 0.29f, 0.57f, 0.83f};
+    float scale = span > 0.0f ? 1023.0f / span : 0.0f, by = 1024.0f * shift[s->round % 4];
+    size_t n = 0;
     for (size_t i = 0; i < from->n; i++)
-        to->root[i] = from->root[s->items[i].row];
-    to->n = from->n;
+        if (s->partner[i] != SIMPLIFY_TAKEN)
+            s->words[n++] = simplify_key(from, i, lo, scale, by) << 32 | i;
+    sort_words(s->words, s->words_spare, n);
+    for (size_t i = 0; i < n; i++)
+        s->who[i] = (uint32_t)s->words[i];
+    for (size_t k = 0; k < SIMPLIFY_FIELDS; k++)
+        for (size_t i = 0; i < n; i++)
+            to->f[k][i] = from->f[k][s->who[i]];
+    for (size_t i = 0; i < n; i++)
+        to->root[i] = from->root[s->who[i]];
+    to->n = n;
     struct simplify_set swap = s->set;
     s->set = s->spare;
     s->spare = swap;
 }
 
 /* ---- merging ---- */
+
+/* cos(acos(q) / 3) within 6e-10: smooth in cos(acos(q) / 2), so a polynomial of that (interpolated
+ * at the Chebyshev nodes of [0, 1]). */
+static inline double simplify_third(double q)
+{
+    static const double c[10] = {0.5000000005459,   0.5773501595549,   -0.1111074176714,
+                                 0.05340919389974,  -0.03258147098606, 0.02146796467582,
+                                 -0.01336776865959, 0.006717273040461, -0.002244766676011,
+                                 0.0003568325769713};
+    q = q < 1.0 ? q : 1.0;
+    double t = sqrt(0.5 + 0.5 * (q > -1.0 ? q : -1.0)), sum = c[9];
+    for (int i = 8; i >= 0; i--)
+        sum = sum * t + c[i];
+    return sum;
+}
 
 /* Eigenvalues, descending, in closed form (Smith 1961), and the direction of the smallest one. */
 static void simplify_thin_axis(const double c[6], double value[3], double axis[3])
@@ -223,8 +264,8 @@ static void simplify_thin_axis(const double c[6], double value[3], double axis[3
         return;
     double det = a * (b * d - c[4] * c[4]) - c[1] * (c[1] * d - c[4] * c[2]) +
                  c[2] * (c[1] * c[4] - b * c[2]);
-    float angle = acosf((float)fmax(-1.0, fmin(1.0, det / (2.0 * p * p * p)))) / 3.0f;
-    double cosine = (double)cosf(angle), sine = sqrt(fmax(0.0, 1.0 - cosine * cosine));
+    double cosine = simplify_third(det / (2.0 * p * p * p));
+    double sine = cosine < 1.0 ? sqrt(1.0 - cosine * cosine) : 0.0;
     value[0] = mean + 2.0 * p * cosine; /* angle is within 0 and pi / 3 */
     value[2] = mean - p * (cosine + 1.7320508075688772 * sine);
     value[1] = 3.0 * mean - value[0] - value[2];
@@ -289,12 +330,12 @@ static double simplify_hidden(const struct simplify_set *s, size_t a, size_t b, 
     double d1 = s1[0] * s1[2] - s1[1] * s1[1], d2 = s2[0] * s2[2] - s2[1] * s2[1];
     double t[3] = {s1[0] + s2[0], s1[1] + s2[1], s1[2] + s2[2]};
     double dt = t[0] * t[2] - t[1] * t[1];
-    double sum = oa * sqrt(fmax(d1, 0.0)) + ob * sqrt(fmax(d2, 0.0));
+    double sum = oa * sqrt(d1 > 0.0 ? d1 : 0.0) + ob * sqrt(d2 > 0.0 ? d2 : 0.0);
     if (!(d1 > 0.0 && d2 > 0.0 && dt > 0.0 && sum > 0.0))
         return 0.0;
     double maha = (t[2] * du * du - 2.0 * t[1] * du * dv + t[0] * dv * dv) / dt;
     double both = oa * ob * sqrt(d1 * d2 / dt) * (double)expf(-0.5f * (float)maha);
-    return fmin(both / sum, 0.5);
+    return both < 0.5 * sum ? both / sum : 0.5;
 }
 
 /* Cluster b into a. */
@@ -314,7 +355,7 @@ static void simplify_merge(struct simplify *s, size_t a, size_t b)
     simplify_thin_axis(cov, value, axis);
     double cover = w * (1.0 - SIMPLIFY_HIDDEN_SHARE * simplify_hidden(t, a, b, d, axis));
     for (size_t k = 0; k < 3; k++)
-        sigma[k] = sqrt(fmax(value[k], 1e-12));
+        sigma[k] = sqrt(value[k] > 1e-12 ? value[k] : 1e-12);
     double opacity = cover / simplify_area(sigma), grow = 1.0;
     if (opacity > SIMPLIFY_OPACITY_MAX) {
         grow = opacity / SIMPLIFY_OPACITY_MAX;
@@ -339,18 +380,20 @@ static void simplify_choose(struct simplify *s, size_t most)
 {
     const size_t n = s->set.n;
     for (size_t i = 0; i < n; i++) {
-        s->items[i] = (struct sort_item){sort_key_float(s->cost[i]), (uint32_t)i};
+        s->words[i] = sort_key_float(s->cost[i]) << 32 | i;
         s->partner[i] = SIMPLIFY_FREE;
     }
-    sort_items(s->items, s->items_spare, n);
-    for (size_t i = 0, done = 0; i < n && done < most; i++) {
-        uint32_t a = s->items[i].row, b = s->who[a];
+    sort_words(s->words, s->words_spare, n);
+    size_t done = 0;
+    for (size_t i = 0; i < n && done < most; i++) {
+        uint32_t a = (uint32_t)s->words[i], b = s->who[a];
         if (s->partner[a] != SIMPLIFY_FREE || s->partner[b] != SIMPLIFY_FREE)
             continue;
         s->partner[a < b ? a : b] = a < b ? b : a;
         s->partner[a < b ? b : a] = SIMPLIFY_TAKEN;
         done++;
     }
+    s->n_left = n - done;
 }
 
 /* One round. Pairs are disjoint, so they are merged in the order of memory. */
@@ -364,6 +407,13 @@ static void simplify_round(struct simplify *s, size_t target)
     for (size_t i = 0; i < t->n; i++)
         if (s->partner[i] < SIMPLIFY_TAKEN)
             simplify_merge(s, i, s->partner[i]);
+    s->round++;
+}
+
+/* Close the gaps that the last round left. */
+static void simplify_compact(struct simplify *s)
+{
+    struct simplify_set *t = &s->set;
     size_t n = 0;
     for (size_t i = 0; i < t->n; i++)
         if (s->partner[i] != SIMPLIFY_TAKEN)
@@ -374,25 +424,21 @@ static void simplify_round(struct simplify *s, size_t target)
     for (size_t i = 0; i < n; i++)
         t->root[i] = t->root[s->who[i]];
     t->n = n;
-    s->round++;
 }
 
 /* ---- all of it ---- */
 
 /* sigma^2 below which thickness does not matter. */
-static double simplify_blur2(const struct gauss *g, struct sort_item *items,
-                             struct sort_item *spare)
+static double simplify_blur2(const struct gauss *g, float *big)
 {
+    const double max = (double)SIMPLIFY_SCALE_LOG_MAX;
     for (size_t i = 0; i < g->n; i++) {
         const float *l = &g->scale_log[3 * i];
-        float big = l[0] > l[1] ? l[0] : l[1];
-        big = big > l[2] ? big : l[2];
-        items[i] = (struct sort_item){sort_key_float(big), (uint32_t)i};
+        big[i] = l[0] > l[1] ? l[0] : l[1];
+        big[i] = big[i] > l[2] ? big[i] : l[2];
     }
-    sort_items(items, spare, g->n);
-    const float *l = &g->scale_log[3 * items[g->n / 2].row];
-    double big = (double)fmaxf(l[0], fmaxf(l[1], l[2])), max = (double)SIMPLIFY_SCALE_LOG_MAX;
-    double blur = SIMPLIFY_BLUR * exp(fmin(fmax(big, -max), max));
+    double mid = (double)sort_select(big, g->n, g->n / 2);
+    double blur = SIMPLIFY_BLUR * exp(fmin(fmax(mid, -max), max));
     return blur * blur;
 }
 
@@ -404,16 +450,16 @@ static enum err_code simplify_open(struct simplify *s, const struct gauss *g, st
     s->cost = mem_array(n, sizeof *s->cost);
     s->scratch = mem_array(n, sizeof *s->scratch);
     s->who = mem_array(n, sizeof *s->who);
-    s->items = mem_array(n, sizeof *s->items);
-    s->items_spare = mem_array(n, sizeof *s->items);
+    s->words = mem_array(n, sizeof *s->words);
+    s->words_spare = mem_array(n, sizeof *s->words);
     s->partner = mem_array(n, sizeof *s->partner);
-    if (!ok || !s->join || !s->cost || !s->scratch || !s->who || !s->items || !s->items_spare ||
+    if (!ok || !s->join || !s->cost || !s->scratch || !s->who || !s->words || !s->words_spare ||
         !s->partner)
         return err_set(e, ERR_MEM, "out of memory to simplify %zu Gaussians", n);
-    s->blur2 = simplify_blur2(g, s->items, s->items_spare);
+    s->blur2 = simplify_blur2(g, s->scratch);
     for (size_t i = 0; i < n; i++)
         simplify_init(s, g, i);
-    s->set.n = n;
+    s->set.n = s->n_left = n;
     return ERR_OK;
 }
 
@@ -425,8 +471,8 @@ static void simplify_close(struct simplify *s)
     mem_free(s->cost);
     mem_free(s->scratch);
     mem_free(s->who);
-    mem_free(s->items);
-    mem_free(s->items_spare);
+    mem_free(s->words);
+    mem_free(s->words_spare);
     mem_free(s->partner);
 }
 
@@ -513,10 +559,12 @@ enum err_code simplify_gauss(const struct gauss *in, size_t target, struct gauss
         return rc ? rc : gauss_append(out, in, NULL, in->n, e);
     }
     enum err_code rc = simplify_open(&s, in, e);
-    while (!rc && s.set.n > target)
+    while (!rc && s.n_left > target)
         simplify_round(&s, target);
-    if (!rc)
+    if (!rc) {
+        simplify_compact(&s);
         rc = simplify_collect(&s, in, out, e);
+    }
     simplify_close(&s);
     if (rc)
         gauss_free(out);

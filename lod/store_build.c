@@ -152,27 +152,19 @@ enum err_code store_create(const char *path, const struct store_meta *meta, stru
 /* Median and largest of the rows' largest sigmas. */
 static enum err_code store_sigmas(struct store_tile *t, const struct gauss *g, struct err *e)
 {
-    struct sort_item *items = mem_array(g->n, 2 * sizeof *items);
-    if (!items)
+    float *big = mem_array(g->n, sizeof *big), most = -INFINITY;
+    if (!big)
         return err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", g->n);
     for (size_t i = 0; i < g->n; i++) {
         const float *s = &g->scale_log[3 * i];
-        float big = s[0] > s[1] ? s[0] : s[1];
-        items[i] = (struct sort_item){sort_key_float(big > s[2] ? big : s[2]), (uint32_t)i};
+        big[i] = s[0] > s[1] ? s[0] : s[1];
+        big[i] = big[i] > s[2] ? big[i] : s[2];
+        most = big[i] > most ? big[i] : most;
     }
-    sort_items(items, items + g->n, g->n);
-    const float *mid = &g->scale_log[3 * items[g->n / 2].row];
-    const float *top = &g->scale_log[3 * items[g->n - 1].row];
-    t->sigma_median_m = exp((double)fmaxf(mid[0], fmaxf(mid[1], mid[2])));
-    t->sigma_max_m = exp((double)fmaxf(top[0], fmaxf(top[1], top[2])));
-    mem_free(items);
+    t->sigma_median_m = exp((double)sort_select(big, g->n, g->n / 2));
+    t->sigma_max_m = exp((double)most);
+    mem_free(big);
     return ERR_OK;
-}
-
-static int store_order(const void *a, const void *b)
-{
-    float x = *(const float *)a, y = *(const float *)b;
-    return (x > y) - (x < y);
 }
 
 /* 2 and 98 % of the means, from an even sample of them. */
@@ -186,10 +178,10 @@ static enum err_code store_core(struct store_tile *t, const struct gauss *g, str
         n = 0;
         for (size_t i = 0; i < g->n; i += step)
             x[n++] = g->mean_m[3 * i + k];
-        qsort(x, n, sizeof *x, store_order);
         size_t cut = (size_t)(STORE_CORE_CUT * (double)n);
-        t->core_min_enu_m[k] = g->origin_enu_m[k] + (n ? (double)x[cut] : 0.0);
-        t->core_max_enu_m[k] = g->origin_enu_m[k] + (n ? (double)x[n - 1 - cut] : 0.0);
+        t->core_min_enu_m[k] = g->origin_enu_m[k] + (n ? (double)sort_select(x, n, cut) : 0.0);
+        t->core_max_enu_m[k] =
+            g->origin_enu_m[k] + (n ? (double)sort_select(x, n, n - 1 - cut) : 0.0);
     }
     mem_free(x);
     return ERR_OK;
