@@ -351,6 +351,13 @@ enum err_code glb_find_spz(const void *bytes, size_t n, const void **spz, size_t
 
 /* Master payload of a tile in the store: float32 mean relative to the tile centre, half floats
  * elsewhere (opacity, scale and rotation float32 where lossless is set), zstd. ENU axes. */
+/* Values to and from the half floats that a payload keeps: nearest even, the largest for what is
+ * beyond. */
+void payload_to_halves(const float *in, size_t n, uint16_t *out);
+void payload_from_halves(const uint16_t *in, size_t n, float *out);
+/* The rotation that a payload keeps, before its rounding. q is finite and not 0. */
+void payload_unit_quat(const float q_wxyz[4], float out[4]);
+/* Rows that were rounded by these give the same payload as before. */
 enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *out,
                              struct err *e) ERR_USE;
 enum err_code payload_decode(const void *bytes, size_t n, const struct codec_limits *lim,

@@ -201,24 +201,39 @@ static void plane_read(const struct plane *p, size_t n, const uint8_t *in)
     (p->value_bytes == 4 ? plane_read4 : plane_read2)(p, n, in);
 }
 
-/* Unit quaternions, because half floats would lose those far from unit length. Those that are half
- * floats already, of unit length but for their rounding, stay as they are: the rows of a payload
- * give the same payload again. mem_free it. */
+SIMD_WIDE void payload_to_halves(const float *in, size_t n, uint16_t *out)
+{
+    for (size_t i = 0; i < n; i++)
+        out[i] = (uint16_t)half_from_float(in[i]);
+}
+
+SIMD_WIDE void payload_from_halves(const uint16_t *in, size_t n, float *out)
+{
+    for (size_t i = 0; i < n; i++)
+        out[i] = half_to_float(in[i]);
+}
+
+/* Of unit length, because half floats would lose those far from it. Those that are half floats
+ * already, of unit length but for their rounding, stay as they are: the rows of a payload give the
+ * same payload again. */
+void payload_unit_quat(const float r[4], float out[4])
+{
+    float a = fabsf(r[0]), b = fabsf(r[1]), c = fabsf(r[2]), d = fabsf(r[3]);
+    float ab = a > b ? a : b, cd = c > d ? c : d, big = ab > cd ? ab : cd;
+    float s[4] = {r[0] / big, r[1] / big, r[2] / big, r[3] / big};
+    float norm = sqrtf(s[0] * s[0] + s[1] * s[1] + s[2] * s[2] + s[3] * s[3]);
+    uint32_t low = (bits_of(r[0]) | bits_of(r[1]) | bits_of(r[2]) | bits_of(r[3])) & 0x1fff;
+    bool keep = low == 0 && fabsf(norm * big - 1) < UNIT_TOLERANCE; /* 10 bits of mantissa */
+    for (int k = 0; k < 4; k++)
+        out[k] = keep ? r[k] : s[k] / norm;
+}
+
+/* mem_free it. */
 static float *unit_quats(const struct gauss *g)
 {
-    float *q = mem_array(4 * g->n, sizeof *q);
-    for (size_t i = 0; q && i < g->n; i++) {
-        const float *r = g->quat_wxyz + 4 * i;
-        float big = fmaxf(fmaxf(fabsf(r[0]), fabsf(r[1])), fmaxf(fabsf(r[2]), fabsf(r[3])));
-        float s[4] = {r[0] / big, r[1] / big, r[2] / big, r[3] / big};
-        float norm = sqrtf(s[0] * s[0] + s[1] * s[1] + s[2] * s[2] + s[3] * s[3]);
-        uint32_t u[4];
-        memcpy(u, r, sizeof u);
-        bool halves = ((u[0] | u[1] | u[2] | u[3]) & 0x1fff) == 0; /* 10 bits of mantissa */
-        bool keep = halves && fabsf(norm * big - 1) < UNIT_TOLERANCE;
-        for (int c = 0; c < 4; c++)
-            q[4 * i + c] = keep ? r[c] : s[c] / norm;
-    }
+    float *q = mem_room(4 * g->n, sizeof *q);
+    for (size_t i = 0; q && i < g->n; i++)
+        payload_unit_quat(g->quat_wxyz + 4 * i, q + 4 * i);
     return q;
 }
 
@@ -366,7 +381,7 @@ enum err_code payload_decode(const void *bytes, size_t n, const struct codec_lim
                          ZSTD_isError(got) ? ZSTD_getErrorName(got) : "too short");
     }
     if (rc == ERR_OK)
-        rc = gauss_alloc(out, head.n, head.sh_degree, head.embed_len, e);
+        rc = gauss_room(out, head.n, head.sh_degree, head.embed_len, e);
     if (rc == ERR_OK) {
         out->n = head.n;
         out->antialiased = head.antialiased;

@@ -24,6 +24,8 @@ struct json_t;
  * pointer. Free with mem_free. Tests make the k-th allocation fail with mem_fail_at(k) (0 = never).
  */
 void *mem_array(size_t n, size_t size);
+/* The same with anything in it: for large blocks that are written at once. */
+void *mem_room(size_t n, size_t size);
 /* Grow or shrink: contents kept up to the smaller size, new bytes zeroed. The old block stays valid
  * on failure (NULL). */
 void *mem_resize(void *p, size_t n_old, size_t n_new, size_t size);

@@ -16,18 +16,22 @@ static bool buf_room(struct buf *b, size_t n)
     if (b->data && n <= b->cap - b->size)
         return true;
     size_t cap = b->cap ? b->cap : 256;
-    while (cap - b->size < n) {
-        if (cap > SIZE_MAX / 4) {
-            b->failed = true;
-            return false;
-        }
-        cap *= 2;
+    if (n > SIZE_MAX / 4 || cap > SIZE_MAX / 4) {
+        b->failed = true;
+        return false;
     }
-    uint8_t *p = mem_resize(b->data, b->size, cap, 1);
+    if (b->cap)
+        cap *= 2;
+    if (cap < b->size + n)
+        cap = b->size + n;
+    uint8_t *p = mem_room(cap, 1);
     if (!p) {
         b->failed = true;
         return false;
     }
+    if (b->size)
+        memcpy(p, b->data, b->size);
+    mem_free(b->data);
     b->data = p;
     b->cap = cap;
     return true;

@@ -47,8 +47,8 @@ static size_t gauss_row_floats(const struct gauss *g)
     return sum;
 }
 
-enum err_code gauss_alloc(struct gauss *g, size_t cap, uint32_t sh_degree, uint32_t embed_len,
-                          struct err *e)
+static enum err_code gauss_make(struct gauss *g, size_t cap, uint32_t sh_degree, uint32_t embed_len,
+                                void *(*get)(size_t n, size_t size), struct err *e)
 {
     *g = (struct gauss){0};
     if (sh_degree > GAUSS_SH_DEGREE_MAX || embed_len > GAUSS_EMBED_MAX)
@@ -56,12 +56,24 @@ enum err_code gauss_alloc(struct gauss *g, size_t cap, uint32_t sh_degree, uint3
                        "SH degree %u (at most %d) or embedding length %u (at most %d)", sh_degree,
                        GAUSS_SH_DEGREE_MAX, embed_len, GAUSS_EMBED_MAX);
     struct gauss made = {.cap = cap, .sh_degree = sh_degree, .embed_len = embed_len};
-    made.block = mem_array(cap, gauss_row_floats(&made) * sizeof(float));
+    made.block = get(cap, gauss_row_floats(&made) * sizeof(float));
     if (!made.block)
         return err_set(e, ERR_MEM, "out of memory for %zu Gaussians", cap);
     gauss_point_into(&made, made.block);
     *g = made;
     return ERR_OK;
+}
+
+enum err_code gauss_alloc(struct gauss *g, size_t cap, uint32_t sh_degree, uint32_t embed_len,
+                          struct err *e)
+{
+    return gauss_make(g, cap, sh_degree, embed_len, mem_array, e);
+}
+
+enum err_code gauss_room(struct gauss *g, size_t cap, uint32_t sh_degree, uint32_t embed_len,
+                         struct err *e)
+{
+    return gauss_make(g, cap, sh_degree, embed_len, mem_room, e);
 }
 
 void gauss_free(struct gauss *g)

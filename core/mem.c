@@ -41,16 +41,19 @@ static size_t mem_round(size_t n, size_t size)
     return bytes ? (bytes + MEM_ALIGN - 1) / MEM_ALIGN * MEM_ALIGN : MEM_ALIGN;
 }
 
-void *mem_array(size_t n, size_t size)
+void *mem_room(size_t n, size_t size)
 {
     size_t bytes = mem_round(n, size);
-    if (!bytes || mem_must_fail())
-        return NULL;
     void *p = NULL;
-    if (posix_memalign(&p, MEM_ALIGN, bytes))
+    if (!bytes || mem_must_fail() || posix_memalign(&p, MEM_ALIGN, bytes))
         return NULL;
-    memset(p, 0, bytes);
     return p;
+}
+
+void *mem_array(size_t n, size_t size)
+{
+    void *p = mem_room(n, size);
+    return p ? memset(p, 0, mem_round(n, size)) : NULL;
 }
 
 void *mem_resize(void *p, size_t n_old, size_t n_new, size_t size)

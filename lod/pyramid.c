@@ -197,8 +197,8 @@ static enum err_code pyramid_read(struct pyramid *p, struct err *e)
 /* ---- a tile from its slices ---- */
 
 struct pyramid_slices {
-    float *rows;                  /* all slices, one after the other */
-    const float **row;            /* [n] */
+    uint8_t *rows;                /* all slices, one after the other */
+    const uint8_t **row;          /* [n] */
     const struct spill_run **run; /* [n] that the row is of */
     size_t n;
 };
@@ -215,24 +215,24 @@ static enum err_code pyramid_gather(struct pyramid *p, const struct pyramid_runs
                                     struct err *e)
 {
     uint64_t first, last;
-    size_t from, to, floats = 0;
+    size_t from, to, bytes = 0;
     pyramid_range(code, z, &first, &last);
     for (size_t r = 0; r < runs->n; r++) {
         spill_slice(&runs->run[r], first, last, &from, &to);
         out->n += to - from;
-        floats += (to - from) * spill_row_floats(&runs->run[r]);
+        bytes += (to - from) * spill_row_bytes(&p->spill, &runs->run[r]);
     }
-    out->rows = mem_array(floats, sizeof *out->rows);
-    out->row = mem_array(out->n, sizeof *out->row);
-    out->run = mem_array(out->n, sizeof *out->run);
+    out->rows = mem_room(bytes, sizeof *out->rows);
+    out->row = mem_room(out->n, sizeof *out->row);
+    out->run = mem_room(out->n, sizeof *out->run);
     if (!out->rows || !out->row || !out->run)
         return err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", out->n);
     enum err_code rc = ERR_OK;
-    float *at = out->rows;
+    uint8_t *at = out->rows;
     size_t n = 0;
     for (size_t r = 0; !rc && r < runs->n; r++) {
         const struct spill_run *run = &runs->run[r];
-        size_t width = spill_row_floats(run);
+        size_t width = spill_row_bytes(&p->spill, run);
         spill_slice(run, first, last, &from, &to);
         if (from == to)
             continue;
@@ -299,33 +299,26 @@ size_t pyramid_fit(struct gauss *g, double reach_m)
     return n_far;
 }
 
+static inline float pyramid_mean(const uint8_t *row, size_t k)
+{
+    float m;
+    memcpy(&m, row + k * sizeof m, sizeof m);
+    return m;
+}
+
 static enum err_code pyramid_center(const struct pyramid *p, const struct pyramid_slices *s,
                                     double reach_m, double center[3], struct err *e)
 {
-    double *at = mem_array(s->n, sizeof *at);
+    double *at = mem_room(s->n, sizeof *at);
     if (!at)
         return err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", s->n);
     for (size_t k = 0; k < 3; k++) {
         for (size_t i = 0; i < s->n; i++)
-            at[i] = (double)s->row[i][k] + s->run[i]->origin_enu_m[k];
+            at[i] = (double)pyramid_mean(s->row[i], k) + s->run[i]->origin_enu_m[k];
         center[k] = pyramid_center_axis(p->cfg->lossless, reach_m, at, s->n);
     }
     mem_free(at);
     return ERR_OK;
-}
-
-static void pyramid_unpack(struct gauss *g, size_t i, const float *row, const float mean[3],
-                           const struct spill_run *run)
-{
-    size_t have = 3 * gauss_sh_count(run->sh_degree), want = 3 * gauss_sh_count(g->sh_degree);
-    memcpy(g->mean_m + 3 * i, mean, 3 * sizeof *mean);
-    memcpy(g->scale_log + 3 * i, row + 3, 3 * sizeof *row);
-    memcpy(g->quat_wxyz + 4 * i, row + 6, 4 * sizeof *row);
-    g->opacity_logit[i] = row[10];
-    memcpy(g->sh + want * i, row + 11, (have < want ? have : want) * sizeof *row);
-    size_t n = run->embed_len < g->embed_len ? run->embed_len : g->embed_len;
-    if (n)
-        memcpy(g->embed + g->embed_len * i, row + 11 + have, n * sizeof *row);
 }
 
 /* Rows within reach of the centre, about it, in Hilbert order; *n_far are not. At least one
@@ -335,8 +328,8 @@ static enum err_code pyramid_arrange(const struct pyramid *p, struct pyramid_sli
                                      struct err *e)
 {
     double center[3];
-    float *mean = mem_array(s->n, 3 * sizeof *mean);
-    uint32_t *order = mem_array(s->n, sizeof *order);
+    float *mean = mem_room(s->n, 3 * sizeof *mean);
+    uint32_t *order = mem_room(s->n, sizeof *order);
     size_t n = 0;
     enum err_code rc = mean && order ? pyramid_center(p, s, reach_m, center, e)
                                      : err_set(e, ERR_MEM, "out of memory for a tile");
@@ -345,7 +338,7 @@ static enum err_code pyramid_arrange(const struct pyramid *p, struct pyramid_sli
     for (size_t i = 0; i < s->n; i++) {
         double far = 0.0, at[3];
         for (size_t k = 0; k < 3; k++) {
-            at[k] = (double)s->row[i][k] + (s->run[i]->origin_enu_m[k] - center[k]);
+            at[k] = (double)pyramid_mean(s->row[i], k) + (s->run[i]->origin_enu_m[k] - center[k]);
             far = fmax(far, fabs(at[k]));
         }
         if (!(far < PYRAMID_ALLOWANCE * reach_m))
@@ -359,14 +352,16 @@ static enum err_code pyramid_arrange(const struct pyramid *p, struct pyramid_sli
     const struct gauss means = {.n = n, .mean_m = mean};
     rc = gauss_hilbert_order(&means, order, e);
     if (!rc)
-        rc = gauss_alloc(out, n, p->meta.sh_degree, p->meta.embed_len, e);
+        rc = gauss_room(out, n, p->meta.sh_degree, p->meta.embed_len, e);
     if (rc)
         goto out;
     memcpy(out->origin_enu_m, center, sizeof center);
     out->antialiased = p->meta.antialiased;
     out->n = n;
-    for (size_t i = 0; i < n; i++)
-        pyramid_unpack(out, i, s->row[order[i]], mean + 3 * order[i], s->run[order[i]]);
+    for (size_t i = 0; i < n; i++) {
+        memcpy(out->mean_m + 3 * i, mean + 3 * order[i], 3 * sizeof *mean);
+        spill_unpack(&p->spill, s->run[order[i]], s->row[order[i]], out, i);
+    }
     *n_far += pyramid_fit(out, reach_m);
 out:
     mem_free(mean);
@@ -724,7 +719,7 @@ enum err_code pyramid_build(const struct geo_origin *origin, const struct pyrami
     if (!rc)
         rc = locate_open(origin, &p.locate, e);
     if (!rc)
-        rc = spill_open(out_path, &p.spill, e);
+        rc = spill_open(out_path, cfg->lossless, &p.spill, e);
     if (!rc)
         rc = pyramid_read(&p, e);
     if (!rc) {

@@ -10,12 +10,12 @@
 #include <string.h>
 #include <unistd.h>
 
-enum { SPILL_FIELDS = 6, SPILL_BLOCK_ROWS = 4096 };
+enum { SPILL_BLOCK_ROWS = 4096, SPILL_REST_MAX = 3 + 4 + 1 + 48 + GAUSS_EMBED_MAX };
 
-enum err_code spill_open(const char *near, struct spill *out, struct err *e)
+enum err_code spill_open(const char *near, bool lossless, struct spill *out, struct err *e)
 {
     char path[FILE_PATH_MAX];
-    *out = (struct spill){.fd = -1};
+    *out = (struct spill){.fd = -1, .lossless = lossless};
     pthread_mutex_init(&out->lock, NULL);
     snprintf(out->near, sizeof out->near, "%s", near);
     int n = snprintf(path, sizeof path, "%s.spill-%ld", near, (long)getpid());
@@ -38,22 +38,63 @@ void spill_close(struct spill *s)
     *s = (struct spill){.fd = -1};
 }
 
-size_t spill_row_floats(const struct spill_run *r)
+static size_t spill_rest(uint32_t sh_degree, uint32_t embed_len)
 {
-    return 3 + 3 + 4 + 1 + 3 * gauss_sh_count(r->sh_degree) + r->embed_len;
+    return 3 + 4 + 1 + 3 * gauss_sh_count(sh_degree) + embed_len;
 }
 
-static float *spill_pack(const struct gauss *g, size_t i, float *out)
+size_t spill_row_bytes(const struct spill *s, const struct spill_run *r)
 {
-    const size_t n_sh = 3 * gauss_sh_count(g->sh_degree);
-    memcpy(out, g->mean_m + 3 * i, 3 * sizeof *out);
-    memcpy(out + 3, g->scale_log + 3 * i, 3 * sizeof *out);
-    memcpy(out + 6, g->quat_wxyz + 4 * i, 4 * sizeof *out);
-    out[10] = g->opacity_logit[i];
-    memcpy(out + 11, g->sh + n_sh * i, n_sh * sizeof *out);
+    size_t rest = spill_rest(r->sh_degree, r->embed_len);
+    return 3 * sizeof(float) + (s->lossless ? rest * sizeof(float) : rest * sizeof(uint16_t));
+}
+
+static void spill_pack(const struct spill *s, const struct gauss *g, size_t i, uint8_t *out)
+{
+    const size_t n_sh = 3 * gauss_sh_count(g->sh_degree),
+                 n = spill_rest(g->sh_degree, g->embed_len);
+    float rest[SPILL_REST_MAX];
+    uint16_t half[SPILL_REST_MAX];
+    memcpy(out, g->mean_m + 3 * i, 3 * sizeof(float));
+    memcpy(rest, g->scale_log + 3 * i, 3 * sizeof *rest);
+    memcpy(rest + 3, g->quat_wxyz + 4 * i, 4 * sizeof *rest);
+    rest[7] = g->opacity_logit[i];
+    memcpy(rest + 8, g->sh + n_sh * i, n_sh * sizeof *rest);
     if (g->embed_len)
-        memcpy(out + 11 + n_sh, g->embed + g->embed_len * i, g->embed_len * sizeof *out);
-    return out + 11 + n_sh + g->embed_len;
+        memcpy(rest + 8 + n_sh, g->embed + g->embed_len * i, g->embed_len * sizeof *rest);
+    if (s->lossless) {
+        memcpy(out + 12, rest, n * sizeof *rest);
+        return;
+    }
+    payload_unit_quat(g->quat_wxyz + 4 * i, rest + 3);
+    payload_to_halves(rest, n, half);
+    memcpy(out + 12, half, n * sizeof *half);
+}
+
+void spill_unpack(const struct spill *s, const struct spill_run *r, const void *row,
+                  struct gauss *g, size_t i)
+{
+    const size_t have = 3 * gauss_sh_count(r->sh_degree), want = 3 * gauss_sh_count(g->sh_degree),
+                 n = spill_rest(r->sh_degree, r->embed_len);
+    float rest[SPILL_REST_MAX];
+    uint16_t half[SPILL_REST_MAX];
+    const uint8_t *p = (const uint8_t *)row + 12;
+    if (s->lossless) {
+        memcpy(rest, p, n * sizeof *rest);
+    } else {
+        memcpy(half, p, n * sizeof *half);
+        payload_from_halves(half, n, rest);
+    }
+    memcpy(g->scale_log + 3 * i, rest, 3 * sizeof *rest);
+    memcpy(g->quat_wxyz + 4 * i, rest + 3, 4 * sizeof *rest);
+    g->opacity_logit[i] = rest[7];
+    memcpy(g->sh + want * i, rest + 8, have * sizeof *rest);
+    memset(g->sh + want * i + have, 0, (want - have) * sizeof *rest);
+    float *embed = g->embed ? g->embed + g->embed_len * i : NULL;
+    if (r->embed_len)
+        memcpy(embed, rest + 8 + have, r->embed_len * sizeof *rest);
+    if (g->embed_len > r->embed_len)
+        memset(embed + r->embed_len, 0, (g->embed_len - r->embed_len) * sizeof *rest);
 }
 
 static enum err_code spill_write_at(struct spill *s, const void *bytes, size_t n, uint64_t at,
@@ -80,33 +121,31 @@ enum err_code spill_add(struct spill *s, const struct gauss *g, const struct sor
     run->sh_degree = g->sh_degree;
     run->embed_len = g->embed_len;
     memcpy(run->origin_enu_m, g->origin_enu_m, sizeof run->origin_enu_m);
-    size_t row = spill_row_floats(run);
-    float *block = mem_array(SPILL_BLOCK_ROWS, row * sizeof *block);
+    size_t row = spill_row_bytes(s, run);
+    uint8_t *block = mem_room(SPILL_BLOCK_ROWS, row);
     if (!block)
         return err_set(e, ERR_MEM, "out of memory for %d rows", SPILL_BLOCK_ROWS);
     pthread_mutex_lock(&s->lock);
     run->offset = s->size;
-    s->size += n * row * sizeof *block;
+    s->size += n * row;
     pthread_mutex_unlock(&s->lock);
     enum err_code rc = ERR_OK;
     for (size_t at = 0; !rc && at < n; at += SPILL_BLOCK_ROWS) {
         size_t end = at + SPILL_BLOCK_ROWS < n ? at + SPILL_BLOCK_ROWS : n;
-        float *p = block;
         for (size_t i = at; i < end; i++)
-            p = spill_pack(g, order ? order[i].row : i, p);
-        rc = spill_write_at(s, block, (end - at) * row * sizeof *block,
-                            run->offset + at * row * sizeof *block, e);
+            spill_pack(s, g, order ? order[i].row : i, block + (i - at) * row);
+        rc = spill_write_at(s, block, (end - at) * row, run->offset + at * row, e);
     }
     mem_free(block);
     return rc;
 }
 
 enum err_code spill_read(struct spill *s, const struct spill_run *r, size_t from, size_t to,
-                         float *out, struct err *e)
+                         void *out, struct err *e)
 {
-    size_t row = spill_row_floats(r) * sizeof *out, n = (to - from) * row;
+    size_t row = spill_row_bytes(s, r), n = (to - from) * row;
     uint64_t at = r->offset + from * row;
-    char *p = (char *)out;
+    char *p = out;
     while (n > 0) {
         ssize_t got = pread(s->fd, p, n, (off_t)at);
         if (got < 0 && errno == EINTR)

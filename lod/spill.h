@@ -15,6 +15,7 @@
 #include "lod/lod.h"
 
 struct spill {     /* spill_open makes it; adding and reading from any thread */
+    bool lossless; /* float32; else what a payload keeps: half floats but for means */
     int fd;        /* of a file without a name: gone when the process is */
     uint64_t size; /* guarded by lock */
     pthread_mutex_t lock;
@@ -29,15 +30,18 @@ struct spill_run {  /* {0} is empty; spill_run_free */
 };
 
 /* Beside `near`, the file to be written, because there is room for it. */
-enum err_code spill_open(const char *near, struct spill *out, struct err *e) ERR_USE;
+enum err_code spill_open(const char *near, bool lossless, struct spill *out, struct err *e) ERR_USE;
 void spill_close(struct spill *s); /* idempotent on {0} and after spill_open failed */
-size_t spill_row_floats(const struct spill_run *r);
+size_t spill_row_bytes(const struct spill *s, const struct spill_run *r);
 /* Append rows order[0..n) of g as a run; run->code and code_first are the caller's. */
 enum err_code spill_add(struct spill *s, const struct gauss *g, const struct sort_item *order,
                         size_t n, struct spill_run *run, struct err *e) ERR_USE;
-/* Rows [from, to) of a run, spill_row_floats each, fields in the container's order. */
+/* Rows [from, to) of a run, spill_row_bytes each; a row begins with its mean, float32. */
 enum err_code spill_read(struct spill *s, const struct spill_run *r, size_t from, size_t to,
-                         float *out, struct err *e) ERR_USE;
+                         void *out, struct err *e) ERR_USE;
+/* All of a row but its mean into row i of g, whose degree and embedding may be longer: 0 there. */
+void spill_unpack(const struct spill *s, const struct spill_run *r, const void *row,
+                  struct gauss *g, size_t i);
 /* Rows of the run with first <= code < last. */
 void spill_slice(const struct spill_run *r, uint64_t first, uint64_t last, size_t *from,
                  size_t *to);
