@@ -97,10 +97,10 @@ SIMD_INLINE float half_to_float(uint32_t h)
 
 /* Rows are taken in blocks that stay in the nearest cache while all components pass over them: a
  * component of SH by itself would touch a cache line a row. */
-SIMD_INLINE void plane_write_of(const struct plane *p, size_t n, uint8_t *out,
+SIMD_INLINE bool plane_write_of(const struct plane *p, size_t n, uint8_t *out,
                                 const size_t value_bytes)
 {
-    uint32_t before[WIDTH_MAX] = {0}, value[BLOCK_ROWS + 1];
+    uint32_t before[WIDTH_MAX] = {0}, value[BLOCK_ROWS + 1], most = 0;
     const size_t width = p->width;
     for (size_t at = 0; at < n; at += BLOCK_ROWS) {
         const size_t rows = n - at < BLOCK_ROWS ? n - at : BLOCK_ROWS;
@@ -110,6 +110,10 @@ SIMD_INLINE void plane_write_of(const struct plane *p, size_t n, uint8_t *out,
             float v[BLOCK_ROWS];
             for (size_t i = 0; i < rows; i++)
                 v[i] = in[i * width];
+            for (size_t i = 0; i < rows; i++) {
+                uint32_t a = bits_of(v[i]) & 0x7fffffff;
+                most = a > most ? a : most;
+            }
             value[0] = before[c];
             for (size_t i = 0; i < rows; i++)
                 value[i + 1] = value_bytes == 4 ? bits_of(v[i]) : half_from_float(v[i]);
@@ -119,21 +123,23 @@ SIMD_INLINE void plane_write_of(const struct plane *p, size_t n, uint8_t *out,
             before[c] = value[rows];
         }
     }
+    return most < 0x7f800000;
 }
 
-SIMD_WIDE static void plane_write4(const struct plane *p, size_t n, uint8_t *out)
+SIMD_WIDE static bool plane_write4(const struct plane *p, size_t n, uint8_t *out)
 {
-    plane_write_of(p, n, out, 4);
+    return plane_write_of(p, n, out, 4);
 }
 
-SIMD_WIDE static void plane_write2(const struct plane *p, size_t n, uint8_t *out)
+SIMD_WIDE static bool plane_write2(const struct plane *p, size_t n, uint8_t *out)
 {
-    plane_write_of(p, n, out, 2);
+    return plane_write_of(p, n, out, 2);
 }
 
-static void plane_write(const struct plane *p, size_t n, uint8_t *out)
+/* False when a value is not finite; what is written then is of no use. */
+static bool plane_write(const struct plane *p, size_t n, uint8_t *out)
 {
-    (p->value_bytes == 4 ? plane_write4 : plane_write2)(p, n, out);
+    return (p->value_bytes == 4 ? plane_write4 : plane_write2)(p, n, out);
 }
 
 /* Sums of all bytes before and of each: eight at a time, in a word whose bytes do not carry. */
@@ -284,8 +290,7 @@ enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *o
     struct plane planes[N_PLANES];
     float *quats = NULL;
     size_t bad = 0, start = out->size, bytes = plain_bytes(g, lossless);
-    if (gauss_count_bad(g, &bad))
-        return err_set(e, ERR_DATA, "payload : row %zu : not finite, or no rotation", bad);
+    bool good = true;
     if (g->n > UINT32_MAX)
         return err_set(e, ERR_LIMIT, "payload : %zu Gaussians in one tile", g->n);
     buf_add(out, "CSPT", 4);
@@ -310,9 +315,14 @@ enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *o
         if (quats)
             planes[2].data = quats;
         for (int i = 0; i < N_PLANES; i++) {
-            plane_write(&planes[i], g->n, p);
+            good = plane_write(&planes[i], g->n, p) && good;
             p += g->n * planes[i].width * planes[i].value_bytes;
         }
+        /* A rotation of 0 has become NaN, but not where it is kept as it is. */
+        if ((!good || lossless) && gauss_count_bad(g, &bad))
+            rc = err_set(e, ERR_DATA, "payload : row %zu : not finite, or no rotation", bad);
+    }
+    if (rc == ERR_OK) {
         rc = pack(plain.data, bytes, g->n, packed, &bound, e);
         out->size = at + bound;
     }

@@ -39,6 +39,8 @@ void mem_fail_at(size_t k);
 void mem_return_large(void);
 /* Peak resident set of this process so far, bytes. */
 size_t mem_peak_bytes(void);
+/* From now on the peak is that since now. False where the system does not do that. */
+bool mem_peak_reset(void);
 
 /* ---- arena.c: small things that die together ------------------------------------------------ */
 

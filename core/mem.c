@@ -6,6 +6,7 @@
  */
 #include <stdatomic.h>
 #include <stdint.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
@@ -87,6 +88,19 @@ void mem_return_large(void)
 #ifdef __GLIBC__
     (void)mallopt(M_MMAP_THRESHOLD, MEM_LARGE);
 #endif
+}
+
+bool mem_peak_reset(void)
+{
+    bool done = false;
+#ifdef __linux__
+    FILE *f = fopen("/proc/self/clear_refs", "w"); /* proc(5): 5 resets the peak of the process */
+    if (f) {
+        done = fputs("5", f) >= 0;
+        done = fclose(f) == 0 && done;
+    }
+#endif
+    return done;
 }
 
 size_t mem_peak_bytes(void)

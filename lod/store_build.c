@@ -192,8 +192,10 @@ static enum err_code store_core(struct store_tile *t, const struct gauss *g, str
 static double store_growth(const struct store *s, const struct gauss *g)
 {
     float most = 0.0f;
-    for (size_t i = 0; i < 3 * g->n; i++)
-        most = fmaxf(most, fabsf(g->scale_log[i]));
+    for (size_t i = 0; i < 3 * g->n; i++) {
+        float a = fabsf(g->scale_log[i]);
+        most = a > most ? a : most;
+    }
     return s->meta.lossless ? 1.0 : exp(ldexp((double)most, -11));
 }
 
