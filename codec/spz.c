@@ -27,7 +27,7 @@ enum {
     FRACTION_BITS_MAX = 23,
     FLAG_ANTIALIASED = 1,
     FLAG_EXTENSIONS = 2,
-    GZIP_LEVEL = 4, /* 1 % larger than 6, twice as fast */
+    GZIP_LEVEL = 3, /* 1 to 3 % larger than 6, three times as fast */
     ZSTD_LEVEL = 6, /* 3 % larger than 12, four times as fast */
     DEFLATE_GROWTH_MAX = 1032,
     ZSTD_GROWTH_MAX = 32768,
