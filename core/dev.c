@@ -388,6 +388,21 @@ enum err_code dev_kernel(cl_program program, const char *name, cl_kernel *out, s
 /* ---- buffers -----------------------------------------------------------------------------------
  */
 
+/* A buffer of PoCL's CPU devices is plain memory, and a step of training walks through all of it.
+ */
+static void dev_prefer_huge(struct dev *d, cl_mem m, size_t n_bytes)
+{
+    cl_int code = CL_SUCCESS;
+    if (!d->is_pocl || d->vector_width == 1)
+        return;
+    void *p =
+        clEnqueueMapBuffer(d->queue, m, CL_TRUE, CL_MAP_WRITE, 0, n_bytes, 0, NULL, NULL, &code);
+    if (code != CL_SUCCESS)
+        return; /* nothing is lost but speed */
+    mem_prefer_huge(p, n_bytes);
+    (void)clEnqueueUnmapMemObject(d->queue, m, p, 0, NULL, NULL);
+}
+
 enum err_code dev_buffer(struct dev *d, size_t size_bytes, const void *host, cl_mem *out,
                          struct err *e)
 {
@@ -409,6 +424,7 @@ enum err_code dev_buffer(struct dev *d, size_t size_bytes, const void *host, cl_
         *out = NULL;
         return dev_fail(e, code, "dev_buffer", which);
     }
+    dev_prefer_huge(d, *out, rounded);
     if (host && size_bytes) {
         enum err_code rc = dev_write(d, *out, 0, size_bytes, host, e);
         if (rc != ERR_OK) {

@@ -4,11 +4,13 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#define _DEFAULT_SOURCE /* madvise */
 #include <stdatomic.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include <sys/resource.h>
 #ifdef __GLIBC__
 #include <malloc.h>
@@ -16,7 +18,7 @@
 
 #include "core/base.h"
 
-enum { MEM_ALIGN = 64, MEM_LARGE = 256 << 10 };
+enum { MEM_ALIGN = 64, MEM_LARGE = 256 << 10, MEM_HUGE = 2 << 20 };
 static atomic_size_t mem_countdown; /* 0 = never fail */
 
 void mem_fail_at(size_t k)
@@ -48,6 +50,7 @@ void *mem_room(size_t n, size_t size)
     void *p = NULL;
     if (!bytes || mem_must_fail() || posix_memalign(&p, MEM_ALIGN, bytes))
         return NULL;
+    mem_prefer_huge(p, bytes);
     return p;
 }
 
@@ -101,6 +104,21 @@ bool mem_peak_reset(void)
     }
 #endif
     return done;
+}
+
+void mem_prefer_huge(void *p, size_t n_bytes)
+{
+#ifdef MADV_HUGEPAGE
+    if (!p || n_bytes < 2 * MEM_HUGE)
+        return;
+    uintptr_t from = ((uintptr_t)p + MEM_HUGE - 1) / MEM_HUGE * MEM_HUGE;
+    uintptr_t to = ((uintptr_t)p + n_bytes) / MEM_HUGE * MEM_HUGE;
+    if (to > from)
+        (void)madvise((void *)from, to - from, MADV_HUGEPAGE); /* advice may be declined */
+#else
+    (void)p;
+    (void)n_bytes;
+#endif
 }
 
 size_t mem_peak_bytes(void)
