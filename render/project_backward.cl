@@ -495,9 +495,12 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
                 d.look[p] = (V)(0.0f);
 #endif
         }
-        if (with_extra)
+        if (with_extra == 11)
             for (uint p = 0; p < 11; p++)
                 d.geo[p] += LD(extra + (size_t)group * 11 * LAYOUT_LANES + lane, p);
+        else if (with_extra)
+            for (uint p = 0; p < 3; p++)
+                d.geo[3 + p] += LD(extra + (size_t)group * 3 * LAYOUT_LANES + lane, p);
         VI usable = gradient_usable(&d) & real;
 #ifdef APPEARANCE_LEN
         for (uint p = 0; p < 4; p++)

@@ -189,6 +189,7 @@ struct render_adam {
     struct render_appearance_grad *appearance;
     cl_mem extra_grad; /* may be NULL: float [groups][11][16], added to the gradients of planes 0-10
                         * of every Gaussian, seen or not (regularisers) */
+    bool extra_sizes;  /* it is float [groups][3][16], for planes 3-5 alone */
 };
 /* Per-Gaussian densification statistics, accumulated by render_backward_step:
  *   grad   float [cap]  sum of ||(0.5 W g_u, 0.5 H g_v)||        (positional gradient, NDC units)

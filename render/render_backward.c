@@ -234,7 +234,10 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
 {
     const struct render_backward_state *s = r->backward;
     cl_uint with_stats = stats != NULL, with_abs = stats && stats->absg,
-            with_opacity = stats && stats->opacity, with_extra = adam->extra_grad != NULL;
+            with_opacity = stats && stats->opacity,
+            with_extra = !adam->extra_grad   ? 0
+                         : adam->extra_sizes ? 3
+                                             : 11;
     cl_mem none = s->unused, extra = adam->extra_grad ? adam->extra_grad : none;
     struct render_density_stats d = {none, none, none, none, none, none};
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */

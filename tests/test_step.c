@@ -91,9 +91,13 @@ static void check_adam(bool with_extra, int sh_degree, uint32_t width)
         d->vector_width = width ? width : own;
         kit_ok(render_backward(t.r, &t.m, grads, &e), e);
         float *g = floats_read(grads, words);
-        for (size_t i = 0; extra && i < words; i++)
-            if (i / 16 % t.m.planes < 11)
-                g[i] += extra[i / 16 / t.m.planes * 176 + i % (16 * t.m.planes)];
+        t.adam.extra_sizes = t.adam.step >= 2; /* the same floats as three planes a group */
+        size_t first = t.adam.extra_sizes ? 3 : 0, planes = t.adam.extra_sizes ? 3 : 11;
+        for (size_t i = 0; extra && i < words; i++) {
+            size_t plane = i / 16 % t.m.planes;
+            if (plane >= first && plane < first + planes)
+                g[i] += extra[(i / 16 / t.m.planes * planes + plane - first) * 16 + i % 16];
+        }
         t.adam.step++;
         kit_ok(render_backward_step(t.r, &t.m, &t.adam, &t.stats, &e), e);
         d->vector_width = own;

@@ -22,6 +22,11 @@ typedef uint VU;
 #define LANE 0
 #define LANES_EACH(lane) for (uint lane = 0; lane < LAYOUT_LANES; lane++)
 #endif
+#ifdef HAS_PREFETCH
+#define PREFETCH(p) __builtin_prefetch(p)
+#else
+#define PREFETCH(p) (void)(p)
+#endif
 #define MIN_(a, b) ((a) < (b) ? (a) : (b))
 #define MAX_(a, b) ((a) > (b) ? (a) : (b))
 

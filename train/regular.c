@@ -122,7 +122,7 @@ static enum err_code regular_scale(struct level *l, struct err *e)
         .weight = c->scale_weight,
     };
     enum err_code rc = r->scale ? ERR_OK : scale_loss_open(l->dev, &r->scale, e);
-    return rc ? rc : scale_loss_run(r->scale, &l->model, &in, r->extra, e);
+    return rc ? rc : scale_loss_run(r->scale, &l->model, &in, l->adam.extra_sizes, r->extra, e);
 }
 
 static bool regular_depth_acts(const struct level *l, uint32_t step)
@@ -223,6 +223,7 @@ enum err_code regular_step(struct level *l, uint32_t step, const struct feed_pho
     rc = regular_make(l, e);
     if (!rc)
         rc = regular_reserve(l, e);
+    l->adam.extra_sizes = scale && !depth; /* fewer planes to pass through memory */
     if (!rc && scale)
         rc = regular_scale(l, e);
     else if (!rc)

@@ -41,9 +41,10 @@ struct scale_loss_value {
 struct scale_loss; /* compiled kernels */
 enum err_code scale_loss_open(struct dev *dev, struct scale_loss **out, struct err *e) ERR_USE;
 void scale_loss_close(struct scale_loss **s);
-/* Enqueue: write dL/d(planes 0-10) into extra, float [groups][11][16], all of it. */
+/* Enqueue: write dL/d(planes 0-10) into extra, float [groups][11][16], all of it; with sizes_only
+ * dL/d(planes 3-5), [groups][3][16]. */
 enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
-                             const struct scale_loss_input *in, cl_mem extra,
+                             const struct scale_loss_input *in, bool sizes_only, cl_mem extra,
                              struct err *e) ERR_USE;
 /* Wait and read the value of the last run. */
 enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out,

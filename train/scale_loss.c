@@ -1,9 +1,9 @@
 /* The scale regulariser: Gaussians longer than a building, and needles, shrink.
  *
- * Three launches a step: counts over fixed pieces, their total, gradients. Owns its kernels and two
- * small buffers. A flat disc (two long axes, one short) is no needle: the ratio is of the longest
- * axis to the middle one. Source: REUrbanGS (2025); the division by n + 1 keeps the pull on one
- * offender the same however many there are.
+ * Two launches a step: counts over fixed pieces, gradients. Owns its kernels and a small buffer. A
+ * flat disc (two long axes, one short) is no needle: the ratio is of the longest axis to the middle
+ * one. Source: REUrbanGS (2025); the division by n + 1 keeps the pull on one offender the same
+ * however many there are.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -26,8 +26,8 @@ struct scale_piece { /* as in scale_loss.cl */
 struct scale_loss {
     struct dev *dev; /* borrowed */
     cl_program program;
-    cl_kernel count, total, grad;
-    cl_mem pieces, sum;
+    cl_kernel count, grad;
+    cl_mem pieces;
     double weight; /* of the last run */
 };
 
@@ -36,14 +36,13 @@ void scale_loss_close(struct scale_loss **p)
     struct scale_loss *s = *p;
     if (!s)
         return;
-    cl_kernel kernels[] = {s->count, s->total, s->grad};
+    cl_kernel kernels[] = {s->count, s->grad};
     for (size_t i = 0; i < sizeof(kernels) / sizeof(kernels[0]); i++)
         if (kernels[i])
             clReleaseKernel(kernels[i]);
     if (s->program)
         clReleaseProgram(s->program);
     dev_release(&s->pieces);
-    dev_release(&s->sum);
     mem_free(s);
     *p = NULL;
 }
@@ -61,13 +60,9 @@ enum err_code scale_loss_open(struct dev *dev, struct scale_loss **out, struct e
     if (!rc)
         rc = dev_kernel(s->program, "scale_count", &s->count, e);
     if (!rc)
-        rc = dev_kernel(s->program, "scale_total", &s->total, e);
-    if (!rc)
         rc = dev_kernel(s->program, "scale_grad", &s->grad, e);
     if (!rc)
         rc = dev_buffer(dev, SCALE_PIECES * sizeof(struct scale_piece), NULL, &s->pieces, e);
-    if (!rc)
-        rc = dev_buffer(dev, sizeof(struct scale_piece), NULL, &s->sum, e);
     if (rc)
         scale_loss_close(&s);
     *out = s;
@@ -75,9 +70,10 @@ enum err_code scale_loss_open(struct dev *dev, struct scale_loss **out, struct e
 }
 
 enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
-                             const struct scale_loss_input *in, cl_mem extra, struct err *e)
+                             const struct scale_loss_input *in, bool sizes_only, cl_mem extra,
+                             struct err *e)
 {
-    cl_uint n = m->n, planes = m->planes, groups = m->groups;
+    cl_uint only = sizes_only, n = m->n, planes = m->planes, groups = m->groups;
     cl_float s_max = (cl_float)in->s_max_m, r_max = (cl_float)in->r_max,
              weight = (cl_float)in->weight;
     cl_int bad = CL_SUCCESS;
@@ -91,31 +87,37 @@ enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
         bad |= dev_arg(both[i], 5, r_max);
     }
     bad |= dev_arg(s->count, 6, s->pieces);
-    bad |= dev_arg(s->total, 0, s->pieces);
-    bad |= dev_arg(s->total, 1, s->sum);
     bad |= dev_arg(s->grad, 6, weight);
-    bad |= dev_arg(s->grad, 7, s->sum);
-    bad |= dev_arg(s->grad, 8, extra);
+    bad |= dev_arg(s->grad, 7, s->pieces);
+    bad |= dev_arg(s->grad, 8, only);
+    bad |= dev_arg(s->grad, 9, extra);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "scale_loss: arguments: %s", dev_error_name(bad));
     s->weight = in->weight;
     size_t items = (groups + LAYOUT_PROJECT_GROUPS - 1) / LAYOUT_PROJECT_GROUPS;
     enum err_code rc = dev_run(s->dev, s->count, "scale_count", SCALE_PIECES, 1, e);
-    if (!rc)
-        rc = dev_run(s->dev, s->total, "scale_total", 1, 1, e);
     return rc ? rc : dev_run(s->dev, s->grad, "scale_grad", items, 1, e);
 }
 
 enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out, struct err *e)
 {
-    struct scale_piece t;
-    enum err_code rc = dev_read(s->dev, s->sum, 0, sizeof(t), &t, e);
+    struct scale_piece pieces[SCALE_PIECES];
+    struct {
+        double n, m, size, ratio;
+    } t = {0};
+    enum err_code rc = dev_read(s->dev, s->pieces, 0, sizeof(pieces), pieces, e);
     if (rc)
         return rc;
-    *out = (struct scale_loss_value){
-        .total = s->weight * ((double)t.size / (t.n + 1.0) + (double)t.ratio / (t.m + 1.0)),
-        .n = t.n,
-        .m = t.m};
+    for (size_t i = 0; i < SCALE_PIECES; i++) {
+        t.n += pieces[i].n;
+        t.m += pieces[i].m;
+        t.size += (double)pieces[i].size;
+        t.ratio += (double)pieces[i].ratio;
+    }
+    *out = (struct scale_loss_value){.total =
+                                         s->weight * (t.size / (t.n + 1.0) + t.ratio / (t.m + 1.0)),
+                                     .n = (uint32_t)t.n,
+                                     .m = (uint32_t)t.m};
     return ERR_OK;
 }
 
