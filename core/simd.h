@@ -27,6 +27,8 @@
 #else
 #define SIMD_WIDE
 #endif
+/* Bytes that are needed soon, from places that no prefetcher guesses. */
+#define SIMD_SOON(p) __builtin_prefetch(p)
 #define SIMD_INLINE static inline __attribute__((always_inline))
 
 #endif

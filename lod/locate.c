@@ -74,7 +74,9 @@ static bool locate_fast(const struct locate *l, const double enu[3], struct key 
     double cos_u = 1.0 / sqrt(1.0 + tan_u * tan_u), sin_u = tan_u * cos_u;
     double tan_lat = (at[2] + LOCATE_EP2 * LOCATE_B * sin_u * sin_u * sin_u) /
                      (p - LOCATE_E2 * LOCATE_A * cos_u * cos_u * cos_u);
-    double v = 0.5 - asinh(tan_lat) / (2.0 * LOCATE_PI);
+    /* asinh by its definition, where nothing cancels */
+    double far = log(fabs(tan_lat) + sqrt(tan_lat * tan_lat + 1.0)) / (2.0 * LOCATE_PI);
+    double v = tan_lat > 0.0 ? 0.5 - far : 0.5 + far;
     double u = atan2(at[1], at[0]) / (2.0 * LOCATE_PI) + 0.5;
     out->z = KEY_ZOOM_MAX;
     return locate_cell(u, &out->x) && locate_cell(v, &out->y);

@@ -18,10 +18,12 @@
 #include <string.h>
 
 #include "core/pool.h"
+#include "core/simd.h"
 #include "lod/tilewriter.h"
 
 enum {
     PYRAMID_PART_ROWS = 131072, /* of a level in memory */
+    PYRAMID_SOON = 8,           /* rows */
     PYRAMID_ZOOM_LOCAL = 6,     /* above, a tile has latitudes of many scales */
 };
 #define PYRAMID_ROUNDING 1.25e-7 /* of the reach: float32, twice, is closer */
@@ -359,6 +361,10 @@ static enum err_code pyramid_arrange(const struct pyramid *p, struct pyramid_sli
     out->antialiased = p->meta.antialiased;
     out->n = n;
     for (size_t i = 0; i < n; i++) {
+        if (i + PYRAMID_SOON < n) {
+            SIMD_SOON(s->row[order[i + PYRAMID_SOON]]);
+            SIMD_SOON(s->row[order[i + PYRAMID_SOON]] + 64);
+        }
         memcpy(out->mean_m + 3 * i, mean + 3 * order[i], 3 * sizeof *mean);
         spill_unpack(&p->spill, s->run[order[i]], s->row[order[i]], out, i);
     }

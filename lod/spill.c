@@ -10,7 +10,14 @@
 #include <string.h>
 #include <unistd.h>
 
-enum { SPILL_BLOCK_ROWS = 4096, SPILL_REST_MAX = 3 + 4 + 1 + 48 + GAUSS_EMBED_MAX };
+#include "core/simd.h"
+
+enum {
+    SPILL_BLOCK_ROWS = 4096,
+    SPILL_SOON = 8,
+    SPILL_LINE = 64 / sizeof(float),
+    SPILL_REST_MAX = 3 + 4 + 1 + 48 + GAUSS_EMBED_MAX
+};
 
 enum err_code spill_open(const char *near, bool lossless, struct spill *out, struct err *e)
 {
@@ -114,6 +121,17 @@ static enum err_code spill_write_at(struct spill *s, const void *bytes, size_t n
     return ERR_OK;
 }
 
+static void spill_soon(const struct gauss *g, size_t i)
+{
+    const size_t n_sh = 3 * gauss_sh_count(g->sh_degree);
+    SIMD_SOON(g->mean_m + 3 * i);
+    SIMD_SOON(g->scale_log + 3 * i);
+    SIMD_SOON(g->quat_wxyz + 4 * i);
+    SIMD_SOON(g->opacity_logit + i);
+    for (size_t k = 0; k < n_sh; k += SPILL_LINE)
+        SIMD_SOON(g->sh + n_sh * i + k);
+}
+
 enum err_code spill_add(struct spill *s, const struct gauss *g, const struct sort_item *order,
                         size_t n, struct spill_run *run, struct err *e)
 {
@@ -132,8 +150,11 @@ enum err_code spill_add(struct spill *s, const struct gauss *g, const struct sor
     enum err_code rc = ERR_OK;
     for (size_t at = 0; !rc && at < n; at += SPILL_BLOCK_ROWS) {
         size_t end = at + SPILL_BLOCK_ROWS < n ? at + SPILL_BLOCK_ROWS : n;
-        for (size_t i = at; i < end; i++)
+        for (size_t i = at; i < end; i++) {
+            if (order && i + SPILL_SOON < end)
+                spill_soon(g, order[i + SPILL_SOON].row);
             spill_pack(s, g, order ? order[i].row : i, block + (i - at) * row);
+        }
         rc = spill_write_at(s, block, (end - at) * row, run->offset + at * row, e);
     }
     mem_free(block);
