@@ -104,6 +104,8 @@ SIMD_INLINE bool plane_write_of(const struct plane *p, size_t n, uint8_t *out,
     const size_t width = p->width;
     for (size_t at = 0; at < n; at += BLOCK_ROWS) {
         const size_t rows = n - at < BLOCK_ROWS ? n - at : BLOCK_ROWS;
+        for (size_t k = 0; at + 2 * BLOCK_ROWS <= n && k < BLOCK_ROWS * width; k += 16)
+            SIMD_SOON(p->data + (at + BLOCK_ROWS) * width + k);
         for (size_t c = 0; c < width; c++) {
             const float *in = p->data + at * width + c;
             uint8_t *bytes = out + c * value_bytes * n + at;

@@ -28,7 +28,7 @@
 #define SIMD_WIDE
 #endif
 /* Bytes that are needed soon, from places that no prefetcher guesses. */
-#define SIMD_SOON(p) __builtin_prefetch(p)
+#define SIMD_SOON(p) __builtin_prefetch(p, 0, 2)
 #define SIMD_INLINE static inline __attribute__((always_inline))
 
 #endif

@@ -23,9 +23,13 @@
 #include <string.h>
 
 #include "core/camera.h"
+#include "core/simd.h"
 #include "core/sort.h"
 
-enum { SIMPLIFY_JACOBI = 12 /* sweeps; 3x3 matrices need 4 to 6 */ };
+enum {
+    SIMPLIFY_JACOBI = 12, /* sweeps; 3x3 matrices need 4 to 6 */
+    SIMPLIFY_SOON = 8,    /* rows */
+};
 
 #define SIMPLIFY_TAKEN (UINT32_MAX - 1)
 #define SIMPLIFY_FREE UINT32_MAX
@@ -521,6 +525,9 @@ static enum err_code simplify_collect(struct simplify *s, const struct gauss *in
     out->antialiased = in->antialiased;
     out->n = s->set.n;
     for (size_t r = 0; r < in->n; r++) {
+        if (r + SIMPLIFY_SOON < in->n)
+            for (size_t k = 0; k < n_sh; k += 64 / sizeof(float))
+                SIMD_SOON(out->sh + n_sh * owner[r + SIMPLIFY_SOON] + k);
         float w = weight[r], *sh = out->sh + n_sh * owner[r];
         const float *from = in->sh + n_sh * r;
         for (size_t k = 0; k < n_sh; k++)
