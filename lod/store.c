@@ -385,8 +385,10 @@ void store_close(struct store **sp)
     sqlite3_finalize(s->put);
     sqlite3_finalize(s->get_blob);
     sqlite3_close(s->db);
-    if (s->building)
+    if (s->building) {
+        store_flush_close(&s->flush);
         file_abort(s->part);
+    }
     store_close(&s->before);
     bake_close(s);
     tree_free(&s->tree);

@@ -98,6 +98,7 @@ static enum err_code store_start(struct store *s, struct err *e)
         s->part, &s->db, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE | SQLITE_OPEN_NOMUTEX, NULL);
     if (code != SQLITE_OK)
         return store_db_fail(s, code, "cannot create", e);
+    store_flush_open(&s->flush, s->part);
     char pragmas[256];
     snprintf(pragmas, sizeof pragmas,
              "PRAGMA page_size=%d; PRAGMA journal_mode=OFF; PRAGMA synchronous=OFF;"
@@ -138,6 +139,7 @@ enum err_code store_create(const char *path, const struct store_meta *meta, stru
     memcpy(s->path, path, strlen(path) + 1);
     s->meta = *meta;
     s->building = true;
+    s->flush.fd = -1;
     enum err_code rc = store_start(s, e);
     if (rc) {
         store_close(&s);
@@ -313,6 +315,7 @@ enum err_code store_add(struct store *s, struct store_tile *t, const struct buf 
     enum err_code rc = store_insert(s, t, payload, e);
     if (rc)
         return err_add(e, "tile %u/%u/%u", t->key.z, t->key.x, t->key.y);
+    store_flush_wrote(&s->flush, payload->size);
     return store_remember(s, t, e);
 }
 
@@ -466,6 +469,7 @@ enum err_code store_commit(struct store **sp, struct err *e)
     if (!rc && code != SQLITE_OK)
         rc = store_db_fail(s, code, "cannot close", e);
     s->db = code == SQLITE_OK ? NULL : s->db;
+    store_flush_close(&s->flush);
     if (!rc)
         rc = file_commit(s->part, s->path, e);
     if (!rc)

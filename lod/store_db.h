@@ -29,10 +29,19 @@ enum {
     STORE_HASH_BYTES = 16,
 };
 
+struct store_flush { /* store_flush.c */
+    int fd;
+    size_t waiting; /* bytes */
+};
+void store_flush_open(struct store_flush *f, const char *path);
+void store_flush_wrote(struct store_flush *f, size_t bytes);
+void store_flush_close(struct store_flush *f);
+
 struct store {
     sqlite3 *db;
     sqlite3_stmt *get, *put, *get_blob;
     bool building;
+    struct store_flush flush; /* building */
     char path[FILE_PATH_MAX]; /* as the caller named it */
     char part[FILE_PATH_MAX]; /* building: where it is written */
     struct store_meta meta;
