@@ -376,12 +376,78 @@ static void gauss_alloc_fails_cleanly(void **state)
     kit_fails(gauss_alloc(&g, 1, 4, 0, &e), ERR_LIMIT, e, "SH degree 4");
 }
 
+static int float_compare(const void *a, const void *b)
+{
+    float x = *(const float *)a, y = *(const float *)b;
+    return (x > y) - (x < y);
+}
+
+/* Words by their upper half, equal ones in the order they came; selection as sorting would. */
+static void sorts_of_words_and_selection(void **state)
+{
+    (void)state;
+    enum { MANY = 5000 };
+    static uint64_t words[MANY], scratch[MANY];
+    static float x[MANY], sorted[MANY];
+    const size_t counts[] = {0, 1, 2, 3, 7, 100, MANY};
+    for (size_t c = 0; c < sizeof counts / sizeof *counts; c++)
+        for (uint64_t kind = 0; kind < 5; kind++) {
+            size_t n = counts[c];
+            for (size_t i = 0; i < n; i++) {
+                uint64_t r = rng_u64(kind, 3, i);
+                uint32_t key = (uint32_t)(kind == 0   ? r
+                                          : kind == 1 ? r % 5
+                                          : kind == 2 ? 77
+                                          : kind == 3 ? n - i
+                                                      : (r % 3) << 30);
+                words[i] = (uint64_t)key << 32 | i;
+                x[i] = sorted[i] = (float)(int32_t)key;
+            }
+            sort_words(words, scratch, n);
+            for (size_t i = 1; i < n; i++)
+                assert_true(words[i - 1] < words[i]); /* the lower half counts up among equals */
+            qsort(sorted, n, sizeof *sorted, float_compare);
+            for (size_t k = 0; k < n; k += n / 6 + 1)
+                assert_true(sort_select(x, n, k) == sorted[k]);
+        }
+    float odd[5] = {NAN, 2.0f, NAN, 1.0f, NAN}; /* comes to an end */
+    (void)sort_select(odd, 5, 2);
+}
+
+static void blocks_are_appended_as_rows_are(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct gauss g, rows, block;
+    kit_gauss(5, 300, 40, 3, 8, &g);
+    g.origin_enu_m[1] = 33.3;
+    kit_ok(gauss_alloc(&rows, 0, 3, 8, &e), e);
+    kit_ok(gauss_room(&block, 0, 3, 8, &e), e);
+    for (uint32_t i = 0; i < g.n; i++)
+        kit_ok(gauss_append(&rows, &g, &i, 1, &e), e);
+    kit_ok(gauss_append(&block, &g, NULL, 100, &e), e);
+    g.mean_m += 300, g.scale_log += 300, g.quat_wxyz += 400, g.opacity_logit += 100;
+    g.sh += 4800, g.embed += 800;
+    kit_ok(gauss_append(&block, &g, NULL, 200, &e), e);
+    assert_memory_equal(rows.mean_m, block.mean_m, 3600);
+    assert_memory_equal(rows.scale_log, block.scale_log, 3600);
+    assert_memory_equal(rows.quat_wxyz, block.quat_wxyz, 4800);
+    assert_memory_equal(rows.opacity_logit, block.opacity_logit, 1200);
+    assert_memory_equal(rows.sh, block.sh, 300 * 192);
+    assert_memory_equal(rows.embed, block.embed, 300 * 32);
+    gauss_free(&g);
+    gauss_free(&rows);
+    gauss_free(&block);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(err_set_keeps_arguments_that_point_into_the_message),
         cmocka_unit_test(mem_array_refuses_overflow_and_fails_on_demand),
         cmocka_unit_test(arena_keeps_to_its_ceiling),
+        cmocka_unit_test(sorts_of_words_and_selection),
+        cmocka_unit_test(blocks_are_appended_as_rows_are),
         cmocka_unit_test(buf_and_cursor_round_trip_little_endian),
         cmocka_unit_test(file_write_replaces_whole_or_not_at_all),
         cmocka_unit_test(file_write_to_a_full_disk_leaves_nothing),

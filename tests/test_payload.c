@@ -103,6 +103,42 @@ static void test_half_floats(void **state)
     gauss_free(&back);
 }
 
+/* Every half float there is and what lies between, by the definition: the nearest one, of two the
+ * even one, the largest for what is beyond; the wide loops and the plain ones alike. */
+static void test_all_halves(void **state)
+{
+    (void)state;
+    enum { HALVES = 0x7c00 };
+    static uint16_t bits[HALVES], back[HALVES];
+    static float value[HALVES], between[HALVES];
+    for (uint32_t i = 0; i < HALVES; i++)
+        bits[i] = (uint16_t)i;
+    payload_from_halves(bits, HALVES, value);
+    for (uint32_t i = 0; i < HALVES; i++) {
+        int exponent = (int)(i >> 10), mantissa = (int)(i & 1023);
+        double want = exponent ? ldexp(1024 + mantissa, exponent - 25) : ldexp(mantissa, -24);
+        assert_true((double)value[i] == want);
+        between[i] = i + 1 < HALVES && i ? (value[i] + value[i - 1]) / 2 : value[i];
+    }
+    payload_to_halves(value, HALVES, back);
+    assert_memory_equal(back, bits, sizeof bits);
+    payload_to_halves(between, HALVES, back);
+    for (uint32_t i = 1; i + 1 < HALVES; i++)
+        assert_int_equal(back[i], i & 1 ? i - 1 : i); /* ties go to even */
+    for (int side = -1; side <= 1; side += 2) {
+        for (uint32_t i = 1; i + 1 < HALVES; i++)
+            between[i] = nextafterf((value[i] + value[i - 1]) / 2, side < 0 ? 0 : INFINITY);
+        for (size_t n = HALVES; n > HALVES - 9; n--) { /* any remainder of the vectors */
+            payload_to_halves(between, n, back);
+            for (uint32_t i = 1; i + 1 < n; i++)
+                assert_int_equal(back[i], side < 0 ? i - 1 : i);
+        }
+    }
+    const float odd[4] = {1e9f, -65520.0f, -0.0f, -1e-9f};
+    payload_to_halves(odd, 4, back);
+    assert_true(back[0] == 0x7bff && back[1] == 0xfbff && back[2] == 0x8000 && back[3] == 0x8000);
+}
+
 static void test_refuses_what_is_not_finite(void **state)
 {
     (void)state;
@@ -214,6 +250,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_lossless),
         cmocka_unit_test(test_half_floats),
+        cmocka_unit_test(test_all_halves),
         cmocka_unit_test(test_refuses_what_is_not_finite),
         cmocka_unit_test(test_truncation_and_flips),
         cmocka_unit_test(test_hostile_counts),
