@@ -1,6 +1,6 @@
-/* The tiles of a store as a tree. Two passes over the sorted index: downwards each tile finds its
- * nearest existing ancestor, upwards (parents come first, so backwards) bounds are united and
- * geometric errors made strictly larger than those below.
+/* The tiles of a store as a tree. Three passes over the sorted index: downwards each tile finds its
+ * nearest existing ancestor, upwards (parents come first, so backwards) bounds are united; then
+ * downwards geometric errors are made strictly smaller than those above.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -56,8 +56,8 @@ static void tree_link(struct tree *t)
     }
 }
 
-/* Unite bounds and raise errors along the edge from `c` to its parent `p`. */
-static void tree_raise(struct tree_node *p, const struct tree_node *c)
+/* Unite bounds along the edge from `c` to its parent `p`. */
+static void tree_unite(struct tree_node *p, const struct tree_node *c)
 {
     for (size_t k = 0; k < 3; k++) {
         p->min_enu_m[k] = fmin(p->min_enu_m[k], c->min_enu_m[k]);
@@ -66,27 +66,36 @@ static void tree_raise(struct tree_node *p, const struct tree_node *c)
         p->core_max_enu_m[k] = fmax(p->core_max_enu_m[k], c->core_max_enu_m[k]);
     }
     p->sigma_max_m = fmax(p->sigma_max_m, c->sigma_max_m);
-    p->geometric_error_m = fmax(p->geometric_error_m, TREE_ERROR_GROWTH * c->geometric_error_m);
+}
+
+/* A tile's own error, or less: errors fall towards the leaves because a tile's is cut to its
+ * parent's, never because a parent's is raised. A few tiles at the border of a scene hold a handful
+ * of background Gaussians of many metres; raised by those, everything above them would be refined
+ * from kilometres away, and the dense tiles beside them with it. */
+static double tree_error(const struct tree *t, const struct tree_node *v, double own_m)
+{
+    if (v->parent == TREE_NONE)
+        return own_m;
+    return fmin(own_m, t->nodes[v->parent].geometric_error_m / TREE_ERROR_GROWTH);
 }
 
 static void tree_measure(struct tree *t, const struct store_tile *tiles, size_t n)
 {
-    for (size_t i = n; i-- > 0;) {
-        struct tree_node *v = &t->nodes[i];
-        if (v->child_count == 0)
-            v->geometric_error_m = 0.0;
-        else if (!(v->geometric_error_m >= tiles[i].geometric_error_m))
-            v->geometric_error_m = tiles[i].geometric_error_m;
-        if (v->parent != TREE_NONE)
-            tree_raise(&t->nodes[v->parent], v);
-    }
+    for (size_t i = n; i-- > 0;)
+        if (t->nodes[i].parent != TREE_NONE)
+            tree_unite(&t->nodes[t->nodes[i].parent], &t->nodes[i]);
     /* A root without content draws nothing, so its own error is that of an empty picture: twice the
      * tiles'. */
-    if (t->root == n) {
-        struct tree_node *r = &t->nodes[t->root];
+    if (t->root == n)
         for (size_t i = 0; i < n; i++)
-            r->geometric_error_m = fmax(r->geometric_error_m, 2.0 * tiles[i].geometric_error_m);
-    }
+            if (t->nodes[i].parent == n)
+                t->nodes[n].geometric_error_m =
+                    fmax(t->nodes[n].geometric_error_m, 2.0 * tiles[i].geometric_error_m);
+    for (size_t i = 0; i < n; i++)
+        t->nodes[i].geometric_error_m = tree_error(t, &t->nodes[i], tiles[i].geometric_error_m);
+    for (size_t i = 0; i < n; i++)
+        if (t->nodes[i].child_count == 0)
+            t->nodes[i].geometric_error_m = 0.0;
 }
 
 static void tree_core(struct tree_node *v, const struct store_tile *t)

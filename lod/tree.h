@@ -23,7 +23,7 @@ struct tree_node {
     double min_enu_m[3], max_enu_m[3];           /* around this tile and all below it */
     double core_min_enu_m[3], core_max_enu_m[3]; /* likewise */
     double sigma_max_m;                          /* likewise */
-    double geometric_error_m;                    /* 0 at leaves */
+    double geometric_error_m; /* 0 at leaves, else the tile's, cut to less than the parent's */
 };
 
 struct tree { /* {0} is empty */

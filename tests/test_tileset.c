@@ -359,7 +359,7 @@ static void errors_are_what_is_documented(void **state)
     kit_ok(pyramid_build(&origin, &level, 1, &c, NULL, 0, f->path, NULL, &e), e);
     kit_ok(store_open(f->path, &f->s, &e), e);
     gauss_free(&g);
-    size_t n, raised = 0;
+    size_t n, cut = 0;
     const struct store_tile *t = store_tiles(f->s, &n);
     const struct tree *tree = store_tree(f->s);
     assert_true(tree->nodes[tree->root].tile != TREE_NONE && n > 10);
@@ -369,12 +369,12 @@ static void errors_are_what_is_documented(void **state)
         /* In the store: of the rows alone. */
         assert_true(fabs(t[i].geometric_error_m - own) <= 1e-6 * own);
         assert_true(fabs(t[i].sigma_median_m - own / 16) <= 1e-6 * own);
-        /* In the tree: 0 at the near end, larger than all below elsewhere. */
-        for (uint32_t k = 0; k < v->child_count; k++)
-            want = fmax(want,
-                        1.01 * tree->nodes[tree->children[v->child_first + k]].geometric_error_m);
+        /* In the tree: 0 at the near end, elsewhere the tile's own, cut to less than the parent's.
+         */
+        if (v->parent != TREE_NONE)
+            want = fmin(own, tree->nodes[v->parent].geometric_error_m / 1.01);
         want = v->child_count ? want : 0.0;
-        raised += want > own;
+        cut += v->child_count > 0 && want < own;
         assert_true(fabs(v->geometric_error_m - want) <= 1e-6 * want);
         if (v->parent != TREE_NONE)
             assert_true(tree->nodes[v->parent].geometric_error_m > v->geometric_error_m);
@@ -387,7 +387,9 @@ static void errors_are_what_is_documented(void **state)
         assert_true(is_refined(f->s, (uint32_t)i, 0.999 * at));
         assert_false(is_refined(f->s, (uint32_t)i, 1.001 * at));
     }
-    assert_true(raised > 0); /* or nothing would have tested that */
+    assert_true(cut > 0); /* or nothing would have tested that */
+    double root_own = defined_error(f->s, t[tree->nodes[tree->root].tile].key);
+    assert_true(fabs(tree->nodes[tree->root].geometric_error_m - root_own) <= 1e-6 * root_own);
     /* The far end: the error above all of them is beyond the root's. */
     json_t *j = tileset_of(f);
     struct errors_found found = {.tree = tree, .s = f->s};
