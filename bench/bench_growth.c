@@ -20,6 +20,7 @@ struct growth_case {
     struct render_model model;
     struct camera cam;
     float *rgb;
+    const float *look; /* constants of an appearance, or NULL; borrowed */
 };
 
 static const uint32_t growth_sizes[][2] = {{320, 180},   {640, 360},   {1280, 720},
@@ -38,7 +39,10 @@ enum {
 static enum err_code growth_draw(void *user, struct err *e)
 {
     struct growth_case *c = user;
-    const struct render_options o = {.aa = RENDER_AA_2D, .sh_degree = -1};
+    const struct render_options o = {.aa = RENDER_AA_2D,
+                                     .sh_degree = -1,
+                                     .appearance_frame = c->look,
+                                     .appearance_hidden = APPEARANCE_HIDDEN};
     return render_forward(c->render, &c->model, &c->cam, &o, c->rgb, NULL, e);
 }
 
@@ -68,20 +72,16 @@ static enum err_code growth_measure(struct bench *b, struct growth_case *c, cons
     return rc;
 }
 
-static enum err_code growth_open(struct bench *b, size_t n, uint32_t sh_degree,
-                                 struct growth_case *c, struct err *e)
+static enum err_code growth_open(struct bench *b, const struct gauss *g, struct growth_case *c,
+                                 struct err *e)
 {
-    struct gauss g = {0};
     const uint32_t *largest = growth_sizes[GROWTH_SIZES - 1];
     c->rgb = mem_array(3 * (size_t)largest[0] * largest[1], sizeof *c->rgb);
     enum err_code rc = c->rgb ? ERR_OK : err_set(e, ERR_MEM, "bench_growth: pictures");
     if (rc == ERR_OK)
-        rc = city_sorted_degree(n, sh_degree, &g, e);
-    if (rc == ERR_OK)
         rc = render_open(b->dev, &c->render, e);
     if (rc == ERR_OK)
-        rc = render_model_upload(c->render, &g, &c->model, e);
-    gauss_free(&g);
+        rc = render_model_upload(c->render, g, &c->model, e);
     return rc;
 }
 
@@ -97,7 +97,11 @@ static enum err_code growth_count(struct bench *b, size_t which, double *residen
 {
     size_t n = growth_counts[which];
     struct growth_case c = {0};
-    enum err_code rc = growth_open(b, n, 0, &c, e);
+    struct gauss g = {0};
+    enum err_code rc = city_sorted_degree(n, 0, &g, e);
+    if (rc == ERR_OK)
+        rc = growth_open(b, &g, &c, e);
+    gauss_free(&g);
     if (rc == ERR_OK)
         rc = growth_measure(b, &c, "Gaussians", n, GROWTH_HD, e);
     *resident = growth_resident_bytes();
@@ -107,16 +111,45 @@ static enum err_code growth_count(struct bench *b, size_t which, double *residen
     return rc;
 }
 
-/* Memory with all harmonics: what the process takes after a frame of `n` Gaussians. */
-static enum err_code growth_full(struct bench *b, size_t n, double *resident, struct err *e)
+/* Memory with all harmonics, and embeddings if wanted: what the process takes after a frame of `n`
+ * Gaussians. */
+static enum err_code growth_full(struct bench *b, size_t n, bool with_look, double *resident,
+                                 struct err *e)
 {
     struct growth_case c = {0};
-    enum err_code rc = growth_open(b, n, 3, &c, e);
+    struct gauss plain = {0}, embedded = {0};
+    struct appearance a = {0};
+    float *look = NULL;
+    enum err_code rc = city_sorted_degree(n, 3, &plain, e);
+    if (rc == ERR_OK && with_look)
+        rc = city_appearance(&plain, &embedded, &a, &look, e);
+    if (rc == ERR_OK)
+        rc = growth_open(b, with_look ? &embedded : &plain, &c, e);
+    gauss_free(&plain);
+    gauss_free(&embedded);
+    c.look = look;
     c.cam = city_camera(growth_sizes[GROWTH_HD][0], growth_sizes[GROWTH_HD][1]);
     if (rc == ERR_OK)
         rc = growth_draw(&c, e);
     *resident = growth_resident_bytes();
     growth_close(&c);
+    appearance_free(&a);
+    mem_free(look);
+    return rc;
+}
+
+static enum err_code growth_memory(struct bench *b, bool with_look, struct err *e)
+{
+    double small = 0.0, large = 0.0;
+    size_t n = b->quick ? 5000 : 500000;
+    enum err_code rc = growth_full(b, n, with_look, &small, e);
+    if (rc == ERR_OK)
+        rc = growth_full(b, 4 * n, with_look, &large, e);
+    if (rc == ERR_OK)
+        bench_report(b,
+                     with_look ? "memory a resident Gaussian, SH degree 3 and appearance"
+                               : "memory a resident Gaussian, SH degree 3",
+                     (large - small) / (3.0 * (double)n), "B", 0, NULL);
     return rc;
 }
 
@@ -132,14 +165,9 @@ enum err_code bench_growth(struct bench *b, struct err *e)
                      (resident[counts - 1] - resident[GROWTH_PIXELS]) /
                          (double)(growth_counts[counts - 1] - growth_counts[GROWTH_PIXELS]),
                      "B", 0, NULL);
-    double small = 0.0, large = 0.0;
-    size_t n = b->quick ? 5000 : 500000;
     if (rc == ERR_OK)
-        rc = growth_full(b, n, &small, e);
+        rc = growth_memory(b, false, e);
     if (rc == ERR_OK)
-        rc = growth_full(b, 4 * n, &large, e);
-    if (rc == ERR_OK)
-        bench_report(b, "memory a resident Gaussian, SH degree 3",
-                     (large - small) / (3.0 * (double)n), "B", 0, NULL);
+        rc = growth_memory(b, true, e);
     return rc == ERR_OK ? bench_step_growth(b, e) : rc;
 }
