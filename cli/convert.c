@@ -53,39 +53,41 @@ static enum err_code format_of(const char *path, enum convert_format *out, struc
                    "%s : its name must end in .ply, .spz, .drc or .glb (.splat to read)", path);
 }
 
-static enum err_code decode_glb(const struct buf *b, struct converted *c, struct err *e)
+static enum err_code decode_glb(const struct buf *b, const struct codec_limits *lim,
+                                struct converted *c, struct err *e)
 {
     const void *spz;
     size_t n;
     enum err_code rc = glb_find_spz(b->data, b->size, &spz, &n, e);
     if (rc == ERR_OK)
-        return spz_decode(spz, n, NULL, &c->q, e);
-    return rc == ERR_NOENT ? glb_decode(b->data, b->size, NULL, &c->g, e) : rc;
+        return spz_decode(spz, n, lim, &c->q, e);
+    return rc == ERR_NOENT ? glb_decode(b->data, b->size, lim, &c->g, e) : rc;
 }
 
-static enum err_code convert_read(const char *path, struct converted *c, struct err *e)
+static enum err_code convert_read(const char *path, const struct codec_limits *lim,
+                                  struct converted *c, struct err *e)
 {
     static const enum convert_axes of_ply[] = {AXES_AUTO, AXES_ENU, AXES_GLTF};
     enum convert_format format;
     struct buf b = {0};
     enum err_code rc = format_of(path, &format, e);
     if (rc == ERR_OK)
-        rc = file_read(path, CODEC_MAX_BYTES, &b, e);
+        rc = file_read(path, lim->max_bytes, &b, e);
     if (rc != ERR_OK)
         return rc;
     c->axes = AXES_GLTF;
     if (format == FORMAT_PLY) {
-        rc = ply_decode(b.data, b.size, NULL, &c->g, &c->info, e);
+        rc = ply_decode(b.data, b.size, lim, &c->g, &c->info, e);
         c->axes = of_ply[c->info.axes];
     } else if (format == FORMAT_SPLAT) {
-        rc = splat_decode(b.data, b.size, NULL, &c->g, e);
+        rc = splat_decode(b.data, b.size, lim, &c->g, e);
         c->axes = AXES_AUTO;
     } else if (format == FORMAT_SPZ) {
-        rc = spz_decode(b.data, b.size, NULL, &c->q, e);
+        rc = spz_decode(b.data, b.size, lim, &c->q, e);
     } else if (format == FORMAT_DRC) {
-        rc = draco_decode(b.data, b.size, NULL, &c->q, e);
+        rc = draco_decode(b.data, b.size, lim, &c->q, e);
     } else {
-        rc = decode_glb(&b, c, e);
+        rc = decode_glb(&b, lim, c, e);
     }
     if (rc == ERR_OK && c->q.block)
         rc = quant_to_gauss(&c->q, &c->g, e);
@@ -247,7 +249,9 @@ enum err_code cli_convert(int argc, char **argv, struct err *e)
     rc = format_of(args.arg[1], &format, e);
     if (rc == ERR_OK && format == FORMAT_SPLAT)
         rc = err_set(e, ERR_ARG, "%s : .splat is read, not written", args.arg[1]);
-    if (rc != ERR_OK || (rc = convert_read(args.arg[0], &c, e)) != ERR_OK)
+    const struct codec_limits lim = {.max_gaussians = (size_t)o.max_gaussians,
+                                     .max_bytes = (size_t)o.max_mib << 20};
+    if (rc != ERR_OK || (rc = convert_read(args.arg[0], &lim, &c, e)) != ERR_OK)
         goto out;
     if (o.axes)
         c.axes = (enum convert_axes)o.axes;

@@ -78,11 +78,13 @@ static enum err_code import_run(const char *path, const struct import_options *o
     struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m,
                                  .max_per_tile = (uint32_t)o->max_per_tile,
                                  .lossless = o->lossless};
+    const struct codec_limits lim = {.max_gaussians = (size_t)o->max_gaussians,
+                                     .max_bytes = (size_t)o->max_mib << 20};
     enum err_code rc = o->origin ? splats_place("--origin", o->origin, &origin, e) : ERR_OK;
     if (!rc && o->attribution && strlen(o->attribution) >= sizeof cfg.attribution)
         rc = err_set(e, ERR_ARG, "--attribution: at most %zu bytes", sizeof cfg.attribution - 1);
     if (!rc)
-        rc = splats_read(path, &s, e);
+        rc = splats_read(path, &lim, &s, e);
     if (rc)
         goto out;
     if (!o->origin && !s.info.has_origin) {

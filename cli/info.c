@@ -222,7 +222,7 @@ static enum err_code info_splats(const char *path, json_t *o, struct err *e)
 {
     struct splats s;
     size_t first = 0;
-    enum err_code rc = splats_read(path, &s, e);
+    enum err_code rc = splats_read(path, NULL, &s, e);
     if (rc)
         return rc;
     double lo[3], hi[3];

@@ -181,7 +181,7 @@ static enum err_code render_file(struct render_job *job, const char *path, struc
     struct splats s = {0};
     struct render_model m = {0};
     bool uploaded = false;
-    enum err_code rc = splats_read(path, &s, e);
+    enum err_code rc = splats_read(path, NULL, &s, e);
     if (rc)
         return rc;
     if (o->appearance)

@@ -66,29 +66,32 @@ enum err_code splats_kind(const char *path, enum splats_kind *out, struct err *e
     return ERR_OK;
 }
 
-static enum err_code splats_decode(const char *path, struct splats *s, struct err *e)
+static enum err_code splats_decode(const char *path, const struct codec_limits *lim,
+                                   struct splats *s, struct err *e)
 {
     struct buf b = {0};
     struct quant q = {0};
-    enum err_code rc = file_read(path, (size_t)16 << 30, &b, e);
+    enum err_code rc =
+        file_read(path, lim && lim->max_bytes ? lim->max_bytes : CODEC_MAX_BYTES, &b, e);
     if (rc)
         return rc;
     if (s->kind == SPLATS_SPZ || s->kind == SPLATS_DRC) {
-        rc = s->kind == SPLATS_SPZ ? spz_decode(b.data, b.size, NULL, &q, e)
-                                   : draco_decode(b.data, b.size, NULL, &q, e);
+        rc = s->kind == SPLATS_SPZ ? spz_decode(b.data, b.size, lim, &q, e)
+                                   : draco_decode(b.data, b.size, lim, &q, e);
         if (!rc)
             rc = quant_to_gauss(&q, &s->g, e);
     } else if (s->kind == SPLATS_GLB) {
-        rc = glb_decode(b.data, b.size, NULL, &s->g, e);
+        rc = glb_decode(b.data, b.size, lim, &s->g, e);
     } else {
-        rc = splat_decode(b.data, b.size, NULL, &s->g, e);
+        rc = splat_decode(b.data, b.size, lim, &s->g, e);
     }
     quant_free(&q);
     buf_free(&b);
     return rc ? err_add(e, "%s", path) : ERR_OK;
 }
 
-enum err_code splats_read(const char *path, struct splats *out, struct err *e)
+enum err_code splats_read(const char *path, const struct codec_limits *lim, struct splats *out,
+                          struct err *e)
 {
     struct ckpt c = {0};
     *out = (struct splats){0};
@@ -97,13 +100,13 @@ enum err_code splats_read(const char *path, struct splats *out, struct err *e)
         return rc;
     switch (out->kind) {
     case SPLATS_PLY:
-        rc = ply_read(path, NULL, &out->g, &out->info, e);
+        rc = ply_read(path, lim, &out->g, &out->info, e);
         break;
     case SPLATS_SPZ:
     case SPLATS_GLB:
     case SPLATS_DRC:
     case SPLATS_SPLAT:
-        rc = splats_decode(path, out, e);
+        rc = splats_decode(path, lim, out, e);
         break;
     case SPLATS_CKPT:
         rc = ckpt_read(path, &c, e);

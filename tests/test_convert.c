@@ -222,6 +222,88 @@ static void test_reads_splat(void **state)
     buf_free(&b);
 }
 
+/* What a file holds: Gaussians, and the integers where its format has some (q.n 0: it has none). */
+static size_t contents(const char *name, struct quant *q)
+{
+    struct buf b = {0};
+    struct gauss g = {0};
+    struct err e = {0};
+    const void *spz;
+    size_t n_spz, n;
+    const char *ext = strrchr(name, '.');
+    *q = (struct quant){0};
+    load(name, &b);
+    if (!strcmp(ext, ".spz"))
+        kit_ok(spz_decode(b.data, b.size, NULL, q, &e), e);
+    else if (!strcmp(ext, ".drc"))
+        kit_ok(draco_decode(b.data, b.size, NULL, q, &e), e);
+    else if (!strcmp(ext, ".ply"))
+        kit_ok(ply_decode(b.data, b.size, NULL, &g, NULL, &e), e);
+    else if (!strcmp(ext, ".splat"))
+        kit_ok(splat_decode(b.data, b.size, NULL, &g, &e), e);
+    else if (glb_find_spz(b.data, b.size, &spz, &n_spz, &e) == ERR_OK)
+        kit_ok(spz_decode(spz, n_spz, NULL, q, &e), e);
+    else
+        kit_ok(glb_decode(b.data, b.size, NULL, &g, &e), e);
+    n = q->n ? q->n : g.n;
+    gauss_free(&g);
+    buf_free(&b);
+    return n;
+}
+
+/* Every format that is read into every one that is written: all Gaussians arrive, and between the
+ * formats of integers no integer changes. */
+static void test_every_format_into_every_other(void **state)
+{
+    (void)state;
+    enum { N = 40, IN = 7, OUT = 6 };
+    static const char *const in[IN] = {"m.ply",    "m3.spz",  "m4.spz", "m.drc",
+                                       "mspz.glb", "mpl.glb", "m.splat"};
+    static const struct {
+        const char *name, *options;
+    } out[OUT] = {{"o.ply", ""}, {"o3.spz", ""},   {"o4.spz", "--spz-version 4"},
+                  {"o.drc", ""}, {"ospz.glb", ""}, {"opl.glb", "--glb-payload plain"}};
+    struct gauss g;
+    struct buf b = {0};
+    kit_gauss(7, N, 60, 2, 0, &g);
+    save_ply(in[0], &g, NULL);
+    for (size_t i = 1; i < 6; i++)
+        assert_int_equal(convert(in[0], in[i], out[i].options, NULL), 0);
+    for (size_t i = 0; i < N; i++) {
+        buf_add(&b, g.mean_m + 3 * i, 12);
+        for (int c = 0; c < 3; c++)
+            buf_f32(&b, 0.5f);
+        buf_add(&b, (const uint8_t[]){200, 100, 50, 180, 128, 255, 128, 128}, 8);
+    }
+    save(in[6], &b);
+    for (size_t i = 0; i < IN; i++) {
+        struct quant from, to;
+        assert_int_equal(contents(in[i], &from), N);
+        for (size_t o = 0; o < OUT; o++) {
+            char options[64];
+            snprintf(options, sizeof options, "--no-sort %s %s", out[o].options,
+                     i == 6 ? "--axes gltf" : "");
+            if (convert(in[i], out[o].name, options, NULL))
+                fail_msg("%s does not become %s", in[i], out[o].name);
+            assert_int_equal(contents(out[o].name, &to), N);
+            if (from.n && to.n) {
+                assert_int_equal(from.frac_bits, to.frac_bits);
+                assert_int_equal(from.sh_degree, to.sh_degree);
+                assert_memory_equal(from.position, to.position, 12 * N);
+                assert_memory_equal(from.rotation, to.rotation, 4 * N);
+                assert_memory_equal(from.alpha, to.alpha, N);
+                assert_memory_equal(from.color, to.color, 3 * N);
+                assert_memory_equal(from.scale, to.scale, 3 * N);
+                assert_memory_equal(from.sh, to.sh, 24 * N);
+            }
+            quant_free(&to);
+        }
+        quant_free(&from);
+    }
+    buf_free(&b);
+    gauss_free(&g);
+}
+
 static void test_errors(void **state)
 {
     (void)state;
@@ -236,6 +318,11 @@ static void test_errors(void **state)
     assert_non_null(strstr((const char *)said.data, "none.ply"));
     assert_int_equal(convert("e.ply", "x.spz", "--sh-degree 4", &said), 2);
     assert_int_equal(convert("e.ply", "x.spz", "--colour red", &said), 2);
+    assert_int_equal(convert("e.ply", "x.spz", "--max-gaussians 29", &said), 1);
+    assert_non_null(strstr((const char *)said.data, "29"));
+    assert_int_equal(convert("e.ply", "in.spz", "", NULL), 0);
+    assert_int_equal(convert("in.spz", "x.spz", "--max-gaussians 29", &said), 1);
+    assert_non_null(strstr((const char *)said.data, "29"));
     for (const char *const *f = (const char *const[]){"t.spz", "t.ply", NULL}; *f; f++) {
         assert_int_equal(convert("e.ply", *f, "", NULL), 0);
         b.size = 0;
@@ -265,6 +352,7 @@ int main(void)
         cmocka_unit_test(test_axes_are_never_guessed),
         cmocka_unit_test(test_degree_and_center),
         cmocka_unit_test(test_reads_splat),
+        cmocka_unit_test(test_every_format_into_every_other),
         cmocka_unit_test(test_errors),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
