@@ -9,7 +9,7 @@
  *
  * Test photographs are drawn at three sizes: the one the level was trained at; the one at which the
  * median sigma of the trained level is a pixel, which is where clients change to it from the finer
- * level; and half of that. psnr_db is against the photographs, self_db against pictures of the
+ * level; and half of that. psnr_db is against the photographs, finest_db against pictures of the
  * finest level of that size. Where perspective is left aside, a photograph half as large is one
  * from twice as far.
  *
@@ -337,7 +337,7 @@ static enum err_code pyr_row(struct pyr *p, unsigned level, enum pyr_way way, co
     return bench_record(p->b, way_names[way], what,
                         json_pack("{s:i, s:i, s:f, s:f, s:f, s:I, s:i}", "level", (int)level,
                                   "edge_px", (int)size->shots.edge_px, "psnr_db", s.psnr_db, "ssim",
-                                  s.ssim, "self_db", s.self_db, "gaussians", (json_int_t)g->n,
+                                  s.ssim, "finest_db", s.self_db, "gaussians", (json_int_t)g->n,
                                   "photographs", (int)p->n_images),
                         e);
 }
@@ -370,11 +370,10 @@ static enum err_code pyr_open_sizes(struct pyr *p, unsigned level, struct pyr_si
         snprintf(what, sizeof what, "level %u, %s", level, size[i].name);
         if (!rc)
             rc = bench_record(p->b, "finest level", what,
-                              json_pack("{s:i, s:i, s:f, s:f, s:f, s:I, s:i}", "level", (int)level,
+                              json_pack("{s:i, s:i, s:f, s:f, s:I, s:i}", "level", (int)level,
                                         "edge_px", (int)size[i].shots.edge_px, "psnr_db",
-                                        own.psnr_db, "ssim", own.ssim, "self_db", own.self_db,
-                                        "gaussians", (json_int_t)finest->g.n, "photographs",
-                                        (int)p->n_images),
+                                        own.psnr_db, "ssim", own.ssim, "gaussians",
+                                        (json_int_t)finest->g.n, "photographs", (int)p->n_images),
                               e);
         bench_report(p->b, what, own.psnr_db, "dB", 0, NULL);
     }
