@@ -113,7 +113,7 @@ void toy_write(const char *dir, const struct toy *t, const struct gauss *g)
     struct err e = {0};
     struct scene s = {.scale = 1.0, .rot = {1, 0, 0, 0, 1, 0, 0, 0, 1}, .n_images = t->photos};
     struct scene_image images[TOY_PHOTOS_MAX];
-    char names[TOY_PHOTOS_MAX][16], sub[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    char names[TOY_PHOTOS_MAX][32], sub[FILE_PATH_MAX], path[FILE_PATH_MAX];
     assert_true(t->photos <= TOY_PHOTOS_MAX);
     kit_ok(file_join(sub, dir, "images", &e), e);
     kit_ok(file_mkdir(sub, &e), e);
