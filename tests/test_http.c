@@ -363,7 +363,8 @@ static void await_text(const char *path, const char *text)
         fail_msg("%s: '%s' did not come", path, text);
 }
 
-/* The program itself: prints where it listens, drains on SIGTERM, exits 0. */
+/* The program itself: prints where it listens, logs which tile is damaged and what to do, drains on
+ * SIGTERM, exits 0. */
 static void test_program(void **state)
 {
     const char *program = kit_program();
@@ -373,6 +374,11 @@ static void test_program(void **state)
     (void)state;
     start();
     server_stop(&t.server); /* for the revision alone */
+    char damaged[FILE_PATH_MAX];
+    const struct key bad = served_key(15);
+    kit_ok(file_join(damaged, t.dir, "bad.tiles", &e), e);
+    served_city(damaged, "toy", 2000);
+    served_damage(damaged, bad);
     kit_ok(file_join(log, t.dir, "serve.log", &e), e);
     assert_int_equal(pipe(out), 0);
     pid_t pid = fork();
@@ -382,7 +388,7 @@ static void test_program(void **state)
         close(out[0]);
         if (!freopen(log, "w", stderr))
             _exit(126);
-        execl(program, program, "serve", t.path, "--port", "0", "--device", "none", (char *)NULL);
+        execl(program, program, "serve", damaged, "--port", "0", "--device", "none", (char *)NULL);
         _exit(127);
     }
     close(out[1]);
@@ -394,11 +400,20 @@ static void test_program(void **state)
     assert_int_equal(kill(pid, SIGHUP), 0); /* opens the stores again, and goes on */
     await_text(log, "info serve reloaded");
     int fd = dial(port);
+    struct buf rest = {0}, end = {0};
+    struct reply r;
+    snprintf(request, sizeof(request), "GET %s HTTP/1.1\r\n" H "\r\n",
+             tile_target(15, "drc", target));
+    say(fd, request);
+    hear(fd, true, &rest, &r);
+    assert_int_equal(r.status, 500);
+    buf_free(&r.raw);
+    snprintf(line, sizeof(line), "job failed ds=toy tile %u/%u/%u.drc: ", bad.z, bad.x, bad.y);
+    await_text(log, line);
+    await_text(log, "damaged (its hash differs); restore the file or tile the scene again");
     snprintf(request, sizeof(request), "GET %s HTTP/1.1\r\n" H "\r\n",
              tile_target(17, "ply", target));
     say(fd, request);
-    struct buf rest = {0}, end = {0};
-    struct reply r;
     while (!rest.size) /* the answer has begun */
         assert_true(hear_some(fd, &rest, PATIENCE_S));
     assert_int_equal(kill(pid, SIGTERM), 0);
