@@ -32,19 +32,10 @@ inline uint score_active(const struct score_state *s, uint active)
     for (uint left = active; left;) {
         uint k = 31 - clz(left);
         left ^= 1u << k;
-        if (!any(s->t[k] > T_STOP))
+        if (!(blend_max(s->t[k]) > T_STOP))
             active ^= 1u << k;
     }
     return active;
-}
-
-// Sum of the lanes, by halves in a fixed order.
-inline float score_sum(float16 v)
-{
-    float8 a = v.lo + v.hi;
-    float4 b = a.lo + a.hi;
-    float2 c = b.lo + b.hi;
-    return c.x + c.y;
 }
 
 inline void score_entry(struct score_state *s, const float *rec, float x0, float y0, uint blocks,
@@ -67,8 +58,9 @@ inline void score_entry(struct score_state *s, const float *rec, float x0, float
         shares += share;
         dist += one * sqrt(dx * dx + dy * dy);
     }
-    vstore4((float4)(score_sum(weight), score_sum(count), score_sum(shares), score_sum(dist)), 0,
-            slot);
+    float16 pairs = fold_4(fold_8(weight, count), fold_8(shares, dist));
+    pairs = fold_2(pairs, pairs);
+    vstore4(fold_1(pairs, pairs).s0123, 0, slot);
 }
 
 __kernel void score_tiles(__constant struct layout_view *view,

@@ -512,7 +512,7 @@ static void score_parts_survive_constant_and_empty_input(void **state)
     struct err e = {0};
     float x[4] = {3.0f, 3.0f, 3.0f, 3.0f}, inverse = 1.0f;
     uint8_t grey[3 * 4 * 5];
-    float edges[4 * 5];
+    float edges[4 * 5], luma[20];
     score_stretch(x, 4);
     for (int i = 0; i < 4; i++)
         assert_true(x[i] == 0.0f);
@@ -528,11 +528,11 @@ static void score_parts_survive_constant_and_empty_input(void **state)
     kit_ok(score_inverse_median(rows + 1, 3, 2, &inverse, &e), e); /* of a column */
     assert_true(inverse == 0.5f);
     memset(grey, 77, sizeof(grey));
-    score_edges(grey, 4, 5, edges);
+    score_edges(grey, 4, 5, luma, edges);
     for (int i = 0; i < 20; i++)
         assert_true(edges[i] == 0.0f);
     memset(grey + 3 * (1 * 4 + 2), 200, 3); /* one bright pixel: the strongest edge is there */
-    score_edges(grey, 4, 5, edges);
+    score_edges(grey, 4, 5, luma, edges);
     for (int i = 0; i < 20; i++)
         assert_true(edges[i] == (i == 6 ? 1.0f : 0.0f));
 }

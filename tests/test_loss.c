@@ -241,9 +241,14 @@ static void kernel_run(struct loss *l, const struct picture *p, float l1, float 
     kit_ok(dev_buffer(d, p->n * sizeof(float), NULL, &out, &e), e);
     if (p->mask)
         kit_ok(dev_buffer(d, px, p->mask, &mask, &e), e);
-    struct loss_input in = {color, target, mask, p->w, p->h, l1, ssim};
+    struct loss_input in = {color, target, mask, p->w, p->h, l1, ssim, false};
+    struct loss_value alone;
     kit_ok(loss_run(l, &in, out, &e), e);
     kit_ok(loss_read(l, v, &e), e);
+    in.value_only = true;
+    kit_ok(loss_run(l, &in, NULL, &e), e);
+    kit_ok(loss_read(l, &alone, &e), e);
+    assert_memory_equal(v, &alone, sizeof(alone));
     kit_ok(dev_read(d, out, 0, p->n * sizeof(float), planar, &e), e);
     for (size_t i = 0; i < p->n; i++)
         grad[i] = planar[i % 3 * px + i / 3];
@@ -306,12 +311,12 @@ static void test_kernel_matches_reference(void **state)
     check_kernel(l, 70, 40, false, 0, 1);
     check_kernel(l, 33, 12, false, 0.8,
                  0.2); /* a smaller picture in larger buffers: stale margins */
-    struct loss_input bad = {NULL, NULL, NULL, 0, 10, 1, 1};
+    struct loss_input bad = {NULL, NULL, NULL, 0, 10, 1, 1, false};
     kit_fails(loss_run(l, &bad, NULL, &e), ERR_ARG, e, "sizes");
     /* What render_color_grad_buffer gives when the device is full: no crash in a kernel. */
     cl_mem full;
     kit_ok(dev_buffer(dev_get(), 8 * 8 * 3 * sizeof(float), NULL, &full, &e), e);
-    struct loss_input small = {full, full, NULL, 8, 8, 0.8f, 0.2f};
+    struct loss_input small = {full, full, NULL, 8, 8, 0.8f, 0.2f, false};
     kit_fails(loss_run(l, &small, NULL, &e), ERR_MEM, e, "8 x 8");
     dev_release(&full);
     loss_close(&l);
@@ -369,7 +374,7 @@ static void test_out_of_memory(void **state)
         kit_ok(dev_buffer(dev_get(), 3 * 20 * 20 * sizeof(float), NULL, &color, &e), e);
         kit_ok(dev_buffer(dev_get(), 3 * 20 * 20 * sizeof(float), NULL, &grad, &e), e);
         kit_ok(dev_buffer(dev_get(), 3 * 20 * 20, NULL, &target, &e), e);
-        struct loss_input in = {color, target, NULL, 20, 20, 0.8f, 0.2f};
+        struct loss_input in = {color, target, NULL, 20, 20, 0.8f, 0.2f, false};
         mem_fail_at(k);
         rc = loss_open(dev_get(), &l, &e);
         if (rc == ERR_OK)

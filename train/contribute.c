@@ -41,7 +41,7 @@ static enum err_code contribute_draw(struct contribute *c, size_t nth, double *m
     if (!rc)
         rc = render_forward(l->render, &l->model, &p.cam, &ro, NULL, NULL, e);
     if (!rc)
-        rc = level_photo_loss(l, &p, e);
+        rc = level_photo_value(l, &p, e);
     if (!rc)
         rc = loss_read(l->loss, &v, e);
     *mse += v.mse / (double)l->n_images;

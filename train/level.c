@@ -410,9 +410,11 @@ static enum err_code level_upload_mask(struct level *l, const struct feed_photo 
     return rc;
 }
 
-enum err_code level_photo_loss(struct level *l, const struct feed_photo *p, struct err *e)
+static enum err_code level_loss(struct level *l, const struct feed_photo *p, bool value_only,
+                                struct err *e)
 {
     struct loss_input in = {
+        .value_only = value_only,
         .color = render_color_buffer(l->render),
         .width_px = p->cam.width_px,
         .height_px = p->cam.height_px,
@@ -423,7 +425,19 @@ enum err_code level_photo_loss(struct level *l, const struct feed_photo *p, stru
     in.target = l->target;
     if (!rc)
         rc = level_upload_mask(l, p, &in.mask, e);
-    return rc ? rc : loss_run(l->loss, &in, render_color_grad_buffer(l->render), e);
+    if (rc)
+        return rc;
+    return loss_run(l->loss, &in, value_only ? NULL : render_color_grad_buffer(l->render), e);
+}
+
+enum err_code level_photo_loss(struct level *l, const struct feed_photo *p, struct err *e)
+{
+    return level_loss(l, p, false, e);
+}
+
+enum err_code level_photo_value(struct level *l, const struct feed_photo *p, struct err *e)
+{
+    return level_loss(l, p, true, e);
 }
 
 /* Non-finite updates are dropped on the device and counted; tell people once a thing goes wrong. */

@@ -85,6 +85,8 @@ enum err_code level_forget(struct level *l, struct err *e) ERR_USE;
 
 /* Upload a photograph and run the loss of the last frame against it. */
 enum err_code level_photo_loss(struct level *l, const struct feed_photo *p, struct err *e) ERR_USE;
+/* The same without gradients: for loss_read alone. */
+enum err_code level_photo_value(struct level *l, const struct feed_photo *p, struct err *e) ERR_USE;
 
 /* ---- state.c
  * ---------------------------------------------------------------------------------------- */
@@ -156,7 +158,7 @@ enum err_code score_run(struct level *l, const float *params, const float *mean_
 /* Its parts, for tests. x -> 0..1, 0 when all are equal. Edges: [h][w], stretched. 1 / median of
  * the values above 0 among x[0], x[stride] .. x[(n - 1) stride] (0 when there are none). */
 void score_stretch(float *x, size_t n);
-void score_edges(const uint8_t *px, uint32_t w, uint32_t h, float *out);
+void score_edges(const uint8_t *px, uint32_t w, uint32_t h, float *luma, float *out);
 enum err_code score_inverse_median(const float *x, size_t n, size_t stride, float *out,
                                    struct err *e) ERR_USE;
 

@@ -130,7 +130,7 @@ enum err_code loss_run(struct loss *l, const struct loss_input *in, cl_mem grad,
     if (w == 0 || h == 0 || w > 16384 || h > 16384)
         return err_set(e, ERR_ARG, "loss_run: a picture of %u x %u px: sizes must be 1 to 16384", w,
                        h);
-    if (!grad) /* a kernel would take it for an address */
+    if (!grad && !in->value_only) /* a kernel would take it for an address */
         return err_set(e, ERR_MEM, "loss_run: no room on the device for the gradient of %u x %u px",
                        w, h);
     enum err_code rc = loss_reserve(l, w, h, e);
@@ -162,12 +162,13 @@ enum err_code loss_run(struct loss *l, const struct loss_input *in, cl_mem grad,
     bad |= dev_arg(l->forward, 9, l->parts);
     bad |= dev_arg(l->backward, 9, scale_l1);
     bad |= dev_arg(l->backward, 10, scale_ssim);
-    bad |= dev_arg(l->backward, 11, grad);
+    if (!in->value_only)
+        bad |= dev_arg(l->backward, 11, grad);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "loss_run: arguments: %s", dev_error_name(bad));
     size_t local, groups = groups_of(l, w, h, &local);
     rc = dev_run(l->dev, l->forward, "loss_forward", groups * local, local, e);
-    if (rc == ERR_OK)
+    if (rc == ERR_OK && !in->value_only)
         rc = dev_run(l->dev, l->backward, "loss_backward", groups * local, local, e);
     return rc;
 }

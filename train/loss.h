@@ -35,6 +35,7 @@ struct loss_input { /* all borrowed */
     uint32_t width_px, height_px;
     float l1_weight,
         ssim_weight; /* LOSS_L1_WEIGHT, LOSS_SSIM_WEIGHT; ssim_weight 0 skips that work */
+    bool value_only; /* no gradient: `grad` of loss_run is not looked at */
 };
 /* Enqueue: write dL/dx into `grad`, float [3][h][w] planar (render_color_grad_buffer); 0 where
  * masked. Does not wait for the device. ERR_ARG for an empty picture, ERR_MEM (also when grad is

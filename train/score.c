@@ -20,7 +20,13 @@
 #include "core/pool.h"
 #include "train/level.h"
 
-enum { SCORE_SUMS = 8, SCORE_FIELDS = 9, SCORE_MEDIAN_SAMPLE = 65536, SCORE_CHUNK = 16384 };
+enum {
+    SCORE_SUMS = 8,
+    SCORE_FIELDS = 9,
+    SCORE_MEDIAN_SAMPLE = 65536,
+    SCORE_CHUNK = 16384,
+    SCORE_PICTURES = 6
+};
 enum score_field {
     SCORE_GRADIENT,
     SCORE_OPACITY,
@@ -42,6 +48,8 @@ struct score {
     struct render_score *device;
     cl_mem weight;
     size_t weight_bytes;
+    float *scratch; /* SCORE_PICTURES pictures of scratch_px pixels */
+    size_t scratch_px;
 };
 
 void score_free(struct score **p)
@@ -51,6 +59,7 @@ void score_free(struct score **p)
         return;
     render_score_close(&s->device);
     dev_release(&s->weight);
+    mem_free(s->scratch);
     mem_free(s);
     *p = NULL;
 }
@@ -62,9 +71,9 @@ void score_free(struct score **p)
 void score_stretch(float *x, size_t n)
 {
     float lo = INFINITY, hi = -INFINITY;
-    for (size_t i = 0; i < n; i++) {
-        lo = fminf(lo, x[i]);
-        hi = fmaxf(hi, x[i]);
+    for (size_t i = 0; i < n; i++) { /* not fminf: a call each */
+        lo = x[i] < lo ? x[i] : lo;
+        hi = x[i] > hi ? x[i] : hi;
     }
     float span = hi - lo;
     for (size_t i = 0; i < n; i++)
@@ -76,22 +85,31 @@ static int score_luma(const uint8_t *px) /* ITU-R 601, as 8 bits */
     return (299 * px[0] + 587 * px[1] + 114 * px[2] + 500) / 1000;
 }
 
-/* 8 * centre - neighbours of 8-bit luma, cut to 0..255; neighbours beyond the edge repeat it. */
-void score_edges(const uint8_t *px, uint32_t w, uint32_t h, float *out)
+static float score_edge(const float *above, const float *row, const float *below, size_t l,
+                        size_t x, size_t r)
 {
-    for (uint32_t y = 0; y < h; y++)
-        for (uint32_t x = 0; x < w; x++) {
-            int sum = 0;
-            for (int dy = -1; dy <= 1; dy++)
-                for (int dx = -1; dx <= 1; dx++) {
-                    int64_t sx = (int64_t)x + dx, sy = (int64_t)y + dy;
-                    sx = sx < 0 ? 0 : sx >= w ? w - 1 : sx;
-                    sy = sy < 0 ? 0 : sy >= h ? h - 1 : sy;
-                    sum += score_luma(px + 3 * ((size_t)sy * w + (size_t)sx)) * (dx || dy ? -1 : 8);
-                }
-            out[(size_t)y * w + x] = (float)(sum < 0 ? 0 : sum > 255 ? 255 : sum);
-        }
-    score_stretch(out, (size_t)w * h);
+    float sum = 9.0f * row[x] - (above[l] + above[x] + above[r]) - (row[l] + row[x] + row[r]) -
+                (below[l] + below[x] + below[r]);
+    return sum < 0.0f ? 0.0f : sum > 255.0f ? 255.0f : sum;
+}
+
+/* 8 * centre - neighbours of 8-bit luma, cut to 0..255; neighbours beyond the edge repeat it. All
+ * are whole numbers, so floats are exact. luma: scratch [h][w]. */
+void score_edges(const uint8_t *px, uint32_t w, uint32_t h, float *luma, float *out)
+{
+    size_t n = (size_t)w * h;
+    for (size_t i = 0; i < n; i++)
+        luma[i] = (float)score_luma(px + 3 * i);
+    for (uint32_t y = 0; y < h; y++) {
+        const float *row = luma + (size_t)y * w, *above = y ? row - w : row,
+                    *below = y + 1 < h ? row + w : row;
+        float *to = out + (size_t)y * w;
+        for (uint32_t x = 1; x + 1 < w; x++)
+            to[x] = score_edge(above, row, below, x - 1, x, x + 1);
+        to[0] = score_edge(above, row, below, 0, 0, w > 1);
+        to[w - 1] = score_edge(above, row, below, w > 1 ? w - 2 : 0, w - 1, w - 1);
+    }
+    score_stretch(out, n);
 }
 
 /* color: planar [3][n]. */
@@ -113,6 +131,19 @@ static void score_errors(const float *color, const uint8_t *px, const uint8_t *m
 /* ---- one view
  * --------------------------------------------------------------------------------------- */
 
+static enum err_code score_room(struct score *s, size_t n_px, struct err *e)
+{
+    if (n_px <= s->scratch_px)
+        return ERR_OK;
+    mem_free(s->scratch);
+    s->scratch_px = 0;
+    s->scratch = mem_array(n_px, SCORE_PICTURES * sizeof(*s->scratch));
+    if (!s->scratch)
+        return err_set(e, ERR_MEM, "score: out of memory");
+    s->scratch_px = n_px;
+    return ERR_OK;
+}
+
 /* Draw the view, find its loss, weigh its pixels on the device. */
 static enum err_code score_draw(struct level *l, const struct feed_photo *p, double *view_loss,
                                 struct err *e)
@@ -120,12 +151,12 @@ static enum err_code score_draw(struct level *l, const struct feed_photo *p, dou
     struct score *s = l->score;
     size_t n = (size_t)p->cam.width_px * p->cam.height_px, bytes = n * sizeof(float);
     struct render_options ro = level_photo_options(l, l->step, p->image);
-    float *color = mem_array(3 * n, sizeof(float)), *error = mem_array(n, sizeof(float));
-    float *edge = mem_array(n, sizeof(float));
-    enum err_code rc =
-        color && error && edge ? ERR_OK : err_set(e, ERR_MEM, "score: out of memory");
     struct loss_value v = {0};
-    if (!rc && bytes > s->weight_bytes) {
+    enum err_code rc = score_room(s, n, e);
+    if (rc)
+        return rc;
+    float *color = s->scratch, *error = color + 3 * n, *edge = error + n, *luma = edge + n;
+    if (bytes > s->weight_bytes) {
         dev_release(&s->weight);
         s->weight_bytes = 0;
         rc = dev_buffer(l->dev, bytes, NULL, &s->weight, e);
@@ -134,23 +165,21 @@ static enum err_code score_draw(struct level *l, const struct feed_photo *p, dou
     if (!rc)
         rc = render_forward(l->render, &l->model, &p->cam, &ro, NULL, NULL, e);
     if (!rc)
-        rc = level_photo_loss(l, p, e);
+        rc = level_photo_value(l, p, e);
+    if (!rc) /* while the device works */
+        score_edges(p->px, p->cam.width_px, p->cam.height_px, luma, edge);
     if (!rc)
         rc = loss_read(l->loss, &v, e);
     if (!rc)
         rc = dev_read(l->dev, render_color_buffer(l->render), 0, 3 * bytes, color, e);
     if (!rc) {
         score_errors(color, p->px, p->mask, n, error);
-        score_edges(p->px, p->cam.width_px, p->cam.height_px, edge);
         for (size_t i = 0; i < n; i++)
             error[i] =
                 p->mask && !p->mask[i] ? 0.0f : SCORE_ERROR * error[i] + SCORE_EDGE * edge[i];
         rc = dev_write(l->dev, s->weight, 0, bytes, error, e);
     }
     *view_loss = isfinite(v.total) ? v.total : 0.0;
-    mem_free(color);
-    mem_free(error);
-    mem_free(edge);
     return rc;
 }
 
@@ -333,6 +362,11 @@ enum err_code score_run(struct level *l, const float *params, const float *mean_
     for (size_t v = 0; !rc && v < n_views; v++)
         rc = score_view(&w, views[v], e);
 out:
+    if (l->score) {
+        mem_free(l->score->scratch);
+        l->score->scratch = NULL;
+        l->score->scratch_px = 0;
+    }
     if (l->score && l->score->device)
         render_score_forget(l->score->device);
     mem_free(w.opacity);
