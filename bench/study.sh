@@ -201,10 +201,13 @@ tile_row() {
 # Budgets of cells of about 300 m^2 a thousand Gaussians; the presets' budgets are for larger ones.
 readonly SMALL=(--budget-1 40000 --budget-2 80000 --budget-3 160000)
 
-study_time() { # accuracy against training time
+study_time() { # accuracy against training time, with the finest level alone and with all three
   local n
+  for n in 250 500 1000 2000 4000; do
+    row time "one level: $n steps" caliterra-400 "steps=$n" --level-count 1 --iterations "$n" --budget-3 200000
+  done
   for n in 500 1000 2000 4000; do
-    row time "$n steps" caliterra-400 "steps=$n" --level-count 1 --iterations "$n" --budget-3 200000
+    row time "three levels: $n steps" caliterra-400 "steps=$n" --iterations "$n" --budget-1 50000 --budget-2 100000 --budget-3 200000
   done
 }
 
