@@ -19,6 +19,7 @@ enum { INIT_NEIGHBOURS = 3, INIT_RANDOM_POINTS = 100, INIT_CHUNK = 4096 };
 /* ---- nearest neighbours ---------------------------------------------------------------------- */
 
 struct init_search {
+    const float *xyz;
     struct knn tree;
     float *dist2;
 };
@@ -33,7 +34,7 @@ static enum err_code init_search_chunk(void *user, size_t chunk, struct err *e)
         float dist2[INIT_NEIGHBOURS];
         double sum = 0.0;
         size_t found =
-            knn_find(&s->tree, s->tree.xyz + 3 * i, (uint32_t)i, INIT_NEIGHBOURS, ids, dist2);
+            knn_find(&s->tree, s->xyz + 3 * i, (uint32_t)i, INIT_NEIGHBOURS, ids, dist2);
         for (size_t k = 0; k < found; k++)
             sum += (double)dist2[k];
         s->dist2[i] = found ? (float)(sum / (double)found) : 0.0f;
@@ -43,7 +44,7 @@ static enum err_code init_search_chunk(void *user, size_t chunk, struct err *e)
 
 enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, struct err *e)
 {
-    struct init_search s = {.dist2 = dist2};
+    struct init_search s = {.xyz = xyz, .dist2 = dist2};
     enum err_code rc = knn_build(xyz, n, &s.tree, e);
     if (!rc)
         rc = pool_for((n + INIT_CHUNK - 1) / INIT_CHUNK, 0, init_search_chunk, &s, e);
