@@ -33,8 +33,7 @@ static enum err_code init_search_chunk(void *user, size_t chunk, struct err *e)
         uint32_t ids[INIT_NEIGHBOURS];
         float dist2[INIT_NEIGHBOURS];
         double sum = 0.0;
-        size_t found =
-            knn_find(&s->tree, s->xyz + 3 * i, (uint32_t)i, INIT_NEIGHBOURS, ids, dist2);
+        size_t found = knn_find(&s->tree, s->xyz + 3 * i, (uint32_t)i, INIT_NEIGHBOURS, ids, dist2);
         for (size_t k = 0; k < found; k++)
             sum += (double)dist2[k];
         s->dist2[i] = found ? (float)(sum / (double)found) : 0.0f;
