@@ -25,6 +25,19 @@ inline uint2 order_range(uint n)
     return (uint2)((uint)min(from, (ulong)n), (uint)min(from + EACH, (ulong)n));
 }
 
+// This item's column of counts, [digit]: how many of its keys have each digit.
+inline void order_tally(__global const uint *keys, uint2 range, uint shift, uint culls,
+                        __local ushort *column)
+{
+    for (uint d = 0; d < DIGITS; d++)
+        column[d * COLUMN] = 0;
+    for (uint i = range.x; i < range.y; i++) {
+        uint key = keys[i];
+        if (!culls || key != CULLED)
+            column[((key >> shift) & (DIGITS - 1)) * COLUMN]++;
+    }
+}
+
 __kernel GROUP void sum_blocks(__global const uint *values, __global const uint *order,
                                uint ordered, uint n, __global const struct layout_counts *counts,
                                __global uint *sums)
@@ -109,13 +122,7 @@ __kernel GROUP void radix_count(__global const uint *keys, uint ordered, uint n,
     __local ushort count[DIGITS * COLUMN];
     uint lane = (uint)get_local_id(0);
     uint2 range = order_range(ordered ? counts->visible : n);
-    for (uint d = 0; d < DIGITS; d++)
-        count[d * COLUMN + lane] = 0;
-    for (uint i = range.x; i < range.y; i++) {
-        uint key = keys[i];
-        if (!culls || key != CULLED)
-            count[((key >> shift) & (DIGITS - 1)) * COLUMN + lane]++;
-    }
+    order_tally(keys, range, shift, culls, count + lane);
     barrier(CLK_LOCAL_MEM_FENCE);
     if (lane < DIGITS) {
         uint sum = 0;
@@ -135,13 +142,7 @@ __kernel GROUP void radix_scatter(__global const uint *keys, __global const uint
     __local uint base[DIGITS];
     uint lane = (uint)get_local_id(0);
     uint2 range = order_range(ordered ? counts->visible : n);
-    for (uint d = 0; d < DIGITS; d++)
-        count[d * COLUMN + lane] = 0;
-    for (uint i = range.x; i < range.y; i++) {
-        uint key = keys[i];
-        if (!culls || key != CULLED)
-            count[((key >> shift) & (DIGITS - 1)) * COLUMN + lane]++;
-    }
+    order_tally(keys, range, shift, culls, count + lane);
     barrier(CLK_LOCAL_MEM_FENCE);
     if (lane < DIGITS) {
         ushort sum = 0;

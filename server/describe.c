@@ -13,8 +13,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Take json's reference; NULL json is out of memory. */
-static enum err_code take_json(json_t *json, struct body **out, struct err *e)
+enum err_code describe_json(json_t *json, struct body **out, struct err *e)
 {
     struct buf b = {0};
     char *text = json ? json_dumps(json, JSON_INDENT(1) | JSON_REAL_PRECISION(15)) : NULL;
@@ -46,7 +45,7 @@ enum err_code describe_landing(struct body **out, struct err *e)
                           "OpenAPI description"),
                   link_to("conformance", "application/json", "conformance", "Conformance classes"),
                   link_to("data", "application/json", "collections", "Datasets"));
-    return take_json(o, out, e);
+    return describe_json(o, out, e);
 }
 
 enum err_code describe_conformance(struct body **out, struct err *e)
@@ -64,7 +63,7 @@ enum err_code describe_conformance(struct body **out, struct err *e)
     json_t *list = json_array();
     for (size_t i = 0; i < sizeof(classes) / sizeof(*classes); i++)
         json_array_append_new(list, json_string(classes[i]));
-    return take_json(json_pack("{s:o}", "conformsTo", list), out, e);
+    return describe_json(json_pack("{s:o}", "conformsTo", list), out, e);
 }
 
 /* ---- OpenAPI --------------------------------------------------------------------------------- */
@@ -158,7 +157,7 @@ enum err_code describe_api(struct body **out, struct err *e)
     json_t *o = json_pack("{s:s,s:{s:s,s:s,s:s},s:o}", "openapi", "3.0.3", "info", "title",
                           "citysplat", "version", CITYSPLAT_VERSION, "description",
                           "Tiles and pictures of cities of 3D Gaussians", "paths", paths);
-    return take_json(o, out, e);
+    return describe_json(o, out, e);
 }
 
 /* ---- datasets -------------------------------------------------------------------------------- */
@@ -216,7 +215,7 @@ static json_t *collection(const struct dataset *d, const char *up)
 
 enum err_code describe_collection(const struct dataset *d, struct body **out, struct err *e)
 {
-    return take_json(collection(d, "../"), out, e);
+    return describe_json(collection(d, "../"), out, e);
 }
 
 enum err_code describe_collections(const struct catalog *c, struct body **out, struct err *e)
@@ -225,10 +224,10 @@ enum err_code describe_collections(const struct catalog *c, struct body **out, s
     for (size_t i = 0; i < c->n; i++)
         if (!(c->ds[i]->retired_s > 0))
             json_array_append_new(list, collection(c->ds[i], ""));
-    return take_json(json_pack("{s:[o],s:o}", "links",
-                               link_to("self", "application/json", "collections", "Datasets"),
-                               "collections", list),
-                     out, e);
+    return describe_json(json_pack("{s:[o],s:o}", "links",
+                                   link_to("self", "application/json", "collections", "Datasets"),
+                                   "collections", list),
+                         out, e);
 }
 
 enum err_code describe_version(struct services *s, struct body **out, struct err *e)
@@ -245,10 +244,10 @@ enum err_code describe_version(struct services *s, struct body **out, struct err
             json_object_set_new(revisions, c->ds[i]->meta.name,
                                 json_string(c->ds[i]->meta.revision));
     catalog_drop(&c);
-    return take_json(json_pack("{s:s,s:s,s:o,s:{s:s,s:s}}", "name", "citysplat", "version",
-                               CITYSPLAT_VERSION, "datasets", revisions, "pictures", "state", state,
-                               "device", about),
-                     out, e);
+    return describe_json(json_pack("{s:s,s:s,s:o,s:{s:s,s:s}}", "name", "citysplat", "version",
+                                   CITYSPLAT_VERSION, "datasets", revisions, "pictures", "state",
+                                   state, "device", about),
+                         out, e);
 }
 
 /* ---- the posted camera ----------------------------------------------------------------------- */

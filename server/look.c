@@ -93,21 +93,6 @@ static json_t *look_numbers(const float *v, uint32_t n)
     return list;
 }
 
-static enum err_code look_take(json_t *json, struct body **out, struct err *e)
-{
-    struct buf b = {0};
-    char *text = json ? json_dumps(json, JSON_INDENT(1) | JSON_REAL_PRECISION(9)) : NULL;
-    json_decref(json);
-    if (text)
-        buf_printf(&b, "%s\n", text);
-    free(text);
-    *out = text ? body_take(&b, NULL) : NULL;
-    if (!*out)
-        return err_set(e, ERR_MEM, "appearances: out of memory");
-    body_compress(*out);
-    return ERR_OK;
-}
-
 enum err_code look_list(const struct dataset *d, struct body **out, struct err *e)
 {
     const struct appearance *a = d->appearance;
@@ -117,9 +102,10 @@ enum err_code look_list(const struct dataset *d, struct body **out, struct err *
             list, json_pack("{s:s,s:[o,o]}", "name", a->names[i], "links",
                             look_link("item", "application/json", "appearance", a->names[i]),
                             look_link("tileset", "application/json", "tileset.json", a->names[i])));
-    return look_take(json_pack("{s:s,s:i,s:o}", "default", a ? BAKE_DEFAULT : "", "embeddingLength",
-                               a ? (int)a->len_image : 0, "appearances", list),
-                     out, e);
+    return describe_json(json_pack("{s:s,s:i,s:o}", "default", a ? BAKE_DEFAULT : "",
+                                   "embeddingLength", a ? (int)a->len_image : 0, "appearances",
+                                   list),
+                         out, e);
 }
 
 struct look_near {
@@ -171,7 +157,7 @@ enum err_code look_describe(const struct dataset *d, const char *text, struct bo
     enum err_code rc = bake_find(d->stores[0], name, image, e);
     if (rc != ERR_OK)
         return rc;
-    return look_take(
+    return describe_json(
         json_pack("{s:s,s:o,s:o,s:[o,o,o]}", "appearance", name, "embedding",
                   look_numbers(image, a->len_image), "nearest", look_nearest(a, image), "links",
                   look_link("self", "application/json", "appearance", name),

@@ -244,6 +244,16 @@ static struct work *make_work(struct dataset *d, enum work_kind kind, struct has
     return out->work = w;
 }
 
+static void look_problem(const struct dataset *d, enum err_code rc, const struct err *e,
+                         struct response *out)
+{
+    int status = rc == ERR_NOENT ? 404 : rc == ERR_MEM ? 503 : 400;
+    route_problem(out, status,
+                  d->appearance ? e->msg
+                                : "this dataset was trained without appearance: it has one look, "
+                                  "leave `appearance` out");
+}
+
 /* The look that a target or a body asks for; false, with the problem set, when there is none such.
  */
 static bool find_look(const struct dataset *d, const char *text, struct look *look,
@@ -252,13 +262,7 @@ static bool find_look(const struct dataset *d, const char *text, struct look *lo
     struct err e = {0};
     enum err_code rc = look_find(d, text, look, &e);
     if (rc != ERR_OK)
-        route_problem(out,
-                      rc == ERR_NOENT ? 404
-                      : rc == ERR_MEM ? 503
-                                      : 400,
-                      d->appearance ? e.msg
-                                    : "this dataset was trained without appearance: it has one "
-                                      "look, leave `appearance` out");
+        look_problem(d, rc, &e, out);
     return rc == ERR_OK;
 }
 
@@ -381,14 +385,12 @@ static void send_look(const struct request *r, struct dataset *d, const char *te
                       const char *cache_control, struct response *out)
 {
     struct err e = {0};
-    struct look look;
     struct body *b = NULL;
-    if (!d->appearance)
-        route_problem(out, 404, "this dataset was trained without appearance: it has one look");
-    else if (find_look(d, text, &look, out) && look_describe(d, text, &b, &e) == ERR_OK)
+    enum err_code rc = look_describe(d, text, &b, &e);
+    if (rc == ERR_OK)
         send_document(r, JSON_TYPE, cache_control, b, out);
-    else if (!out->status)
-        route_problem(out, 503, e.msg);
+    else
+        look_problem(d, rc, &e, out);
 }
 
 static void answer_mix(const struct request *r, struct dataset *d, struct response *out)

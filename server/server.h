@@ -490,6 +490,8 @@ const char *route_path(enum route r);
 unsigned route_allow(enum route r);
 
 /* describe.c: the JSON documents. */
+/* json's reference is taken; NULL json is out of memory. */
+enum err_code describe_json(struct json_t *json, struct body **out, struct err *e) ERR_USE;
 enum err_code describe_landing(struct body **out, struct err *e) ERR_USE;
 enum err_code describe_conformance(struct body **out, struct err *e) ERR_USE;
 enum err_code describe_api(struct body **out, struct err *e) ERR_USE;

@@ -5,13 +5,11 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { openPage, waitForViewer } from "./lib/browser.mjs";
+import { barePicture, openPage, waitForViewer } from "./lib/browser.mjs";
 import { rmsDifference } from "./lib/checks.mjs";
-import { decodePng } from "./lib/png.mjs";
 import { firstDataSet, getJson, GIVEN_TILES, MOCK, openLitCity } from "./lib/source.mjs";
 
 const SIZE = { width: 720, height: 480 };
-const HIDE_PANELS = "#panel,#tools,#compare,#toast,#progress,footer{display:none!important}";
 const skip = { skip: MOCK || GIVEN_TILES ? "needs a city trained with appearance" : false };
 
 let source;
@@ -30,12 +28,7 @@ after(async () => {
     await source?.close();
 });
 
-async function picture() {
-    const style = await page.addStyleTag({ content: HIDE_PANELS });
-    const png = decodePng(await page.screenshot());
-    await style.evaluate((tag) => tag.remove());
-    return png;
-}
+const picture = () => barePicture(page);
 
 function brightness(png) {
     let sum = 0;

@@ -5,7 +5,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
+import { barePicture, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
 import { makeCity } from "./lib/city.mjs";
 import {
     checkNorth,
@@ -19,7 +19,6 @@ import { decodePng } from "./lib/png.mjs";
 import { firstDataSet, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
 
 const SIZE = { width: 800, height: 600 };
-const HIDE_PANELS = "#panel,#tools,#compare,#toast,#progress,footer{display:none!important}";
 // Client and server round and cut off a little differently (1.7 on the test city, 4.3 on a trained one,
 // where they may also choose other levels). A shift by 5 pixels gives 10, a mirrored picture 21.
 const RMS_MAX = GIVEN_TILES ? 8 : 4;
@@ -38,13 +37,7 @@ after(async () => {
     await source?.close();
 });
 
-// The page without its panels.
-async function picture() {
-    const style = await page.addStyleTag({ content: HIDE_PANELS });
-    const png = decodePng(await page.screenshot());
-    await style.evaluate((tag) => tag.remove());
-    return png;
-}
+const picture = () => barePicture(page);
 
 const read = () => page.evaluate(() => ({ ...window.citysplat, pose: window.citysplat.pose() }));
 

@@ -3,6 +3,8 @@
 // SPDX-License-Identifier: Apache-2.0
 import { existsSync } from "node:fs";
 
+import { decodePng } from "./png.mjs";
+
 const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
 const FLAGS = [
     "--no-sandbox",
@@ -62,6 +64,15 @@ export async function waitForViewer(page, timeoutMs = 120000) {
     }
     const error = await page.evaluate(() => window.citysplat.error);
     if (error) throw new Error(`viewer: ${error}`);
+}
+
+// The viewer's page without its panels.
+const HIDE_PANELS = "#panel,#tools,#compare,#toast,#progress,footer{display:none!important}";
+export async function barePicture(page) {
+    const style = await page.addStyleTag({ content: HIDE_PANELS });
+    const png = decodePng(await page.screenshot());
+    await style.evaluate((tag) => tag.remove());
+    return png;
 }
 
 // The viewer's camera to a pose { lon, lat, h, heading, pitch, fov }; waits for the new picture.
