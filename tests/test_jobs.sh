@@ -7,18 +7,7 @@ bin=${CITYSPLAT_BIN:?set it to the citysplat program}
 top=$(cd "$(dirname "$0")/.." && pwd)
 work=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-jobs-XXXXXX") || exit 1
 trap 'rm -rf "$work"' EXIT
-failed=0
-check() { # NAME CONDITION...
-    name=$1
-    shift
-    if "$@" >"$work/check" 2>&1; then
-        echo "ok   $name"
-    else
-        failed=$((failed + 1))
-        echo "FAIL $name: $*"
-        sed 's/^/  | /' "$work/check" "$work/log" | tail -20
-    fi
-}
+. "$(dirname "$0")/check.sh"
 said() { grep -Eq -- "$1" "$work/log"; }
 same_levels() { # DIR-A DIR-B: the levels of all cells, byte by byte
     for f in "$1"/cells/*/level?.ckpt; do cmp "$f" "$2/${f#"$1"/}" || return 1; done

@@ -6,18 +6,7 @@
 bin=${CITYSPLAT_BIN:?set it to the citysplat program}
 work=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-cache-XXXXXX") || exit 1
 trap 'rm -rf "$work"' EXIT
-failed=0
-check() { # NAME CONDITION...
-    name=$1
-    shift
-    if "$@" >"$work/check" 2>&1; then
-        echo "ok   $name"
-    else
-        failed=$((failed + 1))
-        echo "FAIL $name: $*"
-        sed 's/^/  | /' "$work/check" "$work"/log.* | tail -20
-    fi
-}
+. "$(dirname "$0")/check.sh"
 
 # Two Gaussians of antimatter15's .splat: mean and size as 6 floats, RGBA, rotation.
 record() { printf '%b' "$1\0000\0000\0000\0000\0000\0000\0200\0100\0315\0314\0314\0075\0315\0314\0314\0075\0315\0314\0314\0075\0377\0200\0100\0377\0377\0200\0200\0200"; }
