@@ -7,7 +7,7 @@
 #include <pthread.h>
 
 struct tilewriter_slot {
-    bool full, empty; /* empty: no tile of this number */
+    bool full;
     struct store_tile tile;
     struct buf payload;
 };
@@ -58,8 +58,7 @@ static enum err_code tilewriter_drain(struct tilewriter *w, struct err *e)
         struct tilewriter_slot *s = &w->slot[w->next % TILEWRITER_AHEAD];
         if (rc || !s->full)
             break;
-        if (!s->empty)
-            rc = store_add(w->store, &s->tile, &s->payload, e);
+        rc = store_add(w->store, &s->tile, &s->payload, e);
         buf_free(&s->payload);
         s->full = false;
         w->next++;
@@ -68,38 +67,6 @@ static enum err_code tilewriter_drain(struct tilewriter *w, struct err *e)
     w->failed = w->failed || rc;
     pthread_cond_broadcast(&w->moved);
     return rc;
-}
-
-static enum err_code tilewriter_give(struct tilewriter *w, size_t i, const struct store_tile *t,
-                                     struct buf *payload, struct err *e)
-{
-    enum err_code rc = ERR_OK;
-    pthread_mutex_lock(&w->lock);
-    while (!w->failed && i >= w->next + TILEWRITER_AHEAD)
-        pthread_cond_wait(&w->moved, &w->lock);
-    if (w->failed) {
-        rc = err_set(e, ERR_CANCEL, "another tile failed");
-    } else {
-        struct tilewriter_slot *s = &w->slot[i % TILEWRITER_AHEAD];
-        s->full = true;
-        s->empty = !t;
-        if (t) {
-            s->tile = *t;
-            s->payload = *payload;
-            *payload = (struct buf){0};
-        }
-        rc = tilewriter_drain(w, e);
-    }
-    pthread_mutex_unlock(&w->lock);
-    if (payload)
-        buf_free(payload);
-    return rc;
-}
-
-enum err_code tilewriter_put_payload(struct tilewriter *w, size_t i, const struct store_tile *t,
-                                     struct buf *payload, struct err *e)
-{
-    return tilewriter_give(w, i, t, payload, e);
 }
 
 enum err_code tilewriter_put(struct tilewriter *w, size_t i, struct store_tile *t,
@@ -111,12 +78,22 @@ enum err_code tilewriter_put(struct tilewriter *w, size_t i, struct store_tile *
         buf_free(&payload);
         return rc;
     }
-    return tilewriter_give(w, i, t, &payload, e);
-}
-
-enum err_code tilewriter_skip(struct tilewriter *w, size_t i, struct err *e)
-{
-    return tilewriter_give(w, i, NULL, NULL, e);
+    pthread_mutex_lock(&w->lock);
+    while (!w->failed && i >= w->next + TILEWRITER_AHEAD)
+        pthread_cond_wait(&w->moved, &w->lock);
+    if (w->failed) {
+        rc = err_set(e, ERR_CANCEL, "another tile failed");
+    } else {
+        struct tilewriter_slot *s = &w->slot[i % TILEWRITER_AHEAD];
+        s->full = true;
+        s->tile = *t;
+        s->payload = payload;
+        payload = (struct buf){0};
+        rc = tilewriter_drain(w, e);
+    }
+    pthread_mutex_unlock(&w->lock);
+    buf_free(&payload);
+    return rc;
 }
 
 void tilewriter_fail(struct tilewriter *w)

@@ -21,11 +21,6 @@ void tilewriter_close(struct tilewriter **w);
  * must be begun first (as pool_for does). Each number once. Thread-safe. */
 enum err_code tilewriter_put(struct tilewriter *w, size_t i, struct store_tile *t,
                              const struct gauss *g, struct err *e) ERR_USE;
-/* The same of a payload that exists; taken over, also on failure. t is complete but for version. */
-enum err_code tilewriter_put_payload(struct tilewriter *w, size_t i, const struct store_tile *t,
-                                     struct buf *payload, struct err *e) ERR_USE;
-/* Number i writes no tile. */
-enum err_code tilewriter_skip(struct tilewriter *w, size_t i, struct err *e) ERR_USE;
 /* A worker gave up: nobody waits for it. */
 void tilewriter_fail(struct tilewriter *w);
 
