@@ -144,7 +144,7 @@ static enum err_code quantise(void *user, struct err *e)
     return rc;
 }
 
-/* ---- a tile of 100,000 Gaussians from the store to bytes ------------------------------------ */
+/* ---- a tile of 100,000 Gaussians from the store to bytes ---- */
 
 struct tile_request {
     struct store *store;

@@ -25,7 +25,7 @@
 
 enum { SERVE_CLIENTS = 2, SERVE_CONNECTIONS = 16 /* a client */, SERVE_ZOOM = 17 };
 
-/* ---- something to serve ---------------------------------------------------------------------- */
+/* ---- something to serve ---- */
 
 static enum err_code serve_store(const char *path, size_t n, struct key *key, struct err *e)
 {
@@ -82,7 +82,7 @@ static enum err_code serve_config(struct server_config *cfg, struct arena *a, st
     return rc;
 }
 
-/* ---- the client ------------------------------------------------------------------------------ */
+/* ---- the client ---- */
 
 struct serve_load {
     uint16_t port;
@@ -203,7 +203,7 @@ static enum err_code serve_ask(struct serve_load *l, struct buf *body, char etag
     return rc == ERR_OK ? buf_check(body, e) : rc;
 }
 
-/* ---- libmicrohttpd alone --------------------------------------------------------------------- */
+/* ---- libmicrohttpd alone ---- */
 
 struct serve_bare {
     struct MHD_Daemon *daemon;
@@ -249,7 +249,7 @@ static void serve_bare_stop(struct serve_bare *s)
         MHD_destroy_response(s->response);
 }
 
-/* ---- the cases ------------------------------------------------------------------------------- */
+/* ---- the cases ---- */
 
 /* Both servers under the same load. `tile`: the bytes that the bare one sends, and that ours must.
  */
@@ -332,7 +332,7 @@ out:
     return rc;
 }
 
-/* ---- tiles while views are drawn ------------------------------------------------------------- */
+/* ---- tiles while views are drawn ---- */
 
 enum { BUSY_GAUSSIANS = 200000, BUSY_REQUESTS = 1500, BUSY_PAUSE_US = 1000 };
 

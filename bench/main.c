@@ -24,42 +24,17 @@ struct bench_row {
 enum { BENCH_TEXT_MAX = 160 };
 
 struct bench_config {
-    OPTIONS_C_INT runs;
-    OPTIONS_C_BOOL quick;
-    OPTIONS_C_TEXT device, compare, scene, tiles, trained, dataset, study, command, commit, record;
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "bench/options.def"
+#undef OPT
 };
 
 static const struct options_def bench_defs[] = {
-    OPTIONS_ROW(struct bench_config, INT, runs, "20", 1, 10000, "N",
-                "timed runs a case; the median counts")
-        OPTIONS_ROW(struct bench_config, BOOL, quick, "false", 0, 0, "",
-                    "small sizes: does it run at all?")
-            OPTIONS_ROW(struct bench_config, TEXT, device, "", 0, 0, "NAME",
-                        "OpenCL device: cpu, gpu or part of a name")
-                OPTIONS_ROW(struct bench_config, TEXT, compare, "", 0, 0, "FILE",
-                            "JSON lines of an earlier run, such as bench/baseline.jsonl: the table "
-                            "gains now/then, as it is and as if the ceilings had been the same")
-                    OPTIONS_ROW(struct bench_config, TEXT, scene, "", 0, 0, "DIR",
-                                "rd, pyramid: scene with test photographs")
-                        OPTIONS_ROW(struct bench_config, TEXT, tiles, "", 0, 0, "FILE",
-                                    "rd, codec: tile store trained on it")
-                            OPTIONS_ROW(struct bench_config, TEXT, trained, "", 0, 0, "DIR",
-                                        "pyramid: folder with the scene's trained cells/; the "
-                                        "scene itself by default")
-                                OPTIONS_ROW(struct bench_config, TEXT, dataset, "", 0, 0, "TEXT",
-                                            "rd, pyramid: what the scene is, for records")
-                                    OPTIONS_ROW(struct bench_config, TEXT, study, "rd", 0, 0,
-                                                "NAME", "rd, pyramid: name of the study in records")
-                                        OPTIONS_ROW(struct bench_config, TEXT, command,
-                                                    "citysplat-bench", 0, 0, "TEXT",
-                                                    "rd, pyramid: what gives the records again")
-                                            OPTIONS_ROW(
-                                                struct bench_config, TEXT, commit, "", 0, 0, "HASH",
-                                                "rd, pyramid: version of the program, for records")
-                                                OPTIONS_ROW(
-                                                    struct bench_config, TEXT, record, "", 0, 0,
-                                                    "FILE",
-                                                    "rd, pyramid: write every row as a JSON line")};
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct bench_config, type, key, def, lo, hi, unit, help)
+#include "bench/options.def"
+#undef OPT
+};
 
 struct bench_entry {
     const char *name, *about;

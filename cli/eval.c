@@ -141,8 +141,7 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
     return rc;
 }
 
-/* ---- trained levels
- * ------------------------------------------------------------------------------ */
+/* ---- trained levels ---- */
 
 /* What a level was trained with and must be drawn with. */
 struct eval_settings {
@@ -301,8 +300,7 @@ static enum err_code eval_levels(struct eval *v, const char *scene_dir, struct e
     return rc;
 }
 
-/* ---- a tile store
- * ------------------------------------------------------------------------------------ */
+/* ---- a tile store ---- */
 
 struct eval_view {
     struct view *view;
@@ -362,8 +360,7 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     return rc;
 }
 
-/* ---- the command
- * --------------------------------------------------------------------------------------- */
+/* ---- the command ---- */
 
 static enum err_code eval_open(struct eval *v, const char *scene_dir, struct err *e)
 {

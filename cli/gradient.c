@@ -46,8 +46,7 @@ static const struct gradient_file {
                       {"sh.npy", RENDER_PLANE_SH, 0}};
 enum { FILES = sizeof gradient_files / sizeof *gradient_files };
 
-/* ---- input
- * ------------------------------------------------------------------------------------------ */
+/* ---- input ---- */
 
 static enum err_code parse_background(const char *text, float out[3], struct err *e)
 {
@@ -83,8 +82,7 @@ static enum err_code read_grad(const char *path, const struct camera *cam, float
     return rc;
 }
 
-/* ---- the work
- * ----------------------------------------------------------------------------------------- */
+/* ---- the work ---- */
 
 /* Raw gradients in the device layout; *out: mem_free. */
 static enum err_code gradient_run(const char *device, const struct gauss *g,
@@ -124,8 +122,7 @@ static enum err_code gradient_run(const char *device, const struct gauss *g,
     return rc;
 }
 
-/* ---- output
- * ------------------------------------------------------------------------------------------- */
+/* ---- output ---- */
 
 static enum err_code write_file(const char *dir, const struct gradient_file *f, const float *raw,
                                 uint32_t planes, const struct gauss *g, struct err *e)

@@ -72,7 +72,7 @@ static void ckpt_arrays(const struct gauss *g, struct ckpt_array out[CKPT_ARRAYS
     out[5] = (struct ckpt_array){"#embed", g->embed, g->embed_len};
 }
 
-/* ---- writing --------------------------------------------------------------------------------- */
+/* ---- writing ---- */
 
 struct ckpt_writer {
     const char *path;
@@ -297,7 +297,7 @@ enum err_code ckpt_write(const char *path, const struct json_t *meta, const stru
     return ckpt_write_from(path, meta, &from, blobs, n_blobs, e);
 }
 
-/* ---- reading --------------------------------------------------------------------------------- */
+/* ---- reading ---- */
 
 static enum err_code ckpt_bad(const char *path, const char *why, struct err *e)
 {
@@ -495,7 +495,7 @@ void ckpt_free(struct ckpt *c)
     *c = (struct ckpt){0};
 }
 
-/* ---- reading by the slice -------------------------------------------------------------------- */
+/* ---- reading by the slice ---- */
 
 struct ckpt_rows {
     char path[FILE_PATH_MAX];

@@ -33,8 +33,7 @@ struct codec_limits {     /* {0} = the defaults in brackets */
     size_t max_pixels;    /* of one image [512 Mi] */
 };
 
-/* ---- image_shim.cc (OpenImageIO) ----------------------------------------------------------------
- */
+/* ---- image_shim.cc (OpenImageIO) ---- */
 
 struct image {                              /* {0} is empty */
     uint32_t width_px, height_px, channels; /* 1 or 3 */
@@ -71,8 +70,7 @@ enum err_code image_alloc(uint32_t width_px, uint32_t height_px, uint32_t channe
                           struct image *out, struct err *e) ERR_USE;
 void image_free(struct image *img);
 
-/* ---- exif.c: the few EXIF fields we need, in JPEG, PNG, WebP and TIFF files
- * ------------------------- */
+/* ---- exif.c: the few EXIF fields we need, in JPEG, PNG, WebP and TIFF files ---- */
 
 /* Missing, unknown or damaged fields are simply not there (has_position false, 0, ""): photographs
  * with strange EXIF are still photographs. ERR_NOENT, ERR_IO. */
@@ -83,8 +81,7 @@ void exif_parse(const void *bytes, size_t n, struct image_gps *out);
  * mm. */
 enum err_code exif_insert(struct buf *file, const struct image_gps *gps, struct err *e) ERR_USE;
 
-/* ---- npy.c
- * ------------------------------------------------------------------------------------------ */
+/* ---- npy.c ---- */
 
 /* float32 .npy, C order. shape has ndim entries. npy_read allocates (mem_free). */
 enum err_code npy_write(const char *path, const float *data, size_t ndim, const size_t *shape,
@@ -94,8 +91,7 @@ enum err_code npy_read(const char *path, size_t ndim, size_t *shape, float **dat
 enum err_code npy_decode(const void *bytes, size_t n, size_t ndim, size_t *shape, float **data,
                          struct err *e) ERR_USE;
 
-/* ---- colmap.c
- * ------------------------------------------------------------------------------------- */
+/* ---- colmap.c ---- */
 
 struct colmap_camera {
     uint32_t id;
@@ -143,8 +139,7 @@ enum err_code colmap_write_bin(const char *dir, const struct colmap_model *m,
                                struct err *e) ERR_USE;
 void colmap_free(struct colmap_model *m);
 
-/* ---- scene.c: what ingest makes and train reads
- * ---------------------------------------------------- */
+/* ---- scene.c: what ingest makes and train reads ---- */
 
 enum scene_split { SCENE_TRAIN, SCENE_TEST };
 struct scene_image {
@@ -183,8 +178,7 @@ enum err_code scene_read(const char *dir, struct scene *out, struct err *e) ERR_
 enum err_code scene_write(const char *dir, const struct scene *s, struct err *e) ERR_USE;
 void scene_free(struct scene *s);
 
-/* ---- ckpt.c: one file, a JSON head and named blobs, hashed
- * ------------------------------------------- */
+/* ---- ckpt.c: one file, a JSON head and named blobs, hashed ---- */
 
 struct ckpt_blob {
     char name[32];
@@ -236,8 +230,7 @@ enum err_code ckpt_rows_blob_to(const struct ckpt_rows *r, const char *name, voi
                                 size_t n_bytes, struct err *e) ERR_USE;
 void ckpt_rows_close(struct ckpt_rows **r);
 
-/* ---- Gaussians in files
- * --------------------------------------------------------------------------- */
+/* ---- Gaussians in files ---- */
 
 /* ENU (z up) -> glTF (y up): p' = (E, U, -N), rotations and SH turned with it; and back. In place.
  */

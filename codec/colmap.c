@@ -24,8 +24,7 @@ void colmap_free(struct colmap_model *m)
     *m = (struct colmap_model){0};
 }
 
-/* ---- records ----------------------------------------------------------------------------------
- */
+/* ---- records ---- */
 
 const char *colmap_check_camera(const struct colmap_camera *c)
 {
@@ -65,8 +64,7 @@ const char *colmap_check_point(const struct colmap_point *p)
     return NULL;
 }
 
-/* ---- ids to indices -----------------------------------------------------------------------------
- */
+/* ---- ids to indices ---- */
 
 static int camera_compare(const void *a, const void *b)
 {
@@ -215,8 +213,7 @@ static enum err_code model_resolve(struct colmap_model *m, struct err *e)
     return rc;
 }
 
-/* ---- files
- * --------------------------------------------------------------------------------------- */
+/* ---- files ---- */
 
 enum layout { LAYOUT_NONE, LAYOUT_BIN, LAYOUT_TXT };
 static const char *const suffixes[] = {"", ".bin", ".txt"};

@@ -206,8 +206,7 @@ enum err_code colmap_bin_points(const struct buf *file, struct colmap_model *m, 
     return trailing_check(name, &c, e);
 }
 
-/* ---- writing
- * ------------------------------------------------------------------------------------- */
+/* ---- writing ---- */
 
 static void cameras_write(const struct colmap_model *m, struct buf *b)
 {

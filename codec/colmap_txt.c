@@ -145,8 +145,7 @@ static enum err_code camera_line(char *s, struct colmap_camera *cam, struct err 
     return why ? err_set(e, ERR_FORMAT, "%s", why) : ERR_OK;
 }
 
-/* ---- growing lists
- * -------------------------------------------------------------------------------- */
+/* ---- growing lists ---- */
 
 struct list {
     void *data;
@@ -178,8 +177,7 @@ static void *list_move(struct list *l, struct arena *a)
     return out;
 }
 
-/* ---- files
- * ------------------------------------------------------------------------------------------ */
+/* ---- files ---- */
 
 static enum err_code no_memory(const char *name, struct err *e)
 {

@@ -39,7 +39,7 @@ enum {
     HEAD_BYTES = 256 * 1024, /* an APP1 segment is at most 64 KiB and comes first */
 };
 
-/* ---- reading -------------------------------------------------------------------------------- */
+/* ---- reading ---- */
 
 struct tiff {
     const uint8_t *p;
@@ -289,7 +289,7 @@ enum err_code exif_read(const char *path, struct image_gps *out, struct err *e)
     return rc;
 }
 
-/* ---- writing -------------------------------------------------------------------------------- */
+/* ---- writing ---- */
 
 struct entry {
     uint16_t tag, type;

@@ -31,7 +31,7 @@ enum {
 #define EXT_SPLAT "KHR_gaussian_splatting"
 #define EXT_SPZ "KHR_gaussian_splatting_compression_spz_2"
 
-/* ---- writing -------------------------------------------------------------------------------- */
+/* ---- writing ---- */
 
 static enum err_code glb_pack(json_t *root, const struct buf *bin, struct buf *out, struct err *e)
 {
@@ -161,7 +161,7 @@ out:
     return rc;
 }
 
-/* ---- plain: one accessor, one view, one run of floats an attribute -------------------------- */
+/* ---- plain: one accessor, one view, one run of floats an attribute ---- */
 
 struct plain {
     const struct gauss *g;
@@ -263,7 +263,7 @@ enum err_code glb_encode_plain(const struct gauss *g, const char *copyright, str
     return rc;
 }
 
-/* ---- reading -------------------------------------------------------------------------------- */
+/* ---- reading ---- */
 
 struct glb {
     json_t *root;

@@ -205,7 +205,7 @@ enum err_code ply_read(const char *path, const struct codec_limits *lim, struct 
     return rc;
 }
 
-/* ---- writing -------------------------------------------------------------------------------- */
+/* ---- writing ---- */
 
 static void head_write(const struct gauss *g, const struct ply_info *info, bool doubles,
                        struct buf *out)

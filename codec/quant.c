@@ -84,7 +84,7 @@ void quant_free(struct quant *q)
     *q = (struct quant){0};
 }
 
-/* ---- to integers: columns, so that the compiler makes vectors of them ----------------------- */
+/* ---- to integers: columns, so that the compiler makes vectors of them ---- */
 
 /* Nearest multiple of 2^shift to v in 0..255; 256 becomes 255. */
 static inline uint8_t byte_at(float v, float per_step, int shift)
@@ -287,7 +287,7 @@ enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree,
     return ERR_OK;
 }
 
-/* ---- and back ------------------------------------------------------------------------------- */
+/* ---- and back ---- */
 
 void quant_unpack_rotation(uint32_t packed, float quat_wxyz[4])
 {

@@ -29,8 +29,7 @@ void scene_free(struct scene *s)
     *s = (struct scene){0};
 }
 
-/* ---- points.bin ---------------------------------------------------------------------------------
- */
+/* ---- points.bin ---- */
 
 static enum err_code points_write(const char *path, const struct scene *s, struct hash128 *hash,
                                   struct err *e)
@@ -134,8 +133,7 @@ static enum err_code points_read(const char *path, struct scene *s, struct hash1
     return rc;
 }
 
-/* ---- scene.json
- * -------------------------------------------------------------------------------------- */
+/* ---- scene.json ---- */
 
 static json_t *nums_to_json(const double *v, size_t n)
 {

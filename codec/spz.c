@@ -58,7 +58,7 @@ static int32_t get_i24(const uint8_t *p)
     return (int32_t)(v ^ 0x800000) - 0x800000;
 }
 
-/* ---- encode --------------------------------------------------------------------------------- */
+/* ---- encode ---- */
 
 static void streams_write(const struct quant *q, uint8_t *p)
 {
@@ -154,7 +154,7 @@ enum err_code spz_encode(const struct quant *q, int version, struct buf *out, st
     return rc;
 }
 
-/* ---- decode --------------------------------------------------------------------------------- */
+/* ---- decode ---- */
 
 static enum err_code head_read(struct cursor *c, const struct codec_limits *lim, struct spz_head *h,
                                struct err *e)

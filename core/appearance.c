@@ -21,8 +21,7 @@ enum { STREAM_W1 = 7001, STREAM_B1, STREAM_W2, STREAM_IMAGE }; /* of appearance_
 static const char blob_magic[4] = {'C', 'S', 'A', 'P'};
 static const double length_min = 1e-12, opacity_bias = -5;
 
-/* ---- memory -----------------------------------------------------------------------------------
- */
+/* ---- memory ---- */
 
 static size_t weights_count(uint32_t len_gauss, uint32_t len_image, uint32_t hidden)
 {
@@ -98,8 +97,7 @@ ptrdiff_t appearance_find(const struct appearance *a, const char *name)
     return -1;
 }
 
-/* ---- the network ------------------------------------------------------------------------------
- */
+/* ---- the network ---- */
 
 /* out = v / max(|v|, 1e-12); returns the divisor. */
 static double normalise(const float *v, size_t n, double *out)
@@ -193,8 +191,7 @@ void appearance_blend(const struct appearance *a, const uint32_t *index, const d
     }
 }
 
-/* ---- baking -----------------------------------------------------------------------------------
- */
+/* ---- baking ---- */
 
 struct bake {
     uint32_t len, hidden;
@@ -271,8 +268,9 @@ out:
     return rc;
 }
 
-/* ---- bytes ------------------------------------------------------------------------------------
- *
+/* ---- bytes ---- */
+
+/*
  *   0  "CSAP"   4  u32 version   8  u32 len_gauss   12  u32 len_image   16  u32 hidden
  *  20  u32 photographs   24  f32 weights (w1, b1, w2, b2)   ..  f32 photographs
  *  ..  names: u8 length and bytes each   ..  XXH3-128 of all before, low half first

@@ -18,7 +18,7 @@ extern "C" {
 
 struct json_t;
 
-/* ---- mem.c: sizes are multiplied here and nowhere else -------------------------------------- */
+/* ---- mem.c: sizes are multiplied here and nowhere else ---- */
 
 /* n * size zeroed bytes, aligned to 64, or NULL (overflow, out of memory). n == 0 gives a valid
  * pointer. Free with mem_free. Tests make the k-th allocation fail with mem_fail_at(k) (0 = never).
@@ -45,7 +45,7 @@ size_t mem_peak_bytes(void);
 /* From now on the peak is that since now. False where the system does not do that. */
 bool mem_peak_reset(void);
 
-/* ---- arena.c: small things that die together ------------------------------------------------ */
+/* ---- arena.c: small things that die together ---- */
 
 struct arena { /* {0} is valid and grows without limit; set limit_bytes for a ceiling */
     struct arena_block *head;
@@ -57,7 +57,7 @@ char *arena_text(struct arena *a, const char *s);
 char *arena_printf(struct arena *a, const char *fmt, ...) ERR_PRINTF(2, 3);
 void arena_free(struct arena *a); /* idempotent, leaves {0} but for the limit */
 
-/* ---- buf.c: a growing byte string with a sticky error ---------------------------------------- */
+/* ---- buf.c: a growing byte string with a sticky error ---- */
 
 struct buf { /* {0} is valid */
     uint8_t *data;
@@ -95,7 +95,7 @@ uint64_t cursor_u64(struct cursor *c);
 float cursor_f32(struct cursor *c);
 double cursor_f64(struct cursor *c);
 
-/* ---- file.c: whole files in, whole files out ------------------------------------------------- */
+/* ---- file.c: whole files in, whole files out ---- */
 
 /* Read all of `path`. ERR_NOENT, ERR_IO, ERR_LIMIT (larger than limit_bytes; 0 = 8 GiB). buf_free
  * it. */
@@ -122,8 +122,7 @@ enum err_code file_join(char *out, const char *dir, const char *name, struct err
 enum err_code file_list(const char *dir, const char *const *suffixes, struct arena *a,
                         char ***names, size_t *n, struct err *e) ERR_USE;
 
-/* ---- log.c ------------------------------------------------------------------------------------
- */
+/* ---- log.c ---- */
 
 enum log_level { LOG_ERROR, LOG_WARN, LOG_INFO, LOG_DEBUG };
 void log_set_level(enum log_level level); /* before threads start */
@@ -140,8 +139,7 @@ void log_write(const char *lines, size_t n);
 #define log_info(module, ...) log_line(LOG_INFO, module, __VA_ARGS__)
 #define log_debug(module, ...) log_line(LOG_DEBUG, module, __VA_ARGS__)
 
-/* ---- progress.c: long work tells its rate and the time left -----------------------------------
- */
+/* ---- progress.c: long work tells its rate and the time left ---- */
 
 struct progress {     /* one thread updates it */
     const char *what; /* borrowed for the lifetime, "train level 1" */
@@ -156,16 +154,14 @@ void progress_step(struct progress *p, uint64_t done, const char *note);
 void progress_end(struct progress *p, const char *note);
 void progress_quiet(bool quiet); /* -q: no bars at all; before threads start */
 
-/* ---- clock.c: clock and stop flag --------------------------------------------------------------
- */
+/* ---- clock.c: clock and stop flag ---- */
 
 double clock_s(void);           /* monotonic seconds */
 double clock_cpu_s(void);       /* CPU seconds of the whole process, all threads */
 void clock_catch_signals(void); /* SIGINT and SIGTERM set the stop flag; a second one kills */
 bool clock_stopping(void);
 
-/* ---- rng.c: counter-based, so that the order of threads cannot matter --------------------------
- */
+/* ---- rng.c: counter-based, so that the order of threads cannot matter ---- */
 
 /* 64 random bits of (seed, stream, index): the same on every machine and in any order. */
 uint64_t rng_u64(uint64_t seed, uint64_t stream, uint64_t index);
@@ -173,8 +169,7 @@ double rng_unit(uint64_t seed, uint64_t stream, uint64_t index); /* uniform in [
 double rng_normal(uint64_t seed, uint64_t stream,
                   uint64_t index); /* standard normal (Box-Muller) */
 
-/* ---- hash.c: XXH3-128 (libxxhash) ---------------------------------------------------------------
- */
+/* ---- hash.c: XXH3-128 (libxxhash) ---- */
 
 struct hash128 {
     uint64_t lo, hi;
@@ -188,8 +183,7 @@ void hash_add(struct hash_state *s, const void *bytes, size_t n);
 struct hash128 hash_end(struct hash_state *s);
 void hash_text(struct hash128 h, char out[33]); /* 32 lower-case hex digits and NUL */
 
-/* ---- jsonc.c: JSON with whole-line // comments, by jansson
- * ---------------------------------------- */
+/* ---- jsonc.c: JSON with whole-line // comments, by jansson ---- */
 
 /* Load and parse; duplicate keys are refused, errors name file, line and column. json_decref it. */
 enum err_code jsonc_read(const char *path, struct json_t **out, struct err *e) ERR_USE;

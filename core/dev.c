@@ -92,8 +92,7 @@ static enum err_code dev_fail(struct err *e, cl_int code, const char *what, cons
                    dev_error_name(code), (int)code);
 }
 
-/* ---- choice ------------------------------------------------------------------------------------
- */
+/* ---- choice ---- */
 
 /* mkdir -p; true when `path` is a folder we may write to afterwards. */
 static bool folder_writable(const char *path)
@@ -311,8 +310,7 @@ void dev_close(struct dev *d)
     memset(d, 0, sizeof *d);
 }
 
-/* ---- programs ----------------------------------------------------------------------------------
- */
+/* ---- programs ---- */
 
 /* As much of the compiler's log as an err holds (its first error comes first); all of it at debug
  * level. */
@@ -385,8 +383,7 @@ enum err_code dev_kernel(cl_program program, const char *name, cl_kernel *out, s
     return ERR_OK;
 }
 
-/* ---- buffers -----------------------------------------------------------------------------------
- */
+/* ---- buffers ---- */
 
 /* A buffer of PoCL's CPU devices is plain memory, and a step of training walks through all of it.
  */
@@ -497,8 +494,7 @@ enum err_code dev_unmap(struct dev *d, cl_mem m, void **mapped, struct err *e)
     return code == CL_SUCCESS ? ERR_OK : dev_fail(e, code, "dev_unmap", d->name);
 }
 
-/* ---- launches ----------------------------------------------------------------------------------
- */
+/* ---- launches ---- */
 
 enum err_code dev_run(struct dev *d, cl_kernel k, const char *name, size_t global, size_t local,
                       struct err *e)

@@ -223,8 +223,7 @@ static enum err_code options_config_file(const struct options_spec *spec, const 
     return rc;
 }
 
-/* ---- help
- * ------------------------------------------------------------------------------------------ */
+/* ---- help ---- */
 
 static void options_print_wrapped(const char *text, size_t column, size_t indent)
 {
@@ -320,8 +319,7 @@ enum err_code options_to_json(const struct options_spec *spec, const void *confi
     return ERR_OK;
 }
 
-/* ---- flags
- * ------------------------------------------------------------------------------------------- */
+/* ---- flags ---- */
 
 struct options_walk { /* where the walk over argv is */
     const struct options_spec *spec;

@@ -33,8 +33,7 @@ struct bake {
     size_t default_row;
 };
 
-/* ---- of a store ---------------------------------------------------------------------------------
- */
+/* ---- of a store ---- */
 
 static void bake_free(struct bake *b)
 {
@@ -193,8 +192,7 @@ enum err_code bake_read(struct store *s, struct key k, const float *image, struc
     return rc;
 }
 
-/* ---- by name ------------------------------------------------------------------------------------
- */
+/* ---- by name ---- */
 
 /* One "NAME" or "NAME:WEIGHT" of n bytes. */
 static enum err_code bake_find_one(const struct appearance *a, const char *text, size_t n,
@@ -322,8 +320,7 @@ void bake_unit(const struct appearance *a, size_t row, float *out)
         out[j] = (float)((double)v[j] / len);
 }
 
-/* ---- the default look ---------------------------------------------------------------------------
- */
+/* ---- the default look ---- */
 
 struct bake_fit {
     const struct appearance *a;

@@ -19,8 +19,7 @@
 #include "core/geo.h"
 #include "render/render.h"
 
-/* ---- key.c
- * ---------------------------------------------------------------------------------------- */
+/* ---- key.c ---- */
 
 enum { KEY_ZOOM_MAX = 24 };
 struct key {
@@ -39,8 +38,7 @@ void key_bounds(struct key k, double *west_deg, double *south_deg, double *east_
 double key_edge_m(double lat_deg, uint8_t z); /* ground size of a tile's edge at that latitude */
 uint8_t key_zoom_for(double lat_deg, double edge_m); /* zoom whose edge is nearest, in log */
 
-/* ---- store.c: one SQLite file
- * ------------------------------------------------------------------------ */
+/* ---- store.c: one SQLite file ---- */
 
 struct store_tile { /* the index entry of one tile */
     struct key key;
@@ -114,8 +112,7 @@ enum err_code store_verify(struct store *s, size_t *n_bad, struct err *e) ERR_US
 enum err_code store_list_blobs(struct store *s, struct arena *a, char ***names, size_t *n,
                                struct err *e) ERR_USE;
 
-/* ---- bake.c: looks of a store (docs/appearance.md)
- * ------------------------------------------------------- */
+/* ---- bake.c: looks of a store (docs/appearance.md) ---- */
 
 #define BAKE_BLOB "appearance"
 #define BAKE_DEFAULT "default" /* the look of clients that know of none */
@@ -158,8 +155,7 @@ enum err_code bake_with_default(const struct appearance *a, const struct gauss *
 /* A row of the table, of length 1. */
 void bake_unit(const struct appearance *a, size_t row, float *out);
 
-/* ---- pyramid.c
- * ------------------------------------------------------------------------------------------ */
+/* ---- pyramid.c ---- */
 
 struct pyramid_config {
     double tile_edge_m; /* edge wanted for the finest level's tiles; 0 = chosen so that tiles hold
@@ -199,8 +195,7 @@ enum err_code pyramid_build(const struct geo_origin *origin, const struct pyrami
                             size_t n_levels, const struct pyramid_config *cfg,
                             const struct ckpt_blob *blobs, size_t n_blobs, const char *out_path,
                             struct pyramid_report *report, struct err *e) ERR_USE;
-/* ---- update.c, merge.c: a store from stores
- * --------------------------------------------------------------------------------------- */
+/* ---- update.c, merge.c: a store from stores ---- */
 
 struct update_config {            /* one cell, trained again */
     const struct gauss *level[8]; /* [1..7] its rows; NULL: this level was made, not trained */
@@ -245,8 +240,7 @@ enum err_code merge_build(const char *path_a, const char *path_b, const char *na
 enum err_code simplify_gauss(const struct gauss *in, size_t target, struct gauss *out,
                              struct err *e) ERR_USE;
 
-/* ---- tileset.c: 3D Tiles 1.1
- * ------------------------------------------------------------------------------ */
+/* ---- tileset.c: 3D Tiles 1.1 ---- */
 
 /* The explicit tileset JSON: one document. `content_format` is a printf-free template with
  * {z}/{x}/{y}, "t/{z}/{x}/{y}.glb". */
@@ -256,8 +250,7 @@ enum err_code tileset_write(const struct store *s, const char *content_template,
 enum err_code tileset_tilejson(const struct store *s, const char *tiles_template, struct buf *out,
                                struct err *e) ERR_USE;
 
-/* ---- pick.c: which tiles a view needs
- * --------------------------------------------------------------------- */
+/* ---- pick.c: which tiles a view needs ---- */
 
 enum pick_metric { PICK_SCREEN, PICK_DISTANCE };
 #define PICK_HYSTERESIS 0.05 /* a usual band */
@@ -284,8 +277,7 @@ enum err_code pick_tiles(const struct store *s, const struct camera *cam,
                          const struct pick_options *o, uint32_t *out, size_t *n_out,
                          struct err *e) ERR_USE;
 
-/* ---- view.c: a picture of a store
- * ---------------------------------------------------------------------------- */
+/* ---- view.c: a picture of a store ---- */
 
 struct view; /* a store, a renderer, and the tiles resident on the device; one caller at a time */
 /* cache_bytes: of decoded tiles in memory, 0 = 1 GiB. r is borrowed until view_close. */

@@ -4,10 +4,14 @@
  * The file is an SQLite database:
  *
  *   application_id  "CSPT"          user_version  schema, STORE_SCHEMA
- *   meta   key, value               name, origin, degrees, zooms, revision, ... as text (doubles
- * with 17 digits) tiles  id = zoom and Morton code of x, y; one row a tile: index columns, hash of
- * the payload, row_hash over the index columns and that hash, payload (codec's master payload)
- *   blobs  name, hash, bytes        anything that travels with the tiles
+ *   meta   key, value      name, origin, degrees, zooms, revision, ... as text (doubles with 17
+ *                          digits)
+ *   tiles  id              zoom and Morton code of x, y; one row a tile
+ *          index columns   see store_build.c
+ *          hash            of the payload
+ *          row_hash        over the index columns and that hash
+ *          payload         the codec's master payload
+ *   blobs  name, hash, bytes   anything that travels with the tiles
  *
  * Hashes are XXH3-128, 16 bytes, low word first. Nothing is ever changed in place: a file is built
  * beside and renamed, so readers may map it.

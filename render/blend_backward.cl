@@ -182,7 +182,7 @@ __kernel void blend_backward(__constant struct layout_view *view,
     }
 }
 
-#else // GPU shape: one work-group is one tile, one work-item one pixel. Barriers stay in the
+#else // GPU shape: one work-group is one tile, one work-item one pixel. Barriers stay in the      \
       // kernel's own body:
 // in a function that is called PoCL does not divide the work-group at them.
 

@@ -1,12 +1,17 @@
 /* Inside of render/: what forward leaves on the device for backward, and what both share.
  *
  * Only render/ includes this (and its tests). Life of a frame, all on one in-order queue:
- *   project  params -> splats, depth_key, tiles           one record, key and tile count per
- * Gaussian sort     depth_key -> order, slot_first               32-bit LSD radix over fixed
- * chunks, ties by index bin      order -> tile_start, entry_splat, entry_slot entries of a tile in
- * depth order blend    -> color, transmit                           one work-item per tile on CPUs,
- * one work-group on GPUs No count depends on the number of threads and nothing is added by atomics,
- * so the same input gives the same bits.
+ *
+ *   project  params -> splats, depth_key, tiles         a record, a key and a tile count each
+ *   sort     depth_key -> order, slot_first             32-bit LSD radix sort over fixed chunks,
+ *                                                       ties by index
+ *   bin      order -> tile_start, entry_splat,          intersections of a tile in depth order
+ *            entry_slot
+ *   blend    -> color, transmit                         one work-item a tile on CPUs, one
+ *                                                       work-group a tile on GPUs
+ *
+ * No count depends on the number of threads and nothing is added by atomics, so the same input
+ * gives the same bits.
  *
  * Slots: Gaussian g owns slots slot_first[g] .. slot_first[g] + tiles[g] - 1, one per tile it
  * touches, in row-major order of those tiles; Gaussians are numbered in index order, so a gather

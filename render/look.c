@@ -28,8 +28,7 @@ struct render_look {
     struct render_look *next;
 };
 
-/* ---- programs ---------------------------------------------------------------------------------
- */
+/* ---- programs ---- */
 
 static void look_free(struct render_look **p)
 {
@@ -113,8 +112,7 @@ static enum err_code look_get(struct render *r, uint32_t len, uint32_t hidden,
     return ERR_OK;
 }
 
-/* ---- forward ----------------------------------------------------------------------------------
- */
+/* ---- forward ---- */
 
 enum err_code look_begin(struct render *r, const struct render_model *m,
                          const struct render_options *o, struct err *e)
@@ -156,8 +154,7 @@ enum err_code look_project(struct render *r, const struct render_model *m, struc
                      items, local, e);
 }
 
-/* ---- backward ---------------------------------------------------------------------------------
- */
+/* ---- backward ---- */
 
 /* Numbers in a row of sums: APPEARANCE_ROW in appearance.cl. */
 static size_t look_row(const struct render_look *l)

@@ -18,8 +18,7 @@ extern const char project_cl[], sort_cl[], bin_cl[], blend_cpu_cl[], blend_gpu_c
 
 enum { SIZE_MAX_PX = 16384, RADIX_PASSES = 3 };
 
-/* ---- pieces shared with render_backward.c -------------------------------------------------------
- */
+/* ---- pieces shared with render_backward.c ---- */
 
 enum err_code frame_reserve(struct render *r, struct frame_buffer *b, size_t n_bytes, struct err *e)
 {
@@ -60,8 +59,7 @@ enum err_code frame_run(struct render *r, cl_kernel k, const char *name,
     return dev_run(r->dev, k, name, global, local, e);
 }
 
-/* ---- open, close
- * ----------------------------------------------------------------------------------- */
+/* ---- open, close ---- */
 
 static enum err_code render_build(struct render *r, struct err *e)
 {
@@ -141,8 +139,7 @@ void render_close(struct render **rp)
     *rp = NULL;
 }
 
-/* ---- the view
- * --------------------------------------------------------------------------------------- */
+/* ---- the view ---- */
 
 static enum err_code view_check(const struct camera *c, struct err *e)
 {
@@ -206,8 +203,7 @@ static void view_fill(const struct render *r, const struct render_model *m, cons
     v->listed = m->list != NULL;
 }
 
-/* ---- stages
- * ------------------------------------------------------------------------------------------ */
+/* ---- stages ---- */
 
 static uint32_t bin_stride(const struct render *r)
 {
@@ -446,8 +442,7 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
     return rc;
 }
 
-/* ---- what the last frame left
- * ------------------------------------------------------------------------ */
+/* ---- what the last frame left ---- */
 
 const struct render_stats *render_last_stats(const struct render *r)
 {

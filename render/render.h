@@ -144,8 +144,7 @@ void render_set_timing(struct render *r, bool on);
 /* The colour of the last frame on the device: float [3][h][w] planar, for the loss. Borrowed. */
 cl_mem render_color_buffer(struct render *r);
 
-/* ---- backward: see render_backward.c -----------------------------------------------------------
- */
+/* ---- backward: see render_backward.c ---- */
 
 /* dL/d(colour) of the last forward frame: float [3][h][w] planar on the device, same layout as
  * render_color_buffer; borrowed, filled by the loss (or by render_set_color_grad). Ask after each
@@ -212,8 +211,7 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
                                    struct render_adam *adam, struct render_density_stats *stats,
                                    struct err *e) ERR_USE;
 
-/* ---- importance for density control: see render_score.c
- * ------------------------------------------ */
+/* ---- importance for density control: see render_score.c ---- */
 
 struct render_score; /* compiled kernels and buffers; borrows the renderer; one caller at a time */
 enum err_code render_score_open(struct render *r, struct render_score **out, struct err *e) ERR_USE;
@@ -227,8 +225,7 @@ enum err_code render_score_run(struct render_score *s, const struct render_model
 /* Give back the sums and the memory they took, 32 bytes a Gaussian. */
 void render_score_forget(struct render_score *s);
 
-/* ---- the reference, double precision: see render_ref.c ------------------------------------------
- */
+/* ---- the reference, double precision: see render_ref.c ---- */
 
 /* Brute force, per pixel over all splats in depth order. rgb [h][w][3], transmittance [h][w] or
  * NULL. */

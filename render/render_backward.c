@@ -76,8 +76,7 @@ static enum err_code backward_open(struct render *r, struct err *e)
     return rc;
 }
 
-/* ---- dL/dcolour
- * ------------------------------------------------------------------------------------ */
+/* ---- dL/dcolour ---- */
 
 static size_t picture_bytes(const struct render *r)
 {
@@ -111,8 +110,7 @@ enum err_code render_set_color_grad(struct render *r, const float *rgb_grad, str
     return rc;
 }
 
-/* ---- stages
- * ----------------------------------------------------------------------------------------- */
+/* ---- stages ---- */
 
 /* The slots of the last frame, filled. */
 static enum err_code backward_blend(struct render *r, const struct render_model *m,

@@ -143,8 +143,7 @@ enum err_code render_model_download(struct render *r, const struct render_model 
     return rc;
 }
 
-/* ---- pieces
- * --------------------------------------------------------------------------------------- */
+/* ---- pieces ---- */
 
 /* Behind every camera or beyond every far plane, and no appearance changes that. */
 #define NOWHERE_M 1e20f

@@ -26,8 +26,7 @@ struct splat_grad { /* of what is blended */
     double mean_px[2], conic[3], opacity_eff, rgb[3];
 };
 
-/* ---- compositing
- * ---------------------------------------------------------------------------------- */
+/* ---- compositing ---- */
 
 /* Add the gradients of one pixel. */
 static void pixel_backward(const struct ref_view *v, const struct ref_splat *splats, size_t n,
@@ -69,8 +68,7 @@ static void pixel_backward(const struct ref_view *v, const struct ref_splat *spl
     }
 }
 
-/* ---- projection
- * ------------------------------------------------------------------------------------ */
+/* ---- projection ---- */
 
 /* dL/dS of the 2-D covariance (symmetric: G00, G01, G11) and dL/dopacity. */
 static void conic_backward(const struct ref_view *v, const struct ref_splat *s,

@@ -194,7 +194,7 @@ void dataset_return(struct dataset *d, struct store *s)
     pthread_mutex_unlock(&d->lock);
 }
 
-/* ---- catalog --------------------------------------------------------------------------------- */
+/* ---- catalog ---- */
 
 static int by_name(const void *pa, const void *pb)
 {

@@ -66,7 +66,7 @@ enum err_code describe_conformance(struct body **out, struct err *e)
     return describe_json(json_pack("{s:o}", "conformsTo", list), out, e);
 }
 
-/* ---- OpenAPI --------------------------------------------------------------------------------- */
+/* ---- OpenAPI ---- */
 
 /* The {names} of a path template as required string parameters. */
 static json_t *path_parameters(const char *path)
@@ -160,7 +160,7 @@ enum err_code describe_api(struct body **out, struct err *e)
     return describe_json(o, out, e);
 }
 
-/* ---- datasets -------------------------------------------------------------------------------- */
+/* ---- datasets ---- */
 
 static json_t *numbers(const double *v, size_t n)
 {
@@ -250,7 +250,7 @@ enum err_code describe_version(struct services *s, struct body **out, struct err
                          out, e);
 }
 
-/* ---- the posted camera ----------------------------------------------------------------------- */
+/* ---- the posted camera ---- */
 
 /* An optional whole number in [lo, hi]; `what` was *out already. */
 static enum err_code read_int(const json_t *o, const char *key, json_int_t lo, json_int_t hi,

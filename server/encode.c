@@ -145,7 +145,7 @@ enum err_code encode_fingerprint(const struct store_meta *meta, struct hash128 *
     return rc;
 }
 
-/* ---- prefetch list --------------------------------------------------------------------------- */
+/* ---- prefetch list ---- */
 
 /* Coarse levels first, since every view needs them; within a level, tiles that hold more. */
 static int by_importance(const void *pa, const void *pb)
@@ -195,7 +195,7 @@ enum err_code encode_seed(const struct dataset *d, const struct target *t, struc
     return buf_check(out, e);
 }
 
-/* ---- jobs ------------------------------------------------------------------------------------ */
+/* ---- jobs ---- */
 
 static enum err_code make_tile(const struct work *w, struct buf *out, struct err *e)
 {

@@ -55,8 +55,7 @@ struct exchange { /* one request and its answer; made by on_target, freed by on_
     uint64_t sent;
 };
 
-/* ---- the answer ---------------------------------------------------------------------------------
- */
+/* ---- the answer ---- */
 
 static void add(struct MHD_Response *m, const char *name, const char *value)
 {
@@ -167,8 +166,7 @@ static enum MHD_Result refuse(struct exchange *x, int status, const char *why)
     return send_answer(x);
 }
 
-/* ---- the guard ----------------------------------------------------------------------------------
- */
+/* ---- the guard ---- */
 
 struct fields { /* what the guard counts */
     struct exchange *x;
@@ -318,8 +316,7 @@ static int guard(struct exchange *x, const char *method, const char *version, co
     return 0;
 }
 
-/* ---- jobs ---------------------------------------------------------------------------------------
- */
+/* ---- jobs ---- */
 
 static struct exchange *exchange_of(struct job_waiter *w)
 {
@@ -361,8 +358,7 @@ static enum MHD_Result wait_for_job(struct exchange *x)
     return MHD_YES;
 }
 
-/* ---- callbacks ----------------------------------------------------------------------------------
- */
+/* ---- callbacks ---- */
 
 static void *on_target(void *cls, const char *target, struct MHD_Connection *c)
 {
@@ -512,8 +508,7 @@ static void on_log(void *cls, const char *fmt, va_list args)
     log_debug("http", "%s", text);
 }
 
-/* ---- listening ----------------------------------------------------------------------------------
- */
+/* ---- listening ---- */
 
 static enum err_code bind_failed(const struct server_config *cfg, struct err *e)
 {
@@ -622,8 +617,7 @@ uint16_t http_port(const struct http *h)
     return h->port;
 }
 
-/* ---- draining -----------------------------------------------------------------------------------
- */
+/* ---- draining ---- */
 
 static void pause_ms(long ms)
 {

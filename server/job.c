@@ -68,7 +68,7 @@ static bool same(struct hash128 a, struct hash128 b)
     return a.lo == b.lo && a.hi == b.hi;
 }
 
-/* ---- under the lock -------------------------------------------------------------------------- */
+/* ---- under the lock ---- */
 
 static struct job **table_find(struct jobs *js, struct hash128 id)
 {
@@ -163,7 +163,7 @@ static struct job *abandon(struct jobs *js, struct job *j)
     return j;
 }
 
-/* ---- not under the lock ---------------------------------------------------------------------- */
+/* ---- not under the lock ---- */
 
 static void wake_all(struct job_waiter *w)
 {
@@ -252,7 +252,7 @@ static void worker_main(void *user)
         js->cfg.view_leave(js->cfg.user);
 }
 
-/* ---- the interface --------------------------------------------------------------------------- */
+/* ---- the interface ---- */
 
 enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct err *e)
 {

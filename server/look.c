@@ -75,7 +75,7 @@ void look_query(const struct target *t, char out[LOOK_QUERY_MAX])
     }
 }
 
-/* ---- documents ------------------------------------------------------------------------------- */
+/* ---- documents ---- */
 
 static json_t *look_link(const char *rel, const char *type, const char *path, const char *text)
 {
@@ -167,7 +167,7 @@ enum err_code look_describe(const struct dataset *d, const char *text, struct bo
         out, e);
 }
 
-/* ---- the posted mix -------------------------------------------------------------------------- */
+/* ---- the posted mix ---- */
 
 /* {"NAME": WEIGHT, ...} -> NAME:WEIGHT,NAME:WEIGHT */
 static enum err_code look_weights(const json_t *weights, struct buf *text, struct err *e)

@@ -79,7 +79,7 @@ void route_free(struct response *r)
     r->work = NULL;
 }
 
-/* ---- putting bytes into a response ----------------------------------------------------------- */
+/* ---- putting bytes into a response ---- */
 
 /* members: JSON that goes before the end, beginning with a comma. */
 static void send_problem(struct response *out, int status, const char *detail, const char *members)
@@ -266,7 +266,7 @@ static bool find_look(const struct dataset *d, const char *text, struct look *lo
     return rc == ERR_OK;
 }
 
-/* ---- the routes ------------------------------------------------------------------------------ */
+/* ---- the routes ---- */
 
 static void answer_tile(struct services *s, const struct request *r, struct dataset *d,
                         const struct target *t, struct response *out)

@@ -30,7 +30,7 @@ struct server_config {
 #undef OPT
 };
 
-/* ---- body.c: encoded bytes that several answers share ---------------------------------------- */
+/* ---- body.c: encoded bytes that several answers share ---- */
 
 enum { BODY_ETAG_SIZE = 32 };
 struct body { /* immutable once shared; counted, body_drop frees it */
@@ -52,7 +52,7 @@ void body_compress(struct body *b);
 /* "22 characters of base64url", quoted: the strong entity tag of a 128-bit hash. */
 void body_etag(struct hash128 h, char out[BODY_ETAG_SIZE]);
 
-/* ---- cache.c: segmented LRU in 16 shards, bounded in bytes ----------------------------------- */
+/* ---- cache.c: segmented LRU in 16 shards, bounded in bytes ---- */
 
 struct cache;
 struct cache_stats {
@@ -67,7 +67,7 @@ struct body *cache_get(struct cache *c, struct hash128 key);
 void cache_put(struct cache *c, struct hash128 key, struct body *b);
 void cache_count(struct cache *c, struct cache_stats *out);
 
-/* ---- job.c: slow work, away from the HTTP threads -------------------------------------------- */
+/* ---- job.c: slow work, away from the HTTP threads ---- */
 
 enum job_class { JOB_VIEW, JOB_TILE, JOB_PREFETCH, JOB_CLASSES };
 enum job_end { JOB_OK, JOB_ERROR, JOB_CANCELLED, JOB_SHED, JOB_TIMEOUT, JOB_ENDS };
@@ -136,7 +136,7 @@ bool job_idle(struct jobs *js); /* nothing queued, nothing running */
 void job_stop(struct jobs *js);
 void job_close(struct jobs **js); /* job_stop, then free */
 
-/* ---- look.c: the appearance API -------------------------------------------------------------- */
+/* ---- look.c: the appearance API ---- */
 
 enum { LOOK_TEXT_MAX = 512, LOOK_QUERY_MAX = 3 * LOOK_TEXT_MAX + 96 };
 struct dataset;
@@ -162,7 +162,7 @@ enum err_code look_describe(const struct dataset *d, const char *text, struct bo
 enum err_code look_read_mix(const struct dataset *d, const void *body, size_t n,
                             char text[LOOK_TEXT_MAX], struct err *e) ERR_USE;
 
-/* ---- dataset.c: the stores that are served --------------------------------------------------- */
+/* ---- dataset.c: the stores that are served ---- */
 
 struct dataset { /* immutable; counted */
     _Atomic uint32_t refs;
@@ -210,7 +210,7 @@ void catalog_drop(struct catalog **c);
 /* rev "" = the current one. NULL when there is none. */
 struct dataset *catalog_find(const struct catalog *c, const char *name, const char *rev);
 
-/* ---- static.c: the viewer's files, loaded at start ------------------------------------------- */
+/* ---- static.c: the viewer's files, loaded at start ---- */
 
 struct static_file {
     char *path; /* "/assets/x.js" */
@@ -230,7 +230,7 @@ const struct static_file *static_find(const struct static_table *t, const char *
  * ../share/citysplat/web beside the running program. False when it is in none of them. */
 bool static_default_dir(char out[FILE_PATH_MAX]);
 
-/* ---- target.c: a request target as integers and enums ---------------------------------------- */
+/* ---- target.c: a request target as integers and enums ---- */
 
 enum method { METHOD_GET, METHOD_HEAD, METHOD_POST, METHOD_OPTIONS, METHOD_OTHER, METHOD_UNKNOWN };
 /* What a route answers, as bits. */
@@ -326,7 +326,7 @@ struct target {
  * (422). ERR_NOENT: no such route, or a key out of range (404). `path` has n bytes and no NUL. */
 enum err_code target_parse(const char *text, size_t n, struct target *out, struct err *e) ERR_USE;
 
-/* ---- condition.c: the conditional and negotiating headers ------------------------------------ */
+/* ---- condition.c: the conditional and negotiating headers ---- */
 
 /* Does If-None-Match (a list or *) hold `etag`, compared weakly? NULL header: false. */
 bool condition_none_match(const char *header, const char *etag);
@@ -340,7 +340,7 @@ bool condition_gzip(const char *header);
 /* Accept prefers text/html over application/json. */
 bool condition_html(const char *header);
 
-/* ---- picture.c: views of stores, on one thread that owns the OpenCL device ------------------- */
+/* ---- picture.c: views of stores, on one thread that owns the OpenCL device ---- */
 
 struct picture;
 enum picture_state { PICTURE_STARTING, PICTURE_READY, PICTURE_OFF };
@@ -353,7 +353,7 @@ enum picture_state picture_state(const struct picture *p);
 /* Device name when ready, else why there is none. Copied under the lock. */
 void picture_about(struct picture *p, char *out, size_t n);
 
-/* ---- encode.c: the work of jobs -------------------------------------------------------------- */
+/* ---- encode.c: the work of jobs ---- */
 
 enum work_kind { WORK_TILE, WORK_SEED, WORK_TILESET, WORK_VIEW };
 struct work { /* freed with encode_drop */
@@ -395,7 +395,7 @@ struct hash128 encode_tile_id(const struct dataset *d, const struct store_tile *
 enum err_code picture_make(struct picture *p, const struct job *j, const struct work *w,
                            struct buf *out, struct err *e) ERR_USE;
 
-/* ---- metrics.c ------------------------------------------------------------------------------- */
+/* ---- metrics.c ---- */
 
 enum { METRICS_CODES = 24, METRICS_BUCKETS = 14 };
 struct metrics {
@@ -409,7 +409,7 @@ void metrics_request(struct metrics *m, enum route route, int status, double sec
 struct services;
 enum err_code metrics_text(struct services *s, struct buf *out, struct err *e) ERR_USE;
 
-/* ---- access.c: one log line a request, written in batches ------------------------------------ */
+/* ---- access.c: one log line a request, written in batches ---- */
 
 struct access;
 struct access_line {
@@ -424,7 +424,7 @@ void access_add(struct access *a,
 void access_flush(struct access *a);
 void access_close(struct access **a); /* flushes */
 
-/* ---- route.c: the pure heart ----------------------------------------------------------------- */
+/* ---- route.c: the pure heart ---- */
 
 struct services { /* what an answer may draw on; all shared, all thread-safe */
     const struct server_config *cfg;
@@ -512,7 +512,7 @@ enum err_code describe_read_render(const struct server_config *cfg, const struct
                                    const void *text, size_t n, struct describe_render *out,
                                    struct err *e) ERR_USE;
 
-/* ---- watch.c: clients that are slow, idle or gone -------------------------------------------- */
+/* ---- watch.c: clients that are slow, idle or gone ---- */
 
 enum watch_phase { WATCH_IDLE, WATCH_HEADER, WATCH_BODY, WATCH_WORK, WATCH_SEND };
 struct watch;
@@ -534,7 +534,7 @@ void watch_arm(struct watch *w, struct watch_slot *slot, struct job_waiter *wait
 void watch_disarm(struct watch *w, struct watch_slot *slot);
 void watch_stop_idle(struct watch *w); /* end of reading for idle connections: used to drain */
 
-/* ---- http.c, server.c ------------------------------------------------------------------------ */
+/* ---- http.c, server.c ---- */
 
 struct http;
 /* Take the port that cfg says, before anything slow is started; clients wait in the backlog.

@@ -50,7 +50,7 @@ static uint64_t now_ms(void)
     return (uint64_t)(clock_s() * 1000);
 }
 
-/* ---- the thread ------------------------------------------------------------------------------ */
+/* ---- the thread ---- */
 
 /* The client behind this slot hung up, or closed its sending half. A half-closed client may still
  * read (RFC 9112, section 9.6), and a tile is soon made and worth keeping, so only a picture is
@@ -136,7 +136,7 @@ static void watch_main(void *user)
     }
 }
 
-/* ---- the interface --------------------------------------------------------------------------- */
+/* ---- the interface ---- */
 
 enum err_code watch_open(size_t limit, struct services *s, void (*gone)(struct job_waiter *w),
                          struct watch **out, struct err *e)

@@ -13,8 +13,7 @@
  * either side in float: its dL/dcolour is set to 0 so that the comparison does not depend on it. */
 #define THRESHOLD_REL 2e-4
 
-/* ---- scenes
- * --------------------------------------------------------------------------------------- */
+/* ---- scenes ---- */
 
 static struct camera scene_camera(void)
 {
@@ -125,8 +124,7 @@ struct scene scene_needles(enum render_aa aa)
     return s;
 }
 
-/* ---- differences
- * ----------------------------------------------------------------------------------- */
+/* ---- differences ---- */
 
 /* The signs of the hidden units, and what was cut. */
 static void look_decisions(const struct ref_view *v, const struct gauss *g,
@@ -209,8 +207,7 @@ bool scene_differentiate(struct scene *s, float *p, const double *rgb_of, double
     return false;
 }
 
-/* ---- reference
- * ------------------------------------------------------------------------------------- */
+/* ---- reference ---- */
 
 struct grads grads_make(const struct gauss *g)
 {
@@ -243,8 +240,7 @@ double rms(const double *v, size_t n)
     return sqrt(sum / (double)(n ? n : 1));
 }
 
-/* ---- device
- * ---------------------------------------------------------------------------------------- */
+/* ---- device ---- */
 
 struct dev *dev_get(void)
 {
@@ -345,8 +341,7 @@ float *part_of(struct gauss *g, size_t part)
     return parts[part];
 }
 
-/* ---- training
- * ----------------------------------------------------------------------------------------- */
+/* ---- training ---- */
 
 struct trainer trainer_make(const struct gauss *g)
 {

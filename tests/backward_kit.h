@@ -14,8 +14,7 @@
 
 enum { PX_W = 40, PX_H = 32 };
 
-/* ---- scenes: parameters on a grid of 2^-16, so that steps of powers of two are exact
- * ------------------- */
+/* ---- scenes: parameters on a grid of 2^-16, so that steps of powers of two are exact ---- */
 
 struct scene { /* scene_free */
     struct gauss g;
@@ -39,8 +38,7 @@ double scene_objective(const struct scene *s, const double *rgb_of, uint64_t *si
  * changes a decision. */
 bool scene_differentiate(struct scene *s, float *p, const double *rgb_of, double *out);
 
-/* ---- the reference's gradients
- * --------------------------------------------------------------------------- */
+/* ---- the reference's gradients ---- */
 
 struct grads { /* one block: mem_free(block) */
     double *block;
@@ -55,9 +53,7 @@ double rms(const double *v, size_t n);
  * left. */
 double clear_ambiguous(struct scene *s);
 
-/* ---- device
- * ------------------------------------------------------------------------------------------------
- */
+/* ---- device ---- */
 
 struct dev *dev_get(void);                /* opened once a process; close it at the end */
 float *floats_read(cl_mem mem, size_t n); /* mem_free */
@@ -68,8 +64,7 @@ void planes_read(const struct render_model *m, cl_mem mem, struct gauss *out);
 void gauss_like(const struct gauss *g, struct gauss *out);
 float *part_of(struct gauss *g, size_t part);
 
-/* ---- a model with its optimiser
- * ------------------------------------------------------------------------------ */
+/* ---- a model with its optimiser ---- */
 
 struct trainer { /* trainer_free */
     struct render *r;

@@ -27,7 +27,7 @@ static struct {
     uint16_t port;
 } t;
 
-/* ---- a client -------------------------------------------------------------------------------- */
+/* ---- a client ---- */
 
 static inline int dial(uint16_t port)
 {
@@ -158,7 +158,7 @@ static const char *tile_target(uint8_t z, const char *ext, char out[128])
     return out;
 }
 
-/* ---- the server ------------------------------------------------------------------------------ */
+/* ---- the server ---- */
 
 static inline void start(void)
 {

@@ -239,8 +239,7 @@ static void test_limits(void **state)
     appearance_free(&a);
 }
 
-/* ---- bytes ------------------------------------------------------------------------------------
- */
+/* ---- bytes ---- */
 
 static void rehash(struct buf *b)
 {

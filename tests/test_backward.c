@@ -123,8 +123,7 @@ static void test_narrow_kernels_match_reference(void **state)
     }
 }
 
-/* ---- thresholds: forward and backward must decide alike (F25)
- * ------------------------------------------ */
+/* ---- thresholds: forward and backward must decide alike (F25) ---- */
 
 /* The picture is linear in the colours: C - T background = sum_i w_i rgb_i, and dC/drgb_i = w_i. If
  * backward took in one splat more or less at one pixel, sum_i rgb_i dC/drgb_i would be off by 1/255
@@ -192,8 +191,7 @@ static void test_same_decisions(void **state)
     scene_free(&s);
 }
 
-/* ---- same bits, errors
- * ------------------------------------------------------------------------------------ */
+/* ---- same bits, errors ---- */
 
 /* Parameters, moments and statistics after three steps on a picture of many tiles; `test_backward
  * digest` prints it so that runs with other numbers of worker threads can be compared. */

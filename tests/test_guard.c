@@ -5,7 +5,7 @@
  */
 #include "tests/client.h"
 
-/* ---- malformed requests ---------------------------------------------------------------------- */
+/* ---- malformed requests ---- */
 
 /* Every status in the bytes must be `status` (0: no answer at all), and if `close`, the stream
  * ends. A request hidden in a body must not be answered: that would be a 200. */
@@ -170,7 +170,7 @@ static void test_any_bytes(void **state)
     assert_int_equal(status_of("GET", "/healthz", ""), 200);
 }
 
-/* ---- slow clients ---------------------------------------------------------------------------- */
+/* ---- slow clients ---- */
 
 /* Send one byte every 50 ms until the server cuts the connection; seconds until then. */
 static double drip(const char *start_with)

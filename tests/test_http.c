@@ -10,7 +10,7 @@
 
 #include "core/pool.h"
 
-/* ---- answers --------------------------------------------------------------------------------- */
+/* ---- answers ---- */
 
 static void test_headers(void **state)
 {
@@ -203,7 +203,7 @@ static void test_damaged_tile(void **state)
     buf_free(&said);
 }
 
-/* ---- jobs ------------------------------------------------------------------------------------ */
+/* ---- jobs ---- */
 
 /* Everybody asks for the same tile, which nobody has made, at the same moment. */
 static void test_one_job_for_many_clients(void **state)
@@ -278,7 +278,7 @@ static void test_vanishing_clients(void **state)
     assert_int_equal(status_of("GET", "/healthz", ""), 200);
 }
 
-/* ---- start and stop -------------------------------------------------------------------------- */
+/* ---- start and stop ---- */
 
 static void test_busy_port(void **state)
 {

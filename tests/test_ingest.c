@@ -207,8 +207,7 @@ static void test_everything_wrong(void **state)
     json_decref(report);
 }
 
-/* ---- pixels
- * -------------------------------------------------------------------------------------------- */
+/* ---- pixels ---- */
 
 /* A smooth picture: colours are a known function of the place. */
 static void smooth(double u, double v, double rgb[3])
@@ -278,8 +277,7 @@ static void test_undistorted_pixels(void **state)
         }
 }
 
-/* ---- bad input
- * --------------------------------------------------------------------------------------------- */
+/* ---- bad input ---- */
 
 static void expect_nothing_left(const char *out)
 {

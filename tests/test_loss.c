@@ -212,8 +212,7 @@ static void test_metrics(void **state)
     picture_free(&p);
 }
 
-/* ---- kernels
- * ---------------------------------------------------------------------------------------- */
+/* ---- kernels ---- */
 
 static struct dev *dev_get(void)
 {

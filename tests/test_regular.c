@@ -15,8 +15,7 @@
 #define FD_REL 1e-6     /* central differences in double: truncation h^2, rounding 1e-16 / h */
 #define KERNEL_REL 2e-6 /* float against double, a handful of operations */
 
-/* ---- scale
- * -------------------------------------------------------------------------------------- */
+/* ---- scale ---- */
 
 enum { SIZES = 203 }; /* not a multiple of 16 */
 static const struct scale_loss_input scale_in = {.s_max_m = 2.0, .r_max = 10.0, .weight = 0.05};
@@ -125,8 +124,7 @@ static void scale_kernels_match_the_reference(void **state)
     check_scale_kernels(1);
 }
 
-/* ---- the 3-D filter
- * ----------------------------------------------------------------------------- */
+/* ---- the 3-D filter ---- */
 
 static void folding_a_filter_has_the_right_derivatives(void **state)
 {
@@ -290,8 +288,7 @@ static void filter_kernels_match_the_reference(void **state)
     check_filter_kernels(1);
 }
 
-/* ---- depth
- * -------------------------------------------------------------------------------------- */
+/* ---- depth ---- */
 
 /* backward_kit.h has a struct scene of its own: what depth needs of it. */
 struct depth_case {

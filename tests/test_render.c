@@ -131,8 +131,7 @@ static struct camera view_from(double x, double y, double z, uint32_t width, uin
 
 static const struct render_options PLAIN = {.aa = RENDER_AA_2D, .sh_degree = -1};
 
-/* ---- against the reference
- * ---------------------------------------------------------------------------- */
+/* ---- against the reference ---- */
 
 static void test_counts_and_sizes(void **state)
 {
@@ -303,8 +302,7 @@ static void test_ties_are_by_index(void **state)
     gauss_free(&g);
 }
 
-/* ---- properties
- * ---------------------------------------------------------------------------------------- */
+/* ---- properties ---- */
 
 static void expect_same_bits(const char *what, const struct picture *a, const struct picture *b)
 {
@@ -541,8 +539,7 @@ static void test_many_entries(void **state)
     gauss_free(&g);
 }
 
-/* ---- model, lists and layout
- * ------------------------------------------------------------------------------ */
+/* ---- model, lists and layout ---- */
 
 static void test_upload_download(void **state)
 {

@@ -103,8 +103,7 @@ static struct look_grads reference(const struct look *l)
     return o;
 }
 
-/* ---- the reference ----------------------------------------------------------------------------
- */
+/* ---- the reference ---- */
 
 static void differences(struct look *l, const char *what, float *p, const double *want, size_t n)
 {
@@ -167,8 +166,7 @@ static void test_same_network(void **state)
     look_free(&l);
 }
 
-/* ---- kernels ----------------------------------------------------------------------------------
- */
+/* ---- kernels ---- */
 
 /* The embedding's planes. */
 static float *embed_read(const struct render_model *m, cl_mem mem)
@@ -382,8 +380,7 @@ static void test_upload_download(void **state)
     gauss_free(&other);
 }
 
-/* ---- the optimiser ----------------------------------------------------------------------------
- */
+/* ---- the optimiser ---- */
 
 #define ADAM_REL 2e-5 /* as in test_step.c */
 #define ADAM_ABS 2e-6
@@ -552,8 +549,7 @@ static void test_hostile_embeddings(void **state)
     }
 }
 
-/* ---- same bits, errors ------------------------------------------------------------------------
- */
+/* ---- same bits, errors ---- */
 
 static void digest(char out[33])
 {

@@ -142,7 +142,7 @@ static json_t *json_of(const struct response *r)
     return o;
 }
 
-/* ---- answers --------------------------------------------------------------------------------- */
+/* ---- answers ---- */
 
 static const char IMMUTABLE[] = "public, max-age=31536000, immutable";
 static const char MOVING[] = "public, max-age=60, stale-while-revalidate=600, stale-if-error=86400";

@@ -11,8 +11,7 @@
 #include "train/knn.h"
 #include "train/regular.h"
 
-/* ---- neighbours
- * --------------------------------------------------------------------------------- */
+/* ---- neighbours ---- */
 
 static void neighbours_are_exact(void **state)
 {
@@ -55,8 +54,7 @@ static void neighbours_are_exact(void **state)
     knn_free(&t);
 }
 
-/* ---- similarity
- * --------------------------------------------------------------------------------- */
+/* ---- similarity ---- */
 
 enum { ALIKE = 60, ALIKE_LEN = 5, EMBED_GROUP = 16 * ALIKE_LEN /* an array without gaps */ };
 

@@ -247,8 +247,7 @@ static void test_wild_shapes(void **state)
     scene_free(&s);
 }
 
-/* ---- densification statistics
- * ---------------------------------------------------------------------------- */
+/* ---- densification statistics ---- */
 
 /* Per pixel sum_c g_c C_c of splats as they are given. */
 static void composite(const struct scene *s, const struct ref_view *v,

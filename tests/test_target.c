@@ -8,7 +8,7 @@
 
 #include "server/server.h"
 
-/* ---- targets --------------------------------------------------------------------------------- */
+/* ---- targets ---- */
 
 static void test_targets(void **state)
 {

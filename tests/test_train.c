@@ -27,8 +27,7 @@ enum { BLOBS = 60, PHOTOS = 9, WIDTH = 64, HEIGHT = 48 };
 static struct dev dev; /* one for all tests: kernels are built once */
 static char scene_dir[FILE_PATH_MAX];
 
-/* ---- the toy
- * ------------------------------------------------------------------------------------- */
+/* ---- the toy ---- */
 
 static void toy_gauss(struct gauss *g)
 {
@@ -142,8 +141,7 @@ static enum err_code train_again(const char *dir, const struct train_config *c,
     return train_run(dir, c, r, e);
 }
 
-/* ---- pieces
- * ----------------------------------------------------------------------------------------- */
+/* ---- pieces ---- */
 
 static void cameras_at_training_size_keep_the_view(void **state)
 {
@@ -215,8 +213,7 @@ static void the_feed_shows_every_photograph_once_an_epoch_within_its_cache(void 
     scene_free(&s);
 }
 
-/* ---- whole runs
- * ------------------------------------------------------------------------------------- */
+/* ---- whole runs ---- */
 
 static void read_level(const char *out, unsigned level, struct ckpt *c)
 {

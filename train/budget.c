@@ -56,8 +56,7 @@ void budget_limit(const struct scene *s, const uint32_t *images, size_t n_images
     }
 }
 
-/* ---- automatic
- * ---------------------------------------------------------------------------------------- */
+/* ---- automatic ---- */
 
 void budget_hold_out(const struct train_config *cfg, const uint32_t *images, size_t n_images,
                      uint32_t *train, size_t *n_train, uint32_t *held, size_t *n_held)

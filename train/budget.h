@@ -24,8 +24,7 @@ void budget_limit(const struct scene *s, const uint32_t *images, size_t n_images
                   const struct train_config *cfg, size_t n_points,
                   struct schedule levels[TRAIN_LEVELS_MAX]);
 
-/* ---- BUDGET_AUTO -------------------------------------------------------------------------------
- */
+/* ---- BUDGET_AUTO ---- */
 
 /* Photographs i with i % 16 = 8 of the training photographs are held out: they carry no gradient
  * and are not the test photographs. Both lists are filled, [n_images] each; in any other mode, and

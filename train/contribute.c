@@ -116,8 +116,7 @@ void contribute_choose(const float *sum, const uint16_t *views, size_t n, double
     }
 }
 
-/* ---- removing rows
- * ------------------------------------------------------------------------------------- */
+/* ---- removing rows ---- */
 
 /* Rows that stay in front, the others behind them, each in their order; and the way back. */
 static void contribute_order(const uint8_t *keep, size_t n, size_t n_keep, uint32_t *there,

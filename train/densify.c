@@ -30,8 +30,7 @@ static size_t densify_at(size_t i, uint32_t planes, uint32_t plane)
     return rows_at(i, planes) + (size_t)plane * LAYOUT_LANES;
 }
 
-/* ---- the race ----------------------------------------------------------------------------------
- */
+/* ---- the race ---- */
 
 /* Non-negative floats keep their order as integers; the place in the list breaks ties. */
 static uint64_t densify_key(float key, uint32_t place)
@@ -99,8 +98,7 @@ enum err_code densify_race(const float *score, const uint32_t *ids, size_t n, si
     return ERR_OK;
 }
 
-/* ---- geometry of one row
- * -------------------------------------------------------------------------- */
+/* ---- geometry of one row ---- */
 
 static void densify_rotation(const float *params, uint32_t planes, size_t i, double rot[9])
 {
@@ -172,8 +170,7 @@ static bool densify_row_inside(const struct densify_params *p, const struct dens
     return densify_distance(p, mean) <= 0.0;
 }
 
-/* ---- choosing
- * --------------------------------------------------------------------------------------- */
+/* ---- choosing ---- */
 
 enum densify_class { CLASS_KEEP, CLASS_PRUNE, CLASS_CLONE, CLASS_SPLIT };
 
@@ -392,8 +389,7 @@ void densify_plan_free(struct densify_plan *p)
     *p = (struct densify_plan){0};
 }
 
-/* ---- applying
- * ------------------------------------------------------------------------------------------ */
+/* ---- applying ---- */
 
 /* Row d holds a copy of a parent: make it one of its halves. */
 static void densify_halve_row(const struct densify_order *o, float *params, size_t d,

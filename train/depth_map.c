@@ -46,8 +46,7 @@ struct depth_map {
     size_t pixels; /* room in target */
 };
 
-/* ---- alignment
- * ----------------------------------------------------------------------------------- */
+/* ---- alignment ---- */
 
 static int depth_compare(const void *a, const void *b)
 {
@@ -108,8 +107,7 @@ enum depth_verdict depth_align(const double *x, const double *y, size_t n, doubl
     return v;
 }
 
-/* ---- files
- * --------------------------------------------------------------------------------------- */
+/* ---- files ---- */
 
 struct depth_file { /* {0} is empty; mem_free(px) */
     uint32_t width, height;
@@ -178,8 +176,7 @@ static double depth_sample(const struct depth_file *f, double x, double y)
            fv * ((1.0 - fu) * (double)low[i] + fu * (double)low[i1]);
 }
 
-/* ---- points
- * -------------------------------------------------------------------------------------- */
+/* ---- points ---- */
 
 /* Inverse depth of observation t in its photograph; 0: behind it, outside, or a bad point. */
 static double depth_of_track(const struct scene *s, const struct scene_track *t)
@@ -226,8 +223,7 @@ static enum err_code depth_align_photo(struct depth_map *d, uint32_t image, stru
     return rc;
 }
 
-/* ---- all photographs
- * ----------------------------------------------------------------------------- */
+/* ---- all photographs ---- */
 
 static void depth_find_tracks(struct depth_map *d)
 {
@@ -324,8 +320,7 @@ size_t depth_map_count(const struct depth_map *d, enum depth_verdict v)
     return d->count[v];
 }
 
-/* ---- targets
- * ------------------------------------------------------------------------------------- */
+/* ---- targets ---- */
 
 static enum err_code depth_fill_map(struct depth_map *d, uint32_t image, const struct camera *cam,
                                     size_t *n_known, struct err *e)

@@ -59,8 +59,7 @@ struct camera feed_camera(const struct camera *cam, uint32_t max_edge_px, double
     return camera_resize(cam, (uint32_t)w, (uint32_t)h);
 }
 
-/* ---- decoding ----------------------------------------------------------------------------------
- */
+/* ---- decoding ---- */
 
 static enum err_code feed_decode(const struct feed *f, size_t slot, struct image *out,
                                  struct err *e)
@@ -208,8 +207,7 @@ static void feed_thread(void *user)
     pthread_mutex_unlock(&f->lock);
 }
 
-/* ---- order
- * --------------------------------------------------------------------------------------- */
+/* ---- order ---- */
 
 static size_t feed_slot_of(struct feed *f, uint64_t step)
 {
@@ -286,8 +284,7 @@ size_t feed_bytes(const struct feed *f)
     return n;
 }
 
-/* ---- life
- * ------------------------------------------------------------------------------------------ */
+/* ---- life ---- */
 
 enum err_code feed_open(const struct feed_config *cfg, struct feed **out, struct err *e)
 {

@@ -47,8 +47,7 @@ void georef_free(struct georef_result *r)
     *r = (struct georef_result){0};
 }
 
-/* ---- which way is up
- * ------------------------------------------------------------------------------ */
+/* ---- which way is up ---- */
 
 /* Up in COLMAP's frame, from cameras that do not roll, over ground that is roughly level: the
  * direction most at right angles to all camera x axes and closest to the ground normal. */
@@ -107,8 +106,7 @@ enum err_code georef_upright(const struct georef_photo *photos, size_t n,
     return ERR_OK;
 }
 
-/* ---- the fit
- * ----------------------------------------------------------------------------------------- */
+/* ---- the fit ---- */
 
 struct work { /* arrays of one georef_fit, all [n] */
     size_t n;
@@ -282,8 +280,7 @@ static bool draw_fits(const struct work *w, struct similarity_fit *best)
     return best_cost < HUGE_VAL;
 }
 
-/* ---- flights
- * ------------------------------------------------------------------------------------------- */
+/* ---- flights ---- */
 
 static double height_error(const struct work *w, const struct similarity_fit *f, size_t i)
 {
@@ -470,8 +467,7 @@ static enum err_code flights_find(struct work *w, const struct georef_photo *pho
     return rc;
 }
 
-/* ---- dropping
- * --------------------------------------------------------------------------------------------- */
+/* ---- dropping ---- */
 
 static double rejection_distance(struct work *w, const struct similarity_fit *f)
 {

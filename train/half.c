@@ -68,8 +68,7 @@ static enum half_side half_other(enum half_side side)
     return side == HALF_LEFT ? HALF_RIGHT : HALF_LEFT;
 }
 
-/* ---- learning
- * ----------------------------------------------------------------------------------- */
+/* ---- learning ---- */
 
 static enum err_code half_grow(struct half *h, cl_mem *b, size_t *have, size_t want, struct err *e)
 {
@@ -172,8 +171,7 @@ enum err_code half_fit(struct half *h, const struct feed_photo *p, const struct 
     return rc;
 }
 
-/* ---- scoring
- * ------------------------------------------------------------------------------------ */
+/* ---- scoring ---- */
 
 enum err_code half_score(struct half *h, const struct feed_photo *p, const struct render_model *m,
                          const struct render_options *ro, enum half_side side, const float *image,

@@ -71,8 +71,7 @@ static enum err_code for_photos(struct ingest *g, const char *what,
     return rc;
 }
 
-/* ---- the photographs
- * ------------------------------------------------------------------------------ */
+/* ---- the photographs ---- */
 
 /* A relative path that stays below its folder. */
 static bool name_is_safe(const char *s)
@@ -177,8 +176,7 @@ static enum err_code list_photos(struct ingest *g, struct err *e)
     return out_names_check(g, e);
 }
 
-/* ---- EXIF and sizes
- * --------------------------------------------------------------------------------- */
+/* ---- EXIF and sizes ---- */
 
 static enum err_code read_info_task(void *user, size_t i, struct err *e)
 {
@@ -260,8 +258,7 @@ static enum err_code find_flights(struct ingest *g, struct err *e)
     return ERR_OK;
 }
 
-/* ---- poses against points
- * ------------------------------------------------------------------------------ */
+/* ---- poses against points ---- */
 
 /* Distance in pixels between an observation and where its point projects; NaN behind the camera. */
 static double reprojection_at(const struct ingest *g, const struct ingest_photo *p,

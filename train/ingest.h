@@ -20,8 +20,7 @@ struct ingest_config {
 /* The table behind struct ingest_config: flags, defaults, ranges, help. */
 const struct options_spec *ingest_options(void);
 
-/* ---- georef.c
- * ------------------------------------------------------------------------------------------ */
+/* ---- georef.c ---- */
 
 struct georef_photo {         /* in order of file names */
     double center[3], rot[9]; /* in COLMAP's frame; rot is world -> camera */
@@ -60,8 +59,7 @@ enum err_code georef_upright(const struct georef_photo *photos, size_t n,
                              struct err *e) ERR_USE;
 void georef_free(struct georef_result *r);
 
-/* ---- ingest_photo.c
- * --------------------------------------------------------------------------------------- */
+/* ---- ingest_photo.c ---- */
 
 struct ingest_view {       /* how one camera's photographs become pinhole pictures */
     struct lens lens;      /* at the size of the photograph itself */
@@ -85,9 +83,7 @@ bool ingest_view_map(const struct ingest_view *v, const struct lens *lens, doubl
 enum err_code ingest_photo_convert(const struct ingest_view *v, const char *from, const char *to,
                                    const struct codec_limits *lim, struct err *e) ERR_USE;
 
-/* ---- ingest.c
- * ------------------------------------------------------------------------------------------------
- */
+/* ---- ingest.c ---- */
 
 enum ingest_verdict { INGEST_KEPT, INGEST_FEW_POINTS, INGEST_POSE, INGEST_GPS, INGEST_MISSING };
 struct ingest_photo {

@@ -106,8 +106,7 @@ bool ingest_view_map(const struct ingest_view *v, const struct lens *lens, doubl
     return *u_px >= 0 && *v_px >= 0 && *u_px < v->pinhole.width_px && *v_px < v->pinhole.height_px;
 }
 
-/* ---- pixels
- * ----------------------------------------------------------------------------------------- */
+/* ---- pixels ---- */
 
 /* Catmull-Rom weights of four neighbours at fraction t between the middle two. */
 static void cubic_weights(float t, float w[4])

@@ -16,7 +16,7 @@
 #define INIT_DIST2_MIN_M2 1e-7 /* coincident points */
 enum { INIT_NEIGHBOURS = 3, INIT_RANDOM_POINTS = 100, INIT_CHUNK = 4096 };
 
-/* ---- nearest neighbours ---------------------------------------------------------------------- */
+/* ---- nearest neighbours ---- */
 
 struct init_search {
     const float *xyz;
@@ -51,8 +51,7 @@ enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, str
     return rc;
 }
 
-/* ---- points to Gaussians -----------------------------------------------------------------------
- */
+/* ---- points to Gaussians ---- */
 
 struct init_points {
     double *enu_m; /* [n][3] */

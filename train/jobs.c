@@ -29,8 +29,7 @@
 
 enum { JOBS_TAIL_BYTES = 8192, JOBS_POLL_MS = 200, JOBS_ARGS_MAX = 20 };
 
-/* ---- the list ----------------------------------------------------------------------------------
- */
+/* ---- the list ---- */
 
 const char *jobs_state_name(enum jobs_state s)
 {
@@ -97,8 +96,7 @@ void jobs_list_free(struct jobs_list *l)
     *l = (struct jobs_list){0};
 }
 
-/* ---- one child
- * ---------------------------------------------------------------------------------------- */
+/* ---- one child ---- */
 
 enum jobs_phase { JOBS_WAITING, JOBS_RUNNING, JOBS_GOOD, JOBS_FAILED };
 
@@ -250,8 +248,7 @@ static enum err_code jobs_failure(const struct jobs_child *c, int status, struct
                    WIFEXITED(status) ? WEXITSTATUS(status) : -1, c->dir);
 }
 
-/* ---- all of them
- * -------------------------------------------------------------------------------------- */
+/* ---- all of them ---- */
 
 static void jobs_ended(struct jobs *j, struct jobs_child *c, int status)
 {

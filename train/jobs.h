@@ -40,8 +40,7 @@ const char *jobs_state_name(enum jobs_state s); /* "new", "started", "done" */
 enum err_code jobs_run(const char *program, const char *scene_dir, const struct train_config *cfg,
                        struct train_result *out, struct err *e) ERR_USE;
 
-/* ---- done.c: the done-file and the lock of a cell's folder
- * --------------------------------------------- */
+/* ---- done.c: the done-file and the lock of a cell's folder ---- */
 
 /* Write cells/<id>/done.json: Gaussians, scores and file size of every level, seconds, version. */
 enum err_code done_write(const char *cell_dir, const struct train_cell_result *r,

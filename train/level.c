@@ -55,8 +55,7 @@ struct render_options level_photo_options(struct level *l, uint32_t step, uint32
     return ro;
 }
 
-/* ---- buffers ------------------------------------------------------------------------------------
- */
+/* ---- buffers ---- */
 
 /* The statistics, and how many there are: the last only with appearance. */
 static size_t level_stats(struct level *l, cl_mem *out[5])
@@ -358,8 +357,7 @@ static enum err_code level_control(struct level *l, uint32_t x, struct err *e)
     return rc;
 }
 
-/* ---- a step
- * ---------------------------------------------------------------------------------------------- */
+/* ---- a step ---- */
 
 static enum err_code level_upload(struct level *l, cl_mem *to, size_t *room, const void *from,
                                   size_t bytes, struct err *e)

@@ -88,8 +88,7 @@ enum err_code level_photo_loss(struct level *l, const struct feed_photo *p, stru
 /* The same without gradients: for loss_read alone. */
 enum err_code level_photo_value(struct level *l, const struct feed_photo *p, struct err *e) ERR_USE;
 
-/* ---- state.c
- * ---------------------------------------------------------------------------------------- */
+/* ---- state.c ---- */
 
 /* Everything needed to go on, and where the run stands. */
 enum err_code state_save(struct level *l, const char *path, struct err *e) ERR_USE;
@@ -105,8 +104,7 @@ enum err_code state_save_level(struct level *l, const char *path,
 enum err_code state_is_result_of(const struct level *l, const char *path, bool *yes,
                                  struct err *e) ERR_USE;
 
-/* ---- run.c
- * ------------------------------------------------------------------------------------------ */
+/* ---- run.c ---- */
 
 struct run_cell { /* one cell to train; all borrowed */
     const struct train_config *cfg;
@@ -127,8 +125,7 @@ struct run_cell { /* one cell to train; all borrowed */
 enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out,
                        struct err *e) ERR_USE;
 
-/* ---- train.c: a scene and which of its cells are meant
- * ------------------------------------------------------------ */
+/* ---- train.c: a scene and which of its cells are meant ---- */
 
 struct train_scene { /* train_scene_close it, also after an error */
     const struct train_config *cfg;
@@ -146,8 +143,7 @@ void train_scene_close(struct train_scene *s);
 enum err_code train_scene_cell(struct train_scene *s, size_t index, struct run_cell *job,
                                struct err *e) ERR_USE;
 
-/* ---- score.c
- * ------------------------------------------------------------------------------------------ */
+/* ---- score.c ---- */
 
 struct score;
 void score_free(struct score **s);

@@ -30,8 +30,7 @@ bool light_wanted(const struct train_config *cfg)
     return cfg->appearance && cfg->embed_len > 0;
 }
 
-/* ---- room ---------------------------------------------------------------------------------------
- */
+/* ---- room ---- */
 
 void light_close(struct light *k)
 {
@@ -234,8 +233,7 @@ enum err_code light_embed(const struct light *k, uint64_t seed, struct gauss *g,
     return ERR_OK;
 }
 
-/* ---- when -------------------------------------------------------------------------------------
- */
+/* ---- when ---- */
 
 bool light_learns(const struct light *k, const struct train_config *cfg, const struct schedule *s)
 {
@@ -262,8 +260,7 @@ double light_lr(const struct light *k, const struct train_config *cfg, const str
     return last > 0.0 ? exp((1.0 - t) * log(first) + t * log(last)) : first;
 }
 
-/* ---- a step -----------------------------------------------------------------------------------
- */
+/* ---- a step ---- */
 
 const float *light_frame(struct light *k, uint32_t image)
 {
@@ -325,8 +322,7 @@ void light_restart(struct light *k)
     k->weight_steps = 0;
 }
 
-/* ---- cameras without an embedding
- * ------------------------------------------------------------------ */
+/* ---- cameras without an embedding ---- */
 
 double light_reach(const struct scene *s)
 {
@@ -411,8 +407,7 @@ const float *light_view_frame(struct light_view *v, const struct camera *cam)
     return v->frame;
 }
 
-/* ---- checkpoints
- * ------------------------------------------------------------------------------------ */
+/* ---- checkpoints ---- */
 
 bool light_same(const struct appearance *a, const struct appearance *b)
 {

@@ -96,7 +96,7 @@ enum err_code light_rows(const struct appearance *a, const struct scene *s, uint
 /* How far the cameras look: mean height above the scene's points, at least 1 m. */
 double light_reach(const struct scene *s);
 
-/* ---- into and out of checkpoints */
+/* ---- into and out of checkpoints ---- */
 enum err_code light_write_state(const struct light *k, struct buf *out, struct err *e) ERR_USE;
 /* Into a look that is open: the model's bytes and those of light_write_state. */
 enum err_code light_read_state(struct light *k, const void *model, size_t n_model,

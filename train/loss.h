@@ -20,8 +20,7 @@
 #define LOSS_L1_WEIGHT 0.8f
 #define LOSS_SSIM_WEIGHT 0.2f
 
-/* ---- loss.c: on the device
- * ------------------------------------------------------------------------ */
+/* ---- loss.c: on the device ---- */
 
 struct loss; /* compiled kernels and scratch buffers of one device, growing with the picture; one
                 caller */
@@ -50,8 +49,7 @@ struct loss_value {              /* means over h * w * 3 of the last loss_run */
 /* Wait for the last loss_run and add up its partial sums. ERR_ARG when there was none. */
 enum err_code loss_read(struct loss *l, struct loss_value *out, struct err *e) ERR_USE;
 
-/* ---- loss_ref.c: the same in double on the host
- * ----------------------------------------------------- */
+/* ---- loss_ref.c: the same in double on the host ---- */
 
 /* rgb, target: [h][w][3]; mask [h][w] or NULL; grad [h][w][3] or NULL, written. */
 enum err_code loss_ref_run(const double *rgb, const double *target, const uint8_t *mask,
@@ -59,8 +57,7 @@ enum err_code loss_ref_run(const double *rgb, const double *target, const uint8_
                            double ssim_weight, double *grad, struct loss_value *out,
                            struct err *e) ERR_USE;
 
-/* ---- metric.c: what an evaluation reports, in double
- * ------------------------------------------------- */
+/* ---- metric.c: what an evaluation reports, in double ---- */
 
 enum metric_window {
     METRIC_TRAINING, /* zero padded, every pixel has a window: what the loss uses */

@@ -130,8 +130,7 @@ enum err_code mask_points(const struct scene *s, const uint32_t *images, size_t 
     return rc;
 }
 
-/* ---- robust weighting
- * ---------------------------------------------------------------------------------- */
+/* ---- robust weighting ---- */
 
 enum { MASK_BINS = 4096 };
 

@@ -79,9 +79,9 @@ enum err_code metric_ssim(const float *rgb, const uint8_t *target, const uint8_t
     return ERR_OK;
 }
 
-/* ---- GMSD ----
- *
- * Gradient Magnitude Similarity Deviation (Xue, Zhang, Mou and Bovik, IEEE TIP 2014), as its
+/* ---- GMSD ---- */
+
+/* Gradient Magnitude Similarity Deviation (Xue, Zhang, Mou and Bovik, IEEE TIP 2014), as its
  * authors' program computes it: grey levels 0..255, means of 2 x 2 pixels, Prewitt gradients / 3,
  * zero beyond the edges, similarity (2ab + T) / (a^2 + b^2 + T), and its standard deviation over
  * the picture (with n - 1). It looks at edges and structure, where Gaussians blur, needs no weights

@@ -149,8 +149,7 @@ enum err_code mip_run(struct mip *m, struct render_model *model, const struct ca
     return rc ? rc : dev_run(m->dev, m->fill, "mip_fill", MIP_PIECES, 1, e);
 }
 
-/* ---- the reference
- * ------------------------------------------------------------------------------- */
+/* ---- the reference ---- */
 
 static bool mip_sees(const struct camera *c, const double enu_m[3], double *z)
 {

@@ -43,8 +43,7 @@ struct partition_config partition_defaults(void)
                                      .use_visibility = true};
 }
 
-/* ---- convex hulls
- * -------------------------------------------------------------------------------------- */
+/* ---- convex hulls ---- */
 
 struct xy {
     double x, y;
@@ -87,8 +86,7 @@ static double hull_area(struct xy *p, size_t n, struct xy *hull)
     return 0.5 * fabs(twice);
 }
 
-/* ---- what does not depend on the cells
- * -------------------------------------------------------------------- */
+/* ---- what does not depend on the cells ---- */
 
 struct survey {
     const struct scene *scene;
@@ -191,8 +189,7 @@ static enum err_code survey_make(const struct scene *s, const struct partition_c
     return cfg->use_visibility ? pool_for(s->n_images, 0, survey_view_area, v, e) : ERR_OK;
 }
 
-/* ---- assignment
- * ------------------------------------------------------------------------------------------- */
+/* ---- assignment ---- */
 
 double partition_distance(const struct partition_cell *c, double x_m, double y_m)
 {
@@ -280,8 +277,7 @@ static enum err_code cell_assign(const struct survey *v, double edge_m, struct p
     return ERR_OK;
 }
 
-/* ---- grid and rebalancing
- * ------------------------------------------------------------------------------------ */
+/* ---- grid and rebalancing ---- */
 
 static enum err_code grid_make(const struct survey *v, struct partition *p, struct err *e)
 {

@@ -58,8 +58,7 @@ size_t partition_owner(const struct partition *p, double x_m, double y_m);
 /* Horizontal distance from (x, y) to a cell's box, 0 inside. */
 double partition_distance(const struct partition_cell *c, double x_m, double y_m);
 
-/* ---- plan.c: the partition as a file and as a picture
- * ------------------------------------------------- */
+/* ---- plan.c: the partition as a file and as a picture ---- */
 
 enum err_code plan_write(const char *path, const struct scene *s, const struct partition *p,
                          struct err *e) ERR_USE;

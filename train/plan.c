@@ -44,8 +44,7 @@ enum err_code plan_write(const char *path, const struct scene *s, const struct p
     return rc;
 }
 
-/* ---- reading
- * -------------------------------------------------------------------------------------------- */
+/* ---- reading ---- */
 
 struct plan_name { /* for finding a photograph by name */
     const char *name;
@@ -185,8 +184,7 @@ enum err_code plan_read(const char *path, const struct scene *s, struct partitio
     return rc;
 }
 
-/* ---- the picture
- * -------------------------------------------------------------------------------------------- */
+/* ---- the picture ---- */
 
 struct plan_frame { /* metres -> SVG pixels, north up */
     double x0, y1, scale;

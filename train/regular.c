@@ -53,8 +53,7 @@ static enum err_code regular_make(struct level *l, struct err *e)
     return l->regular ? ERR_OK : err_set(e, ERR_MEM, "regularisers: out of memory");
 }
 
-/* ---- the 3-D filter
- * ------------------------------------------------------------------------------ */
+/* ---- the 3-D filter ---- */
 
 enum err_code regular_filter(struct level *l, struct err *e)
 {
@@ -78,8 +77,7 @@ enum err_code regular_filter(struct level *l, struct err *e)
     return rc;
 }
 
-/* ---- the gradients
- * ------------------------------------------------------------------------------- */
+/* ---- the gradients ---- */
 
 static enum err_code regular_reserve(struct level *l, struct err *e)
 {

@@ -25,8 +25,7 @@ void regular_free(struct regular **r);
 /* With Mip-Splatting: compute l->model.filter if it is not that of the Gaussians as they are. */
 enum err_code regular_filter(struct level *l, struct err *e) ERR_USE;
 
-/* ---- scale_loss.c: nothing larger than a building, no needles
- * ------------------------------------ */
+/* ---- scale_loss.c: nothing larger than a building, no needles ---- */
 
 /* With s the sigmas, r_i = max_k s_ik / (median_k s_ik + 1e-8):
  *   L = weight (sum_{s_ik > s_max} s_ik / (n + 1) + sum_{r_i > r_max} r_i / (m + 1)),
@@ -53,8 +52,7 @@ enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out
 struct scale_loss_value scale_loss_ref_run(const double *scale_log, size_t n,
                                            const struct scale_loss_input *in, double *grad);
 
-/* ---- mip.c: the 3-D filter of Mip-Splatting
- * ------------------------------------------------------ */
+/* ---- mip.c: the 3-D filter of Mip-Splatting ---- */
 
 struct mip; /* compiled kernels and the cameras */
 enum err_code mip_open(struct dev *dev, struct mip **out, struct err *e) ERR_USE;
@@ -71,8 +69,7 @@ void mip_fold_one(double f, double scale_log[3], double *opacity_logit);
 void mip_fold_grad(double f, const double scale_log[3], double opacity_logit, double g_scale[3],
                    double *g_opacity);
 
-/* ---- depth.c: pictures of inverse depth against what is known of it
- * --------------------------------- */
+/* ---- depth.c: pictures of inverse depth against what is known of it ---- */
 
 #define DEPTH_HARD                                                                                 \
     0.9899 /* opacity of every Gaussian in the hard pass: just below the cut of alpha */
@@ -101,8 +98,7 @@ enum err_code depth_ref_loss(const struct gauss *g, const struct depth_input *in
 enum err_code depth_ref_grads(const struct gauss *g, const struct depth_input *in,
                               const struct render_ref_grads *out, struct err *e) ERR_USE;
 
-/* ---- depth_map.c: what is known of a photograph's depth
- * --------------------------------------------- */
+/* ---- depth_map.c: what is known of a photograph's depth ---- */
 
 struct scene;
 /* Why a map is not used; DEPTH_MAP_OK: it is. */
@@ -147,8 +143,7 @@ enum err_code depth_map_target(struct depth_map *d, uint32_t image, const struct
                                const uint8_t *mask, struct depth_target *out,
                                struct err *e) ERR_USE;
 
-/* ---- similarity_loss.c: neighbours look alike
- * ------------------------------------------------------ */
+/* ---- similarity_loss.c: neighbours look alike ---- */
 
 /* With i over `samples` Gaussians drawn at random (all when there are fewer), n_0 .. n_k-1 the k
  * nearest of i, itself included, in order of distance, and e^ = e / |e|:
@@ -156,8 +151,7 @@ enum err_code depth_map_target(struct depth_map *d, uint32_t image, const struct
  *   w_ib = exp(-falloff |mu_i - mu_{n_b}|^2). */
 struct similarity_loss_input {
     const float *mean_m; /* [n][3] */
-    const float
-        *embed; /* not normalised: value c of row i is embed[i / 16 * embed_group + i % 16
+    const float *embed;  /* not normalised: value c of row i is embed[i / 16 * embed_group + i % 16
                  * embed_lane + c * embed_next], as in a model or, 16 len, len, 1, [n][len] */
     size_t embed_group, embed_lane, embed_next;
     size_t n, len, samples, neighbours;
@@ -175,8 +169,7 @@ enum err_code similarity_loss_open(const struct similarity_loss_input *in,
 void similarity_loss_rows(const struct similarity_loss *w, size_t first, size_t count, float *grad);
 void similarity_loss_close(struct similarity_loss **w);
 
-/* ---- similarity_step.c: the same on a model in training
- * --------------------------------------------- */
+/* ---- similarity_step.c: the same on a model in training ---- */
 
 struct similarity_step; /* compiled kernels, and a buffer */
 enum err_code similarity_step_open(struct dev *dev, struct similarity_step **out,

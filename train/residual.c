@@ -46,8 +46,7 @@ void residual_free(struct residual_list *l)
     *l = (struct residual_list){0};
 }
 
-/* ---- z-scores
- * ---------------------------------------------------------------------------------------- */
+/* ---- z-scores ---- */
 
 static int residual_by_value(const void *a, const void *b)
 {
@@ -112,8 +111,7 @@ enum err_code residual_rank(struct residual_list *l, struct err *e)
     return ERR_OK;
 }
 
-/* ---- the file
- * ---------------------------------------------------------------------------------------- */
+/* ---- the file ---- */
 
 enum err_code residual_write(const struct residual_list *l, const char *path, const char *what,
                              struct err *e)

@@ -13,7 +13,8 @@
 #include "core/layout.h"
 
 #define ROWS_NEW                                                                                   \
-    UINT32_C(0x80000000) /* in a source: the row is a copy, not that Gaussian itself               \
+    UINT32_C(                                                                                      \
+        0x80000000) /* in a source: the row is a copy, not that Gaussian itself               \
                           */
 
 struct rows {

@@ -141,8 +141,7 @@ static enum err_code run_start(struct run *t, struct err *e)
     return rc;
 }
 
-/* ---- the loop
- * ------------------------------------------------------------------------------------------ */
+/* ---- the loop ---- */
 
 static enum err_code run_save(struct run *t, struct err *e)
 {

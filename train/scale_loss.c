@@ -121,8 +121,7 @@ enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out
     return ERR_OK;
 }
 
-/* ---- the reference
- * ------------------------------------------------------------------------------- */
+/* ---- the reference ---- */
 
 struct scale_axes {
     double s[3], ratio;

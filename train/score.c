@@ -64,8 +64,7 @@ void score_free(struct score **p)
     *p = NULL;
 }
 
-/* ---- weights of pixels -------------------------------------------------------------------------
- */
+/* ---- weights of pixels ---- */
 
 /* x -> (x - least) / (largest - least); 0 when all are equal or none is finite. */
 void score_stretch(float *x, size_t n)
@@ -128,8 +127,7 @@ static void score_errors(const float *color, const uint8_t *px, const uint8_t *m
     score_stretch(out, n);
 }
 
-/* ---- one view
- * --------------------------------------------------------------------------------------- */
+/* ---- one view ---- */
 
 static enum err_code score_room(struct score *s, size_t n_px, struct err *e)
 {
@@ -183,8 +181,7 @@ static enum err_code score_draw(struct level *l, const struct feed_photo *p, dou
     return rc;
 }
 
-/* ---- adding up
- * ---------------------------------------------------------------------------------------- */
+/* ---- adding up ---- */
 
 /* Hoare's selection of the middle one. */
 static float score_middle(float *x, size_t n)

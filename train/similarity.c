@@ -69,8 +69,7 @@ double similarity_median(double *v, size_t n)
     return n % 2 ? v[n / 2] : 0.5 * (v[n / 2 - 1] + v[n / 2]);
 }
 
-/* ---- eigenvectors
- * --------------------------------------------------------------------------------- */
+/* ---- eigenvectors ---- */
 
 /* One Jacobi rotation that clears a[p][q]. */
 static void jacobi_turn(double *a, double *v, size_t n, size_t p, size_t q)
@@ -130,8 +129,7 @@ void similarity_eigen(const double *matrix, size_t n, double *values, double *ve
             }
 }
 
-/* ---- closed form
- * ----------------------------------------------------------------------------------- */
+/* ---- closed form ---- */
 
 /* Rotation that maximises sum y . R x, given h[3*a+b] = sum x_a y_b. */
 static void rotation_from_moments(const double h[9], double rot[9])
@@ -241,8 +239,7 @@ bool similarity_from_plan(const double (*x)[3], const double (*y)[3], const uint
     return true;
 }
 
-/* ---- refinement
- * -------------------------------------------------------------------------------------- */
+/* ---- refinement ---- */
 
 static void residual_at(const struct similarity_problem *p, const struct similarity_fit *f,
                         size_t i, double r[3])

@@ -80,8 +80,7 @@ static json_t *state_meta(const struct level *l, const char *kind, struct err *e
     return o;
 }
 
-/* ---- writing
- * --------------------------------------------------------------------------------------- */
+/* ---- writing ---- */
 
 /* Buffers of the device that the host looks at while a file is written: on CPU devices nothing is
  * copied, however large the level. */
@@ -274,8 +273,7 @@ enum err_code state_save(struct level *l, const char *path, struct err *e)
     return state_view_close(&v, rc, e);
 }
 
-/* ---- reading
- * ------------------------------------------------------------------------------------------ */
+/* ---- reading ---- */
 
 static enum err_code state_check_config(const struct level *l, const char *path,
                                         const json_t *saved, struct err *e)

@@ -323,8 +323,7 @@ static enum err_code photo_task(void *user, size_t i, struct err *e)
     return rc;
 }
 
-/* ---- truth.json
- * ----------------------------------------------------------------------------------------- */
+/* ---- truth.json ---- */
 
 static json_t *nums(const double *v, size_t n)
 {

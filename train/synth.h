@@ -34,8 +34,7 @@ const struct options_spec *synth_options(void);
  */
 enum err_code synth_run(const struct synth_config *cfg, struct err *e) ERR_USE;
 
-/* ---- synth_city.c
- * ---------------------------------------------------------------------------------------- */
+/* ---- synth_city.c ---- */
 
 enum synth_kind { SYNTH_BOX, SYNTH_GABLE, SYNTH_ELLIPSOID };
 enum synth_material { SYNTH_HOUSE, SYNTH_SHED, SYNTH_TREE, SYNTH_TRUNK, SYNTH_CAR, SYNTH_CABIN };
@@ -78,8 +77,7 @@ void synth_city_free(struct synth_city *c);
 void synth_city_vehicles(const struct synth_city *c, uint64_t photo, size_t n,
                          struct synth_solid *out);
 
-/* ---- synth_trace.c
- * ------------------------------------------------------------------------------------------ */
+/* ---- synth_trace.c ---- */
 
 enum err_code synth_grid_make(const struct synth_solid *solids, size_t n, struct synth_grid *out,
                               struct err *e) ERR_USE;
@@ -99,8 +97,7 @@ void synth_trace_ray(const struct synth_city *c, const struct synth_grid *moving
 bool synth_trace_shadow(const struct synth_city *c, const struct synth_grid *moving,
                         const double origin[3]);
 
-/* ---- synth_shade.c
- * ------------------------------------------------------------------------------------------- */
+/* ---- synth_shade.c ---- */
 
 struct synth_light { /* what the sky and the camera do to a photograph; synth_shade_light for none
                       */
@@ -116,8 +113,7 @@ void synth_shade_hit(const struct synth_city *c, const struct synth_grid *moving
 /* Linear colour after gains -> sRGB byte. */
 uint8_t synth_shade_encode(float linear);
 
-/* ---- synth_flight.c
- * ------------------------------------------------------------------------------------------ */
+/* ---- synth_flight.c ---- */
 
 struct synth_photo {
     char name[32];
@@ -133,8 +129,7 @@ struct lens synth_flight_lens(const struct synth_config *cfg);
 /* out[cfg->photos] */
 void synth_flight_make(const struct synth_config *cfg, struct synth_photo *out);
 
-/* ---- synth_model.c
- * ------------------------------------------------------------------------------------------- */
+/* ---- synth_model.c ---- */
 
 struct synth_similarity { /* y_enu = scale rot x_colmap + trans */
     double scale, rot[9], trans[3];

@@ -70,8 +70,7 @@ static void set_color(struct synth_solid *s, const float rgb[3], double gain)
         s->color[i] = rgb[i] * (float)gain;
 }
 
-/* ---- vegetation and cars
- * ------------------------------------------------------------------------- */
+/* ---- vegetation and cars ---- */
 
 static void add_tree(struct builder *b, double x, double y, double size)
 {
@@ -148,8 +147,7 @@ static void add_car(struct builder *b, double x, double y, double yaw)
     add(b, &car[1]);
 }
 
-/* ---- lots
- * ------------------------------------------------------------------------------------------- */
+/* ---- lots ---- */
 
 static const float wall_colors[][3] = {{.42f, .20f, .14f}, {.55f, .46f, .33f}, {.60f, .57f, .52f},
                                        {.36f, .30f, .26f}, {.63f, .53f, .30f}, {.30f, .36f, .42f},
@@ -269,8 +267,7 @@ static void fill_lot(struct builder *b, struct rect r)
         add_tree(b, r.x0 + 0.8, r.y0 + 0.8, roll(&b->trees, 0.4, 0.7));
 }
 
-/* ---- streets
- * ---------------------------------------------------------------------------------------- */
+/* ---- streets ---- */
 
 static void lay_streets(struct synth_city *c, double extent_m)
 {

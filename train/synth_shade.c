@@ -12,8 +12,7 @@
 
 #include "train/synth.h"
 
-/* ---- noise
- * ----------------------------------------------------------------------------------------- */
+/* ---- noise ---- */
 
 static uint32_t hash3(int32_t x, int32_t y, uint32_t seed)
 {
@@ -99,8 +98,7 @@ static float grid_line(const struct sample *s, float v, float size, float width)
     return p < width || p > size - width ? visible(s, width * 2.5f) : 0;
 }
 
-/* ---- ground
- * ------------------------------------------------------------------------------------------ */
+/* ---- ground ---- */
 
 struct street {         /* nearest along one axis */
     float across, half; /* signed distance from the centre line, half width */
@@ -243,8 +241,7 @@ static void ground_albedo(const struct synth_city *c, const struct sample *s, co
         field_albedo(s, x, y, c->seed + 41, rgb);
 }
 
-/* ---- houses
- * ------------------------------------------------------------------------------------------- */
+/* ---- houses ---- */
 
 static void window_albedo(const struct sample *s, float u, float v, uint32_t pane, float rgb[3])
 {
@@ -364,8 +361,7 @@ static void flat_roof_albedo(const struct sample *s, const struct synth_hit *hit
     }
 }
 
-/* ---- the rest
- * -------------------------------------------------------------------------------------------- */
+/* ---- the rest ---- */
 
 static void shed_albedo(const struct sample *s, const struct synth_hit *hit, float rgb[3])
 {
@@ -446,9 +442,7 @@ static void hit_albedo(const struct synth_city *c, const struct sample *s,
     }
 }
 
-/* ---- light
- * -------------------------------------------------------------------------------------------------
- */
+/* ---- light ---- */
 
 struct synth_light synth_shade_light(void)
 {

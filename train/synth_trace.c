@@ -14,8 +14,7 @@
 
 static const double far_m = 1e9;
 
-/* ---- the grid
- * ------------------------------------------------------------------------------------- */
+/* ---- the grid ---- */
 
 static double solid_reach(const struct synth_solid *s, int axis)
 {
@@ -113,8 +112,7 @@ void synth_grid_free(struct synth_grid *g)
     *g = (struct synth_grid){0};
 }
 
-/* ---- one solid
- * -------------------------------------------------------------------------------------- */
+/* ---- one solid ---- */
 
 struct span { /* of a ray inside a convex body, with the normal where it enters */
     double enter, leave, normal[3];
@@ -196,8 +194,7 @@ static bool solid_span(const struct synth_solid *s, const double o[3], const dou
     return s->kind == SYNTH_ELLIPSOID ? ellipsoid_span(s, lo, ld, out) : box_span(s, lo, ld, out);
 }
 
-/* ---- the walk
- * ----------------------------------------------------------------------------------------- */
+/* ---- the walk ---- */
 
 struct walk {
     int64_t cell[2], step[2];

@@ -56,8 +56,7 @@ enum err_code train_images(struct scene *s, enum scene_split split, bool test_sp
     return ERR_OK;
 }
 
-/* ---- the scene and its cells
- * --------------------------------------------------------------------------- */
+/* ---- the scene and its cells ---- */
 
 enum err_code train_scene_open(const char *dir, const struct train_config *cfg,
                                struct train_scene *out, struct err *e)
@@ -146,8 +145,7 @@ enum err_code train_scene_cell(struct train_scene *s, size_t index, struct run_c
     return rc && s->plan.n_cells > 1 ? err_add(e, "cell %s", s->plan.cells[index].id) : rc;
 }
 
-/* ---- running them
- * ------------------------------------------------------------------------------------- */
+/* ---- running them ---- */
 
 struct train { /* everything that lives as long as the run */
     struct train_scene scene;

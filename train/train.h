@@ -53,8 +53,7 @@ enum train_stream_id {
 };
 uint64_t train_stream(enum train_stream_id id, uint32_t level, uint64_t step);
 
-/* ---- schedule.c: what happens at which step
- * --------------------------------------------------------- */
+/* ---- schedule.c: what happens at which step ---- */
 
 struct schedule {             /* of one level; steps are 1-based and restart at every level */
     uint32_t level, n_levels; /* 1 .. n_levels, 1 = coarsest */
@@ -90,8 +89,7 @@ bool schedule_was_reset(const struct schedule *s, uint32_t step);
 uint32_t schedule_sh_degree(const struct schedule *s, uint32_t step);
 double schedule_lr_mean(const struct schedule *s, uint32_t step);
 
-/* ---- cell: what one training job covers
- * --------------------------------------------------------------- */
+/* ---- cell: what one training job covers ---- */
 
 struct train_cell { /* a rectangle of the ground plane; Gaussians outside serve as background */
     char id[32];    /* folder name below cells/ */
@@ -109,8 +107,7 @@ void cell_planned(const struct scene *s, const struct partition *p, size_t index
 /* Horizontal distance of a place from the rectangle, 0 inside. */
 double cell_distance(const struct train_cell *c, double east_m, double north_m);
 
-/* ---- feed.c: photographs, ahead of time
- * ----------------------------------------------------------------- */
+/* ---- feed.c: photographs, ahead of time ---- */
 
 struct feed_photo {
     uint32_t image; /* index into the scene's images */
@@ -144,9 +141,7 @@ size_t feed_bytes(const struct feed *f); /* held by the cache now */
 /* The camera of a photograph at training size. */
 struct camera feed_camera(const struct camera *cam, uint32_t max_edge_px, double downsample);
 
-/* ---- init.c
- * -----------------------------------------------------------------------------------------------
- */
+/* ---- init.c ---- */
 
 /* Gaussians at the scene's points (for a cell of a plan: at those that its photographs see): size
  * from the three nearest neighbours, opacity 0.1. More points than `limit`: an even random choice.
@@ -161,8 +156,7 @@ enum err_code init_count_points(const struct scene *s, const uint32_t *images, s
  * fewer). */
 enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, struct err *e) ERR_USE;
 
-/* ---- densify.c: which Gaussians are added and removed
- * ------------------------------------------------------- */
+/* ---- densify.c: which Gaussians are added and removed ---- */
 
 enum densify_kind { DENSIFY_KEEP, DENSIFY_CLONE, DENSIFY_SPLIT_A, DENSIFY_SPLIT_B };
 struct densify_row {
@@ -228,8 +222,7 @@ void densify_halve(const struct densify_order *o, float *params);
 enum err_code densify_race(const float *score, const uint32_t *ids, size_t n, size_t k,
                            uint64_t seed, uint64_t stream, uint32_t *chosen, struct err *e) ERR_USE;
 
-/* ---- record.c: one JSON object a line
- * ------------------------------------------------------------------------ */
+/* ---- record.c: one JSON object a line ---- */
 
 struct record; /* an open metrics.jsonl */
 enum err_code record_open(const char *path, bool append, struct record **out,
@@ -240,9 +233,7 @@ enum err_code record_line(struct record *m, const char *event, struct json_t *me
                           struct err *e) ERR_USE;
 void record_close(struct record **m);
 
-/* ---- train.c
- * ----------------------------------------------------------------------------------------------------
- */
+/* ---- train.c ---- */
 
 struct train_cell_result {
     char id[32];
@@ -273,8 +264,7 @@ enum err_code train_run(const char *scene_dir, const struct train_config *cfg,
 enum err_code train_images(struct scene *s, enum scene_split split, bool test_split, uint32_t **out,
                            size_t *n, struct err *e) ERR_USE;
 
-/* ---- evaluate.c: how good it is
- * ------------------------------------------------------------------------------------ */
+/* ---- evaluate.c: how good it is ---- */
 
 struct evaluate_score { /* means over the photographs */
     size_t n_photos;

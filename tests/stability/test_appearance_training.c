@@ -117,8 +117,7 @@ static struct evaluate_score score_halves(struct toy_run *r)
     return sum;
 }
 
-/* ---- F6 and the gain ----------------------------------------------------------------------------
- */
+/* ---- F6 and the gain ---- */
 
 static void without_changes_appearance_costs_nothing_and_opens_no_fog(void **state)
 {
@@ -166,8 +165,7 @@ static void changes_of_light_are_explained(void **state)
     arena_free(&a);
 }
 
-/* ---- F7, F8 -------------------------------------------------------------------------------------
- */
+/* ---- F7, F8 ---- */
 
 /* PSNR of a training photograph drawn with a row of the table. */
 static double psnr_with_row(struct toy_run *r, uint32_t image, uint32_t row)
@@ -282,8 +280,7 @@ static void embeddings_of_what_is_seen_move(void **state)
     arena_free(&a);
 }
 
-/* ---- F9 -----------------------------------------------------------------------------------------
- */
+/* ---- F9 ---- */
 
 enum { SEAM_PX = 96, STRIP_PX = 8, SEAM_LOOKS = 12 };
 
@@ -496,8 +493,7 @@ static void a_single_cell_needs_the_shared_model(void **state)
     arena_free(&a);
 }
 
-/* ---- resuming -----------------------------------------------------------------------------------
- */
+/* ---- resuming ---- */
 
 static void a_run_with_appearance_resumes_bit_by_bit(void **state)
 {
@@ -548,8 +544,7 @@ static void a_run_with_appearance_resumes_bit_by_bit(void **state)
     arena_free(&a);
 }
 
-/* ---- F31 ----------------------------------------------------------------------------------------
- */
+/* ---- F31 ---- */
 
 static void the_score_of_a_half_does_not_know_the_other(void **state)
 {

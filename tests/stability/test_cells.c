@@ -12,8 +12,7 @@
 
 #include "train/partition.h"
 
-/* ---- F11, F13 -----------------------------------------------------------------------------------
- */
+/* ---- F11, F13 ---- */
 
 enum { CELLS_PHOTOS = 36, CELLS_FEW = 3, CELLS_STEPS = 150, CELLS_BUDGET = 600 };
 

@@ -28,8 +28,7 @@ struct city {
     char scene[FILE_PATH_MAX], truth[FILE_PATH_MAX], results[FILE_PATH_MAX], tiles[FILE_PATH_MAX];
 };
 
-/* ---- F10: ownership -----------------------------------------------------------------------------
- */
+/* ---- F10: ownership ---- */
 
 /* Of Gaussians in all cells of a level: how many cells keep each place. Inside the cells' boxes the
  * count of boxes must be 1, everywhere the owner must be one trained cell. */
@@ -78,9 +77,7 @@ static void count_owners(const struct city *c, const struct partition *p)
     assert_int_equal(stored, kept);
 }
 
-/* ---- F10: the picture near borders; levels of detail
- * ---------------------------------------------
- */
+/* ---- F10: the picture near borders; levels of detail ---- */
 
 struct sums {
     double all, near, middle, ssim, psnr;

@@ -41,8 +41,7 @@ static struct view *view;
 static struct gauss finest;       /* all of it, in one piece */
 static struct render_model whole; /* the same on the device: no tiles, no culling */
 
-/* ---- the city -----------------------------------------------------------------------------------
- */
+/* ---- the city ---- */
 
 /* Smooth noise, period about `scale_m`, -1 .. 1. */
 static double noise(double x, double y, double scale_m, uint64_t stream)
@@ -138,8 +137,7 @@ static int teardown(void **state)
     return toy_close_device(state);
 }
 
-/* ---- views --------------------------------------------------------------------------------------
- */
+/* ---- views ---- */
 
 /* One axis of what a camera does: a pixel's width and a lens' blur of half a pixel, on samples. */
 static void see(const float *in, size_t n_in, size_t stride_in, float *out, size_t n_out,

@@ -120,8 +120,7 @@ static void and_with_appearance(void **state)
     expect_below_the_estimate(true);
 }
 
-/* ---- rows in place ------------------------------------------------------------------------------
- */
+/* ---- rows in place ---- */
 
 enum { REMOVAL_STEPS = 12, REMOVAL_PARTS = 3 };
 

@@ -15,8 +15,7 @@
 #include "train/mask.h"
 #include "train/residual.h"
 
-/* ---- F17 ----------------------------------------------------------------------------------------
- */
+/* ---- F17 ---- */
 
 /* One run of so small a scene says little, it moves with the seed: means of three. */
 #define F17_LIMIT_DB 0.2 /* masked runs below the runs without any box */
@@ -160,8 +159,7 @@ static void masked_things_that_move_leave_no_trace(void **state)
     gauss_free(&g);
 }
 
-/* ---- F18 ----------------------------------------------------------------------------------------
- */
+/* ---- F18 ---- */
 
 /* A flight at 100 m with poses 15 m and 2 m off, as parts of the height: the toy flies at 10 m. */
 #define F18_LARGE_M 1.5
@@ -272,8 +270,7 @@ static void wrong_poses_are_named(void **state)
     }
 }
 
-/* ---- F29 ----------------------------------------------------------------------------------------
- */
+/* ---- F29 ---- */
 
 #define F29_SLACK 1.1 /* of the limit */
 enum {

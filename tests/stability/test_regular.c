@@ -17,8 +17,7 @@
 
 static char scene_dir[FILE_PATH_MAX];
 
-/* ---- a scene whose depth is known
- * --------------------------------------------------------------- */
+/* ---- a scene whose depth is known ---- */
 
 /* Flat, opaque, overlapping blobs on a ground with relief: inverse depth is that of a surface. */
 static struct toy ground_spec(void)
@@ -112,8 +111,7 @@ static void run_gauss(struct toy_run *r, struct gauss *g)
     kit_ok(level_gauss(&r->level, g, &e), e);
 }
 
-/* ---- F4: sizes and needles
- * ---------------------------------------------------------------------- */
+/* ---- F4: sizes and needles ---- */
 
 enum { F4_STEPS = 500 };
 #define F4_S_MAX_M 1.0
@@ -204,8 +202,7 @@ static void giants_and_needles_shrink(void **state)
     arena_free(&a);
 }
 
-/* ---- depth maps on disk
- * ------------------------------------------------------------------------- */
+/* ---- depth maps on disk ---- */
 
 /* Inverse depth of the truth as photograph i sees it, in 1 / m. */
 static void truth_depth(size_t i, double *depth)
@@ -296,8 +293,7 @@ static void maps_write(const char *dir)
     mem_free(map);
 }
 
-/* ---- F5: floaters
- * ------------------------------------------------------------------------------- */
+/* ---- F5: floaters ---- */
 
 enum { F5_STEPS = 800, F5_RESET = 300, F5_EVERY = 50, F5_RUNS = 5 };
 #define F5_FAINT 0.02
@@ -388,8 +384,7 @@ static void floaters_fade(void **state)
     arena_free(&a);
 }
 
-/* ---- F16: statistics of densification
- * ----------------------------------------------------------- */
+/* ---- F16: statistics of densification ---- */
 
 enum { F16_STEPS = 20, F16_STATS = 4 };
 
@@ -457,8 +452,7 @@ static void statistics_do_not_see_depth(void **state)
     arena_free(&a);
 }
 
-/* ---- F21: maps that are wrong, scenes of another scale
- * ------------------------------------------ */
+/* ---- F21: maps that are wrong, scenes of another scale ---- */
 
 enum { F21_POINTS = 200 };
 #define F21_SCALE 10.0
@@ -621,8 +615,7 @@ static void maps_are_read_aligned_and_left_out(void **state)
     kit_rmdir(dir);
 }
 
-/* ---- F30 with everything on
- * --------------------------------------------------------------------- */
+/* ---- F30 with everything on ---- */
 
 static void resume_train(const char *out, const int64_t *pieces, size_t n_pieces)
 {

@@ -13,8 +13,7 @@
 #include "render/frame.h"
 #include "render/render_ref.h"
 
-/* ---- F2 -----------------------------------------------------------------------------------------
- */
+/* ---- F2 ---- */
 
 enum { SHAPES = 1000000, SHAPE_BATCH = 100000 };
 
@@ -82,8 +81,7 @@ static void a_million_shapes_stay_finite(void **state)
     assert_true(moved > 1000); /* enough of them were looked at */
 }
 
-/* ---- F3 -----------------------------------------------------------------------------------------
- */
+/* ---- F3 ---- */
 
 #define F3_COST 5.0    /* of a frame, in medians */
 #define F3_GRAD 1000.0 /* of a gradient's norm, in medians */
@@ -184,8 +182,7 @@ static void a_camera_inside_the_cloud_is_no_catastrophe(void **state)
     scene_free(&s);
 }
 
-/* ---- F24 ----------------------------------------------------------------------------------------
- */
+/* ---- F24 ---- */
 
 /* Splats that each cover much of the picture, opacity a little above the 1/255 that counts, half of
  * them behind the camera. `want` pairs at least, or the test fails. */
@@ -263,8 +260,7 @@ static void a_frame_of_fifty_million_entries_is_brute_force(void **state)
     many_entries(14000, 1920, 1080, 50000000, 300);
 }
 
-/* ---- F26 ----------------------------------------------------------------------------------------
- */
+/* ---- F26 ---- */
 
 #define F26_REL 1e-5 /* of the norm of each part: kernels in CPU and in GPU shape */
 

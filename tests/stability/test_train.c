@@ -9,8 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* ---- F15 ----------------------------------------------------------------------------------------
- */
+/* ---- F15 ---- */
 
 #define F15_LIMIT 0.20 /* change of the fraction of candidates when pictures double */
 enum { F15_N = 200, F15_STEPS = 18 };
@@ -106,8 +105,7 @@ static void candidates_do_not_depend_on_picture_size(void **state)
     gauss_free(&g);
 }
 
-/* ---- F26, F30 -----------------------------------------------------------------------------------
- */
+/* ---- F26, F30 ---- */
 
 enum { F30_STEPS = 40 };
 
@@ -194,8 +192,7 @@ static void resumed_anywhere_it_ends_in_the_same_bytes(void **state)
     arena_free(&a);
 }
 
-/* ---- F28 ----------------------------------------------------------------------------------------
- */
+/* ---- F28 ---- */
 
 static void paint_grey(void *user, size_t i, const struct camera *cam, double *rgb)
 {

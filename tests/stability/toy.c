@@ -11,8 +11,7 @@
 #define TOY_PI 3.14159265358979323846
 enum { TOY_CACHE_BYTES = 64 << 20 };
 
-/* ---- the scene ----------------------------------------------------------------------------------
- */
+/* ---- the scene ---- */
 
 struct toy toy_spec(void)
 {
@@ -140,8 +139,7 @@ void toy_write(const char *dir, const struct toy *t, const struct gauss *g)
     mem_free(s.points);
 }
 
-/* ---- a run --------------------------------------------------------------------------------------
- */
+/* ---- a run ---- */
 
 struct train_config toy_config(struct arena *a, const char *out)
 {
@@ -289,8 +287,7 @@ void toy_run_close(struct toy_run *r)
     scene_free(&r->scene);
 }
 
-/* ---- measures -----------------------------------------------------------------------------------
- */
+/* ---- measures ---- */
 
 static double toy_db(double sum, size_t n)
 {
