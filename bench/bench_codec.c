@@ -9,15 +9,21 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "bench/bench.h"
-
-#include <stdio.h>
-#include <string.h>
-
 #include "bench/city.h"
-#include "codec/codec.h"
+#include "codec/axes.h"
+#include "codec/draco.h"
+#include "codec/glb.h"
+#include "codec/image.h"
+#include "codec/payload.h"
+#include "codec/ply.h"
+#include "codec/quant.h"
+#include "codec/spz.h"
 #include "lod/lod.h"
 #include "lod/tree.h"
 #include "server/server.h"
+
+#include <stdio.h>
+#include <string.h>
 
 enum { ROWS = 200000, TILE_ROWS = 100000 };
 
@@ -260,7 +266,7 @@ static enum err_code trained_rows(const char *path, size_t most, struct gauss *o
         gauss_free(&g);
     }
     store_close(&s);
-    frame_enu_to_gltf(out);
+    axes_enu_to_gltf(out);
     return rc;
 }
 

@@ -19,7 +19,10 @@
 #include "bench/bench.h"
 #include "bench/layout.h"
 #include "bench/leaves.h"
-#include "codec/codec.h"
+#include "codec/axes.h"
+#include "codec/draco.h"
+#include "codec/quant.h"
+#include "codec/spz.h"
 #include "core/sort.h"
 
 enum { NAME_MAX_BYTES = 64, CELL_BITS = 20, BLOCK = 64 };
@@ -155,7 +158,7 @@ static enum err_code lay_bytes(const struct lay *l, enum file_kind kind, enum or
         gauss_free(&g);
         quant_free(&q);
         buf_free(&file);
-        if (!rc && clock_stopping())
+        if (!rc && signals_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped");
     }
     *out = (double)bytes / (double)l->leaves.n;
@@ -282,7 +285,7 @@ enum err_code bench_layout(struct bench *b, struct err *e)
     }
     enum err_code rc = leaves_read(b->tiles, &l.leaves, e);
     for (size_t i = 0; i < l.leaves.n_tiles; i++)
-        frame_enu_to_gltf(&l.leaves.tile[i]);
+        axes_enu_to_gltf(&l.leaves.tile[i]);
     if (!rc)
         rc = lay_sizes(&l, e);
     if (!rc)

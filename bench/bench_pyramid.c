@@ -23,9 +23,15 @@
 #include <jansson.h>
 
 #include "bench/bench.h"
-#include "bench/shots.h"
+#include "bench/test_views.h"
+#include "cells/cell_plan.h"
+#include "cells/partition.h"
+#include "codec/ckpt.h"
+#include "codec/scene.h"
 #include "core/sort.h"
 #include "lod/simplify.h"
+#include "train/config.h"
+#include "train/photo_loader.h"
 #include "train/train.h"
 
 enum { NAME_MAX_BYTES = 64, SIZES = 3, SUMS = 8, SHARE = 2, EDGE_MIN_PX = 16 };
@@ -130,7 +136,7 @@ static enum err_code pyr_open(struct pyr *p, struct err *e)
     if (!rc)
         rc = file_join(path, p->b->scene, "plan.json", e);
     if (!rc && file_exists(path))
-        rc = plan_read(path, &p->scene, &p->plan, e);
+        rc = cell_plan_read(path, &p->scene, &p->plan, e);
     for (unsigned l = 1; !rc && l <= TRAIN_LEVELS_MAX; l++)
         rc = pyr_read_level(p, l, e);
     if (!rc && p->n_levels < 2)
@@ -166,15 +172,15 @@ static enum err_code pyr_contribution(struct pyr *p, struct err *e)
     const struct pyr_level *l = &p->level[p->n_levels];
     const struct render_options ro = pyr_render_options(l);
     struct render_model m = {0};
-    struct render_score *score = NULL;
+    struct render_importance *score = NULL;
     cl_mem weight = NULL;
     const float *sums = NULL;
-    enum err_code rc = render_score_open(p->render, &score, e);
+    enum err_code rc = render_importance_open(p->render, &score, e);
     if (!rc)
         rc = render_model_upload(p->render, &l->g, &m, e);
     for (size_t v = 0; !rc && v < p->n_train; v++) {
-        const struct camera cam =
-            feed_camera(&p->scene.images[p->train[v]].cam, (uint32_t)l->max_edge_px, l->downsample);
+        const struct camera cam = photo_loader_camera(&p->scene.images[p->train[v]].cam,
+                                                      (uint32_t)l->max_edge_px, l->downsample);
         size_t bytes = (size_t)cam.width_px * cam.height_px * sizeof(float);
         dev_release(&weight); /* only alpha T is asked for, which takes no weights */
         rc = dev_buffer(p->b->dev, bytes, NULL, &weight, e);
@@ -183,12 +189,12 @@ static enum err_code pyr_contribution(struct pyr *p, struct err *e)
         if (!rc)
             rc = render_forward(p->render, &m, &cam, &ro, NULL, NULL, e);
         if (!rc)
-            rc = render_score_run(score, &m, weight, &sums, e);
+            rc = render_importance_run(score, &m, weight, &sums, e);
         for (size_t i = 0; !rc && i < l->g.n; i++)
             p->given[i] += sums[SUMS * i + SHARE];
     }
     dev_release(&weight);
-    render_score_close(&score);
+    render_importance_close(&score);
     render_model_free(&m);
     return rc;
 }
@@ -319,16 +325,16 @@ static enum err_code pyr_measure(const struct pyr *p, const struct gauss *g, dou
 struct pyr_size {
     const char *name;
     double downsample;
-    struct shots shots;
+    struct test_views shots;
 };
 
 static enum err_code pyr_row(struct pyr *p, unsigned level, enum pyr_way way, const struct gauss *g,
                              struct pyr_size *size, struct err *e)
 {
     const struct render_options ro = pyr_render_options(&p->level[level]);
-    struct shots_score s;
+    struct test_views_score s;
     char what[NAME_MAX_BYTES], name[2 * NAME_MAX_BYTES];
-    enum err_code rc = shots_score(&size->shots, g, &ro, false, &s, e);
+    enum err_code rc = test_views_score(&size->shots, g, &ro, false, &s, e);
     if (rc)
         return rc;
     snprintf(what, sizeof what, "level %u, %s", level, size->name);
@@ -351,7 +357,7 @@ static enum err_code pyr_open_sizes(struct pyr *p, unsigned level, struct pyr_si
     if (rc)
         return rc;
     const struct camera cam =
-        feed_camera(&p->scene.images[p->images[0]].cam, (uint32_t)l->max_edge_px, 1);
+        photo_loader_camera(&p->scene.images[p->images[0]].cam, (uint32_t)l->max_edge_px, 1);
     double most = fmax(cam.width_px, cam.height_px) / EDGE_MIN_PX;
     double used = fmin(fmax(cam.fx_px * sigma_m / depth_m, 1), most);
     size[0] = (struct pyr_size){.name = "own size", .downsample = l->downsample};
@@ -361,11 +367,11 @@ static enum err_code pyr_open_sizes(struct pyr *p, unsigned level, struct pyr_si
              depth_m);
     for (size_t i = 0; !rc && i < SIZES; i++) {
         const struct render_options ro = pyr_render_options(finest);
-        struct shots_score own;
-        rc = shots_open(p->render, &p->scene, p->images, p->n_images, (uint32_t)l->max_edge_px,
-                        size[i].downsample, &size[i].shots, e);
+        struct test_views_score own;
+        rc = test_views_open(p->render, &p->scene, p->images, p->n_images, (uint32_t)l->max_edge_px,
+                             size[i].downsample, &size[i].shots, e);
         if (!rc)
-            rc = shots_score(&size[i].shots, &finest->g, &ro, true, &own, e);
+            rc = test_views_score(&size[i].shots, &finest->g, &ro, true, &own, e);
         char what[NAME_MAX_BYTES];
         snprintf(what, sizeof what, "level %u, %s", level, size[i].name);
         if (!rc)
@@ -394,11 +400,11 @@ static enum err_code pyr_level(struct pyr *p, unsigned level, struct err *e)
             rc = pyr_row(p, level, (enum pyr_way)way, way == WAY_TRAINED ? trained : &made,
                          &size[i], e);
         gauss_free(&made);
-        if (!rc && clock_stopping())
+        if (!rc && signals_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped");
     }
     for (size_t i = 0; i < SIZES; i++)
-        shots_close(&size[i].shots);
+        test_views_close(&size[i].shots);
     return rc;
 }
 

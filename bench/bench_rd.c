@@ -14,16 +14,20 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "bench/bench.h"
+#include "bench/leaves.h"
+#include "bench/test_views.h"
+#include "codec/axes.h"
+#include "codec/draco.h"
+#include "codec/quant.h"
+#include "codec/scene.h"
+#include "codec/spz.h"
+#include "lod/lod.h"
+#include "train/train.h"
 
 #include <stdio.h>
 #include <string.h>
 
 #include <jansson.h>
-
-#include "bench/leaves.h"
-#include "bench/shots.h"
-#include "lod/lod.h"
-#include "train/train.h"
 
 enum { NAME_MAX_BYTES = 64 };
 
@@ -36,17 +40,17 @@ struct rd {
     uint32_t *images;
     size_t n_images;
     struct render *render;
-    struct shots shots;   /* the truth: pictures of the tiles as they are */
-    struct leaves leaves; /* in glTF axes */
-    double psnr_db;       /* of the tiles as they are */
+    struct test_views shots; /* the truth: pictures of the tiles as they are */
+    struct leaves leaves;    /* in glTF axes */
+    double psnr_db;          /* of the tiles as they are */
 };
 
 static enum err_code rd_score(struct rd *r, const struct gauss *g, bool keep,
-                              struct shots_score *out, struct err *e)
+                              struct test_views_score *out, struct err *e)
 {
     const struct render_options ro = {.aa = g->antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
                                       .sh_degree = -1};
-    return shots_score(&r->shots, g, &ro, keep, out, e);
+    return test_views_score(&r->shots, g, &ro, keep, out, e);
 }
 
 /* One tile through a format; what a reader gets is added to `all` in ENU. */
@@ -68,7 +72,7 @@ static enum err_code rd_tile(const struct gauss *tile, enum rd_format f,
         rc = quant_to_gauss(&back, &g, e);
     if (!rc) {
         memcpy(g.origin_enu_m, tile->origin_enu_m, sizeof g.origin_enu_m);
-        frame_gltf_to_enu(&g);
+        axes_gltf_to_enu(&g);
         rc = gauss_append(all, &g, NULL, g.n, e);
         all->antialiased = g.antialiased;
     }
@@ -81,7 +85,7 @@ static enum err_code rd_tile(const struct gauss *tile, enum rd_format f,
 }
 
 static enum err_code rd_record(struct rd *r, const char *row, const char *what, double bytes,
-                               const struct shots_score *score, struct err *e)
+                               const struct test_views_score *score, struct err *e)
 {
     char name[2 * NAME_MAX_BYTES];
     snprintf(name, sizeof name, "%s, %s", row, what);
@@ -98,7 +102,7 @@ static enum err_code rd_row(struct rd *r, const char *row, enum rd_format f,
                             const struct quant_grid *grid, struct err *e)
 {
     struct gauss all = {0};
-    struct shots_score score;
+    struct test_views_score score;
     size_t bytes = 0;
     enum err_code rc =
         gauss_alloc(&all, r->leaves.n, r->leaves.tile[0].sh_degree, r->leaves.tile[0].embed_len, e);
@@ -110,7 +114,7 @@ static enum err_code rd_row(struct rd *r, const char *row, enum rd_format f,
     if (!rc)
         rc = rd_record(r, row, format_names[f], (double)bytes / (double)r->leaves.n, &score, e);
     gauss_free(&all);
-    if (!rc && clock_stopping())
+    if (!rc && signals_stopping())
         rc = err_set(e, ERR_CANCEL, "stopped");
     return rc;
 }
@@ -183,7 +187,7 @@ static enum err_code rd_ladders(struct rd *r, struct err *e)
 
 /* ---- the scene ---- */
 
-static enum err_code rd_open(struct rd *r, struct shots_score *trained, struct err *e)
+static enum err_code rd_open(struct rd *r, struct test_views_score *trained, struct err *e)
 {
     struct gauss all = {0};
     enum err_code rc = scene_read(r->b->scene, &r->scene, e);
@@ -194,7 +198,7 @@ static enum err_code rd_open(struct rd *r, struct shots_score *trained, struct e
     if (!rc)
         rc = render_open(r->b->dev, &r->render, e);
     if (!rc)
-        rc = shots_open(r->render, &r->scene, r->images, r->n_images, 0, 1, &r->shots, e);
+        rc = test_views_open(r->render, &r->scene, r->images, r->n_images, 0, 1, &r->shots, e);
     if (!rc)
         rc = leaves_read(r->b->tiles, &r->leaves, e);
     if (!rc)
@@ -205,7 +209,7 @@ static enum err_code rd_open(struct rd *r, struct shots_score *trained, struct e
             memcpy(all.origin_enu_m, r->leaves.tile[0].origin_enu_m, sizeof all.origin_enu_m);
         all.antialiased = r->leaves.tile[i].antialiased;
         rc = gauss_append(&all, &r->leaves.tile[i], NULL, r->leaves.tile[i].n, e);
-        frame_enu_to_gltf(&r->leaves.tile[i]);
+        axes_enu_to_gltf(&r->leaves.tile[i]);
     }
     if (!rc)
         rc = rd_score(r, &all, true, trained, e);
@@ -221,7 +225,7 @@ enum err_code bench_rd(struct bench *b, struct err *e)
         log_info("bench", "rd skipped: it takes --scene DIR --tiles FILE");
         return ERR_OK;
     }
-    struct shots_score trained;
+    struct test_views_score trained;
     enum err_code rc = rd_open(&r, &trained, e);
     if (!rc)
         rc = rd_record(&r, "trained", "float32",
@@ -237,7 +241,7 @@ enum err_code bench_rd(struct bench *b, struct err *e)
     if (!rc)
         rc = bench_record_write(b, e);
     leaves_free(&r.leaves);
-    shots_close(&r.shots);
+    test_views_close(&r.shots);
     render_close(&r.render);
     scene_free(&r.scene);
     return rc;

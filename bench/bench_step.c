@@ -13,15 +13,15 @@
 #include <string.h>
 
 #include "bench/city.h"
+#include "loss/photometric.h"
 #include "render/render.h"
-#include "train/loss.h"
 
 enum { SEED = 7 };
 
 struct step_case {
     struct dev *dev; /* borrowed */
     struct render *render;
-    struct loss *loss;
+    struct photometric *loss;
     struct render_model model;
     struct render_adam adam;
     struct render_density_stats stats;
@@ -40,7 +40,7 @@ static void step_free(struct step_case *c)
     for (size_t i = 0; i < sizeof mems / sizeof *mems; i++)
         dev_release(mems[i]);
     render_model_free(&c->model);
-    loss_close(&c->loss);
+    photometric_close(&c->loss);
     render_close(&c->render);
     appearance_free(&c->look);
     mem_free(c->frame);
@@ -73,13 +73,13 @@ static enum err_code step_draw(void *user, struct err *e)
 static enum err_code step_loss(void *user, struct err *e)
 {
     struct step_case *c = user;
-    const struct loss_input in = {.color = render_color_buffer(c->render),
-                                  .target = c->target,
-                                  .width_px = c->cam.width_px,
-                                  .height_px = c->cam.height_px,
-                                  .l1_weight = LOSS_L1_WEIGHT,
-                                  .ssim_weight = LOSS_SSIM_WEIGHT};
-    enum err_code rc = loss_run(c->loss, &in, render_color_grad_buffer(c->render), e);
+    const struct photometric_input in = {.color = render_color_buffer(c->render),
+                                         .target = c->target,
+                                         .width_px = c->cam.width_px,
+                                         .height_px = c->cam.height_px,
+                                         .l1_weight = PHOTOMETRIC_L1_WEIGHT,
+                                         .ssim_weight = PHOTOMETRIC_SSIM_WEIGHT};
+    enum err_code rc = photometric_run(c->loss, &in, render_color_grad_buffer(c->render), e);
     return rc == ERR_OK ? dev_finish(c->dev, e) : rc;
 }
 
@@ -163,7 +163,7 @@ static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h
     if (rc == ERR_OK)
         rc = render_open(b->dev, &c->render, e);
     if (rc == ERR_OK)
-        rc = loss_open(b->dev, &c->loss, e);
+        rc = photometric_open(b->dev, &c->loss, e);
     if (rc == ERR_OK)
         rc = step_target(c, &g, e);
     if (rc == ERR_OK)
@@ -188,16 +188,16 @@ static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h
 /* One iteration at real rates must lower the loss. */
 static enum err_code step_check(struct step_case *c, struct err *e)
 {
-    struct loss_value before = {0}, after = {0};
+    struct photometric_value before = {0}, after = {0};
     step_rates(c, 1);
     enum err_code rc = step_once(c, e);
     if (rc == ERR_OK)
-        rc = loss_read(c->loss, &before, e);
+        rc = photometric_read(c->loss, &before, e);
     step_rates(c, 0);
     if (rc == ERR_OK)
         rc = step_once(c, e);
     if (rc == ERR_OK)
-        rc = loss_read(c->loss, &after, e);
+        rc = photometric_read(c->loss, &after, e);
     if (rc == ERR_OK && !(after.total < before.total))
         rc = err_set(e, ERR_INTERNAL, "bench_step: the loss rose from %.6f to %.6f in one step",
                      before.total, after.total);

@@ -115,7 +115,7 @@ static enum err_code large_load(void *user, size_t part, struct gauss *out, stru
     view.opacity_logit += from;
     view.sh += 3 * gauss_sh_count(view.sh_degree) * from;
     view.n = n;
-    enum err_code rc = gauss_room(out, n, view.sh_degree, 0, e);
+    enum err_code rc = gauss_uninit(out, n, view.sh_degree, 0, e);
     if (rc == ERR_OK)
         rc = gauss_append(out, &view, NULL, n, e);
     out->origin_enu_m[0] = CITY_M * ((double)(copy % 5) - 2);

@@ -8,15 +8,16 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "bench/bench.h"
+#include "bench/city.h"
+#include "codec/ckpt.h"
+#include "codec/image.h"
+#include "core/appearance.h"
+#include "lod/lod.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include "bench/city.h"
-#include "core/appearance.h"
-#include "lod/lod.h"
 
 enum {
     VIEW_SIDE = 4, /* cities along an edge */

@@ -7,6 +7,8 @@
 #include <string.h>
 
 #include "codec/draco_layout.h"
+#include "codec/quant.h"
+#include "core/base.h"
 
 enum { COLUMNS_MAX = 96, MAGNITUDE_MAX = 511, POSITION_OFFSET = 1 << 23 };
 

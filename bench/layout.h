@@ -8,7 +8,11 @@
 
 #include <stdbool.h>
 
-#include "codec/codec.h"
+#include "core/err.h"
+
+struct buf;
+struct err;
+struct quant;
 
 enum layout_channels { LAYOUT_GREEN, LAYOUT_RGB, LAYOUT_YCOCG }; /* GREEN: red and blue about it */
 enum layout_predict { LAYOUT_PREDICT_PAYING, LAYOUT_PREDICT_POSITION, LAYOUT_PREDICT_ALL };

@@ -196,7 +196,7 @@ static int plot_below_px(const struct chart_def *d, const struct chart_data *c)
 }
 
 /* Room to the right for the longest label, in parts of the axis. */
-static double plot_room(const struct chart_data *c)
+static double plot_headroom(const struct chart_data *c)
 {
     size_t longest = 0;
     for (size_t s = 0; s < c->n_series; s++)
@@ -224,8 +224,8 @@ static void plot_panel(struct buf *b, const struct chart_def *d, const struct ch
     chart_part(d->y, panel, key);
     buf_printf(b, "set ylabel '%s'\n", chart_find_key(key).axis);
     buf_printf(b, "unset logscale\n");
-    double below = c->n_series > 1 ? plot_room(c) : 0.1;
-    plot_set_axis(b, &(struct plot_axis){'x', log_x, lo[0], hi[0], below, plot_room(c)});
+    double below = c->n_series > 1 ? plot_headroom(c) : 0.1;
+    plot_set_axis(b, &(struct plot_axis){'x', log_x, lo[0], hi[0], below, plot_headroom(c)});
     plot_set_axis(b, &(struct plot_axis){'y', log_y, lo[1], hi[1], 0.12, 0.1});
     buf_printf(b, c->n_series > 1 ? "set key bmargin center vertical maxcols 1 noenhanced\n"
                                   : "unset key\n");

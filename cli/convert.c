@@ -11,7 +11,14 @@
 #include <strings.h>
 
 #include "cli/cli.h"
-#include "codec/codec.h"
+#include "codec/axes.h"
+#include "codec/draco.h"
+#include "codec/glb.h"
+#include "codec/limits.h"
+#include "codec/ply.h"
+#include "codec/quant.h"
+#include "codec/splat.h"
+#include "codec/spz.h"
 
 struct convert_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -143,9 +150,9 @@ static enum convert_axes turn(struct converted *c, enum convert_axes want, const
         log_warn("convert", "axes of %s are not known : nothing is turned ; say --axes enu or gltf",
                  path);
     if (c->axes == AXES_ENU && want == AXES_GLTF)
-        frame_enu_to_gltf(&c->g);
+        axes_enu_to_gltf(&c->g);
     else if (c->axes == AXES_GLTF && want == AXES_ENU)
-        frame_gltf_to_enu(&c->g);
+        axes_gltf_to_enu(&c->g);
     else
         return c->axes;
     return want;

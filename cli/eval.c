@@ -9,10 +9,18 @@
 
 #include <jansson.h>
 
+#include "cells/cell_plan.h"
+#include "cells/partition.h"
 #include "cli/cli.h"
-#include "cli/halves.h"
+#include "cli/eval_half_image.h"
+#include "codec/ckpt.h"
+#include "codec/scene.h"
 #include "lod/lod.h"
-#include "train/lpips.h"
+#include "loss/lpips.h"
+#include "train/appearance_train.h"
+#include "train/config.h"
+#include "train/evaluate.h"
+#include "train/photo_loader.h"
 #include "train/residual.h"
 #include "train/train.h"
 
@@ -38,7 +46,7 @@ struct eval {
     struct dev dev;
     bool dev_is_open;
     struct render *render;
-    struct halves halves;           /* of what is being scored */
+    struct eval_half_image halves;  /* of what is being scored */
     struct lpips *lpips;            /* NULL: no weights */
     struct residual_list residuals; /* of the last row that was scored */
     char residuals_of[64];          /* what that row is called */
@@ -87,34 +95,35 @@ static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px
 enum { EVAL_HALVES_AUTO, EVAL_HALVES_ON, EVAL_HALVES_OFF };
 
 static enum err_code eval_halves(struct eval *v, const char *what, uint32_t edge_px,
-                                 struct feed *feed, const struct half_source *src, double bytes,
-                                 struct err *e)
+                                 struct photo_loader *feed, const struct half_image_source *src,
+                                 double bytes, struct err *e)
 {
     struct evaluate_score score;
     char name[64];
     if (v->o.halves == EVAL_HALVES_OFF ||
-        (v->o.halves == EVAL_HALVES_AUTO && !halves_look(&v->halves)))
+        (v->o.halves == EVAL_HALVES_AUTO && !eval_half_image_look(&v->halves)))
         return ERR_OK;
     snprintf(name, sizeof(name), "%s, halves", what);
-    enum err_code rc = halves_run(&v->halves, &v->dev, v->render, (uint32_t)v->o.half_steps,
-                                  v->o.half_random, feed, v->n_images, src, &score, e);
+    enum err_code rc =
+        eval_half_image_run(&v->halves, &v->dev, v->render, (uint32_t)v->o.half_image_steps,
+                            v->o.half_image_random, feed, v->n_images, src, &score, e);
     score.bytes = bytes;
     return rc ? rc : eval_row(v, name, edge_px, &score, e);
 }
 
 static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_edge_px,
                                  double downsample, struct evaluate_source src,
-                                 const struct half_source *half, struct err *e)
+                                 const struct half_image_source *half, struct err *e)
 {
     char folder[64], pictures[FILE_PATH_MAX];
-    struct feed *feed = NULL;
+    struct photo_loader *feed = NULL;
     struct evaluate_score score;
-    struct feed_config f = {.scene = &v->scene,
-                            .images = v->images,
-                            .n_images = v->n_images,
-                            .max_edge_px = max_edge_px,
-                            .downsample = downsample,
-                            .cache_bytes = (size_t)64 << 20};
+    struct photo_loader_config f = {.scene = &v->scene,
+                                    .images = v->images,
+                                    .n_images = v->n_images,
+                                    .max_edge_px = max_edge_px,
+                                    .downsample = downsample,
+                                    .cache_bytes = (size_t)64 << 20};
     enum err_code rc = ERR_OK;
     src.lpips = v->lpips;
     src.residuals = &v->residuals;
@@ -128,16 +137,17 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
         src.pictures = pictures;
     }
     if (!rc)
-        rc = feed_open(&f, &feed, e);
+        rc = photo_loader_open(&f, &feed, e);
     if (!rc)
         rc = evaluate_run(feed, v->n_images, &src, &score, e);
-    struct camera cam = feed_camera(&v->scene.images[v->images[0]].cam, max_edge_px, downsample);
+    struct camera cam =
+        photo_loader_camera(&v->scene.images[v->images[0]].cam, max_edge_px, downsample);
     uint32_t edge = cam.width_px > cam.height_px ? cam.width_px : cam.height_px;
     if (!rc)
         rc = eval_row(v, what, edge, &score, e);
     if (!rc)
         rc = eval_halves(v, what, edge, feed, half, src.bytes, e);
-    feed_close(&feed);
+    photo_loader_close(&feed);
     return rc;
 }
 
@@ -229,7 +239,7 @@ static enum err_code eval_load_level(struct eval *v, const char *dir, unsigned l
         if (!rc)
             rc = eval_read_settings(&c, path, s, e);
         if (!rc)
-            rc = halves_take(&v->halves, *found == 0, &c, path, &v->scene, e);
+            rc = eval_half_image_take(&v->halves, *found == 0, &c, path, &v->scene, e);
         if (!rc)
             rc = eval_append(v, i, &c.g, g, e);
         (*found)++;
@@ -271,14 +281,14 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
             v->render,
             &model,
             {.aa = s.aa, .background = {grey, grey, grey}, .near_m = s.near_m, .sh_degree = -1},
-            halves_look(&v->halves)};
-        const struct half_source half = {eval_prepare_model, &m};
+            eval_half_image_look(&v->halves)};
+        const struct half_image_source half = {eval_prepare_model, &m};
         struct evaluate_source src = {
             .draw = evaluate_draw_model, .user = &m, .bytes = bytes, .render = v->render};
         uint32_t edge = v->o.max_edge_px ? (uint32_t)v->o.max_edge_px : (uint32_t)s.max_edge_px;
         rc = eval_source(v, what, edge, v->o.full_size ? 1.0 : s.downsample, src, &half, e);
     }
-    halves_clear(&v->halves);
+    eval_half_image_clear(&v->halves);
     render_model_free(&model);
     gauss_free(&g);
     *found += n;
@@ -292,7 +302,7 @@ static enum err_code eval_levels(struct eval *v, const char *scene_dir, struct e
     size_t found = 0;
     enum err_code rc = file_join(path, scene_dir, "plan.json", e);
     if (!rc && file_exists(path))
-        rc = plan_read(path, &v->scene, &v->plan, e);
+        rc = cell_plan_read(path, &v->scene, &v->plan, e);
     for (unsigned level = 1; !rc && level <= TRAIN_LEVELS_MAX; level++)
         rc = eval_level(v, dir, level, &found, e);
     if (!rc && !found)
@@ -306,7 +316,7 @@ struct eval_view {
     struct view *view;
     struct render_options ro;
     struct pick_options po;
-    struct light_view *look; /* NULL: without appearance */
+    struct appearance_view *look; /* NULL: without appearance */
 };
 
 static enum err_code eval_prepare_view(void *user, const struct camera *cam,
@@ -326,7 +336,7 @@ static enum err_code eval_draw_view(void *user, const struct camera *cam, float 
     struct view_stats stats = {0};
     struct render_options ro = w->ro;
     if (w->look) {
-        ro.appearance_frame = light_view_frame(w->look, cam);
+        ro.appearance_frame = appearance_view_frame(w->look, cam);
         ro.appearance_hidden = w->look->model->hidden;
     }
     enum err_code rc = view_render(w->view, cam, &ro, &w->po, rgb, &stats, e);
@@ -345,17 +355,17 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     w.po.distance_m[1] = v->o.distance_2_m;
     struct evaluate_source src = {
         .draw = eval_draw_view, .user = &w, .bytes = eval_bytes(v->o.tiles), .render = v->render};
-    const struct half_source half = {eval_prepare_view, &w};
+    const struct half_image_source half = {eval_prepare_view, &w};
     enum err_code rc = view_open(v->o.tiles, v->render, (size_t)v->o.cache_mib << 20, &w.view, e);
     if (!rc)
-        rc = halves_take_store(&v->halves, view_appearance(w.view), &v->scene, e);
-    w.look = rc ? NULL : halves_look(&v->halves);
+        rc = eval_half_image_take_store(&v->halves, view_appearance(w.view), &v->scene, e);
+    w.look = rc ? NULL : eval_half_image_look(&v->halves);
     if (!rc)
         rc = eval_source(v, "tiles, LOD", (uint32_t)v->o.max_edge_px, 1.0, src, &half, e);
     w.po.no_lod = true;
     if (!rc)
         rc = eval_source(v, "tiles, no LOD", (uint32_t)v->o.max_edge_px, 1.0, src, &half, e);
-    halves_clear(&v->halves);
+    eval_half_image_clear(&v->halves);
     view_close(&w.view);
     return rc;
 }
@@ -448,7 +458,7 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
     enum err_code rc = options_parse(&spec, argc, argv, &v.o, &args, &arena, e);
     if (rc || args.done)
         goto out;
-    clock_catch_signals();
+    signals_catch();
     rc = eval_open(&v, args.arg[0], e);
     if (rc)
         goto out;
@@ -463,7 +473,7 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
 out:
     json_decref(v.rows);
     residual_free(&v.residuals);
-    halves_clear(&v.halves);
+    eval_half_image_clear(&v.halves);
     lpips_close(&v.lpips);
     render_close(&v.render);
     if (v.dev_is_open)

@@ -10,11 +10,15 @@
 #include <strings.h>
 
 #include "cli/cli.h"
-#include "codec/codec.h"
+#include "codec/axes.h"
+#include "codec/glb.h"
+#include "codec/ply.h"
+#include "codec/quant.h"
+#include "codec/spz.h"
+#include "core/outdir.h"
 #include "core/pool.h"
 #include "lod/lod.h"
 #include "lod/tree.h"
-#include "train/outdir.h"
 
 enum { EXPORT_AUTO, EXPORT_PLY, EXPORT_SPZ, EXPORT_3DTILES };
 
@@ -94,7 +98,7 @@ static enum err_code export_spz(struct gauss *g, const struct quant_grid *grid, 
                                 struct err *e)
 {
     struct quant q = {0};
-    frame_enu_to_gltf(g);
+    axes_enu_to_gltf(g);
     enum err_code rc = quant_from_gauss(g, g->sh_degree, grid, &q, e);
     if (!rc)
         rc = spz_encode(&q, 3, out, e);
@@ -146,7 +150,7 @@ static enum err_code export_glb(struct store *s, const struct store_tile *t,
     if (!rc)
         rc = bake_read(s, t->key, look, &g, e);
     if (!rc) {
-        frame_enu_to_gltf(&g);
+        axes_enu_to_gltf(&g);
         rc = quant_from_gauss(&g, m->sh_degree, grid, &q, e);
     }
     if (!rc)
@@ -190,7 +194,7 @@ static enum err_code export_3dtiles(struct store *s, const struct export_options
     for (size_t i = 0; !rc && i < n; i++) {
         rc = export_glb(s, &t[i], grid, d.part, look, e);
         progress_step(&p, i + 1, NULL);
-        if (!rc && clock_stopping())
+        if (!rc && signals_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped");
     }
     progress_end(&p, NULL);
@@ -223,7 +227,7 @@ enum err_code cli_export(int argc, char **argv, struct err *e)
     enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
     if (rc || args.done)
         goto out;
-    clock_catch_signals();
+    signals_catch();
     if (!o.output)
         rc = err_set(e, ERR_ARG, "-o is missing: where to write");
     if (!rc)

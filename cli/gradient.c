@@ -15,7 +15,9 @@
 #include <unistd.h>
 
 #include "cli/cli.h"
-#include "codec/codec.h"
+#include "codec/limits.h"
+#include "codec/npy.h"
+#include "codec/ply.h"
 #include "core/camera.h"
 #include "core/dev.h"
 #include "render/render.h"

@@ -9,6 +9,9 @@
 
 #include "cli/cli.h"
 #include "cli/splats.h"
+#include "codec/axes.h"
+#include "codec/limits.h"
+#include "codec/ply.h"
 
 enum { IMPORT_AXES_AUTO, IMPORT_AXES_ENU, IMPORT_AXES_YUP, IMPORT_AXES_YDOWN };
 
@@ -47,9 +50,9 @@ static void import_turn(const struct splats *s, int axes, struct gauss *g)
     if (axes == IMPORT_AXES_AUTO)
         axes = gltf ? IMPORT_AXES_YUP : IMPORT_AXES_ENU;
     if (axes == IMPORT_AXES_YUP)
-        frame_gltf_to_enu(g);
+        axes_gltf_to_enu(g);
     if (axes == IMPORT_AXES_YDOWN)
-        frame_enu_to_gltf(g);
+        axes_enu_to_gltf(g);
 }
 
 static void import_scale(struct gauss *g, double scale)
@@ -121,7 +124,7 @@ enum err_code cli_import(int argc, char **argv, struct err *e)
     if (!rc && !args.done && !o.output)
         rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
     if (!rc && !args.done) {
-        clock_catch_signals();
+        signals_catch();
         rc = import_run(args.arg[0], &o, e);
     }
     arena_free(&arena);

@@ -11,6 +11,7 @@
 
 #include "cli/cli.h"
 #include "cli/splats.h"
+#include "codec/scene.h"
 #include "lod/tree.h"
 
 struct info_options {

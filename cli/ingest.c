@@ -2,7 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "train/ingest.h"
+#include "ingest/ingest.h"
 #include "cli/cli.h"
 
 enum err_code cli_ingest(int argc, char **argv, struct err *e)
@@ -12,7 +12,7 @@ enum err_code cli_ingest(int argc, char **argv, struct err *e)
     struct options_args args;
     enum err_code rc = options_parse(ingest_options(), argc, argv, &cfg, &args, &a, e);
     if (rc == ERR_OK && !args.done) {
-        clock_catch_signals();
+        signals_catch();
         rc = ingest_run(args.arg[0], args.arg[1], &cfg, e);
     }
     arena_free(&a);

@@ -43,7 +43,7 @@ enum err_code cli_merge(int argc, char **argv, struct err *e)
     if (!rc && !args.done && !o.output)
         rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
     if (!rc && !args.done) {
-        clock_catch_signals();
+        signals_catch();
         rc = merge_build(args.arg[0], args.arg[1], o.name, o.output, &r, e);
         if (!rc)
             printf("%s: %zu tiles made, %zu taken over, revision %s\n", o.output, r.n_written,

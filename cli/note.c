@@ -16,7 +16,7 @@
 
 #include "cli/cli.h"
 #include "cli/runs.h"
-#include "train/train.h"
+#include "train/config.h"
 
 struct note_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;

@@ -4,8 +4,10 @@
  */
 #include <stdio.h>
 
+#include "cells/cell_plan.h"
+#include "cells/partition.h"
 #include "cli/cli.h"
-#include "train/partition.h"
+#include "codec/scene.h"
 
 struct plan_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -74,11 +76,11 @@ enum err_code cli_plan(int argc, char **argv, struct err *e)
     if (!rc)
         rc = file_join(path, args.arg[0], "plan.json", e);
     if (!rc)
-        rc = plan_write(path, &scene, &p, e);
+        rc = cell_plan_write(path, &scene, &p, e);
     if (!rc)
         rc = file_join(path, args.arg[0], "plan.svg", e);
     if (!rc)
-        rc = plan_svg(path, &scene, &p, e);
+        rc = cell_plan_svg(path, &scene, &p, e);
     if (!rc)
         plan_print(&scene, &p);
 out:

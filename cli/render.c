@@ -13,6 +13,8 @@
 
 #include "cli/cli.h"
 #include "cli/splats.h"
+#include "codec/image.h"
+#include "codec/npy.h"
 
 struct render_cli_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;

@@ -58,14 +58,14 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
         goto out;
     /* Threads inherit the mask, so SIGHUP waits for sigtimedwait below. */
     pthread_sigmask(SIG_BLOCK, &hup, NULL);
-    clock_catch_signals();
+    signals_catch();
     rc = server_start(&cfg, args.arg, args.n, &sv, e);
     if (rc != ERR_OK)
         goto out;
     printf("citysplat serves %zu dataset%s: open %s\n", args.n, args.n == 1 ? "" : "s",
            server_url(sv));
     fflush(stdout);
-    while (!clock_stopping()) {
+    while (!signals_stopping()) {
         const struct timespec wait = {.tv_nsec = 100000000};
         if (sigtimedwait(&hup, NULL, &wait) == SIGHUP)
             reload(sv);

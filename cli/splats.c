@@ -16,6 +16,15 @@
 
 #include <jansson.h>
 
+#include "codec/ckpt.h"
+#include "codec/draco.h"
+#include "codec/glb.h"
+#include "codec/limits.h"
+#include "codec/ply.h"
+#include "codec/quant.h"
+#include "codec/splat.h"
+#include "codec/spz.h"
+
 enum { SPLATS_HEAD = 128 };
 
 const char *splats_kind_name(enum splats_kind k)

@@ -5,8 +5,10 @@
 #ifndef CLI_SPLATS_H
 #define CLI_SPLATS_H
 
-#include "codec/codec.h"
+#include "codec/ply.h"
 #include "lod/lod.h"
+
+struct codec_limits;
 
 enum splats_kind {
     SPLATS_UNKNOWN,

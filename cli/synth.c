@@ -5,7 +5,7 @@
 #include <stdio.h>
 
 #include "cli/cli.h"
-#include "train/synth.h"
+#include "synth/synth.h"
 
 enum err_code cli_synth(int argc, char **argv, struct err *e)
 {
@@ -15,7 +15,7 @@ enum err_code cli_synth(int argc, char **argv, struct err *e)
     enum err_code rc = options_parse(synth_options(), argc, argv, &cfg, &args, &a, e);
     if (rc != ERR_OK || args.done)
         goto out;
-    clock_catch_signals();
+    signals_catch();
     double start = clock_s();
     rc = synth_run(&cfg, e);
     if (rc == ERR_OK)

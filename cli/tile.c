@@ -13,10 +13,13 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "cells/camera_hull.h"
+#include "cells/cell_plan.h"
+#include "cells/partition.h"
 #include "cli/cli.h"
-#include "cli/ground.h"
 #include "cli/splats.h"
-#include "train/partition.h"
+#include "codec/ckpt.h"
+#include "codec/scene.h"
 
 enum { TILE_LEVELS_MAX = 7, TILE_PART_ROWS = 131072 };
 
@@ -56,9 +59,9 @@ struct tile_scene {
     const char *dir, *trained; /* scene.json and plan.json; cells/ */
     struct tile_cell *cells;   /* sorted by id */
     size_t n_cells;
-    struct ground ground;  /* of the photographs */
-    double crop_margin_m;  /* negative: nothing is left out */
-    struct partition plan; /* only cells with checkpoints; n_cells 0 = no plan */
+    struct camera_hull ground; /* of the photographs */
+    double crop_margin_m;      /* negative: nothing is left out */
+    struct partition plan;     /* only cells with checkpoints; n_cells 0 = no plan */
     uint8_t n_levels;
     struct buf look; /* appearance model of all checkpoints, as they hold it; empty: none */
     bool look_known;
@@ -207,7 +210,7 @@ static enum err_code tile_match_plan(struct tile_scene *s, const struct scene *s
                        "%s: %zu cells are trained and plan.json is missing, so nothing says which "
                        "owns which ground",
                        s->dir, s->n_cells);
-    rc = plan_read(path, scene, &s->plan, e);
+    rc = cell_plan_read(path, scene, &s->plan, e);
     if (rc)
         return rc;
     bool *keep = mem_array(s->plan.n_cells, sizeof *keep);
@@ -237,7 +240,8 @@ static void tile_own(const struct tile_scene *s, const struct tile_cell *c, stru
                y = (double)g->mean_m[3 * i + 1] + g->origin_enu_m[1];
         if (s->plan.n_cells && partition_owner(&s->plan, x, y) != c->owner)
             continue;
-        if (s->crop_margin_m >= 0.0 && !(ground_distance(&s->ground, x, y) <= s->crop_margin_m))
+        if (s->crop_margin_m >= 0.0 &&
+            !(camera_hull_distance(&s->ground, x, y) <= s->crop_margin_m))
             continue;
         if (n != i)
             gauss_copy_row(g, n, g, i);
@@ -478,7 +482,7 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
     enum err_code rc = scene_read(dir, &scene, e);
     s.crop_margin_m = o->crop_margin_m;
     if (!rc && s.crop_margin_m >= 0.0)
-        rc = ground_of(&scene, &s.ground, e);
+        rc = camera_hull_of(&scene, &s.ground, e);
     if (!rc)
         rc = tile_find_cells(&s, e);
     if (!rc)
@@ -520,7 +524,7 @@ out:
     buf_free(&look);
     buf_free(&s.look);
     partition_free(&s.plan);
-    ground_free(&s.ground);
+    camera_hull_free(&s.ground);
     mem_free(s.cells);
     scene_free(&scene);
     return rc;
@@ -537,7 +541,7 @@ enum err_code cli_tile(int argc, char **argv, struct err *e)
     if (!rc && !args.done && !o.output && !o.update)
         rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
     if (!rc && !args.done) {
-        clock_catch_signals();
+        signals_catch();
         rc = tile_run(args.arg[0], &o, e);
     }
     arena_free(&arena);

@@ -7,7 +7,10 @@
 #include <string.h>
 
 #include "cli/cli.h"
+#include "train/config.h"
 #include "train/jobs.h"
+#include "train/timing.h"
+#include "train/train.h"
 
 static void train_print_cell(const struct train_cell_result *c)
 {
@@ -26,17 +29,17 @@ static void train_print_cell(const struct train_cell_result *c)
 
 static void train_print(const struct train_result *r)
 {
-    struct spent_times spent = {0};
+    struct timing_seconds spent = {0};
     char text[512];
     printf("%-10s %-8s %12s %10s %8s\n", "cell", "level", "Gaussians", "PSNR dB", "SSIM");
     for (size_t i = 0; i < r->n_cells; i++)
         train_print_cell(&r->cells[i]);
     for (size_t i = 0; i < r->n_cells; i++)
         if (!r->cells[i].was_done)
-            spent_add(&spent, &r->cells[i].spent);
+            timing_add(&spent, &r->cells[i].spent);
     printf("%.1f s, %.0f MiB at most\n", r->seconds, (double)r->peak_bytes / 1048576.0);
-    if (spent_total(&spent) > 0.0) {
-        spent_text(&spent, text, sizeof(text));
+    if (timing_total(&spent) > 0.0) {
+        timing_text(&spent, text, sizeof(text));
         printf("time: %s\n", text);
     }
 }
@@ -79,7 +82,7 @@ static enum err_code train_all(const char *scene_dir, const struct train_config 
                                struct train_result *out, struct err *e)
 {
     struct jobs_list list;
-    clock_catch_signals();
+    signals_catch();
     if (cfg->jobs == 1)
         return train_run(scene_dir, cfg, out, e);
     enum err_code rc = jobs_list(scene_dir, cfg, &list, e);

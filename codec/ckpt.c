@@ -22,7 +22,7 @@
 
 #include <jansson.h>
 
-#include "codec/codec.h"
+#include "codec/ckpt.h"
 
 #if __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
 #error "arrays are written as they lie in memory: a big-endian machine needs swapping here"

@@ -13,6 +13,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "codec/colmap.h"
 #include "codec/colmap_parse.h"
 
 enum { EDGE_MAX_PX = 1 << 20, PART_COUNT = 3 };

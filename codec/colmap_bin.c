@@ -14,6 +14,7 @@
  */
 #include <string.h>
 
+#include "codec/colmap.h"
 #include "codec/colmap_parse.h"
 
 enum {

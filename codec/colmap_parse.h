@@ -8,7 +8,14 @@
 #ifndef CODEC_COLMAP_PARSE_H
 #define CODEC_COLMAP_PARSE_H
 
-#include "codec/codec.h"
+#include "core/err.h"
+
+struct buf;
+struct colmap_camera;
+struct colmap_image;
+struct colmap_model;
+struct colmap_point;
+struct err;
 
 /* Each fills its part of m from the bytes of one file; name is for messages ("images.bin"). */
 enum err_code colmap_bin_cameras(const struct buf *file, struct colmap_model *m,

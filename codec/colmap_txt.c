@@ -14,6 +14,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "codec/colmap.h"
 #include "codec/colmap_parse.h"
 
 struct lines { /* hands out the lines of a buffer, NUL-terminated, without blanks around them */
@@ -36,7 +37,7 @@ static char *line_next(struct lines *l)
 }
 
 /* The next line with a record in it. */
-static char *record_next(struct lines *l)
+static char *metrics_log_next(struct lines *l)
 {
     char *s;
     do
@@ -190,7 +191,7 @@ enum err_code colmap_txt_cameras(struct buf *file, struct colmap_model *m, struc
     struct lines l;
     struct list cameras = {.size = sizeof *m->cameras};
     enum err_code rc = lines_open(file, name, &l, e);
-    for (char *s; rc == ERR_OK && (s = record_next(&l));) {
+    for (char *s; rc == ERR_OK && (s = metrics_log_next(&l));) {
         struct colmap_camera *cam = list_add(&cameras);
         struct err inner = {0};
         if (!cam)
@@ -249,7 +250,7 @@ enum err_code colmap_txt_images(struct buf *file, struct colmap_model *m, struct
     struct lines l;
     struct list images = {.size = sizeof *m->images};
     enum err_code rc = lines_open(file, name, &l, e);
-    for (char *s; rc == ERR_OK && (s = record_next(&l));) {
+    for (char *s; rc == ERR_OK && (s = metrics_log_next(&l));) {
         struct colmap_image *im = list_add(&images);
         struct err inner = {0};
         if (!im) {
@@ -311,7 +312,7 @@ enum err_code colmap_txt_points(struct buf *file, struct colmap_model *m, struct
     struct lines l;
     struct list points = {.size = sizeof *m->points}, tracks = {.size = sizeof *m->tracks};
     enum err_code rc = lines_open(file, name, &l, e);
-    for (char *s; rc == ERR_OK && (s = record_next(&l));) {
+    for (char *s; rc == ERR_OK && (s = metrics_log_next(&l));) {
         struct colmap_point *p = list_add(&points);
         struct err inner = {0};
         if (!p)

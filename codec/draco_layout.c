@@ -12,7 +12,9 @@
 #include <string.h>
 #include <zlib.h>
 
-#include "codec/codec.h"
+#include "codec/limits.h"
+#include "core/base.h"
+#include "core/gauss.h"
 
 enum {
     FLAG_METADATA = 0x8000,

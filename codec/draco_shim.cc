@@ -10,7 +10,10 @@
 // The layout is draco_layout.c's.
 //
 // SPDX-License-Identifier: Apache-2.0
+#include "codec/draco.h"
 #include "codec/draco_layout.h"
+#include "codec/limits.h"
+#include "codec/quant.h"
 
 #include <draco/compression/decode.h>
 #include <draco/compression/expert_encode.h>
@@ -22,8 +25,6 @@
 #include <memory>
 #include <new>
 #include <string>
-
-#include "codec/codec.h"
 
 static constexpr int32_t POSITION_OFFSET = 1 << 23;
 static constexpr uint32_t MAGNITUDE_MAX = 511, GREEN_OFFSET = 128;

@@ -9,7 +9,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/codec.h"
+#include "codec/exif.h"
+#include "codec/image.h"
 
 #include <math.h>
 #include <stdio.h>

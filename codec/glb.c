@@ -12,7 +12,10 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/codec.h"
+#include "codec/glb.h"
+#include "codec/limits.h"
+#include "codec/quant.h"
+#include "codec/spz.h"
 
 #include <jansson.h>
 #include <math.h>

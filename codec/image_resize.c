@@ -7,7 +7,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/codec.h"
+#include "codec/image.h"
 
 #include <math.h>
 #include <string.h>

@@ -5,7 +5,9 @@
 // work on many images at once, and results must not depend on a thread count.
 //
 // SPDX-License-Identifier: Apache-2.0
-#include "codec/codec.h"
+#include "codec/exif.h"
+#include "codec/image.h"
+#include "codec/limits.h"
 
 #include <OpenImageIO/filesystem.h>
 #include <OpenImageIO/imageio.h>

@@ -4,7 +4,8 @@
  *
  * Source: numpy.lib.format. SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/codec.h"
+#include "codec/npy.h"
+#include "core/base.h"
 
 #include <stdlib.h>
 #include <string.h>

@@ -13,13 +13,13 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/codec.h"
+#include "codec/payload.h"
+#include "codec/limits.h"
+#include "core/simd.h"
 
 #include <math.h>
 #include <string.h>
 #include <zstd.h>
-
-#include "core/simd.h"
 
 enum {
     VERSION = 1,
@@ -77,7 +77,7 @@ SIMD_INLINE float float_of(uint32_t u)
 
 /* IEEE binary16, round to nearest even; finite values beyond its range become the largest. No
  * branches, so that a compiler makes vectors of it. */
-SIMD_INLINE uint32_t half_from_float(float v)
+SIMD_INLINE uint32_t float16_from_float(float v)
 {
     uint32_t u = bits_of(v), sign = u >> 16 & 0x8000, a = u & 0x7fffffff;
     a = a < 0x477fe000 ? a : 0x477fe000; /* 65504 */
@@ -87,7 +87,7 @@ SIMD_INLINE uint32_t half_from_float(float v)
     return sign | (a < 0x38800000 ? tiny : normal);
 }
 
-SIMD_INLINE float half_to_float(uint32_t h)
+SIMD_INLINE float float16_to_float(uint32_t h)
 {
     /* A product moves the exponent's bias, which makes subnormals right as well. Infinities are
      * never written; damaged bytes that hold one read as 65536 or more. */
@@ -118,7 +118,7 @@ SIMD_INLINE bool plane_write_of(const struct plane *p, size_t n, uint8_t *out,
             }
             value[0] = before[c];
             for (size_t i = 0; i < rows; i++)
-                value[i + 1] = value_bytes == 4 ? bits_of(v[i]) : half_from_float(v[i]);
+                value[i + 1] = value_bytes == 4 ? bits_of(v[i]) : float16_from_float(v[i]);
             for (size_t b = 0; b < value_bytes; b++, bytes += n)
                 for (size_t i = 0; i < rows; i++)
                     bytes[i] = (uint8_t)((value[i + 1] >> 8 * b) - (value[i] >> 8 * b));
@@ -187,7 +187,7 @@ SIMD_INLINE void plane_read_of(const struct plane *p, size_t n, const uint8_t *i
                                     (uint32_t)byte[2][i] << 16 | (uint32_t)byte[3][i] << 24);
             else
                 for (size_t i = 0; i < rows; i++)
-                    v[i] = half_to_float(byte[0][i] | (uint32_t)byte[1][i] << 8);
+                    v[i] = float16_to_float(byte[0][i] | (uint32_t)byte[1][i] << 8);
             for (size_t i = 0; i < rows; i++)
                 out[i * width] = v[i];
         }
@@ -209,16 +209,16 @@ static void plane_read(const struct plane *p, size_t n, const uint8_t *in)
     (p->value_bytes == 4 ? plane_read4 : plane_read2)(p, n, in);
 }
 
-SIMD_WIDE void payload_to_halves(const float *in, size_t n, uint16_t *out)
+SIMD_WIDE void payload_to_float16(const float *in, size_t n, uint16_t *out)
 {
     for (size_t i = 0; i < n; i++)
-        out[i] = (uint16_t)half_from_float(in[i]);
+        out[i] = (uint16_t)float16_from_float(in[i]);
 }
 
-SIMD_WIDE void payload_from_halves(const uint16_t *in, size_t n, float *out)
+SIMD_WIDE void payload_from_float16(const uint16_t *in, size_t n, float *out)
 {
     for (size_t i = 0; i < n; i++)
-        out[i] = half_to_float(in[i]);
+        out[i] = float16_to_float(in[i]);
 }
 
 /* Of unit length, because half floats would lose those far from it. Those that are half floats
@@ -239,7 +239,7 @@ void payload_unit_quat(const float r[4], float out[4])
 /* mem_free it. */
 static float *unit_quats(const struct gauss *g)
 {
-    float *q = mem_room(4 * g->n, sizeof *q);
+    float *q = mem_uninit(4 * g->n, sizeof *q);
     for (size_t i = 0; q && i < g->n; i++)
         payload_unit_quat(g->quat_wxyz + 4 * i, q + 4 * i);
     return q;
@@ -393,7 +393,7 @@ enum err_code payload_decode(const void *bytes, size_t n, const struct codec_lim
                          ZSTD_isError(got) ? ZSTD_getErrorName(got) : "too short");
     }
     if (rc == ERR_OK)
-        rc = gauss_room(out, head.n, head.sh_degree, head.embed_len, e);
+        rc = gauss_uninit(out, head.n, head.sh_degree, head.embed_len, e);
     if (rc == ERR_OK) {
         out->n = head.n;
         out->antialiased = head.antialiased;

@@ -11,6 +11,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/ply.h"
+#include "codec/limits.h"
 #include "codec/ply_head.h"
 
 #include <float.h>

@@ -11,6 +11,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/limits.h"
 #include "codec/ply_head.h"
 
 #include <math.h>

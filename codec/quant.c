@@ -13,7 +13,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/codec.h"
+#include "codec/quant.h"
+#include "core/base.h"
 
 #include <math.h>
 #include <stdio.h>

@@ -18,7 +18,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "codec/codec.h"
+#include "codec/scene.h"
 
 enum { SCENE_VERSION = 1, POINTS_HEAD = 24, POINT_SIZE = 36, TRACK_SIZE = 16, POINTS_TAIL = 16 };
 static const char points_magic[4] = {'C', 'S', 'P', 'T'};

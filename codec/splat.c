@@ -8,7 +8,9 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/codec.h"
+#include "codec/splat.h"
+#include "codec/limits.h"
+#include "core/base.h"
 
 #include <math.h>
 

@@ -12,7 +12,9 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/codec.h"
+#include "codec/spz.h"
+#include "codec/limits.h"
+#include "codec/quant.h"
 
 #include <libdeflate.h>
 #include <math.h>

@@ -25,7 +25,7 @@ struct json_t;
  */
 void *mem_array(size_t n, size_t size);
 /* The same with anything in it: for large blocks that are written at once. */
-void *mem_room(size_t n, size_t size);
+void *mem_uninit(size_t n, size_t size);
 /* Grow or shrink: contents kept up to the smaller size, new bytes zeroed. The old block stays valid
  * on failure (NULL). */
 void *mem_resize(void *p, size_t n_old, size_t n_new, size_t size);
@@ -156,10 +156,15 @@ void progress_quiet(bool quiet); /* -q: no bars at all; before threads start */
 
 /* ---- clock.c: clock and stop flag ---- */
 
-double clock_s(void);           /* monotonic seconds */
-double clock_cpu_s(void);       /* CPU seconds of the whole process, all threads */
-void clock_catch_signals(void); /* SIGINT and SIGTERM set the stop flag; a second one kills */
-bool clock_stopping(void);
+double clock_s(void);     /* monotonic seconds */
+double clock_cpu_s(void); /* CPU seconds of the whole process, all threads */
+
+/* ---- signals.c: the stop flag ---- */
+
+/* SIGINT and SIGTERM set the flag; a second one kills. Before threads start. */
+void signals_catch(void);
+/* Was it set? Any thread. */
+bool signals_stopping(void);
 
 /* ---- rng.c: counter-based, so that the order of threads cannot matter ---- */
 

@@ -9,7 +9,7 @@
 
 #include "core/base.h"
 
-static bool buf_room(struct buf *b, size_t n)
+static bool buf_reserve_for(struct buf *b, size_t n)
 {
     if (b->failed)
         return false;
@@ -24,7 +24,7 @@ static bool buf_room(struct buf *b, size_t n)
         cap *= 2;
     if (cap < b->size + n)
         cap = b->size + n;
-    uint8_t *p = mem_room(cap, 1);
+    uint8_t *p = mem_uninit(cap, 1);
     if (!p) {
         b->failed = true;
         return false;
@@ -39,7 +39,7 @@ static bool buf_room(struct buf *b, size_t n)
 
 uint8_t *buf_grow(struct buf *b, size_t n)
 {
-    if (!buf_room(b, n))
+    if (!buf_reserve_for(b, n))
         return NULL;
     uint8_t *p = b->data + b->size;
     b->size += n;
@@ -104,7 +104,7 @@ void buf_printf(struct buf *b, const char *fmt, ...)
     va_end(ap);
     if (n < 0)
         b->failed = true;
-    else if (buf_room(b, (size_t)n + 1)) {
+    else if (buf_reserve_for(b, (size_t)n + 1)) {
         vsnprintf((char *)b->data + b->size, (size_t)n + 1, fmt, again);
         b->size += (size_t)n;
     }

@@ -70,10 +70,10 @@ enum err_code gauss_alloc(struct gauss *g, size_t cap, uint32_t sh_degree, uint3
     return gauss_make(g, cap, sh_degree, embed_len, mem_array, e);
 }
 
-enum err_code gauss_room(struct gauss *g, size_t cap, uint32_t sh_degree, uint32_t embed_len,
-                         struct err *e)
+enum err_code gauss_uninit(struct gauss *g, size_t cap, uint32_t sh_degree, uint32_t embed_len,
+                           struct err *e)
 {
-    return gauss_make(g, cap, sh_degree, embed_len, mem_room, e);
+    return gauss_make(g, cap, sh_degree, embed_len, mem_uninit, e);
 }
 
 void gauss_free(struct gauss *g)

@@ -43,8 +43,8 @@ static inline size_t gauss_sh_count(uint32_t sh_degree)
 enum err_code gauss_alloc(struct gauss *g, size_t cap, uint32_t sh_degree, uint32_t embed_len,
                           struct err *e) ERR_USE;
 /* The same for rows that are all written at once: there is anything in them before. */
-enum err_code gauss_room(struct gauss *g, size_t cap, uint32_t sh_degree, uint32_t embed_len,
-                         struct err *e) ERR_USE;
+enum err_code gauss_uninit(struct gauss *g, size_t cap, uint32_t sh_degree, uint32_t embed_len,
+                           struct err *e) ERR_USE;
 /* cap >= want afterwards (grows by at least half); contents kept. */
 enum err_code gauss_reserve(struct gauss *g, size_t want, struct err *e) ERR_USE;
 void gauss_free(struct gauss *g); /* idempotent, leaves {0} */

@@ -44,7 +44,7 @@ static size_t mem_round(size_t n, size_t size)
     return bytes ? (bytes + MEM_ALIGN - 1) / MEM_ALIGN * MEM_ALIGN : MEM_ALIGN;
 }
 
-void *mem_room(size_t n, size_t size)
+void *mem_uninit(size_t n, size_t size)
 {
     size_t bytes = mem_round(n, size);
     void *p = NULL;
@@ -56,7 +56,7 @@ void *mem_room(size_t n, size_t size)
 
 void *mem_array(size_t n, size_t size)
 {
-    void *p = mem_room(n, size);
+    void *p = mem_uninit(n, size);
     return p ? memset(p, 0, mem_round(n, size)) : NULL;
 }
 

@@ -213,7 +213,7 @@ static enum err_code edit_copy_tiles(const struct edit *d, struct store *from,
     for (size_t i = 0; !rc && i < n; i++) {
         if (edit_find(d, t[i].key) || (before && store_find(before, t[i].key)))
             continue;
-        rc = clock_stopping() ? err_set(e, ERR_CANCEL, "stopped") : edit_copy(from, to, &t[i], e);
+        rc = signals_stopping() ? err_set(e, ERR_CANCEL, "stopped") : edit_copy(from, to, &t[i], e);
         *n_copied += 1;
     }
     return rc;

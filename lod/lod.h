@@ -11,13 +11,14 @@
 #ifndef LOD_LOD_H
 #define LOD_LOD_H
 
-#include "codec/codec.h"
 #include "core/appearance.h"
 #include "core/base.h"
 #include "core/camera.h"
 #include "core/gauss.h"
 #include "core/geo.h"
 #include "render/render.h"
+
+struct ckpt_blob;
 
 /* ---- key.c ---- */
 

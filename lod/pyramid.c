@@ -17,6 +17,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "codec/ckpt.h"
 #include "core/pool.h"
 #include "core/simd.h"
 #include "lod/tilewriter.h"
@@ -117,7 +118,7 @@ static enum err_code pyramid_read_part(void *user, size_t i, struct err *e)
     const struct pyramid_level *l = &p->levels[at];
     struct gauss own = {0}, g;
     enum err_code rc = ERR_OK;
-    if (clock_stopping())
+    if (signals_stopping())
         return err_set(e, ERR_CANCEL, "stopped");
     if (l->g) {
         size_t from = part * PYRAMID_PART_ROWS, left = l->g->n - from;
@@ -224,9 +225,9 @@ static enum err_code pyramid_gather(struct pyramid *p, const struct pyramid_runs
         out->n += to - from;
         bytes += (to - from) * spill_row_bytes(&p->spill, &runs->run[r]);
     }
-    out->rows = mem_room(bytes, sizeof *out->rows);
-    out->row = mem_room(out->n, sizeof *out->row);
-    out->run = mem_room(out->n, sizeof *out->run);
+    out->rows = mem_uninit(bytes, sizeof *out->rows);
+    out->row = mem_uninit(out->n, sizeof *out->row);
+    out->run = mem_uninit(out->n, sizeof *out->run);
     if (!out->rows || !out->row || !out->run)
         return err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", out->n);
     enum err_code rc = ERR_OK;
@@ -311,7 +312,7 @@ static inline float pyramid_mean(const uint8_t *row, size_t k)
 static enum err_code pyramid_center(const struct pyramid *p, const struct pyramid_slices *s,
                                     double reach_m, double center[3], struct err *e)
 {
-    double *at = mem_room(s->n, sizeof *at);
+    double *at = mem_uninit(s->n, sizeof *at);
     if (!at)
         return err_set(e, ERR_MEM, "out of memory for a tile of %zu Gaussians", s->n);
     for (size_t k = 0; k < 3; k++) {
@@ -330,8 +331,8 @@ static enum err_code pyramid_arrange(const struct pyramid *p, struct pyramid_sli
                                      struct err *e)
 {
     double center[3];
-    float *mean = mem_room(s->n, 3 * sizeof *mean);
-    uint32_t *order = mem_room(s->n, sizeof *order);
+    float *mean = mem_uninit(s->n, 3 * sizeof *mean);
+    uint32_t *order = mem_uninit(s->n, sizeof *order);
     size_t n = 0;
     enum err_code rc = mean && order ? pyramid_center(p, s, reach_m, center, e)
                                      : err_set(e, ERR_MEM, "out of memory for a tile");
@@ -354,7 +355,7 @@ static enum err_code pyramid_arrange(const struct pyramid *p, struct pyramid_sli
     const struct gauss means = {.n = n, .mean_m = mean};
     rc = gauss_hilbert_order(&means, order, e);
     if (!rc)
-        rc = gauss_room(out, n, p->meta.sh_degree, p->meta.embed_len, e);
+        rc = gauss_uninit(out, n, p->meta.sh_degree, p->meta.embed_len, e);
     if (rc)
         goto out;
     memcpy(out->origin_enu_m, center, sizeof center);
@@ -569,7 +570,7 @@ static enum err_code pyramid_write_tile(void *user, size_t i, struct err *e)
     const struct pyramid_job *j = &w->job[i];
     struct gauss g = {0};
     enum err_code rc =
-        clock_stopping() ? err_set(e, ERR_CANCEL, "stopped") : pyramid_fill_tile(w, j, &g, e);
+        signals_stopping() ? err_set(e, ERR_CANCEL, "stopped") : pyramid_fill_tile(w, j, &g, e);
     if (!rc) {
         struct store_tile t = {.key = locate_decode(j->code, j->z), .level = j->level};
         rc = tilewriter_put(w->writer, i, &t, &g, e);

@@ -7,6 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "codec/payload.h"
 #include "core/pool.h"
 
 enum { RESIDENT_BATCH = 16 /* payloads in memory at once while decoding */ };

@@ -134,8 +134,8 @@ double simplify_area(const double s[3])
 
 static bool simplify_set_alloc(struct simplify_set *s, size_t n)
 {
-    float *all = mem_room(n, SIMPLIFY_FIELDS * sizeof *all);
-    s->root = mem_room(n, sizeof *s->root);
+    float *all = mem_uninit(n, SIMPLIFY_FIELDS * sizeof *all);
+    s->root = mem_uninit(n, sizeof *s->root);
     for (size_t k = 0; k < SIMPLIFY_FIELDS; k++)
         s->f[k] = all ? all + k * n : NULL;
     return all && s->root;
@@ -447,12 +447,12 @@ static enum err_code simplify_open(struct simplify *s, const struct gauss *g, st
 {
     size_t n = g->n;
     bool ok = simplify_set_alloc(&s->set, n) && simplify_set_alloc(&s->spare, n);
-    s->join = mem_room(n, sizeof *s->join);
-    s->cost = mem_room(n, sizeof *s->cost);
-    s->scratch = mem_room(n, sizeof *s->scratch);
-    s->who = mem_room(n, sizeof *s->who);
-    s->words = mem_room(n, sizeof *s->words);
-    s->words_spare = mem_room(n, sizeof *s->words);
+    s->join = mem_uninit(n, sizeof *s->join);
+    s->cost = mem_uninit(n, sizeof *s->cost);
+    s->scratch = mem_uninit(n, sizeof *s->scratch);
+    s->who = mem_uninit(n, sizeof *s->who);
+    s->words = mem_uninit(n, sizeof *s->words);
+    s->words_spare = mem_uninit(n, sizeof *s->words);
     s->partner = mem_array(n, sizeof *s->partner);
     if (!ok || !s->join || !s->cost || !s->scratch || !s->who || !s->words || !s->words_spare ||
         !s->partner)

@@ -10,6 +10,7 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "codec/payload.h"
 #include "core/simd.h"
 
 enum {
@@ -74,7 +75,7 @@ static void spill_pack(const struct spill *s, const struct gauss *g, size_t i, u
         return;
     }
     payload_unit_quat(g->quat_wxyz + 4 * i, rest + 3);
-    payload_to_halves(rest, n, half);
+    payload_to_float16(rest, n, half);
     memcpy(out + 12, half, n * sizeof *half);
 }
 
@@ -90,7 +91,7 @@ void spill_unpack(const struct spill *s, const struct spill_run *r, const void *
         memcpy(rest, p, n * sizeof *rest);
     } else {
         memcpy(half, p, n * sizeof *half);
-        payload_from_halves(half, n, rest);
+        payload_from_float16(half, n, rest);
     }
     memcpy(g->scale_log + 3 * i, rest, 3 * sizeof *rest);
     memcpy(g->quat_wxyz + 4 * i, rest + 3, 4 * sizeof *rest);
@@ -140,7 +141,7 @@ enum err_code spill_add(struct spill *s, const struct gauss *g, const struct sor
     run->embed_len = g->embed_len;
     memcpy(run->origin_enu_m, g->origin_enu_m, sizeof run->origin_enu_m);
     size_t row = spill_row_bytes(s, run);
-    uint8_t *block = mem_room(SPILL_BLOCK_ROWS, row);
+    uint8_t *block = mem_uninit(SPILL_BLOCK_ROWS, row);
     if (!block)
         return err_set(e, ERR_MEM, "out of memory for %d rows", SPILL_BLOCK_ROWS);
     pthread_mutex_lock(&s->lock);

@@ -16,6 +16,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "codec/payload.h"
 #include "lod/store_db.h"
 
 enum err_code store_db_fail(const struct store *s, int code, const char *what, struct err *e)

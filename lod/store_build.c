@@ -17,6 +17,7 @@
 #include <string.h>
 #include <time.h>
 
+#include "codec/payload.h"
 #include "core/sort.h"
 #include "lod/store_db.h"
 

@@ -26,6 +26,8 @@
 #include "lod/lod.h"
 #include "lod/tree.h"
 
+struct bake;
+
 enum {
     STORE_APPLICATION_ID = 0x43535054, /* "CSPT" */
     STORE_SCHEMA = 2,

@@ -101,7 +101,7 @@ INLINE void appearance_eval(__constant float *frame, __global const float *g, V 
 // --------------------------------------------------------------------------------------------
 
 // One group or Gaussian: what the sums are made of, all 0 where it was not seen.
-struct look_terms {
+struct render_appearance_terms {
     V unit[APPEARANCE_LEN];
     V act[APPEARANCE_HIDDEN], g_act[APPEARANCE_HIDDEN]; // a and g_s
     V g_out[4], offset;                                 // g_z and y3
@@ -109,8 +109,9 @@ struct look_terms {
 };
 
 // From dL/dy. `each` is added to that of y3.
-INLINE void look_terms(__constant float *frame, __global const float *g, const V g_y[4], float each,
-                       VI visible, struct look_terms *t)
+INLINE void render_appearance_terms(__constant float *frame, __global const float *g,
+                                    const V g_y[4], float each, VI visible,
+                                    struct render_appearance_terms *t)
 {
     V y[4], g_unit[APPEARANCE_LEN], along = (V)(0.0f);
     V len = appearance_unit(g, t->unit);
@@ -164,28 +165,29 @@ INLINE void look_terms(__constant float *frame, __global const float *g, const V
 // 16 Gaussians share a vector, except that for g_s g^T lanes run over the embedding: 16 Gaussians,
 // transposed, are added to one row of it.
 
-#define LOOK_BLOCKS ((APPEARANCE_LEN + 15) / 16)
+#define APPEARANCE_BLOCKS ((APPEARANCE_LEN + 15) / 16)
 
-struct look_sums {
-    V w1[APPEARANCE_HIDDEN][LOOK_BLOCKS]; // lanes run over the embedding
+struct render_appearance_sums {
+    V w1[APPEARANCE_HIDDEN][APPEARANCE_BLOCKS]; // lanes run over the embedding
     V act[APPEARANCE_HIDDEN], w2[4][APPEARANCE_HIDDEN], out[4], offset;
 };
 
-INLINE void look_clear(struct look_sums *s)
+INLINE void render_appearance_clear(struct render_appearance_sums *s)
 {
     for (uint h = 0; h < APPEARANCE_HIDDEN; h++) {
-        for (uint b = 0; b < LOOK_BLOCKS; b++)
+        for (uint b = 0; b < APPEARANCE_BLOCKS; b++)
             s->w1[h][b] = (V)(0.0f);
         s->act[h] = s->w2[0][h] = s->w2[1][h] = s->w2[2][h] = s->w2[3][h] = (V)(0.0f);
     }
     s->out[0] = s->out[1] = s->out[2] = s->out[3] = s->offset = (V)(0.0f);
 }
 
-INLINE void look_add(const struct look_terms *t, struct look_sums *sums)
+INLINE void render_appearance_add(const struct render_appearance_terms *t,
+                                  struct render_appearance_sums *sums)
 {
     const float *g_act = (const float *)t->g_act; // [HIDDEN][16]
 #pragma unroll
-    for (uint b = 0; b < LOOK_BLOCKS; b++) {
+    for (uint b = 0; b < APPEARANCE_BLOCKS; b++) {
         V lane[16];
 #pragma unroll
         for (uint k = 0; k < 16; k++)
@@ -218,25 +220,25 @@ INLINE void look_add(const struct look_terms *t, struct look_sums *sums)
     sums->offset += t->offset;
 }
 
-INLINE float look_lanes(V v) // always in this order
+INLINE float render_appearance_lanes(V v) // always in this order
 {
     float8 a = v.lo + v.hi;
     float4 b = a.lo + a.hi;
     return (b.x + b.y) + (b.z + b.w);
 }
 
-INLINE void look_write(const struct look_sums *s, __global float *out)
+INLINE void look_write(const struct render_appearance_sums *s, __global float *out)
 {
     for (uint h = 0; h < APPEARANCE_HIDDEN; h++) {
         const float *row = (const float *)s->w1[h];
         for (uint k = 0; k < APPEARANCE_LEN; k++)
             out[h * APPEARANCE_LEN + k] = row[k];
-        out[APPEARANCE_BIAS + h] = look_lanes(s->act[h]);
+        out[APPEARANCE_BIAS + h] = render_appearance_lanes(s->act[h]);
         for (uint o = 0; o < 4; o++)
-            out[APPEARANCE_W2 + o * APPEARANCE_HIDDEN + h] = look_lanes(s->w2[o][h]);
+            out[APPEARANCE_W2 + o * APPEARANCE_HIDDEN + h] = render_appearance_lanes(s->w2[o][h]);
     }
     for (uint o = 0; o < 4; o++)
-        out[APPEARANCE_B2 + o] = look_lanes(s->out[o]);
-    out[APPEARANCE_FLOATS] = look_lanes(s->offset);
+        out[APPEARANCE_B2 + o] = render_appearance_lanes(s->out[o]);
+    out[APPEARANCE_FLOATS] = render_appearance_lanes(s->offset);
 }
 #endif

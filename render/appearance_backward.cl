@@ -10,62 +10,62 @@
 
 #if VW == 1
 // Columns of the tile, one row a Gaussian: g^, g_s, a, g_z, y3, 1.
-#define LOOK_G_ACT APPEARANCE_LEN
-#define LOOK_ACT (LOOK_G_ACT + APPEARANCE_HIDDEN)
-#define LOOK_OUT (LOOK_ACT + APPEARANCE_HIDDEN)
-#define LOOK_OFFSET (LOOK_OUT + 4)
-#define LOOK_ONE (LOOK_OFFSET + 1)
-#define LOOK_STRIDE ((LOOK_ONE + 1) | 1) // odd: rows begin in different banks
-#define LOOK_ITEMS (LOOK_STRIDE > 128 ? 32 : 64)
-#define LOOK_SUMS ((APPEARANCE_SUMS + LOOK_ITEMS - 1) / LOOK_ITEMS)
+#define APPEARANCE_G_ACT APPEARANCE_LEN
+#define APPEARANCE_ACT (APPEARANCE_G_ACT + APPEARANCE_HIDDEN)
+#define APPEARANCE_OUT (APPEARANCE_ACT + APPEARANCE_HIDDEN)
+#define APPEARANCE_OFFSET (APPEARANCE_OUT + 4)
+#define APPEARANCE_ONE (APPEARANCE_OFFSET + 1)
+#define APPEARANCE_STRIDE ((APPEARANCE_ONE + 1) | 1) // odd: rows begin in different banks
+#define APPEARANCE_ITEMS (APPEARANCE_STRIDE > 128 ? 32 : 64)
+#define APPEARANCE_SUMS ((APPEARANCE_SUMS + APPEARANCE_ITEMS - 1) / APPEARANCE_ITEMS)
 
 // Sum `i` adds products of these two columns.
-INLINE uint2 look_columns(uint i)
+INLINE uint2 render_appearance_columns(uint i)
 {
     if (i < APPEARANCE_BIAS)
-        return (uint2)(LOOK_G_ACT + i / APPEARANCE_LEN, i % APPEARANCE_LEN);
+        return (uint2)(APPEARANCE_G_ACT + i / APPEARANCE_LEN, i % APPEARANCE_LEN);
     if (i < APPEARANCE_W2)
-        return (uint2)(LOOK_G_ACT + i - APPEARANCE_BIAS, LOOK_ONE);
+        return (uint2)(APPEARANCE_G_ACT + i - APPEARANCE_BIAS, APPEARANCE_ONE);
     if (i < APPEARANCE_B2)
-        return (uint2)(LOOK_OUT + (i - APPEARANCE_W2) / APPEARANCE_HIDDEN,
-                       LOOK_ACT + (i - APPEARANCE_W2) % APPEARANCE_HIDDEN);
+        return (uint2)(APPEARANCE_OUT + (i - APPEARANCE_W2) / APPEARANCE_HIDDEN,
+                       APPEARANCE_ACT + (i - APPEARANCE_W2) % APPEARANCE_HIDDEN);
     if (i < APPEARANCE_FLOATS)
-        return (uint2)(LOOK_OUT + i - APPEARANCE_B2, LOOK_ONE);
-    return (uint2)(LOOK_OFFSET, LOOK_ONE);
+        return (uint2)(APPEARANCE_OUT + i - APPEARANCE_B2, APPEARANCE_ONE);
+    return (uint2)(APPEARANCE_OFFSET, APPEARANCE_ONE);
 }
 
-INLINE void look_row(const struct look_terms *t, __local float *row)
+INLINE void render_appearance_row(const struct render_appearance_terms *t, __local float *row)
 {
     for (uint k = 0; k < APPEARANCE_LEN; k++)
         row[k] = t->unit[k];
     for (uint h = 0; h < APPEARANCE_HIDDEN; h++) {
-        row[LOOK_G_ACT + h] = t->g_act[h];
-        row[LOOK_ACT + h] = t->act[h];
+        row[APPEARANCE_G_ACT + h] = t->g_act[h];
+        row[APPEARANCE_ACT + h] = t->act[h];
     }
     for (uint o = 0; o < 4; o++)
-        row[LOOK_OUT + o] = t->g_out[o];
-    row[LOOK_OFFSET] = t->offset;
-    row[LOOK_ONE] = 1.0f;
+        row[APPEARANCE_OUT + o] = t->g_out[o];
+    row[APPEARANCE_OFFSET] = t->offset;
+    row[APPEARANCE_ONE] = 1.0f;
 }
 
-INLINE void look_chunk(__constant struct layout_view *v, __constant float *frame,
-                       __global float *params, __global const uint *tiles_of,
-                       __global const float *look, float each, __global float *grads,
-                       __global float *m1, __global float *m2, float8 k, float2 embed, bool step,
-                       __global float *parts, __local float *tile)
+INLINE void render_appearance_chunk(__constant struct layout_view *v, __constant float *frame,
+                                    __global float *params, __global const uint *tiles_of,
+                                    __global const float *look, float each, __global float *grads,
+                                    __global float *m1, __global float *m2, float8 k, float2 embed,
+                                    bool step, __global float *parts, __local float *tile)
 {
     size_t chunk = get_group_id(0);
     uint item = (uint)get_local_id(0), first = v->planes - APPEARANCE_LEN;
     size_t from = chunk * v->groups / LAYOUT_APPEARANCE_CHUNKS * LAYOUT_LANES,
            to = (chunk + 1) * v->groups / LAYOUT_APPEARANCE_CHUNKS * LAYOUT_LANES;
-    float sum[LOOK_SUMS];
-    for (uint s = 0; s < LOOK_SUMS; s++)
+    float sum[APPEARANCE_SUMS];
+    for (uint s = 0; s < APPEARANCE_SUMS; s++)
         sum[s] = 0.0f;
-    for (size_t base = from; base < to; base += LOOK_ITEMS) {
+    for (size_t base = from; base < to; base += APPEARANCE_ITEMS) {
         size_t i = base + item;
-        __local float *row = tile + item * LOOK_STRIDE;
+        __local float *row = tile + item * APPEARANCE_STRIDE;
         bool here = i < to, visible = here && tiles_of[i] != 0;
-        struct look_terms t;
+        struct render_appearance_terms t;
         for (uint p = 0; p < APPEARANCE_LEN; p++)
             t.embed[p] = 0.0f;
         size_t group = i / LAYOUT_LANES, lane = i % LAYOUT_LANES,
@@ -74,10 +74,11 @@ INLINE void look_chunk(__constant struct layout_view *v, __constant float *frame
             V g_y[4];
             for (uint o = 0; o < 4; o++)
                 g_y[o] = LD(look + group * 4 * LAYOUT_LANES + lane, o);
-            look_terms(frame, params + at + first * LAYOUT_LANES, g_y, each, visible, &t);
-            look_row(&t, row);
+            render_appearance_terms(frame, params + at + first * LAYOUT_LANES, g_y, each, visible,
+                                    &t);
+            render_appearance_row(&t, row);
         } else {
-            for (uint c = 0; c < LOOK_STRIDE; c++)
+            for (uint c = 0; c < APPEARANCE_STRIDE; c++)
                 row[c] = 0.0f;
         }
         if (here && step) {
@@ -88,39 +89,43 @@ INLINE void look_chunk(__constant struct layout_view *v, __constant float *frame
                 ST(grads + at, first + p, t.embed[p]);
         }
         barrier(CLK_LOCAL_MEM_FENCE);
-        for (uint s = 0; s < LOOK_SUMS; s++) {
-            uint2 c = look_columns(min(s * LOOK_ITEMS + item, APPEARANCE_SUMS - 1u));
-            for (uint r = 0; r < LOOK_ITEMS; r++)
-                sum[s] = tile[r * LOOK_STRIDE + c.x] * tile[r * LOOK_STRIDE + c.y] + sum[s];
+        for (uint s = 0; s < APPEARANCE_SUMS; s++) {
+            uint2 c =
+                render_appearance_columns(min(s * APPEARANCE_ITEMS + item, APPEARANCE_SUMS - 1u));
+            for (uint r = 0; r < APPEARANCE_ITEMS; r++)
+                sum[s] =
+                    tile[r * APPEARANCE_STRIDE + c.x] * tile[r * APPEARANCE_STRIDE + c.y] + sum[s];
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
-    for (uint s = 0; s < LOOK_SUMS; s++)
-        if (s * LOOK_ITEMS + item < APPEARANCE_SUMS)
-            parts[chunk * APPEARANCE_ROW + s * LOOK_ITEMS + item] = sum[s];
+    for (uint s = 0; s < APPEARANCE_SUMS; s++)
+        if (s * APPEARANCE_ITEMS + item < APPEARANCE_SUMS)
+            parts[chunk * APPEARANCE_ROW + s * APPEARANCE_ITEMS + item] = sum[s];
 }
 
-#define LOOK_GROUP __attribute__((reqd_work_group_size(LOOK_ITEMS, 1, 1)))
+#define APPEARANCE_GROUP __attribute__((reqd_work_group_size(APPEARANCE_ITEMS, 1, 1)))
 
-__kernel LOOK_GROUP void appearance_backward(__constant struct layout_view *v,
-                                             __constant float *frame, __global float *params,
-                                             __global const uint *tiles_of,
-                                             __global const float *look, float each,
-                                             __global float *parts, __global float *grads)
+__kernel APPEARANCE_GROUP void appearance_backward(__constant struct layout_view *v,
+                                                   __constant float *frame, __global float *params,
+                                                   __global const uint *tiles_of,
+                                                   __global const float *look, float each,
+                                                   __global float *parts, __global float *grads)
 {
-    __local float tile[LOOK_ITEMS * LOOK_STRIDE];
-    look_chunk(v, frame, params, tiles_of, look, each, grads, params, params, (float8)(0.0f),
-               (float2)(0.0f), false, parts, tile);
+    __local float tile[APPEARANCE_ITEMS * APPEARANCE_STRIDE];
+    render_appearance_chunk(v, frame, params, tiles_of, look, each, grads, params, params,
+                            (float8)(0.0f), (float2)(0.0f), false, parts, tile);
 }
 
-__kernel LOOK_GROUP void appearance_step(__constant struct layout_view *v, __constant float *frame,
-                                         __global float *params, __global const uint *tiles_of,
-                                         __global const float *look, float each,
-                                         __global float *parts, __global float *m1,
-                                         __global float *m2, float8 k, float2 embed)
+__kernel APPEARANCE_GROUP void appearance_step(__constant struct layout_view *v,
+                                               __constant float *frame, __global float *params,
+                                               __global const uint *tiles_of,
+                                               __global const float *look, float each,
+                                               __global float *parts, __global float *m1,
+                                               __global float *m2, float8 k, float2 embed)
 {
-    __local float tile[LOOK_ITEMS * LOOK_STRIDE];
-    look_chunk(v, frame, params, tiles_of, look, each, params, m1, m2, k, embed, true, parts, tile);
+    __local float tile[APPEARANCE_ITEMS * APPEARANCE_STRIDE];
+    render_appearance_chunk(v, frame, params, tiles_of, look, each, params, m1, m2, k, embed, true,
+                            parts, tile);
 }
 #endif
 

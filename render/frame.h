@@ -27,6 +27,10 @@
 #include "core/layout.h"
 #include "render/render.h"
 
+struct order_gpu;
+struct render_appearance_kernels;
+struct render_backward_state;
+
 struct frame_buffer { /* grows, never shrinks */
     cl_mem mem;
     size_t cap_bytes;
@@ -70,7 +74,7 @@ struct render {
     struct frame_buffer tile_stop;   /* uint [tiles] */
 
     struct frame_buffer slots; /* float [entries][..]: what the pairs leave for their Gaussians
-                                * in the backward pass, or in render_score_run */
+                                * in the backward pass, or in render_importance_run */
 
     /* pictures */
     struct frame_buffer color;      /* float [3][h][w] planar, background included */
@@ -78,13 +82,17 @@ struct render {
     struct frame_buffer color_grad; /* float [3][h][w] planar, dL/dcolor */
 
     /* -- appearance: look.c ------------------------------------------------------- */
-    struct render_look *look;       /* the last frame was drawn with it; NULL: plain */
-    struct render_look *looks;      /* all that were made */
-    struct frame_buffer look_frame; /* float [appearance_frame_floats]: constants of the frame */
-    struct frame_buffer effective;  /* float [groups * 16]: min(o + y3, 1), of the visible */
-    struct frame_buffer look_grad;  /* VW 1: float [groups][4][16]: dL/dy, of the visible */
-    struct frame_buffer look_parts; /* float [pieces][look_row]: sums of the frame's gradients */
-    struct frame_buffer look_sums;  /* float [look_row]: their sum; behind them that of y3 */
+    struct render_appearance_kernels *look;  /* the last frame was drawn with it; NULL: plain */
+    struct render_appearance_kernels *looks; /* all that were made */
+    struct frame_buffer
+        render_appearance_frame;   /* float [appearance_frame_floats]: constants of the frame */
+    struct frame_buffer effective; /* float [groups * 16]: min(o + y3, 1), of the visible */
+    struct frame_buffer
+        render_appearance_grad; /* VW 1: float [groups][4][16]: dL/dy, of the visible */
+    struct frame_buffer
+        render_appearance_parts; /* float [pieces][render_appearance_row]: sums of the frame's gradients */
+    struct frame_buffer
+        render_appearance_sums; /* float [render_appearance_row]: their sum; behind them that of y3 */
 
     struct order_gpu *order_gpu; /* sort and bin on GPUs: order_gpu.c; NULL on CPUs */
 
@@ -128,14 +136,16 @@ enum err_code frame_run(struct render *r, cl_kernel k, const char *name,
                         const struct frame_arg *args, size_t n_args, size_t global, size_t local,
                         struct err *e) ERR_USE;
 
-/* Appearance: look.c. look_begin sets r->look for this frame, or NULL, and uploads its
+/* Appearance: look.c. render_appearance_begin sets r->look for this frame, or NULL, and uploads its
  * constants; the others are for frames that have it. */
-enum err_code look_begin(struct render *r, const struct render_model *m,
-                         const struct render_options *o, struct err *e) ERR_USE;
-enum err_code look_project(struct render *r, const struct render_model *m, struct err *e) ERR_USE;
+enum err_code render_appearance_begin(struct render *r, const struct render_model *m,
+                                      const struct render_options *o, struct err *e) ERR_USE;
+enum err_code render_appearance_project(struct render *r, const struct render_model *m,
+                                        struct err *e) ERR_USE;
 /* A way back: which kernels to take in place of project_backward and project_step, and the
  * arguments that come after theirs. */
-struct look_call { /* stays where it is until look_finish: arguments point into it */
+struct
+    render_appearance_call { /* stays where it is until render_appearance_finish: arguments point into it */
     cl_kernel grads, step;
     struct frame_arg args[5];
     size_t n_grads, n_step; /* how many of them each takes */
@@ -143,15 +153,16 @@ struct look_call { /* stays where it is until look_finish: arguments point into 
     cl_float2 embed;
 };
 /* embed: of adam_embed in project_backward.cl. out NULL: no sums wanted, no offset_weight. */
-enum err_code look_prepare(struct render *r, const struct render_appearance_grad *out,
-                           cl_float2 embed, struct look_call *c, struct err *e) ERR_USE;
+enum err_code render_appearance_prepare(struct render *r, const struct render_appearance_grad *out,
+                                        cl_float2 embed, struct render_appearance_call *c,
+                                        struct err *e) ERR_USE;
 /* After that kernel: embeddings, where it left them to do, in grads or (adam not NULL: Adam's k) in
  * params and moments; sums into *out when it is not NULL. */
-enum err_code look_finish(struct render *r, const struct render_model *m, cl_mem grads,
-                          const struct render_adam *adam, const cl_float8 *k,
-                          const struct look_call *c, struct render_appearance_grad *out,
-                          struct err *e) ERR_USE;
-void look_close(struct render *r);
+enum err_code render_appearance_finish(struct render *r, const struct render_model *m, cl_mem grads,
+                                       const struct render_adam *adam, const cl_float8 *k,
+                                       const struct render_appearance_call *c,
+                                       struct render_appearance_grad *out, struct err *e) ERR_USE;
+void render_appearance_close(struct render *r);
 
 /* Sort and bin where vector_width is 1: order_gpu.c. They leave behind what the stages of CPUs do.
  */

@@ -19,10 +19,10 @@
 
 #define MARGIN_PX 0.01f
 #ifdef APPEARANCE_LEN
-#define LOOK_ARGS , __constant float *look, __global float *effective
+#define APPEARANCE_ARGS , __constant float *look, __global float *effective
 #define LOOK(at) , look, effective + (at)
 #else
-#define LOOK_ARGS
+#define APPEARANCE_ARGS
 #define LOOK(at)
 #endif
 
@@ -132,7 +132,7 @@ INLINE VI project_within(__constant struct layout_view *v, V mx, V my, V hx, V h
 // The group (VW 16) or lane (VW 1) whose parameters start at g and whose first index is `index`.
 INLINE void project_some(__constant struct layout_view *v, __global const float *g,
                          __global const float *filter, uint index,
-                         __global struct layout_splat *splats, VU *key, VU *tiles LOOK_ARGS)
+                         __global struct layout_splat *splats, VU *key, VU *tiles APPEARANCE_ARGS)
 {
     struct seen s;
     struct coverage c;
@@ -201,7 +201,7 @@ INLINE void project_some(__constant struct layout_view *v, __global const float 
 __kernel void project(__constant struct layout_view *view, __global const float *params,
                       __global const float *filter, __global const uint *list,
                       __global struct layout_splat *splats, __global uint *depth_key,
-                      __global uint *tiles_of LOOK_ARGS)
+                      __global uint *tiles_of APPEARANCE_ARGS)
 {
     size_t item = get_global_id(0);
 #if VW == 16

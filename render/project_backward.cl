@@ -386,26 +386,26 @@ INLINE void adam_embed(const struct adam *a, float2 embed, uint first, const V g
         ST(b.p, first + k, adam_plane(&b, first + k, embed.x, g[k], keep));
 }
 #if VW == 16
-#define LOOK_ARG , __constant float *frame, float each, __global float *parts
+#define APPEARANCE_ARG , __constant float *frame, float each, __global float *parts
 #define EMBED_ARG , float2 embed
-#define LOOK_OPEN                                                                                  \
-    struct look_terms terms;                                                                       \
-    struct look_sums look_sums;                                                                    \
-    look_clear(&look_sums);
-#define LOOK_CLOSE                                                                                 \
+#define APPEARANCE_OPEN                                                                            \
+    struct render_appearance_terms terms;                                                          \
+    struct render_appearance_sums render_appearance_sums;                                          \
+    render_appearance_clear(&render_appearance_sums);
+#define APPEARANCE_CLOSE                                                                           \
     if (get_global_id(0) * LAYOUT_PROJECT_GROUPS < v->groups)                                      \
-        look_write(&look_sums, parts + get_global_id(0) * APPEARANCE_ROW);
+        look_write(&render_appearance_sums, parts + get_global_id(0) * APPEARANCE_ROW);
 #else
-#define LOOK_ARG , __global float *look
+#define APPEARANCE_ARG , __global float *look
 #define EMBED_ARG
-#define LOOK_OPEN
-#define LOOK_CLOSE
+#define APPEARANCE_OPEN
+#define APPEARANCE_CLOSE
 #endif
 #else
-#define LOOK_ARG
+#define APPEARANCE_ARG
 #define EMBED_ARG
-#define LOOK_OPEN
-#define LOOK_CLOSE
+#define APPEARANCE_OPEN
+#define APPEARANCE_CLOSE
 #endif
 
 // ---- kernels
@@ -416,10 +416,10 @@ __kernel void project_backward(__constant struct layout_view *v, __global const 
                                __global const struct layout_splat *splats,
                                __global const uint *tiles_of, __global const uint *slot_first,
                                __global const float *slots, __global const uchar *marks,
-                               __global float *grads EFFECTIVE_ARG LOOK_ARG)
+                               __global float *grads EFFECTIVE_ARG APPEARANCE_ARG)
 {
     uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1);
-    LOOK_OPEN
+    APPEARANCE_OPEN
     for (uint group = item_groups(v, &to, &lane); group < to; group++) {
         size_t at = (size_t)group * v->planes * LAYOUT_LANES + lane;
         uint i = group * LAYOUT_LANES + lane;
@@ -449,13 +449,14 @@ __kernel void project_backward(__constant struct layout_view *v, __global const 
             ST(out, p, (V)(0.0f));
 #if defined(APPEARANCE_LEN) && VW == 16
         uint first = v->planes - APPEARANCE_LEN;
-        look_terms(frame, params + at + first * LAYOUT_LANES, d.look, each, visible, &terms);
-        look_add(&terms, &look_sums);
+        render_appearance_terms(frame, params + at + first * LAYOUT_LANES, d.look, each, visible,
+                                &terms);
+        render_appearance_add(&terms, &render_appearance_sums);
         for (uint p = 0; p < APPEARANCE_LEN; p++)
             ST(out, first + p, terms.embed[p]);
 #endif
     }
-    LOOK_CLOSE
+    APPEARANCE_CLOSE
 }
 
 __kernel void project_step(__constant struct layout_view *v, __global float *params,
@@ -467,10 +468,10 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
                            uint with_abs, uint with_opacity, __global float *stat_grad,
                            __global float *stat_absg, __global float *stat_count,
                            __global float *stat_radius, __global float *stat_opacity,
-                           __global uint *repaired EFFECTIVE_ARG LOOK_ARG EMBED_ARG)
+                           __global uint *repaired EFFECTIVE_ARG APPEARANCE_ARG EMBED_ARG)
 {
     uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1);
-    LOOK_OPEN
+    APPEARANCE_OPEN
     for (uint group = item_groups(v, &to, &lane); group < to; group++) {
         size_t at = (size_t)group * v->planes * LAYOUT_LANES + lane;
         uint i = group * LAYOUT_LANES + lane;
@@ -523,8 +524,9 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
 #if defined(APPEARANCE_LEN) && VW == 16
         uint plane = v->planes - APPEARANCE_LEN;
         if (ANY(visible)) {
-            look_terms(frame, a.p + plane * LAYOUT_LANES, d.look, each, visible, &terms);
-            look_add(&terms, &look_sums);
+            render_appearance_terms(frame, a.p + plane * LAYOUT_LANES, d.look, each, visible,
+                                    &terms);
+            render_appearance_add(&terms, &render_appearance_sums);
         } else {
             for (uint p = 0; p < APPEARANCE_LEN; p++)
                 terms.embed[p] = (V)(0.0f);
@@ -535,5 +537,5 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
         if (with_stats && ANY(bad))
             atomic_add(repaired, lanes_count(bad)); // whole numbers: any order gives the same sum
     }
-    LOOK_CLOSE
+    APPEARANCE_CLOSE
 }

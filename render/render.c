@@ -115,7 +115,7 @@ void render_close(struct render **rp)
         return;
     if (r->backward_free)
         r->backward_free(r);
-    look_close(r);
+    render_appearance_close(r);
     order_gpu_close(&r->order_gpu);
     struct frame_buffer *buffers[] = {
         &r->splats,     &r->depth_key, &r->tiles_of,   &r->slot_first, &r->keys[0],
@@ -247,7 +247,7 @@ static enum err_code stage_project(struct render *r, const struct render_model *
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
     cl_mem list = m->list ? m->list : m->params;
     if (r->look)
-        return look_project(r, m, e);
+        return render_appearance_project(r, m, e);
     return frame_run(r, r->k.project, "project",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(filter),
                                 FRAME_ARG(list), FRAME_ARG(r->splats.mem),
@@ -414,7 +414,7 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
     r->tiles = r->view.tiles_x * r->view.tiles_y;
     rc = frame_buffers(r, e);
     if (rc == ERR_OK)
-        rc = look_begin(r, m, o, e);
+        rc = render_appearance_begin(r, m, o, e);
     if (rc == ERR_OK)
         rc = dev_write(r->dev, r->view_mem, 0, sizeof r->view, &r->view, e);
     if (rc == ERR_OK)

@@ -187,7 +187,7 @@ struct render_adam {
     uint32_t embed_step;
     struct render_appearance_grad *appearance;
     cl_mem extra_grad; /* may be NULL: float [groups][11][16], added to the gradients of planes 0-10
-                        * of every Gaussian, seen or not (regularisers) */
+                        * of every Gaussian, seen or not (regularizers) */
     bool extra_sizes;  /* it is float [groups][3][16], for planes 3-5 alone */
 };
 /* Per-Gaussian densification statistics, accumulated by render_backward_step:
@@ -211,19 +211,21 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
                                    struct render_adam *adam, struct render_density_stats *stats,
                                    struct err *e) ERR_USE;
 
-/* ---- importance for density control: see render_score.c ---- */
+/* ---- importance for density control: see render_importance.c ---- */
 
-struct render_score; /* compiled kernels and buffers; borrows the renderer; one caller at a time */
-enum err_code render_score_open(struct render *r, struct render_score **out, struct err *e) ERR_USE;
-void render_score_close(struct render_score **s); /* before render_close */
+struct
+    render_importance; /* compiled kernels and buffers; borrows the renderer; one caller at a time */
+enum err_code render_importance_open(struct render *r, struct render_importance **out,
+                                     struct err *e) ERR_USE;
+void render_importance_close(struct render_importance **s); /* before render_close */
 /* Sums over the pixels that a Gaussian was blended into in the last frame of m. weight: float
  * [h][w] on the device, what each pixel counts. *sums: float [n][8], until the next call and
- * render_score_close: sum of weight, number of pixels, sum of alpha T, sum of distances pixel -
+ * render_importance_close: sum of weight, number of pixels, sum of alpha T, sum of distances pixel -
  * mean in px, depth in m, half-size in px, 0, 0; all 0 where invisible. */
-enum err_code render_score_run(struct render_score *s, const struct render_model *m, cl_mem weight,
-                               const float **sums, struct err *e) ERR_USE;
+enum err_code render_importance_run(struct render_importance *s, const struct render_model *m,
+                                    cl_mem weight, const float **sums, struct err *e) ERR_USE;
 /* Give back the sums and the memory they took, 32 bytes a Gaussian. */
-void render_score_forget(struct render_score *s);
+void render_importance_forget(struct render_importance *s);
 
 /* ---- the reference, double precision: see render_ref.c ---- */
 

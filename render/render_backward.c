@@ -176,9 +176,9 @@ enum err_code render_backward_appearance(struct render *r, const struct render_m
         return rc;
     const struct render_backward_state *s = r->backward;
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
-    struct look_call look = {.grads = s->grads};
+    struct render_appearance_call look = {.grads = s->grads};
     if (r->look)
-        rc = look_prepare(r, a, (cl_float2){{0, 0}}, &look, e);
+        rc = render_appearance_prepare(r, a, (cl_float2){{0, 0}}, &look, e);
     const struct frame_arg args[] = {
         FRAME_ARG(r->view_mem),   FRAME_ARG(m->params),       FRAME_ARG(filter),
         FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->slot_first.mem),
@@ -187,7 +187,8 @@ enum err_code render_backward_appearance(struct render *r, const struct render_m
     if (rc == ERR_OK)
         rc = backward_run(r, look.grads, "project_backward", args, sizeof args / sizeof *args,
                           look.args, look.n_grads, e);
-    return rc == ERR_OK && r->look ? look_finish(r, m, grads, NULL, NULL, &look, a, e) : rc;
+    return rc == ERR_OK && r->look ? render_appearance_finish(r, m, grads, NULL, NULL, &look, a, e)
+                                   : rc;
 }
 
 enum err_code render_backward(struct render *r, const struct render_model *m, cl_mem grads,
@@ -240,7 +241,7 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
     struct render_density_stats d = {none, none, none, none, none, none};
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
     enum err_code rc = ERR_OK;
-    struct look_call look = {.step = s->step};
+    struct render_appearance_call look = {.step = s->step};
     cl_float8 lr, k;
     if (stats)
         d = *stats;
@@ -249,7 +250,7 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
     if (!with_opacity)
         d.opacity = none;
     if (r->look)
-        rc = look_prepare(r, adam->appearance, adam_embed(adam), &look, e);
+        rc = render_appearance_prepare(r, adam->appearance, adam_embed(adam), &look, e);
     if (rc != ERR_OK)
         return rc;
     adam_fill(r, adam, &lr, &k);
@@ -281,8 +282,9 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
     };
     rc = backward_run(r, look.step, "project_step", args, sizeof args / sizeof *args, look.args,
                       look.n_step, e);
-    return rc == ERR_OK && r->look ? look_finish(r, m, NULL, adam, &k, &look, adam->appearance, e)
-                                   : rc;
+    return rc == ERR_OK && r->look
+               ? render_appearance_finish(r, m, NULL, adam, &k, &look, adam->appearance, e)
+               : rc;
 }
 
 enum err_code render_backward_step(struct render *r, struct render_model *m,

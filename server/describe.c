@@ -5,6 +5,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/quant.h"
 #include "server/server.h"
 
 #include <jansson.h>

@@ -5,6 +5,12 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/axes.h"
+#include "codec/draco.h"
+#include "codec/glb.h"
+#include "codec/ply.h"
+#include "codec/quant.h"
+#include "codec/spz.h"
 #include "server/server.h"
 
 #include <stdio.h>
@@ -52,7 +58,7 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
     char name[48];
     enum err_code rc = ERR_OK;
     if (format != FORMAT_PLY)
-        frame_enu_to_gltf(g);
+        axes_enu_to_gltf(g);
     if (is_quantised(format))
         rc = quant_from_gauss(g, form.sh_degree, quant_preset_grid((enum quant_preset)form.preset),
                               &q, e);

@@ -7,6 +7,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/image.h"
 #include "server/server.h"
 
 #include <stdio.h>

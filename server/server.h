@@ -20,6 +20,7 @@
 #include <pthread.h>
 #include <stdatomic.h>
 
+#include "codec/quant.h"
 #include "core/base.h"
 #include "core/options.h"
 #include "lod/lod.h"

@@ -6,6 +6,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/quant.h"
 #include "server/server.h"
 
 #include <string.h>

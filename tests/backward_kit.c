@@ -47,10 +47,10 @@ double *grad_make(size_t n, uint64_t seed)
     return g;
 }
 
-struct scene scene_make(uint64_t seed, size_t n, enum render_aa aa, uint32_t degree)
+struct view_case view_case_make(uint64_t seed, size_t n, enum render_aa aa, uint32_t degree)
 {
-    struct scene s = {.cam = scene_camera(),
-                      .o = {.aa = aa, .background = {0.2f, 0.5f, 0.9f}, .sh_degree = -1}};
+    struct view_case s = {.cam = scene_camera(),
+                          .o = {.aa = aa, .background = {0.2f, 0.5f, 0.9f}, .sh_degree = -1}};
     struct err e = {0};
     kit_ok(gauss_alloc(&s.g, n, degree, 0, &e), e);
     s.g.n = n;
@@ -70,7 +70,7 @@ struct scene scene_make(uint64_t seed, size_t n, enum render_aa aa, uint32_t deg
     return s;
 }
 
-void scene_free(struct scene *s)
+void view_case_free(struct view_case *s)
 {
     gauss_free(&s->g);
     mem_free(s->rgb_grad);
@@ -78,9 +78,9 @@ void scene_free(struct scene *s)
 
 /* Opaque splats behind one another: alpha at its maximum, and pixels that stop before the last
  * splat. */
-struct scene scene_saturated(enum render_aa aa)
+struct view_case view_case_saturated(enum render_aa aa)
 {
-    struct scene s = scene_make(7, 12, aa, 0);
+    struct view_case s = view_case_make(7, 12, aa, 0);
     for (size_t i = 0; i < s.g.n; i++) {
         s.g.opacity_logit[i] = on_grid(i % 3 ? 7.0 : 1.0);
         for (size_t a = 0; a < 3; a++) {
@@ -93,9 +93,9 @@ struct scene scene_saturated(enum render_aa aa)
 
 /* Large splats whose centres lie outside the picture on every side, beyond the clamp of the
  * Jacobian. */
-struct scene scene_outside(enum render_aa aa)
+struct view_case view_case_outside(enum render_aa aa)
 {
-    struct scene s = scene_make(8, 8, aa, 1);
+    struct view_case s = view_case_make(8, 8, aa, 1);
     for (size_t i = 0; i < s.g.n; i++) {
         static const double side[8][2] = {{-1, 0},  {1, 0}, {0, -1},   {0, 1},
                                           {-1, -1}, {1, 1}, {0.9, -1}, {0.1, 0.2}};
@@ -112,9 +112,9 @@ struct scene scene_outside(enum render_aa aa)
 }
 
 /* Needles and discs: axes from 0.4 m down to 0.1 mm. */
-struct scene scene_needles(enum render_aa aa)
+struct view_case view_case_needles(enum render_aa aa)
 {
-    struct scene s = scene_make(9, 8, aa, 0);
+    struct view_case s = view_case_make(9, 8, aa, 0);
     for (size_t i = 0; i < s.g.n; i++) {
         s.g.scale_log[3 * i] = on_grid(-1.0);
         s.g.scale_log[3 * i + 1] = on_grid(i % 2 ? -1.1 : -6.0);
@@ -138,7 +138,7 @@ static void look_decisions(const struct ref_view *v, const struct gauss *g,
                            (p->rgb_raw[2] < 1) << 2 | (p->opacity_raw + y[3] < 1) << 3));
 }
 
-double scene_objective(const struct scene *s, const double *rgb_of, uint64_t *signature)
+double view_case_objective(const struct view_case *s, const double *rgb_of, uint64_t *signature)
 {
     struct ref_view v;
     struct ref_splat *splats;
@@ -183,11 +183,11 @@ double scene_objective(const struct scene *s, const double *rgb_of, uint64_t *si
     return sum;
 }
 
-bool scene_differentiate(struct scene *s, float *p, const double *rgb_of, double *out)
+bool view_case_differentiate(struct view_case *s, float *p, const double *rgb_of, double *out)
 {
     uint64_t here, sig[4];
     const float keep = *p;
-    (void)scene_objective(s, rgb_of, &here);
+    (void)view_case_objective(s, rgb_of, &here);
     for (double h = ldexp(1, -12); h >= ldexp(1, -15); h /= 2) {
         double f[4];
         bool same = true;
@@ -195,7 +195,7 @@ bool scene_differentiate(struct scene *s, float *p, const double *rgb_of, double
             static const double at[4] = {-2, -1, 1, 2};
             *p = (float)((double)keep + at[k] * h);
             assert_true((double)*p - (double)keep == at[k] * h);
-            f[k] = scene_objective(s, rgb_of, &sig[k]);
+            f[k] = view_case_objective(s, rgb_of, &sig[k]);
             same = sig[k] == here;
         }
         *p = keep;
@@ -257,7 +257,7 @@ static bool near(double a, double b)
 }
 
 /* Clear rgb_grad where float and double could decide differently; the fraction that is left. */
-double clear_ambiguous(struct scene *s)
+double clear_ambiguous(struct view_case *s)
 {
     struct ref_view v;
     struct ref_splat *splats;
@@ -290,7 +290,7 @@ double clear_ambiguous(struct scene *s)
 }
 
 /* Forward and set dL/dcolour; the model stays for the caller. */
-void kernel_forward(struct render *r, const struct scene *s, struct render_model *m)
+void kernel_forward(struct render *r, const struct view_case *s, struct render_model *m)
 {
     struct err e = {0};
     size_t n = (size_t)s->cam.width_px * s->cam.height_px * 3;
@@ -381,7 +381,7 @@ void trainer_free(struct trainer *t)
     render_close(&t->r);
 }
 
-void trainer_step(struct trainer *t, const struct scene *s)
+void trainer_step(struct trainer *t, const struct view_case *s)
 {
     struct err e = {0};
     kernel_forward(t->r, s, &t->m);

@@ -3,6 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "render/render_ref.h"
 #include "tests/backward_kit.h"
 
 #include <math.h>
@@ -10,14 +11,12 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "render/render_ref.h"
-
 /* float against double: single gradients are sums of hundreds of products with cancellation. */
 #define KERNEL_REL 2e-3
 #define KERNEL_L2 2e-5 /* over all Gaussians: measured 4e-6 at worst */
 /* Kernel gradients of s (unfused) into out, by kernels of this vector width (0: the device's own).
  */
-static void kernel_gradients(struct render *r, const struct scene *s, uint32_t width,
+static void kernel_gradients(struct render *r, const struct view_case *s, uint32_t width,
                              struct gauss *out)
 {
     uint32_t own = dev_get()->vector_width;
@@ -41,7 +40,7 @@ static void kernel_gradients(struct render *r, const struct scene *s, uint32_t w
     render_model_free(&m);
 }
 
-static void check_kernels(struct render *r, struct scene *s, const char *what, uint32_t width)
+static void check_kernels(struct render *r, struct view_case *s, const char *what, uint32_t width)
 {
     struct grads want = grads_make(&s->g);
     struct gauss got = {0};
@@ -82,26 +81,26 @@ static void test_kernels_match_reference(void **state)
     for (uint32_t i = 0; i < 3; i++) {
         char name[64];
         for (uint32_t degree = 0; degree < 4; degree++) {
-            struct scene s = scene_make(20 + i, 15 + degree, modes[i], degree);
+            struct view_case s = view_case_make(20 + i, 15 + degree, modes[i], degree);
             snprintf(name, sizeof name, "mode %u, degree %u", i, degree);
             check_kernels(r, &s, name, 0);
-            scene_free(&s);
+            view_case_free(&s);
         }
-        struct scene s = scene_saturated(modes[i]);
+        struct view_case s = view_case_saturated(modes[i]);
         check_kernels(r, &s, "saturated", 0);
-        scene_free(&s);
-        s = scene_outside(modes[i]);
+        view_case_free(&s);
+        s = view_case_outside(modes[i]);
         check_kernels(r, &s, "outside the picture", 0);
-        scene_free(&s);
-        s = scene_needles(modes[i]);
+        view_case_free(&s);
+        s = view_case_needles(modes[i]);
         check_kernels(r, &s, "needles", 0);
-        scene_free(&s);
+        view_case_free(&s);
     }
-    struct scene s = scene_make(5, 300, RENDER_AA_2D, 3); /* many groups, long lists */
+    struct view_case s = view_case_make(5, 300, RENDER_AA_2D, 3); /* many groups, long lists */
     check_kernels(r, &s, "300 Gaussians", 0);
     s.o.sh_degree = 1;
     check_kernels(r, &s, "degree 1 of 3", 0);
-    scene_free(&s);
+    view_case_free(&s);
     render_close(&r);
 }
 
@@ -111,15 +110,15 @@ static void test_narrow_kernels_match_reference(void **state)
 {
     (void)state;
     for (int i = 0; i < 3; i++) {
-        struct scene s = i == 0   ? scene_make(60, 40, RENDER_AA_2D, 2)
-                         : i == 1 ? scene_saturated(RENDER_AA_MIP)
-                                  : scene_needles(RENDER_AA_NONE);
+        struct view_case s = i == 0   ? view_case_make(60, 40, RENDER_AA_2D, 2)
+                             : i == 1 ? view_case_saturated(RENDER_AA_MIP)
+                                      : view_case_needles(RENDER_AA_NONE);
         struct render *r;
         struct err e = {0};
         kit_ok(render_open(dev_get(), &r, &e), e);
         check_kernels(r, &s, "narrow", 1);
         render_close(&r);
-        scene_free(&s);
+        view_case_free(&s);
     }
 }
 
@@ -136,7 +135,7 @@ static void test_same_decisions(void **state)
     struct render *r;
     struct render_model m = {0};
     struct err e = {0};
-    struct scene s = scene_saturated(RENDER_AA_NONE);
+    struct view_case s = view_case_saturated(RENDER_AA_NONE);
     struct gauss g = {0};
     const size_t px = (size_t)PX_W * PX_H;
     float *rgb = mem_array(px, 3 * sizeof *rgb), *t = mem_array(px, sizeof *t),
@@ -188,7 +187,7 @@ static void test_same_decisions(void **state)
     mem_free(rgb);
     mem_free(t);
     mem_free(g1);
-    scene_free(&s);
+    view_case_free(&s);
 }
 
 /* ---- same bits, errors ---- */
@@ -197,7 +196,7 @@ static void test_same_decisions(void **state)
  * digest` prints it so that runs with other numbers of worker threads can be compared. */
 static void digest(char out[33])
 {
-    struct scene s = scene_make(41, 600, RENDER_AA_2D, 3);
+    struct view_case s = view_case_make(41, 600, RENDER_AA_2D, 3);
     s.cam = camera_resize(&s.cam, 170, 130);
     mem_free(s.rgb_grad);
     s.rgb_grad = grad_make((size_t)170 * 130 * 3, 41);
@@ -217,7 +216,7 @@ static void digest(char out[33])
     hash_text(hash_bytes(all.data, all.size), out);
     buf_free(&all);
     trainer_free(&t);
-    scene_free(&s);
+    view_case_free(&s);
 }
 
 static const char *self;
@@ -231,7 +230,7 @@ static void test_same_bits(void **state)
 static void test_errors(void **state)
 {
     (void)state;
-    struct scene s = scene_make(50, 4, RENDER_AA_NONE, 0);
+    struct view_case s = view_case_make(50, 4, RENDER_AA_NONE, 0);
     struct trainer t = trainer_make(&s.g);
     struct render_model other = t.m;
     struct err e = {0};
@@ -254,14 +253,14 @@ static void test_errors(void **state)
     kit_ok(render_backward_step(t.r, &t.m, &t.adam, NULL, &e), e);
     kit_fails(render_backward_step(t.r, &t.m, &t.adam, NULL, &e), ERR_ARG, e, "no frame");
     trainer_free(&t);
-    scene_free(&s);
+    view_case_free(&s);
 }
 
 /* Nothing to see is a picture too. */
 static void test_empty(void **state)
 {
     (void)state;
-    struct scene s = scene_make(51, 3, RENDER_AA_2D, 1);
+    struct view_case s = view_case_make(51, 3, RENDER_AA_2D, 1);
     struct gauss before = {0}, after = {0};
     for (size_t i = 0; i < s.g.n; i++)
         for (size_t a = 0; a < 3; a++)
@@ -276,7 +275,7 @@ static void test_empty(void **state)
     trainer_free(&t);
     gauss_free(&before);
     gauss_free(&after);
-    scene_free(&s);
+    view_case_free(&s);
 }
 
 int main(int argc, char **argv)

@@ -6,14 +6,13 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "render/render_ref.h"
 #include "tests/backward_kit.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include "render/render_ref.h"
 
 /* Fourth-order differences with steps of 2^-12 and less in double: truncation (h / sigma)^4 / 30
  * with sigma
@@ -23,7 +22,7 @@
 #define FD_ABS 1e-6
 
 /* Colours of the scene as it stands, by row. */
-static double *colors_of(const struct scene *s)
+static double *colors_of(const struct view_case *s)
 {
     double *rgb = mem_array(3 * s->g.n, sizeof *rgb);
     struct ref_view v;
@@ -38,7 +37,7 @@ static double *colors_of(const struct scene *s)
 }
 
 /* The analytic gradient of every parameter of the scene against differences. */
-static void check_reference(struct scene *s, const char *what)
+static void check_reference(struct view_case *s, const char *what)
 {
     struct grads want = grads_make(&s->g);
     struct err e = {0};
@@ -52,7 +51,7 @@ static void check_reference(struct scene *s, const char *what)
         char name[96];
         assert_non_null(fd);
         for (size_t i = 0; i < want.count[k]; i++, all++)
-            if (!scene_differentiate(s, &params[k][i], k == 0 ? rgb : NULL, &fd[i])) {
+            if (!view_case_differentiate(s, &params[k][i], k == 0 ? rgb : NULL, &fd[i])) {
                 fd[i] = want.part[k][i];
                 skipped++;
             }
@@ -78,16 +77,16 @@ static void test_ref_all_parameters(void **state)
                  {RENDER_AA_MIP, 2, "mip, degree 2"},
                  {RENDER_AA_2D, 3, "2d, degree 3"}};
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
-        struct scene s = scene_make(100 + i, 7, cases[i].aa, cases[i].degree);
+        struct view_case s = view_case_make(100 + i, 7, cases[i].aa, cases[i].degree);
         check_reference(&s, cases[i].name);
-        scene_free(&s);
+        view_case_free(&s);
     }
 }
 
 static void test_ref_saturated(void **state)
 {
     (void)state;
-    struct scene s = scene_saturated(RENDER_AA_2D);
+    struct view_case s = view_case_saturated(RENDER_AA_2D);
     struct err e = {0};
     double *rgb = mem_array((size_t)PX_W * PX_H, 3 * sizeof *rgb),
            *t = mem_array((size_t)PX_W * PX_H, sizeof *t);
@@ -100,13 +99,13 @@ static void test_ref_saturated(void **state)
     check_reference(&s, "saturated");
     mem_free(rgb);
     mem_free(t);
-    scene_free(&s);
+    view_case_free(&s);
 }
 
 static void test_ref_outside(void **state)
 {
     (void)state;
-    struct scene s = scene_outside(RENDER_AA_2D);
+    struct view_case s = view_case_outside(RENDER_AA_2D);
     struct ref_view v;
     struct ref_splat p;
     struct err e = {0};
@@ -121,7 +120,7 @@ static void test_ref_outside(void **state)
     }
     assert_true(clamped[0] >= 4 && clamped[1] >= 4 && inside[0] && inside[1]);
     check_reference(&s, "outside the picture");
-    scene_free(&s);
+    view_case_free(&s);
 }
 
 static void test_ref_needles(void **state)
@@ -129,9 +128,9 @@ static void test_ref_needles(void **state)
     (void)state;
     static const enum render_aa modes[] = {RENDER_AA_NONE, RENDER_AA_2D, RENDER_AA_MIP};
     for (size_t i = 0; i < 3; i++) {
-        struct scene s = scene_needles(modes[i]);
+        struct view_case s = view_case_needles(modes[i]);
         check_reference(&s, "needles");
-        scene_free(&s);
+        view_case_free(&s);
     }
 }
 
@@ -139,7 +138,7 @@ static void test_ref_needles(void **state)
 static void test_ref_untouched(void **state)
 {
     (void)state;
-    struct scene s = scene_make(12, 5, RENDER_AA_2D, 3);
+    struct view_case s = view_case_make(12, 5, RENDER_AA_2D, 3);
     struct grads g = grads_make(&s.g);
     struct err e = {0};
     s.o.sh_degree = 1;
@@ -164,7 +163,7 @@ static void test_ref_untouched(void **state)
     kit_fails(render_ref_backward(&s.g, &s.cam, &s.o, s.rgb_grad, &g.r, &e), ERR_MEM, e, NULL);
     mem_fail_at(0);
     mem_free(g.block);
-    scene_free(&s);
+    view_case_free(&s);
 }
 
 int main(void)

@@ -3,13 +3,13 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/ckpt.h"
+#include "lod/lod.h"
 #include "tests/kit.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
-
-#include "lod/lod.h"
 
 enum { W = 80, H = 60, PHOTOS = 6, LEN = 8 };
 /* Baked colours are cut at 0 alone, those of the network at 1 as well: compared below 1 only. */
@@ -257,7 +257,7 @@ static bool may_own_all(void *user, const double lo[3], const double hi[3])
 }
 
 /* Embeddings mean something to their own network only: nothing is put beside those of another. */
-static void rows_of_another_model_are_refused(void **state)
+static void permute_of_another_model_are_refused(void **state)
 {
     struct fixture *f = *state;
     struct err e = {0};
@@ -364,7 +364,7 @@ int main(void)
         cmocka_unit_test(a_picture_of_baked_gaussians_is_the_network_s),
         cmocka_unit_test(looks_are_found_by_name_and_blended),
         cmocka_unit_test(another_model_is_another_hash),
-        cmocka_unit_test(rows_of_another_model_are_refused),
+        cmocka_unit_test(permute_of_another_model_are_refused),
         cmocka_unit_test(photographs_of_both_are_there),
     };
     return cmocka_run_group_tests_name("bake", tests, setup, teardown);

@@ -422,7 +422,7 @@ static void blocks_are_appended_as_rows_are(void **state)
     kit_gauss(5, 300, 40, 3, 8, &g);
     g.origin_enu_m[1] = 33.3;
     kit_ok(gauss_alloc(&rows, 0, 3, 8, &e), e);
-    kit_ok(gauss_room(&block, 0, 3, 8, &e), e);
+    kit_ok(gauss_uninit(&block, 0, 3, 8, &e), e);
     for (uint32_t i = 0; i < g.n; i++)
         kit_ok(gauss_append(&rows, &g, &i, 1, &e), e);
     kit_ok(gauss_append(&block, &g, NULL, 100, &e), e);

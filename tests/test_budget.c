@@ -3,12 +3,15 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "cells/cell.h"
+#include "codec/scene.h"
+#include "core/options.h"
 #include "tests/kit.h"
+#include "train/budget.h"
+#include "train/config.h"
+#include "train/schedule.h"
 
 #include <stdio.h>
-
-#include "core/options.h"
-#include "train/budget.h"
 
 enum { PHOTOS = 40 };
 
@@ -135,7 +138,7 @@ static void presets_are_the_published_table(void **state)
         struct train_config c;
         struct options_args args;
         struct schedule s[TRAIN_LEVELS_MAX];
-        struct train_cell cell = {.id = "all", .whole = true, .edge_m = 100.0, .extent_m = 60.0};
+        struct cell cell = {.id = "all", .whole = true, .edge_m = 100.0, .extent_m = 60.0};
         char train[] = "train", config[] = "--config", file[64], scene[] = "scene";
         snprintf(file, sizeof(file), "%s", table[k].file);
         char *argv[] = {train, scene, config, file, NULL};

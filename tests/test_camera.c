@@ -6,6 +6,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "core/base.h"
 #include "core/camera.h"
 #include "kit.h"
 

@@ -2,14 +2,13 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/ckpt.h"
 #include "tests/kit.h"
 
 #include <stdio.h>
 #include <string.h>
 
 #include <jansson.h>
-
-#include "codec/codec.h"
 
 struct fixture {
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];

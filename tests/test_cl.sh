@@ -12,7 +12,7 @@ compile() { # options, besides those of $f, $target and $vw
         -I. $1 -fsyntax-only -Wall -Wno-unused-function -Werror "$f" || {
         echo "$f: does not compile for $target with VW=$vw and $1"; status=1; }
 }
-for f in render/*.cl train/*.cl bench/*.cl; do
+for f in render/*.cl loss/*.cl bench/*.cl; do
     [ -f "$f" ] || continue
     for target in spir64 nvptx64 amdgcn--amdhsa; do
         case $f in
@@ -25,13 +25,13 @@ for f in render/*.cl train/*.cl bench/*.cl; do
             case $f in
                 render/common.cl) ;;
                 render/*) prelude="$prelude -include render/common.cl" ;;
-                train/mip.cl | train/scale_loss.cl | train/depth.cl) prelude="$prelude -include train/lanes.cl" ;;
+                loss/mip.cl | loss/scale_loss.cl | loss/depth.cl) prelude="$prelude -include loss/lanes.cl" ;;
             esac
             case $f:$vw in # compiled after others, see their heads
                 render/blend_cpu.cl:1) continue ;; # the CPU shape alone
                 render/appearance*.cl:*) prelude="-DAPPEARANCE_LEN=16 -DAPPEARANCE_HIDDEN=32 $prelude" ;;
                 render/blend_backward.cl:16) prelude="$prelude -include render/blend_cpu.cl" ;;
-                render/score.cl:16) prelude="$prelude -include render/blend_cpu.cl -include render/blend_backward.cl" ;;
+                render/importance.cl:16) prelude="$prelude -include render/blend_cpu.cl -include render/blend_backward.cl" ;;
             esac
             case $f in
                 render/appearance_backward.cl)

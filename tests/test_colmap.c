@@ -7,7 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "codec/codec.h"
+#include "codec/colmap.h"
 #include "kit.h"
 
 enum { N_CAMERAS = 2, N_IMAGES = 5, N_POINTS = 12 };

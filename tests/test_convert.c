@@ -3,9 +3,13 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/draco.h"
+#include "codec/glb.h"
+#include "codec/ply.h"
+#include "codec/quant.h"
+#include "codec/splat.h"
+#include "codec/spz.h"
 #include "tests/kit.h"
-
-#include "codec/codec.h"
 
 #include <math.h>
 #include <stdio.h>

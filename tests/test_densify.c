@@ -2,13 +2,18 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "cells/cell.h"
+#include "core/camera.h"
+#include "core/layout.h"
+#include "core/sample.h"
+#include "render/permute.h"
 #include "tests/kit.h"
+#include "train/densify_plan.h"
+#include "train/importance.h"
+#include "train/init.h"
 
 #include <math.h>
 #include <string.h>
-
-#include "core/layout.h"
-#include "train/level.h"
 
 enum { PLANES = 18 /* degree 0, embeddings of 4 */, LANES = LAYOUT_LANES };
 #define LOGIT_HALF 0.0f
@@ -31,7 +36,7 @@ static float *at(float *p, size_t i, uint32_t plane)
  * gradient 1. */
 static struct toy toy_make(size_t n)
 {
-    size_t floats = rows_floats(n, PLANES);
+    size_t floats = permute_floats(n, PLANES);
     struct toy t = {n,
                     mem_array(floats, 4),
                     mem_array(n, 4),
@@ -66,16 +71,16 @@ static void toy_free(struct toy *t)
     mem_free(t->m2);
 }
 
-static const struct train_cell everything = {
+static const struct cell everything = {
     .id = "all", .whole = true, .edge_m = 20.0, .extent_m = 20.0};
-static const struct train_cell western = {/* x < 0 is inside */
-                                          .id = "west",
-                                          .min_enu_m = {-100.0, -100.0},
-                                          .max_enu_m = {0.0, 100.0},
-                                          .edge_m = 5.0,
-                                          .extent_m = 20.0};
+static const struct cell western = {/* x < 0 is inside */
+                                    .id = "west",
+                                    .min_enu_m = {-100.0, -100.0},
+                                    .max_enu_m = {0.0, 100.0},
+                                    .edge_m = 5.0,
+                                    .extent_m = 20.0};
 
-static struct densify_params params_of(const struct train_cell *cell, size_t inside, size_t outside)
+static struct densify_params params_of(const struct cell *cell, size_t inside, size_t outside)
 {
     return (struct densify_params){.cell = cell,
                                    .cap_inside = inside,
@@ -107,8 +112,8 @@ static void with_room_every_candidate_is_taken(void **state)
     struct densify_params p = params_of(&everything, 1000, 0);
     struct densify_input in = input_of(&t, false);
     struct densify_plan plan;
-    kit_ok(densify_choose(&p, &in, &plan, &e), e);
-    assert_false(plan.report.needs_score);
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
+    assert_false(plan.report.needs_importance);
     assert_int_equal(plan.report.clone_candidates, 66);
     assert_int_equal(plan.report.split_candidates, 33);
     assert_int_equal(plan.report.cloned, 66);
@@ -118,7 +123,7 @@ static void with_room_every_candidate_is_taken(void **state)
     for (size_t i = 0; i < t.n; i++)
         t.grad[i] =
             i % 2 ? 0.4f : NAN; /* below the threshold, or no number at all: neither grows */
-    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
     assert_int_equal(plan.n, 99);
     assert_int_equal(plan.report.room, 0);
     densify_plan_free(&plan);
@@ -134,13 +139,13 @@ static void a_binding_budget_asks_for_scores_and_is_met_exactly(void **state)
         struct densify_params p = params_of(&everything, cap, 0);
         struct densify_input in = input_of(&t, false);
         struct densify_plan plan;
-        kit_ok(densify_choose(&p, &in, &plan, &e), e);
-        assert_int_equal(plan.report.needs_score, cap > 300 && cap < 600);
-        if (plan.report.needs_score)
+        kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
+        assert_int_equal(plan.report.needs_importance, cap > 300 && cap < 600);
+        if (plan.report.needs_importance)
             assert_null(plan.rows);
         densify_plan_free(&plan);
         in.score = t.score;
-        kit_ok(densify_choose(&p, &in, &plan, &e), e);
+        kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
         size_t room = cap - 300;
         assert_int_equal(plan.report.room, room);
         assert_int_equal(plan.report.cloned,
@@ -160,8 +165,8 @@ static void more_than_the_budget_neither_grows_nor_is_cut(void **state)
     struct densify_params p = params_of(&everything, 60, 0);
     struct densify_input in = input_of(&t, false);
     struct densify_plan plan;
-    kit_ok(densify_choose(&p, &in, &plan, &e), e);
-    assert_false(plan.report.needs_score);
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
+    assert_false(plan.report.needs_importance);
     assert_int_equal(plan.n, 100);
     densify_plan_free(&plan);
     toy_free(&t);
@@ -183,7 +188,7 @@ static void transparent_huge_tiny_and_broken_ones_are_removed(void **state)
     struct densify_input in = input_of(&t, false);
     struct densify_plan plan;
     p.prune_above_m = 20.0;
-    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
     static const uint32_t kept[] = {0, 2, 5, 7, 8, 9};
     assert_int_equal(plan.report.pruned, 4);
     assert_int_equal(plan.n, 6);
@@ -191,7 +196,7 @@ static void transparent_huge_tiny_and_broken_ones_are_removed(void **state)
         assert_int_equal(plan.rows[i].source, kept[i]);
     densify_plan_free(&plan);
     p.prune_above_m = 0.0; /* no limit of size */
-    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
     assert_int_equal(plan.report.pruned, 3);
     densify_plan_free(&plan);
     toy_free(&t);
@@ -208,13 +213,13 @@ static struct arrays apply(const struct densify_params *p, const struct toy *t,
     struct err e = {0};
     struct densify_input in = input_of(t, false);
     struct densify_order order;
-    size_t floats = rows_floats(plan->n, PLANES);
+    size_t floats = permute_floats(plan->n, PLANES);
     struct arrays to = {mem_array(floats, 4), mem_array(floats, 4), mem_array(floats, 4)};
     assert_true(to.params && to.m1 && to.m2);
     kit_ok(densify_order(p, &in, plan, &order, &e), e);
-    kit_ok(rows_move(&order.rows, false, t->params, to.params, &e), e);
-    kit_ok(rows_move(&order.rows, true, t->m1, to.m1, &e), e);
-    kit_ok(rows_move(&order.rows, true, t->m2, to.m2, &e), e);
+    kit_ok(permute_move(&order.rows, false, t->params, to.params, &e), e);
+    kit_ok(permute_move(&order.rows, true, t->m1, to.m1, &e), e);
+    kit_ok(permute_move(&order.rows, true, t->m2, to.m2, &e), e);
     densify_halve(&order, to.params);
     densify_order_free(&order);
     return to;
@@ -259,7 +264,7 @@ static void both_ceilings_hold_where_children_cross_the_border(void **state)
             struct densify_input in = input_of(&t, true);
             struct densify_plan plan;
             size_t n_in, n_out;
-            kit_ok(densify_choose(&p, &in, &plan, &e), e);
+            kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
             count_sides(&p, &t, &plan, &n_in, &n_out);
             assert_int_equal(n_in, plan.report.inside);
             assert_int_equal(n_out, plan.report.outside);
@@ -290,7 +295,7 @@ static void many_candidates_outside_take_no_room_inside(void **state)
     struct densify_params p = params_of(&western, in0 + 60, t.n - in0 + 50);
     struct densify_input in = input_of(&t, true);
     struct densify_plan plan;
-    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
     assert_int_equal(plan.report.inside, in0 + 60);
     assert_int_equal(plan.report.outside, t.n - in0 + 50);
     assert_int_equal(plan.report.room, 110);
@@ -298,7 +303,7 @@ static void many_candidates_outside_take_no_room_inside(void **state)
     densify_plan_free(&plan);
     /* No room outside: the same inside. */
     p.cap_outside = 0;
-    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
     assert_int_equal(plan.report.inside, in0 + 60);
     assert_int_equal(plan.report.outside, t.n - in0);
     densify_plan_free(&plan);
@@ -324,7 +329,7 @@ static void the_threshold_rises_outside_the_cell(void **state)
         struct densify_plan plan;
         for (size_t i = 0; i < 3; i++)
             t.grad[i] = want[k].grad;
-        kit_ok(densify_choose(&p, &in, &plan, &e), e);
+        kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
         assert_int_equal(plan.report.clone_candidates + plan.report.split_candidates,
                          want[k].candidates);
         densify_plan_free(&plan);
@@ -340,7 +345,7 @@ static void clones_are_copies_and_halves_lie_within_their_parent(void **state)
     struct densify_params p = params_of(&everything, 1000, 0);
     struct densify_input in = input_of(&t, false);
     struct densify_plan plan;
-    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
     struct arrays to = apply(&p, &t, &plan);
     size_t kept = 0, fresh = 0, moved = 0;
     for (size_t i = 0; i < plan.n; i++) {
@@ -394,7 +399,7 @@ static void halves_along_the_axis_keep_the_moments(void **state)
     camera_quat_to_rot(quat_d, rot);
     for (uint32_t k = 0; k < 3; k++)
         axis[k] = rot[3 * k + 1];
-    kit_ok(densify_choose(&p, &in, &plan, &e), e);
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
     assert_int_equal(plan.n, 4);
     struct arrays to = apply(&p, &t, &plan);
     size_t halves = 0;
@@ -441,7 +446,7 @@ static void the_draw_takes_exactly_k_different_ones(void **state)
     }
     for (size_t k = 0; k <= N; k += 50) {
         bool seen[N] = {false};
-        kit_ok(densify_race(score, ids, N, k, 3, 9, chosen, &e), e);
+        kit_ok(sample_race(score, ids, N, k, 3, 9, chosen, &e), e);
         for (size_t j = 0; j < k; j++) {
             assert_false(seen[chosen[j]]);
             seen[chosen[j]] = true;
@@ -449,10 +454,10 @@ static void the_draw_takes_exactly_k_different_ones(void **state)
                 assert_int_not_equal(chosen[j] % 10, 0);
         }
     }
-    kit_fails(densify_race(score, ids, N, N + 1, 3, 9, chosen, &e), ERR_ARG, e, "cannot be drawn");
+    kit_fails(sample_race(score, ids, N, N + 1, 3, 9, chosen, &e), ERR_ARG, e, "cannot be drawn");
     score[5] = NAN;
     score[6] = INFINITY;
-    kit_ok(densify_race(score, ids, N, 100, 3, 9, chosen, &e), e);
+    kit_ok(sample_race(score, ids, N, 100, 3, 9, chosen, &e), e);
     assert_int_equal(chosen[0], 6);
 }
 
@@ -466,7 +471,7 @@ static void the_draw_is_proportional_to_the_score(void **state)
     double first[4] = {0};
     for (uint64_t s = 0; s < TRIALS; s++) {
         uint32_t chosen[1];
-        kit_ok(densify_race(score, ids, 4, 1, s, 1, chosen, &e), e);
+        kit_ok(sample_race(score, ids, 4, 1, s, 1, chosen, &e), e);
         first[chosen[0]] += 1.0;
     }
     for (int i = 0; i < 4; i++) {
@@ -489,7 +494,7 @@ static void the_draw_has_no_limit_at_two_to_the_24(void **state)
         score[i] = 1.0f + (float)(i % 7);
     }
     memset(chosen, 0xff, k * sizeof(*chosen));
-    kit_ok(densify_race(score, ids, n, k, 1, 1, chosen, &e), e);
+    kit_ok(sample_race(score, ids, n, k, 1, 1, chosen, &e), e);
     size_t beyond = 0, different = 0;
     for (size_t j = 0; j < k; j++) {
         assert_true(chosen[j] < n);
@@ -506,33 +511,33 @@ static void the_draw_has_no_limit_at_two_to_the_24(void **state)
     mem_free(chosen);
 }
 
-static void score_parts_survive_constant_and_empty_input(void **state)
+static void importance_parts_survive_constant_and_empty_input(void **state)
 {
     (void)state;
     struct err e = {0};
     float x[4] = {3.0f, 3.0f, 3.0f, 3.0f}, inverse = 1.0f;
     uint8_t grey[3 * 4 * 5];
     float edges[4 * 5], luma[20];
-    score_stretch(x, 4);
+    importance_stretch(x, 4);
     for (int i = 0; i < 4; i++)
         assert_true(x[i] == 0.0f);
-    score_stretch(x, 0);
-    kit_ok(score_inverse_median(x, 4, 1, &inverse, &e), e);
+    importance_stretch(x, 0);
+    kit_ok(importance_inverse_median(x, 4, 1, &inverse, &e), e);
     assert_true(inverse == 0.0f); /* none above 0 */
-    kit_ok(score_inverse_median(x, 0, 1, &inverse, &e), e);
+    kit_ok(importance_inverse_median(x, 0, 1, &inverse, &e), e);
     assert_true(inverse == 0.0f);
     float y[4] = {0.0f, 4.0f, NAN, 4.0f};
-    kit_ok(score_inverse_median(y, 4, 1, &inverse, &e), e);
+    kit_ok(importance_inverse_median(y, 4, 1, &inverse, &e), e);
     assert_true(inverse == 0.25f);
     const float rows[6] = {8.0f, 1.0f, 8.0f, 2.0f, 8.0f, 4.0f};
-    kit_ok(score_inverse_median(rows + 1, 3, 2, &inverse, &e), e); /* of a column */
+    kit_ok(importance_inverse_median(rows + 1, 3, 2, &inverse, &e), e); /* of a column */
     assert_true(inverse == 0.5f);
     memset(grey, 77, sizeof(grey));
-    score_edges(grey, 4, 5, luma, edges);
+    importance_edges(grey, 4, 5, luma, edges);
     for (int i = 0; i < 20; i++)
         assert_true(edges[i] == 0.0f);
     memset(grey + 3 * (1 * 4 + 2), 200, 3); /* one bright pixel: the strongest edge is there */
-    score_edges(grey, 4, 5, luma, edges);
+    importance_edges(grey, 4, 5, luma, edges);
     for (int i = 0; i < 20; i++)
         assert_true(edges[i] == (i == 6 ? 1.0f : 0.0f));
 }
@@ -587,7 +592,7 @@ int main(void)
         cmocka_unit_test(the_draw_takes_exactly_k_different_ones),
         cmocka_unit_test(the_draw_is_proportional_to_the_score),
         cmocka_unit_test(the_draw_has_no_limit_at_two_to_the_24),
-        cmocka_unit_test(score_parts_survive_constant_and_empty_input),
+        cmocka_unit_test(importance_parts_survive_constant_and_empty_input),
         cmocka_unit_test(neighbours_agree_with_looking_at_all_pairs),
     };
     return cmocka_run_group_tests_name("densify", tests, NULL, NULL);

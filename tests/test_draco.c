@@ -3,10 +3,13 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "tests/kit.h"
-
-#include "codec/codec.h"
+#include "codec/draco.h"
 #include "codec/draco_layout.h"
+#include "codec/glb.h"
+#include "codec/limits.h"
+#include "codec/quant.h"
+#include "codec/spz.h"
+#include "tests/kit.h"
 
 #include <math.h>
 #include <string.h>

@@ -7,5 +7,5 @@ cd "$(dirname "$0")/.." || exit 1
 tool=$(command -v clang-format-14 || command -v clang-format) || { echo "skipped: no clang-format"; exit 77; }
 "$tool" --version | grep -q 'version 14' || { echo "skipped: $("$tool" --version)"; exit 77; }
 # shellcheck disable=SC2046
-"$tool" --dry-run --Werror $(find core render codec lod train server cli bench tests -name node_modules -prune -o \
+"$tool" --dry-run --Werror $(find core render codec lod synth ingest cells loss train server cli bench tests -name node_modules -prune -o \
     \( -name '*.[ch]' -o -name '*.cc' -o -name '*.cl' \) -print | sort) && echo "formatted"

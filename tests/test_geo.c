@@ -4,6 +4,7 @@
  */
 #include <math.h>
 
+#include "core/base.h"
 #include "core/geo.h"
 #include "kit.h"
 

@@ -9,8 +9,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "ingest/ingest.h"
 #include "kit.h"
-#include "train/ingest.h"
 
 enum { SEEDS = 40, N_MAX = 400 };
 static const double sigma_m = 3;
@@ -19,7 +19,7 @@ struct survey {
     struct georef_photo photos[N_MAX];
     bool outlier[N_MAX];
     size_t n;
-    struct similarity truth;
+    struct sim3 truth;
     double center_enu_m[3]; /* mean of the cameras */
 };
 
@@ -28,7 +28,7 @@ static struct georef_config config(void)
     return (struct georef_config){.inlier_m = 8, .tau_min_m = 6, .tau_max_m = 64, .seed = 1};
 }
 
-static void random_frame(uint64_t seed, struct similarity *s)
+static void random_frame(uint64_t seed, struct sim3 *s)
 {
     double q[4];
     for (uint64_t k = 0; k < 4; k++)
@@ -44,7 +44,7 @@ static void put_camera(struct survey *s, size_t i, const struct camera *cam)
 {
     struct georef_photo *p = &s->photos[i];
     double c[3], d[3];
-    const struct similarity *t = &s->truth;
+    const struct sim3 *t = &s->truth;
     camera_center(cam, c);
     for (int a = 0; a < 3; a++)
         d[a] = (c[a] - t->trans[a]) / t->scale;
@@ -102,15 +102,15 @@ static void add_outliers(uint64_t seed, struct survey *s)
 }
 
 /* Where the fit puts the middle of the cameras, minus where it is. */
-static void center_error(const struct survey *s, const struct similarity *got, double out[3])
+static void center_error(const struct survey *s, const struct sim3 *got, double out[3])
 {
     double d[3], x[3];
-    const struct similarity *t = &s->truth;
+    const struct sim3 *t = &s->truth;
     for (int a = 0; a < 3; a++)
         d[a] = (s->center_enu_m[a] - t->trans[a]) / t->scale;
     for (int a = 0; a < 3; a++)
         x[a] = t->rot[a] * d[0] + t->rot[3 + a] * d[1] + t->rot[6 + a] * d[2];
-    similarity_apply(got, x, out);
+    sim3_apply(got, x, out);
     for (int a = 0; a < 3; a++)
         out[a] -= s->center_enu_m[a];
 }
@@ -346,7 +346,7 @@ static void test_upright_without_gps(void **state)
     struct survey s;
     struct err e = {0};
     for (uint64_t seed = 0; seed < 20; seed++) {
-        struct similarity sim;
+        struct sim3 sim;
         const double none[3] = {0};
         make_survey(seed, 40, 150, &s);
         kit_ok(georef_upright(s.photos, s.n, none, 2, &sim, &e), e);

@@ -2,9 +2,11 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/glb.h"
+#include "codec/limits.h"
+#include "codec/quant.h"
+#include "codec/spz.h"
 #include "tests/kit.h"
-
-#include "codec/codec.h"
 
 #include <jansson.h>
 #include <math.h>

@@ -3,16 +3,16 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/npy.h"
+#include "codec/ply.h"
+#include "core/camera.h"
+#include "render/render.h"
 #include "tests/kit.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 #include <unistd.h>
-
-#include "codec/codec.h"
-#include "core/camera.h"
-#include "render/render.h"
 
 /* float kernels against double, see test_backward.c; pixels near a threshold may decide otherwise
  * here, each worth 1/255 of one splat in one pixel of 768. */

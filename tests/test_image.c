@@ -2,9 +2,11 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/exif.h"
+#include "codec/image.h"
+#include "codec/limits.h"
+#include "codec/npy.h"
 #include "tests/kit.h"
-
-#include "codec/codec.h"
 
 #include <math.h>
 #include <stdio.h>

@@ -9,9 +9,12 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "codec/image.h"
+#include "codec/limits.h"
+#include "codec/scene.h"
+#include "ingest/ingest.h"
 #include "kit.h"
-#include "train/ingest.h"
-#include "train/synth.h"
+#include "synth/synth.h"
 
 static const double tol_place_m = 0.02; /* EXIF rounding, averaged over the photographs */
 static char tmp[FILE_PATH_MAX];
@@ -93,7 +96,7 @@ static double track_error(const struct scene *s)
         v[k] = hypot(c->fx_px * p[0] / p[2] + c->cx_px - (double)t->x_px,
                      c->fy_px * p[1] / p[2] + c->cy_px - (double)t->y_px);
     }
-    double median = similarity_median(v, s->n_tracks);
+    double median = sim3_median(v, s->n_tracks);
     mem_free(v);
     return median;
 }

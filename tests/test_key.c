@@ -2,11 +2,11 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "lod/lod.h"
+#include "render/permute.h"
 #include "tests/kit.h"
 
 #include <math.h>
-
-#include "lod/lod.h"
 
 static void assert_near(double got, double want, double tolerance)
 {

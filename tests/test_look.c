@@ -3,6 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/ply.h"
 #include "tests/served.h"
 
 #include <jansson.h>

@@ -8,8 +8,8 @@
 #include <string.h>
 
 #include "codec/tensors.h"
+#include "loss/lpips.h"
 #include "tests/kit.h"
-#include "train/lpips.h"
 
 #define TOLERANCE 1e-4 /* relative: thirteen layers in float */
 

@@ -3,14 +3,18 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/image.h"
+#include "codec/mask.h"
+#include "codec/scene.h"
+#include "core/options.h"
+#include "ingest/ingest.h"
+#include "ingest/ingest_internal.h"
+#include "loss/robust.h"
 #include "tests/kit.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
-
-#include "core/options.h"
-#include "train/mask.h"
 
 static void mask_write(const char *path, uint32_t w, uint32_t h, uint32_t x0, uint32_t y0,
                        uint32_t edge)
@@ -73,7 +77,7 @@ static void undistortion_moves_masks_as_it_moves_pictures(void **state)
     kit_ok(file_join(to, dir, "out.png", &e), e);
     mask_write(from, W, H, 90, 55, 9); /* 90..98 x 55..63 */
     kit_ok(ingest_view_make(&lens, W, H, 60, &v, &e), e);
-    kit_ok(mask_convert(&v, from, to, &e), e);
+    kit_ok(ingest_mask_convert(&v, from, to, &e), e);
     kit_ok(mask_read(to, v.pinhole.width_px, v.pinhole.height_px, &out, &e), e);
     double x, y;
     assert_true(ingest_view_map(&v, &lens, 94.5, 59.5, &x, &y)); /* the middle of the square */
@@ -102,7 +106,7 @@ static void patches_that_do_not_fit_are_ignored_and_thin_detail_is_not(void **st
         }
     memset(use, 255, sizeof(use));
     use[0] = 0;
-    mask_robust(color, px, W, H, scratch, use);
+    robust_mask(color, px, W, H, scratch, use);
     assert_int_equal(use[0], 0);
     for (size_t y = 1; y < H; y++) {
         assert_int_equal(use[y * W + 30], 255);

@@ -2,13 +2,14 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "cells/cell_plan.h"
+#include "cells/partition.h"
+#include "codec/scene.h"
 #include "tests/kit.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
-
-#include "train/partition.h"
 
 /* A flight of nx x ny nadir photographs, `step` metres apart, over flat ground with a point every 2
  * m; each photograph sees a square of 2 * reach metres. Tracks are exact. */
@@ -289,8 +290,8 @@ static void the_plan_file_reads_back_and_refuses_another_scene(void **state)
     cfg.images_least = 5;
     kit_ok(partition_make(&s, &cfg, &p, &e), e);
     kit_ok(file_join(path, dir, "plan.json", &e), e);
-    kit_ok(plan_write(path, &s, &p, &e), e);
-    kit_ok(plan_read(path, &s, &q, &e), e);
+    kit_ok(cell_plan_write(path, &s, &p, &e), e);
+    kit_ok(cell_plan_read(path, &s, &q, &e), e);
     assert_int_equal(q.n_cells, p.n_cells);
     for (size_t i = 0; i < p.n_cells; i++) {
         assert_string_equal(q.cells[i].id, p.cells[i].id);
@@ -305,14 +306,14 @@ static void the_plan_file_reads_back_and_refuses_another_scene(void **state)
     partition_free(&q);
     /* Two cells of one id would share a folder. */
     memcpy(p.cells[1].id, p.cells[0].id, sizeof p.cells[0].id);
-    kit_ok(plan_write(path, &s, &p, &e), e);
-    kit_fails(plan_read(path, &s, &q, &e), ERR_FORMAT, e, "is taken by cell 0");
+    kit_ok(cell_plan_write(path, &s, &p, &e), e);
+    kit_fails(cell_plan_read(path, &s, &q, &e), ERR_FORMAT, e, "is taken by cell 0");
     snprintf(p.cells[1].id, sizeof p.cells[1].id, "other");
-    kit_ok(plan_write(path, &s, &p, &e), e);
+    kit_ok(cell_plan_write(path, &s, &p, &e), e);
     s.images[3].name = arena_text(&s.arena, "other.jpg");
-    kit_fails(plan_read(path, &s, &q, &e), ERR_FORMAT, e, "img0003.jpg");
+    kit_fails(cell_plan_read(path, &s, &q, &e), ERR_FORMAT, e, "img0003.jpg");
     kit_ok(file_join(path, dir, "plan.svg", &e), e);
-    kit_ok(plan_svg(path, &s, &p, &e), e);
+    kit_ok(cell_plan_svg(path, &s, &p, &e), e);
     struct buf b = {0};
     kit_ok(file_read(path, 0, &b, &e), e);
     buf_u8(&b, 0);

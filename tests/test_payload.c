@@ -2,9 +2,9 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/limits.h"
+#include "codec/payload.h"
 #include "tests/kit.h"
-
-#include "codec/codec.h"
 
 #include <math.h>
 #include <string.h>
@@ -113,29 +113,29 @@ static void test_all_halves(void **state)
     static float value[HALVES], between[HALVES];
     for (uint32_t i = 0; i < HALVES; i++)
         bits[i] = (uint16_t)i;
-    payload_from_halves(bits, HALVES, value);
+    payload_from_float16(bits, HALVES, value);
     for (uint32_t i = 0; i < HALVES; i++) {
         int exponent = (int)(i >> 10), mantissa = (int)(i & 1023);
         double want = exponent ? ldexp(1024 + mantissa, exponent - 25) : ldexp(mantissa, -24);
         assert_true((double)value[i] == want);
         between[i] = i + 1 < HALVES && i ? (value[i] + value[i - 1]) / 2 : value[i];
     }
-    payload_to_halves(value, HALVES, back);
+    payload_to_float16(value, HALVES, back);
     assert_memory_equal(back, bits, sizeof bits);
-    payload_to_halves(between, HALVES, back);
+    payload_to_float16(between, HALVES, back);
     for (uint32_t i = 1; i + 1 < HALVES; i++)
         assert_int_equal(back[i], i & 1 ? i - 1 : i); /* ties go to even */
     for (int side = -1; side <= 1; side += 2) {
         for (uint32_t i = 1; i + 1 < HALVES; i++)
             between[i] = nextafterf((value[i] + value[i - 1]) / 2, side < 0 ? 0 : INFINITY);
         for (size_t n = HALVES; n > HALVES - 9; n--) { /* any remainder of the vectors */
-            payload_to_halves(between, n, back);
+            payload_to_float16(between, n, back);
             for (uint32_t i = 1; i + 1 < n; i++)
                 assert_int_equal(back[i], side < 0 ? i - 1 : i);
         }
     }
     const float odd[4] = {1e9f, -65520.0f, -0.0f, -1e-9f};
-    payload_to_halves(odd, 4, back);
+    payload_to_float16(odd, 4, back);
     assert_true(back[0] == 0x7bff && back[1] == 0xfbff && back[2] == 0x8000 && back[3] == 0x8000);
 }
 

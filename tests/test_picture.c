@@ -3,6 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/image.h"
 #include "tests/client.h"
 
 static const char POSE[] = "13.398,52.4985,150@10.5,-40,55";

@@ -3,9 +3,9 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/limits.h"
+#include "codec/ply.h"
 #include "tests/kit.h"
-
-#include "codec/codec.h"
 
 #include <math.h>
 #include <string.h>

@@ -3,6 +3,12 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/ckpt.h"
+#include "codec/quant.h"
+#include "lod/locate.h"
+#include "lod/lod.h"
+#include "lod/simplify.h"
+#include "lod/tree.h"
 #include "tests/kit.h"
 
 #include <math.h>
@@ -10,11 +16,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
-
-#include "lod/locate.h"
-#include "lod/lod.h"
-#include "lod/simplify.h"
-#include "lod/tree.h"
 
 static const struct geo_origin origin = {8.6821, 50.1109, 160};
 

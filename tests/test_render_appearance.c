@@ -3,16 +3,15 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "core/appearance.h"
+#include "render/frame.h"
+#include "render/render_ref.h"
 #include "tests/backward_kit.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include "core/appearance.h"
-#include "render/frame.h"
-#include "render/render_ref.h"
 
 #define FD_REL 1e-6     /* as in test_backward_ref.c */
 #define FD_ABS 1e-6     /* of the rms of the same kind */
@@ -23,17 +22,17 @@
 enum { LEN = 16, HIDDEN = 32 };
 
 struct look { /* look_free */
-    struct scene s;
+    struct view_case s;
     struct appearance a;
     float *frame;
     size_t floats;
 };
 
 /* A seeded scene with embeddings; colours and opacities go to both ends of their range, weights are
- * on the grid of scene_make. */
+ * on the grid of view_case_make. */
 static struct look look_make(uint64_t seed, size_t n, uint32_t len, uint32_t hidden, int degree)
 {
-    struct look l = {.s = scene_make(seed, n, RENDER_AA_2D, (uint32_t)degree)};
+    struct look l = {.s = view_case_make(seed, n, RENDER_AA_2D, (uint32_t)degree)};
     struct gauss plain = l.s.g;
     struct err e = {0};
     kit_ok(gauss_alloc(&l.s.g, n, plain.sh_degree, len, &e), e);
@@ -63,7 +62,7 @@ static void look_free(struct look *l)
 {
     mem_free(l->frame);
     appearance_free(&l->a);
-    scene_free(&l->s);
+    view_case_free(&l->s);
 }
 
 /* How often colours were cut at 0 and at 1, and opacities at 1, among the visible. */
@@ -111,7 +110,7 @@ static void differences(struct look *l, const char *what, float *p, const double
     size_t skipped = 0;
     assert_non_null(fd);
     for (size_t i = 0; i < n; i++)
-        if (!scene_differentiate(&l->s, &p[i], NULL, &fd[i])) {
+        if (!view_case_differentiate(&l->s, &p[i], NULL, &fd[i])) {
             fd[i] = want[i];
             skipped++;
         }
@@ -315,10 +314,10 @@ static void test_switching(void **state)
     struct err e = {0};
     const size_t floats = (size_t)PX_W * PX_H * 3;
     float *first[3], *again;
-    struct scene plain = l.s;
+    struct view_case plain = l.s;
     plain.o.appearance_frame = NULL;
     kit_ok(render_open(dev_get(), &r, &e), e);
-    const struct scene *scenes[3] = {&l.s, &plain, &other.s};
+    const struct view_case *scenes[3] = {&l.s, &plain, &other.s};
     for (int k = 0; k < 6; k++) {
         kernel_forward(r, scenes[k % 3], k % 3 == 2 ? &n : &m);
         again = floats_read(render_color_buffer(r), floats);
@@ -332,7 +331,7 @@ static void test_switching(void **state)
     assert_memory_not_equal(first[0], first[1], floats * sizeof *again);
     /* without it embeddings change nothing */
     struct gauss bare = {0};
-    struct scene s = plain;
+    struct view_case s = plain;
     kit_ok(gauss_alloc(&bare, plain.g.n, 1, 0, &e), e);
     kit_ok(gauss_append(&bare, &plain.g, NULL, plain.g.n, &e), e);
     s.g = bare;
@@ -468,7 +467,7 @@ static void test_opacity_statistic(void **state)
 {
     (void)state;
     struct look l = look_make(92, 50, LEN, HIDDEN, 0);
-    struct scene plain = l.s;
+    struct view_case plain = l.s;
     struct trainer t = trainer_make(&l.s.g);
     struct err e = {0};
     double want[50] = {0};
@@ -486,7 +485,7 @@ static void test_opacity_statistic(void **state)
     kit_ok(dev_zero(dev_get(), t.stats.opacity, 0, (size_t)t.m.groups * 64, &e), e);
     float *before = embed_read(&t.m, t.m.params);
     for (int k = 0; k < 3; k++) { /* plain, appearance, plain again */
-        const struct scene *s = k == 1 ? &l.s : &plain;
+        const struct view_case *s = k == 1 ? &l.s : &plain;
         struct ref_view v;
         struct ref_splat p;
         kit_ok(ref_view_init(&s->g, &s->cam, &s->o, &v, &e), e);
@@ -598,7 +597,7 @@ static void test_errors(void **state)
     struct look l = look_make(50, 4, 4, 4, 0);
     struct trainer t = trainer_make(&l.s.g);
     struct render_appearance_grad a = {0};
-    struct scene s = l.s;
+    struct view_case s = l.s;
     struct err e = {0};
     cl_mem grads;
     kit_ok(dev_buffer(dev_get(), (size_t)t.m.groups * t.m.planes * 64, NULL, &grads, &e), e);
@@ -617,7 +616,7 @@ static void test_errors(void **state)
     t.adam.embed_step = 1;
     kit_ok(render_backward_step(t.r, &t.m, &t.adam, NULL, &e), e);
     /* a model without embeddings */
-    struct scene bare = scene_make(50, 4, RENDER_AA_2D, 0);
+    struct view_case bare = view_case_make(50, 4, RENDER_AA_2D, 0);
     struct render_model m = {0};
     bare.o.appearance_frame = l.frame;
     bare.o.appearance_hidden = 4;
@@ -628,7 +627,7 @@ static void test_errors(void **state)
     kit_fails(render_ref_forward(&bare.g, &bare.cam, &bare.o, rgb, NULL, &e), ERR_ARG, e,
               "embeddings of 0");
     render_model_free(&m);
-    scene_free(&bare);
+    view_case_free(&bare);
     dev_release(&grads);
     trainer_free(&t);
     look_free(&l);

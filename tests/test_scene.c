@@ -6,7 +6,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "codec/codec.h"
+#include "codec/scene.h"
 #include "kit.h"
 
 enum { N_IMAGES = 3, N_POINTS = 7 };

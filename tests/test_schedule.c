@@ -2,15 +2,15 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "cells/cell.h"
 #include "tests/kit.h"
+#include "train/config.h"
+#include "train/schedule.h"
 
 #include <math.h>
 
-#include "train/train.h"
-
 #define EDGE_M 100.0
-static const struct train_cell cell = {
-    .id = "all", .whole = true, .edge_m = EDGE_M, .extent_m = EDGE_M};
+static const struct cell cell = {.id = "all", .whole = true, .edge_m = EDGE_M, .extent_m = EDGE_M};
 #define LR_TOL 1e-12 /* exp and log of doubles */
 
 static struct train_config defaults(struct arena *a)
@@ -212,7 +212,7 @@ static void short_runs_take_larger_steps(void **state)
         struct arena a = {0};
         struct train_config cfg;
         struct schedule s[TRAIN_LEVELS_MAX];
-        struct train_cell whole = {.whole = true, .edge_m = 100};
+        struct cell whole = {.whole = true, .edge_m = 100};
         struct err e = {0};
         kit_ok(options_defaults(train_options(), &cfg, &a, &e), e);
         cfg.iterations = want[i].steps;

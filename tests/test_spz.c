@@ -3,9 +3,10 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/limits.h"
+#include "codec/quant.h"
+#include "codec/spz.h"
 #include "tests/kit.h"
-
-#include "codec/codec.h"
 
 #include <math.h>
 #include <stdlib.h>

@@ -3,14 +3,13 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "render/render_ref.h"
 #include "tests/backward_kit.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include "render/render_ref.h"
 
 static double lr_of(const struct render_adam *a, size_t plane)
 {
@@ -52,7 +51,7 @@ static void adam_plain(const struct render_adam *a, const float *grads, size_t g
 static void check_adam(bool with_extra, int sh_degree, uint32_t width)
 {
     uint32_t own = dev_get()->vector_width;
-    struct scene s = scene_make(31, 75, RENDER_AA_2D, 2);
+    struct view_case s = view_case_make(31, 75, RENDER_AA_2D, 2);
     struct err e = {0};
     struct dev *d = dev_get();
     for (size_t i = 16; i < 36; i++) /* a whole group and more behind the camera */
@@ -137,7 +136,7 @@ static void check_adam(bool with_extra, int sh_degree, uint32_t width)
     mem_free(v);
     dev_release(&grads);
     trainer_free(&t);
-    scene_free(&s);
+    view_case_free(&s);
 }
 
 static void test_step_is_adam(void **state)
@@ -153,7 +152,7 @@ static void test_step_is_adam(void **state)
 static void test_repairs(void **state)
 {
     (void)state;
-    struct scene s = scene_make(32, 40, RENDER_AA_2D, 1);
+    struct view_case s = view_case_make(32, 40, RENDER_AA_2D, 1);
     struct gauss out = {0};
     for (size_t a = 0; a < 4; a++) {
         s.g.quat_wxyz[4 * 3 + a] = 0.0f;
@@ -175,14 +174,14 @@ static void test_repairs(void **state)
     kit_figure("F1", "injected=4 repaired=%u bad_after=0", trainer_repaired(&t));
     gauss_free(&out);
     trainer_free(&t);
-    scene_free(&s);
+    view_case_free(&s);
 }
 
 /* A gradient that is not finite: those Gaussians stay as they are, the others move. */
 static void test_dropped_updates(void **state)
 {
     (void)state;
-    struct scene s = scene_make(33, 48, RENDER_AA_2D, 1);
+    struct view_case s = view_case_make(33, 48, RENDER_AA_2D, 1);
     s.rgb_grad[3 * (PX_W * 10 + 20)] = (double)NAN;
     s.rgb_grad[3 * (PX_W * 20 + 9) + 1] = (double)INFINITY;
     struct trainer t = trainer_make(&s.g);
@@ -199,7 +198,7 @@ static void test_dropped_updates(void **state)
     assert_true(dropped > 0 && dropped < s.g.n && dropped <= kept && kept < s.g.n);
     gauss_free(&out);
     trainer_free(&t);
-    scene_free(&s);
+    view_case_free(&s);
 }
 
 /* F2: anything that Adam and densification can bring about stays finite, forwards and backwards. */
@@ -207,7 +206,7 @@ static void test_wild_shapes(void **state)
 {
     (void)state;
     const size_t n = 20000;
-    struct scene s = scene_make(34, n, RENDER_AA_2D, 0);
+    struct view_case s = view_case_make(34, n, RENDER_AA_2D, 0);
     for (size_t i = 0; i < n; i++) {
         for (size_t a = 0; a < 3; a++) {
             s.g.scale_log[3 * i + a] =
@@ -244,13 +243,13 @@ static void test_wild_shapes(void **state)
     assert_int_equal(trainer_repaired(&t), 0);
     gauss_free(&out);
     trainer_free(&t);
-    scene_free(&s);
+    view_case_free(&s);
 }
 
 /* ---- densification statistics ---- */
 
 /* Per pixel sum_c g_c C_c of splats as they are given. */
-static void composite(const struct scene *s, const struct ref_view *v,
+static void composite(const struct view_case *s, const struct ref_view *v,
                       const struct ref_splat *splats, size_t n, double *out)
 {
     for (size_t at = 0; at < (size_t)PX_W * PX_H; at++) {
@@ -277,7 +276,7 @@ static void composite(const struct scene *s, const struct ref_view *v,
 static void test_density_statistics(void **state)
 {
     (void)state;
-    struct scene s = scene_make(36, 20, RENDER_AA_2D, 0);
+    struct view_case s = view_case_make(36, 20, RENDER_AA_2D, 0);
     struct ref_view v;
     struct ref_splat *splats;
     size_t n;
@@ -327,7 +326,7 @@ static void test_density_statistics(void **state)
     trainer_free(&t);
     mem_free(splats);
     mem_free(up);
-    scene_free(&s);
+    view_case_free(&s);
 }
 
 int main(void)

@@ -7,8 +7,13 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "codec/colmap.h"
+#include "codec/image.h"
+#include "codec/limits.h"
+#include "codec/npy.h"
+#include "core/geo.h"
 #include "kit.h"
-#include "train/synth.h"
+#include "synth/synth.h"
 
 static const double tol_gps_m =
     0.02; /* EXIF keeps 1e-4 seconds of arc or better, and centimetres */

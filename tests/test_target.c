@@ -2,11 +2,11 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/quant.h"
+#include "server/server.h"
 #include "tests/kit.h"
 
 #include <string.h>
-
-#include "server/server.h"
 
 /* ---- targets ---- */
 

@@ -3,6 +3,14 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "cells/cell_plan.h"
+#include "cells/partition.h"
+#include "codec/ckpt.h"
+#include "codec/image.h"
+#include "codec/npy.h"
+#include "codec/ply.h"
+#include "codec/scene.h"
+#include "lod/lod.h"
 #include "tests/kit.h"
 
 #include <math.h>
@@ -10,9 +18,6 @@
 #include <string.h>
 
 #include <jansson.h>
-
-#include "lod/lod.h"
-#include "train/partition.h"
 
 struct fixture {
     char dir[FILE_PATH_MAX];
@@ -306,7 +311,7 @@ static void write_scene(const struct fixture *f, struct partition *p)
     cfg.images_least = 1;
     kit_ok(partition_make(&s, &cfg, p, &e), e);
     path_in(f, "scene/plan.json", path);
-    kit_ok(plan_write(path, &s, p, &e), e);
+    kit_ok(cell_plan_write(path, &s, p, &e), e);
     scene_free(&s);
 }
 

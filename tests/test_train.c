@@ -6,7 +6,21 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "cells/cell.h"
+#include "cells/cell_plan.h"
+#include "cells/partition.h"
+#include "codec/ckpt.h"
+#include "codec/image.h"
+#include "codec/scene.h"
+#include "loss/photometric.h"
+#include "render/render.h"
 #include "tests/kit.h"
+#include "train/config.h"
+#include "train/init.h"
+#include "train/level.h"
+#include "train/photo_loader.h"
+#include "train/schedule.h"
+#include "train/train.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -14,8 +28,6 @@
 #include <unistd.h>
 
 #include <jansson.h>
-
-#include "train/level.h"
 
 enum { BLOBS = 60, PHOTOS = 9, WIDTH = 64, HEIGHT = 48 };
 #define GROUND_M 6.0
@@ -128,7 +140,7 @@ static struct train_config toy_config(struct arena *a, const char *out)
     c.budget_2 = 100;
     c.budget_3 = 150; /* binds: the draw and its scores are part of every run here */
     c.densify_interval_min = 8;
-    c.score_views = 3;
+    c.importance_views = 3;
     c.sh_degree = 1;
     return c;
 }
@@ -149,16 +161,16 @@ static void cameras_at_training_size_keep_the_view(void **state)
     struct camera c = toy_camera(0);
     c.width_px = 4000;
     c.height_px = 3000;
-    struct camera s = feed_camera(&c, 400, 2.0);
+    struct camera s = photo_loader_camera(&c, 400, 2.0);
     assert_int_equal(s.width_px, 200);
     assert_int_equal(s.height_px, 150);
     assert_true(fabs(s.fx_px / c.fx_px - 0.05) < 1e-12);
-    s = feed_camera(&c, 0, 1.0);
+    s = photo_loader_camera(&c, 0, 1.0);
     assert_int_equal(s.width_px, 4000);
-    s = feed_camera(&c, 9000, 1.0); /* never enlarged */
+    s = photo_loader_camera(&c, 9000, 1.0); /* never enlarged */
     assert_int_equal(s.width_px, 4000);
     c.width_px = c.height_px = 3;
-    s = feed_camera(&c, 0, 64.0);
+    s = photo_loader_camera(&c, 0, 64.0);
     assert_int_equal(s.width_px, 1);
 }
 
@@ -176,19 +188,19 @@ static void the_feed_shows_every_photograph_once_an_epoch_within_its_cache(void 
     const size_t photo = WIDTH * HEIGHT * 3;
     const size_t caches[2] = {photo, 1 << 20};
     for (int k = 0; k < 2; k++) {
-        struct feed *f = NULL;
-        struct feed_config cfg = {.scene = &s,
-                                  .images = images,
-                                  .n_images = n,
-                                  .downsample = 1.0,
-                                  .cache_bytes = caches[k],
-                                  .seed = 5,
-                                  .level = 1};
-        kit_ok(feed_open(&cfg, &f, &e), e);
+        struct photo_loader *f = NULL;
+        struct photo_loader_config cfg = {.scene = &s,
+                                          .images = images,
+                                          .n_images = n,
+                                          .downsample = 1.0,
+                                          .cache_bytes = caches[k],
+                                          .seed = 5,
+                                          .level = 1};
+        kit_ok(photo_loader_open(&cfg, &f, &e), e);
         for (uint32_t t = 1; t <= 4 * n; t++) {
-            struct feed_photo p;
-            kit_ok(feed_get(f, t, &p, &e), e);
-            assert_true(feed_bytes(f) <= cfg.cache_bytes);
+            struct photo p;
+            kit_ok(photo_loader_get(f, t, &p, &e), e);
+            assert_true(photo_loader_bytes(f) <= cfg.cache_bytes);
             order[k][t - 1] = p.image;
             struct image want = {0};
             char path[FILE_PATH_MAX + 64];
@@ -197,7 +209,7 @@ static void the_feed_shows_every_photograph_once_an_epoch_within_its_cache(void 
             assert_memory_equal(want.px, p.px, photo);
             image_free(&want);
         }
-        feed_close(&f);
+        photo_loader_close(&f);
     }
     assert_memory_equal(order[0], order[1], sizeof(order[0])); /* the cache does not matter */
     bool differs = false;
@@ -363,19 +375,19 @@ static void twenty_steps_give_the_golden_trace(void **state)
     cell_whole(&s, images, n, &l.cell);
     kit_ok(schedule_make(&c, n, &l.cell, l.schedule, &e), e);
     kit_ok(render_open(&dev, &l.render, &e), e);
-    kit_ok(loss_open(&dev, &l.loss, &e), e);
+    kit_ok(photometric_open(&dev, &l.loss, &e), e);
     kit_ok(init_gauss(&s, images, n, &l.cell, 1, 1000, 1, &g, &e), e);
     kit_ok(level_open(&l, &g, &e), e);
     kit_ok(level_begin(&l, &e), e);
     for (int i = 0; i < 20; i++) {
-        struct loss_value v;
+        struct photometric_value v;
         kit_ok(level_step(&l, &v, &e), e);
         got[i] = v.total;
     }
     kit_near_d("loss of the first 20 steps", got, golden, 20, 0.0, GOLDEN_REL);
     assert_true(got[19] < got[0]);
     level_close(&l);
-    loss_close(&l.loss);
+    photometric_close(&l.loss);
     render_close(&l.render);
     gauss_free(&g);
     scene_free(&s);
@@ -481,7 +493,7 @@ static void cells_of_a_plan_are_trained_on_their_own(void **state)
         trained += plan.cells[i].parent < 0;
     assert_true(trained >= 2);
     snprintf(path, sizeof(path), "%s/plan.json", dir);
-    kit_ok(plan_write(path, &s, &plan, &e), e);
+    kit_ok(cell_plan_write(path, &s, &plan, &e), e);
     struct train_config c = toy_config(&a, NULL);
     c.iterations = 60;
     kit_ok(train_again(dir, &c, &r, &e), e);
@@ -519,12 +531,12 @@ static void cells_of_a_plan_are_trained_on_their_own(void **state)
             plan.cells[i].max_m[k] += 0.25;
         }
     snprintf(path, sizeof(path), "%s/plan.json", dir);
-    kit_ok(plan_write(path, &s, &plan, &e), e);
+    kit_ok(cell_plan_write(path, &s, &plan, &e), e);
     c.stop_after = 5;
     kit_fails(train_again(dir, &c, &r, &e), ERR_CANCEL, e, "step 5");
     for (size_t i = 0; i < plan.n_cells; i++)
         plan.cells[i].max_m[0] += 0.25;
-    kit_ok(plan_write(path, &s, &plan, &e), e);
+    kit_ok(cell_plan_write(path, &s, &plan, &e), e);
     kit_fails(train_again(dir, &c, &r, &e), ERR_DATA, e, "plan");
     partition_free(&plan);
     scene_free(&s);

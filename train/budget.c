@@ -15,7 +15,13 @@
 
 #include <math.h>
 
+#include "codec/scene.h"
+#include "loss/metric.h"
+#include "render/render.h"
+#include "train/config.h"
 #include "train/level.h"
+#include "train/photo_loader.h"
+#include "train/schedule.h"
 
 #define BUDGET_RAISE_FACTOR 1.3
 #define BUDGET_FULL 0.9  /* of the budget in use: only then is a higher one of use */
@@ -28,7 +34,7 @@ size_t budget_fit(const struct scene *s, const uint32_t *images, size_t n_images
     double sum = 0.0;
     for (size_t i = 0; i < n_images; i++) {
         struct camera c =
-            feed_camera(&s->images[images[i]].cam, (uint32_t)cfg->max_edge_px, downsample);
+            photo_loader_camera(&s->images[images[i]].cam, (uint32_t)cfg->max_edge_px, downsample);
         sum += sqrt((double)c.width_px * c.height_px);
     }
     double fit = fmax(floor(cfg->budget_density * sum), (double)n_points);
@@ -72,13 +78,13 @@ void budget_hold_out(const struct train_config *cfg, const uint32_t *images, siz
 
 void budget_close(struct budget *b)
 {
-    feed_close(&b->feed);
+    photo_loader_close(&b->feed);
 }
 
 static enum err_code budget_open_feed(struct level *l, struct err *e)
 {
     struct budget *b = &l->budget;
-    struct feed_config f = {
+    struct photo_loader_config f = {
         .scene = l->scene,
         .images = b->held,
         .n_images = b->n_held,
@@ -88,7 +94,7 @@ static enum err_code budget_open_feed(struct level *l, struct err *e)
         .cache_bytes = (size_t)l->cfg->cache_mib << 16, /* a sixteenth, as of the photographs */
         .level = l->schedule[l->at].level,
     };
-    return b->feed ? ERR_OK : feed_open(&f, &b->feed, e);
+    return b->feed ? ERR_OK : photo_loader_open(&f, &b->feed, e);
 }
 
 static enum err_code budget_psnr(struct level *l, double *mean_db, struct err *e)
@@ -97,9 +103,9 @@ static enum err_code budget_psnr(struct level *l, double *mean_db, struct err *e
     enum err_code rc = budget_open_feed(l, e);
     *mean_db = 0.0;
     for (size_t i = 0; !rc && i < l->budget.n_held; i++) {
-        struct feed_photo p;
+        struct photo p;
         double db = 0.0;
-        rc = feed_get_nth(l->budget.feed, i, &p, e);
+        rc = photo_loader_get_nth(l->budget.feed, i, &p, e);
         if (rc)
             break;
         float *rgb = mem_array((size_t)p.cam.width_px * p.cam.height_px * 3, sizeof(*rgb));

@@ -6,7 +6,11 @@
 #ifndef TRAIN_BUDGET_H
 #define TRAIN_BUDGET_H
 
-#include "train/train.h"
+#include "train/config.h"
+#include "train/schedule.h"
+
+struct photo_loader;
+struct scene;
 
 struct level;
 
@@ -36,7 +40,7 @@ struct budget { /* {0}: not automatic. What a state to resume from holds of it i
     const uint32_t *held;
     size_t n_held;
     size_t table[TRAIN_LEVELS_MAX]; /* the most that a budget can be raised to */
-    struct feed *feed;              /* of the level in work; made on first use */
+    struct photo_loader *feed;      /* of the level in work; made on first use */
     struct budget_point {           /* where the last decision was taken */
         double n, psnr_db;          /* n 0: none yet */
         bool stopped;

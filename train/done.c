@@ -18,7 +18,10 @@
 
 #include <jansson.h>
 
+#include "train/config.h"
 #include "train/jobs.h"
+#include "train/timing.h"
+#include "train/train.h"
 
 enum { DONE_VERSION = 1 };
 
@@ -43,7 +46,7 @@ enum err_code done_write(const char *cell_dir, const struct train_cell_result *r
     json_t *root =
         json_pack("{s:i, s:s, s:s, s:f, s:o}", "done_version", DONE_VERSION, "cell", r->id,
                   "version", CITYSPLAT_VERSION, "seconds", r->seconds, "levels", levels);
-    if (root && json_object_set_new(root, "spent", spent_json(&r->spent))) {
+    if (root && json_object_set_new(root, "spent", timing_json(&r->spent))) {
         json_decref(root);
         root = NULL;
     }
@@ -121,7 +124,7 @@ enum err_code done_read(const char *cell_dir, struct train_cell_result *out, str
     if (!rc)
         snprintf(out->id, sizeof(out->id), "%s", id);
     if (!rc) /* files of older versions have none */
-        spent_from_json(json_object_get(root, "spent"), &out->spent);
+        timing_from_json(json_object_get(root, "spent"), &out->spent);
     json_decref(root);
     return rc ? err_add(e, "%s", path) : ERR_OK;
 }

@@ -9,10 +9,13 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "train/light.h"
-#include "train/lpips.h"
+#include "codec/image.h"
+#include "loss/lpips.h"
+#include "loss/metric.h"
+#include "train/appearance_train.h"
+#include "train/evaluate.h"
+#include "train/photo_loader.h"
 #include "train/residual.h"
-#include "train/train.h"
 
 enum {
     EVALUATE_VALID_MIN = 11, /* px: the SSIM window */
@@ -30,8 +33,8 @@ static double evaluate_l1(const float *rgb, const uint8_t *target, const uint8_t
     return n ? sum / (double)n : 0.0;
 }
 
-enum err_code evaluate_photo(const struct feed_photo *p, const float *rgb,
-                             struct evaluate_score *sum, struct err *e)
+enum err_code evaluate_photo(const struct photo *p, const float *rgb, struct evaluate_score *sum,
+                             struct err *e)
 {
     uint32_t w = p->cam.width_px, h = p->cam.height_px;
     double psnr, ssim, gmsd, ssim_valid = (double)NAN;
@@ -53,7 +56,7 @@ enum err_code evaluate_photo(const struct feed_photo *p, const float *rgb,
 }
 
 /* Photograph and drawing side by side, as DIR/NAME.png. */
-static enum err_code evaluate_picture(const char *dir, const struct feed_photo *p, const float *rgb,
+static enum err_code evaluate_picture(const char *dir, const struct photo *p, const float *rgb,
                                       struct err *e)
 {
     char name[FILE_PATH_MAX], path[FILE_PATH_MAX];
@@ -93,11 +96,12 @@ static void evaluate_add(struct evaluate_score *sum, const struct evaluate_score
     sum->ms_frame += one->ms_frame;
 }
 
-static enum err_code evaluate_one(struct feed *f, size_t nth, const struct evaluate_source *src,
-                                  struct evaluate_score *sum, struct err *e)
+static enum err_code evaluate_one(struct photo_loader *f, size_t nth,
+                                  const struct evaluate_source *src, struct evaluate_score *sum,
+                                  struct err *e)
 {
-    struct feed_photo photo;
-    enum err_code rc = feed_get_nth(f, nth, &photo, e);
+    struct photo photo;
+    enum err_code rc = photo_loader_get_nth(f, nth, &photo, e);
     if (rc)
         return rc;
     float *rgb = mem_array((size_t)photo.cam.width_px * photo.cam.height_px * 3, sizeof(*rgb));
@@ -146,8 +150,9 @@ void evaluate_divide(struct evaluate_score *sum, double n)
     sum->ms_frame /= n;
 }
 
-enum err_code evaluate_run(struct feed *f, size_t n_photos, const struct evaluate_source *src,
-                           struct evaluate_score *out, struct err *e)
+enum err_code evaluate_run(struct photo_loader *f, size_t n_photos,
+                           const struct evaluate_source *src, struct evaluate_score *out,
+                           struct err *e)
 {
     *out = (struct evaluate_score){.n_photos = n_photos, .bytes = src->bytes};
     if (!n_photos)
@@ -156,7 +161,7 @@ enum err_code evaluate_run(struct feed *f, size_t n_photos, const struct evaluat
         enum err_code rc = evaluate_one(f, i, src, out, e);
         if (rc)
             return rc;
-        if (clock_stopping())
+        if (signals_stopping())
             return err_set(e, ERR_CANCEL, "stopped while scoring");
     }
     evaluate_divide(out, (double)n_photos);
@@ -170,7 +175,7 @@ enum err_code evaluate_draw_model(void *user, const struct camera *cam, float *r
     struct render_options ro = m->options;
     *gaussians = m->model->n;
     if (m->look) {
-        ro.appearance_frame = light_view_frame(m->look, cam);
+        ro.appearance_frame = appearance_view_frame(m->look, cam);
         ro.appearance_hidden = m->look->model->hidden;
     }
     return render_forward(m->render, m->model, cam, &ro, rgb, NULL, e);

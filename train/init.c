@@ -7,10 +7,13 @@
 #include <math.h>
 #include <string.h>
 
+#include "cells/cell.h"
+#include "codec/mask.h"
+#include "codec/scene.h"
 #include "core/pool.h"
-#include "train/knn.h"
-#include "train/mask.h"
-#include "train/train.h"
+#include "loss/knn.h"
+#include "train/config.h"
+#include "train/init.h"
 
 #define INIT_OPACITY 0.1
 #define INIT_DIST2_MIN_M2 1e-7 /* coincident points */
@@ -61,7 +64,7 @@ struct init_points {
 
 /* No sparse model: grey points at half to one and a half cell edges in front of random pixels. */
 static void init_random_points(const struct scene *s, const uint32_t *images, size_t n_images,
-                               const struct train_cell *cell, uint64_t seed, struct init_points *p)
+                               const struct cell *cell, uint64_t seed, struct init_points *p)
 {
     uint64_t stream = train_stream(TRAIN_STREAM_INIT, 1, 0);
     for (size_t i = 0; i < p->n; i++) {
@@ -129,7 +132,7 @@ static void init_row(struct gauss *g, size_t i, const uint8_t rgb[3], double dis
     g->opacity_logit[i] = (float)log(INIT_OPACITY / (1.0 - INIT_OPACITY));
 }
 
-static enum err_code init_fill(const struct init_points *p, const struct train_cell *cell,
+static enum err_code init_fill(const struct init_points *p, const struct cell *cell,
                                struct gauss *g, struct err *e)
 {
     double mean[3] = {0};
@@ -175,7 +178,7 @@ static enum err_code init_drop_masked(const struct scene *s, const uint32_t *ima
 }
 
 enum err_code init_count_points(const struct scene *s, const uint32_t *images, size_t n_images,
-                                const struct train_cell *cell, size_t *out, struct err *e)
+                                const struct cell *cell, size_t *out, struct err *e)
 {
     uint8_t *use = mem_array(s->n_points, 1), *seen = mem_array(s->n_images, 1);
     *out = 0;
@@ -190,8 +193,8 @@ enum err_code init_count_points(const struct scene *s, const uint32_t *images, s
 }
 
 enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n_images,
-                         const struct train_cell *cell, uint32_t sh_degree, size_t limit,
-                         uint64_t seed, struct gauss *out, struct err *e)
+                         const struct cell *cell, uint32_t sh_degree, size_t limit, uint64_t seed,
+                         struct gauss *out, struct err *e)
 {
     enum err_code rc = ERR_OK;
     struct init_points p = {0};

@@ -25,7 +25,11 @@
 #include <jansson.h>
 
 #include "core/pool.h"
-#include "train/level.h"
+#include "train/config.h"
+#include "train/run.h"
+#include "train/schedule.h"
+#include "train/train.h"
+#include "train/train_scene.h"
 
 enum { JOBS_TAIL_BYTES = 8192, JOBS_POLL_MS = 200, JOBS_ARGS_MAX = 20 };
 
@@ -348,7 +352,7 @@ static void jobs_loop(struct jobs *j)
         total += j->child[i].steps;
     progress_start(&p, "train cells", total);
     for (;;) {
-        if (clock_stopping())
+        if (signals_stopping())
             jobs_tell(j);
         else
             jobs_fill_slots(j);

@@ -11,7 +11,10 @@
 #ifndef TRAIN_JOBS_H
 #define TRAIN_JOBS_H
 
-#include "train/train.h"
+#include "train/config.h"
+
+struct train_cell_result;
+struct train_result;
 
 enum jobs_state { JOBS_NEW, JOBS_STARTED, JOBS_DONE };
 

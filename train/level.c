@@ -17,9 +17,19 @@
 
 #include <jansson.h>
 
-#include "train/density.h"
-#include "train/mask.h"
-#include "train/rows.h"
+#include "cells/cell.h"
+#include "loss/photometric.h"
+#include "loss/robust.h"
+#include "render/permute.h"
+#include "train/appearance_train.h"
+#include "train/budget.h"
+#include "train/config.h"
+#include "train/densify_apply.h"
+#include "train/importance.h"
+#include "train/photo_loader.h"
+#include "train/regularizer.h"
+#include "train/schedule.h"
+#include "train/timing.h"
 
 #define LEVEL_SIGMA_MIN                                                                            \
     1e-6 /* of the cell's edge: beyond, exp() and determinants lose their digits */
@@ -49,8 +59,9 @@ struct render_options level_render_options(const struct level *l, uint32_t step)
 struct render_options level_photo_options(struct level *l, uint32_t step, uint32_t image)
 {
     struct render_options ro = level_render_options(l, step);
-    if (light_is_on(&l->light) && step > light_warmup(&l->light, l->cfg, level_schedule(l)))
-        ro.appearance_frame = light_frame(&l->light, image);
+    if (appearance_train_is_on(&l->light) &&
+        step > appearance_train_warmup(&l->light, l->cfg, level_schedule(l)))
+        ro.appearance_frame = appearance_train_frame(&l->light, image);
     ro.appearance_hidden = l->light.model.hidden;
     return ro;
 }
@@ -65,7 +76,7 @@ static size_t level_stats(struct level *l, cl_mem *out[5])
     out[2] = &l->stats.count;
     out[3] = &l->stats.radius;
     out[4] = &l->stats.opacity;
-    return light_is_on(&l->light) ? 5 : 4;
+    return appearance_train_is_on(&l->light) ? 5 : 4;
 }
 
 static void level_release_stats(struct level *l)
@@ -104,7 +115,7 @@ static enum err_code level_zero_stats(struct level *l, struct err *e)
         if (!*rows[i])
             rc = dev_buffer(l->dev, l->model.cap * sizeof(float), NULL, rows[i], e);
     for (size_t i = 0; !rc && i < n; i++)
-        rc = dev_zero(l->dev, *rows[i], 0, rows_floats(l->model.n, 1) * sizeof(float), e);
+        rc = dev_zero(l->dev, *rows[i], 0, permute_floats(l->model.n, 1) * sizeof(float), e);
     return rc;
 }
 
@@ -116,25 +127,25 @@ static void level_count(struct level *l, size_t n)
 }
 
 /* One of the three arrays, in place or into a new one of `cap`, which takes its place. */
-static enum err_code level_move_part(struct level *l, size_t part, const struct rows *r, size_t cap,
-                                     struct err *e)
+static enum err_code level_move_part(struct level *l, size_t part, const struct permutation *r,
+                                     size_t cap, struct err *e)
 {
     cl_mem *parts[] = {&l->model.params, &l->adam.m1, &l->adam.m2}, *at = parts[part], grown = NULL;
-    size_t before = rows_floats(r->n_old, r->planes), after = rows_floats(r->n, r->planes);
+    size_t before = permute_floats(r->n_old, r->planes), after = permute_floats(r->n, r->planes);
     size_t most = before > after ? before : after;
     bool grows = cap > l->model.cap;
     void *from = NULL, *to = NULL;
     struct err why = {0};
     enum err_code rc = ERR_OK, done = ERR_OK;
     if (grows)
-        rc = dev_buffer(l->dev, rows_floats(cap, r->planes) * sizeof(float), NULL, &grown, e);
+        rc = dev_buffer(l->dev, permute_floats(cap, r->planes) * sizeof(float), NULL, &grown, e);
     if (!rc)
         rc = dev_map(l->dev, *at, grows ? CL_MAP_READ : CL_MAP_READ | CL_MAP_WRITE,
                      (grows ? before : most) * sizeof(float), &from, e);
     if (!rc && grows)
         rc = dev_map(l->dev, grown, CL_MAP_WRITE, after * sizeof(float), &to, e);
     if (!rc)
-        rc = rows_move(r, part > 0, from, grows ? to : from, e);
+        rc = permute_move(r, part > 0, from, grows ? to : from, e);
     done = dev_unmap(l->dev, *at, &from, &why);
     if (!done && grows)
         done = dev_unmap(l->dev, grown, &to, &why);
@@ -151,7 +162,7 @@ static enum err_code level_move_part(struct level *l, size_t part, const struct 
     return rc;
 }
 
-enum err_code level_move(struct level *l, const struct rows *r, struct err *e)
+enum err_code level_move(struct level *l, const struct permutation *r, struct err *e)
 {
     size_t cap = r->n > l->model.cap ? level_room(l, r->n) : l->model.cap;
     enum err_code rc = ERR_OK;
@@ -180,13 +191,13 @@ enum err_code level_forget(struct level *l, struct err *e)
 {
     const uint32_t n = l->model.n, planes = l->model.planes, lane = n % LAYOUT_LANES;
     cl_mem parts[] = {l->model.params, l->adam.m1, l->adam.m2};
-    size_t bytes = rows_floats(n, planes) * sizeof(float);
+    size_t bytes = permute_floats(n, planes) * sizeof(float);
     enum err_code rc = ERR_OK;
     for (size_t k = 0; !rc && lane && k < 3; k++) {
         void *at = NULL;
         rc = dev_map(l->dev, parts[k], CL_MAP_READ | CL_MAP_WRITE, bytes, &at, e);
         for (uint32_t p = 0; !rc && p < planes; p++)
-            memset((float *)at + rows_at(n, planes) + (size_t)p * LAYOUT_LANES, 0,
+            memset((float *)at + permute_at(n, planes) + (size_t)p * LAYOUT_LANES, 0,
                    (LAYOUT_LANES - lane) * sizeof(float));
         if (!rc)
             rc = dev_unmap(l->dev, parts[k], &at, e);
@@ -208,21 +219,24 @@ static void level_start_optimiser(struct level *l)
     l->adam.scale_log_min = (float)log(LEVEL_SIGMA_MIN * l->cell.edge_m);
     l->adam.scale_log_max = (float)log(LEVEL_SIGMA_MAX * l->cell.edge_m);
     l->adam.step = l->step;
-    uint32_t warmup = light_is_on(&l->light) ? light_warmup(&l->light, c, level_schedule(l)) : 0;
-    l->adam.embed_step = light_is_on(&l->light) && l->step > warmup ? l->step - warmup : 0;
+    uint32_t warmup = appearance_train_is_on(&l->light)
+                          ? appearance_train_warmup(&l->light, c, level_schedule(l))
+                          : 0;
+    l->adam.embed_step =
+        appearance_train_is_on(&l->light) && l->step > warmup ? l->step - warmup : 0;
 }
 
 /* Gaussians inside the cell. */
 static enum err_code level_count_inside(const struct level *l, size_t *out, struct err *e)
 {
     const struct render_model *m = &l->model;
-    size_t n = 0, bytes = rows_floats(m->n, m->planes) * sizeof(float);
+    size_t n = 0, bytes = permute_floats(m->n, m->planes) * sizeof(float);
     void *params = NULL;
     enum err_code rc = dev_map(l->dev, m->params, CL_MAP_READ, bytes, &params, e);
     if (rc)
         return rc;
     for (size_t i = 0; i < m->n; i++) {
-        const float *mean = (const float *)params + rows_at(i, m->planes);
+        const float *mean = (const float *)params + permute_at(i, m->planes);
         n += cell_distance(&l->cell, m->origin_enu_m[0] + (double)mean[0],
                            m->origin_enu_m[1] + (double)mean[LAYOUT_LANES]) <= 0.0;
     }
@@ -243,7 +257,7 @@ enum err_code level_reserve(struct level *l, const struct gauss *like, struct er
     m->cap = (uint32_t)cap;
     level_count(l, like->n);
     cl_mem *parts[] = {&m->params, &l->adam.m1, &l->adam.m2};
-    size_t bytes = rows_floats(cap, m->planes) * sizeof(float);
+    size_t bytes = permute_floats(cap, m->planes) * sizeof(float);
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < 3; i++)
         rc = dev_buffer(l->dev, bytes, NULL, parts[i], e);
@@ -259,7 +273,7 @@ enum err_code level_reserve(struct level *l, const struct gauss *like, struct er
 
 static enum err_code level_zero_moments(struct level *l, struct err *e)
 {
-    size_t bytes = rows_floats(l->model.n, l->model.planes) * sizeof(float);
+    size_t bytes = permute_floats(l->model.n, l->model.planes) * sizeof(float);
     enum err_code rc = dev_zero(l->dev, l->adam.m1, 0, bytes, e);
     return rc ? rc : dev_zero(l->dev, l->adam.m2, 0, bytes, e);
 }
@@ -280,11 +294,11 @@ void level_close(struct level *l)
     dev_release(&l->stats.repaired);
     dev_release(&l->target);
     dev_release(&l->mask);
-    feed_close(&l->feed);
+    photo_loader_close(&l->feed);
     budget_close(&l->budget);
-    score_free(&l->score);
-    regular_free(&l->regular);
-    light_close(&l->light);
+    importance_free(&l->score);
+    regularizer_free(&l->regular);
+    appearance_train_close(&l->light);
 }
 
 enum err_code level_gauss(struct level *l, struct gauss *out, struct err *e)
@@ -298,7 +312,7 @@ enum err_code level_gauss(struct level *l, struct gauss *out, struct err *e)
 enum err_code level_begin(struct level *l, struct err *e)
 {
     const struct schedule *s = level_schedule(l);
-    struct feed_config f = {
+    struct photo_loader_config f = {
         .scene = l->scene,
         .images = l->images,
         .n_images = l->n_images,
@@ -309,11 +323,11 @@ enum err_code level_begin(struct level *l, struct err *e)
         .seed = (uint64_t)l->cfg->seed,
         .level = s->level,
     };
-    feed_close(&l->feed);
+    photo_loader_close(&l->feed);
     level_start_optimiser(l);
     l->loss_mean = l->mse_mean = 0.0;
     l->step_s = clock_s();
-    return feed_open(&f, &l->feed, e);
+    return photo_loader_open(&f, &l->feed, e);
 }
 
 enum err_code level_next(struct level *l, struct err *e)
@@ -327,7 +341,7 @@ enum err_code level_next(struct level *l, struct err *e)
     budget_close(&l->budget);
     l->budget.at = (struct budget_point){0};
     l->filter_is_current = false;
-    light_restart(&l->light);
+    appearance_train_restart(&l->light);
     rc = level_zero_moments(l, e);
     if (!rc)
         rc = level_zero_stats(l, e);
@@ -345,15 +359,15 @@ enum err_code level_next(struct level *l, struct err *e)
 static enum err_code level_control(struct level *l, uint32_t x, struct err *e)
 {
     enum err_code rc = dev_finish(l->dev, e);
-    enum spent_on was = spent_turn(&l->spent, SPENT_BUDGET);
+    enum timing_on was = timing_turn(&l->spent, TIMING_BUDGET);
     if (!rc && x)
         rc = budget_look(l, x, e);
-    (void)spent_turn(&l->spent, SPENT_DENSIFY);
+    (void)timing_turn(&l->spent, TIMING_DENSIFY);
     if (!rc && x)
-        rc = density_run(l, x, e);
+        rc = densify_apply(l, x, e);
     if (!rc && schedule_resets(level_schedule(l), l->step))
-        rc = density_reset_opacity(l, e);
-    (void)spent_turn(&l->spent, was);
+        rc = densify_reset_opacity(l, e);
+    (void)timing_turn(&l->spent, was);
     return rc;
 }
 
@@ -373,7 +387,7 @@ static enum err_code level_upload(struct level *l, cl_mem *to, size_t *room, con
     return dev_write(l->dev, *to, 0, bytes, from, e);
 }
 
-static enum err_code level_upload_photo(struct level *l, const struct feed_photo *p, struct err *e)
+static enum err_code level_upload_photo(struct level *l, const struct photo *p, struct err *e)
 {
     size_t bytes = (size_t)p->cam.width_px * p->cam.height_px * 3;
     return level_upload(l, &l->target, &l->target_bytes, p->px, bytes, e);
@@ -381,7 +395,7 @@ static enum err_code level_upload_photo(struct level *l, const struct feed_photo
 
 /* The photograph's mask, and in a run with robust weighting the pixels that do not fit. Leaves
  * *mask NULL when all pixels count. */
-static enum err_code level_upload_mask(struct level *l, const struct feed_photo *p, cl_mem *mask,
+static enum err_code level_upload_mask(struct level *l, const struct photo *p, cl_mem *mask,
                                        struct err *e)
 {
     size_t n = (size_t)p->cam.width_px * p->cam.height_px;
@@ -399,7 +413,7 @@ static enum err_code level_upload_mask(struct level *l, const struct feed_photo 
     if (!rc && robust)
         rc = dev_read(l->dev, render_color_buffer(l->render), 0, 3 * n * sizeof(float), color, e);
     if (!rc && robust)
-        mask_robust(color, p->px, p->cam.width_px, p->cam.height_px, color + 3 * n, use);
+        robust_mask(color, p->px, p->cam.width_px, p->cam.height_px, color + 3 * n, use);
     if (!rc)
         rc = level_upload(l, &l->mask, &l->mask_bytes, use, n, e);
     *mask = rc ? NULL : l->mask;
@@ -408,10 +422,10 @@ static enum err_code level_upload_mask(struct level *l, const struct feed_photo 
     return rc;
 }
 
-static enum err_code level_loss(struct level *l, const struct feed_photo *p, bool value_only,
+static enum err_code level_loss(struct level *l, const struct photo *p, bool value_only,
                                 struct err *e)
 {
-    struct loss_input in = {
+    struct photometric_input in = {
         .value_only = value_only,
         .color = render_color_buffer(l->render),
         .width_px = p->cam.width_px,
@@ -425,15 +439,16 @@ static enum err_code level_loss(struct level *l, const struct feed_photo *p, boo
         rc = level_upload_mask(l, p, &in.mask, e);
     if (rc)
         return rc;
-    return loss_run(l->loss, &in, value_only ? NULL : render_color_grad_buffer(l->render), e);
+    return photometric_run(l->loss, &in, value_only ? NULL : render_color_grad_buffer(l->render),
+                           e);
 }
 
-enum err_code level_photo_loss(struct level *l, const struct feed_photo *p, struct err *e)
+enum err_code level_photo_loss(struct level *l, const struct photo *p, struct err *e)
 {
     return level_loss(l, p, false, e);
 }
 
-enum err_code level_photo_value(struct level *l, const struct feed_photo *p, struct err *e)
+enum err_code level_photo_value(struct level *l, const struct photo *p, struct err *e)
 {
     return level_loss(l, p, true, e);
 }
@@ -451,9 +466,9 @@ static enum err_code level_check_repaired(struct level *l, struct err *e)
     return rc;
 }
 
-static enum err_code level_read_loss(struct level *l, struct loss_value *v, struct err *e)
+static enum err_code level_read_loss(struct level *l, struct photometric_value *v, struct err *e)
 {
-    enum err_code rc = loss_read(l->loss, v, e);
+    enum err_code rc = photometric_read(l->loss, v, e);
     if (rc)
         return rc;
     if (!isfinite(v->total))
@@ -476,9 +491,9 @@ static void level_light(struct level *l, uint32_t step, const struct render_opti
         return;
     *grad = (struct render_appearance_grad){
         .offset_weight = (float)l->cfg->opacity_offset_weight,
-        .frame = light_learns(&l->light, l->cfg, s) ? l->light.frame_grad : NULL};
-    l->adam.lr_embed = (float)light_lr(&l->light, l->cfg, s, step);
-    l->adam.embed_step = step - light_warmup(&l->light, l->cfg, s);
+        .frame = appearance_train_learns(&l->light, l->cfg, s) ? l->light.frame_grad : NULL};
+    l->adam.lr_embed = (float)appearance_train_lr(&l->light, l->cfg, s, step);
+    l->adam.embed_step = step - appearance_train_warmup(&l->light, l->cfg, s);
     l->adam.appearance = grad;
 }
 
@@ -488,22 +503,22 @@ static void level_learn_light(struct level *l, uint32_t image)
     const struct render_appearance_grad *grad = l->adam.appearance;
     l->offset_mean = grad->offset_mean;
     if (grad->frame)
-        light_update(&l->light, image, (double)l->adam.lr_embed);
+        appearance_train_update(&l->light, image, (double)l->adam.lr_embed);
     l->adam.appearance = NULL; /* it lives in the step's frame */
 }
 
-enum err_code level_step(struct level *l, struct loss_value *value, struct err *e)
+enum err_code level_step(struct level *l, struct photometric_value *value, struct err *e)
 {
     const struct schedule *s = level_schedule(l);
     uint32_t step = l->step + 1;
-    struct feed_photo photo;
-    enum spent_on was = spent_turn(&l->spent, SPENT_PHOTOGRAPHS);
-    enum err_code rc = feed_get(l->feed, step, &photo, e);
-    (void)spent_turn(&l->spent, was);
+    struct photo photo;
+    enum timing_on was = timing_turn(&l->spent, TIMING_PHOTOGRAPHS);
+    enum err_code rc = photo_loader_get(l->feed, step, &photo, e);
+    (void)timing_turn(&l->spent, was);
     if (rc)
         return rc;
     struct render_options ro = level_photo_options(l, step, photo.image);
-    rc = regular_step(l, step, &photo, e);
+    rc = regularizer_step(l, step, &photo, e);
     if (!rc)
         rc = render_forward(l->render, &l->model, &photo.cam, &ro, NULL, NULL, e);
     if (!rc)

@@ -9,14 +9,19 @@
 
 #include <math.h>
 
+#include "codec/scene.h"
 #include "core/layout.h"
+#include "render/render.h"
+#include "train/config.h"
+#include "train/photo_loader.h"
+#include "train/schedule.h"
 
 enum {
     MEMORY_WORD = 4,
     MEMORY_STATS = 4, /* words: grad, absg, count, radius; + opacity with appearance */
     MEMORY_KEYS = 7,  /* words a Gaussian: depth_key, tiles_of, slot_first, keys, ids */
     MEMORY_PAIR = 5 * 4 + 2 /* lists, hits */ + LAYOUT_SLOT_FLOATS * 4 + 1 /* slot, mark */,
-    MEMORY_EXTRA = 11,  /* words: gradients of the regularisers of size and depth */
+    MEMORY_EXTRA = 11,  /* words: gradients of the regularizers of size and depth */
     MEMORY_DEPTH = 14,  /* words: means, sizes, ... of the depth picture's own model */
     MEMORY_CHOICE = 64, /* plan's rows, classes, candidates, Morton order, new means, spare rows */
     MEMORY_SUMS = 8 * 4 /* of a view */ + 5 * 4 /* opacity, volume, mean gradient, score */,
@@ -33,16 +38,17 @@ enum {
 
 static double memory_photos(const struct train_config *cfg, const struct scene *s,
                             const uint32_t *images, size_t n, double downsample, double *pixels,
-                            double *loss_pixels)
+                            double *photometric_pixels)
 {
     double kept = 0.0, decoding = 0.0;
     for (size_t i = 0; i < n; i++) {
         const struct camera *full = &s->images[images[i]].cam;
-        struct camera cam = feed_camera(full, (uint32_t)cfg->max_edge_px, downsample);
+        struct camera cam = photo_loader_camera(full, (uint32_t)cfg->max_edge_px, downsample);
         double px = (double)cam.width_px * cam.height_px;
         kept += 4.0 * px;
         *pixels = fmax(*pixels, px);
-        *loss_pixels = fmax(*loss_pixels, (cam.width_px + MEMORY_MARGIN_PX) * cam.height_px);
+        *photometric_pixels =
+            fmax(*photometric_pixels, (cam.width_px + MEMORY_MARGIN_PX) * cam.height_px);
         /* Whole, as the decoder's own copy, and shrunk in floats by rows at most. */
         decoding = fmax(decoding, 2.0 * 3.0 * full->width_px * full->height_px);
     }
@@ -56,7 +62,7 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
     bool light = cfg->appearance && cfg->embed_len > 0;
     double row = MEMORY_WORD * (double)render_planes_embed((uint32_t)cfg->sh_degree,
                                                            light ? (uint32_t)cfg->embed_len : 0);
-    double n = 0.0, pixels = 0.0, loss_pixels = 0.0, downsample = HUGE_VAL;
+    double n = 0.0, pixels = 0.0, photometric_pixels = 0.0, downsample = HUGE_VAL;
     for (uint32_t i = 0; i < n_levels; i++) {
         n = fmax(n, (double)levels[i].budget);
         downsample = fmin(downsample, levels[i].downsample);
@@ -66,7 +72,8 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
     if (light && cfg->similarity_weight > 0.0)
         groups = fmin((double)cfg->similarity_samples, n) * (double)cfg->similarity_neighbours *
                  MEMORY_WORD * (2.0 + (double)cfg->embed_len);
-    double photos = memory_photos(cfg, s, images, n_images, downsample, &pixels, &loss_pixels);
+    double photos =
+        memory_photos(cfg, s, images, n_images, downsample, &pixels, &photometric_pixels);
     bool depth = (cfg->depth_dir || cfg->depth_sparse) && cfg->depth_weight > 0.0;
     bool extra = depth || cfg->scale_weight > 0.0;
     double words = MEMORY_STATS + 2.0 * light + (cfg->aa == RENDER_AA_MIP) +
@@ -76,7 +83,7 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
                                         MEMORY_PAIRS * MEMORY_PAIR);
     double passing = fmax(MEMORY_CHOICE, MEMORY_SUMS);
     double per_pixel = MEMORY_FRAME_ROOM * MEMORY_FRAME_PX +
-                       (pixels > 0.0 ? MEMORY_LOSS_PX * loss_pixels / pixels : 0.0) +
+                       (pixels > 0.0 ? MEMORY_LOSS_PX * photometric_pixels / pixels : 0.0) +
                        MEMORY_HOST_PX + MEMORY_EVALUATE_PX +
                        MEMORY_FRAME_ROOM * 2.0 * MEMORY_PAIR; /* large splats: 2 pairs a pixel */
     double per_gaussian = trained + drawn + passing;

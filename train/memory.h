@@ -6,12 +6,18 @@
 #ifndef TRAIN_MEMORY_H
 #define TRAIN_MEMORY_H
 
-#include "train/train.h"
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+struct scene;
+struct schedule;
+struct train_config;
 
 /* Device and host together: on a CPU device they are the same memory. */
 struct memory_need {
     size_t per_gaussian; /* bytes, the sum of the next three */
-    size_t trained;      /* parameters, two Adam moments, statistics, gradients of regularisers */
+    size_t trained;      /* parameters, two Adam moments, statistics, gradients of regularizers */
     size_t drawn;     /* a frame's records and keys, lists of (splat, tile) pairs and their slots */
     size_t passing;   /* the most that density control, scores or pruning need for a moment */
     size_t per_pixel; /* of the finest level's picture: pictures, loss, scores, evaluation */

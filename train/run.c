@@ -11,11 +11,25 @@
 
 #include <jansson.h>
 
-#include "train/contribute.h"
+#include "loss/photometric.h"
+#include "train/appearance_train.h"
+#include "train/budget.h"
+#include "train/config.h"
+#include "train/evaluate.h"
+#include "train/init.h"
 #include "train/jobs.h"
 #include "train/level.h"
 #include "train/memory.h"
+#include "train/metrics_log.h"
+#include "train/photo_loader.h"
+#include "train/prune.h"
+#include "train/regularizer.h"
 #include "train/residual.h"
+#include "train/run.h"
+#include "train/schedule.h"
+#include "train/state.h"
+#include "train/timing.h"
+#include "train/train.h"
 
 enum { RUN_LOOK_STEPS = 20, RUN_LINE_STEPS = 100 };
 
@@ -25,7 +39,7 @@ struct run {
     const struct train_config *cfg;
     char dir[FILE_PATH_MAX], resume_path[FILE_PATH_MAX];
     struct progress progress;
-    struct spent_times spent_before; /* when the level in work began */
+    struct timing_seconds spent_before; /* when the level in work began */
     double start_s;
     uint64_t last_saved; /* steps of this process when the state was last saved */
     struct train_cell_result *result;
@@ -72,17 +86,17 @@ static enum err_code run_open_record(struct run *t, struct err *e)
     const char *event = t->cfg->resume ? "resume" : "start";
     enum err_code rc = file_join(path, t->dir, "metrics.jsonl", e);
     if (!rc)
-        rc = record_open(path, t->cfg->resume, &l->record, e);
+        rc = metrics_log_open(path, t->cfg->resume, &l->record, e);
     if (rc)
         return rc;
-    return record_line(l->record, event,
-                       json_pack("{s:s, s:s, s:I, s:I, s:I, s:i, s:i, s:f, s:f}", "cell",
-                                 l->cell.id, "device", l->dev->name, "photographs",
-                                 (json_int_t)l->n_images, "test_photographs",
-                                 (json_int_t)t->job->n_test, "gaussians", (json_int_t)l->model.n,
-                                 "level", (int)l->at + 1, "step", (int)l->step, "edge_m",
-                                 l->cell.edge_m, "extent_m", l->cell.extent_m),
-                       e);
+    return metrics_log_line(
+        l->record, event,
+        json_pack("{s:s, s:s, s:I, s:I, s:I, s:i, s:i, s:f, s:f}", "cell", l->cell.id, "device",
+                  l->dev->name, "photographs", (json_int_t)l->n_images, "test_photographs",
+                  (json_int_t)t->job->n_test, "gaussians", (json_int_t)l->model.n, "level",
+                  (int)l->at + 1, "step", (int)l->step, "edge_m", l->cell.edge_m, "extent_m",
+                  l->cell.extent_m),
+        e);
 }
 
 /* --resume and nothing to resume: is the cell complete, with these options? */
@@ -133,8 +147,8 @@ static enum err_code run_start(struct run *t, struct err *e)
     enum err_code rc =
         init_gauss(l->scene, l->images, l->n_images, &l->cell, (uint32_t)t->cfg->sh_degree,
                    l->schedule[0].budget, (uint64_t)t->cfg->seed, &g, e);
-    if (!rc && light_is_on(&l->light))
-        rc = light_embed(&l->light, (uint64_t)t->cfg->seed, &g, e);
+    if (!rc && appearance_train_is_on(&l->light))
+        rc = appearance_train_embed(&l->light, (uint64_t)t->cfg->seed, &g, e);
     if (!rc)
         rc = level_open(l, &g, e);
     gauss_free(&g);
@@ -147,10 +161,10 @@ static enum err_code run_save(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
     enum err_code rc = dev_finish(l->dev, e);
-    enum spent_on was = spent_turn(&l->spent, SPENT_CHECKPOINT);
+    enum timing_on was = timing_turn(&l->spent, TIMING_CHECKPOINT);
     if (!rc)
         rc = state_save(l, t->resume_path, e);
-    (void)spent_turn(&l->spent, was);
+    (void)timing_turn(&l->spent, was);
     return rc;
 }
 
@@ -167,7 +181,7 @@ static enum err_code run_stop(struct run *t, struct err *e)
         l->at + 1, l->n_levels, l->step, l->schedule[l->at].steps);
 }
 
-static enum err_code run_report(struct run *t, const struct loss_value *v, struct err *e)
+static enum err_code run_report(struct run *t, const struct photometric_value *v, struct err *e)
 {
     struct level *l = &t->level;
     char note[96];
@@ -179,12 +193,12 @@ static enum err_code run_report(struct run *t, const struct loss_value *v, struc
         return ERR_OK;
     double now = clock_s(), seconds = now - l->step_s;
     l->step_s = now;
-    json_t *o = json_pack("{s:i, s:i, s:f, s:f, s:f, s:f, s:I, s:f, s:I, s:f}", "level",
-                          (int)l->at + 1, "step", (int)l->step, "loss", v->total, "l1", v->l1,
-                          "ssim", v->ssim, "psnr_mean_db", psnr, "gaussians",
-                          (json_int_t)l->model.n, "s_since_last_line", seconds, "feed_bytes",
-                          (json_int_t)feed_bytes(l->feed), "opacity_offset", l->offset_mean);
-    return record_line(l->record, "step", o, e);
+    json_t *o = json_pack(
+        "{s:i, s:i, s:f, s:f, s:f, s:f, s:I, s:f, s:I, s:f}", "level", (int)l->at + 1, "step",
+        (int)l->step, "loss", v->total, "l1", v->l1, "ssim", v->ssim, "psnr_mean_db", psnr,
+        "gaussians", (json_int_t)l->model.n, "s_since_last_line", seconds, "photo_loader_bytes",
+        (json_int_t)photo_loader_bytes(l->feed), "opacity_offset", l->offset_mean);
+    return metrics_log_line(l->record, "step", o, e);
 }
 
 static enum err_code run_steps(struct run *t, struct err *e)
@@ -192,7 +206,7 @@ static enum err_code run_steps(struct run *t, struct err *e)
     struct level *l = &t->level;
     uint32_t steps = l->schedule[l->at].steps;
     while (l->step < steps) {
-        struct loss_value v;
+        struct photometric_value v;
         uint32_t next = l->step + 1;
         bool look = next % RUN_LOOK_STEPS == 0 || next == steps;
         enum err_code rc = level_step(l, look ? &v : NULL, e);
@@ -202,7 +216,7 @@ static enum err_code run_steps(struct run *t, struct err *e)
         if (rc)
             return rc;
         bool enough = t->cfg->stop_after > 0 && *t->job->steps >= (uint64_t)t->cfg->stop_after;
-        if (clock_stopping() || enough)
+        if (signals_stopping() || enough)
             return run_stop(t, e);
         if (*t->job->steps - t->last_saved >= (uint64_t)t->cfg->checkpoint_interval &&
             l->step < steps) {
@@ -218,8 +232,8 @@ static enum err_code run_steps(struct run *t, struct err *e)
 static enum err_code run_score(struct run *t, struct evaluate_score *out, struct err *e)
 {
     struct level *l = &t->level;
-    struct feed *feed = NULL;
-    struct feed_config f = {
+    struct photo_loader *feed = NULL;
+    struct photo_loader_config f = {
         .scene = l->scene,
         .images = t->job->test_images,
         .n_images = t->job->n_test,
@@ -227,17 +241,17 @@ static enum err_code run_score(struct run *t, struct evaluate_score *out, struct
         .downsample = l->schedule[l->at].downsample,
         .cache_bytes = (size_t)64 << 20,
     };
-    struct light_view look = {0};
+    struct appearance_view look = {0};
     struct evaluate_model model = {l->render, &l->model, level_render_options(l, l->step),
-                                   light_is_on(&l->light) ? &look : NULL};
+                                   appearance_train_is_on(&l->light) ? &look : NULL};
     struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model};
-    enum err_code rc = feed_open(&f, &feed, e);
+    enum err_code rc = photo_loader_open(&f, &feed, e);
     if (!rc && model.look)
-        rc = light_view_open(&look, &l->light.model, l->scene, e);
+        rc = appearance_view_open(&look, &l->light.model, l->scene, e);
     if (!rc)
         rc = evaluate_run(feed, t->job->n_test, &source, out, e);
-    light_view_close(&look);
-    feed_close(&feed);
+    appearance_view_close(&look);
+    photo_loader_close(&feed);
     return rc;
 }
 
@@ -267,9 +281,9 @@ static enum err_code run_residuals(struct run *t, struct residual_list *r, struc
 static enum err_code run_prune(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
-    struct contribute_report r = {0};
+    struct prune_report r = {0};
     struct residual_list residuals = {0};
-    enum err_code rc = l->pruned ? ERR_OK : contribute_prune(l, &r, &residuals, e);
+    enum err_code rc = l->pruned ? ERR_OK : prune_level(l, &r, &residuals, e);
     l->pruned = !rc;
     if (!rc)
         rc = run_residuals(t, &residuals, e);
@@ -280,13 +294,13 @@ static enum err_code run_prune(struct run *t, struct err *e)
              "level=%u prune before=%zu faint=%zu unsupported=%zu train_psnr_db=%.3f after=%.3f%s",
              l->at + 1, r.before, r.faint, r.unsupported, r.psnr_before_db, r.psnr_after_db,
              r.undone ? ": taken back" : "");
-    return record_line(l->record, "prune",
-                       json_pack("{s:i, s:I, s:I, s:I, s:o, s:o, s:b}", "level", (int)l->at + 1,
-                                 "before", (json_int_t)r.before, "faint", (json_int_t)r.faint,
-                                 "unsupported", (json_int_t)r.unsupported, "psnr_before_db",
-                                 jsonc_real(r.psnr_before_db), "psnr_after_db",
-                                 jsonc_real(r.psnr_after_db), "undone", (int)r.undone),
-                       e);
+    return metrics_log_line(
+        l->record, "prune",
+        json_pack("{s:i, s:I, s:I, s:I, s:o, s:o, s:b}", "level", (int)l->at + 1, "before",
+                  (json_int_t)r.before, "faint", (json_int_t)r.faint, "unsupported",
+                  (json_int_t)r.unsupported, "psnr_before_db", jsonc_real(r.psnr_before_db),
+                  "psnr_after_db", jsonc_real(r.psnr_after_db), "undone", (int)r.undone),
+        e);
 }
 
 /* Score and save the level in work, and remove results of finer levels, which belong to an older
@@ -297,21 +311,21 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
     struct evaluate_score score = {0};
     char path[FILE_PATH_MAX];
     uint32_t k = l->at + 1;
-    (void)spent_turn(&l->spent, SPENT_PRUNE);
+    (void)timing_turn(&l->spent, TIMING_PRUNE);
     enum err_code rc = run_prune(t, e);
     if (!rc)
-        rc = regular_filter(l, e);
-    (void)spent_turn(&l->spent, SPENT_EVALUATE);
+        rc = regularizer_filter(l, e);
+    (void)timing_turn(&l->spent, TIMING_EVALUATE);
     if (!rc && t->job->n_test)
         rc = run_score(t, &score, e);
     if (rc == ERR_CANCEL)
         return run_stop(t, e);
-    (void)spent_turn(&l->spent, SPENT_CHECKPOINT);
+    (void)timing_turn(&l->spent, TIMING_CHECKPOINT);
     if (!rc)
         rc = run_level_path(t, k, path, e);
     if (!rc)
         rc = state_save_level(l, path, t->job->n_test ? &score : NULL, e);
-    (void)spent_turn(&l->spent, SPENT_OTHER);
+    (void)timing_turn(&l->spent, TIMING_OTHER);
     for (uint32_t j = k + 1; !rc && j <= TRAIN_LEVELS_MAX; j++) {
         rc = run_level_path(t, j, path, e);
         if (!rc)
@@ -329,14 +343,14 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
                  l->model.n, score.psnr_db, score.ssim, seconds);
     else
         log_info("train", "level=%u done gaussians=%u seconds=%.1f", k, l->model.n, seconds);
-    return record_line(l->record, "level",
-                       json_pack("{s:i, s:I, s:I, s:o, s:o, s:o, s:f, s:f, s:I}", "level", (int)k,
-                                 "gaussians", (json_int_t)l->model.n, "test_photographs",
-                                 (json_int_t)t->job->n_test, "psnr_db", jsonc_real(score.psnr_db),
-                                 "ssim", jsonc_real(score.ssim), "ssim_valid",
-                                 jsonc_real(score.ssim_valid), "ms_frame", score.ms_frame,
-                                 "seconds", seconds, "peak_bytes", (json_int_t)mem_peak_bytes()),
-                       e);
+    return metrics_log_line(
+        l->record, "level",
+        json_pack("{s:i, s:I, s:I, s:o, s:o, s:o, s:f, s:f, s:I}", "level", (int)k, "gaussians",
+                  (json_int_t)l->model.n, "test_photographs", (json_int_t)t->job->n_test, "psnr_db",
+                  jsonc_real(score.psnr_db), "ssim", jsonc_real(score.ssim), "ssim_valid",
+                  jsonc_real(score.ssim_valid), "ms_frame", score.ms_frame, "seconds", seconds,
+                  "peak_bytes", (json_int_t)mem_peak_bytes()),
+        e);
 }
 
 /* Where the level's time went. */
@@ -344,14 +358,14 @@ static enum err_code run_report_spent(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
     char text[512];
-    struct spent_times now = spent_now(&l->spent), here = spent_since(&now, &t->spent_before);
+    struct timing_seconds now = timing_now(&l->spent), here = timing_since(&now, &t->spent_before);
     t->spent_before = now;
-    spent_text(&here, text, sizeof(text));
+    timing_text(&here, text, sizeof(text));
     log_debug("train", "level=%u time: %s", l->at + 1, text);
-    return record_line(l->record, "time",
-                       json_pack("{s:i, s:f, s:o}", "level", (int)l->at + 1, "seconds",
-                                 spent_total(&here), "spent", spent_json(&here)),
-                       e);
+    return metrics_log_line(l->record, "time",
+                            json_pack("{s:i, s:f, s:o}", "level", (int)l->at + 1, "seconds",
+                                      timing_total(&here), "spent", timing_json(&here)),
+                            e);
 }
 
 static enum err_code run_levels(struct run *t, struct err *e)
@@ -362,11 +376,11 @@ static enum err_code run_levels(struct run *t, struct err *e)
         char what[48];
         snprintf(what, sizeof(what), "train level %u/%u", l->at + 1, l->n_levels);
         progress_start(&t->progress, what, l->schedule[l->at].steps);
-        (void)spent_turn(&l->spent, SPENT_STEP);
+        (void)timing_turn(&l->spent, TIMING_STEP);
         rc = run_steps(t, e);
         if (!rc)
             rc = dev_finish(l->dev, e);
-        (void)spent_turn(&l->spent, SPENT_OTHER);
+        (void)timing_turn(&l->spent, TIMING_OTHER);
         progress_end(&t->progress, NULL);
         if (!rc)
             rc = run_finish_level(t, e);
@@ -438,15 +452,15 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
                               .loss = job->loss,
                               .cell = job->cell,
                               .n_levels = (uint32_t)job->cfg->level_count};
-    spent_start(&t->level.spent, SPENT_START);
+    timing_start(&t->level.spent, TIMING_START);
     *out = (struct train_cell_result){.n_levels = t->level.n_levels};
     memcpy(out->id, job->cell.id, sizeof(out->id));
     enum err_code rc = run_budget(t, e);
     if (!rc)
         rc = run_paths(t, job->base_dir, e);
-    if (!rc && light_wanted(job->cfg))
-        rc = light_open(&t->level.light, job->cfg, job->scene, job->images, job->n_images,
-                        job->shared, e);
+    if (!rc && appearance_train_wanted(job->cfg))
+        rc = appearance_train_open(&t->level.light, job->cfg, job->scene, job->images,
+                                   job->n_images, job->shared, e);
     if (!rc)
         rc = done_lock(t->dir, &t->lock_fd, e);
     if (!rc)
@@ -464,14 +478,14 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
     if (!rc)
         rc = run_levels(t, e);
     out->seconds = clock_s() - t->start_s;
-    out->spent = spent_now(&t->level.spent);
+    out->spent = timing_now(&t->level.spent);
     if (!rc)
         rc = done_write(t->dir, out, e);
     if (!rc)
         (void)unlink(t->resume_path); /* nothing is left to go on from */
 out:
     level_close(&t->level);
-    record_close(&t->level.record);
+    metrics_log_close(&t->level.record);
     done_unlock(&t->lock_fd);
     mem_free(t->images);
     mem_free(t);

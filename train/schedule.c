@@ -10,7 +10,9 @@
  */
 #include <math.h>
 
-#include "train/train.h"
+#include "cells/cell.h"
+#include "train/config.h"
+#include "train/schedule.h"
 
 #define SCHEDULE_PHOTOS 600.0 /* photographs at which lengths begin to stretch */
 enum { SCHEDULE_STEPS_MAX = 1 << 30 };
@@ -50,7 +52,7 @@ static void schedule_base(const struct train_config *cfg,
 }
 
 /* A cell that was merged from several has more ground to cover. */
-static double schedule_budget_factor(const struct train_cell *cell)
+static double schedule_budget_factor(const struct cell *cell)
 {
     if (cell->whole)
         return 1.0;
@@ -67,7 +69,7 @@ static double schedule_lr_factor(double most, double kappa)
 }
 
 static void schedule_fill(const struct train_config *cfg, const struct schedule_base *b,
-                          double kappa, const struct train_cell *cell, struct schedule *s)
+                          double kappa, const struct cell *cell, struct schedule *s)
 {
     double shrink = kappa < 1.0 ? kappa : 1.0;
     double interval = (double)b->interval * kappa;
@@ -91,7 +93,7 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
 }
 
 enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
-                            const struct train_cell *cell, struct schedule out[TRAIN_LEVELS_MAX],
+                            const struct cell *cell, struct schedule out[TRAIN_LEVELS_MAX],
                             struct err *e)
 {
     struct schedule_base base[TRAIN_LEVELS_MAX];

@@ -7,9 +7,16 @@
 #include <math.h>
 #include <string.h>
 
+#include "cells/cell.h"
+#include "codec/ckpt.h"
+#include "train/appearance_train.h"
+#include "train/config.h"
+#include "train/run.h"
+#include "train/train.h"
+
 bool shared_wanted(const struct train_config *cfg, size_t n_cells)
 {
-    return light_wanted(cfg) && cfg->appearance_shared && n_cells > 1;
+    return appearance_train_wanted(cfg) && cfg->appearance_shared && n_cells > 1;
 }
 
 bool train_needs_shared(const struct train_config *cfg)
@@ -49,7 +56,7 @@ static struct train_config shared_config(const struct train_config *cells, const
 enum err_code shared_read_model(const struct ckpt *c, const char *path, struct appearance *out,
                                 struct err *e)
 {
-    const struct ckpt_blob *b = ckpt_find(c, LIGHT_BLOB);
+    const struct ckpt_blob *b = ckpt_find(c, APPEARANCE_TRAIN_BLOB);
     *out = (struct appearance){0};
     if (!b)
         return ERR_OK;
@@ -63,7 +70,7 @@ static enum err_code shared_load(const char *path, struct appearance *out, struc
     struct buf b = {0};
     enum err_code rc = ckpt_rows_open(path, &c, e);
     if (!rc)
-        rc = ckpt_rows_blob(c, LIGHT_BLOB, &b, e);
+        rc = ckpt_rows_blob(c, APPEARANCE_TRAIN_BLOB, &b, e);
     if (!rc && !b.data)
         rc = err_set(e, ERR_FORMAT, "%s: holds no appearance model", path);
     else if (!rc && appearance_read(b.data, b.size, out, e))

@@ -11,7 +11,12 @@
 #ifndef TRAIN_SHARED_H
 #define TRAIN_SHARED_H
 
-#include "train/level.h"
+#include "train/run.h"
+
+struct appearance;
+struct ckpt;
+struct err;
+struct train_config;
 
 #define SHARED_ID "appearance" /* folder below cells/ */
 

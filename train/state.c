@@ -13,7 +13,18 @@
 
 #include <jansson.h>
 
+#include "cells/cell.h"
+#include "codec/ckpt.h"
+#include "loss/mip.h"
+#include "render/permute.h"
+#include "train/appearance_train.h"
+#include "train/budget.h"
+#include "train/config.h"
+#include "train/evaluate.h"
 #include "train/level.h"
+#include "train/regularizer.h"
+#include "train/schedule.h"
+#include "train/state.h"
 
 #define STATE_SAME_M 1e-6 /* lengths of a plan go through text */
 enum { STATE_STATS = 5, STATE_LIGHTS = 2, STATE_SLICE = 65536 };
@@ -110,7 +121,7 @@ static enum err_code state_view_open(struct level *l, struct state_view *v, stru
                                       .embed_len = m->embed_len,
                                       .antialiased = l->cfg->aa != RENDER_AA_NONE}};
     memcpy(v->like.origin_enu_m, m->origin_enu_m, sizeof(v->like.origin_enu_m));
-    return state_look(v, m->params, rows_floats(m->n, m->planes) * sizeof(float), e);
+    return state_look(v, m->params, permute_floats(m->n, m->planes) * sizeof(float), e);
 }
 
 /* Give the buffers back; rc is what came before. */
@@ -130,7 +141,7 @@ static enum err_code state_view_close(struct state_view *v, enum err_code rc, st
  * nothing of it. */
 static void state_fold(const struct state_view *v, enum ckpt_field field, size_t row, float *out)
 {
-    const float *p = (const float *)v->at[0] + rows_at(row, v->l->model.planes);
+    const float *p = (const float *)v->at[0] + permute_at(row, v->l->model.planes);
     float scale[3], opacity = p[RENDER_PLANE_OPACITY * LAYOUT_LANES];
     struct gauss one = {.n = 1, .scale_log = scale, .opacity_logit = &opacity};
     for (size_t k = 0; k < 3; k++)
@@ -153,7 +164,7 @@ static enum err_code state_rows(void *user, enum ckpt_field field, size_t first,
     size_t count = plane[field + 1] - plane[field];
     bool fold = v->filter && (field == CKPT_SCALE || field == CKPT_OPACITY);
     for (size_t i = 0; i < n; i++) {
-        const float *p = (const float *)v->at[0] + rows_at(first + i, m->planes) +
+        const float *p = (const float *)v->at[0] + permute_at(first + i, m->planes) +
                          (size_t)plane[field] * LAYOUT_LANES;
         if (fold)
             state_fold(v, field, first + i, out + i * count);
@@ -168,7 +179,7 @@ static enum err_code state_view_filter(struct state_view *v, struct err *e)
     struct level *l = v->l;
     if (l->cfg->aa != RENDER_AA_MIP)
         return ERR_OK;
-    enum err_code rc = regular_filter(l, e);
+    enum err_code rc = regularizer_filter(l, e);
     v->filter = mem_array(l->model.n, sizeof(*v->filter));
     if (!rc && !v->filter)
         rc = err_set(e, ERR_MEM, "checkpoint: out of memory for %u Gaussians", l->model.n);
@@ -192,8 +203,8 @@ enum err_code state_save_level(struct level *l, const char *path,
             rc = err_set(e, ERR_MEM, "%s: out of memory", path);
     }
     struct buf look = {0};
-    struct ckpt_blob blob = {.name = LIGHT_BLOB};
-    bool with = light_is_on(&l->light);
+    struct ckpt_blob blob = {.name = APPEARANCE_TRAIN_BLOB};
+    bool with = appearance_train_is_on(&l->light);
     if (!rc && with)
         rc = appearance_write(&l->light.model, &look, e);
     blob.data = look.data;
@@ -230,9 +241,9 @@ static enum err_code state_light_blobs(const struct level *l, struct ckpt_blob o
     struct buf b[STATE_LIGHTS] = {{0}};
     enum err_code rc = appearance_write(&l->light.model, &b[0], e);
     if (!rc)
-        rc = light_write_state(&l->light, &b[1], e);
-    memcpy(out[0].name, LIGHT_BLOB, sizeof(LIGHT_BLOB));
-    memcpy(out[1].name, LIGHT_BLOB_STATE, sizeof(LIGHT_BLOB_STATE));
+        rc = appearance_train_write_state(&l->light, &b[1], e);
+    memcpy(out[0].name, APPEARANCE_TRAIN_BLOB, sizeof(APPEARANCE_TRAIN_BLOB));
+    memcpy(out[1].name, APPEARANCE_TRAIN_BLOB_STATE, sizeof(APPEARANCE_TRAIN_BLOB_STATE));
     for (size_t i = 0; i < STATE_LIGHTS; i++) { /* the caller frees them */
         out[i].data = b[i].data;
         out[i].size_bytes = b[i].size;
@@ -245,7 +256,7 @@ enum err_code state_save(struct level *l, const char *path, struct err *e)
     struct state_view v = {0};
     struct ckpt_blob blobs[3 + STATE_STATS + STATE_LIGHTS] = {0};
     const struct render_model *m = &l->model;
-    size_t n = 0, moments = rows_floats(m->n, m->planes) * sizeof(float), lights = 0;
+    size_t n = 0, moments = permute_floats(m->n, m->planes) * sizeof(float), lights = 0;
     json_t *meta = state_meta(l, "resume", e);
     if (!meta)
         return ERR_MEM;
@@ -260,7 +271,7 @@ enum err_code state_save(struct level *l, const char *path, struct err *e)
         rc = state_blob(&v, state_stat_names[i], stats[i], m->n * sizeof(float), &blobs[n++], e);
     if (!rc && m->filter && l->filter_is_current)
         rc = state_blob(&v, "filter", m->filter, m->n * sizeof(float), &blobs[n++], e);
-    if (!rc && light_is_on(&l->light)) {
+    if (!rc && appearance_train_is_on(&l->light)) {
         rc = state_light_blobs(l, blobs + n, e);
         lights = STATE_LIGHTS;
     }
@@ -307,7 +318,7 @@ static enum err_code state_check_cell(const struct level *l, const char *path, c
                                       struct err *e)
 {
     double lengths[2], box[4], photos;
-    const struct train_cell *c = &l->cell;
+    const struct cell *c = &l->cell;
     const double want[6] = {c->edge_m,       c->extent_m,     c->min_enu_m[0],
                             c->min_enu_m[1], c->max_enu_m[0], c->max_enu_m[1]};
     enum err_code rc = jsonc_num(meta, "edge_m", &lengths[0], e);
@@ -362,14 +373,15 @@ static enum err_code state_fill_light(struct level *l, const struct ckpt_rows *c
                                       struct err *e)
 {
     struct buf model = {0}, adam = {0};
-    if (!light_is_on(&l->light))
+    if (!appearance_train_is_on(&l->light))
         return ERR_OK;
-    enum err_code rc = ckpt_rows_blob(c, LIGHT_BLOB, &model, e);
+    enum err_code rc = ckpt_rows_blob(c, APPEARANCE_TRAIN_BLOB, &model, e);
     if (!rc)
-        rc = ckpt_rows_blob(c, LIGHT_BLOB_STATE, &adam, e);
+        rc = ckpt_rows_blob(c, APPEARANCE_TRAIN_BLOB_STATE, &adam, e);
     if (!rc && (!model.data || !adam.data))
         rc = err_set(e, ERR_FORMAT, "%s: holds no appearance model", path);
-    else if (!rc && light_read_state(&l->light, model.data, model.size, adam.data, adam.size, e))
+    else if (!rc && appearance_train_read_state(&l->light, model.data, model.size, adam.data,
+                                                adam.size, e))
         rc = err_add(e, "%s", path);
     buf_free(&model);
     buf_free(&adam);
@@ -394,7 +406,7 @@ static enum err_code state_fill_rows(struct level *l, const struct ckpt_rows *c,
 static enum err_code state_fill_all(struct level *l, const struct ckpt_rows *c, const char *path,
                                     struct err *e)
 {
-    size_t moments = rows_floats(l->model.n, l->model.planes) * sizeof(float);
+    size_t moments = permute_floats(l->model.n, l->model.planes) * sizeof(float);
     cl_mem stats[STATE_STATS];
     state_stat_buffers(l, stats);
     enum err_code rc = state_fill_rows(l, c, e);
@@ -504,10 +516,11 @@ static bool state_has_light(const struct level *l, const struct ckpt_rows *c)
     struct appearance a = {0};
     struct buf b = {0};
     struct err why = {0};
-    if (!light_is_on(&l->light) || !l->light.shared)
-        return ckpt_rows_has(c, LIGHT_BLOB) == light_is_on(&l->light);
-    bool same = !ckpt_rows_blob(c, LIGHT_BLOB, &b, &why) && b.data &&
-                !appearance_read(b.data, b.size, &a, &why) && light_same(&a, &l->light.model);
+    if (!appearance_train_is_on(&l->light) || !l->light.shared)
+        return ckpt_rows_has(c, APPEARANCE_TRAIN_BLOB) == appearance_train_is_on(&l->light);
+    bool same = !ckpt_rows_blob(c, APPEARANCE_TRAIN_BLOB, &b, &why) && b.data &&
+                !appearance_read(b.data, b.size, &a, &why) &&
+                appearance_train_same(&a, &l->light.model);
     appearance_free(&a);
     buf_free(&b);
     return same;

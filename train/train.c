@@ -4,9 +4,19 @@
  */
 #include <string.h>
 
+#include "cells/cell.h"
+#include "cells/cell_plan.h"
+#include "cells/partition.h"
+#include "codec/scene.h"
+#include "core/appearance.h"
 #include "core/pool.h"
-#include "train/level.h"
+#include "loss/photometric.h"
+#include "render/render.h"
+#include "train/config.h"
+#include "train/run.h"
 #include "train/shared.h"
+#include "train/train.h"
+#include "train/train_scene.h"
 
 static const struct options_def train_defs[] = {
 #define OPT(type, key, def, lo, hi, unit, help)                                                    \
@@ -67,7 +77,7 @@ enum err_code train_scene_open(const char *dir, const struct train_config *cfg,
     if (!rc)
         rc = file_join(path, dir, "plan.json", e);
     if (!rc && file_exists(path))
-        rc = plan_read(path, &out->scene, &out->plan, e);
+        rc = cell_plan_read(path, &out->scene, &out->plan, e);
     else if (!rc && cfg->cell)
         rc = err_set(e, ERR_NOENT, "%s: --cell needs a plan; `citysplat plan %s` makes it", path,
                      dir);
@@ -152,7 +162,7 @@ struct train { /* everything that lives as long as the run */
     struct dev dev;
     bool dev_is_open;
     struct render *render;
-    struct loss *loss;
+    struct photometric *loss;
     struct appearance shared; /* of all cells; empty: none */
     uint64_t steps;           /* in this process, over all cells */
 };
@@ -170,13 +180,13 @@ static enum err_code train_open(struct train *t, const char *scene_dir,
         return rc;
     t->dev_is_open = true;
     rc = render_open(&t->dev, &t->render, e);
-    return rc ? rc : loss_open(&t->dev, &t->loss, e);
+    return rc ? rc : photometric_open(&t->dev, &t->loss, e);
 }
 
 static void train_close(struct train *t)
 {
     appearance_free(&t->shared);
-    loss_close(&t->loss);
+    photometric_close(&t->loss);
     render_close(&t->render);
     if (t->dev_is_open)
         dev_close(&t->dev);
@@ -221,8 +231,8 @@ static enum err_code train_shared(struct train *t, struct err *e)
     return shared_get(&job, !cfg->cell, &t->shared, e);
 }
 
-static enum err_code train_cell(struct train *t, size_t index, struct train_cell_result *out,
-                                struct err *e)
+static enum err_code cell(struct train *t, size_t index, struct train_cell_result *out,
+                          struct err *e)
 {
     struct train_scene *s = &t->scene;
     struct run_cell job = {
@@ -249,7 +259,7 @@ static enum err_code train_cells(struct train *t, struct train_result *out, stru
     if (!out->cells)
         return err_set(e, ERR_MEM, "train: out of memory for %zu cells", t->scene.n_cells);
     for (size_t i = 0; !rc && i < t->scene.n_cells; i++) {
-        rc = train_cell(t, t->scene.cells[i], &out->cells[i], e);
+        rc = cell(t, t->scene.cells[i], &out->cells[i], e);
         out->n_cells += !rc;
     }
     return rc;

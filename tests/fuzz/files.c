@@ -12,7 +12,8 @@
 
 #include <jansson.h>
 
-#include "codec/codec.h"
+#include "codec/ckpt.h"
+#include "codec/colmap.h"
 #include "tests/fuzz/fuzz.h"
 
 enum { CKPT_HEAD = 64, CKPT_ENTRY = 64, CKPT_HASHED = 24, COLMAP_HEAD = 5 };

@@ -2,13 +2,19 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/draco.h"
+#include "codec/exif.h"
+#include "codec/glb.h"
+#include "codec/image.h"
+#include "codec/payload.h"
+#include "codec/ply.h"
+#include "codec/quant.h"
+#include "codec/spz.h"
+#include "core/appearance.h"
 #include "tests/fuzz/fuzz.h"
 
 #include <assert.h>
 #include <string.h>
-
-#include "codec/codec.h"
-#include "core/appearance.h"
 
 static void sample(size_t i, struct gauss *g)
 {

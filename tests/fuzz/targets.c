@@ -2,15 +2,24 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/draco.h"
+#include "codec/draco_layout.h"
+#include "codec/exif.h"
+#include "codec/glb.h"
+#include "codec/image.h"
+#include "codec/limits.h"
+#include "codec/npy.h"
+#include "codec/payload.h"
+#include "codec/ply.h"
+#include "codec/quant.h"
+#include "codec/splat.h"
+#include "codec/spz.h"
+#include "core/appearance.h"
 #include "tests/fuzz/fuzz.h"
 
 #include <assert.h>
 #include <math.h>
 #include <string.h>
-
-#include "codec/codec.h"
-#include "codec/draco_layout.h"
-#include "core/appearance.h"
 
 static const struct codec_limits limits = {.max_gaussians = 1 << 16, .max_bytes = 1 << 24};
 

@@ -6,14 +6,25 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "cells/cell_plan.h"
+#include "cells/partition.h"
+#include "codec/ckpt.h"
+#include "codec/image.h"
+#include "codec/scene.h"
+#include "loss/metric.h"
 #include "tests/stability/toy.h"
+#include "train/appearance_train.h"
+#include "train/config.h"
+#include "train/evaluate.h"
+#include "train/half_image.h"
+#include "train/level.h"
+#include "train/photo_loader.h"
+#include "train/shared.h"
+#include "train/train.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
-
-#include "train/half.h"
-#include "train/shared.h"
 
 #define F6_PSNR_DB                                                                                 \
     0.3 /* 0.1 on the procedural city, docs/appearance.md; the toy is a smaller sample */
@@ -39,7 +50,7 @@ static void paint_light(void *user, size_t i, const struct camera *cam, double *
         rgb[k] = fmin(rgb[k] * gain[k % 3], 1.0) + NOISE * rng_normal(6, i, k);
 }
 
-static struct toy light_toy(double *strength)
+static struct toy appearance_train_toy(double *strength)
 {
     struct toy t = toy_spec();
     t.photos = PHOTOS;
@@ -48,7 +59,8 @@ static struct toy light_toy(double *strength)
     return t;
 }
 
-static struct train_config light_config(struct arena *a, const char *out, bool appearance)
+static struct train_config appearance_train_config(struct arena *a, const char *out,
+                                                   bool appearance)
 {
     struct train_config c = toy_config(a, out);
     c.level_count = 1;
@@ -60,10 +72,10 @@ static struct train_config light_config(struct arena *a, const char *out, bool a
     return c;
 }
 
-static void light_scene(char dir[FILE_PATH_MAX], double strength)
+static void appearance_train_scene(char dir[FILE_PATH_MAX], double strength)
 {
     struct gauss g = {0};
-    struct toy t = light_toy(&strength);
+    struct toy t = appearance_train_toy(&strength);
     kit_tmpdir(dir);
     toy_gauss(&t, &g);
     toy_write(dir, &t, &g);
@@ -75,45 +87,47 @@ static struct evaluate_score score_halves(struct toy_run *r)
 {
     struct err e = {0};
     struct level *l = &r->level;
-    struct light_view look = {0};
-    struct half *h = NULL;
-    struct feed *feed = NULL;
+    struct appearance_view look = {0};
+    struct half_image *h = NULL;
+    struct photo_loader *feed = NULL;
     struct evaluate_score sum = {0};
-    struct feed_config f = {.scene = &r->scene,
-                            .images = r->tests,
-                            .n_images = r->n_tests,
-                            .downsample = 1.0,
-                            .cache_bytes = 1 << 20};
-    struct half_config c = {.dev = &toy_dev,
-                            .render = l->render,
-                            .loss = l->loss,
-                            .steps = HALF_STEPS,
-                            .lr = HALF_LR,
-                            .lr_end = HALF_LR_END};
+    struct photo_loader_config f = {.scene = &r->scene,
+                                    .images = r->tests,
+                                    .n_images = r->n_tests,
+                                    .downsample = 1.0,
+                                    .cache_bytes = 1 << 20};
+    struct half_image_config c = {.dev = &toy_dev,
+                                  .render = l->render,
+                                  .loss = l->loss,
+                                  .steps = HALF_IMAGE_STEPS,
+                                  .lr = HALF_IMAGE_LR,
+                                  .lr_end = HALF_IMAGE_LR_END};
     struct render_options ro = level_render_options(l, l->step);
-    if (light_is_on(&l->light)) {
-        kit_ok(light_view_open(&look, &l->light.model, &r->scene, &e), e);
+    if (appearance_train_is_on(&l->light)) {
+        kit_ok(appearance_view_open(&look, &l->light.model, &r->scene, &e), e);
         c.look = &look;
     }
-    kit_ok(half_open(&c, &h, &e), e);
-    kit_ok(feed_open(&f, &feed, &e), e);
+    kit_ok(half_image_open(&c, &h, &e), e);
+    kit_ok(photo_loader_open(&f, &feed, &e), e);
     for (size_t i = 0; i < r->n_tests; i++)
         for (int side = 0; side < 2; side++) {
-            struct feed_photo p;
+            struct photo p;
             float image[APPEARANCE_IMAGE_MAX];
-            enum half_side from = (enum half_side)side, to = side ? HALF_LEFT : HALF_RIGHT;
-            kit_ok(feed_get_nth(feed, i, &p, &e), e);
+            enum half_image_side from = (enum half_image_side)side,
+                                 to = side ? HALF_IMAGE_LEFT : HALF_IMAGE_RIGHT;
+            kit_ok(photo_loader_get_nth(feed, i, &p, &e), e);
             if (c.look) {
-                assert_int_equal(
-                    light_nearest(look.model, &r->scene, look.row, &p.cam, look.reach_m, image), 3);
-                kit_ok(half_fit(h, &p, &l->model, &ro, from, image, &e), e);
+                assert_int_equal(appearance_train_nearest(look.model, &r->scene, look.row, &p.cam,
+                                                          look.reach_m, image),
+                                 3);
+                kit_ok(half_image_fit(h, &p, &l->model, &ro, from, image, &e), e);
             }
-            kit_ok(half_score(h, &p, &l->model, &ro, to, c.look ? image : NULL, &sum, &e), e);
+            kit_ok(half_image_score(h, &p, &l->model, &ro, to, c.look ? image : NULL, &sum, &e), e);
         }
     evaluate_divide(&sum, 2.0 * (double)r->n_tests);
-    half_close(&h);
-    feed_close(&feed);
-    light_view_close(&look);
+    half_image_close(&h);
+    photo_loader_close(&feed);
+    appearance_view_close(&look);
     return sum;
 }
 
@@ -125,9 +139,9 @@ static void without_changes_appearance_costs_nothing_and_opens_no_fog(void **sta
     struct arena a = {0};
     char dir[FILE_PATH_MAX];
     double psnr[2], offset = 0.0;
-    light_scene(dir, 0.0);
+    appearance_train_scene(dir, 0.0);
     for (int on = 0; on < 2; on++) {
-        struct train_config c = light_config(&a, NULL, on);
+        struct train_config c = appearance_train_config(&a, NULL, on);
         struct toy_run r;
         toy_run_open(&r, dir, &c);
         toy_run_level(&r);
@@ -149,9 +163,9 @@ static void changes_of_light_are_explained(void **state)
     struct arena a = {0};
     char dir[FILE_PATH_MAX];
     double psnr[2];
-    light_scene(dir, 0.6);
+    appearance_train_scene(dir, 0.6);
     for (int on = 0; on < 2; on++) {
-        struct train_config c = light_config(&a, NULL, on);
+        struct train_config c = appearance_train_config(&a, NULL, on);
         struct toy_run r;
         toy_run_open(&r, dir, &c);
         toy_run_level(&r);
@@ -199,14 +213,14 @@ static void photographs_of_equal_light_may_swap_embeddings(void **state)
     char dir[FILE_PATH_MAX];
     struct toy_run r;
     double worst = 0.0, apart = HUGE_VAL;
-    light_scene(dir, 0.6);
-    struct train_config c = light_config(&a, NULL, true);
+    appearance_train_scene(dir, 0.6);
+    struct train_config c = appearance_train_config(&a, NULL, true);
     toy_run_open(&r, dir, &c);
     toy_run_level(&r);
     size_t pairs = 0;
     for (size_t i = 0; i + 1 < r.scene.n_images; i += 2) {
         uint32_t x = r.level.light.row[i], y = r.level.light.row[i + 1];
-        if (x == LIGHT_ROW_NONE || y == LIGHT_ROW_NONE)
+        if (x == APPEARANCE_TRAIN_ROW_NONE || y == APPEARANCE_TRAIN_ROW_NONE)
             continue; /* one of them is for tests */
         pairs++;
         for (uint32_t k = 0; k < 2; k++) {
@@ -247,8 +261,8 @@ static void embeddings_of_what_is_seen_move(void **state)
     struct toy_run r;
     struct gauss before = {0}, after = {0};
     size_t seen = 0, moved = 0;
-    light_scene(dir, 0.6);
-    struct train_config c = light_config(&a, NULL, true);
+    appearance_train_scene(dir, 0.6);
+    struct train_config c = appearance_train_config(&a, NULL, true);
     c.appearance_warmup = 10;
     toy_run_open(&r, dir, &c);
     toy_run_steps(&r, 10);
@@ -303,7 +317,7 @@ static void seam_plan(const char *dir)
         trained += plan.cells[i].parent < 0;
     assert_true(trained >= 2);
     snprintf(path, sizeof(path), "%s/plan.json", dir);
-    kit_ok(plan_write(path, &s, &plan, &e), e);
+    kit_ok(cell_plan_write(path, &s, &plan, &e), e);
     partition_free(&plan);
     scene_free(&s);
 }
@@ -372,7 +386,7 @@ static double seam_measure(const char *dir, struct toy *t, const struct gauss *t
     assert_non_null(rgb);
     kit_ok(scene_read(dir, &s, &e), e);
     snprintf(path, sizeof(path), "%s/plan.json", dir);
-    kit_ok(plan_read(path, &s, &plan, &e), e);
+    kit_ok(cell_plan_read(path, &s, &plan, &e), e);
     for (size_t k = 0, i = 0; k < SEAM_LOOKS; k++, i++) {
         struct gauss all = {0};
         double want[3], got[3];
@@ -408,13 +422,13 @@ static void cells_agree_on_the_look_at_their_border(void **state)
     struct train_result result = {0};
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
     double strength = 0.6, seam[2];
-    struct toy t = light_toy(&strength);
+    struct toy t = appearance_train_toy(&strength);
     kit_tmpdir(dir);
     toy_gauss(&t, &truth);
     toy_write(dir, &t, &truth);
     seam_plan(dir);
     for (int shared = 0; shared < 2; shared++) {
-        struct train_config c = light_config(&a, NULL, true);
+        struct train_config c = appearance_train_config(&a, NULL, true);
         c.iterations = 0;
         c.iterations_3 = SEAM_STEPS;
         c.scale_by_images = false;
@@ -446,16 +460,16 @@ static void a_single_cell_needs_the_shared_model(void **state)
     struct buf first = {0}, again = {0};
     struct scene s;
     struct partition plan = {0};
-    light_scene(dir, 0.3);
+    appearance_train_scene(dir, 0.3);
     seam_plan(dir);
     kit_ok(scene_read(dir, &s, &e), e);
     snprintf(path, sizeof(path), "%s/plan.json", dir);
-    kit_ok(plan_read(path, &s, &plan, &e), e);
+    kit_ok(cell_plan_read(path, &s, &plan, &e), e);
     size_t cell = 0;
     while (plan.cells[cell].parent >= 0)
         cell++;
     snprintf(id, sizeof(id), "%s", plan.cells[cell].id);
-    struct train_config c = light_config(&a, NULL, true);
+    struct train_config c = appearance_train_config(&a, NULL, true);
     c.iterations = 30;
     c.cell = id;
     kit_fails(train_run(dir, &c, &r, &e), ERR_NOENT, e, "--appearance-only");
@@ -479,7 +493,8 @@ static void a_single_cell_needs_the_shared_model(void **state)
     kit_ok(ckpt_read(path, &whole, &e), e);
     snprintf(path, sizeof(path), "%s/cells/%s/level1.ckpt", dir, id);
     kit_ok(ckpt_read(path, &one, &e), e);
-    const struct ckpt_blob *x = ckpt_find(&whole, LIGHT_BLOB), *y = ckpt_find(&one, LIGHT_BLOB);
+    const struct ckpt_blob *x = ckpt_find(&whole, APPEARANCE_TRAIN_BLOB),
+                           *y = ckpt_find(&one, APPEARANCE_TRAIN_BLOB);
     assert_true(x && y);
     assert_int_equal(x->size_bytes, y->size_bytes);
     assert_memory_equal(x->data, y->data, x->size_bytes);
@@ -503,7 +518,7 @@ static void a_run_with_appearance_resumes_bit_by_bit(void **state)
     struct train_result r = {0};
     char dir[FILE_PATH_MAX], whole[FILE_PATH_MAX], parts[FILE_PATH_MAX];
     static const int64_t pieces[] = {5, 20, 33, 41, 2, 60};
-    light_scene(dir, 0.5);
+    appearance_train_scene(dir, 0.5);
     kit_tmpdir(whole);
     kit_tmpdir(parts);
     struct train_config c = toy_config(&a, whole);
@@ -531,7 +546,8 @@ static void a_run_with_appearance_resumes_bit_by_bit(void **state)
         assert_int_equal(x.g.embed_len, 16);
         assert_memory_equal(x.g.mean_m, y.g.mean_m, x.g.n * 12);
         assert_memory_equal(x.g.embed, y.g.embed, x.g.n * 16 * sizeof(float));
-        const struct ckpt_blob *p = ckpt_find(&x, LIGHT_BLOB), *q = ckpt_find(&y, LIGHT_BLOB);
+        const struct ckpt_blob *p = ckpt_find(&x, APPEARANCE_TRAIN_BLOB),
+                               *q = ckpt_find(&y, APPEARANCE_TRAIN_BLOB);
         assert_true(p && q && p->size_bytes == q->size_bytes);
         assert_memory_equal(p->data, q->data, p->size_bytes);
         ckpt_free(&x);
@@ -553,34 +569,34 @@ static void the_score_of_a_half_does_not_know_the_other(void **state)
     struct arena a = {0};
     char dir[FILE_PATH_MAX];
     struct toy_run r;
-    struct feed *feed = NULL;
-    struct half *h = NULL;
-    struct light_view look;
-    struct feed_photo p;
+    struct photo_loader *feed = NULL;
+    struct half_image *h = NULL;
+    struct appearance_view look;
+    struct photo p;
     struct evaluate_score s[2] = {{0}};
     float start[APPEARANCE_IMAGE_MAX] = {0}, image[2][APPEARANCE_IMAGE_MAX];
-    light_scene(dir, 0.6);
-    struct train_config c = light_config(&a, NULL, true);
+    appearance_train_scene(dir, 0.6);
+    struct train_config c = appearance_train_config(&a, NULL, true);
     toy_run_open(&r, dir, &c);
     toy_run_steps(&r, STEPS / 4);
     struct level *l = &r.level;
-    struct feed_config f = {.scene = &r.scene,
-                            .images = r.tests,
-                            .n_images = r.n_tests,
-                            .downsample = 1.0,
-                            .cache_bytes = 1 << 20};
-    kit_ok(light_view_open(&look, &l->light.model, &r.scene, &e), e);
-    const struct half_config hc = {.dev = &toy_dev,
-                                   .render = l->render,
-                                   .loss = l->loss,
-                                   .look = &look,
-                                   .steps = 10,
-                                   .lr = HALF_LR,
-                                   .lr_end = HALF_LR_END};
+    struct photo_loader_config f = {.scene = &r.scene,
+                                    .images = r.tests,
+                                    .n_images = r.n_tests,
+                                    .downsample = 1.0,
+                                    .cache_bytes = 1 << 20};
+    kit_ok(appearance_view_open(&look, &l->light.model, &r.scene, &e), e);
+    const struct half_image_config hc = {.dev = &toy_dev,
+                                         .render = l->render,
+                                         .loss = l->loss,
+                                         .look = &look,
+                                         .steps = 10,
+                                         .lr = HALF_IMAGE_LR,
+                                         .lr_end = HALF_IMAGE_LR_END};
     struct render_options ro = level_render_options(l, l->step);
-    kit_ok(half_open(&hc, &h, &e), e);
-    kit_ok(feed_open(&f, &feed, &e), e);
-    kit_ok(feed_get_nth(feed, 0, &p, &e), e);
+    kit_ok(half_image_open(&hc, &h, &e), e);
+    kit_ok(photo_loader_open(&f, &feed, &e), e);
+    kit_ok(photo_loader_get_nth(feed, 0, &p, &e), e);
     size_t bytes = (size_t)p.cam.width_px * p.cam.height_px * 3;
     uint8_t *px = mem_array(bytes, 1);
     assert_non_null(px);
@@ -588,14 +604,16 @@ static void the_score_of_a_half_does_not_know_the_other(void **state)
     for (size_t i = 0; i < bytes; i++)
         if (i / 3 % p.cam.width_px < p.cam.width_px / 2)
             px[i] = (uint8_t)(255 - px[i]);
-    struct feed_photo changed = p;
+    struct photo changed = p;
     changed.px = px;
-    const struct feed_photo *photos[2] = {&p, &changed};
-    assert_int_equal(light_nearest(look.model, &r.scene, look.row, &p.cam, look.reach_m, start), 3);
+    const struct photo *photos[2] = {&p, &changed};
+    assert_int_equal(
+        appearance_train_nearest(look.model, &r.scene, look.row, &p.cam, look.reach_m, start), 3);
     for (int k = 0; k < 2; k++) {
         memcpy(image[k], start, sizeof(start));
-        kit_ok(half_score(h, photos[k], &l->model, &ro, HALF_RIGHT, start, &s[k], &e), e);
-        kit_ok(half_fit(h, photos[k], &l->model, &ro, HALF_RIGHT, image[k], &e), e);
+        kit_ok(half_image_score(h, photos[k], &l->model, &ro, HALF_IMAGE_RIGHT, start, &s[k], &e),
+               e);
+        kit_ok(half_image_fit(h, photos[k], &l->model, &ro, HALF_IMAGE_RIGHT, image[k], &e), e);
     }
     toy_figure("F31", "psnr_difference_db=%g ssim_difference=%g", s[0].psnr_db - s[1].psnr_db,
                s[0].ssim - s[1].ssim);
@@ -605,12 +623,12 @@ static void the_score_of_a_half_does_not_know_the_other(void **state)
     /* ... and the left half does decide where it should. */
     memcpy(image[1], image[0], sizeof(image[0]));
     for (int k = 0; k < 2; k++)
-        kit_ok(half_fit(h, photos[k], &l->model, &ro, HALF_LEFT, image[k], &e), e);
+        kit_ok(half_image_fit(h, photos[k], &l->model, &ro, HALF_IMAGE_LEFT, image[k], &e), e);
     assert_memory_not_equal(image[0], image[1], sizeof(image[0]));
     mem_free(px);
-    feed_close(&feed);
-    half_close(&h);
-    light_view_close(&look);
+    photo_loader_close(&feed);
+    half_image_close(&h);
+    appearance_view_close(&look);
     toy_run_close(&r);
     kit_rmdir(dir);
     arena_free(&a);

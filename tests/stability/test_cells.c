@@ -2,15 +2,19 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "cells/cell_plan.h"
+#include "cells/partition.h"
+#include "codec/scene.h"
 #include "tests/stability/toy.h"
+#include "train/budget.h"
+#include "train/config.h"
+#include "train/train.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
 #include <jansson.h>
-
-#include "train/partition.h"
 
 /* ---- F11, F13 ---- */
 
@@ -79,7 +83,7 @@ static void cells_that_look_outside_keep_their_ceilings(void **state)
     pc.use_visibility = false;
     kit_ok(partition_make(&s, &pc, &plan, &e), e);
     snprintf(path, sizeof(path), "%s/plan.json", dir);
-    kit_ok(plan_write(path, &s, &plan, &e), e);
+    kit_ok(cell_plan_write(path, &s, &plan, &e), e);
     size_t empty = 0, poor = 0, trained = 0;
     for (size_t i = 0; i < plan.n_cells; i++) {
         empty += plan.cells[i].n_images == 0;

@@ -7,15 +7,20 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "cells/cell_plan.h"
+#include "cells/partition.h"
+#include "codec/ckpt.h"
+#include "codec/image.h"
+#include "codec/npy.h"
+#include "codec/scene.h"
+#include "lod/lod.h"
+#include "loss/metric.h"
 #include "tests/stability/toy.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include "lod/lod.h"
-#include "train/partition.h"
 
 #define SEAM_PX 5.0
 #define SEAM_DB 0.5 /* worse than all pixels, near borders */
@@ -214,14 +219,14 @@ static bool measure_lod(const struct city *c, const struct scene *scene, const s
     for (size_t k = 0; k < sizeof(ways) / sizeof(ways[0]); k++) {
         struct sums lod = measure(c, scene, p, far, view, &ways[k].o);
         double share = (double)lod.gaussians / (double)fine.gaussians;
-        double loss = fine.psnr - lod.psnr, loss_ssim = fine.ssim - lod.ssim;
+        double loss = fine.psnr - lod.psnr, photometric_ssim = fine.ssim - lod.ssim;
         kit_figure("LOD",
                    "error_px=%s times_as_far=%u share=%.2f limit=%.2f loss_db=%.2f limit=%.2f "
-                   "loss_ssim=%.4f limit=%.3f no_lod_db=%.2f",
-                   ways[k].name, far, share, LOD_SHARE, loss, LOD_DB, loss_ssim, LOD_SSIM,
+                   "photometric_ssim=%.4f limit=%.3f no_lod_db=%.2f",
+                   ways[k].name, far, share, LOD_SHARE, loss, LOD_DB, photometric_ssim, LOD_SSIM,
                    fine.psnr);
         ok = ok && (far < LOD_FAR || k || share <= LOD_SHARE) && loss <= LOD_DB &&
-             loss_ssim <= LOD_SSIM;
+             photometric_ssim <= LOD_SSIM;
     }
     return ok;
 }
@@ -238,7 +243,7 @@ static void measure_city(const struct city *c)
     struct view *view = NULL;
     kit_ok(scene_read(c->scene, &scene, &e), e);
     snprintf(path, sizeof(path), "%s/plan.json", c->scene);
-    kit_ok(plan_read(path, &scene, &plan, &e), e);
+    kit_ok(cell_plan_read(path, &scene, &plan, &e), e);
     assert_true(scene.n_images >= PHOTOS_LEAST && plan.n_cells >= CELLS_LEAST);
     count_owners(c, &plan);
     kit_ok(render_open(&toy_dev, &render, &e), e);

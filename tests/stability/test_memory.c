@@ -3,14 +3,21 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "cells/cell.h"
+#include "codec/ckpt.h"
+#include "codec/scene.h"
+#include "render/permute.h"
 #include "tests/stability/toy.h"
+#include "train/config.h"
+#include "train/level.h"
+#include "train/memory.h"
+#include "train/prune.h"
+#include "train/schedule.h"
+#include "train/train.h"
 
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include "train/contribute.h"
-#include "train/memory.h"
 
 enum {
     MEMORY_SMALL = 500,
@@ -31,7 +38,7 @@ static size_t peak_of(const char *program, size_t n, size_t budget, bool appeara
     struct gauss g = {0};
     struct buf said = {0};
     struct scene s;
-    struct train_cell cell;
+    struct cell cell;
     struct schedule levels[TRAIN_LEVELS_MAX];
     uint32_t *images;
     size_t n_images;
@@ -140,8 +147,8 @@ static bool same_row(const float *a, size_t i, const float *b, size_t j, uint32_
 {
     bool same = true;
     for (uint32_t p = 0; p < planes; p++)
-        same = same && a[rows_at(i, planes) + (size_t)p * LAYOUT_LANES] ==
-                           b[rows_at(j, planes) + (size_t)p * LAYOUT_LANES];
+        same = same && a[permute_at(i, planes) + (size_t)p * LAYOUT_LANES] ==
+                           b[permute_at(j, planes) + (size_t)p * LAYOUT_LANES];
     return same;
 }
 
@@ -169,10 +176,10 @@ static void a_removal_is_taken_back_or_stays(void **state)
         toy_run_steps(&r, REMOVAL_STEPS);
         struct level *l = &r.level;
         uint32_t n = l->model.n, planes = l->model.planes;
-        size_t floats = rows_floats(n, planes);
+        size_t floats = permute_floats(n, planes);
         float *before = arrays_of(l, floats);
-        struct contribute_report report;
-        kit_ok(contribute_prune(l, &report, NULL, &e), e);
+        struct prune_report report;
+        kit_ok(prune_level(l, &report, NULL, &e), e);
         assert_true(report.faint > 0 && report.undone == !stays);
         float *after = arrays_of(l, floats);
         if (!stays) {
@@ -188,7 +195,7 @@ static void a_removal_is_taken_back_or_stays(void **state)
                     assert_true(++from < n); /* a later one */
             for (size_t i = l->model.n; i % LAYOUT_LANES; i++)
                 for (uint32_t p = 0; p < planes; p++)
-                    assert_true(is[rows_at(i, planes) + (size_t)p * LAYOUT_LANES] == 0.0f);
+                    assert_true(is[permute_at(i, planes) + (size_t)p * LAYOUT_LANES] == 0.0f);
         }
         toy_run_steps(&r, 1); /* and training goes on */
         mem_free(before);

@@ -3,7 +3,15 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/image.h"
+#include "codec/mask.h"
+#include "codec/scene.h"
 #include "tests/stability/toy.h"
+#include "train/config.h"
+#include "train/evaluate.h"
+#include "train/level.h"
+#include "train/photo_loader.h"
+#include "train/residual.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -11,9 +19,6 @@
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
-
-#include "train/mask.h"
-#include "train/residual.h"
 
 /* ---- F17 ---- */
 
@@ -191,19 +196,19 @@ static void shift_pose(void *user, size_t i, struct camera *cam)
 static void rank_photographs(struct toy_run *r, struct residual_list *out)
 {
     struct err e = {0};
-    struct feed *feed = NULL;
+    struct photo_loader *feed = NULL;
     struct evaluate_score score;
-    struct feed_config f = {.scene = &r->scene,
-                            .images = r->images,
-                            .n_images = r->n_images,
-                            .downsample = 1.0,
-                            .cache_bytes = 64 << 20};
+    struct photo_loader_config f = {.scene = &r->scene,
+                                    .images = r->images,
+                                    .n_images = r->n_images,
+                                    .downsample = 1.0,
+                                    .cache_bytes = 64 << 20};
     struct evaluate_model model = {r->level.render, &r->level.model,
                                    level_render_options(&r->level, r->level.step), NULL};
     struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model, .residuals = out};
-    kit_ok(feed_open(&f, &feed, &e), e);
+    kit_ok(photo_loader_open(&f, &feed, &e), e);
     kit_ok(evaluate_run(feed, f.n_images, &source, &score, &e), e);
-    feed_close(&feed);
+    photo_loader_close(&feed);
     kit_ok(residual_rank(out, &e), e);
 }
 
@@ -298,24 +303,24 @@ static void write_noise(const char *path, uint64_t seed)
 static size_t feed_growth(const struct scene *s, const uint32_t *images)
 {
     struct err e = {0};
-    struct feed *f = NULL;
-    struct feed_config cfg = {.scene = s,
-                              .images = images,
-                              .n_images = 1,
-                              .downsample = 2.0,
-                              .cache_bytes = F29_CACHE,
-                              .seed = 1,
-                              .level = 1};
-    struct feed_photo p;
+    struct photo_loader *f = NULL;
+    struct photo_loader_config cfg = {.scene = s,
+                                      .images = images,
+                                      .n_images = 1,
+                                      .downsample = 2.0,
+                                      .cache_bytes = F29_CACHE,
+                                      .seed = 1,
+                                      .level = 1};
+    struct photo p;
     size_t before = 0;
     mem_return_large();                    /* as a training does */
     for (int pass = 0; pass < 2; pass++) { /* the first one: what decoders need once */
-        if (feed_open(&cfg, &f, &e))
+        if (photo_loader_open(&cfg, &f, &e))
             return 0;
         for (uint32_t t = 1; t <= F29_EPOCHS * cfg.n_images; t++)
-            if (feed_get(f, t, &p, &e) || feed_bytes(f) > cfg.cache_bytes)
+            if (photo_loader_get(f, t, &p, &e) || photo_loader_bytes(f) > cfg.cache_bytes)
                 return 0;
-        feed_close(&f);
+        photo_loader_close(&f);
         if (!pass)
             before = mem_peak_bytes();
         cfg.n_images = F29_PHOTOS;

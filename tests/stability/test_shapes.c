@@ -3,15 +3,14 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "render/frame.h"
+#include "render/render_ref.h"
 #include "tests/backward_kit.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
-
-#include "render/frame.h"
-#include "render/render_ref.h"
 
 /* ---- F2 ---- */
 
@@ -51,7 +50,7 @@ static void a_million_shapes_stay_finite(void **state)
     struct gauss out = {0};
     size_t bad = 0, moved = 0;
     for (uint64_t batch = 0; batch < SHAPES / SHAPE_BATCH; batch++) {
-        struct scene s = scene_make(34 + batch, SHAPE_BATCH, RENDER_AA_2D, 0);
+        struct view_case s = view_case_make(34 + batch, SHAPE_BATCH, RENDER_AA_2D, 0);
         cl_mem grads;
         wild(&s.g, batch);
         struct trainer t = trainer_make(&s.g);
@@ -73,7 +72,7 @@ static void a_million_shapes_stay_finite(void **state)
         planes_read(&t.m, t.m.params, &out);
         bad += gauss_count_bad(&out, NULL) + trainer_repaired(&t);
         trainer_free(&t);
-        scene_free(&s);
+        view_case_free(&s);
     }
     gauss_free(&out);
     kit_figure("F2", "shapes=%d not_finite=%zu limit=0 with_gradient=%zu", SHAPES, bad, moved);
@@ -123,7 +122,7 @@ struct cloud_frame {
     double pairs, ms, grad;
 };
 
-static struct cloud_frame cloud_frame(struct trainer *t, struct scene *s, cl_mem grads,
+static struct cloud_frame cloud_frame(struct trainer *t, struct view_case *s, cl_mem grads,
                                       struct gauss *out)
 {
     struct err e = {0};
@@ -147,7 +146,7 @@ static void a_camera_inside_the_cloud_is_no_catastrophe(void **state)
 {
     (void)state;
     struct err e = {0};
-    struct scene s = {.o = {.aa = RENDER_AA_2D, .sh_degree = -1}};
+    struct view_case s = {.o = {.aa = RENDER_AA_2D, .sh_degree = -1}};
     struct gauss out = {0};
     cl_mem grads;
     double pairs[2][CLOUD_VIEWS], ms[2][CLOUD_VIEWS], grad[2][CLOUD_VIEWS];
@@ -179,7 +178,7 @@ static void a_camera_inside_the_cloud_is_no_catastrophe(void **state)
     dev_release(&grads);
     gauss_free(&out);
     trainer_free(&t);
-    scene_free(&s);
+    view_case_free(&s);
 }
 
 /* ---- F24 ---- */
@@ -264,7 +263,7 @@ static void a_frame_of_fifty_million_entries_is_brute_force(void **state)
 
 #define F26_REL 1e-5 /* of the norm of each part: kernels in CPU and in GPU shape */
 
-static struct gauss gradients_at_width(uint32_t width, const struct scene *s)
+static struct gauss gradients_at_width(uint32_t width, const struct view_case *s)
 {
     struct err e = {0};
     struct dev *d = dev_get();
@@ -290,7 +289,7 @@ static struct gauss gradients_at_width(uint32_t width, const struct scene *s)
 static void kernels_of_both_shapes_agree_and_repeat(void **state)
 {
     (void)state;
-    struct scene s = scene_make(80, 400, RENDER_AA_2D, 2);
+    struct view_case s = view_case_make(80, 400, RENDER_AA_2D, 2);
     (void)clear_ambiguous(&s);
     struct gauss a = gradients_at_width(0, &s), b = gradients_at_width(0, &s),
                  c = gradients_at_width(1, &s);
@@ -312,7 +311,7 @@ static void kernels_of_both_shapes_agree_and_repeat(void **state)
     gauss_free(&a);
     gauss_free(&b);
     gauss_free(&c);
-    scene_free(&s);
+    view_case_free(&s);
 }
 
 int main(int argc, char **argv)

@@ -3,7 +3,12 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "render/permute.h"
 #include "tests/stability/toy.h"
+#include "train/config.h"
+#include "train/importance.h"
+#include "train/level.h"
+#include "train/state.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -130,7 +135,7 @@ static void to_the_end(struct toy_run *r)
 static struct hash128 model_hash(struct toy_run *r)
 {
     struct err e = {0};
-    size_t bytes = rows_floats(r->level.model.n, r->level.model.planes) * sizeof(float);
+    size_t bytes = permute_floats(r->level.model.n, r->level.model.planes) * sizeof(float);
     float *v = mem_array(bytes, 1);
     assert_non_null(v);
     kit_ok(dev_read(&toy_dev, r->level.model.params, 0, bytes, v, &e), e);
@@ -211,12 +216,12 @@ static void expect_finite_scores(const char *what, const char *dir, const struct
     struct train_config c = toy_config(&a, NULL);
     c.level_count = 1;
     toy_run_open_from(&r, dir, &c, g);
-    size_t n = g->n, floats = rows_floats(n, r.level.model.planes), bad = 0, positive = 0;
+    size_t n = g->n, floats = permute_floats(n, r.level.model.planes), bad = 0, positive = 0;
     float *params = mem_array(floats, sizeof(float)), *grad = mem_array(n, sizeof(float)),
           *score = mem_array(n, sizeof(float));
     assert_true(params && grad && score);
     kit_ok(dev_read(&toy_dev, r.level.model.params, 0, floats * sizeof(float), params, &e), e);
-    kit_ok(score_run(&r.level, params, grad, score, &e), e); /* gradients: all 0, all equal */
+    kit_ok(importance_run(&r.level, params, grad, score, &e), e); /* gradients: all 0, all equal */
     for (size_t i = 0; i < n; i++) {
         bad += !isfinite(score[i]) || score[i] < 0.0f;
         positive += score[i] > 0.0f;

@@ -8,6 +8,20 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "cells/cell.h"
+#include "codec/image.h"
+#include "codec/scene.h"
+#include "loss/photometric.h"
+#include "train/appearance_train.h"
+#include "train/config.h"
+#include "train/evaluate.h"
+#include "train/init.h"
+#include "train/level.h"
+#include "train/photo_loader.h"
+#include "train/schedule.h"
+#include "train/state.h"
+#include "train/train.h"
+
 #define TOY_PI 3.14159265358979323846
 enum { TOY_CACHE_BYTES = 64 << 20 };
 
@@ -154,7 +168,7 @@ struct train_config toy_config(struct arena *a, const char *out)
     c.budget_2 = 100;
     c.budget_3 = 150;
     c.densify_interval_min = 8;
-    c.score_views = 3;
+    c.importance_views = 3;
     c.sh_degree = 1;
     return c;
 }
@@ -193,10 +207,12 @@ static void toy_run_prepare(struct toy_run *r, const char *dir, const struct tra
                               .n_levels = (uint32_t)cfg->level_count};
     cell_whole(&r->scene, r->images, r->n_images, &r->level.cell);
     kit_ok(schedule_make(cfg, r->n_images, &r->level.cell, r->level.schedule, &e), e);
-    if (light_wanted(cfg))
-        kit_ok(light_open(&r->level.light, cfg, &r->scene, r->images, r->n_images, NULL, &e), e);
+    if (appearance_train_wanted(cfg))
+        kit_ok(appearance_train_open(&r->level.light, cfg, &r->scene, r->images, r->n_images, NULL,
+                                     &e),
+               e);
     kit_ok(render_open(&toy_dev, &r->level.render, &e), e);
-    kit_ok(loss_open(&toy_dev, &r->level.loss, &e), e);
+    kit_ok(photometric_open(&toy_dev, &r->level.loss, &e), e);
 }
 
 void toy_run_open_from(struct toy_run *r, const char *dir, const struct train_config *cfg,
@@ -216,8 +232,8 @@ void toy_run_open(struct toy_run *r, const char *dir, const struct train_config 
     kit_ok(init_gauss(&r->scene, r->images, r->n_images, &r->level.cell, (uint32_t)cfg->sh_degree,
                       r->level.schedule[0].budget, (uint64_t)cfg->seed, &g, &e),
            e);
-    if (light_is_on(&r->level.light))
-        kit_ok(light_embed(&r->level.light, (uint64_t)cfg->seed, &g, &e), e);
+    if (appearance_train_is_on(&r->level.light))
+        kit_ok(appearance_train_embed(&r->level.light, (uint64_t)cfg->seed, &g, &e), e);
     kit_ok(level_open(&r->level, &g, &e), e);
     kit_ok(level_begin(&r->level, &e), e);
     gauss_free(&g);
@@ -235,7 +251,7 @@ void toy_run_load(struct toy_run *r, const char *dir, const struct train_config 
 double toy_run_steps(struct toy_run *r, uint32_t n)
 {
     struct err e = {0};
-    struct loss_value v = {.total = (double)NAN};
+    struct photometric_value v = {.total = (double)NAN};
     for (uint32_t i = 0; i < n; i++)
         kit_ok(level_step(&r->level, i + 1 == n ? &v : NULL, &e), e);
     return v.total;
@@ -255,10 +271,10 @@ void toy_run_next(struct toy_run *r)
 struct evaluate_score toy_run_score(struct toy_run *r, double downsample)
 {
     struct err e = {0};
-    struct feed *feed = NULL;
+    struct photo_loader *feed = NULL;
     struct level *l = &r->level;
     struct evaluate_score score;
-    struct feed_config f = {
+    struct photo_loader_config f = {
         .scene = &r->scene,
         .images = r->n_tests ? r->tests : r->images,
         .n_images = r->n_tests ? r->n_tests : r->n_images,
@@ -266,23 +282,23 @@ struct evaluate_score toy_run_score(struct toy_run *r, double downsample)
         .downsample = downsample,
         .cache_bytes = TOY_CACHE_BYTES,
     };
-    struct light_view look = {0};
+    struct appearance_view look = {0};
     struct evaluate_model model = {l->render, &l->model, level_render_options(l, l->step),
-                                   light_is_on(&l->light) ? &look : NULL};
+                                   appearance_train_is_on(&l->light) ? &look : NULL};
     if (model.look)
-        kit_ok(light_view_open(&look, &l->light.model, &r->scene, &e), e);
+        kit_ok(appearance_view_open(&look, &l->light.model, &r->scene, &e), e);
     struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model};
-    kit_ok(feed_open(&f, &feed, &e), e);
+    kit_ok(photo_loader_open(&f, &feed, &e), e);
     kit_ok(evaluate_run(feed, f.n_images, &source, &score, &e), e);
-    feed_close(&feed);
-    light_view_close(&look);
+    photo_loader_close(&feed);
+    appearance_view_close(&look);
     return score;
 }
 
 void toy_run_close(struct toy_run *r)
 {
     level_close(&r->level);
-    loss_close(&r->level.loss);
+    photometric_close(&r->level.loss);
     render_close(&r->level.render);
     scene_free(&r->scene);
 }

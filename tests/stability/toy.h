@@ -10,7 +10,10 @@
 #ifndef TESTS_STABILITY_TOY_H
 #define TESTS_STABILITY_TOY_H
 
+#include "codec/scene.h"
 #include "tests/kit.h"
+#include "train/config.h"
+#include "train/evaluate.h"
 #include "train/level.h"
 
 enum { TOY_PHOTOS_MAX = 64 };

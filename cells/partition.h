@@ -1,0 +1,66 @@
+/* Cells: which square of ground is trained from which photographs.
+ *
+ * A horizontal grid of edge P over the camera centres. A photograph belongs to a cell by location
+ * (its centre lies in the cell grown by a margin) or by visibility (a large part of what it sees
+ * lies in the cell: ratio of the convex hull of its own feature observations inside the cell to the
+ * hull of all scene points it could see). Poor cells are merged, rich ones divided. Every Gaussian
+ * is owned by exactly one cell. Source: REUrbanGS (ICCV 2025) section 3.1 and its supplement;
+ * VastGaussian (2024) for visibility selection.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef CELLS_PARTITION_H
+#define CELLS_PARTITION_H
+
+#include "core/base.h"
+#include "core/err.h"
+
+struct arena;
+struct err;
+struct scene;
+
+struct partition_config { /* partition_defaults fills it */
+    double edge_m;        /* P; 0 = one cell over everything */
+    double
+        location_margin; /* of P, on every side: cameras in the overlap belong to several cells */
+    double visibility_gate; /* of P: a photograph farther from the cell is not considered */
+    double visibility_min;  /* least hull ratio */
+    size_t images_few;      /* cells with fewer photographs are merged where possible */
+    size_t images_many;     /* cells with more are divided, down to an edge of P/2 */
+    size_t
+        images_least; /* cells that still have fewer are not trained: background of a neighbour */
+    bool use_visibility; /* false: location alone (the ablation) */
+    bool all_images;     /* true: test photographs train as well */
+};
+struct partition_config partition_defaults(void);
+
+struct partition_cell {
+    char id[24];               /* "x2y0", of its first grid square; stable over runs */
+    double min_m[2], max_m[2]; /* ENU x, y; half-open */
+    uint32_t
+        *images; /* indices into scene.images: first n_location by location, then by visibility */
+    size_t n_images, n_location;
+    size_t n_points;     /* reliable points inside */
+    ptrdiff_t parent;    /* -1: trained; else the cell whose background this one is */
+    uint32_t azimuth[8]; /* photographs by direction of view, octants clockwise from north: is a
+                            side missing? */
+};
+struct partition { /* {0} is empty */
+    double edge_m;
+    struct partition_cell *cells; /* sorted by y, then x */
+    size_t n_cells;
+    size_t n_merged, n_divided; /* rebalancing steps */
+    struct arena arena;
+};
+
+/* ERR_DATA when the scene has no photographs. partition_free it. Deterministic. */
+enum err_code partition_make(const struct scene *s, const struct partition_config *cfg,
+                             struct partition *out, struct err *e) ERR_USE;
+void partition_free(struct partition *p);
+/* The trained cell that owns a Gaussian at (x, y): the one whose box holds it (half-open), else the
+ * one whose box is nearest (ties: lowest index). Background cells hand over to their parent. */
+size_t partition_owner(const struct partition *p, double x_m, double y_m);
+/* Horizontal distance from (x, y) to a cell's box, 0 inside. */
+double partition_distance(const struct partition_cell *c, double x_m, double y_m);
+
+#endif

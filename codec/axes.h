@@ -1,0 +1,14 @@
+/* Gaussians between the axes of the working frame (ENU, z up) and of glTF (y up).
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef CODEC_AXES_H
+#define CODEC_AXES_H
+
+#include "core/gauss.h"
+
+/* ENU (z up) -> glTF (y up): p' = (E, U, -N), rotations and SH turned with it; and back. In place.
+ */
+void axes_enu_to_gltf(struct gauss *g);
+void axes_gltf_to_enu(struct gauss *g);
+#endif

@@ -1,0 +1,30 @@
+/* The few EXIF fields that we need, in JPEG, PNG, WebP and TIFF files.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef CODEC_EXIF_H
+#define CODEC_EXIF_H
+
+#include "core/err.h"
+
+struct buf;
+struct err;
+struct image_gps;
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Missing, unknown or damaged fields are simply not there (has_position false, 0, ""): photographs
+ * with strange EXIF are still photographs. ERR_NOENT, ERR_IO. */
+enum err_code exif_read(const char *path, struct image_gps *out, struct err *e) ERR_USE;
+/* The same from a whole file in memory. */
+void exif_parse(const void *bytes, size_t n, struct image_gps *out);
+/* Put an EXIF block into an encoded picture. Angles are stored to 1e-7 arc seconds, heights to 0.1
+ * mm. */
+enum err_code exif_insert(struct buf *file, const struct image_gps *gps, struct err *e) ERR_USE;
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,486 @@
+/* The whole way from photographs and a COLMAP model to a scene folder.
+ *
+ * Photographs are judged in three steps: do they see enough points, does their pose agree with the
+ * points they see (a wrong pose has a large reprojection error whatever GPS says), does their place
+ * agree with their GPS position (georef.c). What fails is dropped, with its observations, and named
+ * in the report. The split into training and test photographs goes by rank among all photographs of
+ * the model, so that it does not depend on what was dropped. The scene appears when it is complete.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "ingest/ingest.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "codec/colmap.h"
+#include "codec/image.h"
+#include "codec/limits.h"
+#include "codec/mask.h"
+#include "codec/scene.h"
+#include "core/outdir.h"
+#include "core/pool.h"
+#include "ingest/ingest_internal.h"
+
+static const struct options_def defs[] = {
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct ingest_config, type, key, def, lo, hi, unit, help)
+#include "ingest/ingest.def"
+#undef OPT
+};
+
+const struct options_spec *ingest_options(void)
+{
+    static const struct options_spec spec = {
+        .command = "ingest",
+        .usage = "citysplat ingest PHOTOS SPARSE -o SCENE [options]",
+        .about = "Photographs with EXIF GPS and their COLMAP model (a folder with cameras, images "
+                 "and points3D, .bin or "
+                 ".txt) become a scene in metres, east-north-up: undistorted pictures, poses, "
+                 "points. Photographs "
+                 "whose pose or GPS position cannot be right are dropped and named.",
+        .example = "citysplat ingest photos photos/sparse/0 -o scene",
+        .defs = defs,
+        .n_defs = sizeof defs / sizeof *defs,
+        .min_args = 2,
+        .max_args = 2,
+    };
+    return &spec;
+}
+
+static enum err_code no_memory(struct err *e)
+{
+    return err_set(e, ERR_MEM, "ingest: out of memory");
+}
+
+static void step_done(struct ingest *g)
+{
+    size_t done = atomic_fetch_add(&g->done, 1) + 1;
+    if (!atomic_flag_test_and_set(&g->progress_busy)) {
+        progress_step(&g->progress, done, NULL);
+        atomic_flag_clear(&g->progress_busy);
+    }
+}
+
+/* pool_for over the photographs with a progress bar. */
+static enum err_code for_photos(struct ingest *g, const char *what,
+                                enum err_code (*fn)(void *user, size_t i, struct err *e),
+                                struct err *e)
+{
+    atomic_store(&g->done, 0);
+    progress_start(&g->progress, what, g->n);
+    enum err_code rc = pool_for(g->n, 0, fn, g, e);
+    progress_end(&g->progress, NULL);
+    return rc;
+}
+
+/* ---- the photographs ---- */
+
+/* A relative path that stays below its folder. */
+static bool name_is_safe(const char *s)
+{
+    if (s[0] == '/')
+        return false;
+    for (const char *p = s; *p; p += strcspn(p, "/"), p += *p == '/')
+        if (!strncmp(p, "..", 2) && (p[2] == '/' || !p[2]))
+            return false;
+    return true;
+}
+
+static int photo_compare(const void *a, const void *b)
+{
+    const struct ingest_photo *p = a, *q = b;
+    return strcmp(p->image->name, q->image->name);
+}
+
+static int text_compare(const void *a, const void *b)
+{
+    char *const *p = a, *const *q = b;
+    return strcmp(*p, *q);
+}
+
+/* "flight 1/DSC_1.JPG" -> "flight 1_DSC_1.JPG", or "....JPG.png" when the format changes. */
+static char *out_name_make(struct ingest *g, const char *name)
+{
+    static const char *const suffixes[2][2] = {{".jpg", ".jpeg"}, {".png", ".png"}};
+    const char *const *want = suffixes[g->cfg->format], *dot = strrchr(name, '.');
+    bool fits = false;
+    for (int k = 0; k < 2 && dot; k++) {
+        char low[8] = "";
+        for (size_t i = 0; i + 1 < sizeof low && dot[i]; i++)
+            low[i] = (char)(dot[i] >= 'A' && dot[i] <= 'Z' ? dot[i] + 32 : dot[i]);
+        fits = fits || !strcmp(low, want[k]);
+    }
+    char *out = arena_printf(&g->scene.arena, "%s%s", name, fits ? "" : want[0]);
+    for (char *p = out; p && *p; p++)
+        if (*p == '/')
+            *p = '_';
+    return out;
+}
+
+static enum err_code out_names_check(const struct ingest *g, struct err *e)
+{
+    char **names = mem_array(g->n, sizeof *names);
+    enum err_code rc = names ? ERR_OK : no_memory(e);
+    for (size_t i = 0; names && i < g->n; i++)
+        names[i] = g->photos[i].out_name;
+    if (names)
+        qsort(names, g->n, sizeof *names, text_compare);
+    for (size_t i = 1; rc == ERR_OK && i < g->n; i++)
+        if (!strcmp(names[i], names[i - 1]))
+            rc = err_set(e, ERR_DATA,
+                         "two photographs would both be called %.200s in the scene; rename one",
+                         names[i]);
+    mem_free(names);
+    return rc;
+}
+
+static enum err_code list_photos(struct ingest *g, struct err *e)
+{
+    g->n = g->model.n_images;
+    if (!g->n)
+        return err_set(e, ERR_DATA, "the COLMAP model holds no images");
+    if (!file_is_dir(g->images_dir))
+        return err_set(e, ERR_NOENT, "%s: no such folder of photographs", g->images_dir);
+    g->photos = arena_get(&g->scene.arena, g->n, sizeof *g->photos);
+    g->kept = arena_get(&g->scene.arena, g->n, sizeof *g->kept);
+    if (!g->photos || !g->kept)
+        return no_memory(e);
+    size_t missing = 0;
+    const char *first = NULL;
+    for (size_t i = 0; i < g->n; i++)
+        g->photos[i].image = &g->model.images[i];
+    qsort(g->photos, g->n, sizeof *g->photos, photo_compare);
+    for (size_t i = 0; i < g->n; i++) {
+        struct ingest_photo *p = &g->photos[i];
+        char path[FILE_PATH_MAX];
+        p->residual_m = (double)NAN;
+        if (!name_is_safe(p->image->name))
+            return err_set(e, ERR_DATA, "images: '%.200s' leads out of the folder of photographs",
+                           p->image->name);
+        p->out_name = out_name_make(g, p->image->name);
+        if (!p->out_name)
+            return no_memory(e);
+        enum err_code rc = file_join(path, g->images_dir, p->image->name, e);
+        if (rc != ERR_OK)
+            return rc;
+        if (!file_exists(path)) {
+            p->verdict = INGEST_MISSING;
+            first = missing++ ? first : p->image->name;
+        }
+    }
+    if (missing == g->n || (missing && !g->cfg->skip_missing))
+        return err_set(
+            e, ERR_NOENT,
+            "%s: %zu of the %zu photographs of the COLMAP model are not in there, '%.200s' first; "
+            "give the folder that COLMAP was run on%s",
+            g->images_dir, missing, g->n, first,
+            missing == g->n ? "" : ", or drop them with --skip-missing");
+    return out_names_check(g, e);
+}
+
+/* ---- EXIF and sizes ---- */
+
+static enum err_code read_info_task(void *user, size_t i, struct err *e)
+{
+    struct ingest *g = user;
+    struct ingest_photo *p = &g->photos[i];
+    char path[FILE_PATH_MAX];
+    if (p->verdict == INGEST_MISSING)
+        return ERR_OK;
+    if (signals_stopping())
+        return err_set(e, ERR_CANCEL, "stopped");
+    enum err_code rc = file_join(path, g->images_dir, p->image->name, e);
+    if (rc == ERR_OK)
+        rc = image_read_info(path, &p->width_px, &p->height_px, &p->gps, e);
+    if (rc != ERR_OK)
+        return rc;
+    const struct lens *l = &g->model.cameras[p->image->camera].lens;
+    if (fabs((double)p->width_px * l->height_px / l->width_px - p->height_px) > 1.001)
+        return err_set(e, ERR_DATA,
+                       "%s: is %u x %u px, its COLMAP camera %u x %u px: not the photographs the "
+                       "model was made "
+                       "from, or turned by a viewer",
+                       path, p->width_px, p->height_px, l->width_px, l->height_px);
+    step_done(g);
+    return ERR_OK;
+}
+
+/* "2024:06:01 10:00:00" as seconds; NaN when it is nothing of the kind. */
+static double time_seconds(const char *s)
+{
+    int y, mo, d, h, mi, sec;
+    if (sscanf(s, "%4d:%2d:%2d %2d:%2d:%2d", &y, &mo, &d, &h, &mi, &sec) != 6 || y < 1900 ||
+        mo < 1 || mo > 12)
+        return (double)NAN;
+    /* Days of the proleptic Gregorian calendar, March first so that leap days come last. */
+    int a = mo < 3, yy = y - a, mm = mo + 12 * a - 3;
+    double days = 365.0 * yy + yy / 4 - yy / 100 + yy / 400 + (153 * mm + 2) / 5 + d;
+    return days * 86400 + h * 3600 + mi * 60 + sec;
+}
+
+struct moment {
+    double s;
+    size_t photo;
+};
+
+static int moment_compare(const void *a, const void *b)
+{
+    const struct moment *p = a, *q = b;
+    if (p->s != q->s)
+        return p->s < q->s ? -1 : 1;
+    return (p->photo > q->photo) - (p->photo < q->photo);
+}
+
+/* Flights: a pause begins another. Without times, every folder is one. */
+static enum err_code find_flights(struct ingest *g, struct err *e)
+{
+    struct moment *m = mem_array(g->n, sizeof *m);
+    if (!m)
+        return no_memory(e);
+    size_t n = 0;
+    for (size_t i = 0; i < g->n; i++) {
+        double s = time_seconds(g->photos[i].gps.time);
+        if (isfinite(s))
+            m[n++] = (struct moment){s, i};
+    }
+    qsort(m, n, sizeof *m, moment_compare);
+    uint32_t flight = 0;
+    for (size_t k = 0; k < n; k++) {
+        flight += k && m[k].s - m[k - 1].s > 60 * g->cfg->flight_gap_min;
+        g->photos[m[k].photo].geo.flight_hint = flight;
+    }
+    for (size_t i = 1; n == 0 && i < g->n; i++) {
+        const char *a = g->photos[i - 1].image->name, *b = g->photos[i].image->name;
+        size_t folder = (size_t)(strrchr(b, '/') ? strrchr(b, '/') - b : 0);
+        flight += strncmp(a, b, folder) ||
+                  (strrchr(a, '/') ? strrchr(a, '/') - a : 0) != (ptrdiff_t)folder;
+        g->photos[i].geo.flight_hint = flight;
+    }
+    mem_free(m);
+    return ERR_OK;
+}
+
+/* ---- poses against points ---- */
+
+/* Distance in pixels between an observation and where its point projects; NaN behind the camera. */
+static double reprojection_at(const struct ingest *g, const struct ingest_photo *p,
+                              const struct colmap_observation *o)
+{
+    const double *x = g->model.points[o->point].xyz, *r = p->geo.rot;
+    const struct lens *l = &g->model.cameras[p->image->camera].lens;
+    double t[3], u, v;
+    for (int a = 0; a < 3; a++)
+        t[a] = r[3 * a] * x[0] + r[3 * a + 1] * x[1] + r[3 * a + 2] * x[2] + p->image->trans[a];
+    if (!(t[2] > 0))
+        return 1e9;
+    lens_distort(l, t[0] / t[2], t[1] / t[2], &u, &v);
+    double d = hypot(u - o->x_px, v - o->y_px);
+    return d < 1e9 ? d : 1e9;
+}
+
+static enum err_code judge_poses(struct ingest *g, struct err *e)
+{
+    size_t most = 0;
+    for (size_t i = 0; i < g->n; i++)
+        most = g->photos[i].image->n_obs > most ? g->photos[i].image->n_obs : most;
+    double *scratch = mem_array(most, sizeof *scratch);
+    if (!scratch)
+        return no_memory(e);
+    for (size_t i = 0; i < g->n; i++) {
+        struct ingest_photo *p = &g->photos[i];
+        camera_quat_to_rot(p->image->quat_wxyz, p->geo.rot);
+        for (int a = 0; a < 3; a++)
+            p->geo.center[a] =
+                -(p->geo.rot[a] * p->image->trans[0] + p->geo.rot[3 + a] * p->image->trans[1] +
+                  p->geo.rot[6 + a] * p->image->trans[2]);
+        for (size_t k = 0; k < p->image->n_obs; k++)
+            if (p->image->obs[k].point >= 0)
+                scratch[p->n_points++] = reprojection_at(g, p, &p->image->obs[k]);
+        p->reprojection_px = sim3_median(scratch, p->n_points);
+        if (p->verdict == INGEST_KEPT && p->n_points < (size_t)g->cfg->min_points)
+            p->verdict = INGEST_FEW_POINTS;
+        else if (p->verdict == INGEST_KEPT && p->reprojection_px > g->cfg->max_reprojection_px)
+            p->verdict = INGEST_POSE;
+    }
+    mem_free(scratch);
+    return ERR_OK;
+}
+
+static size_t count_verdict(const struct ingest *g, enum ingest_verdict v)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < g->n; i++)
+        n += g->photos[i].verdict == v;
+    return n;
+}
+
+static enum err_code check_some_left(const struct ingest *g, struct err *e)
+{
+    size_t few = count_verdict(g, INGEST_FEW_POINTS), pose = count_verdict(g, INGEST_POSE),
+           most = 0;
+    if (count_verdict(g, INGEST_KEPT) >= 3)
+        return ERR_OK;
+    for (size_t i = 0; i < g->n; i++)
+        most = g->photos[i].n_points > most ? g->photos[i].n_points : most;
+    return err_set(e, ERR_DATA,
+                   "no scene is left: %zu of %zu photographs see fewer than %lld points (the best "
+                   "one sees %zu; see "
+                   "--min-points), %zu disagree with the points they see (--max-reprojection-px)",
+                   few, g->n, (long long)g->cfg->min_points, most, pose);
+}
+
+static enum err_code convert_mask(struct ingest *g, const struct ingest_photo *p, struct err *e)
+{
+    char from[FILE_PATH_MAX], to[FILE_PATH_MAX], folder[FILE_PATH_MAX];
+    enum err_code rc = mask_path(g->cfg->mask_dir, p->image->name, from, e);
+    if (rc == ERR_OK && !file_exists(from))
+        return ERR_OK;
+    if (rc == ERR_OK)
+        rc = file_join(folder, g->dir.part, "masks", e);
+    if (rc == ERR_OK)
+        rc = file_mkdir(folder, e);
+    if (rc == ERR_OK)
+        rc = mask_path(folder, p->out_name, to, e);
+    if (rc == ERR_OK)
+        rc = ingest_mask_convert(&g->views[p->view], from, to, e);
+    atomic_fetch_add(&g->masks, 1);
+    return rc;
+}
+
+static enum err_code convert_task(void *user, size_t i, struct err *e)
+{
+    struct ingest *g = user;
+    const struct ingest_photo *p = &g->photos[i];
+    char from[FILE_PATH_MAX], to[FILE_PATH_MAX], folder[FILE_PATH_MAX];
+    struct codec_limits lim = {0};
+    enum err_code rc = ERR_OK;
+    if (signals_stopping())
+        return err_set(e, ERR_CANCEL, "stopped");
+    if (p->verdict == INGEST_KEPT) {
+        rc = file_join(from, g->images_dir, p->image->name, e);
+        if (rc == ERR_OK)
+            rc = file_join(folder, g->dir.part, "images", e);
+        if (rc == ERR_OK)
+            rc = file_join(to, folder, p->out_name, e);
+        if (rc == ERR_OK)
+            rc = ingest_photo_convert(&g->views[p->view], from, to, &lim, e);
+        if (rc == ERR_OK && g->cfg->mask_dir)
+            rc = convert_mask(g, p, e);
+    }
+    step_done(g);
+    return rc;
+}
+
+/* A folder in which no name fits was named wrongly, or its files were. */
+static enum err_code check_masks(struct ingest *g, struct err *e)
+{
+    size_t found = atomic_load(&g->masks);
+    if (!found)
+        return err_set(e, ERR_NOENT,
+                       "--mask-dir %s: no mask of any photograph is in there; the one of %s would "
+                       "be %s.png",
+                       g->cfg->mask_dir, g->photos[0].image->name, g->photos[0].image->name);
+    log_info("ingest", "%zu of %zu photographs have a mask", found, g->scene.n_images);
+    return ERR_OK;
+}
+
+static enum err_code count_unregistered(const struct ingest *g, size_t *out, struct err *e)
+{
+    static const char *const suffixes[] = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", NULL};
+    struct arena a = {0};
+    char **names;
+    size_t n, in_top = 0;
+    enum err_code rc = file_list(g->images_dir, suffixes, &a, &names, &n, e);
+    for (size_t i = 0; rc == ERR_OK && i < g->n; i++)
+        in_top += g->photos[i].verdict != INGEST_MISSING && !strchr(g->photos[i].image->name, '/');
+    *out = rc == ERR_OK && n > in_top ? n - in_top : 0;
+    arena_free(&a);
+    return rc;
+}
+
+static enum err_code write_scene(struct ingest *g, double start_s, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    struct ingest_result r = {.cfg = g->cfg,
+                              .photos = g->photos,
+                              .n_photos = g->n,
+                              .n_kept = g->scene.n_images,
+                              .scene = &g->scene,
+                              .georef = g->fitted ? &g->georef : NULL};
+    for (size_t i = 0; i < g->scene.n_images; i++)
+        *(g->scene.images[i].split == SCENE_TEST ? &r.n_test : &r.n_train) += 1;
+    for (size_t i = 0; i < g->n; i++)
+        r.n_gps += g->photos[i].geo.has_gps;
+    enum err_code rc = count_unregistered(g, &r.n_unregistered, e);
+    if (rc == ERR_OK)
+        rc = scene_write(g->dir.part, &g->scene, e);
+    if (rc == ERR_OK)
+        rc = file_join(path, g->dir.part, "report.json", e);
+    r.seconds = clock_s() - start_s;
+    if (rc == ERR_OK)
+        rc = ingest_report_write(&r, path, e);
+    if (rc == ERR_OK)
+        rc = outdir_commit(&g->dir, e);
+    if (rc == ERR_OK)
+        ingest_report_print(&r);
+    return rc;
+}
+
+static enum err_code run_steps(struct ingest *g, const char *sparse_dir, double start_s,
+                               struct err *e)
+{
+    char folder[FILE_PATH_MAX];
+    enum err_code rc = colmap_read(sparse_dir, &g->model, e);
+    if (rc == ERR_OK)
+        rc = list_photos(g, e);
+    if (rc == ERR_OK)
+        rc = for_photos(g, "read EXIF", read_info_task, e);
+    if (rc == ERR_OK)
+        rc = find_flights(g, e);
+    if (rc == ERR_OK)
+        rc = judge_poses(g, e);
+    if (rc == ERR_OK)
+        rc = check_some_left(g, e);
+    if (rc == ERR_OK)
+        rc = ingest_frame_find(g, e);
+    if (rc == ERR_OK)
+        rc = ingest_scene_fill(g, e);
+    if (rc == ERR_OK)
+        rc = file_join(folder, g->dir.part, "images", e);
+    if (rc == ERR_OK)
+        rc = file_mkdir(folder, e);
+    if (rc == ERR_OK)
+        rc = for_photos(g, "undistort and shrink", convert_task, e);
+    if (rc == ERR_OK && g->cfg->mask_dir)
+        rc = check_masks(g, e);
+    if (rc == ERR_OK)
+        rc = write_scene(g, start_s, e);
+    return rc;
+}
+
+enum err_code ingest_run(const char *images_dir, const char *sparse_dir,
+                         const struct ingest_config *cfg, struct err *e)
+{
+    struct ingest g = {.cfg = cfg, .images_dir = images_dir, .progress_busy = ATOMIC_FLAG_INIT};
+    struct geo_origin ignored;
+    double start_s = clock_s();
+    if (!cfg->output)
+        return err_set(e, ERR_ARG, "ingest: no output folder: give -o SCENE");
+    enum err_code rc = cfg->origin ? ingest_frame_parse(cfg->origin, &ignored, e) : ERR_OK;
+    if (rc == ERR_OK)
+        rc = outdir_begin(cfg->output, "scene.json", cfg->overwrite, &g.dir, e);
+    if (rc != ERR_OK)
+        return rc;
+    if (cfg->attribution && !(g.scene.attribution = arena_text(&g.scene.arena, cfg->attribution)))
+        rc = no_memory(e);
+    if (rc == ERR_OK)
+        rc = run_steps(&g, sparse_dir, start_s, e);
+    outdir_abort(&g.dir);
+    georef_free(&g.georef);
+    colmap_free(&g.model);
+    scene_free(&g.scene);
+    return rc;
+}

@@ -1,0 +1,312 @@
+/* Where the scene lies: by GPS where enough photographs have it, by hand otherwise.
+ *
+ * The fit runs in a frame about the median GPS position; then the origin moves to the middle of the
+ * photographs that were kept, at the height of the median point, so the ground is near z = 0. EXIF
+ * altitudes are taken as given, plus --geoid-offset-m: nothing about heights is guessed.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "codec/colmap.h"
+#include "codec/image.h"
+#include "ingest/ingest_internal.h"
+
+static const double reliable_px = 2, inlier_m = 8;
+enum { RELIABLE_TRACK = 3, HEIGHT_SAMPLES = 200000 };
+
+static enum err_code no_memory(struct err *e)
+{
+    return err_set(e, ERR_MEM, "ingest: out of memory");
+}
+
+enum err_code ingest_frame_parse(const char *text, struct geo_origin *o, struct err *e)
+{
+    char rest;
+    if (sscanf(text, "%lf,%lf,%lf%c", &o->lon_deg, &o->lat_deg, &o->h_m, &rest) != 3 ||
+        !(fabs(o->lon_deg) <= 180) || !(fabs(o->lat_deg) <= 90) || !(fabs(o->h_m) < 1e5))
+        return err_set(e, ERR_ARG, "--origin: '%.80s' is not LON,LAT,H in degrees and metres",
+                       text);
+    return ERR_OK;
+}
+
+static bool gps_usable(const struct image_gps *g)
+{
+    return g->has_position && g->has_altitude && isfinite(g->alt_m) && fabs(g->lat_deg) <= 90 &&
+           fabs(g->lon_deg) <= 180 && (g->lat_deg != 0 || g->lon_deg != 0);
+}
+
+/* GPS positions in the frame about `o`. */
+static enum err_code gps_to_enu(struct ingest *g, const struct geo_origin *o, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; rc == ERR_OK && i < g->n; i++) {
+        struct ingest_photo *p = &g->photos[i];
+        p->geo.has_gps = p->verdict != INGEST_MISSING && gps_usable(&p->gps);
+        if (p->geo.has_gps)
+            rc = geo_to_enu(o, p->gps.lon_deg, p->gps.lat_deg,
+                            p->gps.alt_m + g->cfg->geoid_offset_m, p->geo.gps_enu_m, e);
+    }
+    return rc;
+}
+
+/* Median longitude (counted from the first, so that the date line does no harm), latitude and
+ * height. */
+static enum err_code median_place(const struct ingest *g, struct geo_origin *o, struct err *e)
+{
+    double *v = mem_array(g->n, 3 * sizeof *v), lon0 = 0;
+    size_t n = 0;
+    if (!v)
+        return no_memory(e);
+    for (size_t i = 0; i < g->n; i++) {
+        const struct image_gps *p = &g->photos[i].gps;
+        if (g->photos[i].verdict != INGEST_KEPT || !gps_usable(p))
+            continue;
+        lon0 = n ? lon0 : p->lon_deg;
+        v[n] = remainder(p->lon_deg - lon0, 360);
+        v[g->n + n] = p->lat_deg;
+        v[2 * g->n + n++] = p->alt_m + g->cfg->geoid_offset_m;
+    }
+    *o = (struct geo_origin){remainder(lon0 + sim3_median(v, n), 360), sim3_median(v + g->n, n),
+                             sim3_median(v + 2 * g->n, n)};
+    mem_free(v);
+    return ERR_OK;
+}
+
+static bool point_is_reliable(const struct colmap_point *p)
+{
+    return p->n_track >= RELIABLE_TRACK && p->error_px <= reliable_px;
+}
+
+/* Normal of the ground: the direction in which the reliable points, without the farthest, spread
+ * least. Left 0 when they are no flat thing. */
+static enum err_code ground_normal(const struct ingest *g, double out[3], struct err *e)
+{
+    const struct colmap_model *m = &g->model;
+    double *d = mem_array(m->n_points, sizeof *d), mean[3] = {0}, limit = HUGE_VAL, cov[9],
+           values[3], vectors[9];
+    if (!d)
+        return no_memory(e);
+    for (int pass = 0; pass < 4; pass++) {
+        size_t n = 0;
+        double sum[3] = {0};
+        memset(cov, 0, sizeof cov);
+        for (size_t i = 0; i < m->n_points; i++) {
+            const double *x = m->points[i].xyz;
+            double r[3] = {x[0] - mean[0], x[1] - mean[1], x[2] - mean[2]};
+            double dist = sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2]);
+            if (!point_is_reliable(&m->points[i]) || dist > limit)
+                continue;
+            d[n++] = dist;
+            for (int a = 0; a < 3; a++) {
+                sum[a] += x[a];
+                for (int b = 0; b < 3; b++)
+                    cov[3 * a + b] += r[a] * r[b];
+            }
+        }
+        if (n < 50) { /* too few to call anything a ground */
+            mem_free(d);
+            return ERR_OK;
+        }
+        for (int a = 0; a < 3; a++)
+            mean[a] = sum[a] / (double)n;
+        limit = pass ? 3 * sim3_median(d, n) : HUGE_VAL;
+    }
+    sim3_eigen(cov, 3, values, vectors);
+    if (values[0] < 0.1 * values[1])
+        memcpy(out, vectors, 3 * sizeof *out);
+    mem_free(d);
+    return ERR_OK;
+}
+
+static double median_height(const struct ingest *g, const struct sim3 *s, double *scratch)
+{
+    const struct colmap_model *m = &g->model;
+    size_t step = m->n_points / HEIGHT_SAMPLES + 1, n = 0;
+    for (size_t i = 0; i < m->n_points; i += step) {
+        double y[3];
+        if (!point_is_reliable(&m->points[i]))
+            continue;
+        sim3_apply(s, m->points[i].xyz, y);
+        scratch[n++] = y[2];
+    }
+    return sim3_median(scratch, n);
+}
+
+/* The same similarity told in the frame of another origin: a rotation and a shift by way of ECEF.
+ */
+static enum err_code move_frame(struct sim3 *s, const struct geo_origin *from,
+                                const struct geo_origin *to, struct err *e)
+{
+    double a[16], b[16], turn[9], shift[3], rot[9], trans[3];
+    enum err_code rc = geo_enu_to_ecef(from, a, e);
+    if (rc == ERR_OK)
+        rc = geo_enu_to_ecef(to, b, e);
+    if (rc != ERR_OK)
+        return rc;
+    for (int i = 0; i < 3; i++) {
+        shift[i] = 0;
+        for (int k = 0; k < 3; k++)
+            shift[i] += b[4 * i + k] * (a[12 + k] - b[12 + k]);
+        for (int j = 0; j < 3; j++) {
+            turn[3 * i + j] = 0;
+            for (int k = 0; k < 3; k++)
+                turn[3 * i + j] += b[4 * i + k] * a[4 * j + k];
+        }
+    }
+    for (int i = 0; i < 3; i++) {
+        trans[i] = shift[i];
+        for (int j = 0; j < 3; j++) {
+            trans[i] += turn[3 * i + j] * s->trans[j];
+            rot[3 * i + j] = 0;
+            for (int k = 0; k < 3; k++)
+                rot[3 * i + j] += turn[3 * i + k] * s->rot[3 * k + j];
+        }
+    }
+    memcpy(s->rot, rot, sizeof rot);
+    memcpy(s->trans, trans, sizeof trans);
+    return ERR_OK;
+}
+
+/* Middle of the kept photographs by GPS, to 1e-7 degrees; the median point's height, to 1 cm. */
+static enum err_code choose_origin(const struct ingest *g, const struct geo_origin *from,
+                                   const struct sim3 *s, struct geo_origin *out, struct err *e)
+{
+    double lo[2] = {HUGE_VAL, HUGE_VAL}, hi[2] = {-HUGE_VAL, -HUGE_VAL}, mid[3] = {0}, h;
+    for (size_t i = 0; i < g->n; i++)
+        for (int a = 0; a < 2 && g->photos[i].geo.has_gps && g->photos[i].verdict == INGEST_KEPT;
+             a++) {
+            lo[a] = fmin(lo[a], g->photos[i].geo.gps_enu_m[a]);
+            hi[a] = fmax(hi[a], g->photos[i].geo.gps_enu_m[a]);
+        }
+    double *scratch =
+        mem_array(g->model.n_points < HEIGHT_SAMPLES ? g->model.n_points : 2 * HEIGHT_SAMPLES,
+                  sizeof *scratch);
+    if (!scratch)
+        return no_memory(e);
+    mid[0] = 0.5 * (lo[0] + hi[0]);
+    mid[1] = 0.5 * (lo[1] + hi[1]);
+    mid[2] = median_height(g, s, scratch);
+    mem_free(scratch);
+    enum err_code rc = geo_from_enu(from, mid, &out->lon_deg, &out->lat_deg, &h, e);
+    out->lon_deg = round(out->lon_deg * 1e7) / 1e7;
+    out->lat_deg = round(out->lat_deg * 1e7) / 1e7;
+    out->h_m = round(h * 100) / 100;
+    return rc;
+}
+
+/* Run georef_fit on the photographs still kept, write its verdicts back. */
+static enum err_code fit_kept(struct ingest *g, struct err *e)
+{
+    struct georef_config cfg = {.inlier_m = inlier_m,
+                                .tau_min_m = g->cfg->tau_min_m,
+                                .tau_max_m = fmax(g->cfg->tau_max_m, g->cfg->tau_min_m),
+                                .seed = 1};
+    struct georef_photo *list = mem_array(g->n, sizeof *list);
+    size_t n = 0;
+    enum err_code rc = list ? ground_normal(g, cfg.ground_normal, e) : no_memory(e);
+    for (size_t i = 0; rc == ERR_OK && i < g->n; i++)
+        if (g->photos[i].verdict == INGEST_KEPT)
+            list[n++] = g->photos[i].geo;
+    if (rc == ERR_OK)
+        rc = georef_fit(list, n, &cfg, &g->georef, e);
+    n = 0;
+    for (size_t i = 0; rc == ERR_OK && i < g->n; i++) {
+        struct ingest_photo *p = &g->photos[i];
+        if (p->verdict != INGEST_KEPT)
+            continue;
+        p->residual_m = g->georef.residual_m[n];
+        p->flight = g->georef.flight[n];
+        if (g->georef.dropped[n++])
+            p->verdict = INGEST_GPS;
+    }
+    mem_free(list);
+    return rc;
+}
+
+static enum err_code frame_from_gps(struct ingest *g, struct sim3 *sim, struct err *e)
+{
+    struct geo_origin first, *origin = &g->scene.origin;
+    enum err_code rc = median_place(g, &first, e);
+    if (rc == ERR_OK)
+        rc = gps_to_enu(g, &first, e);
+    if (rc == ERR_OK)
+        rc = fit_kept(g, e);
+    if (rc != ERR_OK)
+        return rc;
+    g->fitted = true;
+    *sim = g->georef.sim;
+    rc = g->cfg->origin ? ingest_frame_parse(g->cfg->origin, origin, e)
+                        : choose_origin(g, &first, sim, origin, e);
+    if (rc == ERR_OK)
+        rc = move_frame(sim, &first, origin, e);
+    if (rc == ERR_OK)
+        rc = gps_to_enu(g, origin, e);
+    size_t n = 0;
+    double sum = 0;
+    for (size_t i = 0; i < g->n; i++)
+        if (g->photos[i].verdict == INGEST_KEPT && g->photos[i].geo.has_gps) {
+            sum += g->georef.flight_offset_m[g->photos[i].flight];
+            n++;
+        }
+    g->scene.vertical_offset_m = (n ? sum / (double)n : 0) - g->cfg->geoid_offset_m;
+    return rc;
+}
+
+static enum err_code frame_by_hand(struct ingest *g, size_t n_gps, size_t n_kept, struct sim3 *sim,
+                                   struct err *e)
+{
+    double normal[3] = {0};
+    if (!g->cfg->origin || !(g->cfg->metres_per_unit > 0))
+        return err_set(
+            e, ERR_DATA,
+            "%zu of %zu photographs have a GPS position with altitude: too few to georeference. "
+            "Give "
+            "photographs with EXIF GPS, or place the scene by hand with --origin LON,LAT,H and "
+            "--metres-per-unit%s",
+            n_gps, n_kept, n_gps >= 3 ? ", or accept fewer with --min-gps-share" : "");
+    log_warn("ingest",
+             "frame by hand: %zu of %zu photographs have GPS; no positions were checked, north is "
+             "arbitrary",
+             n_gps, n_kept);
+    enum err_code rc = ingest_frame_parse(g->cfg->origin, &g->scene.origin, e);
+    struct georef_photo *list = mem_array(g->n, sizeof *list);
+    double *scratch =
+        mem_array(g->model.n_points < HEIGHT_SAMPLES ? g->model.n_points : 2 * HEIGHT_SAMPLES,
+                  sizeof *scratch);
+    size_t n = 0;
+    if (rc == ERR_OK && (!list || !scratch))
+        rc = no_memory(e);
+    for (size_t i = 0; rc == ERR_OK && i < g->n; i++)
+        if (g->photos[i].verdict == INGEST_KEPT)
+            list[n++] = g->photos[i].geo;
+    if (rc == ERR_OK)
+        rc = ground_normal(g, normal, e);
+    if (rc == ERR_OK)
+        rc = georef_upright(list, n, normal, g->cfg->metres_per_unit, sim, e);
+    if (rc == ERR_OK)
+        sim->trans[2] -= median_height(g, sim, scratch);
+    mem_free(list);
+    mem_free(scratch);
+    return rc;
+}
+
+enum err_code ingest_frame_find(struct ingest *g, struct err *e)
+{
+    struct sim3 sim = {0};
+    size_t n_gps = 0, n_kept = 0;
+    for (size_t i = 0; i < g->n; i++)
+        if (g->photos[i].verdict == INGEST_KEPT) {
+            n_kept++;
+            n_gps += gps_usable(&g->photos[i].gps);
+        }
+    bool enough = n_gps >= 3 && (double)n_gps >= g->cfg->min_gps_share * (double)n_kept;
+    enum err_code rc =
+        enough ? frame_from_gps(g, &sim, e) : frame_by_hand(g, n_gps, n_kept, &sim, e);
+    g->scene.scale = sim.scale;
+    memcpy(g->scene.rot, sim.rot, sizeof sim.rot);
+    memcpy(g->scene.trans, sim.trans, sizeof sim.trans);
+    return rc;
+}

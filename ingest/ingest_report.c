@@ -1,0 +1,183 @@
+/* What ingest tells: a summary for people on stdout, all of it as report.json.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <jansson.h>
+#include <math.h>
+#include <stdio.h>
+
+#include "codec/colmap.h"
+#include "codec/scene.h"
+#include "ingest/ingest.h"
+
+enum { NAMES_SHOWN = 20 };
+
+/* Why a photograph was dropped, as a sentence; "" when it was kept. */
+static void verdict_text(const struct ingest_result *r, const struct ingest_photo *p, char *out,
+                         size_t n)
+{
+    switch (p->verdict) {
+    case INGEST_FEW_POINTS:
+        snprintf(out, n, "sees %zu points, fewer than %lld", p->n_points,
+                 (long long)r->cfg->min_points);
+        break;
+    case INGEST_POSE:
+        snprintf(out, n,
+                 "its pose disagrees with the points it sees: median reprojection error %.1f px",
+                 p->reprojection_px);
+        break;
+    case INGEST_GPS:
+        snprintf(out, n, "%.1f m from its GPS position, more than %.1f m", p->residual_m,
+                 r->georef ? r->georef->tau_m : 0);
+        break;
+    case INGEST_MISSING:
+        snprintf(out, n, "not in the folder of photographs");
+        break;
+    default:
+        out[0] = 0;
+    }
+}
+
+/* Residuals of the kept photographs with GPS at 50, 90 and 100 %; returns how many there are. */
+static size_t residual_quantiles(const struct ingest_result *r, double q[3])
+{
+    double *v = mem_array(r->n_photos, sizeof *v);
+    size_t n = 0;
+    q[0] = q[1] = q[2] = 0;
+    if (!v)
+        return 0;
+    for (size_t i = 0; i < r->n_photos; i++)
+        if (r->photos[i].verdict == INGEST_KEPT && isfinite(r->photos[i].residual_m))
+            v[n++] = r->photos[i].residual_m;
+    if (n) {
+        q[0] = sim3_median(v, n); /* sorts */
+        q[1] = v[(size_t)(0.9 * (double)(n - 1))];
+        q[2] = v[n - 1];
+    }
+    mem_free(v);
+    return n;
+}
+
+static void print_frame(const struct ingest_result *r)
+{
+    const struct scene *s = r->scene;
+    const struct georef_result *g = r->georef;
+    printf("origin   lon %.7f lat %.7f h %.2f m\n", s->origin.lon_deg, s->origin.lat_deg,
+           s->origin.h_m);
+    if (!g) {
+        printf("frame    placed by hand: scale %.6g m per COLMAP unit, north arbitrary, nothing "
+               "checked\n",
+               s->scale);
+        return;
+    }
+    double q[3], deg = 57.29577951308232;
+    size_t n = residual_quantiles(r, q);
+    printf("frame    scale %.6g m per COLMAP unit +- %.2f %%, tilt +- %.2f deg, heading +- %.2f "
+           "deg, place +- %.2f m\n",
+           s->scale, 100 * g->fit.scale_rel, deg * g->fit.tilt_rad, deg * g->fit.heading_rad,
+           g->fit.place_m);
+    if (g->collinear)
+        printf("         the flight is one straight line: the roll about it comes from the cameras "
+               "being level\n");
+    printf("GPS      %zu positions, distance from the poses: median %.2f m, 90 %% %.2f m, largest "
+           "kept %.2f m (limit %.1f m)\n",
+           n, q[0], q[1], q[2], g->tau_m);
+    printf("         their errors are about %.2f m a horizontal axis, %.2f m in height%s\n",
+           g->fit.sigma_h_m, g->fit.sigma_v_m,
+           g->fit.share_h < 0.5 || g->fit.share_v < 0.5 ? ", and drift: neighbours err alike" : "");
+    for (size_t k = 1; k < g->n_flights; k++)
+        printf("flight   %zu: its GPS heights read %+.2f m against flight 1\n", k + 1,
+               g->flight_offset_m[k]);
+    if (g->fit.scale_rel > 0.03 || g->fit.tilt_rad > 0.05)
+        log_warn("ingest", "GPS fixes the frame only roughly: scale_percent=%.1f tilt_deg=%.1f",
+                 100 * g->fit.scale_rel, deg * g->fit.tilt_rad);
+}
+
+void ingest_report_print(const struct ingest_result *r)
+{
+    const struct scene *s = r->scene;
+    size_t dropped = r->n_photos - r->n_kept, shown = 0;
+    printf("scene    %s: %zu of %zu photographs (%zu to train, %zu to test), %zu points, %zu "
+           "observations, %.1f s\n",
+           r->cfg->output, r->n_kept, r->n_photos, r->n_train, r->n_test, s->n_points, s->n_tracks,
+           r->seconds);
+    if (s->n_images)
+        printf("pictures %u x %u px, focal length %.1f px\n", s->images[0].cam.width_px,
+               s->images[0].cam.height_px, s->images[0].cam.fx_px);
+    print_frame(r);
+    for (size_t i = 0; i < r->n_photos && shown < NAMES_SHOWN; i++) {
+        char why[160];
+        verdict_text(r, &r->photos[i], why, sizeof why);
+        if (why[0]) {
+            printf("dropped  %s: %s\n", r->photos[i].image->name, why);
+            shown++;
+        }
+    }
+    if (dropped > shown)
+        printf("dropped  ... and %zu more, see report.json\n", dropped - shown);
+    if (r->n_unregistered)
+        printf("ignored  %zu pictures in the folder that the COLMAP model does not hold\n",
+               r->n_unregistered);
+}
+
+static json_t *real_or_null(double v)
+{
+    return isfinite(v) ? json_real(v) : json_null();
+}
+
+static json_t *photos_to_json(const struct ingest_result *r)
+{
+    json_t *list = json_array();
+    for (size_t i = 0; i < r->n_photos; i++) {
+        const struct ingest_photo *p = &r->photos[i];
+        char why[160];
+        verdict_text(r, p, why, sizeof why);
+        json_array_append_new(list,
+                              json_pack("{s:s, s:b, s:s, s:I, s:f, s:o, s:i}", "name",
+                                        p->image->name, "kept", p->verdict == INGEST_KEPT, "why",
+                                        why, "points", (json_int_t)p->n_points, "reprojection_px",
+                                        p->reprojection_px, "residual_m",
+                                        real_or_null(p->residual_m), "flight", (int)p->flight + 1));
+    }
+    return list;
+}
+
+static json_t *georef_to_json(const struct ingest_result *r)
+{
+    const struct georef_result *g = r->georef;
+    double q[3];
+    if (!g)
+        return json_null();
+    size_t n = residual_quantiles(r, q);
+    json_t *flights = json_array();
+    for (size_t k = 0; k < g->n_flights; k++)
+        json_array_append_new(flights, json_real(g->flight_offset_m[k]));
+    return json_pack("{s:I, s:I, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:b, s:i, s:o}",
+                     "positions", (json_int_t)n, "dropped", (json_int_t)g->n_dropped, "limit_m",
+                     g->tau_m, "residual_median_m", q[0], "residual_90_m", q[1], "residual_max_m",
+                     q[2], "sigma_horizontal_m", g->fit.sigma_h_m, "sigma_vertical_m",
+                     g->fit.sigma_v_m, "scale_error", g->fit.scale_rel, "tilt_error_rad",
+                     g->fit.tilt_rad, "heading_error_rad", g->fit.heading_rad, "place_error_m",
+                     g->fit.place_m, "collinear", g->collinear, "rounds", g->rounds,
+                     "flight_height_offset_m", flights);
+}
+
+enum err_code ingest_report_write(const struct ingest_result *r, const char *path, struct err *e)
+{
+    json_t *config = NULL;
+    enum err_code rc = options_to_json(ingest_options(), r->cfg, &config, e);
+    if (rc != ERR_OK)
+        return rc;
+    json_t *root = json_pack(
+        "{s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:o, s:o, s:o, s:f}", "photographs",
+        (json_int_t)r->n_photos, "kept", (json_int_t)r->n_kept, "train", (json_int_t)r->n_train,
+        "test", (json_int_t)r->n_test, "with_gps", (json_int_t)r->n_gps, "not_in_model",
+        (json_int_t)r->n_unregistered, "scale_m", r->scene->scale, "georeferencing",
+        georef_to_json(r), "photos", photos_to_json(r), "config", config, "seconds", r->seconds);
+    if (!root)
+        return err_set(e, ERR_DATA, "%s: cannot be written: a photograph's name is not UTF-8",
+                       path);
+    rc = jsonc_write(path, root, e);
+    json_decref(root);
+    return rc;
+}

@@ -1,0 +1,514 @@
+/* Similarities between camera centres and GPS positions.
+ *
+ * The closed form is Horn's (1987): the rotation is the quaternion that belongs to the largest
+ * eigenvalue of a 4x4 matrix, found by Jacobi's method. The refinement minimises, over rotation,
+ * scale, shift and one height offset per flight,
+ *
+ *   sum_i w_i |y_i - s R x_i - t - o_flight(i) e_z|^2                  GPS positions
+ *   + mean_i (e_z . R right_i)^2 / sigma_level^2                       cameras are level but for
+ * their roll
+ *   + |R normal - e_z|_xy^2 / sigma_ground^2                           the ground is roughly
+ * horizontal
+ *
+ * Weights are robust (Huber, then cut) and differ between places and heights, whose errors are
+ * estimated from the residuals. Errors of receivers drift: neighbours in time err alike, so n
+ * positions count for n (1 - rho) / (1 + rho) independent ones, rho being the correlation of
+ * neighbours. A height that drifts by 100 m over one flight would otherwise tilt the scene by 45
+ * degrees and look certain of it; so counted, the two weak terms win there, and yield to any GPS
+ * that deserves it. sigma_level is how far the cameras are from being level with each other; the
+ * mean, not the sum, is taken, because rolls of one flight (wind, a crooked mount) are not
+ * independent either.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "ingest/sim3.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/base.h"
+#include "core/camera.h"
+
+enum { UNKNOWNS = 7 + SIMILARITY_GROUPS_MAX - 1, REFINE_MAX = 30, JACOBI_SWEEPS = 40 };
+static const double sigma_floor_m = 0.01, sigma_ground = 0.2, level_floor = 0.02;
+static const double median_2d = 1.1774,
+                    median_1d = 0.6745; /* of |r| over sigma per axis: Rayleigh, half normal */
+static const double huber_k = 3,
+                    cut_k = 6; /* of |r| over sigma, three axes: 97 % are below huber_k */
+static const double share_min = 0.005, height_weight_ratio = 2;
+enum {
+    FREEZE_STEP = 12
+}; /* from here on the error estimates stay, so that the iteration can settle */
+
+void sim3_apply(const struct sim3 *s, const double x[3], double y[3])
+{
+    for (int i = 0; i < 3; i++)
+        y[i] = s->scale *
+                   (s->rot[3 * i] * x[0] + s->rot[3 * i + 1] * x[1] + s->rot[3 * i + 2] * x[2]) +
+               s->trans[i];
+}
+
+static void rotate(const double r[9], const double x[3], double y[3])
+{
+    for (int i = 0; i < 3; i++)
+        y[i] = r[3 * i] * x[0] + r[3 * i + 1] * x[1] + r[3 * i + 2] * x[2];
+}
+
+static int double_compare(const void *a, const void *b)
+{
+    const double *p = a, *q = b;
+    return (*p > *q) - (*p < *q);
+}
+
+double sim3_median(double *v, size_t n)
+{
+    if (!n)
+        return 0;
+    qsort(v, n, sizeof *v, double_compare);
+    return n % 2 ? v[n / 2] : 0.5 * (v[n / 2 - 1] + v[n / 2]);
+}
+
+/* ---- eigenvectors ---- */
+
+/* One Jacobi rotation that clears a[p][q]. */
+static void jacobi_turn(double *a, double *v, size_t n, size_t p, size_t q)
+{
+    double apq = a[p * n + q];
+    if (apq == 0)
+        return;
+    double theta = (a[q * n + q] - a[p * n + p]) / (2 * apq);
+    double t = (theta < 0 ? -1 : 1) / (fabs(theta) + sqrt(theta * theta + 1));
+    double c = 1 / sqrt(t * t + 1), s = t * c;
+    for (size_t k = 0; k < n; k++) {
+        double x = a[k * n + p], y = a[k * n + q];
+        a[k * n + p] = c * x - s * y;
+        a[k * n + q] = s * x + c * y;
+    }
+    for (size_t k = 0; k < n; k++) {
+        double x = a[p * n + k], y = a[q * n + k];
+        a[p * n + k] = c * x - s * y;
+        a[q * n + k] = s * x + c * y;
+        x = v[p * n + k];
+        y = v[q * n + k];
+        v[p * n + k] = c * x - s * y;
+        v[q * n + k] = s * x + c * y;
+    }
+}
+
+void sim3_eigen(const double *matrix, size_t n, double *values, double *vectors)
+{
+    double a[16];
+    memcpy(a, matrix, n * n * sizeof *a);
+    for (size_t i = 0; i < n * n; i++)
+        vectors[i] = i % (n + 1) == 0;
+    for (int sweep = 0; sweep < JACOBI_SWEEPS; sweep++) {
+        double off = 0, diag = 0;
+        for (size_t i = 0; i < n; i++)
+            for (size_t j = 0; j < n; j++)
+                *(i == j ? &diag : &off) += a[i * n + j] * a[i * n + j];
+        if (off <= 1e-30 * diag)
+            break;
+        for (size_t p = 0; p + 1 < n; p++)
+            for (size_t q = p + 1; q < n; q++)
+                jacobi_turn(a, vectors, n, p, q);
+    }
+    for (size_t i = 0; i < n; i++)
+        values[i] = a[i * n + i];
+    for (size_t i = 0; i < n; i++) /* ascending */
+        for (size_t j = i + 1; j < n; j++)
+            if (values[j] < values[i]) {
+                double t = values[i];
+                values[i] = values[j];
+                values[j] = t;
+                for (size_t k = 0; k < n; k++) {
+                    t = vectors[i * n + k];
+                    vectors[i * n + k] = vectors[j * n + k];
+                    vectors[j * n + k] = t;
+                }
+            }
+}
+
+/* ---- closed form ---- */
+
+/* Rotation that maximises sum y . R x, given h[3*a+b] = sum x_a y_b. */
+static void rotation_from_moments(const double h[9], double rot[9])
+{
+    const double n[16] = {h[0] + h[4] + h[8],  h[5] - h[7], h[6] - h[2], h[1] - h[3], h[5] - h[7],
+                          h[0] - h[4] - h[8],  h[1] + h[3], h[6] + h[2], h[6] - h[2], h[1] + h[3],
+                          -h[0] + h[4] - h[8], h[5] + h[7], h[1] - h[3], h[6] + h[2], h[5] + h[7],
+                          -h[0] - h[4] + h[8]};
+    double values[4], vectors[16];
+    sim3_eigen(n, 4, values, vectors);
+    camera_quat_to_rot(vectors + 12, rot);
+}
+
+bool sim3_from_pairs(const double (*x)[3], const double (*y)[3], const uint32_t *index, size_t n,
+                     const double up_x[3], struct sim3 *out)
+{
+    double mx[3] = {0}, my[3] = {0}, h[9] = {0}, xx = 0, yy = 0, yrx = 0, norm = 0;
+    for (size_t k = 0; k < n; k++) {
+        size_t i = index ? index[k] : k;
+        for (int a = 0; a < 3; a++) {
+            mx[a] += x[i][a] / (double)n;
+            my[a] += y[i][a] / (double)n;
+        }
+    }
+    for (size_t k = 0; k < n; k++) {
+        size_t i = index ? index[k] : k;
+        for (int a = 0; a < 3; a++) {
+            xx += (x[i][a] - mx[a]) * (x[i][a] - mx[a]);
+            yy += (y[i][a] - my[a]) * (y[i][a] - my[a]);
+            for (int b = 0; b < 3; b++)
+                h[3 * a + b] += (x[i][a] - mx[a]) * (y[i][b] - my[b]);
+        }
+    }
+    if (!(xx > 0 && yy > 0))
+        return false;
+    double up_h[9];
+    for (int i = 0; i < 9; i++)
+        norm += h[i] * h[i];
+    memcpy(up_h, h, sizeof up_h);
+    for (int a = 0; a < 3; a++) /* a pair (up_x, e_z) of a hundredth of the weight */
+        up_h[3 * a + 2] += 0.01 * sqrt(norm) * up_x[a];
+    rotation_from_moments(up_h, out->rot);
+    for (int a = 0; a < 3; a++)
+        for (int b = 0; b < 3; b++)
+            yrx += out->rot[3 * b + a] * h[3 * a + b];
+    out->scale = yrx / xx;
+    if (!(out->scale > 0))
+        return false;
+    double rm[3];
+    rotate(out->rot, mx, rm);
+    for (int a = 0; a < 3; a++)
+        out->trans[a] = my[a] - out->scale * rm[a];
+    return true;
+}
+
+bool sim3_from_plan(const double (*x)[3], const double (*y)[3], const uint32_t *index, size_t n,
+                    const double up_x[3], double *scratch, struct sim3 *out)
+{
+    /* Level axes in the frame of x: any east at right angles to up, and north. */
+    double east[3], north[3], len = 0, c[2] = {0}, mean[4] = {0}, uu = 0;
+    int k0 = fabs(up_x[0]) < 0.8 ? 0 : 1;
+    for (int a = 0; a < 3; a++) {
+        east[a] = (a == k0) - up_x[k0] * up_x[a];
+        len += east[a] * east[a];
+    }
+    for (int a = 0; a < 3; a++)
+        east[a] /= sqrt(len);
+    north[0] = up_x[1] * east[2] - up_x[2] * east[1];
+    north[1] = up_x[2] * east[0] - up_x[0] * east[2];
+    north[2] = up_x[0] * east[1] - up_x[1] * east[0];
+    for (int pass = 0; pass < 2; pass++)
+        for (size_t k = 0; k < n; k++) {
+            size_t i = index ? index[k] : k;
+            const double v[4] = {x[i][0] * east[0] + x[i][1] * east[1] + x[i][2] * east[2],
+                                 x[i][0] * north[0] + x[i][1] * north[1] + x[i][2] * north[2],
+                                 y[i][0], y[i][1]};
+            for (int a = 0; a < 4; a++)
+                mean[a] += pass ? 0 : v[a] / (double)n;
+            const double p[4] = {v[0] - mean[0], v[1] - mean[1], v[2] - mean[2], v[3] - mean[3]};
+            if (pass) { /* y = (re + i im) x as complex numbers */
+                c[0] += p[0] * p[2] + p[1] * p[3];
+                c[1] += p[0] * p[3] - p[1] * p[2];
+                uu += p[0] * p[0] + p[1] * p[1];
+            }
+        }
+    if (!(uu > 0))
+        return false;
+    double re = c[0] / uu, im = c[1] / uu;
+    out->scale = hypot(re, im);
+    if (!(out->scale > 0))
+        return false;
+    for (int a = 0; a < 3; a++) {
+        out->rot[a] = (re * east[a] - im * north[a]) / out->scale;
+        out->rot[3 + a] = (im * east[a] + re * north[a]) / out->scale;
+        out->rot[6 + a] = up_x[a];
+    }
+    out->trans[0] = mean[2] - (re * mean[0] - im * mean[1]);
+    out->trans[1] = mean[3] - (im * mean[0] + re * mean[1]);
+    out->trans[2] = 0;
+    for (size_t k = 0; k < n; k++) {
+        size_t i = index ? index[k] : k;
+        double at[3];
+        sim3_apply(out, x[i], at);
+        scratch[k] = y[i][2] - at[2];
+    }
+    out->trans[2] = sim3_median(scratch, n);
+    return true;
+}
+
+/* ---- refinement ---- */
+
+static void residual_at(const struct sim3_problem *p, const struct sim3_fit *f, size_t i,
+                        double r[3])
+{
+    double y[3];
+    sim3_apply(&f->sim, p->x[i], y);
+    y[2] += f->offset_m[p->group[i]];
+    for (int a = 0; a < 3; a++)
+        r[a] = p->y[i][a] - y[a];
+}
+
+double sim3_residual(const struct sim3_problem *p, const struct sim3_fit *fit, size_t i)
+{
+    double r[3], trust = 1;
+    residual_at(p, fit, i, r);
+    if (fit->sigma_v_m > height_weight_ratio * fit->sigma_h_m && fit->sigma_h_m > 0)
+        trust = height_weight_ratio * fit->sigma_h_m / fit->sigma_v_m;
+    return sqrt(r[0] * r[0] + r[1] * r[1] + trust * r[2] * trust * r[2]);
+}
+
+struct normal_eq { /* upper triangle not mirrored until solved; unknowns: rotation, log scale,
+                      shift, offsets */
+    double a[UNKNOWNS][UNKNOWNS], b[UNKNOWNS];
+    size_t n;
+};
+
+static void eq_add(struct normal_eq *q, const double *row, double residual, double weight)
+{
+    for (size_t i = 0; i < q->n; i++) {
+        if (row[i] == 0)
+            continue;
+        q->b[i] += weight * row[i] * residual;
+        for (size_t j = 0; j < q->n; j++)
+            q->a[i][j] += weight * row[i] * row[j];
+    }
+}
+
+/* Cholesky in place; solves for b and leaves the factor in a. False when not positive definite. */
+static bool eq_factor(struct normal_eq *q)
+{
+    for (size_t j = 0; j < q->n; j++) {
+        double pivot = q->a[j][j], full = pivot;
+        for (size_t k = 0; k < j; k++)
+            pivot -= q->a[j][k] * q->a[j][k];
+        if (!(pivot > 1e-13 * full))
+            return false;
+        q->a[j][j] = sqrt(pivot);
+        for (size_t i = j + 1; i < q->n; i++) {
+            double v = q->a[i][j];
+            for (size_t k = 0; k < j; k++)
+                v -= q->a[i][k] * q->a[j][k];
+            q->a[i][j] = v / q->a[j][j];
+        }
+    }
+    return true;
+}
+
+static void eq_solve(const struct normal_eq *q, const double *b, double *x)
+{
+    for (size_t i = 0; i < q->n; i++) {
+        x[i] = b[i];
+        for (size_t k = 0; k < i; k++)
+            x[i] -= q->a[i][k] * x[k];
+        x[i] /= q->a[i][i];
+    }
+    for (size_t i = q->n; i-- > 0;) {
+        for (size_t k = i + 1; k < q->n; k++)
+            x[i] -= q->a[k][i] * x[k];
+        x[i] /= q->a[i][i];
+    }
+}
+
+/* Robust weight from the residual in units of its errors; pairs within cut_m are never cut. */
+static double weight_at(const struct sim3_problem *p, const struct sim3_fit *f, size_t i,
+                        const double r[3])
+{
+    double h2 = (r[0] * r[0] + r[1] * r[1]) / (f->sigma_h_m * f->sigma_h_m);
+    double d = sqrt(h2 + r[2] * r[2] / (f->sigma_v_m * f->sigma_v_m));
+    if (!(d <= cut_k) && !(sim3_residual(p, f, i) <= p->cut_m))
+        return 0;
+    return d <= huber_k ? 1 : huber_k / d;
+}
+
+/* Rows of the GPS positions; center is the mean of s R x + t, about which the rotation turns. */
+static void add_positions(const struct sim3_problem *p, const struct sim3_fit *f,
+                          const double center[3], struct normal_eq *q)
+{
+    double wh = f->share_h / (f->sigma_h_m * f->sigma_h_m),
+           wv = f->share_v / (f->sigma_v_m * f->sigma_v_m);
+    for (size_t i = 0; i < p->n; i++) {
+        double r[3], y[3];
+        if (!p->use[i])
+            continue;
+        residual_at(p, f, i, r);
+        double w = weight_at(p, f, i, r);
+        if (w == 0)
+            continue;
+        sim3_apply(&f->sim, p->x[i], y);
+        for (int a = 0; a < 3; a++)
+            y[a] -= center[a];
+        /* d(s R x) = omega x y + y dlog s */
+        const double turn[3][3] = {{0, y[2], -y[1]}, {-y[2], 0, y[0]}, {y[1], -y[0], 0}};
+        for (int a = 0; a < 3; a++) {
+            double row[UNKNOWNS] = {turn[a][0], turn[a][1], turn[a][2], y[a]};
+            row[4 + a] = 1;
+            if (a == 2 && p->group[i])
+                row[6 + p->group[i]] = 1;
+            eq_add(q, row, r[a], w * (a == 2 ? wv : wh));
+        }
+    }
+}
+
+/* Rows of the two weak terms; returns what they cost. */
+static double add_level(const struct sim3_problem *p, const struct sim3_fit *f, struct normal_eq *q)
+{
+    double v[3], cost = 0;
+    size_t n = 0;
+    for (size_t i = 0; i < p->n; i++)
+        n += p->use[i];
+    double sigma2 = fmax(level_floor * level_floor, p->level_sigma * p->level_sigma) * (double)n;
+    for (size_t i = 0; i < p->n; i++) {
+        if (!p->use[i])
+            continue;
+        rotate(f->sim.rot, p->right[i], v); /* e_z . (omega x v) = omega . (v x e_z) */
+        double row[UNKNOWNS] = {v[1], -v[0], 0};
+        eq_add(q, row, -v[2], 1 / sigma2);
+        cost += v[2] * v[2] / sigma2;
+    }
+    rotate(f->sim.rot, p->normal, v);
+    if (v[0] == 0 && v[1] == 0 && v[2] == 0)
+        return cost;
+    cost += (v[0] * v[0] + v[1] * v[1] + (v[2] < 0 ? 4 : 0)) / (sigma_ground * sigma_ground);
+    double row_x[UNKNOWNS] = {0, v[2], -v[1]}, row_y[UNKNOWNS] = {-v[2], 0, v[0]};
+    eq_add(q, row_x, -v[0], 1 / (sigma_ground * sigma_ground));
+    eq_add(q, row_y, -v[1], 1 / (sigma_ground * sigma_ground));
+    return cost;
+}
+
+/* Turn by omega and stretch by exp(grow) about center, then shift. */
+static void fit_step(struct sim3_fit *f, const double *d, const double center[3], size_t n_groups)
+{
+    double angle = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]),
+           half = angle > 1e-12 ? sin(0.5 * angle) / angle : 0.5;
+    double quat[4] = {cos(0.5 * angle), d[0] * half, d[1] * half, d[2] * half}, turn[9], rot[9],
+           v[3];
+    double grow = exp(fmin(1, fmax(-1, d[3])));
+    camera_quat_to_rot(quat, turn);
+    for (int i = 0; i < 3; i++)
+        v[i] = f->sim.trans[i] - center[i];
+    for (int i = 0; i < 3; i++) {
+        for (int j = 0; j < 3; j++)
+            rot[3 * i + j] = turn[3 * i] * f->sim.rot[j] + turn[3 * i + 1] * f->sim.rot[3 + j] +
+                             turn[3 * i + 2] * f->sim.rot[6 + j];
+        f->sim.trans[i] =
+            center[i] +
+            grow * (turn[3 * i] * v[0] + turn[3 * i + 1] * v[1] + turn[3 * i + 2] * v[2]) +
+            d[4 + i];
+    }
+    f->sim.scale *= grow;
+    camera_rot_to_quat(rot, quat);
+    camera_quat_to_rot(quat, f->sim.rot);
+    for (size_t g = 1; g < n_groups; g++)
+        f->offset_m[g] += d[6 + g];
+}
+
+static void standard_errors(const struct normal_eq *q, struct sim3_fit *f)
+{
+    double var[7];
+    for (size_t i = 0; i < 7; i++) {
+        double unit[UNKNOWNS] = {0}, column[UNKNOWNS];
+        unit[i] = 1;
+        eq_solve(q, unit, column);
+        var[i] = column[i];
+    }
+    f->tilt_rad = sqrt(fmax(var[0], var[1]));
+    f->heading_rad = sqrt(var[2]);
+    f->scale_rel = sqrt(var[3]);
+    f->place_m = sqrt(fmax(var[4], fmax(var[5], var[6])));
+}
+
+/* Share of the residuals that is independent, from the correlation of neighbours among the pairs in
+ * use; residuals beyond three sigma are clipped. */
+static double independent_share(const struct sim3_problem *p, const struct sim3_fit *f, int first,
+                                int last, double sigma)
+{
+    double last_r[3] = {0}, product = 0, square = 0;
+    size_t n = 0;
+    for (size_t i = 0; i < p->n; i++) {
+        double r[3];
+        if (!p->use[i])
+            continue;
+        residual_at(p, f, i, r);
+        for (int a = first; a <= last; a++) {
+            r[a] = fmax(-3 * sigma, fmin(3 * sigma, r[a]));
+            product += n ? r[a] * last_r[a] : 0;
+            square += r[a] * r[a];
+            last_r[a] = r[a];
+        }
+        n++;
+    }
+    double rho = square > 0 ? product / square : 0;
+    if (n < 10 || rho < 2.5 / sqrt((double)n)) /* not distinguishable from none */
+        return 1;
+    return fmax(share_min, (1 - rho) / (1 + rho));
+}
+
+/* Mean of the fitted places; unless frozen, errors of places and heights from the medians of the
+ * residuals. */
+static void spread_at(const struct sim3_problem *p, struct sim3_fit *f, bool frozen,
+                      double *scratch, double center[3])
+{
+    size_t n = 0;
+    double *heights = scratch + p->n;
+    memset(center, 0, 3 * sizeof *center);
+    for (size_t i = 0; i < p->n; i++) {
+        double y[3], r[3];
+        if (!p->use[i])
+            continue;
+        sim3_apply(&f->sim, p->x[i], y);
+        for (int a = 0; a < 3; a++)
+            center[a] += y[a];
+        residual_at(p, f, i, r);
+        scratch[n] = sqrt(r[0] * r[0] + r[1] * r[1]);
+        heights[n++] = fabs(r[2]);
+    }
+    for (int a = 0; a < 3; a++)
+        center[a] /= (double)(n ? n : 1);
+    if (frozen)
+        return;
+    f->sigma_h_m = fmax(sigma_floor_m, sim3_median(scratch, n) / median_2d);
+    f->sigma_v_m =
+        fmax(0.5 * f->sigma_h_m, fmax(sigma_floor_m, sim3_median(heights, n) / median_1d));
+    f->share_h = independent_share(p, f, 0, 1, f->sigma_h_m);
+    f->share_v = independent_share(p, f, 2, 2, f->sigma_v_m);
+    f->objective = (double)n * (2 * log(f->sigma_h_m) + log(f->sigma_v_m));
+}
+
+enum err_code sim3_refine(const struct sim3_problem *p, struct sim3_fit *fit, struct err *e)
+{
+    double *scratch = mem_array(p->n, 2 * sizeof *scratch), center[3], d[UNKNOWNS], weak = 0;
+    struct normal_eq q;
+    enum err_code rc = ERR_OK;
+    if (!scratch)
+        return err_set(e, ERR_MEM, "georeferencing: out of memory for %zu photographs", p->n);
+    for (int step = 0; step < REFINE_MAX; step++) {
+        spread_at(p, fit, step >= FREEZE_STEP, scratch, center);
+        memset(&q, 0, sizeof q);
+        q.n = 6 + p->n_groups;
+        add_positions(p, fit, center, &q);
+        weak = add_level(p, fit, &q);
+        if (!eq_factor(&q)) {
+            rc = err_set(
+                e, ERR_DATA,
+                "the GPS positions do not determine where the scene lies (all at one place?)");
+            break;
+        }
+        eq_solve(&q, q.b, d);
+        fit_step(fit, d, center, p->n_groups);
+        double size = 0;
+        for (size_t k = 0; k < q.n; k++)
+            size = fmax(size, fabs(d[k]));
+        if (size < 1e-10)
+            break;
+    }
+    if (rc == ERR_OK) {
+        spread_at(p, fit, false, scratch, center);
+        fit->objective += 0.5 * weak;
+        standard_errors(&q, fit);
+    }
+    mem_free(scratch);
+    return rc;
+}

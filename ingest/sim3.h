@@ -1,0 +1,69 @@
+/* Similarity transforms y = scale R x + trans: closed form from point pairs, and refined with
+ * everything that is known about a drone survey.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef INGEST_SIM3_H
+#define INGEST_SIM3_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "core/err.h"
+
+enum { SIMILARITY_GROUPS_MAX = 8 };
+
+struct sim3 {
+    double scale, rot[9], trans[3];
+};
+void sim3_apply(const struct sim3 *s, const double x[3], double y[3]);
+
+/* Eigenvalues (ascending) and eigenvectors (rows of vectors, unit) of a symmetric n x n matrix, n
+ * <= 4. */
+void sim3_eigen(const double *matrix, size_t n, double *values, double *vectors);
+
+/* Least squares over pairs index[0..n) (NULL: all) of x and y. up_x, a unit vector that should turn
+ * to +z, settles the roll when the pairs are collinear; it hardly counts otherwise. False when they
+ * coincide. */
+bool sim3_from_pairs(const double (*x)[3], const double (*y)[3], const uint32_t *index, size_t n,
+                     const double up_x[3], struct sim3 *out);
+
+struct sim3_problem {              /* all borrowed */
+    const double (*x)[3], (*y)[3]; /* [n] camera centres, GPS positions in ENU */
+    const double (
+        *right)[3];  /* [n] camera x axes in the frame of x: level but for the camera's roll */
+    const bool *use; /* [n] pairs that may take part */
+    const uint32_t *group; /* [n] flight, 0 .. n_groups-1; every flight has its own height offset */
+    size_t n, n_groups;
+    double level_sigma; /* radians that the cameras are out of level, in the frame where they are
+                           least so */
+    double normal[3];   /* ground normal in the frame of x, pointing up; 0 0 0 = unknown */
+    double cut_m;       /* pairs farther apart than this never count */
+};
+struct sim3_fit {
+    struct sim3 sim;
+    double offset_m[SIMILARITY_GROUPS_MAX]; /* y_z = ... + offset of the flight; that of flight 0 is
+                                               0 */
+    double sigma_h_m, sigma_v_m; /* robust, per horizontal axis and of heights; 0 = not known yet */
+    double share_h,
+        share_v;      /* independent positions / positions: drifting errors repeat themselves */
+    double objective; /* of competing fits of one problem the smaller is more likely */
+    double scale_rel, tilt_rad, heading_rad, place_m; /* standard errors */
+};
+/* Gauss-Newton with iteratively reweighted residuals (Huber, then cut), starting from fit->sim and
+ * fit->offset_m. ERR_DATA when the normal equations are singular. */
+enum err_code sim3_refine(const struct sim3_problem *p, struct sim3_fit *fit,
+                          struct err *e) ERR_USE;
+/* Distance of pair i under the fit. Where heights are more than twice as uncertain as places, their
+ * part is reduced to that. */
+double sim3_residual(const struct sim3_problem *p, const struct sim3_fit *fit, size_t i);
+/* As sim3_from_pairs with up_x taken for granted: turning about it, scale and shift follow
+ * from the horizontal parts of the pairs alone, the height from their median. scratch: n doubles.
+ */
+bool sim3_from_plan(const double (*x)[3], const double (*y)[3], const uint32_t *index, size_t n,
+                    const double up_x[3], double *scratch, struct sim3 *out);
+/* The median of v[0..n), which is reordered; 0 when n is 0. */
+double sim3_median(double *v, size_t n);
+
+#endif

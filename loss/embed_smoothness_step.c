@@ -1,0 +1,151 @@
+/* The similarity loss in training: the host looks at the embeddings where they lie, their gradient
+ * goes in pieces into Adam's moments, where the step that follows takes it up (embed_smoothness.cl
+ * says why that is right).
+ *
+ * Owns its kernel and a buffer for one piece.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "core/base.h"
+#include "core/layout.h"
+#include "loss/embed_smoothness.h"
+#include "render/permute.h"
+
+extern const char embed_smoothness_cl[];
+
+enum { SIMILARITY_LOCAL = 64, SIMILARITY_PIECE = 16384 };
+
+struct embed_smoothness_step {
+    struct dev *dev; /* borrowed */
+    cl_program program;
+    cl_kernel add;
+    cl_mem rows; /* float [SIMILARITY_PIECE][len] */
+    uint32_t len;
+};
+
+void embed_smoothness_step_close(struct embed_smoothness_step **p)
+{
+    struct embed_smoothness_step *s = *p;
+    if (!s)
+        return;
+    if (s->add)
+        clReleaseKernel(s->add);
+    if (s->program)
+        clReleaseProgram(s->program);
+    dev_release(&s->rows);
+    mem_free(s);
+    *p = NULL;
+}
+
+enum err_code embed_smoothness_step_open(struct dev *dev, struct embed_smoothness_step **out,
+                                         struct err *e)
+{
+    const struct dev_source source = {"loss/embed_smoothness.cl", embed_smoothness_cl};
+    struct embed_smoothness_step *s = mem_array(1, sizeof(*s));
+    *out = NULL;
+    if (!s)
+        return err_set(e, ERR_MEM, "similarity: out of memory");
+    s->dev = dev;
+    enum err_code rc = dev_build(dev, &source, 1, NULL, &s->program, e);
+    if (!rc)
+        rc = dev_kernel(s->program, "similarity_add", &s->add, e);
+    if (rc)
+        embed_smoothness_step_close(&s);
+    *out = s;
+    return rc;
+}
+
+static enum err_code similarity_reserve(struct embed_smoothness_step *s, uint32_t len,
+                                        struct err *e)
+{
+    if (s->len == len)
+        return ERR_OK;
+    dev_release(&s->rows);
+    s->len = 0;
+    enum err_code rc =
+        dev_buffer(s->dev, SIMILARITY_PIECE * len * sizeof(float), NULL, &s->rows, e);
+    s->len = rc ? 0 : len;
+    return rc;
+}
+
+/* Gradients of `count` rows from `row` on into the moments. */
+static enum err_code similarity_add(struct embed_smoothness_step *s, const struct render_model *m,
+                                    const struct render_adam *adam, size_t row, size_t count,
+                                    const float *grad, struct err *e)
+{
+    cl_uint from = (cl_uint)row, n = (cl_uint)count, planes = m->planes, len = s->len,
+            at = m->planes - len;
+    cl_float k1 = (1.0f - adam->beta1) / adam->beta1, k2 = (1.0f - adam->beta2) / adam->beta2;
+    enum err_code rc = dev_write(s->dev, s->rows, 0, count * len * sizeof(*grad), grad, e);
+    cl_int bad = dev_arg(s->add, 0, s->rows);
+    bad |= dev_arg(s->add, 1, from);
+    bad |= dev_arg(s->add, 2, n);
+    bad |= dev_arg(s->add, 3, planes);
+    bad |= dev_arg(s->add, 4, at);
+    bad |= dev_arg(s->add, 5, len);
+    bad |= dev_arg(s->add, 6, k1);
+    bad |= dev_arg(s->add, 7, k2);
+    bad |= dev_arg(s->add, 8, adam->m1);
+    bad |= dev_arg(s->add, 9, adam->m2);
+    if (!rc && bad != CL_SUCCESS)
+        rc = err_set(e, ERR_DEVICE, "similarity_add: arguments: %s", dev_error_name(bad));
+    return rc ? rc : dev_run(s->dev, s->add, "similarity_add", n, SIMILARITY_LOCAL, e);
+}
+
+static enum err_code similarity_run(struct embed_smoothness_step *s, const struct render_model *m,
+                                    const struct render_adam *adam,
+                                    const struct embed_smoothness_input *in, double *loss,
+                                    struct err *e)
+{
+    struct embed_smoothness *w = NULL;
+    float *grad = mem_array(SIMILARITY_PIECE, in->len * sizeof(*grad));
+    enum err_code rc = grad ? similarity_reserve(s, (uint32_t)in->len, e)
+                            : err_set(e, ERR_MEM, "similarity: out of memory");
+    if (!rc)
+        rc = embed_smoothness_open(in, &w, loss, e);
+    for (size_t i = 0; !rc && i < in->n; i += SIMILARITY_PIECE) {
+        size_t count = in->n - i < SIMILARITY_PIECE ? in->n - i : SIMILARITY_PIECE;
+        embed_smoothness_rows(w, i, count, grad);
+        rc = similarity_add(s, m, adam, i, count, grad, e);
+    }
+    embed_smoothness_close(&w);
+    mem_free(grad);
+    return rc;
+}
+
+enum err_code embed_smoothness_step_run(struct embed_smoothness_step *s,
+                                        const struct render_model *m,
+                                        const struct render_adam *adam,
+                                        const struct embed_smoothness_input *like, double *loss,
+                                        struct err *e)
+{
+    const size_t n = m->n, embed = render_planes(m->sh_degree), group = m->planes * LAYOUT_LANES;
+    struct embed_smoothness_input in = *like;
+    struct err why = {0};
+    void *params = NULL;
+    *loss = 0.0;
+    if (!m->embed_len || !n)
+        return ERR_OK;
+    if (!(adam->beta1 > 0.0f) || !(adam->beta2 > 0.0f))
+        return err_set(e, ERR_ARG, "similarity: Adam without momentum has no place for it");
+    float *mean = mem_array(n, 3 * sizeof(*mean));
+    enum err_code rc = mean ? dev_map(s->dev, m->params, CL_MAP_READ,
+                                      permute_floats(n, m->planes) * sizeof(float), &params, e)
+                            : err_set(e, ERR_MEM, "similarity: out of memory for %zu Gaussians", n);
+    for (size_t i = 0; !rc && i < n; i++)
+        for (size_t k = 0; k < 3; k++)
+            mean[3 * i + k] = ((const float *)params)[permute_at(i, m->planes) + k * LAYOUT_LANES];
+    if (!rc) {
+        in.mean_m = mean;
+        in.embed = (const float *)params + embed * LAYOUT_LANES;
+        in.embed_group = group;
+        in.embed_lane = 1;
+        in.embed_next = LAYOUT_LANES;
+        in.n = n;
+        in.len = m->embed_len;
+        rc = similarity_run(s, m, adam, &in, loss, e);
+    }
+    enum err_code done = dev_unmap(s->dev, m->params, &params, &why);
+    mem_free(mean);
+    return !rc && done ? err_set(e, done, "%s", why.msg) : rc;
+}

@@ -1,0 +1,28 @@
+/* The 3-D filter of Mip-Splatting (Yu 2024).
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef LOSS_MIP_H
+#define LOSS_MIP_H
+
+#include <stddef.h>
+
+#include "core/camera.h"
+#include "core/gauss.h"
+#include "render/render.h"
+
+struct mip; /* compiled kernels and the cameras */
+enum err_code mip_open(struct dev *dev, struct mip **out, struct err *e) ERR_USE;
+void mip_close(struct mip **m);
+/* Compute model->filter (made when NULL) from the cameras: f_i = sqrt(0.2) min z / f_max, in m. */
+enum err_code mip_run(struct mip *m, struct render_model *model, const struct camera *cams,
+                      size_t n_cams, struct err *e) ERR_USE;
+/* In double; f [g->n]. */
+void mip_ref_filter(const struct gauss *g, const struct camera *cams, size_t n_cams, double *f);
+/* Widen by the filter: scale_log and opacity_logit become those of what is drawn. */
+void mip_fold(struct gauss *g, const float *filter);
+void mip_fold_one(double f, double scale_log[3], double *opacity_logit);
+/* Gradients of the folded parameters (in) to those of the raw ones (out), at the raw ones. */
+void mip_fold_grad(double f, const double scale_log[3], double opacity_logit, double g_scale[3],
+                   double *g_opacity);
+#endif

@@ -1,0 +1,200 @@
+/* The photometric loss on the device: two launches a step, nothing read back unless asked for.
+ *
+ * The forward kernel writes the derivative maps of SSIM and the partial sums of every band of rows,
+ * the backward kernel blurs the maps and adds the L1 part. Owns the compiled kernels and the maps,
+ * which grow to the largest picture seen. Kernels and their shape: loss.cl; formulas: loss_ref.c.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "loss/photometric.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "core/base.h"
+
+extern const char photometric_cl[];
+
+enum { BAND = 64, STRIP = 64, MARGIN = 16, TILE = 16, PARTS = 4 }; /* as in loss.cl */
+
+struct photometric {
+    struct dev *dev; /* borrowed */
+    cl_program program;
+    cl_kernel forward, backward;
+    bool wide; /* the CPU shape of the kernels */
+    cl_mem maps, parts;
+    size_t maps_bytes, parts_bytes;
+    uint32_t width_px, height_px; /* of the last run; 0 before the first */
+    float l1_weight, ssim_weight;
+    float *host_parts; /* parts_bytes */
+};
+
+enum err_code photometric_open(struct dev *dev, struct photometric **out, struct err *e)
+{
+    const struct dev_source source = {"loss/photometric.cl", photometric_cl};
+    struct photometric *l = mem_array(1, sizeof *l);
+    enum err_code rc = ERR_OK;
+    *out = NULL;
+    if (!l)
+        return err_set(e, ERR_MEM, "photometric_open: out of memory");
+    l->dev = dev;
+    l->wide = dev->vector_width > 1;
+    rc = dev_build(dev, &source, 1, NULL, &l->program, e);
+    if (rc == ERR_OK)
+        rc = dev_kernel(l->program, "photometric_forward", &l->forward, e);
+    if (rc == ERR_OK)
+        rc = dev_kernel(l->program, "photometric_backward", &l->backward, e);
+    if (rc != ERR_OK)
+        photometric_close(&l);
+    *out = l;
+    return rc;
+}
+
+void photometric_close(struct photometric **l)
+{
+    if (!l || !*l)
+        return;
+    struct photometric *s = *l;
+    if (s->forward)
+        clReleaseKernel(s->forward);
+    if (s->backward)
+        clReleaseKernel(s->backward);
+    if (s->program)
+        clReleaseProgram(s->program);
+    dev_release(&s->maps);
+    dev_release(&s->parts);
+    mem_free(s->host_parts);
+    mem_free(s);
+    *l = NULL;
+}
+
+static uint32_t pitch_of(uint32_t width_px)
+{
+    return (width_px + STRIP - 1) / STRIP * STRIP + 2 * MARGIN;
+}
+
+/* Work-groups of either launch: pieces of STRIP x BAND pixels or tiles, times 3 channels; *local:
+ * their size. */
+static size_t groups_of(const struct photometric *l, uint32_t width_px, uint32_t height_px,
+                        size_t *local)
+{
+    if (l->wide) {
+        *local = 1;
+        return (((size_t)width_px + STRIP - 1) / STRIP) * (((size_t)height_px + BAND - 1) / BAND) *
+               3;
+    }
+    *local = TILE * TILE;
+    return (((size_t)width_px + TILE - 1) / TILE) * (((size_t)height_px + TILE - 1) / TILE) * 3;
+}
+
+/* Buffers for this picture. The kernels rely on zeros in the margins of the maps and write none
+ * there, so the maps are cleared whenever the picture's shape changes. */
+static enum err_code photometric_reserve(struct photometric *l, uint32_t w, uint32_t h,
+                                         struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    size_t local, maps_bytes = (size_t)9 * h * pitch_of(w) * sizeof(float);
+    size_t parts_bytes = groups_of(l, w, h, &local) * PARTS * sizeof(float);
+    if (w == l->width_px && h == l->height_px)
+        return ERR_OK;
+    l->width_px = l->height_px = 0;
+    if (maps_bytes > l->maps_bytes) {
+        dev_release(&l->maps);
+        l->maps_bytes = 0;
+        rc = dev_buffer(l->dev, maps_bytes, NULL, &l->maps, e);
+        if (rc != ERR_OK)
+            return err_add(e, "photometric_run: maps of %u x %u px", w, h);
+        l->maps_bytes = maps_bytes;
+    }
+    if (parts_bytes > l->parts_bytes) {
+        dev_release(&l->parts);
+        l->parts_bytes = 0;
+        mem_free(l->host_parts);
+        l->host_parts = mem_array(parts_bytes, 1);
+        if (!l->host_parts)
+            return err_set(e, ERR_MEM, "photometric_run: out of memory");
+        rc = dev_buffer(l->dev, parts_bytes, NULL, &l->parts, e);
+        if (rc != ERR_OK)
+            return err_add(e, "photometric_run: partial sums of %u x %u px", w, h);
+        l->parts_bytes = parts_bytes;
+    }
+    rc = dev_zero(l->dev, l->maps, 0, maps_bytes, e);
+    if (rc == ERR_OK) {
+        l->width_px = w;
+        l->height_px = h;
+    }
+    return rc;
+}
+
+enum err_code photometric_run(struct photometric *l, const struct photometric_input *in,
+                              cl_mem grad, struct err *e)
+{
+    uint32_t w = in->width_px, h = in->height_px;
+    if (w == 0 || h == 0 || w > 16384 || h > 16384)
+        return err_set(e, ERR_ARG,
+                       "photometric_run: a picture of %u x %u px: sizes must be 1 to 16384", w, h);
+    if (!grad && !in->value_only) /* a kernel would take it for an address */
+        return err_set(e, ERR_MEM,
+                       "photometric_run: no room on the device for the gradient of %u x %u px", w,
+                       h);
+    enum err_code rc = photometric_reserve(l, w, h, e);
+    if (rc != ERR_OK)
+        return rc;
+    cl_int wi = (cl_int)w, hi = (cl_int)h, pitch = (cl_int)pitch_of(w);
+    cl_int has_mask = in->mask != NULL, with_ssim = in->ssim_weight != 0;
+    cl_mem mask =
+        in->mask ? in->mask : in->target; /* never read without has_mask, but must be a buffer */
+    double n = 3.0 * w * h;
+    cl_float scale_l1 = (float)((double)in->l1_weight / n);
+    cl_float scale_ssim = (float)(-(double)in->ssim_weight / n);
+    l->l1_weight = in->l1_weight;
+    l->ssim_weight = in->ssim_weight;
+    cl_kernel both[2] = {l->forward, l->backward};
+    cl_int bad = CL_SUCCESS;
+    for (size_t i = 0; i < 2; i++) {
+        cl_kernel k = both[i];
+        bad |= dev_arg(k, 0, in->color);
+        bad |= dev_arg(k, 1, in->target);
+        bad |= dev_arg(k, 2, mask);
+        bad |= dev_arg(k, 3, has_mask);
+        bad |= dev_arg(k, 4, wi);
+        bad |= dev_arg(k, 5, hi);
+        bad |= dev_arg(k, 6, pitch);
+        bad |= dev_arg(k, 7, with_ssim);
+        bad |= dev_arg(k, 8, l->maps);
+    }
+    bad |= dev_arg(l->forward, 9, l->parts);
+    bad |= dev_arg(l->backward, 9, scale_l1);
+    bad |= dev_arg(l->backward, 10, scale_ssim);
+    if (!in->value_only)
+        bad |= dev_arg(l->backward, 11, grad);
+    if (bad != CL_SUCCESS)
+        return err_set(e, ERR_DEVICE, "photometric_run: arguments: %s", dev_error_name(bad));
+    size_t local, groups = groups_of(l, w, h, &local);
+    rc = dev_run(l->dev, l->forward, "photometric_forward", groups * local, local, e);
+    if (rc == ERR_OK && !in->value_only)
+        rc = dev_run(l->dev, l->backward, "photometric_backward", groups * local, local, e);
+    return rc;
+}
+
+enum err_code photometric_read(struct photometric *l, struct photometric_value *out, struct err *e)
+{
+    *out = (struct photometric_value){0};
+    if (l->width_px == 0)
+        return err_set(e, ERR_ARG, "photometric_read: nothing was run yet");
+    size_t local, items = groups_of(l, l->width_px, l->height_px, &local);
+    enum err_code rc =
+        dev_read(l->dev, l->parts, 0, items * PARTS * sizeof(float), l->host_parts, e);
+    if (rc != ERR_OK)
+        return rc;
+    double sum[3] = {0};
+    for (size_t i = 0; i < items; i++)
+        for (size_t k = 0; k < 3; k++)
+            sum[k] += (double)l->host_parts[i * PARTS + k];
+    double n = 3.0 * l->width_px * l->height_px;
+    out->l1 = sum[0] / n;
+    out->ssim = l->ssim_weight != 0 ? sum[1] / n : 1;
+    out->mse = sum[2] / n;
+    out->total = (double)l->l1_weight * out->l1 + (double)l->ssim_weight * (1 - out->ssim);
+    return ERR_OK;
+}

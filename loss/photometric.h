@@ -1,0 +1,62 @@
+/* The photometric loss on the device, and image metrics on the host.
+ *
+ *   L = l1_weight * mean|x - y| + ssim_weight * (1 - mean SSIM(x, y))
+ *
+ * x is the rendered colour, y the photograph, means over h * w * 3 (masked pixels are zero in both
+ * and still count). SSIM: 11x11 Gaussian window of sigma 1.5, normalised, zero padded, per channel,
+ * C1 = 0.01^2, C2 = 0.03^2 (Wang 2004). Partial sums are added in a fixed order: same input, same
+ * bits.
+ *
+ * A training step is: render_forward -> photometric_run(color -> grad) -> render_backward_step, with no
+ * reading back; photometric_read when a number is wanted.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef LOSS_PHOTOMETRIC_H
+#define LOSS_PHOTOMETRIC_H
+
+#include "core/dev.h"
+
+#define PHOTOMETRIC_L1_WEIGHT 0.8f
+#define PHOTOMETRIC_SSIM_WEIGHT 0.2f
+
+/* ---- loss.c: on the device ---- */
+
+struct
+    photometric; /* compiled kernels and scratch buffers of one device, growing with the picture; one
+                caller */
+enum err_code photometric_open(struct dev *dev, struct photometric **out, struct err *e) ERR_USE;
+void photometric_close(struct photometric **l);
+
+struct photometric_input { /* all borrowed */
+    cl_mem color;          /* float [3][h][w] planar: render_color_buffer */
+    cl_mem target;         /* uint8 [h][w][3]: the photograph, 255 = 1.0 */
+    cl_mem mask;           /* uint8 [h][w], 0 = ignore this pixel; NULL = use all */
+    uint32_t width_px, height_px;
+    float l1_weight,
+        ssim_weight; /* PHOTOMETRIC_L1_WEIGHT, PHOTOMETRIC_SSIM_WEIGHT; ssim_weight 0 skips that work */
+    bool value_only; /* no gradient: `grad` of photometric_run is not looked at */
+};
+/* Enqueue: write dL/dx into `grad`, float [3][h][w] planar (render_color_grad_buffer); 0 where
+ * masked. Does not wait for the device. ERR_ARG for an empty picture, ERR_MEM (also when grad is
+ * NULL, which is how render_color_grad_buffer tells that the device is full), ERR_LIMIT,
+ * ERR_DEVICE. */
+enum err_code photometric_run(struct photometric *l, const struct photometric_input *in,
+                              cl_mem grad, struct err *e) ERR_USE;
+
+struct photometric_value {       /* means over h * w * 3 of the last photometric_run */
+    double total, l1, ssim, mse; /* ssim: 1 when it was skipped */
+};
+/* Wait for the last photometric_run and add up its partial sums. ERR_ARG when there was none. */
+enum err_code photometric_read(struct photometric *l, struct photometric_value *out,
+                               struct err *e) ERR_USE;
+
+/* ---- loss_ref.c: the same in double on the host ---- */
+
+/* rgb, target: [h][w][3]; mask [h][w] or NULL; grad [h][w][3] or NULL, written. */
+enum err_code photometric_ref_run(const double *rgb, const double *target, const uint8_t *mask,
+                                  uint32_t width_px, uint32_t height_px, double l1_weight,
+                                  double ssim_weight, double *grad, struct photometric_value *out,
+                                  struct err *e) ERR_USE;
+
+#endif

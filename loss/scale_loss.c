@@ -1,0 +1,179 @@
+/* The scale regularizer: Gaussians longer than a building, and needles, shrink.
+ *
+ * Two launches a step: counts over fixed pieces, gradients. Owns its kernels and a small buffer. A
+ * flat disc (two long axes, one short) is no needle: the ratio is of the longest axis to the middle
+ * one. Source: REUrbanGS (2025); the division by n + 1 keeps the pull on one offender the same
+ * however many there are.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+
+#include "core/base.h"
+#include "core/layout.h"
+#include "loss/scale_loss.h"
+
+extern const char lanes_cl[], scale_loss_cl[];
+
+#define SCALE_RATIO_EPS 1e-8
+enum { SCALE_PIECES = 256 }; /* as in scale_loss.cl */
+
+struct scale_piece { /* as in scale_loss.cl */
+    uint32_t n, m;
+    float size, ratio;
+};
+
+struct scale_loss {
+    struct dev *dev; /* borrowed */
+    cl_program program;
+    cl_kernel count, grad;
+    cl_mem pieces;
+    double weight; /* of the last run */
+};
+
+void scale_loss_close(struct scale_loss **p)
+{
+    struct scale_loss *s = *p;
+    if (!s)
+        return;
+    cl_kernel kernels[] = {s->count, s->grad};
+    for (size_t i = 0; i < sizeof(kernels) / sizeof(kernels[0]); i++)
+        if (kernels[i])
+            clReleaseKernel(kernels[i]);
+    if (s->program)
+        clReleaseProgram(s->program);
+    dev_release(&s->pieces);
+    mem_free(s);
+    *p = NULL;
+}
+
+enum err_code scale_loss_open(struct dev *dev, struct scale_loss **out, struct err *e)
+{
+    const struct dev_source sources[] = {{"loss/lanes.cl", lanes_cl},
+                                         {"loss/scale_loss.cl", scale_loss_cl}};
+    struct scale_loss *s = mem_array(1, sizeof(*s));
+    *out = NULL;
+    if (!s)
+        return err_set(e, ERR_MEM, "scale_loss: out of memory");
+    s->dev = dev;
+    enum err_code rc = dev_build(dev, sources, 2, NULL, &s->program, e);
+    if (!rc)
+        rc = dev_kernel(s->program, "scale_count", &s->count, e);
+    if (!rc)
+        rc = dev_kernel(s->program, "scale_grad", &s->grad, e);
+    if (!rc)
+        rc = dev_buffer(dev, SCALE_PIECES * sizeof(struct scale_piece), NULL, &s->pieces, e);
+    if (rc)
+        scale_loss_close(&s);
+    *out = s;
+    return rc;
+}
+
+enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
+                             const struct scale_loss_input *in, bool sizes_only, cl_mem extra,
+                             struct err *e)
+{
+    cl_uint only = sizes_only, n = m->n, planes = m->planes, groups = m->groups;
+    cl_float s_max = (cl_float)in->s_max_m, r_max = (cl_float)in->r_max,
+             weight = (cl_float)in->weight;
+    cl_int bad = CL_SUCCESS;
+    cl_kernel both[2] = {s->count, s->grad};
+    for (size_t i = 0; i < 2; i++) {
+        bad |= dev_arg(both[i], 0, m->params);
+        bad |= dev_arg(both[i], 1, n);
+        bad |= dev_arg(both[i], 2, planes);
+        bad |= dev_arg(both[i], 3, groups);
+        bad |= dev_arg(both[i], 4, s_max);
+        bad |= dev_arg(both[i], 5, r_max);
+    }
+    bad |= dev_arg(s->count, 6, s->pieces);
+    bad |= dev_arg(s->grad, 6, weight);
+    bad |= dev_arg(s->grad, 7, s->pieces);
+    bad |= dev_arg(s->grad, 8, only);
+    bad |= dev_arg(s->grad, 9, extra);
+    if (bad != CL_SUCCESS)
+        return err_set(e, ERR_DEVICE, "scale_loss: arguments: %s", dev_error_name(bad));
+    s->weight = in->weight;
+    size_t items = (groups + LAYOUT_PROJECT_GROUPS - 1) / LAYOUT_PROJECT_GROUPS;
+    enum err_code rc = dev_run(s->dev, s->count, "scale_count", SCALE_PIECES, 1, e);
+    return rc ? rc : dev_run(s->dev, s->grad, "scale_grad", items, 1, e);
+}
+
+enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out, struct err *e)
+{
+    struct scale_piece pieces[SCALE_PIECES];
+    struct {
+        double n, m, size, ratio;
+    } t = {0};
+    enum err_code rc = dev_read(s->dev, s->pieces, 0, sizeof(pieces), pieces, e);
+    if (rc)
+        return rc;
+    for (size_t i = 0; i < SCALE_PIECES; i++) {
+        t.n += pieces[i].n;
+        t.m += pieces[i].m;
+        t.size += (double)pieces[i].size;
+        t.ratio += (double)pieces[i].ratio;
+    }
+    *out = (struct scale_loss_value){.total =
+                                         s->weight * (t.size / (t.n + 1.0) + t.ratio / (t.m + 1.0)),
+                                     .n = (uint32_t)t.n,
+                                     .m = (uint32_t)t.m};
+    return ERR_OK;
+}
+
+/* ---- the reference ---- */
+
+struct scale_axes {
+    double s[3], ratio;
+    int largest, middle;
+};
+
+static struct scale_axes scale_axes_of(const double *scale_log)
+{
+    struct scale_axes a;
+    int least = 0;
+    a.largest = 0;
+    for (int k = 0; k < 3; k++) {
+        a.s[k] = exp(scale_log[k]);
+        if (a.s[k] > a.s[a.largest])
+            a.largest = k;
+    }
+    least = a.largest == 2 ? 1 : 2; /* the last of equals, so that the middle one is the first */
+    for (int k = 2; k >= 0; k--)
+        if (k != a.largest && a.s[k] < a.s[least])
+            least = k;
+    a.middle = 3 - a.largest - least;
+    a.ratio = a.s[a.largest] / (a.s[a.middle] + SCALE_RATIO_EPS);
+    return a;
+}
+
+struct scale_loss_value scale_loss_ref_run(const double *scale_log, size_t n,
+                                           const struct scale_loss_input *in, double *grad)
+{
+    struct scale_loss_value v = {0};
+    double size = 0.0, ratio = 0.0;
+    for (size_t i = 0; i < n; i++) {
+        struct scale_axes a = scale_axes_of(scale_log + 3 * i);
+        for (int k = 0; k < 3; k++)
+            if (a.s[k] > in->s_max_m) {
+                v.n++;
+                size += a.s[k];
+            }
+        if (a.ratio > in->r_max) {
+            v.m++;
+            ratio += a.ratio;
+        }
+    }
+    v.total = in->weight * (size / (v.n + 1.0) + ratio / (v.m + 1.0));
+    for (size_t i = 0; grad && i < n; i++) {
+        struct scale_axes a = scale_axes_of(scale_log + 3 * i);
+        double per_m = in->weight / (v.m + 1.0), q = a.s[a.middle] + SCALE_RATIO_EPS;
+        for (int k = 0; k < 3; k++)
+            grad[3 * i + k] = a.s[k] > in->s_max_m ? in->weight / (v.n + 1.0) * a.s[k] : 0.0;
+        if (!(a.ratio > in->r_max))
+            continue;
+        grad[3 * i + a.largest] += per_m * a.ratio;
+        grad[3 * i + a.middle] -= per_m * a.ratio * a.s[a.middle] / q;
+    }
+    return v;
+}

@@ -1,0 +1,38 @@
+/* The loss on sizes: nothing larger than a building, no needles.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef LOSS_SCALE_LOSS_H
+#define LOSS_SCALE_LOSS_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "render/render.h"
+
+/* With s the sigmas, r_i = max_k s_ik / (median_k s_ik + 1e-8):
+ *   L = weight (sum_{s_ik > s_max} s_ik / (n + 1) + sum_{r_i > r_max} r_i / (m + 1)),
+ * n and m the numbers of terms, held fixed. REUrbanGS (2025), section on regularization. */
+struct scale_loss_input {
+    double s_max_m, r_max, weight;
+};
+struct scale_loss_value {
+    double total;  /* weighted */
+    uint32_t n, m; /* axes that are too long, needles */
+};
+struct scale_loss; /* compiled kernels */
+enum err_code scale_loss_open(struct dev *dev, struct scale_loss **out, struct err *e) ERR_USE;
+void scale_loss_close(struct scale_loss **s);
+/* Enqueue: write dL/d(planes 0-10) into extra, float [groups][11][16], all of it; with sizes_only
+ * dL/d(planes 3-5), [groups][3][16]. */
+enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
+                             const struct scale_loss_input *in, bool sizes_only, cl_mem extra,
+                             struct err *e) ERR_USE;
+/* Wait and read the value of the last run. */
+enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out,
+                              struct err *e) ERR_USE;
+/* In double; scale_log [n][3], grad [n][3] (may be NULL) is written. */
+struct scale_loss_value scale_loss_ref_run(const double *scale_log, size_t n,
+                                           const struct scale_loss_input *in, double *grad);
+#endif

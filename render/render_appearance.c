@@ -1,0 +1,269 @@
+/* Appearance on the device: the network's programs, what a frame with it leaves behind, and its
+ * gradients.
+ *
+ * Kernels are compiled for the lengths of the model at hand (one program a pair of lengths, kept
+ * until render_close), because loops of constant length keep embeddings in registers; the plain
+ * renderer's program knows nothing of it. A frame drawn with appearance has r->look set and its
+ * constants in r->render_appearance_frame; render.c and render_backward.c launch the kernels given here instead
+ * of their own. What the network computes stands in render/appearance.cl and, in
+ * double, in core/appearance.c and render_ref.c.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <stdio.h>
+#include <string.h>
+
+#include "core/appearance.h"
+#include "core/base.h"
+#include "render/frame.h"
+
+extern const char appearance_cl[], project_cl[], project_backward_cl[], appearance_backward_cl[];
+
+struct render_appearance_kernels {
+    uint32_t len, hidden;
+    cl_program program;
+    cl_kernel project, grads, step; /* as the plain ones, with more arguments */
+    cl_kernel backward, backward_step,
+        sum; /* of appearance_backward.cl; the first two VW 1 alone */
+    struct render_appearance_kernels *next;
+};
+
+/* ---- programs ---- */
+
+static void render_appearance_free(struct render_appearance_kernels **p)
+{
+    struct render_appearance_kernels *l = *p;
+    if (!l)
+        return;
+    cl_kernel kernels[] = {l->project, l->grads, l->step, l->backward, l->backward_step, l->sum};
+    for (size_t i = 0; i < sizeof kernels / sizeof *kernels; i++)
+        if (kernels[i])
+            clReleaseKernel(kernels[i]);
+    if (l->program)
+        clReleaseProgram(l->program);
+    mem_free(l);
+    *p = NULL;
+}
+
+void render_appearance_close(struct render *r)
+{
+    while (r->looks) {
+        struct render_appearance_kernels *next = r->looks->next;
+        render_appearance_free(&r->looks);
+        r->looks = next;
+    }
+    dev_release(&r->render_appearance_frame.mem);
+    dev_release(&r->effective.mem);
+    dev_release(&r->render_appearance_grad.mem);
+    dev_release(&r->render_appearance_parts.mem);
+    dev_release(&r->render_appearance_sums.mem);
+}
+
+static enum err_code render_appearance_build(struct render *r, struct render_appearance_kernels *l,
+                                             struct err *e)
+{
+    const struct dev_source sources[] = {{"render/common.cl", common_cl},
+                                         {"render/appearance.cl", appearance_cl},
+                                         {"render/project.cl", project_cl},
+                                         {"render/project_backward.cl", project_backward_cl},
+                                         {"render/appearance_backward.cl", appearance_backward_cl}};
+    struct {
+        const char *name;
+        cl_kernel *to;
+    } kernels[] = {{"project", &l->project},
+                   {"project_backward", &l->grads},
+                   {"project_step", &l->step},
+                   {"appearance_sum", &l->sum},
+                   {"appearance_backward", &l->backward}, /* the last two: VW 1 alone */
+                   {"appearance_step", &l->backward_step}};
+    size_t n_kernels = sizeof kernels / sizeof *kernels;
+    if (r->dev->vector_width == LAYOUT_LANES)
+        n_kernels -= 2;
+    char options[80];
+    snprintf(options, sizeof options, "-DAPPEARANCE_LEN=%u -DAPPEARANCE_HIDDEN=%u", l->len,
+             l->hidden);
+    enum err_code rc =
+        dev_build(r->dev, sources, sizeof sources / sizeof *sources, options, &l->program, e);
+    for (size_t i = 0; rc == ERR_OK && i < n_kernels; i++)
+        rc = dev_kernel(l->program, kernels[i].name, kernels[i].to, e);
+    return rc;
+}
+
+/* The programs of these lengths, made on first use. */
+static enum err_code look_get(struct render *r, uint32_t len, uint32_t hidden,
+                              struct render_appearance_kernels **out, struct err *e)
+{
+    for (struct render_appearance_kernels *l = r->looks; l; l = l->next)
+        if (l->len == len && l->hidden == hidden) {
+            *out = l;
+            return ERR_OK;
+        }
+    struct render_appearance_kernels *l = mem_array(1, sizeof *l);
+    if (!l)
+        return err_set(e, ERR_MEM, "render: appearance: out of memory");
+    l->len = len;
+    l->hidden = hidden;
+    enum err_code rc = render_appearance_build(r, l, e);
+    if (rc != ERR_OK) {
+        render_appearance_free(&l);
+        return rc;
+    }
+    l->next = r->looks;
+    r->looks = *out = l;
+    return ERR_OK;
+}
+
+/* ---- forward ---- */
+
+enum err_code render_appearance_begin(struct render *r, const struct render_model *m,
+                                      const struct render_options *o, struct err *e)
+{
+    uint32_t hidden = o->appearance_hidden;
+    r->look = NULL;
+    if (!o->appearance_frame)
+        return ERR_OK;
+    if (m->embed_len < 1 || m->embed_len > GAUSS_EMBED_MAX || hidden < 1 ||
+        hidden > APPEARANCE_HIDDEN_MAX)
+        return err_set(
+            e, ERR_ARG,
+            "render_forward: appearance of %u hidden units for Gaussians with embeddings "
+            "of %u: both must be 1 to %d; train with appearance first",
+            hidden, m->embed_len, GAUSS_EMBED_MAX);
+    size_t bytes = appearance_frame_floats(m->embed_len, hidden) * sizeof(float);
+    enum err_code rc = look_get(r, m->embed_len, hidden, &r->look, e);
+    if (rc == ERR_OK)
+        rc = frame_reserve(r, &r->render_appearance_frame, bytes, e);
+    if (rc == ERR_OK)
+        rc = frame_reserve(r, &r->effective, (size_t)m->groups * LAYOUT_LANES * sizeof(float), e);
+    if (rc == ERR_OK)
+        rc = dev_write(r->dev, r->render_appearance_frame.mem, 0, bytes, o->appearance_frame, e);
+    if (rc != ERR_OK)
+        r->look = NULL;
+    return rc;
+}
+
+enum err_code render_appearance_project(struct render *r, const struct render_model *m,
+                                        struct err *e)
+{
+    size_t local, items = frame_items(r, m->groups, &local);
+    cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
+    cl_mem list = m->list ? m->list : m->params;
+    return frame_run(r, r->look->project, "project with appearance",
+                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(filter),
+                                FRAME_ARG(list), FRAME_ARG(r->splats.mem),
+                                FRAME_ARG(r->depth_key.mem), FRAME_ARG(r->tiles_of.mem),
+                                FRAME_ARG(r->render_appearance_frame.mem),
+                                FRAME_ARG(r->effective.mem)),
+                     items, local, e);
+}
+
+/* ---- backward ---- */
+
+/* Numbers in a row of sums: APPEARANCE_ROW in appearance.cl. */
+static size_t render_appearance_row(const struct render_appearance_kernels *l)
+{
+    return (appearance_frame_floats(l->len, l->hidden) + 1 + LAYOUT_LANES - 1) / LAYOUT_LANES *
+           LAYOUT_LANES;
+}
+
+/* Rows: work-items of the kernels that go through the network, or work-groups. */
+static size_t render_appearance_rows(const struct render *r)
+{
+    size_t local, items = frame_items(r, r->view.groups, &local);
+    return r->dev->vector_width == LAYOUT_LANES ? items : LAYOUT_APPEARANCE_CHUNKS;
+}
+
+enum err_code render_appearance_prepare(struct render *r, const struct render_appearance_grad *out,
+                                        cl_float2 embed, struct render_appearance_call *c,
+                                        struct err *e)
+{
+    bool wide = r->dev->vector_width == LAYOUT_LANES;
+    size_t row = render_appearance_row(r->look) * sizeof(float);
+    size_t grad = (size_t)r->view.groups * APPEARANCE_OUT * LAYOUT_LANES * sizeof(float);
+    memset(c, 0, sizeof *c);
+    c->grads = r->look->grads;
+    c->step = r->look->step;
+    c->each = out && r->stats.visible ? out->offset_weight / (float)r->stats.visible : 0;
+    c->embed = embed;
+    enum err_code rc =
+        frame_reserve(r, &r->render_appearance_parts, render_appearance_rows(r) * row, e);
+    if (rc == ERR_OK)
+        rc = frame_reserve(r, &r->render_appearance_sums, row, e);
+    if (rc == ERR_OK && !wide)
+        rc = frame_reserve(r, &r->render_appearance_grad, grad, e);
+    const struct frame_arg all[5] = {FRAME_ARG(r->effective.mem),
+                                     FRAME_ARG(r->render_appearance_frame.mem), FRAME_ARG(c->each),
+                                     FRAME_ARG(r->render_appearance_parts.mem),
+                                     FRAME_ARG(c->embed)},
+                           narrow[2] = {FRAME_ARG(r->effective.mem),
+                                        FRAME_ARG(r->render_appearance_grad.mem)};
+    memcpy(c->args, wide ? all : narrow, wide ? sizeof all : sizeof narrow);
+    c->n_grads = wide ? 4 : 2;
+    c->n_step = wide ? 5 : 2;
+    return rc;
+}
+
+/* VW 1: what project_backward.cl left to do. */
+static enum err_code render_appearance_backward(struct render *r, const struct render_model *m,
+                                                cl_mem grads, const struct render_adam *adam,
+                                                const cl_float8 *k,
+                                                const struct render_appearance_call *c,
+                                                struct err *e)
+{
+    const struct render_appearance_kernels *l = r->look;
+    uint32_t columns = (l->len + 2 * l->hidden + APPEARANCE_OUT + 2) | 1;
+    size_t items = columns > 128 ? 32 : 64; /* APPEARANCE_ITEMS in appearance_backward.cl */
+    const struct frame_arg common[] = {FRAME_ARG(r->view_mem),
+                                       FRAME_ARG(r->render_appearance_frame.mem),
+                                       FRAME_ARG(m->params),
+                                       FRAME_ARG(r->tiles_of.mem),
+                                       FRAME_ARG(r->render_appearance_grad.mem),
+                                       FRAME_ARG(c->each),
+                                       FRAME_ARG(r->render_appearance_parts.mem)};
+    struct frame_arg args[sizeof common / sizeof *common + 4];
+    size_t n = sizeof common / sizeof *common;
+    memcpy(args, common, sizeof common);
+    if (adam) {
+        args[n++] = (struct frame_arg)FRAME_ARG(adam->m1);
+        args[n++] = (struct frame_arg)FRAME_ARG(adam->m2);
+        args[n++] = (struct frame_arg)FRAME_ARG(*k);
+        args[n++] = (struct frame_arg)FRAME_ARG(c->embed);
+    } else {
+        args[n++] = (struct frame_arg)FRAME_ARG(grads);
+    }
+    return frame_run(r, adam ? l->backward_step : l->backward, "appearance_backward", args, n,
+                     LAYOUT_APPEARANCE_CHUNKS * items, items, e);
+}
+
+/* Sums to the host. */
+static enum err_code look_read(struct render *r, struct render_appearance_grad *out, struct err *e)
+{
+    size_t floats = appearance_frame_floats(r->look->len, r->look->hidden);
+    cl_uint rows = (cl_uint)render_appearance_rows(r);
+    float offset = 0;
+    enum err_code rc =
+        frame_run(r, r->look->sum, "appearance_sum",
+                  FRAME_ARGS(FRAME_ARG(r->render_appearance_parts.mem), FRAME_ARG(rows),
+                             FRAME_ARG(r->render_appearance_sums.mem)),
+                  render_appearance_row(r->look) / r->dev->vector_width, 1, e);
+    if (rc == ERR_OK && out->frame)
+        rc = dev_read(r->dev, r->render_appearance_sums.mem, 0, floats * sizeof(float), out->frame,
+                      e);
+    if (rc == ERR_OK)
+        rc = dev_read(r->dev, r->render_appearance_sums.mem, floats * sizeof(float), sizeof offset,
+                      &offset, e);
+    out->visible = r->stats.visible;
+    out->offset_mean = out->visible ? (double)offset / out->visible : 0;
+    return rc;
+}
+
+enum err_code render_appearance_finish(struct render *r, const struct render_model *m, cl_mem grads,
+                                       const struct render_adam *adam, const cl_float8 *k,
+                                       const struct render_appearance_call *c,
+                                       struct render_appearance_grad *out, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    if (r->dev->vector_width != LAYOUT_LANES)
+        rc = render_appearance_backward(r, m, grads, adam, k, c, e);
+    return rc == ERR_OK && out ? look_read(r, out, e) : rc;
+}

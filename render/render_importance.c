@@ -1,0 +1,129 @@
+/* Importance of Gaussians in the last frame: launches score.cl over what render_forward left on the
+ * device. Owns the compiled kernels and the sums; slots are those of the backward pass, and nothing
+ * else of the frame is changed, so render_backward may follow.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "core/base.h"
+#include "render/frame.h"
+
+extern const char blend_cpu_cl[], blend_backward_cl[], importance_cl[];
+
+enum { IMPORTANCE_LOCAL = 64, IMPORTANCE_FLOATS = 8 };
+
+struct render_importance {
+    struct render *render; /* borrowed */
+    cl_program program;
+    cl_kernel tiles, gather;
+    struct frame_buffer sums;
+    void *seen; /* sums, mapped for the caller */
+};
+
+enum err_code render_importance_open(struct render *r, struct render_importance **out,
+                                     struct err *e)
+{
+    const struct dev_source cpu[] = {{"render/common.cl", common_cl},
+                                     {"render/blend_cpu.cl", blend_cpu_cl},
+                                     {"render/blend_backward.cl", blend_backward_cl},
+                                     {"render/importance.cl", importance_cl}};
+    const struct dev_source gpu[] = {{"render/common.cl", common_cl},
+                                     {"render/importance.cl", importance_cl}};
+    bool wide = r->dev->vector_width > 1;
+    *out = NULL;
+    struct render_importance *s = mem_array(1, sizeof(*s));
+    if (!s)
+        return err_set(e, ERR_MEM, "render_importance_open: out of memory");
+    s->render = r;
+    enum err_code rc = dev_build(r->dev, wide ? cpu : gpu, wide ? 4 : 2, NULL, &s->program, e);
+    if (!rc)
+        rc = dev_kernel(s->program, "importance_tiles", &s->tiles, e);
+    if (!rc)
+        rc = dev_kernel(s->program, "importance_gather", &s->gather, e);
+    if (rc)
+        render_importance_close(&s);
+    *out = s;
+    return rc;
+}
+
+void render_importance_forget(struct render_importance *s)
+{
+    if (s->seen)
+        clEnqueueUnmapMemObject(s->render->dev->queue, s->sums.mem, s->seen, 0, NULL, NULL);
+    s->seen = NULL;
+    dev_release(&s->sums.mem);
+    s->sums.cap_bytes = 0;
+}
+
+void render_importance_close(struct render_importance **p)
+{
+    struct render_importance *s = *p;
+    if (!s)
+        return;
+    if (s->tiles)
+        clReleaseKernel(s->tiles);
+    if (s->gather)
+        clReleaseKernel(s->gather);
+    if (s->program)
+        clReleaseProgram(s->program);
+    render_importance_forget(s);
+    mem_free(s);
+    *p = NULL;
+}
+
+static enum err_code render_importance_tiles(struct render_importance *s, cl_mem weight,
+                                             struct err *e)
+{
+    struct render *r = s->render;
+    size_t group = r->dev->vector_width == 1 ? RENDER_TILE * RENDER_TILE : 1;
+    cl_mem args[] = {r->view_mem,       r->splats.mem, r->tile_start.mem, r->entry_splat.mem,
+                     r->entry_slot.mem, weight,        r->slots.mem};
+    cl_int bad = CL_SUCCESS;
+    for (cl_uint i = 0; i < sizeof(args) / sizeof(args[0]); i++)
+        bad |= dev_arg(s->tiles, i, args[i]);
+    if (bad)
+        return err_set(e, ERR_DEVICE, "render_importance: arguments of importance_tiles");
+    return dev_run(r->dev, s->tiles, "importance_tiles", r->tiles * group, group, e);
+}
+
+static enum err_code render_importance_gather(struct render_importance *s, uint32_t n,
+                                              struct err *e)
+{
+    struct render *r = s->render;
+    cl_uint count = n;
+    cl_mem args[] = {r->splats.mem,     r->depth_key.mem, r->tiles_of.mem,
+                     r->slot_first.mem, r->slots.mem,     s->sums.mem};
+    cl_int bad = dev_arg(s->gather, 0, count);
+    for (cl_uint i = 0; i < sizeof(args) / sizeof(args[0]); i++)
+        bad |= dev_arg(s->gather, i + 1, args[i]);
+    if (bad)
+        return err_set(e, ERR_DEVICE, "render_importance: arguments of importance_gather");
+    return dev_run(r->dev, s->gather, "importance_gather", n, IMPORTANCE_LOCAL, e);
+}
+
+enum err_code render_importance_run(struct render_importance *s, const struct render_model *m,
+                                    cl_mem weight, const float **sums, struct err *e)
+{
+    struct render *r = s->render;
+    *sums = NULL;
+    if (!r->drawn || r->view.n != m->n)
+        return err_set(e, ERR_ARG, "render_importance: no frame of this model was drawn");
+    if (m->n == 0)
+        return ERR_OK;
+    size_t slots_bytes = (size_t)r->entries * 4 * sizeof(float);
+    size_t sums_bytes = (size_t)m->n * IMPORTANCE_FLOATS * sizeof(float);
+    enum err_code rc = dev_unmap(r->dev, s->sums.mem, &s->seen, e);
+    if (!rc)
+        rc = frame_reserve(r, &r->slots, slots_bytes, e);
+    if (!rc)
+        rc = frame_reserve(r, &s->sums, sums_bytes, e);
+    if (!rc && slots_bytes)
+        rc = dev_zero(r->dev, r->slots.mem, 0, slots_bytes, e);
+    if (!rc && r->entries)
+        rc = render_importance_tiles(s, weight, e);
+    if (!rc)
+        rc = render_importance_gather(s, m->n, e);
+    if (!rc)
+        rc = dev_map(r->dev, s->sums.mem, CL_MAP_READ, sums_bytes, &s->seen, e);
+    *sums = s->seen;
+    return rc;
+}

@@ -1,0 +1,462 @@
+/* The procedural city written out: photographs, COLMAP model, truth.
+ *
+ * Photographs are independent, so they are rendered on all cores; each is a function of the seed
+ * and its number. The folder appears when everything in it is complete.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "synth/synth.h"
+
+#include <jansson.h>
+#include <math.h>
+#include <stdatomic.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "codec/colmap.h"
+#include "codec/image.h"
+#include "codec/npy.h"
+#include "core/geo.h"
+#include "core/outdir.h"
+#include "core/pool.h"
+
+static const struct options_def defs[] = {
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct synth_config, type, key, def, lo, hi, unit, help)
+#include "synth/synth.def"
+#undef OPT
+};
+
+const struct options_spec *synth_options(void)
+{
+    static const struct options_spec spec = {
+        .command = "synth",
+        .usage = "citysplat synth -o DIR [options]",
+        .about = "Make a procedural city and photograph it from the air: DIR/images with EXIF GPS, "
+                 "a COLMAP model in "
+                 "DIR/sparse/0, and the exact truth (poses, depth, clean pictures) in DIR/truth.",
+        .example = "citysplat synth -o city\n"
+                   "citysplat synth -o hard --exposure-ev 0.4 --white-balance 0.2 --gps-sigma-m 3 "
+                   "--vehicle-share 0.2",
+        .defs = defs,
+        .n_defs = sizeof defs / sizeof *defs,
+    };
+    return &spec;
+}
+
+enum { LENS_STEP_PX = 2 }; /* spacing of the table of rays; linear in between is good to 1e-3 px */
+
+struct job {
+    const struct synth_config *cfg;
+    const struct synth_city *city;
+    const struct synth_photo *photos;
+    const char *dir;
+    struct lens lens;
+    float *rays; /* [rows][cols][2] camera-plane directions at multiples of LENS_STEP_PX */
+    size_t rows, cols;
+    struct progress progress;
+    atomic_flag progress_busy; /* whoever holds it may touch `progress` */
+    atomic_size_t done;
+};
+
+static enum err_code rays_make(struct job *j, struct err *e)
+{
+    j->cols = (size_t)j->lens.width_px / LENS_STEP_PX + 2;
+    j->rows = (size_t)j->lens.height_px / LENS_STEP_PX + 2;
+    j->rays = mem_array(j->rows * j->cols, 2 * sizeof *j->rays);
+    if (!j->rays)
+        return err_set(e, ERR_MEM, "synth: out of memory for a picture of %u x %u px",
+                       j->lens.width_px, j->lens.height_px);
+    for (size_t r = 0; r < j->rows; r++)
+        for (size_t c = 0; c < j->cols; c++) {
+            double x, y;
+            if (!lens_undistort(&j->lens, (double)(c * LENS_STEP_PX), (double)(r * LENS_STEP_PX),
+                                &x, &y))
+                return err_set(
+                    e, ERR_ARG,
+                    "synth: the distorted lens has no view at the corner of such a wide picture; "
+                    "use a smaller --fov-deg");
+            j->rays[2 * (r * j->cols + c)] = (float)x;
+            j->rays[2 * (r * j->cols + c) + 1] = (float)y;
+        }
+    return ERR_OK;
+}
+
+/* Unit ray of a pixel position in the city's frame; returns the cosine to the optical axis. */
+static double ray_at(const struct job *j, const double rot[9], double u, double v, double dir[3])
+{
+    double gu = u / LENS_STEP_PX, gv = v / LENS_STEP_PX;
+    size_t c = (size_t)gu, r = (size_t)gv;
+    double fu = gu - (double)c, fv = gv - (double)r, x[2];
+    const float *p = j->rays + 2 * (r * j->cols + c), *q = p + 2 * j->cols;
+    for (int k = 0; k < 2; k++)
+        x[k] = (1 - fv) * ((1 - fu) * (double)p[k] + fu * (double)p[2 + k]) +
+               fv * ((1 - fu) * (double)q[k] + fu * (double)q[2 + k]);
+    double len = sqrt(x[0] * x[0] + x[1] * x[1] + 1);
+    for (int i = 0; i < 3; i++)
+        dir[i] = (rot[i] * x[0] + rot[3 + i] * x[1] + rot[6 + i]) / len;
+    return 1 / len;
+}
+
+/* Camera pose in the city's frame. */
+static void city_pose(const struct synth_city *c, const struct camera *cam, double eye[3],
+                      double rot[9])
+{
+    double cs = cos(c->yaw_rad), sn = sin(c->yaw_rad), p[3];
+    camera_center(cam, p);
+    eye[0] = cs * p[0] + sn * p[1];
+    eye[1] = -sn * p[0] + cs * p[1];
+    eye[2] = p[2];
+    for (int i = 0; i < 3; i++) {
+        rot[3 * i] = cam->rot[3 * i] * cs + cam->rot[3 * i + 1] * sn;
+        rot[3 * i + 1] = -cam->rot[3 * i] * sn + cam->rot[3 * i + 1] * cs;
+        rot[3 * i + 2] = cam->rot[3 * i + 2];
+    }
+}
+
+/* One row or column of three channels blurred by a Gaussian; `step` is the distance of neighbours
+ * in floats. */
+static void blur_line(float *v, size_t n, size_t step, const float *tap, int radius, float *line)
+{
+    for (size_t k = 0; k < 3; k++) {
+        for (size_t i = 0; i < n; i++)
+            line[i] = v[i * step + k];
+        for (size_t i = 0; i < n; i++) {
+            float sum = 0;
+            for (int t = -radius; t <= radius; t++) {
+                ptrdiff_t at = (ptrdiff_t)i + t;
+                sum += tap[abs(t)] * line[at < 0 ? 0 : at >= (ptrdiff_t)n ? (ptrdiff_t)n - 1 : at];
+            }
+            v[i * step + k] = sum;
+        }
+    }
+}
+
+/* No lens is sharper than its pixels: without this, detail finer than a pixel turns into patterns
+ * that differ from photograph to photograph and that no scene can explain. */
+static enum err_code blur(float *rgb, size_t w, size_t h, double sigma_px, struct err *e)
+{
+    enum { RADIUS_MAX = 16 };
+    int radius = (int)fmin(ceil(3 * sigma_px), RADIUS_MAX);
+    float tap[RADIUS_MAX + 1], sum = 0;
+    if (radius == 0)
+        return ERR_OK;
+    float *line = mem_array(w > h ? w : h, sizeof *line);
+    if (!line)
+        return err_set(e, ERR_MEM, "synth: out of memory for a picture");
+    for (int t = 0; t <= radius; t++) {
+        tap[t] = (float)exp(-0.5 * t * t / (sigma_px * sigma_px));
+        sum += t ? 2 * tap[t] : tap[t];
+    }
+    for (int t = 0; t <= radius; t++)
+        tap[t] /= sum;
+    for (size_t y = 0; y < h; y++)
+        blur_line(rgb + 3 * w * y, w, 3, tap, radius, line);
+    for (size_t x = 0; x < w; x++)
+        blur_line(rgb + 3 * x, h, 3 * w, tap, radius, line);
+    mem_free(line);
+    return ERR_OK;
+}
+
+static enum err_code render(const struct job *j, const struct synth_photo *p,
+                            const struct synth_light *light, const struct synth_grid *moving,
+                            struct image *out, struct err *e)
+{
+    double eye[3], rot[9], dir[3];
+    int ss = (int)j->cfg->supersample;
+    size_t w = p->cam.width_px, h = p->cam.height_px;
+    enum err_code rc = image_alloc(p->cam.width_px, p->cam.height_px, 3, out, e);
+    if (rc != ERR_OK)
+        return rc;
+    float *linear = mem_array(w * h, 3 * sizeof *linear);
+    if (!linear)
+        return err_set(e, ERR_MEM, "synth: out of memory for a picture of %zu x %zu px", w, h);
+    city_pose(j->city, &p->cam, eye, rot);
+    for (size_t y = 0; y < h; y++)
+        for (size_t x = 0; x < w; x++) {
+            float *sum = linear + 3 * (y * w + x);
+            for (int s = 0; s < ss * ss; s++) {
+                /* The fixed pattern of a rotated grid: no two samples share a row or a column. */
+                double du = ((s % ss) + (0.5 + s / ss) / ss) / ss,
+                       dv = ((s / ss) + 1 - (0.5 + s % ss) / ss) / ss;
+                ray_at(j, rot, (double)x + du, (double)y + dv, dir);
+                struct synth_hit hit;
+                float rgb[3];
+                synth_trace_ray(j->city, moving, eye, dir, &hit);
+                synth_shade_hit(j->city, moving, light, dir, &hit, hit.t_m / p->cam.fx_px, rgb);
+                for (int k = 0; k < 3; k++)
+                    sum[k] += (rgb[k] < 1 ? rgb[k] : 1) / (float)(ss * ss);
+            }
+        }
+    rc = blur(linear, w, h, j->cfg->lens_blur_px, e);
+    for (size_t i = 0; rc == ERR_OK && i < 3 * w * h; i++)
+        out->px[i] = synth_shade_encode(linear[i]);
+    mem_free(linear);
+    return rc;
+}
+
+static enum err_code write_depth(const struct job *j, const struct synth_photo *p, const char *path,
+                                 struct err *e)
+{
+    size_t w = p->cam.width_px, h = p->cam.height_px;
+    double eye[3], rot[9], dir[3];
+    float *depth = mem_array(w * h, sizeof *depth);
+    if (!depth)
+        return err_set(e, ERR_MEM, "synth: out of memory for a depth map");
+    city_pose(j->city, &p->cam, eye, rot);
+    for (size_t i = 0; i < w * h; i++) {
+        struct synth_hit hit;
+        double cosine = ray_at(j, rot, (double)(i % w) + 0.5, (double)(i / w) + 0.5, dir);
+        synth_trace_ray(j->city, NULL, eye, dir, &hit);
+        depth[i] = isfinite(hit.t_m) ? (float)(hit.t_m * cosine) : 0;
+    }
+    enum err_code rc = npy_write(path, depth, 2, (const size_t[2]){h, w}, e);
+    mem_free(depth);
+    return rc;
+}
+
+/* "DIR/sub/STEM.ext" of a photograph. */
+static enum err_code photo_path(const struct job *j, const char *sub, const struct synth_photo *p,
+                                const char *ext, char *out, struct err *e)
+{
+    char name[96];
+    snprintf(name, sizeof name, "%s/%.*s%s", sub, (int)strcspn(p->name, "."), p->name, ext);
+    return file_join(out, j->dir, name, e);
+}
+
+static enum err_code photo_gps(const struct job *j, size_t i, struct image_gps *gps, struct err *e)
+{
+    const struct synth_config *cfg = j->cfg;
+    struct geo_origin o = {cfg->lon_deg, cfg->lat_deg, cfg->ground_h_m};
+    const struct synth_photo *p = &j->photos[i];
+    size_t second = 36000 + 3 * i + (p->flight && cfg->flight_offset_m != 0 ? 14400 : 0);
+    *gps = (struct image_gps){.has_position = true,
+                              .has_altitude = true,
+                              .iso = 100,
+                              .exposure_s = 0.001 * exp2(p->exposure_ev)};
+    snprintf(gps->time, sizeof gps->time, "2024:06:%02u %02u:%02u:%02u",
+             1 + (unsigned)(second / 86400) % 28, (unsigned)(second / 3600 % 24),
+             (unsigned)(second / 60 % 60), (unsigned)(second % 60));
+    return geo_from_enu(&o, p->gps_enu_m, &gps->lon_deg, &gps->lat_deg, &gps->alt_m, e);
+}
+
+/* masks/NAME.jpg.png: 0 where the vehicles on the move changed the photograph in any way, by their
+ * shadows and the blur of the lens too; found by drawing it without them. */
+static enum err_code write_mask(const struct job *j, const struct synth_photo *p,
+                                const struct image *with, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    struct image without = {0}, mask = {0};
+    enum err_code rc = render(j, p, &p->light, NULL, &without, e);
+    if (rc == ERR_OK)
+        rc = image_alloc(with->width_px, with->height_px, 1, &mask, e);
+    for (size_t i = 0; rc == ERR_OK && i < (size_t)with->width_px * with->height_px; i++)
+        mask.px[i] = memcmp(with->px + 3 * i, without.px + 3 * i, 3) ? 0 : 255;
+    if (rc == ERR_OK)
+        rc = file_join(path, j->dir, "masks", e);
+    if (rc == ERR_OK)
+        rc = file_mkdir(path, e);
+    if (rc == ERR_OK)
+        rc = photo_path(j, "masks", p, ".jpg.png", path, e);
+    if (rc == ERR_OK)
+        rc = image_write(path, &mask, 0, NULL, e);
+    image_free(&without);
+    image_free(&mask);
+    return rc;
+}
+
+static enum err_code write_clean(const struct job *j, const struct synth_photo *p, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    struct image img = {0};
+    struct synth_light light = synth_shade_light();
+    enum err_code rc = render(j, p, &light, NULL, &img, e);
+    if (rc == ERR_OK)
+        rc = photo_path(j, "truth/clean", p, ".png", path, e);
+    if (rc == ERR_OK)
+        rc = image_write(path, &img, 0, NULL, e);
+    if (rc == ERR_OK)
+        rc = photo_path(j, "truth/depth", p, ".npy", path, e);
+    if (rc == ERR_OK)
+        rc = write_depth(j, p, path, e);
+    image_free(&img);
+    return rc;
+}
+
+static enum err_code photo_task(void *user, size_t i, struct err *e)
+{
+    struct job *j = user;
+    const struct synth_photo *p = &j->photos[i];
+    char path[FILE_PATH_MAX];
+    struct image img = {0};
+    struct image_gps gps;
+    struct synth_grid moving = {0};
+    size_t n = p->vehicles ? (size_t)j->cfg->vehicles : 0;
+    struct synth_solid *cars = NULL;
+    enum err_code rc = ERR_OK;
+    if (signals_stopping())
+        return err_set(e, ERR_CANCEL, "stopped");
+    if (n) {
+        cars = mem_array(2 * n, sizeof *cars);
+        if (!cars)
+            return err_set(e, ERR_MEM, "synth: out of memory for %zu vehicles", n);
+        synth_city_vehicles(j->city, i, n, cars);
+        rc = synth_grid_make(cars, 2 * n, &moving, e);
+    }
+    if (rc == ERR_OK)
+        rc = render(j, p, &p->light, n ? &moving : NULL, &img, e);
+    if (rc == ERR_OK)
+        rc = photo_gps(j, i, &gps, e);
+    if (rc == ERR_OK)
+        rc = photo_path(j, "images", p, ".jpg", path, e);
+    if (rc == ERR_OK)
+        rc = image_write(path, &img, 95, &gps, e);
+    if (rc == ERR_OK && n)
+        rc = write_mask(j, p, &img, e);
+    if (rc == ERR_OK && i % (size_t)j->cfg->test_every == 0)
+        rc = write_clean(j, p, e);
+    synth_grid_free(&moving);
+    mem_free(cars);
+    image_free(&img);
+    size_t done = atomic_fetch_add(&j->done, 1) + 1;
+    if (!atomic_flag_test_and_set(&j->progress_busy)) {
+        progress_step(&j->progress, done, NULL);
+        atomic_flag_clear(&j->progress_busy);
+    }
+    return rc;
+}
+
+/* ---- truth.json ---- */
+
+static json_t *nums(const double *v, size_t n)
+{
+    json_t *a = json_array();
+    for (size_t i = 0; i < n; i++)
+        json_array_append_new(a, json_real(v[i]));
+    return a;
+}
+
+static json_t *photo_to_json(const struct synth_photo *p, bool test)
+{
+    double m[16] = {0}, center[3];
+    for (int i = 0; i < 3; i++) {
+        memcpy(m + 4 * i, p->cam.rot + 3 * i, 3 * sizeof *m);
+        m[4 * i + 3] = p->cam.trans[i];
+    }
+    m[15] = 1;
+    camera_center(&p->cam, center);
+    double gain[3] = {(double)p->light.gain[0], (double)p->light.gain[1], (double)p->light.gain[2]};
+    return json_pack("{s:s, s:o, s:o, s:o, s:b, s:b, s:o, s:i, s:b, s:o, s:b}", "name", p->name,
+                     "center_enu_m", nums(center, 3), "world_to_camera", nums(m, 16), "gps_enu_m",
+                     nums(p->gps_enu_m, 3), "gps_outlier", p->gps_outlier, "pose_error",
+                     p->pose_error, "pose_shift_m", nums(p->pose_shift_m, 3), "flight",
+                     (int)p->flight, "vehicles", p->vehicles, "gain", nums(gain, 3), "test", test);
+}
+
+static enum err_code write_truth(const struct job *j, const struct synth_similarity *f,
+                                 struct err *e)
+{
+    const struct synth_config *cfg = j->cfg;
+    char path[FILE_PATH_MAX];
+    json_t *photos = json_array(), *config = NULL;
+    enum err_code rc = file_join(path, j->dir, "truth/truth.json", e);
+    if (rc == ERR_OK)
+        rc = options_to_json(synth_options(), cfg, &config, e);
+    for (size_t i = 0; i < (size_t)cfg->photos; i++)
+        json_array_append_new(photos,
+                              photo_to_json(&j->photos[i], i % (size_t)cfg->test_every == 0));
+    json_object_del(config, "output"); /* the same city has the same bytes wherever it is */
+    json_object_del(config, "overwrite");
+    json_t *root = json_pack(
+        "{s:s, s:o, s:{s:f, s:f, s:f}, s:{s:f, s:o, s:o}, s:{s:s, s:i, s:i, s:o}, s:o}", "format",
+        "citysplat-truth", "config", config ? config : json_object(), "origin", "lon_deg",
+        cfg->lon_deg, "lat_deg", cfg->lat_deg, "h_m", cfg->ground_h_m, "colmap_to_enu", "scale",
+        f->scale, "rot", nums(f->rot, 9), "trans", nums(f->trans, 3), "lens", "model",
+        lens_name(j->lens.model), "width", (int)cfg->width_px, "height", (int)cfg->height_px,
+        "params", nums(j->lens.params, lens_param_count(j->lens.model)), "photographs", photos);
+    if (rc == ERR_OK && !root)
+        rc = err_set(e, ERR_MEM, "synth: out of memory for truth.json");
+    if (rc == ERR_OK)
+        rc = jsonc_write(path, root, e);
+    json_decref(root);
+    return rc;
+}
+
+static enum err_code make_folders(const char *dir, struct err *e)
+{
+    static const char *const subs[] = {"images", "truth/clean", "truth/depth"};
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; i < sizeof subs / sizeof *subs && rc == ERR_OK; i++) {
+        char path[FILE_PATH_MAX];
+        rc = file_join(path, dir, subs[i], e);
+        if (rc == ERR_OK)
+            rc = file_mkdir(path, e);
+    }
+    return rc;
+}
+
+static enum err_code write_all(struct job *j, struct synth_photo *photos,
+                               const struct synth_city *city, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    struct colmap_model model = {0};
+    struct synth_similarity frame = synth_model_frame(j->cfg);
+    synth_flight_make(j->cfg, photos);
+    enum err_code rc = make_folders(j->dir, e);
+    if (rc == ERR_OK)
+        rc = rays_make(j, e);
+    if (rc == ERR_OK)
+        rc = synth_model_make(j->cfg, city, photos, &frame, &model, e);
+    if (rc == ERR_OK)
+        rc = file_join(path, j->dir, "sparse/0", e);
+    if (rc == ERR_OK)
+        rc = colmap_write_bin(path, &model, e);
+    if (rc == ERR_OK) {
+        log_info("synth", "city solids=%zu points=%zu observations=%zu", city->n_solids,
+                 model.n_points, model.n_tracks);
+        progress_start(&j->progress, "photograph the city", (uint64_t)j->cfg->photos);
+        rc = pool_for((size_t)j->cfg->photos, 0, photo_task, j, e);
+        progress_end(&j->progress, NULL);
+    }
+    if (rc == ERR_OK)
+        rc = write_truth(j, &frame, e);
+    colmap_free(&model);
+    return rc;
+}
+
+enum err_code synth_run(const struct synth_config *cfg, struct err *e)
+{
+    struct outdir dir = {0};
+    struct synth_city city = {0};
+    struct synth_photo *photos = NULL;
+    struct job j = {.cfg = cfg,
+                    .city = &city,
+                    .lens = synth_flight_lens(cfg),
+                    .progress_busy = ATOMIC_FLAG_INIT};
+    if (!cfg->output)
+        return err_set(e, ERR_ARG, "synth: no output folder: give -o DIR");
+    enum err_code rc = outdir_begin(cfg->output, "truth/truth.json", cfg->overwrite, &dir, e);
+    if (rc != ERR_OK)
+        return rc;
+    photos = mem_array((size_t)cfg->photos, sizeof *photos);
+    if (!photos) {
+        rc = err_set(e, ERR_MEM, "synth: out of memory for %lld photographs",
+                     (long long)cfg->photos);
+        goto out;
+    }
+    rc = synth_city_make(cfg, &city, e);
+    if (rc != ERR_OK)
+        goto out;
+    j.photos = photos;
+    j.dir = dir.part;
+    rc = write_all(&j, photos, &city, e);
+    if (rc == ERR_OK)
+        rc = outdir_commit(&dir, e);
+out:
+    outdir_abort(&dir);
+    mem_free(j.rays);
+    mem_free(photos);
+    synth_city_free(&city);
+    return rc;
+}

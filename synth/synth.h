@@ -1,0 +1,166 @@
+/* A procedural city seen by a drone: photographs, a COLMAP model and the exact truth behind them.
+ *
+ * Nobody has to download anything to try the program, and tests know the right answer: poses,
+ * depth, clean pictures, which GPS position lies and by how much. Reading order: synth.c (what is
+ * written), synth_city.c (what stands where), synth_flight.c (who looks from where), synth_trace.c
+ * (what a ray hits), synth_shade.c (what colour that is), synth_model.c (the COLMAP model).
+ *
+ * The city is built in its own frame: metres, z up, ground at z = 0, streets along x and y. ENU is
+ * that frame turned by city.yaw_rad about z.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SYNTH_SYNTH_H
+#define SYNTH_SYNTH_H
+
+#include "core/camera.h"
+#include "core/options.h"
+
+struct camera;
+struct colmap_model;
+struct lens;
+
+struct synth_config {
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "synth/synth.def"
+#undef OPT
+};
+/* The table behind struct synth_config: flags, defaults, ranges, help. */
+const struct options_spec *synth_options(void);
+/* Make the city of cfg in cfg->output:
+ *   images/IMG_0001.jpg ...         photographs with EXIF GPS
+ *   masks/IMG_0001.jpg.png ...     of photographs with moving vehicles: 0 where those show
+ *   sparse/0/...                     COLMAP model in a frame of its own (rotation, scale and shift)
+ *   truth/truth.json                origin, COLMAP -> ENU, per photograph: exact pose, what was
+ * done to it truth/clean/NAME.png            every test_every-th photograph without appearance
+ * changes and vehicles truth/depth/NAME.npy            its depth along the optical axis at pixel
+ * centres, metres, 0 = sky
+ */
+enum err_code synth_run(const struct synth_config *cfg, struct err *e) ERR_USE;
+
+/* ---- synth_city.c ---- */
+
+enum synth_kind { SYNTH_BOX, SYNTH_GABLE, SYNTH_ELLIPSOID };
+enum synth_material { SYNTH_HOUSE, SYNTH_SHED, SYNTH_TREE, SYNTH_TRUNK, SYNTH_CAR, SYNTH_CABIN };
+struct synth_solid {
+    enum synth_kind kind;
+    enum synth_material material;
+    uint32_t seed;      /* of its texture */
+    double center_m[2]; /* city frame */
+    double cos_yaw, sin_yaw;
+    double half_m[2];  /* half size along its own x and y */
+    double z0_m, z1_m; /* bottom and top; of a gable: eaves */
+    double ridge_m;    /* gable: ridge height, along own x; else z1_m */
+    float color[3];    /* linear albedo */
+};
+struct synth_grid {                   /* solids by square cell of the ground plane; synth_trace.c */
+    const struct synth_solid *solids; /* borrowed */
+    double min_m[2], cell_m, top_m;
+    uint32_t nx, ny;
+    uint32_t *start; /* [nx * ny + 1] into items */
+    uint32_t *items;
+    float *cell_top_m; /* [nx * ny] highest solid of the cell, 0 = none */
+};
+enum { SYNTH_STREETS_MAX = 130 };
+struct synth_city { /* {0} is empty; synth_city_free */
+    uint32_t seed;
+    double half_m, yaw_rad;
+    double street_m[2]
+                   [SYNTH_STREETS_MAX]; /* centre lines: x of those along y, y of those along x */
+    double street_half_m[2][SYNTH_STREETS_MAX];
+    size_t n_streets[2];
+    double sun[3]; /* unit vector to the sun, city frame */
+    struct synth_solid *solids;
+    size_t n_solids, cap_solids;
+    struct synth_grid grid;
+};
+enum err_code synth_city_make(const struct synth_config *cfg, struct synth_city *out,
+                              struct err *e) ERR_USE;
+void synth_city_free(struct synth_city *c);
+/* Vehicles on the move in photograph `photo`: two solids each (body, cabin) into out[2 * n]. */
+void synth_city_vehicles(const struct synth_city *c, uint64_t photo, size_t n,
+                         struct synth_solid *out);
+
+/* ---- synth_trace.c ---- */
+
+enum err_code synth_grid_make(const struct synth_solid *solids, size_t n, struct synth_grid *out,
+                              struct err *e) ERR_USE;
+void synth_grid_free(struct synth_grid *g);
+
+struct synth_hit {
+    double t_m; /* along the unit direction; INFINITY = sky */
+    double pos[3], normal[3];
+    double local[3]; /* in the solid's frame: its axes, about its centre; z above its bottom */
+    double local_normal[3];
+    const struct synth_solid *solid; /* NULL: ground or sky */
+};
+/* Nearest hit of origin + t dir, t > 0. `moving` may be NULL. */
+void synth_trace_ray(const struct synth_city *c, const struct synth_grid *moving,
+                     const double origin[3], const double dir[3], struct synth_hit *out);
+/* Is anything between origin and the sun? */
+bool synth_trace_shadow(const struct synth_city *c, const struct synth_grid *moving,
+                        const double origin[3]);
+
+/* ---- synth_shade.c ---- */
+
+struct synth_light { /* what the sky and the camera do to a photograph; synth_shade_light for none
+                      */
+    float sun[3], sky[3]; /* linear radiance */
+    float gain[3];        /* exposure and white balance */
+};
+struct synth_light synth_shade_light(void);
+/* Linear colour of a ray; footprint_m is the size of a sample at the hit, finer texture fades out.
+ */
+void synth_shade_hit(const struct synth_city *c, const struct synth_grid *moving,
+                     const struct synth_light *light, const double dir[3],
+                     const struct synth_hit *hit, double footprint_m, float rgb[3]);
+/* Linear colour after gains -> sRGB byte. */
+uint8_t synth_shade_encode(float linear);
+
+/* ---- synth_flight.c ---- */
+
+struct synth_photo {
+    char name[32];
+    struct camera cam; /* truth, ENU; the lens' distortion comes on top */
+    struct synth_light light;
+    bool vehicles, gps_outlier, pose_error;
+    uint32_t flight;        /* 0 or 1 */
+    double gps_enu_m[3];    /* as EXIF tells it */
+    double pose_shift_m[3]; /* ENU error of the COLMAP pose */
+    double exposure_ev;
+};
+struct lens synth_flight_lens(const struct synth_config *cfg);
+/* out[cfg->photos] */
+void synth_flight_make(const struct synth_config *cfg, struct synth_photo *out);
+
+/* ---- synth_model.c ---- */
+
+struct synth_similarity { /* y_enu = scale rot x_colmap + trans */
+    double scale, rot[9], trans[3];
+};
+struct synth_similarity synth_model_frame(const struct synth_config *cfg);
+/* The COLMAP model as structure from motion would have given it. colmap_free it. */
+enum err_code synth_model_make(const struct synth_config *cfg, const struct synth_city *city,
+                               const struct synth_photo *photos,
+                               const struct synth_similarity *frame, struct colmap_model *out,
+                               struct err *e) ERR_USE;
+
+/* Streams of the random numbers. */
+enum synth_stream {
+    SYNTH_STREAM_STREETS = 1,
+    SYNTH_STREAM_LOTS,
+    SYNTH_STREAM_TREES,
+    SYNTH_STREAM_CARS,
+    SYNTH_STREAM_YAW,
+    SYNTH_STREAM_MOVING,
+    SYNTH_STREAM_FLIGHT,
+    SYNTH_STREAM_LIGHT,
+    SYNTH_STREAM_GPS,
+    SYNTH_STREAM_OUTLIER,
+    SYNTH_STREAM_POSE,
+    SYNTH_STREAM_FRAME,
+    SYNTH_STREAM_POINTS,
+    SYNTH_STREAM_PIXELS
+};
+
+#endif

@@ -1,0 +1,33 @@
+/* The options of a training run, and the streams of its random numbers.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TRAIN_CONFIG_H
+#define TRAIN_CONFIG_H
+
+#include <stdint.h>
+
+#include "core/options.h"
+
+enum { TRAIN_LEVELS_MAX = 3 };
+
+struct train_config {
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "train/options.def"
+#undef OPT
+};
+/* The table behind struct train_config: flags, defaults, ranges, help. */
+const struct options_spec *train_options(void);
+
+/* Streams of the random numbers; level and step are mixed in by train_stream. */
+enum train_stream_id {
+    TRAIN_STREAM_SHUFFLE = 1,
+    TRAIN_STREAM_INIT,
+    TRAIN_STREAM_RACE,
+    TRAIN_STREAM_SPLIT,
+    TRAIN_STREAM_VIEWS,
+    TRAIN_STREAM_SIMILARITY,
+    TRAIN_STREAM_EMBED
+};
+uint64_t train_stream(enum train_stream_id id, uint32_t level, uint64_t step);
+#endif

@@ -1,0 +1,419 @@
+/* Density control under a budget: who is cloned, split or removed.
+ *
+ * Candidates are Gaussians whose mean positional gradient exceeds a threshold that grows with the
+ * distance from the cell (1 inside .. tau_outside at one cell edge). Small ones are cloned, large
+ * ones split in two (3D Gaussian Splatting, Kerbl 2023). Inside and outside have a ceiling each,
+ * and room is what a ceiling leaves to its own candidates; each class gets its share of it, drawn
+ * without replacement with chances proportional to an importance score (Taming 3DGS, Mallick 2024).
+ * The draw is an exponential race: the k smallest -ln(u_i) / importance_i, with u_i from the counter
+ * generator, so it is the same on every machine and has no limit of size.
+ *
+ * Everything here runs on host copies in the device layout; nothing depends on the number of
+ * threads.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "cells/cell.h"
+#include "core/gauss.h"
+#include "core/sample.h"
+#include "render/permute.h"
+#include "render/render.h"
+#include "train/config.h"
+#include "train/densify_plan.h"
+
+#define DENSIFY_SPLIT_SHRINK 1.6
+#define DENSIFY_AXIS_OFFSET 0.8 /* d, in sigmas of the parent */
+#define DENSIFY_AXIS_SHRINK 0.6 /* sqrt(1 - d^2): the pair keeps the parent's covariance */
+#define DENSIFY_SMALLEST_M 1e-4 /* scene units; smaller Gaussians are removed */
+
+static size_t densify_at(size_t i, uint32_t planes, uint32_t plane)
+{
+    return permute_at(i, planes) + (size_t)plane * LAYOUT_LANES;
+}
+
+/* ---- geometry of one row ---- */
+
+static void densify_rotation(const float *params, uint32_t planes, size_t i, double rot[9])
+{
+    double q[4];
+    for (uint32_t k = 0; k < 4; k++)
+        q[k] = (double)params[densify_at(i, planes, RENDER_PLANE_QUAT + k)];
+    camera_quat_to_rot(q, rot);
+}
+
+static uint32_t densify_longest(const float *params, uint32_t planes, size_t i)
+{
+    uint32_t axis = 0;
+    for (uint32_t k = 1; k < 3; k++)
+        if (params[densify_at(i, planes, RENDER_PLANE_SCALE + k)] >
+            params[densify_at(i, planes, RENDER_PLANE_SCALE + axis)])
+            axis = k;
+    return axis;
+}
+
+/* Of a half from its parent, along the parent's axes, m. */
+static void densify_offset(const struct densify_params *p, const struct densify_input *in,
+                           struct densify_row row, double local[3])
+{
+    size_t i = row.source;
+    bool second = row.kind == DENSIFY_SPLIT_B;
+    uint64_t stream = train_stream(TRAIN_STREAM_SPLIT, p->level, p->step);
+    uint64_t first = (uint64_t)i * 6 + (second ? 3 : 0);
+    uint32_t longest = densify_longest(in->params, in->planes, i);
+    for (uint32_t k = 0; k < 3; k++) {
+        double along = p->split == DENSIFY_SPLIT_RANDOM ? rng_normal(p->seed, stream, first + k)
+                       : k != longest                   ? 0.0
+                       : second                         ? DENSIFY_AXIS_OFFSET
+                                                        : -DENSIFY_AXIS_OFFSET;
+        local[k] =
+            along * exp((double)in->params[densify_at(i, in->planes, RENDER_PLANE_SCALE + k)]);
+    }
+}
+
+/* Mean of a row of the plan, metres from the origin. */
+static void densify_mean(const struct densify_params *p, const struct densify_input *in,
+                         struct densify_row row, float mean[3])
+{
+    size_t i = row.source;
+    for (uint32_t k = 0; k < 3; k++)
+        mean[k] = in->params[densify_at(i, in->planes, RENDER_PLANE_MEAN + k)];
+    if (row.kind != DENSIFY_SPLIT_A && row.kind != DENSIFY_SPLIT_B)
+        return;
+    double rot[9], local[3];
+    densify_rotation(in->params, in->planes, i, rot);
+    densify_offset(p, in, row, local);
+    for (int k = 0; k < 3; k++)
+        mean[k] = (float)((double)mean[k] + rot[3 * k] * local[0] + rot[3 * k + 1] * local[1] +
+                          rot[3 * k + 2] * local[2]);
+}
+
+static double densify_distance(const struct densify_params *p, const float mean[3])
+{
+    return cell_distance(p->cell, p->origin_enu_m[0] + (double)mean[0],
+                         p->origin_enu_m[1] + (double)mean[1]);
+}
+
+static bool densify_row_inside(const struct densify_params *p, const struct densify_input *in,
+                               struct densify_row row)
+{
+    float mean[3];
+    if (p->cell->whole)
+        return true;
+    densify_mean(p, in, row, mean);
+    return densify_distance(p, mean) <= 0.0;
+}
+
+/* ---- choosing ---- */
+
+enum densify_class { CLASS_KEEP, CLASS_PRUNE, CLASS_CLONE, CLASS_SPLIT };
+
+struct densify_work {
+    uint8_t *class, *inside, *chosen; /* [n] */
+    uint32_t *drawn;                  /* scratch for a draw */
+    struct densify_side {             /* 0 outside the cell, 1 inside */
+        uint32_t *clones, *splits;    /* candidates, ascending */
+        size_t n_clones, n_splits, room;
+    } side[2];
+    size_t n_in, n_out;
+};
+
+static enum densify_class densify_classify(const struct densify_params *p,
+                                           const struct densify_input *in, size_t i, bool *inside)
+{
+    float mean[3];
+    double largest = -HUGE_VAL;
+    for (uint32_t k = 0; k < 3; k++) {
+        mean[k] = in->params[densify_at(i, in->planes, RENDER_PLANE_MEAN + k)];
+        largest =
+            fmax(largest, (double)in->params[densify_at(i, in->planes, RENDER_PLANE_SCALE + k)]);
+    }
+    largest = exp(largest);
+    double opacity =
+        in->opacity
+            ? (double)in->opacity[i]
+            : 1.0 /
+                  (1.0 + exp(-(double)in->params[densify_at(i, in->planes, RENDER_PLANE_OPACITY)]));
+    double d = densify_distance(p, mean);
+    *inside = d <= 0.0;
+    if (!(opacity >= p->prune_opacity) || !(largest >= DENSIFY_SMALLEST_M) ||
+        (p->prune_above_m > 0.0 && largest > p->prune_above_m))
+        return CLASS_PRUNE;
+    double ramp = 1.0 + (p->tau_outside - 1.0) * fmin(d / p->cell->edge_m, 1.0);
+    if (!((double)in->mean_grad[i] >= p->tau * ramp))
+        return CLASS_KEEP;
+    return largest > p->split_above_m ? CLASS_SPLIT : CLASS_CLONE;
+}
+
+static void densify_classify_all(const struct densify_params *p, const struct densify_input *in,
+                                 struct densify_work *w)
+{
+    for (size_t i = 0; i < in->n; i++) {
+        bool inside;
+        enum densify_class c = densify_classify(p, in, i, &inside);
+        w->class[i] = (uint8_t)c;
+        w->inside[i] = inside;
+        if (c == CLASS_PRUNE)
+            continue;
+        w->n_in += inside;
+        w->n_out += !inside;
+        struct densify_side *side = &w->side[inside];
+        if (c == CLASS_CLONE)
+            side->clones[side->n_clones++] = (uint32_t)i;
+        else if (c == CLASS_SPLIT)
+            side->splits[side->n_splits++] = (uint32_t)i;
+    }
+}
+
+/* What taking this candidate adds inside and outside; a child of a split may cross the border. */
+static void densify_gain(const struct densify_params *p, const struct densify_input *in,
+                         const struct densify_work *w, uint32_t i, int *in_gain, int *out_gain)
+{
+    if (w->class[i] == CLASS_CLONE) {
+        *in_gain = w->inside[i];
+        *out_gain = !w->inside[i];
+        return;
+    }
+    int a = densify_row_inside(p, in, (struct densify_row){i, DENSIFY_SPLIT_A});
+    int b = densify_row_inside(p, in, (struct densify_row){i, DENSIFY_SPLIT_B});
+    *in_gain = a + b - w->inside[i];
+    *out_gain = 2 - a - b - !w->inside[i];
+}
+
+/* Draw `quota` of one class and mark them, keeping to both ceilings. */
+static enum err_code densify_draw(const struct densify_params *p, const struct densify_input *in,
+                                  struct densify_work *w, const uint32_t *ids, size_t n,
+                                  size_t quota, size_t *taken, struct err *e)
+{
+    /* Only a border can make the ceilings refuse one and call up the next in line. */
+    size_t line = p->cell->whole ? quota : n;
+    uint64_t stream = train_stream(TRAIN_STREAM_RACE, p->level, p->step);
+    enum err_code rc = sample_race(in->score, ids, n, line, p->seed, stream, w->drawn, e);
+    for (size_t j = 0; !rc && j < line && *taken < quota; j++) {
+        int gain_in, gain_out;
+        uint32_t i = w->drawn[j];
+        densify_gain(p, in, w, i, &gain_in, &gain_out);
+        if ((gain_in > 0 && w->n_in + (size_t)gain_in > p->cap_inside) ||
+            (gain_out > 0 && w->n_out + (size_t)gain_out > p->cap_outside))
+            continue;
+        w->n_in += (size_t)(ptrdiff_t)gain_in;
+        w->n_out += (size_t)(ptrdiff_t)gain_out;
+        w->chosen[i] = 1;
+        (*taken)++;
+    }
+    return rc;
+}
+
+static enum err_code densify_rows(const struct densify_input *in, const struct densify_work *w,
+                                  struct densify_plan *out, struct err *e)
+{
+    size_t n = 0;
+    out->rows = mem_array(out->report.after, sizeof(*out->rows));
+    if (!out->rows)
+        return err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", out->report.after);
+    for (size_t i = 0; i < in->n; i++) {
+        uint32_t s = (uint32_t)i;
+        if (w->class[i] == CLASS_PRUNE)
+            continue;
+        bool split = w->chosen[i] && w->class[i] == CLASS_SPLIT;
+        out->rows[n++] = (struct densify_row){s, split ? DENSIFY_SPLIT_A : DENSIFY_KEEP};
+        if (w->chosen[i])
+            out->rows[n++] = (struct densify_row){s, split ? DENSIFY_SPLIT_B : DENSIFY_CLONE};
+    }
+    out->n = n;
+    return ERR_OK;
+}
+
+/* Room of one side: what its ceiling leaves, but no more than wants in. True when not all of them
+ * can have it, or a split near the border could be refused. */
+static bool densify_room(struct densify_side *side, size_t n, size_t cap, bool border)
+{
+    size_t wanted = side->n_clones + side->n_splits, left = cap > n ? cap - n : 0;
+    side->room = left < wanted ? left : wanted;
+    return side->room > 0 && (side->room < wanted || (border && left < 2 * wanted));
+}
+
+/* Shares of a room between its classes that leave none of it: exact in integers for any counts
+ * below 2^32, and since the room is at most what is wanted, what clones leave is never more than
+ * there are splits. */
+static enum err_code densify_draw_side(const struct densify_params *p,
+                                       const struct densify_input *in, struct densify_work *w,
+                                       const struct densify_side *side, struct densify_report *r,
+                                       struct err *e)
+{
+    size_t wanted = side->n_clones + side->n_splits, cloned = 0, split = 0;
+    if (!wanted)
+        return ERR_OK;
+    size_t clones = (size_t)((uint64_t)side->room * side->n_clones / wanted);
+    size_t splits = side->room - clones;
+    enum err_code rc = densify_draw(p, in, w, side->clones, side->n_clones, clones, &cloned, e);
+    if (!rc)
+        rc = densify_draw(p, in, w, side->splits, side->n_splits, splits, &split, e);
+    r->cloned += cloned;
+    r->split += split;
+    return rc;
+}
+
+static enum err_code densify_fill(const struct densify_params *p, const struct densify_input *in,
+                                  struct densify_work *w, struct densify_plan *out, struct err *e)
+{
+    struct densify_report *r = &out->report;
+    struct densify_side *inside = &w->side[1], *outside = &w->side[0];
+    densify_classify_all(p, in, w);
+    bool border = !p->cell->whole;
+    bool binds = densify_room(inside, w->n_in, p->cap_inside, border);
+    binds |= densify_room(outside, w->n_out, p->cap_outside, border);
+    *r = (struct densify_report){.before = in->n,
+                                 .pruned = in->n - w->n_in - w->n_out,
+                                 .clone_candidates = inside->n_clones + outside->n_clones,
+                                 .split_candidates = inside->n_splits + outside->n_splits,
+                                 .room = inside->room + outside->room};
+    if (!in->score && binds) {
+        r->needs_importance = true;
+        return ERR_OK;
+    }
+    enum err_code rc = densify_draw_side(p, in, w, inside, r, e);
+    if (!rc)
+        rc = densify_draw_side(p, in, w, outside, r, e);
+    r->inside = w->n_in;
+    r->outside = w->n_out;
+    r->after = w->n_in + w->n_out;
+    return rc ? rc : densify_rows(in, w, out, e);
+}
+
+enum err_code densify_plan_make(const struct densify_params *p, const struct densify_input *in,
+                                struct densify_plan *out, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    struct densify_work w = {0};
+    *out = (struct densify_plan){0};
+    if (in->n > UINT32_MAX / 2)
+        return err_set(e, ERR_LIMIT, "densify: %zu Gaussians are more than one cell can hold",
+                       in->n);
+    w.class = mem_array(in->n, 1);
+    w.inside = mem_array(in->n, 1);
+    w.chosen = mem_array(in->n, 1);
+    w.drawn = mem_array(in->n, sizeof(*w.drawn));
+    bool ok = w.class && w.inside && w.chosen && w.drawn;
+    for (size_t k = 0; k < 2; k++) {
+        w.side[k].clones = mem_array(in->n, sizeof(uint32_t));
+        w.side[k].splits = mem_array(in->n, sizeof(uint32_t));
+        ok = ok && w.side[k].clones && w.side[k].splits;
+    }
+    if (!ok)
+        rc = err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", in->n);
+    else
+        rc = densify_fill(p, in, &w, out, e);
+    mem_free(w.class);
+    mem_free(w.inside);
+    mem_free(w.chosen);
+    mem_free(w.drawn);
+    for (size_t k = 0; k < 2; k++) {
+        mem_free(w.side[k].clones);
+        mem_free(w.side[k].splits);
+    }
+    if (rc)
+        densify_plan_free(out);
+    return rc;
+}
+
+void densify_plan_free(struct densify_plan *p)
+{
+    mem_free(p->rows);
+    *p = (struct densify_plan){0};
+}
+
+/* ---- applying ---- */
+
+/* Row d holds a copy of a parent: make it one of its halves. */
+static void densify_halve_row(const struct densify_order *o, float *params, size_t d,
+                              const float mean[3])
+{
+    uint32_t planes = o->rows.planes, longest = densify_longest(params, planes, d);
+    for (uint32_t k = 0; k < 3; k++) {
+        float *scale = &params[densify_at(d, planes, RENDER_PLANE_SCALE + k)];
+        params[densify_at(d, planes, RENDER_PLANE_MEAN + k)] = mean[k];
+        if (o->how == DENSIFY_SPLIT_RANDOM)
+            *scale -= (float)log(DENSIFY_SPLIT_SHRINK);
+        else if (k == longest)
+            *scale += (float)log(DENSIFY_AXIS_SHRINK);
+    }
+    if (o->how == DENSIFY_SPLIT_RANDOM)
+        return;
+    /* 2 x 0.6 sigma long: as much mass needs 1 / 1.2 of the opacity. */
+    float *logit = &params[densify_at(d, planes, RENDER_PLANE_OPACITY)];
+    double opacity = 0.5 / DENSIFY_AXIS_SHRINK / (1.0 + exp(-(double)*logit));
+    *logit = (float)log(opacity / (1.0 - opacity));
+}
+
+void densify_halve(const struct densify_order *o, float *params)
+{
+    for (size_t i = 0; i < o->n_split; i++)
+        densify_halve_row(o, params, o->split[i], o->mean + 3 * i);
+}
+
+static bool densify_is_half(struct densify_row row)
+{
+    return row.kind == DENSIFY_SPLIT_A || row.kind == DENSIFY_SPLIT_B;
+}
+
+/* Along the curve; which row of the plan comes where is forgotten once rows and halves are known.
+ */
+static enum err_code densify_sort(const struct densify_plan *plan, const float *mean,
+                                  uint32_t *source, struct densify_order *o, struct err *e)
+{
+    struct gauss shape = {.n = plan->n, .mean_m = (float *)(uintptr_t)mean};
+    size_t n = 0;
+    enum err_code rc = gauss_morton_order(&shape, source, e);
+    if (rc)
+        return rc;
+    for (size_t d = 0; d < plan->n; d++)
+        o->n_split += densify_is_half(plan->rows[d]);
+    o->split = mem_array(o->n_split, sizeof(*o->split));
+    o->mean = mem_array(3 * o->n_split, sizeof(*o->mean));
+    if (!o->split || !o->mean)
+        return err_set(e, ERR_MEM, "densify: out of memory for %zu halves", o->n_split);
+    for (size_t d = 0; d < plan->n; d++) {
+        uint32_t at = source[d];
+        struct densify_row row = plan->rows[at];
+        source[d] = row.source | (row.kind == DENSIFY_KEEP ? 0 : PERMUTE_NEW);
+        if (!densify_is_half(row))
+            continue;
+        o->split[n] = (uint32_t)d;
+        memcpy(o->mean + 3 * n++, mean + 3 * (size_t)at, 3 * sizeof(*mean));
+    }
+    return ERR_OK;
+}
+
+enum err_code densify_order(const struct densify_params *p, const struct densify_input *in,
+                            const struct densify_plan *plan, struct densify_order *out,
+                            struct err *e)
+{
+    float *mean = mem_array(3 * plan->n, sizeof(*mean));
+    uint32_t *source = mem_array(plan->n, sizeof(*source));
+    enum err_code rc = mean && source ? ERR_OK
+                                      : err_set(e, ERR_MEM,
+                                                "densify: out of memory for %zu "
+                                                "Gaussians",
+                                                plan->n);
+    *out = (struct densify_order){.rows = {source, plan->n, in->n, in->planes}, .how = p->split};
+    for (size_t i = 0; !rc && i < plan->n; i++)
+        densify_mean(p, in, plan->rows[i], mean + 3 * i);
+    if (!rc)
+        rc = densify_sort(plan, mean, source, out, e);
+    mem_free(mean);
+    if (rc)
+        densify_order_free(out);
+    return rc;
+}
+
+void densify_order_free(struct densify_order *o)
+{
+    mem_free((void *)(uintptr_t)o->rows.source);
+    mem_free(o->split);
+    mem_free(o->mean);
+    *o = (struct densify_order){0};
+}

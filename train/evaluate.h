@@ -1,0 +1,61 @@
+/* How close drawings come to photographs.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TRAIN_EVALUATE_H
+#define TRAIN_EVALUATE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "render/render.h"
+
+struct photo;
+struct photo_loader;
+
+struct evaluate_score { /* means over the photographs */
+    size_t n_photos;
+    double psnr_db, ssim,
+        ssim_valid;         /* ssim: zero padded as in the loss; ssim_valid: inner windows only */
+    double l1, gmsd, lpips; /* lpips: 0 without weights */
+    double gaussians;       /* handed to the renderer a frame */
+    double visible;         /* of them in the picture; 0 when not told */
+    double ms_frame;
+    double bytes; /* what the source takes in files, 0 when not told */
+};
+struct lpips;         /* loss/lpips.h */
+struct residual_list; /* train/residual.h */
+/* Something that draws: draw() renders into rgb [h][w][3] and says how many Gaussians it took. */
+struct evaluate_source {
+    enum err_code (*draw)(void *user, const struct camera *cam, float *rgb, double *gaussians,
+                          struct err *e);
+    void *user;
+    const char *pictures; /* folder for NAME.png, photograph left and drawing right; NULL: none */
+    double bytes;         /* of the source's files, handed through to the score */
+    const struct render
+        *render;         /* what draw() draws with: visible is asked of it; NULL: not told */
+    struct lpips *lpips; /* NULL: no weights, not scored */
+    struct residual_list *residuals; /* gets a row a photograph; NULL: none kept */
+};
+/* Add the scores of one photograph against its drawing to `sum` (PSNR, SSIM, L1), and make means of
+ * `n` such sums. */
+enum err_code evaluate_photo(const struct photo *p, const float *rgb, struct evaluate_score *sum,
+                             struct err *e) ERR_USE;
+void evaluate_divide(struct evaluate_score *sum, double n);
+/* Score every photograph of the feed's list. */
+enum err_code evaluate_run(struct photo_loader *f, size_t n_photos,
+                           const struct evaluate_source *src, struct evaluate_score *out,
+                           struct err *e) ERR_USE;
+/* A model on the device as a source; `user` is a struct evaluate_model. */
+struct appearance_view;
+struct evaluate_model {
+    struct render *render;
+    const struct render_model *model;
+    struct render_options options;
+    struct appearance_view
+        *look; /* NULL: without appearance; else the nearest training cameras' look */
+};
+enum err_code evaluate_draw_model(void *user, const struct camera *cam, float *rgb,
+                                  double *gaussians, struct err *e) ERR_USE;
+#endif

@@ -1,0 +1,273 @@
+/* The half-image protocol; see half.h.
+ *
+ * Learning draws only the columns of the half (a camera with a narrower picture), which halves its
+ * cost; scoring draws the whole picture and cuts, so that the pixels are those of any other score.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "train/half_image.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "loss/photometric.h"
+#include "render/permute.h"
+#include "train/appearance_train.h"
+#include "train/evaluate.h"
+#include "train/photo_loader.h"
+
+struct half_image {
+    struct half_image_config c;
+    cl_mem target, grads;
+    size_t target_bytes, grads_bytes;
+    float *frame, *frame_grad, *image_grad, *image, *m1, *m2;
+};
+
+enum err_code half_image_open(const struct half_image_config *c, struct half_image **out,
+                              struct err *e)
+{
+    struct half_image *h = mem_array(1, sizeof(*h));
+    *out = h;
+    if (!h)
+        return err_set(e, ERR_MEM, "half-image score: out of memory");
+    h->c = *c;
+    if (!c->look)
+        return ERR_OK;
+    const struct appearance *a = c->look->model;
+    size_t floats = appearance_frame_floats(a->len_gauss, a->hidden);
+    h->frame = mem_array(floats, sizeof(float));
+    h->frame_grad = mem_array(floats, sizeof(float));
+    h->image_grad = mem_array(a->len_image, sizeof(float));
+    h->image = mem_array(a->len_image, sizeof(float));
+    h->m1 = mem_array(a->len_image, sizeof(float));
+    h->m2 = mem_array(a->len_image, sizeof(float));
+    if (h->frame && h->frame_grad && h->image_grad && h->image && h->m1 && h->m2)
+        return ERR_OK;
+    half_image_close(out);
+    return err_set(e, ERR_MEM, "half-image score: out of memory");
+}
+
+void half_image_close(struct half_image **p)
+{
+    struct half_image *h = *p;
+    if (!h)
+        return;
+    dev_release(&h->target);
+    dev_release(&h->grads);
+    mem_free(h->frame);
+    mem_free(h->frame_grad);
+    mem_free(h->image_grad);
+    mem_free(h->image);
+    mem_free(h->m1);
+    mem_free(h->m2);
+    mem_free(h);
+    *p = NULL;
+}
+
+void half_image_columns(uint32_t width_px, enum half_image_side side, uint32_t *first,
+                        uint32_t *count)
+{
+    *first = side == HALF_IMAGE_LEFT ? 0 : width_px / 2;
+    *count = side == HALF_IMAGE_LEFT ? width_px / 2 : width_px - width_px / 2;
+}
+
+static enum half_image_side half_image_other(enum half_image_side side)
+{
+    return side == HALF_IMAGE_LEFT ? HALF_IMAGE_RIGHT : HALF_IMAGE_LEFT;
+}
+
+/* ---- learning ---- */
+
+static enum err_code half_image_grow(struct half_image *h, cl_mem *b, size_t *have, size_t want,
+                                     struct err *e)
+{
+    if (*b && *have >= want)
+        return ERR_OK;
+    dev_release(b);
+    *have = 0;
+    enum err_code rc = dev_buffer(h->c.dev, want, NULL, b, e);
+    if (!rc)
+        *have = want;
+    return rc;
+}
+
+static struct camera half_image_camera(const struct camera *cam, enum half_image_side side)
+{
+    struct camera c = *cam;
+    uint32_t first, count;
+    half_image_columns(cam->width_px, side, &first, &count);
+    c.width_px = count;
+    c.cx_px -= first;
+    return c;
+}
+
+static void half_image_cut_photo(const struct photo *p, enum half_image_side side, uint8_t *out)
+{
+    uint32_t first, count, w = p->cam.width_px;
+    half_image_columns(w, side, &first, &count);
+    for (size_t y = 0; y < p->cam.height_px; y++)
+        memcpy(out + y * count * 3, p->px + (y * w + first) * 3, (size_t)count * 3);
+}
+
+static void half_image_adam(struct half_image *h, float *image, size_t n, uint32_t t)
+{
+    const double beta1 = 0.9, beta2 = 0.999, eps = 1e-15;
+    double u = h->c.steps > 1 ? (double)(t - 1) / (double)(h->c.steps - 1) : 0.0;
+    double lr = h->c.lr * pow(h->c.lr_end / h->c.lr, u);
+    for (size_t i = 0; i < n; i++) {
+        double g = (double)h->image_grad[i];
+        double a = beta1 * (double)h->m1[i] + (1.0 - beta1) * g;
+        double b = beta2 * (double)h->m2[i] + (1.0 - beta2) * g * g;
+        h->m1[i] = (float)a;
+        h->m2[i] = (float)b;
+        a /= 1.0 - pow(beta1, t);
+        b /= 1.0 - pow(beta2, t);
+        image[i] = (float)((double)image[i] - lr * a / (sqrt(b) + eps));
+    }
+}
+
+static enum err_code half_image_step(struct half_image *h, const struct camera *cam,
+                                     const struct render_model *m, struct render_options ro,
+                                     const float *image, struct err *e)
+{
+    const struct appearance *a = h->c.look->model;
+    struct photometric_input in = {.target = h->target,
+                                   .width_px = cam->width_px,
+                                   .height_px = cam->height_px,
+                                   .l1_weight = PHOTOMETRIC_L1_WEIGHT,
+                                   .ssim_weight = PHOTOMETRIC_SSIM_WEIGHT};
+    appearance_frame(a, image, h->frame);
+    ro.appearance_frame = h->frame;
+    ro.appearance_hidden = a->hidden;
+    struct render_appearance_grad grad = {.frame = h->frame_grad};
+    enum err_code rc = render_forward(h->c.render, m, cam, &ro, NULL, NULL, e);
+    in.color = render_color_buffer(h->c.render);
+    if (!rc)
+        rc = photometric_run(h->c.loss, &in, render_color_grad_buffer(h->c.render), e);
+    if (!rc)
+        rc = render_backward_appearance(h->c.render, m, h->grads, &grad, e);
+    if (!rc)
+        appearance_backward(a, image, h->frame_grad, NULL, h->image_grad);
+    return rc;
+}
+
+enum err_code half_image_fit(struct half_image *h, const struct photo *p,
+                             const struct render_model *m, const struct render_options *ro,
+                             enum half_image_side side, float *image, struct err *e)
+{
+    struct camera cam = half_image_camera(&p->cam, side);
+    size_t bytes = (size_t)cam.width_px * cam.height_px * 3, len = h->c.look->model->len_image;
+    size_t floats = permute_floats(m->cap, m->planes);
+    uint8_t *cut = mem_array(bytes, 1);
+    enum err_code rc = cut ? half_image_grow(h, &h->target, &h->target_bytes, bytes, e)
+                           : err_set(e, ERR_MEM, "half-image score: out of memory");
+    if (!rc)
+        rc = half_image_grow(h, &h->grads, &h->grads_bytes, floats * sizeof(float), e);
+    if (!rc) {
+        half_image_cut_photo(p, side, cut);
+        rc = dev_write(h->c.dev, h->target, 0, bytes, cut, e);
+    }
+    memset(h->m1, 0, len * sizeof(float));
+    memset(h->m2, 0, len * sizeof(float));
+    for (uint32_t t = 1; !rc && t <= h->c.steps; t++) {
+        rc = half_image_step(h, &cam, m, *ro, image, e);
+        if (!rc)
+            half_image_adam(h, image, len, t);
+        if (!rc && signals_stopping())
+            rc = err_set(e, ERR_CANCEL, "stopped while scoring");
+    }
+    mem_free(cut);
+    return rc;
+}
+
+/* ---- scoring ---- */
+
+enum err_code half_image_score(struct half_image *h, const struct photo *p,
+                               const struct render_model *m, const struct render_options *ro,
+                               enum half_image_side side, const float *image,
+                               struct evaluate_score *sum, struct err *e)
+{
+    struct render_options with = *ro;
+    struct photo part = *p;
+    uint32_t first, count, w = p->cam.width_px, rows = p->cam.height_px;
+    half_image_columns(w, side, &first, &count);
+    part.cam = half_image_camera(&p->cam, side);
+    float *rgb = mem_array((size_t)w * rows * 3, sizeof(float));
+    uint8_t *cut = mem_array((size_t)count * rows * 3, 1);
+    if (image) {
+        appearance_frame(h->c.look->model, image, h->frame);
+        with.appearance_frame = h->frame;
+        with.appearance_hidden = h->c.look->model->hidden;
+    }
+    double start = clock_s();
+    enum err_code rc = rgb && cut ? render_forward(h->c.render, m, &p->cam, &with, rgb, NULL, e)
+                                  : err_set(e, ERR_MEM, "half-image score: out of memory");
+    if (!rc) {
+        sum->ms_frame += 1e3 * (clock_s() - start);
+        sum->gaussians += m->n;
+        half_image_cut_photo(p, side, cut);
+        part.px = cut;
+        for (size_t y = 0; y < rows; y++) /* in place: rows only move towards the start */
+            memmove(rgb + y * count * 3, rgb + (y * w + first) * 3,
+                    (size_t)count * 3 * sizeof(float));
+        rc = evaluate_photo(&part, rgb, sum, e);
+    }
+    mem_free(rgb);
+    mem_free(cut);
+    return rc;
+}
+
+static void half_image_start(struct half_image *h, const struct photo *p)
+{
+    struct appearance_view *v = h->c.look;
+    size_t len = v->model->len_image;
+    size_t n = h->c.random ? 0
+                           : appearance_train_nearest(v->model, v->scene, v->row, &p->cam,
+                                                      v->reach_m, h->image);
+    for (size_t i = 0; !n && i < len; i++)
+        h->image[i] = (float)rng_normal(h->c.seed, p->image, i);
+}
+
+static enum err_code half_image_photo(struct half_image *h, const struct photo *p,
+                                      const struct half_image_source *src,
+                                      struct evaluate_score *sum, struct err *e)
+{
+    const struct render_model *m = NULL;
+    struct render_options ro;
+    enum err_code rc = src->prepare(src->user, &p->cam, &m, &ro, e);
+    for (int side = HALF_IMAGE_LEFT; !rc && side <= HALF_IMAGE_RIGHT; side++) {
+        if (h->c.look) {
+            half_image_start(h, p);
+            rc = half_image_fit(h, p, m, &ro, (enum half_image_side)side, h->image, e);
+        }
+        if (!rc)
+            rc = half_image_score(h, p, m, &ro, half_image_other((enum half_image_side)side),
+                                  h->c.look ? h->image : NULL, sum, e);
+    }
+    return rc;
+}
+
+enum err_code half_image_run(struct half_image *h, struct photo_loader *f, size_t n_photos,
+                             const struct half_image_source *src, struct evaluate_score *out,
+                             struct err *e)
+{
+    *out = (struct evaluate_score){.n_photos = n_photos};
+    struct progress progress;
+    enum err_code rc =
+        n_photos ? ERR_OK : err_set(e, ERR_DATA, "half-image score: no test photographs");
+    progress_start(&progress, "halves", n_photos);
+    for (size_t i = 0; !rc && i < n_photos; i++) {
+        struct photo photo;
+        rc = photo_loader_get_nth(f, i, &photo, e);
+        if (!rc && photo.cam.width_px < 2)
+            rc = err_set(e, ERR_DATA, "%s: one column has no halves", photo.name);
+        if (!rc)
+            rc = half_image_photo(h, &photo, src, out, e);
+        if (!rc && signals_stopping())
+            rc = err_set(e, ERR_CANCEL, "stopped while scoring");
+        progress_step(&progress, i + 1, NULL);
+    }
+    progress_end(&progress, NULL);
+    evaluate_divide(out, 2.0 * (double)n_photos);
+    return rc;
+}

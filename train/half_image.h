@@ -1,0 +1,80 @@
+/* Scores of a model with appearance, fairly: a photograph's light is learnt from one half of it and
+ * judged on the other.
+ *
+ * For each test photograph only its embedding is optimised, on the pixels left of the middle
+ * (columns [0, W/2)), with the training loss; then the whole picture is drawn and the part right of
+ * the middle is scored. Then the other way round, from the start. The photograph's score is the
+ * mean of both. Both halves are cut out before loss and metric, so no window of SSIM sees across
+ * the middle. A model without appearance is scored on the same halves and learns nothing. Protocol:
+ * NeRF in the Wild (Martin-Brualla 2021), REUrbanGS (ICCV 2025).
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TRAIN_HALF_IMAGE_H
+#define TRAIN_HALF_IMAGE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "core/err.h"
+
+struct appearance_view;
+struct camera;
+struct dev;
+struct err;
+struct evaluate_score;
+struct photo;
+struct photo_loader;
+struct photometric;
+struct render;
+struct render_model;
+struct render_options;
+
+enum half_image_side { HALF_IMAGE_LEFT, HALF_IMAGE_RIGHT };
+
+struct half_image_config { /* all borrowed */
+    struct dev *dev;
+    struct render *render;
+    struct photometric *loss;
+    struct appearance_view *look; /* NULL: a model without appearance */
+    uint32_t steps;               /* 200 */
+    double lr, lr_end;            /* 0.01 falling to 0.0005, exponentially */
+    bool random;                  /* start from N(0, 1) instead of the nearest cameras' mean */
+    uint64_t seed;
+};
+#define HALF_IMAGE_STEPS 200
+#define HALF_IMAGE_LR 0.01
+#define HALF_IMAGE_LR_END 5e-4
+
+/* What draws: gives the Gaussians on the device for a camera and how to draw them. The model is
+ * valid until the next call. */
+struct half_image_source {
+    enum err_code (*prepare)(void *user, const struct camera *cam,
+                             const struct render_model **model, struct render_options *ro,
+                             struct err *e);
+    void *user;
+};
+
+struct half_image; /* device buffers */
+enum err_code half_image_open(const struct half_image_config *c, struct half_image **out,
+                              struct err *e) ERR_USE;
+void half_image_close(struct half_image **h);
+/* Columns [first, first + count) of a side. */
+void half_image_columns(uint32_t width_px, enum half_image_side side, uint32_t *first,
+                        uint32_t *count);
+/* Learn the embedding of a photograph from one side. image [len_image]: start in, result out. */
+enum err_code half_image_fit(struct half_image *h, const struct photo *p,
+                             const struct render_model *m, const struct render_options *ro,
+                             enum half_image_side side, float *image, struct err *e) ERR_USE;
+/* Score one side of a photograph drawn with an embedding (NULL: without); added to sum. */
+enum err_code half_image_score(struct half_image *h, const struct photo *p,
+                               const struct render_model *m, const struct render_options *ro,
+                               enum half_image_side side, const float *image,
+                               struct evaluate_score *sum, struct err *e) ERR_USE;
+/* The protocol over a feed's list: means as evaluate_run's. */
+enum err_code half_image_run(struct half_image *h, struct photo_loader *f, size_t n_photos,
+                             const struct half_image_source *src, struct evaluate_score *out,
+                             struct err *e) ERR_USE;
+
+#endif

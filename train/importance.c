@@ -1,0 +1,386 @@
+/* Importance of every Gaussian, the chances in the draw of density control (Taming 3DGS, Mallick
+ * 2024).
+ *
+ * A number of random training views is drawn. In each, a pixel weighs 50 times its error plus 50
+ * times the edge strength of the photograph (both stretched to 0..1); every Gaussian collects what
+ * it touches. Nine quantities, each divided by its median over the Gaussians that have it, are
+ * added with fixed coefficients, and the view counts by its loss:
+ *
+ *   50 L (25 gradient + 100 opacity + 5 depth + 10 radius + 25 volume + 50 distance + 10 weight +
+ * 0.1 pixels
+ *         + 50 alpha T)
+ *
+ * A picture of one colour or a view that sees nothing gives zeros, never a division by zero.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <string.h>
+
+#include "core/pool.h"
+#include "core/sample.h"
+#include "loss/photometric.h"
+#include "render/permute.h"
+#include "render/render.h"
+#include "train/config.h"
+#include "train/importance.h"
+#include "train/level.h"
+#include "train/photo_loader.h"
+
+enum {
+    IMPORTANCE_SUMS = 8,
+    IMPORTANCE_FIELDS = 9,
+    IMPORTANCE_MEDIAN_SAMPLE = 65536,
+    IMPORTANCE_CHUNK = 16384,
+    IMPORTANCE_PICTURES = 6
+};
+enum importance_field {
+    IMPORTANCE_GRADIENT,
+    IMPORTANCE_OPACITY,
+    IMPORTANCE_VOLUME, /* the same in every view */
+    IMPORTANCE_WEIGHT,
+    IMPORTANCE_PIXELS,
+    IMPORTANCE_SHARE,
+    IMPORTANCE_DISTANCE,
+    IMPORTANCE_DEPTH,
+    IMPORTANCE_RADIUS
+};
+static const float importance_coefficient[IMPORTANCE_FIELDS] = {25.0f, 100.0f, 25.0f, 10.0f, 0.1f,
+                                                                50.0f, 50.0f,  5.0f,  10.0f};
+#define IMPORTANCE_VIEW 50.0
+#define IMPORTANCE_ERROR 50.0f
+#define IMPORTANCE_EDGE 50.0f
+
+struct importance {
+    struct render_importance *device;
+    cl_mem weight;
+    size_t weight_bytes;
+    float *scratch; /* IMPORTANCE_PICTURES pictures of scratch_px pixels */
+    size_t scratch_px;
+};
+
+void importance_free(struct importance **p)
+{
+    struct importance *s = *p;
+    if (!s)
+        return;
+    render_importance_close(&s->device);
+    dev_release(&s->weight);
+    mem_free(s->scratch);
+    mem_free(s);
+    *p = NULL;
+}
+
+/* ---- weights of pixels ---- */
+
+/* x -> (x - least) / (largest - least); 0 when all are equal or none is finite. */
+void importance_stretch(float *x, size_t n)
+{
+    float lo = INFINITY, hi = -INFINITY;
+    for (size_t i = 0; i < n; i++) { /* not fminf: a call each */
+        lo = x[i] < lo ? x[i] : lo;
+        hi = x[i] > hi ? x[i] : hi;
+    }
+    float span = hi - lo;
+    for (size_t i = 0; i < n; i++)
+        x[i] = span > 0.0f && isfinite(span) ? (x[i] - lo) / span : 0.0f;
+}
+
+static int importance_luma(const uint8_t *px) /* ITU-R 601, as 8 bits */
+{
+    return (299 * px[0] + 587 * px[1] + 114 * px[2] + 500) / 1000;
+}
+
+static float importance_edge(const float *above, const float *row, const float *below, size_t l,
+                             size_t x, size_t r)
+{
+    float sum = 9.0f * row[x] - (above[l] + above[x] + above[r]) - (row[l] + row[x] + row[r]) -
+                (below[l] + below[x] + below[r]);
+    return sum < 0.0f ? 0.0f : sum > 255.0f ? 255.0f : sum;
+}
+
+/* 8 * centre - neighbours of 8-bit luma, cut to 0..255; neighbours beyond the edge repeat it. All
+ * are whole numbers, so floats are exact. luma: scratch [h][w]. */
+void importance_edges(const uint8_t *px, uint32_t w, uint32_t h, float *luma, float *out)
+{
+    size_t n = (size_t)w * h;
+    for (size_t i = 0; i < n; i++)
+        luma[i] = (float)importance_luma(px + 3 * i);
+    for (uint32_t y = 0; y < h; y++) {
+        const float *row = luma + (size_t)y * w, *above = y ? row - w : row,
+                    *below = y + 1 < h ? row + w : row;
+        float *to = out + (size_t)y * w;
+        for (uint32_t x = 1; x + 1 < w; x++)
+            to[x] = importance_edge(above, row, below, x - 1, x, x + 1);
+        to[0] = importance_edge(above, row, below, 0, 0, w > 1);
+        to[w - 1] = importance_edge(above, row, below, w > 1 ? w - 2 : 0, w - 1, w - 1);
+    }
+    importance_stretch(out, n);
+}
+
+/* color: planar [3][n]. */
+static void importance_errors(const float *color, const uint8_t *px, const uint8_t *mask, size_t n,
+                              float *out)
+{
+    for (size_t i = 0; i < n; i++) {
+        out[i] = 0.0f;
+        if (mask && !mask[i])
+            continue;
+        float sum = 0.0f;
+        for (size_t c = 0; c < 3; c++)
+            sum += fabsf(color[c * n + i] - (float)px[3 * i + c] / 255.0f);
+        out[i] = sum / 3.0f;
+    }
+    importance_stretch(out, n);
+}
+
+/* ---- one view ---- */
+
+static enum err_code importance_alloc_all(struct importance *s, size_t n_px, struct err *e)
+{
+    if (n_px <= s->scratch_px)
+        return ERR_OK;
+    mem_free(s->scratch);
+    s->scratch_px = 0;
+    s->scratch = mem_array(n_px, IMPORTANCE_PICTURES * sizeof(*s->scratch));
+    if (!s->scratch)
+        return err_set(e, ERR_MEM, "score: out of memory");
+    s->scratch_px = n_px;
+    return ERR_OK;
+}
+
+/* Draw the view, find its loss, weigh its pixels on the device. */
+static enum err_code importance_draw(struct level *l, const struct photo *p, double *view_loss,
+                                     struct err *e)
+{
+    struct importance *s = l->score;
+    size_t n = (size_t)p->cam.width_px * p->cam.height_px, bytes = n * sizeof(float);
+    struct render_options ro = level_photo_options(l, l->step, p->image);
+    struct photometric_value v = {0};
+    enum err_code rc = importance_alloc_all(s, n, e);
+    if (rc)
+        return rc;
+    float *color = s->scratch, *error = color + 3 * n, *edge = error + n, *luma = edge + n;
+    if (bytes > s->weight_bytes) {
+        dev_release(&s->weight);
+        s->weight_bytes = 0;
+        rc = dev_buffer(l->dev, bytes, NULL, &s->weight, e);
+        s->weight_bytes = rc ? 0 : bytes;
+    }
+    if (!rc)
+        rc = render_forward(l->render, &l->model, &p->cam, &ro, NULL, NULL, e);
+    if (!rc)
+        rc = level_photo_value(l, p, e);
+    if (!rc) /* while the device works */
+        importance_edges(p->px, p->cam.width_px, p->cam.height_px, luma, edge);
+    if (!rc)
+        rc = photometric_read(l->loss, &v, e);
+    if (!rc)
+        rc = dev_read(l->dev, render_color_buffer(l->render), 0, 3 * bytes, color, e);
+    if (!rc) {
+        importance_errors(color, p->px, p->mask, n, error);
+        for (size_t i = 0; i < n; i++)
+            error[i] = p->mask && !p->mask[i]
+                           ? 0.0f
+                           : IMPORTANCE_ERROR * error[i] + IMPORTANCE_EDGE * edge[i];
+        rc = dev_write(l->dev, s->weight, 0, bytes, error, e);
+    }
+    *view_loss = isfinite(v.total) ? v.total : 0.0;
+    return rc;
+}
+
+/* ---- adding up ---- */
+
+/* Hoare's selection of the middle one. */
+static float importance_middle(float *x, size_t n)
+{
+    ptrdiff_t lo = 0, hi = (ptrdiff_t)n - 1, m = (ptrdiff_t)(n / 2);
+    while (lo < hi) {
+        float pivot = x[lo + (hi - lo) / 2];
+        ptrdiff_t i = lo, j = hi;
+        while (i <= j) {
+            while (x[i] < pivot)
+                i++;
+            while (x[j] > pivot)
+                j--;
+            if (i <= j) {
+                float swap = x[i];
+                x[i++] = x[j];
+                x[j--] = swap;
+            }
+        }
+        if (m <= j)
+            hi = j;
+        else if (m >= i)
+            lo = i;
+        else
+            break;
+    }
+    return x[m];
+}
+
+/* 1 / median of the finite values above 0, from an even sample of them; 0 when there are none. */
+enum err_code importance_inverse_median(const float *x, size_t n, size_t stride, float *out,
+                                        struct err *e)
+{
+    size_t step = n / IMPORTANCE_MEDIAN_SAMPLE + 1, k = 0;
+    *out = 0.0f;
+    for (int pass = 0; !k && pass < 2; pass++, step = 1) { /* few have it: look at all */
+        float *sample;
+        for (size_t i = 0; i < n; i += step)
+            k += x[stride * i] > 0.0f && isfinite(x[stride * i]);
+        if (!k)
+            continue;
+        sample = mem_array(k, sizeof(*sample));
+        if (!sample)
+            return err_set(e, ERR_MEM, "score: out of memory for a median of %zu values", k);
+        k = 0;
+        for (size_t i = 0; i < n; i += step)
+            if (x[stride * i] > 0.0f && isfinite(x[stride * i]))
+                sample[k++] = x[stride * i];
+        *out = 1.0f / importance_middle(sample, k);
+        mem_free(sample);
+    }
+    return ERR_OK;
+}
+
+struct importance_work {
+    struct level *l;
+    const float *params, *sums;               /* mapped; sums [n][IMPORTANCE_SUMS] of the view */
+    const float *own[IMPORTANCE_WEIGHT];      /* [n] fields that no view changes */
+    float *opacity, *volume;                  /* two of them */
+    float *total, inverse[IMPORTANCE_FIELDS]; /* [n] */
+    size_t n;
+    float view_factor;
+};
+
+static enum err_code importance_static_chunk(void *user, size_t chunk, struct err *e)
+{
+    (void)e;
+    struct importance_work *w = user;
+    uint32_t planes = w->l->model.planes;
+    size_t end = (chunk + 1) * IMPORTANCE_CHUNK < w->n ? (chunk + 1) * IMPORTANCE_CHUNK : w->n;
+    for (size_t i = chunk * IMPORTANCE_CHUNK; i < end; i++) {
+        const float *p = w->params + permute_at(i, planes);
+        float volume = 0.0f;
+        for (size_t k = 0; k < 3; k++)
+            volume += p[(RENDER_PLANE_SCALE + k) * LAYOUT_LANES];
+        w->opacity[i] = 1.0f / (1.0f + expf(-p[RENDER_PLANE_OPACITY * LAYOUT_LANES]));
+        w->volume[i] = expf(volume);
+    }
+    return ERR_OK;
+}
+
+static enum err_code importance_own_field(void *user, size_t f, struct err *e)
+{
+    struct importance_work *w = user;
+    return importance_inverse_median(w->own[f], w->n, 1, &w->inverse[f], e);
+}
+
+/* Fields of the view, one column of its sums a call. */
+static enum err_code importance_view_field(void *user, size_t k, struct err *e)
+{
+    struct importance_work *w = user;
+    return importance_inverse_median(w->sums + k, w->n, IMPORTANCE_SUMS,
+                                     &w->inverse[IMPORTANCE_WEIGHT + k], e);
+}
+
+static enum err_code importance_add_chunk(void *user, size_t chunk, struct err *e)
+{
+    (void)e;
+    struct importance_work *w = user;
+    size_t end = (chunk + 1) * IMPORTANCE_CHUNK < w->n ? (chunk + 1) * IMPORTANCE_CHUNK : w->n;
+    for (size_t i = chunk * IMPORTANCE_CHUNK; i < end; i++) {
+        const float *view = w->sums + IMPORTANCE_SUMS * i;
+        float sum = 0.0f;
+        if (!(view[IMPORTANCE_DEPTH - IMPORTANCE_WEIGHT] > 0.0f)) /* not visible */
+            continue;
+        for (size_t f = 0; f < IMPORTANCE_WEIGHT; f++)
+            sum += importance_coefficient[f] * w->own[f][i] * w->inverse[f];
+        for (size_t f = IMPORTANCE_WEIGHT; f < IMPORTANCE_FIELDS; f++)
+            sum += importance_coefficient[f] * view[f - IMPORTANCE_WEIGHT] * w->inverse[f];
+        sum *= w->view_factor;
+        if (sum > 0.0f && isfinite(sum))
+            w->total[i] += sum;
+    }
+    return ERR_OK;
+}
+
+static enum err_code importance_alloc(struct importance_work *w, const float *mean_grad,
+                                      struct err *e)
+{
+    w->own[IMPORTANCE_GRADIENT] = mean_grad;
+    w->own[IMPORTANCE_OPACITY] = w->opacity = mem_array(w->n, sizeof(float));
+    w->own[IMPORTANCE_VOLUME] = w->volume = mem_array(w->n, sizeof(float));
+    return w->opacity && w->volume
+               ? ERR_OK
+               : err_set(e, ERR_MEM, "score: out of memory for %zu Gaussians", w->n);
+}
+
+static enum err_code importance_view(struct importance_work *w, size_t nth, struct err *e)
+{
+    struct photo photo;
+    double loss = 0.0;
+    size_t chunks = (w->n + IMPORTANCE_CHUNK - 1) / IMPORTANCE_CHUNK;
+    enum err_code rc = photo_loader_get_nth(w->l->feed, nth, &photo, e);
+    if (!rc)
+        rc = importance_draw(w->l, &photo, &loss, e);
+    if (!rc)
+        rc = render_importance_run(w->l->score->device, &w->l->model, w->l->score->weight, &w->sums,
+                                   e);
+    w->view_factor = (float)(IMPORTANCE_VIEW * loss);
+    if (!rc)
+        rc = pool_for(IMPORTANCE_FIELDS - IMPORTANCE_WEIGHT, 0, importance_view_field, w, e);
+    return rc ? rc : pool_for(chunks, 0, importance_add_chunk, w, e);
+}
+
+static enum err_code importance_make(struct level *l, struct err *e)
+{
+    if (l->score)
+        return ERR_OK;
+    l->score = mem_array(1, sizeof(*l->score));
+    if (!l->score)
+        return err_set(e, ERR_MEM, "score: out of memory");
+    return render_importance_open(l->render, &l->score->device, e);
+}
+
+enum err_code importance_run(struct level *l, const float *params, const float *mean_grad,
+                             float *score, struct err *e)
+{
+    struct importance_work w = {.l = l, .params = params, .total = score, .n = l->model.n};
+    uint32_t *views = NULL, *all = mem_array(l->n_images, sizeof(*all));
+    size_t wanted = (size_t)l->cfg->importance_views,
+           n_views = wanted < l->n_images ? wanted : l->n_images;
+    views = mem_array(n_views, sizeof(*views));
+    enum err_code rc =
+        all && views ? importance_make(l, e) : err_set(e, ERR_MEM, "score: out of memory");
+    if (!rc)
+        rc = importance_alloc(&w, mean_grad, e);
+    if (rc)
+        goto out;
+    for (size_t i = 0; i < l->n_images; i++)
+        all[i] = (uint32_t)i;
+    memset(score, 0, w.n * sizeof(*score));
+    rc = sample_race(NULL, all, l->n_images, n_views, (uint64_t)l->cfg->seed,
+                     train_stream(TRAIN_STREAM_VIEWS, l->at + 1, l->step), views, e);
+    if (!rc)
+        rc = pool_for((w.n + IMPORTANCE_CHUNK - 1) / IMPORTANCE_CHUNK, 0, importance_static_chunk,
+                      &w, e);
+    if (!rc)
+        rc = pool_for(IMPORTANCE_WEIGHT, 0, importance_own_field, &w, e);
+    for (size_t v = 0; !rc && v < n_views; v++)
+        rc = importance_view(&w, views[v], e);
+out:
+    if (l->score) {
+        mem_free(l->score->scratch);
+        l->score->scratch = NULL;
+        l->score->scratch_px = 0;
+    }
+    if (l->score && l->score->device)
+        render_importance_forget(l->score->device);
+    mem_free(w.opacity);
+    mem_free(w.volume);
+    mem_free(views);
+    mem_free(all);
+    return rc;
+}

@@ -1,0 +1,27 @@
+/* Inside of train/: importance of Gaussians for densification (Taming 3DGS, Mallick 2024).
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TRAIN_IMPORTANCE_H
+#define TRAIN_IMPORTANCE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "core/err.h"
+
+struct level; /* train/level.h */
+
+struct importance;
+void importance_free(struct importance **s);
+/* Importance of every Gaussian over cfg->importance_views random training views: score[n], finite and >=
+ * 0. params: the model's parameters as the host sees them; mean_grad [n]. */
+enum err_code importance_run(struct level *l, const float *params, const float *mean_grad,
+                             float *score, struct err *e) ERR_USE;
+/* Its parts, for tests. x -> 0..1, 0 when all are equal. Edges: [h][w], stretched. 1 / median of
+ * the values above 0 among x[0], x[stride] .. x[(n - 1) stride] (0 when there are none). */
+void importance_stretch(float *x, size_t n);
+void importance_edges(const uint8_t *px, uint32_t w, uint32_t h, float *luma, float *out);
+enum err_code importance_inverse_median(const float *x, size_t n, size_t stride, float *out,
+                                        struct err *e) ERR_USE;
+#endif

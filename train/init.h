@@ -1,0 +1,29 @@
+/* The first Gaussians: from the points of the scene.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TRAIN_INIT_H
+#define TRAIN_INIT_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "core/gauss.h"
+
+struct cell;
+struct scene;
+
+/* Gaussians at the scene's points (for a cell of a plan: at those that its photographs see): size
+ * from the three nearest neighbours, opacity 0.1. More points than `limit`: an even random choice.
+ * None: 100 places in front of the cameras. Origin: mean of the points. gauss_free it. */
+enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n_images,
+                         const struct cell *cell, uint32_t sh_degree, size_t limit, uint64_t seed,
+                         struct gauss *out, struct err *e) ERR_USE;
+/* How many points that would be without a limit. */
+enum err_code init_count_points(const struct scene *s, const uint32_t *images, size_t n_images,
+                                const struct cell *cell, size_t *out, struct err *e) ERR_USE;
+/* dist2[i]: mean squared distance of point i to its three nearest others (fewer when there are
+ * fewer). */
+enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, struct err *e) ERR_USE;
+#endif

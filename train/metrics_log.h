@@ -1,0 +1,22 @@
+/* metrics.jsonl: one JSON object a line.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TRAIN_METRICS_LOG_H
+#define TRAIN_METRICS_LOG_H
+
+#include <stdbool.h>
+
+#include "core/err.h"
+
+struct json_t; /* jansson.h */
+
+struct metrics_log; /* an open metrics.jsonl */
+enum err_code metrics_log_open(const char *path, bool append, struct metrics_log **out,
+                               struct err *e) ERR_USE;
+/* Add the line {"event": event, ...}; takes over the reference to `members` (may be NULL: out of
+ * memory). */
+enum err_code metrics_log_line(struct metrics_log *m, const char *event, struct json_t *members,
+                               struct err *e) ERR_USE;
+void metrics_log_close(struct metrics_log **m);
+#endif

@@ -1,0 +1,362 @@
+/* Photographs at training size, decoded ahead of their use.
+ *
+ * Order: every epoch is a fresh Fisher-Yates shuffle made from (seed, level, epoch) alone, so step
+ * t's photograph does not depend on caches, threads or where a run was resumed. Memory: decoded
+ * bytes are kept up to a limit and the least recently used go first; a photograph handed out is
+ * pinned until the next call. One thread decodes the photographs of the coming steps while the
+ * device works.
+ *
+ * `lock` guards everything below it in struct photo_loader; pixels of a slot in state READY and pinned are
+ * read without it.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <pthread.h>
+#include <string.h>
+
+#include "codec/image.h"
+#include "codec/mask.h"
+#include "codec/scene.h"
+#include "core/pool.h"
+#include "train/config.h"
+#include "train/photo_loader.h"
+
+enum { PHOTO_LOADER_AHEAD = 3 };
+enum photo_loader_state {
+    PHOTO_LOADER_EMPTY,
+    PHOTO_LOADER_LOADING,
+    PHOTO_LOADER_READY,
+    PHOTO_LOADER_FAILED
+};
+
+struct photo_loader_slot {
+    enum photo_loader_state state;
+    struct image img, mask; /* mask: empty when the photograph has none */
+    uint64_t used;          /* clock of the last use */
+};
+
+struct photo_loader {
+    struct photo_loader_config cfg;
+    struct camera *cams; /* [n] at training size */
+    uint8_t *masked;     /* [n] has a mask in the scene */
+    struct pool_thread *thread;
+    pthread_mutex_t lock;
+    pthread_cond_t changed;
+    bool stop;
+    struct photo_loader_slot *slots; /* [n] */
+    size_t bytes;
+    uint64_t clock;
+    size_t pinned;                   /* slot handed out, or n */
+    size_t want[PHOTO_LOADER_AHEAD]; /* slots to decode ahead, in order of use */
+    size_t n_want;
+    uint32_t *shuffle; /* [n], of epoch shuffle_epoch; used by callers of photo_loader_get only */
+    uint64_t shuffle_epoch; /* 1-based, 0 = none yet */
+    struct err fail;        /* why a slot failed */
+};
+
+struct camera photo_loader_camera(const struct camera *cam, uint32_t max_edge_px, double downsample)
+{
+    double w = cam->width_px, h = cam->height_px;
+    double f = max_edge_px ? fmin(1.0, max_edge_px / fmax(w, h)) : 1.0;
+    /* Round the finest size first: every level is then a division of the same picture. */
+    w = fmax(floor(w * f + 0.5), 1.0);
+    h = fmax(floor(h * f + 0.5), 1.0);
+    w = fmax(floor(w / downsample + 0.5), 1.0);
+    h = fmax(floor(h / downsample + 0.5), 1.0);
+    return camera_resize(cam, (uint32_t)w, (uint32_t)h);
+}
+
+/* ---- decoding ---- */
+
+static enum err_code photo_loader_decode(const struct photo_loader *f, size_t slot,
+                                         struct image *out, struct err *e)
+{
+    const struct scene_image *im = &f->cfg.scene->images[f->cfg.images[slot]];
+    const struct camera *cam = &f->cams[slot];
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    struct image full = {0};
+    enum err_code rc = file_join(dir, f->cfg.scene->dir, "images", e);
+    if (!rc)
+        rc = file_join(path, dir, im->name, e);
+    if (!rc)
+        rc = image_read(path, NULL, &full, e);
+    if (rc)
+        return rc;
+    if (full.channels != 3 || full.width_px != im->cam.width_px ||
+        full.height_px != im->cam.height_px) {
+        rc = err_set(e, ERR_DATA,
+                     "%s: %u x %u pixels, the scene says %u x %u: ingest the scene again", path,
+                     full.width_px, full.height_px, im->cam.width_px, im->cam.height_px);
+    } else if (full.width_px == cam->width_px && full.height_px == cam->height_px) {
+        *out = full;
+        return ERR_OK;
+    } else {
+        rc = image_resize(&full, cam->width_px, cam->height_px, out, e);
+    }
+    image_free(&full);
+    return rc;
+}
+
+static enum err_code photo_loader_mask_path(const struct photo_loader_config *cfg, size_t slot,
+                                            char out[FILE_PATH_MAX], struct err *e)
+{
+    char dir[FILE_PATH_MAX];
+    enum err_code rc = file_join(dir, cfg->scene->dir, "masks", e);
+    return rc ? rc : mask_path(dir, cfg->scene->images[cfg->images[slot]].name, out, e);
+}
+
+static enum err_code photo_loader_decode_mask(const struct photo_loader *f, size_t slot,
+                                              struct image *out, struct err *e)
+{
+    const struct camera *full = &f->cfg.scene->images[f->cfg.images[slot]].cam;
+    char path[FILE_PATH_MAX];
+    struct image whole = {0};
+    if (!f->masked[slot])
+        return ERR_OK;
+    enum err_code rc = photo_loader_mask_path(&f->cfg, slot, path, e);
+    if (!rc)
+        rc = mask_read(path, full->width_px, full->height_px, &whole, e);
+    if (!rc)
+        rc = mask_resize(&whole, f->cams[slot].width_px, f->cams[slot].height_px, out, e);
+    image_free(&whole);
+    return rc;
+}
+
+static size_t feed_size(const struct photo_loader *f, size_t slot)
+{
+    return (size_t)f->cams[slot].width_px * f->cams[slot].height_px * (f->masked[slot] ? 4 : 3);
+}
+
+static bool photo_loader_wanted(const struct photo_loader *f, size_t slot)
+{
+    for (size_t i = 0; i < f->n_want; i++)
+        if (f->want[i] == slot)
+            return true;
+    return false;
+}
+
+/* Lock held. The least recently used slot that may go, or n_images. */
+static size_t photo_loader_oldest(const struct photo_loader *f, bool even_wanted)
+{
+    size_t oldest = f->cfg.n_images;
+    for (size_t i = 0; i < f->cfg.n_images; i++)
+        if (f->slots[i].state == PHOTO_LOADER_READY && i != f->pinned &&
+            (even_wanted || !photo_loader_wanted(f, i)) &&
+            (oldest == f->cfg.n_images || f->slots[i].used < f->slots[oldest].used))
+            oldest = i;
+    return oldest;
+}
+
+/* Lock held. Make room for `need` more bytes as far as possible; what is wanted soon goes only when
+ * the photograph wanted now has no place otherwise. */
+static void photo_loader_evict(struct photo_loader *f, size_t need, bool even_wanted)
+{
+    while (f->bytes + need > f->cfg.cache_bytes) {
+        size_t oldest = photo_loader_oldest(f, false);
+        if (oldest == f->cfg.n_images && even_wanted)
+            oldest = photo_loader_oldest(f, true);
+        if (oldest == f->cfg.n_images)
+            return;
+        f->bytes -= feed_size(f, oldest);
+        image_free(&f->slots[oldest].img);
+        image_free(&f->slots[oldest].mask);
+        f->slots[oldest].state = PHOTO_LOADER_EMPTY;
+    }
+}
+
+/* Lock held on entry and exit, released while decoding. */
+static void photo_loader_load(struct photo_loader *f, size_t slot)
+{
+    struct image img = {0}, mask = {0};
+    struct err e = {0};
+    f->slots[slot].state = PHOTO_LOADER_LOADING;
+    f->bytes += feed_size(f, slot);
+    pthread_mutex_unlock(&f->lock);
+    enum err_code rc = photo_loader_decode(f, slot, &img, &e);
+    if (!rc)
+        rc = photo_loader_decode_mask(f, slot, &mask, &e);
+    pthread_mutex_lock(&f->lock);
+    f->slots[slot].state = rc ? PHOTO_LOADER_FAILED : PHOTO_LOADER_READY;
+    f->slots[slot].img = img;
+    f->slots[slot].mask = mask;
+    f->slots[slot].used = ++f->clock;
+    if (rc) {
+        f->bytes -= feed_size(f, slot);
+        f->fail = e;
+    }
+    pthread_cond_broadcast(&f->changed);
+}
+
+/* Lock held. The next slot to decode ahead: only what fits beside all that is needed sooner. */
+static size_t photo_loader_next_wanted(struct photo_loader *f)
+{
+    for (size_t i = 0; i < f->n_want; i++) {
+        if (f->slots[f->want[i]].state != PHOTO_LOADER_EMPTY)
+            continue;
+        size_t need = feed_size(f, f->want[i]);
+        photo_loader_evict(f, need, false);
+        return f->bytes + need <= f->cfg.cache_bytes ? f->want[i] : f->cfg.n_images;
+    }
+    return f->cfg.n_images;
+}
+
+static void photo_loader_thread(void *user)
+{
+    struct photo_loader *f = user;
+    pthread_mutex_lock(&f->lock);
+    while (!f->stop) {
+        size_t slot = photo_loader_next_wanted(f);
+        if (slot < f->cfg.n_images)
+            photo_loader_load(f, slot);
+        else
+            pthread_cond_wait(&f->changed, &f->lock);
+    }
+    pthread_mutex_unlock(&f->lock);
+}
+
+/* ---- order ---- */
+
+static size_t photo_loader_slot_of(struct photo_loader *f, uint64_t step)
+{
+    size_t n = f->cfg.n_images;
+    uint64_t epoch = (step - 1) / n + 1;
+    if (f->shuffle_epoch != epoch) {
+        uint64_t stream = train_stream(TRAIN_STREAM_SHUFFLE, f->cfg.level, epoch);
+        for (size_t i = 0; i < n; i++)
+            f->shuffle[i] = (uint32_t)i;
+        for (size_t i = n - 1; i > 0; i--) {
+            size_t j = (size_t)(rng_unit(f->cfg.seed, stream, i) * (double)(i + 1));
+            uint32_t swap = f->shuffle[i];
+            f->shuffle[i] = f->shuffle[j];
+            f->shuffle[j] = swap;
+        }
+        f->shuffle_epoch = epoch;
+    }
+    return f->shuffle[(step - 1) % n];
+}
+
+/* Wait for a slot, loading it here when the thread has not begun. */
+static enum err_code photo_loader_take(struct photo_loader *f, size_t slot, const size_t *ahead,
+                                       size_t n_ahead, struct photo *out, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    pthread_mutex_lock(&f->lock);
+    f->pinned = slot;
+    f->n_want = n_ahead;
+    memcpy(f->want, ahead, n_ahead * sizeof(*ahead));
+    while (f->slots[slot].state != PHOTO_LOADER_READY && !rc) {
+        if (f->slots[slot].state == PHOTO_LOADER_FAILED)
+            rc = err_set(e, f->fail.code, "%s", f->fail.msg);
+        else if (f->slots[slot].state == PHOTO_LOADER_EMPTY) {
+            photo_loader_evict(f, feed_size(f, slot), true);
+            photo_loader_load(f, slot);
+        } else
+            pthread_cond_wait(&f->changed, &f->lock);
+    }
+    f->slots[slot].used = ++f->clock;
+    pthread_cond_broadcast(&f->changed);
+    pthread_mutex_unlock(&f->lock);
+    if (rc)
+        return rc;
+    *out = (struct photo){.image = f->cfg.images[slot],
+                          .cam = f->cams[slot],
+                          .px = f->slots[slot].img.px,
+                          .mask = f->slots[slot].mask.px,
+                          .name = f->cfg.scene->images[f->cfg.images[slot]].name};
+    return ERR_OK;
+}
+
+enum err_code photo_loader_get(struct photo_loader *f, uint32_t step, struct photo *out,
+                               struct err *e)
+{
+    size_t ahead[PHOTO_LOADER_AHEAD], n = 0;
+    for (uint64_t d = 1; d <= PHOTO_LOADER_AHEAD && d < f->cfg.n_images; d++)
+        ahead[n++] = photo_loader_slot_of(f, step + d);
+    return photo_loader_take(f, photo_loader_slot_of(f, step), ahead, n, out, e);
+}
+
+enum err_code photo_loader_get_nth(struct photo_loader *f, size_t nth, struct photo *out,
+                                   struct err *e)
+{
+    size_t next = nth + 1;
+    if (nth >= f->cfg.n_images)
+        return err_set(e, ERR_ARG, "feed: photograph %zu of %zu", nth, f->cfg.n_images);
+    return photo_loader_take(f, nth, &next, next < f->cfg.n_images, out, e);
+}
+
+size_t photo_loader_bytes(const struct photo_loader *f)
+{
+    struct photo_loader *w =
+        (struct photo_loader *)(uintptr_t)f; /* the lock is not part of the value */
+    pthread_mutex_lock(&w->lock);
+    size_t n = f->bytes;
+    pthread_mutex_unlock(&w->lock);
+    return n;
+}
+
+/* ---- life ---- */
+
+enum err_code photo_loader_open(const struct photo_loader_config *cfg, struct photo_loader **out,
+                                struct err *e)
+{
+    *out = NULL;
+    if (!cfg->n_images)
+        return err_set(e, ERR_DATA, "%s: no photographs to use", cfg->scene->dir);
+    struct photo_loader *f = mem_array(1, sizeof(*f));
+    if (!f)
+        return err_set(e, ERR_MEM, "feed: out of memory");
+    enum err_code rc = ERR_OK;
+    f->cfg = *cfg;
+    f->pinned = cfg->n_images;
+    pthread_mutex_init(&f->lock, NULL);
+    pthread_cond_init(&f->changed, NULL);
+    f->cams = mem_array(cfg->n_images, sizeof(*f->cams));
+    f->masked = mem_array(cfg->n_images, 1);
+    f->slots = mem_array(cfg->n_images, sizeof(*f->slots));
+    f->shuffle = mem_array(cfg->n_images, sizeof(*f->shuffle));
+    if (!f->cams || !f->masked || !f->slots || !f->shuffle) {
+        rc = err_set(e, ERR_MEM, "feed: out of memory for %zu photographs", cfg->n_images);
+        goto out;
+    }
+    for (size_t i = 0; !rc && i < cfg->n_images; i++) {
+        char path[FILE_PATH_MAX];
+        f->cams[i] = photo_loader_camera(&cfg->scene->images[cfg->images[i]].cam, cfg->max_edge_px,
+                                         cfg->downsample);
+        rc = photo_loader_mask_path(cfg, i, path, e);
+        f->masked[i] = !rc && !cfg->no_masks && file_exists(path);
+    }
+    if (!rc)
+        rc = pool_start(photo_loader_thread, f, &f->thread, e);
+out:
+    if (rc)
+        photo_loader_close(&f);
+    *out = f;
+    return rc;
+}
+
+void photo_loader_close(struct photo_loader **p)
+{
+    struct photo_loader *f = *p;
+    if (!f)
+        return;
+    if (f->thread) {
+        pthread_mutex_lock(&f->lock);
+        f->stop = true;
+        pthread_cond_broadcast(&f->changed);
+        pthread_mutex_unlock(&f->lock);
+        pool_join(&f->thread);
+    }
+    for (size_t i = 0; f->slots && i < f->cfg.n_images; i++) {
+        image_free(&f->slots[i].img);
+        image_free(&f->slots[i].mask);
+    }
+    mem_free(f->masked);
+    pthread_cond_destroy(&f->changed);
+    pthread_mutex_destroy(&f->lock);
+    mem_free(f->cams);
+    mem_free(f->slots);
+    mem_free(f->shuffle);
+    mem_free(f);
+    *p = NULL;
+}

@@ -1,0 +1,47 @@
+/* What happens at which step of a level.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TRAIN_SCHEDULE_H
+#define TRAIN_SCHEDULE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "train/config.h"
+
+struct schedule {             /* of one level; steps are 1-based and restart at every level */
+    uint32_t level, n_levels; /* 1 .. n_levels, 1 = coarsest */
+    uint32_t steps;
+    double downsample;
+    size_t budget;
+    uint32_t interval, densify_from,
+        densify_until; /* densify when from < step < until and interval | step */
+    uint32_t reset_interval;
+    uint32_t sh_interval, sh_degree; /* sh_interval 0: the full degree from the start */
+    bool absgrad;
+    double tau;
+    double lr_factor; /* on the learning rates of positions (included below), sizes and rotations */
+    double lr_mean_first, lr_mean_last; /* metres */
+    double
+        kappa; /* factor on all lengths: photographs / 600 when more, or the share of a short run */
+};
+struct cell;
+/* Fill out[0 .. level_count). ERR_ARG when a level would have no steps. */
+enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
+                            const struct cell *cell, struct schedule out[TRAIN_LEVELS_MAX],
+                            struct err *e) ERR_USE;
+/* Ceiling of Gaussians inside the cell at densification x of n: a parabola from start (x = 0) to
+ * exactly budget (x = n - 1), fast first. start >= budget: start. n <= 1: budget. */
+size_t schedule_cap(size_t start, size_t budget, uint32_t x, uint32_t n);
+/* Number n of the above, counting x = 0, which no step uses. */
+uint32_t schedule_densify_count(const struct schedule *s);
+/* x of this step, or 0 when it does not densify. */
+uint32_t schedule_densify_index(const struct schedule *s, uint32_t step);
+bool schedule_resets(const struct schedule *s, uint32_t step);
+/* Has an opacity reset happened at this level before `step`? */
+bool schedule_was_reset(const struct schedule *s, uint32_t step);
+uint32_t schedule_sh_degree(const struct schedule *s, uint32_t step);
+double schedule_lr_mean(const struct schedule *s, uint32_t step);
+#endif
