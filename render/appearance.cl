@@ -17,7 +17,7 @@
 // Reference: appearance_eval in core/appearance.c, ref_appearance in render/render_ref.c and
 // appearance_splat in render/render_ref_backward.c.
 
-#ifndef APPEARANCE_LEN // defined by look.c for the model at hand
+#ifndef APPEARANCE_LEN // defined by render_appearance.c for the model at hand
 #define APPEARANCE_LEN 16
 #define APPEARANCE_HIDDEN 32
 #endif
@@ -227,7 +227,7 @@ INLINE float render_appearance_lanes(V v) // always in this order
     return (b.x + b.y) + (b.z + b.w);
 }
 
-INLINE void look_write(const struct render_appearance_sums *s, __global float *out)
+INLINE void render_appearance_write(const struct render_appearance_sums *s, __global float *out)
 {
     for (uint h = 0; h < APPEARANCE_HIDDEN; h++) {
         const float *row = (const float *)s->w1[h];

@@ -17,7 +17,7 @@
 #define APPEARANCE_ONE (APPEARANCE_OFFSET + 1)
 #define APPEARANCE_STRIDE ((APPEARANCE_ONE + 1) | 1) // odd: rows begin in different banks
 #define APPEARANCE_ITEMS (APPEARANCE_STRIDE > 128 ? 32 : 64)
-#define APPEARANCE_SUMS ((APPEARANCE_SUMS + APPEARANCE_ITEMS - 1) / APPEARANCE_ITEMS)
+#define APPEARANCE_SUMS_EACH ((APPEARANCE_SUMS + APPEARANCE_ITEMS - 1) / APPEARANCE_ITEMS)
 
 // Sum `i` adds products of these two columns.
 INLINE uint2 render_appearance_columns(uint i)
@@ -58,8 +58,8 @@ INLINE void render_appearance_chunk(__constant struct layout_view *v, __constant
     uint item = (uint)get_local_id(0), first = v->planes - APPEARANCE_LEN;
     size_t from = chunk * v->groups / LAYOUT_APPEARANCE_CHUNKS * LAYOUT_LANES,
            to = (chunk + 1) * v->groups / LAYOUT_APPEARANCE_CHUNKS * LAYOUT_LANES;
-    float sum[APPEARANCE_SUMS];
-    for (uint s = 0; s < APPEARANCE_SUMS; s++)
+    float sum[APPEARANCE_SUMS_EACH];
+    for (uint s = 0; s < APPEARANCE_SUMS_EACH; s++)
         sum[s] = 0.0f;
     for (size_t base = from; base < to; base += APPEARANCE_ITEMS) {
         size_t i = base + item;
@@ -89,7 +89,7 @@ INLINE void render_appearance_chunk(__constant struct layout_view *v, __constant
                 ST(grads + at, first + p, t.embed[p]);
         }
         barrier(CLK_LOCAL_MEM_FENCE);
-        for (uint s = 0; s < APPEARANCE_SUMS; s++) {
+        for (uint s = 0; s < APPEARANCE_SUMS_EACH; s++) {
             uint2 c =
                 render_appearance_columns(min(s * APPEARANCE_ITEMS + item, APPEARANCE_SUMS - 1u));
             for (uint r = 0; r < APPEARANCE_ITEMS; r++)
@@ -98,7 +98,7 @@ INLINE void render_appearance_chunk(__constant struct layout_view *v, __constant
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
-    for (uint s = 0; s < APPEARANCE_SUMS; s++)
+    for (uint s = 0; s < APPEARANCE_SUMS_EACH; s++)
         if (s * APPEARANCE_ITEMS + item < APPEARANCE_SUMS)
             parts[chunk * APPEARANCE_ROW + s * APPEARANCE_ITEMS + item] = sum[s];
 }

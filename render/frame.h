@@ -81,9 +81,10 @@ struct render {
     struct frame_buffer transmit;   /* float [h][w] */
     struct frame_buffer color_grad; /* float [3][h][w] planar, dL/dcolor */
 
-    /* -- appearance: look.c ------------------------------------------------------- */
-    struct render_appearance_kernels *look;  /* the last frame was drawn with it; NULL: plain */
-    struct render_appearance_kernels *looks; /* all that were made */
+    /* -- appearance: render_appearance.c ------------------------------------------------------- */
+    struct render_appearance_kernels
+        *appearance; /* the last frame was drawn with it; NULL: plain */
+    struct render_appearance_kernels *appearance_kernels; /* all that were made */
     struct frame_buffer
         render_appearance_frame;   /* float [appearance_frame_floats]: constants of the frame */
     struct frame_buffer effective; /* float [groups * 16]: min(o + y3, 1), of the visible */
@@ -136,7 +137,7 @@ enum err_code frame_run(struct render *r, cl_kernel k, const char *name,
                         const struct frame_arg *args, size_t n_args, size_t global, size_t local,
                         struct err *e) ERR_USE;
 
-/* Appearance: look.c. render_appearance_begin sets r->look for this frame, or NULL, and uploads its
+/* Appearance: render_appearance.c. render_appearance_begin sets r->appearance for this frame, or NULL, and uploads its
  * constants; the others are for frames that have it. */
 enum err_code render_appearance_begin(struct render *r, const struct render_model *m,
                                       const struct render_options *o, struct err *e) ERR_USE;

@@ -394,7 +394,7 @@ INLINE void adam_embed(const struct adam *a, float2 embed, uint first, const V g
     render_appearance_clear(&render_appearance_sums);
 #define APPEARANCE_CLOSE                                                                           \
     if (get_global_id(0) * LAYOUT_PROJECT_GROUPS < v->groups)                                      \
-        look_write(&render_appearance_sums, parts + get_global_id(0) * APPEARANCE_ROW);
+        render_appearance_write(&render_appearance_sums, parts + get_global_id(0) * APPEARANCE_ROW);
 #else
 #define APPEARANCE_ARG , __global float *look
 #define EMBED_ARG

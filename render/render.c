@@ -246,7 +246,7 @@ static enum err_code stage_project(struct render *r, const struct render_model *
     size_t local, items = frame_items(r, m->groups, &local);
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
     cl_mem list = m->list ? m->list : m->params;
-    if (r->look)
+    if (r->appearance)
         return render_appearance_project(r, m, e);
     return frame_run(r, r->k.project, "project",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(filter),

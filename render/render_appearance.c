@@ -3,7 +3,7 @@
  *
  * Kernels are compiled for the lengths of the model at hand (one program a pair of lengths, kept
  * until render_close), because loops of constant length keep embeddings in registers; the plain
- * renderer's program knows nothing of it. A frame drawn with appearance has r->look set and its
+ * renderer's program knows nothing of it. A frame drawn with appearance has r->appearance set and its
  * constants in r->render_appearance_frame; render.c and render_backward.c launch the kernels given here instead
  * of their own. What the network computes stands in render/appearance.cl and, in
  * double, in core/appearance.c and render_ref.c.
@@ -47,10 +47,10 @@ static void render_appearance_free(struct render_appearance_kernels **p)
 
 void render_appearance_close(struct render *r)
 {
-    while (r->looks) {
-        struct render_appearance_kernels *next = r->looks->next;
-        render_appearance_free(&r->looks);
-        r->looks = next;
+    while (r->appearance_kernels) {
+        struct render_appearance_kernels *next = r->appearance_kernels->next;
+        render_appearance_free(&r->appearance_kernels);
+        r->appearance_kernels = next;
     }
     dev_release(&r->render_appearance_frame.mem);
     dev_release(&r->effective.mem);
@@ -90,10 +90,10 @@ static enum err_code render_appearance_build(struct render *r, struct render_app
 }
 
 /* The programs of these lengths, made on first use. */
-static enum err_code look_get(struct render *r, uint32_t len, uint32_t hidden,
-                              struct render_appearance_kernels **out, struct err *e)
+static enum err_code render_appearance_get(struct render *r, uint32_t len, uint32_t hidden,
+                                           struct render_appearance_kernels **out, struct err *e)
 {
-    for (struct render_appearance_kernels *l = r->looks; l; l = l->next)
+    for (struct render_appearance_kernels *l = r->appearance_kernels; l; l = l->next)
         if (l->len == len && l->hidden == hidden) {
             *out = l;
             return ERR_OK;
@@ -108,8 +108,8 @@ static enum err_code look_get(struct render *r, uint32_t len, uint32_t hidden,
         render_appearance_free(&l);
         return rc;
     }
-    l->next = r->looks;
-    r->looks = *out = l;
+    l->next = r->appearance_kernels;
+    r->appearance_kernels = *out = l;
     return ERR_OK;
 }
 
@@ -119,7 +119,7 @@ enum err_code render_appearance_begin(struct render *r, const struct render_mode
                                       const struct render_options *o, struct err *e)
 {
     uint32_t hidden = o->appearance_hidden;
-    r->look = NULL;
+    r->appearance = NULL;
     if (!o->appearance_frame)
         return ERR_OK;
     if (m->embed_len < 1 || m->embed_len > GAUSS_EMBED_MAX || hidden < 1 ||
@@ -130,7 +130,7 @@ enum err_code render_appearance_begin(struct render *r, const struct render_mode
             "of %u: both must be 1 to %d; train with appearance first",
             hidden, m->embed_len, GAUSS_EMBED_MAX);
     size_t bytes = appearance_frame_floats(m->embed_len, hidden) * sizeof(float);
-    enum err_code rc = look_get(r, m->embed_len, hidden, &r->look, e);
+    enum err_code rc = render_appearance_get(r, m->embed_len, hidden, &r->appearance, e);
     if (rc == ERR_OK)
         rc = frame_reserve(r, &r->render_appearance_frame, bytes, e);
     if (rc == ERR_OK)
@@ -138,7 +138,7 @@ enum err_code render_appearance_begin(struct render *r, const struct render_mode
     if (rc == ERR_OK)
         rc = dev_write(r->dev, r->render_appearance_frame.mem, 0, bytes, o->appearance_frame, e);
     if (rc != ERR_OK)
-        r->look = NULL;
+        r->appearance = NULL;
     return rc;
 }
 
@@ -148,7 +148,7 @@ enum err_code render_appearance_project(struct render *r, const struct render_mo
     size_t local, items = frame_items(r, m->groups, &local);
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
     cl_mem list = m->list ? m->list : m->params;
-    return frame_run(r, r->look->project, "project with appearance",
+    return frame_run(r, r->appearance->project, "project with appearance",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(filter),
                                 FRAME_ARG(list), FRAME_ARG(r->splats.mem),
                                 FRAME_ARG(r->depth_key.mem), FRAME_ARG(r->tiles_of.mem),
@@ -178,11 +178,11 @@ enum err_code render_appearance_prepare(struct render *r, const struct render_ap
                                         struct err *e)
 {
     bool wide = r->dev->vector_width == LAYOUT_LANES;
-    size_t row = render_appearance_row(r->look) * sizeof(float);
+    size_t row = render_appearance_row(r->appearance) * sizeof(float);
     size_t grad = (size_t)r->view.groups * APPEARANCE_OUT * LAYOUT_LANES * sizeof(float);
     memset(c, 0, sizeof *c);
-    c->grads = r->look->grads;
-    c->step = r->look->step;
+    c->grads = r->appearance->grads;
+    c->step = r->appearance->step;
     c->each = out && r->stats.visible ? out->offset_weight / (float)r->stats.visible : 0;
     c->embed = embed;
     enum err_code rc =
@@ -210,7 +210,7 @@ static enum err_code render_appearance_backward(struct render *r, const struct r
                                                 const struct render_appearance_call *c,
                                                 struct err *e)
 {
-    const struct render_appearance_kernels *l = r->look;
+    const struct render_appearance_kernels *l = r->appearance;
     uint32_t columns = (l->len + 2 * l->hidden + APPEARANCE_OUT + 2) | 1;
     size_t items = columns > 128 ? 32 : 64; /* APPEARANCE_ITEMS in appearance_backward.cl */
     const struct frame_arg common[] = {FRAME_ARG(r->view_mem),
@@ -236,16 +236,17 @@ static enum err_code render_appearance_backward(struct render *r, const struct r
 }
 
 /* Sums to the host. */
-static enum err_code look_read(struct render *r, struct render_appearance_grad *out, struct err *e)
+static enum err_code render_appearance_read(struct render *r, struct render_appearance_grad *out,
+                                            struct err *e)
 {
-    size_t floats = appearance_frame_floats(r->look->len, r->look->hidden);
+    size_t floats = appearance_frame_floats(r->appearance->len, r->appearance->hidden);
     cl_uint rows = (cl_uint)render_appearance_rows(r);
     float offset = 0;
     enum err_code rc =
-        frame_run(r, r->look->sum, "appearance_sum",
+        frame_run(r, r->appearance->sum, "appearance_sum",
                   FRAME_ARGS(FRAME_ARG(r->render_appearance_parts.mem), FRAME_ARG(rows),
                              FRAME_ARG(r->render_appearance_sums.mem)),
-                  render_appearance_row(r->look) / r->dev->vector_width, 1, e);
+                  render_appearance_row(r->appearance) / r->dev->vector_width, 1, e);
     if (rc == ERR_OK && out->frame)
         rc = dev_read(r->dev, r->render_appearance_sums.mem, 0, floats * sizeof(float), out->frame,
                       e);
@@ -265,5 +266,5 @@ enum err_code render_appearance_finish(struct render *r, const struct render_mod
     enum err_code rc = ERR_OK;
     if (r->dev->vector_width != LAYOUT_LANES)
         rc = render_appearance_backward(r, m, grads, adam, k, c, e);
-    return rc == ERR_OK && out ? look_read(r, out, e) : rc;
+    return rc == ERR_OK && out ? render_appearance_read(r, out, e) : rc;
 }

@@ -169,7 +169,7 @@ enum err_code render_backward_appearance(struct render *r, const struct render_m
                                          cl_mem grads, struct render_appearance_grad *a,
                                          struct err *e)
 {
-    if (r->drawn && a && !r->look)
+    if (r->drawn && a && !r->appearance)
         return err_set(e, ERR_ARG, "render_backward: the last frame was drawn without appearance");
     enum err_code rc = backward_blend(r, m, 0, e);
     if (rc != ERR_OK)
@@ -177,7 +177,7 @@ enum err_code render_backward_appearance(struct render *r, const struct render_m
     const struct render_backward_state *s = r->backward;
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
     struct render_appearance_call look = {.grads = s->grads};
-    if (r->look)
+    if (r->appearance)
         rc = render_appearance_prepare(r, a, (cl_float2){{0, 0}}, &look, e);
     const struct frame_arg args[] = {
         FRAME_ARG(r->view_mem),   FRAME_ARG(m->params),       FRAME_ARG(filter),
@@ -187,8 +187,9 @@ enum err_code render_backward_appearance(struct render *r, const struct render_m
     if (rc == ERR_OK)
         rc = backward_run(r, look.grads, "project_backward", args, sizeof args / sizeof *args,
                           look.args, look.n_grads, e);
-    return rc == ERR_OK && r->look ? render_appearance_finish(r, m, grads, NULL, NULL, &look, a, e)
-                                   : rc;
+    return rc == ERR_OK && r->appearance
+               ? render_appearance_finish(r, m, grads, NULL, NULL, &look, a, e)
+               : rc;
 }
 
 enum err_code render_backward(struct render *r, const struct render_model *m, cl_mem grads,
@@ -249,7 +250,7 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
         d.absg = none;
     if (!with_opacity)
         d.opacity = none;
-    if (r->look)
+    if (r->appearance)
         rc = render_appearance_prepare(r, adam->appearance, adam_embed(adam), &look, e);
     if (rc != ERR_OK)
         return rc;
@@ -282,7 +283,7 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
     };
     rc = backward_run(r, look.step, "project_step", args, sizeof args / sizeof *args, look.args,
                       look.n_step, e);
-    return rc == ERR_OK && r->look
+    return rc == ERR_OK && r->appearance
                ? render_appearance_finish(r, m, NULL, adam, &k, &look, adam->appearance, e)
                : rc;
 }
@@ -299,7 +300,7 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
             "betas are in [0, 1), limits in order",
             adam->step, (double)adam->beta1, (double)adam->beta2, (double)adam->scale_log_min,
             (double)adam->scale_log_max);
-    if (r->drawn && r->look ? adam->embed_step < 1 : adam->appearance != NULL)
+    if (r->drawn && r->appearance ? adam->embed_step < 1 : adam->appearance != NULL)
         return err_set(e, ERR_ARG,
                        "render_backward_step: appearance: embed_step counts from 1, and gradients "
                        "can be had after frames with appearance only");
