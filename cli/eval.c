@@ -23,6 +23,7 @@ struct eval_options {
 };
 
 static const struct options_def eval_defs[] = {
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, key, def, lo, hi, unit, help)                                                    \
     OPTIONS_ROW(struct eval_options, type, key, def, lo, hi, unit, help)
 #include "cli/eval.def"

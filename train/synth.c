@@ -18,6 +18,7 @@
 #include "train/outdir.h"
 
 static const struct options_def defs[] = {
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, key, def, lo, hi, unit, help)                                                    \
     OPTIONS_ROW(struct synth_config, type, key, def, lo, hi, unit, help)
 #include "train/synth.def"
