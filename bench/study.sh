@@ -238,12 +238,12 @@ ablation() { # STUDY SCENE
   row "$1" "no AbsGS" "$2" "" "${base[@]}" --absgrad-from 4 --tau-3 2e-4 --tiles
   row "$1" "AbsGS at every level" "$2" "" "${base[@]}" --absgrad-from 1 --tau-1 6e-4 --tau-2 6e-4 --tiles
   row "$1" "no prioritised densification" "$2" "" "${base[@]}" --tau-outside 1 --tiles
-  row "$1" "one view a score" "$2" "" "${base[@]}" --score-views 1 --tiles
+  row "$1" "one view a score" "$2" "" "${base[@]}" --importance-views 1 --tiles
   row "$1" "Mip-Splatting" "$2" "" "${base[@]}" --aa mip --tiles
   row "$1" "sparse depth" "$2" "" "${base[@]}" --depth-sparse --tiles
   row "$1" "one level" "$2" "" "${base[@]}" --level-count 1
   row "$1" "no loss on sizes" "$2" "" "${base[@]}" --scale-weight 0 --tiles
-  row "$1" "appearance" "$2" "" "${base[@]}" --appearance --appearance-iterations "$CELL_STEPS" --eval --halves off --tiles --halves off
+  row "$1" "appearance" "$2" "" "${base[@]}" --appearance --appearance-iterations "$CELL_STEPS" --eval --half-image off --tiles --half-image off
   row "$1" "no visibility selection" "$2-location" "" "${base[@]}" --tiles
 }
 study_ablation() { ablation ablation caliterra-cells; }
@@ -251,9 +251,9 @@ study_ablation_city() { ablation ablation_city city; }
 
 study_embedding() { # length of a Gaussian's appearance embedding (Table 11), under changing light
   local n base=(--level-count 1 --iterations "$STEPS" --budget-3 100000)
-  row embedding "no appearance" city-light "embed_len=0" "${base[@]}" --eval --halves on
+  row embedding "no appearance" city-light "embed_len=0" "${base[@]}" --eval --half-image on
   for n in 4 8 16; do
-    row embedding "length $n" city-light "embed_len=$n" "${base[@]}" --appearance --appearance-warmup 250 --embed-len "$n" --eval --halves on
+    row embedding "length $n" city-light "embed_len=$n" "${base[@]}" --appearance --appearance-warmup 250 --embed-len "$n" --eval --half-image on
   done
 }
 
@@ -280,7 +280,7 @@ level_row() {
 study_far() { # where each level suits: all of them from farther and farther away, which is to say, smaller
   local px base=(--iterations "$CELL_STEPS" "${SMALL[@]}")
   for px in 400 283 200 141 100 71 50; do
-    level_row far "$px px" city "" --halves off --full-size --max-edge-px "$px" -- "${base[@]}"
+    level_row far "$px px" city "" --half-image off --full-size --max-edge-px "$px" -- "${base[@]}"
   done
 }
 

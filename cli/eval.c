@@ -31,6 +31,7 @@ struct eval_options {
 };
 
 static const struct options_def eval_defs[] = {
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, key, def, lo, hi, unit, help)                                                    \
     OPTIONS_ROW(struct eval_options, type, key, def, lo, hi, unit, help)
 #include "cli/eval.def"
@@ -92,7 +93,7 @@ static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px
     return ERR_OK;
 }
 
-enum { EVAL_HALVES_AUTO, EVAL_HALVES_ON, EVAL_HALVES_OFF };
+enum { EVAL_HALF_IMAGE_AUTO, EVAL_HALF_IMAGE_ON, EVAL_HALF_IMAGE_OFF };
 
 static enum err_code eval_halves(struct eval *v, const char *what, uint32_t edge_px,
                                  struct photo_loader *feed, const struct half_image_source *src,
@@ -100,8 +101,8 @@ static enum err_code eval_halves(struct eval *v, const char *what, uint32_t edge
 {
     struct evaluate_score score;
     char name[64];
-    if (v->o.halves == EVAL_HALVES_OFF ||
-        (v->o.halves == EVAL_HALVES_AUTO && !eval_half_image_look(&v->halves)))
+    if (v->o.half_image == EVAL_HALF_IMAGE_OFF ||
+        (v->o.half_image == EVAL_HALF_IMAGE_AUTO && !eval_half_image_look(&v->halves)))
         return ERR_OK;
     snprintf(name, sizeof(name), "%s, halves", what);
     enum err_code rc =

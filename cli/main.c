@@ -3,6 +3,10 @@
  * Finds the command and runs it. stdout is data, stderr is the log. Exit codes: 0 done, 1 failed, 2
  * the command line was wrong. This is the only file that turns an error into text and an exit code.
  *
+ *   citysplat help [COMMAND]          the commands, or one of them
+ *   citysplat help --markdown         the command reference, docs/commands.md
+ *   citysplat help --man [COMMAND]    a manual page in mdoc, docs/man/citysplat[-COMMAND].1
+ *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <locale.h>
@@ -10,6 +14,7 @@
 #include <string.h>
 
 #include "cli/cli.h"
+#include "core/options_help.h"
 
 struct command {
     const char *name, *about;
@@ -31,21 +36,25 @@ static const struct command *command_find(const char *name)
     return NULL;
 }
 
+static const char about_text[] =
+    "drone photographs to a city of 3D Gaussians that any web map can stream";
+static const char usual_way[] =
+    "citysplat ingest photos/ photos/sparse/0 -o scene   # poses + GPS -> metres, east-north-up\n"
+    "citysplat train scene                               # Gaussians at three levels of detail\n"
+    "citysplat tile scene -o city.tiles                  # z/x/y pyramid in one file\n"
+    "citysplat serve city.tiles                          # open http://127.0.0.1:8080/\n";
+
 static void print_help(FILE *f)
 {
-    fprintf(f, "citysplat " CITYSPLAT_VERSION
-               " - drone photographs to a city of 3D Gaussians that any web map can stream\n\n"
-               "usage: citysplat COMMAND [arguments] [--options]\n\ncommands:\n");
+    fprintf(f,
+            "citysplat " CITYSPLAT_VERSION " - %s\n\n"
+            "usage: citysplat COMMAND [arguments] [--options]\n\ncommands:\n",
+            about_text);
     for (const struct command *c = commands; c->name; c++)
         fprintf(f, "  %-9s %s\n", c->name, c->about);
-    fprintf(
-        f, "\n`citysplat help COMMAND` tells about one of them. The usual way:\n"
-           "  citysplat ingest photos/ photos/sparse/0 -o scene   # poses + GPS -> metres, "
-           "east-north-up\n"
-           "  citysplat train scene                               # Gaussians at three levels of "
-           "detail\n"
-           "  citysplat tile scene -o city.tiles                  # z/x/y pyramid in one file\n"
-           "  citysplat serve city.tiles                          # open http://127.0.0.1:8080/\n");
+    fprintf(f, "\n`citysplat help COMMAND` tells about one of them. The usual way:\n");
+    for (const char *p = usual_way; *p; p += strcspn(p, "\n") + 1)
+        fprintf(f, "  %.*s\n", (int)strcspn(p, "\n"), p);
 }
 
 static int run(const struct command *c, int argc, char **argv)
@@ -60,6 +69,90 @@ static int run(const struct command *c, int argc, char **argv)
     return rc == ERR_ARG ? 2 : 1;
 }
 
+/* ---- reference ---- */
+
+/* The help of one command, printed by itself; `form` is "--help" or "--help=FORMAT". */
+static int help_of(const struct command *c, const char *form)
+{
+    char name[32], flag[32];
+    snprintf(name, sizeof name, "%s", c->name);
+    snprintf(flag, sizeof flag, "%s", form);
+    char *argv[] = {name, flag, NULL};
+    return run(c, 2, argv);
+}
+
+static int print_markdown(void)
+{
+    printf(
+        "# Commands\n\n"
+        "Every command and every option, as `citysplat help COMMAND` prints them. Written by\n"
+        "`citysplat help --markdown`; do not edit.\n\n"
+        "stdout is data, stderr is the log. Exit codes: 0 done, 1 failed, 2 the command line was "
+        "wrong.\n\n"
+        "Every command also takes `--config FILE` (options from a .jsonc file, with `_` for `-` in "
+        "their names;\nlater files and flags win), `--print-config` (print the resolved options "
+        "as JSON and stop), `-v` (more log\nlines), `-q` (no progress, only warnings and errors), "
+        "`-h` and `--help`. `-o X` is `--output X`.\n\n"
+        "| command | what it does |\n|---|---|\n");
+    for (const struct command *c = commands; c->name; c++)
+        printf("| [%s](#citysplat-%s) | %s |\n", c->name, c->name, c->about);
+    int rc = 0;
+    for (const struct command *c = commands; !rc && c->name; c++)
+        rc = help_of(c, "--help=markdown");
+    return rc;
+}
+
+static void print_man_index(void)
+{
+    options_help_mdoc_head(stdout, "citysplat", about_text);
+    printf(".Sh SYNOPSIS\n.Nm\n.Ar command\n.Op Ar arguments\n.Op Ar options\n"
+           ".Nm\n.Cm help\n.Op Ar command\n.Sh DESCRIPTION\nThe commands, in the order of the "
+           "data's way; each has a page of its own:\n.Bl -tag -width citysplat-gradient(1)\n");
+    for (const struct command *c = commands; c->name; c++) {
+        printf(".It Xr citysplat-%s 1\n", c->name);
+        options_help_mdoc_text(stdout, c->about);
+    }
+    printf(".El\n.Sh EXIT STATUS\n0 done, 1 failed, 2 the command line was wrong.\n"
+           ".Sh EXAMPLES\n.Bd -literal -offset indent\n%s.Ed\n",
+           usual_way);
+}
+
+static int print_man(const struct command *c)
+{
+    char page[64];
+    if (!c) {
+        print_man_index();
+        return 0;
+    }
+    snprintf(page, sizeof page, "citysplat-%s", c->name);
+    options_help_mdoc_head(stdout, page, c->about);
+    return help_of(c, "--help=mdoc");
+}
+
+static int no_command(const char *name)
+{
+    fprintf(stderr, "citysplat: error: no command '%s'; `citysplat help` lists them\n", name);
+    return 2;
+}
+
+/* argv[0] is "help". */
+static int help(int argc, char **argv)
+{
+    bool man = argc > 1 && !strcmp(argv[1], "--man");
+    if (argc > 1 && !strcmp(argv[1], "--markdown"))
+        return print_markdown();
+    const char *name = argc > 1 + man ? argv[1 + man] : NULL;
+    const struct command *c = name ? command_find(name) : NULL;
+    if (name && !c)
+        return no_command(name);
+    if (man)
+        return print_man(c);
+    if (c)
+        return help_of(c, "--help");
+    print_help(stdout);
+    return 0;
+}
+
 int main(int argc, char **argv)
 {
     setlocale(LC_ALL, "C"); /* numbers are written with a point, whatever the user's language */
@@ -68,22 +161,8 @@ int main(int argc, char **argv)
         puts("citysplat " CITYSPLAT_VERSION);
         return 0;
     }
-    bool help = !strcmp(name, "help") || !strcmp(name, "--help") || !strcmp(name, "-h");
-    if (help && argc < 3) {
-        print_help(stdout);
-        return 0;
-    }
-    if (help)
-        name = argv[2];
+    if (!strcmp(name, "help") || !strcmp(name, "--help") || !strcmp(name, "-h"))
+        return help(argc - 1, argv + 1);
     const struct command *c = command_find(name);
-    if (!c) {
-        fprintf(stderr, "citysplat: error: no command '%s'; `citysplat help` lists them\n", name);
-        return 2;
-    }
-    if (help) {
-        char flag[] = "--help";
-        char *help_argv[] = {argv[2], flag, NULL};
-        return run(c, 2, help_argv);
-    }
-    return run(c, argc - 1, argv + 1);
+    return c ? run(c, argc - 1, argv + 1) : no_command(name);
 }

@@ -23,6 +23,7 @@ struct render_cli_options {
 };
 
 static const struct options_def defs[] = {
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, key, def, lo, hi, unit, help)                                                    \
     OPTIONS_ROW(struct render_cli_options, type, key, def, lo, hi, unit, help)
 #include "cli/render.def"

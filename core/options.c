@@ -15,16 +15,7 @@
 
 #include <jansson.h>
 
-enum { OPTIONS_NAME_MAX = 64, OPTIONS_HELP_COLUMN = 34, OPTIONS_WIDTH = 100 };
-
-/* cell_edge_m -> cell-edge-m */
-static void options_flag_name(const char *key, char out[OPTIONS_NAME_MAX])
-{
-    size_t i = 0;
-    for (; key[i] && i + 1 < OPTIONS_NAME_MAX; i++)
-        out[i] = key[i] == '_' ? '-' : key[i];
-    out[i] = '\0';
-}
+#include "core/options_help.h"
 
 static void *options_at(const struct options_def *d, void *config)
 {
@@ -54,7 +45,7 @@ static enum err_code options_bad(const struct options_def *d, const char *text, 
                                  struct err *e)
 {
     char flag[OPTIONS_NAME_MAX];
-    options_flag_name(d->key, flag);
+    options_help_flag(d->key, flag);
     return err_set(e, ERR_ARG, "--%s: '%s' is not %s", flag, text, want);
 }
 
@@ -109,6 +100,8 @@ static enum err_code options_set(const struct options_def *d, const char *text, 
         *(OPTIONS_C_TEXT *)options_at(d, config) = copy;
         return ERR_OK;
     }
+    case OPTIONS_GROUP:
+        return ERR_OK;
     }
     return err_set(e, ERR_INTERNAL, "option %s has an unknown type", d->key);
 }
@@ -150,8 +143,10 @@ static enum err_code options_unknown(const struct options_spec *spec, const char
     char best[OPTIONS_NAME_MAX] = "", candidate[OPTIONS_NAME_MAX];
     size_t best_d = SIZE_MAX;
     for (size_t i = 0; i < spec->n_defs; i++) {
+        if (spec->defs[i].type == OPTIONS_GROUP)
+            continue;
         if (flag)
-            options_flag_name(spec->defs[i].key, candidate);
+            options_help_flag(spec->defs[i].key, candidate);
         else
             snprintf(candidate, sizeof candidate, "%s", spec->defs[i].key);
         size_t d = options_distance(name, candidate);
@@ -172,8 +167,8 @@ static const struct options_def *options_find(const struct options_spec *spec, c
 {
     for (size_t i = 0; i < spec->n_defs; i++) {
         char name[OPTIONS_NAME_MAX];
-        options_flag_name(spec->defs[i].key, name);
-        if (strlen(name) == n && !memcmp(name, flag, n))
+        options_help_flag(spec->defs[i].key, name);
+        if (n && strlen(name) == n && !memcmp(name, flag, n))
             return &spec->defs[i];
     }
     return NULL;
@@ -213,7 +208,7 @@ static enum err_code options_config_file(const struct options_spec *spec, const 
         v = json_object_iter_value(it);
         const struct options_def *d = NULL;
         for (size_t i = 0; i < spec->n_defs; i++)
-            if (!strcmp(spec->defs[i].key, key))
+            if (*key && !strcmp(spec->defs[i].key, key))
                 d = &spec->defs[i];
         rc = d ? options_set_json(d, v, config, a, e) : options_unknown(spec, key, false, e);
         if (rc)
@@ -221,68 +216,6 @@ static enum err_code options_config_file(const struct options_spec *spec, const 
     }
     json_decref(root);
     return rc;
-}
-
-/* ---- help ---- */
-
-static void options_print_wrapped(const char *text, size_t column, size_t indent)
-{
-    while (*text) {
-        size_t n = strcspn(text, " ");
-        if (column > indent && column + n + 1 > OPTIONS_WIDTH) {
-            printf("\n%*s", (int)indent, "");
-            column = indent;
-        }
-        printf("%.*s", (int)n, text);
-        column += n;
-        text += n;
-        if (*text == ' ') {
-            putchar(' ');
-            column++;
-            text++;
-        }
-    }
-    putchar('\n');
-}
-
-static void options_print_one(const struct options_def *d)
-{
-    char flag[OPTIONS_NAME_MAX], head[160], tail[600];
-    options_flag_name(d->key, flag);
-    if (d->type == OPTIONS_BOOL)
-        snprintf(head, sizeof head, "  --%s%s", !strcmp(d->def, "true") ? "no-" : "", flag);
-    else
-        snprintf(head, sizeof head, "  --%s %s", flag,
-                 *d->unit                 ? d->unit
-                 : d->type == OPTIONS_INT ? "N"
-                                          : "X");
-    const char *quote = d->type == OPTIONS_BOOL || !*d->def ? NULL : d->def;
-    /* The help says what the option does; where it is on, the flag that is shown turns it off. */
-    const char *off = d->type == OPTIONS_BOOL && !strcmp(d->def, "true") ? "turn off: " : "";
-    snprintf(tail, sizeof tail, "%s%s%s%s%s", off, d->help, quote ? " [" : "", quote ? quote : "",
-             quote ? "]" : "");
-    int n = printf("%-*s", OPTIONS_HELP_COLUMN, head);
-    if (n > OPTIONS_HELP_COLUMN)
-        printf("\n%*s", OPTIONS_HELP_COLUMN, "");
-    options_print_wrapped(tail, OPTIONS_HELP_COLUMN, OPTIONS_HELP_COLUMN);
-}
-
-static void options_print_help(const struct options_spec *spec)
-{
-    printf("usage: %s\n\n", spec->usage);
-    options_print_wrapped(spec->about, 0, 0);
-    if (spec->n_defs)
-        printf("\noptions (defaults in brackets):\n");
-    for (size_t i = 0; i < spec->n_defs; i++)
-        options_print_one(&spec->defs[i]);
-    printf(
-        "\nalways there:\n"
-        "  --config FILE                   options from a .jsonc file; later files and flags win\n"
-        "  --print-config                  print the resolved options as JSON and stop\n"
-        "  -v, -q                          more log lines; no progress and warnings only\n"
-        "  -h, --help                      this text\n");
-    if (spec->example)
-        printf("\nexample:\n  %s\n", spec->example);
 }
 
 enum err_code options_to_json(const struct options_spec *spec, const void *config,
@@ -294,6 +227,8 @@ enum err_code options_to_json(const struct options_spec *spec, const void *confi
         const struct options_def *d = &spec->defs[i];
         const void *p = options_const_at(d, config);
         json_t *v = NULL;
+        if (d->type == OPTIONS_GROUP)
+            continue;
         if (d->type == OPTIONS_NUM)
             v = json_real(*(const OPTIONS_C_NUM *)p);
         else if (d->type == OPTIONS_INT)
@@ -328,8 +263,9 @@ struct options_walk { /* where the walk over argv is */
     void *config;
     struct options_args *args;
     struct arena *arena;
-    bool help, print,
-        files; /* files: this pass reads --config only; the other pass everything else */
+    bool help, print;
+    enum options_format format; /* of the help */
+    bool files;                 /* this pass reads --config only; the other pass everything else */
 };
 
 static enum err_code options_value(struct options_walk *w, const char *flag,
@@ -379,12 +315,24 @@ static enum err_code options_long(struct options_walk *w, const char *arg, struc
     return rc;
 }
 
+/* -h, --help, or --help=FORMAT with which `citysplat help` makes the reference. */
+static enum err_code options_ask_help(struct options_walk *w, const char *arg, struct err *e)
+{
+    static const char choices[] = "--help|--help=markdown|--help=mdoc";
+    int format = options_choice(choices, strcmp(arg, "-h") ? arg : "--help");
+    if (format < 0)
+        return options_unknown(w->spec, arg + 2, true, e);
+    w->help = true;
+    w->format = (enum options_format)format;
+    return ERR_OK;
+}
+
 static enum err_code options_one(struct options_walk *w, struct err *e)
 {
     const char *arg = w->argv[w->at];
     bool number = arg[0] == '-' && (isdigit((unsigned char)arg[1]) || arg[1] == '.');
-    if (!strcmp(arg, "-h") || !strcmp(arg, "--help"))
-        w->help = true;
+    if (!strcmp(arg, "-h") || !strncmp(arg, "--help", 6))
+        return options_ask_help(w, arg, e);
     else if (!strcmp(arg, "--print-config"))
         w->print = true;
     else if (!strcmp(arg, "-v"))
@@ -447,7 +395,7 @@ enum err_code options_parse(const struct options_spec *spec, int argc, char **ar
     if (!rc && !w.help)
         rc = options_pass(&w, false, e);
     if (w.help) {
-        options_print_help(spec);
+        options_help_print(stdout, spec, w.format);
         args->done = true;
         return ERR_OK;
     }

@@ -1,5 +1,6 @@
-/* Options: one X-macro table a command, from which come the config struct, the flags, the
- * config-file keys, the range checks, --help and --print-config. A default exists in one place.
+/* Options: one X-macro table a command (core/options_spec.h), from which come the config struct,
+ * the flags, the config-file keys, the range checks, --help, the reference (docs/commands.md,
+ * docs/man) and --print-config. A default exists in one place.
  *
  *   train/options.def:   OPT(NUM, cell_edge_m, "180", 1, 5000, "m", "edge P of a training cell")
  *                        OPT(ENUM, aa, "2d", 0, 0, "none|2d|mip", "anti-aliasing")
@@ -9,11 +10,16 @@
  *                        #undef OPT
  *                        };
  *   cli/train.c:         static const struct options_def defs[] = {
+ *                        #define GROUP(title) OPTIONS_GROUP_ROW(title)
  *                        #define OPT(type, key, def, lo, hi, unit, help) \
  *                            OPTIONS_ROW(struct train_config, type, key, def, lo, hi, unit, help)
  *                        #include "train/options.def"
  *                        #undef OPT
  *                        };
+ *
+ * GROUP("title") in a table puts the options behind it under a heading of the help. A table with
+ * groups begins with `#ifndef GROUP`, an empty definition and `#endif`, and ends with `#undef
+ * GROUP`, so that the struct need not know of them.
  *
  * The flag of cell_edge_m is --cell-edge-m VALUE (or =VALUE). BOOL takes --key and --no-key; --help
  * shows the one that changes the default ("--no-masks  turn off: " and the help text).
@@ -25,41 +31,8 @@
 #ifndef CORE_OPTIONS_H
 #define CORE_OPTIONS_H
 
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
-
 #include "core/base.h"
-
-typedef double OPTIONS_C_NUM;
-typedef int64_t OPTIONS_C_INT;
-typedef bool OPTIONS_C_BOOL;
-typedef const char *OPTIONS_C_TEXT; /* NULL when the default is "" */
-typedef int OPTIONS_C_ENUM;         /* index into the choices listed in `unit`, "none|2d|mip" */
-
-enum options_type { OPTIONS_NUM, OPTIONS_INT, OPTIONS_BOOL, OPTIONS_TEXT, OPTIONS_ENUM };
-
-struct options_def {
-    enum options_type type;
-    const char *key;  /* cell_edge_m */
-    size_t offset;    /* in the config struct */
-    const char *def;  /* default as text; "true"/"false" for BOOL; "" = unset for TEXT */
-    double lo, hi;    /* NUM and INT: inclusive range */
-    const char *unit; /* "m"; for ENUM the choices; for TEXT what it is: "FILE" */
-    const char *help;
-};
-#define OPTIONS_ROW(st, type, key, def, lo, hi, unit, help)                                        \
-    {OPTIONS_##type, #key, offsetof(st, key), def, lo, hi, unit, help},
-
-struct options_spec {
-    const char *command; /* "train" */
-    const char *usage;   /* "citysplat train SCENE [options]" */
-    const char *about;   /* one paragraph for --help */
-    const char *example; /* one or more command lines for --help; may be NULL */
-    const struct options_def *defs;
-    size_t n_defs;
-    size_t min_args, max_args; /* positional arguments */
-};
+#include "core/options_spec.h"
 
 struct options_args { /* positional arguments, borrowed from argv */
     const char *arg[16];

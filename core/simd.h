@@ -3,7 +3,8 @@
  * SIMD_WIDE before a function makes two of it: one for any processor of the architecture and one
  * for x86-64-v3 (AVX2 and half floats in hardware). Sums are not reordered and nothing is fused
  * (-ffp-contract=off), so both give the same bits. Helpers that such a function calls must be
- * inlined into it to gain anything. Sanitizers do not go with functions chosen at load time.
+ * inlined into it to gain anything. Sanitizers do not go with functions chosen at load time,
+ * and clang before 18 does not link them: such builds have the plain functions alone.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -19,6 +20,11 @@
 #endif
 #endif
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#define SIMD_NO_WIDE
+#endif
+
+/* clang before 18 gives the chosen function the name NAME.ifunc, and other files ask for NAME. */
+#if defined(__clang__) && __clang_major__ < 18
 #define SIMD_NO_WIDE
 #endif
 

@@ -25,6 +25,7 @@
 #include "ingest/ingest_internal.h"
 
 static const struct options_def defs[] = {
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, key, def, lo, hi, unit, help)                                                    \
     OPTIONS_ROW(struct ingest_config, type, key, def, lo, hi, unit, help)
 #include "ingest/ingest.def"

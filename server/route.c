@@ -199,11 +199,11 @@ static void send_document(const struct request *r, const char *type, const char 
     send_body(r, b, out);
 }
 
-/* A document made for this request. */
-static void send_fresh(const struct request *r, const char *type, struct body *b, enum err_code rc,
+/* A document made for this request, whose reference is taken; NULL where memory failed: 503. */
+static void send_fresh(const struct request *r, const char *type, struct body *b,
                        struct response *out)
 {
-    send_document(r, type, NO_STORE, rc == ERR_OK ? b : NULL, out);
+    send_document(r, type, NO_STORE, b, out);
 }
 
 /* The result of work with a known name: 304 and hits are answered now, else *out asks for a job,
@@ -574,8 +574,18 @@ static void answer_metrics(struct services *s, const struct request *r, struct r
         route_problem(out, 403, "metrics are for clients on this machine");
         return;
     }
-    enum err_code rc = metrics_text(s, &b, NULL);
-    send_fresh(r, "text/plain; version=0.0.4; charset=utf-8", body_take(&b, NULL), rc, out);
+    struct body *text = metrics_text(s, &b, NULL) ? NULL : body_take(&b, NULL);
+    buf_free(&b);
+    send_fresh(r, "text/plain; version=0.0.4; charset=utf-8", text, out);
+}
+
+static void answer_version(struct services *s, const struct request *r, struct response *out)
+{
+    struct body *b = NULL;
+    /* A statement of its own: the order in which arguments of a call are evaluated is open. */
+    if (describe_version(s, &b, NULL))
+        body_drop(&b);
+    send_fresh(r, JSON_TYPE, b, out);
 }
 
 /* Routes below a dataset. */
@@ -627,7 +637,6 @@ static void answer_data(struct services *s, const struct request *r, struct data
 static bool answer_plain(struct services *s, const struct request *r, const struct target *t,
                          struct response *out)
 {
-    struct body *b = NULL;
     const struct static_file *file;
     struct catalog *c;
     switch (t->route) {
@@ -658,7 +667,7 @@ static bool answer_plain(struct services *s, const struct request *r, const stru
         answer_ready(s, r, out);
         return true;
     case ROUTE_VERSION:
-        send_fresh(r, JSON_TYPE, b, describe_version(s, &b, NULL), out);
+        answer_version(s, r, out);
         return true;
     case ROUTE_METRICS:
         answer_metrics(s, r, out);

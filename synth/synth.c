@@ -22,6 +22,7 @@
 #include "core/pool.h"
 
 static const struct options_def defs[] = {
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, key, def, lo, hi, unit, help)                                                    \
     OPTIONS_ROW(struct synth_config, type, key, def, lo, hi, unit, help)
 #include "synth/synth.def"

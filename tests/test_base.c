@@ -179,7 +179,7 @@ struct toy {
     OPTIONS_C_ENUM aa;
 };
 static const struct options_def toy_defs[] = {
-    OPTIONS_ROW(struct toy, NUM, edge_m, "180", 1, 5000, "m", "edge")
+    OPTIONS_GROUP_ROW("a heading") OPTIONS_ROW(struct toy, NUM, edge_m, "180", 1, 5000, "m", "edge")
         OPTIONS_ROW(struct toy, INT, count, "3", 1, 8, "", "levels")
             OPTIONS_ROW(struct toy, BOOL, serve, "true", 0, 0, "", "serve")
                 OPTIONS_ROW(struct toy, TEXT, output, "", 0, 0, "FILE", "out")
@@ -254,6 +254,10 @@ static void options_refuse_with_the_nearest_name(void **state)
     kit_fails(toy_parse(&t, &args, &a, value, &e), ERR_ARG, e, "value is expected");
     const char *many = "toy a b c";
     kit_fails(toy_parse(&t, &args, &a, many, &e), ERR_ARG, e, "'c'");
+    const char *heading = "toy in --=1"; /* headings have an empty key, and are no options */
+    kit_fails(toy_parse(&t, &args, &a, heading, &e), ERR_ARG, e, "unknown option --");
+    const char *form = "toy --help=html";
+    kit_fails(toy_parse(&t, &args, &a, form, &e), ERR_ARG, e, "--help=html");
     arena_free(&a);
 }
 

@@ -191,6 +191,43 @@ static void test_documents(void **state)
     }
 }
 
+static void test_version(void **state)
+{
+    (void)state;
+    struct response r = get("/version");
+    assert_int_equal(r.status, 200);
+    json_t *o = json_of(&r), *datasets = json_object_get(o, "datasets");
+    expect("name", json_string_value(json_object_get(o, "name")), "citysplat");
+    expect("version", json_string_value(json_object_get(o, "version")), CITYSPLAT_VERSION);
+    assert_int_equal(json_object_size(datasets), 1);
+    expect("revision", json_string_value(json_object_get(datasets, "toy")), t.rev);
+    json_decref(o);
+    route_free(&r);
+}
+
+/* Documents made for a request when the k-th allocation fails: whole, or 503. The sanitizers see
+ * what is not freed. */
+static void test_documents_without_memory(void **state)
+{
+    static const char *const targets[] = {"/version", "/metrics"};
+    (void)state;
+    for (size_t i = 0; i < 2; i++) {
+        size_t refused = 0;
+        for (size_t k = 1; k < 12; k++) {
+            mem_fail_at(k);
+            struct response r = get(targets[i]);
+            mem_fail_at(0);
+            if (r.status == 503)
+                refused++;
+            else
+                assert_int_equal(r.status, 200);
+            assert_true(r.status == 503 || r.size > 100);
+            route_free(&r);
+        }
+        assert_in_range(refused, 1, 10);
+    }
+}
+
 static void test_links_lead_somewhere(void **state)
 {
     static const char *const docs[][2] = {
@@ -754,6 +791,8 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_documents),
+        cmocka_unit_test(test_version),
+        cmocka_unit_test(test_documents_without_memory),
         cmocka_unit_test(test_links_lead_somewhere),
         cmocka_unit_test(test_api_lists_the_routes),
         cmocka_unit_test(test_tileset_uris),

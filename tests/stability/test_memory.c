@@ -55,7 +55,7 @@ static size_t peak_of(const char *program, size_t n, size_t budget, bool appeara
         kit_run(&said,
                 "%s train %s --iterations %d --level-count 2 --budget table --budget-2 %zu "
                 "--budget-3 %zu --densify-from 2 --densify-interval-min 5 --tau-2 1e-7 "
-                "--tau-3 1e-7 --score-views 2 --checkpoint-interval 25 %s -q",
+                "--tau-3 1e-7 --importance-views 2 --checkpoint-interval 25 %s -q",
                 program, dir, MEMORY_STEPS, budget / 2, budget,
                 appearance ? "--appearance --similarity-interval 5 --similarity-samples 400" : "");
     buf_u8(&said, 0);

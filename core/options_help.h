@@ -1,0 +1,31 @@
+/* How the options of a command are shown: as the text of --help, as Markdown for docs/commands.md,
+ * as a manual page (mdoc) for docs/man. All three come from the same table, so none can fall
+ * behind.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef CORE_OPTIONS_HELP_H
+#define CORE_OPTIONS_HELP_H
+
+#include <stdio.h>
+
+#include "core/options_spec.h"
+
+enum { OPTIONS_NAME_MAX = 64 };
+
+enum options_format { OPTIONS_FORMAT_TEXT, OPTIONS_FORMAT_MARKDOWN, OPTIONS_FORMAT_MDOC };
+
+/* The name of a key's flag without its dashes: cell_edge_m -> cell-edge-m. */
+void options_help_flag(const char *key, char out[OPTIONS_NAME_MAX]);
+
+/* Everything about a command on `f`: usage, what it does, its options by group, examples. The
+ * Markdown is a section ("## citysplat train") of a page; the mdoc is what stands behind
+ * options_help_mdoc_head(). */
+void options_help_print(FILE *f, const struct options_spec *spec, enum options_format format);
+
+/* One paragraph of mdoc: nothing in `text` is read as a request. */
+void options_help_mdoc_text(FILE *f, const char *text);
+/* The first lines of a manual page, up to what it is about; `page` is "citysplat-train". */
+void options_help_mdoc_head(FILE *f, const char *page, const char *about);
+
+#endif
