@@ -20,7 +20,7 @@
 #include "codec/spz.h"
 #include "lod/lod.h"
 #include "lod/tree.h"
-#include "server/server.h"
+#include "server/encode.h"
 
 #include <stdio.h>
 #include <string.h>
@@ -163,8 +163,7 @@ static enum err_code tile_make(void *user, struct err *e)
 {
     struct tile_request *t = user;
     t->out.size = 0;
-    const struct look plain = {0};
-    return encode_tile(t->store, t->key, t->form, &plain, &t->out, e);
+    return encode_tile(t->store, t->key, t->form, NULL, &t->out, e);
 }
 
 static enum err_code tile_requests(struct bench *b, const struct gauss *g, struct err *e)

@@ -21,7 +21,9 @@
 #include <unistd.h>
 
 #include "core/pool.h"
+#include "lod/lod.h"
 #include "server/server.h"
+#include "server/services.h"
 
 enum { SERVE_CLIENTS = 2, SERVE_CONNECTIONS = 16 /* a client */, SERVE_ZOOM = 17 };
 

@@ -4,8 +4,9 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/server.h"
+#include "server/access.h"
 
+#include <pthread.h>
 #include <string.h>
 
 enum { ACCESS_BYTES = 1 << 20, ACCESS_LINE = 512 };
@@ -19,7 +20,7 @@ struct access { /* two halves: threads fill one while the other is written */
 
 enum err_code access_open(struct access **out, struct err *e)
 {
-    struct access *a = mem_array(1, sizeof(*a));
+    struct access *a = mem_array(1, sizeof *a);
     *out = a;
     if (!a)
         return err_set(e, ERR_MEM, "access log: out of memory");
@@ -37,7 +38,7 @@ void access_add(struct access *a, const struct access_line *x)
 {
     char line[ACCESS_LINE];
     unsigned long us = (unsigned long)(x->seconds * 1e6);
-    size_t n = log_compose(line, sizeof(line), LOG_INFO, "http",
+    size_t n = log_compose(line, sizeof line, LOG_INFO, "http",
                            "%s %s status=%d bytes=%llu ms=%lu.%02lu cache=%s", x->method, x->target,
                            x->status, (unsigned long long)x->bytes, us / 1000, us / 10 % 100,
                            x->cache ? x->cache : "-");

@@ -4,7 +4,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/server.h"
+#include "server/body.h"
 
 #include <assert.h>
 #include <libdeflate.h>
@@ -27,7 +27,7 @@ void body_etag(struct hash128 h, char out[BODY_ETAG_SIZE])
 
 struct body *body_take(struct buf *b, const char *etag)
 {
-    struct body *body = b->failed ? NULL : mem_array(1, sizeof(*body));
+    struct body *body = b->failed ? NULL : mem_array(1, sizeof *body);
     if (!body) {
         buf_free(b);
         return NULL;
@@ -35,7 +35,7 @@ struct body *body_take(struct buf *b, const char *etag)
     atomic_init(&body->refs, 1);
     body->data = b->data;
     body->size = b->size;
-    memset(b, 0, sizeof(*b));
+    memset(b, 0, sizeof *b);
     if (etag) {
         size_t n = strlen(etag);
         assert(n < BODY_ETAG_SIZE);

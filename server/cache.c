@@ -7,8 +7,9 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/server.h"
+#include "server/cache.h"
 
+#include <pthread.h>
 #include <string.h>
 
 enum { SHARDS = 16, BUCKETS_MIN = 64, ENTRY_COST = 256 };
@@ -37,7 +38,7 @@ struct cache {
     struct shard shard[SHARDS];
 };
 
-static void list_remove(struct list *l, struct entry *x)
+static void cache_list_remove(struct list *l, struct entry *x)
 {
     *(x->newer ? &x->newer->older : &l->newest) = x->older;
     *(x->older ? &x->older->newer : &l->oldest) = x->newer;
@@ -45,7 +46,7 @@ static void list_remove(struct list *l, struct entry *x)
     l->cost -= x->cost;
 }
 
-static void list_add(struct list *l, struct entry *x)
+static void cache_list_add(struct list *l, struct entry *x)
 {
     x->older = l->newest;
     x->newer = NULL;
@@ -54,7 +55,7 @@ static void list_add(struct list *l, struct entry *x)
     l->cost += x->cost;
 }
 
-static struct entry **bucket_find(struct shard *s, struct hash128 key)
+static struct entry **cache_bucket_find(struct shard *s, struct hash128 key)
 {
     struct entry **p = &s->bucket[key.lo & (s->n_buckets - 1)];
     while (*p && ((*p)->key.lo != key.lo || (*p)->key.hi != key.hi))
@@ -63,7 +64,7 @@ static struct entry **bucket_find(struct shard *s, struct hash128 key)
 }
 
 /* Twice the buckets when entries outnumber them; staying small is allowed when memory is short. */
-static void bucket_grow(struct shard *s)
+static void cache_bucket_grow(struct shard *s)
 {
     size_t n = s->n_buckets * 2;
     struct entry **bigger = mem_array(n, sizeof(struct entry *));
@@ -82,7 +83,7 @@ static void bucket_grow(struct shard *s)
 
 enum err_code cache_open(size_t limit_bytes, struct cache **out, struct err *e)
 {
-    struct cache *c = mem_array(1, sizeof(*c));
+    struct cache *c = mem_array(1, sizeof *c);
     *out = c;
     if (!c)
         return err_set(e, ERR_MEM, "cache: out of memory");
@@ -100,7 +101,7 @@ enum err_code cache_open(size_t limit_bytes, struct cache **out, struct err *e)
     return ERR_OK;
 }
 
-static void list_free(struct list *l)
+static void cache_list_free(struct list *l)
 {
     for (struct entry *x = l->newest, *older; x; x = older) {
         older = x->older;
@@ -116,8 +117,8 @@ void cache_close(struct cache **out)
     if (!c)
         return;
     for (int i = 0; i < SHARDS && c->shard[i].bucket; i++) {
-        list_free(&c->shard[i].probation);
-        list_free(&c->shard[i].protected);
+        cache_list_free(&c->shard[i].probation);
+        cache_list_free(&c->shard[i].protected);
         mem_free(c->shard[i].bucket);
         pthread_mutex_destroy(&c->shard[i].lock);
     }
@@ -125,27 +126,27 @@ void cache_close(struct cache **out)
 }
 
 /* The other half of the key chooses the shard, so shards and buckets are independent. */
-static struct shard *shard_of(struct cache *c, struct hash128 key)
+static struct shard *cache_shard_of(struct cache *c, struct hash128 key)
 {
     return &c->shard[key.hi >> 60];
 }
 
 struct body *cache_get(struct cache *c, struct hash128 key)
 {
-    struct shard *s = shard_of(c, key);
+    struct shard *s = cache_shard_of(c, key);
     struct body *body = NULL;
     pthread_mutex_lock(&s->lock);
-    struct entry *x = *bucket_find(s, key);
+    struct entry *x = *cache_bucket_find(s, key);
     if (x) {
         s->hits++;
-        list_remove(x->protected ? &s->protected : &s->probation, x);
+        cache_list_remove(x->protected ? &s->protected : &s->probation, x);
         x->protected = true;
-        list_add(&s->protected, x);
+        cache_list_add(&s->protected, x);
         while (s->protected.cost > c->shard_limit / 5 * 4 && s->protected.oldest != x) {
             struct entry *fall = s->protected.oldest;
-            list_remove(&s->protected, fall);
+            cache_list_remove(&s->protected, fall);
             fall->protected = false;
-            list_add(&s->probation, fall);
+            cache_list_add(&s->probation, fall);
         }
         body = body_ref(x->body);
     } else {
@@ -156,10 +157,10 @@ struct body *cache_get(struct cache *c, struct hash128 key)
 }
 
 /* Take x out of the shard and put it in front of the caller's list of things to free. */
-static void shard_remove(struct shard *s, struct entry *x, struct entry **freed)
+static void cache_shard_remove(struct shard *s, struct entry *x, struct entry **freed)
 {
-    *bucket_find(s, x->key) = x->bucket_next;
-    list_remove(x->protected ? &s->protected : &s->probation, x);
+    *cache_bucket_find(s, x->key) = x->bucket_next;
+    cache_list_remove(x->protected ? &s->protected : &s->probation, x);
     s->n--;
     x->bucket_next = *freed;
     *freed = x;
@@ -167,9 +168,9 @@ static void shard_remove(struct shard *s, struct entry *x, struct entry **freed)
 
 void cache_put(struct cache *c, struct hash128 key, struct body *b)
 {
-    struct shard *s = shard_of(c, key);
+    struct shard *s = cache_shard_of(c, key);
     size_t cost = b->size + b->gzip_size + ENTRY_COST;
-    struct entry *x = cost > c->shard_limit ? NULL : mem_array(1, sizeof(*x));
+    struct entry *x = cost > c->shard_limit ? NULL : mem_array(1, sizeof *x);
     if (!x)
         return;
     x->key = key;
@@ -177,21 +178,21 @@ void cache_put(struct cache *c, struct hash128 key, struct body *b)
     x->cost = cost;
     struct entry *freed = NULL;
     pthread_mutex_lock(&s->lock);
-    struct entry *old = *bucket_find(s, key);
+    struct entry *old = *cache_bucket_find(s, key);
     if (old)
-        shard_remove(s, old, &freed);
+        cache_shard_remove(s, old, &freed);
     while (s->probation.cost + s->protected.cost + cost > c->shard_limit) {
         struct entry *victim = s->probation.oldest ? s->probation.oldest : s->protected.oldest;
-        shard_remove(s, victim, &freed);
+        cache_shard_remove(s, victim, &freed);
         s->evictions++;
     }
     if (s->n >= s->n_buckets)
-        bucket_grow(s);
+        cache_bucket_grow(s);
     struct entry **p = &s->bucket[key.lo & (s->n_buckets - 1)];
     x->bucket_next = *p;
     *p = x;
     s->n++;
-    list_add(&s->probation, x);
+    cache_list_add(&s->probation, x);
     pthread_mutex_unlock(&s->lock);
     for (struct entry *next; freed; freed = next) {
         next = freed->bucket_next;
@@ -202,7 +203,7 @@ void cache_put(struct cache *c, struct hash128 key, struct body *b)
 
 void cache_count(struct cache *c, struct cache_stats *out)
 {
-    memset(out, 0, sizeof(*out));
+    memset(out, 0, sizeof *out);
     for (int i = 0; i < SHARDS; i++) {
         struct shard *s = &c->shard[i];
         pthread_mutex_lock(&s->lock);

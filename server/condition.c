@@ -4,12 +4,12 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/server.h"
+#include "server/condition.h"
 
 #include <string.h>
 #include <strings.h>
 
-static const char *skip_space(const char *p)
+static const char *condition_skip_space(const char *p)
 {
     return p + strspn(p, " \t");
 }
@@ -19,9 +19,9 @@ bool condition_none_match(const char *header, const char *etag)
     size_t n = strlen(etag);
     if (!header || !n)
         return false;
-    const char *p = skip_space(header);
+    const char *p = condition_skip_space(header);
     if (*p == '*')
-        return !*skip_space(p + 1);
+        return !*condition_skip_space(p + 1);
     while (*p) {
         if (!strncmp(p, "W/", 2)) /* weak comparison: the opaque tags alone */
             p += 2;
@@ -32,7 +32,7 @@ bool condition_none_match(const char *header, const char *etag)
             return false;
         if ((size_t)(close + 1 - p) == n && !memcmp(p, etag, n))
             return true;
-        p = skip_space(close + 1);
+        p = condition_skip_space(close + 1);
         if (*p && *p != ',')
             return false;
         p += strspn(p, ", \t");
@@ -41,7 +41,7 @@ bool condition_none_match(const char *header, const char *etag)
 }
 
 /* Decimal digits; saturates far above any size. False when there are none. */
-static bool take_size(const char **p, uint64_t *out)
+static bool condition_take_size(const char **p, uint64_t *out)
 {
     const char *start = *p;
     uint64_t v = 0;
@@ -59,12 +59,12 @@ enum condition_range condition_range(const char *header, uint64_t size, uint64_t
     *length = size;
     if (!header || strncasecmp(header, "bytes=", 6) != 0)
         return RANGE_ALL;
-    const char *p = skip_space(header + 6);
-    bool has_a = take_size(&p, &a);
+    const char *p = condition_skip_space(header + 6);
+    bool has_a = condition_take_size(&p, &a);
     if (*p++ != '-')
         return RANGE_ALL;
-    bool has_b = take_size(&p, &b);
-    if (*skip_space(p) || (!has_a && !has_b) || (has_a && has_b && b < a))
+    bool has_b = condition_take_size(&p, &b);
+    if (*condition_skip_space(p) || (!has_a && !has_b) || (has_a && has_b && b < a))
         return RANGE_ALL; /* several ranges, or not a range */
     if (!has_a) {         /* the last b bytes */
         if (b == 0 || size == 0)
@@ -83,7 +83,7 @@ enum condition_range condition_range(const char *header, uint64_t size, uint64_t
 
 /* The weight of `name` in a list like "a;q=0.5, b, *;q=0", in thousandths; -1 when it is not
  * listed. */
-static int list_weight(const char *header, const char *name)
+static int condition_list_weight(const char *header, const char *name)
 {
     size_t n_name = strlen(name);
     for (const char *p = header; *p;) {
@@ -116,11 +116,12 @@ bool condition_gzip(const char *header)
 {
     if (!header)
         return false;
-    int weight = list_weight(header, "gzip");
-    return weight >= 0 ? weight > 0 : list_weight(header, "*") > 0;
+    int weight = condition_list_weight(header, "gzip");
+    return weight >= 0 ? weight > 0 : condition_list_weight(header, "*") > 0;
 }
 
 bool condition_html(const char *header)
 {
-    return header && list_weight(header, "text/html") > list_weight(header, "application/json");
+    return header && condition_list_weight(header, "text/html") >
+                         condition_list_weight(header, "application/json");
 }

@@ -1,52 +1,28 @@
 /* The JSON documents that describe the service: landing page, conformance, OpenAPI (made from the
- * route list, so it cannot drift from it), collections after OGC API Common and the 3D GeoVolumes
- * draft, and the posted camera in the other direction. Every link is relative: the host a client
- * used is never echoed, and the service works below any prefix of a proxy.
+ * route list, so it cannot drift from it), and the posted camera in the other direction.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/quant.h"
-#include "server/server.h"
+#include "server/describe.h"
 
 #include <jansson.h>
 #include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
-enum err_code describe_json(json_t *json, struct body **out, struct err *e)
-{
-    struct buf b = {0};
-    char *text = json ? json_dumps(json, JSON_INDENT(1) | JSON_REAL_PRECISION(15)) : NULL;
-    json_decref(json);
-    if (text) {
-        buf_add(&b, text, strlen(text));
-        buf_add(&b, "\n", 1);
-    }
-    free(text);
-    *out = text ? body_take(&b, NULL) : NULL;
-    if (!*out)
-        return err_set(e, ERR_MEM, "describe: out of memory");
-    body_compress(*out);
-    return ERR_OK;
-}
-
-static json_t *link_to(const char *rel, const char *type, const char *href, const char *title)
-{
-    return json_pack("{s:s,s:s,s:s,s:s}", "rel", rel, "type", type, "href", href, "title", title);
-}
+#include "lod/lod.h"
+#include "server/document.h"
 
 enum err_code describe_landing(struct body **out, struct err *e)
 {
-    json_t *o =
-        json_pack("{s:s,s:s,s:[o,o,o,o]}", "title", "citysplat", "description",
-                  "Cities of 3D Gaussians, in tiles and in pictures", "links",
-                  link_to("self", "application/json", "./", "This document"),
-                  link_to("service-desc", "application/vnd.oai.openapi+json;version=3.0", "api",
-                          "OpenAPI description"),
-                  link_to("conformance", "application/json", "conformance", "Conformance classes"),
-                  link_to("data", "application/json", "collections", "Datasets"));
-    return describe_json(o, out, e);
+    json_t *o = json_pack(
+        "{s:s,s:s,s:[o,o,o,o]}", "title", "citysplat", "description",
+        "Cities of 3D Gaussians, in tiles and in pictures", "links",
+        document_link("self", "application/json", "./", "This document"),
+        document_link("service-desc", "application/vnd.oai.openapi+json;version=3.0", "api",
+                      "OpenAPI description"),
+        document_link("conformance", "application/json", "conformance", "Conformance classes"),
+        document_link("data", "application/json", "collections", "Datasets"));
+    return document_make(o, out, e);
 }
 
 enum err_code describe_conformance(struct body **out, struct err *e)
@@ -62,15 +38,15 @@ enum err_code describe_conformance(struct body **out, struct err *e)
         "https://www.opengis.net/spec/ogcapi-geovolumes-1/1.0/conf/3d-tiles",
     };
     json_t *list = json_array();
-    for (size_t i = 0; i < sizeof(classes) / sizeof(*classes); i++)
+    for (size_t i = 0; i < sizeof classes / sizeof *classes; i++)
         json_array_append_new(list, json_string(classes[i]));
-    return describe_json(json_pack("{s:o}", "conformsTo", list), out, e);
+    return document_make(json_pack("{s:o}", "conformsTo", list), out, e);
 }
 
 /* ---- OpenAPI ---- */
 
 /* The {names} of a path template as required string parameters. */
-static json_t *path_parameters(const char *path)
+static json_t *describe_path_parameters(const char *path)
 {
     json_t *list = json_array();
     for (const char *p = strchr(path, '{'); p; p = strchr(p + 1, '{')) {
@@ -81,13 +57,13 @@ static json_t *path_parameters(const char *path)
     return list;
 }
 
-static json_t *query_parameter(const char *name, const char *about)
+static json_t *describe_query_parameter(const char *name, const char *about)
 {
     return json_pack("{s:s,s:s,s:s,s:{s:s}}", "name", name, "in", "query", "description", about,
                      "schema", "type", "string");
 }
 
-static json_t *render_body(void)
+static json_t *describe_render_body(void)
 {
     return json_pack(
         "{s:b,s:{s:{s:{s:s,s:{s:{s:s,s:s},s:{s:s,s:s},s:{s:s},s:{s:s},s:{s:s},s:{s:s},s:{s:s},s:{s:"
@@ -103,37 +79,39 @@ static json_t *render_body(void)
         "string");
 }
 
-static json_t *operation(enum route r, const char *name, const char *summary)
+static json_t *describe_operation(enum route r, const char *name, const char *summary)
 {
-    json_t *o =
-        json_pack("{s:s,s:s,s:o,s:{s:{s:s},s:{s:s}}}", "operationId", name, "summary", summary,
-                  "parameters", path_parameters(route_path(r)), "responses", "200", "description",
-                  "The resource", "default", "description", "A problem document, RFC 9457");
+    json_t *o = json_pack("{s:s,s:s,s:o,s:{s:{s:s},s:{s:s}}}", "operationId", name, "summary",
+                          summary, "parameters", describe_path_parameters(target_path(r)),
+                          "responses", "200", "description", "The resource", "default",
+                          "description", "A problem document, RFC 9457");
     json_t *parameters = json_object_get(o, "parameters");
     if (r == ROUTE_SEED) {
         json_array_append_new(parameters,
-                              query_parameter("bbox", "west,south,east,north in degrees"));
-        json_array_append_new(parameters, query_parameter("z", "a zoom, or two as in 12-16"));
+                              describe_query_parameter("bbox", "west,south,east,north in degrees"));
         json_array_append_new(parameters,
-                              query_parameter("f", "tile format: glb, spz, drc, ply, plain.glb"));
+                              describe_query_parameter("z", "a zoom, or two as in 12-16"));
+        json_array_append_new(parameters, describe_query_parameter(
+                                              "f", "tile format: glb, spz, drc, ply, plain.glb"));
     }
     if (r == ROUTE_SEED || r == ROUTE_TILE || r == ROUTE_TILE_MOVING || r == ROUTE_TILESET ||
         r == ROUTE_TILESET_MOVING) {
+        json_array_append_new(parameters, describe_query_parameter(
+                                              "preset", "of glb, spz, drc: " QUANT_PRESET_NAMES));
         json_array_append_new(parameters,
-                              query_parameter("preset", "of glb, spz, drc: " QUANT_PRESET_NAMES));
-        json_array_append_new(parameters, query_parameter("sh", "degree of harmonics, 0 to 3"));
+                              describe_query_parameter("sh", "degree of harmonics, 0 to 3"));
     }
-    static const enum route with_look[] = {
+    static const enum route with_appearance[] = {
         ROUTE_SEED,           ROUTE_TILE, ROUTE_TILE_MOVING, ROUTE_TILESET,
         ROUTE_TILESET_MOVING, ROUTE_VIEW, ROUTE_VIEW_MOVING, ROUTE_APPEARANCE};
-    for (size_t i = 0; i < sizeof(with_look) / sizeof(*with_look); i++)
-        if (r == with_look[i])
+    for (size_t i = 0; i < sizeof with_appearance / sizeof *with_appearance; i++)
+        if (r == with_appearance[i])
             json_array_append_new(
-                parameters,
-                query_parameter("appearance", "a photograph, NAME:WEIGHT,NAME:WEIGHT, or =BASE64 "
+                parameters, describe_query_parameter(
+                                "appearance", "a photograph, NAME:WEIGHT,NAME:WEIGHT, or =BASE64 "
                                               "of an embedding"));
     if (r == ROUTE_RENDER)
-        json_object_set_new(o, "requestBody", render_body());
+        json_object_set_new(o, "requestBody", describe_render_body());
     return o;
 }
 
@@ -150,112 +128,23 @@ enum err_code describe_api(struct body **out, struct err *e)
     for (int r = 0; r < ROUTE_NONE; r++) {
         if (r == ROUTE_STATIC)
             continue;
-        const char *verb = route_allow((enum route)r) == ALLOW_POST ? "post" : "get";
+        const char *verb = target_allow((enum route)r) == ALLOW_POST ? "post" : "get";
         json_object_set_new(
-            paths, route_path((enum route)r),
-            json_pack("{s:o}", verb, operation((enum route)r, names[r].name, names[r].summary)));
+            paths, target_path((enum route)r),
+            json_pack("{s:o}", verb,
+                      describe_operation((enum route)r, names[r].name, names[r].summary)));
     }
     json_t *o = json_pack("{s:s,s:{s:s,s:s,s:s},s:o}", "openapi", "3.0.3", "info", "title",
                           "citysplat", "version", CITYSPLAT_VERSION, "description",
                           "Tiles and pictures of cities of 3D Gaussians", "paths", paths);
-    return describe_json(o, out, e);
-}
-
-/* ---- datasets ---- */
-
-static json_t *numbers(const double *v, size_t n)
-{
-    json_t *list = json_array();
-    for (size_t i = 0; i < n; i++)
-        json_array_append_new(list, json_real(v[i]));
-    return list;
-}
-
-/* `up` leads from the document to the service's root: "" or "../". */
-static json_t *collection(const struct dataset *d, const char *up)
-{
-    static const char volumes[] = "http://www.opengis.net/def/rel/ogc/1.0/3d-geovolumes";
-    const struct store_meta *m = &d->meta;
-    char self[160], tileset[160], tilejson[160], looks[160], tile[200], view[200];
-    uint64_t count = 0;
-    for (size_t i = 0; i < d->n_tiles; i++)
-        if (d->tiles[i].key.z == m->zoom_max)
-            count += d->tiles[i].count;
-    snprintf(self, sizeof(self), "%scollections/%s", up, m->name);
-    snprintf(tileset, sizeof(tileset), "%sd/%s/tileset.json", up, m->name);
-    snprintf(tilejson, sizeof(tilejson), "%scollections/%s/tiles.json", up, m->name);
-    snprintf(looks, sizeof(looks), "%sd/%s/appearances", up, m->name);
-    snprintf(tile, sizeof(tile), "%sd/%s/r/%s/t/{z}/{x}/{y}.{ext}", up, m->name, m->revision);
-    snprintf(view, sizeof(view),
-             "%sd/%s/static/{lon},{lat},{h}@{heading},{pitch},{fov}/{w}x{h}.{fmt}", up, m->name);
-    json_t *o = json_pack("{s:s,s:s,s:s,s:s,s:{s:{s:[o],s:s}}}", "id", m->name, "title", m->name,
-                          "collectionType", "3d-container", "attribution", m->attribution, "extent",
-                          "spatial", "bbox", numbers(d->bbox, 6), "crs",
-                          "http://www.opengis.net/def/crs/OGC/0/CRS84h");
-    json_object_set_new(
-        o, "links",
-        json_pack("[o,o,o]", link_to("self", "application/json", self, m->name),
-                  link_to(volumes, "application/3dtiles+json", tileset, "3D Tiles 1.1"),
-                  link_to("tiles", "application/json", tilejson, "TileJSON 3.0.0")));
-    if (d->appearance)
-        json_array_append_new(
-            json_object_get(o, "links"),
-            link_to("appearances", "application/json", looks, "Light and weather to choose from"));
-    const double origin[3] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m};
-    json_object_set_new(
-        o, "splats",
-        json_pack("{s:s,s:o,s:i,s:i,s:i,s:i,s:b,s:I,s:I,s:s,s:s,s:[s,s,s,s,s]}", "revision",
-                  m->revision, "origin", numbers(origin, 3), "minzoom", (int)m->zoom_min, "maxzoom",
-                  (int)m->zoom_max, "shDegree", (int)m->sh_degree, "embedLength", (int)m->embed_len,
-                  "antialiased", (int)m->antialiased, "tiles", (json_int_t)d->n_tiles, "gaussians",
-                  (json_int_t)count, "tileTemplate", tile, "viewTemplate", view, "formats",
-                  target_ext(FORMAT_GLB), target_ext(FORMAT_SPZ), target_ext(FORMAT_DRC),
-                  target_ext(FORMAT_PLY), target_ext(FORMAT_GLB_PLAIN)));
-    return o;
-}
-
-enum err_code describe_collection(const struct dataset *d, struct body **out, struct err *e)
-{
-    return describe_json(collection(d, "../"), out, e);
-}
-
-enum err_code describe_collections(const struct catalog *c, struct body **out, struct err *e)
-{
-    json_t *list = json_array();
-    for (size_t i = 0; i < c->n; i++)
-        if (!(c->ds[i]->retired_s > 0))
-            json_array_append_new(list, collection(c->ds[i], ""));
-    return describe_json(json_pack("{s:[o],s:o}", "links",
-                                   link_to("self", "application/json", "collections", "Datasets"),
-                                   "collections", list),
-                         out, e);
-}
-
-enum err_code describe_version(struct services *s, struct body **out, struct err *e)
-{
-    char about[160] = "off: started with --device none";
-    static const char *const states[] = {"starting", "ready", "off"};
-    const char *state = s->picture ? states[picture_state(s->picture)] : states[PICTURE_OFF];
-    if (s->picture)
-        picture_about(s->picture, about, sizeof(about));
-    json_t *revisions = json_object();
-    struct catalog *c = services_catalog(s);
-    for (size_t i = 0; i < c->n; i++)
-        if (!(c->ds[i]->retired_s > 0))
-            json_object_set_new(revisions, c->ds[i]->meta.name,
-                                json_string(c->ds[i]->meta.revision));
-    catalog_drop(&c);
-    return describe_json(json_pack("{s:s,s:s,s:o,s:{s:s,s:s}}", "name", "citysplat", "version",
-                                   CITYSPLAT_VERSION, "datasets", revisions, "pictures", "state",
-                                   state, "device", about),
-                         out, e);
+    return document_make(o, out, e);
 }
 
 /* ---- the posted camera ---- */
 
 /* An optional whole number in [lo, hi]; `what` was *out already. */
-static enum err_code read_int(const json_t *o, const char *key, json_int_t lo, json_int_t hi,
-                              json_int_t *out, struct err *e)
+static enum err_code describe_read_int(const json_t *o, const char *key, json_int_t lo,
+                                       json_int_t hi, json_int_t *out, struct err *e)
 {
     const json_t *v = json_object_get(o, key);
     if (!v)
@@ -267,8 +156,8 @@ static enum err_code read_int(const json_t *o, const char *key, json_int_t lo, j
     return ERR_OK;
 }
 
-static enum err_code check_keys(const json_t *o, const char *const *known, const char *where,
-                                struct err *e)
+static enum err_code describe_check_keys(const json_t *o, const char *const *known,
+                                         const char *where, struct err *e)
 {
     const char *key;
     json_t *v;
@@ -284,7 +173,7 @@ static enum err_code check_keys(const json_t *o, const char *const *known, const
     return ERR_OK;
 }
 
-static enum err_code read_pose(const json_t *o, struct view_pose *out, struct err *e)
+static enum err_code describe_read_pose(const json_t *o, struct view_pose *out, struct err *e)
 {
     static const char *const keys[] = {"lon", "lat", "height", "heading", "pitch", "fov", NULL};
     double *const fields[] = {&out->lon_deg,     &out->lat_deg,   &out->h_m,
@@ -293,8 +182,8 @@ static enum err_code read_pose(const json_t *o, struct view_pose *out, struct er
     out->fov_y_deg = 60;
     if (!json_is_object(o))
         return err_set(e, ERR_DATA, "pose must be an object with lon, lat, height, heading, pitch");
-    enum err_code rc = check_keys(o, keys, "pose", e);
-    for (int i = 0; i < 6 && rc == ERR_OK; i++) {
+    enum err_code rc = describe_check_keys(o, keys, "pose", e);
+    for (int i = 0; i < 6 && !rc; i++) {
         const json_t *v = json_object_get(o, keys[i]);
         if (!v && i == 5)
             continue;
@@ -303,12 +192,12 @@ static enum err_code read_pose(const json_t *o, struct view_pose *out, struct er
                            limit[i]);
         *fields[i] = json_number_value(v);
     }
-    if (rc == ERR_OK && out->fov_y_deg < 1)
+    if (!rc && out->fov_y_deg < 1)
         return err_set(e, ERR_DATA, "pose.fov must be 1 to 150 degrees");
     return rc;
 }
 
-static enum err_code read_format(const json_t *o, enum format *out, struct err *e)
+static enum err_code describe_read_format(const json_t *o, enum format *out, struct err *e)
 {
     const json_t *v = json_object_get(o, "format");
     *out = FORMAT_JPG;
@@ -320,8 +209,9 @@ static enum err_code read_format(const json_t *o, enum format *out, struct err *
     return v ? err_set(e, ERR_DATA, "format must be jpg, png or webp") : ERR_OK;
 }
 
-static enum err_code read_camera(const struct server_config *cfg, const struct geo_origin *origin,
-                                 const json_t *o, struct camera *out, struct err *e)
+static enum err_code describe_read_camera(const struct server_config *cfg,
+                                          const struct geo_origin *origin, const json_t *o,
+                                          struct camera *out, struct err *e)
 {
     const json_t *camera = json_object_get(o, "camera"), *pose = json_object_get(o, "pose");
     json_int_t width = 0, height = 0;
@@ -333,27 +223,28 @@ static enum err_code read_camera(const struct server_config *cfg, const struct g
         return camera_from_json(camera, out, e) == ERR_OK ? ERR_OK
                                                           : (err_add(e, "camera"), ERR_DATA);
     struct view_pose at = {0};
-    enum err_code rc = read_int(o, "width", 1, cfg->max_view_px, &width, e);
-    if (rc == ERR_OK)
-        rc = read_int(o, "height", 1, cfg->max_view_px, &height, e);
-    if (rc == ERR_OK && (!width || !height))
+    enum err_code rc = describe_read_int(o, "width", 1, cfg->max_view_px, &width, e);
+    if (!rc)
+        rc = describe_read_int(o, "height", 1, cfg->max_view_px, &height, e);
+    if (!rc && (!width || !height))
         rc = err_set(e, ERR_DATA, "a pose needs width and height, in pixels");
-    if (rc == ERR_OK)
-        rc = read_pose(pose, &at, e);
-    if (rc != ERR_OK)
+    if (!rc)
+        rc = describe_read_pose(pose, &at, e);
+    if (rc)
         return rc;
     return view_camera(origin, &at, (uint32_t)width, (uint32_t)height, out, e) == ERR_OK ? ERR_OK
                                                                                          : ERR_DATA;
 }
 
-static enum err_code read_appearance(const json_t *o, char out[LOOK_TEXT_MAX], struct err *e)
+static enum err_code describe_read_appearance(const json_t *o, char out[TARGET_APPEARANCE_MAX],
+                                              struct err *e)
 {
     const json_t *v = json_object_get(o, "appearance");
     if (!v)
         return ERR_OK;
-    if (!json_is_string(v) || json_string_length(v) >= LOOK_TEXT_MAX)
-        return err_set(e, ERR_DATA, "appearance must be a look, a string of at most %d bytes",
-                       LOOK_TEXT_MAX - 1);
+    if (!json_is_string(v) || json_string_length(v) >= TARGET_APPEARANCE_MAX)
+        return err_set(e, ERR_DATA, "appearance must be a string of at most %d bytes",
+                       TARGET_APPEARANCE_MAX - 1);
     strcpy(out, json_string_value(v));
     return ERR_OK;
 }
@@ -366,24 +257,24 @@ enum err_code describe_read_render(const struct server_config *cfg, const struct
                                        "quality", "deadline_ms", "appearance", NULL};
     json_t *o = NULL;
     json_int_t quality = cfg->quality, deadline_ms = (json_int_t)(cfg->deadline_s * 1000);
-    memset(out, 0, sizeof(*out));
+    memset(out, 0, sizeof *out);
     enum err_code rc =
         n ? jsonc_parse(text, n, "body", &o, e)
           : err_set(e, ERR_FORMAT, "the body must be a JSON object with a camera or a pose");
-    if (rc == ERR_OK && !json_is_object(o))
+    if (!rc && !json_is_object(o))
         rc = err_set(e, ERR_FORMAT, "the body must be a JSON object with a camera or a pose");
-    if (rc == ERR_OK)
-        rc = check_keys(o, keys, "the body", e);
-    if (rc == ERR_OK)
-        rc = read_camera(cfg, origin, o, &out->cam, e);
-    if (rc == ERR_OK)
-        rc = read_format(o, &out->format, e);
-    if (rc == ERR_OK)
-        rc = read_int(o, "quality", 1, 100, &quality, e);
-    if (rc == ERR_OK)
-        rc = read_int(o, "deadline_ms", 50, 30000, &deadline_ms, e);
-    if (rc == ERR_OK)
-        rc = read_appearance(o, out->appearance, e);
+    if (!rc)
+        rc = describe_check_keys(o, keys, "the body", e);
+    if (!rc)
+        rc = describe_read_camera(cfg, origin, o, &out->cam, e);
+    if (!rc)
+        rc = describe_read_format(o, &out->format, e);
+    if (!rc)
+        rc = describe_read_int(o, "quality", 1, 100, &quality, e);
+    if (!rc)
+        rc = describe_read_int(o, "deadline_ms", 50, 30000, &deadline_ms, e);
+    if (!rc)
+        rc = describe_read_appearance(o, out->appearance, e);
     out->quality = (int)quality;
     out->timeout_s = (double)deadline_ms / 1000;
     json_decref(o);

@@ -12,10 +12,11 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/server.h"
+#include "server/job.h"
 
 #include <assert.h>
 #include <math.h>
+#include <pthread.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -63,22 +64,22 @@ struct jobs { /* all but cfg and workers by `lock` */
     struct job_stats stats;
 };
 
-static bool same(struct hash128 a, struct hash128 b)
+static bool job_same(struct hash128 a, struct hash128 b)
 {
     return a.lo == b.lo && a.hi == b.hi;
 }
 
 /* ---- under the lock ---- */
 
-static struct job **table_find(struct jobs *js, struct hash128 id)
+static struct job **job_table_find(struct jobs *js, struct hash128 id)
 {
     struct job **p = &js->table[id.lo % TABLE];
-    while (*p && !same((*p)->id, id))
+    while (*p && !job_same((*p)->id, id))
         p = &(*p)->table_next;
     return p;
 }
 
-static void queue_add(struct jobs *js, struct job *j)
+static void job_queue_add(struct jobs *js, struct job *j)
 {
     struct queue *q = &js->queue[j->cls];
     j->older = q->newest;
@@ -89,7 +90,7 @@ static void queue_add(struct jobs *js, struct job *j)
     pthread_cond_signal(j->cls == JOB_VIEW ? &js->view_ready : &js->tile_ready);
 }
 
-static void queue_remove(struct jobs *js, struct job *j)
+static void job_queue_remove(struct jobs *js, struct job *j)
 {
     struct queue *q = &js->queue[j->cls];
     *(j->newer ? &j->newer->older : &q->newest) = j->older;
@@ -98,17 +99,17 @@ static void queue_remove(struct jobs *js, struct job *j)
     q->n--;
 }
 
-static struct failure *failure_find(struct jobs *js, struct hash128 id)
+static struct failure *job_failure_find(struct jobs *js, struct hash128 id)
 {
     for (size_t i = 0; i < FAILURES; i++)
-        if (js->failure[i].pause_s > 0 && same(js->failure[i].id, id))
+        if (js->failure[i].pause_s > 0 && job_same(js->failure[i].id, id))
             return &js->failure[i];
     return NULL;
 }
 
-static void failure_note(struct jobs *js, struct hash128 id, const struct job_result *r)
+static void job_failure_note(struct jobs *js, struct hash128 id, const struct job_result *r)
 {
-    struct failure *f = failure_find(js, id);
+    struct failure *f = job_failure_find(js, id);
     if (r->end == JOB_OK) {
         if (f)
             f->pause_s = 0;
@@ -121,14 +122,14 @@ static void failure_note(struct jobs *js, struct hash128 id, const struct job_re
         f = &js->failure[js->next_failure++ % FAILURES];
     f->id = id;
     f->code = r->code;
-    memcpy(f->msg, r->msg, sizeof(f->msg));
+    memcpy(f->msg, r->msg, sizeof f->msg);
     f->pause_s = pause_s;
     f->until_s = clock_s() + pause_s;
 }
 
 /* Take w off its job and put it on the caller's list. */
-static void claim(struct job *j, struct job_waiter **p, const struct job_result *r,
-                  struct job_waiter **claimed)
+static void job_claim(struct job *j, struct job_waiter **p, const struct job_result *r,
+                      struct job_waiter **claimed)
 {
     struct job_waiter *w = *p;
     bool coalesced = w->result.coalesced;
@@ -141,31 +142,31 @@ static void claim(struct job *j, struct job_waiter **p, const struct job_result 
     *claimed = w;
 }
 
-static void table_remove(struct jobs *js, struct job *j)
+static void job_table_remove(struct jobs *js, struct job *j)
 {
-    struct job **p = table_find(js, j->id);
+    struct job **p = job_table_find(js, j->id);
     if (*p == j) /* a cancelled job has left already, and a new one may have its id */
         *p = j->table_next;
 }
 
 /* A job that nobody waits for: forget it if it has not begun (then the caller frees it), let a tile
  * be finished for the cache, stop a picture (nobody may join it any more). */
-static struct job *abandon(struct jobs *js, struct job *j)
+static struct job *job_abandon(struct jobs *js, struct job *j)
 {
     if (j->running && j->cls != JOB_VIEW)
         return NULL;
-    table_remove(js, j);
+    job_table_remove(js, j);
     if (j->running) {
         atomic_store(&j->cancel, true);
         return NULL;
     }
-    queue_remove(js, j);
+    job_queue_remove(js, j);
     return j;
 }
 
 /* ---- not under the lock ---- */
 
-static void wake_all(struct job_waiter *w)
+static void job_wake_all(struct job_waiter *w)
 {
     for (struct job_waiter *next; w; w = next) {
         next = w->next;
@@ -188,17 +189,17 @@ static void job_finish(struct jobs *js, struct job *j, struct job_result *r, str
 {
     struct job_waiter *claimed = NULL;
     pthread_mutex_lock(&js->lock);
-    table_remove(js, j);
+    job_table_remove(js, j);
     js->stats.running[j->cls]--;
     js->stats.ended[j->cls][r->end]++;
     js->stats.run_s[j->cls] += r->run_s;
-    failure_note(js, j->id, r);
+    job_failure_note(js, j->id, r);
     while (j->waiters)
-        claim(j, &j->waiters, r, &claimed);
+        job_claim(j, &j->waiters, r, &claimed);
     pthread_mutex_unlock(&js->lock);
     for (struct job_waiter *w = claimed; w; w = w->next)
         w->result.body = body_ref(body);
-    wake_all(claimed);
+    job_wake_all(claimed);
     body_drop(&body);
     job_free(js, j);
 }
@@ -214,18 +215,18 @@ static void job_run(struct jobs *js, struct job *j, size_t worker)
         r.code = err_set(&e, ERR_INTERNAL, "job made nothing");
     if (r.code != ERR_OK) {
         r.end = r.code == ERR_CANCEL ? JOB_CANCELLED : JOB_ERROR;
-        snprintf(r.msg, sizeof(r.msg), "%.*s", (int)sizeof(r.msg) - 1, e.msg);
+        snprintf(r.msg, sizeof r.msg, "%.*s", (int)sizeof r.msg - 1, e.msg);
         body_drop(&body);
     }
     job_finish(js, j, &r, body);
 }
 
-static struct job *next_tile(struct jobs *js)
+static struct job *job_next_tile(struct jobs *js)
 {
     return js->queue[JOB_TILE].oldest ? js->queue[JOB_TILE].oldest : js->queue[JOB_PREFETCH].oldest;
 }
 
-static void worker_main(void *user)
+static void job_worker_main(void *user)
 {
     struct worker *w = user;
     struct jobs *js = w->js;
@@ -234,12 +235,12 @@ static void worker_main(void *user)
         js->cfg.view_enter(js->cfg.user);
     pthread_mutex_lock(&js->lock);
     while (!js->stopping) {
-        struct job *j = view ? js->queue[JOB_VIEW].newest : next_tile(js);
+        struct job *j = view ? js->queue[JOB_VIEW].newest : job_next_tile(js);
         if (!j) {
             pthread_cond_wait(view ? &js->view_ready : &js->tile_ready, &js->lock);
             continue;
         }
-        queue_remove(js, j);
+        job_queue_remove(js, j);
         j->running = true;
         j->started_s = clock_s();
         js->stats.running[j->cls]++;
@@ -256,11 +257,11 @@ static void worker_main(void *user)
 
 enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct err *e)
 {
-    struct jobs *js = mem_array(1, sizeof(*js));
+    struct jobs *js = mem_array(1, sizeof *js);
     size_t n = cfg->tile_threads + cfg->view_thread;
     enum err_code rc = ERR_OK;
     *out = js;
-    if (!js || !(js->workers = mem_array(n, sizeof(*js->workers)))) {
+    if (!js || !(js->workers = mem_array(n, sizeof *js->workers))) {
         mem_free(js);
         *out = NULL;
         return err_set(e, ERR_MEM, "jobs: out of memory");
@@ -269,66 +270,66 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
     pthread_mutex_init(&js->lock, NULL);
     pthread_cond_init(&js->tile_ready, NULL);
     pthread_cond_init(&js->view_ready, NULL);
-    for (; js->n_workers < n && rc == ERR_OK; js->n_workers += rc == ERR_OK) {
+    for (; js->n_workers < n && !rc; js->n_workers += !rc) {
         struct worker *w = &js->workers[js->n_workers];
         w->js = js;
         w->index = js->n_workers;
-        rc = pool_start(worker_main, w, &w->thread, e);
+        rc = pool_start(job_worker_main, w, &w->thread, e);
     }
-    if (rc != ERR_OK)
+    if (rc)
         job_close(out);
     return rc;
 }
 
 /* Refuse w: the result says why, and w will not be woken. */
-static enum err_code refuse(struct job_waiter *w, enum job_end end, enum err_code code,
-                            const char *why)
+static enum err_code job_refuse(struct job_waiter *w, enum job_end end, enum err_code code,
+                                const char *why)
 {
     w->result = (struct job_result){.end = end, .code = code};
-    snprintf(w->result.msg, sizeof(w->result.msg), "%s", why);
+    snprintf(w->result.msg, sizeof w->result.msg, "%s", why);
     w->job = NULL;
     return code;
 }
 
 /* Under the lock: a job for this id to wait for, or NULL with w refused. *unused is work nobody
  * needs, *shed a queued job that had to make room. */
-static struct job *find_or_add(struct jobs *js, enum job_class cls, struct hash128 id, void **work,
-                               struct job_waiter *w, struct job **shed)
+static struct job *job_find_or_add(struct jobs *js, enum job_class cls, struct hash128 id,
+                                   void **work, struct job_waiter *w, struct job **shed)
 {
-    struct job *j = *table_find(js, id);
+    struct job *j = *job_table_find(js, id);
     double now_s = clock_s();
-    struct failure *f = failure_find(js, id);
+    struct failure *f = job_failure_find(js, id);
     if (js->stopping) {
-        refuse(w, JOB_SHED, ERR_BUSY, "the server is stopping");
+        job_refuse(w, JOB_SHED, ERR_BUSY, "the server is stopping");
         return NULL;
     }
     if (j) {
         w->result.coalesced = true;
         js->stats.coalesced++;
         if (!j->running && j->cls == JOB_PREFETCH && cls == JOB_TILE) {
-            queue_remove(js, j);
+            job_queue_remove(js, j);
             j->cls = JOB_TILE;
-            queue_add(js, j);
+            job_queue_add(js, j);
         }
         return j;
     }
     if (f && now_s < f->until_s) {
-        refuse(w, JOB_ERROR, f->code, f->msg);
+        job_refuse(w, JOB_ERROR, f->code, f->msg);
         return NULL;
     }
     if (js->queue[cls].n >= js->cfg.queue_limit[cls]) {
         if (cls != JOB_VIEW) {
             js->stats.ended[cls][JOB_SHED]++;
-            refuse(w, JOB_SHED, ERR_BUSY, "too many requests are waiting");
+            job_refuse(w, JOB_SHED, ERR_BUSY, "too many requests are waiting");
             return NULL;
         }
         *shed = js->queue[cls].oldest;
         js->stats.ended[cls][JOB_SHED]++;
     }
-    j = mem_array(1, sizeof(*j));
+    j = mem_array(1, sizeof *j);
     if (!j) {
         *shed = NULL;
-        refuse(w, JOB_ERROR, ERR_MEM, "out of memory");
+        job_refuse(w, JOB_ERROR, ERR_MEM, "out of memory");
         return NULL;
     }
     j->id = id;
@@ -336,10 +337,10 @@ static struct job *find_or_add(struct jobs *js, enum job_class cls, struct hash1
     j->work = *work;
     *work = NULL;
     j->queued_s = now_s;
-    struct job **p = table_find(js, id);
+    struct job **p = job_table_find(js, id);
     j->table_next = *p;
     *p = j;
-    queue_add(js, j);
+    job_queue_add(js, j);
     return j;
 }
 
@@ -348,9 +349,9 @@ enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id,
 {
     struct job *shed = NULL;
     struct job_waiter *claimed = NULL;
-    memset(&w->result, 0, sizeof(w->result));
+    memset(&w->result, 0, sizeof w->result);
     pthread_mutex_lock(&js->lock);
-    struct job *j = find_or_add(js, cls, id, &work, w, &shed);
+    struct job *j = job_find_or_add(js, cls, id, &work, w, &shed);
     /* Once the lock is open, w may be woken and gone: what is returned must be read before. */
     enum err_code rc = j ? ERR_OK : w->result.code;
     if (j) {
@@ -363,13 +364,13 @@ enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id,
         const struct job_result r = {
             .end = JOB_SHED, .code = ERR_BUSY, .msg = "newer pictures were asked for"};
         while (shed->waiters)
-            claim(shed, &shed->waiters, &r, &claimed);
-        shed = abandon(js, shed);
+            job_claim(shed, &shed->waiters, &r, &claimed);
+        shed = job_abandon(js, shed);
     }
     pthread_mutex_unlock(&js->lock);
     if (work)
         js->cfg.drop(js->cfg.user, work);
-    wake_all(claimed);
+    job_wake_all(claimed);
     job_free(js, shed);
     return rc;
 }
@@ -386,11 +387,11 @@ bool job_leave(struct jobs *js, struct job_waiter *w)
         struct job_waiter **p = &j->waiters;
         while (*p != w)
             p = &(*p)->next;
-        claim(j, p, &gone, &claimed);
+        job_claim(j, p, &gone, &claimed);
         w->next = NULL;
         if (!j->waiters) {
             bool was_running = j->running;
-            dead = abandon(js, j);
+            dead = job_abandon(js, j);
             js->stats.ended[j->cls][JOB_CANCELLED] += !was_running;
         }
     }
@@ -414,7 +415,8 @@ bool job_cancelled(const struct job *j)
 
 /* Claim every waiter whose deadline is before `before_s` (or everyone); jobs without waiters are
  * forgotten. */
-static void claim_where(struct jobs *js, double before_s, const struct job_result *r, bool everyone)
+static void job_claim_where(struct jobs *js, double before_s, const struct job_result *r,
+                            bool everyone)
 {
     struct job_waiter *claimed = NULL;
     struct job *dead = NULL;
@@ -425,7 +427,7 @@ static void claim_where(struct jobs *js, double before_s, const struct job_resul
             bool had_waiters = j->waiters;
             for (struct job_waiter **p = &j->waiters; *p;) {
                 if (everyone || (*p)->deadline_s <= before_s)
-                    claim(j, p, r, &claimed);
+                    job_claim(j, p, r, &claimed);
                 else
                     p = &(*p)->next;
             }
@@ -434,7 +436,7 @@ static void claim_where(struct jobs *js, double before_s, const struct job_resul
             if (j->waiters || (!had_waiters && !everyone))
                 continue;
             bool was_running = j->running;
-            struct job *d = abandon(js, j);
+            struct job *d = job_abandon(js, j);
             js->stats.ended[j->cls][r->end] += !was_running;
             if (d) {
                 d->table_next = dead;
@@ -443,7 +445,7 @@ static void claim_where(struct jobs *js, double before_s, const struct job_resul
         }
     }
     pthread_mutex_unlock(&js->lock);
-    wake_all(claimed);
+    job_wake_all(claimed);
     for (struct job *next; dead; dead = next) {
         next = dead->table_next;
         job_free(js, dead);
@@ -454,7 +456,7 @@ void job_tick(struct jobs *js, double now_s)
 {
     static const struct job_result late = {
         .end = JOB_TIMEOUT, .code = ERR_BUSY, .msg = "not made within the time allowed"};
-    claim_where(js, now_s, &late, false);
+    job_claim_where(js, now_s, &late, false);
 }
 
 int job_retry_after(struct jobs *js, enum job_class cls)
@@ -496,7 +498,7 @@ void job_stop(struct jobs *js)
     pthread_cond_broadcast(&js->tile_ready);
     pthread_cond_broadcast(&js->view_ready);
     pthread_mutex_unlock(&js->lock);
-    claim_where(js, 0, &stop, true);
+    job_claim_where(js, 0, &stop, true);
     for (size_t i = 0; i < js->n_workers; i++)
         if (js->workers[i].thread)
             pool_join(&js->workers[i].thread);

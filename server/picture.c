@@ -7,14 +7,16 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/image.h"
-#include "server/server.h"
+#include "server/picture.h"
 
 #include <stdio.h>
 #include <string.h>
 #include <sys/resource.h>
 
-enum { VIEWS = 4, VIEW_NICE = 5 };
+#include "codec/image.h"
+#include "core/dev.h"
+
+enum { PICTURE_VIEWS = 4, PICTURE_NICE = 5 };
 
 struct open_view {
     char *path;
@@ -30,13 +32,13 @@ struct picture {
     struct dev dev;
     struct render *render;
     bool has_dev;
-    struct open_view open[VIEWS];
+    struct open_view open[PICTURE_VIEWS];
     uint64_t tick;
 };
 
 enum err_code picture_open(const struct server_config *cfg, struct picture **out, struct err *e)
 {
-    struct picture *p = mem_array(1, sizeof(*p));
+    struct picture *p = mem_array(1, sizeof *p);
     *out = p;
     if (!p)
         return err_set(e, ERR_MEM, "picture: out of memory");
@@ -46,10 +48,10 @@ enum err_code picture_open(const struct server_config *cfg, struct picture **out
     return ERR_OK;
 }
 
-static void set_state(struct picture *p, enum picture_state state, const char *about)
+static void picture_set_state(struct picture *p, enum picture_state state, const char *about)
 {
     pthread_mutex_lock(&p->lock);
-    snprintf(p->about, sizeof(p->about), "%.*s", (int)sizeof(p->about) - 1, about);
+    snprintf(p->about, sizeof p->about, "%.*s", (int)sizeof p->about - 1, about);
     atomic_store(&p->state, state);
     pthread_mutex_unlock(&p->lock);
 }
@@ -58,34 +60,35 @@ void picture_enter(struct picture *p)
 {
     struct err e = {0};
     char about[256];
-    setpriority(PRIO_PROCESS, 0, VIEW_NICE); /* on Linux: of this thread, and of those it starts */
+    setpriority(PRIO_PROCESS, 0,
+                PICTURE_NICE); /* on Linux: of this thread, and of those it starts */
     double start_s = clock_s();
     enum err_code rc = dev_open(p->cfg->device, &p->dev, &e);
-    p->has_dev = rc == ERR_OK;
-    if (rc == ERR_OK)
+    p->has_dev = !rc;
+    if (!rc)
         rc = render_open(&p->dev, &p->render, &e);
-    if (rc != ERR_OK) {
+    if (rc) {
         log_warn("serve", "pictures are off, tiles are served: %s", e.msg);
-        set_state(p, PICTURE_OFF, e.msg);
+        picture_set_state(p, PICTURE_OFF, e.msg);
         return;
     }
-    snprintf(about, sizeof(about), "%s %s", p->dev.name, p->dev.driver);
-    set_state(p, PICTURE_READY, about);
+    snprintf(about, sizeof about, "%s %s", p->dev.name, p->dev.driver);
+    picture_set_state(p, PICTURE_READY, about);
     log_info("serve", "pictures are on device=\"%s\" start_s=%.1f", about, clock_s() - start_s);
 }
 
-static void view_drop(struct open_view *v)
+static void picture_view_drop(struct open_view *v)
 {
     view_close(&v->view);
     mem_free(v->path);
-    memset(v, 0, sizeof(*v));
+    memset(v, 0, sizeof *v);
 }
 
 void picture_leave(struct picture *p)
 {
-    for (int i = 0; i < VIEWS; i++)
+    for (int i = 0; i < PICTURE_VIEWS; i++)
         if (p->open[i].view)
-            view_drop(&p->open[i]);
+            picture_view_drop(&p->open[i]);
     render_close(&p->render);
     if (p->has_dev)
         dev_close(&p->dev);
@@ -115,11 +118,11 @@ void picture_about(struct picture *p, char *out, size_t n)
 }
 
 /* The open view of a dataset's revision; the one unused for longest makes room. */
-static enum err_code view_find(struct picture *p, const struct dataset *d, struct view **out,
-                               struct err *e)
+static enum err_code picture_view_find(struct picture *p, const struct dataset *d,
+                                       struct view **out, struct err *e)
 {
     struct open_view *oldest = &p->open[0];
-    for (int i = 0; i < VIEWS; i++) {
+    for (int i = 0; i < PICTURE_VIEWS; i++) {
         struct open_view *v = &p->open[i];
         if (v->view && !strcmp(v->path, d->path) && !strcmp(v->revision, d->meta.revision)) {
             v->used = ++p->tick;
@@ -130,10 +133,10 @@ static enum err_code view_find(struct picture *p, const struct dataset *d, struc
             oldest = v;
     }
     if (oldest->view)
-        view_drop(oldest);
-    size_t bytes = ((size_t)p->cfg->view_cache_mb << 20) / VIEWS;
+        picture_view_drop(oldest);
+    size_t bytes = ((size_t)p->cfg->view_cache_mb << 20) / PICTURE_VIEWS;
     enum err_code rc = view_open(d->path, p->render, bytes, &oldest->view, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     const char *now = store_info(view_store(oldest->view))->revision;
     oldest->path = mem_text(d->path);
@@ -141,16 +144,16 @@ static enum err_code view_find(struct picture *p, const struct dataset *d, struc
         rc = oldest->path
                  ? err_set(e, ERR_NOENT, "no pictures of this revision: its file was replaced")
                  : err_set(e, ERR_MEM, "picture: out of memory");
-        view_drop(oldest);
+        picture_view_drop(oldest);
         return rc;
     }
-    memcpy(oldest->revision, d->meta.revision, sizeof(oldest->revision));
+    memcpy(oldest->revision, d->meta.revision, sizeof oldest->revision);
     oldest->used = ++p->tick;
     *out = oldest->view;
     return ERR_OK;
 }
 
-static void to_bytes(const float *rgb, struct image *img)
+static void picture_to_bytes(const float *rgb, struct image *img)
 {
     size_t n = (size_t)img->width_px * img->height_px * 3;
     for (size_t i = 0; i < n; i++) {
@@ -159,7 +162,8 @@ static void to_bytes(const float *rgb, struct image *img)
     }
 }
 
-enum err_code picture_make(struct picture *p, const struct job *j, const struct work *w,
+enum err_code picture_make(struct picture *p, const struct job *j, const struct dataset *d,
+                           const struct appearance_choice *a, const struct picture_view *v,
                            struct buf *out, struct err *e)
 {
     struct view *view = NULL;
@@ -167,27 +171,26 @@ enum err_code picture_make(struct picture *p, const struct job *j, const struct 
     float *rgb = NULL;
     char why[160];
     if (picture_state(p) != PICTURE_READY) {
-        picture_about(p, why, sizeof(why));
+        picture_about(p, why, sizeof why);
         return err_set(e, ERR_DEVICE, "pictures are off: %s", why);
     }
-    struct render_options ro = {.aa = w->ds->meta.antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
+    struct render_options ro = {.aa = d->meta.antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
                                 .sh_degree = -1};
     const struct pick_options po = {.max_gaussians = (uint64_t)p->cfg->view_gaussians};
-    enum err_code rc = view_find(p, w->ds, &view, e);
-    if (rc == ERR_OK)
-        rc = view_set_look(view, w->look.set ? w->look.image : NULL, e);
-    if (rc == ERR_OK)
-        rc = image_alloc(w->cam.width_px, w->cam.height_px, 3, &img, e);
-    if (rc == ERR_OK &&
-        !(rgb = mem_array((size_t)w->cam.width_px * w->cam.height_px, 3 * sizeof(float))))
+    enum err_code rc = picture_view_find(p, d, &view, e);
+    if (!rc)
+        rc = view_set_look(view, appearance_api_image(a), e);
+    if (!rc)
+        rc = image_alloc(v->cam.width_px, v->cam.height_px, 3, &img, e);
+    if (!rc && !(rgb = mem_array((size_t)v->cam.width_px * v->cam.height_px, 3 * sizeof(float))))
         rc = err_set(e, ERR_MEM, "picture: out of memory");
-    if (rc == ERR_OK)
-        rc = view_render(view, &w->cam, &ro, &po, rgb, NULL, e);
-    if (rc == ERR_OK && job_cancelled(j))
+    if (!rc)
+        rc = view_render(view, &v->cam, &ro, &po, rgb, NULL, e);
+    if (!rc && job_cancelled(j))
         rc = err_set(e, ERR_CANCEL, "cancelled");
-    if (rc == ERR_OK) {
-        to_bytes(rgb, &img);
-        rc = image_encode(&img, target_ext(w->form.format), w->quality, out, e);
+    if (!rc) {
+        picture_to_bytes(rgb, &img);
+        rc = image_encode(&img, target_ext(v->format), v->quality, out, e);
     }
     mem_free(rgb);
     image_free(&img);

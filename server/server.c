@@ -10,6 +10,9 @@
 #include <string.h>
 
 #include "core/pool.h"
+#include "server/http.h"
+#include "server/services.h"
+#include "server/work.h"
 
 struct server {
     struct server_config cfg; /* texts are borrowed from the caller */
@@ -20,17 +23,17 @@ struct server {
     char url[128];
 };
 
-static void enter_view(void *user)
+static void server_enter_view(void *user)
 {
     picture_enter(((struct services *)user)->picture);
 }
 
-static void leave_view(void *user)
+static void server_leave_view(void *user)
 {
     picture_leave(((struct services *)user)->picture);
 }
 
-static enum err_code start_jobs(struct server *sv, struct err *e)
+static enum err_code server_start_jobs(struct server *sv, struct err *e)
 {
     struct services *s = &sv->services;
     const struct server_config *cfg = &sv->cfg;
@@ -41,16 +44,16 @@ static enum err_code start_jobs(struct server *sv, struct err *e)
         .queue_limit = {(size_t)cfg->queue_views, (size_t)cfg->queue_tiles,
                         (size_t)cfg->queue_prefetch},
         .user = s,
-        .run = encode_run,
-        .drop = encode_drop,
-        .view_enter = enter_view,
-        .view_leave = leave_view,
+        .run = work_run,
+        .drop = work_drop,
+        .view_enter = server_enter_view,
+        .view_leave = server_leave_view,
     };
     enum err_code rc = views ? picture_open(cfg, &s->picture, e) : ERR_OK;
-    return rc == ERR_OK ? job_open(&jobs, &s->jobs, e) : rc;
+    return !rc ? job_open(&jobs, &s->jobs, e) : rc;
 }
 
-static enum err_code load_web(struct server *sv, struct err *e)
+static enum err_code server_load_web(struct server *sv, struct err *e)
 {
     char dir[FILE_PATH_MAX];
     if (sv->cfg.web_dir)
@@ -62,18 +65,18 @@ static enum err_code load_web(struct server *sv, struct err *e)
     return ERR_OK;
 }
 
-static void set_url(struct server *sv)
+static void server_set_url(struct server *sv)
 {
     const char *a = sv->cfg.address;
     const char *host = !strcmp(a, "0.0.0.0") ? "127.0.0.1" : !strcmp(a, "::") ? "::1" : a;
     const char *open = strchr(host, ':') ? "[" : "", *close = *open ? "]" : "";
-    snprintf(sv->url, sizeof(sv->url), "http://%s%s%s:%u/", open, host, close, http_port(sv->http));
+    snprintf(sv->url, sizeof sv->url, "http://%s%s%s:%u/", open, host, close, http_port(sv->http));
 }
 
 enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,
                            struct server **out, struct err *e)
 {
-    struct server *sv = mem_array(1, sizeof(*sv));
+    struct server *sv = mem_array(1, sizeof *sv);
     *out = sv;
     if (!sv)
         return err_set(e, ERR_MEM, "serve: out of memory");
@@ -85,18 +88,18 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     sv->workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
     struct services *s = &sv->services;
     enum err_code rc = services_open(s, &sv->cfg, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = catalog_open(paths, n, sv->workers, cfg->public_url, NULL, &s->catalog, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = http_open(s, &sv->http, e);
-    if (rc == ERR_OK)
-        rc = load_web(sv, e);
-    if (rc == ERR_OK)
-        rc = start_jobs(sv, e);
-    if (rc == ERR_OK)
+    if (!rc)
+        rc = server_load_web(sv, e);
+    if (!rc)
+        rc = server_start_jobs(sv, e);
+    if (!rc)
         rc = http_start(sv->http, e);
-    if (rc == ERR_OK) {
-        set_url(sv);
+    if (!rc) {
+        server_set_url(sv);
         for (size_t i = 0; i < s->catalog->n; i++)
             log_info("serve", "dataset name=%s revision=%s tiles=%zu file=%s",
                      s->catalog->ds[i]->meta.name, s->catalog->ds[i]->meta.revision,
@@ -123,7 +126,7 @@ enum err_code server_reload(struct server *sv, struct err *e)
     struct catalog *older = services_catalog(s), *newer = NULL;
     enum err_code rc =
         catalog_open(sv->paths, sv->n_paths, sv->workers, sv->cfg.public_url, older, &newer, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         pthread_mutex_lock(&s->catalog_lock);
         struct catalog *was = s->catalog;
         s->catalog = newer;

@@ -4,26 +4,28 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/server.h"
+#include "server/services.h"
 
 #include <string.h>
 
+#include "server/describe.h"
+
 enum err_code services_open(struct services *s, const struct server_config *cfg, struct err *e)
 {
-    memset(s, 0, sizeof(*s));
+    memset(s, 0, sizeof *s);
     s->cfg = cfg;
     s->start_s = clock_s();
     pthread_mutex_init(&s->catalog_lock, NULL);
     enum err_code rc = cache_open((size_t)cfg->cache_mb << 20, &s->cache, e);
-    if (rc == ERR_OK && cfg->access_log)
+    if (!rc && cfg->access_log)
         rc = access_open(&s->access, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = describe_landing(&s->landing, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = describe_conformance(&s->conformance, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = describe_api(&s->api, e);
-    if (rc != ERR_OK)
+    if (rc)
         services_free(s);
     return rc;
 }

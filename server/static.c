@@ -4,7 +4,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/server.h"
+#include "server/static.h"
 
 #include <dirent.h>
 #include <stdio.h>
@@ -38,31 +38,31 @@ static const struct {
     {".glb", "model/gltf-binary", false},
 };
 
-static int type_of(const char *name)
+static int static_type_of(const char *name)
 {
     const char *dot = strrchr(name, '.');
-    for (size_t i = 0; dot && i < sizeof(types) / sizeof(*types); i++)
+    for (size_t i = 0; dot && i < sizeof types / sizeof *types; i++)
         if (!strcmp(dot, types[i].suffix))
             return (int)i;
     return -1;
 }
 
 /* Bytes that a legal request path can hold: other names could never be asked for. */
-static bool plain_name(const char *name)
+static bool static_plain_name(const char *name)
 {
     return name[0] != '.' &&
            !name[strspn(name, "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
                               "0123456789_.,@:-")];
 }
 
-static enum err_code add_file(const char *dir, const char *url, struct static_table *t,
-                              size_t *bytes, struct err *e)
+static enum err_code static_add_file(const char *dir, const char *url, struct static_table *t,
+                                     size_t *bytes, struct err *e)
 {
     char path[FILE_PATH_MAX];
     struct buf b = {0};
     if (t->n == t->cap) {
         size_t cap = t->cap ? t->cap * 2 : 32;
-        struct static_file *file = mem_resize(t->file, t->cap, cap, sizeof(*file));
+        struct static_file *file = mem_resize(t->file, t->cap, cap, sizeof *file);
         if (!file)
             return err_set(e, ERR_MEM, "%s: out of memory", dir);
         t->file = file;
@@ -71,12 +71,12 @@ static enum err_code add_file(const char *dir, const char *url, struct static_ta
     if (t->n == FILES_MAX)
         return err_set(e, ERR_LIMIT, "%s: more than %d files", dir, FILES_MAX);
     enum err_code rc = file_join(path, dir, url + 1, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_read(path, BYTES_MAX, &b, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     *bytes += b.size;
-    int type = type_of(url);
+    int type = static_type_of(url);
     struct static_file f = {
         .path = mem_text(url),
         .type = type < 0 ? "application/octet-stream" : types[type].type,
@@ -96,38 +96,38 @@ static enum err_code add_file(const char *dir, const char *url, struct static_ta
 }
 
 /* All files below dir + url, depth first. */
-static enum err_code add_dir(const char *dir, const char *url, int depth, struct static_table *t,
-                             size_t *bytes, struct err *e)
+static enum err_code static_add_dir(const char *dir, const char *url, int depth,
+                                    struct static_table *t, size_t *bytes, struct err *e)
 {
     char path[FILE_PATH_MAX], below[FILE_PATH_MAX];
     enum err_code rc = ERR_OK;
     if (depth > DEPTH_MAX)
         return err_set(e, ERR_LIMIT, "%s: folders nested deeper than %d", dir, DEPTH_MAX);
-    if (snprintf(path, sizeof(path), "%s%s", dir, url) >= (int)sizeof(path))
+    if (snprintf(path, sizeof path, "%s%s", dir, url) >= (int)sizeof path)
         return err_set(e, ERR_LIMIT, "%s: path too long", dir);
     DIR *d = opendir(path);
     if (!d)
         return err_errno(e, ERR_IO, "%s: cannot list this folder", path);
-    for (struct dirent *x; rc == ERR_OK && (x = readdir(d));) {
+    for (struct dirent *x; !rc && (x = readdir(d));) {
         struct stat st;
-        if (!plain_name(x->d_name))
+        if (!static_plain_name(x->d_name))
             continue;
-        if (snprintf(below, sizeof(below), "%s%s%s", url, url[1] ? "/" : "", x->d_name) >=
-                (int)sizeof(below) ||
-            snprintf(path, sizeof(path), "%s%s", dir, below) >= (int)sizeof(path))
+        if (snprintf(below, sizeof below, "%s%s%s", url, url[1] ? "/" : "", x->d_name) >=
+                (int)sizeof below ||
+            snprintf(path, sizeof path, "%s%s", dir, below) >= (int)sizeof path)
             rc = err_set(e, ERR_LIMIT, "%s: path too long", dir);
         else if (stat(path, &st) != 0)
             continue; /* gone since readdir, or a dangling link */
         else if (S_ISDIR(st.st_mode))
-            rc = add_dir(dir, below, depth + 1, t, bytes, e);
+            rc = static_add_dir(dir, below, depth + 1, t, bytes, e);
         else if (S_ISREG(st.st_mode))
-            rc = add_file(dir, below, t, bytes, e);
+            rc = static_add_file(dir, below, t, bytes, e);
     }
     closedir(d);
     return rc;
 }
 
-static int by_path(const void *a, const void *b)
+static int static_by_path(const void *a, const void *b)
 {
     return strcmp(((const struct static_file *)a)->path, ((const struct static_file *)b)->path);
 }
@@ -135,12 +135,12 @@ static int by_path(const void *a, const void *b)
 enum err_code static_load(const char *dir, struct static_table *out, struct err *e)
 {
     size_t bytes = 0;
-    memset(out, 0, sizeof(*out));
-    enum err_code rc = add_dir(dir, "/", 0, out, &bytes, e);
-    if (rc != ERR_OK)
+    memset(out, 0, sizeof *out);
+    enum err_code rc = static_add_dir(dir, "/", 0, out, &bytes, e);
+    if (rc)
         static_free(out);
     else if (out->n)
-        qsort(out->file, out->n, sizeof(*out->file), by_path);
+        qsort(out->file, out->n, sizeof *out->file, static_by_path);
     return rc;
 }
 
@@ -151,7 +151,7 @@ void static_free(struct static_table *t)
         body_drop(&t->file[i].body);
     }
     mem_free(t->file);
-    memset(t, 0, sizeof(*t));
+    memset(t, 0, sizeof *t);
 }
 
 const struct static_file *static_find(const struct static_table *t, const char *path, size_t n)
@@ -176,15 +176,15 @@ bool static_default_dir(char out[FILE_PATH_MAX])
 {
     static const char *const places[] = {"../../web/dist", "../web/dist", "../share/citysplat/web"};
     char self[FILE_PATH_MAX];
-    ssize_t n = readlink("/proc/self/exe", self, sizeof(self) - 1);
+    ssize_t n = readlink("/proc/self/exe", self, sizeof self - 1);
     if (n <= 0)
         return false;
     self[n] = 0;
     *strrchr(self, '/') = 0;
-    for (size_t i = 0; i < sizeof(places) / sizeof(*places); i++) {
+    for (size_t i = 0; i < sizeof places / sizeof *places; i++) {
         char index[FILE_PATH_MAX];
         if (snprintf(out, FILE_PATH_MAX, "%s/%s", self, places[i]) < FILE_PATH_MAX &&
-            snprintf(index, sizeof(index), "%s/index.html", out) < (int)sizeof(index) &&
+            snprintf(index, sizeof index, "%s/index.html", out) < (int)sizeof index &&
             file_exists(index))
             return true;
     }

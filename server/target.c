@@ -6,14 +6,16 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/quant.h"
-#include "server/server.h"
+#include "server/target.h"
 
+#include <stdio.h>
 #include <string.h>
+
+#include "codec/quant.h"
 
 static const struct {
     const char *ext, *type;
-} formats[] = {
+} target_formats[] = {
 #define FORMAT_ROW(id, ext, type) {ext, type},
     FORMAT_LIST(FORMAT_ROW)
 #undef FORMAT_ROW
@@ -21,19 +23,38 @@ static const struct {
 
 const char *target_ext(enum format f)
 {
-    return formats[f].ext;
+    return target_formats[f].ext;
 }
 
 const char *target_type(enum format f)
 {
-    return formats[f].type;
+    return target_formats[f].type;
+}
+
+static const struct {
+    unsigned allow;
+    const char *path;
+} target_routes[] = {
+#define ROUTE_ROW(id, allow, path, summary) {allow, path},
+    ROUTE_LIST(ROUTE_ROW)
+#undef ROUTE_ROW
+};
+
+const char *target_path(enum route r)
+{
+    return target_routes[r].path;
+}
+
+unsigned target_allow(enum route r)
+{
+    return target_routes[r].allow;
 }
 
 struct text { /* what is left to read */
     const char *p, *end;
 };
 
-static bool take(struct text *t, const char *word)
+static bool target_take(struct text *t, const char *word)
 {
     size_t n = strlen(word);
     if ((size_t)(t->end - t->p) < n || memcmp(t->p, word, n) != 0)
@@ -42,22 +63,22 @@ static bool take(struct text *t, const char *word)
     return true;
 }
 
-static bool at_end(const struct text *t)
+static bool target_at_end(const struct text *t)
 {
     return t->p == t->end;
 }
 
-static bool is_digit(const struct text *t)
+static bool target_is_digit(const struct text *t)
 {
     return t->p < t->end && *t->p >= '0' && *t->p <= '9';
 }
 
 /* A natural number of at most 9 digits, no leading zero. */
-static bool take_uint(struct text *t, uint32_t *out)
+static bool target_take_uint(struct text *t, uint32_t *out)
 {
     const char *start = t->p;
     uint32_t v = 0;
-    for (; is_digit(t) && t->p - start < 10; t->p++)
+    for (; target_is_digit(t) && t->p - start < 10; t->p++)
         v = v * 10 + (uint32_t)(*t->p - '0') * (t->p - start < 9);
     *out = v;
     size_t n = (size_t)(t->p - start);
@@ -66,19 +87,19 @@ static bool take_uint(struct text *t, uint32_t *out)
 
 /* [-]digits[.digits] times 10^scale, rounded half away from zero: at most 9 digits before the point
  * and 12 after. "-0" is 0. */
-static bool take_fixed(struct text *t, int scale, int64_t *out)
+static bool target_take_fixed(struct text *t, int scale, int64_t *out)
 {
-    bool negative = take(t, "-");
+    bool negative = target_take(t, "-");
     uint32_t whole;
-    if (!take_uint(t, &whole))
+    if (!target_take_uint(t, &whole))
         return false;
     int64_t v = whole;
     int done = 0, digits = 0;
     bool up = false;
-    if (take(t, ".")) {
-        if (!is_digit(t))
+    if (target_take(t, ".")) {
+        if (!target_is_digit(t))
             return false;
-        for (; is_digit(t); t->p++) {
+        for (; target_is_digit(t); t->p++) {
             if (++digits > 12)
                 return false;
             if (done < scale)
@@ -94,7 +115,7 @@ static bool take_fixed(struct text *t, int scale, int64_t *out)
 }
 
 /* One word of [a-z0-9][a-z0-9_-]* up to '/' or the end. */
-static bool take_name(struct text *t, char *out, size_t room)
+static bool target_take_name(struct text *t, char *out, size_t room)
 {
     size_t n = 0;
     for (; t->p < t->end && *t->p != '/'; t->p++) {
@@ -108,10 +129,10 @@ static bool take_name(struct text *t, char *out, size_t room)
     return n > 0;
 }
 
-static bool take_rev(struct text *t, char out[13])
+static bool target_take_rev(struct text *t, char out[13])
 {
     for (int i = 0; i < 12; i++) {
-        if (t->p == t->end || !(is_digit(t) || (*t->p >= 'a' && *t->p <= 'f')))
+        if (t->p == t->end || !(target_is_digit(t) || (*t->p >= 'a' && *t->p <= 'f')))
             return false;
         out[i] = *t->p++;
     }
@@ -120,11 +141,12 @@ static bool take_rev(struct text *t, char out[13])
 }
 
 /* The rest must be one of the extensions [first, last]. */
-static bool take_format(struct text *t, enum format first, enum format last, enum format *out)
+static bool target_take_format(struct text *t, enum format first, enum format last,
+                               enum format *out)
 {
     for (int f = (int)first; f <= (int)last; f++) {
         struct text at = *t;
-        if (take(&at, formats[f].ext) && at_end(&at)) {
+        if (target_take(&at, target_formats[f].ext) && target_at_end(&at)) {
             *t = at;
             *out = (enum format)f;
             return true;
@@ -133,12 +155,12 @@ static bool take_format(struct text *t, enum format first, enum format last, enu
     return false;
 }
 
-static enum err_code nothing(struct err *e)
+static enum err_code target_nothing(struct err *e)
 {
     return err_set(e, ERR_NOENT, "there is nothing at this path");
 }
 
-static int hex_value(char c)
+static int target_hex_value(char c)
 {
     return c >= '0' && c <= '9'   ? c - '0'
            : c >= 'a' && c <= 'f' ? c - 'a' + 10
@@ -148,14 +170,14 @@ static int hex_value(char c)
 
 /* The rest of t, percent-decoded ('+' is a space, as forms write it). False: no text, too long, a
  * broken escape, or a control character. */
-static bool take_decoded(struct text *t, char *out, size_t room)
+static bool target_take_decoded(struct text *t, char *out, size_t room)
 {
     size_t n = 0;
     for (; t->p < t->end; t->p++) {
         char c = *t->p == '+' ? ' ' : *t->p;
         if (c == '%') {
-            int hi = t->end - t->p > 2 ? hex_value(t->p[1]) : -1,
-                lo = hi < 0 ? -1 : hex_value(t->p[2]);
+            int hi = t->end - t->p > 2 ? target_hex_value(t->p[1]) : -1,
+                lo = hi < 0 ? -1 : target_hex_value(t->p[2]);
             if (lo < 0)
                 return false;
             c = (char)(hi * 16 + lo);
@@ -169,32 +191,33 @@ static bool take_decoded(struct text *t, char *out, size_t room)
     return n > 0;
 }
 
-/* preset=NAME, sh=N or appearance=LOOK, each at most once; *known says whether it was one of them.
+/* preset=NAME, sh=N or appearance=A, each at most once; *known says whether it was one of them.
  */
-static enum err_code take_form(struct text *one, struct target *target, bool *known, struct err *e)
+static enum err_code target_take_form(struct text *one, struct target *target, bool *known,
+                                      struct err *e)
 {
     struct form *out = &target->form;
     *known = true;
-    if (take(one, "appearance=")) {
+    if (target_take(one, "appearance=")) {
         if (target->appearance[0] ||
-            !take_decoded(one, target->appearance, sizeof(target->appearance)))
+            !target_take_decoded(one, target->appearance, sizeof target->appearance))
             return err_set(e, ERR_FORMAT,
-                           "appearance is a look of at most %d bytes, percent-encoded, given once",
-                           LOOK_TEXT_MAX - 1);
-    } else if (take(one, "preset=")) {
+                           "appearance is a text of at most %d bytes, percent-encoded, given once",
+                           TARGET_APPEARANCE_MAX - 1);
+    } else if (target_take(one, "preset=")) {
         int found = QUANT_PRESETS;
         for (int p = 0; p < QUANT_PRESETS; p++) {
             struct text at = *one;
-            if (take(&at, quant_preset_name((enum quant_preset)p)) && at_end(&at))
+            if (target_take(&at, quant_preset_name((enum quant_preset)p)) && target_at_end(&at))
                 found = p;
         }
         if (found == QUANT_PRESETS || out->preset != QUANT_PRESETS)
             return err_set(e, ERR_FORMAT, "preset is one of " QUANT_PRESET_NAMES ", given once");
         out->preset = (uint8_t)found;
         one->p = one->end;
-    } else if (take(one, "sh=")) {
+    } else if (target_take(one, "sh=")) {
         uint32_t degree;
-        if (!take_uint(one, &degree) || degree > GAUSS_SH_DEGREE_MAX ||
+        if (!target_take_uint(one, &degree) || degree > GAUSS_SH_DEGREE_MAX ||
             out->sh_degree != FORM_UNSAID)
             return err_set(e, ERR_FORMAT, "sh is 0 to %d, given once", GAUSS_SH_DEGREE_MAX);
         out->sh_degree = (uint8_t)degree;
@@ -205,29 +228,31 @@ static enum err_code take_form(struct text *one, struct target *target, bool *kn
 }
 
 /* Of a query; what else it holds is for caches and not ours (Cesium adds v=REVISION). */
-static enum err_code parse_form(const char *query, size_t n, struct target *out, struct err *e)
+static enum err_code target_parse_form(const char *query, size_t n, struct target *out,
+                                       struct err *e)
 {
-    for (struct text t = {query, query + n}; !at_end(&t);) {
+    for (struct text t = {query, query + n}; !target_at_end(&t);) {
         const char *amp = memchr(t.p, '&', (size_t)(t.end - t.p));
         struct text one = {t.p, amp ? amp : t.end};
         bool known;
         t.p = amp ? amp + 1 : t.end;
-        enum err_code rc = take_form(&one, out, &known, e);
-        if (rc == ERR_OK && known && !at_end(&one))
+        enum err_code rc = target_take_form(&one, out, &known, e);
+        if (!rc && known && !target_at_end(&one))
             rc = err_set(e, ERR_FORMAT, "the query has a malformed value");
-        if (rc != ERR_OK)
+        if (rc)
             return rc;
     }
     return ERR_OK;
 }
 
 /* {z}/{x}/{y}.{ext} */
-static enum err_code parse_tile(struct text *t, enum route route, struct target *out, struct err *e)
+static enum err_code target_parse_tile(struct text *t, enum route route, struct target *out,
+                                       struct err *e)
 {
     uint32_t z, x, y;
-    if (!take_uint(t, &z) || !take(t, "/") || !take_uint(t, &x) || !take(t, "/") ||
-        !take_uint(t, &y) || !take(t, ".") ||
-        !take_format(t, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->form.format))
+    if (!target_take_uint(t, &z) || !target_take(t, "/") || !target_take_uint(t, &x) ||
+        !target_take(t, "/") || !target_take_uint(t, &y) || !target_take(t, ".") ||
+        !target_take_format(t, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->form.format))
         return err_set(e, ERR_NOENT,
                        "a tile is z/x/y.ext with ext one of glb, spz, drc, ply, plain.glb");
     out->route = route;
@@ -239,17 +264,19 @@ static enum err_code parse_tile(struct text *t, enum route route, struct target 
 }
 
 /* {lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt} */
-static enum err_code parse_view(struct text *t, enum route route, struct target *out, struct err *e)
+static enum err_code target_parse_view(struct text *t, enum route route, struct target *out,
+                                       struct err *e)
 {
     int64_t lon, lat, h, heading, pitch, fov = 60000;
-    bool ok = take_fixed(t, 7, &lon) && take(t, ",") && take_fixed(t, 7, &lat) && take(t, ",") &&
-              take_fixed(t, 3, &h) && take(t, "@") && take_fixed(t, 3, &heading) && take(t, ",") &&
-              take_fixed(t, 3, &pitch);
-    if (ok && take(t, ","))
-        ok = take_fixed(t, 3, &fov);
-    ok = ok && take(t, "/") && take_uint(t, &out->width_px) && take(t, "x") &&
-         take_uint(t, &out->height_px) && take(t, ".") &&
-         take_format(t, FORMAT_JPG, FORMAT_WEBP, &out->form.format);
+    bool ok = target_take_fixed(t, 7, &lon) && target_take(t, ",") &&
+              target_take_fixed(t, 7, &lat) && target_take(t, ",") && target_take_fixed(t, 3, &h) &&
+              target_take(t, "@") && target_take_fixed(t, 3, &heading) && target_take(t, ",") &&
+              target_take_fixed(t, 3, &pitch);
+    if (ok && target_take(t, ","))
+        ok = target_take_fixed(t, 3, &fov);
+    ok = ok && target_take(t, "/") && target_take_uint(t, &out->width_px) && target_take(t, "x") &&
+         target_take_uint(t, &out->height_px) && target_take(t, ".") &&
+         target_take_format(t, FORMAT_JPG, FORMAT_WEBP, &out->form.format);
     if (!ok)
         return err_set(e, ERR_FORMAT,
                        "a view is lon,lat,h@heading,pitch[,fov]/WxH.ext with plain decimal "
@@ -270,72 +297,73 @@ static enum err_code parse_view(struct text *t, enum route route, struct target 
 }
 
 /* ?bbox=w,s,e,n&z=a-b&f=ext, in any order, each at most once. Commas may come as %2C. */
-static enum err_code parse_seed(const char *query, size_t n, struct target *out, struct err *e)
+static enum err_code target_parse_seed(const char *query, size_t n, struct target *out,
+                                       struct err *e)
 {
-    char plain[LOOK_QUERY_MAX];
+    char plain[TARGET_QUERY_MAX];
     size_t m = 0;
     unsigned seen = 0;
     for (size_t i = 0; i < n; i++) {
         bool comma =
             i + 3 <= n && query[i] == '%' && query[i + 1] == '2' && (query[i + 2] | 32) == 'c';
-        if (m == sizeof(plain))
+        if (m == sizeof plain)
             return err_set(e, ERR_FORMAT, "the query is too long");
         plain[m++] = comma ? ',' : query[i];
         i += comma ? 2 : 0;
     }
     out->z_max = KEY_ZOOM_MAX;
     out->form.format = FORMAT_GLB;
-    for (struct text t = {plain, plain + m}; !at_end(&t);) {
+    for (struct text t = {plain, plain + m}; !target_at_end(&t);) {
         const char *amp = memchr(t.p, '&', (size_t)(t.end - t.p));
         struct text one = {t.p, amp ? amp : t.end};
         t.p = amp ? amp + 1 : t.end;
         int64_t v[4];
         uint32_t a, b;
         bool known;
-        enum err_code rc = take_form(&one, out, &known, e);
-        if (rc != ERR_OK)
+        enum err_code rc = target_take_form(&one, out, &known, e);
+        if (rc)
             return rc;
         if (known) {
             /* it is taken */
-        } else if (take(&one, "bbox=") && !(seen & 1)) {
+        } else if (target_take(&one, "bbox=") && !(seen & 1)) {
             seen |= 1;
             for (int i = 0; i < 4; i++) {
-                if ((i && !take(&one, ",")) || !take_fixed(&one, 7, &v[i]) || v[i] < -1800000000 ||
-                    v[i] > 1800000000)
+                if ((i && !target_take(&one, ",")) || !target_take_fixed(&one, 7, &v[i]) ||
+                    v[i] < -1800000000 || v[i] > 1800000000)
                     return err_set(e, ERR_FORMAT, "bbox is west,south,east,north in degrees");
                 out->bbox_e7[i] = (int32_t)v[i];
             }
             out->has_bbox = true;
-        } else if (take(&one, "z=") && !(seen & 2)) {
+        } else if (target_take(&one, "z=") && !(seen & 2)) {
             seen |= 2;
-            bool ok = take_uint(&one, &a);
+            bool ok = target_take_uint(&one, &a);
             b = a;
-            if (ok && take(&one, "-"))
-                ok = take_uint(&one, &b);
+            if (ok && target_take(&one, "-"))
+                ok = target_take_uint(&one, &b);
             if (!ok || a > b || b > KEY_ZOOM_MAX)
                 return err_set(e, ERR_FORMAT, "z is a zoom, or two as in 12-16");
             out->z_min = (uint8_t)a;
             out->z_max = (uint8_t)b;
-        } else if (take(&one, "f=") && !(seen & 4)) {
+        } else if (target_take(&one, "f=") && !(seen & 4)) {
             seen |= 4;
-            if (!take_format(&one, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->form.format))
+            if (!target_take_format(&one, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->form.format))
                 return err_set(e, ERR_FORMAT, "f is one of glb, spz, drc, ply, plain.glb");
         } else {
             return err_set(e, ERR_FORMAT,
                            "the query may hold bbox, z, f, preset, sh and appearance, each once");
         }
-        if (!at_end(&one))
+        if (!target_at_end(&one))
             return err_set(e, ERR_FORMAT, "the query has a malformed value");
     }
     return ERR_OK;
 }
 
 /* What follows /d/ */
-static enum err_code parse_data(struct text *t, const char *query, size_t n_query,
-                                struct target *out, struct err *e)
+static enum err_code target_parse_data(struct text *t, const char *query, size_t n_query,
+                                       struct target *out, struct err *e)
 {
-    if (!take_name(t, out->ds, sizeof(out->ds)) || !take(t, "/"))
-        return nothing(e);
+    if (!target_take_name(t, out->ds, sizeof out->ds) || !target_take(t, "/"))
+        return target_nothing(e);
     static const struct {
         const char *path;
         enum route route;
@@ -345,42 +373,42 @@ static enum err_code parse_data(struct text *t, const char *query, size_t n_quer
                  {"appearances", ROUTE_APPEARANCES},
                  {"appearance", ROUTE_APPEARANCE},
                  {"appearances:mix", ROUTE_MIX}};
-    for (size_t i = 0; i < sizeof(words) / sizeof(*words); i++) {
+    for (size_t i = 0; i < sizeof words / sizeof *words; i++) {
         struct text at = *t;
-        if (!take(&at, words[i].path) || !at_end(&at))
+        if (!target_take(&at, words[i].path) || !target_at_end(&at))
             continue;
         out->route = words[i].route;
-        return out->route == ROUTE_SEED ? parse_seed(query, n_query, out, e)
-                                        : parse_form(query, n_query, out, e);
+        return out->route == ROUTE_SEED ? target_parse_seed(query, n_query, out, e)
+                                        : target_parse_form(query, n_query, out, e);
     }
-    bool revisioned = take(t, "r/");
-    if (revisioned && (!take_rev(t, out->rev) || !take(t, "/")))
+    bool revisioned = target_take(t, "r/");
+    if (revisioned && (!target_take_rev(t, out->rev) || !target_take(t, "/")))
         return err_set(e, ERR_NOENT, "a revision is 12 hexadecimal digits");
     enum err_code rc = ERR_OK;
-    if (revisioned && take(t, "tileset.json") && at_end(t))
+    if (revisioned && target_take(t, "tileset.json") && target_at_end(t))
         out->route = ROUTE_TILESET;
-    else if (take(t, "t/"))
-        rc = parse_tile(t, revisioned ? ROUTE_TILE : ROUTE_TILE_MOVING, out, e);
-    else if (take(t, "static/"))
-        rc = parse_view(t, revisioned ? ROUTE_VIEW : ROUTE_VIEW_MOVING, out, e);
+    else if (target_take(t, "t/"))
+        rc = target_parse_tile(t, revisioned ? ROUTE_TILE : ROUTE_TILE_MOVING, out, e);
+    else if (target_take(t, "static/"))
+        rc = target_parse_view(t, revisioned ? ROUTE_VIEW : ROUTE_VIEW_MOVING, out, e);
     else
-        rc = nothing(e);
-    return rc == ERR_OK ? parse_form(query, n_query, out, e) : rc;
+        rc = target_nothing(e);
+    return !rc ? target_parse_form(query, n_query, out, e) : rc;
 }
 
-static enum err_code parse_collection(struct text *t, struct target *out, struct err *e)
+static enum err_code target_parse_collection(struct text *t, struct target *out, struct err *e)
 {
-    if (!take_name(t, out->ds, sizeof(out->ds)))
-        return nothing(e);
-    if (at_end(t))
+    if (!target_take_name(t, out->ds, sizeof out->ds))
+        return target_nothing(e);
+    if (target_at_end(t))
         return out->route = ROUTE_COLLECTION, ERR_OK;
-    if (take(t, "/tiles.json") && at_end(t))
+    if (target_take(t, "/tiles.json") && target_at_end(t))
         return out->route = ROUTE_TILEJSON, ERR_OK;
-    return nothing(e);
+    return target_nothing(e);
 }
 
 /* Bytes no legal path needs. */
-static enum err_code check_path(const char *p, size_t n, struct err *e)
+static enum err_code target_check_path(const char *p, size_t n, struct err *e)
 {
     if (!n || p[0] != '/')
         return err_set(e, ERR_FORMAT, "the request target must be a path");
@@ -408,26 +436,61 @@ enum err_code target_parse(const char *text, size_t n, struct target *out, struc
         {"/readyz", ROUTE_READY},    {"/version", ROUTE_VERSION},
         {"/metrics", ROUTE_METRICS}, {"/collections", ROUTE_COLLECTIONS},
     };
-    memset(out, 0, sizeof(*out));
+    memset(out, 0, sizeof *out);
     out->route = ROUTE_NONE;
     out->form.preset = QUANT_PRESETS;
     out->form.sh_degree = FORM_UNSAID;
     const char *mark = n ? memchr(text, '?', n) : NULL;
     size_t n_path = mark ? (size_t)(mark - text) : n;
     out->path_size = n_path;
-    enum err_code rc = check_path(text, n_path, e);
-    if (rc != ERR_OK)
+    enum err_code rc = target_check_path(text, n_path, e);
+    if (rc)
         return rc;
     struct text t = {text, text + n_path};
-    for (size_t i = 0; i < sizeof(fixed) / sizeof(*fixed); i++)
+    for (size_t i = 0; i < sizeof fixed / sizeof *fixed; i++)
         if (strlen(fixed[i].path) == n_path && !memcmp(fixed[i].path, text, n_path)) {
             out->route = fixed[i].route;
             return ERR_OK;
         }
-    if (take(&t, "/d/"))
-        return parse_data(&t, mark ? mark + 1 : "", mark ? n - n_path - 1 : 0, out, e);
-    if (take(&t, "/collections/"))
-        return parse_collection(&t, out, e);
+    if (target_take(&t, "/d/"))
+        return target_parse_data(&t, mark ? mark + 1 : "", mark ? n - n_path - 1 : 0, out, e);
+    if (target_take(&t, "/collections/"))
+        return target_parse_collection(&t, out, e);
     out->route = ROUTE_STATIC; /* if the table of files has it */
     return ERR_OK;
+}
+
+void target_escape(const char *text, char *out)
+{
+    static const char hex[] = "0123456789ABCDEF";
+    for (; *text; text++) {
+        unsigned char c = (unsigned char)*text;
+        bool plain = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
+                     strchr("-._~,:=", c);
+        if (plain) {
+            *out++ = (char)c;
+        } else {
+            *out++ = '%';
+            *out++ = hex[c >> 4];
+            *out++ = hex[c & 15];
+        }
+    }
+    *out = '\0';
+}
+
+void target_query(const struct target *t, char out[TARGET_QUERY_MAX])
+{
+    const struct form *f = &t->form;
+    size_t n = 0;
+    out[0] = '\0';
+    if (f->preset < QUANT_PRESETS)
+        n += (size_t)snprintf(out, TARGET_QUERY_MAX, "?preset=%s",
+                              quant_preset_name((enum quant_preset)f->preset));
+    if (f->sh_degree <= GAUSS_SH_DEGREE_MAX)
+        n +=
+            (size_t)snprintf(out + n, TARGET_QUERY_MAX - n, "%csh=%u", n ? '&' : '?', f->sh_degree);
+    if (t->appearance[0]) {
+        n += (size_t)snprintf(out + n, TARGET_QUERY_MAX - n, "%cappearance=", n ? '&' : '?');
+        target_escape(t->appearance, out + n);
+    }
 }

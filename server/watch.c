@@ -10,7 +10,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/server.h"
+#include "server/watch.h"
 
 #include <errno.h>
 #include <poll.h>
@@ -45,7 +45,7 @@ struct watch {
     _Atomic bool stop;
 };
 
-static uint64_t now_ms(void)
+static uint64_t watch_now_ms(void)
 {
     return (uint64_t)(clock_s() * 1000);
 }
@@ -55,7 +55,7 @@ static uint64_t now_ms(void)
 /* The client behind this slot hung up, or closed its sending half. A half-closed client may still
  * read (RFC 9112, section 9.6), and a tile is soon made and worth keeping, so only a picture is
  * given up for that. */
-static void on_event(struct watch *w, uint64_t id, uint32_t events)
+static void watch_on_event(struct watch *w, uint64_t id, uint32_t events)
 {
     struct job_waiter *left = NULL;
     uint32_t index = (uint32_t)id, generation = (uint32_t)(id >> 32);
@@ -74,9 +74,9 @@ static void on_event(struct watch *w, uint64_t id, uint32_t events)
         w->gone(left);
 }
 
-static void reap(struct watch *w)
+static void watch_reap(struct watch *w)
 {
-    uint64_t now = now_ms();
+    uint64_t now = watch_now_ms();
     pthread_mutex_lock(&w->lock);
     for (uint32_t i = 0; i < w->used; i++) {
         struct watch_slot *s = &w->slot[i];
@@ -93,7 +93,7 @@ static void reap(struct watch *w)
 
 /* libmicrohttpd listens edge-triggered, and misses a client that closes just as its answer goes
  * out. Idle connections whose client is gone would then be kept until the idle timeout. */
-static void close_gone(struct watch *w)
+static void watch_close_gone(struct watch *w)
 {
     struct pollfd p[POLLED];
     nfds_t n = 0;
@@ -116,22 +116,22 @@ static void close_gone(struct watch *w)
 static void watch_main(void *user)
 {
     struct watch *w = user;
-    uint64_t next = now_ms(), next_gone = next;
+    uint64_t next = watch_now_ms(), next_gone = next;
     while (!atomic_load(&w->stop)) {
         struct epoll_event event[EVENTS];
         int n = epoll_wait(w->epoll_fd, event, EVENTS, TICK_MS);
         for (int i = 0; i < n; i++)
-            on_event(w, event[i].data.u64, event[i].events);
-        if (now_ms() < next)
+            watch_on_event(w, event[i].data.u64, event[i].events);
+        if (watch_now_ms() < next)
             continue;
-        next = now_ms() + TICK_MS;
-        reap(w);
+        next = watch_now_ms() + TICK_MS;
+        watch_reap(w);
         job_tick(w->s->jobs, clock_s());
         if (w->s->access)
             access_flush(w->s->access);
-        if (now_ms() >= next_gone) {
-            close_gone(w);
-            next_gone = now_ms() + GONE_MS;
+        if (watch_now_ms() >= next_gone) {
+            watch_close_gone(w);
+            next_gone = watch_now_ms() + GONE_MS;
         }
     }
 }
@@ -141,9 +141,9 @@ static void watch_main(void *user)
 enum err_code watch_open(size_t limit, struct services *s, void (*gone)(struct job_waiter *w),
                          struct watch **out, struct err *e)
 {
-    struct watch *w = mem_array(1, sizeof(*w));
+    struct watch *w = mem_array(1, sizeof *w);
     *out = w;
-    if (!w || !(w->slot = mem_array(limit, sizeof(*w->slot)))) {
+    if (!w || !(w->slot = mem_array(limit, sizeof *w->slot))) {
         mem_free(w);
         *out = NULL;
         return err_set(e, ERR_MEM, "watch: out of memory for %zu connections", limit);
@@ -154,9 +154,9 @@ enum err_code watch_open(size_t limit, struct services *s, void (*gone)(struct j
     pthread_mutex_init(&w->lock, NULL);
     w->epoll_fd = epoll_create1(EPOLL_CLOEXEC);
     enum err_code rc = w->epoll_fd < 0 ? err_errno(e, ERR_IO, "watch: epoll_create1") : ERR_OK;
-    if (rc == ERR_OK)
+    if (!rc)
         rc = pool_start(watch_main, w, &w->thread, e);
-    if (rc != ERR_OK)
+    if (rc)
         watch_close(out);
     return rc;
 }
@@ -217,7 +217,7 @@ void watch_phase(struct watch_slot *s, enum watch_phase phase, double timeout_s)
         return;
     atomic_store_explicit(&s->phase, phase, memory_order_relaxed);
     atomic_store_explicit(&s->deadline_ms,
-                          timeout_s > 0 ? now_ms() + (uint64_t)(timeout_s * 1000) + 1 : 0,
+                          timeout_s > 0 ? watch_now_ms() + (uint64_t)(timeout_s * 1000) + 1 : 0,
                           memory_order_relaxed);
 }
 

@@ -11,6 +11,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "server/encode.h"
+#include "server/route.h"
 #include "server/server.h"
 
 enum { SERVED_ZOOM_MIN = 15, SERVED_ZOOM_MAX = 17 };

@@ -5,12 +5,13 @@
  */
 #include "tests/kit.h"
 
+#include <pthread.h>
 #include <stdio.h>
 #include <string.h>
 #include <time.h>
 
 #include "core/pool.h"
-#include "server/server.h"
+#include "server/job.h"
 
 enum { WAITERS = 100 };
 

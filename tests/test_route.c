@@ -45,7 +45,7 @@ static int setup(void **state)
     const char *paths[] = {t.path};
     kit_ok(catalog_open(paths, 1, 1, NULL, NULL, &t.s.catalog, &e), e);
     kit_ok(static_load(t.web, &t.s.web, &e), e);
-    const struct job_config jobs = {.queue_limit = {1, 1, 1}, .run = no_run, .drop = encode_drop};
+    const struct job_config jobs = {.queue_limit = {1, 1, 1}, .run = no_run, .drop = work_drop};
     kit_ok(job_open(&jobs, &t.s.jobs, &e), e);
     memcpy(t.rev, t.s.catalog->ds[0]->meta.revision, sizeof(t.rev));
     return 0;
@@ -111,12 +111,12 @@ static struct response answer(const struct ask *a)
         struct work *w = out.work;
         struct job_result result = {.end = JOB_OK};
         out.work = NULL;
-        result.code = encode_run(&t.s, NULL, w, 0, &result.body, &e);
+        result.code = work_run(&t.s, NULL, w, 0, &result.body, &e);
         if (result.code != ERR_OK) {
             result.end = JOB_ERROR;
             snprintf(result.msg, sizeof(result.msg), "%.200s", e.msg);
         }
-        encode_drop(NULL, w);
+        work_drop(NULL, w);
         route_finish(&t.s, &r, &result, &out);
     }
     return out;
@@ -186,8 +186,8 @@ static void test_documents(void **state)
             if (strcmp(rows[i].target, "/version") != 0)
                 assert_string_equal(gz.etag, r.etag);
         }
-        route_free(&gz);
-        route_free(&r);
+        response_free(&gz);
+        response_free(&r);
     }
 }
 
@@ -202,7 +202,7 @@ static void test_version(void **state)
     assert_int_equal(json_object_size(datasets), 1);
     expect("revision", json_string_value(json_object_get(datasets, "toy")), t.rev);
     json_decref(o);
-    route_free(&r);
+    response_free(&r);
 }
 
 /* Documents made for a request when the k-th allocation fails: whole, or 503. The sanitizers see
@@ -222,7 +222,7 @@ static void test_documents_without_memory(void **state)
             else
                 assert_int_equal(r.status, 200);
             assert_true(r.status == 503 || r.size > 100);
-            route_free(&r);
+            response_free(&r);
         }
         assert_in_range(refused, 1, 10);
     }
@@ -252,10 +252,10 @@ static void test_links_lead_somewhere(void **state)
                 snprintf(path, sizeof(path), "%s%s", docs[i][1], !strcmp(href, "./") ? "" : href);
             struct response to = get(path);
             assert_int_equal(to.status, 200);
-            route_free(&to);
+            response_free(&to);
         }
         json_decref(o);
-        route_free(&r);
+        response_free(&r);
     }
 }
 
@@ -267,10 +267,10 @@ static void test_api_lists_the_routes(void **state)
     (void)state;
     for (int k = 0; k < ROUTE_NONE; k++)
         if (k != ROUTE_STATIC)
-            assert_non_null(json_object_get(paths, route_path((enum route)k)));
+            assert_non_null(json_object_get(paths, target_path((enum route)k)));
     assert_int_equal(json_object_size(paths), ROUTE_NONE - 1);
     json_decref(o);
-    route_free(&r);
+    response_free(&r);
 }
 
 static void test_tileset_uris(void **state)
@@ -285,9 +285,9 @@ static void test_tileset_uris(void **state)
         strstr((const char *)moving.data, expand("\"r/REV/t/KEY15.glb\"", want, sizeof(want))));
     assert_non_null(strstr((const char *)tilejson.data,
                            expand("\"../../d/toy/r/REV/t/{z}/{x}/{y}.glb\"", want, sizeof(want))));
-    route_free(&fixed);
-    route_free(&moving);
-    route_free(&tilejson);
+    response_free(&fixed);
+    response_free(&moving);
+    response_free(&tilejson);
 }
 
 static void test_tiles(void **state)
@@ -326,16 +326,16 @@ static void test_tiles(void **state)
         assert_int_equal(same.status, 304);
         expect("ETag", same.etag, r.etag);
         expect("Cache-Control", same.cache_control, IMMUTABLE);
-        route_free(&same);
-        route_free(&again);
-        route_free(&r);
+        response_free(&same);
+        response_free(&again);
+        response_free(&r);
     }
     /* a name of the bytes decides 304 without the bytes: this tile was never made */
     struct response cold = get("/d/toy/r/REV/t/KEY15.spz");
     char etag[BODY_ETAG_SIZE], weak[BODY_ETAG_SIZE + 2];
     memcpy(etag, cold.etag, sizeof(etag));
     snprintf(weak, sizeof(weak), "W/%s", etag);
-    route_free(&cold);
+    response_free(&cold);
     cache_close(&t.s.cache);
     struct err e = {0};
     kit_ok(cache_open((size_t)64 << 20, &t.s.cache, &e), e);
@@ -345,7 +345,7 @@ static void test_tiles(void **state)
     route_answer(&t.s, &q, &r);
     assert_int_equal(r.status, 304);
     assert_null(r.work);
-    route_free(&r);
+    response_free(&r);
 }
 
 static void test_refusals(void **state)
@@ -382,16 +382,16 @@ static void test_refusals(void **state)
         json_t *o = json_of(&r);
         assert_int_equal(json_integer_value(json_object_get(o, "status")), r.status);
         expect("title", json_string_value(json_object_get(o, "title")),
-               route_status_text(r.status));
+               response_status_text(r.status));
         assert_true(strlen(json_string_value(json_object_get(o, "detail"))) > 5);
         assert_null(strstr((const char *)r.data, "secret")); /* input is not echoed */
         json_decref(o);
-        route_free(&r);
+        response_free(&r);
     }
     struct response r = answer(&(struct ask){.method = METHOD_OPTIONS, .target = "/d/toy/render"});
     assert_int_equal(r.status, 204);
     expect("Allow", r.allow, "POST, OPTIONS");
-    route_free(&r);
+    response_free(&r);
 }
 
 static void test_redirects(void **state)
@@ -401,13 +401,13 @@ static void test_redirects(void **state)
     struct response r = get("/d/toy/t/KEY17.glb");
     assert_int_equal(r.status, 307);
     expect("Location", r.location, expand("../../../r/REV/t/KEY17.glb", want, sizeof(want)));
-    route_free(&r);
+    response_free(&r);
     r = get("/d/toy/static/13.4,52.5,120@0,-90/64x64.jpg");
     assert_int_equal(r.status, 307);
     expect("Location", r.location,
            expand("../../r/REV/static/13.4,52.5,120@0,-90/64x64.jpg", want, sizeof(want)));
     expect("Cache-Control", r.cache_control, MOVING);
-    route_free(&r);
+    response_free(&r);
 }
 
 static void test_viewer_files(void **state)
@@ -418,10 +418,10 @@ static void test_viewer_files(void **state)
     expect("type", r.type, "text/html; charset=utf-8");
     assert_non_null(r.vary);
     assert_non_null(strstr(r.vary, "Accept"));
-    route_free(&r);
+    response_free(&r);
     r = answer(&(struct ask){.target = "/", .accept = "application/json, text/html;q=0.9"});
     expect("type", r.type, "application/json");
-    route_free(&r);
+    response_free(&r);
     r = answer(&(struct ask){.target = script, .accept_encoding = "gzip"});
     assert_int_equal(r.status, 200);
     expect("type", r.type, "text/javascript; charset=utf-8");
@@ -431,18 +431,18 @@ static void test_viewer_files(void **state)
     char etag[BODY_ETAG_SIZE];
     memcpy(etag, r.etag, sizeof(etag));
     assert_non_null(strstr(etag, "-gz\""));
-    route_free(&r);
+    response_free(&r);
     r = answer(&(struct ask){.target = script, .accept_encoding = "gzip", .if_none_match = etag});
     assert_int_equal(r.status, 304);
-    route_free(&r);
+    response_free(&r);
     r = answer(&(struct ask){.target = script,
                              .if_none_match = etag}); /* the identity form has another name */
     assert_int_equal(r.status, 200);
     assert_int_equal(r.size, 2000);
-    route_free(&r);
+    response_free(&r);
     r = get("/assets/index-D3adBeef");
     assert_int_equal(r.status, 404);
-    route_free(&r);
+    response_free(&r);
 }
 
 static void test_ranges(void **state)
@@ -464,7 +464,7 @@ static void test_ranges(void **state)
         assert_int_equal(part.range_total, whole.size);
         assert_string_equal(part.etag, whole.etag);
         buf_add(&sum, part.data, part.size);
-        route_free(&part);
+        response_free(&part);
     }
     assert_int_equal(sum.size, whole.size);
     assert_memory_equal(sum.data, whole.data, whole.size);
@@ -472,14 +472,14 @@ static void test_ranges(void **state)
     struct response r = answer(&(struct ask){.target = target, .range = "bytes=99999999-"});
     assert_int_equal(r.status, 416);
     assert_int_equal(r.range_total, whole.size);
-    route_free(&r);
+    response_free(&r);
     r = answer(&(struct ask){.target = target, .range = "bytes=0-9", .if_range = "\"another\""});
     assert_int_equal(r.status, 200);
-    route_free(&r);
+    response_free(&r);
     r = answer(&(struct ask){.method = METHOD_HEAD, .target = target, .range = "bytes=0-9"});
     assert_int_equal(r.status, 200); /* Range is defined for GET alone */
-    route_free(&r);
-    route_free(&whole);
+    response_free(&r);
+    response_free(&whole);
 }
 
 static void test_seed(void **state)
@@ -505,20 +505,20 @@ static void test_seed(void **state)
         struct response tile = get(target);
         assert_int_equal(tile.status, 200);
         expect("etag", json_string_value(json_object_get(o, "etag")), tile.etag);
-        route_free(&tile);
+        response_free(&tile);
         json_decref(o);
     }
     assert_int_equal(lines, 4);
     mem_free(text);
-    route_free(&r);
+    response_free(&r);
     r = get("/d/toy/seed.ndjson?z=17&f=drc");
     assert_non_null(strstr((const char *)r.data, ".drc"));
     assert_null(strstr((const char *)r.data, "/t/15/"));
-    route_free(&r);
+    response_free(&r);
     r = get("/d/toy/seed.ndjson?bbox=0,0,1,1");
     assert_int_equal(r.status, 200);
     assert_int_equal(r.size, 0);
-    route_free(&r);
+    response_free(&r);
 }
 
 /* Presets and degrees are bytes of their own, each with a tag of its own; what is not said is the
@@ -552,19 +552,19 @@ static void test_presets(void **state)
         if (same != rows[i].same || !strcmp(a.etag, b.etag) != rows[i].same)
             fail_msg("%s and %s: bytes %s, tags %s and %s", rows[i].a, rows[i].b,
                      same ? "equal" : "differ", a.etag, b.etag);
-        route_free(&a);
-        route_free(&b);
+        response_free(&a);
+        response_free(&b);
     }
     struct response r = get("/d/toy/t/KEY17.drc?preset=preview&sh=0");
     assert_int_equal(r.status, 307);
     assert_non_null(strstr(r.location, ".drc?preset=preview&sh=0"));
-    route_free(&r);
+    response_free(&r);
     r = get("/d/toy/r/REV/t/KEY17.drc?preset=best");
     assert_int_equal(r.status, 400);
-    route_free(&r);
+    response_free(&r);
     r = get("/d/toy/seed.ndjson?z=17&f=drc&preset=spz&sh=1");
     assert_non_null(strstr((const char *)r.data, ".drc?preset=spz&sh=1\","));
-    route_free(&r);
+    response_free(&r);
 }
 
 /* A damaged tile is that tile's problem alone. */
@@ -600,12 +600,12 @@ static void test_damaged_tile(void **state)
     snprintf(where, sizeof(where), "tile %u/%u/%u of dataset damaged is damaged", k.z, k.x, k.y);
     assert_non_null(strstr(detail, where));
     json_decref(o);
-    route_free(&r);
+    response_free(&r);
     snprintf(target, sizeof(target), "/d/damaged/r/%s/t/%s.glb", damaged->ds[0]->meta.revision,
              expand("KEY16", where, sizeof(where)));
     r = get(target);
     assert_int_equal(r.status, 200);
-    route_free(&r);
+    response_free(&r);
     t.s.catalog = sound;
     catalog_drop(&damaged);
 }
@@ -619,24 +619,24 @@ static void test_views(void **state)
     assert_int_equal(r.status, 503); /* --device none */
     assert_non_null(strstr((const char *)r.data, "--device none"));
     assert_in_range(r.retry_after_s, 1, 10);
-    route_free(&r);
+    response_free(&r);
     kit_ok(picture_open(&t.cfg, &t.s.picture, &e), e); /* as while the device starts */
     r = get(target);
     assert_non_null(r.work);
     assert_int_equal(r.cls, JOB_VIEW);
-    assert_int_equal(r.work->cam.width_px, 64);
+    assert_int_equal(r.work->view.cam.width_px, 64);
     struct camera want;
     const struct view_pose pose = {13.4, 52.5, 120, 0, -90, 60};
     kit_ok(view_camera(&served_origin, &pose, 64, 48, &want, &e), e);
     for (int i = 0; i < 9; i++)
-        assert_true(fabs(r.work->cam.rot[i] - want.rot[i]) < 1e-12);
-    route_free(&r);
+        assert_true(fabs(r.work->view.cam.rot[i] - want.rot[i]) < 1e-12);
+    response_free(&r);
     r = get("/d/toy/r/REV/static/13.4,52.5,120@0,-90/4000x48.jpg");
     assert_int_equal(r.status, 422);
-    route_free(&r);
+    response_free(&r);
     r = get("/d/toy/r/REV/static/13.4,52.5,120@0,-90/0x48.jpg");
     assert_int_equal(r.status, 422);
-    route_free(&r);
+    response_free(&r);
     picture_close(&t.s.picture);
 }
 
@@ -696,7 +696,7 @@ static void test_posted_cameras(void **state)
         expect("Cache-Control", r.cache_control, "no-store");
         if (r.work)
             assert_false(r.work->keep);
-        route_free(&r);
+        response_free(&r);
     }
     struct buf deep = {0};
     for (int i = 0; i < 30000; i++)
@@ -705,7 +705,7 @@ static void test_posted_cameras(void **state)
     struct response r = answer(&(struct ask){
         .method = METHOD_POST, .target = "/d/toy/render", .body = (const char *)deep.data});
     assert_int_equal(r.status, 400);
-    route_free(&r);
+    response_free(&r);
     buf_free(&deep);
     picture_close(&t.s.picture);
 }
@@ -732,7 +732,7 @@ static void test_job_ends(void **state)
         assert_int_equal(r.status, rows[i].status);
         assert_int_equal(r.retry_after_s > 0, rows[i].retry);
         assert_true(r.status == 404 || !strcmp(r.cache_control, "no-store"));
-        route_free(&r);
+        response_free(&r);
     }
 }
 
@@ -742,11 +742,11 @@ static void test_metrics_are_local(void **state)
     struct response r = get("/metrics");
     assert_int_equal(r.status, 200);
     assert_non_null(strstr((const char *)r.data, "citysplat_dataset_info{ds=\"toy\""));
-    route_free(&r);
+    response_free(&r);
     struct request q = {.target = "/metrics", .target_size = 8};
     route_answer(&t.s, &q, &r);
     assert_int_equal(r.status, 403);
-    route_free(&r);
+    response_free(&r);
 }
 
 static void test_reload(void **state)
@@ -771,9 +771,8 @@ static void test_reload(void **state)
     struct buf b = {
         0}; /* the older revision's tiles are read from the file that was renamed over */
     struct store *s = dataset_borrow(old);
-    const struct look plain = {0};
     const struct form form = {FORMAT_SPZ, QUANT_BALANCED, 3};
-    kit_ok(encode_tile(s, served_key(17), form, &plain, &b, &e), e);
+    kit_ok(encode_tile(s, served_key(17), form, NULL, &b, &e), e);
     dataset_return(old, s);
     buf_free(&b);
     struct catalog *bad = NULL;

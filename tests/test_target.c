@@ -3,7 +3,8 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "codec/quant.h"
-#include "server/server.h"
+#include "server/condition.h"
+#include "server/target.h"
 #include "tests/kit.h"
 
 #include <string.h>
@@ -115,8 +116,8 @@ static void test_targets(void **state)
         enum err_code rc = target_parse(rows[i].text, strlen(rows[i].text), &got, &e);
         if (rc != rows[i].code || (rc == ERR_OK && got.route != rows[i].route))
             fail_msg("'%s': got %s %s (%s), want %s %s", rows[i].text, err_name(rc),
-                     route_path(got.route), e.msg, err_name(rows[i].code),
-                     route_path(rows[i].route));
+                     target_path(got.route), e.msg, err_name(rows[i].code),
+                     target_path(rows[i].route));
     }
 }
 

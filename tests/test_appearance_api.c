@@ -1,5 +1,5 @@
-/* The appearance API: the list of looks, one look, blends, posted mixes, and tiles, tilesets and
- * prefetch lists in a look. Requests are pure calls; jobs are run by the test itself.
+/* The appearance API: the list, one appearance, blends, posted mixes, and tiles, tilesets and
+ * prefetch lists in one. Requests are pure calls; jobs are run by the test itself.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,7 +14,7 @@ static const char ODD_NAME[] = "roof 50%&=+\u00e9.jpg"; /* all of it has to be e
 
 static struct {
     char dir[FILE_PATH_MAX], lit[FILE_PATH_MAX], plain[FILE_PATH_MAX];
-    struct appearance model; /* with the default look */
+    struct appearance model; /* with the default one */
     struct arena arena;
     struct server_config cfg;
     struct services s;
@@ -72,7 +72,7 @@ static int setup(void **state)
     kit_ok(services_open(&t.s, &t.cfg, &e), e);
     const char *paths[] = {t.lit, t.plain};
     kit_ok(catalog_open(paths, 2, 1, NULL, NULL, &t.s.catalog, &e), e);
-    const struct job_config jobs = {.queue_limit = {1, 1, 1}, .run = no_run, .drop = encode_drop};
+    const struct job_config jobs = {.queue_limit = {1, 1, 1}, .run = no_run, .drop = work_drop};
     kit_ok(job_open(&jobs, &t.s.jobs, &e), e);
     return 0;
 }
@@ -102,8 +102,8 @@ static struct response ask(enum method method, const char *target, const char *b
         struct work *w = out.work;
         struct job_result result = {.end = JOB_OK};
         out.work = NULL;
-        kit_ok(encode_run(&t.s, NULL, w, 0, &result.body, &e), e);
-        encode_drop(NULL, w);
+        kit_ok(work_run(&t.s, NULL, w, 0, &result.body, &e), e);
+        work_drop(NULL, w);
         route_finish(&t.s, &r, &result, &out);
     }
     return out;
@@ -124,7 +124,7 @@ static json_t *json_of(struct response *r)
     json_t *o = json_loadb((const char *)r->data, r->size, JSON_REJECT_DUPLICATES, &je);
     if (!o)
         fail_msg("not JSON: %s line %d", je.text, je.line);
-    route_free(r);
+    response_free(r);
     return o;
 }
 
@@ -208,16 +208,16 @@ static void the_list_names_every_look_with_links_that_work(void **state)
         double want[IMAGE];
         const json_t *item = json_array_get(list, i);
         assert_string_equal(text_of(item, "name"), t.model.names[i]);
-        json_t *look = get_json(href(item, "item", path));
-        assert_string_equal(text_of(look, "appearance"), t.model.names[i]);
+        json_t *found = get_json(href(item, "item", path));
+        assert_string_equal(text_of(found, "appearance"), t.model.names[i]);
         blend(row, one, 1, want);
-        assert_embedding(look, want);
-        const json_t *near = json_array_get(json_object_get(look, "nearest"), 0);
+        assert_embedding(found, want);
+        const json_t *near = json_array_get(json_object_get(found, "nearest"), 0);
         assert_string_equal(text_of(near, "name"), t.model.names[i]);
         assert_true(fabs(json_number_value(json_object_get(near, "cosine")) - 1) < 1e-6);
-        json_decref(look);
+        json_decref(found);
         struct response r = get(href(item, "tileset", path), 200);
-        route_free(&r);
+        response_free(&r);
     }
     json_decref(o);
     o = get_json("/d/plain/appearances");
@@ -225,7 +225,7 @@ static void the_list_names_every_look_with_links_that_work(void **state)
     json_decref(o);
     struct response r = get("/collections/lit", 200);
     assert_true(says(&r, "d/lit/appearances"));
-    route_free(&r);
+    response_free(&r);
 }
 
 static void blends_and_posted_mixes_are_the_same_embedding(void **state)
@@ -283,7 +283,7 @@ static void tile_in(const char *query, char etag[BODY_ETAG_SIZE], struct gauss *
     struct response r = get(target, 200);
     memcpy(etag, r.etag, BODY_ETAG_SIZE);
     kit_ok(ply_decode(r.data, r.size, NULL, out, &info, &e), e);
-    route_free(&r);
+    response_free(&r);
 }
 
 static void tiles_are_baked_in_the_look_that_is_asked_for(void **state)
@@ -320,16 +320,16 @@ static void tilesets_and_prefetch_lists_carry_the_look(void **state)
     char want[256], target[512];
     const struct dataset *d = catalog_find(t.s.catalog, "lit", "");
     const struct key k = served_key(17);
-    static const char look[] = "?preset=preview&sh=0&appearance=roof%2050%25%26=%2B%C3%A9.jpg";
+    static const char query[] = "?preset=preview&sh=0&appearance=roof%2050%25%26=%2B%C3%A9.jpg";
     for (int moving = 0; moving < 2; moving++) {
         snprintf(target, sizeof(target), "/d/lit/%s%s%stileset.json%s", moving ? "" : "r/",
-                 moving ? "" : d->meta.revision, moving ? "" : "/", look);
+                 moving ? "" : d->meta.revision, moving ? "" : "/", query);
         struct response r = get(target, 200);
         snprintf(want, sizeof(want), "\"%s%s%st/%u/%u/%u.glb%s\"", moving ? "r/" : "",
-                 moving ? d->meta.revision : "", moving ? "/" : "", k.z, k.x, k.y, look);
+                 moving ? d->meta.revision : "", moving ? "/" : "", k.z, k.x, k.y, query);
         if (!says(&r, want))
             fail_msg("%s lacks %s: %.*s", target, want, (int)r.size, (const char *)r.data);
-        route_free(&r);
+        response_free(&r);
     }
     snprintf(target, sizeof(target), "/d/lit/seed.ndjson?f=spz&appearance=p1.jpg");
     struct response r = get(target, 200);
@@ -340,11 +340,11 @@ static void tilesets_and_prefetch_lists_carry_the_look(void **state)
     assert_string_equal(tile.etag, text_of(line, "etag"));
     assert_non_null(strstr(target, ".spz?appearance=p1.jpg"));
     json_decref(line);
-    route_free(&tile);
-    route_free(&r);
+    response_free(&tile);
+    response_free(&r);
     r = get("/d/lit/static/13.4,52.5,120@0,-90/64x64.jpg?appearance=p1.jpg", 307);
     assert_non_null(strstr(r.location, "64x64.jpg?appearance=p1.jpg"));
-    route_free(&r);
+    response_free(&r);
 }
 
 static void what_is_no_look_is_a_clear_answer(void **state)
@@ -386,13 +386,13 @@ static void what_is_no_look_is_a_clear_answer(void **state)
         if (r.status != rows[i].status || !says(&r, rows[i].says))
             fail_msg("%s %s: %d (%d wanted) %.*s", rows[i].target, rows[i].body ? rows[i].body : "",
                      r.status, rows[i].status, (int)r.size, (const char *)r.data);
-        route_free(&r);
+        response_free(&r);
     }
     int n = snprintf(target, sizeof(target), "/d/lit/appearance?appearance=");
-    memset(target + n, 'a', LOOK_TEXT_MAX);
-    target[n + LOOK_TEXT_MAX] = '\0';
+    memset(target + n, 'a', TARGET_APPEARANCE_MAX);
+    target[n + TARGET_APPEARANCE_MAX] = '\0';
     struct response r = get(target, 400);
-    route_free(&r);
+    response_free(&r);
 }
 
 int main(void)

@@ -1,0 +1,33 @@
+/* The answers, a family a file: answer_<family>.c. Each fills a response, does not block and cannot
+ * fail, since a failure is an answer too.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_ANSWER_H
+#define SERVER_ANSWER_H
+
+#include "server/response.h"
+
+/* answer_service.c: routes that need no dataset; false for the others. */
+bool answer_service(struct services *s, const struct request *r, const struct target *t,
+                    struct response *out);
+/* answer_dataset.c: collections, tilesets, prefetch lists, moving addresses; false for others. */
+bool answer_dataset(struct services *s, const struct request *r, struct dataset *d,
+                    const struct target *t, struct response *out);
+/* answer_tile.c */
+void answer_tile(struct services *s, const struct request *r, struct dataset *d,
+                 const struct target *t, struct response *out);
+/* answer_view.c: GET of a view, POST of a camera. */
+void answer_view(struct services *s, const struct request *r, struct dataset *d,
+                 const struct target *t, struct response *out);
+void answer_render(struct services *s, const struct request *r, struct dataset *d,
+                   struct response *out);
+/* answer_appearance.c: the list, one appearance, a posted mix; false for other routes. */
+bool answer_appearance(const struct request *r, struct dataset *d, const struct target *t,
+                       struct response *out);
+/* The appearance that a target or a body asks for; false, with the problem set, when there is none
+ * such. */
+bool answer_find_appearance(const struct dataset *d, const char *text,
+                            struct appearance_choice *out, struct response *res);
+
+#endif

@@ -1,0 +1,120 @@
+/* Routes that need no dataset: landing page, files of the viewer, descriptions, health, metrics.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/answer.h"
+
+#include <jansson.h>
+#include <string.h>
+
+#include "server/condition.h"
+#include "server/document.h"
+#include "server/metrics_text.h"
+
+static enum err_code answer_service_about(struct services *s, struct body **out, struct err *e)
+{
+    char about[160] = "off: started with --device none";
+    static const char *const states[] = {"starting", "ready", "off"};
+    const char *state = s->picture ? states[picture_state(s->picture)] : states[PICTURE_OFF];
+    if (s->picture)
+        picture_about(s->picture, about, sizeof about);
+    json_t *revisions = json_object();
+    struct catalog *c = services_catalog(s);
+    for (size_t i = 0; i < c->n; i++)
+        if (!(c->ds[i]->retired_s > 0))
+            json_object_set_new(revisions, c->ds[i]->meta.name,
+                                json_string(c->ds[i]->meta.revision));
+    catalog_drop(&c);
+    return document_make(json_pack("{s:s,s:s,s:o,s:{s:s,s:s}}", "name", "citysplat", "version",
+                                   CITYSPLAT_VERSION, "datasets", revisions, "pictures", "state",
+                                   state, "device", about),
+                         out, e);
+}
+
+static void answer_service_landing(struct services *s, const struct request *r,
+                                   struct response *out)
+{
+    const struct static_file *index = static_find(&s->web, "/index.html", strlen("/index.html"));
+    out->vary = "Accept";
+    if (index && condition_html(r->accept))
+        response_document(r, index->type, RESPONSE_MOVING, body_ref(index->body), out);
+    else
+        response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(s->landing), out);
+}
+
+static void answer_service_ready(struct services *s, const struct request *r, struct response *out)
+{
+    if (atomic_load(&s->draining))
+        response_problem(out, 503, "the server is stopping");
+    else
+        response_document(r, RESPONSE_JSON, RESPONSE_NO_STORE,
+                          body_text("{\"status\":\"ready\"}\n"), out);
+}
+
+static void answer_service_metrics(struct services *s, const struct request *r,
+                                   struct response *out)
+{
+    struct buf b = {0};
+    if (!r->local) {
+        response_problem(out, 403, "metrics are for clients on this machine");
+        return;
+    }
+    struct body *text = metrics_text_write(s, &b, NULL) ? NULL : body_take(&b, NULL);
+    buf_free(&b);
+    response_document(r, "text/plain; version=0.0.4; charset=utf-8", RESPONSE_NO_STORE, text, out);
+}
+
+static void answer_service_version(struct services *s, const struct request *r,
+                                   struct response *out)
+{
+    struct body *b = NULL;
+    /* A statement of its own: the order in which arguments of a call are evaluated is open. */
+    if (answer_service_about(s, &b, NULL))
+        body_drop(&b);
+    response_document(r, RESPONSE_JSON, RESPONSE_NO_STORE, b, out);
+}
+
+/* Routes that need no dataset; false for the others. */
+bool answer_service(struct services *s, const struct request *r, const struct target *t,
+                    struct response *out)
+{
+    const struct static_file *file;
+    struct catalog *c;
+    switch (t->route) {
+    case ROUTE_LANDING:
+        answer_service_landing(s, r, out);
+        return true;
+    case ROUTE_STATIC:
+        file = static_find(&s->web, r->target, t->path_size);
+        response_document(r, file->type, file->immutable ? RESPONSE_IMMUTABLE : RESPONSE_MOVING,
+                          body_ref(file->body), out);
+        return true;
+    case ROUTE_CONFORMANCE:
+        response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(s->conformance), out);
+        return true;
+    case ROUTE_API:
+        response_document(r, "application/vnd.oai.openapi+json;version=3.0", RESPONSE_MOVING,
+                          body_ref(s->api), out);
+        return true;
+    case ROUTE_COLLECTIONS:
+        c = services_catalog(s);
+        response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(c->collections), out);
+        catalog_drop(&c);
+        return true;
+    case ROUTE_HEALTH:
+        response_document(r, RESPONSE_JSON, RESPONSE_NO_STORE, body_text("{\"status\":\"ok\"}\n"),
+                          out);
+        return true;
+    case ROUTE_READY:
+        answer_service_ready(s, r, out);
+        return true;
+    case ROUTE_VERSION:
+        answer_service_version(s, r, out);
+        return true;
+    case ROUTE_METRICS:
+        answer_service_metrics(s, r, out);
+        return true;
+    default:
+        return false;
+    }
+}

@@ -1,0 +1,41 @@
+/* Tiles: what is not in memory is a job.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/answer.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "server/encode.h"
+#include "server/result_id.h"
+
+void answer_tile(struct services *s, const struct request *r, struct dataset *d,
+                 const struct target *t, struct response *out)
+{
+    const struct store_tile *tile = store_find(d->index, t->key);
+    if (!tile) {
+        response_problem(out, 404, "no Gaussians in this tile");
+        return;
+    }
+    const struct form form = encode_form(s->cfg, &d->meta, &t->form);
+    struct appearance_choice choice;
+    if (!answer_find_appearance(d, t->appearance, &choice, out))
+        return;
+    struct hash128 id = result_id_tile(d, tile, form, &choice);
+    out->type = target_type(form.format);
+    out->cache_control = RESPONSE_IMMUTABLE;
+    snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s z-%u", d->meta.name,
+             d->meta.revision, t->key.z);
+    if (!response_made(s, r, id, out))
+        return;
+    struct work *w = response_work(d, WORK_TILE, id, form, out);
+    if (w) {
+        w->key = t->key;
+        w->appearance = choice;
+    }
+    out->tile = t->key;
+    memcpy(out->tile_of, d->meta.name, sizeof out->tile_of);
+    out->cls = r->prefetch ? JOB_PREFETCH : JOB_TILE;
+    out->timeout_s = s->cfg->deadline_s;
+}

@@ -1,0 +1,113 @@
+/* Rendered views: the cacheable GET of a pose, the POST of any camera.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/answer.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "lod/lod.h"
+#include "server/describe.h"
+#include "server/result_id.h"
+
+/* False, with the problem set, when pictures cannot be made or this one is too large. */
+static bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px,
+                              struct response *out)
+{
+    char text[256], why[160] = "this server was started with --device none";
+    if (!s->picture || picture_state(s->picture) == PICTURE_OFF) {
+        if (s->picture)
+            picture_about(s->picture, why, sizeof why);
+        snprintf(text, sizeof text, "pictures are off: %s; tiles are served", why);
+        response_problem(out, 503, text);
+        out->retry_after_s = 10;
+        return false;
+    }
+    uint64_t side = (uint64_t)s->cfg->max_view_px;
+    if (!width_px || !height_px || width_px > side || height_px > side ||
+        (double)width_px * height_px > s->cfg->max_view_mpx * 1e6) {
+        snprintf(text, sizeof text, "a picture has 1 to %u pixels a side and at most %g megapixels",
+                 (unsigned)side, s->cfg->max_view_mpx);
+        response_problem(out, 422, text);
+        return false;
+    }
+    return true;
+}
+
+static struct hash128 answer_view_id(struct services *s, const struct dataset *d,
+                                     const struct camera *cam, const struct appearance_choice *a,
+                                     enum format format, int quality)
+{
+    char device[160];
+    picture_about(s->picture, device, sizeof device);
+    return result_id_view(d, device, cam, a, format, quality);
+}
+
+void answer_view(struct services *s, const struct request *r, struct dataset *d,
+                 const struct target *t, struct response *out)
+{
+    struct err e = {0};
+    struct camera cam;
+    const struct view_pose pose = {
+        .lon_deg = t->pose.lon_e7 / 1e7,
+        .lat_deg = t->pose.lat_e7 / 1e7,
+        .h_m = t->pose.h_mm / 1e3,
+        .heading_deg = t->pose.heading_e3 / 1e3,
+        .pitch_deg = t->pose.pitch_e3 / 1e3,
+        .fov_y_deg = t->pose.fov_e3 / 1e3,
+    };
+    struct appearance_choice choice;
+    if (!answer_view_check(s, t->width_px, t->height_px, out) ||
+        !answer_find_appearance(d, t->appearance, &choice, out))
+        return;
+    if (view_camera(&d->meta.origin, &pose, t->width_px, t->height_px, &cam, &e) != ERR_OK) {
+        response_problem(out, 422, e.msg);
+        return;
+    }
+    int quality = (int)s->cfg->quality;
+    struct hash128 id = answer_view_id(s, d, &cam, &choice, t->form.format, quality);
+    out->type = target_type(t->form.format);
+    out->cache_control = RESPONSE_IMMUTABLE;
+    snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s view", d->meta.name,
+             d->meta.revision);
+    if (!response_made(s, r, id, out))
+        return;
+    struct work *w = response_work(d, WORK_VIEW, id, (struct form){.format = t->form.format}, out);
+    if (w) {
+        w->view = (struct picture_view){cam, t->form.format, quality};
+        w->appearance = choice;
+    }
+    out->cls = JOB_VIEW;
+    out->timeout_s = s->cfg->deadline_s;
+}
+
+void answer_render(struct services *s, const struct request *r, struct dataset *d,
+                   struct response *out)
+{
+    struct err e = {0};
+    struct describe_render p;
+    struct appearance_choice choice;
+    enum err_code rc = describe_read_render(s->cfg, &d->meta.origin, r->body, r->body_size, &p, &e);
+    if (rc) {
+        response_problem(out, rc == ERR_MEM ? 503 : rc == ERR_DATA ? 422 : 400, e.msg);
+        return;
+    }
+    if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, out) ||
+        !answer_find_appearance(d, p.appearance, &choice, out))
+        return;
+    out->type = target_type(p.format);
+    out->cache_control = RESPONSE_NO_STORE;
+    out->cache = "none";
+    out->status = 200;
+    struct work *w =
+        response_work(d, WORK_VIEW, answer_view_id(s, d, &p.cam, &choice, p.format, p.quality),
+                      (struct form){.format = p.format}, out);
+    if (w) {
+        w->view = (struct picture_view){p.cam, p.format, p.quality};
+        w->appearance = choice;
+        w->keep = false;
+    }
+    out->cls = JOB_VIEW;
+    out->timeout_s = p.timeout_s;
+}

@@ -1,0 +1,202 @@
+/* The appearance API: which appearances a dataset has, what a blend of them is, and one in a URL.
+ *
+ * An appearance is one text wherever it is said (?appearance=, the key `appearance` of a posted
+ * camera, --appearance of the programs): a photograph's name, a blend NAME:WEIGHT,NAME:WEIGHT, or
+ * =BASE64 of a whole embedding (bake_find). Nothing that a client posts is kept: what a mix answers
+ * with is a text that means the same on every server with the same store, so appearances are cached,
+ * linked and prefetched like everything else. Two texts of one embedding are one appearance: results
+ * are named by the embedding's hash.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/appearance_api.h"
+
+#include <jansson.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "server/document.h"
+
+enum { APPEARANCE_API_NEAREST = 5, APPEARANCE_API_LINK_MAX = 3 * TARGET_APPEARANCE_MAX + 128 };
+
+enum err_code appearance_api_find(const struct dataset *d, const char *text,
+                                  struct appearance_choice *out, struct err *e)
+{
+    *out = (struct appearance_choice){0};
+    if (!*text || !strcmp(text, BAKE_DEFAULT))
+        return ERR_OK;
+    enum err_code rc = bake_find(d->stores[0], text, out->image, e);
+    if (rc)
+        return rc;
+    out->set = true;
+    out->hash = hash_bytes(out->image, d->appearance->len_image * sizeof(float));
+    return ERR_OK;
+}
+
+const float *appearance_api_image(const struct appearance_choice *c)
+{
+    return c->set ? c->image : NULL;
+}
+
+/* ---- documents ---- */
+
+static json_t *appearance_api_link(const char *rel, const char *type, const char *path,
+                                   const char *text)
+{
+    char href[APPEARANCE_API_LINK_MAX];
+    int n = snprintf(href, sizeof href, "%s?appearance=", path);
+    target_escape(text, href + n);
+    return json_pack("{s:s,s:s,s:s}", "rel", rel, "type", type, "href", href);
+}
+
+static json_t *appearance_api_numbers(const float *v, uint32_t n)
+{
+    json_t *list = json_array();
+    for (uint32_t i = 0; i < n; i++)
+        json_array_append_new(list, json_real((double)v[i]));
+    return list;
+}
+
+enum err_code appearance_api_list(const struct dataset *d, struct body **out, struct err *e)
+{
+    const struct appearance *a = d->appearance;
+    json_t *list = json_array();
+    for (size_t i = 0; a && i < a->n_images; i++)
+        json_array_append_new(list, json_pack("{s:s,s:[o,o]}", "name", a->names[i], "links",
+                                              appearance_api_link("item", "application/json",
+                                                                  "appearance", a->names[i]),
+                                              appearance_api_link("tileset", "application/json",
+                                                                  "tileset.json", a->names[i])));
+    return document_make(json_pack("{s:s,s:i,s:o}", "default", a ? BAKE_DEFAULT : "",
+                                   "embeddingLength", a ? (int)a->len_image : 0, "appearances",
+                                   list),
+                         out, e);
+}
+
+struct appearance_api_near {
+    double cosine;
+    size_t row;
+};
+
+static int appearance_api_nearer(const void *pa, const void *pb)
+{
+    const struct appearance_api_near *a = pa, *b = pb;
+    if (a->cosine != b->cosine)
+        return a->cosine > b->cosine ? -1 : 1;
+    return a->row < b->row ? -1 : 1;
+}
+
+/* The photographs whose embeddings point most nearly the same way. */
+static json_t *appearance_api_nearest(const struct appearance *a, const float *image)
+{
+    struct appearance_api_near *near = mem_array(a->n_images, sizeof *near);
+    json_t *list = near ? json_array() : NULL;
+    double length = 0;
+    for (uint32_t j = 0; j < a->len_image; j++)
+        length += (double)image[j] * (double)image[j];
+    length = fmax(sqrt(length), 1e-12);
+    for (size_t i = 0; near && i < a->n_images; i++) {
+        float unit[APPEARANCE_IMAGE_MAX];
+        double dot = 0;
+        bake_unit(a, i, unit);
+        for (uint32_t j = 0; j < a->len_image; j++)
+            dot += (double)unit[j] * (double)image[j] / length;
+        near[i] = (struct appearance_api_near){dot, i};
+    }
+    if (near)
+        qsort(near, a->n_images, sizeof *near, appearance_api_nearer);
+    for (size_t i = 0; near && i < a->n_images && i < APPEARANCE_API_NEAREST; i++)
+        json_array_append_new(
+            list, json_pack("{s:s,s:f}", "name", a->names[near[i].row], "cosine", near[i].cosine));
+    mem_free(near);
+    return list;
+}
+
+enum err_code appearance_api_describe(const struct dataset *d, const char *text, struct body **out,
+                                      struct err *e)
+{
+    const struct appearance *a = d->appearance;
+    float image[APPEARANCE_IMAGE_MAX];
+    const char *name = *text ? text : BAKE_DEFAULT;
+    *out = NULL;
+    enum err_code rc = bake_find(d->stores[0], name, image, e);
+    if (rc)
+        return rc;
+    return document_make(
+        json_pack("{s:s,s:o,s:o,s:[o,o,o]}", "appearance", name, "embedding",
+                  appearance_api_numbers(image, a->len_image), "nearest",
+                  appearance_api_nearest(a, image), "links",
+                  appearance_api_link("self", "application/json", "appearance", name),
+                  appearance_api_link("tileset", "application/json", "tileset.json", name),
+                  appearance_api_link(
+                      "view", "image/jpeg",
+                      "static/{lon},{lat},{h}@{heading},{pitch},{fov}/{w}x{h}.{fmt}", name)),
+        out, e);
+}
+
+/* ---- the posted mix ---- */
+
+/* {"NAME": WEIGHT, ...} -> NAME:WEIGHT,NAME:WEIGHT */
+static enum err_code appearance_api_weights(const json_t *weights, struct buf *text, struct err *e)
+{
+    const char *name;
+    json_t *v;
+    json_object_foreach((json_t *)(uintptr_t)weights, name, v)
+    {
+        if (!json_is_number(v) || strpbrk(name, ","))
+            return err_set(e, ERR_DATA,
+                           "weights: a number for each photograph, and no name with a comma");
+        buf_printf(text, "%s%s:%.9g", text->size ? "," : "", name, json_number_value(v));
+    }
+    return ERR_OK;
+}
+
+static enum err_code appearance_api_embedding(const struct appearance *a, const json_t *list,
+                                              char *text, struct err *e)
+{
+    float image[APPEARANCE_IMAGE_MAX];
+    if (json_array_size(list) != a->len_image)
+        return err_set(e, ERR_DATA, "embedding: %u numbers are expected, there are %zu",
+                       a->len_image, json_array_size(list));
+    for (uint32_t i = 0; i < a->len_image; i++) {
+        const json_t *v = json_array_get(list, i);
+        if (!json_is_number(v) || !(fabs(json_number_value(v)) <= 1e6))
+            return err_set(e, ERR_DATA, "embedding: number %u is none, or beyond 1e6", i);
+        image[i] = (float)json_number_value(v);
+    }
+    bake_text(image, a->len_image, text);
+    return ERR_OK;
+}
+
+enum err_code appearance_api_read_mix(const struct dataset *d, const void *body, size_t n,
+                                      char text[TARGET_APPEARANCE_MAX], struct err *e)
+{
+    static const char expected[] = "the body must be a JSON object with either weights (a number "
+                                   "for each photograph's name) or embedding (a list of numbers)";
+    json_t *o = NULL;
+    struct buf b = {0};
+    text[0] = '\0';
+    enum err_code rc =
+        n ? jsonc_parse(body, n, "body", &o, e) : err_set(e, ERR_FORMAT, "%s", expected);
+    const json_t *weights = json_object_get(o, "weights"), *list = json_object_get(o, "embedding");
+    if (!rc && (!json_is_object(o) || json_object_size(o) != 1 ||
+                !(json_is_object(weights) || json_is_array(list))))
+        rc = err_set(e, ERR_DATA, "%s", expected);
+    if (!rc && !d->appearance)
+        rc = err_set(e, ERR_NOENT,
+                     "this dataset was trained without appearance: it has one appearance");
+    if (!rc && list)
+        rc = appearance_api_embedding(d->appearance, list, text, e);
+    if (!rc && weights)
+        rc = appearance_api_weights(weights, &b, e);
+    if (!rc && weights && (!b.size || b.size >= TARGET_APPEARANCE_MAX))
+        rc = err_set(e, ERR_DATA, "weights: 1 to 16 photographs, and %d bytes in all",
+                     TARGET_APPEARANCE_MAX - 1);
+    if (!rc && weights)
+        memcpy(text, b.data, b.size + 1);
+    buf_free(&b);
+    json_decref(o);
+    return rc;
+}

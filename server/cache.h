@@ -1,0 +1,23 @@
+/* Encoded results in memory: a segmented LRU in 16 shards, bounded in bytes.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_CACHE_H
+#define SERVER_CACHE_H
+
+#include "server/body.h"
+
+struct cache;
+struct cache_stats {
+    uint64_t hits, misses, evictions, entries, bytes;
+};
+enum err_code cache_open(size_t limit_bytes, struct cache **out, struct err *e) ERR_USE;
+void cache_close(struct cache **c);
+/* A reference to the body, or NULL. Any thread. */
+struct body *cache_get(struct cache *c, struct hash128 key);
+/* Keep a reference of its own. Entries larger than a shard's budget are not kept. The newer wins.
+ */
+void cache_put(struct cache *c, struct hash128 key, struct body *b);
+void cache_count(struct cache *c, struct cache_stats *out);
+
+#endif

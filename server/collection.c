@@ -1,0 +1,72 @@
+/* Collections after OGC API Common and the 3D GeoVolumes draft.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/collection.h"
+
+#include <jansson.h>
+#include <stdio.h>
+
+#include "server/document.h"
+#include "server/target.h"
+
+/* `up` leads from the document to the service's root: "" or "../". */
+static json_t *collection_json(const struct dataset *d, const char *up)
+{
+    static const char volumes[] = "http://www.opengis.net/def/rel/ogc/1.0/3d-geovolumes";
+    const struct store_meta *m = &d->meta;
+    char self[160], tileset[160], tilejson[160], appearances[160], tile[200], view[200];
+    uint64_t count = 0;
+    for (size_t i = 0; i < d->n_tiles; i++)
+        if (d->tiles[i].key.z == m->zoom_max)
+            count += d->tiles[i].count;
+    snprintf(self, sizeof self, "%scollections/%s", up, m->name);
+    snprintf(tileset, sizeof tileset, "%sd/%s/tileset.json", up, m->name);
+    snprintf(tilejson, sizeof tilejson, "%scollections/%s/tiles.json", up, m->name);
+    snprintf(appearances, sizeof appearances, "%sd/%s/appearances", up, m->name);
+    snprintf(tile, sizeof tile, "%sd/%s/r/%s/t/{z}/{x}/{y}.{ext}", up, m->name, m->revision);
+    snprintf(view, sizeof view,
+             "%sd/%s/static/{lon},{lat},{h}@{heading},{pitch},{fov}/{w}x{h}.{fmt}", up, m->name);
+    json_t *o = json_pack("{s:s,s:s,s:s,s:s,s:{s:{s:[o],s:s}}}", "id", m->name, "title", m->name,
+                          "collectionType", "3d-container", "attribution", m->attribution, "extent",
+                          "spatial", "bbox", document_numbers(d->bbox, 6), "crs",
+                          "http://www.opengis.net/def/crs/OGC/0/CRS84h");
+    json_object_set_new(
+        o, "links",
+        json_pack("[o,o,o]", document_link("self", "application/json", self, m->name),
+                  document_link(volumes, "application/3dtiles+json", tileset, "3D Tiles 1.1"),
+                  document_link("tiles", "application/json", tilejson, "TileJSON 3.0.0")));
+    if (d->appearance)
+        json_array_append_new(json_object_get(o, "links"),
+                              document_link("appearances", "application/json", appearances,
+                                            "Light and weather to choose from"));
+    const double origin[3] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m};
+    json_object_set_new(
+        o, "splats",
+        json_pack("{s:s,s:o,s:i,s:i,s:i,s:i,s:b,s:I,s:I,s:s,s:s,s:[s,s,s,s,s]}", "revision",
+                  m->revision, "origin", document_numbers(origin, 3), "minzoom", (int)m->zoom_min,
+                  "maxzoom", (int)m->zoom_max, "shDegree", (int)m->sh_degree, "embedLength",
+                  (int)m->embed_len, "antialiased", (int)m->antialiased, "tiles",
+                  (json_int_t)d->n_tiles, "gaussians", (json_int_t)count, "tileTemplate", tile,
+                  "viewTemplate", view, "formats", target_ext(FORMAT_GLB), target_ext(FORMAT_SPZ),
+                  target_ext(FORMAT_DRC), target_ext(FORMAT_PLY), target_ext(FORMAT_GLB_PLAIN)));
+    return o;
+}
+
+enum err_code collection_describe(const struct dataset *d, struct body **out, struct err *e)
+{
+    return document_make(collection_json(d, "../"), out, e);
+}
+
+enum err_code collection_list(struct dataset *const *ds, size_t n, struct body **out, struct err *e)
+{
+    json_t *list = json_array();
+    for (size_t i = 0; i < n; i++)
+        if (!(ds[i]->retired_s > 0))
+            json_array_append_new(list, collection_json(ds[i], ""));
+    return document_make(
+        json_pack("{s:[o],s:o}", "links",
+                  document_link("self", "application/json", "collections", "Datasets"),
+                  "collections", list),
+        out, e);
+}

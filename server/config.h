@@ -1,0 +1,17 @@
+/* The options of the server, as `citysplat serve` reads them (server/options.def).
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_CONFIG_H
+#define SERVER_CONFIG_H
+
+#include "codec/quant.h"
+#include "core/options.h"
+
+struct server_config { /* texts are borrowed and live as long as the server */
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "server/options.def"
+#undef OPT
+};
+
+#endif

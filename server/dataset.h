@@ -1,0 +1,46 @@
+/* One revision of one store: index, handles and documents.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_DATASET_H
+#define SERVER_DATASET_H
+
+#include <pthread.h>
+#include <stdatomic.h>
+
+#include "lod/lod.h"
+#include "server/body.h"
+
+struct dataset { /* immutable but for what the comments say; counted */
+    _Atomic uint32_t refs;
+    char *path;
+    struct store_meta meta;
+    const struct store_tile *tiles;
+    size_t n_tiles;
+    const struct store *index;           /* for store_find only */
+    const struct appearance *appearance; /* of the store; NULL: one appearance only */
+    double bbox[6];                      /* west south hmin east north hmax, degrees and metres */
+    struct hash128 salt;         /* of all that goes into an encoded tile beside its payload */
+    struct body *tileset;        /* URIs relative to d/NAME/r/REV/; these five by catalog.c */
+    struct body *tileset_moving; /* URIs relative to d/NAME/ */
+    struct body *tilejson;
+    struct body *collection;
+    struct body *appearances;
+    double retired_s;     /* clock_s() when a newer revision took over; 0 = current */
+    pthread_mutex_t lock; /* of free_store, n_free */
+    struct store **stores, **free_store;
+    size_t n_stores, n_free;
+};
+
+/* Open `path` with `readers` handles for workers. dataset_drop it. ERR_BUSY: replaced meanwhile; the
+ * errors of store_open, ERR_MEM. */
+enum err_code dataset_open(const char *path, size_t readers, struct dataset **out,
+                           struct err *e) ERR_USE;
+struct dataset *dataset_ref(struct dataset *d);
+void dataset_drop(struct dataset **d);
+/* A handle for this thread alone until dataset_return. NULL only if more threads borrow than
+ * `readers`. */
+struct store *dataset_borrow(struct dataset *d);
+void dataset_return(struct dataset *d, struct store *s);
+
+#endif

@@ -1,0 +1,133 @@
+/* The guard refuses what libmicrohttpd 0.9.75 lets through and a proxy in front might read in another
+ * way: both Content-Length and Transfer-Encoding, or two of one, a transfer coding other than chunked,
+ * two Hosts, control bytes, targets that are not a path, methods nobody defined. Such a request gets a
+ * 4xx or 501 and the connection is closed (RFC 9112, sections 3.2, 6.1, 6.3, 11.2).
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/guard.h"
+
+#include <string.h>
+#include <strings.h>
+
+enum { GUARD_FIELDS_MAX = 64 };
+
+static bool guard_name_is(const char *name, size_t n, const char *want)
+{
+    return n == strlen(want) && !strncasecmp(name, want, n);
+}
+
+static bool guard_clean_name(const char *p, size_t n)
+{
+    for (size_t i = 0; i < n; i++)
+        if ((unsigned char)p[i] <= 0x20 || (unsigned char)p[i] >= 0x7f || p[i] == ':')
+            return false;
+    return n > 0;
+}
+
+static bool guard_clean_value(const char *p, size_t n)
+{
+    for (size_t i = 0; i < n; i++)
+        if (((unsigned char)p[i] < 0x20 && p[i] != '\t') || p[i] == 0x7f)
+            return false;
+    return true;
+}
+
+/* Digits only; false for anything else or beyond 2^53. */
+static bool guard_read_length(const char *p, size_t n, uint64_t *out)
+{
+    uint64_t v = 0;
+    for (size_t i = 0; i < n; i++) {
+        if (p[i] < '0' || p[i] > '9' || v > (uint64_t)1 << 53)
+            return false;
+        v = v * 10 + (uint64_t)(p[i] - '0');
+    }
+    *out = v;
+    return n > 0;
+}
+
+/* Priority: u=7 (RFC 9218) and Sec-Purpose: prefetch go behind everything else. */
+static void guard_keep_field(struct request *r, const char *name, size_t n, const char *value)
+{
+    const struct {
+        const char *name;
+        const char **to;
+    } kept[] = {
+        {"Accept", &r->accept},
+        {"Accept-Encoding", &r->accept_encoding},
+        {"If-None-Match", &r->if_none_match},
+        {"If-Range", &r->if_range},
+        {"Range", &r->range},
+    };
+    for (size_t i = 0; i < sizeof kept / sizeof *kept; i++)
+        if (guard_name_is(name, n, kept[i].name) && !*kept[i].to)
+            *kept[i].to = value;
+    if ((guard_name_is(name, n, "Sec-Purpose") && strstr(value, "prefetch")) ||
+        (guard_name_is(name, n, "Priority") && (strstr(value, "u=6") || strstr(value, "u=7"))))
+        r->prefetch = true;
+}
+
+void guard_field(struct guard *f, const char *name, size_t n_name, const char *value,
+                 size_t n_value)
+{
+    value = value ? value : "";
+    f->n++;
+    if (!guard_clean_name(name, n_name) || !guard_clean_value(value, n_value))
+        f->bad = true;
+    if (guard_name_is(name, n_name, "Content-Length")) {
+        f->n_length++;
+        f->bad |= !guard_read_length(value, n_value, &f->length);
+    } else if (guard_name_is(name, n_name, "Transfer-Encoding")) {
+        f->n_coding++;
+        f->coding_bad |= strcasecmp(value, "chunked") != 0;
+    } else if (guard_name_is(name, n_name, "Host")) {
+        f->n_host++;
+    } else if (guard_name_is(name, n_name, "X-Forwarded-For") ||
+               guard_name_is(name, n_name, "Forwarded") || guard_name_is(name, n_name, "Via") ||
+               guard_name_is(name, n_name, "X-Real-IP")) {
+        f->proxied = true;
+    } else {
+        guard_keep_field(f->req, name, n_name, value);
+    }
+}
+
+enum method guard_method(const char *name)
+{
+    static const struct {
+        const char *name;
+        enum method method;
+    } methods[] = {
+        {"GET", METHOD_GET},         {"HEAD", METHOD_HEAD},   {"POST", METHOD_POST},
+        {"OPTIONS", METHOD_OPTIONS}, {"PUT", METHOD_OTHER},   {"DELETE", METHOD_OTHER},
+        {"PATCH", METHOD_OTHER},     {"TRACE", METHOD_OTHER}, {"CONNECT", METHOD_OTHER},
+    };
+    for (size_t i = 0; i < sizeof methods / sizeof *methods; i++)
+        if (!strcmp(name, methods[i].name))
+            return methods[i].method;
+    return METHOD_UNKNOWN;
+}
+
+int guard_check(const struct guard *f, const struct server_config *cfg, const char *version,
+                const char **why)
+{
+    const struct request *r = f->req;
+    bool old = !strcmp(version, "HTTP/1.0");
+    bool bodyless = r->method == METHOD_GET || r->method == METHOD_HEAD;
+    *why = "the request is malformed";
+    if (f->n > GUARD_FIELDS_MAX)
+        return *why = "the request has too many header fields", 431;
+    if (!r->target || r->target_size > (size_t)cfg->max_target_bytes)
+        return *why = "the request target is too long", 414;
+    if (f->bad || f->n_length + f->n_coding > 1 || f->n_host > 1 || (!old && f->n_host != 1) ||
+        (old && f->n_coding) || r->target[0] != '/')
+        return 400;
+    if (r->method == METHOD_UNKNOWN)
+        return *why = "this server does not know the method", 501;
+    if (f->coding_bad)
+        return *why = "the only transfer coding is chunked", 501;
+    if (bodyless && (f->n_coding || (f->n_length && f->length)))
+        return *why = "a GET or HEAD has no body", 400;
+    if (f->length > (uint64_t)cfg->max_body_kb << 10)
+        return *why = "the body is too large", 413;
+    return 0;
+}

@@ -1,0 +1,25 @@
+/* Which requests are refused before anything looks at them.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_GUARD_H
+#define SERVER_GUARD_H
+
+#include "server/response.h"
+
+struct guard { /* {.req = r}, then guard_field for each header field */
+    struct request *req;
+    size_t n, n_length, n_coding, n_host;
+    bool bad, coding_bad, proxied;
+    uint64_t length;
+};
+enum method guard_method(const char *name);
+/* Look at one header field; what answers need of it is kept in req (borrowed). */
+void guard_field(struct guard *g, const char *name, size_t n_name, const char *value,
+                 size_t n_value);
+/* All fields were seen, and req has its method and target. 0 when the request may go on, else the
+ * status to refuse with, and why. */
+int guard_check(const struct guard *g, const struct server_config *cfg, const char *version,
+                const char **why);
+
+#endif

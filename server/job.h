@@ -1,0 +1,77 @@
+/* Slow work, away from the HTTP threads.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_JOB_H
+#define SERVER_JOB_H
+
+#include "server/body.h"
+
+enum job_class { JOB_VIEW, JOB_TILE, JOB_PREFETCH, JOB_CLASSES };
+enum job_end { JOB_OK, JOB_ERROR, JOB_CANCELLED, JOB_SHED, JOB_TIMEOUT, JOB_ENDS };
+
+struct job_result {
+    enum job_end end;
+    enum err_code code;
+    char msg[256];
+    struct body *body; /* a reference of the waiter's own when end is JOB_OK */
+    double queue_s, run_s;
+    bool coalesced; /* another request had started this job */
+};
+
+/* Someone who wants a job's result. Lives in the caller's memory from job_submit until it was
+ * woken. */
+struct job_waiter {
+    /* Called exactly once, on another thread, under no lock, unless job_submit refused or job_leave
+     * claimed the waiter. The waiter may be freed from inside. */
+    void (*wake)(struct job_waiter *w);
+    struct job_result result; /* set before wake */
+    struct job_waiter *next;  /* the rest belongs to job.c */
+    struct job *job;
+    double deadline_s;
+};
+
+struct job; /* one run; passed to the functions below */
+struct job_config {
+    size_t tile_threads; /* they run JOB_TILE, then JOB_PREFETCH, oldest first */
+    bool view_thread;    /* one thread runs JOB_VIEW, newest first */
+    size_t queue_limit[JOB_CLASSES];
+    double slow_s; /* a failed job is not tried again for this long, doubling to 60 s; 0 = 2 s */
+    void *user;
+    /* Make the body of `work`; poll job_cancelled where it is cheap. Tile threads pass worker
+     * 0..n-1. */
+    enum err_code (*run)(void *user, const struct job *j, void *work, size_t worker,
+                         struct body **out, struct err *e);
+    void (*drop)(void *user, void *work); /* free the work */
+    void (*view_enter)(void *user); /* on the view thread, before its first job; may be NULL */
+    void (*view_leave)(void *user);
+};
+struct job_stats {
+    uint64_t ended[JOB_CLASSES][JOB_ENDS], coalesced, queued[JOB_CLASSES], running[JOB_CLASSES];
+    double run_s[JOB_CLASSES]; /* sum */
+};
+struct jobs;
+enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct err *e) ERR_USE;
+/* Ask for the work named `id` (equal ids are equal bytes). `work` is owned by the callee from here
+ * on. ERR_OK: w will be woken. ERR_BUSY: the queue is full or the server is stopping; w->result
+ * says so and w is not woken. A known failure is refused the same way with its own code and end
+ * JOB_ERROR. */
+enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id, void *work,
+                         double timeout_s, struct job_waiter *w) ERR_USE;
+/* The client is gone. True: w was still waiting, is out of the job now and will not be woken. A job
+ * that lost its last waiter is dropped from the queue; a running view is cancelled, a running tile
+ * is finished for the cache. */
+bool job_leave(struct jobs *js, struct job_waiter *w);
+enum job_class job_class_of(struct jobs *js, const struct job_waiter *w); /* while w waits */
+bool job_cancelled(const struct job *j);
+/* Wake waiters whose deadline is over; called a few times a second. */
+void job_tick(struct jobs *js, double now_s);
+/* Seconds after which asking again makes sense: 1..10. */
+int job_retry_after(struct jobs *js, enum job_class cls);
+void job_count(struct jobs *js, struct job_stats *out);
+bool job_idle(struct jobs *js); /* nothing queued, nothing running */
+/* Refuse new work, wake every waiter with JOB_SHED, wait for the running jobs (cancelled), join. */
+void job_stop(struct jobs *js);
+void job_close(struct jobs **js); /* job_stop, then free */
+
+#endif

@@ -1,0 +1,136 @@
+/* Prometheus text (exposition format 0.0.4) of the counters: a snapshot that need not be consistent
+ * between lines.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/metrics_text.h"
+
+#include <stdio.h>
+#include <string.h>
+
+static const char *const metrics_text_classes[JOB_CLASSES] = {"view", "tile", "prefetch"};
+static const char *const metrics_text_ends[JOB_ENDS] = {"ok", "error", "cancel", "shed", "timeout"};
+
+static void metrics_text_head(struct buf *out, const char *name, const char *type, const char *help)
+{
+    buf_printf(out, "# HELP citysplat_%s %s\n# TYPE citysplat_%s %s\n", name, help, name, type);
+}
+
+static void metrics_text_one(struct buf *out, const char *name, const char *type, const char *help,
+                             uint64_t value)
+{
+    metrics_text_head(out, name, type, help);
+    buf_printf(out, "citysplat_%s %llu\n", name, (unsigned long long)value);
+}
+
+static void metrics_text_requests(struct metrics *m, struct buf *out)
+{
+    uint64_t total[ROUTE_COUNT] = {0};
+    metrics_text_head(out, "http_requests_total", "counter",
+                      "Requests by route and status (0: another status).");
+    for (int r = 0; r < ROUTE_COUNT; r++)
+        for (int c = 0; c < METRICS_CODES; c++) {
+            uint64_t n = atomic_load_explicit(&m->requests[r][c], memory_order_relaxed);
+            total[r] += n;
+            if (n)
+                buf_printf(out, "citysplat_http_requests_total{route=\"%s\",code=\"%d\"} %llu\n",
+                           target_path((enum route)r), metrics_codes[c], (unsigned long long)n);
+        }
+    metrics_text_head(out, "http_request_duration_seconds", "histogram",
+                      "From request line to last byte.");
+    for (int r = 0; r < ROUTE_COUNT; r++) {
+        if (!total[r])
+            continue;
+        const char *path = target_path((enum route)r);
+        uint64_t sum = 0;
+        for (int b = 0; b < METRICS_BUCKETS; b++) {
+            sum += atomic_load_explicit(&m->seconds_bucket[r][b], memory_order_relaxed);
+            buf_printf(
+                out,
+                "citysplat_http_request_duration_seconds_bucket{route=\"%s\",le=\"%g\"} %llu\n",
+                path, metrics_bounds_s[b], (unsigned long long)sum);
+        }
+        buf_printf(out,
+                   "citysplat_http_request_duration_seconds_bucket{route=\"%s\",le=\"+Inf\"} %llu\n"
+                   "citysplat_http_request_duration_seconds_sum{route=\"%s\"} %.6f\n"
+                   "citysplat_http_request_duration_seconds_count{route=\"%s\"} %llu\n",
+                   path, (unsigned long long)total[r], path,
+                   (double)atomic_load_explicit(&m->seconds_us[r], memory_order_relaxed) * 1e-6,
+                   path, (unsigned long long)total[r]);
+    }
+}
+
+static void metrics_text_jobs(struct jobs *jobs, struct buf *out)
+{
+    struct job_stats st;
+    job_count(jobs, &st);
+    metrics_text_head(out, "jobs_total", "counter", "Jobs by class and outcome.");
+    for (int c = 0; c < JOB_CLASSES; c++)
+        for (int end = 0; end < JOB_ENDS; end++)
+            buf_printf(out, "citysplat_jobs_total{kind=\"%s\",outcome=\"%s\"} %llu\n",
+                       metrics_text_classes[c], metrics_text_ends[end],
+                       (unsigned long long)st.ended[c][end]);
+    metrics_text_head(out, "jobs_queued", "gauge", "Jobs that wait.");
+    for (int c = 0; c < JOB_CLASSES; c++)
+        buf_printf(out, "citysplat_jobs_queued{kind=\"%s\"} %llu\n", metrics_text_classes[c],
+                   (unsigned long long)st.queued[c]);
+    metrics_text_head(out, "jobs_running", "gauge", "Jobs that run.");
+    for (int c = 0; c < JOB_CLASSES; c++)
+        buf_printf(out, "citysplat_jobs_running{kind=\"%s\"} %llu\n", metrics_text_classes[c],
+                   (unsigned long long)st.running[c]);
+    metrics_text_head(out, "job_seconds_total", "counter", "Time spent in jobs.");
+    for (int c = 0; c < JOB_CLASSES; c++)
+        buf_printf(out, "citysplat_job_seconds_total{kind=\"%s\"} %.6f\n", metrics_text_classes[c],
+                   st.run_s[c]);
+    metrics_text_one(out, "job_coalesced_total", "counter", "Requests that joined a job under way.",
+                     st.coalesced);
+}
+
+enum err_code metrics_text_write(struct services *s, struct buf *out, struct err *e)
+{
+    struct metrics *m = &s->metrics;
+    struct cache_stats cs;
+    metrics_text_requests(m, out);
+    metrics_text_one(out, "http_response_bytes_total", "counter", "Bytes of bodies.",
+                     atomic_load(&m->response_bytes));
+    metrics_text_one(out, "http_inflight", "gauge", "Requests being answered.",
+                     atomic_load(&m->inflight));
+    metrics_text_one(out, "http_connections", "gauge", "Open connections.",
+                     atomic_load(&m->connections));
+    metrics_text_one(out, "http_rejected_total", "counter", "Malformed requests refused.",
+                     atomic_load(&m->rejected));
+    metrics_text_one(out, "client_aborts_total", "counter",
+                     "Clients that left before the answer was out.",
+                     atomic_load(&m->client_aborts));
+    metrics_text_one(out, "reaped_connections_total", "counter", "Connections cut for being slow.",
+                     atomic_load(&m->reaped));
+    metrics_text_one(out, "store_errors_total", "counter",
+                     "Tiles that could not be read or encoded.", atomic_load(&m->store_errors));
+    metrics_text_one(out, "reload_failed_total", "counter", "Reloads that kept the old data.",
+                     atomic_load(&m->reload_failed));
+    cache_count(s->cache, &cs);
+    metrics_text_one(out, "cache_hits_total", "counter", "Lookups that found encoded bytes.",
+                     cs.hits);
+    metrics_text_one(out, "cache_misses_total", "counter", "Lookups that did not.", cs.misses);
+    metrics_text_one(out, "cache_evictions_total", "counter", "Entries that made room.",
+                     cs.evictions);
+    metrics_text_one(out, "cache_entries", "gauge", "Entries.", cs.entries);
+    metrics_text_one(out, "cache_bytes", "gauge", "Bytes held.", cs.bytes);
+    if (s->jobs)
+        metrics_text_jobs(s->jobs, out);
+    struct catalog *c = services_catalog(s);
+    metrics_text_head(out, "dataset_info", "gauge", "Revisions served.");
+    for (size_t i = 0; i < c->n; i++)
+        buf_printf(out, "citysplat_dataset_info{ds=\"%s\",rev=\"%s\"} 1\n", c->ds[i]->meta.name,
+                   c->ds[i]->meta.revision);
+    catalog_drop(&c);
+    metrics_text_head(out, "build_info", "gauge", "Program version.");
+    buf_printf(out, "citysplat_build_info{version=\"%s\"} 1\n", CITYSPLAT_VERSION);
+    metrics_text_head(out, "uptime_seconds", "gauge", "Since start.");
+    buf_printf(out, "citysplat_uptime_seconds %.3f\n", clock_s() - s->start_s);
+    metrics_text_head(out, "process_cpu_seconds_total", "counter", "CPU time of the process.");
+    buf_printf(out, "citysplat_process_cpu_seconds_total %.3f\n", clock_cpu_s());
+    metrics_text_head(out, "process_peak_bytes", "gauge", "Peak resident set.");
+    buf_printf(out, "citysplat_process_peak_bytes %llu\n", (unsigned long long)mem_peak_bytes());
+    return buf_check(out, e);
+}

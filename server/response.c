@@ -1,0 +1,223 @@
+/* Putting bytes into an answer. Conditions are decided before bodies are touched: the entity tag of
+ * a result is its name (result_id.c), so 304 costs no read and no encoding. RFC 9110, 9111, 9457.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/response.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "server/condition.h"
+
+const char RESPONSE_IMMUTABLE[] = "public, max-age=31536000, immutable";
+const char RESPONSE_MOVING[] =
+    "public, max-age=60, stale-while-revalidate=600, stale-if-error=86400";
+const char RESPONSE_NO_STORE[] = "no-store";
+const char RESPONSE_JSON[] = "application/json";
+static const char RESPONSE_SHORT[] = "public, max-age=60";
+
+const char *response_status_text(int status)
+{
+    static const struct {
+        int status;
+        const char *text;
+    } texts[] = {
+        {200, "OK"},
+        {204, "No Content"},
+        {206, "Partial Content"},
+        {304, "Not Modified"},
+        {307, "Temporary Redirect"},
+        {400, "Bad Request"},
+        {403, "Forbidden"},
+        {404, "Not Found"},
+        {405, "Method Not Allowed"},
+        {413, "Content Too Large"},
+        {414, "URI Too Long"},
+        {416, "Range Not Satisfiable"},
+        {422, "Unprocessable Content"},
+        {500, "Internal Server Error"},
+        {501, "Not Implemented"},
+        {503, "Service Unavailable"},
+        {504, "Gateway Timeout"},
+    };
+    for (size_t i = 0; i < sizeof texts / sizeof *texts; i++)
+        if (texts[i].status == status)
+            return texts[i].text;
+    return "Error";
+}
+
+void response_free(struct response *r)
+{
+    body_drop(&r->body);
+    mem_free(r->location);
+    r->location = NULL;
+    if (r->work)
+        work_drop(NULL, r->work);
+    r->work = NULL;
+}
+
+/* ---- problems ---- */
+
+/* members: JSON that goes before the end, beginning with a comma. */
+static void response_send_problem(struct response *out, int status, const char *detail,
+                                  const char *members)
+{
+    struct buf b = {0};
+    response_free(out);
+    buf_printf(&b, "{\"type\":\"about:blank\",\"title\":\"%s\",\"status\":%d,\"detail\":\"",
+               response_status_text(status), status);
+    for (const char *p = detail; *p; p++)
+        if ((unsigned char)*p >= 0x20)
+            buf_printf(&b, *p == '"' || *p == '\\' ? "\\%c" : "%c", *p);
+    buf_printf(&b, "\"%s}\n", members);
+    out->status = status;
+    out->type = "application/problem+json";
+    out->cache_control = status == 404 ? RESPONSE_SHORT : RESPONSE_NO_STORE;
+    out->vary = out->encoding = NULL;
+    out->etag[0] = out->surrogate[0] = 0;
+    out->accept_ranges = false;
+    out->retry_after_s = 0;
+    out->body = body_take(&b, NULL);
+    out->data = out->body ? out->body->data : NULL;
+    out->size = out->body ? out->body->size : 0;
+}
+
+void response_problem(struct response *out, int status, const char *detail)
+{
+    response_send_problem(out, status, detail, "");
+}
+
+/* A tile that cannot be made. The client learns which and what to do; where the file is and what
+ * its hashes are is in the log. */
+void response_tile_problem(struct response *out, bool damaged)
+{
+    char members[160], text[400];
+    const struct key k = out->tile;
+    snprintf(members, sizeof members, ",\"dataset\":\"%s\",\"tile\":{\"z\":%u,\"x\":%u,\"y\":%u}",
+             out->tile_of, k.z, k.x, k.y);
+    snprintf(
+        text, sizeof text,
+        damaged ? "tile %u/%u/%u of dataset %s is damaged: its bytes do not have the hash that the "
+                  "index says, so none of them are sent; all other tiles are served. Whoever runs "
+                  "this server finds the file in its log, checks it with citysplat verify, and "
+                  "restores it or tiles the scene again"
+                : "tile %u/%u/%u of dataset %s could not be made; the server's log says why",
+        k.z, k.x, k.y, out->tile_of);
+    response_send_problem(out, 500, text, members);
+}
+
+void response_no_memory(struct response *out)
+{
+    response_problem(out, 503, "out of memory");
+    out->retry_after_s = 5;
+}
+
+/* ---- bytes ---- */
+
+/* "tag" -> "tag-gz": another coding of a resource is another representation. */
+static void response_etag_gzip(char *etag)
+{
+    size_t n = strlen(etag);
+    if (n >= 2 && n + 3 < BODY_ETAG_SIZE)
+        memcpy(etag + n - 1, "-gz\"", 5);
+}
+
+static bool response_wants_range(const struct request *r, const struct response *out)
+{
+    return r->method == METHOD_GET && r->range && out->accept_ranges &&
+           (!r->if_range || !strcmp(r->if_range, out->etag));
+}
+
+/* 200, 206, 304 or 416 with `b`, whose reference is taken. type and cache_control are set already.
+ */
+void response_body(const struct request *r, struct body *b, struct response *out)
+{
+    if (!b) {
+        response_no_memory(out);
+        return;
+    }
+    body_drop(&out->body);
+    out->body = b;
+    out->status = 200;
+    out->data = b->data;
+    out->size = b->size;
+    memcpy(out->etag, b->etag, BODY_ETAG_SIZE);
+    out->accept_ranges = !b->gzip;
+    if (b->gzip) {
+        out->vary = out->vary ? "Accept, Accept-Encoding" : "Accept-Encoding";
+        if (condition_gzip(r->accept_encoding)) {
+            out->encoding = "gzip";
+            out->data = b->gzip;
+            out->size = b->gzip_size;
+            response_etag_gzip(out->etag);
+        }
+    }
+    if (condition_none_match(r->if_none_match, out->etag)) {
+        out->status = 304;
+        return;
+    }
+    uint64_t first, length;
+    if (!response_wants_range(r, out))
+        return;
+    out->range_total = out->size;
+    switch (condition_range(r->range, out->size, &first, &length)) {
+    case RANGE_ALL:
+        break;
+    case RANGE_PART:
+        out->status = 206;
+        out->range_first = first;
+        out->data += first;
+        out->size = (size_t)length;
+        break;
+    case RANGE_BAD:
+        response_problem(out, 416, "the range lies outside the resource");
+        out->accept_ranges = true;
+        break;
+    }
+}
+
+void response_document(const struct request *r, const char *type, const char *cache_control,
+                       struct body *b, struct response *out)
+{
+    out->type = type;
+    out->cache_control = cache_control;
+    response_body(r, b, out);
+}
+
+/* The result of work with a known name: 304 and hits are answered now, else *out asks for a job,
+ * and the caller says which. True when the caller must. */
+bool response_made(struct services *s, const struct request *r, struct hash128 id,
+                   struct response *out)
+{
+    body_etag(id, out->etag);
+    out->accept_ranges = true;
+    out->status = 200;
+    struct body *b = cache_get(s->cache, id);
+    out->cache = b ? "hit" : "miss";
+    if (b) {
+        response_body(r, b, out);
+        return false;
+    }
+    if (condition_none_match(r->if_none_match, out->etag)) {
+        out->status = 304;
+        return false;
+    }
+    return true;
+}
+
+struct work *response_work(struct dataset *d, enum work_kind kind, struct hash128 id,
+                           struct form form, struct response *out)
+{
+    struct work *w = mem_array(1, sizeof *w);
+    if (!w) {
+        response_no_memory(out);
+        return NULL;
+    }
+    w->kind = kind;
+    w->ds = dataset_ref(d);
+    w->id = id;
+    w->form = form;
+    w->keep = true;
+    return out->work = w;
+}

@@ -1,0 +1,68 @@
+/* A request, its answer, and putting bytes and headers into the answer.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_RESPONSE_H
+#define SERVER_RESPONSE_H
+
+#include "server/services.h"
+#include "server/work.h"
+
+struct request { /* borrowed from the connection */
+    enum method method;
+    const char *target; /* raw, as sent */
+    size_t target_size;
+    const char *accept, *accept_encoding, *if_none_match, *if_range, *range; /* NULL when absent */
+    const void *body;
+    size_t body_size;
+    bool prefetch; /* Sec-Purpose: prefetch, or a low Priority */
+    bool local;    /* the client is this machine, and no proxy speaks for another */
+};
+struct response { /* {0}, then route_answer; response_free it */
+    int status;
+    enum route route;
+    const char *type, *cache_control, *allow, *vary, *encoding; /* static strings, NULL = none */
+    char *location;                                             /* owned */
+    char etag[BODY_ETAG_SIZE];                                  /* "" = none */
+    char surrogate[96];
+    struct key tile;     /* that is asked for, and the name of its dataset, "" for anything else: */
+    char tile_of[64];    /* what a problem with it names */
+    struct body *body;   /* a reference; NULL = no bytes */
+    const uint8_t *data; /* what to send: inside body */
+    size_t size;
+    uint64_t range_first, range_total; /* of 206 and 416 */
+    bool accept_ranges;
+    int retry_after_s;     /* 0 = none */
+    double queue_s, run_s; /* of the job, for Server-Timing; < 0: there was none */
+    const char *cache;     /* "hit", "miss", "shared": for the log */
+    struct work *work;     /* not NULL: submit it, then route_finish */
+    enum job_class cls;
+    double timeout_s;
+};
+
+extern const char RESPONSE_IMMUTABLE[], RESPONSE_MOVING[], RESPONSE_NO_STORE[]; /* Cache-Control */
+extern const char RESPONSE_JSON[];                                              /* Content-Type */
+
+const char *response_status_text(int status);
+/* A problem document (RFC 9457) in place of whatever `out` held. */
+void response_problem(struct response *out, int status, const char *detail);
+/* The same, 503 with Retry-After. */
+void response_no_memory(struct response *out);
+/* 500 for a tile that cannot be made: which one, and what to do. out->tile and tile_of are set. */
+void response_tile_problem(struct response *out, bool damaged);
+/* 200, 206, 304 or 416 with `b`, whose reference is taken (NULL: out of memory). type and
+ * cache_control are set already. */
+void response_body(const struct request *r, struct body *b, struct response *out);
+/* The same, with its type and Cache-Control. */
+void response_document(const struct request *r, const char *type, const char *cache_control,
+                       struct body *b, struct response *out);
+/* The result of work with a known name: 304 and hits are answered now; true when a job has to make
+ * it, and the caller says which (response_work). */
+bool response_made(struct services *s, const struct request *r, struct hash128 id,
+                   struct response *out);
+/* New work for a job, in out->work; NULL, with the problem set, when out of memory. */
+struct work *response_work(struct dataset *d, enum work_kind kind, struct hash128 id,
+                           struct form form, struct response *out);
+void response_free(struct response *r);
+
+#endif

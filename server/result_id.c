@@ -1,0 +1,104 @@
+/* What decides the bytes of each kind of result.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/result_id.h"
+
+#include <stdio.h>
+#include <string.h>
+
+/* Make *id the name of the same thing in this appearance. */
+static void result_id_mix(struct hash128 *id, const struct appearance_choice *a)
+{
+    const struct hash128 both[2] = {*id, a->hash};
+    if (a->set)
+        *id = hash_bytes(both, sizeof both);
+}
+
+struct hash128 result_id_tile(const struct dataset *d, const struct store_tile *t, struct form f,
+                              const struct appearance_choice *a)
+{
+    struct { /* no padding */
+        struct hash128 payload, salt;
+        uint32_t z, x, y, form;
+    } name = {t->hash,  d->salt,  t->key.z,
+              t->key.x, t->key.y, (uint32_t)f.format << 16 | (uint32_t)f.preset << 8 | f.sh_degree};
+    struct hash128 id = hash_bytes(&name, sizeof name);
+    result_id_mix(&id, a);
+    return id;
+}
+
+/* Add the query to the name of what is made from it. */
+static void result_id_query(struct hash128 *id, const struct target *t)
+{
+    struct {
+        struct hash128 id, query;
+    } name = {.id = *id};
+    char query[TARGET_QUERY_MAX];
+    target_query(t, query);
+    name.query = hash_bytes(query, strlen(query));
+    *id = hash_bytes(&name, sizeof name);
+}
+
+struct hash128 result_id_seed(const struct dataset *d, const struct target *t, struct form form)
+{
+    struct {
+        struct hash128 salt;
+        char rev[16];
+        int32_t bbox_e7[4];
+        uint32_t z_min, z_max, format, has_bbox, asked, preset;
+    } name = {.salt = d->salt,
+              .z_min = t->z_min,
+              .z_max = t->z_max,
+              .format = (uint32_t)form.format,
+              .asked = (uint32_t)t->form.preset << 8 | t->form.sh_degree,
+              .preset = form.preset,
+              .has_bbox = t->has_bbox};
+    memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
+    memcpy(name.bbox_e7, t->bbox_e7, sizeof name.bbox_e7);
+    struct hash128 id = hash_bytes(&name, sizeof name);
+    result_id_query(&id, t);
+    return id;
+}
+
+struct hash128 result_id_tileset(const struct dataset *d, const struct target *t)
+{
+    struct {
+        struct hash128 salt;
+        char rev[16], kind[16];
+    } name = {.salt = d->salt};
+    bool moving = t->route == ROUTE_TILESET_MOVING;
+    memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
+    memcpy(name.kind, moving ? "tileset moving" : "tileset", moving ? 15 : 8);
+    struct hash128 id = hash_bytes(&name, sizeof name);
+    result_id_query(&id, t);
+    return id;
+}
+
+struct hash128 result_id_view(const struct dataset *d, const char *device, const struct camera *cam,
+                              const struct appearance_choice *a, enum format format, int quality)
+{
+    struct {
+        struct hash128 salt;
+        char rev[16], device[160];
+        double rot[9], trans[3], focal[4];
+        uint32_t width, height, format, quality;
+    } name;
+    memset(&name, 0, sizeof name);
+    name.salt = d->salt;
+    memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
+    snprintf(name.device, sizeof name.device, "%s", device);
+    memcpy(name.rot, cam->rot, sizeof name.rot);
+    memcpy(name.trans, cam->trans, sizeof name.trans);
+    name.focal[0] = cam->fx_px;
+    name.focal[1] = cam->fy_px;
+    name.focal[2] = cam->cx_px;
+    name.focal[3] = cam->cy_px;
+    name.width = cam->width_px;
+    name.height = cam->height_px;
+    name.format = (uint32_t)format;
+    name.quality = (uint32_t)quality;
+    struct hash128 id = hash_bytes(&name, sizeof name);
+    result_id_mix(&id, a);
+    return id;
+}

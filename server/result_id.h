@@ -1,0 +1,25 @@
+/* The names of results. A name is a hash of everything that decides the bytes, so equal names are
+ * equal bytes: it is the key of the cache, the id of the job and, written in base64url, the strong
+ * entity tag.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_RESULT_ID_H
+#define SERVER_RESULT_ID_H
+
+#include "core/camera.h"
+#include "server/appearance_api.h"
+#include "server/config.h"
+#include "server/dataset.h"
+#include "server/target.h"
+
+/* form has nothing left unsaid (encode_form). */
+struct hash128 result_id_tile(const struct dataset *d, const struct store_tile *t, struct form form,
+                              const struct appearance_choice *a);
+struct hash128 result_id_seed(const struct dataset *d, const struct target *t, struct form form);
+struct hash128 result_id_tileset(const struct dataset *d, const struct target *t);
+/* device: its name and driver; other hardware rounds otherwise. */
+struct hash128 result_id_view(const struct dataset *d, const char *device, const struct camera *cam,
+                              const struct appearance_choice *a, enum format format, int quality);
+
+#endif

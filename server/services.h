@@ -1,0 +1,40 @@
+/* What answers draw on.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_SERVICES_H
+#define SERVER_SERVICES_H
+
+#include <pthread.h>
+
+#include "server/access.h"
+#include "server/cache.h"
+#include "server/catalog.h"
+#include "server/config.h"
+#include "server/job.h"
+#include "server/metrics.h"
+#include "server/picture.h"
+#include "server/static.h"
+
+struct services { /* all shared, all thread-safe */
+    const struct server_config *cfg;
+    pthread_mutex_t catalog_lock; /* of catalog */
+    struct catalog *catalog;
+    struct static_table web;
+    struct cache *cache;
+    struct jobs *jobs;
+    struct picture *picture; /* NULL: pictures are off */
+    struct access *access;   /* NULL: no access log */
+    struct metrics metrics;
+    struct body *landing, *conformance, *api; /* documents that never change */
+    _Atomic bool draining;
+    double start_s;
+};
+/* {0} services -> ready documents; services_free takes back everything. cfg is borrowed until then.
+ * ERR_MEM. */
+enum err_code services_open(struct services *s, const struct server_config *cfg,
+                            struct err *e) ERR_USE;
+void services_free(struct services *s);
+struct catalog *services_catalog(struct services *s); /* a reference */
+
+#endif

@@ -1,0 +1,28 @@
+/* The viewer's files, loaded at start.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_STATIC_H
+#define SERVER_STATIC_H
+
+#include "server/body.h"
+
+struct static_file {
+    char *path; /* "/assets/x.js" */
+    const char *type;
+    bool immutable; /* its name carries a hash */
+    struct body *body;
+};
+struct static_table {         /* {0} is empty */
+    struct static_file *file; /* sorted by path */
+    size_t n, cap;
+};
+/* Load all files below dir (at most 4096 files, 256 MB). static_free it. */
+enum err_code static_load(const char *dir, struct static_table *out, struct err *e) ERR_USE;
+void static_free(struct static_table *t);
+const struct static_file *static_find(const struct static_table *t, const char *path, size_t n);
+/* Where the viewer is when --web-dir is not given: ../../web/dist (a build folder), ../web/dist or
+ * ../share/citysplat/web beside the running program. False when it is in none of them. */
+bool static_default_dir(char out[FILE_PATH_MAX]);
+
+#endif

@@ -1,0 +1,116 @@
+/* A request target as integers and enums.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_TARGET_H
+#define SERVER_TARGET_H
+
+#include "core/base.h"
+#include "lod/lod.h"
+
+enum { TARGET_APPEARANCE_MAX = 512, TARGET_QUERY_MAX = 3 * TARGET_APPEARANCE_MAX + 96 };
+
+enum method { METHOD_GET, METHOD_HEAD, METHOD_POST, METHOD_OPTIONS, METHOD_OTHER, METHOD_UNKNOWN };
+/* What a route answers, as bits. */
+enum { ALLOW_READ = 1, ALLOW_POST = 2 };
+
+/* X(id, allow, path, summary): the routes; /api, metrics and 405 answers come from this list. */
+#define ROUTE_LIST(X)                                                                              \
+    X(LANDING, ALLOW_READ, "/", "The viewer (HTML) or the landing page (JSON), by Accept")         \
+    X(STATIC, ALLOW_READ, "/{file}", "Files of the viewer")                                        \
+    X(CONFORMANCE, ALLOW_READ, "/conformance", "Conformance classes")                              \
+    X(API, ALLOW_READ, "/api", "This description (OpenAPI 3.0)")                                   \
+    X(COLLECTIONS, ALLOW_READ, "/collections", "All datasets")                                     \
+    X(COLLECTION, ALLOW_READ, "/collections/{ds}", "One dataset")                                  \
+    X(TILEJSON, ALLOW_READ, "/collections/{ds}/tiles.json", "TileJSON 3.0.0 of a dataset")         \
+    X(TILESET_MOVING, ALLOW_READ, "/d/{ds}/tileset.json", "3D Tiles 1.1 entry, current revision")  \
+    X(TILESET, ALLOW_READ, "/d/{ds}/r/{rev}/tileset.json", "3D Tiles 1.1 tileset of a revision")   \
+    X(TILE, ALLOW_READ, "/d/{ds}/r/{rev}/t/{z}/{x}/{y}.{ext}", "One tile of Gaussians")            \
+    X(TILE_MOVING, ALLOW_READ, "/d/{ds}/t/{z}/{x}/{y}.{ext}", "Redirect to the current revision")  \
+    X(VIEW, ALLOW_READ,                                                                            \
+      "/d/{ds}/r/{rev}/static/{lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt}",            \
+      "A rendered view")                                                                           \
+    X(VIEW_MOVING, ALLOW_READ,                                                                     \
+      "/d/{ds}/static/{lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt}",                    \
+      "Redirect to the current revision")                                                          \
+    X(APPEARANCES, ALLOW_READ, "/d/{ds}/appearances", "All appearances of a dataset")              \
+    X(APPEARANCE, ALLOW_READ, "/d/{ds}/appearance",                                                \
+      "One appearance or blend: embedding, nearest photographs, links")                            \
+    X(MIX, ALLOW_POST, "/d/{ds}/appearances:mix", "An appearance from weights or an embedding")    \
+    X(RENDER, ALLOW_POST, "/d/{ds}/render", "A rendered view of a posted camera")                  \
+    X(SEED, ALLOW_READ, "/d/{ds}/seed.ndjson", "Tiles to prefetch, most important first")          \
+    X(HEALTH, ALLOW_READ, "/healthz", "200 while the process lives")                               \
+    X(READY, ALLOW_READ, "/readyz", "200 while requests are welcome")                              \
+    X(VERSION, ALLOW_READ, "/version", "Program, datasets, device")                                \
+    X(METRICS, ALLOW_READ, "/metrics", "Prometheus text, to loopback clients only")                \
+    X(NONE, 0, "unmatched", "No such path")
+
+enum route {
+#define ROUTE_ENUM(id, allow, path, summary) ROUTE_##id,
+    ROUTE_LIST(ROUTE_ENUM)
+#undef ROUTE_ENUM
+        ROUTE_COUNT
+};
+/* The template of a route's paths, and what it allows. */
+const char *target_path(enum route r);
+unsigned target_allow(enum route r);
+
+/* X(id, extension, media type): what a tile and a picture can be. */
+#define FORMAT_LIST(X)                                                                             \
+    X(GLB, "glb", "model/gltf-binary")                                                             \
+    X(SPZ, "spz", "application/octet-stream")                                                      \
+    X(DRC, "drc", "application/octet-stream")                                                      \
+    X(PLY, "ply", "application/octet-stream")                                                      \
+    X(GLB_PLAIN, "plain.glb", "model/gltf-binary")                                                 \
+    X(JPG, "jpg", "image/jpeg")                                                                    \
+    X(PNG, "png", "image/png")                                                                     \
+    X(WEBP, "webp", "image/webp")
+
+enum format {
+#define FORMAT_ENUM(id, ext, type) FORMAT_##id,
+    FORMAT_LIST(FORMAT_ENUM)
+#undef FORMAT_ENUM
+        FORMAT_COUNT
+};
+const char *target_ext(enum format f);
+const char *target_type(enum format f);
+
+struct target_pose {              /* fixed point, so that equal views are equal keys */
+    int32_t lon_e7, lat_e7;       /* 1e-7 degrees */
+    int32_t h_mm;                 /* ellipsoidal, mm */
+    int32_t heading_e3, pitch_e3; /* 1e-3 degrees; heading 0..359999 */
+    int32_t fov_e3;               /* vertical */
+};
+/* A tile's bytes are those of a format, and of the quantised ones (.glb .spz .drc) in a preset and
+ * a degree of harmonics. */
+enum { FORM_UNSAID = 255 };
+struct form {
+    enum format format;
+    uint8_t preset;    /* enum quant_preset; QUANT_PRESETS: not said */
+    uint8_t sh_degree; /* highest band; FORM_UNSAID */
+};
+struct target {
+    enum route route;
+    char ds[64], rev[13];
+    struct key key;
+    struct form form;                       /* of views only the format counts */
+    char appearance[TARGET_APPEARANCE_MAX]; /* "": not said */
+    struct target_pose pose;
+    uint32_t width_px, height_px;
+    /* seed: */
+    bool has_bbox;
+    int32_t bbox_e7[4]; /* west south east north */
+    uint8_t z_min, z_max;
+    size_t path_size; /* bytes of the path, before '?' */
+};
+/* ERR_FORMAT: bytes no legal target has (status 400). ERR_DATA: well formed, impossible numbers
+ * (422). ERR_NOENT: no such route, or a key out of range (404). `path` has n bytes and no NUL. */
+enum err_code target_parse(const char *text, size_t n, struct target *out, struct err *e) ERR_USE;
+
+/* Percent-encode a text as a value of a query: RFC 3986's unreserved characters stay, and ',' ':'
+ * '=', which it allows there. out holds 3 bytes for each of text, and one more. */
+void target_escape(const char *text, char *out);
+/* "?preset=NAME&sh=N&appearance=A" as far as the target says them, else "". */
+void target_query(const struct target *t, char out[TARGET_QUERY_MAX]);
+
+#endif

@@ -1,0 +1,91 @@
+/* The work of jobs: from a store to bytes, on a worker thread with a store handle of its own. The
+ * result enters the cache before the job ends, so whoever asks next finds the job or the bytes.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/work.h"
+
+#include <stdio.h>
+
+#include "server/encode.h"
+#include "server/seed.h"
+
+static enum err_code work_make_tile(const struct work *w, struct buf *out, struct err *e)
+{
+    struct store *s = dataset_borrow(w->ds);
+    if (!s)
+        return err_set(e, ERR_INTERNAL, "dataset %s: fewer store handles than workers",
+                       w->ds->path);
+    enum err_code rc =
+        encode_tile(s, w->key, w->form, appearance_api_image(&w->appearance), out, e);
+    dataset_return(w->ds, s);
+    return rc;
+}
+
+/* A tileset whose tiles are all asked for with the same query. */
+static enum err_code work_make_tileset(const struct work *w, struct buf *out, struct err *e)
+{
+    char query[TARGET_QUERY_MAX], uri[TARGET_QUERY_MAX + 64];
+    target_query(&w->target, query);
+    if (w->target.route == ROUTE_TILESET)
+        snprintf(uri, sizeof uri, "t/{z}/{x}/{y}.glb%s", query);
+    else
+        snprintf(uri, sizeof uri, "r/%s/t/{z}/{x}/{y}.glb%s", w->ds->meta.revision, query);
+    return tileset_write(w->ds->index, uri, out, e);
+}
+
+static enum err_code work_make_bytes(struct services *s, const struct job *j, const struct work *w,
+                                     struct buf *out, struct err *e)
+{
+    switch (w->kind) {
+    case WORK_VIEW:
+        return picture_make(s->picture, j, w->ds, &w->appearance, &w->view, out, e);
+    case WORK_SEED:
+        return seed_write(w->ds, &w->target, w->form, &w->appearance, out, e);
+    case WORK_TILESET:
+        return work_make_tileset(w, out, e);
+    default:
+        return work_make_tile(w, out, e);
+    }
+}
+
+enum err_code work_run(void *user, const struct job *j, void *work, size_t worker,
+                       struct body **out, struct err *e)
+{
+    struct services *s = user;
+    const struct work *w = work;
+    struct buf b = {0};
+    char etag[BODY_ETAG_SIZE];
+    (void)worker;
+    if (w->keep && (*out = cache_get(s->cache, w->id)))
+        return ERR_OK; /* made between the look into the cache and the question for a job */
+    enum err_code rc = work_make_bytes(s, j, w, &b, e);
+    if (!rc)
+        rc = buf_check(&b, e);
+    if (!rc) {
+        body_etag(w->id, etag);
+        *out = body_take(&b, etag);
+        if (!*out)
+            rc = err_set(e, ERR_MEM, "out of memory for the encoded bytes");
+    }
+    if (!rc && w->kind == WORK_TILESET)
+        body_compress(*out);
+    if (!rc && w->keep)
+        cache_put(s->cache, w->id, *out);
+    if (rc && rc != ERR_CANCEL) {
+        atomic_fetch_add(&s->metrics.store_errors, w->kind == WORK_TILE);
+        log_error("serve", "job failed ds=%s %s %u/%u/%u.%s: %s", w->ds->meta.name,
+                  w->kind == WORK_VIEW ? "view" : "tile", w->key.z, w->key.x, w->key.y,
+                  target_ext(w->form.format), e->msg);
+    }
+    buf_free(&b);
+    return rc;
+}
+
+void work_drop(void *services, void *work)
+{
+    struct work *w = work;
+    (void)services;
+    dataset_drop(&w->ds);
+    mem_free(w);
+}

@@ -1,0 +1,28 @@
+/* What a job does: from a dataset to bytes.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_WORK_H
+#define SERVER_WORK_H
+
+#include "server/services.h"
+
+enum work_kind { WORK_TILE, WORK_SEED, WORK_TILESET, WORK_VIEW };
+struct work { /* freed with work_drop */
+    enum work_kind kind;
+    struct dataset *ds; /* a reference */
+    struct hash128 id;  /* names the result: cache key and job id */
+    struct key key;     /* WORK_TILE */
+    struct form form;   /* nothing left unsaid */
+    struct appearance_choice appearance;
+    struct target target;     /* WORK_SEED, WORK_TILESET */
+    struct picture_view view; /* WORK_VIEW */
+    bool keep;                /* put the result into the cache */
+};
+/* Run on a worker: from the store to bytes. The result goes to the cache before the job ends. The
+ * errors of what is made; ERR_MEM. */
+enum err_code work_run(void *services, const struct job *j, void *work, size_t worker,
+                       struct body **out, struct err *e) ERR_USE;
+void work_drop(void *services, void *work);
+
+#endif
