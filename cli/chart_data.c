@@ -12,16 +12,6 @@
 #include "cli/chart.h"
 #include "cli/runs.h"
 
-const struct chart_def chart_defs[] = {
-#define CHART(name, study, what, kind, x, y, series, label, title)                                 \
-    {#name, study, what, kind, x, y, series, label, title, NULL},
-#define TABLE(name, study, what, columns) {#name, study, what, "", "", "", "", "", "", columns},
-#include "cli/charts.def"
-#undef CHART
-#undef TABLE
-};
-const size_t chart_n_defs = sizeof chart_defs / sizeof *chart_defs;
-
 static const struct chart_key chart_keys[] = {
 #define KEY(key, head, axis, scale, decimals, better) {#key, head, axis, scale, decimals, better},
 #include "cli/keys.def"
