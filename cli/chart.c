@@ -1,4 +1,4 @@
-/* citysplat chart: every chart and table of docs/benchmarks.md from recorded runs, in one go.
+/* citysplat chart: charts of recorded runs, and the charts and tables of a Markdown page.
  *
  * The Markdown file keeps its prose; what stands between `<!-- chart NAME -->` or `<!-- table NAME
  * -->` and `<!-- end -->` is written anew.
@@ -236,7 +236,7 @@ enum err_code cli_chart(int argc, char **argv, struct err *e)
         .about = "Draws charts of recorded runs (folders or files of JSON lines, which "
                  "bench/study.sh and `citysplat note` write) with gnuplot, as SVG and PNG, and "
                  "rewrites the tables of a Markdown file.",
-        .example = "citysplat chart docs/runs -o docs/charts --markdown docs/benchmarks.md",
+        .example = "citysplat chart docs/runs -o docs/charts --markdown docs/studies/time.md",
         .defs = chart_option_defs,
         .n_defs = sizeof chart_option_defs / sizeof *chart_option_defs,
         .min_args = 1,
