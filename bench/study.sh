@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# study.sh: accuracy, size and time under varied settings, recorded for the charts of docs/benchmarks.md.
+# study.sh: accuracy, size and time under varied settings, recorded for the charts and tables of docs/studies.
 #
 #   bench/study.sh [--dry-run] all | STUDY...      --list names the studies
 #
 # Every row of a study is one run: train, then score, then `citysplat-study record` into docs/runs/STUDY.jsonl. A row that
 # is recorded there by the same command is skipped, so a stopped study goes on where it was, and changing a
-# setting repeats the rows it touches. Training itself is resumed too. Redraw afterwards with
-# `citysplat-study chart docs/runs --markdown docs/benchmarks.md -o docs/charts`.
+# setting repeats the rows it touches. Training itself is resumed too. Redraw a page afterwards with
+# `citysplat-study chart docs/runs -o docs/charts --markdown docs/studies/STUDY.md`; docs/studies/README.md has all of them.
 #
 # Environment:
 #   CITYSPLAT_CALITERRA   folder with images/ and sparse/ of the caliterra survey (docs/caliterra.md); without it
