@@ -321,5 +321,5 @@ out:
     arena_free(&b.arena);
     if (tmpdir[0] && strcmp(tmpdir, "."))
         (void)nftw(tmpdir, remove_one, 16, FTW_DEPTH | FTW_PHYS);
-    return rc == ERR_OK ? 0 : rc == ERR_ARG ? 2 : 1;
+    return !rc ? 0 : rc == ERR_ARG ? 2 : 1;
 }

@@ -54,7 +54,7 @@ static enum err_code chart_read_file(struct chart_run *r, const char *path, stru
 {
     json_t *lines = NULL;
     enum err_code rc = runs_read(path, &lines, e);
-    if (rc == ERR_OK && json_array_extend(r->lines, lines))
+    if (!rc && json_array_extend(r->lines, lines))
         rc = err_set(e, ERR_MEM, "chart: out of memory");
     json_decref(lines);
     return rc;
@@ -68,12 +68,12 @@ static enum err_code chart_read(struct chart_run *r, const char *path, struct er
     if (!file_is_dir(path))
         return chart_read_file(r, path, e);
     enum err_code rc = file_list(path, suffixes, &r->arena, &names, &n, e);
-    for (size_t i = 0; rc == ERR_OK && i < n; i++) {
+    for (size_t i = 0; !rc && i < n; i++) {
         rc = file_join(file, path, names[i], e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = chart_read_file(r, file, e);
     }
-    if (rc == ERR_OK && !n)
+    if (!rc && !n)
         rc = err_set(e, ERR_NOENT, "%s: no recorded runs (*.jsonl); bench/study.sh makes them",
                      path);
     return rc;
@@ -85,12 +85,12 @@ static enum err_code chart_draw(struct chart_run *r, const struct chart_def *d, 
 {
     struct chart_data data = {0};
     enum err_code rc = chart_data_make(d, r->lines, &data, e);
-    if (rc == ERR_OK && data.n_series)
+    if (!rc && data.n_series)
         rc = chart_plot(d, &data, r->o.output, r->o.png, e);
-    if (rc == ERR_OK && data.n_series) {
+    if (!rc && data.n_series) {
         printf("%s/%s.svg\n", r->o.output, d->name);
         r->n_drawn++;
-    } else if (rc == ERR_OK) {
+    } else if (!rc) {
         r->n_missing++;
     }
     chart_data_free(&data);
@@ -111,7 +111,7 @@ static enum err_code chart_draw_all(struct chart_run *r, struct err *e)
     if (r->o.only && !chart_find(r->o.only, false))
         return err_set(e, ERR_ARG, "--only %s: no such chart; bench/charts.def lists them",
                        r->o.only);
-    for (size_t i = 0; rc == ERR_OK && i < chart_n_defs; i++)
+    for (size_t i = 0; !rc && i < chart_n_defs; i++)
         if (!chart_defs[i].columns && (!r->o.only || !strcmp(r->o.only, chart_defs[i].name)))
             rc = chart_draw(r, &chart_defs[i], e);
     return rc;
@@ -204,9 +204,9 @@ static enum err_code chart_rewrite(const struct chart_run *r, const struct buf *
         number++;
         at += n + 1;
         enum err_code rc = chart_open_block(line, n, &d, e);
-        if (rc == ERR_OK && d && open)
+        if (!rc && d && open)
             rc = err_set(e, ERR_FORMAT, "'%s' is not closed by %s", open->name, end_mark);
-        if (rc != ERR_OK)
+        if (rc)
             return err_add(e, "%s, line %zu", r->o.markdown, number);
         if (open && !closes)
             continue;
@@ -226,11 +226,11 @@ static enum err_code chart_write_markdown(struct chart_run *r, struct err *e)
 {
     struct buf in = {0}, out = {0};
     enum err_code rc = chart_make_link(r, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_read(r->o.markdown, 0, &in, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = chart_rewrite(r, &in, &out, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_write(r->o.markdown, out.data, out.size, e);
     buf_free(&in);
     buf_free(&out);
@@ -255,19 +255,19 @@ enum err_code study_chart(int argc, char **argv, struct err *e)
     struct chart_run r = {0};
     struct options_args args;
     enum err_code rc = options_parse(&spec, argc, argv, &r.o, &args, &r.arena, e);
-    if (rc != ERR_OK || args.done)
+    if (rc || args.done)
         goto out;
     if (!r.o.output)
         rc = err_set(e, ERR_ARG, "chart: -o DIR is required");
-    if (rc == ERR_OK && !(r.lines = json_array()))
+    if (!rc && !(r.lines = json_array()))
         rc = err_set(e, ERR_MEM, "chart: out of memory");
-    for (size_t i = 0; rc == ERR_OK && i < args.n; i++)
+    for (size_t i = 0; !rc && i < args.n; i++)
         rc = chart_read(&r, args.arg[i], e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = chart_draw_all(&r, e);
-    if (rc == ERR_OK && r.o.markdown)
+    if (!rc && r.o.markdown)
         rc = chart_write_markdown(&r, e);
-    if (rc == ERR_OK && r.n_missing)
+    if (!rc && r.n_missing)
         log_info("chart", "drawn=%zu not_recorded=%zu", r.n_drawn, r.n_missing);
 out:
     json_decref(r.lines);

@@ -58,7 +58,7 @@ static enum err_code record_read_cell(struct record_run *r, const char *path, st
     json_t *lines = NULL, *line;
     size_t i;
     enum err_code rc = runs_read_lines(path, &lines, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     json_array_foreach(lines, i, line)
     {
@@ -82,12 +82,12 @@ static enum err_code record_read_results(struct record_run *r, struct err *e)
     size_t found = 0;
     struct record_run before = {0};
     enum err_code rc = file_join(path, r->o.results, "cells", e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     DIR *dir = opendir(path);
     if (!dir)
         return err_errno(e, ERR_NOENT, "%s: not the results of `citysplat train`", path);
-    for (struct dirent *d; rc == ERR_OK && (d = readdir(dir));) {
+    for (struct dirent *d; !rc && (d = readdir(dir));) {
         snprintf(file, sizeof file, "%s/%s/metrics.jsonl", path, d->d_name);
         if (d->d_name[0] == '.' || !file_exists(file))
             continue;
@@ -101,7 +101,7 @@ static enum err_code record_read_results(struct record_run *r, struct err *e)
         r->level[k].train_longest_s += before.level[0].train_s;
         r->level[k].peak_bytes = fmax(r->level[k].peak_bytes, before.level[0].peak_bytes);
     }
-    if (rc == ERR_OK && !found)
+    if (!rc && !found)
         rc = err_set(e, ERR_NOENT, "%s: no metrics.jsonl of any cell", path);
     return rc;
 }
@@ -111,7 +111,7 @@ static enum err_code record_read_ceilings(struct record_run *r, struct err *e)
     json_t *lines = NULL, *line;
     size_t i;
     enum err_code rc = runs_read_lines(r->o.ceilings, &lines, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     json_array_foreach(lines, i, line)
     {
@@ -206,22 +206,22 @@ static enum err_code record_score(struct record_run *r, const json_t *score, con
     json_t *numbers = json_object(), *v;
     unsigned level = r->n_levels;
     enum err_code rc = numbers ? ERR_OK : record_full(e);
-    if (sscanf(what, "level %u", &level) == 1 && rc == ERR_OK)
+    if (sscanf(what, "level %u", &level) == 1 && !rc)
         rc = record_set(numbers, "level", level, e);
     json_object_foreach((json_t *)(uintptr_t)score, key, v)
     {
-        if (rc == ERR_OK && json_is_number(v) && json_object_set(numbers, key, v))
+        if (!rc && json_is_number(v) && json_object_set(numbers, key, v))
             rc = record_full(e);
     }
-    if (rc == ERR_OK && level >= 1 && level <= r->n_levels) {
+    if (!rc && level >= 1 && level <= r->n_levels) {
         const struct record_level *l = &r->level[level - 1];
         rc = record_set(numbers, "train_s", l->train_s, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = record_set(numbers, "train_longest_s", l->train_longest_s, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = record_set(numbers, "train_peak_bytes", l->peak_bytes, e);
     }
-    if (rc != ERR_OK) {
+    if (rc) {
         json_decref(numbers);
         return rc;
     }
@@ -233,11 +233,11 @@ static enum err_code record_scores_of(struct record_run *r, const char *path, st
     json_t *file = NULL, *score;
     size_t i;
     enum err_code rc = jsonc_read(path, &file, e);
-    if (rc == ERR_OK && !json_array_size(json_object_get(file, "scores")))
+    if (!rc && !json_array_size(json_object_get(file, "scores")))
         rc = err_set(e, ERR_DATA, "%s: no scores; `citysplat eval -o` writes them", path);
     json_array_foreach(json_object_get(file, "scores"), i, score)
     {
-        if (rc == ERR_OK)
+        if (!rc)
             rc = record_score(r, score, runs_text(file, "device"), e);
     }
     json_decref(file);
@@ -248,7 +248,7 @@ static enum err_code record_scores(struct record_run *r, struct err *e)
 {
     char path[FILE_PATH_MAX];
     enum err_code rc = ERR_OK;
-    for (const char *at = r->o.scores; rc == ERR_OK && *at;) {
+    for (const char *at = r->o.scores; !rc && *at;) {
         size_t n = strcspn(at, ",");
         snprintf(path, sizeof path, "%.*s", (int)n, at);
         rc = record_scores_of(r, path, e);
@@ -266,7 +266,7 @@ static enum err_code record_bench(struct record_run *r, struct err *e)
     enum err_code rc = runs_read_lines(r->o.bench, &lines, e);
     json_array_foreach(lines, i, line)
     {
-        if (rc != ERR_OK || !strcmp(runs_text(line, "bench"), "ceiling"))
+        if (rc || !strcmp(runs_text(line, "bench"), "ceiling"))
             continue;
         snprintf(what, sizeof what, "%s: %s (%s)", runs_text(line, "bench"),
                  runs_text(line, "case"), runs_text(line, "unit"));
@@ -274,10 +274,10 @@ static enum err_code record_bench(struct record_run *r, struct err *e)
         rc = numbers ? ERR_OK : record_full(e);
         json_object_foreach(line, key, v)
         {
-            if (rc == ERR_OK && json_is_number(v) && json_object_set(numbers, key, v))
+            if (!rc && json_is_number(v) && json_object_set(numbers, key, v))
                 rc = record_full(e);
         }
-        if (rc == ERR_OK)
+        if (!rc)
             rc = record_add(r, what, runs_text(line, "device"), numbers, e);
         else
             json_decref(numbers);
@@ -289,9 +289,9 @@ static enum err_code record_bench(struct record_run *r, struct err *e)
 static enum err_code record_open(struct record_run *r, const char *path, struct err *e)
 {
     enum err_code rc = record_parse_set(r, e);
-    if (rc == ERR_OK && file_exists(path))
+    if (!rc && file_exists(path))
         return runs_read(path, &r->lines, e);
-    if (rc == ERR_OK && !(r->lines = json_array()))
+    if (!rc && !(r->lines = json_array()))
         rc = record_full(e);
     return rc;
 }
@@ -314,22 +314,22 @@ static enum err_code record_find(const struct record_run *r, const char *path, s
 static enum err_code record_run(struct record_run *r, const char *path, struct err *e)
 {
     enum err_code rc = record_open(r, path, e);
-    if (rc != ERR_OK || r->o.check)
-        return rc != ERR_OK ? rc : record_find(r, path, e);
+    if (rc || r->o.check)
+        return rc ? rc : record_find(r, path, e);
     record_remove(r);
     if (r->o.ceilings)
         rc = record_read_ceilings(r, e);
-    if (rc == ERR_OK && r->o.results)
+    if (!rc && r->o.results)
         rc = record_read_results(r, e);
-    if (rc == ERR_OK && r->o.scores)
+    if (!rc && r->o.scores)
         rc = record_scores(r, e);
-    if (rc == ERR_OK && r->o.bench)
+    if (!rc && r->o.bench)
         rc = record_bench(r, e);
-    if (rc == ERR_OK && !r->o.scores && !r->o.bench) {
+    if (!rc && !r->o.scores && !r->o.bench) {
         json_t *numbers = json_object();
         rc = record_add(r, "", "", numbers, e);
     }
-    return rc == ERR_OK ? runs_write(path, r->lines, e) : rc;
+    return !rc ? runs_write(path, r->lines, e) : rc;
 }
 
 enum err_code study_record(int argc, char **argv, struct err *e)
@@ -352,9 +352,9 @@ enum err_code study_record(int argc, char **argv, struct err *e)
     struct options_args args;
     struct arena arena = {0};
     enum err_code rc = options_parse(&spec, argc, argv, &r.o, &args, &arena, e);
-    if (rc == ERR_OK && !args.done && (!r.o.study || !r.o.row))
+    if (!rc && !args.done && (!r.o.study || !r.o.row))
         rc = err_set(e, ERR_ARG, "record: --study and --row are required");
-    if (rc == ERR_OK && !args.done)
+    if (!rc && !args.done)
         rc = record_run(&r, args.arg[0], e);
     json_decref(r.lines);
     json_decref(r.more);

@@ -384,7 +384,7 @@ static enum err_code eval_open(struct eval *v, const char *scene_dir, struct err
                      v->o.split ? "training" : "test");
     if (!rc)
         rc = dev_open(v->o.device, &v->dev, e);
-    v->dev_is_open = rc == ERR_OK;
+    v->dev_is_open = !rc;
     if (!rc)
         rc = render_open(&v->dev, &v->render, e);
     if (!rc && v->o.lpips)

@@ -55,13 +55,13 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
     sigemptyset(&hup);
     sigaddset(&hup, SIGHUP);
     enum err_code rc = options_parse(&spec, argc, argv, &cfg, &args, &arena, e);
-    if (rc != ERR_OK || args.done)
+    if (rc || args.done)
         goto out;
     /* Threads inherit the mask, so SIGHUP waits for sigtimedwait below. */
     pthread_sigmask(SIG_BLOCK, &hup, NULL);
     signals_catch();
     rc = server_start(&cfg, args.arg, args.n, &sv, e);
-    if (rc != ERR_OK)
+    if (rc)
         goto out;
     printf("citysplat serves %zu dataset%s: open %s\n", args.n, args.n == 1 ? "" : "s",
            server_url(sv));

@@ -113,7 +113,7 @@ static void test_targets(void **state)
         struct err e = {0};
         struct target got;
         enum err_code rc = target_parse(rows[i].text, strlen(rows[i].text), &got, &e);
-        if (rc != rows[i].code || (rc == ERR_OK && got.route != rows[i].route))
+        if (rc != rows[i].code || (!rc && got.route != rows[i].route))
             fail_msg("'%s': got %s %s (%s), want %s %s", rows[i].text, err_name(rc),
                      route_path(got.route), e.msg, err_name(rows[i].code),
                      route_path(rows[i].route));
@@ -183,7 +183,7 @@ static void test_target_any_bytes(void **state)
         struct target g;
         memcpy(exact, text, n);
         enum err_code rc = target_parse(exact, n, &g, NULL);
-        assert_true(rc == ERR_OK || rc == ERR_FORMAT || rc == ERR_NOENT || rc == ERR_DATA);
+        assert_true(!rc || rc == ERR_FORMAT || rc == ERR_NOENT || rc == ERR_DATA);
         assert_true(g.route <= ROUTE_NONE);
         mem_free(exact);
     }
