@@ -31,7 +31,7 @@ static const struct options_spec spec = {
     .example = "citysplat serve city.tiles\n"
                "citysplat serve old-town.tiles harbour.tiles --address 0.0.0.0 --port 8000",
     .defs = defs,
-    .n_defs = sizeof(defs) / sizeof(*defs),
+    .n_defs = sizeof defs / sizeof *defs,
     .min_args = 1,
     .max_args = 16,
 };

@@ -248,7 +248,7 @@ static void kernel_run(struct photometric *l, const struct picture *p, float l1,
     in.value_only = true;
     kit_ok(photometric_run(l, &in, NULL, &e), e);
     kit_ok(photometric_read(l, &alone, &e), e);
-    assert_memory_equal(v, &alone, sizeof(alone));
+    assert_memory_equal(v, &alone, sizeof alone);
     kit_ok(dev_read(d, out, 0, p->n * sizeof(float), planar, &e), e);
     for (size_t i = 0; i < p->n; i++)
         grad[i] = planar[i % 3 * px + i / 3];

@@ -109,7 +109,7 @@ static void test_targets(void **state)
         {"/a#b", ERR_FORMAT, ROUTE_NONE},
     };
     (void)state;
-    for (size_t i = 0; i < sizeof(rows) / sizeof(*rows); i++) {
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct err e = {0};
         struct target got;
         enum err_code rc = target_parse(rows[i].text, strlen(rows[i].text), &got, &e);
@@ -175,7 +175,7 @@ static void test_target_any_bytes(void **state)
         char text[400] = "";
         size_t n = 0, m = 1 + rng_u64(9, 0, i) % 14;
         for (size_t k = 0; k < m; k++) {
-            const char *w = words[rng_u64(9, k + 1, i) % (sizeof(words) / sizeof(*words))];
+            const char *w = words[rng_u64(9, k + 1, i) % (sizeof words / sizeof *words)];
             memcpy(text + n, w, strlen(w));
             n += strlen(w);
         }
@@ -268,10 +268,10 @@ static void test_conditions(void **state)
         {"application/json;q=0.1, text/html;q=0.2", true},
     };
     (void)state;
-    for (size_t i = 0; i < sizeof(tags) / sizeof(*tags); i++)
+    for (size_t i = 0; i < sizeof tags / sizeof *tags; i++)
         if (condition_none_match(tags[i].header, tags[i].etag) != tags[i].match)
             fail_msg("If-None-Match: %s", tags[i].header);
-    for (size_t i = 0; i < sizeof(ranges) / sizeof(*ranges); i++) {
+    for (size_t i = 0; i < sizeof ranges / sizeof *ranges; i++) {
         uint64_t first, length;
         enum condition_range got =
             condition_range(ranges[i].header, ranges[i].size, &first, &length);
@@ -280,10 +280,10 @@ static void test_conditions(void **state)
             fail_msg("Range: %s of %d: got %d %d+%d", ranges[i].header, (int)ranges[i].size, got,
                      (int)first, (int)length);
     }
-    for (size_t i = 0; i < sizeof(codings) / sizeof(*codings); i++)
+    for (size_t i = 0; i < sizeof codings / sizeof *codings; i++)
         if (condition_gzip(codings[i].header) != codings[i].gzip)
             fail_msg("Accept-Encoding: %s", codings[i].header);
-    for (size_t i = 0; i < sizeof(accepts) / sizeof(*accepts); i++)
+    for (size_t i = 0; i < sizeof accepts / sizeof *accepts; i++)
         if (condition_html(accepts[i].header) != accepts[i].html)
             fail_msg("Accept: %s", accepts[i].header);
 }
