@@ -247,7 +247,7 @@ enum err_code study_chart(int argc, char **argv, struct err *e)
         .about = "Draws the charts of recorded runs (folders or files of JSON lines, which "
                  "bench/study.sh and `citysplat-study record` write) with gnuplot, as SVG and "
                  "PNG, and rewrites the tables of a Markdown file.",
-        .example = "citysplat-study chart docs/runs -o docs/charts --markdown docs/studies",
+        .example = "citysplat-study chart docs/runs -o docs/charts --markdown docs/studies/time.md",
         .defs = chart_option_defs,
         .n_defs = sizeof chart_option_defs / sizeof *chart_option_defs,
         .min_args = 1,
