@@ -50,7 +50,7 @@ static enum err_code codec_encode(void *user, struct err *e)
     c->file.size = 0;
     if (codec_is_quantised(c))
         rc = quant_from_gauss(c->g, c->g->sh_degree, quant_preset_grid(c->preset), &q, e);
-    if (rc == ERR_OK)
+    if (!rc)
         switch (c->kind) {
         case CODEC_SPZ3:
         case CODEC_SPZ4:
@@ -82,7 +82,7 @@ static enum err_code codec_read(const struct codec_case *c, struct quant *q, str
                        : c->kind == CODEC_PAYLOAD ? payload_decode(p, n, NULL, g, e)
                        : c->kind == CODEC_DRC     ? draco_decode(p, n, NULL, q, e)
                                                   : spz_decode(p, n, NULL, q, e);
-    return rc == ERR_OK && codec_is_quantised(c) ? quant_to_gauss(q, g, e) : rc;
+    return !rc && codec_is_quantised(c) ? quant_to_gauss(q, g, e) : rc;
 }
 
 static enum err_code codec_decode(void *user, struct err *e)
@@ -101,15 +101,15 @@ static enum err_code codec_check(struct codec_case *c, struct err *e)
     struct quant q = {0}, want = {0};
     struct gauss g = {0};
     enum err_code rc = codec_encode(c, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = codec_read(c, &q, &g, e);
-    if (rc == ERR_OK && codec_is_quantised(c))
+    if (!rc && codec_is_quantised(c))
         rc = quant_from_gauss(c->g, c->g->sh_degree, quant_preset_grid(c->preset), &want, e);
-    if (rc == ERR_OK && want.block &&
+    if (!rc && want.block &&
         (q.n != want.n || memcmp(q.position, want.position, 12 * q.n) ||
          memcmp(q.sh, want.sh, 3 * (gauss_sh_count(q.sh_degree) - 1) * q.n)))
         rc = err_set(e, ERR_INTERNAL, "bench_codec: %s : integers differ", c->name);
-    if (rc == ERR_OK && !want.block && (g.n != c->g->n || memcmp(g.mean_m, c->g->mean_m, 12 * g.n)))
+    if (!rc && !want.block && (g.n != c->g->n || memcmp(g.mean_m, c->g->mean_m, 12 * g.n)))
         rc = err_set(e, ERR_INTERNAL, "bench_codec: %s : means differ", c->name);
     quant_free(&q);
     quant_free(&want);
@@ -123,14 +123,14 @@ static enum err_code codec_time(struct bench *b, struct codec_case *c, struct er
     double ms = 0, n = (double)c->g->n;
     const double raw = 4.0 * (11 + 3 * (double)gauss_sh_count(c->g->sh_degree) + c->g->embed_len);
     enum err_code rc = codec_check(c, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = bench_cpu_time(b, codec_encode, c, &ms, NULL, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         snprintf(name, sizeof name, "%s encode", c->name);
         bench_report(b, name, n / ms / 1e3, "M Gaussians/s", 0, NULL);
         rc = bench_cpu_time(b, codec_decode, c, &ms, NULL, e);
     }
-    if (rc == ERR_OK) {
+    if (!rc) {
         snprintf(name, sizeof name, "%s decode", c->name);
         bench_report(b, name, n / ms / 1e3, "M Gaussians/s", 0, NULL);
         snprintf(name, sizeof name, "%s size", c->name);
@@ -177,24 +177,24 @@ static enum err_code tile_requests(struct bench *b, const struct gauss *g, struc
     double ms = 0;
     size_t n = g->n < TILE_ROWS ? g->n : TILE_ROWS;
     enum err_code rc = file_join(path, bench_tmpdir(b), "codec.tiles", e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gauss_alloc(&part, n, g->sh_degree, g->embed_len, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gauss_append(&part, g, NULL, n, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = store_create(path, &meta, &t.store, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = store_put(t.store, &entry, &part, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = store_commit(&t.store, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = store_open(path, &t.store, e);
-    for (int f = FORMAT_GLB; rc == ERR_OK && f <= FORMAT_PLY; f++) {
+    for (int f = FORMAT_GLB; !rc && f <= FORMAT_PLY; f++) {
         t.form = (struct form){(enum format)f, QUANT_BALANCED, (uint8_t)g->sh_degree};
         rc = bench_cpu_time(b, tile_make, &t, &ms, NULL, e);
         snprintf(name, sizeof name, "tile of %zu k from store to .%s", n / 1000,
                  target_ext(t.form.format));
-        if (rc == ERR_OK)
+        if (!rc)
             bench_report(b, name, ms, "ms", 0, NULL);
     }
     store_close(&t.store);
@@ -228,16 +228,16 @@ static enum err_code pictures(struct bench *b, struct err *e)
     double ms = 0;
     uint32_t w = b->quick ? 400 : 4000, h = w / 4 * 3;
     enum err_code rc = image_alloc(w, h, 3, &c.in, e);
-    for (size_t i = 0; rc == ERR_OK && i < (size_t)w * h * 3; i++)
+    for (size_t i = 0; !rc && i < (size_t)w * h * 3; i++)
         c.in.px[i] = (uint8_t)(i / 3 % w / 8 + i / 3 / w / 6 + rng_u64(1, 2, i) % 8);
     double mpx = (double)w * h / 1e6;
-    if (rc == ERR_OK)
+    if (!rc)
         rc = bench_time(b, picture_resize, &c, &ms, NULL, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         bench_report(b, "Lanczos3 to 2/5", mpx / ms * 1e3, "Mpx/s", 0, NULL);
         rc = bench_time(b, picture_encode, &c, &ms, NULL, e);
     }
-    if (rc == ERR_OK)
+    if (!rc)
         bench_report(b, "JPEG 90 encode", mpx / ms * 1e3, "Mpx/s", 0, NULL);
     image_free(&c.in);
     image_free(&c.out);
@@ -252,15 +252,15 @@ static enum err_code trained_rows(const char *path, size_t most, struct gauss *o
     size_t n = 0;
     enum err_code rc = store_open(path, &s, e);
     const struct store_tile *t = rc ? NULL : store_tiles(s, &n);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gauss_alloc(out, most, store_info(s)->sh_degree, store_info(s)->embed_len, e);
-    for (size_t i = 0; rc == ERR_OK && i < n && out->n < most; i++) {
+    for (size_t i = 0; !rc && i < n && out->n < most; i++) {
         struct gauss g = {0};
         if (store_tree(s)->nodes[i].child_count)
             continue;
         rc = store_read_gauss(s, t[i].key, &g, e);
         memset(g.origin_enu_m, 0, sizeof g.origin_enu_m);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = gauss_append(out, &g, NULL, g.n < most - out->n ? g.n : most - out->n, e);
         gauss_free(&g);
     }
@@ -288,17 +288,17 @@ enum err_code bench_codec(struct bench *b, struct err *e)
         {.name = "payload", .kind = CODEC_PAYLOAD},
         {.name = "payload lossless", .kind = CODEC_PAYLOAD, .lossless = true},
     };
-    if (rc == ERR_OK)
+    if (!rc)
         rc = bench_cpu_time(b, quantise, &g, &ms, NULL, e);
-    if (rc == ERR_OK)
+    if (!rc)
         bench_report(b, "quantise", (double)g.n / ms / 1e3, "M Gaussians/s", 0, NULL);
-    for (size_t i = 0; rc == ERR_OK && i < sizeof cases / sizeof *cases; i++) {
+    for (size_t i = 0; !rc && i < sizeof cases / sizeof *cases; i++) {
         cases[i].g = &g;
         rc = codec_time(b, &cases[i], e);
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = tile_requests(b, &g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = pictures(b, e);
     gauss_free(&g);
     return rc;

@@ -39,16 +39,16 @@ static enum err_code frame_check(struct frame_case *c, struct err *e)
 {
     size_t bytes = 3 * (size_t)c->cam.width_px * c->cam.height_px * sizeof *c->rgb;
     enum err_code rc = frame_once(c, e);
-    for (int boxes = 0; rc == ERR_OK && boxes < 2; boxes++) {
+    for (int boxes = 0; !rc && boxes < 2; boxes++) {
         memcpy(c->again, c->rgb, bytes);
         c->render->box_tiles = boxes == 1;
         rc = frame_once(c, e);
         c->render->box_tiles = false;
-        if (rc == ERR_OK && memcmp(c->rgb, c->again, bytes) != 0)
+        if (!rc && memcmp(c->rgb, c->again, bytes) != 0)
             rc = err_set(e, ERR_INTERNAL, "bench_frame: check: %s gives another picture",
                          boxes ? "drawing without tile culling" : "drawing again");
     }
-    if (rc == ERR_OK && render_last_stats(c->render)->visible == 0)
+    if (!rc && render_last_stats(c->render)->visible == 0)
         rc = err_set(e, ERR_INTERNAL, "bench_frame: check: nothing is visible");
     return rc;
 }
@@ -59,7 +59,7 @@ static enum err_code frame_report(struct bench *b, struct frame_case *c, const c
 {
     char text[96];
     enum err_code rc = bench_time(b, frame_once, c, ms, NULL, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     snprintf(text, sizeof text, "%s, %ux%u", name, c->cam.width_px, c->cam.height_px);
     bench_report(b, text, *ms, "ms", against ? *ms / ratio_to_ms : 0, against);
@@ -81,7 +81,7 @@ static enum err_code frame_stages(struct bench *b, struct frame_case *c, const c
         {"visible", "splats", s->visible}, {"pairs of splat and tile", "", (double)s->entries},
         {"project", "ms", s->ms_project},  {"sort", "ms", s->ms_sort},
         {"bin", "ms", s->ms_bin},          {"blend", "ms", s->ms_blend}};
-    for (size_t i = 0; rc == ERR_OK && i < sizeof rows / sizeof *rows; i++) {
+    for (size_t i = 0; !rc && i < sizeof rows / sizeof *rows; i++) {
         snprintf(text, sizeof text, "%s, %ux%u: %s", name, c->cam.width_px, c->cam.height_px,
                  rows[i].name);
         bench_report(b, text, rows[i].value, rows[i].unit, 0, NULL);
@@ -93,11 +93,11 @@ static enum err_code frame_open(struct bench *b, const struct gauss *g, struct f
                                 struct err *e)
 {
     enum err_code rc = render_open(b->dev, &c->render, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_model_upload(c->render, g, &c->model, e);
     c->rgb = mem_array(3 * FRAME_W_MAX * FRAME_H_MAX, sizeof *c->rgb);
     c->again = mem_array(3 * FRAME_W_MAX * FRAME_H_MAX, sizeof *c->again);
-    if (rc == ERR_OK && (!c->rgb || !c->again))
+    if (!rc && (!c->rgb || !c->again))
         rc = err_set(e, ERR_MEM, "bench_frame: pictures");
     return rc;
 }
@@ -122,14 +122,14 @@ static enum err_code frame_appearance(struct bench *b, const struct gauss *plain
     char name[64];
     enum err_code rc = city_appearance(plain, &g, &a, &look, e);
     snprintf(name, sizeof name, "%zu k, appearance", plain->n / 1000);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_open(b, &g, &c, e);
     c.look = look;
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_check(&c, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_report(b, &c, name, &ms, plain_ms, "without appearance", e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_stages(b, &c, name, e);
     frame_close(&c);
     appearance_free(&a);
@@ -148,12 +148,12 @@ static enum err_code frame_plain(struct bench *b, size_t n, struct err *e)
     char name[48];
     enum err_code rc = city_sorted_degree(n, 0, &g, e);
     snprintf(name, sizeof name, "%zu k, SH 0", n / 1000);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_open(b, &g, &c, e);
-    for (size_t i = 0; rc == ERR_OK && i < sizeof sizes / sizeof *sizes; i++) {
+    for (size_t i = 0; !rc && i < sizeof sizes / sizeof *sizes; i++) {
         c.cam = city_camera(sizes[i][0], sizes[i][1]);
         rc = frame_check(&c, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = frame_report(b, &c, name, &ms, 0, NULL, e);
     }
     frame_close(&c);
@@ -171,33 +171,33 @@ enum err_code bench_frame(struct bench *b, struct err *e)
     char name[48];
     enum err_code rc = city_sorted(n, &sorted, e);
     snprintf(name, sizeof name, "%zu k", n / 1000);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_open(b, &sorted, &c, e);
-    for (size_t i = 0; rc == ERR_OK && i < sizeof sizes / sizeof *sizes; i++) {
+    for (size_t i = 0; !rc && i < sizeof sizes / sizeof *sizes; i++) {
         c.cam = city_camera(sizes[i][0], sizes[i][1]);
         rc = frame_check(&c, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = frame_report(b, &c, name, &ms, 0, NULL, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = frame_stages(b, &c, name, e);
         hd_ms = i == 0 ? ms : hd_ms;
     }
-    if (rc == ERR_OK) {
+    if (!rc) {
         c.cam = city_camera(sizes[0][0], sizes[0][1]);
         snprintf(name, sizeof name, "%zu k, boxes", n / 1000);
         c.render->box_tiles = true;
         rc = frame_report(b, &c, name, &ms, hd_ms, "exact tile culling", e);
         c.render->box_tiles = false;
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_appearance(b, &sorted, hd_ms, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_plain(b, n, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = city_make(n, &random, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_open(b, &random, &r, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         r.cam = city_camera(sizes[0][0], sizes[0][1]);
         snprintf(name, sizeof name, "%zu k, random order", n / 1000);
         rc = frame_report(b, &r, name, &ms, hd_ms, "Morton order", e);

@@ -65,9 +65,9 @@ static enum err_code growth_measure(struct bench *b, struct growth_case *c, cons
     double ms = 0.0;
     c->cam = city_camera(growth_sizes[size][0], growth_sizes[size][1]);
     enum err_code rc = bench_time(b, growth_draw, c, &ms, NULL, e);
-    if (rc == ERR_OK && render_last_stats(c->render)->visible == 0)
+    if (!rc && render_last_stats(c->render)->visible == 0)
         rc = err_set(e, ERR_INTERNAL, "bench_growth: check: nothing is visible");
-    if (rc == ERR_OK)
+    if (!rc)
         bench_report_at(b, name, ms, "ms", (double)n, (double)c->cam.width_px * c->cam.height_px);
     return rc;
 }
@@ -78,9 +78,9 @@ static enum err_code growth_open(struct bench *b, const struct gauss *g, struct 
     const uint32_t *largest = growth_sizes[GROWTH_SIZES - 1];
     c->rgb = mem_array(3 * (size_t)largest[0] * largest[1], sizeof *c->rgb);
     enum err_code rc = c->rgb ? ERR_OK : err_set(e, ERR_MEM, "bench_growth: pictures");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_open(b->dev, &c->render, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_model_upload(c->render, g, &c->model, e);
     return rc;
 }
@@ -99,13 +99,13 @@ static enum err_code growth_count(struct bench *b, size_t which, double *residen
     struct growth_case c = {0};
     struct gauss g = {0};
     enum err_code rc = city_sorted_degree(n, 0, &g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = growth_open(b, &g, &c, e);
     gauss_free(&g);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = growth_measure(b, &c, "Gaussians", n, GROWTH_HD, e);
     *resident = growth_resident_bytes();
-    for (size_t s = 0; rc == ERR_OK && which == GROWTH_PIXELS && s < GROWTH_SIZES; s++)
+    for (size_t s = 0; !rc && which == GROWTH_PIXELS && s < GROWTH_SIZES; s++)
         rc = growth_measure(b, &c, "pixels", n, s, e);
     growth_close(&c);
     return rc;
@@ -121,15 +121,15 @@ static enum err_code growth_full(struct bench *b, size_t n, bool with_look, doub
     struct appearance a = {0};
     float *look = NULL;
     enum err_code rc = city_sorted_degree(n, 3, &plain, e);
-    if (rc == ERR_OK && with_look)
+    if (!rc && with_look)
         rc = city_appearance(&plain, &embedded, &a, &look, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = growth_open(b, with_look ? &embedded : &plain, &c, e);
     gauss_free(&plain);
     gauss_free(&embedded);
     c.look = look;
     c.cam = city_camera(growth_sizes[GROWTH_HD][0], growth_sizes[GROWTH_HD][1]);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = growth_draw(&c, e);
     *resident = growth_resident_bytes();
     growth_close(&c);
@@ -143,9 +143,9 @@ static enum err_code growth_memory(struct bench *b, bool with_look, struct err *
     double small = 0.0, large = 0.0;
     size_t n = b->quick ? 5000 : 500000;
     enum err_code rc = growth_full(b, n, with_look, &small, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = growth_full(b, 4 * n, with_look, &large, e);
-    if (rc == ERR_OK)
+    if (!rc)
         bench_report(b,
                      with_look ? "memory a resident Gaussian, SH degree 3 and appearance"
                                : "memory a resident Gaussian, SH degree 3",
@@ -158,16 +158,16 @@ enum err_code bench_growth(struct bench *b, struct err *e)
     size_t counts = b->quick ? GROWTH_QUICK : GROWTH_COUNTS;
     double resident[GROWTH_COUNTS] = {0};
     enum err_code rc = ERR_OK;
-    for (size_t i = 0; rc == ERR_OK && i < counts; i++)
+    for (size_t i = 0; !rc && i < counts; i++)
         rc = growth_count(b, i, &resident[i], e);
-    if (rc == ERR_OK && counts == GROWTH_COUNTS)
+    if (!rc && counts == GROWTH_COUNTS)
         bench_report(b, "memory a resident Gaussian, SH degree 0",
                      (resident[counts - 1] - resident[GROWTH_PIXELS]) /
                          (double)(growth_counts[counts - 1] - growth_counts[GROWTH_PIXELS]),
                      "B", 0, NULL);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = growth_memory(b, false, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = growth_memory(b, true, e);
-    return rc == ERR_OK ? bench_step_growth(b, e) : rc;
+    return !rc ? bench_step_growth(b, e) : rc;
 }

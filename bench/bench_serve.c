@@ -41,7 +41,7 @@ static enum err_code serve_store(const char *path, size_t n, struct key *key, st
     *key = key_at(meta.origin.lon_deg, meta.origin.lat_deg, SERVE_ZOOM);
     struct store_tile tile = {.key = *key, .level = 3, .geometric_error_m = 1};
     enum err_code rc = gauss_alloc(&g, n, 1, 0, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     g.n = n;
     for (size_t i = 0; i < n; i++) {
@@ -56,9 +56,9 @@ static enum err_code serve_store(const char *path, size_t n, struct key *key, st
         g.opacity_logit[i] = (float)rng_normal(1, 30, i);
     }
     rc = store_create(path, &meta, &s, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = store_put(s, &tile, &g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = store_commit(&s, e);
     if (s)
         store_close(&s);
@@ -121,17 +121,17 @@ static enum err_code serve_client(void *user, size_t index, struct err *e)
     size_t due[SERVE_CONNECTIONS], sent = 0, done = 0, opened = 0;
     enum err_code rc = bytes ? ERR_OK : err_set(e, ERR_MEM, "bench_serve: out of memory");
     (void)index;
-    for (; opened < SERVE_CONNECTIONS && rc == ERR_OK; opened++) {
+    for (; opened < SERVE_CONNECTIONS && !rc; opened++) {
         p[opened] = (struct pollfd){.fd = serve_dial(l->port), .events = POLLIN};
         due[opened] = l->answer_bytes;
         if (p[opened].fd < 0 || !serve_send(p[opened].fd, l->request))
             rc = err_set(e, ERR_IO, "%s", fail);
         sent++;
     }
-    while (rc == ERR_OK && done < sent) {
+    while (!rc && done < sent) {
         if (poll(p, SERVE_CONNECTIONS, 10000) <= 0)
             rc = err_set(e, ERR_IO, "bench_serve: no answer for 10 s");
-        for (size_t i = 0; i < SERVE_CONNECTIONS && rc == ERR_OK; i++) {
+        for (size_t i = 0; i < SERVE_CONNECTIONS && !rc; i++) {
             if (!(p[i].revents & (POLLIN | POLLHUP | POLLERR)))
                 continue;
             ssize_t n = recv(p[i].fd, bytes, 1 << 18, MSG_DONTWAIT);
@@ -139,7 +139,7 @@ static enum err_code serve_client(void *user, size_t index, struct err *e)
                 rc = err_set(e, ERR_IO, "%s", fail);
             else
                 due[i] -= (size_t)n;
-            if (rc != ERR_OK || due[i])
+            if (rc || due[i])
                 continue;
             done++;
             due[i] = l->answer_bytes;
@@ -171,15 +171,15 @@ static enum err_code serve_ask(struct serve_load *l, struct buf *body, char etag
     size_t want = 0;
     if (fd < 0 || !serve_send(fd, l->request))
         rc = err_set(e, ERR_IO, "bench_serve: cannot connect");
-    while (rc == ERR_OK && (!want || all.size < want)) {
+    while (!rc && (!want || all.size < want)) {
         ssize_t n = recv(fd, bytes, sizeof bytes, 0);
         if (n <= 0)
             rc = err_set(e, ERR_IO, "bench_serve: the answer breaks off");
         else
             buf_add(&all, bytes, (size_t)n);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = buf_check(&all, e);
-        if (rc != ERR_OK || want)
+        if (rc || want)
             continue;
         buf_add(&all, "", 1);
         all.size--;
@@ -199,10 +199,10 @@ static enum err_code serve_ask(struct serve_load *l, struct buf *body, char etag
         close(fd);
     size_t at = body->size;
     body->size = 0;
-    if (rc == ERR_OK)
+    if (!rc)
         buf_add(body, all.data + at, all.size - at);
     buf_free(&all);
-    return rc == ERR_OK ? buf_check(body, e) : rc;
+    return !rc ? buf_check(body, e) : rc;
 }
 
 /* ---- libmicrohttpd alone ---- */
@@ -264,16 +264,16 @@ static enum err_code serve_compare(struct bench *b, const char *name, struct ser
     double ours_ms, bare_ms;
     snprintf(other.request, sizeof other.request, "GET / HTTP/1.1\r\nHost: bench\r\n\r\n");
     enum err_code rc = serve_bare_start(&bare, tile, status, &other.port, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = serve_ask(&other, &got, NULL, e);
-    if (rc == ERR_OK && status == 200 &&
+    if (!rc && status == 200 &&
         (got.size != tile->size || memcmp(got.data, tile->data, got.size) != 0))
         rc = err_set(e, ERR_INTERNAL, "bench_serve: check: the two servers send other bytes");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = bench_time(b, serve_run, ours, &ours_ms, NULL, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = bench_time(b, serve_run, &other, &bare_ms, NULL, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         double n = SERVE_CLIENTS * (double)ours->requests;
         bench_report(b, name, n / ours_ms * 1e3, "requests/s", bare_ms / ours_ms,
                      "libmicrohttpd alone");
@@ -295,13 +295,13 @@ static enum err_code serve_size(struct bench *b, size_t n_gaussians, const char 
     struct serve_load load = {.requests = b->quick ? 200 : 10000};
     const char *const paths[] = {path};
     enum err_code rc = file_join(path, bench_tmpdir(b), "bench.tiles", e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = serve_store(path, n_gaussians, &key, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = serve_config(&cfg, &arena, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = server_start(&cfg, paths, 1, &server, e);
-    if (rc != ERR_OK)
+    if (rc)
         goto out;
     struct catalog *c = services_catalog(server_services(server));
     load.port = (uint16_t)atoi(strrchr(server_url(server), ':') + 1);
@@ -312,19 +312,19 @@ static enum err_code serve_size(struct bench *b, size_t n_gaussians, const char 
     catalog_drop(&c);
     rc = serve_ask(&load, &tile, etag, e); /* makes the tile */
     tile.size = 0;
-    if (rc == ERR_OK)
+    if (!rc)
         rc = serve_ask(&load, &tile, etag, e); /* a hit: no Server-Timing, the size that counts */
-    if (rc == ERR_OK) {
+    if (!rc) {
         snprintf(text, sizeof text, "hot tile, %s (%zu B)", name, tile.size);
         rc = serve_compare(b, text, &load, &tile, MHD_HTTP_OK, e);
     }
-    if (rc == ERR_OK) {
+    if (!rc) {
         snprintf(load.request + n - 2, sizeof load.request - (size_t)n + 2,
                  "If-None-Match: %s\r\n\r\n", etag);
         rc = serve_ask(&load, &none, NULL, e);
         snprintf(text, sizeof text, "304 of it");
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = serve_compare(b, text, &load, &tile, MHD_HTTP_NOT_MODIFIED, e);
 out:
     server_stop(&server);
@@ -411,7 +411,7 @@ static enum err_code busy_measure(struct bench *b, struct busy *w, const char *n
     atomic_store(&w->stop, false);
     enum err_code rc = pool_for(2, 2, busy_work, w, e);
     qsort(w->ms, BUSY_REQUESTS, sizeof w->ms[0], busy_order);
-    for (int i = 0; rc == ERR_OK && i < 2; i++) {
+    for (int i = 0; !rc && i < 2; i++) {
         double ms = w->ms[(size_t)(at[i].share * BUSY_REQUESTS)];
         idle_ms[i] = idle ? ms : idle_ms[i];
         snprintf(text, sizeof text, "hot tile, %s, %s", name, at[i].name);
@@ -434,14 +434,14 @@ static enum err_code serve_busy(struct bench *b, struct err *e)
     struct busy *w = mem_array(1, sizeof *w);
     enum err_code rc = w ? file_join(path, bench_tmpdir(b), "bench.tiles", e)
                          : err_set(e, ERR_MEM, "bench_serve: out of memory");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = serve_store(path, b->quick ? 2000 : BUSY_GAUSSIANS, &key, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = serve_config(&cfg, &arena, e);
     cfg.device = "auto";
-    if (rc == ERR_OK)
+    if (!rc)
         rc = server_start(&cfg, paths, 1, &server, e);
-    if (rc != ERR_OK)
+    if (rc)
         goto out;
     struct catalog *c = services_catalog(server_services(server));
     w->tile.port = (uint16_t)atoi(strrchr(server_url(server), ':') + 1);
@@ -451,16 +451,16 @@ static enum err_code serve_busy(struct bench *b, struct err *e)
     snprintf(w->view_prefix, sizeof w->view_prefix, "/d/bench/r/%s/static/%.6f,%.6f",
              c->ds[0]->meta.revision, c->ds[0]->meta.origin.lon_deg, c->ds[0]->meta.origin.lat_deg);
     catalog_drop(&c);
-    for (int i = 0; rc == ERR_OK && i < 2; i++) { /* make the tile; then the size of a hit */
+    for (int i = 0; !rc && i < 2; i++) { /* make the tile; then the size of a hit */
         tile.size = 0;
         rc = serve_ask(&w->tile, &tile, NULL, e);
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = busy_measure(b, w, "idle", idle_ms, e);
     atomic_store(&w->draw, true);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = busy_measure(b, w, "while drawing", idle_ms, e);
-    if (rc == ERR_OK)
+    if (!rc)
         bench_report(b, "views drawn meanwhile", atomic_load(&w->views), "", 0, NULL);
 out:
     server_stop(&server);
@@ -473,7 +473,7 @@ out:
 enum err_code bench_serve(struct bench *b, struct err *e)
 {
     enum err_code rc = serve_size(b, 280, "small", e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = serve_size(b, 2600, "usual", e);
-    return rc == ERR_OK ? serve_busy(b, e) : rc;
+    return !rc ? serve_busy(b, e) : rc;
 }

@@ -75,23 +75,23 @@ enum err_code bench_start(struct bench *b, struct err *e)
     const struct pyramid_config cfg = {.name = "start", .tile_edge_m = 60};
     const char *dir = bench_tmpdir(b);
     enum err_code rc = start_program(c.program, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_join(c.store, dir, "start.tiles", e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_join(c.picture, dir, "start.jpg", e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = city_sorted(b->quick ? 5000 : 50000, &g, e);
     const struct pyramid_level level = {.g = &g, .level = 3};
-    if (rc == ERR_OK)
+    if (!rc)
         rc = pyramid_build(&start_origin, &level, 1, &cfg, NULL, 0, c.store, &report, e);
     gauss_free(&g);
     double begin = clock_s();
-    if (rc == ERR_OK)
+    if (!rc)
         rc = start_run(&c, e);
     first = 1e3 * (clock_s() - begin);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = bench_time(b, start_run, &c, &ms, NULL, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         bench_report(b, "first run of this session, 1280x720", first, "ms", 0, NULL);
         bench_report(b, "process start to first picture, 1280x720", ms, "ms", 0, NULL);
     }

@@ -67,7 +67,7 @@ static enum err_code step_draw(void *user, struct err *e)
                                      .appearance_frame = c->frame,
                                      .appearance_hidden = APPEARANCE_HIDDEN};
     enum err_code rc = render_forward(c->render, &c->model, &c->cam, &o, NULL, NULL, e);
-    return rc == ERR_OK ? dev_finish(c->dev, e) : rc;
+    return !rc ? dev_finish(c->dev, e) : rc;
 }
 
 static enum err_code step_loss(void *user, struct err *e)
@@ -80,20 +80,20 @@ static enum err_code step_loss(void *user, struct err *e)
                                          .l1_weight = PHOTOMETRIC_L1_WEIGHT,
                                          .ssim_weight = PHOTOMETRIC_SSIM_WEIGHT};
     enum err_code rc = photometric_run(c->loss, &in, render_color_grad_buffer(c->render), e);
-    return rc == ERR_OK ? dev_finish(c->dev, e) : rc;
+    return !rc ? dev_finish(c->dev, e) : rc;
 }
 
 static enum err_code step_once(void *user, struct err *e)
 {
     struct step_case *c = user;
     enum err_code rc = step_draw(c, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = step_loss(c, e);
     c->adam.step++;
     c->adam.embed_step = c->adam.step;
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_backward_step(c->render, &c->model, &c->adam, &c->stats, e);
-    return rc == ERR_OK ? dev_finish(c->dev, e) : rc;
+    return !rc ? dev_finish(c->dev, e) : rc;
 }
 
 /* The photograph: what the undisturbed city looks like. */
@@ -106,11 +106,11 @@ static enum err_code step_target(struct step_case *c, const struct gauss *city, 
     const struct render_options o = {.aa = RENDER_AA_2D, .sh_degree = -1};
     enum err_code rc = rgb && bytes ? render_model_upload(c->render, city, &m, e)
                                     : err_set(e, ERR_MEM, "bench_step: picture");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_forward(c->render, &m, &c->cam, &o, rgb, NULL, e);
-    for (size_t i = 0; rc == ERR_OK && i < n; i++)
+    for (size_t i = 0; !rc && i < n; i++)
         bytes[i] = (uint8_t)(255 * (rgb[i] < 1 ? rgb[i] : 1) + 0.5f);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_buffer(c->dev, n, bytes, &c->target, e);
     render_model_free(&m);
     mem_free(rgb);
@@ -138,7 +138,7 @@ static enum err_code step_look(struct step_case *c, struct gauss *g, struct err 
     enum err_code rc = city_appearance(g, &with, &c->look, &c->frame, e);
     c->frame_grad = mem_array(appearance_frame_floats(APPEARANCE_GAUSS_LEN, APPEARANCE_HIDDEN),
                               sizeof *c->frame_grad);
-    if (rc == ERR_OK && !c->frame_grad)
+    if (!rc && !c->frame_grad)
         rc = err_set(e, ERR_MEM, "bench_step: appearance");
     c->grad = (struct render_appearance_grad){.frame = c->frame_grad, .offset_weight = 0.05f};
     c->adam.appearance = &c->grad;
@@ -160,25 +160,25 @@ static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h
     c->adam.scale_log_min = -12;
     c->adam.scale_log_max = 4;
     enum err_code rc = city_sorted(n, &g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_open(b->dev, &c->render, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = photometric_open(b->dev, &c->loss, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = step_target(c, &g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         step_disturb(&g);
-    if (rc == ERR_OK && look)
+    if (!rc && look)
         rc = step_look(c, &g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_model_upload(c->render, &g, &c->model, e);
     size_t lanes = (size_t)c->model.groups * 16 * sizeof(float), state = lanes * c->model.planes;
     cl_mem *const mems[] = {&c->adam.m1,     &c->adam.m2,      &c->stats.grad,    &c->stats.absg,
                             &c->stats.count, &c->stats.radius, &c->stats.repaired};
-    for (size_t i = 0; rc == ERR_OK && i < sizeof mems / sizeof *mems; i++) {
+    for (size_t i = 0; !rc && i < sizeof mems / sizeof *mems; i++) {
         size_t bytes = i < 2 ? state : lanes;
         rc = dev_buffer(b->dev, bytes, NULL, mems[i], e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = dev_zero(b->dev, *mems[i], 0, bytes, e);
     }
     gauss_free(&g);
@@ -191,14 +191,14 @@ static enum err_code step_check(struct step_case *c, struct err *e)
     struct photometric_value before = {0}, after = {0};
     step_rates(c, 1);
     enum err_code rc = step_once(c, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = photometric_read(c->loss, &before, e);
     step_rates(c, 0);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = step_once(c, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = photometric_read(c->loss, &after, e);
-    if (rc == ERR_OK && !(after.total < before.total))
+    if (!rc && !(after.total < before.total))
         rc = err_set(e, ERR_INTERNAL, "bench_step: the loss rose from %.6f to %.6f in one step",
                      before.total, after.total);
     return rc;
@@ -222,7 +222,7 @@ static enum err_code step_stages(struct bench *b, struct step_case *c, const cha
                 {"blend", s->ms_blend},
                 {"blend backward", s->ms_blend_backward},
                 {"projection backward and Adam", s->ms_project_backward}};
-    for (size_t i = 0; rc == ERR_OK && i < sizeof rows / sizeof *rows; i++) {
+    for (size_t i = 0; !rc && i < sizeof rows / sizeof *rows; i++) {
         snprintf(text, sizeof text, "%s: %s", name, rows[i].name);
         bench_report(b, text, rows[i].ms, "ms", 0, NULL);
     }
@@ -237,15 +237,15 @@ static enum err_code step_measure(struct bench *b, size_t n, uint32_t w, uint32_
     char name[64], text[128];
     double ms = 0, draw_ms = 0, loss_ms = 0, spread = 0;
     enum err_code rc = step_open(b, n, w, h, look, &c, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = step_check(&c, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = bench_time(b, step_once, &c, &ms, &spread, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = bench_time(b, step_draw, &c, &draw_ms, &spread, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = bench_time(b, step_loss, &c, &loss_ms, &spread, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         snprintf(name, sizeof name, "%zu k, %ux%u%s", n / 1000, w, h, look ? ", appearance" : "");
         bench_report(b, name, ms, "ms", look ? ms / *total_ms : 0,
                      look ? "without appearance" : NULL);
@@ -270,12 +270,12 @@ enum err_code bench_step(struct bench *b, struct err *e)
     } cases[] = {{50000, 400, 301}, {100000, 400, 300}, {100000, 800, 600}, {1000000, 1280, 720}},
       quick[] = {{5000, 200, 150}};
     enum err_code rc = ERR_OK;
-    for (size_t i = 0; rc == ERR_OK && i < (b->quick ? 1 : sizeof cases / sizeof *cases); i++) {
+    for (size_t i = 0; !rc && i < (b->quick ? 1 : sizeof cases / sizeof *cases); i++) {
         double ms = 0;
         size_t n = b->quick ? quick[i].n : cases[i].n;
         uint32_t w = b->quick ? quick[i].w : cases[i].w, h = b->quick ? quick[i].h : cases[i].h;
         rc = step_measure(b, n, w, h, false, &ms, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = step_measure(b, n, w, h, true, &ms, e);
     }
     return rc;
@@ -296,13 +296,13 @@ enum err_code bench_step_growth(struct bench *b, struct err *e)
         {"training, pixels", 100000, 320, 180},      {"training, pixels", 100000, 640, 360},
         {"training, pixels", 100000, 1280, 720},     {"training, pixels", 100000, 1920, 1080}};
     enum err_code rc = ERR_OK;
-    for (size_t i = 0; rc == ERR_OK && i < (b->quick ? 2 : sizeof cases / sizeof *cases); i++) {
+    for (size_t i = 0; !rc && i < (b->quick ? 2 : sizeof cases / sizeof *cases); i++) {
         struct step_case c;
         double ms = 0;
         rc = step_open(b, cases[i].n, cases[i].w, cases[i].h, false, &c, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = bench_time(b, step_once, &c, &ms, NULL, e);
-        if (rc == ERR_OK)
+        if (!rc)
             bench_report_at(b, cases[i].name, ms, "ms", (double)cases[i].n,
                             (double)cases[i].w * cases[i].h);
         step_free(&c);

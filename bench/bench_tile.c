@@ -40,7 +40,7 @@ static enum err_code tile_locate(void *user, struct err *e)
     const struct tile_case *c = user;
     enum err_code rc = ERR_OK;
     uint32_t mix = 0;
-    for (size_t i = 0; rc == ERR_OK && i < c->g->n; i++) {
+    for (size_t i = 0; !rc && i < c->g->n; i++) {
         double enu[3], lon, lat, h;
         for (size_t k = 0; k < 3; k++)
             enu[k] = (double)c->g->mean_m[3 * i + k] + c->g->origin_enu_m[k];
@@ -72,7 +72,7 @@ static enum err_code tile_read(void *user, struct err *e)
     const struct store_tile *t = store_tiles(c->store, &n);
     enum err_code rc = ERR_OK;
     c->n_read = 0;
-    for (size_t i = 0; rc == ERR_OK && i < n; i++) {
+    for (size_t i = 0; !rc && i < n; i++) {
         struct gauss g;
         rc = store_read_gauss(c->store, t[i].key, &g, e);
         c->n_read += g.n;
@@ -116,7 +116,7 @@ static enum err_code large_load(void *user, size_t part, struct gauss *out, stru
     view.sh += 3 * gauss_sh_count(view.sh_degree) * from;
     view.n = n;
     enum err_code rc = gauss_uninit(out, n, view.sh_degree, 0, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gauss_append(out, &view, NULL, n, e);
     out->origin_enu_m[0] = CITY_M * ((double)(copy % 5) - 2);
     out->origin_enu_m[1] = CITY_M * ((double)(copy / 5) - 2);
@@ -136,11 +136,11 @@ static enum err_code large_time(struct bench *b, const struct gauss *g, struct e
     enum err_code rc = file_join(path, bench_tmpdir(b), "large.tiles", e);
     bool own_peak = mem_peak_reset();
     double wall = clock_s(), cpu = clock_cpu_s(), n = (double)(LARGE_COPIES * g->n);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = pyramid_build(&origin, &level, 1, &cfg, NULL, 0, path, &report, e);
     wall = clock_s() - wall;
     cpu = clock_cpu_s() - cpu;
-    if (rc == ERR_OK) {
+    if (!rc) {
         bench_report(b, "streamed build: Gaussians", n, "", 0, NULL);
         bench_report(b, "streamed build", n / wall / 1e6, "M Gaussians/s", 0, NULL);
         bench_report(b, "streamed build, a core's time", n / cpu / 1e6, "M Gaussians/s", 0, NULL);
@@ -176,10 +176,10 @@ static enum err_code pick_thousand(struct bench *b, struct pick_case *c, struct 
     double ms = 0.0;
     uint32_t *before = mem_array(c->n, sizeof *before);
     enum err_code rc = before ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
-    for (c->o.error_px = 1.0; rc == ERR_OK && (c->n_out < 1100 && c->o.error_px > 1e-3);
+    for (c->o.error_px = 1.0; !rc && (c->n_out < 1100 && c->o.error_px > 1e-3);
          c->o.error_px *= 0.9)
         rc = pick_once(c, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         memcpy(before, c->out, c->n_out * sizeof *before);
         c->o.before = before;
         c->o.n_before = c->n_out;
@@ -188,7 +188,7 @@ static enum err_code pick_thousand(struct bench *b, struct pick_case *c, struct 
         c->o.max_bytes = (uint64_t)c->n_out * 1000000;
         rc = bench_time(b, pick_once, c, &ms, NULL, e);
     }
-    if (rc == ERR_OK) {
+    if (!rc) {
         bench_report(b, "pick, limits and hysteresis", ms, "ms", 0, NULL);
         bench_report(b, "pick, limits and hysteresis: tiles picked", (double)c->n_out, "", 0, NULL);
     }
@@ -203,7 +203,7 @@ static enum err_code pick_time(struct bench *b, struct err *e)
                           .out = mem_array(2 * MANY, sizeof *c.out)};
     double ms = 0.0;
     enum err_code rc = c.tile && c.out ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
-    for (uint8_t z = 0; rc == ERR_OK && z < (b->quick ? 5 : 8); z++)
+    for (uint8_t z = 0; !rc && z < (b->quick ? 5 : 8); z++)
         for (uint32_t y = 0; y < 1u << z; y++)
             for (uint32_t x = 0; x < 1u << z; x++) {
                 double edge = ldexp(16000, -z);
@@ -218,11 +218,11 @@ static enum err_code pick_time(struct bench *b, struct err *e)
             }
     const double eye[3] = {100, -300, 150};
     c.cam = camera_heading(eye, 20, -25, 0.9, 1280, 720);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = tree_build(c.tile, c.n, &c.tree, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = bench_time(b, pick_once, &c, &ms, NULL, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         bench_report(b, "pick", ms, "ms", 0, NULL);
         bench_report(b, "pick, tiles in the index", (double)c.n, "", 0, NULL);
         bench_report(b, "pick, tiles picked", (double)c.n_out, "", 0, NULL);
@@ -269,11 +269,11 @@ static enum err_code picture_thinned(struct render *r, const struct gauss *g,
     struct render_model m = {0};
     size_t step = p->stats.n_gaussians ? g->n / p->stats.n_gaussians : 1;
     enum err_code rc = gauss_alloc(&some, g->n, g->sh_degree, 0, e);
-    for (uint32_t i = 0; rc == ERR_OK && i < g->n; i += (uint32_t)(step ? step : 1))
+    for (uint32_t i = 0; !rc && i < g->n; i += (uint32_t)(step ? step : 1))
         rc = gauss_append(&some, g, &i, 1, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_model_upload(r, &some, &m, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         rc = render_forward(r, &m, &p->cam, &p->ro, rgb, NULL, e);
         render_model_free(&m);
     }
@@ -295,17 +295,17 @@ static enum err_code picture_from(struct bench *b, struct render *r, const struc
     p->cam = camera_heading(eye, 0, -45, 2.0 * atan(side / 2.0 / PICTURE_FOCAL_PX), side, side);
     enum err_code rc = fine && thin ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
     p->po.no_lod = true;
-    if (rc == ERR_OK)
+    if (!rc)
         rc = bench_time(b, picture_draw, p, &fine_ms, NULL, e);
     uint64_t all = p->stats.n_gaussians;
-    if (rc == ERR_OK)
+    if (!rc)
         memcpy(fine, p->rgb, n * sizeof *fine);
     p->po.no_lod = false;
-    if (rc == ERR_OK)
+    if (!rc)
         rc = bench_time(b, picture_draw, p, &ms, NULL, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = picture_thinned(r, c->g, p, thin, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         snprintf(name, sizeof name, "from %.0f m: frame", distance_m);
         bench_report(b, name, ms, "ms", ms / fine_ms, "finest tiles");
         snprintf(name, sizeof name, "from %.0f m: Gaussians", distance_m);
@@ -341,9 +341,9 @@ static enum err_code pictures(struct bench *b, const struct tile_case *c, struct
         .ro = {.aa = RENDER_AA_2D, .sh_degree = -1, .background = {0.6f, 0.8f, 1.0f}}};
     p.rgb = mem_array((size_t)PICTURE_SIDE_MAX * PICTURE_SIDE_MAX, 3 * sizeof *p.rgb);
     enum err_code rc = p.rgb ? render_open(b->dev, &r, e) : err_set(e, ERR_MEM, "out of memory");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = view_open(c->path, r, 0, &p.view, e);
-    for (size_t i = 0; rc == ERR_OK && i < (b->quick ? 1 : 3); i++)
+    for (size_t i = 0; !rc && i < (b->quick ? 1 : 3); i++)
         rc = picture_from(b, r, c, &p, 1.2 * picture_switch_m(c->store) * (double)(1u << i), e);
     view_close(&p.view);
     render_close(&r);
@@ -356,20 +356,20 @@ static enum err_code tile_times(struct bench *b, struct tile_case *c, struct err
     double ms = 0.0, n = (double)c->g->n;
     enum err_code rc = bench_time(b, tile_locate, c, &ms, NULL, e);
     double locate = n / ms / 1e3;
-    if (rc == ERR_OK) {
+    if (!rc) {
         bench_report(b, "locate (GeographicLib, one core)", locate, "M Gaussians/s", 0, NULL);
         rc = bench_time(b, tile_build, c, &ms, NULL, e);
     }
-    if (rc == ERR_OK) {
+    if (!rc) {
         bench_report(b, "build with two coarser levels", n / ms / 1e3, "M Gaussians/s",
                      n / ms / 1e3 / locate, "locate");
         rc = store_open(c->path, &c->store, e);
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = tile_check(c, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = bench_time(b, tile_read, c, &ms, NULL, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         size_t tiles;
         const struct store_tile *t = store_tiles(c->store, &tiles);
         uint64_t bytes = 0;
@@ -382,7 +382,7 @@ static enum err_code tile_times(struct bench *b, struct tile_case *c, struct err
         c->target = c->g->n / 4;
         rc = bench_time(b, tile_simplify, c, &ms, NULL, e);
     }
-    if (rc == ERR_OK)
+    if (!rc)
         bench_report(b, "simplify to a quarter", n / ms / 1e3, "M Gaussians/s", 0, NULL);
     return rc;
 }
@@ -392,15 +392,15 @@ enum err_code bench_tile(struct bench *b, struct err *e)
     struct gauss g = {0};
     struct tile_case c = {.g = &g};
     enum err_code rc = file_join(c.path, bench_tmpdir(b), "bench.tiles", e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = city_make(b->quick ? 5000 : 400000, &g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = large_time(b, &g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = tile_times(b, &c, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = pick_time(b, e);
-    if (rc == ERR_OK && b->dev)
+    if (!rc && b->dev)
         rc = pictures(b, &c, e);
     store_close(&c.store);
     gauss_free(&c.less);

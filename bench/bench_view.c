@@ -51,9 +51,9 @@ static enum err_code flight_city(size_t n, struct gauss *out, struct err *e)
     struct gauss one = {0};
     size_t copies = (size_t)VIEW_SIDE * VIEW_SIDE, per = n / copies;
     enum err_code rc = city_sorted(per, &one, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gauss_alloc(out, per * copies, 1, APPEARANCE_GAUSS_LEN, e);
-    for (size_t c = 0; rc == ERR_OK && c < copies; c++)
+    for (size_t c = 0; !rc && c < copies; c++)
         for (size_t i = 0; i < per; i++) {
             size_t to = out->n++;
             gauss_copy_row(out, to, &one, i);
@@ -79,15 +79,15 @@ static enum err_code flight_store(struct bench *b, const struct appearance *look
     char text[96];
     enum err_code rc = flight_city(n, &g, e);
     const struct pyramid_level level = {.g = &g, .level = 3};
-    if (rc == ERR_OK)
+    if (!rc)
         rc = bake_with_default(look, &g, &kept, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = appearance_write(&kept, &bytes, e);
     const struct ckpt_blob blob = {.name = "appearance", bytes.data, bytes.size};
     double start_s = clock_s();
-    if (rc == ERR_OK)
+    if (!rc)
         rc = pyramid_build(&flight_origin, &level, 1, &cfg, &blob, 1, path, &report, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         snprintf(text, sizeof text, "%.1f M: tiling", (double)g.n * 1e-6);
         bench_report(b, text, (double)g.n * 1e-6 / (clock_s() - start_s), "M Gaussians/s", 0, NULL);
     }
@@ -120,9 +120,9 @@ static enum err_code flight_frame(struct flight *c, int k, struct err *e)
     const struct pick_options po = {.max_gaussians = VIEW_GAUSSIANS};
     enum err_code rc = view_render(c->view, &cam, &ro, &po, c->rgb, &stats, e);
     double drawn_s = clock_s();
-    for (size_t i = 0; rc == ERR_OK && i < 3 * (size_t)VIEW_W * VIEW_H; i++)
+    for (size_t i = 0; !rc && i < 3 * (size_t)VIEW_W * VIEW_H; i++)
         c->picture.px[i] = (uint8_t)(255.0f * (c->rgb[i] < 1.0f ? c->rgb[i] : 1.0f) + 0.5f);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = image_encode(&c->picture, "jpg", VIEW_JPEG, &jpeg, e);
     c->ms[k] = (clock_s() - start_s) * 1e3;
     c->pick_ms += stats.ms_pick / VIEW_FRAMES;
@@ -147,9 +147,9 @@ static enum err_code flight_loss(struct flight *c, double *psnr_db, struct err *
     enum err_code rc = full ? view_render(c->view, &cam, &ro, &po, full, NULL, e)
                             : err_set(e, ERR_MEM, "bench_view: out of memory");
     po.max_gaussians = VIEW_GAUSSIANS;
-    if (rc == ERR_OK)
+    if (!rc)
         rc = view_render(c->view, &cam, &ro, &po, c->rgb, NULL, e);
-    for (size_t i = 0; rc == ERR_OK && i < n; i++)
+    for (size_t i = 0; !rc && i < n; i++)
         sum += (double)(full[i] - c->rgb[i]) * (double)(full[i] - c->rgb[i]);
     *psnr_db = sum > 0 ? -10 * log10(sum / (double)n) : 99;
     mem_free(full);
@@ -170,11 +170,11 @@ static enum err_code flight_open(struct bench *b, const char *path, struct fligh
     c->rgb = mem_array(3 * (size_t)VIEW_W * VIEW_H, sizeof *c->rgb);
     if (!c->frame || !c->rgb)
         rc = err_set(e, ERR_MEM, "bench_view: out of memory");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = image_alloc(VIEW_W, VIEW_H, 3, &c->picture, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_open(b->dev, &c->render, e);
-    return rc == ERR_OK ? view_open(path, c->render, (size_t)4 << 30, &c->view, e) : rc;
+    return !rc ? view_open(path, c->render, (size_t)4 << 30, &c->view, e) : rc;
 }
 
 enum err_code bench_view(struct bench *b, struct err *e)
@@ -184,26 +184,26 @@ enum err_code bench_view(struct bench *b, struct err *e)
     double psnr_db = 0;
     size_t n = b->quick ? 160000 : 10400000;
     enum err_code rc = file_join(path, bench_tmpdir(b), "city.tiles", e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = appearance_alloc(&c.look, APPEARANCE_GAUSS_LEN, APPEARANCE_IMAGE_LEN,
                               APPEARANCE_HIDDEN, VIEW_PHOTOS, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         appearance_init(&c.look, VIEW_SEED);
         rc = flight_store(b, &c.look, n, path, e);
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = flight_open(b, path, &c, e);
-    for (int pass = 0; rc == ERR_OK && pass < 2; pass++) {
+    for (int pass = 0; !rc && pass < 2; pass++) {
         c.pick_ms = c.load_ms = c.draw_ms = c.jpeg_ms = 0;
         c.gaussians = c.visible = 0;
-        for (int k = 0; rc == ERR_OK && k < VIEW_FRAMES; k++)
+        for (int k = 0; !rc && k < VIEW_FRAMES; k++)
             rc = flight_frame(&c, k, e);
     }
-    if (rc == ERR_OK && c.gaussians == 0)
+    if (!rc && c.gaussians == 0)
         rc = err_set(e, ERR_INTERNAL, "bench_view: check: nothing was drawn");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = flight_loss(&c, &psnr_db, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         qsort(c.ms, VIEW_FRAMES, sizeof c.ms[0], flight_order);
         const struct {
             const char *name, *unit;

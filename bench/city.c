@@ -76,7 +76,7 @@ enum err_code city_make_degree(size_t n, uint32_t sh_degree, struct gauss *g, st
 {
     enum err_code rc = gauss_alloc(g, n, sh_degree, 0, e);
     double sigma = 1.5 * sqrt(480e3 / (double)n); /* ground and walls are 480 000 m^2 */
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     for (size_t i = 0; i < n; i++) {
         double kind = rng_unit(SEED, 0, i);
@@ -116,11 +116,11 @@ enum err_code city_sorted_degree(size_t n, uint32_t sh_degree, struct gauss *out
     uint32_t *order = mem_array(n, sizeof *order);
     enum err_code rc = order ? city_make_degree(n, sh_degree, &g, e)
                              : err_set(e, ERR_MEM, "city_sorted: %zu Gaussians", n);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gauss_morton_order(&g, order, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gauss_alloc(out, n, g.sh_degree, 0, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gauss_append(out, &g, order, n, e);
     mem_free(order);
     gauss_free(&g);
@@ -133,16 +133,16 @@ enum err_code city_appearance(const struct gauss *g, struct gauss *out, struct a
     memset(out, 0, sizeof *out);
     memset(a, 0, sizeof *a);
     enum err_code rc = gauss_alloc(out, g->n, g->sh_degree, APPEARANCE_GAUSS_LEN, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gauss_append(out, g, NULL, g->n, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = appearance_alloc(a, APPEARANCE_GAUSS_LEN, APPEARANCE_IMAGE_LEN, APPEARANCE_HIDDEN, 1,
                               e);
     *frame =
         mem_array(appearance_frame_floats(APPEARANCE_GAUSS_LEN, APPEARANCE_HIDDEN), sizeof **frame);
-    if (rc == ERR_OK && !*frame)
+    if (!rc && !*frame)
         rc = err_set(e, ERR_MEM, "city: out of memory");
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     memcpy(out->origin_enu_m, g->origin_enu_m, sizeof out->origin_enu_m);
     for (size_t i = 0; i < out->n * APPEARANCE_GAUSS_LEN; i++)

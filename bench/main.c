@@ -48,7 +48,7 @@ static const struct bench_entry entries[] = {
 #undef BENCH_LONG
 #undef BENCH
 };
-enum { ENTRIES = sizeof entries / sizeof entries[0], PERMUTE_MAX = 4096 };
+enum { ENTRIES = sizeof entries / sizeof entries[0], BENCH_ROWS_MAX = 4096 };
 
 /* Print a case as a line of JSON and keep it for the table; takes over the reference to `o`. */
 static void bench_emit(struct bench *b, json_t *o)
@@ -63,7 +63,7 @@ static void bench_emit(struct bench *b, json_t *o)
 static void bench_keep(struct bench *b, const char *case_name, double value, const char *unit,
                        double ratio, const char *against)
 {
-    if (b->n_rows < PERMUTE_MAX)
+    if (b->n_rows < BENCH_ROWS_MAX)
         b->rows[b->n_rows++] =
             (struct bench_row){.bench = b->name,
                                .name = arena_text(&b->arena, case_name),
@@ -295,7 +295,7 @@ int main(int argc, char **argv)
     b.study = cfg.study;
     b.command = cfg.command;
     b.commit = cfg.commit ? cfg.commit : "";
-    b.rows = mem_array(PERMUTE_MAX, sizeof *b.rows);
+    b.rows = mem_array(BENCH_ROWS_MAX, sizeof *b.rows);
     if (!rc && !b.rows)
         rc = err_set(&e, ERR_MEM, "out of memory");
     if (!rc)
@@ -321,5 +321,5 @@ out:
     arena_free(&b.arena);
     if (tmpdir[0] && strcmp(tmpdir, "."))
         (void)nftw(tmpdir, remove_one, 16, FTW_DEPTH | FTW_PHYS);
-    return rc == ERR_OK ? 0 : rc == ERR_ARG ? 2 : 1;
+    return !rc ? 0 : rc == ERR_ARG ? 2 : 1;
 }

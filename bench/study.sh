@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# study.sh: accuracy, size and time under varied settings, recorded for the charts of docs/benchmarks.md.
+# study.sh: accuracy, size and time under varied settings, recorded for the charts and tables of docs/studies.
 #
 #   bench/study.sh [--dry-run] all | STUDY...      --list names the studies
 #
-# Every row of a study is one run: train, then score, then `citysplat note` into docs/runs/STUDY.jsonl. A row that
+# Every row of a study is one run: train, then score, then `citysplat-study record` into docs/runs/STUDY.jsonl. A row that
 # is recorded there by the same command is skipped, so a stopped study goes on where it was, and changing a
-# setting repeats the rows it touches. Training itself is resumed too. Redraw afterwards with
-# `citysplat chart docs/runs --markdown docs/benchmarks.md -o docs/charts`.
+# setting repeats the rows it touches. Training itself is resumed too. Redraw a page afterwards with
+# `citysplat-study chart docs/runs -o docs/charts --markdown docs/studies/STUDY.md`; docs/studies/README.md has all of them.
 #
 # Environment:
 #   CITYSPLAT_CALITERRA   folder with images/ and sparse/ of the caliterra survey (docs/caliterra.md); without it
@@ -94,15 +94,15 @@ scene() {
 # The ceilings are measured next to every run: what a neighbour takes away shows in them as well.
 ceilings() { "$BIN/citysplat-bench" ceiling --runs 5 >"$OUT/ceilings.jsonl" 2>/dev/null; }
 
-note() { # STUDY ROW COMMAND, then options of `citysplat note`
+record() { # STUDY ROW COMMAND, then options of `citysplat-study record`
   local study=$1 row=$2 command=$3
   shift 3
-  citysplat note "$RUNS/$study.jsonl" --study "$study" --row "$row" --command "$command" "$@"
+  "$BIN/citysplat-study" record "$RUNS/$study.jsonl" --study "$study" --row "$row" --command "$command" "$@"
 }
 
 # wanted STUDY ROW COMMAND: says what will be done; false when the row is recorded or this is a dry run.
 wanted() {
-  if [ "${STUDY_AGAIN:-0}" != 1 ] && [ -f "$RUNS/$1.jsonl" ] && note "$1" "$2" "$3" --check 2>/dev/null; then
+  if [ "${STUDY_AGAIN:-0}" != 1 ] && [ -f "$RUNS/$1.jsonl" ] && record "$1" "$2" "$3" --check 2>/dev/null; then
     say "$1: $2: recorded"
     return 1
   fi
@@ -160,7 +160,7 @@ row() {
     citysplat eval "$OUT/$scene" --tiles "$folder/city.tiles" -o "$folder/tiles.json" "${tiles[@]}" >&2
     scores+=,$folder/tiles.json
   fi
-  note "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" --scores "$scores" \
+  record "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" --scores "$scores" \
     --results "$folder" --ceilings "$OUT/ceilings.jsonl" ${set:+--set "$set"}
   [ "${KEEP:-0}" = 1 ] || rm -rf "$folder"
 }
@@ -192,7 +192,7 @@ tile_row() {
   [ -f "$tiles" ] || citysplat tile "$OUT/$scene" --trained "$folder" -o "$tiles" "${tile[@]}" >&2
   set+=${set:+,}tiles=$(citysplat info "$tiles" --json | sed -n 's/.*"tiles_count": *\([0-9][0-9]*\).*/\1/p' | head -1)
   citysplat eval "$OUT/$scene" --tiles "$tiles" -o "$folder/scores.json" "${eval[@]}" >&2
-  note "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" \
+  record "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" \
     --scores "$folder/scores.json" --ceilings "$OUT/ceilings.jsonl" --set "$set"
 }
 
@@ -273,7 +273,7 @@ level_row() {
   ceilings
   trained "$folder" "$scene" "$@"
   citysplat eval "$OUT/$scene" --results "$folder" -o "$folder/scores.json" "${eval[@]}" >&2
-  note "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" \
+  record "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" \
     --scores "$folder/scores.json" --ceilings "$OUT/ceilings.jsonl" --set "$set"
 }
 
@@ -307,7 +307,7 @@ bench_rows() { # STUDY NAMES...
   wanted "$study" citysplat-bench "$command" || return 0
   mkdir -p "$OUT"
   "$BIN/citysplat-bench" "$@" >"$OUT/$study.jsonl"
-  note "$study" citysplat-bench "$command" --dataset "procedural city of benchmarks" --commit "$COMMIT" \
+  record "$study" citysplat-bench "$command" --dataset "procedural city of benchmarks" --commit "$COMMIT" \
     --bench "$OUT/$study.jsonl" --ceilings "$OUT/$study.jsonl"
 }
 study_bench() { bench_rows bench; }

@@ -78,7 +78,7 @@ void cell_planned(const struct scene *s, const struct partition *p, size_t index
 {
     const struct partition_cell *c = &p->cells[index];
     *out = (struct cell){.whole = p->n_cells == 1};
-    snprintf(out->id, sizeof(out->id), "%s", c->id);
+    snprintf(out->id, sizeof out->id, "%s", c->id);
     for (int k = 0; k < 2; k++) {
         out->min_enu_m[k] = c->min_m[k];
         out->max_enu_m[k] = c->max_m[k];

@@ -1,20 +1,25 @@
-/* citysplat chart: every chart and table of docs/benchmarks.md from recorded runs, in one go.
+/* citysplat chart: accuracy of a user's own runs against what they cost: training time, Gaussians,
+ * bytes and time a frame.
  *
- * The Markdown file keeps its prose; what stands between `<!-- chart NAME -->` or `<!-- table NAME
- * -->` and `<!-- end -->` is written anew.
+ * A run is a trained scene. Its numbers are those that training left in cells/<id>/metrics.jsonl:
+ * the score of the test photographs at the end of each level. Cells are put together: times,
+ * Gaussians and bytes are sums, scores are means over the test photographs.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include <limits.h>
+#include <dirent.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 
 #include <jansson.h>
 
 #include "cli/chart.h"
 #include "cli/cli.h"
 #include "cli/runs.h"
+#include "train/config.h"
 
 struct chart_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -29,237 +34,207 @@ static const struct options_def chart_option_defs[] = {
 #undef OPT
 };
 
+#define CHART_OF(name, kind, x, title)                                                             \
+    {                                                                                              \
+        name, "runs", "level", kind, x, "psnr_db|ssim", "group", "level", title, NULL              \
+    }
+static const struct chart_def chart_defs[] = {
+    CHART_OF("accuracy_seconds", "log", "train_s",
+             "Accuracy against training time (labels: level)"),
+    CHART_OF("accuracy_gaussians", "log", "gaussians",
+             "Accuracy against the number of Gaussians (labels: level)"),
+    CHART_OF("accuracy_bytes", "log", "bytes", "Accuracy against checkpoint size (labels: level)"),
+    CHART_OF("accuracy_frame", "line", "ms_frame", "Accuracy against time a frame (labels: level)"),
+    {"runs", "runs", "level", "", "", "", "", "", "",
+     "row|psnr_db|ssim|gaussians|ms_frame|bytes|train_s|train_peak_bytes"},
+};
+enum { CHART_DEFS = sizeof chart_defs / sizeof *chart_defs };
+
+struct chart_level { /* sums over cells; scores and ms_frame weighted by test photographs */
+    double train_s, gaussians, bytes, peak_bytes, photographs, psnr_db, ssim, ms_frame;
+};
 struct chart_run {
-    struct chart_options o;
-    json_t *lines;             /* of all files */
-    char link[FILE_PATH_MAX];  /* folder of the charts as seen from the Markdown file */
-    size_t n_drawn, n_missing; /* charts */
-    struct arena arena;
+    char name[CHART_TEXT_MAX];
+    struct chart_level level[TRAIN_LEVELS_MAX];
 };
 
-/* ---- recorded runs ---- */
+/* ---- what training left ---- */
 
-static enum err_code chart_read_file(struct chart_run *r, const char *path, struct err *e)
+static void chart_add_level(struct chart_run *r, const json_t *line, const char *cell_dir)
 {
-    json_t *lines = NULL;
-    enum err_code rc = runs_read(path, &lines, e);
-    if (rc == ERR_OK && json_array_extend(r->lines, lines))
-        rc = err_set(e, ERR_MEM, "chart: out of memory");
+    char path[FILE_PATH_MAX + 32];
+    double k = runs_number(line, "level"), n = runs_number(line, "test_photographs");
+    struct stat st;
+    if (strcmp(runs_text(line, "event"), "level") || !(k >= 1.0) || !(k <= TRAIN_LEVELS_MAX))
+        return;
+    struct chart_level *l = &r->level[(size_t)k - 1];
+    double psnr_db = runs_number(line, "psnr_db"), ms = runs_number(line, "ms_frame");
+    l->train_s += runs_number(line, "seconds");
+    l->gaussians += runs_number(line, "gaussians");
+    l->peak_bytes = fmax(l->peak_bytes, runs_number(line, "peak_bytes"));
+    snprintf(path, sizeof path, "%s/level%u.ckpt", cell_dir, (unsigned)k);
+    l->bytes += stat(path, &st) ? 0.0 : (double)st.st_size;
+    if (n > 0.0 && isfinite(psnr_db)) {
+        l->photographs += n;
+        l->psnr_db += n * psnr_db;
+        l->ssim += n * runs_number(line, "ssim");
+        l->ms_frame += isfinite(ms) ? n * ms : 0.0;
+    }
+}
+
+static enum err_code chart_read_cell(struct chart_run *r, const char *cell_dir, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    json_t *lines = NULL, *line;
+    size_t i;
+    enum err_code rc = file_join(path, cell_dir, "metrics.jsonl", e);
+    if (!rc)
+        rc = runs_read_lines(path, &lines, e);
+    json_array_foreach(lines, i, line)
+    {
+        chart_add_level(r, line, cell_dir);
+    }
     json_decref(lines);
     return rc;
 }
 
-static enum err_code chart_read(struct chart_run *r, const char *path, struct err *e)
+/* The shared appearance model is no cell: it has no Gaussians of the city. */
+static bool chart_is_cell(const char *cells, const char *name, char out[FILE_PATH_MAX])
 {
-    static const char *const suffixes[] = {".jsonl", NULL};
-    char file[FILE_PATH_MAX], **names = NULL;
-    size_t n = 0;
-    if (!file_is_dir(path))
-        return chart_read_file(r, path, e);
-    enum err_code rc = file_list(path, suffixes, &r->arena, &names, &n, e);
-    for (size_t i = 0; rc == ERR_OK && i < n; i++) {
-        rc = file_join(file, path, names[i], e);
-        if (rc == ERR_OK)
-            rc = chart_read_file(r, file, e);
-    }
-    if (rc == ERR_OK && !n)
-        rc = err_set(e, ERR_NOENT, "%s: no recorded runs (*.jsonl); bench/study.sh makes them",
-                     path);
+    char path[FILE_PATH_MAX + 32];
+    int n = snprintf(out, FILE_PATH_MAX, "%s/%s", cells, name);
+    if (name[0] == '.' || !strcmp(name, "appearance") || n >= FILE_PATH_MAX)
+        return false;
+    snprintf(path, sizeof path, "%s/metrics.jsonl", out);
+    return file_exists(path);
+}
+
+static enum err_code chart_read_run(struct chart_run *r, const char *scene, struct err *e)
+{
+    char cells[FILE_PATH_MAX], dir[FILE_PATH_MAX];
+    size_t found = 0;
+    snprintf(r->name, sizeof r->name, "%.80s", scene);
+    enum err_code rc = file_join(cells, scene, "cells", e);
+    DIR *d = rc ? NULL : opendir(cells);
+    if (!rc && !d)
+        return err_set(e, ERR_NOENT,
+                       "%s: not a trained scene (no folder cells/); `citysplat train %s` makes it",
+                       scene, scene);
+    for (struct dirent *entry; !rc && (entry = readdir(d));)
+        if (chart_is_cell(cells, entry->d_name, dir)) {
+            rc = chart_read_cell(r, dir, e);
+            found++;
+        }
+    if (d)
+        closedir(d);
+    if (!rc && !found)
+        rc = err_set(e, ERR_NOENT, "%s: no cell has a metrics.jsonl; `citysplat train %s` makes it",
+                     scene, scene);
     return rc;
 }
 
-/* ---- charts ---- */
+/* ---- as records ---- */
 
-static enum err_code chart_draw(struct chart_run *r, const struct chart_def *d, struct err *e)
+static enum err_code chart_add_records(const struct chart_run *r, json_t *lines, struct err *e)
+{
+    for (unsigned k = 0; k < TRAIN_LEVELS_MAX; k++) {
+        const struct chart_level *l = &r->level[k];
+        char row[CHART_TEXT_MAX + 32], what[16];
+        if (!(l->photographs > 0.0))
+            continue;
+        snprintf(row, sizeof row, "%s: level %u", r->name, k + 1);
+        snprintf(what, sizeof what, "level %u", k + 1);
+        json_t *numbers =
+            json_pack("{s:i, s:f, s:f, s:f, s:f, s:f, s:f, s:f}", "level", (int)k + 1, "train_s",
+                      l->train_s, "gaussians", l->gaussians, "bytes", l->bytes, "train_peak_bytes",
+                      l->peak_bytes, "psnr_db", l->psnr_db / l->photographs, "ssim",
+                      l->ssim / l->photographs, "ms_frame", l->ms_frame / l->photographs);
+        json_t *line = json_pack("{s:s, s:s, s:s, s:s, s:o}", "study", "runs", "row", row, "what",
+                                 what, "dataset", r->name, "numbers", numbers);
+        if (!line || json_array_append_new(lines, line))
+            return err_set(e, ERR_MEM, "chart: out of memory");
+    }
+    return ERR_OK;
+}
+
+static enum err_code chart_read_all(const struct options_args *args, json_t *lines, struct err *e)
+{
+    enum err_code rc = lines ? ERR_OK : err_set(e, ERR_MEM, "chart: out of memory");
+    for (size_t i = 0; !rc && i < args->n; i++) {
+        struct chart_run run = {0};
+        size_t before = json_array_size(lines);
+        rc = chart_read_run(&run, args->arg[i], e);
+        if (!rc)
+            rc = chart_add_records(&run, lines, e);
+        if (!rc && json_array_size(lines) == before)
+            rc = err_set(e, ERR_DATA,
+                         "%s: no level has a score; a scene without test photographs has none "
+                         "(`citysplat ingest --test-every 8`)",
+                         args->arg[i]);
+    }
+    return rc;
+}
+
+static enum err_code chart_draw(const struct chart_def *d, const json_t *lines,
+                                const struct chart_options *o, struct err *e)
 {
     struct chart_data data = {0};
-    enum err_code rc = chart_data_make(d, r->lines, &data, e);
-    if (rc == ERR_OK && data.n_series)
-        rc = chart_plot(d, &data, r->o.output, r->o.png, e);
-    if (rc == ERR_OK && data.n_series) {
-        printf("%s/%s.svg\n", r->o.output, d->name);
-        r->n_drawn++;
-    } else if (rc == ERR_OK) {
-        r->n_missing++;
-    }
+    enum err_code rc = chart_data_make(d, lines, &data, e);
+    if (!rc && data.n_series)
+        rc = chart_plot(d, &data, o->output, o->png, e);
+    if (!rc && data.n_series)
+        fprintf(stderr, "%s/%s.svg\n", o->output, d->name);
     chart_data_free(&data);
     return rc;
 }
 
-static const struct chart_def *chart_find(const char *name, bool table)
+static enum err_code chart_draw_all(const struct chart_options *o, const json_t *lines,
+                                    struct err *e)
 {
-    for (size_t i = 0; i < chart_n_defs; i++)
-        if (!strcmp(chart_defs[i].name, name) && (chart_defs[i].columns != NULL) == table)
-            return &chart_defs[i];
-    return NULL;
-}
-
-static enum err_code chart_draw_all(struct chart_run *r, struct err *e)
-{
-    enum err_code rc = file_mkdir(r->o.output, e);
-    if (r->o.only && !chart_find(r->o.only, false))
-        return err_set(e, ERR_ARG, "--only %s: no such chart; cli/charts.def lists them",
-                       r->o.only);
-    for (size_t i = 0; rc == ERR_OK && i < chart_n_defs; i++)
-        if (!chart_defs[i].columns && (!r->o.only || !strcmp(r->o.only, chart_defs[i].name)))
-            rc = chart_draw(r, &chart_defs[i], e);
+    struct buf table = {0};
+    enum err_code rc = file_mkdir(o->output, e);
+    for (size_t i = 0; !rc && i < CHART_DEFS; i++) {
+        if (chart_defs[i].columns)
+            chart_table(&chart_defs[i], lines, &table);
+        else
+            rc = chart_draw(&chart_defs[i], lines, o, e);
+    }
+    if (!rc)
+        rc = buf_check(&table, e);
+    if (!rc)
+        fwrite(table.data, 1, table.size, stdout);
+    buf_free(&table);
     return rc;
 }
-
-/* ---- Markdown ---- */
-
-/* The path of `dir` seen from the folder of the file `from`, both absolute. */
-static void chart_relative(const char *dir, const char *from, char *out, size_t room)
-{
-    size_t same = 0, n = 0;
-    for (size_t i = 0; dir[i] && dir[i] == from[i]; i++)
-        if (dir[i] == '/')
-            same = i + 1;
-    if (!strncmp(dir, from, strlen(dir)) && from[strlen(dir)] == '/')
-        same = strlen(dir) + 1; /* the file lies in or below the folder of the charts */
-    out[0] = '\0';
-    for (const char *s = from + same; (s = strchr(s, '/')) && n + 4 < room; s++)
-        n += (size_t)snprintf(out + n, room - n, "../");
-    snprintf(out + n, room - n, "%s", same <= strlen(dir) ? dir + same : "");
-}
-
-static enum err_code chart_make_link(struct chart_run *r, struct err *e)
-{
-    char dir[PATH_MAX], file[PATH_MAX];
-    if (!realpath(r->o.output, dir))
-        return err_errno(e, ERR_IO, "%s", r->o.output);
-    if (!realpath(r->o.markdown, file))
-        return err_errno(e, ERR_NOENT, "%s", r->o.markdown);
-    chart_relative(dir, file, r->link, sizeof r->link);
-    return ERR_OK;
-}
-
-static bool chart_has_records(const struct chart_run *r, const struct chart_def *d)
-{
-    size_t i;
-    json_t *line;
-    json_array_foreach(r->lines, i, line)
-    {
-        if (chart_takes(d, line, r->lines))
-            return true;
-    }
-    return false;
-}
-
-static void chart_write_block(const struct chart_run *r, const struct chart_def *d, struct buf *out)
-{
-    if (!chart_has_records(r, d)) {
-        buf_printf(out, "*Not recorded: `bench/study.sh %.*s` does.*\n",
-                   (int)strcspn(d->study, "/"), d->study);
-    } else if (d->columns) {
-        buf_u8(out, '\n');
-        chart_table(d, r->lines, out);
-        buf_u8(out, '\n');
-        chart_source(d, r->lines, out);
-    } else {
-        buf_printf(out, "![%s](%s%s%s.svg)\n", d->title, r->link, *r->link ? "/" : "", d->name);
-    }
-}
-
-/* A line that opens a block: its chart or table into *d. ERR_FORMAT for a name that is none. */
-static enum err_code chart_open_block(const char *line, size_t n, const struct chart_def **d,
-                                      struct err *e)
-{
-    char text[CHART_TEXT_MAX + 32], kind[8] = "", name[CHART_TEXT_MAX] = "";
-    *d = NULL;
-    if (n >= sizeof text)
-        return ERR_OK;
-    snprintf(text, sizeof text, "%.*s", (int)n, line);
-    if (sscanf(text, "<!-- %7s %95s -->", kind, name) != 2 ||
-        (strcmp(kind, "chart") && strcmp(kind, "table")))
-        return ERR_OK;
-    *d = chart_find(name, !strcmp(kind, "table"));
-    return *d ? ERR_OK
-              : err_set(e, ERR_FORMAT, "no %s is called '%s'; cli/charts.def lists them", kind,
-                        name);
-}
-
-static enum err_code chart_rewrite(const struct chart_run *r, const struct buf *in, struct buf *out,
-                                   struct err *e)
-{
-    static const char end_mark[] = "<!-- end -->";
-    const struct chart_def *open = NULL, *d = NULL;
-    size_t number = 0;
-    for (size_t at = 0; at < in->size;) {
-        const char *line = (const char *)in->data + at;
-        const char *end = memchr(line, '\n', in->size - at);
-        size_t n = end ? (size_t)(end - line) : in->size - at;
-        bool closes = n == sizeof end_mark - 1 && !memcmp(line, end_mark, n);
-        number++;
-        at += n + 1;
-        enum err_code rc = chart_open_block(line, n, &d, e);
-        if (rc == ERR_OK && d && open)
-            rc = err_set(e, ERR_FORMAT, "'%s' is not closed by %s", open->name, end_mark);
-        if (rc != ERR_OK)
-            return err_add(e, "%s, line %zu", r->o.markdown, number);
-        if (open && !closes)
-            continue;
-        if (open)
-            chart_write_block(r, open, out);
-        open = d;
-        buf_add(out, line, n);
-        buf_u8(out, '\n');
-    }
-    if (open)
-        return err_set(e, ERR_FORMAT, "%s: '%s' is not closed by %s", r->o.markdown, open->name,
-                       end_mark);
-    return buf_check(out, e);
-}
-
-static enum err_code chart_write_markdown(struct chart_run *r, struct err *e)
-{
-    struct buf in = {0}, out = {0};
-    enum err_code rc = chart_make_link(r, e);
-    if (rc == ERR_OK)
-        rc = file_read(r->o.markdown, 0, &in, e);
-    if (rc == ERR_OK)
-        rc = chart_rewrite(r, &in, &out, e);
-    if (rc == ERR_OK)
-        rc = file_write(r->o.markdown, out.data, out.size, e);
-    buf_free(&in);
-    buf_free(&out);
-    return rc;
-}
-
-/* ---- the command ---- */
 
 enum err_code cli_chart(int argc, char **argv, struct err *e)
 {
     const struct options_spec spec = {
         .command = "chart",
-        .usage = "citysplat chart RUNS... -o DIR [options]",
-        .about = "Draws charts of recorded runs (folders or files of JSON lines, which "
-                 "bench/study.sh and `citysplat note` write) with gnuplot, as SVG and PNG, and "
-                 "rewrites the tables of a Markdown file.",
-        .example = "citysplat chart docs/runs -o docs/charts --markdown docs/benchmarks.md",
+        .usage = "citysplat chart SCENE... -o DIR [options]",
+        .about = "Draws how accurate trained scenes are against what they cost: PSNR and SSIM of "
+                 "the test photographs against training time, Gaussians, checkpoint size and time "
+                 "a frame, a line a scene and a point a level. Charts go to DIR as SVG and PNG "
+                 "(by gnuplot), a Markdown table to stdout.",
+        .example = "citysplat chart short/scene long/scene -o charts",
         .defs = chart_option_defs,
         .n_defs = sizeof chart_option_defs / sizeof *chart_option_defs,
         .min_args = 1,
-        .max_args = 16};
-    struct chart_run r = {0};
+        .max_args = CHART_SERIES_MAX};
+    struct chart_options o = {0};
     struct options_args args;
-    enum err_code rc = options_parse(&spec, argc, argv, &r.o, &args, &r.arena, e);
-    if (rc != ERR_OK || args.done)
-        goto out;
-    if (!r.o.output)
+    struct arena arena = {0};
+    json_t *lines = NULL;
+    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    if (!rc && !args.done && !o.output)
         rc = err_set(e, ERR_ARG, "chart: -o DIR is required");
-    if (rc == ERR_OK && !(r.lines = json_array()))
-        rc = err_set(e, ERR_MEM, "chart: out of memory");
-    for (size_t i = 0; rc == ERR_OK && i < args.n; i++)
-        rc = chart_read(&r, args.arg[i], e);
-    if (rc == ERR_OK)
-        rc = chart_draw_all(&r, e);
-    if (rc == ERR_OK && r.o.markdown)
-        rc = chart_write_markdown(&r, e);
-    if (rc == ERR_OK && r.n_missing)
-        log_info("chart", "drawn=%zu not_recorded=%zu", r.n_drawn, r.n_missing);
-out:
-    json_decref(r.lines);
-    arena_free(&r.arena);
+    if (!rc && !args.done) {
+        lines = json_array();
+        rc = chart_read_all(&args, lines, e);
+    }
+    if (lines && !rc)
+        rc = chart_draw_all(&o, lines, e);
+    json_decref(lines);
+    arena_free(&arena);
     return rc;
 }

@@ -12,16 +12,6 @@
 #include "cli/chart.h"
 #include "cli/runs.h"
 
-const struct chart_def chart_defs[] = {
-#define CHART(name, study, what, kind, x, y, series, label, title)                                 \
-    {#name, study, what, kind, x, y, series, label, title, NULL},
-#define TABLE(name, study, what, columns) {#name, study, what, "", "", "", "", "", "", columns},
-#include "cli/charts.def"
-#undef CHART
-#undef TABLE
-};
-const size_t chart_n_defs = sizeof chart_defs / sizeof *chart_defs;
-
 static const struct chart_key chart_keys[] = {
 #define KEY(key, head, axis, scale, decimals, better) {#key, head, axis, scale, decimals, better},
 #include "cli/keys.def"
@@ -229,7 +219,7 @@ enum err_code chart_data_make(const struct chart_def *d, const json_t *lines,
         out->n_panels++;
     json_array_foreach(lines, i, line)
     {
-        if (rc != ERR_OK || !chart_takes(d, line, lines))
+        if (rc || !chart_takes(d, line, lines))
             continue;
         if (!bars)
             chart_series_name(d, line, name);
@@ -246,14 +236,14 @@ enum err_code chart_data_make(const struct chart_def *d, const json_t *lines,
         else
             chart_label(d, line, p->label, sizeof p->label);
     }
-    if (rc == ERR_OK && bars && out->n_series)
+    if (!rc && bars && out->n_series)
         rc = chart_subtract_full(d, out, e);
     for (size_t k = 0; k < out->n_series && !bars; k++)
         qsort(out->series[k].points, out->series[k].n, sizeof *out->series[k].points,
               chart_compare_x);
-    if (rc == ERR_OK && strchr(d->kind, '+') && out->n_series)
+    if (!rc && strchr(d->kind, '+') && out->n_series)
         rc = chart_add_reference(d, lines, out, e);
-    if (rc != ERR_OK)
+    if (rc)
         chart_data_free(out);
     return rc;
 }

@@ -444,20 +444,20 @@ static enum err_code plot_one(const struct chart_def *d, const struct chart_data
     struct buf b = {0};
     struct stat st;
     enum err_code rc = file_begin(path, part, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     plot_script(&b, d, c, terminal, part);
     rc = buf_check(&b, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = plot_run(&b, e);
-    if (rc == ERR_OK && (stat(part, &st) || st.st_size == 0))
+    if (!rc && (stat(part, &st) || st.st_size == 0))
         rc = err_set(e, ERR_INTERNAL, "gnuplot wrote nothing to %s", path);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_commit(part, path, e);
     else
         file_abort(part);
     buf_free(&b);
-    return rc == ERR_OK ? rc : err_add(e, "chart %s", d->name);
+    return !rc ? rc : err_add(e, "chart %s", d->name);
 }
 
 enum err_code chart_plot(const struct chart_def *d, const struct chart_data *c, const char *dir,
@@ -466,11 +466,11 @@ enum err_code chart_plot(const struct chart_def *d, const struct chart_data *c, 
     char name[CHART_TEXT_MAX], path[FILE_PATH_MAX];
     snprintf(name, sizeof name, "%s.svg", d->name);
     enum err_code rc = file_join(path, dir, name, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = plot_one(d, c, "svg dynamic noenhanced", path, e);
-    if (rc != ERR_OK || !png)
+    if (rc || !png)
         return rc;
     snprintf(name, sizeof name, "%s.png", d->name);
     rc = file_join(path, dir, name, e);
-    return rc == ERR_OK ? plot_one(d, c, "pngcairo noenhanced", path, e) : rc;
+    return !rc ? plot_one(d, c, "pngcairo noenhanced", path, e) : rc;
 }

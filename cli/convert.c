@@ -66,7 +66,7 @@ static enum err_code decode_glb(const struct buf *b, const struct codec_limits *
     const void *spz;
     size_t n;
     enum err_code rc = glb_find_spz(b->data, b->size, &spz, &n, e);
-    if (rc == ERR_OK)
+    if (!rc)
         return spz_decode(spz, n, lim, &c->q, e);
     return rc == ERR_NOENT ? glb_decode(b->data, b->size, lim, &c->g, e) : rc;
 }
@@ -78,9 +78,9 @@ static enum err_code convert_read(const char *path, const struct codec_limits *l
     enum convert_format format;
     struct buf b = {0};
     enum err_code rc = format_of(path, &format, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_read(path, lim->max_bytes, &b, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     c->axes = AXES_GLTF;
     if (format == FORMAT_PLY) {
@@ -96,9 +96,9 @@ static enum err_code convert_read(const char *path, const struct codec_limits *l
     } else {
         rc = decode_glb(&b, lim, c, e);
     }
-    if (rc == ERR_OK && c->q.block)
+    if (!rc && c->q.block)
         rc = quant_to_gauss(&c->q, &c->g, e);
-    if (rc != ERR_OK)
+    if (rc)
         err_add(e, "%s", path);
     buf_free(&b);
     return rc;
@@ -110,15 +110,15 @@ static enum err_code sort_gauss(struct gauss *g, struct err *e)
     uint32_t *order = mem_array(g->n, sizeof *order);
     enum err_code rc =
         order ? gauss_hilbert_order(g, order, e) : err_set(e, ERR_MEM, "convert : out of memory");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gauss_alloc(&sorted, g->n, g->sh_degree, g->embed_len, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         sorted.antialiased = g->antialiased;
         memcpy(sorted.origin_enu_m, g->origin_enu_m, sizeof g->origin_enu_m);
         rc = gauss_append(&sorted, g, order, g->n, e);
     }
     mem_free(order);
-    if (rc == ERR_OK) {
+    if (!rc) {
         gauss_free(g);
         *g = sorted;
     } else {
@@ -132,13 +132,13 @@ static enum err_code set_degree(struct gauss *g, uint32_t degree, struct err *e)
 {
     struct gauss other = {0};
     enum err_code rc = gauss_alloc(&other, g->n, degree, g->embed_len, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     other.antialiased = g->antialiased;
     memcpy(other.origin_enu_m, g->origin_enu_m, sizeof g->origin_enu_m);
     rc = gauss_append(&other, g, NULL, g->n, e);
-    gauss_free(rc == ERR_OK ? g : &other);
-    if (rc == ERR_OK)
+    gauss_free(!rc ? g : &other);
+    if (!rc)
         *g = other;
     return rc;
 }
@@ -207,9 +207,9 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
     enum err_code rc = ERR_OK;
     if (o->sh_degree >= 0)
         rc = set_degree(&c->g, (uint32_t)o->sh_degree, e);
-    if (rc == ERR_OK && o->center)
+    if (!rc && o->center)
         center(&c->g);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     if (format == FORMAT_PLY)
         return write_ply(c, o, in, out, e);
@@ -222,12 +222,12 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
     turn(c, AXES_GLTF, in);
     if (o->sort)
         rc = sort_gauss(&c->g, e);
-    if (rc == ERR_OK && !integers)
+    if (!rc && !integers)
         return glb_encode_plain(&c->g, o->copyright, out, e);
     quant_free(&c->q);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = quant_from_gauss(&c->g, c->g.sh_degree, convert_grid(o), &c->q, e);
-    return rc == ERR_OK ? write_integers(c, format, o, out, e) : rc;
+    return !rc ? write_integers(c, format, o, out, e) : rc;
 }
 
 enum err_code cli_convert(int argc, char **argv, struct err *e)
@@ -254,18 +254,18 @@ enum err_code cli_convert(int argc, char **argv, struct err *e)
     if (rc || args.done)
         goto out;
     rc = format_of(args.arg[1], &format, e);
-    if (rc == ERR_OK && format == FORMAT_SPLAT)
+    if (!rc && format == FORMAT_SPLAT)
         rc = err_set(e, ERR_ARG, "%s : .splat is read, not written", args.arg[1]);
     const struct codec_limits lim = {.max_gaussians = (size_t)o.max_gaussians,
                                      .max_bytes = (size_t)o.max_mib << 20};
-    if (rc != ERR_OK || (rc = convert_read(args.arg[0], &lim, &c, e)) != ERR_OK)
+    if (rc || (rc = convert_read(args.arg[0], &lim, &c, e)) != ERR_OK)
         goto out;
     if (o.axes)
         c.axes = (enum convert_axes)o.axes;
     rc = convert_write(&c, format, &o, args.arg[0], &out, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_write(args.arg[1], out.data, out.size, e);
-    if (rc == ERR_OK)
+    if (!rc)
         log_info("convert",
                  "write file=%s gaussians=%zu sh_degree=%u bytes=%zu bytes_per_gaussian=%.2f",
                  args.arg[1], c.g.n, c.g.sh_degree, out.size,

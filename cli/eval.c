@@ -67,7 +67,7 @@ static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px
 {
     char visible[32] = "";
     if (s->visible > 0.0)
-        snprintf(visible, sizeof(visible), "%.0f", s->visible);
+        snprintf(visible, sizeof visible, "%.0f", s->visible);
     printf("%-14s %6zu %9u %9.3f %8.4f %10.4f %8.5f %12.0f %12s %9.2f %9.2f\n", what, s->n_photos,
            edge_px, s->psnr_db, s->ssim, s->ssim_valid, s->gmsd, s->gaussians, visible, s->ms_frame,
            s->bytes / 1e6);
@@ -104,7 +104,7 @@ static enum err_code eval_halves(struct eval *v, const char *what, uint32_t edge
     if (v->o.half_image == EVAL_HALF_IMAGE_OFF ||
         (v->o.half_image == EVAL_HALF_IMAGE_AUTO && !eval_half_image_look(&v->halves)))
         return ERR_OK;
-    snprintf(name, sizeof(name), "%s, halves", what);
+    snprintf(name, sizeof name, "%s, halves", what);
     enum err_code rc =
         eval_half_image_run(&v->halves, &v->dev, v->render, (uint32_t)v->o.half_image_steps,
                             v->o.half_image_random, feed, v->n_images, src, &score, e);
@@ -129,9 +129,9 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
     src.lpips = v->lpips;
     src.residuals = &v->residuals;
     residual_clear(&v->residuals);
-    snprintf(v->residuals_of, sizeof(v->residuals_of), "%s", what);
+    snprintf(v->residuals_of, sizeof v->residuals_of, "%s", what);
     if (v->o.pictures) {
-        snprintf(folder, sizeof(folder), "%s", what);
+        snprintf(folder, sizeof folder, "%s", what);
         for (char *c = folder; *c; c++)
             *c = *c == ' ' || *c == ',' ? '_' : *c;
         rc = file_join(pictures, v->o.pictures, folder, e);
@@ -198,11 +198,11 @@ static enum err_code eval_append(const struct eval *v, size_t index, const struc
         enum err_code rc = gauss_alloc(out, g->n, g->sh_degree, g->embed_len, e);
         if (rc)
             return rc;
-        memcpy(out->origin_enu_m, g->origin_enu_m, sizeof(g->origin_enu_m));
+        memcpy(out->origin_enu_m, g->origin_enu_m, sizeof g->origin_enu_m);
     }
     if (v->plan.n_cells < 2)
         return gauss_append(out, g, NULL, g->n, e);
-    uint32_t *rows = mem_array(g->n, sizeof(*rows));
+    uint32_t *rows = mem_array(g->n, sizeof *rows);
     if (!rows)
         return err_set(e, ERR_MEM, "eval: out of memory for %zu Gaussians", g->n);
     for (size_t i = 0; i < g->n; i++)
@@ -232,7 +232,7 @@ static enum err_code eval_load_level(struct eval *v, const char *dir, unsigned l
         struct ckpt c = {0};
         if (v->plan.n_cells && v->plan.cells[i].parent >= 0)
             continue;
-        snprintf(path, sizeof(path), "%s/cells/%s/level%u.ckpt", dir,
+        snprintf(path, sizeof path, "%s/cells/%s/level%u.ckpt", dir,
                  v->plan.n_cells ? v->plan.cells[i].id : "all", level);
         if (!file_exists(path))
             continue;
@@ -272,7 +272,7 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
     char what[32];
     size_t n = 0;
     double bytes = 0.0;
-    snprintf(what, sizeof(what), "level %u", level);
+    snprintf(what, sizeof what, "level %u", level);
     enum err_code rc = eval_load_level(v, dir, level, &g, &s, &n, &bytes, e);
     if (!rc && n)
         rc = render_model_upload(v->render, &g, &model, e);
@@ -384,7 +384,7 @@ static enum err_code eval_open(struct eval *v, const char *scene_dir, struct err
                      v->o.split ? "training" : "test");
     if (!rc)
         rc = dev_open(v->o.device, &v->dev, e);
-    v->dev_is_open = rc == ERR_OK;
+    v->dev_is_open = !rc;
     if (!rc)
         rc = render_open(&v->dev, &v->render, e);
     if (!rc && v->o.lpips)
@@ -450,7 +450,7 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
         .example =
             "citysplat eval scene\ncitysplat eval scene --tiles city.tiles --max-edge-px 800",
         .defs = eval_defs,
-        .n_defs = sizeof(eval_defs) / sizeof(eval_defs[0]),
+        .n_defs = sizeof eval_defs / sizeof eval_defs[0],
         .min_args = 1,
         .max_args = 1};
     struct eval v = {0};

@@ -56,7 +56,7 @@ enum err_code eval_half_image_take_store(struct eval_half_image *h, const struct
         return rc;
     memcpy(h->model.w1, a->w1, appearance_weights(a) * sizeof(float));
     memcpy(h->model.images, a->images, a->n_images * a->len_image * sizeof(float));
-    memcpy(h->model.names, a->names, a->n_images * sizeof(*a->names));
+    memcpy(h->model.names, a->names, a->n_images * sizeof *a->names);
     return appearance_view_open(&h->look, &h->model, s, e);
 }
 

@@ -64,9 +64,9 @@ static enum err_code read_camera(const char *path, struct camera *out, struct er
 {
     struct json_t *json = NULL;
     enum err_code rc = jsonc_read(path, &json, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         rc = camera_from_json(json, out, e);
-        if (rc != ERR_OK)
+        if (rc)
             err_add(e, "%s", path);
     }
     json_decref(json);
@@ -78,7 +78,7 @@ static enum err_code read_grad(const char *path, const struct camera *cam, float
 {
     size_t shape[3];
     enum err_code rc = npy_read(path, 3, shape, out, e);
-    if (rc == ERR_OK && (shape[0] != cam->height_px || shape[1] != cam->width_px || shape[2] != 3))
+    if (!rc && (shape[0] != cam->height_px || shape[1] != cam->width_px || shape[2] != 3))
         rc = err_set(e, ERR_DATA, "%s: shape [%zu, %zu, %zu]: the camera's picture is [%u, %u, 3]",
                      path, shape[0], shape[1], shape[2], cam->height_px, cam->width_px);
     return rc;
@@ -98,20 +98,20 @@ static enum err_code gradient_run(const char *device, const struct gauss *g,
     cl_mem grads = NULL;
     size_t words = 0;
     enum err_code rc = dev_open(device, &dev, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_open(&dev, &r, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_model_upload(r, g, &m, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_forward(r, &m, cam, o, NULL, NULL, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_set_color_grad(r, rgb_grad, e);
     words = (size_t)m.groups * m.planes * 16;
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_buffer(&dev, words * sizeof(float), NULL, &grads, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_backward(r, &m, grads, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         *planes = m.planes;
         *out = mem_array(words, sizeof(float));
         rc = *out ? dev_read(&dev, grads, 0, words * sizeof(float), *out, e)
@@ -140,9 +140,9 @@ static enum err_code write_file(const char *dir, const struct gradient_file *f, 
         for (uint32_t k = 0; k < width; k++)
             rows[i * width + k] = raw[(i / 16 * planes + f->plane + k) * 16 + i % 16];
     enum err_code rc = file_join(path, dir, f->name, e);
-    if (rc == ERR_OK && !f->width)
+    if (!rc && !f->width)
         rc = npy_write(path, rows, 3, shape_3, e);
-    else if (rc == ERR_OK)
+    else if (!rc)
         rc = npy_write(path, rows, width == 1 ? 1 : 2, shape_2, e);
     mem_free(rows);
     return rc;
@@ -167,7 +167,7 @@ static enum err_code check_output(const char *dir, struct err *e)
     if (!d)
         return err_errno(e, ERR_IO, "gradient: output folder %s", dir);
     enum err_code rc = ERR_OK;
-    for (const struct dirent *entry; rc == ERR_OK && (entry = readdir(d)) != NULL;) {
+    for (const struct dirent *entry; !rc && (entry = readdir(d)) != NULL;) {
         bool ours = !strcmp(entry->d_name, ".") || !strcmp(entry->d_name, "..");
         for (size_t i = 0; i < FILES; i++)
             ours = ours || !strcmp(entry->d_name, gradient_files[i].name);
@@ -193,19 +193,19 @@ static enum err_code write_folder(const char *dir, const float *raw, uint32_t pl
     snprintf(part, sizeof part, "%s.part-%ld", name, (long)getpid());
     snprintf(old, sizeof old, "%s.old-%ld", name, (long)getpid());
     enum err_code rc = file_mkdir(part, e);
-    for (size_t i = 0; rc == ERR_OK && i < FILES; i++)
+    for (size_t i = 0; !rc && i < FILES; i++)
         rc = write_file(part, &gradient_files[i], raw, planes, g, e);
     bool had = file_is_dir(name);
-    if (rc == ERR_OK && had && rename(name, old) != 0)
+    if (!rc && had && rename(name, old) != 0)
         rc = err_errno(e, ERR_IO, "gradient: moving %s away", name);
-    if (rc == ERR_OK && rename(part, name) != 0) {
+    if (!rc && rename(part, name) != 0) {
         rc = err_errno(e, ERR_IO, "gradient: output folder %s", name);
         if (had && rename(old, name) != 0)
             err_add(e, "the earlier result is in %s", old);
     }
-    if (rc == ERR_OK && had)
+    if (!rc && had)
         remove_folder(old);
-    if (rc != ERR_OK)
+    if (rc)
         remove_folder(part);
     return rc;
 }
@@ -236,7 +236,7 @@ enum err_code cli_gradient(int argc, char **argv, struct err *e)
     float *rgb_grad = NULL, *raw = NULL;
     uint32_t planes = 0;
     enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
-    if (rc != ERR_OK || args.done)
+    if (rc || args.done)
         goto out;
     struct render_options ro = {.aa = (enum render_aa)o.aa, .sh_degree = (int)o.sh_degree};
     if (!o.camera || !o.grad || !o.output)
@@ -244,19 +244,19 @@ enum err_code cli_gradient(int argc, char **argv, struct err *e)
                      !o.camera ? "--camera FILE"
                      : !o.grad ? "--grad FILE"
                                : "-o DIR");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = parse_background(o.background, ro.background, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = check_output(o.output, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = read_camera(o.camera, &cam, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = read_grad(o.grad, &cam, &rgb_grad, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = ply_read(args.arg[0], &limits, &g, &info, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gradient_run(o.device, &g, &cam, &ro, rgb_grad, &raw, &planes, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = write_folder(o.output, raw, planes, &g, e);
 out:
     mem_free(rgb_grad);

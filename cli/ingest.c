@@ -11,7 +11,7 @@ enum err_code cli_ingest(int argc, char **argv, struct err *e)
     struct ingest_config cfg;
     struct options_args args;
     enum err_code rc = options_parse(ingest_options(), argc, argv, &cfg, &args, &a, e);
-    if (rc == ERR_OK && !args.done) {
+    if (!rc && !args.done) {
         signals_catch();
         rc = ingest_run(args.arg[0], args.arg[1], &cfg, e);
     }

@@ -61,7 +61,7 @@ static int run(const struct command *c, int argc, char **argv)
 {
     struct err e = {0};
     enum err_code rc = c->run(argc, argv, &e);
-    if (rc == ERR_OK)
+    if (!rc)
         return 0;
     fprintf(stderr, "citysplat %s: error: %s\n", c->name, e.msg[0] ? e.msg : err_text(rc));
     if (rc == ERR_ARG)

@@ -20,11 +20,11 @@ static enum err_code runs_add_line(const char *path, size_t number, const char *
     json_t *o = NULL;
     snprintf(name, sizeof name, "%s, line %zu", path, number);
     enum err_code rc = jsonc_parse(text, n, name, &o, e);
-    if (rc == ERR_OK && !json_is_object(o)) {
+    if (!rc && !json_is_object(o)) {
         json_decref(o);
         return err_set(e, ERR_FORMAT, "%s: expected an object", name);
     }
-    if (rc == ERR_OK && json_array_append_new(lines, o))
+    if (!rc && json_array_append_new(lines, o))
         rc = err_set(e, ERR_MEM, "%s: out of memory", name);
     return rc;
 }
@@ -35,10 +35,10 @@ enum err_code runs_read_lines(const char *path, json_t **out, struct err *e)
     json_t *lines = NULL;
     *out = NULL;
     enum err_code rc = file_read(path, RUNS_FILE_MAX, &b, e);
-    if (rc == ERR_OK && !(lines = json_array()))
+    if (!rc && !(lines = json_array()))
         rc = err_set(e, ERR_MEM, "%s: out of memory", path);
     size_t number = 0;
-    for (size_t at = 0; rc == ERR_OK && at < b.size;) {
+    for (size_t at = 0; !rc && at < b.size;) {
         const char *line = (const char *)b.data + at;
         const char *end = memchr(line, '\n', b.size - at);
         size_t n = end ? (size_t)(end - line) : b.size - at;
@@ -50,7 +50,7 @@ enum err_code runs_read_lines(const char *path, json_t **out, struct err *e)
         at += n + 1;
     }
     buf_free(&b);
-    if (rc != ERR_OK) {
+    if (rc) {
         json_decref(lines);
         return rc;
     }
@@ -64,17 +64,17 @@ enum err_code runs_read(const char *path, json_t **out, struct err *e)
     size_t i;
     json_t *line;
     enum err_code rc = runs_read_lines(path, out, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     json_array_foreach(*out, i, line)
     {
-        for (size_t k = 0; rc == ERR_OK && k < sizeof texts / sizeof *texts; k++)
+        for (size_t k = 0; !rc && k < sizeof texts / sizeof *texts; k++)
             if (!json_is_string(json_object_get(line, texts[k])))
                 rc = err_set(e, ERR_FORMAT, "%s, record %zu: no text '%s'", path, i + 1, texts[k]);
-        if (rc == ERR_OK && !json_is_object(json_object_get(line, "numbers")))
+        if (!rc && !json_is_object(json_object_get(line, "numbers")))
             rc = err_set(e, ERR_FORMAT, "%s, record %zu: no object 'numbers'", path, i + 1);
     }
-    if (rc != ERR_OK) {
+    if (rc) {
         json_decref(*out);
         *out = NULL;
     }
@@ -98,7 +98,7 @@ enum err_code runs_write(const char *path, const json_t *lines, struct err *e)
         free(text); /* jansson's, made with malloc */
     }
     enum err_code rc = buf_check(&b, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_write(path, b.data, b.size, e);
     buf_free(&b);
     return rc;

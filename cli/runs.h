@@ -5,8 +5,8 @@
  *   {"study": "budgets", "row": "50 k", "what": "level 3", "dataset": "...", "command": "...",
  *    "commit": "...", "device": "...", "fma_gflops": N, "triad_gbps": N,
  *    "numbers": {"psnr_db": N, ...}}
- * (study, row, what) is unique in a file; recording it again replaces it. docs/benchmarks.md tells
- * what the numbers mean. `citysplat note` writes such files, `citysplat chart` draws them.
+ * (study, row, what) is unique in a file; recording it again replaces it. docs/runs/README.md tells
+ * what the numbers mean. `citysplat-study record` writes such files, `citysplat-study chart` draws them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

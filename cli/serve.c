@@ -31,7 +31,7 @@ static const struct options_spec spec = {
     .example = "citysplat serve city.tiles\n"
                "citysplat serve old-town.tiles harbour.tiles --address 0.0.0.0 --port 8000",
     .defs = defs,
-    .n_defs = sizeof(defs) / sizeof(*defs),
+    .n_defs = sizeof defs / sizeof *defs,
     .min_args = 1,
     .max_args = 16,
 };
@@ -55,13 +55,13 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
     sigemptyset(&hup);
     sigaddset(&hup, SIGHUP);
     enum err_code rc = options_parse(&spec, argc, argv, &cfg, &args, &arena, e);
-    if (rc != ERR_OK || args.done)
+    if (rc || args.done)
         goto out;
     /* Threads inherit the mask, so SIGHUP waits for sigtimedwait below. */
     pthread_sigmask(SIG_BLOCK, &hup, NULL);
     signals_catch();
     rc = server_start(&cfg, args.arg, args.n, &sv, e);
-    if (rc != ERR_OK)
+    if (rc)
         goto out;
     printf("citysplat serves %zu dataset%s: open %s\n", args.n, args.n == 1 ? "" : "s",
            server_url(sv));

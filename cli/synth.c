@@ -13,12 +13,12 @@ enum err_code cli_synth(int argc, char **argv, struct err *e)
     struct synth_config cfg;
     struct options_args args;
     enum err_code rc = options_parse(synth_options(), argc, argv, &cfg, &args, &a, e);
-    if (rc != ERR_OK || args.done)
+    if (rc || args.done)
         goto out;
     signals_catch();
     double start = clock_s();
     rc = synth_run(&cfg, e);
-    if (rc == ERR_OK)
+    if (!rc)
         printf("%s: %lld photographs of %lld x %lld px in %.1f s\n", cfg.output,
                (long long)cfg.photos, (long long)cfg.width_px, (long long)cfg.height_px,
                clock_s() - start);

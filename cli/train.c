@@ -39,7 +39,7 @@ static void train_print(const struct train_result *r)
             timing_add(&spent, &r->cells[i].spent);
     printf("%.1f s, %.0f MiB at most\n", r->seconds, (double)r->peak_bytes / 1048576.0);
     if (timing_total(&spent) > 0.0) {
-        timing_text(&spent, text, sizeof(text));
+        timing_text(&spent, text, sizeof text);
         printf("time: %s\n", text);
     }
 }
@@ -70,7 +70,7 @@ static enum err_code train_shared_first(const char *scene_dir, const struct trai
     char device[128];
     if (!cfg->appearance_only && !train_needs_shared(cfg))
         return ERR_OK;
-    snprintf(device, sizeof(device), "%.*s", (int)strcspn(cfg->device, ","), cfg->device);
+    snprintf(device, sizeof device, "%.*s", (int)strcspn(cfg->device, ","), cfg->device);
     shared.device = device;
     shared.appearance_only = true;
     enum err_code rc = train_run(scene_dir, &shared, out, e);

@@ -117,7 +117,7 @@ static void ckpt_table(const struct ckpt_writer *w, struct buf *out)
 {
     struct buf body = {0};
     const struct ckpt_entry *t = w->t;
-    buf_add(&body, ckpt_magic, sizeof(ckpt_magic));
+    buf_add(&body, ckpt_magic, sizeof ckpt_magic);
     buf_u32(&body, CKPT_VERSION);
     buf_u32(&body, (uint32_t)w->n);
     buf_u64(&body, w->at);
@@ -133,7 +133,7 @@ static void ckpt_table(const struct ckpt_writer *w, struct buf *out)
     buf_add(out, body.data, body.size < 24 ? body.size : 24);
     buf_u64(out, h.lo);
     buf_u64(out, h.hi);
-    buf_add(out, zeros, sizeof(zeros));
+    buf_add(out, zeros, sizeof zeros);
     if (body.size > 24)
         buf_add(out, body.data + 24, body.size - 24);
     out->failed = out->failed || body.failed;
@@ -154,8 +154,7 @@ static enum err_code ckpt_pad(struct ckpt_writer *w, uint64_t to, struct err *e)
     static const uint8_t zeros[4096] = {0};
     enum err_code rc = ERR_OK;
     while (!rc && w->at < to)
-        rc = ckpt_put(w, zeros, to - w->at < sizeof(zeros) ? (size_t)(to - w->at) : sizeof(zeros),
-                      e);
+        rc = ckpt_put(w, zeros, to - w->at < sizeof zeros ? (size_t)(to - w->at) : sizeof zeros, e);
     return rc;
 }
 
@@ -256,7 +255,7 @@ enum err_code ckpt_write_from(const char *path, const struct json_t *meta,
     for (size_t i = 0; i < CKPT_ARRAYS; i++)
         widest = arrays[i].per_row > widest ? arrays[i].per_row : widest;
     text = json_dumps(meta, JSON_REAL_PRECISION(17) | JSON_COMPACT);
-    w.t = mem_array(w.n, sizeof(*w.t));
+    w.t = mem_array(w.n, sizeof *w.t);
     w.rows = mem_array(g->n < CKPT_SLICE ? g->n : CKPT_SLICE, widest * sizeof(float));
     buf_u64(&head, g->n);
     buf_u32(&head, g->sh_degree);
@@ -309,7 +308,7 @@ static enum err_code ckpt_bad(const char *path, const char *why, struct err *e)
 static enum err_code ckpt_read_table(const char *path, const struct buf *head, uint64_t file_size,
                                      struct ckpt_entry **out, size_t *n_out, struct err *e)
 {
-    if (head->size < CKPT_HEAD || memcmp(head->data, ckpt_magic, sizeof(ckpt_magic)))
+    if (head->size < CKPT_HEAD || memcmp(head->data, ckpt_magic, sizeof ckpt_magic))
         return ckpt_bad(path, "not a checkpoint of citysplat", e);
     struct cursor c = cursor_over(head->data + 8, head->size - 8);
     uint32_t version = cursor_u32(&c), n = cursor_u32(&c);
@@ -330,7 +329,7 @@ static enum err_code ckpt_read_table(const char *path, const struct buf *head, u
     buf_add(&body, head->data, 24);
     buf_add(&body, head->data + CKPT_HEAD, table);
     struct hash128 got = body.failed ? (struct hash128){0} : hash_bytes(body.data, body.size);
-    struct ckpt_entry *t = mem_array(n, sizeof(*t));
+    struct ckpt_entry *t = mem_array(n, sizeof *t);
     bool no_memory = body.failed || !t;
     buf_free(&body);
     *out = t;
@@ -420,7 +419,7 @@ static enum err_code ckpt_read_gauss(const char *path, const struct ckpt_entry *
         return rc;
     g->n = head.n;
     g->antialiased = head.antialiased;
-    memcpy(g->origin_enu_m, head.origin_enu_m, sizeof(g->origin_enu_m));
+    memcpy(g->origin_enu_m, head.origin_enu_m, sizeof g->origin_enu_m);
     struct ckpt_array arrays[CKPT_ARRAYS];
     ckpt_arrays(g, arrays);
     for (size_t i = 0; i < CKPT_ARRAYS; i++) {
@@ -446,7 +445,7 @@ static enum err_code ckpt_read_rest(const char *path, const struct ckpt_entry *t
     rc = ckpt_read_gauss(path, t, n, &out->g, e);
     if (rc)
         return rc;
-    out->blobs = mem_array(n, sizeof(*out->blobs));
+    out->blobs = mem_array(n, sizeof *out->blobs);
     if (!out->blobs)
         return err_set(e, ERR_MEM, "%s: out of memory", path);
     for (size_t i = 0; i < n; i++) {
@@ -565,7 +564,7 @@ static enum err_code ckpt_open_head(struct ckpt_rows *r, struct err *e)
     if (!rc && (!s || s->size != CKPT_GAUSS_BYTES))
         rc = ckpt_bad(r->path, "damaged: section '#gauss' is missing or too short", e);
     if (!rc)
-        rc = ckpt_pread(r, counts, sizeof(counts), s->offset, e);
+        rc = ckpt_pread(r, counts, sizeof counts, s->offset, e);
     if (!rc)
         rc = ckpt_read_counts(r->path, r->entry, r->n_entries, counts, &r->head, e);
     for (size_t i = 0; !rc && i < r->n_entries; i++)
@@ -576,11 +575,11 @@ static enum err_code ckpt_open_head(struct ckpt_rows *r, struct err *e)
 
 enum err_code ckpt_rows_open(const char *path, struct ckpt_rows **out, struct err *e)
 {
-    struct ckpt_rows *r = mem_array(1, sizeof(*r));
+    struct ckpt_rows *r = mem_array(1, sizeof *r);
     *out = NULL;
     if (!r)
         return err_set(e, ERR_MEM, "%s: out of memory", path);
-    snprintf(r->path, sizeof(r->path), "%s", path);
+    snprintf(r->path, sizeof r->path, "%s", path);
     r->fd = open(path, O_RDONLY | O_CLOEXEC);
     enum err_code rc = r->fd < 0 ? err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", path)
                                  : ckpt_open_head(r, e);
@@ -627,7 +626,7 @@ enum err_code ckpt_rows_read(const struct ckpt_rows *r, size_t from, size_t n, s
         return rc;
     out->n = n;
     out->antialiased = r->head.antialiased;
-    memcpy(out->origin_enu_m, r->head.origin_enu_m, sizeof(out->origin_enu_m));
+    memcpy(out->origin_enu_m, r->head.origin_enu_m, sizeof out->origin_enu_m);
     struct ckpt_array arrays[CKPT_ARRAYS];
     ckpt_arrays(out, arrays);
     for (size_t i = 0; !rc && i < CKPT_ARRAYS; i++) {

@@ -113,7 +113,7 @@ static enum err_code sort_and_check_unique(struct colmap_model *m, struct err *e
         by_name[i] = &m->images[i];
     qsort(by_name, m->n_images, sizeof *by_name, name_compare);
     enum err_code rc = ERR_OK;
-    for (size_t i = 1; i < m->n_images && rc == ERR_OK; i++)
+    for (size_t i = 1; i < m->n_images && !rc; i++)
         if (!strcmp(by_name[i]->name, by_name[i - 1]->name))
             rc = err_set(e, ERR_FORMAT, "images: '%.200s' appears twice", by_name[i]->name);
     mem_free(by_name);
@@ -207,9 +207,9 @@ static enum err_code resolve_tracks(struct colmap_model *m, struct err *e)
 static enum err_code model_resolve(struct colmap_model *m, struct err *e)
 {
     enum err_code rc = sort_and_check_unique(m, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = resolve_images(m, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = resolve_tracks(m, e);
     return rc;
 }
@@ -249,7 +249,7 @@ static enum err_code model_find(const char *dir, char *out, enum layout *layout,
     for (size_t i = 0; i < sizeof below / sizeof *below; i++) {
         enum err_code rc =
             below[i][0] ? file_join(out, dir, below[i], e) : file_join(out, dir, ".", e);
-        if (rc != ERR_OK)
+        if (rc)
             return rc;
         *layout = model_in(out, partial, sizeof partial);
         if (*layout != LAYOUT_NONE)
@@ -273,13 +273,13 @@ static enum err_code model_read_part(const char *dir, int part, enum layout layo
     struct buf file = {0};
     snprintf(name, sizeof name, "%s%s", part_names[part], suffixes[layout]);
     enum err_code rc = file_join(path, dir, name, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_read(path, (size_t)64 << 30, &file, e);
-    if (rc == ERR_OK && layout == LAYOUT_TXT) {
+    if (!rc && layout == LAYOUT_TXT) {
         buf_u8(&file, 0);
         rc = buf_check(&file, e);
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = layout == LAYOUT_BIN ? bins[part](&file, m, e) : txts[part](&file, m, e);
     buf_free(&file);
     return rc;
@@ -291,13 +291,13 @@ enum err_code colmap_read(const char *dir, struct colmap_model *out, struct err 
     enum layout layout;
     struct colmap_model m = {0};
     enum err_code rc = model_find(dir, found, &layout, e);
-    if (rc != ERR_OK)
+    if (rc)
         goto out;
-    for (int i = 0; i < PART_COUNT && rc == ERR_OK; i++)
+    for (int i = 0; i < PART_COUNT && !rc; i++)
         rc = model_read_part(found, i, layout, &m, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = model_resolve(&m, e);
-    if (rc != ERR_OK) {
+    if (rc) {
         err_add(e, "COLMAP model in %.300s", found);
         goto out;
     }
@@ -305,7 +305,7 @@ enum err_code colmap_read(const char *dir, struct colmap_model *out, struct err 
     m = (struct colmap_model){0};
 out:
     colmap_free(&m);
-    if (rc != ERR_OK)
+    if (rc)
         *out = (struct colmap_model){0};
     return rc;
 }

@@ -146,7 +146,7 @@ enum err_code colmap_bin_images(const struct buf *file, struct colmap_model *m, 
     for (size_t i = 0; i < n; i++) {
         struct err inner = {0};
         enum err_code rc = image_read_record(&c, m, &m->images[i], &inner);
-        if (rc != ERR_OK)
+        if (rc)
             return err_set(e, rc, "%s: image %zu of %zu: %s", name, i + 1, n, inner.msg);
     }
     return trailing_check(name, &c, e);
@@ -269,14 +269,14 @@ enum err_code colmap_write_bin(const char *dir, const struct colmap_model *m, st
     static void (*const writers[])(const struct colmap_model *,
                                    struct buf *) = {cameras_write, images_write, points_write};
     enum err_code rc = file_mkdir(dir, e);
-    for (int i = 0; i < 3 && rc == ERR_OK; i++) {
+    for (int i = 0; i < 3 && !rc; i++) {
         char path[FILE_PATH_MAX];
         struct buf b = {0};
         writers[i](m, &b);
         rc = buf_check(&b, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = file_join(path, dir, names[i], e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = file_write(path, b.data, b.size, e);
         buf_free(&b);
     }

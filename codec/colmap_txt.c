@@ -127,7 +127,7 @@ static enum err_code camera_line(char *s, struct colmap_camera *cam, struct err 
     if (!id32_next(&s, &cam->id))
         return err_set(e, ERR_FORMAT, "expected a camera id");
     enum err_code rc = lens_from_name(word_next(&s), &cam->lens.model, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     uint32_t w, h;
     if (!id32_next(&s, &w) || !id32_next(&s, &h) || !w || !h || w > 1 << 20 || h > 1 << 20)
@@ -191,7 +191,7 @@ enum err_code colmap_txt_cameras(struct buf *file, struct colmap_model *m, struc
     struct lines l;
     struct list cameras = {.size = sizeof *m->cameras};
     enum err_code rc = lines_open(file, name, &l, e);
-    for (char *s; rc == ERR_OK && (s = metrics_log_next(&l));) {
+    for (char *s; !rc && (s = metrics_log_next(&l));) {
         struct colmap_camera *cam = list_add(&cameras);
         struct err inner = {0};
         if (!cam)
@@ -201,7 +201,7 @@ enum err_code colmap_txt_cameras(struct buf *file, struct colmap_model *m, struc
     }
     m->n_cameras = cameras.n;
     m->cameras = list_move(&cameras, &m->arena);
-    return rc == ERR_OK && !m->cameras ? no_memory(name, e) : rc;
+    return !rc && !m->cameras ? no_memory(name, e) : rc;
 }
 
 static enum err_code image_line(char *s, struct colmap_image *im, struct arena *a, struct err *e)
@@ -250,7 +250,7 @@ enum err_code colmap_txt_images(struct buf *file, struct colmap_model *m, struct
     struct lines l;
     struct list images = {.size = sizeof *m->images};
     enum err_code rc = lines_open(file, name, &l, e);
-    for (char *s; rc == ERR_OK && (s = metrics_log_next(&l));) {
+    for (char *s; !rc && (s = metrics_log_next(&l));) {
         struct colmap_image *im = list_add(&images);
         struct err inner = {0};
         if (!im) {
@@ -258,7 +258,7 @@ enum err_code colmap_txt_images(struct buf *file, struct colmap_model *m, struct
             break;
         }
         rc = image_line(s, im, &m->arena, &inner);
-        if (rc == ERR_OK) {
+        if (!rc) {
             s = line_next(&l);
             if (!s)
                 rc = err_set(&inner, ERR_FORMAT,
@@ -267,15 +267,15 @@ enum err_code colmap_txt_images(struct buf *file, struct colmap_model *m, struct
             else
                 rc = observations_line(s, im, &m->arena, &inner);
         }
-        const char *why = rc == ERR_OK ? colmap_check_image(im) : NULL;
+        const char *why = !rc ? colmap_check_image(im) : NULL;
         if (why)
             rc = err_set(&inner, ERR_FORMAT, "image '%.200s': %s", im->name, why);
-        if (rc != ERR_OK)
+        if (rc)
             line_error(name, &l, inner.msg, e);
     }
     m->n_images = images.n;
     m->images = list_move(&images, &m->arena);
-    return rc == ERR_OK && !m->images ? no_memory(name, e) : rc;
+    return !rc && !m->images ? no_memory(name, e) : rc;
 }
 
 static enum err_code point_line(char *s, struct colmap_point *p, struct list *tracks, struct err *e)
@@ -312,7 +312,7 @@ enum err_code colmap_txt_points(struct buf *file, struct colmap_model *m, struct
     struct lines l;
     struct list points = {.size = sizeof *m->points}, tracks = {.size = sizeof *m->tracks};
     enum err_code rc = lines_open(file, name, &l, e);
-    for (char *s; rc == ERR_OK && (s = metrics_log_next(&l));) {
+    for (char *s; !rc && (s = metrics_log_next(&l));) {
         struct colmap_point *p = list_add(&points);
         struct err inner = {0};
         if (!p)
@@ -324,5 +324,5 @@ enum err_code colmap_txt_points(struct buf *file, struct colmap_model *m, struct
     m->n_tracks = tracks.n;
     m->points = list_move(&points, &m->arena);
     m->tracks = list_move(&tracks, &m->arena);
-    return rc == ERR_OK && (!m->points || !m->tracks) ? no_memory(name, e) : rc;
+    return !rc && (!m->points || !m->tracks) ? no_memory(name, e) : rc;
 }

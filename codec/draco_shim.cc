@@ -483,7 +483,7 @@ try {
     struct draco_head h;
     *out = {};
     enum err_code rc = draco_check(bytes, n, lim, &h, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     draco::DecoderBuffer b;
     b.Init(static_cast<const char *>(bytes), h.stream_bytes);
@@ -496,9 +496,9 @@ try {
     struct quant q = {};
     std::unique_ptr<struct quant, void (*)(struct quant *)> guard(&q, quant_free);
     rc = quant_alloc(&q, h.n, h.sh_degree, h.embed_len, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = read_cloud(*pc.value(), &q, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         *out = q;
         q = {}; // moved out
     }

@@ -284,7 +284,7 @@ enum err_code exif_read(const char *path, struct image_gps *out, struct err *e)
         return ERR_OK;
     struct buf b = {0}; /* WebP and TIFF may keep it at the end */
     enum err_code rc = file_read(path, 0, &b, e);
-    if (rc == ERR_OK)
+    if (!rc)
         exif_parse(b.data, b.size, out);
     buf_free(&b);
     return rc;
@@ -557,7 +557,7 @@ enum err_code exif_insert(struct buf *file, const struct image_gps *gps, struct 
     buf_free(&blob);
     enum err_code rc = known ? buf_check(&out, e)
                              : err_set(e, ERR_FORMAT, "exif : not a JPEG, PNG, WebP or TIFF file");
-    if (rc == ERR_OK) {
+    if (!rc) {
         buf_free(file);
         *file = out;
     } else {

@@ -126,7 +126,7 @@ enum err_code glb_encode_spz(const struct quant *q, const char *copyright, struc
     if (!q->n)
         return err_set(e, ERR_DATA, "glb : no Gaussians : a glTF accessor cannot be empty");
     enum err_code rc = spz_encode(q, 3, &spz, e);
-    if (rc != ERR_OK)
+    if (rc)
         goto out;
     double lo[3], hi[3];
     for (int c = 0; c < 3; c++) { /* exactly what a reader dequantises */
@@ -257,9 +257,9 @@ enum err_code glb_encode_plain(const struct gauss *g, const char *copyright, str
     json_t *root = document(copyright, p.attributes, p.accessors, p.views, p.bin.size,
                             splat_extension(), false);
     enum err_code rc = buf_check(&p.bin, e);
-    if (rc == ERR_OK && !root)
+    if (!rc && !root)
         rc = err_set(e, ERR_ARG, "glb : the copyright text is not UTF-8, or out of memory");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = glb_pack(root, &p.bin, out, e);
     json_decref(root);
     buf_free(&p.bin);
@@ -332,7 +332,7 @@ static enum err_code glb_open(const void *bytes, size_t n, struct glb *f, struct
             return err_set(e, ERR_FORMAT, "glb : binary chunk is damaged or truncated");
     }
     enum err_code rc = jsonc_parse((const char *)text, n_json, "glb", &f->root, e);
-    return rc == ERR_OK ? find_primitive(f, e) : rc;
+    return !rc ? find_primitive(f, e) : rc;
 }
 
 static bool view_bytes(const struct glb *f, const json_t *view, size_t *at, size_t *n)
@@ -367,7 +367,7 @@ enum err_code glb_find_spz(const void *bytes, size_t n, const void **spz, size_t
 {
     struct glb f = {0};
     enum err_code rc = glb_open(bytes, n, &f, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = find_spz(&f, spz, n_spz, e);
     json_decref(f.root);
     return rc;
@@ -446,10 +446,10 @@ static enum err_code values_read(const struct glb *f, const char *name, size_t n
 {
     struct values v;
     enum err_code rc = values_find(f, name, width, &v, e);
-    if (rc == ERR_OK && v.count != n)
+    if (!rc && v.count != n)
         rc = err_set(e, ERR_FORMAT, "glb : attribute %s : %zu rows, POSITION has %zu", name,
                      v.count, n);
-    for (size_t i = 0; rc == ERR_OK && i < n; i++)
+    for (size_t i = 0; !rc && i < n; i++)
         for (size_t c = 0; c < width; c++)
             out[i * out_stride + c] = value_get(&v, i, c);
     return rc;
@@ -482,7 +482,7 @@ static enum err_code decode_plain(const struct glb *f, const struct codec_limits
     size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS, bad = 0;
     const json_t *attributes = json_object_get(f->primitive, "attributes");
     enum err_code rc = values_find(f, "POSITION", 3, &position, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     size_t n = position.count; /* no more than the file holds */
     if (n > most)
@@ -491,26 +491,26 @@ static enum err_code decode_plain(const struct glb *f, const struct codec_limits
            json_object_get(attributes, sh_name(name, degree + 1, 0)))
         degree++;
     rc = gauss_alloc(out, n, degree, 0, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     out->n = n;
     size_t row = 3 * gauss_sh_count(degree), at = 0;
     rc = values_read(f, "POSITION", n, 3, out->mean_m, 3, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = values_read(f, EXT_SPLAT ":SCALE", n, 3, out->scale_log, 3, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = values_read(f, EXT_SPLAT ":ROTATION", n, 4, out->quat_wxyz, 4, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = values_read(f, EXT_SPLAT ":OPACITY", n, 1, out->opacity_logit, 1, e);
     for (uint32_t l = 0; l <= degree; l++)
-        for (uint32_t m = 0; rc == ERR_OK && m <= 2 * l; m++, at += 3)
+        for (uint32_t m = 0; !rc && m <= 2 * l; m++, at += 3)
             rc = values_read(f, sh_name(name, l, m), n, 3, out->sh + at, row, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         from_linear(out);
         if (gauss_count_bad(out, &bad))
             rc = err_set(e, ERR_DATA, "glb : row %zu : not finite, or no rotation", bad);
     }
-    if (rc != ERR_OK)
+    if (rc)
         gauss_free(out);
     return rc;
 }
@@ -524,13 +524,13 @@ enum err_code glb_decode(const void *bytes, size_t n, const struct codec_limits 
     size_t n_spz = 0;
     *out = (struct gauss){0};
     enum err_code rc = glb_open(bytes, n, &f, e);
-    if (rc == ERR_OK && !json_object_get(json_object_get(f.splat, "extensions"), EXT_SPZ)) {
+    if (!rc && !json_object_get(json_object_get(f.splat, "extensions"), EXT_SPZ)) {
         rc = decode_plain(&f, lim, out, e);
-    } else if (rc == ERR_OK) {
+    } else if (!rc) {
         rc = find_spz(&f, &spz, &n_spz, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = spz_decode(spz, n_spz, lim, &q, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = quant_to_gauss(&q, out, e);
     }
     quant_free(&q);

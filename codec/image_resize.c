@@ -126,7 +126,7 @@ enum err_code image_resize(const struct image *in, uint32_t width_px, uint32_t h
         return err_set(e, ERR_ARG, "image_resize : %u x %u to %u x %u : empty picture",
                        in->width_px, in->height_px, width_px, height_px);
     enum err_code rc = image_alloc(width_px, height_px, in->channels, out, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     const size_t row = (size_t)width_px * in->channels;
     if (taps_make(in->width_px, width_px, &across) && taps_make(in->height_px, height_px, &down)) {

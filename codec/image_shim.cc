@@ -207,7 +207,7 @@ try {
     OIIO::Filesystem::IOVecOutput file(bytes);
     std::unique_ptr<OIIO::ImageOutput> o = OIIO::ImageOutput::create(format, &file);
     enum err_code rc = write_pixels(o.get(), format, img, quality, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     buf_add(out, bytes.data(), bytes.size());
     return buf_check(out, e);
@@ -221,11 +221,11 @@ static enum err_code encode_tiff(const char *path, const struct image *img, stru
 {
     char part[FILE_PATH_MAX];
     enum err_code rc = file_begin(path, part, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     single_thread();
     rc = write_pixels(OIIO::ImageOutput::create("tif").get(), part, img, 0, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_read(part, 0, out, e);
     file_abort(part);
     return rc;
@@ -249,9 +249,9 @@ try {
     struct buf b = {};
     enum err_code rc = strcmp(format, "tif") ? image_encode(img, format, quality, &b, e)
                                              : encode_tiff(path, img, &b, e);
-    if (rc == ERR_OK && gps)
+    if (!rc && gps)
         rc = exif_insert(&b, gps, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_write(path, b.data, b.size, e);
     else
         err_add(e, "%s", path);

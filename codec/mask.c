@@ -17,7 +17,7 @@ enum err_code mask_path(const char *dir, const char *photo_name, char out[FILE_P
                         struct err *e)
 {
     char name[FILE_PATH_MAX];
-    if (snprintf(name, sizeof(name), "%s.png", photo_name) >= (int)sizeof(name))
+    if (snprintf(name, sizeof name, "%s.png", photo_name) >= (int)sizeof name)
         return err_set(e, ERR_LIMIT, "%.100s...: the name is too long", photo_name);
     return file_join(out, dir, name, e);
 }

@@ -32,7 +32,7 @@ enum err_code npy_write(const char *path, const float *data, size_t ndim, const 
     buf_add(&b, data, count * sizeof *data);
     b.failed = b.failed || head.failed;
     enum err_code rc = buf_check(&b, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_write(path, b.data, b.size, e);
     buf_free(&head);
     buf_free(&b);
@@ -99,7 +99,7 @@ enum err_code npy_decode(const void *bytes, size_t n, size_t ndim, size_t *shape
     memcpy(head, text, n_head);
     enum err_code rc = head_parse(head, ndim, shape, &count, e);
     mem_free(head);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     if (cursor_left(&c) / sizeof **data < count)
         return err_set(e, ERR_FORMAT, "npy : %zu values announced, room for %zu : truncated", count,
@@ -116,7 +116,7 @@ enum err_code npy_read(const char *path, size_t ndim, size_t *shape, float **dat
     struct buf b = {0};
     *data = NULL;
     enum err_code rc = file_read(path, 0, &b, e);
-    if (rc == ERR_OK && (rc = npy_decode(b.data, b.size, ndim, shape, data, e)) != ERR_OK)
+    if (!rc && (rc = npy_decode(b.data, b.size, ndim, shape, data, e)) != ERR_OK)
         err_add(e, "%s", path);
     buf_free(&b);
     return rc;

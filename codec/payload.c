@@ -308,11 +308,11 @@ enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *o
     size_t bound = pack_bound(bytes), at = out->size;
     uint8_t *packed = buf_grow(out, bound);
     enum err_code rc = buf_check(&plain, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = buf_check(out, e);
-    if (rc == ERR_OK && !lossless && !(quats = unit_quats(g)))
+    if (!rc && !lossless && !(quats = unit_quats(g)))
         rc = err_set(e, ERR_MEM, "payload : %zu Gaussians : out of memory", g->n);
-    if (rc == ERR_OK) {
+    if (!rc) {
         planes_of(g, lossless, planes);
         if (quats)
             planes[2].data = quats;
@@ -324,11 +324,11 @@ enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *o
         if ((!good || lossless) && gauss_count_bad(g, &bad))
             rc = err_set(e, ERR_DATA, "payload : row %zu : not finite, or no rotation", bad);
     }
-    if (rc == ERR_OK) {
+    if (!rc) {
         rc = pack(plain.data, bytes, g->n, packed, &bound, e);
         out->size = at + bound;
     }
-    if (rc != ERR_OK)
+    if (rc)
         out->size = start;
     mem_free(quats);
     buf_free(&plain);
@@ -383,18 +383,18 @@ enum err_code payload_decode(const void *bytes, size_t n, const struct codec_lim
     struct cursor c = cursor_over(bytes, n);
     *out = (struct gauss){0};
     enum err_code rc = head_read(&c, lim, &head, &lossless, &n_plain, e);
-    uint8_t *p = rc == ERR_OK ? buf_grow(&plain, n_plain) : NULL;
-    if (rc == ERR_OK)
+    uint8_t *p = !rc ? buf_grow(&plain, n_plain) : NULL;
+    if (!rc)
         rc = buf_check(&plain, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         size_t got = ZSTD_decompress(p, n_plain, c.p, cursor_left(&c));
         if (ZSTD_isError(got) || got != n_plain)
             rc = err_set(e, ERR_FORMAT, "payload : zstd : %s",
                          ZSTD_isError(got) ? ZSTD_getErrorName(got) : "too short");
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gauss_uninit(out, head.n, head.sh_degree, head.embed_len, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         out->n = head.n;
         out->antialiased = head.antialiased;
         memcpy(out->origin_enu_m, head.origin_enu_m, sizeof out->origin_enu_m);

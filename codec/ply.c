@@ -78,9 +78,9 @@ static enum err_code ascii_rows(const struct ply_head *h, const struct ply_eleme
     char *text = mem_array(h->n_body + 1, 1), *p = text, *end;
     double *out = *rows = mem_array(n, v->n_props * sizeof *out);
     enum err_code rc = text && out ? ERR_OK : err_set(e, ERR_MEM, "ply : out of memory");
-    if (rc == ERR_OK && h->n_body)
+    if (!rc && h->n_body)
         memcpy(text, h->body, h->n_body);
-    for (size_t i = 0; rc == ERR_OK && i < n * v->n_props; i++, p = end) {
+    for (size_t i = 0; !rc && i < n * v->n_props; i++, p = end) {
         out[i] = strtod(p, &end);
         if (end == p)
             rc = err_set(e, ERR_FORMAT, "ply : row %zu : not a number, or truncated",
@@ -155,16 +155,16 @@ static enum err_code inria_read(const struct ply_head *h, const struct codec_lim
     if (!v)
         return err_set(e, ERR_FORMAT, "ply : no element vertex");
     enum err_code rc = columns_find(v, &col, e);
-    if (rc == ERR_OK && v->count > most)
+    if (!rc && v->count > most)
         rc = err_set(e, ERR_LIMIT, "ply : %zu Gaussians : the limit is %zu", v->count, most);
-    if (rc == ERR_OK && h->format == PLY_ASCII)
+    if (!rc && h->format == PLY_ASCII)
         rc = ascii_rows(h, v, v->count, &text, e);
-    else if (rc == ERR_OK && !v->rows)
+    else if (!rc && !v->rows)
         rc = err_set(e, ERR_FORMAT,
                      "ply : the vertices stand behind or hold lists, which are not read");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gauss_alloc(out, v->count, col.sh_degree, 0, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         struct source s = {h, v->rows, v->row_bytes, v->n_props, text};
         out->n = v->count;
         out->antialiased = h->antialiased;
@@ -174,7 +174,7 @@ static enum err_code inria_read(const struct ply_head *h, const struct codec_lim
                          "ply : row %zu : not finite, or no rotation (%zu such rows) : remove them",
                          bad, n_bad);
     }
-    if (rc != ERR_OK)
+    if (rc)
         gauss_free(out);
     mem_free(text);
     return rc;
@@ -186,9 +186,9 @@ enum err_code ply_decode(const void *bytes, size_t n, const struct codec_limits 
     struct ply_head h;
     *out = (struct gauss){0};
     enum err_code rc = ply_head_read(bytes, n, &h, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = ply_packed_is(&h) ? ply_packed_read(&h, lim, out, e) : inria_read(&h, lim, out, e);
-    if (rc == ERR_OK && info)
+    if (!rc && info)
         *info = h.info;
     ply_head_free(&h);
     return rc;
@@ -201,7 +201,7 @@ enum err_code ply_read(const char *path, const struct codec_limits *lim, struct 
     *out = (struct gauss){0};
     enum err_code rc =
         file_read(path, lim && lim->max_bytes ? lim->max_bytes : CODEC_MAX_BYTES, &b, e);
-    if (rc == ERR_OK && (rc = ply_decode(b.data, b.size, lim, out, info, e)) != ERR_OK)
+    if (!rc && (rc = ply_decode(b.data, b.size, lim, out, info, e)) != ERR_OK)
         err_add(e, "%s", path);
     buf_free(&b);
     return rc;

@@ -197,7 +197,7 @@ enum err_code ply_head_read(const void *bytes, size_t n, struct ply_head *out, s
             return err_set(e, ERR_FORMAT, "ply : line %zu : truncated, too long, or no end_header",
                            i);
         enum err_code rc = line_read(out, line, &format_seen, &done, e);
-        if (rc != ERR_OK) {
+        if (rc) {
             err_add(e, "ply : line %zu", i);
             return rc;
         }

@@ -139,15 +139,15 @@ enum err_code ply_packed_read(const struct ply_head *h, const struct codec_limit
     float range[N_RANGES] = {0};
     size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS, bad = 0;
     enum err_code rc = packed_find(h, &p, e);
-    if (rc == ERR_OK && p.vertex->count > most)
+    if (!rc && p.vertex->count > most)
         rc = err_set(e, ERR_LIMIT, "ply : %zu Gaussians : the limit is %zu", p.vertex->count, most);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gauss_alloc(out, p.vertex->count,
                          p.n_rest >= 15  ? 3
                          : p.n_rest >= 8 ? 2
                                          : p.n_rest >= 3,
                          0, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     out->n = p.vertex->count;
     out->antialiased = h->antialiased;

@@ -262,11 +262,11 @@ enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree,
     uint32_t degree = sh_degree < grid->sh_degree ? sh_degree : grid->sh_degree;
     *out = (struct quant){0};
     enum err_code rc = check_rows(g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = quant_alloc(out, g->n, degree, g->embed_len, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = choose_position(g, grid, out, &shift, e);
-    if (rc != ERR_OK) {
+    if (rc) {
         quant_free(out);
         return rc;
     }
@@ -313,7 +313,7 @@ void quant_unpack_rotation(uint32_t packed, float quat_wxyz[4])
 enum err_code quant_to_gauss(const struct quant *q, struct gauss *out, struct err *e)
 {
     enum err_code rc = gauss_alloc(out, q->n, q->sh_degree, q->embed_len, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     const size_t k = gauss_sh_count(q->sh_degree), rest = 3 * (k - 1), len = q->embed_len;
     const float metre = ldexpf(1, -(int)q->frac_bits);

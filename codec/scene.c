@@ -56,13 +56,13 @@ static enum err_code points_write(const char *path, const struct scene *s, struc
         buf_f32(&b, t->y_px);
     }
     enum err_code rc = buf_check(&b, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         *hash = hash_bytes(b.data, b.size);
         buf_u64(&b, hash->lo);
         buf_u64(&b, hash->hi);
         rc = buf_check(&b, e);
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_write(path, b.data, b.size, e);
     buf_free(&b);
     return rc;
@@ -103,9 +103,9 @@ static enum err_code points_read(const char *path, struct scene *s, struct hash1
     struct buf b = {0};
     struct cursor c;
     enum err_code rc = file_read(path, (size_t)64 << 30, &b, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = points_head(path, &b, &c, s, hash, e);
-    for (size_t i = 0; rc == ERR_OK && i < s->n_points; i++) {
+    for (size_t i = 0; !rc && i < s->n_points; i++) {
         struct scene_point *p = &s->points[i];
         for (int k = 0; k < 3; k++) {
             p->enu_m[k] = cursor_f64(&c);
@@ -118,7 +118,7 @@ static enum err_code points_read(const char *path, struct scene *s, struct hash1
         p->error_px = cursor_f32(&c);
         p->track_length = cursor_u32(&c);
     }
-    for (size_t i = 0; rc == ERR_OK && i < s->n_tracks; i++) {
+    for (size_t i = 0; !rc && i < s->n_tracks; i++) {
         struct scene_track *t = &s->tracks[i];
         t->point = cursor_u32(&c);
         t->image = cursor_u32(&c);
@@ -200,11 +200,11 @@ enum err_code scene_write(const char *dir, const struct scene *s, struct err *e)
     char path[FILE_PATH_MAX];
     struct hash128 hash;
     enum err_code rc = file_join(path, dir, "points.bin", e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = points_write(path, s, &hash, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_join(path, dir, "scene.json", e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     json_t *json = scene_to_json(s, hash);
     if (!json)
@@ -239,25 +239,25 @@ static enum err_code image_from_json(const json_t *o, struct scene_image *im, st
     const char *name, *split;
     double group;
     enum err_code rc = jsonc_text(o, "name", &name, e);
-    if (rc == ERR_OK && !name_is_plain(name))
+    if (!rc && !name_is_plain(name))
         rc = err_set(e, ERR_FORMAT, "name '%.100s' is not a plain file name", name);
-    if (rc == ERR_OK && !(im->name = arena_text(a, name)))
+    if (!rc && !(im->name = arena_text(a, name)))
         rc = err_set(e, ERR_MEM, "out of memory");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = jsonc_text(o, "split", &split, e);
-    if (rc == ERR_OK && strcmp(split, "train") && strcmp(split, "test"))
+    if (!rc && strcmp(split, "train") && strcmp(split, "test"))
         rc = err_set(e, ERR_FORMAT, "split: expected train or test");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = jsonc_num(o, "group", &group, e);
-    if (rc == ERR_OK && !(group >= 0 && group <= UINT32_MAX && group == floor(group)))
+    if (!rc && !(group >= 0 && group <= UINT32_MAX && group == floor(group)))
         rc = err_set(e, ERR_FORMAT, "group: expected a whole number");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = camera_from_json(json_object_get(o, "camera"), &im->cam, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = nums_or_nan(o, "gps_enu_m", 3, im->gps_enu_m, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = nums_or_nan(o, "residual_m", 1, &im->residual_m, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         im->split = strcmp(split, "test") ? SCENE_TRAIN : SCENE_TEST;
         im->group = (uint32_t)group;
     }
@@ -275,7 +275,7 @@ static enum err_code images_from_json(const json_t *root, struct scene *s, struc
         return err_set(e, ERR_MEM, "out of memory for %zu images", s->n_images);
     for (size_t i = 0; i < s->n_images; i++) {
         enum err_code rc = image_from_json(json_array_get(list, i), &s->images[i], &s->arena, e);
-        if (rc != ERR_OK) {
+        if (rc) {
             err_add(e, "images[%zu]", i);
             return rc;
         }
@@ -290,31 +290,31 @@ static enum err_code frame_from_json(const json_t *root, struct scene *s, struct
     const char *text;
     double version;
     enum err_code rc = jsonc_text(root, "format", &text, e);
-    if (rc == ERR_OK && strcmp(text, "citysplat-scene"))
+    if (!rc && strcmp(text, "citysplat-scene"))
         rc = err_set(e, ERR_FORMAT, "format: '%.40s' is not citysplat-scene", text);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = jsonc_num(root, "version", &version, e);
-    if (rc == ERR_OK && version != SCENE_VERSION)
+    if (!rc && version != SCENE_VERSION)
         rc = err_set(e, ERR_FORMAT, "version: this program reads %d; run ingest again",
                      SCENE_VERSION);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = jsonc_num(origin, "lon_deg", &s->origin.lon_deg, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = jsonc_num(origin, "lat_deg", &s->origin.lat_deg, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = jsonc_num(origin, "h_m", &s->origin.h_m, e);
-    if (rc == ERR_OK && !(fabs(s->origin.lat_deg) <= 90 && fabs(s->origin.lon_deg) <= 360))
+    if (!rc && !(fabs(s->origin.lat_deg) <= 90 && fabs(s->origin.lon_deg) <= 360))
         rc = err_set(e, ERR_FORMAT, "origin: not a place on earth");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = jsonc_num(sim, "scale", &s->scale, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = jsonc_nums(sim, "rot", 9, s->rot, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = jsonc_nums(sim, "trans", 3, s->trans, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = jsonc_num(root, "vertical_offset_m", &s->vertical_offset_m, e);
     const json_t *who = json_object_get(root, "attribution");
-    if (rc == ERR_OK && json_is_string(who) &&
+    if (!rc && json_is_string(who) &&
         !(s->attribution = arena_text(&s->arena, json_string_value(who))))
         rc = err_set(e, ERR_MEM, "out of memory");
     return rc;
@@ -328,7 +328,7 @@ static enum err_code points_match(const json_t *root, const char *path, struct h
     char got[33];
     enum err_code rc = jsonc_text(json_object_get(root, "points"), "hash", &want, e);
     hash_text(hash, got);
-    if (rc == ERR_OK && strcmp(want, got))
+    if (!rc && strcmp(want, got))
         rc = err_set(e, ERR_FORMAT,
                      "%s: does not belong to this scene.json (hash %s, expected %.40s)", path, got,
                      want);
@@ -341,28 +341,28 @@ enum err_code scene_read(const char *dir, struct scene *out, struct err *e)
     struct scene s = {0};
     json_t *root = NULL;
     enum err_code rc = file_join(path, dir, "scene.json", e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_join(points, dir, "points.bin", e);
-    if (rc == ERR_OK && !file_exists(path))
+    if (!rc && !file_exists(path))
         rc = err_set(e, ERR_NOENT,
                      "%s: not found; make a scene with `citysplat ingest PHOTOS SPARSE -o %.200s`",
                      path, dir);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = jsonc_read(path, &root, e);
-    if (rc != ERR_OK)
+    if (rc)
         goto out;
     rc = frame_from_json(root, &s, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = images_from_json(root, &s, e);
-    if (rc != ERR_OK) {
+    if (rc) {
         err_add(e, "%s", path);
         goto out;
     }
     struct hash128 hash = {0};
     rc = points_read(points, &s, &hash, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = points_match(root, points, hash, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         snprintf(s.dir, sizeof s.dir, "%s", dir);
         *out = s;
         s = (struct scene){0};
@@ -370,7 +370,7 @@ enum err_code scene_read(const char *dir, struct scene *out, struct err *e)
 out:
     json_decref(root);
     scene_free(&s);
-    if (rc != ERR_OK)
+    if (rc)
         *out = (struct scene){0};
     return rc;
 }

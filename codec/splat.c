@@ -46,7 +46,7 @@ enum err_code splat_decode(const void *bytes, size_t n, const struct codec_limit
         return err_set(e, ERR_LIMIT, "splat : %zu Gaussians : the limit is %zu", n / ROW_BYTES,
                        most);
     enum err_code rc = gauss_alloc(out, n / ROW_BYTES, 0, 0, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     out->n = n / ROW_BYTES;
     for (size_t i = 0; i < out->n; i++)

@@ -146,11 +146,11 @@ enum err_code spz_encode(const struct quant *q, int version, struct buf *out, st
         head_write(&plain, q, 3, 0);
     uint8_t *p = buf_grow(&plain, bytes);
     enum err_code rc = buf_check(&plain, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         streams_write(q, p);
         rc = version == 3 ? gzip_write(&plain, out, e) : zstd_write(q, &h, plain.data, out, e);
     }
-    if (rc != ERR_OK)
+    if (rc)
         out->size = start;
     buf_free(&plain);
     return rc;
@@ -222,9 +222,9 @@ static enum err_code streams_read(const struct spz_head *h, const uint8_t *const
     size_t sh_in = 3 * (gauss_sh_count(h->sh_degree) - 1),
            sh_out = 3 * (gauss_sh_count(degree) - 1);
     enum err_code rc = quant_alloc(q, h->n, degree, 0, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = positions_read(h, stream[0], q, e);
-    if (rc != ERR_OK) {
+    if (rc) {
         quant_free(q);
         return rc;
     }
@@ -271,17 +271,17 @@ static enum err_code decode_gzip(const uint8_t *bytes, size_t n, const struct co
     const uint8_t *stream[N_STREAMS];
     enum err_code rc = gzip_read(bytes, n, lim, &plain, e);
     struct cursor c = cursor_over(plain.data, plain.size);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = head_read(&c, lim, &h, e);
-    if (rc == ERR_OK && h.version == 4)
+    if (!rc && h.version == 4)
         rc = err_set(e, ERR_FORMAT, "spz : version 4 inside gzip");
-    for (int s = 0; rc == ERR_OK && s < N_STREAMS; s++)
+    for (int s = 0; !rc && s < N_STREAMS; s++)
         if (!(stream[s] = cursor_take(&c, stream_bytes(&h, s))))
             rc = err_set(e, ERR_FORMAT, "spz : %u Gaussians announced, stream %d is cut short", h.n,
                          s);
-    if (rc == ERR_OK && cursor_left(&c) && !(h.flags & FLAG_EXTENSIONS))
+    if (!rc && cursor_left(&c) && !(h.flags & FLAG_EXTENSIONS))
         rc = err_set(e, ERR_FORMAT, "spz : %zu bytes after the last stream", cursor_left(&c));
-    if (rc == ERR_OK)
+    if (!rc)
         rc = streams_read(&h, stream, out, e);
     buf_free(&plain);
     return rc;
@@ -314,7 +314,7 @@ static enum err_code decode_zstd(const uint8_t *bytes, size_t n, const struct co
     const uint8_t *stream[N_STREAMS] = {0};
     struct buf plain = {0};
     enum err_code rc = head_read(&c, lim, &h, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     h.toc = cursor_u32(&c);
     uint32_t want = h.sh_degree ? N_STREAMS : N_STREAMS - 1;
@@ -329,13 +329,13 @@ static enum err_code decode_zstd(const uint8_t *bytes, size_t n, const struct co
     for (int s = 0; s < N_STREAMS; s++)
         bytes_plain += stream_bytes(&h, s);
     size_t most = lim && lim->max_bytes ? lim->max_bytes : CODEC_MAX_BYTES;
-    if (rc == ERR_OK && bytes_plain > most)
+    if (!rc && bytes_plain > most)
         rc =
             err_set(e, ERR_LIMIT, "spz : %zu bytes unpacked : the limit is %zu", bytes_plain, most);
-    uint8_t *p = rc == ERR_OK ? buf_grow(&plain, bytes_plain) : NULL;
-    if (rc == ERR_OK)
+    uint8_t *p = !rc ? buf_grow(&plain, bytes_plain) : NULL;
+    if (!rc)
         rc = buf_check(&plain, e);
-    for (uint32_t s = 0; rc == ERR_OK && s < h.n_streams; s++) {
+    for (uint32_t s = 0; !rc && s < h.n_streams; s++) {
         size_t size = stream_bytes(&h, (int)s);
         size_t got = ZSTD_decompress(p, size, data, packed[s]);
         if (ZSTD_isError(got) || got != size)
@@ -345,7 +345,7 @@ static enum err_code decode_zstd(const uint8_t *bytes, size_t n, const struct co
         p += size;
         data += packed[s];
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = streams_read(&h, stream, out, e);
     buf_free(&plain);
     return rc;

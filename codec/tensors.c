@@ -57,16 +57,16 @@ static enum err_code tensors_add(struct tensors *out, const char *name, const js
     if (strcmp(dtype, "F32") || json_array_size(json_object_get(o, "shape")) > TENSORS_DIMS_MAX)
         return ERR_OK;
     enum err_code rc = tensors_shape(name, o, &t, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = tensors_places(name, o, n_data, &begin, &end, e);
-    if (rc == ERR_OK && end - begin != t.count * sizeof(float))
+    if (!rc && end - begin != t.count * sizeof(float))
         rc = err_set(e, ERR_FORMAT, "safetensors : %s : %zu bytes for %zu numbers", name,
                      end - begin, t.count);
     t.data = out->block + begin / sizeof(float);
     t.name = arena_text(&out->arena, name);
-    if (rc == ERR_OK && !t.name)
+    if (!rc && !t.name)
         rc = err_set(e, ERR_MEM, "safetensors : out of memory");
-    if (rc == ERR_OK)
+    if (!rc)
         out->list[out->n++] = t;
     return rc;
 }
@@ -84,7 +84,7 @@ static enum err_code tensors_fill(struct tensors *out, json_t *head, const uint8
     memcpy(out->block, data, n_data);
     json_object_foreach(head, name, o)
     {
-        if (rc == ERR_OK && strcmp(name, "__metadata__"))
+        if (!rc && strcmp(name, "__metadata__"))
             rc = tensors_add(out, name, o, n_data, e);
     }
     return rc;
@@ -101,12 +101,12 @@ enum err_code tensors_decode(const void *bytes, size_t n, struct tensors *out, s
                        "safetensors : not a .safetensors file, or cut off in its header");
     const char *text = (const char *)cursor_take(&c, (size_t)n_head);
     enum err_code rc = jsonc_parse(text, (size_t)n_head, "safetensors header", &head, e);
-    if (rc == ERR_OK && !json_is_object(head))
+    if (!rc && !json_is_object(head))
         rc = err_set(e, ERR_FORMAT, "safetensors : the header is not an object");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = tensors_fill(out, head, c.p, cursor_left(&c), e);
     json_decref(head);
-    if (rc != ERR_OK)
+    if (rc)
         tensors_free(out);
     return rc;
 }
@@ -116,7 +116,7 @@ enum err_code tensors_read(const char *path, struct tensors *out, struct err *e)
     struct buf b = {0};
     *out = (struct tensors){0};
     enum err_code rc = file_read(path, TENSORS_FILE_MAX, &b, e);
-    if (rc == ERR_OK && (rc = tensors_decode(b.data, b.size, out, e)) != ERR_OK)
+    if (!rc && (rc = tensors_decode(b.data, b.size, out, e)) != ERR_OK)
         err_add(e, "%s", path);
     buf_free(&b);
     return rc;

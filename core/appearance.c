@@ -343,11 +343,11 @@ enum err_code appearance_read(const void *bytes, size_t n, struct appearance *ou
     if (head[4] > cursor_left(&c) / (1 + (size_t)4 * (head[2] ? head[2] : 1)))
         return err_set(e, ERR_FORMAT, "appearance: %u photographs in %zu bytes", head[4], n);
     enum err_code rc = appearance_alloc(out, head[1], head[2], head[3], head[4], e);
-    if (rc == ERR_OK && appearance_weights(out) > cursor_left(&c) / 4)
+    if (!rc && appearance_weights(out) > cursor_left(&c) / 4)
         rc = err_set(e, ERR_FORMAT, "appearance: cut off after %zu bytes", n);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = blob_body(&c, out, e);
-    if (rc != ERR_OK)
+    if (rc)
         appearance_free(out);
     return rc;
 }

@@ -166,7 +166,7 @@ static enum err_code json_edge(const struct json_t *o, const char *key, uint32_t
 {
     double v;
     enum err_code rc = jsonc_num(o, key, &v, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     if (!(v >= 1 && v <= CAMERA_EDGE_MAX) || v != floor(v))
         return err_set(e, ERR_FORMAT, "camera: %s: expected a whole number of pixels from 1 to %d",
@@ -221,19 +221,19 @@ enum err_code camera_from_json(const struct json_t *o, struct camera *out, struc
     double *values[4] = {&c.fx_px, &c.fy_px, &c.cx_px, &c.cy_px};
     double m[16];
     enum err_code rc = json_edge(o, "width", &c.width_px, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = json_edge(o, "height", &c.height_px, e);
-    for (int i = 0; i < 4 && rc == ERR_OK; i++) {
+    for (int i = 0; i < 4 && !rc; i++) {
         rc = jsonc_num(o, keys[i], values[i], e);
-        if (rc == ERR_OK && (!isfinite(*values[i]) || (i < 2 && !(*values[i] > 0))))
+        if (!rc && (!isfinite(*values[i]) || (i < 2 && !(*values[i] > 0))))
             rc = err_set(e, ERR_FORMAT, "camera: %s: expected a finite%s number of pixels", keys[i],
                          i < 2 ? " positive" : "");
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = jsonc_nums(o, "world_to_camera", 16, m, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = pose_from_matrix(m, &c, e);
-    if (rc == ERR_OK)
+    if (!rc)
         *out = c;
     return rc;
 }

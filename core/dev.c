@@ -264,7 +264,7 @@ enum err_code dev_open(const char *want, struct dev *out, struct err *e)
     cl_int code = CL_SUCCESS;
     enum err_code rc = cache_prepare(e);
     memset(out, 0, sizeof *out);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     size_t n = dev_list(list);
     const struct found *f = dev_pick(list, n, want);
@@ -276,7 +276,7 @@ enum err_code dev_open(const char *want, struct dev *out, struct err *e)
     d.vector_width = d.is_cpu ? 16 : 1;
     memcpy(d.name, f->name, sizeof d.name);
     rc = dev_query(&d, e);
-    if (rc != ERR_OK)
+    if (rc)
         goto out;
     cl_context_properties props[] = {CL_CONTEXT_PLATFORM, (cl_context_properties)d.platform, 0};
     d.context = clCreateContext(props, 1, &d.device, NULL, NULL, &code);
@@ -290,7 +290,7 @@ enum err_code dev_open(const char *want, struct dev *out, struct err *e)
         goto out;
     }
 out:
-    if (rc != ERR_OK)
+    if (rc)
         dev_close(&d);
     else
         *out = d;
@@ -424,7 +424,7 @@ enum err_code dev_buffer(struct dev *d, size_t size_bytes, const void *host, cl_
     dev_prefer_huge(d, *out, rounded);
     if (host && size_bytes) {
         enum err_code rc = dev_write(d, *out, 0, size_bytes, host, e);
-        if (rc != ERR_OK) {
+        if (rc) {
             dev_release(out);
             return rc;
         }

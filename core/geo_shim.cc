@@ -38,9 +38,9 @@ extern "C" enum err_code geo_to_enu(const struct geo_origin *o, double lon_deg, 
                                     double h_m, double enu_m[3], struct err *e)
 try {
     enum err_code rc = check_place(o->lon_deg, o->lat_deg, o->h_m, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = check_place(lon_deg, lat_deg, h_m, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     GeographicLib::LocalCartesian frame(o->lat_deg, o->lon_deg, o->h_m);
     frame.Forward(lat_deg, lon_deg, h_m, enu_m[0], enu_m[1], enu_m[2]);
@@ -55,7 +55,7 @@ extern "C" enum err_code geo_from_enu(const struct geo_origin *o, const double e
                                       double *lon_deg, double *lat_deg, double *h_m, struct err *e)
 try {
     enum err_code rc = check_place(o->lon_deg, o->lat_deg, o->h_m, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     if (!std::isfinite(enu_m[0]) || !std::isfinite(enu_m[1]) || !std::isfinite(enu_m[2]))
         return err_set(e, ERR_ARG, "geo: an ENU coordinate is not a number");
@@ -71,7 +71,7 @@ try {
 extern "C" enum err_code geo_enu_to_ecef(const struct geo_origin *o, double m[16], struct err *e)
 try {
     enum err_code rc = check_place(o->lon_deg, o->lat_deg, o->h_m, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     std::vector<double> axes(9); /* row-major, columns east, north, up */
     double x, y, z;
@@ -96,9 +96,9 @@ extern "C" enum err_code geo_local_axes(const struct geo_origin *o, double lon_d
                                         double rot[9], struct err *e)
 try {
     enum err_code rc = check_place(o->lon_deg, o->lat_deg, o->h_m, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = check_place(lon_deg, lat_deg, 0, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     GeographicLib::LocalCartesian frame(o->lat_deg, o->lon_deg, o->h_m);
     std::vector<double> axes(9);

@@ -50,7 +50,7 @@ static enum err_code place_check(const char *path, const char *marker, bool over
     if (S_ISDIR(st.st_mode) && is_empty_dir(path))
         return ERR_OK;
     enum err_code rc = file_join(inside, path, marker, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     if (!S_ISDIR(st.st_mode) || !file_exists(inside))
         return err_set(e, ERR_ARG,
@@ -72,7 +72,7 @@ enum err_code outdir_begin(const char *path, const char *marker, bool overwrite,
         return err_set(e, ERR_LIMIT, "%.200s...: the path is too long", path);
     memcpy(out->path, path, n);
     enum err_code rc = place_check(out->path, marker, overwrite, e);
-    if (rc != ERR_OK) {
+    if (rc) {
         *out = (struct outdir){0};
         return rc;
     }
@@ -80,7 +80,7 @@ enum err_code outdir_begin(const char *path, const char *marker, bool overwrite,
     snprintf(out->part + n, 32, ".part-%ld", (long)getpid());
     remove_tree(out->part); /* of a killed run with the same number */
     rc = file_mkdir(out->part, e);
-    if (rc != ERR_OK)
+    if (rc)
         *out = (struct outdir){0};
     return rc;
 }

@@ -34,7 +34,7 @@ static void *pool_worker(void *arg)
             return NULL;
         struct err e = {0};
         enum err_code rc = l->fn(l->user, i, &e);
-        if (rc == ERR_OK)
+        if (!rc)
             continue;
         pthread_mutex_lock(&l->lock);
         if (i < l->failed_i) {

@@ -16,7 +16,7 @@
 static uint64_t sample_key(float key, uint32_t place)
 {
     uint32_t bits;
-    memcpy(&bits, &key, sizeof(bits));
+    memcpy(&bits, &key, sizeof bits);
     return (uint64_t)bits << 32 | place;
 }
 
@@ -51,8 +51,8 @@ static void sample_select(uint64_t *key, size_t n, size_t k)
 static int sample_compare(const void *a, const void *b)
 {
     uint64_t x, y;
-    memcpy(&x, a, sizeof(x));
-    memcpy(&y, b, sizeof(y));
+    memcpy(&x, a, sizeof x);
+    memcpy(&y, b, sizeof y);
     return x < y ? -1 : x > y;
 }
 
@@ -61,7 +61,7 @@ enum err_code sample_race(const float *score, const uint32_t *ids, size_t n, siz
 {
     if (k > n)
         return err_set(e, ERR_ARG, "sample: %zu of %zu cannot be drawn", k, n);
-    uint64_t *key = mem_array(n, sizeof(*key));
+    uint64_t *key = mem_array(n, sizeof *key);
     if (!key)
         return err_set(e, ERR_MEM, "sample: out of memory for %zu candidates", n);
     for (size_t j = 0; j < n; j++) {
@@ -71,7 +71,7 @@ enum err_code sample_race(const float *score, const uint32_t *ids, size_t n, siz
         key[j] = sample_key(at, (uint32_t)j);
     }
     sample_select(key, n, k);
-    qsort(key, k, sizeof(*key), sample_compare);
+    qsort(key, k, sizeof *key, sample_compare);
     for (size_t j = 0; j < k; j++)
         chosen[j] = ids[key[j] & 0xffffffffu];
     mem_free(key);

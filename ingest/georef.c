@@ -411,7 +411,7 @@ static enum err_code flights_try(struct work *w, const struct sim3_fit *single, 
         if (fabs(f.offset_m[g]) > offset_sigmas * error)
             largest = fmax(largest, fabs(f.offset_m[g]));
     }
-    if (rc != ERR_OK || largest < offset_min_m || !better || !flights_distinct(w, &f, how))
+    if (rc || largest < offset_min_m || !better || !flights_distinct(w, &f, how))
         return ERR_OK;
     *best = f;
     memcpy(w->group, w->trial, w->n * sizeof *w->group);
@@ -442,16 +442,16 @@ static enum err_code flights_find(struct work *w, const struct georef_photo *pho
         w->trial[i] = photos[i].flight_hint < SIMILARITY_GROUPS_MAX ? photos[i].flight_hint
                                                                     : SIMILARITY_GROUPS_MAX - 1;
     rc = flights_try(w, &single, PARTITION_PAUSE, fit, e);
-    if (rc != ERR_OK || w->p.n_groups > 1)
+    if (rc || w->p.n_groups > 1)
         return rc;
     /* A jump somewhere along the order of names, then two clusters in any order. */
     struct sim3_fit best = single;
     size_t step = w->n / JUMPS_TRIED + 1;
     size_t jump = 0;
-    for (size_t at = FLIGHT_MIN; rc == ERR_OK && at + FLIGHT_MIN <= w->n; at += step)
+    for (size_t at = FLIGHT_MIN; !rc && at + FLIGHT_MIN <= w->n; at += step)
         rc = jump_try(w, &single, &best, at, &jump, e);
-    for (size_t at = jump > step ? jump - step + 1 : 1, end = jump + step;
-         rc == ERR_OK && jump && at < end; at++)
+    for (size_t at = jump > step ? jump - step + 1 : 1, end = jump + step; !rc && jump && at < end;
+         at++)
         rc = jump_try(w, &single, &best, at, &jump, e);
     for (size_t k = 0; k < w->n_gps; k++)
         w->scratch[k] = height_error(w, &single, w->with_gps[k]);
@@ -459,7 +459,7 @@ static enum err_code flights_find(struct work *w, const struct georef_photo *pho
     double split = 0.5 * (w->scratch[w->n_gps / 8] + w->scratch[w->n_gps - 1 - w->n_gps / 8]);
     for (size_t i = 0; i < w->n; i++)
         w->trial[i] = photos[i].has_gps && height_error(w, &single, i) > split;
-    if (rc == ERR_OK && w->p.n_groups == 1)
+    if (!rc && w->p.n_groups == 1)
         rc = flights_try(w, &single, PARTITION_CLUSTER, &best, e);
     *fit = best;
     return rc;
@@ -482,7 +482,7 @@ static enum err_code drop_rounds(struct work *w, struct sim3_fit *f, struct geor
                                  struct err *e)
 {
     enum err_code rc = ERR_OK;
-    for (r->rounds = 0; r->rounds < ROUNDS_MAX && rc == ERR_OK;) {
+    for (r->rounds = 0; r->rounds < ROUNDS_MAX && !rc;) {
         size_t changed = 0, kept = 0;
         r->rounds++;
         r->tau_m = rejection_distance(w, f);
@@ -555,11 +555,11 @@ static enum err_code fit_all(struct work *w, const struct georef_photo *photos,
         return err_set(e, ERR_DATA,
                        "%zu photographs have a GPS position, three at least are needed", w->n_gps);
     enum err_code rc = first_fit(w, &f, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = flights_find(w, photos, &f, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = drop_rounds(w, &f, r, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     r->fit = f;
     r->sim = f.sim;
@@ -581,7 +581,7 @@ enum err_code georef_fit(const struct georef_photo *photos, size_t n,
     struct work w;
     struct georef_result r = {0};
     enum err_code rc = work_make(&w, photos, n, cfg, e);
-    if (rc != ERR_OK)
+    if (rc)
         goto out;
     r.residual_m = mem_array(n, sizeof *r.residual_m);
     r.dropped = mem_array(n, sizeof *r.dropped);
@@ -593,7 +593,7 @@ enum err_code georef_fit(const struct georef_photo *photos, size_t n,
     rc = fit_all(&w, photos, &r, e);
 out:
     work_free(&w);
-    if (rc != ERR_OK)
+    if (rc)
         georef_free(&r);
     *out = r;
     return rc;

@@ -129,7 +129,7 @@ static enum err_code out_names_check(const struct ingest *g, struct err *e)
         names[i] = g->photos[i].out_name;
     if (names)
         qsort(names, g->n, sizeof *names, text_compare);
-    for (size_t i = 1; rc == ERR_OK && i < g->n; i++)
+    for (size_t i = 1; !rc && i < g->n; i++)
         if (!strcmp(names[i], names[i - 1]))
             rc = err_set(e, ERR_DATA,
                          "two photographs would both be called %.200s in the scene; rename one",
@@ -165,7 +165,7 @@ static enum err_code list_photos(struct ingest *g, struct err *e)
         if (!p->out_name)
             return no_memory(e);
         enum err_code rc = file_join(path, g->images_dir, p->image->name, e);
-        if (rc != ERR_OK)
+        if (rc)
             return rc;
         if (!file_exists(path)) {
             p->verdict = INGEST_MISSING;
@@ -194,9 +194,9 @@ static enum err_code read_info_task(void *user, size_t i, struct err *e)
     if (signals_stopping())
         return err_set(e, ERR_CANCEL, "stopped");
     enum err_code rc = file_join(path, g->images_dir, p->image->name, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = image_read_info(path, &p->width_px, &p->height_px, &p->gps, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     const struct lens *l = &g->model.cameras[p->image->camera].lens;
     if (fabs((double)p->width_px * l->height_px / l->width_px - p->height_px) > 1.001)
@@ -337,15 +337,15 @@ static enum err_code convert_mask(struct ingest *g, const struct ingest_photo *p
 {
     char from[FILE_PATH_MAX], to[FILE_PATH_MAX], folder[FILE_PATH_MAX];
     enum err_code rc = mask_path(g->cfg->mask_dir, p->image->name, from, e);
-    if (rc == ERR_OK && !file_exists(from))
+    if (!rc && !file_exists(from))
         return ERR_OK;
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_join(folder, g->dir.part, "masks", e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_mkdir(folder, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = mask_path(folder, p->out_name, to, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = ingest_mask_convert(&g->views[p->view], from, to, e);
     atomic_fetch_add(&g->masks, 1);
     return rc;
@@ -362,13 +362,13 @@ static enum err_code convert_task(void *user, size_t i, struct err *e)
         return err_set(e, ERR_CANCEL, "stopped");
     if (p->verdict == INGEST_KEPT) {
         rc = file_join(from, g->images_dir, p->image->name, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = file_join(folder, g->dir.part, "images", e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = file_join(to, folder, p->out_name, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = ingest_photo_convert(&g->views[p->view], from, to, &lim, e);
-        if (rc == ERR_OK && g->cfg->mask_dir)
+        if (!rc && g->cfg->mask_dir)
             rc = convert_mask(g, p, e);
     }
     step_done(g);
@@ -395,9 +395,9 @@ static enum err_code count_unregistered(const struct ingest *g, size_t *out, str
     char **names;
     size_t n, in_top = 0;
     enum err_code rc = file_list(g->images_dir, suffixes, &a, &names, &n, e);
-    for (size_t i = 0; rc == ERR_OK && i < g->n; i++)
+    for (size_t i = 0; !rc && i < g->n; i++)
         in_top += g->photos[i].verdict != INGEST_MISSING && !strchr(g->photos[i].image->name, '/');
-    *out = rc == ERR_OK && n > in_top ? n - in_top : 0;
+    *out = !rc && n > in_top ? n - in_top : 0;
     arena_free(&a);
     return rc;
 }
@@ -416,16 +416,16 @@ static enum err_code write_scene(struct ingest *g, double start_s, struct err *e
     for (size_t i = 0; i < g->n; i++)
         r.n_gps += g->photos[i].geo.has_gps;
     enum err_code rc = count_unregistered(g, &r.n_unregistered, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = scene_write(g->dir.part, &g->scene, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_join(path, g->dir.part, "report.json", e);
     r.seconds = clock_s() - start_s;
-    if (rc == ERR_OK)
+    if (!rc)
         rc = ingest_report_write(&r, path, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = outdir_commit(&g->dir, e);
-    if (rc == ERR_OK)
+    if (!rc)
         ingest_report_print(&r);
     return rc;
 }
@@ -435,29 +435,29 @@ static enum err_code run_steps(struct ingest *g, const char *sparse_dir, double 
 {
     char folder[FILE_PATH_MAX];
     enum err_code rc = colmap_read(sparse_dir, &g->model, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = list_photos(g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = for_photos(g, "read EXIF", read_info_task, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = find_flights(g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = judge_poses(g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = check_some_left(g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = ingest_frame_find(g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = ingest_scene_fill(g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_join(folder, g->dir.part, "images", e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_mkdir(folder, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = for_photos(g, "undistort and shrink", convert_task, e);
-    if (rc == ERR_OK && g->cfg->mask_dir)
+    if (!rc && g->cfg->mask_dir)
         rc = check_masks(g, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = write_scene(g, start_s, e);
     return rc;
 }
@@ -471,13 +471,13 @@ enum err_code ingest_run(const char *images_dir, const char *sparse_dir,
     if (!cfg->output)
         return err_set(e, ERR_ARG, "ingest: no output folder: give -o SCENE");
     enum err_code rc = cfg->origin ? ingest_frame_parse(cfg->origin, &ignored, e) : ERR_OK;
-    if (rc == ERR_OK)
+    if (!rc)
         rc = outdir_begin(cfg->output, "scene.json", cfg->overwrite, &g.dir, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     if (cfg->attribution && !(g.scene.attribution = arena_text(&g.scene.arena, cfg->attribution)))
         rc = no_memory(e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = run_steps(&g, sparse_dir, start_s, e);
     outdir_abort(&g.dir);
     georef_free(&g.georef);

@@ -42,7 +42,7 @@ static bool gps_usable(const struct image_gps *g)
 static enum err_code gps_to_enu(struct ingest *g, const struct geo_origin *o, struct err *e)
 {
     enum err_code rc = ERR_OK;
-    for (size_t i = 0; rc == ERR_OK && i < g->n; i++) {
+    for (size_t i = 0; !rc && i < g->n; i++) {
         struct ingest_photo *p = &g->photos[i];
         p->geo.has_gps = p->verdict != INGEST_MISSING && gps_usable(&p->gps);
         if (p->geo.has_gps)
@@ -142,9 +142,9 @@ static enum err_code move_frame(struct sim3 *s, const struct geo_origin *from,
 {
     double a[16], b[16], turn[9], shift[3], rot[9], trans[3];
     enum err_code rc = geo_enu_to_ecef(from, a, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = geo_enu_to_ecef(to, b, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     for (int i = 0; i < 3; i++) {
         shift[i] = 0;
@@ -207,13 +207,13 @@ static enum err_code fit_kept(struct ingest *g, struct err *e)
     struct georef_photo *list = mem_array(g->n, sizeof *list);
     size_t n = 0;
     enum err_code rc = list ? ground_normal(g, cfg.ground_normal, e) : no_memory(e);
-    for (size_t i = 0; rc == ERR_OK && i < g->n; i++)
+    for (size_t i = 0; !rc && i < g->n; i++)
         if (g->photos[i].verdict == INGEST_KEPT)
             list[n++] = g->photos[i].geo;
-    if (rc == ERR_OK)
+    if (!rc)
         rc = georef_fit(list, n, &cfg, &g->georef, e);
     n = 0;
-    for (size_t i = 0; rc == ERR_OK && i < g->n; i++) {
+    for (size_t i = 0; !rc && i < g->n; i++) {
         struct ingest_photo *p = &g->photos[i];
         if (p->verdict != INGEST_KEPT)
             continue;
@@ -230,19 +230,19 @@ static enum err_code frame_from_gps(struct ingest *g, struct sim3 *sim, struct e
 {
     struct geo_origin first, *origin = &g->scene.origin;
     enum err_code rc = median_place(g, &first, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gps_to_enu(g, &first, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = fit_kept(g, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     g->fitted = true;
     *sim = g->georef.sim;
     rc = g->cfg->origin ? ingest_frame_parse(g->cfg->origin, origin, e)
                         : choose_origin(g, &first, sim, origin, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = move_frame(sim, &first, origin, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = gps_to_enu(g, origin, e);
     size_t n = 0;
     double sum = 0;
@@ -277,16 +277,16 @@ static enum err_code frame_by_hand(struct ingest *g, size_t n_gps, size_t n_kept
         mem_array(g->model.n_points < HEIGHT_SAMPLES ? g->model.n_points : 2 * HEIGHT_SAMPLES,
                   sizeof *scratch);
     size_t n = 0;
-    if (rc == ERR_OK && (!list || !scratch))
+    if (!rc && (!list || !scratch))
         rc = no_memory(e);
-    for (size_t i = 0; rc == ERR_OK && i < g->n; i++)
+    for (size_t i = 0; !rc && i < g->n; i++)
         if (g->photos[i].verdict == INGEST_KEPT)
             list[n++] = g->photos[i].geo;
-    if (rc == ERR_OK)
+    if (!rc)
         rc = ground_normal(g, normal, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = georef_upright(list, n, normal, g->cfg->metres_per_unit, sim, e);
-    if (rc == ERR_OK)
+    if (!rc)
         sim->trans[2] -= median_height(g, sim, scratch);
     mem_free(list);
     mem_free(scratch);

@@ -151,7 +151,7 @@ static enum err_code undistort(const struct ingest_view *v, struct image *img, s
     struct camera cam = camera_resize(&v->pinhole, img->width_px, img->height_px);
     struct image out = {0};
     enum err_code rc = image_alloc(img->width_px, img->height_px, 3, &out, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     for (uint32_t y = 0; y < out.height_px; y++)
         for (uint32_t x = 0; x < out.width_px; x++) {
@@ -173,7 +173,7 @@ static enum err_code shrink_to(struct image *img, uint32_t width_px, uint32_t he
     if (img->width_px == width_px && img->height_px == height_px)
         return ERR_OK;
     enum err_code rc = image_resize(img, width_px, height_px, &out, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     image_free(img);
     *img = out;
@@ -190,7 +190,7 @@ static enum err_code copy_bytes(const char *from, const char *to, struct err *e)
 {
     struct buf b = {0};
     enum err_code rc = file_read(from, 0, &b, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_write(to, b.data, b.size, e);
     buf_free(&b);
     return rc;
@@ -202,7 +202,7 @@ enum err_code ingest_photo_convert(const struct ingest_view *v, const char *from
     struct image img = {0};
     enum err_code rc =
         image_read(from, lim, &img, e); /* also when it is only copied: it must be readable */
-    if (rc != ERR_OK)
+    if (rc)
         goto out;
     if (img.width_px != v->lens.width_px || img.height_px != v->lens.height_px) {
         rc = err_set(e, ERR_FORMAT, "%s: decodes to %u x %u px, its header says %u x %u", from,
@@ -216,12 +216,12 @@ enum err_code ingest_photo_convert(const struct ingest_view *v, const char *from
     }
     if (v->undistort) {
         rc = shrink_to(&img, v->mid_width_px, v->mid_height_px, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = undistort(v, &img, e);
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = shrink_to(&img, v->pinhole.width_px, v->pinhole.height_px, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = image_write(to, &img, JPEG_QUALITY, NULL, e);
 out:
     image_free(&img);

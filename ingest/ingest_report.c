@@ -166,7 +166,7 @@ enum err_code ingest_report_write(const struct ingest_result *r, const char *pat
 {
     json_t *config = NULL;
     enum err_code rc = options_to_json(ingest_options(), r->cfg, &config, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     json_t *root = json_pack(
         "{s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:o, s:o, s:o, s:f}", "photographs",

@@ -31,7 +31,7 @@ static enum err_code find_view(struct ingest *g, struct ingest_photo *p, struct 
     uint32_t edge = (uint32_t)g->cfg->max_edge_px;
     enum err_code rc =
         ingest_view_make(l, p->width_px, p->height_px, edge, &g->views[g->n_views], e);
-    if (rc != ERR_OK) {
+    if (rc) {
         err_add(e, "camera %u", g->model.cameras[p->image->camera].id);
         return rc;
     }
@@ -76,7 +76,7 @@ static enum err_code fill_images(struct ingest *g, struct err *e)
         if (g->photos[i].verdict != INGEST_KEPT)
             continue;
         enum err_code rc = find_view(g, &g->photos[i], e);
-        if (rc != ERR_OK)
+        if (rc)
             return rc;
         g->kept[g->photos[i].image - g->model.images] = (uint32_t)s->n_images;
         scene_image_fill(g, i, (uint32_t)s->n_images, &s->images[s->n_images]);
@@ -144,5 +144,5 @@ static enum err_code fill_points(struct ingest *g, struct err *e)
 enum err_code ingest_scene_fill(struct ingest *g, struct err *e)
 {
     enum err_code rc = fill_images(g, e);
-    return rc == ERR_OK ? fill_points(g, e) : rc;
+    return !rc ? fill_points(g, e) : rc;
 }

@@ -504,7 +504,7 @@ enum err_code sim3_refine(const struct sim3_problem *p, struct sim3_fit *fit, st
         if (size < 1e-10)
             break;
     }
-    if (rc == ERR_OK) {
+    if (!rc) {
         spread_at(p, fit, false, scratch, center);
         fit->objective += 0.5 * weak;
         standard_errors(&q, fit);

@@ -52,7 +52,7 @@ void bake_close(struct store *s)
 
 static enum err_code bake_parse(const struct buf *blob, struct bake **out, struct err *e)
 {
-    struct bake *b = mem_array(1, sizeof(*b));
+    struct bake *b = mem_array(1, sizeof *b);
     if (!b)
         return err_set(e, ERR_MEM, "appearance: out of memory");
     enum err_code rc = appearance_read(blob->data, blob->size, &b->model, e);
@@ -149,7 +149,7 @@ enum err_code bake_join(struct store *s, const struct appearance *a, struct buf 
         if (is_default || (from == a && appearance_find(own, from->names[row]) >= 0))
             continue;
         memcpy(all.images + at * len, from->images + row * len, len * sizeof(float));
-        memcpy(all.names[at++], from->names[row], sizeof(*all.names));
+        memcpy(all.names[at++], from->names[row], sizeof *all.names);
     }
     memcpy(all.images + at * len, own->images + s->bake->default_row * len, len * sizeof(float));
     memcpy(all.names[at], BAKE_DEFAULT, sizeof(BAKE_DEFAULT));
@@ -199,7 +199,7 @@ static enum err_code bake_find_one(const struct appearance *a, const char *text,
                                    uint32_t *row, double *weight, struct err *e)
 {
     char name[APPEARANCE_NAME_MAX + 32], *end;
-    if (n >= sizeof(name))
+    if (n >= sizeof name)
         return err_set(e, ERR_NOENT, "no photograph has a name of %zu bytes", n);
     memcpy(name, text, n);
     name[n] = '\0';
@@ -232,7 +232,7 @@ void bake_text(const float *image, uint32_t len_image, char out[BAKE_TEXT_MAX])
     *out++ = '=';
     for (uint32_t i = 0; i < 4 * len_image; i++) {
         uint32_t word;
-        memcpy(&word, &image[i / 4], sizeof(word));
+        memcpy(&word, &image[i / 4], sizeof word);
         bits = bits << 8 | (word >> 8 * (i % 4) & 255);
         for (n_bits += 8; n_bits >= 6; n_bits -= 6)
             *out++ = bake_digits[bits >> (n_bits - 6) & 63];
@@ -262,7 +262,7 @@ static enum err_code bake_untext(const char *text, uint32_t len_image, float *im
     for (uint32_t i = 0; good && i < len_image; i++) {
         const uint8_t *b = bytes + 4 * (size_t)i;
         uint32_t word = b[0] | (uint32_t)b[1] << 8 | (uint32_t)b[2] << 16 | (uint32_t)b[3] << 24;
-        memcpy(&image[i], &word, sizeof(word));
+        memcpy(&image[i], &word, sizeof word);
         good = isfinite(image[i]);
     }
     return good ? ERR_OK
@@ -471,7 +471,7 @@ enum err_code bake_with_default(const struct appearance *a, const struct gauss *
         return rc;
     memcpy(out->w1, a->w1, appearance_weights(a) * sizeof(float));
     memcpy(out->images, a->images, a->n_images * a->len_image * sizeof(float));
-    memcpy(out->names, a->names, a->n_images * sizeof(*a->names));
+    memcpy(out->names, a->names, a->n_images * sizeof *a->names);
     memcpy(out->names[a->n_images], BAKE_DEFAULT, sizeof(BAKE_DEFAULT));
     rc = bake_default(a, g, out->images + a->n_images * a->len_image, e);
     if (rc)

@@ -309,7 +309,7 @@ enum err_code resident_show(struct resident *r, const uint32_t *picked, size_t n
     r->list = r->next;
     r->next = was;
     r->n_list = n_list;
-    r->list_valid = rc == ERR_OK;
+    r->list_valid = !rc;
     return rc;
 }
 

@@ -38,7 +38,7 @@ void depth_close(struct depth **p)
     if (!d)
         return;
     cl_kernel kernels[] = {d->model, d->loss, d->add};
-    for (size_t i = 0; i < sizeof(kernels) / sizeof(kernels[0]); i++)
+    for (size_t i = 0; i < sizeof kernels / sizeof kernels[0]; i++)
         if (kernels[i])
             clReleaseKernel(kernels[i]);
     if (d->program)
@@ -54,7 +54,7 @@ void depth_close(struct depth **p)
 enum err_code depth_open(struct dev *dev, struct depth **out, struct err *e)
 {
     const struct dev_source sources[] = {{"loss/lanes.cl", lanes_cl}, {"loss/depth.cl", depth_cl}};
-    struct depth *d = mem_array(1, sizeof(*d));
+    struct depth *d = mem_array(1, sizeof *d);
     *out = NULL;
     if (!d)
         return err_set(e, ERR_MEM, "depth: out of memory");
@@ -210,7 +210,7 @@ enum err_code depth_run(struct depth *d, struct render *r, const struct render_m
 enum err_code depth_read(struct depth *d, double *loss, struct err *e)
 {
     float pieces[DEPTH_PIECES];
-    enum err_code rc = dev_read(d->dev, d->pieces, 0, sizeof(pieces), pieces, e);
+    enum err_code rc = dev_read(d->dev, d->pieces, 0, sizeof pieces, pieces, e);
     *loss = 0.0;
     for (size_t i = 0; !rc && i < DEPTH_PIECES; i++)
         *loss += (double)pieces[i] * d->per_value;

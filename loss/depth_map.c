@@ -61,7 +61,7 @@ static double depth_median(double *v, size_t n)
 {
     if (!n)
         return 0.0;
-    qsort(v, n, sizeof(*v), depth_compare);
+    qsort(v, n, sizeof *v, depth_compare);
     return n % 2 ? v[n / 2] : 0.5 * (v[n / 2 - 1] + v[n / 2]);
 }
 
@@ -77,9 +77,9 @@ static double depth_deviation(const double *v, size_t n, double about)
 static enum depth_verdict depth_fit(const double *x, const double *y, size_t n, double *scratch,
                                     double *a, double *b)
 {
-    memcpy(scratch, x, n * sizeof(*x));
+    memcpy(scratch, x, n * sizeof *x);
     double mx = depth_median(scratch, n), range = scratch[n - 1] - scratch[0];
-    memcpy(scratch, y, n * sizeof(*y));
+    memcpy(scratch, y, n * sizeof *y);
     double my = depth_median(scratch, n);
     double dx = depth_deviation(x, n, mx), dy = depth_deviation(y, n, my), together = 0.0;
     if (!(range > DEPTH_RANGE_MIN * mx) || !(dy > 0.0))
@@ -101,7 +101,7 @@ enum depth_verdict depth_align(const double *x, const double *y, size_t n, doubl
     *a = *b = 0.0;
     if (n <= DEPTH_FEW)
         return DEPTH_MAP_FEW;
-    double *scratch = mem_array(n, sizeof(*scratch));
+    double *scratch = mem_array(n, sizeof *scratch);
     if (!scratch)
         return DEPTH_MAP_FEW; /* as good as none: the photograph goes without */
     enum depth_verdict v = depth_fit(x, y, n, scratch, a, b);
@@ -122,16 +122,16 @@ static enum err_code depth_find(const char *dir, const char *name, bool *found,
 {
     static const char *const endings[] = {".npy", ".png", ".pfm", ".tif", ".tiff", ".exr"};
     char stem[2][FILE_PATH_MAX], file[FILE_PATH_MAX];
-    snprintf(stem[0], sizeof(stem[0]), "%s", name);
-    snprintf(stem[1], sizeof(stem[1]), "%s", name);
+    snprintf(stem[0], sizeof stem[0], "%s", name);
+    snprintf(stem[1], sizeof stem[1], "%s", name);
     char *dot = strrchr(stem[1], '.');
     if (dot && !strchr(dot, '/'))
         *dot = '\0';
     *found = false;
     for (size_t s = 0; s < 2; s++)
-        for (size_t k = 0; k < sizeof(endings) / sizeof(endings[0]); k++) {
-            int n = snprintf(file, sizeof(file), "%s%s", stem[s], endings[k]);
-            if (n < 0 || (size_t)n >= sizeof(file))
+        for (size_t k = 0; k < sizeof endings / sizeof endings[0]; k++) {
+            int n = snprintf(file, sizeof file, "%s%s", stem[s], endings[k]);
+            if (n < 0 || (size_t)n >= sizeof file)
                 continue;
             enum err_code rc = file_join(path, dir, file, e);
             if (rc)
@@ -207,8 +207,8 @@ static enum err_code depth_align_photo(struct depth_map *d, uint32_t image, stru
     if (rc || !found)
         return rc;
     rc = depth_read_file(path, &f, e);
-    double *x = mem_array(p->last - p->first, sizeof(*x)),
-           *y = mem_array(p->last - p->first, sizeof(*y));
+    double *x = mem_array(p->last - p->first, sizeof *x),
+           *y = mem_array(p->last - p->first, sizeof *y);
     if (!rc && (!x || !y))
         rc = err_set(e, ERR_MEM, "%s: out of memory", path);
     for (size_t i = p->first; !rc && i < p->last; i++) {
@@ -241,7 +241,7 @@ static void depth_find_tracks(struct depth_map *d)
 /* A map whose scale is far from that of the others was aligned to something else. */
 static enum err_code depth_check_scales(struct depth_map *d, struct err *e)
 {
-    double *a = mem_array(d->cfg.n_images, sizeof(*a));
+    double *a = mem_array(d->cfg.n_images, sizeof *a);
     size_t n = 0;
     if (!a)
         return err_set(e, ERR_MEM, "depth maps: out of memory");
@@ -279,10 +279,10 @@ static enum err_code depth_report(const struct depth_map *d, struct err *e)
 enum err_code depth_map_open(const struct depth_map_config *cfg, struct depth_map **out,
                              struct err *e)
 {
-    struct depth_map *d = mem_array(1, sizeof(*d));
+    struct depth_map *d = mem_array(1, sizeof *d);
     enum err_code rc = ERR_OK;
     *out = NULL;
-    if (!d || !(d->photos = mem_array(cfg->scene->n_images, sizeof(*d->photos)))) {
+    if (!d || !(d->photos = mem_array(cfg->scene->n_images, sizeof *d->photos))) {
         mem_free(d);
         return err_set(e, ERR_MEM, "depth maps: out of memory");
     }
@@ -375,7 +375,7 @@ static void depth_fill_points(struct depth_map *d, uint32_t image, const struct 
 static enum err_code depth_unit(const float *t, size_t pixels, double *unit, struct err *e)
 {
     size_t known = 0, n = 0;
-    double *v = mem_array(DEPTH_MEDIAN_SAMPLE + 1, sizeof(*v));
+    double *v = mem_array(DEPTH_MEDIAN_SAMPLE + 1, sizeof *v);
     if (!v)
         return err_set(e, ERR_MEM, "depth maps: out of memory");
     for (size_t i = 0; i < pixels; i++)
@@ -401,7 +401,7 @@ enum err_code depth_map_target(struct depth_map *d, uint32_t image, const struct
         return ERR_OK;
     if (pixels > d->pixels) {
         mem_free(d->target);
-        d->target = mem_array(pixels, sizeof(*d->target));
+        d->target = mem_array(pixels, sizeof *d->target);
         d->pixels = d->target ? pixels : 0;
         if (!d->target)
             return err_set(e, ERR_MEM, "depth maps: out of memory for %zu pixels", pixels);

@@ -20,7 +20,7 @@ static enum err_code depth_ref_shadow(const struct gauss *g, const struct depth_
     if (rc)
         return rc;
     out->n = g->n;
-    memcpy(out->origin_enu_m, g->origin_enu_m, sizeof(g->origin_enu_m));
+    memcpy(out->origin_enu_m, g->origin_enu_m, sizeof g->origin_enu_m);
     for (size_t i = 0; i < g->n; i++) {
         double z = c->trans[2];
         gauss_copy_row(out, i, g, i);
@@ -38,7 +38,7 @@ static struct render_options depth_ref_options(const struct depth_input *in)
 {
     struct render_options o = in->options;
     o.sh_degree = 0;
-    memset(o.background, 0, sizeof(o.background));
+    memset(o.background, 0, sizeof o.background);
     return o;
 }
 
@@ -81,8 +81,8 @@ enum err_code depth_ref_grads(const struct gauss *g, const struct depth_input *i
     struct render_options o = depth_ref_options(in);
     struct gauss shadow = {0};
     size_t pixels = (size_t)in->cam->width_px * in->cam->height_px;
-    double loss, *depth = mem_array(pixels, sizeof(*depth)),
-                 *grad = mem_array(3 * pixels, sizeof(*grad));
+    double loss, *depth = mem_array(pixels, sizeof *depth),
+                 *grad = mem_array(3 * pixels, sizeof *grad);
     enum err_code rc = ERR_OK;
     if (!depth || !grad)
         rc = err_set(e, ERR_MEM, "depth_ref: %zu pixels: out of memory", pixels);

@@ -78,7 +78,7 @@ static void similarity_group(struct embed_smoothness *w, size_t sample)
         }
         w->loss[sample] += weight[b] * ((double)b - dot);
     }
-    memset(sum, 0, sizeof(sum));
+    memset(sum, 0, sizeof sum);
     for (size_t a = n; a-- > 0;)
         for (size_t c = 0; c < in->len; c++) {
             grad[a * in->len + c] -= (float)sum[c];
@@ -99,7 +99,7 @@ static enum err_code similarity_chunk(void *user, size_t chunk, struct err *e)
 static enum err_code similarity_draw(struct embed_smoothness *w, struct err *e)
 {
     const struct embed_smoothness_input *in = &w->in;
-    uint32_t *all = mem_array(in->n, sizeof(*all));
+    uint32_t *all = mem_array(in->n, sizeof *all);
     if (!all)
         return err_set(e, ERR_MEM, "similarity: out of memory for %zu Gaussians", in->n);
     for (size_t i = 0; i < in->n; i++)
@@ -114,8 +114,8 @@ static enum err_code similarity_draw(struct embed_smoothness *w, struct err *e)
 static enum err_code similarity_index(struct embed_smoothness *w, struct err *e)
 {
     size_t n = w->in.n;
-    w->first = mem_array(n + 2, sizeof(*w->first));
-    w->part = mem_array(w->samples * w->k, sizeof(*w->part));
+    w->first = mem_array(n + 2, sizeof *w->first);
+    w->part = mem_array(w->samples * w->k, sizeof *w->part);
     if (!w->first || !w->part)
         return err_set(e, ERR_MEM, "similarity: out of memory for %zu Gaussians", n);
     for (size_t s = 0; s < w->samples; s++)
@@ -134,7 +134,7 @@ void embed_smoothness_rows(const struct embed_smoothness *w, size_t first, size_
                            float *grad)
 {
     const struct embed_smoothness_input *in = &w->in;
-    memset(grad, 0, count * in->len * sizeof(*grad));
+    memset(grad, 0, count * in->len * sizeof *grad);
     for (size_t i = first; w->first && i < first + count; i++, grad += in->len) {
         double unit[SIMILARITY_EMBED_MAX], sum[SIMILARITY_EMBED_MAX] = {0}, along = 0.0;
         if (w->first[i] == w->first[i + 1])
@@ -175,17 +175,17 @@ static enum err_code similarity_groups(struct embed_smoothness *w, struct err *e
     if (w->samples > UINT32_MAX / w->k)
         return err_set(e, ERR_LIMIT, "similarity: %zu groups of %zu are more than 2^32", w->samples,
                        w->k);
-    w->chosen = mem_array(w->samples, sizeof(*w->chosen));
+    w->chosen = mem_array(w->samples, sizeof *w->chosen);
     enum err_code rc =
         w->chosen ? similarity_draw(w, e) : err_set(e, ERR_MEM, "similarity: out of memory");
     if (!rc)
         rc = knn_build(in->mean_m, in->n, &w->tree, e);
     if (rc)
         return rc;
-    w->ids = mem_array(w->samples * w->k, sizeof(*w->ids));
-    w->grad = mem_array(w->samples * w->k, in->len * sizeof(*w->grad));
-    w->loss = mem_array(w->samples, sizeof(*w->loss));
-    w->found = mem_array(w->samples, sizeof(*w->found));
+    w->ids = mem_array(w->samples * w->k, sizeof *w->ids);
+    w->grad = mem_array(w->samples * w->k, in->len * sizeof *w->grad);
+    w->loss = mem_array(w->samples, sizeof *w->loss);
+    w->found = mem_array(w->samples, sizeof *w->found);
     if (!w->ids || !w->grad || !w->loss || !w->found)
         return err_set(e, ERR_MEM, "similarity: out of memory for %zu groups", w->samples);
     rc =
@@ -205,7 +205,7 @@ enum err_code embed_smoothness_open(const struct embed_smoothness_input *in,
             e, ERR_ARG,
             "similarity: %zu neighbours, embeddings of %zu: 2 to %d, 1 to %d are possible",
             in->neighbours, in->len, KNN_MAX, SIMILARITY_EMBED_MAX);
-    struct embed_smoothness *w = mem_array(1, sizeof(*w));
+    struct embed_smoothness *w = mem_array(1, sizeof *w);
     if (!w)
         return err_set(e, ERR_MEM, "similarity: out of memory");
     w->in = *in;

@@ -41,7 +41,7 @@ enum err_code embed_smoothness_step_open(struct dev *dev, struct embed_smoothnes
                                          struct err *e)
 {
     const struct dev_source source = {"loss/embed_smoothness.cl", embed_smoothness_cl};
-    struct embed_smoothness_step *s = mem_array(1, sizeof(*s));
+    struct embed_smoothness_step *s = mem_array(1, sizeof *s);
     *out = NULL;
     if (!s)
         return err_set(e, ERR_MEM, "similarity: out of memory");
@@ -76,7 +76,7 @@ static enum err_code similarity_add(struct embed_smoothness_step *s, const struc
     cl_uint from = (cl_uint)row, n = (cl_uint)count, planes = m->planes, len = s->len,
             at = m->planes - len;
     cl_float k1 = (1.0f - adam->beta1) / adam->beta1, k2 = (1.0f - adam->beta2) / adam->beta2;
-    enum err_code rc = dev_write(s->dev, s->rows, 0, count * len * sizeof(*grad), grad, e);
+    enum err_code rc = dev_write(s->dev, s->rows, 0, count * len * sizeof *grad, grad, e);
     cl_int bad = dev_arg(s->add, 0, s->rows);
     bad |= dev_arg(s->add, 1, from);
     bad |= dev_arg(s->add, 2, n);
@@ -98,7 +98,7 @@ static enum err_code similarity_run(struct embed_smoothness_step *s, const struc
                                     struct err *e)
 {
     struct embed_smoothness *w = NULL;
-    float *grad = mem_array(SIMILARITY_PIECE, in->len * sizeof(*grad));
+    float *grad = mem_array(SIMILARITY_PIECE, in->len * sizeof *grad);
     enum err_code rc = grad ? similarity_reserve(s, (uint32_t)in->len, e)
                             : err_set(e, ERR_MEM, "similarity: out of memory");
     if (!rc)
@@ -128,7 +128,7 @@ enum err_code embed_smoothness_step_run(struct embed_smoothness_step *s,
         return ERR_OK;
     if (!(adam->beta1 > 0.0f) || !(adam->beta2 > 0.0f))
         return err_set(e, ERR_ARG, "similarity: Adam without momentum has no place for it");
-    float *mean = mem_array(n, 3 * sizeof(*mean));
+    float *mean = mem_array(n, 3 * sizeof *mean);
     enum err_code rc = mean ? dev_map(s->dev, m->params, CL_MAP_READ,
                                       permute_floats(n, m->planes) * sizeof(float), &params, e)
                             : err_set(e, ERR_MEM, "similarity: out of memory for %zu Gaussians", n);

@@ -127,7 +127,7 @@ enum err_code knn_build(const float *xyz, size_t n, struct knn *out, struct err 
     *out = (struct knn){.n = n};
     if (n >= UINT32_MAX)
         return err_set(e, ERR_LIMIT, "%zu points are more than the neighbour search counts", n);
-    out->points = mem_array(n, sizeof(*out->points));
+    out->points = mem_array(n, sizeof *out->points);
     out->axis = mem_array(n, 1);
     if (!out->points || !out->axis) {
         knn_free(out);

@@ -103,15 +103,15 @@ static enum err_code lpips_pack(struct lpips *l, struct lpips_layer *y, const fl
     size_t groups = (cout + LPIPS_GROUP - 1) / LPIPS_GROUP, n = groups * taps * LPIPS_GROUP;
     float *packed = mem_array(n, sizeof *packed), *b = mem_array(groups * LPIPS_GROUP, sizeof *b);
     enum err_code rc = packed && b ? ERR_OK : err_set(e, ERR_MEM, "lpips: out of memory");
-    for (size_t o = 0; rc == ERR_OK && o < cout; o++) {
+    for (size_t o = 0; !rc && o < cout; o++) {
         for (size_t i = 0; i < taps; i++)
             packed[(o / LPIPS_GROUP * taps + i) * LPIPS_GROUP + o % LPIPS_GROUP] =
                 weights[o * taps + i];
         b[o] = bias[o];
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_buffer(l->dev, n * sizeof *packed, packed, &y->weights, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_buffer(l->dev, groups * LPIPS_GROUP * sizeof *b, b, &y->bias, e);
     mem_free(packed);
     mem_free(b);
@@ -138,7 +138,7 @@ static enum err_code lpips_load_layer(struct lpips *l, const struct tensors *t,
     y->cout = (int)w->shape[0];
     l->n_layers++;
     enum err_code rc = lpips_pack(l, y, w->data, b->data, e);
-    if (rc != ERR_OK || !plan->tap)
+    if (rc || !plan->tap)
         return rc;
     const struct tensor *lin = lpips_find_lin(t, tap);
     if (!lin || lin->count != w->shape[0])
@@ -157,7 +157,7 @@ static enum err_code lpips_load(struct lpips *l, const struct tensors *t, struct
     const struct lpips_plan *plan = l->is_vgg ? lpips_vgg : lpips_alex;
     size_t n =
         l->is_vgg ? sizeof lpips_vgg / sizeof *lpips_vgg : sizeof lpips_alex / sizeof *lpips_alex;
-    for (size_t i = 0; rc == ERR_OK && i < n; i++) {
+    for (size_t i = 0; !rc && i < n; i++) {
         rc = lpips_load_layer(l, t, &plan[i], cin, tap, e);
         tap += plan[i].tap;
         cin = l->layer[i].cout;
@@ -169,13 +169,13 @@ static enum err_code lpips_build(struct lpips *l, struct err *e)
 {
     const struct dev_source src = {.name = "loss/lpips.cl", .text = lpips_cl};
     enum err_code rc = dev_build(l->dev, &src, 1, "", &l->program, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_kernel(l->program, "lpips_conv", &l->conv, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_kernel(l->program, "lpips_conv_stride", &l->conv_stride, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_kernel(l->program, "lpips_pool", &l->pool, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_kernel(l->program, "lpips_distance", &l->distance, e);
     return rc;
 }
@@ -186,7 +186,7 @@ enum err_code lpips_open(struct dev *dev, const char *path, enum lpips_range ran
     struct tensors t;
     *out = NULL;
     enum err_code rc = tensors_read(path, &t, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     struct lpips *l = mem_array(1, sizeof *l);
     if (!l) {
@@ -197,11 +197,11 @@ enum err_code lpips_open(struct dev *dev, const char *path, enum lpips_range ran
     l->range = range;
     rc = lpips_load(l, &t, e);
     tensors_free(&t);
-    if (rc != ERR_OK)
+    if (rc)
         err_add(e, "%s", path);
     else
         rc = lpips_build(l, e);
-    if (rc == ERR_OK)
+    if (!rc)
         *out = l;
     else
         lpips_close(&l);
@@ -259,7 +259,7 @@ static enum err_code lpips_clear(struct lpips *l, struct lpips_map *m, size_t fl
         dev_release(&m->mem);
         m->bytes = 0;
         enum err_code rc = dev_buffer(l->dev, bytes, NULL, &m->mem, e);
-        if (rc != ERR_OK)
+        if (rc)
             return rc;
         m->bytes = bytes;
     }
@@ -315,7 +315,7 @@ static enum err_code lpips_run_pool(struct lpips *l, struct lpips_map *pair, int
 {
     int stride = 2;
     enum err_code rc = lpips_clear(l, &pair[1], lpips_map_floats(to, channels), e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     dev_arg(l->pool, 0, pair[0].mem);
     dev_arg(l->pool, 1, pair[1].mem);
@@ -341,7 +341,7 @@ static enum err_code lpips_run_conv(struct lpips *l, struct lpips_map *pair,
     size_t groups = ((size_t)y->cout + LPIPS_GROUP - 1) / LPIPS_GROUP;
     size_t vw = wide ? l->dev->vector_width : 1, blocks = ((size_t)to.w + vw - 1) / vw;
     enum err_code rc = lpips_clear(l, &pair[1], lpips_map_floats(to, y->cout), e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     dev_arg(k, 0, pair[0].mem);
     dev_arg(k, 1, y->weights);
@@ -370,9 +370,9 @@ static enum err_code lpips_compare(struct lpips *l, const struct lpips_layer *y,
     size_t n = (size_t)s.w * (size_t)s.h;
     enum err_code rc = lpips_clear(l, &l->distances, n, e);
     float *host = mem_array(n, sizeof *host);
-    if (rc == ERR_OK && !host)
+    if (!rc && !host)
         rc = err_set(e, ERR_MEM, "lpips: out of memory");
-    if (rc == ERR_OK) {
+    if (!rc) {
         dev_arg(l->distance, 0, l->map[0][0].mem);
         dev_arg(l->distance, 1, l->map[1][0].mem);
         dev_arg(l->distance, 2, y->lin);
@@ -382,10 +382,10 @@ static enum err_code lpips_compare(struct lpips *l, const struct lpips_layer *y,
         dev_arg(l->distance, 6, s.h);
         rc = dev_run(l->dev, l->distance, "lpips_distance", n, 1, e);
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_read(l->dev, l->distances.mem, 0, n * sizeof *host, host, e);
     double sum = 0.0;
-    for (size_t i = 0; rc == ERR_OK && i < n; i++)
+    for (size_t i = 0; !rc && i < n; i++)
         sum += (double)host[i];
     *out += sum / (double)n;
     mem_free(host);
@@ -407,14 +407,14 @@ static enum err_code lpips_run_layer(struct lpips *l, const struct lpips_layer *
         pooled.h + 2 * p->pad < p->k)
         return err_set(e, ERR_ARG, "lpips: the picture is too small for the network");
     enum err_code rc = ERR_OK;
-    for (size_t i = 0; rc == ERR_OK && i < 2; i++) {
+    for (size_t i = 0; !rc && i < 2; i++) {
         if (p->pool_k)
             rc = lpips_run_pool(l, l->map[i], y->cin, p, *s, pooled, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = lpips_run_conv(l, l->map[i], y, pooled, to, e);
     }
     *s = to;
-    return rc == ERR_OK && p->tap ? lpips_compare(l, y, to, out, e) : rc;
+    return !rc && p->tap ? lpips_compare(l, y, to, out, e) : rc;
 }
 
 enum err_code lpips_run(struct lpips *l, const float *rgb, const uint8_t *target,
@@ -426,9 +426,9 @@ enum err_code lpips_run(struct lpips *l, const float *rgb, const uint8_t *target
     if (!width_px || !height_px || width_px > INT16_MAX || height_px > INT16_MAX)
         return err_set(e, ERR_ARG, "lpips: impossible picture of %u x %u px", width_px, height_px);
     enum err_code rc = lpips_upload(l, &l->map[0][0], rgb, NULL, mask, s, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = lpips_upload(l, &l->map[1][0], NULL, target, mask, s, e);
-    for (size_t i = 0; rc == ERR_OK && i < l->n_layers; i++)
+    for (size_t i = 0; !rc && i < l->n_layers; i++)
         rc = lpips_run_layer(l, &l->layer[i], &s, out, e);
     return rc;
 }

@@ -35,7 +35,7 @@ enum err_code metric_psnr(const float *rgb, const uint8_t *target, const uint8_t
                           uint32_t width_px, uint32_t height_px, double *out_db, struct err *e)
 {
     enum err_code rc = check_size("metric_psnr", width_px, height_px, 1, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     size_t n = (size_t)width_px * height_px;
     double sum = 0;
@@ -55,7 +55,7 @@ enum err_code metric_ssim(const float *rgb, const uint8_t *target, const uint8_t
     size_t border = window == METRIC_VALID ? BORDER_PX : 0;
     enum err_code rc =
         check_size("metric_ssim", width_px, height_px, (uint32_t)(2 * border + 1), e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     size_t w = width_px, h = height_px, n = w * h;
     double *block = mem_array(n, (photometric_ref_scratch_planes() + 3) * sizeof *block);
@@ -126,7 +126,7 @@ enum err_code metric_gmsd(const float *rgb, const uint8_t *target, const uint8_t
                           uint32_t width_px, uint32_t height_px, double *out, struct err *e)
 {
     enum err_code rc = check_size("metric_gmsd", width_px, height_px, GMSD_LEAST_PX, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     size_t w = width_px, h = height_px, n = w * h, w2 = (w + 1) / 2, h2 = (h + 1) / 2, n2 = w2 * h2;
     double *block = mem_array(2 * n + 3 * n2, sizeof *block);

@@ -57,7 +57,7 @@ void mip_close(struct mip **p)
 enum err_code mip_open(struct dev *dev, struct mip **out, struct err *e)
 {
     const struct dev_source sources[] = {{"loss/lanes.cl", lanes_cl}, {"loss/mip.cl", mip_cl}};
-    struct mip *m = mem_array(1, sizeof(*m));
+    struct mip *m = mem_array(1, sizeof *m);
     *out = NULL;
     if (!m)
         return err_set(e, ERR_MEM, "mip: out of memory");
@@ -87,7 +87,7 @@ static double mip_focal(const struct camera *cams, size_t n)
 static enum err_code mip_upload(struct mip *m, const struct camera *cams, size_t n,
                                 const double origin[3], struct err *e)
 {
-    struct mip_camera *host = mem_array(n, sizeof(*host));
+    struct mip_camera *host = mem_array(n, sizeof *host);
     enum err_code rc = ERR_OK;
     if (!host)
         return err_set(e, ERR_MEM, "mip: out of memory for %zu cameras", n);
@@ -108,11 +108,11 @@ static enum err_code mip_upload(struct mip *m, const struct camera *cams, size_t
     if (m->n_cameras < n) {
         dev_release(&m->cameras);
         m->n_cameras = 0;
-        rc = dev_buffer(m->dev, n * sizeof(*host), NULL, &m->cameras, e);
+        rc = dev_buffer(m->dev, n * sizeof *host, NULL, &m->cameras, e);
         m->n_cameras = rc ? 0 : n;
     }
     if (!rc)
-        rc = dev_write(m->dev, m->cameras, 0, n * sizeof(*host), host, e);
+        rc = dev_write(m->dev, m->cameras, 0, n * sizeof *host, host, e);
     mem_free(host);
     return rc;
 }
@@ -200,7 +200,7 @@ void mip_fold_grad(double f, const double scale_log[3], double opacity_logit, do
                    double *g_opacity)
 {
     double folded[3], logit = opacity_logit;
-    memcpy(folded, scale_log, sizeof(folded));
+    memcpy(folded, scale_log, sizeof folded);
     mip_fold_one(f, folded, &logit);
     /* q = dL/d ln(opacity after folding) */
     double q = *g_opacity * (1.0 + exp(logit));

@@ -40,11 +40,11 @@ enum err_code photometric_open(struct dev *dev, struct photometric **out, struct
     l->dev = dev;
     l->wide = dev->vector_width > 1;
     rc = dev_build(dev, &source, 1, NULL, &l->program, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_kernel(l->program, "photometric_forward", &l->forward, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_kernel(l->program, "photometric_backward", &l->backward, e);
-    if (rc != ERR_OK)
+    if (rc)
         photometric_close(&l);
     *out = l;
     return rc;
@@ -102,7 +102,7 @@ static enum err_code photometric_reserve(struct photometric *l, uint32_t w, uint
         dev_release(&l->maps);
         l->maps_bytes = 0;
         rc = dev_buffer(l->dev, maps_bytes, NULL, &l->maps, e);
-        if (rc != ERR_OK)
+        if (rc)
             return err_add(e, "photometric_run: maps of %u x %u px", w, h);
         l->maps_bytes = maps_bytes;
     }
@@ -114,12 +114,12 @@ static enum err_code photometric_reserve(struct photometric *l, uint32_t w, uint
         if (!l->host_parts)
             return err_set(e, ERR_MEM, "photometric_run: out of memory");
         rc = dev_buffer(l->dev, parts_bytes, NULL, &l->parts, e);
-        if (rc != ERR_OK)
+        if (rc)
             return err_add(e, "photometric_run: partial sums of %u x %u px", w, h);
         l->parts_bytes = parts_bytes;
     }
     rc = dev_zero(l->dev, l->maps, 0, maps_bytes, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         l->width_px = w;
         l->height_px = h;
     }
@@ -138,7 +138,7 @@ enum err_code photometric_run(struct photometric *l, const struct photometric_in
                        "photometric_run: no room on the device for the gradient of %u x %u px", w,
                        h);
     enum err_code rc = photometric_reserve(l, w, h, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     cl_int wi = (cl_int)w, hi = (cl_int)h, pitch = (cl_int)pitch_of(w);
     cl_int has_mask = in->mask != NULL, with_ssim = in->ssim_weight != 0;
@@ -172,7 +172,7 @@ enum err_code photometric_run(struct photometric *l, const struct photometric_in
         return err_set(e, ERR_DEVICE, "photometric_run: arguments: %s", dev_error_name(bad));
     size_t local, groups = groups_of(l, w, h, &local);
     rc = dev_run(l->dev, l->forward, "photometric_forward", groups * local, local, e);
-    if (rc == ERR_OK && !in->value_only)
+    if (!rc && !in->value_only)
         rc = dev_run(l->dev, l->backward, "photometric_backward", groups * local, local, e);
     return rc;
 }
@@ -185,7 +185,7 @@ enum err_code photometric_read(struct photometric *l, struct photometric_value *
     size_t local, items = groups_of(l, l->width_px, l->height_px, &local);
     enum err_code rc =
         dev_read(l->dev, l->parts, 0, items * PARTS * sizeof(float), l->host_parts, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     double sum[3] = {0};
     for (size_t i = 0; i < items; i++)

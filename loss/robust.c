@@ -42,7 +42,7 @@ void robust_mask(const float *color, const uint8_t *px, uint32_t width_px, uint3
         used += out[i] != 0;
     }
     float median = robust_median(bin, used);
-    memset(bin, 0, sizeof(bin));
+    memset(bin, 0, sizeof bin);
     for (size_t i = 0; i < n; i++)
         bin[robust_bin(fabsf(scratch[i] - median))] += out[i] != 0;
     float limit = median + ROBUST_OUTLIER * robust_median(bin, used);

@@ -37,7 +37,7 @@ void scale_loss_close(struct scale_loss **p)
     if (!s)
         return;
     cl_kernel kernels[] = {s->count, s->grad};
-    for (size_t i = 0; i < sizeof(kernels) / sizeof(kernels[0]); i++)
+    for (size_t i = 0; i < sizeof kernels / sizeof kernels[0]; i++)
         if (kernels[i])
             clReleaseKernel(kernels[i]);
     if (s->program)
@@ -51,7 +51,7 @@ enum err_code scale_loss_open(struct dev *dev, struct scale_loss **out, struct e
 {
     const struct dev_source sources[] = {{"loss/lanes.cl", lanes_cl},
                                          {"loss/scale_loss.cl", scale_loss_cl}};
-    struct scale_loss *s = mem_array(1, sizeof(*s));
+    struct scale_loss *s = mem_array(1, sizeof *s);
     *out = NULL;
     if (!s)
         return err_set(e, ERR_MEM, "scale_loss: out of memory");
@@ -105,7 +105,7 @@ enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out
     struct {
         double n, m, size, ratio;
     } t = {0};
-    enum err_code rc = dev_read(s->dev, s->pieces, 0, sizeof(pieces), pieces, e);
+    enum err_code rc = dev_read(s->dev, s->pieces, 0, sizeof pieces, pieces, e);
     if (rc)
         return rc;
     for (size_t i = 0; i < SCALE_PIECES; i++) {

@@ -128,7 +128,7 @@ struct frame_arg {
 };
 #define FRAME_ARG(v)                                                                               \
     {                                                                                              \
-        sizeof(v), &(v)                                                                            \
+        sizeof v, &(v)                                                                             \
     }
 #define FRAME_ARGS(...)                                                                            \
     (const struct frame_arg[]){__VA_ARGS__},                                                       \

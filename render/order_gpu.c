@@ -49,9 +49,9 @@ enum err_code order_gpu_open(struct dev *dev, struct order_gpu **out, struct err
                    {"radix_scatter", &o->radix_scatter}, {"bin_pairs", &o->bin_pairs},
                    {"bin_gather", &o->bin_gather}};
     enum err_code rc = dev_build(dev, &source, 1, NULL, &o->program, e);
-    for (size_t i = 0; rc == ERR_OK && i < sizeof kernels / sizeof *kernels; i++)
+    for (size_t i = 0; !rc && i < sizeof kernels / sizeof *kernels; i++)
         rc = dev_kernel(o->program, kernels[i].name, kernels[i].to, e);
-    if (rc == ERR_OK)
+    if (!rc)
         *out = o;
     else
         order_gpu_close(&o);
@@ -97,9 +97,9 @@ static enum err_code order_sums(struct render *r, cl_uint ordered, cl_mem out, s
                                             FRAME_ARG(ordered), FRAME_ARG(n), FRAME_ARG(r->counts),
                                             FRAME_ARG(o->sums.mem)),
                                  items, LAYOUT_ORDER_ITEMS, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = order_scan(r, blocks, ordered ? 0 : LAYOUT_TOTAL_ENTRIES, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_run(r, o->sum_apply, "sum_apply",
                        FRAME_ARGS(FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->ids[0].mem),
                                   FRAME_ARG(ordered), FRAME_ARG(n), FRAME_ARG(r->counts),
@@ -122,10 +122,10 @@ static enum err_code order_pass(struct render *r, const struct order_pass *p, st
         FRAME_ARGS(FRAME_ARG(p->keys), FRAME_ARG(p->ordered), FRAME_ARG(p->n), FRAME_ARG(r->counts),
                    FRAME_ARG(p->shift), FRAME_ARG(p->culls), FRAME_ARG(o->sums.mem)),
         items, LAYOUT_ORDER_ITEMS, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = order_scan(r, (cl_uint)(blocks << LAYOUT_ORDER_BITS),
                         p->culls ? LAYOUT_TOTAL_VISIBLE : 0, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_run(r, o->radix_scatter, "radix_scatter",
                        FRAME_ARGS(FRAME_ARG(p->keys), FRAME_ARG(p->ids), FRAME_ARG(p->first),
                                   FRAME_ARG(p->ordered), FRAME_ARG(p->n), FRAME_ARG(r->counts),
@@ -141,11 +141,11 @@ enum err_code order_gpu_sort(struct render *r, struct err *e)
     size_t word = sizeof(cl_uint), lanes = (size_t)r->view.groups * LAYOUT_LANES;
     enum err_code rc =
         frame_reserve(r, &o->sums, (order_blocks(r->view.n) << LAYOUT_ORDER_BITS) * word, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_reserve(r, &o->first, lanes * word, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = order_sums(r, 0, r->slot_first.mem, e);
-    for (cl_uint pass = 0; rc == ERR_OK && pass < DEPTH_PASSES; pass++) {
+    for (cl_uint pass = 0; !rc && pass < DEPTH_PASSES; pass++) {
         size_t to = pass % 2;
         struct order_pass p = {.first = pass == 0,
                                .ordered = pass != 0,
@@ -167,14 +167,14 @@ enum err_code order_gpu_bin(struct render *r, struct err *e)
     cl_uint n = (cl_uint)r->entries, tiles = r->tiles, last = 0;
     struct frame_buffer *lists[] = {&o->tile, &o->pair[0], &o->pair[1]};
     enum err_code rc = ERR_OK;
-    for (size_t i = 0; rc == ERR_OK && i < sizeof lists / sizeof *lists; i++)
+    for (size_t i = 0; !rc && i < sizeof lists / sizeof *lists; i++)
         rc = frame_reserve(r, lists[i], (size_t)n * sizeof(cl_uint), e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = order_sums(r, 1, o->first.mem, e);
-    if (rc == ERR_OK) /* not sooner: the sums above need less, and a larger buffer begins empty */
+    if (!rc) /* not sooner: the sums above need less, and a larger buffer begins empty */
         rc =
             frame_reserve(r, &o->sums, (order_blocks(n) << LAYOUT_ORDER_BITS) * sizeof(cl_uint), e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_run(r, o->bin_pairs, "bin_pairs",
                        FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->ids[0].mem),
                                   FRAME_ARG(r->splats.mem), FRAME_ARG(r->slot_first.mem),
@@ -183,7 +183,7 @@ enum err_code order_gpu_bin(struct render *r, struct err *e)
                                   FRAME_ARG(r->pair_slot.mem)),
                        r->view.n, 64, e);
     cl_mem keys[2] = {o->tile.mem, r->pair_tile.mem};
-    for (cl_uint pass = 0; rc == ERR_OK && (pass == 0 || (tiles - 1) >> (pass * LAYOUT_ORDER_BITS));
+    for (cl_uint pass = 0; !rc && (pass == 0 || (tiles - 1) >> (pass * LAYOUT_ORDER_BITS));
          pass++) {
         struct order_pass p = {.first = pass == 0,
                                .n = n,
@@ -195,7 +195,7 @@ enum err_code order_gpu_bin(struct render *r, struct err *e)
         rc = order_pass(r, &p, e);
         last = pass % 2;
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_run(r, o->bin_gather, "bin_gather",
                        FRAME_ARGS(FRAME_ARG(n), FRAME_ARG(tiles), FRAME_ARG(keys[last]),
                                   FRAME_ARG(o->pair[last].mem), FRAME_ARG(r->pair_splat.mem),

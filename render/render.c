@@ -32,7 +32,7 @@ enum err_code frame_reserve(struct render *r, struct frame_buffer *b, size_t n_b
     dev_release(&b->mem);
     b->cap_bytes = 0;
     enum err_code rc = dev_buffer(r->dev, want, NULL, &b->mem, e);
-    if (rc == ERR_OK)
+    if (!rc)
         b->cap_bytes = want;
     return rc;
 }
@@ -80,7 +80,7 @@ static enum err_code render_build(struct render *r, struct err *e)
                    {"bin_scatter", &r->k.bin_scatter}, {"blend", &r->k.blend}};
     enum err_code rc =
         dev_build(r->dev, sources, sizeof sources / sizeof *sources, NULL, &r->program, e);
-    for (size_t i = 0; rc == ERR_OK && i < sizeof kernels / sizeof *kernels; i++)
+    for (size_t i = 0; !rc && i < sizeof kernels / sizeof *kernels; i++)
         rc = dev_kernel(r->program, kernels[i].name, kernels[i].to, e);
     return rc;
 }
@@ -95,13 +95,13 @@ enum err_code render_open(struct dev *dev, struct render **out, struct err *e)
     r->dev = dev;
     r->entry_max = UINT32_MAX - LAYOUT_TILE; /* slots are 32-bit */
     rc = render_build(r, e);
-    if (rc == ERR_OK && dev->vector_width != LAYOUT_LANES)
+    if (!rc && dev->vector_width != LAYOUT_LANES)
         rc = order_gpu_open(dev, &r->order_gpu, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_buffer(dev, sizeof(struct layout_view), NULL, &r->view_mem, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_buffer(dev, sizeof(struct layout_counts), NULL, &r->counts, e);
-    if (rc == ERR_OK)
+    if (!rc)
         *out = r;
     else
         render_close(&r);
@@ -234,7 +234,7 @@ static enum err_code frame_buffers(struct render *r, struct err *e)
                  {&r->transmit, pixels * sizeof(float)}};
     for (size_t i = 0; i < sizeof wants / sizeof *wants; i++) {
         enum err_code rc = frame_reserve(r, wants[i].b, wants[i].bytes, e);
-        if (rc != ERR_OK)
+        if (rc)
             return err_add(e, "render_forward: %u Gaussians, %u x %u px", r->view.n, r->view.width,
                            r->view.height);
     }
@@ -268,12 +268,12 @@ static enum err_code stage_sort(struct render *r, struct err *e)
                                                 FRAME_ARG(n), FRAME_ARG(pass),
                                                 FRAME_ARG(r->histogram.mem), FRAME_ARG(r->counts)),
                                      LAYOUT_SORT_CHUNKS, 1, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = frame_run(
                 r, r->k.sort_scan, "sort_scan",
                 FRAME_ARGS(FRAME_ARG(r->histogram.mem), FRAME_ARG(pass), FRAME_ARG(r->counts)), 1,
                 1, e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = frame_run(r, r->k.sort_scatter, "sort_scatter",
                            FRAME_ARGS(FRAME_ARG(keys->mem), FRAME_ARG(ids->mem),
                                       FRAME_ARG(r->tiles_of.mem), FRAME_ARG(n), FRAME_ARG(pass),
@@ -281,7 +281,7 @@ static enum err_code stage_sort(struct render *r, struct err *e)
                                       FRAME_ARG(keys_out->mem), FRAME_ARG(ids_out->mem),
                                       FRAME_ARG(r->slot_first.mem)),
                            LAYOUT_SORT_CHUNKS, 1, e);
-        if (rc != ERR_OK)
+        if (rc)
             return rc;
     }
     return ERR_OK;
@@ -292,7 +292,7 @@ static enum err_code stage_count(struct render *r, struct err *e)
 {
     struct layout_counts counts;
     enum err_code rc = dev_read(r->dev, r->counts, 0, sizeof counts, &counts, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     r->entries = counts.entries;
     r->stats.entries = counts.entries;
@@ -305,9 +305,9 @@ static enum err_code stage_count(struct render *r, struct err *e)
             (unsigned long long)counts.entries, (unsigned long long)r->entry_max);
     struct frame_buffer *lists[] = {&r->pair_tile, &r->pair_splat, &r->pair_slot, &r->entry_splat,
                                     &r->entry_slot};
-    for (size_t i = 0; rc == ERR_OK && i < sizeof lists / sizeof *lists; i++)
+    for (size_t i = 0; !rc && i < sizeof lists / sizeof *lists; i++)
         rc = frame_reserve(r, lists[i], (size_t)counts.entries * sizeof(uint32_t), e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_reserve(r, &r->hits, (size_t)counts.entries * sizeof(uint16_t), e);
     return rc;
 }
@@ -319,7 +319,7 @@ static enum err_code stage_bin(struct render *r, struct err *e)
                                  FRAME_ARGS(FRAME_ARG(r->ids[0].mem), FRAME_ARG(r->keys[0].mem),
                                             FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->counts)),
                                  LAYOUT_BIN_CHUNKS, 1, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_run(r, r->k.bin_expand, "bin_expand",
                        FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->ids[0].mem),
                                   FRAME_ARG(r->splats.mem), FRAME_ARG(r->slot_first.mem),
@@ -327,15 +327,15 @@ static enum err_code stage_bin(struct render *r, struct err *e)
                                   FRAME_ARG(r->pair_tile.mem), FRAME_ARG(r->pair_splat.mem),
                                   FRAME_ARG(r->pair_slot.mem), FRAME_ARG(r->bin_offset.mem)),
                        LAYOUT_BIN_CHUNKS, 1, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_run(r, r->k.bin_sum, "bin_sum",
                        FRAME_ARGS(FRAME_ARG(stride), FRAME_ARG(r->bin_offset.mem),
                                   FRAME_ARG(r->tile_start.mem)),
                        stride / 16, 1, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_run(r, r->k.bin_scan, "bin_scan",
                        FRAME_ARGS(FRAME_ARG(tiles), FRAME_ARG(r->tile_start.mem)), 1, 1, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_run(r, r->k.bin_scatter, "bin_scatter",
                        FRAME_ARGS(FRAME_ARG(r->counts), FRAME_ARG(cap), FRAME_ARG(stride),
                                   FRAME_ARG(r->pair_tile.mem), FRAME_ARG(r->pair_splat.mem),
@@ -364,7 +364,7 @@ static enum err_code frame_output(struct render *r, float *rgb, float *transmitt
     if (transmittance) {
         enum err_code rc =
             dev_read(r->dev, r->transmit.mem, 0, pixels * sizeof(float), transmittance, e);
-        if (rc != ERR_OK)
+        if (rc)
             return rc;
     }
     if (!rgb)
@@ -406,38 +406,38 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
     enum err_code rc = view_check(cam, e);
     r->drawn = false;
     memset(&r->stats, 0, sizeof r->stats);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     assert(m->n <= (size_t)m->groups * LAYOUT_LANES &&
            m->planes == render_planes_embed(m->sh_degree, m->embed_len));
     view_fill(r, m, cam, o, &r->view);
     r->tiles = r->view.tiles_x * r->view.tiles_y;
     rc = frame_buffers(r, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_appearance_begin(r, m, o, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_write(r->dev, r->view_mem, 0, sizeof r->view, &r->view, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = stage_project(r, m, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_clock(r, &since, &r->stats.ms_project, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = r->order_gpu ? order_gpu_sort(r, e) : stage_sort(r, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = stage_count(r, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_clock(r, &since, &r->stats.ms_sort, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = r->order_gpu ? order_gpu_bin(r, e) : stage_bin(r, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_clock(r, &since, &r->stats.ms_bin, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = stage_blend(r, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_clock(r, &since, &r->stats.ms_blend, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_output(r, rgb, transmittance, e);
-    r->drawn = rc == ERR_OK;
+    r->drawn = !rc;
     r->stats.ms_total = (clock_s() - start) * 1e3;
     return rc;
 }

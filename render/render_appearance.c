@@ -84,7 +84,7 @@ static enum err_code render_appearance_build(struct render *r, struct render_app
              l->hidden);
     enum err_code rc =
         dev_build(r->dev, sources, sizeof sources / sizeof *sources, options, &l->program, e);
-    for (size_t i = 0; rc == ERR_OK && i < n_kernels; i++)
+    for (size_t i = 0; !rc && i < n_kernels; i++)
         rc = dev_kernel(l->program, kernels[i].name, kernels[i].to, e);
     return rc;
 }
@@ -104,7 +104,7 @@ static enum err_code render_appearance_get(struct render *r, uint32_t len, uint3
     l->len = len;
     l->hidden = hidden;
     enum err_code rc = render_appearance_build(r, l, e);
-    if (rc != ERR_OK) {
+    if (rc) {
         render_appearance_free(&l);
         return rc;
     }
@@ -131,13 +131,13 @@ enum err_code render_appearance_begin(struct render *r, const struct render_mode
             hidden, m->embed_len, GAUSS_EMBED_MAX);
     size_t bytes = appearance_frame_floats(m->embed_len, hidden) * sizeof(float);
     enum err_code rc = render_appearance_get(r, m->embed_len, hidden, &r->appearance, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_reserve(r, &r->render_appearance_frame, bytes, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_reserve(r, &r->effective, (size_t)m->groups * LAYOUT_LANES * sizeof(float), e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_write(r->dev, r->render_appearance_frame.mem, 0, bytes, o->appearance_frame, e);
-    if (rc != ERR_OK)
+    if (rc)
         r->appearance = NULL;
     return rc;
 }
@@ -187,9 +187,9 @@ enum err_code render_appearance_prepare(struct render *r, const struct render_ap
     c->embed = embed;
     enum err_code rc =
         frame_reserve(r, &r->render_appearance_parts, render_appearance_rows(r) * row, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_reserve(r, &r->render_appearance_sums, row, e);
-    if (rc == ERR_OK && !wide)
+    if (!rc && !wide)
         rc = frame_reserve(r, &r->render_appearance_grad, grad, e);
     const struct frame_arg all[5] = {FRAME_ARG(r->effective.mem),
                                      FRAME_ARG(r->render_appearance_frame.mem), FRAME_ARG(c->each),
@@ -247,10 +247,10 @@ static enum err_code render_appearance_read(struct render *r, struct render_appe
                   FRAME_ARGS(FRAME_ARG(r->render_appearance_parts.mem), FRAME_ARG(rows),
                              FRAME_ARG(r->render_appearance_sums.mem)),
                   render_appearance_row(r->appearance) / r->dev->vector_width, 1, e);
-    if (rc == ERR_OK && out->frame)
+    if (!rc && out->frame)
         rc = dev_read(r->dev, r->render_appearance_sums.mem, 0, floats * sizeof(float), out->frame,
                       e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_read(r->dev, r->render_appearance_sums.mem, floats * sizeof(float), sizeof offset,
                       &offset, e);
     out->visible = r->stats.visible;
@@ -266,5 +266,5 @@ enum err_code render_appearance_finish(struct render *r, const struct render_mod
     enum err_code rc = ERR_OK;
     if (r->dev->vector_width != LAYOUT_LANES)
         rc = render_appearance_backward(r, m, grads, adam, k, c, e);
-    return rc == ERR_OK && out ? render_appearance_read(r, out, e) : rc;
+    return !rc && out ? render_appearance_read(r, out, e) : rc;
 }

@@ -63,15 +63,15 @@ static enum err_code backward_open(struct render *r, struct err *e)
     r->backward = s;
     r->backward_free = backward_release;
     enum err_code rc = dev_build(r->dev, cpu ? wide : sources, cpu ? 4 : 3, NULL, &s->program, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_kernel(s->program, "blend_backward", &s->blend, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_kernel(s->program, "project_backward", &s->grads, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_kernel(s->program, "project_step", &s->step, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_buffer(r->dev, 64, NULL, &s->unused, e);
-    if (rc != ERR_OK)
+    if (rc)
         backward_release(r);
     return rc;
 }
@@ -97,8 +97,8 @@ enum err_code render_set_color_grad(struct render *r, const float *rgb_grad, str
         return err_set(e, ERR_ARG, "render_set_color_grad: no frame was drawn");
     size_t n = (size_t)r->view.width * r->view.height;
     enum err_code rc = frame_reserve(r, &r->color_grad, picture_bytes(r), e);
-    float *planar = rc == ERR_OK ? mem_array(n, 3 * sizeof *planar) : NULL;
-    if (rc != ERR_OK)
+    float *planar = !rc ? mem_array(n, 3 * sizeof *planar) : NULL;
+    if (rc)
         return rc;
     if (!planar)
         return err_set(e, ERR_MEM, "render_set_color_grad: %zu pixels: out of memory", n);
@@ -125,7 +125,7 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
         return err_set(e, ERR_ARG, "render_backward: %u Gaussians: the last frame drew %u others",
                        m->n, r->view.n);
     enum err_code rc = backward_open(r, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     struct render_backward_state *s = r->backward;
     if (r->color_grad.cap_bytes < picture_bytes(r))
@@ -134,11 +134,11 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
     /* [entries][LAYOUT_SLOT_FLOATS], and room for one vector load */
     rc = frame_reserve(r, &r->slots,
                        ((size_t)r->entries * LAYOUT_SLOT_FLOATS + LAYOUT_LANES) * sizeof(float), e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_reserve(r, &s->marks, mark_bytes, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = dev_zero(r->dev, s->marks.mem, 0, mark_bytes, e);
-    if (rc != ERR_OK)
+    if (rc)
         return err_add(e, "render_backward: %llu pairs of splat and tile",
                        (unsigned long long)r->entries);
     size_t local = r->dev->vector_width > 1 ? 1 : LAYOUT_TILE * LAYOUT_TILE;
@@ -172,7 +172,7 @@ enum err_code render_backward_appearance(struct render *r, const struct render_m
     if (r->drawn && a && !r->appearance)
         return err_set(e, ERR_ARG, "render_backward: the last frame was drawn without appearance");
     enum err_code rc = backward_blend(r, m, 0, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     const struct render_backward_state *s = r->backward;
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
@@ -184,12 +184,11 @@ enum err_code render_backward_appearance(struct render *r, const struct render_m
         FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->slot_first.mem),
         FRAME_ARG(r->slots.mem),  FRAME_ARG(s->marks.mem),    FRAME_ARG(grads),
     };
-    if (rc == ERR_OK)
+    if (!rc)
         rc = backward_run(r, look.grads, "project_backward", args, sizeof args / sizeof *args,
                           look.args, look.n_grads, e);
-    return rc == ERR_OK && r->appearance
-               ? render_appearance_finish(r, m, grads, NULL, NULL, &look, a, e)
-               : rc;
+    return !rc && r->appearance ? render_appearance_finish(r, m, grads, NULL, NULL, &look, a, e)
+                                : rc;
 }
 
 enum err_code render_backward(struct render *r, const struct render_model *m, cl_mem grads,
@@ -252,7 +251,7 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
         d.opacity = none;
     if (r->appearance)
         rc = render_appearance_prepare(r, adam->appearance, adam_embed(adam), &look, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     adam_fill(r, adam, &lr, &k);
     r->drawn = false; /* the parameters are about to differ from what was drawn */
@@ -283,7 +282,7 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
     };
     rc = backward_run(r, look.step, "project_step", args, sizeof args / sizeof *args, look.args,
                       look.n_step, e);
-    return rc == ERR_OK && r->appearance
+    return !rc && r->appearance
                ? render_appearance_finish(r, m, NULL, adam, &k, &look, adam->appearance, e)
                : rc;
 }
@@ -306,9 +305,9 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
                        "can be had after frames with appearance only");
     double since = clock_s();
     enum err_code rc = backward_blend(r, m, stats && stats->absg, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = frame_clock(r, &since, &r->stats.ms_blend_backward, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = backward_adam(r, m, adam, stats, e);
-    return rc == ERR_OK ? frame_clock(r, &since, &r->stats.ms_project_backward, e) : rc;
+    return !rc ? frame_clock(r, &since, &r->stats.ms_project_backward, e) : rc;
 }

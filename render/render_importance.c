@@ -30,7 +30,7 @@ enum err_code render_importance_open(struct render *r, struct render_importance 
                                      {"render/importance.cl", importance_cl}};
     bool wide = r->dev->vector_width > 1;
     *out = NULL;
-    struct render_importance *s = mem_array(1, sizeof(*s));
+    struct render_importance *s = mem_array(1, sizeof *s);
     if (!s)
         return err_set(e, ERR_MEM, "render_importance_open: out of memory");
     s->render = r;
@@ -78,7 +78,7 @@ static enum err_code render_importance_tiles(struct render_importance *s, cl_mem
     cl_mem args[] = {r->view_mem,       r->splats.mem, r->tile_start.mem, r->entry_splat.mem,
                      r->entry_slot.mem, weight,        r->slots.mem};
     cl_int bad = CL_SUCCESS;
-    for (cl_uint i = 0; i < sizeof(args) / sizeof(args[0]); i++)
+    for (cl_uint i = 0; i < sizeof args / sizeof args[0]; i++)
         bad |= dev_arg(s->tiles, i, args[i]);
     if (bad)
         return err_set(e, ERR_DEVICE, "render_importance: arguments of importance_tiles");
@@ -93,7 +93,7 @@ static enum err_code render_importance_gather(struct render_importance *s, uint3
     cl_mem args[] = {r->splats.mem,     r->depth_key.mem, r->tiles_of.mem,
                      r->slot_first.mem, r->slots.mem,     s->sums.mem};
     cl_int bad = dev_arg(s->gather, 0, count);
-    for (cl_uint i = 0; i < sizeof(args) / sizeof(args[0]); i++)
+    for (cl_uint i = 0; i < sizeof args / sizeof args[0]; i++)
         bad |= dev_arg(s->gather, i + 1, args[i]);
     if (bad)
         return err_set(e, ERR_DEVICE, "render_importance: arguments of importance_gather");

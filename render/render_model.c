@@ -74,7 +74,7 @@ enum err_code render_model_write(struct render *r, struct render_model *m, size_
     float *staging = mem_array(at_once * group_floats, sizeof *staging);
     if (!staging)
         return err_set(e, ERR_MEM, "render_model_write: %zu Gaussians", g->n);
-    for (size_t at = 0; at < groups && rc == ERR_OK; at += at_once) {
+    for (size_t at = 0; at < groups && !rc; at += at_once) {
         size_t n = groups - at < at_once ? groups - at : at_once;
         memset(staging, 0, n * group_floats * sizeof *staging);
         model_pack(g, m->planes, at, n, staging);
@@ -102,9 +102,9 @@ enum err_code render_model_upload(struct render *r, const struct gauss *g, struc
     memcpy(m.origin_enu_m, g->origin_enu_m, sizeof m.origin_enu_m);
     enum err_code rc =
         dev_buffer(r->dev, (size_t)m.groups * m.planes * LANES * sizeof(float), NULL, &m.params, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render_model_write(r, &m, 0, g, e);
-    if (rc != ERR_OK)
+    if (rc)
         render_model_free(&m);
     else
         *out = m;
@@ -125,18 +125,18 @@ enum err_code render_model_download(struct render *r, const struct render_model 
                      m->sh_degree, g->sh_degree);
     else
         rc = gauss_reserve(g, m->n, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     staging = mem_array(at_once * group_floats, sizeof *staging);
     if (!staging)
         return err_set(e, ERR_MEM, "render_model_download: %u Gaussians", m->n);
     g->n = m->n;
     memcpy(g->origin_enu_m, m->origin_enu_m, sizeof g->origin_enu_m);
-    for (size_t at = 0; at < m->groups && rc == ERR_OK; at += at_once) {
+    for (size_t at = 0; at < m->groups && !rc; at += at_once) {
         size_t n = m->groups - at < at_once ? m->groups - at : at_once;
         rc = dev_read(r->dev, m->params, at * group_floats * sizeof(float),
                       n * group_floats * sizeof(float), staging, e);
-        if (rc == ERR_OK)
+        if (!rc)
             model_unpack(staging, m, at, n, g);
     }
     mem_free(staging);
@@ -178,7 +178,7 @@ enum err_code render_model_reserve(struct render *r, struct render_model *m, siz
     m->cap = m->n = m->groups = 0;
     enum err_code rc =
         dev_buffer(r->dev, cap * LANES * m->planes * sizeof(float), NULL, &m->params, e);
-    m->cap = rc == ERR_OK ? (uint32_t)(cap * LANES) : 0;
+    m->cap = !rc ? (uint32_t)(cap * LANES) : 0;
     return rc;
 }
 
@@ -209,7 +209,7 @@ static enum err_code place_mapped(struct render *r, struct placing *a, size_t n,
         return err_set(e, ERR_DEVICE, "placing %zu pieces: %s", n, dev_error_name(code));
     enum err_code rc = pool_for(n, 0, place_piece, a, e);
     code = clEnqueueUnmapMemObject(r->dev->queue, params, a->to, 0, NULL, NULL);
-    if (rc == ERR_OK && code != CL_SUCCESS)
+    if (!rc && code != CL_SUCCESS)
         rc = err_set(e, ERR_DEVICE, "placing %zu pieces: %s", n, dev_error_name(code));
     return rc;
 }
@@ -226,7 +226,7 @@ enum err_code render_model_place(struct render *r, const struct render_piece *pi
         assert((size_t)pieces[i].at + pieces[i].n_groups <= render_model_capacity(m));
     if (r->dev->is_cpu)
         return place_mapped(r, &a, n_pieces, m->params, render_model_capacity(m) * bytes, e);
-    for (size_t i = 0; rc == ERR_OK && i < n_pieces; i++)
+    for (size_t i = 0; !rc && i < n_pieces; i++)
         rc = dev_write(r->dev, m->params, pieces[i].at * bytes, pieces[i].n_groups * bytes,
                        pieces[i].groups, e);
     return rc;
@@ -242,7 +242,7 @@ enum err_code render_model_list(struct render *r, const uint32_t *groups, size_t
     dev_release(&m->list);
     if (groups)
         rc = dev_buffer(r->dev, n * sizeof *groups, groups, &m->list, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         m->groups = (uint32_t)n;
         m->n = (uint32_t)(n * LANES);
     }

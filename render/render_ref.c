@@ -301,9 +301,9 @@ enum err_code render_ref_forward(const struct gauss *g, const struct camera *cam
     struct ref_splat *splats = NULL;
     size_t n = 0;
     enum err_code rc = ref_view_init(g, cam, o, &v, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = ref_project_all(&v, g, &splats, &n, e);
-    for (size_t at = 0; rc == ERR_OK && at < (size_t)v.width * v.height; at++) {
+    for (size_t at = 0; !rc && at < (size_t)v.width * v.height; at++) {
         double px = (double)(at % v.width) + 0.5, py = (double)(at / v.width) + 0.5;
         double t = 1, sum[3] = {0, 0, 0};
         /* Front to back; the splat that brings T to the limit is still blended. */

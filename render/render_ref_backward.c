@@ -249,9 +249,9 @@ enum err_code render_ref_backward(const struct gauss *g, const struct camera *ca
     struct splat_grad *grads = NULL;
     size_t n = 0;
     enum err_code rc = ref_view_init(g, cam, o, &v, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = ref_project_all(&v, g, &splats, &n, e);
-    if (rc != ERR_OK)
+    if (rc)
         goto out;
     grads = mem_array(n, sizeof *grads);
     if (!grads) {

@@ -168,7 +168,7 @@ static enum err_code render(const struct job *j, const struct synth_photo *p,
     int ss = (int)j->cfg->supersample;
     size_t w = p->cam.width_px, h = p->cam.height_px;
     enum err_code rc = image_alloc(p->cam.width_px, p->cam.height_px, 3, out, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     float *linear = mem_array(w * h, 3 * sizeof *linear);
     if (!linear)
@@ -191,7 +191,7 @@ static enum err_code render(const struct job *j, const struct synth_photo *p,
             }
         }
     rc = blur(linear, w, h, j->cfg->lens_blur_px, e);
-    for (size_t i = 0; rc == ERR_OK && i < 3 * w * h; i++)
+    for (size_t i = 0; !rc && i < 3 * w * h; i++)
         out->px[i] = synth_shade_encode(linear[i]);
     mem_free(linear);
     return rc;
@@ -250,17 +250,17 @@ static enum err_code write_mask(const struct job *j, const struct synth_photo *p
     char path[FILE_PATH_MAX];
     struct image without = {0}, mask = {0};
     enum err_code rc = render(j, p, &p->light, NULL, &without, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = image_alloc(with->width_px, with->height_px, 1, &mask, e);
-    for (size_t i = 0; rc == ERR_OK && i < (size_t)with->width_px * with->height_px; i++)
+    for (size_t i = 0; !rc && i < (size_t)with->width_px * with->height_px; i++)
         mask.px[i] = memcmp(with->px + 3 * i, without.px + 3 * i, 3) ? 0 : 255;
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_join(path, j->dir, "masks", e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_mkdir(path, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = photo_path(j, "masks", p, ".jpg.png", path, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = image_write(path, &mask, 0, NULL, e);
     image_free(&without);
     image_free(&mask);
@@ -273,13 +273,13 @@ static enum err_code write_clean(const struct job *j, const struct synth_photo *
     struct image img = {0};
     struct synth_light light = synth_shade_light();
     enum err_code rc = render(j, p, &light, NULL, &img, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = photo_path(j, "truth/clean", p, ".png", path, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = image_write(path, &img, 0, NULL, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = photo_path(j, "truth/depth", p, ".npy", path, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = write_depth(j, p, path, e);
     image_free(&img);
     return rc;
@@ -305,17 +305,17 @@ static enum err_code photo_task(void *user, size_t i, struct err *e)
         synth_city_vehicles(j->city, i, n, cars);
         rc = synth_grid_make(cars, 2 * n, &moving, e);
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = render(j, p, &p->light, n ? &moving : NULL, &img, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = photo_gps(j, i, &gps, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = photo_path(j, "images", p, ".jpg", path, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = image_write(path, &img, 95, &gps, e);
-    if (rc == ERR_OK && n)
+    if (!rc && n)
         rc = write_mask(j, p, &img, e);
-    if (rc == ERR_OK && i % (size_t)j->cfg->test_every == 0)
+    if (!rc && i % (size_t)j->cfg->test_every == 0)
         rc = write_clean(j, p, e);
     synth_grid_free(&moving);
     mem_free(cars);
@@ -362,7 +362,7 @@ static enum err_code write_truth(const struct job *j, const struct synth_similar
     char path[FILE_PATH_MAX];
     json_t *photos = json_array(), *config = NULL;
     enum err_code rc = file_join(path, j->dir, "truth/truth.json", e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = options_to_json(synth_options(), cfg, &config, e);
     for (size_t i = 0; i < (size_t)cfg->photos; i++)
         json_array_append_new(photos,
@@ -376,9 +376,9 @@ static enum err_code write_truth(const struct job *j, const struct synth_similar
         f->scale, "rot", nums(f->rot, 9), "trans", nums(f->trans, 3), "lens", "model",
         lens_name(j->lens.model), "width", (int)cfg->width_px, "height", (int)cfg->height_px,
         "params", nums(j->lens.params, lens_param_count(j->lens.model)), "photographs", photos);
-    if (rc == ERR_OK && !root)
+    if (!rc && !root)
         rc = err_set(e, ERR_MEM, "synth: out of memory for truth.json");
-    if (rc == ERR_OK)
+    if (!rc)
         rc = jsonc_write(path, root, e);
     json_decref(root);
     return rc;
@@ -388,10 +388,10 @@ static enum err_code make_folders(const char *dir, struct err *e)
 {
     static const char *const subs[] = {"images", "truth/clean", "truth/depth"};
     enum err_code rc = ERR_OK;
-    for (size_t i = 0; i < sizeof subs / sizeof *subs && rc == ERR_OK; i++) {
+    for (size_t i = 0; i < sizeof subs / sizeof *subs && !rc; i++) {
         char path[FILE_PATH_MAX];
         rc = file_join(path, dir, subs[i], e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = file_mkdir(path, e);
     }
     return rc;
@@ -405,22 +405,22 @@ static enum err_code write_all(struct job *j, struct synth_photo *photos,
     struct synth_similarity frame = synth_model_frame(j->cfg);
     synth_flight_make(j->cfg, photos);
     enum err_code rc = make_folders(j->dir, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = rays_make(j, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = synth_model_make(j->cfg, city, photos, &frame, &model, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_join(path, j->dir, "sparse/0", e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = colmap_write_bin(path, &model, e);
-    if (rc == ERR_OK) {
+    if (!rc) {
         log_info("synth", "city solids=%zu points=%zu observations=%zu", city->n_solids,
                  model.n_points, model.n_tracks);
         progress_start(&j->progress, "photograph the city", (uint64_t)j->cfg->photos);
         rc = pool_for((size_t)j->cfg->photos, 0, photo_task, j, e);
         progress_end(&j->progress, NULL);
     }
-    if (rc == ERR_OK)
+    if (!rc)
         rc = write_truth(j, &frame, e);
     colmap_free(&model);
     return rc;
@@ -438,7 +438,7 @@ enum err_code synth_run(const struct synth_config *cfg, struct err *e)
     if (!cfg->output)
         return err_set(e, ERR_ARG, "synth: no output folder: give -o DIR");
     enum err_code rc = outdir_begin(cfg->output, "truth/truth.json", cfg->overwrite, &dir, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     photos = mem_array((size_t)cfg->photos, sizeof *photos);
     if (!photos) {
@@ -447,12 +447,12 @@ enum err_code synth_run(const struct synth_config *cfg, struct err *e)
         goto out;
     }
     rc = synth_city_make(cfg, &city, e);
-    if (rc != ERR_OK)
+    if (rc)
         goto out;
     j.photos = photos;
     j.dir = dir.part;
     rc = write_all(&j, photos, &city, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = outdir_commit(&dir, e);
 out:
     outdir_abort(&dir);

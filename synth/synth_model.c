@@ -173,7 +173,7 @@ static enum err_code point_try(struct maker *m, uint64_t k, struct err *e)
         s.y_px = v + noise_px * rng_normal(seed, SYNTH_STREAM_PIXELS, at + 1);
         error2 += (s.x_px - un) * (s.x_px - un) + (s.y_px - vn) * (s.y_px - vn);
         enum err_code rc = sighting_add(m, &s, e);
-        if (rc != ERR_OK)
+        if (rc)
             return rc;
     }
     p.n_track = m->n - p.track;
@@ -268,11 +268,11 @@ enum err_code synth_model_make(const struct synth_config *cfg, const struct synt
     m.points = mem_array((size_t)cfg->points, sizeof *m.points);
     enum err_code rc =
         m.points ? ERR_OK : err_set(e, ERR_MEM, "synth: out of memory for the points");
-    for (uint64_t k = 0; rc == ERR_OK && k < (uint64_t)cfg->points; k++)
+    for (uint64_t k = 0; !rc && k < (uint64_t)cfg->points; k++)
         rc = signals_stopping() ? err_set(e, ERR_CANCEL, "stopped") : point_try(&m, k, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = model_assemble(&m, out, e);
-    if (rc != ERR_OK)
+    if (rc)
         colmap_free(out);
     mem_free(m.points);
     mem_free(m.list);

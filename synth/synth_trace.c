@@ -96,7 +96,7 @@ enum err_code synth_grid_make(const struct synth_solid *solids, size_t n, struct
     rc = ERR_OK;
 out:
     mem_free(fill);
-    if (rc != ERR_OK) {
+    if (rc) {
         synth_grid_free(&g);
         return err_set(e, rc, "synth: out of memory for a grid of %zu cells", cells);
     }

@@ -35,7 +35,7 @@ static inline int dial(uint16_t port)
     a.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
     int fd = socket(AF_INET, SOCK_STREAM, 0);
     assert_true(fd >= 0);
-    assert_int_equal(connect(fd, (struct sockaddr *)&a, sizeof(a)), 0);
+    assert_int_equal(connect(fd, (struct sockaddr *)&a, sizeof a), 0);
     return fd;
 }
 
@@ -72,7 +72,7 @@ static const char *header(struct reply *r, const char *name)
     for (const char *p = strstr(r->head, "\r\n"); p && p[2] != '\r'; p = strstr(p + 2, "\r\n"))
         if (!strncasecmp(p + 2, name, n) && p[2 + n] == ':') {
             const char *v = p + 3 + n + strspn(p + 3 + n, " ");
-            snprintf(r->value, sizeof(r->value), "%.*s", (int)strcspn(v, "\r"), v);
+            snprintf(r->value, sizeof r->value, "%.*s", (int)strcspn(v, "\r"), v);
         }
     return r->value;
 }
@@ -84,7 +84,7 @@ static inline bool hear_some(int fd, struct buf *b, double wait_s)
     char bytes[65536];
     if (poll(&p, 1, (int)(wait_s * 1000)) != 1)
         return true;
-    ssize_t n = recv(fd, bytes, sizeof(bytes), 0);
+    ssize_t n = recv(fd, bytes, sizeof bytes, 0);
     if (n > 0)
         buf_add(b, bytes, (size_t)n);
     return n > 0;
@@ -94,10 +94,10 @@ static inline bool hear_some(int fd, struct buf *b, double wait_s)
 static inline void hear(int fd, bool has_body, struct buf *rest, struct reply *r)
 {
     double end_s = clock_s() + PATIENCE_S;
-    memset(r, 0, sizeof(*r));
+    memset(r, 0, sizeof *r);
     if (rest) {
         r->raw = *rest;
-        memset(rest, 0, sizeof(*rest));
+        memset(rest, 0, sizeof *rest);
     }
     for (bool open = true;;) {
         buf_add(&r->raw, "", 1); /* so that text functions stop */
@@ -167,7 +167,7 @@ static inline void start(void)
     const char *colon = strrchr(server_url(t.server), ':');
     t.port = (uint16_t)atoi(colon + 1);
     struct catalog *c = services_catalog(server_services(t.server));
-    memcpy(t.rev, c->ds[0]->meta.revision, sizeof(t.rev));
+    memcpy(t.rev, c->ds[0]->meta.revision, sizeof t.rev);
     catalog_drop(&c);
 }
 

@@ -49,8 +49,8 @@ static inline void served_city(const char *path, const char *name, size_t n)
                               .sh_degree = 1,
                               .zoom_min = SERVED_ZOOM_MIN,
                               .zoom_max = SERVED_ZOOM_MAX};
-    snprintf(meta.name, sizeof(meta.name), "%s", name);
-    snprintf(meta.attribution, sizeof(meta.attribution), "a test");
+    snprintf(meta.name, sizeof meta.name, "%s", name);
+    snprintf(meta.attribution, sizeof meta.attribution, "a test");
     kit_ok(store_create(path, &meta, &s, &e), e);
     for (uint8_t z = SERVED_ZOOM_MIN; z <= SERVED_ZOOM_MAX; z++)
         served_put(s, served_key(z), n);
@@ -92,7 +92,7 @@ static inline void served_config(struct server_config *cfg, struct arena *arena)
 #undef OPT
     };
     const struct options_spec spec = {
-        .command = "serve", .defs = defs, .n_defs = sizeof(defs) / sizeof(*defs)};
+        .command = "serve", .defs = defs, .n_defs = sizeof defs / sizeof *defs};
     struct err e = {0};
     kit_ok(options_defaults(&spec, cfg, arena, &e), e);
     cfg->port = 0;

@@ -162,7 +162,7 @@ static void embedding_of(const json_t *o, float out[IMAGE])
 /* sum of weights of unit embeddings, in double */
 static void blend(const size_t *row, const double *weight, size_t n, double out[IMAGE])
 {
-    memset(out, 0, IMAGE * sizeof(*out));
+    memset(out, 0, IMAGE * sizeof *out);
     for (size_t k = 0; k < n; k++) {
         float unit[APPEARANCE_IMAGE_MAX];
         bake_unit(&t.model, row[k], unit);
@@ -264,7 +264,7 @@ static void blends_and_posted_mixes_are_the_same_embedding(void **state)
     assert_int_equal(text_of(o, "appearance")[0], '=');
     linked = get_json(href(o, "self", target));
     embedding_of(linked, again);
-    assert_memory_equal(first, again, sizeof(first));
+    assert_memory_equal(first, again, sizeof first);
     json_decref(linked);
     json_decref(o);
     buf_free(&body);
@@ -278,8 +278,8 @@ static void tile_in(const char *query, char etag[BODY_ETAG_SIZE], struct gauss *
     struct ply_info info;
     const struct key k = served_key(17);
     const struct dataset *d = catalog_find(t.s.catalog, "lit", "");
-    snprintf(target, sizeof(target), "/d/lit/r/%s/t/%u/%u/%u.ply%s", d->meta.revision, k.z, k.x,
-             k.y, query);
+    snprintf(target, sizeof target, "/d/lit/r/%s/t/%u/%u/%u.ply%s", d->meta.revision, k.z, k.x, k.y,
+             query);
     struct response r = get(target, 200);
     memcpy(etag, r.etag, BODY_ETAG_SIZE);
     kit_ok(ply_decode(r.data, r.size, NULL, out, &info, &e), e);
@@ -322,20 +322,20 @@ static void tilesets_and_prefetch_lists_carry_the_look(void **state)
     const struct key k = served_key(17);
     static const char query[] = "?preset=preview&sh=0&appearance=roof%2050%25%26=%2B%C3%A9.jpg";
     for (int moving = 0; moving < 2; moving++) {
-        snprintf(target, sizeof(target), "/d/lit/%s%s%stileset.json%s", moving ? "" : "r/",
+        snprintf(target, sizeof target, "/d/lit/%s%s%stileset.json%s", moving ? "" : "r/",
                  moving ? "" : d->meta.revision, moving ? "" : "/", query);
         struct response r = get(target, 200);
-        snprintf(want, sizeof(want), "\"%s%s%st/%u/%u/%u.glb%s\"", moving ? "r/" : "",
+        snprintf(want, sizeof want, "\"%s%s%st/%u/%u/%u.glb%s\"", moving ? "r/" : "",
                  moving ? d->meta.revision : "", moving ? "/" : "", k.z, k.x, k.y, query);
         if (!says(&r, want))
             fail_msg("%s lacks %s: %.*s", target, want, (int)r.size, (const char *)r.data);
         response_free(&r);
     }
-    snprintf(target, sizeof(target), "/d/lit/seed.ndjson?f=spz&appearance=p1.jpg");
+    snprintf(target, sizeof target, "/d/lit/seed.ndjson?f=spz&appearance=p1.jpg");
     struct response r = get(target, 200);
     json_t *line = json_loadb((const char *)r.data, r.size, JSON_DISABLE_EOF_CHECK, NULL);
     assert_non_null(line);
-    snprintf(target, sizeof(target), "/d/lit/%s", text_of(line, "url"));
+    snprintf(target, sizeof target, "/d/lit/%s", text_of(line, "url"));
     struct response tile = get(target, 200);
     assert_string_equal(tile.etag, text_of(line, "etag"));
     assert_non_null(strstr(target, ".spz?appearance=p1.jpg"));
@@ -381,14 +381,14 @@ static void what_is_no_look_is_a_clear_answer(void **state)
         {METHOD_POST, "/d/plain/appearances:mix", "{\"embedding\":[1]}", 404, "without appearance"},
         {METHOD_GET, "/d/lit/appearances:mix", NULL, 405, "method"},
     };
-    for (size_t i = 0; i < sizeof(rows) / sizeof(*rows); i++) {
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct response r = ask(rows[i].method, rows[i].target, rows[i].body);
         if (r.status != rows[i].status || !says(&r, rows[i].says))
             fail_msg("%s %s: %d (%d wanted) %.*s", rows[i].target, rows[i].body ? rows[i].body : "",
                      r.status, rows[i].status, (int)r.size, (const char *)r.data);
         response_free(&r);
     }
-    int n = snprintf(target, sizeof(target), "/d/lit/appearance?appearance=");
+    int n = snprintf(target, sizeof target, "/d/lit/appearance?appearance=");
     memset(target + n, 'a', TARGET_APPEARANCE_MAX);
     target[n + TARGET_APPEARANCE_MAX] = '\0';
     struct response r = get(target, 400);

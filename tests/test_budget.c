@@ -132,7 +132,7 @@ static void presets_are_the_published_table(void **state)
         {"configs/train-bigcity.jsonc", {204800, 819200, 2048000}, {300, 200, 100}, {4, 2, 1}},
     };
     static const uint32_t steps[3] = {15000, 15000, 30000};
-    for (size_t k = 0; k < sizeof(table) / sizeof(table[0]); k++) {
+    for (size_t k = 0; k < sizeof table / sizeof table[0]; k++) {
         struct err e = {0};
         struct arena a = {0};
         struct train_config c;
@@ -140,7 +140,7 @@ static void presets_are_the_published_table(void **state)
         struct schedule s[TRAIN_LEVELS_MAX];
         struct cell cell = {.id = "all", .whole = true, .edge_m = 100.0, .extent_m = 60.0};
         char train[] = "train", config[] = "--config", file[64], scene[] = "scene";
-        snprintf(file, sizeof(file), "%s", table[k].file);
+        snprintf(file, sizeof file, "%s", table[k].file);
         char *argv[] = {train, scene, config, file, NULL};
         kit_ok(options_parse(train_options(), 4, argv, &c, &args, &a, &e), e);
         kit_ok(schedule_make(&c, 600, &cell, s, &e), e);

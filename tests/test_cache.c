@@ -12,7 +12,7 @@
 
 static struct hash128 key_of(uint64_t i)
 {
-    return hash_bytes(&i, sizeof(i));
+    return hash_bytes(&i, sizeof i);
 }
 
 /* A body of `size` bytes that all say `i`. */
@@ -178,7 +178,7 @@ static void test_etag(void **state)
         *(bit < 64 ? &h.lo : &h.hi) = (uint64_t)1 << (bit & 63);
         body_etag(h, b);
         assert_string_not_equal(a, b);
-        memcpy(a, b, sizeof(a));
+        memcpy(a, b, sizeof a);
     }
 }
 
@@ -208,7 +208,7 @@ static void test_memory_failures(void **state)
         mem_fail_at(k);
         enum err_code rc = cache_open(1 << 20, &c, &e);
         mem_fail_at(0);
-        if (rc == ERR_OK) {
+        if (!rc) {
             cache_close(&c);
             assert_true(k > 16);
             return;

@@ -117,7 +117,7 @@ static enum err_code parse(const char *text, struct camera *c, struct err *e)
 {
     json_t *o = NULL;
     enum err_code rc = jsonc_parse(text, strlen(text), "test", &o, e);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = camera_from_json(o, c, e);
     json_decref(o);
     return rc;

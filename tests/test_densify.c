@@ -325,7 +325,7 @@ static void the_threshold_rises_outside_the_cell(void **state)
         float grad;
         size_t candidates;
     } want[] = {{0.49f, 0}, {0.51f, 1}, {1.24f, 1}, {1.26f, 2}, {1.99f, 2}, {2.01f, 3}};
-    for (size_t k = 0; k < sizeof(want) / sizeof(want[0]); k++) {
+    for (size_t k = 0; k < sizeof want / sizeof want[0]; k++) {
         struct densify_plan plan;
         for (size_t i = 0; i < 3; i++)
             t.grad[i] = want[k].grad;
@@ -486,14 +486,14 @@ static void the_draw_has_no_limit_at_two_to_the_24(void **state)
     (void)state;
     struct err e = {0};
     const size_t n = 20 * 1000 * 1000, k = 12345;
-    uint32_t *ids = mem_array(n, sizeof(*ids)), *chosen = mem_array(k, sizeof(*chosen));
-    float *score = mem_array(n, sizeof(*score));
+    uint32_t *ids = mem_array(n, sizeof *ids), *chosen = mem_array(k, sizeof *chosen);
+    float *score = mem_array(n, sizeof *score);
     assert_true(ids && chosen && score);
     for (size_t i = 0; i < n; i++) {
         ids[i] = (uint32_t)i;
         score[i] = 1.0f + (float)(i % 7);
     }
-    memset(chosen, 0xff, k * sizeof(*chosen));
+    memset(chosen, 0xff, k * sizeof *chosen);
     kit_ok(sample_race(score, ids, n, k, 1, 1, chosen, &e), e);
     size_t beyond = 0, different = 0;
     for (size_t j = 0; j < k; j++) {
@@ -532,7 +532,7 @@ static void importance_parts_survive_constant_and_empty_input(void **state)
     const float rows[6] = {8.0f, 1.0f, 8.0f, 2.0f, 8.0f, 4.0f};
     kit_ok(importance_inverse_median(rows + 1, 3, 2, &inverse, &e), e); /* of a column */
     assert_true(inverse == 0.5f);
-    memset(grey, 77, sizeof(grey));
+    memset(grey, 77, sizeof grey);
     importance_edges(grey, 4, 5, luma, edges);
     for (int i = 0; i < 20; i++)
         assert_true(edges[i] == 0.0f);

@@ -166,7 +166,7 @@ static void similarity_is_its_definition_and_derivative(void **state)
         s.embed[i] = (float)(1 + i % ALIKE_LEN);
     kit_ok(loss_now(&s.in, &loss, grad, &e), e);
     assert_true(fabs(loss) < 1e-7);
-    memset(s.embed, 0, sizeof(s.embed)); /* no direction: finite all the same */
+    memset(s.embed, 0, sizeof s.embed); /* no direction: finite all the same */
     kit_ok(loss_now(&s.in, &loss, grad, &e), e);
     for (size_t i = 0; i < ALIKE * ALIKE_LEN; i++)
         assert_true(isfinite(grad[i]));
@@ -260,15 +260,15 @@ static void gradients_enter_the_moments(void **state)
     double loss, again;
     alike_make(&s, 20);
     kit_gauss(5, ALIKE, 10.0, 1, ALIKE_LEN, &g);
-    memcpy(g.mean_m, s.mean_m, sizeof(s.mean_m));
-    memcpy(g.embed, s.embed, sizeof(s.embed));
+    memcpy(g.mean_m, s.mean_m, sizeof s.mean_m);
+    memcpy(g.embed, s.embed, sizeof s.embed);
     kit_ok(loss_now(&s.in, &loss, grad, &e), e);
     kit_ok(dev_open(NULL, &dev, &e), e);
     kit_ok(render_open(&dev, &r, &e), e);
     kit_ok(render_model_upload(r, &g, &m, &e), e);
     size_t floats = (size_t)m.groups * m.planes * 16;
-    float *before = mem_array(2 * floats, sizeof(*before)),
-          *after = mem_array(2 * floats, sizeof(*after));
+    float *before = mem_array(2 * floats, sizeof *before),
+          *after = mem_array(2 * floats, sizeof *after);
     assert_true(before && after);
     for (size_t i = 0; i < 2 * floats; i++)
         before[i] = (float)(1e-3 * rng_unit(72, 1, i));

@@ -102,7 +102,7 @@ static void test_malformed_requests(void **state)
     };
     (void)state;
     start();
-    for (size_t i = 0; i < sizeof(rows) / sizeof(*rows); i++)
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
         probe(rows[i].what, rows[i].bytes, strlen(rows[i].bytes), rows[i].status, rows[i].close);
     assert_int_equal(status_of("GET", "/healthz", ""), 200);
 }
@@ -148,13 +148,13 @@ static void test_any_bytes(void **state)
     for (uint64_t batch = 0; batch < 10; batch++) {
         int fd[EACH];
         for (uint64_t i = 0; i < EACH; i++) {
-            char bytes[sizeof(good)];
-            memcpy(bytes, good, sizeof(good));
+            char bytes[sizeof good];
+            memcpy(bytes, good, sizeof good);
             for (uint64_t k = 0; k < 1 + i % 5; k++)
-                bytes[rng_u64(batch, 2 * k, i) % (sizeof(good) - 1)] =
+                bytes[rng_u64(batch, 2 * k, i) % (sizeof good - 1)] =
                     (char)rng_u64(batch, 2 * k + 1, i);
             fd[i] = dial(t.port);
-            say_bytes(fd[i], bytes, sizeof(good) - 1);
+            say_bytes(fd[i], bytes, sizeof good - 1);
             shutdown(fd[i], SHUT_WR);
         }
         for (int i = 0; i < EACH; i++) {
@@ -234,8 +234,8 @@ static void test_a_client_that_does_not_read(void **state)
     t.cfg.write_timeout_s = 0.1;
     start();
     int fd = dial(t.port);
-    setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &small, sizeof(small));
-    snprintf(request, sizeof(request), "GET %s HTTP/1.1\r\n" H "\r\n",
+    setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &small, sizeof small);
+    snprintf(request, sizeof request, "GET %s HTTP/1.1\r\n" H "\r\n",
              tile_target(17, "spz", target));
     struct services *s = server_services(t.server);
     for (int i = 0; i < 300; i++)

@@ -29,7 +29,7 @@ static void test_headers(void **state)
     assert_string_equal(header(&r, "Vary"), "");
     assert_true(strlen(header(&r, "Server-Timing")) > 0); /* it was a job */
     char etag[64], line[128];
-    snprintf(etag, sizeof(etag), "%s", header(&r, "ETag"));
+    snprintf(etag, sizeof etag, "%s", header(&r, "ETag"));
     size_t size = r.body_size;
     buf_free(&r.raw);
 
@@ -40,7 +40,7 @@ static void test_headers(void **state)
     assert_int_equal(r.raw.size, (size_t)(r.body - r.raw.data));
     buf_free(&r.raw);
 
-    snprintf(line, sizeof(line), "If-None-Match: \"x\", W/%s\r\n", etag);
+    snprintf(line, sizeof line, "If-None-Match: \"x\", W/%s\r\n", etag);
     ask("GET", target, line, &r);
     assert_int_equal(r.status, 304);
     assert_string_equal(header(&r, "ETag"), etag);
@@ -49,17 +49,17 @@ static void test_headers(void **state)
     assert_int_equal(r.raw.size, (size_t)(r.body - r.raw.data));
     buf_free(&r.raw);
 
-    snprintf(line, sizeof(line), "Range: bytes=10-19\r\nIf-Range: %s\r\n", etag);
+    snprintf(line, sizeof line, "Range: bytes=10-19\r\nIf-Range: %s\r\n", etag);
     ask("GET", target, line, &r);
     assert_int_equal(r.status, 206);
     assert_int_equal(r.body_size, 10);
-    snprintf(line, sizeof(line), "bytes 10-19/%zu", size);
+    snprintf(line, sizeof line, "bytes 10-19/%zu", size);
     assert_string_equal(header(&r, "Content-Range"), line);
     buf_free(&r.raw);
 
     ask("GET", target, "Range: bytes=99999999-\r\n", &r);
     assert_int_equal(r.status, 416);
-    snprintf(line, sizeof(line), "bytes */%zu", size);
+    snprintf(line, sizeof line, "bytes */%zu", size);
     assert_string_equal(header(&r, "Content-Range"), line);
     buf_free(&r.raw);
 
@@ -84,7 +84,7 @@ static void test_headers(void **state)
     assert_memory_equal(r.body, "\x1f\x8b", 2);
     buf_free(&r.raw);
 
-    snprintf(line, sizeof(line), "/d/toy/t/%s", strstr(target, "/t/") + 3);
+    snprintf(line, sizeof line, "/d/toy/t/%s", strstr(target, "/t/") + 3);
     ask("GET", line, "", &r);
     assert_int_equal(r.status, 307);
     assert_non_null(strstr(header(&r, "Location"), t.rev));
@@ -93,7 +93,7 @@ static void test_headers(void **state)
     ask("GET", "/d/toy/static/13.4,52.5,99@0,-90/64x64.jpg", "", &r);
     assert_int_equal(r.status, 307);
     buf_free(&r.raw);
-    snprintf(line, sizeof(line), "/d/toy/r/%s/static/13.4,52.5,99@0,-90/64x64.jpg", t.rev);
+    snprintf(line, sizeof line, "/d/toy/r/%s/static/13.4,52.5,99@0,-90/64x64.jpg", t.rev);
     ask("GET", line, "", &r);
     assert_int_equal(r.status, 503); /* no device: tiles are served, pictures are not */
     assert_true(atoi(header(&r, "Retry-After")) >= 1);
@@ -112,7 +112,7 @@ static void test_304_of_a_cold_tile(void **state)
     (void)state;
     start();
     ask("GET", tile_target(15, "spz", target), "", &r);
-    snprintf(line, sizeof(line), "If-None-Match: %s\r\n", header(&r, "ETag"));
+    snprintf(line, sizeof line, "If-None-Match: %s\r\n", header(&r, "ETag"));
     buf_free(&r.raw);
     server_stop(&t.server);
     start(); /* an empty cache */
@@ -162,7 +162,7 @@ static void test_keep_alive_and_pipelining(void **state)
 static void test_damaged_tile(void **state)
 {
     static const char *const forms[] = {"glb", "spz", "drc", "ply", "plain.glb"};
-    enum { FORMS = sizeof(forms) / sizeof(*forms) };
+    enum { FORMS = sizeof forms / sizeof *forms };
     struct err e = {0};
     char path[FILE_PATH_MAX], target[128], name[64], text[256];
     const struct key bad = served_key(17);
@@ -174,8 +174,8 @@ static void test_damaged_tile(void **state)
     t.paths[0] = path;
     start();
     t.paths[0] = t.path;
-    snprintf(name, sizeof(name), "tile %u/%u/%u", bad.z, bad.x, bad.y);
-    snprintf(text, sizeof(text), "\"tile\":{\"z\":%u,\"x\":%u,\"y\":%u}", bad.z, bad.x, bad.y);
+    snprintf(name, sizeof name, "tile %u/%u/%u", bad.z, bad.x, bad.y);
+    snprintf(text, sizeof text, "\"tile\":{\"z\":%u,\"x\":%u,\"y\":%u}", bad.z, bad.x, bad.y);
     for (size_t f = 0; f < FORMS; f++) {
         struct reply r;
         ask("GET", tile_target(17, forms[f], target), "", &r);
@@ -192,7 +192,7 @@ static void test_damaged_tile(void **state)
             assert_int_equal(status_of("GET", tile_target(z, forms[f], target), ""), 200);
     }
     /* Its sibling, which lies beside it in the file. */
-    snprintf(target, sizeof(target), "/d/toy/r/%s/t/%u/%u/%u.glb", t.rev, bad.z, bad.x ^ 1, bad.y);
+    snprintf(target, sizeof target, "/d/toy/r/%s/t/%u/%u/%u.glb", t.rev, bad.z, bad.x ^ 1, bad.y);
     assert_int_equal(status_of("GET", target, ""), 200);
     assert_int_equal(atomic_load(&server_services(t.server)->metrics.store_errors), FORMS);
     server_stop(&t.server);
@@ -215,7 +215,7 @@ static void test_one_job_for_many_clients(void **state)
     struct job_stats st;
     (void)state;
     start();
-    snprintf(request, sizeof(request), "GET %s HTTP/1.1\r\n" H "\r\n",
+    snprintf(request, sizeof request, "GET %s HTTP/1.1\r\n" H "\r\n",
              tile_target(17, "ply", target));
     for (int i = 0; i < CLIENTS; i++)
         fd[i] = dial(t.port);
@@ -259,14 +259,14 @@ static void test_vanishing_clients(void **state)
         for (int f = 0; f < 5; f++)
             for (uint8_t z = 15; z <= 17; z++) {
                 char target[128], request[256];
-                snprintf(request, sizeof(request), "GET %s HTTP/1.1\r\n" H "\r\n",
+                snprintf(request, sizeof request, "GET %s HTTP/1.1\r\n" H "\r\n",
                          tile_target(z, exts[f], target));
                 fd[n] = dial(t.port);
                 say(fd[n++], request);
             }
         nap_ms(round * 3);
         for (int i = 0; i < n; i++) {
-            setsockopt(fd[i], SOL_SOCKET, SO_LINGER, &reset, sizeof(reset));
+            setsockopt(fd[i], SOL_SOCKET, SO_LINGER, &reset, sizeof reset);
             close(fd[i]);
         }
         await_no_connections();
@@ -330,7 +330,7 @@ static void test_stopping_finishes_answers(void **state)
     idle = dial(t.port);
     for (int i = 0; i < 20; i++) {
         char target[128], request[256];
-        snprintf(request, sizeof(request), "GET %s HTTP/1.1\r\n" H "\r\n",
+        snprintf(request, sizeof request, "GET %s HTTP/1.1\r\n" H "\r\n",
                  tile_target((uint8_t)(15 + i % 3), exts[i % 5], target));
         fd[i] = dial(t.port);
         say(fd[i], request);
@@ -393,7 +393,7 @@ static void test_program(void **state)
     }
     close(out[1]);
     FILE *f = fdopen(out[0], "r");
-    assert_non_null(fgets(line, sizeof(line), f));
+    assert_non_null(fgets(line, sizeof line, f));
     const char *colon = strrchr(line, ':');
     assert_non_null(colon);
     uint16_t port = (uint16_t)atoi(colon + 1);
@@ -402,16 +402,16 @@ static void test_program(void **state)
     int fd = dial(port);
     struct buf rest = {0}, end = {0};
     struct reply r;
-    snprintf(request, sizeof(request), "GET %s HTTP/1.1\r\n" H "\r\n",
+    snprintf(request, sizeof request, "GET %s HTTP/1.1\r\n" H "\r\n",
              tile_target(15, "drc", target));
     say(fd, request);
     hear(fd, true, &rest, &r);
     assert_int_equal(r.status, 500);
     buf_free(&r.raw);
-    snprintf(line, sizeof(line), "job failed ds=toy tile %u/%u/%u.drc: ", bad.z, bad.x, bad.y);
+    snprintf(line, sizeof line, "job failed ds=toy tile %u/%u/%u.drc: ", bad.z, bad.x, bad.y);
     await_text(log, line);
     await_text(log, "damaged (its hash differs); restore the file or tile the scene again");
-    snprintf(request, sizeof(request), "GET %s HTTP/1.1\r\n" H "\r\n",
+    snprintf(request, sizeof request, "GET %s HTTP/1.1\r\n" H "\r\n",
              tile_target(17, "ply", target));
     say(fd, request);
     while (!rest.size) /* the answer has begun */
@@ -430,7 +430,7 @@ static void test_program(void **state)
     struct buf said = {0};
     kit_ok(file_read(log, 0, &said, &e), e);
     buf_add(&said, "", 1);
-    snprintf(line, sizeof(line), "http GET %.150s status=200 bytes=%zu ", target, r.body_size);
+    snprintf(line, sizeof line, "http GET %.150s status=200 bytes=%zu ", target, r.body_size);
     assert_non_null(strstr((char *)said.data, line)); /* the last request is in the log, too */
     buf_free(&said);
     close(fd);

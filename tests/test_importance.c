@@ -49,7 +49,7 @@ static struct frame_sums run(const struct gauss *g, const float *weight)
     for (int again = 0; again < 2; again++) /* the first sums are given back by the second call */
         kit_ok(render_importance_run(s, &m, weights, &sums, &e), e);
     if (g->n)
-        memcpy(out.sums, sums, g->n * SUMS * sizeof(*sums));
+        memcpy(out.sums, sums, g->n * SUMS * sizeof *sums);
     render_importance_close(&s);
     render_model_free(&m);
     dev_release(&weights);
@@ -124,7 +124,7 @@ static void shares_of_all_add_up_to_what_the_picture_lost(void **state)
     for (size_t i = 0; i < g.n; i++)
         first[i] = f.sums[SUMS * i + 1];
     mem_free(f.sums);
-    memset(weight, 0, sizeof(weight));
+    memset(weight, 0, sizeof weight);
     weight[(HEIGHT / 2) * WIDTH + WIDTH / 2] = 2.0f;
     f = run(&g, weight);
     size_t reach = 0;

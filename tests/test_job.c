@@ -36,7 +36,7 @@ struct client {
 
 static struct item *item_new(struct bench *b, int number, enum err_code fail, bool poll)
 {
-    struct item *it = mem_array(1, sizeof(*it));
+    struct item *it = mem_array(1, sizeof *it);
     assert_non_null(it);
     *it = (struct item){number, fail, poll};
     b->works++;
@@ -84,7 +84,7 @@ static enum err_code item_run(void *user, const struct job *j, void *work, size_
     if (it->fail != ERR_OK)
         return err_set(e, it->fail, "number %d fails with %s", it->number, err_name(it->fail));
     char text[32];
-    snprintf(text, sizeof(text), "made %d", it->number);
+    snprintf(text, sizeof text, "made %d", it->number);
     *out = body_text(text);
     return *out ? ERR_OK : err_set(e, ERR_MEM, "no body");
 }
@@ -104,7 +104,7 @@ static void bench_open(struct bench *b, size_t threads, bool view, size_t view_l
                        size_t tile_limit)
 {
     struct err e = {0};
-    memset(b, 0, sizeof(*b));
+    memset(b, 0, sizeof *b);
     pthread_mutex_init(&b->lock, NULL);
     pthread_cond_init(&b->changed, NULL);
     const struct job_config cfg = {
@@ -157,7 +157,7 @@ static void await(struct bench *b, const size_t *count, size_t want)
 
 static struct hash128 id_of(int number)
 {
-    return hash_bytes(&number, sizeof(number));
+    return hash_bytes(&number, sizeof number);
 }
 
 static enum err_code ask(struct bench *b, struct client *c, enum job_class cls, struct item *it,
@@ -173,7 +173,7 @@ static void test_identical_requests_share_a_run(void **state)
     static struct client c[WAITERS];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof(c));
+    memset(c, 0, sizeof c);
     bench_open(&b, 2, false, 1, 8);
     for (int i = 0; i < WAITERS; i++)
         assert_int_equal(ask(&b, &c[i], JOB_TILE, item_new(&b, 7, ERR_OK, false), 60), ERR_OK);
@@ -202,8 +202,8 @@ static void test_errors_reach_every_waiter(void **state)
     struct bench b;
     (void)state;
     bench_open(&b, 2, false, 1, 8);
-    for (size_t k = 0; k < sizeof(errors) / sizeof(*errors); k++) {
-        memset(c, 0, sizeof(c));
+    for (size_t k = 0; k < sizeof errors / sizeof *errors; k++) {
+        memset(c, 0, sizeof c);
         b.woken = 0;
         gate(&b, false);
         int number = 100 + (int)k;
@@ -257,7 +257,7 @@ static void test_a_full_queue_refuses(void **state)
     static struct client c[40];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof(c));
+    memset(c, 0, sizeof c);
     bench_open(&b, 2, false, 1, 8);
     size_t accepted = 0, refused = 0;
     for (int i = 0; i < 2; i++)
@@ -265,9 +265,9 @@ static void test_a_full_queue_refuses(void **state)
     await(&b, &b.runs, 2); /* both workers are held at the gate, the queue is empty */
     for (int i = 2; i < 40; i++) {
         enum err_code rc = ask(&b, &c[i], JOB_TILE, item_new(&b, i, ERR_OK, false), 60);
-        accepted += rc == ERR_OK;
+        accepted += !rc;
         refused += rc == ERR_BUSY;
-        if (rc != ERR_OK)
+        if (rc)
             assert_int_equal(c[i].w.result.end, JOB_SHED);
     }
     assert_int_equal(accepted, 10);
@@ -285,7 +285,7 @@ static void test_views_run_newest_first_and_shed_the_oldest(void **state)
     static struct client c[8];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof(c));
+    memset(c, 0, sizeof c);
     bench_open(&b, 1, true, 3, 8);
     assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, false), 60), ERR_OK);
     await(&b, &b.runs, 1);
@@ -297,7 +297,7 @@ static void test_views_run_newest_first_and_shed_the_oldest(void **state)
     gate(&b, true);
     await(&b, &b.woken, 6);
     const int want[] = {0, 5, 4, 3};
-    assert_memory_equal(b.order, want, sizeof(want));
+    assert_memory_equal(b.order, want, sizeof want);
     for (int i = 0; i < 6; i++) {
         assert_int_equal(c[i].wakes, 1);
         body_drop(&c[i].w.result.body);
@@ -310,7 +310,7 @@ static void test_prefetch_runs_last_and_moves_up(void **state)
     static struct client c[8];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof(c));
+    memset(c, 0, sizeof c);
     bench_open(&b, 1, false, 1, 8);
     assert_int_equal(ask(&b, &c[0], JOB_TILE, item_new(&b, 0, ERR_OK, false), 60), ERR_OK);
     await(&b, &b.runs, 1);
@@ -321,7 +321,7 @@ static void test_prefetch_runs_last_and_moves_up(void **state)
     gate(&b, true);
     await(&b, &b.woken, 5);
     const int want[] = {0, 3, 2, 1};
-    assert_memory_equal(b.order, want, sizeof(want));
+    assert_memory_equal(b.order, want, sizeof want);
     for (int i = 0; i < 5; i++)
         body_drop(&c[i].w.result.body);
     bench_close(&b);
@@ -333,7 +333,7 @@ static void test_leaving(void **state)
     struct bench b;
     struct job_stats st;
     (void)state;
-    memset(c, 0, sizeof(c));
+    memset(c, 0, sizeof c);
     bench_open(&b, 1, true, 4, 8);
     /* a running picture is told to stop when its last client leaves, not before */
     assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
@@ -370,7 +370,7 @@ static void test_a_cancelled_view_is_not_shared(void **state)
     static struct client c[2];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof(c));
+    memset(c, 0, sizeof c);
     bench_open(&b, 1, true, 4, 8);
     gate(&b, true);
     assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
@@ -388,7 +388,7 @@ static void test_deadlines(void **state)
     static struct client c[3];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof(c));
+    memset(c, 0, sizeof c);
     bench_open(&b, 1, false, 1, 8);
     assert_int_equal(ask(&b, &c[0], JOB_TILE, item_new(&b, 0, ERR_OK, false), 5), ERR_OK);
     await(&b, &b.runs, 1);
@@ -413,7 +413,7 @@ static void test_stopping_answers_everyone(void **state)
     static struct client c[20];
     struct bench b;
     (void)state;
-    memset(c, 0, sizeof(c));
+    memset(c, 0, sizeof c);
     bench_open(&b, 1, true, 4, 16);
     assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
     await(&b, &b.runs, 1);
@@ -443,7 +443,7 @@ static enum err_code storm_run(void *user, size_t t, struct err *e)
     for (size_t i = 0; i < s->per_thread; i++) {
         struct client *c = &s->c[t * s->per_thread + i];
         uint64_t dice = rng_u64(5, t, i);
-        struct item *it = mem_array(1, sizeof(*it));
+        struct item *it = mem_array(1, sizeof *it);
         if (!it)
             return err_set(e, ERR_MEM, "storm");
         *it = (struct item){(int)(dice % 17), dice % 5 ? ERR_OK : ERR_MEM, false};
@@ -466,7 +466,7 @@ static void test_storm(void **state)
     struct bench b;
     struct err e = {0};
     (void)state;
-    struct client *c = mem_array(THREADS * EACH, sizeof(*c));
+    struct client *c = mem_array(THREADS * EACH, sizeof *c);
     assert_non_null(c);
     bench_open(&b, 2, true, 4, 16);
     gate(&b, true);

@@ -104,7 +104,7 @@ static void patches_that_do_not_fit_are_ignored_and_thin_detail_is_not(void **st
             color[c * N + i] = (float)(0.4 + residual);
             px[3 * i + c] = 102; /* 0.4 */
         }
-    memset(use, 255, sizeof(use));
+    memset(use, 255, sizeof use);
     use[0] = 0;
     robust_mask(color, px, W, H, scratch, use);
     assert_int_equal(use[0], 0);

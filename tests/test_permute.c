@@ -15,7 +15,7 @@ static float value_of(size_t row, uint32_t plane)
 
 static float *array_make(size_t n, size_t room)
 {
-    float *a = mem_array(permute_floats(room, PLANES), sizeof(*a));
+    float *a = mem_array(permute_floats(room, PLANES), sizeof *a);
     assert_non_null(a);
     for (size_t i = 0; i < permute_floats(room, PLANES); i++)
         a[i] = -1.0f; /* what must be overwritten */
@@ -42,7 +42,7 @@ static void check(size_t n_old, size_t n, bool zero_new)
 {
     struct err e = {0};
     size_t room = n > n_old ? n : n_old;
-    uint32_t *source = mem_array(n, sizeof(*source));
+    uint32_t *source = mem_array(n, sizeof *source);
     float *from = array_make(n_old, room), *to = array_make(0, n);
     assert_non_null(source);
     for (size_t d = 0; d < n; d++)
@@ -77,7 +77,7 @@ static void an_order_can_be_taken_back(void **state)
 {
     (void)state;
     struct err e = {0};
-    uint32_t *there = mem_array(FEW, sizeof(*there)), *back = mem_array(FEW, sizeof(*back));
+    uint32_t *there = mem_array(FEW, sizeof *there), *back = mem_array(FEW, sizeof *back);
     float *a = array_make(FEW, FEW), *b = array_make(FEW, FEW);
     assert_true(there && back);
     for (uint32_t d = 0; d < FEW; d++) {

@@ -248,7 +248,7 @@ static void kernel_run(struct photometric *l, const struct picture *p, float l1,
     in.value_only = true;
     kit_ok(photometric_run(l, &in, NULL, &e), e);
     kit_ok(photometric_read(l, &alone, &e), e);
-    assert_memory_equal(v, &alone, sizeof(alone));
+    assert_memory_equal(v, &alone, sizeof alone);
     kit_ok(dev_read(d, out, 0, p->n * sizeof(float), planar, &e), e);
     for (size_t i = 0; i < p->n; i++)
         grad[i] = planar[i % 3 * px + i / 3];
@@ -367,7 +367,7 @@ static void test_out_of_memory(void **state)
 {
     (void)state;
     enum err_code rc = ERR_MEM;
-    for (size_t k = 1; rc != ERR_OK; k++) {
+    for (size_t k = 1; rc; k++) {
         struct photometric *l = NULL;
         struct err e = {0};
         cl_mem color, target, grad;
@@ -377,10 +377,10 @@ static void test_out_of_memory(void **state)
         struct photometric_input in = {color, target, NULL, 20, 20, 0.8f, 0.2f, false};
         mem_fail_at(k);
         rc = photometric_open(dev_get(), &l, &e);
-        if (rc == ERR_OK)
+        if (!rc)
             rc = photometric_run(l, &in, grad, &e);
         mem_fail_at(0);
-        assert_true(rc == ERR_OK || rc == ERR_MEM);
+        assert_true(!rc || rc == ERR_MEM);
         assert_true(k < 100);
         kit_ok(dev_finish(dev_get(), &e), e);
         photometric_close(&l);

@@ -81,16 +81,16 @@ static void test_bytes(void **state)
     ask("GET", target, "", &r); /* from the cache; the entity tag is that of the ready device */
     assert_int_equal(r.status, 200);
     assert_memory_equal(r.body, want.data, want.size);
-    snprintf(etag, sizeof(etag), "%s", header(&r, "ETag"));
+    snprintf(etag, sizeof etag, "%s", header(&r, "ETag"));
     buf_free(&r.raw);
-    snprintf(line, sizeof(line), "If-None-Match: %s\r\n", etag);
+    snprintf(line, sizeof line, "If-None-Match: %s\r\n", etag);
     assert_int_equal(status_of("GET", target, line), 304);
 
     static const char body[] =
         "{\"pose\":{\"lon\":13.398,\"lat\":52.4985,\"height\":150,\"heading\":10.5,"
         "\"pitch\":-40,\"fov\":55},\"width\":96,\"height\":64,\"format\":\"png\"}";
     struct buf q = {0}; /* the same camera, posted */
-    buf_printf(&q, POST "Connection: close\r\nContent-Length: %zu\r\n\r\n%s", sizeof(body) - 1,
+    buf_printf(&q, POST "Connection: close\r\nContent-Length: %zu\r\n\r\n%s", sizeof body - 1,
                body);
     int fd = dial(t.port);
     say_bytes(fd, (char *)q.data, q.size);
@@ -137,8 +137,8 @@ static void test_crowd(void **state)
     for (int round = 0; round < 2; round++) {
         for (int i = 0; i < CLIENTS; i++) {
             char pose[96];
-            snprintf(pose, sizeof(pose), "13.398,52.4985,150@%d,-40", round ? i : 77);
-            snprintf(request, sizeof(request), "GET %s HTTP/1.1\r\n" H "\r\n",
+            snprintf(pose, sizeof pose, "13.398,52.4985,150@%d,-40", round ? i : 77);
+            snprintf(request, sizeof request, "GET %s HTTP/1.1\r\n" H "\r\n",
                      view_target(pose, "200x150.jpg", target));
             fd[i] = dial(t.port);
             say(fd[i], request);
@@ -179,8 +179,8 @@ static void test_gone_clients(void **state)
     for (int i = 0; i < CLIENTS;
          i++) { /* while the device starts, or one is drawn, the others wait */
         char pose[96];
-        snprintf(pose, sizeof(pose), "13.398,52.4985,150@%d,-40", i);
-        snprintf(request, sizeof(request), "GET %s HTTP/1.1\r\n" H "\r\n",
+        snprintf(pose, sizeof pose, "13.398,52.4985,150@%d,-40", i);
+        snprintf(request, sizeof request, "GET %s HTTP/1.1\r\n" H "\r\n",
                  view_target(pose, "500x400.jpg", target));
         fd[i] = dial(t.port);
         say(fd[i], request);

@@ -18,7 +18,7 @@ static void the_faintest_hundredth_goes(void **state)
     uint8_t keep[6];
     struct prune_report r = {0};
     prune_choose(sum, views, 6, 0.01, 0, scratch, keep, &r);
-    assert_memory_equal(keep, want, sizeof(keep));
+    assert_memory_equal(keep, want, sizeof keep);
     assert_int_equal(r.faint, 3);
     assert_int_equal(r.unsupported, 0);
 }

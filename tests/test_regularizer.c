@@ -81,17 +81,17 @@ static void check_scale_kernels(uint32_t width)
     kit_ok(render_open(dev_get(), &r, &e), e);
     kit_ok(render_model_upload(r, &g, &m, &e), e);
     size_t floats = (size_t)m.groups * 11 * 16;
-    float *junk = mem_array(floats, sizeof(*junk));
+    float *junk = mem_array(floats, sizeof *junk);
     assert_non_null(junk);
-    memset(junk, 0xFF, floats * sizeof(*junk)); /* NaN: every plane must be written */
-    kit_ok(dev_buffer(dev_get(), floats * sizeof(*junk), junk, &extra, &e), e);
+    memset(junk, 0xFF, floats * sizeof *junk); /* NaN: every plane must be written */
+    kit_ok(dev_buffer(dev_get(), floats * sizeof *junk, junk, &extra, &e), e);
     dev_get()->vector_width = width ? width : own;
     enum err_code rc = scale_loss_open(dev_get(), &s, &e);
     dev_get()->vector_width = own;
     kit_ok(rc, e);
     for (int only = 0; only < 2; only++) { /* all planes, then those of the sizes alone */
         size_t planes = only ? 3 : 11, first = only ? 0 : 3;
-        kit_ok(dev_write(dev_get(), extra, 0, floats * sizeof(*junk), junk, &e), e);
+        kit_ok(dev_write(dev_get(), extra, 0, floats * sizeof *junk, junk, &e), e);
         kit_ok(scale_loss_run(s, &m, &scale_in, only, extra, &e), e);
         kit_ok(scale_loss_read(s, &value, &e), e);
         assert_int_equal(value.n, v.n);
@@ -138,7 +138,7 @@ static void folding_a_filter_has_the_right_derivatives(void **state)
             weight[k] = rng_normal(9, 6 + k, t);
         }
         /* f(folded) = weight . folded: its gradient with respect to the folded ones is weight. */
-        memcpy(g_scale, weight, sizeof(g_scale));
+        memcpy(g_scale, weight, sizeof g_scale);
         g_opacity = weight[3];
         mip_fold_grad(f, x, x[3], g_scale, &g_opacity);
         double got[4] = {g_scale[0], g_scale[1], g_scale[2], g_opacity};
@@ -146,7 +146,7 @@ static void folding_a_filter_has_the_right_derivatives(void **state)
             double at[2];
             for (int k = 0; k < 2; k++) {
                 double y[4];
-                memcpy(y, x, sizeof(y));
+                memcpy(y, x, sizeof y);
                 y[i] += k ? FD_STEP : -FD_STEP;
                 mip_fold_one(f, y, y + 3);
                 at[k] = y[0] * weight[0] + y[1] * weight[1] + y[2] * weight[2] + y[3] * weight[3];
@@ -214,7 +214,7 @@ static void check_folded(bool look)
                       want.r.opacity_logit + i);
     }
     kit_ok(render_model_upload(r, &s.g, &m, &e), e);
-    kit_ok(dev_buffer(dev_get(), sizeof(filter), filter, &m.filter, &e), e);
+    kit_ok(dev_buffer(dev_get(), sizeof filter, filter, &m.filter, &e), e);
     kernel_forward(r, &s, &m);
     kit_ok(dev_buffer(dev_get(), (size_t)m.groups * m.planes * 64, NULL, &grads, &e), e);
     kit_ok(render_backward(r, &m, grads, &e), e);
@@ -304,8 +304,8 @@ static struct depth_case depth_case_make(uint64_t seed, size_t n, bool hard)
     struct depth_case c = {.s = view_case_make(seed, n, RENDER_AA_2D, 1)};
     struct err e = {0};
     size_t pixels = (size_t)PX_W * PX_H;
-    double loss, *depth = mem_array(pixels, sizeof(*depth));
-    c.target = mem_array(pixels, sizeof(*c.target));
+    double loss, *depth = mem_array(pixels, sizeof *depth);
+    c.target = mem_array(pixels, sizeof *c.target);
     assert_true(depth && c.target);
     c.in = (struct depth_input){.cam = &c.s.cam,
                                 .options = c.s.o,
@@ -370,7 +370,7 @@ static void depth_reference_matches_differences(void **state)
         c.in.cam = &c.s.cam;
         kit_ok(depth_ref_grads(&c.s.g, &c.in, &want.r, &e), e);
         for (size_t part = 0; part < (hard ? 3u : 4u); part++) { /* opacity of hard: see below */
-            double *fd = mem_array(want.count[part], sizeof(*fd));
+            double *fd = mem_array(want.count[part], sizeof *fd);
             assert_non_null(fd);
             for (size_t i = 0; i < want.count[part]; i++, all++)
                 if (!depth_differ(&c, &part_of(&c.s.g, part)[i], &fd[i])) {
@@ -455,7 +455,7 @@ static void check_depth_kernels(uint32_t width, bool hard)
     float *got = floats_read(extra, floats);
     static const size_t first[4] = {0, 3, 6, 10}, planes[4] = {3, 3, 4, 1};
     for (size_t part = 0; part < 4; part++) {
-        float *v = mem_array(want.count[part], sizeof(*v));
+        float *v = mem_array(want.count[part], sizeof *v);
         assert_non_null(v);
         for (size_t i = 0; i < want.count[part]; i++) {
             size_t row = i / planes[part], p = first[part] + i % planes[part];

@@ -42,7 +42,7 @@ static void a_photograph_that_does_not_fit_is_named_first(void **state)
     static char names[100][8];
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
     for (size_t i = 0; i < 100; i++) {
-        snprintf(names[i], sizeof(names[i]), "p%02zu", i);
+        snprintf(names[i], sizeof names[i], "p%02zu", i);
         /* 25 dB and SSIM 0.8 with some spread; photograph 40 has bad structure alone, 70 bad
          * colours alone, and 10 fits better than all. */
         double db = 25.0 + 0.5 * rng_normal(1, 0, i), ssim = 0.8 + 0.01 * rng_normal(1, 1, i);

@@ -38,8 +38,8 @@ static int setup(void **state)
     kit_ok(file_write(path, "<!doctype html><title>viewer</title>", 36, &e), e);
     kit_ok(file_join(path, t.web, "assets/index-D3adBeef.js", &e), e);
     char script[2000];
-    memset(script, ';', sizeof(script));
-    kit_ok(file_write(path, script, sizeof(script), &e), e);
+    memset(script, ';', sizeof script);
+    kit_ok(file_write(path, script, sizeof script, &e), e);
     served_config(&t.cfg, &t.arena);
     kit_ok(services_open(&t.s, &t.cfg, &e), e);
     const char *paths[] = {t.path};
@@ -47,7 +47,7 @@ static int setup(void **state)
     kit_ok(static_load(t.web, &t.s.web, &e), e);
     const struct job_config jobs = {.queue_limit = {1, 1, 1}, .run = no_run, .drop = work_drop};
     kit_ok(job_open(&jobs, &t.s.jobs, &e), e);
-    memcpy(t.rev, t.s.catalog->ds[0]->meta.revision, sizeof(t.rev));
+    memcpy(t.rev, t.s.catalog->ds[0]->meta.revision, sizeof t.rev);
     return 0;
 }
 
@@ -93,7 +93,7 @@ static struct response answer(const struct ask *a)
 {
     struct request r = {
         .method = a->method,
-        .target = expand(a->target, last_target, sizeof(last_target)),
+        .target = expand(a->target, last_target, sizeof last_target),
         .accept = a->accept,
         .accept_encoding = a->accept_encoding,
         .if_none_match = a->if_none_match,
@@ -114,7 +114,7 @@ static struct response answer(const struct ask *a)
         result.code = work_run(&t.s, NULL, w, 0, &result.body, &e);
         if (result.code != ERR_OK) {
             result.end = JOB_ERROR;
-            snprintf(result.msg, sizeof(result.msg), "%.200s", e.msg);
+            snprintf(result.msg, sizeof result.msg, "%.200s", e.msg);
         }
         work_drop(NULL, w);
         route_finish(&t.s, &r, &result, &out);
@@ -165,7 +165,7 @@ static void test_documents(void **state)
         {"/version", "application/json", "no-store"},
     };
     (void)state;
-    for (size_t i = 0; i < sizeof(rows) / sizeof(*rows); i++) {
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct response r = get(rows[i].target);
         assert_int_equal(r.status, 200);
         expect("type", r.type, rows[i].type);
@@ -247,9 +247,9 @@ static void test_links_lead_somewhere(void **state)
             assert_non_null(href);
             assert_null(strstr(href, "://"));
             if (!strncmp(href, "../", 3))
-                snprintf(path, sizeof(path), "/%s", href + 3);
+                snprintf(path, sizeof path, "/%s", href + 3);
             else
-                snprintf(path, sizeof(path), "%s%s", docs[i][1], !strcmp(href, "./") ? "" : href);
+                snprintf(path, sizeof path, "%s%s", docs[i][1], !strcmp(href, "./") ? "" : href);
             struct response to = get(path);
             assert_int_equal(to.status, 200);
             response_free(&to);
@@ -279,12 +279,11 @@ static void test_tileset_uris(void **state)
     (void)state;
     struct response fixed = get("/d/toy/r/REV/tileset.json"), moving = get("/d/toy/tileset.json");
     struct response tilejson = get("/collections/toy/tiles.json");
+    assert_non_null(strstr((const char *)fixed.data, expand("\"t/KEY15.glb\"", want, sizeof want)));
     assert_non_null(
-        strstr((const char *)fixed.data, expand("\"t/KEY15.glb\"", want, sizeof(want))));
-    assert_non_null(
-        strstr((const char *)moving.data, expand("\"r/REV/t/KEY15.glb\"", want, sizeof(want))));
+        strstr((const char *)moving.data, expand("\"r/REV/t/KEY15.glb\"", want, sizeof want)));
     assert_non_null(strstr((const char *)tilejson.data,
-                           expand("\"../../d/toy/r/REV/t/{z}/{x}/{y}.glb\"", want, sizeof(want))));
+                           expand("\"../../d/toy/r/REV/t/{z}/{x}/{y}.glb\"", want, sizeof want)));
     response_free(&fixed);
     response_free(&moving);
     response_free(&tilejson);
@@ -302,9 +301,9 @@ static void test_tiles(void **state)
         {"ply", "application/octet-stream", "ply\n"},
     };
     (void)state;
-    for (size_t i = 0; i < sizeof(rows) / sizeof(*rows); i++) {
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         char target[128];
-        snprintf(target, sizeof(target), "/d/toy/r/REV/t/KEY17.%s", rows[i].ext);
+        snprintf(target, sizeof target, "/d/toy/r/REV/t/KEY17.%s", rows[i].ext);
         struct response r = get(target);
         assert_int_equal(r.status, 200);
         expect("cache", r.cache, "miss");
@@ -316,7 +315,7 @@ static void test_tiles(void **state)
         assert_memory_equal(r.data, rows[i].magic, strlen(rows[i].magic));
         char surrogate[128];
         expect("Surrogate-Key", r.surrogate,
-               expand("ds-toy rev-REV z-17", surrogate, sizeof(surrogate)));
+               expand("ds-toy rev-REV z-17", surrogate, sizeof surrogate));
         struct response again = get(target);
         expect("cache", again.cache, "hit");
         assert_ptr_equal(again.body, r.body);
@@ -333,13 +332,13 @@ static void test_tiles(void **state)
     /* a name of the bytes decides 304 without the bytes: this tile was never made */
     struct response cold = get("/d/toy/r/REV/t/KEY15.spz");
     char etag[BODY_ETAG_SIZE], weak[BODY_ETAG_SIZE + 2];
-    memcpy(etag, cold.etag, sizeof(etag));
-    snprintf(weak, sizeof(weak), "W/%s", etag);
+    memcpy(etag, cold.etag, sizeof etag);
+    snprintf(weak, sizeof weak, "W/%s", etag);
     response_free(&cold);
     cache_close(&t.s.cache);
     struct err e = {0};
     kit_ok(cache_open((size_t)64 << 20, &t.s.cache, &e), e);
-    const char *target = expand("/d/toy/r/REV/t/KEY15.spz", last_target, sizeof(last_target));
+    const char *target = expand("/d/toy/r/REV/t/KEY15.spz", last_target, sizeof last_target);
     struct request q = {.target = target, .target_size = strlen(target), .if_none_match = weak};
     struct response r;
     route_answer(&t.s, &q, &r);
@@ -371,7 +370,7 @@ static void test_refusals(void **state)
         {METHOD_OTHER, "/nothing", 404, NULL, "public, max-age=60"},
     };
     (void)state;
-    for (size_t i = 0; i < sizeof(rows) / sizeof(*rows); i++) {
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct response r =
             answer(&(struct ask){.method = rows[i].method, .target = rows[i].target});
         if (r.status != rows[i].status)
@@ -400,12 +399,12 @@ static void test_redirects(void **state)
     (void)state;
     struct response r = get("/d/toy/t/KEY17.glb");
     assert_int_equal(r.status, 307);
-    expect("Location", r.location, expand("../../../r/REV/t/KEY17.glb", want, sizeof(want)));
+    expect("Location", r.location, expand("../../../r/REV/t/KEY17.glb", want, sizeof want));
     response_free(&r);
     r = get("/d/toy/static/13.4,52.5,120@0,-90/64x64.jpg");
     assert_int_equal(r.status, 307);
     expect("Location", r.location,
-           expand("../../r/REV/static/13.4,52.5,120@0,-90/64x64.jpg", want, sizeof(want)));
+           expand("../../r/REV/static/13.4,52.5,120@0,-90/64x64.jpg", want, sizeof want));
     expect("Cache-Control", r.cache_control, MOVING);
     response_free(&r);
 }
@@ -429,7 +428,7 @@ static void test_viewer_files(void **state)
     expect("Content-Encoding", r.encoding, "gzip");
     expect("Vary", r.vary, "Accept-Encoding");
     char etag[BODY_ETAG_SIZE];
-    memcpy(etag, r.etag, sizeof(etag));
+    memcpy(etag, r.etag, sizeof etag);
     assert_non_null(strstr(etag, "-gz\""));
     response_free(&r);
     r = answer(&(struct ask){.target = script, .accept_encoding = "gzip", .if_none_match = etag});
@@ -456,7 +455,7 @@ static void test_ranges(void **state)
     for (size_t at = 0; at < whole.size;
          at += step) { /* the parts, one after the other, are the whole */
         char range[64];
-        snprintf(range, sizeof(range), "bytes=%zu-%zu", at, at + step - 1);
+        snprintf(range, sizeof range, "bytes=%zu-%zu", at, at + step - 1);
         struct response part =
             answer(&(struct ask){.target = target, .range = range, .if_range = whole.etag});
         assert_int_equal(part.status, 206);
@@ -501,7 +500,7 @@ static void test_seed(void **state)
         assert_int_equal(sscanf(url, "r/%*12[0-9a-f]/t/%u/", &z), 1);
         assert_true(z >= last_z);
         last_z = z;
-        snprintf(target, sizeof(target), "/d/toy/%s", url);
+        snprintf(target, sizeof target, "/d/toy/%s", url);
         struct response tile = get(target);
         assert_int_equal(tile.status, 200);
         expect("etag", json_string_value(json_object_get(o, "etag")), tile.etag);
@@ -540,11 +539,11 @@ static void test_presets(void **state)
         {"plain.glb", "plain.glb?preset=preview", true},
     };
     (void)state;
-    for (size_t i = 0; i < sizeof(rows) / sizeof(*rows); i++) {
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         char target[128];
-        snprintf(target, sizeof(target), "/d/toy/r/REV/t/KEY17.%s", rows[i].a);
+        snprintf(target, sizeof target, "/d/toy/r/REV/t/KEY17.%s", rows[i].a);
         struct response a = get(target);
-        snprintf(target, sizeof(target), "/d/toy/r/REV/t/KEY17.%s", rows[i].b);
+        snprintf(target, sizeof target, "/d/toy/r/REV/t/KEY17.%s", rows[i].b);
         struct response b = get(target);
         assert_int_equal(a.status, 200);
         assert_int_equal(b.status, 200);
@@ -581,8 +580,8 @@ static void test_damaged_tile(void **state)
     kit_ok(catalog_open(paths, 1, 1, NULL, NULL, &damaged, &e), e);
     t.s.catalog = damaged;
     char target[256], where[64];
-    snprintf(target, sizeof(target), "/d/damaged/r/%s/t/%s.glb", damaged->ds[0]->meta.revision,
-             expand("KEY17", where, sizeof(where)));
+    snprintf(target, sizeof target, "/d/damaged/r/%s/t/%s.glb", damaged->ds[0]->meta.revision,
+             expand("KEY17", where, sizeof where));
     struct response r = get(target);
     assert_int_equal(r.status, 500);
     assert_null(strstr((const char *)r.data, path)); /* no file name for the client */
@@ -597,12 +596,12 @@ static void test_damaged_tile(void **state)
                      0);
     assert_true(z == k.z && x == k.x && y == k.y);
     expect("dataset", dataset, "damaged");
-    snprintf(where, sizeof(where), "tile %u/%u/%u of dataset damaged is damaged", k.z, k.x, k.y);
+    snprintf(where, sizeof where, "tile %u/%u/%u of dataset damaged is damaged", k.z, k.x, k.y);
     assert_non_null(strstr(detail, where));
     json_decref(o);
     response_free(&r);
-    snprintf(target, sizeof(target), "/d/damaged/r/%s/t/%s.glb", damaged->ds[0]->meta.revision,
-             expand("KEY16", where, sizeof(where)));
+    snprintf(target, sizeof target, "/d/damaged/r/%s/t/%s.glb", damaged->ds[0]->meta.revision,
+             expand("KEY16", where, sizeof where));
     r = get(target);
     assert_int_equal(r.status, 200);
     response_free(&r);
@@ -687,7 +686,7 @@ static void test_posted_cameras(void **state)
     struct err e = {0};
     (void)state;
     kit_ok(picture_open(&t.cfg, &t.s.picture, &e), e);
-    for (size_t i = 0; i < sizeof(rows) / sizeof(*rows); i++) {
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct response r = answer(
             &(struct ask){.method = METHOD_POST, .target = "/d/toy/render", .body = rows[i].body});
         if ((r.work ? 0 : r.status) != rows[i].status)
@@ -724,7 +723,7 @@ static void test_job_ends(void **state)
         {JOB_CANCELLED, ERR_CANCEL, 503, true},
     };
     (void)state;
-    for (size_t i = 0; i < sizeof(rows) / sizeof(*rows); i++) {
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         struct request q = {.target = "/", .target_size = 1};
         struct response r = {.cache_control = IMMUTABLE, .cls = JOB_TILE, .queue_s = -1};
         struct job_result result = {.end = rows[i].end, .code = rows[i].code, .msg = "because"};

@@ -431,8 +431,8 @@ static void out_of_memory_everywhere(void **state)
         mem_fail_at(0);
         store_close(&s);
         gauss_free(&back);
-        done = rc == ERR_OK;
-        if (rc != ERR_OK && rc != ERR_MEM)
+        done = !rc;
+        if (rc && rc != ERR_MEM)
             fail_msg("allocation %zu: %s (%s)", k, err_name(rc), e.msg);
     }
     assert_true(done);

@@ -38,9 +38,9 @@ done <"$work/commands"
 row=$(head -1 "$work/rows")
 study=$(printf '%s' "$row" | cut -f1) name=$(printf '%s' "$row" | cut -f2) command=$(printf '%s' "$row" | cut -f3)
 mkdir -p "$work/runs"
-"$bin" note "$work/runs/$study.jsonl" --study "$study" --row "$name" --command "$command" --set psnr_db=30 || fail note
+"$(dirname "$bin")/citysplat-study" record "$work/runs/$study.jsonl" --study "$study" --row "$name" --command "$command" --set psnr_db=30 || fail record
 bench/study.sh --dry-run "$study" 2>/dev/null | cut -f2 | grep -qx "$name" && fail "a recorded row is done again"
-"$bin" note "$work/runs/$study.jsonl" --study "$study" --row "$name" --command other --set psnr_db=30 || fail note
+"$(dirname "$bin")/citysplat-study" record "$work/runs/$study.jsonl" --study "$study" --row "$name" --command other --set psnr_db=30 || fail record
 [ "$(grep -c "\"row\":\"$name\"" "$work/runs/$study.jsonl")" = 1 ] || fail "recording again does not replace"
 bench/study.sh --dry-run "$study" 2>/dev/null | cut -f2 | grep -qx "$name" || fail "a changed row is not done again"
 echo "ok: $(wc -l <"$work/rows") rows"

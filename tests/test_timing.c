@@ -53,14 +53,14 @@ static void test_text(void **state)
     t.s[TIMING_STEP] = 80.0;
     t.s[TIMING_DENSIFY] = 19.9;
     t.s[TIMING_SCORE] = 0.1; /* below half a per cent */
-    timing_text(&t, text, sizeof(text));
+    timing_text(&t, text, sizeof text);
     assert_string_equal(text, "steps 80.0 s (80 %), densification 19.9 s (20 %), all else 0.1 s");
-    memset(little, 'x', sizeof(little));
+    memset(little, 'x', sizeof little);
     timing_text(&t, little, 10);
     assert_string_equal(little, "steps 80.");
     assert_int_equal(little[10], 'x');
-    memset(&t, 0, sizeof(t));
-    timing_text(&t, text, sizeof(text));
+    memset(&t, 0, sizeof t);
+    timing_text(&t, text, sizeof text);
     assert_string_equal(text, "all else 0.0 s");
 }
 
@@ -74,7 +74,7 @@ static void test_json(void **state)
     assert_non_null(o);
     assert_int_equal(json_object_size(o), TIMING_COUNT);
     timing_from_json(o, &back);
-    assert_memory_equal(&t, &back, sizeof(t));
+    assert_memory_equal(&t, &back, sizeof t);
     json_object_set_new(o, timing_key(TIMING_STEP), json_string("long"));
     json_object_set_new(o, timing_key(TIMING_SCORE), json_real(-1.0));
     json_object_del(o, timing_key(TIMING_PRUNE));

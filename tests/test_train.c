@@ -101,7 +101,7 @@ static void toy_write(const char *dir, bool with_points)
     kit_ok(render_open(&dev, &r, &e), e);
     kit_ok(render_model_upload(r, &g, &m, &e), e);
     for (size_t i = 0; i < PHOTOS; i++) {
-        snprintf(names[i], sizeof(names[i]), "p%zu.png", i);
+        snprintf(names[i], sizeof names[i], "p%zu.png", i);
         images[i] = (struct scene_image){.name = names[i],
                                          .cam = toy_camera(i),
                                          .split = i ? SCENE_TRAIN : SCENE_TEST,
@@ -204,14 +204,14 @@ static void the_feed_shows_every_photograph_once_an_epoch_within_its_cache(void 
             order[k][t - 1] = p.image;
             struct image want = {0};
             char path[FILE_PATH_MAX + 64];
-            snprintf(path, sizeof(path), "%s/images/%s", scene_dir, s.images[p.image].name);
+            snprintf(path, sizeof path, "%s/images/%s", scene_dir, s.images[p.image].name);
             kit_ok(image_read(path, NULL, &want, &e), e);
             assert_memory_equal(want.px, p.px, photo);
             image_free(&want);
         }
         photo_loader_close(&f);
     }
-    assert_memory_equal(order[0], order[1], sizeof(order[0])); /* the cache does not matter */
+    assert_memory_equal(order[0], order[1], sizeof order[0]); /* the cache does not matter */
     bool differs = false;
     for (size_t epoch = 0; epoch < 4; epoch++) {
         unsigned seen = 0;
@@ -231,7 +231,7 @@ static void read_level(const char *out, unsigned level, struct ckpt *c)
 {
     struct err e = {0};
     char path[FILE_PATH_MAX + 64];
-    snprintf(path, sizeof(path), "%s/cells/all/level%u.ckpt", out, level);
+    snprintf(path, sizeof path, "%s/cells/all/level%u.ckpt", out, level);
     kit_ok(ckpt_read(path, c, &e), e);
 }
 
@@ -278,7 +278,7 @@ static void training_improves_keeps_budgets_and_repeats(void **state)
                 r[0].cells[0].psnr_db[1]);
     ckpt_free(&c);
     char path[FILE_PATH_MAX + 64];
-    snprintf(path, sizeof(path), "%s/cells/all/resume.ckpt", out[0]);
+    snprintf(path, sizeof path, "%s/cells/all/resume.ckpt", out[0]);
     assert_false(file_exists(path)); /* nothing is left to go on from */
     for (int i = 0; i < 2; i++) {
         kit_rmdir(out[i]);
@@ -302,7 +302,7 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
     /* pieces of 1, 7, 30, ... steps: in the middle of levels, at their ends, around densifications
      */
     static const int64_t pieces[] = {1, 7, 67, 2, 73, 40, 40};
-    for (size_t i = 0; i < sizeof(pieces) / sizeof(pieces[0]); i++) {
+    for (size_t i = 0; i < sizeof pieces / sizeof pieces[0]; i++) {
         c.stop_after = pieces[i];
         c.resume = i > 0;
         kit_fails(train_again(scene_dir, &c, &r, &e), ERR_CANCEL, e, "--resume goes on");
@@ -333,7 +333,7 @@ static void a_damaged_state_is_refused(void **state)
     struct train_config c = toy_config(&a, out);
     c.stop_after = 3;
     kit_fails(train_again(scene_dir, &c, &r, &e), ERR_CANCEL, e, "step 3");
-    snprintf(path, sizeof(path), "%s/cells/all/resume.ckpt", out);
+    snprintf(path, sizeof path, "%s/cells/all/resume.ckpt", out);
     kit_ok(file_read(path, 0, &file, &e), e);
     c.resume = true;
     kit_ok(file_write(path, file.data, file.size - 5, &e), e);
@@ -431,7 +431,7 @@ static void pictures_smaller_than_the_window_are_scored_without_it(void **state)
     c.downsample_1 = 5.0; /* 13 x 10 px */
     kit_ok(train_again(scene_dir, &c, &r, &e), e);
     assert_true(isfinite(r.cells[0].psnr_db[0]) && isfinite(r.cells[0].ssim[0]));
-    snprintf(path, sizeof(path), "%s/cells/all/metrics.jsonl", out);
+    snprintf(path, sizeof path, "%s/cells/all/metrics.jsonl", out);
     kit_ok(file_read(path, 0, &lines, &e), e);
     buf_u8(&lines, 0);
     assert_non_null(strstr((const char *)lines.data, "\"ssim_valid\":null"));
@@ -452,7 +452,7 @@ static void broken_scenes_are_one_clear_error(void **state)
     struct train_config c = toy_config(&a, NULL);
     kit_fails(train_again(broken, &c, &r, &e), ERR_NOENT, e, "scene.json");
     toy_write(broken, true);
-    snprintf(path, sizeof(path), "%s/images/p4.png", broken);
+    snprintf(path, sizeof path, "%s/images/p4.png", broken);
     assert_int_equal(unlink(path), 0);
     kit_fails(train_again(broken, &c, &r, &e), ERR_NOENT, e, "p4.png");
     kit_ok(file_write(path, "GIF89a", 6, &e), e);
@@ -492,21 +492,21 @@ static void cells_of_a_plan_are_trained_on_their_own(void **state)
     for (size_t i = 0; i < plan.n_cells; i++)
         trained += plan.cells[i].parent < 0;
     assert_true(trained >= 2);
-    snprintf(path, sizeof(path), "%s/plan.json", dir);
+    snprintf(path, sizeof path, "%s/plan.json", dir);
     kit_ok(cell_plan_write(path, &s, &plan, &e), e);
     struct train_config c = toy_config(&a, NULL);
     c.iterations = 60;
     kit_ok(train_again(dir, &c, &r, &e), e);
     assert_int_equal(r.n_cells, trained);
     char last[32];
-    snprintf(last, sizeof(last), "%s", r.cells[trained - 1].id);
+    snprintf(last, sizeof last, "%s", r.cells[trained - 1].id);
     c.cell = last;
     c.output = one;
     kit_ok(train_again(dir, &c, &r, &e), e);
     assert_int_equal(r.n_cells, 1);
-    snprintf(path, sizeof(path), "%s/cells/%s/level3.ckpt", dir, last);
+    snprintf(path, sizeof path, "%s/cells/%s/level3.ckpt", dir, last);
     kit_ok(ckpt_read(path, &x, &e), e);
-    snprintf(path, sizeof(path), "%s/cells/%s/level3.ckpt", one, last);
+    snprintf(path, sizeof path, "%s/cells/%s/level3.ckpt", one, last);
     kit_ok(ckpt_read(path, &y, &e), e);
     assert_int_equal(x.g.n, y.g.n);
     assert_memory_equal(x.g.mean_m, y.g.mean_m, x.g.n * 12);
@@ -530,7 +530,7 @@ static void cells_of_a_plan_are_trained_on_their_own(void **state)
             plan.cells[i].min_m[k] += 0.25;
             plan.cells[i].max_m[k] += 0.25;
         }
-    snprintf(path, sizeof(path), "%s/plan.json", dir);
+    snprintf(path, sizeof path, "%s/plan.json", dir);
     kit_ok(cell_plan_write(path, &s, &plan, &e), e);
     c.stop_after = 5;
     kit_fails(train_again(dir, &c, &r, &e), ERR_CANCEL, e, "step 5");

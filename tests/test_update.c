@@ -472,7 +472,7 @@ static int update_with_limit(const char *path, const struct update_config *c, si
         if (setrlimit(RLIMIT_FSIZE, &r))
             _exit(99);
         enum err_code rc = update_build(path, c, path, NULL, &e);
-        _exit(rc == ERR_OK ? 0 : rc == ERR_IO && strstr(e.msg, "city.tiles") ? 1 : 2);
+        _exit(!rc ? 0 : rc == ERR_IO && strstr(e.msg, "city.tiles") ? 1 : 2);
     }
     assert_int_equal(waitpid(child, &status, 0), child);
     return WIFSIGNALED(status) ? -WTERMSIG(status) : WEXITSTATUS(status);

@@ -106,7 +106,7 @@ void fuzz_ckpt(const uint8_t *bytes, size_t n)
     if (whole == ERR_OK && sliced == ERR_OK && c.g.n == ckpt_rows_count(rows)) {
         struct gauss g;
         enum err_code rc = ckpt_rows_read(rows, 0, c.g.n, &g, NULL);
-        assert(rc == ERR_OK && g.n == c.g.n && !memcmp(g.mean_m, c.g.mean_m, 12 * g.n));
+        assert(!rc && g.n == c.g.n && !memcmp(g.mean_m, c.g.mean_m, 12 * g.n));
         gauss_free(&g);
     }
     ckpt_rows_close(&rows);
@@ -136,9 +136,9 @@ void fuzz_colmap(const uint8_t *bytes, size_t n)
             assert(m.tracks[i].image < m.n_images &&
                    m.tracks[i].obs < m.images[m.tracks[i].image].n_obs);
         enum err_code rc = colmap_write_bin(folder, &m, NULL);
-        assert(rc == ERR_OK);
+        assert(!rc);
         rc = colmap_read(folder, &again, NULL);
-        assert(rc == ERR_OK && again.n_cameras == m.n_cameras && again.n_images == m.n_images &&
+        assert(!rc && again.n_cameras == m.n_cameras && again.n_images == m.n_images &&
                again.n_points == m.n_points && again.n_tracks == m.n_tracks);
         colmap_free(&again);
     }
@@ -155,10 +155,10 @@ bool fuzz_seed_ckpt(const struct gauss *g, struct buf *out)
     const struct ckpt_blob blob = {"camera", "0123456789", 10};
     const char *path = put("x.ckpt", NULL, 0);
     enum err_code rc = ckpt_write(path, meta, g, &blob, 1, NULL);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = file_read(path, 0, out, NULL);
     json_decref(meta);
-    return rc == ERR_OK;
+    return !rc;
 }
 
 /* Two photographs of one point. */

@@ -20,7 +20,7 @@ static void sample(size_t i, struct gauss *g)
 {
     const size_t n = 3 + 5 * i;
     enum err_code rc = gauss_alloc(g, n, (uint32_t)i, i == 1 ? 2 : 0, NULL);
-    assert(rc == ERR_OK);
+    assert(!rc);
     g->n = n;
     g->antialiased = i == 1;
     const size_t k = 3 * gauss_sh_count(g->sh_degree);
@@ -57,9 +57,9 @@ static enum err_code exif_seed(size_t i, struct buf *out)
                                          0.01, 100,  8};
     struct image img;
     enum err_code rc = image_alloc(4, 4, 3, &img, NULL);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = image_encode(&img, formats[i], 90, out, NULL);
-    if (rc == ERR_OK)
+    if (!rc)
         rc = exif_insert(out, &gps, NULL);
     image_free(&img);
     return rc;
@@ -85,7 +85,7 @@ static enum err_code gauss_seed(const char *target, size_t i, struct buf *out)
     struct quant q;
     sample(i, &g);
     enum err_code rc = quant_from_gauss(&g, g.sh_degree, NULL, &q, NULL);
-    if (rc != ERR_OK)
+    if (rc)
         goto out;
     if (!strcmp(target, "ply"))
         rc = i ? ply_encode(&g, NULL, out, NULL) : text_ply(out);
@@ -111,7 +111,7 @@ static enum err_code appearance_seed(size_t i, struct buf *out)
 {
     struct appearance a;
     enum err_code rc = appearance_alloc(&a, 1 + 3 * (uint32_t)i, 2, 3, 2 * i, NULL);
-    assert(rc == ERR_OK);
+    assert(!rc);
     appearance_init(&a, i);
     for (size_t k = 0; k < a.n_images; k++)
         memset(a.names[k], 'a', 1 + k);

@@ -30,15 +30,15 @@ static void check_quant(const struct quant *a)
     struct gauss g;
     if (a->n) { /* the same integers again */
         enum err_code rc = spz_encode(a, 3, &file, NULL);
-        assert(rc == ERR_OK);
+        assert(!rc);
         rc = spz_decode(file.data, file.size, NULL, &b, NULL);
-        assert(rc == ERR_OK && a->n == b.n && !memcmp(a->position, b.position, 12 * a->n) &&
+        assert(!rc && a->n == b.n && !memcmp(a->position, b.position, 12 * a->n) &&
                !memcmp(a->rotation, b.rotation, 4 * a->n));
         quant_free(&b);
         buf_free(&file);
     }
     enum err_code rc = quant_to_gauss(a, &g, NULL);
-    assert(rc == ERR_OK && !gauss_count_bad(&g, NULL));
+    assert(!rc && !gauss_count_bad(&g, NULL));
     gauss_free(&g);
 }
 
@@ -47,9 +47,9 @@ static void check_gauss(const struct gauss *a)
     struct buf file = {0};
     struct gauss b;
     enum err_code rc = payload_encode(a, true, &file, NULL);
-    assert(rc == ERR_OK);
+    assert(!rc);
     rc = payload_decode(file.data, file.size, NULL, &b, NULL);
-    assert(rc == ERR_OK && a->n == b.n && !memcmp(a->mean_m, b.mean_m, 12 * a->n));
+    assert(!rc && a->n == b.n && !memcmp(a->mean_m, b.mean_m, 12 * a->n));
     gauss_free(&b);
     buf_free(&file);
 }
@@ -146,7 +146,7 @@ void fuzz_appearance(const uint8_t *bytes, size_t n)
     buf_u64(&b, h.hi);
     if (appearance_read(b.data, b.size, &a, NULL) == ERR_OK) {
         enum err_code rc = appearance_write(&a, &again, NULL);
-        assert(rc == ERR_OK && again.size == b.size && !memcmp(again.data, b.data, b.size));
+        assert(!rc && again.size == b.size && !memcmp(again.data, b.data, b.size));
     }
     appearance_free(&a);
     buf_free(&again);

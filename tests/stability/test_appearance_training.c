@@ -191,9 +191,9 @@ static double psnr_with_row(struct toy_run *r, uint32_t image, uint32_t row)
     struct image img = {0};
     char path[FILE_PATH_MAX + 64];
     double psnr;
-    snprintf(path, sizeof(path), "%s/images/%s", r->scene.dir, im->name);
+    snprintf(path, sizeof path, "%s/images/%s", r->scene.dir, im->name);
     kit_ok(image_read(path, NULL, &img, &e), e);
-    float *rgb = mem_array((size_t)img.width_px * img.height_px * 3, sizeof(*rgb));
+    float *rgb = mem_array((size_t)img.width_px * img.height_px * 3, sizeof *rgb);
     assert_non_null(rgb);
     appearance_frame(&l->light.model, l->light.model.images + row * l->light.model.len_image,
                      l->light.frame);
@@ -269,7 +269,7 @@ static void embeddings_of_what_is_seen_move(void **state)
     kit_ok(level_gauss(&r.level, &before, &e), e);
     toy_run_steps(&r, 100);
     kit_ok(level_gauss(&r.level, &after, &e), e);
-    float *count = mem_array(after.n, sizeof(*count));
+    float *count = mem_array(after.n, sizeof *count);
     assert_non_null(count);
     kit_ok(dev_read(&toy_dev, r.level.stats.count, 0, after.n * sizeof(float), count, &e), e);
     assert_int_equal(before.n, after.n);
@@ -316,7 +316,7 @@ static void seam_plan(const char *dir)
     for (size_t i = 0; i < plan.n_cells; i++)
         trained += plan.cells[i].parent < 0;
     assert_true(trained >= 2);
-    snprintf(path, sizeof(path), "%s/plan.json", dir);
+    snprintf(path, sizeof path, "%s/plan.json", dir);
     kit_ok(cell_plan_write(path, &s, &plan, &e), e);
     partition_free(&plan);
     scene_free(&s);
@@ -335,7 +335,7 @@ static void seam_merge(const char *dir, const struct partition *plan, const char
         size_t n = 0;
         if (plan->cells[i].parent >= 0)
             continue;
-        snprintf(path, sizeof(path), "%s/cells/%s/level1.ckpt", dir, plan->cells[i].id);
+        snprintf(path, sizeof path, "%s/cells/%s/level1.ckpt", dir, plan->cells[i].id);
         kit_ok(ckpt_read(path, &c, &e), e);
         kit_ok(shared_read_model(&c, path, &a, &e), e);
         ptrdiff_t row = appearance_find(&a, photo);
@@ -349,7 +349,7 @@ static void seam_merge(const char *dir, const struct partition *plan, const char
         if (!all->block) {
             kit_ok(gauss_alloc(all, n, c.g.sh_degree, 0, &e), e);
             all->antialiased = true;
-            memcpy(all->origin_enu_m, c.g.origin_enu_m, sizeof(all->origin_enu_m));
+            memcpy(all->origin_enu_m, c.g.origin_enu_m, sizeof all->origin_enu_m);
         }
         kit_ok(gauss_append(all, &c.g, rows, n, &e), e);
         appearance_free(&a);
@@ -382,10 +382,10 @@ static double seam_measure(const char *dir, struct toy *t, const struct gauss *t
     double eye[3] = {0.0, 0.0, t->height_m}, down[3] = {0.0, 0.0, 0.0}, sum = 0.0;
     double step[SEAM_LOOKS][3], mean[3] = {0.0};
     struct camera cam = camera_look_at(eye, down, 0.7, SEAM_PX, SEAM_PX);
-    double *rgb = mem_array(SEAM_PX * SEAM_PX * 3, sizeof(*rgb));
+    double *rgb = mem_array(SEAM_PX * SEAM_PX * 3, sizeof *rgb);
     assert_non_null(rgb);
     kit_ok(scene_read(dir, &s, &e), e);
-    snprintf(path, sizeof(path), "%s/plan.json", dir);
+    snprintf(path, sizeof path, "%s/plan.json", dir);
     kit_ok(cell_plan_read(path, &s, &plan, &e), e);
     for (size_t k = 0, i = 0; k < SEAM_LOOKS; k++, i++) {
         struct gauss all = {0};
@@ -438,7 +438,7 @@ static void cells_agree_on_the_look_at_their_border(void **state)
         kit_ok(train_run(dir, &c, &result, &e), e);
         seam[shared] = seam_measure(dir, &t, &truth);
     }
-    snprintf(path, sizeof(path), "%s/cells/appearance/level1.ckpt", dir);
+    snprintf(path, sizeof path, "%s/cells/appearance/level1.ckpt", dir);
     assert_true(file_exists(path));
     toy_figure("F9", "seam_shared=%.5f seam_own=%.5f limit=%.5f", seam[1], seam[0], F9_SEAM);
     assert_true(seam[1] < F9_SEAM);
@@ -463,12 +463,12 @@ static void a_single_cell_needs_the_shared_model(void **state)
     appearance_train_scene(dir, 0.3);
     seam_plan(dir);
     kit_ok(scene_read(dir, &s, &e), e);
-    snprintf(path, sizeof(path), "%s/plan.json", dir);
+    snprintf(path, sizeof path, "%s/plan.json", dir);
     kit_ok(cell_plan_read(path, &s, &plan, &e), e);
     size_t cell = 0;
     while (plan.cells[cell].parent >= 0)
         cell++;
-    snprintf(id, sizeof(id), "%s", plan.cells[cell].id);
+    snprintf(id, sizeof id, "%s", plan.cells[cell].id);
     struct train_config c = appearance_train_config(&a, NULL, true);
     c.iterations = 30;
     c.cell = id;
@@ -480,7 +480,7 @@ static void a_single_cell_needs_the_shared_model(void **state)
         kit_ok(train_run(dir, &c, &r, &e), e);
         assert_int_equal(r.n_cells, 0);
         train_result_free(&r);
-        snprintf(path, sizeof(path), "%s/cells/appearance/level1.ckpt", dir);
+        snprintf(path, sizeof path, "%s/cells/appearance/level1.ckpt", dir);
         kit_ok(file_read(path, 0, i ? &again : &first, &e), e);
     }
     assert_int_equal(first.size, again.size);
@@ -491,7 +491,7 @@ static void a_single_cell_needs_the_shared_model(void **state)
     train_result_free(&r);
     struct ckpt whole, one;
     kit_ok(ckpt_read(path, &whole, &e), e);
-    snprintf(path, sizeof(path), "%s/cells/%s/level1.ckpt", dir, id);
+    snprintf(path, sizeof path, "%s/cells/%s/level1.ckpt", dir, id);
     kit_ok(ckpt_read(path, &one, &e), e);
     const struct ckpt_blob *x = ckpt_find(&whole, APPEARANCE_TRAIN_BLOB),
                            *y = ckpt_find(&one, APPEARANCE_TRAIN_BLOB);
@@ -527,7 +527,7 @@ static void a_run_with_appearance_resumes_bit_by_bit(void **state)
     kit_ok(train_run(dir, &c, &r, &e), e);
     train_result_free(&r);
     c.output = parts;
-    for (size_t i = 0; i < sizeof(pieces) / sizeof(pieces[0]); i++) {
+    for (size_t i = 0; i < sizeof pieces / sizeof pieces[0]; i++) {
         c.stop_after = pieces[i];
         c.resume = i > 0;
         kit_fails(train_run(dir, &c, &r, &e), ERR_CANCEL, e, "--resume goes on");
@@ -538,9 +538,9 @@ static void a_run_with_appearance_resumes_bit_by_bit(void **state)
     for (unsigned level = 1; level <= 3; level++) {
         struct ckpt x, y;
         char path[FILE_PATH_MAX + 64];
-        snprintf(path, sizeof(path), "%s/cells/all/level%u.ckpt", whole, level);
+        snprintf(path, sizeof path, "%s/cells/all/level%u.ckpt", whole, level);
         kit_ok(ckpt_read(path, &x, &e), e);
-        snprintf(path, sizeof(path), "%s/cells/all/level%u.ckpt", parts, level);
+        snprintf(path, sizeof path, "%s/cells/all/level%u.ckpt", parts, level);
         kit_ok(ckpt_read(path, &y, &e), e);
         assert_int_equal(x.g.n, y.g.n);
         assert_int_equal(x.g.embed_len, 16);
@@ -610,7 +610,7 @@ static void the_score_of_a_half_does_not_know_the_other(void **state)
     assert_int_equal(
         appearance_train_nearest(look.model, &r.scene, look.row, &p.cam, look.reach_m, start), 3);
     for (int k = 0; k < 2; k++) {
-        memcpy(image[k], start, sizeof(start));
+        memcpy(image[k], start, sizeof start);
         kit_ok(half_image_score(h, photos[k], &l->model, &ro, HALF_IMAGE_RIGHT, start, &s[k], &e),
                e);
         kit_ok(half_image_fit(h, photos[k], &l->model, &ro, HALF_IMAGE_RIGHT, image[k], &e), e);
@@ -619,12 +619,12 @@ static void the_score_of_a_half_does_not_know_the_other(void **state)
                s[0].ssim - s[1].ssim);
     assert_true(s[0].psnr_db == s[1].psnr_db && s[0].ssim == s[1].ssim && s[0].l1 == s[1].l1);
     assert_true(s[0].ssim_valid == s[1].ssim_valid);
-    assert_memory_equal(image[0], image[1], sizeof(image[0])); /* learning from the right half */
+    assert_memory_equal(image[0], image[1], sizeof image[0]); /* learning from the right half */
     /* ... and the left half does decide where it should. */
-    memcpy(image[1], image[0], sizeof(image[0]));
+    memcpy(image[1], image[0], sizeof image[0]);
     for (int k = 0; k < 2; k++)
         kit_ok(half_image_fit(h, photos[k], &l->model, &ro, HALF_IMAGE_LEFT, image[k], &e), e);
-    assert_memory_not_equal(image[0], image[1], sizeof(image[0]));
+    assert_memory_not_equal(image[0], image[1], sizeof image[0]);
     mem_free(px);
     photo_loader_close(&feed);
     half_image_close(&h);

@@ -82,7 +82,7 @@ static void cells_that_look_outside_keep_their_ceilings(void **state)
     pc.images_least = CELLS_FEW;
     pc.use_visibility = false;
     kit_ok(partition_make(&s, &pc, &plan, &e), e);
-    snprintf(path, sizeof(path), "%s/plan.json", dir);
+    snprintf(path, sizeof path, "%s/plan.json", dir);
     kit_ok(cell_plan_write(path, &s, &plan, &e), e);
     size_t empty = 0, poor = 0, trained = 0;
     for (size_t i = 0; i < plan.n_cells; i++) {
@@ -102,7 +102,7 @@ static void cells_that_look_outside_keep_their_ceilings(void **state)
     assert_int_equal(r.n_cells, trained);
     const int64_t budget[3] = {cfg.budget_1, cfg.budget_2, cfg.budget_3};
     for (size_t i = 0; i < r.n_cells; i++) {
-        snprintf(path, sizeof(path), "%s/cells/%s/metrics.jsonl", dir, r.cells[i].id);
+        snprintf(path, sizeof path, "%s/cells/%s/metrics.jsonl", dir, r.cells[i].id);
         read_ceilings(path, budget, &c);
         assert_true(r.cells[i].n_gaussians[2] > 0);
     }

@@ -47,7 +47,7 @@ static void count_owners(const struct city *c, const struct partition *p)
         if (p->cells[i].parent >= 0)
             continue;
         cells++;
-        snprintf(path, sizeof(path), "%s/cells/%s/level3.ckpt", c->results, p->cells[i].id);
+        snprintf(path, sizeof path, "%s/cells/%s/level3.ckpt", c->results, p->cells[i].id);
         kit_ok(ckpt_read(path, &k, &e), e);
         for (size_t g = 0; g < k.g.n; g++) {
             double x = k.g.origin_enu_m[0] + (double)k.g.mean_m[3 * g],
@@ -164,15 +164,15 @@ static void measure_photo(const struct city *c, const struct scene *scene,
     const struct render_options draw = {.aa = RENDER_AA_2D, .sh_degree = -1};
     float *depth = NULL;
     size_t shape[2] = {0};
-    snprintf(path, sizeof(path), "%s/images/%s", c->scene, img->name);
+    snprintf(path, sizeof path, "%s/images/%s", c->scene, img->name);
     struct camera cam = img->cam;
     read_photo(path, shrink, &cam, &photo);
     const char *dot = strrchr(img->name, '.');
-    snprintf(name, sizeof(name), "%.*s", (int)(dot - img->name), img->name);
-    snprintf(path, sizeof(path), "%s/depth/%s.npy", c->truth, name);
+    snprintf(name, sizeof name, "%.*s", (int)(dot - img->name), img->name);
+    snprintf(path, sizeof path, "%s/depth/%s.npy", c->truth, name);
     kit_ok(npy_read(path, 2, shape, &depth, &e), e);
     assert_true(shrink > 1 || (shape[0] == photo.height_px && shape[1] == photo.width_px));
-    float *rgb = mem_array((size_t)photo.width_px * photo.height_px * 3, sizeof(*rgb));
+    float *rgb = mem_array((size_t)photo.width_px * photo.height_px * 3, sizeof *rgb);
     assert_non_null(rgb);
     kit_ok(view_render(view, &cam, &draw, po, rgb, &stats, &e), e);
     double ssim, psnr;
@@ -216,7 +216,7 @@ static bool measure_lod(const struct city *c, const struct scene *scene, const s
     } ways[] = {{"default", {0}}, {"0.5-px", {.error_px = 0.5}}};
     struct sums fine = measure(c, scene, p, far, view, &no_lod);
     bool ok = true;
-    for (size_t k = 0; k < sizeof(ways) / sizeof(ways[0]); k++) {
+    for (size_t k = 0; k < sizeof ways / sizeof ways[0]; k++) {
         struct sums lod = measure(c, scene, p, far, view, &ways[k].o);
         double share = (double)lod.gaussians / (double)fine.gaussians;
         double loss = fine.psnr - lod.psnr, photometric_ssim = fine.ssim - lod.ssim;
@@ -242,7 +242,7 @@ static void measure_city(const struct city *c)
     struct render *render = NULL;
     struct view *view = NULL;
     kit_ok(scene_read(c->scene, &scene, &e), e);
-    snprintf(path, sizeof(path), "%s/plan.json", c->scene);
+    snprintf(path, sizeof path, "%s/plan.json", c->scene);
     kit_ok(cell_plan_read(path, &scene, &plan, &e), e);
     assert_true(scene.n_images >= PHOTOS_LEAST && plan.n_cells >= CELLS_LEAST);
     count_owners(c, &plan);
@@ -289,10 +289,10 @@ static void a_city_of_many_cells(void **state)
     char dir[FILE_PATH_MAX];
     struct city c;
     kit_tmpdir(dir);
-    snprintf(c.scene, sizeof(c.scene), "%.500s/scene", dir);
-    snprintf(c.truth, sizeof(c.truth), "%.500s/city/truth", dir);
-    snprintf(c.results, sizeof(c.results), "%.500s/results", dir);
-    snprintf(c.tiles, sizeof(c.tiles), "%.500s/city.tiles", dir);
+    snprintf(c.scene, sizeof c.scene, "%.500s/scene", dir);
+    snprintf(c.truth, sizeof c.truth, "%.500s/city/truth", dir);
+    snprintf(c.results, sizeof c.results, "%.500s/results", dir);
+    snprintf(c.tiles, sizeof c.tiles, "%.500s/city.tiles", dir);
     RUN("synth -o %s/city --photos 320 --extent-m 240 --width-px 160 --height-px 120 "
         "--supersample 1 --points 20000",
         dir);
@@ -310,10 +310,10 @@ int main(int argc, char **argv)
 {
     const struct CMUnitTest tests[] = {cmocka_unit_test(a_city_of_many_cells)};
     if (argc == 5) {
-        snprintf(measured.scene, sizeof(measured.scene), "%s", argv[1]);
-        snprintf(measured.truth, sizeof(measured.truth), "%s", argv[2]);
-        snprintf(measured.results, sizeof(measured.results), "%s", argv[3]);
-        snprintf(measured.tiles, sizeof(measured.tiles), "%s", argv[4]);
+        snprintf(measured.scene, sizeof measured.scene, "%s", argv[1]);
+        snprintf(measured.truth, sizeof measured.truth, "%s", argv[2]);
+        snprintf(measured.results, sizeof measured.results, "%s", argv[3]);
+        snprintf(measured.tiles, sizeof measured.tiles, "%s", argv[4]);
     } else if (argc != 1) {
         fprintf(stderr, "usage: %s [SCENE TRUTH RESULTS CITY.tiles]\n", argv[0]);
         return 2;

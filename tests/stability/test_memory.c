@@ -82,7 +82,7 @@ static size_t peak_of(const char *program, size_t n, size_t budget, bool appeara
     kit_ok(schedule_make(&cfg, n_images, &cell, levels, &e), e);
     *need = memory_estimate(&cfg, &s, images, n_images, levels, 2, true);
     struct ckpt c;
-    snprintf(path, sizeof(path), "%s/cells/all/level2.ckpt", dir);
+    snprintf(path, sizeof path, "%s/cells/all/level2.ckpt", dir);
     kit_ok(ckpt_read(path, &c, &e), e);
     *gaussians = c.g.n;
     ckpt_free(&c);
@@ -136,7 +136,7 @@ static float *arrays_of(const struct level *l, size_t floats)
 {
     struct err e = {0};
     cl_mem parts[REMOVAL_PARTS] = {l->model.params, l->adam.m1, l->adam.m2};
-    float *all = mem_array(REMOVAL_PARTS * floats, sizeof(*all));
+    float *all = mem_array(REMOVAL_PARTS * floats, sizeof *all);
     assert_non_null(all);
     for (size_t k = 0; k < REMOVAL_PARTS; k++)
         kit_ok(dev_read(&toy_dev, parts[k], 0, floats * sizeof(float), all + k * floats, &e), e);
@@ -184,7 +184,7 @@ static void a_removal_is_taken_back_or_stays(void **state)
         float *after = arrays_of(l, floats);
         if (!stays) {
             assert_int_equal(l->model.n, n);
-            assert_memory_equal(before, after, REMOVAL_PARTS * floats * sizeof(*after));
+            assert_memory_equal(before, after, REMOVAL_PARTS * floats * sizeof *after);
         }
         assert_int_equal(l->model.n, n - (stays ? report.faint : 0));
         for (size_t k = 0; k < REMOVAL_PARTS; k++) {

@@ -64,7 +64,7 @@ static void write_masks(const char *dir, const struct toy *t)
         memset(img.px, 255, (size_t)t->width_px * t->height_px);
         for (uint32_t y = y0; y < y0 + F17_BOX_PX; y++)
             memset(img.px + (size_t)y * t->width_px + x0, 0, F17_BOX_PX);
-        snprintf(name, sizeof(name), "p%02zu.png", i);
+        snprintf(name, sizeof name, "p%02zu.png", i);
         kit_ok(mask_path(masks, name, path, &e), e);
         kit_ok(image_write(path, &img, 0, NULL, &e), e);
         image_free(&img);
@@ -83,8 +83,8 @@ static struct ground ground_after_training(const char *dir, const struct toy *t,
     struct arena a = {0};
     struct toy_run r;
     size_t n = (size_t)t->width_px * t->height_px * 3, n_box = 0;
-    double *want = mem_array(n, sizeof(*want)), all = 0.0, box = 0.0;
-    float *got = mem_array(n, sizeof(*got));
+    double *want = mem_array(n, sizeof *want), all = 0.0, box = 0.0;
+    float *got = mem_array(n, sizeof *got);
     assert_true(want && got);
     struct train_config c = toy_config(&a, NULL);
     c.iterations = F17_STEPS;
@@ -344,7 +344,7 @@ static void photographs_take_no_more_memory_than_allowed(void **state)
     kit_ok(file_join(sub, s.dir, "images", &e), e);
     kit_ok(file_mkdir(sub, &e), e);
     for (uint32_t i = 0; i < F29_PHOTOS; i++) {
-        snprintf(names[i], sizeof(names[i]), "p%03u.png", i);
+        snprintf(names[i], sizeof names[i], "p%03u.png", i);
         images[i].name = names[i];
         images[i].cam = (struct camera){.width_px = F29_WIDTH, .height_px = F29_HEIGHT};
         images[i].cam.fx_px = images[i].cam.fy_px = F29_WIDTH;
@@ -361,10 +361,10 @@ static void photographs_take_no_more_memory_than_allowed(void **state)
     assert_true(child >= 0);
     if (!child) {
         growth = feed_growth(&s, list);
-        _exit(write(ends[1], &growth, sizeof(growth)) != sizeof(growth));
+        _exit(write(ends[1], &growth, sizeof growth) != sizeof growth);
     }
     close(ends[1]);
-    assert_int_equal(read(ends[0], &growth, sizeof(growth)), sizeof(growth));
+    assert_int_equal(read(ends[0], &growth, sizeof growth), sizeof growth);
     close(ends[0]);
     assert_int_equal(waitpid(child, NULL, 0), child);
     size_t all = (size_t)F29_PHOTOS * F29_WIDTH * F29_HEIGHT * 3;

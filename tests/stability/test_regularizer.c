@@ -45,7 +45,7 @@ static void ground_gauss(const struct toy *t, struct gauss *g)
         float *at = g->mean_m + 3 * i;
         at[2] = 0.6f * sinf(0.7f * at[0]) * cosf(0.7f * at[1]);
         g->scale_log[3 * i + 2] = logf(0.05f);
-        memcpy(g->quat_wxyz + 4 * i, level, sizeof(level));
+        memcpy(g->quat_wxyz + 4 * i, level, sizeof level);
         g->opacity_logit[i] = 4.0f;
     }
 }
@@ -56,7 +56,7 @@ static void ground_add_tracks(const char *dir)
     struct scene s;
     struct err e = {0};
     kit_ok(scene_read(dir, &s, &e), e);
-    s.tracks = mem_array(s.n_images * s.n_points, sizeof(*s.tracks));
+    s.tracks = mem_array(s.n_images * s.n_points, sizeof *s.tracks);
     assert_non_null(s.tracks);
     s.n_tracks = 0;
     for (uint32_t i = 0; i < s.n_images; i++)
@@ -136,18 +136,18 @@ static int f4_compare(const void *a, const void *b)
 /* Largest axis in s_max, and the 99th percentile of largest over middle axis. */
 static void f4_measure(const struct gauss *g, double *size, double *ratio)
 {
-    double *r = mem_array(g->n, sizeof(*r));
+    double *r = mem_array(g->n, sizeof *r);
     assert_non_null(r);
     *size = 0.0;
     for (size_t i = 0; i < g->n; i++) {
         double s[3];
         for (size_t k = 0; k < 3; k++)
             s[k] = exp((double)g->scale_log[3 * i + k]);
-        qsort(s, 3, sizeof(*s), f4_compare);
+        qsort(s, 3, sizeof *s, f4_compare);
         *size = fmax(*size, s[2] / F4_S_MAX_M);
         r[i] = s[2] / s[1];
     }
-    qsort(r, g->n, sizeof(*r), f4_compare);
+    qsort(r, g->n, sizeof *r, f4_compare);
     *ratio = r[(size_t)(0.99 * (double)(g->n - 1))];
     mem_free(r);
 }
@@ -219,7 +219,7 @@ static void truth_depth(size_t i, double *depth)
     struct camera cam = toy_camera(&t, i);
     struct err e = {0};
     double loss;
-    float *none = mem_array((size_t)t.width_px * t.height_px, sizeof(*none));
+    float *none = mem_array((size_t)t.width_px * t.height_px, sizeof *none);
     assert_non_null(none);
     ground_gauss(&t, &g);
     struct depth_input in = {.cam = &cam,
@@ -266,7 +266,7 @@ static void png16_write(const char *path, const float *v, uint32_t w, uint32_t h
     assert_non_null(packed);
     assert_int_equal(compress(packed, &n, raw.data, raw.size), Z_OK);
     buf_add(&b, "\x89PNG\r\n\x1a\n", 8);
-    png_chunk(&b, "IHDR", head, sizeof(head));
+    png_chunk(&b, "IHDR", head, sizeof head);
     png_chunk(&b, "IDAT", packed, n);
     png_chunk(&b, "IEND", NULL, 0);
     kit_ok(file_write(path, b.data, b.size, &e), e);
@@ -281,8 +281,8 @@ static void maps_write(const char *dir)
 {
     struct toy t = ground_spec();
     size_t pixels = (size_t)t.width_px * t.height_px, shape[2] = {t.height_px, t.width_px};
-    double *depth = mem_array(pixels, sizeof(*depth));
-    float *map = mem_array(pixels, sizeof(*map));
+    double *depth = mem_array(pixels, sizeof *depth);
+    float *map = mem_array(pixels, sizeof *map);
     assert_true(depth && map);
     for (size_t i = 0; i < t.photos; i++) {
         char path[FILE_PATH_MAX + 32];
@@ -290,7 +290,7 @@ static void maps_write(const char *dir)
         truth_depth(i, depth);
         for (size_t k = 0; k < pixels; k++)
             map[k] = (float)(4.0 * depth[k] + 0.1);
-        snprintf(path, sizeof(path), i % 2 ? "%s/p%02zu.png" : "%s/p%02zu.png.npy", dir, i);
+        snprintf(path, sizeof path, i % 2 ? "%s/p%02zu.png" : "%s/p%02zu.png.npy", dir, i);
         if (i % 2)
             png16_write(path, map, t.width_px, t.height_px);
         else
@@ -404,13 +404,13 @@ static float *f16_train(const struct train_config *c, uint32_t steps, size_t *fl
     (void)toy_run_steps(&r, steps);
     const struct render_model *m = &r.level.model;
     size_t n = m->n, params = permute_floats(n, m->planes);
-    float *out = mem_array(F16_STATS * n + params, sizeof(*out));
+    float *out = mem_array(F16_STATS * n + params, sizeof *out);
     assert_non_null(out);
     cl_mem stats[F16_STATS] = {r.level.stats.grad, r.level.stats.absg, r.level.stats.count,
                                r.level.stats.radius};
     for (size_t i = 0; i < F16_STATS; i++)
-        kit_ok(dev_read(&toy_dev, stats[i], 0, n * sizeof(*out), out + i * n, &e), e);
-    kit_ok(dev_read(&toy_dev, m->params, 0, params * sizeof(*out), out + F16_STATS * n, &e), e);
+        kit_ok(dev_read(&toy_dev, stats[i], 0, n * sizeof *out, out + i * n, &e), e);
+    kit_ok(dev_read(&toy_dev, m->params, 0, params * sizeof *out, out + F16_STATS * n, &e), e);
     *floats = F16_STATS * n + params;
     toy_run_close(&r);
     return out;
@@ -420,7 +420,7 @@ static size_t f16_differing(const float *a, const float *b, size_t n)
 {
     size_t bits = 0;
     for (size_t i = 0; i < n; i++)
-        bits += memcmp(a + i, b + i, sizeof(*a)) != 0;
+        bits += memcmp(a + i, b + i, sizeof *a) != 0;
     return bits;
 }
 
@@ -475,7 +475,7 @@ static double f21_loss(double scale)
     struct depth_target target;
     struct err e = {0};
     const uint32_t image = 1;
-    double loss, *depth = mem_array((size_t)t.width_px * t.height_px, sizeof(*depth));
+    double loss, *depth = mem_array((size_t)t.width_px * t.height_px, sizeof *depth);
     assert_non_null(depth);
     ground_gauss(&t, &g);
     kit_ok(scene_read(scene_dir, &s, &e), e);
@@ -562,9 +562,9 @@ static void maps_are_read_aligned_and_left_out(void **state)
     uint32_t *images;
     size_t n, pixels = (size_t)t.width_px * t.height_px, shape[2] = {t.height_px, t.width_px};
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX + 32];
-    double *truth = mem_array(pixels, sizeof(*truth)), error = 0.0;
+    double *truth = mem_array(pixels, sizeof *truth), error = 0.0;
     size_t compared = 0;
-    float *map = mem_array(pixels, sizeof(*map));
+    float *map = mem_array(pixels, sizeof *map);
     assert_true(truth && map);
     kit_tmpdir(dir);
     maps_write(dir);
@@ -574,9 +574,9 @@ static void maps_are_read_aligned_and_left_out(void **state)
     truth_depth(images[0], truth);
     for (size_t i = 0; i < pixels; i++)
         map[i] = (float)(1.0 / truth[i]);
-    snprintf(path, sizeof(path), "%s/%s.npy", dir, s.images[images[0]].name);
+    snprintf(path, sizeof path, "%s/%s.npy", dir, s.images[images[0]].name);
     kit_ok(npy_write(path, map, 2, shape, &e), e); /* depth where inverse depth is asked for */
-    snprintf(path, sizeof(path), "%s/p%02u.png%s", dir, images[1], images[1] % 2 ? "" : ".npy");
+    snprintf(path, sizeof path, "%s/p%02u.png%s", dir, images[1], images[1] % 2 ? "" : ".npy");
     assert_int_equal(remove(path), 0);
     kit_ok(depth_map_open(&cfg, &maps, &e), e);
     assert_int_equal(depth_map_count(maps, DEPTH_MAP_OK), n - 2);
@@ -609,7 +609,7 @@ static void maps_are_read_aligned_and_left_out(void **state)
                F21_MAP_ERROR);
     assert_true(compared > 1000 && error < F21_MAP_ERROR);
     depth_map_close(&maps);
-    snprintf(path, sizeof(path), "%s/%s.npy", dir, s.images[images[0]].name);
+    snprintf(path, sizeof path, "%s/%s.npy", dir, s.images[images[0]].name);
     kit_ok(file_read(path, 0, &junk, &e), e);
     kit_ok(file_write(path, junk.data, junk.size / 2, &e), e);
     kit_fails(depth_map_open(&cfg, &maps, &e), ERR_FORMAT, e, "truncated");
@@ -662,14 +662,14 @@ static void resumed_runs_with_filter_and_depth_are_the_same(void **state)
         out[i] = mem_array(FILE_PATH_MAX, 1);
         assert_non_null(out[i]);
         kit_tmpdir(out[i]);
-        resume_train(out[i], pieces, i ? sizeof(pieces) / sizeof(pieces[0]) : 0);
+        resume_train(out[i], pieces, i ? sizeof pieces / sizeof pieces[0] : 0);
     }
     for (int level = 1; level <= 3; level++) {
         struct ckpt c[2];
         struct err e = {0};
         for (int i = 0; i < 2; i++) {
             char path[FILE_PATH_MAX], name[64];
-            snprintf(name, sizeof(name), "cells/all/level%d.ckpt", level);
+            snprintf(name, sizeof name, "cells/all/level%d.ckpt", level);
             kit_ok(file_join(path, out[i], name, &e), e);
             kit_ok(ckpt_read(path, &c[i], &e), e);
         }

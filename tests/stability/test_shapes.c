@@ -96,8 +96,8 @@ static int by_value(const void *a, const void *b)
 static double median(const double *v, size_t n)
 {
     double sorted[CLOUD_VIEWS];
-    memcpy(sorted, v, n * sizeof(*v));
-    qsort(sorted, n, sizeof(*sorted), by_value);
+    memcpy(sorted, v, n * sizeof *v);
+    qsort(sorted, n, sizeof *sorted, by_value);
     return sorted[n / 2];
 }
 
@@ -197,7 +197,7 @@ static void many_entries(size_t n, uint32_t width, uint32_t height, uint64_t wan
     const double eye[3] = {0, 0, 0}, target[3] = {0, 1, 0};
     struct camera cam = camera_look_at(eye, target, 0.9, width, height);
     struct render_options o = {.aa = RENDER_AA_NONE, .sh_degree = -1, .background = {0, 1, 0}};
-    float *rgb = mem_array((size_t)width * height * 3, sizeof(*rgb));
+    float *rgb = mem_array((size_t)width * height * 3, sizeof *rgb);
     assert_non_null(rgb);
     kit_gauss(70, n, 1.0, 0, 0, &g);
     for (size_t i = 0; i < n; i++) {
@@ -299,7 +299,7 @@ static void kernels_of_both_shapes_agree_and_repeat(void **state)
         const float *x = part_of(&a, part), *y = part_of(&b, part), *z = part_of(&c, part);
         size_t n = per_row[part] * s.g.n;
         double diff = 0.0, norm = 0.0;
-        assert_memory_equal(x, y, n * sizeof(*x));
+        assert_memory_equal(x, y, n * sizeof *x);
         for (size_t i = 0; i < n; i++) {
             diff += ((double)x[i] - (double)z[i]) * ((double)x[i] - (double)z[i]);
             norm += (double)x[i] * (double)x[i];

@@ -34,9 +34,9 @@ static void mean_gradients(const char *dir, const struct gauss *g, float *grad, 
         c.lr_quat = 0.0;
     toy_run_open_from(&r, dir, &c, g);
     toy_run_steps(&r, F15_STEPS);
-    kit_ok(dev_read(&toy_dev, r.level.stats.grad, 0, sizeof(count), grad, &e), e);
-    kit_ok(dev_read(&toy_dev, r.level.stats.absg, 0, sizeof(count), absg, &e), e);
-    kit_ok(dev_read(&toy_dev, r.level.stats.count, 0, sizeof(count), count, &e), e);
+    kit_ok(dev_read(&toy_dev, r.level.stats.grad, 0, sizeof count, grad, &e), e);
+    kit_ok(dev_read(&toy_dev, r.level.stats.absg, 0, sizeof count, absg, &e), e);
+    kit_ok(dev_read(&toy_dev, r.level.stats.count, 0, sizeof count, count, &e), e);
     for (size_t i = 0; i < F15_N; i++) {
         assert_true(count[i] > 0.0f);
         grad[i] /= count[i];
@@ -92,8 +92,8 @@ static void candidates_do_not_depend_on_picture_size(void **state)
         /* thresholds that 10 % .. 90 % of the small pictures' Gaussians exceed */
         for (int tenth = 1; tenth <= 9; tenth++) {
             float sorted[F15_N];
-            memcpy(sorted, v[0][kind], sizeof(sorted));
-            qsort(sorted, F15_N, sizeof(*sorted), by_value);
+            memcpy(sorted, v[0][kind], sizeof sorted);
+            qsort(sorted, F15_N, sizeof *sorted, by_value);
             double tau = (double)sorted[F15_N * tenth / 10];
             double once = fraction_above(v[0][kind], tau), twice = fraction_above(v[1][kind], tau);
             double change = fabs(twice / once - 1.0);
@@ -179,7 +179,7 @@ static void resumed_anywhere_it_ends_in_the_same_bytes(void **state)
             toy_run_load(&again, dir, &c, path);
             to_the_end(&again);
             struct hash128 got = model_hash(&again);
-            same += again.level.model.n == n && !memcmp(&got, &want, sizeof(got));
+            same += again.level.model.n == n && !memcmp(&got, &want, sizeof got);
             tried++;
             toy_run_close(&again);
         }
@@ -187,8 +187,8 @@ static void resumed_anywhere_it_ends_in_the_same_bytes(void **state)
     }
     struct hash128 got = model_hash(&part);
     kit_figure("F30", "interrupted_at=%zu bit_equal=%zu gaussians=%zu", tried, same, n);
-    kit_figure("F26", "training_repeats=%s", memcmp(&got, &want, sizeof(got)) ? "no" : "bit-equal");
-    assert_memory_equal(&got, &want, sizeof(got));
+    kit_figure("F26", "training_repeats=%s", memcmp(&got, &want, sizeof got) ? "no" : "bit-equal");
+    assert_memory_equal(&got, &want, sizeof got);
     assert_int_equal(tried, F30_STEPS);
     assert_int_equal(same, tried);
     toy_run_close(&whole);

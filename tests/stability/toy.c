@@ -53,7 +53,7 @@ void toy_gauss(const struct toy *t, struct gauss *out)
     kit_ok(gauss_alloc(out, t->n, t->sh_degree, 0, &e), e);
     out->n = t->n;
     out->antialiased = true;
-    memcpy(out->origin_enu_m, t->center_enu_m, sizeof(out->origin_enu_m));
+    memcpy(out->origin_enu_m, t->center_enu_m, sizeof out->origin_enu_m);
     for (size_t i = 0; i < t->n; i++) {
         for (size_t k = 0; k < 3; k++) {
             double at = 2.0 * rng_unit(t->seed, 1, 3 * i + k) - 1.0;
@@ -94,7 +94,7 @@ static void toy_photo(const struct toy *t, const struct gauss *g, size_t i, cons
     struct image img = {0};
     struct camera cam = toy_camera(t, i);
     size_t n = (size_t)t->width_px * t->height_px * 3;
-    double *rgb = mem_array(n, sizeof(*rgb));
+    double *rgb = mem_array(n, sizeof *rgb);
     assert_non_null(rgb);
     toy_draw(g, &cam, rgb);
     if (t->paint)
@@ -132,7 +132,7 @@ void toy_write(const char *dir, const struct toy *t, const struct gauss *g)
     kit_ok(file_mkdir(sub, &e), e);
     for (size_t i = 0; i < t->photos; i++) {
         bool test = t->test_every && i % t->test_every == 0;
-        snprintf(names[i], sizeof(names[i]), "p%02zu.png", i);
+        snprintf(names[i], sizeof names[i], "p%02zu.png", i);
         images[i] = (struct scene_image){.name = names[i],
                                          .cam = toy_camera(t, i),
                                          .split = test ? SCENE_TEST : SCENE_TRAIN,
@@ -146,7 +146,7 @@ void toy_write(const char *dir, const struct toy *t, const struct gauss *g)
     }
     s.images = images;
     s.n_points = t->points ? g->n : 0;
-    s.points = mem_array(g->n, sizeof(*s.points));
+    s.points = mem_array(g->n, sizeof *s.points);
     assert_non_null(s.points);
     toy_points(t, g, s.points);
     kit_ok(scene_write(dir, &s, &e), e);

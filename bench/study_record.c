@@ -1,4 +1,4 @@
-/* citysplat note: adds the numbers of a run to a file of recorded runs (cli/runs.h), from what
+/* citysplat-study record: adds the numbers of a run to a file of recorded runs (cli/runs.h), from what
  * `citysplat eval -o`, `citysplat train` (cells/<id>/metrics.jsonl) and citysplat-bench wrote.
  *
  * Training time of a level: from the start of the cell to the level's end, summed over cells; and
@@ -14,50 +14,51 @@
 
 #include <jansson.h>
 
-#include "cli/cli.h"
+#include "bench/study.h"
 #include "cli/runs.h"
+#include "core/options.h"
 #include "train/config.h"
 
-struct note_options {
+struct record_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
-#include "cli/note.def"
+#include "bench/study_record.def"
 #undef OPT
 };
 
-static const struct options_def note_defs[] = {
+static const struct options_def record_defs[] = {
 #define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct note_options, type, key, def, lo, hi, unit, help)
-#include "cli/note.def"
+    OPTIONS_ROW(struct record_options, type, key, def, lo, hi, unit, help)
+#include "bench/study_record.def"
 #undef OPT
 };
 
-struct note_level { /* over cells */
+struct record_level { /* over cells */
     double train_s, train_longest_s, peak_bytes;
 };
 
-struct note_run {
-    struct note_options o;
+struct record_run {
+    struct record_options o;
     json_t *lines; /* of the file, then of this run as well */
-    struct note_level level[TRAIN_LEVELS_MAX];
+    struct record_level level[TRAIN_LEVELS_MAX];
     unsigned n_levels;
     double fma_gflops, triad_gbps; /* 0: not told */
     json_t *more;                  /* --set */
     size_t at;                     /* where the next record goes */
 };
 
-static enum err_code note_full(struct err *e)
+static enum err_code record_full(struct err *e)
 {
-    return err_set(e, ERR_MEM, "note: out of memory");
+    return err_set(e, ERR_MEM, "record: out of memory");
 }
 
 /* ---- what the run left ---- */
 
-static enum err_code note_read_cell(struct note_run *r, const char *path, struct err *e)
+static enum err_code record_read_cell(struct record_run *r, const char *path, struct err *e)
 {
     json_t *lines = NULL, *line;
     size_t i;
     enum err_code rc = runs_read_lines(path, &lines, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     json_array_foreach(lines, i, line)
     {
@@ -65,7 +66,7 @@ static enum err_code note_read_cell(struct note_run *r, const char *path, struct
         if (strcmp(runs_text(line, "event"), "level") || !(level >= 1.0) ||
             !(level <= TRAIN_LEVELS_MAX))
             continue;
-        struct note_level *l = &r->level[(size_t)level - 1];
+        struct record_level *l = &r->level[(size_t)level - 1];
         l->train_s += s;
         l->train_longest_s = fmax(l->train_longest_s, s);
         l->peak_bytes = fmax(l->peak_bytes, runs_number(line, "peak_bytes"));
@@ -75,23 +76,23 @@ static enum err_code note_read_cell(struct note_run *r, const char *path, struct
     return ERR_OK;
 }
 
-static enum err_code note_read_results(struct note_run *r, struct err *e)
+static enum err_code record_read_results(struct record_run *r, struct err *e)
 {
     char path[FILE_PATH_MAX], file[FILE_PATH_MAX + 288];
     size_t found = 0;
-    struct note_run before = {0};
+    struct record_run before = {0};
     enum err_code rc = file_join(path, r->o.results, "cells", e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     DIR *dir = opendir(path);
     if (!dir)
         return err_errno(e, ERR_NOENT, "%s: not the results of `citysplat train`", path);
-    for (struct dirent *d; rc == ERR_OK && (d = readdir(dir));) {
+    for (struct dirent *d; !rc && (d = readdir(dir));) {
         snprintf(file, sizeof file, "%s/%s/metrics.jsonl", path, d->d_name);
         if (d->d_name[0] == '.' || !file_exists(file))
             continue;
         bool shared = !strcmp(d->d_name, "appearance"); /* trained before all cells */
-        rc = note_read_cell(shared ? &before : r, file, e);
+        rc = record_read_cell(shared ? &before : r, file, e);
         found += !shared;
     }
     closedir(dir);
@@ -100,17 +101,17 @@ static enum err_code note_read_results(struct note_run *r, struct err *e)
         r->level[k].train_longest_s += before.level[0].train_s;
         r->level[k].peak_bytes = fmax(r->level[k].peak_bytes, before.level[0].peak_bytes);
     }
-    if (rc == ERR_OK && !found)
+    if (!rc && !found)
         rc = err_set(e, ERR_NOENT, "%s: no metrics.jsonl of any cell", path);
     return rc;
 }
 
-static enum err_code note_read_ceilings(struct note_run *r, struct err *e)
+static enum err_code record_read_ceilings(struct record_run *r, struct err *e)
 {
     json_t *lines = NULL, *line;
     size_t i;
     enum err_code rc = runs_read_lines(r->o.ceilings, &lines, e);
-    if (rc != ERR_OK)
+    if (rc)
         return rc;
     json_array_foreach(lines, i, line)
     {
@@ -128,12 +129,12 @@ static enum err_code note_read_ceilings(struct note_run *r, struct err *e)
     return ERR_OK;
 }
 
-static enum err_code note_parse_set(struct note_run *r, struct err *e)
+static enum err_code record_parse_set(struct record_run *r, struct err *e)
 {
     const char *at = r->o.set ? r->o.set : "";
     r->more = json_object();
     if (!r->more)
-        return note_full(e);
+        return record_full(e);
     while (*at) {
         char key[64];
         char *end = NULL;
@@ -146,7 +147,7 @@ static enum err_code note_parse_set(struct note_run *r, struct err *e)
         if (end == at + n + 1 || (*end && *end != ',') || !isfinite(v))
             return err_set(e, ERR_ARG, "--set: %s: expected a number at '%s'", key, at + n + 1);
         if (json_object_set_new(r->more, key, json_real(v)))
-            return note_full(e);
+            return record_full(e);
         at = *end ? end + 1 : end;
     }
     return ERR_OK;
@@ -154,27 +155,27 @@ static enum err_code note_parse_set(struct note_run *r, struct err *e)
 
 /* ---- the records ---- */
 
-static bool note_is(const json_t *line, const char *study, const char *row)
+static bool record_is(const json_t *line, const char *study, const char *row)
 {
     return !strcmp(runs_text(line, "study"), study) && !strcmp(runs_text(line, "row"), row);
 }
 
 /* Remove what the file has of this row: a row is one run. The new records take its place. */
-static void note_remove(struct note_run *r)
+static void record_remove(struct record_run *r)
 {
     r->at = json_array_size(r->lines);
     for (size_t i = r->at; i-- > 0;)
-        if (note_is(json_array_get(r->lines, i), r->o.study, r->o.row)) {
+        if (record_is(json_array_get(r->lines, i), r->o.study, r->o.row)) {
             json_array_remove(r->lines, i);
             r->at = i;
         }
 }
 
 /* Takes over the reference to `numbers`. */
-static enum err_code note_add(struct note_run *r, const char *what, const char *device,
-                              json_t *numbers, struct err *e)
+static enum err_code record_add(struct record_run *r, const char *what, const char *device,
+                                json_t *numbers, struct err *e)
 {
-    const struct note_options *o = &r->o;
+    const struct record_options *o = &r->o;
     json_t *line = json_pack(
         "{s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:o, s:o}", "study", o->study, "row", o->row, "what",
         what, "dataset", o->dataset ? o->dataset : "", "command", o->command ? o->command : "",
@@ -185,78 +186,78 @@ static enum err_code note_add(struct note_run *r, const char *what, const char *
         json_object_set(line, "numbers", numbers) || json_array_insert(r->lines, r->at++, line)) {
         json_decref(line);
         json_decref(numbers);
-        return note_full(e);
+        return record_full(e);
     }
     json_decref(line);
     json_decref(numbers);
     return ERR_OK;
 }
 
-static enum err_code note_set(json_t *o, const char *key, double v, struct err *e)
+static enum err_code record_set(json_t *o, const char *key, double v, struct err *e)
 {
-    return v > 0.0 && json_object_set_new(o, key, json_real(v)) ? note_full(e) : ERR_OK;
+    return v > 0.0 && json_object_set_new(o, key, json_real(v)) ? record_full(e) : ERR_OK;
 }
 
 /* Numbers of a score, and of the training up to its level (the last one for a tile store). */
-static enum err_code note_score(struct note_run *r, const json_t *score, const char *device,
-                                struct err *e)
+static enum err_code record_score(struct record_run *r, const json_t *score, const char *device,
+                                  struct err *e)
 {
     const char *what = runs_text(score, "what"), *key;
     json_t *numbers = json_object(), *v;
     unsigned level = r->n_levels;
-    enum err_code rc = numbers ? ERR_OK : note_full(e);
-    if (sscanf(what, "level %u", &level) == 1 && rc == ERR_OK)
-        rc = note_set(numbers, "level", level, e);
+    enum err_code rc = numbers ? ERR_OK : record_full(e);
+    if (sscanf(what, "level %u", &level) == 1 && !rc)
+        rc = record_set(numbers, "level", level, e);
     json_object_foreach((json_t *)(uintptr_t)score, key, v)
     {
-        if (rc == ERR_OK && json_is_number(v) && json_object_set(numbers, key, v))
-            rc = note_full(e);
+        if (!rc && json_is_number(v) && json_object_set(numbers, key, v))
+            rc = record_full(e);
     }
-    if (rc == ERR_OK && level >= 1 && level <= r->n_levels) {
-        const struct note_level *l = &r->level[level - 1];
-        rc = note_set(numbers, "train_s", l->train_s, e);
-        if (rc == ERR_OK)
-            rc = note_set(numbers, "train_longest_s", l->train_longest_s, e);
-        if (rc == ERR_OK)
-            rc = note_set(numbers, "train_peak_bytes", l->peak_bytes, e);
+    if (!rc && level >= 1 && level <= r->n_levels) {
+        const struct record_level *l = &r->level[level - 1];
+        rc = record_set(numbers, "train_s", l->train_s, e);
+        if (!rc)
+            rc = record_set(numbers, "train_longest_s", l->train_longest_s, e);
+        if (!rc)
+            rc = record_set(numbers, "train_peak_bytes", l->peak_bytes, e);
     }
-    if (rc != ERR_OK) {
+    if (rc) {
         json_decref(numbers);
         return rc;
     }
-    return note_add(r, what, device, numbers, e);
+    return record_add(r, what, device, numbers, e);
 }
 
-static enum err_code note_scores_of(struct note_run *r, const char *path, struct err *e)
+static enum err_code record_scores_of(struct record_run *r, const char *path, struct err *e)
 {
     json_t *file = NULL, *score;
     size_t i;
     enum err_code rc = jsonc_read(path, &file, e);
-    if (rc == ERR_OK && !json_array_size(json_object_get(file, "scores")))
+    if (!rc && !json_array_size(json_object_get(file, "scores")))
         rc = err_set(e, ERR_DATA, "%s: no scores; `citysplat eval -o` writes them", path);
     json_array_foreach(json_object_get(file, "scores"), i, score)
     {
-        if (rc == ERR_OK)
-            rc = note_score(r, score, runs_text(file, "device"), e);
+        if (!rc)
+            rc = record_score(r, score, runs_text(file, "device"), e);
     }
     json_decref(file);
     return rc;
 }
 
-static enum err_code note_scores(struct note_run *r, struct err *e)
+static enum err_code record_scores(struct record_run *r, struct err *e)
 {
     char path[FILE_PATH_MAX];
     enum err_code rc = ERR_OK;
-    for (const char *at = r->o.scores; rc == ERR_OK && *at;) {
+    for (const char *at = r->o.scores; !rc && *at;) {
         size_t n = strcspn(at, ",");
         snprintf(path, sizeof path, "%.*s", (int)n, at);
-        rc = note_scores_of(r, path, e);
+        rc = record_scores_of(r, path, e);
         at += n + (at[n] == ',');
     }
     return rc;
 }
 
-static enum err_code note_bench(struct note_run *r, struct err *e)
+static enum err_code record_bench(struct record_run *r, struct err *e)
 {
     json_t *lines = NULL, *line, *v;
     const char *key;
@@ -265,19 +266,19 @@ static enum err_code note_bench(struct note_run *r, struct err *e)
     enum err_code rc = runs_read_lines(r->o.bench, &lines, e);
     json_array_foreach(lines, i, line)
     {
-        if (rc != ERR_OK || !strcmp(runs_text(line, "bench"), "ceiling"))
+        if (rc || !strcmp(runs_text(line, "bench"), "ceiling"))
             continue;
         snprintf(what, sizeof what, "%s: %s (%s)", runs_text(line, "bench"),
                  runs_text(line, "case"), runs_text(line, "unit"));
         json_t *numbers = json_object();
-        rc = numbers ? ERR_OK : note_full(e);
+        rc = numbers ? ERR_OK : record_full(e);
         json_object_foreach(line, key, v)
         {
-            if (rc == ERR_OK && json_is_number(v) && json_object_set(numbers, key, v))
-                rc = note_full(e);
+            if (!rc && json_is_number(v) && json_object_set(numbers, key, v))
+                rc = record_full(e);
         }
-        if (rc == ERR_OK)
-            rc = note_add(r, what, runs_text(line, "device"), numbers, e);
+        if (!rc)
+            rc = record_add(r, what, runs_text(line, "device"), numbers, e);
         else
             json_decref(numbers);
     }
@@ -285,24 +286,24 @@ static enum err_code note_bench(struct note_run *r, struct err *e)
     return rc;
 }
 
-static enum err_code note_open(struct note_run *r, const char *path, struct err *e)
+static enum err_code record_open(struct record_run *r, const char *path, struct err *e)
 {
-    enum err_code rc = note_parse_set(r, e);
-    if (rc == ERR_OK && file_exists(path))
+    enum err_code rc = record_parse_set(r, e);
+    if (!rc && file_exists(path))
         return runs_read(path, &r->lines, e);
-    if (rc == ERR_OK && !(r->lines = json_array()))
-        rc = note_full(e);
+    if (!rc && !(r->lines = json_array()))
+        rc = record_full(e);
     return rc;
 }
 
 /* --check: the row is there, made by the same command. */
-static enum err_code note_find(const struct note_run *r, const char *path, struct err *e)
+static enum err_code record_find(const struct record_run *r, const char *path, struct err *e)
 {
     size_t i;
     json_t *line;
     json_array_foreach(r->lines, i, line)
     {
-        if (note_is(line, r->o.study, r->o.row) &&
+        if (record_is(line, r->o.study, r->o.row) &&
             !strcmp(runs_text(line, "command"), r->o.command ? r->o.command : ""))
             return ERR_OK;
     }
@@ -310,49 +311,51 @@ static enum err_code note_find(const struct note_run *r, const char *path, struc
                    r->o.study);
 }
 
-static enum err_code note_run(struct note_run *r, const char *path, struct err *e)
+static enum err_code record_run(struct record_run *r, const char *path, struct err *e)
 {
-    enum err_code rc = note_open(r, path, e);
-    if (rc != ERR_OK || r->o.check)
-        return rc != ERR_OK ? rc : note_find(r, path, e);
-    note_remove(r);
+    enum err_code rc = record_open(r, path, e);
+    if (rc || r->o.check)
+        return rc ? rc : record_find(r, path, e);
+    record_remove(r);
     if (r->o.ceilings)
-        rc = note_read_ceilings(r, e);
-    if (rc == ERR_OK && r->o.results)
-        rc = note_read_results(r, e);
-    if (rc == ERR_OK && r->o.scores)
-        rc = note_scores(r, e);
-    if (rc == ERR_OK && r->o.bench)
-        rc = note_bench(r, e);
-    if (rc == ERR_OK && !r->o.scores && !r->o.bench) {
+        rc = record_read_ceilings(r, e);
+    if (!rc && r->o.results)
+        rc = record_read_results(r, e);
+    if (!rc && r->o.scores)
+        rc = record_scores(r, e);
+    if (!rc && r->o.bench)
+        rc = record_bench(r, e);
+    if (!rc && !r->o.scores && !r->o.bench) {
         json_t *numbers = json_object();
-        rc = note_add(r, "", "", numbers, e);
+        rc = record_add(r, "", "", numbers, e);
     }
-    return rc == ERR_OK ? runs_write(path, r->lines, e) : rc;
+    return !rc ? runs_write(path, r->lines, e) : rc;
 }
 
-enum err_code cli_note(int argc, char **argv, struct err *e)
+enum err_code study_record(int argc, char **argv, struct err *e)
 {
     const struct options_spec spec = {
-        .command = "note",
-        .usage = "citysplat note FILE.jsonl --study NAME --row NAME [options]",
-        .about = "Adds the numbers of a run to a file of recorded runs, from which `citysplat "
-                 "chart` draws. A row that is there already is replaced. bench/study.sh uses it.",
-        .example = "citysplat eval scene -o scores.json\ncitysplat note docs/runs/budgets.jsonl "
-                   "--study budgets --row '50 k' --scores scores.json --results scene --set "
-                   "budget=50000",
-        .defs = note_defs,
-        .n_defs = sizeof note_defs / sizeof *note_defs,
+        .command = "record",
+        .usage = "citysplat-study record FILE.jsonl --study NAME --row NAME [options]",
+        .about = "Adds the numbers of a run to a file of recorded runs, from which "
+                 "`citysplat-study chart` draws. A row that is there already is replaced. "
+                 "bench/study.sh uses it.",
+        .example =
+            "citysplat eval scene -o scores.json\ncitysplat-study record docs/runs/budgets.jsonl "
+            "--study budgets --row '50 k' --scores scores.json --results scene --set "
+            "budget=50000",
+        .defs = record_defs,
+        .n_defs = sizeof record_defs / sizeof *record_defs,
         .min_args = 1,
         .max_args = 1};
-    struct note_run r = {0};
+    struct record_run r = {0};
     struct options_args args;
     struct arena arena = {0};
     enum err_code rc = options_parse(&spec, argc, argv, &r.o, &args, &arena, e);
-    if (rc == ERR_OK && !args.done && (!r.o.study || !r.o.row))
-        rc = err_set(e, ERR_ARG, "note: --study and --row are required");
-    if (rc == ERR_OK && !args.done)
-        rc = note_run(&r, args.arg[0], e);
+    if (!rc && !args.done && (!r.o.study || !r.o.row))
+        rc = err_set(e, ERR_ARG, "record: --study and --row are required");
+    if (!rc && !args.done)
+        rc = record_run(&r, args.arg[0], e);
     json_decref(r.lines);
     json_decref(r.more);
     arena_free(&arena);

@@ -1,0 +1,65 @@
+# shellcheck shell=bash
+# Source this: named stages, each with a log, a time and a line in the table at the end.
+#
+# SPDX-License-Identifier: Apache-2.0
+stage_names=()
+declare -A stage_what stage_command stage_loud stage_result stage_seconds
+logs=build/ci
+
+stage() { # NAME WHAT COMMAND...
+    stage_names+=("$1")
+    stage_what[$1]=$2
+    stage_command[$1]=$(printf '%q ' "${@:3}")
+}
+
+loud() { # NAME: its output is also shown while it runs
+    stage_loud[$1]=1
+}
+
+build_preset() { # PRESET
+    command -v cmake >/dev/null || { echo "no cmake: ./bootstrap packages installs what is needed"; return 1; }
+    cmake --preset "$1" >/dev/null && cmake --build --preset "$1"
+}
+
+list_stages() {
+    local name
+    for name in "${stage_names[@]}"; do printf '%-11s %s\n' "$name" "${stage_what[$name]}"; done
+}
+
+run_one() { # NAME
+    local name=$1 start=$EPOCHREALTIME log=$logs/$1.log code
+    printf '== %-11s %s\n' "$name" "${stage_what[$name]}"
+    if [ "${stage_loud[$name]:-}" ]; then
+        (eval "${stage_command[$name]}") 2>&1 </dev/null | tee "$log"
+        code=${PIPESTATUS[0]}
+    else
+        (eval "${stage_command[$name]}") >"$log" 2>&1 </dev/null
+        code=$?
+    fi
+    stage_seconds[$name]=$(awk -v a="$start" -v b="$EPOCHREALTIME" 'BEGIN { printf "%.1f", b - a }')
+    case $code in
+        0) stage_result[$name]=ok ;;
+        77) stage_result[$name]="skipped: $(tail -1 "$log")" ;;
+        *)
+            stage_result[$name]=FAILED
+            [ "${stage_loud[$name]:-}" ] || tail -80 "$log" | sed 's/^/  | /' ;;
+    esac
+    [ "${stage_result[$name]}" != FAILED ]
+}
+
+run_stages() { # NAME...; exits with 1 when one failed
+    local name failed=0 total=$EPOCHREALTIME
+    for name in "$@"; do
+        [ -n "${stage_what[$name]:-}" ] || { echo "no stage $name; there are: ${stage_names[*]}" >&2; exit 2; }
+    done
+    mkdir -p "$logs"
+    for name in "$@"; do run_one "$name" || failed=$((failed + 1)); done
+    printf '\n%-11s %9s  %s\n' stage seconds result
+    for name in "$@"; do printf '%-11s %9s  %s\n' "$name" "${stage_seconds[$name]}" "${stage_result[$name]}"; done
+    printf '%-11s %9s  %s\n' total "$(awk -v a="$total" -v b="$EPOCHREALTIME" 'BEGIN { printf "%.1f", b - a }')" \
+        "$([ $failed = 0 ] && echo ok || echo "$failed of $# failed")"
+    for name in "$@"; do # last, what ctest said of the whole suite
+        [ "$name" != tests ] || { echo; sed -n '/tests passed, /,$p' "$logs/tests.log"; }
+    done
+    [ $failed = 0 ] || exit 1
+}
