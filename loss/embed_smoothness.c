@@ -17,7 +17,7 @@
 #include "core/pool.h"
 #include "core/sample.h"
 #include "loss/embed_smoothness.h"
-#include "loss/knn.h"
+#include "core/knn.h"
 
 #define SIMILARITY_LENGTH_MIN 1e-12
 enum {

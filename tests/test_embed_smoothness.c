@@ -4,7 +4,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "loss/embed_smoothness.h"
-#include "loss/knn.h"
+#include "core/knn.h"
 #include "loss/photometric.h"
 #include "tests/kit.h"
 

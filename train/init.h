@@ -26,4 +26,8 @@ enum err_code init_count_points(const struct scene *s, const uint32_t *images, s
 /* dist2[i]: mean squared distance of point i to its three nearest others (fewer when there are
  * fewer). */
 enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, struct err *e) ERR_USE;
+/* The square of the first Gaussians' size [n]: the same, but for a point that lies alone no more
+ * than three times the median size of the nine points nearest to it. ERR_MEM, ERR_LIMIT as
+ * knn_build. */
+enum err_code init_size2(const float *xyz, size_t n, float *size2, struct err *e) ERR_USE;
 #endif
