@@ -13,11 +13,11 @@
 #include <string.h>
 
 #include "core/base.h"
+#include "core/knn.h"
 #include "core/layout.h"
 #include "core/pool.h"
 #include "core/sample.h"
 #include "loss/embed_smoothness.h"
-#include "core/knn.h"
 
 #define SIMILARITY_LENGTH_MIN 1e-12
 enum {
