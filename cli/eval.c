@@ -23,6 +23,7 @@
 #include "train/photo_loader.h"
 #include "train/residual.h"
 #include "train/train.h"
+#include "train/train_scene.h"
 
 struct eval_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -377,7 +378,7 @@ static enum err_code eval_open(struct eval *v, const char *scene_dir, struct err
 {
     enum err_code rc = scene_read(scene_dir, &v->scene, e);
     if (!rc)
-        rc = train_images(&v->scene, v->o.split ? SCENE_TRAIN : SCENE_TEST, true, &v->images,
+        rc = train_scene_images(&v->scene, v->o.split ? SCENE_TRAIN : SCENE_TEST, true, &v->images,
                           &v->n_images, e);
     if (!rc && !v->n_images)
         rc = err_set(e, ERR_DATA, "%s: the scene keeps no %s photographs", scene_dir,

@@ -21,6 +21,7 @@
 #include "train/photo_loader.h"
 #include "train/schedule.h"
 #include "train/train.h"
+#include "train/train_scene.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -182,7 +183,7 @@ static void the_feed_shows_every_photograph_once_an_epoch_within_its_cache(void 
     uint32_t *images;
     size_t n;
     kit_ok(scene_read(scene_dir, &s, &e), e);
-    kit_ok(train_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
+    kit_ok(train_scene_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
     assert_int_equal(n, PHOTOS - 1);
     uint32_t order[2][4 * (PHOTOS - 1)];
     const size_t photo = WIDTH * HEIGHT * 3;
@@ -369,7 +370,7 @@ static void twenty_steps_give_the_golden_trace(void **state)
     c.lr_short = 1;           /* the published rates */
     c.densify_from = 1000000; /* choices of who is split may tip over by rounding; steps may not */
     kit_ok(scene_read(scene_dir, &s, &e), e);
-    kit_ok(train_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
+    kit_ok(train_scene_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
     struct level l = {
         .ctx = {
             .cfg = &c, .scene = &s, .images = images, .n_images = n, .dev = &dev, .n_levels = 1}};

@@ -7,6 +7,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "train/done.h"
+
 #include <errno.h>
 #include <fcntl.h>
 #include <math.h>
@@ -18,10 +20,7 @@
 
 #include <jansson.h>
 
-#include "train/config.h"
-#include "train/jobs.h"
-#include "train/timing.h"
-#include "train/train.h"
+#include "train/result.h"
 
 enum { DONE_VERSION = 1 };
 

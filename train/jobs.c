@@ -26,9 +26,10 @@
 
 #include "core/pool.h"
 #include "train/config.h"
+#include "train/done.h"
+#include "train/result.h"
 #include "train/run.h"
 #include "train/schedule.h"
-#include "train/train.h"
 #include "train/train_scene.h"
 
 enum { JOBS_TAIL_BYTES = 8192, JOBS_POLL_MS = 200, JOBS_ARGS_MAX = 20 };

@@ -43,16 +43,4 @@ const char *jobs_state_name(enum jobs_state s); /* "new", "started", "done" */
 enum err_code jobs_run(const char *program, const char *scene_dir, const struct train_config *cfg,
                        struct train_result *out, struct err *e) ERR_USE;
 
-/* ---- done.c: the done-file and the lock of a cell's folder ---- */
-
-/* Write cells/<id>/done.json: Gaussians, scores and file size of every level, seconds, version. */
-enum err_code done_write(const char *cell_dir, const struct train_cell_result *r,
-                         struct err *e) ERR_USE;
-/* ERR_NOENT: none. ERR_FORMAT: not a done-file, or a level's file is missing or of another size. */
-enum err_code done_read(const char *cell_dir, struct train_cell_result *out, struct err *e) ERR_USE;
-/* Take the folder for this process; ERR_BUSY-like ERR_ARG when another one has it. The lock goes
- * with the descriptor, also when the process is killed. */
-enum err_code done_lock(const char *cell_dir, int *fd, struct err *e) ERR_USE;
-void done_unlock(int *fd);
-
 #endif

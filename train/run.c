@@ -15,21 +15,21 @@
 #include "train/appearance_train.h"
 #include "train/budget.h"
 #include "train/config.h"
+#include "train/done.h"
 #include "train/evaluate.h"
 #include "train/init.h"
-#include "train/jobs.h"
 #include "train/level.h"
 #include "train/memory.h"
 #include "train/metrics_log.h"
 #include "train/photo_loader.h"
 #include "train/prune.h"
 #include "train/residual.h"
+#include "train/result.h"
 #include "train/run.h"
 #include "train/schedule.h"
 #include "train/state.h"
 #include "train/state_check.h"
 #include "train/timing.h"
-#include "train/train.h"
 
 enum { RUN_LOOK_STEPS = 20, RUN_LINE_STEPS = 100 };
 

@@ -14,6 +14,7 @@
 #include "train/prune.h"
 #include "train/schedule.h"
 #include "train/train.h"
+#include "train/train_scene.h"
 
 #include <stdio.h>
 #include <stdlib.h>
@@ -77,7 +78,7 @@ static size_t peak_of(const char *program, size_t n, size_t budget, bool appeara
     cfg.budget_2 = (int64_t)budget / 2;
     cfg.budget_3 = (int64_t)budget;
     kit_ok(scene_read(dir, &s, &e), e);
-    kit_ok(train_images(&s, SCENE_TRAIN, true, &images, &n_images, &e), e);
+    kit_ok(train_scene_images(&s, SCENE_TRAIN, true, &images, &n_images, &e), e);
     cell_whole(&s, images, n_images, &cell);
     kit_ok(schedule_make(&cfg, n_images, &cell, levels, &e), e);
     *need = memory_estimate(&cfg, &s, images, n_images, levels, 2, true);

@@ -14,6 +14,7 @@
 #include "train/config.h"
 #include "train/level.h"
 #include "train/train.h"
+#include "train/train_scene.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -569,7 +570,7 @@ static void maps_are_read_aligned_and_left_out(void **state)
     kit_tmpdir(dir);
     maps_write(dir);
     kit_ok(scene_read(scene_dir, &s, &e), e);
-    kit_ok(train_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
+    kit_ok(train_scene_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
     struct depth_map_config cfg = {.scene = &s, .images = images, .n_images = n, .dir = dir};
     truth_depth(images[0], truth);
     for (size_t i = 0; i < pixels; i++)

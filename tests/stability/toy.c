@@ -21,6 +21,7 @@
 #include "train/schedule.h"
 #include "train/state.h"
 #include "train/train.h"
+#include "train/train_scene.h"
 
 #define TOY_PI 3.14159265358979323846
 enum { TOY_CACHE_BYTES = 64 << 20 };
@@ -197,8 +198,8 @@ static void toy_run_prepare(struct toy_run *r, const char *dir, const struct tra
     struct err e = {0};
     *r = (struct toy_run){0};
     kit_ok(scene_read(dir, &r->scene, &e), e);
-    kit_ok(train_images(&r->scene, SCENE_TRAIN, true, &r->images, &r->n_images, &e), e);
-    kit_ok(train_images(&r->scene, SCENE_TEST, true, &r->tests, &r->n_tests, &e), e);
+    kit_ok(train_scene_images(&r->scene, SCENE_TRAIN, true, &r->images, &r->n_images, &e), e);
+    kit_ok(train_scene_images(&r->scene, SCENE_TEST, true, &r->tests, &r->n_tests, &e), e);
     r->level.ctx = (struct context){.cfg = cfg,
                                     .scene = &r->scene,
                                     .images = r->images,
