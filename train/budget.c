@@ -109,7 +109,7 @@ static enum err_code budget_psnr(struct budget *b, const struct model *m, const 
         rc = photo_loader_get_nth(b->photos, i, &p, e);
         if (rc)
             break;
-        float *rgb = mem_array((size_t)p.cam.width_px * p.cam.height_px * 3, sizeof(*rgb));
+        float *rgb = mem_array((size_t)p.cam.width_px * p.cam.height_px * 3, sizeof *rgb);
         rc = rgb ? render_forward(ctx->render, &m->gauss, &p.cam, &ro, rgb, NULL, e)
                  : err_set(e, ERR_MEM, "budget: out of memory");
         if (!rc)

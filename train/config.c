@@ -24,7 +24,7 @@ static const struct options_spec train_spec = {
                "citysplat train scene --config configs/demo.jsonc\n"
                "citysplat train scene                                       # the full method",
     .defs = train_defs,
-    .n_defs = sizeof(train_defs) / sizeof(train_defs[0]),
+    .n_defs = sizeof train_defs / sizeof train_defs[0],
     .min_args = 1,
     .max_args = 1,
 };

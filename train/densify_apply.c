@@ -157,7 +157,7 @@ static struct densify_params densify_make_params(const struct model *m, const st
         .level = s->level,
         .step = ctx->step,
     };
-    memcpy(p.origin_enu_m, m->gauss.origin_enu_m, sizeof(p.origin_enu_m));
+    memcpy(p.origin_enu_m, m->gauss.origin_enu_m, sizeof p.origin_enu_m);
     return p;
 }
 

@@ -26,7 +26,7 @@ struct half_image {
 enum err_code half_image_open(const struct half_image_config *c, struct half_image **out,
                               struct err *e)
 {
-    struct half_image *h = mem_array(1, sizeof(*h));
+    struct half_image *h = mem_array(1, sizeof *h);
     *out = h;
     if (!h)
         return err_set(e, ERR_MEM, "half-image score: out of memory");

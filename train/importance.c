@@ -143,7 +143,7 @@ static enum err_code importance_alloc_all(struct importance *s, size_t n_px, str
         return ERR_OK;
     mem_free(s->scratch);
     s->scratch_px = 0;
-    s->scratch = mem_array(n_px, IMPORTANCE_PICTURES * sizeof(*s->scratch));
+    s->scratch = mem_array(n_px, IMPORTANCE_PICTURES * sizeof *s->scratch);
     if (!s->scratch)
         return err_set(e, ERR_MEM, "importance: out of memory");
     s->scratch_px = n_px;
@@ -232,7 +232,7 @@ enum err_code importance_inverse_median(const float *x, size_t n, size_t stride,
             k += x[stride * i] > 0.0f && isfinite(x[stride * i]);
         if (!k)
             continue;
-        sample = mem_array(k, sizeof(*sample));
+        sample = mem_array(k, sizeof *sample);
         if (!sample)
             return err_set(e, ERR_MEM, "importance: out of memory for a median of %zu values", k);
         k = 0;
@@ -363,10 +363,10 @@ enum err_code importance_run(struct importance **own, const struct model *m, str
 {
     struct importance_work w = {
         .m = m, .ctx = ctx, .params = params, .total = score, .n = m->gauss.n};
-    uint32_t *views = NULL, *all = mem_array(ctx->n_images, sizeof(*all));
+    uint32_t *views = NULL, *all = mem_array(ctx->n_images, sizeof *all);
     size_t wanted = (size_t)ctx->cfg->importance_views,
            n_views = wanted < ctx->n_images ? wanted : ctx->n_images;
-    views = mem_array(n_views, sizeof(*views));
+    views = mem_array(n_views, sizeof *views);
     enum err_code rc = all && views ? importance_make(own, ctx->render, e)
                                     : err_set(e, ERR_MEM, "importance: out of memory");
     w.made = *own;
@@ -376,7 +376,7 @@ enum err_code importance_run(struct importance **own, const struct model *m, str
         goto out;
     for (size_t i = 0; i < ctx->n_images; i++)
         all[i] = (uint32_t)i;
-    memset(score, 0, w.n * sizeof(*score));
+    memset(score, 0, w.n * sizeof *score);
     rc = sample_race(NULL, all, ctx->n_images, n_views, (uint64_t)ctx->cfg->seed,
                      train_stream(TRAIN_STREAM_VIEWS, ctx->at + 1, ctx->step), views, e);
     if (!rc)

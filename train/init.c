@@ -182,7 +182,7 @@ static void init_row(struct gauss *g, size_t i, const uint8_t rgb[3], double dis
         g->sh[i * per_row + k] = (float)((rgb[k] / 255.0 - 0.5) / GAUSS_SH_C0);
     }
     static const float identity[4] = {1.0f, 0.0f, 0.0f, 0.0f};
-    memcpy(g->quat_wxyz + 4 * i, identity, sizeof(identity));
+    memcpy(g->quat_wxyz + 4 * i, identity, sizeof identity);
     g->opacity_logit[i] = (float)log(INIT_OPACITY / (1.0 - INIT_OPACITY));
 }
 
@@ -193,10 +193,10 @@ static enum err_code init_fill(const struct init_points *p, const struct cell *c
     for (size_t i = 0; i < p->n; i++)
         for (int k = 0; k < 3; k++)
             mean[k] += p->enu_m[3 * i + k] / (double)p->n;
-    memcpy(g->origin_enu_m, mean, sizeof(mean));
+    memcpy(g->origin_enu_m, mean, sizeof mean);
     for (size_t i = 0; i < 3 * p->n; i++)
         g->mean_m[i] = (float)(p->enu_m[i] - mean[i % 3]);
-    float *dist2 = mem_array(p->n, sizeof(*dist2));
+    float *dist2 = mem_array(p->n, sizeof *dist2);
     if (!dist2)
         return err_set(e, ERR_MEM, "init: out of memory for %zu points", p->n);
     enum err_code rc = init_size2(g->mean_m, p->n, dist2, e);
@@ -261,7 +261,7 @@ enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n
     }
     if (!rc && use && seen) {
         p.n = init_count(n_use, limit);
-        p.enu_m = mem_array(3 * p.n, sizeof(*p.enu_m));
+        p.enu_m = mem_array(3 * p.n, sizeof *p.enu_m);
         p.rgb = mem_array(3 * p.n, 1);
     }
     if (rc)

@@ -95,8 +95,8 @@ static enum err_code prune_measure(struct prune *c, double *mse, struct err *e)
 static int prune_compare(const void *a, const void *b)
 {
     float x, y;
-    memcpy(&x, a, sizeof(x));
-    memcpy(&y, b, sizeof(y));
+    memcpy(&x, a, sizeof x);
+    memcpy(&y, b, sizeof y);
     return (x > y) - (x < y);
 }
 
@@ -105,8 +105,8 @@ void prune_choose(const float *sum, const uint16_t *views, size_t n, double shar
 {
     double all = 0.0, given = 0.0;
     float limit = 0.0f; /* those with at least this stay */
-    memcpy(scratch, sum, n * sizeof(*sum));
-    qsort(scratch, n, sizeof(*scratch), prune_compare);
+    memcpy(scratch, sum, n * sizeof *sum);
+    qsort(scratch, n, sizeof *scratch, prune_compare);
     for (size_t i = 0; i < n; i++)
         all += (double)scratch[i];
     for (size_t i = 0; i < n && given <= share * all; i++) {
@@ -143,7 +143,7 @@ static enum err_code prune_apply(struct prune *c, const uint8_t *keep, size_t n_
     struct model *m = c->m;
     struct context *ctx = c->ctx;
     size_t n = m->gauss.n;
-    uint32_t planes = m->gauss.planes, *order = mem_array(2 * n, sizeof(*order));
+    uint32_t planes = m->gauss.planes, *order = mem_array(2 * n, sizeof *order);
     double after = 0.0;
     if (!order)
         return err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
@@ -187,7 +187,7 @@ enum err_code prune_level(struct model *m, struct context *ctx, struct prune_rep
     enum err_code rc = keep ? prune_measure(&c, &mse, e)
                             : err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     render_importance_close(&c.device);
-    float *scratch = rc ? NULL : mem_array(n, sizeof(*scratch));
+    float *scratch = rc ? NULL : mem_array(n, sizeof *scratch);
     if (!rc && !scratch)
         rc = err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     if (!rc)

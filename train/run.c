@@ -50,7 +50,7 @@ struct run {
 static enum err_code run_level_path(const struct run *t, uint32_t level, char *out, struct err *e)
 {
     char name[32];
-    snprintf(name, sizeof(name), "level%u.ckpt", level);
+    snprintf(name, sizeof name, "level%u.ckpt", level);
     return file_join(out, t->dir, name, e);
 }
 
@@ -186,7 +186,7 @@ static enum err_code run_report(struct run *t, const struct photometric_value *v
     struct level *l = &t->level;
     char note[96];
     double psnr = l->mse_mean > 0.0 ? -10.0 * log10(l->mse_mean) : 0.0;
-    snprintf(note, sizeof(note), "loss %.4f, PSNR %.2f dB, %.1f k Gaussians", l->loss_mean, psnr,
+    snprintf(note, sizeof note, "loss %.4f, PSNR %.2f dB, %.1f k Gaussians", l->loss_mean, psnr,
              l->model.gauss.n * 1e-3);
     progress_step(&t->progress, l->ctx.step, note);
     if (l->ctx.step % RUN_LINE_STEPS && l->ctx.step != l->ctx.schedule[l->ctx.at].steps)
@@ -364,7 +364,7 @@ static enum err_code run_report_spent(struct run *t, struct err *e)
     struct timing_seconds now = timing_now(&l->ctx.timing),
                           here = timing_since(&now, &t->spent_before);
     t->spent_before = now;
-    timing_text(&here, text, sizeof(text));
+    timing_text(&here, text, sizeof text);
     log_debug("train", "level=%u time: %s", l->ctx.at + 1, text);
     return metrics_log_line(l->ctx.metrics, "time",
                             json_pack("{s:i, s:f, s:o}", "level", (int)l->ctx.at + 1, "seconds",
@@ -378,7 +378,7 @@ static enum err_code run_levels(struct run *t, struct err *e)
     enum err_code rc = level_begin(l, e);
     while (!rc && l->ctx.at < l->ctx.n_levels) {
         char what[48];
-        snprintf(what, sizeof(what), "train level %u/%u", l->ctx.at + 1, l->ctx.n_levels);
+        snprintf(what, sizeof what, "train level %u/%u", l->ctx.at + 1, l->ctx.n_levels);
         progress_start(&t->progress, what, l->ctx.schedule[l->ctx.at].steps);
         (void)timing_turn(&l->ctx.timing, TIMING_STEP);
         rc = run_steps(t, e);
@@ -402,7 +402,7 @@ static enum err_code run_budget(struct run *t, struct err *e)
     struct level *l = &t->level;
     const struct run_cell *job = t->job;
     size_t n_points = 0, n_held = 0;
-    t->images = mem_array(2 * job->n_images, sizeof(*t->images));
+    t->images = mem_array(2 * job->n_images, sizeof *t->images);
     if (!t->images)
         return err_set(e, ERR_MEM, "train: out of memory for %zu photographs", job->n_images);
     uint32_t *held = t->images + job->n_images;
@@ -440,7 +440,7 @@ static void run_tell_memory(const struct run *t)
 
 enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out, struct err *e)
 {
-    struct run *t = mem_array(1, sizeof(*t));
+    struct run *t = mem_array(1, sizeof *t);
     bool done = false;
     if (!t)
         return err_set(e, ERR_MEM, "train: out of memory");
@@ -460,7 +460,7 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
                                     .n_levels = (uint32_t)job->cfg->level_count};
     timing_start(&t->level.ctx.timing, TIMING_START);
     *out = (struct train_cell_result){.n_levels = t->level.ctx.n_levels};
-    memcpy(out->id, job->cell.id, sizeof(out->id));
+    memcpy(out->id, job->cell.id, sizeof out->id);
     enum err_code rc = run_budget(t, e);
     if (!rc)
         rc = run_paths(t, job->base_dir, e);

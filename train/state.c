@@ -128,7 +128,7 @@ static void state_fold(const struct state_view *v, enum ckpt_field field, size_t
         scale[k] = p[(RENDER_PLANE_SCALE + k) * LAYOUT_LANES];
     mip_fold(&one, v->filter + row);
     memcpy(out, field == CKPT_SCALE ? scale : &opacity,
-           (field == CKPT_SCALE ? 3 : 1) * sizeof(*out));
+           (field == CKPT_SCALE ? 3 : 1) * sizeof *out);
 }
 
 /* Rows of one array of the Gaussians, for ckpt_write_from. */
@@ -160,11 +160,11 @@ static enum err_code state_view_filter(struct state_view *v, const struct contex
     if (ctx->cfg->aa != RENDER_AA_MIP)
         return ERR_OK;
     enum err_code rc = context_filter(ctx, m, e);
-    v->filter = mem_array(m->gauss.n, sizeof(*v->filter));
+    v->filter = mem_array(m->gauss.n, sizeof *v->filter);
     if (!rc && !v->filter)
         rc = err_set(e, ERR_MEM, "checkpoint: out of memory for %u Gaussians", m->gauss.n);
     return rc ? rc
-              : dev_read(m->dev, m->gauss.filter, 0, m->gauss.n * sizeof(*v->filter), v->filter, e);
+              : dev_read(m->dev, m->gauss.filter, 0, m->gauss.n * sizeof *v->filter, v->filter, e);
 }
 
 enum err_code state_save_level(struct model *m, const struct context *ctx,

@@ -111,7 +111,7 @@ static enum err_code train_cell(struct train *t, size_t index, struct train_cell
 static enum err_code train_cells(struct train *t, struct train_result *out, struct err *e)
 {
     enum err_code rc = ERR_OK;
-    out->cells = mem_array(t->scene.n_cells, sizeof(*out->cells));
+    out->cells = mem_array(t->scene.n_cells, sizeof *out->cells);
     if (!out->cells)
         return err_set(e, ERR_MEM, "train: out of memory for %zu cells", t->scene.n_cells);
     for (size_t i = 0; !rc && i < t->scene.n_cells; i++) {
@@ -129,7 +129,7 @@ bool train_needs_shared(const struct train_config *cfg)
 enum err_code train_run(const char *scene_dir, const struct train_config *cfg,
                         struct train_result *out, struct err *e)
 {
-    struct train *t = mem_array(1, sizeof(*t));
+    struct train *t = mem_array(1, sizeof *t);
     double start_s = clock_s();
     *out = (struct train_result){0};
     if (!t)

@@ -14,7 +14,7 @@ enum err_code train_scene_images(struct scene *s, enum scene_split split, bool t
                                  uint32_t **out, size_t *n, struct err *e)
 {
     *n = 0;
-    *out = arena_get(&s->arena, s->n_images ? s->n_images : 1, sizeof(**out));
+    *out = arena_get(&s->arena, s->n_images ? s->n_images : 1, sizeof **out);
     if (!*out)
         return err_set(e, ERR_MEM, "%s: out of memory for %zu photographs", s->dir, s->n_images);
     for (size_t i = 0; i < s->n_images; i++)
@@ -40,7 +40,7 @@ enum err_code train_scene_open(const char *dir, const struct train_config *cfg,
     if (rc)
         return rc;
     size_t n = out->plan.n_cells ? out->plan.n_cells : 1;
-    out->cells = mem_array(n, sizeof(*out->cells));
+    out->cells = mem_array(n, sizeof *out->cells);
     if (!out->cells)
         return err_set(e, ERR_MEM, "train: out of memory for %zu cells", n);
     for (size_t i = 0; i < n; i++) {
@@ -70,7 +70,7 @@ static enum err_code train_scene_planned(struct train_scene *s, size_t index, st
 {
     const struct partition_cell *c = &s->plan.cells[index];
     size_t n_location = 0, n = 0, n_test = 0;
-    uint32_t *images = arena_get(&s->scene.arena, c->n_images + 1, sizeof(*images));
+    uint32_t *images = arena_get(&s->scene.arena, c->n_images + 1, sizeof *images);
     if (!images)
         return err_set(e, ERR_MEM, "%s: out of memory for %zu photographs", s->dir, c->n_images);
     for (size_t i = 0; i < c->n_images; i++) {
