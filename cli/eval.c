@@ -361,7 +361,7 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     enum err_code rc = view_open(v->o.tiles, v->render, (size_t)v->o.cache_mib << 20, &w.view, e);
     if (!rc)
         rc = eval_half_image_take_store(&v->halves, view_appearance(w.view), &v->scene, e);
-    w.look = rc ? NULL : eval_half_image_look(&v->halves);
+    w.appearance = rc ? NULL : eval_half_image_look(&v->halves);
     if (!rc)
         rc = eval_source(v, "tiles, LOD", (uint32_t)v->o.max_edge_px, 1.0, src, &half, e);
     w.po.no_lod = true;
@@ -379,7 +379,7 @@ static enum err_code eval_open(struct eval *v, const char *scene_dir, struct err
     enum err_code rc = scene_read(scene_dir, &v->scene, e);
     if (!rc)
         rc = train_scene_images(&v->scene, v->o.split ? SCENE_TRAIN : SCENE_TEST, true, &v->images,
-                          &v->n_images, e);
+                                &v->n_images, e);
     if (!rc && !v->n_images)
         rc = err_set(e, ERR_DATA, "%s: the scene keeps no %s photographs", scene_dir,
                      v->o.split ? "training" : "test");

@@ -50,8 +50,8 @@ void budget_close(struct budget *b);
 /* At densification x of the level in work, before it: look at the held-out photographs about ten
  * times a level. Gain since the last decision, dB a doubling of the Gaussians: at or above
  * cfg->budget_gain_db the budget rises by 1.3 when it is nearly used, below it growth stops for the
- * rest of the level. Changes the level's budget in ctx->schedule. Errors of photo_loader and
- * renderer. */
+ * rest of the level. Changes the level's budget in ctx->schedule. ERR_MEM, ERR_DEVICE, and
+ * what photo_loader_get_nth fails with. */
 enum err_code budget_look(struct budget *b, const struct model *m, struct context *ctx, uint32_t x,
                           struct err *e) ERR_USE;
 /* The decision by itself. */

@@ -66,13 +66,13 @@ struct render_options context_photo_options(struct context *ctx, uint32_t step, 
 
 /* Upload a photograph and run the loss of the last frame against it: its gradient is then in the
  * renderer's, and photometric_read waits for the value. Where the options say so the pixels that do
- * not fit are masked. ERR_MEM, ERR_CL. */
+ * not fit are masked. ERR_MEM, ERR_DEVICE. */
 enum err_code context_photo_loss(struct context *ctx, const struct photo *p, struct err *e) ERR_USE;
-/* The same without gradients: for photometric_read alone. */
+/* The same without gradients: for photometric_read alone. ERR_MEM, ERR_DEVICE. */
 enum err_code context_photo_value(struct context *ctx, const struct photo *p,
                                   struct err *e) ERR_USE;
 /* With Mip-Splatting: the model's 3-D filter for the photographs of the level in work, computed if
- * it is not that of the Gaussians as they are. Without: nothing. ERR_MEM, ERR_CL. */
+ * it is not that of the Gaussians as they are. Without: nothing. ERR_MEM, ERR_DEVICE. */
 enum err_code context_filter(const struct context *ctx, struct model *m, struct err *e) ERR_USE;
 
 #endif

@@ -174,9 +174,9 @@ enum err_code evaluate_draw_model(void *user, const struct camera *cam, float *r
     const struct evaluate_model *m = user;
     struct render_options ro = m->options;
     *gaussians = m->model->n;
-    if (m->look) {
-        ro.appearance_frame = appearance_view_frame(m->look, cam);
-        ro.appearance_hidden = m->look->model->hidden;
+    if (m->appearance) {
+        ro.appearance_frame = appearance_view_frame(m->appearance, cam);
+        ro.appearance_hidden = m->appearance->model->hidden;
     }
     return render_forward(m->render, m->model, cam, &ro, rgb, NULL, e);
 }

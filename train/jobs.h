@@ -28,8 +28,8 @@ struct jobs_list { /* {0} is empty; jobs_list_free. In the order of the plan. */
     struct jobs_cell *cells;
     size_t n_cells;
 };
-/* The cells that `citysplat train SCENE` would train, without opening a device. Errors as
- * train_run's. */
+/* The cells that `citysplat train SCENE` would train, without opening a device.
+ * jobs_list_free it. ERR_ARG, ERR_DATA, ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM as of train_run. */
 enum err_code jobs_list(const char *scene_dir, const struct train_config *cfg,
                         struct jobs_list *out, struct err *e) ERR_USE;
 void jobs_list_free(struct jobs_list *l);

@@ -27,18 +27,19 @@ struct level {          /* level_close, also after an error */
     double step_s;              /* when steps were last timed */
 };
 
-/* Device buffers and the first level at step 0, from these Gaussians. Errors as of model_open. */
+/* Device buffers and the first level at step 0, from these Gaussians. ERR_LIMIT, ERR_MEM,
+ * ERR_DEVICE. */
 enum err_code level_open(struct level *l, const struct gauss *g, struct err *e) ERR_USE;
 void level_close(struct level *l);
 /* Open the photographs of the level in work and set the optimiser. After level_open, level_next and
- * state_load. Errors as of photo_loader_open. */
+ * state_load. ERR_MEM, ERR_LIMIT. */
 enum err_code level_begin(struct level *l, struct err *e) ERR_USE;
 /* One step: photograph, forward pass, loss, backward pass with Adam, density control. `value` (may
  * be NULL) gets the loss, which waits for the device. ERR_DATA: the loss is not finite, or no
  * Gaussian is left; else the errors of photographs and device. */
 enum err_code level_step(struct level *l, struct photometric_value *value, struct err *e) ERR_USE;
-/* The level in work is done: the next one starts from its Gaussians with a fresh optimiser. Errors
- * as of level_begin. */
+/* The level in work is done: the next one starts from its Gaussians with a fresh optimiser.
+ * ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
 enum err_code level_next(struct level *l, struct err *e) ERR_USE;
 
 #endif

@@ -33,15 +33,15 @@ struct model {       /* {0} is empty; model_close */
 /* Room for like->n Gaussians of like's degree, embeddings and origin; parameters and moments are
  * not filled, statistics are 0. `like` needs no arrays. `most`: Gaussians that there will be at
  * most as far as is known now; room for them is taken at once where that is less than twice n.
- * ERR_LIMIT: more than the renderer counts; ERR_MEM, ERR_CL: the device has no room. model_close
+ * ERR_LIMIT: more than the renderer counts; ERR_MEM, ERR_DEVICE: the device has no room. model_close
  * it, also after an error. */
 enum err_code model_open(struct model *m, struct dev *dev, struct render *render,
                          const struct gauss *like, size_t most, struct err *e) ERR_USE;
 void model_close(struct model *m);
-/* After model_open with this g: its parameters, and moments 0. ERR_CL: from the device. */
+/* After model_open with this g: its parameters, and moments 0. ERR_DEVICE: from the device. */
 enum err_code model_fill(struct model *m, const struct gauss *g, struct err *e) ERR_USE;
 /* Gaussians as they are now; the caller says whether they are anti-aliased. gauss_free it. ERR_MEM,
- * ERR_CL. */
+ * ERR_DEVICE. */
 enum err_code model_gauss(const struct model *m, struct gauss *out, struct err *e) ERR_USE;
 /* Bytes in use of each of the parameters and the two moments. */
 size_t model_bytes(const struct model *m);
@@ -49,24 +49,24 @@ size_t model_bytes(const struct model *m);
 /* Other rows out of those there are: parameters as r says, moments 0 where that is PERMUTE_NEW. The
  * arrays are done one after the other, so that when they grow no more than one of them is there
  * twice. Statistics become 0. `most` as in model_open. ERR_LIMIT: more than the renderer counts;
- * ERR_MEM, ERR_CL. */
+ * ERR_MEM, ERR_DEVICE. */
 enum err_code model_move(struct model *m, const struct permutation *r, size_t most,
                          struct err *e) ERR_USE;
 /* Draw the first n rows only, or again those that model_move made; the others stay. Statistics
- * become 0. ERR_CL. */
+ * become 0. ERR_DEVICE. */
 enum err_code model_show(struct model *m, size_t n, struct err *e) ERR_USE;
-/* The rows that are not shown are gone for good. ERR_CL. */
+/* The rows that are not shown are gone for good. ERR_DEVICE. */
 enum err_code model_forget(struct model *m, struct err *e) ERR_USE;
 
-/* The optimiser begins anew. ERR_CL. */
+/* The optimiser begins anew. ERR_DEVICE. */
 enum err_code model_zero_moments(struct model *m, struct err *e) ERR_USE;
 enum err_code model_zero_stats(struct model *m, struct err *e) ERR_USE;
-/* Lower every opacity to `top` (0..1) and forget its moments. ERR_CL. */
+/* Lower every opacity to `top` (0..1) and forget its moments. ERR_DEVICE. */
 enum err_code model_reset_opacity(struct model *m, double top, struct err *e) ERR_USE;
-/* Gaussians inside the cell. ERR_CL. */
+/* Gaussians inside the cell. ERR_DEVICE. */
 enum err_code model_count_inside(const struct model *m, const struct cell *cell, size_t *out,
                                  struct err *e) ERR_USE;
-/* Compute gauss.filter for these cameras if it is not current. ERR_MEM, ERR_CL. */
+/* Compute gauss.filter for these cameras if it is not current. ERR_MEM, ERR_DEVICE. */
 enum err_code model_filter(struct model *m, const struct camera *cams, size_t n_cams,
                            struct err *e) ERR_USE;
 

@@ -29,7 +29,7 @@ struct prune_report {
  * are kept, statistics of density control are 0 afterwards. `residuals` (may be NULL) gets a row a
  * photograph, from before the removal; none where nothing is done or appearance was trained, since
  * photographs are drawn without it here. ERR_CANCEL: stopped by a signal, and nothing was removed;
- * ERR_MEM, ERR_CL, and what photo_loader_get_nth fails with. */
+ * ERR_MEM, ERR_DEVICE, and what photo_loader_get_nth fails with. */
 enum err_code prune_level(struct model *m, struct context *ctx, struct prune_report *out,
                           struct residual_list *residuals, struct err *e) ERR_USE;
 /* The choice by itself: keep[n], and the counts of `out`; scratch[n]. */

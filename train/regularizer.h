@@ -22,7 +22,7 @@ struct regularizer; /* buffers and compiled kernels */
 /* What the configuration asks for at this step (1-based); sets m->adam.extra_grad (NULL: nothing)
  * and, with Mip-Splatting, the model's filter. Draws frames of its own: call before the step's
  * render_forward. *own: NULL at first, made when something acts; regularizer_free it. ERR_MEM,
- * ERR_CL; ERR_FORMAT, ERR_NOENT, ERR_DATA: a depth map cannot be used. */
+ * ERR_DEVICE; ERR_FORMAT, ERR_NOENT, ERR_DATA: a depth map cannot be used. */
 enum err_code regularizer_step(struct regularizer **own, struct model *m, struct context *ctx,
                                uint32_t step, const struct photo *photo, struct err *e) ERR_USE;
 void regularizer_free(struct regularizer **r);

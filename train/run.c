@@ -248,7 +248,7 @@ static enum err_code run_score(struct run *t, struct evaluate_score *out, struct
                                    appearance_train_is_on(&l->ctx.appearance) ? &appearance : NULL};
     struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model};
     enum err_code rc = photo_loader_open(&f, &photos, e);
-    if (!rc && model.look)
+    if (!rc && model.appearance)
         rc = appearance_view_open(&appearance, &l->ctx.appearance.model, l->ctx.scene, e);
     if (!rc)
         rc = evaluate_run(photos, t->job->n_test, &source, out, e);

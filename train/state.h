@@ -13,7 +13,7 @@ struct evaluate_score;
 struct model;
 
 /* Everything needed to go on, and where the run stands. ERR_IO: cannot be written; ERR_MEM,
- * ERR_CL. */
+ * ERR_DEVICE. */
 enum err_code state_save(const struct model *m, const struct context *ctx,
                          const struct budget *budget, const char *path, struct err *e) ERR_USE;
 /* Into a model that was not opened and a context whose fixed part is set; level_begin is next.
@@ -22,7 +22,8 @@ enum err_code state_save(const struct model *m, const struct context *ctx,
  * after an error. */
 enum err_code state_load(struct model *m, struct context *ctx, struct budget *budget,
                          const char *path, struct err *e) ERR_USE;
-/* The result of the level in work; `score` may be NULL. Errors as of state_save. */
+/* The result of the level in work; `score` may be NULL. ERR_IO, ERR_MEM,
+ * ERR_DEVICE. */
 enum err_code state_save_level(struct model *m, const struct context *ctx,
                                const struct budget *budget, const char *path,
                                const struct evaluate_score *score, struct err *e) ERR_USE;

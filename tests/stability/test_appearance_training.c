@@ -105,7 +105,7 @@ static struct evaluate_score score_halves(struct toy_run *r)
     struct render_options ro = context_render_options(&l->ctx, l->ctx.step);
     if (appearance_train_is_on(&l->ctx.appearance)) {
         kit_ok(appearance_view_open(&look, &l->ctx.appearance.model, &r->scene, &e), e);
-        c.look = &look;
+        c.appearance = &look;
     }
     kit_ok(half_image_open(&c, &h, &e), e);
     kit_ok(photo_loader_open(&f, &feed, &e), e);
@@ -116,15 +116,15 @@ static struct evaluate_score score_halves(struct toy_run *r)
             enum half_image_side from = (enum half_image_side)side,
                                  to = side ? HALF_IMAGE_LEFT : HALF_IMAGE_RIGHT;
             kit_ok(photo_loader_get_nth(feed, i, &p, &e), e);
-            if (c.look) {
+            if (c.appearance) {
                 assert_int_equal(appearance_train_nearest(look.model, &r->scene, look.row, &p.cam,
                                                           look.reach_m, image),
                                  3);
                 kit_ok(half_image_fit(h, &p, &l->model.gauss, &ro, from, image, &e), e);
             }
-            kit_ok(
-                half_image_score(h, &p, &l->model.gauss, &ro, to, c.look ? image : NULL, &sum, &e),
-                e);
+            kit_ok(half_image_score(h, &p, &l->model.gauss, &ro, to, c.appearance ? image : NULL,
+                                    &sum, &e),
+                   e);
         }
     evaluate_divide(&sum, 2.0 * (double)r->n_tests);
     half_image_close(&h);
@@ -592,7 +592,7 @@ static void the_score_of_a_half_does_not_know_the_other(void **state)
     const struct half_image_config hc = {.dev = &toy_dev,
                                          .render = l->ctx.render,
                                          .loss = l->ctx.loss,
-                                         .look = &look,
+                                         .appearance = &look,
                                          .steps = 10,
                                          .lr = HALF_IMAGE_LR,
                                          .lr_end = HALF_IMAGE_LR_END};

@@ -288,7 +288,7 @@ struct evaluate_score toy_run_score(struct toy_run *r, double downsample)
     struct evaluate_model model = {l->ctx.render, &l->model.gauss,
                                    context_render_options(&l->ctx, l->ctx.step),
                                    appearance_train_is_on(&l->ctx.appearance) ? &look : NULL};
-    if (model.look)
+    if (model.appearance)
         kit_ok(appearance_view_open(&look, &l->ctx.appearance.model, &r->scene, &e), e);
     struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model};
     kit_ok(photo_loader_open(&f, &feed, &e), e);
