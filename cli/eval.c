@@ -103,7 +103,7 @@ static enum err_code eval_halves(struct eval *v, const char *what, uint32_t edge
     struct evaluate_score score;
     char name[64];
     if (v->o.half_image == EVAL_HALF_IMAGE_OFF ||
-        (v->o.half_image == EVAL_HALF_IMAGE_AUTO && !eval_half_image_look(&v->halves)))
+        (v->o.half_image == EVAL_HALF_IMAGE_AUTO && !eval_half_image_appearance(&v->halves)))
         return ERR_OK;
     snprintf(name, sizeof name, "%s, halves", what);
     enum err_code rc =
@@ -283,7 +283,7 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
             v->render,
             &model,
             {.aa = s.aa, .background = {grey, grey, grey}, .near_m = s.near_m, .sh_degree = -1},
-            eval_half_image_look(&v->halves)};
+            eval_half_image_appearance(&v->halves)};
         const struct half_image_source half = {eval_prepare_model, &m};
         struct evaluate_source src = {
             .draw = evaluate_draw_model, .user = &m, .bytes = bytes, .render = v->render};
@@ -318,7 +318,7 @@ struct eval_view {
     struct view *view;
     struct render_options ro;
     struct pick_options po;
-    struct appearance_view *look; /* NULL: without appearance */
+    struct appearance_view *appearance; /* NULL: without appearance */
 };
 
 static enum err_code eval_prepare_view(void *user, const struct camera *cam,
@@ -337,9 +337,9 @@ static enum err_code eval_draw_view(void *user, const struct camera *cam, float 
     struct eval_view *w = user;
     struct view_stats stats = {0};
     struct render_options ro = w->ro;
-    if (w->look) {
-        ro.appearance_frame = appearance_view_frame(w->look, cam);
-        ro.appearance_hidden = w->look->model->hidden;
+    if (w->appearance) {
+        ro.appearance_frame = appearance_view_frame(w->appearance, cam);
+        ro.appearance_hidden = w->appearance->model->hidden;
     }
     enum err_code rc = view_render(w->view, cam, &ro, &w->po, rgb, &stats, e);
     *gaussians = (double)stats.n_gaussians;
@@ -361,7 +361,7 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     enum err_code rc = view_open(v->o.tiles, v->render, (size_t)v->o.cache_mib << 20, &w.view, e);
     if (!rc)
         rc = eval_half_image_take_store(&v->halves, view_appearance(w.view), &v->scene, e);
-    w.appearance = rc ? NULL : eval_half_image_look(&v->halves);
+    w.appearance = rc ? NULL : eval_half_image_appearance(&v->halves);
     if (!rc)
         rc = eval_source(v, "tiles, LOD", (uint32_t)v->o.max_edge_px, 1.0, src, &half, e);
     w.po.no_lod = true;
@@ -445,8 +445,9 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
             "with and "
             "without level of detail, and prints PSNR, SSIM (zero padded as in training, and inner "
             "windows only), GMSD (perceptual, lower is better), Gaussians and time a frame. Where "
-            "appearance was trained, a photograph is drawn in the look of the nearest training "
-            "photographs; rows \"halves\" learn its own look from one half of it and score the "
+            "appearance was trained, a photograph is drawn in the appearance of the nearest "
+            "training "
+            "photographs; rows \"halves\" learn its own from one half of it and score the "
             "other.",
         .example =
             "citysplat eval scene\ncitysplat eval scene --tiles city.tiles --max-edge-px 800",

@@ -281,7 +281,7 @@ enum err_code photo_loader_get_nth(struct photo_loader *f, size_t nth, struct ph
 {
     size_t next = nth + 1;
     if (nth >= f->cfg.n_images)
-        return err_set(e, ERR_ARG, "feed: photograph %zu of %zu", nth, f->cfg.n_images);
+        return err_set(e, ERR_ARG, "photographs: %zu of %zu", nth, f->cfg.n_images);
     return photo_loader_take(f, nth, &next, next < f->cfg.n_images, out, e);
 }
 
@@ -305,7 +305,7 @@ enum err_code photo_loader_open(const struct photo_loader_config *cfg, struct ph
         return err_set(e, ERR_DATA, "%s: no photographs to use", cfg->scene->dir);
     struct photo_loader *f = mem_array(1, sizeof *f);
     if (!f)
-        return err_set(e, ERR_MEM, "feed: out of memory");
+        return err_set(e, ERR_MEM, "photographs: out of memory");
     enum err_code rc = ERR_OK;
     f->cfg = *cfg;
     f->pinned = cfg->n_images;
@@ -316,7 +316,7 @@ enum err_code photo_loader_open(const struct photo_loader_config *cfg, struct ph
     f->slots = mem_array(cfg->n_images, sizeof *f->slots);
     f->shuffle = mem_array(cfg->n_images, sizeof *f->shuffle);
     if (!f->cams || !f->masked || !f->slots || !f->shuffle) {
-        rc = err_set(e, ERR_MEM, "feed: out of memory for %zu photographs", cfg->n_images);
+        rc = err_set(e, ERR_MEM, "photographs: out of memory for %zu photographs", cfg->n_images);
         goto out;
     }
     for (size_t i = 0; !rc && i < cfg->n_images; i++) {
