@@ -62,7 +62,7 @@ void torture_flips(const struct torture *t, struct buf *whole, size_t within, ui
                      t->name, at, whole->size, old, whole->data[at], (unsigned long long)seed,
                      (unsigned long long)k, mend ? ", check value put right" : "", err_name(rc),
                      e.msg);
-        refused += rc != ERR_OK;
+        refused += rc != 0;
         memcpy(whole->data, good.data, good.size);
     }
     if (!refused)
