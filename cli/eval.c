@@ -13,6 +13,7 @@
 #include "cells/partition.h"
 #include "cli/cli.h"
 #include "cli/eval_half_image.h"
+#include "cli/eval_views.h"
 #include "codec/ckpt.h"
 #include "codec/scene.h"
 #include "lod/lod.h"
@@ -113,11 +114,36 @@ static enum err_code eval_halves(struct eval *v, const char *what, uint32_t edge
     return rc ? rc : eval_row(v, name, edge_px, &score, e);
 }
 
+/* Where the pictures of a row go: *out is NULL when none are wanted. */
+static enum err_code eval_pictures(const struct eval *v, const char *what, char *path,
+                                   const char **out, struct err *e)
+{
+    char folder[64];
+    *out = NULL;
+    if (!v->o.pictures)
+        return ERR_OK;
+    snprintf(folder, sizeof folder, "%s", what);
+    for (char *c = folder; *c; c++)
+        *c = *c == ' ' || *c == ',' ? '_' : *c;
+    *out = path;
+    return file_join(path, v->o.pictures, folder, e);
+}
+
+/* A row of map views instead of photographs. */
+static enum err_code eval_views(struct eval *v, const char *what, const struct evaluate_source *src,
+                                struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    struct eval_views_request q = {.dir = v->o.views, .scene = &v->scene, .rows = v->rows};
+    enum err_code rc = eval_pictures(v, what, path, &q.pictures, e);
+    return rc ? rc : eval_views_run(&q, what, v->render, src, e);
+}
+
 static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_edge_px,
                                  double downsample, struct evaluate_source src,
                                  const struct half_image_source *half, struct err *e)
 {
-    char folder[64], pictures[FILE_PATH_MAX];
+    char pictures[FILE_PATH_MAX];
     struct photo_loader *feed = NULL;
     struct evaluate_score score;
     struct photo_loader_config f = {.scene = &v->scene,
@@ -126,18 +152,13 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
                                     .max_edge_px = max_edge_px,
                                     .downsample = downsample,
                                     .cache_bytes = (size_t)64 << 20};
-    enum err_code rc = ERR_OK;
+    if (v->o.views)
+        return eval_views(v, what, &src, e);
     src.lpips = v->lpips;
     src.residuals = &v->residuals;
     residual_clear(&v->residuals);
     snprintf(v->residuals_of, sizeof v->residuals_of, "%s", what);
-    if (v->o.pictures) {
-        snprintf(folder, sizeof folder, "%s", what);
-        for (char *c = folder; *c; c++)
-            *c = *c == ' ' || *c == ',' ? '_' : *c;
-        rc = file_join(pictures, v->o.pictures, folder, e);
-        src.pictures = pictures;
-    }
+    enum err_code rc = eval_pictures(v, what, pictures, &src.pictures, e);
     if (!rc)
         rc = photo_loader_open(&f, &feed, e);
     if (!rc)
@@ -305,7 +326,10 @@ static enum err_code eval_levels(struct eval *v, const char *scene_dir, struct e
     enum err_code rc = file_join(path, scene_dir, "plan.json", e);
     if (!rc && file_exists(path))
         rc = cell_plan_read(path, &v->scene, &v->plan, e);
-    for (unsigned level = 1; !rc && level <= TRAIN_LEVELS_MAX; level++)
+    if (v->o.views) /* the finest alone: the others are for distances of their own */
+        for (unsigned level = TRAIN_LEVELS_MAX; !rc && level && !found; level--)
+            rc = eval_level(v, dir, level, &found, e);
+    for (unsigned level = 1; !rc && !v->o.views && level <= TRAIN_LEVELS_MAX; level++)
         rc = eval_level(v, dir, level, &found, e);
     if (!rc && !found)
         rc = err_set(e, ERR_NOENT, "%s: no level1.ckpt in cells/; `citysplat train` makes it", dir);
@@ -448,7 +472,8 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
             "appearance was trained, a photograph is drawn in the appearance of the nearest "
             "training "
             "photographs; rows \"halves\" learn its own from one half of it and score the "
-            "other.",
+            "other. With --views it scores ground truth at poses that people take in maps "
+            "instead.",
         .example =
             "citysplat eval scene\ncitysplat eval scene --tiles city.tiles --max-edge-px 800",
         .defs = eval_defs,
@@ -465,11 +490,14 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
     rc = eval_open(&v, args.arg[0], e);
     if (rc)
         goto out;
-    eval_print_head();
+    if (v.o.views)
+        eval_views_print_head();
+    else
+        eval_print_head();
     rc = v.o.tiles ? eval_tiles(&v, e) : eval_levels(&v, args.arg[0], e);
-    if (!rc && !v.lpips)
+    if (!rc && !v.lpips && !v.o.views)
         printf("LPIPS is not scored: --lpips FILE supplies its weights (docs/evaluation.md).\n");
-    if (!rc)
+    if (!rc && !v.o.views)
         rc = eval_residuals(&v, args.arg[0], e);
     if (!rc && v.o.output)
         rc = eval_write(&v, args.arg[0], e);
