@@ -20,7 +20,7 @@ enum err_code cli_synth(int argc, char **argv, struct err *e)
     if (cfg.city) {
         char dir[FILE_PATH_MAX];
         rc = synth_views_run(&cfg, dir, e);
-        if (rc == ERR_OK)
+        if (!rc)
             printf("%s: %lld map views of %s in %.1f s\n", dir, (long long)cfg.map_views, cfg.city,
                    clock_s() - start);
         goto out;

@@ -161,15 +161,15 @@ enum err_code metric_gmsd(const float *rgb, const uint8_t *target, const uint8_t
 
 /* ---- within a mask ---- */
 
-static double within_ssim(const float *rgb, const uint8_t *target, const uint8_t *mask, size_t w,
-                          size_t h, double *block)
+static double metric_within_ssim(const float *rgb, const uint8_t *target, const uint8_t *mask,
+                                 size_t w, size_t h, double *block)
 {
     size_t n = w * h, used = 0;
     double *x = block, *y = x + n, *map = y + n, *scratch = map + n, sum = 0;
     for (size_t c = 0; c < 3; c++) {
         for (size_t i = 0; i < n; i++) {
             y[i] = target[3 * i + c] / 255.0;
-            x[i] = mask[i] ? clamp01((double)rgb[3 * i + c]) : y[i];
+            x[i] = mask[i] ? metric_clamp((double)rgb[3 * i + c]) : y[i];
         }
         photometric_ref_ssim(x, y, w, h, scratch, map);
         for (size_t i = 0; i < n; i++)
@@ -181,8 +181,8 @@ static double within_ssim(const float *rgb, const uint8_t *target, const uint8_t
     return sum / (double)used;
 }
 
-static double within_gmsd(const float *rgb, const uint8_t *target, const uint8_t *mask, size_t w,
-                          size_t h, double *block)
+static double metric_within_gmsd(const float *rgb, const uint8_t *target, const uint8_t *mask,
+                                 size_t w, size_t h, double *block)
 {
     size_t n = w * h, w2 = (w + 1) / 2, h2 = (h + 1) / 2, n2 = w2 * h2, used = 0;
     double *x = block, *y = x + n, *small_x = y + n, *small_y = small_x + n2, *map = small_y + n2;
@@ -190,20 +190,20 @@ static double within_gmsd(const float *rgb, const uint8_t *target, const uint8_t
     for (size_t i = 0; i < n; i++) {
         const float *p = rgb + 3 * i;
         const uint8_t *t = target + 3 * i;
-        y[i] = gmsd_grey(t[0] / 255.0, t[1] / 255.0, t[2] / 255.0);
-        x[i] = mask[i]
-                   ? gmsd_grey(clamp01((double)p[0]), clamp01((double)p[1]), clamp01((double)p[2]))
-                   : y[i];
+        y[i] = metric_gmsd_grey(t[0] / 255.0, t[1] / 255.0, t[2] / 255.0);
+        x[i] = mask[i] ? metric_gmsd_grey(metric_clamp((double)p[0]), metric_clamp((double)p[1]),
+                                          metric_clamp((double)p[2]))
+                       : y[i];
     }
-    gmsd_halve(x, w, h, small_x);
-    gmsd_halve(y, w, h, small_y);
+    metric_gmsd_halve(x, w, h, small_x);
+    metric_gmsd_halve(y, w, h, small_y);
     for (size_t i = 0; i < n2; i++) {
         size_t px = 2 * (i % w2), py = 2 * (i / w2);
         if (px + 1 >= w || py + 1 >= h || !mask[py * w + px] || !mask[py * w + px + 1] ||
             !mask[(py + 1) * w + px] || !mask[(py + 1) * w + px + 1])
             continue;
-        double a = gmsd_gradient(small_x, w2, h2, i % w2, i / w2);
-        double b = gmsd_gradient(small_y, w2, h2, i % w2, i / w2);
+        double a = metric_gmsd_gradient(small_x, w2, h2, i % w2, i / w2);
+        double b = metric_gmsd_gradient(small_y, w2, h2, i % w2, i / w2);
         map[used] = (2.0 * a * b + GMSD_T) / (a * a + b * b + GMSD_T);
         mean += map[used++];
     }
@@ -216,14 +216,14 @@ enum err_code metric_within(const float *rgb, const uint8_t *target, const uint8
                             uint32_t width_px, uint32_t height_px, struct metric_scores *out,
                             struct err *e)
 {
-    enum err_code rc = check_size("metric_within", width_px, height_px, GMSD_LEAST_PX, e);
-    if (rc != ERR_OK)
+    enum err_code rc = metric_check_size("metric_within", width_px, height_px, GMSD_LEAST_PX, e);
+    if (rc)
         return rc;
     size_t w = width_px, h = height_px, n = w * h, used = 0;
     double sum = 0;
     for (size_t i = 0; i < n; i++)
         for (size_t c = 0; c < 3 && mask[i]; c++) {
-            double d = clamp01((double)rgb[3 * i + c]) - target[3 * i + c] / 255.0;
+            double d = metric_clamp((double)rgb[3 * i + c]) - target[3 * i + c] / 255.0;
             sum += d * d;
             used++;
         }
@@ -233,8 +233,8 @@ enum err_code metric_within(const float *rgb, const uint8_t *target, const uint8
     if (!block)
         return err_set(e, ERR_MEM, "metric_within: %u x %u px: out of memory", width_px, height_px);
     out->psnr_db = sum > 0 ? 10 * log10((double)used / sum) : HUGE_VAL;
-    out->ssim = within_ssim(rgb, target, mask, w, h, block);
-    out->gmsd = within_gmsd(rgb, target, mask, w, h, block);
+    out->ssim = metric_within_ssim(rgb, target, mask, w, h, block);
+    out->gmsd = metric_within_gmsd(rgb, target, mask, w, h, block);
     mem_free(block);
     return ERR_OK;
 }

@@ -86,7 +86,8 @@ static void draw_pose(const struct synth_city *c, const struct camera *cam, doub
 
 /* One row or column of three channels blurred by a Gaussian; `step` is the distance of neighbours
  * in floats. */
-static void blur_line(float *v, size_t n, size_t step, const float *tap, int radius, float *line)
+static void draw_blur_line(float *v, size_t n, size_t step, const float *tap, int radius,
+                           float *line)
 {
     for (size_t k = 0; k < 3; k++) {
         for (size_t i = 0; i < n; i++)
@@ -104,7 +105,7 @@ static void blur_line(float *v, size_t n, size_t step, const float *tap, int rad
 
 /* No lens is sharper than its pixels: without this, detail finer than a pixel turns into patterns
  * that differ from photograph to photograph and that no scene can explain. */
-static enum err_code blur(float *rgb, size_t w, size_t h, double sigma_px, struct err *e)
+static enum err_code draw_blur(float *rgb, size_t w, size_t h, double sigma_px, struct err *e)
 {
     enum { RADIUS_MAX = 16 };
     int radius = (int)fmin(ceil(3 * sigma_px), RADIUS_MAX);
@@ -121,9 +122,9 @@ static enum err_code blur(float *rgb, size_t w, size_t h, double sigma_px, struc
     for (int t = 0; t <= radius; t++)
         tap[t] /= sum;
     for (size_t y = 0; y < h; y++)
-        blur_line(rgb + 3 * w * y, w, 3, tap, radius, line);
+        draw_blur_line(rgb + 3 * w * y, w, 3, tap, radius, line);
     for (size_t x = 0; x < w; x++)
-        blur_line(rgb + 3 * x, h, 3 * w, tap, radius, line);
+        draw_blur_line(rgb + 3 * x, h, 3 * w, tap, radius, line);
     mem_free(line);
     return ERR_OK;
 }
@@ -158,7 +159,7 @@ enum err_code synth_draw_picture(const struct synth_draw *d, const struct camera
                     sum[k] += (rgb[k] < 1 ? rgb[k] : 1) / (float)(ss * ss);
             }
         }
-    rc = blur(linear, w, h, d->blur_px, e);
+    rc = draw_blur(linear, w, h, d->blur_px, e);
     for (size_t i = 0; !rc && i < 3 * w * h; i++)
         out->px[i] = synth_shade_encode(linear[i]);
     mem_free(linear);

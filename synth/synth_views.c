@@ -64,12 +64,12 @@ struct dice { /* random numbers of one try at one view */
     uint64_t seed, next;
 };
 
-static double roll(struct dice *d, double lo, double hi)
+static double views_roll(struct dice *d, double lo, double hi)
 {
     return lo + (hi - lo) * rng_unit(d->seed, SYNTH_STREAM_VIEWS, d->next++);
 }
 
-static double height_at(const struct synth_city *c, double x, double y)
+static double views_height_at(const struct synth_city *c, double x, double y)
 {
     const double eye[3] = {x, y, 1e4}, down[3] = {0, 0, -1};
     struct synth_hit hit;
@@ -78,7 +78,7 @@ static double height_at(const struct synth_city *c, double x, double y)
 }
 
 /* Free air around the eye? Boxes about the solids are close enough. */
-static bool eye_is_clear(const struct synth_city *c, const double p[3])
+static bool views_eye_is_clear(const struct synth_city *c, const double p[3])
 {
     if (p[2] < clear_m)
         return false;
@@ -93,7 +93,7 @@ static bool eye_is_clear(const struct synth_city *c, const double p[3])
     return true;
 }
 
-static bool target_is_seen(const struct synth_city *c, const struct pose *p)
+static bool views_target_is_seen(const struct synth_city *c, const struct pose *p)
 {
     double d[3], len = 0;
     for (int i = 0; i < 3; i++) {
@@ -109,14 +109,14 @@ static bool target_is_seen(const struct synth_city *c, const struct pose *p)
 }
 
 /* Look at a place of the city from `height` above the ground, at p->pitch_deg. */
-static bool pose_aim(const struct synth_city *c, struct dice *d, double height, double range_max,
-                     struct pose *p)
+static bool views_aim(const struct synth_city *c, struct dice *d, double height, double range_max,
+                      struct pose *p)
 {
     double side = 0.8 * c->half_m, h, range;
-    p->target_m[0] = roll(d, -side, side);
-    p->target_m[1] = roll(d, -side, side);
-    p->target_m[2] = height_at(c, p->target_m[0], p->target_m[1]);
-    p->heading_deg = roll(d, 0, 360);
+    p->target_m[0] = views_roll(d, -side, side);
+    p->target_m[1] = views_roll(d, -side, side);
+    p->target_m[2] = views_height_at(c, p->target_m[0], p->target_m[1]);
+    p->heading_deg = views_roll(d, 0, 360);
     h = p->heading_deg * M_PI / 180;
     range = (height - p->target_m[2]) / tan(-p->pitch_deg * M_PI / 180); /* on the ground */
     p->eye_m[0] = p->target_m[0] - range * sin(h);
@@ -125,63 +125,63 @@ static bool pose_aim(const struct synth_city *c, struct dice *d, double height, 
     return height > p->target_m[2] + 2 && range < range_max;
 }
 
-static void pose_overview(const struct synth_city *c, struct dice *d, struct pose *p)
+static void views_overview(const struct synth_city *c, struct dice *d, struct pose *p)
 {
-    double away = roll(d, 1.8, 3) * c->half_m;
-    p->heading_deg = roll(d, 0, 360);
+    double away = views_roll(d, 1.8, 3) * c->half_m;
+    p->heading_deg = views_roll(d, 0, 360);
     double h = p->heading_deg * M_PI / 180;
     p->eye_m[0] = -away * sin(h);
     p->eye_m[1] = -away * cos(h);
-    p->eye_m[2] = fmax(15, roll(d, 0.6, 1.6) * c->half_m);
+    p->eye_m[2] = fmax(15, views_roll(d, 0.6, 1.6) * c->half_m);
     p->pitch_deg = -atan2(p->eye_m[2] - 5, away) * 180 / M_PI;
 }
 
-static void pose_street(const struct synth_city *c, struct dice *d, struct pose *p)
+static void views_street(const struct synth_city *c, struct dice *d, struct pose *p)
 {
-    int axis = roll(d, 0, 1) < 0.5;
-    size_t i = (size_t)roll(d, 0, (double)c->n_streets[axis] - 0.001);
-    double across = c->street_m[axis][i] + roll(d, -0.4, 0.4) * c->street_half_m[axis][i];
-    double along = roll(d, -0.8, 0.8) * c->half_m;
+    int axis = views_roll(d, 0, 1) < 0.5;
+    size_t i = (size_t)views_roll(d, 0, (double)c->n_streets[axis] - 0.001);
+    double across = c->street_m[axis][i] + views_roll(d, -0.4, 0.4) * c->street_half_m[axis][i];
+    double along = views_roll(d, -0.8, 0.8) * c->half_m;
     p->eye_m[0] = axis ? along : across;
     p->eye_m[1] = axis ? across : along;
-    p->eye_m[2] = roll(d, 1.7, 3);
+    p->eye_m[2] = views_roll(d, 1.7, 3);
     /* Towards the longer half of the street. */
-    p->heading_deg = (axis ? 90 : 0) + (along > 0 ? 180 : 0) + roll(d, -20, 20);
-    p->pitch_deg = roll(d, -6, 2);
+    p->heading_deg = (axis ? 90 : 0) + (along > 0 ? 180 : 0) + views_roll(d, -20, 20);
+    p->pitch_deg = views_roll(d, -6, 2);
 }
 
-static bool pose_draw(const struct views *v, enum view_kind kind, struct dice *d, struct pose *p)
+static bool views_pose(const struct views *v, enum view_kind kind, struct dice *d, struct pose *p)
 {
     const struct synth_city *c = v->city;
     double height = synth_flight_height(v->cfg), reach = 4 * height + c->half_m;
     *p = (struct pose){.pitch_deg = aslant_pitch_deg};
     switch (kind) {
     case ORBIT:
-        p->pitch_deg = roll(d, -60, -20);
+        p->pitch_deg = views_roll(d, -60, -20);
         p->aimed = true;
-        return pose_aim(c, d, height * 0.3 * pow(10, roll(d, 0, 1)), reach, p);
+        return views_aim(c, d, height * 0.3 * pow(10, views_roll(d, 0, 1)), reach, p);
     case NEAR:
-        return pose_aim(c, d, near_height * height, reach, p);
+        return views_aim(c, d, near_height * height, reach, p);
     case FAR:
-        return pose_aim(c, d, far_height * height, reach, p);
+        return views_aim(c, d, far_height * height, reach, p);
     case OVERVIEW:
-        pose_overview(c, d, p);
+        views_overview(c, d, p);
         return true;
     case STREET:
-        pose_street(c, d, p);
+        views_street(c, d, p);
         return true;
     case NADIR:
-        p->heading_deg = roll(d, 0, 360);
+        p->heading_deg = views_roll(d, 0, 360);
         p->pitch_deg = -90;
-        p->eye_m[0] = roll(d, -0.8, 0.8) * c->half_m;
-        p->eye_m[1] = roll(d, -0.8, 0.8) * c->half_m;
-        p->eye_m[2] = height * 0.3 * pow(10, roll(d, 0, 1));
+        p->eye_m[0] = views_roll(d, -0.8, 0.8) * c->half_m;
+        p->eye_m[1] = views_roll(d, -0.8, 0.8) * c->half_m;
+        p->eye_m[2] = height * 0.3 * pow(10, views_roll(d, 0, 1));
         return true;
     }
     return false;
 }
 
-static struct camera pose_camera(const struct views *v, const struct pose *p)
+static struct camera views_camera(const struct views *v, const struct pose *p)
 {
     double yaw = v->city->yaw_rad, cs = cos(yaw), sn = sin(yaw);
     const double eye[3] = {cs * p->eye_m[0] - sn * p->eye_m[1], sn * p->eye_m[0] + cs * p->eye_m[1],
@@ -191,18 +191,18 @@ static struct camera pose_camera(const struct views *v, const struct pose *p)
                           (uint32_t)v->cfg->height_px);
 }
 
-static enum err_code view_place(struct views *v, size_t i, struct err *e)
+static enum err_code views_place(struct views *v, size_t i, struct err *e)
 {
     enum view_kind kind = kind_order[i % (sizeof kind_order / sizeof *kind_order)];
     struct pose p;
     for (uint64_t k = 0; k < VIEW_TRIES; k++) {
         struct dice d = {(uint64_t)v->cfg->seed,
                          ((uint64_t)v->cfg->map_seed << 28) + ((uint64_t)i * VIEW_TRIES + k) * 16};
-        if (!pose_draw(v, kind, &d, &p) || !eye_is_clear(v->city, p.eye_m) ||
-            (p.aimed && !target_is_seen(v->city, &p)))
+        if (!views_pose(v, kind, &d, &p) || !views_eye_is_clear(v->city, p.eye_m) ||
+            (p.aimed && !views_target_is_seen(v->city, &p)))
             continue;
         v->kinds[i] = kind;
-        v->cams[i] = pose_camera(v, &p);
+        v->cams[i] = views_camera(v, &p);
         return ERR_OK;
     }
     return err_set(e, ERR_DATA,
@@ -214,7 +214,7 @@ static enum err_code view_place(struct views *v, size_t i, struct err *e)
 /* ---- the mask ---- */
 
 /* Are three of these unit vectors pairwise farther apart than that angle? The last one is new. */
-static bool parallax_found(const double (*dir)[3], size_t n, double cos_max)
+static bool views_parallax(const double (*dir)[3], size_t n, double cos_max)
 {
     const double *a = dir[n - 1];
     for (size_t i = 0; i + 1 < n; i++) {
@@ -231,7 +231,7 @@ static bool parallax_found(const double (*dir)[3], size_t n, double cos_max)
     return false;
 }
 
-static uint8_t place_mask(const struct views *v, const double place[3])
+static uint8_t views_mask_at(const struct views *v, const double place[3])
 {
     const struct synth_config *cfg = v->cfg;
     double dir[MASK_SEEN_MAX][3], cos_max = cos(mask_parallax_deg * M_PI / 180);
@@ -250,7 +250,7 @@ static uint8_t place_mask(const struct views *v, const double place[3])
         for (int k = 0; k < 3; k++)
             dir[n][k] /= sqrt(len);
         n++;
-        if (n >= MASK_PHOTOGRAPHS && parallax_found((const double(*)[3])dir, n, cos_max))
+        if (n >= MASK_PHOTOGRAPHS && views_parallax((const double(*)[3])dir, n, cos_max))
             return MASK_SUPPORTED;
     }
     return n ? MASK_SEEN : 0;
@@ -258,15 +258,15 @@ static uint8_t place_mask(const struct views *v, const double place[3])
 
 /* ---- one view ---- */
 
-static enum err_code view_path(const struct views *v, size_t i, const char *tail, char *out,
-                               struct err *e)
+static enum err_code views_path(const struct views *v, size_t i, const char *tail, char *out,
+                                struct err *e)
 {
     char name[64];
     snprintf(name, sizeof name, "%03zu-%s%s", i + 1, kind_names[v->kinds[i]], tail);
     return file_join(out, v->dir, name, e);
 }
 
-static json_t *nums(const double *v, size_t n)
+static json_t *views_nums(const double *v, size_t n)
 {
     json_t *a = json_array();
     for (size_t i = 0; i < n; i++)
@@ -274,7 +274,7 @@ static json_t *nums(const double *v, size_t n)
     return a;
 }
 
-static enum err_code write_camera(const struct views *v, size_t i, struct err *e)
+static enum err_code views_write_camera(const struct views *v, size_t i, struct err *e)
 {
     char path[FILE_PATH_MAX];
     const struct camera *c = &v->cams[i];
@@ -285,8 +285,8 @@ static enum err_code write_camera(const struct views *v, size_t i, struct err *e
     }
     json_t *o = json_pack("{s:i, s:i, s:f, s:f, s:f, s:f, s:o}", "width", (int)c->width_px,
                           "height", (int)c->height_px, "fx", c->fx_px, "fy", c->fy_px, "cx",
-                          c->cx_px, "cy", c->cy_px, "world_to_camera", nums(m, 16));
-    enum err_code rc = o ? view_path(v, i, ".json", path, e)
+                          c->cx_px, "cy", c->cy_px, "world_to_camera", views_nums(m, 16));
+    enum err_code rc = o ? views_path(v, i, ".json", path, e)
                          : err_set(e, ERR_MEM, "synth: out of memory for a camera");
     if (!rc)
         rc = jsonc_write(path, o, e);
@@ -295,8 +295,8 @@ static enum err_code write_camera(const struct views *v, size_t i, struct err *e
 }
 
 /* Depth, and what is known of the surface behind each pixel. */
-static void view_surface(const struct views *v, const struct camera *cam, float *depth,
-                         uint8_t *mask, uint8_t *square)
+static void views_surface(const struct views *v, const struct camera *cam, float *depth,
+                          uint8_t *mask, uint8_t *square)
 {
     const struct synth_city *c = v->city;
     double cs = cos(c->yaw_rad), sn = sin(c->yaw_rad);
@@ -308,12 +308,12 @@ static void view_surface(const struct views *v, const struct camera *cam, float 
             continue; /* sky: both stay 0 */
         const double place[3] = {cs * hit.pos[0] - sn * hit.pos[1],
                                  sn * hit.pos[0] + cs * hit.pos[1], hit.pos[2]};
-        mask[i] = place_mask(v, place);
+        mask[i] = views_mask_at(v, place);
         square[i] = fabs(hit.pos[0]) <= c->half_m && fabs(hit.pos[1]) <= c->half_m ? 255 : 0;
     }
 }
 
-static enum err_code view_write(const struct views *v, size_t i, struct err *e)
+static enum err_code views_write_one(const struct views *v, size_t i, struct err *e)
 {
     char path[FILE_PATH_MAX];
     const struct camera *cam = &v->cams[i];
@@ -327,23 +327,23 @@ static enum err_code view_write(const struct views *v, size_t i, struct err *e)
         rc = image_alloc(cam->width_px, cam->height_px, 1, &square, e);
     if (rc)
         goto out;
-    view_surface(v, cam, depth, mask.px, square.px);
+    views_surface(v, cam, depth, mask.px, square.px);
     rc = synth_draw_picture(&v->draw, cam, &light, NULL, &img, e);
     const struct {
         const char *tail;
         const struct image *img;
     } pictures[] = {{".png", &img}, {"_mask.png", &mask}, {"_square.png", &square}};
     for (size_t k = 0; !rc && k < sizeof pictures / sizeof *pictures; k++) {
-        rc = view_path(v, i, pictures[k].tail, path, e);
+        rc = views_path(v, i, pictures[k].tail, path, e);
         if (!rc)
             rc = image_write(path, pictures[k].img, 0, NULL, e);
     }
     if (!rc)
-        rc = view_path(v, i, ".npy", path, e);
+        rc = views_path(v, i, ".npy", path, e);
     if (!rc)
         rc = npy_write(path, depth, 2, shape, e);
     if (!rc)
-        rc = write_camera(v, i, e);
+        rc = views_write_camera(v, i, e);
 out:
     mem_free(depth);
     image_free(&img);
@@ -352,12 +352,12 @@ out:
     return rc;
 }
 
-static enum err_code view_task(void *user, size_t i, struct err *e)
+static enum err_code views_task(void *user, size_t i, struct err *e)
 {
     struct views *v = user;
     if (signals_stopping())
         return err_set(e, ERR_CANCEL, "stopped");
-    enum err_code rc = view_write(v, i, e);
+    enum err_code rc = views_write_one(v, i, e);
     size_t done = atomic_fetch_add(&v->done, 1) + 1;
     if (!atomic_flag_test_and_set(&v->progress_busy)) {
         progress_step(&v->progress, done, NULL);
@@ -368,7 +368,7 @@ static enum err_code view_task(void *user, size_t i, struct err *e)
 
 /* ---- all of them ---- */
 
-static enum err_code write_manifest(const struct views *v, struct err *e)
+static enum err_code views_write_manifest(const struct views *v, struct err *e)
 {
     char path[FILE_PATH_MAX], name[64];
     struct synth_similarity f = synth_model_frame(v->cfg);
@@ -384,7 +384,7 @@ static enum err_code write_manifest(const struct views *v, struct err *e)
         json_pack("{s:s, s:I, s:I, s:f, s:{s:f, s:o, s:o}, s:o}", "format", "citysplat-views",
                   "seed", (json_int_t)v->cfg->seed, "map_seed", (json_int_t)v->cfg->map_seed,
                   "flight_height_m", synth_flight_height(v->cfg), "colmap_to_enu", "scale", f.scale,
-                  "rot", nums(f.rot, 9), "trans", nums(f.trans, 3), "views", views);
+                  "rot", views_nums(f.rot, 9), "trans", views_nums(f.trans, 3), "views", views);
     enum err_code rc = root ? file_join(path, v->dir, "views.json", e)
                             : err_set(e, ERR_MEM, "synth: out of memory for views.json");
     if (!rc)
@@ -409,7 +409,7 @@ enum err_code synth_views_write(const struct synth_config *cfg, const struct syn
     if (!v.cams || !v.kinds)
         rc = err_set(e, ERR_MEM, "synth: out of memory for %zu views", v.n);
     for (size_t i = 0; !rc && i < v.n; i++)
-        rc = view_place(&v, i, e);
+        rc = views_place(&v, i, e);
     if (!rc) {
         struct lens l = {
             .model = LENS_PINHOLE,
@@ -421,11 +421,11 @@ enum err_code synth_views_write(const struct synth_config *cfg, const struct syn
     }
     if (!rc) {
         progress_start(&v.progress, "draw map views", (uint64_t)v.n);
-        rc = pool_for(v.n, 0, view_task, &v, e);
+        rc = pool_for(v.n, 0, views_task, &v, e);
         progress_end(&v.progress, NULL);
     }
     if (!rc)
-        rc = write_manifest(&v, e);
+        rc = views_write_manifest(&v, e);
     synth_draw_close(&v.draw);
     mem_free(v.cams);
     mem_free(v.kinds);
@@ -433,8 +433,8 @@ enum err_code synth_views_write(const struct synth_config *cfg, const struct syn
 }
 
 /* The options that a city was made with. */
-static enum err_code city_config(const struct synth_config *asked, struct synth_config *out,
-                                 struct arena *a, struct err *e)
+static enum err_code views_city_config(const struct synth_config *asked, struct synth_config *out,
+                                       struct arena *a, struct err *e)
 {
     char path[FILE_PATH_MAX];
     json_t *root = NULL;
@@ -467,7 +467,7 @@ enum err_code synth_views_run(const struct synth_config *cfg, char out_dir[FILE_
     struct arena arena = {0};
     if (!cfg->map_views)
         return err_set(e, ERR_ARG, "synth: --city: how many views? give --map-views N");
-    enum err_code rc = city_config(cfg, &of, &arena, e);
+    enum err_code rc = views_city_config(cfg, &of, &arena, e);
     if (!rc)
         rc = cfg->output ? views_folder(cfg->output, out_dir, e)
                          : file_join(out_dir, cfg->city, "map-views", e);

@@ -32,8 +32,8 @@ struct move {
 };
 
 /* Both are COLMAP -> own frame; theirs is undone first. */
-static enum err_code move_between(const json_t *o, const struct scene *s, struct move *out,
-                                  struct err *e)
+static enum err_code map_move_between(const json_t *o, const struct scene *s, struct move *out,
+                                      struct err *e)
 {
     double scale, rot[9], trans[3];
     enum err_code rc = jsonc_num(o, "scale", &scale, e);
@@ -61,7 +61,7 @@ static enum err_code move_between(const json_t *o, const struct scene *s, struct
 }
 
 /* x_cam = W x + t becomes scale x_cam = W rot^T y + t', so depths grow by scale. */
-static void move_camera(const struct move *m, struct camera *c)
+static void map_move_camera(const struct move *m, struct camera *c)
 {
     double rot[9];
     for (int i = 0; i < 3; i++)
@@ -79,8 +79,8 @@ static void move_camera(const struct move *m, struct camera *c)
 }
 
 /* Names become files, so they are plain. */
-static enum err_code view_word(const json_t *o, const char *key, char out[MAP_VIEWS_NAME],
-                               struct err *e)
+static enum err_code map_view_word(const json_t *o, const char *key, char out[MAP_VIEWS_NAME],
+                                   struct err *e)
 {
     const char *text = NULL;
     enum err_code rc = jsonc_text(o, key, &text, e);
@@ -95,31 +95,31 @@ static enum err_code view_word(const json_t *o, const char *key, char out[MAP_VI
     return ERR_OK;
 }
 
-static enum err_code view_file(const struct map_views *v, const char *name, const char *tail,
-                               char *out, struct err *e)
+static enum err_code map_view_file(const struct map_views *v, const char *name, const char *tail,
+                                   char *out, struct err *e)
 {
     char file[MAP_VIEWS_NAME + 16];
     snprintf(file, sizeof file, "%s%s", name, tail);
     return file_join(out, v->dir, file, e);
 }
 
-static enum err_code view_read(struct map_views *v, const json_t *o, const struct move *m,
-                               struct map_view *out, struct err *e)
+static enum err_code map_view_read(struct map_views *v, const json_t *o, const struct move *m,
+                                   struct map_view *out, struct err *e)
 {
     char path[FILE_PATH_MAX];
     json_t *cam = NULL;
-    enum err_code rc = view_word(o, "name", out->name, e);
+    enum err_code rc = map_view_word(o, "name", out->name, e);
     if (!rc)
-        rc = view_word(o, "kind", out->kind, e);
+        rc = map_view_word(o, "kind", out->kind, e);
     if (!rc)
-        rc = view_file(v, out->name, ".json", path, e);
+        rc = map_view_file(v, out->name, ".json", path, e);
     if (!rc)
         rc = jsonc_read(path, &cam, e);
     if (!rc && camera_from_json(cam, &out->cam, e))
         rc = err_add(e, "%s", path);
     json_decref(cam);
     if (!rc)
-        move_camera(m, &out->cam);
+        map_move_camera(m, &out->cam);
     return rc;
 }
 
@@ -142,13 +142,13 @@ enum err_code map_views_read(const char *dir, const struct scene *s, struct map_
     if (!rc && strcmp(format, "citysplat-views"))
         rc = err_set(e, ERR_FORMAT, "format '%.40s' instead of citysplat-views", format);
     if (!rc)
-        rc = move_between(json_object_get(root, "colmap_to_enu"), s, &m, e);
+        rc = map_move_between(json_object_get(root, "colmap_to_enu"), s, &m, e);
     if (!rc && !json_array_size(list))
         rc = err_set(e, ERR_FORMAT, "\"views\": an array of views is expected");
     if (!rc && !(out->views = mem_array(json_array_size(list), sizeof *out->views)))
         rc = err_set(e, ERR_MEM, "out of memory for %zu views", json_array_size(list));
     for (; !rc && out->n < json_array_size(list); out->n++)
-        rc = view_read(out, json_array_get(list, out->n), &m, &out->views[out->n], e);
+        rc = map_view_read(out, json_array_get(list, out->n), &m, &out->views[out->n], e);
     out->scale = m.scale;
     json_decref(root);
     if (rc) {
@@ -165,8 +165,8 @@ void map_views_free(struct map_views *v)
 }
 
 /* A grey picture of the camera's size as bytes. */
-static enum err_code mask_read(const char *path, const struct map_truth *t, uint8_t **out,
-                               struct err *e)
+static enum err_code map_mask_read(const char *path, const struct map_truth *t, uint8_t **out,
+                                   struct err *e)
 {
     struct image img = {0};
     enum err_code rc = image_read(path, NULL, &img, e);
@@ -182,7 +182,7 @@ static enum err_code mask_read(const char *path, const struct map_truth *t, uint
     return rc;
 }
 
-static enum err_code depth_read_map(const char *path, const struct map_truth *t, double scale,
+static enum err_code map_depth_read(const char *path, const struct map_truth *t, double scale,
                                     float **out, struct err *e)
 {
     size_t shape[2];
@@ -205,24 +205,24 @@ enum err_code map_views_load(const struct map_views *v, size_t i, struct map_tru
     char path[FILE_PATH_MAX];
     const struct map_view *view = &v->views[i];
     *out = (struct map_truth){.width_px = view->cam.width_px, .height_px = view->cam.height_px};
-    enum err_code rc = view_file(v, view->name, ".png", path, e);
+    enum err_code rc = map_view_file(v, view->name, ".png", path, e);
     if (!rc)
         rc = image_read(path, NULL, &out->picture, e);
     if (!rc && (out->picture.width_px != out->width_px || out->picture.height_px != out->height_px))
         rc = err_set(e, ERR_FORMAT, "%s: %u x %u px, its camera has %u x %u", path,
                      out->picture.width_px, out->picture.height_px, out->width_px, out->height_px);
     if (!rc)
-        rc = view_file(v, view->name, "_mask.png", path, e);
+        rc = map_view_file(v, view->name, "_mask.png", path, e);
     if (!rc)
-        rc = mask_read(path, out, &out->mask, e);
+        rc = map_mask_read(path, out, &out->mask, e);
     if (!rc)
-        rc = view_file(v, view->name, "_square.png", path, e);
+        rc = map_view_file(v, view->name, "_square.png", path, e);
     if (!rc)
-        rc = mask_read(path, out, &out->square, e);
+        rc = map_mask_read(path, out, &out->square, e);
     if (!rc)
-        rc = view_file(v, view->name, ".npy", path, e);
+        rc = map_view_file(v, view->name, ".npy", path, e);
     if (!rc)
-        rc = depth_read_map(path, out, v->scale, &out->depth_m, e);
+        rc = map_depth_read(path, out, v->scale, &out->depth_m, e);
     if (rc)
         map_truth_free(out);
     return rc;
@@ -246,7 +246,7 @@ void map_views_limit(const struct map_truth *t, float *limit_m)
             t->depth_m[i] > 0.0f ? (float)(1.0 - MAP_VIEWS_HAZE) * t->depth_m[i] : INFINITY;
 }
 
-static enum err_code sums_reserve(struct map_sums *s, size_t more, struct err *e)
+static enum err_code map_sums_reserve(struct map_sums *s, size_t more, struct err *e)
 {
     size_t want = s->n_errors + more;
     if (want <= s->cap_errors)
@@ -261,8 +261,8 @@ static enum err_code sums_reserve(struct map_sums *s, size_t more, struct err *e
 }
 
 /* Depth, haze, veil and halo of the pixels. */
-static void sums_pixels(struct map_sums *s, const struct map_truth *t, const struct map_drawing *d,
-                        const float *limit_m)
+static void map_sums_pixels(struct map_sums *s, const struct map_truth *t,
+                            const struct map_drawing *d, const float *limit_m)
 {
     size_t n = (size_t)t->width_px * t->height_px;
     s->n_pixels += (double)n;
@@ -286,7 +286,7 @@ static void sums_pixels(struct map_sums *s, const struct map_truth *t, const str
 }
 
 /* Is enough of the picture in the mask? `only`: pixels of that value become 255, others 0. */
-static bool mask_pick(const uint8_t *mask, size_t n, uint8_t *out)
+static bool map_mask_pick(const uint8_t *mask, size_t n, uint8_t *out)
 {
     size_t used = 0;
     for (size_t i = 0; i < n; i++) {
@@ -296,13 +296,13 @@ static bool mask_pick(const uint8_t *mask, size_t n, uint8_t *out)
     return (double)used >= share_min * (double)n;
 }
 
-static enum err_code sums_colour(struct map_sums *s, const struct map_truth *t,
-                                 const struct map_drawing *d, uint8_t *used, struct err *e)
+static enum err_code map_sums_colour(struct map_sums *s, const struct map_truth *t,
+                                     const struct map_drawing *d, uint8_t *used, struct err *e)
 {
     size_t n = (size_t)t->width_px * t->height_px;
     struct metric_scores m;
     enum err_code rc = ERR_OK;
-    if (mask_pick(t->mask, n, used)) {
+    if (map_mask_pick(t->mask, n, used)) {
         rc = metric_within(d->rgb, t->picture.px, used, t->width_px, t->height_px, &m, e);
         if (rc)
             return rc;
@@ -311,7 +311,7 @@ static enum err_code sums_colour(struct map_sums *s, const struct map_truth *t,
         s->sum.ssim += m.ssim;
         s->sum.gmsd += m.gmsd;
     }
-    if (mask_pick(t->square, n, used)) {
+    if (map_mask_pick(t->square, n, used)) {
         rc = metric_within(d->rgb, t->picture.px, used, t->width_px, t->height_px, &m, e);
         if (rc)
             return rc;
@@ -327,13 +327,13 @@ enum err_code map_sums_add(struct map_sums *s, const struct map_truth *t,
     size_t n = (size_t)t->width_px * t->height_px;
     float *limit_m = mem_array(n, sizeof *limit_m);
     uint8_t *used = mem_array(n, 1);
-    enum err_code rc =
-        limit_m && used ? sums_reserve(s, n, e) : err_set(e, ERR_MEM, "map views: out of memory");
+    enum err_code rc = limit_m && used ? map_sums_reserve(s, n, e)
+                                       : err_set(e, ERR_MEM, "map views: out of memory");
     if (!rc) {
         map_views_limit(t, limit_m);
-        sums_pixels(s, t, d, limit_m);
+        map_sums_pixels(s, t, d, limit_m);
         s->sum.n_views++;
-        rc = sums_colour(s, t, d, used, e);
+        rc = map_sums_colour(s, t, d, used, e);
     }
     mem_free(limit_m);
     mem_free(used);

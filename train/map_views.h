@@ -35,6 +35,7 @@ struct map_truth { /* {0} is empty; map_truth_free */
     uint8_t *square; /* [h][w]: 255 within the built-up square */
     float *depth_m;  /* [h][w] along the axis, in the scene's metres; 0 = sky */
 };
+/* The truth of view i. ERR_NOENT, ERR_FORMAT: what and which file; ERR_MEM. */
 enum err_code map_views_load(const struct map_views *v, size_t i, struct map_truth *out,
                              struct err *e) ERR_USE;
 void map_truth_free(struct map_truth *t);
@@ -65,7 +66,7 @@ struct map_sums { /* {0} is empty; map_sums_free */
     size_t n_errors, cap_errors;
     double n_pixels, n_seen, n_unobserved;
 };
-/* Add one view. */
+/* Add one view. ERR_MEM; ERR_ARG for pictures smaller than 4 x 4 pixels. */
 enum err_code map_sums_add(struct map_sums *s, const struct map_truth *t,
                            const struct map_drawing *d, struct err *e) ERR_USE;
 /* Scores of all views added; measures over nothing are NaN. */
