@@ -36,7 +36,7 @@ static void train_print(const struct train_result *r)
         train_print_cell(&r->cells[i]);
     for (size_t i = 0; i < r->n_cells; i++)
         if (!r->cells[i].was_done)
-            timing_add(&spent, &r->cells[i].spent);
+            timing_add(&spent, &r->cells[i].timing);
     printf("%.1f s, %.0f MiB at most\n", r->seconds, (double)r->peak_bytes / 1048576.0);
     if (timing_total(&spent) > 0.0) {
         timing_text(&spent, text, sizeof text);

@@ -291,15 +291,15 @@ static double height_error(const struct work *w, const struct sim3_fit *f, size_
  * only one. */
 static bool flights_rank(struct work *w, size_t *n_groups)
 {
-    size_t count[SIMILARITY_GROUPS_MAX] = {0}, rank[SIMILARITY_GROUPS_MAX], n = 0;
+    size_t count[SIM3_GROUPS_MAX] = {0}, rank[SIM3_GROUPS_MAX], n = 0;
     for (size_t k = 0; k < w->n_gps; k++)
         count[w->trial[w->with_gps[k]]]++;
-    for (size_t g = 0; g < SIMILARITY_GROUPS_MAX; g++) {
+    for (size_t g = 0; g < SIM3_GROUPS_MAX; g++) {
         if (count[g] && count[g] < FLIGHT_MIN)
             return false;
         n += count[g] > 0;
         rank[g] = 0;
-        for (size_t h = 0; h < SIMILARITY_GROUPS_MAX; h++)
+        for (size_t h = 0; h < SIM3_GROUPS_MAX; h++)
             rank[g] += count[h] > count[g] || (count[h] == count[g] && h < g);
     }
     for (size_t i = 0; i < w->n; i++)
@@ -383,7 +383,7 @@ static enum err_code flights_try(struct work *w, const struct sim3_fit *single, 
         return ERR_OK;
     struct sim3_fit f = *single;
     double base = 0;
-    size_t count[SIMILARITY_GROUPS_MAX];
+    size_t count[SIM3_GROUPS_MAX];
     for (size_t g = 0; g < n_groups; g++) {
         count[g] = 0;
         for (size_t k = 0; k < w->n_gps; k++)
@@ -439,8 +439,8 @@ static enum err_code flights_find(struct work *w, const struct georef_photo *pho
     enum err_code rc = ERR_OK;
     const struct sim3_fit single = *fit;
     for (size_t i = 0; i < w->n; i++)
-        w->trial[i] = photos[i].flight_hint < SIMILARITY_GROUPS_MAX ? photos[i].flight_hint
-                                                                    : SIMILARITY_GROUPS_MAX - 1;
+        w->trial[i] =
+            photos[i].flight_hint < SIM3_GROUPS_MAX ? photos[i].flight_hint : SIM3_GROUPS_MAX - 1;
     rc = flights_try(w, &single, PARTITION_PAUSE, fit, e);
     if (rc || w->p.n_groups > 1)
         return rc;

@@ -30,7 +30,7 @@
 #include "core/base.h"
 #include "core/camera.h"
 
-enum { UNKNOWNS = 7 + SIMILARITY_GROUPS_MAX - 1, REFINE_MAX = 30, JACOBI_SWEEPS = 40 };
+enum { UNKNOWNS = 7 + SIM3_GROUPS_MAX - 1, REFINE_MAX = 30, JACOBI_SWEEPS = 40 };
 static const double sigma_floor_m = 0.01, sigma_ground = 0.2, level_floor = 0.02;
 static const double median_2d = 1.1774,
                     median_1d = 0.6745; /* of |r| over sigma per axis: Rayleigh, half normal */

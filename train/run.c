@@ -368,7 +368,7 @@ static enum err_code run_report_spent(struct run *t, struct err *e)
     log_debug("train", "level=%u time: %s", l->ctx.at + 1, text);
     return metrics_log_line(l->ctx.metrics, "time",
                             json_pack("{s:i, s:f, s:o}", "level", (int)l->ctx.at + 1, "seconds",
-                                      timing_total(&here), "spent", timing_json(&here)),
+                                      timing_total(&here), "timing", timing_json(&here)),
                             e);
 }
 
@@ -484,7 +484,7 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
     if (!rc)
         rc = run_levels(t, e);
     out->seconds = clock_s() - t->start_s;
-    out->spent = timing_now(&t->level.ctx.timing);
+    out->timing = timing_now(&t->level.ctx.timing);
     if (!rc)
         rc = done_write(t->dir, out, e);
     if (!rc)
