@@ -18,7 +18,7 @@
 #include "codec/ply.h"
 #include "codec/quant.h"
 #include "codec/spz.h"
-#include "lod/lod.h"
+#include "lod/store.h"
 #include "lod/tree.h"
 #include "server/encode.h"
 

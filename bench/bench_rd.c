@@ -21,7 +21,6 @@
 #include "codec/quant.h"
 #include "codec/scene.h"
 #include "codec/spz.h"
-#include "lod/lod.h"
 #include "train/train.h"
 #include "train/train_scene.h"
 

@@ -21,7 +21,7 @@
 #include <unistd.h>
 
 #include "core/pool.h"
-#include "lod/lod.h"
+#include "lod/store.h"
 #include "server/server.h"
 #include "server/services.h"
 

@@ -18,7 +18,8 @@
 #include <unistd.h>
 
 #include "bench/city.h"
-#include "lod/lod.h"
+#include "core/geo.h"
+#include "lod/pyramid.h"
 
 extern char **environ;
 

@@ -15,8 +15,13 @@
 #include <string.h>
 
 #include "bench/city.h"
-#include "lod/lod.h"
+#include "lod/pick.h"
+#include "lod/pyramid.h"
+#include "lod/simplify.h"
+#include "lod/store.h"
 #include "lod/tree.h"
+#include "lod/view.h"
+#include "render/render.h"
 
 enum { PICTURE_SIDE_MAX = 2048, MANY = 20000 };
 

@@ -12,7 +12,12 @@
 #include "codec/ckpt.h"
 #include "codec/image.h"
 #include "core/appearance.h"
-#include "lod/lod.h"
+#include "core/geo.h"
+#include "lod/bake.h"
+#include "lod/pick.h"
+#include "lod/pyramid.h"
+#include "lod/view.h"
+#include "render/render.h"
 
 #include <math.h>
 #include <stdio.h>

@@ -4,7 +4,7 @@
  */
 #include "bench/leaves.h"
 
-#include "lod/lod.h"
+#include "lod/store.h"
 #include "lod/tree.h"
 
 enum err_code leaves_read(const char *store_path, struct leaves *out, struct err *e)

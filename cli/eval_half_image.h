@@ -5,7 +5,6 @@
 #ifndef CLI_EVAL_HALF_IMAGE_H
 #define CLI_EVAL_HALF_IMAGE_H
 
-#include "lod/lod.h"
 #include "train/appearance_train.h"
 #include "train/half_image.h"
 

@@ -15,9 +15,12 @@
 #include "codec/ply.h"
 #include "codec/quant.h"
 #include "codec/spz.h"
+#include "core/appearance.h"
 #include "core/outdir.h"
 #include "core/pool.h"
-#include "lod/lod.h"
+#include "lod/bake.h"
+#include "lod/store.h"
+#include "lod/tileset.h"
 #include "lod/tree.h"
 
 enum { EXPORT_AUTO, EXPORT_PLY, EXPORT_SPZ, EXPORT_3DTILES };

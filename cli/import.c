@@ -12,6 +12,7 @@
 #include "codec/axes.h"
 #include "codec/limits.h"
 #include "codec/ply.h"
+#include "lod/pyramid.h"
 
 enum { IMPORT_AXES_AUTO, IMPORT_AXES_ENU, IMPORT_AXES_YUP, IMPORT_AXES_YDOWN };
 

@@ -12,6 +12,9 @@
 #include "cli/cli.h"
 #include "cli/splats.h"
 #include "codec/scene.h"
+#include "core/appearance.h"
+#include "lod/bake.h"
+#include "lod/store.h"
 #include "lod/tree.h"
 
 struct info_options {

@@ -6,7 +6,7 @@
 #include <string.h>
 
 #include "cli/cli.h"
-#include "lod/lod.h"
+#include "lod/merge.h"
 
 struct merge_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;

@@ -15,6 +15,12 @@
 #include "cli/splats.h"
 #include "codec/image.h"
 #include "codec/npy.h"
+#include "core/appearance.h"
+#include "core/camera.h"
+#include "lod/pick.h"
+#include "lod/store.h"
+#include "lod/view.h"
+#include "render/render.h"
 
 struct render_cli_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -153,9 +159,9 @@ static enum err_code render_store(struct render_job *job, const char *path, stru
         .error_px = o->error_px, .max_gaussians = (uint64_t)o->max_gaussians, .no_lod = o->no_lod};
     float image[APPEARANCE_IMAGE_MAX];
     if (o->appearance)
-        rc = view_find_look(v, o->appearance, image, e);
+        rc = view_find_appearance(v, o->appearance, image, e);
     if (!rc && o->appearance)
-        rc = view_set_look(v, image, e);
+        rc = view_set_appearance(v, image, e);
     if (!rc)
         rc = render_camera(o, &m->origin, &job->cam, e);
     job->ro.aa = render_aa_of(o, m->antialiased);

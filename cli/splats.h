@@ -6,7 +6,7 @@
 #define CLI_SPLATS_H
 
 #include "codec/ply.h"
-#include "lod/lod.h"
+#include "core/gauss.h"
 
 struct codec_limits;
 

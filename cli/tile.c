@@ -20,6 +20,10 @@
 #include "cli/splats.h"
 #include "codec/ckpt.h"
 #include "codec/scene.h"
+#include "core/appearance.h"
+#include "lod/bake.h"
+#include "lod/pyramid.h"
+#include "lod/update.h"
 
 enum { TILE_LEVELS_MAX = 7, TILE_PART_ROWS = 131072 };
 
@@ -390,7 +394,7 @@ static void tile_print(const char *path, const struct pyramid_report *r)
 
 /* ---- one cell into a store that exists ---- */
 
-struct tile_ground { /* of one cell, for lod/update.c */
+struct tile_ground { /* of one cell, for lod/update_build.c */
     const struct partition *plan;
     size_t cell;
 };
@@ -454,7 +458,7 @@ static enum err_code tile_update(struct tile_scene *s, const struct tile_options
     }
     if (!rc && s->look.size) {
         rc = appearance_read(s->look.data, s->look.size, &look, e);
-        cfg.look = &look;
+        cfg.appearance = &look;
     }
     if (!rc)
         rc = update_build(o->update, &cfg, o->output ? o->output : o->update, &r, e);

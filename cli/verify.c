@@ -5,7 +5,7 @@
 #include <stdio.h>
 
 #include "cli/cli.h"
-#include "lod/lod.h"
+#include "lod/store.h"
 
 static const struct options_spec spec = {
     .command = "verify",

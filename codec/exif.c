@@ -10,13 +10,15 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "codec/exif.h"
-#include "codec/image.h"
 
 #include <math.h>
+#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <zlib.h>
+
+#include "core/base.h"
 
 enum {
     TAG_EXIF_IFD = 0x8769,

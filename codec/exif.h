@@ -5,15 +5,23 @@
 #ifndef CODEC_EXIF_H
 #define CODEC_EXIF_H
 
+#include <stdbool.h>
+#include <stddef.h>
+
 #include "core/err.h"
 
 struct buf;
-struct err;
-struct image_gps;
 
 #ifdef __cplusplus
 extern "C" {
 #endif
+
+struct image_gps {
+    bool has_position, has_altitude;
+    double lat_deg, lon_deg, alt_m;   /* alt_m as the file says it: usually above sea level */
+    char time[32];                    /* EXIF DateTimeOriginal or "" */
+    double exposure_s, iso, focal_mm; /* 0 = not given */
+};
 
 /* Missing, unknown or damaged fields are simply not there (has_position false, 0, ""): photographs
  * with strange EXIF are still photographs. ERR_NOENT, ERR_IO. */

@@ -9,6 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "codec/exif.h"
 #include "core/base.h"
 
 struct codec_limits;
@@ -20,12 +21,6 @@ extern "C" {
 struct image {                              /* {0} is empty */
     uint32_t width_px, height_px, channels; /* 1 or 3 */
     uint8_t *px;                            /* [h][w][channels], sRGB values as stored */
-};
-struct image_gps {
-    bool has_position, has_altitude;
-    double lat_deg, lon_deg, alt_m;   /* alt_m as the file says it: usually above sea level */
-    char time[32];                    /* EXIF DateTimeOriginal or "" */
-    double exposure_s, iso, focal_mm; /* 0 = not given */
 };
 /* Read as 8-bit RGB (grey is expanded, alpha dropped), EXIF orientation ignored as COLMAP does.
  * ERR_NOENT, ERR_FORMAT (not an image; says which file), ERR_LIMIT. image_free it. */

@@ -14,6 +14,7 @@
 #include "codec/ply.h"
 #include "codec/limits.h"
 #include "codec/ply_head.h"
+#include "core/gauss.h"
 
 #include <float.h>
 #include <math.h>

@@ -14,8 +14,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "codec/ply.h"
-
 enum { LINE_MAX_BYTES = 1024, LINES_MAX = 4096, ELEMENTS_MAX = 16, PROPERTIES_MAX = 512 };
 
 static const struct {

@@ -6,9 +6,14 @@
 #ifndef CODEC_PLY_HEAD_H
 #define CODEC_PLY_HEAD_H
 
-#include "codec/ply.h"
+#include <stddef.h>
+#include <stdint.h>
+
+#include "codec/ply_info.h"
+#include "core/base.h"
 
 struct codec_limits;
+struct gauss;
 
 enum ply_type { PLY_I8, PLY_U8, PLY_I16, PLY_U16, PLY_I32, PLY_U32, PLY_F32, PLY_F64, PLY_LIST };
 enum ply_format { PLY_ASCII, PLY_LITTLE, PLY_BIG };

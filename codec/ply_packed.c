@@ -13,6 +13,7 @@
  */
 #include "codec/limits.h"
 #include "codec/ply_head.h"
+#include "core/gauss.h"
 
 #include <math.h>
 #include <stdio.h>

@@ -1,11 +1,11 @@
 /* Looks of a tile store: from colours as they were trained to colours under some light.
  *
  * Tiles hold the trained colour and every Gaussian's embedding; the blob "appearance" holds the
- * network, the photographs' embeddings and one more row, BAKE_DEFAULT: the look that clients get
+ * network, the photographs' embeddings and one more row, BAKE_DEFAULT: what clients get
  * who know nothing of all this. Whoever hands out Gaussians reads them through here, so every
- * format and every picture agree, and any look can still be made from the tile.
+ * format and every picture agree, and any appearance can still be made from the tile.
  *
- * The default look is the one embedding whose colours are nearest, in the mean square over a sample
+ * The default appearance is the one embedding whose colours are nearest, in the mean square over a sample
  * of Gaussians, to the mean of the colours under all training photographs: every photograph counts
  * the same. Averaging the embeddings themselves is only where the search starts, since the network
  * is not linear in them.
@@ -17,10 +17,14 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/appearance.h"
+#include "core/gauss.h"
+#include "lod/bake.h"
+#include "lod/key.h"
 #include "lod/store_db.h"
 
 enum {
-    BAKE_SAMPLE = 2048, /* Gaussians the default look is fitted to */
+    BAKE_SAMPLE = 2048, /* Gaussians the default appearance is fitted to */
     BAKE_PHOTOS = 512,  /* photographs, evenly taken */
     BAKE_STEPS = 300,
     BAKE_BLEND_MAX = 16,
@@ -43,7 +47,7 @@ static void bake_free(struct bake *b)
     mem_free(b);
 }
 
-void bake_close(struct store *s)
+static void bake_close(struct store *s)
 {
     bake_free(s->bake);
     s->bake = NULL;
@@ -58,7 +62,7 @@ static enum err_code bake_parse(const struct buf *blob, struct bake **out, struc
     enum err_code rc = appearance_read(blob->data, blob->size, &b->model, e);
     ptrdiff_t row = rc ? -1 : appearance_find(&b->model, BAKE_DEFAULT);
     if (!rc && row < 0)
-        rc = err_set(e, ERR_FORMAT, "the appearance model has no look \"" BAKE_DEFAULT "\"");
+        rc = err_set(e, ERR_FORMAT, "the appearance model has no row \"" BAKE_DEFAULT "\"");
     if (rc) {
         bake_free(b);
         return rc;
@@ -86,6 +90,7 @@ enum err_code bake_of(struct store *s, const struct appearance **out, struct err
             return rc;
     }
     s->bake_known = true;
+    s->bake_free = bake_close;
     *out = s->bake ? &s->bake->model : NULL;
     return ERR_OK;
 }
@@ -214,10 +219,10 @@ static enum err_code bake_find_one(const struct appearance *a, const char *text,
         at = appearance_find(a, name);
     }
     if (at < 0)
-        return err_set(e, ERR_NOENT,
-                       "no photograph is called '%s'; there are %zu, the first '%s', and the "
-                       "look '" BAKE_DEFAULT "'",
-                       name, a->n_images - 1, a->names[0]);
+        return err_set(
+            e, ERR_NOENT,
+            "no photograph is called '%s'; there are %zu, the first '%s', and '" BAKE_DEFAULT "'",
+            name, a->n_images - 1, a->names[0]);
     *row = (uint32_t)at;
     return ERR_OK;
 }
@@ -271,7 +276,7 @@ static enum err_code bake_untext(const char *text, uint32_t len_image, float *im
                           len_image, (4 * want + 2) / 3);
 }
 
-enum err_code bake_find(struct store *s, const char *look, float *image, struct err *e)
+enum err_code bake_find(struct store *s, const char *text, float *image, struct err *e)
 {
     const struct appearance *a;
     uint32_t row[BAKE_BLEND_MAX];
@@ -279,14 +284,14 @@ enum err_code bake_find(struct store *s, const char *look, float *image, struct 
     size_t n = 0;
     enum err_code rc = bake_of(s, &a, e);
     if (!rc && !a)
-        rc = err_set(e, ERR_NOENT, "%s: was trained without appearance: it has one look only",
+        rc = err_set(e, ERR_NOENT, "%s: was trained without appearance: it has one appearance only",
                      s->path);
-    if (!rc && *look == '=')
-        return bake_untext(look + 1, a->len_image, image, e);
-    for (const char *p = look; !rc && *p;) {
+    if (!rc && *text == '=')
+        return bake_untext(text + 1, a->len_image, image, e);
+    for (const char *p = text; !rc && *p;) {
         size_t len = strcspn(p, ",");
         if (n == BAKE_BLEND_MAX)
-            return err_set(e, ERR_ARG, "a blend of more than %d looks", BAKE_BLEND_MAX);
+            return err_set(e, ERR_ARG, "a blend of more than %d appearances", BAKE_BLEND_MAX);
         rc = bake_find_one(a, p, len, &row[n], &weight[n], e);
         sum += rc ? 0.0 : weight[n++];
         p += len + (p[len] == ',');
@@ -298,7 +303,7 @@ enum err_code bake_find(struct store *s, const char *look, float *image, struct 
                        "'%s': the name of a photograph is expected, or "
                        "NAME:WEIGHT,NAME:WEIGHT with weights that do not add up to 0, or =BASE64 "
                        "of an embedding",
-                       look);
+                       text);
     float unit[APPEARANCE_IMAGE_MAX];
     memset(image, 0, a->len_image * sizeof(float));
     for (size_t i = 0; i < n; i++) { /* of unit vectors: their lengths mean nothing */
@@ -320,7 +325,7 @@ void bake_unit(const struct appearance *a, size_t row, float *out)
         out[j] = (float)((double)v[j] / len);
 }
 
-/* ---- the default look ---- */
+/* ---- the default appearance ---- */
 
 struct bake_fit {
     const struct appearance *a;
@@ -432,10 +437,11 @@ enum err_code bake_default(const struct appearance *a, const struct gauss *g, fl
     float *frame = mem_array(floats, sizeof(float));
     if (g->embed_len != a->len_gauss || !a->n_images || !g->n) {
         mem_free(frame);
-        return err_set(e, ERR_DATA,
-                       "default look: %zu photographs, %zu Gaussians with embeddings of %u values, "
-                       "the network takes %u",
-                       a->n_images, g->n, g->embed_len, a->len_gauss);
+        return err_set(
+            e, ERR_DATA,
+            "default appearance: %zu photographs, %zu Gaussians with embeddings of %u values, "
+            "the network takes %u",
+            a->n_images, g->n, g->embed_len, a->len_gauss);
     }
     f.embed = mem_array(f.n * a->len_gauss, sizeof(float));
     f.want = mem_array(3 * f.n, sizeof(double));
@@ -443,7 +449,7 @@ enum err_code bake_default(const struct appearance *a, const struct gauss *g, fl
     f.image_grad = mem_array(a->len_image, sizeof(float));
     enum err_code rc = frame && f.embed && f.want && f.grad && f.image_grad
                            ? ERR_OK
-                           : err_set(e, ERR_MEM, "default look: out of memory");
+                           : err_set(e, ERR_MEM, "default appearance: out of memory");
     for (size_t i = 0; !rc && i < f.n; i++)
         memcpy(f.embed + i * a->len_gauss, g->embed + i * g->n / f.n * a->len_gauss,
                a->len_gauss * sizeof(float));

@@ -8,12 +8,17 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "lod/bake.h"
+#include "lod/key.h"
+#include "lod/pyramid_fit.h"
+#include "lod/simplify.h"
+
 void edit_free(struct edit *d)
 {
     for (size_t i = 0; i < d->n; i++)
         gauss_free(&d->tile[i].g);
     mem_free(d->tile);
-    buf_free(&d->look);
+    buf_free(&d->appearance);
     d->tile = NULL;
     d->n = d->cap = 0;
 }
@@ -231,8 +236,8 @@ static enum err_code edit_copy_blobs(const struct edit *d, struct store *from, s
         if (before && !store_get_blob(before, names[i], &b, NULL))
             continue;
         rc = store_get_blob(from, names[i], &b, e);
-        if (!rc && !strcmp(names[i], BAKE_BLOB) && d->look.size)
-            rc = store_put_blob(to, names[i], d->look.data, d->look.size, e);
+        if (!rc && !strcmp(names[i], BAKE_BLOB) && d->appearance.size)
+            rc = store_put_blob(to, names[i], d->appearance.data, d->appearance.size, e);
         else if (!rc)
             rc = store_put_blob(to, names[i], b.data, b.size, e);
     }

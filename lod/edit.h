@@ -1,4 +1,4 @@
-/* A pyramid changed in places: internal to lod/, shared by update.c and merge.c.
+/* A pyramid changed in places: internal to lod/, shared by update_build.c and merge.c.
  *
  * An edit holds the new Gaussians of tiles, by key. Everything that is not edited is copied byte by
  * byte from the store it is in.
@@ -8,7 +8,10 @@
 #ifndef LOD_EDIT_H
 #define LOD_EDIT_H
 
-#include "lod/pyramid.h"
+#include "core/base.h"
+#include "core/gauss.h"
+#include "lod/locate.h"
+#include "lod/store.h"
 
 struct edit_tile {
     struct key key;
@@ -27,7 +30,7 @@ struct edit { /* {0} and `locate`, `meta` filled in; edit_free */
     struct locate locate;
     struct store_meta meta; /* of the store that will be written */
     uint32_t max_per_tile;
-    struct buf look; /* in place of the blob "appearance"; empty: what the store has */
+    struct buf appearance; /* in place of the blob "appearance"; empty: what the store has */
     struct edit_tile *tile;
     size_t n, cap;
     size_t n_far;

@@ -9,7 +9,7 @@
  */
 #include <math.h>
 
-#include "lod/lod.h"
+#include "lod/key.h"
 #include "render/permute.h"
 
 #define KEY_PI 3.14159265358979323846

@@ -5,7 +5,8 @@
 #ifndef LOD_LOCATE_H
 #define LOD_LOCATE_H
 
-#include "lod/lod.h"
+#include "core/geo.h"
+#include "lod/key.h"
 
 struct locate {
     struct geo_origin origin;

@@ -17,8 +17,15 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/appearance.h"
 #include "core/camera.h"
+#include "lod/bake.h"
 #include "lod/edit.h"
+#include "lod/locate.h"
+#include "lod/merge.h"
+#include "lod/pyramid_fit.h"
+#include "lod/pyramid_plan.h"
+#include "lod/store.h"
 #include "lod/tree.h"
 
 #define MERGE_PI 3.14159265358979323846
@@ -431,12 +438,12 @@ static enum err_code merge_open(struct merge *m, const char *path_a, const char 
                        "%s and %s do not fit: appearance embeddings of %u and %u, anti-aliasing %d "
                        "and %d; train and tile both with the same options",
                        path_a, path_b, a->embed_len, b->embed_len, a->antialiased, b->antialiased);
-    const struct appearance *look = NULL;
+    const struct appearance *model = NULL;
     if (a->embed_len > 0)
-        rc = bake_of(m->b, &look, e);
+        rc = bake_of(m->b, &model, e);
     if (rc)
         return rc;
-    if (a->embed_len > 0 && bake_fits(m->a, look, e))
+    if (a->embed_len > 0 && bake_fits(m->a, model, e))
         return err_add(
             e,
             "%s: its embeddings mean nothing to another model; give each store one look "
@@ -453,7 +460,7 @@ static enum err_code merge_open(struct merge *m, const char *path_a, const char 
         m->d.meta.sh_degree = b->sh_degree;
     m->d.meta.lossless = a->lossless && b->lossless;
     m->d.max_per_tile = PYRAMID_PER_TILE_MAX;
-    if (look && (rc = bake_join(m->a, look, &m->d.look, e)))
+    if (model && (rc = bake_join(m->a, model, &m->d.appearance, e)))
         return rc;
     if (merge_attribution(m->d.meta.attribution, sizeof m->d.meta.attribution, b->attribution))
         return err_set(e, ERR_DATA,

@@ -18,7 +18,8 @@
 #include <math.h>
 
 #include "lod/frustum.h"
-#include "lod/lod.h"
+#include "lod/pick.h"
+#include "lod/store.h"
 #include "lod/tree.h"
 
 #define PICK_ERROR_PX 1.0 /* default: one pixel of median sigma */

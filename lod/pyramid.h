@@ -1,121 +1,60 @@
-/* Between the halves of the pyramid, internal to lod/: pyramid_plan.c finds out which tiles there
- * will be, pyramid.c fills and writes them.
+/* Levels of Gaussians -> a tile store: pyramid_build.c, see there.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #ifndef LOD_PYRAMID_H
 #define LOD_PYRAMID_H
 
-#include "lod/locate.h"
-#include "lod/lod.h"
-#include "lod/spill.h"
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
 
-enum {
-    PYRAMID_LEVEL_MAX = 7,
-    PYRAMID_PER_TILE = 50000, /* wanted on average: a megabyte as .drc, a second of a slow line */
-    PYRAMID_PER_TILE_MAX = 200000,
-    PYRAMID_KEEP = 16,      /* tiles this small are not thinned: four of them are 64 */
-    PYRAMID_LONE_ROOTS = 4, /* so few tiles may stand side by side at the top ... */
-    PYRAMID_CLIMB_MAX = 3,  /* ... if there are no fewer of them so many zooms up */
+#include "core/err.h"
+
+struct ckpt_blob;
+struct gauss;
+struct geo_origin;
+
+struct pyramid_config { /* {0} = defaults, but for the name */
+    /* Edge wanted for the finest level's tiles; 0 = chosen so that tiles hold about 50,000. */
+    double tile_edge_m;
+    uint32_t max_per_tile; /* 0 = 200,000; finer zooms are taken until it holds */
+    bool lossless; /* float32 payloads, and tile centres that lose no bit of a float32 mean */
+    char name[64];
+    char attribution[256];
 };
-/* Tiles of trained levels are no wider than twice this, so that fixed-point formats (SPZ, .drc)
- * hold their means within 2048 m of the centre to 2^-12 m, and rows farther up or down are left
- * out. */
-#define PYRAMID_REACH_M 2000.0
-/* Overviews may be wider: their formats take fewer bits behind the point, as many as the sigmas
- * need. That there are enough is seen to: no sigma is below this part of the reach. */
-#define PYRAMID_SIGMA_LEAST 0x1p-18
-
-struct pyramid_count { /* a tile and how many rows of a level are in it */
-    uint64_t code;     /* at its zoom */
-    size_t n;
+struct pyramid_level {     /* levels given must be consecutive, e.g. 1, 2, 3 or 3 alone */
+    const struct gauss *g; /* borrowed; NULL: load() makes it in n_parts parts */
+    uint8_t level;         /* 1 coarsest .. n finest, at most 7 */
+    /* Part `part`, once each, from several threads at a time; the pyramid frees it. A part should
+     * have some 100,000 rows: each worker holds one. */
+    enum err_code (*load)(void *user, size_t part, struct gauss *out, struct err *e);
+    void *user;
+    size_t n_parts;
 };
-struct pyramid_table { /* sorted by code; {0} is empty */
-    struct pyramid_count *cell;
-    size_t n;
+struct pyramid_report {
+    size_t n_tiles, n_gaussians[8]; /* per level, [0] = overviews */
+    size_t n_bad;                   /* rows with non-finite values, left out */
+    size_t n_far; /* rows that no tile format can hold: kilometres above or below, left out */
+    /* Copies of coarse Gaussians where a finer level has nothing at all. */
+    size_t n_carried_tiles, n_carried;
+    size_t max_in_tile;
+    uint8_t zoom_min, zoom_max;
+    char revision[13];
+    double seconds;
 };
-
-struct pyramid_node { /* a tile that exists, or one with tiles below */
-    uint64_t code;    /* at its zoom */
-    bool content;
-};
-struct pyramid_zoom { /* sorted by code */
-    struct pyramid_node *node;
-    size_t n, cap;
-};
-
-struct pyramid_job { /* one tile to write */
-    uint64_t code;   /* at zoom z */
-    uint8_t z, level;
-    uint8_t source; /* index of the level whose rows it takes; runs of what was made otherwise */
-    bool carried;
-    bool feeds; /* a quarter of it goes into a tile above */
-    bool made;
-};
-
-struct pyramid_runs { /* of one level, or of one generation of what was made */
-    struct spill_run *run;
-    size_t n;
-};
-
-struct pyramid {
-    struct locate locate;
-    const struct pyramid_level *levels;
-    size_t n_levels;
-    const struct pyramid_config *cfg;
-    struct pyramid_report *report;
-    uint32_t max_per_tile;
-    struct pyramid_runs runs[PYRAMID_LEVEL_MAX];
-    size_t n_rows[PYRAMID_LEVEL_MAX];
-    struct pyramid_zoom zoom[KEY_ZOOM_MAX + 1];
-    uint8_t top_level, zoom_max, zoom_least; /* least: tiles still fit the reach */
-    uint8_t zoom_made;                       /* the coarsest zoom that levels were given for */
-    struct pyramid_job *job;
-    size_t n_jobs, cap_jobs;
-    struct store_meta meta;
-    struct spill spill;
-};
-
-static inline uint8_t pyramid_zoom_of(const struct pyramid *p, uint8_t level)
-{
-    return (uint8_t)(p->zoom_max - (p->top_level - level));
-}
-
-/* Codes of the finest zoom that lie in the tile: [*first, *last). */
-static inline void pyramid_range(uint64_t code, uint8_t z, uint64_t *first, uint64_t *last)
-{
-    unsigned shift = 2u * (unsigned)(KEY_ZOOM_MAX - z);
-    *first = code << shift;
-    *last = (code + 1) << shift;
-}
-
-/* From the codes in p->runs: zoom_max, zoom_least. Warns where the wish cannot be had. */
-enum err_code pyramid_choose_zoom(struct pyramid *p, struct err *e) ERR_USE;
-/* All tiles that take rows of a level, carried ones included, finest level first; p->zoom holds the
- * nodes. */
-enum err_code pyramid_plan(struct pyramid *p, struct err *e) ERR_USE;
-/* Tiles side by side, their codes at one zoom sorted: are there no fewer within PYRAMID_CLIMB_MAX
- * zooms above, and few enough to be the top? */
-bool pyramid_is_top(const uint64_t *code, size_t n, uint8_t z);
-/* The zoom above z that is to be made of what lies below, and its nodes; false: z is the top. */
-bool pyramid_plan_up(struct pyramid *p, uint8_t z, enum err_code *rc, struct err *e);
-/* Rows [from, from + n) of g, borrowed. */
-struct gauss pyramid_view(const struct gauss *g, size_t from, size_t n);
-/* How far from the centre of a tile at this zoom rows may be, along each axis. */
-double pyramid_reach_m(double lat_deg, uint8_t z);
-/* Centre of rows along one axis (spoils `at`): whole metres, the middle, but the median where a
- * stray Gaussian would push all others out of reach. */
-double pyramid_center_axis(bool lossless, double reach_m, double *at, size_t n);
-/* Leave out rows beyond reach, with a small allowance; returns how many. Widen sigmas of overviews
- * to PYRAMID_SIGMA_LEAST. */
-size_t pyramid_fit(struct gauss *g, double reach_m);
-/* How many of n rows a tile passes on to the one above. */
-size_t pyramid_thin_count(size_t n);
-/* So many of a tile's rows by merging, all of them inside the tile, by more than what the next tile
- * above may round. */
-enum err_code pyramid_thin(const struct locate *l, const struct gauss *g, struct key k,
-                           struct gauss *out, struct err *e) ERR_USE;
-const struct pyramid_node *pyramid_find(const struct pyramid *p, uint8_t z, uint64_t code);
-enum err_code pyramid_add_job(struct pyramid *p, struct pyramid_job job, struct err *e) ERR_USE;
+/* Cut levels [n_levels] into tiles, make what is coarser than the coarsest one given (levels down
+ * to 1, then overviews) by simplification, and write the store. Every Gaussian of each level lands
+ * in exactly one tile of that level's zoom. Where a tile has finer tiles under some of its
+ * quadrants only, the Gaussians of the others are copied one zoom down, so that replacing a tile by
+ * its children never opens a hole; such a tile keeps the level of its Gaussians. blobs [n_blobs]
+ * (may be 0) are stored as they are. report may be NULL.
+ * Works on all cores; one caller at a time a path. The file does not depend on their number.
+ * ERR_ARG (levels, name, origin), ERR_DATA (no usable rows, mixed anti-aliasing), ERR_LIMIT,
+ * ERR_IO, ERR_MEM, ERR_CANCEL (signals_stopping), and what load() returns. */
+enum err_code pyramid_build(const struct geo_origin *origin, const struct pyramid_level *levels,
+                            size_t n_levels, const struct pyramid_config *cfg,
+                            const struct ckpt_blob *blobs, size_t n_blobs, const char *out_path,
+                            struct pyramid_report *report, struct err *e) ERR_USE;
 
 #endif

@@ -10,7 +10,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "lod/pyramid.h"
+#include "lod/key.h"
+#include "lod/pyramid_fit.h"
+#include "lod/pyramid_plan.h"
 
 /* ---- tables ---- */
 

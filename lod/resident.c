@@ -9,6 +9,7 @@
 
 #include "codec/payload.h"
 #include "core/pool.h"
+#include "lod/store.h"
 
 enum { RESIDENT_BATCH = 16 /* payloads in memory at once while decoding */ };
 

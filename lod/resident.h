@@ -13,7 +13,9 @@
 
 #include "lod/block.h"
 #include "lod/frustum.h"
-#include "lod/lod.h"
+#include "render/render.h"
+
+struct store;
 
 struct resident_tile {   /* by index into store_tiles */
     float *packed;       /* see render_piece_pack; NULL: not in memory */

@@ -1,4 +1,4 @@
-/* Fewer Gaussians of the same look, for the levels that no training made.
+/* Fewer Gaussians of the same appearance, for the levels that no training made.
  *
  * Rounds of pairwise merging: the clusters stand along a Morton curve, another one each round
  * (shifted, Chan 1998), every one finds its cheapest neighbour within a window of the curve, and
@@ -22,9 +22,12 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/base.h"
 #include "core/camera.h"
+#include "core/gauss.h"
 #include "core/simd.h"
 #include "core/sort.h"
+#include "lod/simplify_cost.h"
 
 enum {
     SIMPLIFY_JACOBI = 12, /* sweeps; 3x3 matrices need 4 to 6 */

@@ -7,7 +7,7 @@
 #include <string.h>
 
 #include "core/simd.h"
-#include "lod/simplify.h"
+#include "lod/simplify_cost.h"
 
 #define SIMPLIFY_COST_MAX 3e37f /* of what cannot be compared: merged last */
 enum { SIMPLIFY_BLOCK = 1024 };

@@ -11,8 +11,10 @@
 
 #include <pthread.h>
 
+#include "core/base.h"
 #include "core/sort.h"
-#include "lod/lod.h"
+
+struct gauss;
 
 struct spill {     /* spill_open makes it; adding and reading from any thread */
     bool lossless; /* float32; else what a payload keeps: half floats but for means */

@@ -19,7 +19,9 @@
 
 #include "codec/payload.h"
 #include "core/sort.h"
+#include "lod/store.h"
 #include "lod/store_db.h"
+#include "lod/tree.h"
 
 #define STORE_REACH_SIGMA 3.33 /* sqrt(2 ln 255): where the most opaque splat falls below 1/255 */
 
@@ -47,16 +49,6 @@ static const char store_put_sql[] =
     "sigma_median_m,sigma_max_m,geometric_error_m,hash,row_hash,payload)"
     " VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11,?12,?13,?14,?15,?16,?17,?18,?19,?20,?21,?22,?23,"
     "?24,?25,?26,?27,?28,?29)";
-
-bool store_db_name_ok(const char *name)
-{
-    if (!((*name >= 'a' && *name <= 'z') || (*name >= '0' && *name <= '9')))
-        return false;
-    for (const char *p = name; *p; p++)
-        if (!((*p >= 'a' && *p <= 'z') || (*p >= '0' && *p <= '9') || *p == '_' || *p == '-'))
-            return false;
-    return true;
-}
 
 static enum err_code store_exec(struct store *s, const char *sql, const char *what, struct err *e)
 {

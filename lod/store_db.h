@@ -1,4 +1,4 @@
-/* What the two halves of the tile store share: store.c reads, store_build.c writes. Internal to
+/* What the halves of the tile store share: store_read.c reads, store_build.c writes. Internal to
  * lod/.
  *
  * The file is an SQLite database:
@@ -23,7 +23,7 @@
 
 #include <sqlite3.h>
 
-#include "lod/lod.h"
+#include "lod/store.h"
 #include "lod/tree.h"
 
 struct bake;
@@ -35,7 +35,8 @@ enum {
     STORE_HASH_BYTES = 16,
 };
 
-struct store_flush { /* store_flush.c */
+/* Data on its way to the disk while a store is built: store_flush.c. */
+struct store_flush {
     int fd;
     size_t waiting; /* bytes */
 };
@@ -53,22 +54,25 @@ struct store {
     struct store_meta meta;
     struct store_tile *tiles; /* opened: sorted by key; building: in order of store_put */
     size_t n_tiles, cap_tiles;
-    struct tree tree;  /* opened only */
-    struct bake *bake; /* opened: appearance, read on first use; NULL: none */
+    struct tree tree; /* opened only */
+    /* Opened: the appearance, read by bake.c on first use; NULL: none. store_close frees it through
+     * bake_free, which is NULL until then. */
+    struct bake *bake;
     bool bake_known;
-    struct store
-        *before; /* building: the store that will be replaced, for tile versions; may be NULL */
+    void (*bake_free)(struct store *s);
+    struct store *before; /* building: what will be replaced, for tile versions; may be NULL */
 };
 
-/* ERR_IO / ERR_FORMAT / ERR_MEM by SQLite's code, "PATH: WHAT: sqlite's message". */
+/* ERR_IO, ERR_FORMAT, ERR_MEM or ERR_LIMIT by SQLite's code, "PATH: WHAT: sqlite's message". */
 enum err_code store_db_fail(const struct store *s, int code, const char *what, struct err *e);
+/* Row id of a tile. */
 int64_t store_db_id(struct key k);
 void store_db_hash_out(struct hash128 h, uint8_t out[STORE_HASH_BYTES]);
 /* Over everything in `t`, so that a damaged index row is seen. */
 struct hash128 store_db_row_hash(const struct store_tile *t);
+/* By key, for qsort. */
 int store_db_tile_compare(const void *a, const void *b);
 /* Fit for addresses and documents as it is: a-z, 0-9, - and _. */
 bool store_db_name_ok(const char *name);
-void bake_close(struct store *s);
 
 #endif

@@ -18,7 +18,8 @@
 
 #include <jansson.h>
 
-#include "lod/lod.h"
+#include "lod/store.h"
+#include "lod/tileset.h"
 #include "lod/tree.h"
 
 #define TILESET_TOP_ERROR 4.0 /* of the root's: from how far away the root itself is shown */

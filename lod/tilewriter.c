@@ -6,6 +6,10 @@
 
 #include <pthread.h>
 
+#include "core/base.h"
+#include "core/gauss.h"
+#include "lod/store.h"
+
 struct tilewriter_slot {
     bool full;
     struct store_tile tile;

@@ -8,7 +8,13 @@
 #ifndef LOD_TILEWRITER_H
 #define LOD_TILEWRITER_H
 
-#include "lod/lod.h"
+#include <stddef.h>
+
+#include "core/err.h"
+
+struct gauss;
+struct store;
+struct store_tile;
 
 enum { TILEWRITER_AHEAD = 16 };
 

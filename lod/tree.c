@@ -9,6 +9,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "lod/key.h"
+
 uint32_t tree_find(const struct store_tile *tiles, size_t n, struct key k)
 {
     size_t lo = 0, hi = n;

@@ -10,7 +10,7 @@
 #ifndef LOD_TREE_H
 #define LOD_TREE_H
 
-#include "lod/lod.h"
+#include "lod/store.h"
 
 #define TREE_NONE UINT32_MAX
 #define TREE_ERROR_GROWTH 1.01 /* errors fall strictly, at least by this, towards the leaves */
@@ -33,7 +33,8 @@ struct tree { /* {0} is empty */
     uint32_t root; /* TREE_NONE when there are no tiles */
 };
 
-/* `tiles` must be sorted by key_compare without duplicates. tree_free it. */
+/* `tiles` must be sorted by key_compare without duplicates. tree_free it. ERR_LIMIT (2^32 - 1
+ * tiles), ERR_MEM. */
 enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *out,
                          struct err *e) ERR_USE;
 void tree_free(struct tree *t);
@@ -42,10 +43,5 @@ uint32_t tree_find(const struct store_tile *tiles, size_t n, struct key k);
 
 /* The tree of an opened store; borrowed. */
 const struct tree *store_tree(const struct store *s);
-
-/* pick_tiles on a bare index, for tests that have no store. */
-enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
-                          const struct camera *cam, const struct pick_options *o, uint32_t *out,
-                          size_t *n_out, struct err *e) ERR_USE;
 
 #endif

@@ -1,37 +1,45 @@
-/* Between the halves of an update, internal to lod/: update.c exchanges the rows of the trained
- * levels, update_over.c makes what is made of them.
+/* One retrained cell into a store that exists: update_build.c, see there.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #ifndef LOD_UPDATE_H
 #define LOD_UPDATE_H
 
-#include "lod/edit.h"
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
 
-struct update_border { /* rows of the cell at its border: their stored copies may lie outside */
-    double *at;        /* [n][3] ENU */
-    size_t n, cap;
+#include "core/err.h"
+
+struct appearance;
+struct gauss;
+
+struct update_config {            /* one cell, trained again */
+    const struct gauss *level[8]; /* [1..7] its rows; NULL: this level was made, not trained */
+    bool (*owns)(void *user, double x_m, double y_m); /* is this the cell's ground: ENU */
+    /* Could anything within the box be on the cell's ground? Tiles of which this is false are not
+     * even read. */
+    bool (*may_own)(void *user, const double min_m[3], const double max_m[3]);
+    void *user;
+    uint32_t max_per_tile;               /* 0 = 200,000; fuller tiles are thinned */
+    const struct appearance *appearance; /* what reads the rows' embeddings; NULL: nothing does */
 };
-
-struct update {
-    const struct update_config *c;
-    struct store *old;
-    const struct store_tile *tiles;
-    size_t n_tiles;
-    uint8_t top;                    /* the finest level */
-    uint8_t zoom_given;             /* the coarsest zoom of a level that is given */
-    struct update_border border[8]; /* by level */
-    struct edit d;
+struct update_report {
+    size_t n_written, n_copied, n_removed; /* tiles */
+    char revision[13];
 };
-
-/* Is a stored tile a copy of coarser rows? */
-bool update_is_carried(const struct update *u, const struct store_tile *t);
-/* Will there be a tile of its own (not a copy) at k? */
-bool update_has(const struct update *u, struct key k);
-bool update_under(struct key over, struct key k); /* strictly */
-/* What a tile will hold, as it will be stored; gauss_free it. */
-enum err_code update_now(struct update *u, struct key k, struct gauss *out, struct err *e) ERR_USE;
-/* Everything above the given levels, one zoom after the other, up to the store's top. */
-enum err_code update_overviews(struct update *u, struct err *e) ERR_USE;
+/* Replace the rows of one cell and everything made of them; all other tiles are copied byte by
+ * byte. out_path may be store_path: the new store is written beside and renamed, so a process that
+ * dies on the way leaves the old one untouched. The same cell again gives the same revision. A
+ * store of all cells tiled at once has the same rows in the same tiles; its bytes are the same,
+ * too, in a lossless store, but for tiles that keep a centre which it would choose elsewhere, and
+ * what is made of them. Photographs that only c->appearance has join the store's. report may be
+ * NULL. One caller at a time a path; works on all cores.
+ * ERR_DATA when SH, embedding, appearance model, anti-aliasing or the number of levels do not fit
+ * the store; ERR_ARG (no level, or one missing), ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM,
+ * ERR_CANCEL. */
+enum err_code update_build(const char *store_path, const struct update_config *c,
+                           const char *out_path, struct update_report *report,
+                           struct err *e) ERR_USE;
 
 #endif

@@ -6,10 +6,14 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "lod/update_over.h"
+
 #include <stdlib.h>
 #include <string.h>
 
-#include "lod/update.h"
+#include "lod/pyramid_fit.h"
+#include "lod/store.h"
+#include "lod/update_tiles.h"
 
 /* Tiles that are thinned into the one above k: k itself if it is one of its own, else, at the
  * coarsest zoom that is given, the first ones below. */

@@ -1,7 +1,7 @@
 /* A picture of a store: pick the tiles, have them brought to the device, list their blocks that may
  * be in view, render.
  *
- * Nothing is computed for the model: colours are as they were trained, and the look of a photograph
+ * Nothing is computed for the model: colours are as they were trained, and the appearance of a photograph
  * is a few hundred numbers that the renderer gets with the frame.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -9,8 +9,14 @@
 #include <math.h>
 #include <string.h>
 
-#include "lod/lod.h"
+#include "core/appearance.h"
+#include "core/base.h"
+#include "core/geo.h"
+#include "lod/bake.h"
+#include "lod/pick.h"
 #include "lod/resident.h"
+#include "lod/store.h"
+#include "lod/view.h"
 
 #define VIEW_CACHE_BYTES ((size_t)1 << 30)
 
@@ -20,7 +26,7 @@ struct view {
     struct resident resident;
     uint32_t *now;                       /* tiles of the picture being made, scratch */
     const struct appearance *appearance; /* of the store; NULL: none */
-    float *frame;                        /* of the look, see appearance_frame; NULL: none */
+    float *frame;                        /* of the appearance, see appearance_frame; NULL: none */
 };
 
 enum err_code view_open(const char *store_path, struct render *r, size_t cache_bytes,
@@ -41,7 +47,7 @@ enum err_code view_open(const char *store_path, struct render *r, size_t cache_b
         rc =
             err_set(e, ERR_MEM, "%s: out of memory for %zu tiles", store_path, v->resident.n_tiles);
     if (!rc && v->appearance)
-        rc = view_set_look(v, NULL, e);
+        rc = view_set_appearance(v, NULL, e);
     if (rc)
         view_close(&v);
     *out = v;
@@ -71,10 +77,10 @@ const struct appearance *view_appearance(const struct view *v)
     return v->appearance;
 }
 
-enum err_code view_set_look(struct view *v, const float *image, struct err *e)
+enum err_code view_set_appearance(struct view *v, const float *image, struct err *e)
 {
     const struct appearance *a = v->appearance;
-    float default_look[APPEARANCE_IMAGE_MAX];
+    float by_default[APPEARANCE_IMAGE_MAX];
     enum err_code rc = ERR_OK;
     if (!a)
         return ERR_OK;
@@ -83,15 +89,15 @@ enum err_code view_set_look(struct view *v, const float *image, struct err *e)
     if (!v->frame)
         return err_set(e, ERR_MEM, "view: out of memory");
     if (!image)
-        rc = bake_find(v->store, BAKE_DEFAULT, default_look, e);
+        rc = bake_find(v->store, BAKE_DEFAULT, by_default, e);
     if (!rc)
-        appearance_frame(a, image ? image : default_look, v->frame);
+        appearance_frame(a, image ? image : by_default, v->frame);
     return rc;
 }
 
-enum err_code view_find_look(struct view *v, const char *look, float *image, struct err *e)
+enum err_code view_find_appearance(struct view *v, const char *text, float *image, struct err *e)
 {
-    return bake_find(v->store, look, image, e);
+    return bake_find(v->store, text, image, e);
 }
 
 enum err_code view_model(struct view *v, const struct camera *cam, const struct pick_options *po,

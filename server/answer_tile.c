@@ -7,6 +7,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "lod/store.h"
 #include "server/encode.h"
 #include "server/result_id.h"
 

@@ -7,7 +7,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "lod/lod.h"
+#include "lod/view.h"
 #include "server/describe.h"
 #include "server/result_id.h"
 

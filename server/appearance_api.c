@@ -17,6 +17,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "lod/bake.h"
 #include "server/document.h"
 
 enum { APPEARANCE_API_NEAREST = 5, APPEARANCE_API_LINK_MAX = 3 * TARGET_APPEARANCE_MAX + 128 };

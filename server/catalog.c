@@ -10,6 +10,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "lod/store.h"
+#include "lod/tileset.h"
 #include "server/appearance_api.h"
 #include "server/collection.h"
 #include "server/document.h"

@@ -10,6 +10,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "lod/bake.h"
 #include "server/encode.h"
 
 /* West south hmin east north hmax of the coarsest level's boxes: it covers every Gaussian. */

@@ -8,7 +8,7 @@
 #include <pthread.h>
 #include <stdatomic.h>
 
-#include "lod/lod.h"
+#include "lod/store.h"
 #include "server/body.h"
 
 struct dataset { /* immutable but for what the comments say; counted */

@@ -9,7 +9,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "lod/lod.h"
+#include "core/geo.h"
+#include "lod/view.h"
 #include "server/document.h"
 
 enum err_code describe_landing(struct body **out, struct err *e)

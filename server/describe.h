@@ -11,6 +11,8 @@
 #include "server/config.h"
 #include "server/target.h"
 
+struct geo_origin;
+
 /* A reference is the caller's. ERR_MEM. */
 enum err_code describe_landing(struct body **out, struct err *e) ERR_USE;
 enum err_code describe_conformance(struct body **out, struct err *e) ERR_USE;

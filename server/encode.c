@@ -15,6 +15,8 @@
 #include "codec/ply.h"
 #include "codec/quant.h"
 #include "codec/spz.h"
+#include "lod/bake.h"
+#include "lod/store.h"
 
 static bool encode_is_quantised(enum format f)
 {

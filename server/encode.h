@@ -5,7 +5,7 @@
 #ifndef SERVER_ENCODE_H
 #define SERVER_ENCODE_H
 
-#include "lod/lod.h"
+#include "lod/store.h"
 #include "server/config.h"
 #include "server/target.h"
 

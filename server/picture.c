@@ -15,6 +15,10 @@
 
 #include "codec/image.h"
 #include "core/dev.h"
+#include "lod/pick.h"
+#include "lod/store.h"
+#include "lod/view.h"
+#include "render/render.h"
 
 enum { PICTURE_VIEWS = 4, PICTURE_NICE = 5 };
 
@@ -179,7 +183,7 @@ enum err_code picture_make(struct picture *p, const struct job *j, const struct 
     const struct pick_options po = {.max_gaussians = (uint64_t)p->cfg->view_gaussians};
     enum err_code rc = picture_view_find(p, d, &view, e);
     if (!rc)
-        rc = view_set_look(view, appearance_api_image(a), e);
+        rc = view_set_appearance(view, appearance_api_image(a), e);
     if (!rc)
         rc = image_alloc(v->cam.width_px, v->cam.height_px, 3, &img, e);
     if (!rc && !(rgb = mem_array((size_t)v->cam.width_px * v->cam.height_px, 3 * sizeof(float))))

@@ -8,6 +8,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "lod/key.h"
 #include "server/condition.h"
 
 const char RESPONSE_IMMUTABLE[] = "public, max-age=31536000, immutable";

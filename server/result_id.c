@@ -7,6 +7,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "lod/store.h"
+
 /* Make *id the name of the same thing in this appearance. */
 static void result_id_mix(struct hash128 *id, const struct appearance_choice *a)
 {

@@ -7,6 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "lod/store.h"
 #include "server/result_id.h"
 
 /* Coarse levels first, since every view needs them; within a level, tiles that hold more. */

@@ -6,7 +6,7 @@
 #define SERVER_TARGET_H
 
 #include "core/base.h"
-#include "lod/lod.h"
+#include "lod/key.h"
 
 enum { TARGET_APPEARANCE_MAX = 512, TARGET_QUERY_MAX = 3 * TARGET_APPEARANCE_MAX + 96 };
 

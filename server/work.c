@@ -7,6 +7,8 @@
 
 #include <stdio.h>
 
+#include "lod/store.h"
+#include "lod/tileset.h"
 #include "server/encode.h"
 #include "server/seed.h"
 

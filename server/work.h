@@ -5,6 +5,7 @@
 #ifndef SERVER_WORK_H
 #define SERVER_WORK_H
 
+#include "lod/key.h"
 #include "server/services.h"
 
 enum work_kind { WORK_TILE, WORK_SEED, WORK_TILESET, WORK_VIEW };

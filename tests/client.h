@@ -6,6 +6,7 @@
 #ifndef TESTS_CLIENT_H
 #define TESTS_CLIENT_H
 
+#include "lod/key.h"
 #include "tests/served.h"
 
 #include <netinet/in.h>

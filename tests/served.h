@@ -11,6 +11,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "lod/store.h"
 #include "server/encode.h"
 #include "server/route.h"
 #include "server/server.h"

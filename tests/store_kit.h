@@ -10,7 +10,9 @@
 
 #include <string.h>
 
-#include "lod/lod.h"
+#include "lod/pyramid.h"
+#include "lod/store.h"
+#include "render/render.h"
 
 struct store_fixture {
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX]; /* dir/city.tiles, not made yet */

@@ -4,6 +4,8 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "codec/ply.h"
+#include "lod/bake.h"
+#include "lod/store.h"
 #include "tests/served.h"
 
 #include <jansson.h>

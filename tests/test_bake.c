@@ -4,6 +4,17 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "codec/ckpt.h"
+#include "core/appearance.h"
+#include "core/camera.h"
+#include "core/geo.h"
+#include "lod/bake.h"
+#include "lod/merge.h"
+#include "lod/pyramid.h"
+#include "lod/store.h"
+#include "lod/update.h"
+#include "lod/view.h"
+#include "render/render.h"
+#include "tests/kit.h"
 #include "tests/store_kit.h"
 
 #include <math.h>
@@ -166,8 +177,8 @@ static void a_picture_of_baked_gaussians_is_the_network_s(void **state)
     const struct appearance *a = view_appearance(v);
     assert_non_null(a);
     kit_ok(view_render(v, &cam, &ro, NULL, other, NULL, &e), e);
-    kit_ok(view_find_look(v, "p1.jpg", image, &e), e);
-    kit_ok(view_set_look(v, image, &e), e);
+    kit_ok(view_find_appearance(v, "p1.jpg", image, &e), e);
+    kit_ok(view_set_appearance(v, image, &e), e);
     kit_ok(view_render(v, &cam, &ro, NULL, baked, NULL, &e), e);
     assert_memory_not_equal(baked, other, sizeof baked);
     assert_true(appearance_frame_floats(a->len_gauss, a->hidden) <= 2000);
@@ -183,7 +194,7 @@ static void a_picture_of_baked_gaussians_is_the_network_s(void **state)
         }
     assert_true(compared > W * H);
     ro.appearance_frame = NULL;
-    kit_ok(view_set_look(v, NULL, &e), e);
+    kit_ok(view_set_appearance(v, NULL, &e), e);
     kit_ok(view_render(v, &cam, &ro, NULL, baked, NULL, &e), e);
     assert_memory_equal(baked, other, sizeof baked);
     view_close(&v);
@@ -269,7 +280,7 @@ static void permute_of_another_model_are_refused(void **state)
     const struct update_config same = {.level = {[3] = &g},
                                        .owns = owns_all,
                                        .may_own = may_own_all,
-                                       .look = &other},
+                                       .appearance = &other},
                                none = {
                                    .level = {[3] = &g}, .owns = owns_all, .may_own = may_own_all};
     kit_ok(update_build(f->path, &same, out, NULL, &e), e);
@@ -322,7 +333,7 @@ static void photographs_of_both_are_there(void **state)
     const struct pyramid_config cfg = {.name = "second", .attribution = "B; Survey"};
     kit_ok(pyramid_build(&near, &level, 1, &cfg, &b, 1, second, NULL, &e), e);
     const struct update_config cell = {
-        .level = {[3] = &g}, .owns = owns_all, .may_own = may_own_all, .look = &other};
+        .level = {[3] = &g}, .owns = owns_all, .may_own = may_own_all, .appearance = &other};
     for (int round = 0; round < 2; round++) {
         float first[APPEARANCE_IMAGE_MAX], now[APPEARANCE_IMAGE_MAX];
         kit_ok(store_open(f->path, &s, &e), e);

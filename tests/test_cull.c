@@ -12,7 +12,11 @@
 
 #include "lod/block.h"
 #include "lod/frustum.h"
+#include "lod/pick.h"
+#include "lod/pyramid.h"
+#include "lod/store.h"
 #include "lod/tree.h"
+#include "lod/view.h"
 
 enum { W = 72, H = 48, N = 12000, VIEWS = 60, TILES_MAX = 256 };
 #define BOX_TOLERANCE_M 1e-9 /* sums of doubles about 10^3 m */

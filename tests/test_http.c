@@ -9,6 +9,7 @@
 #include <sys/wait.h>
 
 #include "core/pool.h"
+#include "lod/key.h"
 
 /* ---- answers ---- */
 

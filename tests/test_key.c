@@ -2,7 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "lod/lod.h"
+#include "lod/key.h"
 #include "render/permute.h"
 #include "tests/kit.h"
 

@@ -12,8 +12,11 @@
 
 #include <jansson.h>
 
-#include "lod/lod.h"
+#include "core/camera.h"
+#include "lod/pick.h"
+#include "lod/store.h"
 #include "lod/tree.h"
+#include "render/render.h"
 
 enum { TILES_MAX = 512 };
 

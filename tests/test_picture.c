@@ -4,6 +4,9 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "codec/image.h"
+#include "lod/pick.h"
+#include "lod/view.h"
+#include "render/render.h"
 #include "tests/client.h"
 
 static const char POSE[] = "13.398,52.4985,150@10.5,-40,55";

@@ -5,9 +5,14 @@
  */
 #include "codec/ckpt.h"
 #include "codec/quant.h"
+#include "core/camera.h"
 #include "lod/locate.h"
+#include "lod/pyramid.h"
 #include "lod/simplify.h"
+#include "lod/store.h"
 #include "lod/tree.h"
+#include "render/render.h"
+#include "tests/kit.h"
 #include "tests/store_kit.h"
 
 #include <math.h>

@@ -3,6 +3,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "lod/store.h"
+#include "lod/view.h"
 #include "tests/served.h"
 
 #include <jansson.h>

@@ -11,6 +11,8 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include "lod/store.h"
+
 /* Half floats carry 11 bits; logs and coefficients here are below 8. */
 #define BOUNDS_TOLERANCE 0.004 /* 2^-11 of the logarithm of a sigma, at most 8 here */
 #define HALF_TOLERANCE (8.0 / 2048)

@@ -10,7 +10,8 @@
 #include "codec/npy.h"
 #include "codec/ply.h"
 #include "codec/scene.h"
-#include "lod/lod.h"
+#include "lod/store.h"
+#include "lod/view.h"
 #include "tests/kit.h"
 
 #include <math.h>

@@ -11,6 +11,11 @@
 
 #include <jansson.h>
 
+#include "core/camera.h"
+#include "lod/pick.h"
+#include "lod/pyramid.h"
+#include "lod/store.h"
+#include "lod/tileset.h"
 #include "lod/tree.h"
 
 #define PLACE_TOLERANCE_M                                                                          \

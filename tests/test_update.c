@@ -13,8 +13,14 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include "lod/lod.h"
+#include "core/camera.h"
+#include "lod/merge.h"
+#include "lod/pyramid.h"
+#include "lod/store.h"
 #include "lod/tree.h"
+#include "lod/update.h"
+#include "lod/view.h"
+#include "render/render.h"
 
 static const struct geo_origin origin = {8.6821, 50.1109, 160};
 static const struct pyramid_config config = {.tile_edge_m = 60, .lossless = true, .name = "u"};

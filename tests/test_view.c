@@ -10,6 +10,14 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "core/camera.h"
+#include "core/geo.h"
+#include "lod/pick.h"
+#include "lod/pyramid.h"
+#include "lod/store.h"
+#include "lod/view.h"
+#include "render/render.h"
+
 enum { W = 96, H = 64 };
 
 static const struct geo_origin origin = {8.6821, 50.1109, 160};

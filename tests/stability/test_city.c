@@ -13,7 +13,9 @@
 #include "codec/image.h"
 #include "codec/npy.h"
 #include "codec/scene.h"
-#include "lod/lod.h"
+#include "lod/pick.h"
+#include "lod/store.h"
+#include "lod/view.h"
 #include "loss/metric.h"
 #include "tests/stability/toy.h"
 

@@ -2,7 +2,7 @@
  *
  * On the cell's own ground the rows of every trained level are replaced; only tiles that hold such
  * rows, old or new, are written anew, copies of coarse rows under tiles without finer ones too. An
- * overview is made of its four children, thinned apart and to the inside of each (pyramid.c): so
+ * overview is made of its four children, thinned apart and to the inside of each (pyramid_fit.c): so
  * the rows of a child that changed are taken out of it by their place and made again, the others
  * stay. All other tiles keep their bytes and hash.
  *
@@ -18,20 +18,17 @@
 #include <string.h>
 
 #include "core/sort.h"
+#include "lod/bake.h"
+#include "lod/locate.h"
+#include "lod/pyramid_fit.h"
+#include "lod/simplify.h"
+#include "lod/store.h"
 #include "lod/update.h"
+#include "lod/update_over.h"
+#include "lod/update_tiles.h"
 
 /* Stored means are float32 about a tile's centre: a row is within this of where it was. */
 #define UPDATE_ROUNDING_M 2.5e-4
-
-static uint8_t update_zoom(const struct update *u, uint8_t level)
-{
-    return (uint8_t)(store_info(u->old)->zoom_max - (u->top - level));
-}
-
-bool update_is_carried(const struct update *u, const struct store_tile *t)
-{
-    return t->level > 0 && t->key.z != update_zoom(u, t->level);
-}
 
 /* ---- whose rows ---- */
 
@@ -265,48 +262,6 @@ static enum err_code update_find_border(struct update *u, uint8_t level, struct 
     return rc;
 }
 
-/* ---- what there will be ---- */
-
-bool update_has(const struct update *u, struct key k)
-{
-    const struct edit_tile *x = edit_find(&u->d, k);
-    if (x)
-        return x->g.n > 0 && !x->carried;
-    const struct store_tile *t = store_find(u->old, k);
-    return t && !update_is_carried(u, t);
-}
-
-bool update_under(struct key over, struct key k)
-{
-    return k.z > over.z && k.x >> (k.z - over.z) == over.x && k.y >> (k.z - over.z) == over.y;
-}
-
-/* Will there be one below k? */
-static bool update_has_below(const struct update *u, struct key k)
-{
-    for (size_t i = 0; i < u->d.n; i++)
-        if (update_under(k, u->d.tile[i].key) && update_has(u, u->d.tile[i].key))
-            return true;
-    for (size_t i = 0; i < u->n_tiles; i++)
-        if (update_under(k, u->tiles[i].key) && update_has(u, u->tiles[i].key))
-            return true;
-    return false;
-}
-
-enum err_code update_now(struct update *u, struct key k, struct gauss *out, struct err *e)
-{
-    struct edit_tile *x = edit_find(&u->d, k);
-    *out = (struct gauss){0};
-    if (!x)
-        return store_read_gauss(u->old, k, out, e);
-    enum err_code rc = edit_settle(&u->d, x, e);
-    if (!rc)
-        rc = gauss_alloc(out, x->g.n, x->g.sh_degree, x->g.embed_len, e);
-    memcpy(out->origin_enu_m, x->g.origin_enu_m, sizeof out->origin_enu_m);
-    out->antialiased = x->g.antialiased;
-    return rc ? rc : gauss_append(out, &x->g, NULL, x->g.n, e);
-}
-
 /* ---- copies of coarse rows ---- */
 
 static enum err_code update_carry(struct update *u, const struct gauss *g, struct key k,
@@ -426,7 +381,7 @@ static enum err_code update_check(struct update *u, struct err *e)
                            "level %u is given, the store ends at level %u: tile the whole scene "
                            "again",
                            l, u->top);
-    if (m->embed_len > 0 && bake_fits(u->old, u->c->look, e))
+    if (m->embed_len > 0 && bake_fits(u->old, u->c->appearance, e))
         return err_add(e, "the cell was trained with another appearance model than the store's "
                           "tiles: train it again with theirs (--appearance-shared), or tile the "
                           "whole scene again");
@@ -448,8 +403,8 @@ enum err_code update_build(const char *store_path, const struct update_config *c
     u.d.meta = *store_info(u.old);
     u.d.max_per_tile = c->max_per_tile ? c->max_per_tile : PYRAMID_PER_TILE_MAX;
     rc = update_check(&u, e);
-    if (!rc && c->look)
-        rc = bake_join(u.old, c->look, &u.d.look, e);
+    if (!rc && c->appearance)
+        rc = bake_join(u.old, c->appearance, &u.d.appearance, e);
     if (!rc)
         rc = locate_open(&u.d.meta.origin, &u.d.locate, e);
     for (uint8_t l = 1; !rc && l <= u.top; l++)

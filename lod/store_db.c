@@ -1,0 +1,87 @@
+/* What reading and writing a tile store share: row ids, row hashes, SQLite's errors.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "lod/store_db.h"
+
+#include <string.h>
+
+#include "lod/key.h"
+
+enum err_code store_db_fail(const struct store *s, int code, const char *what, struct err *e)
+{
+    const char *why = s->db ? sqlite3_errmsg(s->db) : sqlite3_errstr(code);
+    switch (code & 0xff) {
+    case SQLITE_CORRUPT:
+    case SQLITE_NOTADB:
+        return err_set(e, ERR_FORMAT,
+                       "%s: %s: the file is damaged (%s); restore it or tile the scene again",
+                       s->path, what, why);
+    case SQLITE_NOMEM:
+        return err_set(e, ERR_MEM, "%s: %s: out of memory", s->path, what);
+    case SQLITE_TOOBIG:
+        return err_set(e, ERR_LIMIT, "%s: %s: more than SQLite holds in one row; use smaller tiles",
+                       s->path, what);
+    case SQLITE_FULL:
+        return err_set(e, ERR_IO, "%s: %s: no space left on the disk", s->path, what);
+    case SQLITE_ERROR: /* a table or column is missing: not our schema */
+        return err_set(e, ERR_FORMAT, "%s: %s: %s", s->path, what, why);
+    default:
+        return err_set(e, ERR_IO, "%s: %s: %s", s->path, what, why);
+    }
+}
+
+int64_t store_db_id(struct key k)
+{
+    uint64_t id = 0;
+    for (int b = 0; b < KEY_ZOOM_MAX; b++)
+        id |= (uint64_t)(k.x >> b & 1) << (2 * b) | (uint64_t)(k.y >> b & 1) << (2 * b + 1);
+    return (int64_t)(id | (uint64_t)k.z << 56);
+}
+
+void store_db_hash_out(struct hash128 h, uint8_t out[STORE_HASH_BYTES])
+{
+    for (int i = 0; i < 8; i++) {
+        out[i] = (uint8_t)(h.lo >> (8 * i));
+        out[8 + i] = (uint8_t)(h.hi >> (8 * i));
+    }
+}
+
+struct hash128 store_db_row_hash(const struct store_tile *t)
+{
+    const double nums[] = {t->center_enu_m[0],   t->center_enu_m[1],   t->center_enu_m[2],
+                           t->min_enu_m[0],      t->min_enu_m[1],      t->min_enu_m[2],
+                           t->max_enu_m[0],      t->max_enu_m[1],      t->max_enu_m[2],
+                           t->core_min_enu_m[0], t->core_min_enu_m[1], t->core_min_enu_m[2],
+                           t->core_max_enu_m[0], t->core_max_enu_m[1], t->core_max_enu_m[2],
+                           t->sigma_median_m,    t->sigma_max_m,       t->geometric_error_m};
+    enum { N_NUMS = sizeof nums / sizeof *nums, N_INTS = 7 };
+    uint64_t word[N_INTS + N_NUMS] = {(uint64_t)store_db_id(t->key),
+                                      t->level,
+                                      t->count,
+                                      t->bytes,
+                                      t->version,
+                                      t->hash.lo,
+                                      t->hash.hi};
+    memcpy(word + N_INTS, nums, sizeof nums);
+    uint8_t bytes[sizeof word]; /* little-endian whatever the machine */
+    for (size_t i = 0; i < sizeof bytes; i++)
+        bytes[i] = (uint8_t)(word[i / 8] >> (8 * (i % 8)));
+    return hash_bytes(bytes, sizeof bytes);
+}
+
+int store_db_tile_compare(const void *a, const void *b)
+{
+    const struct store_tile *x = a, *y = b;
+    return key_compare(x->key, y->key);
+}
+
+bool store_db_name_ok(const char *name)
+{
+    if (!((*name >= 'a' && *name <= 'z') || (*name >= '0' && *name <= '9')))
+        return false;
+    for (const char *p = name; *p; p++)
+        if (!((*p >= 'a' && *p <= 'z') || (*p >= '0' && *p <= '9') || *p == '_' || *p == '-'))
+            return false;
+    return true;
+}
