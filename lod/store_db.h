@@ -14,7 +14,7 @@
  *   blobs  name, hash, bytes   anything that travels with the tiles
  *
  * Hashes are XXH3-128, 16 bytes, low word first. Nothing is ever changed in place: a file is built
- * beside and renamed, so readers may map it.
+ * beside and renamed, so a reader sees one revision.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -94,9 +94,9 @@ static enum err_code store_connect(struct store *s, struct err *e)
     if (code == SQLITE_OK) {
         sqlite3_db_config(s->db, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, NULL);
         sqlite3_db_config(s->db, SQLITE_DBCONFIG_DEFENSIVE, 1, NULL);
-        code = sqlite3_exec(
-            s->db, "PRAGMA mmap_size=274877906944; PRAGMA cell_size_check=ON; PRAGMA query_only=ON",
-            NULL, NULL, NULL);
+        code = sqlite3_exec(s->db,
+                            "PRAGMA mmap_size=0; PRAGMA cell_size_check=ON; PRAGMA query_only=ON",
+                            NULL, NULL, NULL);
     }
     if (code != SQLITE_OK)
         rc = store_db_fail(s, code, "cannot open", e);
