@@ -22,7 +22,7 @@ const { Group, PerspectiveCamera, Matrix4 } = await import(
     new URL("three/build/three.module.js", MODULES)
 );
 
-const PX_PER_SIGMA = 16; // errorTarget of a pixel of sigma: web/src/splats.ts starts with it
+const PX_PER_SIGMA = 16; // errorTarget of a pixel of sigma: web/src/viewer.ts starts with it
 const FRAMES_MAX = 200;
 
 const VECTORS = JSON.parse(readFileSync(new URL("../vectors/pick.json", import.meta.url), "utf8"));
