@@ -182,7 +182,7 @@ export class City {
   }
 
   // Splats leave no depth behind. Where lines are to hide behind the city, a second pass writes the
-  // depth of all that covers more than half.
+  // depth of all but the faint rims.
   private render() {
     const { renderer, scene, camera, engine, over } = this;
     renderer.autoClear = true;

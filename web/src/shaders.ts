@@ -156,10 +156,10 @@ void main() {
 export const SPLAT_FRAGMENT = `${COMMON}
 in vec2 offset;
 flat in vec4 color;
-uniform bool solid; // for depth alone: only where a Gaussian hides what is behind it
+uniform bool solid; // for depth alone: not the faint rim
 out vec4 result;
 void main() {
   float alpha = color.a * exp(-0.5 * dot(offset, offset));
-  if (alpha < (solid ? 0.5 : 1.0 / 255.0)) discard;
+  if (alpha < (solid ? 0.25 : 1.0 / 255.0)) discard;
   result = vec4(color.rgb * alpha, alpha);
 }`;

@@ -93,12 +93,17 @@ export async function waitForViewer(page, timeoutMs = 120000) {
 // The viewer's picture alone: no panels, and black instead of sky and ground, as the server draws.
 export async function barePicture(page) {
     const bare = (on) =>
-        page.evaluate((off) => {
+        page.evaluate(async (off) => {
+            const { viewer } = window.citysplat;
             document.documentElement.dataset.ui = off ? "off" : "on";
-            window.citysplat.viewer.backdrop = !off;
+            viewer.backdrop = !off;
+            for (let frames = 0; frames < 2; frames++)
+                await new Promise((drawn) => {
+                    const end = viewer.on("frame", () => (end(), drawn()));
+                });
+            await new Promise(requestAnimationFrame);
         }, on);
     await bare(true);
-    await page.waitForTimeout(300);
     const png = decodePng(await page.screenshot());
     await bare(false);
     return png;
