@@ -143,6 +143,6 @@ test("finer tiles or the same where cores are smaller, and all that the server s
 });
 
 test("the client starts with the error the server starts with", () => {
-    const source = readFileSync(new URL("../../web/src/splats.ts", import.meta.url), "utf8");
+    const source = readFileSync(new URL("../../web/src/city.ts", import.meta.url), "utf8");
     assert.match(source, new RegExp(`private target = ${PX_PER_SIGMA};`));
 });

@@ -96,10 +96,10 @@ export async function barePicture(page) {
         page.evaluate(async (off) => {
             const { viewer } = window.citysplat;
             document.documentElement.dataset.ui = off ? "off" : "on";
-            viewer.backdrop = !off;
             for (let frames = 0; frames < 2; frames++)
                 await new Promise((drawn) => {
                     const end = viewer.on("frame", () => (end(), drawn()));
+                    viewer.backdrop = !off; // asks for a frame
                 });
             await new Promise(requestAnimationFrame);
         }, on);
