@@ -109,6 +109,10 @@ enum err_code store_read_gauss(struct store *s, struct key k, struct gauss *out,
 /* Every page, index row, payload and blob checked. The first fault is returned; `n_bad` (may be
  * NULL) counts them and each is logged. */
 enum err_code store_verify(struct store *s, size_t *n_bad, struct err *e) ERR_USE;
+/* The ground that the photographs support (docs/footprint.md): a GeoJSON Feature, one line; NULL:
+ * none was stored. Borrowed until store_close. */
+#define STORE_FOOTPRINT "footprint" /* its blob */
+const char *store_footprint(const struct store *s);
 /* Names of the blobs, sorted; live in the arena. */
 enum err_code store_list_blobs(struct store *s, struct arena *a, char ***names, size_t *n,
                                struct err *e) ERR_USE;

@@ -56,6 +56,7 @@ struct store {
     struct tree tree;  /* opened only */
     struct bake *bake; /* opened: appearance, read on first use; NULL: none */
     bool bake_known;
+    char *footprint; /* opened: GeoJSON; NULL: none */
     struct store
         *before; /* building: the store that will be replaced, for tile versions; may be NULL */
 };
