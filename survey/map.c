@@ -176,6 +176,7 @@ static enum err_code map_place(struct map_job *j, uint32_t x, uint32_t y, struct
         if (i >= 3)
             map_tile_place(lon[i], lat[i], zoom, j->corner[i - 3]);
     }
+    j->report.off_px = fmax(j->report.off_px, off);
     if (off > MAP_OFF_MAX_PX)
         return err_set(e, ERR_ARG,
                        "EPSG:%d bends or shears a piece of %u px by %.2f px near %.6f,%.6f: use a "

@@ -29,6 +29,7 @@ struct map_grid { /* pixels of the projection: edges are multiples of a pixel */
 struct map_report {
     struct map_grid grid;
     uint64_t pixels_held; /* with a surface */
+    double off_px;        /* how far the planes of pieces were from the projection, at most */
     double seconds;
     double height_min_m, height_max_m; /* of a surface model; NAN: none */
 };

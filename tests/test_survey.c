@@ -214,6 +214,8 @@ static void heights_are_the_citys(void **state)
            "beyond 1 m %.4f %%\n",
            n, GSD_M, error[n / 2], error[n / 2] / GSD_M, error[n * 95 / 100],
            error[n * 95 / 100] / GSD_M, 100 * (double)off / (double)n);
+    printf("survey plane: %.5f px from UTM\n", m.report.off_px);
+    assert_true(m.report.off_px < 0.001);
     assert_true(error[n / 2] <= 0.5 * GSD_M);
     assert_true(error[n * 95 / 100] <= 2 * GSD_M);
     assert_true((double)off < 1e-3 * (double)n);
