@@ -121,6 +121,8 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
                        "render_backward: no frame was drawn since the Gaussians changed");
     if (m->list)
         return err_set(e, ERR_ARG, "render_backward: no way back through a list of groups");
+    if (r->view.orthographic)
+        return err_set(e, ERR_ARG, "render_backward: no way back through an orthographic view");
     if (m->n != r->view.n || m->groups != r->view.groups || m->planes != r->view.planes)
         return err_set(e, ERR_ARG, "render_backward: %u Gaussians: the last frame drew %u others",
                        m->n, r->view.n);

@@ -140,10 +140,12 @@ static void render_view_fill(const struct render *r, const struct render_model *
     v->fy = (float)c->fy_px;
     v->cx = (float)c->cx_px;
     v->cy = (float)c->cy_px;
-    v->lim_neg_x = (float)(c->cx_px / c->fx_px + 0.15 * w / c->fx_px);
-    v->lim_pos_x = (float)((w - c->cx_px) / c->fx_px + 0.15 * w / c->fx_px);
-    v->lim_neg_y = (float)(c->cy_px / c->fy_px + 0.15 * h / c->fy_px);
-    v->lim_pos_y = (float)((h - c->cy_px) / c->fy_px + 0.15 * h / c->fy_px);
+    if (!o->orthographic) { /* else 0: the Jacobian has no third column */
+        v->lim_neg_x = (float)(c->cx_px / c->fx_px + 0.15 * w / c->fx_px);
+        v->lim_pos_x = (float)((w - c->cx_px) / c->fx_px + 0.15 * w / c->fx_px);
+        v->lim_neg_y = (float)(c->cy_px / c->fy_px + 0.15 * h / c->fy_px);
+        v->lim_pos_y = (float)((h - c->cy_px) / c->fy_px + 0.15 * h / c->fy_px);
+    }
     v->near_m = (float)(o->near_m > 0 ? o->near_m : RENDER_NEAR_M);
     v->kernel_px2 = o->aa == RENDER_AA_MIP ? 0.1f : 0.3f;
     v->compensate = o->aa != RENDER_AA_NONE;
@@ -161,6 +163,7 @@ static void render_view_fill(const struct render *r, const struct render_model *
     v->tile_cull = !r->box_tiles;
     v->smooth = m->filter != NULL;
     v->listed = m->list != NULL;
+    v->orthographic = o->orthographic;
 }
 
 /* ---- stages ---- */

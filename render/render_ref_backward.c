@@ -249,6 +249,8 @@ enum err_code render_ref_backward(const struct gauss *g, const struct camera *ca
     struct splat_grad *grads = NULL;
     size_t n = 0;
     enum err_code rc = ref_view_init(g, cam, o, &v, e);
+    if (!rc && v.orthographic)
+        rc = err_set(e, ERR_ARG, "render_ref_backward: no way back through an orthographic view");
     if (!rc)
         rc = ref_project_all(&v, g, &splats, &n, e);
     if (rc)
