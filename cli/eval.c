@@ -12,6 +12,7 @@
 #include "cells/cell_plan.h"
 #include "cells/partition.h"
 #include "cli/cli.h"
+#include "cli/eval_flight.h"
 #include "cli/eval_half_image.h"
 #include "cli/eval_views.h"
 #include "codec/ckpt.h"
@@ -387,11 +388,21 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     if (!rc)
         rc = eval_half_image_take_store(&v->halves, view_appearance(w.view), &v->scene, e);
     w.appearance = rc ? NULL : eval_half_image_appearance(&v->halves);
+    if (v->o.flight) {
+        const struct eval_flight_request q = {.scene = &v->scene,
+                                              .frames = (size_t)v->o.flight,
+                                              .max_edge_px = (uint32_t)v->o.max_edge_px,
+                                              .rows = v->rows};
+        if (!rc)
+            rc = eval_flight_run(&q, w.view, &w.ro, &w.po, e);
+        goto out;
+    }
     if (!rc)
         rc = eval_source(v, "tiles, LOD", (uint32_t)v->o.max_edge_px, 1.0, src, &half, e);
     w.po.no_lod = true;
     if (!rc)
         rc = eval_source(v, "tiles, no LOD", (uint32_t)v->o.max_edge_px, 1.0, src, &half, e);
+out:
     eval_half_image_clear(&v->halves);
     view_close(&w.view);
     return rc;
@@ -491,14 +502,18 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
     rc = eval_open(&v, args.arg[0], e);
     if (rc)
         goto out;
+    if (v.o.flight && !v.o.tiles) {
+        rc = err_set(e, ERR_ARG, "--flight: levels change in tile stores: give one with --tiles");
+        goto out;
+    }
     if (v.o.views)
         eval_views_print_head();
-    else
+    else if (!v.o.flight)
         eval_print_head();
     rc = v.o.tiles ? eval_tiles(&v, e) : eval_levels(&v, args.arg[0], e);
-    if (!rc && !v.lpips && !v.o.views)
+    if (!rc && !v.lpips && !v.o.views && !v.o.flight)
         printf("LPIPS is not scored: --lpips FILE supplies its weights (docs/evaluation.md).\n");
-    if (!rc && !v.o.views)
+    if (!rc && !v.o.views && !v.o.flight)
         rc = eval_residuals(&v, args.arg[0], e);
     if (!rc && v.o.output)
         rc = eval_write(&v, args.arg[0], e);

@@ -45,7 +45,8 @@ static void scene_image_fill(const struct ingest *g, size_t i, uint32_t group,
 {
     const struct ingest_photo *p = &g->photos[i];
     const struct scene *s = &g->scene;
-    bool test = g->cfg->test_every > 0 && i % (size_t)g->cfg->test_every == 0;
+    bool every = g->cfg->test_every > 0 && !(g->cfg->test_block > 0.0);
+    bool test = every && i % (size_t)g->cfg->test_every == 0;
     *out = (struct scene_image){.name = p->out_name,
                                 .cam = g->views[p->view].pinhole,
                                 .group = group,
@@ -61,6 +62,61 @@ static void scene_image_fill(const struct ingest *g, size_t i, uint32_t group,
         for (int b = 0; b < 3; b++)
             out->cam.trans[a] -= out->cam.rot[3 * a + b] * s->trans[b];
     }
+}
+
+/* ---- a block of test photographs ---- */
+
+struct scene_place { /* of a kept photograph */
+    double x_m, y_m, away2;
+    size_t image;
+};
+
+static int scene_place_compare(const void *a, const void *b)
+{
+    const struct scene_place *p = a, *q = b;
+    if (p->away2 != q->away2)
+        return p->away2 < q->away2 ? -1 : 1;
+    return (p->image > q->image) - (p->image < q->image);
+}
+
+/* Order by distance on the ground from (x, y). */
+static void scene_places_sort(struct scene_place *p, size_t n, double x_m, double y_m)
+{
+    for (size_t i = 0; i < n; i++)
+        p[i].away2 = (p[i].x_m - x_m) * (p[i].x_m - x_m) + (p[i].y_m - y_m) * (p[i].y_m - y_m);
+    qsort(p, n, sizeof *p, scene_place_compare);
+}
+
+/* The photographs nearest to the one in the middle test, the others train: what the block shows is
+ * seen in training from its rim alone, not from between. */
+static enum err_code scene_hold_block(struct scene *s, double share, struct err *e)
+{
+    size_t n = s->n_images, block = (size_t)(share * (double)n + 0.5);
+    struct scene_place *p = mem_array(n, sizeof *p);
+    double *v = mem_array(n, sizeof *v), middle[2];
+    if (!p || !v) {
+        mem_free(p);
+        mem_free(v);
+        return scene_no_memory(e);
+    }
+    for (size_t i = 0; i < n; i++) {
+        double c[3];
+        camera_center(&s->images[i].cam, c);
+        p[i] = (struct scene_place){.x_m = c[0], .y_m = c[1], .image = i};
+    }
+    for (int axis = 0; axis < 2; axis++) {
+        for (size_t i = 0; i < n; i++)
+            v[i] = axis ? p[i].y_m : p[i].x_m;
+        middle[axis] = sim3_median(v, n);
+    }
+    scene_places_sort(p, n, middle[0], middle[1]);
+    if (n)
+        scene_places_sort(p, n, p[0].x_m, p[0].y_m);
+    for (size_t i = 0; i < n && i < (block ? block : 1); i++)
+        s->images[p[i].image].split = SCENE_TEST;
+    mem_free(p);
+    mem_free(v);
+    return ERR_OK;
 }
 
 static enum err_code scene_fill_images(struct ingest *g, struct err *e)
@@ -144,5 +200,7 @@ static enum err_code scene_fill_points(struct ingest *g, struct err *e)
 enum err_code ingest_scene_fill(struct ingest *g, struct err *e)
 {
     enum err_code rc = scene_fill_images(g, e);
+    if (!rc && g->cfg->test_block > 0.0)
+        rc = scene_hold_block(&g->scene, g->cfg->test_block, e);
     return !rc ? scene_fill_points(g, e) : rc;
 }

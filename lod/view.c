@@ -121,16 +121,17 @@ enum err_code view_model(struct view *v, const struct camera *cam, const struct 
     return ERR_OK;
 }
 
-enum err_code view_render(struct view *v, const struct camera *cam, const struct render_options *ro,
-                          const struct pick_options *po, float *rgb, struct view_stats *stats,
-                          struct err *e)
+enum err_code view_render_picked(struct view *v, const struct camera *pick_cam,
+                                 const struct camera *cam, const struct render_options *ro,
+                                 const struct pick_options *po, float *rgb,
+                                 struct view_stats *stats, struct err *e)
 {
     struct view_stats st = {0};
     struct frustum f;
     struct pick_options pick = po ? *po : (struct pick_options){0};
     double t0 = clock_s();
     pick.orthographic = ro->orthographic;
-    enum err_code rc = pick_tiles(v->store, cam, &pick, v->now, &st.n_tiles, e);
+    enum err_code rc = pick_tiles(v->store, pick_cam, &pick, v->now, &st.n_tiles, e);
     double t1 = clock_s();
     st.ms_pick = 1e3 * (t1 - t0);
     if (!rc) {
@@ -155,6 +156,13 @@ enum err_code view_render(struct view *v, const struct camera *cam, const struct
     if (!rc && stats)
         *stats = st;
     return rc;
+}
+
+enum err_code view_render(struct view *v, const struct camera *cam, const struct render_options *ro,
+                          const struct pick_options *po, float *rgb, struct view_stats *stats,
+                          struct err *e)
+{
+    return view_render_picked(v, cam, cam, ro, po, rgb, stats, e);
 }
 
 enum err_code view_camera(const struct geo_origin *origin, const struct view_pose *pose,

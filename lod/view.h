@@ -48,6 +48,13 @@ struct view_stats {
 enum err_code view_render(struct view *v, const struct camera *cam, const struct render_options *ro,
                           const struct pick_options *po, float *rgb, struct view_stats *stats,
                           struct err *e) ERR_USE;
+/* The same with the tiles that pick_cam needs: what a change of levels alone does to a picture.
+ * ERR_ARG, and what pick_tiles and render_forward give. */
+enum err_code view_render_picked(struct view *v, const struct camera *pick_cam,
+                                 const struct camera *cam, const struct render_options *ro,
+                                 const struct pick_options *po, float *rgb,
+                                 struct view_stats *stats, struct err *e) ERR_USE;
+
 /* The Gaussians that such a picture is drawn from, tiles whole, on the device until the next call:
  * colours as they were trained, with embeddings where the store has appearance. render_backward
  * works on this model. Errors as view_render: ERR_ARG, ERR_FORMAT, ERR_IO, ERR_DEVICE, ERR_MEM. */

@@ -148,6 +148,47 @@ static void test_whole_way(void **state)
     scene_free(&s);
 }
 
+/* --test-block: the share asked for, together in one place, and nothing else tests. */
+static void test_a_block_is_held_out(void **state)
+{
+    (void)state;
+    char city[FILE_PATH_MAX], out[FILE_PATH_MAX];
+    struct synth_config sc;
+    struct ingest_config ic;
+    struct scene s;
+    struct err e = {0};
+    city_config(&sc, city, "block-city");
+    sc.oblique_share = 0;
+    kit_ok(synth_run(&sc, &e), e);
+    ingest_config(&ic, out, "block-scene");
+    ic.test_block = 0.2;
+    kit_ok(ingest_city(city, &ic, &e), e);
+    kit_ok(scene_read(out, &s, &e), e);
+    assert_int_equal(s.n_images, 32);
+    double middle[2] = {0}, rim = 0, next = HUGE_VAL;
+    size_t n = 0;
+    for (size_t i = 0; i < s.n_images; i++) {
+        double c[3];
+        camera_center(&s.images[i].cam, c);
+        for (int k = 0; k < 2 && s.images[i].split == SCENE_TEST; k++)
+            middle[k] += c[k] / 6;
+        n += s.images[i].split == SCENE_TEST;
+    }
+    assert_int_equal(n, 6); /* 0.2 of 32 */
+    for (size_t i = 0; i < s.n_images; i++) {
+        double c[3], away;
+        camera_center(&s.images[i].cam, c);
+        away = hypot(c[0] - middle[0], c[1] - middle[1]);
+        if (s.images[i].split == SCENE_TEST)
+            rim = fmax(rim, away);
+        else
+            next = fmin(next, away);
+    }
+    /* Six places of a grid of about 16 m: within 25 m of their middle, and nothing much nearer. */
+    assert_true(rim < 25 && next > 0.5 * rim);
+    scene_free(&s);
+}
+
 static size_t dropped_as(const json_t *report, const char *what, size_t *n)
 {
     const json_t *photos = json_object_get(report, "photos");
@@ -446,7 +487,8 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_whole_way),          cmocka_unit_test(test_everything_wrong),
         cmocka_unit_test(test_undistorted_pixels), cmocka_unit_test(test_bad_input),
-        cmocka_unit_test(test_without_gps),        cmocka_unit_test(test_caliterra),
+        cmocka_unit_test(test_without_gps),        cmocka_unit_test(test_a_block_is_held_out),
+        cmocka_unit_test(test_caliterra),
     };
     progress_quiet(true);
     log_set_level(LOG_WARN);

@@ -40,10 +40,12 @@ struct toy {
  * 3, 3, 3 with a 2 x 2 maximum between blocks (Simonyan 2015); 11, 5, 3, 3, 3 with overlapping
  * maxima of 3 x 3 (Krizhevsky 2012, torchvision's variant). Channels are not multiples of 8 on
  * purpose. */
-static struct toy toy_make(bool vgg)
+static struct toy toy_make(bool vgg, bool full)
 {
     static const int in_block[5] = {2, 2, 3, 3, 3}, kernel[5] = {11, 5, 3, 3, 3};
     static const int channels[5] = {5, 9, 8, 17, 6}, alex_index[5] = {0, 3, 6, 8, 10};
+    static const int vgg_full[5] = {64, 128, 256, 512, 512},
+                     alex_full[5] = {64, 192, 384, 256, 256};
     struct toy t = {.n = 0};
     int cin = 3, index = 0;
     for (int b = 0; b < 5; b++)
@@ -51,7 +53,7 @@ static struct toy toy_make(bool vgg)
             struct toy_layer *y = &t.layer[t.n];
             bool last = i + 1 == in_block[b];
             y->slice = b + 1;
-            y->cout = channels[b] + i;
+            y->cout = !full ? channels[b] + i : vgg ? vgg_full[b] : alex_full[b];
             y->k = vgg ? 3 : kernel[b];
             y->stride = !vgg && b == 0 ? 4 : 1;
             y->pad = vgg ? 1 : b < 2 ? 2 : 1;
@@ -245,7 +247,7 @@ static void check_net(bool vgg, uint32_t vector_width)
     static float rgb[3 * W_MOST * H_MOST], same[3 * W_MOST * H_MOST];
     static uint8_t target[3 * W_MOST * H_MOST], mask[W_MOST * H_MOST];
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
-    struct toy t = toy_make(vgg);
+    struct toy t = toy_make(vgg, false);
     struct buf file = {0};
     struct err e = {0};
     struct dev *d = dev_get();
@@ -304,6 +306,49 @@ static void test_narrow_kernels(void **state)
     check_net(false, 1);
 }
 
+/* Seeded weights of the real networks' sizes: 14.7 and 2.5 million numbers. */
+static void check_full(bool vgg, uint32_t w, uint32_t h, size_t n_weights)
+{
+    static float rgb[3 * W_MOST * H_MOST], same[3 * W_MOST * H_MOST];
+    static uint8_t target[3 * W_MOST * H_MOST], mask[W_MOST * H_MOST];
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    struct toy t = toy_make(vgg, true);
+    struct buf file = {0};
+    struct err e = {0};
+    struct lpips *l;
+    double got, want;
+    size_t n = 0;
+    for (size_t i = 0, cin = 3; i < t.n; cin = (size_t)t.layer[i++].cout)
+        n += (size_t)t.layer[i].cout * cin * (size_t)(t.layer[i].k * t.layer[i].k);
+    assert_int_equal(n, n_weights);
+    kit_tmpdir(dir);
+    kit_ok(file_join(path, dir, "full.safetensors", &e), e);
+    toy_write(&t, NULL, &file);
+    kit_ok(file_write(path, file.data, file.size, &e), e);
+    picture_fill(rgb, same, target, mask, W_MOST * H_MOST);
+    kit_ok(lpips_open(dev_get(), path, LPIPS_SIGNED, &l, &e), e);
+    kit_ok(lpips_run(l, rgb, target, NULL, w, h, &got, &e), e);
+    want = plain_lpips(&t, rgb, target, NULL, (int)w, (int)h, false);
+    assert_true(want > 0.01);
+    kit_near_d("LPIPS at full size", &got, &want, 1, 0, TOLERANCE);
+    lpips_close(&l);
+    buf_free(&file);
+    toy_free(&t);
+    kit_rmdir(dir);
+}
+
+static void test_full_size_vgg(void **state)
+{
+    (void)state;
+    check_full(true, 21, 18, 14710464); /* convolutions of VGG16 without biases */
+}
+
+static void test_full_size_alex(void **state)
+{
+    (void)state;
+    check_full(false, 45, 37, 2468544);
+}
+
 /* What is missing or of another shape is named. */
 static void test_incomplete(void **state)
 {
@@ -311,7 +356,7 @@ static void test_incomplete(void **state)
     static const char *const missing[] = {"net.slice1.0.weight", "net.slice3.12.weight",
                                           "lin4.model.1.weight"};
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
-    struct toy t = toy_make(true);
+    struct toy t = toy_make(true, false);
     struct err e = {0};
     struct lpips *l;
     kit_tmpdir(dir);
@@ -366,7 +411,7 @@ static void test_hostile_files(void **state)
     (void)state;
     struct tensors t;
     struct err e = {0};
-    struct toy toy = toy_make(false);
+    struct toy toy = toy_make(false, false);
     struct buf file = {0};
     decode_fails("[]", 0, "not an object");
     decode_fails("{\"a\":3}", 8, "no dtype");
@@ -411,6 +456,8 @@ int main(void)
         cmocka_unit_test(test_incomplete),
         cmocka_unit_test(test_vgg),
         cmocka_unit_test(test_alex),
+        cmocka_unit_test(test_full_size_vgg),
+        cmocka_unit_test(test_full_size_alex),
         cmocka_unit_test(test_narrow_kernels),
     };
     int failed = cmocka_run_group_tests(tests, NULL, NULL);

@@ -13,6 +13,7 @@
 
 #include <gdal/gdal.h>
 
+#include "lod/pyramid.h"
 #include "survey/map.h"
 #include "survey/probe.h"
 #include "synth/synth.h"

@@ -386,7 +386,7 @@ static void footprint(void **state)
         "{\"type\":\"Feature\",\"properties\":{},\"geometry\":{\"type\":"
         "\"MultiPolygon\",\"coordinates\":[[[[8,50],[9,50],[9,51],[8,50]]]]}}",
                       bad[] = "{\"type\":\"Feature\"}, \"evil\": 1";
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     const struct geo_origin origin = {8.6821, 50.1109, 160};
     build(f, &origin, 3000, "A");

@@ -83,6 +83,27 @@ static void drawn_again_it_is_the_same(void **state)
     view_close(&tiny);
 }
 
+/* Tiles are those of the other camera, the picture is this one's. */
+static void tiles_of_another_camera(void **state)
+{
+    struct store_fixture *f = *state;
+    struct err e = {0};
+    struct view *v;
+    struct view_stats own, far;
+    static float want[W * H * 3], got[W * H * 3];
+    struct camera a = camera_at(0, 60, -30), high = camera_at(0, 60, -30);
+    kit_ok(view_open(f->path, f->render, 0, &v, &e), e);
+    kit_ok(view_render(v, &a, &draw, NULL, want, &own, &e), e);
+    kit_ok(view_render_picked(v, &a, &a, &draw, NULL, got, &far, &e), e);
+    assert_memory_equal(want, got, sizeof want);
+    /* From 3 km back along its own axis the same place needs fewer tiles. */
+    high.trans[2] += 3000;
+    kit_ok(view_render_picked(v, &high, &a, &draw, NULL, got, &far, &e), e);
+    assert_true(far.n_tiles < own.n_tiles);
+    assert_true(memcmp(want, got, sizeof want) != 0);
+    view_close(&v);
+}
+
 /* Against all leaves put together by hand. */
 static void without_levels_it_is_the_finest(void **state)
 {
@@ -207,6 +228,7 @@ int main(void)
     progress_quiet(true);
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(drawn_again_it_is_the_same),
+        cmocka_unit_test(tiles_of_another_camera),
         cmocka_unit_test(without_levels_it_is_the_finest),
         cmocka_unit_test(looking_away_shows_the_background),
         cmocka_unit_test(a_damaged_tile_spoils_only_the_views_that_need_it),

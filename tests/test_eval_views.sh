@@ -1,0 +1,32 @@
+#!/bin/sh
+# Map views and the flight from end to end: a small city, ingested, trained for a moment and tiled, is scored
+# against its own truth by kind of view, from the checkpoint and from the tiles, and flown into.
+#
+# SPDX-License-Identifier: Apache-2.0
+bin=${CITYSPLAT_BIN:?the program under test}
+dir=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-views-XXXXXX") || exit 1
+trap 'rm -rf "$dir"' EXIT
+cd "$dir" || exit 1
+fail() { echo "FAILED: $1"; cat log; exit 1; }
+run() { "$bin" "$@" >log 2>&1 || fail "$*"; }
+run synth --extent-m 60 --photos 24 --width-px 96 --height-px 72 --points 3000 --map-views 8 -o city -q
+run ingest city/images city/sparse --min-points 12 -o scene -q
+run train scene --level-count 2 --iterations 120 --budget-2 3000 --budget-3 4000 -q
+run tile scene --name t -o t.tiles -q
+run eval scene --views city/map-views -o levels.json --pictures out
+grep -q "overview" log && grep -q "^level 2 *all  *8 " log || fail "rows of the finest level"
+[ "$(ls out/level_2 | wc -l)" = 8 ] || fail "pictures of 8 views"
+for key in psnr_db ssim gmsd square_psnr_db depth_median depth_95 depth_above_2pct halo haze veil; do
+    grep -q "\"$key\": [0-9]" levels.json || fail "$key in the JSON"
+done
+run eval scene --views city/map-views --tiles t.tiles --max-edge-px 96
+grep -q "^tiles, LOD *all  *8 " log || fail "rows of the tiles"
+# Nothing pops where nothing changes level.
+run eval scene --tiles t.tiles --flight 6 --max-edge-px 96 -o flight.json
+grep -Eq "^tiles, no LOD +6 +0 +0 +0.000" log || fail "the finest level alone pops"
+grep -q '"pop_99"' flight.json || fail "pop_99 in the JSON"
+"$bin" eval scene --flight 6 >log 2>&1 && fail "--flight without --tiles"
+grep -q -- "--tiles" log || fail "says what is missing"
+"$bin" eval scene --views city >log 2>&1 && fail "a folder without views"
+grep -q "map-views" log || fail "says who makes views"
+echo "map views and flight hold"
