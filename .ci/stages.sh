@@ -1,9 +1,10 @@
 # shellcheck shell=bash
-# Source this: named stages, each with a log, a time and a line in the table at the end.
+# Source this: named stages, each with a log, its times (of the clock, and of all cores) and a line in the table at the
+# end.
 #
 # SPDX-License-Identifier: Apache-2.0
 stage_names=()
-declare -A stage_what stage_command stage_loud stage_result stage_seconds
+declare -A stage_what stage_command stage_loud stage_result stage_seconds stage_cpu
 logs=build/ci
 
 stage() { # NAME WHAT COMMAND...
@@ -27,16 +28,18 @@ list_stages() {
 }
 
 run_one() { # NAME
-    local name=$1 start=$EPOCHREALTIME log=$logs/$1.log code
+    local name=$1 log=$logs/$1.log code TIMEFORMAT='%R %U %S'
     printf '== %-11s %s\n' "$name" "${stage_what[$name]}"
-    if [ "${stage_loud[$name]:-}" ]; then
-        (eval "${stage_command[$name]}") 2>&1 </dev/null | tee "$log"
-        code=${PIPESTATUS[0]}
-    else
-        (eval "${stage_command[$name]}") >"$log" 2>&1 </dev/null
-        code=$?
-    fi
-    stage_seconds[$name]=$(awk -v a="$start" -v b="$EPOCHREALTIME" 'BEGIN { printf "%.1f", b - a }')
+    {
+        time if [ "${stage_loud[$name]:-}" ]; then
+            (eval "${stage_command[$name]}") 2>&1 </dev/null | tee "$log" >&3
+            code=${PIPESTATUS[0]}
+        else
+            (eval "${stage_command[$name]}") >"$log" 2>&1 </dev/null
+            code=$?
+        fi
+    } 3>&1 2>"$logs/time"
+    read -r stage_seconds[$name] stage_cpu[$name] < <(tail -1 "$logs/time" | awk '{ printf "%.1f %.1f\n", $1, $2 + $3 }')
     case $code in
         0) stage_result[$name]=ok ;;
         77) stage_result[$name]="skipped: $(tail -1 "$log")" ;;
@@ -54,9 +57,12 @@ run_stages() { # NAME...; exits with 1 when one failed
     done
     mkdir -p "$logs"
     for name in "$@"; do run_one "$name" || failed=$((failed + 1)); done
-    printf '\n%-11s %9s  %s\n' stage seconds result
-    for name in "$@"; do printf '%-11s %9s  %s\n' "$name" "${stage_seconds[$name]}" "${stage_result[$name]}"; done
-    printf '%-11s %9s  %s\n' total "$(awk -v a="$total" -v b="$EPOCHREALTIME" 'BEGIN { printf "%.1f", b - a }')" \
+    printf '\n%-11s %9s %9s  %s\n' stage seconds 'CPU s' result
+    for name in "$@"; do
+        printf '%-11s %9s %9s  %s\n' "$name" "${stage_seconds[$name]}" "${stage_cpu[$name]}" "${stage_result[$name]}"
+    done
+    printf '%-11s %9s %9s  %s\n' total "$(awk -v a="$total" -v b="$EPOCHREALTIME" 'BEGIN { printf "%.1f", b - a }')" \
+        "$(printf '%s\n' "${stage_cpu[@]}" | awk '{ s += $1 } END { printf "%.1f", s }')" \
         "$([ $failed = 0 ] && echo ok || echo "$failed of $# failed")"
     for name in "$@"; do # last, what ctest said of the whole suite
         [ "$name" != tests ] || { echo; sed -n '/tests passed, /,$p' "$logs/tests.log"; }

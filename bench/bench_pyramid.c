@@ -33,6 +33,7 @@
 #include "train/config.h"
 #include "train/photo_loader.h"
 #include "train/train.h"
+#include "train/train_scene.h"
 
 enum { NAME_MAX_BYTES = 64, SIZES = 3, SUMS = 8, SHARE = 2, EDGE_MIN_PX = 16 };
 
@@ -128,9 +129,9 @@ static enum err_code pyr_open(struct pyr *p, struct err *e)
     char path[FILE_PATH_MAX];
     enum err_code rc = scene_read(p->b->scene, &p->scene, e);
     if (!rc)
-        rc = train_images(&p->scene, SCENE_TEST, true, &p->images, &p->n_images, e);
+        rc = train_scene_images(&p->scene, SCENE_TEST, true, &p->images, &p->n_images, e);
     if (!rc)
-        rc = train_images(&p->scene, SCENE_TRAIN, true, &p->train, &p->n_train, e);
+        rc = train_scene_images(&p->scene, SCENE_TRAIN, true, &p->train, &p->n_train, e);
     if (!rc && (!p->n_images || !p->n_train))
         rc = err_set(e, ERR_DATA, "%s: keeps no test photographs", p->b->scene);
     if (!rc)

@@ -23,6 +23,7 @@
 #include "codec/spz.h"
 #include "lod/lod.h"
 #include "train/train.h"
+#include "train/train_scene.h"
 
 #include <stdio.h>
 #include <string.h>
@@ -192,7 +193,7 @@ static enum err_code rd_open(struct rd *r, struct test_views_score *trained, str
     struct gauss all = {0};
     enum err_code rc = scene_read(r->b->scene, &r->scene, e);
     if (!rc)
-        rc = train_images(&r->scene, SCENE_TEST, true, &r->images, &r->n_images, e);
+        rc = train_scene_images(&r->scene, SCENE_TEST, true, &r->images, &r->n_images, e);
     if (!rc && !r->n_images)
         rc = err_set(e, ERR_DATA, "%s: keeps no test photographs", r->b->scene);
     if (!rc)

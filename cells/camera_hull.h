@@ -7,13 +7,14 @@
 
 #include "core/err.h"
 
-struct err;
 struct scene;
 
 struct camera_hull {     /* {0} is empty; camera_hull_free */
     double (*corner)[2]; /* ENU metres, counter-clockwise */
     size_t n;
 };
+/* The hull of all photographs of the scene. One with one or two corners is a place or a line.
+ * camera_hull_free it. ERR_DATA: no photographs; ERR_MEM. */
 enum err_code camera_hull_of(const struct scene *s, struct camera_hull *out, struct err *e) ERR_USE;
 void camera_hull_free(struct camera_hull *g);
 /* Metres to the hull, 0 inside. */

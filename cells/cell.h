@@ -19,7 +19,8 @@ struct cell {    /* a rectangle of the ground plane; Gaussians outside serve as 
     double edge_m;   /* of an unmerged cell: unit of learning rates and of the distance ramp */
     double extent_m; /* 1.1 * largest distance of a camera from their mean: unit of sizes */
 };
-/* The single cell "all" of a scene. `images` lists the photographs used for training. */
+/* The single cell "all" of a scene. `images` lists the photographs used for training, at least one.
+ */
 void cell_whole(const struct scene *s, const uint32_t *images, size_t n_images, struct cell *out);
 /* A cell of a plan; `images` lists its cameras by location, the measure of its extent. */
 void cell_planned(const struct scene *s, const struct partition *p, size_t index,

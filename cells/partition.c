@@ -50,7 +50,7 @@ struct xy {
     double x, y;
 };
 
-static int xy_compare(const void *a, const void *b)
+static int partition_compare_xy(const void *a, const void *b)
 {
     const struct xy *p = a, *q = b;
     if (p->x < q->x || p->x > q->x)
@@ -58,26 +58,26 @@ static int xy_compare(const void *a, const void *b)
     return (p->y > q->y) - (p->y < q->y);
 }
 
-static double xy_cross(struct xy o, struct xy a, struct xy b)
+static double partition_cross(struct xy o, struct xy a, struct xy b)
 {
     return (a.x - o.x) * (b.y - o.y) - (a.y - o.y) * (b.x - o.x);
 }
 
 /* Area of the convex hull (Andrew's monotone chain). Sorts p; `hull` holds 2 n. 0 for n < 3 or
  * collinear. */
-static double hull_area(struct xy *p, size_t n, struct xy *hull)
+static double partition_hull_area(struct xy *p, size_t n, struct xy *hull)
 {
     if (n < 3)
         return 0.0;
-    qsort(p, n, sizeof *p, xy_compare);
+    qsort(p, n, sizeof *p, partition_compare_xy);
     size_t k = 0;
     for (size_t i = 0; i < n; i++) {
-        while (k >= 2 && xy_cross(hull[k - 2], hull[k - 1], p[i]) <= 0.0)
+        while (k >= 2 && partition_cross(hull[k - 2], hull[k - 1], p[i]) <= 0.0)
             k--;
         hull[k++] = p[i];
     }
     for (size_t i = n - 1, lower = k + 1; i-- > 0;) {
-        while (k >= lower && xy_cross(hull[k - 2], hull[k - 1], p[i]) <= 0.0)
+        while (k >= lower && partition_cross(hull[k - 2], hull[k - 1], p[i]) <= 0.0)
             k--;
         hull[k++] = p[i];
     }
@@ -98,7 +98,7 @@ struct survey {
     size_t *track_first;   /* [n_images + 1] into scene.tracks */
 };
 
-static void survey_free(struct survey *v)
+static void partition_survey_free(struct survey *v)
 {
     mem_free(v->center);
     mem_free(v->view_area_px2);
@@ -107,14 +107,14 @@ static void survey_free(struct survey *v)
     *v = (struct survey){0};
 }
 
-static bool survey_uses(const struct survey *v, size_t image)
+static bool partition_survey_uses(const struct survey *v, size_t image)
 {
     return v->cfg->all_images || v->scene->images[image].split == SCENE_TRAIN;
 }
 
 /* Project a point; false when it is behind the camera or more than the border outside. Clamps to
  * the picture. */
-static bool survey_project(const struct camera *c, const double enu[3], struct xy *out)
+static bool partition_survey_project(const struct camera *c, const double enu[3], struct xy *out)
 {
     double t[3];
     for (size_t r = 0; r < 3; r++)
@@ -131,7 +131,7 @@ static bool survey_project(const struct camera *c, const double enu[3], struct x
     return true;
 }
 
-static enum err_code survey_view_area(void *user, size_t image, struct err *e)
+static enum err_code partition_survey_view_area(void *user, size_t image, struct err *e)
 {
     struct survey *v = user;
     const struct scene *s = v->scene;
@@ -146,7 +146,7 @@ static enum err_code survey_view_area(void *user, size_t image, struct err *e)
     }
     for (size_t i = 0; !rc && i < s->n_points; i++) {
         struct xy p;
-        if (!v->reliable[i] || !survey_project(c, s->points[i].enu_m, &p))
+        if (!v->reliable[i] || !partition_survey_project(c, s->points[i].enu_m, &p))
             continue;
         size_t r = (size_t)p.y;
         if (p.x < ends[2 * r].x)
@@ -159,14 +159,15 @@ static enum err_code survey_view_area(void *user, size_t image, struct err *e)
         if (isfinite(ends[i].x))
             ends[n++] = ends[i];
     if (!rc)
-        v->view_area_px2[image] = hull_area(ends, n, hull);
+        v->view_area_px2[image] = partition_hull_area(ends, n, hull);
     mem_free(ends);
     mem_free(hull);
     return rc;
 }
 
-static enum err_code survey_make(const struct scene *s, const struct partition_config *cfg,
-                                 struct survey *v, struct err *e)
+static enum err_code partition_survey_make(const struct scene *s,
+                                           const struct partition_config *cfg, struct survey *v,
+                                           struct err *e)
 {
     *v = (struct survey){.scene = s, .cfg = cfg};
     v->center = mem_array(s->n_images, sizeof *v->center);
@@ -187,7 +188,8 @@ static enum err_code survey_make(const struct scene *s, const struct partition_c
         v->track_first[s->tracks[t].image + 1]++;
     for (size_t i = 0; i < s->n_images; i++)
         v->track_first[i + 1] += v->track_first[i];
-    return cfg->use_visibility ? pool_for(s->n_images, 0, survey_view_area, v, e) : ERR_OK;
+    return cfg->use_visibility ? pool_for(s->n_images, 0, partition_survey_view_area, v, e)
+                               : ERR_OK;
 }
 
 /* ---- assignment ---- */
@@ -200,7 +202,7 @@ double partition_distance(const struct partition_cell *c, double x_m, double y_m
 }
 
 /* Inside the cell grown by `grow` on each side, closed. */
-static bool cell_near(const struct partition_cell *c, struct xy p, double grow)
+static bool partition_near(const struct partition_cell *c, struct xy p, double grow)
 {
     return p.x >= c->min_m[0] - grow && p.x <= c->max_m[0] + grow && p.y >= c->min_m[1] - grow &&
            p.y <= c->max_m[1] + grow;
@@ -208,8 +210,8 @@ static bool cell_near(const struct partition_cell *c, struct xy p, double grow)
 
 /* Share of what the photograph could see that lies in the cell. `scratch` holds 3 n of its
  * observations. */
-static double cell_visibility(const struct survey *v, const struct partition_cell *c, size_t image,
-                              struct xy *scratch)
+static double partition_visibility(const struct survey *v, const struct partition_cell *c,
+                                   size_t image, struct xy *scratch)
 {
     const struct scene *s = v->scene;
     if (!(v->view_area_px2[image] > 0.0))
@@ -218,13 +220,13 @@ static double cell_visibility(const struct survey *v, const struct partition_cel
     for (size_t t = first; t < end; t++) {
         const struct scene_track *o = &s->tracks[t];
         const double *at = s->points[o->point].enu_m;
-        if (v->reliable[o->point] && cell_near(c, (struct xy){at[0], at[1]}, 0.0))
+        if (v->reliable[o->point] && partition_near(c, (struct xy){at[0], at[1]}, 0.0))
             scratch[n++] = (struct xy){(double)o->x_px, (double)o->y_px};
     }
-    return hull_area(scratch, n, scratch + (end - first)) / v->view_area_px2[image];
+    return partition_hull_area(scratch, n, scratch + (end - first)) / v->view_area_px2[image];
 }
 
-static void cell_count_azimuth(const struct survey *v, struct partition_cell *c)
+static void partition_count_azimuth(const struct survey *v, struct partition_cell *c)
 {
     memset(c->azimuth, 0, sizeof c->azimuth);
     for (size_t k = 0; k < c->n_images; k++) {
@@ -237,8 +239,8 @@ static void cell_count_azimuth(const struct survey *v, struct partition_cell *c)
     }
 }
 
-static enum err_code cell_assign(const struct survey *v, double edge_m, struct partition_cell *c,
-                                 struct arena *a, struct err *e)
+static enum err_code partition_assign(const struct survey *v, double edge_m,
+                                      struct partition_cell *c, struct arena *a, struct err *e)
 {
     const struct scene *s = v->scene;
     const struct partition_config *cfg = v->cfg;
@@ -255,7 +257,8 @@ static enum err_code cell_assign(const struct survey *v, double edge_m, struct p
     c->images = list;
     c->n_images = 0;
     for (size_t i = 0; i < s->n_images; i++)
-        if (survey_uses(v, i) && cell_near(c, v->center[i], cfg->location_margin * edge_m))
+        if (partition_survey_uses(v, i) &&
+            partition_near(c, v->center[i], cfg->location_margin * edge_m))
             list[c->n_images++] = (uint32_t)i;
     c->n_location = c->n_images;
     double relax = c->n_location ? 1.0 : PARTITION_RELAX;
@@ -264,23 +267,24 @@ static enum err_code cell_assign(const struct survey *v, double edge_m, struct p
             at++;
             continue;
         }
-        if (survey_uses(v, i) &&
-            cell_near(c, v->center[i], relax * cfg->visibility_gate * edge_m) &&
-            cell_visibility(v, c, i, scratch) >= cfg->visibility_min / relax)
+        if (partition_survey_uses(v, i) &&
+            partition_near(c, v->center[i], relax * cfg->visibility_gate * edge_m) &&
+            partition_visibility(v, c, i, scratch) >= cfg->visibility_min / relax)
             list[c->n_images++] = (uint32_t)i;
     }
     mem_free(scratch);
     c->n_points = 0;
     for (size_t i = 0; i < s->n_points; i++)
-        c->n_points += v->reliable[i] &&
-                       cell_near(c, (struct xy){s->points[i].enu_m[0], s->points[i].enu_m[1]}, 0.0);
-    cell_count_azimuth(v, c);
+        c->n_points +=
+            v->reliable[i] &&
+            partition_near(c, (struct xy){s->points[i].enu_m[0], s->points[i].enu_m[1]}, 0.0);
+    partition_count_azimuth(v, c);
     return ERR_OK;
 }
 
 /* ---- grid and rebalancing ---- */
 
-static enum err_code grid_make(const struct survey *v, struct partition *p, struct err *e)
+static enum err_code partition_grid(const struct survey *v, struct partition *p, struct err *e)
 {
     struct xy lo = {HUGE_VAL, HUGE_VAL}, hi = {-HUGE_VAL, -HUGE_VAL};
     for (size_t i = 0; i < v->scene->n_images; i++) {
@@ -313,25 +317,27 @@ static enum err_code grid_make(const struct survey *v, struct partition *p, stru
                 .max_m = {x0 + (double)(i + 1) * edge, y0 + (double)(j + 1) * edge},
                 .parent = -1};
             snprintf(c->id, sizeof c->id, "x%zuy%zu", i, j);
-            enum err_code rc = cell_assign(v, edge, c, &p->arena, e);
+            enum err_code rc = partition_assign(v, edge, c, &p->arena, e);
             if (rc)
                 return rc;
         }
     return ERR_OK;
 }
 
-static bool same(double a, double b)
+static bool partition_same(double a, double b)
 {
     return fabs(a - b) <= PARTITION_EPS_M;
 }
 
 /* Do the two share a whole edge, so that their union is a rectangle, and of what aspect? 0: no. */
-static double union_aspect(const struct partition_cell *a, const struct partition_cell *b)
+static double partition_union_aspect(const struct partition_cell *a, const struct partition_cell *b)
 {
     for (size_t k = 0; k < 2; k++) {
         size_t o = 1 - k;
-        bool touch = same(a->max_m[k], b->min_m[k]) || same(b->max_m[k], a->min_m[k]);
-        if (touch && same(a->min_m[o], b->min_m[o]) && same(a->max_m[o], b->max_m[o])) {
+        bool touch =
+            partition_same(a->max_m[k], b->min_m[k]) || partition_same(b->max_m[k], a->min_m[k]);
+        if (touch && partition_same(a->min_m[o], b->min_m[o]) &&
+            partition_same(a->max_m[o], b->max_m[o])) {
             double along = (a->max_m[k] - a->min_m[k]) + (b->max_m[k] - b->min_m[k]);
             double across = a->max_m[o] - a->min_m[o];
             return fmax(along / across, across / along);
@@ -341,7 +347,8 @@ static double union_aspect(const struct partition_cell *a, const struct partitio
 }
 
 /* The poorest cell below the limit that has a partner, and its poorest partner. */
-static bool find_merge(const struct partition *p, size_t few, size_t *cell, size_t *partner)
+static bool partition_find_merge(const struct partition *p, size_t few, size_t *cell,
+                                 size_t *partner)
 {
     bool found = false;
     for (size_t i = 0; i < p->n_cells; i++) {
@@ -350,7 +357,7 @@ static bool find_merge(const struct partition *p, size_t few, size_t *cell, size
             continue;
         size_t best = p->n_cells;
         for (size_t j = 0; j < p->n_cells; j++) {
-            double aspect = j == i ? 0.0 : union_aspect(&p->cells[i], &p->cells[j]);
+            double aspect = j == i ? 0.0 : partition_union_aspect(&p->cells[i], &p->cells[j]);
             if (aspect > 0.0 && aspect <= PARTITION_ASPECT_MAX + PARTITION_EPS_M &&
                 (best == p->n_cells || p->cells[j].n_images < p->cells[best].n_images))
                 best = j;
@@ -364,8 +371,8 @@ static bool find_merge(const struct partition *p, size_t few, size_t *cell, size
     return found;
 }
 
-static enum err_code merge_cells(const struct survey *v, struct partition *p, size_t i, size_t j,
-                                 struct err *e)
+static enum err_code partition_merge(const struct survey *v, struct partition *p, size_t i,
+                                     size_t j, struct err *e)
 {
     size_t keep = i < j ? i : j, drop = i < j ? j : i; /* the lower index keeps its id */
     struct partition_cell *c = &p->cells[keep], *d = &p->cells[drop];
@@ -376,18 +383,18 @@ static enum err_code merge_cells(const struct survey *v, struct partition *p, si
     memmove(d, d + 1, (p->n_cells - drop - 1) * sizeof *d);
     p->n_cells--;
     p->n_merged++;
-    return cell_assign(v, p->edge_m, c, &p->arena, e);
+    return partition_assign(v, p->edge_m, c, &p->arena, e);
 }
 
-static int double_compare(const void *a, const void *b)
+static int partition_compare(const void *a, const void *b)
 {
     const double *x = a, *y = b;
     return (*x > *y) - (*x < *y);
 }
 
 /* Bisect the longer edge at the median of the location cameras, snapped to P/8. */
-static enum err_code divide_cell(const struct survey *v, struct partition *p, size_t i,
-                                 struct err *e)
+static enum err_code partition_divide(const struct survey *v, struct partition *p, size_t i,
+                                      struct err *e)
 {
     struct partition_cell *c = &p->cells[i];
     size_t k = c->max_m[0] - c->min_m[0] >= c->max_m[1] - c->min_m[1] ? 0 : 1;
@@ -398,7 +405,7 @@ static enum err_code divide_cell(const struct survey *v, struct partition *p, si
         struct xy q = v->center[c->images[m]];
         at[m] = k == 0 ? q.x : q.y;
     }
-    qsort(at, c->n_location, sizeof *at, double_compare);
+    qsort(at, c->n_location, sizeof *at, partition_compare);
     double step = p->edge_m / PARTITION_SNAP, lo = c->min_m[k], hi = c->max_m[k];
     double median = c->n_location ? at[c->n_location / 2] : 0.5 * (lo + hi);
     mem_free(at);
@@ -411,11 +418,11 @@ static enum err_code divide_cell(const struct survey *v, struct partition *p, si
     snprintf(c[1].id, sizeof c[1].id, "%.12sd%zu", c[0].id, p->n_divided);
     c[0].max_m[k] = cut;
     c[1].min_m[k] = cut;
-    enum err_code rc = cell_assign(v, p->edge_m, &c[0], &p->arena, e);
-    return rc ? rc : cell_assign(v, p->edge_m, &c[1], &p->arena, e);
+    enum err_code rc = partition_assign(v, p->edge_m, &c[0], &p->arena, e);
+    return rc ? rc : partition_assign(v, p->edge_m, &c[1], &p->arena, e);
 }
 
-static size_t find_divide(const struct partition *p, size_t many)
+static size_t partition_find_divide(const struct partition *p, size_t many)
 {
     size_t best = p->n_cells;
     for (size_t i = 0; i < p->n_cells; i++) {
@@ -428,24 +435,25 @@ static size_t find_divide(const struct partition *p, size_t many)
     return best;
 }
 
-static enum err_code rebalance(const struct survey *v, struct partition *p, struct err *e)
+static enum err_code partition_rebalance(const struct survey *v, struct partition *p, struct err *e)
 {
     enum err_code rc = ERR_OK;
     size_t steps = 0, i = 0, j = 0;
-    while (!rc && steps++ < PARTITION_STEPS_MAX && find_merge(p, v->cfg->images_few, &i, &j))
-        rc = merge_cells(v, p, i, j, e);
+    while (!rc && steps++ < PARTITION_STEPS_MAX &&
+           partition_find_merge(p, v->cfg->images_few, &i, &j))
+        rc = partition_merge(v, p, i, j, e);
     /* A merge undone by a division, or the other way round, would be a loop: divisions come last.
      */
     while (!rc && steps++ < PARTITION_STEPS_MAX &&
-           (i = find_divide(p, v->cfg->images_many)) < p->n_cells)
-        rc = divide_cell(v, p, i, e);
+           (i = partition_find_divide(p, v->cfg->images_many)) < p->n_cells)
+        rc = partition_divide(v, p, i, e);
     return rc;
 }
 
 /* Cells too poor to train become the background of the neighbour with most photographs (any cell if
  * none touches). If all are too poor, the richest is trained all the same: a small scene is still a
  * scene. */
-static void attach_poor(struct partition *p, size_t least)
+static void partition_attach_poor(struct partition *p, size_t least)
 {
     size_t richest = 0;
     for (size_t i = 1; i < p->n_cells; i++)
@@ -480,14 +488,14 @@ enum err_code partition_make(const struct scene *s, const struct partition_confi
     if (!s->n_images)
         return err_set(e, ERR_DATA, "the scene has no photographs");
     struct survey v;
-    enum err_code rc = survey_make(s, cfg, &v, e);
+    enum err_code rc = partition_survey_make(s, cfg, &v, e);
     if (!rc)
-        rc = grid_make(&v, out, e);
+        rc = partition_grid(&v, out, e);
     if (!rc)
-        rc = rebalance(&v, out, e);
+        rc = partition_rebalance(&v, out, e);
     if (!rc)
-        attach_poor(out, cfg->images_least);
-    survey_free(&v);
+        partition_attach_poor(out, cfg->images_least);
+    partition_survey_free(&v);
     if (rc)
         partition_free(out);
     return rc;

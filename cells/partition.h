@@ -16,7 +16,6 @@
 #include "core/err.h"
 
 struct arena;
-struct err;
 struct scene;
 
 struct partition_config { /* partition_defaults fills it */
@@ -53,7 +52,8 @@ struct partition { /* {0} is empty */
     struct arena arena;
 };
 
-/* ERR_DATA when the scene has no photographs. partition_free it. Deterministic. */
+/* Make the cells. partition_free it. Deterministic. ERR_DATA: the scene has no photographs; ERR_LIMIT:
+ * the edge makes more than 4,096 cells; ERR_MEM. */
 enum err_code partition_make(const struct scene *s, const struct partition_config *cfg,
                              struct partition *out, struct err *e) ERR_USE;
 void partition_free(struct partition *p);

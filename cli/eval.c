@@ -13,6 +13,7 @@
 #include "cells/partition.h"
 #include "cli/cli.h"
 #include "cli/eval_half_image.h"
+#include "cli/eval_views.h"
 #include "codec/ckpt.h"
 #include "codec/scene.h"
 #include "lod/lod.h"
@@ -23,6 +24,7 @@
 #include "train/photo_loader.h"
 #include "train/residual.h"
 #include "train/train.h"
+#include "train/train_scene.h"
 
 struct eval_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -102,7 +104,7 @@ static enum err_code eval_halves(struct eval *v, const char *what, uint32_t edge
     struct evaluate_score score;
     char name[64];
     if (v->o.half_image == EVAL_HALF_IMAGE_OFF ||
-        (v->o.half_image == EVAL_HALF_IMAGE_AUTO && !eval_half_image_look(&v->halves)))
+        (v->o.half_image == EVAL_HALF_IMAGE_AUTO && !eval_half_image_appearance(&v->halves)))
         return ERR_OK;
     snprintf(name, sizeof name, "%s, halves", what);
     enum err_code rc =
@@ -112,11 +114,36 @@ static enum err_code eval_halves(struct eval *v, const char *what, uint32_t edge
     return rc ? rc : eval_row(v, name, edge_px, &score, e);
 }
 
+/* Where the pictures of a row go: *out is NULL when none are wanted. */
+static enum err_code eval_pictures(const struct eval *v, const char *what, char *path,
+                                   const char **out, struct err *e)
+{
+    char folder[64];
+    *out = NULL;
+    if (!v->o.pictures)
+        return ERR_OK;
+    snprintf(folder, sizeof folder, "%s", what);
+    for (char *c = folder; *c; c++)
+        *c = *c == ' ' || *c == ',' ? '_' : *c;
+    *out = path;
+    return file_join(path, v->o.pictures, folder, e);
+}
+
+/* A row of map views instead of photographs. */
+static enum err_code eval_views(struct eval *v, const char *what, const struct evaluate_source *src,
+                                struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    struct eval_views_request q = {.dir = v->o.views, .scene = &v->scene, .rows = v->rows};
+    enum err_code rc = eval_pictures(v, what, path, &q.pictures, e);
+    return rc ? rc : eval_views_run(&q, what, v->render, src, e);
+}
+
 static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_edge_px,
                                  double downsample, struct evaluate_source src,
                                  const struct half_image_source *half, struct err *e)
 {
-    char folder[64], pictures[FILE_PATH_MAX];
+    char pictures[FILE_PATH_MAX];
     struct photo_loader *feed = NULL;
     struct evaluate_score score;
     struct photo_loader_config f = {.scene = &v->scene,
@@ -125,18 +152,13 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
                                     .max_edge_px = max_edge_px,
                                     .downsample = downsample,
                                     .cache_bytes = (size_t)64 << 20};
-    enum err_code rc = ERR_OK;
+    if (v->o.views)
+        return eval_views(v, what, &src, e);
     src.lpips = v->lpips;
     src.residuals = &v->residuals;
     residual_clear(&v->residuals);
     snprintf(v->residuals_of, sizeof v->residuals_of, "%s", what);
-    if (v->o.pictures) {
-        snprintf(folder, sizeof folder, "%s", what);
-        for (char *c = folder; *c; c++)
-            *c = *c == ' ' || *c == ',' ? '_' : *c;
-        rc = file_join(pictures, v->o.pictures, folder, e);
-        src.pictures = pictures;
-    }
+    enum err_code rc = eval_pictures(v, what, pictures, &src.pictures, e);
     if (!rc)
         rc = photo_loader_open(&f, &feed, e);
     if (!rc)
@@ -282,7 +304,7 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
             v->render,
             &model,
             {.aa = s.aa, .background = {grey, grey, grey}, .near_m = s.near_m, .sh_degree = -1},
-            eval_half_image_look(&v->halves)};
+            eval_half_image_appearance(&v->halves)};
         const struct half_image_source half = {eval_prepare_model, &m};
         struct evaluate_source src = {
             .draw = evaluate_draw_model, .user = &m, .bytes = bytes, .render = v->render};
@@ -304,7 +326,10 @@ static enum err_code eval_levels(struct eval *v, const char *scene_dir, struct e
     enum err_code rc = file_join(path, scene_dir, "plan.json", e);
     if (!rc && file_exists(path))
         rc = cell_plan_read(path, &v->scene, &v->plan, e);
-    for (unsigned level = 1; !rc && level <= TRAIN_LEVELS_MAX; level++)
+    if (v->o.views) /* the finest alone: the others are for distances of their own */
+        for (unsigned level = TRAIN_LEVELS_MAX; !rc && level && !found; level--)
+            rc = eval_level(v, dir, level, &found, e);
+    for (unsigned level = 1; !rc && !v->o.views && level <= TRAIN_LEVELS_MAX; level++)
         rc = eval_level(v, dir, level, &found, e);
     if (!rc && !found)
         rc = err_set(e, ERR_NOENT, "%s: no level1.ckpt in cells/; `citysplat train` makes it", dir);
@@ -317,7 +342,7 @@ struct eval_view {
     struct view *view;
     struct render_options ro;
     struct pick_options po;
-    struct appearance_view *look; /* NULL: without appearance */
+    struct appearance_view *appearance; /* NULL: without appearance */
 };
 
 static enum err_code eval_prepare_view(void *user, const struct camera *cam,
@@ -336,9 +361,9 @@ static enum err_code eval_draw_view(void *user, const struct camera *cam, float 
     struct eval_view *w = user;
     struct view_stats stats = {0};
     struct render_options ro = w->ro;
-    if (w->look) {
-        ro.appearance_frame = appearance_view_frame(w->look, cam);
-        ro.appearance_hidden = w->look->model->hidden;
+    if (w->appearance) {
+        ro.appearance_frame = appearance_view_frame(w->appearance, cam);
+        ro.appearance_hidden = w->appearance->model->hidden;
     }
     enum err_code rc = view_render(w->view, cam, &ro, &w->po, rgb, &stats, e);
     *gaussians = (double)stats.n_gaussians;
@@ -360,7 +385,7 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     enum err_code rc = view_open(v->o.tiles, v->render, (size_t)v->o.cache_mib << 20, &w.view, e);
     if (!rc)
         rc = eval_half_image_take_store(&v->halves, view_appearance(w.view), &v->scene, e);
-    w.look = rc ? NULL : eval_half_image_look(&v->halves);
+    w.appearance = rc ? NULL : eval_half_image_appearance(&v->halves);
     if (!rc)
         rc = eval_source(v, "tiles, LOD", (uint32_t)v->o.max_edge_px, 1.0, src, &half, e);
     w.po.no_lod = true;
@@ -377,8 +402,8 @@ static enum err_code eval_open(struct eval *v, const char *scene_dir, struct err
 {
     enum err_code rc = scene_read(scene_dir, &v->scene, e);
     if (!rc)
-        rc = train_images(&v->scene, v->o.split ? SCENE_TRAIN : SCENE_TEST, true, &v->images,
-                          &v->n_images, e);
+        rc = train_scene_images(&v->scene, v->o.split ? SCENE_TRAIN : SCENE_TEST, true, &v->images,
+                                &v->n_images, e);
     if (!rc && !v->n_images)
         rc = err_set(e, ERR_DATA, "%s: the scene keeps no %s photographs", scene_dir,
                      v->o.split ? "training" : "test");
@@ -444,9 +469,11 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
             "with and "
             "without level of detail, and prints PSNR, SSIM (zero padded as in training, and inner "
             "windows only), GMSD (perceptual, lower is better), Gaussians and time a frame. Where "
-            "appearance was trained, a photograph is drawn in the look of the nearest training "
-            "photographs; rows \"halves\" learn its own look from one half of it and score the "
-            "other.",
+            "appearance was trained, a photograph is drawn in the appearance of the nearest "
+            "training "
+            "photographs; rows \"halves\" learn its own from one half of it and score the "
+            "other. With --views it scores ground truth at poses that people take in maps "
+            "instead.",
         .example =
             "citysplat eval scene\ncitysplat eval scene --tiles city.tiles --max-edge-px 800",
         .defs = eval_defs,
@@ -463,11 +490,14 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
     rc = eval_open(&v, args.arg[0], e);
     if (rc)
         goto out;
-    eval_print_head();
+    if (v.o.views)
+        eval_views_print_head();
+    else
+        eval_print_head();
     rc = v.o.tiles ? eval_tiles(&v, e) : eval_levels(&v, args.arg[0], e);
-    if (!rc && !v.lpips)
+    if (!rc && !v.lpips && !v.o.views)
         printf("LPIPS is not scored: --lpips FILE supplies its weights (docs/evaluation.md).\n");
-    if (!rc)
+    if (!rc && !v.o.views)
         rc = eval_residuals(&v, args.arg[0], e);
     if (!rc && v.o.output)
         rc = eval_write(&v, args.arg[0], e);

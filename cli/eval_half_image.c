@@ -15,14 +15,14 @@
 
 void eval_half_image_clear(struct eval_half_image *h)
 {
-    appearance_view_close(&h->look);
+    appearance_view_close(&h->view);
     appearance_free(&h->model);
     *h = (struct eval_half_image){0};
 }
 
-struct appearance_view *eval_half_image_look(struct eval_half_image *h)
+struct appearance_view *eval_half_image_appearance(struct eval_half_image *h)
 {
-    return h->model.block ? &h->look : NULL;
+    return h->model.block ? &h->view : NULL;
 }
 
 enum err_code eval_half_image_take(struct eval_half_image *h, bool first, const struct ckpt *c,
@@ -34,7 +34,7 @@ enum err_code eval_half_image_take(struct eval_half_image *h, bool first, const 
         return rc;
     if (first) {
         h->model = a;
-        return a.block ? appearance_view_open(&h->look, &h->model, s, e) : ERR_OK;
+        return a.block ? appearance_view_open(&h->view, &h->model, s, e) : ERR_OK;
     }
     if (!a.block != !h->model.block || (a.block && !appearance_train_same(&a, &h->model)))
         rc = err_set(e, ERR_DATA,
@@ -57,7 +57,7 @@ enum err_code eval_half_image_take_store(struct eval_half_image *h, const struct
     memcpy(h->model.w1, a->w1, appearance_weights(a) * sizeof(float));
     memcpy(h->model.images, a->images, a->n_images * a->len_image * sizeof(float));
     memcpy(h->model.names, a->names, a->n_images * sizeof *a->names);
-    return appearance_view_open(&h->look, &h->model, s, e);
+    return appearance_view_open(&h->view, &h->model, s, e);
 }
 
 enum err_code eval_half_image_run(struct eval_half_image *h, struct dev *dev, struct render *r,
@@ -71,7 +71,7 @@ enum err_code eval_half_image_run(struct eval_half_image *h, struct dev *dev, st
     struct half_image_config c = {.dev = dev,
                                   .render = r,
                                   .loss = loss,
-                                  .look = eval_half_image_look(h),
+                                  .appearance = eval_half_image_appearance(h),
                                   .steps = steps,
                                   .lr = HALF_IMAGE_LR,
                                   .lr_end = HALF_IMAGE_LR_END,

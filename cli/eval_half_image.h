@@ -16,7 +16,7 @@ struct scene;
 
 struct eval_half_image { /* {0}: without appearance; eval_half_image_clear */
     struct appearance model;
-    struct appearance_view look;
+    struct appearance_view view;
 };
 void eval_half_image_clear(struct eval_half_image *h);
 /* Take the appearance model of a checkpoint, if it has one. All checkpoints taken since the last
@@ -28,7 +28,7 @@ enum err_code eval_half_image_take(struct eval_half_image *h, bool first, const 
 enum err_code eval_half_image_take_store(struct eval_half_image *h, const struct appearance *a,
                                          const struct scene *s, struct err *e) ERR_USE;
 /* For drawing; NULL without appearance. */
-struct appearance_view *eval_half_image_look(struct eval_half_image *h);
+struct appearance_view *eval_half_image_appearance(struct eval_half_image *h);
 /* Score a source by the half-image protocol. */
 enum err_code eval_half_image_run(struct eval_half_image *h, struct dev *dev, struct render *r,
                                   uint32_t steps, bool random, struct photo_loader *f,

@@ -17,6 +17,14 @@ enum err_code cli_synth(int argc, char **argv, struct err *e)
         goto out;
     signals_catch();
     double start = clock_s();
+    if (cfg.city) {
+        char dir[FILE_PATH_MAX];
+        rc = synth_views_run(&cfg, dir, e);
+        if (!rc)
+            printf("%s: %lld map views of %s in %.1f s\n", dir, (long long)cfg.map_views, cfg.city,
+                   clock_s() - start);
+        goto out;
+    }
     rc = synth_run(&cfg, e);
     if (!rc)
         printf("%s: %lld photographs of %lld x %lld px in %.1f s\n", cfg.output,

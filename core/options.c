@@ -191,29 +191,32 @@ static enum err_code options_set_json(const struct options_def *d, const json_t 
     return options_set(d, text, config, a, e);
 }
 
+enum err_code options_from_json(const struct options_spec *spec, const struct json_t *o,
+                                void *config, struct arena *a, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    if (!json_is_object(o))
+        return err_set(e, ERR_ARG, "an object { \"key\": value } is expected");
+    for (void *it = json_object_iter((json_t *)(uintptr_t)o); it && !rc;
+         it = json_object_iter_next((json_t *)(uintptr_t)o, it)) {
+        const char *key = json_object_iter_key(it);
+        const struct options_def *d = NULL;
+        for (size_t i = 0; i < spec->n_defs; i++)
+            if (*key && !strcmp(spec->defs[i].key, key))
+                d = &spec->defs[i];
+        rc = d ? options_set_json(d, json_object_iter_value(it), config, a, e)
+               : options_unknown(spec, key, false, e);
+    }
+    return rc;
+}
+
 static enum err_code options_config_file(const struct options_spec *spec, const char *path,
                                          void *config, struct arena *a, struct err *e)
 {
     struct json_t *root = NULL;
     enum err_code rc = jsonc_read(path, &root, e);
-    if (rc)
-        return rc;
-    if (!json_is_object(root))
-        rc = err_set(e, ERR_ARG, "%s: an object { \"key\": value } is expected", path);
-    const char *key;
-    json_t *v;
-    for (void *it = rc ? NULL : json_object_iter(root); it && !rc;
-         it = json_object_iter_next(root, it)) {
-        key = json_object_iter_key(it);
-        v = json_object_iter_value(it);
-        const struct options_def *d = NULL;
-        for (size_t i = 0; i < spec->n_defs; i++)
-            if (*key && !strcmp(spec->defs[i].key, key))
-                d = &spec->defs[i];
-        rc = d ? options_set_json(d, v, config, a, e) : options_unknown(spec, key, false, e);
-        if (rc)
-            err_add(e, "%s", path);
-    }
+    if (!rc && options_from_json(spec, root, config, a, e))
+        rc = err_add(e, "%s", path);
     json_decref(root);
     return rc;
 }

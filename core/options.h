@@ -54,5 +54,9 @@ enum err_code options_defaults(const struct options_spec *spec, void *config, st
  * output. */
 enum err_code options_to_json(const struct options_spec *spec, const void *config,
                               struct json_t **out, struct err *e) ERR_USE;
+/* Its way back, over what config holds: keys that are missing stay, unknown ones and values out of
+ * range are ERR_ARG. */
+enum err_code options_from_json(const struct options_spec *spec, const struct json_t *o,
+                                void *config, struct arena *a, struct err *e) ERR_USE;
 
 #endif

@@ -410,6 +410,7 @@ static enum err_code write_scene(struct ingest *g, double start_s, struct err *e
                               .n_photos = g->n,
                               .n_kept = g->scene.n_images,
                               .scene = &g->scene,
+                              .points = g->points,
                               .georef = g->fitted ? &g->georef : NULL};
     for (size_t i = 0; i < g->scene.n_images; i++)
         *(g->scene.images[i].split == SCENE_TEST ? &r.n_test : &r.n_train) += 1;
@@ -449,6 +450,8 @@ static enum err_code run_steps(struct ingest *g, const char *sparse_dir, double 
         rc = ingest_frame_find(g, e);
     if (!rc)
         rc = ingest_scene_fill(g, e);
+    if (!rc)
+        rc = ingest_points_filter(g->cfg, &g->scene, g->points, e);
     if (!rc)
         rc = file_join(folder, g->dir.part, "images", e);
     if (!rc)

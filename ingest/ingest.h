@@ -1,6 +1,6 @@
 /* Photographs and COLMAP poses in, a scene in metres out. Reading order: ingest.c (the whole way),
  * ingest_frame.c (where the scene lies), georef.c (which positions to trust), similarity.c (the
- * mathematics), ingest_scene.c (cameras, points), ingest_photo.c (pixels), ingest_report.c (what is
+ * mathematics), ingest_scene.c (cameras, points), ingest_points.c (which points to trust), ingest_photo.c (pixels), ingest_report.c (what is
  * told).
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -93,6 +93,15 @@ enum err_code ingest_photo_convert(const struct ingest_view *v, const char *from
 /* ---- ingest.c ---- */
 
 enum ingest_verdict { INGEST_KEPT, INGEST_FEW_POINTS, INGEST_POSE, INGEST_GPS, INGEST_MISSING };
+enum ingest_point { /* of a sparse point: ingest_points.c */
+                    INGEST_POINT_KEPT,
+                    INGEST_POINT_ANGLE,
+                    INGEST_POINT_ERROR,
+                    INGEST_POINT_ALONE,
+                    INGEST_POINT_BELOW,
+                    INGEST_POINT_ABOVE,
+                    INGEST_POINT_VERDICTS
+};
 struct ingest_photo {
     const struct colmap_image *image;
     char *out_name; /* in images/ of the scene */
@@ -110,6 +119,7 @@ struct ingest_result { /* what ingest_report.c tells */
     const struct ingest_photo *photos; /* in order of file names */
     size_t n_photos, n_kept, n_train, n_test, n_gps, n_unregistered;
     const struct scene *scene;
+    const size_t *points;               /* [INGEST_POINT_VERDICTS] sparse points by verdict */
     const struct georef_result *georef; /* NULL when there was too little GPS */
     double seconds;
 };

@@ -29,6 +29,7 @@ struct ingest {
     struct progress progress;
     atomic_flag progress_busy; /* whoever holds it may touch `progress` */
     atomic_size_t done, masks;
+    size_t points[INGEST_POINT_VERDICTS];
 };
 
 /* ingest_frame.c: origin and similarity into the scene, verdicts of those that contradict their
@@ -39,6 +40,11 @@ enum err_code ingest_frame_parse(const char *text, struct geo_origin *o, struct 
 /* ingest_scene.c: images, points and tracks of the scene from what was kept; fills kept and views.
  */
 enum err_code ingest_scene_fill(struct ingest *g, struct err *e) ERR_USE;
+
+/* ingest_points.c: take the sparse points out of the scene that are no surface, with their
+ * observations; count[] says how many and why. ERR_MEM. */
+enum err_code ingest_points_filter(const struct ingest_config *cfg, struct scene *s,
+                                   size_t count[INGEST_POINT_VERDICTS], struct err *e) ERR_USE;
 
 /* ---- ingest_mask.c ---- */
 

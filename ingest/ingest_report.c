@@ -93,6 +93,35 @@ static void print_frame(const struct ingest_result *r)
                  100 * g->fit.scale_rel, deg * g->fit.tilt_rad);
 }
 
+/* Why a sparse point was dropped: key of report.json, words for people. */
+static const struct {
+    const char *key, *text;
+} point_words[INGEST_POINT_VERDICTS] = {
+    [INGEST_POINT_KEPT] = {"kept", ""},
+    [INGEST_POINT_ANGLE] = {"angle", "seen at too small an angle"},
+    [INGEST_POINT_ERROR] = {"error", "reprojected too far off"},
+    [INGEST_POINT_ALONE] = {"alone", "far from all others"},
+    [INGEST_POINT_BELOW] = {"below", "below the ground"},
+    [INGEST_POINT_ABOVE] = {"above", "above all around"},
+};
+
+static void print_points(const struct ingest_result *r)
+{
+    size_t dropped = 0;
+    const char *comma = "";
+    for (size_t v = INGEST_POINT_KEPT + 1; v < INGEST_POINT_VERDICTS; v++)
+        dropped += r->points[v];
+    if (!dropped)
+        return;
+    printf("points   %zu left out:", dropped);
+    for (size_t v = INGEST_POINT_KEPT + 1; v < INGEST_POINT_VERDICTS; v++)
+        if (r->points[v]) {
+            printf("%s %zu %s", comma, r->points[v], point_words[v].text);
+            comma = ",";
+        }
+    printf("\n");
+}
+
 void ingest_report_print(const struct ingest_result *r)
 {
     const struct scene *s = r->scene;
@@ -105,6 +134,7 @@ void ingest_report_print(const struct ingest_result *r)
         printf("pictures %u x %u px, focal length %.1f px\n", s->images[0].cam.width_px,
                s->images[0].cam.height_px, s->images[0].cam.fx_px);
     print_frame(r);
+    print_points(r);
     for (size_t i = 0; i < r->n_photos && shown < NAMES_SHOWN; i++) {
         char why[160];
         verdict_text(r, &r->photos[i], why, sizeof why);
@@ -142,6 +172,14 @@ static json_t *photos_to_json(const struct ingest_result *r)
     return list;
 }
 
+static json_t *points_to_json(const struct ingest_result *r)
+{
+    json_t *o = json_object();
+    for (size_t v = 0; v < INGEST_POINT_VERDICTS; v++)
+        json_object_set_new(o, point_words[v].key, json_integer((json_int_t)r->points[v]));
+    return o;
+}
+
 static json_t *georef_to_json(const struct ingest_result *r)
 {
     const struct georef_result *g = r->georef;
@@ -168,12 +206,13 @@ enum err_code ingest_report_write(const struct ingest_result *r, const char *pat
     enum err_code rc = options_to_json(ingest_options(), r->cfg, &config, e);
     if (rc)
         return rc;
-    json_t *root = json_pack(
-        "{s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:o, s:o, s:o, s:f}", "photographs",
-        (json_int_t)r->n_photos, "kept", (json_int_t)r->n_kept, "train", (json_int_t)r->n_train,
-        "test", (json_int_t)r->n_test, "with_gps", (json_int_t)r->n_gps, "not_in_model",
-        (json_int_t)r->n_unregistered, "scale_m", r->scene->scale, "georeferencing",
-        georef_to_json(r), "photos", photos_to_json(r), "config", config, "seconds", r->seconds);
+    json_t *root =
+        json_pack("{s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:o, s:o, s:o, s:o, s:f}", "photographs",
+                  (json_int_t)r->n_photos, "kept", (json_int_t)r->n_kept, "train",
+                  (json_int_t)r->n_train, "test", (json_int_t)r->n_test, "with_gps",
+                  (json_int_t)r->n_gps, "not_in_model", (json_int_t)r->n_unregistered, "scale_m",
+                  r->scene->scale, "georeferencing", georef_to_json(r), "points", points_to_json(r),
+                  "photos", photos_to_json(r), "config", config, "seconds", r->seconds);
     if (!root)
         return err_set(e, ERR_DATA, "%s: cannot be written: a photograph's name is not UTF-8",
                        path);

@@ -37,7 +37,8 @@ struct depth_map_config {
     bool sparse;     /* photographs without a map: the points that they observe */
 };
 struct depth_map; /* alignments of all maps, and the target of one photograph */
-/* Reads every map once. ERR_DATA when not one can be used, with the reason; depth_map_close it. */
+/* Reads every map once. ERR_DATA when not one can be used, with the reason; ERR_IO, ERR_MEM.
+ * depth_map_close it. */
 enum err_code depth_map_open(const struct depth_map_config *cfg, struct depth_map **out,
                              struct err *e) ERR_USE;
 void depth_map_close(struct depth_map **d);
@@ -50,7 +51,8 @@ struct depth_target {
     size_t n_known; /* over which the mean is taken; 0: nothing is known, t is NULL */
 };
 /* The target of a photograph seen by `cam`, that of the scene at any size. mask: [h][w], 0 =
- * nothing is known there; NULL: none. */
+ * nothing is known there; NULL: none. Reads the map from its file. ERR_NOENT, ERR_IO, ERR_FORMAT: it
+ * has changed since; ERR_MEM. */
 enum err_code depth_map_target(struct depth_map *d, uint32_t image, const struct camera *cam,
                                const uint8_t *mask, struct depth_target *out,
                                struct err *e) ERR_USE;

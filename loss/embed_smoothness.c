@@ -13,11 +13,11 @@
 #include <string.h>
 
 #include "core/base.h"
+#include "core/knn.h"
 #include "core/layout.h"
 #include "core/pool.h"
 #include "core/sample.h"
 #include "loss/embed_smoothness.h"
-#include "loss/knn.h"
 
 #define SIMILARITY_LENGTH_MIN 1e-12
 enum {
@@ -40,7 +40,8 @@ struct embed_smoothness {
 };
 
 /* v / max(|v|, 1e-12) of a row; returns the divisor. */
-static double sim3_unit(const struct embed_smoothness_input *in, size_t row, double *out)
+static double embed_smoothness_unit(const struct embed_smoothness_input *in, size_t row,
+                                    double *out)
 {
     const float *v = in->embed + row / SIMILARITY_LANES * in->embed_group +
                      row % SIMILARITY_LANES * in->embed_lane;
@@ -56,7 +57,7 @@ static double sim3_unit(const struct embed_smoothness_input *in, size_t row, dou
 }
 
 /* One group: sum over a < b of w_b (1 - a.b), by prefix sums forth and suffix sums back. */
-static void similarity_group(struct embed_smoothness *w, size_t sample)
+static void embed_smoothness_group(struct embed_smoothness *w, size_t sample)
 {
     const struct embed_smoothness_input *in = &w->in;
     double unit[KNN_MAX][SIMILARITY_EMBED_MAX], sum[SIMILARITY_EMBED_MAX] = {0};
@@ -69,7 +70,7 @@ static void similarity_group(struct embed_smoothness *w, size_t sample)
     w->found[sample] = n;
     for (size_t b = 0; b < n; b++) {
         double dot = 0.0;
-        (void)sim3_unit(in, ids[b], unit[b]);
+        (void)embed_smoothness_unit(in, ids[b], unit[b]);
         weight[b] = exp(-in->falloff * (double)dist2[b]);
         for (size_t c = 0; c < in->len; c++) {
             dot += sum[c] * unit[b][c];
@@ -86,17 +87,17 @@ static void similarity_group(struct embed_smoothness *w, size_t sample)
         }
 }
 
-static enum err_code similarity_chunk(void *user, size_t chunk, struct err *e)
+static enum err_code embed_smoothness_chunk(void *user, size_t chunk, struct err *e)
 {
     (void)e;
     struct embed_smoothness *w = user;
     size_t end = (chunk + 1) * SIMILARITY_CHUNK;
     for (size_t i = chunk * SIMILARITY_CHUNK; i < end && i < w->samples; i++)
-        similarity_group(w, i);
+        embed_smoothness_group(w, i);
     return ERR_OK;
 }
 
-static enum err_code similarity_draw(struct embed_smoothness *w, struct err *e)
+static enum err_code embed_smoothness_draw(struct embed_smoothness *w, struct err *e)
 {
     const struct embed_smoothness_input *in = &w->in;
     uint32_t *all = mem_array(in->n, sizeof *all);
@@ -111,7 +112,7 @@ static enum err_code similarity_draw(struct embed_smoothness *w, struct err *e)
 }
 
 /* Which groups have a part in each row, in their order. */
-static enum err_code similarity_index(struct embed_smoothness *w, struct err *e)
+static enum err_code embed_smoothness_index(struct embed_smoothness *w, struct err *e)
 {
     size_t n = w->in.n;
     w->first = mem_array(n + 2, sizeof *w->first);
@@ -142,7 +143,7 @@ void embed_smoothness_rows(const struct embed_smoothness *w, size_t first, size_
         for (uint32_t k = w->first[i]; k < w->first[i + 1]; k++)
             for (size_t c = 0; c < in->len; c++)
                 sum[c] += (double)w->grad[w->part[k] * in->len + c];
-        double len = sim3_unit(in, i, unit);
+        double len = embed_smoothness_unit(in, i, unit);
         for (size_t c = 0; c < in->len; c++)
             along += unit[c] * sum[c];
         for (size_t c = 0; c < in->len; c++)
@@ -167,7 +168,7 @@ void embed_smoothness_close(struct embed_smoothness **p)
     *p = NULL;
 }
 
-static enum err_code similarity_groups(struct embed_smoothness *w, struct err *e)
+static enum err_code embed_smoothness_groups(struct embed_smoothness *w, struct err *e)
 {
     const struct embed_smoothness_input *in = &w->in;
     w->samples = in->samples < in->n ? in->samples : in->n;
@@ -177,7 +178,7 @@ static enum err_code similarity_groups(struct embed_smoothness *w, struct err *e
                        w->k);
     w->chosen = mem_array(w->samples, sizeof *w->chosen);
     enum err_code rc =
-        w->chosen ? similarity_draw(w, e) : err_set(e, ERR_MEM, "similarity: out of memory");
+        w->chosen ? embed_smoothness_draw(w, e) : err_set(e, ERR_MEM, "similarity: out of memory");
     if (!rc)
         rc = knn_build(in->mean_m, in->n, &w->tree, e);
     if (rc)
@@ -188,10 +189,10 @@ static enum err_code similarity_groups(struct embed_smoothness *w, struct err *e
     w->found = mem_array(w->samples, sizeof *w->found);
     if (!w->ids || !w->grad || !w->loss || !w->found)
         return err_set(e, ERR_MEM, "similarity: out of memory for %zu groups", w->samples);
-    rc =
-        pool_for((w->samples + SIMILARITY_CHUNK - 1) / SIMILARITY_CHUNK, 0, similarity_chunk, w, e);
+    rc = pool_for((w->samples + SIMILARITY_CHUNK - 1) / SIMILARITY_CHUNK, 0, embed_smoothness_chunk,
+                  w, e);
     knn_free(&w->tree);
-    return rc ? rc : similarity_index(w, e);
+    return rc ? rc : embed_smoothness_index(w, e);
 }
 
 enum err_code embed_smoothness_open(const struct embed_smoothness_input *in,
@@ -212,7 +213,7 @@ enum err_code embed_smoothness_open(const struct embed_smoothness_input *in,
     *out = w;
     if (in->n < 2)
         return ERR_OK;
-    enum err_code rc = similarity_groups(w, e);
+    enum err_code rc = embed_smoothness_groups(w, e);
     w->scale = in->weight / ((double)w->samples * 0.5 * (double)(w->k * (w->k - 1)));
     for (size_t i = 0; !rc && i < w->samples; i++)
         *loss += w->scale * w->loss[i];

@@ -1,4 +1,4 @@
-/* The loss that makes neighbours look alike: embed_smoothness.c on the host, embed_smoothness_step.c on a model
+/* The loss that makes embeddings of neighbours alike: embed_smoothness.c on the host, embed_smoothness_step.c on a model
  * in training.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -26,7 +26,7 @@ struct embed_smoothness_input {
 };
 /* The loss now, the gradient in pieces that the caller has room for. Same input, same bits, on any
  * number of threads and with pieces of any size. The input is borrowed until embed_smoothness_close,
- * which is due after an error as well. */
+ * which is due after an error as well. ERR_MEM; ERR_LIMIT: more than 2^32 - 1 Gaussians. */
 struct embed_smoothness;
 enum err_code embed_smoothness_open(const struct embed_smoothness_input *in,
                                     struct embed_smoothness **out, double *loss,
@@ -37,11 +37,13 @@ void embed_smoothness_rows(const struct embed_smoothness *w, size_t first, size_
 void embed_smoothness_close(struct embed_smoothness **w);
 
 struct embed_smoothness_step; /* compiled kernels, and a buffer */
+/* Build the kernel. embed_smoothness_step_close it. ERR_DEVICE, ERR_MEM. */
 enum err_code embed_smoothness_step_open(struct dev *dev, struct embed_smoothness_step **out,
                                          struct err *e) ERR_USE;
 void embed_smoothness_step_close(struct embed_smoothness_step **s);
 /* Add the loss's gradient to Adam's moments of the embeddings, for the next render_backward_step to
- * take up; `like` without the fields of the model. Models without embeddings: nothing, loss 0. */
+ * take up; `like` without the fields of the model. Models without embeddings: nothing, loss 0.
+ * Waits for the device. ERR_ARG: beta1 or beta2 is 0; ERR_MEM, ERR_DEVICE. */
 enum err_code embed_smoothness_step_run(struct embed_smoothness_step *s,
                                         const struct render_model *m,
                                         const struct render_adam *adam,

@@ -55,8 +55,7 @@ enum err_code embed_smoothness_step_open(struct dev *dev, struct embed_smoothnes
     return rc;
 }
 
-static enum err_code similarity_reserve(struct embed_smoothness_step *s, uint32_t len,
-                                        struct err *e)
+static enum err_code step_reserve(struct embed_smoothness_step *s, uint32_t len, struct err *e)
 {
     if (s->len == len)
         return ERR_OK;
@@ -69,9 +68,9 @@ static enum err_code similarity_reserve(struct embed_smoothness_step *s, uint32_
 }
 
 /* Gradients of `count` rows from `row` on into the moments. */
-static enum err_code similarity_add(struct embed_smoothness_step *s, const struct render_model *m,
-                                    const struct render_adam *adam, size_t row, size_t count,
-                                    const float *grad, struct err *e)
+static enum err_code step_add(struct embed_smoothness_step *s, const struct render_model *m,
+                              const struct render_adam *adam, size_t row, size_t count,
+                              const float *grad, struct err *e)
 {
     cl_uint from = (cl_uint)row, n = (cl_uint)count, planes = m->planes, len = s->len,
             at = m->planes - len;
@@ -92,21 +91,21 @@ static enum err_code similarity_add(struct embed_smoothness_step *s, const struc
     return rc ? rc : dev_run(s->dev, s->add, "similarity_add", n, SIMILARITY_LOCAL, e);
 }
 
-static enum err_code similarity_run(struct embed_smoothness_step *s, const struct render_model *m,
-                                    const struct render_adam *adam,
-                                    const struct embed_smoothness_input *in, double *loss,
-                                    struct err *e)
+static enum err_code step_launch(struct embed_smoothness_step *s, const struct render_model *m,
+                                 const struct render_adam *adam,
+                                 const struct embed_smoothness_input *in, double *loss,
+                                 struct err *e)
 {
     struct embed_smoothness *w = NULL;
     float *grad = mem_array(SIMILARITY_PIECE, in->len * sizeof *grad);
-    enum err_code rc = grad ? similarity_reserve(s, (uint32_t)in->len, e)
+    enum err_code rc = grad ? step_reserve(s, (uint32_t)in->len, e)
                             : err_set(e, ERR_MEM, "similarity: out of memory");
     if (!rc)
         rc = embed_smoothness_open(in, &w, loss, e);
     for (size_t i = 0; !rc && i < in->n; i += SIMILARITY_PIECE) {
         size_t count = in->n - i < SIMILARITY_PIECE ? in->n - i : SIMILARITY_PIECE;
         embed_smoothness_rows(w, i, count, grad);
-        rc = similarity_add(s, m, adam, i, count, grad, e);
+        rc = step_add(s, m, adam, i, count, grad, e);
     }
     embed_smoothness_close(&w);
     mem_free(grad);
@@ -143,7 +142,7 @@ enum err_code embed_smoothness_step_run(struct embed_smoothness_step *s,
         in.embed_next = LAYOUT_LANES;
         in.n = n;
         in.len = m->embed_len;
-        rc = similarity_run(s, m, adam, &in, loss, e);
+        rc = step_launch(s, m, adam, &in, loss, e);
     }
     enum err_code done = dev_unmap(s->dev, m->params, &params, &why);
     mem_free(mean);

@@ -19,7 +19,7 @@ enum lpips_range { LPIPS_SIGNED, LPIPS_UNIT };
 
 struct lpips; /* weights and buffers on one device; one caller */
 /* Load a .safetensors file of the network's and LPIPS's weights; which network it is shows in it.
- */
+ * lpips_close it. ERR_NOENT, ERR_IO: the file; ERR_FORMAT: not those weights; ERR_DEVICE, ERR_MEM. */
 enum err_code lpips_open(struct dev *dev, const char *path, enum lpips_range range,
                          struct lpips **out, struct err *e) ERR_USE;
 void lpips_close(struct lpips **l);
@@ -27,7 +27,7 @@ void lpips_close(struct lpips **l);
 const char *lpips_key(const struct lpips *l);
 /* rgb [h][w][3] is clamped to 0..1, target uint8 [h][w][3]; pixels where mask [h][w] (may be NULL)
  * is 0 are black in both. ERR_ARG when the picture is too small
- * for the network (16 pixels for VGG16, 31 for AlexNet). */
+ * for the network (16 pixels for VGG16, 31 for AlexNet). ERR_MEM, ERR_DEVICE. */
 enum err_code lpips_run(struct lpips *l, const float *rgb, const uint8_t *target,
                         const uint8_t *mask, uint32_t width_px, uint32_t height_px, double *out,
                         struct err *e) ERR_USE;

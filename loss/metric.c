@@ -16,13 +16,13 @@
 enum { BORDER_PX = 5, GMSD_LEAST_PX = 4 };
 #define GMSD_T 170.0 /* of the paper, for grey levels 0..255 */
 
-static double clamp01(double v)
+static double metric_clamp(double v)
 {
     return v > 0 ? (v < 1 ? v : 1) : 0; /* NaN becomes 0 */
 }
 
-static enum err_code check_size(const char *who, uint32_t w, uint32_t h, uint32_t least,
-                                struct err *e)
+static enum err_code metric_check_size(const char *who, uint32_t w, uint32_t h, uint32_t least,
+                                       struct err *e)
 {
     if (w < least || h < least)
         return err_set(e, ERR_ARG,
@@ -34,14 +34,14 @@ static enum err_code check_size(const char *who, uint32_t w, uint32_t h, uint32_
 enum err_code metric_psnr(const float *rgb, const uint8_t *target, const uint8_t *mask,
                           uint32_t width_px, uint32_t height_px, double *out_db, struct err *e)
 {
-    enum err_code rc = check_size("metric_psnr", width_px, height_px, 1, e);
+    enum err_code rc = metric_check_size("metric_psnr", width_px, height_px, 1, e);
     if (rc)
         return rc;
     size_t n = (size_t)width_px * height_px;
     double sum = 0;
     for (size_t i = 0; i < n; i++)
         for (size_t c = 0; c < 3 && (!mask || mask[i]); c++) {
-            double d = clamp01((double)rgb[3 * i + c]) - target[3 * i + c] / 255.0;
+            double d = metric_clamp((double)rgb[3 * i + c]) - target[3 * i + c] / 255.0;
             sum += d * d;
         }
     *out_db = sum > 0 ? 10 * log10(3.0 * (double)n / sum) : HUGE_VAL;
@@ -54,7 +54,7 @@ enum err_code metric_ssim(const float *rgb, const uint8_t *target, const uint8_t
 {
     size_t border = window == METRIC_VALID ? BORDER_PX : 0;
     enum err_code rc =
-        check_size("metric_ssim", width_px, height_px, (uint32_t)(2 * border + 1), e);
+        metric_check_size("metric_ssim", width_px, height_px, (uint32_t)(2 * border + 1), e);
     if (rc)
         return rc;
     size_t w = width_px, h = height_px, n = w * h;
@@ -66,7 +66,7 @@ enum err_code metric_ssim(const float *rgb, const uint8_t *target, const uint8_t
     for (size_t c = 0; c < 3; c++) {
         for (size_t i = 0; i < n; i++) {
             bool used = !mask || mask[i];
-            x[i] = used ? clamp01((double)rgb[3 * i + c]) : 0;
+            x[i] = used ? metric_clamp((double)rgb[3 * i + c]) : 0;
             y[i] = used ? target[3 * i + c] / 255.0 : 0;
         }
         photometric_ref_ssim(x, y, w, h, scratch, map);
@@ -87,37 +87,38 @@ enum err_code metric_ssim(const float *rgb, const uint8_t *target, const uint8_t
  * the picture (with n - 1). It looks at edges and structure, where Gaussians blur, needs no weights
  * and no viewing distance, and follows people's judgement closely on the usual databases. */
 
-static double gmsd_grey(double r, double g, double b)
+static double metric_gmsd_grey(double r, double g, double b)
 {
     return 255.0 * (0.299 * r + 0.587 * g + 0.114 * b); /* ITU-R BT.601 */
 }
 
-static double gmsd_at(const double *v, size_t w, size_t h, ptrdiff_t x, ptrdiff_t y)
+static double metric_gmsd_at(const double *v, size_t w, size_t h, ptrdiff_t x, ptrdiff_t y)
 {
     return x < 0 || y < 0 || x >= (ptrdiff_t)w || y >= (ptrdiff_t)h ? 0.0
                                                                     : v[(size_t)y * w + (size_t)x];
 }
 
 /* Mean of 2 x 2 pixels; beyond the picture is zero, so an odd last row or column fades. */
-static void gmsd_halve(const double *in, size_t w, size_t h, double *out)
+static void metric_gmsd_halve(const double *in, size_t w, size_t h, double *out)
 {
     size_t w2 = (w + 1) / 2, h2 = (h + 1) / 2;
     for (size_t y = 0; y < h2; y++)
         for (size_t x = 0; x < w2; x++) {
             ptrdiff_t i = (ptrdiff_t)(2 * x), j = (ptrdiff_t)(2 * y);
             out[y * w2 + x] =
-                0.25 * (gmsd_at(in, w, h, i, j) + gmsd_at(in, w, h, i + 1, j) +
-                        gmsd_at(in, w, h, i, j + 1) + gmsd_at(in, w, h, i + 1, j + 1));
+                0.25 *
+                (metric_gmsd_at(in, w, h, i, j) + metric_gmsd_at(in, w, h, i + 1, j) +
+                 metric_gmsd_at(in, w, h, i, j + 1) + metric_gmsd_at(in, w, h, i + 1, j + 1));
         }
 }
 
-static double gmsd_gradient(const double *v, size_t w, size_t h, size_t px, size_t py)
+static double metric_gmsd_gradient(const double *v, size_t w, size_t h, size_t px, size_t py)
 {
     double gx = 0.0, gy = 0.0;
     ptrdiff_t x = (ptrdiff_t)px, y = (ptrdiff_t)py;
     for (ptrdiff_t k = -1; k <= 1; k++) {
-        gx += gmsd_at(v, w, h, x + 1, y + k) - gmsd_at(v, w, h, x - 1, y + k);
-        gy += gmsd_at(v, w, h, x + k, y + 1) - gmsd_at(v, w, h, x + k, y - 1);
+        gx += metric_gmsd_at(v, w, h, x + 1, y + k) - metric_gmsd_at(v, w, h, x - 1, y + k);
+        gy += metric_gmsd_at(v, w, h, x + k, y + 1) - metric_gmsd_at(v, w, h, x + k, y - 1);
     }
     return sqrt(gx * gx + gy * gy) / 3.0;
 }
@@ -125,7 +126,7 @@ static double gmsd_gradient(const double *v, size_t w, size_t h, size_t px, size
 enum err_code metric_gmsd(const float *rgb, const uint8_t *target, const uint8_t *mask,
                           uint32_t width_px, uint32_t height_px, double *out, struct err *e)
 {
-    enum err_code rc = check_size("metric_gmsd", width_px, height_px, GMSD_LEAST_PX, e);
+    enum err_code rc = metric_check_size("metric_gmsd", width_px, height_px, GMSD_LEAST_PX, e);
     if (rc)
         return rc;
     size_t w = width_px, h = height_px, n = w * h, w2 = (w + 1) / 2, h2 = (h + 1) / 2, n2 = w2 * h2;
@@ -137,22 +138,103 @@ enum err_code metric_gmsd(const float *rgb, const uint8_t *target, const uint8_t
         const float *p = rgb + 3 * i;
         const uint8_t *t = target + 3 * i;
         bool used = !mask || mask[i];
-        x[i] = used ? gmsd_grey(clamp01((double)p[0]), clamp01((double)p[1]), clamp01((double)p[2]))
+        x[i] = used ? metric_gmsd_grey(metric_clamp((double)p[0]), metric_clamp((double)p[1]),
+                                       metric_clamp((double)p[2]))
                     : 0.0;
-        y[i] = used ? gmsd_grey(t[0] / 255.0, t[1] / 255.0, t[2] / 255.0) : 0.0;
+        y[i] = used ? metric_gmsd_grey(t[0] / 255.0, t[1] / 255.0, t[2] / 255.0) : 0.0;
     }
-    gmsd_halve(x, w, h, small_x);
-    gmsd_halve(y, w, h, small_y);
+    metric_gmsd_halve(x, w, h, small_x);
+    metric_gmsd_halve(y, w, h, small_y);
     double mean = 0.0, sum = 0.0;
     for (size_t i = 0; i < n2; i++) {
-        double a = gmsd_gradient(small_x, w2, h2, i % w2, i / w2);
-        double b = gmsd_gradient(small_y, w2, h2, i % w2, i / w2);
+        double a = metric_gmsd_gradient(small_x, w2, h2, i % w2, i / w2);
+        double b = metric_gmsd_gradient(small_y, w2, h2, i % w2, i / w2);
         map[i] = (2.0 * a * b + GMSD_T) / (a * a + b * b + GMSD_T);
         mean += map[i] / (double)n2;
     }
     for (size_t i = 0; i < n2; i++)
         sum += (map[i] - mean) * (map[i] - mean);
     *out = sqrt(sum / (double)(n2 - 1));
+    mem_free(block);
+    return ERR_OK;
+}
+
+/* ---- within a mask ---- */
+
+static double metric_within_ssim(const float *rgb, const uint8_t *target, const uint8_t *mask,
+                                 size_t w, size_t h, double *block)
+{
+    size_t n = w * h, used = 0;
+    double *x = block, *y = x + n, *map = y + n, *scratch = map + n, sum = 0;
+    for (size_t c = 0; c < 3; c++) {
+        for (size_t i = 0; i < n; i++) {
+            y[i] = target[3 * i + c] / 255.0;
+            x[i] = mask[i] ? metric_clamp((double)rgb[3 * i + c]) : y[i];
+        }
+        photometric_ref_ssim(x, y, w, h, scratch, map);
+        for (size_t i = 0; i < n; i++)
+            if (mask[i]) {
+                sum += map[i];
+                used++;
+            }
+    }
+    return sum / (double)used;
+}
+
+static double metric_within_gmsd(const float *rgb, const uint8_t *target, const uint8_t *mask,
+                                 size_t w, size_t h, double *block)
+{
+    size_t n = w * h, w2 = (w + 1) / 2, h2 = (h + 1) / 2, n2 = w2 * h2, used = 0;
+    double *x = block, *y = x + n, *small_x = y + n, *small_y = small_x + n2, *map = small_y + n2;
+    double mean = 0, sum = 0;
+    for (size_t i = 0; i < n; i++) {
+        const float *p = rgb + 3 * i;
+        const uint8_t *t = target + 3 * i;
+        y[i] = metric_gmsd_grey(t[0] / 255.0, t[1] / 255.0, t[2] / 255.0);
+        x[i] = mask[i] ? metric_gmsd_grey(metric_clamp((double)p[0]), metric_clamp((double)p[1]),
+                                          metric_clamp((double)p[2]))
+                       : y[i];
+    }
+    metric_gmsd_halve(x, w, h, small_x);
+    metric_gmsd_halve(y, w, h, small_y);
+    for (size_t i = 0; i < n2; i++) {
+        size_t px = 2 * (i % w2), py = 2 * (i / w2);
+        if (px + 1 >= w || py + 1 >= h || !mask[py * w + px] || !mask[py * w + px + 1] ||
+            !mask[(py + 1) * w + px] || !mask[(py + 1) * w + px + 1])
+            continue;
+        double a = metric_gmsd_gradient(small_x, w2, h2, i % w2, i / w2);
+        double b = metric_gmsd_gradient(small_y, w2, h2, i % w2, i / w2);
+        map[used] = (2.0 * a * b + GMSD_T) / (a * a + b * b + GMSD_T);
+        mean += map[used++];
+    }
+    for (size_t i = 0; i < used; i++)
+        sum += (map[i] - mean / (double)used) * (map[i] - mean / (double)used);
+    return used > 1 ? sqrt(sum / (double)(used - 1)) : 0;
+}
+
+enum err_code metric_within(const float *rgb, const uint8_t *target, const uint8_t *mask,
+                            uint32_t width_px, uint32_t height_px, struct metric_scores *out,
+                            struct err *e)
+{
+    enum err_code rc = metric_check_size("metric_within", width_px, height_px, GMSD_LEAST_PX, e);
+    if (rc)
+        return rc;
+    size_t w = width_px, h = height_px, n = w * h, used = 0;
+    double sum = 0;
+    for (size_t i = 0; i < n; i++)
+        for (size_t c = 0; c < 3 && mask[i]; c++) {
+            double d = metric_clamp((double)rgb[3 * i + c]) - target[3 * i + c] / 255.0;
+            sum += d * d;
+            used++;
+        }
+    if (!used)
+        return err_set(e, ERR_DATA, "metric_within: the mask is empty");
+    double *block = mem_array(n, (photometric_ref_scratch_planes() + 3) * sizeof *block);
+    if (!block)
+        return err_set(e, ERR_MEM, "metric_within: %u x %u px: out of memory", width_px, height_px);
+    out->psnr_db = sum > 0 ? 10 * log10((double)used / sum) : HUGE_VAL;
+    out->ssim = metric_within_ssim(rgb, target, mask, w, h, block);
+    out->gmsd = metric_within_gmsd(rgb, target, mask, w, h, block);
     mem_free(block);
     return ERR_OK;
 }

@@ -27,4 +27,13 @@ enum err_code metric_ssim(const float *rgb, const uint8_t *target, const uint8_t
 enum err_code metric_gmsd(const float *rgb, const uint8_t *target, const uint8_t *mask,
                           uint32_t width_px, uint32_t height_px, double *out,
                           struct err *e) ERR_USE;
+/* PSNR, SSIM and GMSD of the pixels of a mask alone [h][w]: others take the target's colour in both
+ * pictures, so what is drawn there counts nothing, and means are over used pixels (GMSD: over means
+ * of 2 x 2 of them). ERR_ARG below 4 x 4 pixels, ERR_DATA when the mask is empty. */
+struct metric_scores {
+    double psnr_db, ssim, gmsd;
+};
+enum err_code metric_within(const float *rgb, const uint8_t *target, const uint8_t *mask,
+                            uint32_t width_px, uint32_t height_px, struct metric_scores *out,
+                            struct err *e) ERR_USE;
 #endif

@@ -12,9 +12,11 @@
 #include "render/render.h"
 
 struct mip; /* compiled kernels and the cameras */
+/* Build the kernels. mip_close it. ERR_DEVICE, ERR_MEM. */
 enum err_code mip_open(struct dev *dev, struct mip **out, struct err *e) ERR_USE;
 void mip_close(struct mip **m);
-/* Compute model->filter (made when NULL) from the cameras: f_i = sqrt(0.2) min z / f_max, in m. */
+/* Compute model->filter (made when NULL) from the cameras: f_i = sqrt(0.2) min z / f_max, in m.
+ * Does not wait for the device. ERR_ARG: no cameras; ERR_MEM, ERR_DEVICE. */
 enum err_code mip_run(struct mip *m, struct render_model *model, const struct camera *cams,
                       size_t n_cams, struct err *e) ERR_USE;
 /* In double; f [g->n]. */

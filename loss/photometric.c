@@ -68,15 +68,15 @@ void photometric_close(struct photometric **l)
     *l = NULL;
 }
 
-static uint32_t pitch_of(uint32_t width_px)
+static uint32_t photometric_pitch(uint32_t width_px)
 {
     return (width_px + STRIP - 1) / STRIP * STRIP + 2 * MARGIN;
 }
 
 /* Work-groups of either launch: pieces of STRIP x BAND pixels or tiles, times 3 channels; *local:
  * their size. */
-static size_t groups_of(const struct photometric *l, uint32_t width_px, uint32_t height_px,
-                        size_t *local)
+static size_t photometric_groups(const struct photometric *l, uint32_t width_px, uint32_t height_px,
+                                 size_t *local)
 {
     if (l->wide) {
         *local = 1;
@@ -93,8 +93,8 @@ static enum err_code photometric_reserve(struct photometric *l, uint32_t w, uint
                                          struct err *e)
 {
     enum err_code rc = ERR_OK;
-    size_t local, maps_bytes = (size_t)9 * h * pitch_of(w) * sizeof(float);
-    size_t parts_bytes = groups_of(l, w, h, &local) * PARTS * sizeof(float);
+    size_t local, maps_bytes = (size_t)9 * h * photometric_pitch(w) * sizeof(float);
+    size_t parts_bytes = photometric_groups(l, w, h, &local) * PARTS * sizeof(float);
     if (w == l->width_px && h == l->height_px)
         return ERR_OK;
     l->width_px = l->height_px = 0;
@@ -140,7 +140,7 @@ enum err_code photometric_run(struct photometric *l, const struct photometric_in
     enum err_code rc = photometric_reserve(l, w, h, e);
     if (rc)
         return rc;
-    cl_int wi = (cl_int)w, hi = (cl_int)h, pitch = (cl_int)pitch_of(w);
+    cl_int wi = (cl_int)w, hi = (cl_int)h, pitch = (cl_int)photometric_pitch(w);
     cl_int has_mask = in->mask != NULL, with_ssim = in->ssim_weight != 0;
     cl_mem mask =
         in->mask ? in->mask : in->target; /* never read without has_mask, but must be a buffer */
@@ -170,7 +170,7 @@ enum err_code photometric_run(struct photometric *l, const struct photometric_in
         bad |= dev_arg(l->backward, 11, grad);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "photometric_run: arguments: %s", dev_error_name(bad));
-    size_t local, groups = groups_of(l, w, h, &local);
+    size_t local, groups = photometric_groups(l, w, h, &local);
     rc = dev_run(l->dev, l->forward, "photometric_forward", groups * local, local, e);
     if (!rc && !in->value_only)
         rc = dev_run(l->dev, l->backward, "photometric_backward", groups * local, local, e);
@@ -182,7 +182,7 @@ enum err_code photometric_read(struct photometric *l, struct photometric_value *
     *out = (struct photometric_value){0};
     if (l->width_px == 0)
         return err_set(e, ERR_ARG, "photometric_read: nothing was run yet");
-    size_t local, items = groups_of(l, l->width_px, l->height_px, &local);
+    size_t local, items = photometric_groups(l, l->width_px, l->height_px, &local);
     enum err_code rc =
         dev_read(l->dev, l->parts, 0, items * PARTS * sizeof(float), l->host_parts, e);
     if (rc)

@@ -20,11 +20,11 @@
 #define PHOTOMETRIC_L1_WEIGHT 0.8f
 #define PHOTOMETRIC_SSIM_WEIGHT 0.2f
 
-/* ---- loss.c: on the device ---- */
+/* ---- photometric.c: on the device ---- */
 
-struct
-    photometric; /* compiled kernels and scratch buffers of one device, growing with the picture; one
-                caller */
+/* Compiled kernels and scratch buffers of one device, growing with the picture; one caller. */
+struct photometric;
+/* Build the kernels. photometric_close it. ERR_DEVICE, ERR_MEM. */
 enum err_code photometric_open(struct dev *dev, struct photometric **out, struct err *e) ERR_USE;
 void photometric_close(struct photometric **l);
 
@@ -47,13 +47,15 @@ enum err_code photometric_run(struct photometric *l, const struct photometric_in
 struct photometric_value {       /* means over h * w * 3 of the last photometric_run */
     double total, l1, ssim, mse; /* ssim: 1 when it was skipped */
 };
-/* Wait for the last photometric_run and add up its partial sums. ERR_ARG when there was none. */
+/* Wait for the last photometric_run and add up its partial sums. ERR_ARG when there was none;
+ * ERR_DEVICE. */
 enum err_code photometric_read(struct photometric *l, struct photometric_value *out,
                                struct err *e) ERR_USE;
 
-/* ---- loss_ref.c: the same in double on the host ---- */
+/* ---- photometric_ref.c: the same in double on the host ---- */
 
-/* rgb, target: [h][w][3]; mask [h][w] or NULL; grad [h][w][3] or NULL, written. */
+/* rgb, target: [h][w][3]; mask [h][w] or NULL; grad [h][w][3] or NULL, written. ERR_ARG: an empty
+ * picture; ERR_MEM. */
 enum err_code photometric_ref_run(const double *rgb, const double *target, const uint8_t *mask,
                                   uint32_t width_px, uint32_t height_px, double l1_weight,
                                   double ssim_weight, double *grad, struct photometric_value *out,

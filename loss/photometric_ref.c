@@ -18,7 +18,7 @@
 enum { RADIUS = 5, TAPS = 2 * RADIUS + 1 };
 static const double sigma_px = 1.5;
 
-static void taps_fill(double taps[TAPS])
+static void ref_taps(double taps[TAPS])
 {
     double sum = 0;
     for (int k = 0; k < TAPS; k++) {
@@ -33,7 +33,7 @@ static void taps_fill(double taps[TAPS])
 void photometric_ref_blur(const double *in, size_t w, size_t h, double *tmp, double *out)
 {
     double taps[TAPS];
-    taps_fill(taps);
+    ref_taps(taps);
     for (size_t y = 0; y < h; y++)
         for (size_t x = 0; x < w; x++) {
             double sum = 0;
@@ -60,8 +60,8 @@ size_t photometric_ref_scratch_planes(void)
     return PLANES;
 }
 
-static void blur_product(const double *a, const double *b, size_t w, size_t h, double *s,
-                         double *out)
+static void ref_blur_product(const double *a, const double *b, size_t w, size_t h, double *s,
+                             double *out)
 {
     size_t n = w * h;
     for (size_t i = 0; i < n; i++)
@@ -76,9 +76,9 @@ void photometric_ref_ssim(const double *x, const double *y, size_t w, size_t h, 
     size_t n = w * h;
     photometric_ref_blur(x, w, h, s + TMP * n, s + M1 * n);
     photometric_ref_blur(y, w, h, s + TMP * n, s + M2 * n);
-    blur_product(x, x, w, h, s, s + Q1 * n);
-    blur_product(y, y, w, h, s, s + Q2 * n);
-    blur_product(x, y, w, h, s, s + R12 * n);
+    ref_blur_product(x, x, w, h, s, s + Q1 * n);
+    ref_blur_product(y, y, w, h, s, s + Q2 * n);
+    ref_blur_product(x, y, w, h, s, s + R12 * n);
     for (size_t i = 0; i < n; i++) {
         double m1 = s[M1 * n + i], m2 = s[M2 * n + i];
         double s1 = s[Q1 * n + i] - m1 * m1, s2 = s[Q2 * n + i] - m2 * m2;
@@ -97,8 +97,8 @@ void photometric_ref_ssim(const double *x, const double *y, size_t w, size_t h, 
 }
 
 /* grad += weight * d(sum of SSIM)/dx, from the derivatives photometric_ref_ssim left in s. */
-static void add_ssim_grad(const double *x, const double *y, size_t w, size_t h, double *s,
-                          double weight, double *grad)
+static void ref_add_ssim_grad(const double *x, const double *y, size_t w, size_t h, double *s,
+                              double weight, double *grad)
 {
     size_t n = w * h;
     photometric_ref_blur(s + Q1 * n, w, h, s + TMP * n, s + PRODUCT * n);
@@ -141,7 +141,7 @@ enum err_code photometric_ref_run(const double *rgb, const double *target, const
         photometric_ref_ssim(x, y, w, h, scratch, map);
         for (size_t i = 0; i < n; i++)
             out->ssim += scale * map[i];
-        add_ssim_grad(x, y, w, h, scratch, -ssim_weight * scale, g);
+        ref_add_ssim_grad(x, y, w, h, scratch, -ssim_weight * scale, g);
         for (size_t i = 0; grad && i < n; i++)
             grad[3 * i + c] = !mask || mask[i] ? g[i] : 0;
     }

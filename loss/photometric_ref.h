@@ -1,4 +1,4 @@
-/* Inside train/: the SSIM map in double, shared by the reference loss and the metrics.
+/* Inside of loss/: the SSIM map in double, shared by the reference loss and the metrics.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -227,6 +227,25 @@ enum err_code render_importance_run(struct render_importance *s, const struct re
 /* Give back the sums and the memory they took, 32 bytes a Gaussian. */
 void render_importance_forget(struct render_importance *s);
 
+/* ---- depth of a frame: see render_surface.c ---- */
+
+struct
+    render_surface; /* a compiled kernel and its maps; borrows the renderer; one caller at a time */
+enum err_code render_surface_open(struct render *r, struct render_surface **out,
+                                  struct err *e) ERR_USE;
+void render_surface_close(struct render_surface **s); /* before render_close */
+/* Maps [h][w] of the last frame, to be filled; NULL: not wanted. Depths are those of Gaussians'
+ * centres along the optical axis, m. */
+struct render_surface_maps {
+    float *median_m; /* where transmittance falls to 1/2: the surface that is seen; 0: nowhere */
+    float *mean_m;   /* sum alpha T z / sum alpha T; 0 where nothing is drawn */
+    float *front;    /* sum alpha T of what is nearer than limit_m */
+    float *transmittance; /* what is left behind the last Gaussian */
+};
+/* limit_m [h][w], NULL: front is 0. ERR_ARG when no frame was drawn. */
+enum err_code render_surface_run(struct render_surface *s, const float *limit_m,
+                                 const struct render_surface_maps *out, struct err *e) ERR_USE;
+
 /* ---- the reference, double precision: see render_ref.c ---- */
 
 /* Brute force, per pixel over all splats in depth order. rgb [h][w][3], transmittance [h][w] or

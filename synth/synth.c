@@ -46,172 +46,32 @@ const struct options_spec *synth_options(void)
     return &spec;
 }
 
-enum { LENS_STEP_PX = 2 }; /* spacing of the table of rays; linear in between is good to 1e-3 px */
-
 struct job {
     const struct synth_config *cfg;
     const struct synth_city *city;
     const struct synth_photo *photos;
     const char *dir;
-    struct lens lens;
-    float *rays; /* [rows][cols][2] camera-plane directions at multiples of LENS_STEP_PX */
-    size_t rows, cols;
+    struct synth_draw draw;
     struct progress progress;
     atomic_flag progress_busy; /* whoever holds it may touch `progress` */
     atomic_size_t done;
 };
 
-static enum err_code rays_make(struct job *j, struct err *e)
-{
-    j->cols = (size_t)j->lens.width_px / LENS_STEP_PX + 2;
-    j->rows = (size_t)j->lens.height_px / LENS_STEP_PX + 2;
-    j->rays = mem_array(j->rows * j->cols, 2 * sizeof *j->rays);
-    if (!j->rays)
-        return err_set(e, ERR_MEM, "synth: out of memory for a picture of %u x %u px",
-                       j->lens.width_px, j->lens.height_px);
-    for (size_t r = 0; r < j->rows; r++)
-        for (size_t c = 0; c < j->cols; c++) {
-            double x, y;
-            if (!lens_undistort(&j->lens, (double)(c * LENS_STEP_PX), (double)(r * LENS_STEP_PX),
-                                &x, &y))
-                return err_set(
-                    e, ERR_ARG,
-                    "synth: the distorted lens has no view at the corner of such a wide picture; "
-                    "use a smaller --fov-deg");
-            j->rays[2 * (r * j->cols + c)] = (float)x;
-            j->rays[2 * (r * j->cols + c) + 1] = (float)y;
-        }
-    return ERR_OK;
-}
-
-/* Unit ray of a pixel position in the city's frame; returns the cosine to the optical axis. */
-static double ray_at(const struct job *j, const double rot[9], double u, double v, double dir[3])
-{
-    double gu = u / LENS_STEP_PX, gv = v / LENS_STEP_PX;
-    size_t c = (size_t)gu, r = (size_t)gv;
-    double fu = gu - (double)c, fv = gv - (double)r, x[2];
-    const float *p = j->rays + 2 * (r * j->cols + c), *q = p + 2 * j->cols;
-    for (int k = 0; k < 2; k++)
-        x[k] = (1 - fv) * ((1 - fu) * (double)p[k] + fu * (double)p[2 + k]) +
-               fv * ((1 - fu) * (double)q[k] + fu * (double)q[2 + k]);
-    double len = sqrt(x[0] * x[0] + x[1] * x[1] + 1);
-    for (int i = 0; i < 3; i++)
-        dir[i] = (rot[i] * x[0] + rot[3 + i] * x[1] + rot[6 + i]) / len;
-    return 1 / len;
-}
-
-/* Camera pose in the city's frame. */
-static void city_pose(const struct synth_city *c, const struct camera *cam, double eye[3],
-                      double rot[9])
-{
-    double cs = cos(c->yaw_rad), sn = sin(c->yaw_rad), p[3];
-    camera_center(cam, p);
-    eye[0] = cs * p[0] + sn * p[1];
-    eye[1] = -sn * p[0] + cs * p[1];
-    eye[2] = p[2];
-    for (int i = 0; i < 3; i++) {
-        rot[3 * i] = cam->rot[3 * i] * cs + cam->rot[3 * i + 1] * sn;
-        rot[3 * i + 1] = -cam->rot[3 * i] * sn + cam->rot[3 * i + 1] * cs;
-        rot[3 * i + 2] = cam->rot[3 * i + 2];
-    }
-}
-
-/* One row or column of three channels blurred by a Gaussian; `step` is the distance of neighbours
- * in floats. */
-static void blur_line(float *v, size_t n, size_t step, const float *tap, int radius, float *line)
-{
-    for (size_t k = 0; k < 3; k++) {
-        for (size_t i = 0; i < n; i++)
-            line[i] = v[i * step + k];
-        for (size_t i = 0; i < n; i++) {
-            float sum = 0;
-            for (int t = -radius; t <= radius; t++) {
-                ptrdiff_t at = (ptrdiff_t)i + t;
-                sum += tap[abs(t)] * line[at < 0 ? 0 : at >= (ptrdiff_t)n ? (ptrdiff_t)n - 1 : at];
-            }
-            v[i * step + k] = sum;
-        }
-    }
-}
-
-/* No lens is sharper than its pixels: without this, detail finer than a pixel turns into patterns
- * that differ from photograph to photograph and that no scene can explain. */
-static enum err_code blur(float *rgb, size_t w, size_t h, double sigma_px, struct err *e)
-{
-    enum { RADIUS_MAX = 16 };
-    int radius = (int)fmin(ceil(3 * sigma_px), RADIUS_MAX);
-    float tap[RADIUS_MAX + 1], sum = 0;
-    if (radius == 0)
-        return ERR_OK;
-    float *line = mem_array(w > h ? w : h, sizeof *line);
-    if (!line)
-        return err_set(e, ERR_MEM, "synth: out of memory for a picture");
-    for (int t = 0; t <= radius; t++) {
-        tap[t] = (float)exp(-0.5 * t * t / (sigma_px * sigma_px));
-        sum += t ? 2 * tap[t] : tap[t];
-    }
-    for (int t = 0; t <= radius; t++)
-        tap[t] /= sum;
-    for (size_t y = 0; y < h; y++)
-        blur_line(rgb + 3 * w * y, w, 3, tap, radius, line);
-    for (size_t x = 0; x < w; x++)
-        blur_line(rgb + 3 * x, h, 3 * w, tap, radius, line);
-    mem_free(line);
-    return ERR_OK;
-}
-
 static enum err_code render(const struct job *j, const struct synth_photo *p,
                             const struct synth_light *light, const struct synth_grid *moving,
                             struct image *out, struct err *e)
 {
-    double eye[3], rot[9], dir[3];
-    int ss = (int)j->cfg->supersample;
-    size_t w = p->cam.width_px, h = p->cam.height_px;
-    enum err_code rc = image_alloc(p->cam.width_px, p->cam.height_px, 3, out, e);
-    if (rc)
-        return rc;
-    float *linear = mem_array(w * h, 3 * sizeof *linear);
-    if (!linear)
-        return err_set(e, ERR_MEM, "synth: out of memory for a picture of %zu x %zu px", w, h);
-    city_pose(j->city, &p->cam, eye, rot);
-    for (size_t y = 0; y < h; y++)
-        for (size_t x = 0; x < w; x++) {
-            float *sum = linear + 3 * (y * w + x);
-            for (int s = 0; s < ss * ss; s++) {
-                /* The fixed pattern of a rotated grid: no two samples share a row or a column. */
-                double du = ((s % ss) + (0.5 + s / ss) / ss) / ss,
-                       dv = ((s / ss) + 1 - (0.5 + s % ss) / ss) / ss;
-                ray_at(j, rot, (double)x + du, (double)y + dv, dir);
-                struct synth_hit hit;
-                float rgb[3];
-                synth_trace_ray(j->city, moving, eye, dir, &hit);
-                synth_shade_hit(j->city, moving, light, dir, &hit, hit.t_m / p->cam.fx_px, rgb);
-                for (int k = 0; k < 3; k++)
-                    sum[k] += (rgb[k] < 1 ? rgb[k] : 1) / (float)(ss * ss);
-            }
-        }
-    rc = blur(linear, w, h, j->cfg->lens_blur_px, e);
-    for (size_t i = 0; !rc && i < 3 * w * h; i++)
-        out->px[i] = synth_shade_encode(linear[i]);
-    mem_free(linear);
-    return rc;
+    return synth_draw_picture(&j->draw, &p->cam, light, moving, out, e);
 }
 
 static enum err_code write_depth(const struct job *j, const struct synth_photo *p, const char *path,
                                  struct err *e)
 {
     size_t w = p->cam.width_px, h = p->cam.height_px;
-    double eye[3], rot[9], dir[3];
     float *depth = mem_array(w * h, sizeof *depth);
     if (!depth)
         return err_set(e, ERR_MEM, "synth: out of memory for a depth map");
-    city_pose(j->city, &p->cam, eye, rot);
-    for (size_t i = 0; i < w * h; i++) {
-        struct synth_hit hit;
-        double cosine = ray_at(j, rot, (double)(i % w) + 0.5, (double)(i / w) + 0.5, dir);
-        synth_trace_ray(j->city, NULL, eye, dir, &hit);
-        depth[i] = isfinite(hit.t_m) ? (float)(hit.t_m * cosine) : 0;
-    }
+    synth_draw_depth(&j->draw, &p->cam, depth);
     enum err_code rc = npy_write(path, depth, 2, (const size_t[2]){h, w}, e);
     mem_free(depth);
     return rc;
@@ -369,13 +229,17 @@ static enum err_code write_truth(const struct job *j, const struct synth_similar
                               photo_to_json(&j->photos[i], i % (size_t)cfg->test_every == 0));
     json_object_del(config, "output"); /* the same city has the same bytes wherever it is */
     json_object_del(config, "overwrite");
+    json_object_del(config, "city");
+    json_object_del(config, "map_views"); /* nor does it depend on what is drawn of it */
+    json_object_del(config, "map_seed");
     json_t *root = json_pack(
         "{s:s, s:o, s:{s:f, s:f, s:f}, s:{s:f, s:o, s:o}, s:{s:s, s:i, s:i, s:o}, s:o}", "format",
         "citysplat-truth", "config", config ? config : json_object(), "origin", "lon_deg",
         cfg->lon_deg, "lat_deg", cfg->lat_deg, "h_m", cfg->ground_h_m, "colmap_to_enu", "scale",
         f->scale, "rot", nums(f->rot, 9), "trans", nums(f->trans, 3), "lens", "model",
-        lens_name(j->lens.model), "width", (int)cfg->width_px, "height", (int)cfg->height_px,
-        "params", nums(j->lens.params, lens_param_count(j->lens.model)), "photographs", photos);
+        lens_name(j->draw.lens.model), "width", (int)cfg->width_px, "height", (int)cfg->height_px,
+        "params", nums(j->draw.lens.params, lens_param_count(j->draw.lens.model)), "photographs",
+        photos);
     if (!rc && !root)
         rc = err_set(e, ERR_MEM, "synth: out of memory for truth.json");
     if (!rc)
@@ -397,16 +261,29 @@ static enum err_code make_folders(const char *dir, struct err *e)
     return rc;
 }
 
+static enum err_code write_views(const struct job *j, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    if (!j->cfg->map_views)
+        return ERR_OK;
+    enum err_code rc = file_join(path, j->dir, "map-views", e);
+    if (!rc)
+        rc = file_mkdir(path, e);
+    return rc ? rc : synth_views_write(j->cfg, j->city, j->photos, path, e);
+}
+
 static enum err_code write_all(struct job *j, struct synth_photo *photos,
                                const struct synth_city *city, struct err *e)
 {
     char path[FILE_PATH_MAX];
     struct colmap_model model = {0};
     struct synth_similarity frame = synth_model_frame(j->cfg);
+    struct lens lens = synth_flight_lens(j->cfg);
     synth_flight_make(j->cfg, photos);
     enum err_code rc = make_folders(j->dir, e);
     if (!rc)
-        rc = rays_make(j, e);
+        rc = synth_draw_open(city, &lens, (int)j->cfg->supersample, j->cfg->lens_blur_px, &j->draw,
+                             e);
     if (!rc)
         rc = synth_model_make(j->cfg, city, photos, &frame, &model, e);
     if (!rc)
@@ -422,6 +299,8 @@ static enum err_code write_all(struct job *j, struct synth_photo *photos,
     }
     if (!rc)
         rc = write_truth(j, &frame, e);
+    if (!rc)
+        rc = write_views(j, e);
     colmap_free(&model);
     return rc;
 }
@@ -431,10 +310,7 @@ enum err_code synth_run(const struct synth_config *cfg, struct err *e)
     struct outdir dir = {0};
     struct synth_city city = {0};
     struct synth_photo *photos = NULL;
-    struct job j = {.cfg = cfg,
-                    .city = &city,
-                    .lens = synth_flight_lens(cfg),
-                    .progress_busy = ATOMIC_FLAG_INIT};
+    struct job j = {.cfg = cfg, .city = &city, .progress_busy = ATOMIC_FLAG_INIT};
     if (!cfg->output)
         return err_set(e, ERR_ARG, "synth: no output folder: give -o DIR");
     enum err_code rc = outdir_begin(cfg->output, "truth/truth.json", cfg->overwrite, &dir, e);
@@ -456,7 +332,7 @@ enum err_code synth_run(const struct synth_config *cfg, struct err *e)
         rc = outdir_commit(&dir, e);
 out:
     outdir_abort(&dir);
-    mem_free(j.rays);
+    synth_draw_close(&j.draw);
     mem_free(photos);
     synth_city_free(&city);
     return rc;

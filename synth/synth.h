@@ -3,7 +3,8 @@
  * Nobody has to download anything to try the program, and tests know the right answer: poses,
  * depth, clean pictures, which GPS position lies and by how much. Reading order: synth.c (what is
  * written), synth_city.c (what stands where), synth_flight.c (who looks from where), synth_trace.c
- * (what a ray hits), synth_shade.c (what colour that is), synth_model.c (the COLMAP model).
+ * (what a ray hits), synth_shade.c (what colour that is), synth_draw.c (a picture), synth_model.c
+ * (the COLMAP model), synth_views.c (ground truth at poses that people take in maps).
  *
  * The city is built in its own frame: metres, z up, ground at z = 0, streets along x and y. ENU is
  * that frame turned by city.yaw_rad about z.
@@ -117,6 +118,34 @@ void synth_shade_hit(const struct synth_city *c, const struct synth_grid *moving
 /* Linear colour after gains -> sRGB byte. */
 uint8_t synth_shade_encode(float linear);
 
+/* ---- synth_draw.c ---- */
+
+struct image;
+struct synth_draw {                /* synth_draw_close; read only in use, so threads may share it */
+    const struct synth_city *city; /* borrowed */
+    struct lens lens;
+    int supersample; /* rays per pixel and axis */
+    double blur_px;  /* standard deviation of the lens' blur */
+    float *rays;     /* [rows][cols][2] camera-plane directions at a coarse grid of pixels */
+    size_t rows, cols;
+};
+/* Cameras that draw have the size and focal length of this lens. ERR_MEM; ERR_ARG when the lens
+ * cannot be inverted at the picture's corner. */
+enum err_code synth_draw_open(const struct synth_city *city, const struct lens *lens,
+                              int supersample, double blur_px, struct synth_draw *out,
+                              struct err *e) ERR_USE;
+void synth_draw_close(struct synth_draw *d);
+/* cam: pose in ENU. `moving` may be NULL. image_free *out, also after ERR_MEM. */
+enum err_code synth_draw_picture(const struct synth_draw *d, const struct camera *cam,
+                                 const struct synth_light *light, const struct synth_grid *moving,
+                                 struct image *out, struct err *e) ERR_USE;
+/* What a pixel position sees of the still city; returns its depth along the optical axis in metres,
+ * 0 = sky. */
+double synth_draw_hit(const struct synth_draw *d, const struct camera *cam, double u_px,
+                      double v_px, struct synth_hit *hit);
+/* The depth of every pixel centre: depth [h][w]. */
+void synth_draw_depth(const struct synth_draw *d, const struct camera *cam, float *depth);
+
 /* ---- synth_flight.c ---- */
 
 struct synth_photo {
@@ -130,6 +159,8 @@ struct synth_photo {
     double exposure_ev;
 };
 struct lens synth_flight_lens(const struct synth_config *cfg);
+/* Height of the nadir strips above the ground, m. */
+double synth_flight_height(const struct synth_config *cfg);
 /* out[cfg->photos] */
 void synth_flight_make(const struct synth_config *cfg, struct synth_photo *out);
 
@@ -144,6 +175,30 @@ enum err_code synth_model_make(const struct synth_config *cfg, const struct synt
                                const struct synth_photo *photos,
                                const struct synth_similarity *frame, struct colmap_model *out,
                                struct err *e) ERR_USE;
+
+/* Does a photograph show this place (ENU): inside of the picture, nothing in between? */
+bool synth_model_sees(const struct synth_city *c, const struct lens *lens, const struct camera *cam,
+                      const double place_enu_m[3]);
+
+/* ---- synth_views.c ---- */
+
+/* Ground truth at poses that people take in maps, into the folder dir, which exists (see
+ * docs/evaluation.md, "Map views"):
+ *   views.json                     manifest: what each view is, and COLMAP -> ENU
+ *   NAME.json                      camera, as `citysplat render --camera` takes it; ENU
+ *   NAME.png, NAME.npy             picture without lens faults; depth along the axis, m, 0 = sky
+ *   NAME_mask.png                  255: surface that three training photographs see, each pair of
+ *                                  them at least 5 degrees apart; 128: one does; 0: none, or sky
+ *   NAME_square.png                255: within the built-up square
+ * View i depends on the options of the city, cfg->map_seed and i alone. */
+enum err_code synth_views_write(const struct synth_config *cfg, const struct synth_city *city,
+                                const struct synth_photo *photos, const char *dir,
+                                struct err *e) ERR_USE;
+/* The same for the city in folder cfg->city, made before by this command: cfg's other options are
+ * taken from there. Writes into cfg->output, or the city's map-views/ if that is NULL; *out_dir gets
+ * which. */
+enum err_code synth_views_run(const struct synth_config *cfg, char out_dir[FILE_PATH_MAX],
+                              struct err *e) ERR_USE;
 
 /* Streams of the random numbers. */
 enum synth_stream {
@@ -160,7 +215,8 @@ enum synth_stream {
     SYNTH_STREAM_POSE,
     SYNTH_STREAM_FRAME,
     SYNTH_STREAM_POINTS,
-    SYNTH_STREAM_PIXELS
+    SYNTH_STREAM_PIXELS,
+    SYNTH_STREAM_VIEWS
 };
 
 #endif

@@ -65,16 +65,28 @@ static void strips_at(const struct strips *s, size_t k, double *u, double *v)
     *v = s->rows > 1 ? (double)row / (double)(s->rows - 1) - 0.5 : 0;
 }
 
-static struct camera photo_camera(const struct synth_config *cfg, size_t i, double yaw_rad)
+static size_t oblique_count(const struct synth_config *cfg)
 {
-    size_t n = (size_t)cfg->photos, n_oblique = (size_t)((double)n * cfg->oblique_share + 0.5),
-           n_nadir = n - n_oblique;
+    return (size_t)((double)cfg->photos * cfg->oblique_share + 0.5);
+}
+
+double synth_flight_height(const struct synth_config *cfg)
+{
+    size_t n_nadir = (size_t)cfg->photos - oblique_count(cfg);
     double fov_y =
         2 * atan(tan(cfg->fov_deg * M_PI / 360) * (double)cfg->height_px / (double)cfg->width_px);
-    double height = cfg->altitude_m;
-    if (height <= 0) /* neighbours of the nadir grid overlap by about 70 % */
-        height =
-            fmax(45, cfg->extent_m / fmax(1, sqrt((double)n_nadir) - 1) / (0.6 * tan(0.5 * fov_y)));
+    if (cfg->altitude_m > 0)
+        return cfg->altitude_m;
+    /* neighbours of the nadir grid overlap by about 70 % */
+    return fmax(45, cfg->extent_m / fmax(1, sqrt((double)n_nadir) - 1) / (0.6 * tan(0.5 * fov_y)));
+}
+
+static struct camera photo_camera(const struct synth_config *cfg, size_t i, double yaw_rad)
+{
+    size_t n_oblique = oblique_count(cfg), n_nadir = (size_t)cfg->photos - n_oblique;
+    double fov_y =
+        2 * atan(tan(cfg->fov_deg * M_PI / 360) * (double)cfg->height_px / (double)cfg->width_px);
+    double height = synth_flight_height(cfg);
     double u, v, heading = 0, pitch = -90, back = 0, x, y;
     double side = 0.78 * cfg->extent_m; /* photographs reach half a picture farther */
     if (i < n_nadir) {

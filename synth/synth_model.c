@@ -67,7 +67,7 @@ static void city_to_enu(const struct synth_city *c, const double v[3], double ou
 }
 
 /* Pixel of an ENU place; false when it is behind or outside. */
-static bool project(const struct maker *m, const struct camera *cam, const double p[3], double *u,
+static bool project(const struct lens *lens, const struct camera *cam, const double p[3], double *u,
                     double *v)
 {
     double t[3];
@@ -79,7 +79,7 @@ static bool project(const struct maker *m, const struct camera *cam, const doubl
     double x = t[0] / t[2], y = t[1] / t[2];
     if (fabs(x * cam->fx_px) > cam->width_px || fabs(y * cam->fy_px) > cam->height_px)
         return false; /* far outside, where a distortion may fold back */
-    lens_distort(&m->lens, x, y, u, v);
+    lens_distort(lens, x, y, u, v);
     return *u >= 0 && *v >= 0 && *u <= cam->width_px && *v <= cam->height_px;
 }
 
@@ -91,18 +91,25 @@ static double sub_length(const double a[3], const double b[3], double out[3])
 }
 
 /* Does the straight line from the camera to the place end there? */
-static bool sees(const struct maker *m, const struct camera *cam, const double p_enu[3])
+static bool sees(const struct synth_city *city, const struct camera *cam, const double p_enu[3])
 {
     double eye[3], d[3], eye_city[3], d_city[3];
     camera_center(cam, eye);
     double dist = sub_length(p_enu, eye, d);
     for (int i = 0; i < 3; i++)
         d[i] /= dist;
-    enu_to_city(m->city, eye, eye_city);
-    enu_to_city(m->city, d, d_city);
+    enu_to_city(city, eye, eye_city);
+    enu_to_city(city, d, d_city);
     struct synth_hit hit;
-    synth_trace_ray(m->city, NULL, eye_city, d_city, &hit);
+    synth_trace_ray(city, NULL, eye_city, d_city, &hit);
     return hit.t_m > dist - reach_m - reach_rel * dist;
+}
+
+bool synth_model_sees(const struct synth_city *c, const struct lens *lens, const struct camera *cam,
+                      const double place_enu_m[3])
+{
+    double u, v;
+    return project(lens, cam, place_enu_m, &u, &v) && sees(c, cam, place_enu_m);
 }
 
 /* The place that a random pixel sees, in ENU; false for sky. */
@@ -165,8 +172,8 @@ static enum err_code point_try(struct maker *m, uint64_t k, struct err *e)
         struct sighting s = {(uint32_t)m->n_points, (uint32_t)i, 0, 0};
         const struct camera *cam = &m->photos[i].cam;
         double u, v, un, vn;
-        if (!project(m, cam, place, &u, &v) || !sees(m, cam, place) ||
-            !project(m, cam, p.xyz, &un, &vn))
+        if (!project(&m->lens, cam, place, &u, &v) || !sees(m->city, cam, place) ||
+            !project(&m->lens, cam, p.xyz, &un, &vn))
             continue;
         uint64_t at = (k * m->n_photos + i) * 2;
         s.x_px = u + noise_px * rng_normal(seed, SYNTH_STREAM_PIXELS, at);

@@ -6,7 +6,7 @@
 #ifndef TESTS_SERVED_H
 #define TESTS_SERVED_H
 
-#include "tests/kit.h"
+#include "tests/store_kit.h"
 
 #include <stdio.h>
 #include <string.h>
@@ -22,11 +22,10 @@ static inline void served_put(struct store *s, struct key key, size_t n)
 {
     struct err e = {0};
     struct gauss g = {0};
-    double lon, lat, h;
+    double lon, lat;
     key_center(key, &lon, &lat);
     kit_gauss(key.z * 1000 + key.x % 100 * 10 + key.y % 10, n, 30, 1, 0, &g);
     kit_ok(geo_to_enu(&served_origin, lon, lat, 40, g.origin_enu_m, &e), e);
-    (void)h;
     struct store_tile t = {.key = key,
                            .level = (uint8_t)(key.z - SERVED_ZOOM_MIN + 1),
                            .geometric_error_m = SERVED_ZOOM_MAX - key.z};
@@ -58,29 +57,6 @@ static inline void served_city(const char *path, const char *name, size_t n)
     sibling.x ^= 1;
     served_put(s, sibling, n);
     kit_ok(store_commit(&s, &e), e);
-}
-
-/* Flip one bit in the stored bytes of a tile, as a failing disk would. */
-static inline void served_damage(const char *path, struct key k)
-{
-    struct err e = {0};
-    struct store *s = NULL;
-    struct buf payload = {0}, file = {0};
-    enum { PROBE = 48, AT = 200 };
-    kit_ok(store_open(path, &s, &e), e);
-    kit_ok(store_read(s, k, &payload, &e), e);
-    store_close(&s);
-    kit_ok(file_read(path, 0, &file, &e), e);
-    assert_true(payload.size > AT + PROBE);
-    const uint8_t *probe = payload.data + AT; /* within one page of the database, near enough */
-    size_t at = 0;
-    while (at + PROBE <= file.size && memcmp(file.data + at, probe, PROBE))
-        at++;
-    assert_true(at + PROBE <= file.size);
-    file.data[at + PROBE / 2] ^= 4;
-    kit_ok(file_write(path, file.data, file.size, &e), e);
-    buf_free(&payload);
-    buf_free(&file);
 }
 
 static inline void served_config(struct server_config *cfg, struct arena *arena)

@@ -4,8 +4,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "codec/ckpt.h"
-#include "lod/lod.h"
-#include "tests/kit.h"
+#include "tests/store_kit.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -57,9 +56,8 @@ static int setup(void **state)
     kit_ok(bake_with_default(&f.model, &g, &full, &e), e);
     kit_ok(appearance_write(&full, &blob, &e), e);
     const struct ckpt_blob b = {"appearance", blob.data, blob.size};
-    const struct pyramid_level level = {.g = &g, .level = 3};
-    kit_ok(pyramid_build(&origin, &level, 1, &cfg, &b, 1, f.path, NULL, &e), e);
-    kit_ok(pyramid_build(&origin, &level, 1, &cfg, NULL, 0, f.plain, NULL, &e), e);
+    store_fixture_level(f.path, &origin, &g, &cfg, &b);
+    store_fixture_level(f.plain, &origin, &g, &cfg, NULL);
     buf_free(&blob);
     appearance_free(&full);
     gauss_free(&g);

@@ -8,7 +8,8 @@
 #include <string.h>
 
 #include "codec/colmap.h"
-#include "kit.h"
+#include "tests/kit.h"
+#include "tests/torture.h"
 
 enum { N_CAMERAS = 2, N_IMAGES = 5, N_POINTS = 12 };
 static const char *const parts[] = {"cameras", "images", "points3D"};
@@ -180,7 +181,27 @@ static void put_part(const char *dir, const char *name, const void *bytes, size_
     assert_int_equal(fclose(f), 0);
 }
 
-/* Cut each file at every byte: always an error that names the file, and an empty result. */
+struct part { /* one file of a model in `dir` */
+    const char *dir, *name;
+};
+
+/* Read the model with these bytes as the part. */
+static enum err_code decode_part(const void *user, const void *bytes, size_t n,
+                                 const struct codec_limits *lim, struct err *e)
+{
+    const struct part *p = user;
+    struct colmap_model out;
+    (void)lim;
+    put_part(p->dir, p->name, bytes, n);
+    enum err_code rc = colmap_read(p->dir, &out, e);
+    if (rc)
+        assert_null(out.arena.head);
+    colmap_free(&out);
+    return rc;
+}
+
+/* Cut each file at every byte: always an error that names the file, and an empty result. Bytes
+ * changed: that, or a model. */
 static void test_truncation(void **state)
 {
     (void)state;
@@ -196,12 +217,10 @@ static void test_truncation(void **state)
         struct buf whole = {0};
         snprintf(name, sizeof name, "%s.bin", parts[part]);
         read_part(dir, name, &whole);
-        for (size_t n = 0; n < whole.size; n++) {
-            put_part(dir, name, whole.data, n);
-            struct colmap_model out;
-            kit_fails(colmap_read(dir, &out, &e), ERR_FORMAT, e, name);
-            assert_null(out.arena.head);
-        }
+        const struct part in = {dir, name};
+        const struct torture torture = {.name = name, .decode = decode_part, .user = &in};
+        torture_cuts(&torture, &whole, 1);
+        torture_flips(&torture, &whole, 0, 5 + (uint64_t)part, whole.size / 3);
         put_part(dir, name, whole.data, whole.size);
         buf_u8(&whole, 0);
         put_part(dir, name, whole.data, whole.size);
@@ -214,40 +233,32 @@ static void test_truncation(void **state)
     kit_rmdir(dir);
 }
 
-/* Cut the text files at every byte: an error, or (at a line end, inside a number) a smaller sound
- * model; never a crash. Flip bytes of the binary files: the same. */
-static void test_hostile_bytes(void **state)
+/* Cut the text files: an error, or (at a line end, inside a number) a smaller sound model; never a
+ * crash. */
+static void test_cut_texts(void **state)
 {
     (void)state;
     char dir[FILE_PATH_MAX], txt[FILE_PATH_MAX + 8];
-    struct colmap_model m = {0}, out;
+    struct colmap_model m = {0};
     struct err e = {0};
     make_model(&m);
     kit_tmpdir(dir);
     snprintf(txt, sizeof txt, "%s/txt", dir);
     kit_ok(file_mkdir(txt, &e), e);
     write_text(txt, &m);
-    kit_ok(colmap_write_bin(dir, &m, &e), e);
     colmap_free(&m);
-    for (int part = 0; part < 6; part++) {
+    for (int part = 0; part < 3; part++) {
         char name[32];
-        const char *in = part < 3 ? dir : txt;
         struct buf whole = {0};
-        snprintf(name, sizeof name, "%s.%s", parts[part % 3], part < 3 ? "bin" : "txt");
-        read_part(in, name, &whole);
-        uint8_t *bytes = mem_array(whole.size, 1);
-        for (size_t k = (size_t)part; k < whole.size; k += 3) {
-            memcpy(bytes, whole.data, whole.size);
-            size_t n = part < 3 ? whole.size : k;
-            if (part < 3)
-                bytes[k] ^= (uint8_t)(1 + rng_u64(5, (uint64_t)part, k) % 255);
-            put_part(in, name, bytes, n);
-            enum err_code rc = colmap_read(in, &out, &e);
+        snprintf(name, sizeof name, "%s.txt", parts[part]);
+        const struct part in = {txt, name};
+        const struct torture torture = {.name = name, .decode = decode_part, .user = &in};
+        read_part(txt, name, &whole);
+        for (size_t n = (size_t)part; n < whole.size; n += 3) {
+            enum err_code rc = torture_decode(&torture, whole.data, n, NULL, &e);
             assert_true(!rc || rc == ERR_FORMAT);
-            colmap_free(&out);
         }
-        put_part(in, name, whole.data, whole.size);
-        mem_free(bytes);
+        put_part(txt, name, whole.data, whole.size);
         buf_free(&whole);
     }
     kit_rmdir(dir);
@@ -331,7 +342,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_round_trip),    cmocka_unit_test(test_truncation),
-        cmocka_unit_test(test_hostile_bytes), cmocka_unit_test(test_named_errors),
+        cmocka_unit_test(test_cut_texts),     cmocka_unit_test(test_named_errors),
         cmocka_unit_test(test_out_of_memory),
     };
     return cmocka_run_group_tests_name("colmap", tests, NULL, NULL);

@@ -4,7 +4,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "tests/kit.h"
+#include "tests/store_kit.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -12,7 +12,6 @@
 
 #include "lod/block.h"
 #include "lod/frustum.h"
-#include "lod/lod.h"
 #include "lod/tree.h"
 
 enum { W = 72, H = 48, N = 12000, VIEWS = 60, TILES_MAX = 256 };
@@ -48,9 +47,8 @@ static int setup(void **state)
     make_scene(&g);
     for (size_t i = 0; i < 2; i++) {
         const struct pyramid_config cfg = {.tile_edge_m = 100, .name = "cull", .lossless = i == 1};
-        const struct pyramid_level level = {.g = &g, .level = 3};
         kit_ok(file_join(f.path[i], f.dir, i ? "exact.tiles" : "city.tiles", &e), e);
-        kit_ok(pyramid_build(&origin, &level, 1, &cfg, NULL, 0, f.path[i], NULL, &e), e);
+        store_fixture_level(f.path[i], &origin, &g, &cfg, NULL);
     }
     gauss_free(&g);
     kit_ok(dev_open(NULL, &f.dev, &e), e);

@@ -577,6 +577,29 @@ static void neighbours_agree_with_looking_at_all_pairs(void **state)
     }
 }
 
+/* A grid of 1 m and one point 40 m under it: the grid keeps its sizes, the lone point gets no
+ * Gaussian of 40 m. */
+static void a_lone_point_does_not_become_a_huge_gaussian(void **state)
+{
+    (void)state;
+    enum { SIDE = 20, N = SIDE * SIDE + 1 };
+    float xyz[3 * N], got[N], plain[N];
+    struct err e = {0};
+    for (int i = 0; i < SIDE * SIDE; i++) {
+        xyz[3 * i] = (float)(i % SIDE);
+        xyz[3 * i + 1] = (float)(i / SIDE);
+        xyz[3 * i + 2] = 0.0f;
+    }
+    memcpy(xyz + 3 * (N - 1), (float[]){9.5f, 9.5f, -40.0f}, 3 * sizeof(float));
+    kit_ok(init_neighbour_dist2(xyz, N, plain, &e), e);
+    kit_ok(init_size2(xyz, N, got, &e), e);
+    assert_memory_equal(got, plain, (N - 1) * sizeof(float));
+    assert_true(plain[N - 1] > 1600.0f);
+    assert_true(got[N - 1] > 0.99f && got[N - 1] < 9.01f);
+    for (size_t n = 0; n < 4; n++)
+        kit_ok(init_size2(xyz, n, got, &e), e);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -594,6 +617,7 @@ int main(void)
         cmocka_unit_test(the_draw_has_no_limit_at_two_to_the_24),
         cmocka_unit_test(importance_parts_survive_constant_and_empty_input),
         cmocka_unit_test(neighbours_agree_with_looking_at_all_pairs),
+        cmocka_unit_test(a_lone_point_does_not_become_a_huge_gaussian),
     };
     return cmocka_run_group_tests_name("densify", tests, NULL, NULL);
 }

@@ -10,6 +10,7 @@
 #include "codec/quant.h"
 #include "codec/spz.h"
 #include "tests/kit.h"
+#include "tests/torture.h"
 
 #include <math.h>
 #include <string.h>
@@ -161,20 +162,28 @@ static void test_foreign_sh_bytes(void **state)
     quant_free(&back);
 }
 
-static enum err_code decode_copy(const uint8_t *p, size_t n, const struct codec_limits *lim,
-                                 struct err *e)
+static enum err_code decode_free(const void *user, const void *bytes, size_t n,
+                                 const struct codec_limits *lim, struct err *e)
 {
-    uint8_t *copy = mem_array(n, 1);
     struct quant q;
-    if (n)
-        memcpy(copy, p, n);
-    enum err_code rc = draco_decode(copy, n, lim, &q, e);
+    (void)user;
+    enum err_code rc = draco_decode(bytes, n, lim, &q, e);
     if (rc)
         assert_null(q.block);
     quant_free(&q);
-    mem_free(copy);
     return rc;
 }
+
+static void write_crc(struct buf *b)
+{
+    uint32_t crc = draco_crc(b->data, b->size - DRACO_CRC_BYTES);
+    memcpy(b->data + b->size - DRACO_CRC_BYTES, &crc, DRACO_CRC_BYTES);
+}
+
+static const struct torture torture = {.name = "draco",
+                                       .decode = decode_free,
+                                       .errors = TORTURE(ERR_LIMIT) | TORTURE(ERR_MEM),
+                                       .mend = write_crc};
 
 static void sample(size_t n, uint32_t degree, struct buf *b)
 {
@@ -192,37 +201,17 @@ static void test_truncation(void **state)
 {
     (void)state;
     struct buf b = {0};
-    struct err e = {0};
     sample(30, 1, &b);
-    for (size_t n = 0; n < b.size; n++)
-        kit_fails(decode_copy(b.data, n, NULL, &e), ERR_FORMAT, e, "draco");
+    torture_cuts(&torture, &b, 1);
     buf_free(&b);
-}
-
-static void write_crc(struct buf *b)
-{
-    uint32_t crc = draco_crc(b->data, b->size - DRACO_CRC_BYTES);
-    memcpy(b->data + b->size - DRACO_CRC_BYTES, &crc, DRACO_CRC_BYTES);
 }
 
 static void test_flips(void **state)
 {
     (void)state;
     struct buf b = {0};
-    struct err e = {0};
     sample(60, 2, &b);
-    for (uint64_t i = 0; i < 2000; i++) {
-        size_t at = rng_u64(4, i, 0) % b.size;
-        uint8_t old = b.data[at];
-        b.data[at] = (uint8_t)rng_u64(4, i, 1);
-        if (i & 1) /* past the check value, into libdraco */
-            write_crc(&b);
-        enum err_code rc = decode_copy(b.data, b.size, NULL, &e);
-        assert_true((!rc && (i & 1 || b.data[at] == old)) || rc == ERR_FORMAT || rc == ERR_LIMIT ||
-                    rc == ERR_MEM);
-        b.data[at] = old;
-        write_crc(&b);
-    }
+    torture_flips(&torture, &b, 0, 4, 2000);
     buf_free(&b);
 }
 
@@ -246,20 +235,20 @@ static void test_hostile_counts(void **state)
     struct err e = {0};
     sample(7777, 0, &b);
     struct codec_limits lim = {.max_gaussians = 7776};
-    kit_fails(decode_copy(b.data, b.size, &lim, &e), ERR_LIMIT, e, "7777");
+    kit_fails(torture_decode(&torture, b.data, b.size, &lim, &e), ERR_LIMIT, e, "7777");
     size_t at = find_count(&b, 7777), before = mem_peak_bytes();
     uint32_t n = 0x7fffffff;
     memcpy(b.data + at, &n, 4);
-    kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_LIMIT, e, "2147483647");
+    kit_fails(torture_decode(&torture, b.data, b.size, NULL, &e), ERR_LIMIT, e, "2147483647");
     n = 0;
     memcpy(b.data + at, &n, 4);
-    kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_FORMAT, e, "0 points");
+    kit_fails(torture_decode(&torture, b.data, b.size, NULL, &e), ERR_FORMAT, e, "0 points");
     buf_free(&b);
     sample(33, 0, &b);
     at = find_count(&b, 33);
     n = 60000000;
     memcpy(b.data + at, &n, 4);
-    kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_FORMAT, e, "60000000 points");
+    kit_fails(torture_decode(&torture, b.data, b.size, NULL, &e), ERR_FORMAT, e, "60000000 points");
     assert_true(mem_peak_bytes() - before < (64u << 20));
     buf_free(&b);
 }
@@ -271,12 +260,12 @@ static void test_other_draco_files(void **state)
     struct err e = {0};
     sample(20, 0, &b);
     b.data[7] = 1; /* a mesh */
-    kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_FORMAT, e, "type 1");
+    kit_fails(torture_decode(&torture, b.data, b.size, NULL, &e), ERR_FORMAT, e, "type 1");
     b.data[7] = 0;
     b.data[8] = 1; /* kd-tree */
-    kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_FORMAT, e, "method 1");
-    kit_fails(decode_copy((const uint8_t *)"PK\3\4 not Draco at all", 22, NULL, &e), ERR_FORMAT, e,
-              "not a Draco file");
+    kit_fails(torture_decode(&torture, b.data, b.size, NULL, &e), ERR_FORMAT, e, "method 1");
+    kit_fails(torture_decode(&torture, (const uint8_t *)"PK\3\4 not Draco at all", 22, NULL, &e),
+              ERR_FORMAT, e, "not a Draco file");
     buf_free(&b);
     struct quant q = {0};
     kit_fails(draco_encode(&q, NULL, &b, &e), ERR_LIMIT, e, "0 Gaussians");

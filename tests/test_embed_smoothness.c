@@ -3,8 +3,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "core/knn.h"
 #include "loss/embed_smoothness.h"
-#include "loss/knn.h"
 #include "loss/photometric.h"
 #include "tests/kit.h"
 

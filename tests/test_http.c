@@ -170,7 +170,7 @@ static void test_damaged_tile(void **state)
     (void)state;
     kit_ok(file_join(path, t.dir, "damaged.tiles", &e), e);
     served_city(path, "toy", 30);
-    served_damage(path, bad);
+    store_fixture_damage(path, bad, path);
     t.paths[0] = path;
     start();
     t.paths[0] = t.path;
@@ -378,7 +378,7 @@ static void test_program(void **state)
     const struct key bad = served_key(15);
     kit_ok(file_join(damaged, t.dir, "bad.tiles", &e), e);
     served_city(damaged, "toy", 2000);
-    served_damage(damaged, bad);
+    store_fixture_damage(damaged, bad, damaged);
     kit_ok(file_join(log, t.dir, "serve.log", &e), e);
     assert_int_equal(pipe(out), 0);
     pid_t pid = fork();

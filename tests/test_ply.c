@@ -6,6 +6,7 @@
 #include "codec/limits.h"
 #include "codec/ply.h"
 #include "tests/kit.h"
+#include "tests/torture.h"
 
 #include <math.h>
 #include <string.h>
@@ -234,20 +235,20 @@ static void test_reads_supersplats_packed_form(void **state)
     buf_free(&b);
 }
 
-static enum err_code decode_copy(const void *p, size_t n, const struct codec_limits *lim,
-                                 struct err *e)
+static enum err_code decode_free(const void *user, const void *bytes, size_t n,
+                                 const struct codec_limits *lim, struct err *e)
 {
-    uint8_t *copy = mem_array(n, 1);
     struct gauss g;
-    if (n)
-        memcpy(copy, p, n);
-    enum err_code rc = ply_decode(copy, n, lim, &g, NULL, e);
+    (void)user;
+    enum err_code rc = ply_decode(bytes, n, lim, &g, NULL, e);
     if (rc)
         assert_null(g.block);
     gauss_free(&g);
-    mem_free(copy);
     return rc;
 }
+
+static const struct torture torture = {
+    .name = "ply", .decode = decode_free, .errors = TORTURE(ERR_DATA) | TORTURE(ERR_LIMIT)};
 
 static void test_truncation_and_flips(void **state)
 {
@@ -257,16 +258,8 @@ static void test_truncation_and_flips(void **state)
     struct err e = {0};
     kit_gauss(3, 5, 10, 1, 0, &g);
     kit_ok(ply_encode(&g, NULL, &b, &e), e);
-    for (size_t n = 0; n < b.size; n++)
-        kit_fails(decode_copy(b.data, n, NULL, &e), ERR_FORMAT, e, "ply");
-    for (uint64_t i = 0; i < 5000; i++) {
-        size_t at = rng_u64(6, i, 0) % b.size;
-        uint8_t old = b.data[at];
-        b.data[at] = (uint8_t)rng_u64(6, i, 1);
-        enum err_code rc = decode_copy(b.data, b.size, NULL, &e);
-        assert_true(!rc || rc == ERR_FORMAT || rc == ERR_DATA || rc == ERR_LIMIT);
-        b.data[at] = old;
-    }
+    torture_cuts(&torture, &b, 1);
+    torture_flips(&torture, &b, 0, 6, 5000);
     buf_free(&b);
     gauss_free(&g);
 }
@@ -318,24 +311,24 @@ static void test_hostile_headers(void **state)
     struct err e = {0};
     size_t before = mem_peak_bytes();
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
-        kit_fails(decode_copy(cases[i].text, strlen(cases[i].text), NULL, &e), cases[i].rc, e,
-                  cases[i].part);
+        kit_fails(torture_decode(&torture, cases[i].text, strlen(cases[i].text), NULL, &e),
+                  cases[i].rc, e, cases[i].part);
     }
     struct buf b = {0};
     buf_printf(&b, LITTLE);
     for (int i = 0; i < 5000; i++)
         buf_printf(&b, "comment %d\n", i);
-    kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_FORMAT, e, "line 4097");
+    kit_fails(torture_decode(&torture, b.data, b.size, NULL, &e), ERR_FORMAT, e, "line 4097");
     b.size = 0;
     buf_printf(&b, LITTLE "comment ");
     for (int i = 0; i < 3000; i++)
         buf_u8(&b, 'a');
-    kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_FORMAT, e, "too long");
+    kit_fails(torture_decode(&torture, b.data, b.size, NULL, &e), ERR_FORMAT, e, "too long");
     b.size = 0;
     buf_printf(&b, LITTLE "element vertex 1\n");
     for (int i = 0; i < 600; i++)
         buf_printf(&b, "property float p%d\n", i);
-    kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_LIMIT, e, "512");
+    kit_fails(torture_decode(&torture, b.data, b.size, NULL, &e), ERR_LIMIT, e, "512");
     assert_true(mem_peak_bytes() - before < (64u << 20));
     buf_free(&b);
 }
@@ -350,9 +343,9 @@ static void test_bad_rows_are_named(void **state)
     kit_ok(ply_encode(&g, NULL, &b, &e), e);
     const float nan = NAN;
     memcpy(b.data + b.size - 68, &nan, 4); /* x of the last row of 17 floats */
-    kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_DATA, e, "row 8");
+    kit_fails(torture_decode(&torture, b.data, b.size, NULL, &e), ERR_DATA, e, "row 8");
     struct codec_limits lim = {.max_gaussians = 8};
-    kit_fails(decode_copy(b.data, b.size, &lim, &e), ERR_LIMIT, e, "9 Gaussians");
+    kit_fails(torture_decode(&torture, b.data, b.size, &lim, &e), ERR_LIMIT, e, "9 Gaussians");
     g.mean_m[3] = INFINITY;
     b.size = 0;
     kit_fails(ply_encode(&g, NULL, &b, &e), ERR_DATA, e, "row 1");

@@ -6,10 +6,9 @@
 #include "codec/ckpt.h"
 #include "codec/quant.h"
 #include "lod/locate.h"
-#include "lod/lod.h"
 #include "lod/simplify.h"
 #include "lod/tree.h"
-#include "tests/kit.h"
+#include "tests/store_kit.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -18,28 +17,6 @@
 #include <unistd.h>
 
 static const struct geo_origin origin = {8.6821, 50.1109, 160};
-
-struct fixture {
-    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
-};
-
-static int setup(void **state)
-{
-    struct fixture *f = mem_array(1, sizeof *f);
-    struct err e = {0};
-    kit_tmpdir(f->dir);
-    kit_ok(file_join(f->path, f->dir, "city.tiles", &e), e);
-    *state = f;
-    return 0;
-}
-
-static int teardown(void **state)
-{
-    struct fixture *f = *state;
-    kit_rmdir(f->dir);
-    mem_free(f);
-    return 0;
-}
 
 /* n Gaussians over a square of half-edge `half`, flat, small; the first SH value is the row's
  * number. */
@@ -130,7 +107,7 @@ static void assert_no_holes(struct store *s)
 
 static void three_levels(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct gauss g[3];
     struct pyramid_level levels[3];
@@ -177,7 +154,7 @@ static void three_levels(void **state)
  * where no level 2 is. */
 static void sparse_levels_leave_no_holes(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct gauss g[3];
     struct pyramid_level levels[3];
@@ -211,7 +188,7 @@ static void sparse_levels_leave_no_holes(void **state)
 
 static void one_level_makes_the_coarser_ones(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct gauss g;
     struct pyramid_report rep, again;
@@ -254,7 +231,7 @@ static void one_level_makes_the_coarser_ones(void **state)
 
 static void tiles_keep_to_the_limit_and_to_the_wish(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct gauss g;
     struct pyramid_report rep;
@@ -288,7 +265,7 @@ static void tiles_keep_to_the_limit_and_to_the_wish(void **state)
 
 static void unusable_rows_are_left_out(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct gauss g;
     struct pyramid_report rep;
@@ -319,7 +296,7 @@ static void unusable_rows_are_left_out(void **state)
  * wider than formats can hold. */
 static void far_rows(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct gauss g;
     struct pyramid_report rep;
@@ -352,7 +329,7 @@ static void far_rows(void **state)
 /* float32 means come back bit for bit, near the origin, far from it and across it. */
 static void lossless_means(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct gauss g;
     struct store *s;
@@ -391,7 +368,7 @@ static void lossless_means(void **state)
  */
 static void a_scene_across_the_equator(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct gauss g;
     struct pyramid_report rep;
@@ -414,7 +391,7 @@ static void a_scene_across_the_equator(void **state)
  * three zooms. Every tile fits the formats, and what it shows is inside. */
 static void one_tile_or_a_corner_holds_the_scene(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     static const struct {
         double half_m, edge_m;
     } sizes[] = {{200, 60}, {15000, 3000}, {90000, 4000}};
@@ -711,7 +688,8 @@ static void a_quarter_looks_like_the_whole(void **state)
 
 int main(void)
 {
-#define CASE(name) cmocka_unit_test_setup_teardown(name, setup, teardown)
+#define CASE(name)                                                                                 \
+    cmocka_unit_test_setup_teardown(name, store_fixture_setup, store_fixture_teardown)
     progress_quiet(true);
     const struct CMUnitTest tests[] = {
         CASE(three_levels),

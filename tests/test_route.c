@@ -575,7 +575,7 @@ static void test_damaged_tile(void **state)
     (void)state;
     kit_ok(file_join(path, t.dir, "damaged.tiles", &e), e);
     served_city(path, "damaged", 20);
-    served_damage(path, served_key(17));
+    store_fixture_damage(path, served_key(17), path);
     const char *paths[] = {path};
     kit_ok(catalog_open(paths, 1, 1, NULL, NULL, &damaged, &e), e);
     t.s.catalog = damaged;

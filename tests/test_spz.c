@@ -7,6 +7,7 @@
 #include "codec/quant.h"
 #include "codec/spz.h"
 #include "tests/kit.h"
+#include "tests/torture.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -391,20 +392,20 @@ static void test_writes_version_3_by_the_book(void **state)
     gauss_free(&g);
 }
 
-static enum err_code decode_copy(const uint8_t *p, size_t n, const struct codec_limits *lim,
-                                 struct err *e)
+static enum err_code decode_free(const void *user, const void *bytes, size_t n,
+                                 const struct codec_limits *lim, struct err *e)
 {
-    uint8_t *copy = mem_array(n, 1);
     struct quant q;
-    if (n)
-        memcpy(copy, p, n);
-    enum err_code rc = spz_decode(copy, n, lim, &q, e);
+    (void)user;
+    enum err_code rc = spz_decode(bytes, n, lim, &q, e);
     if (rc)
         assert_null(q.block);
     quant_free(&q);
-    mem_free(copy);
     return rc;
 }
+
+static const struct torture torture = {
+    .name = "spz", .decode = decode_free, .errors = TORTURE(ERR_LIMIT)};
 
 static void test_truncation_and_flips(void **state)
 {
@@ -417,18 +418,10 @@ static void test_truncation_and_flips(void **state)
         kit_gauss(5, 30, 100, 1, 0, &g);
         kit_ok(quant_from_gauss(&g, 1, NULL, &q, &e), e);
         kit_ok(spz_encode(&q, version, &b, &e), e);
-        for (size_t n = 0; n < b.size; n++)
-            kit_fails(decode_copy(b.data, n, NULL, &e), ERR_FORMAT, e, "spz");
-        for (uint64_t i = 0; i < 3000; i++) {
-            size_t at = rng_u64(3, i, 0) % b.size;
-            uint8_t old = b.data[at];
-            b.data[at] = (uint8_t)rng_u64(3, i, 1);
-            enum err_code rc = decode_copy(b.data, b.size, NULL, &e);
-            assert_true(!rc || rc == ERR_FORMAT || rc == ERR_LIMIT);
-            b.data[at] = old;
-        }
+        torture_cuts(&torture, &b, 1);
+        torture_flips(&torture, &b, 0, 3, 3000);
         buf_u8(&b, 0);
-        kit_fails(decode_copy(b.data, b.size, NULL, &e), ERR_FORMAT, e, "spz");
+        kit_fails(torture_decode(&torture, b.data, b.size, NULL, &e), ERR_FORMAT, e, "spz");
         buf_free(&b);
         quant_free(&q);
         gauss_free(&g);
@@ -443,18 +436,18 @@ static void test_hostile_counts(void **state)
     size_t before = mem_peak_bytes();
     spz_head(&plain, 3, 60000000, 3, 12, 0); /* within the limit, but not in the file */
     gzip(&plain, &z);
-    kit_fails(decode_copy(z.data, z.size, NULL, &e), ERR_FORMAT, e, "cut short");
+    kit_fails(torture_decode(&torture, z.data, z.size, NULL, &e), ERR_FORMAT, e, "cut short");
     memcpy(z.data + z.size - 4, "\xff\xff\xff\x7f", 4); /* gzip claims 2 GiB */
-    kit_fails(decode_copy(z.data, z.size, NULL, &e), ERR_FORMAT, e, "spz");
+    kit_fails(torture_decode(&torture, z.data, z.size, NULL, &e), ERR_FORMAT, e, "spz");
     spz_head(&plain, 3, 0xffffffff, 3, 12, 0);
     gzip(&plain, &z);
-    kit_fails(decode_copy(z.data, z.size, NULL, &e), ERR_LIMIT, e, "4294967295");
+    kit_fails(torture_decode(&torture, z.data, z.size, NULL, &e), ERR_LIMIT, e, "4294967295");
     spz_head(&plain, 9, 1, 3, 12, 0);
     gzip(&plain, &z);
-    kit_fails(decode_copy(z.data, z.size, NULL, &e), ERR_FORMAT, e, "version 9");
+    kit_fails(torture_decode(&torture, z.data, z.size, NULL, &e), ERR_FORMAT, e, "version 9");
     spz_head(&plain, 3, 1, 4, 12, 0);
     gzip(&plain, &z);
-    kit_fails(decode_copy(z.data, z.size, NULL, &e), ERR_FORMAT, e, "degree 4");
+    kit_fails(torture_decode(&torture, z.data, z.size, NULL, &e), ERR_FORMAT, e, "degree 4");
     spz_head(&plain, 4, 60000000, 0, 12, 0); /* version 4: streams that claim to grow without end */
     plain.data[15] = 5;
     buf_u32(&plain, 32);
@@ -465,7 +458,8 @@ static void test_hostile_counts(void **state)
         buf_u64(&plain, 60000000 * rows[s]);
     }
     buf_add(&plain, (const uint8_t[50]){0}, 50);
-    kit_fails(decode_copy(plain.data, plain.size, NULL, &e), ERR_FORMAT, e, "do not fit");
+    kit_fails(torture_decode(&torture, plain.data, plain.size, NULL, &e), ERR_FORMAT, e,
+              "do not fit");
     assert_true(mem_peak_bytes() - before < (64u << 20));
     buf_free(&plain);
     buf_free(&z);

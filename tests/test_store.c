@@ -2,7 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "tests/kit.h"
+#include "tests/store_kit.h"
 
 #include <math.h>
 #include <signal.h>
@@ -10,8 +10,6 @@
 #include <string.h>
 #include <sys/resource.h>
 #include <unistd.h>
-
-#include "lod/lod.h"
 
 /* Half floats carry 11 bits; logs and coefficients here are below 8. */
 #define BOUNDS_TOLERANCE 0.004 /* 2^-11 of the logarithm of a sigma, at most 8 here */
@@ -26,28 +24,6 @@ static const struct store_meta meta = {.name = "test-city",
                                        .origin = {8.5, 50.1, 120.25},
                                        .sh_degree = 1,
                                        .attribution = "Survey \"A\" & Co"};
-
-struct fixture {
-    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
-};
-
-static int setup(void **state)
-{
-    struct fixture *f = mem_array(1, sizeof *f);
-    struct err e = {0};
-    kit_tmpdir(f->dir);
-    kit_ok(file_join(f->path, f->dir, "city.tiles", &e), e);
-    *state = f;
-    return 0;
-}
-
-static int teardown(void **state)
-{
-    struct fixture *f = *state;
-    kit_rmdir(f->dir);
-    mem_free(f);
-    return 0;
-}
 
 static void tile_gauss(uint64_t seed, size_t n, struct gauss *g)
 {
@@ -81,7 +57,7 @@ static void make_store(const char *path, uint64_t seed)
 
 static void round_trip(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct store *s;
     struct buf b = {0};
@@ -141,7 +117,7 @@ static void round_trip(void **state)
 
 static void revision_and_versions_follow_the_content(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct store *s;
     char first[13];
@@ -166,7 +142,7 @@ static void revision_and_versions_follow_the_content(void **state)
 
 static void nothing_is_left_of_an_unfinished_store(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct store *s;
     struct buf before = {0}, after = {0}, ls = {0};
@@ -190,7 +166,7 @@ static void nothing_is_left_of_an_unfinished_store(void **state)
 /* A disk that is full after 64 KiB, by the process's own limit on file size. */
 static void full_disk(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct store *s;
     struct rlimit old, small;
@@ -234,7 +210,7 @@ static void flip(const char *path, const void *bytes, size_t n, size_t offset)
 
 static void a_flipped_payload_byte_costs_one_tile(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct store *s;
     struct buf b = {0};
@@ -258,7 +234,7 @@ static void a_flipped_payload_byte_costs_one_tile(void **state)
 
 static void a_flipped_index_byte_costs_one_tile(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct store *s;
     struct buf b = {0};
@@ -285,7 +261,7 @@ static void a_flipped_index_byte_costs_one_tile(void **state)
 /* Any byte anywhere: an error or the right data, never a crash and never wrong data. */
 static void any_flipped_byte_is_seen_or_harmless(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct store *s;
     struct buf good = {0}, b = {0}, payload[3] = {{0}};
@@ -329,7 +305,7 @@ static void any_flipped_byte_is_seen_or_harmless(void **state)
 
 static void truncated_files(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct store *s;
     struct buf b = {0};
@@ -346,7 +322,7 @@ static void truncated_files(void **state)
 
 static void files_that_are_no_stores(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct store *s;
     struct buf b = {0};
@@ -390,7 +366,7 @@ static void files_that_are_no_stores(void **state)
 
 static void names_with_odd_characters(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct store *s;
     char path[FILE_PATH_MAX];
@@ -409,7 +385,7 @@ static void names_with_odd_characters(void **state)
  * (LeakSanitizer sees). */
 static void out_of_memory_everywhere(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct gauss g;
     tile_gauss(1, 20, &g);
@@ -441,7 +417,8 @@ static void out_of_memory_everywhere(void **state)
 
 int main(void)
 {
-#define CASE(name) cmocka_unit_test_setup_teardown(name, setup, teardown)
+#define CASE(name)                                                                                 \
+    cmocka_unit_test_setup_teardown(name, store_fixture_setup, store_fixture_teardown)
     const struct CMUnitTest tests[] = {
         CASE(round_trip),
         CASE(revision_and_versions_follow_the_content),

@@ -2,7 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "tests/kit.h"
+#include "tests/store_kit.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -11,19 +11,13 @@
 
 #include <jansson.h>
 
-#include "lod/lod.h"
 #include "lod/tree.h"
 
 #define PLACE_TOLERANCE_M                                                                          \
     1e-3 /* boxes are printed to micrometres; ECEF doubles hold nanometres                         \
           */
 
-struct fixture {
-    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
-    struct store *s;
-};
-
-static void build(struct fixture *f, const struct geo_origin *origin, size_t n,
+static void build(struct store_fixture *f, const struct geo_origin *origin, size_t n,
                   const char *attribution)
 {
     struct err e = {0};
@@ -31,32 +25,12 @@ static void build(struct fixture *f, const struct geo_origin *origin, size_t n,
     struct pyramid_config c = {.tile_edge_m = 60, .name = "rules"};
     snprintf(c.attribution, sizeof c.attribution, "%s", attribution);
     kit_gauss(1, n, 150, 0, 0, &g);
-    const struct pyramid_level level = {.g = &g, .level = 3};
-    kit_ok(pyramid_build(origin, &level, 1, &c, NULL, 0, f->path, NULL, &e), e);
+    store_fixture_level(f->path, origin, &g, &c, NULL);
     kit_ok(store_open(f->path, &f->s, &e), e);
     gauss_free(&g);
 }
 
-static int setup(void **state)
-{
-    struct fixture *f = mem_array(1, sizeof *f);
-    struct err e = {0};
-    kit_tmpdir(f->dir);
-    kit_ok(file_join(f->path, f->dir, "city.tiles", &e), e);
-    *state = f;
-    return 0;
-}
-
-static int teardown(void **state)
-{
-    struct fixture *f = *state;
-    store_close(&f->s);
-    kit_rmdir(f->dir);
-    mem_free(f);
-    return 0;
-}
-
-static json_t *tileset_of(struct fixture *f)
+static json_t *tileset_of(struct store_fixture *f)
 {
     struct err e = {0};
     struct buf b = {0};
@@ -86,7 +60,7 @@ static void assert_names(const json_t *a, const char *one, const char *two)
 
 static void heads_are_what_engines_look_for(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     build(f, &(struct geo_origin){8.6821, 50.1109, 160}, 3000, "© Survey <2026> & \"Co\"");
     json_t *j = tileset_of(f);
     json_t *asset = json_object_get(j, "asset");
@@ -112,7 +86,7 @@ static void heads_are_what_engines_look_for(void **state)
 }
 
 struct walk {
-    struct fixture *f;
+    struct store_fixture *f;
     size_t n_tiles;
     double rot[9]; /* of the root */
 };
@@ -185,7 +159,7 @@ static void walk(struct walk *w, const json_t *node, const double at[3], double 
     }
 }
 
-static void walk_all(struct fixture *f)
+static void walk_all(struct store_fixture *f)
 {
     struct err e = {0};
     struct walk w = {.f = f};
@@ -209,7 +183,7 @@ static void walk_all(struct fixture *f)
 
 static void transforms_errors_and_boxes(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     build(f, &(struct geo_origin){-122.4, 37.8, 30}, 4000, "");
     json_t *j = tileset_of(f);
     assert_null(json_object_get(json_object_get(j, "asset"), "extras"));
@@ -219,7 +193,7 @@ static void transforms_errors_and_boxes(void **state)
 
 static void a_root_without_content(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     build(f, &(struct geo_origin){0, 0, 0}, 500, "");
     json_t *j = tileset_of(f);
     assert_null(json_object_get(json_object_get(j, "root"), "content"));
@@ -229,7 +203,7 @@ static void a_root_without_content(void **state)
 
 static void tilejson(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct buf b = {0};
     json_t *j;
@@ -346,7 +320,7 @@ static bool is_refined(struct store *s, uint32_t node, double distance_m)
 
 static void errors_are_what_is_documented(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct gauss g;
     const struct geo_origin origin = {8.6821, 50.1109, 160};
@@ -402,7 +376,8 @@ static void errors_are_what_is_documented(void **state)
 
 int main(void)
 {
-#define CASE(name) cmocka_unit_test_setup_teardown(name, setup, teardown)
+#define CASE(name)                                                                                 \
+    cmocka_unit_test_setup_teardown(name, store_fixture_setup, store_fixture_teardown)
     progress_quiet(true);
     const struct CMUnitTest tests[] = {
         CASE(heads_are_what_engines_look_for),

@@ -21,6 +21,7 @@
 #include "train/photo_loader.h"
 #include "train/schedule.h"
 #include "train/train.h"
+#include "train/train_scene.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -182,7 +183,7 @@ static void the_feed_shows_every_photograph_once_an_epoch_within_its_cache(void 
     uint32_t *images;
     size_t n;
     kit_ok(scene_read(scene_dir, &s, &e), e);
-    kit_ok(train_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
+    kit_ok(train_scene_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
     assert_int_equal(n, PHOTOS - 1);
     uint32_t order[2][4 * (PHOTOS - 1)];
     const size_t photo = WIDTH * HEIGHT * 3;
@@ -369,14 +370,15 @@ static void twenty_steps_give_the_golden_trace(void **state)
     c.lr_short = 1;           /* the published rates */
     c.densify_from = 1000000; /* choices of who is split may tip over by rounding; steps may not */
     kit_ok(scene_read(scene_dir, &s, &e), e);
-    kit_ok(train_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
+    kit_ok(train_scene_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
     struct level l = {
-        .cfg = &c, .scene = &s, .images = images, .n_images = n, .dev = &dev, .n_levels = 1};
-    cell_whole(&s, images, n, &l.cell);
-    kit_ok(schedule_make(&c, n, &l.cell, l.schedule, &e), e);
-    kit_ok(render_open(&dev, &l.render, &e), e);
-    kit_ok(photometric_open(&dev, &l.loss, &e), e);
-    kit_ok(init_gauss(&s, images, n, &l.cell, 1, 1000, 1, &g, &e), e);
+        .ctx = {
+            .cfg = &c, .scene = &s, .images = images, .n_images = n, .dev = &dev, .n_levels = 1}};
+    cell_whole(&s, images, n, &l.ctx.cell);
+    kit_ok(schedule_make(&c, n, &l.ctx.cell, l.ctx.schedule, &e), e);
+    kit_ok(render_open(&dev, &l.ctx.render, &e), e);
+    kit_ok(photometric_open(&dev, &l.ctx.loss, &e), e);
+    kit_ok(init_gauss(&s, images, n, &l.ctx.cell, 1, 1000, 1, &g, &e), e);
     kit_ok(level_open(&l, &g, &e), e);
     kit_ok(level_begin(&l, &e), e);
     for (int i = 0; i < 20; i++) {
@@ -387,8 +389,8 @@ static void twenty_steps_give_the_golden_trace(void **state)
     kit_near_d("loss of the first 20 steps", got, golden, 20, 0.0, GOLDEN_REL);
     assert_true(got[19] < got[0]);
     level_close(&l);
-    photometric_close(&l.loss);
-    render_close(&l.render);
+    photometric_close(&l.ctx.loss);
+    render_close(&l.ctx.render);
     gauss_free(&g);
     scene_free(&s);
     arena_free(&a);

@@ -4,31 +4,21 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "tests/kit.h"
+#include "tests/store_kit.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
-#include "lod/lod.h"
-
 enum { W = 96, H = 64 };
 
 static const struct geo_origin origin = {8.6821, 50.1109, 160};
 
-struct fixture {
-    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
-    struct dev dev;
-    struct render *render;
-};
-
 static int setup(void **state)
 {
-    static struct fixture f;
-    struct err e = {0};
+    static struct store_fixture f;
     struct gauss g;
-    kit_tmpdir(f.dir);
-    kit_ok(file_join(f.path, f.dir, "city.tiles", &e), e);
+    store_fixture_make(&f);
     kit_gauss(1, 3000, 120, 1, 4, &g);
     for (size_t i = 0; i < g.n; i++) {
         g.mean_m[3 * i + 2] *= 0.1f;
@@ -36,21 +26,16 @@ static int setup(void **state)
             g.scale_log[3 * i + k] -= 1.0f;
     }
     const struct pyramid_config cfg = {.tile_edge_m = 60, .name = "view"};
-    const struct pyramid_level level = {.g = &g, .level = 3};
-    kit_ok(pyramid_build(&origin, &level, 1, &cfg, NULL, 0, f.path, NULL, &e), e);
+    store_fixture_level(f.path, &origin, &g, &cfg, NULL);
     gauss_free(&g);
-    kit_ok(dev_open(NULL, &f.dev, &e), e);
-    kit_ok(render_open(&f.dev, &f.render, &e), e);
+    store_fixture_draw(&f);
     *state = &f;
     return 0;
 }
 
 static int teardown(void **state)
 {
-    struct fixture *f = *state;
-    render_close(&f->render);
-    dev_close(&f->dev);
-    kit_rmdir(f->dir);
+    store_fixture_drop(*state);
     return 0;
 }
 
@@ -65,7 +50,7 @@ static struct camera camera_at(double east_m, double height_m, double pitch_deg)
 
 static void drawn_again_it_is_the_same(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct view *v, *tiny;
     struct view_stats st;
@@ -93,7 +78,7 @@ static void drawn_again_it_is_the_same(void **state)
 /* Against all leaves put together by hand. */
 static void without_levels_it_is_the_finest(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct view *v;
     struct gauss all;
@@ -130,7 +115,7 @@ static void without_levels_it_is_the_finest(void **state)
 
 static void looking_away_shows_the_background(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
     struct view *v;
     struct view_stats st;
@@ -146,25 +131,20 @@ static void looking_away_shows_the_background(void **state)
 
 static void a_damaged_tile_spoils_only_the_views_that_need_it(void **state)
 {
-    struct fixture *f = *state;
+    struct store_fixture *f = *state;
     struct err e = {0};
-    struct buf file = {0}, payload = {0};
     struct store *s;
     struct view *v;
-    size_t n, at = 0;
+    size_t n;
     static float rgb[W * H * 3];
     kit_ok(store_open(f->path, &s, &e), e);
     const struct store_tile *t = store_tiles(s, &n);
-    kit_ok(store_read(s, t[n - 1].key, &payload, &e), e); /* one of the finest */
+    const struct key bad = t[n - 1].key; /* one of the finest */
     char name[64], path[FILE_PATH_MAX];
-    snprintf(name, sizeof name, "tile %u/%u/%u", t[n - 1].key.z, t[n - 1].key.x, t[n - 1].key.y);
+    snprintf(name, sizeof name, "tile %u/%u/%u", bad.z, bad.x, bad.y);
     store_close(&s);
-    kit_ok(file_read(f->path, 0, &file, &e), e);
-    while (memcmp(file.data + at, payload.data, 64))
-        at++;
-    file.data[at + 50] ^= 4;
     kit_ok(file_join(path, f->dir, "damaged.tiles", &e), e);
-    kit_ok(file_write(path, file.data, file.size, &e), e);
+    store_fixture_damage(f->path, bad, path);
     kit_ok(view_open(path, f->render, 0, &v, &e), e);
     struct camera far = camera_at(0, 3000, -88);
     const struct pick_options all = {.no_lod = true};
@@ -173,8 +153,6 @@ static void a_damaged_tile_spoils_only_the_views_that_need_it(void **state)
     kit_ok(view_render(v, &far, &draw, NULL, rgb, NULL, &e), e);
     kit_fails(view_render(v, &near, &draw, &all, rgb, NULL, &e), ERR_FORMAT, e, name);
     view_close(&v);
-    buf_free(&file);
-    buf_free(&payload);
 }
 
 /* 80 km north-east of the origin, where the ground leans by 0.7 degrees: a point 500 m ahead by the

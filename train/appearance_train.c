@@ -59,13 +59,13 @@ static enum err_code appearance_train_room(struct appearance_train *k, size_t n_
     const struct appearance *a = &k->model;
     size_t weights = appearance_weights(a), images = a->n_images * a->len_image;
     k->n_scene = n_scene;
-    k->row = mem_array(n_scene, sizeof(*k->row));
-    k->alike = mem_array(a->n_images, sizeof(*k->alike));
+    k->row = mem_array(n_scene, sizeof *k->row);
+    k->alike = mem_array(a->n_images, sizeof *k->alike);
     k->weights.m1 = mem_array(weights, sizeof(float));
     k->weights.m2 = mem_array(weights, sizeof(float));
     k->images.m1 = mem_array(images, sizeof(float));
     k->images.m2 = mem_array(images, sizeof(float));
-    k->image_steps = mem_array(a->n_images, sizeof(*k->image_steps));
+    k->image_steps = mem_array(a->n_images, sizeof *k->image_steps);
     k->frame = mem_array(appearance_frame_floats(a->len_gauss, a->hidden), sizeof(float));
     k->frame_grad = mem_array(appearance_frame_floats(a->len_gauss, a->hidden), sizeof(float));
     k->weight_grad = mem_array(weights, sizeof(float));
@@ -124,7 +124,7 @@ static enum err_code appearance_train_copy(struct appearance_train *k,
         return rc;
     memcpy(k->model.w1, from->w1, appearance_weights(from) * sizeof(float));
     memcpy(k->model.images, from->images, from->n_images * from->len_image * sizeof(float));
-    memcpy(k->model.names, from->names, from->n_images * sizeof(*from->names));
+    memcpy(k->model.names, from->names, from->n_images * sizeof *from->names);
     k->shared = true;
     return ERR_OK;
 }
@@ -143,16 +143,16 @@ static int appearance_train_compare(const void *a, const void *b)
 enum err_code appearance_train_rows(const struct appearance *a, const struct scene *s,
                                     uint32_t *row, struct err *e)
 {
-    struct appearance_train_name *list = mem_array(a->n_images, sizeof(*list));
+    struct appearance_train_name *list = mem_array(a->n_images, sizeof *list);
     if (!list)
         return err_set(e, ERR_MEM, "appearance: out of memory for %zu photographs", a->n_images);
     for (size_t i = 0; i < a->n_images; i++)
         list[i] = (struct appearance_train_name){a->names[i], (uint32_t)i};
-    qsort(list, a->n_images, sizeof(*list), appearance_train_compare);
+    qsort(list, a->n_images, sizeof *list, appearance_train_compare);
     for (size_t i = 0; i < s->n_images; i++) {
         struct appearance_train_name want = {s->images[i].name, 0};
         const struct appearance_train_name *hit =
-            bsearch(&want, list, a->n_images, sizeof(*list), appearance_train_compare);
+            bsearch(&want, list, a->n_images, sizeof *list, appearance_train_compare);
         row[i] = hit ? hit->row : APPEARANCE_TRAIN_ROW_NONE;
     }
     mem_free(list);
@@ -170,7 +170,7 @@ static enum err_code appearance_train_match_groups(struct appearance_train *k,
     if (most > s->n_images + n_images)
         return err_set(e, ERR_DATA, "%s: appearance group %u of %zu photographs", s->dir, most,
                        s->n_images);
-    uint32_t *first = mem_array((size_t)most + 1, sizeof(*first)); /* row + 1, 0 = none yet */
+    uint32_t *first = mem_array((size_t)most + 1, sizeof *first); /* row + 1, 0 = none yet */
     if (!first)
         return err_set(e, ERR_MEM, "appearance: out of memory for %u groups", most);
     for (size_t i = 0; i < n_images; i++) {
@@ -228,7 +228,7 @@ enum err_code appearance_train_embed(const struct appearance_train *k, uint64_t 
     if (rc)
         return rc;
     with.antialiased = g->antialiased;
-    memcpy(with.origin_enu_m, g->origin_enu_m, sizeof(g->origin_enu_m));
+    memcpy(with.origin_enu_m, g->origin_enu_m, sizeof g->origin_enu_m);
     rc = gauss_append(&with, g, NULL, g->n, e);
     for (size_t i = 0; !rc && i < with.n; i++)
         for (uint32_t c = 0; c < len; c++)
@@ -333,7 +333,7 @@ void appearance_train_restart(struct appearance_train *k)
     memset(k->weights.m2, 0, appearance_weights(a) * sizeof(float));
     memset(k->images.m1, 0, a->n_images * a->len_image * sizeof(float));
     memset(k->images.m2, 0, a->n_images * a->len_image * sizeof(float));
-    memset(k->image_steps, 0, a->n_images * sizeof(*k->image_steps));
+    memset(k->image_steps, 0, a->n_images * sizeof *k->image_steps);
     k->weight_steps = 0;
 }
 
@@ -398,7 +398,7 @@ enum err_code appearance_view_open(struct appearance_view *v, const struct appea
                                    const struct scene *s, struct err *e)
 {
     *v = (struct appearance_view){.model = model, .scene = s, .reach_m = appearance_train_reach(s)};
-    v->row = mem_array(s->n_images, sizeof(*v->row));
+    v->row = mem_array(s->n_images, sizeof *v->row);
     v->image = mem_array(model->len_image, sizeof(float));
     v->frame = mem_array(appearance_frame_floats(model->len_gauss, model->hidden), sizeof(float));
     enum err_code rc = v->row && v->image && v->frame
@@ -433,7 +433,7 @@ bool appearance_train_same(const struct appearance *a, const struct appearance *
            a->n_images == b->n_images &&
            !memcmp(a->w1, b->w1, appearance_weights(a) * sizeof(float)) &&
            !memcmp(a->images, b->images, a->n_images * a->len_image * sizeof(float)) &&
-           !memcmp(a->names, b->names, a->n_images * sizeof(*a->names));
+           !memcmp(a->names, b->names, a->n_images * sizeof *a->names);
 }
 
 struct appearance_train_part {
@@ -441,8 +441,8 @@ struct appearance_train_part {
     size_t bytes;
 };
 enum { APPEARANCE_TRAIN_PARTS = 5 };
-static void light_parts(const struct appearance_train *k,
-                        struct appearance_train_part out[APPEARANCE_TRAIN_PARTS])
+static void appearance_train_parts(const struct appearance_train *k,
+                                   struct appearance_train_part out[APPEARANCE_TRAIN_PARTS])
 {
     const struct appearance *a = &k->model;
     size_t weights = appearance_weights(a) * sizeof(float);
@@ -451,14 +451,14 @@ static void light_parts(const struct appearance_train *k,
     out[1] = (struct appearance_train_part){k->weights.m2, weights};
     out[2] = (struct appearance_train_part){k->images.m1, images};
     out[3] = (struct appearance_train_part){k->images.m2, images};
-    out[4] = (struct appearance_train_part){k->image_steps, a->n_images * sizeof(*k->image_steps)};
+    out[4] = (struct appearance_train_part){k->image_steps, a->n_images * sizeof *k->image_steps};
 }
 
 enum err_code appearance_train_write_state(const struct appearance_train *k, struct buf *out,
                                            struct err *e)
 {
     struct appearance_train_part part[APPEARANCE_TRAIN_PARTS];
-    light_parts(k, part);
+    appearance_train_parts(k, part);
     buf_u32(out, APPEARANCE_TRAIN_STATE_VERSION);
     buf_u32(out, k->weight_steps);
     for (size_t i = 0; i < APPEARANCE_TRAIN_PARTS; i++)
@@ -479,14 +479,14 @@ enum err_code appearance_train_read_state(struct appearance_train *k, const void
     const struct appearance *a = &k->model;
     if (saved.len_gauss != a->len_gauss || saved.len_image != a->len_image ||
         saved.hidden != a->hidden || saved.n_images != a->n_images ||
-        memcmp(saved.names, a->names, a->n_images * sizeof(*a->names)) != 0)
+        memcmp(saved.names, a->names, a->n_images * sizeof *a->names) != 0)
         rc = err_set(e, ERR_DATA, "the appearance model is that of other photographs or lengths");
     else if (k->shared && !appearance_train_same(&saved, a))
         rc = err_set(e, ERR_DATA,
                      "the shared appearance model was trained anew since: leave out --resume to "
                      "train this cell with it");
     uint32_t version = cursor_u32(&c), steps = cursor_u32(&c);
-    light_parts(k, part);
+    appearance_train_parts(k, part);
     for (size_t i = 0; !rc && i < APPEARANCE_TRAIN_PARTS; i++) {
         const uint8_t *from = cursor_take(&c, part[i].bytes);
         if (from)

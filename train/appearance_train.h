@@ -42,7 +42,8 @@ struct appearance_train { /* {0} is off; appearance_train_close */
 /* Is appearance wanted? */
 bool appearance_train_wanted(const struct train_config *cfg);
 /* A fresh model for these training photographs, or a copy of the shared one (may be NULL).
- * ERR_DATA when the shared one has other lengths, or lacks one of the photographs. */
+ * ERR_DATA when the shared one has other lengths, or lacks one of the photographs; ERR_LIMIT: a name
+ * is too long for the table; ERR_MEM. appearance_train_close it, also after an error. */
 enum err_code appearance_train_open(struct appearance_train *k, const struct train_config *cfg,
                                     const struct scene *s, const uint32_t *images, size_t n_images,
                                     const struct appearance *shared, struct err *e) ERR_USE;
@@ -52,7 +53,7 @@ static inline bool appearance_train_is_on(const struct appearance_train *k)
     return k->model.block != NULL;
 }
 /* Embeddings for Gaussians that have none: the last unit vector plus noise of sigma 0.01, so that
- * normalising has a gradient and all begin alike. Replaces *g. */
+ * normalising has a gradient and all begin alike. Replaces *g. ERR_MEM. */
 enum err_code appearance_train_embed(const struct appearance_train *k, uint64_t seed,
                                      struct gauss *g, struct err *e) ERR_USE;
 
@@ -76,8 +77,7 @@ void appearance_train_restart(struct appearance_train *k);
  * limit together are removed. */
 #define APPEARANCE_TRAIN_OFFSET_IDLE 0.0066928509 /* 1 / (1 + exp(5)) */
 
-/* Looks for cameras that have none, of a model in training or one that was read. appearance_view_close.
- */
+/* Appearance for cameras that have none, of a model in training or one that was read. */
 struct appearance_view {
     const struct appearance *model; /* borrowed, as is the scene */
     const struct scene *scene;
@@ -85,10 +85,12 @@ struct appearance_view {
     double reach_m;       /* as appearance_train_nearest */
     float *image, *frame; /* of the last camera */
 };
+/* ERR_MEM, and then there is nothing to close. */
 enum err_code appearance_view_open(struct appearance_view *v, const struct appearance *model,
                                    const struct scene *s, struct err *e) ERR_USE;
 void appearance_view_close(struct appearance_view *v);
-/* Constants of a frame in the look of the nearest training cameras; NULL when none has a row. */
+/* Constants of a frame in the appearance of the nearest training cameras; NULL when none has a row.
+ * Borrowed until the next call. */
 const float *appearance_view_frame(struct appearance_view *v, const struct camera *cam);
 
 /* Embedding for a camera without one: mean of those of the three nearest training cameras. Distance
@@ -98,16 +100,20 @@ const float *appearance_view_frame(struct appearance_view *v, const struct camer
 size_t appearance_train_nearest(const struct appearance *a, const struct scene *s,
                                 const uint32_t *row, const struct camera *cam, double reach_m,
                                 float *out);
-/* row [scene images]: the row of each photograph in the table, or APPEARANCE_TRAIN_ROW_NONE. */
+/* row [scene images]: the row of each photograph in the table, or APPEARANCE_TRAIN_ROW_NONE.
+ * ERR_MEM. */
 enum err_code appearance_train_rows(const struct appearance *a, const struct scene *s,
                                     uint32_t *row, struct err *e) ERR_USE;
 /* How far the cameras look: mean height above the scene's points, at least 1 m. */
 double appearance_train_reach(const struct scene *s);
 
 /* ---- into and out of checkpoints ---- */
+/* The moments, added to `out`. ERR_MEM. */
 enum err_code appearance_train_write_state(const struct appearance_train *k, struct buf *out,
                                            struct err *e) ERR_USE;
-/* Into a look that is open: the model's bytes and those of appearance_train_write_state. */
+/* Into one that is open: the model's bytes and those of appearance_train_write_state. ERR_FORMAT: not
+ * such bytes; ERR_DATA: of other photographs or lengths, or of a shared model that was trained anew;
+ * ERR_MEM. */
 enum err_code appearance_train_read_state(struct appearance_train *k, const void *model,
                                           size_t n_model, const void *state, size_t n_state,
                                           struct err *e) ERR_USE;

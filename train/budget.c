@@ -19,7 +19,8 @@
 #include "loss/metric.h"
 #include "render/render.h"
 #include "train/config.h"
-#include "train/level.h"
+#include "train/context.h"
+#include "train/model.h"
 #include "train/photo_loader.h"
 #include "train/schedule.h"
 
@@ -78,43 +79,43 @@ void budget_hold_out(const struct train_config *cfg, const uint32_t *images, siz
 
 void budget_close(struct budget *b)
 {
-    photo_loader_close(&b->feed);
+    photo_loader_close(&b->photos);
 }
 
-static enum err_code budget_open_feed(struct level *l, struct err *e)
+static enum err_code budget_open_photos(struct budget *b, const struct context *ctx, struct err *e)
 {
-    struct budget *b = &l->budget;
     struct photo_loader_config f = {
-        .scene = l->scene,
+        .scene = ctx->scene,
         .images = b->held,
         .n_images = b->n_held,
-        .max_edge_px = (uint32_t)l->cfg->max_edge_px,
-        .downsample = l->schedule[l->at].downsample,
-        .no_masks = !l->cfg->masks,
-        .cache_bytes = (size_t)l->cfg->cache_mib << 16, /* a sixteenth, as of the photographs */
-        .level = l->schedule[l->at].level,
+        .max_edge_px = (uint32_t)ctx->cfg->max_edge_px,
+        .downsample = context_schedule(ctx)->downsample,
+        .no_masks = !ctx->cfg->masks,
+        .cache_bytes = (size_t)ctx->cfg->cache_mib << 16, /* a sixteenth, as of the photographs */
+        .level = context_schedule(ctx)->level,
     };
-    return b->feed ? ERR_OK : photo_loader_open(&f, &b->feed, e);
+    return b->photos ? ERR_OK : photo_loader_open(&f, &b->photos, e);
 }
 
-static enum err_code budget_psnr(struct level *l, double *mean_db, struct err *e)
+static enum err_code budget_psnr(struct budget *b, const struct model *m, const struct context *ctx,
+                                 double *mean_db, struct err *e)
 {
-    struct render_options ro = level_render_options(l, l->step);
-    enum err_code rc = budget_open_feed(l, e);
+    struct render_options ro = context_render_options(ctx, ctx->step);
+    enum err_code rc = budget_open_photos(b, ctx, e);
     *mean_db = 0.0;
-    for (size_t i = 0; !rc && i < l->budget.n_held; i++) {
+    for (size_t i = 0; !rc && i < b->n_held; i++) {
         struct photo p;
         double db = 0.0;
-        rc = photo_loader_get_nth(l->budget.feed, i, &p, e);
+        rc = photo_loader_get_nth(b->photos, i, &p, e);
         if (rc)
             break;
-        float *rgb = mem_array((size_t)p.cam.width_px * p.cam.height_px * 3, sizeof(*rgb));
-        rc = rgb ? render_forward(l->render, &l->model, &p.cam, &ro, rgb, NULL, e)
+        float *rgb = mem_array((size_t)p.cam.width_px * p.cam.height_px * 3, sizeof *rgb);
+        rc = rgb ? render_forward(ctx->render, &m->gauss, &p.cam, &ro, rgb, NULL, e)
                  : err_set(e, ERR_MEM, "budget: out of memory");
         if (!rc)
             rc = metric_psnr(rgb, p.px, p.mask, p.cam.width_px, p.cam.height_px, &db, e);
         mem_free(rgb);
-        *mean_db += db / (double)l->budget.n_held;
+        *mean_db += db / (double)b->n_held;
     }
     return rc;
 }
@@ -129,28 +130,28 @@ enum budget_step budget_decide(const struct budget_point *last, double n, double
     return n >= BUDGET_FULL * (double)budget ? BUDGET_RAISE : BUDGET_KEEP;
 }
 
-enum err_code budget_look(struct level *l, uint32_t x, struct err *e)
+enum err_code budget_look(struct budget *b, const struct model *m, struct context *ctx, uint32_t x,
+                          struct err *e)
 {
-    struct budget *b = &l->budget;
-    struct schedule *s = &l->schedule[l->at];
+    struct schedule *s = &ctx->schedule[ctx->at];
     uint32_t count = schedule_densify_count(s), every = count / BUDGET_LOOKS + 1;
-    double psnr = 0.0, n = l->model.n;
+    double psnr = 0.0, n = m->gauss.n;
     if (!b->n_held || b->at.stopped || x % every)
         return ERR_OK;
-    enum err_code rc = budget_psnr(l, &psnr, e);
+    enum err_code rc = budget_psnr(b, m, ctx, &psnr, e);
     if (rc)
         return rc;
-    enum budget_step step = budget_decide(&b->at, n, psnr, s->budget, l->cfg->budget_gain_db);
+    enum budget_step step = budget_decide(&b->at, n, psnr, s->budget, ctx->cfg->budget_gain_db);
     log_debug("train", "budget level=%u step=%u gaussians=%.0f held_out_psnr_db=%.3f decision=%d",
-              s->level, l->step, n, psnr, step);
+              s->level, ctx->step, n, psnr, step);
     if (step == BUDGET_STOP) {
         b->at.stopped = true;
-        s->budget = l->model.n;
+        s->budget = m->gauss.n;
         log_info("train", "level=%u growth stops at %u Gaussians (step %u): more do not pay",
-                 s->level, l->model.n, l->step);
+                 s->level, m->gauss.n, ctx->step);
     } else if (step == BUDGET_RAISE) {
         double up = floor(BUDGET_RAISE_FACTOR * (double)s->budget);
-        s->budget = up < (double)b->table[l->at] ? (size_t)up : b->table[l->at];
+        s->budget = up < (double)b->table[ctx->at] ? (size_t)up : b->table[ctx->at];
     }
     if (!(b->at.n > 0.0) || n >= BUDGET_GREW * b->at.n) {
         b->at.n = n;

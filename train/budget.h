@@ -9,10 +9,10 @@
 #include "train/config.h"
 #include "train/schedule.h"
 
+struct context;
+struct model;
 struct photo_loader;
 struct scene;
-
-struct level;
 
 enum budget_mode { BUDGET_TABLE, BUDGET_FIT, BUDGET_AUTO }; /* as options.def lists them */
 
@@ -40,7 +40,7 @@ struct budget { /* {0}: not automatic. What a state to resume from holds of it i
     const uint32_t *held;
     size_t n_held;
     size_t table[TRAIN_LEVELS_MAX]; /* the most that a budget can be raised to */
-    struct photo_loader *feed;      /* of the level in work; made on first use */
+    struct photo_loader *photos;    /* held out, of the level in work; made on first use */
     struct budget_point {           /* where the last decision was taken */
         double n, psnr_db;          /* n 0: none yet */
         bool stopped;
@@ -50,8 +50,10 @@ void budget_close(struct budget *b);
 /* At densification x of the level in work, before it: look at the held-out photographs about ten
  * times a level. Gain since the last decision, dB a doubling of the Gaussians: at or above
  * cfg->budget_gain_db the budget rises by 1.3 when it is nearly used, below it growth stops for the
- * rest of the level. Changes l->schedule[l->at].budget. */
-enum err_code budget_look(struct level *l, uint32_t x, struct err *e) ERR_USE;
+ * rest of the level. Changes the level's budget in ctx->schedule. ERR_MEM, ERR_DEVICE, and
+ * what photo_loader_get_nth fails with. */
+enum err_code budget_look(struct budget *b, const struct model *m, struct context *ctx, uint32_t x,
+                          struct err *e) ERR_USE;
 /* The decision by itself. */
 enum budget_step { BUDGET_KEEP, BUDGET_RAISE, BUDGET_STOP };
 enum budget_step budget_decide(const struct budget_point *last, double n, double psnr_db,

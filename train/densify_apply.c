@@ -1,5 +1,4 @@
-/* Density control of a level in work: what densify.c decides, done to the Gaussians on the device,
- * and opacity resets.
+/* Density control of a level in work: what densify_plan.c decides, done to the Gaussians on the device.
  *
  * Parameters are looked at where they lie (on CPU devices the host sees the same memory), and rows
  * move array by array: what it takes beyond the model is a few numbers a Gaussian, and one array
@@ -15,15 +14,12 @@
 #include <jansson.h>
 
 #include "render/permute.h"
-#include "render/render.h"
-#include "train/appearance_train.h"
 #include "train/config.h"
+#include "train/context.h"
 #include "train/densify_plan.h"
 #include "train/importance.h"
-#include "train/level.h"
 #include "train/metrics_log.h"
-#include "train/schedule.h"
-#include "train/timing.h"
+#include "train/model.h"
 
 #define DENSIFY_SHARE_MIN 1e-3 /* of the Gaussians; see docs/decisions/006-density-control.md */
 #define DENSIFY_SHARE_MAX 0.98
@@ -32,12 +28,7 @@
  * every removal makes the others grow until they are removed too. */
 #define DENSIFY_SPACINGS 4.0
 
-static const struct schedule *density_schedule(const struct level *l)
-{
-    return &l->schedule[l->at];
-}
-
-struct density {
+struct densify_work {
     void *params; /* mapped */
     float *mean_grad, *score, *opacity;
     struct densify_plan plan;
@@ -45,7 +36,7 @@ struct density {
 };
 
 /* Forget what the choice was made by. */
-static void densify_free_input(struct density *c)
+static void densify_free_input(struct densify_work *c)
 {
     mem_free(c->mean_grad);
     mem_free(c->score);
@@ -55,22 +46,23 @@ static void densify_free_input(struct density *c)
 
 /* A Gaussian that shows under the light of some photographs only must not go for being faint by
  * itself: the limit is for the largest opacity it was drawn with since the last densification. */
-static enum err_code densify_opacity(struct level *l, struct density *c, const float *count,
+static enum err_code densify_opacity(const struct model *m, const struct context *ctx,
+                                     struct densify_work *c, const float *count,
                                      struct densify_params *p, struct err *e)
 {
     const float *params = c->params;
-    if (!appearance_train_is_on(&l->light) ||
-        l->step <= appearance_train_warmup(&l->light, l->cfg, density_schedule(l)))
+    if (!appearance_train_is_on(&ctx->appearance) ||
+        ctx->step <= appearance_train_warmup(&ctx->appearance, ctx->cfg, context_schedule(ctx)))
         return ERR_OK;
-    c->opacity = mem_array(l->model.n, sizeof(float));
+    c->opacity = mem_array(m->gauss.n, sizeof(float));
     if (!c->opacity)
-        return err_set(e, ERR_MEM, "densify: out of memory for %u Gaussians", l->model.n);
+        return err_set(e, ERR_MEM, "densify: out of memory for %u Gaussians", m->gauss.n);
     p->prune_opacity += APPEARANCE_TRAIN_OFFSET_IDLE;
     enum err_code rc =
-        dev_read(l->dev, l->stats.opacity, 0, l->model.n * sizeof(float), c->opacity, e);
-    for (size_t i = 0; !rc && i < l->model.n; i++) {
+        dev_read(m->dev, m->stats.opacity, 0, m->gauss.n * sizeof(float), c->opacity, e);
+    for (size_t i = 0; !rc && i < m->gauss.n; i++) {
         float own =
-            params[permute_at(i, l->model.planes) + (size_t)RENDER_PLANE_OPACITY * LAYOUT_LANES];
+            params[permute_at(i, m->gauss.planes) + (size_t)RENDER_PLANE_OPACITY * LAYOUT_LANES];
         if (!(count[i] > 0.0f)) /* not seen: nothing was added to its own */
             c->opacity[i] = 1.0f / (1.0f + expf(-own)) + (float)APPEARANCE_TRAIN_OFFSET_IDLE;
     }
@@ -78,35 +70,36 @@ static enum err_code densify_opacity(struct level *l, struct density *c, const f
 }
 
 /* Mean gradients and opacities since the last time. */
-static enum err_code densify_count(struct level *l, struct density *c, struct densify_params *p,
-                                   struct err *e)
+static enum err_code densify_count(const struct model *m, const struct context *ctx,
+                                   struct densify_work *c, struct densify_params *p, struct err *e)
 {
-    size_t n = l->model.n, bytes = n * sizeof(float);
+    size_t n = m->gauss.n, bytes = n * sizeof(float);
     float *count = mem_array(n, sizeof(float));
     c->mean_grad = mem_array(n, sizeof(float));
     enum err_code rc = count && c->mean_grad
                            ? ERR_OK
                            : err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", n);
     if (!rc)
-        rc = dev_read(l->dev, l->stats.count, 0, bytes, count, e);
+        rc = dev_read(m->dev, m->stats.count, 0, bytes, count, e);
     if (!rc)
-        rc = dev_read(l->dev, density_schedule(l)->absgrad ? l->stats.absg : l->stats.grad, 0,
+        rc = dev_read(m->dev, context_schedule(ctx)->absgrad ? m->stats.absg : m->stats.grad, 0,
                       bytes, c->mean_grad, e);
     for (size_t i = 0; !rc && i < n; i++) {
         float mean = count[i] > 0.0f ? c->mean_grad[i] / count[i] : 0.0f;
         c->mean_grad[i] = mean > 0.0f && isfinite(mean) ? mean : 0.0f;
     }
     if (!rc)
-        rc = densify_opacity(l, c, count, p, e);
+        rc = densify_opacity(m, ctx, c, count, p, e);
     mem_free(count);
     return rc;
 }
 
 /* At a level's first densification: thresholds in a wrong unit show in the share of candidates. */
-static void densify_check_share(const struct level *l, const struct densify_report *r, uint32_t x)
+static void densify_check_share(const struct context *ctx, const struct densify_report *r,
+                                uint32_t x)
 {
     double share = (double)(r->clone_candidates + r->split_candidates) / (double)r->before;
-    const struct schedule *s = density_schedule(l);
+    const struct schedule *s = context_schedule(ctx);
     if (x != 1 || (share >= DENSIFY_SHARE_MIN && share <= DENSIFY_SHARE_MAX))
         return;
     log_warn("train",
@@ -116,75 +109,77 @@ static void densify_check_share(const struct level *l, const struct densify_repo
              s->level, 100.0 * share, 100.0 * DENSIFY_SHARE_MIN, 100.0 * DENSIFY_SHARE_MAX, s->tau);
 }
 
-static enum err_code densify_tell(struct level *l, const struct densify_report *r, size_t cap,
-                                  struct err *e)
+static enum err_code densify_tell(const struct context *ctx, const struct densify_report *r,
+                                  size_t cap, struct err *e)
 {
     log_debug(
         "train",
         "densify level=%u step=%u before=%zu pruned=%zu candidates=%zu+%zu room=%zu cloned=%zu "
         "split=%zu after=%zu outside=%zu cap=%zu",
-        density_schedule(l)->level, l->step, r->before, r->pruned, r->clone_candidates,
+        context_schedule(ctx)->level, ctx->step, r->before, r->pruned, r->clone_candidates,
         r->split_candidates, r->room, r->cloned, r->split, r->after, r->outside, cap);
-    if (!l->record)
+    if (!ctx->metrics)
         return ERR_OK;
     json_t *o =
         json_pack("{s:i, s:i, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I}", "level",
-                  (int)density_schedule(l)->level, "step", (int)l->step, "pruned",
+                  (int)context_schedule(ctx)->level, "step", (int)ctx->step, "pruned",
                   (json_int_t)r->pruned, "clone_candidates", (json_int_t)r->clone_candidates,
                   "split_candidates", (json_int_t)r->split_candidates, "room", (json_int_t)r->room,
                   "cloned", (json_int_t)r->cloned, "split", (json_int_t)r->split, "inside",
                   (json_int_t)r->inside, "outside", (json_int_t)r->outside, "cap", (json_int_t)cap);
-    return metrics_log_line(l->record, "densify", o, e);
+    return metrics_log_line(ctx->metrics, "densify", o, e);
 }
 
-static double densify_prune_above(const struct level *l)
+static double densify_prune_above(const struct context *ctx)
 {
-    double spacing_m = l->cell.edge_m / sqrt((double)density_schedule(l)->budget);
-    return l->cfg->prune_size > 0.0
-               ? fmax(l->cfg->prune_size * l->cell.extent_m, DENSIFY_SPACINGS * spacing_m)
+    double spacing_m = ctx->cell.edge_m / sqrt((double)context_schedule(ctx)->budget);
+    return ctx->cfg->prune_size > 0.0
+               ? fmax(ctx->cfg->prune_size * ctx->cell.extent_m, DENSIFY_SPACINGS * spacing_m)
                : 0.0;
 }
 
-static struct densify_params densify_make_params(const struct level *l, uint32_t x)
+static struct densify_params densify_make_params(const struct model *m, const struct context *ctx,
+                                                 uint32_t x)
 {
-    const struct schedule *s = density_schedule(l);
-    const struct train_config *c = l->cfg;
+    const struct schedule *s = context_schedule(ctx);
+    const struct train_config *c = ctx->cfg;
     struct densify_params p = {
-        .cell = &l->cell,
-        .cap_inside = schedule_cap(l->start, s->budget, x, schedule_densify_count(s)),
+        .cell = &ctx->cell,
+        .cap_inside = schedule_cap(ctx->start, s->budget, x, schedule_densify_count(s)),
         .cap_outside = s->budget / 2,
         .tau = s->tau,
         .tau_outside = c->tau_outside,
-        .split_above_m = c->percent_dense * l->cell.extent_m,
+        .split_above_m = c->percent_dense * ctx->cell.extent_m,
         .split = (enum densify_split)c->split,
         .prune_opacity = c->prune_opacity,
-        .prune_above_m = schedule_was_reset(s, l->step) ? densify_prune_above(l) : 0.0,
+        .prune_above_m = schedule_was_reset(s, ctx->step) ? densify_prune_above(ctx) : 0.0,
         .seed = (uint64_t)c->seed,
         .level = s->level,
-        .step = l->step,
+        .step = ctx->step,
     };
-    memcpy(p.origin_enu_m, l->model.origin_enu_m, sizeof(p.origin_enu_m));
+    memcpy(p.origin_enu_m, m->gauss.origin_enu_m, sizeof p.origin_enu_m);
     return p;
 }
 
 /* Which rows there will be, from the parameters as they are. */
-static enum err_code densify_decide(struct level *l, struct density *c, struct densify_params *p,
-                                    struct err *e)
+static enum err_code densify_decide(struct model *m, struct context *ctx,
+                                    struct importance **importance, struct densify_work *c,
+                                    struct densify_params *p, struct err *e)
 {
-    enum err_code rc = densify_count(l, c, p, e);
+    enum err_code rc = densify_count(m, ctx, c, p, e);
     struct densify_input in = {.params = c->params,
-                               .n = l->model.n,
-                               .planes = l->model.planes,
+                               .n = m->gauss.n,
+                               .planes = m->gauss.planes,
                                .mean_grad = c->mean_grad,
                                .opacity = c->opacity};
     if (!rc)
         rc = densify_plan_make(p, &in, &c->plan, e);
     if (!rc && c->plan.report.needs_importance) {
-        enum timing_on was = timing_turn(&l->spent, TIMING_SCORE);
+        enum timing_on was = timing_turn(&ctx->timing, TIMING_SCORE);
         c->score = mem_array(in.n, sizeof(float));
-        rc = c->score ? importance_run(l, in.params, c->mean_grad, c->score, e)
+        rc = c->score ? importance_run(importance, m, ctx, in.params, c->mean_grad, c->score, e)
                       : err_set(e, ERR_MEM, "densify: out of memory for %zu scores", in.n);
-        (void)timing_turn(&l->spent, was);
+        (void)timing_turn(&ctx->timing, was);
         in.score = c->score;
         if (!rc)
             rc = densify_plan_make(p, &in, &c->plan, e);
@@ -193,71 +188,47 @@ static enum err_code densify_decide(struct level *l, struct density *c, struct d
         rc = err_set(e, ERR_DATA,
                      "level %u, step %u: every Gaussian became transparent and was removed; "
                      "are the poses right?",
-                     density_schedule(l)->level, l->step);
+                     context_schedule(ctx)->level, ctx->step);
     densify_free_input(c);
     return rc ? rc : densify_order(p, &in, &c->plan, &c->order, e);
 }
 
-static size_t densify_bytes(const struct level *l)
-{
-    return permute_floats(l->model.n, l->model.planes) * sizeof(float);
-}
-
 /* Move the rows and halve what was split. */
-static enum err_code densify_commit(struct level *l, const struct density *c, struct err *e)
+static enum err_code densify_commit(struct model *m, size_t most, const struct densify_work *c,
+                                    struct err *e)
 {
     void *params = NULL;
-    enum err_code rc = level_move(l, &c->order.rows, e);
+    enum err_code rc = model_move(m, &c->order.rows, most, e);
     if (rc || !c->order.n_split)
         return rc;
-    rc = dev_map(l->dev, l->model.params, CL_MAP_READ | CL_MAP_WRITE, densify_bytes(l), &params, e);
+    rc = dev_map(m->dev, m->gauss.params, CL_MAP_READ | CL_MAP_WRITE, model_bytes(m), &params, e);
     if (rc)
         return rc;
     densify_halve(&c->order, params);
-    return dev_unmap(l->dev, l->model.params, &params, e);
+    return dev_unmap(m->dev, m->gauss.params, &params, e);
 }
 
-enum err_code densify_apply(struct level *l, uint32_t x, struct err *e)
+enum err_code densify_apply(struct model *m, struct context *ctx, struct importance **importance,
+                            uint32_t x, struct err *e)
 {
-    struct density c = {0};
+    struct densify_work c = {0};
     struct err why = {0};
-    struct densify_params p = densify_make_params(l, x);
-    enum err_code rc =
-        dev_map(l->dev, l->model.params, CL_MAP_READ, densify_bytes(l), &c.params, e);
+    struct densify_params p = densify_make_params(m, ctx, x);
+    enum err_code rc = dev_map(m->dev, m->gauss.params, CL_MAP_READ, model_bytes(m), &c.params, e);
     if (!rc)
-        rc = densify_decide(l, &c, &p, e);
-    enum err_code done = dev_unmap(l->dev, l->model.params, &c.params, &why);
+        rc = densify_decide(m, ctx, importance, &c, &p, e);
+    enum err_code done = dev_unmap(m->dev, m->gauss.params, &c.params, &why);
     if (!rc && done)
         rc = err_set(e, done, "%s", why.msg);
     struct densify_report report = c.plan.report;
     densify_plan_free(&c.plan);
     if (!rc)
-        rc = densify_commit(l, &c, e);
+        rc = densify_commit(m, context_most(ctx), &c, e);
     if (!rc) {
-        densify_check_share(l, &report, x);
-        rc = densify_tell(l, &report, p.cap_inside, e);
+        densify_check_share(ctx, &report, x);
+        rc = densify_tell(ctx, &report, p.cap_inside, e);
     }
     densify_free_input(&c);
     densify_order_free(&c.order);
-    return rc;
-}
-
-/* Lower every opacity to the reset value and forget its moments. */
-enum err_code densify_reset_opacity(struct level *l, struct err *e)
-{
-    float top = (float)log(l->cfg->reset_opacity / (1.0 - l->cfg->reset_opacity));
-    cl_mem buffers[] = {l->model.params, l->adam.m1, l->adam.m2};
-    enum err_code rc = ERR_OK;
-    for (size_t b = 0; !rc && b < 3; b++) {
-        void *mapped = NULL;
-        rc = dev_map(l->dev, buffers[b], CL_MAP_READ | CL_MAP_WRITE, densify_bytes(l), &mapped, e);
-        for (size_t i = 0; !rc && i < l->model.n; i++) {
-            float *o = (float *)mapped + permute_at(i, l->model.planes) +
-                       (size_t)RENDER_PLANE_OPACITY * LAYOUT_LANES;
-            *o = b ? 0.0f : fminf(*o, top);
-        }
-        if (!rc)
-            rc = dev_unmap(l->dev, buffers[b], &mapped, e);
-    }
     return rc;
 }

@@ -5,18 +5,18 @@
 #ifndef TRAIN_DENSIFY_APPLY_H
 #define TRAIN_DENSIFY_APPLY_H
 
-#include <stdbool.h>
-#include <stddef.h>
 #include <stdint.h>
 
 #include "core/err.h"
 
-struct err;
-struct level;
+struct context;
+struct importance;
+struct model;
 
-/* The x-th densification of the level, from 1: remove, clone and split under its budget. */
-enum err_code densify_apply(struct level *l, uint32_t x, struct err *e) ERR_USE;
-/* Lower every opacity to the reset value and forget its moments. */
-enum err_code densify_reset_opacity(struct level *l, struct err *e) ERR_USE;
+/* The x-th densification of the level in work, from 1: remove, clone and split under its budget.
+ * *importance (NULL at first; importance_free) is made when candidates have to be ranked. ERR_DATA:
+ * no Gaussian would be left; ERR_LIMIT: more than a cell can hold; ERR_MEM, ERR_DEVICE. */
+enum err_code densify_apply(struct model *m, struct context *ctx, struct importance **importance,
+                            uint32_t x, struct err *e) ERR_USE;
 
 #endif

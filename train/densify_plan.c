@@ -211,7 +211,7 @@ static enum err_code densify_rows(const struct densify_input *in, const struct d
                                   struct densify_plan *out, struct err *e)
 {
     size_t n = 0;
-    out->rows = mem_array(out->report.after, sizeof(*out->rows));
+    out->rows = mem_array(out->report.after, sizeof *out->rows);
     if (!out->rows)
         return err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", out->report.after);
     for (size_t i = 0; i < in->n; i++) {
@@ -296,7 +296,7 @@ enum err_code densify_plan_make(const struct densify_params *p, const struct den
     w.class = mem_array(in->n, 1);
     w.inside = mem_array(in->n, 1);
     w.chosen = mem_array(in->n, 1);
-    w.drawn = mem_array(in->n, sizeof(*w.drawn));
+    w.drawn = mem_array(in->n, sizeof *w.drawn);
     bool ok = w.class && w.inside && w.chosen && w.drawn;
     for (size_t k = 0; k < 2; k++) {
         w.side[k].clones = mem_array(in->n, sizeof(uint32_t));
@@ -372,8 +372,8 @@ static enum err_code densify_sort(const struct densify_plan *plan, const float *
         return rc;
     for (size_t d = 0; d < plan->n; d++)
         o->n_split += densify_is_half(plan->rows[d]);
-    o->split = mem_array(o->n_split, sizeof(*o->split));
-    o->mean = mem_array(3 * o->n_split, sizeof(*o->mean));
+    o->split = mem_array(o->n_split, sizeof *o->split);
+    o->mean = mem_array(3 * o->n_split, sizeof *o->mean);
     if (!o->split || !o->mean)
         return err_set(e, ERR_MEM, "densify: out of memory for %zu halves", o->n_split);
     for (size_t d = 0; d < plan->n; d++) {
@@ -383,7 +383,7 @@ static enum err_code densify_sort(const struct densify_plan *plan, const float *
         if (!densify_is_half(row))
             continue;
         o->split[n] = (uint32_t)d;
-        memcpy(o->mean + 3 * n++, mean + 3 * (size_t)at, 3 * sizeof(*mean));
+        memcpy(o->mean + 3 * n++, mean + 3 * (size_t)at, 3 * sizeof *mean);
     }
     return ERR_OK;
 }
@@ -392,8 +392,8 @@ enum err_code densify_order(const struct densify_params *p, const struct densify
                             const struct densify_plan *plan, struct densify_order *out,
                             struct err *e)
 {
-    float *mean = mem_array(3 * plan->n, sizeof(*mean));
-    uint32_t *source = mem_array(plan->n, sizeof(*source));
+    float *mean = mem_array(3 * plan->n, sizeof *mean);
+    uint32_t *source = mem_array(plan->n, sizeof *source);
     enum err_code rc = mean && source ? ERR_OK
                                       : err_set(e, ERR_MEM,
                                                 "densify: out of memory for %zu "

@@ -54,7 +54,7 @@ struct densify_plan { /* {0} is empty; densify_plan_free */
 };
 /* Choose. Without a score and with a binding budget only the report is filled (rows stays NULL).
  * Inside the cell there are never more than cap_inside afterwards, unless there were more before;
- * same outside. */
+ * same outside. densify_plan_free it. ERR_LIMIT: more than 2^31 Gaussians; ERR_MEM. */
 enum err_code densify_plan_make(const struct densify_params *p, const struct densify_input *in,
                                 struct densify_plan *out, struct err *e) ERR_USE;
 void densify_plan_free(struct densify_plan *p);
@@ -66,6 +66,7 @@ struct densify_order {       /* {0} is empty; densify_order_free */
     size_t n_split;
     enum densify_split how;
 };
+/* Put the rows of a plan in that order. densify_order_free it. ERR_MEM. */
 enum err_code densify_order(const struct densify_params *p, const struct densify_input *in,
                             const struct densify_plan *plan, struct densify_order *out,
                             struct err *e) ERR_USE;

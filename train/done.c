@@ -7,6 +7,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "train/done.h"
+
 #include <errno.h>
 #include <fcntl.h>
 #include <math.h>
@@ -18,10 +20,7 @@
 
 #include <jansson.h>
 
-#include "train/config.h"
-#include "train/jobs.h"
-#include "train/timing.h"
-#include "train/train.h"
+#include "train/result.h"
 
 enum { DONE_VERSION = 1 };
 
@@ -29,7 +28,7 @@ static enum err_code done_level_size(const char *dir, uint32_t level, double *by
 {
     char name[32], path[FILE_PATH_MAX];
     struct stat st;
-    snprintf(name, sizeof(name), "level%u.ckpt", level);
+    snprintf(name, sizeof name, "level%u.ckpt", level);
     enum err_code rc = file_join(path, dir, name, e);
     if (rc)
         return rc;
@@ -122,7 +121,7 @@ enum err_code done_read(const char *cell_dir, struct train_cell_result *out, str
     if (!rc)
         rc = done_read_levels(cell_dir, json_object_get(root, "levels"), out, e);
     if (!rc)
-        snprintf(out->id, sizeof(out->id), "%s", id);
+        snprintf(out->id, sizeof out->id, "%s", id);
     if (!rc) /* files of older versions have none */
         timing_from_json(json_object_get(root, "spent"), &out->spent);
     json_decref(root);

@@ -63,8 +63,8 @@ static enum err_code evaluate_picture(const char *dir, const struct photo *p, co
     struct image img = {0};
     uint32_t w = p->cam.width_px, h = p->cam.height_px;
     const char *dot = strrchr(p->name, '.');
-    snprintf(name, sizeof(name), "%.*s.png",
-             (int)(dot ? dot - p->name : (ptrdiff_t)strlen(p->name)), p->name);
+    snprintf(name, sizeof name, "%.*s.png", (int)(dot ? dot - p->name : (ptrdiff_t)strlen(p->name)),
+             p->name);
     enum err_code rc = file_mkdir(dir, e);
     if (!rc)
         rc = file_join(path, dir, name, e);
@@ -104,7 +104,7 @@ static enum err_code evaluate_one(struct photo_loader *f, size_t nth,
     enum err_code rc = photo_loader_get_nth(f, nth, &photo, e);
     if (rc)
         return rc;
-    float *rgb = mem_array((size_t)photo.cam.width_px * photo.cam.height_px * 3, sizeof(*rgb));
+    float *rgb = mem_array((size_t)photo.cam.width_px * photo.cam.height_px * 3, sizeof *rgb);
     if (!rgb)
         return err_set(e, ERR_MEM, "evaluate: out of memory for %u x %u pixels", photo.cam.width_px,
                        photo.cam.height_px);
@@ -174,9 +174,9 @@ enum err_code evaluate_draw_model(void *user, const struct camera *cam, float *r
     const struct evaluate_model *m = user;
     struct render_options ro = m->options;
     *gaussians = m->model->n;
-    if (m->look) {
-        ro.appearance_frame = appearance_view_frame(m->look, cam);
-        ro.appearance_hidden = m->look->model->hidden;
+    if (m->appearance) {
+        ro.appearance_frame = appearance_view_frame(m->appearance, cam);
+        ro.appearance_hidden = m->appearance->model->hidden;
     }
     return render_forward(m->render, m->model, cam, &ro, rgb, NULL, e);
 }

@@ -26,14 +26,14 @@ struct half_image {
 enum err_code half_image_open(const struct half_image_config *c, struct half_image **out,
                               struct err *e)
 {
-    struct half_image *h = mem_array(1, sizeof(*h));
+    struct half_image *h = mem_array(1, sizeof *h);
     *out = h;
     if (!h)
         return err_set(e, ERR_MEM, "half-image score: out of memory");
     h->c = *c;
-    if (!c->look)
+    if (!c->appearance)
         return ERR_OK;
-    const struct appearance *a = c->look->model;
+    const struct appearance *a = c->appearance->model;
     size_t floats = appearance_frame_floats(a->len_gauss, a->hidden);
     h->frame = mem_array(floats, sizeof(float));
     h->frame_grad = mem_array(floats, sizeof(float));
@@ -130,7 +130,7 @@ static enum err_code half_image_step(struct half_image *h, const struct camera *
                                      const struct render_model *m, struct render_options ro,
                                      const float *image, struct err *e)
 {
-    const struct appearance *a = h->c.look->model;
+    const struct appearance *a = h->c.appearance->model;
     struct photometric_input in = {.target = h->target,
                                    .width_px = cam->width_px,
                                    .height_px = cam->height_px,
@@ -156,7 +156,8 @@ enum err_code half_image_fit(struct half_image *h, const struct photo *p,
                              enum half_image_side side, float *image, struct err *e)
 {
     struct camera cam = half_image_camera(&p->cam, side);
-    size_t bytes = (size_t)cam.width_px * cam.height_px * 3, len = h->c.look->model->len_image;
+    size_t bytes = (size_t)cam.width_px * cam.height_px * 3,
+           len = h->c.appearance->model->len_image;
     size_t floats = permute_floats(m->cap, m->planes);
     uint8_t *cut = mem_array(bytes, 1);
     enum err_code rc = cut ? half_image_grow(h, &h->target, &h->target_bytes, bytes, e)
@@ -195,9 +196,9 @@ enum err_code half_image_score(struct half_image *h, const struct photo *p,
     float *rgb = mem_array((size_t)w * rows * 3, sizeof(float));
     uint8_t *cut = mem_array((size_t)count * rows * 3, 1);
     if (image) {
-        appearance_frame(h->c.look->model, image, h->frame);
+        appearance_frame(h->c.appearance->model, image, h->frame);
         with.appearance_frame = h->frame;
-        with.appearance_hidden = h->c.look->model->hidden;
+        with.appearance_hidden = h->c.appearance->model->hidden;
     }
     double start = clock_s();
     enum err_code rc = rgb && cut ? render_forward(h->c.render, m, &p->cam, &with, rgb, NULL, e)
@@ -219,7 +220,7 @@ enum err_code half_image_score(struct half_image *h, const struct photo *p,
 
 static void half_image_start(struct half_image *h, const struct photo *p)
 {
-    struct appearance_view *v = h->c.look;
+    struct appearance_view *v = h->c.appearance;
     size_t len = v->model->len_image;
     size_t n = h->c.random ? 0
                            : appearance_train_nearest(v->model, v->scene, v->row, &p->cam,
@@ -236,13 +237,13 @@ static enum err_code half_image_photo(struct half_image *h, const struct photo *
     struct render_options ro;
     enum err_code rc = src->prepare(src->user, &p->cam, &m, &ro, e);
     for (int side = HALF_IMAGE_LEFT; !rc && side <= HALF_IMAGE_RIGHT; side++) {
-        if (h->c.look) {
+        if (h->c.appearance) {
             half_image_start(h, p);
             rc = half_image_fit(h, p, m, &ro, (enum half_image_side)side, h->image, e);
         }
         if (!rc)
             rc = half_image_score(h, p, m, &ro, half_image_other((enum half_image_side)side),
-                                  h->c.look ? h->image : NULL, sum, e);
+                                  h->c.appearance ? h->image : NULL, sum, e);
     }
     return rc;
 }

@@ -37,10 +37,10 @@ struct half_image_config { /* all borrowed */
     struct dev *dev;
     struct render *render;
     struct photometric *loss;
-    struct appearance_view *look; /* NULL: a model without appearance */
-    uint32_t steps;               /* 200 */
-    double lr, lr_end;            /* 0.01 falling to 0.0005, exponentially */
-    bool random;                  /* start from N(0, 1) instead of the nearest cameras' mean */
+    struct appearance_view *appearance; /* NULL: a model without */
+    uint32_t steps;                     /* 200 */
+    double lr, lr_end;                  /* 0.01 falling to 0.0005, exponentially */
+    bool random; /* start from N(0, 1) instead of the nearest cameras' mean */
     uint64_t seed;
 };
 #define HALF_IMAGE_STEPS 200
@@ -57,22 +57,26 @@ struct half_image_source {
 };
 
 struct half_image; /* device buffers */
+/* half_image_close it. ERR_MEM. */
 enum err_code half_image_open(const struct half_image_config *c, struct half_image **out,
                               struct err *e) ERR_USE;
 void half_image_close(struct half_image **h);
 /* Columns [first, first + count) of a side. */
 void half_image_columns(uint32_t width_px, enum half_image_side side, uint32_t *first,
                         uint32_t *count);
-/* Learn the embedding of a photograph from one side. image [len_image]: start in, result out. */
+/* Learn the embedding of a photograph from one side. image [len_image]: start in, result out. ERR_CANCEL:
+ * stopped by a signal; ERR_MEM, ERR_DEVICE. */
 enum err_code half_image_fit(struct half_image *h, const struct photo *p,
                              const struct render_model *m, const struct render_options *ro,
                              enum half_image_side side, float *image, struct err *e) ERR_USE;
-/* Score one side of a photograph drawn with an embedding (NULL: without); added to sum. */
+/* Score one side of a photograph drawn with an embedding (NULL: without); added to sum. ERR_MEM,
+ * ERR_DEVICE, and what evaluate_photo fails with. */
 enum err_code half_image_score(struct half_image *h, const struct photo *p,
                                const struct render_model *m, const struct render_options *ro,
                                enum half_image_side side, const float *image,
                                struct evaluate_score *sum, struct err *e) ERR_USE;
-/* The protocol over a feed's list: means as evaluate_run's. */
+/* The protocol over a loader's list: means as evaluate_run's. ERR_DATA: no photographs, or one of a
+ * single column; ERR_CANCEL: stopped by a signal; else as of half_image_score. */
 enum err_code half_image_run(struct half_image *h, struct photo_loader *f, size_t n_photos,
                              const struct half_image_source *src, struct evaluate_score *out,
                              struct err *e) ERR_USE;

@@ -23,8 +23,9 @@
 #include "render/permute.h"
 #include "render/render.h"
 #include "train/config.h"
+#include "train/context.h"
 #include "train/importance.h"
-#include "train/level.h"
+#include "train/model.h"
 #include "train/photo_loader.h"
 
 enum {
@@ -142,20 +143,20 @@ static enum err_code importance_alloc_all(struct importance *s, size_t n_px, str
         return ERR_OK;
     mem_free(s->scratch);
     s->scratch_px = 0;
-    s->scratch = mem_array(n_px, IMPORTANCE_PICTURES * sizeof(*s->scratch));
+    s->scratch = mem_array(n_px, IMPORTANCE_PICTURES * sizeof *s->scratch);
     if (!s->scratch)
-        return err_set(e, ERR_MEM, "score: out of memory");
+        return err_set(e, ERR_MEM, "importance: out of memory");
     s->scratch_px = n_px;
     return ERR_OK;
 }
 
 /* Draw the view, find its loss, weigh its pixels on the device. */
-static enum err_code importance_draw(struct level *l, const struct photo *p, double *view_loss,
+static enum err_code importance_draw(struct importance *s, const struct model *m,
+                                     struct context *ctx, const struct photo *p, double *view_loss,
                                      struct err *e)
 {
-    struct importance *s = l->score;
     size_t n = (size_t)p->cam.width_px * p->cam.height_px, bytes = n * sizeof(float);
-    struct render_options ro = level_photo_options(l, l->step, p->image);
+    struct render_options ro = context_photo_options(ctx, ctx->step, p->image);
     struct photometric_value v = {0};
     enum err_code rc = importance_alloc_all(s, n, e);
     if (rc)
@@ -164,26 +165,26 @@ static enum err_code importance_draw(struct level *l, const struct photo *p, dou
     if (bytes > s->weight_bytes) {
         dev_release(&s->weight);
         s->weight_bytes = 0;
-        rc = dev_buffer(l->dev, bytes, NULL, &s->weight, e);
+        rc = dev_buffer(ctx->dev, bytes, NULL, &s->weight, e);
         s->weight_bytes = rc ? 0 : bytes;
     }
     if (!rc)
-        rc = render_forward(l->render, &l->model, &p->cam, &ro, NULL, NULL, e);
+        rc = render_forward(ctx->render, &m->gauss, &p->cam, &ro, NULL, NULL, e);
     if (!rc)
-        rc = level_photo_value(l, p, e);
+        rc = context_photo_value(ctx, p, e);
     if (!rc) /* while the device works */
         importance_edges(p->px, p->cam.width_px, p->cam.height_px, luma, edge);
     if (!rc)
-        rc = photometric_read(l->loss, &v, e);
+        rc = photometric_read(ctx->loss, &v, e);
     if (!rc)
-        rc = dev_read(l->dev, render_color_buffer(l->render), 0, 3 * bytes, color, e);
+        rc = dev_read(ctx->dev, render_color_buffer(ctx->render), 0, 3 * bytes, color, e);
     if (!rc) {
         importance_errors(color, p->px, p->mask, n, error);
         for (size_t i = 0; i < n; i++)
             error[i] = p->mask && !p->mask[i]
                            ? 0.0f
                            : IMPORTANCE_ERROR * error[i] + IMPORTANCE_EDGE * edge[i];
-        rc = dev_write(l->dev, s->weight, 0, bytes, error, e);
+        rc = dev_write(ctx->dev, s->weight, 0, bytes, error, e);
     }
     *view_loss = isfinite(v.total) ? v.total : 0.0;
     return rc;
@@ -231,9 +232,9 @@ enum err_code importance_inverse_median(const float *x, size_t n, size_t stride,
             k += x[stride * i] > 0.0f && isfinite(x[stride * i]);
         if (!k)
             continue;
-        sample = mem_array(k, sizeof(*sample));
+        sample = mem_array(k, sizeof *sample);
         if (!sample)
-            return err_set(e, ERR_MEM, "score: out of memory for a median of %zu values", k);
+            return err_set(e, ERR_MEM, "importance: out of memory for a median of %zu values", k);
         k = 0;
         for (size_t i = 0; i < n; i += step)
             if (x[stride * i] > 0.0f && isfinite(x[stride * i]))
@@ -245,7 +246,9 @@ enum err_code importance_inverse_median(const float *x, size_t n, size_t stride,
 }
 
 struct importance_work {
-    struct level *l;
+    struct importance *made;
+    const struct model *m;
+    struct context *ctx;
     const float *params, *sums;               /* mapped; sums [n][IMPORTANCE_SUMS] of the view */
     const float *own[IMPORTANCE_WEIGHT];      /* [n] fields that no view changes */
     float *opacity, *volume;                  /* two of them */
@@ -258,7 +261,7 @@ static enum err_code importance_static_chunk(void *user, size_t chunk, struct er
 {
     (void)e;
     struct importance_work *w = user;
-    uint32_t planes = w->l->model.planes;
+    uint32_t planes = w->m->gauss.planes;
     size_t end = (chunk + 1) * IMPORTANCE_CHUNK < w->n ? (chunk + 1) * IMPORTANCE_CHUNK : w->n;
     for (size_t i = chunk * IMPORTANCE_CHUNK; i < end; i++) {
         const float *p = w->params + permute_at(i, planes);
@@ -314,7 +317,7 @@ static enum err_code importance_alloc(struct importance_work *w, const float *me
     w->own[IMPORTANCE_VOLUME] = w->volume = mem_array(w->n, sizeof(float));
     return w->opacity && w->volume
                ? ERR_OK
-               : err_set(e, ERR_MEM, "score: out of memory for %zu Gaussians", w->n);
+               : err_set(e, ERR_MEM, "importance: out of memory for %zu Gaussians", w->n);
 }
 
 static enum err_code importance_view(struct importance_work *w, size_t nth, struct err *e)
@@ -322,47 +325,60 @@ static enum err_code importance_view(struct importance_work *w, size_t nth, stru
     struct photo photo;
     double loss = 0.0;
     size_t chunks = (w->n + IMPORTANCE_CHUNK - 1) / IMPORTANCE_CHUNK;
-    enum err_code rc = photo_loader_get_nth(w->l->feed, nth, &photo, e);
+    enum err_code rc = photo_loader_get_nth(w->ctx->photos, nth, &photo, e);
     if (!rc)
-        rc = importance_draw(w->l, &photo, &loss, e);
+        rc = importance_draw(w->made, w->m, w->ctx, &photo, &loss, e);
     if (!rc)
-        rc = render_importance_run(w->l->score->device, &w->l->model, w->l->score->weight, &w->sums,
-                                   e);
+        rc = render_importance_run(w->made->device, &w->m->gauss, w->made->weight, &w->sums, e);
     w->view_factor = (float)(IMPORTANCE_VIEW * loss);
     if (!rc)
         rc = pool_for(IMPORTANCE_FIELDS - IMPORTANCE_WEIGHT, 0, importance_view_field, w, e);
     return rc ? rc : pool_for(chunks, 0, importance_add_chunk, w, e);
 }
 
-static enum err_code importance_make(struct level *l, struct err *e)
+static enum err_code importance_make(struct importance **out, struct render *render, struct err *e)
 {
-    if (l->score)
+    if (*out)
         return ERR_OK;
-    l->score = mem_array(1, sizeof(*l->score));
-    if (!l->score)
-        return err_set(e, ERR_MEM, "score: out of memory");
-    return render_importance_open(l->render, &l->score->device, e);
+    *out = mem_array(1, sizeof **out);
+    return *out ? render_importance_open(render, &(*out)->device, e)
+                : err_set(e, ERR_MEM, "importance: out of memory");
 }
 
-enum err_code importance_run(struct level *l, const float *params, const float *mean_grad,
-                             float *score, struct err *e)
+/* What a run needs for itself alone. */
+static void importance_forget(struct importance *s)
 {
-    struct importance_work w = {.l = l, .params = params, .total = score, .n = l->model.n};
-    uint32_t *views = NULL, *all = mem_array(l->n_images, sizeof(*all));
-    size_t wanted = (size_t)l->cfg->importance_views,
-           n_views = wanted < l->n_images ? wanted : l->n_images;
-    views = mem_array(n_views, sizeof(*views));
-    enum err_code rc =
-        all && views ? importance_make(l, e) : err_set(e, ERR_MEM, "score: out of memory");
+    if (!s)
+        return;
+    mem_free(s->scratch);
+    s->scratch = NULL;
+    s->scratch_px = 0;
+    if (s->device)
+        render_importance_forget(s->device);
+}
+
+enum err_code importance_run(struct importance **own, const struct model *m, struct context *ctx,
+                             const float *params, const float *mean_grad, float *score,
+                             struct err *e)
+{
+    struct importance_work w = {
+        .m = m, .ctx = ctx, .params = params, .total = score, .n = m->gauss.n};
+    uint32_t *views = NULL, *all = mem_array(ctx->n_images, sizeof *all);
+    size_t wanted = (size_t)ctx->cfg->importance_views,
+           n_views = wanted < ctx->n_images ? wanted : ctx->n_images;
+    views = mem_array(n_views, sizeof *views);
+    enum err_code rc = all && views ? importance_make(own, ctx->render, e)
+                                    : err_set(e, ERR_MEM, "importance: out of memory");
+    w.made = *own;
     if (!rc)
         rc = importance_alloc(&w, mean_grad, e);
     if (rc)
         goto out;
-    for (size_t i = 0; i < l->n_images; i++)
+    for (size_t i = 0; i < ctx->n_images; i++)
         all[i] = (uint32_t)i;
-    memset(score, 0, w.n * sizeof(*score));
-    rc = sample_race(NULL, all, l->n_images, n_views, (uint64_t)l->cfg->seed,
-                     train_stream(TRAIN_STREAM_VIEWS, l->at + 1, l->step), views, e);
+    memset(score, 0, w.n * sizeof *score);
+    rc = sample_race(NULL, all, ctx->n_images, n_views, (uint64_t)ctx->cfg->seed,
+                     train_stream(TRAIN_STREAM_VIEWS, ctx->at + 1, ctx->step), views, e);
     if (!rc)
         rc = pool_for((w.n + IMPORTANCE_CHUNK - 1) / IMPORTANCE_CHUNK, 0, importance_static_chunk,
                       &w, e);
@@ -371,13 +387,7 @@ enum err_code importance_run(struct level *l, const float *params, const float *
     for (size_t v = 0; !rc && v < n_views; v++)
         rc = importance_view(&w, views[v], e);
 out:
-    if (l->score) {
-        mem_free(l->score->scratch);
-        l->score->scratch = NULL;
-        l->score->scratch_px = 0;
-    }
-    if (l->score && l->score->device)
-        render_importance_forget(l->score->device);
+    importance_forget(*own);
     mem_free(w.opacity);
     mem_free(w.volume);
     mem_free(views);

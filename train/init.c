@@ -5,19 +5,23 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "cells/cell.h"
 #include "codec/mask.h"
 #include "codec/scene.h"
+#include "core/knn.h"
 #include "core/pool.h"
-#include "loss/knn.h"
 #include "train/config.h"
 #include "train/init.h"
 
 #define INIT_OPACITY 0.1
 #define INIT_DIST2_MIN_M2 1e-7 /* coincident points */
-enum { INIT_NEIGHBOURS = 3, INIT_RANDOM_POINTS = 100, INIT_CHUNK = 4096 };
+/* A point that lies alone does not become a Gaussian as large as the gap around it: at most this
+ * many times the size of its neighbours. */
+#define INIT_GAP_MAX 3.0f
+enum { INIT_NEIGHBOURS = 3, INIT_AROUND = 9, INIT_RANDOM_POINTS = 100, INIT_CHUNK = 4096 };
 
 /* ---- nearest neighbours ---- */
 
@@ -25,6 +29,7 @@ struct init_search {
     const float *xyz;
     struct knn tree;
     float *dist2;
+    float *limited; /* NULL: not wanted */
 };
 
 static enum err_code init_search_chunk(void *user, size_t chunk, struct err *e)
@@ -44,13 +49,62 @@ static enum err_code init_search_chunk(void *user, size_t chunk, struct err *e)
     return ERR_OK;
 }
 
+static int init_float_compare(const void *a, const void *b)
+{
+    float x, y;
+    memcpy(&x, a, sizeof x);
+    memcpy(&y, b, sizeof y);
+    return (x > y) - (x < y);
+}
+
+/* Distances that are not much above the median of those around. */
+static enum err_code init_limit_chunk(void *user, size_t chunk, struct err *e)
+{
+    (void)e;
+    struct init_search *s = user;
+    size_t n = s->tree.n, end = (chunk + 1) * INIT_CHUNK < n ? (chunk + 1) * INIT_CHUNK : n;
+    for (size_t i = chunk * INIT_CHUNK; i < end; i++) {
+        uint32_t ids[INIT_AROUND];
+        float dist2[INIT_AROUND];
+        size_t found = knn_find(&s->tree, s->xyz + 3 * i, (uint32_t)i, INIT_AROUND, ids, dist2);
+        s->limited[i] = s->dist2[i];
+        if (found < INIT_AROUND)
+            continue;
+        for (size_t k = 0; k < found; k++)
+            dist2[k] = s->dist2[ids[k]];
+        qsort(dist2, found, sizeof *dist2, init_float_compare);
+        float most = INIT_GAP_MAX * INIT_GAP_MAX * dist2[found / 2];
+        if (most > 0.0f && s->dist2[i] > most)
+            s->limited[i] = most;
+    }
+    return ERR_OK;
+}
+
+static enum err_code init_search_all(struct init_search *s, size_t n, struct err *e)
+{
+    size_t chunks = (n + INIT_CHUNK - 1) / INIT_CHUNK;
+    enum err_code rc = knn_build(s->xyz, n, &s->tree, e);
+    if (!rc)
+        rc = pool_for(chunks, 0, init_search_chunk, s, e);
+    if (!rc && s->limited)
+        rc = pool_for(chunks, 0, init_limit_chunk, s, e);
+    knn_free(&s->tree);
+    return rc;
+}
+
 enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, struct err *e)
 {
     struct init_search s = {.xyz = xyz, .dist2 = dist2};
-    enum err_code rc = knn_build(xyz, n, &s.tree, e);
-    if (!rc)
-        rc = pool_for((n + INIT_CHUNK - 1) / INIT_CHUNK, 0, init_search_chunk, &s, e);
-    knn_free(&s.tree);
+    return init_search_all(&s, n, e);
+}
+
+enum err_code init_size2(const float *xyz, size_t n, float *size2, struct err *e)
+{
+    struct init_search s = {.xyz = xyz, .limited = size2};
+    s.dist2 = mem_array(n, sizeof *s.dist2);
+    enum err_code rc = s.dist2 ? init_search_all(&s, n, e)
+                               : err_set(e, ERR_MEM, "init: out of memory for %zu points", n);
+    mem_free(s.dist2);
     return rc;
 }
 
@@ -128,7 +182,7 @@ static void init_row(struct gauss *g, size_t i, const uint8_t rgb[3], double dis
         g->sh[i * per_row + k] = (float)((rgb[k] / 255.0 - 0.5) / GAUSS_SH_C0);
     }
     static const float identity[4] = {1.0f, 0.0f, 0.0f, 0.0f};
-    memcpy(g->quat_wxyz + 4 * i, identity, sizeof(identity));
+    memcpy(g->quat_wxyz + 4 * i, identity, sizeof identity);
     g->opacity_logit[i] = (float)log(INIT_OPACITY / (1.0 - INIT_OPACITY));
 }
 
@@ -139,13 +193,13 @@ static enum err_code init_fill(const struct init_points *p, const struct cell *c
     for (size_t i = 0; i < p->n; i++)
         for (int k = 0; k < 3; k++)
             mean[k] += p->enu_m[3 * i + k] / (double)p->n;
-    memcpy(g->origin_enu_m, mean, sizeof(mean));
+    memcpy(g->origin_enu_m, mean, sizeof mean);
     for (size_t i = 0; i < 3 * p->n; i++)
         g->mean_m[i] = (float)(p->enu_m[i] - mean[i % 3]);
-    float *dist2 = mem_array(p->n, sizeof(*dist2));
+    float *dist2 = mem_array(p->n, sizeof *dist2);
     if (!dist2)
         return err_set(e, ERR_MEM, "init: out of memory for %zu points", p->n);
-    enum err_code rc = init_neighbour_dist2(g->mean_m, p->n, dist2, e);
+    enum err_code rc = init_size2(g->mean_m, p->n, dist2, e);
     for (size_t i = 0; !rc && i < p->n; i++)
         init_row(g, i, p->rgb + 3 * i, (double)dist2[i], cell->extent_m);
     g->n = p->n;
@@ -207,7 +261,7 @@ enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n
     }
     if (!rc && use && seen) {
         p.n = init_count(n_use, limit);
-        p.enu_m = mem_array(3 * p.n, sizeof(*p.enu_m));
+        p.enu_m = mem_array(3 * p.n, sizeof *p.enu_m);
         p.rgb = mem_array(3 * p.n, 1);
     }
     if (rc)

@@ -16,14 +16,19 @@ struct scene;
 
 /* Gaussians at the scene's points (for a cell of a plan: at those that its photographs see): size
  * from the three nearest neighbours, opacity 0.1. More points than `limit`: an even random choice.
- * None: 100 places in front of the cameras. Origin: mean of the points. gauss_free it. */
+ * None: 100 places in front of the cameras. Origin: mean of the points. gauss_free it. ERR_MEM;
+ * ERR_LIMIT: more points than knn_build takes. */
 enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n_images,
                          const struct cell *cell, uint32_t sh_degree, size_t limit, uint64_t seed,
                          struct gauss *out, struct err *e) ERR_USE;
-/* How many points that would be without a limit. */
+/* How many points that would be without a limit. ERR_MEM. */
 enum err_code init_count_points(const struct scene *s, const uint32_t *images, size_t n_images,
                                 const struct cell *cell, size_t *out, struct err *e) ERR_USE;
 /* dist2[i]: mean squared distance of point i to its three nearest others (fewer when there are
- * fewer). */
+ * fewer). ERR_MEM, ERR_LIMIT. */
 enum err_code init_neighbour_dist2(const float *xyz, size_t n, float *dist2, struct err *e) ERR_USE;
+/* The square of the first Gaussians' size [n]: the same, but for a point that lies alone no more
+ * than three times the median size of the nine points nearest to it. ERR_MEM, ERR_LIMIT as
+ * knn_build. */
+enum err_code init_size2(const float *xyz, size_t n, float *size2, struct err *e) ERR_USE;
 #endif

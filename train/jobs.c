@@ -26,9 +26,10 @@
 
 #include "core/pool.h"
 #include "train/config.h"
+#include "train/done.h"
+#include "train/result.h"
 #include "train/run.h"
 #include "train/schedule.h"
-#include "train/train.h"
 #include "train/train_scene.h"
 
 enum { JOBS_TAIL_BYTES = 8192, JOBS_POLL_MS = 200, JOBS_ARGS_MAX = 20 };
@@ -64,7 +65,7 @@ static enum err_code jobs_fill(struct train_scene *s, size_t index, struct jobs_
         rc = file_join(path, dir, "done.json", e);
     if (rc)
         return rc;
-    memcpy(out->id, job.cell.id, sizeof(out->id));
+    memcpy(out->id, job.cell.id, sizeof out->id);
     out->photos = job.n_images;
     out->n_levels = (uint32_t)s->cfg->level_count;
     for (uint32_t l = 0; l < out->n_levels; l++)
@@ -83,7 +84,7 @@ enum err_code jobs_list(const char *scene_dir, const struct train_config *cfg,
     *out = (struct jobs_list){0};
     enum err_code rc = train_scene_open(scene_dir, cfg, &s, e);
     if (!rc)
-        out->cells = mem_array(s.n_cells, sizeof(*out->cells));
+        out->cells = mem_array(s.n_cells, sizeof *out->cells);
     if (!rc && !out->cells)
         rc = err_set(e, ERR_MEM, "train: out of memory for %zu cells", s.n_cells);
     for (size_t i = 0; !rc && i < s.n_cells; i++)
@@ -159,8 +160,8 @@ static enum err_code jobs_start(struct jobs *j, struct jobs_child *c, struct err
 {
     char log[FILE_PATH_MAX], threads[32], device[128];
     size_t all = j->cfg->threads ? (size_t)j->cfg->threads : pool_cores(), each = all / j->slots;
-    snprintf(threads, sizeof(threads), "%zu", each ? each : (size_t)1);
-    jobs_device(j->cfg->device, c->slot, device, sizeof(device));
+    snprintf(threads, sizeof threads, "%zu", each ? each : (size_t)1);
+    jobs_device(j->cfg->device, c->slot, device, sizeof device);
     const char *argv[JOBS_ARGS_MAX] = {
         j->program, "train", j->scene_dir, "--config", j->config_path, "--cell", c->cell->id,
         "--jobs",   "1",     "--threads",  threads,    "--device",     device,   NULL};
@@ -329,13 +330,13 @@ static void jobs_show(struct jobs *j, struct progress *p)
     char note[160];
     size_t at = 0;
     uint64_t steps = 0;
-    at += (size_t)snprintf(note, sizeof(note), "%zu of %zu cells", j->good, j->n);
+    at += (size_t)snprintf(note, sizeof note, "%zu of %zu cells", j->good, j->n);
     for (size_t i = 0; i < j->n; i++) {
         struct jobs_child *c = &j->child[i];
         if (c->phase == JOBS_RUNNING) {
             jobs_look(c);
-            if (at < sizeof(note) && c->level)
-                at += (size_t)snprintf(note + at, sizeof(note) - at, ", %s level %u %.1f dB",
+            if (at < sizeof note && c->level)
+                at += (size_t)snprintf(note + at, sizeof note - at, ", %s level %u %.1f dB",
                                        c->cell->id, c->level, c->psnr_db);
         }
         steps += c->steps_done < c->steps ? c->steps_done : c->steps;
@@ -385,7 +386,7 @@ static enum err_code jobs_write_config(struct jobs *j, struct err *e)
 
 static enum err_code jobs_collect(struct jobs *j, struct train_result *out, struct err *e)
 {
-    out->cells = mem_array(j->n, sizeof(*out->cells));
+    out->cells = mem_array(j->n, sizeof *out->cells);
     if (!out->cells)
         return err_set(e, ERR_MEM, "train: out of memory for %zu cells", j->n);
     for (size_t i = 0; i < j->n; i++) {
@@ -402,7 +403,7 @@ static enum err_code jobs_prepare(struct jobs *j, const struct jobs_list *list, 
 {
     j->n = list->n_cells;
     j->slots = (size_t)j->cfg->jobs < j->n ? (size_t)j->cfg->jobs : j->n;
-    j->child = mem_array(j->n, sizeof(*j->child));
+    j->child = mem_array(j->n, sizeof *j->child);
     if (!j->child)
         return err_set(e, ERR_MEM, "train: out of memory for %zu cells", j->n);
     for (size_t i = 0; i < j->n; i++) {
@@ -422,7 +423,7 @@ enum err_code jobs_run(const char *program, const char *scene_dir, const struct 
 {
     double start_s = clock_s();
     struct jobs_list list;
-    struct jobs *j = mem_array(1, sizeof(*j));
+    struct jobs *j = mem_array(1, sizeof *j);
     *out = (struct train_result){0};
     if (!j)
         return err_set(e, ERR_MEM, "train: out of memory");

@@ -28,8 +28,8 @@ struct jobs_list { /* {0} is empty; jobs_list_free. In the order of the plan. */
     struct jobs_cell *cells;
     size_t n_cells;
 };
-/* The cells that `citysplat train SCENE` would train, without opening a device. Errors as
- * train_run's. */
+/* The cells that `citysplat train SCENE` would train, without opening a device.
+ * jobs_list_free it. ERR_ARG, ERR_DATA, ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM as of train_run. */
 enum err_code jobs_list(const char *scene_dir, const struct train_config *cfg,
                         struct jobs_list *out, struct err *e) ERR_USE;
 void jobs_list_free(struct jobs_list *l);
@@ -42,17 +42,5 @@ const char *jobs_state_name(enum jobs_state s); /* "new", "started", "done" */
  * by a signal; every child saved its state. `program` is the path of this executable. */
 enum err_code jobs_run(const char *program, const char *scene_dir, const struct train_config *cfg,
                        struct train_result *out, struct err *e) ERR_USE;
-
-/* ---- done.c: the done-file and the lock of a cell's folder ---- */
-
-/* Write cells/<id>/done.json: Gaussians, scores and file size of every level, seconds, version. */
-enum err_code done_write(const char *cell_dir, const struct train_cell_result *r,
-                         struct err *e) ERR_USE;
-/* ERR_NOENT: none. ERR_FORMAT: not a done-file, or a level's file is missing or of another size. */
-enum err_code done_read(const char *cell_dir, struct train_cell_result *out, struct err *e) ERR_USE;
-/* Take the folder for this process; ERR_BUSY-like ERR_ARG when another one has it. The lock goes
- * with the descriptor, also when the process is killed. */
-enum err_code done_lock(const char *cell_dir, int *fd, struct err *e) ERR_USE;
-void done_unlock(int *fd);
 
 #endif

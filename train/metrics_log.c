@@ -23,10 +23,10 @@ enum err_code metrics_log_open(const char *path, bool append, struct metrics_log
                                struct err *e)
 {
     *out = NULL;
-    struct metrics_log *m = mem_array(1, sizeof(*m));
+    struct metrics_log *m = mem_array(1, sizeof *m);
     if (!m)
         return err_set(e, ERR_MEM, "metrics.jsonl: out of memory");
-    snprintf(m->path, sizeof(m->path), "%s", path);
+    snprintf(m->path, sizeof m->path, "%s", path);
     m->start_s = clock_s();
     m->file = fopen(path, append ? "a" : "w");
     if (!m->file) {

@@ -123,7 +123,7 @@ static enum err_code photo_loader_decode_mask(const struct photo_loader *f, size
     return rc;
 }
 
-static size_t feed_size(const struct photo_loader *f, size_t slot)
+static size_t photo_loader_size(const struct photo_loader *f, size_t slot)
 {
     return (size_t)f->cams[slot].width_px * f->cams[slot].height_px * (f->masked[slot] ? 4 : 3);
 }
@@ -158,7 +158,7 @@ static void photo_loader_evict(struct photo_loader *f, size_t need, bool even_wa
             oldest = photo_loader_oldest(f, true);
         if (oldest == f->cfg.n_images)
             return;
-        f->bytes -= feed_size(f, oldest);
+        f->bytes -= photo_loader_size(f, oldest);
         image_free(&f->slots[oldest].img);
         image_free(&f->slots[oldest].mask);
         f->slots[oldest].state = PHOTO_LOADER_EMPTY;
@@ -171,7 +171,7 @@ static void photo_loader_load(struct photo_loader *f, size_t slot)
     struct image img = {0}, mask = {0};
     struct err e = {0};
     f->slots[slot].state = PHOTO_LOADER_LOADING;
-    f->bytes += feed_size(f, slot);
+    f->bytes += photo_loader_size(f, slot);
     pthread_mutex_unlock(&f->lock);
     enum err_code rc = photo_loader_decode(f, slot, &img, &e);
     if (!rc)
@@ -182,7 +182,7 @@ static void photo_loader_load(struct photo_loader *f, size_t slot)
     f->slots[slot].mask = mask;
     f->slots[slot].used = ++f->clock;
     if (rc) {
-        f->bytes -= feed_size(f, slot);
+        f->bytes -= photo_loader_size(f, slot);
         f->fail = e;
     }
     pthread_cond_broadcast(&f->changed);
@@ -194,7 +194,7 @@ static size_t photo_loader_next_wanted(struct photo_loader *f)
     for (size_t i = 0; i < f->n_want; i++) {
         if (f->slots[f->want[i]].state != PHOTO_LOADER_EMPTY)
             continue;
-        size_t need = feed_size(f, f->want[i]);
+        size_t need = photo_loader_size(f, f->want[i]);
         photo_loader_evict(f, need, false);
         return f->bytes + need <= f->cfg.cache_bytes ? f->want[i] : f->cfg.n_images;
     }
@@ -244,12 +244,12 @@ static enum err_code photo_loader_take(struct photo_loader *f, size_t slot, cons
     pthread_mutex_lock(&f->lock);
     f->pinned = slot;
     f->n_want = n_ahead;
-    memcpy(f->want, ahead, n_ahead * sizeof(*ahead));
+    memcpy(f->want, ahead, n_ahead * sizeof *ahead);
     while (f->slots[slot].state != PHOTO_LOADER_READY && !rc) {
         if (f->slots[slot].state == PHOTO_LOADER_FAILED)
             rc = err_set(e, f->fail.code, "%s", f->fail.msg);
         else if (f->slots[slot].state == PHOTO_LOADER_EMPTY) {
-            photo_loader_evict(f, feed_size(f, slot), true);
+            photo_loader_evict(f, photo_loader_size(f, slot), true);
             photo_loader_load(f, slot);
         } else
             pthread_cond_wait(&f->changed, &f->lock);
@@ -281,7 +281,7 @@ enum err_code photo_loader_get_nth(struct photo_loader *f, size_t nth, struct ph
 {
     size_t next = nth + 1;
     if (nth >= f->cfg.n_images)
-        return err_set(e, ERR_ARG, "feed: photograph %zu of %zu", nth, f->cfg.n_images);
+        return err_set(e, ERR_ARG, "photographs: %zu of %zu", nth, f->cfg.n_images);
     return photo_loader_take(f, nth, &next, next < f->cfg.n_images, out, e);
 }
 
@@ -303,20 +303,20 @@ enum err_code photo_loader_open(const struct photo_loader_config *cfg, struct ph
     *out = NULL;
     if (!cfg->n_images)
         return err_set(e, ERR_DATA, "%s: no photographs to use", cfg->scene->dir);
-    struct photo_loader *f = mem_array(1, sizeof(*f));
+    struct photo_loader *f = mem_array(1, sizeof *f);
     if (!f)
-        return err_set(e, ERR_MEM, "feed: out of memory");
+        return err_set(e, ERR_MEM, "photographs: out of memory");
     enum err_code rc = ERR_OK;
     f->cfg = *cfg;
     f->pinned = cfg->n_images;
     pthread_mutex_init(&f->lock, NULL);
     pthread_cond_init(&f->changed, NULL);
-    f->cams = mem_array(cfg->n_images, sizeof(*f->cams));
+    f->cams = mem_array(cfg->n_images, sizeof *f->cams);
     f->masked = mem_array(cfg->n_images, 1);
-    f->slots = mem_array(cfg->n_images, sizeof(*f->slots));
-    f->shuffle = mem_array(cfg->n_images, sizeof(*f->shuffle));
+    f->slots = mem_array(cfg->n_images, sizeof *f->slots);
+    f->shuffle = mem_array(cfg->n_images, sizeof *f->shuffle);
     if (!f->cams || !f->masked || !f->slots || !f->shuffle) {
-        rc = err_set(e, ERR_MEM, "feed: out of memory for %zu photographs", cfg->n_images);
+        rc = err_set(e, ERR_MEM, "photographs: out of memory for %zu photographs", cfg->n_images);
         goto out;
     }
     for (size_t i = 0; !rc && i < cfg->n_images; i++) {

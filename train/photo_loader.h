@@ -21,7 +21,7 @@ struct photo {
     const char *name;    /* of the file, borrowed from the scene */
 };
 struct photo_loader_config {
-    const struct scene *scene; /* borrowed for the feed's lifetime, as is images */
+    const struct scene *scene; /* borrowed while it is open, as is images */
     const uint32_t *images;
     size_t n_images;
     uint32_t max_edge_px; /* 0 = as ingested */
@@ -32,14 +32,18 @@ struct photo_loader_config {
     uint32_t level;
 };
 struct photo_loader; /* an LRU cache and one thread that decodes ahead of the order of use */
+/* Start it; nothing is read yet. One caller at a time. photo_loader_close it. ERR_MEM; ERR_LIMIT: no
+ * thread can be started. */
 enum err_code photo_loader_open(const struct photo_loader_config *cfg, struct photo_loader **out,
                                 struct err *e) ERR_USE;
 void photo_loader_close(struct photo_loader **f);
 /* The photograph of a step (1-based): position in this epoch's shuffle, a function of seed, level
- * and step. Waits until it is decoded and lets the thread go on with the ones after it. */
+ * and step. Waits until it is decoded and lets the thread go on with the ones after it. ERR_NOENT,
+ * ERR_IO, ERR_FORMAT: the file; ERR_DATA: its mask does not fit; ERR_MEM. */
 enum err_code photo_loader_get(struct photo_loader *f, uint32_t step, struct photo *out,
                                struct err *e) ERR_USE;
-/* The n-th of the list, out of order (scoring, evaluation); also borrowed until the next call. */
+/* The n-th of the list, out of order (scoring, evaluation); also borrowed until the next call.
+ * ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_DATA, ERR_MEM. */
 enum err_code photo_loader_get_nth(struct photo_loader *f, size_t nth, struct photo *out,
                                    struct err *e) ERR_USE;
 size_t photo_loader_bytes(const struct photo_loader *f); /* held by the cache now */

@@ -12,8 +12,9 @@
 
 #include "core/err.h"
 
-struct err;
-struct level;
+struct context;
+struct model;
+struct residual_list; /* train/residual.h */
 
 struct prune_report {
     size_t before, faint,
@@ -21,15 +22,15 @@ struct prune_report {
     double psnr_before_db, psnr_after_db; /* mean MSE over the training photographs, as PSNR */
     bool undone; /* it cost more than cfg->prune_loss_db: nothing removed */
 };
-struct residual_list; /* train/residual.h */
 /* At the end of a level: draw all training photographs, add up alpha T of every Gaussian over their
  * pixels, count the photographs that see it, and remove the faintest, which together hold the share
  * cfg->prune_contribution of all, and those in fewer than cfg->prune_support photographs. Draws
  * them again and takes it back when that lost too much. Both options 0: nothing is done. Moments
  * are kept, statistics of density control are 0 afterwards. `residuals` (may be NULL) gets a row a
  * photograph, from before the removal; none where nothing is done or appearance was trained, since
- * photographs are drawn without it here. */
-enum err_code prune_level(struct level *l, struct prune_report *out,
+ * photographs are drawn without it here. ERR_CANCEL: stopped by a signal, and nothing was removed;
+ * ERR_MEM, ERR_DEVICE, and what photo_loader_get_nth fails with. */
+enum err_code prune_level(struct model *m, struct context *ctx, struct prune_report *out,
                           struct residual_list *residuals, struct err *e) ERR_USE;
 /* The choice by itself: keep[n], and the counts of `out`; scratch[n]. */
 void prune_choose(const float *sum, const uint16_t *views, size_t n, double share,

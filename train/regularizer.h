@@ -1,5 +1,5 @@
 /* Inside of train/: regularizers, terms of the loss that are not about the photograph's colours,
- * and the 3-D filter of Mip-Splatting. Equations, sources and measurements: docs/regularizers.md.
+ * and when the 3-D filter of Mip-Splatting is computed anew. Equations, sources and measurements: docs/regularizers.md.
  *
  * Before a step's colours are drawn, regularizer_step puts what they say about mean, size, rotation and
  * opacity into one buffer that the fused backward pass adds to its gradients; densification
@@ -10,19 +10,21 @@
 #ifndef TRAIN_REGULARIZER_H
 #define TRAIN_REGULARIZER_H
 
-#include "render/render.h"
+#include <stdint.h>
 
-struct level;
+#include "core/err.h"
+
+struct context;
+struct model;
 struct photo;
-struct regularizer; /* of one level: buffers and compiled kernels, made on first use */
+struct regularizer; /* buffers and compiled kernels */
 
-/* What the configuration asks for at this step; sets l->adam.extra_grad (NULL: nothing) and, with
- * Mip-Splatting, l->model.filter. Draws frames of its own: call before the step's render_forward.
- */
-enum err_code regularizer_step(struct level *l, uint32_t step, const struct photo *photo,
-                               struct err *e) ERR_USE;
+/* What the configuration asks for at this step (1-based); sets m->adam.extra_grad (NULL: nothing)
+ * and, with Mip-Splatting, the model's filter. Draws frames of its own: call before the step's
+ * render_forward. *own: NULL at first, made when something acts; regularizer_free it. ERR_MEM,
+ * ERR_DEVICE; ERR_FORMAT, ERR_NOENT, ERR_DATA: a depth map cannot be used. */
+enum err_code regularizer_step(struct regularizer **own, struct model *m, struct context *ctx,
+                               uint32_t step, const struct photo *photo, struct err *e) ERR_USE;
 void regularizer_free(struct regularizer **r);
-/* With Mip-Splatting: compute l->model.filter if it is not that of the Gaussians as they are. */
-enum err_code regularizer_filter(struct level *l, struct err *e) ERR_USE;
 
 #endif

@@ -25,7 +25,7 @@ enum err_code residual_add(struct residual_list *l, const char *name, double mse
 {
     if (l->n == l->cap) {
         size_t cap = l->cap ? 2 * l->cap : RESIDUAL_FIRST;
-        struct residual *rows = mem_resize(l->rows, l->cap, cap, sizeof(*rows));
+        struct residual *rows = mem_resize(l->rows, l->cap, cap, sizeof *rows);
         if (!rows)
             return err_set(e, ERR_MEM, "residuals: out of memory for %zu photographs", cap);
         l->rows = rows;
@@ -51,15 +51,15 @@ void residual_free(struct residual_list *l)
 static int residual_by_value(const void *a, const void *b)
 {
     double x, y;
-    memcpy(&x, a, sizeof(x));
-    memcpy(&y, b, sizeof(y));
+    memcpy(&x, a, sizeof x);
+    memcpy(&y, b, sizeof y);
     return (x > y) - (x < y);
 }
 
 /* Sorts x. */
 static double residual_median(double *x, size_t n)
 {
-    qsort(x, n, sizeof(*x), residual_by_value);
+    qsort(x, n, sizeof *x, residual_by_value);
     return n % 2 ? x[n / 2] : 0.5 * (x[n / 2 - 1] + x[n / 2]);
 }
 
@@ -67,7 +67,7 @@ void residual_z(const double *x, size_t n, double least, double *scratch, double
 {
     if (!n)
         return;
-    memcpy(scratch, x, n * sizeof(*x));
+    memcpy(scratch, x, n * sizeof *x);
     double median = residual_median(scratch, n);
     for (size_t i = 0; i < n; i++)
         scratch[i] = fabs(x[i] - median);
@@ -86,7 +86,7 @@ static int residual_by_z(const void *a, const void *b)
 enum err_code residual_rank(struct residual_list *l, struct err *e)
 {
     size_t n = l->n;
-    double *x = mem_array(3 * n, sizeof(*x));
+    double *x = mem_array(3 * n, sizeof *x);
     if (!x)
         return err_set(e, ERR_MEM, "residuals: out of memory for %zu photographs", n);
     double *scratch = x + n, *z = x + 2 * n;
@@ -106,7 +106,7 @@ enum err_code residual_rank(struct residual_list *l, struct err *e)
         l->n_suspicious += r->z > RESIDUAL_LIMIT;
     }
     if (n)
-        qsort(l->rows, n, sizeof(*l->rows), residual_by_z);
+        qsort(l->rows, n, sizeof *l->rows, residual_by_z);
     mem_free(x);
     return ERR_OK;
 }

@@ -23,6 +23,7 @@ struct residual_list { /* {0} is empty; residual_free */
     size_t n, cap;
     size_t n_suspicious; /* by residual_rank */
 };
+/* Add a row. ERR_MEM. */
 enum err_code residual_add(struct residual_list *l, const char *name, double mse, double ssim,
                            struct err *e) ERR_USE;
 void residual_clear(struct residual_list *l); /* n = 0, the room stays */
@@ -31,12 +32,13 @@ void residual_free(struct residual_list *l);
 /* Robust z-scores, 0.6745 (x - median) / MAD (Iglewicz and Hoaglin 1993), of the logarithm of the
  * squared error and of 1 - SSIM; sorts the rows by z, worst first, ties by name. A MAD below a
  * thousandth of what the numbers are made of counts as that, so that photographs which all fit
- * alike are not suspected for rounding. */
+ * alike are not suspected for rounding. ERR_MEM. */
 enum err_code residual_rank(struct residual_list *l, struct err *e) ERR_USE;
 /* The same for one column: z[n]; scratch[n]. `least`: of the MAD. */
 void residual_z(const double *x, size_t n, double least, double *scratch, double *z);
 
-/* After residual_rank: {"what": ..., "photographs": [worst first]} into a file. */
+/* After residual_rank: {"what": ..., "photographs": [worst first]} into a file. ERR_IO,
+ * ERR_MEM. */
 enum err_code residual_write(const struct residual_list *l, const char *path, const char *what,
                              struct err *e) ERR_USE;
 

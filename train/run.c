@@ -15,21 +15,21 @@
 #include "train/appearance_train.h"
 #include "train/budget.h"
 #include "train/config.h"
+#include "train/done.h"
 #include "train/evaluate.h"
 #include "train/init.h"
-#include "train/jobs.h"
 #include "train/level.h"
 #include "train/memory.h"
 #include "train/metrics_log.h"
 #include "train/photo_loader.h"
 #include "train/prune.h"
-#include "train/regularizer.h"
 #include "train/residual.h"
+#include "train/result.h"
 #include "train/run.h"
 #include "train/schedule.h"
 #include "train/state.h"
+#include "train/state_check.h"
 #include "train/timing.h"
-#include "train/train.h"
 
 enum { RUN_LOOK_STEPS = 20, RUN_LINE_STEPS = 100 };
 
@@ -50,7 +50,7 @@ struct run {
 static enum err_code run_level_path(const struct run *t, uint32_t level, char *out, struct err *e)
 {
     char name[32];
-    snprintf(name, sizeof(name), "level%u.ckpt", level);
+    snprintf(name, sizeof name, "level%u.ckpt", level);
     return file_join(out, t->dir, name, e);
 }
 
@@ -59,7 +59,7 @@ static enum err_code run_paths(struct run *t, const char *base, struct err *e)
     char cells[FILE_PATH_MAX];
     enum err_code rc = file_join(cells, base, "cells", e);
     if (!rc)
-        rc = file_join(t->dir, cells, t->level.cell.id, e);
+        rc = file_join(t->dir, cells, t->level.ctx.cell.id, e);
     if (!rc)
         rc = file_join(t->resume_path, t->dir, "resume.ckpt", e);
     return rc ? rc : file_mkdir(t->dir, e);
@@ -79,23 +79,23 @@ static enum err_code run_write_config(const struct run *t, struct err *e)
     return rc;
 }
 
-static enum err_code run_open_record(struct run *t, struct err *e)
+static enum err_code run_open_metrics(struct run *t, struct err *e)
 {
     char path[FILE_PATH_MAX];
     struct level *l = &t->level;
     const char *event = t->cfg->resume ? "resume" : "start";
     enum err_code rc = file_join(path, t->dir, "metrics.jsonl", e);
     if (!rc)
-        rc = metrics_log_open(path, t->cfg->resume, &l->record, e);
+        rc = metrics_log_open(path, t->cfg->resume, &l->ctx.metrics, e);
     if (rc)
         return rc;
     return metrics_log_line(
-        l->record, event,
-        json_pack("{s:s, s:s, s:I, s:I, s:I, s:i, s:i, s:f, s:f}", "cell", l->cell.id, "device",
-                  l->dev->name, "photographs", (json_int_t)l->n_images, "test_photographs",
-                  (json_int_t)t->job->n_test, "gaussians", (json_int_t)l->model.n, "level",
-                  (int)l->at + 1, "step", (int)l->step, "edge_m", l->cell.edge_m, "extent_m",
-                  l->cell.extent_m),
+        l->ctx.metrics, event,
+        json_pack("{s:s, s:s, s:I, s:I, s:I, s:i, s:i, s:f, s:f}", "cell", l->ctx.cell.id, "device",
+                  l->ctx.dev->name, "photographs", (json_int_t)l->ctx.n_images, "test_photographs",
+                  (json_int_t)t->job->n_test, "gaussians", (json_int_t)l->model.gauss.n, "level",
+                  (int)l->ctx.at + 1, "step", (int)l->ctx.step, "edge_m", l->ctx.cell.edge_m,
+                  "extent_m", l->ctx.cell.extent_m),
         e);
 }
 
@@ -108,9 +108,9 @@ static enum err_code run_is_done(struct run *t, bool *done, struct err *e)
     struct err why = {0};
     if (!t->cfg->resume || file_exists(t->resume_path) || done_read(t->dir, &was, &why))
         return ERR_OK;
-    enum err_code rc = run_level_path(t, t->level.n_levels, path, e);
+    enum err_code rc = run_level_path(t, t->level.ctx.n_levels, path, e);
     if (!rc)
-        rc = state_is_result_of(&t->level, path, done, e);
+        rc = state_check_result(&t->level.ctx, path, done, e);
     if (!rc && *done) {
         *t->result = was;
         t->result->was_done = true;
@@ -133,10 +133,10 @@ static enum err_code run_start(struct run *t, struct err *e)
     struct gauss g = {0};
     struct level *l = &t->level;
     if (t->cfg->resume && file_exists(t->resume_path)) {
-        enum err_code rc = state_load(l, t->resume_path, e);
+        enum err_code rc = state_load(&l->model, &l->ctx, &l->budget, t->resume_path, e);
         if (!rc)
-            log_info("train", "resume cell=%s level=%u step=%u gaussians=%u", l->cell.id, l->at + 1,
-                     l->step, l->model.n);
+            log_info("train", "resume cell=%s level=%u step=%u gaussians=%u", l->ctx.cell.id,
+                     l->ctx.at + 1, l->ctx.step, l->model.gauss.n);
         return rc;
     }
     if (file_exists(t->resume_path))
@@ -144,11 +144,11 @@ static enum err_code run_start(struct run *t, struct err *e)
             "train",
             "%s of an unfinished run is ignored and will be replaced; --resume goes on from it",
             t->resume_path);
-    enum err_code rc =
-        init_gauss(l->scene, l->images, l->n_images, &l->cell, (uint32_t)t->cfg->sh_degree,
-                   l->schedule[0].budget, (uint64_t)t->cfg->seed, &g, e);
-    if (!rc && appearance_train_is_on(&l->light))
-        rc = appearance_train_embed(&l->light, (uint64_t)t->cfg->seed, &g, e);
+    enum err_code rc = init_gauss(l->ctx.scene, l->ctx.images, l->ctx.n_images, &l->ctx.cell,
+                                  (uint32_t)t->cfg->sh_degree, l->ctx.schedule[0].budget,
+                                  (uint64_t)t->cfg->seed, &g, e);
+    if (!rc && appearance_train_is_on(&l->ctx.appearance))
+        rc = appearance_train_embed(&l->ctx.appearance, (uint64_t)t->cfg->seed, &g, e);
     if (!rc)
         rc = level_open(l, &g, e);
     gauss_free(&g);
@@ -160,11 +160,11 @@ static enum err_code run_start(struct run *t, struct err *e)
 static enum err_code run_save(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
-    enum err_code rc = dev_finish(l->dev, e);
-    enum timing_on was = timing_turn(&l->spent, TIMING_CHECKPOINT);
+    enum err_code rc = dev_finish(l->ctx.dev, e);
+    enum timing_on was = timing_turn(&l->ctx.timing, TIMING_CHECKPOINT);
     if (!rc)
-        rc = state_save(l, t->resume_path, e);
-    (void)timing_turn(&l->spent, was);
+        rc = state_save(&l->model, &l->ctx, &l->budget, t->resume_path, e);
+    (void)timing_turn(&l->ctx.timing, was);
     return rc;
 }
 
@@ -178,7 +178,7 @@ static enum err_code run_stop(struct run *t, struct err *e)
         e, ERR_CANCEL,
         "stopped at level %u of %u, step %u of %u; the state is saved: the same command with "
         "--resume goes on",
-        l->at + 1, l->n_levels, l->step, l->schedule[l->at].steps);
+        l->ctx.at + 1, l->ctx.n_levels, l->ctx.step, l->ctx.schedule[l->ctx.at].steps);
 }
 
 static enum err_code run_report(struct run *t, const struct photometric_value *v, struct err *e)
@@ -186,28 +186,29 @@ static enum err_code run_report(struct run *t, const struct photometric_value *v
     struct level *l = &t->level;
     char note[96];
     double psnr = l->mse_mean > 0.0 ? -10.0 * log10(l->mse_mean) : 0.0;
-    snprintf(note, sizeof(note), "loss %.4f, PSNR %.2f dB, %.1f k Gaussians", l->loss_mean, psnr,
-             l->model.n * 1e-3);
-    progress_step(&t->progress, l->step, note);
-    if (l->step % RUN_LINE_STEPS && l->step != l->schedule[l->at].steps)
+    snprintf(note, sizeof note, "loss %.4f, PSNR %.2f dB, %.1f k Gaussians", l->loss_mean, psnr,
+             l->model.gauss.n * 1e-3);
+    progress_step(&t->progress, l->ctx.step, note);
+    if (l->ctx.step % RUN_LINE_STEPS && l->ctx.step != l->ctx.schedule[l->ctx.at].steps)
         return ERR_OK;
     double now = clock_s(), seconds = now - l->step_s;
     l->step_s = now;
-    json_t *o = json_pack(
-        "{s:i, s:i, s:f, s:f, s:f, s:f, s:I, s:f, s:I, s:f}", "level", (int)l->at + 1, "step",
-        (int)l->step, "loss", v->total, "l1", v->l1, "ssim", v->ssim, "psnr_mean_db", psnr,
-        "gaussians", (json_int_t)l->model.n, "s_since_last_line", seconds, "photo_loader_bytes",
-        (json_int_t)photo_loader_bytes(l->feed), "opacity_offset", l->offset_mean);
-    return metrics_log_line(l->record, "step", o, e);
+    json_t *o =
+        json_pack("{s:i, s:i, s:f, s:f, s:f, s:f, s:I, s:f, s:I, s:f}", "level", (int)l->ctx.at + 1,
+                  "step", (int)l->ctx.step, "loss", v->total, "l1", v->l1, "ssim", v->ssim,
+                  "psnr_mean_db", psnr, "gaussians", (json_int_t)l->model.gauss.n,
+                  "s_since_last_line", seconds, "photo_loader_bytes",
+                  (json_int_t)photo_loader_bytes(l->ctx.photos), "opacity_offset", l->offset_mean);
+    return metrics_log_line(l->ctx.metrics, "step", o, e);
 }
 
 static enum err_code run_steps(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
-    uint32_t steps = l->schedule[l->at].steps;
-    while (l->step < steps) {
+    uint32_t steps = l->ctx.schedule[l->ctx.at].steps;
+    while (l->ctx.step < steps) {
         struct photometric_value v;
-        uint32_t next = l->step + 1;
+        uint32_t next = l->ctx.step + 1;
         bool look = next % RUN_LOOK_STEPS == 0 || next == steps;
         enum err_code rc = level_step(l, look ? &v : NULL, e);
         (*t->job->steps)++;
@@ -219,7 +220,7 @@ static enum err_code run_steps(struct run *t, struct err *e)
         if (signals_stopping() || enough)
             return run_stop(t, e);
         if (*t->job->steps - t->last_saved >= (uint64_t)t->cfg->checkpoint_interval &&
-            l->step < steps) {
+            l->ctx.step < steps) {
             t->last_saved = *t->job->steps;
             rc = run_save(t, e);
             if (rc)
@@ -232,26 +233,27 @@ static enum err_code run_steps(struct run *t, struct err *e)
 static enum err_code run_score(struct run *t, struct evaluate_score *out, struct err *e)
 {
     struct level *l = &t->level;
-    struct photo_loader *feed = NULL;
+    struct photo_loader *photos = NULL;
     struct photo_loader_config f = {
-        .scene = l->scene,
+        .scene = l->ctx.scene,
         .images = t->job->test_images,
         .n_images = t->job->n_test,
         .max_edge_px = (uint32_t)t->cfg->max_edge_px,
-        .downsample = l->schedule[l->at].downsample,
+        .downsample = l->ctx.schedule[l->ctx.at].downsample,
         .cache_bytes = (size_t)64 << 20,
     };
-    struct appearance_view look = {0};
-    struct evaluate_model model = {l->render, &l->model, level_render_options(l, l->step),
-                                   appearance_train_is_on(&l->light) ? &look : NULL};
+    struct appearance_view appearance = {0};
+    struct evaluate_model model = {l->ctx.render, &l->model.gauss,
+                                   context_render_options(&l->ctx, l->ctx.step),
+                                   appearance_train_is_on(&l->ctx.appearance) ? &appearance : NULL};
     struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model};
-    enum err_code rc = photo_loader_open(&f, &feed, e);
-    if (!rc && model.look)
-        rc = appearance_view_open(&look, &l->light.model, l->scene, e);
+    enum err_code rc = photo_loader_open(&f, &photos, e);
+    if (!rc && model.appearance)
+        rc = appearance_view_open(&appearance, &l->ctx.appearance.model, l->ctx.scene, e);
     if (!rc)
-        rc = evaluate_run(feed, t->job->n_test, &source, out, e);
-    appearance_view_close(&look);
-    photo_loader_close(&feed);
+        rc = evaluate_run(photos, t->job->n_test, &source, out, e);
+    appearance_view_close(&appearance);
+    photo_loader_close(&photos);
     return rc;
 }
 
@@ -261,13 +263,13 @@ static enum err_code run_residuals(struct run *t, struct residual_list *r, struc
     char path[FILE_PATH_MAX];
     enum { NAMED = 3 };
     struct level *l = &t->level;
-    if (!r->n || l->at + 1 < l->n_levels)
+    if (!r->n || l->ctx.at + 1 < l->ctx.n_levels)
         return ERR_OK;
     enum err_code rc = residual_rank(r, e);
     if (!rc)
         rc = file_join(path, t->dir, "residuals.json", e);
     if (!rc)
-        rc = residual_write(r, path, l->cell.id, e);
+        rc = residual_write(r, path, l->ctx.cell.id, e);
     for (size_t i = 0; !rc && i < r->n_suspicious && i < NAMED; i++)
         log_warn("train", "%s fits much worse than the other photographs (robust z-score %.1f)",
                  r->rows[i].name, r->rows[i].z);
@@ -283,8 +285,8 @@ static enum err_code run_prune(struct run *t, struct err *e)
     struct level *l = &t->level;
     struct prune_report r = {0};
     struct residual_list residuals = {0};
-    enum err_code rc = l->pruned ? ERR_OK : prune_level(l, &r, &residuals, e);
-    l->pruned = !rc;
+    enum err_code rc = l->ctx.pruned ? ERR_OK : prune_level(&l->model, &l->ctx, &r, &residuals, e);
+    l->ctx.pruned = !rc;
     if (!rc)
         rc = run_residuals(t, &residuals, e);
     residual_free(&residuals);
@@ -292,11 +294,11 @@ static enum err_code run_prune(struct run *t, struct err *e)
         return rc;
     log_info("train",
              "level=%u prune before=%zu faint=%zu unsupported=%zu train_psnr_db=%.3f after=%.3f%s",
-             l->at + 1, r.before, r.faint, r.unsupported, r.psnr_before_db, r.psnr_after_db,
+             l->ctx.at + 1, r.before, r.faint, r.unsupported, r.psnr_before_db, r.psnr_after_db,
              r.undone ? ": taken back" : "");
     return metrics_log_line(
-        l->record, "prune",
-        json_pack("{s:i, s:I, s:I, s:I, s:o, s:o, s:b}", "level", (int)l->at + 1, "before",
+        l->ctx.metrics, "prune",
+        json_pack("{s:i, s:I, s:I, s:I, s:o, s:o, s:b}", "level", (int)l->ctx.at + 1, "before",
                   (json_int_t)r.before, "faint", (json_int_t)r.faint, "unsupported",
                   (json_int_t)r.unsupported, "psnr_before_db", jsonc_real(r.psnr_before_db),
                   "psnr_after_db", jsonc_real(r.psnr_after_db), "undone", (int)r.undone),
@@ -310,22 +312,23 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
     struct level *l = &t->level;
     struct evaluate_score score = {0};
     char path[FILE_PATH_MAX];
-    uint32_t k = l->at + 1;
-    (void)timing_turn(&l->spent, TIMING_PRUNE);
+    uint32_t k = l->ctx.at + 1;
+    (void)timing_turn(&l->ctx.timing, TIMING_PRUNE);
     enum err_code rc = run_prune(t, e);
     if (!rc)
-        rc = regularizer_filter(l, e);
-    (void)timing_turn(&l->spent, TIMING_EVALUATE);
+        rc = context_filter(&l->ctx, &l->model, e);
+    (void)timing_turn(&l->ctx.timing, TIMING_EVALUATE);
     if (!rc && t->job->n_test)
         rc = run_score(t, &score, e);
     if (rc == ERR_CANCEL)
         return run_stop(t, e);
-    (void)timing_turn(&l->spent, TIMING_CHECKPOINT);
+    (void)timing_turn(&l->ctx.timing, TIMING_CHECKPOINT);
     if (!rc)
         rc = run_level_path(t, k, path, e);
     if (!rc)
-        rc = state_save_level(l, path, t->job->n_test ? &score : NULL, e);
-    (void)timing_turn(&l->spent, TIMING_OTHER);
+        rc = state_save_level(&l->model, &l->ctx, &l->budget, path, t->job->n_test ? &score : NULL,
+                              e);
+    (void)timing_turn(&l->ctx.timing, TIMING_OTHER);
     for (uint32_t j = k + 1; !rc && j <= TRAIN_LEVELS_MAX; j++) {
         rc = run_level_path(t, j, path, e);
         if (!rc)
@@ -334,22 +337,22 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
     if (rc)
         return rc;
     double seconds = clock_s() - t->start_s;
-    t->result->n_gaussians[l->at] = l->model.n;
-    t->result->psnr_db[l->at] = t->job->n_test ? score.psnr_db : (double)NAN;
-    t->result->ssim[l->at] = t->job->n_test ? score.ssim : (double)NAN;
+    t->result->n_gaussians[l->ctx.at] = l->model.gauss.n;
+    t->result->psnr_db[l->ctx.at] = t->job->n_test ? score.psnr_db : (double)NAN;
+    t->result->ssim[l->ctx.at] = t->job->n_test ? score.ssim : (double)NAN;
     if (t->job->n_test)
         log_info("train",
                  "level=%u done gaussians=%u test_psnr_db=%.3f test_ssim=%.4f seconds=%.1f", k,
-                 l->model.n, score.psnr_db, score.ssim, seconds);
+                 l->model.gauss.n, score.psnr_db, score.ssim, seconds);
     else
-        log_info("train", "level=%u done gaussians=%u seconds=%.1f", k, l->model.n, seconds);
+        log_info("train", "level=%u done gaussians=%u seconds=%.1f", k, l->model.gauss.n, seconds);
     return metrics_log_line(
-        l->record, "level",
+        l->ctx.metrics, "level",
         json_pack("{s:i, s:I, s:I, s:o, s:o, s:o, s:f, s:f, s:I}", "level", (int)k, "gaussians",
-                  (json_int_t)l->model.n, "test_photographs", (json_int_t)t->job->n_test, "psnr_db",
-                  jsonc_real(score.psnr_db), "ssim", jsonc_real(score.ssim), "ssim_valid",
-                  jsonc_real(score.ssim_valid), "ms_frame", score.ms_frame, "seconds", seconds,
-                  "peak_bytes", (json_int_t)mem_peak_bytes()),
+                  (json_int_t)l->model.gauss.n, "test_photographs", (json_int_t)t->job->n_test,
+                  "psnr_db", jsonc_real(score.psnr_db), "ssim", jsonc_real(score.ssim),
+                  "ssim_valid", jsonc_real(score.ssim_valid), "ms_frame", score.ms_frame, "seconds",
+                  seconds, "peak_bytes", (json_int_t)mem_peak_bytes()),
         e);
 }
 
@@ -358,12 +361,13 @@ static enum err_code run_report_spent(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
     char text[512];
-    struct timing_seconds now = timing_now(&l->spent), here = timing_since(&now, &t->spent_before);
+    struct timing_seconds now = timing_now(&l->ctx.timing),
+                          here = timing_since(&now, &t->spent_before);
     t->spent_before = now;
-    timing_text(&here, text, sizeof(text));
-    log_debug("train", "level=%u time: %s", l->at + 1, text);
-    return metrics_log_line(l->record, "time",
-                            json_pack("{s:i, s:f, s:o}", "level", (int)l->at + 1, "seconds",
+    timing_text(&here, text, sizeof text);
+    log_debug("train", "level=%u time: %s", l->ctx.at + 1, text);
+    return metrics_log_line(l->ctx.metrics, "time",
+                            json_pack("{s:i, s:f, s:o}", "level", (int)l->ctx.at + 1, "seconds",
                                       timing_total(&here), "spent", timing_json(&here)),
                             e);
 }
@@ -372,15 +376,15 @@ static enum err_code run_levels(struct run *t, struct err *e)
 {
     struct level *l = &t->level;
     enum err_code rc = level_begin(l, e);
-    while (!rc && l->at < l->n_levels) {
+    while (!rc && l->ctx.at < l->ctx.n_levels) {
         char what[48];
-        snprintf(what, sizeof(what), "train level %u/%u", l->at + 1, l->n_levels);
-        progress_start(&t->progress, what, l->schedule[l->at].steps);
-        (void)timing_turn(&l->spent, TIMING_STEP);
+        snprintf(what, sizeof what, "train level %u/%u", l->ctx.at + 1, l->ctx.n_levels);
+        progress_start(&t->progress, what, l->ctx.schedule[l->ctx.at].steps);
+        (void)timing_turn(&l->ctx.timing, TIMING_STEP);
         rc = run_steps(t, e);
         if (!rc)
-            rc = dev_finish(l->dev, e);
-        (void)timing_turn(&l->spent, TIMING_OTHER);
+            rc = dev_finish(l->ctx.dev, e);
+        (void)timing_turn(&l->ctx.timing, TIMING_OTHER);
         progress_end(&t->progress, NULL);
         if (!rc)
             rc = run_finish_level(t, e);
@@ -398,24 +402,26 @@ static enum err_code run_budget(struct run *t, struct err *e)
     struct level *l = &t->level;
     const struct run_cell *job = t->job;
     size_t n_points = 0, n_held = 0;
-    t->images = mem_array(2 * job->n_images, sizeof(*t->images));
+    t->images = mem_array(2 * job->n_images, sizeof *t->images);
     if (!t->images)
         return err_set(e, ERR_MEM, "train: out of memory for %zu photographs", job->n_images);
     uint32_t *held = t->images + job->n_images;
-    budget_hold_out(t->cfg, job->images, job->n_images, t->images, &l->n_images, held, &n_held);
-    l->images = t->images;
+    budget_hold_out(t->cfg, job->images, job->n_images, t->images, &l->ctx.n_images, held, &n_held);
+    l->ctx.images = t->images;
     l->budget.held = held;
     l->budget.n_held = n_held;
     if (t->cfg->budget == BUDGET_AUTO && !n_held)
         log_warn("train", "%zu photographs are too few to hold any out: --budget fit is used",
                  job->n_images);
-    enum err_code rc = schedule_make(t->cfg, l->n_images, &l->cell, l->schedule, e);
+    enum err_code rc = schedule_make(t->cfg, l->ctx.n_images, &l->ctx.cell, l->ctx.schedule, e);
     if (!rc)
-        rc = init_count_points(l->scene, l->images, l->n_images, &l->cell, &n_points, e);
-    for (uint32_t i = 0; i < l->n_levels; i++)
-        l->budget.table[i] = l->schedule[i].budget;
+        rc = init_count_points(l->ctx.scene, l->ctx.images, l->ctx.n_images, &l->ctx.cell,
+                               &n_points, e);
+    for (uint32_t i = 0; i < l->ctx.n_levels; i++)
+        l->budget.table[i] = l->ctx.schedule[i].budget;
     if (!rc)
-        budget_limit(l->scene, l->images, l->n_images, t->cfg, n_points, l->schedule);
+        budget_limit(l->ctx.scene, l->ctx.images, l->ctx.n_images, t->cfg, n_points,
+                     l->ctx.schedule);
     return rc;
 }
 
@@ -423,18 +429,18 @@ static enum err_code run_budget(struct run *t, struct err *e)
 static void run_tell_memory(const struct run *t)
 {
     const struct level *l = &t->level;
-    struct memory_need m = memory_estimate(t->cfg, l->scene, l->images, l->n_images, l->schedule,
-                                           l->n_levels, l->cell.whole);
+    struct memory_need m = memory_estimate(t->cfg, l->ctx.scene, l->ctx.images, l->ctx.n_images,
+                                           l->ctx.schedule, l->ctx.n_levels, l->ctx.cell.whole);
     log_info("train",
              "cell=%s memory_mib<=%.0f beside the program: %zu Gaussians of %zu B, %zu pixels of "
              "%zu B, photographs %.0f MiB, neighbours %.0f MiB",
-             l->cell.id, (double)m.total / 1048576.0, m.gaussians, m.per_gaussian, m.pixels,
+             l->ctx.cell.id, (double)m.total / 1048576.0, m.gaussians, m.per_gaussian, m.pixels,
              m.per_pixel, (double)m.photo_bytes / 1048576.0, (double)m.group_bytes / 1048576.0);
 }
 
 enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out, struct err *e)
 {
-    struct run *t = mem_array(1, sizeof(*t));
+    struct run *t = mem_array(1, sizeof *t);
     bool done = false;
     if (!t)
         return err_set(e, ERR_MEM, "train: out of memory");
@@ -443,23 +449,23 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
     t->cfg = job->cfg;
     t->start_s = clock_s();
     t->result = out;
-    t->level = (struct level){.cfg = job->cfg,
-                              .scene = job->scene,
-                              .images = job->images,
-                              .n_images = job->n_images,
-                              .dev = job->dev,
-                              .render = job->render,
-                              .loss = job->loss,
-                              .cell = job->cell,
-                              .n_levels = (uint32_t)job->cfg->level_count};
-    timing_start(&t->level.spent, TIMING_START);
-    *out = (struct train_cell_result){.n_levels = t->level.n_levels};
-    memcpy(out->id, job->cell.id, sizeof(out->id));
+    t->level.ctx = (struct context){.cfg = job->cfg,
+                                    .scene = job->scene,
+                                    .images = job->images,
+                                    .n_images = job->n_images,
+                                    .dev = job->dev,
+                                    .render = job->render,
+                                    .loss = job->loss,
+                                    .cell = job->cell,
+                                    .n_levels = (uint32_t)job->cfg->level_count};
+    timing_start(&t->level.ctx.timing, TIMING_START);
+    *out = (struct train_cell_result){.n_levels = t->level.ctx.n_levels};
+    memcpy(out->id, job->cell.id, sizeof out->id);
     enum err_code rc = run_budget(t, e);
     if (!rc)
         rc = run_paths(t, job->base_dir, e);
     if (!rc && appearance_train_wanted(job->cfg))
-        rc = appearance_train_open(&t->level.light, job->cfg, job->scene, job->images,
+        rc = appearance_train_open(&t->level.ctx.appearance, job->cfg, job->scene, job->images,
                                    job->n_images, job->shared, e);
     if (!rc)
         rc = done_lock(t->dir, &t->lock_fd, e);
@@ -474,18 +480,18 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
     if (!rc)
         rc = run_write_config(t, e);
     if (!rc)
-        rc = run_open_record(t, e);
+        rc = run_open_metrics(t, e);
     if (!rc)
         rc = run_levels(t, e);
     out->seconds = clock_s() - t->start_s;
-    out->spent = timing_now(&t->level.spent);
+    out->spent = timing_now(&t->level.ctx.timing);
     if (!rc)
         rc = done_write(t->dir, out, e);
     if (!rc)
         (void)unlink(t->resume_path); /* nothing is left to go on from */
 out:
     level_close(&t->level);
-    metrics_log_close(&t->level.record);
+    metrics_log_close(&t->level.ctx.metrics);
     done_unlock(&t->lock_fd);
     mem_free(t->images);
     mem_free(t);

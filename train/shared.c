@@ -9,19 +9,15 @@
 
 #include "cells/cell.h"
 #include "codec/ckpt.h"
+#include "codec/scene.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
+#include "train/result.h"
 #include "train/run.h"
-#include "train/train.h"
 
 bool shared_wanted(const struct train_config *cfg, size_t n_cells)
 {
     return appearance_train_wanted(cfg) && cfg->appearance_shared && n_cells > 1;
-}
-
-bool train_needs_shared(const struct train_config *cfg)
-{
-    return shared_wanted(cfg, 2);
 }
 
 /* Options of the coarse run: one level that is like the coarsest one of the cells. */

@@ -5,6 +5,7 @@
 #ifndef TRAIN_TRAIN_SCENE_H
 #define TRAIN_TRAIN_SCENE_H
 
+#include <stdbool.h>
 #include <stddef.h>
 
 #include "cells/partition.h"
@@ -21,11 +22,19 @@ struct train_scene { /* train_scene_close it, also after an error */
     size_t *cells;         /* indices into plan.cells of those to train; {0} without a plan */
     size_t n_cells;
 };
+/* The scene in `dir`, its plan.json if there is one, and the cells that cfg asks for. ERR_NOENT: no
+ * scene, or --cell without a plan; ERR_ARG: no such cell; ERR_DATA: no cell can be trained;
+ * ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code train_scene_open(const char *dir, const struct train_config *cfg,
                                struct train_scene *out, struct err *e) ERR_USE;
 void train_scene_close(struct train_scene *s);
 /* Fill cell, images and test_images of `job`; they live in the scene's arena. `index` is one of
- * s->cells. */
+ * s->cells. ERR_DATA: no photographs to train on; ERR_MEM. */
 enum err_code train_scene_cell(struct train_scene *s, size_t index, struct run_cell *job,
                                struct err *e) ERR_USE;
+/* Indices of the photographs to train on (or, SCENE_TEST, to score), in the scene's arena; without
+ * test_split all of them train. ERR_MEM. */
+enum err_code train_scene_images(struct scene *s, enum scene_split split, bool test_split,
+                                 uint32_t **out, size_t *n, struct err *e) ERR_USE;
+
 #endif

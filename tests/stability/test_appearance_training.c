@@ -97,15 +97,15 @@ static struct evaluate_score score_halves(struct toy_run *r)
                                     .downsample = 1.0,
                                     .cache_bytes = 1 << 20};
     struct half_image_config c = {.dev = &toy_dev,
-                                  .render = l->render,
-                                  .loss = l->loss,
+                                  .render = l->ctx.render,
+                                  .loss = l->ctx.loss,
                                   .steps = HALF_IMAGE_STEPS,
                                   .lr = HALF_IMAGE_LR,
                                   .lr_end = HALF_IMAGE_LR_END};
-    struct render_options ro = level_render_options(l, l->step);
-    if (appearance_train_is_on(&l->light)) {
-        kit_ok(appearance_view_open(&look, &l->light.model, &r->scene, &e), e);
-        c.look = &look;
+    struct render_options ro = context_render_options(&l->ctx, l->ctx.step);
+    if (appearance_train_is_on(&l->ctx.appearance)) {
+        kit_ok(appearance_view_open(&look, &l->ctx.appearance.model, &r->scene, &e), e);
+        c.appearance = &look;
     }
     kit_ok(half_image_open(&c, &h, &e), e);
     kit_ok(photo_loader_open(&f, &feed, &e), e);
@@ -116,13 +116,15 @@ static struct evaluate_score score_halves(struct toy_run *r)
             enum half_image_side from = (enum half_image_side)side,
                                  to = side ? HALF_IMAGE_LEFT : HALF_IMAGE_RIGHT;
             kit_ok(photo_loader_get_nth(feed, i, &p, &e), e);
-            if (c.look) {
+            if (c.appearance) {
                 assert_int_equal(appearance_train_nearest(look.model, &r->scene, look.row, &p.cam,
                                                           look.reach_m, image),
                                  3);
-                kit_ok(half_image_fit(h, &p, &l->model, &ro, from, image, &e), e);
+                kit_ok(half_image_fit(h, &p, &l->model.gauss, &ro, from, image, &e), e);
             }
-            kit_ok(half_image_score(h, &p, &l->model, &ro, to, c.look ? image : NULL, &sum, &e), e);
+            kit_ok(half_image_score(h, &p, &l->model.gauss, &ro, to, c.appearance ? image : NULL,
+                                    &sum, &e),
+                   e);
         }
     evaluate_divide(&sum, 2.0 * (double)r->n_tests);
     half_image_close(&h);
@@ -187,7 +189,7 @@ static double psnr_with_row(struct toy_run *r, uint32_t image, uint32_t row)
     struct err e = {0};
     struct level *l = &r->level;
     const struct scene_image *im = &r->scene.images[image];
-    struct render_options ro = level_render_options(l, l->step);
+    struct render_options ro = context_render_options(&l->ctx, l->ctx.step);
     struct image img = {0};
     char path[FILE_PATH_MAX + 64];
     double psnr;
@@ -195,11 +197,12 @@ static double psnr_with_row(struct toy_run *r, uint32_t image, uint32_t row)
     kit_ok(image_read(path, NULL, &img, &e), e);
     float *rgb = mem_array((size_t)img.width_px * img.height_px * 3, sizeof *rgb);
     assert_non_null(rgb);
-    appearance_frame(&l->light.model, l->light.model.images + row * l->light.model.len_image,
-                     l->light.frame);
-    ro.appearance_frame = l->light.frame;
-    ro.appearance_hidden = l->light.model.hidden;
-    kit_ok(render_forward(l->render, &l->model, &im->cam, &ro, rgb, NULL, &e), e);
+    appearance_frame(&l->ctx.appearance.model,
+                     l->ctx.appearance.model.images + row * l->ctx.appearance.model.len_image,
+                     l->ctx.appearance.frame);
+    ro.appearance_frame = l->ctx.appearance.frame;
+    ro.appearance_hidden = l->ctx.appearance.model.hidden;
+    kit_ok(render_forward(l->ctx.render, &l->model.gauss, &im->cam, &ro, rgb, NULL, &e), e);
     kit_ok(metric_psnr(rgb, img.px, NULL, img.width_px, img.height_px, &psnr, &e), e);
     image_free(&img);
     mem_free(rgb);
@@ -219,7 +222,7 @@ static void photographs_of_equal_light_may_swap_embeddings(void **state)
     toy_run_level(&r);
     size_t pairs = 0;
     for (size_t i = 0; i + 1 < r.scene.n_images; i += 2) {
-        uint32_t x = r.level.light.row[i], y = r.level.light.row[i + 1];
+        uint32_t x = r.level.ctx.appearance.row[i], y = r.level.ctx.appearance.row[i + 1];
         if (x == APPEARANCE_TRAIN_ROW_NONE || y == APPEARANCE_TRAIN_ROW_NONE)
             continue; /* one of them is for tests */
         pairs++;
@@ -230,9 +233,9 @@ static void photographs_of_equal_light_may_swap_embeddings(void **state)
         }
     }
     /* That a swap could be seen at all: the most different light of the table. */
-    for (uint32_t row = 0; row < r.level.light.model.n_images; row++)
+    for (uint32_t row = 0; row < r.level.ctx.appearance.model.n_images; row++)
         apart = fmin(apart, psnr_with_row(&r, 2, row));
-    apart = psnr_with_row(&r, 2, r.level.light.row[2]) - apart;
+    apart = psnr_with_row(&r, 2, r.level.ctx.appearance.row[2]) - apart;
     toy_figure("F7", "pairs=%zu swap_db=%.3f limit=%.2f foreign_light_db=%.2f", pairs, worst,
                F7_SWAP_DB, apart);
     assert_true(pairs >= 4);
@@ -266,12 +269,12 @@ static void embeddings_of_what_is_seen_move(void **state)
     c.appearance_warmup = 10;
     toy_run_open(&r, dir, &c);
     toy_run_steps(&r, 10);
-    kit_ok(level_gauss(&r.level, &before, &e), e);
+    kit_ok(model_gauss(&r.level.model, &before, &e), e);
     toy_run_steps(&r, 100);
-    kit_ok(level_gauss(&r.level, &after, &e), e);
+    kit_ok(model_gauss(&r.level.model, &after, &e), e);
     float *count = mem_array(after.n, sizeof *count);
     assert_non_null(count);
-    kit_ok(dev_read(&toy_dev, r.level.stats.count, 0, after.n * sizeof(float), count, &e), e);
+    kit_ok(dev_read(&toy_dev, r.level.model.stats.count, 0, after.n * sizeof(float), count, &e), e);
     assert_int_equal(before.n, after.n);
     for (size_t i = 0; i < after.n; i++) {
         double x[GAUSS_EMBED_MAX], y[GAUSS_EMBED_MAX], d = 0.0;
@@ -585,15 +588,15 @@ static void the_score_of_a_half_does_not_know_the_other(void **state)
                                     .n_images = r.n_tests,
                                     .downsample = 1.0,
                                     .cache_bytes = 1 << 20};
-    kit_ok(appearance_view_open(&look, &l->light.model, &r.scene, &e), e);
+    kit_ok(appearance_view_open(&look, &l->ctx.appearance.model, &r.scene, &e), e);
     const struct half_image_config hc = {.dev = &toy_dev,
-                                         .render = l->render,
-                                         .loss = l->loss,
-                                         .look = &look,
+                                         .render = l->ctx.render,
+                                         .loss = l->ctx.loss,
+                                         .appearance = &look,
                                          .steps = 10,
                                          .lr = HALF_IMAGE_LR,
                                          .lr_end = HALF_IMAGE_LR_END};
-    struct render_options ro = level_render_options(l, l->step);
+    struct render_options ro = context_render_options(&l->ctx, l->ctx.step);
     kit_ok(half_image_open(&hc, &h, &e), e);
     kit_ok(photo_loader_open(&f, &feed, &e), e);
     kit_ok(photo_loader_get_nth(feed, 0, &p, &e), e);
@@ -611,9 +614,11 @@ static void the_score_of_a_half_does_not_know_the_other(void **state)
         appearance_train_nearest(look.model, &r.scene, look.row, &p.cam, look.reach_m, start), 3);
     for (int k = 0; k < 2; k++) {
         memcpy(image[k], start, sizeof start);
-        kit_ok(half_image_score(h, photos[k], &l->model, &ro, HALF_IMAGE_RIGHT, start, &s[k], &e),
+        kit_ok(half_image_score(h, photos[k], &l->model.gauss, &ro, HALF_IMAGE_RIGHT, start, &s[k],
+                                &e),
                e);
-        kit_ok(half_image_fit(h, photos[k], &l->model, &ro, HALF_IMAGE_RIGHT, image[k], &e), e);
+        kit_ok(half_image_fit(h, photos[k], &l->model.gauss, &ro, HALF_IMAGE_RIGHT, image[k], &e),
+               e);
     }
     toy_figure("F31", "psnr_difference_db=%g ssim_difference=%g", s[0].psnr_db - s[1].psnr_db,
                s[0].ssim - s[1].ssim);
@@ -623,7 +628,8 @@ static void the_score_of_a_half_does_not_know_the_other(void **state)
     /* ... and the left half does decide where it should. */
     memcpy(image[1], image[0], sizeof image[0]);
     for (int k = 0; k < 2; k++)
-        kit_ok(half_image_fit(h, photos[k], &l->model, &ro, HALF_IMAGE_LEFT, image[k], &e), e);
+        kit_ok(half_image_fit(h, photos[k], &l->model.gauss, &ro, HALF_IMAGE_LEFT, image[k], &e),
+               e);
     assert_memory_not_equal(image[0], image[1], sizeof image[0]);
     mem_free(px);
     photo_loader_close(&feed);

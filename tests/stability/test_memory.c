@@ -14,6 +14,7 @@
 #include "train/prune.h"
 #include "train/schedule.h"
 #include "train/train.h"
+#include "train/train_scene.h"
 
 #include <stdio.h>
 #include <stdlib.h>
@@ -77,7 +78,7 @@ static size_t peak_of(const char *program, size_t n, size_t budget, bool appeara
     cfg.budget_2 = (int64_t)budget / 2;
     cfg.budget_3 = (int64_t)budget;
     kit_ok(scene_read(dir, &s, &e), e);
-    kit_ok(train_images(&s, SCENE_TRAIN, true, &images, &n_images, &e), e);
+    kit_ok(train_scene_images(&s, SCENE_TRAIN, true, &images, &n_images, &e), e);
     cell_whole(&s, images, n_images, &cell);
     kit_ok(schedule_make(&cfg, n_images, &cell, levels, &e), e);
     *need = memory_estimate(&cfg, &s, images, n_images, levels, 2, true);
@@ -135,7 +136,7 @@ enum { REMOVAL_STEPS = 12, REMOVAL_PARTS = 3 };
 static float *arrays_of(const struct level *l, size_t floats)
 {
     struct err e = {0};
-    cl_mem parts[REMOVAL_PARTS] = {l->model.params, l->adam.m1, l->adam.m2};
+    cl_mem parts[REMOVAL_PARTS] = {l->model.gauss.params, l->model.adam.m1, l->model.adam.m2};
     float *all = mem_array(REMOVAL_PARTS * floats, sizeof *all);
     assert_non_null(all);
     for (size_t k = 0; k < REMOVAL_PARTS; k++)
@@ -175,25 +176,25 @@ static void a_removal_is_taken_back_or_stays(void **state)
         toy_run_open(&r, dir, &c);
         toy_run_steps(&r, REMOVAL_STEPS);
         struct level *l = &r.level;
-        uint32_t n = l->model.n, planes = l->model.planes;
+        uint32_t n = l->model.gauss.n, planes = l->model.gauss.planes;
         size_t floats = permute_floats(n, planes);
         float *before = arrays_of(l, floats);
         struct prune_report report;
-        kit_ok(prune_level(l, &report, NULL, &e), e);
+        kit_ok(prune_level(&l->model, &l->ctx, &report, NULL, &e), e);
         assert_true(report.faint > 0 && report.undone == !stays);
         float *after = arrays_of(l, floats);
         if (!stays) {
-            assert_int_equal(l->model.n, n);
+            assert_int_equal(l->model.gauss.n, n);
             assert_memory_equal(before, after, REMOVAL_PARTS * floats * sizeof *after);
         }
-        assert_int_equal(l->model.n, n - (stays ? report.faint : 0));
+        assert_int_equal(l->model.gauss.n, n - (stays ? report.faint : 0));
         for (size_t k = 0; k < REMOVAL_PARTS; k++) {
             const float *was = before + k * floats, *is = after + k * floats;
             size_t from = 0;
-            for (size_t i = 0; i < l->model.n; i++, from++)
+            for (size_t i = 0; i < l->model.gauss.n; i++, from++)
                 while (!same_row(is, i, was, from, planes))
                     assert_true(++from < n); /* a later one */
-            for (size_t i = l->model.n; i % LAYOUT_LANES; i++)
+            for (size_t i = l->model.gauss.n; i % LAYOUT_LANES; i++)
                 for (uint32_t p = 0; p < planes; p++)
                     assert_true(is[permute_at(i, planes) + (size_t)p * LAYOUT_LANES] == 0.0f);
         }

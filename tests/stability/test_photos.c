@@ -93,13 +93,14 @@ static struct ground ground_after_training(const char *dir, const struct toy *t,
     c.seed = seed;
     toy_run_open(&r, dir, &c);
     toy_run_level(&r);
-    struct render_options ro = level_render_options(&r.level, r.level.step);
+    struct render_options ro = context_render_options(&r.level.ctx, r.level.ctx.step);
     for (size_t i = 0; i < t->photos; i++) {
         struct camera cam = toy_camera(t, i);
         uint32_t x0, y0;
         bool has = box_at(t, i, &x0, &y0);
         toy_draw(g, &cam, want);
-        kit_ok(render_forward(r.level.render, &r.level.model, &cam, &ro, got, NULL, &e), e);
+        kit_ok(render_forward(r.level.ctx.render, &r.level.model.gauss, &cam, &ro, got, NULL, &e),
+               e);
         for (size_t k = 0; k < n; k++) {
             size_t x = k / 3 % t->width_px, y = k / 3 / t->width_px;
             double d = want[k] - (double)got[k];
@@ -203,8 +204,8 @@ static void rank_photographs(struct toy_run *r, struct residual_list *out)
                                     .n_images = r->n_images,
                                     .downsample = 1.0,
                                     .cache_bytes = 64 << 20};
-    struct evaluate_model model = {r->level.render, &r->level.model,
-                                   level_render_options(&r->level, r->level.step), NULL};
+    struct evaluate_model model = {r->level.ctx.render, &r->level.model.gauss,
+                                   context_render_options(&r->level.ctx, r->level.ctx.step), NULL};
     struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model, .residuals = out};
     kit_ok(photo_loader_open(&f, &feed, &e), e);
     kit_ok(evaluate_run(feed, f.n_images, &source, &score, &e), e);

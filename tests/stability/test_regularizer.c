@@ -14,6 +14,7 @@
 #include "train/config.h"
 #include "train/level.h"
 #include "train/train.h"
+#include "train/train_scene.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -115,7 +116,7 @@ static struct train_config plain_config(struct arena *a, int64_t steps)
 static void run_gauss(struct toy_run *r, struct gauss *g)
 {
     struct err e = {0};
-    kit_ok(level_gauss(&r->level, g, &e), e);
+    kit_ok(model_gauss(&r->level.model, g, &e), e);
 }
 
 /* ---- F4: sizes and needles ---- */
@@ -402,12 +403,12 @@ static float *f16_train(const struct train_config *c, uint32_t steps, size_t *fl
     struct err e = {0};
     toy_run_open(&r, scene_dir, c);
     (void)toy_run_steps(&r, steps);
-    const struct render_model *m = &r.level.model;
+    const struct render_model *m = &r.level.model.gauss;
     size_t n = m->n, params = permute_floats(n, m->planes);
     float *out = mem_array(F16_STATS * n + params, sizeof *out);
     assert_non_null(out);
-    cl_mem stats[F16_STATS] = {r.level.stats.grad, r.level.stats.absg, r.level.stats.count,
-                               r.level.stats.radius};
+    cl_mem stats[F16_STATS] = {r.level.model.stats.grad, r.level.model.stats.absg,
+                               r.level.model.stats.count, r.level.model.stats.radius};
     for (size_t i = 0; i < F16_STATS; i++)
         kit_ok(dev_read(&toy_dev, stats[i], 0, n * sizeof *out, out + i * n, &e), e);
     kit_ok(dev_read(&toy_dev, m->params, 0, params * sizeof *out, out + F16_STATS * n, &e), e);
@@ -569,7 +570,7 @@ static void maps_are_read_aligned_and_left_out(void **state)
     kit_tmpdir(dir);
     maps_write(dir);
     kit_ok(scene_read(scene_dir, &s, &e), e);
-    kit_ok(train_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
+    kit_ok(train_scene_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
     struct depth_map_config cfg = {.scene = &s, .images = images, .n_images = n, .dir = dir};
     truth_depth(images[0], truth);
     for (size_t i = 0; i < pixels; i++)

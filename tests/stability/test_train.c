@@ -34,9 +34,9 @@ static void mean_gradients(const char *dir, const struct gauss *g, float *grad, 
         c.lr_quat = 0.0;
     toy_run_open_from(&r, dir, &c, g);
     toy_run_steps(&r, F15_STEPS);
-    kit_ok(dev_read(&toy_dev, r.level.stats.grad, 0, sizeof count, grad, &e), e);
-    kit_ok(dev_read(&toy_dev, r.level.stats.absg, 0, sizeof count, absg, &e), e);
-    kit_ok(dev_read(&toy_dev, r.level.stats.count, 0, sizeof count, count, &e), e);
+    kit_ok(dev_read(&toy_dev, r.level.model.stats.grad, 0, sizeof count, grad, &e), e);
+    kit_ok(dev_read(&toy_dev, r.level.model.stats.absg, 0, sizeof count, absg, &e), e);
+    kit_ok(dev_read(&toy_dev, r.level.model.stats.count, 0, sizeof count, count, &e), e);
     for (size_t i = 0; i < F15_N; i++) {
         assert_true(count[i] > 0.0f);
         grad[i] /= count[i];
@@ -126,7 +126,7 @@ static void toy_scene(char dir[FILE_PATH_MAX], struct toy *t)
 
 static void to_the_end(struct toy_run *r)
 {
-    while (r->level.at < r->level.n_levels) {
+    while (r->level.ctx.at < r->level.ctx.n_levels) {
         toy_run_level(r);
         toy_run_next(r);
     }
@@ -135,10 +135,11 @@ static void to_the_end(struct toy_run *r)
 static struct hash128 model_hash(struct toy_run *r)
 {
     struct err e = {0};
-    size_t bytes = permute_floats(r->level.model.n, r->level.model.planes) * sizeof(float);
+    size_t bytes =
+        permute_floats(r->level.model.gauss.n, r->level.model.gauss.planes) * sizeof(float);
     float *v = mem_array(bytes, 1);
     assert_non_null(v);
-    kit_ok(dev_read(&toy_dev, r->level.model.params, 0, bytes, v, &e), e);
+    kit_ok(dev_read(&toy_dev, r->level.model.gauss.params, 0, bytes, v, &e), e);
     struct hash128 h = hash_bytes(v, bytes);
     mem_free(v);
     return h;
@@ -168,18 +169,18 @@ static void resumed_anywhere_it_ends_in_the_same_bytes(void **state)
     toy_run_open(&whole, dir, &c);
     to_the_end(&whole);
     struct hash128 want = model_hash(&whole);
-    size_t n = whole.level.model.n;
+    size_t n = whole.level.model.gauss.n;
     kit_ok(file_join(path, dir, "resume.ckpt", &e), e);
     toy_run_open(&part, dir, &c);
-    while (part.level.at < part.level.n_levels) {
-        while (part.level.step < part.level.schedule[part.level.at].steps) {
+    while (part.level.ctx.at < part.level.ctx.n_levels) {
+        while (part.level.ctx.step < part.level.ctx.schedule[part.level.ctx.at].steps) {
             struct toy_run again;
             toy_run_steps(&part, 1);
-            kit_ok(state_save(&part.level, path, &e), e);
+            kit_ok(state_save(&part.level.model, &part.level.ctx, &part.level.budget, path, &e), e);
             toy_run_load(&again, dir, &c, path);
             to_the_end(&again);
             struct hash128 got = model_hash(&again);
-            same += again.level.model.n == n && !memcmp(&got, &want, sizeof got);
+            same += again.level.model.gauss.n == n && !memcmp(&got, &want, sizeof got);
             tried++;
             toy_run_close(&again);
         }
@@ -216,12 +217,15 @@ static void expect_finite_scores(const char *what, const char *dir, const struct
     struct train_config c = toy_config(&a, NULL);
     c.level_count = 1;
     toy_run_open_from(&r, dir, &c, g);
-    size_t n = g->n, floats = permute_floats(n, r.level.model.planes), bad = 0, positive = 0;
+    size_t n = g->n, floats = permute_floats(n, r.level.model.gauss.planes), bad = 0, positive = 0;
     float *params = mem_array(floats, sizeof(float)), *grad = mem_array(n, sizeof(float)),
           *score = mem_array(n, sizeof(float));
     assert_true(params && grad && score);
-    kit_ok(dev_read(&toy_dev, r.level.model.params, 0, floats * sizeof(float), params, &e), e);
-    kit_ok(importance_run(&r.level, params, grad, score, &e), e); /* gradients: all 0, all equal */
+    kit_ok(dev_read(&toy_dev, r.level.model.gauss.params, 0, floats * sizeof(float), params, &e),
+           e);
+    kit_ok(
+        importance_run(&r.level.importance, &r.level.model, &r.level.ctx, params, grad, score, &e),
+        e); /* gradients: all 0, all equal */
     for (size_t i = 0; i < n; i++) {
         bad += !isfinite(score[i]) || score[i] < 0.0f;
         positive += score[i] > 0.0f;
@@ -233,7 +237,7 @@ static void expect_finite_scores(const char *what, const char *dir, const struct
     double loss = none_visible ? toy_run_steps(&r, 5) : toy_run_level(&r);
     assert_true(isfinite(loss));
     struct gauss out = {0};
-    kit_ok(level_gauss(&r.level, &out, &e), e);
+    kit_ok(model_gauss(&r.level.model, &out, &e), e);
     assert_true(toy_finite(&out));
     gauss_free(&out);
     mem_free(params);

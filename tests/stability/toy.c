@@ -21,6 +21,7 @@
 #include "train/schedule.h"
 #include "train/state.h"
 #include "train/train.h"
+#include "train/train_scene.h"
 
 #define TOY_PI 3.14159265358979323846
 enum { TOY_CACHE_BYTES = 64 << 20 };
@@ -197,22 +198,22 @@ static void toy_run_prepare(struct toy_run *r, const char *dir, const struct tra
     struct err e = {0};
     *r = (struct toy_run){0};
     kit_ok(scene_read(dir, &r->scene, &e), e);
-    kit_ok(train_images(&r->scene, SCENE_TRAIN, true, &r->images, &r->n_images, &e), e);
-    kit_ok(train_images(&r->scene, SCENE_TEST, true, &r->tests, &r->n_tests, &e), e);
-    r->level = (struct level){.cfg = cfg,
-                              .scene = &r->scene,
-                              .images = r->images,
-                              .n_images = r->n_images,
-                              .dev = &toy_dev,
-                              .n_levels = (uint32_t)cfg->level_count};
-    cell_whole(&r->scene, r->images, r->n_images, &r->level.cell);
-    kit_ok(schedule_make(cfg, r->n_images, &r->level.cell, r->level.schedule, &e), e);
+    kit_ok(train_scene_images(&r->scene, SCENE_TRAIN, true, &r->images, &r->n_images, &e), e);
+    kit_ok(train_scene_images(&r->scene, SCENE_TEST, true, &r->tests, &r->n_tests, &e), e);
+    r->level.ctx = (struct context){.cfg = cfg,
+                                    .scene = &r->scene,
+                                    .images = r->images,
+                                    .n_images = r->n_images,
+                                    .dev = &toy_dev,
+                                    .n_levels = (uint32_t)cfg->level_count};
+    cell_whole(&r->scene, r->images, r->n_images, &r->level.ctx.cell);
+    kit_ok(schedule_make(cfg, r->n_images, &r->level.ctx.cell, r->level.ctx.schedule, &e), e);
     if (appearance_train_wanted(cfg))
-        kit_ok(appearance_train_open(&r->level.light, cfg, &r->scene, r->images, r->n_images, NULL,
-                                     &e),
+        kit_ok(appearance_train_open(&r->level.ctx.appearance, cfg, &r->scene, r->images,
+                                     r->n_images, NULL, &e),
                e);
-    kit_ok(render_open(&toy_dev, &r->level.render, &e), e);
-    kit_ok(photometric_open(&toy_dev, &r->level.loss, &e), e);
+    kit_ok(render_open(&toy_dev, &r->level.ctx.render, &e), e);
+    kit_ok(photometric_open(&toy_dev, &r->level.ctx.loss, &e), e);
 }
 
 void toy_run_open_from(struct toy_run *r, const char *dir, const struct train_config *cfg,
@@ -229,11 +230,12 @@ void toy_run_open(struct toy_run *r, const char *dir, const struct train_config 
     struct err e = {0};
     struct gauss g = {0};
     toy_run_prepare(r, dir, cfg);
-    kit_ok(init_gauss(&r->scene, r->images, r->n_images, &r->level.cell, (uint32_t)cfg->sh_degree,
-                      r->level.schedule[0].budget, (uint64_t)cfg->seed, &g, &e),
+    kit_ok(init_gauss(&r->scene, r->images, r->n_images, &r->level.ctx.cell,
+                      (uint32_t)cfg->sh_degree, r->level.ctx.schedule[0].budget,
+                      (uint64_t)cfg->seed, &g, &e),
            e);
-    if (appearance_train_is_on(&r->level.light))
-        kit_ok(appearance_train_embed(&r->level.light, (uint64_t)cfg->seed, &g, &e), e);
+    if (appearance_train_is_on(&r->level.ctx.appearance))
+        kit_ok(appearance_train_embed(&r->level.ctx.appearance, (uint64_t)cfg->seed, &g, &e), e);
     kit_ok(level_open(&r->level, &g, &e), e);
     kit_ok(level_begin(&r->level, &e), e);
     gauss_free(&g);
@@ -244,7 +246,7 @@ void toy_run_load(struct toy_run *r, const char *dir, const struct train_config 
 {
     struct err e = {0};
     toy_run_prepare(r, dir, cfg);
-    kit_ok(state_load(&r->level, state_path, &e), e);
+    kit_ok(state_load(&r->level.model, &r->level.ctx, &r->level.budget, state_path, &e), e);
     kit_ok(level_begin(&r->level, &e), e);
 }
 
@@ -259,7 +261,7 @@ double toy_run_steps(struct toy_run *r, uint32_t n)
 
 double toy_run_level(struct toy_run *r)
 {
-    return toy_run_steps(r, r->level.schedule[r->level.at].steps - r->level.step);
+    return toy_run_steps(r, r->level.ctx.schedule[r->level.ctx.at].steps - r->level.ctx.step);
 }
 
 void toy_run_next(struct toy_run *r)
@@ -278,15 +280,16 @@ struct evaluate_score toy_run_score(struct toy_run *r, double downsample)
         .scene = &r->scene,
         .images = r->n_tests ? r->tests : r->images,
         .n_images = r->n_tests ? r->n_tests : r->n_images,
-        .max_edge_px = (uint32_t)l->cfg->max_edge_px,
+        .max_edge_px = (uint32_t)l->ctx.cfg->max_edge_px,
         .downsample = downsample,
         .cache_bytes = TOY_CACHE_BYTES,
     };
     struct appearance_view look = {0};
-    struct evaluate_model model = {l->render, &l->model, level_render_options(l, l->step),
-                                   appearance_train_is_on(&l->light) ? &look : NULL};
-    if (model.look)
-        kit_ok(appearance_view_open(&look, &l->light.model, &r->scene, &e), e);
+    struct evaluate_model model = {l->ctx.render, &l->model.gauss,
+                                   context_render_options(&l->ctx, l->ctx.step),
+                                   appearance_train_is_on(&l->ctx.appearance) ? &look : NULL};
+    if (model.appearance)
+        kit_ok(appearance_view_open(&look, &l->ctx.appearance.model, &r->scene, &e), e);
     struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model};
     kit_ok(photo_loader_open(&f, &feed, &e), e);
     kit_ok(evaluate_run(feed, f.n_images, &source, &score, &e), e);
@@ -298,8 +301,8 @@ struct evaluate_score toy_run_score(struct toy_run *r, double downsample)
 void toy_run_close(struct toy_run *r)
 {
     level_close(&r->level);
-    photometric_close(&r->level.loss);
-    render_close(&r->level.render);
+    photometric_close(&r->level.ctx.loss);
+    render_close(&r->level.ctx.render);
     scene_free(&r->scene);
 }
 

@@ -3,7 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "loss/knn.h"
+#include "core/knn.h"
 
 #include <assert.h>
 #include <math.h>

@@ -5,8 +5,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#ifndef LOSS_KNN_H
-#define LOSS_KNN_H
+#ifndef CORE_KNN_H
+#define CORE_KNN_H
 
 #include <stddef.h>
 #include <stdint.h>

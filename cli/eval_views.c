@@ -1,0 +1,176 @@
+/* Rows of `citysplat eval --views`; see eval_views.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "cli/eval_views.h"
+
+#include <jansson.h>
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "train/map_views.h"
+
+struct eval_views_kind {
+    const char *name; /* borrowed from the views; "all" */
+    struct map_sums sums;
+};
+struct eval_views {
+    const struct eval_views_request *q;
+    const struct evaluate_source *src;
+    struct render *render;
+    struct render_surface *surface;
+    struct map_views views;
+    struct eval_views_kind kinds[MAP_VIEWS_KINDS_MAX]; /* [0] is all */
+    size_t n_kinds;
+    double gaussians;
+};
+
+void eval_views_print_head(void)
+{
+    printf("%-14s %-9s %5s %8s %7s %8s %9s %8s %8s %7s %7s %7s %7s %8s\n", "what", "kind", "views",
+           "PSNR dB", "SSIM", "GMSD", "square dB", "depth %", "95 % %", ">2 %", "halo", "haze %",
+           "veil %", "mask %");
+}
+
+/* A number, or "-" where there was nothing to measure. */
+static void eval_views_cell(int width, int digits, double v)
+{
+    if (isfinite(v))
+        printf(" %*.*f", width, digits, v);
+    else
+        printf(" %*s", width, "-");
+}
+
+static enum err_code eval_views_row(const struct eval_views *v, const char *what, const char *kind,
+                                    const struct map_score *m, struct err *e)
+{
+    printf("%-14s %-9s %5zu", what, kind, m->n_views);
+    eval_views_cell(8, 3, m->psnr_db);
+    eval_views_cell(7, 4, m->ssim);
+    eval_views_cell(8, 5, m->gmsd);
+    eval_views_cell(9, 3, m->square_psnr_db);
+    eval_views_cell(8, 3, 100.0 * m->depth_median);
+    eval_views_cell(8, 2, 100.0 * m->depth_95);
+    eval_views_cell(7, 2, 100.0 * m->depth_above);
+    eval_views_cell(7, 4, m->halo);
+    eval_views_cell(7, 2, 100.0 * m->haze);
+    eval_views_cell(7, 2, 100.0 * m->veil);
+    eval_views_cell(8, 1, 100.0 * m->supported);
+    putchar('\n');
+    fflush(stdout);
+    json_t *row = json_pack(
+        "{s:s, s:s, s:I, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:f}", "what",
+        what, "views_of", kind, "views", (json_int_t)m->n_views, "psnr_db", jsonc_real(m->psnr_db),
+        "ssim", jsonc_real(m->ssim), "gmsd", jsonc_real(m->gmsd), "square_psnr_db",
+        jsonc_real(m->square_psnr_db), "depth_median", jsonc_real(m->depth_median), "depth_95",
+        jsonc_real(m->depth_95), "depth_above_2pct", jsonc_real(m->depth_above), "halo",
+        jsonc_real(m->halo), "haze", jsonc_real(m->haze), "veil", jsonc_real(m->veil), "mask_share",
+        jsonc_real(m->supported), "unobserved_share", jsonc_real(m->unobserved), "gaussians",
+        v->gaussians / (double)v->views.n);
+    if (!row || json_array_append_new(v->q->rows, row))
+        return err_set(e, ERR_MEM, "eval: out of memory");
+    return ERR_OK;
+}
+
+static enum err_code eval_views_kind(struct eval_views *v, const char *name, struct map_sums **out,
+                                     struct err *e)
+{
+    for (size_t i = 1; i < v->n_kinds; i++)
+        if (!strcmp(v->kinds[i].name, name)) {
+            *out = &v->kinds[i].sums;
+            return ERR_OK;
+        }
+    if (v->n_kinds == MAP_VIEWS_KINDS_MAX)
+        return err_set(e, ERR_LIMIT, "%s: more than %d kinds of views", v->q->dir,
+                       MAP_VIEWS_KINDS_MAX - 1);
+    v->kinds[v->n_kinds].name = name;
+    *out = &v->kinds[v->n_kinds++].sums;
+    return ERR_OK;
+}
+
+static enum err_code eval_views_picture(const struct eval_views *v, const struct map_view *view,
+                                        const struct map_truth *t, const float *rgb, struct err *e)
+{
+    char name[MAP_VIEWS_NAME + 8], path[FILE_PATH_MAX];
+    struct image img = {0};
+    size_t w = t->width_px, h = t->height_px;
+    if (!v->q->pictures)
+        return ERR_OK;
+    snprintf(name, sizeof name, "%s.png", view->name);
+    enum err_code rc = file_mkdir(v->q->pictures, e);
+    if (!rc)
+        rc = file_join(path, v->q->pictures, name, e);
+    if (!rc)
+        rc = image_alloc(2 * t->width_px, t->height_px, 3, &img, e);
+    for (size_t y = 0; !rc && y < h; y++) {
+        uint8_t *to = img.px + y * 6 * w;
+        memcpy(to, t->picture.px + y * 3 * w, 3 * w);
+        for (size_t i = 0; i < 3 * w; i++)
+            to[3 * w + i] = (uint8_t)(fminf(fmaxf(rgb[y * 3 * w + i], 0.0f), 1.0f) * 255.0f + 0.5f);
+    }
+    if (!rc)
+        rc = image_write(path, &img, 0, NULL, e);
+    image_free(&img);
+    return rc;
+}
+
+static enum err_code eval_views_one(struct eval_views *v, size_t i, struct err *e)
+{
+    enum { RGB = 0, MEDIAN = 3, FRONT, LEFT, LIMIT, PLANES };
+    const struct map_view *view = &v->views.views[i];
+    struct map_truth t = {0};
+    struct map_sums *sums = NULL;
+    double gaussians = 0.0;
+    size_t n = (size_t)view->cam.width_px * view->cam.height_px;
+    float *px = mem_array(n, PLANES * sizeof *px);
+    enum err_code rc = px ? map_views_load(&v->views, i, &t, e)
+                          : err_set(e, ERR_MEM, "eval: out of memory for a picture");
+    if (!rc)
+        rc = v->src->draw(v->src->user, &view->cam, px, &gaussians, e);
+    if (!rc) {
+        const struct render_surface_maps maps = {
+            .median_m = px + MEDIAN * n, .front = px + FRONT * n, .transmittance = px + LEFT * n};
+        map_views_limit(&t, px + LIMIT * n);
+        rc = render_surface_run(v->surface, px + LIMIT * n, &maps, e);
+    }
+    const struct map_drawing d = {px, px + MEDIAN * n, px + FRONT * n, px + LEFT * n};
+    if (!rc)
+        rc = eval_views_kind(v, view->kind, &sums, e);
+    if (!rc)
+        rc = map_sums_add(sums, &t, &d, e);
+    if (!rc)
+        rc = map_sums_add(&v->kinds[0].sums, &t, &d, e);
+    if (!rc)
+        rc = eval_views_picture(v, view, &t, px, e);
+    v->gaussians += gaussians;
+    map_truth_free(&t);
+    mem_free(px);
+    return rc;
+}
+
+enum err_code eval_views_run(const struct eval_views_request *q, const char *what,
+                             struct render *render, const struct evaluate_source *src,
+                             struct err *e)
+{
+    struct eval_views v = {
+        .q = q, .src = src, .render = render, .kinds = {{.name = "all"}}, .n_kinds = 1};
+    enum err_code rc = map_views_read(q->dir, q->scene, &v.views, e);
+    if (!rc)
+        rc = render_surface_open(render, &v.surface, e);
+    for (size_t i = 0; !rc && i < v.views.n; i++) {
+        rc = eval_views_one(&v, i, e);
+        if (!rc && signals_stopping())
+            rc = err_set(e, ERR_CANCEL, "stopped while scoring");
+    }
+    for (size_t i = 1; !rc && i <= v.n_kinds; i++) { /* all of them come last */
+        struct eval_views_kind *k = &v.kinds[i % v.n_kinds];
+        struct map_score m = map_sums_score(&k->sums);
+        rc = eval_views_row(&v, what, k->name, &m, e);
+    }
+    for (size_t i = 0; i < v.n_kinds; i++)
+        map_sums_free(&v.kinds[i].sums);
+    render_surface_close(&v.surface);
+    map_views_free(&v.views);
+    return rc;
+}

@@ -1,0 +1,80 @@
+/* Depth of the last frame: launches surface.cl over what render_forward left on the device. Owns
+ * the compiled kernel and its maps; nothing of the frame is changed.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "core/base.h"
+#include "render/frame.h"
+
+extern const char surface_cl[];
+
+struct render_surface {
+    struct render *render; /* borrowed */
+    cl_program program;
+    cl_kernel rows;
+    struct frame_buffer limit, maps;
+};
+
+enum err_code render_surface_open(struct render *r, struct render_surface **out, struct err *e)
+{
+    const struct dev_source sources[] = {{"render/common.cl", common_cl},
+                                         {"render/surface.cl", surface_cl}};
+    *out = NULL;
+    struct render_surface *s = mem_array(1, sizeof *s);
+    if (!s)
+        return err_set(e, ERR_MEM, "render_surface_open: out of memory");
+    s->render = r;
+    enum err_code rc = dev_build(r->dev, sources, 2, NULL, &s->program, e);
+    if (!rc)
+        rc = dev_kernel(s->program, "surface_rows", &s->rows, e);
+    if (rc)
+        render_surface_close(&s);
+    *out = s;
+    return rc;
+}
+
+void render_surface_close(struct render_surface **p)
+{
+    struct render_surface *s = *p;
+    if (!s)
+        return;
+    if (s->rows)
+        clReleaseKernel(s->rows);
+    if (s->program)
+        clReleaseProgram(s->program);
+    dev_release(&s->limit.mem);
+    dev_release(&s->maps.mem);
+    mem_free(s);
+    *p = NULL;
+}
+
+enum err_code render_surface_run(struct render_surface *s, const float *limit_m,
+                                 const struct render_surface_maps *out, struct err *e)
+{
+    struct render *r = s->render;
+    if (!r->drawn)
+        return err_set(e, ERR_ARG, "render_surface: no frame was drawn");
+    size_t bytes = (size_t)r->view.width * r->view.height * sizeof(float);
+    bool wide = r->dev->vector_width == LAYOUT_LANES;
+    size_t items = (size_t)r->tiles * RENDER_TILE * (wide ? 1 : RENDER_TILE);
+    cl_uint limited = limit_m != NULL;
+    float *const maps[] = {out->median_m, out->mean_m, out->front};
+    enum err_code rc = frame_reserve(r, &s->maps, 3 * bytes, e);
+    if (!rc)
+        rc = frame_reserve(r, &s->limit, limited ? bytes : sizeof(float), e);
+    if (!rc && limited)
+        rc = dev_write(r->dev, s->limit.mem, 0, bytes, limit_m, e);
+    if (!rc)
+        rc = frame_run(r, s->rows, "surface_rows",
+                       FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
+                                  FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->entry_splat.mem),
+                                  FRAME_ARG(r->depth_key.mem), FRAME_ARG(s->limit.mem),
+                                  FRAME_ARG(limited), FRAME_ARG(s->maps.mem)),
+                       items, wide ? 1 : RENDER_TILE * RENDER_TILE, e);
+    for (size_t m = 0; !rc && m < 3; m++)
+        if (maps[m])
+            rc = dev_read(r->dev, s->maps.mem, m * bytes, bytes, maps[m], e);
+    if (!rc && out->transmittance)
+        rc = dev_read(r->dev, r->transmit.mem, 0, bytes, out->transmittance, e);
+    return rc;
+}

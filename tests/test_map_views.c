@@ -1,0 +1,469 @@
+/* Map views: depth maps of the renderer, the measures, the truth that synth writes, and its way into
+ * a scene's frame.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <jansson.h>
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "codec/colmap.h"
+#include "codec/npy.h"
+#include "codec/scene.h"
+#include "core/layout.h"
+#include "loss/metric.h"
+#include "render/render.h"
+#include "synth/synth.h"
+#include "train/map_views.h"
+
+enum { WIDTH = 53, HEIGHT = 37, PIXELS = WIDTH * HEIGHT };
+#define DEPTH_REL 1e-5 /* float sums of some hundred terms */
+
+static struct dev dev;
+static struct render *render;
+static const struct render_options options = {.aa = RENDER_AA_2D, .sh_degree = -1};
+
+/* ---- depth maps ---- */
+
+struct maps {
+    float rgb[3 * PIXELS], median[PIXELS], mean[PIXELS], front[PIXELS], left[PIXELS];
+};
+
+static struct camera front_camera(void)
+{
+    const double eye[3] = {0, -10, 0}, target[3] = {0, 0, 0};
+    return camera_look_at(eye, target, 0.9, WIDTH, HEIGHT);
+}
+
+static void draw(struct render *r, const struct gauss *g, const float *limit, struct maps *out)
+{
+    struct err e = {0};
+    struct render_model m = {0};
+    struct render_surface *s = NULL;
+    struct camera cam = front_camera();
+    const struct render_surface_maps maps = {out->median, out->mean, out->front, out->left};
+    kit_ok(render_surface_open(r, &s, &e), e);
+    kit_ok(render_model_upload(r, g, &m, &e), e);
+    kit_ok(render_forward(r, &m, &cam, &options, out->rgb, NULL, &e), e);
+    kit_ok(render_surface_run(s, limit, &maps, &e), e);
+    render_surface_close(&s);
+    render_model_free(&m);
+}
+
+/* A faint ball at 6 m before a solid one at 10 m, on the axis. */
+static void two_balls(struct gauss *g)
+{
+    kit_gauss(1, 2, 1.0, 0, 0, g);
+    for (int i = 0; i < 2; i++) {
+        const float place[3] = {0, i ? 0.0f : -4.0f, 0};
+        for (int k = 0; k < 3; k++) {
+            g->mean_m[3 * i + k] = place[k];
+            g->scale_log[3 * i + k] = logf(1.0f);
+        }
+        g->opacity_logit[i] = i ? logf(0.95f / 0.05f) : logf(0.3f / 0.7f);
+    }
+}
+
+static void median_is_the_surface_behind_a_faint_ball(void **state)
+{
+    (void)state;
+    struct gauss g = {0};
+    static struct maps m;
+    float limit[PIXELS];
+    size_t at = (HEIGHT / 2) * WIDTH + WIDTH / 2;
+    for (size_t i = 0; i < PIXELS; i++)
+        limit[i] = 9.5f;
+    two_balls(&g);
+    draw(render, &g, limit, &m);
+    double front = (double)m.front[at], all = 1.0 - (double)m.left[at];
+    assert_true(fabs(front - 0.3) < 0.005); /* the anti-aliasing kernel takes a little */
+    assert_true(all > 0.95);
+    assert_true(fabs((double)m.median[at] - 10.0) < 1e-4);
+    double mean = (front * 6.0 + (all - front) * 10.0) / all;
+    assert_true(fabs((double)m.mean[at] - mean) < 1e-4);
+    assert_true(m.median[0] == 0.0f && m.left[0] > 0.5f); /* a corner that nothing covers */
+    gauss_free(&g);
+}
+
+static void maps_of_a_crowd_agree_with_the_picture(void **state)
+{
+    (void)state;
+    struct gauss g = {0};
+    struct err e = {0};
+    struct dev other = dev;
+    struct render *shape = NULL;
+    static struct maps a, b;
+    float limit[PIXELS], depth[PIXELS];
+    size_t surface = 0, off = 0;
+    kit_gauss(6, 300, 3.0, 0, 0, &g);
+    for (size_t i = 0; i < g.n; i += 3)
+        g.opacity_logit[i] = 10.0f;
+    for (size_t i = 0; i < 3 * g.n; i++)
+        g.scale_log[i] += logf(2.5f); /* large enough to cover each other */
+    for (size_t i = 0; i < PIXELS; i++)
+        limit[i] = INFINITY;
+    draw(render, &g, limit, &a);
+    other.vector_width = dev.vector_width == 1 ? LAYOUT_LANES : 1;
+    kit_ok(render_open(&other, &shape, &e), e);
+    draw(shape, &g, limit, &b);
+    for (size_t i = 0; i < PIXELS; i++) {
+        double drawn = 1.0 - (double)a.left[i];
+        assert_true(fabs((double)a.front[i] - drawn) < DEPTH_REL * 10); /* all is before infinity */
+        assert_true((a.median[i] > 0.0f) == (a.left[i] <= 0.5f));
+        surface += a.median[i] > 0.0f;
+        off += a.median[i] != b.median[i] ||
+               fabs((double)a.mean[i] - (double)b.mean[i]) > 1e-3 * (double)a.mean[i];
+    }
+    if (!(surface > PIXELS / 8 && surface < PIXELS))
+        fail_msg("%zu pixels of %d have a surface", surface, PIXELS);
+    assert_true(off <= 4); /* pixels at a threshold */
+    /* Mean depth is the picture of Gaussians whose colour is their depth. */
+    struct camera cam = front_camera();
+    for (size_t i = 0; i < g.n; i++) {
+        double z = cam.trans[2];
+        for (int k = 0; k < 3; k++)
+            z += cam.rot[6 + k] * (double)g.mean_m[3 * i + (size_t)k];
+        for (int k = 0; k < 3; k++)
+            g.sh[3 * i + (size_t)k] = (float)((z / 20.0 - 0.5) / GAUSS_SH_C0);
+    }
+    draw(render, &g, NULL, &b);
+    for (size_t i = 0; i < PIXELS; i++) {
+        depth[i] = a.left[i] < 1.0f ? 20.0f * b.rgb[3 * i] / (1.0f - b.left[i]) : 0.0f;
+        assert_true(b.front[i] == 0.0f);
+        assert_true(fabs((double)depth[i] - (double)a.mean[i]) <= 1e-3 * (double)depth[i]);
+    }
+    render_close(&shape);
+    gauss_free(&g);
+}
+
+static void no_frame_is_an_error(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct render *fresh = NULL;
+    struct render_surface *s = NULL;
+    kit_ok(render_open(&dev, &fresh, &e), e);
+    kit_ok(render_surface_open(fresh, &s, &e), e);
+    kit_fails(render_surface_run(s, NULL, &(struct render_surface_maps){0}, &e), ERR_ARG, e,
+              "no frame");
+    render_surface_close(&s);
+    render_close(&fresh);
+}
+
+/* ---- measures ---- */
+
+static void within_a_mask_only_its_pixels_count(void **state)
+{
+    (void)state;
+    enum { W = 24, H = 20, N = W * H };
+    float rgb[3 * N];
+    uint8_t target[3 * N], mask[N];
+    struct metric_scores all, part, again;
+    double psnr, ssim, gmsd;
+    struct err e = {0};
+    for (size_t i = 0; i < 3 * N; i++) {
+        target[i] = (uint8_t)(255.0 * rng_unit(1, 0, i));
+        rgb[i] = (float)fmin(1.0, target[i] / 255.0 + 0.1 * rng_unit(1, 1, i));
+    }
+    memset(mask, 255, sizeof mask);
+    kit_ok(metric_within(rgb, target, mask, W, H, &all, &e), e);
+    kit_ok(metric_psnr(rgb, target, NULL, W, H, &psnr, &e), e);
+    kit_ok(metric_ssim(rgb, target, NULL, W, H, METRIC_TRAINING, &ssim, &e), e);
+    kit_ok(metric_gmsd(rgb, target, NULL, W, H, &gmsd, &e), e);
+    assert_true(fabs(all.psnr_db - psnr) < 1e-9 && fabs(all.ssim - ssim) < 1e-12);
+    assert_true(fabs(all.gmsd - gmsd) < 1e-12);
+    for (size_t i = 0; i < N; i++)
+        mask[i] = i % W < W / 2 ? 255 : 0;
+    kit_ok(metric_within(rgb, target, mask, W, H, &part, &e), e);
+    for (size_t i = 0; i < N; i++)
+        for (size_t c = 0; c < 3 && !mask[i]; c++)
+            rgb[3 * i + c] = 0.0f;
+    kit_ok(metric_within(rgb, target, mask, W, H, &again, &e), e);
+    assert_memory_equal(&part, &again, sizeof part);
+    memset(mask, 0, sizeof mask);
+    kit_fails(metric_within(rgb, target, mask, W, H, &part, &e), ERR_DATA, e, "empty");
+}
+
+static void sums_say_halo_haze_and_depth(void **state)
+{
+    (void)state;
+    /* A strip: 100 pixels unobserved, 100 seen by one photograph, 800 supported. */
+    enum { W = 100, H = 10, N = W * H };
+    static float rgb[3 * N], median[N], front[N], left[N], depth[N];
+    static uint8_t mask[N], square[N], px[3 * N];
+    struct err e = {0};
+    struct map_truth t = {
+        .width_px = W, .height_px = H, .mask = mask, .square = square, .depth_m = depth};
+    const struct map_drawing d = {rgb, median, front, left};
+    struct map_sums s = {0};
+    t.picture = (struct image){.width_px = W, .height_px = H, .channels = 3, .px = px};
+    for (size_t i = 0; i < N; i++) {
+        mask[i] = i < 100 ? 0 : i < 200 ? 128 : 255;
+        depth[i] = i < 50 ? 0.0f : 100.0f;
+        left[i] = i < 100 ? 0.75f : 0.0f;
+        median[i] = i < 100 ? 20.0f : 101.0f; /* 1 % behind */
+        px[3 * i] = px[3 * i + 1] = px[3 * i + 2] = 128;
+        for (size_t c = 0; c < 3; c++)
+            rgb[3 * i + c] = i < 200 ? 0.0f : 128.0f / 255.0f + 0.1f;
+    }
+    for (size_t i = 100; i < 190; i++)
+        median[i] = 94.0f; /* 6 % in front: haze */
+    for (size_t i = 200; i < 280; i++)
+        median[i] = i < 240 ? 0.0f : 96.0f; /* holes; 4 % in front: wrong, yet no haze */
+    for (size_t i = 100; i < N; i++)
+        front[i] = 0.25f;
+    kit_ok(map_sums_add(&s, &t, &d, &e), e);
+    struct map_score m = map_sums_score(&s);
+    const double got[] = {m.halo,        m.haze,    m.veil,      m.depth_median, m.depth_95,
+                          m.depth_above, m.psnr_db, m.supported, m.unobserved};
+    const double want[] = {0.25, 0.1, 0.25, 0.01, 0.04, 0.1, 20.0, 0.8, 0.1};
+    kit_near_d("measures", got, want, sizeof got / sizeof *got, 0.0, 1e-4);
+    assert_int_equal(m.n_supported, 1);
+    assert_int_equal(m.n_square, 0);
+    assert_true(isnan(m.square_psnr_db));
+    map_sums_free(&s);
+}
+
+/* ---- the truth that synth writes ---- */
+
+static void city_config(struct synth_config *cfg, struct arena *a, const char *dir)
+{
+    struct err e = {0};
+    kit_ok(options_defaults(synth_options(), cfg, a, &e), e);
+    cfg->output = dir;
+    cfg->photos = 24;
+    cfg->width_px = 64;
+    cfg->height_px = 48;
+    cfg->extent_m = 90;
+    cfg->points = 400;
+    cfg->supersample = 1;
+    cfg->map_views = 8;
+}
+
+static void same_file(const char *a, const char *b, const char *name)
+{
+    char pa[FILE_PATH_MAX], pb[FILE_PATH_MAX];
+    struct buf x = {0}, y = {0};
+    struct err e = {0};
+    kit_ok(file_join(pa, a, name, &e), e);
+    kit_ok(file_join(pb, b, name, &e), e);
+    kit_ok(file_read(pa, 0, &x, &e), e);
+    kit_ok(file_read(pb, 0, &y, &e), e);
+    if (x.size != y.size || memcmp(x.data, y.data, x.size))
+        fail_msg("%s and %s differ", pa, pb);
+    buf_free(&x);
+    buf_free(&y);
+}
+
+/* A scene whose frame is the truth's. */
+static struct scene truth_scene(const struct synth_config *cfg)
+{
+    struct synth_similarity f = synth_model_frame(cfg);
+    struct scene s = {.scale = f.scale};
+    memcpy(s.rot, f.rot, sizeof s.rot);
+    memcpy(s.trans, f.trans, sizeof s.trans);
+    return s;
+}
+
+/* In the truth's own frame, against photographs and poses. */
+static void check_view(const struct synth_config *cfg, const struct synth_city *city,
+                       const struct synth_photo *photos, const struct map_views *v, size_t i,
+                       size_t seen[3])
+{
+    struct err e = {0};
+    struct map_truth t;
+    const struct camera *cam = &v->views[i].cam;
+    struct lens lens = synth_flight_lens(cfg);
+    kit_ok(map_views_load(v, i, &t, &e), e);
+    for (size_t k = 0; k < (size_t)t.width_px * t.height_px; k += 7) {
+        double u = (double)(k % t.width_px) + 0.5, w = (double)(k / t.width_px) + 0.5;
+        double ray[3] = {(u - cam->cx_px) / cam->fx_px, (w - cam->cy_px) / cam->fy_px, 1};
+        double eye[3], place[3];
+        size_t by = 0;
+        seen[t.mask[k] == 255 ? 2 : t.mask[k] == 128 ? 1 : 0]++;
+        assert_true(t.mask[k] == 0 || t.mask[k] == 128 || t.mask[k] == 255);
+        if (!(t.depth_m[k] > 0.0f)) {
+            assert_int_equal(t.mask[k], 0);
+            continue;
+        }
+        camera_center(cam, eye);
+        for (int c = 0; c < 3; c++)
+            place[c] =
+                eye[c] + (double)t.depth_m[k] * (cam->rot[c] * ray[0] + cam->rot[3 + c] * ray[1] +
+                                                 cam->rot[6 + c] * ray[2]);
+        assert_true(place[2] > -0.05);
+        for (size_t p = 0; p < (size_t)cfg->photos; p++)
+            by +=
+                p % (size_t)cfg->test_every && synth_model_sees(city, &lens, &photos[p].cam, place);
+        /* Float depths move the place by less than what counts as the same. */
+        if (t.mask[k] == 255 ? by < 3 : t.mask[k] == 0 && by > 1)
+            fail_msg("view %zu pixel %zu: mask %d, %zu photographs", i, k, t.mask[k], by);
+    }
+    map_truth_free(&t);
+}
+
+static void synth_writes_views_that_are_true(void **state)
+{
+    (void)state;
+    char tmp[FILE_PATH_MAX], city_dir[FILE_PATH_MAX], own[FILE_PATH_MAX], out[FILE_PATH_MAX];
+    char more[FILE_PATH_MAX];
+    struct synth_config cfg, again;
+    struct arena a = {0};
+    struct err e = {0};
+    struct map_views v;
+    struct synth_city city = {0};
+    struct synth_photo photos[24];
+    size_t seen[3] = {0}, kinds = 0;
+    kit_tmpdir(tmp);
+    snprintf(city_dir, sizeof city_dir, "%.3000s/city", tmp);
+    snprintf(own, sizeof own, "%.3000s/city/map-views", tmp);
+    snprintf(more, sizeof more, "%.3000s/more", tmp);
+    city_config(&cfg, &a, city_dir);
+    kit_ok(synth_run(&cfg, &e), e);
+    /* Of the finished folder, more of them: the first are the same. */
+    kit_ok(options_defaults(synth_options(), &again, &a, &e), e);
+    again.city = city_dir;
+    again.output = more;
+    kit_fails(synth_views_run(&again, out, &e), ERR_ARG, e, "--map-views");
+    again.map_views = 9;
+    kit_ok(synth_views_run(&again, out, &e), e);
+    assert_string_equal(out, more);
+    struct scene s = truth_scene(&cfg);
+    kit_ok(map_views_read(own, &s, &v, &e), e);
+    assert_int_equal(v.n, 8);
+    assert_true(fabs(v.scale - 1) < 1e-12);
+    kit_ok(synth_city_make(&cfg, &city, &e), e);
+    synth_flight_make(&cfg, photos);
+    for (size_t i = 0; i < v.n; i++) {
+        static const char *const tails[] = {".png", ".npy", ".json", "_mask.png", "_square.png"};
+        for (size_t k = 0; k < sizeof tails / sizeof *tails; k++) {
+            char name[96];
+            snprintf(name, sizeof name, "%s%s", v.views[i].name, tails[k]);
+            same_file(own, more, name);
+        }
+        bool known = false;
+        for (size_t k = 0; k < i; k++)
+            known = known || !strcmp(v.views[k].kind, v.views[i].kind);
+        kinds += !known;
+        check_view(&cfg, &city, photos, &v, i, seen);
+    }
+    assert_int_equal(kinds, 6);
+    assert_true(seen[0] > 100 && seen[1] > 20 && seen[2] > 300);
+    /* Other seeds stand elsewhere, and nothing is overwritten unasked. */
+    kit_fails(synth_views_run(&again, out, &e), ERR_ARG, e, "--overwrite");
+    again.overwrite = true;
+    again.map_seed = 2;
+    again.map_views = 1;
+    kit_ok(synth_views_run(&again, out, &e), e);
+    struct map_views w;
+    kit_ok(map_views_read(more, &s, &w, &e), e);
+    assert_true(memcmp(w.views[0].cam.trans, v.views[0].cam.trans, sizeof w.views[0].cam.trans));
+    map_views_free(&v);
+    map_views_free(&w);
+    synth_city_free(&city);
+    arena_free(&a);
+    kit_rmdir(tmp);
+}
+
+static void write_text(const char *dir, const char *name, const char *text)
+{
+    char path[FILE_PATH_MAX];
+    struct err e = {0};
+    kit_ok(file_join(path, dir, name, &e), e);
+    kit_ok(file_write(path, text, strlen(text), &e), e);
+}
+
+#define CAMERA                                                                                     \
+    "{\"width\":8,\"height\":6,\"fx\":7,\"fy\":7,\"cx\":4,\"cy\":3,"                               \
+    "\"world_to_camera\":[0,1,0,2, 0,0,-1,3, -1,0,0,5, 0,0,0,1]}"
+
+static void views_move_into_the_scene(void **state)
+{
+    (void)state;
+    char tmp[FILE_PATH_MAX];
+    struct err e = {0};
+    struct map_views v;
+    const double qa[4] = {0.9, 0.1, -0.3, 0.2}, qb[4] = {0.2, -0.5, 0.4, 0.7};
+    struct scene s = {.scale = 3.1, .trans = {10, -20, 5}};
+    double rot[9], scale = 2.2;
+    const double trans[3] = {-4, 7, 1}, x[3] = {0.4, -1.7, 2.6};
+    char text[2048];
+    camera_quat_to_rot(qa, s.rot);
+    camera_quat_to_rot(qb, rot);
+    kit_tmpdir(tmp);
+    write_text(tmp, "a.json", CAMERA);
+    snprintf(text, sizeof text,
+             "{\"format\":\"citysplat-views\",\"colmap_to_enu\":{\"scale\":%.17g,\"rot\":[%.17g,"
+             "%.17g,%.17g,%.17g,%.17g,%.17g,%.17g,%.17g,%.17g],\"trans\":[%g,%g,%g]},\"views\":"
+             "[{\"name\":\"a\",\"kind\":\"orbit\"}]}",
+             scale, rot[0], rot[1], rot[2], rot[3], rot[4], rot[5], rot[6], rot[7], rot[8],
+             trans[0], trans[1], trans[2]);
+    write_text(tmp, "views.json", text);
+    kit_ok(map_views_read(tmp, &s, &v, &e), e);
+    /* One place of the COLMAP model, through either frame: camera coordinates scale, no more. */
+    double there[3], here[3], cam_there[3] = {2, 3, 5}, got[3], want[3];
+    for (int i = 0; i < 3; i++) {
+        there[i] = trans[i];
+        here[i] = s.trans[i];
+        for (int k = 0; k < 3; k++) {
+            there[i] += scale * rot[3 * i + k] * x[k];
+            here[i] += s.scale * s.rot[3 * i + k] * x[k];
+        }
+    }
+    const double w[9] = {0, 1, 0, 0, 0, -1, -1, 0, 0};
+    const struct camera *c = &v.views[0].cam;
+    for (int i = 0; i < 3; i++) {
+        got[i] = c->trans[i];
+        for (int k = 0; k < 3; k++) {
+            cam_there[i] += w[3 * i + k] * there[k];
+            got[i] += c->rot[3 * i + k] * here[k];
+        }
+    }
+    for (int i = 0; i < 3; i++)
+        want[i] = cam_there[i] * s.scale / scale;
+    kit_near_d("camera coordinates", got, want, 3, 1e-9, 1e-9);
+    assert_true(fabs(v.scale - s.scale / scale) < 1e-12);
+    map_views_free(&v);
+    /* Names are files: nothing leads out of the folder. */
+    char *name = strstr(text, "\"name\":\"a\"");
+    memcpy(name, "\"name\":\"/\"", 10);
+    write_text(tmp, "views.json", text);
+    kit_fails(map_views_read(tmp, &s, &v, &e), ERR_FORMAT, e, "letters, digits");
+    write_text(tmp, "views.json", "{\"format\":\"citysplat-scene\"}");
+    kit_fails(map_views_read(tmp, &s, &v, &e), ERR_FORMAT, e, "instead of citysplat-views");
+    kit_rmdir(tmp);
+}
+
+static int open_device(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    kit_ok(dev_open(NULL, &dev, &e), e);
+    kit_ok(render_open(&dev, &render, &e), e);
+    return 0;
+}
+
+static int close_device(void **state)
+{
+    (void)state;
+    render_close(&render);
+    dev_close(&dev);
+    return 0;
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(median_is_the_surface_behind_a_faint_ball),
+        cmocka_unit_test(maps_of_a_crowd_agree_with_the_picture),
+        cmocka_unit_test(no_frame_is_an_error),
+        cmocka_unit_test(within_a_mask_only_its_pixels_count),
+        cmocka_unit_test(sums_say_halo_haze_and_depth),
+        cmocka_unit_test(synth_writes_views_that_are_true),
+        cmocka_unit_test(views_move_into_the_scene),
+    };
+    return cmocka_run_group_tests(tests, open_device, close_device);
+}

@@ -1,0 +1,40 @@
+/* The options of a training run: the table behind struct train_config.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "train/config.h"
+
+static const struct options_def train_defs[] = {
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct train_config, type, key, def, lo, hi, unit, help)
+#include "train/options.def"
+#undef OPT
+};
+
+static const struct options_spec train_spec = {
+    .command = "train",
+    .usage = "citysplat train SCENE [options]",
+    .about = "Train Gaussians at several levels of detail from a scene that `citysplat ingest` or "
+             "`citysplat "
+             "synth` made. Results and measurements go to SCENE/cells/<id>/, one folder a cell of "
+             "`citysplat plan`, or cells/all/ without a plan. Ctrl-C saves the "
+             "state and --resume goes on from it. configs/ holds presets with their reasons.",
+    .example = "citysplat train scene --iterations 2000 --max-edge-px 400   # a few minutes\n"
+               "citysplat train scene --config configs/demo.jsonc\n"
+               "citysplat train scene                                       # the full method",
+    .defs = train_defs,
+    .n_defs = sizeof train_defs / sizeof train_defs[0],
+    .min_args = 1,
+    .max_args = 1,
+};
+
+const struct options_spec *train_options(void)
+{
+    return &train_spec;
+}
+
+uint64_t train_stream(enum train_stream_id id, uint32_t level, uint64_t step)
+{
+    return ((uint64_t)id << 56) | ((uint64_t)level << 48) | step;
+}
