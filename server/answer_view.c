@@ -41,7 +41,7 @@ static struct hash128 answer_view_id(struct services *s, const struct dataset *d
 {
     char device[160];
     picture_about(s->picture, device, sizeof device);
-    return result_id_view(d, device, cam, a, format, quality);
+    return result_id_view(d, device, cam, a, format, quality, (double)s->cfg->view_gaussians);
 }
 
 void answer_view(struct services *s, const struct request *r, struct dataset *d,
@@ -68,7 +68,7 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
     int quality = (int)s->cfg->quality;
     struct hash128 id = answer_view_id(s, d, &cam, &choice, t->form.format, quality);
     out->type = target_type(t->form.format);
-    out->cache_control = RESPONSE_IMMUTABLE;
+    out->cache_control = response_cache_control(s->cfg, t);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s view", d->meta.name,
              d->meta.revision);
     if (!response_made(s, r, id, out))

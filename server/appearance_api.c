@@ -20,6 +20,7 @@
 #include "lod/bake.h"
 #include "server/document.h"
 
+static const double APPEARANCE_API_MOST = 1e6; /* of a number in an embedding */
 enum { APPEARANCE_API_NEAREST = 5, APPEARANCE_API_LINK_MAX = 3 * TARGET_APPEARANCE_MAX + 128 };
 
 enum err_code appearance_api_find(const struct dataset *d, const char *text,
@@ -31,6 +32,18 @@ enum err_code appearance_api_find(const struct dataset *d, const char *text,
     enum err_code rc = bake_find(d->stores[0], text, out->image, e);
     if (rc)
         return rc;
+    double norm2 = 0, most = 0;
+    for (uint32_t i = 0; i < d->appearance->len_image; i++) {
+        out->image[i] += 0.0f; /* -0 is 0: one embedding, one name */
+        norm2 += (double)out->image[i] * (double)out->image[i];
+        most = fmax(most, fabs((double)out->image[i]));
+    }
+    if (*text == '=' ? !(most <= APPEARANCE_API_MOST) : !(norm2 >= 1e-6 && norm2 <= 1e4)) {
+        *out = (struct appearance_choice){0};
+        return err_set(e, ERR_ARG,
+                       *text == '=' ? "the embedding has a number beyond 1e6"
+                                    : "the weights of the blend cancel or overflow");
+    }
     out->set = true;
     out->hash = hash_bytes(out->image, d->appearance->len_image * sizeof(float));
     return ERR_OK;
@@ -122,7 +135,12 @@ enum err_code appearance_api_describe(const struct dataset *d, const char *text,
     float image[APPEARANCE_IMAGE_MAX];
     const char *name = *text ? text : BAKE_DEFAULT;
     *out = NULL;
-    enum err_code rc = bake_find(d->stores[0], name, image, e);
+    struct appearance_choice c;
+    enum err_code rc = appearance_api_find(d, text, &c, e);
+    if (!rc && !c.set)
+        rc = bake_find(d->stores[0], BAKE_DEFAULT, image, e);
+    else if (!rc)
+        memcpy(image, c.image, sizeof image);
     if (rc)
         return rc;
     return document_make(
@@ -163,7 +181,7 @@ static enum err_code appearance_api_embedding(const struct appearance *a, const 
                        a->len_image, json_array_size(list));
     for (uint32_t i = 0; i < a->len_image; i++) {
         const json_t *v = json_array_get(list, i);
-        if (!json_is_number(v) || !(fabs(json_number_value(v)) <= 1e6))
+        if (!json_is_number(v) || !(fabs(json_number_value(v)) <= APPEARANCE_API_MOST))
             return err_set(e, ERR_DATA, "embedding: number %u is none, or beyond 1e6", i);
         image[i] = (float)json_number_value(v);
     }

@@ -210,6 +210,26 @@ static enum err_code describe_read_format(const json_t *o, enum format *out, str
     return v ? err_set(e, ERR_DATA, "format must be jpg, png or webp") : ERR_OK;
 }
 
+/* Numbers that are finite, and yet no camera: focal lengths beyond 0.06 to 180 degrees, a principal
+ * point far outside the picture, a place further away than the Moon. */
+static enum err_code describe_check_camera(const struct camera *c, struct err *e)
+{
+    const double size[2] = {c->width_px, c->height_px}, f[2] = {c->fx_px, c->fy_px},
+                 at[2] = {c->cx_px, c->cy_px};
+    for (int i = 0; i < 2; i++) {
+        if (!(f[i] >= 1e-2 * size[i] && f[i] <= 1e3 * size[i]))
+            return err_set(e, ERR_DATA, "camera.%s must be 0.01 to 1000 times the %s",
+                           i ? "fy" : "fx", i ? "height" : "width");
+        if (!(at[i] >= -10 * size[i] && at[i] <= 11 * size[i]))
+            return err_set(e, ERR_DATA, "camera.%s lies far outside the picture", i ? "cy" : "cx");
+    }
+    for (int i = 0; i < 3; i++)
+        if (!(fabs(c->trans[i]) <= 4e8))
+            return err_set(e, ERR_DATA,
+                           "camera.world_to_camera: the camera is further away than 4e8 m");
+    return ERR_OK;
+}
+
 static enum err_code describe_read_camera(const struct server_config *cfg,
                                           const struct geo_origin *origin, const json_t *o,
                                           struct camera *out, struct err *e)
@@ -220,9 +240,10 @@ static enum err_code describe_read_camera(const struct server_config *cfg,
         return err_set(e, ERR_DATA, "give a camera or a pose, one of the two");
     if (camera && !json_is_object(camera))
         return err_set(e, ERR_DATA, "camera must be an object");
+    if (camera && !camera_from_json(camera, out, e))
+        return describe_check_camera(out, e);
     if (camera)
-        return camera_from_json(camera, out, e) == ERR_OK ? ERR_OK
-                                                          : (err_add(e, "camera"), ERR_DATA);
+        return err_add(e, "camera"), ERR_DATA;
     struct view_pose at = {0};
     enum err_code rc = describe_read_int(o, "width", 1, cfg->max_view_px, &width, e);
     if (!rc)

@@ -21,6 +21,7 @@
 #include "server/guard.h"
 #include "server/listen.h"
 #include "server/route.h"
+#include "server/screen.h"
 #include "server/watch.h"
 
 enum { HTTP_THREADS_MAX = 4 };
@@ -33,12 +34,21 @@ struct http {
     uint16_t port;
 };
 
+struct peer { /* one connection; made and freed by on_connection */
+    struct watch_slot *slot;
+    int fd;
+    uint64_t requests; /* that libmicrohttpd has begun */
+    struct screen screen;
+};
+
 enum stage { STAGE_HEAD, STAGE_BODY, STAGE_WAIT, STAGE_SENT };
 
 struct exchange { /* one request and its answer; made by on_target, freed by on_completed */
     struct http *h;
     struct MHD_Connection *connection;
-    struct watch_slot *slot;
+    struct peer *peer;       /* NULL: out of memory */
+    struct watch_slot *slot; /* of the peer */
+    uint64_t number;         /* of the connection's requests, from 1 */
     char *target;
     double start_s;
     enum stage stage;
@@ -171,6 +181,19 @@ static enum MHD_Result http_on_field(void *cls, enum MHD_ValueKind kind, const c
     return MHD_YES;
 }
 
+/* A number for the client's address: of IPv6 its network, which one household has for itself. */
+static uint64_t http_client(struct MHD_Connection *c)
+{
+    const union MHD_ConnectionInfo *info =
+        MHD_get_connection_info(c, MHD_CONNECTION_INFO_CLIENT_ADDRESS);
+    const struct sockaddr *a = info ? info->client_addr : NULL;
+    if (a && a->sa_family == AF_INET)
+        return hash_bytes(&((const struct sockaddr_in *)(const void *)a)->sin_addr, 4).lo;
+    if (a && a->sa_family == AF_INET6)
+        return hash_bytes(&((const struct sockaddr_in6 *)(const void *)a)->sin6_addr, 8).lo;
+    return 0;
+}
+
 static bool http_is_loopback(struct MHD_Connection *c)
 {
     const union MHD_ConnectionInfo *info =
@@ -183,6 +206,24 @@ static bool http_is_loopback(struct MHD_Connection *c)
         return IN6_IS_ADDR_LOOPBACK(v6) || (IN6_IS_ADDR_V4MAPPED(v6) && v6->s6_addr[12] == 127);
     }
     return false;
+}
+
+/* What the screen has against this request: 0 or a status. A request that it has not seen is refused
+ * as well: then libmicrohttpd reads past it. */
+static int http_screened(const struct exchange *x, const char **why)
+{
+    if (!x->peer)
+        return *why = "out of memory", 503;
+    if (x->peer->screen.requests < x->number)
+        return *why = "this program was linked wrongly: requests come unchecked", 500;
+    int status = screen_refused(&x->peer->screen, x->number);
+    *why = status == 413   ? "the body is too large"
+           : status == 414 ? "the request target is too long"
+           : status == 431 ? "a header field is too long"
+           : status == 501 ? "the only transfer coding is chunked"
+           : status == 503 ? "out of memory"
+                           : "the request is malformed";
+    return status;
 }
 
 /* First handler call: headers are complete. 0 when the request may go on, else the status to refuse
@@ -231,7 +272,8 @@ static enum MHD_Result http_wait_for_job(struct exchange *x)
     watch_phase(slot, WATCH_WORK, 0);
     watch_expect(h->watch, slot);
     MHD_suspend_connection(x->connection);
-    if (job_submit(h->s->jobs, x->res.cls, work->id, work, x->res.timeout_s, &x->waiter) == ERR_OK)
+    if (job_submit(h->s->jobs, x->res.cls, work->id, work, http_client(x->connection),
+                   x->res.timeout_s, &x->waiter) == ERR_OK)
         watch_arm(h->watch, slot, &x->waiter); /* does nothing when the job has ended already */
     else
         http_on_wake(&x->waiter);
@@ -251,7 +293,9 @@ static void *http_on_target(void *cls, const char *target, struct MHD_Connection
     size_t n = strlen(target);
     x->h = h;
     x->connection = c;
-    x->slot = info ? info->socket_context : NULL;
+    x->peer = info ? info->socket_context : NULL;
+    x->slot = x->peer ? x->peer->slot : NULL;
+    x->number = x->peer ? ++x->peer->requests : 0;
     x->start_s = clock_s();
     x->res.route = ROUTE_NONE;
     x->res.queue_s = -1;
@@ -268,7 +312,9 @@ static enum MHD_Result http_on_head(struct exchange *x, const char *method, cons
     struct services *s = x->h->s;
     const char *why;
     x->stage = STAGE_BODY;
-    int status = http_guard(x, method, version, &why);
+    int status = http_screened(x, &why);
+    if (!status)
+        status = http_guard(x, method, version, &why);
     if (status)
         return http_refuse(x, status, why);
     if (atomic_load_explicit(&s->metrics.connections, memory_order_relaxed) >
@@ -304,6 +350,10 @@ static enum MHD_Result http_on_request(void *cls, struct MHD_Connection *c, cons
         route_finish(h->s, &x->req, &x->waiter.result, &x->res);
         return http_send_answer(x);
     }
+    const char *why;
+    int status = http_screened(x, &why); /* the body may have been malformed */
+    if (status)
+        return http_refuse(x, status, why);
     if (x->too_large)
         return http_refuse(x, 413, "the body is too large");
     if (x->body.failed)
@@ -355,20 +405,40 @@ static void http_on_completed(void *cls, struct MHD_Connection *c, void **con_cl
     mem_free(x);
 }
 
+static struct peer *http_peer(struct http *h, int fd)
+{
+    struct peer *p = mem_array(1, sizeof *p);
+    if (!p)
+        return NULL;
+    p->fd = fd;
+    p->slot = watch_add(h->watch, fd);
+    if (screen_attach(&p->screen, fd, (size_t)h->s->cfg->max_header_kb << 10, NULL)) {
+        watch_remove(h->watch, p->slot);
+        mem_free(p);
+        return NULL;
+    }
+    watch_phase(p->slot, WATCH_HEADER, h->s->cfg->header_timeout_s);
+    return p;
+}
+
 static void http_on_connection(void *cls, struct MHD_Connection *c, void **context,
                                enum MHD_ConnectionNotificationCode what)
 {
     struct http *h = cls;
     if (what == MHD_CONNECTION_NOTIFY_CLOSED) {
-        watch_remove(h->watch, *context);
+        struct peer *p = *context;
         *context = NULL;
+        if (p) {
+            watch_remove(h->watch, p->slot);
+            screen_detach(&p->screen, p->fd);
+            mem_free(p);
+        }
         atomic_fetch_sub_explicit(&h->s->metrics.connections, 1, memory_order_relaxed);
         return;
     }
     const union MHD_ConnectionInfo *info =
         MHD_get_connection_info(c, MHD_CONNECTION_INFO_CONNECTION_FD);
-    *context = info ? watch_add(h->watch, info->connect_fd) : NULL;
-    watch_phase(*context, WATCH_HEADER, h->s->cfg->header_timeout_s);
+    *context = info ? http_peer(h, info->connect_fd) : NULL;
     atomic_fetch_add_explicit(&h->s->metrics.connections, 1, memory_order_relaxed);
 }
 

@@ -22,7 +22,7 @@
 
 #include "core/pool.h"
 
-enum { TABLE = 1024, FAILURES = 64 };
+enum { TABLE = 1024, FAILURES = 64, CLIENTS = 1024 };
 
 struct job {
     struct hash128 id;
@@ -33,6 +33,7 @@ struct job {
     struct job_waiter *waiters;
     struct job *table_next;
     struct job *newer, *older; /* in its queue */
+    uint64_t client;           /* who asked first */
     double queued_s, started_s;
 };
 struct queue {
@@ -60,6 +61,7 @@ struct jobs { /* all but cfg and workers by `lock` */
     struct job *table[TABLE];
     struct failure failure[FAILURES];
     size_t next_failure;
+    uint64_t served[CLIENTS], turn; /* when a client's view was last begun, by hash */
     bool stopping;
     struct job_stats stats;
 };
@@ -221,6 +223,36 @@ static void job_run(struct jobs *js, struct job *j, size_t worker)
     job_finish(js, j, &r, body);
 }
 
+/* The view to begin: of the client who waited longest since one of his was begun, the newest. */
+static struct job *job_next_view(struct jobs *js)
+{
+    struct job *best = NULL;
+    for (struct job *j = js->queue[JOB_VIEW].newest; j; j = j->older)
+        if (!best || js->served[j->client % CLIENTS] < js->served[best->client % CLIENTS])
+            best = j;
+    if (best)
+        js->served[best->client % CLIENTS] = ++js->turn;
+    return best;
+}
+
+/* The view that makes room for one more of `client`: the oldest of the client who has most of them, the
+ * new one counted. */
+static struct job *job_to_shed(struct jobs *js, uint64_t client)
+{
+    struct job *victim = NULL;
+    size_t most = 0;
+    for (struct job *j = js->queue[JOB_VIEW].oldest; j; j = j->newer) {
+        size_t n = j->client == client;
+        for (struct job *k = js->queue[JOB_VIEW].oldest; k; k = k->newer)
+            n += k->client == j->client;
+        if (n > most) {
+            most = n;
+            victim = j;
+        }
+    }
+    return victim;
+}
+
 static struct job *job_next_tile(struct jobs *js)
 {
     return js->queue[JOB_TILE].oldest ? js->queue[JOB_TILE].oldest : js->queue[JOB_PREFETCH].oldest;
@@ -235,7 +267,7 @@ static void job_worker_main(void *user)
         js->cfg.view_enter(js->cfg.user);
     pthread_mutex_lock(&js->lock);
     while (!js->stopping) {
-        struct job *j = view ? js->queue[JOB_VIEW].newest : job_next_tile(js);
+        struct job *j = view ? job_next_view(js) : job_next_tile(js);
         if (!j) {
             pthread_cond_wait(view ? &js->view_ready : &js->tile_ready, &js->lock);
             continue;
@@ -294,7 +326,8 @@ static enum err_code job_refuse(struct job_waiter *w, enum job_end end, enum err
 /* Under the lock: a job for this id to wait for, or NULL with w refused. *unused is work nobody
  * needs, *shed a queued job that had to make room. */
 static struct job *job_find_or_add(struct jobs *js, enum job_class cls, struct hash128 id,
-                                   void **work, struct job_waiter *w, struct job **shed)
+                                   uint64_t client, void **work, struct job_waiter *w,
+                                   struct job **shed)
 {
     struct job *j = *job_table_find(js, id);
     double now_s = clock_s();
@@ -323,7 +356,7 @@ static struct job *job_find_or_add(struct jobs *js, enum job_class cls, struct h
             job_refuse(w, JOB_SHED, ERR_BUSY, "too many requests are waiting");
             return NULL;
         }
-        *shed = js->queue[cls].oldest;
+        *shed = job_to_shed(js, client);
         js->stats.ended[cls][JOB_SHED]++;
     }
     j = mem_array(1, sizeof *j);
@@ -334,6 +367,7 @@ static struct job *job_find_or_add(struct jobs *js, enum job_class cls, struct h
     }
     j->id = id;
     j->cls = cls;
+    j->client = client;
     j->work = *work;
     *work = NULL;
     j->queued_s = now_s;
@@ -345,13 +379,13 @@ static struct job *job_find_or_add(struct jobs *js, enum job_class cls, struct h
 }
 
 enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id, void *work,
-                         double timeout_s, struct job_waiter *w)
+                         uint64_t client, double timeout_s, struct job_waiter *w)
 {
     struct job *shed = NULL;
     struct job_waiter *claimed = NULL;
     memset(&w->result, 0, sizeof w->result);
     pthread_mutex_lock(&js->lock);
-    struct job *j = job_find_or_add(js, cls, id, &work, w, &shed);
+    struct job *j = job_find_or_add(js, cls, id, client, &work, w, &shed);
     /* Once the lock is open, w may be woken and gone: what is returned must be read before. */
     enum err_code rc = j ? ERR_OK : w->result.code;
     if (j) {
@@ -361,8 +395,9 @@ enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id,
         j->waiters = w;
     }
     if (shed) {
-        const struct job_result r = {
-            .end = JOB_SHED, .code = ERR_BUSY, .msg = "newer pictures were asked for"};
+        const struct job_result r = {.end = JOB_SHED,
+                                     .code = shed->client == client ? ERR_LIMIT : ERR_BUSY,
+                                     .msg = "newer pictures were asked for"};
         while (shed->waiters)
             job_claim(shed, &shed->waiters, &r, &claimed);
         shed = job_abandon(js, shed);

@@ -52,12 +52,15 @@ struct job_stats {
 };
 struct jobs;
 enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct err *e) ERR_USE;
+/* `client` (any number that tells clients apart) keeps the queue of views fair: clients take turns,
+ * each with its newest; and when the queue is full the one with most in it loses its oldest, which is
+ * ERR_LIMIT where that is the one who asks. */
 /* Ask for the work named `id` (equal ids are equal bytes). `work` is owned by the callee from here
  * on. ERR_OK: w will be woken. ERR_BUSY: the queue is full or the server is stopping; w->result
  * says so and w is not woken. A known failure is refused the same way with its own code and end
  * JOB_ERROR. */
 enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id, void *work,
-                         double timeout_s, struct job_waiter *w) ERR_USE;
+                         uint64_t client, double timeout_s, struct job_waiter *w) ERR_USE;
 /* The client is gone. True: w was still waiting, is out of the job now and will not be woken. A job
  * that lost its last waiter is dropped from the queue; a running view is cancelled, a running tile
  * is finished for the cache. */

@@ -6,6 +6,7 @@
 #include "server/response.h"
 
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "lod/key.h"
@@ -17,6 +18,28 @@ const char RESPONSE_MOVING[] =
 const char RESPONSE_NO_STORE[] = "no-store";
 const char RESPONSE_JSON[] = "application/json";
 static const char RESPONSE_SHORT[] = "public, max-age=60";
+
+/* The defaults of options.def, as texts. */
+static const struct {
+#define OPT(type, key, def, lo, hi, unit, help) const char *key;
+#include "server/options.def"
+#undef OPT
+} response_default = {
+#define OPT(type, key, def, lo, hi, unit, help) .key = (def),
+#include "server/options.def"
+#undef OPT
+};
+
+const char *response_cache_control(const struct server_config *cfg, const struct target *t)
+{
+    bool usual = true;
+    if (t->route == ROUTE_VIEW)
+        usual = (double)cfg->quality == atof(response_default.quality) &&
+                (double)cfg->view_gaussians == atof(response_default.view_gaussians);
+    else if (t->form.preset >= QUANT_PRESETS && t->form.format <= FORMAT_DRC)
+        usual = !strcmp(quant_preset_name((enum quant_preset)cfg->preset), response_default.preset);
+    return usual ? RESPONSE_IMMUTABLE : RESPONSE_MOVING;
+}
 
 const char *response_status_text(int status)
 {
@@ -37,6 +60,8 @@ const char *response_status_text(int status)
         {414, "URI Too Long"},
         {416, "Range Not Satisfiable"},
         {422, "Unprocessable Content"},
+        {429, "Too Many Requests"},
+        {431, "Request Header Fields Too Large"},
         {500, "Internal Server Error"},
         {501, "Not Implemented"},
         {503, "Service Unavailable"},

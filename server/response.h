@@ -43,6 +43,10 @@ struct response { /* {0}, then route_answer; response_free it */
 extern const char RESPONSE_IMMUTABLE[], RESPONSE_MOVING[], RESPONSE_NO_STORE[]; /* Cache-Control */
 extern const char RESPONSE_JSON[];                                              /* Content-Type */
 
+/* Of a tile or view of a revision: immutable where the address says everything that decides the bytes,
+ * or leaves it at the program's defaults. A server with other defaults answers the same address with
+ * other bytes, so its caches have to ask again after a minute. */
+const char *response_cache_control(const struct server_config *cfg, const struct target *t);
 const char *response_status_text(int status);
 /* A problem document (RFC 9457) in place of whatever `out` held. */
 void response_problem(struct response *out, int status, const char *detail);

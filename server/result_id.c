@@ -78,12 +78,13 @@ struct hash128 result_id_tileset(const struct dataset *d, const struct target *t
 }
 
 struct hash128 result_id_view(const struct dataset *d, const char *device, const struct camera *cam,
-                              const struct appearance_choice *a, enum format format, int quality)
+                              const struct appearance_choice *a, enum format format, int quality,
+                              double gaussians)
 {
     struct {
         struct hash128 salt;
         char rev[16], device[160];
-        double rot[9], trans[3], focal[4];
+        double rot[9], trans[3], focal[4], gaussians;
         uint32_t width, height, format, quality;
     } name;
     memset(&name, 0, sizeof name);
@@ -100,6 +101,7 @@ struct hash128 result_id_view(const struct dataset *d, const char *device, const
     name.height = cam->height_px;
     name.format = (uint32_t)format;
     name.quality = (uint32_t)quality;
+    name.gaussians = gaussians;
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_mix(&id, a);
     return id;

@@ -97,7 +97,11 @@ void route_finish(struct services *s, const struct request *r, struct job_result
     enum job_class cls = out->cls;
     bool soon = result->end != JOB_ERROR || result->code == ERR_MEM || result->code == ERR_BUSY;
     if (soon || result->code == ERR_DEVICE) {
-        response_problem(out, result->end == JOB_TIMEOUT ? 504 : 503, result->msg);
+        response_problem(out,
+                         result->end == JOB_TIMEOUT                             ? 504
+                         : result->code == ERR_LIMIT && result->end == JOB_SHED ? 429
+                                                                                : 503,
+                         result->msg);
         out->retry_after_s = job_retry_after(s->jobs, cls);
     } else if (result->code == ERR_NOENT) {
         response_problem(out, 404, result->msg);

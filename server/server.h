@@ -5,7 +5,7 @@
  *   body             bytes that several answers share, with their entity tag
  *   condition        conditional, partial and negotiated requests (headers to decisions)
  *   target           the target, once, into integers and enums: no byte of it ever becomes a path
- *   guard            which requests are refused before anything looks at them
+ *   screen, guard    which requests are refused before anything looks at them
  *   cache, job       what was made, bounded in bytes; what is to be made, in bounded queues
  *   document, static JSON documents; the viewer's files
  *   encode           a tile in a format

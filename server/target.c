@@ -444,6 +444,9 @@ enum err_code target_parse(const char *text, size_t n, struct target *out, struc
     size_t n_path = mark ? (size_t)(mark - text) : n;
     out->path_size = n_path;
     enum err_code rc = target_check_path(text, n_path, e);
+    for (size_t i = n_path; !rc && i < n; i++) /* it is logged and repeated in Location */
+        if (text[i] <= 0x20 || text[i] >= 0x7f)
+            rc = err_set(e, ERR_FORMAT, "the query holds a byte that must be percent-encoded");
     if (rc)
         return rc;
     struct text t = {text, text + n_path};

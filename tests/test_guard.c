@@ -7,8 +7,8 @@
 
 /* ---- malformed requests ---- */
 
-/* Every status in the bytes must be `status` (0: no answer at all), and if `close`, the stream
- * ends. A request hidden in a body must not be answered: that would be a 200. */
+/* There must be one status line, and it must say `status` (0: no answer at all), and if `close`, the
+ * stream ends. A request hidden in a body must not be answered: that would be a 200. */
 static void probe(const char *what, const char *bytes, size_t n, int status, bool must_close)
 {
     struct buf b = {0};
@@ -27,7 +27,7 @@ static void probe(const char *what, const char *bytes, size_t n, int status, boo
          p = strstr(p + 1, "HTTP/1."), count++)
         if (atoi(p + 9) != status)
             fail_msg("%s: got %d, want %d", what, atoi(p + 9), status);
-    if ((count > 0) != (status > 0))
+    if (count != (status > 0)) /* two would be a second request, or one answered twice */
         fail_msg("%s: %d answers", what, count);
     buf_free(&b);
     close(fd);
@@ -97,6 +97,17 @@ static void test_malformed_requests(void **state)
         {"line before", "\r\nGET /healthz HTTP/1.1\r\n" H "\r\n", 200, false},
         {"chunk extension", POST "Transfer-Encoding: chunked\r\n\r\n2;a=b\r\n{}\r\n0\r\n\r\n", 422,
          false},
+        {"length 4, 4", POST "Content-Length: 4, 4\r\n\r\nhell", 400, true},
+        {"length empty", POST "Content-Length:\r\n\r\nhello", 400, true},
+        {"length with space behind", POST "Content-Length: 2 \r\n\r\n{}", 422, false},
+        {"empty name", "GET /healthz HTTP/1.1\r\n" H ": x\r\nGET /version HTTP/1.1\r\n" H "\r\n",
+         400, true},
+        {"folded field", "GET /healthz HTTP/1.1\r\n" H "X: a\r\n b\r\n\r\n", 400, true},
+        {"line of spaces", "GET /healthz HTTP/1.1\r\n" H " \r\n\r\n", 400, true},
+        {"chunk without end", POST "Transfer-Encoding: chunked\r\n\r\n2\r\n{}x\r\n0\r\n\r\n", 400,
+         true},
+        {"trailer without name",
+         POST "Transfer-Encoding: chunked\r\n\r\n2\r\n{}\r\n0\r\n: x\r\n\r\n", 400, true},
         {"half a request", "GET /healthz HT", 0, false},
         {"nothing", "", 0, false},
     };
@@ -105,6 +116,85 @@ static void test_malformed_requests(void **state)
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
         probe(rows[i].what, rows[i].bytes, strlen(rows[i].bytes), rows[i].status, rows[i].close);
     assert_int_equal(status_of("GET", "/healthz", ""), 200);
+}
+
+/* A NUL in each part of a request; the C library's text functions stop at it, a proxy does not. */
+static void test_nul_bytes(void **state)
+{
+    static const struct {
+        const char *what, *bytes; /* '~' stands for NUL */
+    } rows[] = {
+        {"method", "GE~T /healthz HTTP/1.1\r\n" H "\r\n"},
+        {"target", "GET /healthz~x HTTP/1.1\r\n" H "\r\n"},
+        {"version", "GET /healthz HTTP/1.1~x\r\n" H "\r\n"},
+        {"host", "GET /healthz HTTP/1.1\r\nHost: a~b\r\n\r\n"},
+        {"length", POST "Content-Length: 4~x\r\n\r\nhell"},
+        {"coding", POST "Transfer-Encoding: chunked~x\r\n\r\n0\r\n\r\n"},
+        {"name", "GET /healthz HTTP/1.1\r\n" H "X~: x\r\n\r\n"},
+        {"first of a name",
+         "GET /healthz HTTP/1.1\r\n" H "~: x\r\nGET /version HTTP/1.1\r\n" H "\r\n"},
+        {"chunk", POST "Transfer-Encoding: chunked\r\n\r\n2~\r\n{}\r\n0\r\n\r\n"},
+    };
+    char bytes[256];
+    (void)state;
+    start();
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        size_t n = strlen(rows[i].bytes);
+        memcpy(bytes, rows[i].bytes, n);
+        for (size_t k = 0; k < n; k++)
+            if (bytes[k] == '~')
+                bytes[k] = '\0';
+        probe(rows[i].what, bytes, n, 400, true);
+    }
+    assert_int_equal(status_of("GET", "/healthz", ""), 200);
+}
+
+/* A request reads the same however its bytes are cut into packets, and requests behind each other on a
+ * connection are told apart: the third of these is malformed, the first two are answered. */
+static void test_cut_and_pipelined(void **state)
+{
+    static const char all[] = "GET /healthz HTTP/1.1\r\n" H "\r\n" POST
+                              "Transfer-Encoding: chunked \r\n\r\n1\r\n{\r\n1;x\r\n}\r\n0\r\nT: "
+                              "x\r\n\r\n" POST "Content-Length: 2x\r\n\r\n{}"
+                              "GET /healthz HTTP/1.1\r\n" H "\r\n";
+    (void)state;
+    start();
+    for (size_t step = 1; step < sizeof all; step = step * 3 + 1) {
+        struct buf b = {0}, statuses = {0};
+        int fd = dial(t.port);
+        bool open = true;
+        for (size_t at = 0; at < sizeof all - 1; at += step) {
+            say_bytes(fd, all + at, at + step < sizeof all - 1 ? step : sizeof all - 1 - at);
+            nap_ms(1);
+        }
+        for (double end_s = clock_s() + PATIENCE_S; open && clock_s() < end_s;)
+            open = hear_some(fd, &b, 0.2);
+        assert_false(open);
+        buf_add(&b, "", 1);
+        for (const char *p = strstr((char *)b.data, "HTTP/1."); p; p = strstr(p + 1, "HTTP/1."))
+            buf_printf(&statuses, "%d ", atoi(p + 9));
+        assert_string_equal((const char *)statuses.data, "200 422 400 ");
+        buf_free(&statuses);
+        buf_free(&b);
+        close(fd);
+    }
+}
+
+/* Keys of a query take libmicrohttpd's memory: too many are answered, not hung up on. */
+static void test_many_keys(void **state)
+{
+    struct buf b = {0};
+    (void)state;
+    start();
+    for (int n = 10; n <= 600; n += 590) {
+        b.size = 0;
+        buf_printf(&b, "GET /healthz?");
+        for (int i = 0; i < n; i++)
+            buf_printf(&b, "&a");
+        buf_printf(&b, " HTTP/1.1\r\n" H "\r\n");
+        probe("keys", (char *)b.data, b.size, n < 64 ? 200 : 400, n >= 64);
+    }
+    buf_free(&b);
 }
 
 static void test_oversized_requests(void **state)
@@ -277,11 +367,10 @@ static void test_connection_limit(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        HTTP_TEST(test_malformed_requests),
-        HTTP_TEST(test_oversized_requests),
-        HTTP_TEST(test_any_bytes),
-        HTTP_TEST(test_slow_clients_are_cut),
-        HTTP_TEST(test_a_client_that_does_not_read),
+        HTTP_TEST(test_malformed_requests),   HTTP_TEST(test_nul_bytes),
+        HTTP_TEST(test_cut_and_pipelined),    HTTP_TEST(test_many_keys),
+        HTTP_TEST(test_oversized_requests),   HTTP_TEST(test_any_bytes),
+        HTTP_TEST(test_slow_clients_are_cut), HTTP_TEST(test_a_client_that_does_not_read),
         HTTP_TEST(test_connection_limit),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);

@@ -165,7 +165,8 @@ static enum err_code ask(struct bench *b, struct client *c, enum job_class cls, 
 {
     c->b = b;
     c->w.wake = client_wake;
-    return job_submit(b->jobs, cls, id_of(it->number), it, timeout_s, &c->w);
+    return job_submit(b->jobs, cls, id_of(it->number), it, (uint64_t)it->number / 1000, timeout_s,
+                      &c->w);
 }
 
 static void test_identical_requests_share_a_run(void **state)
@@ -302,6 +303,36 @@ static void test_views_run_newest_first_and_shed_the_oldest(void **state)
         assert_int_equal(c[i].wakes, 1);
         body_drop(&c[i].w.result.body);
     }
+    bench_close(&b);
+}
+
+/* Numbers of a thousand and more belong to another client. One client fills the queue, a second one asks
+ * once: he takes the place of the first one's oldest, which learns that it asked too much, and his turn
+ * comes before the first one's. */
+static void test_views_take_turns_between_clients(void **state)
+{
+    static struct client c[8];
+    struct bench b;
+    (void)state;
+    memset(c, 0, sizeof c);
+    bench_open(&b, 1, true, 3, 8);
+    assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, false), 60), ERR_OK);
+    await(&b, &b.runs, 1);
+    for (int i = 1; i < 4; i++)
+        assert_int_equal(ask(&b, &c[i], JOB_VIEW, item_new(&b, i, ERR_OK, false), 60), ERR_OK);
+    assert_int_equal(ask(&b, &c[4], JOB_VIEW, item_new(&b, 1000, ERR_OK, false), 60), ERR_OK);
+    await(&b, &b.woken, 1);
+    assert_int_equal(c[1].w.result.end, JOB_SHED);
+    assert_int_equal(c[1].w.result.code, ERR_BUSY); /* somebody else needed the room */
+    assert_int_equal(ask(&b, &c[5], JOB_VIEW, item_new(&b, 4, ERR_OK, false), 60), ERR_OK);
+    await(&b, &b.woken, 2);
+    assert_int_equal(c[2].w.result.code, ERR_LIMIT); /* his own newer one did */
+    gate(&b, true);
+    await(&b, &b.woken, 6);
+    const int want[] = {0, 1000, 4, 3};
+    assert_memory_equal(b.order, want, sizeof want);
+    for (int i = 0; i < 6; i++)
+        body_drop(&c[i].w.result.body);
     bench_close(&b);
 }
 
@@ -451,7 +482,8 @@ static enum err_code storm_run(void *user, size_t t, struct err *e)
         c->w.wake = client_wake;
         enum job_class cls = (enum job_class)(dice / 17 % JOB_CLASSES);
         double timeout_s = dice >> 20 & 1 ? 0.001 : 60;
-        if (job_submit(s->b->jobs, cls, id_of((int)(dice % 17)), it, timeout_s, &c->w) != ERR_OK ||
+        if (job_submit(s->b->jobs, cls, id_of((int)(dice % 17)), it, (uint64_t)(uintptr_t)c % 3,
+                       timeout_s, &c->w) != ERR_OK ||
             ((dice >> 21 & 1) && job_leave(s->b->jobs, &c->w)))
             client_wake(&c->w);
         if (i % 16 == 0)
@@ -490,6 +522,7 @@ int main(void)
         cmocka_unit_test(test_failures_are_remembered),
         cmocka_unit_test(test_a_full_queue_refuses),
         cmocka_unit_test(test_views_run_newest_first_and_shed_the_oldest),
+        cmocka_unit_test(test_views_take_turns_between_clients),
         cmocka_unit_test(test_prefetch_runs_last_and_moves_up),
         cmocka_unit_test(test_leaving),
         cmocka_unit_test(test_a_cancelled_view_is_not_shared),

@@ -641,6 +641,50 @@ static void test_views(void **state)
     picture_close(&t.s.picture);
 }
 
+/* What a server is configured with is in the tag, and an address whose bytes depend on more than the
+ * program's defaults is not immutable. */
+static void test_configuration_and_tags(void **state)
+{
+    static const char *const immutable = "public, max-age=31536000, immutable";
+    struct err e = {0};
+    struct server_config usual = *t.s.cfg, other = usual;
+    char target[256];
+    const struct key k = served_key(17);
+    (void)state;
+    kit_ok(picture_open(t.s.cfg, &t.s.picture, &e), e);
+    other.view_gaussians = 1000;
+    other.preset = QUANT_PREVIEW;
+    for (int view = 0; view < 2; view++) {
+        if (view)
+            snprintf(target, sizeof target, "/d/toy/r/%s/static/13.4,52.5,120@0,-90/64x48.png",
+                     t.rev);
+        else
+            snprintf(target, sizeof target, "/d/toy/r/%s/t/%u/%u/%u.spz", t.rev, k.z, k.x, k.y);
+        struct request r = {.target = target, .target_size = strlen(target)};
+        struct response a = {0}, b = {0};
+        route_answer(&t.s, &r, &a);
+        t.s.cfg = &other;
+        route_answer(&t.s, &r, &b);
+        t.s.cfg = &usual;
+        assert_string_not_equal(a.etag, b.etag);
+        assert_string_equal(a.cache_control, immutable);
+        assert_string_not_equal(b.cache_control, immutable);
+        response_free(&a);
+        response_free(&b);
+    }
+    t.s.cfg = &t.cfg;
+    picture_close(&t.s.picture);
+    struct response r = get("/d/toy/t/17/1/1.glb?x=%0d%0a"); /* encoded bytes stay encoded */
+    assert_int_equal(r.status, 307);
+    assert_null(strpbrk(r.location, "\r\n"));
+    response_free(&r);
+    static const char bad[] = "/d/toy/t/17/1/1.glb?x=\r\nSet-Cookie:a";
+    struct request q = {.target = bad, .target_size = sizeof bad - 1};
+    route_answer(&t.s, &q, &r);
+    assert_int_equal(r.status, 400);
+    response_free(&r);
+}
+
 static void test_posted_cameras(void **state)
 {
     static const struct {
@@ -660,6 +704,18 @@ static void test_posted_cameras(void **state)
         {"{\"a\":1,\"a\":2}", 400},
         {"{\"pose\":1e999}", 400},
         {"{}", 422},
+        {"{\"camera\":{\"width\":64,\"height\":48,\"fx\":1e308,\"fy\":50,\"cx\":32,\"cy\":24,"
+         "\"world_to_camera\":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]}}",
+         422},
+        {"{\"camera\":{\"width\":64,\"height\":48,\"fx\":50,\"fy\":1e-308,\"cx\":32,\"cy\":24,"
+         "\"world_to_camera\":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]}}",
+         422},
+        {"{\"camera\":{\"width\":64,\"height\":48,\"fx\":50,\"fy\":50,\"cx\":1e300,\"cy\":24,"
+         "\"world_to_camera\":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]}}",
+         422},
+        {"{\"camera\":{\"width\":64,\"height\":48,\"fx\":50,\"fy\":50,\"cx\":32,\"cy\":24,\"world_"
+         "to_camera\":[1,0,0,1e300,0,1,0,0,0,0,1,0,0,0,0,1]}}",
+         422},
         {"{\"camera\":{}}", 422},
         {"{\"camera\":1}", 422},
         {"{\"pose\":{\"lon\":13,\"lat\":52,\"height\":1,\"heading\":0,\"pitch\":0}}", 422},
@@ -805,6 +861,7 @@ int main(void)
         cmocka_unit_test(test_presets),
         cmocka_unit_test(test_damaged_tile),
         cmocka_unit_test(test_views),
+        cmocka_unit_test(test_configuration_and_tags),
         cmocka_unit_test(test_posted_cameras),
         cmocka_unit_test(test_job_ends),
         cmocka_unit_test(test_metrics_are_local),

@@ -1,0 +1,330 @@
+/* Requests are cut into lines and bodies as RFC 9112 says, and each line is looked at before
+ * libmicrohttpd sees it. There is no hook for that in version 0.9.75, so this file defines recv():
+ * the program's own definition comes before the C library's when the shared library is bound, and
+ * descriptors that no screen is attached to go straight to recvfrom(). http.c refuses everything if
+ * requests come that no screen has seen, so a build in which that does not work serves nothing.
+ *
+ * Reads are as libmicrohttpd's edge-triggered loop needs them: a short count, or EAGAIN, only when
+ * the socket is empty; else the room is filled.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/screen.h"
+
+#include <errno.h>
+#include <stdatomic.h>
+#include <string.h>
+#include <strings.h>
+#include <sys/socket.h>
+
+enum {
+    SCREEN_FDS = 1 << 20,
+    SCREEN_READ = 2048,
+    SCREEN_KEEP = 8192,
+    SCREEN_KEYS = 64,
+    SCREEN_DIGITS = 18
+};
+
+static struct screen *_Atomic screen_of[SCREEN_FDS]; /* by descriptor; pages appear when touched */
+
+/* ---- lines ---- */
+
+static void screen_refuse(struct screen *s, int status)
+{
+    static const char *const ends[] = {
+        [SCREEN_REQUEST] = "GET / HTTP/1.1\r\n\r\n",
+        [SCREEN_FIELD] = "\r\n",
+        [SCREEN_BODY] = "",
+        [SCREEN_CHUNK_SIZE] = "0\r\n\r\n",
+        [SCREEN_CHUNK_DATA] = "",
+        [SCREEN_CHUNK_END] = "\r\n0\r\n\r\n",
+        [SCREEN_TRAILER] = "\r\n",
+        [SCREEN_CLOSED] = "",
+    };
+    s->requests += s->state == SCREEN_REQUEST;
+    s->refused_at = s->requests;
+    s->status = status;
+    s->feed = ends[s->state];
+    s->state = SCREEN_CLOSED;
+    s->n_in = s->n_ok; /* the rest is not read by anybody */
+}
+
+static bool screen_clean(const char *p, size_t n)
+{
+    for (size_t i = 0; i < n; i++)
+        if (((unsigned char)p[i] < 0x20 && p[i] != '\t') || p[i] == 0x7f)
+            return false;
+    return true;
+}
+
+/* Bytes of RFC 9110's token. */
+static bool screen_token(const char *p, size_t n)
+{
+    for (size_t i = 0; i < n; i++) {
+        char c = p[i];
+        if (!((c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
+              (c && memchr("!#$%&'*+-.^_`|~", c, 15))))
+            return false;
+    }
+    return n > 0;
+}
+
+static bool screen_is(const char *p, size_t n, const char *word)
+{
+    return n == strlen(word) && !strncasecmp(p, word, n);
+}
+
+/* 0, or the status to refuse a length with. */
+static int screen_length(struct screen *s, const char *p, size_t n)
+{
+    s->length = 0;
+    if (!n || ++s->n_length > 1)
+        return 400;
+    for (size_t i = 0; i < n; i++)
+        if (p[i] < '0' || p[i] > '9')
+            return 400;
+    if (n > SCREEN_DIGITS)
+        return 413;
+    for (size_t i = 0; i < n; i++)
+        s->length = s->length * 10 + (uint64_t)(p[i] - '0');
+    return 0;
+}
+
+/* One field line of a head; 0, or the status to refuse it with. */
+static int screen_field(struct screen *s, const char *p, size_t n)
+{
+    const char *colon = memchr(p, ':', n);
+    size_t n_name = colon ? (size_t)(colon - p) : 0;
+    if (!colon || !screen_token(p, n_name) || !screen_clean(p, n))
+        return 400;
+    const char *v = colon + 1;
+    size_t n_value = n - n_name - 1;
+    while (n_value && (*v == ' ' || *v == '\t'))
+        v++, n_value--;
+    if (screen_is(p, n_name, "Content-Length"))
+        return screen_length(s, v, n_value);
+    if (screen_is(p, n_name, "Transfer-Encoding"))
+        return ++s->n_coding > 1 ? 400 : screen_is(v, n_value, "chunked") ? 0 : 501;
+    return 0;
+}
+
+static void screen_head_end(struct screen *s)
+{
+    s->left = s->length;
+    s->state = s->n_coding ? SCREEN_CHUNK_SIZE : s->left ? SCREEN_BODY : SCREEN_REQUEST;
+}
+
+static bool screen_chunk(struct screen *s, const char *p, size_t n)
+{
+    enum { HEX_MAX = 8 };
+    size_t digits = 0;
+    s->left = 0;
+    for (; digits < n; digits++) {
+        char c = p[digits];
+        int v = c >= '0' && c <= '9'   ? c - '0'
+                : c >= 'a' && c <= 'f' ? c - 'a' + 10
+                : c >= 'A' && c <= 'F' ? c - 'A' + 10
+                                       : -1;
+        if (v < 0)
+            break;
+        s->left = s->left * 16 + (uint64_t)v;
+    }
+    s->state = s->left ? SCREEN_CHUNK_DATA : SCREEN_TRAILER;
+    return digits && digits <= HEX_MAX && (digits == n || p[digits] == ';') && screen_clean(p, n);
+}
+
+/* Parameters of the query: libmicrohttpd takes memory for each, and hangs up when it has none left. */
+static size_t screen_keys(const char *p, size_t n)
+{
+    size_t keys = 0;
+    for (const char *end = p + n; (p = memchr(p, '&', (size_t)(end - p))); p++)
+        keys++;
+    return keys;
+}
+
+/* A whole line, without its end. 0, or the status to refuse it with (then the state is as before). */
+static int screen_line(struct screen *s, const char *p, size_t n)
+{
+    enum screen_state was = s->state;
+    int status = 0;
+    switch (s->state) {
+    case SCREEN_REQUEST:
+        if (!n)
+            return 0;
+        if (!screen_clean(p, n) || memchr(p, '\t', n) || screen_keys(p, n) > SCREEN_KEYS)
+            return 400;
+        s->requests++;
+        s->length = s->n_length = s->n_coding = 0;
+        s->state = SCREEN_FIELD;
+        return 0;
+    case SCREEN_FIELD:
+        if (n)
+            return screen_field(s, p, n);
+        if (s->n_length && s->n_coding)
+            return 400;
+        screen_head_end(s);
+        return 0;
+    case SCREEN_CHUNK_SIZE:
+        status = screen_chunk(s, p, n) ? 0 : 400;
+        break;
+    case SCREEN_CHUNK_END:
+        s->state = SCREEN_CHUNK_SIZE;
+        status = n ? 400 : 0;
+        break;
+    default: /* SCREEN_TRAILER */
+        if (!n)
+            s->state = SCREEN_REQUEST;
+        else
+            status = screen_token(p, strcspn(p, ":\n")) && screen_clean(p, n) ? 0 : 400;
+    }
+    if (status)
+        s->state = was;
+    return status;
+}
+
+/* Look at the next line, if there is a whole one. */
+static bool screen_next_line(struct screen *s)
+{
+    char *p = s->in + s->n_ok;
+    size_t n = s->n_in - s->n_ok;
+    char *end = memchr(p, '\n', n);
+    if (!end) {
+        if (n > s->line_max)
+            screen_refuse(s, s->state == SCREEN_REQUEST ? 414 : 431);
+        return false;
+    }
+    size_t size = (size_t)(end - p), bare = size;
+    bool cr = bare && p[bare - 1] == '\r';
+    bare -= cr;
+    if (s->state == SCREEN_FIELD && bare && (p[bare - 1] == ' ' || p[bare - 1] == '\t')) {
+        /* Space after a value is no part of it; libmicrohttpd takes it for one. */
+        size_t keep = bare;
+        while (keep && (p[keep - 1] == ' ' || p[keep - 1] == '\t'))
+            keep--;
+        memmove(p + keep, p + bare, n - bare);
+        s->n_in -= bare - keep;
+        size -= bare - keep;
+        bare = keep;
+        if (!keep) /* a line of spaces is no end of a head */
+            return screen_refuse(s, 400), false;
+    }
+    int status = screen_line(s, p, bare);
+    if (status)
+        return screen_refuse(s, status), false;
+    s->n_ok += size + 1;
+    return true;
+}
+
+static void screen_look(struct screen *s)
+{
+    while (s->n_ok < s->n_in) {
+        if (s->state == SCREEN_CLOSED) {
+            s->n_in = s->n_ok;
+        } else if (s->state == SCREEN_BODY || s->state == SCREEN_CHUNK_DATA) {
+            size_t n = s->n_in - s->n_ok;
+            n = n < s->left ? n : (size_t)s->left;
+            s->n_ok += n;
+            s->left -= n;
+            if (!s->left)
+                s->state = s->state == SCREEN_BODY ? SCREEN_REQUEST : SCREEN_CHUNK_END;
+        } else if (!screen_next_line(s)) {
+            break;
+        }
+    }
+}
+
+size_t screen_take(struct screen *s, char *out, size_t room)
+{
+    size_t n = s->n_ok < room ? s->n_ok : room;
+    memcpy(out, s->in ? s->in : "", n);
+    if (n) {
+        memmove(s->in, s->in + n, s->n_in - n);
+        s->n_ok -= n;
+        s->n_in -= n;
+    }
+    if (!s->n_in && s->cap > SCREEN_KEEP) { /* a body has gone through */
+        mem_free(s->in);
+        s->in = NULL;
+        s->cap = 0;
+    }
+    while (!s->n_ok && s->feed && *s->feed && n < room)
+        out[n++] = *s->feed++;
+    return n;
+}
+
+/* Room for `more` bytes behind those that are there; false when out of memory. */
+static bool screen_room(struct screen *s, size_t more)
+{
+    if (s->n_in + more <= s->cap)
+        return true;
+    size_t cap = s->n_in + more > 2 * s->cap ? s->n_in + more : 2 * s->cap;
+    char *p = mem_resize(s->in, s->cap, cap, 1);
+    if (!p)
+        return false;
+    s->in = p;
+    s->cap = cap;
+    return true;
+}
+
+void screen_put(struct screen *s, const char *bytes, size_t n)
+{
+    if (s->state == SCREEN_CLOSED)
+        return;
+    if (!screen_room(s, n)) {
+        screen_refuse(s, 503);
+        return;
+    }
+    memcpy(s->in + s->n_in, bytes, n);
+    s->n_in += n;
+    screen_look(s);
+}
+
+/* ---- sockets ---- */
+
+static ssize_t screen_recv(struct screen *s, int fd, char *out, size_t room)
+{
+    char bytes[SCREEN_READ];
+    size_t n = screen_take(s, out, room);
+    while (n < room) {
+        ssize_t got = recvfrom(fd, bytes, sizeof bytes, 0, NULL, NULL);
+        if (got <= 0)
+            return n ? (ssize_t)n : got;
+        screen_put(s, bytes, (size_t)got);
+        n += screen_take(s, out + n, room - n);
+        if ((size_t)got < sizeof bytes)
+            break; /* the socket is empty */
+    }
+    if (!n && room)
+        errno = EAGAIN;
+    return n || !room ? (ssize_t)n : -1;
+}
+
+ssize_t recv(int fd, void *out, size_t room, int flags)
+{
+    struct screen *s = fd >= 0 && fd < SCREEN_FDS && !flags
+                           ? atomic_load_explicit(&screen_of[fd], memory_order_acquire)
+                           : NULL;
+    return s ? screen_recv(s, fd, out, room) : recvfrom(fd, out, room, flags, NULL, NULL);
+}
+
+enum err_code screen_attach(struct screen *s, int fd, size_t line_max, struct err *e)
+{
+    *s = (struct screen){.line_max = line_max};
+    if (fd < 0 || fd >= SCREEN_FDS)
+        return err_set(e, ERR_MEM, "screen: descriptor %d is beyond %d", fd, SCREEN_FDS);
+    atomic_store_explicit(&screen_of[fd], s, memory_order_release);
+    return ERR_OK;
+}
+
+void screen_detach(struct screen *s, int fd)
+{
+    if (fd >= 0 && fd < SCREEN_FDS)
+        atomic_store_explicit(&screen_of[fd], NULL, memory_order_release);
+    mem_free(s->in);
+    *s = (struct screen){0};
+}
+
+int screen_refused(const struct screen *s, uint64_t n)
+{
+    return s->refused_at == n ? s->status : 0;
+}
