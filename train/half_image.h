@@ -57,6 +57,11 @@ struct half_image_source {
     void *user;
 };
 
+/* Steps a half that take at most as long for n photographs as `trained` steps of training did (0:
+ * not known): HALF_IMAGE_STEPS, or fewer. Two halves of a picture cost what a step of training
+ * does. */
+uint32_t half_image_steps(double trained, size_t n_photos);
+
 struct half_image; /* device buffers */
 /* half_image_close it. ERR_MEM. */
 enum err_code half_image_open(const struct half_image_config *c, struct half_image **out,
