@@ -39,7 +39,7 @@ struct half_image_config { /* all borrowed */
     struct render *render;
     struct photometric *loss;
     struct appearance_view *appearance; /* NULL: a model without */
-    uint32_t steps;                     /* 200 */
+    uint32_t steps;                     /* HALF_IMAGE_STEPS */
     double lr, lr_end;                  /* 0.01 falling to 0.0005, exponentially */
     bool random; /* start from N(0, 1) instead of the nearest cameras' mean */
     uint64_t seed;
