@@ -535,12 +535,13 @@ export class Viewer {
     this.running = requestAnimationFrame((next) => this.loop(next));
     const seconds = Math.min((now - this.previous) / 1000, 0.25);
     this.previous = now;
+    const asked = this.stale; // also where the last frame took longer than AWAKE_MS
     this.stale = false;
     const moved = this.stage.tick(seconds);
     if (moved) this.emit("move", this.pose);
     this.moving = moved;
     if (this.currentMode === "pictures") this.drawPictures();
-    else this.drawCity(now, moved);
+    else this.drawCity(now, moved, asked || now < this.awakeUntil);
     this.report();
   }
 
@@ -558,10 +559,10 @@ export class Viewer {
     }
   }
 
-  private drawCity(now: number, moved: boolean) {
+  private drawCity(now: number, moved: boolean, wanted: boolean) {
     const { city } = this;
     if (!city) return;
-    const draw = now < this.awakeUntil || (!city.settled && this.info !== null);
+    const draw = wanted || moved || (!city.settled && this.info !== null);
     if (draw) {
       this.sharpen(moved ? this.sharpness : 1);
       city.draw();
