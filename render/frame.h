@@ -15,8 +15,8 @@
  *
  * Slots: Gaussian g owns slots slot_first[g] .. slot_first[g] + tiles[g] - 1, one per tile it
  * touches, in row-major order of those tiles; Gaussians are numbered in index order, so a gather
- * over Gaussians walks the slots from front to back. Backward writes what the pair (splat, tile)
- * contributed to its slot (and a flag, since entries behind the stop are never visited) and sums
+ * over Gaussians walks the slots from front to back. Backward writes what the intersection (splat, tile)
+ * contributed to its slot (and a flag, since those behind the stop are never visited) and sums
  * per Gaussian in slot order.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -36,7 +36,7 @@ struct frame_buffer { /* grows, never shrinks */
     size_t cap_bytes;
 };
 /* Make b at least n_bytes large; contents are lost when it grows (by half at least, within the
- * device's limit). */
+ * device's limit). ERR_MEM, ERR_LIMIT. */
 enum err_code frame_reserve(struct render *r, struct frame_buffer *b, size_t n_bytes,
                             struct err *e) ERR_USE;
 
@@ -121,7 +121,8 @@ struct render {
 size_t frame_items(const struct render *r, uint32_t groups, size_t *local);
 
 /* Set all arguments of a kernel and launch it:
- *   frame_run(r, k, "gather", FRAME_ARGS(FRAME_ARG(mem), FRAME_ARG(n)), global, local, e) */
+ *   frame_run(r, k, "gather", FRAME_ARGS(FRAME_ARG(mem), FRAME_ARG(n)), global, local, e)
+ * ERR_INTERNAL (an argument does not fit), ERR_DEVICE. */
 struct frame_arg {
     size_t size;
     const void *value;
@@ -133,32 +134,35 @@ struct frame_arg {
 #define FRAME_ARGS(...)                                                                            \
     (const struct frame_arg[]){__VA_ARGS__},                                                       \
         sizeof((const struct frame_arg[]){__VA_ARGS__}) / sizeof(struct frame_arg)
+/* See above: ERR_INTERNAL, ERR_DEVICE. */
 enum err_code frame_run(struct render *r, cl_kernel k, const char *name,
                         const struct frame_arg *args, size_t n_args, size_t global, size_t local,
                         struct err *e) ERR_USE;
 
-/* Appearance: render_appearance.c. render_appearance_begin sets r->appearance for this frame, or NULL, and uploads its
- * constants; the others are for frames that have it. */
+/* Appearance: render_appearance.c. render_appearance_begin sets r->appearance for this frame, or
+ * NULL, and uploads its constants; the others are for frames that have it. ERR_ARG (lengths),
+ * ERR_DEVICE, ERR_MEM. */
 enum err_code render_appearance_begin(struct render *r, const struct render_model *m,
                                       const struct render_options *o, struct err *e) ERR_USE;
 enum err_code render_appearance_project(struct render *r, const struct render_model *m,
                                         struct err *e) ERR_USE;
-/* A way back: which kernels to take in place of project_backward and project_step, and the
- * arguments that come after theirs. */
-struct
-    render_appearance_call { /* stays where it is until render_appearance_finish: arguments point into it */
+/* A backward pass: which kernels to take in place of project_backward and project_step, and the
+ * arguments that come after theirs. Stays where it is until render_appearance_finish: arguments
+ * point into it. */
+struct render_appearance_call {
     cl_kernel grads, step;
     struct frame_arg args[5];
     size_t n_grads, n_step; /* how many of them each takes */
     cl_float each;
     cl_float2 embed;
 };
-/* embed: of adam_embed in project_backward.cl. out NULL: no sums wanted, no offset_weight. */
+/* embed: of adam_embed in project_backward.cl. out NULL: no sums wanted, no offset_weight.
+ * ERR_DEVICE, ERR_LIMIT, ERR_MEM. */
 enum err_code render_appearance_prepare(struct render *r, const struct render_appearance_grad *out,
                                         cl_float2 embed, struct render_appearance_call *c,
                                         struct err *e) ERR_USE;
 /* After that kernel: embeddings, where it left them to do, in grads or (adam not NULL: Adam's k) in
- * params and moments; sums into *out when it is not NULL. */
+ * params and moments; sums into *out when it is not NULL. ERR_DEVICE, ERR_INTERNAL. */
 enum err_code render_appearance_finish(struct render *r, const struct render_model *m, cl_mem grads,
                                        const struct render_adam *adam, const cl_float8 *k,
                                        const struct render_appearance_call *c,
@@ -166,7 +170,7 @@ enum err_code render_appearance_finish(struct render *r, const struct render_mod
 void render_appearance_close(struct render *r);
 
 /* Sort and bin where vector_width is 1: order_gpu.c. They leave behind what the stages of CPUs do.
- */
+ * ERR_DEVICE, ERR_LIMIT, ERR_MEM. */
 enum err_code order_gpu_open(struct dev *dev, struct order_gpu **out, struct err *e) ERR_USE;
 enum err_code order_gpu_sort(struct render *r, struct err *e) ERR_USE;
 enum err_code order_gpu_bin(struct render *r, struct err *e) ERR_USE;
@@ -174,7 +178,7 @@ void order_gpu_close(struct order_gpu **op);
 
 extern const char common_cl[]; /* first source of every program of render/ after core/layout.h */
 
-/* With timing on: wait, and give the milliseconds since *since_s, which moves on. */
+/* With timing on: wait, and give the milliseconds since *since_s, which moves on. ERR_DEVICE. */
 enum err_code frame_clock(struct render *r, double *since_s, double *ms, struct err *e) ERR_USE;
 
 #endif
