@@ -66,8 +66,8 @@ struct render {
     struct frame_buffer pair_tile, pair_splat,
         pair_slot;                  /* uint [entries]: all pairs in depth order */
     struct frame_buffer bin_offset; /* uint [LAYOUT_BIN_CHUNKS][tiles rounded up to 16] */
-    struct frame_buffer
-        tile_start; /* uint [.. + 1]: entries of tile t are [start[t], start[t + 1]) */
+    /* uint [.. + 1]: entries of tile t are [start[t], start[t + 1]) */
+    struct frame_buffer tile_start;
     struct frame_buffer entry_splat; /* uint [entries]: index of the Gaussian (and of its record) */
     struct frame_buffer entry_slot;  /* uint [entries] */
     struct frame_buffer hits;        /* ushort [entries]: blocks drawn into, see blend_cpu.cl */
@@ -82,18 +82,18 @@ struct render {
     struct frame_buffer color_grad; /* float [3][h][w] planar, dL/dcolor */
 
     /* -- appearance: render_appearance.c ------------------------------------------------------- */
-    struct render_appearance_kernels
-        *appearance; /* the last frame was drawn with it; NULL: plain */
+    /* the last frame was drawn with it; NULL: plain */
+    struct render_appearance_kernels *appearance;
     struct render_appearance_kernels *appearance_kernels; /* all that were made */
     struct frame_buffer
         render_appearance_frame;   /* float [appearance_frame_floats]: constants of the frame */
     struct frame_buffer effective; /* float [groups * 16]: min(o + y3, 1), of the visible */
-    struct frame_buffer
-        render_appearance_grad; /* VW 1: float [groups][4][16]: dL/dy, of the visible */
-    struct frame_buffer
-        render_appearance_parts; /* float [pieces][render_appearance_row]: sums of the frame's gradients */
-    struct frame_buffer
-        render_appearance_sums; /* float [render_appearance_row]: their sum; behind them that of y3 */
+    /* VW 1: float [groups][4][16]: dL/dy, of the visible */
+    struct frame_buffer render_appearance_grad;
+    /* float [pieces][render_appearance_row]: sums of the frame's gradients */
+    struct frame_buffer render_appearance_parts;
+    /* float [render_appearance_row]: their sum; behind them that of y3 */
+    struct frame_buffer render_appearance_sums;
 
     struct order_gpu *order_gpu; /* sort and bin on GPUs: order_gpu.c; NULL on CPUs */
 

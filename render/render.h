@@ -217,8 +217,8 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
 
 /* ---- importance for density control: see render_importance.c ---- */
 
-struct
-    render_importance; /* compiled kernels and buffers; borrows the renderer; one caller at a time */
+/* compiled kernels and buffers; borrows the renderer; one caller at a time */
+struct render_importance;
 enum err_code render_importance_open(struct render *r, struct render_importance **out,
                                      struct err *e) ERR_USE;
 void render_importance_close(struct render_importance **s); /* before render_close */
@@ -233,8 +233,8 @@ void render_importance_forget(struct render_importance *s);
 
 /* ---- depth of a frame: see render_surface.c ---- */
 
-struct
-    render_surface; /* a compiled kernel and its maps; borrows the renderer; one caller at a time */
+/* a compiled kernel and its maps; borrows the renderer; one caller at a time */
+struct render_surface;
 enum err_code render_surface_open(struct render *r, struct render_surface **out,
                                   struct err *e) ERR_USE;
 void render_surface_close(struct render_surface **s); /* before render_close */
