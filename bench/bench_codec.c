@@ -141,7 +141,7 @@ static enum err_code codec_time(struct bench *b, struct codec_case *c, struct er
     return rc;
 }
 
-static enum err_code quantise(void *user, struct err *e)
+static enum err_code codec_quantise(void *user, struct err *e)
 {
     const struct gauss *g = user;
     struct quant q;
@@ -159,14 +159,14 @@ struct tile_request {
     struct buf out;
 };
 
-static enum err_code tile_make(void *user, struct err *e)
+static enum err_code codec_tile_make(void *user, struct err *e)
 {
     struct tile_request *t = user;
     t->out.size = 0;
     return encode_tile(t->store, t->key, t->form, NULL, &t->out, e);
 }
 
-static enum err_code tile_requests(struct bench *b, const struct gauss *g, struct err *e)
+static enum err_code codec_tile_requests(struct bench *b, const struct gauss *g, struct err *e)
 {
     const struct store_meta meta = {
         .name = "bench", .origin = {8.6, 50.1, 160}, .sh_degree = g->sh_degree};
@@ -191,7 +191,7 @@ static enum err_code tile_requests(struct bench *b, const struct gauss *g, struc
         rc = store_open(path, &t.store, e);
     for (int f = FORMAT_GLB; !rc && f <= FORMAT_PLY; f++) {
         t.form = (struct form){(enum format)f, QUANT_BALANCED, (uint8_t)g->sh_degree};
-        rc = bench_cpu_time(b, tile_make, &t, &ms, NULL, e);
+        rc = bench_cpu_time(b, codec_tile_make, &t, &ms, NULL, e);
         snprintf(name, sizeof name, "tile of %zu k from store to .%s", n / 1000,
                  target_ext(t.form.format));
         if (!rc)
@@ -208,21 +208,21 @@ struct picture_case {
     struct buf file;
 };
 
-static enum err_code picture_resize(void *user, struct err *e)
+static enum err_code codec_picture_resize(void *user, struct err *e)
 {
     struct picture_case *c = user;
     image_free(&c->out);
     return image_resize(&c->in, c->in.width_px * 2 / 5, c->in.height_px * 2 / 5, &c->out, e);
 }
 
-static enum err_code picture_encode(void *user, struct err *e)
+static enum err_code codec_picture_encode(void *user, struct err *e)
 {
     struct picture_case *c = user;
     c->file.size = 0;
     return image_encode(&c->in, "jpg", 90, &c->file, e);
 }
 
-static enum err_code pictures(struct bench *b, struct err *e)
+static enum err_code codec_pictures(struct bench *b, struct err *e)
 {
     struct picture_case c = {0};
     double ms = 0;
@@ -232,10 +232,10 @@ static enum err_code pictures(struct bench *b, struct err *e)
         c.in.px[i] = (uint8_t)(i / 3 % w / 8 + i / 3 / w / 6 + rng_u64(1, 2, i) % 8);
     double mpx = (double)w * h / 1e6;
     if (!rc)
-        rc = bench_time(b, picture_resize, &c, &ms, NULL, e);
+        rc = bench_time(b, codec_picture_resize, &c, &ms, NULL, e);
     if (!rc) {
         bench_report(b, "Lanczos3 to 2/5", mpx / ms * 1e3, "Mpx/s", 0, NULL);
-        rc = bench_time(b, picture_encode, &c, &ms, NULL, e);
+        rc = bench_time(b, codec_picture_encode, &c, &ms, NULL, e);
     }
     if (!rc)
         bench_report(b, "JPEG 90 encode", mpx / ms * 1e3, "Mpx/s", 0, NULL);
@@ -246,7 +246,8 @@ static enum err_code pictures(struct bench *b, struct err *e)
 }
 
 /* The finest tiles of a store in glTF axes, each about its own middle, up to `most` rows. */
-static enum err_code trained_rows(const char *path, size_t most, struct gauss *out, struct err *e)
+static enum err_code codec_trained_rows(const char *path, size_t most, struct gauss *out,
+                                        struct err *e)
 {
     struct store *s = NULL;
     size_t n = 0;
@@ -274,7 +275,7 @@ enum err_code bench_codec(struct bench *b, struct err *e)
     struct gauss g = {0};
     double ms = 0;
     size_t n = b->quick ? 2000 : ROWS;
-    enum err_code rc = b->tiles ? trained_rows(b->tiles, n, &g, e) : city_sorted(n, &g, e);
+    enum err_code rc = b->tiles ? codec_trained_rows(b->tiles, n, &g, e) : city_sorted(n, &g, e);
     struct codec_case cases[] = {
         {.name = "spz 3, spz", .kind = CODEC_SPZ3, .preset = QUANT_SPZ},
         {.name = "spz 3, balanced", .kind = CODEC_SPZ3, .preset = QUANT_BALANCED},
@@ -289,7 +290,7 @@ enum err_code bench_codec(struct bench *b, struct err *e)
         {.name = "payload lossless", .kind = CODEC_PAYLOAD, .lossless = true},
     };
     if (!rc)
-        rc = bench_cpu_time(b, quantise, &g, &ms, NULL, e);
+        rc = bench_cpu_time(b, codec_quantise, &g, &ms, NULL, e);
     if (!rc)
         bench_report(b, "quantise", (double)g.n / ms / 1e3, "M Gaussians/s", 0, NULL);
     for (size_t i = 0; !rc && i < sizeof cases / sizeof *cases; i++) {
@@ -297,9 +298,9 @@ enum err_code bench_codec(struct bench *b, struct err *e)
         rc = codec_time(b, &cases[i], e);
     }
     if (!rc)
-        rc = tile_requests(b, &g, e);
+        rc = codec_tile_requests(b, &g, e);
     if (!rc)
-        rc = pictures(b, e);
+        rc = codec_pictures(b, e);
     gauss_free(&g);
     return rc;
 }

@@ -53,7 +53,7 @@ static const struct {
               {"shuffled", ORDER_NONE}};
 
 /* Morton code of v[3] of row i over the range of all rows. */
-static uint64_t cell_key(const float *v, const float lo[3], const float span[3])
+static uint64_t layout_cell_key(const float *v, const float lo[3], const float span[3])
 {
     uint64_t key = 0;
     for (size_t c = 0; c < 3; c++) {
@@ -63,7 +63,8 @@ static uint64_t cell_key(const float *v, const float lo[3], const float span[3])
     return key;
 }
 
-static void range_of(const float *v, size_t stride, size_t n, bool cube, float lo[3], float span[3])
+static void layout_range_of(const float *v, size_t stride, size_t n, bool cube, float lo[3],
+                            float span[3])
 {
     float most = 0;
     for (size_t c = 0; c < 3; c++) {
@@ -79,20 +80,20 @@ static void range_of(const float *v, size_t stride, size_t n, bool cube, float l
         span[c] = most;
 }
 
-static uint64_t order_key(const struct gauss *g, enum order o, size_t i, const float lo[3],
-                          const float span[3])
+static uint64_t layout_order_key(const struct gauss *g, enum order o, size_t i, const float lo[3],
+                                 const float span[3])
 {
     const float *s = g->scale_log + 3 * i, *dc = g->sh + 3 * gauss_sh_count(g->sh_degree) * i;
     switch (o) {
     case ORDER_CUBES:
     case ORDER_BOX:
-        return cell_key(g->mean_m + 3 * i, lo, span);
+        return layout_cell_key(g->mean_m + 3 * i, lo, span);
     case ORDER_BRIGHT:
         return (uint64_t)(i / BLOCK) << 32 | sort_key_float(dc[0] + dc[1] + dc[2]);
     case ORDER_SIZE: /* steps of a factor of two */
         return sort_key_float(floorf((s[0] + s[1] + s[2]) / 3 / 0.69f));
     case ORDER_COLOR:
-        return cell_key(dc, lo, span);
+        return layout_cell_key(dc, lo, span);
     case ORDER_NONE:
         return rng_u64(1, 2, i);
     default:
@@ -102,19 +103,19 @@ static uint64_t order_key(const struct gauss *g, enum order o, size_t i, const f
 
 /* A copy of the tile (as it comes, along a Hilbert curve) in another order, with `embed_len`
  * numbers of its embedding. */
-static enum err_code reorder(const struct gauss *g, enum order o, uint32_t embed_len,
-                             struct gauss *out, struct err *e)
+static enum err_code layout_reorder(const struct gauss *g, enum order o, uint32_t embed_len,
+                                    struct gauss *out, struct err *e)
 {
     struct sort_item *item = mem_array(g->n, sizeof *item), *spare = mem_array(g->n, sizeof *item);
     float lo[3] = {0}, span[3] = {0};
     enum err_code rc = item && spare ? gauss_alloc(out, g->n, g->sh_degree, embed_len, e)
                                      : err_set(e, ERR_MEM, "out of memory");
     if (o == ORDER_COLOR)
-        range_of(g->sh, 3 * gauss_sh_count(g->sh_degree), g->n, true, lo, span);
+        layout_range_of(g->sh, 3 * gauss_sh_count(g->sh_degree), g->n, true, lo, span);
     else
-        range_of(g->mean_m, 3, g->n, o == ORDER_CUBES, lo, span);
+        layout_range_of(g->mean_m, 3, g->n, o == ORDER_CUBES, lo, span);
     for (size_t i = 0; !rc && i < g->n; i++)
-        item[i] = (struct sort_item){order_key(g, o, i, lo, span), (uint32_t)i};
+        item[i] = (struct sort_item){layout_order_key(g, o, i, lo, span), (uint32_t)i};
     if (!rc)
         sort_items(item, spare, g->n);
     memcpy(out->origin_enu_m, g->origin_enu_m, sizeof g->origin_enu_m);
@@ -137,9 +138,9 @@ struct lay {
 enum file_kind { FILE_SPZ3, FILE_DRC, FILE_COLUMNS };
 
 /* Bytes a Gaussian of all tiles. */
-static enum err_code lay_bytes(const struct lay *l, enum file_kind kind, enum order o,
-                               const struct quant_grid *grid, uint32_t embed_len,
-                               const struct layout *layout, double *out, struct err *e)
+static enum err_code layout_bytes(const struct lay *l, enum file_kind kind, enum order o,
+                                  const struct quant_grid *grid, uint32_t embed_len,
+                                  const struct layout *layout, double *out, struct err *e)
 {
     size_t bytes = 0;
     enum err_code rc = ERR_OK;
@@ -147,7 +148,7 @@ static enum err_code lay_bytes(const struct lay *l, enum file_kind kind, enum or
         struct gauss g = {0};
         struct quant q = {0};
         struct buf file = {0};
-        rc = reorder(&l->leaves.tile[i], o, embed_len, &g, e);
+        rc = layout_reorder(&l->leaves.tile[i], o, embed_len, &g, e);
         if (!rc)
             rc = quant_from_gauss(&g, g.sh_degree, grid, &q, e);
         if (!rc)
@@ -165,8 +166,8 @@ static enum err_code lay_bytes(const struct lay *l, enum file_kind kind, enum or
     return rc;
 }
 
-static enum err_code lay_note(const struct lay *l, const char *row, const char *what, double bytes,
-                              double ratio, struct err *e)
+static enum err_code layout_note(const struct lay *l, const char *row, const char *what,
+                                 double bytes, double ratio, struct err *e)
 {
     char name[3 * NAME_MAX_BYTES];
     snprintf(name, sizeof name, "%s, %s", row, what);
@@ -177,7 +178,7 @@ static enum err_code lay_note(const struct lay *l, const char *row, const char *
                         e);
 }
 
-static enum err_code lay_orders(const struct lay *l, struct err *e)
+static enum err_code layout_orders(const struct lay *l, struct err *e)
 {
     char row[2 * NAME_MAX_BYTES], what[NAME_MAX_BYTES];
     enum err_code rc = ERR_OK;
@@ -187,18 +188,18 @@ static enum err_code lay_orders(const struct lay *l, struct err *e)
             snprintf(what, sizeof what, "%s %s", spz ? "spz 3" : "drc",
                      quant_preset_name(presets[p]));
             for (size_t i = 0; !rc && i < sizeof orders / sizeof *orders; i++) {
-                rc = lay_bytes(l, spz ? FILE_SPZ3 : FILE_DRC, orders[i].order,
-                               quant_preset_grid(presets[p]), 0, NULL, &bytes, e);
+                rc = layout_bytes(l, spz ? FILE_SPZ3 : FILE_DRC, orders[i].order,
+                                  quant_preset_grid(presets[p]), 0, NULL, &bytes, e);
                 first = i ? first : bytes;
                 snprintf(row, sizeof row, "order: %s", orders[i].name);
                 if (!rc)
-                    rc = lay_note(l, row, what, bytes, bytes / first, e);
+                    rc = layout_note(l, row, what, bytes, bytes / first, e);
             }
         }
     return rc;
 }
 
-static enum err_code lay_layouts(const struct lay *l, struct err *e)
+static enum err_code layout_layouts(const struct lay *l, struct err *e)
 {
     static const struct {
         const char *name;
@@ -228,19 +229,19 @@ static enum err_code lay_layouts(const struct lay *l, struct err *e)
         double first = 0, bytes = 0;
         snprintf(what, sizeof what, "drc %s", quant_preset_name(presets[p]));
         for (size_t i = 0; !rc && i < sizeof variants / sizeof *variants; i++) {
-            rc = lay_bytes(l, FILE_COLUMNS, ORDER_STORED, quant_preset_grid(presets[p]), 0,
-                           &variants[i].layout, &bytes, e);
+            rc = layout_bytes(l, FILE_COLUMNS, ORDER_STORED, quant_preset_grid(presets[p]), 0,
+                              &variants[i].layout, &bytes, e);
             first = i ? first : bytes;
             snprintf(row, sizeof row, "layout: %s", variants[i].name);
             if (!rc)
-                rc = lay_note(l, row, what, bytes, bytes / first, e);
+                rc = layout_note(l, row, what, bytes, bytes / first, e);
         }
     }
     return rc;
 }
 
 /* All formats and presets at SH degrees 0 to 3, without and with the embedding. */
-static enum err_code lay_sizes(const struct lay *l, struct err *e)
+static enum err_code layout_sizes(const struct lay *l, struct err *e)
 {
     static const char *const keys[] = {"sh0", "sh1", "sh2", "sh3"};
     const struct gauss *first = &l->leaves.tile[0];
@@ -260,8 +261,8 @@ static enum err_code lay_sizes(const struct lay *l, struct err *e)
                 struct quant_grid grid = *quant_preset_grid((enum quant_preset)p);
                 double bytes = 0;
                 grid.sh_degree = (uint8_t)d;
-                rc = lay_bytes(l, k ? FILE_DRC : FILE_SPZ3, ORDER_STORED, &grid, embed, NULL,
-                               &bytes, e);
+                rc = layout_bytes(l, k ? FILE_DRC : FILE_SPZ3, ORDER_STORED, &grid, embed, NULL,
+                                  &bytes, e);
                 if (!rc && json_object_set_new(numbers, keys[d], json_real(bytes)))
                     rc = err_set(e, ERR_MEM, "out of memory");
                 char name[3 * NAME_MAX_BYTES];
@@ -287,11 +288,11 @@ enum err_code bench_layout(struct bench *b, struct err *e)
     for (size_t i = 0; i < l.leaves.n_tiles; i++)
         axes_enu_to_gltf(&l.leaves.tile[i]);
     if (!rc)
-        rc = lay_sizes(&l, e);
+        rc = layout_sizes(&l, e);
     if (!rc)
-        rc = lay_orders(&l, e);
+        rc = layout_orders(&l, e);
     if (!rc)
-        rc = lay_layouts(&l, e);
+        rc = layout_layouts(&l, e);
     if (!rc)
         rc = bench_record_write(b, e);
     leaves_free(&l.leaves);

@@ -56,7 +56,7 @@ struct pyr {
 
 /* ---- the trained levels ---- */
 
-static enum err_code pyr_settings(const struct ckpt *c, struct pyr_level *out, struct err *e)
+static enum err_code pyramid_settings(const struct ckpt *c, struct pyr_level *out, struct err *e)
 {
     const json_t *config = json_object_get(c->meta, "config");
     const char *aa = NULL;
@@ -77,8 +77,8 @@ static enum err_code pyr_settings(const struct ckpt *c, struct pyr_level *out, s
 }
 
 /* The rows of a cell's checkpoint on its own ground. */
-static enum err_code pyr_append(const struct pyr *p, size_t cell, const struct gauss *g,
-                                struct gauss *out, struct err *e)
+static enum err_code pyramid_append(const struct pyr *p, size_t cell, const struct gauss *g,
+                                    struct gauss *out, struct err *e)
 {
     size_t n = 0;
     enum err_code rc = ERR_OK;
@@ -101,7 +101,7 @@ static enum err_code pyr_append(const struct pyr *p, size_t cell, const struct g
     return rc;
 }
 
-static enum err_code pyr_read_level(struct pyr *p, unsigned level, struct err *e)
+static enum err_code pyramid_read_level(struct pyr *p, unsigned level, struct err *e)
 {
     char path[FILE_PATH_MAX + 64];
     size_t n = p->plan.n_cells ? p->plan.n_cells : 1;
@@ -114,9 +114,9 @@ static enum err_code pyr_read_level(struct pyr *p, unsigned level, struct err *e
             continue;
         rc = ckpt_read(path, &c, e);
         if (!rc)
-            rc = pyr_settings(&c, &p->level[level], e);
+            rc = pyramid_settings(&c, &p->level[level], e);
         if (!rc)
-            rc = pyr_append(p, i, &c.g, &p->level[level].g, e);
+            rc = pyramid_append(p, i, &c.g, &p->level[level].g, e);
         ckpt_free(&c);
     }
     if (!rc && p->level[level].g.n)
@@ -124,7 +124,7 @@ static enum err_code pyr_read_level(struct pyr *p, unsigned level, struct err *e
     return rc;
 }
 
-static enum err_code pyr_open(struct pyr *p, struct err *e)
+static enum err_code pyramid_open(struct pyr *p, struct err *e)
 {
     char path[FILE_PATH_MAX];
     enum err_code rc = scene_read(p->b->scene, &p->scene, e);
@@ -139,13 +139,13 @@ static enum err_code pyr_open(struct pyr *p, struct err *e)
     if (!rc && file_exists(path))
         rc = cell_plan_read(path, &p->scene, &p->plan, e);
     for (unsigned l = 1; !rc && l <= TRAIN_LEVELS_MAX; l++)
-        rc = pyr_read_level(p, l, e);
+        rc = pyramid_read_level(p, l, e);
     if (!rc && p->n_levels < 2)
         rc = err_set(e, ERR_NOENT, "%s: no two trained levels in cells/", p->b->trained);
     return rc ? rc : render_open(p->b->dev, &p->render, e);
 }
 
-static struct render_options pyr_render_options(const struct pyr_level *l)
+static struct render_options pyramid_render_options(const struct pyr_level *l)
 {
     const float grey = (float)l->grey;
     return (struct render_options){
@@ -154,13 +154,13 @@ static struct render_options pyr_render_options(const struct pyr_level *l)
 
 /* ---- what the finest Gaussians are worth ---- */
 
-static double pyr_sigma(const struct gauss *g, size_t i)
+static double pyramid_sigma(const struct gauss *g, size_t i)
 {
     const float *s = g->scale_log + 3 * i;
     return exp((double)fmaxf(s[0], fmaxf(s[1], s[2])));
 }
 
-static double pyr_cover(const struct gauss *g, size_t i)
+static double pyramid_cover(const struct gauss *g, size_t i)
 {
     const float *s = g->scale_log + 3 * i;
     const double sigma[3] = {exp((double)s[0]), exp((double)s[1]), exp((double)s[2])};
@@ -168,10 +168,10 @@ static double pyr_cover(const struct gauss *g, size_t i)
 }
 
 /* Sum of alpha T over the pixels of all training photographs of the finest level's size. */
-static enum err_code pyr_contribution(struct pyr *p, struct err *e)
+static enum err_code pyramid_contribution(struct pyr *p, struct err *e)
 {
     const struct pyr_level *l = &p->level[p->n_levels];
-    const struct render_options ro = pyr_render_options(l);
+    const struct render_options ro = pyramid_render_options(l);
     struct render_model m = {0};
     struct render_importance *score = NULL;
     cl_mem weight = NULL;
@@ -200,7 +200,7 @@ static enum err_code pyr_contribution(struct pyr *p, struct err *e)
     return rc;
 }
 
-static enum err_code pyr_weigh(struct pyr *p, struct err *e)
+static enum err_code pyramid_weigh(struct pyr *p, struct err *e)
 {
     const struct gauss *g = &p->level[p->n_levels].g;
     p->cover = mem_array(g->n, sizeof *p->cover);
@@ -208,8 +208,8 @@ static enum err_code pyr_weigh(struct pyr *p, struct err *e)
     if (!p->cover || !p->given)
         return err_set(e, ERR_MEM, "out of memory for %zu Gaussians", g->n);
     for (size_t i = 0; i < g->n; i++)
-        p->cover[i] = (float)pyr_cover(g, i);
-    return pyr_contribution(p, e);
+        p->cover[i] = (float)pyramid_cover(g, i);
+    return pyramid_contribution(p, e);
 }
 
 /* ---- ways to fewer ---- */
@@ -228,8 +228,8 @@ static const char *const way_names[WAYS] = {
     "every n-th, grown", "every n-th"};
 
 /* The n rows of largest score, in their order. */
-static enum err_code pyr_largest(const float *score, size_t n_all, size_t n, uint32_t *rows,
-                                 struct err *e)
+static enum err_code pyramid_largest(const float *score, size_t n_all, size_t n, uint32_t *rows,
+                                     struct err *e)
 {
     struct sort_item *item = mem_array(n_all, sizeof *item),
                      *spare = mem_array(n_all, sizeof *item);
@@ -252,8 +252,8 @@ static enum err_code pyr_largest(const float *score, size_t n_all, size_t n, uin
 }
 
 /* As many as `n` of the finest level by the given way. */
-static enum err_code pyr_make(const struct pyr *p, enum pyr_way way, size_t n, struct gauss *out,
-                              struct err *e)
+static enum err_code pyramid_make(const struct pyr *p, enum pyr_way way, size_t n,
+                                  struct gauss *out, struct err *e)
 {
     const struct gauss *g = &p->level[p->n_levels].g;
     if (way == WAY_MERGED)
@@ -262,7 +262,7 @@ static enum err_code pyr_make(const struct pyr *p, enum pyr_way way, size_t n, s
     enum err_code rc = rows ? gauss_alloc(out, n, g->sh_degree, g->embed_len, e)
                             : err_set(e, ERR_MEM, "out of memory for %zu rows", n);
     if (!rc && (way == WAY_COVERAGE || way == WAY_CONTRIBUTION))
-        rc = pyr_largest(way == WAY_COVERAGE ? p->cover : p->given, g->n, n, rows, e);
+        rc = pyramid_largest(way == WAY_COVERAGE ? p->cover : p->given, g->n, n, rows, e);
     else if (!rc) /* levels lie along a Morton curve: a systematic sample is an even one */
         for (size_t i = 0; i < n; i++)
             rows[i] = (uint32_t)(i * g->n / n);
@@ -283,7 +283,7 @@ static enum err_code pyr_make(const struct pyr *p, enum pyr_way way, size_t n, s
 
 /* ---- scores ---- */
 
-static int pyr_compare(const void *a, const void *b)
+static int pyramid_compare(const void *a, const void *b)
 {
     const float *x = a, *y = b;
     return (*x > *y) - (*x < *y);
@@ -291,8 +291,8 @@ static int pyr_compare(const void *a, const void *b)
 
 /* Median over a level of each Gaussian's largest sigma, and over the Gaussians that test
  * photographs see of their depth. */
-static enum err_code pyr_measure(const struct pyr *p, const struct gauss *g, double *sigma_m,
-                                 double *depth_m, struct err *e)
+static enum err_code pyramid_measure(const struct pyr *p, const struct gauss *g, double *sigma_m,
+                                     double *depth_m, struct err *e)
 {
     enum { SAMPLE = 4096 };
     size_t n = 0, step = g->n / SAMPLE + 1;
@@ -300,8 +300,8 @@ static enum err_code pyr_measure(const struct pyr *p, const struct gauss *g, dou
     if (!v)
         return err_set(e, ERR_MEM, "out of memory for %zu Gaussians", g->n);
     for (size_t i = 0; i < g->n; i++)
-        v[i] = (float)pyr_sigma(g, i);
-    qsort(v, g->n, sizeof *v, pyr_compare);
+        v[i] = (float)pyramid_sigma(g, i);
+    qsort(v, g->n, sizeof *v, pyramid_compare);
     *sigma_m = (double)v[g->n / 2];
     for (size_t c = 0; c < p->n_images; c++) {
         const struct camera *cam = &p->scene.images[p->images[c]].cam;
@@ -317,7 +317,7 @@ static enum err_code pyr_measure(const struct pyr *p, const struct gauss *g, dou
                 v[n++] = (float)at[2];
         }
     }
-    qsort(v, n, sizeof *v, pyr_compare);
+    qsort(v, n, sizeof *v, pyramid_compare);
     *depth_m = n ? (double)v[n / 2] : 1;
     mem_free(v);
     return ERR_OK;
@@ -329,10 +329,10 @@ struct pyr_size {
     struct test_views shots;
 };
 
-static enum err_code pyr_row(struct pyr *p, unsigned level, enum pyr_way way, const struct gauss *g,
-                             struct pyr_size *size, struct err *e)
+static enum err_code pyramid_row(struct pyr *p, unsigned level, enum pyr_way way,
+                                 const struct gauss *g, struct pyr_size *size, struct err *e)
 {
-    const struct render_options ro = pyr_render_options(&p->level[level]);
+    const struct render_options ro = pyramid_render_options(&p->level[level]);
     struct test_views_score s;
     char what[NAME_MAX_BYTES], name[2 * NAME_MAX_BYTES];
     enum err_code rc = test_views_score(&size->shots, g, &ro, false, &s, e);
@@ -349,12 +349,12 @@ static enum err_code pyr_row(struct pyr *p, unsigned level, enum pyr_way way, co
                         e);
 }
 
-static enum err_code pyr_open_sizes(struct pyr *p, unsigned level, struct pyr_size size[SIZES],
-                                    struct err *e)
+static enum err_code pyramid_open_sizes(struct pyr *p, unsigned level, struct pyr_size size[SIZES],
+                                        struct err *e)
 {
     const struct pyr_level *l = &p->level[level], *finest = &p->level[p->n_levels];
     double sigma_m = 1, depth_m = 1;
-    enum err_code rc = pyr_measure(p, &l->g, &sigma_m, &depth_m, e);
+    enum err_code rc = pyramid_measure(p, &l->g, &sigma_m, &depth_m, e);
     if (rc)
         return rc;
     const struct camera cam =
@@ -367,7 +367,7 @@ static enum err_code pyr_open_sizes(struct pyr *p, unsigned level, struct pyr_si
     log_info("bench", "level %u: median sigma %.3g m, median depth %.3g m", level, sigma_m,
              depth_m);
     for (size_t i = 0; !rc && i < SIZES; i++) {
-        const struct render_options ro = pyr_render_options(finest);
+        const struct render_options ro = pyramid_render_options(finest);
         struct test_views_score own;
         rc = test_views_open(p->render, &p->scene, p->images, p->n_images, (uint32_t)l->max_edge_px,
                              size[i].downsample, &size[i].shots, e);
@@ -387,19 +387,19 @@ static enum err_code pyr_open_sizes(struct pyr *p, unsigned level, struct pyr_si
     return rc;
 }
 
-static enum err_code pyr_level(struct pyr *p, unsigned level, struct err *e)
+static enum err_code pyramid_level_run(struct pyr *p, unsigned level, struct err *e)
 {
     struct pyr_size size[SIZES] = {0};
     const struct gauss *trained = &p->level[level].g, *finest = &p->level[p->n_levels].g;
     size_t n = trained->n < finest->n ? trained->n : finest->n;
-    enum err_code rc = pyr_open_sizes(p, level, size, e);
+    enum err_code rc = pyramid_open_sizes(p, level, size, e);
     for (int way = 0; !rc && way < WAYS; way++) {
         struct gauss made = {0};
         if (way != WAY_TRAINED)
-            rc = pyr_make(p, (enum pyr_way)way, n, &made, e);
+            rc = pyramid_make(p, (enum pyr_way)way, n, &made, e);
         for (size_t i = 0; !rc && i < SIZES; i++)
-            rc = pyr_row(p, level, (enum pyr_way)way, way == WAY_TRAINED ? trained : &made,
-                         &size[i], e);
+            rc = pyramid_row(p, level, (enum pyr_way)way, way == WAY_TRAINED ? trained : &made,
+                             &size[i], e);
         gauss_free(&made);
         if (!rc && signals_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped");
@@ -417,11 +417,11 @@ enum err_code bench_pyramid(struct bench *b, struct err *e)
                           "are elsewhere");
         return ERR_OK;
     }
-    enum err_code rc = pyr_open(&p, e);
+    enum err_code rc = pyramid_open(&p, e);
     if (!rc)
-        rc = pyr_weigh(&p, e);
+        rc = pyramid_weigh(&p, e);
     for (unsigned l = p.n_levels; !rc && l-- > 1;)
-        rc = pyr_level(&p, l, e);
+        rc = pyramid_level_run(&p, l, e);
     if (!rc)
         rc = bench_record_write(b, e);
     for (unsigned l = 0; l <= TRAIN_LEVELS_MAX; l++)

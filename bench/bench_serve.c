@@ -348,7 +348,7 @@ struct busy {
 
 /* One request on an open connection; reads until answer_bytes have come, or to the end of the
  * connection when that is 0. */
-static bool busy_ask(int fd, const char *request, size_t answer_bytes)
+static bool serve_busy_ask(int fd, const char *request, size_t answer_bytes)
 {
     static _Thread_local char bytes[1 << 18];
     if (!serve_send(fd, request))
@@ -364,7 +364,7 @@ static bool busy_ask(int fd, const char *request, size_t answer_bytes)
 
 /* Worker 0 asks for a tile every millisecond; worker 1 keeps the renderer drawing, every view
  * another one. */
-static enum err_code busy_work(void *user, size_t index, struct err *e)
+static enum err_code serve_busy_work(void *user, size_t index, struct err *e)
 {
     struct busy *w = user;
     char request[512];
@@ -372,7 +372,7 @@ static enum err_code busy_work(void *user, size_t index, struct err *e)
     int fd = index == 0 ? serve_dial(w->tile.port) : -1;
     for (int i = 0; index == 0 && ok && i < BUSY_REQUESTS; i++) {
         double start_s = clock_s();
-        ok = fd >= 0 && busy_ask(fd, w->tile.request, w->tile.answer_bytes);
+        ok = fd >= 0 && serve_busy_ask(fd, w->tile.request, w->tile.answer_bytes);
         w->ms[i] = (clock_s() - start_s) * 1e3;
         nanosleep(&(struct timespec){.tv_nsec = BUSY_PAUSE_US * 1000}, NULL);
     }
@@ -384,7 +384,7 @@ static enum err_code busy_work(void *user, size_t index, struct err *e)
             "GET %s,150@%d,-60/1280x720.jpg HTTP/1.1\r\nHost: bench\r\nConnection: close\r\n\r\n",
             w->view_prefix, atomic_fetch_add(&w->views, 1) % 360);
         int view = serve_dial(w->tile.port);
-        ok = view >= 0 && busy_ask(view, request, 0);
+        ok = view >= 0 && serve_busy_ask(view, request, 0);
         if (view >= 0)
             close(view);
     }
@@ -393,14 +393,14 @@ static enum err_code busy_work(void *user, size_t index, struct err *e)
     return ok ? ERR_OK : err_set(e, ERR_IO, "bench_serve: a connection broke");
 }
 
-static int busy_order(const void *a, const void *b)
+static int serve_busy_order(const void *a, const void *b)
 {
     double x = *(const double *)a, y = *(const double *)b;
     return (x > y) - (x < y);
 }
 
-static enum err_code busy_measure(struct bench *b, struct busy *w, const char *name,
-                                  double idle_ms[2], struct err *e)
+static enum err_code serve_busy_measure(struct bench *b, struct busy *w, const char *name,
+                                        double idle_ms[2], struct err *e)
 {
     static const struct {
         const char *name;
@@ -409,8 +409,8 @@ static enum err_code busy_measure(struct bench *b, struct busy *w, const char *n
     char text[96];
     bool idle = !atomic_load(&w->draw);
     atomic_store(&w->stop, false);
-    enum err_code rc = pool_for(2, 2, busy_work, w, e);
-    qsort(w->ms, BUSY_REQUESTS, sizeof w->ms[0], busy_order);
+    enum err_code rc = pool_for(2, 2, serve_busy_work, w, e);
+    qsort(w->ms, BUSY_REQUESTS, sizeof w->ms[0], serve_busy_order);
     for (int i = 0; !rc && i < 2; i++) {
         double ms = w->ms[(size_t)(at[i].share * BUSY_REQUESTS)];
         idle_ms[i] = idle ? ms : idle_ms[i];
@@ -456,10 +456,10 @@ static enum err_code serve_busy(struct bench *b, struct err *e)
         rc = serve_ask(&w->tile, &tile, NULL, e);
     }
     if (!rc)
-        rc = busy_measure(b, w, "idle", idle_ms, e);
+        rc = serve_busy_measure(b, w, "idle", idle_ms, e);
     atomic_store(&w->draw, true);
     if (!rc)
-        rc = busy_measure(b, w, "while drawing", idle_ms, e);
+        rc = serve_busy_measure(b, w, "while drawing", idle_ms, e);
     if (!rc)
         bench_report(b, "views drawn meanwhile", atomic_load(&w->views), "", 0, NULL);
 out:

@@ -108,7 +108,7 @@ struct large_case {
 };
 
 /* A slice of the city, moved to its place among the copies, as a checkpoint would be read. */
-static enum err_code large_load(void *user, size_t part, struct gauss *out, struct err *e)
+static enum err_code tile_large_load(void *user, size_t part, struct gauss *out, struct err *e)
 {
     const struct large_case *c = user;
     size_t copy = part / c->parts_a_copy, from = part % c->parts_a_copy * LARGE_ROWS;
@@ -130,13 +130,13 @@ static enum err_code large_load(void *user, size_t part, struct gauss *out, stru
 
 /* 25 cities side by side, streamed: the speed and memory of `citysplat tile` without the disk that
  * checkpoints come from. Once, because it takes long. */
-static enum err_code large_time(struct bench *b, const struct gauss *g, struct err *e)
+static enum err_code tile_large_time(struct bench *b, const struct gauss *g, struct err *e)
 {
     char path[FILE_PATH_MAX];
     struct large_case c = {.g = g, .parts_a_copy = (g->n + LARGE_ROWS - 1) / LARGE_ROWS};
     const struct pyramid_config cfg = {.name = "large"};
     const struct pyramid_level level = {
-        .level = 3, .load = large_load, .user = &c, .n_parts = LARGE_COPIES * c.parts_a_copy};
+        .level = 3, .load = tile_large_load, .user = &c, .n_parts = LARGE_COPIES * c.parts_a_copy};
     struct pyramid_report report;
     enum err_code rc = file_join(path, bench_tmpdir(b), "large.tiles", e);
     bool own_peak = mem_peak_reset();
@@ -169,21 +169,21 @@ struct pick_case {
     struct pick_options o;
 };
 
-static enum err_code pick_once(void *user, struct err *e)
+static enum err_code tile_pick_once(void *user, struct err *e)
 {
     struct pick_case *c = user;
     return pick_select(c->tile, &c->tree, &c->cam, &c->o, c->out, &c->n_out, e);
 }
 
 /* A thousand tiles in view and more, with everything on: a cut before, and limits that bind. */
-static enum err_code pick_thousand(struct bench *b, struct pick_case *c, struct err *e)
+static enum err_code tile_pick_thousand(struct bench *b, struct pick_case *c, struct err *e)
 {
     double ms = 0.0;
     uint32_t *before = mem_array(c->n, sizeof *before);
     enum err_code rc = before ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
     for (c->o.error_px = 1.0; !rc && (c->n_out < 1100 && c->o.error_px > 1e-3);
          c->o.error_px *= 0.9)
-        rc = pick_once(c, e);
+        rc = tile_pick_once(c, e);
     if (!rc) {
         memcpy(before, c->out, c->n_out * sizeof *before);
         c->o.before = before;
@@ -191,7 +191,7 @@ static enum err_code pick_thousand(struct bench *b, struct pick_case *c, struct 
         c->o.hysteresis = PICK_HYSTERESIS;
         c->o.max_gaussians = (uint64_t)c->n_out * 49000;
         c->o.max_bytes = (uint64_t)c->n_out * 1000000;
-        rc = bench_time(b, pick_once, c, &ms, NULL, e);
+        rc = bench_time(b, tile_pick_once, c, &ms, NULL, e);
     }
     if (!rc) {
         bench_report(b, "pick, limits and hysteresis", ms, "ms", 0, NULL);
@@ -202,7 +202,7 @@ static enum err_code pick_thousand(struct bench *b, struct pick_case *c, struct 
 }
 
 /* A full pyramid over 16 km: zooms 10 to 17. */
-static enum err_code pick_time(struct bench *b, struct err *e)
+static enum err_code tile_pick_time(struct bench *b, struct err *e)
 {
     struct pick_case c = {.tile = mem_array(2 * MANY, sizeof *c.tile),
                           .out = mem_array(2 * MANY, sizeof *c.out)};
@@ -226,12 +226,12 @@ static enum err_code pick_time(struct bench *b, struct err *e)
     if (!rc)
         rc = tree_build(c.tile, c.n, &c.tree, e);
     if (!rc)
-        rc = bench_time(b, pick_once, &c, &ms, NULL, e);
+        rc = bench_time(b, tile_pick_once, &c, &ms, NULL, e);
     if (!rc) {
         bench_report(b, "pick", ms, "ms", 0, NULL);
         bench_report(b, "pick, tiles in the index", (double)c.n, "", 0, NULL);
         bench_report(b, "pick, tiles picked", (double)c.n_out, "", 0, NULL);
-        rc = pick_thousand(b, &c, e);
+        rc = tile_pick_thousand(b, &c, e);
     }
     tree_free(&c.tree);
     mem_free(c.tile);
@@ -250,13 +250,13 @@ struct picture {
     float *rgb;
 };
 
-static enum err_code picture_draw(void *user, struct err *e)
+static enum err_code tile_picture_draw(void *user, struct err *e)
 {
     struct picture *p = user;
     return view_render(p->view, &p->cam, &p->ro, &p->po, p->rgb, &p->stats, e);
 }
 
-static double picture_psnr(const float *a, const float *b, size_t n)
+static double tile_picture_psnr(const float *a, const float *b, size_t n)
 {
     double sum = 0.0;
     for (size_t i = 0; i < n; i++) {
@@ -267,8 +267,8 @@ static double picture_psnr(const float *a, const float *b, size_t n)
 }
 
 /* The same view of every n-th Gaussian. */
-static enum err_code picture_thinned(struct render *r, const struct gauss *g,
-                                     const struct picture *p, float *rgb, struct err *e)
+static enum err_code tile_picture_thinned(struct render *r, const struct gauss *g,
+                                          const struct picture *p, float *rgb, struct err *e)
 {
     struct gauss some = {0};
     struct render_model m = {0};
@@ -286,8 +286,8 @@ static enum err_code picture_thinned(struct render *r, const struct gauss *g,
     return rc;
 }
 
-static enum err_code picture_from(struct bench *b, struct render *r, const struct tile_case *c,
-                                  struct picture *p, double distance_m, struct err *e)
+static enum err_code tile_picture_from(struct bench *b, struct render *r, const struct tile_case *c,
+                                       struct picture *p, double distance_m, struct err *e)
 {
     char name[96];
     double fine_ms = 0.0, ms = 0.0;
@@ -301,15 +301,15 @@ static enum err_code picture_from(struct bench *b, struct render *r, const struc
     enum err_code rc = fine && thin ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
     p->po.no_lod = true;
     if (!rc)
-        rc = bench_time(b, picture_draw, p, &fine_ms, NULL, e);
+        rc = bench_time(b, tile_picture_draw, p, &fine_ms, NULL, e);
     uint64_t all = p->stats.n_gaussians;
     if (!rc)
         memcpy(fine, p->rgb, n * sizeof *fine);
     p->po.no_lod = false;
     if (!rc)
-        rc = bench_time(b, picture_draw, p, &ms, NULL, e);
+        rc = bench_time(b, tile_picture_draw, p, &ms, NULL, e);
     if (!rc)
-        rc = picture_thinned(r, c->g, p, thin, e);
+        rc = tile_picture_thinned(r, c->g, p, thin, e);
     if (!rc) {
         snprintf(name, sizeof name, "from %.0f m: frame", distance_m);
         bench_report(b, name, ms, "ms", ms / fine_ms, "finest tiles");
@@ -317,7 +317,7 @@ static enum err_code picture_from(struct bench *b, struct render *r, const struc
         bench_report(b, name, (double)p->stats.n_gaussians, "",
                      (double)p->stats.n_gaussians / (double)all, "finest tiles");
         snprintf(name, sizeof name, "from %.0f m: PSNR to the finest", distance_m);
-        double db = picture_psnr(fine, p->rgb, n), thin_db = picture_psnr(fine, thin, n);
+        double db = tile_picture_psnr(fine, p->rgb, n), thin_db = tile_picture_psnr(fine, thin, n);
         bench_report(b, name, db, "dB", db / thin_db, "leaving Gaussians out");
     }
     mem_free(fine);
@@ -326,7 +326,7 @@ static enum err_code picture_from(struct bench *b, struct render *r, const struc
 }
 
 /* Distance beyond which a typical tile above the finest ones suffices. */
-static double picture_switch_m(const struct store *s)
+static double tile_picture_switch_m(const struct store *s)
 {
     size_t n, found = 0;
     double sum = 0.0;
@@ -339,7 +339,7 @@ static double picture_switch_m(const struct store *s)
     return found ? sum / (double)found * PICTURE_FOCAL_PX / TREE_PX_PER_SIGMA : 100.0;
 }
 
-static enum err_code pictures(struct bench *b, const struct tile_case *c, struct err *e)
+static enum err_code tile_pictures(struct bench *b, const struct tile_case *c, struct err *e)
 {
     struct render *r = NULL;
     struct picture p = {
@@ -349,7 +349,8 @@ static enum err_code pictures(struct bench *b, const struct tile_case *c, struct
     if (!rc)
         rc = view_open(c->path, r, 0, &p.view, e);
     for (size_t i = 0; !rc && i < (b->quick ? 1 : 3); i++)
-        rc = picture_from(b, r, c, &p, 1.2 * picture_switch_m(c->store) * (double)(1u << i), e);
+        rc = tile_picture_from(b, r, c, &p,
+                               1.2 * tile_picture_switch_m(c->store) * (double)(1u << i), e);
     view_close(&p.view);
     render_close(&r);
     mem_free(p.rgb);
@@ -400,13 +401,13 @@ enum err_code bench_tile(struct bench *b, struct err *e)
     if (!rc)
         rc = city_make(b->quick ? 5000 : 400000, &g, e);
     if (!rc)
-        rc = large_time(b, &g, e);
+        rc = tile_large_time(b, &g, e);
     if (!rc)
         rc = tile_times(b, &c, e);
     if (!rc)
-        rc = pick_time(b, e);
+        rc = tile_pick_time(b, e);
     if (!rc && b->dev)
-        rc = pictures(b, &c, e);
+        rc = tile_pictures(b, &c, e);
     store_close(&c.store);
     gauss_free(&c.less);
     gauss_free(&g);

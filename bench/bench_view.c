@@ -51,7 +51,7 @@ struct flight {
 };
 
 /* n Gaussians in VIEW_SIDE^2 copies of the city, SH degree 1, with embeddings. */
-static enum err_code flight_city(size_t n, struct gauss *out, struct err *e)
+static enum err_code view_flight_city(size_t n, struct gauss *out, struct err *e)
 {
     struct gauss one = {0};
     size_t copies = (size_t)VIEW_SIDE * VIEW_SIDE, per = n / copies;
@@ -73,8 +73,8 @@ static enum err_code flight_city(size_t n, struct gauss *out, struct err *e)
     return rc;
 }
 
-static enum err_code flight_store(struct bench *b, const struct appearance *look, size_t n,
-                                  const char *path, struct err *e)
+static enum err_code view_flight_store(struct bench *b, const struct appearance *look, size_t n,
+                                       const char *path, struct err *e)
 {
     struct appearance kept = {0};
     struct buf bytes = {0};
@@ -82,7 +82,7 @@ static enum err_code flight_store(struct bench *b, const struct appearance *look
     struct pyramid_report report;
     struct gauss g = {0};
     char text[96];
-    enum err_code rc = flight_city(n, &g, e);
+    enum err_code rc = view_flight_city(n, &g, e);
     const struct pyramid_level level = {.g = &g, .level = 3};
     if (!rc)
         rc = bake_with_default(look, &g, &kept, e);
@@ -103,16 +103,16 @@ static enum err_code flight_store(struct bench *b, const struct appearance *look
 }
 
 /* Frame k of the flight: over the roofs, looking ahead and down. */
-static struct camera flight_camera(int k)
+static struct camera view_flight_camera(int k)
 {
     double at = VIEW_CITY_M * (-1.4 + 2.4 * k / VIEW_FRAMES);
     const double eye[3] = {at, 0.6 * at, 120}, target[3] = {at + 200, 0.6 * at + 120, 10};
     return camera_look_at(eye, target, 0.9, VIEW_W, VIEW_H);
 }
 
-static enum err_code flight_frame(struct flight *c, int k, struct err *e)
+static enum err_code view_flight_frame(struct flight *c, int k, struct err *e)
 {
-    struct camera cam = flight_camera(k);
+    struct camera cam = view_flight_camera(k);
     struct view_stats stats;
     struct buf jpeg = {0};
     double start_s = clock_s();
@@ -141,11 +141,11 @@ static enum err_code flight_frame(struct flight *c, int k, struct err *e)
 }
 
 /* What the limit costs: PSNR of a picture with it against the same without. */
-static enum err_code flight_loss(struct flight *c, double *psnr_db, struct err *e)
+static enum err_code view_flight_loss(struct flight *c, double *psnr_db, struct err *e)
 {
     size_t n = 3 * (size_t)VIEW_W * VIEW_H;
     float *full = mem_array(n, sizeof *full);
-    struct camera cam = flight_camera(VIEW_FRAMES / 2);
+    struct camera cam = view_flight_camera(VIEW_FRAMES / 2);
     const struct render_options ro = {.aa = RENDER_AA_2D, .sh_degree = -1};
     struct pick_options po = {0};
     double sum = 0;
@@ -161,13 +161,14 @@ static enum err_code flight_loss(struct flight *c, double *psnr_db, struct err *
     return rc;
 }
 
-static int flight_order(const void *a, const void *b)
+static int view_flight_order(const void *a, const void *b)
 {
     double x = *(const double *)a, y = *(const double *)b;
     return (x > y) - (x < y);
 }
 
-static enum err_code flight_open(struct bench *b, const char *path, struct flight *c, struct err *e)
+static enum err_code view_flight_open(struct bench *b, const char *path, struct flight *c,
+                                      struct err *e)
 {
     enum err_code rc = ERR_OK;
     c->frame = mem_array(appearance_frame_floats(APPEARANCE_GAUSS_LEN, APPEARANCE_HIDDEN),
@@ -194,22 +195,22 @@ enum err_code bench_view(struct bench *b, struct err *e)
                               APPEARANCE_HIDDEN, VIEW_PHOTOS, e);
     if (!rc) {
         appearance_init(&c.look, VIEW_SEED);
-        rc = flight_store(b, &c.look, n, path, e);
+        rc = view_flight_store(b, &c.look, n, path, e);
     }
     if (!rc)
-        rc = flight_open(b, path, &c, e);
+        rc = view_flight_open(b, path, &c, e);
     for (int pass = 0; !rc && pass < 2; pass++) {
         c.pick_ms = c.load_ms = c.draw_ms = c.jpeg_ms = 0;
         c.gaussians = c.visible = 0;
         for (int k = 0; !rc && k < VIEW_FRAMES; k++)
-            rc = flight_frame(&c, k, e);
+            rc = view_flight_frame(&c, k, e);
     }
     if (!rc && c.gaussians == 0)
         rc = err_set(e, ERR_INTERNAL, "bench_view: check: nothing was drawn");
     if (!rc)
-        rc = flight_loss(&c, &psnr_db, e);
+        rc = view_flight_loss(&c, &psnr_db, e);
     if (!rc) {
-        qsort(c.ms, VIEW_FRAMES, sizeof c.ms[0], flight_order);
+        qsort(c.ms, VIEW_FRAMES, sizeof c.ms[0], view_flight_order);
         const struct {
             const char *name, *unit;
             double value;

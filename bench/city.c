@@ -17,7 +17,7 @@
 enum { BLOCKS = 160, SEED = 20250723 };
 #define CITY_M 420.0
 
-static double uniform(uint64_t stream, uint64_t i, double lo, double hi)
+static double city_uniform(uint64_t stream, uint64_t i, double lo, double hi)
 {
     return lo + (hi - lo) * rng_unit(SEED, stream, i);
 }
@@ -47,15 +47,16 @@ static void city_disc(struct gauss *g, size_t i, const double at[3], int axis, d
 static void city_block(struct gauss *g, size_t i, double sigma_m)
 {
     uint64_t b = rng_u64(SEED, 1, i) % BLOCKS;
-    double cell = CITY_M / 13, half[2], at[3], height = uniform(2, b, 8, 45);
-    double rgb[3] = {uniform(3, b, 0.35, 0.9), uniform(4, b, 0.35, 0.75), uniform(5, b, 0.3, 0.7)};
+    double cell = CITY_M / 13, half[2], at[3], height = city_uniform(2, b, 8, 45);
+    double rgb[3] = {city_uniform(3, b, 0.35, 0.9), city_uniform(4, b, 0.35, 0.75),
+                     city_uniform(5, b, 0.3, 0.7)};
     const double center[2] = {((double)(b % 13) - 6) * cell, ((double)(b / 13) - 6) * cell};
     int face = (int)(rng_u64(SEED, 6, i) % 10), axis = face < 2 ? 2 : face % 2;
     for (int k = 0; k < 2; k++) {
-        half[k] = uniform(7 + (unsigned)k, b, 0.2, 0.38) * cell;
-        at[k] = center[k] + half[k] * uniform(9 + (unsigned)k, i, -1, 1);
+        half[k] = city_uniform(7 + (unsigned)k, b, 0.2, 0.38) * cell;
+        at[k] = center[k] + half[k] * city_uniform(9 + (unsigned)k, i, -1, 1);
     }
-    at[2] = axis == 2 ? height : uniform(11, i, 0, height);
+    at[2] = axis == 2 ? height : city_uniform(11, i, 0, height);
     if (axis < 2) {
         at[axis] = center[axis] + (face < 6 ? half[axis] : -half[axis]);
         /* windows */
@@ -80,24 +81,25 @@ enum err_code city_make_degree(size_t n, uint32_t sh_degree, struct gauss *g, st
         return rc;
     for (size_t i = 0; i < n; i++) {
         double kind = rng_unit(SEED, 0, i);
-        double at[3] = {uniform(12, i, -0.5, 0.5) * CITY_M, uniform(13, i, -0.5, 0.5) * CITY_M, 0};
+        double at[3] = {city_uniform(12, i, -0.5, 0.5) * CITY_M,
+                        city_uniform(13, i, -0.5, 0.5) * CITY_M, 0};
         if (kind < 0.55) {
             city_block(g, i, sigma);
         } else if (kind < 0.90) {
             double shade =
-                0.25 + 0.1 * sin(at[0] * 0.4) * sin(at[1] * 0.3) + uniform(14, i, 0, 0.1);
+                0.25 + 0.1 * sin(at[0] * 0.4) * sin(at[1] * 0.3) + city_uniform(14, i, 0, 0.1);
             const double grey[3] = {shade, shade, shade * 0.95};
             city_disc(g, i, at, 2, sigma, grey);
         } else if (kind < 0.998) { /* trees along the streets */
             uint64_t tree = rng_u64(SEED, 15, i) % 900;
-            const double green[3] = {0.15, uniform(16, i, 0.25, 0.5), 0.12};
+            const double green[3] = {0.15, city_uniform(16, i, 0.25, 0.5), 0.12};
             for (unsigned k = 0; k < 3; k++)
-                at[k] = (k < 2 ? uniform(17 + k, tree, -0.5, 0.5) * CITY_M : 5) +
+                at[k] = (k < 2 ? city_uniform(17 + k, tree, -0.5, 0.5) * CITY_M : 5) +
                         1.6 * rng_normal(SEED, 60 + k, i);
             city_disc(g, i, at, (int)(i % 3), 0.6 * sigma, green);
         } else {
             const double haze[3] = {0.7, 0.75, 0.8};
-            at[2] = uniform(19, i, 5, 90);
+            at[2] = city_uniform(19, i, 5, 90);
             city_disc(g, i, at, 2, 8 * sigma, haze);
             g->opacity_logit[i] = -3.5f;
         }

@@ -39,7 +39,7 @@ void test_views_close(struct test_views *s)
     *s = (struct test_views){0};
 }
 
-static double test_views_psnr(const float *a, const float *b, size_t n)
+static double views_psnr(const float *a, const float *b, size_t n)
 {
     double sum = 0;
     for (size_t i = 0; i < n; i++) {
@@ -49,9 +49,9 @@ static double test_views_psnr(const float *a, const float *b, size_t n)
     return fmin(10 * log10((double)n / (sum + 1e-12)), SHOTS_SAME_DB);
 }
 
-static enum err_code test_views_one(struct test_views *s, size_t i, const struct render_model *m,
-                                    const struct render_options *ro, bool keep,
-                                    struct test_views_score *sum, struct err *e)
+static enum err_code views_one(struct test_views *s, size_t i, const struct render_model *m,
+                               const struct render_options *ro, bool keep,
+                               struct test_views_score *sum, struct err *e)
 {
     struct photo photo;
     double psnr = 0, ssim = 0;
@@ -76,7 +76,7 @@ static enum err_code test_views_one(struct test_views *s, size_t i, const struct
     sum->psnr_db += psnr / (double)s->n;
     sum->ssim += ssim / (double)s->n;
     if (!rc && (!rgb || s->truth[i]))
-        sum->self_db += (rgb ? test_views_psnr(rgb, s->truth[i], n) : SHOTS_SAME_DB) / (double)s->n;
+        sum->self_db += (rgb ? views_psnr(rgb, s->truth[i], n) : SHOTS_SAME_DB) / (double)s->n;
     mem_free(rgb);
     return rc;
 }
@@ -89,7 +89,7 @@ enum err_code test_views_score(struct test_views *s, const struct gauss *g,
     enum err_code rc = render_model_upload(s->render, g, &m, e);
     *out = (struct test_views_score){0};
     for (size_t i = 0; !rc && i < s->n; i++)
-        rc = test_views_one(s, i, &m, ro, keep, out, e);
+        rc = views_one(s, i, &m, ro, keep, out, e);
     render_model_free(&m);
     return rc;
 }

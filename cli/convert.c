@@ -47,7 +47,7 @@ struct converted {
     enum convert_axes axes;
 };
 
-static enum err_code format_of(const char *path, enum convert_format *out, struct err *e)
+static enum err_code convert_format_of(const char *path, enum convert_format *out, struct err *e)
 {
     static const char *const names[] = {".ply", ".spz", ".drc", ".glb", ".splat"};
     const char *dot = strrchr(path, '.');
@@ -60,8 +60,8 @@ static enum err_code format_of(const char *path, enum convert_format *out, struc
                    "%s : its name must end in .ply, .spz, .drc or .glb (.splat to read)", path);
 }
 
-static enum err_code decode_glb(const struct buf *b, const struct codec_limits *lim,
-                                struct converted *c, struct err *e)
+static enum err_code convert_decode_glb(const struct buf *b, const struct codec_limits *lim,
+                                        struct converted *c, struct err *e)
 {
     const void *spz;
     size_t n;
@@ -77,7 +77,7 @@ static enum err_code convert_read(const char *path, const struct codec_limits *l
     static const enum convert_axes of_ply[] = {AXES_AUTO, AXES_ENU, AXES_GLTF};
     enum convert_format format;
     struct buf b = {0};
-    enum err_code rc = format_of(path, &format, e);
+    enum err_code rc = convert_format_of(path, &format, e);
     if (!rc)
         rc = file_read(path, lim->max_bytes, &b, e);
     if (rc)
@@ -94,7 +94,7 @@ static enum err_code convert_read(const char *path, const struct codec_limits *l
     } else if (format == FORMAT_DRC) {
         rc = draco_decode(b.data, b.size, lim, &c->q, e);
     } else {
-        rc = decode_glb(&b, lim, c, e);
+        rc = convert_decode_glb(&b, lim, c, e);
     }
     if (!rc && c->q.block)
         rc = quant_to_gauss(&c->q, &c->g, e);
@@ -104,7 +104,7 @@ static enum err_code convert_read(const char *path, const struct codec_limits *l
     return rc;
 }
 
-static enum err_code sort_gauss(struct gauss *g, struct err *e)
+static enum err_code convert_sort_gauss(struct gauss *g, struct err *e)
 {
     struct gauss sorted = {0};
     uint32_t *order = mem_array(g->n, sizeof *order);
@@ -128,7 +128,7 @@ static enum err_code sort_gauss(struct gauss *g, struct err *e)
 }
 
 /* Rows of another degree: bands that are missing are 0, surplus ones go. */
-static enum err_code set_degree(struct gauss *g, uint32_t degree, struct err *e)
+static enum err_code convert_set_degree(struct gauss *g, uint32_t degree, struct err *e)
 {
     struct gauss other = {0};
     enum err_code rc = gauss_alloc(&other, g->n, degree, g->embed_len, e);
@@ -144,7 +144,7 @@ static enum err_code set_degree(struct gauss *g, uint32_t degree, struct err *e)
 }
 
 /* Turn from what is known of IN to what OUT is to be; returns what it then is. */
-static enum convert_axes turn(struct converted *c, enum convert_axes want, const char *path)
+static enum convert_axes convert_turn(struct converted *c, enum convert_axes want, const char *path)
 {
     if (c->axes == AXES_AUTO && want != AXES_AUTO)
         log_warn("convert", "axes of %s are not known : nothing is turned ; say --axes enu or gltf",
@@ -158,19 +158,20 @@ static enum convert_axes turn(struct converted *c, enum convert_axes want, const
     return want;
 }
 
-static enum err_code write_ply(struct converted *c, const struct convert_options *o, const char *in,
-                               struct buf *out, struct err *e)
+static enum err_code convert_write_ply(struct converted *c, const struct convert_options *o,
+                                       const char *in, struct buf *out, struct err *e)
 {
     enum convert_axes want = o->ply_axes            ? (enum convert_axes)o->ply_axes
                              : c->axes == AXES_AUTO ? AXES_AUTO
                                                     : AXES_ENU;
     static const enum ply_axes said[] = {PLY_AXES_UNKNOWN, PLY_AXES_ENU, PLY_AXES_GLTF};
-    c->info.axes = said[turn(c, want, in)];
+    c->info.axes = said[convert_turn(c, want, in)];
     return ply_encode(&c->g, &c->info, out, e);
 }
 
-static enum err_code write_integers(struct converted *c, enum convert_format format,
-                                    const struct convert_options *o, struct buf *out, struct err *e)
+static enum err_code convert_write_integers(struct converted *c, enum convert_format format,
+                                            const struct convert_options *o, struct buf *out,
+                                            struct err *e)
 {
     if (format == FORMAT_SPZ)
         return spz_encode(&c->q, o->spz_version ? 4 : 3, out, e);
@@ -179,7 +180,7 @@ static enum err_code write_integers(struct converted *c, enum convert_format for
     return glb_encode_spz(&c->q, o->copyright, out, e);
 }
 
-static void center(struct gauss *g)
+static void convert_center(struct gauss *g)
 {
     double lo[3], hi[3], middle[3];
     gauss_bounds(g, 0, lo, hi);
@@ -203,31 +204,31 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
     bool integers =
         format == FORMAT_SPZ || format == FORMAT_DRC || (format == FORMAT_GLB && !o->glb_payload);
     if (as_is && integers)
-        return write_integers(c, format, o, out, e);
+        return convert_write_integers(c, format, o, out, e);
     enum err_code rc = ERR_OK;
     if (o->sh_degree >= 0)
-        rc = set_degree(&c->g, (uint32_t)o->sh_degree, e);
+        rc = convert_set_degree(&c->g, (uint32_t)o->sh_degree, e);
     if (!rc && o->center)
-        center(&c->g);
+        convert_center(&c->g);
     if (rc)
         return rc;
     if (format == FORMAT_PLY)
-        return write_ply(c, o, in, out, e);
+        return convert_write_ply(c, o, in, out, e);
     if (c->g.origin_enu_m[0] != 0 || c->g.origin_enu_m[1] != 0 || c->g.origin_enu_m[2] != 0)
         return err_set(
             e, ERR_LIMIT,
             "convert : %s : coordinates are about %.0f %.0f %.0f m : such numbers do not fit the "
             "format ; use --center",
             in, c->g.origin_enu_m[0], c->g.origin_enu_m[1], c->g.origin_enu_m[2]);
-    turn(c, AXES_GLTF, in);
+    convert_turn(c, AXES_GLTF, in);
     if (o->sort)
-        rc = sort_gauss(&c->g, e);
+        rc = convert_sort_gauss(&c->g, e);
     if (!rc && !integers)
         return glb_encode_plain(&c->g, o->copyright, out, e);
     quant_free(&c->q);
     if (!rc)
         rc = quant_from_gauss(&c->g, c->g.sh_degree, convert_grid(o), &c->q, e);
-    return !rc ? write_integers(c, format, o, out, e) : rc;
+    return !rc ? convert_write_integers(c, format, o, out, e) : rc;
 }
 
 enum err_code cli_convert(int argc, char **argv, struct err *e)
@@ -253,7 +254,7 @@ enum err_code cli_convert(int argc, char **argv, struct err *e)
     enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
     if (rc || args.done)
         goto out;
-    rc = format_of(args.arg[1], &format, e);
+    rc = convert_format_of(args.arg[1], &format, e);
     if (!rc && format == FORMAT_SPLAT)
         rc = err_set(e, ERR_ARG, "%s : .splat is read, not written", args.arg[1]);
     const struct codec_limits lim = {.max_gaussians = (size_t)o.max_gaussians,

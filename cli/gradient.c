@@ -50,7 +50,7 @@ enum { FILES = sizeof gradient_files / sizeof *gradient_files };
 
 /* ---- input ---- */
 
-static enum err_code parse_background(const char *text, float out[3], struct err *e)
+static enum err_code gradient_parse_background(const char *text, float out[3], struct err *e)
 {
     char rest;
     if (!text || sscanf(text, "%f,%f,%f%c", &out[0], &out[1], &out[2], &rest) != 3 ||
@@ -60,7 +60,7 @@ static enum err_code parse_background(const char *text, float out[3], struct err
     return ERR_OK;
 }
 
-static enum err_code read_camera(const char *path, struct camera *out, struct err *e)
+static enum err_code gradient_read_camera(const char *path, struct camera *out, struct err *e)
 {
     struct json_t *json = NULL;
     enum err_code rc = jsonc_read(path, &json, e);
@@ -73,8 +73,8 @@ static enum err_code read_camera(const char *path, struct camera *out, struct er
     return rc;
 }
 
-static enum err_code read_grad(const char *path, const struct camera *cam, float **out,
-                               struct err *e)
+static enum err_code gradient_read_grad(const char *path, const struct camera *cam, float **out,
+                                        struct err *e)
 {
     size_t shape[3];
     enum err_code rc = npy_read(path, 3, shape, out, e);
@@ -126,8 +126,9 @@ static enum err_code gradient_run(const char *device, const struct gauss *g,
 
 /* ---- output ---- */
 
-static enum err_code write_file(const char *dir, const struct gradient_file *f, const float *raw,
-                                uint32_t planes, const struct gauss *g, struct err *e)
+static enum err_code gradient_write_file(const char *dir, const struct gradient_file *f,
+                                         const float *raw, uint32_t planes, const struct gauss *g,
+                                         struct err *e)
 {
     char path[FILE_PATH_MAX];
     size_t n = g->n;
@@ -149,7 +150,7 @@ static enum err_code write_file(const char *dir, const struct gradient_file *f, 
 }
 
 /* Remove our files from `dir`, and it. */
-static void remove_folder(const char *dir)
+static void gradient_remove_folder(const char *dir)
 {
     char path[FILE_PATH_MAX];
     for (size_t i = 0; i < FILES; i++)
@@ -159,7 +160,7 @@ static void remove_folder(const char *dir)
 }
 
 /* ERR_ARG when `dir` exists and is not an earlier result of ours. */
-static enum err_code check_output(const char *dir, struct err *e)
+static enum err_code gradient_check_output(const char *dir, struct err *e)
 {
     if (!file_exists(dir) && !file_is_dir(dir))
         return ERR_OK;
@@ -179,8 +180,8 @@ static enum err_code check_output(const char *dir, struct err *e)
     return rc;
 }
 
-static enum err_code write_folder(const char *dir, const float *raw, uint32_t planes,
-                                  const struct gauss *g, struct err *e)
+static enum err_code gradient_write_folder(const char *dir, const float *raw, uint32_t planes,
+                                           const struct gauss *g, struct err *e)
 {
     char name[FILE_PATH_MAX - 32], part[FILE_PATH_MAX], old[FILE_PATH_MAX];
     size_t len = strlen(dir);
@@ -194,7 +195,7 @@ static enum err_code write_folder(const char *dir, const float *raw, uint32_t pl
     snprintf(old, sizeof old, "%s.old-%ld", name, (long)getpid());
     enum err_code rc = file_mkdir(part, e);
     for (size_t i = 0; !rc && i < FILES; i++)
-        rc = write_file(part, &gradient_files[i], raw, planes, g, e);
+        rc = gradient_write_file(part, &gradient_files[i], raw, planes, g, e);
     bool had = file_is_dir(name);
     if (!rc && had && rename(name, old) != 0)
         rc = err_errno(e, ERR_IO, "gradient: moving %s away", name);
@@ -204,9 +205,9 @@ static enum err_code write_folder(const char *dir, const float *raw, uint32_t pl
             err_add(e, "the earlier result is in %s", old);
     }
     if (!rc && had)
-        remove_folder(old);
+        gradient_remove_folder(old);
     if (rc)
-        remove_folder(part);
+        gradient_remove_folder(part);
     return rc;
 }
 
@@ -245,19 +246,19 @@ enum err_code cli_gradient(int argc, char **argv, struct err *e)
                      : !o.grad ? "--grad FILE"
                                : "-o DIR");
     if (!rc)
-        rc = parse_background(o.background, ro.background, e);
+        rc = gradient_parse_background(o.background, ro.background, e);
     if (!rc)
-        rc = check_output(o.output, e);
+        rc = gradient_check_output(o.output, e);
     if (!rc)
-        rc = read_camera(o.camera, &cam, e);
+        rc = gradient_read_camera(o.camera, &cam, e);
     if (!rc)
-        rc = read_grad(o.grad, &cam, &rgb_grad, e);
+        rc = gradient_read_grad(o.grad, &cam, &rgb_grad, e);
     if (!rc)
         rc = ply_read(args.arg[0], &limits, &g, &info, e);
     if (!rc)
         rc = gradient_run(o.device, &g, &cam, &ro, rgb_grad, &raw, &planes, e);
     if (!rc)
-        rc = write_folder(o.output, raw, planes, &g, e);
+        rc = gradient_write_folder(o.output, raw, planes, &g, e);
 out:
     mem_free(rgb_grad);
     mem_free(raw);

@@ -36,7 +36,7 @@ static const struct options_spec spec = {
     .max_args = 16,
 };
 
-static void reload(struct server *sv)
+static void serve_reload(struct server *sv)
 {
     struct err e = {0};
     if (server_reload(sv, &e) == ERR_OK)
@@ -69,7 +69,7 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
     while (!signals_stopping()) {
         const struct timespec wait = {.tv_nsec = 100000000};
         if (sigtimedwait(&hup, NULL, &wait) == SIGHUP)
-            reload(sv);
+            serve_reload(sv);
     }
     log_info("serve", "stopping: answers under way are finished first");
 out:

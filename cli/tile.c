@@ -9,12 +9,15 @@
  */
 #include <dirent.h>
 #include <errno.h>
+#include <math.h>
+#include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "cells/camera_hull.h"
 #include "cells/cell_plan.h"
+#include "cells/footprint.h"
 #include "cells/partition.h"
 #include "cli/cli.h"
 #include "cli/splats.h"
@@ -63,9 +66,11 @@ struct tile_scene {
     const char *dir, *trained; /* scene.json and plan.json; cells/ */
     struct tile_cell *cells;   /* sorted by id */
     size_t n_cells;
-    struct camera_hull ground; /* of the photographs */
-    double crop_margin_m;      /* negative: nothing is left out */
-    struct partition plan;     /* only cells with checkpoints; n_cells 0 = no plan */
+    struct camera_hull ground;  /* of the photographs */
+    double crop_margin_m;       /* negative: nothing is left out */
+    struct footprint footprint; /* empty: nothing is left out */
+    atomic_size_t *cropped;     /* rows of all levels that --crop left out; tile_load has threads */
+    struct partition plan;      /* only cells with checkpoints; n_cells 0 = no plan */
     uint8_t n_levels;
     struct buf look; /* appearance model of all checkpoints, as they hold it; empty: none */
     bool look_known;
@@ -233,11 +238,39 @@ static enum err_code tile_match_plan(struct tile_scene *s, const struct scene *s
     return rc;
 }
 
+#define TILE_OPACITY_MIN (1.0 / 255.0) /* what is fainter than that is never drawn */
+
+/* Fade a row by the footprint; false: nothing is left of it. */
+static bool tile_fade(const struct footprint *f, struct gauss *g, size_t i)
+{
+    double mean[3], quat[4], rot[9], cov[9] = {0};
+    if (!f->nx)
+        return true;
+    for (int a = 0; a < 4; a++)
+        quat[a] = (double)g->quat_wxyz[4 * i + a];
+    camera_quat_to_rot(quat, rot);
+    for (int a = 0; a < 3; a++)
+        mean[a] = (double)g->mean_m[3 * i + a] + g->origin_enu_m[a];
+    for (int a = 0; a < 3; a++) /* the diagonal is all that is looked at */
+        for (int k = 0; k < 3; k++) {
+            double sigma = exp((double)g->scale_log[3 * i + k]) * rot[3 * a + k];
+            cov[4 * a] += sigma * sigma;
+        }
+    double w = footprint_weight(f, mean, cov);
+    if (w >= 1.0)
+        return true;
+    double opacity = w / (1.0 + exp(-(double)g->opacity_logit[i]));
+    if (!(opacity >= TILE_OPACITY_MIN))
+        return false;
+    g->opacity_logit[i] = (float)log(opacity / (1.0 - opacity));
+    return true;
+}
+
 /* The rows of a slice that its cell owns, within the crop. */
 static void tile_own(const struct tile_scene *s, const struct tile_cell *c, struct gauss *g)
 {
     size_t n = 0;
-    if (!s->plan.n_cells && s->crop_margin_m < 0.0)
+    if (!s->plan.n_cells && s->crop_margin_m < 0.0 && !s->footprint.nx)
         return;
     for (size_t i = 0; i < g->n; i++) {
         double x = (double)g->mean_m[3 * i] + g->origin_enu_m[0],
@@ -247,6 +280,10 @@ static void tile_own(const struct tile_scene *s, const struct tile_cell *c, stru
         if (s->crop_margin_m >= 0.0 &&
             !(camera_hull_distance(&s->ground, x, y) <= s->crop_margin_m))
             continue;
+        if (!tile_fade(&s->footprint, g, i)) {
+            atomic_fetch_add(s->cropped, 1);
+            continue;
+        }
         if (n != i)
             gauss_copy_row(g, n, g, i);
         n++;
@@ -472,9 +509,26 @@ static enum err_code tile_update(struct tile_scene *s, const struct tile_options
     return rc;
 }
 
+/* --crop: what the scene's photographs support, the polygons of a file, or everything. */
+static enum err_code tile_crop(struct tile_scene *s, const struct scene *scene, const char *crop,
+                               struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    bool own = !strcmp(crop, "footprint");
+    if (!strcmp(crop, "none"))
+        return ERR_OK;
+    if (!own && !file_exists(crop))
+        return err_set(e, ERR_NOENT,
+                       "--crop %s: no such file; give footprint, none or a GeoJSON file", crop);
+    rc = footprint_of(scene, &s->footprint, e);
+    return rc || own ? rc : footprint_read(&s->footprint, crop, &scene->origin, e);
+}
+
 static enum err_code tile_run(const char *dir, const struct tile_options *o, struct err *e)
 {
-    struct tile_scene s = {.dir = dir, .trained = o->trained ? o->trained : dir};
+    atomic_size_t cropped = 0;
+    struct tile_scene s = {
+        .dir = dir, .trained = o->trained ? o->trained : dir, .cropped = &cropped};
     struct scene scene = {0};
     struct tile_level level[TILE_LEVELS_MAX] = {{0}};
     struct pyramid_level levels[TILE_LEVELS_MAX] = {{0}};
@@ -482,11 +536,13 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
                                  .max_per_tile = (uint32_t)o->max_per_tile,
                                  .lossless = o->lossless};
     struct pyramid_report report;
-    struct buf look = {0};
+    struct buf look = {0}, ground = {0};
     enum err_code rc = scene_read(dir, &scene, e);
     s.crop_margin_m = o->crop_margin_m;
     if (!rc && s.crop_margin_m >= 0.0)
         rc = camera_hull_of(&scene, &s.ground, e);
+    if (!rc)
+        rc = tile_crop(&s, &scene, o->crop, e);
     if (!rc)
         rc = tile_find_cells(&s, e);
     if (!rc)
@@ -516,17 +572,30 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
     }
     if (!rc)
         rc = tile_make_look(&s, &level[s.n_levels - 1], &look, e);
-    const struct ckpt_blob blob = {"appearance", look.data, look.size};
+    if (!rc && s.footprint.nx)
+        rc = footprint_write(&s.footprint, &scene.origin, &ground, e);
+    struct ckpt_blob blobs[2];
+    size_t n_blobs = 0;
+    if (look.size)
+        blobs[n_blobs++] = (struct ckpt_blob){BAKE_BLOB, look.data, look.size};
+    if (ground.size)
+        blobs[n_blobs++] = (struct ckpt_blob){STORE_FOOTPRINT, ground.data, ground.size};
     if (!rc)
-        rc = pyramid_build(&scene.origin, levels, s.n_levels, &cfg, &blob, look.size > 0, o->output,
+        rc = pyramid_build(&scene.origin, levels, s.n_levels, &cfg, blobs, n_blobs, o->output,
                            &report, e);
     if (!rc)
         tile_print(o->output, &report);
+    if (!rc && s.footprint.nx)
+        printf("cropped    %10zu Gaussians of all levels, outside of what the photographs support "
+               "(--crop)\n",
+               atomic_load(&cropped));
 out:
     for (uint8_t i = 0; i < TILE_LEVELS_MAX; i++)
         tile_close_level(&level[i]);
     buf_free(&look);
+    buf_free(&ground);
     buf_free(&s.look);
+    footprint_free(&s.footprint);
     partition_free(&s.plan);
     camera_hull_free(&s.ground);
     mem_free(s.cells);

@@ -6,7 +6,9 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "cells/footprint.h"
 #include "cli/cli.h"
+#include "codec/scene.h"
 #include "train/config.h"
 #include "train/jobs.h"
 #include "train/timing.h"
@@ -36,7 +38,7 @@ static void train_print(const struct train_result *r)
         train_print_cell(&r->cells[i]);
     for (size_t i = 0; i < r->n_cells; i++)
         if (!r->cells[i].was_done)
-            timing_add(&spent, &r->cells[i].spent);
+            timing_add(&spent, &r->cells[i].timing);
     printf("%.1f s, %.0f MiB at most\n", r->seconds, (double)r->peak_bytes / 1048576.0);
     if (timing_total(&spent) > 0.0) {
         timing_text(&spent, text, sizeof text);
@@ -78,6 +80,34 @@ static enum err_code train_shared_first(const char *scene_dir, const struct trai
     return rc;
 }
 
+/* What the photographs support, as a file beside the results; nothing where that is not known. */
+static enum err_code train_footprint(const char *scene_dir, const struct train_config *cfg,
+                                     struct err *e)
+{
+    struct scene scene = {0};
+    struct footprint ground = {0};
+    struct buf text = {0};
+    char path[FILE_PATH_MAX];
+    if (cfg->cell || cfg->appearance_only) /* a part of a run that writes it */
+        return ERR_OK;
+    const char *dir = cfg->output ? cfg->output : scene_dir;
+    enum err_code rc = scene_read(scene_dir, &scene, e);
+    if (!rc)
+        rc = footprint_of(&scene, &ground, e);
+    if (!rc && ground.nx)
+        rc = footprint_write(&ground, &scene.origin, &text, e);
+    if (!rc && text.size)
+        rc = file_mkdir(dir, e);
+    if (!rc && text.size)
+        rc = file_join(path, dir, "footprint.geojson", e);
+    if (!rc && text.size)
+        rc = file_write(path, text.data, text.size, e);
+    buf_free(&text);
+    footprint_free(&ground);
+    scene_free(&scene);
+    return rc;
+}
+
 static enum err_code train_all(const char *scene_dir, const struct train_config *cfg,
                                struct train_result *out, struct err *e)
 {
@@ -107,6 +137,8 @@ enum err_code cli_train(int argc, char **argv, struct err *e)
         rc = train_print_list(args.arg[0], &cfg, e);
     } else if (!rc && !args.done) {
         rc = train_all(args.arg[0], &cfg, &result, e);
+        if (!rc)
+            rc = train_footprint(args.arg[0], &cfg, e);
         if (!rc || result.n_cells)
             train_print(&result);
     }

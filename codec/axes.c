@@ -20,21 +20,21 @@
 enum { CH = 3 }; /* stride between coefficients of one channel */
 
 /* v points at one channel of the first coefficient of its band. */
-static void band1_to_gltf(float *v)
+static void axes_band1_to_gltf(float *v)
 {
     float o0 = v[0], o1 = v[CH];
     v[0] = -o1;
     v[CH] = o0;
 }
 
-static void band1_to_enu(float *v)
+static void axes_band1_to_enu(float *v)
 {
     float n0 = v[0], n1 = v[CH];
     v[0] = n1;
     v[CH] = -n0;
 }
 
-static void band2_to_gltf(float *v)
+static void axes_band2_to_gltf(float *v)
 {
     float o0 = v[0], o1 = v[CH], o2 = v[2 * CH], o3 = v[3 * CH], o4 = v[4 * CH];
     v[0] = -o3;
@@ -44,7 +44,7 @@ static void band2_to_gltf(float *v)
     v[4 * CH] = -A * o2 + 0.5f * o4;
 }
 
-static void band2_to_enu(float *v)
+static void axes_band2_to_enu(float *v)
 {
     float n0 = v[0], n1 = v[CH], n2 = v[2 * CH], n3 = v[3 * CH], n4 = v[4 * CH];
     v[0] = n3;
@@ -54,7 +54,7 @@ static void band2_to_enu(float *v)
     v[4 * CH] = -A * n2 + 0.5f * n4;
 }
 
-static void band3_to_gltf(float *v)
+static void axes_band3_to_gltf(float *v)
 {
     float o0 = v[0], o1 = v[CH], o2 = v[2 * CH], o3 = v[3 * CH];
     float o4 = v[4 * CH], o5 = v[5 * CH], o6 = v[6 * CH];
@@ -67,7 +67,7 @@ static void band3_to_gltf(float *v)
     v[6 * CH] = -D * o4 + 0.25f * o6;
 }
 
-static void band3_to_enu(float *v)
+static void axes_band3_to_enu(float *v)
 {
     float n0 = v[0], n1 = v[CH], n2 = v[2 * CH], n3 = v[3 * CH];
     float n4 = v[4 * CH], n5 = v[5 * CH], n6 = v[6 * CH];
@@ -80,8 +80,8 @@ static void band3_to_enu(float *v)
     v[6 * CH] = -D * n4 + 0.25f * n6;
 }
 
-static void turn_sh(struct gauss *g, void (*band1)(float *), void (*band2)(float *),
-                    void (*band3)(float *))
+static void axes_turn_sh(struct gauss *g, void (*band1)(float *), void (*band2)(float *),
+                         void (*band3)(float *))
 {
     size_t k = gauss_sh_count(g->sh_degree);
     for (size_t i = 0; i < g->n; i++)
@@ -108,7 +108,7 @@ void axes_enu_to_gltf(struct gauss *g)
         q[2] = H * (y + z);
         q[3] = H * (z - y);
     }
-    turn_sh(g, band1_to_gltf, band2_to_gltf, band3_to_gltf);
+    axes_turn_sh(g, axes_band1_to_gltf, axes_band2_to_gltf, axes_band3_to_gltf);
 }
 
 void axes_gltf_to_enu(struct gauss *g)
@@ -123,5 +123,5 @@ void axes_gltf_to_enu(struct gauss *g)
         q[2] = H * (y - z);
         q[3] = H * (z + y);
     }
-    turn_sh(g, band1_to_enu, band2_to_enu, band3_to_enu);
+    axes_turn_sh(g, axes_band1_to_enu, axes_band2_to_enu, axes_band3_to_enu);
 }

@@ -26,7 +26,7 @@ enum {
 };
 
 /* A count of records of at least `min` bytes each. */
-static bool count_read(struct cursor *c, size_t min, size_t *out)
+static bool bin_count_read(struct cursor *c, size_t min, size_t *out)
 {
     uint64_t n = cursor_u64(c);
     *out = 0;
@@ -36,19 +36,19 @@ static bool count_read(struct cursor *c, size_t min, size_t *out)
     return true;
 }
 
-static enum err_code count_error(const char *file, const struct cursor *c, struct err *e)
+static enum err_code bin_count_error(const char *file, const struct cursor *c, struct err *e)
 {
     return err_set(e, ERR_FORMAT,
                    "%s: its count of records does not fit its size (%zu bytes after it): truncated",
                    file, cursor_left(c));
 }
 
-static enum err_code out_of_memory(const char *file, size_t n, struct err *e)
+static enum err_code bin_out_of_memory(const char *file, size_t n, struct err *e)
 {
     return err_set(e, ERR_MEM, "%s: out of memory for %zu records", file, n);
 }
 
-static enum err_code trailing_check(const char *file, const struct cursor *c, struct err *e)
+static enum err_code bin_trailing_check(const char *file, const struct cursor *c, struct err *e)
 {
     if (cursor_left(c))
         return err_set(e, ERR_FORMAT, "%s: %zu bytes follow the last record", file, cursor_left(c));
@@ -60,11 +60,11 @@ enum err_code colmap_bin_cameras(const struct buf *file, struct colmap_model *m,
     static const char name[] = "cameras.bin";
     struct cursor c = cursor_over(file->data, file->size);
     size_t n;
-    if (!count_read(&c, CAMERA_MIN, &n))
-        return count_error(name, &c, e);
+    if (!bin_count_read(&c, CAMERA_MIN, &n))
+        return bin_count_error(name, &c, e);
     m->cameras = arena_get(&m->arena, n, sizeof *m->cameras);
     if (!m->cameras)
-        return out_of_memory(name, n, e);
+        return bin_out_of_memory(name, n, e);
     m->n_cameras = n;
     for (size_t i = 0; i < n; i++) {
         struct colmap_camera *cam = &m->cameras[i];
@@ -88,10 +88,10 @@ enum err_code colmap_bin_cameras(const struct buf *file, struct colmap_model *m,
         if (why)
             return err_set(e, ERR_FORMAT, "%s: camera %zu of %zu: %s", name, i + 1, n, why);
     }
-    return trailing_check(name, &c, e);
+    return bin_trailing_check(name, &c, e);
 }
 
-static char *name_read(struct cursor *c, struct arena *a)
+static char *bin_name_read(struct cursor *c, struct arena *a)
 {
     const uint8_t *end = c->bad ? NULL : memchr(c->p, 0, cursor_left(c));
     if (!end) {
@@ -106,8 +106,8 @@ static char *name_read(struct cursor *c, struct arena *a)
     return out;
 }
 
-static enum err_code image_read_record(struct cursor *c, struct colmap_model *m,
-                                       struct colmap_image *im, struct err *e)
+static enum err_code bin_image_read_record(struct cursor *c, struct colmap_model *m,
+                                           struct colmap_image *im, struct err *e)
 {
     im->id = cursor_u32(c);
     for (int k = 0; k < 4; k++)
@@ -115,10 +115,10 @@ static enum err_code image_read_record(struct cursor *c, struct colmap_model *m,
     for (int k = 0; k < 3; k++)
         im->trans[k] = cursor_f64(c);
     im->camera = cursor_u32(c);
-    im->name = name_read(c, &m->arena);
+    im->name = bin_name_read(c, &m->arena);
     if (!c->bad && !im->name)
         return err_set(e, ERR_MEM, "out of memory");
-    if (c->bad || !count_read(c, OBS_SIZE, &im->n_obs))
+    if (c->bad || !bin_count_read(c, OBS_SIZE, &im->n_obs))
         return err_set(e, ERR_FORMAT, "truncated");
     im->obs = arena_get(&m->arena, im->n_obs, sizeof *im->obs);
     if (!im->obs)
@@ -137,29 +137,29 @@ enum err_code colmap_bin_images(const struct buf *file, struct colmap_model *m, 
     static const char name[] = "images.bin";
     struct cursor c = cursor_over(file->data, file->size);
     size_t n;
-    if (!count_read(&c, IMAGE_MIN, &n))
-        return count_error(name, &c, e);
+    if (!bin_count_read(&c, IMAGE_MIN, &n))
+        return bin_count_error(name, &c, e);
     m->images = arena_get(&m->arena, n, sizeof *m->images);
     if (!m->images)
-        return out_of_memory(name, n, e);
+        return bin_out_of_memory(name, n, e);
     m->n_images = n;
     for (size_t i = 0; i < n; i++) {
         struct err inner = {0};
-        enum err_code rc = image_read_record(&c, m, &m->images[i], &inner);
+        enum err_code rc = bin_image_read_record(&c, m, &m->images[i], &inner);
         if (rc)
             return err_set(e, rc, "%s: image %zu of %zu: %s", name, i + 1, n, inner.msg);
     }
-    return trailing_check(name, &c, e);
+    return bin_trailing_check(name, &c, e);
 }
 
 /* Sum of all track lengths: tracks are one array, so its size must be known first. */
-static bool tracks_count(struct cursor c, size_t n, size_t *total)
+static bool bin_tracks_count(struct cursor c, size_t n, size_t *total)
 {
     *total = 0;
     for (size_t i = 0; i < n; i++) {
         size_t len;
         cursor_take(&c, POINT_MIN - 8);
-        if (!count_read(&c, TRACK_SIZE, &len))
+        if (!bin_count_read(&c, TRACK_SIZE, &len))
             return false;
         cursor_take(&c, len * TRACK_SIZE);
         *total += len;
@@ -172,14 +172,14 @@ enum err_code colmap_bin_points(const struct buf *file, struct colmap_model *m, 
     static const char name[] = "points3D.bin";
     struct cursor c = cursor_over(file->data, file->size);
     size_t n, total = 0;
-    if (!count_read(&c, POINT_MIN, &n))
-        return count_error(name, &c, e);
+    if (!bin_count_read(&c, POINT_MIN, &n))
+        return bin_count_error(name, &c, e);
     bool whole =
-        tracks_count(c, n, &total); /* a truncated file is read up to the record to be named */
+        bin_tracks_count(c, n, &total); /* a truncated file is read up to the record to be named */
     m->points = arena_get(&m->arena, n, sizeof *m->points);
     m->tracks = arena_get(&m->arena, total, sizeof *m->tracks);
     if (!m->points || !m->tracks)
-        return out_of_memory(name, n + total, e);
+        return bin_out_of_memory(name, n + total, e);
     m->n_points = n;
     m->n_tracks = total;
     size_t at = 0;
@@ -191,7 +191,7 @@ enum err_code colmap_bin_points(const struct buf *file, struct colmap_model *m, 
         for (int k = 0; k < 3; k++)
             p->rgb[k] = cursor_u8(&c);
         p->error_px = cursor_f64(&c);
-        if (!count_read(&c, TRACK_SIZE, &p->n_track))
+        if (!bin_count_read(&c, TRACK_SIZE, &p->n_track))
             return err_set(e, ERR_FORMAT, "%s: point %zu of %zu: truncated", name, i + 1, n);
         p->track = at;
         for (size_t k = 0; k < p->n_track; k++, at++) {
@@ -204,12 +204,12 @@ enum err_code colmap_bin_points(const struct buf *file, struct colmap_model *m, 
     }
     if (!whole)
         return err_set(e, ERR_FORMAT, "%s: truncated", name);
-    return trailing_check(name, &c, e);
+    return bin_trailing_check(name, &c, e);
 }
 
 /* ---- writing ---- */
 
-static void cameras_write(const struct colmap_model *m, struct buf *b)
+static void bin_cameras_write(const struct colmap_model *m, struct buf *b)
 {
     buf_u64(b, m->n_cameras);
     for (size_t i = 0; i < m->n_cameras; i++) {
@@ -223,7 +223,7 @@ static void cameras_write(const struct colmap_model *m, struct buf *b)
     }
 }
 
-static void images_write(const struct colmap_model *m, struct buf *b)
+static void bin_images_write(const struct colmap_model *m, struct buf *b)
 {
     buf_u64(b, m->n_images);
     for (size_t i = 0; i < m->n_images; i++) {
@@ -245,7 +245,7 @@ static void images_write(const struct colmap_model *m, struct buf *b)
     }
 }
 
-static void points_write(const struct colmap_model *m, struct buf *b)
+static void bin_points_write(const struct colmap_model *m, struct buf *b)
 {
     buf_u64(b, m->n_points);
     for (size_t i = 0; i < m->n_points; i++) {
@@ -266,8 +266,8 @@ static void points_write(const struct colmap_model *m, struct buf *b)
 enum err_code colmap_write_bin(const char *dir, const struct colmap_model *m, struct err *e)
 {
     static const char *const names[] = {"cameras.bin", "images.bin", "points3D.bin"};
-    static void (*const writers[])(const struct colmap_model *,
-                                   struct buf *) = {cameras_write, images_write, points_write};
+    static void (*const writers[])(const struct colmap_model *, struct buf *) = {
+        bin_cameras_write, bin_images_write, bin_points_write};
     enum err_code rc = file_mkdir(dir, e);
     for (int i = 0; i < 3 && !rc; i++) {
         char path[FILE_PATH_MAX];

@@ -27,35 +27,35 @@ void colmap_free(struct colmap_model *m)
 
 /* ---- ids to indices ---- */
 
-static int camera_compare(const void *a, const void *b)
+static int colmap_camera_compare(const void *a, const void *b)
 {
     const struct colmap_camera *p = a, *q = b;
     return (p->id > q->id) - (p->id < q->id);
 }
 
-static int image_compare(const void *a, const void *b)
+static int colmap_image_compare(const void *a, const void *b)
 {
     const struct colmap_image *p = a, *q = b;
     return (p->id > q->id) - (p->id < q->id);
 }
 
-static int point_compare(const void *a, const void *b)
+static int colmap_point_compare(const void *a, const void *b)
 {
     const struct colmap_point *p = a, *q = b;
     return (p->id > q->id) - (p->id < q->id);
 }
 
-static int name_compare(const void *a, const void *b)
+static int colmap_name_compare(const void *a, const void *b)
 {
     const struct colmap_image *const *p = a, *const *q = b;
     return strcmp((*p)->name, (*q)->name);
 }
 
-static enum err_code sort_and_check_unique(struct colmap_model *m, struct err *e)
+static enum err_code colmap_sort_and_check_unique(struct colmap_model *m, struct err *e)
 {
-    qsort(m->cameras, m->n_cameras, sizeof *m->cameras, camera_compare);
-    qsort(m->images, m->n_images, sizeof *m->images, image_compare);
-    qsort(m->points, m->n_points, sizeof *m->points, point_compare);
+    qsort(m->cameras, m->n_cameras, sizeof *m->cameras, colmap_camera_compare);
+    qsort(m->images, m->n_images, sizeof *m->images, colmap_image_compare);
+    qsort(m->points, m->n_points, sizeof *m->points, colmap_point_compare);
     for (size_t i = 1; i < m->n_cameras; i++)
         if (m->cameras[i].id == m->cameras[i - 1].id)
             return err_set(e, ERR_FORMAT, "cameras: id %u appears twice", m->cameras[i].id);
@@ -71,7 +71,7 @@ static enum err_code sort_and_check_unique(struct colmap_model *m, struct err *e
         return err_set(e, ERR_MEM, "out of memory for %zu images", m->n_images);
     for (size_t i = 0; i < m->n_images; i++)
         by_name[i] = &m->images[i];
-    qsort(by_name, m->n_images, sizeof *by_name, name_compare);
+    qsort(by_name, m->n_images, sizeof *by_name, colmap_name_compare);
     enum err_code rc = ERR_OK;
     for (size_t i = 1; i < m->n_images && !rc; i++)
         if (!strcmp(by_name[i]->name, by_name[i - 1]->name))
@@ -81,8 +81,8 @@ static enum err_code sort_and_check_unique(struct colmap_model *m, struct err *e
 }
 
 /* Index of an id in a sorted array of records whose id is read by `id_at`; n when absent. */
-static size_t find_id(const struct colmap_model *m, size_t n, uint64_t id,
-                      uint64_t (*id_at)(const struct colmap_model *, size_t))
+static size_t colmap_find_id(const struct colmap_model *m, size_t n, uint64_t id,
+                             uint64_t (*id_at)(const struct colmap_model *, size_t))
 {
     size_t lo = 0, hi = n;
     while (lo < hi) {
@@ -95,26 +95,26 @@ static size_t find_id(const struct colmap_model *m, size_t n, uint64_t id,
     return lo < n && id_at(m, lo) == id ? lo : n;
 }
 
-static uint64_t camera_id_at(const struct colmap_model *m, size_t i)
+static uint64_t colmap_camera_id_at(const struct colmap_model *m, size_t i)
 {
     return m->cameras[i].id;
 }
 
-static uint64_t image_id_at(const struct colmap_model *m, size_t i)
+static uint64_t colmap_image_id_at(const struct colmap_model *m, size_t i)
 {
     return m->images[i].id;
 }
 
-static uint64_t point_id_at(const struct colmap_model *m, size_t i)
+static uint64_t colmap_point_id_at(const struct colmap_model *m, size_t i)
 {
     return m->points[i].id;
 }
 
-static enum err_code resolve_images(struct colmap_model *m, struct err *e)
+static enum err_code colmap_resolve_images(struct colmap_model *m, struct err *e)
 {
     for (size_t i = 0; i < m->n_images; i++) {
         struct colmap_image *im = &m->images[i];
-        size_t cam = find_id(m, m->n_cameras, im->camera, camera_id_at);
+        size_t cam = colmap_find_id(m, m->n_cameras, im->camera, colmap_camera_id_at);
         if (cam == m->n_cameras)
             return err_set(e, ERR_FORMAT,
                            "images: '%.200s' refers to camera %zu, which cameras does not hold",
@@ -123,7 +123,8 @@ static enum err_code resolve_images(struct colmap_model *m, struct err *e)
         for (size_t j = 0; j < im->n_obs; j++) {
             if (im->obs[j].point == -1)
                 continue;
-            size_t pt = find_id(m, m->n_points, (uint64_t)im->obs[j].point, point_id_at);
+            size_t pt =
+                colmap_find_id(m, m->n_points, (uint64_t)im->obs[j].point, colmap_point_id_at);
             if (pt == m->n_points)
                 return err_set(e, ERR_FORMAT,
                                "images: '%.200s': observation %zu refers to point %lld, which "
@@ -135,13 +136,13 @@ static enum err_code resolve_images(struct colmap_model *m, struct err *e)
     return ERR_OK;
 }
 
-static enum err_code resolve_tracks(struct colmap_model *m, struct err *e)
+static enum err_code colmap_resolve_tracks(struct colmap_model *m, struct err *e)
 {
     for (size_t p = 0; p < m->n_points; p++) {
         const struct colmap_point *pt = &m->points[p];
         for (size_t k = 0; k < pt->n_track; k++) {
             struct colmap_track_element *t = &m->tracks[pt->track + k];
-            size_t i = find_id(m, m->n_images, t->image, image_id_at);
+            size_t i = colmap_find_id(m, m->n_images, t->image, colmap_image_id_at);
             if (i == m->n_images)
                 return err_set(
                     e, ERR_FORMAT,
@@ -164,13 +165,13 @@ static enum err_code resolve_tracks(struct colmap_model *m, struct err *e)
     return ERR_OK;
 }
 
-static enum err_code model_resolve(struct colmap_model *m, struct err *e)
+static enum err_code colmap_model_resolve(struct colmap_model *m, struct err *e)
 {
-    enum err_code rc = sort_and_check_unique(m, e);
+    enum err_code rc = colmap_sort_and_check_unique(m, e);
     if (!rc)
-        rc = resolve_images(m, e);
+        rc = colmap_resolve_images(m, e);
     if (!rc)
-        rc = resolve_tracks(m, e);
+        rc = colmap_resolve_tracks(m, e);
     return rc;
 }
 
@@ -181,7 +182,7 @@ static const char *const suffixes[] = {"", ".bin", ".txt"};
 
 /* Which complete set is in `dir`; `partial` (a file name) is filled with one that has no
  * companions. */
-static enum layout model_in(const char *dir, char *partial, size_t n_partial)
+static enum layout colmap_model_in(const char *dir, char *partial, size_t n_partial)
 {
     for (enum layout l = LAYOUT_BIN; l <= LAYOUT_TXT; l++) {
         int found = 0, missing = 0;
@@ -202,7 +203,8 @@ static enum layout model_in(const char *dir, char *partial, size_t n_partial)
     return LAYOUT_NONE;
 }
 
-static enum err_code model_find(const char *dir, char *out, enum layout *layout, struct err *e)
+static enum err_code colmap_model_find(const char *dir, char *out, enum layout *layout,
+                                       struct err *e)
 {
     static const char *const below[] = {"", "sparse", "sparse/0", "0"};
     char partial[400] = "";
@@ -211,7 +213,7 @@ static enum err_code model_find(const char *dir, char *out, enum layout *layout,
             below[i][0] ? file_join(out, dir, below[i], e) : file_join(out, dir, ".", e);
         if (rc)
             return rc;
-        *layout = model_in(out, partial, sizeof partial);
+        *layout = colmap_model_in(out, partial, sizeof partial);
         if (*layout != LAYOUT_NONE)
             return ERR_OK;
     }
@@ -222,8 +224,8 @@ static enum err_code model_find(const char *dir, char *out, enum layout *layout,
                    dir, partial);
 }
 
-static enum err_code model_read_part(const char *dir, int part, enum layout layout,
-                                     struct colmap_model *m, struct err *e)
+static enum err_code colmap_model_read_part(const char *dir, int part, enum layout layout,
+                                            struct colmap_model *m, struct err *e)
 {
     typedef enum err_code bin_fn(const struct buf *, struct colmap_model *, struct err *);
     typedef enum err_code txt_fn(struct buf *, struct colmap_model *, struct err *);
@@ -250,13 +252,13 @@ enum err_code colmap_read(const char *dir, struct colmap_model *out, struct err 
     char found[FILE_PATH_MAX];
     enum layout layout;
     struct colmap_model m = {0};
-    enum err_code rc = model_find(dir, found, &layout, e);
+    enum err_code rc = colmap_model_find(dir, found, &layout, e);
     if (rc)
         goto out;
     for (int i = 0; i < PART_COUNT && !rc; i++)
-        rc = model_read_part(found, i, layout, &m, e);
+        rc = colmap_model_read_part(found, i, layout, &m, e);
     if (!rc)
-        rc = model_resolve(&m, e);
+        rc = colmap_model_resolve(&m, e);
     if (rc) {
         err_add(e, "COLMAP model in %.300s", found);
         goto out;

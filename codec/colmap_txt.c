@@ -22,7 +22,7 @@ struct lines { /* hands out the lines of a buffer, NUL-terminated, without blank
     size_t number;
 };
 
-static char *line_next(struct lines *l)
+static char *txt_line_next(struct lines *l)
 {
     if (l->p >= l->end)
         return NULL;
@@ -37,17 +37,18 @@ static char *line_next(struct lines *l)
 }
 
 /* The next line with a record in it. */
-static char *metrics_log_next(struct lines *l)
+static char *txt_record_next(struct lines *l)
 {
     char *s;
     do
-        s = line_next(l);
+        s = txt_line_next(l);
     while (s && (!*s || *s == '#'));
     return s;
 }
 
 /* The buffer ends in the NUL byte the caller added; another one before it means this is no text. */
-static enum err_code lines_open(struct buf *file, const char *name, struct lines *l, struct err *e)
+static enum err_code txt_lines_open(struct buf *file, const char *name, struct lines *l,
+                                    struct err *e)
 {
     char *text = (char *)file->data;
     if (memchr(text, 0, file->size) != text + file->size - 1)
@@ -56,7 +57,7 @@ static enum err_code lines_open(struct buf *file, const char *name, struct lines
     return ERR_OK;
 }
 
-static bool number_next(char **s, double *out)
+static bool txt_number_next(char **s, double *out)
 {
     char *end;
     *s += strspn(*s, " \t");
@@ -67,7 +68,7 @@ static bool number_next(char **s, double *out)
     return true;
 }
 
-static bool id_next(char **s, uint64_t *out)
+static bool txt_id_next(char **s, uint64_t *out)
 {
     char *end;
     *s += strspn(*s, " \t");
@@ -83,16 +84,16 @@ static bool id_next(char **s, uint64_t *out)
     return true;
 }
 
-static bool id32_next(char **s, uint32_t *out)
+static bool txt_id32_next(char **s, uint32_t *out)
 {
     uint64_t v;
-    if (!id_next(s, &v) || v > UINT32_MAX)
+    if (!txt_id_next(s, &v) || v > UINT32_MAX)
         return false;
     *out = (uint32_t)v;
     return true;
 }
 
-static size_t word_count(const char *s)
+static size_t txt_word_count(const char *s)
 {
     size_t n = 0;
     for (s += strspn(s, " \t"); *s; s += strspn(s, " \t")) {
@@ -102,17 +103,17 @@ static size_t word_count(const char *s)
     return n;
 }
 
-static bool at_end(const char *s)
+static bool txt_at_end(const char *s)
 {
     return s[strspn(s, " \t")] == 0;
 }
 
-static void line_error(const char *name, const struct lines *l, const char *why, struct err *e)
+static void txt_line_error(const char *name, const struct lines *l, const char *why, struct err *e)
 {
     err_set(e, ERR_FORMAT, "%s: line %zu: %s", name, l->number, why);
 }
 
-static char *word_next(char **s)
+static char *txt_word_next(char **s)
 {
     *s += strspn(*s, " \t");
     char *w = *s;
@@ -122,24 +123,24 @@ static char *word_next(char **s)
     return w;
 }
 
-static enum err_code camera_line(char *s, struct colmap_camera *cam, struct err *e)
+static enum err_code txt_camera_line(char *s, struct colmap_camera *cam, struct err *e)
 {
-    if (!id32_next(&s, &cam->id))
+    if (!txt_id32_next(&s, &cam->id))
         return err_set(e, ERR_FORMAT, "expected a camera id");
-    enum err_code rc = lens_from_name(word_next(&s), &cam->lens.model, e);
+    enum err_code rc = lens_from_name(txt_word_next(&s), &cam->lens.model, e);
     if (rc)
         return rc;
     uint32_t w, h;
-    if (!id32_next(&s, &w) || !id32_next(&s, &h) || !w || !h || w > 1 << 20 || h > 1 << 20)
+    if (!txt_id32_next(&s, &w) || !txt_id32_next(&s, &h) || !w || !h || w > 1 << 20 || h > 1 << 20)
         return err_set(e, ERR_FORMAT, "expected width and height in pixels");
     cam->lens.width_px = w;
     cam->lens.height_px = h;
     size_t want = lens_param_count(cam->lens.model);
     for (size_t k = 0; k < want; k++)
-        if (!number_next(&s, &cam->lens.params[k]))
+        if (!txt_number_next(&s, &cam->lens.params[k]))
             return err_set(e, ERR_FORMAT, "%s needs %zu parameters", lens_name(cam->lens.model),
                            want);
-    if (!at_end(s))
+    if (!txt_at_end(s))
         return err_set(e, ERR_FORMAT, "%s has only %zu parameters", lens_name(cam->lens.model),
                        want);
     const char *why = colmap_check_camera(cam);
@@ -154,7 +155,7 @@ struct list {
 };
 
 /* A zeroed new entry, NULL when out of memory. */
-static void *list_add(struct list *l)
+static void *txt_list_add(struct list *l)
 {
     if (l->n == l->cap) {
         size_t want = l->cap ? l->cap * 2 : 64;
@@ -168,7 +169,7 @@ static void *list_add(struct list *l)
 }
 
 /* Copy into the arena and free the list; NULL when out of memory. */
-static void *list_move(struct list *l, struct arena *a)
+static void *txt_list_move(struct list *l, struct arena *a)
 {
     void *out = arena_get(a, l->n, l->size);
     if (out && l->n)
@@ -180,7 +181,7 @@ static void *list_move(struct list *l, struct arena *a)
 
 /* ---- files ---- */
 
-static enum err_code no_memory(const char *name, struct err *e)
+static enum err_code txt_no_memory(const char *name, struct err *e)
 {
     return err_set(e, ERR_MEM, "%s: out of memory", name);
 }
@@ -190,32 +191,33 @@ enum err_code colmap_txt_cameras(struct buf *file, struct colmap_model *m, struc
     static const char name[] = "cameras.txt";
     struct lines l;
     struct list cameras = {.size = sizeof *m->cameras};
-    enum err_code rc = lines_open(file, name, &l, e);
-    for (char *s; !rc && (s = metrics_log_next(&l));) {
-        struct colmap_camera *cam = list_add(&cameras);
+    enum err_code rc = txt_lines_open(file, name, &l, e);
+    for (char *s; !rc && (s = txt_record_next(&l));) {
+        struct colmap_camera *cam = txt_list_add(&cameras);
         struct err inner = {0};
         if (!cam)
-            rc = no_memory(name, e);
-        else if ((rc = camera_line(s, cam, &inner)) != ERR_OK)
-            line_error(name, &l, inner.msg, e);
+            rc = txt_no_memory(name, e);
+        else if ((rc = txt_camera_line(s, cam, &inner)) != ERR_OK)
+            txt_line_error(name, &l, inner.msg, e);
     }
     m->n_cameras = cameras.n;
-    m->cameras = list_move(&cameras, &m->arena);
-    return !rc && !m->cameras ? no_memory(name, e) : rc;
+    m->cameras = txt_list_move(&cameras, &m->arena);
+    return !rc && !m->cameras ? txt_no_memory(name, e) : rc;
 }
 
-static enum err_code image_line(char *s, struct colmap_image *im, struct arena *a, struct err *e)
+static enum err_code txt_image_line(char *s, struct colmap_image *im, struct arena *a,
+                                    struct err *e)
 {
     uint32_t camera;
-    if (!id32_next(&s, &im->id))
+    if (!txt_id32_next(&s, &im->id))
         return err_set(e, ERR_FORMAT, "expected an image id");
     for (int k = 0; k < 4; k++)
-        if (!number_next(&s, &im->quat_wxyz[k]))
+        if (!txt_number_next(&s, &im->quat_wxyz[k]))
             return err_set(e, ERR_FORMAT, "expected QW QX QY QZ");
     for (int k = 0; k < 3; k++)
-        if (!number_next(&s, &im->trans[k]))
+        if (!txt_number_next(&s, &im->trans[k]))
             return err_set(e, ERR_FORMAT, "expected TX TY TZ");
-    if (!id32_next(&s, &camera))
+    if (!txt_id32_next(&s, &camera))
         return err_set(e, ERR_FORMAT, "expected a camera id");
     im->camera = camera;
     im->name =
@@ -223,10 +225,10 @@ static enum err_code image_line(char *s, struct colmap_image *im, struct arena *
     return im->name ? ERR_OK : err_set(e, ERR_MEM, "out of memory");
 }
 
-static enum err_code observations_line(char *s, struct colmap_image *im, struct arena *a,
-                                       struct err *e)
+static enum err_code txt_observations_line(char *s, struct colmap_image *im, struct arena *a,
+                                           struct err *e)
 {
-    size_t words = word_count(s);
+    size_t words = txt_word_count(s);
     if (words % 3)
         return err_set(e, ERR_FORMAT, "observations come in threes: X Y POINT_ID; found %zu words",
                        words);
@@ -236,8 +238,8 @@ static enum err_code observations_line(char *s, struct colmap_image *im, struct 
         return err_set(e, ERR_MEM, "out of memory");
     for (size_t j = 0; j < im->n_obs; j++) {
         uint64_t id;
-        if (!number_next(&s, &im->obs[j].x_px) || !number_next(&s, &im->obs[j].y_px) ||
-            !id_next(&s, &id))
+        if (!txt_number_next(&s, &im->obs[j].x_px) || !txt_number_next(&s, &im->obs[j].y_px) ||
+            !txt_id_next(&s, &id))
             return err_set(e, ERR_FORMAT, "observation %zu: expected X Y POINT_ID", j);
         im->obs[j].point = (int64_t)id;
     }
@@ -249,56 +251,57 @@ enum err_code colmap_txt_images(struct buf *file, struct colmap_model *m, struct
     static const char name[] = "images.txt";
     struct lines l;
     struct list images = {.size = sizeof *m->images};
-    enum err_code rc = lines_open(file, name, &l, e);
-    for (char *s; !rc && (s = metrics_log_next(&l));) {
-        struct colmap_image *im = list_add(&images);
+    enum err_code rc = txt_lines_open(file, name, &l, e);
+    for (char *s; !rc && (s = txt_record_next(&l));) {
+        struct colmap_image *im = txt_list_add(&images);
         struct err inner = {0};
         if (!im) {
-            rc = no_memory(name, e);
+            rc = txt_no_memory(name, e);
             break;
         }
-        rc = image_line(s, im, &m->arena, &inner);
+        rc = txt_image_line(s, im, &m->arena, &inner);
         if (!rc) {
-            s = line_next(&l);
+            s = txt_line_next(&l);
             if (!s)
                 rc = err_set(&inner, ERR_FORMAT,
                              "image '%.200s': the line of its observations is missing: truncated",
                              im->name);
             else
-                rc = observations_line(s, im, &m->arena, &inner);
+                rc = txt_observations_line(s, im, &m->arena, &inner);
         }
         const char *why = !rc ? colmap_check_image(im) : NULL;
         if (why)
             rc = err_set(&inner, ERR_FORMAT, "image '%.200s': %s", im->name, why);
         if (rc)
-            line_error(name, &l, inner.msg, e);
+            txt_line_error(name, &l, inner.msg, e);
     }
     m->n_images = images.n;
-    m->images = list_move(&images, &m->arena);
-    return !rc && !m->images ? no_memory(name, e) : rc;
+    m->images = txt_list_move(&images, &m->arena);
+    return !rc && !m->images ? txt_no_memory(name, e) : rc;
 }
 
-static enum err_code point_line(char *s, struct colmap_point *p, struct list *tracks, struct err *e)
+static enum err_code txt_point_line(char *s, struct colmap_point *p, struct list *tracks,
+                                    struct err *e)
 {
-    if (!id_next(&s, &p->id))
+    if (!txt_id_next(&s, &p->id))
         return err_set(e, ERR_FORMAT, "expected a point id");
     for (int k = 0; k < 3; k++)
-        if (!number_next(&s, &p->xyz[k]))
+        if (!txt_number_next(&s, &p->xyz[k]))
             return err_set(e, ERR_FORMAT, "expected X Y Z");
     for (int k = 0; k < 3; k++) {
         uint32_t v;
-        if (!id32_next(&s, &v) || v > 255)
+        if (!txt_id32_next(&s, &v) || v > 255)
             return err_set(e, ERR_FORMAT, "expected R G B, 0 to 255");
         p->rgb[k] = (uint8_t)v;
     }
-    if (!number_next(&s, &p->error_px))
+    if (!txt_number_next(&s, &p->error_px))
         return err_set(e, ERR_FORMAT, "expected a reprojection error");
     p->track = tracks->n;
-    while (!at_end(s)) {
-        struct colmap_track_element *t = list_add(tracks);
+    while (!txt_at_end(s)) {
+        struct colmap_track_element *t = txt_list_add(tracks);
         if (!t)
             return err_set(e, ERR_MEM, "out of memory");
-        if (!id32_next(&s, &t->image) || !id32_next(&s, &t->obs))
+        if (!txt_id32_next(&s, &t->image) || !txt_id32_next(&s, &t->obs))
             return err_set(e, ERR_FORMAT, "track element %zu: expected IMAGE_ID OBS", p->n_track);
         p->n_track++;
     }
@@ -311,18 +314,18 @@ enum err_code colmap_txt_points(struct buf *file, struct colmap_model *m, struct
     static const char name[] = "points3D.txt";
     struct lines l;
     struct list points = {.size = sizeof *m->points}, tracks = {.size = sizeof *m->tracks};
-    enum err_code rc = lines_open(file, name, &l, e);
-    for (char *s; !rc && (s = metrics_log_next(&l));) {
-        struct colmap_point *p = list_add(&points);
+    enum err_code rc = txt_lines_open(file, name, &l, e);
+    for (char *s; !rc && (s = txt_record_next(&l));) {
+        struct colmap_point *p = txt_list_add(&points);
         struct err inner = {0};
         if (!p)
-            rc = no_memory(name, e);
-        else if ((rc = point_line(s, p, &tracks, &inner)) != ERR_OK)
-            line_error(name, &l, inner.msg, e);
+            rc = txt_no_memory(name, e);
+        else if ((rc = txt_point_line(s, p, &tracks, &inner)) != ERR_OK)
+            txt_line_error(name, &l, inner.msg, e);
     }
     m->n_points = points.n;
     m->n_tracks = tracks.n;
-    m->points = list_move(&points, &m->arena);
-    m->tracks = list_move(&tracks, &m->arena);
-    return !rc && (!m->points || !m->tracks) ? no_memory(name, e) : rc;
+    m->points = txt_list_move(&points, &m->arena);
+    m->tracks = txt_list_move(&tracks, &m->arena);
+    return !rc && (!m->points || !m->tracks) ? txt_no_memory(name, e) : rc;
 }

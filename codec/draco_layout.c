@@ -57,7 +57,7 @@ uint32_t draco_crc(const void *bytes, size_t n)
     return (uint32_t)crc32_z(0, bytes, n);
 }
 
-static uint32_t varint(struct cursor *c)
+static uint32_t layout_varint(struct cursor *c)
 {
     uint32_t v = 0;
     for (int shift = 0; shift < 35; shift += 7) {
@@ -70,35 +70,35 @@ static uint32_t varint(struct cursor *c)
     return 0;
 }
 
-static void metadata_skip(struct cursor *c, int depth)
+static void layout_metadata_skip(struct cursor *c, int depth)
 {
     if (depth > METADATA_DEPTH_MAX) {
         c->bad = true;
         return;
     }
-    for (uint32_t n = varint(c); n && !c->bad; n--) {
+    for (uint32_t n = layout_varint(c); n && !c->bad; n--) {
         cursor_take(c, cursor_u8(c));
-        cursor_take(c, varint(c));
+        cursor_take(c, layout_varint(c));
     }
-    for (uint32_t n = varint(c); n && !c->bad; n--) {
+    for (uint32_t n = layout_varint(c); n && !c->bad; n--) {
         cursor_take(c, cursor_u8(c));
-        metadata_skip(c, depth + 1);
+        layout_metadata_skip(c, depth + 1);
     }
 }
 
 /* Attribute list against the layout it must be: what is there tells degree and embedding. */
-static bool attributes_match(struct cursor *c, struct draco_head *h)
+static bool layout_attributes_match(struct cursor *c, struct draco_head *h)
 {
     struct draco_attribute want[DRACO_ID_COUNT];
     uint8_t components[DRACO_ID_COUNT] = {0}, type[DRACO_ID_COUNT] = {0};
     if (cursor_u8(c) != 1) /* attribute decoders */
         return false;
-    uint32_t count = varint(c);
+    uint32_t count = layout_varint(c);
     if (count > DRACO_ID_COUNT)
         return false;
     for (uint32_t i = 0; i < count; i++) {
         uint8_t kind = cursor_u8(c), t = cursor_u8(c), n = cursor_u8(c), normalized = cursor_u8(c);
-        uint32_t id = varint(c);
+        uint32_t id = layout_varint(c);
         if (c->bad || id >= DRACO_ID_COUNT || components[id] || normalized || !n ||
             kind != (id == DRACO_POSITION ? ATTRIBUTE_POSITION : ATTRIBUTE_GENERIC))
             return false;
@@ -135,14 +135,14 @@ enum err_code draco_check(const void *bytes, size_t n, const struct codec_limits
             "hold tiles",
             major, minor, type, method);
     if (flags & FLAG_METADATA) {
-        for (uint32_t k = varint(&c); k && !c.bad; k--) {
-            varint(&c);
-            metadata_skip(&c, 0);
+        for (uint32_t k = layout_varint(&c); k && !c.bad; k--) {
+            layout_varint(&c);
+            layout_metadata_skip(&c, 0);
         }
-        metadata_skip(&c, 0);
+        layout_metadata_skip(&c, 0);
     }
     out->n = cursor_u32(&c);
-    bool ok = attributes_match(&c, out);
+    bool ok = layout_attributes_match(&c, out);
     size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS;
     if (c.bad)
         return err_set(e, ERR_FORMAT, "draco : truncated");

@@ -55,7 +55,7 @@ struct field {
     const uint8_t *data; /* checked to hold count values */
 };
 
-static uint32_t tiff_uint(const struct tiff *t, const uint8_t *p, unsigned bytes)
+static uint32_t exif_tiff_uint(const struct tiff *t, const uint8_t *p, unsigned bytes)
 {
     uint32_t v = 0;
     for (unsigned i = 0; i < bytes; i++)
@@ -63,40 +63,40 @@ static uint32_t tiff_uint(const struct tiff *t, const uint8_t *p, unsigned bytes
     return v;
 }
 
-static size_t type_bytes(unsigned type)
+static size_t exif_type_bytes(unsigned type)
 {
     static const uint8_t size[] = {0, 1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8};
     return type < sizeof size ? size[type] : 0;
 }
 
-static bool tiff_open(const uint8_t *p, size_t n, struct tiff *t, uint32_t *ifd0)
+static bool exif_tiff_open(const uint8_t *p, size_t n, struct tiff *t, uint32_t *ifd0)
 {
     if (n < 8 || (memcmp(p, "II*\0", 4) && memcmp(p, "MM\0*", 4)))
         return false;
     *t = (struct tiff){.p = p, .n = n, .big_endian = p[0] == 'M'};
-    *ifd0 = tiff_uint(t, p + 4, 4);
+    *ifd0 = exif_tiff_uint(t, p + 4, 4);
     return true;
 }
 
-static bool ifd_find(const struct tiff *t, uint32_t ifd, unsigned tag, struct field *f)
+static bool exif_ifd_find(const struct tiff *t, uint32_t ifd, unsigned tag, struct field *f)
 {
     if (!ifd || ifd > t->n || t->n - ifd < 2)
         return false;
-    size_t count = tiff_uint(t, t->p + ifd, 2);
+    size_t count = exif_tiff_uint(t, t->p + ifd, 2);
     for (size_t i = 0; i < count; i++) {
         size_t at = ifd + 2 + 12 * i;
         if (at > t->n || t->n - at < 12)
             return false;
         const uint8_t *entry = t->p + at;
-        if (tiff_uint(t, entry, 2) != tag)
+        if (exif_tiff_uint(t, entry, 2) != tag)
             continue;
-        f->type = tiff_uint(t, entry + 2, 2);
-        f->count = tiff_uint(t, entry + 4, 4);
-        size_t each = type_bytes(f->type);
+        f->type = exif_tiff_uint(t, entry + 2, 2);
+        f->count = exif_tiff_uint(t, entry + 4, 4);
+        size_t each = exif_type_bytes(f->type);
         if (!each || !f->count || f->count > t->n / each)
             return false;
         size_t bytes = each * f->count;
-        size_t offset = bytes <= 4 ? at + 8 : tiff_uint(t, entry + 8, 4);
+        size_t offset = bytes <= 4 ? at + 8 : exif_tiff_uint(t, entry + 8, 4);
         if (offset > t->n || t->n - offset < bytes)
             return false;
         f->data = t->p + offset;
@@ -105,50 +105,51 @@ static bool ifd_find(const struct tiff *t, uint32_t ifd, unsigned tag, struct fi
     return false;
 }
 
-static bool field_num(const struct tiff *t, const struct field *f, size_t i, double *out)
+static bool exif_field_num(const struct tiff *t, const struct field *f, size_t i, double *out)
 {
     if (i >= f->count)
         return false;
-    const uint8_t *p = f->data + i * type_bytes(f->type);
+    const uint8_t *p = f->data + i * exif_type_bytes(f->type);
     if (f->type == TYPE_SHORT || f->type == TYPE_LONG || f->type == TYPE_BYTE) {
-        *out = tiff_uint(t, p, (unsigned)type_bytes(f->type));
+        *out = exif_tiff_uint(t, p, (unsigned)exif_type_bytes(f->type));
         return true;
     }
     if (f->type != TYPE_RATIONAL && f->type != TYPE_SRATIONAL)
         return false;
-    uint32_t num = tiff_uint(t, p, 4), den = tiff_uint(t, p + 4, 4);
+    uint32_t num = exif_tiff_uint(t, p, 4), den = exif_tiff_uint(t, p + 4, 4);
     if (!den)
         return false;
     *out = f->type == TYPE_RATIONAL ? (double)num / den : (double)(int32_t)num / (int32_t)den;
     return true;
 }
 
-static double ifd_num(const struct tiff *t, uint32_t ifd, unsigned tag)
+static double exif_ifd_num(const struct tiff *t, uint32_t ifd, unsigned tag)
 {
     struct field f;
     double v;
-    return ifd_find(t, ifd, tag, &f) && field_num(t, &f, 0, &v) ? v : 0;
+    return exif_ifd_find(t, ifd, tag, &f) && exif_field_num(t, &f, 0, &v) ? v : 0;
 }
 
-static uint32_t ifd_offset(const struct tiff *t, uint32_t ifd, unsigned tag)
+static uint32_t exif_ifd_offset(const struct tiff *t, uint32_t ifd, unsigned tag)
 {
-    double v = ifd_num(t, ifd, tag);
+    double v = exif_ifd_num(t, ifd, tag);
     return v >= 0 && v <= UINT32_MAX ? (uint32_t)v : 0;
 }
 
 /* Degrees, minutes and seconds; missing or 0/0 minutes and seconds count as 0 (decimal degrees). */
-static bool ifd_angle(const struct tiff *t, uint32_t ifd, unsigned tag, char negative, double *out)
+static bool exif_ifd_angle(const struct tiff *t, uint32_t ifd, unsigned tag, char negative,
+                           double *out)
 {
     struct field f, ref;
     double deg, min = 0, sec = 0;
-    if (!ifd_find(t, ifd, tag, &f) || !field_num(t, &f, 0, &deg))
+    if (!exif_ifd_find(t, ifd, tag, &f) || !exif_field_num(t, &f, 0, &deg))
         return false;
-    if (!field_num(t, &f, 1, &min))
+    if (!exif_field_num(t, &f, 1, &min))
         min = 0;
-    if (!field_num(t, &f, 2, &sec))
+    if (!exif_field_num(t, &f, 2, &sec))
         sec = 0;
     *out = deg + min / 60 + sec / 3600;
-    if (ifd_find(t, ifd, tag - 1, &ref) && (ref.data[0] | 0x20) == (negative | 0x20))
+    if (exif_ifd_find(t, ifd, tag - 1, &ref) && (ref.data[0] | 0x20) == (negative | 0x20))
         *out = -*out;
     return true;
 }
@@ -158,58 +159,59 @@ static void exif_blob(const uint8_t *p, size_t n, struct image_gps *out)
     struct tiff t;
     uint32_t ifd0;
     struct field f;
-    if (!tiff_open(p, n, &t, &ifd0))
+    if (!exif_tiff_open(p, n, &t, &ifd0))
         return;
-    uint32_t exif = ifd_offset(&t, ifd0, TAG_EXIF_IFD);
-    uint32_t gps = ifd_offset(&t, ifd0, TAG_GPS_IFD);
-    out->exposure_s = ifd_num(&t, exif, TAG_EXPOSURE);
-    out->iso = ifd_num(&t, exif, TAG_ISO);
-    out->focal_mm = ifd_num(&t, exif, TAG_FOCAL);
-    if (ifd_find(&t, exif, TAG_DATE_ORIGINAL, &f) && f.type == TYPE_ASCII) {
+    uint32_t exif = exif_ifd_offset(&t, ifd0, TAG_EXIF_IFD);
+    uint32_t gps = exif_ifd_offset(&t, ifd0, TAG_GPS_IFD);
+    out->exposure_s = exif_ifd_num(&t, exif, TAG_EXPOSURE);
+    out->iso = exif_ifd_num(&t, exif, TAG_ISO);
+    out->focal_mm = exif_ifd_num(&t, exif, TAG_FOCAL);
+    if (exif_ifd_find(&t, exif, TAG_DATE_ORIGINAL, &f) && f.type == TYPE_ASCII) {
         size_t len = f.count < sizeof out->time - 1 ? f.count : sizeof out->time - 1;
         for (size_t i = 0; i < len && f.data[i] >= 0x20 && f.data[i] < 0x7f; i++)
             out->time[i] = (char)f.data[i];
     }
     double lat, lon, below = 0;
-    if (ifd_angle(&t, gps, TAG_GPS_LAT, 'S', &lat) && ifd_angle(&t, gps, TAG_GPS_LON, 'W', &lon) &&
-        fabs(lat) <= 90 && fabs(lon) <= 180) {
+    if (exif_ifd_angle(&t, gps, TAG_GPS_LAT, 'S', &lat) &&
+        exif_ifd_angle(&t, gps, TAG_GPS_LON, 'W', &lon) && fabs(lat) <= 90 && fabs(lon) <= 180) {
         out->has_position = true;
         out->lat_deg = lat;
         out->lon_deg = lon;
     }
-    if (ifd_find(&t, gps, TAG_GPS_ALT, &f) && field_num(&t, &f, 0, &out->alt_m)) {
+    if (exif_ifd_find(&t, gps, TAG_GPS_ALT, &f) && exif_field_num(&t, &f, 0, &out->alt_m)) {
         out->has_altitude = true;
-        if (ifd_find(&t, gps, TAG_GPS_ALT_REF, &f) && field_num(&t, &f, 0, &below) && below == 1)
+        if (exif_ifd_find(&t, gps, TAG_GPS_ALT_REF, &f) && exif_field_num(&t, &f, 0, &below) &&
+            below == 1)
             out->alt_m = -out->alt_m;
     }
 }
 
-static uint32_t be32(const uint8_t *p)
+static uint32_t exif_be32(const uint8_t *p)
 {
     return (uint32_t)p[0] << 24 | (uint32_t)p[1] << 16 | (uint32_t)p[2] << 8 | p[3];
 }
 
-static uint32_t le32(const uint8_t *p)
+static uint32_t exif_le32(const uint8_t *p)
 {
     return (uint32_t)p[3] << 24 | (uint32_t)p[2] << 16 | (uint32_t)p[1] << 8 | p[0];
 }
 
-static bool is_jpeg(const uint8_t *p, size_t n)
+static bool exif_is_jpeg(const uint8_t *p, size_t n)
 {
     return n >= 4 && p[0] == 0xff && p[1] == 0xd8;
 }
 
-static bool is_png(const uint8_t *p, size_t n)
+static bool exif_is_png(const uint8_t *p, size_t n)
 {
     return n >= 33 && !memcmp(p, "\x89PNG\r\n\x1a\n", 8);
 }
 
-static bool is_webp(const uint8_t *p, size_t n)
+static bool exif_is_webp(const uint8_t *p, size_t n)
 {
     return n >= 20 && !memcmp(p, "RIFF", 4) && !memcmp(p + 8, "WEBP", 4);
 }
 
-static void parse_jpeg(const uint8_t *p, size_t n, struct image_gps *out)
+static void exif_parse_jpeg(const uint8_t *p, size_t n, struct image_gps *out)
 {
     for (size_t at = 2; at + 4 <= n && p[at] == 0xff && p[at + 1] != 0xda;) {
         size_t len = (size_t)p[at + 2] << 8 | p[at + 3];
@@ -223,10 +225,10 @@ static void parse_jpeg(const uint8_t *p, size_t n, struct image_gps *out)
     }
 }
 
-static void parse_png(const uint8_t *p, size_t n, struct image_gps *out)
+static void exif_parse_png(const uint8_t *p, size_t n, struct image_gps *out)
 {
     for (size_t at = 8; n - at >= 12;) {
-        size_t len = be32(p + at);
+        size_t len = exif_be32(p + at);
         if (len > n - at - 12)
             return;
         if (!memcmp(p + at + 4, "eXIf", 4)) {
@@ -237,10 +239,10 @@ static void parse_png(const uint8_t *p, size_t n, struct image_gps *out)
     }
 }
 
-static void parse_webp(const uint8_t *p, size_t n, struct image_gps *out)
+static void exif_parse_webp(const uint8_t *p, size_t n, struct image_gps *out)
 {
     for (size_t at = 12; at <= n && n - at >= 8;) {
-        size_t len = le32(p + at + 4);
+        size_t len = exif_le32(p + at + 4);
         if (len > n - at - 8)
             return;
         if (!memcmp(p + at, "EXIF", 4)) {
@@ -256,12 +258,12 @@ void exif_parse(const void *bytes, size_t n, struct image_gps *out)
 {
     const uint8_t *p = bytes;
     *out = (struct image_gps){0};
-    if (is_jpeg(p, n))
-        parse_jpeg(p, n, out);
-    else if (is_png(p, n))
-        parse_png(p, n, out);
-    else if (is_webp(p, n))
-        parse_webp(p, n, out);
+    if (exif_is_jpeg(p, n))
+        exif_parse_jpeg(p, n, out);
+    else if (exif_is_png(p, n))
+        exif_parse_png(p, n, out);
+    else if (exif_is_webp(p, n))
+        exif_parse_webp(p, n, out);
     else
         exif_blob(p, n, out);
 }
@@ -280,7 +282,7 @@ enum err_code exif_read(const char *path, struct image_gps *out, struct err *e)
     size_t n = fread(head, 1, HEAD_BYTES, f);
     fclose(f);
     exif_parse(head, n, out);
-    bool whole = n < HEAD_BYTES || is_jpeg(head, n);
+    bool whole = n < HEAD_BYTES || exif_is_jpeg(head, n);
     mem_free(head);
     if (whole)
         return ERR_OK;
@@ -300,19 +302,19 @@ struct entry {
     uint8_t data[32];
 };
 
-static void put_u32(uint8_t *p, uint32_t v)
+static void exif_put_u32(uint8_t *p, uint32_t v)
 {
     for (int i = 0; i < 4; i++)
         p[i] = (uint8_t)(v >> 8 * i);
 }
 
-static void put_be32(uint8_t *p, uint32_t v)
+static void exif_put_be32(uint8_t *p, uint32_t v)
 {
     for (int i = 0; i < 4; i++)
         p[i] = (uint8_t)(v >> (24 - 8 * i));
 }
 
-static struct entry entry_text(unsigned tag, const char *text)
+static struct entry exif_entry_text(unsigned tag, const char *text)
 {
     struct entry en = {.tag = (uint16_t)tag, .type = TYPE_ASCII};
     size_t len = strlen(text) < sizeof en.data - 1 ? strlen(text) : sizeof en.data - 1;
@@ -321,45 +323,45 @@ static struct entry entry_text(unsigned tag, const char *text)
     return en;
 }
 
-static struct entry entry_num(unsigned tag, unsigned type, uint32_t v)
+static struct entry exif_entry_num(unsigned tag, unsigned type, uint32_t v)
 {
     struct entry en = {.tag = (uint16_t)tag, .type = (uint16_t)type, .count = 1};
-    en.size = (uint32_t)type_bytes(type);
-    put_u32(en.data, v);
+    en.size = (uint32_t)exif_type_bytes(type);
+    exif_put_u32(en.data, v);
     return en;
 }
 
-static void entry_ratio(struct entry *en, double v, double den)
+static void exif_entry_ratio(struct entry *en, double v, double den)
 {
     double num = round(v * den);
-    put_u32(en->data + en->size, num < 0 ? 0 : num > UINT32_MAX ? UINT32_MAX : (uint32_t)num);
-    put_u32(en->data + en->size + 4, (uint32_t)den);
+    exif_put_u32(en->data + en->size, num < 0 ? 0 : num > UINT32_MAX ? UINT32_MAX : (uint32_t)num);
+    exif_put_u32(en->data + en->size + 4, (uint32_t)den);
     en->size += 8;
     en->count++;
 }
 
-static struct entry entry_rational(unsigned tag, double v, double den)
+static struct entry exif_entry_rational(unsigned tag, double v, double den)
 {
     struct entry en = {.tag = (uint16_t)tag, .type = TYPE_RATIONAL};
     while (den > 1 && v * den > UINT32_MAX) /* precision gives way to range */
         den = floor(den / 10);
-    entry_ratio(&en, v, den);
+    exif_entry_ratio(&en, v, den);
     return en;
 }
 
-static struct entry entry_angle(unsigned tag, double deg)
+static struct entry exif_entry_angle(unsigned tag, double deg)
 {
     struct entry en = {.tag = (uint16_t)tag, .type = TYPE_RATIONAL};
     double units = round(fabs(deg) * 3600 * 1e7); /* 1e-7 arc seconds; carried before splitting */
     double minutes = floor(units / 6e8);
-    entry_ratio(&en, floor(minutes / 60), 1);
-    entry_ratio(&en, fmod(minutes, 60), 1);
-    entry_ratio(&en, (units - minutes * 6e8) / 1e7, 1e7);
+    exif_entry_ratio(&en, floor(minutes / 60), 1);
+    exif_entry_ratio(&en, fmod(minutes, 60), 1);
+    exif_entry_ratio(&en, (units - minutes * 6e8) / 1e7, 1e7);
     return en;
 }
 
 /* One IFD at offset `base` of the block, its values right behind it. Entries sorted by tag. */
-static void ifd_write(struct buf *b, uint32_t base, const struct entry *en, size_t n)
+static void exif_ifd_write(struct buf *b, uint32_t base, const struct entry *en, size_t n)
 {
     uint32_t at = base + 2 + 12 * (uint32_t)n + 4;
     buf_u16(b, (unsigned)n);
@@ -382,57 +384,58 @@ static void ifd_write(struct buf *b, uint32_t base, const struct entry *en, size
 
 /* Appends the Exif and GPS IFDs to b, whose offsets count from b's start + `shift`; returns where
  * each is. */
-static void sub_ifds_write(struct buf *b, uint32_t shift, const struct image_gps *g, uint32_t *exif,
-                           uint32_t *gps)
+static void exif_sub_ifds_write(struct buf *b, uint32_t shift, const struct image_gps *g,
+                                uint32_t *exif, uint32_t *gps)
 {
     struct entry en[8];
     size_t n = 0;
     if (g->exposure_s > 0)
-        en[n++] = g->exposure_s < 1 ? entry_rational(TAG_EXPOSURE, g->exposure_s, 1e9)
-                                    : entry_rational(TAG_EXPOSURE, g->exposure_s, 1e6);
+        en[n++] = g->exposure_s < 1 ? exif_entry_rational(TAG_EXPOSURE, g->exposure_s, 1e9)
+                                    : exif_entry_rational(TAG_EXPOSURE, g->exposure_s, 1e6);
     if (g->iso > 0)
-        en[n++] = entry_num(TAG_ISO, TYPE_SHORT, g->iso < 65535 ? (uint32_t)lround(g->iso) : 65535);
+        en[n++] =
+            exif_entry_num(TAG_ISO, TYPE_SHORT, g->iso < 65535 ? (uint32_t)lround(g->iso) : 65535);
     if (g->time[0])
-        en[n++] = entry_text(TAG_DATE_ORIGINAL, g->time);
+        en[n++] = exif_entry_text(TAG_DATE_ORIGINAL, g->time);
     if (g->focal_mm > 0)
-        en[n++] = entry_rational(TAG_FOCAL, g->focal_mm, 1e5);
+        en[n++] = exif_entry_rational(TAG_FOCAL, g->focal_mm, 1e5);
     *exif = (uint32_t)b->size + shift;
-    ifd_write(b, *exif, en, n);
+    exif_ifd_write(b, *exif, en, n);
 
     n = 0;
-    en[n++] = entry_num(0, TYPE_BYTE, 0x00000302); /* GPSVersionID 2.3.0.0 */
+    en[n++] = exif_entry_num(0, TYPE_BYTE, 0x00000302); /* GPSVersionID 2.3.0.0 */
     en[0].count = en[0].size = 4;
     if (g->has_position) {
-        en[n++] = entry_text(TAG_GPS_LAT_REF, g->lat_deg < 0 ? "S" : "N");
-        en[n++] = entry_angle(TAG_GPS_LAT, g->lat_deg);
-        en[n++] = entry_text(TAG_GPS_LON_REF, g->lon_deg < 0 ? "W" : "E");
-        en[n++] = entry_angle(TAG_GPS_LON, g->lon_deg);
+        en[n++] = exif_entry_text(TAG_GPS_LAT_REF, g->lat_deg < 0 ? "S" : "N");
+        en[n++] = exif_entry_angle(TAG_GPS_LAT, g->lat_deg);
+        en[n++] = exif_entry_text(TAG_GPS_LON_REF, g->lon_deg < 0 ? "W" : "E");
+        en[n++] = exif_entry_angle(TAG_GPS_LON, g->lon_deg);
     }
     if (g->has_altitude) {
-        en[n++] = entry_num(TAG_GPS_ALT_REF, TYPE_BYTE, g->alt_m < 0);
-        en[n++] = entry_rational(TAG_GPS_ALT, fabs(g->alt_m), 1e4);
+        en[n++] = exif_entry_num(TAG_GPS_ALT_REF, TYPE_BYTE, g->alt_m < 0);
+        en[n++] = exif_entry_rational(TAG_GPS_ALT, fabs(g->alt_m), 1e4);
     }
     *gps = (uint32_t)b->size + shift;
-    ifd_write(b, *gps, en, n);
+    exif_ifd_write(b, *gps, en, n);
 }
 
-static void blob_write(struct buf *b, const struct image_gps *g)
+static void exif_blob_write(struct buf *b, const struct image_gps *g)
 {
     enum { IFD0 = 8, IFD0_BYTES = 2 + 2 * 12 + 4 };
     struct buf sub = {0};
     uint32_t exif = 0, gps = 0;
-    sub_ifds_write(&sub, IFD0 + IFD0_BYTES, g, &exif, &gps);
+    exif_sub_ifds_write(&sub, IFD0 + IFD0_BYTES, g, &exif, &gps);
     buf_add(b, "II*\0", 4);
     buf_u32(b, IFD0);
-    struct entry en[2] = {entry_num(TAG_EXIF_IFD, TYPE_LONG, exif),
-                          entry_num(TAG_GPS_IFD, TYPE_LONG, gps)};
-    ifd_write(b, IFD0, en, 2);
+    struct entry en[2] = {exif_entry_num(TAG_EXIF_IFD, TYPE_LONG, exif),
+                          exif_entry_num(TAG_GPS_IFD, TYPE_LONG, gps)};
+    exif_ifd_write(b, IFD0, en, 2);
     buf_add(b, sub.data, sub.size);
     b->failed = b->failed || sub.failed;
     buf_free(&sub);
 }
 
-static void insert_jpeg(const struct buf *file, const struct buf *blob, struct buf *out)
+static void exif_insert_jpeg(const struct buf *file, const struct buf *blob, struct buf *out)
 {
     size_t len = blob->size + 8;
     buf_add(out, file->data, 2);
@@ -445,24 +448,24 @@ static void insert_jpeg(const struct buf *file, const struct buf *blob, struct b
     buf_add(out, file->data + 2, file->size - 2);
 }
 
-static void insert_png(const struct buf *file, const struct buf *blob, struct buf *out)
+static void exif_insert_png(const struct buf *file, const struct buf *blob, struct buf *out)
 {
     enum { AFTER_IHDR = 33 };
     uint8_t word[4];
     buf_add(out, file->data, AFTER_IHDR);
-    put_be32(word, (uint32_t)blob->size);
+    exif_put_be32(word, (uint32_t)blob->size);
     buf_add(out, word, 4);
     size_t start = out->size;
     buf_add(out, "eXIf", 4);
     buf_add(out, blob->data, blob->size);
     if (!out->failed)
-        put_be32(word, (uint32_t)crc32(0, out->data + start, (uInt)(out->size - start)));
+        exif_put_be32(word, (uint32_t)crc32(0, out->data + start, (uInt)(out->size - start)));
     buf_add(out, word, 4);
     buf_add(out, file->data + AFTER_IHDR, file->size - AFTER_IHDR);
 }
 
 /* EXIF needs the extended header VP8X, which repeats the size of the picture. */
-static bool insert_webp(const struct buf *file, const struct buf *blob, struct buf *out)
+static bool exif_insert_webp(const struct buf *file, const struct buf *blob, struct buf *out)
 {
     const uint8_t *p = file->data + 12;
     size_t left = file->size - 12;
@@ -471,7 +474,7 @@ static bool insert_webp(const struct buf *file, const struct buf *blob, struct b
         w = (p[14] | (uint32_t)p[15] << 8) & 0x3fff;
         h = (p[16] | (uint32_t)p[17] << 8) & 0x3fff;
     } else if (!memcmp(p, "VP8L", 4) && left >= 13) {
-        uint32_t bits = le32(p + 9);
+        uint32_t bits = exif_le32(p + 9);
         w = (bits & 0x3fff) + 1;
         h = (bits >> 14 & 0x3fff) + 1;
         flags |= bits >> 28 & 1 ? 0x10 : 0;
@@ -495,32 +498,32 @@ static bool insert_webp(const struct buf *file, const struct buf *blob, struct b
     if (blob->size & 1)
         buf_u8(out, 0);
     if (!out->failed)
-        put_u32(out->data + 4, (uint32_t)out->size - 8);
+        exif_put_u32(out->data + 4, (uint32_t)out->size - 8);
     return true;
 }
 
 /* A new first IFD at the end of the file: the old entries and the two pointers, sorted by tag. */
-static bool insert_tiff(const struct buf *file, const struct image_gps *g, struct buf *out)
+static bool exif_insert_tiff(const struct buf *file, const struct image_gps *g, struct buf *out)
 {
     struct tiff t;
     uint32_t ifd0, exif, gps;
-    if (!tiff_open(file->data, file->size, &t, &ifd0) || t.big_endian || ifd0 > t.n ||
+    if (!exif_tiff_open(file->data, file->size, &t, &ifd0) || t.big_endian || ifd0 > t.n ||
         t.n - ifd0 < 2 || t.n > UINT32_MAX / 2)
         return false;
-    size_t n = tiff_uint(&t, t.p + ifd0, 2);
+    size_t n = exif_tiff_uint(&t, t.p + ifd0, 2);
     if (t.n - ifd0 - 2 < 12 * n)
         return false;
     buf_add(out, file->data, file->size);
     if (out->size & 1)
         buf_u8(out, 0);
-    sub_ifds_write(out, 0, g, &exif, &gps);
+    exif_sub_ifds_write(out, 0, g, &exif, &gps);
     size_t at = out->size, kept = 0;
     buf_u16(out, 0);
-    struct entry add[2] = {entry_num(TAG_EXIF_IFD, TYPE_LONG, exif),
-                           entry_num(TAG_GPS_IFD, TYPE_LONG, gps)};
+    struct entry add[2] = {exif_entry_num(TAG_EXIF_IFD, TYPE_LONG, exif),
+                           exif_entry_num(TAG_GPS_IFD, TYPE_LONG, gps)};
     for (size_t i = 0, a = 0; i < n || a < 2;) {
         const uint8_t *old = t.p + ifd0 + 2 + 12 * i;
-        unsigned tag = i < n ? tiff_uint(&t, old, 2) : 0x10000;
+        unsigned tag = i < n ? exif_tiff_uint(&t, old, 2) : 0x10000;
         if (a < 2 && add[a].tag <= tag) {
             i += add[a].tag == tag; /* replaced */
             buf_u16(out, add[a].tag);
@@ -537,7 +540,7 @@ static bool insert_tiff(const struct buf *file, const struct image_gps *g, struc
     if (!out->failed) {
         out->data[at] = (uint8_t)kept;
         out->data[at + 1] = (uint8_t)(kept >> 8);
-        put_u32(out->data + 4, (uint32_t)at);
+        exif_put_u32(out->data + 4, (uint32_t)at);
     }
     return true;
 }
@@ -546,15 +549,15 @@ enum err_code exif_insert(struct buf *file, const struct image_gps *gps, struct 
 {
     struct buf blob = {0}, out = {0};
     bool known = true;
-    blob_write(&blob, gps);
-    if (is_jpeg(file->data, file->size))
-        insert_jpeg(file, &blob, &out);
-    else if (is_png(file->data, file->size))
-        insert_png(file, &blob, &out);
-    else if (is_webp(file->data, file->size))
-        known = insert_webp(file, &blob, &out);
+    exif_blob_write(&blob, gps);
+    if (exif_is_jpeg(file->data, file->size))
+        exif_insert_jpeg(file, &blob, &out);
+    else if (exif_is_png(file->data, file->size))
+        exif_insert_png(file, &blob, &out);
+    else if (exif_is_webp(file->data, file->size))
+        known = exif_insert_webp(file, &blob, &out);
     else
-        known = insert_tiff(file, gps, &out);
+        known = exif_insert_tiff(file, gps, &out);
     out.failed = out.failed || blob.failed;
     buf_free(&blob);
     enum err_code rc = known ? buf_check(&out, e)

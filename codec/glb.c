@@ -65,13 +65,13 @@ static enum err_code glb_pack(json_t *root, const struct buf *bin, struct buf *o
     return rc;
 }
 
-static json_t *accessor(size_t count, int component, const char *type)
+static json_t *glb_accessor(size_t count, int component, const char *type)
 {
     return json_pack("{s:I,s:i,s:s}", "count", (json_int_t)count, "componentType", component,
                      "type", type);
 }
 
-static int set_bounds(json_t *position, const double lo[3], const double hi[3])
+static int glb_set_bounds(json_t *position, const double lo[3], const double hi[3])
 {
     return json_object_set_new(position, "min", json_pack("[f,f,f]", lo[0], lo[1], lo[2])) |
            json_object_set_new(position, "max", json_pack("[f,f,f]", hi[0], hi[1], hi[2]));
@@ -79,8 +79,8 @@ static int set_bounds(json_t *position, const double lo[3], const double hi[3])
 
 /* {asset, scene, nodes, meshes: [{primitives: [{mode 0, attributes, extensions}]}], extensionsUsed,
  * ...} around accessors, bufferViews and the primitive's extension, whose references it takes. */
-static json_t *document(const char *copyright, json_t *attributes, json_t *accessors, json_t *views,
-                        size_t n_bytes, json_t *splat, bool spz)
+static json_t *glb_document(const char *copyright, json_t *attributes, json_t *accessors,
+                            json_t *views, size_t n_bytes, json_t *splat, bool spz)
 {
     json_t *asset =
         json_pack("{s:s,s:s,s:s*}", "version", "2.0", "generator", "citysplat " CITYSPLAT_VERSION,
@@ -99,19 +99,19 @@ static json_t *document(const char *copyright, json_t *attributes, json_t *acces
     return root;
 }
 
-static json_t *splat_extension(void)
+static json_t *glb_splat_extension(void)
 {
     return json_pack("{s:s,s:s,s:s,s:s}", "kernel", "ellipse", "colorSpace", "srgb_rec709_display",
                      "sortingMethod", "cameraDistance", "projection", "perspective");
 }
 
-static void add_attribute(json_t *attributes, json_t *accessors, const char *name, json_t *a)
+static void glb_add_attribute(json_t *attributes, json_t *accessors, const char *name, json_t *a)
 {
     json_object_set_new(attributes, name, json_integer((json_int_t)json_array_size(accessors)));
     json_array_append_new(accessors, a);
 }
 
-static const char *sh_name(char name[64], uint32_t degree, uint32_t coef)
+static const char *glb_sh_name(char name[64], uint32_t degree, uint32_t coef)
 {
     snprintf(name, 64, EXT_SPLAT ":SH_DEGREE_%u_COEF_%u", degree, coef);
     return name;
@@ -139,23 +139,25 @@ enum err_code glb_encode_spz(const struct quant *q, const char *copyright, struc
         hi[c] = ldexp(b, -(int)q->frac_bits);
     }
     json_t *attributes = json_object(), *accessors = json_array(),
-           *position = accessor(q->n, FLOAT32, "VEC3");
-    json_t *color = accessor(q->n, UINT8, "VEC4");
-    set_bounds(position, lo, hi);
+           *position = glb_accessor(q->n, FLOAT32, "VEC3");
+    json_t *color = glb_accessor(q->n, UINT8, "VEC4");
+    glb_set_bounds(position, lo, hi);
     json_object_set_new(color, "normalized", json_true());
-    add_attribute(attributes, accessors, "POSITION", position);
-    add_attribute(attributes, accessors, "COLOR_0", color);
-    add_attribute(attributes, accessors, EXT_SPLAT ":SCALE", accessor(q->n, FLOAT32, "VEC3"));
-    add_attribute(attributes, accessors, EXT_SPLAT ":ROTATION", accessor(q->n, FLOAT32, "VEC4"));
+    glb_add_attribute(attributes, accessors, "POSITION", position);
+    glb_add_attribute(attributes, accessors, "COLOR_0", color);
+    glb_add_attribute(attributes, accessors, EXT_SPLAT ":SCALE",
+                      glb_accessor(q->n, FLOAT32, "VEC3"));
+    glb_add_attribute(attributes, accessors, EXT_SPLAT ":ROTATION",
+                      glb_accessor(q->n, FLOAT32, "VEC4"));
     for (uint32_t l = 1; l <= q->sh_degree; l++)
         for (uint32_t m = 0; m <= 2 * l; m++)
-            add_attribute(attributes, accessors, sh_name(name, l, m),
-                          accessor(q->n, FLOAT32, "VEC3"));
-    json_t *splat = splat_extension();
+            glb_add_attribute(attributes, accessors, glb_sh_name(name, l, m),
+                              glb_accessor(q->n, FLOAT32, "VEC3"));
+    json_t *splat = glb_splat_extension();
     json_object_set_new(splat, "extensions", json_pack("{s:{s:i}}", EXT_SPZ, "bufferView", 0));
     json_t *views = json_pack("[{s:i,s:i,s:I}]", "buffer", 0, "byteOffset", 0, "byteLength",
                               (json_int_t)spz.size);
-    root = document(copyright, attributes, accessors, views, spz.size, splat, true);
+    root = glb_document(copyright, attributes, accessors, views, spz.size, splat, true);
     rc = root ? glb_pack(root, &spz, out, e)
               : err_set(e, ERR_ARG, "glb : the copyright text is not UTF-8, or out of memory");
 out:
@@ -172,75 +174,75 @@ struct plain {
     struct buf bin;
 };
 
-static float *plain_add(struct plain *p, const char *name, size_t width, json_t **made)
+static float *glb_plain_add(struct plain *p, const char *name, size_t width, json_t **made)
 {
     static const char *const type[] = {"", "SCALAR", "VEC2", "VEC3", "VEC4"};
     size_t bytes = p->g->n * width * sizeof(float);
-    json_t *a = accessor(p->g->n, FLOAT32, type[width]);
+    json_t *a = glb_accessor(p->g->n, FLOAT32, type[width]);
     json_object_set_new(a, "bufferView", json_integer((json_int_t)json_array_size(p->views)));
     json_array_append_new(
         p->views, json_pack("{s:i,s:I,s:I,s:i}", "buffer", 0, "byteOffset", (json_int_t)p->bin.size,
                             "byteLength", (json_int_t)bytes, "target", 34962)); /* ARRAY_BUFFER */
-    add_attribute(p->attributes, p->accessors, name, a);
+    glb_add_attribute(p->attributes, p->accessors, name, a);
     if (made)
         *made = a;
     return (void *)buf_grow(&p->bin, bytes);
 }
 
-static float linear_from_srgb(float v)
+static float glb_linear_from_srgb(float v)
 {
     v = v < 0 ? 0 : v > 1 ? 1 : v;
     return v <= 0.04045f ? v / 12.92f : powf((v + 0.055f) / 1.055f, 2.4f);
 }
 
-static void plain_fill_sh(struct plain *p)
+static void glb_plain_fill_sh(struct plain *p)
 {
     const struct gauss *g = p->g;
     size_t k = gauss_sh_count(g->sh_degree), at = 0;
     char name[64];
     for (uint32_t l = 0; l <= g->sh_degree; l++)
         for (uint32_t m = 0; m <= 2 * l; m++, at++) {
-            float *f = plain_add(p, sh_name(name, l, m), 3, NULL);
+            float *f = glb_plain_add(p, glb_sh_name(name, l, m), 3, NULL);
             for (size_t i = 0; f && i < g->n; i++)
                 memcpy(f + 3 * i, g->sh + 3 * (i * k + at), 3 * sizeof *f);
         }
 }
 
-static void plain_fill(struct plain *p)
+static void glb_plain_fill(struct plain *p)
 {
     const struct gauss *g = p->g;
     size_t k = gauss_sh_count(g->sh_degree);
     double lo[3], hi[3];
     json_t *position;
-    float *f = plain_add(p, "POSITION", 3, &position);
+    float *f = glb_plain_add(p, "POSITION", 3, &position);
     for (size_t i = 0; f && i < 3 * g->n; i++) {
         double v = (double)(f[i] = g->mean_m[i]);
         lo[i % 3] = i < 3 || v < lo[i % 3] ? v : lo[i % 3];
         hi[i % 3] = i < 3 || v > hi[i % 3] ? v : hi[i % 3];
     }
     if (f)
-        set_bounds(position, lo, hi);
-    f = plain_add(p, "COLOR_0", 4,
-                  NULL); /* for viewers without the extension: points, linear colour */
+        glb_set_bounds(position, lo, hi);
+    f = glb_plain_add(p, "COLOR_0", 4,
+                      NULL); /* for viewers without the extension: points, linear colour */
     for (size_t i = 0; f && i < g->n; i++) {
         for (size_t c = 0; c < 3; c++)
-            f[4 * i + c] = linear_from_srgb((float)GAUSS_SH_C0 * g->sh[3 * k * i + c] + 0.5f);
+            f[4 * i + c] = glb_linear_from_srgb((float)GAUSS_SH_C0 * g->sh[3 * k * i + c] + 0.5f);
         f[4 * i + 3] = 1 / (1 + expf(-g->opacity_logit[i]));
     }
-    f = plain_add(p, EXT_SPLAT ":SCALE", 3, NULL);
+    f = glb_plain_add(p, EXT_SPLAT ":SCALE", 3, NULL);
     for (size_t i = 0; f && i < 3 * g->n; i++)
         f[i] = expf(g->scale_log[i]);
-    f = plain_add(p, EXT_SPLAT ":ROTATION", 4, NULL);
+    f = glb_plain_add(p, EXT_SPLAT ":ROTATION", 4, NULL);
     for (size_t i = 0; f && i < g->n; i++) {
         const float *q = g->quat_wxyz + 4 * i;
         float norm = sqrtf(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
         for (size_t c = 0; c < 4; c++)
             f[4 * i + c] = q[(c + 1) % 4] / norm;
     }
-    f = plain_add(p, EXT_SPLAT ":OPACITY", 1, NULL);
+    f = glb_plain_add(p, EXT_SPLAT ":OPACITY", 1, NULL);
     for (size_t i = 0; f && i < g->n; i++)
         f[i] = 1 / (1 + expf(-g->opacity_logit[i]));
-    plain_fill_sh(p);
+    glb_plain_fill_sh(p);
 }
 
 enum err_code glb_encode_plain(const struct gauss *g, const char *copyright, struct buf *out,
@@ -253,9 +255,9 @@ enum err_code glb_encode_plain(const struct gauss *g, const char *copyright, str
         return err_set(e, ERR_DATA, "glb : row %zu : not finite, or no rotation", bad);
     struct plain p = {
         .g = g, .attributes = json_object(), .accessors = json_array(), .views = json_array()};
-    plain_fill(&p);
-    json_t *root = document(copyright, p.attributes, p.accessors, p.views, p.bin.size,
-                            splat_extension(), false);
+    glb_plain_fill(&p);
+    json_t *root = glb_document(copyright, p.attributes, p.accessors, p.views, p.bin.size,
+                                glb_splat_extension(), false);
     enum err_code rc = buf_check(&p.bin, e);
     if (!rc && !root)
         rc = err_set(e, ERR_ARG, "glb : the copyright text is not UTF-8, or out of memory");
@@ -275,14 +277,14 @@ struct glb {
     size_t n_bin;
 };
 
-static const json_t *array_at(const json_t *root, const char *array, const json_t *index)
+static const json_t *glb_array_at(const json_t *root, const char *array, const json_t *index)
 {
     if (!json_is_integer(index) || json_integer_value(index) < 0)
         return NULL;
     return json_array_get(json_object_get(root, array), (size_t)json_integer_value(index));
 }
 
-static enum err_code find_primitive(struct glb *f, struct err *e)
+static enum err_code glb_find_primitive(struct glb *f, struct err *e)
 {
     size_t i, k, found = 0;
     json_t *mesh, *prim, *node;
@@ -332,10 +334,10 @@ static enum err_code glb_open(const void *bytes, size_t n, struct glb *f, struct
             return err_set(e, ERR_FORMAT, "glb : binary chunk is damaged or truncated");
     }
     enum err_code rc = jsonc_parse((const char *)text, n_json, "glb", &f->root, e);
-    return !rc ? find_primitive(f, e) : rc;
+    return !rc ? glb_find_primitive(f, e) : rc;
 }
 
-static bool view_bytes(const struct glb *f, const json_t *view, size_t *at, size_t *n)
+static bool glb_view_bytes(const struct glb *f, const json_t *view, size_t *at, size_t *n)
 {
     const json_t *offset = json_object_get(view, "byteOffset"),
                  *len = json_object_get(view, "byteLength");
@@ -348,15 +350,16 @@ static bool view_bytes(const struct glb *f, const json_t *view, size_t *at, size
     return true;
 }
 
-static enum err_code find_spz(const struct glb *f, const void **spz, size_t *n_spz, struct err *e)
+static enum err_code glb_seek_spz(const struct glb *f, const void **spz, size_t *n_spz,
+                                  struct err *e)
 {
     const json_t *ext = json_object_get(json_object_get(f->splat, "extensions"), EXT_SPZ);
     size_t at;
     if (!ext)
         return err_set(e, ERR_NOENT,
                        "glb : no " EXT_SPZ " inside : its Gaussians are plain accessors");
-    if (!view_bytes(f, array_at(f->root, "bufferViews", json_object_get(ext, "bufferView")), &at,
-                    n_spz))
+    if (!glb_view_bytes(f, glb_array_at(f->root, "bufferViews", json_object_get(ext, "bufferView")),
+                        &at, n_spz))
         return err_set(e, ERR_FORMAT, "glb : the SPZ payload's bufferView does not fit the file");
     *spz = f->bin + at;
     return ERR_OK;
@@ -368,7 +371,7 @@ enum err_code glb_find_spz(const void *bytes, size_t n, const void **spz, size_t
     struct glb f = {0};
     enum err_code rc = glb_open(bytes, n, &f, e);
     if (!rc)
-        rc = find_spz(&f, spz, n_spz, e);
+        rc = glb_seek_spz(&f, spz, n_spz, e);
     json_decref(f.root);
     return rc;
 }
@@ -380,7 +383,7 @@ struct values { /* an accessor, checked to hold count rows of width */
     bool normalized;
 };
 
-static size_t component_bytes(int component)
+static size_t glb_component_bytes(int component)
 {
     return component == FLOAT32                      ? 4
            : component == 5122 || component == 5123  ? 2
@@ -388,12 +391,12 @@ static size_t component_bytes(int component)
                                                      : 0;
 }
 
-static enum err_code values_find(const struct glb *f, const char *name, size_t width,
-                                 struct values *v, struct err *e)
+static enum err_code glb_values_find(const struct glb *f, const char *name, size_t width,
+                                     struct values *v, struct err *e)
 {
     const json_t *index = json_object_get(json_object_get(f->primitive, "attributes"), name);
-    const json_t *a = array_at(f->root, "accessors", index);
-    const json_t *view = array_at(f->root, "bufferViews", json_object_get(a, "bufferView"));
+    const json_t *a = glb_array_at(f->root, "accessors", index);
+    const json_t *view = glb_array_at(f->root, "bufferViews", json_object_get(a, "bufferView"));
     const char *type = json_string_value(json_object_get(a, "type"));
     const char *want = width == 1 ? "SCALAR" : width == 3 ? "VEC3" : "VEC4";
     json_int_t count = json_integer_value(json_object_get(a, "count"));
@@ -404,10 +407,11 @@ static enum err_code values_find(const struct glb *f, const char *name, size_t w
         return err_set(e, ERR_FORMAT, "glb : attribute %s is missing", name);
     *v = (struct values){.component = (int)json_integer_value(json_object_get(a, "componentType")),
                          .normalized = json_is_true(json_object_get(a, "normalized"))};
-    size_t row = component_bytes(v->component) * width;
+    size_t row = glb_component_bytes(v->component) * width;
     if (!row || !type || strcmp(type, want) || json_object_get(a, "sparse") ||
-        !view_bytes(f, view, &at, &n) || count < 1 || offset < 0 || stride < 0 || stride > 252 ||
-        (stride && (size_t)stride < row) || (uint64_t)offset > n || n - (size_t)offset < row)
+        !glb_view_bytes(f, view, &at, &n) || count < 1 || offset < 0 || stride < 0 ||
+        stride > 252 || (stride && (size_t)stride < row) || (uint64_t)offset > n ||
+        n - (size_t)offset < row)
         return err_set(e, ERR_FORMAT,
                        "glb : attribute %s : its accessor is not of a kind that can be read", name);
     v->stride = stride ? (size_t)stride : row;
@@ -419,10 +423,10 @@ static enum err_code values_find(const struct glb *f, const char *name, size_t w
     return ERR_OK;
 }
 
-static float value_get(const struct values *v, size_t row, size_t c)
+static float glb_value_get(const struct values *v, size_t row, size_t c)
 {
-    const uint8_t *p = v->p + row * v->stride + c * component_bytes(v->component);
-    uint32_t u16 = component_bytes(v->component) == 2 ? p[0] | (uint32_t)p[1] << 8 : 0;
+    const uint8_t *p = v->p + row * v->stride + c * glb_component_bytes(v->component);
+    uint32_t u16 = glb_component_bytes(v->component) == 2 ? p[0] | (uint32_t)p[1] << 8 : 0;
     float f;
     switch (v->component) {
     case FLOAT32:
@@ -441,23 +445,23 @@ static float value_get(const struct values *v, size_t row, size_t c)
     }
 }
 
-static enum err_code values_read(const struct glb *f, const char *name, size_t n, size_t width,
-                                 float *out, size_t out_stride, struct err *e)
+static enum err_code glb_values_read(const struct glb *f, const char *name, size_t n, size_t width,
+                                     float *out, size_t out_stride, struct err *e)
 {
     struct values v;
-    enum err_code rc = values_find(f, name, width, &v, e);
+    enum err_code rc = glb_values_find(f, name, width, &v, e);
     if (!rc && v.count != n)
         rc = err_set(e, ERR_FORMAT, "glb : attribute %s : %zu rows, POSITION has %zu", name,
                      v.count, n);
     for (size_t i = 0; !rc && i < n; i++)
         for (size_t c = 0; c < width; c++)
-            out[i * out_stride + c] = value_get(&v, i, c);
+            out[i * out_stride + c] = glb_value_get(&v, i, c);
     return rc;
 }
 
 /* Linear values of the file to the container's logs and logits; sigma 0 and opacity 0 or 1 become
  * finite. */
-static void from_linear(struct gauss *g)
+static void glb_from_linear(struct gauss *g)
 {
     for (size_t i = 0; i < 3 * g->n; i++)
         g->scale_log[i] = logf(g->scale_log[i] < 1e-9f ? 1e-9f : g->scale_log[i]);
@@ -473,40 +477,40 @@ static void from_linear(struct gauss *g)
     }
 }
 
-static enum err_code decode_plain(const struct glb *f, const struct codec_limits *lim,
-                                  struct gauss *out, struct err *e)
+static enum err_code glb_decode_plain(const struct glb *f, const struct codec_limits *lim,
+                                      struct gauss *out, struct err *e)
 {
     struct values position;
     char name[64];
     uint32_t degree = 0;
     size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS, bad = 0;
     const json_t *attributes = json_object_get(f->primitive, "attributes");
-    enum err_code rc = values_find(f, "POSITION", 3, &position, e);
+    enum err_code rc = glb_values_find(f, "POSITION", 3, &position, e);
     if (rc)
         return rc;
     size_t n = position.count; /* no more than the file holds */
     if (n > most)
         return err_set(e, ERR_LIMIT, "glb : %zu Gaussians : the limit is %zu", n, most);
     while (degree < GAUSS_SH_DEGREE_MAX &&
-           json_object_get(attributes, sh_name(name, degree + 1, 0)))
+           json_object_get(attributes, glb_sh_name(name, degree + 1, 0)))
         degree++;
     rc = gauss_alloc(out, n, degree, 0, e);
     if (rc)
         return rc;
     out->n = n;
     size_t row = 3 * gauss_sh_count(degree), at = 0;
-    rc = values_read(f, "POSITION", n, 3, out->mean_m, 3, e);
+    rc = glb_values_read(f, "POSITION", n, 3, out->mean_m, 3, e);
     if (!rc)
-        rc = values_read(f, EXT_SPLAT ":SCALE", n, 3, out->scale_log, 3, e);
+        rc = glb_values_read(f, EXT_SPLAT ":SCALE", n, 3, out->scale_log, 3, e);
     if (!rc)
-        rc = values_read(f, EXT_SPLAT ":ROTATION", n, 4, out->quat_wxyz, 4, e);
+        rc = glb_values_read(f, EXT_SPLAT ":ROTATION", n, 4, out->quat_wxyz, 4, e);
     if (!rc)
-        rc = values_read(f, EXT_SPLAT ":OPACITY", n, 1, out->opacity_logit, 1, e);
+        rc = glb_values_read(f, EXT_SPLAT ":OPACITY", n, 1, out->opacity_logit, 1, e);
     for (uint32_t l = 0; l <= degree; l++)
         for (uint32_t m = 0; !rc && m <= 2 * l; m++, at += 3)
-            rc = values_read(f, sh_name(name, l, m), n, 3, out->sh + at, row, e);
+            rc = glb_values_read(f, glb_sh_name(name, l, m), n, 3, out->sh + at, row, e);
     if (!rc) {
-        from_linear(out);
+        glb_from_linear(out);
         if (gauss_count_bad(out, &bad))
             rc = err_set(e, ERR_DATA, "glb : row %zu : not finite, or no rotation", bad);
     }
@@ -525,9 +529,9 @@ enum err_code glb_decode(const void *bytes, size_t n, const struct codec_limits 
     *out = (struct gauss){0};
     enum err_code rc = glb_open(bytes, n, &f, e);
     if (!rc && !json_object_get(json_object_get(f.splat, "extensions"), EXT_SPZ)) {
-        rc = decode_plain(&f, lim, out, e);
+        rc = glb_decode_plain(&f, lim, out, e);
     } else if (!rc) {
-        rc = find_spz(&f, &spz, &n_spz, e);
+        rc = glb_seek_spz(&f, &spz, &n_spz, e);
         if (!rc)
             rc = spz_decode(spz, n_spz, lim, &q, e);
         if (!rc)

@@ -22,7 +22,7 @@ struct taps { /* of each output position: weights of inputs first .. first + n -
     float *weight; /* [outputs][n_max] */
 };
 
-static double lanczos(double x)
+static double resize_lanczos(double x)
 {
     if (fabs(x) < 1e-9)
         return 1;
@@ -31,7 +31,7 @@ static double lanczos(double x)
     return LOBES * sin(PI * x) * sin(PI * x / LOBES) / (PI * PI * x * x);
 }
 
-static void taps_free(struct taps *t)
+static void resize_taps_free(struct taps *t)
 {
     mem_free(t->first);
     mem_free(t->n);
@@ -39,7 +39,7 @@ static void taps_free(struct taps *t)
     *t = (struct taps){0};
 }
 
-static bool taps_make(size_t in, size_t out, struct taps *t)
+static bool resize_taps_make(size_t in, size_t out, struct taps *t)
 {
     const double scale = (double)in / (double)out, stretch = scale > 1 ? scale : 1;
     t->n_max = (size_t)ceil(2 * LOBES * stretch) + 2;
@@ -57,15 +57,15 @@ static bool taps_make(size_t in, size_t out, struct taps *t)
         t->first[i] = (size_t)lo;
         t->n[i] = (size_t)(hi - lo) + 1;
         for (size_t k = 0; k < t->n[i]; k++)
-            sum += lanczos((lo + (double)k + 0.5 - mid) / stretch);
+            sum += resize_lanczos((lo + (double)k + 0.5 - mid) / stretch);
         for (size_t k = 0; k < t->n[i]; k++)
-            w[k] = (float)(lanczos((lo + (double)k + 0.5 - mid) / stretch) / sum);
+            w[k] = (float)(resize_lanczos((lo + (double)k + 0.5 - mid) / stretch) / sum);
     }
     return true;
 }
 
-static void filter_row(const uint8_t *px, size_t n_in, size_t channels, const struct taps *t,
-                       size_t n_out, float *wide, float *out)
+static void resize_filter_row(const uint8_t *px, size_t n_in, size_t channels, const struct taps *t,
+                              size_t n_out, float *wide, float *out)
 {
     for (size_t i = 0; i < n_in * channels; i++)
         wide[i] = px[i];
@@ -91,8 +91,9 @@ static void filter_row(const uint8_t *px, size_t n_in, size_t channels, const st
 }
 
 /* Output rows from the ring; row y of the input lies in ring slot y % n_max. */
-static void filter(const struct image *in, const struct taps *across, const struct taps *down,
-                   float *wide, float *ring, float *sum, struct image *out)
+static void resize_filter(const struct image *in, const struct taps *across,
+                          const struct taps *down, float *wide, float *ring, float *sum,
+                          struct image *out)
 {
     const size_t row = (size_t)out->width_px * out->channels,
                  in_row = (size_t)in->width_px * in->channels;
@@ -100,8 +101,8 @@ static void filter(const struct image *in, const struct taps *across, const stru
     for (size_t y = 0; y < out->height_px; y++) {
         const size_t first = down->first[y], n = down->n[y];
         for (ready = ready < first ? first : ready; ready < first + n; ready++)
-            filter_row(in->px + ready * in_row, in->width_px, in->channels, across, out->width_px,
-                       wide, ring + ready % down->n_max * row);
+            resize_filter_row(in->px + ready * in_row, in->width_px, in->channels, across,
+                              out->width_px, wide, ring + ready % down->n_max * row);
         memset(sum, 0, row * sizeof *sum);
         for (size_t k = 0; k < n; k++) {
             const float w = down->weight[y * down->n_max + k];
@@ -129,13 +130,14 @@ enum err_code image_resize(const struct image *in, uint32_t width_px, uint32_t h
     if (rc)
         return rc;
     const size_t row = (size_t)width_px * in->channels;
-    if (taps_make(in->width_px, width_px, &across) && taps_make(in->height_px, height_px, &down)) {
+    if (resize_taps_make(in->width_px, width_px, &across) &&
+        resize_taps_make(in->height_px, height_px, &down)) {
         wide = mem_array((size_t)in->width_px * in->channels, sizeof *wide);
         ring = mem_array(down.n_max, row * sizeof *ring);
         sum = mem_array(row, sizeof *sum);
     }
     if (wide && ring && sum) {
-        filter(in, &across, &down, wide, ring, sum, out);
+        resize_filter(in, &across, &down, wide, ring, sum, out);
     } else {
         image_free(out);
         rc = err_set(e, ERR_MEM, "image_resize : %u x %u : out of memory", width_px, height_px);
@@ -143,7 +145,7 @@ enum err_code image_resize(const struct image *in, uint32_t width_px, uint32_t h
     mem_free(wide);
     mem_free(ring);
     mem_free(sum);
-    taps_free(&across);
-    taps_free(&down);
+    resize_taps_free(&across);
+    resize_taps_free(&down);
     return rc;
 }

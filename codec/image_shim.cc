@@ -34,23 +34,23 @@ static constexpr int JPEG_FULL_CHROMA_QUALITY = 95; // from here on chroma is no
         return err_set(e, ERR_INTERNAL, who ": unknown exception");                                \
     }
 
-static void single_thread()
+static void image_single_thread()
 {
     static const bool once = OIIO::attribute("threads", 1);
     (void)once;
 }
 
 // OpenImageIO's messages may span lines; the first one is enough for ours.
-static std::string first_line(const std::string &s)
+static std::string image_first_line(const std::string &s)
 {
     std::string t = s.substr(0, s.find('\n'));
     return t.empty() ? std::string("unknown reason") : t;
 }
 
-static std::unique_ptr<OIIO::ImageInput> open_input(const char *path, enum err_code *rc,
-                                                    struct err *e)
+static std::unique_ptr<OIIO::ImageInput> image_open_input(const char *path, enum err_code *rc,
+                                                          struct err *e)
 {
-    single_thread();
+    image_single_thread();
     OIIO::ImageSpec config;
     config.attribute("oiio:UnassociatedAlpha", 1); // colours as stored, not multiplied by alpha
     std::unique_ptr<OIIO::ImageInput> in;
@@ -60,7 +60,7 @@ static std::unique_ptr<OIIO::ImageInput> open_input(const char *path, enum err_c
     }
     in = OIIO::ImageInput::open(path, &config);
     if (!in) {
-        std::string why = first_line(OIIO::geterror());
+        std::string why = image_first_line(OIIO::geterror());
         *rc = err_set(e, ERR_FORMAT, "image : %s : not an image that can be read (%s)", path,
                       why.c_str());
         return in;
@@ -100,7 +100,7 @@ extern "C" enum err_code image_read(const char *path, const struct codec_limits 
 try {
     *out = {};
     enum err_code rc = ERR_OK;
-    std::unique_ptr<OIIO::ImageInput> in = open_input(path, &rc, e);
+    std::unique_ptr<OIIO::ImageInput> in = image_open_input(path, &rc, e);
     if (!in)
         return rc;
     const OIIO::ImageSpec s = in->spec();
@@ -117,7 +117,7 @@ try {
     if (!ok || !why.empty()) {
         image_free(&img);
         return err_set(e, ERR_FORMAT, "image : %s : damaged or truncated (%s)", path,
-                       first_line(why).c_str());
+                       image_first_line(why).c_str());
     }
     if (take == 1)
         for (size_t i = 0; i < (size_t)s.width * (size_t)s.height; i++)
@@ -133,7 +133,7 @@ extern "C" enum err_code image_read_map(const char *path, const struct codec_lim
 try {
     *data = nullptr;
     enum err_code rc = ERR_OK;
-    std::unique_ptr<OIIO::ImageInput> in = open_input(path, &rc, e);
+    std::unique_ptr<OIIO::ImageInput> in = image_open_input(path, &rc, e);
     if (!in)
         return rc;
     const OIIO::ImageSpec s = in->spec();
@@ -150,7 +150,7 @@ try {
     if (!ok || !why.empty()) {
         mem_free(px);
         return err_set(e, ERR_FORMAT, "image : %s : damaged or truncated (%s)", path,
-                       first_line(why).c_str());
+                       image_first_line(why).c_str());
     }
     *width_px = (uint32_t)s.width;
     *height_px = (uint32_t)s.height;
@@ -163,7 +163,7 @@ extern "C" enum err_code image_read_info(const char *path, uint32_t *width_px, u
                                          struct image_gps *gps, struct err *e)
 try {
     enum err_code rc = ERR_OK;
-    std::unique_ptr<OIIO::ImageInput> in = open_input(path, &rc, e);
+    std::unique_ptr<OIIO::ImageInput> in = image_open_input(path, &rc, e);
     if (!in)
         return rc;
     if (width_px)
@@ -174,7 +174,7 @@ try {
 }
 SHIM_CATCH("image_read_info")
 
-static OIIO::ImageSpec output_spec(const struct image *img, int quality)
+static OIIO::ImageSpec image_output_spec(const struct image *img, int quality)
 {
     OIIO::ImageSpec s((int)img->width_px, (int)img->height_px, (int)img->channels,
                       OIIO::TypeDesc::UINT8);
@@ -186,27 +186,27 @@ static OIIO::ImageSpec output_spec(const struct image *img, int quality)
     return s;
 }
 
-static enum err_code write_pixels(OIIO::ImageOutput *o, const char *name, const struct image *img,
-                                  int quality, struct err *e)
+static enum err_code image_write_pixels(OIIO::ImageOutput *o, const char *name,
+                                        const struct image *img, int quality, struct err *e)
 {
     if (!o)
         return err_set(e, ERR_ARG, "image : %s : cannot be written (%s)", name,
-                       first_line(OIIO::geterror()).c_str());
-    if (!o->open(name, output_spec(img, quality)) ||
+                       image_first_line(OIIO::geterror()).c_str());
+    if (!o->open(name, image_output_spec(img, quality)) ||
         !o->write_image(OIIO::TypeDesc::UINT8, img->px) || !o->close())
         return err_set(e, ERR_LIMIT, "image : %u x %u as %s : %s", img->width_px, img->height_px,
-                       name, first_line(o->geterror()).c_str());
+                       name, image_first_line(o->geterror()).c_str());
     return ERR_OK;
 }
 
 extern "C" enum err_code image_encode(const struct image *img, const char *format, int quality,
                                       struct buf *out, struct err *e)
 try {
-    single_thread();
+    image_single_thread();
     std::vector<unsigned char> bytes;
     OIIO::Filesystem::IOVecOutput file(bytes);
     std::unique_ptr<OIIO::ImageOutput> o = OIIO::ImageOutput::create(format, &file);
-    enum err_code rc = write_pixels(o.get(), format, img, quality, e);
+    enum err_code rc = image_write_pixels(o.get(), format, img, quality, e);
     if (rc)
         return rc;
     buf_add(out, bytes.data(), bytes.size());
@@ -216,15 +216,15 @@ SHIM_CATCH("image_encode")
 
 // libtiff seeks while it writes, which OpenImageIO's memory file does not survive: by way of the
 // disk.
-static enum err_code encode_tiff(const char *path, const struct image *img, struct buf *out,
-                                 struct err *e)
+static enum err_code image_encode_tiff(const char *path, const struct image *img, struct buf *out,
+                                       struct err *e)
 {
     char part[FILE_PATH_MAX];
     enum err_code rc = file_begin(path, part, e);
     if (rc)
         return rc;
-    single_thread();
-    rc = write_pixels(OIIO::ImageOutput::create("tif").get(), part, img, 0, e);
+    image_single_thread();
+    rc = image_write_pixels(OIIO::ImageOutput::create("tif").get(), part, img, 0, e);
     if (!rc)
         rc = file_read(part, 0, out, e);
     file_abort(part);
@@ -248,7 +248,7 @@ try {
                        path);
     struct buf b = {};
     enum err_code rc = strcmp(format, "tif") ? image_encode(img, format, quality, &b, e)
-                                             : encode_tiff(path, img, &b, e);
+                                             : image_encode_tiff(path, img, &b, e);
     if (!rc && gps)
         rc = exif_insert(&b, gps, e);
     if (!rc)

@@ -40,7 +40,7 @@ enum err_code npy_write(const char *path, const float *data, size_t ndim, const 
 }
 
 /* The value of a key of the header's dictionary, or NULL. */
-static const char *dict_find(const char *head, const char *key)
+static const char *npy_dict_find(const char *head, const char *key)
 {
     const char *p = strstr(head, key);
     if (!p || !(p = strchr(p + strlen(key), ':')))
@@ -51,11 +51,12 @@ static const char *dict_find(const char *head, const char *key)
     return p;
 }
 
-static enum err_code head_parse(const char *head, size_t ndim, size_t *shape, size_t *count,
-                                struct err *e)
+static enum err_code npy_head_parse(const char *head, size_t ndim, size_t *shape, size_t *count,
+                                    struct err *e)
 {
-    const char *descr = dict_find(head, "'descr'"), *order = dict_find(head, "'fortran_order'");
-    const char *p = dict_find(head, "'shape'");
+    const char *descr = npy_dict_find(head, "'descr'"),
+               *order = npy_dict_find(head, "'fortran_order'");
+    const char *p = npy_dict_find(head, "'shape'");
     if (!descr || !order || !p || *p != '(')
         return err_set(e, ERR_FORMAT,
                        "npy : header is not a dictionary of descr, fortran_order, shape");
@@ -97,7 +98,7 @@ enum err_code npy_decode(const void *bytes, size_t n, size_t ndim, size_t *shape
     if (!head)
         return err_set(e, ERR_MEM, "npy : out of memory");
     memcpy(head, text, n_head);
-    enum err_code rc = head_parse(head, ndim, shape, &count, e);
+    enum err_code rc = npy_head_parse(head, ndim, shape, &count, e);
     mem_free(head);
     if (rc)
         return rc;

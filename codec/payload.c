@@ -40,7 +40,7 @@ struct plane {
     size_t width, value_bytes;
 };
 
-static void planes_of(const struct gauss *g, bool lossless, struct plane out[N_PLANES])
+static void payload_planes_of(const struct gauss *g, bool lossless, struct plane out[N_PLANES])
 {
     size_t rest = lossless ? 4 : 2;
     out[0] = (struct plane){g->mean_m, 3, 4};
@@ -51,11 +51,11 @@ static void planes_of(const struct gauss *g, bool lossless, struct plane out[N_P
     out[5] = (struct plane){g->embed, g->embed_len, rest};
 }
 
-static size_t plain_bytes(const struct gauss *g, bool lossless)
+static size_t payload_plain_bytes(const struct gauss *g, bool lossless)
 {
     struct plane p[N_PLANES];
     size_t row = 0;
-    planes_of(g, lossless, p);
+    payload_planes_of(g, lossless, p);
     for (int i = 0; i < N_PLANES; i++)
         row += p[i].width * p[i].value_bytes;
     return g->n * row;
@@ -128,20 +128,20 @@ SIMD_INLINE bool plane_write_of(const struct plane *p, size_t n, uint8_t *out,
     return most < 0x7f800000;
 }
 
-SIMD_WIDE static bool plane_write4(const struct plane *p, size_t n, uint8_t *out)
+SIMD_WIDE static bool payload_plane_write4(const struct plane *p, size_t n, uint8_t *out)
 {
     return plane_write_of(p, n, out, 4);
 }
 
-SIMD_WIDE static bool plane_write2(const struct plane *p, size_t n, uint8_t *out)
+SIMD_WIDE static bool payload_plane_write2(const struct plane *p, size_t n, uint8_t *out)
 {
     return plane_write_of(p, n, out, 2);
 }
 
 /* False when a value is not finite; what is written then is of no use. */
-static bool plane_write(const struct plane *p, size_t n, uint8_t *out)
+static bool payload_plane_write(const struct plane *p, size_t n, uint8_t *out)
 {
-    return (p->value_bytes == 4 ? plane_write4 : plane_write2)(p, n, out);
+    return (p->value_bytes == 4 ? payload_plane_write4 : payload_plane_write2)(p, n, out);
 }
 
 /* Sums of all bytes before and of each: eight at a time, in a word whose bytes do not carry. */
@@ -194,19 +194,19 @@ SIMD_INLINE void plane_read_of(const struct plane *p, size_t n, const uint8_t *i
     }
 }
 
-SIMD_WIDE static void plane_read4(const struct plane *p, size_t n, const uint8_t *in)
+SIMD_WIDE static void payload_plane_read4(const struct plane *p, size_t n, const uint8_t *in)
 {
     plane_read_of(p, n, in, 4);
 }
 
-SIMD_WIDE static void plane_read2(const struct plane *p, size_t n, const uint8_t *in)
+SIMD_WIDE static void payload_plane_read2(const struct plane *p, size_t n, const uint8_t *in)
 {
     plane_read_of(p, n, in, 2);
 }
 
-static void plane_read(const struct plane *p, size_t n, const uint8_t *in)
+static void payload_plane_read(const struct plane *p, size_t n, const uint8_t *in)
 {
-    (p->value_bytes == 4 ? plane_read4 : plane_read2)(p, n, in);
+    (p->value_bytes == 4 ? payload_plane_read4 : payload_plane_read2)(p, n, in);
 }
 
 SIMD_WIDE void payload_to_float16(const float *in, size_t n, uint16_t *out)
@@ -237,7 +237,7 @@ void payload_unit_quat(const float r[4], float out[4])
 }
 
 /* mem_free it. */
-static float *unit_quats(const struct gauss *g)
+static float *payload_unit_quats(const struct gauss *g)
 {
     float *q = mem_uninit(4 * g->n, sizeof *q);
     for (size_t i = 0; q && i < g->n; i++)
@@ -245,15 +245,15 @@ static float *unit_quats(const struct gauss *g)
     return q;
 }
 
-static size_t pack_bound(size_t n)
+static size_t payload_pack_bound(size_t n)
 {
     return ZSTD_compressBound(n) + n / ZSTD_BLOCK_LEAST * 16 + 64; /* heads of blocks */
 }
 
 /* One zstd frame, a block ending where a plane of `rows` bytes does. Matches are few, so they are
  * looked for in a table that fits the nearest cache. *room: of out, then what is used. */
-static enum err_code pack(const uint8_t *plain, size_t n, size_t rows, uint8_t *out, size_t *room,
-                          struct err *e)
+static enum err_code payload_pack(const uint8_t *plain, size_t n, size_t rows, uint8_t *out,
+                                  size_t *room, struct err *e)
 {
     static const struct {
         ZSTD_cParameter name;
@@ -291,7 +291,7 @@ enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *o
     struct buf plain = {0};
     struct plane planes[N_PLANES];
     float *quats = NULL;
-    size_t bad = 0, start = out->size, bytes = plain_bytes(g, lossless);
+    size_t bad = 0, start = out->size, bytes = payload_plain_bytes(g, lossless);
     bool good = true;
     if (g->n > UINT32_MAX)
         return err_set(e, ERR_LIMIT, "payload : %zu Gaussians in one tile", g->n);
@@ -305,19 +305,19 @@ enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *o
         buf_f64(out, g->origin_enu_m[c]);
     buf_u64(out, bytes);
     uint8_t *p = buf_grow(&plain, bytes);
-    size_t bound = pack_bound(bytes), at = out->size;
+    size_t bound = payload_pack_bound(bytes), at = out->size;
     uint8_t *packed = buf_grow(out, bound);
     enum err_code rc = buf_check(&plain, e);
     if (!rc)
         rc = buf_check(out, e);
-    if (!rc && !lossless && !(quats = unit_quats(g)))
+    if (!rc && !lossless && !(quats = payload_unit_quats(g)))
         rc = err_set(e, ERR_MEM, "payload : %zu Gaussians : out of memory", g->n);
     if (!rc) {
-        planes_of(g, lossless, planes);
+        payload_planes_of(g, lossless, planes);
         if (quats)
             planes[2].data = quats;
         for (int i = 0; i < N_PLANES; i++) {
-            good = plane_write(&planes[i], g->n, p) && good;
+            good = payload_plane_write(&planes[i], g->n, p) && good;
             p += g->n * planes[i].width * planes[i].value_bytes;
         }
         /* A rotation of 0 has become NaN, but not where it is kept as it is. */
@@ -325,7 +325,7 @@ enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *o
             rc = err_set(e, ERR_DATA, "payload : row %zu : not finite, or no rotation", bad);
     }
     if (!rc) {
-        rc = pack(plain.data, bytes, g->n, packed, &bound, e);
+        rc = payload_pack(plain.data, bytes, g->n, packed, &bound, e);
         out->size = at + bound;
     }
     if (rc)
@@ -337,8 +337,9 @@ enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *o
 
 /* Head of a payload into g (n, degree, embedding, flags, origin; no arrays) and its plain size,
  * checked against the limits and against what n bytes of zstd can hold. */
-static enum err_code head_read(struct cursor *c, const struct codec_limits *lim, struct gauss *g,
-                               bool *lossless, size_t *plain, struct err *e)
+static enum err_code payload_head_read(struct cursor *c, const struct codec_limits *lim,
+                                       struct gauss *g, bool *lossless, size_t *plain,
+                                       struct err *e)
 {
     const uint8_t *magic = cursor_take(c, 4);
     unsigned version = cursor_u16(c), flags = cursor_u8(c);
@@ -359,7 +360,7 @@ static enum err_code head_read(struct cursor *c, const struct codec_limits *lim,
         return err_set(e, ERR_FORMAT, "payload : head is damaged");
     *lossless = flags & FLAG_LOSSLESS;
     g->antialiased = flags & FLAG_ANTIALIASED;
-    *plain = plain_bytes(g, *lossless);
+    *plain = payload_plain_bytes(g, *lossless);
     size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS;
     size_t most_bytes = lim && lim->max_bytes ? lim->max_bytes : CODEC_MAX_BYTES;
     if (g->n > most || *plain > most_bytes)
@@ -382,7 +383,7 @@ enum err_code payload_decode(const void *bytes, size_t n, const struct codec_lim
     size_t n_plain = 0;
     struct cursor c = cursor_over(bytes, n);
     *out = (struct gauss){0};
-    enum err_code rc = head_read(&c, lim, &head, &lossless, &n_plain, e);
+    enum err_code rc = payload_head_read(&c, lim, &head, &lossless, &n_plain, e);
     uint8_t *p = !rc ? buf_grow(&plain, n_plain) : NULL;
     if (!rc)
         rc = buf_check(&plain, e);
@@ -398,9 +399,9 @@ enum err_code payload_decode(const void *bytes, size_t n, const struct codec_lim
         out->n = head.n;
         out->antialiased = head.antialiased;
         memcpy(out->origin_enu_m, head.origin_enu_m, sizeof out->origin_enu_m);
-        planes_of(out, lossless, planes);
+        payload_planes_of(out, lossless, planes);
         for (int i = 0; i < N_PLANES; i++) {
-            plane_read(&planes[i], out->n, p);
+            payload_plane_read(&planes[i], out->n, p);
             p += out->n * planes[i].width * planes[i].value_bytes;
         }
         size_t bad = 0;

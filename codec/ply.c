@@ -41,7 +41,8 @@ struct columns {
     uint32_t sh_degree;
 };
 
-static enum err_code columns_find(const struct ply_element *v, struct columns *out, struct err *e)
+static enum err_code ply_columns_find(const struct ply_element *v, struct columns *out,
+                                      struct err *e)
 {
     char name[16];
     size_t n = 0;
@@ -63,8 +64,8 @@ static enum err_code columns_find(const struct ply_element *v, struct columns *o
 }
 
 /* Text rows to float64 rows, so that one reader does for both. mem_free *rows. */
-static enum err_code ascii_rows(const struct ply_head *h, const struct ply_element *v, size_t n,
-                                double **rows, struct err *e)
+static enum err_code ply_ascii_rows(const struct ply_head *h, const struct ply_element *v, size_t n,
+                                    double **rows, struct err *e)
 {
     bool lists = false;
     *rows = NULL;
@@ -98,7 +99,7 @@ struct source { /* binary rows, or ASCII ones as doubles */
     const double *text;
 };
 
-static double source_get(const struct source *s, size_t row, const struct ply_property *p)
+static double ply_source_get(const struct source *s, size_t row, const struct ply_property *p)
 {
     return s->text ? s->text[row * s->width + p->offset]
                    : ply_head_value(s->head, p, s->rows + row * s->row_bytes);
@@ -106,13 +107,13 @@ static double source_get(const struct source *s, size_t row, const struct ply_pr
 
 /* Coordinates in double: the origin goes to the middle of the box, on a whole metre, if it is far.
  */
-static void means_read(const struct source *s, const struct columns *col, struct gauss *g)
+static void ply_means_read(const struct source *s, const struct columns *col, struct gauss *g)
 {
     double lo[3] = {DBL_MAX, DBL_MAX, DBL_MAX}, hi[3] = {-DBL_MAX, -DBL_MAX, -DBL_MAX};
     for (int c = 0; c < 3; c++) {
         if (col->fixed[c]->type == PLY_F64 || s->text)
             for (size_t i = 0; i < g->n; i++) {
-                double v = source_get(s, i, col->fixed[c]);
+                double v = ply_source_get(s, i, col->fixed[c]);
                 lo[c] = v < lo[c] ? v : lo[c];
                 hi[c] = v > hi[c] ? v : hi[c];
             }
@@ -122,31 +123,32 @@ static void means_read(const struct source *s, const struct columns *col, struct
     }
     for (size_t i = 0; i < g->n; i++)
         for (int c = 0; c < 3; c++)
-            g->mean_m[3 * i + c] = (float)(source_get(s, i, col->fixed[c]) - g->origin_enu_m[c]);
+            g->mean_m[3 * i + c] =
+                (float)(ply_source_get(s, i, col->fixed[c]) - g->origin_enu_m[c]);
 }
 
-static void rows_read(const struct source *s, const struct columns *col, struct gauss *g)
+static void ply_rows_read(const struct source *s, const struct columns *col, struct gauss *g)
 {
     const size_t k = gauss_sh_count(g->sh_degree), n_rest = k - 1;
-    means_read(s, col, g);
+    ply_means_read(s, col, g);
     for (size_t i = 0; i < g->n; i++) {
         float *sh = g->sh + 3 * k * i;
         for (size_t c = 0; c < 3; c++) {
-            float ln = (float)source_get(s, i, col->fixed[7 + c]);
+            float ln = (float)ply_source_get(s, i, col->fixed[7 + c]);
             g->scale_log[3 * i + c] = ln < SCALE_LOG_MIN && !isfinite(ln) ? SCALE_LOG_MIN : ln;
-            sh[c] = (float)source_get(s, i, col->fixed[3 + c]);
+            sh[c] = (float)ply_source_get(s, i, col->fixed[3 + c]);
             for (size_t r = 0; r < n_rest; r++)
-                sh[3 * (r + 1) + c] = (float)source_get(s, i, col->rest[c * col->n_rest + r]);
+                sh[3 * (r + 1) + c] = (float)ply_source_get(s, i, col->rest[c * col->n_rest + r]);
         }
-        float logit = (float)source_get(s, i, col->fixed[6]);
+        float logit = (float)ply_source_get(s, i, col->fixed[6]);
         g->opacity_logit[i] = isinf(logit) ? copysignf(OPACITY_LOGIT_MAX, logit) : logit;
         for (size_t c = 0; c < 4; c++)
-            g->quat_wxyz[4 * i + c] = (float)source_get(s, i, col->fixed[10 + c]);
+            g->quat_wxyz[4 * i + c] = (float)ply_source_get(s, i, col->fixed[10 + c]);
     }
 }
 
-static enum err_code inria_read(const struct ply_head *h, const struct codec_limits *lim,
-                                struct gauss *out, struct err *e)
+static enum err_code ply_inria_read(const struct ply_head *h, const struct codec_limits *lim,
+                                    struct gauss *out, struct err *e)
 {
     const struct ply_element *v = ply_head_element(h, "vertex");
     struct columns col = {0};
@@ -155,11 +157,11 @@ static enum err_code inria_read(const struct ply_head *h, const struct codec_lim
            n_bad;
     if (!v)
         return err_set(e, ERR_FORMAT, "ply : no element vertex");
-    enum err_code rc = columns_find(v, &col, e);
+    enum err_code rc = ply_columns_find(v, &col, e);
     if (!rc && v->count > most)
         rc = err_set(e, ERR_LIMIT, "ply : %zu Gaussians : the limit is %zu", v->count, most);
     if (!rc && h->format == PLY_ASCII)
-        rc = ascii_rows(h, v, v->count, &text, e);
+        rc = ply_ascii_rows(h, v, v->count, &text, e);
     else if (!rc && !v->rows)
         rc = err_set(e, ERR_FORMAT,
                      "ply : the vertices stand behind or hold lists, which are not read");
@@ -169,7 +171,7 @@ static enum err_code inria_read(const struct ply_head *h, const struct codec_lim
         struct source s = {h, v->rows, v->row_bytes, v->n_props, text};
         out->n = v->count;
         out->antialiased = h->antialiased;
-        rows_read(&s, &col, out);
+        ply_rows_read(&s, &col, out);
         if ((n_bad = gauss_count_bad(out, &bad)))
             rc = err_set(e, ERR_DATA,
                          "ply : row %zu : not finite, or no rotation (%zu such rows) : remove them",
@@ -188,7 +190,7 @@ enum err_code ply_decode(const void *bytes, size_t n, const struct codec_limits 
     *out = (struct gauss){0};
     enum err_code rc = ply_head_read(bytes, n, &h, e);
     if (!rc)
-        rc = ply_packed_is(&h) ? ply_packed_read(&h, lim, out, e) : inria_read(&h, lim, out, e);
+        rc = ply_packed_is(&h) ? ply_packed_read(&h, lim, out, e) : ply_inria_read(&h, lim, out, e);
     if (!rc && info)
         *info = h.info;
     ply_head_free(&h);
@@ -210,8 +212,8 @@ enum err_code ply_read(const char *path, const struct codec_limits *lim, struct 
 
 /* ---- writing ---- */
 
-static void head_write(const struct gauss *g, const struct ply_info *info, bool doubles,
-                       struct buf *out)
+static void ply_head_write(const struct gauss *g, const struct ply_info *info, bool doubles,
+                           struct buf *out)
 {
     size_t n_rest = 3 * (gauss_sh_count(g->sh_degree) - 1);
     buf_printf(out, "ply\nformat binary_little_endian 1.0\n");
@@ -247,7 +249,7 @@ enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, str
         doubles = fabs((double)g->mean_m[i] + g->origin_enu_m[i % 3]) > FLOAT_REACH_M;
     if (doubles && g->origin_enu_m[0] == 0 && g->origin_enu_m[1] == 0 && g->origin_enu_m[2] == 0)
         doubles = false; /* they are float32 already */
-    head_write(g, info, doubles, out);
+    ply_head_write(g, info, doubles, out);
     const size_t n_tail = 3 + 3 * k + 1 + 3 + 4, row = 3 * (doubles ? 8 : 4) + 4 * n_tail;
     uint8_t *p = g->n <= SIZE_MAX / row ? buf_grow(out, g->n * row) : NULL;
     if (!p) {

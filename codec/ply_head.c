@@ -26,7 +26,7 @@ static const struct {
     [PLY_F32] = {"float", "float32", 4}, [PLY_F64] = {"double", "float64", 8},
 };
 
-static bool type_find(const char *name, enum ply_type *out)
+static bool head_type_find(const char *name, enum ply_type *out)
 {
     for (size_t i = 0; i < sizeof types / sizeof *types; i++)
         if (!strcmp(name, types[i].name) || !strcmp(name, types[i].other)) {
@@ -37,7 +37,7 @@ static bool type_find(const char *name, enum ply_type *out)
 }
 
 /* The next line into `line` without its end; false at the end of the bytes or when too long. */
-static bool next_line(struct cursor *c, char line[LINE_MAX_BYTES])
+static bool head_next_line(struct cursor *c, char line[LINE_MAX_BYTES])
 {
     size_t n = 0;
     while (cursor_left(c)) {
@@ -55,7 +55,7 @@ static bool next_line(struct cursor *c, char line[LINE_MAX_BYTES])
     return false;
 }
 
-static void comment_read(struct ply_head *h, const char *text)
+static void head_comment_read(struct ply_head *h, const char *text)
 {
     struct geo_origin o;
     int flag;
@@ -73,8 +73,8 @@ static void comment_read(struct ply_head *h, const char *text)
         h->antialiased = true;
 }
 
-static enum err_code element_read(struct ply_head *h, const char *name, const char *count,
-                                  struct err *e)
+static enum err_code head_element_read(struct ply_head *h, const char *name, const char *count,
+                                       struct err *e)
 {
     char *end;
     unsigned long long n = strtoull(count, &end, 10);
@@ -97,8 +97,8 @@ static enum err_code element_read(struct ply_head *h, const char *name, const ch
     return ERR_OK;
 }
 
-static enum err_code property_read(struct ply_head *h, const char *type, const char *name,
-                                   struct err *e)
+static enum err_code head_property_read(struct ply_head *h, const char *type, const char *name,
+                                        struct err *e)
 {
     if (!h->n_elements)
         return err_set(e, ERR_FORMAT, "a property before the first element");
@@ -109,7 +109,7 @@ static enum err_code property_read(struct ply_head *h, const char *type, const c
                        PROPERTIES_MAX);
     if (!strcmp(type, "list"))
         p->type = PLY_LIST;
-    else if (!type_find(type, &p->type))
+    else if (!head_type_find(type, &p->type))
         return err_set(e, ERR_FORMAT, "property type '%.40s' is unknown", type);
     if (p->type != PLY_LIST && ply_head_property(el, name))
         return err_set(e, ERR_FORMAT, "property %.40s stands twice", name);
@@ -123,8 +123,8 @@ static enum err_code property_read(struct ply_head *h, const char *type, const c
     return ERR_OK;
 }
 
-static enum err_code line_read(struct ply_head *h, char *line, bool *format_seen, bool *done,
-                               struct err *e)
+static enum err_code head_line_read(struct ply_head *h, char *line, bool *format_seen, bool *done,
+                                    struct err *e)
 {
     char word[3][LINE_MAX_BYTES] = {{0}};
     int n = sscanf(line, "%1023s %1023s %1023s", word[0], word[1], word[2]);
@@ -132,7 +132,7 @@ static enum err_code line_read(struct ply_head *h, char *line, bool *format_seen
         return ERR_OK;
     if (!strcmp(word[0], "comment")) {
         if (n > 1)
-            comment_read(h, strstr(line, word[1]));
+            head_comment_read(h, strstr(line, word[1]));
         return ERR_OK;
     }
     if (!strcmp(word[0], "end_header")) {
@@ -149,14 +149,14 @@ static enum err_code line_read(struct ply_head *h, char *line, bool *format_seen
             }
     }
     if (!strcmp(word[0], "element") && n == 3)
-        return element_read(h, word[1], word[2], e);
+        return head_element_read(h, word[1], word[2], e);
     if (!strcmp(word[0], "property") && n == 3)
-        return property_read(h, word[1], word[2], e);
+        return head_property_read(h, word[1], word[2], e);
     return err_set(e, ERR_FORMAT, "'%.40s' is not understood", line);
 }
 
 /* Where each element's rows are, as far as that can be told without reading lists. */
-static enum err_code place_rows(struct ply_head *h, struct err *e)
+static enum err_code head_place_rows(struct ply_head *h, struct err *e)
 {
     const uint8_t *at = h->format == PLY_ASCII ? NULL : h->body;
     size_t left = h->n_body;
@@ -188,13 +188,13 @@ enum err_code ply_head_read(const void *bytes, size_t n, struct ply_head *out, s
     char line[LINE_MAX_BYTES];
     bool format_seen = false, done = false;
     *out = (struct ply_head){0};
-    if (!next_line(&c, line) || strcmp(line, "ply"))
+    if (!head_next_line(&c, line) || strcmp(line, "ply"))
         return err_set(e, ERR_FORMAT, "ply : not a .ply file");
     for (size_t i = 2; !done; i++) {
-        if (i > LINES_MAX || !next_line(&c, line))
+        if (i > LINES_MAX || !head_next_line(&c, line))
             return err_set(e, ERR_FORMAT, "ply : line %zu : truncated, too long, or no end_header",
                            i);
-        enum err_code rc = line_read(out, line, &format_seen, &done, e);
+        enum err_code rc = head_line_read(out, line, &format_seen, &done, e);
         if (rc) {
             err_add(e, "ply : line %zu", i);
             return rc;
@@ -204,7 +204,7 @@ enum err_code ply_head_read(const void *bytes, size_t n, struct ply_head *out, s
         return err_set(e, ERR_FORMAT, "ply : no format line in the header");
     out->body = c.p;
     out->n_body = cursor_left(&c);
-    return place_rows(out, e);
+    return head_place_rows(out, e);
 }
 
 void ply_head_free(struct ply_head *h)

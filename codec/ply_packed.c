@@ -82,7 +82,7 @@ static enum err_code packed_find(const struct ply_head *h, struct packed *p, str
 }
 
 /* Fields of 11, 10 and 11 bits into ranges lo[3], lo[3 + 3..]. */
-static void unpack3(uint32_t v, const float range[6], float out[3])
+static void packed_unpack3(uint32_t v, const float range[6], float out[3])
 {
     const float t[3] = {(float)(v >> 21) / 2047, (float)(v >> 11 & 1023) / 1023,
                         (float)(v & 2047) / 2047};
@@ -90,7 +90,7 @@ static void unpack3(uint32_t v, const float range[6], float out[3])
         out[c] = range[c] * (1 - t[c]) + range[3 + c] * t[c];
 }
 
-static void unpack_rotation(uint32_t v, float wxyz[4])
+static void packed_unpack_rotation(uint32_t v, float wxyz[4])
 {
     uint32_t largest = v >> 30;
     float sum = 0;
@@ -105,7 +105,8 @@ static void unpack_rotation(uint32_t v, float wxyz[4])
     wxyz[largest] = sqrtf(sum < 1 ? 1 - sum : 0);
 }
 
-static void row_read(const struct packed *p, const float range[N_RANGES], size_t i, struct gauss *g)
+static void packed_row_read(const struct packed *p, const float range[N_RANGES], size_t i,
+                            struct gauss *g)
 {
     const uint8_t *row = p->vertex->rows + i * p->vertex->row_bytes;
     const size_t k = gauss_sh_count(g->sh_degree);
@@ -113,9 +114,9 @@ static void row_read(const struct packed *p, const float range[N_RANGES], size_t
     uint32_t field[N_PACKED];
     for (int f = 0; f < N_PACKED; f++)
         field[f] = (uint32_t)ply_head_value(p->head, p->field[f], row);
-    unpack3(field[0], range, g->mean_m + 3 * i);
-    unpack_rotation(field[1], g->quat_wxyz + 4 * i);
-    unpack3(field[2], range + 6, g->scale_log + 3 * i);
+    packed_unpack3(field[0], range, g->mean_m + 3 * i);
+    packed_unpack_rotation(field[1], g->quat_wxyz + 4 * i);
+    packed_unpack3(field[2], range + 6, g->scale_log + 3 * i);
     for (int c = 0; c < 3; c++) {
         float t = (float)(field[3] >> (24 - 8 * c) & 255) / 255;
         float color = p->has_color_range ? range[12 + c] * (1 - t) + range[15 + c] * t : t;
@@ -158,7 +159,7 @@ enum err_code ply_packed_read(const struct ply_head *h, const struct codec_limit
                            ? (float)ply_head_value(h, p.range[r],
                                                    p.chunk->rows + i / CHUNK * p.chunk->row_bytes)
                            : 0;
-        row_read(&p, range, i, out);
+        packed_row_read(&p, range, i, out);
     }
     if (gauss_count_bad(out, &bad)) {
         rc = err_set(e, ERR_DATA, "ply : row %zu : not finite, or no rotation", bad);

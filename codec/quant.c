@@ -88,7 +88,7 @@ void quant_free(struct quant *q)
 /* ---- to integers: columns, so that the compiler makes vectors of them ---- */
 
 /* Nearest multiple of 2^shift to v in 0..255; 256 becomes 255. */
-static inline uint8_t byte_at(float v, float per_step, int shift)
+static inline uint8_t quant_byte_at(float v, float per_step, int shift)
 {
     float index = v * per_step + 0.5f; /* per_step = 2^-shift */
     index = index < 0 ? 0 : index > 256 ? 256 : index;
@@ -96,7 +96,7 @@ static inline uint8_t byte_at(float v, float per_step, int shift)
     return (uint8_t)(byte > 255 ? 255 : byte);
 }
 
-static inline int32_t floor_i32(float v)
+static inline int32_t quant_floor_i32(float v)
 {
     int32_t i = (int32_t)v;
     return i - ((float)i > v);
@@ -105,7 +105,7 @@ static inline int32_t floor_i32(float v)
 static void quant_positions(const float *mean, size_t n, float scale, int shift, int32_t *out)
 {
     for (size_t i = 0; i < n; i++) { /* powers of two: exact but for the one rounding */
-        int32_t v = floor_i32(mean[i] * scale + 0.5f);
+        int32_t v = quant_floor_i32(mean[i] * scale + 0.5f);
         out[i] = (int32_t)((uint32_t)v << shift);
     }
 }
@@ -115,10 +115,10 @@ static void quant_bytes(const float *in, size_t n, float gain, float offset, int
 {
     const float per_step = 1 / (float)(1 << shift);
     for (size_t i = 0; i < n; i++)
-        out[i] = byte_at(in[i] * gain + offset, per_step, shift);
+        out[i] = quant_byte_at(in[i] * gain + offset, per_step, shift);
 }
 
-static uint32_t pack_rotation(const float quat_wxyz[4], int shift)
+static uint32_t quant_largest_three(const float quat_wxyz[4], int shift)
 {
     const float q[4] = {quat_wxyz[1], quat_wxyz[2], quat_wxyz[3], quat_wxyz[0]}; /* SPZ: x y z w */
     float a[4], sum = 0;
@@ -143,7 +143,7 @@ static uint32_t pack_rotation(const float quat_wxyz[4], int shift)
 
 uint32_t quant_pack_rotation(const float quat_wxyz[4])
 {
-    return pack_rotation(quat_wxyz, 0);
+    return quant_largest_three(quat_wxyz, 0);
 }
 
 /* Coefficients after DC of rows that may have more or fewer of them. */
@@ -161,7 +161,7 @@ static void quant_sh(const struct gauss *g, const uint8_t shift[3], struct quant
         uint8_t *out = q->sh + i * n_out;
         for (int b = 0; b < 3 && end[b] < n_both; b++)
             for (size_t c = end[b]; c < end[b + 1]; c++)
-                out[c] = byte_at(in[c] * 128 + 128, per_step[b], shift[b]);
+                out[c] = quant_byte_at(in[c] * 128 + 128, per_step[b], shift[b]);
         for (size_t c = n_both; c < n_out; c++)
             out[c] = 128;
     }
@@ -182,13 +182,14 @@ static void quant_embed(const struct gauss *g, int shift, struct quant *q)
         q->embed_max[d] = hi;
         float steps = hi > lo ? 255 / (hi - lo) : 0;
         for (size_t i = 0; i < g->n; i++)
-            q->embed[i * len + d] = byte_at((g->embed[i * len + d] - lo) * steps, per_step, shift);
+            q->embed[i * len + d] =
+                quant_byte_at((g->embed[i * len + d] - lo) * steps, per_step, shift);
     }
 }
 
 /* log2 of the median over the rows of each one's middle sigma, in metres, to a sixteenth of ln: the
  * width of a needle, not its length, and the breadth of a disc, not its thickness. */
-static double sigma_log2(const struct gauss *g)
+static double quant_sigma_log2(const struct gauss *g)
 {
     uint32_t bins[SIGMA_BINS] = {0};
     for (size_t i = 0; i < g->n; i++) {
@@ -204,7 +205,7 @@ static double sigma_log2(const struct gauss *g)
 }
 
 /* Does the farthest coordinate fit 24 bits, rounded to the step that is wanted? */
-static bool position_fits(float reach_m, long bits, long want)
+static bool quant_position_fits(float reach_m, long bits, long want)
 {
     double step = bits > want ? ldexp(1, (int)(bits - want)) : 1;
     return ldexp((double)reach_m, (int)bits) + step / 2 < POSITION_LIMIT;
@@ -213,8 +214,8 @@ static bool position_fits(float reach_m, long bits, long want)
 /* How positions are written: q->frac_bits for the file, and how many low bits of them are 0. A
  * preset asks for a step that is a part of the median sigma; without one it is 2^-12 m. More than
  * 12 bits are written only where they are asked for, fewer only where the range needs it. */
-static enum err_code choose_position(const struct gauss *g, const struct quant_grid *grid,
-                                     struct quant *q, int *shift, struct err *e)
+static enum err_code quant_choose_position(const struct gauss *g, const struct quant_grid *grid,
+                                           struct quant *q, int *shift, struct err *e)
 {
     float reach = 0;
     size_t row = 0;
@@ -223,15 +224,15 @@ static enum err_code choose_position(const struct gauss *g, const struct quant_g
             reach = fabsf(g->mean_m[i]);
             row = i / 3;
         }
-    const double sigma = sigma_log2(g);
+    const double sigma = quant_sigma_log2(g);
     long want = grid->position ? lround(grid->position - sigma) : QUANT_FRAC_BITS;
     want = want < 0 ? 0 : want > FRAC_BITS_MAX ? FRAC_BITS_MAX : want;
     long least = (long)ceil(STEPS_MIN_LOG2 - sigma), bits = want;
     least = least < 0 ? 0 : least > want ? want : least;
     bits = bits > QUANT_FRAC_BITS ? bits : QUANT_FRAC_BITS;
-    while (bits > least && !position_fits(reach, bits, want))
+    while (bits > least && !quant_position_fits(reach, bits, want))
         bits--;
-    if (!position_fits(reach, bits, want))
+    if (!quant_position_fits(reach, bits, want))
         return err_set(e, ERR_LIMIT,
                        "quant : row %zu : %.1f m from the origin : 24 bits reach %.0f m at the "
                        "precision that Gaussians of %.2g m need ; cut the scene into tiles or move "
@@ -242,7 +243,7 @@ static enum err_code choose_position(const struct gauss *g, const struct quant_g
     return ERR_OK;
 }
 
-static enum err_code check_rows(const struct gauss *g, struct err *e)
+static enum err_code quant_check_rows(const struct gauss *g, struct err *e)
 {
     size_t bad;
     if (!gauss_count_bad(g, &bad))
@@ -261,11 +262,11 @@ enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree,
         grid = quant_preset_grid(QUANT_SPZ);
     uint32_t degree = sh_degree < grid->sh_degree ? sh_degree : grid->sh_degree;
     *out = (struct quant){0};
-    enum err_code rc = check_rows(g, e);
+    enum err_code rc = quant_check_rows(g, e);
     if (!rc)
         rc = quant_alloc(out, g->n, degree, g->embed_len, e);
     if (!rc)
-        rc = choose_position(g, grid, out, &shift, e);
+        rc = quant_choose_position(g, grid, out, &shift, e);
     if (rc) {
         quant_free(out);
         return rc;
@@ -277,11 +278,12 @@ enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree,
     quant_positions(g->mean_m, 3 * n, ldexpf(1, (int)out->frac_bits - shift), shift, out->position);
     quant_bytes(g->scale_log, 3 * n, 16, 160, grid->scale, out->scale);
     for (size_t i = 0; i < n; i++) {
-        out->alpha[i] = byte_at(255 / (1 + expf(-g->opacity_logit[i])), alpha_step, grid->alpha);
-        out->rotation[i] = pack_rotation(g->quat_wxyz + 4 * i, grid->rotation);
+        out->alpha[i] =
+            quant_byte_at(255 / (1 + expf(-g->opacity_logit[i])), alpha_step, grid->alpha);
+        out->rotation[i] = quant_largest_three(g->quat_wxyz + 4 * i, grid->rotation);
         for (size_t c = 0; c < 3; c++)
-            out->color[3 * i + c] =
-                byte_at(g->sh[k * i + c] * (COLOR_SCALE * 255) + 127.5f, color_step, grid->color);
+            out->color[3 * i + c] = quant_byte_at(g->sh[k * i + c] * (COLOR_SCALE * 255) + 127.5f,
+                                                  color_step, grid->color);
     }
     quant_sh(g, grid->sh, out);
     quant_embed(g, grid->embed, out);

@@ -31,8 +31,8 @@ void scene_free(struct scene *s)
 
 /* ---- points.bin ---- */
 
-static enum err_code points_write(const char *path, const struct scene *s, struct hash128 *hash,
-                                  struct err *e)
+static enum err_code scene_points_write(const char *path, const struct scene *s,
+                                        struct hash128 *hash, struct err *e)
 {
     struct buf b = {0};
     buf_add(&b, points_magic, sizeof points_magic);
@@ -68,8 +68,8 @@ static enum err_code points_write(const char *path, const struct scene *s, struc
     return rc;
 }
 
-static enum err_code points_head(const char *path, const struct buf *b, struct cursor *c,
-                                 struct scene *s, struct hash128 *hash, struct err *e)
+static enum err_code scene_points_head(const char *path, const struct buf *b, struct cursor *c,
+                                       struct scene *s, struct hash128 *hash, struct err *e)
 {
     *c = cursor_over(b->data, b->size);
     const uint8_t *magic = cursor_take(c, sizeof points_magic);
@@ -97,14 +97,14 @@ static enum err_code points_head(const char *path, const struct buf *b, struct c
 }
 
 /* Needs s->n_images. */
-static enum err_code points_read(const char *path, struct scene *s, struct hash128 *hash,
-                                 struct err *e)
+static enum err_code scene_points_read(const char *path, struct scene *s, struct hash128 *hash,
+                                       struct err *e)
 {
     struct buf b = {0};
     struct cursor c;
     enum err_code rc = file_read(path, (size_t)64 << 30, &b, e);
     if (!rc)
-        rc = points_head(path, &b, &c, s, hash, e);
+        rc = scene_points_head(path, &b, &c, s, hash, e);
     for (size_t i = 0; !rc && i < s->n_points; i++) {
         struct scene_point *p = &s->points[i];
         for (int k = 0; k < 3; k++) {
@@ -135,7 +135,7 @@ static enum err_code points_read(const char *path, struct scene *s, struct hash1
 
 /* ---- scene.json ---- */
 
-static json_t *nums_to_json(const double *v, size_t n)
+static json_t *scene_nums_to_json(const double *v, size_t n)
 {
     json_t *a = json_array();
     for (size_t i = 0; a && i < n; i++)
@@ -147,12 +147,12 @@ static json_t *nums_to_json(const double *v, size_t n)
 }
 
 /* null when the first number is NaN. */
-static json_t *maybe_nums(const double *v, size_t n)
+static json_t *scene_maybe_nums(const double *v, size_t n)
 {
-    return isfinite(v[0]) ? nums_to_json(v, n) : json_null();
+    return isfinite(v[0]) ? scene_nums_to_json(v, n) : json_null();
 }
 
-static json_t *camera_to_json(const struct camera *c)
+static json_t *scene_camera_to_json(const struct camera *c)
 {
     double m[16] = {0};
     for (int i = 0; i < 3; i++) {
@@ -163,15 +163,15 @@ static json_t *camera_to_json(const struct camera *c)
     m[15] = 1;
     return json_pack("{s:I, s:I, s:f, s:f, s:f, s:f, s:o}", "width", (json_int_t)c->width_px,
                      "height", (json_int_t)c->height_px, "fx", c->fx_px, "fy", c->fy_px, "cx",
-                     c->cx_px, "cy", c->cy_px, "world_to_camera", nums_to_json(m, 16));
+                     c->cx_px, "cy", c->cy_px, "world_to_camera", scene_nums_to_json(m, 16));
 }
 
-static json_t *image_to_json(const struct scene_image *im)
+static json_t *scene_image_to_json(const struct scene_image *im)
 {
     return json_pack("{s:s, s:s, s:I, s:o, s:o, s:o}", "name", im->name, "split",
                      im->split == SCENE_TEST ? "test" : "train", "group", (json_int_t)im->group,
-                     "camera", camera_to_json(&im->cam), "gps_enu_m", maybe_nums(im->gps_enu_m, 3),
-                     "residual_m",
+                     "camera", scene_camera_to_json(&im->cam), "gps_enu_m",
+                     scene_maybe_nums(im->gps_enu_m, 3), "residual_m",
                      isfinite(im->residual_m) ? json_real(im->residual_m) : json_null());
 }
 
@@ -181,7 +181,7 @@ static json_t *scene_to_json(const struct scene *s, struct hash128 points_hash)
     hash_text(points_hash, hash);
     json_t *images = json_array();
     for (size_t i = 0; images && i < s->n_images; i++)
-        if (json_array_append_new(images, image_to_json(&s->images[i]))) {
+        if (json_array_append_new(images, scene_image_to_json(&s->images[i]))) {
             json_decref(images);
             images = NULL;
         }
@@ -189,10 +189,10 @@ static json_t *scene_to_json(const struct scene *s, struct hash128 points_hash)
         "{s:s, s:i, s:{s:f, s:f, s:f}, s:{s:f, s:o, s:o}, s:f, s:s?, s:{s:s, s:I, s:I, s:s}, s:o}",
         "format", "citysplat-scene", "version", SCENE_VERSION, "origin", "lon_deg",
         s->origin.lon_deg, "lat_deg", s->origin.lat_deg, "h_m", s->origin.h_m, "colmap_to_enu",
-        "scale", s->scale, "rot", nums_to_json(s->rot, 9), "trans", nums_to_json(s->trans, 3),
-        "vertical_offset_m", s->vertical_offset_m, "attribution", s->attribution, "points", "file",
-        "points.bin", "count", (json_int_t)s->n_points, "tracks", (json_int_t)s->n_tracks, "hash",
-        hash, "images", images);
+        "scale", s->scale, "rot", scene_nums_to_json(s->rot, 9), "trans",
+        scene_nums_to_json(s->trans, 3), "vertical_offset_m", s->vertical_offset_m, "attribution",
+        s->attribution, "points", "file", "points.bin", "count", (json_int_t)s->n_points, "tracks",
+        (json_int_t)s->n_tracks, "hash", hash, "images", images);
 }
 
 enum err_code scene_write(const char *dir, const struct scene *s, struct err *e)
@@ -201,7 +201,7 @@ enum err_code scene_write(const char *dir, const struct scene *s, struct err *e)
     struct hash128 hash;
     enum err_code rc = file_join(path, dir, "points.bin", e);
     if (!rc)
-        rc = points_write(path, s, &hash, e);
+        rc = scene_points_write(path, s, &hash, e);
     if (!rc)
         rc = file_join(path, dir, "scene.json", e);
     if (rc)
@@ -217,13 +217,13 @@ enum err_code scene_write(const char *dir, const struct scene *s, struct err *e)
 }
 
 /* A plain file name: what is joined to images/ must stay in there. */
-static bool name_is_plain(const char *s)
+static bool scene_name_is_plain(const char *s)
 {
     return s[0] && !strchr(s, '/') && strcmp(s, ".") && strcmp(s, "..");
 }
 
-static enum err_code nums_or_nan(const json_t *o, const char *key, size_t n, double *out,
-                                 struct err *e)
+static enum err_code scene_nums_or_nan(const json_t *o, const char *key, size_t n, double *out,
+                                       struct err *e)
 {
     const json_t *v = json_object_get(o, key);
     if (v && !json_is_null(v))
@@ -233,13 +233,13 @@ static enum err_code nums_or_nan(const json_t *o, const char *key, size_t n, dou
     return ERR_OK;
 }
 
-static enum err_code image_from_json(const json_t *o, struct scene_image *im, struct arena *a,
-                                     struct err *e)
+static enum err_code scene_image_from_json(const json_t *o, struct scene_image *im, struct arena *a,
+                                           struct err *e)
 {
     const char *name, *split;
     double group;
     enum err_code rc = jsonc_text(o, "name", &name, e);
-    if (!rc && !name_is_plain(name))
+    if (!rc && !scene_name_is_plain(name))
         rc = err_set(e, ERR_FORMAT, "name '%.100s' is not a plain file name", name);
     if (!rc && !(im->name = arena_text(a, name)))
         rc = err_set(e, ERR_MEM, "out of memory");
@@ -254,9 +254,9 @@ static enum err_code image_from_json(const json_t *o, struct scene_image *im, st
     if (!rc)
         rc = camera_from_json(json_object_get(o, "camera"), &im->cam, e);
     if (!rc)
-        rc = nums_or_nan(o, "gps_enu_m", 3, im->gps_enu_m, e);
+        rc = scene_nums_or_nan(o, "gps_enu_m", 3, im->gps_enu_m, e);
     if (!rc)
-        rc = nums_or_nan(o, "residual_m", 1, &im->residual_m, e);
+        rc = scene_nums_or_nan(o, "residual_m", 1, &im->residual_m, e);
     if (!rc) {
         im->split = strcmp(split, "test") ? SCENE_TRAIN : SCENE_TEST;
         im->group = (uint32_t)group;
@@ -264,7 +264,7 @@ static enum err_code image_from_json(const json_t *o, struct scene_image *im, st
     return rc;
 }
 
-static enum err_code images_from_json(const json_t *root, struct scene *s, struct err *e)
+static enum err_code scene_images_from_json(const json_t *root, struct scene *s, struct err *e)
 {
     const json_t *list = json_object_get(root, "images");
     if (!json_is_array(list))
@@ -274,7 +274,8 @@ static enum err_code images_from_json(const json_t *root, struct scene *s, struc
     if (!s->images)
         return err_set(e, ERR_MEM, "out of memory for %zu images", s->n_images);
     for (size_t i = 0; i < s->n_images; i++) {
-        enum err_code rc = image_from_json(json_array_get(list, i), &s->images[i], &s->arena, e);
+        enum err_code rc =
+            scene_image_from_json(json_array_get(list, i), &s->images[i], &s->arena, e);
         if (rc) {
             err_add(e, "images[%zu]", i);
             return rc;
@@ -283,7 +284,7 @@ static enum err_code images_from_json(const json_t *root, struct scene *s, struc
     return ERR_OK;
 }
 
-static enum err_code frame_from_json(const json_t *root, struct scene *s, struct err *e)
+static enum err_code scene_frame_from_json(const json_t *root, struct scene *s, struct err *e)
 {
     const json_t *origin = json_object_get(root, "origin"),
                  *sim = json_object_get(root, "colmap_to_enu");
@@ -321,8 +322,8 @@ static enum err_code frame_from_json(const json_t *root, struct scene *s, struct
 }
 
 /* The points must be those this scene.json was written with. */
-static enum err_code points_match(const json_t *root, const char *path, struct hash128 hash,
-                                  struct err *e)
+static enum err_code scene_points_match(const json_t *root, const char *path, struct hash128 hash,
+                                        struct err *e)
 {
     const char *want;
     char got[33];
@@ -351,17 +352,17 @@ enum err_code scene_read(const char *dir, struct scene *out, struct err *e)
         rc = jsonc_read(path, &root, e);
     if (rc)
         goto out;
-    rc = frame_from_json(root, &s, e);
+    rc = scene_frame_from_json(root, &s, e);
     if (!rc)
-        rc = images_from_json(root, &s, e);
+        rc = scene_images_from_json(root, &s, e);
     if (rc) {
         err_add(e, "%s", path);
         goto out;
     }
     struct hash128 hash = {0};
-    rc = points_read(points, &s, &hash, e);
+    rc = scene_points_read(points, &s, &hash, e);
     if (!rc)
-        rc = points_match(root, points, hash, e);
+        rc = scene_points_match(root, points, hash, e);
     if (!rc) {
         snprintf(s.dir, sizeof s.dir, "%s", dir);
         *out = s;

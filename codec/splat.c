@@ -16,7 +16,7 @@
 
 enum { ROW_BYTES = 32 };
 
-static void row_read(struct cursor *c, size_t i, struct gauss *g)
+static void splat_row_read(struct cursor *c, size_t i, struct gauss *g)
 {
     for (size_t k = 0; k < 3; k++)
         g->mean_m[3 * i + k] = cursor_f32(c);
@@ -50,7 +50,7 @@ enum err_code splat_decode(const void *bytes, size_t n, const struct codec_limit
         return rc;
     out->n = n / ROW_BYTES;
     for (size_t i = 0; i < out->n; i++)
-        row_read(&c, i, out);
+        splat_row_read(&c, i, out);
     if (gauss_count_bad(out, &bad)) {
         rc = err_set(e, ERR_FORMAT, "splat : row %zu : not finite, or no rotation", bad);
         gauss_free(out);

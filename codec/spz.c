@@ -40,21 +40,21 @@ struct spz_head {
     uint32_t version, n, sh_degree, fraction_bits, flags, n_streams, toc;
 };
 
-static size_t stream_bytes(const struct spz_head *h, int stream)
+static size_t spz_stream_bytes(const struct spz_head *h, int stream)
 {
     const size_t row[N_STREAMS] = {
         9, 1, 3, 3, h->version == 2 ? 3 : 4, 3 * (gauss_sh_count(h->sh_degree) - 1)};
     return h->n * row[stream];
 }
 
-static void put_i24(uint8_t *p, int32_t v)
+static void spz_put_i24(uint8_t *p, int32_t v)
 {
     p[0] = (uint8_t)v;
     p[1] = (uint8_t)((uint32_t)v >> 8);
     p[2] = (uint8_t)((uint32_t)v >> 16);
 }
 
-static int32_t get_i24(const uint8_t *p)
+static int32_t spz_get_i24(const uint8_t *p)
 {
     uint32_t v = p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16;
     return (int32_t)(v ^ 0x800000) - 0x800000;
@@ -62,10 +62,10 @@ static int32_t get_i24(const uint8_t *p)
 
 /* ---- encode ---- */
 
-static void streams_write(const struct quant *q, uint8_t *p)
+static void spz_streams_write(const struct quant *q, uint8_t *p)
 {
     for (size_t i = 0; i < 3 * q->n; i++, p += 3)
-        put_i24(p, q->position[i]);
+        spz_put_i24(p, q->position[i]);
     memcpy(p, q->alpha, q->n);
     memcpy(p += q->n, q->color, 3 * q->n);
     memcpy(p += 3 * q->n, q->scale, 3 * q->n);
@@ -76,7 +76,7 @@ static void streams_write(const struct quant *q, uint8_t *p)
     memcpy(p, q->sh, 3 * (gauss_sh_count(q->sh_degree) - 1) * q->n);
 }
 
-static void head_write(struct buf *b, const struct quant *q, int version, unsigned last)
+static void spz_head_write(struct buf *b, const struct quant *q, int version, unsigned last)
 {
     buf_u32(b, MAGIC);
     buf_u32(b, (uint32_t)version);
@@ -87,7 +87,7 @@ static void head_write(struct buf *b, const struct quant *q, int version, unsign
     buf_u8(b, last);
 }
 
-static enum err_code gzip_write(const struct buf *plain, struct buf *out, struct err *e)
+static enum err_code spz_gzip_write(const struct buf *plain, struct buf *out, struct err *e)
 {
     struct libdeflate_compressor *c = libdeflate_alloc_compressor(GZIP_LEVEL);
     size_t start = out->size;
@@ -101,17 +101,17 @@ static enum err_code gzip_write(const struct buf *plain, struct buf *out, struct
     return ERR_OK;
 }
 
-static enum err_code zstd_write(const struct quant *q, const struct spz_head *h,
-                                const uint8_t *plain, struct buf *out, struct err *e)
+static enum err_code spz_zstd_write(const struct quant *q, const struct spz_head *h,
+                                    const uint8_t *plain, struct buf *out, struct err *e)
 {
     const int n_streams = q->sh_degree ? N_STREAMS : N_STREAMS - 1;
-    head_write(out, q, 4, (unsigned)n_streams);
+    spz_head_write(out, q, 4, (unsigned)n_streams);
     buf_u32(out, HEAD4_BYTES);
     buf_add(out, (const uint8_t[12]){0}, 12);
     size_t toc = out->size, written[N_STREAMS] = {0};
     buf_grow(out, (size_t)n_streams * 16);
     for (int s = 0; s < n_streams; s++) {
-        size_t n = stream_bytes(h, s), at = out->size, bound = ZSTD_compressBound(n);
+        size_t n = spz_stream_bytes(h, s), at = out->size, bound = ZSTD_compressBound(n);
         uint8_t *p = buf_grow(out, bound);
         if (!p)
             return buf_check(out, e);
@@ -125,7 +125,7 @@ static enum err_code zstd_write(const struct quant *q, const struct spz_head *h,
         for (int b = 0; b < 8; b++) {
             out->data[toc + 16 * (size_t)s + b] = (uint8_t)((uint64_t)written[s] >> 8 * b);
             out->data[toc + 16 * (size_t)s + 8 + b] =
-                (uint8_t)((uint64_t)stream_bytes(h, s) >> 8 * b);
+                (uint8_t)((uint64_t)spz_stream_bytes(h, s) >> 8 * b);
         }
     return ERR_OK;
 }
@@ -141,14 +141,15 @@ enum err_code spz_encode(const struct quant *q, int version, struct buf *out, st
         .version = (uint32_t)version, .n = (uint32_t)q->n, .sh_degree = q->sh_degree};
     size_t bytes = 0, start = out->size;
     for (int s = 0; s < N_STREAMS; s++)
-        bytes += stream_bytes(&h, s);
+        bytes += spz_stream_bytes(&h, s);
     if (version == 3)
-        head_write(&plain, q, 3, 0);
+        spz_head_write(&plain, q, 3, 0);
     uint8_t *p = buf_grow(&plain, bytes);
     enum err_code rc = buf_check(&plain, e);
     if (!rc) {
-        streams_write(q, p);
-        rc = version == 3 ? gzip_write(&plain, out, e) : zstd_write(q, &h, plain.data, out, e);
+        spz_streams_write(q, p);
+        rc = version == 3 ? spz_gzip_write(&plain, out, e)
+                          : spz_zstd_write(q, &h, plain.data, out, e);
     }
     if (rc)
         out->size = start;
@@ -158,8 +159,8 @@ enum err_code spz_encode(const struct quant *q, int version, struct buf *out, st
 
 /* ---- decode ---- */
 
-static enum err_code head_read(struct cursor *c, const struct codec_limits *lim, struct spz_head *h,
-                               struct err *e)
+static enum err_code spz_head_read(struct cursor *c, const struct codec_limits *lim,
+                                   struct spz_head *h, struct err *e)
 {
     uint32_t magic = cursor_u32(c);
     h->version = cursor_u32(c);
@@ -181,12 +182,12 @@ static enum err_code head_read(struct cursor *c, const struct codec_limits *lim,
     return ERR_OK;
 }
 
-static enum err_code positions_read(const struct spz_head *h, const uint8_t *p, struct quant *q,
-                                    struct err *e)
+static enum err_code spz_positions_read(const struct spz_head *h, const uint8_t *p, struct quant *q,
+                                        struct err *e)
 {
     q->frac_bits = h->fraction_bits;
     for (size_t i = 0; i < 3 * q->n; i++, p += 3) {
-        q->position[i] = get_i24(p);
+        q->position[i] = spz_get_i24(p);
         if (q->position[i] == -POSITION_LIMIT)
             return err_set(e, ERR_FORMAT, "spz : row %zu : its position is beyond the range",
                            i / 3);
@@ -194,7 +195,7 @@ static enum err_code positions_read(const struct spz_head *h, const uint8_t *p, 
     return ERR_OK;
 }
 
-static uint32_t rotation_v2(const uint8_t *p)
+static uint32_t spz_rotation_v2(const uint8_t *p)
 {
     float q[4] = {0}, sum = 0;
     for (int c = 0; c < 3; c++) {
@@ -206,7 +207,7 @@ static uint32_t rotation_v2(const uint8_t *p)
 }
 
 /* Fields of foreign writers may hold -0, which is 0 here (quant.c). */
-static uint32_t rotation_v3(const uint8_t *p)
+static uint32_t spz_rotation_v3(const uint8_t *p)
 {
     uint32_t r = p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16 | (uint32_t)p[3] << 24;
     for (int f = 0; f < 3; f++)
@@ -215,15 +216,16 @@ static uint32_t rotation_v3(const uint8_t *p)
     return r;
 }
 
-static enum err_code streams_read(const struct spz_head *h, const uint8_t *const stream[N_STREAMS],
-                                  struct quant *q, struct err *e)
+static enum err_code spz_streams_read(const struct spz_head *h,
+                                      const uint8_t *const stream[N_STREAMS], struct quant *q,
+                                      struct err *e)
 {
     uint32_t degree = h->sh_degree < GAUSS_SH_DEGREE_MAX ? h->sh_degree : GAUSS_SH_DEGREE_MAX;
     size_t sh_in = 3 * (gauss_sh_count(h->sh_degree) - 1),
            sh_out = 3 * (gauss_sh_count(degree) - 1);
     enum err_code rc = quant_alloc(q, h->n, degree, 0, e);
     if (!rc)
-        rc = positions_read(h, stream[0], q, e);
+        rc = spz_positions_read(h, stream[0], q, e);
     if (rc) {
         quant_free(q);
         return rc;
@@ -233,15 +235,15 @@ static enum err_code streams_read(const struct spz_head *h, const uint8_t *const
     memcpy(q->color, stream[2], 3 * q->n);
     memcpy(q->scale, stream[3], 3 * q->n);
     for (size_t i = 0; i < q->n; i++)
-        q->rotation[i] =
-            h->version == 2 ? rotation_v2(stream[4] + 3 * i) : rotation_v3(stream[4] + 4 * i);
+        q->rotation[i] = h->version == 2 ? spz_rotation_v2(stream[4] + 3 * i)
+                                         : spz_rotation_v3(stream[4] + 4 * i);
     for (size_t i = 0; i < q->n && sh_out; i++) /* degree 4 loses its last band */
         memcpy(q->sh + i * sh_out, stream[5] + i * sh_in, sh_out);
     return ERR_OK;
 }
 
-static enum err_code gzip_read(const uint8_t *bytes, size_t n, const struct codec_limits *lim,
-                               struct buf *out, struct err *e)
+static enum err_code spz_gzip_read(const uint8_t *bytes, size_t n, const struct codec_limits *lim,
+                                   struct buf *out, struct err *e)
 {
     const uint8_t *tail = bytes + n - 4; /* n >= 18 checked by the caller */
     size_t plain = tail[0] | (size_t)tail[1] << 8 | (size_t)tail[2] << 16 | (size_t)tail[3] << 24;
@@ -263,37 +265,37 @@ static enum err_code gzip_read(const uint8_t *bytes, size_t n, const struct code
     return ERR_OK;
 }
 
-static enum err_code decode_gzip(const uint8_t *bytes, size_t n, const struct codec_limits *lim,
-                                 struct quant *out, struct err *e)
+static enum err_code spz_decode_gzip(const uint8_t *bytes, size_t n, const struct codec_limits *lim,
+                                     struct quant *out, struct err *e)
 {
     struct buf plain = {0};
     struct spz_head h = {0};
     const uint8_t *stream[N_STREAMS];
-    enum err_code rc = gzip_read(bytes, n, lim, &plain, e);
+    enum err_code rc = spz_gzip_read(bytes, n, lim, &plain, e);
     struct cursor c = cursor_over(plain.data, plain.size);
     if (!rc)
-        rc = head_read(&c, lim, &h, e);
+        rc = spz_head_read(&c, lim, &h, e);
     if (!rc && h.version == 4)
         rc = err_set(e, ERR_FORMAT, "spz : version 4 inside gzip");
     for (int s = 0; !rc && s < N_STREAMS; s++)
-        if (!(stream[s] = cursor_take(&c, stream_bytes(&h, s))))
+        if (!(stream[s] = cursor_take(&c, spz_stream_bytes(&h, s))))
             rc = err_set(e, ERR_FORMAT, "spz : %u Gaussians announced, stream %d is cut short", h.n,
                          s);
     if (!rc && cursor_left(&c) && !(h.flags & FLAG_EXTENSIONS))
         rc = err_set(e, ERR_FORMAT, "spz : %zu bytes after the last stream", cursor_left(&c));
     if (!rc)
-        rc = streams_read(&h, stream, out, e);
+        rc = spz_streams_read(&h, stream, out, e);
     buf_free(&plain);
     return rc;
 }
 
-static enum err_code toc_read(struct cursor toc, const struct spz_head *h, size_t n_data,
-                              size_t packed[N_STREAMS], struct err *e)
+static enum err_code spz_toc_read(struct cursor toc, const struct spz_head *h, size_t n_data,
+                                  size_t packed[N_STREAMS], struct err *e)
 {
     size_t left = n_data;
     for (uint32_t s = 0; s < h->n_streams; s++) {
         uint64_t in = cursor_u64(&toc), plain = cursor_u64(&toc);
-        if (toc.bad || in > left || plain != stream_bytes(h, (int)s) ||
+        if (toc.bad || in > left || plain != spz_stream_bytes(h, (int)s) ||
             plain / ZSTD_GROWTH_MAX > in)
             return err_set(e, ERR_FORMAT, "spz : stream %u of %u : sizes do not fit the file", s,
                            h->n_streams);
@@ -305,15 +307,15 @@ static enum err_code toc_read(struct cursor toc, const struct spz_head *h, size_
     return ERR_OK;
 }
 
-static enum err_code decode_zstd(const uint8_t *bytes, size_t n, const struct codec_limits *lim,
-                                 struct quant *out, struct err *e)
+static enum err_code spz_decode_zstd(const uint8_t *bytes, size_t n, const struct codec_limits *lim,
+                                     struct quant *out, struct err *e)
 {
     struct spz_head h = {0};
     struct cursor c = cursor_over(bytes, n);
     size_t packed[N_STREAMS] = {0}, bytes_plain = 0;
     const uint8_t *stream[N_STREAMS] = {0};
     struct buf plain = {0};
-    enum err_code rc = head_read(&c, lim, &h, e);
+    enum err_code rc = spz_head_read(&c, lim, &h, e);
     if (rc)
         return rc;
     h.toc = cursor_u32(&c);
@@ -325,9 +327,9 @@ static enum err_code decode_zstd(const uint8_t *bytes, size_t n, const struct co
                        "spz : version %u, %u streams : header is damaged or truncated", h.version,
                        h.n_streams);
     const uint8_t *data = bytes + h.toc + toc_bytes;
-    rc = toc_read(cursor_over(bytes + h.toc, toc_bytes), &h, n - h.toc - toc_bytes, packed, e);
+    rc = spz_toc_read(cursor_over(bytes + h.toc, toc_bytes), &h, n - h.toc - toc_bytes, packed, e);
     for (int s = 0; s < N_STREAMS; s++)
-        bytes_plain += stream_bytes(&h, s);
+        bytes_plain += spz_stream_bytes(&h, s);
     size_t most = lim && lim->max_bytes ? lim->max_bytes : CODEC_MAX_BYTES;
     if (!rc && bytes_plain > most)
         rc =
@@ -336,7 +338,7 @@ static enum err_code decode_zstd(const uint8_t *bytes, size_t n, const struct co
     if (!rc)
         rc = buf_check(&plain, e);
     for (uint32_t s = 0; !rc && s < h.n_streams; s++) {
-        size_t size = stream_bytes(&h, (int)s);
+        size_t size = spz_stream_bytes(&h, (int)s);
         size_t got = ZSTD_decompress(p, size, data, packed[s]);
         if (ZSTD_isError(got) || got != size)
             rc = err_set(e, ERR_FORMAT, "spz : stream %u : %s", s,
@@ -346,7 +348,7 @@ static enum err_code decode_zstd(const uint8_t *bytes, size_t n, const struct co
         data += packed[s];
     }
     if (!rc)
-        rc = streams_read(&h, stream, out, e);
+        rc = spz_streams_read(&h, stream, out, e);
     buf_free(&plain);
     return rc;
 }
@@ -357,6 +359,6 @@ enum err_code spz_decode(const void *bytes, size_t n, const struct codec_limits 
     const uint8_t *p = bytes;
     *out = (struct quant){0};
     if (n >= 18 && p[0] == 0x1f && p[1] == 0x8b)
-        return decode_gzip(p, n, lim, out, e);
-    return decode_zstd(p, n, lim, out, e);
+        return spz_decode_gzip(p, n, lim, out, e);
+    return spz_decode_zstd(p, n, lim, out, e);
 }

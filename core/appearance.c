@@ -23,7 +23,7 @@ static const double length_min = 1e-12, opacity_bias = -5;
 
 /* ---- memory ---- */
 
-static size_t weights_count(uint32_t len_gauss, uint32_t len_image, uint32_t hidden)
+static size_t appearance_weights_count(uint32_t len_gauss, uint32_t len_image, uint32_t hidden)
 {
     return (size_t)hidden * (len_gauss + len_image) + hidden + (size_t)APPEARANCE_OUT * hidden +
            APPEARANCE_OUT;
@@ -41,7 +41,8 @@ enum err_code appearance_alloc(struct appearance *a, uint32_t len_gauss, uint32_
                        "least 1 and at most %d, %d, %d and %d",
                        len_gauss, len_image, hidden, n_images, GAUSS_EMBED_MAX,
                        APPEARANCE_IMAGE_MAX, APPEARANCE_HIDDEN_MAX, IMAGES_MAX);
-    size_t weights = weights_count(len_gauss, len_image, hidden), images = n_images * len_image;
+    size_t weights = appearance_weights_count(len_gauss, len_image, hidden),
+           images = n_images * len_image;
     float *block = mem_array(weights + images + n_images * (APPEARANCE_NAME_MAX / sizeof(float)),
                              sizeof *block);
     if (!block)
@@ -68,10 +69,11 @@ void appearance_free(struct appearance *a)
 
 size_t appearance_weights(const struct appearance *a)
 {
-    return weights_count(a->len_gauss, a->len_image, a->hidden);
+    return appearance_weights_count(a->len_gauss, a->len_image, a->hidden);
 }
 
-static void fill_uniform(float *out, size_t n, double limit, uint64_t seed, uint64_t stream)
+static void appearance_fill_uniform(float *out, size_t n, double limit, uint64_t seed,
+                                    uint64_t stream)
 {
     for (size_t i = 0; i < n; i++)
         out[i] = (float)(limit * (2 * rng_unit(seed, stream, i) - 1));
@@ -80,9 +82,10 @@ static void fill_uniform(float *out, size_t n, double limit, uint64_t seed, uint
 void appearance_init(struct appearance *a, uint64_t seed)
 {
     size_t in = a->len_gauss + a->len_image, hidden = a->hidden;
-    fill_uniform(a->w1, hidden * in, 1 / sqrt((double)in), seed, STREAM_W1);
-    fill_uniform(a->b1, hidden, 1 / sqrt((double)in), seed, STREAM_B1);
-    fill_uniform(a->w2, APPEARANCE_OUT * hidden, 1 / sqrt((double)hidden), seed, STREAM_W2);
+    appearance_fill_uniform(a->w1, hidden * in, 1 / sqrt((double)in), seed, STREAM_W1);
+    appearance_fill_uniform(a->b1, hidden, 1 / sqrt((double)in), seed, STREAM_B1);
+    appearance_fill_uniform(a->w2, APPEARANCE_OUT * hidden, 1 / sqrt((double)hidden), seed,
+                            STREAM_W2);
     for (size_t o = 0; o < APPEARANCE_OUT; o++)
         a->b2[o] = o == 3 ? (float)opacity_bias : 0.0f;
     for (size_t i = 0; i < a->n_images * a->len_image; i++)
@@ -100,7 +103,7 @@ ptrdiff_t appearance_find(const struct appearance *a, const char *name)
 /* ---- the network ---- */
 
 /* out = v / max(|v|, 1e-12); returns the divisor. */
-static double normalise(const float *v, size_t n, double *out)
+static double appearance_normalise(const float *v, size_t n, double *out)
 {
     double sum = 0;
     for (size_t i = 0; i < n; i++)
@@ -113,7 +116,7 @@ static double normalise(const float *v, size_t n, double *out)
 
 size_t appearance_frame_floats(uint32_t len_gauss, uint32_t hidden)
 {
-    return weights_count(len_gauss, 0, hidden);
+    return appearance_weights_count(len_gauss, 0, hidden);
 }
 
 void appearance_frame(const struct appearance *a, const float *image, float *out)
@@ -121,7 +124,7 @@ void appearance_frame(const struct appearance *a, const float *image, float *out
     double p[APPEARANCE_IMAGE_MAX];
     size_t lg = a->len_gauss, li = a->len_image, in = lg + li, hidden = a->hidden;
     float *bias = out + hidden * lg;
-    (void)normalise(image, li, p);
+    (void)appearance_normalise(image, li, p);
     for (size_t h = 0; h < hidden; h++) {
         double b = (double)a->b1[h];
         memcpy(out + h * lg, a->w1 + h * in, lg * sizeof *out);
@@ -138,8 +141,8 @@ void appearance_eval(const struct appearance *a, const float *embed, const float
 {
     double x[GAUSS_EMBED_MAX + APPEARANCE_IMAGE_MAX], z[APPEARANCE_OUT];
     size_t in = a->len_gauss + a->len_image, hidden = a->hidden;
-    (void)normalise(embed, a->len_gauss, x);
-    (void)normalise(image, a->len_image, x + a->len_gauss);
+    (void)appearance_normalise(embed, a->len_gauss, x);
+    (void)appearance_normalise(image, a->len_image, x + a->len_gauss);
     for (size_t o = 0; o < APPEARANCE_OUT; o++)
         z[o] = (double)a->b2[o];
     for (size_t h = 0; h < hidden; h++) {
@@ -159,7 +162,7 @@ void appearance_backward(const struct appearance *a, const float *image, const f
     double p[APPEARANCE_IMAGE_MAX], g[APPEARANCE_IMAGE_MAX] = {0}, along = 0;
     size_t lg = a->len_gauss, li = a->len_image, in = lg + li, hidden = a->hidden;
     const float *bias = frame_grad + hidden * lg; /* gradients of b1 + W1 p^ */
-    double len = normalise(image, li, p);
+    double len = appearance_normalise(image, li, p);
     for (size_t h = 0; h < hidden && weights_grad; h++) {
         memcpy(weights_grad + h * in, frame_grad + h * lg, lg * sizeof *weights_grad);
         for (size_t j = 0; j < li; j++)
@@ -201,12 +204,12 @@ struct bake {
     float w2[APPEARANCE_OUT][APPEARANCE_HIDDEN_MAX], b2[APPEARANCE_OUT];
 };
 
-static void bake_row(const struct bake *b, size_t i)
+static void appearance_bake_row(const struct bake *b, size_t i)
 {
     struct gauss *g = b->g;
     float unit[APPEARANCE_HIDDEN_MAX], *dc = g->sh + 3 * i * gauss_sh_count(g->sh_degree);
     double x[GAUSS_EMBED_MAX], y[APPEARANCE_OUT];
-    (void)normalise(g->embed + i * b->len, b->len, x);
+    (void)appearance_normalise(g->embed + i * b->len, b->len, x);
     memcpy(unit, b->b1, sizeof unit);
     for (size_t k = 0; k < b->len; k++)
         for (size_t h = 0; h < APPEARANCE_HIDDEN_MAX; h++) /* zeros beyond `hidden` */
@@ -224,13 +227,13 @@ static void bake_row(const struct bake *b, size_t i)
     g->opacity_logit[i] = (float)log(opacity / (1 - opacity));
 }
 
-static enum err_code bake_chunk(void *user, size_t chunk, struct err *e)
+static enum err_code appearance_bake_chunk(void *user, size_t chunk, struct err *e)
 {
     const struct bake *b = user;
     size_t end = (chunk + 1) * BAKE_CHUNK < b->g->n ? (chunk + 1) * BAKE_CHUNK : b->g->n;
     (void)e;
     for (size_t i = chunk * BAKE_CHUNK; i < end; i++)
-        bake_row(b, i);
+        appearance_bake_row(b, i);
     return ERR_OK;
 }
 
@@ -261,7 +264,7 @@ enum err_code appearance_bake(const struct appearance *a, const float *image, st
             b->w2[o][h] = frame[hidden * (lg + 1 + o) + h];
     }
     memcpy(b->b2, frame + hidden * (lg + 1 + APPEARANCE_OUT), sizeof b->b2);
-    rc = pool_for((g->n + BAKE_CHUNK - 1) / BAKE_CHUNK, 0, bake_chunk, b, e);
+    rc = pool_for((g->n + BAKE_CHUNK - 1) / BAKE_CHUNK, 0, appearance_bake_chunk, b, e);
 out:
     mem_free(frame);
     mem_free(b);
@@ -301,7 +304,7 @@ enum err_code appearance_write(const struct appearance *a, struct buf *out, stru
     return buf_check(out, e);
 }
 
-static enum err_code blob_body(struct cursor *c, struct appearance *a, struct err *e)
+static enum err_code appearance_blob_body(struct cursor *c, struct appearance *a, struct err *e)
 {
     size_t values = appearance_weights(a) + a->n_images * a->len_image;
     for (size_t i = 0; i < values; i++) {
@@ -346,7 +349,7 @@ enum err_code appearance_read(const void *bytes, size_t n, struct appearance *ou
     if (!rc && appearance_weights(out) > cursor_left(&c) / 4)
         rc = err_set(e, ERR_FORMAT, "appearance: cut off after %zu bytes", n);
     if (!rc)
-        rc = blob_body(&c, out, e);
+        rc = appearance_blob_body(&c, out, e);
     if (rc)
         appearance_free(out);
     return rc;

@@ -144,7 +144,7 @@ const uint8_t *cursor_take(struct cursor *c, size_t n)
     return p;
 }
 
-static uint64_t cursor_le(struct cursor *c, size_t n)
+static uint64_t buf_cursor_le(struct cursor *c, size_t n)
 {
     const uint8_t *p = cursor_take(c, n);
     uint64_t v = 0;
@@ -155,22 +155,22 @@ static uint64_t cursor_le(struct cursor *c, size_t n)
 
 uint8_t cursor_u8(struct cursor *c)
 {
-    return (uint8_t)cursor_le(c, 1);
+    return (uint8_t)buf_cursor_le(c, 1);
 }
 
 uint16_t cursor_u16(struct cursor *c)
 {
-    return (uint16_t)cursor_le(c, 2);
+    return (uint16_t)buf_cursor_le(c, 2);
 }
 
 uint32_t cursor_u32(struct cursor *c)
 {
-    return (uint32_t)cursor_le(c, 4);
+    return (uint32_t)buf_cursor_le(c, 4);
 }
 
 uint64_t cursor_u64(struct cursor *c)
 {
-    return cursor_le(c, 8);
+    return buf_cursor_le(c, 8);
 }
 
 float cursor_f32(struct cursor *c)

@@ -16,12 +16,12 @@
 static const double ortho_tol = 1e-3; /* promised in the header */
 enum { CAMERA_EDGE_MAX = 16384 };
 
-static double vec_dot(const double a[3], const double b[3])
+static double camera_vec_dot(const double a[3], const double b[3])
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-static void vec_cross(const double a[3], const double b[3], double out[3])
+static void camera_vec_cross(const double a[3], const double b[3], double out[3])
 {
     out[0] = a[1] * b[2] - a[2] * b[1];
     out[1] = a[2] * b[0] - a[0] * b[2];
@@ -29,9 +29,9 @@ static void vec_cross(const double a[3], const double b[3], double out[3])
 }
 
 /* False (v untouched) when v has no direction. */
-static bool vec_normalize(double v[3])
+static bool camera_vec_normalize(double v[3])
 {
-    double len = sqrt(vec_dot(v, v));
+    double len = sqrt(camera_vec_dot(v, v));
     if (!(len > 1e-12))
         return false;
     for (int i = 0; i < 3; i++)
@@ -66,7 +66,7 @@ static struct camera camera_place(const double eye[3], const double right[3],
 {
     struct camera c = {.width_px = width_px, .height_px = height_px};
     double down[3];
-    vec_cross(forward, right, down);
+    camera_vec_cross(forward, right, down);
     c.fy_px = 0.5 * height_px / tan(0.5 * fov_y_rad);
     c.fx_px = c.fy_px;
     c.cx_px = 0.5 * width_px;
@@ -77,7 +77,7 @@ static struct camera camera_place(const double eye[3], const double right[3],
         c.rot[6 + i] = forward[i];
     }
     for (int i = 0; i < 3; i++)
-        c.trans[i] = -vec_dot(c.rot + 3 * i, eye);
+        c.trans[i] = -camera_vec_dot(c.rot + 3 * i, eye);
     return c;
 }
 
@@ -86,13 +86,13 @@ struct camera camera_look_at(const double eye[3], const double target[3], double
 {
     static const double up[3] = {0, 0, 1}, north[3] = {0, 1, 0};
     double forward[3] = {target[0] - eye[0], target[1] - eye[1], target[2] - eye[2]};
-    if (!vec_normalize(forward))
+    if (!camera_vec_normalize(forward))
         forward[2] = -1; /* eye on target: look down */
     double right[3];
-    vec_cross(forward, up, right);
+    camera_vec_cross(forward, up, right);
     if (right[0] * right[0] + right[1] * right[1] < 1e-18)
-        vec_cross(forward, north, right);
-    vec_normalize(right);
+        camera_vec_cross(forward, north, right);
+    camera_vec_normalize(right);
     return camera_place(eye, right, forward, fov_y_rad, width_px, height_px);
 }
 
@@ -161,8 +161,8 @@ void camera_rot_to_quat(const double rot[9], double quat_wxyz[4])
         quat_wxyz[i] = q[i] * sign;
 }
 
-static enum err_code json_edge(const struct json_t *o, const char *key, uint32_t *out,
-                               struct err *e)
+static enum err_code camera_json_edge(const struct json_t *o, const char *key, uint32_t *out,
+                                      struct err *e)
 {
     double v;
     enum err_code rc = jsonc_num(o, key, &v, e);
@@ -176,7 +176,7 @@ static enum err_code json_edge(const struct json_t *o, const char *key, uint32_t
 }
 
 /* Rotation and translation from a row-major 4x4. */
-static enum err_code pose_from_matrix(const double m[16], struct camera *out, struct err *e)
+static enum err_code camera_pose_from_matrix(const double m[16], struct camera *out, struct err *e)
 {
     double rot[9];
     for (int i = 0; i < 3; i++) {
@@ -191,14 +191,14 @@ static enum err_code pose_from_matrix(const double m[16], struct camera *out, st
         return err_set(e, ERR_FORMAT, "camera: world_to_camera: a number is not finite");
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
-            if (!(fabs(vec_dot(rot + 3 * i, rot + 3 * j) - (i == j)) <= ortho_tol))
+            if (!(fabs(camera_vec_dot(rot + 3 * i, rot + 3 * j) - (i == j)) <= ortho_tol))
                 return err_set(e, ERR_FORMAT,
                                "camera: world_to_camera: rows %d and %d of the rotation are not "
                                "orthonormal (row-major [R|t; 0 0 0 1], no scale)",
                                i, j);
     double cross[3];
-    vec_cross(rot, rot + 3, cross);
-    if (!(vec_dot(cross, rot + 6) > 0))
+    camera_vec_cross(rot, rot + 3, cross);
+    if (!(camera_vec_dot(cross, rot + 6) > 0))
         return err_set(e, ERR_FORMAT,
                        "camera: world_to_camera: the rotation is a mirror image "
                        "(axes are x right, y down, z forward)");
@@ -220,9 +220,9 @@ enum err_code camera_from_json(const struct json_t *o, struct camera *out, struc
     static const char *const keys[4] = {"fx", "fy", "cx", "cy"};
     double *values[4] = {&c.fx_px, &c.fy_px, &c.cx_px, &c.cy_px};
     double m[16];
-    enum err_code rc = json_edge(o, "width", &c.width_px, e);
+    enum err_code rc = camera_json_edge(o, "width", &c.width_px, e);
     if (!rc)
-        rc = json_edge(o, "height", &c.height_px, e);
+        rc = camera_json_edge(o, "height", &c.height_px, e);
     for (int i = 0; i < 4 && !rc; i++) {
         rc = jsonc_num(o, keys[i], values[i], e);
         if (!rc && (!isfinite(*values[i]) || (i < 2 && !(*values[i] > 0))))
@@ -232,7 +232,7 @@ enum err_code camera_from_json(const struct json_t *o, struct camera *out, struc
     if (!rc)
         rc = jsonc_nums(o, "world_to_camera", 16, m, e);
     if (!rc)
-        rc = pose_from_matrix(m, &c, e);
+        rc = camera_pose_from_matrix(m, &c, e);
     if (!rc)
         *out = c;
     return rc;

@@ -95,7 +95,7 @@ static enum err_code dev_fail(struct err *e, cl_int code, const char *what, cons
 /* ---- choice ---- */
 
 /* mkdir -p; true when `path` is a folder we may write to afterwards. */
-static bool folder_writable(const char *path)
+static bool dev_folder_writable(const char *path)
 {
     char part[FILE_PATH_MAX];
     size_t n = strlen(path);
@@ -115,13 +115,13 @@ static bool folder_writable(const char *path)
 
 /* PoCL writes compiled kernels to POCL_CACHE_DIR, else $XDG_CACHE_HOME/pocl, else ~/.cache/pocl. A
  * service account may have none of them; then a folder of our own under TMPDIR is used. */
-static enum err_code cache_prepare(struct err *e)
+static enum err_code dev_cache_prepare(struct err *e)
 {
     const char *given = getenv("POCL_CACHE_DIR"), *xdg = getenv("XDG_CACHE_HOME"),
                *home = getenv("HOME"), *tmp = getenv("TMPDIR");
     char path[FILE_PATH_MAX];
     if (given && *given) {
-        if (folder_writable(given))
+        if (dev_folder_writable(given))
             return ERR_OK;
         return err_set(
             e, ERR_DEVICE,
@@ -134,13 +134,13 @@ static enum err_code cache_prepare(struct err *e)
         snprintf(path, sizeof path, "%s/pocl/kcache", xdg);
     else if (home && *home)
         snprintf(path, sizeof path, "%s/.cache/pocl/kcache", home);
-    if (*path && folder_writable(path))
+    if (*path && dev_folder_writable(path))
         return ERR_OK;
     snprintf(path, sizeof path, "%s/citysplat-kernels-%lu", tmp && *tmp ? tmp : "/tmp",
              (unsigned long)getuid());
     struct stat st;
     /* The folder holds code that will be run: it must be ours, and nobody else may write to it. */
-    if (!folder_writable(path) || lstat(path, &st) != 0 || !S_ISDIR(st.st_mode) ||
+    if (!dev_folder_writable(path) || lstat(path, &st) != 0 || !S_ISDIR(st.st_mode) ||
         st.st_uid != getuid() || (st.st_mode & (S_IWGRP | S_IWOTH)))
         return err_set(
             e, ERR_DEVICE,
@@ -186,7 +186,7 @@ static size_t dev_list(struct found *list)
     return n;
 }
 
-static bool text_contains(const char *text, const char *part)
+static bool dev_text_contains(const char *text, const char *part)
 {
     size_t n = strlen(part);
     for (; *text; text++)
@@ -214,7 +214,7 @@ static const struct found *dev_pick(const struct found *list, size_t n, const ch
                 return &list[i];
     if (!any)
         for (size_t i = 0; i < n; i++)
-            if (text_contains(list[i].name, want))
+            if (dev_text_contains(list[i].name, want))
                 return &list[i];
     return NULL;
 }
@@ -253,7 +253,7 @@ static enum err_code dev_query(struct dev *d, struct err *e)
     platform[sizeof platform - 1] = d->driver[sizeof d->driver - 1] = '\0';
     d->max_alloc_bytes = max_alloc;
     d->global_bytes = global;
-    d->is_pocl = text_contains(platform, "Portable Computing Language");
+    d->is_pocl = dev_text_contains(platform, "Portable Computing Language");
     return ERR_OK;
 }
 
@@ -262,7 +262,7 @@ enum err_code dev_open(const char *want, struct dev *out, struct err *e)
     struct found list[DEVICES_MAX];
     struct dev d = {0};
     cl_int code = CL_SUCCESS;
-    enum err_code rc = cache_prepare(e);
+    enum err_code rc = dev_cache_prepare(e);
     memset(out, 0, sizeof *out);
     if (rc)
         return rc;
@@ -314,8 +314,8 @@ void dev_close(struct dev *d)
 
 /* As much of the compiler's log as an err holds (its first error comes first); all of it at debug
  * level. */
-static enum err_code build_error(struct dev *d, cl_program program, const char *name, cl_int code,
-                                 struct err *e)
+static enum err_code dev_build_error(struct dev *d, cl_program program, const char *name,
+                                     cl_int code, struct err *e)
 {
     size_t size = 0;
     char *text = NULL;
@@ -364,7 +364,7 @@ enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t 
         return dev_fail(e, code, "dev_build", sources[n_sources - 1].name);
     code = clBuildProgram(program, 1, &d->device, flags, NULL, NULL);
     if (code != CL_SUCCESS) {
-        rc = build_error(d, program, sources[n_sources - 1].name, code, e);
+        rc = dev_build_error(d, program, sources[n_sources - 1].name, code, e);
         clReleaseProgram(program);
         return rc;
     }

@@ -87,6 +87,7 @@ struct layout_view {
     LAYOUT_U32 tile_cull;         /* 0: tiles of the bounding box instead of the exact ones */
     LAYOUT_U32 smooth;            /* 1: Gaussians are widened by a 3-D filter each */
     LAYOUT_U32 listed;            /* 1: a list says which groups of parameters these are */
+    LAYOUT_U32 orthographic;      /* 1: fx, fy are px a metre, all rays are rot[6..8] */
 };
 
 /* Counts that the device finds in a frame; the host reads them once, before the entry lists are
@@ -105,7 +106,7 @@ struct layout_counts {
 static_assert(sizeof(struct layout_splat) == 64, "one cache line a splat");
 static_assert(sizeof(struct layout_counts) == 8 * (2 + LAYOUT_SORT_CHUNKS) + 4 * LAYOUT_BIN_CHUNKS,
               "no padding");
-static_assert(sizeof(struct layout_view) == 41 * 4, "no padding: kernels read the same words");
+static_assert(sizeof(struct layout_view) == 42 * 4, "no padding: kernels read the same words");
 #endif
 
 #endif

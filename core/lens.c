@@ -109,8 +109,8 @@ struct lens lens_resize(const struct lens *l, uint32_t width_px, uint32_t height
 }
 
 /* Brown's model with up to four radial terms over three, two tangential ones. */
-static void warp_brown(const double *k, const double *k_den, double p1, double p2, double a,
-                       double b, double *u, double *v)
+static void lens_warp_brown(const double *k, const double *k_den, double p1, double p2, double a,
+                            double b, double *u, double *v)
 {
     double r2 = a * a + b * b;
     double num = 1 + r2 * (k[0] + r2 * (k[1] + r2 * (k[2] + r2 * k[3])));
@@ -121,7 +121,7 @@ static void warp_brown(const double *k, const double *k_den, double p1, double p
 }
 
 /* Devernay and Faugeras' field-of-view model. */
-static double fov_factor(double omega, double r2)
+static double lens_fov_factor(double omega, double r2)
 {
     if (omega * omega < 1e-4)
         return omega * omega * r2 / 3 - omega * omega / 12 + 1;
@@ -142,30 +142,30 @@ static void lens_warp(const struct lens *l, double a, double b, double *u, doubl
     switch (l->model) {
     case LENS_SIMPLE_RADIAL:
     case LENS_SIMPLE_RADIAL_FISHEYE:
-        warp_brown((double[4]){p[3]}, none, 0, 0, a, b, u, v);
+        lens_warp_brown((double[4]){p[3]}, none, 0, 0, a, b, u, v);
         break;
     case LENS_RADIAL:
     case LENS_RADIAL_FISHEYE:
-        warp_brown((double[4]){p[3], p[4]}, none, 0, 0, a, b, u, v);
+        lens_warp_brown((double[4]){p[3], p[4]}, none, 0, 0, a, b, u, v);
         break;
     case LENS_OPENCV:
-        warp_brown((double[4]){p[4], p[5]}, none, p[6], p[7], a, b, u, v);
+        lens_warp_brown((double[4]){p[4], p[5]}, none, p[6], p[7], a, b, u, v);
         break;
     case LENS_OPENCV_FISHEYE:
-        warp_brown((double[4]){p[4], p[5], p[6], p[7]}, none, 0, 0, a, b, u, v);
+        lens_warp_brown((double[4]){p[4], p[5], p[6], p[7]}, none, 0, 0, a, b, u, v);
         break;
     case LENS_FULL_OPENCV:
-        warp_brown((double[4]){p[4], p[5], p[8]}, p + 9, p[6], p[7], a, b, u, v);
+        lens_warp_brown((double[4]){p[4], p[5], p[8]}, p + 9, p[6], p[7], a, b, u, v);
         break;
     case LENS_FOV: {
-        double f = fov_factor(p[4], a * a + b * b);
+        double f = lens_fov_factor(p[4], a * a + b * b);
         *u = a * f;
         *v = b * f;
         break;
     }
     case LENS_THIN_PRISM_FISHEYE: {
         double r2 = a * a + b * b;
-        warp_brown((double[4]){p[4], p[5], p[8], p[9]}, none, p[6], p[7], a, b, u, v);
+        lens_warp_brown((double[4]){p[4], p[5], p[8], p[9]}, none, p[6], p[7], a, b, u, v);
         *u += p[10] * r2;
         *v += p[11] * r2;
         break;
@@ -192,7 +192,7 @@ void lens_distort(const struct lens *l, double x, double y, double *u_px, double
 
 /* Central differences; false where the warp is not locally one-to-one and orientation-preserving.
  */
-static bool warp_jacobian(const struct lens *l, double a, double b, double j[4])
+static bool lens_warp_jacobian(const struct lens *l, double a, double b, double j[4])
 {
     double h = 1e-6, up, vp, un, vn;
     lens_warp(l, a + h, b, &up, &vp);
@@ -207,14 +207,15 @@ static bool warp_jacobian(const struct lens *l, double a, double b, double j[4])
 }
 
 /* Newton with step halving from (a, b) towards the warp value (u, v). */
-static bool warp_solve(const struct lens *l, double u, double v, double tol, double *a, double *b)
+static bool lens_warp_solve(const struct lens *l, double u, double v, double tol, double *a,
+                            double *b)
 {
     double un, vn;
     lens_warp(l, *a, *b, &un, &vn);
     double err2 = (un - u) * (un - u) + (vn - v) * (vn - v);
     for (int i = 0; i < NEWTON_MAX && err2 > tol * tol; i++) {
         double j[4];
-        if (!warp_jacobian(l, *a, *b, j))
+        if (!lens_warp_jacobian(l, *a, *b, j))
             return false;
         double det = j[0] * j[3] - j[1] * j[2];
         double da = (j[3] * (u - un) - j[1] * (v - vn)) / det;
@@ -237,7 +238,7 @@ static bool warp_solve(const struct lens *l, double u, double v, double tol, dou
             break; /* at rounding level, or stuck: the test below tells */
     }
     double j[4];
-    return err2 <= 1e4 * tol * tol && warp_jacobian(l, *a, *b, j);
+    return err2 <= 1e4 * tol * tol && lens_warp_jacobian(l, *a, *b, j);
 }
 
 bool lens_undistort(const struct lens *l, double u_px, double v_px, double *x, double *y)
@@ -251,7 +252,7 @@ bool lens_undistort(const struct lens *l, double u_px, double v_px, double *x, d
         double t = (double)i / NEWTON_STEPS;
         /* Earlier steps only have to stay on the right branch. */
         double tol = (i < NEWTON_STEPS ? 1e-3 : newton_tol_px) / fmax(fabs(fx), fabs(fy));
-        if (!warp_solve(l, t * u, t * v, tol, &a, &b))
+        if (!lens_warp_solve(l, t * u, t * v, tol, &a, &b))
             return false;
     }
     if (infos[l->model].fisheye) {

@@ -3,12 +3,15 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <pthread.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "core/base.h"
+#include "core/pool.h"
 
 static enum log_level log_level = LOG_INFO; /* set before threads start */
 
@@ -44,7 +47,7 @@ size_t log_compose(char *line, size_t room, enum log_level level, const char *mo
     return len;
 }
 
-void log_write(const char *lines, size_t n)
+static void log_put(const char *lines, size_t n)
 {
     for (size_t at = 0; at < n;) {
         ssize_t put = write(STDERR_FILENO, lines + at, n - at);
@@ -52,6 +55,112 @@ void log_write(const char *lines, size_t n)
             return; /* stderr is gone: nothing sensible is left to do */
         at += (size_t)put;
     }
+}
+
+/* ---- the queue ---- */
+
+/* Two halves: callers fill one while the thread writes the other. A reader of stderr that stops holds
+ * up the thread alone. */
+enum { LOG_QUEUE_BYTES = 1 << 20 };
+static struct {
+    pthread_mutex_t lock;
+    pthread_cond_t filled, written;
+    char *fill, *spare;
+    size_t n, dropped; /* bytes that wait, lines that found no room */
+    bool on, stop, busy;
+    struct pool_thread *thread;
+} log_queue = {.lock = PTHREAD_MUTEX_INITIALIZER,
+               .filled = PTHREAD_COND_INITIALIZER,
+               .written = PTHREAD_COND_INITIALIZER};
+
+static void log_main(void *user)
+{
+    char note[128];
+    (void)user;
+    pthread_mutex_lock(&log_queue.lock);
+    for (;;) {
+        while (!log_queue.n && !log_queue.dropped && !log_queue.stop)
+            pthread_cond_wait(&log_queue.filled, &log_queue.lock);
+        if (!log_queue.n && !log_queue.dropped)
+            break;
+        char *full = log_queue.fill;
+        size_t n = log_queue.n, dropped = log_queue.dropped;
+        log_queue.fill = log_queue.spare;
+        log_queue.spare = full;
+        log_queue.n = log_queue.dropped = 0;
+        log_queue.busy = true;
+        pthread_mutex_unlock(&log_queue.lock);
+        log_put(full, n);
+        if (dropped)
+            log_put(note, log_compose(note, sizeof note, LOG_WARN, "log",
+                                      "lines dropped, stderr is read too slowly: %zu", dropped));
+        pthread_mutex_lock(&log_queue.lock);
+        log_queue.busy = false;
+        pthread_cond_broadcast(&log_queue.written);
+    }
+    pthread_mutex_unlock(&log_queue.lock);
+}
+
+enum err_code log_start(struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    if (log_queue.on)
+        return ERR_OK;
+    log_queue.fill = mem_array(LOG_QUEUE_BYTES, 1);
+    log_queue.spare = mem_array(LOG_QUEUE_BYTES, 1);
+    if (!log_queue.fill || !log_queue.spare)
+        rc = err_set(e, ERR_MEM, "log: out of memory");
+    log_queue.stop = false;
+    if (!rc)
+        rc = pool_start(log_main, NULL, &log_queue.thread, e);
+    log_queue.on = !rc;
+    if (rc) {
+        mem_free(log_queue.fill);
+        mem_free(log_queue.spare);
+        log_queue.fill = log_queue.spare = NULL;
+    }
+    return rc;
+}
+
+void log_stop(double wait_s)
+{
+    struct timespec end;
+    if (!log_queue.on)
+        return;
+    clock_gettime(CLOCK_REALTIME, &end);
+    end.tv_sec += (time_t)wait_s + 1;
+    pthread_mutex_lock(&log_queue.lock);
+    int late = 0;
+    while ((log_queue.n || log_queue.dropped || log_queue.busy) && !late)
+        late = pthread_cond_timedwait(&log_queue.written, &log_queue.lock, &end);
+    log_queue.stop = !late;
+    pthread_cond_signal(&log_queue.filled);
+    pthread_mutex_unlock(&log_queue.lock);
+    if (late)
+        return; /* it hangs in write(): lines go on into the queue, and nobody waits for them */
+    pool_join(&log_queue.thread);
+    log_queue.on = false;
+    mem_free(log_queue.fill);
+    mem_free(log_queue.spare);
+    log_queue.fill = log_queue.spare = NULL;
+}
+
+void log_write(const char *lines, size_t n)
+{
+    if (!log_queue.on) {
+        log_put(lines, n);
+        return;
+    }
+    pthread_mutex_lock(&log_queue.lock);
+    if (log_queue.n + n <= LOG_QUEUE_BYTES) {
+        memcpy(log_queue.fill + log_queue.n, lines, n);
+        log_queue.n += n;
+    } else {
+        for (size_t i = 0; i < n; i++)
+            log_queue.dropped += lines[i] == '\n';
+    }
+    pthread_cond_signal(&log_queue.filled);
+    pthread_mutex_unlock(&log_queue.lock);
 }
 
 void log_line(enum log_level level, const char *module, const char *fmt, ...)

@@ -14,7 +14,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-static int remove_entry(const char *path, const struct stat *st, int type, struct FTW *at)
+static int outdir_remove_entry(const char *path, const struct stat *st, int type, struct FTW *at)
 {
     (void)st;
     (void)type;
@@ -23,12 +23,12 @@ static int remove_entry(const char *path, const struct stat *st, int type, struc
     return 0;
 }
 
-static void remove_tree(const char *path)
+static void outdir_remove_tree(const char *path)
 {
-    nftw(path, remove_entry, 16, FTW_DEPTH | FTW_PHYS);
+    nftw(path, outdir_remove_entry, 16, FTW_DEPTH | FTW_PHYS);
 }
 
-static bool is_empty_dir(const char *path)
+static bool outdir_is_empty_dir(const char *path)
 {
     DIR *d = opendir(path);
     if (!d)
@@ -40,14 +40,14 @@ static bool is_empty_dir(const char *path)
     return n == 0;
 }
 
-static enum err_code place_check(const char *path, const char *marker, bool overwrite,
-                                 struct err *e)
+static enum err_code outdir_place_check(const char *path, const char *marker, bool overwrite,
+                                        struct err *e)
 {
     struct stat st;
     char inside[FILE_PATH_MAX];
     if (lstat(path, &st))
         return errno == ENOENT ? ERR_OK : err_errno(e, ERR_IO, "%s", path);
-    if (S_ISDIR(st.st_mode) && is_empty_dir(path))
+    if (S_ISDIR(st.st_mode) && outdir_is_empty_dir(path))
         return ERR_OK;
     enum err_code rc = file_join(inside, path, marker, e);
     if (rc)
@@ -71,14 +71,14 @@ enum err_code outdir_begin(const char *path, const char *marker, bool overwrite,
     if (n + 32 > FILE_PATH_MAX)
         return err_set(e, ERR_LIMIT, "%.200s...: the path is too long", path);
     memcpy(out->path, path, n);
-    enum err_code rc = place_check(out->path, marker, overwrite, e);
+    enum err_code rc = outdir_place_check(out->path, marker, overwrite, e);
     if (rc) {
         *out = (struct outdir){0};
         return rc;
     }
     memcpy(out->part, out->path, n);
     snprintf(out->part + n, 32, ".part-%ld", (long)getpid());
-    remove_tree(out->part); /* of a killed run with the same number */
+    outdir_remove_tree(out->part); /* of a killed run with the same number */
     rc = file_mkdir(out->part, e);
     if (rc)
         *out = (struct outdir){0};
@@ -101,7 +101,7 @@ enum err_code outdir_commit(struct outdir *d, struct err *e)
         return rc;
     }
     if (old[0])
-        remove_tree(old);
+        outdir_remove_tree(old);
     *d = (struct outdir){0};
     return ERR_OK;
 }
@@ -109,6 +109,6 @@ enum err_code outdir_commit(struct outdir *d, struct err *e)
 void outdir_abort(struct outdir *d)
 {
     if (d->part[0])
-        remove_tree(d->part);
+        outdir_remove_tree(d->part);
     *d = (struct outdir){0};
 }

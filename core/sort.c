@@ -128,14 +128,14 @@ uint64_t sort_spread3(uint64_t x)
     return (x | x << 2) & UINT64_C(0x1249249249249249);
 }
 
-static unsigned hilbert_rotate(unsigned x, unsigned left)
+static unsigned sort_hilbert_rotate(unsigned x, unsigned left)
 {
     left %= 3;
     return (x << left | x >> (3 - left)) & 7;
 }
 
 /* Ones at the end of x. */
-static unsigned hilbert_ones(unsigned x)
+static unsigned sort_hilbert_ones(unsigned x)
 {
     unsigned n = 0;
     while (x >> n & 1)
@@ -149,13 +149,13 @@ void sort_hilbert_init(struct sort_hilbert *h)
     for (unsigned state = 0; state < SORT_HILBERT_STATES; state++)
         for (unsigned octant = 0; octant < 8; octant++) {
             unsigned e = state / 3, d = state % 3;
-            unsigned gray = hilbert_rotate(octant ^ e, 3 - (d + 1) % 3);
+            unsigned gray = sort_hilbert_rotate(octant ^ e, 3 - (d + 1) % 3);
             unsigned w = gray ^ gray >> 1 ^ gray >> 2, even = w ? (w - 1) & ~1u : 0;
             unsigned enter = even ^ even >> 1;
-            unsigned axis = w == 0 ? 0 : hilbert_ones(w & 1 ? w : w - 1) % 3;
+            unsigned axis = w == 0 ? 0 : sort_hilbert_ones(w & 1 ? w : w - 1) % 3;
             h->place[state][octant] = (uint8_t)w;
             h->next[state][octant] =
-                (uint8_t)((e ^ hilbert_rotate(enter, d + 1)) * 3 + (d + axis + 1) % 3);
+                (uint8_t)((e ^ sort_hilbert_rotate(enter, d + 1)) * 3 + (d + axis + 1) % 3);
         }
 }
 

@@ -51,8 +51,8 @@ void georef_free(struct georef_result *r)
 
 /* Up in COLMAP's frame, from cameras that do not roll, over ground that is roughly level: the
  * direction most at right angles to all camera x axes and closest to the ground normal. */
-static void upright_at(const struct georef_photo *photos, size_t n, const double normal[3],
-                       double up[3])
+static void georef_upright_at(const struct georef_photo *photos, size_t n, const double normal[3],
+                              double up[3])
 {
     double hint[3] = {0}, m[9] = {0}, values[3], vectors[9];
     bool known = normal[0] != 0 || normal[1] != 0 || normal[2] != 0;
@@ -84,7 +84,7 @@ enum err_code georef_upright(const struct georef_photo *photos, size_t n,
     double up[3], east[3], north[3], mean[3] = {0}, at[3];
     if (!n)
         return err_set(e, ERR_DATA, "no photographs are left");
-    upright_at(photos, n, ground_normal, up);
+    georef_upright_at(photos, n, ground_normal, up);
     int a = fabs(up[0]) < 0.8 ? 0 : 1; /* an axis that is not up */
     double dot = up[a], len = sqrt(1 - dot * dot);
     for (int i = 0; i < 3; i++)
@@ -119,7 +119,7 @@ struct work { /* arrays of one georef_fit, all [n] */
     const struct georef_config *cfg;
 };
 
-static void work_free(struct work *w)
+static void georef_work_free(struct work *w)
 {
     mem_free(w->x);
     mem_free(w->y);
@@ -132,8 +132,8 @@ static void work_free(struct work *w)
     mem_free(w->with_gps);
 }
 
-static enum err_code work_make(struct work *w, const struct georef_photo *photos, size_t n,
-                               const struct georef_config *cfg, struct err *e)
+static enum err_code georef_work_make(struct work *w, const struct georef_photo *photos, size_t n,
+                                      const struct georef_config *cfg, struct err *e)
 {
     *w = (struct work){.n = n, .cfg = cfg};
     w->x = mem_array(n, sizeof *w->x);
@@ -156,7 +156,7 @@ static enum err_code work_make(struct work *w, const struct georef_photo *photos
         if (photos[i].has_gps)
             w->with_gps[w->n_gps++] = (uint32_t)i;
     }
-    upright_at(photos, n, cfg->ground_normal, w->up);
+    georef_upright_at(photos, n, cfg->ground_normal, w->up);
     w->p = (struct sim3_problem){.x = (const double(*)[3])w->x,
                                  .y = (const double(*)[3])w->y,
                                  .right = (const double(*)[3])w->right,
@@ -180,7 +180,7 @@ static enum err_code work_make(struct work *w, const struct georef_photo *photos
 }
 
 /* Sum of squared distances, each capped. */
-static double truncated_cost(const struct work *w, const struct sim3_fit *f, double cap)
+static double georef_truncated_cost(const struct work *w, const struct sim3_fit *f, double cap)
 {
     double sum = 0;
     struct sim3_fit plain = *f;
@@ -192,7 +192,7 @@ static double truncated_cost(const struct work *w, const struct sim3_fit *f, dou
     return sum;
 }
 
-static size_t count_within(const struct work *w, const struct sim3_fit *f, double r)
+static size_t georef_count_within(const struct work *w, const struct sim3_fit *f, double r)
 {
     size_t n = 0;
     for (size_t k = 0; k < w->n_gps; k++)
@@ -201,7 +201,8 @@ static size_t count_within(const struct work *w, const struct sim3_fit *f, doubl
 }
 
 /* As truncated_cost and count_within, horizontally. */
-static double plan_cost(const struct work *w, const struct sim3 *s, double cap, size_t *within)
+static double georef_plan_cost(const struct work *w, const struct sim3 *s, double cap,
+                               size_t *within)
 {
     double sum = 0;
     *within = 0;
@@ -216,7 +217,7 @@ static double plan_cost(const struct work *w, const struct sim3 *s, double cap, 
 }
 
 /* Draws needed to meet `k` agreeing photographs at once, almost surely. */
-static double draws_needed(double share, int k)
+static double georef_draws_needed(double share, int k)
 {
     double miss = log1p(-fmin(pow(share, k), 1 - 1e-9));
     return miss < 0 ? log(1e-6) / miss : DRAWS_MAX;
@@ -224,7 +225,7 @@ static double draws_needed(double share, int k)
 
 /* The best of many fits to two photographs, up taken from the cameras and the ground, heights
  * ignored. */
-static bool draw_plans(const struct work *w, struct sim3_fit *best)
+static bool georef_draw_plans(const struct work *w, struct sim3_fit *best)
 {
     double best_cost = HUGE_VAL, needed = DRAWS_MAX;
     for (uint64_t draw = 0; draw < DRAWS_MAX && (draw < DRAWS_MIN || (double)draw < needed);
@@ -236,12 +237,12 @@ static bool draw_plans(const struct work *w, struct sim3_fit *best)
         struct sim3 s;
         if (pick[0] == pick[1] || !sim3_from_plan(w->p.x, w->p.y, pick, 2, w->up, w->scratch, &s))
             continue;
-        double cost = plan_cost(w, &s, w->cfg->inlier_m, &within);
+        double cost = georef_plan_cost(w, &s, w->cfg->inlier_m, &within);
         if (!(cost < best_cost))
             continue;
         best_cost = cost;
         *best = (struct sim3_fit){.sim = s};
-        needed = draws_needed((double)within / (double)w->n_gps, 2);
+        needed = georef_draws_needed((double)within / (double)w->n_gps, 2);
     }
     if (!(best_cost < HUGE_VAL))
         return false;
@@ -255,7 +256,7 @@ static bool draw_plans(const struct work *w, struct sim3_fit *best)
 }
 
 /* The best of many fits to three photographs. */
-static bool draw_fits(const struct work *w, struct sim3_fit *best)
+static bool georef_draw_fits(const struct work *w, struct sim3_fit *best)
 {
     double best_cost = HUGE_VAL, needed = DRAWS_MAX;
     for (uint64_t draw = 0; draw < DRAWS_MAX && (draw < DRAWS_MIN || (double)draw < needed);
@@ -268,19 +269,20 @@ static bool draw_fits(const struct work *w, struct sim3_fit *best)
         struct sim3_fit f = {0};
         if (!sim3_from_pairs(w->p.x, w->p.y, pick, 3, w->up, &f.sim))
             continue;
-        double cost = truncated_cost(w, &f, w->cfg->inlier_m);
+        double cost = georef_truncated_cost(w, &f, w->cfg->inlier_m);
         if (!(cost < best_cost))
             continue;
         best_cost = cost;
         *best = f;
-        needed = draws_needed((double)count_within(w, &f, w->cfg->inlier_m) / (double)w->n_gps, 3);
+        needed = georef_draws_needed(
+            (double)georef_count_within(w, &f, w->cfg->inlier_m) / (double)w->n_gps, 3);
     }
     return best_cost < HUGE_VAL;
 }
 
 /* ---- flights ---- */
 
-static double height_error(const struct work *w, const struct sim3_fit *f, size_t i)
+static double georef_height_error(const struct work *w, const struct sim3_fit *f, size_t i)
 {
     double y[3];
     sim3_apply(&f->sim, w->x[i], y);
@@ -289,17 +291,17 @@ static double height_error(const struct work *w, const struct sim3_fit *f, size_
 
 /* Number the flights of `trial` by size, largest first; false when one is too small or there is
  * only one. */
-static bool flights_rank(struct work *w, size_t *n_groups)
+static bool georef_flights_rank(struct work *w, size_t *n_groups)
 {
-    size_t count[SIMILARITY_GROUPS_MAX] = {0}, rank[SIMILARITY_GROUPS_MAX], n = 0;
+    size_t count[SIM3_GROUPS_MAX] = {0}, rank[SIM3_GROUPS_MAX], n = 0;
     for (size_t k = 0; k < w->n_gps; k++)
         count[w->trial[w->with_gps[k]]]++;
-    for (size_t g = 0; g < SIMILARITY_GROUPS_MAX; g++) {
+    for (size_t g = 0; g < SIM3_GROUPS_MAX; g++) {
         if (count[g] && count[g] < FLIGHT_MIN)
             return false;
         n += count[g] > 0;
         rank[g] = 0;
-        for (size_t h = 0; h < SIMILARITY_GROUPS_MAX; h++)
+        for (size_t h = 0; h < SIM3_GROUPS_MAX; h++)
             rank[g] += count[h] > count[g] || (count[h] == count[g] && h < g);
     }
     for (size_t i = 0; i < w->n; i++)
@@ -310,18 +312,18 @@ static bool flights_rank(struct work *w, size_t *n_groups)
 }
 
 /* Median height error of up to JUMP_WINDOW photographs before or from with_gps[at]. */
-static double window_height(struct work *w, const struct sim3_fit *f, size_t at, bool after)
+static double georef_window_height(struct work *w, const struct sim3_fit *f, size_t at, bool after)
 {
     size_t lo = after ? at : at > JUMP_WINDOW ? at - JUMP_WINDOW : 0;
     size_t hi = after ? at + JUMP_WINDOW : at, n = 0;
     for (size_t k = lo; k < hi && k < w->n_gps; k++)
-        w->scratch[n++] = height_error(w, f, w->with_gps[k]);
+        w->scratch[n++] = georef_height_error(w, f, w->with_gps[k]);
     return sim3_median(w->scratch, n);
 }
 
 /* Residual sum of squares of v[0..n) about its best parabola; *steps gets that about two levels
  * that meet at `at`. Values are in order of names. */
-static double parabola_cost(const double *v, size_t n, size_t at, double *steps)
+static double georef_parabola_cost(const double *v, size_t n, size_t at, double *steps)
 {
     double moment[5] = {0}, b[3] = {0}, square = 0, sum[2] = {0};
     for (size_t k = 0; k < n; k++) {
@@ -346,21 +348,21 @@ static double parabola_cost(const double *v, size_t n, size_t at, double *steps)
 }
 
 /* Are the two flights of `trial` told apart as their kind of partition demands? */
-static bool flights_distinct(struct work *w, const struct sim3_fit *f, enum partition how)
+static bool georef_flights_distinct(struct work *w, const struct sim3_fit *f, enum partition how)
 {
     double offset = f->offset_m[1];
     if (how == PARTITION_JUMP) {
         size_t at = 1;
         while (at < w->n_gps && w->trial[w->with_gps[at]] == w->trial[w->with_gps[at - 1]])
             at++;
-        if (fabs(window_height(w, f, at, true) - window_height(w, f, at, false)) <=
+        if (fabs(georef_window_height(w, f, at, true) - georef_window_height(w, f, at, false)) <=
             jump_sudden * fabs(offset))
             return false;
         double cap = fabs(offset) + 4 * f->sigma_v_m, steps; /* outliers count little */
         for (size_t k = 0; k < w->n_gps; k++)
             w->scratch[k] =
-                fmax(-cap, fmin(cap, height_error(w, f, w->with_gps[k]) - 0.5 * offset));
-        double smooth = parabola_cost(w->scratch, w->n_gps, at, &steps);
+                fmax(-cap, fmin(cap, georef_height_error(w, f, w->with_gps[k]) - 0.5 * offset));
+        double smooth = georef_parabola_cost(w->scratch, w->n_gps, at, &steps);
         return steps < jump_better * smooth;
     }
     if (how == PARTITION_CLUSTER) {
@@ -374,21 +376,21 @@ static bool flights_distinct(struct work *w, const struct sim3_fit *f, enum part
 
 /* Fit with the flights of `trial`; take fit and flights when they explain the positions much better
  * than `single`, which has no flights, and better than `best`. */
-static enum err_code flights_try(struct work *w, const struct sim3_fit *single, enum partition how,
-                                 struct sim3_fit *best, struct err *e)
+static enum err_code georef_flights_try(struct work *w, const struct sim3_fit *single,
+                                        enum partition how, struct sim3_fit *best, struct err *e)
 {
     double better_cost = how == PARTITION_CLUSTER ? better_in_clusters : better_in_order;
     size_t n_groups;
-    if (w->n_gps < FLIGHTS_PHOTOS_MIN || !flights_rank(w, &n_groups))
+    if (w->n_gps < FLIGHTS_PHOTOS_MIN || !georef_flights_rank(w, &n_groups))
         return ERR_OK;
     struct sim3_fit f = *single;
     double base = 0;
-    size_t count[SIMILARITY_GROUPS_MAX];
+    size_t count[SIM3_GROUPS_MAX];
     for (size_t g = 0; g < n_groups; g++) {
         count[g] = 0;
         for (size_t k = 0; k < w->n_gps; k++)
             if (w->trial[w->with_gps[k]] == g)
-                w->scratch[count[g]++] = height_error(w, single, w->with_gps[k]);
+                w->scratch[count[g]++] = georef_height_error(w, single, w->with_gps[k]);
         double median = sim3_median(w->scratch, count[g]);
         if (g == 0)
             base = median;
@@ -401,17 +403,17 @@ static enum err_code flights_try(struct work *w, const struct sim3_fit *single, 
     enum err_code rc = sim3_refine(&w->p, &f, NULL);
     if (rc == ERR_MEM)
         return err_set(e, rc, "georeferencing: out of memory");
-    double cap = 4.6 * fmax(f.sigma_h_m, f.sigma_v_m), cost = truncated_cost(w, &f, cap),
+    double cap = 4.6 * fmax(f.sigma_h_m, f.sigma_v_m), cost = georef_truncated_cost(w, &f, cap),
            largest = 0;
     w->p = old;
-    bool better =
-        cost < truncated_cost(w, best, cap) && cost < better_cost * truncated_cost(w, single, cap);
+    bool better = cost < georef_truncated_cost(w, best, cap) &&
+                  cost < better_cost * georef_truncated_cost(w, single, cap);
     for (size_t g = 1; g < n_groups; g++) {
         double error = f.sigma_v_m * sqrt(1 / (double)count[0] + 1 / (double)count[g]);
         if (fabs(f.offset_m[g]) > offset_sigmas * error)
             largest = fmax(largest, fabs(f.offset_m[g]));
     }
-    if (rc || largest < offset_min_m || !better || !flights_distinct(w, &f, how))
+    if (rc || largest < offset_min_m || !better || !georef_flights_distinct(w, &f, how))
         return ERR_OK;
     *best = f;
     memcpy(w->group, w->trial, w->n * sizeof *w->group);
@@ -421,27 +423,27 @@ static enum err_code flights_try(struct work *w, const struct sim3_fit *single, 
 
 /* Flights before and from place `at` in the order of names; *jump = at when that is the best so
  * far. */
-static enum err_code jump_try(struct work *w, const struct sim3_fit *single, struct sim3_fit *best,
-                              size_t at, size_t *jump, struct err *e)
+static enum err_code georef_jump_try(struct work *w, const struct sim3_fit *single,
+                                     struct sim3_fit *best, size_t at, size_t *jump, struct err *e)
 {
     double before = best->offset_m[1], sigma = best->sigma_v_m;
     for (size_t i = 0; i < w->n; i++)
         w->trial[i] = i >= at;
-    enum err_code rc = flights_try(w, single, PARTITION_JUMP, best, e);
+    enum err_code rc = georef_flights_try(w, single, PARTITION_JUMP, best, e);
     if (before != best->offset_m[1] || sigma != best->sigma_v_m)
         *jump = at;
     return rc;
 }
 
-static enum err_code flights_find(struct work *w, const struct georef_photo *photos,
-                                  struct sim3_fit *fit, struct err *e)
+static enum err_code georef_flights_find(struct work *w, const struct georef_photo *photos,
+                                         struct sim3_fit *fit, struct err *e)
 {
     enum err_code rc = ERR_OK;
     const struct sim3_fit single = *fit;
     for (size_t i = 0; i < w->n; i++)
-        w->trial[i] = photos[i].flight_hint < SIMILARITY_GROUPS_MAX ? photos[i].flight_hint
-                                                                    : SIMILARITY_GROUPS_MAX - 1;
-    rc = flights_try(w, &single, PARTITION_PAUSE, fit, e);
+        w->trial[i] =
+            photos[i].flight_hint < SIM3_GROUPS_MAX ? photos[i].flight_hint : SIM3_GROUPS_MAX - 1;
+    rc = georef_flights_try(w, &single, PARTITION_PAUSE, fit, e);
     if (rc || w->p.n_groups > 1)
         return rc;
     /* A jump somewhere along the order of names, then two clusters in any order. */
@@ -449,25 +451,25 @@ static enum err_code flights_find(struct work *w, const struct georef_photo *pho
     size_t step = w->n / JUMPS_TRIED + 1;
     size_t jump = 0;
     for (size_t at = FLIGHT_MIN; !rc && at + FLIGHT_MIN <= w->n; at += step)
-        rc = jump_try(w, &single, &best, at, &jump, e);
+        rc = georef_jump_try(w, &single, &best, at, &jump, e);
     for (size_t at = jump > step ? jump - step + 1 : 1, end = jump + step; !rc && jump && at < end;
          at++)
-        rc = jump_try(w, &single, &best, at, &jump, e);
+        rc = georef_jump_try(w, &single, &best, at, &jump, e);
     for (size_t k = 0; k < w->n_gps; k++)
-        w->scratch[k] = height_error(w, &single, w->with_gps[k]);
+        w->scratch[k] = georef_height_error(w, &single, w->with_gps[k]);
     sim3_median(w->scratch, w->n_gps); /* sorts */
     double split = 0.5 * (w->scratch[w->n_gps / 8] + w->scratch[w->n_gps - 1 - w->n_gps / 8]);
     for (size_t i = 0; i < w->n; i++)
-        w->trial[i] = photos[i].has_gps && height_error(w, &single, i) > split;
+        w->trial[i] = photos[i].has_gps && georef_height_error(w, &single, i) > split;
     if (!rc && w->p.n_groups == 1)
-        rc = flights_try(w, &single, PARTITION_CLUSTER, &best, e);
+        rc = georef_flights_try(w, &single, PARTITION_CLUSTER, &best, e);
     *fit = best;
     return rc;
 }
 
 /* ---- dropping ---- */
 
-static double rejection_distance(struct work *w, const struct sim3_fit *f)
+static double georef_rejection_distance(struct work *w, const struct sim3_fit *f)
 {
     for (size_t k = 0; k < w->n_gps; k++)
         w->scratch[k] = sim3_residual(&w->p, f, w->with_gps[k]);
@@ -478,14 +480,14 @@ static double rejection_distance(struct work *w, const struct sim3_fit *f)
     return fmin(fmax(tau, w->cfg->tau_min_m), w->cfg->tau_max_m);
 }
 
-static enum err_code drop_rounds(struct work *w, struct sim3_fit *f, struct georef_result *r,
-                                 struct err *e)
+static enum err_code georef_drop_rounds(struct work *w, struct sim3_fit *f, struct georef_result *r,
+                                        struct err *e)
 {
     enum err_code rc = ERR_OK;
     for (r->rounds = 0; r->rounds < ROUNDS_MAX && !rc;) {
         size_t changed = 0, kept = 0;
         r->rounds++;
-        r->tau_m = rejection_distance(w, f);
+        r->tau_m = georef_rejection_distance(w, f);
         for (size_t k = 0; k < w->n_gps; k++) {
             size_t i = w->with_gps[k];
             bool far = !(sim3_residual(&w->p, f, i) <= r->tau_m);
@@ -508,7 +510,7 @@ static enum err_code drop_rounds(struct work *w, struct sim3_fit *f, struct geor
 }
 
 /* Is the largest spread of the cameras a hundred times the second? */
-static bool is_collinear(const struct work *w)
+static bool georef_is_collinear(const struct work *w)
 {
     double mean[3] = {0}, m[9] = {0}, values[3], vectors[9];
     for (size_t k = 0; k < w->n_gps; k++)
@@ -525,13 +527,13 @@ static bool is_collinear(const struct work *w)
 }
 
 /* Two starts: three-dimensional, and level with heights ignored. The likelier end is taken. */
-static enum err_code first_fit(struct work *w, struct sim3_fit *out, struct err *e)
+static enum err_code georef_first_fit(struct work *w, struct sim3_fit *out, struct err *e)
 {
     struct sim3_fit space = {0}, plan = {0};
     enum err_code rc_space = ERR_DATA, rc_plan = ERR_DATA;
-    if (draw_fits(w, &space))
+    if (georef_draw_fits(w, &space))
         rc_space = sim3_refine(&w->p, &space, e);
-    if (draw_plans(w, &plan))
+    if (georef_draw_plans(w, &plan))
         rc_plan = sim3_refine(&w->p, &plan, e);
     if (rc_space == ERR_MEM || rc_plan == ERR_MEM)
         return err_set(e, ERR_MEM, "georeferencing: out of memory for %zu photographs", w->n);
@@ -547,25 +549,25 @@ static enum err_code first_fit(struct work *w, struct sim3_fit *out, struct err 
     return ERR_OK;
 }
 
-static enum err_code fit_all(struct work *w, const struct georef_photo *photos,
-                             struct georef_result *r, struct err *e)
+static enum err_code georef_fit_all(struct work *w, const struct georef_photo *photos,
+                                    struct georef_result *r, struct err *e)
 {
     struct sim3_fit f = {0};
     if (w->n_gps < 3)
         return err_set(e, ERR_DATA,
                        "%zu photographs have a GPS position, three at least are needed", w->n_gps);
-    enum err_code rc = first_fit(w, &f, e);
+    enum err_code rc = georef_first_fit(w, &f, e);
     if (!rc)
-        rc = flights_find(w, photos, &f, e);
+        rc = georef_flights_find(w, photos, &f, e);
     if (!rc)
-        rc = drop_rounds(w, &f, r, e);
+        rc = georef_drop_rounds(w, &f, r, e);
     if (rc)
         return rc;
     r->fit = f;
     r->sim = f.sim;
     r->n_gps = w->n_gps;
     r->n_flights = w->p.n_groups;
-    r->collinear = is_collinear(w);
+    r->collinear = georef_is_collinear(w);
     memcpy(r->flight_offset_m, f.offset_m, sizeof r->flight_offset_m);
     for (size_t i = 0; i < w->n; i++) {
         r->residual_m[i] = photos[i].has_gps ? sim3_residual(&w->p, &f, i) : (double)NAN;
@@ -580,7 +582,7 @@ enum err_code georef_fit(const struct georef_photo *photos, size_t n,
 {
     struct work w;
     struct georef_result r = {0};
-    enum err_code rc = work_make(&w, photos, n, cfg, e);
+    enum err_code rc = georef_work_make(&w, photos, n, cfg, e);
     if (rc)
         goto out;
     r.residual_m = mem_array(n, sizeof *r.residual_m);
@@ -590,9 +592,9 @@ enum err_code georef_fit(const struct georef_photo *photos, size_t n,
         rc = err_set(e, ERR_MEM, "georeferencing: out of memory for %zu photographs", n);
         goto out;
     }
-    rc = fit_all(&w, photos, &r, e);
+    rc = georef_fit_all(&w, photos, &r, e);
 out:
-    work_free(&w);
+    georef_work_free(&w);
     if (rc)
         georef_free(&r);
     *out = r;

@@ -51,12 +51,12 @@ const struct options_spec *ingest_options(void)
     return &spec;
 }
 
-static enum err_code no_memory(struct err *e)
+static enum err_code ingest_no_memory(struct err *e)
 {
     return err_set(e, ERR_MEM, "ingest: out of memory");
 }
 
-static void step_done(struct ingest *g)
+static void ingest_step_done(struct ingest *g)
 {
     size_t done = atomic_fetch_add(&g->done, 1) + 1;
     if (!atomic_flag_test_and_set(&g->progress_busy)) {
@@ -66,9 +66,9 @@ static void step_done(struct ingest *g)
 }
 
 /* pool_for over the photographs with a progress bar. */
-static enum err_code for_photos(struct ingest *g, const char *what,
-                                enum err_code (*fn)(void *user, size_t i, struct err *e),
-                                struct err *e)
+static enum err_code ingest_for_photos(struct ingest *g, const char *what,
+                                       enum err_code (*fn)(void *user, size_t i, struct err *e),
+                                       struct err *e)
 {
     atomic_store(&g->done, 0);
     progress_start(&g->progress, what, g->n);
@@ -80,7 +80,7 @@ static enum err_code for_photos(struct ingest *g, const char *what,
 /* ---- the photographs ---- */
 
 /* A relative path that stays below its folder. */
-static bool name_is_safe(const char *s)
+static bool ingest_name_is_safe(const char *s)
 {
     if (s[0] == '/')
         return false;
@@ -90,20 +90,20 @@ static bool name_is_safe(const char *s)
     return true;
 }
 
-static int photo_compare(const void *a, const void *b)
+static int ingest_photo_compare(const void *a, const void *b)
 {
     const struct ingest_photo *p = a, *q = b;
     return strcmp(p->image->name, q->image->name);
 }
 
-static int text_compare(const void *a, const void *b)
+static int ingest_text_compare(const void *a, const void *b)
 {
     char *const *p = a, *const *q = b;
     return strcmp(*p, *q);
 }
 
 /* "flight 1/DSC_1.JPG" -> "flight 1_DSC_1.JPG", or "....JPG.png" when the format changes. */
-static char *out_name_make(struct ingest *g, const char *name)
+static char *ingest_out_name_make(struct ingest *g, const char *name)
 {
     static const char *const suffixes[2][2] = {{".jpg", ".jpeg"}, {".png", ".png"}};
     const char *const *want = suffixes[g->cfg->format], *dot = strrchr(name, '.');
@@ -121,14 +121,14 @@ static char *out_name_make(struct ingest *g, const char *name)
     return out;
 }
 
-static enum err_code out_names_check(const struct ingest *g, struct err *e)
+static enum err_code ingest_out_names_check(const struct ingest *g, struct err *e)
 {
     char **names = mem_array(g->n, sizeof *names);
-    enum err_code rc = names ? ERR_OK : no_memory(e);
+    enum err_code rc = names ? ERR_OK : ingest_no_memory(e);
     for (size_t i = 0; names && i < g->n; i++)
         names[i] = g->photos[i].out_name;
     if (names)
-        qsort(names, g->n, sizeof *names, text_compare);
+        qsort(names, g->n, sizeof *names, ingest_text_compare);
     for (size_t i = 1; !rc && i < g->n; i++)
         if (!strcmp(names[i], names[i - 1]))
             rc = err_set(e, ERR_DATA,
@@ -138,7 +138,7 @@ static enum err_code out_names_check(const struct ingest *g, struct err *e)
     return rc;
 }
 
-static enum err_code list_photos(struct ingest *g, struct err *e)
+static enum err_code ingest_list_photos(struct ingest *g, struct err *e)
 {
     g->n = g->model.n_images;
     if (!g->n)
@@ -148,22 +148,22 @@ static enum err_code list_photos(struct ingest *g, struct err *e)
     g->photos = arena_get(&g->scene.arena, g->n, sizeof *g->photos);
     g->kept = arena_get(&g->scene.arena, g->n, sizeof *g->kept);
     if (!g->photos || !g->kept)
-        return no_memory(e);
+        return ingest_no_memory(e);
     size_t missing = 0;
     const char *first = NULL;
     for (size_t i = 0; i < g->n; i++)
         g->photos[i].image = &g->model.images[i];
-    qsort(g->photos, g->n, sizeof *g->photos, photo_compare);
+    qsort(g->photos, g->n, sizeof *g->photos, ingest_photo_compare);
     for (size_t i = 0; i < g->n; i++) {
         struct ingest_photo *p = &g->photos[i];
         char path[FILE_PATH_MAX];
         p->residual_m = (double)NAN;
-        if (!name_is_safe(p->image->name))
+        if (!ingest_name_is_safe(p->image->name))
             return err_set(e, ERR_DATA, "images: '%.200s' leads out of the folder of photographs",
                            p->image->name);
-        p->out_name = out_name_make(g, p->image->name);
+        p->out_name = ingest_out_name_make(g, p->image->name);
         if (!p->out_name)
-            return no_memory(e);
+            return ingest_no_memory(e);
         enum err_code rc = file_join(path, g->images_dir, p->image->name, e);
         if (rc)
             return rc;
@@ -179,12 +179,12 @@ static enum err_code list_photos(struct ingest *g, struct err *e)
             "give the folder that COLMAP was run on%s",
             g->images_dir, missing, g->n, first,
             missing == g->n ? "" : ", or drop them with --skip-missing");
-    return out_names_check(g, e);
+    return ingest_out_names_check(g, e);
 }
 
 /* ---- EXIF and sizes ---- */
 
-static enum err_code read_info_task(void *user, size_t i, struct err *e)
+static enum err_code ingest_read_info_task(void *user, size_t i, struct err *e)
 {
     struct ingest *g = user;
     struct ingest_photo *p = &g->photos[i];
@@ -205,12 +205,12 @@ static enum err_code read_info_task(void *user, size_t i, struct err *e)
                        "model was made "
                        "from, or turned by a viewer",
                        path, p->width_px, p->height_px, l->width_px, l->height_px);
-    step_done(g);
+    ingest_step_done(g);
     return ERR_OK;
 }
 
 /* "2024:06:01 10:00:00" as seconds; NaN when it is nothing of the kind. */
-static double time_seconds(const char *s)
+static double ingest_time_seconds(const char *s)
 {
     int y, mo, d, h, mi, sec;
     if (sscanf(s, "%4d:%2d:%2d %2d:%2d:%2d", &y, &mo, &d, &h, &mi, &sec) != 6 || y < 1900 ||
@@ -227,7 +227,7 @@ struct moment {
     size_t photo;
 };
 
-static int moment_compare(const void *a, const void *b)
+static int ingest_moment_compare(const void *a, const void *b)
 {
     const struct moment *p = a, *q = b;
     if (p->s != q->s)
@@ -236,18 +236,18 @@ static int moment_compare(const void *a, const void *b)
 }
 
 /* Flights: a pause begins another. Without times, every folder is one. */
-static enum err_code find_flights(struct ingest *g, struct err *e)
+static enum err_code ingest_find_flights(struct ingest *g, struct err *e)
 {
     struct moment *m = mem_array(g->n, sizeof *m);
     if (!m)
-        return no_memory(e);
+        return ingest_no_memory(e);
     size_t n = 0;
     for (size_t i = 0; i < g->n; i++) {
-        double s = time_seconds(g->photos[i].gps.time);
+        double s = ingest_time_seconds(g->photos[i].gps.time);
         if (isfinite(s))
             m[n++] = (struct moment){s, i};
     }
-    qsort(m, n, sizeof *m, moment_compare);
+    qsort(m, n, sizeof *m, ingest_moment_compare);
     uint32_t flight = 0;
     for (size_t k = 0; k < n; k++) {
         flight += k && m[k].s - m[k - 1].s > 60 * g->cfg->flight_gap_min;
@@ -267,8 +267,8 @@ static enum err_code find_flights(struct ingest *g, struct err *e)
 /* ---- poses against points ---- */
 
 /* Distance in pixels between an observation and where its point projects; NaN behind the camera. */
-static double reprojection_at(const struct ingest *g, const struct ingest_photo *p,
-                              const struct colmap_observation *o)
+static double ingest_reprojection_at(const struct ingest *g, const struct ingest_photo *p,
+                                     const struct colmap_observation *o)
 {
     const double *x = g->model.points[o->point].xyz, *r = p->geo.rot;
     const struct lens *l = &g->model.cameras[p->image->camera].lens;
@@ -282,14 +282,14 @@ static double reprojection_at(const struct ingest *g, const struct ingest_photo 
     return d < 1e9 ? d : 1e9;
 }
 
-static enum err_code judge_poses(struct ingest *g, struct err *e)
+static enum err_code ingest_judge_poses(struct ingest *g, struct err *e)
 {
     size_t most = 0;
     for (size_t i = 0; i < g->n; i++)
         most = g->photos[i].image->n_obs > most ? g->photos[i].image->n_obs : most;
     double *scratch = mem_array(most, sizeof *scratch);
     if (!scratch)
-        return no_memory(e);
+        return ingest_no_memory(e);
     for (size_t i = 0; i < g->n; i++) {
         struct ingest_photo *p = &g->photos[i];
         camera_quat_to_rot(p->image->quat_wxyz, p->geo.rot);
@@ -299,7 +299,7 @@ static enum err_code judge_poses(struct ingest *g, struct err *e)
                   p->geo.rot[6 + a] * p->image->trans[2]);
         for (size_t k = 0; k < p->image->n_obs; k++)
             if (p->image->obs[k].point >= 0)
-                scratch[p->n_points++] = reprojection_at(g, p, &p->image->obs[k]);
+                scratch[p->n_points++] = ingest_reprojection_at(g, p, &p->image->obs[k]);
         p->reprojection_px = sim3_median(scratch, p->n_points);
         if (p->verdict == INGEST_KEPT && p->n_points < (size_t)g->cfg->min_points)
             p->verdict = INGEST_FEW_POINTS;
@@ -310,7 +310,7 @@ static enum err_code judge_poses(struct ingest *g, struct err *e)
     return ERR_OK;
 }
 
-static size_t count_verdict(const struct ingest *g, enum ingest_verdict v)
+static size_t ingest_count_verdict(const struct ingest *g, enum ingest_verdict v)
 {
     size_t n = 0;
     for (size_t i = 0; i < g->n; i++)
@@ -318,11 +318,11 @@ static size_t count_verdict(const struct ingest *g, enum ingest_verdict v)
     return n;
 }
 
-static enum err_code check_some_left(const struct ingest *g, struct err *e)
+static enum err_code ingest_check_some_left(const struct ingest *g, struct err *e)
 {
-    size_t few = count_verdict(g, INGEST_FEW_POINTS), pose = count_verdict(g, INGEST_POSE),
-           most = 0;
-    if (count_verdict(g, INGEST_KEPT) >= 3)
+    size_t few = ingest_count_verdict(g, INGEST_FEW_POINTS),
+           pose = ingest_count_verdict(g, INGEST_POSE), most = 0;
+    if (ingest_count_verdict(g, INGEST_KEPT) >= 3)
         return ERR_OK;
     for (size_t i = 0; i < g->n; i++)
         most = g->photos[i].n_points > most ? g->photos[i].n_points : most;
@@ -333,7 +333,8 @@ static enum err_code check_some_left(const struct ingest *g, struct err *e)
                    few, g->n, (long long)g->cfg->min_points, most, pose);
 }
 
-static enum err_code convert_mask(struct ingest *g, const struct ingest_photo *p, struct err *e)
+static enum err_code ingest_convert_mask(struct ingest *g, const struct ingest_photo *p,
+                                         struct err *e)
 {
     char from[FILE_PATH_MAX], to[FILE_PATH_MAX], folder[FILE_PATH_MAX];
     enum err_code rc = mask_path(g->cfg->mask_dir, p->image->name, from, e);
@@ -351,7 +352,7 @@ static enum err_code convert_mask(struct ingest *g, const struct ingest_photo *p
     return rc;
 }
 
-static enum err_code convert_task(void *user, size_t i, struct err *e)
+static enum err_code ingest_convert_task(void *user, size_t i, struct err *e)
 {
     struct ingest *g = user;
     const struct ingest_photo *p = &g->photos[i];
@@ -369,14 +370,14 @@ static enum err_code convert_task(void *user, size_t i, struct err *e)
         if (!rc)
             rc = ingest_photo_convert(&g->views[p->view], from, to, &lim, e);
         if (!rc && g->cfg->mask_dir)
-            rc = convert_mask(g, p, e);
+            rc = ingest_convert_mask(g, p, e);
     }
-    step_done(g);
+    ingest_step_done(g);
     return rc;
 }
 
 /* A folder in which no name fits was named wrongly, or its files were. */
-static enum err_code check_masks(struct ingest *g, struct err *e)
+static enum err_code ingest_check_masks(struct ingest *g, struct err *e)
 {
     size_t found = atomic_load(&g->masks);
     if (!found)
@@ -388,7 +389,7 @@ static enum err_code check_masks(struct ingest *g, struct err *e)
     return ERR_OK;
 }
 
-static enum err_code count_unregistered(const struct ingest *g, size_t *out, struct err *e)
+static enum err_code ingest_count_unregistered(const struct ingest *g, size_t *out, struct err *e)
 {
     static const char *const suffixes[] = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", NULL};
     struct arena a = {0};
@@ -402,7 +403,7 @@ static enum err_code count_unregistered(const struct ingest *g, size_t *out, str
     return rc;
 }
 
-static enum err_code write_scene(struct ingest *g, double start_s, struct err *e)
+static enum err_code ingest_write_scene(struct ingest *g, double start_s, struct err *e)
 {
     char path[FILE_PATH_MAX];
     struct ingest_result r = {.cfg = g->cfg,
@@ -416,7 +417,7 @@ static enum err_code write_scene(struct ingest *g, double start_s, struct err *e
         *(g->scene.images[i].split == SCENE_TEST ? &r.n_test : &r.n_train) += 1;
     for (size_t i = 0; i < g->n; i++)
         r.n_gps += g->photos[i].geo.has_gps;
-    enum err_code rc = count_unregistered(g, &r.n_unregistered, e);
+    enum err_code rc = ingest_count_unregistered(g, &r.n_unregistered, e);
     if (!rc)
         rc = scene_write(g->dir.part, &g->scene, e);
     if (!rc)
@@ -431,21 +432,21 @@ static enum err_code write_scene(struct ingest *g, double start_s, struct err *e
     return rc;
 }
 
-static enum err_code run_steps(struct ingest *g, const char *sparse_dir, double start_s,
-                               struct err *e)
+static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, double start_s,
+                                      struct err *e)
 {
     char folder[FILE_PATH_MAX];
     enum err_code rc = colmap_read(sparse_dir, &g->model, e);
     if (!rc)
-        rc = list_photos(g, e);
+        rc = ingest_list_photos(g, e);
     if (!rc)
-        rc = for_photos(g, "read EXIF", read_info_task, e);
+        rc = ingest_for_photos(g, "read EXIF", ingest_read_info_task, e);
     if (!rc)
-        rc = find_flights(g, e);
+        rc = ingest_find_flights(g, e);
     if (!rc)
-        rc = judge_poses(g, e);
+        rc = ingest_judge_poses(g, e);
     if (!rc)
-        rc = check_some_left(g, e);
+        rc = ingest_check_some_left(g, e);
     if (!rc)
         rc = ingest_frame_find(g, e);
     if (!rc)
@@ -457,11 +458,11 @@ static enum err_code run_steps(struct ingest *g, const char *sparse_dir, double 
     if (!rc)
         rc = file_mkdir(folder, e);
     if (!rc)
-        rc = for_photos(g, "undistort and shrink", convert_task, e);
+        rc = ingest_for_photos(g, "undistort and shrink", ingest_convert_task, e);
     if (!rc && g->cfg->mask_dir)
-        rc = check_masks(g, e);
+        rc = ingest_check_masks(g, e);
     if (!rc)
-        rc = write_scene(g, start_s, e);
+        rc = ingest_write_scene(g, start_s, e);
     return rc;
 }
 
@@ -479,9 +480,9 @@ enum err_code ingest_run(const char *images_dir, const char *sparse_dir,
     if (rc)
         return rc;
     if (cfg->attribution && !(g.scene.attribution = arena_text(&g.scene.arena, cfg->attribution)))
-        rc = no_memory(e);
+        rc = ingest_no_memory(e);
     if (!rc)
-        rc = run_steps(&g, sparse_dir, start_s, e);
+        rc = ingest_run_steps(&g, sparse_dir, start_s, e);
     outdir_abort(&g.dir);
     georef_free(&g.georef);
     colmap_free(&g.model);

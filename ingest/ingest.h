@@ -1,5 +1,5 @@
 /* Photographs and COLMAP poses in, a scene in metres out. Reading order: ingest.c (the whole way),
- * ingest_frame.c (where the scene lies), georef.c (which positions to trust), similarity.c (the
+ * ingest_frame.c (where the scene lies), georef.c (which positions to trust), sim3.c (the
  * mathematics), ingest_scene.c (cameras, points), ingest_points.c (which points to trust), ingest_photo.c (pixels), ingest_report.c (what is
  * told).
  *
@@ -48,11 +48,11 @@ struct georef_result { /* {0} is empty; georef_free */
     int rounds;
     bool collinear; /* the flight line is straight: its roll comes from the cameras being level */
     size_t n_gps, n_dropped, n_flights;
-    double flight_offset_m[SIMILARITY_GROUPS_MAX]; /* of the GPS heights, relative to flight 0, the
+    double flight_offset_m[SIM3_GROUPS_MAX]; /* of the GPS heights, relative to flight 0, the
                                                       largest */
-    double *residual_m;                            /* [n] after flight offsets; NaN without GPS */
-    bool *dropped;                                 /* [n] */
-    uint32_t *flight;                              /* [n] */
+    double *residual_m;                      /* [n] after flight offsets; NaN without GPS */
+    bool *dropped;                           /* [n] */
+    uint32_t *flight;                        /* [n] */
 };
 /* ERR_DATA: fewer than three usable positions, or all cameras at one place; the message says which.
  */

@@ -17,7 +17,7 @@
 static const double reliable_px = 2, inlier_m = 8;
 enum { RELIABLE_TRACK = 3, HEIGHT_SAMPLES = 200000 };
 
-static enum err_code no_memory(struct err *e)
+static enum err_code frame_no_memory(struct err *e)
 {
     return err_set(e, ERR_MEM, "ingest: out of memory");
 }
@@ -32,19 +32,19 @@ enum err_code ingest_frame_parse(const char *text, struct geo_origin *o, struct 
     return ERR_OK;
 }
 
-static bool gps_usable(const struct image_gps *g)
+static bool frame_gps_usable(const struct image_gps *g)
 {
     return g->has_position && g->has_altitude && isfinite(g->alt_m) && fabs(g->lat_deg) <= 90 &&
            fabs(g->lon_deg) <= 180 && (g->lat_deg != 0 || g->lon_deg != 0);
 }
 
 /* GPS positions in the frame about `o`. */
-static enum err_code gps_to_enu(struct ingest *g, const struct geo_origin *o, struct err *e)
+static enum err_code frame_gps_to_enu(struct ingest *g, const struct geo_origin *o, struct err *e)
 {
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < g->n; i++) {
         struct ingest_photo *p = &g->photos[i];
-        p->geo.has_gps = p->verdict != INGEST_MISSING && gps_usable(&p->gps);
+        p->geo.has_gps = p->verdict != INGEST_MISSING && frame_gps_usable(&p->gps);
         if (p->geo.has_gps)
             rc = geo_to_enu(o, p->gps.lon_deg, p->gps.lat_deg,
                             p->gps.alt_m + g->cfg->geoid_offset_m, p->geo.gps_enu_m, e);
@@ -54,15 +54,15 @@ static enum err_code gps_to_enu(struct ingest *g, const struct geo_origin *o, st
 
 /* Median longitude (counted from the first, so that the date line does no harm), latitude and
  * height. */
-static enum err_code median_place(const struct ingest *g, struct geo_origin *o, struct err *e)
+static enum err_code frame_median_place(const struct ingest *g, struct geo_origin *o, struct err *e)
 {
     double *v = mem_array(g->n, 3 * sizeof *v), lon0 = 0;
     size_t n = 0;
     if (!v)
-        return no_memory(e);
+        return frame_no_memory(e);
     for (size_t i = 0; i < g->n; i++) {
         const struct image_gps *p = &g->photos[i].gps;
-        if (g->photos[i].verdict != INGEST_KEPT || !gps_usable(p))
+        if (g->photos[i].verdict != INGEST_KEPT || !frame_gps_usable(p))
             continue;
         lon0 = n ? lon0 : p->lon_deg;
         v[n] = remainder(p->lon_deg - lon0, 360);
@@ -75,20 +75,20 @@ static enum err_code median_place(const struct ingest *g, struct geo_origin *o, 
     return ERR_OK;
 }
 
-static bool point_is_reliable(const struct colmap_point *p)
+static bool frame_point_is_reliable(const struct colmap_point *p)
 {
     return p->n_track >= RELIABLE_TRACK && p->error_px <= reliable_px;
 }
 
 /* Normal of the ground: the direction in which the reliable points, without the farthest, spread
  * least. Left 0 when they are no flat thing. */
-static enum err_code ground_normal(const struct ingest *g, double out[3], struct err *e)
+static enum err_code frame_ground_normal(const struct ingest *g, double out[3], struct err *e)
 {
     const struct colmap_model *m = &g->model;
     double *d = mem_array(m->n_points, sizeof *d), mean[3] = {0}, limit = HUGE_VAL, cov[9],
            values[3], vectors[9];
     if (!d)
-        return no_memory(e);
+        return frame_no_memory(e);
     for (int pass = 0; pass < 4; pass++) {
         size_t n = 0;
         double sum[3] = {0};
@@ -97,7 +97,7 @@ static enum err_code ground_normal(const struct ingest *g, double out[3], struct
             const double *x = m->points[i].xyz;
             double r[3] = {x[0] - mean[0], x[1] - mean[1], x[2] - mean[2]};
             double dist = sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2]);
-            if (!point_is_reliable(&m->points[i]) || dist > limit)
+            if (!frame_point_is_reliable(&m->points[i]) || dist > limit)
                 continue;
             d[n++] = dist;
             for (int a = 0; a < 3; a++) {
@@ -121,13 +121,13 @@ static enum err_code ground_normal(const struct ingest *g, double out[3], struct
     return ERR_OK;
 }
 
-static double median_height(const struct ingest *g, const struct sim3 *s, double *scratch)
+static double frame_median_height(const struct ingest *g, const struct sim3 *s, double *scratch)
 {
     const struct colmap_model *m = &g->model;
     size_t step = m->n_points / HEIGHT_SAMPLES + 1, n = 0;
     for (size_t i = 0; i < m->n_points; i += step) {
         double y[3];
-        if (!point_is_reliable(&m->points[i]))
+        if (!frame_point_is_reliable(&m->points[i]))
             continue;
         sim3_apply(s, m->points[i].xyz, y);
         scratch[n++] = y[2];
@@ -137,8 +137,8 @@ static double median_height(const struct ingest *g, const struct sim3 *s, double
 
 /* The same similarity told in the frame of another origin: a rotation and a shift by way of ECEF.
  */
-static enum err_code move_frame(struct sim3 *s, const struct geo_origin *from,
-                                const struct geo_origin *to, struct err *e)
+static enum err_code frame_move_frame(struct sim3 *s, const struct geo_origin *from,
+                                      const struct geo_origin *to, struct err *e)
 {
     double a[16], b[16], turn[9], shift[3], rot[9], trans[3];
     enum err_code rc = geo_enu_to_ecef(from, a, e);
@@ -171,8 +171,9 @@ static enum err_code move_frame(struct sim3 *s, const struct geo_origin *from,
 }
 
 /* Middle of the kept photographs by GPS, to 1e-7 degrees; the median point's height, to 1 cm. */
-static enum err_code choose_origin(const struct ingest *g, const struct geo_origin *from,
-                                   const struct sim3 *s, struct geo_origin *out, struct err *e)
+static enum err_code frame_choose_origin(const struct ingest *g, const struct geo_origin *from,
+                                         const struct sim3 *s, struct geo_origin *out,
+                                         struct err *e)
 {
     double lo[2] = {HUGE_VAL, HUGE_VAL}, hi[2] = {-HUGE_VAL, -HUGE_VAL}, mid[3] = {0}, h;
     for (size_t i = 0; i < g->n; i++)
@@ -185,10 +186,10 @@ static enum err_code choose_origin(const struct ingest *g, const struct geo_orig
         mem_array(g->model.n_points < HEIGHT_SAMPLES ? g->model.n_points : 2 * HEIGHT_SAMPLES,
                   sizeof *scratch);
     if (!scratch)
-        return no_memory(e);
+        return frame_no_memory(e);
     mid[0] = 0.5 * (lo[0] + hi[0]);
     mid[1] = 0.5 * (lo[1] + hi[1]);
-    mid[2] = median_height(g, s, scratch);
+    mid[2] = frame_median_height(g, s, scratch);
     mem_free(scratch);
     enum err_code rc = geo_from_enu(from, mid, &out->lon_deg, &out->lat_deg, &h, e);
     out->lon_deg = round(out->lon_deg * 1e7) / 1e7;
@@ -198,7 +199,7 @@ static enum err_code choose_origin(const struct ingest *g, const struct geo_orig
 }
 
 /* Run georef_fit on the photographs still kept, write its verdicts back. */
-static enum err_code fit_kept(struct ingest *g, struct err *e)
+static enum err_code frame_fit_kept(struct ingest *g, struct err *e)
 {
     struct georef_config cfg = {.inlier_m = inlier_m,
                                 .tau_min_m = g->cfg->tau_min_m,
@@ -206,7 +207,7 @@ static enum err_code fit_kept(struct ingest *g, struct err *e)
                                 .seed = 1};
     struct georef_photo *list = mem_array(g->n, sizeof *list);
     size_t n = 0;
-    enum err_code rc = list ? ground_normal(g, cfg.ground_normal, e) : no_memory(e);
+    enum err_code rc = list ? frame_ground_normal(g, cfg.ground_normal, e) : frame_no_memory(e);
     for (size_t i = 0; !rc && i < g->n; i++)
         if (g->photos[i].verdict == INGEST_KEPT)
             list[n++] = g->photos[i].geo;
@@ -229,21 +230,21 @@ static enum err_code fit_kept(struct ingest *g, struct err *e)
 static enum err_code frame_from_gps(struct ingest *g, struct sim3 *sim, struct err *e)
 {
     struct geo_origin first, *origin = &g->scene.origin;
-    enum err_code rc = median_place(g, &first, e);
+    enum err_code rc = frame_median_place(g, &first, e);
     if (!rc)
-        rc = gps_to_enu(g, &first, e);
+        rc = frame_gps_to_enu(g, &first, e);
     if (!rc)
-        rc = fit_kept(g, e);
+        rc = frame_fit_kept(g, e);
     if (rc)
         return rc;
     g->fitted = true;
     *sim = g->georef.sim;
     rc = g->cfg->origin ? ingest_frame_parse(g->cfg->origin, origin, e)
-                        : choose_origin(g, &first, sim, origin, e);
+                        : frame_choose_origin(g, &first, sim, origin, e);
     if (!rc)
-        rc = move_frame(sim, &first, origin, e);
+        rc = frame_move_frame(sim, &first, origin, e);
     if (!rc)
-        rc = gps_to_enu(g, origin, e);
+        rc = frame_gps_to_enu(g, origin, e);
     size_t n = 0;
     double sum = 0;
     for (size_t i = 0; i < g->n; i++)
@@ -278,16 +279,16 @@ static enum err_code frame_by_hand(struct ingest *g, size_t n_gps, size_t n_kept
                   sizeof *scratch);
     size_t n = 0;
     if (!rc && (!list || !scratch))
-        rc = no_memory(e);
+        rc = frame_no_memory(e);
     for (size_t i = 0; !rc && i < g->n; i++)
         if (g->photos[i].verdict == INGEST_KEPT)
             list[n++] = g->photos[i].geo;
     if (!rc)
-        rc = ground_normal(g, normal, e);
+        rc = frame_ground_normal(g, normal, e);
     if (!rc)
         rc = georef_upright(list, n, normal, g->cfg->metres_per_unit, sim, e);
     if (!rc)
-        sim->trans[2] -= median_height(g, sim, scratch);
+        sim->trans[2] -= frame_median_height(g, sim, scratch);
     mem_free(list);
     mem_free(scratch);
     return rc;
@@ -300,7 +301,7 @@ enum err_code ingest_frame_find(struct ingest *g, struct err *e)
     for (size_t i = 0; i < g->n; i++)
         if (g->photos[i].verdict == INGEST_KEPT) {
             n_kept++;
-            n_gps += gps_usable(&g->photos[i].gps);
+            n_gps += frame_gps_usable(&g->photos[i].gps);
         }
     bool enough = n_gps >= 3 && (double)n_gps >= g->cfg->min_gps_share * (double)n_kept;
     enum err_code rc =

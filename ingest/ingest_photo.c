@@ -22,7 +22,7 @@ static const double focal_max = 8; /* times the lens' own: beyond that the view 
 
 /* Does every border pixel of a w x h pinhole picture of focal length f come from inside the
  * photograph? */
-static bool borders_inside(const struct lens *l, double f)
+static bool photo_borders_inside(const struct lens *l, double f)
 {
     double w = l->width_px, h = l->height_px;
     uint32_t steps = 200;
@@ -48,12 +48,12 @@ static bool borders_inside(const struct lens *l, double f)
     return true;
 }
 
-static bool find_focal(const struct lens *l, double *out)
+static bool photo_find_focal(const struct lens *l, double *out)
 {
     double fx, fy, cx, cy;
     lens_focal(l, &fx, &fy, &cx, &cy);
     double lo = 0.2 * fmin(fx, fy), hi = fmax(fx, fy);
-    while (!borders_inside(l, hi)) {
+    while (!photo_borders_inside(l, hi)) {
         lo = hi;
         hi *= 1.1;
         if (hi > focal_max * fmax(fx, fy))
@@ -61,7 +61,7 @@ static bool find_focal(const struct lens *l, double *out)
     }
     for (int i = 0; i < FOCAL_STEPS && hi - lo > 1e-6 * hi; i++) {
         double mid = 0.5 * (lo + hi);
-        if (borders_inside(l, mid))
+        if (photo_borders_inside(l, mid))
             hi = mid;
         else
             lo = mid;
@@ -80,7 +80,7 @@ enum err_code ingest_view_make(const struct lens *lens, uint32_t width_px, uint3
              h = (uint32_t)fmax(1, floor(height_px * shrink + 0.5));
     struct camera full = {.width_px = width_px, .height_px = height_px};
     if (v.undistort) {
-        if (!find_focal(&v.lens, &full.fx_px))
+        if (!photo_find_focal(&v.lens, &full.fx_px))
             return err_set(e, ERR_DATA,
                            "the %s lens has no pinhole view without black borders; undistort the "
                            "photographs with COLMAP's image_undistorter first",
@@ -111,7 +111,7 @@ bool ingest_view_map(const struct ingest_view *v, const struct lens *lens, doubl
 /* ---- pixels ---- */
 
 /* Catmull-Rom weights of four neighbours at fraction t between the middle two. */
-static void cubic_weights(float t, float w[4])
+static void photo_cubic_weights(float t, float w[4])
 {
     w[0] = t * (-0.5f + t * (1 - 0.5f * t));
     w[1] = 1 + t * t * (1.5f * t - 2.5f);
@@ -119,22 +119,23 @@ static void cubic_weights(float t, float w[4])
     w[3] = t * t * (0.5f * t - 0.5f);
 }
 
-static size_t clamp_index(int64_t i, size_t n)
+static size_t photo_clamp_index(int64_t i, size_t n)
 {
     return i < 0 ? 0 : (size_t)i >= n ? n - 1 : (size_t)i;
 }
 
-static void sample_cubic(const struct image *img, double u, double v, uint8_t out[3])
+static void photo_sample_cubic(const struct image *img, double u, double v, uint8_t out[3])
 {
     double x = u - 0.5, y = v - 0.5;
     int64_t i = (int64_t)floor(x), j = (int64_t)floor(y);
     float wx[4], wy[4], sum[3] = {0};
-    cubic_weights((float)(x - (double)i), wx);
-    cubic_weights((float)(y - (double)j), wy);
+    photo_cubic_weights((float)(x - (double)i), wx);
+    photo_cubic_weights((float)(y - (double)j), wy);
     for (int b = 0; b < 4; b++) {
-        const uint8_t *row = img->px + clamp_index(j - 1 + b, img->height_px) * img->width_px * 3;
+        const uint8_t *row =
+            img->px + photo_clamp_index(j - 1 + b, img->height_px) * img->width_px * 3;
         for (int a = 0; a < 4; a++) {
-            const uint8_t *p = row + 3 * clamp_index(i - 1 + a, img->width_px);
+            const uint8_t *p = row + 3 * photo_clamp_index(i - 1 + a, img->width_px);
             float w = wx[a] * wy[b];
             for (int c = 0; c < 3; c++)
                 sum[c] += w * p[c];
@@ -145,7 +146,7 @@ static void sample_cubic(const struct image *img, double u, double v, uint8_t ou
 }
 
 /* img becomes the pinhole's picture at img's own size. */
-static enum err_code undistort(const struct ingest_view *v, struct image *img, struct err *e)
+static enum err_code photo_undistort(const struct ingest_view *v, struct image *img, struct err *e)
 {
     struct lens lens = lens_resize(&v->lens, img->width_px, img->height_px);
     struct camera cam = camera_resize(&v->pinhole, img->width_px, img->height_px);
@@ -158,7 +159,7 @@ static enum err_code undistort(const struct ingest_view *v, struct image *img, s
             double u, w;
             lens_distort(&lens, (x + 0.5 - cam.cx_px) / cam.fx_px,
                          (y + 0.5 - cam.cy_px) / cam.fy_px, &u, &w);
-            sample_cubic(img, u, w, out.px + 3 * ((size_t)y * out.width_px + x));
+            photo_sample_cubic(img, u, w, out.px + 3 * ((size_t)y * out.width_px + x));
         }
     image_free(img);
     *img = out;
@@ -166,8 +167,8 @@ static enum err_code undistort(const struct ingest_view *v, struct image *img, s
 }
 
 /* Replace img by itself at another size. */
-static enum err_code shrink_to(struct image *img, uint32_t width_px, uint32_t height_px,
-                               struct err *e)
+static enum err_code photo_shrink_to(struct image *img, uint32_t width_px, uint32_t height_px,
+                                     struct err *e)
 {
     struct image out = {0};
     if (img->width_px == width_px && img->height_px == height_px)
@@ -180,13 +181,13 @@ static enum err_code shrink_to(struct image *img, uint32_t width_px, uint32_t he
     return ERR_OK;
 }
 
-static bool same_suffix(const char *a, const char *b)
+static bool photo_same_suffix(const char *a, const char *b)
 {
     const char *p = strrchr(a, '.'), *q = strrchr(b, '.');
     return p && q && !strcasecmp(p, q);
 }
 
-static enum err_code copy_bytes(const char *from, const char *to, struct err *e)
+static enum err_code photo_copy_bytes(const char *from, const char *to, struct err *e)
 {
     struct buf b = {0};
     enum err_code rc = file_read(from, 0, &b, e);
@@ -210,17 +211,17 @@ enum err_code ingest_photo_convert(const struct ingest_view *v, const char *from
         goto out;
     }
     bool same_size = img.width_px == v->pinhole.width_px && img.height_px == v->pinhole.height_px;
-    if (!v->undistort && same_size && same_suffix(from, to)) {
-        rc = copy_bytes(from, to, e);
+    if (!v->undistort && same_size && photo_same_suffix(from, to)) {
+        rc = photo_copy_bytes(from, to, e);
         goto out;
     }
     if (v->undistort) {
-        rc = shrink_to(&img, v->mid_width_px, v->mid_height_px, e);
+        rc = photo_shrink_to(&img, v->mid_width_px, v->mid_height_px, e);
         if (!rc)
-            rc = undistort(v, &img, e);
+            rc = photo_undistort(v, &img, e);
     }
     if (!rc)
-        rc = shrink_to(&img, v->pinhole.width_px, v->pinhole.height_px, e);
+        rc = photo_shrink_to(&img, v->pinhole.width_px, v->pinhole.height_px, e);
     if (!rc)
         rc = image_write(to, &img, JPEG_QUALITY, NULL, e);
 out:

@@ -13,8 +13,8 @@
 enum { NAMES_SHOWN = 20 };
 
 /* Why a photograph was dropped, as a sentence; "" when it was kept. */
-static void verdict_text(const struct ingest_result *r, const struct ingest_photo *p, char *out,
-                         size_t n)
+static void report_verdict_text(const struct ingest_result *r, const struct ingest_photo *p,
+                                char *out, size_t n)
 {
     switch (p->verdict) {
     case INGEST_FEW_POINTS:
@@ -39,7 +39,7 @@ static void verdict_text(const struct ingest_result *r, const struct ingest_phot
 }
 
 /* Residuals of the kept photographs with GPS at 50, 90 and 100 %; returns how many there are. */
-static size_t residual_quantiles(const struct ingest_result *r, double q[3])
+static size_t report_residual_quantiles(const struct ingest_result *r, double q[3])
 {
     double *v = mem_array(r->n_photos, sizeof *v);
     size_t n = 0;
@@ -58,7 +58,7 @@ static size_t residual_quantiles(const struct ingest_result *r, double q[3])
     return n;
 }
 
-static void print_frame(const struct ingest_result *r)
+static void report_print_frame(const struct ingest_result *r)
 {
     const struct scene *s = r->scene;
     const struct georef_result *g = r->georef;
@@ -71,7 +71,7 @@ static void print_frame(const struct ingest_result *r)
         return;
     }
     double q[3], deg = 57.29577951308232;
-    size_t n = residual_quantiles(r, q);
+    size_t n = report_residual_quantiles(r, q);
     printf("frame    scale %.6g m per COLMAP unit +- %.2f %%, tilt +- %.2f deg, heading +- %.2f "
            "deg, place +- %.2f m\n",
            s->scale, 100 * g->fit.scale_rel, deg * g->fit.tilt_rad, deg * g->fit.heading_rad,
@@ -105,7 +105,7 @@ static const struct {
     [INGEST_POINT_ABOVE] = {"above", "above all around"},
 };
 
-static void print_points(const struct ingest_result *r)
+static void report_print_points(const struct ingest_result *r)
 {
     size_t dropped = 0;
     const char *comma = "";
@@ -133,11 +133,11 @@ void ingest_report_print(const struct ingest_result *r)
     if (s->n_images)
         printf("pictures %u x %u px, focal length %.1f px\n", s->images[0].cam.width_px,
                s->images[0].cam.height_px, s->images[0].cam.fx_px);
-    print_frame(r);
-    print_points(r);
+    report_print_frame(r);
+    report_print_points(r);
     for (size_t i = 0; i < r->n_photos && shown < NAMES_SHOWN; i++) {
         char why[160];
-        verdict_text(r, &r->photos[i], why, sizeof why);
+        report_verdict_text(r, &r->photos[i], why, sizeof why);
         if (why[0]) {
             printf("dropped  %s: %s\n", r->photos[i].image->name, why);
             shown++;
@@ -150,29 +150,29 @@ void ingest_report_print(const struct ingest_result *r)
                r->n_unregistered);
 }
 
-static json_t *real_or_null(double v)
+static json_t *report_real_or_null(double v)
 {
     return isfinite(v) ? json_real(v) : json_null();
 }
 
-static json_t *photos_to_json(const struct ingest_result *r)
+static json_t *report_photos_to_json(const struct ingest_result *r)
 {
     json_t *list = json_array();
     for (size_t i = 0; i < r->n_photos; i++) {
         const struct ingest_photo *p = &r->photos[i];
         char why[160];
-        verdict_text(r, p, why, sizeof why);
-        json_array_append_new(list,
-                              json_pack("{s:s, s:b, s:s, s:I, s:f, s:o, s:i}", "name",
-                                        p->image->name, "kept", p->verdict == INGEST_KEPT, "why",
-                                        why, "points", (json_int_t)p->n_points, "reprojection_px",
-                                        p->reprojection_px, "residual_m",
-                                        real_or_null(p->residual_m), "flight", (int)p->flight + 1));
+        report_verdict_text(r, p, why, sizeof why);
+        json_array_append_new(list, json_pack("{s:s, s:b, s:s, s:I, s:f, s:o, s:i}", "name",
+                                              p->image->name, "kept", p->verdict == INGEST_KEPT,
+                                              "why", why, "points", (json_int_t)p->n_points,
+                                              "reprojection_px", p->reprojection_px, "residual_m",
+                                              report_real_or_null(p->residual_m), "flight",
+                                              (int)p->flight + 1));
     }
     return list;
 }
 
-static json_t *points_to_json(const struct ingest_result *r)
+static json_t *report_points_to_json(const struct ingest_result *r)
 {
     json_t *o = json_object();
     for (size_t v = 0; v < INGEST_POINT_VERDICTS; v++)
@@ -180,13 +180,13 @@ static json_t *points_to_json(const struct ingest_result *r)
     return o;
 }
 
-static json_t *georef_to_json(const struct ingest_result *r)
+static json_t *report_georef_to_json(const struct ingest_result *r)
 {
     const struct georef_result *g = r->georef;
     double q[3];
     if (!g)
         return json_null();
-    size_t n = residual_quantiles(r, q);
+    size_t n = report_residual_quantiles(r, q);
     json_t *flights = json_array();
     for (size_t k = 0; k < g->n_flights; k++)
         json_array_append_new(flights, json_real(g->flight_offset_m[k]));
@@ -206,13 +206,13 @@ enum err_code ingest_report_write(const struct ingest_result *r, const char *pat
     enum err_code rc = options_to_json(ingest_options(), r->cfg, &config, e);
     if (rc)
         return rc;
-    json_t *root =
-        json_pack("{s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:o, s:o, s:o, s:o, s:f}", "photographs",
-                  (json_int_t)r->n_photos, "kept", (json_int_t)r->n_kept, "train",
-                  (json_int_t)r->n_train, "test", (json_int_t)r->n_test, "with_gps",
-                  (json_int_t)r->n_gps, "not_in_model", (json_int_t)r->n_unregistered, "scale_m",
-                  r->scene->scale, "georeferencing", georef_to_json(r), "points", points_to_json(r),
-                  "photos", photos_to_json(r), "config", config, "seconds", r->seconds);
+    json_t *root = json_pack(
+        "{s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:o, s:o, s:o, s:o, s:f}", "photographs",
+        (json_int_t)r->n_photos, "kept", (json_int_t)r->n_kept, "train", (json_int_t)r->n_train,
+        "test", (json_int_t)r->n_test, "with_gps", (json_int_t)r->n_gps, "not_in_model",
+        (json_int_t)r->n_unregistered, "scale_m", r->scene->scale, "georeferencing",
+        report_georef_to_json(r), "points", report_points_to_json(r), "photos",
+        report_photos_to_json(r), "config", config, "seconds", r->seconds);
     if (!root)
         return err_set(e, ERR_DATA, "%s: cannot be written: a photograph's name is not UTF-8",
                        path);

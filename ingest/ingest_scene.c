@@ -11,13 +11,13 @@
 #include "codec/scene.h"
 #include "ingest/ingest_internal.h"
 
-static enum err_code no_memory(struct err *e)
+static enum err_code scene_no_memory(struct err *e)
 {
     return err_set(e, ERR_MEM, "ingest: out of memory");
 }
 
 /* The view of a photograph: one for each camera and size. */
-static enum err_code find_view(struct ingest *g, struct ingest_photo *p, struct err *e)
+static enum err_code scene_find_view(struct ingest *g, struct ingest_photo *p, struct err *e)
 {
     const struct lens *l = &g->model.cameras[p->image->camera].lens;
     for (size_t k = 0; k < g->n_views; k++) {
@@ -63,19 +63,19 @@ static void scene_image_fill(const struct ingest *g, size_t i, uint32_t group,
     }
 }
 
-static enum err_code fill_images(struct ingest *g, struct err *e)
+static enum err_code scene_fill_images(struct ingest *g, struct err *e)
 {
     struct scene *s = &g->scene;
     s->images = arena_get(&s->arena, g->n, sizeof *s->images);
     g->views = arena_get(&s->arena, g->n, sizeof *g->views);
     if (!s->images || !g->views)
-        return no_memory(e);
+        return scene_no_memory(e);
     for (size_t i = 0; i < g->n; i++)
         g->kept[i] = UINT32_MAX;
     for (size_t i = 0; i < g->n; i++) {
         if (g->photos[i].verdict != INGEST_KEPT)
             continue;
-        enum err_code rc = find_view(g, &g->photos[i], e);
+        enum err_code rc = scene_find_view(g, &g->photos[i], e);
         if (rc)
             return rc;
         g->kept[g->photos[i].image - g->model.images] = (uint32_t)s->n_images;
@@ -85,7 +85,7 @@ static enum err_code fill_images(struct ingest *g, struct err *e)
     return ERR_OK;
 }
 
-static int track_compare(const void *a, const void *b)
+static int scene_track_compare(const void *a, const void *b)
 {
     const struct scene_track *p = a, *q = b;
     if (p->image != q->image)
@@ -95,7 +95,7 @@ static int track_compare(const void *a, const void *b)
 
 /* Points with the observations of kept photographs; a point that nobody sees any more is left out.
  */
-static enum err_code fill_points(struct ingest *g, struct err *e)
+static enum err_code scene_fill_points(struct ingest *g, struct err *e)
 {
     struct scene *s = &g->scene;
     const struct colmap_model *m = &g->model;
@@ -108,7 +108,7 @@ static enum err_code fill_points(struct ingest *g, struct err *e)
     uint32_t *view_of = mem_array(m->n_images, sizeof *view_of);
     if (!s->points || !s->tracks || !view_of) {
         mem_free(view_of);
-        return no_memory(e);
+        return scene_no_memory(e);
     }
     for (size_t i = 0; i < g->n; i++)
         view_of[g->photos[i].image - m->images] = g->photos[i].view;
@@ -137,12 +137,12 @@ static enum err_code fill_points(struct ingest *g, struct err *e)
         s->n_points++;
     }
     mem_free(view_of);
-    qsort(s->tracks, s->n_tracks, sizeof *s->tracks, track_compare);
+    qsort(s->tracks, s->n_tracks, sizeof *s->tracks, scene_track_compare);
     return ERR_OK;
 }
 
 enum err_code ingest_scene_fill(struct ingest *g, struct err *e)
 {
-    enum err_code rc = fill_images(g, e);
-    return !rc ? fill_points(g, e) : rc;
+    enum err_code rc = scene_fill_images(g, e);
+    return !rc ? scene_fill_points(g, e) : rc;
 }

@@ -30,7 +30,7 @@
 #include "core/base.h"
 #include "core/camera.h"
 
-enum { UNKNOWNS = 7 + SIMILARITY_GROUPS_MAX - 1, REFINE_MAX = 30, JACOBI_SWEEPS = 40 };
+enum { UNKNOWNS = 7 + SIM3_GROUPS_MAX - 1, REFINE_MAX = 30, JACOBI_SWEEPS = 40 };
 static const double sigma_floor_m = 0.01, sigma_ground = 0.2, level_floor = 0.02;
 static const double median_2d = 1.1774,
                     median_1d = 0.6745; /* of |r| over sigma per axis: Rayleigh, half normal */
@@ -49,13 +49,13 @@ void sim3_apply(const struct sim3 *s, const double x[3], double y[3])
                s->trans[i];
 }
 
-static void rotate(const double r[9], const double x[3], double y[3])
+static void sim3_rotate(const double r[9], const double x[3], double y[3])
 {
     for (int i = 0; i < 3; i++)
         y[i] = r[3 * i] * x[0] + r[3 * i + 1] * x[1] + r[3 * i + 2] * x[2];
 }
 
-static int double_compare(const void *a, const void *b)
+static int sim3_double_compare(const void *a, const void *b)
 {
     const double *p = a, *q = b;
     return (*p > *q) - (*p < *q);
@@ -65,14 +65,14 @@ double sim3_median(double *v, size_t n)
 {
     if (!n)
         return 0;
-    qsort(v, n, sizeof *v, double_compare);
+    qsort(v, n, sizeof *v, sim3_double_compare);
     return n % 2 ? v[n / 2] : 0.5 * (v[n / 2 - 1] + v[n / 2]);
 }
 
 /* ---- eigenvectors ---- */
 
 /* One Jacobi rotation that clears a[p][q]. */
-static void jacobi_turn(double *a, double *v, size_t n, size_t p, size_t q)
+static void sim3_jacobi_turn(double *a, double *v, size_t n, size_t p, size_t q)
 {
     double apq = a[p * n + q];
     if (apq == 0)
@@ -111,7 +111,7 @@ void sim3_eigen(const double *matrix, size_t n, double *values, double *vectors)
             break;
         for (size_t p = 0; p + 1 < n; p++)
             for (size_t q = p + 1; q < n; q++)
-                jacobi_turn(a, vectors, n, p, q);
+                sim3_jacobi_turn(a, vectors, n, p, q);
     }
     for (size_t i = 0; i < n; i++)
         values[i] = a[i * n + i];
@@ -132,7 +132,7 @@ void sim3_eigen(const double *matrix, size_t n, double *values, double *vectors)
 /* ---- closed form ---- */
 
 /* Rotation that maximises sum y . R x, given h[3*a+b] = sum x_a y_b. */
-static void rotation_from_moments(const double h[9], double rot[9])
+static void sim3_rotation_from_moments(const double h[9], double rot[9])
 {
     const double n[16] = {h[0] + h[4] + h[8],  h[5] - h[7], h[6] - h[2], h[1] - h[3], h[5] - h[7],
                           h[0] - h[4] - h[8],  h[1] + h[3], h[6] + h[2], h[6] - h[2], h[1] + h[3],
@@ -171,7 +171,7 @@ bool sim3_from_pairs(const double (*x)[3], const double (*y)[3], const uint32_t 
     memcpy(up_h, h, sizeof up_h);
     for (int a = 0; a < 3; a++) /* a pair (up_x, e_z) of a hundredth of the weight */
         up_h[3 * a + 2] += 0.01 * sqrt(norm) * up_x[a];
-    rotation_from_moments(up_h, out->rot);
+    sim3_rotation_from_moments(up_h, out->rot);
     for (int a = 0; a < 3; a++)
         for (int b = 0; b < 3; b++)
             yrx += out->rot[3 * b + a] * h[3 * a + b];
@@ -179,7 +179,7 @@ bool sim3_from_pairs(const double (*x)[3], const double (*y)[3], const uint32_t 
     if (!(out->scale > 0))
         return false;
     double rm[3];
-    rotate(out->rot, mx, rm);
+    sim3_rotate(out->rot, mx, rm);
     for (int a = 0; a < 3; a++)
         out->trans[a] = my[a] - out->scale * rm[a];
     return true;
@@ -241,8 +241,8 @@ bool sim3_from_plan(const double (*x)[3], const double (*y)[3], const uint32_t *
 
 /* ---- refinement ---- */
 
-static void residual_at(const struct sim3_problem *p, const struct sim3_fit *f, size_t i,
-                        double r[3])
+static void sim3_residual_at(const struct sim3_problem *p, const struct sim3_fit *f, size_t i,
+                             double r[3])
 {
     double y[3];
     sim3_apply(&f->sim, p->x[i], y);
@@ -254,7 +254,7 @@ static void residual_at(const struct sim3_problem *p, const struct sim3_fit *f, 
 double sim3_residual(const struct sim3_problem *p, const struct sim3_fit *fit, size_t i)
 {
     double r[3], trust = 1;
-    residual_at(p, fit, i, r);
+    sim3_residual_at(p, fit, i, r);
     if (fit->sigma_v_m > height_weight_ratio * fit->sigma_h_m && fit->sigma_h_m > 0)
         trust = height_weight_ratio * fit->sigma_h_m / fit->sigma_v_m;
     return sqrt(r[0] * r[0] + r[1] * r[1] + trust * r[2] * trust * r[2]);
@@ -266,7 +266,7 @@ struct normal_eq { /* upper triangle not mirrored until solved; unknowns: rotati
     size_t n;
 };
 
-static void eq_add(struct normal_eq *q, const double *row, double residual, double weight)
+static void sim3_eq_add(struct normal_eq *q, const double *row, double residual, double weight)
 {
     for (size_t i = 0; i < q->n; i++) {
         if (row[i] == 0)
@@ -278,7 +278,7 @@ static void eq_add(struct normal_eq *q, const double *row, double residual, doub
 }
 
 /* Cholesky in place; solves for b and leaves the factor in a. False when not positive definite. */
-static bool eq_factor(struct normal_eq *q)
+static bool sim3_eq_factor(struct normal_eq *q)
 {
     for (size_t j = 0; j < q->n; j++) {
         double pivot = q->a[j][j], full = pivot;
@@ -297,7 +297,7 @@ static bool eq_factor(struct normal_eq *q)
     return true;
 }
 
-static void eq_solve(const struct normal_eq *q, const double *b, double *x)
+static void sim3_eq_solve(const struct normal_eq *q, const double *b, double *x)
 {
     for (size_t i = 0; i < q->n; i++) {
         x[i] = b[i];
@@ -313,8 +313,8 @@ static void eq_solve(const struct normal_eq *q, const double *b, double *x)
 }
 
 /* Robust weight from the residual in units of its errors; pairs within cut_m are never cut. */
-static double weight_at(const struct sim3_problem *p, const struct sim3_fit *f, size_t i,
-                        const double r[3])
+static double sim3_weight_at(const struct sim3_problem *p, const struct sim3_fit *f, size_t i,
+                             const double r[3])
 {
     double h2 = (r[0] * r[0] + r[1] * r[1]) / (f->sigma_h_m * f->sigma_h_m);
     double d = sqrt(h2 + r[2] * r[2] / (f->sigma_v_m * f->sigma_v_m));
@@ -324,8 +324,8 @@ static double weight_at(const struct sim3_problem *p, const struct sim3_fit *f, 
 }
 
 /* Rows of the GPS positions; center is the mean of s R x + t, about which the rotation turns. */
-static void add_positions(const struct sim3_problem *p, const struct sim3_fit *f,
-                          const double center[3], struct normal_eq *q)
+static void sim3_add_positions(const struct sim3_problem *p, const struct sim3_fit *f,
+                               const double center[3], struct normal_eq *q)
 {
     double wh = f->share_h / (f->sigma_h_m * f->sigma_h_m),
            wv = f->share_v / (f->sigma_v_m * f->sigma_v_m);
@@ -333,8 +333,8 @@ static void add_positions(const struct sim3_problem *p, const struct sim3_fit *f
         double r[3], y[3];
         if (!p->use[i])
             continue;
-        residual_at(p, f, i, r);
-        double w = weight_at(p, f, i, r);
+        sim3_residual_at(p, f, i, r);
+        double w = sim3_weight_at(p, f, i, r);
         if (w == 0)
             continue;
         sim3_apply(&f->sim, p->x[i], y);
@@ -347,13 +347,14 @@ static void add_positions(const struct sim3_problem *p, const struct sim3_fit *f
             row[4 + a] = 1;
             if (a == 2 && p->group[i])
                 row[6 + p->group[i]] = 1;
-            eq_add(q, row, r[a], w * (a == 2 ? wv : wh));
+            sim3_eq_add(q, row, r[a], w * (a == 2 ? wv : wh));
         }
     }
 }
 
 /* Rows of the two weak terms; returns what they cost. */
-static double add_level(const struct sim3_problem *p, const struct sim3_fit *f, struct normal_eq *q)
+static double sim3_add_level(const struct sim3_problem *p, const struct sim3_fit *f,
+                             struct normal_eq *q)
 {
     double v[3], cost = 0;
     size_t n = 0;
@@ -363,23 +364,24 @@ static double add_level(const struct sim3_problem *p, const struct sim3_fit *f, 
     for (size_t i = 0; i < p->n; i++) {
         if (!p->use[i])
             continue;
-        rotate(f->sim.rot, p->right[i], v); /* e_z . (omega x v) = omega . (v x e_z) */
+        sim3_rotate(f->sim.rot, p->right[i], v); /* e_z . (omega x v) = omega . (v x e_z) */
         double row[UNKNOWNS] = {v[1], -v[0], 0};
-        eq_add(q, row, -v[2], 1 / sigma2);
+        sim3_eq_add(q, row, -v[2], 1 / sigma2);
         cost += v[2] * v[2] / sigma2;
     }
-    rotate(f->sim.rot, p->normal, v);
+    sim3_rotate(f->sim.rot, p->normal, v);
     if (v[0] == 0 && v[1] == 0 && v[2] == 0)
         return cost;
     cost += (v[0] * v[0] + v[1] * v[1] + (v[2] < 0 ? 4 : 0)) / (sigma_ground * sigma_ground);
     double row_x[UNKNOWNS] = {0, v[2], -v[1]}, row_y[UNKNOWNS] = {-v[2], 0, v[0]};
-    eq_add(q, row_x, -v[0], 1 / (sigma_ground * sigma_ground));
-    eq_add(q, row_y, -v[1], 1 / (sigma_ground * sigma_ground));
+    sim3_eq_add(q, row_x, -v[0], 1 / (sigma_ground * sigma_ground));
+    sim3_eq_add(q, row_y, -v[1], 1 / (sigma_ground * sigma_ground));
     return cost;
 }
 
 /* Turn by omega and stretch by exp(grow) about center, then shift. */
-static void fit_step(struct sim3_fit *f, const double *d, const double center[3], size_t n_groups)
+static void sim3_fit_step(struct sim3_fit *f, const double *d, const double center[3],
+                          size_t n_groups)
 {
     double angle = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]),
            half = angle > 1e-12 ? sin(0.5 * angle) / angle : 0.5;
@@ -405,13 +407,13 @@ static void fit_step(struct sim3_fit *f, const double *d, const double center[3]
         f->offset_m[g] += d[6 + g];
 }
 
-static void standard_errors(const struct normal_eq *q, struct sim3_fit *f)
+static void sim3_standard_errors(const struct normal_eq *q, struct sim3_fit *f)
 {
     double var[7];
     for (size_t i = 0; i < 7; i++) {
         double unit[UNKNOWNS] = {0}, column[UNKNOWNS];
         unit[i] = 1;
-        eq_solve(q, unit, column);
+        sim3_eq_solve(q, unit, column);
         var[i] = column[i];
     }
     f->tilt_rad = sqrt(fmax(var[0], var[1]));
@@ -422,8 +424,8 @@ static void standard_errors(const struct normal_eq *q, struct sim3_fit *f)
 
 /* Share of the residuals that is independent, from the correlation of neighbours among the pairs in
  * use; residuals beyond three sigma are clipped. */
-static double independent_share(const struct sim3_problem *p, const struct sim3_fit *f, int first,
-                                int last, double sigma)
+static double sim3_independent_share(const struct sim3_problem *p, const struct sim3_fit *f,
+                                     int first, int last, double sigma)
 {
     double last_r[3] = {0}, product = 0, square = 0;
     size_t n = 0;
@@ -431,7 +433,7 @@ static double independent_share(const struct sim3_problem *p, const struct sim3_
         double r[3];
         if (!p->use[i])
             continue;
-        residual_at(p, f, i, r);
+        sim3_residual_at(p, f, i, r);
         for (int a = first; a <= last; a++) {
             r[a] = fmax(-3 * sigma, fmin(3 * sigma, r[a]));
             product += n ? r[a] * last_r[a] : 0;
@@ -448,8 +450,8 @@ static double independent_share(const struct sim3_problem *p, const struct sim3_
 
 /* Mean of the fitted places; unless frozen, errors of places and heights from the medians of the
  * residuals. */
-static void spread_at(const struct sim3_problem *p, struct sim3_fit *f, bool frozen,
-                      double *scratch, double center[3])
+static void sim3_spread_at(const struct sim3_problem *p, struct sim3_fit *f, bool frozen,
+                           double *scratch, double center[3])
 {
     size_t n = 0;
     double *heights = scratch + p->n;
@@ -461,7 +463,7 @@ static void spread_at(const struct sim3_problem *p, struct sim3_fit *f, bool fro
         sim3_apply(&f->sim, p->x[i], y);
         for (int a = 0; a < 3; a++)
             center[a] += y[a];
-        residual_at(p, f, i, r);
+        sim3_residual_at(p, f, i, r);
         scratch[n] = sqrt(r[0] * r[0] + r[1] * r[1]);
         heights[n++] = fabs(r[2]);
     }
@@ -472,8 +474,8 @@ static void spread_at(const struct sim3_problem *p, struct sim3_fit *f, bool fro
     f->sigma_h_m = fmax(sigma_floor_m, sim3_median(scratch, n) / median_2d);
     f->sigma_v_m =
         fmax(0.5 * f->sigma_h_m, fmax(sigma_floor_m, sim3_median(heights, n) / median_1d));
-    f->share_h = independent_share(p, f, 0, 1, f->sigma_h_m);
-    f->share_v = independent_share(p, f, 2, 2, f->sigma_v_m);
+    f->share_h = sim3_independent_share(p, f, 0, 1, f->sigma_h_m);
+    f->share_v = sim3_independent_share(p, f, 2, 2, f->sigma_v_m);
     f->objective = (double)n * (2 * log(f->sigma_h_m) + log(f->sigma_v_m));
 }
 
@@ -485,19 +487,19 @@ enum err_code sim3_refine(const struct sim3_problem *p, struct sim3_fit *fit, st
     if (!scratch)
         return err_set(e, ERR_MEM, "georeferencing: out of memory for %zu photographs", p->n);
     for (int step = 0; step < REFINE_MAX; step++) {
-        spread_at(p, fit, step >= FREEZE_STEP, scratch, center);
+        sim3_spread_at(p, fit, step >= FREEZE_STEP, scratch, center);
         memset(&q, 0, sizeof q);
         q.n = 6 + p->n_groups;
-        add_positions(p, fit, center, &q);
-        weak = add_level(p, fit, &q);
-        if (!eq_factor(&q)) {
+        sim3_add_positions(p, fit, center, &q);
+        weak = sim3_add_level(p, fit, &q);
+        if (!sim3_eq_factor(&q)) {
             rc = err_set(
                 e, ERR_DATA,
                 "the GPS positions do not determine where the scene lies (all at one place?)");
             break;
         }
-        eq_solve(&q, q.b, d);
-        fit_step(fit, d, center, p->n_groups);
+        sim3_eq_solve(&q, q.b, d);
+        sim3_fit_step(fit, d, center, p->n_groups);
         double size = 0;
         for (size_t k = 0; k < q.n; k++)
             size = fmax(size, fabs(d[k]));
@@ -505,9 +507,9 @@ enum err_code sim3_refine(const struct sim3_problem *p, struct sim3_fit *fit, st
             break;
     }
     if (!rc) {
-        spread_at(p, fit, false, scratch, center);
+        sim3_spread_at(p, fit, false, scratch, center);
         fit->objective += 0.5 * weak;
-        standard_errors(&q, fit);
+        sim3_standard_errors(&q, fit);
     }
     mem_free(scratch);
     return rc;

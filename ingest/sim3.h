@@ -12,7 +12,7 @@
 
 #include "core/err.h"
 
-enum { SIMILARITY_GROUPS_MAX = 8 };
+enum { SIM3_GROUPS_MAX = 8 };
 
 struct sim3 {
     double scale, rot[9], trans[3];
@@ -43,7 +43,7 @@ struct sim3_problem {              /* all borrowed */
 };
 struct sim3_fit {
     struct sim3 sim;
-    double offset_m[SIMILARITY_GROUPS_MAX]; /* y_z = ... + offset of the flight; that of flight 0 is
+    double offset_m[SIM3_GROUPS_MAX]; /* y_z = ... + offset of the flight; that of flight 0 is
                                                0 */
     double sigma_h_m, sigma_v_m; /* robust, per horizontal axis and of heights; 0 = not known yet */
     double share_h,

@@ -224,8 +224,10 @@ static enum err_code edit_copy_tiles(const struct edit *d, struct store *from,
     return rc;
 }
 
+/* other: the second store, NULL when there is one only. The footprint of one of two is not that of
+ * both. */
 static enum err_code edit_copy_blobs(const struct edit *d, struct store *from, struct store *before,
-                                     struct store *to, struct err *e)
+                                     const struct store *other, struct store *to, struct err *e)
 {
     struct arena a = {0};
     struct buf b = {0};
@@ -234,6 +236,8 @@ static enum err_code edit_copy_blobs(const struct edit *d, struct store *from, s
     enum err_code rc = store_list_blobs(from, &a, &names, &n, e);
     for (size_t i = 0; !rc && i < n; i++) {
         if (before && !store_get_blob(before, names[i], &b, NULL))
+            continue;
+        if (other && !strcmp(names[i], STORE_FOOTPRINT))
             continue;
         rc = store_get_blob(from, names[i], &b, e);
         if (!rc && !strcmp(names[i], BAKE_BLOB) && d->appearance.size)
@@ -270,9 +274,9 @@ enum err_code edit_write(struct edit *d, struct store *a, struct store *b, const
     if (!rc && b)
         rc = edit_copy_tiles(d, b, a, to, n_copied, e);
     if (!rc)
-        rc = edit_copy_blobs(d, a, NULL, to, e);
+        rc = edit_copy_blobs(d, a, NULL, b, to, e);
     if (!rc && b)
-        rc = edit_copy_blobs(d, b, a, to, e);
+        rc = edit_copy_blobs(d, b, a, b, to, e);
     if (!rc)
         rc = store_commit(&to, e);
     store_close(&to);

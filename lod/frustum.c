@@ -49,6 +49,23 @@ void frustum_make(const struct camera *cam, struct frustum *out)
         (struct frustum_plane){.n = {cam->rot[6], cam->rot[7], cam->rot[8]}, .d = cam->trans[2]};
 }
 
+void frustum_make_orthographic(const struct camera *cam, struct frustum *out)
+{
+    const double edge_m[2][2] = {{(cam->width_px - cam->cx_px + FRUSTUM_SOFT_PX) / cam->fx_px,
+                                  (cam->cx_px + FRUSTUM_SOFT_PX) / cam->fx_px},
+                                 {(cam->height_px - cam->cy_px + FRUSTUM_SOFT_PX) / cam->fy_px,
+                                  (cam->cy_px + FRUSTUM_SOFT_PX) / cam->fy_px}};
+    for (size_t axis = 0; axis < 2; axis++)
+        for (size_t side = 0; side < 2; side++) {
+            const double *to = cam->rot + 3 * axis, sign = side ? 1.0 : -1.0;
+            out->plane[2 * axis + side] =
+                (struct frustum_plane){.n = {sign * to[0], sign * to[1], sign * to[2]},
+                                       .d = sign * cam->trans[axis] + edge_m[axis][side]};
+        }
+    out->plane[4] =
+        (struct frustum_plane){.n = {cam->rot[6], cam->rot[7], cam->rot[8]}, .d = cam->trans[2]};
+}
+
 bool frustum_sees(const struct frustum *f, const double min_enu_m[3], const double max_enu_m[3],
                   double sigma_max_m)
 {

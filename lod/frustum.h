@@ -23,6 +23,8 @@ struct frustum {
 
 /* cam has a focal length and pixels. */
 void frustum_make(const struct camera *cam, struct frustum *out);
+/* The same of an orthographic view: see render_options.orthographic. */
+void frustum_make_orthographic(const struct camera *cam, struct frustum *out);
 /* May anything within the box touch the picture? sigma_max_m: of the splats in it. */
 bool frustum_sees(const struct frustum *f, const double min_enu_m[3], const double max_enu_m[3],
                   double sigma_max_m);

@@ -61,6 +61,8 @@ static double pick_error(const struct pick *p, const struct tree_node *v)
         return 0.0;
     if (v->tile == TREE_NONE || p->o->no_lod)
         return HUGE_VAL;
+    if (p->o->orthographic)
+        return v->geometric_error_m * p->focal_px / p->limit;
     if (p->o->metric == PICK_SCREEN)
         return v->geometric_error_m * p->focal_px / (pick_distance(p, v, 3) * p->limit);
     /* Threshold i holds for the level i below the finest; past the last one tiles are always
@@ -203,7 +205,10 @@ enum err_code pick_select(const struct store_tile *tiles, const struct tree *t,
         return err_set(e, ERR_MEM, "pick: out of memory for %zu tiles", t->n_nodes);
     }
     p.limit = TREE_PX_PER_SIGMA * (p.o->error_px > 0.0 ? p.o->error_px : PICK_ERROR_PX);
-    frustum_make(cam, &p.frustum);
+    if (p.o->orthographic)
+        frustum_make_orthographic(cam, &p.frustum);
+    else
+        frustum_make(cam, &p.frustum);
     camera_center(cam, p.eye);
     p.focal_px = fmax(cam->fx_px, cam->fy_px);
     /* Nodes ascend with zoom but for a root without content, which stands last. */

@@ -27,6 +27,8 @@ struct pick_options {        /* {0} = screen metric, defaults */
     uint64_t max_bytes;     /* likewise of the payloads: what a client must fetch and keep */
     bool no_lod;            /* finest level everywhere */
     bool whole_tiles;       /* view_render: hand over tiles whole, not only their blocks in view */
+    bool orthographic;      /* cam is one of render_options.orthographic: errors do not depend on
+                               distance; view_render sets it */
     /* For cameras that move: a tile that was refined in the picture before stays so until its error
      * is this share below the limit, so that a camera that trembles at a limit does not make the
      * level flicker. `before` is what pick_tiles gave then, NULL for none; without it a view

@@ -97,6 +97,10 @@ enum err_code store_read_gauss(struct store *s, struct key k, struct gauss *out,
 /* A blob into `out` (caller frees), hash verified. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code store_get_blob(struct store *s, const char *name, struct buf *out,
                              struct err *e) ERR_USE;
+/* The ground that the photographs support (docs/footprint.md): a GeoJSON Feature, one line; NULL:
+ * none was stored. Borrowed until store_close. */
+#define STORE_FOOTPRINT "footprint" /* its blob */
+const char *store_footprint(const struct store *s);
 /* Names of the blobs [*n], sorted; live in the arena. ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code store_list_blobs(struct store *s, struct arena *a, char ***names, size_t *n,
                                struct err *e) ERR_USE;

@@ -14,7 +14,7 @@
  *   blobs  name, hash, bytes   anything that travels with the tiles
  *
  * Hashes are XXH3-128, 16 bytes, low word first. Nothing is ever changed in place: a file is built
- * beside and renamed, so readers may map it.
+ * beside and renamed, so a reader sees one revision.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -60,6 +60,7 @@ struct store {
     struct bake *bake;
     bool bake_known;
     void (*bake_free)(struct store *s);
+    char *footprint; /* opened: GeoJSON; NULL: none */
     struct store *before; /* building: what will be replaced, for tile versions; may be NULL */
 };
 

@@ -9,6 +9,7 @@
  */
 #include <errno.h>
 #include <fcntl.h>
+#include <jansson.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -94,9 +95,9 @@ static enum err_code store_connect(struct store *s, struct err *e)
     if (code == SQLITE_OK) {
         sqlite3_db_config(s->db, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, NULL);
         sqlite3_db_config(s->db, SQLITE_DBCONFIG_DEFENSIVE, 1, NULL);
-        code = sqlite3_exec(
-            s->db, "PRAGMA mmap_size=274877906944; PRAGMA cell_size_check=ON; PRAGMA query_only=ON",
-            NULL, NULL, NULL);
+        code = sqlite3_exec(s->db,
+                            "PRAGMA mmap_size=0; PRAGMA cell_size_check=ON; PRAGMA query_only=ON",
+                            NULL, NULL, NULL);
     }
     if (code != SQLITE_OK)
         rc = store_db_fail(s, code, "cannot open", e);
@@ -285,6 +286,29 @@ static enum err_code store_read_index(struct store *s, size_t *n_bad, struct err
     return rc;
 }
 
+/* Kept as text that is known to be JSON, since it goes into documents as it is. */
+static void store_read_footprint(struct store *s)
+{
+    struct buf b = {0};
+    json_t *root = NULL;
+    enum err_code rc = store_get_blob(s, STORE_FOOTPRINT, &b, NULL);
+    if (rc == ERR_NOENT)
+        return;
+    if (!rc)
+        rc = jsonc_parse((const char *)b.data, b.size, STORE_FOOTPRINT, &root, NULL);
+    if (!rc)
+        s->footprint = json_dumps(root, JSON_COMPACT | JSON_REAL_PRECISION(12));
+    json_decref(root);
+    buf_free(&b);
+    if (rc || !s->footprint) /* what is drawn does not need it; verify finds what is damaged */
+        log_warn("store", "%s: its footprint cannot be read: it is left out", s->path);
+}
+
+const char *store_footprint(const struct store *s)
+{
+    return s->footprint;
+}
+
 enum err_code store_open(const char *path, struct store **out, struct err *e)
 {
     *out = NULL;
@@ -305,6 +329,8 @@ enum err_code store_open(const char *path, struct store **out, struct err *e)
         rc = store_read_index(s, &n_bad, e);
     if (!rc)
         rc = tree_build(s->tiles, s->n_tiles, &s->tree, e);
+    if (!rc)
+        store_read_footprint(s);
     if (rc)
         store_close(&s);
     *out = s;
@@ -329,6 +355,7 @@ void store_close(struct store **sp)
         s->bake_free(s);
     tree_free(&s->tree);
     mem_free(s->tiles);
+    free(s->footprint); /* jansson's */
     mem_free(s);
     *sp = NULL;
 }

@@ -239,6 +239,8 @@ enum err_code tileset_tilejson(const struct store *s, const char *tiles_template
         buf_printf(out, "%s%.3f", k ? "," : "",
                    k < 3 ? root->min_enu_m[k] : root->max_enu_m[k - 3]);
     buf_printf(out, "],\n");
+    if (store_footprint(s))
+        buf_printf(out, "\"footprint\":%s,\n", store_footprint(s));
     tileset_rows(s, out);
     buf_printf(out, "}}\n");
     return buf_check(out, e);

@@ -127,13 +127,18 @@ enum err_code view_render(struct view *v, const struct camera *cam, const struct
 {
     struct view_stats st = {0};
     struct frustum f;
+    struct pick_options pick = po ? *po : (struct pick_options){0};
     double t0 = clock_s();
-    enum err_code rc = pick_tiles(v->store, cam, po, v->now, &st.n_tiles, e);
+    pick.orthographic = ro->orthographic;
+    enum err_code rc = pick_tiles(v->store, cam, &pick, v->now, &st.n_tiles, e);
     double t1 = clock_s();
     st.ms_pick = 1e3 * (t1 - t0);
     if (!rc) {
-        frustum_make(cam, &f);
-        rc = resident_show(&v->resident, v->now, st.n_tiles, po && po->whole_tiles ? NULL : &f,
+        if (pick.orthographic)
+            frustum_make_orthographic(cam, &f);
+        else
+            frustum_make(cam, &f);
+        rc = resident_show(&v->resident, v->now, st.n_tiles, pick.whole_tiles ? NULL : &f,
                            &st.n_gaussians, e);
     }
     double t2 = clock_s();

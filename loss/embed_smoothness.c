@@ -1,4 +1,4 @@
-/* The similarity loss on the Gaussians' appearance embeddings: neighbours in space should react to
+/* The smoothness loss on the Gaussians' appearance embeddings: neighbours in space should react to
  * light and season alike.
  *
  * For M Gaussians drawn at random and their k nearest (themselves included), every pair (a, b) of
@@ -19,11 +19,11 @@
 #include "core/sample.h"
 #include "loss/embed_smoothness.h"
 
-#define SIMILARITY_LENGTH_MIN 1e-12
+#define EMBED_SMOOTHNESS_LENGTH_MIN 1e-12
 enum {
-    SIMILARITY_CHUNK = 256,
-    SIMILARITY_EMBED_MAX = GAUSS_EMBED_MAX,
-    SIMILARITY_LANES = LAYOUT_LANES
+    EMBED_SMOOTHNESS_CHUNK = 256,
+    EMBED_SMOOTHNESS_EMBED_MAX = GAUSS_EMBED_MAX,
+    EMBED_SMOOTHNESS_LANES = LAYOUT_LANES
 };
 
 struct embed_smoothness {
@@ -43,14 +43,14 @@ struct embed_smoothness {
 static double embed_smoothness_unit(const struct embed_smoothness_input *in, size_t row,
                                     double *out)
 {
-    const float *v = in->embed + row / SIMILARITY_LANES * in->embed_group +
-                     row % SIMILARITY_LANES * in->embed_lane;
+    const float *v = in->embed + row / EMBED_SMOOTHNESS_LANES * in->embed_group +
+                     row % EMBED_SMOOTHNESS_LANES * in->embed_lane;
     double sum = 0.0;
     for (size_t c = 0; c < in->len; c++) {
         out[c] = (double)v[c * in->embed_next];
         sum += out[c] * out[c];
     }
-    double len = fmax(sqrt(sum), SIMILARITY_LENGTH_MIN);
+    double len = fmax(sqrt(sum), EMBED_SMOOTHNESS_LENGTH_MIN);
     for (size_t c = 0; c < in->len; c++)
         out[c] /= len;
     return len;
@@ -60,7 +60,7 @@ static double embed_smoothness_unit(const struct embed_smoothness_input *in, siz
 static void embed_smoothness_group(struct embed_smoothness *w, size_t sample)
 {
     const struct embed_smoothness_input *in = &w->in;
-    double unit[KNN_MAX][SIMILARITY_EMBED_MAX], sum[SIMILARITY_EMBED_MAX] = {0};
+    double unit[KNN_MAX][EMBED_SMOOTHNESS_EMBED_MAX], sum[EMBED_SMOOTHNESS_EMBED_MAX] = {0};
     double weight[KNN_MAX];
     float dist2[KNN_MAX];
     uint32_t *ids = w->ids + sample * w->k;
@@ -91,8 +91,8 @@ static enum err_code embed_smoothness_chunk(void *user, size_t chunk, struct err
 {
     (void)e;
     struct embed_smoothness *w = user;
-    size_t end = (chunk + 1) * SIMILARITY_CHUNK;
-    for (size_t i = chunk * SIMILARITY_CHUNK; i < end && i < w->samples; i++)
+    size_t end = (chunk + 1) * EMBED_SMOOTHNESS_CHUNK;
+    for (size_t i = chunk * EMBED_SMOOTHNESS_CHUNK; i < end && i < w->samples; i++)
         embed_smoothness_group(w, i);
     return ERR_OK;
 }
@@ -102,7 +102,7 @@ static enum err_code embed_smoothness_draw(struct embed_smoothness *w, struct er
     const struct embed_smoothness_input *in = &w->in;
     uint32_t *all = mem_array(in->n, sizeof *all);
     if (!all)
-        return err_set(e, ERR_MEM, "similarity: out of memory for %zu Gaussians", in->n);
+        return err_set(e, ERR_MEM, "embed_smoothness: out of memory for %zu Gaussians", in->n);
     for (size_t i = 0; i < in->n; i++)
         all[i] = (uint32_t)i;
     enum err_code rc =
@@ -118,7 +118,7 @@ static enum err_code embed_smoothness_index(struct embed_smoothness *w, struct e
     w->first = mem_array(n + 2, sizeof *w->first);
     w->part = mem_array(w->samples * w->k, sizeof *w->part);
     if (!w->first || !w->part)
-        return err_set(e, ERR_MEM, "similarity: out of memory for %zu Gaussians", n);
+        return err_set(e, ERR_MEM, "embed_smoothness: out of memory for %zu Gaussians", n);
     for (size_t s = 0; s < w->samples; s++)
         for (size_t a = 0; a < w->found[s]; a++)
             w->first[w->ids[s * w->k + a] + 2]++;
@@ -137,7 +137,7 @@ void embed_smoothness_rows(const struct embed_smoothness *w, size_t first, size_
     const struct embed_smoothness_input *in = &w->in;
     memset(grad, 0, count * in->len * sizeof *grad);
     for (size_t i = first; w->first && i < first + count; i++, grad += in->len) {
-        double unit[SIMILARITY_EMBED_MAX], sum[SIMILARITY_EMBED_MAX] = {0}, along = 0.0;
+        double unit[EMBED_SMOOTHNESS_EMBED_MAX], sum[EMBED_SMOOTHNESS_EMBED_MAX] = {0}, along = 0.0;
         if (w->first[i] == w->first[i + 1])
             continue;
         for (uint32_t k = w->first[i]; k < w->first[i + 1]; k++)
@@ -174,11 +174,11 @@ static enum err_code embed_smoothness_groups(struct embed_smoothness *w, struct 
     w->samples = in->samples < in->n ? in->samples : in->n;
     w->k = in->neighbours < in->n ? in->neighbours : in->n;
     if (w->samples > UINT32_MAX / w->k)
-        return err_set(e, ERR_LIMIT, "similarity: %zu groups of %zu are more than 2^32", w->samples,
-                       w->k);
+        return err_set(e, ERR_LIMIT, "embed_smoothness: %zu groups of %zu are more than 2^32",
+                       w->samples, w->k);
     w->chosen = mem_array(w->samples, sizeof *w->chosen);
-    enum err_code rc =
-        w->chosen ? embed_smoothness_draw(w, e) : err_set(e, ERR_MEM, "similarity: out of memory");
+    enum err_code rc = w->chosen ? embed_smoothness_draw(w, e)
+                                 : err_set(e, ERR_MEM, "embed_smoothness: out of memory");
     if (!rc)
         rc = knn_build(in->mean_m, in->n, &w->tree, e);
     if (rc)
@@ -188,9 +188,9 @@ static enum err_code embed_smoothness_groups(struct embed_smoothness *w, struct 
     w->loss = mem_array(w->samples, sizeof *w->loss);
     w->found = mem_array(w->samples, sizeof *w->found);
     if (!w->ids || !w->grad || !w->loss || !w->found)
-        return err_set(e, ERR_MEM, "similarity: out of memory for %zu groups", w->samples);
-    rc = pool_for((w->samples + SIMILARITY_CHUNK - 1) / SIMILARITY_CHUNK, 0, embed_smoothness_chunk,
-                  w, e);
+        return err_set(e, ERR_MEM, "embed_smoothness: out of memory for %zu groups", w->samples);
+    rc = pool_for((w->samples + EMBED_SMOOTHNESS_CHUNK - 1) / EMBED_SMOOTHNESS_CHUNK, 0,
+                  embed_smoothness_chunk, w, e);
     knn_free(&w->tree);
     return rc ? rc : embed_smoothness_index(w, e);
 }
@@ -200,15 +200,15 @@ enum err_code embed_smoothness_open(const struct embed_smoothness_input *in,
 {
     *loss = 0.0;
     *out = NULL;
-    if (in->len < 1 || in->len > SIMILARITY_EMBED_MAX || in->neighbours < 2 ||
+    if (in->len < 1 || in->len > EMBED_SMOOTHNESS_EMBED_MAX || in->neighbours < 2 ||
         in->neighbours > KNN_MAX)
         return err_set(
             e, ERR_ARG,
-            "similarity: %zu neighbours, embeddings of %zu: 2 to %d, 1 to %d are possible",
-            in->neighbours, in->len, KNN_MAX, SIMILARITY_EMBED_MAX);
+            "embed_smoothness: %zu neighbours, embeddings of %zu: 2 to %d, 1 to %d are possible",
+            in->neighbours, in->len, KNN_MAX, EMBED_SMOOTHNESS_EMBED_MAX);
     struct embed_smoothness *w = mem_array(1, sizeof *w);
     if (!w)
-        return err_set(e, ERR_MEM, "similarity: out of memory");
+        return err_set(e, ERR_MEM, "embed_smoothness: out of memory");
     w->in = *in;
     *out = w;
     if (in->n < 2)

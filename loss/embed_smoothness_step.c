@@ -1,4 +1,4 @@
-/* The similarity loss in training: the host looks at the embeddings where they lie, their gradient
+/* The smoothness loss in training: the host looks at the embeddings where they lie, their gradient
  * goes in pieces into Adam's moments, where the step that follows takes it up (embed_smoothness.cl
  * says why that is right).
  *
@@ -13,13 +13,13 @@
 
 extern const char embed_smoothness_cl[];
 
-enum { SIMILARITY_LOCAL = 64, SIMILARITY_PIECE = 16384 };
+enum { EMBED_SMOOTHNESS_LOCAL = 64, EMBED_SMOOTHNESS_PIECE = 16384 };
 
 struct embed_smoothness_step {
     struct dev *dev; /* borrowed */
     cl_program program;
     cl_kernel add;
-    cl_mem rows; /* float [SIMILARITY_PIECE][len] */
+    cl_mem rows; /* float [EMBED_SMOOTHNESS_PIECE][len] */
     uint32_t len;
 };
 
@@ -44,11 +44,11 @@ enum err_code embed_smoothness_step_open(struct dev *dev, struct embed_smoothnes
     struct embed_smoothness_step *s = mem_array(1, sizeof *s);
     *out = NULL;
     if (!s)
-        return err_set(e, ERR_MEM, "similarity: out of memory");
+        return err_set(e, ERR_MEM, "embed_smoothness: out of memory");
     s->dev = dev;
     enum err_code rc = dev_build(dev, &source, 1, NULL, &s->program, e);
     if (!rc)
-        rc = dev_kernel(s->program, "similarity_add", &s->add, e);
+        rc = dev_kernel(s->program, "embed_smoothness_add", &s->add, e);
     if (rc)
         embed_smoothness_step_close(&s);
     *out = s;
@@ -62,7 +62,7 @@ static enum err_code step_reserve(struct embed_smoothness_step *s, uint32_t len,
     dev_release(&s->rows);
     s->len = 0;
     enum err_code rc =
-        dev_buffer(s->dev, SIMILARITY_PIECE * len * sizeof(float), NULL, &s->rows, e);
+        dev_buffer(s->dev, EMBED_SMOOTHNESS_PIECE * len * sizeof(float), NULL, &s->rows, e);
     s->len = rc ? 0 : len;
     return rc;
 }
@@ -87,8 +87,8 @@ static enum err_code step_add(struct embed_smoothness_step *s, const struct rend
     bad |= dev_arg(s->add, 8, adam->m1);
     bad |= dev_arg(s->add, 9, adam->m2);
     if (!rc && bad != CL_SUCCESS)
-        rc = err_set(e, ERR_DEVICE, "similarity_add: arguments: %s", dev_error_name(bad));
-    return rc ? rc : dev_run(s->dev, s->add, "similarity_add", n, SIMILARITY_LOCAL, e);
+        rc = err_set(e, ERR_DEVICE, "embed_smoothness_add: arguments: %s", dev_error_name(bad));
+    return rc ? rc : dev_run(s->dev, s->add, "embed_smoothness_add", n, EMBED_SMOOTHNESS_LOCAL, e);
 }
 
 static enum err_code step_launch(struct embed_smoothness_step *s, const struct render_model *m,
@@ -97,13 +97,13 @@ static enum err_code step_launch(struct embed_smoothness_step *s, const struct r
                                  struct err *e)
 {
     struct embed_smoothness *w = NULL;
-    float *grad = mem_array(SIMILARITY_PIECE, in->len * sizeof *grad);
+    float *grad = mem_array(EMBED_SMOOTHNESS_PIECE, in->len * sizeof *grad);
     enum err_code rc = grad ? step_reserve(s, (uint32_t)in->len, e)
-                            : err_set(e, ERR_MEM, "similarity: out of memory");
+                            : err_set(e, ERR_MEM, "embed_smoothness: out of memory");
     if (!rc)
         rc = embed_smoothness_open(in, &w, loss, e);
-    for (size_t i = 0; !rc && i < in->n; i += SIMILARITY_PIECE) {
-        size_t count = in->n - i < SIMILARITY_PIECE ? in->n - i : SIMILARITY_PIECE;
+    for (size_t i = 0; !rc && i < in->n; i += EMBED_SMOOTHNESS_PIECE) {
+        size_t count = in->n - i < EMBED_SMOOTHNESS_PIECE ? in->n - i : EMBED_SMOOTHNESS_PIECE;
         embed_smoothness_rows(w, i, count, grad);
         rc = step_add(s, m, adam, i, count, grad, e);
     }
@@ -126,11 +126,12 @@ enum err_code embed_smoothness_step_run(struct embed_smoothness_step *s,
     if (!m->embed_len || !n)
         return ERR_OK;
     if (!(adam->beta1 > 0.0f) || !(adam->beta2 > 0.0f))
-        return err_set(e, ERR_ARG, "similarity: Adam without momentum has no place for it");
+        return err_set(e, ERR_ARG, "embed_smoothness: Adam without momentum has no place for it");
     float *mean = mem_array(n, 3 * sizeof *mean);
-    enum err_code rc = mean ? dev_map(s->dev, m->params, CL_MAP_READ,
-                                      permute_floats(n, m->planes) * sizeof(float), &params, e)
-                            : err_set(e, ERR_MEM, "similarity: out of memory for %zu Gaussians", n);
+    enum err_code rc =
+        mean ? dev_map(s->dev, m->params, CL_MAP_READ, permute_floats(n, m->planes) * sizeof(float),
+                       &params, e)
+             : err_set(e, ERR_MEM, "embed_smoothness: out of memory for %zu Gaussians", n);
     for (size_t i = 0; !rc && i < n; i++)
         for (size_t k = 0; k < 3; k++)
             mean[3 * i + k] = ((const float *)params)[permute_at(i, m->planes) + k * LAYOUT_LANES];

@@ -37,14 +37,20 @@ enum err_code metric_psnr(const float *rgb, const uint8_t *target, const uint8_t
     enum err_code rc = metric_check_size("metric_psnr", width_px, height_px, 1, e);
     if (rc)
         return rc;
-    size_t n = (size_t)width_px * height_px;
+    size_t n = (size_t)width_px * height_px, used = 0;
     double sum = 0;
-    for (size_t i = 0; i < n; i++)
-        for (size_t c = 0; c < 3 && (!mask || mask[i]); c++) {
+    for (size_t i = 0; i < n; i++) {
+        if (mask && !mask[i])
+            continue;
+        used++;
+        for (size_t c = 0; c < 3; c++) {
             double d = metric_clamp((double)rgb[3 * i + c]) - target[3 * i + c] / 255.0;
             sum += d * d;
         }
-    *out_db = sum > 0 ? 10 * log10(3.0 * (double)n / sum) : HUGE_VAL;
+    }
+    if (!used)
+        return err_set(e, ERR_DATA, "metric_psnr: the mask leaves no pixel to compare");
+    *out_db = sum > 0 ? 10 * log10(3.0 * (double)used / sum) : HUGE_VAL;
     return ERR_OK;
 }
 

@@ -175,7 +175,7 @@ INLINE V seen_smooth(__global const float *filter, struct seen *s)
 INLINE VI seen_ellipse(__constant struct layout_view *v, __global const float *g,
                        __global const float *filter, struct seen *s)
 {
-    V z = s->cam[2], iz = 1.0f / z;
+    V z = s->cam[2], iz = v->orthographic ? (V)(1.0f) : 1.0f / z; // then the limits are 0, too
     seen_rotation(g, s);
     s->inv_z = iz;
     s->clamped[0] = CLAMP_(s->cam[0] * iz, -v->lim_neg_x, v->lim_pos_x);
@@ -221,15 +221,15 @@ INLINE VI seen_ellipse(__constant struct layout_view *v, __global const float *g
     return ok;
 }
 
-// Normalised direction from the eye to the mean.
+// Normalised direction from the eye to the mean; the optical axis of an orthographic view.
 INLINE void seen_direction(__constant struct layout_view *v, __global const float *g, V dir[3])
 {
     V x = LD(g, 0) - v->eye[0], y = LD(g, 1) - v->eye[1], z = LD(g, 2) - v->eye[2];
     V len = sqrt(x * x + (y * y + z * z));
     V k = 1.0f / MAX_(len, 1e-12f);
-    dir[0] = x * k;
-    dir[1] = y * k;
-    dir[2] = z * k;
+    dir[0] = v->orthographic ? (V)(v->rot[6]) : x * k;
+    dir[1] = v->orthographic ? (V)(v->rot[7]) : y * k;
+    dir[2] = v->orthographic ? (V)(v->rot[8]) : z * k;
 }
 
 // Real spherical harmonics, the signs of 3D Gaussian Splatting, up to `degree`; (degree + 1)^2

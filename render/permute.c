@@ -37,7 +37,7 @@ static size_t permute_chunks(size_t n)
     return (permute_groups(n) + PERMUTE_CHUNK_GROUPS - 1) / PERMUTE_CHUNK_GROUPS;
 }
 
-static size_t rows_end(size_t n, size_t chunk)
+static size_t permute_rows_end(size_t n, size_t chunk)
 {
     size_t end = (chunk + 1) * PERMUTE_CHUNK_GROUPS;
     return end < permute_groups(n) ? end : permute_groups(n);
@@ -48,7 +48,7 @@ static enum err_code permute_lay_aside(void *user, size_t chunk, struct err *e)
     (void)e;
     const struct permute_work *w = user;
     size_t group_floats = (size_t)w->rows->planes * PERMUTE_LANES;
-    for (size_t g = chunk * PERMUTE_CHUNK_GROUPS; g < rows_end(w->rows->n_old, chunk); g++)
+    for (size_t g = chunk * PERMUTE_CHUNK_GROUPS; g < permute_rows_end(w->rows->n_old, chunk); g++)
         for (uint32_t p = 0; p < w->count; p++)
             memcpy(w->aside + p * w->stride + g * PERMUTE_LANES,
                    w->from + g * group_floats + (size_t)(w->first + p) * PERMUTE_LANES,
@@ -61,7 +61,7 @@ static enum err_code permute_spread(void *user, size_t chunk, struct err *e)
     (void)e;
     const struct permute_work *w = user;
     const struct permutation *r = w->rows;
-    for (size_t g = chunk * PERMUTE_CHUNK_GROUPS; g < rows_end(r->n, chunk); g++) {
+    for (size_t g = chunk * PERMUTE_CHUNK_GROUPS; g < permute_rows_end(r->n, chunk); g++) {
         float *to = w->to + (g * r->planes + w->first) * PERMUTE_LANES;
         for (size_t lane = 0; lane < PERMUTE_LANES; lane++) {
             size_t d = g * PERMUTE_LANES + lane;

@@ -35,6 +35,10 @@ struct render_options {
     float background[3]; /* 0..1, shown where transmittance is left */
     double near_m;       /* 0: 0.2 m */
     int sh_degree;       /* highest degree evaluated; -1: all that the model has */
+    /* Rays are parallel to the optical axis: the camera's fx_px and fy_px are pixels a metre, and
+     * its centre is any point on the axis with all that is to be seen in front of it. There is no
+     * way back through such a frame (ERR_ARG). */
+    bool orthographic;
     /* Appearance, see core/appearance.h: constants made by appearance_frame() for embeddings of the
      * model's length and this many hidden units; copied. NULL: plain spherical harmonics. The first
      * frame of a pair of lengths compiles kernels for it. */

@@ -78,7 +78,7 @@ static enum err_code backward_open(struct render *r, struct err *e)
 
 /* ---- dL/dcolour ---- */
 
-static size_t picture_bytes(const struct render *r)
+static size_t backward_picture_bytes(const struct render *r)
 {
     return (size_t)3 * r->view.width * r->view.height * sizeof(float);
 }
@@ -86,7 +86,7 @@ static size_t picture_bytes(const struct render *r)
 cl_mem render_color_grad_buffer(struct render *r)
 {
     struct err e;
-    if (!r->drawn || frame_reserve(r, &r->color_grad, picture_bytes(r), &e) != ERR_OK)
+    if (!r->drawn || frame_reserve(r, &r->color_grad, backward_picture_bytes(r), &e) != ERR_OK)
         return NULL;
     return r->color_grad.mem;
 }
@@ -96,7 +96,7 @@ enum err_code render_set_color_grad(struct render *r, const float *rgb_grad, str
     if (!r->drawn)
         return err_set(e, ERR_ARG, "render_set_color_grad: no frame was drawn");
     size_t n = (size_t)r->view.width * r->view.height;
-    enum err_code rc = frame_reserve(r, &r->color_grad, picture_bytes(r), e);
+    enum err_code rc = frame_reserve(r, &r->color_grad, backward_picture_bytes(r), e);
     float *planar = !rc ? mem_array(n, 3 * sizeof *planar) : NULL;
     if (rc)
         return rc;
@@ -105,7 +105,7 @@ enum err_code render_set_color_grad(struct render *r, const float *rgb_grad, str
     for (size_t i = 0; i < n; i++)
         for (size_t c = 0; c < 3; c++)
             planar[c * n + i] = rgb_grad[3 * i + c];
-    rc = dev_write(r->dev, r->color_grad.mem, 0, picture_bytes(r), planar, e);
+    rc = dev_write(r->dev, r->color_grad.mem, 0, backward_picture_bytes(r), planar, e);
     mem_free(planar);
     return rc;
 }
@@ -121,6 +121,8 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
                        "render_backward: no frame was drawn since the Gaussians changed");
     if (m->list)
         return err_set(e, ERR_ARG, "render_backward: no way back through a list of groups");
+    if (r->view.orthographic)
+        return err_set(e, ERR_ARG, "render_backward: no way back through an orthographic view");
     if (m->n != r->view.n || m->groups != r->view.groups || m->planes != r->view.planes)
         return err_set(e, ERR_ARG, "render_backward: %u Gaussians: the last frame drew %u others",
                        m->n, r->view.n);
@@ -128,7 +130,7 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
     if (rc)
         return rc;
     struct render_backward_state *s = r->backward;
-    if (r->color_grad.cap_bytes < picture_bytes(r))
+    if (r->color_grad.cap_bytes < backward_picture_bytes(r))
         return err_set(e, ERR_ARG, "render_backward: dL/dcolour was not given for this picture");
     size_t mark_bytes = ((size_t)r->entries + 3) / 4 * 4;
     /* [entries][LAYOUT_SLOT_FLOATS], and room for one vector load */
@@ -198,8 +200,8 @@ enum err_code render_backward(struct render *r, const struct render_model *m, cl
 }
 
 /* Adam's numbers as project_step wants them. */
-static void adam_fill(const struct render *r, const struct render_adam *a, cl_float8 *lr,
-                      cl_float8 *k)
+static void backward_adam_fill(const struct render *r, const struct render_adam *a, cl_float8 *lr,
+                               cl_float8 *k)
 {
     double b1 = (double)a->beta1, b2 = (double)a->beta2;
     double bias1 = 1 - pow(b1, a->step), bias2 = 1 - pow(b2, a->step);
@@ -219,7 +221,7 @@ static void adam_fill(const struct render *r, const struct render_adam *a, cl_fl
 }
 
 /* adam_embed's numbers in project_backward.cl. */
-static cl_float2 adam_embed(const struct render_adam *a)
+static cl_float2 backward_adam_embed(const struct render_adam *a)
 {
     double bias1 = 1 - pow((double)a->beta1, a->embed_step),
            bias2 = 1 - pow((double)a->beta2, a->embed_step);
@@ -250,10 +252,10 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
     if (!with_opacity)
         d.opacity = none;
     if (r->appearance)
-        rc = render_appearance_prepare(r, adam->appearance, adam_embed(adam), &look, e);
+        rc = render_appearance_prepare(r, adam->appearance, backward_adam_embed(adam), &look, e);
     if (rc)
         return rc;
-    adam_fill(r, adam, &lr, &k);
+    backward_adam_fill(r, adam, &lr, &k);
     r->drawn = false; /* the parameters are about to differ from what was drawn */
     const struct frame_arg args[] = {
         FRAME_ARG(r->view_mem),

@@ -100,7 +100,7 @@ void render_close(struct render **rp)
 
 /* ---- the view ---- */
 
-static enum err_code view_check(const struct camera *c, struct err *e)
+static enum err_code render_view_check(const struct camera *c, struct err *e)
 {
     bool finite =
         isfinite(c->cx_px) && isfinite(c->cy_px) && isfinite(c->fx_px) && isfinite(c->fy_px);
@@ -119,8 +119,9 @@ static enum err_code view_check(const struct camera *c, struct err *e)
 }
 
 /* Everything in double until the origin is out of the numbers. */
-static void view_fill(const struct render *r, const struct render_model *m, const struct camera *c,
-                      const struct render_options *o, struct layout_view *v)
+static void render_view_fill(const struct render *r, const struct render_model *m,
+                             const struct camera *c, const struct render_options *o,
+                             struct layout_view *v)
 {
     double trans[3], w = c->width_px, h = c->height_px;
     memset(v, 0, sizeof *v);
@@ -139,10 +140,12 @@ static void view_fill(const struct render *r, const struct render_model *m, cons
     v->fy = (float)c->fy_px;
     v->cx = (float)c->cx_px;
     v->cy = (float)c->cy_px;
-    v->lim_neg_x = (float)(c->cx_px / c->fx_px + 0.15 * w / c->fx_px);
-    v->lim_pos_x = (float)((w - c->cx_px) / c->fx_px + 0.15 * w / c->fx_px);
-    v->lim_neg_y = (float)(c->cy_px / c->fy_px + 0.15 * h / c->fy_px);
-    v->lim_pos_y = (float)((h - c->cy_px) / c->fy_px + 0.15 * h / c->fy_px);
+    if (!o->orthographic) { /* else 0: the Jacobian has no third column */
+        v->lim_neg_x = (float)(c->cx_px / c->fx_px + 0.15 * w / c->fx_px);
+        v->lim_pos_x = (float)((w - c->cx_px) / c->fx_px + 0.15 * w / c->fx_px);
+        v->lim_neg_y = (float)(c->cy_px / c->fy_px + 0.15 * h / c->fy_px);
+        v->lim_pos_y = (float)((h - c->cy_px) / c->fy_px + 0.15 * h / c->fy_px);
+    }
     v->near_m = (float)(o->near_m > 0 ? o->near_m : RENDER_NEAR_M);
     v->kernel_px2 = o->aa == RENDER_AA_MIP ? 0.1f : 0.3f;
     v->compensate = o->aa != RENDER_AA_NONE;
@@ -160,20 +163,21 @@ static void view_fill(const struct render *r, const struct render_model *m, cons
     v->tile_cull = !r->box_tiles;
     v->smooth = m->filter != NULL;
     v->listed = m->list != NULL;
+    v->orthographic = o->orthographic;
 }
 
 /* ---- stages ---- */
 
-static uint32_t bin_stride(const struct render *r)
+static uint32_t render_bin_stride(const struct render *r)
 {
     return (r->tiles + 15) / 16 * 16;
 }
 
-static enum err_code frame_buffers(struct render *r, struct err *e)
+static enum err_code render_frame_buffers(struct render *r, struct err *e)
 {
     size_t lanes = (size_t)r->view.groups * LAYOUT_LANES;
     size_t pixels = (size_t)r->view.width * r->view.height, word = sizeof(uint32_t);
-    size_t stride = bin_stride(r);
+    size_t stride = render_bin_stride(r);
     const struct {
         struct frame_buffer *b;
         size_t bytes;
@@ -200,7 +204,8 @@ static enum err_code frame_buffers(struct render *r, struct err *e)
     return ERR_OK;
 }
 
-static enum err_code stage_project(struct render *r, const struct render_model *m, struct err *e)
+static enum err_code render_stage_project(struct render *r, const struct render_model *m,
+                                          struct err *e)
 {
     size_t local, items = frame_items(r, m->groups, &local);
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
@@ -214,7 +219,7 @@ static enum err_code stage_project(struct render *r, const struct render_model *
                      items, local, e);
 }
 
-static enum err_code stage_sort(struct render *r, struct err *e)
+static enum err_code render_stage_sort(struct render *r, struct err *e)
 {
     cl_uint n = r->view.n;
     for (cl_uint pass = 0; pass < RADIX_PASSES; pass++) {
@@ -247,7 +252,7 @@ static enum err_code stage_sort(struct render *r, struct err *e)
 }
 
 /* How long are the lists? Make room. */
-static enum err_code stage_count(struct render *r, struct err *e)
+static enum err_code render_stage_count(struct render *r, struct err *e)
 {
     struct layout_counts counts;
     enum err_code rc = dev_read(r->dev, r->counts, 0, sizeof counts, &counts, e);
@@ -271,9 +276,9 @@ static enum err_code stage_count(struct render *r, struct err *e)
     return rc;
 }
 
-static enum err_code stage_bin(struct render *r, struct err *e)
+static enum err_code render_stage_bin(struct render *r, struct err *e)
 {
-    cl_uint stride = bin_stride(r), tiles = r->tiles, cap = (cl_uint)r->entries;
+    cl_uint stride = render_bin_stride(r), tiles = r->tiles, cap = (cl_uint)r->entries;
     enum err_code rc = frame_run(r, r->k.bin_total, "bin_total",
                                  FRAME_ARGS(FRAME_ARG(r->ids[0].mem), FRAME_ARG(r->keys[0].mem),
                                             FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->counts)),
@@ -305,7 +310,7 @@ static enum err_code stage_bin(struct render *r, struct err *e)
     return rc;
 }
 
-static enum err_code stage_blend(struct render *r, struct err *e)
+static enum err_code render_stage_blend(struct render *r, struct err *e)
 {
     size_t local = r->dev->vector_width == LAYOUT_LANES ? 1 : LAYOUT_TILE * LAYOUT_TILE;
     return frame_run(r, r->k.blend, "blend",
@@ -317,7 +322,8 @@ static enum err_code stage_blend(struct render *r, struct err *e)
 }
 
 /* Planar on the device, interleaved for the caller; mapping costs nothing on CPUs. */
-static enum err_code frame_output(struct render *r, float *rgb, float *transmittance, struct err *e)
+static enum err_code render_frame_output(struct render *r, float *rgb, float *transmittance,
+                                         struct err *e)
 {
     size_t pixels = (size_t)r->view.width * r->view.height;
     if (transmittance) {
@@ -351,40 +357,40 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
                              float *transmittance, struct err *e)
 {
     double start = clock_s(), since = start;
-    enum err_code rc = view_check(cam, e);
+    enum err_code rc = render_view_check(cam, e);
     r->drawn = false;
     memset(&r->stats, 0, sizeof r->stats);
     if (rc)
         return rc;
     assert(m->n <= (size_t)m->groups * LAYOUT_LANES &&
            m->planes == render_planes_embed(m->sh_degree, m->embed_len));
-    view_fill(r, m, cam, o, &r->view);
+    render_view_fill(r, m, cam, o, &r->view);
     r->tiles = r->view.tiles_x * r->view.tiles_y;
-    rc = frame_buffers(r, e);
+    rc = render_frame_buffers(r, e);
     if (!rc)
         rc = render_appearance_begin(r, m, o, e);
     if (!rc)
         rc = dev_write(r->dev, r->view_mem, 0, sizeof r->view, &r->view, e);
     if (!rc)
-        rc = stage_project(r, m, e);
+        rc = render_stage_project(r, m, e);
     if (!rc)
         rc = frame_clock(r, &since, &r->stats.ms_project, e);
     if (!rc)
-        rc = r->order_gpu ? order_gpu_sort(r, e) : stage_sort(r, e);
+        rc = r->order_gpu ? order_gpu_sort(r, e) : render_stage_sort(r, e);
     if (!rc)
-        rc = stage_count(r, e);
+        rc = render_stage_count(r, e);
     if (!rc)
         rc = frame_clock(r, &since, &r->stats.ms_sort, e);
     if (!rc)
-        rc = r->order_gpu ? order_gpu_bin(r, e) : stage_bin(r, e);
+        rc = r->order_gpu ? order_gpu_bin(r, e) : render_stage_bin(r, e);
     if (!rc)
         rc = frame_clock(r, &since, &r->stats.ms_bin, e);
     if (!rc)
-        rc = stage_blend(r, e);
+        rc = render_stage_blend(r, e);
     if (!rc)
         rc = frame_clock(r, &since, &r->stats.ms_blend, e);
     if (!rc)
-        rc = frame_output(r, rgb, transmittance, e);
+        rc = render_frame_output(r, rgb, transmittance, e);
     r->drawn = !rc;
     r->stats.ms_total = (clock_s() - start) * 1e3;
     return rc;

@@ -24,7 +24,7 @@ struct plane_set {
 
 enum { SETS = 6 };
 
-static void plane_sets(const struct gauss *g, struct plane_set out[SETS])
+static void model_plane_sets(const struct gauss *g, struct plane_set out[SETS])
 {
     out[0] = (struct plane_set){g->mean_m, RENDER_PLANE_MEAN, 3};
     out[1] = (struct plane_set){g->scale_log, RENDER_PLANE_SCALE, 3};
@@ -39,7 +39,7 @@ static void model_pack(const struct gauss *g, uint32_t planes, size_t group0, si
                        float *out)
 {
     struct plane_set sets[SETS];
-    plane_sets(g, sets);
+    model_plane_sets(g, sets);
     for (size_t k = 0; k < SETS; k++)
         for (size_t i = group0 * LANES; i < (group0 + groups) * LANES && i < g->n; i++) {
             float *to = out + (i / LANES - group0) * planes * LANES + i % LANES;
@@ -53,7 +53,7 @@ static void model_unpack(const float *in, const struct render_model *m, size_t g
 {
     struct plane_set sets[SETS];
     uint32_t planes = m->planes;
-    plane_sets(g, sets);
+    model_plane_sets(g, sets);
     if (g->embed_len != m->embed_len)
         sets[SETS - 1].count = 0;
     for (size_t k = 0; k < SETS; k++)
@@ -188,7 +188,7 @@ struct placing {
     size_t group_floats;
 };
 
-static enum err_code place_piece(void *user, size_t i, struct err *e)
+static enum err_code model_place_piece(void *user, size_t i, struct err *e)
 {
     const struct placing *a = user;
     const struct render_piece *p = &a->pieces[i];
@@ -199,15 +199,15 @@ static enum err_code place_piece(void *user, size_t i, struct err *e)
 }
 
 /* On a CPU the buffer is memory like any other: all cores copy. */
-static enum err_code place_mapped(struct render *r, struct placing *a, size_t n, cl_mem params,
-                                  size_t bytes, struct err *e)
+static enum err_code model_place_mapped(struct render *r, struct placing *a, size_t n,
+                                        cl_mem params, size_t bytes, struct err *e)
 {
     cl_int code = CL_SUCCESS;
     a->to = clEnqueueMapBuffer(r->dev->queue, params, CL_TRUE, CL_MAP_READ | CL_MAP_WRITE, 0, bytes,
                                0, NULL, NULL, &code);
     if (code != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "placing %zu pieces: %s", n, dev_error_name(code));
-    enum err_code rc = pool_for(n, 0, place_piece, a, e);
+    enum err_code rc = pool_for(n, 0, model_place_piece, a, e);
     code = clEnqueueUnmapMemObject(r->dev->queue, params, a->to, 0, NULL, NULL);
     if (!rc && code != CL_SUCCESS)
         rc = err_set(e, ERR_DEVICE, "placing %zu pieces: %s", n, dev_error_name(code));
@@ -225,7 +225,7 @@ enum err_code render_model_place(struct render *r, const struct render_piece *pi
     for (size_t i = 0; i < n_pieces; i++)
         assert((size_t)pieces[i].at + pieces[i].n_groups <= render_model_capacity(m));
     if (r->dev->is_cpu)
-        return place_mapped(r, &a, n_pieces, m->params, render_model_capacity(m) * bytes, e);
+        return model_place_mapped(r, &a, n_pieces, m->params, render_model_capacity(m) * bytes, e);
     for (size_t i = 0; !rc && i < n_pieces; i++)
         rc = dev_write(r->dev, m->params, pieces[i].at * bytes, pieces[i].n_groups * bytes,
                        pieces[i].groups, e);

@@ -56,6 +56,7 @@ enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
     v.kernel_px2 = o->aa == RENDER_AA_MIP ? 0.1 : 0.3;
     v.compensate = o->aa != RENDER_AA_NONE;
     v.half_max_px = 2 * fmax(w, h);
+    v.orthographic = o->orthographic;
     v.sh_degree = o->sh_degree >= 0 && (uint32_t)o->sh_degree < g->sh_degree
                       ? (uint32_t)o->sh_degree
                       : g->sh_degree;
@@ -125,6 +126,10 @@ static void ref_covariance(const struct ref_view *v, struct ref_splat *s)
     double rx = s->cam[0] / s->cam[2], ry = s->cam[1] / s->cam[2], z = s->cam[2], p[6];
     s->clamped[0] = fmin(fmax(rx, -v->lim_neg[0]), v->lim_pos[0]);
     s->clamped[1] = fmin(fmax(ry, -v->lim_neg[1]), v->lim_pos[1]);
+    if (v->orthographic) { /* J = diag(fx, fy) 0 */
+        z = 1;
+        s->clamped[0] = s->clamped[1] = 0;
+    }
     s->inside[0] = s->clamped[0] == rx;
     s->inside[1] = s->clamped[1] == ry;
     const double jac[6] = {v->fx / z, 0,         -v->fx * s->clamped[0] / z,
@@ -186,7 +191,7 @@ static void ref_color(const struct ref_view *v, const struct gauss *g, size_t i,
     size_t count = gauss_sh_count(g->sh_degree);
     double dir[3], len = 0;
     for (int k = 0; k < 3; k++) {
-        dir[k] = (double)g->mean_m[3 * i + k] - v->eye[k];
+        dir[k] = v->orthographic ? v->rot[6 + k] : (double)g->mean_m[3 * i + k] - v->eye[k];
         len += dir[k] * dir[k];
     }
     len = fmax(sqrt(len), 1e-12);
@@ -233,8 +238,9 @@ bool ref_project(const struct ref_view *v, const struct gauss *g, size_t i, stru
     s.conic[0] = s11 / s.det;
     s.conic[1] = -s.cov0[1] / s.det;
     s.conic[2] = s00 / s.det;
-    s.mean_px[0] = v->fx * s.cam[0] / s.cam[2] + v->cx;
-    s.mean_px[1] = v->fy * s.cam[1] / s.cam[2] + v->cy;
+    double z = v->orthographic ? 1 : s.cam[2];
+    s.mean_px[0] = v->fx * s.cam[0] / z + v->cx;
+    s.mean_px[1] = v->fy * s.cam[1] / z + v->cy;
     /* Beyond k sigmas alpha is below 1/255. */
     double k = fmin((double)LAYOUT_EXTENT_MAX, sqrt(2 * log(255 * s.opacity_eff)));
     s.half_px[0] = k * sqrt(s00);

@@ -20,7 +20,7 @@ struct ref_view {            /* a camera and options with every default resolved
     double lim_neg[2], lim_pos[2]; /* clamp of x/z, y/z inside the Jacobian */
     double near_m, kernel_px2, half_max_px;
     double background[3];
-    bool compensate;
+    bool compensate, orthographic;
     uint32_t sh_degree; /* evaluated */
     const float *frame; /* constants of an appearance, borrowed; NULL: none */
     uint32_t embed_len, hidden;

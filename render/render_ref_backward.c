@@ -29,7 +29,7 @@ struct splat_grad { /* of what is blended */
 /* ---- compositing ---- */
 
 /* Add the gradients of one pixel. */
-static void pixel_backward(const struct ref_view *v, const struct ref_splat *splats, size_t n,
+static void backward_pixel(const struct ref_view *v, const struct ref_splat *splats, size_t n,
                            double px, double py, const double g[3], struct splat_grad *out)
 {
     double total[3] = {0}, pre[3] = {0}, t = 1;
@@ -71,7 +71,7 @@ static void pixel_backward(const struct ref_view *v, const struct ref_splat *spl
 /* ---- projection ---- */
 
 /* dL/dS of the 2-D covariance (symmetric: G00, G01, G11) and dL/dopacity. */
-static void conic_backward(const struct ref_view *v, const struct ref_splat *s,
+static void backward_conic(const struct ref_view *v, const struct ref_splat *s,
                            const struct splat_grad *g, double cov[3], double *g_opacity)
 {
     double a = s->conic[0], b = s->conic[1], c = s->conic[2];
@@ -93,7 +93,7 @@ static void conic_backward(const struct ref_view *v, const struct ref_splat *s,
 }
 
 /* out (3x3 symmetric) = P^T G P for a 2x3 matrix P. */
-static void sandwich(const double p[6], const double g[3], double out[9])
+static void backward_sandwich(const double p[6], const double g[3], double out[9])
 {
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
@@ -102,7 +102,7 @@ static void sandwich(const double p[6], const double g[3], double out[9])
 }
 
 /* Mean: through the pixel position and through J. `sigma_cam` is W Sigma W^T. */
-static void mean_backward(const struct ref_view *v, const struct ref_splat *s, const double g_px[2],
+static void backward_mean(const struct ref_view *v, const struct ref_splat *s, const double g_px[2],
                           const double cov[3], const double sigma_cam[9], double g_mean[3])
 {
     const double f[2] = {v->fx, v->fy}, z = s->cam[2];
@@ -133,7 +133,7 @@ static void mean_backward(const struct ref_view *v, const struct ref_splat *s, c
 }
 
 /* Rotation and scale of Sigma = M M^T, M = R diag(s), from dL/dSigma (symmetric). */
-static void shape_backward(const struct ref_splat *s, const double g_sigma[9],
+static void backward_shape(const struct ref_splat *s, const double g_sigma[9],
                            double g_scale_log[3], double g_quat[4])
 {
     double v[9]; /* dL/dR */
@@ -162,9 +162,9 @@ static void shape_backward(const struct ref_splat *s, const double g_sigma[9],
 }
 
 /* From dL/dy (colours: of `in`) through the network; frame gradients are added. */
-static void appearance_splat(const struct ref_view *v, const struct gauss *g,
-                             const struct ref_splat *s, const struct splat_grad *in, double g_y3,
-                             const struct render_ref_grads *out)
+static void backward_appearance_splat(const struct ref_view *v, const struct gauss *g,
+                                      const struct ref_splat *s, const struct splat_grad *in,
+                                      double g_y3, const struct render_ref_grads *out)
 {
     size_t len = v->embed_len, units = v->hidden;
     double unit[GAUSS_EMBED_MAX], hidden[APPEARANCE_HIDDEN_MAX], y[APPEARANCE_OUT],
@@ -202,14 +202,14 @@ static void appearance_splat(const struct ref_view *v, const struct gauss *g,
 }
 
 /* each: of the mean opacity offset, for one Gaussian's. */
-static void splat_backward(const struct ref_view *v, const struct gauss *g,
+static void backward_splat(const struct ref_view *v, const struct gauss *g,
                            const struct ref_splat *s, const struct splat_grad *in, double each,
                            const struct render_ref_grads *out)
 {
     size_t i = s->index, sh_count = gauss_sh_count(g->sh_degree),
            used = gauss_sh_count(v->sh_degree);
     double cov[3], g_opacity, m[9], sigma_cam[9] = {0}, g_sigma_cam[9], g_sigma[9] = {0};
-    conic_backward(v, s, in, cov, &g_opacity);
+    backward_conic(v, s, in, cov, &g_opacity);
     for (int r = 0; r < 3; r++) /* W M */
         for (int k = 0; k < 3; k++)
             m[3 * r + k] = (v->rot[3 * r] * s->rot[k] + v->rot[3 * r + 1] * s->rot[3 + k] +
@@ -219,20 +219,20 @@ static void splat_backward(const struct ref_view *v, const struct gauss *g,
         for (int k = 0; k < 3; k++)
             for (int l = 0; l < 3; l++)
                 sigma_cam[3 * r + k] += m[3 * r + l] * m[3 * k + l];
-    mean_backward(v, s, in->mean_px, cov, sigma_cam, out->mean + 3 * i);
-    sandwich(s->jac, cov, g_sigma_cam);
+    backward_mean(v, s, in->mean_px, cov, sigma_cam, out->mean + 3 * i);
+    backward_sandwich(s->jac, cov, g_sigma_cam);
     for (int r = 0; r < 3; r++) /* W^T G W */
         for (int k = 0; k < 3; k++)
             for (int a = 0; a < 3; a++)
                 for (int b = 0; b < 3; b++)
                     g_sigma[3 * r + k] +=
                         v->rot[3 * a + r] * g_sigma_cam[3 * a + b] * v->rot[3 * b + k];
-    shape_backward(s, g_sigma, out->scale_log + 3 * i, out->quat_wxyz + 4 * i);
+    backward_shape(s, g_sigma, out->scale_log + 3 * i, out->quat_wxyz + 4 * i);
     if (s->opacity_raw + s->look[3] >= 1 && v->frame)
         g_opacity = 0; /* cut to 1 */
     out->opacity_logit[i] = s->opacity_raw * (1 - s->opacity_raw) * g_opacity;
     if (v->frame)
-        appearance_splat(v, g, s, in, g_opacity + each, out);
+        backward_appearance_splat(v, g, s, in, g_opacity + each, out);
     for (int c = 0; c < 3; c++) {
         double g_raw = ref_color_open(v, s, c) ? in->rgb[c] : 0;
         for (size_t k = 0; k < used; k++)
@@ -249,6 +249,8 @@ enum err_code render_ref_backward(const struct gauss *g, const struct camera *ca
     struct splat_grad *grads = NULL;
     size_t n = 0;
     enum err_code rc = ref_view_init(g, cam, o, &v, e);
+    if (!rc && v.orthographic)
+        rc = err_set(e, ERR_ARG, "render_ref_backward: no way back through an orthographic view");
     if (!rc)
         rc = ref_project_all(&v, g, &splats, &n, e);
     if (rc)
@@ -269,10 +271,10 @@ enum err_code render_ref_backward(const struct gauss *g, const struct camera *ca
         memset(out->frame, 0, appearance_frame_floats(v.embed_len, v.hidden) * sizeof(double));
     for (size_t y = 0; y < v.height; y++)
         for (size_t x = 0; x < v.width; x++)
-            pixel_backward(&v, splats, n, (double)x + 0.5, (double)y + 0.5,
+            backward_pixel(&v, splats, n, (double)x + 0.5, (double)y + 0.5,
                            rgb_grad + 3 * (y * v.width + x), grads);
     for (size_t i = 0; i < n; i++)
-        splat_backward(&v, g, &splats[i], &grads[i], out->offset_weight / (double)n, out);
+        backward_splat(&v, g, &splats[i], &grads[i], out->offset_weight / (double)n, out);
 out:
     mem_free(splats);
     mem_free(grads);

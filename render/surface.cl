@@ -45,7 +45,7 @@ __kernel void surface_rows(__constant struct layout_view *view,
         a = MIN_(a, ALPHA_MAX);
         a = t > T_STOP ? a : (V)(0.0f);
         V share = a * t, left = t - share;
-        median = (t > 0.5f) & (left <= 0.5f) ? (V)(z) : median;
+        median = ((t > 0.5f) & (left <= 0.5f)) ? (V)(z) : median;
         sum += share * z;
         front += (V)(z) < far ? share : (V)(0.0f);
         t = left;

@@ -42,13 +42,36 @@ static void answer_service_landing(struct services *s, const struct request *r,
         response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(s->landing), out);
 }
 
+/* Ready, or degraded: the file of a dataset does not give all its tiles. Still 200, because everything
+ * else is served, and taking the server out would help nobody. */
+static void answer_service_state(struct services *s, const struct request *r, struct response *out)
+{
+    struct body *b = NULL;
+    bool degraded = false;
+    json_t *failed = json_object();
+    struct catalog *c = services_catalog(s);
+    for (size_t i = 0; i < c->n; i++) {
+        uint32_t n = atomic_load(&c->ds[i]->n_failed);
+        if (!n)
+            continue;
+        degraded = true;
+        json_object_set_new(failed, c->ds[i]->meta.name, json_integer(n));
+    }
+    catalog_drop(&c);
+    json_t *o = degraded ? json_pack("{s:s,s:O}", "status", "degraded", "failed", failed)
+                         : json_pack("{s:s}", "status", "ready");
+    json_decref(failed);
+    if (document_make(o, &b, NULL))
+        body_drop(&b);
+    response_document(r, RESPONSE_JSON, RESPONSE_NO_STORE, b, out);
+}
+
 static void answer_service_ready(struct services *s, const struct request *r, struct response *out)
 {
     if (atomic_load(&s->draining))
         response_problem(out, 503, "the server is stopping");
     else
-        response_document(r, RESPONSE_JSON, RESPONSE_NO_STORE,
-                          body_text("{\"status\":\"ready\"}\n"), out);
+        answer_service_state(s, r, out);
 }
 
 static void answer_service_metrics(struct services *s, const struct request *r,

@@ -33,7 +33,10 @@ struct body *body_take(struct buf *b, const char *etag)
         return NULL;
     }
     atomic_init(&body->refs, 1);
-    body->data = b->data;
+    /* What growing by doubling left over would be held as long as the slowest reader takes. */
+    uint8_t *exact =
+        b->cap - b->size > b->cap / 8 && b->size ? mem_resize(b->data, b->cap, b->size, 1) : NULL;
+    body->data = exact ? exact : b->data;
     body->size = b->size;
     memset(b, 0, sizeof *b);
     if (etag) {
@@ -60,12 +63,28 @@ struct body *body_ref(struct body *b)
     return b;
 }
 
+bool body_revive(struct body *b)
+{
+    uint32_t n = atomic_load(&b->refs);
+    while (n && !atomic_compare_exchange_weak(&b->refs, &n, n + 1))
+        continue;
+    return n;
+}
+
+size_t body_cost(const struct body *b)
+{
+    enum { OVERHEAD = 256 };
+    return b->size + b->gzip_size + OVERHEAD;
+}
+
 void body_drop(struct body **b)
 {
     struct body *body = *b;
     *b = NULL;
     if (!body || atomic_fetch_sub_explicit(&body->refs, 1, memory_order_acq_rel) != 1)
         return;
+    if (body->gone)
+        body->gone(body);
     struct buf bytes = {.data = body->data, .size = body->size};
     buf_free(&bytes);
     mem_free(body->gzip);

@@ -12,7 +12,7 @@
 #include <pthread.h>
 #include <string.h>
 
-enum { SHARDS = 16, BUCKETS_MIN = 64, ENTRY_COST = 256 };
+enum { SHARDS = 16, BUCKETS_MIN = 64 };
 
 struct entry {
     struct hash128 key;
@@ -35,6 +35,7 @@ struct shard { /* everything by `lock` */
 };
 struct cache {
     size_t shard_limit;
+    _Atomic size_t bytes;
     struct shard shard[SHARDS];
 };
 
@@ -169,7 +170,7 @@ static void cache_shard_remove(struct shard *s, struct entry *x, struct entry **
 void cache_put(struct cache *c, struct hash128 key, struct body *b)
 {
     struct shard *s = cache_shard_of(c, key);
-    size_t cost = b->size + b->gzip_size + ENTRY_COST;
+    size_t cost = body_cost(b), freed_cost = 0;
     struct entry *x = cost > c->shard_limit ? NULL : mem_array(1, sizeof *x);
     if (!x)
         return;
@@ -193,12 +194,20 @@ void cache_put(struct cache *c, struct hash128 key, struct body *b)
     *p = x;
     s->n++;
     cache_list_add(&s->probation, x);
+    atomic_fetch_add(&c->bytes, cost);
     pthread_mutex_unlock(&s->lock);
     for (struct entry *next; freed; freed = next) {
         next = freed->bucket_next;
+        freed_cost += freed->cost;
         body_drop(&freed->body);
         mem_free(freed);
     }
+    atomic_fetch_sub(&c->bytes, freed_cost);
+}
+
+size_t cache_bytes(const struct cache *c)
+{
+    return atomic_load(&c->bytes);
 }
 
 void cache_count(struct cache *c, struct cache_stats *out)

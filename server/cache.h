@@ -18,6 +18,8 @@ struct body *cache_get(struct cache *c, struct hash128 key);
 /* Keep a reference of its own. Entries larger than a shard's budget are not kept. The newer wins.
  */
 void cache_put(struct cache *c, struct hash128 key, struct body *b);
+/* Bytes that it answers for (body_cost). Lock-free. */
+size_t cache_bytes(const struct cache *c);
 void cache_count(struct cache *c, struct cache_stats *out);
 
 #endif

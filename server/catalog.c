@@ -87,7 +87,7 @@ static enum err_code catalog_open_or_keep(const char *path, size_t readers, cons
         return rc;
     for (size_t i = 0; older && i < older->n && !*out; i++) {
         struct dataset *d = older->ds[i];
-        if (!(d->retired_s > 0) && !strcmp(d->path, path) &&
+        if (!(d->retired_s > 0) && !atomic_load(&d->n_failed) && !strcmp(d->path, path) &&
             !strcmp(d->meta.revision, store_info(now)->revision))
             *out = dataset_ref(d);
     }

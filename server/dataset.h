@@ -26,8 +26,9 @@ struct dataset { /* immutable but for what the comments say; counted */
     struct body *tilejson;
     struct body *collection;
     struct body *appearances;
-    double retired_s;     /* clock_s() when a newer revision took over; 0 = current */
-    pthread_mutex_t lock; /* of free_store, n_free */
+    _Atomic uint32_t n_failed; /* results that its file did not give: it is damaged */
+    double retired_s;          /* clock_s() when a newer revision took over; 0 = current */
+    pthread_mutex_t lock;      /* of free_store, n_free */
     struct store **stores, **free_store;
     size_t n_stores, n_free;
 };

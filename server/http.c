@@ -24,7 +24,6 @@
 #include "server/watch.h"
 
 enum { HTTP_THREADS_MAX = 4 };
-static const double HTTP_SEND_BYTES_PER_S = 16384; /* a client slower than this is not waited for */
 
 struct http {
     struct services *s;
@@ -146,8 +145,7 @@ static enum MHD_Result http_send_answer(struct exchange *x)
     bool bytes = x->req.method != METHOD_HEAD && x->res.status != 304;
     x->sent = bytes ? x->res.size : 0;
     x->stage = STAGE_SENT;
-    watch_phase(x->slot, WATCH_SEND,
-                s->cfg->write_timeout_s + (double)x->sent / HTTP_SEND_BYTES_PER_S);
+    watch_phase(x->slot, WATCH_SEND, s->cfg->write_timeout_s);
     enum MHD_Result ok = MHD_queue_response(x->connection, (unsigned)x->res.status, m);
     MHD_destroy_response(m);
     return ok;

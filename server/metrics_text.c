@@ -114,6 +114,9 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
     metrics_text_one(out, "cache_misses_total", "counter", "Lookups that did not.", cs.misses);
     metrics_text_one(out, "cache_evictions_total", "counter", "Entries that made room.",
                      cs.evictions);
+    metrics_text_one(out, "inflight_bytes", "gauge",
+                     "Bytes of live answers, those in the cache among them.",
+                     flight_bytes(s->flight));
     metrics_text_one(out, "cache_entries", "gauge", "Entries.", cs.entries);
     metrics_text_one(out, "cache_bytes", "gauge", "Bytes held.", cs.bytes);
     if (s->jobs)

@@ -195,6 +195,8 @@ bool response_made(struct services *s, const struct request *r, struct hash128 i
     out->accept_ranges = true;
     out->status = 200;
     struct body *b = cache_get(s->cache, id);
+    if (!b)
+        b = flight_get(s->flight, id); /* too large to be kept, but others are reading it */
     out->cache = b ? "hit" : "miss";
     if (b) {
         response_body(r, b, out);

@@ -87,7 +87,9 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     sv->n_paths = n;
     sv->workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
     struct services *s = &sv->services;
-    enum err_code rc = services_open(s, &sv->cfg, e);
+    enum err_code rc = log_start(e);
+    if (!rc)
+        rc = services_open(s, &sv->cfg, e);
     if (!rc)
         rc = catalog_open(paths, n, sv->workers, cfg->public_url, NULL, &s->catalog, e);
     if (!rc)
@@ -100,6 +102,8 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
         rc = http_start(sv->http, e);
     if (!rc) {
         server_set_url(sv);
+        log_info("serve", "memory cache_mb=%d inflight_mb=%d view_cache_mb=%d", (int)cfg->cache_mb,
+                 (int)cfg->inflight_mb, s->picture ? (int)cfg->view_cache_mb : 0);
         for (size_t i = 0; i < s->catalog->n; i++)
             log_info("serve", "dataset name=%s revision=%s tiles=%zu file=%s",
                      s->catalog->ds[i]->meta.name, s->catalog->ds[i]->meta.revision,
@@ -147,5 +151,6 @@ void server_stop(struct server **out)
         return;
     http_close(&sv->http);
     services_free(&sv->services);
+    log_stop(1);
     mem_free(sv);
 }

@@ -17,6 +17,8 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     s->start_s = clock_s();
     pthread_mutex_init(&s->catalog_lock, NULL);
     enum err_code rc = cache_open((size_t)cfg->cache_mb << 20, &s->cache, e);
+    if (!rc)
+        rc = flight_open((size_t)cfg->inflight_mb << 20, &s->flight, e);
     if (!rc && cfg->access_log)
         rc = access_open(&s->access, e);
     if (!rc)
@@ -39,6 +41,7 @@ void services_free(struct services *s)
     catalog_drop(&s->catalog);
     static_free(&s->web);
     cache_close(&s->cache);
+    flight_close(&s->flight);
     access_close(&s->access);
     body_drop(&s->landing);
     body_drop(&s->conformance);

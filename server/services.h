@@ -11,6 +11,7 @@
 #include "server/cache.h"
 #include "server/catalog.h"
 #include "server/config.h"
+#include "server/flight.h"
 #include "server/job.h"
 #include "server/metrics.h"
 #include "server/picture.h"
@@ -22,6 +23,7 @@ struct services { /* all shared, all thread-safe */
     struct catalog *catalog;
     struct static_table web;
     struct cache *cache;
+    struct flight *flight;
     struct jobs *jobs;
     struct picture *picture; /* NULL: pictures are off */
     struct access *access;   /* NULL: no access log */

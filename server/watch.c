@@ -13,6 +13,8 @@
 #include "server/watch.h"
 
 #include <errno.h>
+#include <linux/tcp.h>
+#include <netinet/in.h>
 #include <poll.h>
 #include <string.h>
 #include <sys/epoll.h>
@@ -31,6 +33,9 @@ struct watch_slot {
     enum arm arm;
     struct job_waiter *waiter;
     _Atomic uint64_t deadline_ms; /* 0 = none */
+    uint64_t acked;               /* bytes that the client had when the window began; this line and
+                                     the next by the lock */
+    uint64_t window;              /* deadline that `acked` belongs to; another one: a new answer */
     _Atomic int phase;
     _Atomic uint32_t requests;
 };
@@ -74,6 +79,38 @@ static void watch_on_event(struct watch *w, uint64_t id, uint32_t events)
         w->gone(left);
 }
 
+/* Bytes that the client's side has taken over the life of the connection. */
+static uint64_t watch_acked(int fd)
+{
+    struct tcp_info info = {0};
+    socklen_t n = sizeof info;
+    return getsockopt(fd, IPPROTO_TCP, TCP_INFO, &info, &n) ? 0 : info.tcpi_bytes_acked;
+}
+
+/* An answer that is being sent goes on as long as it moves: the client must have taken min_rate_kb a
+ * second since the last look, write_timeout_s ago. Answers that are out between two ticks are never
+ * looked at. True when the client is too slow. */
+static bool watch_stalls(struct watch *w, struct watch_slot *s, uint64_t deadline, uint64_t now)
+{
+    const struct server_config *cfg = w->s->cfg;
+    uint64_t window_ms = (uint64_t)(cfg->write_timeout_s * 1000) + 1;
+    uint64_t acked = watch_acked(s->fd);
+    if (s->window != deadline) { /* first look at this answer */
+        s->window = deadline;
+        s->acked = acked;
+        return false;
+    }
+    if (now < deadline)
+        return false;
+    uint64_t want = (uint64_t)((double)cfg->min_rate_kb * 1.024 * (double)window_ms);
+    if (acked - s->acked < want || acked == s->acked)
+        return true;
+    s->window = now + window_ms;
+    s->acked = acked;
+    atomic_compare_exchange_strong(&s->deadline_ms, &deadline, s->window); /* or it is out by now */
+    return false;
+}
+
 static void watch_reap(struct watch *w)
 {
     uint64_t now = watch_now_ms();
@@ -81,7 +118,10 @@ static void watch_reap(struct watch *w)
     for (uint32_t i = 0; i < w->used; i++) {
         struct watch_slot *s = &w->slot[i];
         uint64_t deadline = atomic_load_explicit(&s->deadline_ms, memory_order_relaxed);
-        if (s->fd < 0 || !deadline || now < deadline)
+        if (s->fd < 0 || !deadline)
+            continue;
+        bool sending = atomic_load(&s->phase) == WATCH_SEND;
+        if (sending ? !watch_stalls(w, s, deadline, now) : now < deadline)
             continue;
         if (atomic_load(&s->phase) != WATCH_IDLE)
             atomic_fetch_add(&w->s->metrics.reaped, 1);

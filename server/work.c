@@ -51,6 +51,27 @@ static enum err_code work_make_bytes(struct services *s, const struct job *j, co
     }
 }
 
+/* About the bytes of the result, from above. */
+static size_t work_room(const struct work *w)
+{
+    enum { HEAD = 4096, SEED_ROW = 256, TILESET_ROW = 512 };
+    const struct store_tile *t = NULL;
+    size_t sh = 3 * gauss_sh_count(w->ds->meta.sh_degree);
+    switch (w->kind) {
+    case WORK_VIEW:
+        return HEAD + (size_t)w->view.cam.width_px * w->view.cam.height_px * 4;
+    case WORK_SEED:
+        return HEAD + w->ds->n_tiles * SEED_ROW;
+    case WORK_TILESET:
+        return HEAD + w->ds->n_tiles * TILESET_ROW;
+    default:
+        t = store_find(w->ds->index, w->key);
+        if (w->form.format == FORMAT_PLY || w->form.format == FORMAT_GLB_PLAIN)
+            return HEAD + (t ? t->count : 0) * (17 + sh) * sizeof(float);
+        return HEAD + (t ? t->count : 0) * (20 + sh);
+    }
+}
+
 enum err_code work_run(void *user, const struct job *j, void *work, size_t worker,
                        struct body **out, struct err *e)
 {
@@ -59,9 +80,13 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     struct buf b = {0};
     char etag[BODY_ETAG_SIZE];
     (void)worker;
-    if (w->keep && (*out = cache_get(s->cache, w->id)))
-        return ERR_OK; /* made between the look into the cache and the question for a job */
-    enum err_code rc = work_make_bytes(s, j, w, &b, e);
+    if (w->keep && ((*out = cache_get(s->cache, w->id)) || (*out = flight_get(s->flight, w->id))))
+        return ERR_OK; /* made between the question for it and the question for a job */
+    size_t room = work_room(w);
+    enum err_code rc = flight_reserve(s->flight, room, cache_bytes(s->cache), e);
+    if (rc)
+        return rc;
+    rc = work_make_bytes(s, j, w, &b, e);
     if (!rc)
         rc = buf_check(&b, e);
     if (!rc) {
@@ -72,9 +97,14 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     }
     if (!rc && w->kind == WORK_TILESET)
         body_compress(*out);
+    if (!rc)
+        flight_add(s->flight, w->id, *out);
+    flight_release(s->flight, room);
     if (!rc && w->keep)
         cache_put(s->cache, w->id, *out);
     if (rc && rc != ERR_CANCEL) {
+        if (rc == ERR_FORMAT || rc == ERR_IO)
+            atomic_fetch_add(&w->ds->n_failed, 1);
         atomic_fetch_add(&s->metrics.store_errors, w->kind == WORK_TILE);
         log_error("serve", "job failed ds=%s %s %u/%u/%u.%s: %s", w->ds->meta.name,
                   w->kind == WORK_VIEW ? "view" : "tile", w->key.z, w->key.x, w->key.y,

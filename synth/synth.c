@@ -57,15 +57,15 @@ struct job {
     atomic_size_t done;
 };
 
-static enum err_code render(const struct job *j, const struct synth_photo *p,
-                            const struct synth_light *light, const struct synth_grid *moving,
-                            struct image *out, struct err *e)
+static enum err_code synth_render(const struct job *j, const struct synth_photo *p,
+                                  const struct synth_light *light, const struct synth_grid *moving,
+                                  struct image *out, struct err *e)
 {
     return synth_draw_picture(&j->draw, &p->cam, light, moving, out, e);
 }
 
-static enum err_code write_depth(const struct job *j, const struct synth_photo *p, const char *path,
-                                 struct err *e)
+static enum err_code synth_write_depth(const struct job *j, const struct synth_photo *p,
+                                       const char *path, struct err *e)
 {
     size_t w = p->cam.width_px, h = p->cam.height_px;
     float *depth = mem_array(w * h, sizeof *depth);
@@ -78,15 +78,17 @@ static enum err_code write_depth(const struct job *j, const struct synth_photo *
 }
 
 /* "DIR/sub/STEM.ext" of a photograph. */
-static enum err_code photo_path(const struct job *j, const char *sub, const struct synth_photo *p,
-                                const char *ext, char *out, struct err *e)
+static enum err_code synth_photo_path(const struct job *j, const char *sub,
+                                      const struct synth_photo *p, const char *ext, char *out,
+                                      struct err *e)
 {
     char name[96];
     snprintf(name, sizeof name, "%s/%.*s%s", sub, (int)strcspn(p->name, "."), p->name, ext);
     return file_join(out, j->dir, name, e);
 }
 
-static enum err_code photo_gps(const struct job *j, size_t i, struct image_gps *gps, struct err *e)
+static enum err_code synth_photo_gps(const struct job *j, size_t i, struct image_gps *gps,
+                                     struct err *e)
 {
     const struct synth_config *cfg = j->cfg;
     struct geo_origin o = {cfg->lon_deg, cfg->lat_deg, cfg->ground_h_m};
@@ -104,12 +106,12 @@ static enum err_code photo_gps(const struct job *j, size_t i, struct image_gps *
 
 /* masks/NAME.jpg.png: 0 where the vehicles on the move changed the photograph in any way, by their
  * shadows and the blur of the lens too; found by drawing it without them. */
-static enum err_code write_mask(const struct job *j, const struct synth_photo *p,
-                                const struct image *with, struct err *e)
+static enum err_code synth_write_mask(const struct job *j, const struct synth_photo *p,
+                                      const struct image *with, struct err *e)
 {
     char path[FILE_PATH_MAX];
     struct image without = {0}, mask = {0};
-    enum err_code rc = render(j, p, &p->light, NULL, &without, e);
+    enum err_code rc = synth_render(j, p, &p->light, NULL, &without, e);
     if (!rc)
         rc = image_alloc(with->width_px, with->height_px, 1, &mask, e);
     for (size_t i = 0; !rc && i < (size_t)with->width_px * with->height_px; i++)
@@ -119,7 +121,7 @@ static enum err_code write_mask(const struct job *j, const struct synth_photo *p
     if (!rc)
         rc = file_mkdir(path, e);
     if (!rc)
-        rc = photo_path(j, "masks", p, ".jpg.png", path, e);
+        rc = synth_photo_path(j, "masks", p, ".jpg.png", path, e);
     if (!rc)
         rc = image_write(path, &mask, 0, NULL, e);
     image_free(&without);
@@ -127,25 +129,26 @@ static enum err_code write_mask(const struct job *j, const struct synth_photo *p
     return rc;
 }
 
-static enum err_code write_clean(const struct job *j, const struct synth_photo *p, struct err *e)
+static enum err_code synth_write_clean(const struct job *j, const struct synth_photo *p,
+                                       struct err *e)
 {
     char path[FILE_PATH_MAX];
     struct image img = {0};
     struct synth_light light = synth_shade_light();
-    enum err_code rc = render(j, p, &light, NULL, &img, e);
+    enum err_code rc = synth_render(j, p, &light, NULL, &img, e);
     if (!rc)
-        rc = photo_path(j, "truth/clean", p, ".png", path, e);
+        rc = synth_photo_path(j, "truth/clean", p, ".png", path, e);
     if (!rc)
         rc = image_write(path, &img, 0, NULL, e);
     if (!rc)
-        rc = photo_path(j, "truth/depth", p, ".npy", path, e);
+        rc = synth_photo_path(j, "truth/depth", p, ".npy", path, e);
     if (!rc)
-        rc = write_depth(j, p, path, e);
+        rc = synth_write_depth(j, p, path, e);
     image_free(&img);
     return rc;
 }
 
-static enum err_code photo_task(void *user, size_t i, struct err *e)
+static enum err_code synth_photo_task(void *user, size_t i, struct err *e)
 {
     struct job *j = user;
     const struct synth_photo *p = &j->photos[i];
@@ -166,17 +169,17 @@ static enum err_code photo_task(void *user, size_t i, struct err *e)
         rc = synth_grid_make(cars, 2 * n, &moving, e);
     }
     if (!rc)
-        rc = render(j, p, &p->light, n ? &moving : NULL, &img, e);
+        rc = synth_render(j, p, &p->light, n ? &moving : NULL, &img, e);
     if (!rc)
-        rc = photo_gps(j, i, &gps, e);
+        rc = synth_photo_gps(j, i, &gps, e);
     if (!rc)
-        rc = photo_path(j, "images", p, ".jpg", path, e);
+        rc = synth_photo_path(j, "images", p, ".jpg", path, e);
     if (!rc)
         rc = image_write(path, &img, 95, &gps, e);
     if (!rc && n)
-        rc = write_mask(j, p, &img, e);
+        rc = synth_write_mask(j, p, &img, e);
     if (!rc && i % (size_t)j->cfg->test_every == 0)
-        rc = write_clean(j, p, e);
+        rc = synth_write_clean(j, p, e);
     synth_grid_free(&moving);
     mem_free(cars);
     image_free(&img);
@@ -190,7 +193,7 @@ static enum err_code photo_task(void *user, size_t i, struct err *e)
 
 /* ---- truth.json ---- */
 
-static json_t *nums(const double *v, size_t n)
+static json_t *synth_nums(const double *v, size_t n)
 {
     json_t *a = json_array();
     for (size_t i = 0; i < n; i++)
@@ -198,7 +201,7 @@ static json_t *nums(const double *v, size_t n)
     return a;
 }
 
-static json_t *photo_to_json(const struct synth_photo *p, bool test)
+static json_t *synth_photo_to_json(const struct synth_photo *p, bool test)
 {
     double m[16] = {0}, center[3];
     for (int i = 0; i < 3; i++) {
@@ -209,14 +212,15 @@ static json_t *photo_to_json(const struct synth_photo *p, bool test)
     camera_center(&p->cam, center);
     double gain[3] = {(double)p->light.gain[0], (double)p->light.gain[1], (double)p->light.gain[2]};
     return json_pack("{s:s, s:o, s:o, s:o, s:b, s:b, s:o, s:i, s:b, s:o, s:b}", "name", p->name,
-                     "center_enu_m", nums(center, 3), "world_to_camera", nums(m, 16), "gps_enu_m",
-                     nums(p->gps_enu_m, 3), "gps_outlier", p->gps_outlier, "pose_error",
-                     p->pose_error, "pose_shift_m", nums(p->pose_shift_m, 3), "flight",
-                     (int)p->flight, "vehicles", p->vehicles, "gain", nums(gain, 3), "test", test);
+                     "center_enu_m", synth_nums(center, 3), "world_to_camera", synth_nums(m, 16),
+                     "gps_enu_m", synth_nums(p->gps_enu_m, 3), "gps_outlier", p->gps_outlier,
+                     "pose_error", p->pose_error, "pose_shift_m", synth_nums(p->pose_shift_m, 3),
+                     "flight", (int)p->flight, "vehicles", p->vehicles, "gain", synth_nums(gain, 3),
+                     "test", test);
 }
 
-static enum err_code write_truth(const struct job *j, const struct synth_similarity *f,
-                                 struct err *e)
+static enum err_code synth_write_truth(const struct job *j, const struct synth_similarity *f,
+                                       struct err *e)
 {
     const struct synth_config *cfg = j->cfg;
     char path[FILE_PATH_MAX];
@@ -226,7 +230,7 @@ static enum err_code write_truth(const struct job *j, const struct synth_similar
         rc = options_to_json(synth_options(), cfg, &config, e);
     for (size_t i = 0; i < (size_t)cfg->photos; i++)
         json_array_append_new(photos,
-                              photo_to_json(&j->photos[i], i % (size_t)cfg->test_every == 0));
+                              synth_photo_to_json(&j->photos[i], i % (size_t)cfg->test_every == 0));
     json_object_del(config, "output"); /* the same city has the same bytes wherever it is */
     json_object_del(config, "overwrite");
     json_object_del(config, "city");
@@ -236,10 +240,10 @@ static enum err_code write_truth(const struct job *j, const struct synth_similar
         "{s:s, s:o, s:{s:f, s:f, s:f}, s:{s:f, s:o, s:o}, s:{s:s, s:i, s:i, s:o}, s:o}", "format",
         "citysplat-truth", "config", config ? config : json_object(), "origin", "lon_deg",
         cfg->lon_deg, "lat_deg", cfg->lat_deg, "h_m", cfg->ground_h_m, "colmap_to_enu", "scale",
-        f->scale, "rot", nums(f->rot, 9), "trans", nums(f->trans, 3), "lens", "model",
+        f->scale, "rot", synth_nums(f->rot, 9), "trans", synth_nums(f->trans, 3), "lens", "model",
         lens_name(j->draw.lens.model), "width", (int)cfg->width_px, "height", (int)cfg->height_px,
-        "params", nums(j->draw.lens.params, lens_param_count(j->draw.lens.model)), "photographs",
-        photos);
+        "params", synth_nums(j->draw.lens.params, lens_param_count(j->draw.lens.model)),
+        "photographs", photos);
     if (!rc && !root)
         rc = err_set(e, ERR_MEM, "synth: out of memory for truth.json");
     if (!rc)
@@ -248,7 +252,7 @@ static enum err_code write_truth(const struct job *j, const struct synth_similar
     return rc;
 }
 
-static enum err_code make_folders(const char *dir, struct err *e)
+static enum err_code synth_make_folders(const char *dir, struct err *e)
 {
     static const char *const subs[] = {"images", "truth/clean", "truth/depth"};
     enum err_code rc = ERR_OK;
@@ -261,7 +265,7 @@ static enum err_code make_folders(const char *dir, struct err *e)
     return rc;
 }
 
-static enum err_code write_views(const struct job *j, struct err *e)
+static enum err_code synth_write_views(const struct job *j, struct err *e)
 {
     char path[FILE_PATH_MAX];
     if (!j->cfg->map_views)
@@ -272,15 +276,15 @@ static enum err_code write_views(const struct job *j, struct err *e)
     return rc ? rc : synth_views_write(j->cfg, j->city, j->photos, path, e);
 }
 
-static enum err_code write_all(struct job *j, struct synth_photo *photos,
-                               const struct synth_city *city, struct err *e)
+static enum err_code synth_write_all(struct job *j, struct synth_photo *photos,
+                                     const struct synth_city *city, struct err *e)
 {
     char path[FILE_PATH_MAX];
     struct colmap_model model = {0};
     struct synth_similarity frame = synth_model_frame(j->cfg);
     struct lens lens = synth_flight_lens(j->cfg);
     synth_flight_make(j->cfg, photos);
-    enum err_code rc = make_folders(j->dir, e);
+    enum err_code rc = synth_make_folders(j->dir, e);
     if (!rc)
         rc = synth_draw_open(city, &lens, (int)j->cfg->supersample, j->cfg->lens_blur_px, &j->draw,
                              e);
@@ -294,13 +298,13 @@ static enum err_code write_all(struct job *j, struct synth_photo *photos,
         log_info("synth", "city solids=%zu points=%zu observations=%zu", city->n_solids,
                  model.n_points, model.n_tracks);
         progress_start(&j->progress, "photograph the city", (uint64_t)j->cfg->photos);
-        rc = pool_for((size_t)j->cfg->photos, 0, photo_task, j, e);
+        rc = pool_for((size_t)j->cfg->photos, 0, synth_photo_task, j, e);
         progress_end(&j->progress, NULL);
     }
     if (!rc)
-        rc = write_truth(j, &frame, e);
+        rc = synth_write_truth(j, &frame, e);
     if (!rc)
-        rc = write_views(j, e);
+        rc = synth_write_views(j, e);
     colmap_free(&model);
     return rc;
 }
@@ -327,7 +331,7 @@ enum err_code synth_run(const struct synth_config *cfg, struct err *e)
         goto out;
     j.photos = photos;
     j.dir = dir.part;
-    rc = write_all(&j, photos, &city, e);
+    rc = synth_write_all(&j, photos, &city, e);
     if (!rc)
         rc = outdir_commit(&dir, e);
 out:

@@ -17,14 +17,14 @@ struct dice { /* a walk through one random stream */
     uint64_t seed, stream, next;
 };
 
-static double roll(struct dice *d, double lo, double hi)
+static double city_roll(struct dice *d, double lo, double hi)
 {
     return lo + (hi - lo) * rng_unit(d->seed, d->stream, d->next++);
 }
 
-static bool chance(struct dice *d, double p)
+static bool city_chance(struct dice *d, double p)
 {
-    return roll(d, 0, 1) < p;
+    return city_roll(d, 0, 1) < p;
 }
 
 struct builder {
@@ -41,7 +41,7 @@ struct rect {
 static const double street_half_m = 4.6, avenue_half_m = 6.4, sidewalk_m = 2.4, block_m = 46;
 static const double lane_m = 2.1; /* from the centre line to the middle of a lane */
 
-static void add(struct builder *b, const struct synth_solid *s)
+static void city_add(struct builder *b, const struct synth_solid *s)
 {
     struct synth_city *c = b->city;
     if (b->rc != ERR_OK)
@@ -64,7 +64,7 @@ static void add(struct builder *b, const struct synth_solid *s)
     c->n_solids++;
 }
 
-static void set_color(struct synth_solid *s, const float rgb[3], double gain)
+static void city_set_color(struct synth_solid *s, const float rgb[3], double gain)
 {
     for (int i = 0; i < 3; i++)
         s->color[i] = rgb[i] * (float)gain;
@@ -72,7 +72,7 @@ static void set_color(struct synth_solid *s, const float rgb[3], double gain)
 
 /* ---- vegetation and cars ---- */
 
-static void add_tree(struct builder *b, double x, double y, double size)
+static void city_add_tree(struct builder *b, double x, double y, double size)
 {
     static const float greens[][3] = {{.10f, .22f, .05f},
                                       {.16f, .28f, .06f},
@@ -80,8 +80,8 @@ static void add_tree(struct builder *b, double x, double y, double size)
                                       {.24f, .26f, .07f},
                                       {.30f, .17f, .05f}};
     struct dice *d = &b->trees;
-    double height = size * roll(d, 3.6, 5.6), radius = size * roll(d, 1.5, 2.4);
-    const float *green = greens[(int)roll(d, 0, 4.15)]; /* the last, autumn, is rare */
+    double height = size * city_roll(d, 3.6, 5.6), radius = size * city_roll(d, 1.5, 2.4);
+    const float *green = greens[(int)city_roll(d, 0, 4.15)]; /* the last, autumn, is rare */
     struct synth_solid trunk = {.kind = SYNTH_BOX,
                                 .material = SYNTH_TRUNK,
                                 .center_m = {x, y},
@@ -89,12 +89,12 @@ static void add_tree(struct builder *b, double x, double y, double size)
                                 .half_m = {0.16 * size, 0.16 * size},
                                 .z1_m = 0.5 * height,
                                 .color = {.13f, .09f, .06f}};
-    add(b, &trunk);
-    int lobes = 1 + (int)roll(d, 0, 2.99);
+    city_add(b, &trunk);
+    int lobes = 1 + (int)city_roll(d, 0, 2.99);
     for (int i = 0; i < lobes; i++) {
-        double shift = i ? 0.55 * radius : 0, turn = roll(d, 0, 2 * M_PI),
+        double shift = i ? 0.55 * radius : 0, turn = city_roll(d, 0, 2 * M_PI),
                r = radius * (i ? 0.72 : 1);
-        double top = height * (i ? roll(d, 0.75, 0.95) : 1);
+        double top = height * (i ? city_roll(d, 0.75, 0.95) : 1);
         struct synth_solid crown = {.kind = SYNTH_ELLIPSOID,
                                     .material = SYNTH_TREE,
                                     .cos_yaw = 1,
@@ -102,8 +102,8 @@ static void add_tree(struct builder *b, double x, double y, double size)
                                     .half_m = {r, r},
                                     .z0_m = 0.28 * height,
                                     .z1_m = top};
-        set_color(&crown, green, roll(d, 0.85, 1.2));
-        add(b, &crown);
+        city_set_color(&crown, green, city_roll(d, 0.85, 1.2));
+        city_add(b, &crown);
     }
 }
 
@@ -112,7 +112,7 @@ static const float car_colors[][3] = {{.62f, .62f, .64f}, {.30f, .31f, .33f}, {.
                                       {.55f, .42f, .08f}, {.08f, .22f, .13f}};
 
 /* Body and cabin of a car whose long axis is turned by yaw from x. */
-static void make_car(double x, double y, double yaw, double u, struct synth_solid out[2])
+static void city_make_car(double x, double y, double yaw, double u, struct synth_solid out[2])
 {
     size_t n = sizeof car_colors / sizeof *car_colors;
     const float *rgb = car_colors[(size_t)(u * (double)n) % n];
@@ -132,19 +132,19 @@ static void make_car(double x, double y, double yaw, double u, struct synth_soli
     cabin.half_m[1] = van ? 0.95 : 0.8;
     cabin.z0_m = body.z1_m;
     cabin.z1_m = cabin.ridge_m = van ? 2.5 : 1.5;
-    set_color(&body, rgb, 1);
-    set_color(&cabin, rgb, 0.9);
+    city_set_color(&body, rgb, 1);
+    city_set_color(&cabin, rgb, 0.9);
     body.seed = cabin.seed = (uint32_t)(u * 4e9);
     out[0] = body;
     out[1] = cabin;
 }
 
-static void add_car(struct builder *b, double x, double y, double yaw)
+static void city_add_car(struct builder *b, double x, double y, double yaw)
 {
     struct synth_solid car[2];
-    make_car(x, y, yaw, roll(&b->cars, 0, 1), car);
-    add(b, &car[0]);
-    add(b, &car[1]);
+    city_make_car(x, y, yaw, city_roll(&b->cars, 0, 1), car);
+    city_add(b, &car[0]);
+    city_add(b, &car[1]);
 }
 
 /* ---- lots ---- */
@@ -154,48 +154,48 @@ static const float wall_colors[][3] = {{.42f, .20f, .14f}, {.55f, .46f, .33f}, {
                                        {.52f, .32f, .22f}, {.68f, .66f, .62f}, {.40f, .44f, .36f},
                                        {.58f, .40f, .36f}};
 
-static void add_roof_machines(struct builder *b, const struct synth_solid *house)
+static void city_add_roof_machines(struct builder *b, const struct synth_solid *house)
 {
     struct dice *d = &b->lots;
-    int n = (int)roll(d, 0, 3.99);
+    int n = (int)city_roll(d, 0, 3.99);
     for (int i = 0; i < n; i++) {
-        double hx = roll(d, 0.5, 1.7), hy = roll(d, 0.5, 1.4);
-        double u = roll(d, -0.7, 0.7) * (house->half_m[0] - hx),
-               v = roll(d, -0.7, 0.7) * (house->half_m[1] - hy);
+        double hx = city_roll(d, 0.5, 1.7), hy = city_roll(d, 0.5, 1.4);
+        double u = city_roll(d, -0.7, 0.7) * (house->half_m[0] - hx),
+               v = city_roll(d, -0.7, 0.7) * (house->half_m[1] - hy);
         struct synth_solid m = {.kind = SYNTH_BOX,
                                 .material = SYNTH_SHED,
                                 .cos_yaw = house->cos_yaw,
                                 .sin_yaw = house->sin_yaw,
                                 .half_m = {hx, hy},
                                 .z0_m = house->z1_m,
-                                .z1_m = house->z1_m + roll(d, 0.7, 2.2)};
+                                .z1_m = house->z1_m + city_roll(d, 0.7, 2.2)};
         m.center_m[0] = house->center_m[0] + u * house->cos_yaw - v * house->sin_yaw;
         m.center_m[1] = house->center_m[1] + u * house->sin_yaw + v * house->cos_yaw;
-        float grey = (float)roll(d, 0.3, 0.62);
-        set_color(&m, (const float[3]){1, 1, 1.03f}, (double)grey);
-        add(b, &m);
+        float grey = (float)city_roll(d, 0.3, 0.62);
+        city_set_color(&m, (const float[3]){1, 1, 1.03f}, (double)grey);
+        city_add(b, &m);
     }
 }
 
-static void add_house(struct builder *b, struct rect r)
+static void city_add_house(struct builder *b, struct rect r)
 {
     struct dice *d = &b->lots;
-    double inset = roll(d, 0.9, 2.2), hx = 0.5 * (r.x1 - r.x0) - inset,
+    double inset = city_roll(d, 0.9, 2.2), hx = 0.5 * (r.x1 - r.x0) - inset,
            hy = 0.5 * (r.y1 - r.y0) - inset;
     if (hx < 2 || hy < 2)
         return;
     double x = 0.5 * (r.x0 + r.x1), y = 0.5 * (r.y0 + r.y1), half = b->city->half_m;
     double center = exp(-(x * x + y * y) / (0.25 * half * half)); /* taller towards the middle */
-    double floors = floor(roll(d, 2, 4.5) + center * roll(d, 0, 4.5));
+    double floors = floor(city_roll(d, 2, 4.5) + center * city_roll(d, 0, 4.5));
     struct synth_solid h = {.kind = SYNTH_BOX,
                             .material = SYNTH_HOUSE,
                             .center_m = {x, y},
                             .half_m = {hx, hy},
                             .z1_m = 3.1 * floors + 0.6};
-    double yaw = chance(d, 0.12) ? roll(d, -0.12, 0.12) : 0;
+    double yaw = city_chance(d, 0.12) ? city_roll(d, -0.12, 0.12) : 0;
     if (yaw != 0 && hx > 3 && hy > 3)
         h.half_m[0] -= 0.8, h.half_m[1] -= 0.8;
-    bool gable = floors <= 3 && hx < 9 && hy < 9 && chance(d, 0.7);
+    bool gable = floors <= 3 && hx < 9 && hy < 9 && city_chance(d, 0.7);
     if (gable && hy > hx) { /* the ridge runs along the longer side, which is local x */
         yaw += M_PI / 2;
         double t = h.half_m[0];
@@ -205,71 +205,72 @@ static void add_house(struct builder *b, struct rect r)
     h.cos_yaw = cos(yaw);
     h.sin_yaw = sin(yaw);
     size_t n = sizeof wall_colors / sizeof *wall_colors;
-    set_color(&h, wall_colors[(size_t)roll(d, 0, (double)n - 0.01)], roll(d, 0.85, 1.1));
+    city_set_color(&h, wall_colors[(size_t)city_roll(d, 0, (double)n - 0.01)],
+                   city_roll(d, 0.85, 1.1));
     if (gable) {
         h.kind = SYNTH_GABLE;
-        h.ridge_m = h.z1_m + h.half_m[1] * roll(d, 0.55, 0.95);
-        add(b, &h);
+        h.ridge_m = h.z1_m + h.half_m[1] * city_roll(d, 0.55, 0.95);
+        city_add(b, &h);
         return;
     }
-    add(b, &h);
-    if (floors >= 4 && hx > 5 && hy > 5 && chance(d, 0.45)) { /* a set-back top */
+    city_add(b, &h);
+    if (floors >= 4 && hx > 5 && hy > 5 && city_chance(d, 0.45)) { /* a set-back top */
         struct synth_solid top = h;
-        top.half_m[0] *= roll(d, 0.45, 0.75);
-        top.half_m[1] *= roll(d, 0.45, 0.75);
+        top.half_m[0] *= city_roll(d, 0.45, 0.75);
+        top.half_m[1] *= city_roll(d, 0.45, 0.75);
         top.z0_m = h.z1_m;
-        top.z1_m = h.z1_m + 3.1 * floor(roll(d, 1, 3.2));
-        add(b, &top);
+        top.z1_m = h.z1_m + 3.1 * floor(city_roll(d, 1, 3.2));
+        city_add(b, &top);
     } else
-        add_roof_machines(b, &h);
+        city_add_roof_machines(b, &h);
 }
 
-static void add_park(struct builder *b, struct rect r)
+static void city_add_park(struct builder *b, struct rect r)
 {
     double area = (r.x1 - r.x0) * (r.y1 - r.y0);
     int n = 2 + (int)(area / 28);
     for (int i = 0; i < n; i++)
-        add_tree(b, roll(&b->trees, r.x0 + 1.5, r.x1 - 1.5),
-                 roll(&b->trees, r.y0 + 1.5, r.y1 - 1.5), roll(&b->trees, 0.6, 1.5));
+        city_add_tree(b, city_roll(&b->trees, r.x0 + 1.5, r.x1 - 1.5),
+                      city_roll(&b->trees, r.y0 + 1.5, r.y1 - 1.5), city_roll(&b->trees, 0.6, 1.5));
 }
 
-static void add_car_park(struct builder *b, struct rect r)
+static void city_add_car_park(struct builder *b, struct rect r)
 {
     for (double y = r.y0 + 3.2; y < r.y1 - 2.5; y += 7.2)
         for (double x = r.x0 + 2; x < r.x1 - 1.5; x += 2.7)
-            if (chance(&b->cars, 0.62))
-                add_car(b, x, y, M_PI / 2 + roll(&b->cars, -0.03, 0.03));
+            if (city_chance(&b->cars, 0.62))
+                city_add_car(b, x, y, M_PI / 2 + city_roll(&b->cars, -0.03, 0.03));
 }
 
-static void fill_lot(struct builder *b, struct rect r)
+static void city_fill_lot(struct builder *b, struct rect r)
 {
     struct dice *d = &b->lots;
-    double w = r.x1 - r.x0, h = r.y1 - r.y0, limit = roll(d, 13, 22);
+    double w = r.x1 - r.x0, h = r.y1 - r.y0, limit = city_roll(d, 13, 22);
     if (fmax(w, h) > limit && fmax(w, h) > 12) {
-        double cut = roll(d, 0.4, 0.6);
+        double cut = city_roll(d, 0.4, 0.6);
         struct rect p = r, q = r;
         if (w > h)
             p.x1 = q.x0 = r.x0 + cut * w;
         else
             p.y1 = q.y0 = r.y0 + cut * h;
-        fill_lot(b, p);
-        fill_lot(b, q);
+        city_fill_lot(b, p);
+        city_fill_lot(b, q);
         return;
     }
-    double kind = roll(d, 0, 1);
+    double kind = city_roll(d, 0, 1);
     if (kind < 0.76)
-        add_house(b, r);
+        city_add_house(b, r);
     else if (kind < 0.9)
-        add_park(b, r);
+        city_add_park(b, r);
     else
-        add_car_park(b, r);
-    if (kind < 0.76 && chance(d, 0.5)) /* a tree in a corner of the yard */
-        add_tree(b, r.x0 + 0.8, r.y0 + 0.8, roll(&b->trees, 0.4, 0.7));
+        city_add_car_park(b, r);
+    if (kind < 0.76 && city_chance(d, 0.5)) /* a tree in a corner of the yard */
+        city_add_tree(b, r.x0 + 0.8, r.y0 + 0.8, city_roll(&b->trees, 0.4, 0.7));
 }
 
 /* ---- streets ---- */
 
-static void lay_streets(struct synth_city *c, double extent_m)
+static void city_lay_streets(struct synth_city *c, double extent_m)
 {
     struct dice d = {c->seed, SYNTH_STREAM_STREETS, 0};
     size_t n = (size_t)fmax(1, floor(extent_m / block_m + 0.5));
@@ -279,7 +280,7 @@ static void lay_streets(struct synth_city *c, double extent_m)
     for (int axis = 0; axis < 2; axis++) {
         c->n_streets[axis] = n + 1;
         for (size_t i = 0; i <= n; i++) {
-            double jitter = i > 0 && i < n ? roll(&d, -0.12, 0.12) * pitch : 0;
+            double jitter = i > 0 && i < n ? city_roll(&d, -0.12, 0.12) * pitch : 0;
             c->street_m[axis][i] = -0.5 * extent_m + (double)i * pitch + jitter;
             c->street_half_m[axis][i] = i % 3 == 1 ? avenue_half_m : street_half_m;
         }
@@ -288,7 +289,7 @@ static void lay_streets(struct synth_city *c, double extent_m)
 
 /* Parked cars and trees along both sides of a street. `axis` 0: the street runs along y at x = at.
  */
-static void line_street(struct builder *b, int axis, size_t i)
+static void city_line_street(struct builder *b, int axis, size_t i)
 {
     struct synth_city *c = b->city;
     double at = c->street_m[axis][i], half = c->street_half_m[axis][i];
@@ -301,23 +302,23 @@ static void line_street(struct builder *b, int axis, size_t i)
             if (crossing)
                 continue;
             double car = at + side * (half - 1.05), tree = at + side * (half + 1.1);
-            if (chance(&b->cars, 0.34))
-                add_car(b, axis ? s : car, axis ? car : s,
-                        (axis ? 0 : M_PI / 2) + roll(&b->cars, -0.04, 0.04));
-            if (chance(&b->trees, 0.22))
-                add_tree(b, axis ? s : tree, axis ? tree : s, roll(&b->trees, 0.55, 1.0));
+            if (city_chance(&b->cars, 0.34))
+                city_add_car(b, axis ? s : car, axis ? car : s,
+                             (axis ? 0 : M_PI / 2) + city_roll(&b->cars, -0.04, 0.04));
+            if (city_chance(&b->trees, 0.22))
+                city_add_tree(b, axis ? s : tree, axis ? tree : s, city_roll(&b->trees, 0.55, 1.0));
         }
 }
 
-static void plant_fields(struct builder *b, double extent_m)
+static void city_plant_fields(struct builder *b, double extent_m)
 {
     double reach = 0.5 * extent_m + fmin(120, extent_m);
     int n = (int)fmin(60000, (4 * reach * reach - extent_m * extent_m) / 260);
     for (int i = 0; i < n; i++) {
-        double x = roll(&b->trees, -reach, reach), y = roll(&b->trees, -reach, reach);
-        double size = roll(&b->trees, 0.6, 1.7);
+        double x = city_roll(&b->trees, -reach, reach), y = city_roll(&b->trees, -reach, reach);
+        double size = city_roll(&b->trees, 0.6, 1.7);
         if (fmax(fabs(x), fabs(y)) > 0.5 * extent_m + 9)
-            add_tree(b, x, y, size);
+            city_add_tree(b, x, y, size);
     }
 }
 
@@ -335,7 +336,7 @@ enum err_code synth_city_make(const struct synth_config *cfg, struct synth_city 
     c.sun[0] = cos(rise) * cos(azimuth);
     c.sun[1] = cos(rise) * sin(azimuth);
     c.sun[2] = sin(rise);
-    lay_streets(&c, cfg->extent_m);
+    city_lay_streets(&c, cfg->extent_m);
     for (size_t i = 0; i + 1 < c.n_streets[0]; i++)
         for (size_t j = 0; j + 1 < c.n_streets[1]; j++) {
             struct rect r = {c.street_m[0][i] + c.street_half_m[0][i] + sidewalk_m,
@@ -343,12 +344,12 @@ enum err_code synth_city_make(const struct synth_config *cfg, struct synth_city 
                              c.street_m[0][i + 1] - c.street_half_m[0][i + 1] - sidewalk_m,
                              c.street_m[1][j + 1] - c.street_half_m[1][j + 1] - sidewalk_m};
             if (r.x1 - r.x0 > 4 && r.y1 - r.y0 > 4)
-                fill_lot(&b, r);
+                city_fill_lot(&b, r);
         }
     for (int axis = 0; axis < 2; axis++)
         for (size_t i = 0; i < c.n_streets[axis]; i++)
-            line_street(&b, axis, i);
-    plant_fields(&b, cfg->extent_m);
+            city_line_street(&b, axis, i);
+    city_plant_fields(&b, cfg->extent_m);
     if (b.rc == ERR_OK)
         b.rc = synth_grid_make(c.solids, c.n_solids, &c.grid, e);
     if (b.rc == ERR_OK)
@@ -370,10 +371,11 @@ void synth_city_vehicles(const struct synth_city *c, uint64_t photo, size_t n,
 {
     struct dice d = {c->seed, SYNTH_STREAM_MOVING, photo << 16};
     for (size_t i = 0; i < n; i++) {
-        int axis = roll(&d, 0, 1) < 0.5;
-        size_t k = (size_t)roll(&d, 0, (double)c->n_streets[axis] - 0.001);
-        double side = roll(&d, 0, 1) < 0.5 ? -1 : 1, s = roll(&d, -c->half_m, c->half_m);
+        int axis = city_roll(&d, 0, 1) < 0.5;
+        size_t k = (size_t)city_roll(&d, 0, (double)c->n_streets[axis] - 0.001);
+        double side = city_roll(&d, 0, 1) < 0.5 ? -1 : 1, s = city_roll(&d, -c->half_m, c->half_m);
         double at = c->street_m[axis][k] + side * lane_m * 0.75;
-        make_car(axis ? s : at, axis ? at : s, (axis ? 0 : M_PI / 2), roll(&d, 0, 1), out + 2 * i);
+        city_make_car(axis ? s : at, axis ? at : s, (axis ? 0 : M_PI / 2), city_roll(&d, 0, 1),
+                      out + 2 * i);
     }
 }

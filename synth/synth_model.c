@@ -50,7 +50,7 @@ struct maker {
     size_t n_points;
 };
 
-static void enu_to_city(const struct synth_city *c, const double v[3], double out[3])
+static void model_enu_to_city(const struct synth_city *c, const double v[3], double out[3])
 {
     double cs = cos(c->yaw_rad), sn = sin(c->yaw_rad);
     out[0] = cs * v[0] + sn * v[1];
@@ -58,7 +58,7 @@ static void enu_to_city(const struct synth_city *c, const double v[3], double ou
     out[2] = v[2];
 }
 
-static void city_to_enu(const struct synth_city *c, const double v[3], double out[3])
+static void model_city_to_enu(const struct synth_city *c, const double v[3], double out[3])
 {
     double cs = cos(c->yaw_rad), sn = sin(c->yaw_rad);
     out[0] = cs * v[0] - sn * v[1];
@@ -67,8 +67,8 @@ static void city_to_enu(const struct synth_city *c, const double v[3], double ou
 }
 
 /* Pixel of an ENU place; false when it is behind or outside. */
-static bool project(const struct lens *lens, const struct camera *cam, const double p[3], double *u,
-                    double *v)
+static bool model_project(const struct lens *lens, const struct camera *cam, const double p[3],
+                          double *u, double *v)
 {
     double t[3];
     for (int i = 0; i < 3; i++)
@@ -83,7 +83,7 @@ static bool project(const struct lens *lens, const struct camera *cam, const dou
     return *u >= 0 && *v >= 0 && *u <= cam->width_px && *v <= cam->height_px;
 }
 
-static double sub_length(const double a[3], const double b[3], double out[3])
+static double model_sub_length(const double a[3], const double b[3], double out[3])
 {
     for (int i = 0; i < 3; i++)
         out[i] = a[i] - b[i];
@@ -91,15 +91,16 @@ static double sub_length(const double a[3], const double b[3], double out[3])
 }
 
 /* Does the straight line from the camera to the place end there? */
-static bool sees(const struct synth_city *city, const struct camera *cam, const double p_enu[3])
+static bool model_sees(const struct synth_city *city, const struct camera *cam,
+                       const double p_enu[3])
 {
     double eye[3], d[3], eye_city[3], d_city[3];
     camera_center(cam, eye);
-    double dist = sub_length(p_enu, eye, d);
+    double dist = model_sub_length(p_enu, eye, d);
     for (int i = 0; i < 3; i++)
         d[i] /= dist;
-    enu_to_city(city, eye, eye_city);
-    enu_to_city(city, d, d_city);
+    model_enu_to_city(city, eye, eye_city);
+    model_enu_to_city(city, d, d_city);
     struct synth_hit hit;
     synth_trace_ray(city, NULL, eye_city, d_city, &hit);
     return hit.t_m > dist - reach_m - reach_rel * dist;
@@ -109,12 +110,12 @@ bool synth_model_sees(const struct synth_city *c, const struct lens *lens, const
                       const double place_enu_m[3])
 {
     double u, v;
-    return project(lens, cam, place_enu_m, &u, &v) && sees(c, cam, place_enu_m);
+    return model_project(lens, cam, place_enu_m, &u, &v) && model_sees(c, cam, place_enu_m);
 }
 
 /* The place that a random pixel sees, in ENU; false for sky. */
-static bool pick_place(const struct maker *m, uint64_t k, double place[3], uint8_t rgb[3],
-                       double *gsd_m)
+static bool model_pick_place(const struct maker *m, uint64_t k, double place[3], uint8_t rgb[3],
+                             double *gsd_m)
 {
     uint64_t seed = (uint64_t)m->cfg->seed;
     const struct camera *cam = &m->photos[k % m->n_photos].cam;
@@ -126,8 +127,8 @@ static bool pick_place(const struct maker *m, uint64_t k, double place[3], uint8
     for (int i = 0; i < 3; i++)
         d[i] = (cam->rot[i] * x + cam->rot[3 + i] * y + cam->rot[6 + i]) / len;
     camera_center(cam, eye);
-    enu_to_city(m->city, eye, eye_city);
-    enu_to_city(m->city, d, d_city);
+    model_enu_to_city(m->city, eye, eye_city);
+    model_enu_to_city(m->city, d, d_city);
     struct synth_hit hit;
     synth_trace_ray(m->city, NULL, eye_city, d_city, &hit);
     if (!isfinite(hit.t_m))
@@ -138,11 +139,11 @@ static bool pick_place(const struct maker *m, uint64_t k, double place[3], uint8
     synth_shade_hit(m->city, NULL, &light, d_city, &hit, *gsd_m, color);
     for (int i = 0; i < 3; i++)
         rgb[i] = synth_shade_encode(color[i]);
-    city_to_enu(m->city, hit.pos, place);
+    model_city_to_enu(m->city, hit.pos, place);
     return true;
 }
 
-static enum err_code sighting_add(struct maker *m, const struct sighting *s, struct err *e)
+static enum err_code model_sighting_add(struct maker *m, const struct sighting *s, struct err *e)
 {
     if (m->n == m->cap) {
         size_t want = m->cap ? 2 * m->cap : 4096;
@@ -157,12 +158,12 @@ static enum err_code sighting_add(struct maker *m, const struct sighting *s, str
 }
 
 /* Try place k; it becomes a point when enough photographs see it. */
-static enum err_code point_try(struct maker *m, uint64_t k, struct err *e)
+static enum err_code model_point_try(struct maker *m, uint64_t k, struct err *e)
 {
     uint64_t seed = (uint64_t)m->cfg->seed;
     struct colmap_point p = {.id = k + 1, .track = m->n};
     double place[3], gsd;
-    if (!pick_place(m, k, place, p.rgb, &gsd))
+    if (!model_pick_place(m, k, place, p.rgb, &gsd))
         return ERR_OK;
     for (int i = 0; i < 3; i++)
         p.xyz[i] = place[i] + place_noise_px * gsd *
@@ -172,14 +173,14 @@ static enum err_code point_try(struct maker *m, uint64_t k, struct err *e)
         struct sighting s = {(uint32_t)m->n_points, (uint32_t)i, 0, 0};
         const struct camera *cam = &m->photos[i].cam;
         double u, v, un, vn;
-        if (!project(&m->lens, cam, place, &u, &v) || !sees(m->city, cam, place) ||
-            !project(&m->lens, cam, p.xyz, &un, &vn))
+        if (!model_project(&m->lens, cam, place, &u, &v) || !model_sees(m->city, cam, place) ||
+            !model_project(&m->lens, cam, p.xyz, &un, &vn))
             continue;
         uint64_t at = (k * m->n_photos + i) * 2;
         s.x_px = u + noise_px * rng_normal(seed, SYNTH_STREAM_PIXELS, at);
         s.y_px = v + noise_px * rng_normal(seed, SYNTH_STREAM_PIXELS, at + 1);
         error2 += (s.x_px - un) * (s.x_px - un) + (s.y_px - vn) * (s.y_px - vn);
-        enum err_code rc = sighting_add(m, &s, e);
+        enum err_code rc = model_sighting_add(m, &s, e);
         if (rc)
             return rc;
     }
@@ -194,15 +195,15 @@ static enum err_code point_try(struct maker *m, uint64_t k, struct err *e)
 }
 
 /* ENU -> the model's frame. */
-static void to_model(const struct synth_similarity *f, const double enu[3], double out[3])
+static void model_enu_to_model(const struct synth_similarity *f, const double enu[3], double out[3])
 {
     double d[3] = {enu[0] - f->trans[0], enu[1] - f->trans[1], enu[2] - f->trans[2]};
     for (int i = 0; i < 3; i++)
         out[i] = (f->rot[i] * d[0] + f->rot[3 + i] * d[1] + f->rot[6 + i] * d[2]) / f->scale;
 }
 
-static void image_pose(const struct synth_similarity *f, const struct synth_photo *p,
-                       struct colmap_image *im)
+static void model_image_pose(const struct synth_similarity *f, const struct synth_photo *p,
+                             struct colmap_image *im)
 {
     double rot[9] = {0}, center[3], moved[3], c[3];
     for (int i = 0; i < 3; i++)
@@ -213,7 +214,7 @@ static void image_pose(const struct synth_similarity *f, const struct synth_phot
     camera_center(&p->cam, center);
     for (int i = 0; i < 3; i++)
         moved[i] = center[i] + p->pose_shift_m[i];
-    to_model(f, moved, c);
+    model_enu_to_model(f, moved, c);
     for (int i = 0; i < 3; i++)
         im->trans[i] = -(rot[3 * i] * c[0] + rot[3 * i + 1] * c[1] + rot[3 * i + 2] * c[2]);
 }
@@ -245,11 +246,11 @@ static enum err_code model_assemble(const struct maker *m, struct colmap_model *
         im->obs = obs;
         obs += im->n_obs;
         im->n_obs = 0;
-        image_pose(m->frame, &m->photos[i], im);
+        model_image_pose(m->frame, &m->photos[i], im);
     }
     for (size_t p = 0; p < m->n_points; p++) {
         out->points[p] = m->points[p];
-        to_model(m->frame, m->points[p].xyz, out->points[p].xyz);
+        model_enu_to_model(m->frame, m->points[p].xyz, out->points[p].xyz);
         for (size_t k = m->points[p].track; k < m->points[p].track + m->points[p].n_track; k++) {
             const struct sighting *s = &m->list[k];
             struct colmap_image *im = &out->images[s->image];
@@ -276,7 +277,7 @@ enum err_code synth_model_make(const struct synth_config *cfg, const struct synt
     enum err_code rc =
         m.points ? ERR_OK : err_set(e, ERR_MEM, "synth: out of memory for the points");
     for (uint64_t k = 0; !rc && k < (uint64_t)cfg->points; k++)
-        rc = signals_stopping() ? err_set(e, ERR_CANCEL, "stopped") : point_try(&m, k, e);
+        rc = signals_stopping() ? err_set(e, ERR_CANCEL, "stopped") : model_point_try(&m, k, e);
     if (!rc)
         rc = model_assemble(&m, out, e);
     if (rc)

@@ -14,7 +14,7 @@
 
 /* ---- noise ---- */
 
-static uint32_t hash3(int32_t x, int32_t y, uint32_t seed)
+static uint32_t shade_hash3(int32_t x, int32_t y, uint32_t seed)
 {
     uint32_t h = (uint32_t)x * 0x8da6b343u ^ (uint32_t)y * 0xd8163841u ^ seed * 0xcb1ab31fu;
     h ^= h >> 15;
@@ -24,20 +24,20 @@ static uint32_t hash3(int32_t x, int32_t y, uint32_t seed)
     return h ^ h >> 15;
 }
 
-static float hash_unit(int32_t x, int32_t y, uint32_t seed)
+static float shade_hash_unit(int32_t x, int32_t y, uint32_t seed)
 {
-    return (float)(hash3(x, y, seed) >> 8) * 0x1p-24f;
+    return (float)(shade_hash3(x, y, seed) >> 8) * 0x1p-24f;
 }
 
 /* Value noise in [-1, 1], wavelength 1. */
-static float noise(float x, float y, uint32_t seed)
+static float shade_noise(float x, float y, uint32_t seed)
 {
     float fx = floorf(x), fy = floorf(y), u = x - fx, v = y - fy;
     int32_t i = (int32_t)fx, j = (int32_t)fy;
     u = u * u * (3 - 2 * u);
     v = v * v * (3 - 2 * v);
-    float a = hash_unit(i, j, seed), b = hash_unit(i + 1, j, seed);
-    float c = hash_unit(i, j + 1, seed), d = hash_unit(i + 1, j + 1, seed);
+    float a = shade_hash_unit(i, j, seed), b = shade_hash_unit(i + 1, j, seed);
+    float c = shade_hash_unit(i, j + 1, seed), d = shade_hash_unit(i + 1, j + 1, seed);
     return 2 * (a + u * (b - a) + v * (c - a + u * (a - b - c + d))) - 1;
 }
 
@@ -46,7 +46,7 @@ struct sample { /* of one hit: what textures need */
 };
 
 /* 1 where a detail of this size shows, 0 where the sample swallows it. */
-static float visible(const struct sample *s, float size)
+static float shade_visible(const struct sample *s, float size)
 {
     float v = size / (s->foot + 1e-6f) - 0.6f;
     return v < 0 ? 0 : v > 1 ? 1 : v;
@@ -54,48 +54,49 @@ static float visible(const struct sample *s, float size)
 
 /* Octaves of noise from wavelength `wave` down, each with 0.62 of the strength of the one before.
  */
-static float fbm(const struct sample *s, float x, float y, uint32_t seed, float wave, int octaves)
+static float shade_fbm(const struct sample *s, float x, float y, uint32_t seed, float wave,
+                       int octaves)
 {
     float sum = 0, amp = 0.55f;
     for (int o = 0; o < octaves; o++, wave *= 0.5f, amp *= 0.62f) {
-        float w = visible(s, 0.5f * wave);
+        float w = shade_visible(s, 0.5f * wave);
         if (w <= 0)
             break;
-        sum += w * amp * noise(x / wave, y / wave, seed + (uint32_t)o * 7919u);
+        sum += w * amp * shade_noise(x / wave, y / wave, seed + (uint32_t)o * 7919u);
     }
     return sum;
 }
 
-static void mix(float a[3], const float b[3], float t)
+static void shade_mix(float a[3], const float b[3], float t)
 {
     for (int i = 0; i < 3; i++)
         a[i] += t * (b[i] - a[i]);
 }
 
-static void paint(float a[3], float r, float g, float b)
+static void shade_paint(float a[3], float r, float g, float b)
 {
     a[0] = r;
     a[1] = g;
     a[2] = b;
 }
 
-static void tone(float a[3], float gain)
+static void shade_tone(float a[3], float gain)
 {
     for (int i = 0; i < 3; i++)
         a[i] *= gain;
 }
 
-static float cell_phase(float v, float size)
+static float shade_cell_phase(float v, float size)
 {
     float q = v / size;
     return q - floorf(q);
 }
 
 /* 1 on a line of `width` at the borders of cells of `size`, fading when too fine. */
-static float grid_line(const struct sample *s, float v, float size, float width)
+static float shade_grid_line(const struct sample *s, float v, float size, float width)
 {
-    float p = cell_phase(v, size) * size;
-    return p < width || p > size - width ? visible(s, width * 2.5f) : 0;
+    float p = shade_cell_phase(v, size) * size;
+    return p < width || p > size - width ? shade_visible(s, width * 2.5f) : 0;
 }
 
 /* ---- ground ---- */
@@ -104,7 +105,7 @@ struct street {         /* nearest along one axis */
     float across, half; /* signed distance from the centre line, half width */
 };
 
-static struct street street_near(const struct synth_city *c, int axis, double v)
+static struct street shade_street_near(const struct synth_city *c, int axis, double v)
 {
     size_t lo = 0, n = c->n_streets[axis];
     while (lo + 1 < n && 0.5 * (c->street_m[axis][lo] + c->street_m[axis][lo + 1]) < v)
@@ -113,111 +114,118 @@ static struct street street_near(const struct synth_city *c, int axis, double v)
 }
 
 /* Marks of a street: s is the street, along the coordinate along it, cross the crossing one. */
-static float street_mark(const struct street *s, float along, const struct street *cross)
+static float shade_street_mark(const struct street *s, float along, const struct street *cross)
 {
     float d = fabsf(s->across), to_crossing = fabsf(cross->across) - cross->half;
     if (to_crossing > 1.2f && to_crossing < 3.8f) /* zebra crossing */
-        return d < s->half - 0.6f && cell_phase(s->across, 1.1f) < 0.5f ? 1 : 0;
+        return d < s->half - 0.6f && shade_cell_phase(s->across, 1.1f) < 0.5f ? 1 : 0;
     if (to_crossing > 4.4f && to_crossing < 4.9f) /* stop line, on the lane that comes in */
         return d > 0.2f && d < s->half - 2.1f && (s->across > 0) == (cross->across > 0) ? 1 : 0;
     if (to_crossing <= 1.2f)
         return 0;
     if (d < 0.14f)
-        return cell_phase(along, 6) < 0.5f ? 1 : 0;
+        return shade_cell_phase(along, 6) < 0.5f ? 1 : 0;
     if (fabsf(d - (s->half - 2.05f)) < 0.07f) /* parking bays */
         return 0.8f;
-    if (d > s->half - 2.05f && d < s->half - 0.2f && cell_phase(along, 6.2f) < 0.025f)
+    if (d > s->half - 2.05f && d < s->half - 0.2f && shade_cell_phase(along, 6.2f) < 0.025f)
         return 0.8f;
     return 0;
 }
 
-static void road_albedo(const struct sample *s, float x, float y, const struct street *sx,
-                        const struct street *sy, uint32_t seed, float rgb[3])
+static void shade_road_albedo(const struct sample *s, float x, float y, const struct street *sx,
+                              const struct street *sy, uint32_t seed, float rgb[3])
 {
     bool along_y = fabsf(sx->across) < sx->half, along_x = fabsf(sy->across) < sy->half;
-    float grey = 0.115f * (1 + 0.55f * fbm(s, x, y, seed, 9, 6));
-    float patch = noise(x / 13, y / 5, seed + 1);
+    float grey = 0.115f * (1 + 0.55f * shade_fbm(s, x, y, seed, 9, 6));
+    float patch = shade_noise(x / 13, y / 5, seed + 1);
     if (patch > 0.45f) /* resurfaced */
-        grey *= noise(x / 40, y / 40, seed + 3) > 0 ? 1.5f : 0.62f;
-    float crack = fabsf(noise(x / 3.1f, y / 3.1f, seed + 2));
+        grey *= shade_noise(x / 40, y / 40, seed + 3) > 0 ? 1.5f : 0.62f;
+    float crack = fabsf(shade_noise(x / 3.1f, y / 3.1f, seed + 2));
     if (crack < 0.03f)
-        grey *= 1 - 0.45f * visible(s, 0.3f);
-    paint(rgb, grey, grey, grey * 1.05f);
+        grey *= 1 - 0.45f * shade_visible(s, 0.3f);
+    shade_paint(rgb, grey, grey, grey * 1.05f);
     float d = along_y ? sx->across : sy->across;
     float oil = 1 - fabsf(fabsf(d) - 1.7f) / 0.9f; /* wheel tracks and drips */
     if (oil > 0)
-        tone(rgb, 1 - 0.28f * oil * (1 + 0.6f * noise(x / 2, y / 2, seed + 5)));
-    float mark = along_x && along_y ? 0 : along_y ? street_mark(sx, y, sy) : street_mark(sy, x, sx);
+        shade_tone(rgb, 1 - 0.28f * oil * (1 + 0.6f * shade_noise(x / 2, y / 2, seed + 5)));
+    float mark = along_x && along_y ? 0
+                 : along_y          ? shade_street_mark(sx, y, sy)
+                                    : shade_street_mark(sy, x, sx);
     if (mark > 0) {
-        float worn = 0.75f + 0.35f * fbm(s, x, y, seed + 4, 1.2f, 3);
-        mix(rgb, (const float[3]){.72f, .71f, .66f}, mark * (worn > 1 ? 1 : worn));
+        float worn = 0.75f + 0.35f * shade_fbm(s, x, y, seed + 4, 1.2f, 3);
+        shade_mix(rgb, (const float[3]){.72f, .71f, .66f}, mark * (worn > 1 ? 1 : worn));
     }
     int32_t mx = (int32_t)floorf(x / 17), my = (int32_t)floorf(y / 17); /* manhole covers */
-    float cx = 17 * ((float)mx + 0.2f + 0.6f * hash_unit(mx, my, seed + 6)) - x;
-    float cy = 17 * ((float)my + 0.2f + 0.6f * hash_unit(mx, my, seed + 7)) - y;
+    float cx = 17 * ((float)mx + 0.2f + 0.6f * shade_hash_unit(mx, my, seed + 6)) - x;
+    float cy = 17 * ((float)my + 0.2f + 0.6f * shade_hash_unit(mx, my, seed + 7)) - y;
     if (cx * cx + cy * cy < 0.2f)
-        paint(rgb, .055f, .05f, .05f);
+        shade_paint(rgb, .055f, .05f, .05f);
 }
 
-static void pavement_albedo(const struct sample *s, float x, float y, uint32_t seed, float rgb[3])
+static void shade_pavement_albedo(const struct sample *s, float x, float y, uint32_t seed,
+                                  float rgb[3])
 {
     int32_t i = (int32_t)floorf(x / 0.9f), j = (int32_t)floorf(y / 0.9f);
-    float tile = (hash_unit(i, j, seed) - 0.5f) * 0.22f * visible(s, 0.9f);
-    float grey = 0.37f * (1 + tile + 0.4f * fbm(s, x, y, seed + 1, 5, 5));
-    paint(rgb, grey * 1.03f, grey, grey * 0.93f);
-    float line = fmaxf(grid_line(s, x, 0.9f, 0.05f), grid_line(s, y, 0.9f, 0.05f));
-    tone(rgb, 1 - 0.35f * line);
+    float tile = (shade_hash_unit(i, j, seed) - 0.5f) * 0.22f * shade_visible(s, 0.9f);
+    float grey = 0.37f * (1 + tile + 0.4f * shade_fbm(s, x, y, seed + 1, 5, 5));
+    shade_paint(rgb, grey * 1.03f, grey, grey * 0.93f);
+    float line = fmaxf(shade_grid_line(s, x, 0.9f, 0.05f), shade_grid_line(s, y, 0.9f, 0.05f));
+    shade_tone(rgb, 1 - 0.35f * line);
 }
 
-static void grass_albedo(const struct sample *s, float x, float y, uint32_t seed, float rgb[3])
+static void shade_grass_albedo(const struct sample *s, float x, float y, uint32_t seed,
+                               float rgb[3])
 {
-    float n = fbm(s, x, y, seed, 7, 7), dry = noise(x / 11, y / 11, seed + 9);
-    paint(rgb, .115f, .175f, .045f);
-    mix(rgb, (const float[3]){.26f, .23f, .10f}, dry > 0 ? 0.8f * dry : 0);
-    tone(rgb, 1 + 0.75f * n);
+    float n = shade_fbm(s, x, y, seed, 7, 7), dry = shade_noise(x / 11, y / 11, seed + 9);
+    shade_paint(rgb, .115f, .175f, .045f);
+    shade_mix(rgb, (const float[3]){.26f, .23f, .10f}, dry > 0 ? 0.8f * dry : 0);
+    shade_tone(rgb, 1 + 0.75f * n);
 }
 
-static void yard_albedo(const struct sample *s, float x, float y, uint32_t seed, float rgb[3])
+static void shade_yard_albedo(const struct sample *s, float x, float y, uint32_t seed, float rgb[3])
 {
-    float what = noise(x / 12, y / 12, seed) + 0.35f * noise(x / 3, y / 3, seed + 1);
+    float what = shade_noise(x / 12, y / 12, seed) + 0.35f * shade_noise(x / 3, y / 3, seed + 1);
     if (what > 0.22f) { /* brick pavers, each its own shade */
         float row = floorf(y / 0.35f), shift = fmodf(row, 2) * 0.35f;
         int32_t i = (int32_t)floorf((x + shift) / 0.7f), j = (int32_t)row;
-        float shade = 1 + visible(s, 0.5f) * 0.5f * (hash_unit(i, j, seed + 2) - 0.5f);
-        paint(rgb, .30f, .20f, .15f);
-        tone(rgb, shade * (1 + 0.45f * fbm(s, x, y, seed + 3, 4, 5)));
+        float shade = 1 + shade_visible(s, 0.5f) * 0.5f * (shade_hash_unit(i, j, seed + 2) - 0.5f);
+        shade_paint(rgb, .30f, .20f, .15f);
+        shade_tone(rgb, shade * (1 + 0.45f * shade_fbm(s, x, y, seed + 3, 4, 5)));
     } else if (what > 0.02f) { /* gravel */
-        paint(rgb, .36f, .33f, .28f);
-        tone(rgb, 1 + 0.6f * fbm(s, x, y, seed + 4, 3, 7));
+        shade_paint(rgb, .36f, .33f, .28f);
+        shade_tone(rgb, 1 + 0.6f * shade_fbm(s, x, y, seed + 4, 3, 7));
     } else
-        grass_albedo(s, x, y, seed + 5, rgb);
+        shade_grass_albedo(s, x, y, seed + 5, rgb);
 }
 
-static void field_albedo(const struct sample *s, float x, float y, uint32_t seed, float rgb[3])
+static void shade_field_albedo(const struct sample *s, float x, float y, uint32_t seed,
+                               float rgb[3])
 {
     static const float crops[][3] = {{.13f, .20f, .05f}, {.32f, .26f, .11f}, {.20f, .14f, .09f},
                                      {.17f, .22f, .08f}, {.42f, .36f, .12f}, {.10f, .16f, .05f}};
-    float u = x + 3 * noise(x / 60, y / 60, seed), v = y + 3 * noise(x / 60, y / 60, seed + 1);
+    float u = x + 3 * shade_noise(x / 60, y / 60, seed),
+          v = y + 3 * shade_noise(x / 60, y / 60, seed + 1);
     int32_t i = (int32_t)floorf(u / 42), j = (int32_t)floorf(v / 27);
-    uint32_t h = hash3(i, j, seed + 2);
+    uint32_t h = shade_hash3(i, j, seed + 2);
     const float *crop = crops[h % 6];
-    paint(rgb, crop[0], crop[1], crop[2]);
-    float along = h & 64 ? u : v, furrow = cell_phase(along, h & 128 ? 1.6f : 2.4f);
-    tone(rgb, 1 + visible(s, 0.8f) * 0.35f * (furrow < 0.5f ? 1 : -1) *
-                      (0.7f + 0.5f * noise(u / 2, v / 2, seed)));
-    tone(rgb, 1 + 0.6f * fbm(s, x, y, seed + 3, 11, 7));
-    float du = cell_phase(u, 42) * 42, dv = cell_phase(v, 27) * 27; /* farm tracks between fields */
+    shade_paint(rgb, crop[0], crop[1], crop[2]);
+    float along = h & 64 ? u : v, furrow = shade_cell_phase(along, h & 128 ? 1.6f : 2.4f);
+    shade_tone(rgb, 1 + shade_visible(s, 0.8f) * 0.35f * (furrow < 0.5f ? 1 : -1) *
+                            (0.7f + 0.5f * shade_noise(u / 2, v / 2, seed)));
+    shade_tone(rgb, 1 + 0.6f * shade_fbm(s, x, y, seed + 3, 11, 7));
+    float du = shade_cell_phase(u, 42) * 42,
+          dv = shade_cell_phase(v, 27) * 27; /* farm tracks between fields */
     if (du < 2.2f || dv < 1.8f) {
-        paint(rgb, .33f, .28f, .21f);
-        tone(rgb, 1 + 0.5f * fbm(s, x, y, seed + 4, 2, 5));
+        shade_paint(rgb, .33f, .28f, .21f);
+        shade_tone(rgb, 1 + 0.5f * shade_fbm(s, x, y, seed + 4, 2, 5));
     }
 }
 
-static void ground_albedo(const struct synth_city *c, const struct sample *s, const double pos[3],
-                          float rgb[3])
+static void shade_ground_albedo(const struct synth_city *c, const struct sample *s,
+                                const double pos[3], float rgb[3])
 {
     float x = (float)pos[0], y = (float)pos[1], margin = 2.4f;
-    struct street sx = street_near(c, 0, pos[0]), sy = street_near(c, 1, pos[1]);
+    struct street sx = shade_street_near(c, 0, pos[0]), sy = shade_street_near(c, 1, pos[1]);
     float reach = (float)c->half_m;
     float dx = fabsf(sx.across) - sx.half, dy = fabsf(sy.across) - sy.half;
     bool in_x = fabsf(x) < reach + 7,
@@ -225,43 +233,44 @@ static void ground_albedo(const struct synth_city *c, const struct sample *s, co
     bool on_x = dx < 0 && in_y, on_y = dy < 0 && in_x;
     float outer = fmaxf(fabsf(x), fabsf(y)) - reach;
     if (on_x || on_y) {
-        road_albedo(s, x, y, &sx, &sy, c->seed + 11, rgb);
+        shade_road_albedo(s, x, y, &sx, &sy, c->seed + 11, rgb);
         return;
     }
     float near = fminf(in_y ? dx : 99, in_x ? dy : 99);
     if (near < margin && outer < 10) {
-        pavement_albedo(s, x, y, c->seed + 21, rgb);
+        shade_pavement_albedo(s, x, y, c->seed + 21, rgb);
         if (near < 0.22f)
-            mix(rgb, (const float[3]){.55f, .54f, .50f}, 0.8f);
+            shade_mix(rgb, (const float[3]){.55f, .54f, .50f}, 0.8f);
         return;
     }
     if (outer < 0)
-        yard_albedo(s, x, y, c->seed + 31, rgb);
+        shade_yard_albedo(s, x, y, c->seed + 31, rgb);
     else
-        field_albedo(s, x, y, c->seed + 41, rgb);
+        shade_field_albedo(s, x, y, c->seed + 41, rgb);
 }
 
 /* ---- houses ---- */
 
-static void window_albedo(const struct sample *s, float u, float v, uint32_t pane, float rgb[3])
+static void shade_window_albedo(const struct sample *s, float u, float v, uint32_t pane,
+                                float rgb[3])
 {
     /* u, v in [0, 1] within the opening: frame, bars, glass with a curtain or a bit of sky. */
     if (u < 0.07f || u > 0.93f || v < 0.06f || v > 0.94f || fabsf(u - 0.5f) < 0.035f) {
-        mix(rgb, (const float[3]){.62f, .61f, .58f}, 0.85f);
+        shade_mix(rgb, (const float[3]){.62f, .61f, .58f}, 0.85f);
         return;
     }
     float lit = (float)(pane & 255) / 255;
-    paint(rgb, 0.035f + 0.05f * lit, 0.045f + 0.06f * lit, 0.06f + 0.09f * lit);
-    tone(rgb, 0.7f + 0.8f * v);
+    shade_paint(rgb, 0.035f + 0.05f * lit, 0.045f + 0.06f * lit, 0.06f + 0.09f * lit);
+    shade_tone(rgb, 0.7f + 0.8f * v);
     if ((pane >> 8 & 7) == 0) /* blinds half down */
         if (v > 0.35f)
-            paint(rgb, .42f, .38f, .30f);
+            shade_paint(rgb, .42f, .38f, .30f);
     if ((pane >> 8 & 7) == 1 && fabsf(u - 0.5f) > 0.3f) /* curtains */
-        paint(rgb, .36f, .33f, .33f);
+        shade_paint(rgb, .36f, .33f, .33f);
     (void)s;
 }
 
-static void wall_albedo(const struct sample *s, const struct synth_hit *hit, float rgb[3])
+static void shade_wall_albedo(const struct sample *s, const struct synth_hit *hit, float rgb[3])
 {
     const struct synth_solid *h = hit->solid;
     int side = fabs(hit->local_normal[0]) > fabs(hit->local_normal[1])
@@ -270,45 +279,47 @@ static void wall_albedo(const struct sample *s, const struct synth_hit *hit, flo
     uint32_t face = h->seed + (uint32_t)(2 * side + (hit->local_normal[1 - side] > 0)) * 131u;
     float u = (float)(hit->local[side] + h->half_m[side]), width = (float)(2 * h->half_m[side]);
     float z = (float)hit->local[2], eaves = (float)(h->z1_m - h->z0_m);
-    paint(rgb, h->color[0], h->color[1], h->color[2]);
-    float stain = 0.42f * fbm(s, u, z, face, 6, 6) +
-                  0.22f * noise(u / 0.4f, z / 5, face + 5) * visible(s, 0.4f);
-    tone(rgb, (1 + stain) * (0.78f + 0.22f * fminf(1, z / 4)));
+    shade_paint(rgb, h->color[0], h->color[1], h->color[2]);
+    float stain = 0.42f * shade_fbm(s, u, z, face, 6, 6) +
+                  0.22f * shade_noise(u / 0.4f, z / 5, face + 5) * shade_visible(s, 0.4f);
+    shade_tone(rgb, (1 + stain) * (0.78f + 0.22f * fminf(1, z / 4)));
     if (h->seed & 1) { /* courses of brick */
         int32_t j = (int32_t)floorf(z / 0.3f),
                 i = (int32_t)floorf(u / 0.6f + 0.5f * (float)(j & 1));
-        tone(rgb, 1 + visible(s, 0.35f) * 0.35f * (hash_unit(i, j, face + 6) - 0.5f));
+        shade_tone(rgb,
+                   1 + shade_visible(s, 0.35f) * 0.35f * (shade_hash_unit(i, j, face + 6) - 0.5f));
     }
     float storey = 3.1f, level = floorf(z / storey), v = z - level * storey;
     if (v < 0.16f && level > 0)
-        mix(rgb, (const float[3]){.55f, .53f, .49f}, 0.6f);
+        shade_mix(rgb, (const float[3]){.55f, .53f, .49f}, 0.6f);
     if (z < 0.7f)
-        mix(rgb, (const float[3]){.20f, .19f, .18f}, 0.7f);
+        shade_mix(rgb, (const float[3]){.20f, .19f, .18f}, 0.7f);
     if ((level + 0.9f) * storey > eaves || h->z1_m - h->z0_m < 2.5)
         return;
     float want = 2.1f + 0.12f * (float)(h->seed >> 4 & 15);
     float bays = floorf(width / want + 0.5f), bay = width / (bays < 1 ? 1 : bays);
-    float p = cell_phase(u, bay),
+    float p = shade_cell_phase(u, bay),
           open = 0.20f + 0.012f * (float)(h->seed >> 8 & 7); /* wall beside the opening */
     int32_t column = (int32_t)floorf(u / bay);
-    uint32_t pane = hash3(column, (int32_t)level, face + 9);
+    uint32_t pane = shade_hash3(column, (int32_t)level, face + 9);
     bool shop = level < 1 && h->z0_m == 0 && (h->seed >> 12 & 3) != 0;
     float sill = shop ? 0.45f : 0.95f, top = shop ? 2.65f : 2.45f;
     if (shop)
         open *= 0.4f;
     if (shop && v >= top && v < top + 0.42f) { /* awnings and signs */
-        uint32_t sign = hash3(column / 2, 3, face + 10);
-        float stripe = cell_phase(u, 0.5f) < 0.5f ? 1 : 0.75f;
-        paint(rgb, (0.15f + 0.5f * (float)(sign & 255) / 255) * stripe,
-              (0.12f + 0.35f * (float)(sign >> 8 & 255) / 255) * stripe,
-              (0.12f + 0.4f * (float)(sign >> 16 & 255) / 255) * stripe);
+        uint32_t sign = shade_hash3(column / 2, 3, face + 10);
+        float stripe = shade_cell_phase(u, 0.5f) < 0.5f ? 1 : 0.75f;
+        shade_paint(rgb, (0.15f + 0.5f * (float)(sign & 255) / 255) * stripe,
+                    (0.12f + 0.35f * (float)(sign >> 8 & 255) / 255) * stripe,
+                    (0.12f + 0.4f * (float)(sign >> 16 & 255) / 255) * stripe);
     } else if ((pane >> 20 & 15) != 0 && p > open && p < 1 - open && v > sill && v < top)
-        window_albedo(s, (p - open) / (1 - 2 * open), (v - sill) / (top - sill), pane, rgb);
+        shade_window_albedo(s, (p - open) / (1 - 2 * open), (v - sill) / (top - sill), pane, rgb);
     else if (p > open - 0.06f && p < 1.06f - open && v > sill - 0.14f && v <= sill)
-        mix(rgb, (const float[3]){.60f, .58f, .54f}, 0.8f); /* sill */
+        shade_mix(rgb, (const float[3]){.60f, .58f, .54f}, 0.8f); /* sill */
 }
 
-static void tiled_roof_albedo(const struct sample *s, const struct synth_hit *hit, float rgb[3])
+static void shade_tiled_roof_albedo(const struct sample *s, const struct synth_hit *hit,
+                                    float rgb[3])
 {
     static const float tiles[][3] = {
         {.33f, .12f, .07f}, {.26f, .09f, .06f}, {.14f, .13f, .14f}, {.36f, .20f, .11f}};
@@ -317,23 +328,24 @@ static void tiled_roof_albedo(const struct sample *s, const struct synth_hit *hi
     float u = (float)hit->local[0], len = (float)hypot(h->ridge_m - h->z1_m, h->half_m[1]);
     float v = (float)(fabs(hit->local[1]) / h->half_m[1]) * len;
     int32_t j = (int32_t)floorf(v / 0.4f), i = (int32_t)floorf(u / 0.35f);
-    paint(rgb, base[0], base[1], base[2]);
-    tone(rgb, 1 + visible(s, 0.35f) * 0.5f * (hash_unit(i, j, h->seed) - 0.5f) +
-                  0.5f * fbm(s, u, v, h->seed + 1, 4, 5));
-    tone(rgb, 1 - 0.3f * grid_line(s, v, 0.4f, 0.06f));
-    float moss = noise(u / 2.2f, v / 2.2f + (hit->local[1] > 0 ? 40.f : 0.f), h->seed + 2);
+    shade_paint(rgb, base[0], base[1], base[2]);
+    shade_tone(rgb, 1 + shade_visible(s, 0.35f) * 0.5f * (shade_hash_unit(i, j, h->seed) - 0.5f) +
+                        0.5f * shade_fbm(s, u, v, h->seed + 1, 4, 5));
+    shade_tone(rgb, 1 - 0.3f * shade_grid_line(s, v, 0.4f, 0.06f));
+    float moss = shade_noise(u / 2.2f, v / 2.2f + (hit->local[1] > 0 ? 40.f : 0.f), h->seed + 2);
     if (moss > 0.4f)
-        mix(rgb, (const float[3]){.13f, .15f, .06f}, moss - 0.2f);
+        shade_mix(rgb, (const float[3]){.13f, .15f, .06f}, moss - 0.2f);
     if (v < 0.25f) /* ridge tiles */
-        tone(rgb, 1.35f);
-    float w = fabsf(cell_phase(u + 50, 3.4f) * 3.4f - 1.7f),
+        shade_tone(rgb, 1.35f);
+    float w = fabsf(shade_cell_phase(u + 50, 3.4f) * 3.4f - 1.7f),
           mid = fabsf(v - 0.55f * len); /* roof windows */
     if ((h->seed >> 6 & 1) && w < 0.42f && mid < 0.6f)
-        paint(rgb, w > 0.34f || mid > 0.5f ? .4f : .06f, w > 0.34f || mid > 0.5f ? .4f : .08f,
-              w > 0.34f ? .4f : .12f);
+        shade_paint(rgb, w > 0.34f || mid > 0.5f ? .4f : .06f, w > 0.34f || mid > 0.5f ? .4f : .08f,
+                    w > 0.34f ? .4f : .12f);
 }
 
-static void flat_roof_albedo(const struct sample *s, const struct synth_hit *hit, float rgb[3])
+static void shade_flat_roof_albedo(const struct sample *s, const struct synth_hit *hit,
+                                   float rgb[3])
 {
     static const float roofs[][3] = {{.30f, .29f, .27f}, {.13f, .13f, .14f}, {.50f, .49f, .46f},
                                      {.24f, .19f, .15f}, {.17f, .20f, .15f}, {.38f, .35f, .30f}};
@@ -342,102 +354,103 @@ static void flat_roof_albedo(const struct sample *s, const struct synth_hit *hit
     float u = (float)hit->local[0], v = (float)hit->local[1];
     float edge =
         (float)fmin(h->half_m[0] - fabs(hit->local[0]), h->half_m[1] - fabs(hit->local[1]));
-    paint(rgb, base[0], base[1], base[2]);
-    tone(rgb, 1 + 0.62f * fbm(s, u, v, h->seed, 6, 7));
-    tone(rgb, 1 - 0.25f * grid_line(s, u + 77, 1.9f, 0.05f)); /* seams of the felt */
-    float pool = noise(u / 3.5f, v / 3.5f, h->seed + 3);
+    shade_paint(rgb, base[0], base[1], base[2]);
+    shade_tone(rgb, 1 + 0.62f * shade_fbm(s, u, v, h->seed, 6, 7));
+    shade_tone(rgb, 1 - 0.25f * shade_grid_line(s, u + 77, 1.9f, 0.05f)); /* seams of the felt */
+    float pool = shade_noise(u / 3.5f, v / 3.5f, h->seed + 3);
     if (pool > 0.35f) /* where water stands */
-        tone(rgb, 1 - 0.7f * (pool - 0.2f));
+        shade_tone(rgb, 1 - 0.7f * (pool - 0.2f));
     if (edge < 0.35f)
-        paint(rgb, .47f + 0.1f * noise(u, v, h->seed + 4), .46f, .44f);
+        shade_paint(rgb, .47f + 0.1f * shade_noise(u, v, h->seed + 4), .46f, .44f);
     else if (edge < 0.55f)
-        tone(rgb, 0.6f);
+        shade_tone(rgb, 0.6f);
     float pu = u / (float)h->half_m[0], pv = v / (float)h->half_m[1];
     if ((h->seed >> 9 & 3) == 0 && pu > -0.75f && pu < 0.1f && pv > -0.7f && pv < 0.7f &&
-        cell_phase(v + 90, 2.5f) > 0.25f) { /* rows of solar panels */
-        bool frame = grid_line(s, u + 90, 1.05f, 0.05f) > 0 || cell_phase(v + 90, 2.5f) < 0.29f;
-        paint(rgb, frame ? .35f : .03f, frame ? .36f : .045f, frame ? .38f : .12f);
-        tone(rgb, 1 + 0.3f * noise(u / 1.05f, v / 2.5f, h->seed + 5));
+        shade_cell_phase(v + 90, 2.5f) > 0.25f) { /* rows of solar panels */
+        bool frame =
+            shade_grid_line(s, u + 90, 1.05f, 0.05f) > 0 || shade_cell_phase(v + 90, 2.5f) < 0.29f;
+        shade_paint(rgb, frame ? .35f : .03f, frame ? .36f : .045f, frame ? .38f : .12f);
+        shade_tone(rgb, 1 + 0.3f * shade_noise(u / 1.05f, v / 2.5f, h->seed + 5));
     }
 }
 
 /* ---- the rest ---- */
 
-static void shed_albedo(const struct sample *s, const struct synth_hit *hit, float rgb[3])
+static void shade_shed_albedo(const struct sample *s, const struct synth_hit *hit, float rgb[3])
 {
     const struct synth_solid *h = hit->solid;
     float u = (float)hit->local[0], v = (float)hit->local[1], z = (float)hit->local[2];
     bool top = hit->local_normal[2] > 0.5;
-    paint(rgb, h->color[0], h->color[1], h->color[2]);
-    tone(rgb, 1 + 0.4f * fbm(s, top ? u : u + v, top ? v : z, h->seed, 1.5f, 4));
-    if (!top && cell_phase(z, 0.25f) < 0.4f)
-        tone(rgb, 1 - 0.45f * visible(s, 0.2f)); /* louvres */
+    shade_paint(rgb, h->color[0], h->color[1], h->color[2]);
+    shade_tone(rgb, 1 + 0.4f * shade_fbm(s, top ? u : u + v, top ? v : z, h->seed, 1.5f, 4));
+    if (!top && shade_cell_phase(z, 0.25f) < 0.4f)
+        shade_tone(rgb, 1 - 0.45f * shade_visible(s, 0.2f)); /* louvres */
     float r2 = u * u + v * v, fan = (float)(0.36 * fmin(h->half_m[0], h->half_m[1]));
     if (top && r2 < 4 * fan * fan)
-        tone(rgb, r2 > 3.2f * fan * fan || r2 < 0.2f * fan * fan ? 0.8f : 0.35f); /* fan */
+        shade_tone(rgb, r2 > 3.2f * fan * fan || r2 < 0.2f * fan * fan ? 0.8f : 0.35f); /* fan */
 }
 
-static void tree_albedo(const struct sample *s, const struct synth_hit *hit, float rgb[3])
+static void shade_tree_albedo(const struct sample *s, const struct synth_hit *hit, float rgb[3])
 {
     const struct synth_solid *h = hit->solid;
     float x = (float)hit->local[0], y = (float)hit->local[1], z = (float)hit->local[2];
-    float n = fbm(s, x + 0.71f * z, y - 0.69f * z, h->seed, 1.4f, 4) +
-              0.6f * fbm(s, y + 0.6f * z, z - 0.5f * x, h->seed + 1, 0.8f, 3);
-    paint(rgb, h->color[0], h->color[1], h->color[2]);
+    float n = shade_fbm(s, x + 0.71f * z, y - 0.69f * z, h->seed, 1.4f, 4) +
+              0.6f * shade_fbm(s, y + 0.6f * z, z - 0.5f * x, h->seed + 1, 0.8f, 3);
+    shade_paint(rgb, h->color[0], h->color[1], h->color[2]);
     float gain = 0.9f + 1.1f * n;
-    tone(rgb, gain < 0.25f ? 0.25f : gain);
+    shade_tone(rgb, gain < 0.25f ? 0.25f : gain);
 }
 
-static void car_albedo(const struct synth_hit *hit, float rgb[3])
+static void shade_car_albedo(const struct synth_hit *hit, float rgb[3])
 {
     const struct synth_solid *h = hit->solid;
     float u = (float)(hit->local[0] / h->half_m[0]), z = (float)hit->local[2];
-    paint(rgb, h->color[0], h->color[1], h->color[2]);
+    shade_paint(rgb, h->color[0], h->color[1], h->color[2]);
     if (h->material == SYNTH_CABIN) {
         if (hit->local_normal[2] < 0.5 && z > 0.08f && z < 0.48f)
-            paint(rgb, .03f, .035f, .045f);
+            shade_paint(rgb, .03f, .035f, .045f);
         return;
     }
     if (hit->local_normal[2] > 0.5) {
         if (fabsf(u) > 0.55f && fabsf(u) < 0.6f)
-            tone(rgb, 0.5f);
+            shade_tone(rgb, 0.5f);
         return;
     }
     if (fabs(hit->local_normal[0]) > 0.5)
-        paint(rgb, u > 0 ? .7f : .45f, u > 0 ? .68f : .03f, u > 0 ? .6f : .03f); /* lamps */
+        shade_paint(rgb, u > 0 ? .7f : .45f, u > 0 ? .68f : .03f, u > 0 ? .6f : .03f); /* lamps */
     else if (fabsf(fabsf(u) - 0.6f) < 0.16f && z < 0.35f)
-        paint(rgb, .02f, .02f, .02f); /* wheels */
+        shade_paint(rgb, .02f, .02f, .02f); /* wheels */
 }
 
-static void hit_albedo(const struct synth_city *c, const struct sample *s,
-                       const struct synth_hit *hit, float rgb[3])
+static void shade_hit_albedo(const struct synth_city *c, const struct sample *s,
+                             const struct synth_hit *hit, float rgb[3])
 {
     if (!hit->solid) {
-        ground_albedo(c, s, hit->pos, rgb);
+        shade_ground_albedo(c, s, hit->pos, rgb);
         return;
     }
     bool roof = hit->local_normal[2] > 0.2;
     switch (hit->solid->material) {
     case SYNTH_HOUSE:
         if (!roof)
-            wall_albedo(s, hit, rgb);
+            shade_wall_albedo(s, hit, rgb);
         else if (hit->solid->kind == SYNTH_GABLE)
-            tiled_roof_albedo(s, hit, rgb);
+            shade_tiled_roof_albedo(s, hit, rgb);
         else
-            flat_roof_albedo(s, hit, rgb);
+            shade_flat_roof_albedo(s, hit, rgb);
         break;
     case SYNTH_SHED:
-        shed_albedo(s, hit, rgb);
+        shade_shed_albedo(s, hit, rgb);
         break;
     case SYNTH_TREE:
-        tree_albedo(s, hit, rgb);
+        shade_tree_albedo(s, hit, rgb);
         break;
     case SYNTH_CAR:
     case SYNTH_CABIN:
-        car_albedo(hit, rgb);
+        shade_car_albedo(hit, rgb);
         break;
     case SYNTH_TRUNK:
-        paint(rgb, hit->solid->color[0], hit->solid->color[1], hit->solid->color[2]);
+        shade_paint(rgb, hit->solid->color[0], hit->solid->color[1], hit->solid->color[2]);
         break;
     }
 }
@@ -456,19 +469,19 @@ void synth_shade_hit(const struct synth_city *c, const struct synth_grid *moving
     float out[3];
     if (!isfinite(hit->t_m)) {
         float up = (float)fmax(dir[2], 0);
-        paint(out, 0.75f - 0.4f * up, 0.85f - 0.3f * up, 1.0f - 0.1f * up);
+        shade_paint(out, 0.75f - 0.4f * up, 0.85f - 0.3f * up, 1.0f - 0.1f * up);
         for (int i = 0; i < 3; i++)
             rgb[i] = out[i] * light->sky[i] * 1.6f * light->gain[i];
         return;
     }
     struct sample s = {(float)footprint_m};
-    hit_albedo(c, &s, hit, out);
+    shade_hit_albedo(c, &s, hit, out);
     double normal[3] = {hit->normal[0], hit->normal[1], hit->normal[2]};
     if (hit->solid && hit->solid->material == SYNTH_TREE) { /* leaves face everywhere */
         float x = (float)hit->local[0], y = (float)hit->local[1], z = (float)hit->local[2];
         double len = 0;
-        normal[0] += 0.7 * (double)noise(x / 0.5f, (y + z) / 0.5f, hit->solid->seed + 20);
-        normal[1] += 0.7 * (double)noise((x - z) / 0.5f, y / 0.5f, hit->solid->seed + 21);
+        normal[0] += 0.7 * (double)shade_noise(x / 0.5f, (y + z) / 0.5f, hit->solid->seed + 20);
+        normal[1] += 0.7 * (double)shade_noise((x - z) / 0.5f, y / 0.5f, hit->solid->seed + 21);
         for (int i = 0; i < 3; i++)
             len += normal[i] * normal[i];
         for (int i = 0; i < 3; i++)

@@ -16,7 +16,7 @@ static const double far_m = 1e9;
 
 /* ---- the grid ---- */
 
-static double solid_reach(const struct synth_solid *s, int axis)
+static double trace_solid_reach(const struct synth_solid *s, int axis)
 {
     double c = fabs(s->cos_yaw), n = fabs(s->sin_yaw);
     if (s->kind == SYNTH_ELLIPSOID)
@@ -24,7 +24,7 @@ static double solid_reach(const struct synth_solid *s, int axis)
     return axis == 0 ? c * s->half_m[0] + n * s->half_m[1] : n * s->half_m[0] + c * s->half_m[1];
 }
 
-static uint32_t cell_of(const struct synth_grid *g, int axis, double v)
+static uint32_t trace_cell_of(const struct synth_grid *g, int axis, double v)
 {
     double i = floor((v - g->min_m[axis]) / g->cell_m);
     uint32_t n = axis ? g->ny : g->nx;
@@ -32,14 +32,14 @@ static uint32_t cell_of(const struct synth_grid *g, int axis, double v)
 }
 
 /* Call for every cell a solid touches: count (items NULL) or store. */
-static void cells_visit(struct synth_grid *g, uint32_t index, uint32_t *fill)
+static void trace_cells_visit(struct synth_grid *g, uint32_t index, uint32_t *fill)
 {
     const struct synth_solid *s = &g->solids[index];
     uint32_t lo[2], hi[2];
     for (int a = 0; a < 2; a++) {
-        double r = solid_reach(s, a) + 1e-6;
-        lo[a] = cell_of(g, a, s->center_m[a] - r);
-        hi[a] = cell_of(g, a, s->center_m[a] + r);
+        double r = trace_solid_reach(s, a) + 1e-6;
+        lo[a] = trace_cell_of(g, a, s->center_m[a] - r);
+        hi[a] = trace_cell_of(g, a, s->center_m[a] + r);
     }
     for (uint32_t j = lo[1]; j <= hi[1]; j++)
         for (uint32_t i = lo[0]; i <= hi[0]; i++) {
@@ -52,13 +52,13 @@ static void cells_visit(struct synth_grid *g, uint32_t index, uint32_t *fill)
         }
 }
 
-static void grid_size(struct synth_grid *g, size_t n)
+static void trace_grid_size(struct synth_grid *g, size_t n)
 {
     double max[2] = {-far_m, -far_m};
     g->min_m[0] = g->min_m[1] = far_m;
     for (size_t k = 0; k < n; k++)
         for (int a = 0; a < 2; a++) {
-            double r = solid_reach(&g->solids[k], a);
+            double r = trace_solid_reach(&g->solids[k], a);
             g->min_m[a] = fmin(g->min_m[a], g->solids[k].center_m[a] - r);
             max[a] = fmax(max[a], g->solids[k].center_m[a] + r);
             g->top_m = fmax(g->top_m, g->solids[k].ridge_m);
@@ -74,7 +74,7 @@ enum err_code synth_grid_make(const struct synth_solid *solids, size_t n, struct
                               struct err *e)
 {
     struct synth_grid g = {.solids = solids};
-    grid_size(&g, n);
+    trace_grid_size(&g, n);
     size_t cells = (size_t)g.nx * g.ny;
     g.start = mem_array(cells + 1, sizeof *g.start);
     g.cell_top_m = mem_array(cells, sizeof *g.cell_top_m);
@@ -83,7 +83,7 @@ enum err_code synth_grid_make(const struct synth_solid *solids, size_t n, struct
     if (!g.start || !g.cell_top_m || !fill)
         goto out;
     for (size_t k = 0; k < n; k++)
-        cells_visit(&g, (uint32_t)k, NULL);
+        trace_cells_visit(&g, (uint32_t)k, NULL);
     for (size_t c = 0; c < cells; c++) {
         g.start[c + 1] += g.start[c];
         fill[c] = g.start[c];
@@ -92,7 +92,7 @@ enum err_code synth_grid_make(const struct synth_solid *solids, size_t n, struct
     if (!g.items)
         goto out;
     for (size_t k = 0; k < n; k++)
-        cells_visit(&g, (uint32_t)k, fill);
+        trace_cells_visit(&g, (uint32_t)k, fill);
     rc = ERR_OK;
 out:
     mem_free(fill);
@@ -119,8 +119,8 @@ struct span { /* of a ray inside a convex body, with the normal where it enters 
 };
 
 /* Keep the part of the span on the inner side of the plane normal . p <= offset. */
-static bool span_clip(struct span *s, const double o[3], const double d[3], double nx, double ny,
-                      double nz, double offset)
+static bool trace_span_clip(struct span *s, const double o[3], const double d[3], double nx,
+                            double ny, double nz, double offset)
 {
     double dist = nx * o[0] + ny * o[1] + nz * o[2] - offset;
     double rate = nx * d[0] + ny * d[1] + nz * d[2];
@@ -139,26 +139,28 @@ static bool span_clip(struct span *s, const double o[3], const double d[3], doub
     return s->enter < s->leave;
 }
 
-static bool box_span(const struct synth_solid *s, const double o[3], const double d[3],
-                     struct span *out)
+static bool trace_box_span(const struct synth_solid *s, const double o[3], const double d[3],
+                           struct span *out)
 {
     *out = (struct span){.enter = -far_m, .leave = far_m};
-    if (!span_clip(out, o, d, 1, 0, 0, s->half_m[0]) ||
-        !span_clip(out, o, d, -1, 0, 0, s->half_m[0]) ||
-        !span_clip(out, o, d, 0, 1, 0, s->half_m[1]) ||
-        !span_clip(out, o, d, 0, -1, 0, s->half_m[1]) ||
-        !span_clip(out, o, d, 0, 0, 1, s->ridge_m) || !span_clip(out, o, d, 0, 0, -1, -s->z0_m))
+    if (!trace_span_clip(out, o, d, 1, 0, 0, s->half_m[0]) ||
+        !trace_span_clip(out, o, d, -1, 0, 0, s->half_m[0]) ||
+        !trace_span_clip(out, o, d, 0, 1, 0, s->half_m[1]) ||
+        !trace_span_clip(out, o, d, 0, -1, 0, s->half_m[1]) ||
+        !trace_span_clip(out, o, d, 0, 0, 1, s->ridge_m) ||
+        !trace_span_clip(out, o, d, 0, 0, -1, -s->z0_m))
         return false;
     if (s->kind != SYNTH_GABLE)
         return true;
     /* Slopes through the eaves (|y| = half, z1) and the ridge (y = 0). */
     double run = s->half_m[1], up = s->ridge_m - s->z1_m, len = sqrt(run * run + up * up);
     double ny = up / len, nz = run / len, offset = nz * s->ridge_m;
-    return span_clip(out, o, d, 0, ny, nz, offset) && span_clip(out, o, d, 0, -ny, nz, offset);
+    return trace_span_clip(out, o, d, 0, ny, nz, offset) &&
+           trace_span_clip(out, o, d, 0, -ny, nz, offset);
 }
 
-static bool ellipsoid_span(const struct synth_solid *s, const double o[3], const double d[3],
-                           struct span *out)
+static bool trace_ellipsoid_span(const struct synth_solid *s, const double o[3], const double d[3],
+                                 struct span *out)
 {
     double hz = 0.5 * (s->z1_m - s->z0_m), cz = 0.5 * (s->z1_m + s->z0_m);
     const double inv[3] = {1 / s->half_m[0], 1 / s->half_m[1], 1 / hz};
@@ -185,13 +187,14 @@ static bool ellipsoid_span(const struct synth_solid *s, const double o[3], const
     return true;
 }
 
-static bool solid_span(const struct synth_solid *s, const double o[3], const double d[3],
-                       struct span *out)
+static bool trace_solid_span(const struct synth_solid *s, const double o[3], const double d[3],
+                             struct span *out)
 {
     double rx = o[0] - s->center_m[0], ry = o[1] - s->center_m[1], c = s->cos_yaw, n = s->sin_yaw;
     const double lo[3] = {c * rx + n * ry, -n * rx + c * ry, o[2]};
     const double ld[3] = {c * d[0] + n * d[1], -n * d[0] + c * d[1], d[2]};
-    return s->kind == SYNTH_ELLIPSOID ? ellipsoid_span(s, lo, ld, out) : box_span(s, lo, ld, out);
+    return s->kind == SYNTH_ELLIPSOID ? trace_ellipsoid_span(s, lo, ld, out)
+                                      : trace_box_span(s, lo, ld, out);
 }
 
 /* ---- the walk ---- */
@@ -202,8 +205,8 @@ struct walk {
 };
 
 /* The stretch of the ray over the grid and below the tallest solid; false when there is none. */
-static bool walk_start(const struct synth_grid *g, const double o[3], const double d[3],
-                       double t_end, struct walk *w)
+static bool trace_walk_start(const struct synth_grid *g, const double o[3], const double d[3],
+                             double t_end, struct walk *w)
 {
     double lo = 0, hi = t_end;
     const double size[2] = {g->nx * g->cell_m, g->ny * g->cell_m};
@@ -247,11 +250,12 @@ static bool walk_start(const struct synth_grid *g, const double o[3], const doub
 
 /* Nearest solid of one grid with enter in (t_min, *t); updates *t, *best, span. With `any` the
  * first will do. */
-static void grid_trace(const struct synth_grid *g, const double o[3], const double d[3], double *t,
-                       const struct synth_solid **best, struct span *span, bool any)
+static void trace_grid_trace(const struct synth_grid *g, const double o[3], const double d[3],
+                             double *t, const struct synth_solid **best, struct span *span,
+                             bool any)
 {
     struct walk w;
-    if (!g->start || !walk_start(g, o, d, *t, &w))
+    if (!g->start || !trace_walk_start(g, o, d, *t, &w))
         return;
     while (w.cell[0] >= 0 && w.cell[1] >= 0 && w.cell[0] < g->nx && w.cell[1] < g->ny) {
         size_t cell = (size_t)w.cell[1] * g->nx + (size_t)w.cell[0];
@@ -263,7 +267,7 @@ static void grid_trace(const struct synth_grid *g, const double o[3], const doub
                 const struct synth_solid *solid = &g->solids[g->items[k]];
                 if (z_low >= solid->ridge_m) /* the ray leaves the cell before it is that low */
                     continue;
-                if (solid_span(solid, o, d, &s) && s.enter > 1e-9 && s.enter < *t) {
+                if (trace_solid_span(solid, o, d, &s) && s.enter > 1e-9 && s.enter < *t) {
                     *t = s.enter;
                     *best = solid;
                     *span = s;
@@ -287,9 +291,9 @@ void synth_trace_ray(const struct synth_city *c, const struct synth_grid *moving
     struct span span = {0};
     double t = dir[2] < 0 && origin[2] > 0 ? -origin[2] / dir[2] : HUGE_VAL;
     double ground = t;
-    grid_trace(&c->grid, origin, dir, &t, &best, &span, false);
+    trace_grid_trace(&c->grid, origin, dir, &t, &best, &span, false);
     if (moving)
-        grid_trace(moving, origin, dir, &t, &best, &span, false);
+        trace_grid_trace(moving, origin, dir, &t, &best, &span, false);
     *out = (struct synth_hit){.t_m = t, .solid = best};
     if (!best && !isfinite(ground))
         return;
@@ -318,8 +322,8 @@ bool synth_trace_shadow(const struct synth_city *c, const struct synth_grid *mov
     const struct synth_solid *best = NULL;
     struct span span;
     double t = HUGE_VAL;
-    grid_trace(&c->grid, origin, c->sun, &t, &best, &span, true);
+    trace_grid_trace(&c->grid, origin, c->sun, &t, &best, &span, true);
     if (!best && moving)
-        grid_trace(moving, origin, c->sun, &t, &best, &span, true);
+        trace_grid_trace(moving, origin, c->sun, &t, &best, &span, true);
     return best != NULL;
 }

@@ -1,4 +1,4 @@
-/* The similarity loss on appearance embeddings, and the search for neighbours that it stands on:
+/* The smoothness loss on appearance embeddings, and the search for neighbours that it stands on:
  * against brute force, the definition written out, and finite differences.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -54,7 +54,7 @@ static void neighbours_are_exact(void **state)
     knn_free(&t);
 }
 
-/* ---- similarity ---- */
+/* ---- smoothness of embeddings ---- */
 
 enum { ALIKE = 60, ALIKE_LEN = 5, EMBED_GROUP = 16 * ALIKE_LEN /* an array without gaps */ };
 
@@ -130,7 +130,7 @@ static double alike_by_definition(const struct alike *s)
     return 0.2 * sum / (ALIKE * 120.0);
 }
 
-static void similarity_is_its_definition_and_derivative(void **state)
+static void embed_smoothness_is_its_definition_and_derivative(void **state)
 {
     (void)state;
     static struct alike s;
@@ -310,7 +310,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(neighbours_are_exact),
-        cmocka_unit_test(similarity_is_its_definition_and_derivative),
+        cmocka_unit_test(embed_smoothness_is_its_definition_and_derivative),
         cmocka_unit_test(neighbours_become_alike),
         cmocka_unit_test(gradients_enter_the_moments),
     };

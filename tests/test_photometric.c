@@ -198,7 +198,15 @@ static void test_metrics(void **state)
     kit_ok(metric_ssim(rgb, p.target_u8, p.mask, p.w, p.h, METRIC_TRAINING, &got, &e), e);
     assert_true(fabs(got - v.ssim) < 1e-12);
     kit_ok(metric_psnr(rgb, p.target_u8, p.mask, p.w, p.h, &got, &e), e);
-    assert_true(fabs(got + 10 * log10(v.mse)) < 1e-9);
+    size_t used = 0; /* the loss is a mean over all pixels, PSNR over those that count */
+    for (size_t i = 0; i < p.n / 3; i++)
+        used += p.mask[i] != 0;
+    assert_true(used > 0 && used < p.n / 3);
+    assert_true(fabs(got + 10 * log10(v.mse * (double)(p.n / 3) / (double)used)) < 1e-9);
+    uint8_t *nothing = mem_array(p.n / 3, 1);
+    assert_non_null(nothing);
+    kit_fails(metric_psnr(rgb, p.target_u8, nothing, p.w, p.h, &got, &e), ERR_DATA, e, "no pixel");
+    mem_free(nothing);
     /* The valid window does not see beyond the edge: what differs is only the border. */
     double valid;
     kit_ok(metric_ssim(rgb, p.target_u8, p.mask, p.w, p.h, METRIC_VALID, &valid, &e), e);

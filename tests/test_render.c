@@ -655,6 +655,42 @@ static void test_gpu_shapes(void **state)
     render = wide;
 }
 
+/* Rays parallel to the axis: pixels a metre instead of a focal length. */
+static void test_orthographic(void **state)
+{
+    static const enum render_aa modes[] = {RENDER_AA_NONE, RENDER_AA_2D, RENDER_AA_MIP};
+    struct camera cam = view_from(8, -5, 9, 130, 70);
+    struct err e = {0};
+    struct gauss g;
+    struct render_model m = {0};
+    (void)state;
+    cam.fx_px = 14;
+    cam.fy_px = 11;
+    kit_gauss(77, 400, 4.0, 3, 0, &g);
+    for (size_t i = 0; i < sizeof modes / sizeof *modes; i++) {
+        struct render_options o = {.aa = modes[i], .sh_degree = -1, .orthographic = true};
+        check("orthographic", &g, &cam, &o);
+    }
+    /* Farther away along the axis it is the same picture. */
+    struct render_options o = {.aa = RENDER_AA_2D, .sh_degree = -1, .orthographic = true};
+    struct picture near = draw(&g, &cam, &o);
+    cam.trans[2] += 500;
+    struct picture far = draw(&g, &cam, &o);
+    double *want = mem_array(3 * near.pixels, sizeof *want);
+    assert_non_null(want);
+    for (size_t i = 0; i < 3 * near.pixels; i++)
+        want[i] = (double)near.rgb[i];
+    compare("farther along the axis", far.rgb, want, 3 * near.pixels);
+    mem_free(want);
+    picture_free(&near);
+    picture_free(&far);
+    kit_ok(render_model_upload(render, &g, &m, &e), e);
+    kit_ok(render_forward(render, &m, &cam, &o, NULL, NULL, &e), e);
+    kit_fails(render_backward(render, &m, m.params, &e), ERR_ARG, e, "orthographic");
+    render_model_free(&m);
+    gauss_free(&g);
+}
+
 static void test_stats(void **state)
 {
     struct gauss g;
@@ -701,6 +737,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_near_plane),
         cmocka_unit_test(test_many_entries),
         cmocka_unit_test(test_gpu_shapes),
+        cmocka_unit_test(test_orthographic),
         cmocka_unit_test(test_stats),
     };
     return cmocka_run_group_tests_name("render", tests, setup, teardown);

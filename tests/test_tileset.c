@@ -379,6 +379,53 @@ static void errors_are_what_is_documented(void **state)
     json_decref(j);
 }
 
+/* The footprint travels as it was stored; what is no JSON never reaches a document. */
+static void footprint(void **state)
+{
+    static const char good[] =
+        "{\"type\":\"Feature\",\"properties\":{},\"geometry\":{\"type\":"
+        "\"MultiPolygon\",\"coordinates\":[[[[8,50],[9,50],[9,51],[8,50]]]]}}",
+                      bad[] = "{\"type\":\"Feature\"}, \"evil\": 1";
+    struct fixture *f = *state;
+    struct err e = {0};
+    const struct geo_origin origin = {8.6821, 50.1109, 160};
+    build(f, &origin, 3000, "A");
+    assert_null(store_footprint(f->s));
+    for (int k = 0; k < 2; k++) {
+        char path[FILE_PATH_MAX];
+        struct store *s;
+        struct buf b = {0};
+        json_t *j;
+        size_t n;
+        snprintf(path, sizeof path, "%.3900s.ground", f->path);
+        struct store_meta meta = *store_info(f->s);
+        const struct store_tile *t = store_tiles(f->s, &n);
+        kit_ok(store_create(path, &meta, &s, &e), e);
+        for (size_t i = 0; i < n; i++) {
+            struct gauss g;
+            struct store_tile copy = {.key = t[i].key, .level = t[i].level};
+            kit_ok(store_read_gauss(f->s, t[i].key, &g, &e), e);
+            kit_ok(store_put(s, &copy, &g, &e), e);
+            gauss_free(&g);
+        }
+        kit_ok(store_put_blob(s, STORE_FOOTPRINT, k ? bad : good, strlen(k ? bad : good), &e), e);
+        kit_ok(store_commit(&s, &e), e);
+        log_set_level(LOG_ERROR); /* it warns of the bad one */
+        kit_ok(store_open(path, &s, &e), e);
+        log_set_level(LOG_WARN);
+        kit_ok(tileset_tilejson(s, "t/{z}/{x}/{y}.drc", &b, &e), e);
+        kit_ok(jsonc_parse((const char *)b.data, b.size, "tilejson", &j, &e), e);
+        const json_t *ground = json_object_get(json_object_get(j, "splats"), "footprint");
+        json_t *want = NULL;
+        kit_ok(jsonc_parse(good, strlen(good), "stored", &want, &e), e);
+        assert_true(k ? !ground : json_equal(ground, want));
+        json_decref(want);
+        json_decref(j);
+        buf_free(&b);
+        store_close(&s);
+    }
+}
+
 int main(void)
 {
 #define CASE(name)                                                                                 \
@@ -390,6 +437,7 @@ int main(void)
         CASE(a_root_without_content),
         CASE(errors_are_what_is_documented),
         CASE(tilejson),
+        CASE(footprint),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -29,17 +29,18 @@ static void test_shares_add_up(void **state)
     assert_int_equal(timing_turn(&c, TIMING_STEP), TIMING_START);
     struct timing_seconds then = timing_now(&c);
     assert_int_equal(timing_turn(&c, TIMING_DENSIFY), TIMING_STEP);
-    assert_int_equal(timing_turn(&c, TIMING_SCORE), TIMING_DENSIFY);
+    assert_int_equal(timing_turn(&c, TIMING_IMPORTANCE), TIMING_DENSIFY);
     pause_some();
-    assert_int_equal(timing_turn(&c, TIMING_DENSIFY), TIMING_SCORE);
+    assert_int_equal(timing_turn(&c, TIMING_DENSIFY), TIMING_IMPORTANCE);
     assert_int_equal(timing_turn(&c, TIMING_STEP), TIMING_DENSIFY);
     double end = clock_s();
     struct timing_seconds all = timing_now(&c), later = timing_since(&all, &then);
     assert_true(timing_total(&all) >= end - start - ROUNDING_S);
     assert_true(timing_total(&all) <= clock_s() - start + ROUNDING_S);
-    assert_true(all.s[TIMING_START] >= PAUSE_S && all.s[TIMING_SCORE] >= PAUSE_S);
+    assert_true(all.s[TIMING_START] >= PAUSE_S && all.s[TIMING_IMPORTANCE] >= PAUSE_S);
     assert_true(all.s[TIMING_EVALUATE] == 0.0); /* exact: never turned to */
-    assert_true(later.s[TIMING_START] == 0.0 && later.s[TIMING_SCORE] == all.s[TIMING_SCORE]);
+    assert_true(later.s[TIMING_START] == 0.0 &&
+                later.s[TIMING_IMPORTANCE] == all.s[TIMING_IMPORTANCE]);
     timing_add(&later, &then);
     for (size_t i = 0; i < TIMING_COUNT; i++)
         assert_true(later.s[i] - all.s[i] < ROUNDING_S && all.s[i] - later.s[i] < ROUNDING_S);
@@ -52,7 +53,7 @@ static void test_text(void **state)
     (void)state;
     t.s[TIMING_STEP] = 80.0;
     t.s[TIMING_DENSIFY] = 19.9;
-    t.s[TIMING_SCORE] = 0.1; /* below half a per cent */
+    t.s[TIMING_IMPORTANCE] = 0.1; /* below half a per cent */
     timing_text(&t, text, sizeof text);
     assert_string_equal(text, "steps 80.0 s (80 %), densification 19.9 s (20 %), all else 0.1 s");
     memset(little, 'x', sizeof little);
@@ -76,10 +77,10 @@ static void test_json(void **state)
     timing_from_json(o, &back);
     assert_memory_equal(&t, &back, sizeof t);
     json_object_set_new(o, timing_key(TIMING_STEP), json_string("long"));
-    json_object_set_new(o, timing_key(TIMING_SCORE), json_real(-1.0));
+    json_object_set_new(o, timing_key(TIMING_IMPORTANCE), json_real(-1.0));
     json_object_del(o, timing_key(TIMING_PRUNE));
     timing_from_json(o, &back);
-    assert_true(back.s[TIMING_STEP] == 0.0 && back.s[TIMING_SCORE] == 0.0 &&
+    assert_true(back.s[TIMING_STEP] == 0.0 && back.s[TIMING_IMPORTANCE] == 0.0 &&
                 back.s[TIMING_PRUNE] == 0.0);
     timing_from_json(NULL, &back);
     assert_true(timing_total(&back) == 0.0);

@@ -16,6 +16,7 @@
 #include "render/render.h"
 #include "tests/kit.h"
 #include "train/config.h"
+#include "train/forecast.h"
 #include "train/init.h"
 #include "train/level.h"
 #include "train/photo_loader.h"
@@ -535,6 +536,8 @@ static void cells_of_a_plan_are_trained_on_their_own(void **state)
     snprintf(path, sizeof path, "%s/plan.json", dir);
     kit_ok(cell_plan_write(path, &s, &plan, &e), e);
     c.stop_after = 5;
+    kit_fails(train_again(dir, &c, &r, &e), ERR_ARG, e, "--overwrite");
+    c.overwrite = true;
     kit_fails(train_again(dir, &c, &r, &e), ERR_CANCEL, e, "step 5");
     for (size_t i = 0; i < plan.n_cells; i++)
         plan.cells[i].max_m[0] += 0.25;
@@ -545,6 +548,93 @@ static void cells_of_a_plan_are_trained_on_their_own(void **state)
     train_result_free(&r);
     kit_rmdir(dir);
     kit_rmdir(one);
+    arena_free(&a);
+}
+
+/* Results are replaced only when that was asked for. */
+static void a_finished_run_is_not_lost(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r = {0};
+    char out[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
+    struct buf first = {0}, again = {0};
+    kit_tmpdir(out);
+    struct train_config c = toy_config(&a, out);
+    c.iterations = 12;
+    kit_ok(train_again(scene_dir, &c, &r, &e), e);
+    assert_false(r.cells[0].was_done);
+    snprintf(path, sizeof path, "%s/cells/all/level3.ckpt", out);
+    kit_ok(file_read(path, 0, &first, &e), e);
+    kit_ok(train_again(scene_dir, &c, &r, &e), e); /* the same options: nothing to do */
+    assert_true(r.cells[0].was_done);
+    c.iterations = 15;
+    for (int resume = 0; resume < 2; resume++) {
+        c.resume = resume;
+        kit_fails(train_again(scene_dir, &c, &r, &e), ERR_ARG, e, "iterations = 12, now it is 15");
+        assert_non_null(strstr(e.msg, "--overwrite"));
+    }
+    kit_ok(file_read(path, 0, &again, &e), e);
+    assert_int_equal(first.size, again.size);
+    assert_memory_equal(first.data, again.data, first.size);
+    c.resume = false;
+    c.level_count = 2; /* and where the finest level has another number */
+    kit_fails(train_again(scene_dir, &c, &r, &e), ERR_ARG, e, "--overwrite");
+    c.level_count = 3;
+    c.overwrite = true;
+    kit_ok(train_again(scene_dir, &c, &r, &e), e);
+    assert_false(r.cells[0].was_done);
+    c.overwrite = false;
+    kit_ok(train_again(scene_dir, &c, &r, &e), e);
+    assert_true(r.cells[0].was_done);
+    buf_free(&first);
+    buf_free(&again);
+    kit_rmdir(out);
+    train_result_free(&r);
+    arena_free(&a);
+}
+
+/* What is left of the run counts all levels, each by its pixels and Gaussians. */
+static void the_time_left_is_that_of_all_levels(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct scene s;
+    uint32_t *images;
+    size_t n;
+    char text[32];
+    struct train_config c = toy_config(&a, NULL);
+    kit_ok(scene_read(scene_dir, &s, &e), e);
+    kit_ok(train_scene_images(&s, SCENE_TRAIN, true, &images, &n, &e), e);
+    struct context ctx = {.cfg = &c, .scene = &s, .images = images, .n_images = n, .n_levels = 2};
+    ctx.schedule[0] = (struct schedule){.steps = 100, .downsample = 2.0, .budget = 1000};
+    ctx.schedule[1] = (struct schedule){.steps = 200, .downsample = 1.0, .budget = 1000};
+    struct forecast f = {0};
+    assert_true(forecast_left_s(&f, &ctx, 1000.0) == 0.0);
+    ctx.step = 50;
+    forecast_add(&f, &ctx, 1000.0, 50.0, 10.0);
+    double px = 0.0;
+    for (size_t i = 0; i < n; i++)
+        px += (double)s.images[images[i]].cam.width_px * s.images[images[i]].cam.height_px /
+              (double)n;
+    double coarse = 1000.0 + 2.0 * px / 4.0, fine = 1000.0 + 2.0 * px;
+    double want = 10.0 * (50.0 * coarse + 200.0 * fine) / (50.0 * coarse);
+    assert_true(fabs(forecast_left_s(&f, &ctx, 1000.0) / want - 1.0) < 1e-9);
+    ctx.at = 1; /* the last level, with as many seconds a work as before */
+    ctx.step = 150;
+    want = 10.0 * 50.0 * fine / (50.0 * coarse);
+    assert_true(fabs(forecast_left_s(&f, &ctx, 1000.0) / want - 1.0) < 1e-9);
+    static const struct {
+        double s;
+        const char *text;
+    } times[] = {{42.4, "42 s"}, {600.0, "10 min"}, {12000.0, "3 h 20 min"}, {190800.0, "2 d 5 h"}};
+    for (size_t i = 0; i < sizeof times / sizeof times[0]; i++) {
+        forecast_text(times[i].s, text, sizeof text);
+        assert_string_equal(text, times[i].text);
+    }
+    scene_free(&s);
     arena_free(&a);
 }
 
@@ -581,6 +671,8 @@ int main(void)
         cmocka_unit_test(cells_of_a_plan_are_trained_on_their_own),
         cmocka_unit_test(pictures_smaller_than_the_window_are_scored_without_it),
         cmocka_unit_test(broken_scenes_are_one_clear_error),
+        cmocka_unit_test(a_finished_run_is_not_lost),
+        cmocka_unit_test(the_time_left_is_that_of_all_levels),
     };
     return cmocka_run_group_tests_name("train", tests, open_device, close_device);
 }

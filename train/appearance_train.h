@@ -68,6 +68,10 @@ double appearance_train_lr(const struct appearance_train *k, const struct train_
 /* Constants of a frame of scene image `image`; NULL when appearance is off or the photograph has no
  * row. Borrowed until the next call. */
 const float *appearance_train_frame(struct appearance_train *k, uint32_t image);
+/* The embedding of a photograph that has a row, [len_image]; and set it, for all that learn as one
+ * with it. */
+void appearance_train_get(const struct appearance_train *k, uint32_t image, float *out);
+void appearance_train_set(struct appearance_train *k, uint32_t image, const float *in);
 /* One Adam step of the network and of a photograph from the gradient in frame_grad. */
 void appearance_train_update(struct appearance_train *k, uint32_t image, double lr);
 /* A level is done: moments begin anew, what was learnt stays. */

@@ -20,6 +20,8 @@
 #include "render/render.h"
 #include "train/config.h"
 #include "train/context.h"
+#include "train/evaluate.h"
+#include "train/half_image.h"
 #include "train/model.h"
 #include "train/photo_loader.h"
 #include "train/schedule.h"
@@ -27,7 +29,7 @@
 #define BUDGET_RAISE_FACTOR 1.3
 #define BUDGET_FULL 0.9  /* of the budget in use: only then is a higher one of use */
 #define BUDGET_GREW 1.05 /* fewer new Gaussians than this say nothing about their worth */
-enum { BUDGET_EVERY = 16, BUDGET_OFFSET = 8, BUDGET_LOOKS = 10 };
+enum { BUDGET_EVERY = 16, BUDGET_OFFSET = 8, BUDGET_LOOKS = 10, BUDGET_FIT_STEPS = 10 };
 
 size_t budget_fit(const struct scene *s, const uint32_t *images, size_t n_images,
                   const struct train_config *cfg, double downsample, size_t n_points, size_t table)
@@ -57,9 +59,9 @@ void budget_limit(const struct scene *s, const uint32_t *images, size_t n_images
         before = l->budget;
         if (l->budget < table)
             log_info("train",
-                     "level %u: budget %zu instead of %zu for %zu photographs of this size; "
-                     "--budget table takes the latter",
-                     l->level, l->budget, table, n_images);
+                     "level %u: at most %zu Gaussians, what %zu photographs of this size support; "
+                     "--budget table allows %zu",
+                     l->level, l->budget, n_images, table);
     }
 }
 
@@ -80,6 +82,8 @@ void budget_hold_out(const struct train_config *cfg, const uint32_t *images, siz
 void budget_close(struct budget *b)
 {
     photo_loader_close(&b->photos);
+    half_image_close(&b->half);
+    appearance_view_close(&b->view);
 }
 
 static enum err_code budget_open_photos(struct budget *b, const struct context *ctx, struct err *e)
@@ -97,10 +101,70 @@ static enum err_code budget_open_photos(struct budget *b, const struct context *
     return b->photos ? ERR_OK : photo_loader_open(&f, &b->photos, e);
 }
 
-static enum err_code budget_psnr(struct budget *b, const struct model *m, const struct context *ctx,
-                                 double *mean_db, struct err *e)
+/* A whole photograph, drawn as `ro` says. */
+static enum err_code budget_score(const struct photo *p, const struct model *m,
+                                  const struct context *ctx, const struct render_options *ro,
+                                  double *db, struct err *e)
+{
+    float *rgb = mem_array((size_t)p->cam.width_px * p->cam.height_px * 3, sizeof *rgb);
+    enum err_code rc = rgb ? render_forward(ctx->render, &m->gauss, &p->cam, ro, rgb, NULL, e)
+                           : err_set(e, ERR_MEM, "budget: out of memory");
+    if (!rc)
+        rc = metric_psnr(rgb, p->px, p->mask, p->cam.width_px, p->cam.height_px, db, e);
+    mem_free(rgb);
+    return rc;
+}
+
+/* Does the training learn this photograph's embedding, or was it given? */
+static bool budget_is_learnt(const struct context *ctx, uint32_t image)
+{
+    const struct appearance_train *a = &ctx->appearance;
+    bool learnt = a->shared;
+    for (size_t i = 0; i < ctx->n_images; i++)
+        learnt |= a->alike[a->row[ctx->images[i]]] == a->alike[a->row[image]];
+    return learnt;
+}
+
+static enum err_code budget_open_half(struct budget *b, const struct context *ctx, struct err *e)
+{
+    const struct half_image_config c = {.dev = ctx->dev,
+                                        .render = ctx->render,
+                                        .loss = ctx->loss,
+                                        .appearance = &b->view,
+                                        .steps = BUDGET_FIT_STEPS,
+                                        .lr = HALF_IMAGE_LR,
+                                        .lr_end = HALF_IMAGE_LR_END};
+    if (b->half)
+        return ERR_OK;
+    enum err_code rc = appearance_view_open(&b->view, &ctx->appearance.model, ctx->scene, e);
+    return rc ? rc : half_image_open(&c, &b->half, e);
+}
+
+/* A photograph that carries no gradient has an appearance of its own all the same: a few steps on
+ * its left half go on with its row of the table, and the right half is scored. */
+static enum err_code budget_score_half(struct budget *b, const struct photo *p,
+                                       const struct model *m, struct context *ctx, double *db,
+                                       struct err *e)
 {
     struct render_options ro = context_render_options(ctx, ctx->step);
+    struct evaluate_score score = {0};
+    float image[APPEARANCE_IMAGE_MAX];
+    appearance_train_get(&ctx->appearance, p->image, image);
+    enum err_code rc = budget_open_half(b, ctx, e);
+    if (!rc)
+        rc = half_image_fit(b->half, p, &m->gauss, &ro, HALF_IMAGE_LEFT, image, e);
+    if (!rc)
+        rc = half_image_score(b->half, p, &m->gauss, &ro, HALF_IMAGE_RIGHT, image, &score, e);
+    if (!rc)
+        appearance_train_set(&ctx->appearance, p->image, image);
+    *db = score.psnr_db;
+    return rc;
+}
+
+/* Mean PSNR of the held-out photographs, each in its own appearance. */
+static enum err_code budget_psnr(struct budget *b, const struct model *m, struct context *ctx,
+                                 double *mean_db, struct err *e)
+{
     enum err_code rc = budget_open_photos(b, ctx, e);
     *mean_db = 0.0;
     for (size_t i = 0; !rc && i < b->n_held; i++) {
@@ -109,12 +173,10 @@ static enum err_code budget_psnr(struct budget *b, const struct model *m, const 
         rc = photo_loader_get_nth(b->photos, i, &p, e);
         if (rc)
             break;
-        float *rgb = mem_array((size_t)p.cam.width_px * p.cam.height_px * 3, sizeof *rgb);
-        rc = rgb ? render_forward(ctx->render, &m->gauss, &p.cam, &ro, rgb, NULL, e)
-                 : err_set(e, ERR_MEM, "budget: out of memory");
-        if (!rc)
-            rc = metric_psnr(rgb, p.px, p.mask, p.cam.width_px, p.cam.height_px, &db, e);
-        mem_free(rgb);
+        struct render_options ro = context_photo_options(ctx, ctx->step, p.image);
+        rc = ro.appearance_frame && !budget_is_learnt(ctx, p.image)
+                 ? budget_score_half(b, &p, m, ctx, &db, e)
+                 : budget_score(&p, m, ctx, &ro, &db, e);
         *mean_db += db / (double)b->n_held;
     }
     return rc;
@@ -147,7 +209,10 @@ enum err_code budget_look(struct budget *b, const struct model *m, struct contex
     if (step == BUDGET_STOP) {
         b->at.stopped = true;
         s->budget = m->gauss.n;
-        log_info("train", "level=%u growth stops at %u Gaussians (step %u): more do not pay",
+        log_info("train",
+                 "level=%u densification stops at %u Gaussians (step %u): held-out photographs "
+                 "gain less than "
+                 "--budget-gain-db from more",
                  s->level, m->gauss.n, ctx->step);
     } else if (step == BUDGET_RAISE) {
         double up = floor(BUDGET_RAISE_FACTOR * (double)s->budget);

@@ -6,10 +6,12 @@
 #ifndef TRAIN_BUDGET_H
 #define TRAIN_BUDGET_H
 
+#include "train/appearance_train.h"
 #include "train/config.h"
 #include "train/schedule.h"
 
 struct context;
+struct half_image;
 struct model;
 struct photo_loader;
 struct scene;
@@ -41,14 +43,17 @@ struct budget { /* {0}: not automatic. What a state to resume from holds of it i
     size_t n_held;
     size_t table[TRAIN_LEVELS_MAX]; /* the most that a budget can be raised to */
     struct photo_loader *photos;    /* held out, of the level in work; made on first use */
-    struct budget_point {           /* where the last decision was taken */
-        double n, psnr_db;          /* n 0: none yet */
+    struct appearance_view view;    /* with appearance, as is the next: made on first use */
+    struct half_image *half;
+    struct budget_point {  /* where the last decision was taken */
+        double n, psnr_db; /* n 0: none yet */
         bool stopped;
     } at;
 };
 void budget_close(struct budget *b);
 /* At densification x of the level in work, before it: look at the held-out photographs about ten
- * times a level. Gain since the last decision, dB a doubling of the Gaussians: at or above
+ * times a level, each in its own appearance: that of its group, that of a shared model, or one that
+ * a few steps on its left half go on learning, and then its right half is scored. Gain since the last decision, dB a doubling of the Gaussians: at or above
  * cfg->budget_gain_db the budget rises by 1.3 when it is nearly used, below it growth stops for the
  * rest of the level. Changes the level's budget in ctx->schedule. ERR_MEM, ERR_DEVICE, and
  * what photo_loader_get_nth fails with. */

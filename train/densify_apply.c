@@ -175,7 +175,7 @@ static enum err_code densify_decide(struct model *m, struct context *ctx,
     if (!rc)
         rc = densify_plan_make(p, &in, &c->plan, e);
     if (!rc && c->plan.report.needs_importance) {
-        enum timing_on was = timing_turn(&ctx->timing, TIMING_SCORE);
+        enum timing_on was = timing_turn(&ctx->timing, TIMING_IMPORTANCE);
         c->score = mem_array(in.n, sizeof(float));
         rc = c->score ? importance_run(importance, m, ctx, in.params, c->mean_grad, c->score, e)
                       : err_set(e, ERR_MEM, "densify: out of memory for %zu scores", in.n);

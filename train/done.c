@@ -45,7 +45,7 @@ enum err_code done_write(const char *cell_dir, const struct train_cell_result *r
     json_t *root =
         json_pack("{s:i, s:s, s:s, s:f, s:o}", "done_version", DONE_VERSION, "cell", r->id,
                   "version", CITYSPLAT_VERSION, "seconds", r->seconds, "levels", levels);
-    if (root && json_object_set_new(root, "spent", timing_json(&r->spent))) {
+    if (root && json_object_set_new(root, "timing", timing_json(&r->timing))) {
         json_decref(root);
         root = NULL;
     }
@@ -123,7 +123,7 @@ enum err_code done_read(const char *cell_dir, struct train_cell_result *out, str
     if (!rc)
         snprintf(out->id, sizeof out->id, "%s", id);
     if (!rc) /* files of older versions have none */
-        timing_from_json(json_object_get(root, "spent"), &out->spent);
+        timing_from_json(json_object_get(root, "timing"), &out->timing);
     json_decref(root);
     return rc ? err_add(e, "%s", path) : ERR_OK;
 }

@@ -23,14 +23,17 @@ enum {
         3, /* of a photograph; the quickest counts, so that a busy neighbour does not */
 };
 
+/* Mean over the used pixels. */
 static double evaluate_l1(const float *rgb, const uint8_t *target, const uint8_t *mask, size_t n)
 {
     double sum = 0.0;
-    for (size_t i = 0; i < n; i++)
-        sum += mask && !mask[i / 3]
-                   ? 0.0
-                   : fabs((double)fminf(fmaxf(rgb[i], 0.0f), 1.0f) - target[i] / 255.0);
-    return n ? sum / (double)n : 0.0;
+    size_t used = 0;
+    for (size_t i = 0; i < n; i++) {
+        bool use = !mask || mask[i / 3];
+        sum += use ? fabs((double)fminf(fmaxf(rgb[i], 0.0f), 1.0f) - target[i] / 255.0) : 0.0;
+        used += use;
+    }
+    return used ? sum / (double)used : 0.0;
 }
 
 enum err_code evaluate_photo(const struct photo *p, const float *rgb, struct evaluate_score *sum,
@@ -96,6 +99,14 @@ static void evaluate_add(struct evaluate_score *sum, const struct evaluate_score
     sum->ms_frame += one->ms_frame;
 }
 
+static bool evaluate_is_masked(const struct photo *p)
+{
+    size_t n = (size_t)p->cam.width_px * p->cam.height_px, i = 0;
+    while (p->mask && i < n && !p->mask[i])
+        i++;
+    return p->mask && i == n;
+}
+
 static enum err_code evaluate_one(struct photo_loader *f, size_t nth,
                                   const struct evaluate_source *src, struct evaluate_score *sum,
                                   struct err *e)
@@ -104,12 +115,16 @@ static enum err_code evaluate_one(struct photo_loader *f, size_t nth,
     enum err_code rc = photo_loader_get_nth(f, nth, &photo, e);
     if (rc)
         return rc;
+    if (evaluate_is_masked(&photo)) {
+        log_warn("eval", "%s: its mask leaves no pixel: not scored", photo.name);
+        return ERR_OK;
+    }
     float *rgb = mem_array((size_t)photo.cam.width_px * photo.cam.height_px * 3, sizeof *rgb);
     if (!rgb)
         return err_set(e, ERR_MEM, "evaluate: out of memory for %u x %u pixels", photo.cam.width_px,
                        photo.cam.height_px);
     double gaussians = 0.0, start = 0.0, quickest = HUGE_VAL, lpips = 0.0;
-    if (nth == 0)
+    if (!sum->n_photos)
         rc = src->draw(src->user, &photo.cam, rgb, &gaussians, e);
     for (int k = 0; !rc && k < EVALUATE_DRAWS; k++) {
         start = clock_s();
@@ -126,6 +141,7 @@ static enum err_code evaluate_one(struct photo_loader *f, size_t nth,
         one.gaussians = gaussians;
         one.visible = src->render ? render_last_stats(src->render)->visible : 0.0;
         evaluate_add(sum, &one);
+        sum->n_photos++;
     }
     if (!rc && src->lpips)
         rc = lpips_run(src->lpips, rgb, photo.px, photo.mask, photo.cam.width_px,
@@ -154,7 +170,7 @@ enum err_code evaluate_run(struct photo_loader *f, size_t n_photos,
                            const struct evaluate_source *src, struct evaluate_score *out,
                            struct err *e)
 {
-    *out = (struct evaluate_score){.n_photos = n_photos, .bytes = src->bytes};
+    *out = (struct evaluate_score){.bytes = src->bytes};
     if (!n_photos)
         return err_set(e, ERR_DATA, "evaluate: no test photographs");
     for (size_t i = 0; i < n_photos; i++) {
@@ -164,7 +180,9 @@ enum err_code evaluate_run(struct photo_loader *f, size_t n_photos,
         if (signals_stopping())
             return err_set(e, ERR_CANCEL, "stopped while scoring");
     }
-    evaluate_divide(out, (double)n_photos);
+    if (!out->n_photos)
+        return err_set(e, ERR_DATA, "evaluate: masks leave no test photograph to score");
+    evaluate_divide(out, (double)out->n_photos);
     return ERR_OK;
 }
 

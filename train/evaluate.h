@@ -39,11 +39,12 @@ struct evaluate_source {
     struct residual_list *residuals; /* gets a row a photograph; NULL: none kept */
 };
 /* Add the scores of one photograph against its drawing to `sum` (PSNR, SSIM, L1), and make means of
- * `n` such sums. ERR_ARG: fewer than 4 x 4 pixels; ERR_MEM. */
+ * `n` such sums. ERR_DATA: its mask leaves no pixel; ERR_ARG: fewer than 4 x 4 pixels; ERR_MEM. */
 enum err_code evaluate_photo(const struct photo *p, const float *rgb, struct evaluate_score *sum,
                              struct err *e) ERR_USE;
 void evaluate_divide(struct evaluate_score *sum, double n);
-/* Score the first n_photos of the loader's list. ERR_DATA: there are none; ERR_CANCEL: stopped by a
+/* Score the first n_photos of the loader's list, but those that a mask covers whole. ERR_DATA: there
+ * are none; ERR_CANCEL: stopped by a
  * signal; ERR_ARG: pictures too small for a score; ERR_IO: `pictures` cannot be written; ERR_MEM,
  * ERR_DEVICE, and what photo_loader_get_nth fails with. */
 enum err_code evaluate_run(struct photo_loader *f, size_t n_photos,

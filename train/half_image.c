@@ -1,4 +1,4 @@
-/* The half-image protocol; see half.h.
+/* The half-image protocol; see half_image.h.
  *
  * Learning draws only the columns of the half (a camera with a narrower picture), which halves its
  * cost; scoring draws the whole picture and cuts, so that the pixels are those of any other score.
@@ -18,8 +18,8 @@
 
 struct half_image {
     struct half_image_config c;
-    cl_mem target, grads;
-    size_t target_bytes, grads_bytes;
+    cl_mem target, mask, grads;
+    size_t target_bytes, mask_bytes, grads_bytes;
     float *frame, *frame_grad, *image_grad, *image, *m1, *m2;
 };
 
@@ -53,6 +53,7 @@ void half_image_close(struct half_image **p)
     if (!h)
         return;
     dev_release(&h->target);
+    dev_release(&h->mask);
     dev_release(&h->grads);
     mem_free(h->frame);
     mem_free(h->frame_grad);
@@ -101,12 +102,44 @@ static struct camera half_image_camera(const struct camera *cam, enum half_image
     return c;
 }
 
-static void half_image_cut_photo(const struct photo *p, enum half_image_side side, uint8_t *out)
+/* The columns of a side out of px [h][w][bytes]. */
+static void half_image_cut(const struct photo *p, enum half_image_side side, const uint8_t *px,
+                           size_t bytes, uint8_t *out)
 {
     uint32_t first, count, w = p->cam.width_px;
     half_image_columns(w, side, &first, &count);
     for (size_t y = 0; y < p->cam.height_px; y++)
-        memcpy(out + y * count * 3, p->px + (y * w + first) * 3, (size_t)count * 3);
+        memcpy(out + y * count * bytes, px + (y * w + first) * bytes, count * bytes);
+}
+
+/* Photograph and mask of a side: `out` borrows from *room, mem_free it. */
+static enum err_code half_image_part(const struct photo *p, enum half_image_side side,
+                                     struct photo *out, uint8_t **room, struct err *e)
+{
+    *out = *p;
+    out->cam = half_image_camera(&p->cam, side);
+    size_t n = (size_t)out->cam.width_px * out->cam.height_px;
+    *room = mem_array(n, 4);
+    if (!*room)
+        return err_set(e, ERR_MEM, "half-image score: out of memory for %zu pixels", n);
+    half_image_cut(p, side, p->px, 3, *room);
+    out->px = *room;
+    if (p->mask) {
+        half_image_cut(p, side, p->mask, 1, *room + 3 * n);
+        out->mask = *room + 3 * n;
+    }
+    return ERR_OK;
+}
+
+/* Is there anything on both sides to learn from and to score? */
+static bool half_image_is_seen(const struct photo *p)
+{
+    size_t n = (size_t)p->cam.width_px * p->cam.height_px;
+    bool seen[2] = {!p->mask, !p->mask};
+    for (size_t i = 0; p->mask && i < n; i++)
+        if (p->mask[i])
+            seen[i % p->cam.width_px >= p->cam.width_px / 2] = true;
+    return seen[HALF_IMAGE_LEFT] && seen[HALF_IMAGE_RIGHT];
 }
 
 static void half_image_adam(struct half_image *h, float *image, size_t n, uint32_t t)
@@ -126,12 +159,14 @@ static void half_image_adam(struct half_image *h, float *image, size_t n, uint32
     }
 }
 
-static enum err_code half_image_step(struct half_image *h, const struct camera *cam,
+static enum err_code half_image_step(struct half_image *h, const struct photo *part,
                                      const struct render_model *m, struct render_options ro,
                                      const float *image, struct err *e)
 {
+    const struct camera *cam = &part->cam;
     const struct appearance *a = h->c.appearance->model;
     struct photometric_input in = {.target = h->target,
+                                   .mask = part->mask ? h->mask : NULL,
                                    .width_px = cam->width_px,
                                    .height_px = cam->height_px,
                                    .l1_weight = PHOTOMETRIC_L1_WEIGHT,
@@ -151,33 +186,42 @@ static enum err_code half_image_step(struct half_image *h, const struct camera *
     return rc;
 }
 
+/* Photograph and mask of a side onto the device, and room for the gradients. */
+static enum err_code half_image_upload(struct half_image *h, const struct photo *part,
+                                       const struct render_model *m, struct err *e)
+{
+    size_t n = (size_t)part->cam.width_px * part->cam.height_px;
+    size_t grads = permute_floats(m->cap, m->planes) * sizeof(float);
+    enum err_code rc = half_image_grow(h, &h->target, &h->target_bytes, 3 * n, e);
+    if (!rc)
+        rc = half_image_grow(h, &h->grads, &h->grads_bytes, grads, e);
+    if (!rc)
+        rc = dev_write(h->c.dev, h->target, 0, 3 * n, part->px, e);
+    if (!rc && part->mask)
+        rc = half_image_grow(h, &h->mask, &h->mask_bytes, n, e);
+    return !rc && part->mask ? dev_write(h->c.dev, h->mask, 0, n, part->mask, e) : rc;
+}
+
 enum err_code half_image_fit(struct half_image *h, const struct photo *p,
                              const struct render_model *m, const struct render_options *ro,
                              enum half_image_side side, float *image, struct err *e)
 {
-    struct camera cam = half_image_camera(&p->cam, side);
-    size_t bytes = (size_t)cam.width_px * cam.height_px * 3,
-           len = h->c.appearance->model->len_image;
-    size_t floats = permute_floats(m->cap, m->planes);
-    uint8_t *cut = mem_array(bytes, 1);
-    enum err_code rc = cut ? half_image_grow(h, &h->target, &h->target_bytes, bytes, e)
-                           : err_set(e, ERR_MEM, "half-image score: out of memory");
+    size_t len = h->c.appearance->model->len_image;
+    struct photo part;
+    uint8_t *room = NULL;
+    enum err_code rc = half_image_part(p, side, &part, &room, e);
     if (!rc)
-        rc = half_image_grow(h, &h->grads, &h->grads_bytes, floats * sizeof(float), e);
-    if (!rc) {
-        half_image_cut_photo(p, side, cut);
-        rc = dev_write(h->c.dev, h->target, 0, bytes, cut, e);
-    }
+        rc = half_image_upload(h, &part, m, e);
     memset(h->m1, 0, len * sizeof(float));
     memset(h->m2, 0, len * sizeof(float));
     for (uint32_t t = 1; !rc && t <= h->c.steps; t++) {
-        rc = half_image_step(h, &cam, m, *ro, image, e);
+        rc = half_image_step(h, &part, m, *ro, image, e);
         if (!rc)
             half_image_adam(h, image, len, t);
         if (!rc && signals_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped while scoring");
     }
-    mem_free(cut);
+    mem_free(room);
     return rc;
 }
 
@@ -189,32 +233,31 @@ enum err_code half_image_score(struct half_image *h, const struct photo *p,
                                struct evaluate_score *sum, struct err *e)
 {
     struct render_options with = *ro;
-    struct photo part = *p;
+    struct photo part;
+    uint8_t *room = NULL;
     uint32_t first, count, w = p->cam.width_px, rows = p->cam.height_px;
     half_image_columns(w, side, &first, &count);
-    part.cam = half_image_camera(&p->cam, side);
     float *rgb = mem_array((size_t)w * rows * 3, sizeof(float));
-    uint8_t *cut = mem_array((size_t)count * rows * 3, 1);
     if (image) {
         appearance_frame(h->c.appearance->model, image, h->frame);
         with.appearance_frame = h->frame;
         with.appearance_hidden = h->c.appearance->model->hidden;
     }
+    enum err_code rc = rgb ? half_image_part(p, side, &part, &room, e)
+                           : err_set(e, ERR_MEM, "half-image score: out of memory");
     double start = clock_s();
-    enum err_code rc = rgb && cut ? render_forward(h->c.render, m, &p->cam, &with, rgb, NULL, e)
-                                  : err_set(e, ERR_MEM, "half-image score: out of memory");
+    if (!rc)
+        rc = render_forward(h->c.render, m, &p->cam, &with, rgb, NULL, e);
     if (!rc) {
         sum->ms_frame += 1e3 * (clock_s() - start);
         sum->gaussians += m->n;
-        half_image_cut_photo(p, side, cut);
-        part.px = cut;
         for (size_t y = 0; y < rows; y++) /* in place: rows only move towards the start */
             memmove(rgb + y * count * 3, rgb + (y * w + first) * 3,
                     (size_t)count * 3 * sizeof(float));
         rc = evaluate_photo(&part, rgb, sum, e);
     }
     mem_free(rgb);
-    mem_free(cut);
+    mem_free(room);
     return rc;
 }
 
@@ -252,23 +295,29 @@ enum err_code half_image_run(struct half_image *h, struct photo_loader *f, size_
                              const struct half_image_source *src, struct evaluate_score *out,
                              struct err *e)
 {
-    *out = (struct evaluate_score){.n_photos = n_photos};
+    *out = (struct evaluate_score){0};
     struct progress progress;
     enum err_code rc =
         n_photos ? ERR_OK : err_set(e, ERR_DATA, "half-image score: no test photographs");
-    progress_start(&progress, "halves", n_photos);
+    progress_start(&progress, "half images", n_photos);
     for (size_t i = 0; !rc && i < n_photos; i++) {
         struct photo photo;
         rc = photo_loader_get_nth(f, i, &photo, e);
         if (!rc && photo.cam.width_px < 2)
             rc = err_set(e, ERR_DATA, "%s: one column has no halves", photo.name);
-        if (!rc)
+        if (!rc && half_image_is_seen(&photo)) {
             rc = half_image_photo(h, &photo, src, out, e);
+            out->n_photos++;
+        } else if (!rc) {
+            log_warn("eval", "%s: its mask leaves nothing of one half: not scored", photo.name);
+        }
         if (!rc && signals_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped while scoring");
         progress_step(&progress, i + 1, NULL);
     }
     progress_end(&progress, NULL);
-    evaluate_divide(out, 2.0 * (double)n_photos);
+    if (!rc && !out->n_photos)
+        rc = err_set(e, ERR_DATA, "half-image score: masks leave no photograph to score");
+    evaluate_divide(out, 2.0 * (double)out->n_photos);
     return rc;
 }

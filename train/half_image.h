@@ -4,8 +4,9 @@
  * For each test photograph only its embedding is optimised, on the pixels left of the middle
  * (columns [0, W/2)), with the training loss; then the whole picture is drawn and the part right of
  * the middle is scored. Then the other way round, from the start. The photograph's score is the
- * mean of both. Both halves are cut out before loss and metric, so no window of SSIM sees across
- * the middle. A model without appearance is scored on the same halves and learns nothing. Protocol:
+ * mean of both. Both halves, and those of its mask, are cut out before loss and metric, so no window
+ * of SSIM sees across the middle. Learning ignores masked pixels; a photograph whose mask leaves
+ * nothing of one half is not scored. A model without appearance is scored on the same halves and learns nothing. Protocol:
  * NeRF in the Wild (Martin-Brualla 2021), REUrbanGS (ICCV 2025).
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -69,9 +69,10 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
     }
     n *= whole ? 1.0 : MEMORY_OUTSIDE;
     double groups = 0.0; /* of neighbours whose embeddings are compared: ids, places, gradients */
-    if (light && cfg->similarity_weight > 0.0)
-        groups = fmin((double)cfg->similarity_samples, n) * (double)cfg->similarity_neighbours *
-                 MEMORY_WORD * (2.0 + (double)cfg->embed_len);
+    if (light && cfg->embed_smoothness_weight > 0.0)
+        groups = fmin((double)cfg->embed_smoothness_samples, n) *
+                 (double)cfg->embed_smoothness_neighbours * MEMORY_WORD *
+                 (2.0 + (double)cfg->embed_len);
     double photos =
         memory_photos(cfg, s, images, n_images, downsample, &pixels, &photometric_pixels);
     bool depth = (cfg->depth_dir || cfg->depth_sparse) && cfg->depth_weight > 0.0;

@@ -41,10 +41,11 @@ static enum err_code prune_draw(struct prune *c, size_t nth, double *mse, struct
     struct context *ctx = c->ctx;
     struct photo p;
     struct photometric_value v = {0};
-    struct render_options ro = context_render_options(ctx, ctx->step);
     enum err_code rc = photo_loader_get_nth(ctx->photos, nth, &p, e);
-    if (!rc)
-        rc = render_forward(ctx->render, &c->m->gauss, &p.cam, &ro, NULL, NULL, e);
+    if (rc)
+        return rc;
+    struct render_options ro = context_photo_options(ctx, ctx->step, p.image);
+    rc = render_forward(ctx->render, &c->m->gauss, &p.cam, &ro, NULL, NULL, e);
     if (!rc)
         rc = context_photo_value(ctx, &p, e);
     if (!rc)
@@ -172,9 +173,7 @@ static enum err_code prune_apply(struct prune *c, const uint8_t *keep, size_t n_
 enum err_code prune_level(struct model *m, struct context *ctx, struct prune_report *out,
                           struct residual_list *residuals, struct err *e)
 {
-    struct prune c = {.m = m,
-                      .ctx = ctx,
-                      .residuals = appearance_train_is_on(&ctx->appearance) ? NULL : residuals};
+    struct prune c = {.m = m, .ctx = ctx, .residuals = residuals};
     double mse = 0.0;
     size_t n = m->gauss.n;
     uint32_t support = (uint32_t)ctx->cfg->prune_support;

@@ -163,19 +163,19 @@ static enum err_code regularizer_depth(struct regularizer *r, const struct model
 /* From the first frame with appearance on; before, embeddings do not step. */
 static bool regularizer_smoothness_acts(const struct context *ctx, uint32_t step)
 {
-    return ctx->cfg->similarity_weight > 0.0 && appearance_train_is_on(&ctx->appearance) &&
+    return ctx->cfg->embed_smoothness_weight > 0.0 && appearance_train_is_on(&ctx->appearance) &&
            step > appearance_train_warmup(&ctx->appearance, ctx->cfg, context_schedule(ctx)) &&
-           step % (uint32_t)ctx->cfg->similarity_interval == 0;
+           step % (uint32_t)ctx->cfg->embed_smoothness_interval == 0;
 }
 
 static enum err_code regularizer_smoothness(struct regularizer *r, struct model *m,
                                             const struct context *ctx, uint32_t step, struct err *e)
 {
     struct embed_smoothness_input in = {
-        .samples = (size_t)ctx->cfg->similarity_samples,
-        .neighbours = (size_t)ctx->cfg->similarity_neighbours,
-        .falloff = ctx->cfg->similarity_falloff / (ctx->cell.edge_m * ctx->cell.edge_m),
-        .weight = ctx->cfg->similarity_weight,
+        .samples = (size_t)ctx->cfg->embed_smoothness_samples,
+        .neighbours = (size_t)ctx->cfg->embed_smoothness_neighbours,
+        .falloff = ctx->cfg->embed_smoothness_falloff / (ctx->cell.edge_m * ctx->cell.edge_m),
+        .weight = ctx->cfg->embed_smoothness_weight,
         .seed = (uint64_t)ctx->cfg->seed,
         .stream = train_stream(TRAIN_STREAM_SIMILARITY, ctx->at + 1, step),
     };
@@ -199,7 +199,7 @@ enum err_code regularizer_step(struct regularizer **own, struct model *m, struct
     rc = regularizer_make(own, e);
     if (!rc && smoothness) {
         rc = dev_finish(ctx->dev, e); /* what follows shall not pay for the last step */
-        enum timing_on was = timing_turn(&ctx->timing, TIMING_SIMILARITY);
+        enum timing_on was = timing_turn(&ctx->timing, TIMING_EMBED_SMOOTHNESS);
         if (!rc)
             rc = regularizer_smoothness(*own, m, ctx, step, e);
         (void)timing_turn(&ctx->timing, was);

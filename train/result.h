@@ -20,7 +20,7 @@ struct train_cell_result {
     double psnr_db[TRAIN_LEVELS_MAX],
         ssim[TRAIN_LEVELS_MAX]; /* test photographs at training size; NaN = none */
     double seconds;
-    struct timing_seconds spent; /* of this process: what came before --resume is not in it */
+    struct timing_seconds timing; /* of this process: what came before --resume is not in it */
 };
 struct train_result { /* {0} is empty; train_result_free */
     struct train_cell_result *cells;

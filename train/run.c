@@ -17,6 +17,7 @@
 #include "train/config.h"
 #include "train/done.h"
 #include "train/evaluate.h"
+#include "train/forecast.h"
 #include "train/init.h"
 #include "train/level.h"
 #include "train/memory.h"
@@ -31,7 +32,7 @@
 #include "train/state_check.h"
 #include "train/timing.h"
 
-enum { RUN_LOOK_STEPS = 20, RUN_LINE_STEPS = 100 };
+enum { RUN_LOOK_STEPS = 20, RUN_LINE_STEPS = 100, RUN_FORECAST_LOOKS = 3 };
 
 struct run {
     struct level level;
@@ -40,6 +41,10 @@ struct run {
     char dir[FILE_PATH_MAX], resume_path[FILE_PATH_MAX];
     struct progress progress;
     struct timing_seconds spent_before; /* when the level in work began */
+    struct forecast forecast;
+    double looked_s;      /* when steps were last counted for it */
+    uint32_t looked_step; /* the step of that look */
+    uint32_t looks;
     double start_s;
     uint64_t last_saved; /* steps of this process when the state was last saved */
     struct train_cell_result *result;
@@ -99,23 +104,32 @@ static enum err_code run_open_metrics(struct run *t, struct err *e)
         e);
 }
 
-/* --resume and nothing to resume: is the cell complete, with these options? */
+/* A folder that is complete: with these options there is nothing to do, with others its results are
+ * replaced only when that was asked for. */
 static enum err_code run_is_done(struct run *t, bool *done, struct err *e)
 {
     char path[FILE_PATH_MAX];
-    *done = false;
     struct train_cell_result was;
     struct err why = {0};
-    if (!t->cfg->resume || file_exists(t->resume_path) || done_read(t->dir, &was, &why))
+    *done = false;
+    if ((t->cfg->overwrite && !t->job->reuse) || (t->cfg->resume && file_exists(t->resume_path)) ||
+        done_read(t->dir, &was, &why))
         return ERR_OK;
-    enum err_code rc = run_level_path(t, t->level.ctx.n_levels, path, e);
-    if (!rc)
-        rc = state_check_result(&t->level.ctx, path, done, e);
-    if (!rc && *done) {
-        *t->result = was;
-        t->result->was_done = true;
-    }
-    return rc;
+    enum err_code rc = run_level_path(t, was.n_levels, path, e);
+    if (rc)
+        return rc;
+    if (state_check_result(&t->level.ctx, path, &why))
+        return t->cfg->overwrite
+                   ? ERR_OK
+                   : err_set(
+                         e, ERR_ARG,
+                         "%s holds a finished run with other options (%s): --overwrite replaces "
+                         "it, --output DIR keeps both",
+                         t->dir, why.msg);
+    *done = true;
+    *t->result = was;
+    t->result->was_done = true;
+    return ERR_OK;
 }
 
 /* What follows will not be what the done-file tells of. */
@@ -181,13 +195,29 @@ static enum err_code run_stop(struct run *t, struct err *e)
         l->ctx.at + 1, l->ctx.n_levels, l->ctx.step, l->ctx.schedule[l->ctx.at].steps);
 }
 
+/* What the whole run will take, said once when it can be known. */
+static void run_forecast(struct run *t, char *left, size_t size)
+{
+    struct context *ctx = &t->level.ctx;
+    double now = clock_s(), n = t->level.model.gauss.n;
+    uint32_t steps = ctx->step - t->looked_step;
+    forecast_add(&t->forecast, ctx, n, steps, now - t->looked_s);
+    t->looked_s = now;
+    t->looked_step = ctx->step;
+    double rest = forecast_left_s(&t->forecast, ctx, n);
+    forecast_text(rest, left, size);
+    if (++t->looks == RUN_FORECAST_LOOKS)
+        log_info("train", "cell=%s about %s left for the rest of all levels", ctx->cell.id, left);
+}
+
 static enum err_code run_report(struct run *t, const struct photometric_value *v, struct err *e)
 {
     struct level *l = &t->level;
-    char note[96];
+    char note[160], left[32];
     double psnr = l->mse_mean > 0.0 ? -10.0 * log10(l->mse_mean) : 0.0;
-    snprintf(note, sizeof note, "loss %.4f, PSNR %.2f dB, %.1f k Gaussians", l->loss_mean, psnr,
-             l->model.gauss.n * 1e-3);
+    run_forecast(t, left, sizeof left);
+    snprintf(note, sizeof note, "%s left of all levels, loss %.4f, PSNR %.2f dB, %.1f k Gaussians",
+             left, l->loss_mean, psnr, l->model.gauss.n * 1e-3);
     progress_step(&t->progress, l->ctx.step, note);
     if (l->ctx.step % RUN_LINE_STEPS && l->ctx.step != l->ctx.schedule[l->ctx.at].steps)
         return ERR_OK;
@@ -368,7 +398,7 @@ static enum err_code run_report_spent(struct run *t, struct err *e)
     log_debug("train", "level=%u time: %s", l->ctx.at + 1, text);
     return metrics_log_line(l->ctx.metrics, "time",
                             json_pack("{s:i, s:f, s:o}", "level", (int)l->ctx.at + 1, "seconds",
-                                      timing_total(&here), "spent", timing_json(&here)),
+                                      timing_total(&here), "timing", timing_json(&here)),
                             e);
 }
 
@@ -381,6 +411,8 @@ static enum err_code run_levels(struct run *t, struct err *e)
         snprintf(what, sizeof what, "train level %u/%u", l->ctx.at + 1, l->ctx.n_levels);
         progress_start(&t->progress, what, l->ctx.schedule[l->ctx.at].steps);
         (void)timing_turn(&l->ctx.timing, TIMING_STEP);
+        t->looked_s = clock_s();
+        t->looked_step = l->ctx.step;
         rc = run_steps(t, e);
         if (!rc)
             rc = dev_finish(l->ctx.dev, e);
@@ -438,6 +470,68 @@ static void run_tell_memory(const struct run *t)
              m.per_pixel, (double)m.photo_bytes / 1048576.0, (double)m.group_bytes / 1048576.0);
 }
 
+/* And how long it is. */
+static void run_tell_length(const struct run *t)
+{
+    const struct context *ctx = &t->level.ctx;
+    char parts[64] = "";
+    double steps = 0.0;
+    size_t at = 0;
+    for (uint32_t i = 0; i < ctx->n_levels; i++) {
+        steps += ctx->schedule[i].steps;
+        at += (size_t)snprintf(parts + at, sizeof parts - at, "%s%u", i ? " + " : "",
+                               ctx->schedule[i].steps);
+    }
+    log_info("train", "cell=%s %.0f steps, by level %s%s", ctx->cell.id, steps, parts,
+             t->cfg->iterations ? "" : ": the full method; --iterations N makes it shorter");
+}
+
+/* A network that is warmed up for longer than its level learns nothing. */
+static enum err_code run_check_warmup(const struct run *t, struct err *e)
+{
+    const struct context *ctx = &t->level.ctx;
+    const struct appearance_train *a = &ctx->appearance;
+    if (!appearance_train_is_on(a) || a->shared)
+        return ERR_OK;
+    uint32_t warmup = appearance_train_warmup(a, t->cfg, &ctx->schedule[0]);
+    return warmup < ctx->schedule[0].steps
+               ? ERR_OK
+               : err_set(e, ERR_ARG,
+                         "the appearance network would learn nothing: its warm-up of %u steps is "
+                         "not shorter than the %u steps of the first level: lower "
+                         "--appearance-warmup or take more steps",
+                         warmup, ctx->schedule[0].steps);
+}
+
+/* Everything up to the first step; *done: there is nothing to do. */
+static enum err_code run_open(struct run *t, bool *done, struct err *e)
+{
+    const struct run_cell *job = t->job;
+    enum err_code rc = run_budget(t, e);
+    if (!rc)
+        rc = run_paths(t, job->base_dir, e);
+    if (!rc && appearance_train_wanted(job->cfg))
+        rc = appearance_train_open(&t->level.ctx.appearance, job->cfg, job->scene, job->images,
+                                   job->n_images, job->shared, e);
+    if (!rc)
+        rc = run_check_warmup(t, e);
+    if (!rc)
+        rc = done_lock(t->dir, &t->lock_fd, e);
+    if (!rc)
+        rc = run_is_done(t, done, e);
+    if (rc || *done)
+        return rc;
+    rc = run_forget_done(t, e);
+    if (rc)
+        return rc;
+    run_tell_memory(t);
+    run_tell_length(t);
+    rc = run_start(t, e);
+    if (!rc)
+        rc = run_write_config(t, e);
+    return rc ? rc : run_open_metrics(t, e);
+}
+
 enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out, struct err *e)
 {
     struct run *t = mem_array(1, sizeof *t);
@@ -461,35 +555,16 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
     timing_start(&t->level.ctx.timing, TIMING_START);
     *out = (struct train_cell_result){.n_levels = t->level.ctx.n_levels};
     memcpy(out->id, job->cell.id, sizeof out->id);
-    enum err_code rc = run_budget(t, e);
-    if (!rc)
-        rc = run_paths(t, job->base_dir, e);
-    if (!rc && appearance_train_wanted(job->cfg))
-        rc = appearance_train_open(&t->level.ctx.appearance, job->cfg, job->scene, job->images,
-                                   job->n_images, job->shared, e);
-    if (!rc)
-        rc = done_lock(t->dir, &t->lock_fd, e);
-    if (!rc)
-        rc = run_is_done(t, &done, e);
-    if (!rc && !done)
-        rc = run_forget_done(t, e);
-    if (rc || done)
-        goto out;
-    run_tell_memory(t);
-    rc = run_start(t, e);
-    if (!rc)
-        rc = run_write_config(t, e);
-    if (!rc)
-        rc = run_open_metrics(t, e);
-    if (!rc)
+    enum err_code rc = run_open(t, &done, e);
+    if (!rc && !done) {
         rc = run_levels(t, e);
-    out->seconds = clock_s() - t->start_s;
-    out->spent = timing_now(&t->level.ctx.timing);
-    if (!rc)
-        rc = done_write(t->dir, out, e);
-    if (!rc)
-        (void)unlink(t->resume_path); /* nothing is left to go on from */
-out:
+        out->seconds = clock_s() - t->start_s;
+        out->timing = timing_now(&t->level.ctx.timing);
+        if (!rc)
+            rc = done_write(t->dir, out, e);
+        if (!rc)
+            (void)unlink(t->resume_path); /* nothing is left to go on from */
+    }
     level_close(&t->level);
     metrics_log_close(&t->level.ctx.metrics);
     done_unlock(&t->lock_fd);

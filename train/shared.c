@@ -32,7 +32,7 @@ static struct train_config shared_config(const struct train_config *cells, const
     if (cells->iterations > 0)
         c.iterations = (int64_t)fmax(
             floor((double)cells->appearance_iterations * (double)cells->iterations / total + 0.5),
-            1.0);
+            (double)cells->appearance_iterations_min);
     c.level_count = 1;
     c.downsample_2 = c.downsample_3 = c.downsample_1;
     c.densify_interval_2 = c.densify_interval_3 = c.densify_interval_1;
@@ -90,9 +90,16 @@ enum err_code shared_get(const struct run_cell *job, bool may_train, struct appe
         rc = file_join(resume, dir, "resume.ckpt", e);
     if (rc)
         return rc;
+    if (job->cfg->appearance_iterations < job->cfg->appearance_iterations_min)
+        return err_set(e, ERR_ARG,
+                       "shared appearance: %lld steps are too few for the network to learn from: "
+                       "take --appearance-iterations of at least %lld",
+                       (long long)job->cfg->appearance_iterations,
+                       (long long)job->cfg->appearance_iterations_min);
     struct train_config cfg = shared_config(job->cfg, resume);
     whole.cfg = &cfg;
     whole.shared = NULL;
+    whole.reuse = true;
     cell_whole(job->scene, job->images, job->n_images, &whole.cell);
     memcpy(whole.cell.id, SHARED_ID, sizeof(SHARED_ID));
     if (!may_train && (!file_exists(path) || file_exists(resume)))

@@ -391,9 +391,12 @@ static enum err_code state_apply(struct context *ctx, struct budget *budget, con
         rc = err_set(e, ERR_FORMAT, "is the result of a level, not a state to go on from");
     if (rc)
         return err_add(e, "%s", path);
-    rc = state_check_config(ctx->cfg, path, json_object_get(meta, "config"), e);
+    struct err why = {0};
+    rc = state_check_config(ctx->cfg, path, json_object_get(meta, "config"), &why);
     if (!rc)
-        rc = state_check_cell(ctx, path, meta, e);
+        rc = state_check_cell(ctx, path, meta, &why);
+    if (rc)
+        return err_set(e, rc, "%s: go back to that, or leave out --resume to start anew", why.msg);
     if (!rc)
         rc = state_integer(meta, path, "level", 1, ctx->n_levels, &level, e);
     if (!rc)

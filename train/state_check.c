@@ -17,9 +17,11 @@
 
 /* Options that do not change the trajectory. */
 static const char *const state_check_free[] = {
-    "output",     "cell",      "device",          "jobs",
-    "threads",    "list",      "resume",          "checkpoint_interval",
-    "stop_after", "cache_mib", "appearance_only", NULL,
+    "output",     "cell",      "device",
+    "jobs",       "threads",   "list",
+    "resume",     "overwrite", "checkpoint_interval",
+    "stop_after", "cache_mib", "appearance_only",
+    NULL,
 };
 
 void state_check_drop_free(json_t *config)
@@ -51,11 +53,8 @@ enum err_code state_check_config(const struct train_config *cfg, const char *pat
             continue;
         char *was = json_dumps(json_object_get(saved, key), JSON_ENCODE_ANY | JSON_COMPACT);
         char *is = json_dumps(value, JSON_ENCODE_ANY | JSON_COMPACT);
-        rc = err_set(
-            e, ERR_ARG,
-            "%s: the run was begun with %s = %s, now it is %s: use the same options to go on, "
-            "or leave out --resume to start anew",
-            path, key, was ? was : "nothing", is ? is : "nothing");
+        rc = err_set(e, ERR_ARG, "%s: the run had %s = %s, now it is %s", path, key,
+                     was ? was : "nothing", is ? is : "nothing");
         free(was); /* jansson's, made with malloc */
         free(is);
     }
@@ -81,16 +80,13 @@ enum err_code state_check_cell(const struct context *ctx, const char *path, cons
     if (rc)
         return err_add(e, "%s", path);
     if (photos != (double)ctx->n_images)
-        return err_set(e, ERR_DATA,
-                       "%s: the run was begun with %.0f photographs, the scene has %zu now", path,
+        return err_set(e, ERR_DATA, "%s: the run had %.0f photographs, the scene has %zu now", path,
                        photos, ctx->n_images);
     for (size_t i = 0; i < 6; i++)
         if (!(fabs((i < 2 ? lengths[i] : box[i - 2]) - want[i]) <= STATE_CHECK_SAME_M))
             return err_set(e, ERR_DATA,
-                           "%s: cell %s was another one when the run was begun: go back to that "
-                           "plan, or leave "
-                           "out --resume to start anew",
-                           path, c->id);
+                           "%s: the run's cell %s was another one, of another plan.json", path,
+                           c->id);
     return ERR_OK;
 }
 
@@ -110,21 +106,24 @@ static bool state_check_appearance(const struct context *ctx, const struct ckpt_
     return same;
 }
 
-enum err_code state_check_result(const struct context *ctx, const char *path, bool *yes,
-                                 struct err *e)
+enum err_code state_check_result(const struct context *ctx, const char *path, struct err *e)
 {
     struct ckpt_rows *c = NULL;
     json_t *meta = NULL;
-    struct err why = {0};
     const char *kind = NULL;
-    double level = 0.0;
     enum err_code rc = ckpt_rows_open(path, &c, e);
     if (!rc)
         rc = ckpt_rows_meta(c, &meta, e);
-    *yes = !rc && !jsonc_text(meta, "kind", &kind, &why) && !strcmp(kind, "level") &&
-           !jsonc_num(meta, "level", &level, &why) && level == (double)ctx->n_levels &&
-           !state_check_config(ctx->cfg, path, json_object_get(meta, "config"), &why) &&
-           !state_check_cell(ctx, path, meta, &why) && state_check_appearance(ctx, c);
+    if (!rc)
+        rc = jsonc_text(meta, "kind", &kind, e);
+    if (!rc && strcmp(kind, "level"))
+        rc = err_set(e, ERR_FORMAT, "%s: is not the result of a level", path);
+    if (!rc)
+        rc = state_check_config(ctx->cfg, path, json_object_get(meta, "config"), e);
+    if (!rc)
+        rc = state_check_cell(ctx, path, meta, e);
+    if (!rc && !state_check_appearance(ctx, c))
+        rc = err_set(e, ERR_DATA, "%s: the run used another shared appearance model", path);
     json_decref(meta);
     ckpt_rows_close(&c);
     return rc;

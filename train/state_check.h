@@ -5,8 +5,6 @@
 #ifndef TRAIN_STATE_CHECK_H
 #define TRAIN_STATE_CHECK_H
 
-#include <stdbool.h>
-
 #include "core/err.h"
 
 struct context;
@@ -24,9 +22,10 @@ enum err_code state_check_config(const struct train_config *cfg, const char *pat
  * other cells the same names. ERR_DATA: another one; ERR_FORMAT: the head is incomplete. */
 enum err_code state_check_cell(const struct context *ctx, const char *path,
                                const struct json_t *meta, struct err *e) ERR_USE;
-/* Is this file the result of the last level, by a run with these options, cell, photographs and
- * shared appearance? ERR_NOENT, ERR_IO, ERR_FORMAT: it cannot be read. */
-enum err_code state_check_result(const struct context *ctx, const char *path, bool *yes,
+/* Is this file the result of a run with these options, cell, photographs and shared appearance?
+ * ERR_ARG, ERR_DATA: no, and the message says what is different; ERR_NOENT, ERR_IO, ERR_FORMAT: it
+ * cannot be read. */
+enum err_code state_check_result(const struct context *ctx, const char *path,
                                  struct err *e) ERR_USE;
 
 #endif

@@ -1,5 +1,6 @@
-// Build of the browser client: relative URLs, everything bundled, nothing from a CDN. CesiumJS is
-// copied beside the example page, only the parts that page fetches.
+// Builds of the browser client: the page and, from the same sources, the module for other pages
+// (`vite build --mode module` -> dist/viewer.js). Relative URLs, everything bundled, nothing from a
+// CDN. CesiumJS is copied beside its example page, only the parts that page fetches.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { cpSync, mkdirSync } from "node:fs";
@@ -36,13 +37,51 @@ function copyCesium(): Plugin {
   };
 }
 
+// Scripts, styles and workers of this page alone. Tiles may come from another server where the
+// address names one.
+const POLICY = [
+  "default-src 'self'",
+  "script-src 'self'",
+  "style-src 'self'",
+  "img-src 'self' blob: data:",
+  "worker-src 'self' blob:",
+  "connect-src 'self' https: http:",
+  "object-src 'none'",
+  "base-uri 'self'",
+].join("; ");
+
+// Only in what is built: the development server injects scripts and styles.
+function addPolicy(): Plugin {
+  return {
+    name: "add-policy",
+    apply: "build",
+    transformIndexHtml: () => [
+      {
+        tag: "meta",
+        attrs: { "http-equiv": "Content-Security-Policy", content: POLICY },
+        injectTo: "head-prepend",
+      },
+    ],
+  };
+}
+
 // `npm run dev` forwards the data to a running `citysplat serve`.
 const server = process.env["CITYSPLAT_SERVER"] ?? "http://127.0.0.1:8080";
 
-export default defineConfig({
+export default defineConfig(({ mode }) => ({
   base: "./",
-  plugins: [copyCesium()],
-  build: { target: "es2022", chunkSizeWarningLimit: 8000, sourcemap: false },
+  plugins: mode === "module" ? [] : [copyCesium(), addPolicy()],
+  publicDir: mode === "module" ? false : "public",
+  build: {
+    target: "es2022",
+    sourcemap: false,
+    ...(mode === "module"
+      ? {
+          emptyOutDir: false,
+          lib: { entry: "src/viewer.ts", formats: ["es" as const], fileName: () => "viewer.js" },
+        }
+      : { chunkSizeWarningLimit: 1500 }),
+  },
   worker: { format: "es" },
   server: { proxy: { "/collections": server, "/d/": server } },
-});
+}));

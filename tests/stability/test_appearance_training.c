@@ -12,6 +12,7 @@
 #include "codec/image.h"
 #include "codec/scene.h"
 #include "loss/metric.h"
+#include "loss/photometric.h"
 #include "tests/stability/toy.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
@@ -19,9 +20,12 @@
 #include "train/half_image.h"
 #include "train/level.h"
 #include "train/photo_loader.h"
+#include "train/prune.h"
+#include "train/residual.h"
 #include "train/shared.h"
 #include "train/train.h"
 
+#include <jansson.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -68,6 +72,7 @@ static struct train_config appearance_train_config(struct arena *a, const char *
     c.iterations_3 = STEPS; /* kappa 1: the warm-up below is in steps */
     c.appearance = appearance;
     c.appearance_warmup = STEPS / 8;
+    c.appearance_iterations_min = 1;
     c.densify_from = 1000000; /* who is split is chance on a toy */
     return c;
 }
@@ -437,6 +442,7 @@ static void cells_agree_on_the_look_at_their_border(void **state)
         c.scale_by_images = false;
         c.appearance_iterations = SEAM_STEPS;
         c.appearance_shared = shared;
+        c.overwrite = shared;
         train_result_free(&result);
         kit_ok(train_run(dir, &c, &result, &e), e);
         seam[shared] = seam_measure(dir, &t, &truth);
@@ -640,6 +646,188 @@ static void the_score_of_a_half_does_not_know_the_other(void **state)
     arena_free(&a);
 }
 
+/* Masks are cut with the picture: what they hide decides nothing, and what they hide on one side
+ * changes nothing on the other. */
+static void masked_pixels_of_a_half_count_nothing(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    char dir[FILE_PATH_MAX];
+    struct toy_run r;
+    struct photo_loader *photos = NULL;
+    struct half_image *h = NULL;
+    struct appearance_view view;
+    struct photo p;
+    float start[APPEARANCE_IMAGE_MAX] = {0}, image[2][APPEARANCE_IMAGE_MAX];
+    appearance_train_scene(dir, 0.6);
+    struct train_config c = appearance_train_config(&a, NULL, true);
+    toy_run_open(&r, dir, &c);
+    toy_run_steps(&r, STEPS / 4);
+    struct level *l = &r.level;
+    struct photo_loader_config f = {.scene = &r.scene,
+                                    .images = r.tests,
+                                    .n_images = r.n_tests,
+                                    .downsample = 1.0,
+                                    .cache_bytes = 1 << 20};
+    kit_ok(appearance_view_open(&view, &l->ctx.appearance.model, &r.scene, &e), e);
+    const struct half_image_config hc = {.dev = &toy_dev,
+                                         .render = l->ctx.render,
+                                         .loss = l->ctx.loss,
+                                         .appearance = &view,
+                                         .steps = 10,
+                                         .lr = HALF_IMAGE_LR,
+                                         .lr_end = HALF_IMAGE_LR_END};
+    struct render_options ro = context_render_options(&l->ctx, l->ctx.step);
+    kit_ok(half_image_open(&hc, &h, &e), e);
+    kit_ok(photo_loader_open(&f, &photos, &e), e);
+    kit_ok(photo_loader_get_nth(photos, 0, &p, &e), e);
+    uint32_t w = p.cam.width_px, rows = p.cam.height_px;
+    size_t n = (size_t)w * rows;
+    uint8_t *px = mem_array(n, 3), *mask = mem_array(n, 1);
+    assert_true(px && mask);
+    memcpy(px, p.px, 3 * n);
+    for (size_t i = 0; i < n; i++) { /* hide the upper third of the left half, and spoil it */
+        bool hidden = i % w < w / 2 && i / w < rows / 3;
+        mask[i] = hidden ? 0 : 255;
+        for (size_t k = 0; k < 3; k++)
+            px[3 * i + k] = hidden ? (uint8_t)(255 - p.px[3 * i + k]) : p.px[3 * i + k];
+    }
+    struct photo hidden = p, spoilt = p;
+    hidden.mask = spoilt.mask = mask;
+    spoilt.px = px;
+    const struct photo *pair[2] = {&hidden, &spoilt};
+    struct evaluate_score whole = {0}, s[2][2] = {{{0}}};
+    assert_int_equal(
+        appearance_train_nearest(view.model, &r.scene, view.row, &p.cam, view.reach_m, start), 3);
+    kit_ok(half_image_score(h, &p, &l->model.gauss, &ro, HALF_IMAGE_RIGHT, start, &whole, &e), e);
+    for (int k = 0; k < 2; k++) {
+        memcpy(image[k], start, sizeof start);
+        kit_ok(half_image_fit(h, pair[k], &l->model.gauss, &ro, HALF_IMAGE_LEFT, image[k], &e), e);
+        for (int side = 0; side < 2; side++)
+            kit_ok(half_image_score(h, pair[k], &l->model.gauss, &ro, (enum half_image_side)side,
+                                    start, &s[k][side], &e),
+                   e);
+    }
+    toy_figure("F31", "masked_psnr_db=%.3f spoilt_psnr_db=%.3f other_half_db=%.3f whole_db=%.3f",
+               s[0][0].psnr_db, s[1][0].psnr_db, s[0][1].psnr_db, whole.psnr_db);
+    assert_memory_equal(image[0], image[1], sizeof image[0]);
+    assert_memory_not_equal(image[0], start, sizeof image[0]);
+    assert_true(s[0][HALF_IMAGE_LEFT].psnr_db == s[1][HALF_IMAGE_LEFT].psnr_db);
+    assert_true(s[0][HALF_IMAGE_RIGHT].psnr_db == whole.psnr_db);
+    mem_free(px);
+    mem_free(mask);
+    photo_loader_close(&photos);
+    half_image_close(&h);
+    appearance_view_close(&view);
+    toy_run_close(&r);
+    kit_rmdir(dir);
+    arena_free(&a);
+}
+
+/* ---- pruning and budgets ---- */
+
+#define OWN_GAIN_DB 1.0 /* of a photograph's own appearance over none */
+
+/* PSNR of the training photographs drawn with `own` appearance or with none. */
+static double psnr_of_training(struct toy_run *r, bool own)
+{
+    struct err e = {0};
+    struct context *ctx = &r->level.ctx;
+    double mse = 0.0;
+    for (size_t i = 0; i < ctx->n_images; i++) {
+        struct photo p;
+        struct photometric_value v;
+        kit_ok(photo_loader_get_nth(ctx->photos, i, &p, &e), e);
+        struct render_options ro = own ? context_photo_options(ctx, ctx->step, p.image)
+                                       : context_render_options(ctx, ctx->step);
+        kit_ok(render_forward(ctx->render, &r->level.model.gauss, &p.cam, &ro, NULL, NULL, &e), e);
+        kit_ok(context_photo_value(ctx, &p, &e), e);
+        kit_ok(photometric_read(ctx->loss, &v, &e), e);
+        mse += v.mse / (double)ctx->n_images;
+    }
+    return -10.0 * log10(mse);
+}
+
+static void pruning_and_budgets_look_at_photographs_in_their_own_appearance(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    char dir[FILE_PATH_MAX];
+    struct toy_run r;
+    struct prune_report report;
+    struct residual_list residuals = {0};
+    appearance_train_scene(dir, 0.6);
+    struct train_config c = appearance_train_config(&a, NULL, true);
+    c.prune_contribution = 0.02;
+    c.prune_support = 0;
+    c.prune_loss_db = 100.0;
+    c.budget_gain_db = 0.0;
+    toy_run_open(&r, dir, &c);
+    struct context *ctx = &r.level.ctx;
+    uint32_t held = ctx->images[ctx->n_images - 1]; /* carries no gradient */
+    ctx->n_images--;
+    kit_ok(level_begin(&r.level, &e), e);
+    toy_run_steps(&r, STEPS / 2);
+    struct budget b = {.held = &held, .n_held = 1, .table = {1000}};
+    double first = 0.0;
+    for (int look = 0; look < 10; look++) {
+        b.at = (struct budget_point){0};
+        kit_ok(budget_look(&b, &r.level.model, ctx, 1, &e), e);
+        first = look ? first : b.at.psnr_db;
+    }
+    budget_close(&b);
+    double last = b.at.psnr_db;
+    double own = psnr_of_training(&r, true), none = psnr_of_training(&r, false);
+    kit_ok(prune_level(&r.level.model, ctx, &report, &residuals, &e), e);
+    toy_figure("F6",
+               "own_db=%.3f none_db=%.3f pruning_db=%.3f held_first_db=%.3f held_last_db=%.3f", own,
+               none, report.psnr_before_db, first, last);
+    assert_true(own > none + OWN_GAIN_DB);
+    assert_true(report.faint > 0 && fabs(report.psnr_before_db - own) < 1e-3);
+    assert_int_equal(residuals.n, ctx->n_images);
+    assert_true(last > first + OWN_GAIN_DB); /* its embedding learns from look to look */
+    residual_free(&residuals);
+    toy_run_close(&r);
+    kit_rmdir(dir);
+    arena_free(&a);
+}
+
+/* A network that would learn nothing, or next to nothing, is refused. */
+static void a_network_needs_steps(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r = {0};
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
+    appearance_train_scene(dir, 0.3);
+    struct train_config c = appearance_train_config(&a, NULL, true);
+    c.iterations = 40;
+    c.appearance_warmup = STEPS;
+    kit_fails(train_run(dir, &c, &r, &e), ERR_ARG, e, "warm-up of 40 steps");
+    train_result_free(&r);
+    seam_plan(dir);
+    c.appearance_only = true;
+    c.appearance_warmup = 1000;
+    c.appearance_iterations = 1000;
+    c.appearance_iterations_min = 2000;
+    kit_fails(train_run(dir, &c, &r, &e), ERR_ARG, e, "--appearance-iterations of at least 2000");
+    train_result_free(&r);
+    c.appearance_iterations = 7000; /* the share of so short a run would be 175 steps */
+    c.appearance_iterations_min = 300;
+    kit_ok(train_run(dir, &c, &r, &e), e);
+    train_result_free(&r);
+    struct ckpt whole;
+    snprintf(path, sizeof path, "%s/cells/appearance/level1.ckpt", dir);
+    kit_ok(ckpt_read(path, &whole, &e), e);
+    assert_int_equal(json_integer_value(json_object_get(whole.meta, "steps")), 300);
+    ckpt_free(&whole);
+    kit_rmdir(dir);
+    arena_free(&a);
+}
+
 int main(int argc, char **argv)
 {
     if (argc > 1)
@@ -653,6 +841,9 @@ int main(int argc, char **argv)
         cmocka_unit_test(a_single_cell_needs_the_shared_model),
         cmocka_unit_test(a_run_with_appearance_resumes_bit_by_bit),
         cmocka_unit_test(the_score_of_a_half_does_not_know_the_other),
+        cmocka_unit_test(masked_pixels_of_a_half_count_nothing),
+        cmocka_unit_test(pruning_and_budgets_look_at_photographs_in_their_own_appearance),
+        cmocka_unit_test(a_network_needs_steps),
     };
     return cmocka_run_group_tests_name("appearance in training", tests, toy_open_device,
                                        toy_close_device);

@@ -52,13 +52,14 @@ static size_t peak_of(const char *program, size_t n, size_t budget, bool appeara
     kit_tmpdir(dir);
     toy_write(dir, &t, &g);
     gauss_free(&g);
-    int rc =
-        kit_run(&said,
-                "%s train %s --iterations %d --level-count 2 --budget table --budget-2 %zu "
-                "--budget-3 %zu --densify-from 2 --densify-interval-min 5 --tau-2 1e-7 "
-                "--tau-3 1e-7 --importance-views 2 --checkpoint-interval 25 %s -q",
-                program, dir, MEMORY_STEPS, budget / 2, budget,
-                appearance ? "--appearance --similarity-interval 5 --similarity-samples 400" : "");
+    int rc = kit_run(
+        &said,
+        "%s train %s --iterations %d --level-count 2 --budget table --budget-2 %zu "
+        "--budget-3 %zu --densify-from 2 --densify-interval-min 5 --tau-2 1e-7 "
+        "--tau-3 1e-7 --importance-views 2 --checkpoint-interval 25 %s -q",
+        program, dir, MEMORY_STEPS, budget / 2, budget,
+        appearance ? "--appearance --embed-smoothness-interval 5 --embed-smoothness-samples 400"
+                   : "");
     buf_u8(&said, 0);
     if (rc)
         fail_msg("train: %s", (const char *)said.data);
@@ -74,7 +75,7 @@ static size_t peak_of(const char *program, size_t n, size_t budget, bool appeara
     cfg.iterations = MEMORY_STEPS;
     cfg.appearance = appearance;
     cfg.scale_weight = 0.05;
-    cfg.similarity_samples = 400;
+    cfg.embed_smoothness_samples = 400;
     cfg.budget_2 = (int64_t)budget / 2;
     cfg.budget_3 = (int64_t)budget;
     kit_ok(scene_read(dir, &s, &e), e);

@@ -22,7 +22,7 @@ const { Group, PerspectiveCamera, Matrix4 } = await import(
     new URL("three/build/three.module.js", MODULES)
 );
 
-const PX_PER_SIGMA = 16; // errorTarget of a pixel of sigma: web/src/splats.ts starts with it
+const PX_PER_SIGMA = 16; // errorTarget of a pixel of sigma: web/src/viewer.ts starts with it
 const FRAMES_MAX = 200;
 
 const VECTORS = JSON.parse(readFileSync(new URL("../vectors/pick.json", import.meta.url), "utf8"));
@@ -143,6 +143,6 @@ test("finer tiles or the same where cores are smaller, and all that the server s
 });
 
 test("the client starts with the error the server starts with", () => {
-    const source = readFileSync(new URL("../../web/src/splats.ts", import.meta.url), "utf8");
+    const source = readFileSync(new URL("../../web/src/city.ts", import.meta.url), "utf8");
     assert.match(source, new RegExp(`private target = ${PX_PER_SIGMA};`));
 });

@@ -40,11 +40,10 @@ try {
     if (values.click.includes("server-button"))
         await page.waitForSelector("#server-image.fresh", { timeout: 60000 });
     if (values.bare)
-        await page.addStyleTag({
-            content: "#panel,#tools,#toast,#progress{display:none!important}",
-        });
+        await page.evaluate(() => void (document.documentElement.dataset.ui = "off"));
     await page.screenshot({ path: out });
-    const { gaussians, tilesLoaded, bytes } = await page.evaluate(() => window.citysplat);
+    const state = await page.evaluate(() => window.citysplat.state);
+    const { gaussians, tiles: tilesLoaded, bytes } = state;
     console.log(
         `${out}: ${gaussians} Gaussians in ${tilesLoaded} tiles, ${(bytes / 1e6).toFixed(2)} MB received`,
     );

@@ -39,7 +39,8 @@ after(async () => {
 
 const picture = () => barePicture(page);
 
-const read = () => page.evaluate(() => ({ ...window.citysplat, pose: window.citysplat.pose() }));
+const read = () =>
+    page.evaluate(() => ({ ...window.citysplat.state, pose: window.citysplat.pose() }));
 
 async function setDetail(value) {
     await page.evaluate((v) => {
@@ -64,7 +65,7 @@ const NO_DEVICE = /Error 50[13]/;
 test("splats are visible from the first view, without console errors", async () => {
     const { share, colors } = measureContent(await picture());
     const state = await read();
-    assert.ok(state.gaussians > 0 && state.tilesLoaded > 0, JSON.stringify(state));
+    assert.ok(state.gaussians > 0 && state.tiles > 0, JSON.stringify(state));
     assert.ok(share > 0.1, `only ${(100 * share).toFixed(1)} % of the picture is not background`);
     assert.ok(colors > 10, `only ${colors} colours`);
     assert.deepEqual(viewer.log, []);
@@ -112,6 +113,7 @@ test("the server's picture of a view equals the client's", rendered, async (t) =
 
 test("the server view opens and closes", async () => {
     await page.click("#server-button");
+    await page.click("#statistics summary");
     const text = await serverViewText(page);
     if (!NO_DEVICE.test(text)) {
         assert.match(text, /800 × 600 px/);
@@ -120,6 +122,7 @@ test("the server view opens and closes", async () => {
     await page.keyboard.press("v");
     assert.equal(await page.isVisible("#server-image"), false);
     assert.equal(await page.isVisible("#compare"), false);
+    await page.waitForFunction(() => /\d/.test(document.getElementById("stat-gaussians").textContent));
 });
 
 test("keys move the camera", city, async () => {
@@ -143,26 +146,37 @@ test("keys move the camera", city, async () => {
     assert.ok(f.h < e.h, "+ goes closer");
 });
 
-test("a shared link opens the same view", city, async () => {
-    await lookViewer(page, SOUTH);
-    await page.click("#share");
-    await page.waitForFunction(() => location.hash.startsWith("#camera="));
+test("the address bar holds the view, and opens it again exactly", city, async () => {
+    for (const pose of [SOUTH, { ...SOUTH, pitch: 12.5, heading: 271.25 }]) {
+        await lookViewer(page, pose);
+        await page.waitForTimeout(500);
+        const hash = await page.evaluate(() => location.hash);
+        const numbers = hash.slice(1).split(",").slice(0, 5).map(Number);
+        const near = [1e-7, 1e-7, 0.006, 0.006, 0.006];
+        [pose.lon, pose.lat, pose.h, pose.heading, pose.pitch].forEach((want, i) =>
+            assert.ok(Math.abs(numbers[i] - want) <= near[i], `${hash}: number ${i}, want ${want}`),
+        );
+        await page.reload();
+        await waitForViewer(page);
+        const { pose: again } = await read();
+        for (const [key, tolerance] of Object.entries({ lon: 2e-7, lat: 2e-7, h: 0.02, pitch: 0.01 }))
+            assert.ok(Math.abs(again[key] - pose[key]) < tolerance, `${key}: ${again[key]}`);
+        const turn = Math.abs(((again.heading - pose.heading + 540) % 360) - 180);
+        assert.ok(turn < 0.01, `heading ${again.heading}, was ${pose.heading}`);
+    }
+});
+
+test("links of before are understood", city, async () => {
+    const { lon, lat, h } = SOUTH;
+    await page.evaluate((hash) => (location.hash = hash), `camera=${lon},${lat},${h}@15,-20`);
+    await page.waitForTimeout(300);
     const { pose } = await read();
-    await page.reload();
-    await waitForViewer(page);
-    const { pose: again } = await read();
-    assert.ok(
-        Math.abs(again.lon - pose.lon) < 2e-7 && Math.abs(again.lat - pose.lat) < 2e-7,
-        "place",
-    );
-    assert.ok(Math.abs(again.h - pose.h) < 0.02, `height ${again.h}, was ${pose.h}`);
-    assert.ok(Math.abs(again.pitch - pose.pitch) < 0.01, `pitch ${again.pitch}, was ${pose.pitch}`);
-    const turn = Math.abs(((again.heading - pose.heading + 540) % 360) - 180);
-    assert.ok(turn < 0.01, `heading ${again.heading}, was ${pose.heading}`);
+    assert.ok(Math.abs(pose.heading - 15) < 0.01 && Math.abs(pose.fov - 60) < 0.01);
 });
 
 test("without WebGL the server's pictures are shown", async () => {
-    const plain = await page.context().browser().newPage({ viewport: SIZE });
+    const plain = await page.context().newPage();
+    await plain.setViewportSize(SIZE);
     await plain.addInitScript(() => {
         const getContext = HTMLCanvasElement.prototype.getContext;
         HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
@@ -170,18 +184,21 @@ test("without WebGL the server's pictures are shown", async () => {
         };
     });
     await plain.goto(source.url);
-    const text = await serverViewText(plain);
     assert.match(await plain.textContent("#toast"), /no WebGL 2/);
-    if (!NO_DEVICE.test(text)) await plain.waitForSelector("#server-image.fresh");
-    assert.equal(await plain.isVisible("#problem"), false);
+    await plain.waitForFunction(() => window.citysplat.settled || window.citysplat.error);
+    const state = await plain.evaluate(() => window.citysplat.state);
+    assert.equal(state.mode, "pictures");
+    if (!NO_DEVICE.test(await plain.textContent("#problem")))
+        assert.deepEqual([state.error, state.ready], [null, true]);
     await plain.close();
 });
 
-test("problems are said in words", async () => {
-    await page.goto(`${source.url}/?ds=no-such-scene`);
+test("problems are said in words, and go when the next scene opens", async () => {
+    await page.goto(`${source.url}/?scene=no-such-scene`);
     await page.waitForSelector("#problem:not([hidden])");
     assert.match(await page.textContent("#problem-text"), /no scene "no-such-scene"/);
-    await page.goto(`${source.url}/?server=http://127.0.0.1:9`);
-    await page.waitForSelector("#problem:not([hidden])");
-    assert.match(await page.textContent("#problem-title"), /does not answer/);
+    const id = await firstDataSet(source.url);
+    await page.evaluate((name) => window.citysplat.viewer.openScene(name), id);
+    await waitForViewer(page);
+    assert.equal(await page.isVisible("#problem"), false);
 });

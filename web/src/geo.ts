@@ -9,14 +9,19 @@
 import { WGS84_ELLIPSOID } from "3d-tiles-renderer/three";
 import { Euler, MathUtils, Matrix4, Quaternion, Vector3 } from "three";
 
-export interface Pose {
+export interface Place {
   lon: number;
   lat: number;
-  h: number;
+  h: number; // above the ellipsoid
+}
+
+export interface Pose extends Place {
   heading: number;
   pitch: number;
   fov: number;
 }
+
+const FOV_DEFAULT = 60;
 
 const ENU_TO_WORLD = new Matrix4().makeBasis(
   new Vector3(1, 0, 0),
@@ -52,6 +57,21 @@ export class Frame {
     };
   }
 
+  placeOf(point: Vector3): Place {
+    const eye = point.clone().applyMatrix4(this.ecefFromWorld);
+    const { lat, lon, height } = WGS84_ELLIPSOID.getPositionToCartographic(eye, {});
+    return { lon: lon * MathUtils.RAD2DEG, lat: lat * MathUtils.RAD2DEG, h: height };
+  }
+
+  pointOf({ lon, lat, h }: Place): Vector3 {
+    return WGS84_ELLIPSOID.getCartographicToPosition(
+      lat * MathUtils.DEG2RAD,
+      lon * MathUtils.DEG2RAD,
+      h,
+      new Vector3(),
+    ).applyMatrix4(this.worldFromEcef);
+  }
+
   // World position and rotation of a camera at a pose.
   cameraFrom(pose: Pose): { position: Vector3; rotation: Quaternion } {
     const lat = pose.lat * MathUtils.DEG2RAD;
@@ -80,20 +100,14 @@ export function formatPose(pose: Pose): string {
   return `${lon.toFixed(7)},${lat.toFixed(7)},${h.toFixed(2)}@${turn},${pitch.toFixed(3)},${fov.toFixed(1)}`;
 }
 
+// fov may be left out: the server's default then.
 export function parsePose(text: string): Pose | null {
   const [place = "", turn = "", ...rest] = text.split("@");
-  const numbers = [...place.split(","), ...turn.split(",")].map((v) =>
-    v.trim() === "" ? NaN : Number(v),
-  );
-  if (rest.length || numbers.length !== 6 || !numbers.every(Number.isFinite)) return null;
-  const [lon, lat, h, heading, pitch, fov] = numbers as [
-    number,
-    number,
-    number,
-    number,
-    number,
-    number,
-  ];
+  const number = (v: string) => (v.trim() === "" ? NaN : Number(v));
+  const [lon = NaN, lat = NaN, h = NaN, ...more] = place.split(",").map(number);
+  const [heading = NaN, pitch = NaN, fov = FOV_DEFAULT, ...others] = turn.split(",").map(number);
+  const numbers = [lon, lat, h, heading, pitch, fov];
+  if (rest.length || more.length || others.length || !numbers.every(Number.isFinite)) return null;
   if (Math.abs(lon) > 180 || Math.abs(lat) > 90 || Math.abs(pitch) > 90 || fov < 1 || fov > 160)
     return null;
   return { lon, lat, h, heading, pitch, fov };

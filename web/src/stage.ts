@@ -1,20 +1,25 @@
-// The camera and how a person moves it: mouse and touch through three.js' MapControls, the keyboard
-// here. Needs no graphics card, so it also drives the server-rendered view of browsers without
-// WebGL 2.
+// The camera and how a person moves it: mouse, touch, keyboard, gamepad. Needs no graphics card, so
+// it drives the server's pictures as well.
+//
+// The camera is a place, a heading and a pitch, nothing else: any pose can be had and is kept as
+// given. What moves it goes by the surface under the pointer: that point is held while dragging, is
+// turned about, and is what zooming nears.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { Box3, MathUtils, Matrix4, PerspectiveCamera, Spherical, Vector3 } from "three";
-import { MapControls } from "three/addons/controls/MapControls.js";
+import { Box3, Euler, MathUtils, Matrix4, PerspectiveCamera, Plane, Ray, Vector3 } from "three";
 
 import { Frame, type Pose } from "./geo";
 
-const FOV_DEG = 45;
+export const FOV_DEG = 45;
 const HOME_HEADING_DEG = 20;
 const HOME_PITCH_DEG = -38;
 const MARGIN = 1.1;
+const PITCH_MOST = MathUtils.degToRad(89.9);
+const CLEARANCE_M = 1.7; // eyes above the ground
 
 // Held keys and what they do per second.
-const KEYS: Record<string, [action: "east" | "north" | "turn" | "tilt" | "zoom", sign: number]> = {
+type Action = "east" | "north" | "turn" | "tilt" | "zoom" | "rise";
+const KEYS: Record<string, [action: Action, sign: number]> = {
   ArrowRight: ["east", 1],
   KeyD: ["east", 1],
   ArrowLeft: ["east", -1],
@@ -33,65 +38,104 @@ const KEYS: Record<string, [action: "east" | "north" | "turn" | "tilt" | "zoom",
   Minus: ["zoom", -1],
   NumpadSubtract: ["zoom", -1],
   PageDown: ["zoom", -1],
+  Space: ["rise", 1],
+  KeyC: ["rise", -1],
 };
-const PAN_PER_S = 0.6; // of the distance to the target
+const PAN_PER_S = 0.6; // of the distance to what is looked at
+const WALK_M_S = 4;
 const TURN_RAD_PER_S = 1.2;
 const ZOOM_PER_S = 1.5; // natural logarithm
+const LOOK_RAD_PER_PX = 0.0035;
+const GLIDE_S = 0.12; // how fast a throw dies out
+
+export type Walk = "orbit" | "fly" | "walk";
 
 // Keys belong to the scene unless a control that uses them has the focus.
 export function isForScene(event: KeyboardEvent): boolean {
-  const { target } = event;
-  const busy = target instanceof Element && target.closest("input, select, dialog[open]") !== null;
-  return !busy && !event.ctrlKey && !event.metaKey && !event.altKey;
+  const target = event.composedPath()[0];
+  if (event.ctrlKey || event.metaKey || event.altKey) return false;
+  if (!(target instanceof Element)) return true;
+  const presses = ["Space", "Enter"].includes(event.code) && target.closest("button, a, summary");
+  return !presses && target.closest("input, select, textarea, dialog[open]") === null;
+}
+
+interface Drag {
+  kind: "pan" | "turn" | "look";
+  x: number;
+  y: number;
+  pivot: Vector3;
 }
 
 export class Stage {
   readonly camera = new PerspectiveCamera(FOV_DEG, 1, 1, 10000);
-  readonly controls: MapControls;
   frame = new Frame(new Matrix4().makeTranslation(6378137, 0, 0)); // until a scene opens
+  walk: Walk = "orbit";
+  keyboard = true;
+  // The surface on a ray, where the owner knows it.
+  surfaceOn: (ray: Ray) => Vector3 | null = () => null;
+  onMove: () => void = () => {};
+  onTouch: () => void = () => {}; // a person moved the camera
+  onClick: (x: number, y: number) => void = () => {};
+  heading = 0; // radians clockwise from north
+  pitch = -0.6; // above the horizon
   private readonly box = new Box3(new Vector3(-50, 0, -50), new Vector3(50, 20, 50));
   private readonly held = new Set<string>();
-  private readonly last = { position: new Vector3(), target: new Vector3() };
+  private readonly pointers = new Map<number, { x: number; y: number }>();
+  private readonly last = { place: new Vector3(), heading: 0, pitch: 0, fov: 0 };
+  private readonly throwing = new Vector3(); // metres a second
+  private thrownAt = 0;
+  private drag: Drag | null = null;
+  private pressed = { x: 0, y: 0, at: 0, moved: false };
+  private flight: { from: Pose; to: Pose; at: number; ms: number; done: () => void } | null = null;
+  private readonly listening = new AbortController();
 
-  onMove: () => void = () => {};
+  constructor(private readonly surface: HTMLElement) {
+    const { signal } = this.listening;
+    const on = <K extends keyof HTMLElementEventMap>(
+      name: K,
+      run: (event: HTMLElementEventMap[K]) => void,
+    ) => surface.addEventListener(name, run, { signal, passive: false });
+    on("pointerdown", (event) => this.press(event));
+    on("pointermove", (event) => this.move(event));
+    on("pointerup", (event) => this.release(event));
+    on("pointercancel", (event) => this.release(event));
+    on("contextmenu", (event) => event.preventDefault());
+    on("wheel", (event) => this.wheel(event));
+    surface.style.touchAction = "none";
+    window.addEventListener("keydown", (event) => this.key(event), { signal });
+    window.addEventListener("keyup", (event) => this.held.delete(event.code), { signal });
+    window.addEventListener("blur", () => this.held.clear(), { signal });
+  }
 
-  constructor(surface: HTMLElement) {
-    this.controls = new MapControls(this.camera, surface);
-    this.controls.enableDamping = true;
-    this.controls.dampingFactor = 0.15;
-    this.controls.zoomToCursor = true;
-    this.controls.maxPolarAngle = MathUtils.degToRad(88);
-    this.controls.addEventListener("change", () => this.onMove());
-    window.addEventListener("keydown", (event) => this.press(event));
-    window.addEventListener("keyup", (event) => this.held.delete(event.code));
-    window.addEventListener("blur", () => this.held.clear());
+  dispose() {
+    this.listening.abort();
   }
 
   // What the camera looks at, in world metres. Heights are those of most Gaussians, so the lower
   // face is ground.
   setExtent(box: Box3) {
     this.box.copy(box);
-    const size = box.getSize(new Vector3()).length();
-    this.controls.minDistance = Math.max(1, size / 500);
-    this.controls.maxDistance = Math.max(100, size * 6);
+    this.adjustPlanes();
+    this.onMove();
+  }
+
+  get extent(): Box3 {
+    return this.box;
+  }
+
+  get ground(): number {
+    return this.box.min.y;
   }
 
   // The whole extent, seen from above at an angle.
   home() {
     const target = this.box.getCenter(new Vector3());
     target.y = MathUtils.lerp(this.box.min.y, this.box.max.y, 0.3);
-    const away = new Vector3().setFromSpherical(
-      new Spherical(
-        1,
-        MathUtils.degToRad(90 + HOME_PITCH_DEG),
-        MathUtils.degToRad(-HOME_HEADING_DEG),
-      ),
-    );
     this.camera.fov = FOV_DEG;
-    const distance = this.distanceToFit(target, away) * MARGIN;
-    this.controls.target.copy(target);
-    this.camera.position.copy(target).addScaledVector(away, distance);
-    this.settle();
+    this.set(HOME_HEADING_DEG * MathUtils.DEG2RAD, HOME_PITCH_DEG * MathUtils.DEG2RAD);
+    const away = this.ahead().negate();
+    this.camera.position.copy(target).addScaledVector(away, this.distanceToFit(target, away) * MARGIN);
+    this.halt();
   }
 
   // Smallest distance from which all corners of the extent are inside the frustum.
@@ -121,33 +165,44 @@ export class Stage {
   }
 
   look(pose: Pose) {
+    this.flight = null;
+    this.place(pose);
+    this.halt();
+  }
+
+  private place(pose: Pose) {
     const { position, rotation } = this.frame.cameraFrom(pose);
     this.camera.fov = pose.fov;
     this.camera.position.copy(position);
-    this.camera.quaternion.copy(rotation);
-    // MapControls turn about a target: the ground in front of the camera, or a point ahead of it.
-    const ahead = new Vector3(0, 0, -1).applyQuaternion(rotation);
-    const size = this.box.getSize(new Vector3()).length();
-    const fall = (position.y - this.box.min.y) / Math.max(-ahead.y, 1e-6);
-    const distance =
-      ahead.y < -0.02 && fall > 1 ? Math.min(fall, size * 2) : Math.max(size / 4, 10);
-    this.controls.target.copy(position).addScaledVector(ahead, distance);
-    this.settle();
+    const angles = new Euler().setFromQuaternion(rotation, "YXZ");
+    this.set(-angles.y, angles.x);
+  }
+
+  // Over to another pose; resolves on arrival, or when a person takes over. At once where motion is
+  // not wanted.
+  fly(to: Pose, seconds = 2): Promise<void> {
+    if (matchMedia("(prefers-reduced-motion: reduce)").matches || seconds <= 0) {
+      this.look(to);
+      return Promise.resolve();
+    }
+    this.flight?.done();
+    return new Promise((done) => {
+      this.flight = { from: this.pose(), to, at: performance.now(), ms: 1000 * seconds, done };
+      this.onMove();
+    });
   }
 
   northUp() {
-    const offset = this.camera.position.clone().sub(this.controls.target);
-    const angles = new Spherical().setFromVector3(offset);
-    angles.theta = 0;
-    this.camera.position.copy(this.controls.target).add(offset.setFromSpherical(angles));
-    this.settle();
+    const pivot = this.center();
+    this.turnAbout(pivot, -this.heading, 0);
+    this.halt();
   }
 
+  // Nearer by a factor, about what is in the middle of the picture.
   zoom(factor: number) {
-    const offset = this.camera.position.clone().sub(this.controls.target);
-    const { minDistance, maxDistance } = this.controls;
-    offset.setLength(MathUtils.clamp(offset.length() * factor, minDistance, maxDistance));
-    this.camera.position.copy(this.controls.target).add(offset);
+    this.nearTo(this.center(), factor);
+    this.onTouch();
+    this.onMove();
   }
 
   resize(width: number, height: number) {
@@ -158,69 +213,310 @@ export class Stage {
 
   // Moves on by seconds; true while the camera moves.
   tick(seconds: number): boolean {
+    this.stepFlight();
     this.applyKeys(seconds);
-    this.controls.update(seconds);
+    this.applyGamepad(seconds);
+    this.glide(seconds);
+    if (this.walk === "walk") this.camera.position.y = this.ground + CLEARANCE_M;
     this.adjustPlanes();
+    const { last, camera } = this;
     const moved =
-      this.last.position.distanceToSquared(this.camera.position) > 1e-8 ||
-      this.last.target.distanceToSquared(this.controls.target) > 1e-8;
-    this.last.position.copy(this.camera.position);
-    this.last.target.copy(this.controls.target);
-    if (moved || this.held.size) this.onMove();
-    return moved || this.held.size > 0;
+      last.place.distanceToSquared(camera.position) > 1e-8 ||
+      Math.abs(last.heading - this.heading) + Math.abs(last.pitch - this.pitch) > 1e-6 ||
+      last.fov !== camera.fov;
+    last.place.copy(camera.position);
+    last.heading = this.heading;
+    last.pitch = this.pitch;
+    last.fov = camera.fov;
+    if (moved || this.flight) this.onMove();
+    return moved || this.flight !== null;
   }
 
-  private settle() {
-    const damping = this.controls.enableDamping;
-    this.controls.enableDamping = false; // stops any motion that was under way
-    this.controls.update();
-    this.controls.enableDamping = damping;
+  // The ray through a point of the surface, in CSS pixels from its corner.
+  ray(x: number, y: number): Ray {
+    const { clientWidth, clientHeight } = this.surface;
+    this.camera.updateMatrixWorld();
+    const far = new Vector3((2 * x) / clientWidth - 1, 1 - (2 * y) / clientHeight, 0.5);
+    far.unproject(this.camera).sub(this.camera.position).normalize();
+    return new Ray(this.camera.position.clone(), far);
+  }
+
+  // The surface at a point of the picture, or the ground there, or a point ahead.
+  under(x: number, y: number): Vector3 {
+    const ray = this.ray(x, y);
+    const hit = this.surfaceOn(ray);
+    if (hit) return hit;
+    const ground = ray.intersectPlane(new Plane(new Vector3(0, 1, 0), -this.ground), new Vector3());
+    const reach = 3 * this.size();
+    if (ground && ground.distanceTo(ray.origin) < reach) return ground;
+    return ray.at(Math.min(reach, Math.max(10, this.box.distanceToPoint(ray.origin) + this.size() / 4)), new Vector3());
+  }
+
+  // ---- the camera itself ----
+
+  private size(): number {
+    return this.box.getSize(new Vector3()).length();
+  }
+
+  private ahead(): Vector3 {
+    return new Vector3(0, 0, -1).applyQuaternion(this.camera.quaternion);
+  }
+
+  private center(): Vector3 {
+    return this.under(this.surface.clientWidth / 2, this.surface.clientHeight / 2);
+  }
+
+  private set(heading: number, pitch: number) {
+    const round = 2 * Math.PI;
+    this.heading = ((heading % round) + round) % round;
+    this.pitch = MathUtils.clamp(pitch, -Math.PI / 2, Math.PI / 2);
+    this.camera.quaternion.setFromEuler(new Euler(this.pitch, -this.heading, 0, "YXZ"));
+  }
+
+  private turnAbout(pivot: Vector3, heading: number, pitch: number) {
+    const { camera } = this;
+    const offset = camera.position.clone().sub(pivot).applyQuaternion(camera.quaternion.clone().invert());
+    const before = this.pitch;
+    this.set(this.heading + heading, MathUtils.clamp(before + pitch, -PITCH_MOST, PITCH_MOST));
+    camera.position.copy(offset.applyQuaternion(camera.quaternion)).add(pivot);
+    this.stayAbove();
+  }
+
+  // Towards a point, never through it.
+  private nearTo(point: Vector3, factor: number) {
+    const offset = this.camera.position.clone().sub(point);
+    const most = 8 * this.size() + 100;
+    offset.setLength(MathUtils.clamp(offset.length() * factor, 0.5, most));
+    this.camera.position.copy(point).add(offset);
+    this.stayAbove();
+  }
+
+  private stayAbove() {
+    const least = this.ground + 0.5;
+    if (this.camera.position.y < least) this.camera.position.y = least;
+  }
+
+  private halt() {
+    this.throwing.set(0, 0, 0);
+    this.drag = null;
     this.adjustPlanes();
     this.onMove();
   }
 
   private adjustPlanes() {
-    const reach = this.box.getSize(new Vector3()).length();
+    const reach = this.size();
     const distance = this.box.distanceToPoint(this.camera.position);
     this.camera.near = MathUtils.clamp(distance / 4, 0.2, 100);
     this.camera.far = distance + 4 * reach + 1000;
     this.camera.updateProjectionMatrix();
   }
 
-  private press(event: KeyboardEvent) {
-    if (!(event.code in KEYS) || !isForScene(event)) return;
+  private stepFlight() {
+    const { flight } = this;
+    if (!flight) return;
+    const t = Math.min(1, (performance.now() - flight.at) / flight.ms);
+    const s = t * t * (3 - 2 * t);
+    const mix = (a: number, b: number) => a + (b - a) * s;
+    const { from, to } = flight;
+    const turn = ((to.heading - from.heading + 540) % 360) - 180;
+    this.place({
+      lon: mix(from.lon, to.lon),
+      lat: mix(from.lat, to.lat),
+      h: mix(from.h, to.h),
+      heading: from.heading + turn * s,
+      pitch: mix(from.pitch, to.pitch),
+      fov: mix(from.fov, to.fov),
+    });
+    if (t === 1) {
+      this.flight = null;
+      flight.done();
+    }
+  }
+
+  private takeOver() {
+    this.flight?.done();
+    this.flight = null;
+    this.throwing.set(0, 0, 0);
+    this.onTouch();
+  }
+
+  // ---- pointers ----
+
+  private local(event: MouseEvent): { x: number; y: number } {
+    const box = this.surface.getBoundingClientRect();
+    return { x: event.clientX - box.left, y: event.clientY - box.top };
+  }
+
+  private press(event: PointerEvent) {
+    if (event.target instanceof Element && event.target.closest("[data-own]")) return;
+    this.surface.focus({ preventScroll: true });
+    this.surface.setPointerCapture(event.pointerId);
+    const at = this.local(event);
+    this.pointers.set(event.pointerId, at);
+    this.takeOver();
+    this.pressed = { ...at, at: performance.now(), moved: this.pointers.size > 1 };
+    this.beginDrag(at, event.button === 2 || event.button === 1 || event.ctrlKey || event.shiftKey);
+  }
+
+  private beginDrag(at: { x: number; y: number }, turning: boolean) {
+    if (this.pointers.size > 1) this.drag = null;
+    else {
+      const kind = this.walk !== "orbit" ? "look" : turning ? "turn" : "pan";
+      const middle = { x: this.surface.clientWidth / 2, y: this.surface.clientHeight / 2 };
+      const from = kind === "turn" ? middle : at;
+      this.drag = { kind, ...at, pivot: this.under(from.x, from.y) };
+    }
+  }
+
+  private move(event: PointerEvent) {
+    const before = this.pointers.get(event.pointerId);
+    if (!before) return;
+    const at = this.local(event);
+    const { pressed } = this;
+    if (Math.hypot(at.x - pressed.x, at.y - pressed.y) > 5) pressed.moved = true;
+    if (this.pointers.size > 1) this.pinch(event.pointerId, before, at);
+    else if (this.drag) this.dragTo(this.drag, at);
+    this.pointers.set(event.pointerId, at);
+    this.onMove();
+  }
+
+  private dragTo(drag: Drag, at: { x: number; y: number }) {
+    const [dx, dy] = [at.x - drag.x, at.y - drag.y];
+    if (drag.kind === "pan") this.pan(drag.pivot, at);
+    else if (drag.kind === "turn") this.turnAbout(drag.pivot, dx * 0.005, -dy * 0.005);
+    else
+      this.set(
+        this.heading - dx * LOOK_RAD_PER_PX,
+        MathUtils.clamp(this.pitch + dy * LOOK_RAD_PER_PX, -PITCH_MOST, PITCH_MOST),
+      );
+    drag.x = at.x;
+    drag.y = at.y;
+  }
+
+  // Keeps the held point under the pointer, at the camera's height. Towards the horizon the plane
+  // runs away, so a step is bounded by what a pixel is worth at that distance.
+  private pan(pivot: Vector3, at: { x: number; y: number }) {
+    const ray = this.ray(at.x, at.y);
+    const plane = new Plane(new Vector3(0, 1, 0), -pivot.y);
+    const step = new Vector3();
+    const distance = pivot.distanceTo(this.camera.position);
+    const hit = ray.intersectPlane(plane, new Vector3());
+    if (hit && Math.abs(ray.direction.y) > 0.08 && hit.distanceTo(ray.origin) < 6 * distance) {
+      step.copy(pivot).sub(hit);
+    } else {
+      const perPx = (2 * distance * Math.tan((this.camera.fov * Math.PI) / 360)) / this.surface.clientHeight;
+      const [dx, dy] = [at.x - this.drag!.x, at.y - this.drag!.y];
+      const [sin, cos] = [Math.sin(this.heading), Math.cos(this.heading)];
+      step.set(-dx * cos + dy * sin, 0, -dx * sin - dy * cos).multiplyScalar(perPx);
+    }
+    step.y = 0;
+    this.camera.position.add(step);
+    this.throwing.lerp(step.multiplyScalar(60), 0.5);
+    this.thrownAt = performance.now();
+  }
+
+  // Two fingers: apart is nearer, round each other turns, up and down together tilts.
+  private pinch(id: number, before: { x: number; y: number }, at: { x: number; y: number }) {
+    const other = [...this.pointers].find(([key]) => key !== id)?.[1];
+    if (!other) return;
+    const span = (p: { x: number; y: number }) => Math.hypot(p.x - other.x, p.y - other.y);
+    const angle = (p: { x: number; y: number }) => Math.atan2(p.y - other.y, p.x - other.x);
+    const middle = { x: (at.x + other.x) / 2, y: (at.y + other.y) / 2 };
+    const pivot = this.under(middle.x, middle.y);
+    this.nearTo(pivot, MathUtils.clamp(span(before) / Math.max(10, span(at)), 0.5, 2));
+    let turn = angle(at) - angle(before);
+    if (turn > Math.PI) turn -= 2 * Math.PI;
+    if (turn < -Math.PI) turn += 2 * Math.PI;
+    this.turnAbout(pivot, -turn, -(at.y - before.y) * 0.002);
+  }
+
+  private release(event: PointerEvent) {
+    if (!this.pointers.delete(event.pointerId)) return;
+    const { pressed } = this;
+    const still = !pressed.moved && performance.now() - pressed.at < 600;
+    this.drag = null;
+    if (performance.now() - this.thrownAt > 60) this.throwing.set(0, 0, 0);
+    const [rest] = this.pointers.values();
+    if (rest) this.beginDrag(rest, false);
+    else if (still && event.type === "pointerup" && event.button === 0)
+      this.onClick(pressed.x, pressed.y);
+    this.onMove();
+  }
+
+  private wheel(event: WheelEvent) {
     event.preventDefault();
+    this.takeOver();
+    const lines = event.deltaMode === 1 ? 24 : event.deltaMode === 2 ? 400 : 1;
+    const amount = MathUtils.clamp(event.deltaY * lines, -300, 300);
+    const at = this.local(event);
+    this.nearTo(this.under(at.x, at.y), Math.exp(amount * 0.0016));
+    this.onMove();
+  }
+
+  // After a throw the ground slides on for a moment.
+  private glide(seconds: number) {
+    if (this.drag || this.throwing.lengthSq() < 1e-4) return;
+    if (matchMedia("(prefers-reduced-motion: reduce)").matches) this.throwing.set(0, 0, 0);
+    this.camera.position.addScaledVector(this.throwing, seconds);
+    this.throwing.multiplyScalar(Math.exp(-seconds / GLIDE_S));
+    if (this.throwing.length() < 0.02) this.throwing.set(0, 0, 0);
+  }
+
+  // ---- keys and gamepad ----
+
+  private key(event: KeyboardEvent) {
+    if (!this.keyboard || !(event.code in KEYS) || !isForScene(event)) return;
+    event.preventDefault();
+    if (!this.held.size) this.takeOver();
     this.held.add(event.code);
     this.onMove();
   }
 
   private applyKeys(seconds: number) {
-    const dt = Math.min(seconds, 0.1);
-    const move = { east: 0, north: 0, turn: 0, tilt: 0, zoom: 0 };
+    if (!this.held.size) return;
+    const amount: Record<Action, number> = { east: 0, north: 0, turn: 0, tilt: 0, zoom: 0, rise: 0 };
     for (const code of this.held) {
       const [action, sign] = KEYS[code]!;
-      move[action] += sign * dt;
+      amount[action] += sign;
     }
-    if (!Object.values(move).some((v) => v !== 0)) return;
-    const target = this.controls.target;
-    const offset = this.camera.position.clone().sub(target);
-    const angles = new Spherical().setFromVector3(offset);
-    angles.theta -= move.turn * TURN_RAD_PER_S;
-    angles.phi = MathUtils.clamp(
-      angles.phi - move.tilt * TURN_RAD_PER_S,
-      0.01,
-      this.controls.maxPolarAngle,
-    );
-    angles.radius *= Math.exp(-move.zoom * ZOOM_PER_S);
-    angles.radius = MathUtils.clamp(
-      angles.radius,
-      this.controls.minDistance,
-      this.controls.maxDistance,
-    );
-    const step = angles.radius * PAN_PER_S;
-    const [sin, cos] = [Math.sin(angles.theta), Math.cos(angles.theta)];
-    target.x += step * (move.east * cos - move.north * sin);
-    target.z -= step * (move.east * sin + move.north * cos);
-    this.camera.position.copy(target).add(offset.setFromSpherical(angles));
+    this.apply(amount, Math.min(seconds, 0.1));
+  }
+
+  private applyGamepad(seconds: number) {
+    const pad = this.keyboard ? navigator.getGamepads?.().find((one) => one?.connected) : null;
+    if (!pad) return;
+    const axis = (i: number) => (Math.abs(pad.axes[i] ?? 0) > 0.15 ? pad.axes[i]! : 0);
+    const button = (i: number) => pad.buttons[i]?.value ?? 0;
+    const amount = {
+      east: axis(0),
+      north: -axis(1),
+      turn: axis(2),
+      tilt: -axis(3),
+      zoom: button(7) - button(6),
+      rise: button(0) - button(1),
+    };
+    if (Object.values(amount).some((v) => v !== 0)) {
+      this.takeOver();
+      this.apply(amount, Math.min(seconds, 0.1));
+    }
+  }
+
+  private apply(amount: Record<Action, number>, dt: number) {
+    const free = this.walk !== "orbit";
+    const pivot = free ? this.camera.position.clone() : this.center();
+    const distance = Math.max(2, this.camera.position.distanceTo(pivot));
+    if (amount.turn || amount.tilt)
+      this.turnAbout(pivot, amount.turn * TURN_RAD_PER_S * dt, amount.tilt * TURN_RAD_PER_S * dt);
+    if (amount.zoom && !free) this.nearTo(pivot, Math.exp(-amount.zoom * ZOOM_PER_S * dt));
+    const high = Math.max(2, this.camera.position.y - this.ground);
+    const speed = this.walk === "walk" ? WALK_M_S : free ? Math.max(WALK_M_S, high) : distance * PAN_PER_S;
+    const [sin, cos] = [Math.sin(this.heading), Math.cos(this.heading)];
+    const step = new Vector3(
+      amount.east * cos + amount.north * sin,
+      amount.rise + (this.walk === "fly" ? amount.north * Math.sin(this.pitch) : 0),
+      amount.east * sin - amount.north * cos,
+    ).multiplyScalar(speed * dt);
+    this.camera.position.add(step);
+    if (amount.north || amount.rise) this.stayAbove();
   }
 }

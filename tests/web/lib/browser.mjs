@@ -25,16 +25,40 @@ export function missingBrowser() {
     return "";
 }
 
+let shared = null; // one browser for all pages that are open at a time
+let users = 0;
+
+async function takeBrowser() {
+    const { chromium } = await import("playwright-core");
+    users++;
+    shared ??= chromium.launch({ executablePath: CHROMIUM, headless: true, args: FLAGS });
+    return shared;
+}
+
+// The browser stays for a moment: the next test may want it.
+async function leaveBrowser() {
+    if (--users > 0) return;
+    await new Promise((done) => setTimeout(done, 50));
+    if (users > 0 || !shared) return;
+    const browser = await shared;
+    shared = null;
+    await browser.close();
+}
+
 // Opens url in a fresh profile. { page, log, close }: log collects console errors and uncaught
 // exceptions.
-export async function openPage(url, { width = 800, height = 600 } = {}) {
-    const { chromium } = await import("playwright-core");
-    const browser = await chromium.launch({
-        executablePath: CHROMIUM,
-        headless: true,
-        args: FLAGS,
+export async function openPage(url, { width = 800, height = 600, ...more } = {}) {
+    const browser = await takeBrowser();
+    const context = await browser.newContext({
+        viewport: { width, height },
+        deviceScaleFactor: 1,
+        ...more,
     });
-    const page = await browser.newPage({ viewport: { width, height }, deviceScaleFactor: 1 });
+    const page = await context.newPage();
+    const close = async () => {
+        await context.close();
+        await leaveBrowser();
+    };
     const log = [];
     page.on("console", (m) => m.type() === "error" && log.push(m.text()));
     page.on("pageerror", (e) => log.push(`uncaught: ${e.message}`));
@@ -42,10 +66,10 @@ export async function openPage(url, { width = 800, height = 600 } = {}) {
     try {
         await page.goto(url, { waitUntil: "load" });
     } catch (error) {
-        await browser.close();
+        await close();
         throw new Error(`${url} does not open: ${error.message.split("\n")[0]}`);
     }
-    return { page, log, close: () => browser.close() };
+    return { page, log, close };
 }
 
 // Waits until the viewer has drawn everything its view needs. Throws with what it knows after the
@@ -56,7 +80,7 @@ export async function waitForViewer(page, timeoutMs = 120000) {
     const until = Date.now() + timeoutMs;
     for (let seen = 0; seen < 2;) {
         if (Date.now() > until) {
-            const state = await page.evaluate(() => JSON.stringify(window.citysplat ?? null));
+            const state = await page.evaluate(() => JSON.stringify(window.citysplat?.state ?? null));
             throw new Error(`viewer not settled after ${timeoutMs / 1000} s: ${state}`);
         }
         seen = (await ready()) ? seen + 1 : 0;
@@ -66,12 +90,22 @@ export async function waitForViewer(page, timeoutMs = 120000) {
     if (error) throw new Error(`viewer: ${error}`);
 }
 
-// The viewer's page without its panels.
-const HIDE_PANELS = "#panel,#tools,#compare,#toast,#progress,footer{display:none!important}";
+// The viewer's picture alone: no panels, and black instead of sky and ground, as the server draws.
 export async function barePicture(page) {
-    const style = await page.addStyleTag({ content: HIDE_PANELS });
+    const bare = (on) =>
+        page.evaluate(async (off) => {
+            const { viewer } = window.citysplat;
+            document.documentElement.dataset.ui = off ? "off" : "on";
+            for (let frames = 0; frames < 2; frames++)
+                await new Promise((drawn) => {
+                    const end = viewer.on("frame", () => (end(), drawn()));
+                    viewer.backdrop = !off; // asks for a frame
+                });
+            await new Promise(requestAnimationFrame);
+        }, on);
+    await bare(true);
     const png = decodePng(await page.screenshot());
-    await style.evaluate((tag) => tag.remove());
+    await bare(false);
     return png;
 }
 

@@ -20,7 +20,7 @@ export const BIN = process.env.CITYSPLAT_BIN;
 export const GIVEN_TILES = process.env.CITYSPLAT_TILES;
 export const MOCK = process.env.CITYSPLAT_MOCK === "1";
 
-function importCity(dir) {
+export function importCity(dir) {
     const ply = join(dir, "city.ply");
     const tiles = join(dir, "city.tiles");
     writeFileSync(ply, writePly(makeCity(), ORIGIN));

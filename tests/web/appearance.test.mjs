@@ -37,10 +37,10 @@ function brightness(png) {
     return sum;
 }
 
-const lightOnPage = () => page.evaluate(() => window.citysplat.light);
+const shownOnPage = () => page.evaluate(() => window.citysplat.state.appearance);
 
 async function choose(id, value) {
-    const before = await lightOnPage();
+    const before = await shownOnPage();
     await page.evaluate(
         ([name, v]) => {
             const control = document.getElementById(name);
@@ -49,52 +49,67 @@ async function choose(id, value) {
         },
         [id, value],
     );
-    await page.waitForFunction((light) => window.citysplat.light !== light, before);
+    // The picture stays until the new one is complete: never is nothing drawn.
+    let least = Infinity;
+    do {
+        least = Math.min(least, await page.evaluate(() => window.citysplat.state.gaussians));
+        await page.waitForTimeout(20);
+    } while ((await shownOnPage()) === before);
+    assert.ok(least > 0, "black while the appearance changed");
     await waitForViewer(page);
 }
 
-test("every look of the server is offered", skip, async () => {
+test("every appearance of the server is offered", skip, async () => {
     const id = await firstDataSet(source.url);
     const list = await getJson(`${source.url}/d/${id}/appearances`);
-    const offered = await page.$$eval("#light option", (all) => all.map((one) => one.value));
+    const offered = await page.$$eval("#appearance-from option", (all) => all.map((one) => one.value));
     assert.deepEqual([...offered].sort(), list.appearances.map((one) => one.name).sort());
-    assert.equal(await page.isVisible("#lights"), true);
-    assert.equal(await lightOnPage(), "");
+    assert.equal(await page.isVisible("#appearance"), true);
+    assert.equal(await shownOnPage(), "");
     names = offered.filter((name) => name !== "default");
     assert.ok(names.length > 8, `${names.length} photographs`);
 });
 
-test("a photograph's light changes the picture, a mix lies between", skip, async () => {
+test("a photograph's appearance changes the picture, a mix lies between", skip, async () => {
     const seen = [];
     for (const name of names.slice(0, 4)) {
-        await choose("light", name);
+        await choose("appearance-from", name);
         seen.push({ name, png: await picture() });
     }
     seen.sort((a, b) => brightness(a.png) - brightness(b.png));
     const [dark, light] = [seen[0], seen.at(-1)];
-    assert.ok(rmsDifference(dark.png, light.png) > 3, "all lights look the same");
-    await choose("light", "default");
-    await choose("light", dark.name);
+    assert.ok(rmsDifference(dark.png, light.png) > 3, "all appearances look the same");
+    await choose("appearance-from", "default");
+    await choose("appearance-from", dark.name);
     const again = await picture();
-    assert.ok(rmsDifference(again, dark.png) < 0.5, "the same light gives another picture");
-    await choose("light-to", light.name);
-    assert.equal(await page.isVisible("#light-mix"), true);
+    assert.ok(rmsDifference(again, dark.png) < 0.5, "the same appearance gives another picture");
+    await choose("appearance-to", light.name);
+    assert.equal(await page.isVisible("#appearance-mix"), true);
     const mixed = brightness(await picture());
     assert.ok(brightness(dark.png) < mixed && mixed < brightness(light.png), "not between");
 });
 
-test("a shared link keeps the light", skip, async () => {
-    await page.click("#share");
-    const url = new URL(page.url());
-    const light = await lightOnPage();
-    assert.match(light, /:0\.5,.*:0\.5$/);
-    assert.equal(url.searchParams.get("light"), light);
+test("the address keeps the appearance", skip, async () => {
+    const appearance = await shownOnPage();
+    assert.match(appearance, /:0\.5,.*:0\.5$/);
+    await page.waitForFunction(
+        (text) => decodeURIComponent(location.hash).includes(text),
+        appearance,
+    );
     const before = await picture();
-    await page.goto(url.href);
     await page.reload();
     await waitForViewer(page);
-    assert.equal(await lightOnPage(), light);
-    assert.notEqual(await page.inputValue("#light-to"), "");
-    assert.ok(rmsDifference(before, await picture()) < 2, "the link shows another picture");
+    assert.equal(await shownOnPage(), appearance);
+    await page.waitForFunction(() => document.getElementById("appearance-to").value !== "");
+    assert.ok(rmsDifference(before, await picture()) < 2, "the address shows another picture");
     assert.deepEqual(viewer.log, []);
+});
+
+test("an appearance that is not there leaves the picture and the choice", skip, async () => {
+    const appearance = await shownOnPage();
+    await page.evaluate(() => window.citysplat.viewer.setAppearance("no-such-photograph"));
+    await page.waitForSelector("#problem:not([hidden])");
+    const state = await page.evaluate(() => window.citysplat.state);
+    assert.deepEqual([state.appearance, state.wanted], [appearance, appearance]);
+    assert.ok(state.gaussians > 0);
 });

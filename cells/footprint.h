@@ -1,0 +1,52 @@
+/* What the photographs of a scene support: the ground that at least three of them see under at least
+ * five degrees, how finely they resolve it, and between which heights its surface lies. What was
+ * trained elsewhere is guesswork, and looks like it from any side but the photographs'.
+ *
+ * A grid over the ground. Heights are those of the sparse points; a cell counts as seen by the
+ * photographs whose picture its middle falls into. Nothing is said about what hides what.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef CELLS_FOOTPRINT_H
+#define CELLS_FOOTPRINT_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "core/err.h"
+
+struct buf;
+struct geo_origin;
+struct scene;
+
+enum { FOOTPRINT_VIEWS = 3 };
+#define FOOTPRINT_ANGLE_DEG 5.0
+
+struct footprint {              /* {0} is empty: everything is supported; footprint_free */
+    double corner_m[2], cell_m; /* south-west corner of the grid, ENU; edge of a cell */
+    size_t nx, ny;              /* row 0 is the southernmost */
+    uint8_t *inside;            /* [ny][nx] */
+    float *edge_m;         /* [ny][nx] from the middle of a cell to the border, negative inside */
+    float *low_m, *high_m; /* [ny][nx] of the surface and what stands on it, with a margin */
+    double fade_m;         /* from the border to where nothing is left */
+    double margin_m;       /* in low_m and high_m; as far may a Gaussian reach beyond them */
+    double px_per_m;       /* median over the ground inside of the nearest photograph's */
+};
+/* From the training photographs and the sparse points. Empty (nx 0, with a warning) where no ground
+ * is supported: too few points or photographs. ERR_MEM. */
+enum err_code footprint_of(const struct scene *s, struct footprint *out, struct err *e) ERR_USE;
+/* The ground from a GeoJSON file instead (Polygon, MultiPolygon, Feature or FeatureCollection, WGS84
+ * longitude and latitude), heights as above: `f` is that of the scene. Borders are kept to half a
+ * cell of the grid. ERR_NOENT, ERR_FORMAT: no file, no polygon; ERR_DATA: it lies elsewhere. */
+enum err_code footprint_read(struct footprint *f, const char *path, const struct geo_origin *origin,
+                             struct err *e) ERR_USE;
+void footprint_free(struct footprint *f);
+/* How much of a Gaussian's opacity is left, 0 to 1: mean [3] and covariance [3][3] in ENU metres. 1 well
+ * inside, 0 beyond the faded edge; what is so large that it reaches out fades, too. */
+double footprint_weight(const struct footprint *f, const double mean_m[3], const double cov[9]);
+/* A GeoJSON Feature: the MultiPolygon, with views, angle_deg, px_per_m, area_m2 and the range of
+ * heights as properties. ERR_DATA where it is empty. */
+enum err_code footprint_write(const struct footprint *f, const struct geo_origin *origin,
+                              struct buf *out, struct err *e) ERR_USE;
+
+#endif

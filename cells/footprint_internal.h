@@ -1,0 +1,13 @@
+/* Between the files of the footprint.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef CELLS_FOOTPRINT_INTERNAL_H
+#define CELLS_FOOTPRINT_INTERNAL_H
+
+#include "cells/footprint.h"
+
+/* footprint.c: edge_m from `inside`. ERR_MEM. */
+enum err_code footprint_measure(struct footprint *f, struct err *e) ERR_USE;
+
+#endif

@@ -1,0 +1,55 @@
+/* citysplat ortho: the city from straight above, as a map.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "cli/cli.h"
+#include "cli/maps.h"
+
+struct ortho_options {
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/ortho.def"
+#undef OPT
+};
+
+static const struct options_def defs[] = {
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct ortho_options, type, key, def, lo, hi, unit, help)
+#include "cli/ortho.def"
+#undef OPT
+};
+
+static const struct options_spec spec = {
+    .command = "ortho",
+    .usage = "citysplat ortho CITY.tiles -o FILE.tif [options]",
+    .about =
+        "Draws a tile store orthographically, straight down, as a Cloud Optimized GeoTIFF: red, "
+        "green, blue and alpha, which is 0 outside of the survey. Memory does not grow with "
+        "the city.",
+    .example = "citysplat ortho city.tiles -o ortho.tif --gsd-m 0.1\n"
+               "citysplat ortho city.tiles -o ortho.tif --epsg 25832 --bbox 8.68,50.10,8.69,50.12",
+    .defs = defs,
+    .n_defs = sizeof defs / sizeof *defs,
+    .min_args = 1,
+    .max_args = 1};
+
+enum err_code cli_ortho(int argc, char **argv, struct err *e)
+{
+    struct ortho_options o = {0};
+    struct options_args args;
+    struct arena arena = {0};
+    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    if (!rc && !args.done) {
+        const struct maps_options m = {.store = args.arg[0],
+                                       .output = o.output,
+                                       .bbox = o.bbox,
+                                       .ceiling = o.ceiling_m,
+                                       .appearance = o.appearance,
+                                       .device = o.device,
+                                       .epsg = (int)o.epsg,
+                                       .gsd_m = o.gsd_m};
+        rc = maps_make(GEOTIFF_COLOR, &m, e);
+    }
+    arena_free(&arena);
+    return rc;
+}

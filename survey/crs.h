@@ -1,0 +1,28 @@
+/* Map projections: places on Earth to and from the metres of a projected coordinate reference
+ * system, by GDAL's interface to PROJ.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SURVEY_CRS_H
+#define SURVEY_CRS_H
+
+#include <stddef.h>
+
+#include "core/err.h"
+
+struct crs; /* one thread at a time */
+/* The EPSG code of the UTM zone that holds a place (WGS 84: 326xx north, 327xx south). */
+int crs_utm(double lon_deg, double lat_deg);
+/* ERR_ARG: no such code, or one whose axes are not metres in the plane. */
+enum err_code crs_open(int epsg, struct crs **out, struct err *e) ERR_USE;
+void crs_close(struct crs **c);
+int crs_epsg(const struct crs *c);
+const void *crs_handle(const struct crs *c); /* OGRSpatialReferenceH, borrowed */
+/* In place: x, y hold longitude and latitude in degrees and get east and north in metres, or the
+ * other way round. ERR_ARG names the first place that the projection does not reach. */
+enum err_code crs_project(const struct crs *c, size_t n, double *x, double *y,
+                          struct err *e) ERR_USE;
+enum err_code crs_unproject(const struct crs *c, size_t n, double *x, double *y,
+                            struct err *e) ERR_USE;
+
+#endif

@@ -1,0 +1,192 @@
+/* Cloud Optimized GeoTIFF by GDAL: see geotiff.h. GDAL's COG driver can only copy a whole picture,
+ * so a plain tiled one is written first. It is sparse, so what was not surveyed takes no room.
+ *
+ * Only the two drivers that are needed are registered: no other of GDAL's readers ever sees a file.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "survey/geotiff.h"
+
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+
+#include <gdal/cpl_conv.h>
+#include <gdal/cpl_string.h>
+#include <gdal/gdal.h>
+#include <gdal/gdal_frmts.h>
+
+#include "core/base.h"
+
+#define GEOTIFF_CACHE_MB "128"
+
+struct geotiff {
+    char path[FILE_PATH_MAX], part[FILE_PATH_MAX], base[FILE_PATH_MAX];
+    enum geotiff_kind kind;
+    GDALDatasetH data; /* of base */
+    struct progress progress;
+};
+
+static void geotiff_start(void)
+{
+    CPLSetConfigOption("GDAL_CACHEMAX", GEOTIFF_CACHE_MB);
+    CPLSetConfigOption("GDAL_PAM_ENABLED", "NO"); /* no .aux.xml beside the file */
+    GDALRegister_GTiff();
+    GDALRegister_COG();
+}
+
+static enum err_code geotiff_fail(const struct geotiff *t, const char *what, struct err *e)
+{
+    return err_set(e, ERR_IO, "%s: %s: %s", t->path, what, CPLGetLastErrorMsg());
+}
+
+static enum err_code geotiff_describe(struct geotiff *t, const struct geotiff_info *info,
+                                      struct err *e)
+{
+    double transform[6] = {info->west_m, info->pixel_m, 0, info->north_m, 0, -info->pixel_m};
+    OGRSpatialReferenceH srs = (OGRSpatialReferenceH)(uintptr_t)crs_handle(info->crs);
+    bool bad = GDALSetSpatialRef(t->data, srs) != CE_None ||
+               GDALSetGeoTransform(t->data, transform) != CE_None;
+    if (info->copyright && *info->copyright)
+        bad |= GDALSetMetadataItem(t->data, "TIFFTAG_COPYRIGHT", info->copyright, NULL) != CE_None;
+    if (info->source)
+        bad |= GDALSetMetadataItem(t->data, "CITYSPLAT_STORE", info->source, NULL) != CE_None;
+    bad |= GDALSetMetadataItem(t->data, "TIFFTAG_SOFTWARE", "citysplat " CITYSPLAT_VERSION, NULL) !=
+           CE_None;
+    GDALRasterBandH band = GDALGetRasterBand(t->data, 1);
+    if (t->kind == GEOTIFF_HEIGHT) {
+        bad |= GDALSetRasterNoDataValue(band, (double)GEOTIFF_NODATA) != CE_None;
+        bad |= GDALSetRasterUnitType(band, "metre") != CE_None;
+        GDALSetDescription(band, "height above the WGS 84 ellipsoid");
+    } else {
+        bad |= GDALSetRasterColorInterpretation(GDALGetRasterBand(t->data, 4), GCI_AlphaBand) !=
+               CE_None;
+    }
+    return bad ? geotiff_fail(t, "its place or description could not be written", e) : ERR_OK;
+}
+
+enum err_code geotiff_create(const char *path, enum geotiff_kind kind,
+                             const struct geotiff_info *info, struct geotiff **out, struct err *e)
+{
+    *out = NULL;
+    struct geotiff *t = mem_array(1, sizeof *t);
+    if (!t)
+        return err_set(e, ERR_MEM, "%s: out of memory", path);
+    t->kind = kind;
+    geotiff_start();
+    if (snprintf(t->path, sizeof t->path, "%s", path) >= (int)sizeof t->path) {
+        mem_free(t);
+        return err_set(e, ERR_LIMIT, "%.60s...: the path is too long", path);
+    }
+    enum err_code rc = file_begin(path, t->part, e);
+    if (!rc && snprintf(t->base, sizeof t->base, "%s-base", t->part) >= (int)sizeof t->base)
+        rc = err_set(e, ERR_LIMIT, "%.60s...: the path is too long", path);
+    char **options = NULL;
+    options = CSLSetNameValue(options, "TILED", "YES");
+    options = CSLSetNameValue(options, "BLOCKXSIZE", "512");
+    options = CSLSetNameValue(options, "BLOCKYSIZE", "512");
+    options = CSLSetNameValue(options, "COMPRESS", "LZW");
+    options = CSLSetNameValue(options, "SPARSE_OK", "TRUE");
+    options = CSLSetNameValue(options, "BIGTIFF", "IF_SAFER");
+    if (kind == GEOTIFF_COLOR)
+        options = CSLSetNameValue(options, "ALPHA", "YES");
+    CPLPushErrorHandler(CPLQuietErrorHandler);
+    if (!rc)
+        t->data = GDALCreate(GDALGetDriverByName("GTiff"), t->base, (int)info->width,
+                             (int)info->height, kind == GEOTIFF_COLOR ? 4 : 1,
+                             kind == GEOTIFF_COLOR ? GDT_Byte : GDT_Float32, options);
+    if (!rc && !t->data)
+        rc = geotiff_fail(t, "it could not be created", e);
+    if (!rc)
+        rc = geotiff_describe(t, info, e);
+    CPLPopErrorHandler();
+    CSLDestroy(options);
+    if (rc)
+        geotiff_close(&t);
+    *out = t;
+    return rc;
+}
+
+enum err_code geotiff_write(struct geotiff *t, uint32_t x, uint32_t y, uint32_t w, uint32_t h,
+                            const void *pixels, struct err *e)
+{
+    bool color = t->kind == GEOTIFF_COLOR;
+    int size = color ? 1 : 4, bands = color ? 4 : 1;
+    CPLPushErrorHandler(CPLQuietErrorHandler);
+    CPLErr rc = GDALDatasetRasterIO(t->data, GF_Write, (int)x, (int)y, (int)w, (int)h,
+                                    (void *)(uintptr_t)pixels, (int)w, (int)h,
+                                    color ? GDT_Byte : GDT_Float32, bands, NULL, size * bands,
+                                    size * bands * (int)w, color ? 1 : 0);
+    CPLPopErrorHandler();
+    return rc == CE_None ? ERR_OK : geotiff_fail(t, "pixels could not be written", e);
+}
+
+static int CPL_STDCALL geotiff_progress(double share, const char *message, void *user)
+{
+    struct geotiff *t = user;
+    (void)message;
+    progress_step(&t->progress, (uint64_t)(share * 100), NULL);
+    return !signals_stopping();
+}
+
+static enum err_code geotiff_copy(struct geotiff *t, struct err *e)
+{
+    char **options = NULL;
+    options = CSLSetNameValue(options, "BLOCKSIZE", "512");
+    options = CSLSetNameValue(options, "COMPRESS", "DEFLATE");
+    options = CSLSetNameValue(options, "PREDICTOR", "YES");
+    options = CSLSetNameValue(options, "OVERVIEW_RESAMPLING", "AVERAGE");
+    options = CSLSetNameValue(options, "BIGTIFF", "IF_SAFER");
+    progress_start(&t->progress, "tiles and overviews, %", 100);
+    GDALDatasetH cog = GDALCreateCopy(GDALGetDriverByName("COG"), t->part, t->data, FALSE, options,
+                                      geotiff_progress, t);
+    progress_end(&t->progress, NULL);
+    CSLDestroy(options);
+    if (cog) {
+        CPLErrorReset();
+        GDALClose(cog);
+    }
+    if (signals_stopping())
+        return err_set(e, ERR_CANCEL, "stopped");
+    return cog && CPLGetLastErrorType() < CE_Failure
+               ? ERR_OK
+               : geotiff_fail(t, "the Cloud Optimized GeoTIFF could not be written", e);
+}
+
+enum err_code geotiff_commit(struct geotiff **tp, struct err *e)
+{
+    struct geotiff *t = *tp;
+    CPLPushErrorHandler(CPLQuietErrorHandler);
+    CPLErrorReset();
+    GDALFlushCache(t->data);
+    enum err_code rc = CPLGetLastErrorType() < CE_Failure
+                           ? ERR_OK
+                           : geotiff_fail(t, "pixels could not be written", e);
+    if (!rc)
+        rc = geotiff_copy(t, e);
+    CPLPopErrorHandler();
+    if (!rc)
+        rc = file_commit(t->part, t->path, e);
+    geotiff_close(tp);
+    return rc;
+}
+
+void geotiff_close(struct geotiff **tp)
+{
+    static const char *const left[] = {"", "-base", ".ovr.tmp", ".msk.ovr.tmp"};
+    struct geotiff *t = *tp;
+    if (!t)
+        return;
+    if (t->data) {
+        CPLPushErrorHandler(CPLQuietErrorHandler);
+        GDALClose(t->data);
+        CPLPopErrorHandler();
+    }
+    for (size_t i = 0; *t->part && i < sizeof left / sizeof *left; i++) {
+        char name[FILE_PATH_MAX + 16];
+        snprintf(name, sizeof name, "%s%s", t->part, left[i]);
+        unlink(name); /* what was renamed is not there */
+    }
+    mem_free(t);
+    *tp = NULL;
+}

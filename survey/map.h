@@ -1,0 +1,45 @@
+/* Maps of a store: orthophoto and surface model, as Cloud Optimized GeoTIFF. A city of any size is
+ * drawn piece by piece; memory holds one piece and the tiles that it shows.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SURVEY_MAP_H
+#define SURVEY_MAP_H
+
+#include "survey/geotiff.h"
+#include "survey/nadir.h"
+
+enum { MAP_PIECE_PX = 512 };
+#define MAP_EDGE_MAX 1000000 /* px, of a picture */
+#define MAP_PIXELS_MAX 2e10
+#define MAP_OFF_MAX_PX 0.1 /* how far the plane of a piece may be from the projection */
+
+struct map_request {
+    enum geotiff_kind kind;
+    int epsg;               /* 0: the UTM zone of the middle */
+    double gsd_m;           /* pixel, in the projection; 0: by how fine the Gaussians are */
+    const double *bbox_deg; /* west, south, east, north; NULL: all that was surveyed */
+    uint32_t piece_px;      /* 0: MAP_PIECE_PX */
+};
+struct map_grid { /* pixels of the projection: edges are multiples of a pixel */
+    double west_m, north_m, pixel_m;
+    uint32_t width, height;
+    int epsg;
+};
+struct map_report {
+    struct map_grid grid;
+    uint64_t pixels_held; /* with a surface */
+    double off_px;        /* how far the planes of pieces were from the projection, at most */
+    double seconds;
+    double height_min_m, height_max_m; /* of a surface model; NAN: none */
+};
+/* The pixels of a request. ERR_ARG: EPSG code, an empty area, or more pixels than allowed; each
+ * says what is. */
+enum err_code map_plan(const struct nadir *n, const struct map_request *r, struct crs **crs,
+                       struct map_grid *out, struct err *e) ERR_USE;
+/* Write the file beside and rename it. Errors of map_plan, nadir_draw and geotiff.h; ERR_CANCEL
+ * when the program was told to stop. report may be NULL. */
+enum err_code map_write(struct nadir *n, const struct map_request *r, const char *path,
+                        struct map_report *report, struct err *e) ERR_USE;
+
+#endif

@@ -1,0 +1,268 @@
+/* The ground that photographs support: against what a survey of known geometry sees, as GeoJSON and
+ * back, and what it leaves of a Gaussian.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <jansson.h>
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "cells/footprint.h"
+#include "codec/scene.h"
+#include "kit.h"
+
+enum { SIDE = 6, POINTS = 101 };
+#define HEIGHT 60.0
+#define STEP 20.0 /* between photographs */
+
+static char tmp[FILE_PATH_MAX];
+
+/* A nadir flight of 6 x 6 photographs over flat ground of 400 m with a tower in the middle; the
+ * pictures cover 80 x 60 m of it each. */
+static void survey(struct scene *s)
+{
+    memset(s, 0, sizeof *s);
+    s->origin = (struct geo_origin){7.57, 47.56, 280};
+    s->n_images = SIDE * SIDE;
+    s->n_points = POINTS * POINTS;
+    s->images = arena_get(&s->arena, s->n_images, sizeof *s->images);
+    s->points = arena_get(&s->arena, s->n_points, sizeof *s->points);
+    for (size_t i = 0; i < s->n_images; i++) {
+        struct camera *c = &s->images[i].cam;
+        const double down[9] = {1, 0, 0, 0, -1, 0, 0, 0, -1},
+                     at[3] = {STEP * (double)(i % SIDE) - 50, STEP * (double)(i / SIDE) - 50,
+                              HEIGHT};
+        *c = (struct camera){.width_px = 400,
+                             .height_px = 300,
+                             .fx_px = 300,
+                             .fy_px = 300,
+                             .cx_px = 200,
+                             .cy_px = 150};
+        memcpy(c->rot, down, sizeof down);
+        for (int a = 0; a < 3; a++)
+            c->trans[a] =
+                -(down[3 * a] * at[0] + down[3 * a + 1] * at[1] + down[3 * a + 2] * at[2]);
+        s->images[i].split = SCENE_TRAIN;
+    }
+    for (size_t i = 0; i < s->n_points; i++) {
+        double x = 4.0 * (double)(i % POINTS) - 200, y = 4.0 * (double)(i / POINTS) - 200;
+        s->points[i].enu_m[0] = x;
+        s->points[i].enu_m[1] = y;
+        s->points[i].enu_m[2] = fabs(x) < 10 && fabs(y) < 10 ? 25.0 : 0.0;
+    }
+}
+
+static double weight(const struct footprint *f, double x, double y, double z, double sigma_m)
+{
+    const double mean[3] = {x, y, z}, v = sigma_m * sigma_m, cov[9] = {v, 0, 0, 0, v, 0, 0, 0, v};
+    return footprint_weight(f, mean, cov);
+}
+
+/* Photographs that see a place of the ground. */
+static int views(double x, double y)
+{
+    int n = 0;
+    for (int i = 0; i < SIDE * SIDE; i++)
+        n += fabs(x - (STEP * (i % SIDE) - 50)) < 40 && fabs(y - (STEP * (i / SIDE) - 50)) < 30;
+    return n;
+}
+
+static void test_known_survey(void **state)
+{
+    (void)state;
+    struct scene s;
+    struct footprint f;
+    struct err e = {0};
+    size_t wrong = 0, n = 0;
+    survey(&s);
+    kit_ok(footprint_of(&s, &f, &e), e);
+    assert_true(f.nx > 0);
+    for (size_t j = 0; j < f.ny; j++)
+        for (size_t i = 0; i < f.nx; i++) {
+            double x = f.corner_m[0] + ((double)i + 0.5) * f.cell_m,
+                   y = f.corner_m[1] + ((double)j + 0.5) * f.cell_m;
+            n += views(x, y) >= 3;
+            wrong += (views(x, y) >= 3) != f.inside[j * f.nx + i];
+        }
+    print_message("%zu x %zu cells of %.2f m, %zu of %zu inside are wrong, %.2f px/m\n", f.nx, f.ny,
+                  f.cell_m, wrong, n, f.px_per_m);
+    assert_true(n > 300);
+    assert_true((double)wrong <=
+                0.02 * (double)n); /* cells that a border cuts; the tower's parallax */
+    assert_true(fabs(f.px_per_m - 300 / HEIGHT) < 0.1);
+
+    /* Well inside all of it, far outside nothing, in between ever less. */
+    assert_true(weight(&f, 0, 30, 0.5, 0.1) == 1.0);
+    assert_true(weight(&f, 150, 0, 0, 0.1) == 0.0);
+    assert_true(weight(&f, 1e6, 0, 0, 0.1) == 0.0);
+    double before = 1.0;
+    for (double x = 0; x < 120; x += 0.5) {
+        double w = weight(&f, x, -30, 0.5, 0.1);
+        assert_true(w <= before + 1e-12);
+        before = w;
+    }
+    /* Above the tower's neighbourhood and below the ground is nothing; on the tower there is. */
+    assert_true(weight(&f, 0, 0, 25, 0.2) == 1.0);
+    assert_true(weight(&f, 40, 40, 45, 0.2) == 0.0);
+    assert_true(weight(&f, 40, 40, -25, 0.2) == 0.0);
+    /* What is as large as the survey reaches out of it, wherever its middle is. */
+    assert_true(weight(&f, 0, 40, 0.5, 60.0) == 0.0);
+    footprint_free(&f);
+    arena_free(&s.arena);
+}
+
+static void test_geojson_and_back(void **state)
+{
+    (void)state;
+    struct scene s;
+    struct footprint f, g;
+    struct buf b = {0};
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    survey(&s);
+    kit_ok(footprint_of(&s, &f, &e), e);
+    kit_ok(footprint_write(&f, &s.origin, &b, &e), e);
+    kit_ok(file_join(path, tmp, "footprint.geojson", &e), e);
+    kit_ok(file_write(path, b.data, b.size, &e), e);
+    json_t *root;
+    kit_ok(jsonc_read(path, &root, &e), e);
+    const json_t *geometry = json_object_get(root, "geometry"),
+                 *p = json_object_get(root, "properties"),
+                 *ring =
+                     json_array_get(json_array_get(json_object_get(geometry, "coordinates"), 0), 0);
+    assert_string_equal(json_string_value(json_object_get(geometry, "type")), "MultiPolygon");
+    assert_true(json_array_size(json_object_get(geometry, "coordinates")) == 1);
+    assert_true(json_array_size(ring) >= 5 && json_array_size(ring) < 200);
+    assert_true(
+        json_equal(json_array_get(ring, 0), json_array_get(ring, json_array_size(ring) - 1)));
+    double area = json_number_value(json_object_get(p, "area_m2")), inside = 0.0;
+    for (size_t i = 0; i < f.nx * f.ny; i++)
+        inside += f.inside[i] * f.cell_m * f.cell_m;
+    print_message("%.0f m2 in %zu corners, %.0f m2 of cells\n", area, json_array_size(ring),
+                  inside);
+    assert_true(fabs(area - inside) < 0.03 * inside);
+    json_decref(root);
+    kit_ok(footprint_of(&s, &g, &e), e);
+    memset(g.inside, 0, g.nx * g.ny);
+    kit_ok(footprint_read(&g, path, &s.origin, &e), e);
+    size_t wrong = 0;
+    for (size_t i = 0; i < f.nx * f.ny; i++)
+        wrong += f.inside[i] != g.inside[i];
+    assert_true((double)wrong < 0.02 * (double)(f.nx * f.ny));
+    footprint_free(&g);
+    g = (struct footprint){0}; /* the polygons alone */
+    kit_ok(footprint_read(&g, path, &s.origin, &e), e);
+    assert_true(weight(&g, 0, 0, 1000, 0.1) == 1.0 && weight(&g, 150, 0, 0, 0.1) == 0.0);
+    footprint_free(&g);
+    footprint_free(&f);
+    buf_free(&b);
+    arena_free(&s.arena);
+}
+
+/* A hole stays a hole, and two islands two polygons. */
+static void test_holes(void **state)
+{
+    (void)state;
+    static const char text[] =
+        "{\"type\":\"FeatureCollection\",\"features\":["
+        "{\"type\":\"Feature\",\"geometry\":{\"type\":\"Polygon\",\"coordinates\":["
+        "[[7.57,47.56],[7.574,47.56],[7.574,47.564],[7.57,47.564],[7.57,47.56]],"
+        "[[7.571,47.561],[7.571,47.563],[7.573,47.563],[7.573,47.561],[7.571,47.561]]]}},"
+        "{\"type\":\"Feature\",\"geometry\":{\"type\":\"Polygon\",\"coordinates\":["
+        "[[7.576,47.56],[7.578,47.56],[7.578,47.562],[7.576,47.562],[7.576,47.56]]]}}]}";
+    const struct geo_origin origin = {7.57, 47.56, 280};
+    struct footprint f = {0};
+    struct buf b = {0};
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    kit_ok(file_join(path, tmp, "holes.geojson", &e), e);
+    kit_ok(file_write(path, text, strlen(text), &e), e);
+    kit_ok(footprint_read(&f, path, &origin, &e), e);
+    kit_ok(footprint_write(&f, &origin, &b, &e), e);
+    json_t *root;
+    kit_ok(jsonc_parse((const char *)b.data, b.size, "written", &root, &e), e);
+    const json_t *polygons = json_object_get(json_object_get(root, "geometry"), "coordinates");
+    size_t rings = 0;
+    assert_int_equal(json_array_size(polygons), 2);
+    for (size_t i = 0; i < 2; i++)
+        rings += json_array_size(json_array_get(polygons, i));
+    assert_int_equal(rings, 3);
+    json_decref(root);
+    double enu[3];
+    kit_ok(geo_to_enu(&origin, 7.572, 47.562, 280, enu, &e), e);
+    assert_true(weight(&f, enu[0], enu[1], 0, 0.1) == 0.0);
+    kit_ok(geo_to_enu(&origin, 7.5705, 47.562, 280, enu, &e), e);
+    assert_true(weight(&f, enu[0], enu[1], 0, 0.1) == 1.0);
+    footprint_free(&f);
+    buf_free(&b);
+}
+
+static void expect(const char *text, enum err_code want, const char *word)
+{
+    const struct geo_origin origin = {7.57, 47.56, 280};
+    struct footprint f = {0};
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    kit_ok(file_join(path, tmp, "bad.geojson", &e), e);
+    kit_ok(file_write(path, text, strlen(text), &e), e);
+    assert_int_equal(footprint_read(&f, path, &origin, &e), want);
+    if (!strstr(e.msg, word) || !strstr(e.msg, "bad.geojson"))
+        fail_msg("'%s' does not say %s and which file", e.msg, word);
+    footprint_free(&f);
+}
+
+static void test_bad_input(void **state)
+{
+    (void)state;
+    struct scene s = {0};
+    struct footprint f;
+    struct err e = {0};
+    expect("{\"type\":\"Point\",\"coordinates\":[1,2]}", ERR_FORMAT, "Point");
+    expect("{\"type\":\"FeatureCollection\",\"features\":[]}", ERR_FORMAT, "no polygon");
+    expect("{\"type\":\"Polygon\",\"coordinates\":[[[1,2],[2,3],[1,2]]]}", ERR_FORMAT, "four");
+    expect("{\"type\":\"Polygon\",\"coordinates\":[[[1,2],\"x\",[1,3],[1,2]]]}", ERR_FORMAT,
+           "longitude");
+    expect("{\"type\":\"Polygon\",\"coordinates\":[[[1,92],[2,3],[1,3],[1,92]]]}", ERR_ARG, "");
+    log_set_level(LOG_ERROR); /* it warns that nothing is known */
+    kit_ok(footprint_of(&s, &f, &e), e);
+    log_set_level(LOG_WARN);
+    assert_true(f.nx == 0 && weight(&f, 1, 2, 3, 4) == 1.0);
+    struct buf b = {0};
+    assert_int_equal(footprint_write(&f, &s.origin, &b, &e), ERR_DATA);
+    survey(&s); /* polygons of another place */
+    kit_ok(footprint_of(&s, &f, &e), e);
+    char path[FILE_PATH_MAX];
+    static const char far[] = "{\"type\":\"Polygon\",\"coordinates\":[[[8,47],[8.1,47],[8.1,47.1],"
+                              "[8,47]]]}";
+    kit_ok(file_join(path, tmp, "far.geojson", &e), e);
+    kit_ok(file_write(path, far, strlen(far), &e), e);
+    assert_int_equal(footprint_read(&f, path, &s.origin, &e), ERR_DATA);
+    footprint_free(&f);
+    arena_free(&s.arena);
+}
+
+static int setup(void **state)
+{
+    (void)state;
+    kit_tmpdir(tmp);
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    (void)state;
+    kit_rmdir(tmp);
+    return 0;
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_known_survey),
+        cmocka_unit_test(test_geojson_and_back),
+        cmocka_unit_test(test_holes),
+        cmocka_unit_test(test_bad_input),
+    };
+    return cmocka_run_group_tests(tests, setup, teardown);
+}

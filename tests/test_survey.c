@@ -1,0 +1,432 @@
+/* Maps of a store whose truth is known: the procedural city, its surface covered with Gaussians,
+ * haze above it and large Gaussians far around. Heights against the rays of the city, no seams, the
+ * file as GDAL reads it, and what is refused.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/kit.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <gdal/gdal.h>
+
+#include "survey/map.h"
+#include "survey/probe.h"
+#include "synth/synth.h"
+
+#define SPACING_M 0.25 /* of the Gaussians */
+#define GSD_M 0.25
+#define EXTENT_M 64
+#define HAZE_M 12 /* above the surface */
+
+enum { FAR = 60 };
+
+static const struct geo_origin origin = {8.6821, 50.1109, 160};
+
+static struct fixture {
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    struct synth_config cfg;
+    struct synth_city city;
+    struct arena arena;
+    struct nadir *nadir;
+} f;
+
+/* What is seen from above at an ENU place. */
+static double truth_z(double x, double y)
+{
+    double c = cos(f.city.yaw_rad), s = sin(f.city.yaw_rad);
+    const double eye[3] = {c * x + s * y, -s * x + c * y, 500}, down[3] = {0, 0, -1};
+    struct synth_hit hit;
+    synth_trace_ray(&f.city, NULL, eye, down, &hit);
+    return 500 - hit.t_m;
+}
+
+static void put(struct gauss *g, double x, double y, double z, double sigma, double thick,
+                double opacity)
+{
+    size_t i = g->n++;
+    const double at[3] = {x, y, z}, size[3] = {sigma, sigma, thick};
+    g->quat_wxyz[4 * i] = 1;
+    g->opacity_logit[i] = (float)log(opacity / (1 - opacity));
+    for (size_t k = 0; k < 3; k++) {
+        g->mean_m[3 * i + k] = (float)at[k];
+        g->scale_log[3 * i + k] = (float)log(size[k]);
+        g->quat_wxyz[4 * i + 1 + k] = 0;
+        /* Red grows to the east, green to the north; up to 1. */
+        g->sh[3 * i + k] = (float)(k < 2 ? at[k] / EXTENT_M / 0.28209479 : 0);
+    }
+}
+
+static void cover(struct gauss *g)
+{
+    struct err e = {0};
+    size_t n = (size_t)(EXTENT_M / SPACING_M);
+    kit_ok(gauss_alloc(g, n * n + n * n / 16 + FAR, 0, 0, &e), e);
+    g->antialiased = true;
+    for (size_t r = 0; r < n; r++)
+        for (size_t c = 0; c < n; c++) {
+            double x = ((double)c + 0.5) * SPACING_M - 0.5 * EXTENT_M,
+                   y = ((double)r + 0.5) * SPACING_M - 0.5 * EXTENT_M, z = truth_z(x, y);
+            put(g, x, y, z, 0.7 * SPACING_M, 0.02, 0.95);
+            if (r % 4 == 0 && c % 4 == 0) /* haze: never half of the light */
+                put(g, x, y, z + HAZE_M, 2 * SPACING_M, 0.3, 0.25);
+        }
+    for (size_t i = 0; i < FAR; i++) {
+        double a = 2 * 3.14159265358979 * (double)i / FAR;
+        put(g, 400 * cos(a), 400 * sin(a), 10, 20, 20, 0.9);
+    }
+}
+
+static int setup(void **state)
+{
+    struct err e = {0};
+    struct gauss g;
+    (void)state;
+    kit_tmpdir(f.dir);
+    kit_ok(file_join(f.path, f.dir, "city.tiles", &e), e);
+    kit_ok(options_defaults(synth_options(), &f.cfg, &f.arena, &e), e);
+    f.cfg.extent_m = EXTENT_M;
+    kit_ok(synth_city_make(&f.cfg, &f.city, &e), e);
+    cover(&g);
+    const struct pyramid_config cfg = {.tile_edge_m = 30, .name = "survey", .attribution = "ours"};
+    const struct pyramid_level level = {.g = &g, .level = 3};
+    kit_ok(pyramid_build(&origin, &level, 1, &cfg, NULL, 0, f.path, NULL, &e), e);
+    gauss_free(&g);
+    const struct nadir_options no = {.ceiling_m = NAN};
+    kit_ok(nadir_open(f.path, &no, &f.nadir, &e), e);
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    (void)state;
+    nadir_close(&f.nadir);
+    nadir_close(&f.nadir); /* idempotent */
+    synth_city_free(&f.city);
+    arena_free(&f.arena);
+    kit_rmdir(f.dir);
+    return 0;
+}
+
+/* ---- a map in memory ---- */
+
+struct map {
+    char path[FILE_PATH_MAX];
+    struct map_report report;
+    uint32_t w, h;
+    float *height;
+    uint8_t *rgba;
+};
+
+static void map_make(struct map *m, const char *name, enum geotiff_kind kind, uint32_t piece_px)
+{
+    struct err e = {0};
+    const struct map_request r = {.kind = kind, .gsd_m = GSD_M, .piece_px = piece_px};
+    memset(m, 0, sizeof *m);
+    kit_ok(file_join(m->path, f.dir, name, &e), e);
+    kit_ok(map_write(f.nadir, &r, m->path, &m->report, &e), e);
+    m->w = m->report.grid.width;
+    m->h = m->report.grid.height;
+    GDALDatasetH d = GDALOpen(m->path, GA_ReadOnly);
+    assert_non_null(d);
+    assert_int_equal(GDALGetRasterXSize(d), m->w);
+    assert_int_equal(GDALGetRasterYSize(d), m->h);
+    m->height = mem_array((size_t)m->w * m->h, sizeof *m->height);
+    m->rgba = mem_array((size_t)m->w * m->h, 4);
+    assert_non_null(m->height);
+    assert_non_null(m->rgba);
+    if (kind == GEOTIFF_HEIGHT)
+        assert_int_equal(GDALRasterIO(GDALGetRasterBand(d, 1), GF_Read, 0, 0, (int)m->w, (int)m->h,
+                                      m->height, (int)m->w, (int)m->h, GDT_Float32, 0, 0),
+                         CE_None);
+    else
+        assert_int_equal(GDALDatasetRasterIO(d, GF_Read, 0, 0, (int)m->w, (int)m->h, m->rgba,
+                                             (int)m->w, (int)m->h, GDT_Byte, 4, NULL, 4,
+                                             (int)(4 * m->w), 1),
+                         CE_None);
+    GDALClose(d);
+}
+
+static void map_free(struct map *m)
+{
+    mem_free(m->height);
+    mem_free(m->rgba);
+}
+
+/* ENU of a pixel centre of the map, and the ellipsoidal height of ENU z = 0 there. */
+static void pixel_place(const struct map *m, const struct crs *crs, double u, double v,
+                        double enu[3])
+{
+    struct err e = {0};
+    double lon = m->report.grid.west_m + (u + 0.5) * GSD_M,
+           lat = m->report.grid.north_m - (v + 0.5) * GSD_M;
+    kit_ok(crs_unproject(crs, 1, &lon, &lat, &e), e);
+    kit_ok(geo_to_enu(&origin, lon, lat, origin.h_m, enu, &e), e);
+}
+
+static int compare_double(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* ---- tests ---- */
+
+/* Median at most half a pixel, 95 % at most two, wherever the truth is not steep within two pixels;
+ * and no edge is displaced by more than that, or heights beside it would be metres off. */
+static void heights_are_the_citys(void **state)
+{
+    struct map m;
+    struct crs *crs;
+    struct err e = {0};
+    size_t n = 0, off = 0;
+    double edge = 0.5 * EXTENT_M - 2 * GSD_M;
+    (void)state;
+    map_make(&m, "dsm.tif", GEOTIFF_HEIGHT, 0);
+    assert_int_equal(m.report.grid.epsg, 32632);
+    kit_ok(crs_open(32632, &crs, &e), e);
+    double *error = mem_array((size_t)m.w * m.h, sizeof *error);
+    assert_non_null(error);
+    for (uint32_t y = 0; y < m.h; y++)
+        for (uint32_t x = 0; x < m.w; x++) {
+            double enu[3], lo = HUGE_VAL, hi = -HUGE_VAL;
+            pixel_place(&m, crs, x, y, enu);
+            if (fabs(enu[0]) > edge || fabs(enu[1]) > edge)
+                continue;
+            for (int k = 0; k < 25; k++) {
+                double z = truth_z(enu[0] + (k % 5 - 2) * GSD_M, enu[1] + (k / 5 - 2) * GSD_M);
+                lo = fmin(lo, z);
+                hi = fmax(hi, z);
+            }
+            float got = m.height[(size_t)y * m.w + x];
+            assert_true(got > -100); /* no holes within the city */
+            if (hi - lo > 1)
+                continue;
+            error[n] = fabs((double)got - origin.h_m - truth_z(enu[0], enu[1]));
+            off += error[n++] > 1;
+        }
+    assert_true(n > 20000);
+    qsort(error, n, sizeof *error, compare_double);
+    printf("survey dsm: %zu px of %.2f m, error median %.4f m (%.3f px), 95 %% %.4f m (%.3f px), "
+           "beyond 1 m %.4f %%\n",
+           n, GSD_M, error[n / 2], error[n / 2] / GSD_M, error[n * 95 / 100],
+           error[n * 95 / 100] / GSD_M, 100 * (double)off / (double)n);
+    printf("survey plane: %.5f px from UTM\n", m.report.off_px);
+    assert_true(m.report.off_px < 0.001);
+    assert_true(error[n / 2] <= 0.5 * GSD_M);
+    assert_true(error[n * 95 / 100] <= 2 * GSD_M);
+    assert_true((double)off < 1e-3 * (double)n);
+    mem_free(error);
+    crs_close(&crs);
+    map_free(&m);
+}
+
+/* Colour says where a pixel is: to a fifth of a pixel on average, alpha 0 outside of the survey. */
+static void colours_lie_where_they_belong(void **state)
+{
+    struct map m;
+    struct crs *crs;
+    struct err e = {0};
+    double sum[2] = {0};
+    size_t n = 0, outside = 0;
+    (void)state;
+    map_make(&m, "ortho.tif", GEOTIFF_COLOR, 0);
+    kit_ok(crs_open(m.report.grid.epsg, &crs, &e), e);
+    for (uint32_t y = 0; y < m.h; y++)
+        for (uint32_t x = 0; x < m.w; x++) {
+            double enu[3];
+            const uint8_t *px = m.rgba + 4 * ((size_t)y * m.w + x);
+            pixel_place(&m, crs, x, y, enu);
+            if (fabs(enu[0]) < 28 && fabs(enu[1]) < 28) {
+                assert_int_equal(px[3], 255);
+                for (size_t k = 0; k < 2; k++)
+                    sum[k] += px[k] / 255.0 - 0.5 - enu[k] / EXTENT_M;
+                n++;
+            }
+            if (fabs(enu[0]) > 36 || fabs(enu[1]) > 36) {
+                assert_int_equal(px[3], 0);
+                outside++;
+            }
+        }
+    assert_true(n > 40000 && outside > 100);
+    for (size_t k = 0; k < 2; k++) {
+        double shift_px = sum[k] / (double)n * EXTENT_M / GSD_M;
+        printf("survey ortho: %s shifted by %.3f px\n", k ? "north" : "east", shift_px);
+        assert_true(fabs(shift_px) < 0.2);
+    }
+    crs_close(&crs);
+    map_free(&m);
+}
+
+/* The same map in pieces of another size: the same but for rounding. */
+static void pieces_leave_no_seams(void **state)
+{
+    struct map a, b;
+    size_t differ = 0, held = 0;
+    (void)state;
+    map_make(&a, "a.tif", GEOTIFF_HEIGHT, 512);
+    map_make(&b, "b.tif", GEOTIFF_HEIGHT, 96);
+    assert_int_equal(a.w, b.w);
+    assert_int_equal(a.h, b.h);
+    for (size_t i = 0; i < (size_t)a.w * a.h; i++) {
+        held += a.height[i] > -100;
+        differ += fabsf(a.height[i] - b.height[i]) > 0.01f;
+    }
+    printf("survey seams: %zu of %zu px differ by more than 1 cm\n", differ, held);
+    assert_true(held > 60000 && (double)differ < 5e-4 * (double)held);
+    map_free(&a);
+    map_free(&b);
+}
+
+/* gdalinfo -json without its blanks has this text. */
+static void gdal_says(const struct buf *json, const char *want)
+{
+    struct buf bare = {0};
+    struct err e = {0};
+    for (size_t i = 0; i < json->size; i++)
+        if (json->data[i] != ' ' && json->data[i] != '\n')
+            buf_u8(&bare, json->data[i]);
+    buf_u8(&bare, 0);
+    kit_ok(buf_check(&bare, &e), e);
+    if (!strstr((const char *)bare.data, want))
+        fail_msg("gdalinfo does not say %s: %s", want, (const char *)bare.data);
+    buf_free(&bare);
+}
+
+static void gdal_calls_it_cloud_optimized(void **state)
+{
+    static const char *const wants[] = {
+        "\"LAYOUT\":\"COG\"", "\"noDataValue\":-9999.0",        "\"overviews\":[{\"size\":[",
+        "WGS84/UTMzone32N",   "\"type\":\"Float32\"",           "\"block\":[512,512]",
+        "\"unit\":\"metre\"", "\"TIFFTAG_COPYRIGHT\":\"ours\"", "\"AREA_OR_POINT\":\"Area\""};
+    struct buf out = {0};
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    const struct map_request r = {.kind = GEOTIFF_HEIGHT, .gsd_m = 0.1};
+    (void)state;
+    kit_ok(file_join(path, f.dir, "cog.tif", &e), e);
+    kit_ok(map_write(f.nadir, &r, path, NULL, &e), e);
+    if (kit_run(&out, "gdalinfo -json '%s'", path) != 0)
+        fail_msg("gdalinfo: %s", (const char *)out.data);
+    for (size_t i = 0; i < sizeof wants / sizeof *wants; i++)
+        gdal_says(&out, wants[i]);
+    buf_free(&out);
+    assert_int_equal(kit_run(&out, "ls '%s' | grep -c part", f.dir), 1); /* none */
+    buf_free(&out);
+}
+
+/* Background does not widen the survey. */
+static void far_gaussians_are_no_survey(void **state)
+{
+    const struct area *a = nadir_area(f.nadir);
+    struct err e = {0};
+    double lo[3], hi[3];
+    (void)state;
+    kit_ok(geo_to_enu(&origin, a->west_deg, a->south_deg, origin.h_m, lo, &e), e);
+    kit_ok(geo_to_enu(&origin, a->east_deg, a->north_deg, origin.h_m, hi, &e), e);
+    for (size_t k = 0; k < 2; k++) {
+        assert_true(lo[k] <= -0.5 * EXTENT_M + 1 && lo[k] > -100);
+        assert_true(hi[k] >= 0.5 * EXTENT_M - 1 && hi[k] < 100);
+    }
+    assert_true(fabs(a->sigma_m - 0.7 * SPACING_M) < 0.1 * SPACING_M);
+}
+
+static void places_have_heights(void **state)
+{
+    struct probe p;
+    struct err e = {0};
+    size_t n = 0;
+    (void)state;
+    for (int i = 0; i < 40; i++) {
+        const double enu[3] = {(i % 8 - 3.5) * 7.1, (i / 8 - 2) * 11.3, 0};
+        double lon, lat, h, z = truth_z(enu[0], enu[1]);
+        kit_ok(geo_from_enu(&origin, enu, &lon, &lat, &h, &e), e);
+        kit_ok(probe_at(f.nadir, lon, lat, 0, &p, &e), e);
+        assert_true(p.surveyed && p.found && p.level == 3);
+        assert_true(p.height_min_m <= p.height_m && p.height_m <= p.height_max_m);
+        if (p.height_max_m - p.height_min_m < 0.3) { /* no edge at the place */
+            assert_true(fabs(p.height_m - origin.h_m - z) < 0.3);
+            n++;
+        }
+    }
+    assert_true(n > 15);
+    kit_ok(probe_at(f.nadir, 8.7, 50.2, 0, &p, &e), e);
+    assert_true(!p.surveyed && !p.found && isnan(p.height_m));
+    kit_fails(probe_at(f.nadir, 8, 91, 0, &p, &e), ERR_ARG, e, "latitude");
+}
+
+static void refused(const struct map_request *r, const char *part)
+{
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    kit_ok(file_join(path, f.dir, "refused.tif", &e), e);
+    kit_fails(map_write(f.nadir, r, path, NULL, &e), ERR_ARG, e, part);
+    assert_false(file_exists(path));
+}
+
+static void nonsense_is_refused(void **state)
+{
+    static const double elsewhere[4] = {9, 51, 9.1, 51.1};
+    struct err e = {0};
+    struct crs *crs;
+    (void)state;
+    refused(&(struct map_request){.epsg = 4326}, "not a projection in metres");
+    refused(&(struct map_request){.epsg = 2263}, "not a projection in metres"); /* feet */
+    refused(&(struct map_request){.epsg = 999999}, "no such coordinate system");
+    refused(&(struct map_request){.bbox_deg = elsewhere}, "the area is empty: surveyed is");
+    refused(&(struct map_request){.gsd_m = 1e-5}, "from ");
+    refused(&(struct map_request){.gsd_m = 0.5, .epsg = 6931}, "shears"); /* equal areas */
+    kit_ok(crs_open(32632, &crs, &e), e);
+    double x = 8.68, y = 50.11;
+    kit_ok(crs_project(crs, 1, &x, &y, &e), e);
+    kit_ok(crs_unproject(crs, 1, &x, &y, &e), e);
+    assert_true(fabs(x - 8.68) < 1e-9 && fabs(y - 50.11) < 1e-9);
+    crs_close(&crs);
+    assert_int_equal(crs_utm(-179.9, -10), 32701);
+    assert_int_equal(crs_utm(180, 10), 32660);
+}
+
+/* Through the program: exit codes, one line of error, nothing left. */
+static void the_program_says_the_same(void **state)
+{
+    struct buf out = {0};
+    const char *bin = kit_program();
+    (void)state;
+    assert_int_equal(
+        kit_run(&out, "'%s' dsm -q '%s' -o '%s/cli.tif' --gsd-m 0.5", bin, f.path, f.dir), 0);
+    kit_expect_text((const char *)out.data, "EPSG:32632", __FILE__, __LINE__);
+    buf_free(&out);
+    assert_int_equal(
+        kit_run(&out, "'%s' ortho -q '%s' -o '%s/no.tif' --bbox 9,51,8,52", bin, f.path, f.dir), 2);
+    kit_expect_text((const char *)out.data, "west must be less", __FILE__, __LINE__);
+    buf_free(&out);
+    assert_int_equal(
+        kit_run(&out, "'%s' ortho -q '%s' -o '%s/none/no.tif' --gsd-m 1", bin, f.path, f.dir), 1);
+    buf_free(&out);
+    assert_int_equal(kit_run(&out, "ls '%s' | grep -c 'no.tif\\|part'", f.dir), 1);
+    buf_free(&out);
+    assert_int_equal(kit_run(&out, "'%s' height -q '%s' 8.6821,50.1109 9,51", bin, f.path), 0);
+    kit_expect_text((const char *)out.data, "\"height_m\": null", __FILE__, __LINE__);
+    kit_expect_text((const char *)out.data, "WGS 84 ellipsoid", __FILE__, __LINE__);
+    buf_free(&out);
+    assert_int_equal(kit_run(&out, "'%s' height -q '%s' 8.6821", bin, f.path), 2);
+    buf_free(&out);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(heights_are_the_citys),
+        cmocka_unit_test(colours_lie_where_they_belong),
+        cmocka_unit_test(pieces_leave_no_seams),
+        cmocka_unit_test(gdal_calls_it_cloud_optimized),
+        cmocka_unit_test(far_gaussians_are_no_survey),
+        cmocka_unit_test(places_have_heights),
+        cmocka_unit_test(nonsense_is_refused),
+        cmocka_unit_test(the_program_says_the_same),
+    };
+    return cmocka_run_group_tests_name("survey", tests, setup, teardown);
+}

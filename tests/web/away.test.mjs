@@ -1,0 +1,176 @@
+// The viewer on bad days: the server goes away and comes back, tiles are broken or late, the camera
+// jumps, memory is short, the graphics card drops the page. The picture stays, and the page says
+// what is so.
+//
+// SPDX-License-Identifier: Apache-2.0
+import assert from "node:assert/strict";
+import { after, afterEach, before, test } from "node:test";
+
+import { barePicture, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
+import { measureContent, rmsDifference, SOUTH } from "./lib/checks.mjs";
+import { makeCity } from "./lib/city.mjs";
+import { placeOfEnu } from "./lib/geo.mjs";
+import { ORIGIN } from "./lib/city.mjs";
+import { Proxy } from "./lib/proxy.mjs";
+import { GIVEN_TILES, openSource } from "./lib/source.mjs";
+
+const SIZE = { width: 480, height: 320 };
+const skip = { skip: GIVEN_TILES ? "needs the test city" : false };
+
+let source;
+let proxy;
+let viewer;
+before(async () => {
+    if (skip.skip) return;
+    source = await openSource();
+    proxy = await Proxy.open(source.url);
+});
+after(async () => {
+    await proxy?.down();
+    await source?.close();
+});
+afterEach(async () => {
+    await viewer?.close();
+    viewer = null;
+    if (proxy) Object.assign(proxy, { log: [], rule: () => null, onTile: () => {}, bytesPerSecond: Infinity, latencyMs: 0 });
+});
+
+async function open(query = "") {
+    const view = [SOUTH.lon, SOUTH.lat, SOUTH.h, SOUTH.heading, SOUTH.pitch].join();
+    viewer = await openPage(`${proxy.url}/${query}#${view}`, SIZE);
+    return viewer.page;
+}
+
+const read = (page) => page.evaluate(() => window.citysplat.state);
+const until = (page, check, arg) => page.waitForFunction(check, arg, { timeout: 60000, polling: 50 });
+const settled = (page) => until(page, () => window.citysplat.settled);
+
+test("the coarsest tile comes first and is shown while the rest comes", skip, async () => {
+    proxy.bytesPerSecond = 60_000;
+    const page = await open();
+    await until(page, () => window.citysplat.state.tiles > 0);
+    const early = await read(page);
+    assert.equal(early.ready, false, "ready with tiles still missing");
+    assert.ok(early.gaussians < makeCity().length, "nothing coarse was shown");
+    const [first, second] = proxy.tiles();
+    assert.ok(!second || second.began >= first.ended, "another tile came before the coarsest");
+    proxy.bytesPerSecond = Infinity;
+    await waitForViewer(page);
+    assert.equal((await read(page)).ready, true);
+    // Once each, and the tileset once.
+    const paths = proxy.log.map(({ path }) => path).filter((path) => /tileset|\/t\//.test(path));
+    assert.equal(new Set(paths).size, paths.length, paths.join("\n"));
+});
+
+test("server lost mid-load and back: full detail without a touch, the picture stays", skip, async () => {
+    proxy.bytesPerSecond = 60_000;
+    const page = await open();
+    await until(page, () => window.citysplat.state.tiles > 0);
+    await proxy.down();
+    await page.waitForSelector("#banner-link.wait");
+    const pose = await page.evaluate(() => window.citysplat.pose());
+    const gone = await read(page);
+    assert.deepEqual([gone.link, gone.ready], ["away", false]);
+    assert.ok(gone.gaussians > 0, "black while the server is away");
+    assert.equal(await page.isVisible("#problem"), false, "a box lies over the picture");
+    const { share } = measureContent(await barePicture(page));
+    assert.ok(share > 0.1, `${share} of the picture shows something`);
+    await page.waitForTimeout(1500);
+    proxy.bytesPerSecond = Infinity;
+    await proxy.up();
+    await waitForViewer(page);
+    const back = await read(page);
+    assert.deepEqual([back.link, back.ready, back.broken.length], ["ok", true, 0]);
+    assert.match(await page.textContent("#banner-link"), /is back/);
+    assert.deepEqual(await page.evaluate(() => window.citysplat.pose()), pose);
+});
+
+test("no server at all when the page starts: it waits, and begins when there is one", skip, async () => {
+    // The page itself is there, its data are not.
+    let away = true;
+    proxy.rule = (path) => (away && path.startsWith("/collections") ? { status: 503 } : null);
+    const page = await open();
+    await page.waitForSelector("#banner-link.wait");
+    assert.equal((await read(page)).ready, false);
+    away = false;
+    await waitForViewer(page);
+    assert.equal(await page.isVisible("#problem"), false);
+});
+
+test("a broken tile is named, the coarser one stays, and it heals", skip, async () => {
+    let broken = null;
+    proxy.rule = (path) => {
+        if (!/\/t\/\d+\//.test(path) || proxy.tiles().length < 2) return null;
+        broken ??= path;
+        return path === broken ? { status: 500, body: { detail: "tile is damaged" } } : null;
+    };
+    const page = await open();
+    await until(page, () => window.citysplat.state.broken.length === 1);
+    await settled(page);
+    const state = await read(page);
+    assert.equal(state.ready, false);
+    assert.match(state.broken[0].why, /tile is damaged/);
+    const name = /t\/(\d+\/\d+\/\d+)/.exec(broken)[1];
+    assert.equal(state.broken[0].name, name);
+    assert.match(await page.textContent("#banner-broken"), new RegExp(name));
+    const { share } = measureContent(await barePicture(page));
+    assert.ok(share > 0.1, "a hole instead of the coarser tile");
+    const asked = () => proxy.tiles().filter(({ path }) => path === broken).length;
+    assert.ok(asked() <= 3, `${asked()} requests without a pause`);
+    proxy.rule = () => null;
+    await waitForViewer(page);
+    assert.deepEqual((await read(page)).broken, []);
+    await until(page, () => document.getElementById("banner-broken") === null);
+});
+
+test("tiles that no view wants any more are given up", skip, async () => {
+    // The coarsest tile at once, the others for ever.
+    proxy.onTile = () => (proxy.bytesPerSecond = proxy.tiles().length > 1 ? 2000 : Infinity);
+    const page = await open();
+    await until(page, () => window.citysplat.state.tiles > 0 && window.citysplat.state.pending > 1);
+    const before = proxy.tiles().reduce((sum, { bytes }) => sum + bytes, 0);
+    const far = { ...placeOfEnu(ORIGIN, [0, 5000, 300]), heading: 0, pitch: 10, fov: 45 };
+    await page.evaluate((pose) => window.citysplat.look(pose), far);
+    await until(page, () => window.citysplat.state.pending === 0);
+    await settled(page);
+    const cut = proxy.tiles().filter(({ aborted }) => aborted);
+    assert.ok(cut.length > 0, "no request was given up");
+    const after = proxy.tiles().reduce((sum, { bytes }) => sum + bytes, 0);
+    assert.ok(after - before < 10_000, `${after - before} bytes of the old view still came`);
+    assert.equal((await read(page)).ready, true, "the open sky is complete");
+    proxy.onTile = () => {};
+    proxy.bytesPerSecond = Infinity;
+    await lookViewer(page, SOUTH);
+    assert.equal((await read(page)).ready, true);
+});
+
+test("memory is bounded, and the page says that detail is held back", skip, async () => {
+    const page = await open("?memory=0.5");
+    await settled(page);
+    const state = await read(page);
+    assert.deepEqual([state.ready, state.heldBack], [false, true]);
+    assert.ok(state.gaussians > 0 && state.gaussians < makeCity().length);
+    await page.waitForSelector("#banner-memory");
+    await page.evaluate(() => (window.citysplat.viewer.memoryMb = 512));
+    await waitForViewer(page);
+    assert.equal((await read(page)).heldBack, false);
+    await until(page, () => document.getElementById("banner-memory") === null);
+});
+
+test("the picture returns when the graphics card comes back", skip, async () => {
+    const page = await open();
+    await waitForViewer(page);
+    const before = await barePicture(page);
+    await page.evaluate(() => {
+        const gl = window.citysplat.viewer.canvas.getContext("webgl2");
+        window.lose = gl.getExtension("WEBGL_lose_context");
+        window.lose.loseContext();
+    });
+    await page.waitForSelector("#banner-context");
+    assert.equal((await read(page)).ready, false);
+    await page.evaluate(() => window.lose.restoreContext());
+    await waitForViewer(page);
+    assert.equal(await page.$("#banner-context"), null);
+    const rms = rmsDifference(before, await barePicture(page));
+    assert.ok(rms < 1, `the picture differs by ${rms}`);
+});

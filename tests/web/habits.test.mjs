@@ -1,0 +1,140 @@
+// What a page owes to everybody: sizes of phones, targets, languages, colours, names for screen
+// readers, its own policy kept, no errors, quiet when idle.
+//
+// SPDX-License-Identifier: Apache-2.0
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+
+import { openPage, waitForViewer } from "./lib/browser.mjs";
+import { openSource } from "./lib/source.mjs";
+
+const TARGET_PX = 44;
+
+let source;
+before(async () => (source = await openSource()));
+after(async () => source?.close());
+
+const SIZES = {
+    "phone portrait": { width: 390, height: 780, hasTouch: true, isMobile: true },
+    "phone landscape": { width: 660, height: 300, hasTouch: true, isMobile: true },
+};
+for (const [name, size] of Object.entries(SIZES)) {
+    test(`${name}: every control can be reached and is large enough`, async () => {
+        const { page, log, close } = await openPage(source.url, size);
+        await waitForViewer(page);
+        await page.click("#fold");
+        for (const box of await page.$$("#panel details")) await box.evaluate((d) => (d.open = true));
+        const faults = await page.evaluate((least) => {
+            const out = [];
+            const panel = document.getElementById("panel").getBoundingClientRect();
+            if (panel.bottom > innerHeight) out.push(`the panel ends at ${panel.bottom}`);
+            for (const node of document.querySelectorAll("button, select, summary, input[type=range]")) {
+                if (!node.checkVisibility()) continue;
+                const { width, height, left, right } = node.getBoundingClientRect();
+                const what = node.id || node.textContent;
+                if (height < least - 0.5 || width < least - 0.5) out.push(`${what}: ${width} x ${height}`);
+                if (left < 0 || right > innerWidth) out.push(`${what}: outside`);
+            }
+            const tools = document.getElementById("tools").getBoundingClientRect();
+            if (tools.bottom > innerHeight) out.push(`the tools end at ${tools.bottom}`);
+            if (panel.right > tools.left) out.push("the panel lies over the tools");
+            return out;
+        }, TARGET_PX);
+        assert.deepEqual(faults, []);
+        await page.click("#help-button");
+        const close_ = page.locator("#help button");
+        await close_.scrollIntoViewIfNeeded();
+        await close_.click();
+        assert.deepEqual(log, []);
+        await close();
+    });
+}
+
+test("every control has a name, in both languages, and the choice is kept", async () => {
+    const { page, log, close } = await openPage(`${source.url}/?lang=en`, { width: 900, height: 700 });
+    await waitForViewer(page);
+    const nameless = () =>
+        page.evaluate(() =>
+            [...document.querySelectorAll("button, select, input, [role]")]
+                .filter((node) => {
+                    const own = node.getAttribute("aria-label") ?? node.textContent?.trim();
+                    const labelled = node.labels?.[0]?.textContent.trim();
+                    return !own && !labelled && !node.matches("[role=status], [role=alert]");
+                })
+                .map((node) => node.outerHTML.slice(0, 80)),
+        );
+    assert.deepEqual(await nameless(), []);
+    const empty = () =>
+        page.$$eval("[data-t]", (all) => all.filter((n) => !n.textContent.trim()).map((n) => n.dataset.t));
+    assert.deepEqual(await empty(), []);
+    assert.equal(await page.textContent("#share"), "Share link");
+    await page.click("#settings summary");
+    await page.selectOption("#language", "de");
+    assert.equal(await page.textContent("#share"), "Link teilen");
+    assert.equal(await page.getAttribute("html", "lang"), "de");
+    assert.deepEqual([...(await nameless()), ...(await empty())], []);
+    await page.goto(source.url);
+    await waitForViewer(page);
+    assert.equal(await page.textContent("#share"), "Link teilen");
+    assert.deepEqual(log, []);
+    await close();
+});
+
+test("dark and light, by the system and by choice", async () => {
+    for (const colorScheme of ["dark", "light"]) {
+        const { page, close } = await openPage(source.url, { width: 900, height: 700, colorScheme });
+        await waitForViewer(page);
+        assert.equal(await page.getAttribute("html", "data-theme"), colorScheme);
+        const other = colorScheme === "dark" ? "light" : "dark";
+        await page.click("#settings summary");
+        await page.selectOption("#theme", other);
+        const ink = await page.$eval("#panel", (node) => getComputedStyle(node).color);
+        const bright = ink.match(/\d+/g).slice(0, 3).reduce((sum, v) => sum + Number(v), 0) > 382;
+        assert.equal(bright, other === "dark", `ink ${ink} on ${other}`);
+        await close();
+    }
+});
+
+test("with reduced motion nothing spins and nothing flies", async () => {
+    const size = { width: 640, height: 480, reducedMotion: "reduce" };
+    const { page, close } = await openPage(source.url, size);
+    await waitForViewer(page);
+    const turned = await page.evaluate(async () => {
+        const { viewer } = window.citysplat;
+        const to = { ...viewer.pose, heading: 123 };
+        const started = performance.now();
+        await viewer.flyTo(to, 5);
+        return [viewer.pose.heading, performance.now() - started];
+    });
+    assert.ok(Math.abs(turned[0] - 123) < 0.01 && turned[1] < 500, String(turned));
+    const motion = await page.$eval("#progress span", (node) => getComputedStyle(node).animationName);
+    assert.equal(motion, "none");
+    await close();
+});
+
+test("the page keeps its own policy, asks nobody else, and is quiet when idle", async () => {
+    const { page, log, close } = await openPage("about:blank", { width: 640, height: 480 });
+    const hosts = new Set();
+    page.on("request", (request) => {
+        const { protocol, host } = new URL(request.url());
+        if (protocol.startsWith("http")) hosts.add(host);
+    });
+    await page.goto(source.url);
+    await waitForViewer(page);
+    const policy = await page.getAttribute('meta[http-equiv="Content-Security-Policy"]', "content");
+    assert.match(policy, /script-src 'self';/);
+    assert.doesNotMatch(policy, /unsafe/);
+    assert.deepEqual([...hosts], [new URL(source.url).host]);
+    await page.waitForTimeout(1200);
+    const changes = await page.evaluate(async () => {
+        let n = 0;
+        const watch = new MutationObserver((list) => (n += list.length));
+        watch.observe(document, { subtree: true, childList: true, attributes: true, characterData: true });
+        await new Promise((done) => setTimeout(done, 1500));
+        watch.disconnect();
+        return n;
+    });
+    assert.equal(changes, 0, `${changes} changes of an idle page`);
+    assert.deepEqual(log, []);
+    await close();
+});

@@ -1,0 +1,204 @@
+// The city as a map: places by click, lengths and areas, GeoJSON out and in, saved views, walking.
+//
+// SPDX-License-Identifier: Apache-2.0
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { after, before, test } from "node:test";
+
+import { barePicture, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
+import { measureContent, rmsDifference, SOUTH } from "./lib/checks.mjs";
+import { ORIGIN, RED_TOP } from "./lib/city.mjs";
+import { placeOfEnu, project } from "./lib/geo.mjs";
+import { decodePng } from "./lib/png.mjs";
+import { GIVEN_TILES, openSource } from "./lib/source.mjs";
+
+const SIZE = { width: 1000, height: 640 };
+const skip = { skip: GIVEN_TILES ? "needs the test city" : false };
+const M_PER_DEG = 111_320;
+
+let source;
+let viewer;
+let page;
+before(async () => {
+    if (skip.skip) return;
+    source = await openSource();
+    viewer = await openPage(source.url, SIZE);
+    page = viewer.page;
+    await waitForViewer(page);
+    await lookViewer(page, SOUTH);
+});
+after(async () => {
+    await viewer?.close();
+    await source?.close();
+});
+
+const pixelOf = (enu) => project(ORIGIN, SOUTH, enu, SIZE.width, SIZE.height);
+
+async function clickOn(enu) {
+    const [x, y] = pixelOf(enu);
+    await page.mouse.click(x, y);
+    await page.waitForTimeout(150);
+}
+
+test("a click tells longitude, latitude and height of what is seen there", skip, async () => {
+    const roof = [RED_TOP[0], RED_TOP[1], RED_TOP[2] + 0.5];
+    await clickOn(roof);
+    const text = await page.textContent("#place-text");
+    const [lon, lat, h] = text.split(",").map(parseFloat);
+    const want = placeOfEnu(ORIGIN, roof);
+    const east = (lon - want.lon) * M_PER_DEG * Math.cos((want.lat * Math.PI) / 180);
+    const north = (lat - want.lat) * M_PER_DEG;
+    assert.ok(Math.hypot(east, north) < 2, `${text}: ${Math.hypot(east, north)} m beside`);
+    assert.ok(Math.abs(h - want.h) < 1.5, `${text}, want ${want.h} m`);
+    await page.click("#place-close");
+    assert.equal(await page.isVisible("#place"), false);
+});
+
+test("a length and an area, and both as GeoJSON", skip, async () => {
+    await page.keyboard.press("m");
+    const corners = [
+        [-20, -50, 0],
+        [15, -50, 0],
+        [15, -25, 0],
+        [-20, -25, 0],
+    ];
+    await clickOn(corners[0]);
+    await clickOn(corners[1]);
+    const said = await page.textContent("#measure-text");
+    assert.ok(Math.abs(parseFloat(said) - 35) < 3, `${said}, want 35 m`);
+    await clickOn(corners[2]);
+    await clickOn(corners[3]);
+    await page.check('input[name="measure"][value="area"]', { force: true });
+    const words = (await page.textContent("#measure-text")).replace(/,(\d{3})/g, "$1");
+    assert.ok(Math.abs(parseFloat(words) - 875) < 90, `${words}, want 875 m²`);
+    const coming = page.waitForEvent("download");
+    await page.click("#measure-save");
+    const file = await (await coming).path();
+    const { type, features } = JSON.parse(readFileSync(file, "utf8"));
+    assert.deepEqual([type, features[0].geometry.type], ["FeatureCollection", "Polygon"]);
+    assert.equal(features[0].geometry.coordinates[0].length, 5);
+    assert.ok(Math.abs(features[0].properties.area_m2 - 875) < 90);
+    await page.click("#measure-close");
+    assert.equal(await page.evaluate(() => window.citysplat.viewer.overlay.group.children.length), 0);
+});
+
+const redPixels = (png) => {
+    let n = 0;
+    for (let y = 0; y < png.height; y++)
+        for (let x = 0; x < png.width; x++) {
+            const [r, g, b] = png.at(x, y);
+            if (r > 200 && g < 60 && b > 200) n++;
+        }
+    return n;
+};
+
+test("dropped GeoJSON is drawn where it is, and hides behind the city", skip, async () => {
+    const line = (north, up) => ({
+        type: "Feature",
+        properties: { color: "#ff00ff", name: `line ${north}` },
+        geometry: {
+            type: "LineString",
+            coordinates: [-15, 15].map((east) => {
+                const { lon, lat, h } = placeOfEnu(ORIGIN, [east, north, up]);
+                return [lon, lat, h];
+            }),
+        },
+    });
+    const drop = (feature) =>
+        page.evaluate((text) => {
+            const data = new DataTransfer();
+            data.items.add(new File([text], "lines.geojson"));
+            window.dispatchEvent(new DragEvent("drop", { dataTransfer: data, cancelable: true }));
+        }, JSON.stringify(feature));
+    const before = redPixels(await barePicture(page));
+    await drop(line(-60, 3));
+    await page.waitForFunction(() => /1 shapes/.test(document.getElementById("toast").textContent));
+    await page.waitForSelector(".citysplat-label");
+    const front = redPixels(await barePicture(page)) - before;
+    assert.ok(front > 60, `${front} pixels of a line in front of the city`);
+    await drop(line(0, -12)); // below the ground
+    await page.waitForTimeout(400);
+    const both = redPixels(await barePicture(page)) - before;
+    assert.ok(both < 1.3 * front, `${both} pixels: the line below the ground is seen`);
+    await drop({ type: "FeatureCollection", features: [] });
+    await page.waitForFunction(() => /not GeoJSON/.test(document.getElementById("toast").textContent));
+});
+
+test("views are saved, kept, exported, and played in order", skip, async () => {
+    const at = (heading) => ({ ...SOUTH, heading });
+    await page.click("#tour-box summary");
+    for (const heading of [10, 40]) {
+        await lookViewer(page, at(heading));
+        await page.click("#tour-add");
+    }
+    const coming = page.waitForEvent("download");
+    await page.click("#tour-export");
+    const tour = JSON.parse(readFileSync(await (await coming).path(), "utf8"));
+    assert.deepEqual([tour.type, tour.views.length], ["citysplat-tour", 2]);
+    await page.reload();
+    await waitForViewer(page);
+    assert.equal(await page.locator("#tour li").count(), 2);
+    await lookViewer(page, at(300));
+    await page.click("#tour-box summary");
+    await page.click("#tour-play");
+    const seen = [];
+    for (const heading of [10, 40]) {
+        await page.waitForFunction(
+            (want) => Math.abs(window.citysplat.pose().heading - want) < 0.05,
+            heading,
+            { timeout: 30000 },
+        );
+        seen.push(heading);
+    }
+    assert.deepEqual(seen, [10, 40]);
+});
+
+test("sky and ground instead of a void", skip, async () => {
+    await lookViewer(page, { ...SOUTH, pitch: 5 });
+    await page.evaluate(() => (document.documentElement.dataset.ui = "off"));
+    const png = decodePng(await page.screenshot());
+    await page.evaluate(() => (document.documentElement.dataset.ui = "on"));
+    const { share } = measureContent(png);
+    assert.ok(share > 0.99, `${(100 * (1 - share)).toFixed(1)} % of the picture is black`);
+    const bare = await barePicture(page);
+    assert.ok(rmsDifference(png, bare) > 5);
+});
+
+test("walking keeps the eyes above the ground, dragging looks around", skip, async () => {
+    await lookViewer(page, { ...SOUTH, pitch: -5 });
+    await page.click("#walk");
+    await page.click("#walk");
+    await page.waitForTimeout(200);
+    const start = await page.evaluate(() => window.citysplat.pose());
+    assert.ok(start.h < SOUTH.h - 100, `eyes at ${start.h} m`);
+    await page.mouse.move(500, 320);
+    await page.mouse.down();
+    await page.mouse.move(600, 320, { steps: 4 });
+    await page.mouse.up();
+    const turned = await page.evaluate(() => window.citysplat.pose());
+    const turn = ((turned.heading - start.heading + 540) % 360) - 180;
+    assert.ok(Math.abs(turn) > 5 && Math.abs(turned.lon - start.lon) < 1e-6, "it did not look around");
+    await page.click("#walk");
+});
+
+test("dragging holds the ground under the pointer, the wheel nears what it points at", skip, async () => {
+    await lookViewer(page, SOUTH);
+    const from = pixelOf([0, -60, 0]);
+    const to = [from[0] + 60, from[1] + 30];
+    const place = (x, y) => page.evaluate(([a, b]) => window.citysplat.viewer.pick(a, b), [x, y]);
+    const held = await place(...from);
+    await page.mouse.move(...from);
+    await page.mouse.down();
+    await page.mouse.move(...to, { steps: 6 });
+    await page.waitForTimeout(300);
+    await page.mouse.up();
+    const now = await place(...to);
+    assert.ok(Math.abs(now.lon - held.lon) * M_PER_DEG < 3, `east ${JSON.stringify([held, now])}`);
+    assert.ok(Math.abs(now.lat - held.lat) * M_PER_DEG < 3, "north");
+    const high = await page.evaluate(() => window.citysplat.pose().h);
+    await page.mouse.wheel(0, -300);
+    await page.waitForTimeout(200);
+    const near = await place(...to);
+    assert.ok((await page.evaluate(() => window.citysplat.pose().h)) < high - 5);
+    assert.ok(Math.abs(near.lon - held.lon) * M_PER_DEG < 4, "zooms past the pointer");
+});

@@ -1,0 +1,120 @@
+// The viewer that lets the server draw: pictures while the camera moves, one request at a time, the
+// full one at rest, and the offer of it on a slow machine.
+//
+// SPDX-License-Identifier: Apache-2.0
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+
+import { openPage, waitForViewer } from "./lib/browser.mjs";
+import { measureContent, SOUTH } from "./lib/checks.mjs";
+import { decodePng } from "./lib/png.mjs";
+import { Proxy } from "./lib/proxy.mjs";
+import { firstDataSet, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
+
+const SIZE = { width: 640, height: 400 };
+let why = MOCK || GIVEN_TILES ? "needs the test city on a server that draws" : "";
+
+let source;
+let proxy;
+let viewer;
+let page;
+before(async () => {
+    if (why) return;
+    source = await openSource();
+    const { lon, lat, h } = SOUTH;
+    const id = await firstDataSet(source.url);
+    const trial = await fetch(`${source.url}/d/${id}/static/${lon},${lat},${h}@0,-36/64x48.jpg`);
+    if (!trial.ok) why = `the server draws no pictures: ${trial.status}`;
+    if (why) return;
+    proxy = await Proxy.open(source.url);
+    viewer = await openPage(`${proxy.url}/?thin`, SIZE);
+    page = viewer.page;
+    await waitForViewer(page);
+});
+after(async () => {
+    await viewer?.close();
+    await proxy?.down();
+    await source?.close();
+});
+
+const pictures = () => proxy.log.filter(({ path }) => path.includes("/static/"));
+const sizeOf = ({ path }) => Number(/\/(\d+)x\d+\.jpg/.exec(path)[1]);
+
+test("home is that of the drawn city", async (t) => {
+    if (why) return t.skip(why);
+    const pose = await page.evaluate(() => window.citysplat.pose());
+    const other = await openPage(source.url, SIZE);
+    await waitForViewer(other.page);
+    const drawn = await other.page.evaluate(() => window.citysplat.pose());
+    await other.close();
+    for (const key of ["lon", "lat", "h", "heading", "pitch"])
+        assert.ok(Math.abs(pose[key] - drawn[key]) < 1e-5, `${key}: ${pose[key]}, ${drawn[key]}`);
+    const png = decodePng(await page.screenshot());
+    assert.ok(measureContent(png).share > 0.1);
+});
+
+test("moving: small pictures one by one; at rest the full one", async (t) => {
+    if (why) return t.skip(why);
+    proxy.log = [];
+    proxy.latencyMs = 30;
+    const drawn = await page.evaluate(async () => {
+        const { viewer } = window.citysplat;
+        const from = viewer.pose;
+        let seen = 0;
+        let small = 0;
+        const off = viewer.on("picture", ({ moving }) => (seen++, (small += moving ? 1 : 0)));
+        const started = performance.now();
+        for (let ms = 0; ms < 3000; ms = performance.now() - started) {
+            viewer.lookAt({ ...from, heading: from.heading + ms / 100 });
+            await new Promise(requestAnimationFrame);
+        }
+        off();
+        return { seen, small };
+    });
+    assert.ok(drawn.small >= 4, `${drawn.small} pictures in 3 s of moving`);
+    const moving = pictures();
+    assert.ok(
+        moving.every((one) => sizeOf(one) < SIZE.width / 1.5),
+        "a full picture of a moving camera",
+    );
+    assert.ok(moving.length <= drawn.seen + 1, `${moving.length} requests for ${drawn.seen} pictures`);
+    await waitForViewer(page);
+    const last = pictures().at(-1);
+    assert.equal(sizeOf(last), SIZE.width);
+    proxy.latencyMs = 0;
+});
+
+test("the server away: the last picture stays, and the next comes by itself", async (t) => {
+    if (why) return t.skip(why);
+    await proxy.down();
+    await page.evaluate(() => {
+        const { viewer } = window.citysplat;
+        viewer.lookAt({ ...viewer.pose, heading: viewer.pose.heading + 30 });
+    });
+    await page.waitForSelector("#banner-link.wait");
+    assert.ok(measureContent(decodePng(await page.screenshot())).share > 0.1, "black");
+    await proxy.up();
+    await waitForViewer(page);
+    assert.equal(await page.evaluate(() => window.citysplat.state.link), "ok");
+});
+
+test("a slow machine is offered the server's pictures", async (t) => {
+    if (why) return t.skip(why);
+    const slow = await openPage(proxy.url, SIZE);
+    await waitForViewer(slow.page);
+    // Frames of 150 ms, while the camera turns.
+    await slow.page.evaluate(async () => {
+        const { viewer } = window.citysplat;
+        const from = viewer.pose;
+        for (let i = 0; i < 16; i++) {
+            viewer.lookAt({ ...from, heading: from.heading + i });
+            await new Promise(requestAnimationFrame);
+            for (const end = performance.now() + 150; performance.now() < end; );
+        }
+    });
+    await slow.page.click("#banner-slow button");
+    await slow.page.waitForFunction(() => window.citysplat.state.mode === "pictures");
+    await waitForViewer(slow.page);
+    assert.equal(await slow.page.inputValue("#mode"), "pictures");
+    await slow.close();
+});

@@ -1,0 +1,252 @@
+// The city on the graphics card: tiles chosen and fetched, Gaussians drawn, sky and ground behind
+// them, lines over them.
+//
+// SPDX-License-Identifier: Apache-2.0
+import { LRUCache } from "3d-tiles-renderer/core";
+import { TilesRenderer } from "3d-tiles-renderer/three";
+import { Box3, Scene, Vector3, WebGLRenderer, type Camera, type PerspectiveCamera } from "three";
+
+import { Backdrop } from "./backdrop";
+import { DecoderPool } from "./decoders";
+import { Gaussians, type Block } from "./gaussians";
+import type { Frame } from "./geo";
+import type { Link } from "./link";
+import type { Overlay } from "./overlay";
+import type { SceneInfo } from "./source";
+import { CityTiles, type Broken, type CityTile } from "./tiles";
+
+export interface CityStats {
+  tiles: number; // drawn now
+  gaussians: number; // drawn now
+  bytes: number; // of the tiles of this scene so far
+  pending: number; // tiles on their way
+  memory: number; // bytes held, in the page and on the card
+  heldBack: boolean; // finer tiles are left out: memory
+  broken: Broken[]; // wanted, and not to be had
+}
+
+export class City {
+  readonly renderer: WebGLRenderer;
+  readonly scene = new Scene();
+  readonly backdrop = new Backdrop();
+  readonly engine: Gaussians;
+  over: Overlay | null = null; // lines over the city
+  private readonly lines = new Scene();
+  onWake: () => void = () => {};
+  onCore: (core: Box3) => void = () => {}; // where most Gaussians of the scene are
+  onContext: (lost: boolean) => void = () => {};
+  onFailure: (error: Error) => void = () => {};
+  private readonly decoders = new DecoderPool();
+  private readonly cache = new LRUCache();
+  private active: CityTiles | null = null;
+  private next: CityTiles | null = null; // takes the place of the active one when it is complete
+  private target = 16;
+  private core = new Box3();
+  private wakeTimer = 0;
+  private lost = false;
+  private sizeKey = "";
+  private fresh = false; // the last frame shows the newest order
+
+  // Throws when the browser has no WebGL 2.
+  constructor(
+    readonly canvas: HTMLCanvasElement,
+    private readonly camera: PerspectiveCamera,
+    private readonly link: Link,
+    memoryBytes: number,
+  ) {
+    // No multisampling: splats have no edges to smooth, and it costs.
+    this.renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: "high-performance" });
+    this.renderer.setClearColor(0x000000, 1);
+    this.engine = new Gaussians(this.renderer);
+    this.engine.onOrder = () => {
+      this.fresh = false;
+      this.onWake();
+    };
+    this.scene.add(this.backdrop.mesh, this.engine.mesh);
+    this.cache.unloadPriorityCallback = new TilesRenderer("").lruCache.unloadPriorityCallback;
+    this.setMemory(memoryBytes);
+    canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault();
+      this.lost = true;
+      this.onContext(true);
+    });
+    canvas.addEventListener("webglcontextrestored", () => {
+      this.lost = false;
+      this.engine.restore();
+      this.onContext(false);
+      this.onWake();
+    });
+  }
+
+  setOverlay(over: Overlay) {
+    this.over = over;
+    this.lines.add(over.group);
+  }
+
+  setMemory(bytes: number) {
+    this.cache.maxBytesSize = bytes;
+    this.cache.minBytesSize = 0.75 * bytes;
+    this.onWake();
+  }
+
+  // Screen-space error in pixels at which a tile is replaced by finer ones.
+  set errorTarget(pixels: number) {
+    this.target = pixels;
+    for (const tiles of [this.active, this.next]) if (tiles) tiles.errorTarget = pixels;
+    this.onWake();
+  }
+
+  // Another scene, or the same in another light: then what is drawn stays until all of the new one
+  // is there.
+  open(info: SceneInfo, frame: Frame, keep: boolean) {
+    const tiles = new CityTiles(
+      info.url,
+      info.document,
+      frame.worldFromEcef,
+      this.link,
+      this.decoders,
+      this.engine,
+    );
+    tiles.errorTarget = this.target;
+    tiles.lruCache = this.cache;
+    frame.worldFromEcef.decompose(tiles.group.position, tiles.group.quaternion, tiles.group.scale);
+    tiles.group.updateMatrixWorld(true);
+    tiles.setCamera(this.camera);
+    tiles.onBlock = (tile, block) => this.measure(tile, block);
+    for (const name of ["needs-update", "tiles-load-end", "load-error"] as const)
+      tiles.addEventListener(name, () => this.onWake());
+    tiles.addEventListener("load-error", ({ tile, error }) => {
+      if (!tile) this.onFailure(error as Error);
+    });
+    this.next?.dispose();
+    this.next = null;
+    if (keep && this.active) {
+      this.active.frozen = true;
+      this.next = tiles;
+    } else {
+      this.active?.dispose();
+      this.active = tiles;
+      this.core.makeEmpty();
+    }
+    this.fresh = false;
+    this.onWake();
+  }
+
+  // The tileset's box holds every stray Gaussian; most of them make a better frame. Only the
+  // coarsest tiles count: they hold all of the scene.
+  private measure(tile: CityTile, { splats }: Block) {
+    this.onWake();
+    if (tile.internal.depthFromRenderedParent > 1) return;
+    const { min, max } = splats.core;
+    this.core.union(new Box3(new Vector3(...min), new Vector3(...max)));
+    this.onCore(this.core.clone());
+  }
+
+  resize(width: number, height: number, ratio: number) {
+    const key = `${width} ${height} ${ratio}`;
+    if (key === this.sizeKey) return;
+    this.sizeKey = key;
+    this.renderer.setPixelRatio(ratio);
+    this.renderer.setSize(width, height, false);
+    this.onWake();
+  }
+
+  draw() {
+    if (this.lost) return;
+    const { camera, engine } = this;
+    camera.updateMatrixWorld();
+    for (const tiles of [this.active, this.next]) {
+      if (!tiles) continue;
+      tiles.setResolutionFromRenderer(camera as Camera, this.renderer);
+      tiles.update();
+      this.wakeFor(tiles);
+    }
+    if (this.next?.root && !this.next.loading && this.next.shown.length) {
+      this.active?.dispose();
+      this.active = this.next;
+      this.next = null;
+    }
+    if (this.active && (this.active.shown.length || !this.active.loading))
+      engine.want(this.active.shown);
+    const settled = engine.settled;
+    engine.update(camera);
+    this.backdrop.update(camera);
+    engine.prepare(camera);
+    this.render();
+    this.fresh = settled && engine.settled;
+  }
+
+  // Draws the same picture once more, for whoever reads the canvas at once.
+  redraw() {
+    this.render();
+  }
+
+  // Splats leave no depth behind. Where lines are to hide behind the city, a second pass writes the
+  // depth of all but the faint rims.
+  private render() {
+    const { renderer, scene, camera, engine, over } = this;
+    renderer.autoClear = true;
+    renderer.render(scene, camera);
+    if (!over?.group.children.length) return;
+    renderer.autoClear = false;
+    if (over.needsDepth) {
+      engine.setSolid(true);
+      renderer.render(engine.mesh, camera);
+      engine.setSolid(false);
+    }
+    renderer.render(this.lines, camera);
+    renderer.autoClear = true;
+  }
+
+  // Broken tiles are asked for again, and unwanted requests given up, also while nothing moves.
+  private wakeFor(tiles: CityTiles) {
+    const ms = Math.min(tiles.nextAttempt, tiles.hasUnwanted ? 300 : Infinity);
+    if (!Number.isFinite(ms)) return;
+    clearTimeout(this.wakeTimer);
+    this.wakeTimer = window.setTimeout(() => this.onWake(), Math.max(50, ms));
+  }
+
+  // Asks at once for what failed.
+  retry() {
+    for (const tiles of [this.active, this.next])
+      for (const broken of tiles?.broken.values() ?? []) broken.again = 0;
+    this.onWake();
+  }
+
+  // Nothing more will come by itself for this view, and the screen shows all that came.
+  get settled(): boolean {
+    return !this.lost && this.fresh && !this.next && this.active !== null && !this.active.loading;
+  }
+
+  // A new appearance is on its way.
+  get changing(): boolean {
+    return this.next !== null;
+  }
+
+  stats(): CityStats {
+    const stats = this.active?.stats ?? {};
+    const on = this.next ?? this.active;
+    const coming = on?.stats ?? {};
+    const { queued = 0, downloading = 0, parsing = 0 } = coming;
+    const broken = [...(on?.broken ?? [])].filter(([tile]) => tile.traversal.used);
+    return {
+      tiles: this.engine.visibleBlocks.length,
+      gaussians: this.engine.visibleBlocks.reduce((sum, block) => sum + block.splats.count, 0),
+      bytes: (this.active?.bytes ?? 0) + (this.next?.bytes ?? 0),
+      pending: queued + downloading + parsing,
+      memory: (this.cache as unknown as { cachedBytes: number }).cachedBytes,
+      heldBack: (stats["refused"] ?? 0) > 0,
+      broken: broken.map(([, one]) => one),
+    };
+  }
+
+  dispose() {
+    clearTimeout(this.wakeTimer);
+    this.active?.dispose();
+    this.next?.dispose();
+    this.decoders.dispose();
+    this.engine.dispose();
+    this.backdrop.dispose();
+    this.renderer.dispose();
+  }
+}

@@ -1,0 +1,51 @@
+// Worker: bytes of a tile in, texture rows out (transferred, not copied).
+//
+// SPDX-License-Identifier: Apache-2.0
+import { spzOfGlb } from "./glb";
+import { decodeSpz, type DecodedSplats } from "./spz";
+
+export interface DecodeRequest {
+  id: number;
+  file: ArrayBuffer;
+  offset: [number, number, number];
+}
+export interface DecodeReply {
+  id: number;
+  splats?: DecodedSplats;
+  error?: string;
+}
+
+const INFLATED_MAX = 512 * 2 ** 20; // a hostile gzip stream may promise anything
+
+async function inflate(gzip: Uint8Array): Promise<Uint8Array<ArrayBuffer>> {
+  const stream = new Blob([gzip as Uint8Array<ArrayBuffer>])
+    .stream()
+    .pipeThrough(new DecompressionStream("gzip"));
+  const parts: Uint8Array[] = [];
+  let length = 0;
+  const reader = stream.getReader();
+  for (let part = await reader.read(); !part.done; part = await reader.read()) {
+    length += part.value.length;
+    if (length > INFLATED_MAX) throw new Error("SPZ: inflates to more than 512 MiB");
+    parts.push(part.value);
+  }
+  const out = new Uint8Array(length);
+  let at = 0;
+  for (const part of parts) {
+    out.set(part, at);
+    at += part.length;
+  }
+  return out;
+}
+
+self.onmessage = async (event: MessageEvent<DecodeRequest>) => {
+  const { id, file, offset } = event.data;
+  try {
+    const splats = decodeSpz(await inflate(spzOfGlb(new Uint8Array(file))), offset);
+    const buffers = [splats.place, splats.shape, ...splats.sh].map((a) => a.buffer);
+    self.postMessage({ id, splats } satisfies DecodeReply, { transfer: buffers });
+  } catch (error) {
+    const text = error instanceof Error ? error.message : String(error);
+    self.postMessage({ id, error: text } satisfies DecodeReply);
+  }
+};

@@ -1,0 +1,430 @@
+// Draws Gaussians with WebGL 2: the integers of the tiles lie in a few large textures, a worker
+// sorts the wanted ones from far to near, one pass evaluates their colours for this eye, a second
+// one draws a quad for each.
+//
+// What is drawn changes only when a sorted order arrives: tiles that leave stay on the screen until
+// those that replace them can be drawn, so there is no frame without either.
+//
+// SPDX-License-Identifier: Apache-2.0
+import {
+  BufferAttribute,
+  BufferGeometry,
+  CustomBlending,
+  DataTexture,
+  GLSL3,
+  InstancedBufferGeometry,
+  Mesh,
+  NearestFilter,
+  NoBlending,
+  OneFactor,
+  OneMinusSrcAlphaFactor,
+  OrthographicCamera,
+  RawShaderMaterial,
+  RedIntegerFormat,
+  RGBAIntegerFormat,
+  RGIntegerFormat,
+  Scene,
+  UnsignedIntType,
+  UnsignedShortType,
+  Vector2,
+  Vector3,
+  WebGLRenderTarget,
+  type PerspectiveCamera,
+  type PixelFormat,
+  type WebGLRenderer,
+} from "three";
+
+import { COLOR_FRAGMENT, COLOR_VERTEX, SPLAT_FRAGMENT, SPLAT_VERTEX } from "./shaders";
+import type { SortMessage, SortReply } from "./sort.worker";
+import { ROW, type DecodedSplats } from "./spz";
+
+const ROWS_FIRST = 128;
+const QUADS = 128; // of one instance
+
+// Gaussians of one tile in the textures.
+export interface Block {
+  readonly id: number;
+  readonly splats: DecodedSplats;
+  row: number; // the first of its rows; -1 when it is gone
+  readonly rows: number;
+}
+
+interface Planes {
+  place: DataTexture;
+  shape: DataTexture;
+  sh: DataTexture[];
+  colors: WebGLRenderTarget;
+}
+
+function makeTexture(format: PixelFormat, internal: string, rows: number): DataTexture {
+  const texture = new DataTexture(null, ROW, rows, format, UnsignedIntType);
+  texture.internalFormat = internal as "RGBA32UI";
+  texture.minFilter = texture.magFilter = NearestFilter;
+  texture.needsUpdate = true;
+  return texture;
+}
+
+export class Gaussians {
+  readonly mesh: Mesh<InstancedBufferGeometry, RawShaderMaterial>;
+  onOrder: () => void = () => {}; // a new order is there to be drawn
+  drawn = 0; // Gaussians of the order on the screen
+  private readonly blocks = new Set<Block>();
+  private readonly leaving = new Set<Block>(); // not wanted, but perhaps still on the screen
+  private wanted: Block[] = [];
+  private shown: Block[] = []; // those of the order on the screen
+  private planes: Planes | null = null;
+  private rows = 0;
+  private shPlanes = 0;
+  private order: DataTexture | null = null;
+  private spare: Uint32Array<ArrayBuffer> | null = null;
+  private readonly sorter = new Worker(new URL("./sort.worker.ts", import.meta.url), {
+    type: "module",
+  });
+  private sorting: { ticket: number; blocks: Block[]; key: string } | null = null;
+  private ticket = 0;
+  private nextId = 0;
+  private sortedKey = "";
+  private wantedKey = "";
+  private version = 0; // of the wanted set
+  private colorsKey = "";
+  private contentVersion = 0;
+  private readonly colorScene = new Scene();
+  private readonly colorMesh: Mesh<BufferGeometry, RawShaderMaterial>;
+  private readonly flat = new OrthographicCamera();
+
+  constructor(private readonly renderer: WebGLRenderer) {
+    const material = new RawShaderMaterial({
+      glslVersion: GLSL3,
+      vertexShader: SPLAT_VERTEX,
+      fragmentShader: SPLAT_FRAGMENT,
+      uniforms: {
+        place: { value: null },
+        shape: { value: null },
+        colors: { value: null },
+        order: { value: null },
+        count: { value: 0 },
+        viewport: { value: new Vector2(1, 1) },
+        near: { value: 0.1 },
+        solid: { value: false },
+      },
+      transparent: true,
+      depthTest: false,
+      depthWrite: false,
+      blending: CustomBlending,
+      blendSrc: OneFactor,
+      blendDst: OneMinusSrcAlphaFactor,
+    });
+    this.mesh = new Mesh(makeQuads(), material);
+    this.mesh.frustumCulled = false;
+    this.mesh.visible = false;
+    this.mesh.renderOrder = 1;
+    this.colorMesh = new Mesh(
+      new BufferGeometry(),
+      new RawShaderMaterial({
+        glslVersion: GLSL3,
+        vertexShader: COLOR_VERTEX,
+        fragmentShader: COLOR_FRAGMENT,
+        uniforms: {
+          place: { value: null },
+          sh0: { value: null },
+          sh1: { value: null },
+          sh2: { value: null },
+          degree: { value: 0 },
+          eye: { value: new Vector3() },
+          rowCount: { value: 1 },
+        },
+        depthTest: false,
+        depthWrite: false,
+        blending: NoBlending,
+      }),
+    );
+    this.colorMesh.frustumCulled = false;
+    this.colorScene.add(this.colorMesh);
+    this.sorter.onmessage = ({ data }: MessageEvent<SortReply>) => this.take(data);
+  }
+
+  // ---- blocks ----
+
+  add(splats: DecodedSplats): Block {
+    const rows = Math.ceil(splats.count / ROW);
+    const block: Block = { id: this.nextId++, splats, row: -1, rows };
+    if (splats.sh.length > this.shPlanes) {
+      this.shPlanes = splats.sh.length;
+      this.rebuild(this.rows);
+    }
+    block.row = this.findRows(rows);
+    this.blocks.add(block);
+    this.upload(block);
+    this.tellSorter(block);
+    return block;
+  }
+
+  // The block's rows are free again as soon as nothing on the screen needs them.
+  remove(block: Block) {
+    if (!this.blocks.has(block)) return;
+    this.wanted = this.wanted.filter((other) => other !== block);
+    this.leaving.add(block);
+    this.sweep();
+  }
+
+  // Which blocks are to be drawn.
+  want(blocks: Block[]) {
+    const same = blocks.length === this.wanted.length && blocks.every((b, i) => b === this.wanted[i]);
+    if (same) return;
+    this.wanted = blocks;
+    this.version++;
+  }
+
+  // What a Gaussian takes: on the card, and once more in the page's own memory.
+  static bytesOf(splats: DecodedSplats): number {
+    const arrays = [splats.place, splats.shape, ...splats.sh];
+    const texels = arrays.reduce((sum, a) => sum + a.byteLength, 0);
+    return 2 * texels + splats.count * (8 + 12 + 4);
+  }
+
+  // The order on the screen is the one for this camera and for the wanted blocks.
+  get settled(): boolean {
+    return this.sortedKey === this.wantedKey && !this.sorting;
+  }
+
+  get visibleBlocks(): readonly Block[] {
+    return this.shown;
+  }
+
+  private sweep() {
+    for (const block of this.leaving) {
+      if (this.shown.includes(block) || this.sorting?.blocks.includes(block)) continue;
+      this.leaving.delete(block);
+      this.blocks.delete(block);
+      block.row = -1;
+      this.post({ kind: "remove", block: block.id });
+    }
+  }
+
+  // First-fit among the rows in use; the textures grow by half where nothing fits.
+  private findRows(rows: number): number {
+    const used = [...this.blocks].sort((a, b) => a.row - b.row);
+    let at = 0;
+    for (const block of used) {
+      if (block.row - at >= rows) return at;
+      at = block.row + block.rows;
+    }
+    if (at + rows > this.rows) {
+      const most = this.renderer.capabilities.maxTextureSize;
+      if (at + rows > most) throw new Error("the graphics card has no room for more Gaussians");
+      this.rebuild(Math.min(most, Math.max(ROWS_FIRST, at + rows, Math.ceil(this.rows * 1.5))));
+    }
+    return at;
+  }
+
+  // ---- textures ----
+
+  // Makes the textures anew and fills them: they grew, or the context was lost.
+  rebuild(rows = this.rows) {
+    this.rows = rows;
+    if (!rows) return;
+    this.dropPlanes();
+    const colors = new WebGLRenderTarget(ROW, rows, {
+      format: RGBAIntegerFormat,
+      type: UnsignedShortType,
+      minFilter: NearestFilter,
+      magFilter: NearestFilter,
+      depthBuffer: false,
+    });
+    colors.texture.internalFormat = "RGBA16UI";
+    this.planes = {
+      place: makeTexture(RGBAIntegerFormat, "RGBA32UI", rows),
+      shape: makeTexture(RGIntegerFormat, "RG32UI", rows),
+      sh: Array.from({ length: this.shPlanes }, () =>
+        makeTexture(RGBAIntegerFormat, "RGBA32UI", rows),
+      ),
+      colors,
+    };
+    const { place, shape, sh } = this.planes;
+    for (const texture of [place, shape, ...sh]) this.renderer.initTexture(texture);
+    const draw = this.mesh.material.uniforms;
+    draw["place"]!.value = place;
+    draw["shape"]!.value = shape;
+    draw["colors"]!.value = colors.texture;
+    const color = this.colorMesh.material.uniforms;
+    color["place"]!.value = place;
+    [0, 1, 2].forEach((k) => (color[`sh${k}`]!.value = sh[k] ?? place));
+    color["degree"]!.value = [0, 1, 2, 3][this.shPlanes];
+    color["rowCount"]!.value = rows;
+    for (const block of this.blocks) this.upload(block);
+  }
+
+  private dropPlanes() {
+    const { place, shape, sh = [], colors } = this.planes ?? {};
+    for (const one of [place, shape, ...sh, colors]) one?.dispose();
+    this.planes = null;
+  }
+
+  private upload(block: Block) {
+    const planes = this.planes;
+    if (!planes || block.row < 0) return;
+    const put = (target: DataTexture, data: Uint32Array<ArrayBuffer>) => {
+      const from = new DataTexture(data, ROW, block.rows, target.format as PixelFormat, target.type);
+      from.internalFormat = target.internalFormat;
+      from.needsUpdate = true;
+      this.renderer.copyTextureToTexture(from, target, null, new Vector2(0, block.row));
+      from.dispose();
+    };
+    put(planes.place, block.splats.place);
+    put(planes.shape, block.splats.shape);
+    block.splats.sh.forEach((data, k) => put(planes.sh[k]!, data));
+    this.contentVersion++;
+  }
+
+  // ---- sorting ----
+
+  private post(message: SortMessage, transfer: Transferable[] = []) {
+    this.sorter.postMessage(message, transfer);
+  }
+
+  private tellSorter(block: Block) {
+    const { count, place } = block.splats;
+    const from = new Float32Array(place.buffer);
+    const centres = new Float32Array(3 * count);
+    for (let i = 0; i < count; i++) {
+      centres[3 * i] = from[4 * i]!;
+      centres[3 * i + 1] = from[4 * i + 1]!;
+      centres[3 * i + 2] = from[4 * i + 2]!;
+    }
+    const first = block.row * ROW;
+    this.post({ kind: "add", block: block.id, first, centres }, [centres.buffer]);
+  }
+
+  // Before every frame: asks for an order where the last one is not of this camera and these blocks.
+  update(camera: PerspectiveCamera) {
+    const eye = camera.position;
+    const ahead = new Vector3(0, 0, -1).applyQuaternion(camera.quaternion);
+    const digits = [...eye.toArray(), ...ahead.toArray()].map((v) => v.toFixed(4));
+    this.wantedKey = `${this.version} ${digits.join(" ")}`;
+    if (this.sorting || this.wantedKey === this.sortedKey) return;
+    this.sorting = { ticket: ++this.ticket, blocks: this.wanted.slice(), key: this.wantedKey };
+    const spare = this.spare;
+    this.spare = null;
+    this.post(
+      {
+        kind: "sort",
+        ticket: this.ticket,
+        blocks: this.wanted.map((block) => block.id),
+        eye: eye.toArray(),
+        ahead: ahead.toArray(),
+        spare,
+      },
+      spare ? [spare.buffer] : [],
+    );
+  }
+
+  private take({ ticket, order, count }: SortReply) {
+    if (this.sorting?.ticket !== ticket) return;
+    this.sortedKey = this.sorting.key;
+    this.shown = this.sorting.blocks;
+    this.sorting = null;
+    const height = order.length / 1024;
+    if (this.order && this.order.image.height === height) {
+      this.spare = this.order.image.data as Uint32Array<ArrayBuffer>;
+      this.order.image.data = order;
+    } else {
+      this.spare = null;
+      this.order?.dispose();
+      this.order = makeTexture(RedIntegerFormat, "R32UI", height);
+      this.order.image.data = order;
+    }
+    this.order.needsUpdate = true;
+    this.drawn = count;
+    const uniforms = this.mesh.material.uniforms;
+    uniforms["order"]!.value = this.order;
+    uniforms["count"]!.value = count;
+    this.mesh.geometry.instanceCount = Math.ceil(count / QUADS);
+    this.mesh.visible = count > 0;
+    this.sweep();
+    this.onOrder();
+  }
+
+  // ---- drawing ----
+
+  // Evaluates the colours for this eye and sets what the mesh needs; the caller renders the scene.
+  prepare(camera: PerspectiveCamera) {
+    if (!this.planes || !this.mesh.visible) return;
+    const uniforms = this.mesh.material.uniforms;
+    this.renderer.getDrawingBufferSize(uniforms["viewport"]!.value as Vector2);
+    uniforms["near"]!.value = camera.near;
+    const eye = camera.position;
+    const rows = this.shown.map((block) => block.row).join();
+    const key = `${this.contentVersion} ${rows} ${eye.toArray().join()}`;
+    if (key === this.colorsKey) return;
+    this.colorsKey = key;
+    (this.colorMesh.material.uniforms["eye"]!.value as Vector3).copy(eye);
+    this.colorMesh.geometry.dispose();
+    this.colorMesh.geometry = stripes(this.shown);
+    const { renderer } = this;
+    const target = renderer.getRenderTarget();
+    const clear = renderer.autoClear;
+    renderer.autoClear = false;
+    renderer.setRenderTarget(this.planes.colors);
+    renderer.render(this.colorScene, this.flat);
+    renderer.setRenderTarget(target);
+    renderer.autoClear = clear;
+  }
+
+  // Depth alone, or colour alone.
+  setSolid(on: boolean) {
+    const { material } = this.mesh;
+    material.uniforms["solid"]!.value = on;
+    material.colorWrite = !on;
+    material.depthWrite = material.depthTest = on;
+    material.uniformsNeedUpdate = true;
+  }
+
+  // Everything on the card is gone.
+  restore() {
+    this.colorsKey = "";
+    this.rebuild();
+    if (this.order) this.order.needsUpdate = true;
+  }
+
+  dispose() {
+    this.sorter.terminate();
+    this.dropPlanes();
+    this.order?.dispose();
+    this.mesh.geometry.dispose();
+    this.mesh.material.dispose();
+    this.colorMesh.geometry.dispose();
+    this.colorMesh.material.dispose();
+  }
+}
+
+// One instance: QUADS quads whose corners the vertex shader finds by number.
+function makeQuads(): InstancedBufferGeometry {
+  const geometry = new InstancedBufferGeometry();
+  const corners = new Float32Array(QUADS * 4 * 3);
+  const index = new Uint16Array(QUADS * 6);
+  for (let q = 0; q < QUADS; q++) {
+    [-1, -1, 1, -1, 1, 1, -1, 1].forEach((v, i) => {
+      corners[12 * q + 3 * (i >> 1) + (i & 1)] = v;
+    });
+    for (let i = 0; i < 4; i++) corners[12 * q + 3 * i + 2] = q;
+    [0, 1, 2, 0, 2, 3].forEach((v, i) => (index[6 * q + i] = 4 * q + v));
+  }
+  geometry.setAttribute("position", new BufferAttribute(corners, 3));
+  geometry.setIndex(new BufferAttribute(index, 1));
+  geometry.instanceCount = 0;
+  return geometry;
+}
+
+// Rectangles over the rows of these blocks.
+function stripes(blocks: readonly Block[]): BufferGeometry {
+  const corners = new Float32Array(blocks.length * 18);
+  blocks.forEach(({ row, rows }, b) => {
+    const [low, high] = [row, row + rows];
+    [0, low, 1, low, 1, high, 0, low, 1, high, 0, high].forEach((v, i) => {
+      corners[18 * b + 3 * (i >> 1) + (i & 1)] = v;
+    });
+  });
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new BufferAttribute(corners, 3));
+  return geometry;
+}

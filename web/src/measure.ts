@@ -1,0 +1,170 @@
+// Places, lengths and areas in the city: click points, read, copy, save as GeoJSON.
+//
+// SPDX-License-Identifier: Apache-2.0
+import { Vector3 } from "three";
+
+import { copy, download, element, setText } from "./dom";
+import type { Frame, Place } from "./geo";
+import { getLanguage, text } from "./strings";
+import type { Viewer } from "./viewer";
+
+type Kind = "path" | "area";
+
+export interface Measures {
+  length: number; // along the points, in space; of an area: around it
+  straight: number; // from the first point to the last
+  rise: number; // of the last above the first
+  area: number; // m2, seen from above
+}
+
+export function measure(points: Vector3[], kind: Kind): Measures {
+  const around = kind === "area" && points.length > 2 ? [...points, points[0]!] : points;
+  let length = 0;
+  for (let i = 1; i < around.length; i++) length += around[i - 1]!.distanceTo(around[i]!);
+  let twice = 0;
+  points.forEach((p, i) => {
+    const q = points[(i + 1) % points.length]!;
+    twice += p.x * q.z - q.x * p.z;
+  });
+  const [first, last] = [points[0], points.at(-1)];
+  return {
+    length,
+    straight: first && last ? first.distanceTo(last) : 0,
+    rise: first && last ? last.y - first.y : 0,
+    area: Math.abs(twice) / 2,
+  };
+}
+
+export function formatLength(metres: number): string {
+  const number = (value: number, digits: number) =>
+    new Intl.NumberFormat(getLanguage(), { maximumFractionDigits: digits, minimumFractionDigits: digits }).format(value);
+  return Math.abs(metres) >= 1000 ? `${number(metres / 1000, 3)} km` : `${number(metres, 2)} m`;
+}
+
+export function formatArea(squareMetres: number): string {
+  const format = new Intl.NumberFormat(getLanguage(), { maximumFractionDigits: 1 });
+  return squareMetres >= 1e6 ? `${format.format(squareMetres / 1e6)} km²` : `${format.format(squareMetres)} m²`;
+}
+
+export function formatPlace({ lon, lat, h }: Place): string {
+  return `${lon.toFixed(7)}, ${lat.toFixed(7)}, ${h.toFixed(2)} m`;
+}
+
+// RFC 7946: longitude, latitude, height above the ellipsoid.
+export function toGeoJson(places: Place[], kind: Kind, values: Measures): string {
+  const at = places.map(({ lon, lat, h }) => [
+    Number(lon.toFixed(8)),
+    Number(lat.toFixed(8)),
+    Number(h.toFixed(3)),
+  ]);
+  const geometry =
+    kind === "area" && at.length > 2
+      ? { type: "Polygon", coordinates: [[...at, at[0]!]] }
+      : at.length > 1
+        ? { type: "LineString", coordinates: at }
+        : { type: "Point", coordinates: at[0] };
+  const rounded = Object.fromEntries(
+    Object.entries(values).map(([key, value]) => [`${key}_m${key === "area" ? "2" : ""}`, Number((value as number).toFixed(3))]),
+  );
+  const feature = { type: "Feature", geometry, properties: rounded };
+  return JSON.stringify({ type: "FeatureCollection", features: [feature] }, null, 1);
+}
+
+export class MeasureTool {
+  open = false;
+  private places: Place[] = [];
+  private shape = 0;
+  private marker = 0;
+  private place: Place | null = null;
+
+  constructor(private readonly viewer: Viewer) {
+    viewer.on("click", ({ place }) => (this.open ? this.add(place) : this.tell(place)));
+    const click = (id: string, run: () => void) => element(id).addEventListener("click", run);
+    click("measure-button", () => this.show(!this.open));
+    click("measure-close", () => this.show(false));
+    click("measure-undo", () => this.set(this.places.slice(0, -1)));
+    click("measure-clear", () => this.set([]));
+    click("measure-copy", () => void copy(this.summary(), text("place.copied")));
+    click("measure-save", () => this.save());
+    click("place-close", () => this.tell(null, true));
+    click("place-copy", () => {
+      if (this.place) void copy(formatPlace(this.place), text("place.copied"));
+    });
+    for (const radio of document.querySelectorAll('input[name="measure"]'))
+      radio.addEventListener("change", () => this.set(this.places));
+    viewer.on("scene", () => {
+      this.set([]);
+      this.tell(null, true);
+    });
+  }
+
+  show(open: boolean) {
+    this.open = open;
+    element("measure").hidden = !open;
+    element("measure-button").setAttribute("aria-pressed", String(open));
+    this.tell(null, true);
+    if (!open) this.set([]);
+  }
+
+  private get kind(): Kind {
+    return document.querySelector<HTMLInputElement>('input[name="measure"]:checked')!.value as Kind;
+  }
+
+  private frame(): Frame {
+    return this.viewer.stage.frame;
+  }
+
+  private tell(place: Place | null, close = false) {
+    this.place = place;
+    element("place").hidden = close;
+    element("place-copy").hidden = !place;
+    setText("place-text", place ? formatPlace(place) : text("place.none"));
+    if (this.marker) this.viewer.overlay.remove(this.marker);
+    this.marker = place
+      ? this.viewer.overlay.add({ kind: "point", places: [place], color: "#ff5ea8" })
+      : 0;
+  }
+
+  private add(place: Place | null) {
+    if (place) this.set([...this.places, place]);
+  }
+
+  private set(places: Place[]) {
+    this.places = places;
+    const { overlay } = this.viewer;
+    if (this.shape) overlay.remove(this.shape);
+    this.shape = places.length
+      ? overlay.add({
+          kind: places.length === 1 ? "point" : this.kind === "area" ? "area" : "line",
+          places,
+          ...(places.length > 1 ? { label: this.summary(true) } : {}),
+        })
+      : 0;
+    setText("measure-text", places.length > 1 ? this.summary() : text("measure.hint"));
+  }
+
+  private values(): Measures {
+    return measure(
+      this.places.map((place) => this.frame().pointOf(place)),
+      this.kind,
+    );
+  }
+
+  private summary(brief = false): string {
+    const { length, straight, rise, area } = this.values();
+    const closed = this.kind === "area" && this.places.length > 2;
+    if (brief) return closed ? formatArea(area) : formatLength(length);
+    return closed
+      ? text("measure.area.text", { area: formatArea(area), length: formatLength(length) })
+      : text("measure.path.text", {
+          length: formatLength(length),
+          straight: formatLength(straight),
+          rise: formatLength(rise),
+        });
+  }
+
+  private save() {
+    if (!this.places.length) return;
+    download("measure.geojson", "application/geo+json", toGeoJson(this.places, this.kind, this.values()));
+  }
+}

@@ -1,0 +1,251 @@
+// The page around the viewer: buttons, keys, the address bar, settings.
+//
+// SPDX-License-Identifier: Apache-2.0
+import { formatView, parseView } from "./address";
+import { AppearanceControl } from "./appearance";
+import { Compare } from "./compare";
+import { copy, element, setText, toast } from "./dom";
+import { GeoJsonDrop } from "./geojson";
+import { MeasureTool } from "./measure";
+import { isForScene, type Walk } from "./stage";
+import { banner, Status, unbanner } from "./status";
+import { getLanguage, setLanguage, text, translate } from "./strings";
+import { Tours } from "./tours";
+import type { Mode, Viewer } from "./viewer";
+
+const DETAIL_MIDDLE = 4; // the slider position at which a typical Gaussian is one pixel
+const ADDRESS_MS = 300; // browsers refuse an address that changes too often
+
+function stored(key: string): string | null {
+  try {
+    return localStorage.getItem(`citysplat.${key}`);
+  } catch {
+    return null;
+  }
+}
+
+function store(key: string, value: string) {
+  try {
+    localStorage.setItem(`citysplat.${key}`, value);
+  } catch {
+    // no storage: the choice lives as long as the page
+  }
+}
+
+export function theme(): "dark" | "light" {
+  const chosen = stored("theme");
+  if (chosen === "dark" || chosen === "light") return chosen;
+  return matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
+}
+
+export function language(): string {
+  return stored("language") ?? navigator.language;
+}
+
+export class Page {
+  private readonly compare: Compare;
+  private readonly measure: MeasureTool;
+  private addressTimer = 0;
+  private offered = false;
+
+  constructor(
+    private readonly viewer: Viewer,
+    private readonly small: boolean,
+  ) {
+    new Status(viewer);
+    new AppearanceControl(viewer);
+    new Tours(viewer);
+    new GeoJsonDrop(viewer);
+    this.compare = new Compare(viewer);
+    this.measure = new MeasureTool(viewer);
+    viewer.surface.setAttribute("role", "application");
+    viewer.surface.dataset["tLabel"] = "surface.label";
+    this.wireTools();
+    this.wireSettings();
+    this.wireKeys();
+    this.wireViewer();
+    this.translate();
+    this.showMode(viewer.mode);
+  }
+
+  private translate() {
+    document.documentElement.lang = getLanguage();
+    translate(document);
+    this.applyDetail();
+    this.showPlace();
+  }
+
+  private wireViewer() {
+    const { viewer } = this;
+    viewer.on("scene", (scene) => {
+      setText("title", scene.title);
+      document.title = `${scene.title} – citysplat`;
+      setText("attribution", viewer.info?.attribution ?? "");
+      this.fillChooser();
+      element("server-button").hidden = !scene.pictures;
+      this.showPlace();
+      this.address();
+    });
+    viewer.on("move", () => {
+      this.showPlace();
+      this.address();
+    });
+    viewer.on("appearance", () => this.address());
+    viewer.on("mode", (mode) => this.showMode(mode));
+    viewer.on("slow", (fps) => void this.offer(fps));
+  }
+
+  private fillChooser() {
+    const { scenes, scene } = this.viewer;
+    const select = element<HTMLSelectElement>("dataset");
+    select.replaceChildren(...scenes.map((one) => new Option(one.title, one.id, false, one === scene)));
+    select.onchange = () => void this.viewer.openScene(select.value);
+    element("chooser").hidden = scenes.length < 2;
+  }
+
+  private showPlace() {
+    const { pose, scene } = this.viewer;
+    element("north").querySelector("svg")!.style.transform = `rotate(${-pose.heading}deg)`;
+    const { lat, lon, h, heading } = pose;
+    setText(
+      "where",
+      scene ? `${lat.toFixed(6)}°, ${lon.toFixed(6)}°, ${h.toFixed(1)} m · ${heading.toFixed(0)}°` : "",
+    );
+  }
+
+  // ---- slow machines ----
+
+  private async offer(fps: number) {
+    if (this.offered || this.viewer.mode === "pictures") return;
+    this.offered = true;
+    if (!(await this.viewer.canDrawPictures())) return;
+    banner("slow", text("banner.slow", { fps: fps.toFixed(fps < 3 ? 1 : 0) }), [
+      { label: text("banner.slow.yes"), run: () => this.viewer.setMode("pictures") },
+      { label: text("banner.slow.no"), run: () => {} },
+    ]);
+  }
+
+  private showMode(mode: Mode) {
+    element<HTMLSelectElement>("mode").value = mode;
+    element("detail-field").hidden = mode === "pictures";
+    element<HTMLButtonElement>("server-button").disabled = mode === "pictures";
+    if (mode === "pictures") unbanner("slow");
+    this.address();
+  }
+
+  // ---- the address bar ----
+
+  private url(): URL {
+    const { viewer } = this;
+    const url = new URL(location.href);
+    for (const old of ["ds", "light"]) url.searchParams.delete(old);
+    if (viewer.scene && viewer.scenes.length > 1) url.searchParams.set("scene", viewer.scene.id);
+    if (viewer.scene) url.hash = formatView({ pose: viewer.pose, appearance: viewer.state.wanted });
+    return url;
+  }
+
+  private address() {
+    clearTimeout(this.addressTimer);
+    this.addressTimer = window.setTimeout(() => {
+      if (this.viewer.scene) history.replaceState(null, "", this.url());
+    }, ADDRESS_MS);
+  }
+
+  private async share() {
+    const url = this.url().href;
+    history.replaceState(null, "", url);
+    await copy(url, text("share.done"));
+  }
+
+  // ---- controls ----
+
+  private wireTools() {
+    const { viewer } = this;
+    const click = (id: string, run: () => void) => element(id).addEventListener("click", run);
+    click("north", () => viewer.stage.northUp());
+    click("home", () => viewer.home());
+    click("zoom-in", () => viewer.stage.zoom(0.7));
+    click("zoom-out", () => viewer.stage.zoom(1 / 0.7));
+    click("walk", () => this.nextWalk());
+    click("help-button", () => element<HTMLDialogElement>("help").showModal());
+    click("share", () => void this.share());
+    click("fold", () => this.fold(!element("panel").classList.contains("folded")));
+    this.fold(this.small);
+  }
+
+  private fold(folded: boolean) {
+    element("panel").classList.toggle("folded", folded);
+    const button = element("fold");
+    const label = button.querySelector<HTMLElement>(".sr")!;
+    button.setAttribute("aria-expanded", String(!folded));
+    label.dataset["t"] = folded ? "panel.show" : "panel.hide";
+    label.textContent = button.title = text(folded ? "panel.show" : "panel.hide");
+  }
+
+  private nextWalk() {
+    const kinds: Walk[] = ["orbit", "fly", "walk"];
+    const { stage } = this.viewer;
+    stage.walk = kinds[(kinds.indexOf(stage.walk) + 1) % 3]!;
+    element("walk").dataset["walk"] = stage.walk;
+    toast(text(`walk.${stage.walk}`));
+  }
+
+  // A step of the slider is a factor of two.
+  private applyDetail() {
+    const px = 2 ** (DETAIL_MIDDLE - Number(element<HTMLInputElement>("detail").value));
+    setText("detail-text", text("detail.text", { px: Number(px.toPrecision(2)) }));
+    this.viewer.detail = px;
+  }
+
+  private wireSettings() {
+    const { viewer } = this;
+    const detail = element<HTMLInputElement>("detail");
+    detail.value = String(this.small ? DETAIL_MIDDLE - 1 : DETAIL_MIDDLE);
+    detail.addEventListener("input", () => this.applyDetail());
+    const select = (id: string, value: string, run: (value: string) => void) => {
+      const field = element<HTMLSelectElement>(id);
+      field.value = value;
+      field.addEventListener("change", () => run(field.value));
+    };
+    select("mode", viewer.mode, (value) => viewer.setMode(value as Mode));
+    select("theme", theme(), (value) => {
+      store("theme", value);
+      document.documentElement.dataset["theme"] = value;
+      viewer.setTheme(value as "dark" | "light");
+    });
+    select("language", getLanguage(), (value) => {
+      store("language", value);
+      setLanguage(value);
+      this.translate();
+      if (viewer.scene) setText("title", viewer.scene.title);
+    });
+    const backdrop = element<HTMLInputElement>("backdrop");
+    backdrop.addEventListener("change", () => (viewer.backdrop = backdrop.checked));
+  }
+
+  private wireKeys() {
+    const { viewer } = this;
+    const help = element<HTMLDialogElement>("help");
+    const shortcuts: Record<string, () => void> = {
+      KeyN: () => viewer.stage.northUp(),
+      KeyH: () => viewer.home(),
+      Home: () => viewer.home(),
+      KeyG: () => this.nextWalk(),
+      KeyM: () => this.measure.show(!this.measure.open),
+      KeyV: () => this.compare.show(!this.compare.open),
+      KeyL: () => void this.share(),
+      Escape: () => this.measure.show(false),
+    };
+    window.addEventListener("keydown", (event) => {
+      if (!isForScene(event)) return;
+      if (event.key === "?") help.showModal();
+      else shortcuts[event.code]?.();
+    });
+    window.addEventListener("hashchange", () => {
+      const view = parseView(location.hash);
+      if (!view) return;
+      viewer.lookAt(view.pose);
+      void viewer.setAppearance(view.appearance);
+    });
+  }
+}

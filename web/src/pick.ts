@@ -1,0 +1,98 @@
+// Where a ray meets the city: the depth at which half of its light is taken, from the Gaussians that
+// are drawn, by the same opacities.
+//
+// SPDX-License-Identifier: Apache-2.0
+import { Ray, Vector3 } from "three";
+
+import type { Block } from "./gaussians";
+
+const ALPHA_LEAST = 1 / 255;
+const REACH_SIGMA = 3.33; // where an opaque Gaussian falls below 1/255
+const SIGMA = Float32Array.from({ length: 256 }, (_, byte) => Math.exp(byte / 16 - 10));
+
+interface Hit {
+  depth: number;
+  alpha: number;
+}
+
+// Rows of the rotation of SPZ's "smallest three", into out.
+function rotation(packed: number, out: Float64Array) {
+  const largest = packed >>> 30;
+  const q = [0, 0, 0, 0];
+  let sum = 0;
+  for (let i = 0, shift = 20; i < 4; i++) {
+    if (i === largest) continue;
+    const field = (packed >>> shift) & 1023;
+    const value = ((field & 511) * (field & 512 ? -Math.SQRT1_2 : Math.SQRT1_2)) / 511;
+    q[i] = value;
+    sum += value * value;
+    shift -= 10;
+  }
+  q[largest] = Math.sqrt(Math.max(0, 1 - sum));
+  const [x, y, z, w] = q as [number, number, number, number];
+  out[0] = 1 - 2 * (y * y + z * z);
+  out[1] = 2 * (x * y - w * z);
+  out[2] = 2 * (x * z + w * y);
+  out[3] = 2 * (x * y + w * z);
+  out[4] = 1 - 2 * (x * x + z * z);
+  out[5] = 2 * (y * z - w * x);
+  out[6] = 2 * (x * z - w * y);
+  out[7] = 2 * (y * z + w * x);
+  out[8] = 1 - 2 * (x * x + y * y);
+}
+
+// All Gaussians of a block that the ray meets. A pixel's footprint widens the thin ones, as the
+// low-pass of the picture does.
+function meet(block: Block, ray: Ray, perMetre: number, hits: Hit[]) {
+  const { place, shape, count } = block.splats;
+  const centres = new Float32Array(place.buffer);
+  const { origin, direction } = ray;
+  const [ox, oy, oz] = [origin.x, origin.y, origin.z];
+  const [dx, dy, dz] = [direction.x, direction.y, direction.z];
+  const r = new Float64Array(9);
+  for (let i = 0; i < count; i++) {
+    const px = centres[4 * i]! - ox;
+    const py = centres[4 * i + 1]! - oy;
+    const pz = centres[4 * i + 2]! - oz;
+    const along = px * dx + py * dy + pz * dz;
+    if (along <= 0) continue;
+    const apart2 = px * px + py * py + pz * pz - along * along;
+    const sizes = shape[2 * i]!;
+    const pixel = perMetre * along;
+    let a = SIGMA[sizes & 255]!;
+    let b = SIGMA[(sizes >>> 8) & 255]!;
+    let c = SIGMA[(sizes >>> 16) & 255]!;
+    const reach = REACH_SIGMA * (Math.max(a, b, c) + pixel);
+    if (apart2 > reach * reach) continue;
+    a = Math.hypot(a, 0.55 * pixel);
+    b = Math.hypot(b, 0.55 * pixel);
+    c = Math.hypot(c, 0.55 * pixel);
+    rotation(shape[2 * i + 1]!, r);
+    // In the Gaussian's own axes, in sigmas: the nearest point of the ray and its distance.
+    const ux = (r[0]! * px + r[3]! * py + r[6]! * pz) / a;
+    const uy = (r[1]! * px + r[4]! * py + r[7]! * pz) / b;
+    const uz = (r[2]! * px + r[5]! * py + r[8]! * pz) / c;
+    const vx = (r[0]! * dx + r[3]! * dy + r[6]! * dz) / a;
+    const vy = (r[1]! * dx + r[4]! * dy + r[7]! * dz) / b;
+    const vz = (r[2]! * dx + r[5]! * dy + r[8]! * dz) / c;
+    const vv = vx * vx + vy * vy + vz * vz;
+    const depth = (ux * vx + uy * vy + uz * vz) / vv;
+    const d2 = ux * ux + uy * uy + uz * uz - depth * depth * vv;
+    const alpha = ((place[4 * i + 3]! >>> 24) / 255) * Math.exp(-0.5 * Math.max(0, d2));
+    if (alpha >= ALPHA_LEAST && depth > 0) hits.push({ depth, alpha });
+  }
+}
+
+// The point, or null where more than half of the light passes. perMetre: the size of a pixel at one
+// metre.
+export function pickMedian(blocks: readonly Block[], ray: Ray, perMetre: number): Vector3 | null {
+  const hits: Hit[] = [];
+  for (const block of blocks) meet(block, ray, perMetre, hits);
+  hits.sort((a, b) => a.depth - b.depth);
+  let passes = 1;
+  for (const { depth, alpha } of hits) {
+    passes *= 1 - alpha;
+    if (passes <= 0.5) return ray.at(depth, new Vector3());
+  }
+  return null;
+}

@@ -1,0 +1,168 @@
+// The server's own rendering of the camera, asked for over and over: small pictures while the camera
+// moves, one request on its way at most and always for the newest pose; the full one when it rests.
+// The last picture stays until the next one can be shown.
+//
+// SPDX-License-Identifier: Apache-2.0
+import type { Pose } from "./geo";
+import type { Link } from "./link";
+import { pictureUrl, type SceneEntry } from "./source";
+
+const SIDE_MAX_PX = 2048; // what a server takes by default
+const AREA_MAX_PX = 4e6;
+const MOVING_AREA_PX = 60_000; // at first; follows the time that the answers take
+const MOVING_AREA_LEAST_PX = 20_000;
+const MOVING_AREA_MOST_PX = 500_000;
+const MOVING_MS = 100; // an answer's time to keep to while moving
+const REST_MS = 180;
+
+export interface PictureInfo {
+  width: number;
+  height: number;
+  bytes: number;
+  milliseconds: number;
+  moving: boolean;
+}
+
+interface Wish {
+  entry: SceneEntry;
+  appearance: string;
+  pose: Pose;
+  width: number;
+  height: number;
+}
+
+export class Pictures {
+  onPicture: (info: PictureInfo) => void = () => {};
+  onProblem: (error: unknown) => void = () => {};
+  onStart: () => void = () => {};
+  shownKey = ""; // of the full picture on the screen
+  drawn = 0;
+  private wish: Wish | null = null;
+  private wishKey = "";
+  private changedAt = 0;
+  private request: AbortController | null = null;
+  private requestFull = false;
+  private timer = 0;
+  private area = MOVING_AREA_PX;
+  private failedKey = "";
+
+  // moving: draw pictures while the camera moves; else only those of a resting one.
+  constructor(
+    private readonly canvas: HTMLCanvasElement,
+    private readonly link: Link,
+    private readonly moving: boolean,
+  ) {}
+
+  // What is to be seen now; called in every frame.
+  want(entry: SceneEntry, appearance: string, pose: Pose, width: number, height: number) {
+    const { lon, lat, h, heading, pitch, fov } = pose;
+    const digits = [lon, lat].map((v) => v.toFixed(8));
+    const turn = [h, heading, pitch, fov].map((v) => v.toFixed(3));
+    const key = [entry.id, appearance, ...digits, ...turn, width, height].join(" ");
+    if (key === this.wishKey) return;
+    this.wish = { entry, appearance, pose, width, height };
+    this.wishKey = key;
+    this.changedAt = performance.now();
+    // A full picture of a pose that is no longer the newest is not worth its time.
+    if (this.requestFull) this.request?.abort();
+    this.next();
+  }
+
+  get settled(): boolean {
+    return this.shownKey !== "" && this.shownKey === this.wishKey;
+  }
+
+  // The picture on the screen is of the newest wish, full or small.
+  get pending(): boolean {
+    return this.wish !== null && !this.settled && this.failedKey !== this.wishKey;
+  }
+
+  // Asks again where the last answer was a refusal.
+  retry() {
+    this.failedKey = "";
+    this.next();
+  }
+
+  stop() {
+    clearTimeout(this.timer);
+    this.request?.abort();
+    this.request = null;
+    this.wish = null;
+    this.wishKey = this.shownKey = this.failedKey = "";
+  }
+
+  private next() {
+    clearTimeout(this.timer);
+    if (this.request || !this.wish || this.settled || this.failedKey === this.wishKey) return;
+    const rested = performance.now() - this.changedAt;
+    const full = rested >= REST_MS;
+    if (!full && !this.moving) {
+      this.timer = window.setTimeout(() => this.next(), REST_MS - rested);
+      return;
+    }
+    void this.fetch(this.wish, this.wishKey, full);
+  }
+
+  private async fetch(wish: Wish, key: string, full: boolean) {
+    const request = new AbortController();
+    this.request = request;
+    this.requestFull = full;
+    const [width, height] = this.sizeOf(wish, full);
+    if (full) this.onStart();
+    const started = performance.now();
+    try {
+      const url = pictureUrl(wish.entry, wish.appearance, wish.pose, width, height);
+      const { body } = await this.link.get(url, request.signal);
+      const milliseconds = performance.now() - started;
+      const bitmap = await createImageBitmap(new Blob([body]));
+      if (request.signal.aborted) return;
+      this.show(bitmap);
+      if (full) this.shownKey = key;
+      else this.adapt(milliseconds);
+      this.drawn++;
+      this.onPicture({ width, height, bytes: body.byteLength, milliseconds, moving: !full });
+    } catch (error) {
+      if (request.signal.aborted) return;
+      this.failedKey = key;
+      this.onProblem(error);
+    } finally {
+      if (this.request === request) this.request = null;
+      if (this.wish) {
+        const rested = performance.now() - this.changedAt;
+        clearTimeout(this.timer);
+        // A small picture of the resting camera is followed by the full one.
+        this.timer = window.setTimeout(
+          () => this.next(),
+          this.wishKey === key && !full ? Math.max(0, REST_MS - rested) : 0,
+        );
+      }
+    }
+  }
+
+  private adapt(milliseconds: number) {
+    const factor = Math.min(1.3, Math.max(0.5, MOVING_MS / milliseconds));
+    this.area = Math.min(
+      MOVING_AREA_MOST_PX,
+      Math.max(MOVING_AREA_LEAST_PX, this.area * factor),
+    );
+  }
+
+  private sizeOf({ width, height }: Wish, full: boolean): [number, number] {
+    const shrink = Math.min(
+      1,
+      SIDE_MAX_PX / Math.max(width, height),
+      Math.sqrt((full ? AREA_MAX_PX : this.area) / (width * height)),
+    );
+    return [Math.max(16, Math.round(width * shrink)), Math.max(16, Math.round(height * shrink))];
+  }
+
+  private show(bitmap: ImageBitmap) {
+    const { canvas } = this;
+    if (canvas.width !== bitmap.width || canvas.height !== bitmap.height) {
+      canvas.width = bitmap.width;
+      canvas.height = bitmap.height;
+    }
+    canvas.getContext("2d")!.drawImage(bitmap, 0, 0);
+    bitmap.close();
+  }
+}

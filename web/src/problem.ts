@@ -1,0 +1,26 @@
+// Errors whose text is for the person at the screen: a key of the table of strings and its values.
+//
+// SPDX-License-Identifier: Apache-2.0
+import { text, type TextKey } from "./strings";
+
+export type ProblemKind =
+  | "noAnswer"
+  | "notCitysplat"
+  | "noScenes"
+  | "noScene"
+  | "badTileset"
+  | "noPictures"
+  | "http";
+
+export class Problem extends Error {
+  constructor(
+    readonly kind: ProblemKind,
+    readonly values: Record<string, string | number> = {},
+  ) {
+    super(text(`problem.${kind}.text` as TextKey, values));
+  }
+
+  get title(): string {
+    return text(`problem.${this.kind}.title` as TextKey, this.values);
+  }
+}

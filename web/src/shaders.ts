@@ -1,0 +1,165 @@
+// Shaders of the Gaussians. Projection, low-pass and the cut at 1/255 are those of the server's own
+// renderer (render/common.cl, render/project.cl), so both draw one picture.
+//
+// SPDX-License-Identifier: Apache-2.0
+
+const COMMON = `
+precision highp float;
+precision highp int;
+precision highp usampler2D;
+uvec4 byte4(uint w) { return (uvec4(w) >> uvec4(0u, 8u, 16u, 24u)) & 255u; }
+`;
+
+export const COLOR_VERTEX = `${COMMON}
+in vec3 position;
+uniform float rowCount;
+void main() {
+  gl_Position = vec4(position.x * 2.0 - 1.0, position.y / rowCount * 2.0 - 1.0, 0.0, 1.0);
+}`;
+
+// Colour of a Gaussian seen from the eye, 1/8192 a step.
+export const COLOR_FRAGMENT = `${COMMON}
+uniform usampler2D place, sh0, sh1, sh2;
+uniform int degree;
+uniform vec3 eye;
+out uvec4 result;
+int byteAt(uvec4 a, uvec4 b, uvec4 c, int i) {
+  uvec4 w = i < 16 ? a : i < 32 ? b : c;
+  return int((w[(i >> 2) & 3] >> uint((i & 3) * 8)) & 255u);
+}
+void main() {
+  ivec2 at = ivec2(gl_FragCoord.xy);
+  uvec4 p = texelFetch(place, at, 0);
+  vec3 d = normalize(uintBitsToFloat(p.xyz) - eye);
+  vec3 rgb = 0.5 + 0.28209479177387814 / 0.15 * (vec3(byte4(p.w).xyz) / 255.0 - 0.5);
+  if (degree > 0) {
+    uvec4 a = texelFetch(sh0, at, 0), b = uvec4(0u), c = uvec4(0u);
+    if (degree > 1) b = texelFetch(sh1, at, 0);
+    if (degree > 2) c = texelFetch(sh2, at, 0);
+    float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
+    float basis[15];
+    basis[0] = -0.4886025119029199 * y;
+    basis[1] = 0.4886025119029199 * z;
+    basis[2] = -0.4886025119029199 * x;
+    basis[3] = 1.0925484305920792 * x * y;
+    basis[4] = -1.0925484305920792 * y * z;
+    basis[5] = 0.31539156525252005 * (2.0 * zz - xx - yy);
+    basis[6] = -1.0925484305920792 * x * z;
+    basis[7] = 0.5462742152960396 * (xx - yy);
+    basis[8] = -0.5900435899266435 * y * (3.0 * xx - yy);
+    basis[9] = 2.890611442640554 * x * y * z;
+    basis[10] = -0.4570457994644658 * y * (4.0 * zz - xx - yy);
+    basis[11] = 0.3731763325901154 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy);
+    basis[12] = -0.4570457994644658 * x * (4.0 * zz - xx - yy);
+    basis[13] = 1.445305721320277 * z * (xx - yy);
+    basis[14] = -0.5900435899266435 * x * (xx - 3.0 * yy);
+    int count = degree * (degree + 2);
+    for (int k = 0; k < 15; k++) {
+      if (k >= count) break;
+      ivec3 v = ivec3(byteAt(a, b, c, 3 * k), byteAt(a, b, c, 3 * k + 1), byteAt(a, b, c, 3 * k + 2));
+      rgb += basis[k] * (vec3(v) - 128.0) / 128.0;
+    }
+  }
+  result = uvec4(uvec3(clamp(rgb * 8192.0 + 0.5, 0.0, 65535.0)), 0u);
+}`;
+
+export const SPLAT_VERTEX = `${COMMON}
+in vec3 position; // corner, number within the instance
+uniform mat4 viewMatrix, projectionMatrix;
+uniform usampler2D place, shape, colors, order;
+uniform int count;
+uniform vec2 viewport;
+uniform float near;
+out vec2 offset; // in sigmas
+flat out vec4 color;
+
+// Row-major rotation of SPZ's "smallest three".
+mat3 rotation(uint packed) {
+  uint largest = packed >> 30;
+  vec4 q = vec4(0.0);
+  float sum = 0.0;
+  uint shift = 20u;
+  for (uint i = 0u; i < 4u; i++) {
+    if (i == largest) continue;
+    uint field = (packed >> shift) & 1023u;
+    float v = float(field & 511u) * 0.7071067811865476 / 511.0;
+    if ((field & 512u) != 0u) v = -v;
+    q[i] = v;
+    sum += v * v;
+    shift -= 10u;
+  }
+  q[largest] = sqrt(max(0.0, 1.0 - sum));
+  float x = q.x, y = q.y, z = q.z, w = q.w;
+  return mat3(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
+              2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x),
+              2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
+}
+
+void main() {
+  gl_Position = vec4(0.0, 0.0, 2.0, 1.0); // outside: nothing is drawn
+  int rank = gl_InstanceID * 128 + int(position.z);
+  if (rank >= count) return;
+  uint index = texelFetch(order, ivec2(rank & 1023, rank >> 10), 0).x;
+  ivec2 at = ivec2(int(index & 1023u), int(index >> 10));
+  uvec4 p = texelFetch(place, at, 0);
+  vec3 t = (viewMatrix * vec4(uintBitsToFloat(p.xyz), 1.0)).xyz;
+  float depth = -t.z;
+  if (depth < near) return;
+  uvec4 own = byte4(p.w);
+  float opacity = float(own.w) / 255.0;
+  uvec2 s = texelFetch(shape, at, 0).xy;
+  uvec4 bytes = byte4(s.x);
+  vec3 sigma = exp(vec3(bytes.xyz) / 16.0 - 10.0);
+  vec2 focal = vec2(projectionMatrix[0][0], projectionMatrix[1][1]) * viewport * 0.5;
+
+  // The Jacobian of the projection at the centre, which is held near the frustum.
+  vec2 limit = 1.3 / vec2(projectionMatrix[0][0], projectionMatrix[1][1]);
+  vec2 ray = clamp(t.xy / depth, -limit, limit);
+  mat3 turn = mat3(viewMatrix) * rotation(s.y);
+  vec3 u = focal.x / depth * (vec3(turn[0].x, turn[1].x, turn[2].x) +
+                              ray.x * vec3(turn[0].z, turn[1].z, turn[2].z)) * sigma;
+  vec3 v = focal.y / depth * (vec3(turn[0].y, turn[1].y, turn[2].y) +
+                              ray.y * vec3(turn[0].z, turn[1].z, turn[2].z)) * sigma;
+  float a = dot(u, u), c = dot(v, v), b = dot(u, v);
+  vec3 minors = cross(u, v);
+  float det0 = dot(minors, minors);
+  float det = det0 + 0.3 * (a + c + 0.3);
+  a += 0.3;
+  c += 0.3;
+  if ((bytes.w & 1u) != 0u) opacity *= sqrt(max(det0 / det, 2.5e-5));
+  if (opacity < 1.0 / 255.0) return;
+  float reach = sqrt(2.0 * log(255.0 * opacity));
+
+  float mid = 0.5 * (a + c);
+  float radius = length(vec2(0.5 * (a - c), b));
+  float major = mid + radius, minor = max(det / major, 1e-4);
+  if (depth < 4.0 * near && reach * sqrt(major) > 2.0 * max(viewport.x, viewport.y)) return;
+  vec2 axis = abs(b) < 1e-6 * mid ? (a >= c ? vec2(1.0, 0.0) : vec2(0.0, 1.0))
+                                  : normalize(vec2(b, major - a));
+  vec2 corner = position.xy * reach;
+  vec2 px = axis * (sqrt(major) * corner.x) + vec2(-axis.y, axis.x) * (sqrt(minor) * corner.y);
+  vec4 clip = projectionMatrix * vec4(t, 1.0);
+  vec2 half_px = reach * sqrt(vec2(a, c)) / (0.5 * viewport);
+  if (any(greaterThan(abs(clip.xy / clip.w), 1.0 + half_px))) return;
+
+  // Where the Gaussian is densest along this corner's ray: flat ones lie where their plane is.
+  vec3 w = vec3(turn[0].z, turn[1].z, turn[2].z) * sigma;
+  vec2 slope = vec2(c * dot(w, u) - b * dot(w, v), a * dot(w, v) - b * dot(w, u)) / det;
+  float z = min(t.z + dot(slope, px), -near);
+  float ndc = (projectionMatrix[2][2] * z + projectionMatrix[3][2]) / -z;
+
+  offset = corner;
+  color = vec4(vec3(texelFetch(colors, at, 0).xyz) / 8192.0, opacity);
+  gl_Position = vec4(clip.xy + px / (0.5 * viewport) * clip.w, clamp(ndc, -1.0, 1.0) * clip.w, clip.w);
+}`;
+
+export const SPLAT_FRAGMENT = `${COMMON}
+in vec2 offset;
+flat in vec4 color;
+uniform bool solid; // for depth alone: not the faint rim
+out vec4 result;
+void main() {
+  float alpha = color.a * exp(-0.5 * dot(offset, offset));
+  if (alpha < (solid ? 0.25 : 1.0 / 255.0)) discard;
+  result = vec4(color.rgb * alpha, alpha);
+}`;

@@ -1,0 +1,77 @@
+// Worker: keeps the centres of all Gaussians and returns those of the wanted tiles from far to near.
+//
+// SPDX-License-Identifier: Apache-2.0
+export type SortMessage =
+  | { kind: "add"; block: number; first: number; centres: Float32Array<ArrayBuffer> }
+  | { kind: "remove"; block: number }
+  | {
+      kind: "sort";
+      ticket: number;
+      blocks: number[];
+      eye: [number, number, number];
+      ahead: [number, number, number];
+      spare: Uint32Array<ArrayBuffer> | null; // an order that is not on the screen any more
+    };
+export interface SortReply {
+  ticket: number;
+  order: Uint32Array<ArrayBuffer>; // at least count long
+  count: number;
+}
+
+const BUCKETS = 1 << 16;
+const held = new Map<number, { first: number; centres: Float32Array<ArrayBuffer> }>();
+const starts = new Uint32Array(BUCKETS + 1);
+let distances = new Float32Array(0);
+let indices = new Uint32Array(0);
+
+// A counting sort of distances: 65536 steps between the nearest and the farthest.
+function sort(message: SortMessage & { kind: "sort" }): SortReply {
+  const { blocks, eye, ahead, ticket } = message;
+  let total = 0;
+  for (const block of blocks) total += (held.get(block)?.centres.length ?? 0) / 3;
+  if (distances.length < total) {
+    distances = new Float32Array(Math.ceil(total * 1.25));
+    indices = new Uint32Array(distances.length);
+  }
+  let n = 0;
+  let nearest = Infinity;
+  let farthest = 0;
+  for (const block of blocks) {
+    const own = held.get(block);
+    if (!own) continue;
+    const { centres, first } = own;
+    for (let i = 0, k = 0; k < centres.length; i++, k += 3) {
+      const x = centres[k]! - eye[0];
+      const y = centres[k + 1]! - eye[1];
+      const z = centres[k + 2]! - eye[2];
+      if (x * ahead[0] + y * ahead[1] + z * ahead[2] <= 0) continue; // behind the camera
+      const d = Math.sqrt(x * x + y * y + z * z);
+      distances[n] = d;
+      indices[n++] = first + i;
+      if (d < nearest) nearest = d;
+      if (d > farthest) farthest = d;
+    }
+  }
+  const scale = (BUCKETS - 1) / Math.max(farthest - nearest, 1e-6);
+  starts.fill(0);
+  for (let i = 0; i < n; i++) starts[BUCKETS - (((distances[i]! - nearest) * scale) | 0)]!++;
+  for (let b = 1; b <= BUCKETS; b++) starts[b]! += starts[b - 1]!;
+  const order =
+    message.spare && message.spare.length >= n
+      ? message.spare
+      : new Uint32Array(Math.ceil((n * 1.25) / 1024) * 1024 || 1024);
+  for (let i = 0; i < n; i++) {
+    const bucket = BUCKETS - 1 - (((distances[i]! - nearest) * scale) | 0);
+    order[starts[bucket]!++] = indices[i]!;
+  }
+  return { ticket, order, count: n };
+}
+
+self.onmessage = ({ data }: MessageEvent<SortMessage>) => {
+  if (data.kind === "add") held.set(data.block, data);
+  else if (data.kind === "remove") held.delete(data.block);
+  else {
+    const reply = sort(data);
+    self.postMessage(reply, { transfer: [reply.order.buffer] });
+  }
+};

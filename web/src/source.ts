@@ -1,0 +1,158 @@
+// Where scenes come from: a citysplat server with its catalogue, or one tileset on any file server
+// (`citysplat export --format 3dtiles`).
+//
+// SPDX-License-Identifier: Apache-2.0
+import { Matrix4, Vector3 } from "three";
+
+import { formatPose, type Pose } from "./geo";
+import { HttpError, type Link } from "./link";
+import { Problem } from "./problem";
+
+export interface SceneEntry {
+  id: string;
+  title: string;
+  attribution: string;
+  tileset: URL;
+  appearances: URL | null; // null where it was trained without
+  pictures: URL | null; // the folder of its static views; null on a file server
+}
+
+export interface SceneInfo {
+  url: string; // of the tileset, with the appearance
+  document: unknown; // the tileset itself
+  revision: string;
+  attribution: string;
+  transform: Matrix4; // east-north-up metres -> ECEF
+  center: Vector3; // of the bounding box, ENU
+  half: Vector3; // half its size along east, north, up
+}
+
+export interface Appearance {
+  name: string;
+  time: string; // of the photograph, ISO 8601; "" when it is not known
+}
+
+interface Collection {
+  id?: string;
+  title?: string;
+  attribution?: string;
+  links?: { rel?: string; href?: string }[];
+  splats?: { revision?: string };
+}
+interface TilesetDocument {
+  asset?: { tilesetVersion?: string; extras?: { cesium?: { credits?: { html?: string }[] } } };
+  root?: { transform?: number[]; boundingVolume?: { box?: number[] } };
+}
+
+const VOLUMES = "http://www.opengis.net/def/rel/ogc/1.0/3d-geovolumes";
+
+// Credits may be HTML; the viewer shows their text.
+function plainText(html: string): string {
+  return new DOMParser().parseFromString(html, "text/html").body.textContent?.trim() ?? "";
+}
+
+function entryOf(collection: Collection, base: URL): SceneEntry {
+  const id = String(collection.id);
+  const href = (rel: string) => collection.links?.find((link) => link.rel === rel)?.href;
+  const appearances = href("appearances");
+  const revision = collection.splats?.revision;
+  const folder = `d/${encodeURIComponent(id)}/`;
+  return {
+    id,
+    title: collection.title || id,
+    attribution: plainText(collection.attribution ?? ""),
+    tileset: new URL(href(VOLUMES) ?? `${folder}tileset.json`, base),
+    appearances: appearances ? new URL(appearances, base) : null,
+    pictures: new URL(revision ? `${folder}r/${revision}/static/` : `${folder}static/`, base),
+  };
+}
+
+// A tileset alone: its folder's name is its title.
+function entryOfTileset(tileset: URL): SceneEntry {
+  const folder = decodeURIComponent(tileset.pathname.split("/").at(-2) ?? "");
+  const id = folder || "city";
+  return { id, title: id, attribution: "", tileset, appearances: null, pictures: null };
+}
+
+// The scenes at a URL: a server's folder, or a tileset.json.
+export async function findScenes(link: Link, url: URL): Promise<SceneEntry[]> {
+  if (/\.json$/.test(url.pathname)) return [entryOfTileset(url)];
+  const base = new URL(url);
+  base.pathname = base.pathname.replace(/\/*$/, "/");
+  const body = (await link.json(new URL("collections", base))) as { collections?: Collection[] };
+  if (!Array.isArray(body?.collections))
+    throw new Problem("notCitysplat", { url: new URL("collections", base).pathname });
+  if (!body.collections.length) throw new Problem("noScenes");
+  return body.collections.map((collection) => entryOf(collection, base));
+}
+
+// The first of some places that has scenes. A place that says no is passed over; one that does not
+// answer is waited for.
+export async function findFirst(link: Link, urls: URL[]): Promise<SceneEntry[]> {
+  let first: unknown;
+  for (const url of urls) {
+    try {
+      return await findScenes(link, url);
+    } catch (error) {
+      if (!(error instanceof HttpError || error instanceof Problem)) throw error;
+      first ??= error;
+    }
+  }
+  throw first;
+}
+
+function withAppearance(url: URL, appearance: string): URL {
+  const out = new URL(url);
+  if (appearance) out.searchParams.set("appearance", appearance);
+  return out;
+}
+
+export async function openScene(
+  link: Link,
+  entry: SceneEntry,
+  appearance: string,
+): Promise<SceneInfo> {
+  const url = withAppearance(entry.tileset, appearance);
+  const document = (await link.json(url)) as TilesetDocument;
+  const { transform, boundingVolume } = document.root ?? {};
+  const box = boundingVolume?.box;
+  if (transform?.length !== 16 || box?.length !== 12)
+    throw new Problem("badTileset", { url: url.pathname });
+  const extent = (axis: number) =>
+    Math.abs(box[3 + axis]!) + Math.abs(box[6 + axis]!) + Math.abs(box[9 + axis]!);
+  const credits = document.asset?.extras?.cesium?.credits ?? [];
+  return {
+    url: url.href,
+    document,
+    revision: document.asset?.tilesetVersion ?? "",
+    attribution: entry.attribution || credits.map((c) => plainText(c.html ?? "")).join(" · "),
+    transform: new Matrix4().fromArray(transform),
+    center: new Vector3(box[0], box[1], box[2]),
+    half: new Vector3(extent(0), extent(1), extent(2)),
+  };
+}
+
+// Every appearance of a scene. The time is that of the photograph, where the server tells it.
+export async function listAppearances(link: Link, entry: SceneEntry): Promise<Appearance[]> {
+  if (!entry.appearances) return [];
+  type One = { name?: string; time?: string };
+  const body = (await link.json(entry.appearances)) as { appearances?: One[] };
+  return (body.appearances ?? []).map((one) => ({
+    name: String(one.name),
+    time: String(one.time ?? ""),
+  }));
+}
+
+export function pictureUrl(
+  entry: SceneEntry,
+  appearance: string,
+  pose: Pose,
+  width: number,
+  height: number,
+): URL {
+  if (!entry.pictures) throw new Problem("noPictures");
+  return withAppearance(
+    new URL(`${formatPose(pose)}/${width}x${height}.jpg`, entry.pictures),
+    appearance,
+  );
+}

@@ -1,0 +1,142 @@
+// What the page says about itself: banners, the problem box, the numbers. Nothing here covers the
+// picture or takes the keys.
+//
+// SPDX-License-Identifier: Apache-2.0
+import { element, setText } from "./dom";
+import { Problem } from "./problem";
+import { getLanguage, text } from "./strings";
+import type { Viewer, ViewerState } from "./viewer";
+
+const NUMBERS_EVERY_MS = 150;
+const AWAY_AFTER_MS = 300; // a hiccup shorter than this is not worth a banner
+
+export interface BannerButton {
+  label: string;
+  run: () => void;
+}
+
+// One banner a kind; the same kind again changes its text.
+export function banner(kind: string, value: string, buttons: BannerButton[] = [], wait = false) {
+  const id = `banner-${kind}`;
+  let box = document.getElementById(id);
+  if (!box) {
+    box = document.createElement("div");
+    box.id = id;
+    box.append(document.createElement("p"));
+    element("banners").append(box);
+  }
+  box.className = wait ? "banner wait" : "banner";
+  const line = box.querySelector("p")!;
+  if (line.textContent !== value) line.textContent = value;
+  for (const old of box.querySelectorAll("button")) old.remove();
+  for (const { label, run } of buttons) {
+    const button = document.createElement("button");
+    button.textContent = label;
+    button.onclick = () => {
+      unbanner(kind);
+      run();
+    };
+    box.append(button);
+  }
+}
+
+export function unbanner(kind: string) {
+  document.getElementById(`banner-${kind}`)?.remove();
+}
+
+function short(n: number): string {
+  const whole = new Intl.NumberFormat(getLanguage());
+  if (n >= 999_500) return `${(n / 1e6).toFixed(2)} M`;
+  return n >= 10_000 ? `${Math.round(n / 1e3)} k` : whole.format(n);
+}
+
+function megabytes(n: number): string {
+  return `${(n / 1e6).toFixed(n < 1e7 ? 2 : 1)} MB`;
+}
+
+export class Status {
+  private numbersAt = 0;
+  private awayTimer = 0;
+  private readonly closed = new Set<string>(); // banners that the person closed
+
+  constructor(private readonly viewer: Viewer) {
+    viewer.on("problem", (error) => this.showProblem(error));
+    viewer.on("link", () => this.tellLink());
+    viewer.on("context", (lost) => {
+      if (lost) banner("context", text("banner.context"), [], true);
+      else unbanner("context");
+    });
+    viewer.on("scene", () => {
+      this.hideProblem();
+      this.closed.clear();
+      for (const kind of ["memory", "broken"]) unbanner(kind);
+    });
+    viewer.on("picture", () => this.hideProblem());
+    const tick = (now: number) => {
+      requestAnimationFrame(tick);
+      if (now - this.numbersAt < NUMBERS_EVERY_MS) return;
+      this.numbersAt = now;
+      this.show(viewer.state);
+    };
+    requestAnimationFrame(tick);
+    element("problem-retry").addEventListener("click", () => {
+      this.hideProblem();
+      viewer.retry();
+    });
+  }
+
+  private tellLink() {
+    clearTimeout(this.awayTimer);
+    const { link } = this.viewer.state;
+    if (link === "away") {
+      this.awayTimer = window.setTimeout(
+        () => banner("link", text("banner.away"), [], true),
+        AWAY_AFTER_MS,
+      );
+    } else if (link === "busy") banner("link", text("banner.busy"), [], true);
+    else if (document.getElementById("banner-link")) {
+      banner("link", text("banner.back"));
+      this.awayTimer = window.setTimeout(() => unbanner("link"), 4000);
+    }
+  }
+
+  private showProblem(error: Error) {
+    element("problem-title").textContent =
+      error instanceof Problem ? error.title : text("problem.other.title");
+    element("problem-text").textContent = error.message;
+    element("problem").hidden = false;
+  }
+
+  private hideProblem() {
+    element("problem").hidden = true;
+  }
+
+  // A banner that stays while something is so, unless the person closed it.
+  private keep(kind: string, value: string | null) {
+    if (value === null) {
+      unbanner(kind);
+      return;
+    }
+    if (this.closed.has(value) || document.querySelector(`#banner-${kind} p`)?.textContent === value)
+      return;
+    banner(kind, value, [{ label: text("banner.close"), run: () => this.closed.add(value) }]);
+  }
+
+  private show(state: ViewerState) {
+    const first = state.broken[0];
+    this.keep("broken", first ? text("banner.broken", { name: first.name, why: first.why }) : null);
+    this.keep("memory", state.heldBack && state.settled ? text("banner.memory") : null);
+    const idle = state.pending === 0 && state.link !== "away";
+    if (element("progress").hidden !== idle) element("progress").hidden = idle;
+    if (!element<HTMLDetailsElement>("statistics").open) return;
+    setText("stat-gaussians", short(state.gaussians));
+    setText("stat-tiles", state.pending ? `${state.tiles} + ${state.pending}` : String(state.tiles));
+    setText("stat-bytes", megabytes(state.received));
+    setText("stat-memory", megabytes(state.memory));
+    setText("stat-fps", state.framesPerSecond ? state.framesPerSecond.toFixed(0) : text("stat.idle"));
+    setText("stat-link", text(`link.${state.link}`));
+    const names = state.broken.map((one) => `${one.name}: ${one.why}`).join("; ");
+    element("stat-broken").hidden = !names;
+    setText("stat-broken", names ? `${text("stat.broken")}: ${names}` : "");
+  }
+}

@@ -1,0 +1,241 @@
+// Which tiles to have: 3d-tiles-renderer's choice of level with four rules of our own.
+//
+// - A tile that failed is not "there": the coarser one stays in its place, and it is asked for again
+//   after a growing pause.
+// - The coarsest tiles come before all others.
+// - A tile that no view wants any more is given up, also when it is on its way.
+// - A level between the coarsest and the wanted one is left out when the wanted one comes soon.
+//
+// SPDX-License-Identifier: Apache-2.0
+import type { LRUCache, Tile } from "3d-tiles-renderer/core";
+import { TilesRenderer } from "3d-tiles-renderer/three";
+import { Matrix4, Vector3 } from "three";
+
+import type { DecoderPool } from "./decoders";
+import { Gaussians, type Block } from "./gaussians";
+import type { Link } from "./link";
+
+// States of a tile, as 3d-tiles-renderer numbers them.
+const UNLOADED = 0;
+const QUEUED = 1;
+const LOADING = 2;
+const LOADED = 4;
+const GIVE_UP_MS = 250; // not wanted for this long: turning the head must not throw work away
+const AGAIN_FIRST_MS = 2000;
+const AGAIN_MOST_MS = 60_000;
+const SOON_S = 6; // levels between are left out when the whole view comes within this time
+const TILE_BYTES_FIRST = 300_000; // a tile's size until some have come
+
+export interface CityTile extends Tile {
+  parent: CityTile | null;
+  children: CityTile[];
+  geometricError: number;
+  content?: { uri: string };
+  internal: Tile["internal"] & {
+    loadingState: number;
+    depthFromRenderedParent: number;
+    hasRenderableContent: boolean;
+  };
+  traversal: Tile["traversal"] & { used: boolean; error: number; visible: boolean };
+  engineData: { transform: Matrix4 };
+}
+
+export interface Broken {
+  name: string;
+  why: string;
+  tries: number;
+  again: number; // performance.now() of the next attempt
+}
+
+// Members of 3d-tiles-renderer that its type declarations leave out.
+interface Base {
+  isLoading: boolean;
+  stats: Record<string, number>;
+  lruCache: LRUCache;
+  loadingTiles: Set<CityTile>;
+  visibleTiles: Set<CityTile>;
+  queueTileForDownload(tile: CityTile): void;
+  removeUnusedPendingTiles(): void;
+  disposeTile(tile: CityTile): void;
+  _upRotationMatrix: Matrix4;
+}
+const BaseTiles = TilesRenderer as unknown as new (url: string) => Omit<TilesRenderer, keyof Base> &
+  Base;
+
+function nameOf(tile: CityTile): string {
+  return /(\d+\/\d+\/\d+)\.\w+$/.exec(tile.content?.uri ?? "")?.[1] ?? tile.content?.uri ?? "?";
+}
+
+export class CityTiles extends BaseTiles {
+  readonly broken = new Map<CityTile, Broken>();
+  readonly blocks = new Map<CityTile, Block>();
+  onBlock: (tile: CityTile, block: Block) => void = () => {};
+  bytes = 0; // of the tiles that came
+  frozen = false; // asks for nothing more: another set of tiles takes its place
+  private count = 0;
+  private readonly unwanted = new Map<CityTile, number>();
+  private document: unknown;
+
+  // document: the parsed tileset of this URL, so that it is not fetched twice.
+  constructor(
+    url: string,
+    document: unknown,
+    private readonly worldFromEcef: Matrix4,
+    private readonly link: Link,
+    private readonly decoders: DecoderPool,
+    private readonly engine: Gaussians,
+  ) {
+    super(url);
+    this.document = document;
+    this.addEventListener("load-error", ({ tile, error }) => {
+      if (tile) this.fail(tile as CityTile, error as Error);
+    });
+  }
+
+  // ---- requests ----
+
+  fetchData(url: string, options: RequestInit): Promise<unknown> {
+    if (this.document) {
+      const document = this.document;
+      this.document = null;
+      return Promise.resolve(document);
+    }
+    const signal = options.signal ?? null;
+    if (/\.json($|\?)/.test(url)) return this.link.json(url, signal);
+    return this.link.bytes(url, signal);
+  }
+
+  override queueTileForDownload(tile: CityTile) {
+    if (this.frozen || tile.internal.loadingState !== UNLOADED) return;
+    const broken = this.broken.get(tile);
+    if (broken && performance.now() < broken.again) return;
+    if (tile.internal.hasRenderableContent && this.mayWait(tile)) return;
+    super.queueTileForDownload(tile);
+  }
+
+  private mayWait(tile: CityTile): boolean {
+    if (tile.internal.depthFromRenderedParent <= 1) return false;
+    let first = tile;
+    for (let up = tile.parent; up; up = up.parent) if (up.internal.hasRenderableContent) first = up;
+    const there = first.internal.loadingState === LOADED || this.broken.has(first);
+    if (!there) return true;
+    const between = tile.children.length > 0 && tile.traversal.error > this.errorTarget;
+    return between && this.comesSoon();
+  }
+
+  private comesSoon(): boolean {
+    const { speed } = this.link;
+    if (!speed) return true;
+    const each = this.count > 2 ? this.bytes / this.count : TILE_BYTES_FIRST;
+    return (this.missing * each) / speed < SOON_S;
+  }
+
+  // Tiles on their way.
+  get missing(): number {
+    const { queued = 0, downloading = 0 } = this.stats;
+    return queued + downloading;
+  }
+
+  override removeUnusedPendingTiles() {
+    const now = performance.now();
+    for (const tile of [...this.loadingTiles]) {
+      const state = tile.internal.loadingState;
+      if (this.lruCache.isUsed(tile)) {
+        this.unwanted.delete(tile);
+      } else if (state === QUEUED) {
+        this.lruCache.remove(tile);
+      } else if (state <= LOADING) {
+        const since = this.unwanted.get(tile) ?? now;
+        this.unwanted.set(tile, since);
+        if (now - since >= GIVE_UP_MS) {
+          this.unwanted.delete(tile);
+          this.lruCache.remove(tile); // aborts the request
+        }
+      }
+    }
+    for (const tile of this.unwanted.keys())
+      if (!this.loadingTiles.has(tile)) this.unwanted.delete(tile);
+  }
+
+  // Requests that may be given up soon: somebody has to look again.
+  get hasUnwanted(): boolean {
+    return this.unwanted.size > 0;
+  }
+
+  private fail(tile: CityTile, error: Error) {
+    const before = this.broken.get(tile)?.tries ?? 0;
+    const ms = Math.min(AGAIN_MOST_MS, AGAIN_FIRST_MS * 2 ** before);
+    this.broken.set(tile, {
+      name: nameOf(tile),
+      why: error.message,
+      tries: before + 1,
+      again: performance.now() + ms,
+    });
+    // Out of the cache, or the library refuses to ask for it ever again.
+    this.stats["failed"]!--;
+    this.lruCache.remove(tile);
+  }
+
+  // When the next broken tile is due, in milliseconds; Infinity without one.
+  get nextAttempt(): number {
+    let next = Infinity;
+    for (const { again } of this.broken.values()) next = Math.min(next, again);
+    return next - performance.now();
+  }
+
+  // ---- contents ----
+
+  async parseTile(
+    buffer: ArrayBuffer,
+    tile: CityTile,
+    _extension: string,
+    _url: string,
+    signal: AbortSignal,
+  ) {
+    const size = buffer.byteLength;
+    const toWorld = this.worldFromEcef
+      .clone()
+      .multiply(tile.engineData.transform)
+      .multiply(this._upRotationMatrix);
+    const e = toWorld.elements;
+    const turned = [e[0]! - 1, e[5]! - 1, e[10]! - 1].some((v) => Math.abs(v) > 1e-6);
+    if (turned) throw new Error("is turned or scaled against its tileset");
+    const offset = new Vector3().setFromMatrixPosition(toWorld).toArray();
+    const splats = await this.decoders.decode(buffer, offset, signal);
+    if (signal.aborted) return;
+    const block = this.engine.add(splats);
+    this.blocks.set(tile, block);
+    this.broken.delete(tile);
+    this.bytes += size;
+    this.count++;
+    this.onBlock(tile, block);
+  }
+
+  override disposeTile(tile: CityTile) {
+    super.disposeTile(tile);
+    const block = this.blocks.get(tile);
+    if (block) this.engine.remove(block);
+    this.blocks.delete(tile);
+  }
+
+  calculateBytesUsed(tile: CityTile): number {
+    const block = this.blocks.get(tile);
+    return block ? Gaussians.bytesOf(block.splats) : 0;
+  }
+
+  // The blocks of the tiles that the view shows now.
+  get shown(): Block[] {
+    const out: Block[] = [];
+    for (const tile of this.visibleTiles) {
+      const block = this.blocks.get(tile);
+      if (block) out.push(block);
+    }
+    return out;
+  }
+
+  // Something that this view needs is not there yet, and is on its way or queued.
+  get loading(): boolean {
+    const { queued = 0, downloading = 0, parsing = 0 } = this.stats;
+    return !this.root || queued + downloading + parsing > 0 || this.isLoading;
+  }
+}
