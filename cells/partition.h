@@ -21,14 +21,14 @@ struct scene;
 
 struct partition_config { /* partition_defaults fills it */
     double edge_m;        /* P; 0 = one cell over everything */
-    double
-        location_margin; /* of P, on every side: cameras in the overlap belong to several cells */
+    /* of P, on every side: cameras in the overlap belong to several cells */
+    double location_margin;
     double visibility_gate; /* of P: a photograph farther from the cell is not considered */
     double visibility_min;  /* least hull ratio */
     size_t images_few;      /* cells with fewer photographs are merged where possible */
     size_t images_many;     /* cells with more are divided, down to an edge of P/2 */
-    size_t
-        images_least; /* cells that still have fewer are not trained: background of a neighbour */
+    /* cells that still have fewer are not trained: background of a neighbour */
+    size_t images_least;
     bool use_visibility; /* false: location alone (the ablation) */
     bool all_images;     /* true: test photographs train as well */
     struct cell_grid
@@ -39,8 +39,8 @@ struct partition_config partition_defaults(void);
 struct partition_cell {
     char id[24];               /* "x2y0", of its first grid square; stable over runs */
     double min_m[2], max_m[2]; /* x, y along the grid, which is ENU unless turned; half-open */
-    uint32_t
-        *images; /* indices into scene.images: first n_location by location, then by visibility */
+    /* indices into scene.images: first n_location by location, then by visibility */
+    uint32_t *images;
     size_t n_images, n_location;
     size_t n_points;     /* reliable points inside */
     ptrdiff_t parent;    /* -1: trained; else the cell whose background this one is */

@@ -7,8 +7,8 @@
 
 #include "core/gauss.h"
 
-/* ENU (z up) -> glTF (y up): p' = (E, U, -N), rotations and SH turned with it; and back. In place.
- */
+/* ENU (z up) -> glTF (y up): p' = (E, U, -N), rotations and SH turned with it; and back. In place;
+ * no errors, any thread. */
 void axes_enu_to_gltf(struct gauss *g);
 void axes_gltf_to_enu(struct gauss *g);
 #endif

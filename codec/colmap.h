@@ -54,6 +54,8 @@ struct colmap_model { /* {0} is empty; sorted by id; ids are resolved to indices
  * sparse/0/. ERR_NOENT names what was looked for; ERR_FORMAT names file and record ("images.bin:
  * image 17 of 75: truncated"). colmap_free it. */
 enum err_code colmap_read(const char *dir, struct colmap_model *out, struct err *e) ERR_USE;
+/* Write cameras.bin, images.bin and points3D.bin into a folder that exists. ERR_IO, ERR_LIMIT,
+ * ERR_MEM. */
 enum err_code colmap_write_bin(const char *dir, const struct colmap_model *m,
                                struct err *e) ERR_USE;
 void colmap_free(struct colmap_model *m);

@@ -17,14 +17,16 @@ struct colmap_model;
 struct colmap_point;
 struct err;
 
-/* Each fills its part of m from the bytes of one file; name is for messages ("images.bin"). */
+/* Each fills its part of m, whose arena owns it, from the bytes of one file. ERR_FORMAT names file
+ * and record, ERR_MEM. */
 enum err_code colmap_bin_cameras(const struct buf *file, struct colmap_model *m,
                                  struct err *e) ERR_USE;
 enum err_code colmap_bin_images(const struct buf *file, struct colmap_model *m,
                                 struct err *e) ERR_USE;
 enum err_code colmap_bin_points(const struct buf *file, struct colmap_model *m,
                                 struct err *e) ERR_USE;
-/* The text readers write into the buffer (line ends become NUL); it must end in a NUL byte. */
+/* The text readers write into the buffer (line ends become NUL); it must end in a NUL byte.
+ * ERR_FORMAT names file and line, ERR_MEM. */
 enum err_code colmap_txt_cameras(struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;
 enum err_code colmap_txt_images(struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;
 enum err_code colmap_txt_points(struct buf *file, struct colmap_model *m, struct err *e) ERR_USE;

@@ -59,12 +59,13 @@ size_t draco_layout(uint32_t sh_degree, uint32_t embed_len,
                     struct draco_attribute out[DRACO_ID_COUNT]);
 /* Is this a point cloud of exactly our attributes, of a count that the limits and the file's size
  * allow? Reads the header, skips the metadata, and reads the list of attributes and compares the
- * check value; allocates nothing. */
+ * check value; allocates nothing. ERR_FORMAT says what is otherwise, ERR_LIMIT. Any thread. */
 enum err_code draco_check(const void *bytes, size_t n, const struct codec_limits *lim,
                           struct draco_head *out, struct err *e) ERR_USE;
 
 /* Integers as attributes of a sequential cloud without names: what other layouts than ours would
- * take (citysplat-bench layout). No reader of ours opens it. */
+ * take (citysplat-bench layout). No reader of ours opens it. out: appended to. ERR_MEM,
+ * ERR_INTERNAL. */
 enum draco_prediction { DRACO_PREDICT_NEVER, DRACO_PREDICT_ROW, DRACO_PREDICT_WHERE_IT_PAYS };
 struct draco_column {
     enum draco_type type;
@@ -72,6 +73,7 @@ struct draco_column {
     enum draco_prediction prediction; /* where it pays: of bytes only */
     const void *values;               /* [n][components], below 2^31 */
 };
+/* See above: ERR_MEM, ERR_INTERNAL. */
 enum err_code draco_encode_columns(const struct draco_column *column, size_t n_columns, size_t n,
                                    struct buf *out, struct err *e) ERR_USE;
 

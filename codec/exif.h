@@ -29,7 +29,7 @@ enum err_code exif_read(const char *path, struct image_gps *out, struct err *e) 
 /* The same from a whole file in memory. */
 void exif_parse(const void *bytes, size_t n, struct image_gps *out);
 /* Put an EXIF block into an encoded picture. Angles are stored to 1e-7 arc seconds, heights to 0.1
- * mm. */
+ * mm. ERR_FORMAT (no JPEG, PNG, WebP or TIFF), ERR_MEM. Any thread, as all here. */
 enum err_code exif_insert(struct buf *file, const struct image_gps *gps, struct err *e) ERR_USE;
 
 #ifdef __cplusplus

@@ -26,23 +26,27 @@ struct image {                              /* {0} is empty */
  * ERR_NOENT, ERR_FORMAT (not an image; says which file), ERR_LIMIT. image_free it. */
 enum err_code image_read(const char *path, const struct codec_limits *lim, struct image *out,
                          struct err *e) ERR_USE;
-/* Size and EXIF only, without decoding pixels. Either output may be NULL. */
+/* Size and EXIF only, without decoding pixels. Either output may be NULL. ERR_NOENT, ERR_FORMAT,
+ * ERR_LIMIT. */
 enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *height_px,
                               struct image_gps *gps, struct err *e) ERR_USE;
 /* First channel as floats, [h][w]: 8- and 16-bit files as 0..1, float files (.pfm .tif .exr) as
- * they are. For maps, not photographs. *data is allocated; mem_free it. Errors as image_read. */
+ * they are. For maps, not photographs. *data is allocated; mem_free it. ERR_NOENT,
+ * ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code image_read_map(const char *path, const struct codec_limits *lim, uint32_t *width_px,
                              uint32_t *height_px, float **data, struct err *e) ERR_USE;
 /* By extension: .jpg .png .webp .tif. quality 1..100 for jpg and webp (0 = 95; jpg >= 95 writes
- * 4:4:4). gps (may be NULL) goes into EXIF. */
+ * 4:4:4). gps (may be NULL) goes into EXIF. ERR_ARG (extension), ERR_IO, ERR_MEM, ERR_INTERNAL. */
 enum err_code image_write(const char *path, const struct image *img, int quality,
                           const struct image_gps *gps, struct err *e) ERR_USE;
-/* The same into memory; format is "jpg", "png" or "webp". */
+/* The same into memory, appended to out; format is "jpg", "png" or "webp". ERR_ARG, ERR_MEM,
+ * ERR_INTERNAL. */
 enum err_code image_encode(const struct image *img, const char *format, int quality,
                            struct buf *out, struct err *e) ERR_USE;
-/* image_resize.c: Lanczos3. out is allocated; image_free it. */
+/* image_resize.c: Lanczos3. out is allocated; image_free it. ERR_ARG (a size of 0), ERR_MEM. */
 enum err_code image_resize(const struct image *in, uint32_t width_px, uint32_t height_px,
                            struct image *out, struct err *e) ERR_USE;
+/* Zeroed pixels. ERR_ARG, ERR_MEM. */
 enum err_code image_alloc(uint32_t width_px, uint32_t height_px, uint32_t channels,
                           struct image *out, struct err *e) ERR_USE;
 void image_free(struct image *img);

@@ -10,17 +10,19 @@
 
 struct codec_limits;
 
-/* Master payload of a tile in the store: float32 mean relative to the tile centre, half floats
- * elsewhere (opacity, scale and rotation float32 where lossless is set), zstd. ENU axes. */
-/* Values to and from the half floats that a payload keeps: nearest even, the largest for what is
- * beyond. */
+/* Values [n] to and from the float16 that a payload keeps: nearest even, the largest for what is
+ * beyond. No errors, any thread, as all here. */
 void payload_to_float16(const float *in, size_t n, uint16_t *out);
 void payload_from_float16(const uint16_t *in, size_t n, float *out);
 /* The rotation that a payload keeps, before its rounding. q is finite and not 0. */
 void payload_unit_quat(const float q_wxyz[4], float out[4]);
-/* Rows that were rounded by these give the same payload as before. */
+/* The master payload of a tile: float32 means relative to the tile centre, float16 elsewhere
+ * (opacity, scale and rotation float32 where `lossless` is set), zstd. ENU axes. Rows that were
+ * decoded from a payload give the same payload again. out: appended to. ERR_DATA (not finite),
+ * ERR_LIMIT, ERR_MEM. */
 enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *out,
                              struct err *e) ERR_USE;
+/* Hostile bytes are safe. gauss_free it; empty on errors. ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code payload_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                              struct gauss *out, struct err *e) ERR_USE;
 #endif

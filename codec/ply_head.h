@@ -52,7 +52,8 @@ const struct ply_property *ply_head_property(const struct ply_element *el, const
 /* One binary value, converted. */
 double ply_head_value(const struct ply_head *h, const struct ply_property *p, const uint8_t *row);
 
-/* ply_packed.c: SuperSplat's compressed .ply. */
+/* ply_packed.c: SuperSplat's compressed .ply. gauss_free it. ERR_FORMAT, ERR_DATA, ERR_LIMIT,
+ * ERR_MEM. */
 bool ply_packed_is(const struct ply_head *h);
 enum err_code ply_packed_read(const struct ply_head *h, const struct codec_limits *lim,
                               struct gauss *out, struct err *e) ERR_USE;

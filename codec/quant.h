@@ -54,7 +54,7 @@ struct quant { /* {0} is empty; arrays in one allocation */
     float embed_min[GAUSS_EMBED_MAX], embed_max[GAUSS_EMBED_MAX];
     void *block;
 };
-/* Zeroed arrays for n rows. */
+/* Zeroed arrays for n rows; quant_free it. ERR_LIMIT, ERR_MEM. */
 enum err_code quant_alloc(struct quant *q, size_t n, uint32_t sh_degree, uint32_t embed_len,
                           struct err *e) ERR_USE;
 /* sh_degree may differ from g's: missing bands are 0. grid NULL: QUANT_SPZ's. Rows keep their order
@@ -64,6 +64,7 @@ enum err_code quant_alloc(struct quant *q, size_t n, uint32_t sh_degree, uint32_
 enum err_code quant_from_gauss(const struct gauss *g, uint32_t sh_degree,
                                const struct quant_grid *grid, struct quant *out,
                                struct err *e) ERR_USE;
+/* gauss_free it. ERR_MEM. */
 enum err_code quant_to_gauss(const struct quant *q, struct gauss *out, struct err *e) ERR_USE;
 void quant_free(struct quant *q);
 /* One rotation, SPZ v3: index of the largest component (x y z w) << 30 | three times sign and 9-bit

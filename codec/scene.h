@@ -45,7 +45,8 @@ struct scene { /* {0} is empty */
     char dir[FILE_PATH_MAX];
     struct arena arena;
 };
-/* scene.json + points.bin of a scene folder. scene_free it. */
+/* scene.json + points.bin of a scene folder. scene_free it. ERR_NOENT, ERR_FORMAT names file and
+ * key, ERR_DATA, ERR_IO, ERR_LIMIT, ERR_MEM. One thread a scene. */
 enum err_code scene_read(const char *dir, struct scene *out, struct err *e) ERR_USE;
 enum err_code scene_write(const char *dir, const struct scene *s, struct err *e) ERR_USE;
 void scene_free(struct scene *s);

@@ -22,7 +22,8 @@ struct tensors { /* {0} is empty; owns everything */
     float *block;
     struct arena arena;
 };
-/* Read all float32 tensors of at most four dimensions; others are left out. tensors_free. */
+/* Read all float32 tensors of at most four dimensions; others are left out. tensors_free
+ * it. ERR_FORMAT, ERR_MEM; of a file also ERR_NOENT, ERR_IO, ERR_LIMIT. Any thread. */
 enum err_code tensors_decode(const void *bytes, size_t n, struct tensors *out,
                              struct err *e) ERR_USE;
 enum err_code tensors_read(const char *path, struct tensors *out, struct err *e) ERR_USE;

@@ -101,12 +101,12 @@ double cursor_f64(struct cursor *c);
  * it. */
 enum err_code file_read(const char *path, size_t limit_bytes, struct buf *out,
                         struct err *e) ERR_USE;
-/* Write beside (`path.part-PID`), fsync, rename. On any error nothing is left behind and an older
- * file of that name is untouched. */
+/* Write beside (`path.part-PID`), fsync, rename. On any error (ERR_IO, ERR_LIMIT) nothing is left
+ * behind and an older file of that name is untouched. */
 enum err_code file_write(const char *path, const void *bytes, size_t n, struct err *e) ERR_USE;
 /* The same in two steps, for libraries that want a path or a stream: file_begin gives the name to
- * write to, file_commit syncs and renames it, file_abort removes it. `part` holds PATH_MAX bytes.
- */
+ * write to, file_commit syncs and renames it, file_abort removes it. `part` holds FILE_PATH_MAX
+ * bytes. ERR_LIMIT (path too long), ERR_IO. */
 enum { FILE_PATH_MAX = 4096 };
 enum err_code file_begin(const char *path, char *part, struct err *e) ERR_USE;
 enum err_code file_commit(const char *part, const char *path, struct err *e) ERR_USE;
@@ -118,7 +118,8 @@ bool file_is_dir(const char *path);
 /* "a/b" joined into `out` (FILE_PATH_MAX bytes); ERR_LIMIT when too long. */
 enum err_code file_join(char *out, const char *dir, const char *name, struct err *e) ERR_USE;
 /* Names (not paths) of the regular files in `dir` with one of the suffixes (NULL-terminated list,
- * case-insensitive, NULL = all), sorted bytewise; strings live in the arena. */
+ * case-insensitive, NULL = all), sorted bytewise; strings live in the arena. ERR_NOENT, ERR_IO,
+ * ERR_MEM. */
 enum err_code file_list(const char *dir, const char *const *suffixes, struct arena *a,
                         char ***names, size_t *n, struct err *e) ERR_USE;
 
@@ -197,11 +198,13 @@ void hash_text(struct hash128 h, char out[33]); /* 32 lower-case hex digits and 
 
 /* ---- jsonc.c: JSON with whole-line // comments, by jansson ---- */
 
-/* Load and parse; duplicate keys are refused, errors name file, line and column. json_decref it. */
+/* Load and parse; duplicate keys are refused, errors name file, line and column. json_decref it.
+ * ERR_FORMAT, ERR_MEM; of a file also ERR_NOENT, ERR_IO, ERR_LIMIT. */
 enum err_code jsonc_read(const char *path, struct json_t **out, struct err *e) ERR_USE;
 enum err_code jsonc_parse(const char *text, size_t n, const char *name, struct json_t **out,
                           struct err *e) ERR_USE;
-/* Write through file_write, indented by 2, numbers with 17 digits, keys in insertion order. */
+/* Write through file_write, indented by 2, numbers with 17 digits, keys in insertion order.
+ * ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code jsonc_write(const char *path, const struct json_t *json, struct err *e) ERR_USE;
 /* Typed members, ERR_FORMAT "NAME: key: expected number" when missing or of another type. */
 enum err_code jsonc_num(const struct json_t *o, const char *key, double *out,

@@ -62,7 +62,8 @@ struct lens {
     uint32_t width_px, height_px;
     double params[12];
 };
-const char *lens_name(enum lens_model model); /* "OPENCV" */
+/* COLMAP's names, "OPENCV". ERR_FORMAT: no such model. */
+const char *lens_name(enum lens_model model);
 enum err_code lens_from_name(const char *name, enum lens_model *out, struct err *e) ERR_USE;
 size_t lens_param_count(enum lens_model model);
 void lens_focal(const struct lens *l, double *fx, double *fy, double *cx, double *cy);

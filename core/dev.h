@@ -39,7 +39,8 @@ struct dev_source {
     const char *name, *text;
 };
 /* Build from sources in order, core/layout.h first, each preceded by a #line. `options` is added to
- * the fixed set (-cl-std=CL1.2 -cl-denorms-are-zero -DVW=...). The whole build log goes into e. */
+ * the fixed set (-cl-std=CL1.2 -cl-denorms-are-zero -DVW=...). The whole build log goes into e.
+ * clReleaseProgram it; a kernel, clReleaseKernel. ERR_DEVICE, ERR_MEM. */
 enum err_code dev_build(struct dev *d, const struct dev_source *sources, size_t n_sources,
                         const char *options, cl_program *out, struct err *e) ERR_USE;
 enum err_code dev_kernel(cl_program program, const char *name, cl_kernel *out,
@@ -49,6 +50,7 @@ enum err_code dev_kernel(cl_program program, const char *name, cl_kernel *out,
 enum err_code dev_buffer(struct dev *d, size_t size_bytes, const void *host, cl_mem *out,
                          struct err *e) ERR_USE;
 void dev_release(cl_mem *m); /* NULL is accepted; leaves NULL */
+/* Bytes [offset, offset + n) of a buffer. Reading and writing block. ERR_DEVICE. */
 enum err_code dev_read(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes, void *out,
                        struct err *e) ERR_USE; /* blocking */
 enum err_code dev_write(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_bytes,
@@ -58,13 +60,14 @@ enum err_code dev_zero(struct dev *d, cl_mem m, size_t offset_bytes, size_t n_by
 /* The first n_bytes of a buffer as the host sees them, to read (CL_MAP_READ), to write or both: no
  * copy where host and device share memory. Blocking. Meanwhile kernels may read what is mapped for
  * reading only, and must leave everything else alone. dev_unmap gives *out back; NULL is accepted
- * and it leaves NULL. */
+ * and it leaves NULL. ERR_DEVICE. */
 enum err_code dev_map(struct dev *d, cl_mem m, cl_map_flags flags, size_t n_bytes, void **out,
                       struct err *e) ERR_USE;
 enum err_code dev_unmap(struct dev *d, cl_mem m, void **mapped, struct err *e) ERR_USE;
 /* Set argument `index`, collecting failures: call per argument, check once at dev_run. */
 #define dev_arg(k, index, value) clSetKernelArg((k), (index), sizeof value, &(value))
-/* Enqueue a one-dimensional launch; global is rounded up to a multiple of local. */
+/* Enqueue a one-dimensional launch of items `global`, rounded up to a multiple of `local`; dev_finish
+ * waits for all that was enqueued. ERR_DEVICE. */
 enum err_code dev_run(struct dev *d, cl_kernel k, const char *name, size_t global, size_t local,
                       struct err *e) ERR_USE;
 enum err_code dev_finish(struct dev *d, struct err *e) ERR_USE;

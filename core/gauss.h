@@ -42,24 +42,25 @@ static inline size_t gauss_sh_count(uint32_t sh_degree)
  * large). */
 enum err_code gauss_alloc(struct gauss *g, size_t cap, uint32_t sh_degree, uint32_t embed_len,
                           struct err *e) ERR_USE;
-/* The same for rows that are all written at once: there is anything in them before. */
+/* gauss_alloc without zeroing, for rows that are all written at once. ERR_MEM, ERR_LIMIT. */
 enum err_code gauss_uninit(struct gauss *g, size_t cap, uint32_t sh_degree, uint32_t embed_len,
                            struct err *e) ERR_USE;
-/* cap >= want afterwards (grows by at least half); contents kept. */
+/* cap >= want afterwards (grows by at least half); contents kept. ERR_MEM. */
 enum err_code gauss_reserve(struct gauss *g, size_t want, struct err *e) ERR_USE;
 void gauss_free(struct gauss *g); /* idempotent, leaves {0} */
 /* dst row d = src row s. Degrees and embedding lengths may differ: missing values become 0, surplus
  * ones are dropped. Origins may differ: the mean is moved in double. d < dst->cap. */
 void gauss_copy_row(struct gauss *dst, size_t d, const struct gauss *src, size_t s);
-/* Append src rows index[0..count) (index NULL: all rows 0..count). */
+/* Append src rows index[0..count) (index NULL: all rows 0..count). ERR_MEM. */
 enum err_code gauss_append(struct gauss *dst, const struct gauss *src, const uint32_t *index,
                            size_t count, struct err *e) ERR_USE;
 /* Move the origin; every mean changes so that positions in ENU do not. */
 void gauss_recenter(struct gauss *g, const double origin_enu_m[3]);
 /* order[0..n): rows in Morton order of their means (21 bits an axis over the bounding box), ties by
- * row. */
+ * row. ERR_MEM, ERR_LIMIT (2^32 rows). */
 enum err_code gauss_morton_order(const struct gauss *g, uint32_t *order, struct err *e) ERR_USE;
-/* The same along Hilbert's curve through a cube: rows of files, where neighbours save bytes. */
+/* The same along Hilbert's curve through a cube: rows of files, where neighbours save bytes.
+ * ERR_MEM, ERR_LIMIT. */
 enum err_code gauss_hilbert_order(const struct gauss *g, uint32_t *order, struct err *e) ERR_USE;
 /* Bounds of the means grown by k_sigma * largest sigma of each Gaussian, in ENU metres. n == 0: all
  * 0. */

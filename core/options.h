@@ -47,11 +47,11 @@ struct options_args { /* positional arguments, borrowed from argv */
  * exists. ERR_ARG for anything a user mistyped. */
 enum err_code options_parse(const struct options_spec *spec, int argc, char **argv, void *config,
                             struct options_args *args, struct arena *a, struct err *e) ERR_USE;
-/* Fill with the defaults alone (tests, library use). */
+/* Fill with the defaults alone (tests, library use). ERR_MEM. */
 enum err_code options_defaults(const struct options_spec *spec, void *config, struct arena *a,
                                struct err *e) ERR_USE;
 /* The resolved values as a JSON object: what --print-config prints and a run stores beside its
- * output. */
+ * output. json_decref it. ERR_MEM. */
 enum err_code options_to_json(const struct options_spec *spec, const void *config,
                               struct json_t **out, struct err *e) ERR_USE;
 /* Its way back, over what config holds: keys that are missing stay, unknown ones and values out of

@@ -13,10 +13,10 @@ struct outdir {
 };
 /* Make the working folder beside `path`. An existing `path` is refused, unless it is an empty
  * folder, or `overwrite` is set and it holds the file `marker` (so that only our own output can be
- * replaced). */
+ * replaced). outdir_commit or outdir_abort it. ERR_ARG (refused), ERR_IO, ERR_LIMIT (path). */
 enum err_code outdir_begin(const char *path, const char *marker, bool overwrite, struct outdir *out,
                            struct err *e) ERR_USE;
-/* Put it in place; what was there before is removed afterwards. */
+/* Put it in place; what was there before is removed afterwards. ERR_IO. */
 enum err_code outdir_commit(struct outdir *d, struct err *e) ERR_USE;
 /* Remove what was written; does nothing after a commit or on {0}. */
 void outdir_abort(struct outdir *d);

@@ -23,7 +23,7 @@ size_t pool_cores(void);
 void pool_limit(size_t threads);
 
 /* One background thread that runs fn(user) once; pool_join waits and frees. Used for prefetching.
- */
+ * ERR_MEM. */
 struct pool_thread;
 enum err_code pool_start(void (*fn)(void *user), void *user, struct pool_thread **out,
                          struct err *e) ERR_USE;

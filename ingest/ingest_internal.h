@@ -21,8 +21,8 @@ struct ingest {
     size_t n;
     struct ingest_view *views;
     size_t n_views;
-    uint32_t *
-        kept; /* [model.n_images] index in the scene, UINT32_MAX = dropped; by index in the model */
+    /* [model.n_images] index in the scene, UINT32_MAX = dropped; by index in the model */
+    uint32_t *kept;
     struct georef_result georef;
     bool fitted;
     struct scene scene;

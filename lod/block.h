@@ -21,7 +21,7 @@ static inline uint32_t block_count(size_t n_gaussians)
 }
 
 /* Sort the rows by octaves of size, otherwise as they stand, which is near each other: one large
- * Gaussian makes the box of all its block large. */
+ * Gaussian makes the box of all its block large. ERR_MEM. */
 enum err_code block_sort(struct gauss *g, struct err *e) ERR_USE;
 /* out: block_count(g->n) of them. */
 void block_measure(const struct gauss *g, struct block *out);

@@ -38,25 +38,27 @@ struct edit { /* {0} and `locate`, `meta` filled in; edit_free */
 
 void edit_free(struct edit *d);
 struct edit_tile *edit_find(const struct edit *d, struct key k);
-/* The edit of a tile, made empty if there is none yet. Pointers to others become invalid. */
+/* The edit of a tile, made empty if there is none yet. Pointers to others become invalid.
+ * ERR_MEM. */
 enum err_code edit_touch(struct edit *d, struct key k, uint8_t level, struct edit_tile **out,
                          struct err *e) ERR_USE;
-/* The rows that an edit keeps of the store's tile, about that tile's centre. */
+/* The rows that an edit keeps of the store's tile, about that tile's centre. ERR_MEM. */
 enum err_code edit_keep(struct edit *d, struct edit_tile *t, const struct gauss *g,
                         const uint32_t *index, size_t n, struct err *e) ERR_USE;
 /* Add rows. A tile keeps its centre, so that what it kept does not move, unless there is none yet
- * or rows would be out of its reach; all rows are known then, so that it moves once. */
+ * or rows would be out of its reach; all rows are known then, so that it moves once. ERR_MEM. */
 enum err_code edit_add(struct edit *d, struct edit_tile *t, const struct edit_part *part,
                        size_t n_parts, struct err *e) ERR_USE;
-/* Leave out rows beyond every format's reach, thin to what a tile may hold, put along the Z curve.
- * What is made of a tile is made of its settled rows, as in the pyramid. */
+/* Leave out rows beyond every format's reach, thin to what a tile may hold, put along the Hilbert curve.
+ * What is made of a tile is made of its settled rows, as in the pyramid. ERR_MEM, ERR_LIMIT. */
 enum err_code edit_settle(struct edit *d, struct edit_tile *t, struct err *e) ERR_USE;
-/* Key of row i at zoom z. */
+/* Key of row i at zoom z. ERR_ARG (not finite). */
 enum err_code edit_key(const struct edit *d, const struct gauss *g, size_t i, uint8_t z,
                        struct key *out, struct err *e) ERR_USE;
 /* Settle what is not, write edits and copies of `a` and then `b` (NULL; only tiles
  * that neither an edit nor a has), blobs of a and those of b that a lacks, and commit.
- * n_copied may be NULL. */
+ * n_copied may be NULL. Works on all cores. ERR_CANCEL, ERR_DATA (no tiles), ERR_FORMAT, ERR_IO,
+ * ERR_LIMIT, ERR_MEM. */
 enum err_code edit_write(struct edit *d, struct store *a, struct store *b, const char *out_path,
                          size_t *n_copied, size_t *n_written, struct err *e) ERR_USE;
 

@@ -41,15 +41,18 @@ struct resident {
 };
 
 /* Tiles have embeddings of embed_len in the pictures, 0: theirs are left out. The model's origin is
- * the first tile's centre whatever is in view: a picture depends on its request alone. */
+ * the first tile's centre whatever is in view: a picture depends on its request alone. ERR_MEM. One
+ * thread at a time, as all here. */
 enum err_code resident_open(struct store *s, struct render *r, uint32_t embed_len,
                             size_t limit_bytes, struct resident *out, struct err *e) ERR_USE;
 void resident_close(struct resident *r);
 /* Tiles picked[0..n), ascending, on the device, and of them what f may see (NULL: everything)
- * listed: then r->model draws it. *n_gaussians: how many those are. */
+ * listed: then r->model draws it. *n_gaussians: how many those are. ERR_FORMAT, ERR_IO, ERR_DEVICE,
+ * ERR_LIMIT, ERR_MEM. */
 enum err_code resident_show(struct resident *r, const uint32_t *picked, size_t n,
                             const struct frustum *f, uint64_t *n_gaussians, struct err *e) ERR_USE;
-/* All of the tiles in r->flat, a model without a list. */
+/* All of the tiles in r->flat, a model without a list. Errors as resident_show: ERR_FORMAT, ERR_IO,
+ * ERR_DEVICE, ERR_LIMIT, ERR_MEM. */
 enum err_code resident_flat(struct resident *r, const uint32_t *picked, size_t n,
                             struct err *e) ERR_USE;
 

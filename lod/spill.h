@@ -1,7 +1,7 @@
 /* Rows of Gaussians on disk between two passes: internal to lod/.
  *
  * A city does not fit into memory, and its rows come in the order of training, not of tiles. Every
- * part that is read is sorted along the Z curve and written here as one run; a tile is then one
+ * part that is read is sorted along the Morton curve and written here as one run; a tile is then one
  * slice of each run. Only the codes stay in memory, 8 bytes a Gaussian.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -17,7 +17,7 @@
 struct gauss;
 
 struct spill {     /* spill_open makes it; adding and reading from any thread */
-    bool lossless; /* float32; else what a payload keeps: half floats but for means */
+    bool lossless; /* float32; else what a payload keeps: float16 but for means */
     int fd;        /* of a file without a name: gone when the process is */
     uint64_t size; /* guarded by lock */
     pthread_mutex_t lock;
@@ -31,14 +31,16 @@ struct spill_run {  /* {0} is empty; spill_run_free */
     double origin_enu_m[3];
 };
 
-/* Beside `near`, the file to be written, because there is room for it. */
+/* Beside `near`, the file to be written, because there is room for it. ERR_IO, ERR_LIMIT. */
 enum err_code spill_open(const char *near, bool lossless, struct spill *out, struct err *e) ERR_USE;
 void spill_close(struct spill *s); /* idempotent on {0} and after spill_open failed */
 size_t spill_row_bytes(const struct spill *s, const struct spill_run *r);
-/* Append rows order[0..n) of g as a run; run->code and code_first are the caller's. */
+/* Append rows order[0..n) of g as a run; run->code and code_first are the caller's.
+ * ERR_IO, ERR_MEM. */
 enum err_code spill_add(struct spill *s, const struct gauss *g, const struct sort_item *order,
                         size_t n, struct spill_run *run, struct err *e) ERR_USE;
-/* Rows [from, to) of a run, spill_row_bytes each; a row begins with its mean, float32. */
+/* Rows [from, to) of a run, spill_row_bytes each; a row begins with its mean, float32.
+ * ERR_IO. */
 enum err_code spill_read(struct spill *s, const struct spill_run *r, size_t from, size_t to,
                          void *out, struct err *e) ERR_USE;
 /* All of a row but its mean into row i of g, whose degree and embedding may be longer: 0 there. */

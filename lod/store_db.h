@@ -60,7 +60,7 @@ struct store {
     struct bake *bake;
     bool bake_known;
     void (*bake_free)(struct store *s);
-    char *footprint; /* opened: GeoJSON; NULL: none */
+    char *footprint;      /* opened: GeoJSON; NULL: none */
     struct store *before; /* building: what will be replaced, for tile versions; may be NULL */
 };
 

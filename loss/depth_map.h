@@ -45,8 +45,8 @@ void depth_map_close(struct depth_map **d);
 size_t depth_map_count(const struct depth_map *d, enum depth_verdict v);
 
 struct depth_target {
-    const float
-        *t; /* [h][w] inverse depth times unit_m, below 0 = unknown; borrowed until the next */
+    /* [h][w] inverse depth times unit_m, below 0 = unknown; borrowed until the next */
+    const float *t;
     double unit_m;  /* 1 / median inverse depth */
     size_t n_known; /* over which the mean is taken; 0: nothing is known, t is NULL */
 };

@@ -15,8 +15,8 @@
  *
  * Slots: Gaussian g owns slots slot_first[g] .. slot_first[g] + tiles[g] - 1, one per tile it
  * touches, in row-major order of those tiles; Gaussians are numbered in index order, so a gather
- * over Gaussians walks the slots from front to back. Backward writes what the pair (splat, tile)
- * contributed to its slot (and a flag, since entries behind the stop are never visited) and sums
+ * over Gaussians walks the slots from front to back. Backward writes what the intersection (splat, tile)
+ * contributed to its slot (and a flag, since those behind the stop are never visited) and sums
  * per Gaussian in slot order.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -36,7 +36,7 @@ struct frame_buffer { /* grows, never shrinks */
     size_t cap_bytes;
 };
 /* Make b at least n_bytes large; contents are lost when it grows (by half at least, within the
- * device's limit). */
+ * device's limit). ERR_MEM, ERR_LIMIT. */
 enum err_code frame_reserve(struct render *r, struct frame_buffer *b, size_t n_bytes,
                             struct err *e) ERR_USE;
 
@@ -66,8 +66,8 @@ struct render {
     struct frame_buffer pair_tile, pair_splat,
         pair_slot;                  /* uint [entries]: all pairs in depth order */
     struct frame_buffer bin_offset; /* uint [LAYOUT_BIN_CHUNKS][tiles rounded up to 16] */
-    struct frame_buffer
-        tile_start; /* uint [.. + 1]: entries of tile t are [start[t], start[t + 1]) */
+    /* uint [.. + 1]: entries of tile t are [start[t], start[t + 1]) */
+    struct frame_buffer tile_start;
     struct frame_buffer entry_splat; /* uint [entries]: index of the Gaussian (and of its record) */
     struct frame_buffer entry_slot;  /* uint [entries] */
     struct frame_buffer hits;        /* ushort [entries]: blocks drawn into, see blend_cpu.cl */
@@ -82,18 +82,18 @@ struct render {
     struct frame_buffer color_grad; /* float [3][h][w] planar, dL/dcolor */
 
     /* -- appearance: render_appearance.c ------------------------------------------------------- */
-    struct render_appearance_kernels
-        *appearance; /* the last frame was drawn with it; NULL: plain */
+    /* the last frame was drawn with it; NULL: plain */
+    struct render_appearance_kernels *appearance;
     struct render_appearance_kernels *appearance_kernels; /* all that were made */
     struct frame_buffer
         render_appearance_frame;   /* float [appearance_frame_floats]: constants of the frame */
     struct frame_buffer effective; /* float [groups * 16]: min(o + y3, 1), of the visible */
-    struct frame_buffer
-        render_appearance_grad; /* VW 1: float [groups][4][16]: dL/dy, of the visible */
-    struct frame_buffer
-        render_appearance_parts; /* float [pieces][render_appearance_row]: sums of the frame's gradients */
-    struct frame_buffer
-        render_appearance_sums; /* float [render_appearance_row]: their sum; behind them that of y3 */
+    /* VW 1: float [groups][4][16]: dL/dy, of the visible */
+    struct frame_buffer render_appearance_grad;
+    /* float [pieces][render_appearance_row]: sums of the frame's gradients */
+    struct frame_buffer render_appearance_parts;
+    /* float [render_appearance_row]: their sum; behind them that of y3 */
+    struct frame_buffer render_appearance_sums;
 
     struct order_gpu *order_gpu; /* sort and bin on GPUs: order_gpu.c; NULL on CPUs */
 
@@ -121,7 +121,8 @@ struct render {
 size_t frame_items(const struct render *r, uint32_t groups, size_t *local);
 
 /* Set all arguments of a kernel and launch it:
- *   frame_run(r, k, "gather", FRAME_ARGS(FRAME_ARG(mem), FRAME_ARG(n)), global, local, e) */
+ *   frame_run(r, k, "gather", FRAME_ARGS(FRAME_ARG(mem), FRAME_ARG(n)), global, local, e)
+ * ERR_INTERNAL (an argument does not fit), ERR_DEVICE. */
 struct frame_arg {
     size_t size;
     const void *value;
@@ -133,32 +134,35 @@ struct frame_arg {
 #define FRAME_ARGS(...)                                                                            \
     (const struct frame_arg[]){__VA_ARGS__},                                                       \
         sizeof((const struct frame_arg[]){__VA_ARGS__}) / sizeof(struct frame_arg)
+/* See above: ERR_INTERNAL, ERR_DEVICE. */
 enum err_code frame_run(struct render *r, cl_kernel k, const char *name,
                         const struct frame_arg *args, size_t n_args, size_t global, size_t local,
                         struct err *e) ERR_USE;
 
-/* Appearance: render_appearance.c. render_appearance_begin sets r->appearance for this frame, or NULL, and uploads its
- * constants; the others are for frames that have it. */
+/* Appearance: render_appearance.c. render_appearance_begin sets r->appearance for this frame, or
+ * NULL, and uploads its constants; the others are for frames that have it. ERR_ARG (lengths),
+ * ERR_DEVICE, ERR_MEM. */
 enum err_code render_appearance_begin(struct render *r, const struct render_model *m,
                                       const struct render_options *o, struct err *e) ERR_USE;
 enum err_code render_appearance_project(struct render *r, const struct render_model *m,
                                         struct err *e) ERR_USE;
-/* A way back: which kernels to take in place of project_backward and project_step, and the
- * arguments that come after theirs. */
-struct
-    render_appearance_call { /* stays where it is until render_appearance_finish: arguments point into it */
+/* A backward pass: which kernels to take in place of project_backward and project_step, and the
+ * arguments that come after theirs. Stays where it is until render_appearance_finish: arguments
+ * point into it. */
+struct render_appearance_call {
     cl_kernel grads, step;
     struct frame_arg args[5];
     size_t n_grads, n_step; /* how many of them each takes */
     cl_float each;
     cl_float2 embed;
 };
-/* embed: of adam_embed in project_backward.cl. out NULL: no sums wanted, no offset_weight. */
+/* embed: of adam_embed in project_backward.cl. out NULL: no sums wanted, no offset_weight.
+ * ERR_DEVICE, ERR_LIMIT, ERR_MEM. */
 enum err_code render_appearance_prepare(struct render *r, const struct render_appearance_grad *out,
                                         cl_float2 embed, struct render_appearance_call *c,
                                         struct err *e) ERR_USE;
 /* After that kernel: embeddings, where it left them to do, in grads or (adam not NULL: Adam's k) in
- * params and moments; sums into *out when it is not NULL. */
+ * params and moments; sums into *out when it is not NULL. ERR_DEVICE, ERR_INTERNAL. */
 enum err_code render_appearance_finish(struct render *r, const struct render_model *m, cl_mem grads,
                                        const struct render_adam *adam, const cl_float8 *k,
                                        const struct render_appearance_call *c,
@@ -166,7 +170,7 @@ enum err_code render_appearance_finish(struct render *r, const struct render_mod
 void render_appearance_close(struct render *r);
 
 /* Sort and bin where vector_width is 1: order_gpu.c. They leave behind what the stages of CPUs do.
- */
+ * ERR_DEVICE, ERR_LIMIT, ERR_MEM. */
 enum err_code order_gpu_open(struct dev *dev, struct order_gpu **out, struct err *e) ERR_USE;
 enum err_code order_gpu_sort(struct render *r, struct err *e) ERR_USE;
 enum err_code order_gpu_bin(struct render *r, struct err *e) ERR_USE;
@@ -174,7 +178,7 @@ void order_gpu_close(struct order_gpu **op);
 
 extern const char common_cl[]; /* first source of every program of render/ after core/layout.h */
 
-/* With timing on: wait, and give the milliseconds since *since_s, which moves on. */
+/* With timing on: wait, and give the milliseconds since *since_s, which moves on. ERR_DEVICE. */
 enum err_code frame_clock(struct render *r, double *since_s, double *ms, struct err *e) ERR_USE;
 
 #endif

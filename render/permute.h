@@ -12,10 +12,8 @@
 #include "core/err.h"
 #include "core/layout.h"
 
-#define PERMUTE_NEW                                                                                \
-    UINT32_C(                                                                                      \
-        0x80000000) /* in a source: the row is a copy, not that Gaussian itself               \
-                          */
+/* In a source: the row is a copy, not that Gaussian itself. */
+#define PERMUTE_NEW UINT32_C(0x80000000)
 
 struct permutation {
     const uint32_t *source; /* [n] the old row that each new one is made of, PERMUTE_NEW or not */
@@ -24,8 +22,10 @@ struct permutation {
 };
 /* to's row d = from's row source[d]; 0 where that is PERMUTE_NEW and `zero_new`. Lanes after the last
  * row become 0. `to` may be `from`, if it has room for the larger number of rows: all that is
- * needed besides are PERMUTE_SPARE bytes a Gaussian, whatever the number of planes. */
+ * needed besides are PERMUTE_SPARE bytes a Gaussian, whatever the number of planes. Works on all
+ * cores. ERR_MEM. */
 enum { PERMUTE_SPARE = 16 };
+/* See above: ERR_MEM. */
 enum err_code permute_move(const struct permutation *r, bool zero_new, const float *from, float *to,
                            struct err *e) ERR_USE;
 /* Index of plane 0 of a row. */

@@ -1,8 +1,12 @@
 /* Gaussians -> image and back, on an OpenCL device, with a plain-C double-precision twin of every
  * stage.
  *
- * Reading order: the reference (render_ref.c) is the method in 600 lines; the kernels are the same
- * algorithm in another shape; this header is all that callers need.
+ * Reading order: the reference (render_ref.c, render_ref_backward.c) is the method in plain C; the
+ * kernels are the same algorithm in another shape; this header is all that callers need.
+ *
+ * One caller at a time a struct render and its device. Fallible functions return ERR_DEVICE (a call
+ * of OpenCL failed), ERR_MEM, ERR_LIMIT (more than the device or 32-bit indices hold), and ERR_ARG
+ * where a camera, options or a model do not fit.
  *
  * The stages of a frame: project (cull, conic, SH colour, tile rows) -> sort visible splats by
  * depth -> tile lists -> blend, front to back, one work-item per 16x16 tile. Backwards: blend
@@ -80,8 +84,8 @@ struct render_model {
                     * Gaussian (Mip-Splatting, Yu et al. 2024): it is drawn with sqrt(sigma^2 + f^2)
                     * and opacity times prod sigma / sigma'; gradients are of the raw parameters,
                     * f has none. Set by the caller, freed with the model */
-    cl_mem list;   /* may be NULL: uint [groups], see render_model_list; there is no way back
-                    * through a model with one (ERR_ARG) */
+    cl_mem list;   /* may be NULL: uint [groups], see render_model_list; the backward pass
+                    * refuses a model with one (ERR_ARG) */
     uint32_t n, cap, groups, planes, sh_degree, embed_len;
     double origin_enu_m[3]; /* means on the device are relative to this */
 };
@@ -217,8 +221,8 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
 
 /* ---- importance for density control: see render_importance.c ---- */
 
-struct
-    render_importance; /* compiled kernels and buffers; borrows the renderer; one caller at a time */
+/* compiled kernels and buffers; borrows the renderer; one caller at a time */
+struct render_importance;
 enum err_code render_importance_open(struct render *r, struct render_importance **out,
                                      struct err *e) ERR_USE;
 void render_importance_close(struct render_importance **s); /* before render_close */
@@ -233,8 +237,8 @@ void render_importance_forget(struct render_importance *s);
 
 /* ---- depth of a frame: see render_surface.c ---- */
 
-struct
-    render_surface; /* a compiled kernel and its maps; borrows the renderer; one caller at a time */
+/* a compiled kernel and its maps; borrows the renderer; one caller at a time */
+struct render_surface;
 enum err_code render_surface_open(struct render *r, struct render_surface **out,
                                   struct err *e) ERR_USE;
 void render_surface_close(struct render_surface **s); /* before render_close */

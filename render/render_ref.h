@@ -28,7 +28,7 @@ struct ref_view {            /* a camera and options with every default resolved
 
 struct ref_splat {
     size_t index; /* row of the gauss */
-    /* the way there */
+    /* projected */
     double quat[4], quat_len; /* normalised; length before */
     double rot[9];            /* R of the quaternion, row-major */
     double scale[3];          /* sigma, m */
@@ -58,7 +58,7 @@ enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
 /* False when Gaussian i is culled; *out is unspecified then. */
 bool ref_project(const struct ref_view *v, const struct gauss *g, size_t i, struct ref_splat *out);
 /* All visible splats in blending order: by depth as float32 (what the device sorts by), ties by
- * index. *out: caller frees with mem_free. */
+ * index. *out: caller frees with mem_free. ERR_MEM. */
 enum err_code ref_project_all(const struct ref_view *v, const struct gauss *g,
                               struct ref_splat **out, size_t *n, struct err *e) ERR_USE;
 /* One Gaussian through the network: its embedding normalised (returns the divisor), the hidden

@@ -18,8 +18,8 @@ struct torture {
                             const struct codec_limits *lim, struct err *e);
     const void *user;
     unsigned errors; /* TORTURE(ERR_LIMIT) | ...: what changed bytes may give beside ERR_FORMAT */
-    bool
-        digits; /* text: a digit mostly becomes another digit, as counts and offsets are the danger */
+    /* text: a digit mostly becomes another digit, as counts and offsets are the danger */
+    bool digits;
     /* Bytes with a check value: put it right. Then changed bytes are tried both ways, and those
      * that do not fit their check value must be refused. NULL: there is none. */
     void (*mend)(struct buf *b);
