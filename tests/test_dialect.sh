@@ -32,7 +32,8 @@ FNR == 1 {
     stem = FILENAME; sub(/.*\//, "", stem); sub(/(_shim)?\.(c|h|cc)$/, "", stem); sub(/^(bench|test)_/, "", stem)
     words = split(stem, word, "_")
 }
-/sizeof\(/ {
+# Arguments of macros are left alone: they may be expressions.
+/sizeof\(/ && !/^#define|\\$/ {
     line = $0
     while ((at = index(line, "sizeof(")) > 0) {
         line = substr(line, at)
