@@ -11,6 +11,14 @@
 #include <math.h>
 #include <string.h>
 
+#include "core/appearance.h"
+#include "core/base.h"
+#include "core/camera.h"
+#include "core/dev.h"
+#include "lod/pick.h"
+#include "lod/view.h"
+#include "render/render.h"
+
 #define NADIR_CACHE_BYTES ((size_t)256 << 20)
 #define NADIR_CEILING_SHARE 0.5 /* of the survey's own height, and */
 #define NADIR_CEILING_M 20.0    /* above the survey's top */
@@ -34,8 +42,8 @@ static enum err_code nadir_appearance(struct nadir *n, const char *name, struct 
     float image[APPEARANCE_IMAGE_MAX];
     if (!name)
         return ERR_OK;
-    enum err_code rc = view_find_look(n->view, name, image, e);
-    return rc ? rc : view_set_look(n->view, image, e);
+    enum err_code rc = view_find_appearance(n->view, name, image, e);
+    return rc ? rc : view_set_appearance(n->view, image, e);
 }
 
 enum err_code nadir_open(const char *store_path, const struct nadir_options *o, struct nadir **out,

@@ -13,6 +13,9 @@
 
 #include <gdal/gdal.h>
 
+#include "core/gauss.h"
+#include "core/geo.h"
+#include "lod/pyramid.h"
 #include "survey/map.h"
 #include "survey/probe.h"
 #include "synth/synth.h"
