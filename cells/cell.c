@@ -77,7 +77,7 @@ void cell_planned(const struct scene *s, const struct partition *p, size_t index
                   const uint32_t *images, size_t n_images, struct cell *out)
 {
     const struct partition_cell *c = &p->cells[index];
-    *out = (struct cell){.whole = p->n_cells == 1};
+    *out = (struct cell){.whole = p->n_cells == 1, .grid = p->grid};
     snprintf(out->id, sizeof out->id, "%s", c->id);
     for (int k = 0; k < 2; k++) {
         out->min_enu_m[k] = c->min_m[k];
@@ -93,7 +93,9 @@ double cell_distance(const struct cell *c, double east_m, double north_m)
 {
     if (c->whole)
         return 0.0;
-    double dx = fmax(fmax(c->min_enu_m[0] - east_m, east_m - c->max_enu_m[0]), 0.0);
-    double dy = fmax(fmax(c->min_enu_m[1] - north_m, north_m - c->max_enu_m[1]), 0.0);
+    double at[2];
+    cell_grid_from_enu(&c->grid, east_m, north_m, at);
+    double dx = fmax(fmax(c->min_enu_m[0] - at[0], at[0] - c->max_enu_m[0]), 0.0);
+    double dy = fmax(fmax(c->min_enu_m[1] - at[1], at[1] - c->max_enu_m[1]), 0.0);
     return sqrt(dx * dx + dy * dy);
 }

@@ -9,13 +9,16 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "cells/cell_grid.h"
+
 struct partition;
 struct scene;
 
 struct cell {    /* a rectangle of the ground plane; Gaussians outside serve as background */
     char id[32]; /* folder name below cells/ */
     bool whole;  /* the whole scene: everything is inside, the rectangle is not used */
-    double min_enu_m[2], max_enu_m[2]; /* east, north */
+    struct cell_grid grid;             /* the axes of the rectangle */
+    double min_enu_m[2], max_enu_m[2]; /* east, north; along a turned grid its axes */
     double edge_m;   /* of an unmerged cell: unit of learning rates and of the distance ramp */
     double extent_m; /* 1.1 * largest distance of a camera from their mean: unit of sizes */
 };

@@ -38,6 +38,11 @@ enum err_code cell_plan_write(const char *path, const struct scene *s, const str
                              p->edge_m, "merged", (json_int_t)p->n_merged, "divided",
                              (json_int_t)p->n_divided, "cells", cells);
     bool bad = !root;
+    const struct cell_grid *g = &p->grid;
+    if (!bad && g->turned)
+        bad = json_object_set_new(root, "grid",
+                                  json_pack("{s:f, s:[f,f]}", "yaw_rad", g->yaw_rad, "origin_m",
+                                            g->origin_m[0], g->origin_m[1])) != 0;
     for (size_t i = 0; !bad && i < p->n_cells; i++)
         bad = json_array_append_new(cells, plan_cell_json(s, p, i)) != 0;
     enum err_code rc =
@@ -133,6 +138,21 @@ static enum err_code plan_read_parents(const json_t *cells, struct partition *p,
     return ERR_OK;
 }
 
+static enum err_code plan_read_grid(const json_t *root, struct cell_grid *out, struct err *e)
+{
+    const json_t *o = json_object_get(root, "grid");
+    double yaw_rad = 0.0, origin_m[2] = {0.0, 0.0};
+    if (!o)
+        return ERR_OK;
+    enum err_code rc = jsonc_num(o, "yaw_rad", &yaw_rad, e);
+    if (!rc)
+        rc = jsonc_nums(o, "origin_m", 2, origin_m, e);
+    if (!rc && !(isfinite(yaw_rad) && isfinite(origin_m[0]) && isfinite(origin_m[1])))
+        rc = err_set(e, ERR_FORMAT, "\"grid\": numbers are expected");
+    *out = cell_grid_make(yaw_rad, origin_m);
+    return rc;
+}
+
 static enum err_code plan_read_cells(const json_t *root, const struct scene *s,
                                      struct partition *out, struct err *e)
 {
@@ -144,6 +164,8 @@ static enum err_code plan_read_cells(const json_t *root, const struct scene *s,
             err_set(e, ERR_FORMAT, "plan version %g, this program reads %d", version, PLAN_VERSION);
     if (!rc)
         rc = jsonc_num(root, "edge_m", &out->edge_m, e);
+    if (!rc)
+        rc = plan_read_grid(root, &out->grid, e);
     if (!rc && (!json_array_size(cells) || !(out->edge_m > 0.0)))
         rc = err_set(e, ERR_FORMAT, "no cells");
     struct plan_name *names = rc ? NULL : arena_get(&out->arena, s->n_images + 1, sizeof *names);
@@ -245,7 +267,9 @@ enum err_code cell_plan_svg(const char *path, const struct scene *s, const struc
                w, h + 30, w, h + 30);
     size_t every = s->n_points / PLAN_SVG_POINTS + 1;
     for (size_t i = 0; i < s->n_points; i += every) {
-        double x = plan_x(&f, s->points[i].enu_m[0]), y = plan_y(&f, s->points[i].enu_m[1]);
+        double on[2];
+        cell_grid_from_enu(&p->grid, s->points[i].enu_m[0], s->points[i].enu_m[1], on);
+        double x = plan_x(&f, on[0]), y = plan_y(&f, on[1]);
         const uint8_t *c = s->points[i].rgb;
         if (x >= 0.0 && x <= w && y >= 0.0 && y <= h)
             buf_printf(&b, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"0.8\" fill=\"#%02x%02x%02x\"/>\n",
@@ -256,19 +280,22 @@ enum err_code cell_plan_svg(const char *path, const struct scene *s, const struc
         const struct camera *cam = &s->images[i].cam;
         double at[3];
         camera_center(cam, at);
+        cell_grid_from_enu(&p->grid, at[0], at[1], at);
         double x = plan_x(&f, at[0]), y = plan_y(&f, at[1]);
+        double c = cos(p->grid.yaw_rad), n = sin(p->grid.yaw_rad); /* 1, 0 along ENU */
+        double dx = c * cam->rot[6] + n * cam->rot[7], dy = c * cam->rot[7] - n * cam->rot[6];
         const char *color = s->images[i].split == SCENE_TEST ? "#d62728" : "#111";
         /* The horizontal part of the direction of view; a nadir view has none. */
         buf_printf(&b,
                    "<line x1=\"%.1f\" y1=\"%.1f\" x2=\"%.1f\" y2=\"%.1f\" stroke=\"%s\"/>"
                    "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"2.5\" fill=\"%s\"/>\n",
-                   x, y, x + 14.0 * cam->rot[6], y - 14.0 * cam->rot[7], color, x, y, color);
+                   x, y, x + 14.0 * dx, y - 14.0 * dy, color, x, y, color);
     }
     buf_printf(
         &b,
         "<text x=\"8\" y=\"%.0f\">edge %.4g m; black: training photographs, red: test photographs; "
-        "counts: by location + by visibility</text>\n</svg>\n",
-        h + 20, p->edge_m);
+        "counts: by location + by visibility; up is north turned by %.4g degrees</text>\n</svg>\n",
+        h + 20, p->edge_m, p->grid.yaw_rad * 57.29577951308232);
     enum err_code rc = buf_check(&b, e);
     if (!rc)
         rc = file_write(path, b.data, b.size, e);

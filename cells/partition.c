@@ -98,6 +98,14 @@ struct survey {
     size_t *track_first;   /* [n_images + 1] into scene.tracks */
 };
 
+/* A place in ENU along the axes of the grid. */
+static struct xy partition_along(const struct cell_grid *g, const double enu_m[3])
+{
+    double at[2];
+    cell_grid_from_enu(g, enu_m[0], enu_m[1], at);
+    return (struct xy){at[0], at[1]};
+}
+
 static void partition_survey_free(struct survey *v)
 {
     mem_free(v->center);
@@ -179,7 +187,7 @@ static enum err_code partition_survey_make(const struct scene *s,
     for (size_t i = 0; i < s->n_images; i++) {
         double c[3];
         camera_center(&s->images[i].cam, c);
-        v->center[i] = (struct xy){c[0], c[1]};
+        v->center[i] = partition_along(&cfg->grid, c);
     }
     for (size_t i = 0; i < s->n_points; i++)
         v->reliable[i] = s->points[i].track_length >= PARTITION_TRACK_MIN &&
@@ -220,7 +228,7 @@ static double partition_visibility(const struct survey *v, const struct partitio
     for (size_t t = first; t < end; t++) {
         const struct scene_track *o = &s->tracks[t];
         const double *at = s->points[o->point].enu_m;
-        if (v->reliable[o->point] && partition_near(c, (struct xy){at[0], at[1]}, 0.0))
+        if (v->reliable[o->point] && partition_near(c, partition_along(&v->cfg->grid, at), 0.0))
             scratch[n++] = (struct xy){(double)o->x_px, (double)o->y_px};
     }
     return partition_hull_area(scratch, n, scratch + (end - first)) / v->view_area_px2[image];
@@ -235,7 +243,8 @@ static void partition_count_azimuth(const struct survey *v, struct partition_cel
         double dx = p.x - 0.5 * (c->min_m[0] + c->max_m[0]);
         double dy = p.y - 0.5 * (c->min_m[1] + c->max_m[1]);
         const double octant = 0.7853981633974483;
-        c->azimuth[(int)floor(atan2(dx, dy) / octant + 8.5) % 8]++;
+        double azimuth = atan2(dx, dy) - v->cfg->grid.yaw_rad; /* north of the grid is turned */
+        c->azimuth[(int)(floor(azimuth / octant + 0.5) + 64.0) % 8]++;
     }
 }
 
@@ -275,9 +284,8 @@ static enum err_code partition_assign(const struct survey *v, double edge_m,
     mem_free(scratch);
     c->n_points = 0;
     for (size_t i = 0; i < s->n_points; i++)
-        c->n_points +=
-            v->reliable[i] &&
-            partition_near(c, (struct xy){s->points[i].enu_m[0], s->points[i].enu_m[1]}, 0.0);
+        c->n_points += v->reliable[i] &&
+                       partition_near(c, partition_along(&cfg->grid, s->points[i].enu_m), 0.0);
     partition_count_azimuth(v, c);
     return ERR_OK;
 }
@@ -302,9 +310,15 @@ static enum err_code partition_grid(const struct survey *v, struct partition *p,
             "an edge of %g m over %g m x %g m makes more than %d cells; take a larger one", edge,
             hi.x - lo.x, hi.y - lo.y, PARTITION_CELLS_MAX);
     size_t nx = fx < 1.0 ? 1 : (size_t)fx, ny = fy < 1.0 ? 1 : (size_t)fy;
-    /* The grid is centred on the cameras: the outer cells lose equally on all sides. */
+    /* Without an origin it is centred on the cameras: the outer cells lose equally on all sides. */
     double x0 = 0.5 * (lo.x + hi.x - (double)nx * edge),
            y0 = 0.5 * (lo.y + hi.y - (double)ny * edge);
+    if (p->grid.turned) {
+        x0 = edge * floor(lo.x / edge);
+        y0 = edge * floor(lo.y / edge);
+        nx = (size_t)fmax(ceil((hi.x - x0) / edge), 1.0);
+        ny = (size_t)fmax(ceil((hi.y - y0) / edge), 1.0);
+    }
     /* A division adds a cell a step. */
     p->cells = arena_get(&p->arena, nx * ny + PARTITION_STEPS_MAX, sizeof *p->cells);
     if (!p->cells)
@@ -487,6 +501,7 @@ enum err_code partition_make(const struct scene *s, const struct partition_confi
     *out = (struct partition){0};
     if (!s->n_images)
         return err_set(e, ERR_DATA, "the scene has no photographs");
+    out->grid = cfg->grid;
     struct survey v;
     enum err_code rc = partition_survey_make(s, cfg, &v, e);
     if (!rc)
@@ -507,15 +522,33 @@ void partition_free(struct partition *p)
     *p = (struct partition){0};
 }
 
+static bool partition_holds(const struct partition_cell *c, const double at[2])
+{
+    return at[0] >= c->min_m[0] && at[0] < c->max_m[0] && at[1] >= c->min_m[1] &&
+           at[1] < c->max_m[1];
+}
+
+bool partition_covers(const struct partition *p, size_t index, const double min_enu_m[2],
+                      const double max_enu_m[2])
+{
+    bool covers = true;
+    for (int corner = 0; corner < 4; corner++) {
+        double at[2];
+        cell_grid_from_enu(&p->grid, corner & 1 ? max_enu_m[0] : min_enu_m[0],
+                           corner & 2 ? max_enu_m[1] : min_enu_m[1], at);
+        covers = covers && partition_holds(&p->cells[index], at);
+    }
+    return covers;
+}
+
 size_t partition_owner(const struct partition *p, double x_m, double y_m)
 {
     size_t best = 0;
-    double nearest = HUGE_VAL;
+    double nearest = HUGE_VAL, at[2];
+    cell_grid_from_enu(&p->grid, x_m, y_m, at);
     for (size_t i = 0; i < p->n_cells; i++) {
         const struct partition_cell *c = &p->cells[i];
-        bool inside =
-            x_m >= c->min_m[0] && x_m < c->max_m[0] && y_m >= c->min_m[1] && y_m < c->max_m[1];
-        double d = inside ? -1.0 : partition_distance(c, x_m, y_m);
+        double d = partition_holds(c, at) ? -1.0 : partition_distance(c, at[0], at[1]);
         if (d < nearest) {
             nearest = d;
             best = i;

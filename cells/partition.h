@@ -12,6 +12,7 @@
 #ifndef CELLS_PARTITION_H
 #define CELLS_PARTITION_H
 
+#include "cells/cell_grid.h"
 #include "core/base.h"
 #include "core/err.h"
 
@@ -30,12 +31,14 @@ struct partition_config { /* partition_defaults fills it */
         images_least; /* cells that still have fewer are not trained: background of a neighbour */
     bool use_visibility; /* false: location alone (the ablation) */
     bool all_images;     /* true: test photographs train as well */
+    struct cell_grid
+        grid; /* {0}: along ENU, centred on the cameras; else squares meet its origin */
 };
 struct partition_config partition_defaults(void);
 
 struct partition_cell {
     char id[24];               /* "x2y0", of its first grid square; stable over runs */
-    double min_m[2], max_m[2]; /* ENU x, y; half-open */
+    double min_m[2], max_m[2]; /* x, y along the grid, which is ENU unless turned; half-open */
     uint32_t
         *images; /* indices into scene.images: first n_location by location, then by visibility */
     size_t n_images, n_location;
@@ -46,6 +49,7 @@ struct partition_cell {
 };
 struct partition { /* {0} is empty */
     double edge_m;
+    struct cell_grid grid;        /* the axes of all boxes */
     struct partition_cell *cells; /* sorted by y, then x */
     size_t n_cells;
     size_t n_merged, n_divided; /* rebalancing steps */
@@ -57,10 +61,13 @@ struct partition { /* {0} is empty */
 enum err_code partition_make(const struct scene *s, const struct partition_config *cfg,
                              struct partition *out, struct err *e) ERR_USE;
 void partition_free(struct partition *p);
-/* The trained cell that owns a Gaussian at (x, y): the one whose box holds it (half-open), else the
+/* The trained cell that owns a Gaussian at ENU (x, y): the one whose box holds it (half-open), else the
  * one whose box is nearest (ties: lowest index). Background cells hand over to their parent. */
 size_t partition_owner(const struct partition *p, double x_m, double y_m);
-/* Horizontal distance from (x, y) to a cell's box, 0 inside. */
+/* Does an ENU box (x, y) lie within the box of cell `index` alone? */
+bool partition_covers(const struct partition *p, size_t index, const double min_enu_m[2],
+                      const double max_enu_m[2]);
+/* Distance from (x, y), along the grid, to a cell's box, 0 inside. */
 double partition_distance(const struct partition_cell *c, double x_m, double y_m);
 
 #endif

@@ -51,6 +51,7 @@ struct eval {
     bool dev_is_open;
     struct render *render;
     struct eval_half_image halves;  /* of what is being scored */
+    double trained_steps;           /* of the level that was scored last; 0: none was */
     struct lpips *lpips;            /* NULL: no weights */
     struct residual_list residuals; /* of the last row that was scored */
     char residuals_of[64];          /* what that row is called */
@@ -107,10 +108,19 @@ static enum err_code eval_halves(struct eval *v, const char *what, uint32_t edge
     if (v->o.half_image == EVAL_HALF_IMAGE_OFF ||
         (v->o.half_image == EVAL_HALF_IMAGE_AUTO && !eval_half_image_appearance(&v->halves)))
         return ERR_OK;
+    uint32_t steps = (uint32_t)v->o.half_image_steps;
+    if (!steps)
+        steps = half_image_steps(v->trained_steps, v->n_images);
+    if (eval_half_image_appearance(&v->halves) && !v->o.half_image_steps)
+        log_info("eval",
+                 "%s: embeddings of %zu photographs learn for %u steps a half%s; "
+                 "--half-image-steps N changes it",
+                 what, v->n_images, steps,
+                 steps < HALF_IMAGE_STEPS ? ", as long as the level was trained" : "");
     snprintf(name, sizeof name, "%s, halves", what);
     enum err_code rc =
-        eval_half_image_run(&v->halves, &v->dev, v->render, (uint32_t)v->o.half_image_steps,
-                            v->o.half_image_random, feed, v->n_images, src, &score, e);
+        eval_half_image_run(&v->halves, &v->dev, v->render, steps, v->o.half_image_random, feed,
+                            v->n_images, src, &score, e);
     score.bytes = bytes;
     return rc ? rc : eval_row(v, name, edge_px, &score, e);
 }
@@ -180,6 +190,7 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
 /* What a level was trained with and must be drawn with. */
 struct eval_settings {
     double max_edge_px, downsample, background, near_m;
+    double steps; /* of training, over all cells */
     enum render_aa aa;
 };
 
@@ -188,8 +199,10 @@ static enum err_code eval_read_settings(const struct ckpt *c, const char *path,
 {
     const json_t *config = json_object_get(c->meta, "config");
     const char *aa = NULL;
-    double edge_m = 0.0;
+    double edge_m = 0.0, steps = 0.0;
     enum err_code rc = jsonc_num(c->meta, "downsample", &out->downsample, e);
+    if (!rc)
+        rc = jsonc_num(c->meta, "steps", &steps, e);
     if (!rc)
         rc = jsonc_num(c->meta, "edge_m", &edge_m, e);
     if (!rc)
@@ -209,6 +222,7 @@ static enum err_code eval_read_settings(const struct ckpt *c, const char *path,
                                    : RENDER_AA_2D;
     if (!(out->near_m > 0.0))
         out->near_m = fmax(RENDER_NEAR_M, edge_m / 1000.0);
+    out->steps += fmin(fmax(steps, 0.0), 1e9);
     return ERR_OK;
 }
 
@@ -310,6 +324,7 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
         struct evaluate_source src = {
             .draw = evaluate_draw_model, .user = &m, .bytes = bytes, .render = v->render};
         uint32_t edge = v->o.max_edge_px ? (uint32_t)v->o.max_edge_px : (uint32_t)s.max_edge_px;
+        v->trained_steps = s.steps;
         rc = eval_source(v, what, edge, v->o.full_size ? 1.0 : s.downsample, src, &half, e);
     }
     eval_half_image_clear(&v->halves);

@@ -2,12 +2,15 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <math.h>
 #include <stdio.h>
 
 #include "cells/cell_plan.h"
 #include "cells/partition.h"
 #include "cli/cli.h"
 #include "codec/scene.h"
+
+#define PLAN_RAD_PER_DEG 0.017453292519943295
 
 struct plan_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -37,6 +40,22 @@ static void plan_print(const struct scene *s, const struct partition *p)
     }
 }
 
+/* The axes that the options ask for; {0}: those of ENU. */
+static enum err_code plan_grid(const struct plan_options *o, struct cell_grid *out, struct err *e)
+{
+    double at[2] = {0.0, 0.0};
+    char more;
+    *out = (struct cell_grid){0};
+    if (o->origin_m && (sscanf(o->origin_m, "%lf,%lf%c", &at[0], &at[1], &more) != 2 ||
+                        !isfinite(at[0]) || !isfinite(at[1])))
+        return err_set(e, ERR_ARG,
+                       "--origin-m '%s': two numbers with a comma are expected, as 10,-56",
+                       o->origin_m);
+    if (o->origin_m || o->yaw_deg != 0.0)
+        *out = cell_grid_make(o->yaw_deg * PLAN_RAD_PER_DEG, at);
+    return ERR_OK;
+}
+
 enum err_code cli_plan(int argc, char **argv, struct err *e)
 {
     const struct options_spec spec = {
@@ -63,7 +82,12 @@ enum err_code cli_plan(int argc, char **argv, struct err *e)
     rc = scene_read(args.arg[0], &scene, e);
     if (rc)
         goto out;
+    struct cell_grid grid;
+    rc = plan_grid(&o, &grid, e);
+    if (rc)
+        goto out;
     const struct partition_config cfg = {.edge_m = o.edge_m,
+                                         .grid = grid,
                                          .location_margin = o.location_margin,
                                          .visibility_gate = o.visibility_gate,
                                          .visibility_min = o.visibility_min,

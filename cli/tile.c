@@ -447,12 +447,10 @@ static bool tile_may_own(void *user, const double min_m[3], const double max_m[3
 {
     const struct tile_ground *t = user;
     for (size_t i = 0; i < t->plan->n_cells; i++) {
-        const struct partition_cell *c = &t->plan->cells[i];
         size_t owner = i;
         while (t->plan->cells[owner].parent >= 0)
             owner = (size_t)t->plan->cells[owner].parent;
-        if (owner != t->cell && min_m[0] >= c->min_m[0] && min_m[1] >= c->min_m[1] &&
-            max_m[0] < c->max_m[0] && max_m[1] < c->max_m[1])
+        if (owner != t->cell && partition_covers(t->plan, i, min_m, max_m))
             return false;
     }
     return true;

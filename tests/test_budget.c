@@ -143,6 +143,7 @@ static void presets_are_the_published_table(void **state)
         snprintf(file, sizeof file, "%s", table[k].file);
         char *argv[] = {train, scene, config, file, NULL};
         kit_ok(options_parse(train_options(), 4, argv, &c, &args, &a, &e), e);
+        assert_true(c.appearance && c.embed_len > 0 && c.depth_sparse && c.depth_weight > 0.0);
         kit_ok(schedule_make(&c, 600, &cell, s, &e), e);
         budget_limit(NULL, NULL, 0, &c, 0, s); /* a table: photographs are not asked */
         for (size_t i = 0; i < 3; i++) {

@@ -2,6 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "cells/cell.h"
 #include "cells/cell_plan.h"
 #include "cells/partition.h"
 #include "codec/scene.h"
@@ -324,6 +325,103 @@ static void the_plan_file_reads_back_and_refuses_another_scene(void **state)
     kit_rmdir(dir);
 }
 
+/* Everything of a scene turned about a place, so that photographs show what they did. */
+static void flight_turn(struct scene *s, double yaw_rad, const double o[2])
+{
+    const double c = cos(yaw_rad), n = sin(yaw_rad);
+    for (size_t i = 0; i < s->n_points; i++) {
+        double *p = s->points[i].enu_m, x = p[0] - o[0], y = p[1] - o[1];
+        p[0] = o[0] + c * x - n * y;
+        p[1] = o[1] + n * x + c * y;
+    }
+    for (size_t i = 0; i < s->n_images; i++) {
+        struct camera *cam = &s->images[i].cam;
+        for (size_t r = 0; r < 3; r++) {
+            double a = cam->rot[3 * r], b = cam->rot[3 * r + 1];
+            cam->rot[3 * r] = c * a - n * b;
+            cam->rot[3 * r + 1] = n * a + c * b;
+            cam->trans[r] += (a - cam->rot[3 * r]) * o[0] + (b - cam->rot[3 * r + 1]) * o[1];
+        }
+    }
+}
+
+/* A turned scene in a turned grid has the cells of the scene in the grid, whose squares meet at the
+ * origin. */
+static void a_turned_grid_cuts_a_turned_scene_alike(void **state)
+{
+    (void)state;
+    enum { PLACES = 200 };
+    struct err e = {0};
+    struct scene s[2];
+    struct partition p[2], again;
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
+    const double yaw_rad = -0.3785, origin_m[2] = {10.0, -56.0};
+    for (int k = 0; k < 2; k++) {
+        flight_make(10, 10, 10.0, 15.0, &s[k]);
+        if (k)
+            flight_turn(&s[k], yaw_rad, origin_m);
+        struct partition_config cfg = partition_defaults();
+        cfg.edge_m = 30.0;
+        cfg.images_few = 0;
+        cfg.images_least = 1;
+        cfg.grid = cell_grid_make(k ? yaw_rad : 0.0, origin_m);
+        kit_ok(partition_make(&s[k], &cfg, &p[k], &e), e);
+    }
+    assert_int_equal(p[0].n_cells, 16);
+    assert_int_equal(p[1].n_cells, 16);
+    for (size_t i = 0; i < p[0].n_cells; i++) {
+        const struct partition_cell *a = &p[0].cells[i], *b = &p[1].cells[i];
+        assert_string_equal(a->id, b->id);
+        for (size_t k = 0; k < 2; k++) {
+            assert_true(fabs(remainder(a->min_m[k], 30.0)) < 1e-9); /* meets the origin */
+            assert_true(fabs(a->min_m[k] - b->min_m[k]) < 1e-6);
+        }
+        assert_int_equal(a->n_location, b->n_location);
+        assert_int_equal(a->n_images, b->n_images);
+        assert_memory_equal(a->images, b->images, a->n_images * sizeof *a->images);
+        assert_int_equal(a->n_points, b->n_points);
+    }
+    kit_tmpdir(dir);
+    snprintf(path, sizeof path, "%s/plan.json", dir);
+    kit_ok(cell_plan_write(path, &s[1], &p[1], &e), e);
+    kit_ok(cell_plan_read(path, &s[1], &again, &e), e);
+    for (size_t i = 0; i < PLACES; i++) {
+        double x = 140.0 * rng_unit(3, 1, i) - 25.0, y = 140.0 * rng_unit(3, 2, i) - 25.0;
+        double u = x - origin_m[0], v = y - origin_m[1];
+        double tx = origin_m[0] + cos(yaw_rad) * u - sin(yaw_rad) * v,
+               ty = origin_m[1] + sin(yaw_rad) * u + cos(yaw_rad) * v;
+        size_t owner = partition_owner(&p[0], x, y);
+        assert_int_equal(partition_owner(&p[1], tx, ty), owner);
+        assert_int_equal(partition_owner(&again, tx, ty), owner);
+        struct cell cell[2];
+        for (int k = 0; k < 2; k++)
+            cell_planned(&s[k], &p[k], 5, p[k].cells[5].images, p[k].cells[5].n_location, &cell[k]);
+        assert_true(fabs(cell_distance(&cell[0], x, y) - cell_distance(&cell[1], tx, ty)) < 1e-6);
+        const double lo[2] = {tx - 0.5, ty - 0.5}, hi[2] = {tx + 0.5, ty + 0.5};
+        bool deep = cell_distance(&cell[0], x, y) == 0.0 && owner == 5 &&
+                    x > p[0].cells[5].min_m[0] + origin_m[0] + 1.0 &&
+                    x < p[0].cells[5].max_m[0] + origin_m[0] - 1.0 &&
+                    y > p[0].cells[5].min_m[1] + origin_m[1] + 1.0 &&
+                    y < p[0].cells[5].max_m[1] + origin_m[1] - 1.0;
+        assert_true(!deep || partition_covers(&p[1], 5, lo, hi));
+        assert_true(owner == 5 || !partition_covers(&p[1], 5, lo, hi));
+    }
+    /* A box around the whole turned cell is not within it. */
+    const double middle[2] = {0.5 * (p[1].cells[5].min_m[0] + p[1].cells[5].max_m[0]),
+                              0.5 * (p[1].cells[5].min_m[1] + p[1].cells[5].max_m[1])};
+    double x = origin_m[0] + cos(yaw_rad) * middle[0] - sin(yaw_rad) * middle[1],
+           y = origin_m[1] + sin(yaw_rad) * middle[0] + cos(yaw_rad) * middle[1];
+    assert_true(partition_covers(&p[1], 5, (double[2]){x, y}, (double[2]){x, y}));
+    assert_false(partition_covers(&p[1], 5, (double[2]){x - 14.9, y - 14.9},
+                                  (double[2]){x + 14.9, y + 14.9}));
+    partition_free(&again);
+    for (int k = 0; k < 2; k++) {
+        partition_free(&p[k]);
+        scene_free(&s[k]);
+    }
+    kit_rmdir(dir);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -333,6 +431,7 @@ int main(void)
         cmocka_unit_test(poor_cells_merge_into_rectangles_and_rich_ones_divide),
         cmocka_unit_test(empty_and_tiny_cells_become_background),
         cmocka_unit_test(the_plan_file_reads_back_and_refuses_another_scene),
+        cmocka_unit_test(a_turned_grid_cuts_a_turned_scene_alike),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -23,6 +23,12 @@ struct half_image {
     float *frame, *frame_grad, *image_grad, *image, *m1, *m2;
 };
 
+uint32_t half_image_steps(double trained, size_t n_photos)
+{
+    double most = n_photos ? floor(trained / (double)n_photos) : 0.0;
+    return trained > 0.0 ? (uint32_t)fmin(fmax(most, 1.0), HALF_IMAGE_STEPS) : HALF_IMAGE_STEPS;
+}
+
 enum err_code half_image_open(const struct half_image_config *c, struct half_image **out,
                               struct err *e)
 {

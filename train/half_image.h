@@ -39,7 +39,7 @@ struct half_image_config { /* all borrowed */
     struct render *render;
     struct photometric *loss;
     struct appearance_view *appearance; /* NULL: a model without */
-    uint32_t steps;                     /* 200 */
+    uint32_t steps;                     /* HALF_IMAGE_STEPS */
     double lr, lr_end;                  /* 0.01 falling to 0.0005, exponentially */
     bool random; /* start from N(0, 1) instead of the nearest cameras' mean */
     uint64_t seed;
@@ -56,6 +56,11 @@ struct half_image_source {
                              struct err *e);
     void *user;
 };
+
+/* Steps a half that take at most as long for n photographs as `trained` steps of training did (0:
+ * not known): HALF_IMAGE_STEPS, or fewer. Two halves of a picture cost what a step of training
+ * does. */
+uint32_t half_image_steps(double trained, size_t n_photos);
 
 struct half_image; /* device buffers */
 /* half_image_close it. ERR_MEM. */

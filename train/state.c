@@ -52,6 +52,13 @@ static json_t *state_meta(const struct model *m, const struct context *ctx,
         (json_int_t)ctx->n_images, "downsample", s->downsample, "edge_m", ctx->cell.edge_m,
         "extent_m", ctx->cell.extent_m, "box_m", ctx->cell.min_enu_m[0], ctx->cell.min_enu_m[1],
         ctx->cell.max_enu_m[0], ctx->cell.max_enu_m[1], "config", config);
+    const struct cell_grid *g = &ctx->cell.grid;
+    if (o && g->turned && /* along ENU there is no such member */
+        json_object_set_new(o, "grid",
+                            json_pack("[f,f,f]", g->yaw_rad, g->origin_m[0], g->origin_m[1]))) {
+        json_decref(o);
+        o = NULL;
+    }
     if (o && json_object_set_new(o, "pruned", json_boolean(ctx->pruned))) {
         json_decref(o);
         o = NULL;

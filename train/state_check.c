@@ -66,7 +66,7 @@ enum err_code state_check_config(const struct train_config *cfg, const char *pat
 enum err_code state_check_cell(const struct context *ctx, const char *path, const json_t *meta,
                                struct err *e)
 {
-    double lengths[2], box[4], photos;
+    double lengths[2], box[4], photos, grid[3] = {0.0, 0.0, 0.0};
     const struct cell *c = &ctx->cell;
     const double want[6] = {c->edge_m,       c->extent_m,     c->min_enu_m[0],
                             c->min_enu_m[1], c->max_enu_m[0], c->max_enu_m[1]};
@@ -82,8 +82,14 @@ enum err_code state_check_cell(const struct context *ctx, const char *path, cons
     if (photos != (double)ctx->n_images)
         return err_set(e, ERR_DATA, "%s: the run had %.0f photographs, the scene has %zu now", path,
                        photos, ctx->n_images);
+    const double turned[3] = {c->grid.yaw_rad, c->grid.origin_m[0], c->grid.origin_m[1]};
+    bool same = c->grid.turned == (json_object_get(meta, "grid") != NULL);
+    if (c->grid.turned && same && jsonc_nums(meta, "grid", 3, grid, e))
+        return err_add(e, "%s", path);
+    for (size_t i = 0; i < 3; i++)
+        same = same && fabs(grid[i] - (c->grid.turned ? turned[i] : 0.0)) <= STATE_CHECK_SAME_M;
     for (size_t i = 0; i < 6; i++)
-        if (!(fabs((i < 2 ? lengths[i] : box[i - 2]) - want[i]) <= STATE_CHECK_SAME_M))
+        if (!same || !(fabs((i < 2 ? lengths[i] : box[i - 2]) - want[i]) <= STATE_CHECK_SAME_M))
             return err_set(e, ERR_DATA,
                            "%s: the run's cell %s was another one, of another plan.json", path,
                            c->id);

@@ -794,6 +794,20 @@ static void pruning_and_budgets_look_at_photographs_in_their_own_appearance(void
     arena_free(&a);
 }
 
+/* Scores of half images take no longer than the training did. */
+static void scores_take_no_longer_than_training(void **state)
+{
+    (void)state;
+    static const struct {
+        double trained;
+        size_t photos;
+        uint32_t steps;
+    } cases[] = {
+        {0.0, 10, 200}, {30000.0, 25, 200}, {1000.0, 10, 100}, {750.0, 300, 2}, {5.0, 9, 1}};
+    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++)
+        assert_int_equal(half_image_steps(cases[i].trained, cases[i].photos), cases[i].steps);
+}
+
 /* A network that would learn nothing, or next to nothing, is refused. */
 static void a_network_needs_steps(void **state)
 {
@@ -843,6 +857,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(the_score_of_a_half_does_not_know_the_other),
         cmocka_unit_test(masked_pixels_of_a_half_count_nothing),
         cmocka_unit_test(pruning_and_budgets_look_at_photographs_in_their_own_appearance),
+        cmocka_unit_test(scores_take_no_longer_than_training),
         cmocka_unit_test(a_network_needs_steps),
     };
     return cmocka_run_group_tests_name("appearance in training", tests, toy_open_device,
