@@ -17,7 +17,7 @@ enum { NADIR_SIZE_MAX = 2048 }; /* px, of a piece */
 struct nadir; /* a store, a renderer and what was surveyed; one caller at a time */
 struct nadir_options {
     const char *device;     /* OpenCL device, see dev_open */
-    const char *appearance; /* see bake_find; NULL: the store's default one */
+    const char *appearance; /* see lod/bake.h; NULL: the store's default one */
     double ceiling_m;   /* ENU: what is higher is not drawn; NAN: half of the survey's own height
                                and 20 m above it */
     size_t cache_bytes; /* of decoded tiles; 0: 256 MiB */
