@@ -147,7 +147,7 @@ row() {
     esac
   done
   command="citysplat train $scene ${train[*]}; citysplat eval $scene${eval[*]:+ ${eval[*]}}"
-  [ $part != tiles ] || command+="; citysplat tile $scene; citysplat eval $scene --tiles CITY.tiles${tiles[*]:+ ${tiles[*]}}"
+  [ $part != tiles ] || command+="; citysplat tile $scene --crop none; citysplat eval $scene --tiles CITY.tiles${tiles[*]:+ ${tiles[*]}}"
   wanted "$study" "$name" "$command" || return 0
   scene "$scene" || { say "$study: $name: skipped: CITYSPLAT_CALITERRA is not set"; return 0; }
   folder=$OUT/trained/$(slug "$study" "$name")
@@ -156,7 +156,7 @@ row() {
   citysplat eval "$OUT/$scene" --results "$folder" -o "$folder/scores.json" "${eval[@]}" >&2
   local scores=$folder/scores.json
   if [ $part = tiles ]; then
-    citysplat tile "$OUT/$scene" --trained "$folder" -o "$folder/city.tiles" >&2
+    citysplat tile "$OUT/$scene" --crop none --trained "$folder" -o "$folder/city.tiles" >&2
     citysplat eval "$OUT/$scene" --tiles "$folder/city.tiles" -o "$folder/tiles.json" "${tiles[@]}" >&2
     scores+=,$folder/tiles.json
   fi
@@ -182,14 +182,14 @@ tile_row() {
         esac ;;
     esac
   done
-  command="citysplat train $scene ${train[*]}; citysplat tile $scene ${tile[*]}; citysplat eval $scene --tiles CITY.tiles ${eval[*]}"
+  command="citysplat train $scene ${train[*]}; citysplat tile $scene --crop none ${tile[*]}; citysplat eval $scene --tiles CITY.tiles ${eval[*]}"
   wanted "$study" "$name" "$command" || return 0
   scene "$scene" || { say "$study: $name: skipped: CITYSPLAT_CALITERRA is not set"; return 0; }
   folder=$OUT/trained/$(slug shared "$scene")
   ceilings
   trained "$folder" "$scene" "${train[@]}"
   tiles=$folder/$(slug "${tile[*]}").tiles
-  [ -f "$tiles" ] || citysplat tile "$OUT/$scene" --trained "$folder" -o "$tiles" "${tile[@]}" >&2
+  [ -f "$tiles" ] || citysplat tile "$OUT/$scene" --crop none --trained "$folder" -o "$tiles" "${tile[@]}" >&2
   set+=${set:+,}tiles=$(citysplat info "$tiles" --json | sed -n 's/.*"tiles_count": *\([0-9][0-9]*\).*/\1/p' | head -1)
   citysplat eval "$OUT/$scene" --tiles "$tiles" -o "$folder/scores.json" "${eval[@]}" >&2
   record "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" \
@@ -337,12 +337,12 @@ bench_scored() { # NAME STUDY SCENE COMMAND, then options of citysplat-bench
 rate() { # SUFFIX SCENE TRAIN-OPTIONS
   local rd=rd$1 layout=layout$1 scene=$2 command todo=
   shift 2
-  command="citysplat train $scene $*; citysplat tile $scene; citysplat-bench"
+  command="citysplat train $scene $*; citysplat tile $scene --crop none; citysplat-bench"
   wanted "$rd" "preset:balanced" "$command rd --scene $scene --tiles CITY.tiles" && todo=rd
   wanted "$layout" "order: Hilbert curve" "$command layout --tiles CITY.tiles" && todo+=layout
   [ -n "$todo" ] || return 0
   scored "$rd" "$scene" "$@" || return 0
-  citysplat tile "$OUT/$scene" --trained "$FOLDER" -o "$FOLDER/city.tiles" >&2
+  citysplat tile "$OUT/$scene" --crop none --trained "$FOLDER" -o "$FOLDER/city.tiles" >&2
   case $todo in rd*) bench_scored rd "$rd" "$scene" "$command rd --scene $scene --tiles CITY.tiles" --scene "$OUT/$scene" --tiles "$FOLDER/city.tiles" ;; esac
   case $todo in *layout) bench_scored layout "$layout" "$scene" "$command layout --tiles CITY.tiles" --tiles "$FOLDER/city.tiles" ;; esac
   forget
@@ -354,10 +354,10 @@ study_rd() {
 
 study_layout() { # study_rd has two scenes; this one has appearance embeddings
   local command="citysplat train city-light --level-count 1 --iterations $STEPS --budget-3 100000 --appearance --appearance-warmup 250 --embed-len 16"
-  command+="; citysplat tile city-light; citysplat-bench layout --tiles CITY.tiles"
+  command+="; citysplat tile city-light --crop none; citysplat-bench layout --tiles CITY.tiles"
   wanted layout_light "order: Hilbert curve" "$command" || return 0
   scored layout city-light --level-count 1 --iterations "$STEPS" --budget-3 100000 --appearance --appearance-warmup 250 --embed-len 16
-  citysplat tile "$OUT/city-light" --trained "$FOLDER" -o "$FOLDER/city.tiles" >&2
+  citysplat tile "$OUT/city-light" --crop none --trained "$FOLDER" -o "$FOLDER/city.tiles" >&2
   bench_scored layout layout_light city-light "$command" --tiles "$FOLDER/city.tiles"
   forget
 }

@@ -5,7 +5,9 @@
 #ifndef CELLS_FOOTPRINT_INTERNAL_H
 #define CELLS_FOOTPRINT_INTERNAL_H
 
-#include "cells/footprint.h"
+#include "core/err.h"
+
+struct footprint;
 
 /* footprint.c: edge_m from `inside`. ERR_MEM. */
 enum err_code footprint_measure(struct footprint *f, struct err *e) ERR_USE;

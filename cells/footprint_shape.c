@@ -9,6 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "cells/footprint.h"
 #include "cells/footprint_internal.h"
 #include "core/base.h"
 #include "core/geo.h"
