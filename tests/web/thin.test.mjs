@@ -21,10 +21,11 @@ let page;
 before(async () => {
     if (why) return;
     source = await openSource();
-    const { lon, lat, h } = SOUTH;
+    const place = [SOUTH.lon.toFixed(7), SOUTH.lat.toFixed(7), SOUTH.h.toFixed(2)].join();
     const id = await firstDataSet(source.url);
-    const trial = await fetch(`${source.url}/d/${id}/static/${lon},${lat},${h}@0,-36/64x48.jpg`);
-    if (!trial.ok) why = `the server draws no pictures: ${trial.status}`;
+    const trial = await fetch(`${source.url}/d/${id}/static/${place}@0,-36/64x48.jpg`);
+    if (trial.status === 501 || trial.status === 503) why = `no pictures: ${trial.status}`;
+    else if (!trial.ok) throw new Error(`${trial.url}: ${await trial.text()}`);
     if (why) return;
     proxy = await Proxy.open(source.url);
     viewer = await openPage(`${proxy.url}/?thin`, SIZE);
@@ -73,10 +74,10 @@ test("moving: small pictures one by one; at rest the full one", async (t) => {
     });
     assert.ok(drawn.small >= 4, `${drawn.small} pictures in 3 s of moving`);
     const moving = pictures();
-    assert.ok(
-        moving.every((one) => sizeOf(one) < SIZE.width / 1.5),
-        "a full picture of a moving camera",
-    );
+    // They grow where the server is quick; a machine that stalls may rest for a moment.
+    assert.ok(sizeOf(moving[0]) < SIZE.width / 1.5, `${sizeOf(moving[0])} px wide while moving`);
+    const together = moving.filter((one, i) => i > 0 && !moving[i - 1].aborted && one.began < moving[i - 1].ended);
+    assert.equal(together.length, 0, "two requests on their way");
     assert.ok(moving.length <= drawn.seen + 1, `${moving.length} requests for ${drawn.seen} pictures`);
     await waitForViewer(page);
     const last = pictures().at(-1);
