@@ -1,4 +1,4 @@
-/* A byte-level check of requests in front of libmicrohttpd's parser (docs/decisions/010-screen.md).
+/* A byte-level check of requests in front of libmicrohttpd's parser (docs/decisions/012-screen.md).
  *
  * The parser gets whole lines that were looked at before, and nothing else: a line with a control
  * byte, a field without a proper name, a length that is not digits, a second length or coding, a bad
