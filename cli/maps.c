@@ -11,7 +11,7 @@
 enum err_code maps_number(const char *option, const char *text, double *out, struct err *e)
 {
     char *end;
-    *out = NAN;
+    *out = (double)NAN;
     if (!text)
         return ERR_OK;
     *out = strtod(text, &end);

@@ -29,7 +29,7 @@ enum err_code probe_at(struct nadir *n, double lon_deg, double lat_deg, double g
     double gsd = gsd_m > 0 ? gsd_m : nadir_area(n)->sigma_m;
     const struct nadir_piece p = {lon_deg, lat_deg, 0, 1 / gsd, 1 / gsd, PROBE_PX, PROBE_PX};
     memset(out, 0, sizeof *out);
-    out->height_m = out->height_min_m = out->height_max_m = NAN;
+    out->height_m = out->height_min_m = out->height_max_m = (double)NAN;
     out->pixel_m = gsd;
     if (!(fabs(lon_deg) <= 180) || !(fabs(lat_deg) <= 90))
         return err_set(e, ERR_ARG, "%g,%g: longitude -180 to 180 and latitude -90 to 90 wanted",

@@ -96,7 +96,7 @@ static int setup(void **state)
     const struct pyramid_level level = {.g = &g, .level = 3};
     kit_ok(pyramid_build(&origin, &level, 1, &cfg, NULL, 0, f.path, NULL, &e), e);
     gauss_free(&g);
-    const struct nadir_options no = {.ceiling_m = NAN};
+    const struct nadir_options no = {.ceiling_m = (double)NAN};
     kit_ok(nadir_open(f.path, &no, &f.nadir, &e), e);
     return 0;
 }
