@@ -81,6 +81,7 @@ static enum err_code serve_config(struct server_config *cfg, struct arena *a, st
     cfg->device = "none";
     cfg->access_log = false;
     cfg->requests_per_connection = 1000000000;
+    cfg->client_views_s = 0;
     return rc;
 }
 

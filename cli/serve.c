@@ -70,6 +70,7 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
         const struct timespec wait = {.tv_nsec = 100000000};
         if (sigtimedwait(&hup, NULL, &wait) == SIGHUP)
             serve_reload(sv);
+        server_expire(sv, clock_s());
     }
     log_info("serve", "stopping: answers under way are finished first");
 out:

@@ -79,6 +79,10 @@ enum err_code store_commit(struct store **s, struct err *e) ERR_USE;
 /* Open for reading; store_close it. ERR_NOENT, ERR_FORMAT (no tile store, another schema version,
  * damaged: what and which), ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code store_open(const char *path, struct store **out, struct err *e) ERR_USE;
+/* The same of a file that is open already, whatever its name stands for by now: also when it was renamed
+ * over or removed. fd is borrowed during the call; name is what errors call it. /proc must be there.
+ * Errors as store_open, ERR_NOENT among them. */
+enum err_code store_open_fd(int fd, const char *name, struct store **out, struct err *e) ERR_USE;
 /* Close; of a store that is being built: removes the unfinished file. NULL inside is fine. */
 void store_close(struct store **s);
 /* Borrowed, until store_close. */

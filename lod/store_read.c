@@ -11,6 +11,7 @@
 #include <fcntl.h>
 #include <jansson.h>
 #include <math.h>
+#include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -39,10 +40,10 @@ static uint32_t store_be32(const uint8_t *p)
 }
 
 /* The 100 bytes of an SQLite header (sqlite.org/fileformat2.html, 1.3) against the file's size. */
-static enum err_code store_check_header(const char *path, struct err *e)
+static enum err_code store_check_header(const char *at, const char *path, struct err *e)
 {
     uint8_t h[100];
-    int fd = open(path, O_RDONLY | O_CLOEXEC);
+    int fd = open(at, O_RDONLY | O_CLOEXEC);
     if (fd < 0)
         return err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", path);
     struct stat st;
@@ -84,14 +85,46 @@ static enum err_code store_uri(const char *path, struct buf *uri, struct err *e)
     return buf_check(uri, e);
 }
 
-static enum err_code store_connect(struct store *s, struct err *e)
+/* SQLite resolves links in a path first, and opens none; what /proc/self/fd/N is a link to may be another
+ * file by now, or none. This file system takes paths as they are, and its open() takes these links. */
+static int store_as_is(sqlite3_vfs *vfs, const char *path, int room, char *out)
+{
+    (void)vfs;
+    return snprintf(out, (size_t)room, "%s", path) < room ? SQLITE_OK : SQLITE_CANTOPEN;
+}
+
+static const char store_fds[] = "/proc/self/fd/";
+
+static int store_open_call(const char *path, int flags, int mode)
+{
+    bool fd = !strncmp(path, store_fds, sizeof store_fds - 1);
+    return open(path, fd ? flags & ~O_NOFOLLOW : flags, mode);
+}
+
+static sqlite3_vfs store_vfs;
+static pthread_once_t store_vfs_once = PTHREAD_ONCE_INIT;
+
+static void store_add_vfs(void)
+{
+    const sqlite3_vfs *usual = sqlite3_vfs_find(NULL);
+    if (!usual)
+        return;
+    store_vfs = *usual;
+    store_vfs.pNext = NULL;
+    store_vfs.zName = "citysplat-as-is";
+    store_vfs.xFullPathname = store_as_is;
+    store_vfs.xSetSystemCall(&store_vfs, "open", (sqlite3_syscall_ptr)store_open_call);
+    sqlite3_vfs_register(&store_vfs, 0);
+}
+
+static enum err_code store_connect(struct store *s, const char *at, const char *vfs, struct err *e)
 {
     struct buf uri = {0};
-    enum err_code rc = store_uri(s->path, &uri, e);
+    enum err_code rc = store_uri(at, &uri, e);
     if (rc)
         goto out;
     int flags = SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX;
-    int code = sqlite3_open_v2((const char *)uri.data, &s->db, flags, NULL);
+    int code = sqlite3_open_v2((const char *)uri.data, &s->db, flags, vfs);
     if (code == SQLITE_OK) {
         sqlite3_db_config(s->db, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, NULL);
         sqlite3_db_config(s->db, SQLITE_DBCONFIG_DEFENSIVE, 1, NULL);
@@ -309,12 +342,14 @@ const char *store_footprint(const struct store *s)
     return s->footprint;
 }
 
-enum err_code store_open(const char *path, struct store **out, struct err *e)
+/* The file at `at`, which messages call `path`. */
+static enum err_code store_open_at(const char *at, const char *path, const char *vfs,
+                                   struct store **out, struct err *e)
 {
     *out = NULL;
     if (strlen(path) >= FILE_PATH_MAX)
         return err_set(e, ERR_LIMIT, "%s: path too long", path);
-    enum err_code rc = store_check_header(path, e);
+    enum err_code rc = store_check_header(at, path, e);
     if (rc)
         return rc;
     struct store *s = mem_array(1, sizeof *s);
@@ -322,7 +357,7 @@ enum err_code store_open(const char *path, struct store **out, struct err *e)
         return err_set(e, ERR_MEM, "%s: out of memory", path);
     memcpy(s->path, path, strlen(path) + 1);
     size_t n_bad = 0;
-    rc = store_connect(s, e);
+    rc = store_connect(s, at, vfs, e);
     if (!rc)
         rc = store_read_meta(s, e);
     if (!rc)
@@ -335,6 +370,19 @@ enum err_code store_open(const char *path, struct store **out, struct err *e)
         store_close(&s);
     *out = s;
     return rc;
+}
+
+enum err_code store_open(const char *path, struct store **out, struct err *e)
+{
+    return store_open_at(path, path, NULL, out, e);
+}
+
+enum err_code store_open_fd(int fd, const char *name, struct store **out, struct err *e)
+{
+    char at[32];
+    snprintf(at, sizeof at, "%s%d", store_fds, fd);
+    pthread_once(&store_vfs_once, store_add_vfs);
+    return store_open_at(at, name, store_vfs.zName, out, e);
 }
 
 void store_close(struct store **sp)

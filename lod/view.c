@@ -29,17 +29,19 @@ struct view {
     float *frame;                        /* of the appearance, see appearance_frame; NULL: none */
 };
 
-enum err_code view_open(const char *store_path, struct render *r, size_t cache_bytes,
-                        struct view **out, struct err *e)
+/* Of store, which is taken, also on failure. */
+static enum err_code view_open_store(struct store *store, const char *store_path, struct render *r,
+                                     size_t cache_bytes, struct view **out, struct err *e)
 {
     *out = NULL;
     struct view *v = mem_array(1, sizeof *v);
-    if (!v)
+    if (!v) {
+        store_close(&store);
         return err_set(e, ERR_MEM, "%s: out of memory", store_path);
+    }
     v->render = r;
-    enum err_code rc = store_open(store_path, &v->store, e);
-    if (!rc)
-        rc = bake_of(v->store, &v->appearance, e);
+    v->store = store;
+    enum err_code rc = bake_of(v->store, &v->appearance, e);
     if (!rc)
         rc = resident_open(v->store, r, v->appearance ? store_info(v->store)->embed_len : 0,
                            cache_bytes ? cache_bytes : VIEW_CACHE_BYTES, &v->resident, e);
@@ -52,6 +54,24 @@ enum err_code view_open(const char *store_path, struct render *r, size_t cache_b
         view_close(&v);
     *out = v;
     return rc;
+}
+
+enum err_code view_open(const char *store_path, struct render *r, size_t cache_bytes,
+                        struct view **out, struct err *e)
+{
+    struct store *s = NULL;
+    enum err_code rc = store_open(store_path, &s, e);
+    *out = NULL;
+    return !rc ? view_open_store(s, store_path, r, cache_bytes, out, e) : rc;
+}
+
+enum err_code view_open_fd(int fd, const char *name, struct render *r, size_t cache_bytes,
+                           struct view **out, struct err *e)
+{
+    struct store *s = NULL;
+    enum err_code rc = store_open_fd(fd, name, &s, e);
+    *out = NULL;
+    return !rc ? view_open_store(s, name, r, cache_bytes, out, e) : rc;
 }
 
 void view_close(struct view **vp)

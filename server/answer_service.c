@@ -6,6 +6,7 @@
 
 #include <jansson.h>
 #include <string.h>
+#include <strings.h>
 
 #include "server/condition.h"
 #include "server/document.h"
@@ -20,10 +21,8 @@ static enum err_code answer_service_about(struct services *s, struct body **out,
         picture_about(s->picture, about, sizeof about);
     json_t *revisions = json_object();
     struct catalog *c = services_catalog(s);
-    for (size_t i = 0; i < c->n; i++)
-        if (!(c->ds[i]->retired_s > 0))
-            json_object_set_new(revisions, c->ds[i]->meta.name,
-                                json_string(c->ds[i]->meta.revision));
+    for (size_t i = 0; i < c->n_current; i++)
+        json_object_set_new(revisions, c->ds[i]->meta.name, json_string(c->ds[i]->meta.revision));
     catalog_drop(&c);
     return document_make(json_pack("{s:s,s:s,s:o,s:{s:s,s:s}}", "name", "citysplat", "version",
                                    CITYSPLAT_VERSION, "datasets", revisions, "pictures", "state",
@@ -42,7 +41,7 @@ static void answer_service_landing(struct services *s, const struct request *r,
         response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(s->landing), out);
 }
 
-/* Ready, or degraded: the file of a dataset does not give all its tiles. Still 200, because everything
+/* Ready, or degraded: the file of a dataset does not give all its tiles, or a reload failed. Still 200, because everything
  * else is served, and taking the server out would help nobody. */
 static void answer_service_state(struct services *s, const struct request *r, struct response *out)
 {
@@ -58,8 +57,19 @@ static void answer_service_state(struct services *s, const struct request *r, st
         json_object_set_new(failed, c->ds[i]->meta.name, json_integer(n));
     }
     catalog_drop(&c);
+    char why[sizeof s->reload_error];
+    pthread_mutex_lock(&s->catalog_lock);
+    memcpy(why, s->reload_error, sizeof why);
+    pthread_mutex_unlock(&s->catalog_lock);
+    degraded |= why[0];
     json_t *o = degraded ? json_pack("{s:s,s:O}", "status", "degraded", "failed", failed)
                          : json_pack("{s:s}", "status", "ready");
+    if (why[0]) /* it names files: whoever is not on this machine learns that it is so */
+        json_object_set_new(o, "reload",
+                            json_string(r->local
+                                            ? why
+                                            : "the last reload failed, and the data from before "
+                                              "it are served; the log says why"));
     json_decref(failed);
     if (document_make(o, &b, NULL))
         body_drop(&b);
@@ -74,12 +84,40 @@ static void answer_service_ready(struct services *s, const struct request *r, st
         answer_service_state(s, r, out);
 }
 
+/* Compared in a time that does not depend on where they differ. */
+static bool answer_service_token(const char *given, const char *token)
+{
+    const char *bearer = given && !strncasecmp(given, "Bearer ", 7) ? given + 7 : "";
+    size_t n = strlen(token), m = strlen(bearer);
+    unsigned differ = n != m;
+    for (size_t i = 0; i < m; i++)
+        differ |= (unsigned)(bearer[i] ^ token[i % n]);
+    return !differ;
+}
+
+/* Metrics say who asks for what, and how much: nothing that a proxy's configuration should publish by
+ * forgetting about it. */
+static bool answer_service_may(const struct server_config *cfg, const struct request *r)
+{
+    if (!strcmp(cfg->metrics, "public"))
+        return true;
+    if (!strcmp(cfg->metrics, "local"))
+        return r->local;
+    return answer_service_token(r->authorization, cfg->metrics);
+}
+
 static void answer_service_metrics(struct services *s, const struct request *r,
                                    struct response *out)
 {
     struct buf b = {0};
-    if (!r->local) {
-        response_problem(out, 403, "metrics are for clients on this machine");
+    if (!answer_service_may(s->cfg, r)) {
+        response_problem(
+            out, 403,
+            !strcmp(s->cfg->metrics, "local")
+                ? "metrics are for this machine: ask http://127.0.0.1 or http://localhost "
+                  "without a proxy, or see --metrics"
+                : "metrics are for those who send the token of --metrics as "
+                  "Authorization: Bearer TOKEN");
         return;
     }
     struct body *text = metrics_text_write(s, &b, NULL) ? NULL : body_take(&b, NULL);

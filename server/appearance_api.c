@@ -44,6 +44,14 @@ enum err_code appearance_api_find(const struct dataset *d, const char *text,
                        *text == '=' ? "the embedding has a number beyond 1e6"
                                     : "the weights of the blend cancel or overflow");
     }
+    if (*text == '=') {
+        char one[BAKE_TEXT_MAX];
+        bake_text(out->image, d->appearance->len_image, one);
+        if (strcmp(one, text) != 0) {
+            *out = (struct appearance_choice){0};
+            return err_set(e, ERR_ARG, "an embedding has one spelling; this one's is %s", one);
+        }
+    }
     out->set = true;
     out->hash = hash_bytes(out->image, d->appearance->len_image * sizeof(float));
     return ERR_OK;
@@ -183,7 +191,7 @@ static enum err_code appearance_api_embedding(const struct appearance *a, const 
         const json_t *v = json_array_get(list, i);
         if (!json_is_number(v) || !(fabs(json_number_value(v)) <= APPEARANCE_API_MOST))
             return err_set(e, ERR_DATA, "embedding: number %u is none, or beyond 1e6", i);
-        image[i] = (float)json_number_value(v);
+        image[i] = (float)json_number_value(v) + 0.0f; /* as in appearance_api_find */
     }
     bake_text(image, a->len_image, text);
     return ERR_OK;

@@ -1,6 +1,6 @@
 /* The datasets at one moment, with their documents. A reload makes a new catalog and swaps a pointer,
  * requests under way keep the old one, and a revision that was replaced is served for another day from
- * the handles it holds, although its file has been renamed over.
+ * the handles it holds, although its file has been renamed over. A reload that fails has changed nothing.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,8 +15,6 @@
 #include "server/appearance_api.h"
 #include "server/collection.h"
 #include "server/document.h"
-
-static const double CATALOG_KEEP_S = 24 * 3600; /* of a revision that was replaced */
 
 static enum err_code catalog_make_documents(struct dataset *d, const char *public_url,
                                             struct err *e)
@@ -47,37 +45,11 @@ static enum err_code catalog_make_documents(struct dataset *d, const char *publi
 static int catalog_by_name(const void *pa, const void *pb)
 {
     const struct dataset *a = *(struct dataset *const *)pa, *b = *(struct dataset *const *)pb;
-    int order = strcmp(a->meta.name, b->meta.name);
-    if (order)
-        return order;
-    if ((a->retired_s > 0) != (b->retired_s > 0))
-        return a->retired_s > 0 ? 1 : -1;
-    return (a->retired_s < b->retired_s) - (a->retired_s > b->retired_s);
-}
-
-/* Revisions of `older` that were replaced less than a day ago, or just now. */
-static void catalog_keep_retired(struct catalog *c, const struct catalog *older)
-{
-    size_t n_current = c->n;
-    double now_s = clock_s();
-    for (size_t i = 0; older && i < older->n; i++) {
-        struct dataset *d = older->ds[i];
-        bool named = false, present = false;
-        for (size_t k = 0; k < n_current; k++) {
-            bool same_name = !strcmp(c->ds[k]->meta.name, d->meta.name);
-            named |= same_name;
-            present |= same_name && !strcmp(c->ds[k]->meta.revision, d->meta.revision);
-        }
-        if (!named || present || (d->retired_s > 0 && now_s - d->retired_s > CATALOG_KEEP_S))
-            continue;
-        if (!(d->retired_s > 0))
-            d->retired_s = now_s; /* only the reloading thread writes and reads it */
-        c->ds[c->n++] = dataset_ref(d);
-    }
+    return strcmp(a->meta.name, b->meta.name);
 }
 
 /* The dataset of `older` at this path if the file still has its revision, else open it anew. */
-static enum err_code catalog_open_or_keep(const char *path, size_t readers, const char *public_url,
+static enum err_code catalog_open_or_keep(const char *path, const struct catalog_options *o,
                                           const struct catalog *older, struct dataset **out,
                                           struct err *e)
 {
@@ -85,52 +57,121 @@ static enum err_code catalog_open_or_keep(const char *path, size_t readers, cons
     enum err_code rc = older ? store_open(path, &now, e) : ERR_OK;
     if (rc)
         return rc;
-    for (size_t i = 0; older && i < older->n && !*out; i++) {
+    for (size_t i = 0; older && i < older->n_current && !*out; i++) {
         struct dataset *d = older->ds[i];
-        if (!(d->retired_s > 0) && !atomic_load(&d->n_failed) && !strcmp(d->path, path) &&
+        if (!atomic_load(&d->n_failed) && !strcmp(d->path, path) &&
             !strcmp(d->meta.revision, store_info(now)->revision))
             *out = dataset_ref(d);
     }
     store_close(&now);
     if (*out)
         return ERR_OK;
-    rc = dataset_open(path, readers, out, e);
+    rc = dataset_open(path, o->readers, out, e);
     if (!rc)
-        rc = catalog_make_documents(*out, public_url, e);
+        rc = catalog_make_documents(*out, o->public_url, e);
     if (rc)
         dataset_drop(out);
     return rc;
 }
 
-enum err_code catalog_open(const char *const *paths, size_t n, size_t readers,
-                           const char *public_url, struct catalog *older, struct catalog **out,
-                           struct err *e)
+/* ---- revisions that were replaced ---- */
+
+/* Is this revision, or (any: NULL) another one of the name, among the first n? */
+static bool catalog_has(const struct catalog *c, size_t n, const char *name, const char *revision)
+{
+    for (size_t i = 0; i < n; i++)
+        if (!strcmp(c->ds[i]->meta.name, name) &&
+            (!revision || !strcmp(c->ds[i]->meta.revision, revision)))
+            return true;
+    return false;
+}
+
+/* Add an older revision, unless its time is over, or it is there, or as many as may be; they come latest
+ * first. */
+static void catalog_keep(struct catalog *c, struct dataset *d, double replaced_s, double now_s,
+                         const struct catalog_options *o)
+{
+    const char *name = d->meta.name;
+    size_t n_same = 0;
+    for (size_t i = c->n_current; i < c->n; i++)
+        n_same += !strcmp(c->ds[i]->meta.name, name);
+    if (!catalog_has(c, c->n_current, name, NULL) || catalog_has(c, c->n, name, d->meta.revision))
+        return;
+    if (now_s - replaced_s > o->keep_s || n_same >= o->keep_revisions) {
+        log_info("serve", "revision dropped name=%s revision=%s age_s=%.0f", name, d->meta.revision,
+                 now_s - replaced_s);
+        return;
+    }
+    c->replaced_s[c->n] = replaced_s;
+    c->ds[c->n++] = dataset_ref(d);
+}
+
+static void catalog_keep_older(struct catalog *c, const struct catalog *older, double now_s,
+                               const struct catalog_options *o)
+{
+    for (size_t i = 0; i < older->n; i++) /* those that are replaced now come first in it */
+        catalog_keep(c, older->ds[i], older->replaced_s[i] > 0 ? older->replaced_s[i] : now_s,
+                     now_s, o);
+}
+
+static enum err_code catalog_alloc(size_t n, struct catalog **out, struct err *e)
 {
     struct catalog *c = mem_array(1, sizeof *c);
-    enum err_code rc = ERR_OK;
     *out = c;
-    if (!c || !(c->ds = mem_array(n + (older ? older->n : 0), sizeof *c->ds))) {
-        mem_free(c);
-        *out = NULL;
-        return err_set(e, ERR_MEM, "catalog: out of memory");
+    if (c) {
+        atomic_init(&c->refs, 1);
+        c->ds = mem_array(n, sizeof *c->ds);
+        c->replaced_s = mem_array(n, sizeof *c->replaced_s);
     }
-    atomic_init(&c->refs, 1);
+    if (c && c->ds && c->replaced_s)
+        return ERR_OK;
+    catalog_drop(out);
+    return err_set(e, ERR_MEM, "catalog: out of memory");
+}
+
+enum err_code catalog_open(const char *const *paths, size_t n, const struct catalog_options *o,
+                           const struct catalog *older, struct catalog **out, struct err *e)
+{
+    enum err_code rc = catalog_alloc(n + (older ? older->n : 0), out, e);
+    struct catalog *c = *out;
+    if (rc)
+        return rc;
     for (; c->n < n && !rc; c->n += !rc)
-        rc = catalog_open_or_keep(paths[c->n], readers, public_url, older, &c->ds[c->n], e);
-    if (!rc) {
-        catalog_keep_retired(c, older);
-        qsort(c->ds, c->n, sizeof *c->ds, catalog_by_name);
-        for (size_t i = 1; i < c->n && !rc; i++)
-            if (!(c->ds[i]->retired_s > 0) && !strcmp(c->ds[i]->meta.name, c->ds[i - 1]->meta.name))
-                rc = err_set(e, ERR_ARG,
-                             "%s and %s : both hold a dataset named '%s' : serve one of them",
-                             c->ds[i - 1]->path, c->ds[i]->path, c->ds[i]->meta.name);
-    }
+        rc = catalog_open_or_keep(paths[c->n], o, older, &c->ds[c->n], e);
+    c->n_current = c->n;
     if (!rc)
-        rc = collection_list(c->ds, c->n, &c->collections, e);
+        qsort(c->ds, c->n, sizeof *c->ds, catalog_by_name);
+    for (size_t i = 1; i < c->n && !rc; i++)
+        if (!strcmp(c->ds[i]->meta.name, c->ds[i - 1]->meta.name))
+            rc = err_set(e, ERR_ARG,
+                         "%s and %s : both hold a dataset named '%s' : serve one of them",
+                         c->ds[i - 1]->path, c->ds[i]->path, c->ds[i]->meta.name);
+    if (!rc)
+        rc = collection_list(c->ds, c->n_current, &c->collections, e);
+    if (!rc && older)
+        catalog_keep_older(c, older, clock_s(), o);
     if (rc)
         catalog_drop(out);
     return rc;
+}
+
+enum err_code catalog_expire(const struct catalog *c, const struct catalog_options *o, double now_s,
+                             struct catalog **out, struct err *e)
+{
+    bool over = false;
+    *out = NULL;
+    for (size_t i = c->n_current; i < c->n; i++)
+        over |= now_s - c->replaced_s[i] > o->keep_s;
+    enum err_code rc = over ? catalog_alloc(c->n, out, e) : ERR_OK;
+    if (rc || !over)
+        return rc;
+    for (; (*out)->n < c->n_current; (*out)->n++)
+        (*out)->ds[(*out)->n] = dataset_ref(c->ds[(*out)->n]);
+    (*out)->n_current = c->n_current;
+    (*out)->collections = body_ref(c->collections);
+    for (size_t i = c->n_current; i < c->n; i++)
+        catalog_keep(*out, c->ds[i], c->replaced_s[i], now_s, o);
+    return ERR_OK;
 }
 
 struct catalog *catalog_ref(struct catalog *c)
@@ -148,6 +189,7 @@ void catalog_drop(struct catalog **out)
     for (size_t i = 0; i < c->n; i++)
         dataset_drop(&c->ds[i]);
     mem_free(c->ds);
+    mem_free(c->replaced_s);
     body_drop(&c->collections);
     mem_free(c);
 }

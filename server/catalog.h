@@ -9,16 +9,27 @@
 
 struct catalog { /* immutable; counted: a reload makes a new one */
     _Atomic uint32_t refs;
-    size_t n;
-    struct dataset **ds; /* sorted by name; the current revision of a name first */
+    size_t n, n_current;
+    struct dataset *
+        *ds; /* [0, n_current) are current, by name; then revisions that were replaced, the
+                            latest first */
+    double *replaced_s; /* [n]: when, by clock_s(); 0: current */
     struct body *collections;
 };
-/* Open every path, with `readers` handles each. `older` (may be NULL) gives unchanged datasets and
- * revisions that stay a day more. catalog_drop it. ERR_ARG: two datasets of one name; the errors of
- * dataset_open. */
-enum err_code catalog_open(const char *const *paths, size_t n, size_t readers,
-                           const char *public_url, struct catalog *older, struct catalog **out,
+struct catalog_options {
+    size_t readers;         /* handles of each dataset */
+    const char *public_url; /* of TileJSON; NULL, "": none */
+    double keep_s;          /* revisions that were replaced are served so long */
+    size_t keep_revisions;  /* and at most so many of one dataset */
+};
+/* Open every path. `older` (may be NULL; not changed) gives unchanged datasets and the revisions that it
+ * has. catalog_drop it. ERR_ARG: two datasets of one name; the errors of dataset_open. */
+enum err_code catalog_open(const char *const *paths, size_t n, const struct catalog_options *o,
+                           const struct catalog *older, struct catalog **out,
                            struct err *e) ERR_USE;
+/* Revisions of c whose time is over: c without them in *out, or NULL where there are none. ERR_MEM. */
+enum err_code catalog_expire(const struct catalog *c, const struct catalog_options *o, double now_s,
+                             struct catalog **out, struct err *e) ERR_USE;
 struct catalog *catalog_ref(struct catalog *c);
 void catalog_drop(struct catalog **c);
 /* Borrowed while c lives. rev "" = the current one. NULL when there is none. */

@@ -62,8 +62,7 @@ enum err_code collection_list(struct dataset *const *ds, size_t n, struct body *
 {
     json_t *list = json_array();
     for (size_t i = 0; i < n; i++)
-        if (!(ds[i]->retired_s > 0))
-            json_array_append_new(list, collection_json(ds[i], ""));
+        json_array_append_new(list, collection_json(ds[i], ""));
     return document_make(
         json_pack("{s:[o],s:o}", "links",
                   document_link("self", "application/json", "collections", "Datasets"),

@@ -6,9 +6,12 @@
  */
 #include "server/dataset.h"
 
+#include <errno.h>
+#include <fcntl.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "lod/bake.h"
 #include "server/encode.h"
@@ -50,14 +53,14 @@ static enum err_code dataset_open_stores(struct dataset *d, size_t n, struct err
     d->free_store = mem_array(n, sizeof *d->free_store);
     if (!d->stores || !d->free_store)
         return err_set(e, ERR_MEM, "dataset %s: out of memory", d->path);
+    d->fd = open(d->path, O_RDONLY | O_CLOEXEC);
+    if (d->fd < 0)
+        return err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", d->path);
     for (size_t i = 0; i < n; i++) {
-        enum err_code rc = store_open(d->path, &d->stores[i], e);
+        enum err_code rc = store_open_fd(d->fd, d->path, &d->stores[i], e);
         if (rc)
             return rc;
         d->n_stores++;
-        if (i && strcmp(store_info(d->stores[i])->revision, store_info(d->stores[0])->revision))
-            return err_set(e, ERR_BUSY, "dataset %s: replaced while it was opened; try again",
-                           d->path);
         if (i)
             d->free_store[d->n_free++] = d->stores[i];
     }
@@ -82,6 +85,7 @@ enum err_code dataset_open(const char *path, size_t readers, struct dataset **ou
     if (!d)
         return err_set(e, ERR_MEM, "dataset %s: out of memory", path);
     atomic_init(&d->refs, 1);
+    d->fd = -1;
     pthread_mutex_init(&d->lock, NULL);
     enum err_code rc = ERR_OK;
     if (!(d->path = mem_text(path)))
@@ -119,6 +123,8 @@ void dataset_drop(struct dataset **out)
         return;
     for (size_t i = 0; i < d->n_stores; i++)
         store_close(&d->stores[i]);
+    if (d->fd >= 0)
+        close(d->fd);
     mem_free(d->stores);
     mem_free(d->free_store);
     body_drop(&d->tileset);

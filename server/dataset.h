@@ -13,7 +13,8 @@
 
 struct dataset { /* immutable but for what the comments say; counted */
     _Atomic uint32_t refs;
-    char *path;
+    char *path; /* of this revision, when it was opened */
+    int fd;     /* its file, whatever that path names by now */
     struct store_meta meta;
     const struct store_tile *tiles;
     size_t n_tiles;
@@ -27,14 +28,13 @@ struct dataset { /* immutable but for what the comments say; counted */
     struct body *collection;
     struct body *appearances;
     _Atomic uint32_t n_failed; /* results that its file did not give: it is damaged */
-    _Atomic double retired_s;  /* clock_s() when a newer revision took over; 0 = current */
     pthread_mutex_t lock;      /* of free_store, n_free */
     struct store **stores, **free_store;
     size_t n_stores, n_free;
 };
 
-/* Open `path` with `readers` handles for workers. dataset_drop it. ERR_BUSY: replaced meanwhile; the
- * errors of store_open, ERR_MEM. */
+/* Open `path` with `readers` handles for workers. dataset_drop it. The errors of store_open, ERR_MEM.
+ */
 enum err_code dataset_open(const char *path, size_t readers, struct dataset **out,
                            struct err *e) ERR_USE;
 struct dataset *dataset_ref(struct dataset *d);

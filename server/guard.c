@@ -10,6 +10,8 @@
 #include <string.h>
 #include <strings.h>
 
+#include "server/address.h"
+
 enum { GUARD_FIELDS_MAX = 64 };
 
 static bool guard_name_is(const char *name, size_t n, const char *want)
@@ -58,6 +60,7 @@ static void guard_keep_field(struct request *r, const char *name, size_t n, cons
         {"If-None-Match", &r->if_none_match},
         {"If-Range", &r->if_range},
         {"Range", &r->range},
+        {"Authorization", &r->authorization},
     };
     for (size_t i = 0; i < sizeof kept / sizeof *kept; i++)
         if (guard_name_is(name, n, kept[i].name) && !*kept[i].to)
@@ -65,6 +68,19 @@ static void guard_keep_field(struct request *r, const char *name, size_t n, cons
     if ((guard_name_is(name, n, "Sec-Purpose") && strstr(value, "prefetch")) ||
         (guard_name_is(name, n, "Priority") && (strstr(value, "u=6") || strstr(value, "u=7"))))
         r->prefetch = true;
+}
+
+/* Fields by which proxies say that they are there, and for whom. */
+static bool guard_is_proxys(const char *name, size_t n)
+{
+    static const char *const names[] = {"Forwarded",        "Via",
+                                        "X-Real-IP",        "X-Client-IP",
+                                        "Client-IP",        "True-Client-IP",
+                                        "CF-Connecting-IP", "X-Cluster-Client-IP"};
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++)
+        if (guard_name_is(name, n, names[i]))
+            return true;
+    return n > strlen("X-Forwarded") && !strncasecmp(name, "X-Forwarded", strlen("X-Forwarded"));
 }
 
 void guard_field(struct guard *f, const char *name, size_t n_name, const char *value,
@@ -82,13 +98,25 @@ void guard_field(struct guard *f, const char *name, size_t n_name, const char *v
         f->coding_bad |= strcasecmp(value, "chunked") != 0;
     } else if (guard_name_is(name, n_name, "Host")) {
         f->n_host++;
-    } else if (guard_name_is(name, n_name, "X-Forwarded-For") ||
-               guard_name_is(name, n_name, "Forwarded") || guard_name_is(name, n_name, "Via") ||
-               guard_name_is(name, n_name, "X-Real-IP")) {
+        f->host_local = address_host_is_loopback(value);
+    } else if (guard_is_proxys(name, n_name)) {
         f->proxied = true;
+        if (guard_name_is(name, n_name, "X-Forwarded-For"))
+            f->req->forwarded = value; /* the last one was added last */
     } else {
         guard_keep_field(f->req, name, n_name, value);
     }
+}
+
+const char *guard_method_name(enum method m)
+{
+    static const char *const names[] = {"GET", "HEAD", "POST", "OPTIONS", "OTHER", "UNKNOWN"};
+    return names[m];
+}
+
+bool guard_local(const struct guard *g, const char *version)
+{
+    return !g->proxied && g->host_local && strcmp(version, "HTTP/1.0") != 0;
 }
 
 enum method guard_method(const char *name)

@@ -10,10 +10,11 @@
 struct guard { /* {.req = r}, then guard_field for each header field */
     struct request *req;
     size_t n, n_length, n_coding, n_host;
-    bool bad, coding_bad, proxied;
+    bool bad, coding_bad, proxied, host_local;
     uint64_t length;
 };
 enum method guard_method(const char *name);
+const char *guard_method_name(enum method m); /* for the log */
 /* Look at one header field; what answers need of it is kept in req (borrowed). */
 void guard_field(struct guard *g, const char *name, size_t n_name, const char *value,
                  size_t n_value);
@@ -21,5 +22,9 @@ void guard_field(struct guard *g, const char *name, size_t n_name, const char *v
  * status to refuse with, and why. */
 int guard_check(const struct guard *g, const struct server_config *cfg, const char *version,
                 const char **why);
+/* Does it look like a request of this machine's own: asked for by a loopback name, and without a sign of
+ * a proxy (RFC 9110, section 7.6.3; the fields that proxies add; HTTP/1.0, which nginx speaks to what is
+ * behind it where it is not told otherwise)? */
+bool guard_local(const struct guard *g, const char *version);
 
 #endif

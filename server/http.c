@@ -11,31 +11,39 @@
 #include "server/http.h"
 
 #include <microhttpd.h>
-#include <netinet/in.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/random.h>
 #include <time.h>
 #include <unistd.h>
 
 #include "core/pool.h"
+#include "server/address.h"
 #include "server/guard.h"
+#include "server/headers.h"
 #include "server/listen.h"
 #include "server/route.h"
 #include "server/screen.h"
 #include "server/watch.h"
 
 enum { HTTP_THREADS_MAX = 4 };
+static const double HTTP_OVER_S = 1; /* for the request of a connection too many */
 
 struct http {
     struct services *s;
     struct MHD_Daemon *daemon;
     struct watch *watch;
-    int fd; /* listens; libmicrohttpd's once the daemon runs */
+    struct address_nets proxies; /* trusted ones */
+    struct hash128 secret;       /* of numbers of clients */
+    atomic_flag proxy_told;      /* that requests come through a proxy that is not trusted */
+    int fd;                      /* listens; libmicrohttpd's once the daemon runs */
     uint16_t port;
 };
 
 struct peer { /* one connection; made and freed by on_connection */
     struct watch_slot *slot;
+    struct address address;
+    bool over; /* one too many: its request is answered 503 */
     int fd;
     uint64_t requests; /* that libmicrohttpd has begun */
     struct screen screen;
@@ -61,61 +69,6 @@ struct exchange { /* one request and its answer; made by on_target, freed by on_
 };
 
 /* ---- the answer ---- */
-
-static void http_add(struct MHD_Response *m, const char *name, const char *value)
-{
-    if (value && *value)
-        (void)MHD_add_response_header(m, name, value);
-}
-
-static void http_add_headers(const struct exchange *x, struct MHD_Response *m)
-{
-    const struct response *r = &x->res;
-    char text[160];
-    http_add(m, "Content-Type", r->type);
-    http_add(m, "Cache-Control", r->cache_control);
-    http_add(m, "ETag", r->etag);
-    http_add(m, "Vary", r->vary);
-    http_add(m, "Content-Encoding", r->encoding);
-    http_add(m, "Allow", r->allow);
-    http_add(m, "Location", r->location);
-    http_add(m, "Surrogate-Key", r->surrogate);
-    if (r->accept_ranges)
-        http_add(m, "Accept-Ranges", "bytes");
-    if (r->status == 206) {
-        snprintf(text, sizeof text, "bytes %llu-%llu/%llu", (unsigned long long)r->range_first,
-                 (unsigned long long)(r->range_first + r->size - 1),
-                 (unsigned long long)r->range_total);
-        http_add(m, "Content-Range", text);
-    } else if (r->status == 416) {
-        snprintf(text, sizeof text, "bytes */%llu", (unsigned long long)r->range_total);
-        http_add(m, "Content-Range", text);
-    }
-    if (r->retry_after_s) {
-        snprintf(text, sizeof text, "%d", r->retry_after_s);
-        http_add(m, "Retry-After", text);
-    }
-    if (r->queue_s >= 0) {
-        snprintf(text, sizeof text, "queue;dur=%.1f, job;dur=%.1f", r->queue_s * 1e3,
-                 r->run_s * 1e3);
-        http_add(m, "Server-Timing", text);
-    }
-    http_add(m, "Access-Control-Allow-Origin", "*");
-    http_add(m, "X-Content-Type-Options", "nosniff");
-    if (r->allow && r->status == 204) { /* preflight */
-        http_add(m, "Access-Control-Allow-Methods", r->allow);
-        http_add(m, "Access-Control-Allow-Headers",
-                 "Range, If-None-Match, If-Range, Content-Type, Authorization");
-        http_add(m, "Access-Control-Max-Age", "86400");
-    } else {
-        http_add(m, "Access-Control-Expose-Headers",
-                 "ETag, Content-Length, Content-Range, Retry-After, Server-Timing");
-        http_add(m, "Cross-Origin-Resource-Policy", "cross-origin");
-        http_add(m, "Timing-Allow-Origin", "*");
-    }
-    if (x->close)
-        http_add(m, "Connection", "close");
-}
 
 static void http_drop_body(void *cls)
 {
@@ -151,7 +104,10 @@ static enum MHD_Result http_send_answer(struct exchange *x)
     struct MHD_Response *m = http_make_response(x);
     if (!m)
         return MHD_NO;
-    http_add_headers(x, m);
+    struct headers h;
+    headers_make(&x->res, x->close, &h);
+    for (size_t i = 0; i < h.n; i++)
+        (void)MHD_add_response_header(m, h.field[i].name, h.field[i].value);
     bool bytes = x->req.method != METHOD_HEAD && x->res.status != 304;
     x->sent = bytes ? x->res.size : 0;
     x->stage = STAGE_SENT;
@@ -181,31 +137,16 @@ static enum MHD_Result http_on_field(void *cls, enum MHD_ValueKind kind, const c
     return MHD_YES;
 }
 
-/* A number for the client's address: of IPv6 its network, which one household has for itself. */
-static uint64_t http_client(struct MHD_Connection *c)
+/* Who asks, behind a trusted proxy the one it asks for. */
+static uint64_t http_client(const struct exchange *x)
 {
-    const union MHD_ConnectionInfo *info =
-        MHD_get_connection_info(c, MHD_CONNECTION_INFO_CLIENT_ADDRESS);
-    const struct sockaddr *a = info ? info->client_addr : NULL;
-    if (a && a->sa_family == AF_INET)
-        return hash_bytes(&((const struct sockaddr_in *)(const void *)a)->sin_addr, 4).lo;
-    if (a && a->sa_family == AF_INET6)
-        return hash_bytes(&((const struct sockaddr_in6 *)(const void *)a)->sin6_addr, 8).lo;
-    return 0;
-}
-
-static bool http_is_loopback(struct MHD_Connection *c)
-{
-    const union MHD_ConnectionInfo *info =
-        MHD_get_connection_info(c, MHD_CONNECTION_INFO_CLIENT_ADDRESS);
-    const struct sockaddr *a = info ? info->client_addr : NULL;
-    if (a && a->sa_family == AF_INET)
-        return ntohl(((const struct sockaddr_in *)(const void *)a)->sin_addr.s_addr) >> 24 == 127;
-    if (a && a->sa_family == AF_INET6) {
-        const struct in6_addr *v6 = &((const struct sockaddr_in6 *)(const void *)a)->sin6_addr;
-        return IN6_IS_ADDR_LOOPBACK(v6) || (IN6_IS_ADDR_V4MAPPED(v6) && v6->s6_addr[12] == 127);
-    }
-    return false;
+    struct http *h = x->h;
+    struct address peer = x->peer->address;
+    if (x->req.forwarded && !address_in(&h->proxies, peer) &&
+        !atomic_flag_test_and_set(&h->proxy_told))
+        log_warn("http", "requests come through a proxy, and all its clients share one client's "
+                         "part; --trusted-proxy ADDRESS tells them apart");
+    return address_number(address_client(&h->proxies, peer, x->req.forwarded), h->secret);
 }
 
 /* What the screen has against this request: 0 or a status. A request that it has not seen is refused
@@ -217,12 +158,7 @@ static int http_screened(const struct exchange *x, const char **why)
     if (x->peer->screen.requests < x->number)
         return *why = "this program was linked wrongly: requests come unchecked", 500;
     int status = screen_refused(&x->peer->screen, x->number);
-    *why = status == 413   ? "the body is too large"
-           : status == 414 ? "the request target is too long"
-           : status == 431 ? "a header field is too long"
-           : status == 501 ? "the only transfer coding is chunked"
-           : status == 503 ? "out of memory"
-                           : "the request is malformed";
+    *why = screen_reason(status);
     return status;
 }
 
@@ -233,7 +169,7 @@ static int http_guard(struct exchange *x, const char *method, const char *versio
     struct guard g = {.req = &x->req};
     x->req.method = guard_method(method);
     MHD_get_connection_values_n(x->connection, MHD_HEADER_KIND, http_on_field, &g);
-    x->req.local = !g.proxied && http_is_loopback(x->connection);
+    x->req.local = guard_local(&g, version) && address_is_loopback(x->peer->address);
     return guard_check(&g, x->h->s->cfg, version, why);
 }
 
@@ -272,8 +208,8 @@ static enum MHD_Result http_wait_for_job(struct exchange *x)
     watch_phase(slot, WATCH_WORK, 0);
     watch_expect(h->watch, slot);
     MHD_suspend_connection(x->connection);
-    if (job_submit(h->s->jobs, x->res.cls, work->id, work, http_client(x->connection),
-                   x->res.timeout_s, &x->waiter) == ERR_OK)
+    if (job_submit(h->s->jobs, x->res.cls, work->id, work, http_client(x), x->res.timeout_s,
+                   &x->waiter) == ERR_OK)
         watch_arm(h->watch, slot, &x->waiter); /* does nothing when the job has ended already */
     else
         http_on_wake(&x->waiter);
@@ -302,7 +238,8 @@ static void *http_on_target(void *cls, const char *target, struct MHD_Connection
     x->req.target_size = n;
     x->target = n <= (size_t)h->s->cfg->max_target_bytes ? mem_text(target) : NULL;
     x->req.target = x->target;
-    watch_phase(x->slot, WATCH_HEADER, h->s->cfg->header_timeout_s);
+    watch_phase(x->slot, WATCH_HEADER,
+                x->peer && x->peer->over ? HTTP_OVER_S : h->s->cfg->header_timeout_s);
     atomic_fetch_add_explicit(&h->s->metrics.inflight, 1, memory_order_relaxed);
     return x;
 }
@@ -317,9 +254,8 @@ static enum MHD_Result http_on_head(struct exchange *x, const char *method, cons
         status = http_guard(x, method, version, &why);
     if (status)
         return http_refuse(x, status, why);
-    if (atomic_load_explicit(&s->metrics.connections, memory_order_relaxed) >
-        (uint64_t)s->cfg->max_connections)
-        return http_refuse(x, 503, "too many connections");
+    if (x->peer->over)
+        return http_refuse(x, 503, "too many connections are open");
     if (x->req.method != METHOD_GET && x->req.method != METHOD_HEAD)
         watch_phase(x->slot, WATCH_BODY, s->cfg->body_timeout_s);
     return MHD_YES;
@@ -366,9 +302,8 @@ static enum MHD_Result http_on_request(void *cls, struct MHD_Connection *c, cons
 
 static void http_log_access(const struct exchange *x, int status, double seconds)
 {
-    static const char *const methods[] = {"GET", "HEAD", "POST", "OPTIONS", "OTHER", "UNKNOWN"};
     const struct access_line line = {
-        .method = methods[x->req.method],
+        .method = guard_method_name(x->req.method),
         /* a target that names no route may hold anything: it is not repeated */
         .target = x->res.route == ROUTE_NONE ? "-" : x->target,
         .cache = x->res.cache,
@@ -405,19 +340,22 @@ static void http_on_completed(void *cls, struct MHD_Connection *c, void **con_cl
     mem_free(x);
 }
 
-static struct peer *http_peer(struct http *h, int fd)
+static struct peer *http_peer(struct http *h, int fd, const struct sockaddr *address)
 {
+    const struct server_config *cfg = h->s->cfg;
     struct peer *p = mem_array(1, sizeof *p);
     if (!p)
         return NULL;
     p->fd = fd;
-    p->slot = watch_add(h->watch, fd);
-    if (screen_attach(&p->screen, fd, (size_t)h->s->cfg->max_header_kb << 10, NULL)) {
+    p->address = address_of_socket(address);
+    size_t limit = address_in(&h->proxies, p->address) ? 0 : (size_t)cfg->per_ip_connections;
+    p->slot = watch_add(h->watch, fd, address_number(p->address, h->secret), limit, &p->over);
+    if (screen_attach(&p->screen, fd, (size_t)cfg->max_header_kb << 10, NULL)) {
         watch_remove(h->watch, p->slot);
         mem_free(p);
         return NULL;
     }
-    watch_phase(p->slot, WATCH_HEADER, h->s->cfg->header_timeout_s);
+    watch_phase(p->slot, WATCH_HEADER, p->over ? HTTP_OVER_S : cfg->header_timeout_s);
     return p;
 }
 
@@ -436,9 +374,11 @@ static void http_on_connection(void *cls, struct MHD_Connection *c, void **conte
         atomic_fetch_sub_explicit(&h->s->metrics.connections, 1, memory_order_relaxed);
         return;
     }
-    const union MHD_ConnectionInfo *info =
+    const union MHD_ConnectionInfo *fd =
         MHD_get_connection_info(c, MHD_CONNECTION_INFO_CONNECTION_FD);
-    *context = info ? http_peer(h, info->connect_fd) : NULL;
+    const union MHD_ConnectionInfo *address =
+        MHD_get_connection_info(c, MHD_CONNECTION_INFO_CLIENT_ADDRESS);
+    *context = fd && address ? http_peer(h, fd->connect_fd, address->client_addr) : NULL;
     atomic_fetch_add_explicit(&h->s->metrics.connections, 1, memory_order_relaxed);
 }
 
@@ -470,7 +410,6 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
     struct MHD_OptionItem options[] = {
         {MHD_OPTION_LISTEN_SOCKET, fd, NULL},
         {MHD_OPTION_CONNECTION_LIMIT, 2 * cfg->max_connections, NULL},
-        {MHD_OPTION_PER_IP_CONNECTION_LIMIT, cfg->per_ip_connections, NULL},
         {MHD_OPTION_CONNECTION_TIMEOUT, (intptr_t)(cfg->idle_timeout_s + cfg->write_timeout_s) + 1,
          NULL},
         {MHD_OPTION_CONNECTION_MEMORY_LIMIT, cfg->max_header_kb << 10, NULL},
@@ -500,7 +439,12 @@ enum err_code http_open(struct services *s, struct http **out, struct err *e)
     if (!h)
         return err_set(e, ERR_MEM, "http: out of memory");
     h->s = s;
-    enum err_code rc = listen_open(s->cfg, &h->fd, &h->port, e);
+    atomic_flag_clear(&h->proxy_told);
+    enum err_code rc = address_read_nets(s->cfg->trusted_proxy, &h->proxies, e);
+    if (!rc && getrandom(&h->secret, sizeof h->secret, 0) != sizeof h->secret)
+        rc = err_errno(e, ERR_IO, "the system has no random numbers");
+    if (!rc)
+        rc = listen_open(s->cfg, &h->fd, &h->port, e);
     if (rc) {
         mem_free(h);
         *out = NULL;
@@ -510,8 +454,8 @@ enum err_code http_open(struct services *s, struct http **out, struct err *e)
 
 enum err_code http_start(struct http *h, struct err *e)
 {
-    size_t limit = (size_t)h->s->cfg->max_connections * 2 + 16;
-    enum err_code rc = watch_open(limit, h->s, http_on_gone, &h->watch, e);
+    enum err_code rc =
+        watch_open((size_t)h->s->cfg->max_connections, h->s, http_on_gone, &h->watch, e);
     return !rc ? http_start_daemon(h, h->fd, e) : rc;
 }
 
@@ -528,9 +472,14 @@ static void http_pause_ms(long ms)
     nanosleep(&t, NULL);
 }
 
-static bool http_still_busy(struct http *h)
+/* Until all connections have ended, or this much time has passed. */
+static void http_await_end(struct http *h, double wait_s)
 {
-    return atomic_load(&h->s->metrics.connections) > 0;
+    double end_s = clock_s() + wait_s;
+    while (atomic_load(&h->s->metrics.connections) > 0 && clock_s() < end_s) {
+        watch_stop_idle(h->watch);
+        http_pause_ms(10);
+    }
 }
 
 void http_close(struct http **out)
@@ -552,17 +501,10 @@ void http_close(struct http **out)
     int fd = MHD_quiesce_daemon(h->daemon);
     if (fd >= 0)
         close(fd);
-    for (double end_s = clock_s() + s->cfg->drain_timeout_s;
-         http_still_busy(h) && clock_s() < end_s;) {
-        watch_stop_idle(h->watch);
-        http_pause_ms(10);
-    }
-    job_stop(
-        s->jobs); /* wakes whoever still waits: libmicrohttpd aborts on suspended connections */
-    for (double end_s = clock_s() + 2; http_still_busy(h) && clock_s() < end_s;) {
-        watch_stop_idle(h->watch);
-        http_pause_ms(10);
-    }
+    http_await_end(h, s->cfg->drain_timeout_s);
+    /* Wakes whoever still waits: libmicrohttpd aborts on suspended connections. */
+    job_stop(s->jobs);
+    http_await_end(h, 2);
     MHD_stop_daemon(h->daemon);
     watch_close(&h->watch);
     mem_free(h);

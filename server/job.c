@@ -1,8 +1,9 @@
 /* Slow work, away from the HTTP threads. A job is named by a 128-bit id: while it waits or runs,
  * everyone who asks for the same id becomes one more waiter of the same run (single flight). Queues
- * are bounded: tiles are refused when theirs is full, pictures push out the oldest (a newer camera
- * is worth more), prefetched tiles run when nothing else does and move up when somebody really
- * asks.
+ * are bounded, and clients take turns in each (turn.c): when one is full, whoever has most in it
+ * gives way. New work also takes one of its client's tokens (rate.c); joining and prefetched tiles
+ * that move up take none. Prefetched tiles run when nothing else does and move up when somebody
+ * really asks.
  *
  * One mutex guards everything, and no callback runs under it. Whoever takes a waiter off a job
  * under the lock (the worker that finished, job_leave, job_tick, job_stop) has claimed it:
@@ -21,8 +22,11 @@
 #include <string.h>
 
 #include "core/pool.h"
+#include "server/failure.h"
+#include "server/rate.h"
+#include "server/turn.h"
 
-enum { TABLE = 1024, FAILURES = 64, CLIENTS = 1024 };
+enum { TABLE = 1024 };
 
 struct job {
     struct hash128 id;
@@ -32,19 +36,8 @@ struct job {
     _Atomic bool cancel;
     struct job_waiter *waiters;
     struct job *table_next;
-    struct job *newer, *older; /* in its queue */
-    uint64_t client;           /* who asked first */
+    struct turn_item place; /* in its queue */
     double queued_s, started_s;
-};
-struct queue {
-    struct job *newest, *oldest;
-    size_t n;
-};
-struct failure { /* ids that failed lately, and until when they are not tried again */
-    struct hash128 id;
-    enum err_code code;
-    char msg[256];
-    double until_s, pause_s;
 };
 struct worker {
     struct jobs *js;
@@ -57,11 +50,10 @@ struct jobs { /* all but cfg and workers by `lock` */
     size_t n_workers;
     pthread_mutex_t lock;
     pthread_cond_t tile_ready, view_ready;
-    struct queue queue[JOB_CLASSES];
+    struct turns *queue[JOB_CLASSES];
+    struct rate *rate[JOB_CLASSES]; /* NULL: that of JOB_TILE */
     struct job *table[TABLE];
-    struct failure failure[FAILURES];
-    size_t next_failure;
-    uint64_t served[CLIENTS], turn; /* when a client's view was last begun, by hash */
+    struct failures failures;
     bool stopping;
     struct job_stats stats;
 };
@@ -81,52 +73,24 @@ static struct job **job_table_find(struct jobs *js, struct hash128 id)
     return p;
 }
 
-static void job_queue_add(struct jobs *js, struct job *j)
+static struct job *job_at(struct turn_item *it)
 {
-    struct queue *q = &js->queue[j->cls];
-    j->older = q->newest;
-    j->newer = NULL;
-    *(q->newest ? &q->newest->newer : &q->oldest) = j;
-    q->newest = j;
-    q->n++;
+    return it ? (struct job *)(void *)((char *)it - offsetof(struct job, place)) : NULL;
+}
+
+static void job_queue_add(struct jobs *js, struct job *j, uint64_t client)
+{
+    turn_add(js->queue[j->cls], &j->place, client);
     pthread_cond_signal(j->cls == JOB_VIEW ? &js->view_ready : &js->tile_ready);
 }
 
-static void job_queue_remove(struct jobs *js, struct job *j)
+static void job_note(struct jobs *js, const struct job *j, const struct job_result *r)
 {
-    struct queue *q = &js->queue[j->cls];
-    *(j->newer ? &j->newer->older : &q->newest) = j->older;
-    *(j->older ? &j->older->newer : &q->oldest) = j->newer;
-    j->newer = j->older = NULL;
-    q->n--;
-}
-
-static struct failure *job_failure_find(struct jobs *js, struct hash128 id)
-{
-    for (size_t i = 0; i < FAILURES; i++)
-        if (js->failure[i].pause_s > 0 && job_same(js->failure[i].id, id))
-            return &js->failure[i];
-    return NULL;
-}
-
-static void job_failure_note(struct jobs *js, struct hash128 id, const struct job_result *r)
-{
-    struct failure *f = job_failure_find(js, id);
-    if (r->end == JOB_OK) {
-        if (f)
-            f->pause_s = 0;
-        return;
-    }
-    if (r->end != JOB_ERROR || r->code == ERR_MEM || r->code == ERR_BUSY)
-        return; /* these may well succeed next time */
-    double pause_s = f ? fmin(f->pause_s * 2, 60) : js->cfg.slow_s > 0 ? js->cfg.slow_s : 2;
-    if (!f)
-        f = &js->failure[js->next_failure++ % FAILURES];
-    f->id = id;
-    f->code = r->code;
-    memcpy(f->msg, r->msg, sizeof f->msg);
-    f->pause_s = pause_s;
-    f->until_s = clock_s() + pause_s;
+    if (r->end == JOB_OK)
+        failure_forget(&js->failures, j->id);
+    else if (r->end == JOB_ERROR && r->code != ERR_MEM && r->code != ERR_BUSY)
+        failure_note(&js->failures, j->id, r->code, r->msg, clock_s());
+    /* the others may well succeed next time */
 }
 
 /* Take w off its job and put it on the caller's list. */
@@ -162,7 +126,7 @@ static struct job *job_abandon(struct jobs *js, struct job *j)
         atomic_store(&j->cancel, true);
         return NULL;
     }
-    job_queue_remove(js, j);
+    turn_remove(js->queue[j->cls], &j->place);
     return j;
 }
 
@@ -195,7 +159,7 @@ static void job_finish(struct jobs *js, struct job *j, struct job_result *r, str
     js->stats.running[j->cls]--;
     js->stats.ended[j->cls][r->end]++;
     js->stats.run_s[j->cls] += r->run_s;
-    job_failure_note(js, j->id, r);
+    job_note(js, j, r);
     while (j->waiters)
         job_claim(j, &j->waiters, r, &claimed);
     pthread_mutex_unlock(&js->lock);
@@ -223,39 +187,10 @@ static void job_run(struct jobs *js, struct job *j, size_t worker)
     job_finish(js, j, &r, body);
 }
 
-/* The view to begin: of the client who waited longest since one of his was begun, the newest. */
-static struct job *job_next_view(struct jobs *js)
-{
-    struct job *best = NULL;
-    for (struct job *j = js->queue[JOB_VIEW].newest; j; j = j->older)
-        if (!best || js->served[j->client % CLIENTS] < js->served[best->client % CLIENTS])
-            best = j;
-    if (best)
-        js->served[best->client % CLIENTS] = ++js->turn;
-    return best;
-}
-
-/* The view that makes room for one more of `client`: the oldest of the client who has most of them, the
- * new one counted. */
-static struct job *job_to_shed(struct jobs *js, uint64_t client)
-{
-    struct job *victim = NULL;
-    size_t most = 0;
-    for (struct job *j = js->queue[JOB_VIEW].oldest; j; j = j->newer) {
-        size_t n = j->client == client;
-        for (struct job *k = js->queue[JOB_VIEW].oldest; k; k = k->newer)
-            n += k->client == j->client;
-        if (n > most) {
-            most = n;
-            victim = j;
-        }
-    }
-    return victim;
-}
-
 static struct job *job_next_tile(struct jobs *js)
 {
-    return js->queue[JOB_TILE].oldest ? js->queue[JOB_TILE].oldest : js->queue[JOB_PREFETCH].oldest;
+    struct turn_item *it = turn_next(js->queue[JOB_TILE]);
+    return job_at(it ? it : turn_next(js->queue[JOB_PREFETCH]));
 }
 
 static void job_worker_main(void *user)
@@ -267,12 +202,11 @@ static void job_worker_main(void *user)
         js->cfg.view_enter(js->cfg.user);
     pthread_mutex_lock(&js->lock);
     while (!js->stopping) {
-        struct job *j = view ? job_next_view(js) : job_next_tile(js);
+        struct job *j = view ? job_at(turn_next(js->queue[JOB_VIEW])) : job_next_tile(js);
         if (!j) {
             pthread_cond_wait(view ? &js->view_ready : &js->tile_ready, &js->lock);
             continue;
         }
-        job_queue_remove(js, j);
         j->running = true;
         j->started_s = clock_s();
         js->stats.running[j->cls]++;
@@ -299,9 +233,16 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
         return err_set(e, ERR_MEM, "jobs: out of memory");
     }
     js->cfg = *cfg;
+    js->failures.pause_s = cfg->slow_s > 0 ? cfg->slow_s : 2;
     pthread_mutex_init(&js->lock, NULL);
     pthread_cond_init(&js->tile_ready, NULL);
     pthread_cond_init(&js->view_ready, NULL);
+    for (int c = 0; c < JOB_CLASSES && !rc; c++)
+        rc = turn_open(c == JOB_VIEW, &js->queue[c], e);
+    if (!rc)
+        rc = rate_open(cfg->client_views_s, JOB_BURST_S, &js->rate[JOB_VIEW], e);
+    if (!rc)
+        rc = rate_open(cfg->client_tiles_s, JOB_BURST_S, &js->rate[JOB_TILE], e);
     for (; js->n_workers < n && !rc; js->n_workers += !rc) {
         struct worker *w = &js->workers[js->n_workers];
         w->js = js;
@@ -323,42 +264,74 @@ static enum err_code job_refuse(struct job_waiter *w, enum job_end end, enum err
     return code;
 }
 
-/* Under the lock: a job for this id to wait for, or NULL with w refused. *unused is work nobody
- * needs, *shed a queued job that had to make room. */
+/* Under the lock: `client` wants a job that is there already. */
+static void job_join(struct jobs *js, struct job *j, enum job_class cls, uint64_t client)
+{
+    js->stats.coalesced++;
+    if (j->running)
+        return;
+    if (j->cls == JOB_PREFETCH && cls == JOB_TILE) {
+        turn_remove(js->queue[j->cls], &j->place);
+        j->cls = JOB_TILE;
+        job_queue_add(js, j, client);
+    } else {
+        turn_join(js->queue[j->cls], &j->place, client);
+    }
+}
+
+/* Under the lock: room in the queue for one more of `client`. False: there is none, w is refused.
+ * *shed is a queued job that had to give way. */
+static bool job_make_room(struct jobs *js, enum job_class cls, uint64_t client,
+                          struct job_waiter *w, struct job **shed)
+{
+    if (turn_count(js->queue[cls]) < js->cfg.queue_limit[cls])
+        return true;
+    js->stats.ended[cls][JOB_SHED]++;
+    *shed = job_at(turn_shed(js->queue[cls], client));
+    if (!*shed)
+        job_refuse(w, JOB_SHED, ERR_BUSY, "too many requests are waiting");
+    return *shed;
+}
+
+/* Under the lock: does the client have a token for one more? */
+static bool job_pay(struct jobs *js, enum job_class cls, uint64_t client, double now_s,
+                    struct job_waiter *w)
+{
+    double wait_s = rate_take(js->rate[cls == JOB_VIEW ? JOB_VIEW : JOB_TILE], client, now_s);
+    if (wait_s <= 0)
+        return true;
+    js->stats.ended[cls][JOB_LIMITED]++;
+    job_refuse(w, JOB_LIMITED, ERR_LIMIT,
+               cls == JOB_VIEW ? "your address asks for more new pictures than its share"
+                               : "your address asks for more new tiles than its share");
+    w->result.retry_s = (int)fmin(ceil(wait_s), 60);
+    return false;
+}
+
+/* Under the lock: a job for this id to wait for, or NULL with w refused. Takes *work if it is needed;
+ * *shed is a queued job that had to give way. */
 static struct job *job_find_or_add(struct jobs *js, enum job_class cls, struct hash128 id,
                                    uint64_t client, void **work, struct job_waiter *w,
                                    struct job **shed)
 {
     struct job *j = *job_table_find(js, id);
     double now_s = clock_s();
-    struct failure *f = job_failure_find(js, id);
     if (js->stopping) {
         job_refuse(w, JOB_SHED, ERR_BUSY, "the server is stopping");
         return NULL;
     }
     if (j) {
         w->result.coalesced = true;
-        js->stats.coalesced++;
-        if (!j->running && j->cls == JOB_PREFETCH && cls == JOB_TILE) {
-            job_queue_remove(js, j);
-            j->cls = JOB_TILE;
-            job_queue_add(js, j);
-        }
+        job_join(js, j, cls, client);
         return j;
     }
-    if (f && now_s < f->until_s) {
+    const struct failure *f = failure_find(&js->failures, id, now_s);
+    if (f) {
         job_refuse(w, JOB_ERROR, f->code, f->msg);
         return NULL;
     }
-    if (js->queue[cls].n >= js->cfg.queue_limit[cls]) {
-        if (cls != JOB_VIEW) {
-            js->stats.ended[cls][JOB_SHED]++;
-            job_refuse(w, JOB_SHED, ERR_BUSY, "too many requests are waiting");
-            return NULL;
-        }
-        *shed = job_to_shed(js, client);
-        js->stats.ended[cls][JOB_SHED]++;
-    }
+    if (!job_pay(js, cls, client, now_s, w) || !job_make_room(js, cls, client, w, shed))
+        return NULL;
     j = mem_array(1, sizeof *j);
     if (!j) {
         *shed = NULL;
@@ -367,14 +340,13 @@ static struct job *job_find_or_add(struct jobs *js, enum job_class cls, struct h
     }
     j->id = id;
     j->cls = cls;
-    j->client = client;
     j->work = *work;
     *work = NULL;
     j->queued_s = now_s;
     struct job **p = job_table_find(js, id);
     j->table_next = *p;
     *p = j;
-    job_queue_add(js, j);
+    job_queue_add(js, j, client);
     return j;
 }
 
@@ -395,9 +367,11 @@ enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id,
         j->waiters = w;
     }
     if (shed) {
-        const struct job_result r = {.end = JOB_SHED,
-                                     .code = shed->client == client ? ERR_LIMIT : ERR_BUSY,
-                                     .msg = "newer pictures were asked for"};
+        bool own = turn_owner(&shed->place) == client;
+        struct job_result r = {.end = JOB_SHED, .code = own ? ERR_LIMIT : ERR_BUSY};
+        snprintf(r.msg, sizeof r.msg, "%s",
+                 own ? "newer pictures were asked for"
+                     : "too many requests are waiting, most of them yours");
         while (shed->waiters)
             job_claim(shed, &shed->waiters, &r, &claimed);
         shed = job_abandon(js, shed);
@@ -500,7 +474,7 @@ int job_retry_after(struct jobs *js, enum job_class cls)
     uint64_t n = js->stats.ended[cls][JOB_OK] + js->stats.ended[cls][JOB_ERROR];
     double mean_s = n ? js->stats.run_s[cls] / (double)n : 1;
     double threads = cls == JOB_VIEW ? 1 : fmax(1, (double)js->cfg.tile_threads);
-    double wait_s = ceil((double)js->queue[cls].n * mean_s / threads);
+    double wait_s = ceil((double)turn_count(js->queue[cls]) * mean_s / threads);
     pthread_mutex_unlock(&js->lock);
     return wait_s < 1 ? 1 : wait_s > 10 ? 10 : (int)wait_s;
 }
@@ -510,7 +484,7 @@ void job_count(struct jobs *js, struct job_stats *out)
     pthread_mutex_lock(&js->lock);
     *out = js->stats;
     for (int c = 0; c < JOB_CLASSES; c++)
-        out->queued[c] = js->queue[c].n;
+        out->queued[c] = turn_count(js->queue[c]);
     pthread_mutex_unlock(&js->lock);
 }
 
@@ -549,6 +523,10 @@ void job_close(struct jobs **out)
     pthread_cond_destroy(&js->tile_ready);
     pthread_cond_destroy(&js->view_ready);
     pthread_mutex_destroy(&js->lock);
+    for (int c = 0; c < JOB_CLASSES; c++) {
+        turn_close(&js->queue[c]);
+        rate_close(&js->rate[c]);
+    }
     mem_free(js->workers);
     mem_free(js);
 }

@@ -8,7 +8,9 @@
 #include "server/body.h"
 
 enum job_class { JOB_VIEW, JOB_TILE, JOB_PREFETCH, JOB_CLASSES };
-enum job_end { JOB_OK, JOB_ERROR, JOB_CANCELLED, JOB_SHED, JOB_TIMEOUT, JOB_ENDS };
+/* JOB_SHED: a queue was full; JOB_LIMITED: the client asks too much. */
+enum job_end { JOB_OK, JOB_ERROR, JOB_CANCELLED, JOB_SHED, JOB_TIMEOUT, JOB_LIMITED, JOB_ENDS };
+enum { JOB_BURST_S = 10 }; /* rates of clients are averages over this time */
 
 struct job_result {
     enum job_end end;
@@ -17,6 +19,7 @@ struct job_result {
     struct body *body; /* a reference of the waiter's own when end is JOB_OK */
     double queue_s, run_s;
     bool coalesced; /* another request had started this job */
+    int retry_s;    /* of JOB_LIMITED: when to ask again */
 };
 
 /* Someone who wants a job's result. Lives in the caller's memory from job_submit until it was
@@ -33,9 +36,10 @@ struct job_waiter {
 
 struct job; /* one run; passed to the functions below */
 struct job_config {
-    size_t tile_threads; /* they run JOB_TILE, then JOB_PREFETCH, oldest first */
-    bool view_thread;    /* one thread runs JOB_VIEW, newest first */
+    size_t tile_threads; /* they run JOB_TILE, then JOB_PREFETCH, each client's oldest first */
+    bool view_thread;    /* one thread runs JOB_VIEW, each client's newest first */
     size_t queue_limit[JOB_CLASSES];
+    double client_views_s, client_tiles_s; /* new ones a second of one client; 0: any number */
     double slow_s; /* a failed job is not tried again for this long, doubling to 60 s; 0 = 2 s */
     void *user;
     /* Make the body of `work`; poll job_cancelled where it is cheap. Tile threads pass worker
@@ -52,12 +56,12 @@ struct job_stats {
 };
 struct jobs;
 enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct err *e) ERR_USE;
-/* `client` (any number that tells clients apart) keeps the queue of views fair: clients take turns,
- * each with its newest; and when the queue is full the one with most in it loses its oldest, which is
- * ERR_LIMIT where that is the one who asks. */
+/* `client` (any number that tells clients apart) keeps queues fair: clients take turns, and when a
+ * queue is full the one with most in it gives way, which is ERR_LIMIT where it is an older picture of
+ * the one who asks. */
 /* Ask for the work named `id` (equal ids are equal bytes). `work` is owned by the callee from here
- * on. ERR_OK: w will be woken. ERR_BUSY: the queue is full or the server is stopping; w->result
- * says so and w is not woken. A known failure is refused the same way with its own code and end
+ * on. ERR_OK: w will be woken. ERR_BUSY: the queue is full or the server is stopping; ERR_LIMIT: the
+ * client asks too much; w->result says so and w is not woken. A known failure is refused the same way with its own code and end
  * JOB_ERROR. */
 enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id, void *work,
                          uint64_t client, double timeout_s, struct job_waiter *w) ERR_USE;

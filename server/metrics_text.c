@@ -9,7 +9,8 @@
 #include <string.h>
 
 static const char *const metrics_text_classes[JOB_CLASSES] = {"view", "tile", "prefetch"};
-static const char *const metrics_text_ends[JOB_ENDS] = {"ok", "error", "cancel", "shed", "timeout"};
+static const char *const metrics_text_ends[JOB_ENDS] = {"ok",   "error",   "cancel",
+                                                        "shed", "timeout", "limited"};
 
 static void metrics_text_head(struct buf *out, const char *name, const char *type, const char *help)
 {
@@ -104,6 +105,9 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
                      atomic_load(&m->client_aborts));
     metrics_text_one(out, "reaped_connections_total", "counter", "Connections cut for being slow.",
                      atomic_load(&m->reaped));
+    metrics_text_one(out, "displaced_connections_total", "counter",
+                     "Connections that gave way to new ones at a limit.",
+                     atomic_load(&m->displaced));
     metrics_text_one(out, "store_errors_total", "counter",
                      "Tiles that could not be read or encoded.", atomic_load(&m->store_errors));
     metrics_text_one(out, "reload_failed_total", "counter", "Reloads that kept the old data.",

@@ -139,17 +139,13 @@ static enum err_code picture_view_find(struct picture *p, const struct dataset *
     if (oldest->view)
         picture_view_drop(oldest);
     size_t bytes = ((size_t)p->cfg->view_cache_mb << 20) / PICTURE_VIEWS;
-    enum err_code rc = view_open(d->path, p->render, bytes, &oldest->view, e);
+    enum err_code rc = view_open_fd(d->fd, d->path, p->render, bytes, &oldest->view, e);
     if (rc)
         return rc;
-    const char *now = store_info(view_store(oldest->view))->revision;
     oldest->path = mem_text(d->path);
-    if (!oldest->path || strcmp(now, d->meta.revision) != 0) {
-        rc = oldest->path
-                 ? err_set(e, ERR_NOENT, "no pictures of this revision: its file was replaced")
-                 : err_set(e, ERR_MEM, "picture: out of memory");
+    if (!oldest->path) {
         picture_view_drop(oldest);
-        return rc;
+        return err_set(e, ERR_MEM, "picture: out of memory");
     }
     memcpy(oldest->revision, d->meta.revision, sizeof oldest->revision);
     oldest->used = ++p->tick;

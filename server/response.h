@@ -13,10 +13,11 @@ struct request { /* borrowed from the connection */
     const char *target; /* raw, as sent */
     size_t target_size;
     const char *accept, *accept_encoding, *if_none_match, *if_range, *range; /* NULL when absent */
+    const char *authorization, *forwarded; /* forwarded: X-Forwarded-For */
     const void *body;
     size_t body_size;
     bool prefetch; /* Sec-Purpose: prefetch, or a low Priority */
-    bool local;    /* the client is this machine, and no proxy speaks for another */
+    bool local;    /* the client is this machine, and nothing says that it asks for another */
 };
 struct response { /* {0}, then route_answer; response_free it */
     int status;

@@ -99,10 +99,11 @@ void route_finish(struct services *s, const struct request *r, struct job_result
     if (soon || result->code == ERR_DEVICE) {
         response_problem(out,
                          result->end == JOB_TIMEOUT                             ? 504
+                         : result->end == JOB_LIMITED                           ? 429
                          : result->code == ERR_LIMIT && result->end == JOB_SHED ? 429
                                                                                 : 503,
                          result->msg);
-        out->retry_after_s = job_retry_after(s->jobs, cls);
+        out->retry_after_s = result->retry_s ? result->retry_s : job_retry_after(s->jobs, cls);
     } else if (result->code == ERR_NOENT) {
         response_problem(out, 404, result->msg);
     } else {

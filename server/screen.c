@@ -328,3 +328,13 @@ int screen_refused(const struct screen *s, uint64_t n)
 {
     return s->refused_at == n ? s->status : 0;
 }
+
+const char *screen_reason(int status)
+{
+    return status == 413   ? "the body is too large"
+           : status == 414 ? "the request target is too long"
+           : status == 431 ? "a header field is too long"
+           : status == 501 ? "the only transfer coding is chunked"
+           : status == 503 ? "out of memory"
+                           : "the request is malformed";
+}

@@ -45,6 +45,7 @@ void screen_detach(struct screen *s, int fd);
 /* The status to refuse the n-th request of the connection with, counted from 1; 0 when nothing is
  * known against it. */
 int screen_refused(const struct screen *s, uint64_t n);
+const char *screen_reason(int status); /* for people */
 
 /* Look at bytes as if they had come from a socket, and take what may go on, at most room bytes: what
  * recv() does, for tests. */

@@ -18,6 +18,7 @@ struct server {
     struct server_config cfg; /* texts are borrowed from the caller */
     const char *const *paths;
     size_t n_paths, workers;
+    struct catalog_options stores;
     struct services services;
     struct http *http;
     char url[128];
@@ -43,6 +44,8 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
         .view_thread = views,
         .queue_limit = {(size_t)cfg->queue_views, (size_t)cfg->queue_tiles,
                         (size_t)cfg->queue_prefetch},
+        .client_views_s = cfg->client_views_s,
+        .client_tiles_s = cfg->client_tiles_s,
         .user = s,
         .run = work_run,
         .drop = work_drop,
@@ -86,12 +89,14 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     sv->paths = paths;
     sv->n_paths = n;
     sv->workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
+    sv->stores = (struct catalog_options){sv->workers, cfg->public_url, cfg->keep_s,
+                                          (size_t)cfg->keep_revisions};
     struct services *s = &sv->services;
     enum err_code rc = log_start(e);
     if (!rc)
         rc = services_open(s, &sv->cfg, e);
     if (!rc)
-        rc = catalog_open(paths, n, sv->workers, cfg->public_url, NULL, &s->catalog, e);
+        rc = catalog_open(paths, n, &sv->stores, NULL, &s->catalog, e);
     if (!rc)
         rc = http_open(s, &sv->http, e);
     if (!rc)
@@ -128,19 +133,21 @@ enum err_code server_reload(struct server *sv, struct err *e)
 {
     struct services *s = &sv->services;
     struct catalog *older = services_catalog(s), *newer = NULL;
-    enum err_code rc =
-        catalog_open(sv->paths, sv->n_paths, sv->workers, sv->cfg.public_url, older, &newer, e);
-    if (!rc) {
-        pthread_mutex_lock(&s->catalog_lock);
-        struct catalog *was = s->catalog;
-        s->catalog = newer;
-        pthread_mutex_unlock(&s->catalog_lock);
-        catalog_drop(&was);
-    } else {
+    enum err_code rc = catalog_open(sv->paths, sv->n_paths, &sv->stores, older, &newer, e);
+    if (rc)
         atomic_fetch_add(&s->metrics.reload_failed, 1);
-    }
+    services_set_catalog(s, newer, rc ? e->msg : "");
     catalog_drop(&older);
     return rc;
+}
+
+void server_expire(struct server *sv, double now_s)
+{
+    struct services *s = &sv->services;
+    struct catalog *now = services_catalog(s), *fewer = NULL;
+    if (!catalog_expire(now, &sv->stores, now_s, &fewer, NULL) && fewer)
+        services_set_catalog(s, fewer, NULL);
+    catalog_drop(&now);
 }
 
 void server_stop(struct server **out)

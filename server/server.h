@@ -57,9 +57,12 @@ const char *server_url(const struct server *s);
 /* What its answers draw on (server/services.h), for tests and benches. Lives until server_stop. */
 struct services *server_services(struct server *s);
 
-/* Open the stores again. Revisions that were replaced stay for a day. On any error (those of
- * server_start about stores) the old data stay. One caller at a time. */
+/* Open the stores again. Revisions that were replaced stay for a day (--keep-s, --keep-revisions). On any
+ * error (those of server_start about stores) the old data stay, and /readyz says so. One caller at a time,
+ * of the next function as well. */
 enum err_code server_reload(struct server *s, struct err *e) ERR_USE;
+/* Let go of revisions whose day is over, by clock_s(); to be called now and then. */
+void server_expire(struct server *s, double now_s);
 
 /* Stop listening, finish what is under way within the configured times, free everything. Accepts
  * NULL inside, leaves NULL. */

@@ -6,6 +6,7 @@
  */
 #include "server/services.h"
 
+#include <stdio.h>
 #include <string.h>
 
 #include "server/describe.h"
@@ -15,6 +16,16 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     memset(s, 0, sizeof *s);
     s->cfg = cfg;
     s->start_s = clock_s();
+    enum { TOKEN_MIN = 16 };
+    if (strcmp(cfg->metrics, "local") != 0 && strcmp(cfg->metrics, "public") != 0 &&
+        strlen(cfg->metrics) < TOKEN_MIN) {
+        s->cfg = NULL;
+        return err_set(
+            e, ERR_ARG,
+            "--metrics %s : neither local nor public, and too short for a token, which has "
+            "%d characters or more",
+            cfg->metrics, TOKEN_MIN);
+    }
     pthread_mutex_init(&s->catalog_lock, NULL);
     enum err_code rc = cache_open((size_t)cfg->cache_mb << 20, &s->cache, e);
     if (!rc)
@@ -56,4 +67,15 @@ struct catalog *services_catalog(struct services *s)
     struct catalog *c = catalog_ref(s->catalog);
     pthread_mutex_unlock(&s->catalog_lock);
     return c;
+}
+
+void services_set_catalog(struct services *s, struct catalog *c, const char *reload_error)
+{
+    pthread_mutex_lock(&s->catalog_lock);
+    struct catalog *was = c ? s->catalog : NULL;
+    s->catalog = c ? c : s->catalog;
+    if (reload_error)
+        snprintf(s->reload_error, sizeof s->reload_error, "%s", reload_error);
+    pthread_mutex_unlock(&s->catalog_lock);
+    catalog_drop(&was);
 }

@@ -19,8 +19,9 @@
 
 struct services { /* all shared, all thread-safe */
     const struct server_config *cfg;
-    pthread_mutex_t catalog_lock; /* of catalog */
+    pthread_mutex_t catalog_lock; /* of catalog and reload_error */
     struct catalog *catalog;
+    char reload_error[256]; /* why the last reload failed, "": it did not; by the same lock */
     struct static_table web;
     struct cache *cache;
     struct flight *flight;
@@ -33,10 +34,12 @@ struct services { /* all shared, all thread-safe */
     double start_s;
 };
 /* {0} services -> ready documents; services_free takes back everything. cfg is borrowed until then.
- * ERR_MEM. */
+ * ERR_ARG (--metrics), ERR_MEM. */
 enum err_code services_open(struct services *s, const struct server_config *cfg,
                             struct err *e) ERR_USE;
 void services_free(struct services *s);
 struct catalog *services_catalog(struct services *s); /* a reference */
+/* From now on this one (taken; NULL: the one that is there). reload_error NULL leaves what is known. */
+void services_set_catalog(struct services *s, struct catalog *c, const char *reload_error);
 
 #endif

@@ -42,7 +42,7 @@ enum { ALLOW_READ = 1, ALLOW_POST = 2 };
     X(HEALTH, ALLOW_READ, "/healthz", "200 while the process lives")                               \
     X(READY, ALLOW_READ, "/readyz", "200 while requests are welcome")                              \
     X(VERSION, ALLOW_READ, "/version", "Program, datasets, device")                                \
-    X(METRICS, ALLOW_READ, "/metrics", "Prometheus text, to loopback clients only")                \
+    X(METRICS, ALLOW_READ, "/metrics", "Prometheus text, to whom --metrics allows it")             \
     X(NONE, 0, "unmatched", "No such path")
 
 enum route {

@@ -24,6 +24,10 @@
 #include "core/pool.h"
 
 enum { TICK_MS = 100, GONE_MS = 250, EVENTS = 64, POLLED = 256 };
+/* A request that is not complete, and an answer that is not read, after this long are slow enough to
+ * give way to another connection. */
+enum { HEAD_SLOW_MS = 500, SEND_SLOW_MS = 2000 };
+enum { TALLIES = 4096 };
 enum { POLL_GONE = 0x2000 }; /* POLLRDHUP, which Linux has and POSIX does not */
 enum arm { ARM_EXPECTED, ARM_ON, ARM_OFF };
 
@@ -32,6 +36,9 @@ struct watch_slot {
     uint32_t generation, next_free;
     enum arm arm;
     struct job_waiter *waiter;
+    uint64_t client;              /* this line and the next by the lock */
+    bool displaced;               /* it was ended for another: counts no more */
+    _Atomic uint64_t since_ms;    /* of its phase */
     _Atomic uint64_t deadline_ms; /* 0 = none */
     uint64_t acked;               /* bytes that the client had when the window began; this line and
                                      the next by the lock */
@@ -45,6 +52,8 @@ struct watch {
     pthread_mutex_t lock;
     struct watch_slot *slot;
     uint32_t n, used, first_free; /* used: slots ever taken; first_free: n = none */
+    size_t most, n_open;          /* connections; these by the lock */
+    uint32_t tally[TALLIES];      /* of n_open, by client: an upper bound of his */
     int epoll_fd;
     struct pool_thread *thread;
     _Atomic bool stop;
@@ -178,10 +187,11 @@ static void watch_main(void *user)
 
 /* ---- the interface ---- */
 
-enum err_code watch_open(size_t limit, struct services *s, void (*gone)(struct job_waiter *w),
+enum err_code watch_open(size_t most, struct services *s, void (*gone)(struct job_waiter *w),
                          struct watch **out, struct err *e)
 {
     struct watch *w = mem_array(1, sizeof *w);
+    size_t limit = most * 2 + 16; /* those over the limit as well */
     *out = w;
     if (!w || !(w->slot = mem_array(limit, sizeof *w->slot))) {
         mem_free(w);
@@ -190,6 +200,7 @@ enum err_code watch_open(size_t limit, struct services *s, void (*gone)(struct j
     }
     w->s = s;
     w->gone = gone;
+    w->most = most;
     w->n = w->first_free = (uint32_t)limit;
     pthread_mutex_init(&w->lock, NULL);
     w->epoll_fd = epoll_create1(EPOLL_CLOEXEC);
@@ -217,10 +228,87 @@ void watch_close(struct watch **out)
     mem_free(w);
 }
 
-struct watch_slot *watch_add(struct watch *w, int fd)
+/* ---- who gives way ---- */
+
+static void watch_uncount(struct watch *w, struct watch_slot *s)
+{
+    w->n_open--;
+    w->tally[s->client % TALLIES]--;
+}
+
+/* How easily a connection gives way: 0 not at all, else the more the longer it has been idle, or slow.
+ * Whoever waits for a job, or is being answered, keeps his place. */
+static uint64_t watch_ease(const struct watch_slot *s, uint64_t now)
+{
+    uint64_t since = atomic_load_explicit(&s->since_ms, memory_order_relaxed);
+    uint64_t age = since && now > since ? now - since : 0;
+    switch (atomic_load_explicit(&s->phase, memory_order_relaxed)) {
+    case WATCH_IDLE:
+        return age + 1;
+    case WATCH_HEADER:
+    case WATCH_BODY:
+        return age > HEAD_SLOW_MS ? age : 0;
+    case WATCH_SEND:
+        return age > SEND_SLOW_MS ? age : 0;
+    default:
+        return 0;
+    }
+}
+
+/* End the connection that gives way most easily among those of a client, or of all whose tally is this
+ * one. False: none does. */
+static bool watch_displace(struct watch *w, bool one_client, uint64_t client)
+{
+    uint64_t now = watch_now_ms(), most = 0;
+    struct watch_slot *victim = NULL;
+    for (uint32_t i = 0; i < w->used; i++) {
+        struct watch_slot *s = &w->slot[i];
+        bool his = one_client ? s->client == client : s->client % TALLIES == client % TALLIES;
+        if (s->fd < 0 || s->displaced || !his)
+            continue;
+        uint64_t ease = watch_ease(s, now);
+        if (ease > most) {
+            most = ease;
+            victim = s;
+        }
+    }
+    if (!victim)
+        return false;
+    /* A request that has come to an idle one just now is still read and answered. */
+    bool idle = atomic_load_explicit(&victim->phase, memory_order_relaxed) == WATCH_IDLE;
+    victim->displaced = true;
+    watch_uncount(w, victim);
+    shutdown(victim->fd, idle ? SHUT_RD : SHUT_RDWR);
+    atomic_fetch_add(&w->s->metrics.displaced, 1);
+    return true;
+}
+
+static size_t watch_count(const struct watch *w, uint64_t client)
+{
+    size_t n = 0;
+    for (uint32_t i = 0; i < w->used; i++)
+        n += w->slot[i].fd >= 0 && !w->slot[i].displaced && w->slot[i].client == client;
+    return n;
+}
+
+/* Room for one more connection of a client. */
+static bool watch_make_room(struct watch *w, uint64_t client, size_t limit)
+{
+    if (limit && w->tally[client % TALLIES] >= limit && watch_count(w, client) >= limit)
+        return watch_displace(w, true, client);
+    if (w->n_open < w->most)
+        return true;
+    uint64_t most = 0;
+    for (uint64_t i = 1; i < TALLIES; i++)
+        most = w->tally[i] > w->tally[most] ? i : most;
+    return watch_displace(w, false, most);
+}
+
+struct watch_slot *watch_add(struct watch *w, int fd, uint64_t client, size_t limit, bool *over)
 {
     struct watch_slot *s = NULL;
     pthread_mutex_lock(&w->lock);
+    *over = !watch_make_room(w, client, limit);
     if (w->first_free < w->n) {
         s = &w->slot[w->first_free];
         w->first_free = s->next_free;
@@ -232,6 +320,10 @@ struct watch_slot *watch_add(struct watch *w, int fd)
         s->generation++;
         s->arm = ARM_OFF;
         s->waiter = NULL;
+        s->client = client;
+        s->displaced = *over; /* it is answered and closed: it takes nobody's place */
+        w->n_open += !*over;
+        w->tally[client % TALLIES] += !*over;
         atomic_store(&s->deadline_ms, 0);
         atomic_store(&s->requests, 0);
     }
@@ -246,6 +338,8 @@ void watch_remove(struct watch *w, struct watch_slot *s)
     watch_disarm(w, s);
     pthread_mutex_lock(&w->lock);
     s->fd = -1;
+    if (!s->displaced)
+        watch_uncount(w, s);
     s->next_free = w->first_free;
     w->first_free = (uint32_t)(s - w->slot);
     pthread_mutex_unlock(&w->lock);
@@ -255,9 +349,10 @@ void watch_phase(struct watch_slot *s, enum watch_phase phase, double timeout_s)
 {
     if (!s)
         return;
+    uint64_t now = timeout_s > 0 ? watch_now_ms() : 0;
     atomic_store_explicit(&s->phase, phase, memory_order_relaxed);
-    atomic_store_explicit(&s->deadline_ms,
-                          timeout_s > 0 ? watch_now_ms() + (uint64_t)(timeout_s * 1000) + 1 : 0,
+    atomic_store_explicit(&s->since_ms, now, memory_order_relaxed);
+    atomic_store_explicit(&s->deadline_ms, now ? now + (uint64_t)(timeout_s * 1000) + 1 : 0,
                           memory_order_relaxed);
 }
 

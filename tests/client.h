@@ -131,8 +131,8 @@ static inline void ask_port(uint16_t port, const char *method, const char *targe
 {
     struct buf q = {0};
     int fd = dial(port);
-    buf_printf(&q, "%s %s HTTP/1.1\r\nHost: test\r\n%sConnection: close\r\n\r\n", method, target,
-               extra);
+    buf_printf(&q, "%s %s HTTP/1.1\r\nHost: localhost\r\n%sConnection: close\r\n\r\n", method,
+               target, extra);
     say_bytes(fd, (char *)q.data, q.size);
     hear(fd, strcmp(method, "HEAD") != 0, NULL, r);
     buf_free(&q);
@@ -152,7 +152,7 @@ static inline int status_of(const char *method, const char *target, const char *
     return r.status;
 }
 
-static const char *tile_target(uint8_t z, const char *ext, char out[128])
+static inline const char *tile_target(uint8_t z, const char *ext, char out[128])
 {
     struct key k = served_key(z);
     snprintf(out, 128, "/d/toy/r/%s/t/%u/%u/%u.%s", t.rev, k.z, k.x, k.y, ext);

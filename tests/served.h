@@ -60,6 +60,9 @@ static inline void served_city(const char *path, const char *name, size_t n)
     kit_ok(store_commit(&s, &e), e);
 }
 
+static const struct catalog_options served_stores = {
+    .readers = 1, .keep_s = 86400, .keep_revisions = 8};
+
 static inline void served_config(struct server_config *cfg, struct arena *arena)
 {
     static const struct options_def defs[] = {

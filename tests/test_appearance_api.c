@@ -11,7 +11,7 @@
 #include <jansson.h>
 #include <math.h>
 
-enum { PHOTOS = 6, LEN = 4, IMAGE = 12 };
+enum { PHOTOS = 6, LEN = 4, IMAGE = 13 };
 static const char ODD_NAME[] = "roof 50%&=+\u00e9.jpg"; /* all of it has to be escaped */
 
 static struct {
@@ -73,7 +73,7 @@ static int setup(void **state)
     served_config(&t.cfg, &t.arena);
     kit_ok(services_open(&t.s, &t.cfg, &e), e);
     const char *paths[] = {t.lit, t.plain};
-    kit_ok(catalog_open(paths, 2, 1, NULL, NULL, &t.s.catalog, &e), e);
+    kit_ok(catalog_open(paths, 2, &served_stores, NULL, &t.s.catalog, &e), e);
     const struct job_config jobs = {.queue_limit = {1, 1, 1}, .run = no_run, .drop = work_drop};
     kit_ok(job_open(&jobs, &t.s.jobs, &e), e);
     return 0;
@@ -272,6 +272,41 @@ static void blends_and_posted_mixes_are_the_same_embedding(void **state)
     buf_free(&body);
 }
 
+/* An embedding has one spelling: another one is refused, and told the right one. */
+static void embeddings_have_one_spelling(void **state)
+{
+    (void)state;
+    struct buf body = {0}, target = {0};
+    char text[TARGET_APPEARANCE_MAX];
+    buf_printf(&body, "{\"embedding\":[-0.0");
+    for (size_t i = 1; i < IMAGE; i++)
+        buf_printf(&body, ",%zu", i % 2);
+    buf_printf(&body, "]}");
+    struct response r = ask(METHOD_POST, "/d/lit/appearances:mix", (const char *)body.data);
+    assert_int_equal(r.status, 200);
+    json_t *o = json_of(&r);
+    snprintf(text, sizeof text, "%s", text_of(o, "appearance"));
+    json_decref(o);
+    assert_true(strlen(text) % 4 !=
+                1); /* "=" and a whole number of threes would have no spare bits */
+    for (int kind = 0; kind < 3; kind++) {
+        char other[TARGET_APPEARANCE_MAX];
+        snprintf(other, sizeof other, "%s", text);
+        if (kind == 1)
+            other[strlen(other) - 1]++; /* spare bits */
+        else if (kind == 2)
+            other[5] = 'g'; /* -0.0: the sign is the highest bit of the fourth byte */
+        target.size = 0;
+        buf_printf(&target, "/d/lit/appearance?appearance=%s", other);
+        r = get((const char *)target.data, kind ? 400 : 200);
+        if (kind)
+            assert_true(says(&r, text));
+        response_free(&r);
+    }
+    buf_free(&body);
+    buf_free(&target);
+}
+
 /* The .ply of the tile, and what it should be. */
 static void tile_in(const char *query, char etag[BODY_ETAG_SIZE], struct gauss *out)
 {
@@ -383,9 +418,9 @@ static void what_is_no_look_is_a_clear_answer(void **state)
         {METHOD_POST, "/d/lit/appearances:mix", "{\"weights\":{}}", 422, "1 to 16"},
         {METHOD_POST, "/d/lit/appearances:mix", "{\"weights\":{\"p9.jpg\":1}}", 404, "p9.jpg"},
         {METHOD_POST, "/d/lit/appearances:mix", "{\"weights\":{\"p1.jpg\":\"1\"}}", 422, "number"},
-        {METHOD_POST, "/d/lit/appearances:mix", "{\"embedding\":[1,2]}", 422, "12 numbers"},
-        {METHOD_POST, "/d/lit/appearances:mix", "{\"embedding\":[1,2,3,4,5,6,7,8,9,10,11,\"x\"]}",
-         422, "number 11"},
+        {METHOD_POST, "/d/lit/appearances:mix", "{\"embedding\":[1,2]}", 422, "13 numbers"},
+        {METHOD_POST, "/d/lit/appearances:mix",
+         "{\"embedding\":[1,2,3,4,5,6,7,8,9,10,11,12,\"x\"]}", 422, "number 12"},
         {METHOD_POST, "/d/plain/appearances:mix", "{\"embedding\":[1]}", 404, "without appearance"},
         {METHOD_GET, "/d/lit/appearances:mix", NULL, 405, "method"},
     };
@@ -408,6 +443,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(the_list_names_every_look_with_links_that_work),
         cmocka_unit_test(blends_and_posted_mixes_are_the_same_embedding),
+        cmocka_unit_test(embeddings_have_one_spelling),
         cmocka_unit_test(tiles_are_baked_in_the_look_that_is_asked_for),
         cmocka_unit_test(tilesets_and_prefetch_lists_carry_the_look),
         cmocka_unit_test(what_is_no_look_is_a_clear_answer),

@@ -337,33 +337,6 @@ static void test_a_client_that_does_not_read(void **state)
     close(fd);
 }
 
-static void test_connection_limit(void **state)
-{
-    enum { LIMIT = 8 };
-    int fd[LIMIT];
-    struct reply r;
-    (void)state;
-    t.cfg.max_connections = LIMIT;
-    t.cfg.http_threads = 1;
-    start();
-    for (int i = 0; i < LIMIT; i++) {
-        fd[i] = dial(t.port);
-        say(fd[i], "GET /healthz HTTP/1.1\r\n" H "\r\n");
-        hear(fd[i], true, NULL, &r);
-        assert_int_equal(r.status, 200);
-        buf_free(&r.raw);
-    }
-    ask("GET", "/healthz", "", &r);
-    assert_int_equal(r.status, 503);
-    assert_string_equal(header(&r, "Connection"), "close");
-    assert_true(atoi(header(&r, "Retry-After")) >= 1);
-    buf_free(&r.raw);
-    for (int i = 0; i < LIMIT; i++)
-        close(fd[i]);
-    await_no_connections();
-    assert_int_equal(status_of("GET", "/healthz", ""), 200);
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -371,7 +344,6 @@ int main(void)
         HTTP_TEST(test_cut_and_pipelined),    HTTP_TEST(test_many_keys),
         HTTP_TEST(test_oversized_requests),   HTTP_TEST(test_any_bytes),
         HTTP_TEST(test_slow_clients_are_cut), HTTP_TEST(test_a_client_that_does_not_read),
-        HTTP_TEST(test_connection_limit),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);
 }

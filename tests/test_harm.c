@@ -5,6 +5,7 @@
  */
 #include "tests/client.h"
 
+#include <dirent.h>
 #include <fcntl.h>
 #include <sys/stat.h>
 
@@ -62,6 +63,96 @@ static void test_truncated_store(void **state)
     assert_int_not_equal(server_reload(t.server, &why), ERR_OK); /* the old index stays */
     t.paths[0] = t.path;
     assert_int_equal(status_of("GET", "/d/toy/tileset.json", ""), 200);
+}
+
+/* ---- revisions that come and go ---- */
+
+static size_t open_files(void)
+{
+    size_t n = 0;
+    DIR *d = opendir("/proc/self/fd");
+    assert_non_null(d);
+    while (readdir(d))
+        n++;
+    closedir(d);
+    return n;
+}
+
+/* The status of /readyz, and what it says of the last reload. */
+static void readyz(const char *status, const char *reload, const char *extra)
+{
+    struct reply r;
+    ask("GET", "/readyz", extra, &r);
+    assert_int_equal(r.status, 200);
+    buf_add(&r.raw, "", 1);
+    kit_expect_text((const char *)r.body, status, __FILE__, __LINE__);
+    if (reload)
+        kit_expect_text((const char *)r.body, reload, __FILE__, __LINE__);
+    else
+        assert_null(strstr((const char *)r.body, "reload"));
+    buf_free(&r.raw);
+}
+
+/* The file is replaced twelve times: tiles of the last three revisions are served, cold ones as well, open
+ * files do not grow, and a day later only the current one is left. A reload that fails leaves all as it
+ * was, and /readyz says why. */
+static void test_revisions(void **state)
+{
+    enum { ROUNDS = 12, KEEP = 3 };
+    static const char *const exts[] = {"spz", "drc", "glb"};
+    struct err e = {0};
+    char path[FILE_PATH_MAX], target[128], revs[ROUNDS][13];
+    size_t files = 0;
+    (void)state;
+    kit_ok(file_join(path, t.dir, "moving.tiles", &e), e);
+    t.paths[0] = path;
+    t.cfg.keep_revisions = KEEP;
+    served_city(path, "toy", 100);
+    start();
+    t.paths[0] = t.path;
+    for (int i = 0; i < ROUNDS; i++) {
+        memcpy(revs[i], t.rev, sizeof t.rev);
+        if (i == ROUNDS - 1)
+            break;
+        served_city(path, "toy", 101 + (size_t)i);
+        t.paths[0] = path;
+        kit_ok(server_reload(t.server, &e), e);
+        t.paths[0] = t.path;
+        struct catalog *c = services_catalog(server_services(t.server));
+        memcpy(t.rev, c->ds[0]->meta.revision, sizeof t.rev);
+        catalog_drop(&c);
+        if (i == KEEP)
+            files = open_files();
+    }
+    assert_int_equal(open_files(), files);
+    for (int i = 0; i < ROUNDS; i++) {
+        memcpy(t.rev, revs[i], sizeof t.rev);
+        for (size_t f = 0; f < 3; f++) {
+            int status = status_of("GET", tile_target(17, exts[f], target), "");
+            assert_int_equal(status, i >= ROUNDS - 1 - KEEP ? 200 : 404);
+        }
+        snprintf(target, sizeof target, "/d/toy/r/%s/tileset.json", t.rev);
+        assert_int_equal(status_of("GET", target, ""), i >= ROUNDS - 1 - KEEP ? 200 : 404);
+    }
+    readyz("ready", NULL, "");
+    kit_ok(file_write(path, "not a store", 11, &e), e);
+    t.paths[0] = path;
+    kit_fails(server_reload(t.server, &e), ERR_FORMAT, e, "moving.tiles");
+    t.paths[0] = t.path;
+    readyz("degraded", "moving.tiles: not a tile store", "");
+    readyz("degraded", "the log says why", "X-Forwarded-For: 9.9.9.9\r\n"); /* no names of files */
+    assert_int_equal(status_of("GET", tile_target(16, "ply", target), ""), 200);
+    served_city(path, "toy", 100 + ROUNDS - 1); /* the bytes that are served, again */
+    t.paths[0] = path;
+    kit_ok(server_reload(t.server, &e), e);
+    t.paths[0] = t.path;
+    readyz("ready", NULL, "");
+    size_t before = open_files();
+    server_expire(t.server, clock_s() + 86500);
+    assert_true(open_files() < before);
+    assert_int_equal(status_of("GET", tile_target(16, "ply", target), ""), 200);
+    memcpy(t.rev, revs[ROUNDS - 2], sizeof t.rev);
+    assert_int_equal(status_of("GET", tile_target(17, "spz", target), ""), 404);
 }
 
 /* ---- slow readers ---- */
@@ -241,9 +332,8 @@ static void test_blocked_stderr(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        HTTP_TEST(test_truncated_store),
-        HTTP_TEST(test_large_bodies_in_flight),
-        HTTP_TEST(test_least_rate),
+        HTTP_TEST(test_truncated_store),        HTTP_TEST(test_revisions),
+        HTTP_TEST(test_large_bodies_in_flight), HTTP_TEST(test_least_rate),
         HTTP_TEST(test_blocked_stderr),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);

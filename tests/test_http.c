@@ -101,7 +101,35 @@ static void test_headers(void **state)
     buf_free(&r.raw);
 
     assert_int_equal(status_of("GET", "/metrics", ""), 200);
-    assert_int_equal(status_of("GET", "/metrics", "X-Forwarded-For: 9.9.9.9\r\n"), 403);
+    static const char *const signs[] = {"X-Forwarded-For: 9.9.9.9\r\n",
+                                        "X-Forwarded-Proto: https\r\n",
+                                        "X-Forwarded-Host: a\r\n",
+                                        "Forwarded: for=9.9.9.9\r\n",
+                                        "Via: 1.1 a\r\n",
+                                        "X-Real-IP: 9.9.9.9\r\n",
+                                        "CF-Connecting-IP: 9.9.9.9\r\n",
+                                        "True-Client-IP: 9.9.9.9\r\n"};
+    for (size_t i = 0; i < sizeof signs / sizeof *signs; i++)
+        assert_int_equal(status_of("GET", "/metrics", signs[i]), 403);
+    static const struct {
+        const char *request;
+        int status;
+    } hosts[] = {
+        {"GET /metrics HTTP/1.1\r\nHost: 127.0.0.1:8080\r\nConnection: close\r\n\r\n", 200},
+        {"GET /metrics HTTP/1.1\r\nHost: [::1]\r\nConnection: close\r\n\r\n", 200},
+        {"GET /metrics HTTP/1.1\r\nHost: citysplat\r\nConnection: close\r\n\r\n", 403},
+        {"GET /metrics HTTP/1.1\r\nHost: maps.example.org\r\nConnection: close\r\n\r\n", 403},
+        /* what a bare proxy_pass of nginx sends */
+        {"GET /metrics HTTP/1.0\r\nHost: 127.0.0.1:8080\r\nConnection: close\r\n\r\n", 403},
+    };
+    for (size_t i = 0; i < sizeof hosts / sizeof *hosts; i++) {
+        int fd = dial(t.port);
+        say(fd, hosts[i].request);
+        hear(fd, true, NULL, &r);
+        assert_int_equal(r.status, hosts[i].status);
+        buf_free(&r.raw);
+        close(fd);
+    }
 }
 
 /* A tile that was never made answers 304 from the index, with no claim about its length. */

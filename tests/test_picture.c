@@ -207,12 +207,50 @@ static void test_gone_clients(void **state)
     assert_int_equal(status_of("GET", view_target(POSE, "32x32.png", target), ""), 200);
 }
 
+/* After a reload, pictures of the revision before are drawn, although its file is gone: nothing of it was
+ * drawn before. */
+static void test_pictures_of_an_older_revision(void **state)
+{
+    struct err e = {0};
+    struct reply r;
+    struct buf want = {0};
+    char path[FILE_PATH_MAX], target[256], old[13];
+    (void)state;
+    kit_ok(file_join(path, t.dir, "moving.tiles", &e), e);
+    served_city(path, "toy", 2000);
+    t.paths[0] = path;
+    bool there = start_with_device();
+    if (!there)
+        skip();
+    draw(&want);
+    memcpy(old, t.rev, sizeof old);
+    assert_int_equal(unlink(path), 0);
+    served_city(path, "toy", 500);
+    kit_ok(server_reload(t.server, &e), e);
+    t.paths[0] = t.path;
+    ask("GET", view_target(POSE, "96x64.png", target), "", &r);
+    assert_int_equal(r.status, 200);
+    assert_int_equal(r.body_size, want.size);
+    assert_memory_equal(r.body, want.data, want.size);
+    buf_free(&r.raw);
+    struct catalog *c = services_catalog(server_services(t.server));
+    memcpy(t.rev, c->ds[0]->meta.revision, sizeof t.rev);
+    catalog_drop(&c);
+    assert_string_not_equal(old, t.rev);
+    ask("GET", view_target(POSE, "96x64.png", target), "", &r);
+    assert_int_equal(r.status, 200);
+    assert_true(r.body_size != want.size || memcmp(r.body, want.data, want.size) != 0);
+    buf_free(&r.raw);
+    buf_free(&want);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         HTTP_TEST(test_bytes),
         HTTP_TEST(test_crowd),
         HTTP_TEST(test_gone_clients),
+        HTTP_TEST(test_pictures_of_an_older_revision),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);
 }

@@ -1,0 +1,31 @@
+/* Work that failed lately is not tried again at once.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_FAILURE_H
+#define SERVER_FAILURE_H
+
+#include "core/base.h"
+
+enum { FAILURE_KEPT = 64 };
+struct failure {
+    struct hash128 id;
+    enum err_code code;
+    char msg[256];
+    double until_s, pause_s; /* pause_s 0: free */
+};
+struct failures { /* {.pause_s = x}: the first pause; the caller has the lock */
+    struct failure kept[FAILURE_KEPT];
+    size_t next;
+    double pause_s;
+};
+
+/* What stands against trying this work now; NULL: nothing. */
+const struct failure *failure_find(const struct failures *f, struct hash128 id, double now_s);
+/* It has failed: it is not tried for pause_s, and twice as long after each further failure, up to 60 s. */
+void failure_note(struct failures *f, struct hash128 id, enum err_code code, const char *msg,
+                  double now_s);
+/* It has succeeded. */
+void failure_forget(struct failures *f, struct hash128 id);
+
+#endif

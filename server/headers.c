@@ -1,0 +1,66 @@
+/* From a response to its header fields. Anybody's page may read every answer: there is nothing here that
+ * depends on who asks (RFC 9110; CORS as the Fetch standard has it).
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/headers.h"
+
+#include <stdio.h>
+
+static void headers_add(struct headers *h, const char *name, const char *value)
+{
+    if (!value || !*value || h->n == HEADERS_MAX)
+        return;
+    h->field[h->n].name = name;
+    h->field[h->n++].value = value;
+}
+
+static void headers_add_numbers(const struct response *r, struct headers *h)
+{
+    if (r->status == 206)
+        snprintf(
+            h->range, sizeof h->range, "bytes %llu-%llu/%llu", (unsigned long long)r->range_first,
+            (unsigned long long)(r->range_first + r->size - 1), (unsigned long long)r->range_total);
+    else if (r->status == 416)
+        snprintf(h->range, sizeof h->range, "bytes */%llu", (unsigned long long)r->range_total);
+    if (r->retry_after_s)
+        snprintf(h->retry, sizeof h->retry, "%d", r->retry_after_s);
+    if (r->queue_s >= 0)
+        snprintf(h->timing, sizeof h->timing, "queue;dur=%.1f, job;dur=%.1f", r->queue_s * 1e3,
+                 r->run_s * 1e3);
+    headers_add(h, "Content-Range", h->range);
+    headers_add(h, "Retry-After", h->retry);
+    headers_add(h, "Server-Timing", h->timing);
+}
+
+void headers_make(const struct response *r, bool last, struct headers *h)
+{
+    h->n = 0;
+    h->range[0] = h->retry[0] = h->timing[0] = '\0';
+    headers_add(h, "Content-Type", r->type);
+    headers_add(h, "Cache-Control", r->cache_control);
+    headers_add(h, "ETag", r->etag);
+    headers_add(h, "Vary", r->vary);
+    headers_add(h, "Content-Encoding", r->encoding);
+    headers_add(h, "Allow", r->allow);
+    headers_add(h, "Location", r->location);
+    headers_add(h, "Surrogate-Key", r->surrogate);
+    if (r->accept_ranges)
+        headers_add(h, "Accept-Ranges", "bytes");
+    headers_add_numbers(r, h);
+    headers_add(h, "Access-Control-Allow-Origin", "*");
+    headers_add(h, "X-Content-Type-Options", "nosniff");
+    if (r->allow && r->status == 204) { /* preflight */
+        headers_add(h, "Access-Control-Allow-Methods", r->allow);
+        headers_add(h, "Access-Control-Allow-Headers",
+                    "Range, If-None-Match, If-Range, Content-Type, Authorization");
+        headers_add(h, "Access-Control-Max-Age", "86400");
+    } else {
+        headers_add(h, "Access-Control-Expose-Headers",
+                    "ETag, Content-Length, Content-Range, Retry-After, Server-Timing");
+        headers_add(h, "Cross-Origin-Resource-Policy", "cross-origin");
+        headers_add(h, "Timing-Allow-Origin", "*");
+    }
+    if (last)
+        headers_add(h, "Connection", "close");
+}

@@ -1,0 +1,21 @@
+/* The header fields of an answer.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_HEADERS_H
+#define SERVER_HEADERS_H
+
+#include "server/response.h"
+
+enum { HEADERS_MAX = 28 };
+struct headers { /* values are borrowed from the response or lie in the texts */
+    size_t n;
+    struct {
+        const char *name, *value;
+    } field[HEADERS_MAX];
+    char range[80], retry[16], timing[80];
+};
+/* What goes out with r; last: the connection ends behind it. out lives no longer than r. */
+void headers_make(const struct response *r, bool last, struct headers *out);
+
+#endif

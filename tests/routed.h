@@ -1,0 +1,150 @@
+/* Requests to routes as pure calls: services over a small city, and jobs that the test runs itself.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef TESTS_ROUTED_H
+#define TESTS_ROUTED_H
+
+#include "lod/store.h"
+#include "tests/served.h"
+
+#include <jansson.h>
+
+static struct {
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], web[FILE_PATH_MAX], rev[13];
+    struct arena arena;
+    struct server_config cfg;
+    struct services s;
+    struct picture *picture; /* one that never starts: views become jobs that nobody runs here */
+} t;
+
+static inline enum err_code no_run(void *user, const struct job *j, void *work, size_t worker,
+                                   struct body **out, struct err *e)
+{
+    (void)user, (void)j, (void)work, (void)worker, (void)out;
+    return err_set(e, ERR_INTERNAL, "the test runs jobs itself");
+}
+
+static inline int setup(void **state)
+{
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    (void)state;
+    kit_tmpdir(t.dir);
+    kit_ok(file_join(t.path, t.dir, "toy.tiles", &e), e);
+    served_city(t.path, "toy", 50);
+    kit_ok(file_join(t.web, t.dir, "web", &e), e);
+    kit_ok(file_join(path, t.web, "assets", &e), e);
+    kit_ok(file_mkdir(path, &e), e);
+    kit_ok(file_join(path, t.web, "index.html", &e), e);
+    kit_ok(file_write(path, "<!doctype html><title>viewer</title>", 36, &e), e);
+    kit_ok(file_join(path, t.web, "assets/index-D3adBeef.js", &e), e);
+    char script[2000];
+    memset(script, ';', sizeof script);
+    kit_ok(file_write(path, script, sizeof script, &e), e);
+    served_config(&t.cfg, &t.arena);
+    kit_ok(services_open(&t.s, &t.cfg, &e), e);
+    const char *paths[] = {t.path};
+    kit_ok(catalog_open(paths, 1, &served_stores, NULL, &t.s.catalog, &e), e);
+    kit_ok(static_load(t.web, &t.s.web, &e), e);
+    const struct job_config jobs = {.queue_limit = {1, 1, 1}, .run = no_run, .drop = work_drop};
+    kit_ok(job_open(&jobs, &t.s.jobs, &e), e);
+    memcpy(t.rev, t.s.catalog->ds[0]->meta.revision, sizeof t.rev);
+    return 0;
+}
+
+static inline int teardown(void **state)
+{
+    (void)state;
+    services_free(&t.s);
+    arena_free(&t.arena);
+    kit_rmdir(t.dir);
+    return 0;
+}
+
+/* "REV" in text becomes the revision, "KEY15" etc. the tile about the origin. */
+static inline const char *expand(const char *text, char *out, size_t room)
+{
+    size_t n = 0;
+    while (*text && n + 40 < room) {
+        struct key k;
+        if (!strncmp(text, "REV", 3)) {
+            n += (size_t)snprintf(out + n, room - n, "%s", t.rev);
+            text += 3;
+        } else if (!strncmp(text, "KEY", 3)) {
+            k = served_key((uint8_t)((text[3] - '0') * 10 + text[4] - '0'));
+            n += (size_t)snprintf(out + n, room - n, "%u/%u/%u", k.z, k.x, k.y);
+            text += 5;
+        } else {
+            out[n++] = *text++;
+        }
+    }
+    out[n] = 0;
+    return out;
+}
+
+struct ask { /* the request in short */
+    enum method method;
+    const char *target, *accept, *accept_encoding, *if_none_match, *if_range, *range, *body;
+};
+
+static char last_target[4096];
+
+/* Ask, and if a job is needed, do its work as a worker would. */
+static inline struct response answer(const struct ask *a)
+{
+    struct request r = {
+        .method = a->method,
+        .target = expand(a->target, last_target, sizeof last_target),
+        .accept = a->accept,
+        .accept_encoding = a->accept_encoding,
+        .if_none_match = a->if_none_match,
+        .if_range = a->if_range,
+        .range = a->range,
+        .body = a->body,
+        .body_size = a->body ? strlen(a->body) : 0,
+        .local = true,
+    };
+    r.target_size = strlen(r.target);
+    struct response out;
+    route_answer(&t.s, &r, &out);
+    if (out.work && out.work->kind != WORK_VIEW) {
+        struct err e = {0};
+        struct work *w = out.work;
+        struct job_result result = {.end = JOB_OK};
+        out.work = NULL;
+        result.code = work_run(&t.s, NULL, w, 0, &result.body, &e);
+        if (result.code != ERR_OK) {
+            result.end = JOB_ERROR;
+            snprintf(result.msg, sizeof result.msg, "%.200s", e.msg);
+        }
+        work_drop(NULL, w);
+        route_finish(&t.s, &r, &result, &out);
+    }
+    return out;
+}
+
+static inline struct response get(const char *target)
+{
+    return answer(&(struct ask){.target = target});
+}
+
+static inline void expect(const char *what, const char *got, const char *want)
+{
+    if (strcmp(got ? got : "", want ? want : "") != 0)
+        fail_msg("%s: %s is '%s', want '%s'", last_target, what, got ? got : "", want ? want : "");
+}
+
+static inline json_t *json_of(const struct response *r)
+{
+    json_error_t je;
+    json_t *o = json_loadb((const char *)r->data, r->size, JSON_REJECT_DUPLICATES, &je);
+    if (!o)
+        fail_msg("%s: not JSON: %s line %d", last_target, je.text, je.line);
+    return o;
+}
+
+#define IMMUTABLE "public, max-age=31536000, immutable"
+#define MOVING "public, max-age=60, stale-while-revalidate=600, stale-if-error=86400"
+
+#endif

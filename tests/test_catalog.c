@@ -1,0 +1,91 @@
+/* Stores that are replaced while they are served.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/routed.h"
+
+static void test_reload(void **state)
+{
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    struct catalog *first = NULL, *second = NULL, *third = NULL;
+    (void)state;
+    kit_ok(file_join(path, t.dir, "moving.tiles", &e), e);
+    const char *paths[] = {path};
+    served_city(path, "moving", 10);
+    kit_ok(catalog_open(paths, 1, &served_stores, NULL, &first, &e), e);
+    kit_ok(catalog_open(paths, 1, &served_stores, first, &second, &e), e);
+    assert_int_equal(second->n, 1);
+    assert_ptr_equal(second->ds[0], first->ds[0]); /* unchanged: the same one */
+    served_city(path, "moving", 11);
+    kit_ok(catalog_open(paths, 1, &served_stores, second, &third, &e), e);
+    assert_int_equal(third->n, 2);
+    struct dataset *now = catalog_find(third, "moving", ""), *old = first->ds[0];
+    assert_string_not_equal(now->meta.revision, old->meta.revision);
+    assert_ptr_equal(catalog_find(third, "moving", old->meta.revision), old);
+    struct buf b = {
+        0}; /* the older revision's tiles are read from the file that was renamed over */
+    struct store *s = dataset_borrow(old);
+    const struct form form = {FORMAT_SPZ, QUANT_BALANCED, 3};
+    kit_ok(encode_tile(s, served_key(17), form, NULL, &b, &e), e);
+    dataset_return(old, s);
+    buf_free(&b);
+    struct catalog *bad = NULL;
+    kit_ok(file_write(path, "not a store", 11, &e), e);
+    kit_fails(catalog_open(paths, 1, &served_stores, third, &bad, &e), ERR_FORMAT, e,
+              "moving.tiles");
+    assert_null(bad);
+    struct catalog *later = NULL; /* a day has passed for the older one */
+    kit_ok(catalog_expire(third, &served_stores, clock_s() + 86390, &later, &e), e);
+    assert_null(later);
+    kit_ok(catalog_expire(third, &served_stores, clock_s() + 86410, &later, &e), e);
+    assert_int_equal(later->n, 1);
+    assert_ptr_equal(catalog_find(later, "moving", ""), now);
+    assert_null(catalog_find(later, "moving", old->meta.revision));
+    catalog_drop(&later);
+    catalog_drop(&third);
+    catalog_drop(&second);
+    catalog_drop(&first);
+    const char *twice[] = {t.path, t.path};
+    kit_fails(catalog_open(twice, 2, &served_stores, NULL, &bad, &e), ERR_ARG, e, "toy");
+}
+
+/* A reload that fails at its last step has not touched what is served: its revisions are still current,
+ * and the next reload that succeeds keeps them. */
+static void test_a_reload_that_fails_late(void **state)
+{
+    struct err e = {0};
+    char a[FILE_PATH_MAX], b[FILE_PATH_MAX];
+    struct catalog *first = NULL, *bad = NULL, *second = NULL;
+    (void)state;
+    kit_ok(file_join(a, t.dir, "a.tiles", &e), e);
+    kit_ok(file_join(b, t.dir, "b.tiles", &e), e);
+    const char *paths[] = {a, b};
+    served_city(a, "a", 10);
+    served_city(b, "b", 10);
+    kit_ok(catalog_open(paths, 2, &served_stores, NULL, &first, &e), e);
+    served_city(a, "a", 11);
+    served_city(b, "a", 12);
+    kit_fails(catalog_open(paths, 2, &served_stores, first, &bad, &e), ERR_ARG, e, "'a'");
+    assert_null(bad);
+    assert_int_equal(first->n_current, 2);
+    assert_true(first->replaced_s[0] == 0 && first->replaced_s[1] == 0);
+    struct dataset *old_a = catalog_find(first, "a", ""), *old_b = catalog_find(first, "b", "");
+    served_city(b, "b", 10); /* as it was */
+    kit_ok(catalog_open(paths, 2, &served_stores, first, &second, &e), e);
+    assert_int_equal(second->n, 3);
+    assert_ptr_equal(catalog_find(second, "b", ""), old_b);
+    assert_ptr_equal(catalog_find(second, "a", old_a->meta.revision), old_a);
+    assert_ptr_not_equal(catalog_find(second, "a", ""), old_a);
+    catalog_drop(&first);
+    catalog_drop(&second);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_reload),
+        cmocka_unit_test(test_a_reload_that_fails_late),
+    };
+    return cmocka_run_group_tests(tests, setup, teardown);
+}

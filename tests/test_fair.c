@@ -1,0 +1,445 @@
+/* One client asks for far too much; what is left for the others: turns in queues, rates, connections, and
+ * who is who behind a proxy.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/client.h"
+
+#include <math.h>
+
+#include "core/pool.h"
+#include "server/address.h"
+#include "server/rate.h"
+#include "server/turn.h"
+
+/* ---- turns ---- */
+
+struct thing {
+    struct turn_item place;
+    int number;
+};
+
+static int taken(struct turns *q)
+{
+    struct turn_item *it = turn_next(q);
+    return it ? ((struct thing *)(void *)it)->number : -1;
+}
+
+static void test_turns(void **state)
+{
+    struct thing x[8];
+    struct turns *q = NULL;
+    struct err e = {0};
+    (void)state;
+    for (int newest = 0; newest < 2; newest++) {
+        kit_ok(turn_open(newest, &q, &e), e);
+        for (int i = 0; i < 8; i++)
+            x[i] = (struct thing){.number = i};
+        assert_int_equal(taken(q), -1);
+        for (int i = 0; i < 5; i++)
+            turn_add(q, &x[i].place, 77);
+        turn_add(q, &x[5].place, 88);
+        turn_add(q, &x[6].place, 99);
+        assert_int_equal(turn_count(q), 7);
+        const int old_first[] = {0, 5, 6, 1, 2}, new_first[] = {4, 5, 6, 3, 2};
+        for (int i = 0; i < 5; i++)
+            assert_int_equal(taken(q), (newest ? new_first : old_first)[i]);
+        turn_add(q, &x[7].place, 88); /* 88 had its turn before 77 had its last */
+        assert_int_equal(taken(q), 7);
+        turn_remove(q, &x[newest ? 1 : 3].place);
+        assert_int_equal(taken(q), newest ? 0 : 4);
+        assert_int_equal(taken(q), -1);
+        turn_close(&q);
+    }
+}
+
+/* Who gives way: one of whoever has most; of equals, who had a turn last; never one who has less. */
+static void test_who_gives_way(void **state)
+{
+    struct thing x[8];
+    struct turns *q = NULL;
+    struct err e = {0};
+    (void)state;
+    for (int newest = 0; newest < 2; newest++) {
+        kit_ok(turn_open(newest, &q, &e), e);
+        for (int i = 0; i < 8; i++)
+            x[i] = (struct thing){.number = i};
+        turn_add(q, &x[0].place, 1);
+        turn_add(q, &x[1].place, 1);
+        turn_add(q, &x[2].place, 1);
+        turn_add(q, &x[3].place, 2);
+        assert_ptr_equal(turn_shed(q, 2),
+                         &x[newest ? 0 : 2].place); /* 2 has two with the new one */
+        assert_ptr_equal(turn_shed(q, 3), &x[newest ? 0 : 2].place);
+        assert_ptr_equal(turn_shed(q, 1), newest ? &x[0].place : NULL); /* his own */
+        turn_join(q, &x[2].place, 3); /* the third wants what the first waits for */
+        assert_int_equal(turn_owner(&x[2].place), 3);
+        turn_join(q, &x[3].place, 1);
+        assert_int_equal(turn_owner(&x[3].place), 2); /* who has more takes nothing over */
+        while (turn_count(q))
+            taken(q);
+        for (int i = 4; i < 7; i++)
+            turn_add(q, &x[i].place, (uint64_t)i);
+        assert_null(turn_shed(q, 1));  /* all have one, and the asker had a turn last */
+        assert_null(turn_shed(q, 99)); /* nobody of them had one */
+        int first = taken(q);
+        turn_add(q, &x[first].place, (uint64_t)first);
+        assert_ptr_equal(turn_shed(q, 99), &x[first].place);
+        while (turn_count(q))
+            taken(q);
+        turn_close(&q);
+    }
+}
+
+/* More clients than places in the table: nothing is lost. */
+static void test_very_many_clients(void **state)
+{
+    enum { N = 9000 };
+    struct thing *x = mem_array(N, sizeof *x);
+    struct turns *q = NULL;
+    struct err e = {0};
+    uint64_t sum = 0;
+    (void)state;
+    assert_non_null(x);
+    kit_ok(turn_open(false, &q, &e), e);
+    for (int i = 0; i < N; i++) {
+        x[i].number = i;
+        turn_add(q, &x[i].place, rng_u64(3, 0, (uint64_t)i));
+    }
+    for (int i = 0; i < N; i++)
+        sum += (uint64_t)taken(q);
+    assert_int_equal(sum, (uint64_t)N * (N - 1) / 2);
+    assert_int_equal(taken(q), -1);
+    turn_close(&q);
+    mem_free(x);
+}
+
+/* ---- rates ---- */
+
+static void test_rates(void **state)
+{
+    struct rate *r = NULL;
+    struct err e = {0};
+    int n = 0;
+    (void)state;
+    kit_ok(rate_open(5, 10, &r, &e), e);
+    while (!(rate_take(r, 1, 100) > 0))
+        n++;
+    assert_int_equal(n, 50);
+    assert_true(fabs(rate_take(r, 1, 100) - 0.2) < 1e-9);
+    assert_true(rate_take(r, 2, 100) == 0); /* somebody else */
+    n = 0;
+    for (double at = 100; at < 120; at += 0.01)
+        n += !(rate_take(r, 1, at) > 0);
+    assert_in_range(n, 99, 101);
+    for (uint64_t i = 10; i < 20000; i++) /* strangers push the first one's bucket out, not over */
+        assert_true(rate_take(r, i, 130) == 0);
+    rate_close(&r);
+    kit_ok(rate_open(0, 10, &r, &e), e);
+    for (int i = 0; i < 1000; i++)
+        assert_true(rate_take(r, 1, 1) == 0);
+    rate_close(&r);
+}
+
+/* ---- addresses ---- */
+
+static void test_addresses(void **state)
+{
+    static const char trusted[] = "127.0.0.1, 10.0.0.0/8,fd00::/8,2001:db8::7";
+    static const struct {
+        const char *peer, *forwarded, *client;
+    } rows[] = {
+        {"127.0.0.1", "9.9.9.9", "9.9.9.9"},
+        {"127.0.0.1", "1.1.1.1, 9.9.9.9", "9.9.9.9"},  /* what the client wrote himself is before */
+        {"127.0.0.1", "9.9.9.9, 10.3.4.5", "9.9.9.9"}, /* two proxies */
+        {"127.0.0.1", "9.9.9.9:5000", "9.9.9.9"},
+        {"127.0.0.1", "[2001:db8::1]:80,fd00::3", "2001:db8::1"},
+        {"127.0.0.1", "2001:db8::1", "2001:db8::1"},
+        {"127.0.0.1", "unknown", "127.0.0.1"},
+        {"127.0.0.1", "", "127.0.0.1"},
+        {"127.0.0.1", NULL, "127.0.0.1"},
+        {"127.0.0.1", "10.1.1.1,10.2.2.2", "10.1.1.1"},
+        {"127.0.0.2", "9.9.9.9", "127.0.0.2"}, /* nobody whom the server trusts */
+        {"2001:db8::8", "9.9.9.9", "2001:db8::8"},
+        {"2001:db8::7", "9.9.9.9", "9.9.9.9"},
+        {"::ffff:10.0.0.9", "9.9.9.9", "9.9.9.9"}, /* IPv4 through an IPv6 socket */
+    };
+    static const char *const bad[] = {"localhost", "10.0.0.0/33", "10.0.0.0/",  "10.0.0.0/+8",
+                                      "::/129",    "1.2.3",       "10.0.0.0/8x"};
+    static const struct {
+        const char *host;
+        bool local;
+    } hosts[] = {
+        {"localhost", true},    {"LOCALHOST:8080", true},
+        {"127.0.0.1:80", true}, {"127.9.9.9", true},
+        {"[::1]:8080", true},   {"[::1]", true},
+        {"example.org", false}, {"", false},
+        {"citysplat", false},   {"localhost.evil", false},
+        {"10.0.0.1", false},    {NULL, false},
+        {"128.0.0.1:1", false}, {"[::2]", false},
+    };
+    struct address_nets nets;
+    struct err e = {0};
+    const struct hash128 secret = {1, 2}, other = {1, 3};
+    (void)state;
+    kit_ok(address_read_nets(trusted, &nets, &e), e);
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct address peer, want, got;
+        assert_true(address_parse(rows[i].peer, strlen(rows[i].peer), &peer));
+        assert_true(address_parse(rows[i].client, strlen(rows[i].client), &want));
+        got = address_client(&nets, peer, rows[i].forwarded);
+        if (memcmp(&got, &want, sizeof got) != 0)
+            fail_msg("%s with %s is not %s", rows[i].peer,
+                     rows[i].forwarded ? rows[i].forwarded : "nothing", rows[i].client);
+    }
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++)
+        kit_fails(address_read_nets(bad[i], &nets, &e), ERR_ARG, e, "--trusted-proxy");
+    kit_ok(address_read_nets(NULL, &nets, &e), e);
+    assert_int_equal(nets.n, 0);
+    for (size_t i = 0; i < sizeof hosts / sizeof *hosts; i++)
+        assert_int_equal(address_host_is_loopback(hosts[i].host), hosts[i].local);
+    struct address a, b, c;
+    assert_true(address_parse("2001:db8:1:2::5", 15, &a) &&
+                address_parse("2001:db8:1:2:9::", 16, &b) &&
+                address_parse("2001:db8:1:3::5", 15, &c));
+    assert_int_equal(address_number(a, secret), address_number(b, secret)); /* one household */
+    assert_int_not_equal(address_number(a, secret), address_number(c, secret));
+    assert_int_not_equal(address_number(a, secret), address_number(a, other));
+    assert_true(address_parse("1.2.3.4", 7, &a) && address_parse("1.2.3.5", 7, &b));
+    assert_int_not_equal(address_number(a, secret), address_number(b, secret));
+}
+
+/* ---- the server ---- */
+
+enum { ABUSERS = 24, VICTIM = ABUSERS, TILES = 12 };
+struct crowd {
+    atomic_bool stop;
+    atomic_int served, refused; /* abusers' answers */
+    double victim_s;
+    int victim_ok, victim_other;
+    uint64_t made_before, made_after;
+};
+
+static uint64_t tiles_made(void)
+{
+    struct job_stats st;
+    job_count(server_services(t.server)->jobs, &st);
+    return st.ended[JOB_TILE][JOB_OK];
+}
+
+/* A tile that is in no cache; n tells them apart, and those of the victim from those of others. */
+static const char *cold_target(int n, bool victim, char out[160])
+{
+    static const char *const exts[] = {"glb", "spz", "drc"};
+    static const char *const presets[] = {"spz", "preview", "balanced", "near-lossless"};
+    const struct key k = served_key((uint8_t)(victim ? 15 : 16 + n / 24 % 2));
+    snprintf(out, 160, "/d/toy/r/%s/t/%u/%u/%u.%s?preset=%s&sh=%d", t.rev, k.z, k.x, k.y,
+             exts[n % 3], presets[n / 3 % 4], n / 12 % 2);
+    return out;
+}
+
+static int ask_as(const char *target, const char *client)
+{
+    char line[64];
+    snprintf(line, sizeof line, "X-Forwarded-For: %s\r\n", client);
+    return status_of("GET", target, line);
+}
+
+static enum err_code crowd_run(void *user, size_t i, struct err *e)
+{
+    struct crowd *c = user;
+    char target[160];
+    (void)e;
+    if (i != VICTIM) {
+        for (int n = (int)i * 7; !atomic_load(&c->stop); n++) {
+            int status = ask_as(cold_target(n, false, target), "203.0.113.9");
+            atomic_fetch_add(status == 200 ? &c->served : &c->refused, 1);
+        }
+        return ERR_OK;
+    }
+    while (atomic_load(&c->served) < 2 * ABUSERS)
+        nap_ms(2);
+    c->made_before = tiles_made();
+    double start_s = clock_s();
+    for (int n = 0; n < TILES; n++) {
+        int status = ask_as(cold_target(n, true, target), "198.51.100.7");
+        *(status == 200 ? &c->victim_ok : &c->victim_other) += 1;
+    }
+    c->victim_s = clock_s() - start_s;
+    c->made_after = tiles_made();
+    atomic_store(&c->stop, true);
+    return ERR_OK;
+}
+
+/* Twenty-four connections of one address ask for tiles that nobody has, one after the other, in a queue
+ * that they fill; one connection of another does the same. Each address gets half, so the victim gets at
+ * least one tile for each two of theirs, and is never turned away. */
+static void test_a_share_of_tiles(void **state)
+{
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    (void)state;
+    kit_ok(file_join(path, t.dir, "fair.tiles", &e), e);
+    served_city(path, "toy", 20000);
+    t.paths[0] = path;
+    t.cfg.workers = 1;
+    t.cfg.cache_mb = 1; /* such tiles are too large to be kept */
+    t.cfg.queue_tiles = 12;
+    t.cfg.client_tiles_s = 0;
+    t.cfg.trusted_proxy = "127.0.0.1";
+    start();
+    t.paths[0] = t.path;
+    struct crowd c = {0};
+    kit_ok(pool_for(ABUSERS + 1, ABUSERS + 1, crowd_run, &c, &e), e);
+    int theirs = (int)(c.made_after - c.made_before) - c.victim_ok;
+    print_message("victim: %d tiles in %.2f s, the others %d, and %d refused\n", c.victim_ok,
+                  c.victim_s, theirs, atomic_load(&c.refused));
+    assert_int_equal(c.victim_ok, TILES);
+    assert_int_equal(c.victim_other, 0);
+    assert_true(theirs <= 2 * TILES + 4);
+    assert_true(atomic_load(&c.refused) > 0); /* the queue was full */
+}
+
+static void test_limited_rates(void **state)
+{
+    enum { ASKED = 40 };
+    char target[160];
+    struct reply r;
+    int ok = 0, limited = 0;
+    (void)state;
+    t.cfg.client_tiles_s = 2;
+    t.cfg.trusted_proxy = "127.0.0.1";
+    start();
+    double start_s = clock_s();
+    for (int n = 0; n < ASKED; n++) {
+        ask("GET", cold_target(n, false, target), "X-Forwarded-For: 203.0.113.9\r\n", &r);
+        ok += r.status == 200;
+        limited += r.status == 429;
+        if (r.status == 429) {
+            assert_in_range(atoi(header(&r, "Retry-After")), 1, 2);
+            assert_string_equal(header(&r, "Content-Type"), "application/problem+json");
+            assert_string_equal(header(&r, "Cache-Control"), "no-store");
+        }
+        buf_free(&r.raw);
+    }
+    int more = (int)((clock_s() - start_s) * 2) + 1;
+    assert_int_equal(ok + limited, ASKED);
+    assert_in_range(ok, 20, 20 + more);
+    for (int i = 0; i < 60; i++) /* hot tiles are never limited, nor is a name that fits already */
+        assert_int_equal(ask_as(cold_target(0, false, target), "203.0.113.9"), 200);
+    assert_int_equal(ask_as(cold_target(ASKED - 1, false, target), "198.51.100.7"), 200);
+    ask("GET", "/metrics", "", &r);
+    buf_free(&r.raw);
+    struct job_stats st;
+    job_count(server_services(t.server)->jobs, &st);
+    assert_int_equal(st.ended[JOB_TILE][JOB_LIMITED], limited);
+}
+
+/* ---- connections ---- */
+
+static int dial_and_ask(int *status)
+{
+    struct reply r;
+    int fd = dial(t.port);
+    say(fd, "GET /healthz HTTP/1.1\r\n" H "\r\n");
+    hear(fd, true, NULL, &r);
+    *status = r.status;
+    buf_free(&r.raw);
+    return fd;
+}
+
+static bool ended(int fd)
+{
+    struct buf b = {0};
+    bool open = hear_some(fd, &b, 0.05);
+    buf_free(&b);
+    return !open;
+}
+
+/* Idle connections give way, the one that is idle longest first. */
+static void test_idle_connections_give_way(void **state)
+{
+    enum { LIMIT = 8, MORE = 5 };
+    int fd[LIMIT + MORE], status;
+    (void)state;
+    for (int all = 0; all < 2; all++) {
+        *(all ? &t.cfg.max_connections : &t.cfg.per_ip_connections) = LIMIT;
+        start();
+        for (int i = 0; i < LIMIT + MORE; i++) {
+            fd[i] = dial_and_ask(&status);
+            assert_int_equal(status, 200);
+            nap_ms(5);
+        }
+        for (int i = 0; i < LIMIT + MORE; i++)
+            assert_int_equal(ended(fd[i]), i < MORE);
+        assert_int_equal(atomic_load(&server_services(t.server)->metrics.displaced), MORE);
+        for (int i = 0; i < LIMIT + MORE; i++)
+            close(fd[i]);
+        server_stop(&t.server);
+        t.cfg.per_ip_connections = 256;
+    }
+}
+
+/* A neighbour on the same address holds all connections with headers that never end, bodies that never
+ * come and answers that it does not read; whoever comes is served. */
+static void test_slow_neighbours(void **state)
+{
+    enum { LIMIT = 16, ASKED = 20 };
+    int fd[2 * LIMIT];
+    (void)state;
+    t.cfg.per_ip_connections = LIMIT;
+    start();
+    for (int i = 0; i < 2 * LIMIT; i++) {
+        fd[i] = dial(t.port);
+        say(fd[i], i % 2 ? "GET / HTTP/1.1\r\nX: " : POST "Content-Length: 100\r\n\r\n{");
+    }
+    nap_ms(700);
+    for (int i = 0; i < ASKED; i++)
+        assert_int_equal(status_of("GET", "/healthz", ""), 200);
+    for (int i = 0; i < 2 * LIMIT; i++)
+        close(fd[i]);
+}
+
+/* Where every connection has come just now, one more is told so, in time. */
+static void test_too_many_connections_are_told(void **state)
+{
+    enum { LIMIT = 8 };
+    int fd[LIMIT];
+    struct reply r;
+    (void)state;
+    for (int all = 0; all < 2; all++) {
+        *(all ? &t.cfg.max_connections : &t.cfg.per_ip_connections) = LIMIT;
+        start();
+        for (int i = 0; i < LIMIT; i++)
+            fd[i] = dial(t.port);
+        ask("GET", "/healthz", "", &r);
+        assert_int_equal(r.status, 503);
+        assert_string_equal(header(&r, "Connection"), "close");
+        assert_string_equal(header(&r, "Content-Type"), "application/problem+json");
+        assert_true(atoi(header(&r, "Retry-After")) >= 1);
+        buf_free(&r.raw);
+        for (int i = 0; i < LIMIT; i++)
+            close(fd[i]);
+        await_no_connections();
+        assert_int_equal(status_of("GET", "/healthz", ""), 200);
+        server_stop(&t.server);
+        t.cfg.per_ip_connections = 256;
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_turns),
+        cmocka_unit_test(test_who_gives_way),
+        cmocka_unit_test(test_very_many_clients),
+        cmocka_unit_test(test_rates),
+        cmocka_unit_test(test_addresses),
+        HTTP_TEST(test_a_share_of_tiles),
+        HTTP_TEST(test_limited_rates),
+        HTTP_TEST(test_idle_connections_give_way),
+        HTTP_TEST(test_slow_neighbours),
+        HTTP_TEST(test_too_many_connections_are_told),
+    };
+    return cmocka_run_group_tests(tests, setup_all, teardown_all);
+}
