@@ -77,10 +77,9 @@ static enum err_code frame_stages(struct bench *b, struct frame_case *c, const c
     const struct {
         const char *name, *unit;
         double value;
-    } rows[] = {
-        {"visible", "splats", s->visible}, {"pairs of splat and tile", "", (double)s->entries},
-        {"project", "ms", s->ms_project},  {"sort", "ms", s->ms_sort},
-        {"bin", "ms", s->ms_bin},          {"blend", "ms", s->ms_blend}};
+    } rows[] = {{"visible", "splats", s->visible}, {"intersections", "", (double)s->intersections},
+                {"project", "ms", s->ms_project},  {"sort", "ms", s->ms_sort},
+                {"bin", "ms", s->ms_bin},          {"blend", "ms", s->ms_blend}};
     for (size_t i = 0; !rc && i < sizeof rows / sizeof *rows; i++) {
         snprintf(text, sizeof text, "%s, %ux%u: %s", name, c->cam.width_px, c->cam.height_px,
                  rows[i].name);

@@ -41,11 +41,11 @@ static const struct options_def gradient_defs[] = {
 static const struct gradient_file {
     const char *name;
     uint32_t plane, width; /* width 0: all of SH */
-} gradient_files[] = {{"mean.npy", RENDER_PLANE_MEAN, 3},
-                      {"log_scale.npy", RENDER_PLANE_SCALE, 3},
-                      {"quat_wxyz.npy", RENDER_PLANE_QUAT, 4},
-                      {"opacity_logit.npy", RENDER_PLANE_OPACITY, 1},
-                      {"sh.npy", RENDER_PLANE_SH, 0}};
+} gradient_files[] = {{"mean.npy", LAYOUT_PLANE_MEAN, 3},
+                      {"log_scale.npy", LAYOUT_PLANE_SCALE, 3},
+                      {"quat_wxyz.npy", LAYOUT_PLANE_QUAT, 4},
+                      {"opacity_logit.npy", LAYOUT_PLANE_OPACITY, 1},
+                      {"sh.npy", LAYOUT_PLANE_SH, 0}};
 enum { FILES = sizeof gradient_files / sizeof *gradient_files };
 
 /* ---- input ---- */

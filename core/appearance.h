@@ -21,12 +21,13 @@
 
 #include "core/base.h"
 #include "core/gauss.h"
+#include "core/layout.h"
 
 enum {
     APPEARANCE_GAUSS_LEN = 16, /* defaults and limits */
     APPEARANCE_IMAGE_LEN = 32,
     APPEARANCE_HIDDEN = 32,
-    APPEARANCE_OUT = 4,
+    APPEARANCE_OUT = LAYOUT_APPEARANCE_OUT,
     APPEARANCE_IMAGE_MAX = 64,
     APPEARANCE_HIDDEN_MAX = 64,
     APPEARANCE_NAME_MAX = 128
@@ -67,7 +68,7 @@ void appearance_eval(const struct appearance *a, const float *embed, const float
  * 1e-12): g_v = (g_v^ - v^ (v^ . g_v^)) / |v|. Written, not added; either may be NULL. */
 void appearance_backward(const struct appearance *a, const float *image, const float *frame_grad,
                          float *weights_grad, float *image_grad);
-/* Apply a photograph's look for good: DC += (2 y - 1) / C0, opacity = min(opacity + y3, 1 - 1e-6).
+/* Apply a photograph's appearance for good: DC += (2 y - 1) / C0, opacity = min(opacity + y3, 1 - 1e-6).
  * g keeps its embeddings. ERR_DATA when g's embedding length is not len_gauss. Parallel. */
 enum err_code appearance_bake(const struct appearance *a, const float *image, struct gauss *g,
                               struct err *e) ERR_USE;

@@ -9,7 +9,7 @@
 #include "core/gauss.h"
 #include "render/render.h"
 
-enum { BLOCK_GROUPS = 16, BLOCK_ROWS = BLOCK_GROUPS * RENDER_LANES };
+enum { BLOCK_GROUPS = 16, BLOCK_ROWS = BLOCK_GROUPS * LAYOUT_LANES };
 
 struct block {
     double min_enu_m[3], max_enu_m[3]; /* means grown by 3.33 sigma */

@@ -67,7 +67,7 @@ struct resident_batch {
 static enum err_code resident_pack(const struct resident *r, const struct gauss *g,
                                    struct resident_tile *to, struct err *e)
 {
-    size_t floats = (size_t)render_piece_groups(g->n) * RENDER_LANES *
+    size_t floats = (size_t)render_piece_groups(g->n) * LAYOUT_LANES *
                     render_planes_embed(g->sh_degree, g->embed_len);
     if (!to->block)
         to->block = mem_array(block_count(g->n) + 1, sizeof *to->block);
@@ -227,7 +227,7 @@ static void resident_make_room(struct resident *r, size_t pages, uint64_t since)
 static enum err_code resident_place(struct resident *r, const uint32_t *picked, size_t n,
                                     size_t pages, struct err *e)
 {
-    size_t block_floats = (size_t)r->model.planes * RENDER_LANES * BLOCK_GROUPS, n_pieces = 0;
+    size_t block_floats = (size_t)r->model.planes * LAYOUT_LANES * BLOCK_GROUPS, n_pieces = 0;
     struct render_piece *piece = mem_array(pages + 1, sizeof *piece);
     enum err_code rc = piece ? ERR_OK : err_set(e, ERR_MEM, "out of memory for %zu blocks", pages);
     for (size_t i = 0; !rc && i < n; i++) {

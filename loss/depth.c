@@ -19,9 +19,7 @@
 #include "core/layout.h"
 #include "loss/depth.h"
 
-extern const char lanes_cl[], depth_cl[];
-
-enum { DEPTH_PIECES = 256, DEPTH_PLANES = 14, DEPTH_EXTRA_PLANES = 11 }; /* as in depth.cl */
+extern const char vector_cl[], lanes_cl[], depth_cl[];
 
 struct depth {
     struct dev *dev; /* borrowed */
@@ -53,13 +51,15 @@ void depth_close(struct depth **p)
 
 enum err_code depth_open(struct dev *dev, struct depth **out, struct err *e)
 {
-    const struct dev_source sources[] = {{"loss/lanes.cl", lanes_cl}, {"loss/depth.cl", depth_cl}};
+    const struct dev_source sources[] = {
+        {"core/vector.cl", vector_cl}, {"loss/lanes.cl", lanes_cl}, {"loss/depth.cl", depth_cl}};
     struct depth *d = mem_array(1, sizeof *d);
     *out = NULL;
     if (!d)
         return err_set(e, ERR_MEM, "depth: out of memory");
     d->dev = dev;
-    enum err_code rc = dev_build(dev, sources, 2, NULL, &d->program, e);
+    enum err_code rc =
+        dev_build(dev, sources, sizeof sources / sizeof *sources, NULL, &d->program, e);
     if (!rc)
         rc = dev_kernel(d->program, "depth_model", &d->model, e);
     if (!rc)
@@ -67,7 +67,7 @@ enum err_code depth_open(struct dev *dev, struct depth **out, struct err *e)
     if (!rc)
         rc = dev_kernel(d->program, "depth_add", &d->add, e);
     if (!rc)
-        rc = dev_buffer(dev, DEPTH_PIECES * sizeof(float), NULL, &d->pieces, e);
+        rc = dev_buffer(dev, LAYOUT_LOSS_PIECES * sizeof(float), NULL, &d->pieces, e);
     if (rc)
         depth_close(&d);
     *out = d;
@@ -80,7 +80,7 @@ static enum err_code depth_reserve(struct depth *d, const struct render_model *m
     enum err_code rc = ERR_OK;
     if (m->groups > d->groups) {
         size_t groups = m->cap / LAYOUT_LANES > m->groups ? m->cap / LAYOUT_LANES : m->groups;
-        size_t bytes = groups * DEPTH_PLANES * LAYOUT_LANES * sizeof(float);
+        size_t bytes = groups * LAYOUT_DEPTH_PLANES * LAYOUT_LANES * sizeof(float);
         dev_release(&d->shadow);
         dev_release(&d->grads);
         d->groups = 0;
@@ -140,7 +140,7 @@ static enum err_code depth_draw(struct depth *d, struct render *r, const struct 
                                     .n = m->n,
                                     .cap = m->groups * LAYOUT_LANES,
                                     .groups = m->groups,
-                                    .planes = DEPTH_PLANES};
+                                    .planes = LAYOUT_DEPTH_PLANES};
     for (int k = 0; k < 3; k++)
         shadow->origin_enu_m[k] = m->origin_enu_m[k];
     return rc ? rc : render_forward(r, shadow, in->cam, &o, NULL, NULL, e);
@@ -165,7 +165,7 @@ static enum err_code depth_compare(struct depth *d, struct render *r, const stru
     if (!rc && bad != CL_SUCCESS)
         rc = err_set(e, ERR_DEVICE, "depth_loss: arguments: %s", dev_error_name(bad));
     d->per_value = in->weight / (double)in->n_known;
-    return rc ? rc : dev_run(d->dev, d->loss, "depth_loss", DEPTH_PIECES, 1, e);
+    return rc ? rc : dev_run(d->dev, d->loss, "depth_loss", LAYOUT_LOSS_PIECES, 1, e);
 }
 
 static enum err_code depth_gather(struct depth *d, const struct render_model *m,
@@ -209,10 +209,10 @@ enum err_code depth_run(struct depth *d, struct render *r, const struct render_m
 
 enum err_code depth_read(struct depth *d, double *loss, struct err *e)
 {
-    float pieces[DEPTH_PIECES];
+    float pieces[LAYOUT_LOSS_PIECES];
     enum err_code rc = dev_read(d->dev, d->pieces, 0, sizeof pieces, pieces, e);
     *loss = 0.0;
-    for (size_t i = 0; !rc && i < DEPTH_PIECES; i++)
+    for (size_t i = 0; !rc && i < LAYOUT_LOSS_PIECES; i++)
         *loss += (double)pieces[i] * d->per_value;
     return rc;
 }

@@ -1,20 +1,18 @@
 // The depth loss around an ordinary frame: Gaussians whose colour is their inverse depth, the loss
-// of the picture that they make, and the way of its gradients back to the trained Gaussians.
-//   depth_model  params -> shadow [groups][14][16]: planes 0-10 (opacity replaced in the hard
-//   pass),
-//                harmonics of degree 0 with red = unit / z
+// of the picture that they make, and its gradients passed back to the trained Gaussians.
+//   depth_model  params -> shadow [groups][LAYOUT_DEPTH_PLANES][16]: the geometry (opacity replaced in
+//                the hard pass), harmonics of degree 0 with red = unit / z
 //   depth_loss   color, target -> grad [3][h][w], pieces: |D - t| summed over a piece
-//   depth_add    grads of the shadow -> added to extra [groups][11][16]
+//   depth_add    grads of the shadow -> added to extra
+//                [groups][LAYOUT_PLANES_GEOMETRY][16]
 // z = row . mean + row.w with row the camera's third: the mean moves the colour too.
 // Reference: depth_ref.c.
-#define DEPTH_PIECES 256
 #define SH_C0 0.28209479177387814f
-#define SHADOW_PLANES 14
-#define DC 11
 
 inline V depth_of(__global const float *g, float4 row)
 {
-    return row.x * LD(g, 0) + (row.y * LD(g, 1) + (row.z * LD(g, 2) + row.w));
+    return row.x * LD(g, LAYOUT_PLANE_MEAN) +
+           (row.y * LD(g, LAYOUT_PLANE_MEAN + 1) + (row.z * LD(g, LAYOUT_PLANE_MEAN + 2) + row.w));
 }
 
 __kernel void depth_model(__global const float *params, uint planes, uint groups, float4 row,
@@ -25,15 +23,15 @@ __kernel void depth_model(__global const float *params, uint planes, uint groups
     for (uint group = from; group < to; group++)
         LANES_EACH(lane)
         {
-            __global const float *g = params + (size_t)group * planes * LAYOUT_LANES + lane;
-            __global float *out = shadow + (size_t)group * SHADOW_PLANES * LAYOUT_LANES + lane;
+            __global const float *g = params + group_at(group, planes) + lane;
+            __global float *out = shadow + group_at(group, LAYOUT_DEPTH_PLANES) + lane;
             V z = depth_of(g, row), inverse = unit / (z > 0.0f ? z : (V)(INFINITY));
-            for (uint p = 0; p < 10; p++)
+            for (uint p = 0; p < LAYOUT_PLANE_OPACITY; p++)
                 ST(out, p, LD(g, p));
-            ST(out, 10, hard ? (V)(hard_logit) : LD(g, 10));
-            ST(out, DC, (inverse - 0.5f) / SH_C0);
-            ST(out, DC + 1, (V)(-0.5f / SH_C0)); // black
-            ST(out, DC + 2, (V)(-0.5f / SH_C0));
+            ST(out, LAYOUT_PLANE_OPACITY, hard ? (V)(hard_logit) : LD(g, LAYOUT_PLANE_OPACITY));
+            ST(out, LAYOUT_PLANE_SH, (inverse - 0.5f) / SH_C0);
+            ST(out, LAYOUT_PLANE_SH + 1, (V)(-0.5f / SH_C0)); // black
+            ST(out, LAYOUT_PLANE_SH + 2, (V)(-0.5f / SH_C0));
         }
 }
 
@@ -42,10 +40,10 @@ __kernel void depth_loss(__global const float *color, __global const float *targ
                          float per_pixel, __global float *grad, __global float *pieces)
 {
     uint item = (uint)get_global_id(0);
-    if (item >= DEPTH_PIECES)
+    if (item >= LAYOUT_LOSS_PIECES)
         return;
-    uint from = (uint)((ulong)item * pixels / DEPTH_PIECES),
-         to = (uint)((ulong)(item + 1) * pixels / DEPTH_PIECES);
+    uint from = (uint)((ulong)item * pixels / LAYOUT_LOSS_PIECES),
+         to = (uint)((ulong)(item + 1) * pixels / LAYOUT_LOSS_PIECES);
     float sum = 0.0f;
     for (uint i = from; i < to; i++) {
         float t = target[i], d = color[i] - t;
@@ -68,19 +66,22 @@ __kernel void depth_add(__global const float *params, uint planes, uint groups, 
     for (uint group = from; group < to; group++)
         LANES_EACH(lane)
         {
-            __global const float *g = params + (size_t)group * planes * LAYOUT_LANES + lane;
-            __global const float *in = grads + (size_t)group * SHADOW_PLANES * LAYOUT_LANES + lane;
-            __global float *out = extra + (size_t)group * 11 * LAYOUT_LANES + lane;
-            V z = depth_of(g, row), along = LD(in, DC) * (-unit_c0 / (z * z)); // dL/dz
+            __global const float *g = params + group_at(group, planes) + lane;
+            __global const float *in = grads + group_at(group, LAYOUT_DEPTH_PLANES) + lane;
+            __global float *out = extra + group_at(group, LAYOUT_PLANES_GEOMETRY) + lane;
+            V z = depth_of(g, row), along = LD(in, LAYOUT_PLANE_SH) * (-unit_c0 / (z * z)); // dL/dz
+            const float axis[3] = {row.x, row.y, row.z};
             along = z > 0.0f ? along : (V)(0.0f);
-            ST(out, 0, LD(out, 0) + (LD(in, 0) + along * row.x));
-            ST(out, 1, LD(out, 1) + (LD(in, 1) + along * row.y));
-            ST(out, 2, LD(out, 2) + (LD(in, 2) + along * row.z));
-            for (uint p = 3; p < 10; p++)
+            for (uint k = 0; k < 3; k++) {
+                uint p = LAYOUT_PLANE_MEAN + k;
+                ST(out, p, LD(out, p) + (LD(in, p) + along * axis[k]));
+            }
+            for (uint p = LAYOUT_PLANE_SCALE; p < LAYOUT_PLANE_OPACITY; p++)
                 ST(out, p, LD(out, p) + LD(in, p));
-            V o = 1.0f / (1.0f + exp(-LD(g, 10))), own = LD(in, 10);
+            V o = 1.0f / (1.0f + exp(-LD(g, LAYOUT_PLANE_OPACITY)));
+            V own = LD(in, LAYOUT_PLANE_OPACITY);
             // Straight through: o + constant is drawn, so dL/do is that of the hard opacity.
             own = hard ? own * per_hard * (o * (1.0f - o)) : own;
-            ST(out, 10, LD(out, 10) + own);
+            ST(out, LAYOUT_PLANE_OPACITY, LD(out, LAYOUT_PLANE_OPACITY) + own);
         }
 }

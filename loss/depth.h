@@ -30,7 +30,7 @@ struct depth; /* compiled kernels, and a shadow of the model */
 enum err_code depth_open(struct dev *dev, struct depth **out, struct err *e) ERR_USE;
 void depth_close(struct depth **d);
 /* Enqueue: L = weight / n_known sum |D - target| over the known pixels, D = sum alpha T unit / z,
- * its gradient added to extra, float [groups][11][16]. Draws a frame of r. Does not wait for the
+ * its gradient added to extra, float [groups][LAYOUT_PLANES_GEOMETRY][16]. Draws a frame of r. Does not wait for the
  * device. ERR_ARG: nothing is known of the photograph; ERR_MEM, ERR_DEVICE. */
 enum err_code depth_run(struct depth *d, struct render *r, const struct render_model *m,
                         const struct depth_input *in, cl_mem extra, struct err *e) ERR_USE;

@@ -1,5 +1,5 @@
 /* The depth loss in double: what depth.c does, said twice. depth_ref_loss blends inverse depths
- * pixel by pixel; depth_ref_grads takes the way of the kernels, through the reference of the
+ * pixel by pixel; depth_ref_grads goes as the kernels do, through the reference of the
  * backward pass. A test holds the differences of the first against the second.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -60,7 +60,7 @@ enum err_code depth_ref_loss(const struct gauss *g, const struct depth_input *in
         double px = (double)(at % v.width) + 0.5, py = (double)(at / v.width) + 0.5, t = 1.0,
                sum = 0.0, d[2], alpha;
         bool clamped;
-        for (size_t i = 0; i < n && t > (double)RENDER_T_STOP; i++) {
+        for (size_t i = 0; i < n && t > (double)LAYOUT_TRANSMITTANCE_MIN; i++) {
             if (!ref_alpha(&splats[i], px, py, d, &alpha, &clamped))
                 continue;
             sum += alpha * t * in->unit_m / splats[i].cam[2];

@@ -1,34 +1,12 @@
-// First source of train/'s kernels over Gaussians: the vector type and the AoSoA-16 layout, as in
-// render/common.cl.
-//
-// VW 16 (CPUs): V is float16 and a work-item walks whole groups of 16 Gaussians. VW 1 (GPUs): V is
-// float and a work-item walks the lanes of its groups one by one. Masks are what comparisons return
-// (-1 in vectors, 1 in scalars): combine them with & and |, choose with ?:.
+// Behind core/vector.cl in programs of loss/ over Gaussians: lanes of a group, fixed pieces of the
+// groups, sums.
+
+// VW 16: a work-item walks whole groups; VW 1: it walks the lanes of its groups one by one.
 #if VW == 16
-typedef float16 V;
-typedef int16 VI;
-typedef uint16 VU;
-// p: first float of the group
-#define LD(p, plane) LAYOUT_WIDE(const __global, float, (p) + 16 * (plane))
-#define ST(p, plane, v) LAYOUT_WIDE(__global, float, (p) + 16 * (plane)) = (v)
-#define LANE ((int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15))
 #define LANES_EACH(lane) for (uint lane = 0; lane < 1; lane++)
 #else
-typedef float V;
-typedef int VI;
-typedef uint VU;
-#define LD(p, plane) ((p)[(plane)*LAYOUT_LANES])
-#define ST(p, plane, v) ((p)[(plane)*LAYOUT_LANES] = (v))
-#define LANE 0
 #define LANES_EACH(lane) for (uint lane = 0; lane < LAYOUT_LANES; lane++)
 #endif
-#ifdef HAS_PREFETCH
-#define PREFETCH(p) __builtin_prefetch(p)
-#else
-#define PREFETCH(p) (void)(p)
-#endif
-#define MIN_(a, b) ((a) < (b) ? (a) : (b))
-#define MAX_(a, b) ((a) > (b) ? (a) : (b))
 
 // Groups [from, to) of piece i of n: fixed pieces, whatever the number of threads.
 #define PIECE_FROM(i, n, groups) ((uint)((ulong)(i) * (groups) / (n)))

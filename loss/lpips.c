@@ -15,6 +15,7 @@
 
 #include "codec/tensors.h"
 #include "core/base.h"
+#include "core/layout.h"
 
 extern const char lpips_cl[];
 
@@ -22,9 +23,6 @@ enum {
     LPIPS_TAPS = 5,
     LPIPS_LAYERS_MAX = 13,
     LPIPS_CHANNELS_MAX = 4096,
-    LPIPS_GROUP = 8,   /* CHANNELS of lpips.cl */
-    LPIPS_MARGIN = 16, /* MARGIN */
-    LPIPS_ROWS = 2,    /* ROWS */
 };
 
 /* of version 0.1: (x - shift) / scale for x in -1..1 */
@@ -100,19 +98,21 @@ static enum err_code lpips_pack(struct lpips *l, struct lpips_layer *y, const fl
                                 const float *bias, struct err *e)
 {
     size_t taps = (size_t)y->cin * (size_t)(y->plan.k * y->plan.k), cout = (size_t)y->cout;
-    size_t groups = (cout + LPIPS_GROUP - 1) / LPIPS_GROUP, n = groups * taps * LPIPS_GROUP;
-    float *packed = mem_array(n, sizeof *packed), *b = mem_array(groups * LPIPS_GROUP, sizeof *b);
+    size_t groups = (cout + LAYOUT_LPIPS_CHANNELS - 1) / LAYOUT_LPIPS_CHANNELS,
+           n = groups * taps * LAYOUT_LPIPS_CHANNELS;
+    float *packed = mem_array(n, sizeof *packed),
+          *b = mem_array(groups * LAYOUT_LPIPS_CHANNELS, sizeof *b);
     enum err_code rc = packed && b ? ERR_OK : err_set(e, ERR_MEM, "lpips: out of memory");
     for (size_t o = 0; !rc && o < cout; o++) {
         for (size_t i = 0; i < taps; i++)
-            packed[(o / LPIPS_GROUP * taps + i) * LPIPS_GROUP + o % LPIPS_GROUP] =
-                weights[o * taps + i];
+            packed[(o / LAYOUT_LPIPS_CHANNELS * taps + i) * LAYOUT_LPIPS_CHANNELS +
+                   o % LAYOUT_LPIPS_CHANNELS] = weights[o * taps + i];
         b[o] = bias[o];
     }
     if (!rc)
         rc = dev_buffer(l->dev, n * sizeof *packed, packed, &y->weights, e);
     if (!rc)
-        rc = dev_buffer(l->dev, groups * LPIPS_GROUP * sizeof *b, b, &y->bias, e);
+        rc = dev_buffer(l->dev, groups * LAYOUT_LPIPS_CHANNELS * sizeof *b, b, &y->bias, e);
     mem_free(packed);
     mem_free(b);
     return rc;
@@ -247,8 +247,8 @@ struct lpips_size {
 
 static size_t lpips_map_floats(struct lpips_size s, int channels)
 {
-    size_t pitch = 2 * LPIPS_MARGIN + ((size_t)s.w + 15) / 16 * 16;
-    return (size_t)channels * ((size_t)s.h + 2 * LPIPS_ROWS) * pitch;
+    size_t pitch = 2 * LAYOUT_LPIPS_MARGIN + ((size_t)s.w + 15) / 16 * 16;
+    return (size_t)channels * ((size_t)s.h + 2 * LAYOUT_LPIPS_ROWS) * pitch;
 }
 
 /* A map of at least so many floats, all zero. */
@@ -279,7 +279,7 @@ static enum err_code lpips_upload(struct lpips *l, struct lpips_map *m, const fl
                                   struct err *e)
 {
     size_t floats = lpips_map_floats(s, 3), plane = floats / 3;
-    size_t pitch = 2 * LPIPS_MARGIN + ((size_t)s.w + 15) / 16 * 16;
+    size_t pitch = 2 * LAYOUT_LPIPS_MARGIN + ((size_t)s.w + 15) / 16 * 16;
     if (floats > l->host_floats) {
         mem_free(l->host);
         l->host = mem_array(floats, sizeof *l->host);
@@ -295,8 +295,8 @@ static enum err_code lpips_upload(struct lpips *l, struct lpips_map *m, const fl
                 double v = mask && !mask[pixel] ? 0.0
                            : rgb                ? fmin(fmax((double)rgb[at], 0.0), 1.0)
                                                 : target[at] / 255.0;
-                l->host[(size_t)c * plane + ((size_t)y + LPIPS_ROWS) * pitch + LPIPS_MARGIN +
-                        (size_t)x] = lpips_input(l, v, c);
+                l->host[(size_t)c * plane + ((size_t)y + LAYOUT_LPIPS_ROWS) * pitch +
+                        LAYOUT_LPIPS_MARGIN + (size_t)x] = lpips_input(l, v, c);
             }
     enum err_code rc = lpips_clear(l, m, floats, e);
     return rc ? rc : dev_write(l->dev, m->mem, 0, floats * sizeof *l->host, l->host, e);
@@ -338,7 +338,7 @@ static enum err_code lpips_run_conv(struct lpips *l, struct lpips_map *pair,
 {
     bool wide = y->plan.stride == 1;
     cl_kernel k = wide ? l->conv : l->conv_stride;
-    size_t groups = ((size_t)y->cout + LPIPS_GROUP - 1) / LPIPS_GROUP;
+    size_t groups = ((size_t)y->cout + LAYOUT_LPIPS_CHANNELS - 1) / LAYOUT_LPIPS_CHANNELS;
     size_t vw = wide ? l->dev->vector_width : 1, blocks = ((size_t)to.w + vw - 1) / vw;
     enum err_code rc = lpips_clear(l, &pair[1], lpips_map_floats(to, y->cout), e);
     if (rc)

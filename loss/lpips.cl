@@ -1,17 +1,13 @@
 /* Stage: forward pass of a convolutional network, and LPIPS distances between its features.
  *
- *   maps     float [channels][height + 2 ROWS][pitch], pitch = 2 MARGIN + round_up(width, 16):
- * pixel (x, y) at (y + ROWS) * pitch + MARGIN + x; zero outside the picture, which is the padding
+ *   maps     float [channels][height + 2 LAYOUT_LPIPS_ROWS][pitch], pitch = 2 LAYOUT_LPIPS_MARGIN + round_up(width, 16):
+ * pixel (x, y) at (y + LAYOUT_LPIPS_ROWS) * pitch + LAYOUT_LPIPS_MARGIN + x; zero outside the picture, which is the padding
  * of convolutions weights  float [ceil(cout / 8)][cin][k][k][8]; bias float [8 ceil(cout / 8)]
  *
  * One work-item = VW pixels of a row times 8 output channels (convolution of stride 1), one pixel
  * otherwise. Reference: the plain loops of tests/test_lpips.c. Tolerance: float rounding, 1e-4
  * relative.
  */
-#define MARGIN 16
-#define ROWS 2
-#define CHANNELS 8
-
 #if VW == 16
 typedef float16 V;
 #define LOAD(p) vload16(0, (p))
@@ -32,14 +28,14 @@ static struct map map_of(int w, int h)
     struct map m;
     m.w = w;
     m.h = h;
-    m.pitch = 2 * MARGIN + (w + 15) / 16 * 16;
-    m.plane = (h + 2 * ROWS) * m.pitch;
+    m.pitch = 2 * LAYOUT_LPIPS_MARGIN + (w + 15) / 16 * 16;
+    m.plane = (h + 2 * LAYOUT_LPIPS_ROWS) * m.pitch;
     return m;
 }
 
 static int map_at(struct map m, int c, int x, int y)
 {
-    return c * m.plane + (y + ROWS) * m.pitch + MARGIN + x;
+    return c * m.plane + (y + LAYOUT_LPIPS_ROWS) * m.pitch + LAYOUT_LPIPS_MARGIN + x;
 }
 
 /* Stride 1: out = max(0, bias + sum of weights * in). */
@@ -50,26 +46,27 @@ __kernel void lpips_conv(__global const float *restrict in, __global const float
     struct map from = map_of(w, h), to = map_of(w_out, h_out);
     int blocks = (w_out + VW - 1) / VW, at = (int)get_global_id(0);
     int x = at % blocks * VW, y = at / blocks % h_out, group = at / blocks / h_out;
-    if (group * CHANNELS >= cout)
+    if (group * LAYOUT_LPIPS_CHANNELS >= cout)
         return;
-    __global const float *restrict f = weights + (size_t)group * cin * k * k * CHANNELS;
-    V sum[CHANNELS];
+    __global const float *restrict f =
+        weights + (size_t)group * cin * k * k * LAYOUT_LPIPS_CHANNELS;
+    V sum[LAYOUT_LPIPS_CHANNELS];
 #pragma unroll
-    for (int j = 0; j < CHANNELS; j++)
-        sum[j] = (V)(bias[group * CHANNELS + j]);
+    for (int j = 0; j < LAYOUT_LPIPS_CHANNELS; j++)
+        sum[j] = (V)(bias[group * LAYOUT_LPIPS_CHANNELS + j]);
     for (int c = 0; c < cin; c++)
         for (int i = 0; i < k; i++) {
             __global const float *restrict row = in + map_at(from, c, x - pad, y - pad + i);
-            for (int n = 0; n < k; n++, f += CHANNELS) {
+            for (int n = 0; n < k; n++, f += LAYOUT_LPIPS_CHANNELS) {
                 V v = LOAD(row + n);
 #pragma unroll
-                for (int j = 0; j < CHANNELS; j++)
+                for (int j = 0; j < LAYOUT_LPIPS_CHANNELS; j++)
                     sum[j] += v * f[j];
             }
         }
-    for (int j = 0; j < CHANNELS && group * CHANNELS + j < cout; j++) {
+    for (int j = 0; j < LAYOUT_LPIPS_CHANNELS && group * LAYOUT_LPIPS_CHANNELS + j < cout; j++) {
         V v = max(sum[j], (V)(0.0f));
-        __global float *o = out + map_at(to, group * CHANNELS + j, x, y);
+        __global float *o = out + map_at(to, group * LAYOUT_LPIPS_CHANNELS + j, x, y);
 #if VW == 16
         if (x + VW > w_out) { /* beyond the picture stays zero */
             float lane[VW];
@@ -93,21 +90,22 @@ __kernel void lpips_conv_stride(__global const float *restrict in,
     struct map from = map_of(w, h), to = map_of(w_out, h_out);
     int at = (int)get_global_id(0), x = at % w_out, y = at / w_out % h_out;
     int group = at / w_out / h_out;
-    if (group * CHANNELS >= cout)
+    if (group * LAYOUT_LPIPS_CHANNELS >= cout)
         return;
-    __global const float *restrict f = weights + (size_t)group * cin * k * k * CHANNELS;
-    float sum[CHANNELS];
-    for (int j = 0; j < CHANNELS; j++)
-        sum[j] = bias[group * CHANNELS + j];
+    __global const float *restrict f =
+        weights + (size_t)group * cin * k * k * LAYOUT_LPIPS_CHANNELS;
+    float sum[LAYOUT_LPIPS_CHANNELS];
+    for (int j = 0; j < LAYOUT_LPIPS_CHANNELS; j++)
+        sum[j] = bias[group * LAYOUT_LPIPS_CHANNELS + j];
     for (int c = 0; c < cin; c++)
         for (int i = 0; i < k; i++)
-            for (int n = 0; n < k; n++, f += CHANNELS) {
+            for (int n = 0; n < k; n++, f += LAYOUT_LPIPS_CHANNELS) {
                 float v = in[map_at(from, c, x * stride - pad + n, y * stride - pad + i)];
-                for (int j = 0; j < CHANNELS; j++)
+                for (int j = 0; j < LAYOUT_LPIPS_CHANNELS; j++)
                     sum[j] += v * f[j];
             }
-    for (int j = 0; j < CHANNELS && group * CHANNELS + j < cout; j++)
-        out[map_at(to, group * CHANNELS + j, x, y)] = max(sum[j], 0.0f);
+    for (int j = 0; j < LAYOUT_LPIPS_CHANNELS && group * LAYOUT_LPIPS_CHANNELS + j < cout; j++)
+        out[map_at(to, group * LAYOUT_LPIPS_CHANNELS + j, x, y)] = max(sum[j], 0.0f);
 }
 
 /* Maximum over k x k pixels, windows inside the picture alone. */

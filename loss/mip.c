@@ -16,18 +16,11 @@
 #include "core/layout.h"
 #include "loss/mip.h"
 
-extern const char lanes_cl[], mip_cl[];
+extern const char vector_cl[], lanes_cl[], mip_cl[];
 
 #define MIP_SIGMA2 0.2
-#define MIP_NEAR_M 0.01
-#define MIP_GROW 0.15
 /* A folded opacity stays below what a float can tell from 1. */
 #define MIP_LOGIT_MAX 16.0
-enum { MIP_PIECES = 256 }; /* as in mip.cl */
-
-struct mip_camera { /* as in mip.cl */
-    float rot[9], trans[3], fx, fy, cx, cy, width, height;
-};
 
 struct mip {
     struct dev *dev; /* borrowed */
@@ -56,19 +49,21 @@ void mip_close(struct mip **p)
 
 enum err_code mip_open(struct dev *dev, struct mip **out, struct err *e)
 {
-    const struct dev_source sources[] = {{"loss/lanes.cl", lanes_cl}, {"loss/mip.cl", mip_cl}};
+    const struct dev_source sources[] = {
+        {"core/vector.cl", vector_cl}, {"loss/lanes.cl", lanes_cl}, {"loss/mip.cl", mip_cl}};
     struct mip *m = mem_array(1, sizeof *m);
     *out = NULL;
     if (!m)
         return err_set(e, ERR_MEM, "mip: out of memory");
     m->dev = dev;
-    enum err_code rc = dev_build(dev, sources, 2, NULL, &m->program, e);
+    enum err_code rc =
+        dev_build(dev, sources, sizeof sources / sizeof *sources, NULL, &m->program, e);
     if (!rc)
         rc = dev_kernel(m->program, "mip_depth", &m->depth, e);
     if (!rc)
         rc = dev_kernel(m->program, "mip_fill", &m->fill, e);
     if (!rc)
-        rc = dev_buffer(dev, MIP_PIECES * sizeof(float), NULL, &m->pieces, e);
+        rc = dev_buffer(dev, LAYOUT_LOSS_PIECES * sizeof(float), NULL, &m->pieces, e);
     if (rc)
         mip_close(&m);
     *out = m;
@@ -87,7 +82,7 @@ static double mip_focal(const struct camera *cams, size_t n)
 static enum err_code mip_upload(struct mip *m, const struct camera *cams, size_t n,
                                 const double origin[3], struct err *e)
 {
-    struct mip_camera *host = mem_array(n, sizeof *host);
+    struct layout_mip_camera *host = mem_array(n, sizeof *host);
     enum err_code rc = ERR_OK;
     if (!host)
         return err_set(e, ERR_MEM, "mip: out of memory for %zu cameras", n);
@@ -145,8 +140,8 @@ enum err_code mip_run(struct mip *m, struct render_model *model, const struct ca
     bad |= dev_arg(m->fill, 3, model->filter);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "mip: arguments: %s", dev_error_name(bad));
-    rc = dev_run(m->dev, m->depth, "mip_depth", MIP_PIECES, 1, e);
-    return rc ? rc : dev_run(m->dev, m->fill, "mip_fill", MIP_PIECES, 1, e);
+    rc = dev_run(m->dev, m->depth, "mip_depth", LAYOUT_LOSS_PIECES, 1, e);
+    return rc ? rc : dev_run(m->dev, m->fill, "mip_fill", LAYOUT_LOSS_PIECES, 1, e);
 }
 
 /* ---- the reference ---- */
@@ -158,11 +153,12 @@ static bool mip_sees(const struct camera *c, const double enu_m[3], double *z)
         t[k] = c->rot[3 * k] * enu_m[0] + c->rot[3 * k + 1] * enu_m[1] +
                c->rot[3 * k + 2] * enu_m[2] + c->trans[k];
     *z = t[2];
-    if (!(t[2] > MIP_NEAR_M))
+    if (!(t[2] > (double)LAYOUT_MIP_NEAR_M))
         return false;
     double u = c->fx_px * t[0] / t[2] + c->cx_px, v = c->fy_px * t[1] / t[2] + c->cy_px;
-    return u >= -MIP_GROW * c->width_px && u <= (1.0 + MIP_GROW) * c->width_px &&
-           v >= -MIP_GROW * c->height_px && v <= (1.0 + MIP_GROW) * c->height_px;
+    const double grow = (double)LAYOUT_MIP_GROW;
+    return u >= -grow * c->width_px && u <= (1.0 + grow) * c->width_px &&
+           v >= -grow * c->height_px && v <= (1.0 + grow) * c->height_px;
 }
 
 void mip_ref_filter(const struct gauss *g, const struct camera *cams, size_t n_cams, double *f)

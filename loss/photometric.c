@@ -12,10 +12,9 @@
 #include <string.h>
 
 #include "core/base.h"
+#include "core/layout.h"
 
 extern const char photometric_cl[];
-
-enum { BAND = 64, STRIP = 64, MARGIN = 16, TILE = 16, PARTS = 4 }; /* as in loss.cl */
 
 struct photometric {
     struct dev *dev; /* borrowed */
@@ -70,7 +69,8 @@ void photometric_close(struct photometric **l)
 
 static uint32_t photometric_pitch(uint32_t width_px)
 {
-    return (width_px + STRIP - 1) / STRIP * STRIP + 2 * MARGIN;
+    return (width_px + LAYOUT_LOSS_STRIP - 1) / LAYOUT_LOSS_STRIP * LAYOUT_LOSS_STRIP +
+           2 * LAYOUT_LOSS_MARGIN;
 }
 
 /* Work-groups of either launch: pieces of STRIP x BAND pixels or tiles, times 3 channels; *local:
@@ -80,11 +80,12 @@ static size_t photometric_groups(const struct photometric *l, uint32_t width_px,
 {
     if (l->wide) {
         *local = 1;
-        return (((size_t)width_px + STRIP - 1) / STRIP) * (((size_t)height_px + BAND - 1) / BAND) *
-               3;
+        return (((size_t)width_px + LAYOUT_LOSS_STRIP - 1) / LAYOUT_LOSS_STRIP) *
+               (((size_t)height_px + LAYOUT_LOSS_BAND - 1) / LAYOUT_LOSS_BAND) * 3;
     }
-    *local = TILE * TILE;
-    return (((size_t)width_px + TILE - 1) / TILE) * (((size_t)height_px + TILE - 1) / TILE) * 3;
+    *local = LAYOUT_TILE_PIXELS;
+    return (((size_t)width_px + LAYOUT_TILE - 1) / LAYOUT_TILE) *
+           (((size_t)height_px + LAYOUT_TILE - 1) / LAYOUT_TILE) * 3;
 }
 
 /* Buffers for this picture. The kernels rely on zeros in the margins of the maps and write none
@@ -94,7 +95,7 @@ static enum err_code photometric_reserve(struct photometric *l, uint32_t w, uint
 {
     enum err_code rc = ERR_OK;
     size_t local, maps_bytes = (size_t)9 * h * photometric_pitch(w) * sizeof(float);
-    size_t parts_bytes = photometric_groups(l, w, h, &local) * PARTS * sizeof(float);
+    size_t parts_bytes = photometric_groups(l, w, h, &local) * LAYOUT_LOSS_PARTS * sizeof(float);
     if (w == l->width_px && h == l->height_px)
         return ERR_OK;
     l->width_px = l->height_px = 0;
@@ -184,13 +185,13 @@ enum err_code photometric_read(struct photometric *l, struct photometric_value *
         return err_set(e, ERR_ARG, "photometric_read: nothing was run yet");
     size_t local, items = photometric_groups(l, l->width_px, l->height_px, &local);
     enum err_code rc =
-        dev_read(l->dev, l->parts, 0, items * PARTS * sizeof(float), l->host_parts, e);
+        dev_read(l->dev, l->parts, 0, items * LAYOUT_LOSS_PARTS * sizeof(float), l->host_parts, e);
     if (rc)
         return rc;
     double sum[3] = {0};
     for (size_t i = 0; i < items; i++)
         for (size_t k = 0; k < 3; k++)
-            sum[k] += (double)l->host_parts[i * PARTS + k];
+            sum[k] += (double)l->host_parts[i * LAYOUT_LOSS_PARTS + k];
     double n = 3.0 * l->width_px * l->height_px;
     out->l1 = sum[0] / n;
     out->ssim = l->ssim_weight != 0 ? sum[1] / n : 1;

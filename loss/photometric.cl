@@ -2,8 +2,8 @@
  *
  *   in   color  float [3][h][w], target uchar [h][w][3], mask uchar [h][w] or absent
  *
- *   mid  maps   float [3 maps][3 channels][h][pitch], pitch = MARGIN + round_up(w, STRIP) + MARGIN:
- *               the derivatives of S with respect to Kx, Kx^2 and K(xy); zero beyond the picture
+ *   mid  maps   float [3 maps][3 channels][h][pitch], pitch = MARGIN + round_up(w, STRIP) + MARGIN
+ *               (LAYOUT_LOSS_*): the derivatives of S with respect to Kx, Kx^2 and K(xy); zero beyond the picture
  *
  *   out  parts  float [pieces][3][4]: |x-y|, S and (x-y)^2 summed over a piece
  *        grad   float [3][h][w]
@@ -17,12 +17,9 @@
  *
  * Reference: loss_ref.c (which has the formulas). Tolerance: float rounding, 1e-5 relative.
  */
-#define BAND 64
-#define STRIP 64
-#define MARGIN 16
 #define RADIUS 5
 #define TAPS 11
-#define VECS (STRIP / 16)
+#define VECS (LAYOUT_LOSS_STRIP / 16)
 #define ROWS 16 /* even */
 
 #define SSIM_C1 0.0001f
@@ -170,10 +167,10 @@ INLINE void blur_rows(float16 v[][3], const int n, float16 *s)
 /* Which piece a work-item is. */
 INLINE int piece_origin(int w, int h, int *x0, int *y0, int *y1)
 {
-    int piece = get_global_id(0) / 3, across = (w + STRIP - 1) / STRIP;
-    *x0 = piece % across * STRIP;
-    *y0 = piece / across * BAND;
-    *y1 = min(*y0 + BAND, h);
+    int piece = get_global_id(0) / 3, across = (w + LAYOUT_LOSS_STRIP - 1) / LAYOUT_LOSS_STRIP;
+    *x0 = piece % across * LAYOUT_LOSS_STRIP;
+    *y0 = piece / across * LAYOUT_LOSS_BAND;
+    *y1 = min(*y0 + LAYOUT_LOSS_BAND, h);
     return get_global_id(0) % 3;
 }
 
@@ -256,7 +253,7 @@ __kernel void photometric_forward(const __global float *color, const __global uc
             for (int j = 0; j < VECS; j++) {
                 float16 upper[4], lower[4];
                 __global float *to =
-                    maps + ((size_t)c * h + out + i) * pitch + MARGIN + x0 + 16 * j;
+                    maps + ((size_t)c * h + out + i) * pitch + LAYOUT_LOSS_MARGIN + x0 + 16 * j;
                 for (int k = 0; k < 4; k++)
                     blur_column(window + i * WIDTH + k * VECS + j, WIDTH, upper + k, lower + k);
                 sum_s += forward_ssim(upper, w - x0 - 16 * j, plane, to);
@@ -340,7 +337,8 @@ __kernel void photometric_backward(const __global float *color, const __global u
             int row = out + RADIUS + i;
             float16 *to = window + (2 * RADIUS + i) * WIDTH;
             if (row >= 0 && row < min(h, y1 + RADIUS))
-                backward_row(maps + ((size_t)c * h + row) * pitch + MARGIN + x0, plane, to);
+                backward_row(maps + ((size_t)c * h + row) * pitch + LAYOUT_LOSS_MARGIN + x0, plane,
+                             to);
             else
                 for (int j = 0; j < WIDTH; j++)
                     to[j] = (float16)(0.0f);
@@ -363,9 +361,8 @@ __kernel void photometric_backward(const __global float *color, const __global u
 
 #else
 
-#define TILE 16
-#define PIXELS (TILE * TILE)
-#define WIDE (TILE + 2 * RADIUS)
+#define PIXELS LAYOUT_TILE_PIXELS
+#define WIDE (LAYOUT_TILE + 2 * RADIUS)
 
 /* x or y of one channel at a pixel, 0 beyond the picture and where masked. */
 static int pixel_used(const __global uchar *mask, int has_mask, int w, int h, int x, int y)
@@ -387,9 +384,9 @@ static float blur_one(const __local float *p, int step)
 /* Where this work-group's tile is. */
 static int tile_origin(int w, int *x0, int *y0)
 {
-    int piece = get_group_id(0) / 3, across = (w + TILE - 1) / TILE;
-    *x0 = piece % across * TILE;
-    *y0 = piece / across * TILE;
+    int piece = get_group_id(0) / 3, across = (w + LAYOUT_TILE - 1) / LAYOUT_TILE;
+    *x0 = piece % across * LAYOUT_TILE;
+    *y0 = piece / across * LAYOUT_TILE;
     return get_group_id(0) % 3;
 }
 
@@ -398,9 +395,9 @@ photometric_forward(const __global float *color, const __global uchar *target,
                     const __global uchar *mask, int has_mask, int w, int h, int pitch,
                     int with_ssim, __global float *maps, __global float *parts)
 {
-    int x0, y0, c = tile_origin(w, &x0, &y0), lane = get_local_id(0), lx = lane % TILE,
-                ly = lane / TILE;
-    __local float xs[WIDE * WIDE], ys[WIDE * WIDE], rows[4][WIDE * TILE], sums[3][PIXELS];
+    int x0, y0, c = tile_origin(w, &x0, &y0), lane = get_local_id(0), lx = lane % LAYOUT_TILE,
+                ly = lane / LAYOUT_TILE;
+    __local float xs[WIDE * WIDE], ys[WIDE * WIDE], rows[4][WIDE * LAYOUT_TILE], sums[3][PIXELS];
     for (int i = lane; i < WIDE * WIDE; i += PIXELS) {
         int x = x0 + i % WIDE - RADIUS, y = y0 + i / WIDE - RADIUS;
         int used = pixel_used(mask, has_mask, w, h, x, y);
@@ -408,9 +405,9 @@ photometric_forward(const __global float *color, const __global uchar *target,
         ys[i] = used ? (float)target[((size_t)y * w + x) * 3 + c] * (1.0f / 255.0f) : 0.0f;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int i = lane; i < WIDE * TILE; i += PIXELS) {
-        const __local float *a = xs + i / TILE * WIDE + i % TILE,
-                            *b = ys + i / TILE * WIDE + i % TILE;
+    for (int i = lane; i < WIDE * LAYOUT_TILE; i += PIXELS) {
+        const __local float *a = xs + i / LAYOUT_TILE * WIDE + i % LAYOUT_TILE,
+                            *b = ys + i / LAYOUT_TILE * WIDE + i % LAYOUT_TILE;
         float m1 = 0.0f, m2 = 0.0f, qq = 0.0f, xy = 0.0f;
         for (int k = 0; k < TAPS; k++) {
             m1 = a[k] * taps[k] + m1;
@@ -428,9 +425,11 @@ photometric_forward(const __global float *color, const __global uchar *target,
     float d = xs[at] - ys[at], s = 0.0f, pm, ps, pc;
     if (with_ssim && inside) {
         size_t plane = (size_t)3 * h * pitch;
-        __global float *mp = maps + ((size_t)c * h + y0 + ly) * pitch + MARGIN + x0 + lx;
-        s = ssim_of(blur_one(rows[0] + lane, TILE), blur_one(rows[1] + lane, TILE),
-                    blur_one(rows[2] + lane, TILE), blur_one(rows[3] + lane, TILE), &pm, &ps, &pc);
+        __global float *mp =
+            maps + ((size_t)c * h + y0 + ly) * pitch + LAYOUT_LOSS_MARGIN + x0 + lx;
+        s = ssim_of(blur_one(rows[0] + lane, LAYOUT_TILE), blur_one(rows[1] + lane, LAYOUT_TILE),
+                    blur_one(rows[2] + lane, LAYOUT_TILE), blur_one(rows[3] + lane, LAYOUT_TILE),
+                    &pm, &ps, &pc);
         mp[0] = pm;
         mp[plane] = ps;
         mp[2 * plane] = pc;
@@ -458,20 +457,21 @@ photometric_backward(const __global float *color, const __global uchar *target,
                      int with_ssim, const __global float *maps, float scale_l1, float scale_ssim,
                      __global float *grad)
 {
-    int x0, y0, c = tile_origin(w, &x0, &y0), lane = get_local_id(0), lx = lane % TILE,
-                ly = lane / TILE;
-    __local float near[3][WIDE * WIDE], rows[3][WIDE * TILE];
+    int x0, y0, c = tile_origin(w, &x0, &y0), lane = get_local_id(0), lx = lane % LAYOUT_TILE,
+                ly = lane / LAYOUT_TILE;
+    __local float near[3][WIDE * WIDE], rows[3][WIDE * LAYOUT_TILE];
     size_t plane = (size_t)3 * h * pitch;
     for (int i = lane; i < WIDE * WIDE; i += PIXELS) {
         int x = x0 + i % WIDE - RADIUS, y = y0 + i / WIDE - RADIUS;
         int in = with_ssim && x >= 0 && y >= 0 && x < w && y < h;
         for (int m = 0; m < 3; m++)
-            near[m][i] = in ? maps[m * plane + ((size_t)c * h + y) * pitch + MARGIN + x] : 0.0f;
+            near[m][i] =
+                in ? maps[m * plane + ((size_t)c * h + y) * pitch + LAYOUT_LOSS_MARGIN + x] : 0.0f;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int i = lane; i < WIDE * TILE; i += PIXELS)
+    for (int i = lane; i < WIDE * LAYOUT_TILE; i += PIXELS)
         for (int m = 0; m < 3; m++)
-            rows[m][i] = blur_one(near[m] + i / TILE * WIDE + i % TILE, 1);
+            rows[m][i] = blur_one(near[m] + i / LAYOUT_TILE * WIDE + i % LAYOUT_TILE, 1);
     barrier(CLK_LOCAL_MEM_FENCE);
     int px = x0 + lx, py = y0 + ly;
     if (px >= w || py >= h)
@@ -480,9 +480,9 @@ photometric_backward(const __global float *color, const __global uchar *target,
     float g = 0.0f;
     if (pixel_used(mask, has_mask, w, h, px, py)) {
         float x = color[(size_t)c * h * w + at], y = (float)target[at * 3 + c] * (1.0f / 255.0f);
-        g = blur_one(rows[0] + lane, TILE);
-        g = 2.0f * x * blur_one(rows[1] + lane, TILE) + g;
-        g = y * blur_one(rows[2] + lane, TILE) + g;
+        g = blur_one(rows[0] + lane, LAYOUT_TILE);
+        g = 2.0f * x * blur_one(rows[1] + lane, LAYOUT_TILE) + g;
+        g = y * blur_one(rows[2] + lane, LAYOUT_TILE) + g;
         g = g * scale_ssim + (x > y ? scale_l1 : x < y ? -scale_l1 : 0.0f);
     }
     grad[(size_t)c * h * w + at] = g;

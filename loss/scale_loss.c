@@ -13,15 +13,9 @@
 #include "core/layout.h"
 #include "loss/scale_loss.h"
 
-extern const char lanes_cl[], scale_loss_cl[];
+extern const char vector_cl[], lanes_cl[], scale_loss_cl[];
 
 #define SCALE_RATIO_EPS 1e-8
-enum { SCALE_PIECES = 256 }; /* as in scale_loss.cl */
-
-struct scale_piece { /* as in scale_loss.cl */
-    uint32_t n, m;
-    float size, ratio;
-};
 
 struct scale_loss {
     struct dev *dev; /* borrowed */
@@ -49,20 +43,23 @@ void scale_loss_close(struct scale_loss **p)
 
 enum err_code scale_loss_open(struct dev *dev, struct scale_loss **out, struct err *e)
 {
-    const struct dev_source sources[] = {{"loss/lanes.cl", lanes_cl},
+    const struct dev_source sources[] = {{"core/vector.cl", vector_cl},
+                                         {"loss/lanes.cl", lanes_cl},
                                          {"loss/scale_loss.cl", scale_loss_cl}};
     struct scale_loss *s = mem_array(1, sizeof *s);
     *out = NULL;
     if (!s)
         return err_set(e, ERR_MEM, "scale_loss: out of memory");
     s->dev = dev;
-    enum err_code rc = dev_build(dev, sources, 2, NULL, &s->program, e);
+    enum err_code rc =
+        dev_build(dev, sources, sizeof sources / sizeof *sources, NULL, &s->program, e);
     if (!rc)
         rc = dev_kernel(s->program, "scale_count", &s->count, e);
     if (!rc)
         rc = dev_kernel(s->program, "scale_grad", &s->grad, e);
     if (!rc)
-        rc = dev_buffer(dev, SCALE_PIECES * sizeof(struct scale_piece), NULL, &s->pieces, e);
+        rc = dev_buffer(dev, LAYOUT_LOSS_PIECES * sizeof(struct layout_scale_piece), NULL,
+                        &s->pieces, e);
     if (rc)
         scale_loss_close(&s);
     *out = s;
@@ -95,20 +92,20 @@ enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
         return err_set(e, ERR_DEVICE, "scale_loss: arguments: %s", dev_error_name(bad));
     s->weight = in->weight;
     size_t items = (groups + LAYOUT_PROJECT_GROUPS - 1) / LAYOUT_PROJECT_GROUPS;
-    enum err_code rc = dev_run(s->dev, s->count, "scale_count", SCALE_PIECES, 1, e);
+    enum err_code rc = dev_run(s->dev, s->count, "scale_count", LAYOUT_LOSS_PIECES, 1, e);
     return rc ? rc : dev_run(s->dev, s->grad, "scale_grad", items, 1, e);
 }
 
 enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out, struct err *e)
 {
-    struct scale_piece pieces[SCALE_PIECES];
+    struct layout_scale_piece pieces[LAYOUT_LOSS_PIECES];
     struct {
         double n, m, size, ratio;
     } t = {0};
     enum err_code rc = dev_read(s->dev, s->pieces, 0, sizeof pieces, pieces, e);
     if (rc)
         return rc;
-    for (size_t i = 0; i < SCALE_PIECES; i++) {
+    for (size_t i = 0; i < LAYOUT_LOSS_PIECES; i++) {
         t.n += pieces[i].n;
         t.m += pieces[i].m;
         t.size += (double)pieces[i].size;

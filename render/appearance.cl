@@ -1,4 +1,4 @@
-// Appearance: a photograph's light and weather as offsets of colour and opacity, by a small network
+// Appearance: what light, season and weather of a photograph do, as offsets of colour and opacity, by a small network
 // on every Gaussian's embedding. Compiled, before project.cl and project_backward.cl, into programs
 // of their own: with APPEARANCE_LEN defined those take the offsets in, without it they are as if
 // this file did not exist.
@@ -23,10 +23,10 @@
 #endif
 #define APPEARANCE_BIAS (APPEARANCE_HIDDEN * APPEARANCE_LEN)
 #define APPEARANCE_W2 (APPEARANCE_BIAS + APPEARANCE_HIDDEN)
-#define APPEARANCE_B2 (APPEARANCE_W2 + 4 * APPEARANCE_HIDDEN)
-#define APPEARANCE_FLOATS (APPEARANCE_B2 + 4)
+#define APPEARANCE_B2 (APPEARANCE_W2 + LAYOUT_APPEARANCE_OUT * APPEARANCE_HIDDEN)
+#define APPEARANCE_FLOATS LAYOUT_APPEARANCE_FLOATS(APPEARANCE_LEN, APPEARANCE_HIDDEN)
 #define APPEARANCE_SUMS (APPEARANCE_FLOATS + 1)
-#define APPEARANCE_ROW ((APPEARANCE_SUMS + 15) / 16 * 16)
+#define APPEARANCE_ROW LAYOUT_APPEARANCE_ROW(APPEARANCE_LEN, APPEARANCE_HIDDEN)
 // Units at a time: as many independent sums as hide the latency of a fused multiply-add.
 #if APPEARANCE_HIDDEN % 4
 #define APPEARANCE_UNITS 1
@@ -74,12 +74,13 @@ INLINE V appearance_sigmoid(V z)
     return 1.0f / (1.0f + exp2_v(CLAMP_(x, -120.0f, 120.0f)));
 }
 
-INLINE void appearance_eval(__constant float *frame, __global const float *g, V y[4])
+INLINE void appearance_eval(__constant float *frame, __global const float *g,
+                            V y[LAYOUT_APPEARANCE_OUT])
 {
     V unit[APPEARANCE_LEN];
     (void)appearance_unit(g, unit);
 #pragma unroll
-    for (uint o = 0; o < 4; o++)
+    for (uint o = 0; o < LAYOUT_APPEARANCE_OUT; o++)
         y[o] = (V)(frame[APPEARANCE_B2 + o]);
     for (uint h = 0; h < APPEARANCE_HIDDEN; h += APPEARANCE_UNITS) {
         V act[APPEARANCE_UNITS];
@@ -88,35 +89,34 @@ INLINE void appearance_eval(__constant float *frame, __global const float *g, V 
         for (uint j = 0; j < APPEARANCE_UNITS; j++) {
             V a = MAX_(act[j], 0.0f);
 #pragma unroll
-            for (uint o = 0; o < 4; o++)
+            for (uint o = 0; o < LAYOUT_APPEARANCE_OUT; o++)
                 y[o] = frame[APPEARANCE_W2 + o * APPEARANCE_HIDDEN + h + j] * a + y[o];
         }
     }
 #pragma unroll
-    for (uint o = 0; o < 4; o++)
+    for (uint o = 0; o < LAYOUT_APPEARANCE_OUT; o++)
         y[o] = appearance_sigmoid(y[o]);
 }
 
 // ---- backward
-// --------------------------------------------------------------------------------------------
 
 // One group or Gaussian: what the sums are made of, all 0 where it was not seen.
 struct render_appearance_terms {
     V unit[APPEARANCE_LEN];
     V act[APPEARANCE_HIDDEN], g_act[APPEARANCE_HIDDEN]; // a and g_s
-    V g_out[4], offset;                                 // g_z and y3
+    V g_out[LAYOUT_APPEARANCE_OUT], offset;             // g_z and y3
     V embed[APPEARANCE_LEN];                            // gradient of the embedding
 };
 
 // From dL/dy. `each` is added to that of y3.
 INLINE void render_appearance_terms(__constant float *frame, __global const float *g,
-                                    const V g_y[4], float each, VI visible,
+                                    const V g_y[LAYOUT_APPEARANCE_OUT], float each, VI visible,
                                     struct render_appearance_terms *t)
 {
-    V y[4], g_unit[APPEARANCE_LEN], along = (V)(0.0f);
+    V y[LAYOUT_APPEARANCE_OUT], g_unit[APPEARANCE_LEN], along = (V)(0.0f);
     V len = appearance_unit(g, t->unit);
 #pragma unroll
-    for (uint o = 0; o < 4; o++)
+    for (uint o = 0; o < LAYOUT_APPEARANCE_OUT; o++)
         y[o] = (V)(frame[APPEARANCE_B2 + o]);
     for (uint h = 0; h < APPEARANCE_HIDDEN; h += APPEARANCE_UNITS) {
         V s[APPEARANCE_UNITS];
@@ -126,15 +126,16 @@ INLINE void render_appearance_terms(__constant float *frame, __global const floa
             V a = MAX_(s[j], 0.0f);
             t->act[h + j] = a;
 #pragma unroll
-            for (uint o = 0; o < 4; o++)
+            for (uint o = 0; o < LAYOUT_APPEARANCE_OUT; o++)
                 y[o] = frame[APPEARANCE_W2 + o * APPEARANCE_HIDDEN + h + j] * a + y[o];
         }
     }
 #pragma unroll
-    for (uint o = 0; o < 4; o++) {
-        V p = appearance_sigmoid(y[o]), gy = o == 3 ? g_y[o] + each : g_y[o];
+    for (uint o = 0; o < LAYOUT_APPEARANCE_OUT; o++) {
+        V p = appearance_sigmoid(y[o]),
+          gy = o == LAYOUT_APPEARANCE_OPACITY ? g_y[o] + each : g_y[o];
         t->g_out[o] = visible ? gy * (p * (1.0f - p)) : (V)(0.0f);
-        if (o == 3)
+        if (o == LAYOUT_APPEARANCE_OPACITY)
             t->offset = visible ? p : (V)(0.0f);
     }
 #pragma unroll
@@ -143,7 +144,7 @@ INLINE void render_appearance_terms(__constant float *frame, __global const floa
     for (uint h = 0; h < APPEARANCE_HIDDEN; h++) {
         V g_a = (V)(0.0f);
 #pragma unroll
-        for (uint o = 0; o < 4; o++)
+        for (uint o = 0; o < LAYOUT_APPEARANCE_OUT; o++)
             g_a = frame[APPEARANCE_W2 + o * APPEARANCE_HIDDEN + h] * t->g_out[o] + g_a;
         g_a = t->act[h] > 0.0f ? g_a : (V)(0.0f);
         t->g_act[h] = g_a;
@@ -169,7 +170,8 @@ INLINE void render_appearance_terms(__constant float *frame, __global const floa
 
 struct render_appearance_sums {
     V w1[APPEARANCE_HIDDEN][APPEARANCE_BLOCKS]; // lanes run over the embedding
-    V act[APPEARANCE_HIDDEN], w2[4][APPEARANCE_HIDDEN], out[4], offset;
+    V act[APPEARANCE_HIDDEN], w2[LAYOUT_APPEARANCE_OUT][APPEARANCE_HIDDEN];
+    V out[LAYOUT_APPEARANCE_OUT], offset;
 };
 
 INLINE void render_appearance_clear(struct render_appearance_sums *s)
@@ -177,9 +179,13 @@ INLINE void render_appearance_clear(struct render_appearance_sums *s)
     for (uint h = 0; h < APPEARANCE_HIDDEN; h++) {
         for (uint b = 0; b < APPEARANCE_BLOCKS; b++)
             s->w1[h][b] = (V)(0.0f);
-        s->act[h] = s->w2[0][h] = s->w2[1][h] = s->w2[2][h] = s->w2[3][h] = (V)(0.0f);
+        s->act[h] = (V)(0.0f);
+        for (uint o = 0; o < LAYOUT_APPEARANCE_OUT; o++)
+            s->w2[o][h] = (V)(0.0f);
     }
-    s->out[0] = s->out[1] = s->out[2] = s->out[3] = s->offset = (V)(0.0f);
+    for (uint o = 0; o < LAYOUT_APPEARANCE_OUT; o++)
+        s->out[o] = (V)(0.0f);
+    s->offset = (V)(0.0f);
 }
 
 INLINE void render_appearance_add(const struct render_appearance_terms *t,
@@ -211,11 +217,11 @@ INLINE void render_appearance_add(const struct render_appearance_terms *t,
     for (uint h = 0; h < APPEARANCE_HIDDEN; h++) {
         sums->act[h] += t->g_act[h];
 #pragma unroll
-        for (uint o = 0; o < 4; o++)
+        for (uint o = 0; o < LAYOUT_APPEARANCE_OUT; o++)
             sums->w2[o][h] = t->g_out[o] * t->act[h] + sums->w2[o][h];
     }
 #pragma unroll
-    for (uint o = 0; o < 4; o++)
+    for (uint o = 0; o < LAYOUT_APPEARANCE_OUT; o++)
         sums->out[o] += t->g_out[o];
     sums->offset += t->offset;
 }
@@ -234,10 +240,10 @@ INLINE void render_appearance_write(const struct render_appearance_sums *s, __gl
         for (uint k = 0; k < APPEARANCE_LEN; k++)
             out[h * APPEARANCE_LEN + k] = row[k];
         out[APPEARANCE_BIAS + h] = render_appearance_lanes(s->act[h]);
-        for (uint o = 0; o < 4; o++)
+        for (uint o = 0; o < LAYOUT_APPEARANCE_OUT; o++)
             out[APPEARANCE_W2 + o * APPEARANCE_HIDDEN + h] = render_appearance_lanes(s->w2[o][h]);
     }
-    for (uint o = 0; o < 4; o++)
+    for (uint o = 0; o < LAYOUT_APPEARANCE_OUT; o++)
         out[APPEARANCE_B2 + o] = render_appearance_lanes(s->out[o]);
     out[APPEARANCE_FLOATS] = render_appearance_lanes(s->offset);
 }

@@ -2,7 +2,7 @@
 // a work-group is a fixed chunk of the Gaussians. Its items put what they know of a Gaussian each
 // into local memory, then every item adds products of two columns of it for the sums it owns, so
 // that nothing is added by atomics. And for any VW: the sum of all chunks.
-//   in   look [groups][4][16] (dL/dy, where visible), params, tiles_of, frame (see appearance.cl)
+//   in   y_grads [groups][4][16] (dL/dy, where visible), params, tiles_of, frame (see appearance.cl)
 //   out  the embedding's planes of grads (appearance_backward), or of params and both moments
 //        (appearance_step); parts [LAYOUT_APPEARANCE_CHUNKS][APPEARANCE_ROW]
 // `each` is added to dL/dy3 of all that are visible: the weight of the mean opacity offset over
@@ -10,28 +10,28 @@
 
 #if VW == 1
 // Columns of the tile, one row a Gaussian: g^, g_s, a, g_z, y3, 1.
-#define APPEARANCE_G_ACT APPEARANCE_LEN
-#define APPEARANCE_ACT (APPEARANCE_G_ACT + APPEARANCE_HIDDEN)
-#define APPEARANCE_OUT (APPEARANCE_ACT + APPEARANCE_HIDDEN)
-#define APPEARANCE_OFFSET (APPEARANCE_OUT + 4)
-#define APPEARANCE_ONE (APPEARANCE_OFFSET + 1)
-#define APPEARANCE_STRIDE ((APPEARANCE_ONE + 1) | 1) // odd: rows begin in different banks
-#define APPEARANCE_ITEMS (APPEARANCE_STRIDE > 128 ? 32 : 64)
+#define COLUMN_G_ACT APPEARANCE_LEN
+#define COLUMN_ACT (COLUMN_G_ACT + APPEARANCE_HIDDEN)
+#define COLUMN_OUT (COLUMN_ACT + APPEARANCE_HIDDEN)
+#define COLUMN_OFFSET (COLUMN_OUT + LAYOUT_APPEARANCE_OUT)
+#define COLUMN_ONE (COLUMN_OFFSET + 1)
+#define APPEARANCE_STRIDE LAYOUT_APPEARANCE_STRIDE(APPEARANCE_LEN, APPEARANCE_HIDDEN)
+#define APPEARANCE_ITEMS LAYOUT_APPEARANCE_ITEMS(APPEARANCE_LEN, APPEARANCE_HIDDEN)
 #define APPEARANCE_SUMS_EACH ((APPEARANCE_SUMS + APPEARANCE_ITEMS - 1) / APPEARANCE_ITEMS)
 
 // Sum `i` adds products of these two columns.
 INLINE uint2 render_appearance_columns(uint i)
 {
     if (i < APPEARANCE_BIAS)
-        return (uint2)(APPEARANCE_G_ACT + i / APPEARANCE_LEN, i % APPEARANCE_LEN);
+        return (uint2)(COLUMN_G_ACT + i / APPEARANCE_LEN, i % APPEARANCE_LEN);
     if (i < APPEARANCE_W2)
-        return (uint2)(APPEARANCE_G_ACT + i - APPEARANCE_BIAS, APPEARANCE_ONE);
+        return (uint2)(COLUMN_G_ACT + i - APPEARANCE_BIAS, COLUMN_ONE);
     if (i < APPEARANCE_B2)
-        return (uint2)(APPEARANCE_OUT + (i - APPEARANCE_W2) / APPEARANCE_HIDDEN,
-                       APPEARANCE_ACT + (i - APPEARANCE_W2) % APPEARANCE_HIDDEN);
+        return (uint2)(COLUMN_OUT + (i - APPEARANCE_W2) / APPEARANCE_HIDDEN,
+                       COLUMN_ACT + (i - APPEARANCE_W2) % APPEARANCE_HIDDEN);
     if (i < APPEARANCE_FLOATS)
-        return (uint2)(APPEARANCE_OUT + i - APPEARANCE_B2, APPEARANCE_ONE);
-    return (uint2)(APPEARANCE_OFFSET, APPEARANCE_ONE);
+        return (uint2)(COLUMN_OUT + i - APPEARANCE_B2, COLUMN_ONE);
+    return (uint2)(COLUMN_OFFSET, COLUMN_ONE);
 }
 
 INLINE void render_appearance_row(const struct render_appearance_terms *t, __local float *row)
@@ -39,20 +39,38 @@ INLINE void render_appearance_row(const struct render_appearance_terms *t, __loc
     for (uint k = 0; k < APPEARANCE_LEN; k++)
         row[k] = t->unit[k];
     for (uint h = 0; h < APPEARANCE_HIDDEN; h++) {
-        row[APPEARANCE_G_ACT + h] = t->g_act[h];
-        row[APPEARANCE_ACT + h] = t->act[h];
+        row[COLUMN_G_ACT + h] = t->g_act[h];
+        row[COLUMN_ACT + h] = t->act[h];
     }
-    for (uint o = 0; o < 4; o++)
-        row[APPEARANCE_OUT + o] = t->g_out[o];
-    row[APPEARANCE_OFFSET] = t->offset;
-    row[APPEARANCE_ONE] = 1.0f;
+    for (uint o = 0; o < LAYOUT_APPEARANCE_OUT; o++)
+        row[COLUMN_OUT + o] = t->g_out[o];
+    row[COLUMN_OFFSET] = t->offset;
+    row[COLUMN_ONE] = 1.0f;
+}
+
+// What the embeddings' gradients are put into: planes of grads, or Adam's where rates is not 0.
+struct embed_target {
+    __global float *grads, *params, *m1, *m2;
+    const struct layout_adam *rates;
+};
+
+INLINE void embed_put(const struct embed_target *to, size_t at, uint first,
+                      const V g[APPEARANCE_LEN], bool real)
+{
+    if (to->rates) {
+        struct adam a = {to->params + at, to->m1 + at, to->m2 + at, to->rates,
+                         to->rates->inv_bias2};
+        adam_embed(&a, first, g, real);
+    } else {
+        for (uint p = 0; p < APPEARANCE_LEN; p++)
+            ST(to->grads + at, first + p, g[p]);
+    }
 }
 
 INLINE void render_appearance_chunk(__constant struct layout_view *v, __constant float *frame,
-                                    __global float *params, __global const uint *tiles_of,
-                                    __global const float *look, float each, __global float *grads,
-                                    __global float *m1, __global float *m2, float8 k, float2 embed,
-                                    bool step, __global float *parts, __local float *tile)
+                                    __global const uint *tiles_of, __global const float *y_grads,
+                                    float each, const struct embed_target *to_embed,
+                                    __global float *parts, __local float *tile)
 {
     size_t chunk = get_group_id(0);
     uint item = (uint)get_local_id(0), first = v->planes - APPEARANCE_LEN;
@@ -68,26 +86,21 @@ INLINE void render_appearance_chunk(__constant struct layout_view *v, __constant
         struct render_appearance_terms t;
         for (uint p = 0; p < APPEARANCE_LEN; p++)
             t.embed[p] = 0.0f;
-        size_t group = i / LAYOUT_LANES, lane = i % LAYOUT_LANES,
-               at = group * v->planes * LAYOUT_LANES + lane;
+        uint group = (uint)(i / LAYOUT_LANES), lane = (uint)(i % LAYOUT_LANES);
+        size_t at = group_at(group, v->planes) + lane;
         if (visible) {
-            V g_y[4];
-            for (uint o = 0; o < 4; o++)
-                g_y[o] = LD(look + group * 4 * LAYOUT_LANES + lane, o);
-            render_appearance_terms(frame, params + at + first * LAYOUT_LANES, g_y, each, visible,
-                                    &t);
+            V g_y[LAYOUT_APPEARANCE_OUT];
+            for (uint o = 0; o < LAYOUT_APPEARANCE_OUT; o++)
+                g_y[o] = LD(y_grads + group_at(group, LAYOUT_APPEARANCE_OUT) + lane, o);
+            render_appearance_terms(frame, to_embed->params + at + first * LAYOUT_LANES, g_y, each,
+                                    visible, &t);
             render_appearance_row(&t, row);
         } else {
             for (uint c = 0; c < APPEARANCE_STRIDE; c++)
                 row[c] = 0.0f;
         }
-        if (here && step) {
-            struct adam a = {params + at, m1 + at, m2 + at, (float8)(0.0f), k};
-            adam_embed(&a, embed, first, t.embed, i < v->n);
-        } else if (here) {
-            for (uint p = 0; p < APPEARANCE_LEN; p++)
-                ST(grads + at, first + p, t.embed[p]);
-        }
+        if (here)
+            embed_put(to_embed, at, first, t.embed, i < v->n);
         barrier(CLK_LOCAL_MEM_FENCE);
         for (uint s = 0; s < APPEARANCE_SUMS_EACH; s++) {
             uint2 c =
@@ -108,24 +121,24 @@ INLINE void render_appearance_chunk(__constant struct layout_view *v, __constant
 __kernel APPEARANCE_GROUP void appearance_backward(__constant struct layout_view *v,
                                                    __constant float *frame, __global float *params,
                                                    __global const uint *tiles_of,
-                                                   __global const float *look, float each,
+                                                   __global const float *y_grads, float each,
                                                    __global float *parts, __global float *grads)
 {
     __local float tile[APPEARANCE_ITEMS * APPEARANCE_STRIDE];
-    render_appearance_chunk(v, frame, params, tiles_of, look, each, grads, params, params,
-                            (float8)(0.0f), (float2)(0.0f), false, parts, tile);
+    struct embed_target to = {grads, params, params, params, 0};
+    render_appearance_chunk(v, frame, tiles_of, y_grads, each, &to, parts, tile);
 }
 
 __kernel APPEARANCE_GROUP void appearance_step(__constant struct layout_view *v,
                                                __constant float *frame, __global float *params,
                                                __global const uint *tiles_of,
-                                               __global const float *look, float each,
+                                               __global const float *y_grads, float each,
                                                __global float *parts, __global float *m1,
-                                               __global float *m2, float8 k, float2 embed)
+                                               __global float *m2, struct layout_adam rates)
 {
     __local float tile[APPEARANCE_ITEMS * APPEARANCE_STRIDE];
-    render_appearance_chunk(v, frame, params, tiles_of, look, each, params, m1, m2, k, embed, true,
-                            parts, tile);
+    struct embed_target to = {params, params, m1, m2, &rates};
+    render_appearance_chunk(v, frame, tiles_of, y_grads, each, &to, parts, tile);
 }
 #endif
 

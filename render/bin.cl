@@ -1,18 +1,18 @@
 // Stage: bin. Splats in depth order -> the list of each tile, in depth order.
 //   in   order [visible], keys [visible] (tile counts, see sort.cl), splats, slot_first, tiles_of
-//   out  tile_start [tiles + 1], entry_splat and entry_slot [entries]
-// A counting sort by tile. First the pairs of splat and tile are written out in depth order, row of
-// tiles by row (bin_expand: the only walk that reads records, at random, and the only one with
-// short loops); then two straight walks over the pairs count and place them. LAYOUT_BIN_CHUNKS
+//   out  tile_start [tiles + 1], intersection_splat and intersection_slot [intersections]
+// A counting sort by tile. First the intersections are written out in depth order, row of tiles by
+// row (bin_expand: the only walk that reads records, at random, and the only one with
+// short loops); then two straight walks over them count and place them. LAYOUT_BIN_CHUNKS
 // fixed chunks of the depth order work side by side: sums over chunks and tiles tell each where its
 // part of each list begins.
-//   pair_tile, pair_splat, pair_slot [entries]: the pairs in depth order
+//   expanded_tile, expanded_splat, expanded_slot [intersections]: in depth order
 //   bin_offset [chunk][stride], stride = tiles rounded up to 16
-// `cap` is the room for pairs. The host has made enough; nothing is written beyond whatever
+// `cap` is the room for intersections. The host has made enough; nothing is written beyond whatever
 // happens. Local size 1: one work-item is one chunk.
 
 #define AHEAD 16
-#define BURST 8 // pairs written at once; what is too many is overwritten by the next
+#define BURST 8 // intersections written at once; what is too many is overwritten by the next
 
 inline uint2 bin_range(uint n, uint chunk)
 {
@@ -20,7 +20,7 @@ inline uint2 bin_range(uint n, uint chunk)
     return min((uint2)(each * chunk, each * (chunk + 1)), (uint2)(n));
 }
 
-// Pairs of each chunk, from the tile counts that the sort carried along.
+// Intersections of each chunk, from the tile counts that the sort carried along.
 __kernel void bin_total(__global const uint *order, __global const uint *keys,
                         __global const uint *tiles_of, __global struct layout_counts *counts)
 {
@@ -30,16 +30,16 @@ __kernel void bin_total(__global const uint *order, __global const uint *keys,
         uint here = keys[i] & LAYOUT_KEY_TILES;
         sum += here == LAYOUT_KEY_TILES ? tiles_of[order[i]] : here;
     }
-    counts->bin_pairs[chunk] = sum;
+    counts->bin_intersections[chunk] = sum;
 }
 
-// Pairs before this chunk and up to its end, within cap.
-inline uint2 bin_pairs(__global const struct layout_counts *counts, uint chunk, uint cap)
+// Intersections before this chunk and up to its end, within cap.
+inline uint2 bin_span(__global const struct layout_counts *counts, uint chunk, uint cap)
 {
     uint2 range = (uint2)(0, 0);
     for (uint c = 0; c <= chunk; c++) {
         range.x = range.y;
-        range.y += counts->bin_pairs[c];
+        range.y += counts->bin_intersections[c];
     }
     return min(range, (uint2)(cap));
 }
@@ -48,13 +48,13 @@ __kernel void bin_expand(__constant struct layout_view *view, __global const uin
                          __global const struct layout_splat *splats,
                          __global const uint *slot_first,
                          __global const struct layout_counts *counts, uint cap, uint stride,
-                         __global uint *pair_tile, __global uint *pair_splat,
-                         __global uint *pair_slot, __global uint *bin_offset)
+                         __global uint *expanded_tile, __global uint *expanded_splat,
+                         __global uint *expanded_slot, __global uint *bin_offset)
 {
     uint chunk = (uint)get_global_id(0), tiles_x = view->tiles_x;
-    uint2 range = bin_range(counts->visible, chunk), pairs = bin_pairs(counts, chunk, cap);
+    uint2 range = bin_range(counts->visible, chunk), span = bin_span(counts, chunk, cap);
     const uint8 burst = (uint8)(0, 1, 2, 3, 4, 5, 6, 7);
-    uint k = pairs.x;
+    uint k = span.x;
     for (uint i = range.x; i < range.y; i++) {
         uint id = order[i], ahead = order[min(i + AHEAD, range.y - 1)], slot = slot_first[id];
         PREFETCH(splats + ahead);
@@ -66,8 +66,8 @@ __kernel void bin_expand(__constant struct layout_view *view, __global const uin
         for (uint end_row = row + rows, left = 0, n = 0, in_band = 0, band = 0; row < end_row;
              row++) {
             if (in_band == 0) {
-                uint pair = (s->bands[band >> 1] >> (16 * (band & 1))) & 0xFFFF;
-                uint first = pair & 255, last = pair >> 8;
+                uint columns = (s->bands[band >> 1] >> (16 * (band & 1))) & 0xFFFF;
+                uint first = columns & 255, last = columns >> 8;
                 left = col0 + (first << shift);
                 n = first <= last ? min(col0 + ((last + 1) << shift), tiles_x) - left : 0;
                 in_band = step;
@@ -75,15 +75,15 @@ __kernel void bin_expand(__constant struct layout_view *view, __global const uin
             }
             in_band--;
             uint tile = row * tiles_x + left;
-            if (n <= BURST && k + BURST <= pairs.y) {
-                vstore8(tile + burst, 0, pair_tile + k);
-                vstore8((uint8)(id), 0, pair_splat + k);
-                vstore8(slot + burst, 0, pair_slot + k);
+            if (n <= BURST && k + BURST <= span.y) {
+                vstore8(tile + burst, 0, expanded_tile + k);
+                vstore8((uint8)(id), 0, expanded_splat + k);
+                vstore8(slot + burst, 0, expanded_slot + k);
             } else {
-                for (uint j = 0; j < n && k + j < pairs.y; j++) {
-                    pair_tile[k + j] = tile + j;
-                    pair_splat[k + j] = id;
-                    pair_slot[k + j] = slot + j;
+                for (uint j = 0; j < n && k + j < span.y; j++) {
+                    expanded_tile[k + j] = tile + j;
+                    expanded_splat[k + j] = id;
+                    expanded_slot[k + j] = slot + j;
                 }
             }
             k += n;
@@ -93,8 +93,8 @@ __kernel void bin_expand(__constant struct layout_view *view, __global const uin
     __global uint *count = bin_offset + (size_t)chunk * stride;
     for (uint t = 0; t < stride; t += 16)
         vstore16((uint16)(0), 0, count + t);
-    for (k = pairs.x; k < pairs.y; k++)
-        count[pair_tile[k]]++;
+    for (k = span.x; k < span.y; k++)
+        count[expanded_tile[k]]++;
 }
 
 // One work-item per 16 tiles: sums over the chunks; tile_start holds the length of each list
@@ -127,19 +127,19 @@ __kernel void bin_scan(uint tiles, __global uint *tile_start)
 }
 
 __kernel void bin_scatter(__global const struct layout_counts *counts, uint cap, uint stride,
-                          __global const uint *pair_tile, __global const uint *pair_splat,
-                          __global const uint *pair_slot, __global const uint *tile_start,
-                          __global uint *bin_offset, __global uint *entry_splat,
-                          __global uint *entry_slot)
+                          __global const uint *expanded_tile, __global const uint *expanded_splat,
+                          __global const uint *expanded_slot, __global const uint *tile_start,
+                          __global uint *bin_offset, __global uint *intersection_splat,
+                          __global uint *intersection_slot)
 {
     uint chunk = (uint)get_global_id(0);
-    uint2 pairs = bin_pairs(counts, chunk, cap);
+    uint2 span = bin_span(counts, chunk, cap);
     __global uint *next = bin_offset + (size_t)chunk * stride;
     for (uint t = 0; t < stride; t += 16)
         vstore16(vload16(0, next + t) + vload16(0, tile_start + t), 0, next + t);
-    for (uint k = pairs.x; k < pairs.y; k++) {
-        uint at = next[pair_tile[k]]++;
-        entry_splat[at] = pair_splat[k];
-        entry_slot[at] = pair_slot[k];
+    for (uint k = span.x; k < span.y; k++) {
+        uint at = next[expanded_tile[k]]++;
+        intersection_splat[at] = expanded_splat[k];
+        intersection_slot[at] = expanded_slot[k];
     }
 }

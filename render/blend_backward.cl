@@ -1,9 +1,9 @@
-// Stage: blend, backward. From dL/dcolour of every pixel to eleven sums of every (splat, tile)
-// pair. The CPU shape is compiled after blend_cpu.cl, whose names it shares.
-//   in   splats, tile_start, entry_splat, entry_slot; color, color_grad [3][h][w]; hits, tile_stop
-//   out  slots [entries][LAYOUT_SLOT_FLOATS]; marks [entries], 1 where a slot was written (the host
-//   clears
-//        them: entries behind the stop are never visited)
+// Stage: blend, backward. From dL/dcolour of every pixel to eleven sums of every intersection. The
+// CPU shape is compiled after blend_cpu.cl, whose names it shares.
+//   in   splats, tile_start, intersection_splat, intersection_slot; color, color_grad [3][h][w];
+//        hits, tile_stop
+//   out  slots [intersections][LAYOUT_SLOT_FLOATS]; marks [intersections], 1 where a slot was written
+//        (the host clears them: intersections behind the stop are never visited)
 // Front to back once more, so every decision is that of blend to the last bit. With g = dL/dC of a
 // pixel, w = alpha T and P the colour summed so far (this splat included), the colour behind is C -
 // P, hence
@@ -13,9 +13,8 @@
 // maximum) the moments of q in the whitened offset (u, v), in which the falloff is exp2(-u^2 -
 // v^2):
 //     0-2  w g      3  q    4  q u    5  q v    6  q u^2    7  q u v    8  q v^2
-//     9  |q u|     10  |q (r v - p x_of_y u)|: moduli of the two pixel gradients, up to a factor; 0
-//     without
-//                  with_abs
+//     9  |q u|     10  |q (r v - p x_of_y u)|: moduli of the two pixel gradients, up to a factor;
+//                  0 without with_abs
 // Whitened moments stay of the order of q however long and thin the splat is.
 // Every slot has one writer and every sum one order: same input, same bits.
 // Reference: render_ref_backward. Absolute gradients: AbsGS, Ye et al. 2024.
@@ -91,32 +90,33 @@ inline void backward_load(struct backward_state *s, __constant struct layout_vie
 }
 
 // One splat over some blocks: moves the pixels on and writes the slot.
-inline void backward_entry(struct backward_state *s, const float *rec, float x0, float y0,
+inline void backward_splat(struct backward_state *s, const float *w, float x0, float y0,
                            uint blocks, uint with_abs, __global float *slot)
 {
     float16 red = 0.0f, green = 0.0f, blue = 0.0f, m = 0.0f, mu = 0.0f, mv = 0.0f, muu = 0.0f,
             muv = 0.0f, mvv = 0.0f, abs_x = 0.0f, abs_y = 0.0f;
-    float mx = rec[MEAN_X] - x0, my = rec[MEAN_Y] - y0, cross = rec[P] * rec[X_OF_Y];
+    struct record e = record_of(w, x0, y0);
+    float rgb0 = w[LAYOUT_SPLAT_RGB], rgb1 = w[LAYOUT_SPLAT_RGB + 1],
+          rgb2 = w[LAYOUT_SPLAT_RGB + 2], cross = e.p * e.x_of_y;
     while (blocks) {
         uint k = 31 - clz(blocks);
         blocks ^= 1u << k;
-        float16 dx = block_dx(mx, k), dy = block_dy(my, k);
-        float16 raw = splat_raw(dx, dy, rec[P], rec[X_OF_Y], rec[R], rec[OPACITY_LOG2]),
-                t = s->t[k];
-        float16 a = MIN_(raw, ALPHA_MAX);
-        a = t > T_STOP ? a : (float16)(0.0f);
+        float16 dx = block_dx(e.mx, k), dy = block_dy(e.my, k);
+        float16 raw = splat_raw(dx, dy, e.p, e.x_of_y, e.r, e.opacity_log2), t = s->t[k];
+        float16 a = MIN_(raw, LAYOUT_ALPHA_MAX);
+        a = t > LAYOUT_TRANSMITTANCE_MIN ? a : (float16)(0.0f);
         float16 share = a * t;
         s->t[k] = t - share; // so far as blend has it
-        float16 u = (dx - rec[X_OF_Y] * dy) * rec[P], v = dy * rec[R];
+        float16 u = (dx - e.x_of_y * dy) * e.p, v = dy * e.r;
         float16 g0 = s->g[k][0], g1 = s->g[k][1], g2 = s->g[k][2];
-        float16 gc = g0 * rec[RED] + (g1 * rec[GREEN] + g2 * rec[BLUE]);
+        float16 gc = g0 * rgb0 + (g1 * rgb1 + g2 * rgb2);
         float16 rest = s->rest[k] - share * gc;
         s->rest[k] = rest;
         red = share * g0 + red;
         green = share * g1 + green;
         blue = share * g2 + blue;
         float16 q = a * (t * gc - rest / (1.0f - a));
-        q = raw > ALPHA_MAX ? (float16)(0.0f) : q;
+        q = raw > LAYOUT_ALPHA_MAX ? (float16)(0.0f) : q;
         float16 qu = q * u, qv = q * v;
         m += q;
         mu += qu;
@@ -126,7 +126,7 @@ inline void backward_entry(struct backward_state *s, const float *rec, float x0,
         mvv = qv * v + mvv;
         if (with_abs) {
             abs_x += fabs(qu);
-            abs_y += fabs(rec[R] * qv - cross * qu);
+            abs_y += fabs(e.r * qv - cross * qu);
         }
     }
     float16 x = fold_4(fold_8(red, green), fold_8(blue, m)),
@@ -137,13 +137,12 @@ inline void backward_entry(struct backward_state *s, const float *rec, float x0,
     vstore3(sums.s89a, 0, slot + 8);
 }
 
-__kernel void blend_backward(__constant struct layout_view *view,
-                             __global const struct layout_splat *splats,
-                             __global const uint *tile_start, __global const uint *entry_splat,
-                             __global const uint *entry_slot, __global const float *color,
-                             __global const float *color_grad, uint with_abs, __global float *slots,
-                             __global uchar *marks, __global const ushort *hits,
-                             __global const uint *tile_stop)
+__kernel void
+blend_backward(__constant struct layout_view *view, __global const struct layout_splat *splats,
+               __global const uint *tile_start, __global const uint *intersection_splat,
+               __global const uint *intersection_slot, __global const float *color,
+               __global const float *color_grad, uint with_abs, __global float *slots,
+               __global uchar *marks, __global const ushort *hits, __global const uint *tile_stop)
 {
     uint tile = (uint)get_global_id(0);
     if (tile >= view->tiles_x * view->tiles_y)
@@ -151,7 +150,7 @@ __kernel void blend_backward(__constant struct layout_view *view,
     uint px = (tile % view->tiles_x) * LAYOUT_TILE, py = (tile / view->tiles_x) * LAYOUT_TILE;
     float x0 = (float)px + 0.5f, y0 = (float)py + 0.5f;
     uint at = tile_start[tile], end = tile_stop[tile];
-    float staged[BATCH * 16];
+    float staged[BATCH * LAYOUT_SPLAT_WORDS];
     uint mask[BATCH], slot[BATCH];
     struct backward_state s;
 
@@ -161,14 +160,14 @@ __kernel void blend_backward(__constant struct layout_view *view,
     while (at < end) {
         uint n = 0;
         for (; at < end && n < BATCH; at++) { // what blend drew; records and slots lie anywhere
-            PREFETCH(splats + entry_splat[min(at + BATCH, end - 1)]);
+            PREFETCH(splats + intersection_splat[min(at + BATCH, end - 1)]);
             uint blocks = hits[at];
             if (!blocks)
                 continue;
             mask[n] = blocks;
-            slot[n] = entry_slot[at];
-            LAYOUT_WIDE(__private, float, staged + 16 * n++) =
-                LAYOUT_WIDE(const __global, float, splats + entry_splat[at]);
+            slot[n] = intersection_slot[at];
+            LAYOUT_WIDE(__private, float, staged + LAYOUT_SPLAT_WORDS * n++) =
+                LAYOUT_WIDE(const __global, float, splats + intersection_splat[at]);
         }
         for (uint j = 0; j < n; j++) {
             uint next = slot[min(j + AHEAD, n - 1)]; // have the lines ready when they are written
@@ -176,23 +175,23 @@ __kernel void blend_backward(__constant struct layout_view *view,
             PREFETCH(slots + (size_t)next * LAYOUT_SLOT_FLOATS + LAYOUT_SLOT_FLOATS - 1);
             PREFETCH(marks + next);
             marks[slot[j]] = 1;
-            backward_entry(&s, staged + 16 * j, x0, y0, mask[j], with_abs,
+            backward_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, mask[j], with_abs,
                            slots + (size_t)slot[j] * LAYOUT_SLOT_FLOATS);
         }
     }
 }
 
-#else // GPU shape: one work-group is one tile, one work-item one pixel. Barriers stay in the      \
-      // kernel's own body:
-// in a function that is called PoCL does not divide the work-group at them.
+#else
+// GPU shape: one work-group is one tile, one work-item one pixel. Barriers stay in the kernel's own
+// body: in a function that is called PoCL does not divide the work-group at them.
 
-#define PIXELS (LAYOUT_TILE * LAYOUT_TILE)
+#define PIXELS LAYOUT_TILE_PIXELS
 #define STRIPES 16 // each sum is taken in 16 stripes of 16 pixels, then over the stripes
 
-__kernel __attribute__((reqd_work_group_size(LAYOUT_TILE * LAYOUT_TILE, 1, 1))) void
+__kernel __attribute__((reqd_work_group_size(PIXELS, 1, 1))) void
 blend_backward(__constant struct layout_view *view, __global const struct layout_splat *splats,
-               __global const uint *tile_start, __global const uint *entry_splat,
-               __global const uint *entry_slot, __global const float *color,
+               __global const uint *tile_start, __global const uint *intersection_splat,
+               __global const uint *intersection_slot, __global const float *color,
                __global const float *color_grad, uint with_abs, __global float *slots,
                __global uchar *marks, __global const ushort *hits, __global const uint *tile_stop)
 {
@@ -209,15 +208,15 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
         rest = g[c] * color[c * plane + at] + rest;
     }
     for (uint k = tile_start[tile], end = tile_start[tile + 1]; k < end; k++) {
-        __global const struct layout_splat *e = splats + entry_splat[k];
+        __global const struct layout_splat *e = splats + intersection_splat[k];
         float dx = e->mean_x - ((float)x + 0.5f), dy = e->mean_y - ((float)y + 0.5f);
         float raw = splat_raw(dx, dy, e->p, e->x_of_y, e->r, e->opacity_log2);
-        float a = MIN_(raw, ALPHA_MAX);
-        a = t > T_STOP ? a : 0.0f;
+        float a = MIN_(raw, LAYOUT_ALPHA_MAX);
+        a = t > LAYOUT_TRANSMITTANCE_MIN ? a : 0.0f;
         float share = a * t, gc = g[0] * e->rgb[0] + (g[1] * e->rgb[1] + g[2] * e->rgb[2]);
         float u = (dx - e->x_of_y * dy) * e->p, v = dy * e->r;
         rest -= share * gc;
-        float q = raw > ALPHA_MAX ? 0.0f : a * (t * gc - rest / (1.0f - a));
+        float q = raw > LAYOUT_ALPHA_MAX ? 0.0f : a * (t * gc - rest / (1.0f - a));
         t -= share;
         float qu = q * u, qv = q * v;
         float ax = with_abs ? fabs(qu) : 0.0f;
@@ -240,11 +239,11 @@ blend_backward(__constant struct layout_view *view, __global const struct layout
             float sum = 0.0f;
             for (uint j = 0; j < STRIPES; j++)
                 sum += stripe[lane * STRIPES + j];
-            slots[(size_t)entry_slot[k] * LAYOUT_SLOT_FLOATS + lane] = sum;
+            slots[(size_t)intersection_slot[k] * LAYOUT_SLOT_FLOATS + lane] = sum;
         }
         if (lane == 0)
-            marks[entry_slot[k]] = 1;
-        if (t > T_STOP)
+            marks[intersection_slot[k]] = 1;
+        if (t > LAYOUT_TRANSMITTANCE_MIN)
             alive = 1; // whoever writes, it is the same
         barrier(CLK_LOCAL_MEM_FENCE);
         if (!alive)

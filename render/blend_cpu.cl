@@ -1,15 +1,16 @@
 // Stage: blend, CPU shape. One work-item draws one tile of 16x16 pixels.
-//   in   tile_start, entry_splat, splats
+//   in   tile_start, intersection_splat, splats
 //   out  color [3][h][w] with background, transmit [h][w]
-//        hits [entries]: bit k of an entry is set when it was drawn into block k, tile_stop
-//        [tiles]: entries from there on were not looked at. The way back visits these and nothing
-//        else.
-// The tile is 16 blocks of 4x4 pixels, a block is one float16. Entries come in batches of 64: their
+//        hits [intersections]: bit k is set when the splat was drawn into block k,
+//        tile_stop [tiles]: intersections from there on were not visited. The backward pass visits
+//        these and nothing else.
+// The tile is 16 blocks of 4x4 pixels, a block is one float16. Splats come in batches of 64: their
 // records are copied into a private array first, so that the cache misses overlap (those of the
-// next batch are asked for at the same time); then, 16 entries at a time, the least exponent over
-// each block's pixel centres tells which blocks an entry can touch at all; then each entry visits
-// those blocks. A pixel stops when its transmittance falls to 1e-4 (the splat that does it is still
-// blended), a block when all its pixels have, the tile when all its blocks have.
+// next batch are asked for at the same time); then, 16 splats at a time, the least exponent over
+// each block's pixel centres tells which blocks a splat can touch at all; then each splat visits
+// those blocks. A pixel stops when its transmittance falls to LAYOUT_TRANSMITTANCE_MIN (the splat
+// that does it is still blended), a block when all its pixels have, the tile when all its blocks
+// have.
 //
 // Reference: render_ref_forward. Same order of blending, no atomics.
 
@@ -40,35 +41,48 @@ inline float16 block_dy(float mean, uint k)
     return mean - BLOCK_Y[k >> 2];
 }
 
-// Words of struct layout_splat in the staged copies.
-enum { MEAN_X, MEAN_Y, P, X_OF_Y, R, OPACITY_LOG2, RED, GREEN, BLUE, Y_OF_X };
+// What blending takes from a staged copy of struct layout_splat; the mean is relative to the tile's
+// first pixel centre.
+struct record {
+    float mx, my, p, x_of_y, r, opacity_log2;
+};
 
-// Bit b of mask[j]: entry j reaches 1/255 somewhere in the rectangle of pixel centres of block b.
+inline struct record record_of(const float *w, float x0, float y0)
+{
+    struct record s = {w[LAYOUT_SPLAT_MEAN_X] - x0, w[LAYOUT_SPLAT_MEAN_Y] - y0,
+                       w[LAYOUT_SPLAT_P],           w[LAYOUT_SPLAT_X_OF_Y],
+                       w[LAYOUT_SPLAT_R],           w[LAYOUT_SPLAT_OPACITY_LOG2]};
+    return s;
+}
+
+// Bit b of mask[j]: splat j reaches 1/255 somewhere in the rectangle of pixel centres of block b.
 // The least of the quadratic form over a rectangle is at the mean, if it is inside, or on an edge
 // that faces it; the margin covers the difference in rounding to the evaluation per pixel.
 inline void blend_masks(const float *records, float x0, float y0, uint tile_cull, uint *mask)
 {
-    float16 w[16];
+    float16 w[LAYOUT_SPLAT_WORDS];
 #pragma unroll
     for (int j = 0; j < 16; j++)
-        w[j] = LAYOUT_WIDE(const __private, float, records + 16 * j);
+        w[j] = LAYOUT_WIDE(const __private, float, records + LAYOUT_SPLAT_WORDS * j);
     transpose_16(w);
-    float16 mx = w[MEAN_X] - x0, my = w[MEAN_Y] - y0,
-            reach = w[OPACITY_LOG2] + (4e-3f - ALPHA_MIN_LOG2);
+    float16 mx = w[LAYOUT_SPLAT_MEAN_X] - x0, my = w[LAYOUT_SPLAT_MEAN_Y] - y0;
+    float16 reach = w[LAYOUT_SPLAT_OPACITY_LOG2] + (4e-3f - LAYOUT_ALPHA_MIN_LOG2);
+    float16 p = w[LAYOUT_SPLAT_P], x_of_y = w[LAYOUT_SPLAT_X_OF_Y], r = w[LAYOUT_SPLAT_R],
+            y_of_x = w[LAYOUT_SPLAT_Y_OF_X];
     uint16 bits = (uint16)(0);
 #pragma unroll
     for (int by = 0; by < 4; by++) {
         float16 top = (float)(4 * by) - my, bottom = top + 3.0f, near_y = CLAMP_(0.0f, top, bottom);
-        float16 lean = w[X_OF_Y] * near_y, v2 = w[R] * near_y;
+        float16 lean = x_of_y * near_y, v2 = r * near_y;
         v2 *= v2;
 #pragma unroll
         for (int bx = 0; bx < 4; bx++) {
             float16 left = (float)(4 * bx) - mx, right = left + 3.0f,
                     near_x = CLAMP_(0.0f, left, right);
-            float16 y = w[Y_OF_X] * near_x;
+            float16 y = y_of_x * near_x;
             y = CLAMP_(y, top, bottom);
             float16 x = CLAMP_(lean, left, right);
-            float16 ua = w[P] * (near_x - w[X_OF_Y] * y), va = w[R] * y, ub = w[P] * (x - lean);
+            float16 ua = p * (near_x - x_of_y * y), va = r * y, ub = p * (x - lean);
             float16 qa = ua * ua + va * va, qb = ub * ub + v2;
             int16 in = (qa <= reach) | (qb <= reach);
             bits |= as_uint16(in) & (uint16)(1u << (4 * by + bx));
@@ -83,21 +97,24 @@ struct blend_state {
     float16 t[16], r[16], g[16], b[16]; // transmittance and colour of each block
 };
 
-inline void blend_entry(struct blend_state *s, const float *w, float x0, float y0, uint blocks)
+// One splat over some blocks: moves the pixels on.
+inline void blend_splat(struct blend_state *s, const float *w, float x0, float y0, uint blocks)
 {
-    float mx = w[MEAN_X] - x0, my = w[MEAN_Y] - y0;
+    struct record e = record_of(w, x0, y0);
+    float red = w[LAYOUT_SPLAT_RGB], green = w[LAYOUT_SPLAT_RGB + 1],
+          blue = w[LAYOUT_SPLAT_RGB + 2];
     while (blocks) {
         uint k = 31 - clz(blocks);
         blocks ^= 1u << k;
-        float16 dx = block_dx(mx, k), dy = block_dy(my, k);
-        float16 a = splat_raw(dx, dy, w[P], w[X_OF_Y], w[R], w[OPACITY_LOG2]), t = s->t[k];
-        a = MIN_(a, ALPHA_MAX);
-        a = t > T_STOP ? a : (float16)(0.0f);
+        float16 dx = block_dx(e.mx, k), dy = block_dy(e.my, k);
+        float16 a = splat_raw(dx, dy, e.p, e.x_of_y, e.r, e.opacity_log2), t = s->t[k];
+        a = MIN_(a, LAYOUT_ALPHA_MAX);
+        a = t > LAYOUT_TRANSMITTANCE_MIN ? a : (float16)(0.0f);
         float16 share = a * t;
         s->t[k] = t - share;
-        s->r[k] = share * w[RED] + s->r[k];
-        s->g[k] = share * w[GREEN] + s->g[k];
-        s->b[k] = share * w[BLUE] + s->b[k];
+        s->r[k] = share * red + s->r[k];
+        s->g[k] = share * green + s->g[k];
+        s->b[k] = share * blue + s->b[k];
     }
 }
 
@@ -114,7 +131,7 @@ inline uint blend_active(const struct blend_state *s, uint active)
     for (uint left = active; left;) {
         uint k = 31 - clz(left);
         left ^= 1u << k;
-        if (!(blend_max(s->t[k]) > T_STOP))
+        if (!(blend_max(s->t[k]) > LAYOUT_TRANSMITTANCE_MIN))
             active ^= 1u << k;
     }
     return active;
@@ -141,7 +158,7 @@ inline void blend_store(__constant struct layout_view *view, const float16 block
 }
 
 __kernel void blend(__constant struct layout_view *view, __global const struct layout_splat *splats,
-                    __global const uint *tile_start, __global const uint *entry_splat,
+                    __global const uint *tile_start, __global const uint *intersection_splat,
                     __global float *color, __global float *transmit, __global ushort *hits,
                     __global uint *tile_stop)
 {
@@ -151,7 +168,7 @@ __kernel void blend(__constant struct layout_view *view, __global const struct l
     uint px = (tile % view->tiles_x) * LAYOUT_TILE, py = (tile / view->tiles_x) * LAYOUT_TILE;
     float x0 = (float)px + 0.5f, y0 = (float)py + 0.5f;
     uint at = tile_start[tile], end = tile_start[tile + 1], active = 0xFFFF;
-    float staged[BATCH * 16];
+    float staged[BATCH * LAYOUT_SPLAT_WORDS];
     uint mask[BATCH];
     struct blend_state s;
 
@@ -162,22 +179,22 @@ __kernel void blend(__constant struct layout_view *view, __global const struct l
         s.r[k] = s.g[k] = s.b[k] = (float16)(0.0f);
     }
     active = blend_active(&s, active);
-    for (uint j = 0; j < BATCH * 16; j += 16)
+    for (uint j = 0; j < BATCH * LAYOUT_SPLAT_WORDS; j += 16)
         vstore16((float16)(0.0f), 0, staged + j); // a short last batch masks what it does not use
     while (at < end && active) {
         uint n = min(end - at, (uint)BATCH);
         for (uint j = 0; j < n; j++) {
-            PREFETCH(splats + entry_splat[min(at + BATCH + j, end - 1)]);
-            LAYOUT_WIDE(__private, float, staged + 16 * j) =
-                LAYOUT_WIDE(const __global, float, splats + entry_splat[at + j]);
+            PREFETCH(splats + intersection_splat[min(at + BATCH + j, end - 1)]);
+            LAYOUT_WIDE(__private, float, staged + LAYOUT_SPLAT_WORDS * j) =
+                LAYOUT_WIDE(const __global, float, splats + intersection_splat[at + j]);
         }
         for (uint j = 0; j < n; j += 16)
-            blend_masks(staged + 16 * j, x0, y0, view->tile_cull, mask + j);
+            blend_masks(staged + LAYOUT_SPLAT_WORDS * j, x0, y0, view->tile_cull, mask + j);
         uint j = 0;
         for (; j < n && active; j++) {
             uint blocks = mask[j] & active;
             if (blocks)
-                blend_entry(&s, staged + 16 * j, x0, y0, blocks);
+                blend_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, blocks);
             hits[at + j] = (ushort)blocks;
             if (j % CHECK_EVERY == CHECK_EVERY - 1)
                 active = blend_active(&s, active);

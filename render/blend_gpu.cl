@@ -1,23 +1,22 @@
 // Stage: blend, GPU shape. One work-group draws one tile, one work-item one pixel.
-//   in   tile_start, entry_splat, splats
+//   in   tile_start, intersection_splat, splats
 //   out  color [3][h][w] with background, transmit [h][w]
-// Entries come in batches of 256: each work-item fetches one record into local memory (9 KiB), then
+// Splats come in batches of 256: each work-item fetches one record into local memory (9 KiB), then
 // all walk the batch. The group leaves when every pixel has stopped. Three barriers a batch,
 // reached by all. Same maths and order per pixel as blend_cpu.cl; only the skipping of blocks is
 // missing. Reference: render_ref_forward.
-
-#define TILE_PIXELS (LAYOUT_TILE * LAYOUT_TILE)
 
 struct blend_record { // what blending takes from struct layout_splat
     float mean_x, mean_y, p, x_of_y, r, opacity_log2, red, green, blue;
 };
 
-__kernel __attribute__((reqd_work_group_size(TILE_PIXELS, 1, 1))) void
+__kernel __attribute__((reqd_work_group_size(LAYOUT_TILE_PIXELS, 1, 1))) void
 blend(__constant struct layout_view *view, __global const struct layout_splat *splats,
-      __global const uint *tile_start, __global const uint *entry_splat, __global float *color,
-      __global float *transmit, __global ushort *hits, __global uint *tile_stop)
+      __global const uint *tile_start, __global const uint *intersection_splat,
+      __global float *color, __global float *transmit, __global ushort *hits,
+      __global uint *tile_stop)
 {
-    __local struct blend_record staged[TILE_PIXELS];
+    __local struct blend_record staged[LAYOUT_TILE_PIXELS];
     __local uint alive;
     uint tile = (uint)get_group_id(0), item = (uint)get_local_id(0);
     uint x = (tile % view->tiles_x) * LAYOUT_TILE + item % LAYOUT_TILE;
@@ -27,14 +26,14 @@ blend(__constant struct layout_view *view, __global const struct layout_splat *s
     float px = (float)x + 0.5f, py = (float)y + 0.5f;
     float t = inside ? 1.0f : 0.0f, red = 0.0f, green = 0.0f, blue = 0.0f;
 
-    for (uint at = tile_start[tile]; at < end; at += TILE_PIXELS) {
+    for (uint at = tile_start[tile]; at < end; at += LAYOUT_TILE_PIXELS) {
         if (item == 0)
             alive = 0;
         barrier(CLK_LOCAL_MEM_FENCE);
-        if (t > T_STOP)
+        if (t > LAYOUT_TRANSMITTANCE_MIN)
             atomic_or(&alive, 1u);
         if (at + item < end) {
-            __global const struct layout_splat *s = splats + entry_splat[at + item];
+            __global const struct layout_splat *s = splats + intersection_splat[at + item];
             staged[item].mean_x = s->mean_x;
             staged[item].mean_y = s->mean_y;
             staged[item].p = s->p;
@@ -48,12 +47,12 @@ blend(__constant struct layout_view *view, __global const struct layout_splat *s
         barrier(CLK_LOCAL_MEM_FENCE);
         if (!alive)
             break;
-        uint n = min(end - at, (uint)TILE_PIXELS);
-        for (uint j = 0; j < n && t > T_STOP; j++) {
+        uint n = min(end - at, (uint)LAYOUT_TILE_PIXELS);
+        for (uint j = 0; j < n && t > LAYOUT_TRANSMITTANCE_MIN; j++) {
             __local const struct blend_record *w = staged + j;
             float a =
                 splat_raw(w->mean_x - px, w->mean_y - py, w->p, w->x_of_y, w->r, w->opacity_log2);
-            a = MIN_(a, ALPHA_MAX);
+            a = MIN_(a, LAYOUT_ALPHA_MAX);
             float share = a * t;
             t = t - share;
             red = share * w->red + red;

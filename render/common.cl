@@ -1,55 +1,5 @@
-// First source of every program of render/: the vector type, and the maths that forward and
-// backward must agree on to the last bit (what a splat is on the screen, and what it does to a
-// pixel).
-//
-// VW 16 (CPUs): V is float16; one work-item handles whole groups of 16 Gaussians, or blocks of 4x4
-// pixels. VW 1 (GPUs): V is float; one work-item is one Gaussian or one pixel. Masks are what
-// comparisons return (-1 in vectors, 1 in scalars): combine them with & and |, choose with
-// ?:, which is right for both. Write a * b + c in one expression: the compiler fuses it where it
-// can.
-
-#if VW == 16
-typedef float16 V;
-typedef int16 VI;
-typedef uint16 VU;
-// p: first float of the group
-#define LD(p, plane) LAYOUT_WIDE(const __global, float, (p) + 16 * (plane))
-#define ST(p, plane, v) LAYOUT_WIDE(__global, float, (p) + 16 * (plane)) = (v)
-#define ANY(m) any(m)
-#define AS_V as_float16
-#define AS_VI as_int16
-#define AS_VU as_uint16
-#define TO_V convert_float16
-#define TO_VI convert_int16
-#define LANE ((int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15))
-#else
-typedef float V;
-typedef int VI;
-typedef uint VU;
-#define LD(p, plane)                                                                               \
-    ((p)[(plane)*LAYOUT_LANES]) // p: the lane's place in the first plane of its group
-#define ST(p, plane, v) ((p)[(plane)*LAYOUT_LANES] = (v))
-#define ANY(m) (m)
-#define AS_V as_float
-#define AS_VI as_int
-#define AS_VU as_uint
-#define TO_V convert_float
-#define TO_VI convert_int
-#define LANE 0
-#endif
-// One instruction each, where fmin and fmax need several to treat NaN by the book. NaN in a gives
-// b.
-#define MIN_(a, b) ((a) < (b) ? (a) : (b))
-#define MAX_(a, b) ((a) > (b) ? (a) : (b))
-#define CLAMP_(x, lo, hi) MIN_(MAX_(x, lo), hi)
-#ifdef HAS_PREFETCH
-#define PREFETCH(p) __builtin_prefetch(p)
-#else
-#define PREFETCH(p) (void)(p)
-#endif
-
-// Vectors in registers across calls: PoCL passes them through memory otherwise.
-#define INLINE inline __attribute__((always_inline))
+// Behind core/vector.cl in every program of render/: the maths that forward and backward must agree
+// on to the last bit (what a splat is on the screen, and what it does to a pixel).
 
 #if VW == 16
 // 16 words of 16 lanes <-> 16 records of 16 words: four perfect shuffles.
@@ -77,9 +27,6 @@ INLINE void transpose_16(V w[16])
 #endif
 
 #define LOG2E 1.44269504088896f
-#define ALPHA_MAX 0.99f
-#define ALPHA_MIN_LOG2 -7.99435343685886f // log2(1/255)
-#define T_STOP 1e-4f
 
 // 2^x for x in [-126, 127], relative error 1.5e-7: rounding by adding 1.5 * 2^23, then a polynomial
 // for the fraction in [-1/2, 1/2] (minimax, 7.5e-8). Needs IEEE addition, that is no fast-math.
@@ -95,13 +42,13 @@ INLINE V exp2_v(V x)
 }
 
 // 2^e at offset d = mean - pixel, 0 below 1/255: opacity times the falloff of one splat (struct
-// layout_splat). alpha is MIN_(splat_raw, ALPHA_MAX).
+// layout_splat). alpha is MIN_(splat_raw, LAYOUT_ALPHA_MAX).
 INLINE V splat_raw(V dx, V dy, float p, float x_of_y, float r, float opacity_log2)
 {
     V u = (dx - x_of_y * dy) * p, v = dy * r;
     V e = (opacity_log2 - u * u) - v * v;
     V a = exp2_v(e);
-    return e >= ALPHA_MIN_LOG2 ? a : (V)(0.0f); // far away a is garbage, and not taken
+    return e >= LAYOUT_ALPHA_MIN_LOG2 ? a : (V)(0.0f); // far away a is garbage, and not taken
 }
 
 // A Gaussian as the camera sees it; names as in render_ref.h. Lanes that are culled hold anything.
@@ -123,7 +70,8 @@ struct seen {
 // Camera-space mean; the mask of lanes in front of the near plane.
 INLINE VI seen_mean(__constant struct layout_view *v, __global const float *g, struct seen *s)
 {
-    V x = LD(g, 0), y = LD(g, 1), z = LD(g, 2);
+    V x = LD(g, LAYOUT_PLANE_MEAN), y = LD(g, LAYOUT_PLANE_MEAN + 1),
+      z = LD(g, LAYOUT_PLANE_MEAN + 2);
     s->cam[0] = v->rot[0] * x + (v->rot[1] * y + (v->rot[2] * z + v->trans[0]));
     s->cam[1] = v->rot[3] * x + (v->rot[4] * y + (v->rot[5] * z + v->trans[1]));
     s->cam[2] = v->rot[6] * x + (v->rot[7] * y + (v->rot[8] * z + v->trans[2]));
@@ -132,7 +80,8 @@ INLINE VI seen_mean(__constant struct layout_view *v, __global const float *g, s
 
 INLINE void seen_rotation(__global const float *g, struct seen *s)
 {
-    V w = LD(g, 6), x = LD(g, 7), y = LD(g, 8), z = LD(g, 9);
+    V w = LD(g, LAYOUT_PLANE_QUAT), x = LD(g, LAYOUT_PLANE_QUAT + 1),
+      y = LD(g, LAYOUT_PLANE_QUAT + 2), z = LD(g, LAYOUT_PLANE_QUAT + 3);
     V len = sqrt(w * w + (x * x + (y * y + z * z)));
     len = MAX_(len, 1e-12f);
     V k = 1.0f / len;
@@ -187,7 +136,7 @@ INLINE VI seen_ellipse(__constant struct layout_view *v, __global const float *g
     }
     V p[6], smooth = (V)(1.0f);
     for (int c = 0; c < 3; c++)
-        s->scale[c] = exp(LD(g, 3 + c));
+        s->scale[c] = exp(LD(g, LAYOUT_PLANE_SCALE + c));
     if (v->smooth)
         smooth = seen_smooth(filter, s);
     for (int c = 0; c < 3; c++) {
@@ -206,7 +155,7 @@ INLINE VI seen_ellipse(__constant struct layout_view *v, __global const float *g
     s->det = s->det0 + v->kernel_px2 * ((c00 + c11) + v->kernel_px2);
     s->s00 = c00 + v->kernel_px2;
     s->s11 = c11 + v->kernel_px2;
-    s->opacity = 1.0f / (1.0f + exp(-LD(g, 10)));
+    s->opacity = 1.0f / (1.0f + exp(-LD(g, LAYOUT_PLANE_OPACITY)));
     s->rho = (V)(1.0f);
     if (v->compensate) {
         V ratio = s->det0 / s->det;
@@ -216,7 +165,7 @@ INLINE VI seen_ellipse(__constant struct layout_view *v, __global const float *g
         s->rho *= smooth;
     VI ok = (s->det > 0.0f) & (s->det < LAYOUT_DET_MAX);
 #ifndef APPEARANCE_LEN // with it, opacity is not final yet
-    ok &= s->opacity * s->rho >= (1.0f / 255.0f);
+    ok &= s->opacity * s->rho >= LAYOUT_ALPHA_MIN;
 #endif
     return ok;
 }
@@ -224,7 +173,8 @@ INLINE VI seen_ellipse(__constant struct layout_view *v, __global const float *g
 // Normalised direction from the eye to the mean; the optical axis of an orthographic view.
 INLINE void seen_direction(__constant struct layout_view *v, __global const float *g, V dir[3])
 {
-    V x = LD(g, 0) - v->eye[0], y = LD(g, 1) - v->eye[1], z = LD(g, 2) - v->eye[2];
+    V x = LD(g, LAYOUT_PLANE_MEAN) - v->eye[0], y = LD(g, LAYOUT_PLANE_MEAN + 1) - v->eye[1],
+      z = LD(g, LAYOUT_PLANE_MEAN + 2) - v->eye[2];
     V len = sqrt(x * x + (y * y + z * z));
     V k = 1.0f / MAX_(len, 1e-12f);
     dir[0] = v->orthographic ? (V)(v->rot[6]) : x * k;
@@ -234,7 +184,7 @@ INLINE void seen_direction(__constant struct layout_view *v, __global const floa
 
 // Real spherical harmonics, the signs of 3D Gaussian Splatting, up to `degree`; (degree + 1)^2
 // values.
-INLINE void sh_basis(const V dir[3], uint degree, V out[16])
+INLINE void sh_basis(const V dir[3], uint degree, V out[LAYOUT_SH_MAX])
 {
     V x = dir[0], y = dir[1], z = dir[2];
     out[0] = (V)(0.28209479177387814f);

@@ -5,8 +5,8 @@
  *   project  params -> splats, depth_key, tiles         a record, a key and a tile count each
  *   sort     depth_key -> order, slot_first             32-bit LSD radix sort over fixed chunks,
  *                                                       ties by index
- *   bin      order -> tile_start, entry_splat,          intersections of a tile in depth order
- *            entry_slot
+ *   bin      order -> tile_start, intersection_splat,   intersections of a tile in depth order
+ *            intersection_slot
  *   blend    -> color, transmit                         one work-item a tile on CPUs, one
  *                                                       work-group a tile on GPUs
  *
@@ -15,9 +15,9 @@
  *
  * Slots: Gaussian g owns slots slot_first[g] .. slot_first[g] + tiles[g] - 1, one per tile it
  * touches, in row-major order of those tiles; Gaussians are numbered in index order, so a gather
- * over Gaussians walks the slots from front to back. Backward writes what the intersection (splat, tile)
- * contributed to its slot (and a flag, since those behind the stop are never visited) and sums
- * per Gaussian in slot order.
+ * over Gaussians walks the slots from front to back. The backward pass writes what the intersection
+ * (splat, tile) contributed to its slot (and a flag, since those behind the stop are never visited)
+ * and sums per Gaussian in slot order.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -47,7 +47,7 @@ struct render {
     bool drawn;
     struct layout_view view; /* as uploaded to view_mem */
     uint32_t tiles;          /* tiles_x * tiles_y */
-    uint64_t entries;        /* (splat, tile) pairs of the frame */
+    uint64_t intersections;  /* (splat, tile) of the frame */
     cl_mem view_mem;         /* __constant struct layout_view[1] */
 
     /* per Gaussian, [groups * 16]; padding lanes have tiles 0 */
@@ -62,19 +62,20 @@ struct render {
     struct frame_buffer histogram; /* uint [digits][LAYOUT_SORT_CHUNKS] */
     cl_mem counts;                 /* struct layout_counts[1] */
 
-    /* per tile and per entry */
-    struct frame_buffer pair_tile, pair_splat,
-        pair_slot;                  /* uint [entries]: all pairs in depth order */
+    /* per tile and per intersection */
+    struct frame_buffer expanded_tile, expanded_splat,
+        expanded_slot;              /* uint [intersections]: all of them in depth order */
     struct frame_buffer bin_offset; /* uint [LAYOUT_BIN_CHUNKS][tiles rounded up to 16] */
-    /* uint [.. + 1]: entries of tile t are [start[t], start[t + 1]) */
+    /* uint [.. + 1]: intersections of tile t are [start[t], start[t + 1]) */
     struct frame_buffer tile_start;
-    struct frame_buffer entry_splat; /* uint [entries]: index of the Gaussian (and of its record) */
-    struct frame_buffer entry_slot;  /* uint [entries] */
-    struct frame_buffer hits;        /* ushort [entries]: blocks drawn into, see blend_cpu.cl */
-    struct frame_buffer tile_stop;   /* uint [tiles] */
+    /* uint [intersections]: index of the Gaussian (and of its record) */
+    struct frame_buffer intersection_splat;
+    struct frame_buffer intersection_slot; /* uint [intersections] */
+    struct frame_buffer hits;      /* ushort [intersections]: blocks drawn into, see blend_cpu.cl */
+    struct frame_buffer tile_stop; /* uint [tiles] */
 
-    struct frame_buffer slots; /* float [entries][..]: what the pairs leave for their Gaussians
-                                * in the backward pass, or in render_importance_run */
+    struct frame_buffer slots; /* float [intersections][..]: what they leave for their Gaussians in
+                                * the backward pass, or in render_importance_run */
 
     /* pictures */
     struct frame_buffer color;      /* float [3][h][w] planar, background included */
@@ -85,15 +86,14 @@ struct render {
     /* the last frame was drawn with it; NULL: plain */
     struct render_appearance_kernels *appearance;
     struct render_appearance_kernels *appearance_kernels; /* all that were made */
-    struct frame_buffer
-        render_appearance_frame;   /* float [appearance_frame_floats]: constants of the frame */
-    struct frame_buffer effective; /* float [groups * 16]: min(o + y3, 1), of the visible */
-    /* VW 1: float [groups][4][16]: dL/dy, of the visible */
-    struct frame_buffer render_appearance_grad;
-    /* float [pieces][render_appearance_row]: sums of the frame's gradients */
-    struct frame_buffer render_appearance_parts;
-    /* float [render_appearance_row]: their sum; behind them that of y3 */
-    struct frame_buffer render_appearance_sums;
+    struct frame_buffer appearance_frame; /* float [appearance_frame_floats]: its constants */
+    struct frame_buffer effective;        /* float [groups * 16]: min(o + y3, 1), of the visible */
+    /* VW 1: float [groups][LAYOUT_APPEARANCE_OUT][16]: dL/dy, of the visible */
+    struct frame_buffer y_grads;
+    /* float [pieces][LAYOUT_APPEARANCE_ROW]: sums of the frame's gradients */
+    struct frame_buffer appearance_parts;
+    /* float [LAYOUT_APPEARANCE_ROW]: their sum; behind them that of y3 */
+    struct frame_buffer appearance_sums;
 
     struct order_gpu *order_gpu; /* sort and bin on GPUs: order_gpu.c; NULL on CPUs */
 
@@ -105,7 +105,7 @@ struct render {
             bin_scan, bin_scatter, blend;
     } k;
 
-    /* -- the other direction: made by render_backward.c on first use, freed by render_close through
+    /* -- the backward pass: made by render_backward.c on first use, freed by render_close through
      *    backward_free ------------------------------------------------------------------------- */
     struct render_backward_state *backward;
     void (*backward_free)(struct render *r);
@@ -113,7 +113,8 @@ struct render {
     struct render_stats stats;
     bool timing;    /* finish the queue after every stage and fill stats.ms_*: render_set_timing */
     bool box_tiles; /* tile culling off: the ablation, and the test that culling changes nothing */
-    uint64_t entry_max; /* ERR_LIMIT above; what 32-bit slots and the device's buffers allow */
+    uint64_t
+        intersection_max; /* ERR_LIMIT above; what 32-bit slots and the device's buffers allow */
 };
 
 /* Number of work-items of a per-Gaussian kernel over `groups` groups, and the local size to launch
@@ -129,7 +130,7 @@ struct frame_arg {
 };
 #define FRAME_ARG(v)                                                                               \
     {                                                                                              \
-        sizeof v, &(v)                                                                             \
+        sizeof(v), &(v)                                                                            \
     }
 #define FRAME_ARGS(...)                                                                            \
     (const struct frame_arg[]){__VA_ARGS__},                                                       \
@@ -151,20 +152,18 @@ enum err_code render_appearance_project(struct render *r, const struct render_mo
  * point into it. */
 struct render_appearance_call {
     cl_kernel grads, step;
-    struct frame_arg args[5];
-    size_t n_grads, n_step; /* how many of them each takes */
+    struct frame_arg args[4];
+    size_t n_args;
     cl_float each;
-    cl_float2 embed;
 };
-/* embed: of adam_embed in project_backward.cl. out NULL: no sums wanted, no offset_weight.
- * ERR_DEVICE, ERR_LIMIT, ERR_MEM. */
+/* out NULL: no sums wanted, no offset_weight. ERR_DEVICE, ERR_LIMIT, ERR_MEM. */
 enum err_code render_appearance_prepare(struct render *r, const struct render_appearance_grad *out,
-                                        cl_float2 embed, struct render_appearance_call *c,
-                                        struct err *e) ERR_USE;
-/* After that kernel: embeddings, where it left them to do, in grads or (adam not NULL: Adam's k) in
- * params and moments; sums into *out when it is not NULL. ERR_DEVICE, ERR_INTERNAL. */
+                                        struct render_appearance_call *c, struct err *e) ERR_USE;
+/* After that kernel: embeddings, where it left them to do, in grads or (rates not NULL) in params
+ * and the moments of adam; sums into *out when it is not NULL. ERR_DEVICE, ERR_INTERNAL. */
 enum err_code render_appearance_finish(struct render *r, const struct render_model *m, cl_mem grads,
-                                       const struct render_adam *adam, const cl_float8 *k,
+                                       const struct render_adam *adam,
+                                       const struct layout_adam *rates,
                                        const struct render_appearance_call *c,
                                        struct render_appearance_grad *out, struct err *e) ERR_USE;
 void render_appearance_close(struct render *r);
@@ -176,7 +175,13 @@ enum err_code order_gpu_sort(struct render *r, struct err *e) ERR_USE;
 enum err_code order_gpu_bin(struct render *r, struct err *e) ERR_USE;
 void order_gpu_close(struct order_gpu **op);
 
-extern const char common_cl[]; /* first source of every program of render/ after core/layout.h */
+/* First sources of every program of render/, after core/layout.h. */
+extern const char vector_cl[], common_cl[];
+#define FRAME_SOURCES                                                                              \
+    {"core/vector.cl", vector_cl},                                                                 \
+    {                                                                                              \
+        "render/common.cl", common_cl                                                              \
+    }
 
 /* With timing on: wait, and give the milliseconds since *since_s, which moves on. ERR_DEVICE. */
 enum err_code frame_clock(struct render *r, double *since_s, double *ms, struct err *e) ERR_USE;

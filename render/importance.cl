@@ -1,11 +1,12 @@
 // Stage: importance of splats in a frame, for density control. Compiled after blend_cpu.cl and
 // blend_backward.cl on CPUs, whose masks and sums it shares. Replays the blending of the last frame
 // and adds up, for every Gaussian, over the pixels it was blended into:
-//   in   splats, tile_start, entry_splat, entry_slot, slot_first, tiles_of, depth_key: the frame
-//        weight [h][w]: what a pixel counts
-//   out  slots [entries][4] (cleared by the host): weight, 1, alpha T, distance of the pixel from
-//   the mean
-//        sums [n][8]: those four, then depth in m, half-size in px, 0, 0; all 0 where invisible
+//   in   splats, tile_start, intersection_splat, intersection_slot, slot_first, tiles_of, depth_key:
+//        the frame; weight [h][w]: what a pixel counts
+//   out  slots [intersections][LAYOUT_IMPORTANCE_SLOT] (cleared by the host): weight, 1, alpha T,
+//        distance of the pixel from the mean
+//        sums [n][LAYOUT_IMPORTANCE_SUMS]: those four, then depth in m, half-size in px, 0, 0; all 0
+//        where invisible
 // One writer a slot, fixed order: same input, same bits. The sums are those of Taming 3DGS, Mallick
 // et al. 2024.
 
@@ -32,41 +33,41 @@ inline uint importance_active(const struct importance_state *s, uint active)
     for (uint left = active; left;) {
         uint k = 31 - clz(left);
         left ^= 1u << k;
-        if (!(blend_max(s->t[k]) > T_STOP))
+        if (!(blend_max(s->t[k]) > LAYOUT_TRANSMITTANCE_MIN))
             active ^= 1u << k;
     }
     return active;
 }
 
-inline void importance_entry(struct importance_state *s, const float *rec, float x0, float y0,
+inline void importance_splat(struct importance_state *s, const float *w, float x0, float y0,
                              uint blocks, __global float *slot)
 {
     float16 weight = 0.0f, count = 0.0f, shares = 0.0f, dist = 0.0f;
-    float mx = rec[MEAN_X] - x0, my = rec[MEAN_Y] - y0;
+    struct record e = record_of(w, x0, y0);
     while (blocks) {
         uint k = 31 - clz(blocks);
         blocks ^= 1u << k;
-        float16 dx = block_dx(mx, k), dy = block_dy(my, k);
-        float16 raw = splat_raw(dx, dy, rec[P], rec[X_OF_Y], rec[R], rec[OPACITY_LOG2]),
-                t = s->t[k];
-        int16 hit = (t > T_STOP) & (raw > 0.0f);
+        float16 dx = block_dx(e.mx, k), dy = block_dy(e.my, k);
+        float16 raw = splat_raw(dx, dy, e.p, e.x_of_y, e.r, e.opacity_log2), t = s->t[k];
+        int16 hit = (t > LAYOUT_TRANSMITTANCE_MIN) & (raw > 0.0f);
         float16 one = hit ? (float16)(1.0f) : (float16)(0.0f);
-        float16 share = one * MIN_(raw, ALPHA_MAX) * t;
+        float16 share = one * MIN_(raw, LAYOUT_ALPHA_MAX) * t;
         s->t[k] = t - share;
         weight += one * s->weight[k];
         count += one;
         shares += share;
         dist += one * sqrt(dx * dx + dy * dy);
     }
-    float16 pairs = fold_4(fold_8(weight, count), fold_8(shares, dist));
-    pairs = fold_2(pairs, pairs);
-    vstore4(fold_1(pairs, pairs).s0123, 0, slot);
+    float16 sums = fold_4(fold_8(weight, count), fold_8(shares, dist));
+    sums = fold_2(sums, sums);
+    vstore4(fold_1(sums, sums).s0123, 0, slot);
 }
 
 __kernel void importance_tiles(__constant struct layout_view *view,
                                __global const struct layout_splat *splats,
-                               __global const uint *tile_start, __global const uint *entry_splat,
-                               __global const uint *entry_slot, __global const float *weight,
+                               __global const uint *tile_start,
+                               __global const uint *intersection_splat,
+                               __global const uint *intersection_slot, __global const float *weight,
                                __global float *slots)
 {
     uint tile = (uint)get_global_id(0);
@@ -75,25 +76,26 @@ __kernel void importance_tiles(__constant struct layout_view *view,
     uint px = (tile % view->tiles_x) * LAYOUT_TILE, py = (tile / view->tiles_x) * LAYOUT_TILE;
     float x0 = (float)px + 0.5f, y0 = (float)py + 0.5f;
     uint at = tile_start[tile], end = tile_start[tile + 1];
-    float staged[BATCH * 16];
+    float staged[BATCH * LAYOUT_SPLAT_WORDS];
     uint mask[BATCH];
     struct importance_state s;
     importance_load(&s, view, weight, px, py);
     uint active = importance_active(&s, 0xFFFF);
-    for (uint j = 0; j < BATCH * 16; j += 16)
+    for (uint j = 0; j < BATCH * LAYOUT_SPLAT_WORDS; j += 16)
         vstore16((float16)(0.0f), 0, staged + j);
     while (at < end && active) {
         uint n = min(end - at, (uint)BATCH);
         for (uint j = 0; j < n; j++)
-            LAYOUT_WIDE(__private, float, staged + 16 * j) =
-                LAYOUT_WIDE(const __global, float, splats + entry_splat[at + j]);
+            LAYOUT_WIDE(__private, float, staged + LAYOUT_SPLAT_WORDS * j) =
+                LAYOUT_WIDE(const __global, float, splats + intersection_splat[at + j]);
         for (uint j = 0; j < n; j += 16)
-            blend_masks(staged + 16 * j, x0, y0, view->tile_cull, mask + j);
+            blend_masks(staged + LAYOUT_SPLAT_WORDS * j, x0, y0, view->tile_cull, mask + j);
         for (uint j = 0; j < n && active; j++) {
             uint blocks = mask[j] & active;
             if (blocks)
-                importance_entry(&s, staged + 16 * j, x0, y0, blocks,
-                                 slots + 4 * (size_t)entry_slot[at + j]);
+                importance_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, blocks,
+                                 slots +
+                                     LAYOUT_IMPORTANCE_SLOT * (size_t)intersection_slot[at + j]);
             if (j % CHECK_EVERY == CHECK_EVERY - 1)
                 active = importance_active(&s, active);
         }
@@ -103,12 +105,12 @@ __kernel void importance_tiles(__constant struct layout_view *view,
 
 #else
 
-// GPU shape: one work-group is one tile, one work-item one pixel; an entry is summed by a tree of
-// fixed shape.
-__kernel __attribute__((reqd_work_group_size(LAYOUT_TILE * LAYOUT_TILE, 1, 1))) void
+// GPU shape: one work-group is one tile, one work-item one pixel; an intersection is summed by a
+// tree of fixed shape.
+__kernel __attribute__((reqd_work_group_size(LAYOUT_TILE_PIXELS, 1, 1))) void
 importance_tiles(__constant struct layout_view *v, __global const struct layout_splat *splats,
-                 __global const uint *tile_start, __global const uint *entry_splat,
-                 __global const uint *entry_slot, __global const float *weight,
+                 __global const uint *tile_start, __global const uint *intersection_splat,
+                 __global const uint *intersection_slot, __global const float *weight,
                  __global float *slots)
 {
     uint tile = get_group_id(0), lane = get_local_id(0);
@@ -117,22 +119,22 @@ importance_tiles(__constant struct layout_view *v, __global const struct layout_
     int in = tile < v->tiles_x * v->tiles_y && x < v->width && y < v->height;
     float t = in ? 1.0f : 0.0f, own = in ? weight[(size_t)y * v->width + x] : 0.0f;
     uint begin = tile_start[tile], end = tile_start[tile + 1];
-    __local float4 part[LAYOUT_TILE * LAYOUT_TILE];
+    __local float4 part[LAYOUT_TILE_PIXELS];
     for (uint at = begin; at < end; at++) {
-        __global const struct layout_splat *e = splats + entry_splat[at];
+        __global const struct layout_splat *e = splats + intersection_splat[at];
         float dx = e->mean_x - (float)x - 0.5f, dy = e->mean_y - (float)y - 0.5f;
         float raw = splat_raw(dx, dy, e->p, e->x_of_y, e->r, e->opacity_log2);
-        float alpha = MIN_(raw, ALPHA_MAX);
-        int hit = t > T_STOP && raw > 0.0f;
+        float alpha = MIN_(raw, LAYOUT_ALPHA_MAX);
+        int hit = t > LAYOUT_TRANSMITTANCE_MIN && raw > 0.0f;
         part[lane] = hit ? (float4)(own, 1.0f, alpha * t, sqrt(dx * dx + dy * dy)) : (float4)(0.0f);
         t = hit ? t - alpha * t : t;
-        for (uint half_n = LAYOUT_TILE * LAYOUT_TILE / 2; half_n; half_n /= 2) {
+        for (uint half_n = LAYOUT_TILE_PIXELS / 2; half_n; half_n /= 2) {
             barrier(CLK_LOCAL_MEM_FENCE);
             if (lane < half_n)
                 part[lane] += part[lane + half_n];
         }
         if (lane == 0)
-            vstore4(part[0], 0, slots + 4 * (size_t)entry_slot[at]);
+            vstore4(part[0], 0, slots + LAYOUT_IMPORTANCE_SLOT * (size_t)intersection_slot[at]);
         barrier(CLK_LOCAL_MEM_FENCE);
     }
 }
@@ -144,7 +146,7 @@ inline float importance_radius(const struct layout_splat *e)
 {
     float s11 = 0.5f * LOG2E / (e->r * e->r);
     float s00 = 0.5f * LOG2E / (e->p * e->p) + e->x_of_y * e->x_of_y * s11;
-    float reach = 2.0f * (e->opacity_log2 - ALPHA_MIN_LOG2) / LOG2E;
+    float reach = 2.0f * (e->opacity_log2 - LAYOUT_ALPHA_MIN_LOG2) / LOG2E;
     reach = MIN_(reach, LAYOUT_EXTENT_MAX * LAYOUT_EXTENT_MAX);
     float largest = MAX_(s00, s11);
     return reach > 0.0f ? sqrt(reach * largest) : 0.0f;

@@ -1,8 +1,8 @@
 /* Sort and tile lists on GPUs: the launches of order_gpu.cl.
  *
- * Depth order ends in ids[0] and the lists in tile_start, entry_splat and entry_slot, as sort.cl
- * and bin.cl leave them; keys[0] holds depth keys here instead of tile counts, which nobody reads
- * after this. The state belongs to struct render and grows with it. Passes over pairs stop at the
+ * Depth order ends in ids[0] and the lists in tile_start, intersection_splat and
+ * intersection_slot, as sort.cl and bin.cl leave them; keys[0] holds depth keys here instead of tile counts, which nobody reads
+ * after this. The state belongs to struct render and grows with it. Passes over tiles stop at the
  * highest bit of a tile's number.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -21,11 +21,12 @@ static_assert(DEPTH_PASSES % 2 == 1, "the last pass writes ids[0]");
 struct order_gpu {
     struct dev *dev; /* borrowed */
     cl_program program;
-    cl_kernel sum_blocks, sum_scan, sum_apply, radix_count, radix_scatter, bin_pairs, bin_gather;
-    struct frame_buffer sums;    /* uint [blocks], [digits][blocks] */
-    struct frame_buffer first;   /* uint [lanes]: pairs before a splat, in depth order */
-    struct frame_buffer tile;    /* uint [entries]: the other side of pair_tile */
-    struct frame_buffer pair[2]; /* uint [entries]: pairs in the order of tiles */
+    cl_kernel sum_blocks, sum_scan, sum_apply, radix_count, radix_scatter, bin_expand, bin_gather;
+    struct frame_buffer sums;  /* uint [blocks], [digits][blocks] */
+    struct frame_buffer first; /* uint [lanes]: intersections before a splat, in depth order */
+    struct frame_buffer tile;  /* uint [intersections]: the other side of expanded_tile */
+    /* uint [intersections]: in the order of tiles, which of the expanded ones it is */
+    struct frame_buffer expanded_at[2];
 };
 
 static size_t order_blocks(uint64_t n)
@@ -46,7 +47,7 @@ enum err_code order_gpu_open(struct dev *dev, struct order_gpu **out, struct err
         cl_kernel *to;
     } kernels[] = {{"sum_blocks", &o->sum_blocks},       {"sum_scan", &o->sum_scan},
                    {"sum_apply", &o->sum_apply},         {"radix_count", &o->radix_count},
-                   {"radix_scatter", &o->radix_scatter}, {"bin_pairs", &o->bin_pairs},
+                   {"radix_scatter", &o->radix_scatter}, {"bin_expand", &o->bin_expand},
                    {"bin_gather", &o->bin_gather}};
     enum err_code rc = dev_build(dev, &source, 1, NULL, &o->program, e);
     for (size_t i = 0; !rc && i < sizeof kernels / sizeof *kernels; i++)
@@ -63,9 +64,10 @@ void order_gpu_close(struct order_gpu **op)
     struct order_gpu *o = *op;
     if (!o)
         return;
-    cl_kernel kernels[] = {o->sum_blocks,    o->sum_scan,  o->sum_apply, o->radix_count,
-                           o->radix_scatter, o->bin_pairs, o->bin_gather};
-    struct frame_buffer *buffers[] = {&o->sums, &o->first, &o->tile, &o->pair[0], &o->pair[1]};
+    cl_kernel kernels[] = {o->sum_blocks,    o->sum_scan,   o->sum_apply, o->radix_count,
+                           o->radix_scatter, o->bin_expand, o->bin_gather};
+    struct frame_buffer *buffers[] = {&o->sums, &o->first, &o->tile, &o->expanded_at[0],
+                                      &o->expanded_at[1]};
     for (size_t i = 0; i < sizeof kernels / sizeof *kernels; i++)
         if (kernels[i])
             clReleaseKernel(kernels[i]);
@@ -98,7 +100,7 @@ static enum err_code order_sums(struct render *r, cl_uint ordered, cl_mem out, s
                                             FRAME_ARG(o->sums.mem)),
                                  items, LAYOUT_ORDER_ITEMS, e);
     if (!rc)
-        rc = order_scan(r, blocks, ordered ? 0 : LAYOUT_TOTAL_ENTRIES, e);
+        rc = order_scan(r, blocks, ordered ? 0 : LAYOUT_TOTAL_INTERSECTIONS, e);
     if (!rc)
         rc = frame_run(r, o->sum_apply, "sum_apply",
                        FRAME_ARGS(FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->ids[0].mem),
@@ -164,8 +166,8 @@ enum err_code order_gpu_sort(struct render *r, struct err *e)
 enum err_code order_gpu_bin(struct render *r, struct err *e)
 {
     struct order_gpu *o = r->order_gpu;
-    cl_uint n = (cl_uint)r->entries, tiles = r->tiles, last = 0;
-    struct frame_buffer *lists[] = {&o->tile, &o->pair[0], &o->pair[1]};
+    cl_uint n = (cl_uint)r->intersections, tiles = r->tiles, last = 0;
+    struct frame_buffer *lists[] = {&o->tile, &o->expanded_at[0], &o->expanded_at[1]};
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < sizeof lists / sizeof *lists; i++)
         rc = frame_reserve(r, lists[i], (size_t)n * sizeof(cl_uint), e);
@@ -175,32 +177,33 @@ enum err_code order_gpu_bin(struct render *r, struct err *e)
         rc =
             frame_reserve(r, &o->sums, (order_blocks(n) << LAYOUT_ORDER_BITS) * sizeof(cl_uint), e);
     if (!rc)
-        rc = frame_run(r, o->bin_pairs, "bin_pairs",
+        rc = frame_run(r, o->bin_expand, "bin_expand",
                        FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->ids[0].mem),
                                   FRAME_ARG(r->splats.mem), FRAME_ARG(r->slot_first.mem),
                                   FRAME_ARG(r->counts), FRAME_ARG(o->first.mem), FRAME_ARG(n),
-                                  FRAME_ARG(r->pair_tile.mem), FRAME_ARG(r->pair_splat.mem),
-                                  FRAME_ARG(r->pair_slot.mem)),
+                                  FRAME_ARG(r->expanded_tile.mem), FRAME_ARG(r->expanded_splat.mem),
+                                  FRAME_ARG(r->expanded_slot.mem)),
                        r->view.n, 64, e);
-    cl_mem keys[2] = {o->tile.mem, r->pair_tile.mem};
+    cl_mem keys[2] = {o->tile.mem, r->expanded_tile.mem};
     for (cl_uint pass = 0; !rc && (pass == 0 || (tiles - 1) >> (pass * LAYOUT_ORDER_BITS));
          pass++) {
         struct order_pass p = {.first = pass == 0,
                                .n = n,
                                .shift = pass * LAYOUT_ORDER_BITS,
                                .keys = keys[(pass + 1) % 2],
-                               .ids = o->pair[(pass + 1) % 2].mem,
+                               .ids = o->expanded_at[(pass + 1) % 2].mem,
                                .keys_out = keys[pass % 2],
-                               .ids_out = o->pair[pass % 2].mem};
+                               .ids_out = o->expanded_at[pass % 2].mem};
         rc = order_pass(r, &p, e);
         last = pass % 2;
     }
     if (!rc)
-        rc = frame_run(r, o->bin_gather, "bin_gather",
-                       FRAME_ARGS(FRAME_ARG(n), FRAME_ARG(tiles), FRAME_ARG(keys[last]),
-                                  FRAME_ARG(o->pair[last].mem), FRAME_ARG(r->pair_splat.mem),
-                                  FRAME_ARG(r->pair_slot.mem), FRAME_ARG(r->tile_start.mem),
-                                  FRAME_ARG(r->entry_splat.mem), FRAME_ARG(r->entry_slot.mem)),
-                       n ? n : 1, 64, e);
+        rc = frame_run(
+            r, o->bin_gather, "bin_gather",
+            FRAME_ARGS(FRAME_ARG(n), FRAME_ARG(tiles), FRAME_ARG(keys[last]),
+                       FRAME_ARG(o->expanded_at[last].mem), FRAME_ARG(r->expanded_splat.mem),
+                       FRAME_ARG(r->expanded_slot.mem), FRAME_ARG(r->tile_start.mem),
+                       FRAME_ARG(r->intersection_splat.mem), FRAME_ARG(r->intersection_slot.mem)),
+            n ? n : 1, 64, e);
     return rc;
 }

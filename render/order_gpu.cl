@@ -1,8 +1,8 @@
 // Stages sort and bin, GPU shape: what sort.cl and bin.cl give, bit for bit, made by thousands of
 // work-items.
-//   sort: sums of tiles_of -> slot_first, entries; stable radix passes over the depth keys -> ids
-//   bin:  sums of tiles_of in depth order -> first; pairs of splat and tile from there on; stable
-//         radix passes over their tiles; gather -> tile_start, entry_splat, entry_slot
+//   sort: sums of tiles_of -> slot_first, intersections; stable radix passes over the depth keys -> ids
+//   bin:  sums of tiles_of in depth order -> first; intersections from there on; stable radix
+//         passes over their tiles; gather -> tile_start, intersection_splat, intersection_slot
 // A work-group takes a block of LAYOUT_ORDER_BLOCK values, an item EACH values in a row of it, so
 // that the order of equal keys is that of the items and no atomics are needed (Satish, Harris and
 // Garland 2009, with digits of 5 bits). Sums are of integers: how they are cut does not show.
@@ -76,8 +76,8 @@ __kernel GROUP void sum_scan(uint n, uint total_is, __global uint *sums,
             part[i] = sum;
             sum += here;
         }
-        if (total_is == LAYOUT_TOTAL_ENTRIES)
-            counts->entries = sum;
+        if (total_is == LAYOUT_TOTAL_INTERSECTIONS)
+            counts->intersections = sum;
         if (total_is == LAYOUT_TOTAL_VISIBLE)
             counts->visible = (uint)sum;
     }
@@ -90,7 +90,8 @@ __kernel GROUP void sum_scan(uint n, uint total_is, __global uint *sums,
     }
 }
 
-// out [i]: the sum of all values before i. Beyond 32 bits it is garbage, and `entries` tells.
+// out [i]: the sum of all values before i. Beyond 32 bits it is garbage, and
+// counts->intersections tells.
 __kernel GROUP void sum_apply(__global const uint *values, __global const uint *order, uint ordered,
                               uint n, __global const struct layout_counts *counts,
                               __global const uint *sums, __global uint *out)
@@ -165,13 +166,14 @@ __kernel GROUP void radix_scatter(__global const uint *keys, __global const uint
     }
 }
 
-// One work-item, one splat in depth order: its pairs with tiles, from first[i] on. `cap` is the
-// room for pairs; nothing is written beyond.
-__kernel void bin_pairs(__constant struct layout_view *view, __global const uint *order,
-                        __global const struct layout_splat *splats, __global const uint *slot_first,
-                        __global const struct layout_counts *counts, __global const uint *first,
-                        uint cap, __global uint *pair_tile, __global uint *pair_splat,
-                        __global uint *pair_slot)
+// One work-item, one splat in depth order: its intersections, from first[i] on. `cap` is the room for
+// them; nothing is written beyond.
+__kernel void bin_expand(__constant struct layout_view *view, __global const uint *order,
+                         __global const struct layout_splat *splats,
+                         __global const uint *slot_first,
+                         __global const struct layout_counts *counts, __global const uint *first,
+                         uint cap, __global uint *expanded_tile, __global uint *expanded_splat,
+                         __global uint *expanded_slot)
 {
     uint i = (uint)get_global_id(0), tiles_x = view->tiles_x;
     if (i >= counts->visible)
@@ -182,23 +184,23 @@ __kernel void bin_pairs(__constant struct layout_view *view, __global const uint
     uint rows = ((cover >> 20) & 1023) + 1, shift = cover >> 30;
     uint step = rows <= LAYOUT_BANDS ? 1 : (rows + LAYOUT_BANDS - 1) / LAYOUT_BANDS;
     for (uint row = 0; row < rows; row++) {
-        uint band = row / step, pair = (s->bands[band >> 1] >> (16 * (band & 1))) & 0xFFFF;
-        uint from = pair & 255, last = pair >> 8, left = col0 + (from << shift);
+        uint band = row / step, columns = (s->bands[band >> 1] >> (16 * (band & 1))) & 0xFFFF;
+        uint from = columns & 255, last = columns >> 8, left = col0 + (from << shift);
         uint n = from <= last ? min(col0 + ((last + 1) << shift), tiles_x) - left : 0;
         for (uint j = 0; j < n && k < cap; j++, k++) {
-            pair_tile[k] = (row0 + row) * tiles_x + left + j;
-            pair_splat[k] = id;
-            pair_slot[k] = slot++;
+            expanded_tile[k] = (row0 + row) * tiles_x + left + j;
+            expanded_splat[k] = id;
+            expanded_slot[k] = slot++;
         }
     }
 }
 
-// One work-item, one pair in the order of tiles: its entry; where a tile begins, the starts of it
-// and of the empty ones before.
+// One work-item, one intersection in the order of tiles; where a tile begins, the starts of it and
+// of the empty ones before.
 __kernel void bin_gather(uint n, uint tiles, __global const uint *tile_of,
-                         __global const uint *pair_of, __global const uint *pair_splat,
-                         __global const uint *pair_slot, __global uint *tile_start,
-                         __global uint *entry_splat, __global uint *entry_slot)
+                         __global const uint *expanded_at, __global const uint *expanded_splat,
+                         __global const uint *expanded_slot, __global uint *tile_start,
+                         __global uint *intersection_splat, __global uint *intersection_slot)
 {
     uint i = (uint)get_global_id(0);
     if (i >= max(n, 1u))
@@ -210,8 +212,8 @@ __kernel void bin_gather(uint n, uint tiles, __global const uint *tile_of,
         for (uint t = to; t <= tiles; t++)
             tile_start[t] = n;
     if (i < n) {
-        uint k = pair_of[i];
-        entry_splat[i] = pair_splat[k];
-        entry_slot[i] = pair_slot[k];
+        uint k = expanded_at[i];
+        intersection_splat[i] = expanded_splat[k];
+        intersection_slot[i] = expanded_slot[k];
     }
 }

@@ -9,10 +9,10 @@
  * where a camera, options or a model do not fit.
  *
  * The stages of a frame: project (cull, conic, SH colour, tile rows) -> sort visible splats by
- * depth -> tile lists -> blend, front to back, one work-item per 16x16 tile. Backwards: blend
- * backward writes one slot per (splat, tile) -> gather per Gaussian in fixed order -> projection
- * backward, optionally fused with Adam. No float atomics anywhere: same input, same bits, any
- * number of threads.
+ * depth -> tile lists -> blend, front to back, one work-item per 16x16 tile. The backward pass:
+ * blend backward writes one slot per intersection (splat, tile) -> gather per Gaussian in fixed
+ * order -> projection backward, optionally fused with Adam. No float atomics anywhere: same input,
+ * same bits, any number of threads.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -22,6 +22,7 @@
 #include "core/camera.h"
 #include "core/dev.h"
 #include "core/gauss.h"
+#include "core/layout.h"
 
 enum render_aa {
     RENDER_AA_NONE, /* classic 3DGS: +0.3 px^2 without compensation */
@@ -36,8 +37,8 @@ struct render_options {
     double near_m;       /* 0: 0.2 m */
     int sh_degree;       /* highest degree evaluated; -1: all that the model has */
     /* Rays are parallel to the optical axis: the camera's fx_px and fy_px are pixels a metre, and
-     * its centre is any point on the axis with all that is to be seen in front of it. There is no
-     * way back through such a frame (ERR_ARG). */
+     * its centre is any point on the axis with all that is to be seen in front of it. Such a frame
+     * has no backward pass (ERR_ARG). */
     bool orthographic;
     /* Appearance, see core/appearance.h: constants made by appearance_frame() for embeddings of the
      * model's length and this many hidden units; copied. NULL: plain spherical harmonics. The first
@@ -47,25 +48,11 @@ struct render_options {
 };
 
 #define RENDER_NEAR_M 0.2
-#define RENDER_ALPHA_MAX 0.99f
-#define RENDER_ALPHA_MIN (1.0f / 255.0f)
-#define RENDER_T_STOP 1e-4f
-enum { RENDER_TILE = 16, RENDER_LANES = 16 /* Gaussians a group, see below */ };
 
-/* Parameters of one Gaussian as planes of the device layout (AoSoA-16): mean 0-2, scale_log 3-5,
- * quat_wxyz 6-9, opacity_logit 10, then sh coefficient-major (11 + 3 k + channel), then the
- * appearance embedding, if any.
- * Value of plane p of Gaussian i: params[((i / 16) * planes + p) * 16 + i % 16]. */
-enum {
-    RENDER_PLANE_MEAN = 0,
-    RENDER_PLANE_SCALE = 3,
-    RENDER_PLANE_QUAT = 6,
-    RENDER_PLANE_OPACITY = 10,
-    RENDER_PLANE_SH = 11
-};
+/* Planes of the parameters of a group of Gaussians, see LAYOUT_PLANE_MEAN in core/layout.h. */
 static inline uint32_t render_planes(uint32_t sh_degree)
 {
-    return 11 + 3 * (sh_degree + 1) * (sh_degree + 1);
+    return LAYOUT_PLANE_SH + 3 * (sh_degree + 1) * (sh_degree + 1);
 }
 /* The same with embeddings behind: they start at plane render_planes(sh_degree). */
 static inline uint32_t render_planes_embed(uint32_t sh_degree, uint32_t embed_len)
@@ -74,6 +61,7 @@ static inline uint32_t render_planes_embed(uint32_t sh_degree, uint32_t embed_le
 }
 
 struct render; /* compiled kernels and per-frame buffers of one device; one caller at a time */
+/* Compile the kernels. dev is borrowed and outlives *out; render_close it. ERR_DEVICE, ERR_MEM. */
 enum err_code render_open(struct dev *dev, struct render **out, struct err *e) ERR_USE;
 void render_close(struct render **r);
 
@@ -89,15 +77,16 @@ struct render_model {
     uint32_t n, cap, groups, planes, sh_degree, embed_len;
     double origin_enu_m[3]; /* means on the device are relative to this */
 };
-/* Upload g (its origin is kept). render_model_free it. */
+/* Upload g (its origin is kept). render_model_free it. ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
 enum err_code render_model_upload(struct render *r, const struct gauss *g, struct render_model *out,
                                   struct err *e) ERR_USE;
-/* Put g's rows at row `first`, a multiple of RENDER_LANES, of a model with room for them, g's
- * degree and length of embeddings, and the same origin. Lanes behind the last row become 0. */
+/* Put g's rows at row `first`, a multiple of LAYOUT_LANES, of a model with room for them, g's
+ * degree and length of embeddings, and the same origin. Lanes behind the last row become 0.
+ * ERR_MEM, ERR_DEVICE. */
 enum err_code render_model_write(struct render *r, struct render_model *m, size_t first,
                                  const struct gauss *g, struct err *e) ERR_USE;
 /* Download into g (gauss_alloc'ed by the callee if cap is 0, else its degree must be the model's;
- * embeddings are left alone when its length differs). */
+ * embeddings are left alone when its length differs). ERR_ARG (degree), ERR_MEM, ERR_DEVICE. */
 enum err_code render_model_download(struct render *r, const struct render_model *m, struct gauss *g,
                                     struct err *e) ERR_USE;
 void render_model_free(struct render_model *m);
@@ -112,29 +101,31 @@ struct render_piece {
 };
 static inline uint32_t render_piece_groups(size_t n_gaussians)
 {
-    return (uint32_t)((n_gaussians + RENDER_LANES - 1) / RENDER_LANES);
+    return (uint32_t)((n_gaussians + LAYOUT_LANES - 1) / LAYOUT_LANES);
 }
-/* out: render_piece_groups(g->n) * render_planes_embed(...) * RENDER_LANES floats. */
+/* out: render_piece_groups(g->n) * render_planes_embed(...) * LAYOUT_LANES floats. */
 void render_piece_pack(const struct gauss *g, const double origin_enu_m[3], float *out);
 /* Room for n_groups in m. The caller has set sh_degree, embed_len and origin_enu_m; {0} besides
  * these is a model without memory. *kept: false when it had to grow, by a quarter more than asked
  * for at least; what was placed before is lost then. render_model_capacity says how much there is.
- */
+ * ERR_MEM, ERR_LIMIT. */
 enum err_code render_model_reserve(struct render *r, struct render_model *m, size_t n_groups,
                                    bool *kept, struct err *e) ERR_USE;
 static inline uint32_t render_model_capacity(const struct render_model *m)
 {
-    return m->cap / RENDER_LANES;
+    return m->cap / LAYOUT_LANES;
 }
+/* Copy pieces to their places, which have been reserved. ERR_DEVICE. */
 enum err_code render_model_place(struct render *r, const struct render_piece *pieces,
                                  size_t n_pieces, struct render_model *m, struct err *e) ERR_USE;
-/* Draw these groups of params, in this order; NULL: the first n of them. */
+/* Draw these groups of params, in this order; NULL: the first n of them. ERR_MEM, ERR_LIMIT,
+ * ERR_DEVICE. */
 enum err_code render_model_list(struct render *r, const uint32_t *groups, size_t n,
                                 struct render_model *m, struct err *e) ERR_USE;
 
-struct render_stats { /* of the last frame */
-    uint32_t visible; /* splats that passed the cull */
-    uint64_t entries; /* (splat, tile) pairs */
+struct render_stats {       /* of the last frame */
+    uint32_t visible;       /* splats that passed the cull */
+    uint64_t intersections; /* of splats with the tiles they touch */
     double ms_project, ms_sort, ms_bin, ms_blend,
         ms_total;                                  /* filled when timing is on, else only total */
     double ms_blend_backward, ms_project_backward; /* of render_backward_step, with timing on */
@@ -142,7 +133,9 @@ struct render_stats { /* of the last frame */
 
 /* Draw. rgb (may be NULL): [h][w][3] float, 0..1 not clamped above; transmittance (may be NULL):
  * [h][w]. The camera's ENU pose is combined with the model's origin in double. The frame stays on
- * the device for render_backward. Method: EWA projection, exact tile culling, inclusive stop. */
+ * the device for render_backward. Method: EWA projection, exact tile culling, inclusive stop.
+ * ERR_ARG (camera, appearance), ERR_LIMIT (more intersections than the device holds), ERR_MEM,
+ * ERR_DEVICE. */
 enum err_code render_forward(struct render *r, const struct render_model *m,
                              const struct camera *cam, const struct render_options *o, float *rgb,
                              float *transmittance, struct err *e) ERR_USE;
@@ -158,11 +151,13 @@ cl_mem render_color_buffer(struct render *r);
  * render_color_buffer; borrowed, filled by the loss (or by render_set_color_grad). Ask after each
  * frame. NULL when no frame was drawn or memory is out. */
 cl_mem render_color_grad_buffer(struct render *r);
+/* The same from the host. ERR_ARG (no frame was drawn), ERR_MEM, ERR_DEVICE. */
 enum err_code render_set_color_grad(struct render *r, const float *rgb_grad /*[h][w][3]*/,
                                     struct err *e) ERR_USE;
 /* Gradients of the last frame into `grads`: float [groups][planes][16], raw parameters (before
  * activation); every plane of every Gaussian is written (0 where invisible, and the embedding's 0
- * after a frame without appearance). */
+ * after a frame without appearance). ERR_ARG (no frame of m was drawn, or one without a backward
+ * pass; dL/dcolour is missing), ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
 enum err_code render_backward(struct render *r, const struct render_model *m, cl_mem grads,
                               struct err *e) ERR_USE;
 
@@ -194,9 +189,9 @@ struct render_adam {
     float lr_embed;
     uint32_t embed_step;
     struct render_appearance_grad *appearance;
-    cl_mem extra_grad; /* may be NULL: float [groups][11][16], added to the gradients of planes 0-10
-                        * of every Gaussian, seen or not (regularizers) */
-    bool extra_sizes;  /* it is float [groups][3][16], for planes 3-5 alone */
+    cl_mem extra_grad; /* may be NULL: float [groups][LAYOUT_PLANES_GEOMETRY][16], added to the
+                        * gradients of these planes of every Gaussian, seen or not (regularizers) */
+    bool extra_sizes;  /* it is float [groups][LAYOUT_PLANES_SCALE][16], of the scales alone */
 };
 /* Per-Gaussian densification statistics, accumulated by render_backward_step:
  *   grad   float [cap]  sum of ||(0.5 W g_u, 0.5 H g_v)||        (positional gradient, NDC units)
@@ -214,7 +209,8 @@ struct render_density_stats {
  * Gaussians that were not seen move on with gradient 0, as Adam has it. SH above the degree of the
  * frame is left alone. A Gaussian whose gradient is not finite is left as it is, a quaternion
  * shorter than 1e-6 or not finite becomes the identity with zero moments; both are counted in
- * `repaired`. Draw again before the next call. */
+ * `repaired`. Draw again before the next call. ERR_ARG (as render_backward; numbers of Adam out of
+ * range), ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
 enum err_code render_backward_step(struct render *r, struct render_model *m,
                                    struct render_adam *adam, struct render_density_stats *stats,
                                    struct err *e) ERR_USE;
@@ -223,13 +219,14 @@ enum err_code render_backward_step(struct render *r, struct render_model *m,
 
 /* compiled kernels and buffers; borrows the renderer; one caller at a time */
 struct render_importance;
+/* ERR_MEM, ERR_DEVICE. */
 enum err_code render_importance_open(struct render *r, struct render_importance **out,
                                      struct err *e) ERR_USE;
 void render_importance_close(struct render_importance **s); /* before render_close */
 /* Sums over the pixels that a Gaussian was blended into in the last frame of m. weight: float
- * [h][w] on the device, what each pixel counts. *sums: float [n][8], until the next call and
- * render_importance_close: sum of weight, number of pixels, sum of alpha T, sum of distances pixel -
- * mean in px, depth in m, half-size in px, 0, 0; all 0 where invisible. */
+ * [h][w] on the device, what each pixel counts. *sums: float [n][LAYOUT_IMPORTANCE_SUMS], see
+ * core/layout.h, until the next call and render_importance_close; all 0 where invisible. ERR_ARG (no
+ * frame of m was drawn), ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
 enum err_code render_importance_run(struct render_importance *s, const struct render_model *m,
                                     cl_mem weight, const float **sums, struct err *e) ERR_USE;
 /* Give back the sums and the memory they took, 32 bytes a Gaussian. */
@@ -239,6 +236,7 @@ void render_importance_forget(struct render_importance *s);
 
 /* a compiled kernel and its maps; borrows the renderer; one caller at a time */
 struct render_surface;
+/* ERR_MEM, ERR_DEVICE. */
 enum err_code render_surface_open(struct render *r, struct render_surface **out,
                                   struct err *e) ERR_USE;
 void render_surface_close(struct render_surface **s); /* before render_close */
@@ -250,14 +248,15 @@ struct render_surface_maps {
     float *front;    /* sum alpha T of what is nearer than limit_m */
     float *transmittance; /* what is left behind the last Gaussian */
 };
-/* limit_m [h][w], NULL: front is 0. ERR_ARG when no frame was drawn. */
+/* limit_m [h][w], NULL: front is 0. ERR_ARG when no frame was drawn; ERR_MEM, ERR_LIMIT,
+ * ERR_DEVICE. */
 enum err_code render_surface_run(struct render_surface *s, const float *limit_m,
                                  const struct render_surface_maps *out, struct err *e) ERR_USE;
 
 /* ---- the reference, double precision: see render_ref.c ---- */
 
 /* Brute force, per pixel over all splats in depth order. rgb [h][w][3], transmittance [h][w] or
- * NULL. */
+ * NULL. ERR_ARG, ERR_MEM. */
 enum err_code render_ref_forward(const struct gauss *g, const struct camera *cam,
                                  const struct render_options *o, double *rgb, double *transmittance,
                                  struct err *e) ERR_USE;
@@ -270,6 +269,7 @@ struct render_ref_grads {
     double *embed, *frame;
     double offset_weight;
 };
+/* rgb_grad [h][w][3]. ERR_ARG, ERR_MEM. */
 enum err_code render_ref_backward(const struct gauss *g, const struct camera *cam,
                                   const struct render_options *o, const double *rgb_grad,
                                   const struct render_ref_grads *out, struct err *e) ERR_USE;

@@ -4,8 +4,8 @@
  * Kernels are compiled for the lengths of the model at hand (one program a pair of lengths, kept
  * until render_close), because loops of constant length keep embeddings in registers; the plain
  * renderer's program knows nothing of it. A frame drawn with appearance has r->appearance set and its
- * constants in r->render_appearance_frame; render.c and render_backward.c launch the kernels given here instead
- * of their own. What the network computes stands in render/appearance.cl and, in
+ * constants in r->appearance_frame; render_forward.c and render_backward.c launch the kernels given
+ * here instead of their own. What the network computes stands in render/appearance.cl and, in
  * double, in core/appearance.c and render_ref.c.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -23,8 +23,8 @@ struct render_appearance_kernels {
     uint32_t len, hidden;
     cl_program program;
     cl_kernel project, grads, step; /* as the plain ones, with more arguments */
-    cl_kernel backward, backward_step,
-        sum; /* of appearance_backward.cl; the first two VW 1 alone */
+    /* of appearance_backward.cl; the first two VW 1 alone */
+    cl_kernel backward, backward_step, sum;
     struct render_appearance_kernels *next;
 };
 
@@ -52,17 +52,17 @@ void render_appearance_close(struct render *r)
         render_appearance_free(&r->appearance_kernels);
         r->appearance_kernels = next;
     }
-    dev_release(&r->render_appearance_frame.mem);
+    dev_release(&r->appearance_frame.mem);
     dev_release(&r->effective.mem);
-    dev_release(&r->render_appearance_grad.mem);
-    dev_release(&r->render_appearance_parts.mem);
-    dev_release(&r->render_appearance_sums.mem);
+    dev_release(&r->y_grads.mem);
+    dev_release(&r->appearance_parts.mem);
+    dev_release(&r->appearance_sums.mem);
 }
 
 static enum err_code render_appearance_build(struct render *r, struct render_appearance_kernels *l,
                                              struct err *e)
 {
-    const struct dev_source sources[] = {{"render/common.cl", common_cl},
+    const struct dev_source sources[] = {FRAME_SOURCES,
                                          {"render/appearance.cl", appearance_cl},
                                          {"render/project.cl", project_cl},
                                          {"render/project_backward.cl", project_backward_cl},
@@ -132,11 +132,11 @@ enum err_code render_appearance_begin(struct render *r, const struct render_mode
     size_t bytes = appearance_frame_floats(m->embed_len, hidden) * sizeof(float);
     enum err_code rc = render_appearance_get(r, m->embed_len, hidden, &r->appearance, e);
     if (!rc)
-        rc = frame_reserve(r, &r->render_appearance_frame, bytes, e);
+        rc = frame_reserve(r, &r->appearance_frame, bytes, e);
     if (!rc)
         rc = frame_reserve(r, &r->effective, (size_t)m->groups * LAYOUT_LANES * sizeof(float), e);
     if (!rc)
-        rc = dev_write(r->dev, r->render_appearance_frame.mem, 0, bytes, o->appearance_frame, e);
+        rc = dev_write(r->dev, r->appearance_frame.mem, 0, bytes, o->appearance_frame, e);
     if (rc)
         r->appearance = NULL;
     return rc;
@@ -152,18 +152,16 @@ enum err_code render_appearance_project(struct render *r, const struct render_mo
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(m->params), FRAME_ARG(filter),
                                 FRAME_ARG(list), FRAME_ARG(r->splats.mem),
                                 FRAME_ARG(r->depth_key.mem), FRAME_ARG(r->tiles_of.mem),
-                                FRAME_ARG(r->render_appearance_frame.mem),
-                                FRAME_ARG(r->effective.mem)),
+                                FRAME_ARG(r->appearance_frame.mem), FRAME_ARG(r->effective.mem)),
                      items, local, e);
 }
 
 /* ---- backward ---- */
 
-/* Numbers in a row of sums: APPEARANCE_ROW in appearance.cl. */
+/* Numbers in a row of sums. */
 static size_t render_appearance_row(const struct render_appearance_kernels *l)
 {
-    return (appearance_frame_floats(l->len, l->hidden) + 1 + LAYOUT_LANES - 1) / LAYOUT_LANES *
-           LAYOUT_LANES;
+    return LAYOUT_APPEARANCE_ROW((size_t)l->len, (size_t)l->hidden);
 }
 
 /* Rows: work-items of the kernels that go through the network, or work-groups. */
@@ -174,64 +172,54 @@ static size_t render_appearance_rows(const struct render *r)
 }
 
 enum err_code render_appearance_prepare(struct render *r, const struct render_appearance_grad *out,
-                                        cl_float2 embed, struct render_appearance_call *c,
-                                        struct err *e)
+                                        struct render_appearance_call *c, struct err *e)
 {
     bool wide = r->dev->vector_width == LAYOUT_LANES;
     size_t row = render_appearance_row(r->appearance) * sizeof(float);
-    size_t grad = (size_t)r->view.groups * APPEARANCE_OUT * LAYOUT_LANES * sizeof(float);
+    size_t grad = (size_t)r->view.groups * LAYOUT_APPEARANCE_OUT * LAYOUT_LANES * sizeof(float);
     memset(c, 0, sizeof *c);
     c->grads = r->appearance->grads;
     c->step = r->appearance->step;
     c->each = out && r->stats.visible ? out->offset_weight / (float)r->stats.visible : 0;
-    c->embed = embed;
-    enum err_code rc =
-        frame_reserve(r, &r->render_appearance_parts, render_appearance_rows(r) * row, e);
+    enum err_code rc = frame_reserve(r, &r->appearance_parts, render_appearance_rows(r) * row, e);
     if (!rc)
-        rc = frame_reserve(r, &r->render_appearance_sums, row, e);
+        rc = frame_reserve(r, &r->appearance_sums, row, e);
     if (!rc && !wide)
-        rc = frame_reserve(r, &r->render_appearance_grad, grad, e);
-    const struct frame_arg all[5] = {FRAME_ARG(r->effective.mem),
-                                     FRAME_ARG(r->render_appearance_frame.mem), FRAME_ARG(c->each),
-                                     FRAME_ARG(r->render_appearance_parts.mem),
-                                     FRAME_ARG(c->embed)},
-                           narrow[2] = {FRAME_ARG(r->effective.mem),
-                                        FRAME_ARG(r->render_appearance_grad.mem)};
+        rc = frame_reserve(r, &r->y_grads, grad, e);
+    const struct frame_arg all[4] = {FRAME_ARG(r->effective.mem),
+                                     FRAME_ARG(r->appearance_frame.mem), FRAME_ARG(c->each),
+                                     FRAME_ARG(r->appearance_parts.mem)},
+                           narrow[2] = {FRAME_ARG(r->effective.mem), FRAME_ARG(r->y_grads.mem)};
     memcpy(c->args, wide ? all : narrow, wide ? sizeof all : sizeof narrow);
-    c->n_grads = wide ? 4 : 2;
-    c->n_step = wide ? 5 : 2;
+    c->n_args = wide ? 4 : 2;
     return rc;
 }
 
 /* VW 1: what project_backward.cl left to do. */
 static enum err_code render_appearance_backward(struct render *r, const struct render_model *m,
                                                 cl_mem grads, const struct render_adam *adam,
-                                                const cl_float8 *k,
+                                                const struct layout_adam *rates,
                                                 const struct render_appearance_call *c,
                                                 struct err *e)
 {
     const struct render_appearance_kernels *l = r->appearance;
-    uint32_t columns = (l->len + 2 * l->hidden + APPEARANCE_OUT + 2) | 1;
-    size_t items = columns > 128 ? 32 : 64; /* APPEARANCE_ITEMS in appearance_backward.cl */
-    const struct frame_arg common[] = {FRAME_ARG(r->view_mem),
-                                       FRAME_ARG(r->render_appearance_frame.mem),
-                                       FRAME_ARG(m->params),
-                                       FRAME_ARG(r->tiles_of.mem),
-                                       FRAME_ARG(r->render_appearance_grad.mem),
-                                       FRAME_ARG(c->each),
-                                       FRAME_ARG(r->render_appearance_parts.mem)};
-    struct frame_arg args[sizeof common / sizeof *common + 4];
-    size_t n = sizeof common / sizeof *common;
-    memcpy(args, common, sizeof common);
-    if (adam) {
+    size_t items = LAYOUT_APPEARANCE_ITEMS(l->len, l->hidden);
+    struct frame_arg args[10] = {FRAME_ARG(r->view_mem),
+                                 FRAME_ARG(r->appearance_frame.mem),
+                                 FRAME_ARG(m->params),
+                                 FRAME_ARG(r->tiles_of.mem),
+                                 FRAME_ARG(r->y_grads.mem),
+                                 FRAME_ARG(c->each),
+                                 FRAME_ARG(r->appearance_parts.mem)};
+    size_t n = 7;
+    if (rates) {
         args[n++] = (struct frame_arg)FRAME_ARG(adam->m1);
         args[n++] = (struct frame_arg)FRAME_ARG(adam->m2);
-        args[n++] = (struct frame_arg)FRAME_ARG(*k);
-        args[n++] = (struct frame_arg)FRAME_ARG(c->embed);
+        args[n++] = (struct frame_arg)FRAME_ARG(*rates);
     } else {
         args[n++] = (struct frame_arg)FRAME_ARG(grads);
     }
-    return frame_run(r, adam ? l->backward_step : l->backward, "appearance_backward", args, n,
+    return frame_run(r, rates ? l->backward_step : l->backward, "appearance_backward", args, n,
                      LAYOUT_APPEARANCE_CHUNKS * items, items, e);
 }
 
@@ -242,16 +230,14 @@ static enum err_code render_appearance_read(struct render *r, struct render_appe
     size_t floats = appearance_frame_floats(r->appearance->len, r->appearance->hidden);
     cl_uint rows = (cl_uint)render_appearance_rows(r);
     float offset = 0;
-    enum err_code rc =
-        frame_run(r, r->appearance->sum, "appearance_sum",
-                  FRAME_ARGS(FRAME_ARG(r->render_appearance_parts.mem), FRAME_ARG(rows),
-                             FRAME_ARG(r->render_appearance_sums.mem)),
-                  render_appearance_row(r->appearance) / r->dev->vector_width, 1, e);
+    enum err_code rc = frame_run(r, r->appearance->sum, "appearance_sum",
+                                 FRAME_ARGS(FRAME_ARG(r->appearance_parts.mem), FRAME_ARG(rows),
+                                            FRAME_ARG(r->appearance_sums.mem)),
+                                 render_appearance_row(r->appearance) / r->dev->vector_width, 1, e);
     if (!rc && out->frame)
-        rc = dev_read(r->dev, r->render_appearance_sums.mem, 0, floats * sizeof(float), out->frame,
-                      e);
+        rc = dev_read(r->dev, r->appearance_sums.mem, 0, floats * sizeof(float), out->frame, e);
     if (!rc)
-        rc = dev_read(r->dev, r->render_appearance_sums.mem, floats * sizeof(float), sizeof offset,
+        rc = dev_read(r->dev, r->appearance_sums.mem, floats * sizeof(float), sizeof offset,
                       &offset, e);
     out->visible = r->stats.visible;
     out->offset_mean = out->visible ? (double)offset / out->visible : 0;
@@ -259,12 +245,13 @@ static enum err_code render_appearance_read(struct render *r, struct render_appe
 }
 
 enum err_code render_appearance_finish(struct render *r, const struct render_model *m, cl_mem grads,
-                                       const struct render_adam *adam, const cl_float8 *k,
+                                       const struct render_adam *adam,
+                                       const struct layout_adam *rates,
                                        const struct render_appearance_call *c,
                                        struct render_appearance_grad *out, struct err *e)
 {
     enum err_code rc = ERR_OK;
     if (r->dev->vector_width != LAYOUT_LANES)
-        rc = render_appearance_backward(r, m, grads, adam, k, c, e);
+        rc = render_appearance_backward(r, m, grads, adam, rates, c, e);
     return !rc && out ? render_appearance_read(r, out, e) : rc;
 }

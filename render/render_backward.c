@@ -1,7 +1,6 @@
 /* The backward pass on the device: dL/dcolour of the last frame -> gradients, or one step of Adam.
  *
- * Two launches: blend_backward leaves eleven sums in one slot per (splat, tile) pair,
- * project_backward or project_step adds a Gaussian's slots in order and applies the chain rule, the
+ * Two launches: blend_backward leaves eleven sums in one slot per intersection, project_backward or project_step adds a Gaussian's slots in order and applies the chain rule, the
  * latter with Adam on the spot, so that gradients (236 bytes a Gaussian) never travel through
  * memory. Owns its kernels and marks in struct render_backward_state, made on first use;
  * render_close frees it through backward_free. The formulas are in the kernels' heads and, in
@@ -25,7 +24,7 @@ static const double half_max_px = 1600;
 struct render_backward_state {
     cl_program program;
     cl_kernel blend, grads, step;
-    struct frame_buffer marks; /* uchar [entries] */
+    struct frame_buffer marks; /* uchar [intersections] */
     cl_mem unused;             /* stands for the buffers a caller left out */
 };
 
@@ -48,11 +47,13 @@ static void backward_release(struct render *r)
 
 static enum err_code backward_open(struct render *r, struct err *e)
 {
-    const struct dev_source sources[] = {{"render/common.cl", common_cl},
+    const struct dev_source sources[] = {FRAME_SOURCES,
                                          {"render/blend_backward.cl", blend_backward_cl},
                                          {"render/project_backward.cl", project_backward_cl}};
-    const struct dev_source wide[] = {
-        sources[0], {"render/blend_cpu.cl", blend_cpu_cl}, sources[1], sources[2]};
+    const struct dev_source wide[] = {FRAME_SOURCES,
+                                      {"render/blend_cpu.cl", blend_cpu_cl},
+                                      {"render/blend_backward.cl", blend_backward_cl},
+                                      {"render/project_backward.cl", project_backward_cl}};
     bool cpu = r->dev->vector_width > 1;
     struct render_backward_state *s = r->backward;
     if (s)
@@ -62,7 +63,7 @@ static enum err_code backward_open(struct render *r, struct err *e)
         return err_set(e, ERR_MEM, "render_backward: out of memory");
     r->backward = s;
     r->backward_free = backward_release;
-    enum err_code rc = dev_build(r->dev, cpu ? wide : sources, cpu ? 4 : 3, NULL, &s->program, e);
+    enum err_code rc = dev_build(r->dev, cpu ? wide : sources, cpu ? 5 : 4, NULL, &s->program, e);
     if (!rc)
         rc = dev_kernel(s->program, "blend_backward", &s->blend, e);
     if (!rc)
@@ -120,9 +121,9 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
         return err_set(e, ERR_ARG,
                        "render_backward: no frame was drawn since the Gaussians changed");
     if (m->list)
-        return err_set(e, ERR_ARG, "render_backward: no way back through a list of groups");
+        return err_set(e, ERR_ARG, "render_backward: a list of groups has no backward pass");
     if (r->view.orthographic)
-        return err_set(e, ERR_ARG, "render_backward: no way back through an orthographic view");
+        return err_set(e, ERR_ARG, "render_backward: an orthographic view has no backward pass");
     if (m->n != r->view.n || m->groups != r->view.groups || m->planes != r->view.planes)
         return err_set(e, ERR_ARG, "render_backward: %u Gaussians: the last frame drew %u others",
                        m->n, r->view.n);
@@ -132,22 +133,23 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
     struct render_backward_state *s = r->backward;
     if (r->color_grad.cap_bytes < backward_picture_bytes(r))
         return err_set(e, ERR_ARG, "render_backward: dL/dcolour was not given for this picture");
-    size_t mark_bytes = ((size_t)r->entries + 3) / 4 * 4;
-    /* [entries][LAYOUT_SLOT_FLOATS], and room for one vector load */
-    rc = frame_reserve(r, &r->slots,
-                       ((size_t)r->entries * LAYOUT_SLOT_FLOATS + LAYOUT_LANES) * sizeof(float), e);
+    size_t mark_bytes = ((size_t)r->intersections + 3) / 4 * 4;
+    /* [intersections][LAYOUT_SLOT_FLOATS], and room for one vector load */
+    rc = frame_reserve(
+        r, &r->slots,
+        ((size_t)r->intersections * LAYOUT_SLOT_FLOATS + LAYOUT_LANES) * sizeof(float), e);
     if (!rc)
         rc = frame_reserve(r, &s->marks, mark_bytes, e);
     if (!rc)
         rc = dev_zero(r->dev, s->marks.mem, 0, mark_bytes, e);
     if (rc)
-        return err_add(e, "render_backward: %llu pairs of splat and tile",
-                       (unsigned long long)r->entries);
-    size_t local = r->dev->vector_width > 1 ? 1 : LAYOUT_TILE * LAYOUT_TILE;
+        return err_add(e, "render_backward: %llu intersections of splats and tiles",
+                       (unsigned long long)r->intersections);
+    size_t local = r->dev->vector_width > 1 ? 1 : LAYOUT_TILE_PIXELS;
     return frame_run(r, s->blend, "blend_backward",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
-                                FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->entry_splat.mem),
-                                FRAME_ARG(r->entry_slot.mem), FRAME_ARG(r->color.mem),
+                                FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->intersection_splat.mem),
+                                FRAME_ARG(r->intersection_slot.mem), FRAME_ARG(r->color.mem),
                                 FRAME_ARG(r->color_grad.mem), FRAME_ARG(with_abs),
                                 FRAME_ARG(r->slots.mem), FRAME_ARG(s->marks.mem),
                                 FRAME_ARG(r->hits.mem), FRAME_ARG(r->tile_stop.mem)),
@@ -157,14 +159,14 @@ static enum err_code backward_blend(struct render *r, const struct render_model 
 /* Launch project_backward or project_step with the arguments of a frame with appearance behind. */
 static enum err_code backward_run(struct render *r, cl_kernel k, const char *name,
                                   const struct frame_arg *args, size_t n,
-                                  const struct frame_arg *more, size_t n_more, struct err *e)
+                                  const struct render_appearance_call *more, struct err *e)
 {
-    struct frame_arg all[40];
+    struct frame_arg all[32];
     size_t local, items = frame_items(r, r->view.groups, &local);
-    assert(n + n_more <= sizeof all / sizeof *all);
+    assert(n + more->n_args <= sizeof all / sizeof *all);
     memcpy(all, args, n * sizeof *all);
-    memcpy(all + n, more, n_more * sizeof *all);
-    return frame_run(r, k, name, all, n + n_more, items, local, e);
+    memcpy(all + n, more->args, more->n_args * sizeof *all);
+    return frame_run(r, k, name, all, n + more->n_args, items, local, e);
 }
 
 enum err_code render_backward_appearance(struct render *r, const struct render_model *m,
@@ -178,18 +180,18 @@ enum err_code render_backward_appearance(struct render *r, const struct render_m
         return rc;
     const struct render_backward_state *s = r->backward;
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
-    struct render_appearance_call look = {.grads = s->grads};
+    struct render_appearance_call call = {.grads = s->grads};
     if (r->appearance)
-        rc = render_appearance_prepare(r, a, (cl_float2){{0, 0}}, &look, e);
+        rc = render_appearance_prepare(r, a, &call, e);
     const struct frame_arg args[] = {
         FRAME_ARG(r->view_mem),   FRAME_ARG(m->params),       FRAME_ARG(filter),
         FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->slot_first.mem),
         FRAME_ARG(r->slots.mem),  FRAME_ARG(s->marks.mem),    FRAME_ARG(grads),
     };
     if (!rc)
-        rc = backward_run(r, look.grads, "project_backward", args, sizeof args / sizeof *args,
-                          look.args, look.n_grads, e);
-    return !rc && r->appearance ? render_appearance_finish(r, m, grads, NULL, NULL, &look, a, e)
+        rc = backward_run(r, call.grads, "project_backward", args, sizeof args / sizeof *args,
+                          &call, e);
+    return !rc && r->appearance ? render_appearance_finish(r, m, grads, NULL, NULL, &call, a, e)
                                 : rc;
 }
 
@@ -199,33 +201,53 @@ enum err_code render_backward(struct render *r, const struct render_model *m, cl
     return render_backward_appearance(r, m, grads, NULL, e);
 }
 
-/* Adam's numbers as project_step wants them. */
-static void backward_adam_fill(const struct render *r, const struct render_adam *a, cl_float8 *lr,
-                               cl_float8 *k)
+/* ---- Adam ---- */
+
+/* The bias corrections of both moments at a step, 1-based. */
+static void backward_bias(const struct render_adam *a, uint32_t step, double *bias1,
+                          float *inv_bias2)
 {
-    double b1 = (double)a->beta1, b2 = (double)a->beta2;
-    double bias1 = 1 - pow(b1, a->step), bias2 = 1 - pow(b2, a->step);
-    const float rates[6] = {a->lr_mean,    a->lr_scale, a->lr_quat,
-                            a->lr_opacity, a->lr_sh_dc, a->lr_sh_rest};
-    memset(lr, 0, sizeof *lr);
-    for (size_t i = 0; i < 6; i++)
-        lr->s[i] = (float)((double)rates[i] / bias1);
-    k->s[0] = a->beta1;
-    k->s[1] = a->beta2;
-    k->s[2] = a->eps;
-    k->s[3] = (float)(1 / sqrt(bias2));
-    k->s[4] = a->scale_log_min;
-    k->s[5] = a->scale_log_max;
-    k->s[6] = (float)fmin(0.5 * r->view.width, half_max_px);
-    k->s[7] = (float)fmin(0.5 * r->view.height, half_max_px);
+    *bias1 = 1 - pow((double)a->beta1, step);
+    *inv_bias2 = (float)(1 / sqrt(1 - pow((double)a->beta2, step)));
 }
 
-/* adam_embed's numbers in project_backward.cl. */
-static cl_float2 backward_adam_embed(const struct render_adam *a)
+static uint32_t backward_wants(const struct render_adam *a,
+                               const struct render_density_stats *stats)
 {
-    double bias1 = 1 - pow((double)a->beta1, a->embed_step),
-           bias2 = 1 - pow((double)a->beta2, a->embed_step);
-    return (cl_float2){{(float)((double)a->lr_embed / bias1), (float)(1 / sqrt(bias2))}};
+    uint32_t wants = 0;
+    if (a->extra_grad)
+        wants |= a->extra_sizes ? LAYOUT_STEP_EXTRA_SCALE : LAYOUT_STEP_EXTRA;
+    if (stats)
+        wants |= LAYOUT_STEP_STATS | (stats->absg ? LAYOUT_STEP_ABS : 0) |
+                 (stats->opacity ? LAYOUT_STEP_OPACITY : 0);
+    return wants;
+}
+
+/* The step's numbers as project_step wants them. */
+static struct layout_adam backward_rates(const struct render *r, const struct render_adam *a,
+                                         const struct render_density_stats *stats)
+{
+    double bias1, embed_bias1;
+    struct layout_adam k = {.beta1 = a->beta1,
+                            .beta2 = a->beta2,
+                            .eps = a->eps,
+                            .scale_log_min = a->scale_log_min,
+                            .scale_log_max = a->scale_log_max,
+                            .half_width = (float)fmin(0.5 * r->view.width, half_max_px),
+                            .half_height = (float)fmin(0.5 * r->view.height, half_max_px),
+                            .wants = backward_wants(a, stats)};
+    backward_bias(a, a->step, &bias1, &k.inv_bias2);
+    k.lr_mean = (float)((double)a->lr_mean / bias1);
+    k.lr_scale = (float)((double)a->lr_scale / bias1);
+    k.lr_quat = (float)((double)a->lr_quat / bias1);
+    k.lr_opacity = (float)((double)a->lr_opacity / bias1);
+    k.lr_sh_dc = (float)((double)a->lr_sh_dc / bias1);
+    k.lr_sh_rest = (float)((double)a->lr_sh_rest / bias1);
+    if (r->appearance) {
+        backward_bias(a, a->embed_step, &embed_bias1, &k.inv_bias2_embed);
+        k.lr_embed = (float)((double)a->lr_embed / embed_bias1);
+    }
+    return k;
 }
 
 /* After the slots are filled. */
@@ -234,58 +256,32 @@ static enum err_code backward_adam(struct render *r, const struct render_model *
                                    const struct render_density_stats *stats, struct err *e)
 {
     const struct render_backward_state *s = r->backward;
-    cl_uint with_stats = stats != NULL, with_abs = stats && stats->absg,
-            with_opacity = stats && stats->opacity,
-            with_extra = !adam->extra_grad   ? 0
-                         : adam->extra_sizes ? 3
-                                             : 11;
+    const struct layout_adam rates = backward_rates(r, adam, stats);
     cl_mem none = s->unused, extra = adam->extra_grad ? adam->extra_grad : none;
-    struct render_density_stats d = {none, none, none, none, none, none};
+    struct render_density_stats d = stats ? *stats : (struct render_density_stats){0};
+    cl_mem *const buffers[] = {&d.grad, &d.absg, &d.count, &d.radius, &d.repaired, &d.opacity};
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
     enum err_code rc = ERR_OK;
-    struct render_appearance_call look = {.step = s->step};
-    cl_float8 lr, k;
-    if (stats)
-        d = *stats;
-    if (!with_abs)
-        d.absg = none;
-    if (!with_opacity)
-        d.opacity = none;
+    struct render_appearance_call call = {.step = s->step};
+    for (size_t i = 0; i < sizeof buffers / sizeof *buffers; i++)
+        if (!*buffers[i])
+            *buffers[i] = none;
     if (r->appearance)
-        rc = render_appearance_prepare(r, adam->appearance, backward_adam_embed(adam), &look, e);
+        rc = render_appearance_prepare(r, adam->appearance, &call, e);
     if (rc)
         return rc;
-    backward_adam_fill(r, adam, &lr, &k);
     r->drawn = false; /* the parameters are about to differ from what was drawn */
     const struct frame_arg args[] = {
-        FRAME_ARG(r->view_mem),
-        FRAME_ARG(m->params),
-        FRAME_ARG(filter),
-        FRAME_ARG(r->splats.mem),
-        FRAME_ARG(r->tiles_of.mem),
-        FRAME_ARG(r->slot_first.mem),
-        FRAME_ARG(r->slots.mem),
-        FRAME_ARG(s->marks.mem),
-        FRAME_ARG(adam->m1),
-        FRAME_ARG(adam->m2),
-        FRAME_ARG(lr),
-        FRAME_ARG(k),
-        FRAME_ARG(with_extra),
-        FRAME_ARG(extra),
-        FRAME_ARG(with_stats),
-        FRAME_ARG(with_abs),
-        FRAME_ARG(with_opacity),
-        FRAME_ARG(d.grad),
-        FRAME_ARG(d.absg),
-        FRAME_ARG(d.count),
-        FRAME_ARG(d.radius),
-        FRAME_ARG(d.opacity),
-        FRAME_ARG(d.repaired),
+        FRAME_ARG(r->view_mem),   FRAME_ARG(m->params),       FRAME_ARG(filter),
+        FRAME_ARG(r->splats.mem), FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->slot_first.mem),
+        FRAME_ARG(r->slots.mem),  FRAME_ARG(s->marks.mem),    FRAME_ARG(adam->m1),
+        FRAME_ARG(adam->m2),      FRAME_ARG(rates),           FRAME_ARG(extra),
+        FRAME_ARG(d.grad),        FRAME_ARG(d.absg),          FRAME_ARG(d.count),
+        FRAME_ARG(d.radius),      FRAME_ARG(d.opacity),       FRAME_ARG(d.repaired),
     };
-    rc = backward_run(r, look.step, "project_step", args, sizeof args / sizeof *args, look.args,
-                      look.n_step, e);
+    rc = backward_run(r, call.step, "project_step", args, sizeof args / sizeof *args, &call, e);
     return !rc && r->appearance
-               ? render_appearance_finish(r, m, NULL, adam, &k, &look, adam->appearance, e)
+               ? render_appearance_finish(r, m, NULL, adam, &rates, &call, adam->appearance, e)
                : rc;
 }
 

@@ -1,8 +1,8 @@
 /* The forward pass on the device: programs, buffers, and the order of launches of a frame.
  *
  * Buffers belong to struct render, grow by half when a frame needs more and are kept. The host
- * waits once within a frame, to learn how many (splat, tile) pairs there are before making the
- * lists; nothing is ever written beyond a buffer and nothing is drawn from a list cut short.
+ * waits once within a frame, to learn how many intersections (splat, tile) there are before making
+ * the lists; nothing is ever written beyond a buffer and nothing is drawn from a list cut short.
  * render/frame.h tells what each stage leaves behind, render_ref.c what the picture is.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -24,7 +24,7 @@ static enum err_code render_build(struct render *r, struct err *e)
 {
     const struct dev_source shapes[] = {{"render/blend_gpu.cl", blend_gpu_cl},
                                         {"render/blend_cpu.cl", blend_cpu_cl}};
-    const struct dev_source sources[] = {{"render/common.cl", common_cl},
+    const struct dev_source sources[] = {FRAME_SOURCES,
                                          {"render/project.cl", project_cl},
                                          {"render/sort.cl", sort_cl},
                                          {"render/bin.cl", bin_cl},
@@ -52,7 +52,7 @@ enum err_code render_open(struct dev *dev, struct render **out, struct err *e)
     if (!r)
         return err_set(e, ERR_MEM, "render_open");
     r->dev = dev;
-    r->entry_max = UINT32_MAX - LAYOUT_TILE; /* slots are 32-bit */
+    r->intersection_max = UINT32_MAX - LAYOUT_TILE; /* slots are 32-bit */
     rc = render_build(r, e);
     if (!rc && dev->vector_width != LAYOUT_LANES)
         rc = order_gpu_open(dev, &r->order_gpu, e);
@@ -76,12 +76,28 @@ void render_close(struct render **rp)
         r->backward_free(r);
     render_appearance_close(r);
     order_gpu_close(&r->order_gpu);
-    struct frame_buffer *buffers[] = {
-        &r->splats,     &r->depth_key, &r->tiles_of,   &r->slot_first, &r->keys[0],
-        &r->keys[1],    &r->ids[0],    &r->ids[1],     &r->histogram,  &r->pair_tile,
-        &r->pair_splat, &r->pair_slot, &r->bin_offset, &r->tile_start, &r->entry_splat,
-        &r->entry_slot, &r->color,     &r->transmit,   &r->color_grad, &r->hits,
-        &r->tile_stop,  &r->slots};
+    struct frame_buffer *buffers[] = {&r->splats,
+                                      &r->depth_key,
+                                      &r->tiles_of,
+                                      &r->slot_first,
+                                      &r->keys[0],
+                                      &r->keys[1],
+                                      &r->ids[0],
+                                      &r->ids[1],
+                                      &r->histogram,
+                                      &r->expanded_tile,
+                                      &r->expanded_splat,
+                                      &r->expanded_slot,
+                                      &r->bin_offset,
+                                      &r->tile_start,
+                                      &r->intersection_splat,
+                                      &r->intersection_slot,
+                                      &r->color,
+                                      &r->transmit,
+                                      &r->color_grad,
+                                      &r->hits,
+                                      &r->tile_stop,
+                                      &r->slots};
     for (size_t i = 0; i < sizeof buffers / sizeof *buffers; i++)
         dev_release(&buffers[i]->mem);
     cl_kernel kernels[] = {r->k.project,     r->k.sort_count, r->k.sort_scan, r->k.sort_scatter,
@@ -258,27 +274,27 @@ static enum err_code render_stage_count(struct render *r, struct err *e)
     enum err_code rc = dev_read(r->dev, r->counts, 0, sizeof counts, &counts, e);
     if (rc)
         return rc;
-    r->entries = counts.entries;
-    r->stats.entries = counts.entries;
+    r->intersections = counts.intersections;
+    r->stats.intersections = counts.intersections;
     r->stats.visible = counts.visible;
-    if (counts.entries > r->entry_max)
+    if (counts.intersections > r->intersection_max)
         return err_set(
             e, ERR_LIMIT,
-            "render_forward: %llu pairs of splat and tile: at most %llu; draw a smaller picture "
-            "or fewer Gaussians",
-            (unsigned long long)counts.entries, (unsigned long long)r->entry_max);
-    struct frame_buffer *lists[] = {&r->pair_tile, &r->pair_splat, &r->pair_slot, &r->entry_splat,
-                                    &r->entry_slot};
+            "render_forward: %llu intersections of splats and tiles: at most %llu; draw a smaller "
+            "picture or fewer Gaussians",
+            (unsigned long long)counts.intersections, (unsigned long long)r->intersection_max);
+    struct frame_buffer *lists[] = {&r->expanded_tile, &r->expanded_splat, &r->expanded_slot,
+                                    &r->intersection_splat, &r->intersection_slot};
     for (size_t i = 0; !rc && i < sizeof lists / sizeof *lists; i++)
-        rc = frame_reserve(r, lists[i], (size_t)counts.entries * sizeof(uint32_t), e);
+        rc = frame_reserve(r, lists[i], (size_t)counts.intersections * sizeof(uint32_t), e);
     if (!rc)
-        rc = frame_reserve(r, &r->hits, (size_t)counts.entries * sizeof(uint16_t), e);
+        rc = frame_reserve(r, &r->hits, (size_t)counts.intersections * sizeof(uint16_t), e);
     return rc;
 }
 
 static enum err_code render_stage_bin(struct render *r, struct err *e)
 {
-    cl_uint stride = render_bin_stride(r), tiles = r->tiles, cap = (cl_uint)r->entries;
+    cl_uint stride = render_bin_stride(r), tiles = r->tiles, cap = (cl_uint)r->intersections;
     enum err_code rc = frame_run(r, r->k.bin_total, "bin_total",
                                  FRAME_ARGS(FRAME_ARG(r->ids[0].mem), FRAME_ARG(r->keys[0].mem),
                                             FRAME_ARG(r->tiles_of.mem), FRAME_ARG(r->counts)),
@@ -288,8 +304,8 @@ static enum err_code render_stage_bin(struct render *r, struct err *e)
                        FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->ids[0].mem),
                                   FRAME_ARG(r->splats.mem), FRAME_ARG(r->slot_first.mem),
                                   FRAME_ARG(r->counts), FRAME_ARG(cap), FRAME_ARG(stride),
-                                  FRAME_ARG(r->pair_tile.mem), FRAME_ARG(r->pair_splat.mem),
-                                  FRAME_ARG(r->pair_slot.mem), FRAME_ARG(r->bin_offset.mem)),
+                                  FRAME_ARG(r->expanded_tile.mem), FRAME_ARG(r->expanded_splat.mem),
+                                  FRAME_ARG(r->expanded_slot.mem), FRAME_ARG(r->bin_offset.mem)),
                        LAYOUT_BIN_CHUNKS, 1, e);
     if (!rc)
         rc = frame_run(r, r->k.bin_sum, "bin_sum",
@@ -300,22 +316,23 @@ static enum err_code render_stage_bin(struct render *r, struct err *e)
         rc = frame_run(r, r->k.bin_scan, "bin_scan",
                        FRAME_ARGS(FRAME_ARG(tiles), FRAME_ARG(r->tile_start.mem)), 1, 1, e);
     if (!rc)
-        rc = frame_run(r, r->k.bin_scatter, "bin_scatter",
-                       FRAME_ARGS(FRAME_ARG(r->counts), FRAME_ARG(cap), FRAME_ARG(stride),
-                                  FRAME_ARG(r->pair_tile.mem), FRAME_ARG(r->pair_splat.mem),
-                                  FRAME_ARG(r->pair_slot.mem), FRAME_ARG(r->tile_start.mem),
-                                  FRAME_ARG(r->bin_offset.mem), FRAME_ARG(r->entry_splat.mem),
-                                  FRAME_ARG(r->entry_slot.mem)),
-                       LAYOUT_BIN_CHUNKS, 1, e);
+        rc =
+            frame_run(r, r->k.bin_scatter, "bin_scatter",
+                      FRAME_ARGS(FRAME_ARG(r->counts), FRAME_ARG(cap), FRAME_ARG(stride),
+                                 FRAME_ARG(r->expanded_tile.mem), FRAME_ARG(r->expanded_splat.mem),
+                                 FRAME_ARG(r->expanded_slot.mem), FRAME_ARG(r->tile_start.mem),
+                                 FRAME_ARG(r->bin_offset.mem), FRAME_ARG(r->intersection_splat.mem),
+                                 FRAME_ARG(r->intersection_slot.mem)),
+                      LAYOUT_BIN_CHUNKS, 1, e);
     return rc;
 }
 
 static enum err_code render_stage_blend(struct render *r, struct err *e)
 {
-    size_t local = r->dev->vector_width == LAYOUT_LANES ? 1 : LAYOUT_TILE * LAYOUT_TILE;
+    size_t local = r->dev->vector_width == LAYOUT_LANES ? 1 : LAYOUT_TILE_PIXELS;
     return frame_run(r, r->k.blend, "blend",
                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
-                                FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->entry_splat.mem),
+                                FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->intersection_splat.mem),
                                 FRAME_ARG(r->color.mem), FRAME_ARG(r->transmit.mem),
                                 FRAME_ARG(r->hits.mem), FRAME_ARG(r->tile_stop.mem)),
                      r->tiles * local, local, e);

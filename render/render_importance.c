@@ -1,4 +1,4 @@
-/* Importance of Gaussians in the last frame: launches score.cl over what render_forward left on the
+/* Importance of Gaussians in the last frame: launches importance.cl over what render_forward left on the
  * device. Owns the compiled kernels and the sums; slots are those of the backward pass, and nothing
  * else of the frame is changed, so render_backward may follow.
  *
@@ -9,7 +9,7 @@
 
 extern const char blend_cpu_cl[], blend_backward_cl[], importance_cl[];
 
-enum { IMPORTANCE_LOCAL = 64, IMPORTANCE_FLOATS = 8 };
+enum { IMPORTANCE_LOCAL = 64 };
 
 struct render_importance {
     struct render *render; /* borrowed */
@@ -22,19 +22,18 @@ struct render_importance {
 enum err_code render_importance_open(struct render *r, struct render_importance **out,
                                      struct err *e)
 {
-    const struct dev_source cpu[] = {{"render/common.cl", common_cl},
+    const struct dev_source cpu[] = {FRAME_SOURCES,
                                      {"render/blend_cpu.cl", blend_cpu_cl},
                                      {"render/blend_backward.cl", blend_backward_cl},
                                      {"render/importance.cl", importance_cl}};
-    const struct dev_source gpu[] = {{"render/common.cl", common_cl},
-                                     {"render/importance.cl", importance_cl}};
+    const struct dev_source gpu[] = {FRAME_SOURCES, {"render/importance.cl", importance_cl}};
     bool wide = r->dev->vector_width > 1;
     *out = NULL;
     struct render_importance *s = mem_array(1, sizeof *s);
     if (!s)
         return err_set(e, ERR_MEM, "render_importance_open: out of memory");
     s->render = r;
-    enum err_code rc = dev_build(r->dev, wide ? cpu : gpu, wide ? 4 : 2, NULL, &s->program, e);
+    enum err_code rc = dev_build(r->dev, wide ? cpu : gpu, wide ? 5 : 3, NULL, &s->program, e);
     if (!rc)
         rc = dev_kernel(s->program, "importance_tiles", &s->tiles, e);
     if (!rc)
@@ -74,9 +73,14 @@ static enum err_code render_importance_tiles(struct render_importance *s, cl_mem
                                              struct err *e)
 {
     struct render *r = s->render;
-    size_t group = r->dev->vector_width == 1 ? RENDER_TILE * RENDER_TILE : 1;
-    cl_mem args[] = {r->view_mem,       r->splats.mem, r->tile_start.mem, r->entry_splat.mem,
-                     r->entry_slot.mem, weight,        r->slots.mem};
+    size_t group = r->dev->vector_width == 1 ? LAYOUT_TILE_PIXELS : 1;
+    cl_mem args[] = {r->view_mem,
+                     r->splats.mem,
+                     r->tile_start.mem,
+                     r->intersection_splat.mem,
+                     r->intersection_slot.mem,
+                     weight,
+                     r->slots.mem};
     cl_int bad = CL_SUCCESS;
     for (cl_uint i = 0; i < sizeof args / sizeof args[0]; i++)
         bad |= dev_arg(s->tiles, i, args[i]);
@@ -109,8 +113,8 @@ enum err_code render_importance_run(struct render_importance *s, const struct re
         return err_set(e, ERR_ARG, "render_importance: no frame of this model was drawn");
     if (m->n == 0)
         return ERR_OK;
-    size_t slots_bytes = (size_t)r->entries * 4 * sizeof(float);
-    size_t sums_bytes = (size_t)m->n * IMPORTANCE_FLOATS * sizeof(float);
+    size_t slots_bytes = (size_t)r->intersections * LAYOUT_IMPORTANCE_SLOT * sizeof(float);
+    size_t sums_bytes = (size_t)m->n * LAYOUT_IMPORTANCE_SUMS * sizeof(float);
     enum err_code rc = dev_unmap(r->dev, s->sums.mem, &s->seen, e);
     if (!rc)
         rc = frame_reserve(r, &r->slots, slots_bytes, e);
@@ -118,7 +122,7 @@ enum err_code render_importance_run(struct render_importance *s, const struct re
         rc = frame_reserve(r, &s->sums, sums_bytes, e);
     if (!rc && slots_bytes)
         rc = dev_zero(r->dev, r->slots.mem, 0, slots_bytes, e);
-    if (!rc && r->entries)
+    if (!rc && r->intersections)
         rc = render_importance_tiles(s, weight, e);
     if (!rc)
         rc = render_importance_gather(s, m->n, e);

@@ -26,12 +26,12 @@ enum { SETS = 6 };
 
 static void model_plane_sets(const struct gauss *g, struct plane_set out[SETS])
 {
-    out[0] = (struct plane_set){g->mean_m, RENDER_PLANE_MEAN, 3};
-    out[1] = (struct plane_set){g->scale_log, RENDER_PLANE_SCALE, 3};
-    out[2] = (struct plane_set){g->quat_wxyz, RENDER_PLANE_QUAT, 4};
-    out[3] = (struct plane_set){g->opacity_logit, RENDER_PLANE_OPACITY, 1};
+    out[0] = (struct plane_set){g->mean_m, LAYOUT_PLANE_MEAN, 3};
+    out[1] = (struct plane_set){g->scale_log, LAYOUT_PLANE_SCALE, 3};
+    out[2] = (struct plane_set){g->quat_wxyz, LAYOUT_PLANE_QUAT, 4};
+    out[3] = (struct plane_set){g->opacity_logit, LAYOUT_PLANE_OPACITY, 1};
     out[4] =
-        (struct plane_set){g->sh, RENDER_PLANE_SH, (uint32_t)(3 * gauss_sh_count(g->sh_degree))};
+        (struct plane_set){g->sh, LAYOUT_PLANE_SH, (uint32_t)(3 * gauss_sh_count(g->sh_degree))};
     out[5] = (struct plane_set){g->embed, render_planes(g->sh_degree), g->embed_len};
 }
 
@@ -156,7 +156,7 @@ void render_piece_pack(const struct gauss *g, const double origin_enu_m[3], floa
     model_pack(g, planes, 0, groups, out);
     for (size_t i = 0; i < lanes; i++)
         for (size_t k = 0; k < 3; k++) {
-            float *at = out + (i / LANES * planes + RENDER_PLANE_MEAN + k) * LANES + i % LANES;
+            float *at = out + (i / LANES * planes + LAYOUT_PLANE_MEAN + k) * LANES + i % LANES;
             *at = i < g->n ? (float)((double)*at + (g->origin_enu_m[k] - origin_enu_m[k]))
                            : NOWHERE_M;
         }

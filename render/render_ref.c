@@ -70,10 +70,10 @@ enum err_code ref_view_init(const struct gauss *g, const struct camera *cam,
     return ERR_OK;
 }
 
-void ref_sh_basis(const double dir[3], uint32_t degree, double out[REF_SH_MAX])
+void ref_sh_basis(const double dir[3], uint32_t degree, double out[LAYOUT_SH_MAX])
 {
     double x = dir[0], y = dir[1], z = dir[2], xx = x * x, yy = y * y, zz = z * z;
-    memset(out, 0, REF_SH_MAX * sizeof *out);
+    memset(out, 0, LAYOUT_SH_MAX * sizeof *out);
     out[0] = GAUSS_SH_C0;
     if (degree >= 1) {
         out[1] = -0.4886025119029199 * y;
@@ -203,7 +203,7 @@ static void ref_color(const struct ref_view *v, const struct gauss *g, size_t i,
         for (size_t k = 0; k < count; k++)
             s->rgb_raw[c] += s->basis[k] * (double)g->sh[(i * count + k) * 3 + c];
         if (v->frame)
-            s->rgb_raw[c] += 2 * s->look[c] - 1;
+            s->rgb_raw[c] += 2 * s->y[c] - 1;
         s->rgb[c] = fmax(s->rgb_raw[c], 0);
         if (v->frame)
             s->rgb[c] = fmin(s->rgb[c], 1);
@@ -227,12 +227,12 @@ bool ref_project(const struct ref_view *v, const struct gauss *g, size_t i, stru
     s.opacity = s.opacity_raw = 1 / (1 + exp(-(double)g->opacity_logit[i]));
     if (v->frame) {
         double unit[GAUSS_EMBED_MAX], hidden[APPEARANCE_HIDDEN_MAX];
-        (void)ref_appearance(v, g, i, unit, hidden, s.look);
-        s.opacity = fmin(s.opacity_raw + s.look[3], 1);
+        (void)ref_appearance(v, g, i, unit, hidden, s.y);
+        s.opacity = fmin(s.opacity_raw + s.y[LAYOUT_APPEARANCE_OPACITY], 1);
     }
     s.rho = v->compensate ? sqrt(fmax((double)LAYOUT_RHO2_MIN, s.det0 / s.det)) : 1;
     s.opacity_eff = s.opacity * s.rho;
-    if (!(s.opacity_eff >= 1.0 / 255))
+    if (!(s.opacity_eff >= (double)LAYOUT_ALPHA_MIN))
         return false;
     double s00 = s.cov0[0] + v->kernel_px2, s11 = s.cov0[2] + v->kernel_px2;
     s.conic[0] = s11 / s.det;
@@ -292,10 +292,10 @@ bool ref_alpha(const struct ref_splat *s, double px, double py, double d[2], dou
     double sigma =
         0.5 * (s->conic[0] * d[0] * d[0] + s->conic[2] * d[1] * d[1]) + s->conic[1] * d[0] * d[1];
     double a = s->opacity_eff * exp(-sigma);
-    if (!(sigma >= 0) || !(a >= (double)RENDER_ALPHA_MIN))
+    if (!(sigma >= 0) || !(a >= (double)LAYOUT_ALPHA_MIN))
         return false;
-    *clamped = a > (double)RENDER_ALPHA_MAX;
-    *alpha = *clamped ? (double)RENDER_ALPHA_MAX : a;
+    *clamped = a > (double)LAYOUT_ALPHA_MAX;
+    *alpha = *clamped ? (double)LAYOUT_ALPHA_MAX : a;
     return true;
 }
 
@@ -313,7 +313,7 @@ enum err_code render_ref_forward(const struct gauss *g, const struct camera *cam
         double px = (double)(at % v.width) + 0.5, py = (double)(at / v.width) + 0.5;
         double t = 1, sum[3] = {0, 0, 0};
         /* Front to back; the splat that brings T to the limit is still blended. */
-        for (size_t i = 0; i < n && t > (double)RENDER_T_STOP; i++) {
+        for (size_t i = 0; i < n && t > (double)LAYOUT_TRANSMITTANCE_MIN; i++) {
             double d[2], alpha;
             bool clamped;
             if (!ref_alpha(&splats[i], px, py, d, &alpha, &clamped))

@@ -10,8 +10,6 @@
 #include "core/appearance.h"
 #include "render/render.h"
 
-enum { REF_SH_MAX = 16 };
-
 struct ref_view {            /* a camera and options with every default resolved */
     double rot[9], trans[3]; /* model frame -> camera; trans holds the model's origin */
     double eye[3];           /* centre of projection, relative to the model's origin */
@@ -29,20 +27,20 @@ struct ref_view {            /* a camera and options with every default resolved
 struct ref_splat {
     size_t index; /* row of the gauss */
     /* projected */
-    double quat[4], quat_len; /* normalised; length before */
-    double rot[9];            /* R of the quaternion, row-major */
-    double scale[3];          /* sigma, m */
-    double cam[3];            /* t = W mu + d */
-    double clamped[2];        /* t'x / z, t'y / z after the clamp */
-    bool inside[2];           /* the clamp did nothing */
-    double jac[6];            /* J, 2 x 3 row-major, at the clamped position */
-    double cov0[3], det0;     /* S0 = J W Sigma W^T J^T: s00, s01, s11 */
-    double det;               /* of S = S0 + kernel I */
-    double opacity_raw;       /* sigmoid */
-    double opacity, rho;      /* as drawn: raw, or min(raw + y3, 1); compensation (1 when off) */
-    double look[4];           /* y of the appearance, 0 without */
-    double basis[REF_SH_MAX]; /* Y_k at the view direction, 0 above the evaluated degree */
-    double rgb_raw[3];        /* before the clamp: from 0, with appearance to 1 */
+    double quat[4], quat_len;    /* normalised; length before */
+    double rot[9];               /* R of the quaternion, row-major */
+    double scale[3];             /* sigma, m */
+    double cam[3];               /* t = W mu + d */
+    double clamped[2];           /* t'x / z, t'y / z after the clamp */
+    bool inside[2];              /* the clamp did nothing */
+    double jac[6];               /* J, 2 x 3 row-major, at the clamped position */
+    double cov0[3], det0;        /* S0 = J W Sigma W^T J^T: s00, s01, s11 */
+    double det;                  /* of S = S0 + kernel I */
+    double opacity_raw;          /* sigmoid */
+    double opacity, rho;         /* as drawn: raw, or min(raw + y3, 1); compensation (1 when off) */
+    double y[APPEARANCE_OUT];    /* of the appearance, 0 without */
+    double basis[LAYOUT_SH_MAX]; /* Y_k at the view direction, 0 above the evaluated degree */
+    double rgb_raw[3];           /* before the clamp: from 0, with appearance to 1 */
     /* what is blended */
     double mean_px[2];
     double conic[3];    /* A, B, C of S^-1 */
@@ -68,10 +66,10 @@ double ref_appearance(const struct ref_view *v, const struct gauss *g, size_t i,
 /* The splat's colour passes a gradient on. */
 bool ref_color_open(const struct ref_view *v, const struct ref_splat *s, int channel);
 /* Exponent and alpha of a splat at a pixel centre; false when it does not contribute there. d =
- * mean - pixel; *clamped tells that alpha was cut to RENDER_ALPHA_MAX. */
+ * mean - pixel; *clamped tells that alpha was cut to LAYOUT_ALPHA_MAX. */
 bool ref_alpha(const struct ref_splat *s, double px, double py, double d[2], double *alpha,
                bool *clamped);
 /* Real spherical harmonics basis, INRIA's signs, up to `degree`; dir is normalised. */
-void ref_sh_basis(const double dir[3], uint32_t degree, double out[REF_SH_MAX]);
+void ref_sh_basis(const double dir[3], uint32_t degree, double out[LAYOUT_SH_MAX]);
 
 #endif

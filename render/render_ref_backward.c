@@ -19,9 +19,6 @@
 #include "core/base.h"
 #include "render/render_ref.h"
 
-/* Below this rho is a constant (render_ref.c): no gradient. */
-static const double rho_least = 0.005;
-
 struct splat_grad { /* of what is blended */
     double mean_px[2], conic[3], opacity_eff, rgb[3];
 };
@@ -35,7 +32,7 @@ static void backward_pixel(const struct ref_view *v, const struct ref_splat *spl
     double total[3] = {0}, pre[3] = {0}, t = 1;
     double d[2], alpha;
     bool clamped;
-    for (size_t i = 0; i < n && t > (double)RENDER_T_STOP; i++)
+    for (size_t i = 0; i < n && t > (double)LAYOUT_TRANSMITTANCE_MIN; i++)
         if (ref_alpha(&splats[i], px, py, d, &alpha, &clamped)) {
             for (int c = 0; c < 3; c++)
                 total[c] += splats[i].rgb[c] * alpha * t;
@@ -44,7 +41,7 @@ static void backward_pixel(const struct ref_view *v, const struct ref_splat *spl
     for (int c = 0; c < 3; c++)
         total[c] += t * v->background[c];
     t = 1;
-    for (size_t i = 0; i < n && t > (double)RENDER_T_STOP; i++) {
+    for (size_t i = 0; i < n && t > (double)LAYOUT_TRANSMITTANCE_MIN; i++) {
         const struct ref_splat *s = &splats[i];
         struct splat_grad *o = &out[i];
         if (!ref_alpha(s, px, py, d, &alpha, &clamped))
@@ -83,7 +80,7 @@ static void backward_conic(const struct ref_view *v, const struct ref_splat *s,
     cov[1] = -(m00 * b + m01 * c);
     cov[2] = -(m10 * b + m11 * c);
     *g_opacity = s->rho * g->opacity_eff;
-    if (v->compensate && s->rho > rho_least) {
+    if (v->compensate && s->det0 / s->det > (double)LAYOUT_RHO2_MIN) { /* else rho is constant */
         double k = s->opacity * g->opacity_eff / (2 * s->rho), f = 1 - s->rho * s->rho;
         double eps_det = v->kernel_px2 / s->det;
         cov[0] += k * (f * a - eps_det);
@@ -173,7 +170,9 @@ static void backward_appearance_splat(const struct ref_view *v, const struct gau
     const float *w2 = v->frame + units * (len + 1);
     double *f = out->frame, *f_bias = f ? f + units * len : NULL, *f_w2 = f ? f_bias + units : NULL;
     for (int o = 0; o < APPEARANCE_OUT; o++) {
-        double g_y = o == 3 ? g_y3 : ref_color_open(v, s, o) ? 2 * in->rgb[o] : 0;
+        double g_y = o == LAYOUT_APPEARANCE_OPACITY ? g_y3
+                     : ref_color_open(v, s, o)      ? 2 * in->rgb[o]
+                                                    : 0;
         g_z[o] = g_y * y[o] * (1 - y[o]);
         if (f)
             f_w2[APPEARANCE_OUT * units + (size_t)o] += g_z[o];
@@ -228,7 +227,7 @@ static void backward_splat(const struct ref_view *v, const struct gauss *g,
                     g_sigma[3 * r + k] +=
                         v->rot[3 * a + r] * g_sigma_cam[3 * a + b] * v->rot[3 * b + k];
     backward_shape(s, g_sigma, out->scale_log + 3 * i, out->quat_wxyz + 4 * i);
-    if (s->opacity_raw + s->look[3] >= 1 && v->frame)
+    if (s->opacity_raw + s->y[LAYOUT_APPEARANCE_OPACITY] >= 1 && v->frame)
         g_opacity = 0; /* cut to 1 */
     out->opacity_logit[i] = s->opacity_raw * (1 - s->opacity_raw) * g_opacity;
     if (v->frame)
@@ -250,7 +249,7 @@ enum err_code render_ref_backward(const struct gauss *g, const struct camera *ca
     size_t n = 0;
     enum err_code rc = ref_view_init(g, cam, o, &v, e);
     if (!rc && v.orthographic)
-        rc = err_set(e, ERR_ARG, "render_ref_backward: no way back through an orthographic view");
+        rc = err_set(e, ERR_ARG, "render_ref_backward: an orthographic view has no backward pass");
     if (!rc)
         rc = ref_project_all(&v, g, &splats, &n, e);
     if (rc)

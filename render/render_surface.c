@@ -17,14 +17,14 @@ struct render_surface {
 
 enum err_code render_surface_open(struct render *r, struct render_surface **out, struct err *e)
 {
-    const struct dev_source sources[] = {{"render/common.cl", common_cl},
-                                         {"render/surface.cl", surface_cl}};
+    const struct dev_source sources[] = {FRAME_SOURCES, {"render/surface.cl", surface_cl}};
     *out = NULL;
     struct render_surface *s = mem_array(1, sizeof *s);
     if (!s)
         return err_set(e, ERR_MEM, "render_surface_open: out of memory");
     s->render = r;
-    enum err_code rc = dev_build(r->dev, sources, 2, NULL, &s->program, e);
+    enum err_code rc =
+        dev_build(r->dev, sources, sizeof sources / sizeof *sources, NULL, &s->program, e);
     if (!rc)
         rc = dev_kernel(s->program, "surface_rows", &s->rows, e);
     if (rc)
@@ -56,22 +56,25 @@ enum err_code render_surface_run(struct render_surface *s, const float *limit_m,
         return err_set(e, ERR_ARG, "render_surface: no frame was drawn");
     size_t bytes = (size_t)r->view.width * r->view.height * sizeof(float);
     bool wide = r->dev->vector_width == LAYOUT_LANES;
-    size_t items = (size_t)r->tiles * RENDER_TILE * (wide ? 1 : RENDER_TILE);
+    size_t items = (size_t)r->tiles * (wide ? LAYOUT_TILE : LAYOUT_TILE_PIXELS);
     cl_uint limited = limit_m != NULL;
-    float *const maps[] = {out->median_m, out->mean_m, out->front};
-    enum err_code rc = frame_reserve(r, &s->maps, 3 * bytes, e);
+    float *const maps[LAYOUT_SURFACE_MAPS] = {[LAYOUT_SURFACE_MEDIAN] = out->median_m,
+                                              [LAYOUT_SURFACE_MEAN] = out->mean_m,
+                                              [LAYOUT_SURFACE_FRONT] = out->front};
+    enum err_code rc = frame_reserve(r, &s->maps, LAYOUT_SURFACE_MAPS * bytes, e);
     if (!rc)
         rc = frame_reserve(r, &s->limit, limited ? bytes : sizeof(float), e);
     if (!rc && limited)
         rc = dev_write(r->dev, s->limit.mem, 0, bytes, limit_m, e);
     if (!rc)
-        rc = frame_run(r, s->rows, "surface_rows",
-                       FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
-                                  FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->entry_splat.mem),
-                                  FRAME_ARG(r->depth_key.mem), FRAME_ARG(s->limit.mem),
-                                  FRAME_ARG(limited), FRAME_ARG(s->maps.mem)),
-                       items, wide ? 1 : RENDER_TILE * RENDER_TILE, e);
-    for (size_t m = 0; !rc && m < 3; m++)
+        rc =
+            frame_run(r, s->rows, "surface_rows",
+                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
+                                 FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->intersection_splat.mem),
+                                 FRAME_ARG(r->depth_key.mem), FRAME_ARG(s->limit.mem),
+                                 FRAME_ARG(limited), FRAME_ARG(s->maps.mem)),
+                      items, wide ? 1 : LAYOUT_TILE_PIXELS, e);
+    for (size_t m = 0; !rc && m < LAYOUT_SURFACE_MAPS; m++)
         if (maps[m])
             rc = dev_read(r->dev, s->maps.mem, m * bytes, bytes, maps[m], e);
     if (!rc && out->transmittance)

@@ -25,13 +25,13 @@ __kernel void sort_count(__global const uint *keys, __global const uint *tiles_o
     for (uint d = 0; d < DIGITS; d++)
         count[d] = 0;
     if (pass == 0) {
-        ulong entries = 0;
+        ulong intersections = 0;
         for (uint i = range.x; i < range.y; i++) {
             uint key = keys[i];
-            entries += tiles_of[i];
+            intersections += tiles_of[i];
             count[key & (DIGITS - 1)] += key != 0xFFFFFFFFu;
         }
-        counts->chunk_entries[chunk] = entries;
+        counts->chunk_intersections[chunk] = intersections;
     } else {
         for (uint i = range.x; i < range.y; i++)
             count[(keys[i] >> shift) & (DIGITS - 1)]++;
@@ -52,11 +52,11 @@ __kernel void sort_scan(__global uint *histogram, uint pass, __global struct lay
     if (pass == 0) {
         ulong at = 0;
         for (uint c = 0; c < LAYOUT_SORT_CHUNKS; c++) {
-            ulong here = counts->chunk_entries[c];
-            counts->chunk_entries[c] = at;
+            ulong here = counts->chunk_intersections[c];
+            counts->chunk_intersections[c] = at;
             at += here;
         }
-        counts->entries = at;
+        counts->intersections = at;
         counts->visible = sum;
     }
 }
@@ -73,7 +73,7 @@ __kernel void sort_scatter(__global const uint *keys, __global const uint *ids,
     for (uint d = 0; d < DIGITS; d++)
         at[d] = histogram[d * LAYOUT_SORT_CHUNKS + chunk];
     if (pass == 0) {
-        uint slot = (uint)counts->chunk_entries[chunk];
+        uint slot = (uint)counts->chunk_intersections[chunk];
         for (uint i = range.x; i < range.y; i++) {
             uint key = keys[i];
             uint tiles = tiles_of[i];

@@ -158,13 +158,13 @@ double view_case_objective(const struct view_case *s, const double *rgb_of, uint
         buf_u8(&decisions, p->rho > 0.005);
         if (v.frame) {
             look_decisions(&v, &s->g, p, &decisions);
-            sum += s->offset_weight * p->look[3] / (double)n;
+            sum += s->offset_weight * p->y[LAYOUT_APPEARANCE_OPACITY] / (double)n;
         }
     }
     for (size_t at = 0; at < (size_t)PX_W * PX_H; at++) {
         double t = 1, d[2], alpha;
         bool clamped;
-        for (size_t i = 0; i < n && t > (double)RENDER_T_STOP; i++) {
+        for (size_t i = 0; i < n && t > (double)LAYOUT_TRANSMITTANCE_MIN; i++) {
             if (!ref_alpha(&splats[i], (double)(at % PX_W) + 0.5, (double)(at / PX_W) + 0.5, d,
                            &alpha, &clamped))
                 continue;
@@ -269,17 +269,17 @@ double clear_ambiguous(struct view_case *s)
         double t = 1, x = (double)(at % s->cam.width_px) + 0.5,
                y = (double)(at / s->cam.width_px) + 0.5;
         bool sure = true;
-        for (size_t i = 0; i < n && t > (double)RENDER_T_STOP; i++) {
+        for (size_t i = 0; i < n && t > (double)LAYOUT_TRANSMITTANCE_MIN; i++) {
             const struct ref_splat *p = &splats[i];
             double dx = p->mean_px[0] - x, dy = p->mean_px[1] - y;
             double sigma =
                 0.5 * (p->conic[0] * dx * dx + p->conic[2] * dy * dy) + p->conic[1] * dx * dy;
             double a = p->opacity_eff * exp(-sigma);
-            sure = sure && !near(a, 1 / 255.0) && !near(a, (double)RENDER_ALPHA_MAX);
+            sure = sure && !near(a, 1 / 255.0) && !near(a, (double)LAYOUT_ALPHA_MAX);
             if (a < 1 / 255.0)
                 continue;
-            t *= 1 - fmin(a, (double)RENDER_ALPHA_MAX);
-            sure = sure && !near(t, (double)RENDER_T_STOP);
+            t *= 1 - fmin(a, (double)LAYOUT_ALPHA_MAX);
+            sure = sure && !near(t, (double)LAYOUT_TRANSMITTANCE_MIN);
         }
         for (size_t c = 0; c < 3 && !sure; c++)
             s->rgb_grad[3 * at + c] = 0;
@@ -316,14 +316,14 @@ void planes_read(const struct render_model *m, cl_mem mem, struct gauss *out)
     for (size_t i = 0; i < m->n; i++) {
         const float *p = raw + i / 16 * m->planes * 16 + i % 16;
         for (size_t a = 0; a < 3; a++) {
-            out->mean_m[3 * i + a] = p[16 * (RENDER_PLANE_MEAN + a)];
-            out->scale_log[3 * i + a] = p[16 * (RENDER_PLANE_SCALE + a)];
+            out->mean_m[3 * i + a] = p[16 * (LAYOUT_PLANE_MEAN + a)];
+            out->scale_log[3 * i + a] = p[16 * (LAYOUT_PLANE_SCALE + a)];
         }
         for (size_t a = 0; a < 4; a++)
-            out->quat_wxyz[4 * i + a] = p[16 * (RENDER_PLANE_QUAT + a)];
-        out->opacity_logit[i] = p[16 * RENDER_PLANE_OPACITY];
+            out->quat_wxyz[4 * i + a] = p[16 * (LAYOUT_PLANE_QUAT + a)];
+        out->opacity_logit[i] = p[16 * LAYOUT_PLANE_OPACITY];
         for (size_t a = 0; a < k; a++)
-            out->sh[k * i + a] = p[16 * (RENDER_PLANE_SH + a)];
+            out->sh[k * i + a] = p[16 * (LAYOUT_PLANE_SH + a)];
     }
     mem_free(raw);
 }

@@ -174,7 +174,7 @@ static void test_same_decisions(void **state)
             sum += (0.5 + GAUSS_SH_C0 * (double)s.g.sh[i]) * (double)g.sh[i] / GAUSS_SH_C0;
         if (fabs(sum - want) > LINEAR_REL * fmax(want, 0.1))
             fail_msg("pixel %zu: colours give %.8g, backward took in %.8g", at, want, sum);
-        stopped += t[at] <= RENDER_T_STOP;
+        stopped += t[at] <= LAYOUT_TRANSMITTANCE_MIN;
         worst = fmax(worst, fabs(sum - want) / fmax(want, 0.1));
     }
     assert_true(stopped > 5);

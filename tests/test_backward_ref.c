@@ -94,7 +94,7 @@ static void test_ref_saturated(void **state)
     assert_true(rgb && t);
     kit_ok(render_ref_forward(&s.g, &s.cam, &s.o, rgb, t, &e), e);
     for (size_t i = 0; i < (size_t)PX_W * PX_H; i++)
-        stopped += t[i] <= (double)RENDER_T_STOP;
+        stopped += t[i] <= (double)LAYOUT_TRANSMITTANCE_MIN;
     assert_true(stopped > 50);
     check_reference(&s, "saturated");
     mem_free(rgb);

@@ -12,7 +12,7 @@ compile() { # options, besides those of $f, $target and $vw
         -I. $1 -fsyntax-only -Wall -Wno-unused-function -Werror "$f" || {
         echo "$f: does not compile for $target with VW=$vw and $1"; status=1; }
 }
-for f in render/*.cl loss/*.cl bench/*.cl; do
+for f in core/*.cl render/*.cl loss/*.cl bench/*.cl; do
     [ -f "$f" ] || continue
     for target in spir64 nvptx64 amdgcn--amdhsa; do
         case $f in
@@ -23,9 +23,10 @@ for f in render/*.cl loss/*.cl bench/*.cl; do
         for vw in $widths; do
             prelude="-include core/layout.h"
             case $f in
-                render/common.cl) ;;
-                render/*) prelude="$prelude -include render/common.cl" ;;
-                loss/mip.cl | loss/scale_loss.cl | loss/depth.cl) prelude="$prelude -include loss/lanes.cl" ;;
+                render/common.cl | loss/lanes.cl) prelude="$prelude -include core/vector.cl" ;;
+                render/*) prelude="$prelude -include core/vector.cl -include render/common.cl" ;;
+                loss/mip.cl | loss/scale_loss.cl | loss/depth.cl)
+                    prelude="$prelude -include core/vector.cl -include loss/lanes.cl" ;;
             esac
             case $f:$vw in # compiled after others, see their heads
                 render/blend_cpu.cl:1) continue ;; # the CPU shape alone

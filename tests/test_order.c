@@ -42,7 +42,7 @@ static void slots_expand(const struct layout_splat *splats, const uint32_t *of,
 
 /* What backward relies on: lists in depth order, ties by index, every slot of every visible
  * Gaussian used exactly once and in the list of its own tile. */
-static void lists_hold(size_t n, uint32_t width, uint32_t height, size_t entries_least)
+static void lists_hold(size_t n, uint32_t width, uint32_t height, size_t least)
 {
     struct gauss g;
     struct err e = {0};
@@ -53,29 +53,29 @@ static void lists_hold(size_t n, uint32_t width, uint32_t height, size_t entries
         memcpy(g.mean_m + 3 * i, g.mean_m + 3 * (i / 10), 3 * sizeof *g.mean_m);
     kit_ok(render_model_upload(render, &g, &m, &e), e);
     kit_ok(render_forward(render, &m, &cam, &PLAIN, NULL, NULL, &e), e);
-    size_t entries = (size_t)render->entries, tiles = render->tiles;
-    uint32_t *start = mem_array(tiles + 1, 4), *splat = mem_array(entries, 4),
-             *slot = mem_array(entries, 4);
+    size_t intersections = (size_t)render->intersections, tiles = render->tiles;
+    uint32_t *start = mem_array(tiles + 1, 4), *splat = mem_array(intersections, 4),
+             *slot = mem_array(intersections, 4);
     uint32_t *of = mem_array(n, 4), *first = mem_array(n, 4), *key = mem_array(n, 4);
-    uint32_t *owner = mem_array(entries, 4), *tile_of_slot = mem_array(entries, 4);
+    uint32_t *owner = mem_array(intersections, 4), *tile_of_slot = mem_array(intersections, 4);
     struct layout_splat *splats = mem_array(n, sizeof *splats);
     kit_ok(dev_read(&dev, render->splats.mem, 0, n * sizeof *splats, splats, &e), e);
     kit_ok(dev_read(&dev, render->tile_start.mem, 0, 4 * (tiles + 1), start, &e), e);
-    kit_ok(dev_read(&dev, render->entry_splat.mem, 0, 4 * entries, splat, &e), e);
-    kit_ok(dev_read(&dev, render->entry_slot.mem, 0, 4 * entries, slot, &e), e);
+    kit_ok(dev_read(&dev, render->intersection_splat.mem, 0, 4 * intersections, splat, &e), e);
+    kit_ok(dev_read(&dev, render->intersection_slot.mem, 0, 4 * intersections, slot, &e), e);
     kit_ok(dev_read(&dev, render->tiles_of.mem, 0, 4 * n, of, &e), e);
     kit_ok(dev_read(&dev, render->slot_first.mem, 0, 4 * n, first, &e), e);
     kit_ok(dev_read(&dev, render->depth_key.mem, 0, 4 * n, key, &e), e);
-    assert_true(entries >= entries_least);
+    assert_true(intersections >= least);
     assert_int_equal(start[0], 0);
-    assert_int_equal(start[tiles], entries);
+    assert_int_equal(start[tiles], intersections);
     size_t sum = 0, ties = 0;
     for (size_t i = 0; i < n; i++) {
         assert_int_equal(first[i], sum);
         assert_int_equal(of[i] == 0, key[i] == 0xFFFFFFFFu);
         sum += of[i];
     }
-    assert_int_equal(sum, entries);
+    assert_int_equal(sum, intersections);
     slots_expand(splats, of, first, n, render->view.tiles_x, tile_of_slot);
     for (size_t t = 0; t < tiles; t++)
         for (size_t i = start[t]; i < start[t + 1]; i++) {
@@ -90,7 +90,7 @@ static void lists_hold(size_t n, uint32_t width, uint32_t height, size_t entries
                 ties += key[a] == key[b];
             }
         }
-    assert_true(ties > 0 || entries_least == 0);
+    assert_true(ties > 0 || least == 0);
     void *all[] = {start, splat, slot, of, first, key, owner, tile_of_slot, splats};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++)
         mem_free(all[i]);

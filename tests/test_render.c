@@ -266,7 +266,7 @@ static void test_saturated(void **state)
     struct picture p = draw(&g, &cam, &PLAIN);
     size_t stopped = 0;
     for (size_t i = 0; i < p.pixels; i++)
-        stopped += p.t[i] <= RENDER_T_STOP ? 1 : 0;
+        stopped += p.t[i] <= LAYOUT_TRANSMITTANCE_MIN ? 1 : 0;
     assert_true(stopped > p.pixels / 10); /* the case was reached */
     picture_free(&p);
     gauss_free(&g);
@@ -312,7 +312,7 @@ static void expect_same_bits(const char *what, const struct picture *a, const st
 }
 
 /* Exact tiles and block masks only skip what draws nothing: the same bits as with bounding boxes
- * and no masks, for fewer entries. */
+ * and no masks, for fewer intersections. */
 static void test_culling_changes_nothing(void **state)
 {
     struct gauss g;
@@ -324,11 +324,11 @@ static void test_culling_changes_nothing(void **state)
     for (int k = 0; k < 3; k++) {
         struct camera cam = view_from(eyes[k][0], eyes[k][1], eyes[k][2], 250, 187);
         struct picture exact = draw(&g, &cam, &PLAIN);
-        uint64_t entries = render_last_stats(render)->entries;
+        uint64_t intersections = render_last_stats(render)->intersections;
         render->box_tiles = true;
         struct picture boxes = draw(&g, &cam, &PLAIN);
         render->box_tiles = false;
-        assert_true(entries < render_last_stats(render)->entries);
+        assert_true(intersections < render_last_stats(render)->intersections);
         expect_same_bits("tile culling", &exact, &boxes);
         picture_free(&exact);
         picture_free(&boxes);
@@ -411,10 +411,10 @@ static void test_growth(void **state)
     kit_ok(render_open(&dev, &fresh, &e), e);
     struct picture a = draw_with(fresh, &small, &cam, &PLAIN), b = draw(&small, &cam, &PLAIN);
     expect_same_bits("first frame", &a, &b);
-    size_t room = fresh->entry_splat.cap_bytes;
+    size_t room = fresh->intersection_splat.cap_bytes;
     struct picture c = draw_with(fresh, &large, &wide, &PLAIN), d = draw(&large, &wide, &PLAIN);
     expect_same_bits("grown", &c, &d);
-    assert_true(fresh->entry_splat.cap_bytes > room);
+    assert_true(fresh->intersection_splat.cap_bytes > room);
     picture_free(&a);
     a = draw_with(fresh, &small, &cam, &PLAIN);
     expect_same_bits("small again", &a, &b);
@@ -437,11 +437,12 @@ static void test_limits(void **state)
     (void)state;
     kit_gauss(141, 200, 3.0, 0, 0, &g);
     kit_ok(render_model_upload(render, &g, &m, &e), e);
-    uint64_t keep = render->entry_max;
-    render->entry_max = 10;
-    kit_fails(render_forward(render, &m, &cam, &PLAIN, rgb, NULL, &e), ERR_LIMIT, e, "pairs");
+    uint64_t keep = render->intersection_max;
+    render->intersection_max = 10;
+    kit_fails(render_forward(render, &m, &cam, &PLAIN, rgb, NULL, &e), ERR_LIMIT, e,
+              "intersections");
     assert_false(render->drawn);
-    render->entry_max = keep;
+    render->intersection_max = keep;
     kit_ok(render_forward(render, &m, &cam, &PLAIN, rgb, NULL, &e), e);
     struct camera bad = cam;
     bad.width_px = 0;
@@ -522,8 +523,8 @@ static void test_near_plane(void **state)
     gauss_free(&g);
 }
 
-/* F24: entry lists of many more entries than Gaussians, against brute force. */
-static void test_many_entries(void **state)
+/* F24: lists of many more intersections than Gaussians, against brute force. */
+static void test_many_intersections(void **state)
 {
     struct gauss g;
     struct camera cam = view_from(2, -2, 1.5, 400, 96);
@@ -535,7 +536,7 @@ static void test_many_entries(void **state)
         g.opacity_logit[i] = -4.0f;
     }
     check("dense", &g, &cam, &PLAIN);
-    assert_true(render_last_stats(render)->entries > 50 * g.n);
+    assert_true(render_last_stats(render)->intersections > 50 * g.n);
     gauss_free(&g);
 }
 
@@ -574,13 +575,16 @@ static void test_layout_on_device(void **state)
     static const char text[] = "__kernel void sizes(__global uint *out)\n{\n"
                                "    out[0] = sizeof(struct layout_splat);\n"
                                "    out[1] = sizeof(struct layout_view);\n"
-                               "    out[2] = sizeof(struct layout_counts);\n}\n";
+                               "    out[2] = sizeof(struct layout_counts);\n"
+                               "    out[3] = sizeof(struct layout_adam);\n"
+                               "    out[4] = sizeof(struct layout_scale_piece);\n"
+                               "    out[5] = sizeof(struct layout_mip_camera);\n}\n";
     const struct dev_source src = {"tests/sizes.cl", text};
     struct err e = {0};
     cl_program p;
     cl_kernel k;
     cl_mem m;
-    uint32_t got[3];
+    uint32_t got[6];
     (void)state;
     kit_ok(dev_build(&dev, &src, 1, NULL, &p, &e), e);
     kit_ok(dev_kernel(p, "sizes", &k, &e), e);
@@ -591,6 +595,9 @@ static void test_layout_on_device(void **state)
     assert_int_equal(got[0], sizeof(struct layout_splat));
     assert_int_equal(got[1], sizeof(struct layout_view));
     assert_int_equal(got[2], sizeof(struct layout_counts));
+    assert_int_equal(got[3], sizeof(struct layout_adam));
+    assert_int_equal(got[4], sizeof(struct layout_scale_piece));
+    assert_int_equal(got[5], sizeof(struct layout_mip_camera));
     dev_release(&m);
     clReleaseKernel(k);
     clReleaseProgram(p);
@@ -603,7 +610,7 @@ static void test_exp2(void **state)
         "__kernel void powers(__global float *x)\n{\n    size_t i = get_global_id(0);\n"
         "#if VW == 16\n    vstore16(exp2_v(vload16(i, x)), i, x);\n#else\n    x[i] = "
         "exp2_v(x[i]);\n#endif\n}\n";
-    const struct dev_source src[2] = {{"render/common.cl", common_cl}, {"tests/powers.cl", text}};
+    const struct dev_source src[] = {FRAME_SOURCES, {"tests/powers.cl", text}};
     enum { N = 1 << 16 };
     struct err e = {0};
     cl_program p;
@@ -613,7 +620,7 @@ static void test_exp2(void **state)
     (void)state;
     for (int i = 0; i < N; i++)
         x[i] = -126.0f + 253.0f * (float)i / N;
-    kit_ok(dev_build(&dev, src, 2, NULL, &p, &e), e);
+    kit_ok(dev_build(&dev, src, sizeof src / sizeof *src, NULL, &p, &e), e);
     kit_ok(dev_kernel(p, "powers", &k, &e), e);
     kit_ok(dev_buffer(&dev, N * sizeof *x, x, &m, &e), e);
     dev_arg(k, 0, m);
@@ -702,7 +709,7 @@ static void test_stats(void **state)
     render_set_timing(render, false);
     const struct render_stats *s = render_last_stats(render);
     assert_true(s->visible > 0 && s->visible <= g.n);
-    assert_true(s->entries >= s->visible);
+    assert_true(s->intersections >= s->visible);
     assert_true(s->ms_project > 0 && s->ms_sort > 0 && s->ms_bin > 0 && s->ms_blend > 0);
     assert_true(s->ms_total >= s->ms_project + s->ms_sort + s->ms_bin + s->ms_blend);
     picture_free(&p);
@@ -735,7 +742,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_limits),
         cmocka_unit_test(test_hostile_parameters),
         cmocka_unit_test(test_near_plane),
-        cmocka_unit_test(test_many_entries),
+        cmocka_unit_test(test_many_intersections),
         cmocka_unit_test(test_gpu_shapes),
         cmocka_unit_test(test_orthographic),
         cmocka_unit_test(test_stats),

@@ -79,7 +79,7 @@ static void look_count(const struct look *l, size_t cut[3])
                 cut[0] += p.rgb_raw[c] <= 0;
                 cut[1] += p.rgb_raw[c] >= 1;
             }
-            cut[2] += p.opacity_raw + p.look[3] >= 1;
+            cut[2] += p.opacity_raw + p.y[LAYOUT_APPEARANCE_OPACITY] >= 1;
         }
 }
 
@@ -261,7 +261,7 @@ static void check_kernels(const char *what, struct look *l, uint32_t width)
     kit_ok(ref_view_init(&l->s.g, &l->s.cam, &l->s.o, &v, &e), e);
     kit_ok(ref_project_all(&v, &l->s.g, &splats, &n, &e), e);
     for (size_t i = 0; i < n; i++)
-        mean += splats[i].look[3] / (double)n;
+        mean += splats[i].y[LAYOUT_APPEARANCE_OPACITY] / (double)n;
     if (l->s.offset_weight > 0) {
         assert_int_equal(a.visible, n);
         kit_near_d("mean offset", &a.offset_mean, &mean, 1, 1e-6, 1e-5);

@@ -256,7 +256,7 @@ static void composite(const struct view_case *s, const struct ref_view *v,
         double t = 1, d[2], alpha;
         bool clamped;
         out[at] = 0;
-        for (size_t i = 0; i < n && t > (double)RENDER_T_STOP; i++) {
+        for (size_t i = 0; i < n && t > (double)LAYOUT_TRANSMITTANCE_MIN; i++) {
             if (!ref_alpha(&splats[i], (double)(at % PX_W) + 0.5, (double)(at / PX_W) + 0.5, d,
                            &alpha, &clamped))
                 continue;

@@ -62,7 +62,7 @@ static enum err_code densify_opacity(const struct model *m, const struct context
         dev_read(m->dev, m->stats.opacity, 0, m->gauss.n * sizeof(float), c->opacity, e);
     for (size_t i = 0; !rc && i < m->gauss.n; i++) {
         float own =
-            params[permute_at(i, m->gauss.planes) + (size_t)RENDER_PLANE_OPACITY * LAYOUT_LANES];
+            params[permute_at(i, m->gauss.planes) + (size_t)LAYOUT_PLANE_OPACITY * LAYOUT_LANES];
         if (!(count[i] > 0.0f)) /* not seen: nothing was added to its own */
             c->opacity[i] = 1.0f / (1.0f + expf(-own)) + (float)APPEARANCE_TRAIN_OFFSET_IDLE;
     }

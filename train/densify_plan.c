@@ -41,7 +41,7 @@ static void densify_rotation(const float *params, uint32_t planes, size_t i, dou
 {
     double q[4];
     for (uint32_t k = 0; k < 4; k++)
-        q[k] = (double)params[densify_at(i, planes, RENDER_PLANE_QUAT + k)];
+        q[k] = (double)params[densify_at(i, planes, LAYOUT_PLANE_QUAT + k)];
     camera_quat_to_rot(q, rot);
 }
 
@@ -49,8 +49,8 @@ static uint32_t densify_longest(const float *params, uint32_t planes, size_t i)
 {
     uint32_t axis = 0;
     for (uint32_t k = 1; k < 3; k++)
-        if (params[densify_at(i, planes, RENDER_PLANE_SCALE + k)] >
-            params[densify_at(i, planes, RENDER_PLANE_SCALE + axis)])
+        if (params[densify_at(i, planes, LAYOUT_PLANE_SCALE + k)] >
+            params[densify_at(i, planes, LAYOUT_PLANE_SCALE + axis)])
             axis = k;
     return axis;
 }
@@ -70,7 +70,7 @@ static void densify_offset(const struct densify_params *p, const struct densify_
                        : second                         ? DENSIFY_AXIS_OFFSET
                                                         : -DENSIFY_AXIS_OFFSET;
         local[k] =
-            along * exp((double)in->params[densify_at(i, in->planes, RENDER_PLANE_SCALE + k)]);
+            along * exp((double)in->params[densify_at(i, in->planes, LAYOUT_PLANE_SCALE + k)]);
     }
 }
 
@@ -80,7 +80,7 @@ static void densify_mean(const struct densify_params *p, const struct densify_in
 {
     size_t i = row.source;
     for (uint32_t k = 0; k < 3; k++)
-        mean[k] = in->params[densify_at(i, in->planes, RENDER_PLANE_MEAN + k)];
+        mean[k] = in->params[densify_at(i, in->planes, LAYOUT_PLANE_MEAN + k)];
     if (row.kind != DENSIFY_SPLIT_A && row.kind != DENSIFY_SPLIT_B)
         return;
     double rot[9], local[3];
@@ -127,16 +127,16 @@ static enum densify_class densify_classify(const struct densify_params *p,
     float mean[3];
     double largest = -HUGE_VAL;
     for (uint32_t k = 0; k < 3; k++) {
-        mean[k] = in->params[densify_at(i, in->planes, RENDER_PLANE_MEAN + k)];
+        mean[k] = in->params[densify_at(i, in->planes, LAYOUT_PLANE_MEAN + k)];
         largest =
-            fmax(largest, (double)in->params[densify_at(i, in->planes, RENDER_PLANE_SCALE + k)]);
+            fmax(largest, (double)in->params[densify_at(i, in->planes, LAYOUT_PLANE_SCALE + k)]);
     }
     largest = exp(largest);
     double opacity =
         in->opacity
             ? (double)in->opacity[i]
             : 1.0 /
-                  (1.0 + exp(-(double)in->params[densify_at(i, in->planes, RENDER_PLANE_OPACITY)]));
+                  (1.0 + exp(-(double)in->params[densify_at(i, in->planes, LAYOUT_PLANE_OPACITY)]));
     double d = densify_distance(p, mean);
     *inside = d <= 0.0;
     if (!(opacity >= p->prune_opacity) || !(largest >= DENSIFY_SMALLEST_M) ||
@@ -334,8 +334,8 @@ static void densify_halve_row(const struct densify_order *o, float *params, size
 {
     uint32_t planes = o->rows.planes, longest = densify_longest(params, planes, d);
     for (uint32_t k = 0; k < 3; k++) {
-        float *scale = &params[densify_at(d, planes, RENDER_PLANE_SCALE + k)];
-        params[densify_at(d, planes, RENDER_PLANE_MEAN + k)] = mean[k];
+        float *scale = &params[densify_at(d, planes, LAYOUT_PLANE_SCALE + k)];
+        params[densify_at(d, planes, LAYOUT_PLANE_MEAN + k)] = mean[k];
         if (o->how == DENSIFY_SPLIT_RANDOM)
             *scale -= (float)log(DENSIFY_SPLIT_SHRINK);
         else if (k == longest)
@@ -344,7 +344,7 @@ static void densify_halve_row(const struct densify_order *o, float *params, size
     if (o->how == DENSIFY_SPLIT_RANDOM)
         return;
     /* 2 x 0.6 sigma long: as much mass needs 1 / 1.2 of the opacity. */
-    float *logit = &params[densify_at(d, planes, RENDER_PLANE_OPACITY)];
+    float *logit = &params[densify_at(d, planes, LAYOUT_PLANE_OPACITY)];
     double opacity = 0.5 / DENSIFY_AXIS_SHRINK / (1.0 + exp(-(double)*logit));
     *logit = (float)log(opacity / (1.0 - opacity));
 }

@@ -29,7 +29,6 @@
 #include "train/photo_loader.h"
 
 enum {
-    IMPORTANCE_SUMS = 8,
     IMPORTANCE_FIELDS = 9,
     IMPORTANCE_MEDIAN_SAMPLE = 65536,
     IMPORTANCE_CHUNK = 16384,
@@ -46,6 +45,9 @@ enum importance_field {
     IMPORTANCE_DEPTH,
     IMPORTANCE_RADIUS
 };
+static_assert(IMPORTANCE_RADIUS - IMPORTANCE_WEIGHT == LAYOUT_IMPORTANCE_RADIUS &&
+                  IMPORTANCE_SHARE - IMPORTANCE_WEIGHT == LAYOUT_IMPORTANCE_SHARE,
+              "fields of a view in the order of its sums");
 static const float importance_coefficient[IMPORTANCE_FIELDS] = {25.0f, 100.0f, 25.0f, 10.0f, 0.1f,
                                                                 50.0f, 50.0f,  5.0f,  10.0f};
 #define IMPORTANCE_VIEW 50.0
@@ -249,9 +251,9 @@ struct importance_work {
     struct importance *made;
     const struct model *m;
     struct context *ctx;
-    const float *params, *sums;               /* mapped; sums [n][IMPORTANCE_SUMS] of the view */
-    const float *own[IMPORTANCE_WEIGHT];      /* [n] fields that no view changes */
-    float *opacity, *volume;                  /* two of them */
+    const float *params, *sums;          /* mapped; sums [n][LAYOUT_IMPORTANCE_SUMS] of the view */
+    const float *own[IMPORTANCE_WEIGHT]; /* [n] fields that no view changes */
+    float *opacity, *volume;             /* two of them */
     float *total, inverse[IMPORTANCE_FIELDS]; /* [n] */
     size_t n;
     float view_factor;
@@ -267,8 +269,8 @@ static enum err_code importance_static_chunk(void *user, size_t chunk, struct er
         const float *p = w->params + permute_at(i, planes);
         float volume = 0.0f;
         for (size_t k = 0; k < 3; k++)
-            volume += p[(RENDER_PLANE_SCALE + k) * LAYOUT_LANES];
-        w->opacity[i] = 1.0f / (1.0f + expf(-p[RENDER_PLANE_OPACITY * LAYOUT_LANES]));
+            volume += p[(LAYOUT_PLANE_SCALE + k) * LAYOUT_LANES];
+        w->opacity[i] = 1.0f / (1.0f + expf(-p[LAYOUT_PLANE_OPACITY * LAYOUT_LANES]));
         w->volume[i] = expf(volume);
     }
     return ERR_OK;
@@ -284,7 +286,7 @@ static enum err_code importance_own_field(void *user, size_t f, struct err *e)
 static enum err_code importance_view_field(void *user, size_t k, struct err *e)
 {
     struct importance_work *w = user;
-    return importance_inverse_median(w->sums + k, w->n, IMPORTANCE_SUMS,
+    return importance_inverse_median(w->sums + k, w->n, LAYOUT_IMPORTANCE_SUMS,
                                      &w->inverse[IMPORTANCE_WEIGHT + k], e);
 }
 
@@ -294,7 +296,7 @@ static enum err_code importance_add_chunk(void *user, size_t chunk, struct err *
     struct importance_work *w = user;
     size_t end = (chunk + 1) * IMPORTANCE_CHUNK < w->n ? (chunk + 1) * IMPORTANCE_CHUNK : w->n;
     for (size_t i = chunk * IMPORTANCE_CHUNK; i < end; i++) {
-        const float *view = w->sums + IMPORTANCE_SUMS * i;
+        const float *view = w->sums + LAYOUT_IMPORTANCE_SUMS * i;
         float sum = 0.0f;
         if (!(view[IMPORTANCE_DEPTH - IMPORTANCE_WEIGHT] > 0.0f)) /* not visible */
             continue;

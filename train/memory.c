@@ -20,21 +20,22 @@ enum {
     MEMORY_WORD = 4,
     MEMORY_STATS = 4, /* words: grad, absg, count, radius; + opacity with appearance */
     MEMORY_KEYS = 7,  /* words a Gaussian: depth_key, tiles_of, slot_first, keys, ids */
-    MEMORY_PAIR = 5 * 4 + 2 /* lists, hits */ + LAYOUT_SLOT_FLOATS * 4 + 1 /* slot, mark */,
-    MEMORY_EXTRA = 11,  /* words: gradients of the regularizers of size and depth */
-    MEMORY_DEPTH = 14,  /* words: means, sizes, ... of the depth picture's own model */
+    MEMORY_INTERSECTION = 5 * 4 + 2 /* lists, hits */ + LAYOUT_SLOT_FLOATS * 4 + 1 /* slot, mark */,
+    MEMORY_EXTRA = LAYOUT_PLANES_GEOMETRY, /* words: gradients of regularizers of size and depth */
+    MEMORY_DEPTH = LAYOUT_DEPTH_PLANES,    /* words: the depth picture's own model */
     MEMORY_CHOICE = 64, /* plan's rows, classes, candidates, Morton order, new means, spare rows */
-    MEMORY_SUMS = 8 * 4 /* of a view */ + 5 * 4 /* opacity, volume, mean gradient, score */,
+    MEMORY_SUMS = LAYOUT_IMPORTANCE_SUMS * 4 /* of a view */ +
+                  5 * 4 /* opacity, volume, mean gradient, score */,
     MEMORY_FRAME_PX = 7 * 4,          /* colour, transmittance, gradient of the colour */
     MEMORY_LOSS_PX = 9 * 4,           /* derivative maps of SSIM, less margins */
     MEMORY_HOST_PX = 3 + 1 + 6 * 4,   /* photograph, mask, weights and errors of the score */
     MEMORY_EVALUATE_PX = 12 + 12 * 8, /* drawing, and planes of doubles of SSIM and GMSD */
     MEMORY_DECODERS = 2,              /* feed's thread and the training's */
 };
-#define MEMORY_FRAME_ROOM 1.5  /* of a frame's */
-#define MEMORY_PAIRS 3.0       /* (splat, tile) pairs a Gaussian of the cell, in the fullest view */
-#define MEMORY_MARGIN_PX 128.0 /* of a row of the loss's maps */
-#define MEMORY_OUTSIDE 1.5     /* budget inside, half of it outside */
+#define MEMORY_FRAME_ROOM 1.5    /* of a frame's */
+#define MEMORY_INTERSECTIONS 3.0 /* a Gaussian of the cell, in the fullest view */
+#define MEMORY_MARGIN_PX 128.0   /* of a row of the loss's maps */
+#define MEMORY_OUTSIDE 1.5       /* budget inside, half of it outside */
 
 static double memory_photos(const struct train_config *cfg, const struct scene *s,
                             const uint32_t *images, size_t n, double downsample, double *pixels,
@@ -81,12 +82,12 @@ struct memory_need memory_estimate(const struct train_config *cfg, const struct 
                    MEMORY_EXTRA * (double)extra + MEMORY_DEPTH * (double)depth;
     double trained = 3.0 * row + MEMORY_WORD * words;
     double drawn = MEMORY_FRAME_ROOM * (sizeof(struct layout_splat) + MEMORY_WORD * MEMORY_KEYS +
-                                        MEMORY_PAIRS * MEMORY_PAIR);
+                                        MEMORY_INTERSECTIONS * MEMORY_INTERSECTION);
     double passing = fmax(MEMORY_CHOICE, MEMORY_SUMS);
     double per_pixel = MEMORY_FRAME_ROOM * MEMORY_FRAME_PX +
                        (pixels > 0.0 ? MEMORY_LOSS_PX * photometric_pixels / pixels : 0.0) +
                        MEMORY_HOST_PX + MEMORY_EVALUATE_PX +
-                       MEMORY_FRAME_ROOM * 2.0 * MEMORY_PAIR; /* large splats: 2 pairs a pixel */
+                       MEMORY_FRAME_ROOM * 2.0 * MEMORY_INTERSECTION; /* large splats: 2 a pixel */
     double per_gaussian = trained + drawn + passing;
     return (struct memory_need){
         .per_gaussian = (size_t)per_gaussian,

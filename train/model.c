@@ -231,7 +231,7 @@ enum err_code model_reset_opacity(struct model *m, double top, struct err *e)
         rc = dev_map(m->dev, *arrays[k], CL_MAP_READ | CL_MAP_WRITE, model_bytes(m), &mapped, e);
         for (size_t i = 0; !rc && i < g->n; i++) {
             float *o = (float *)mapped + permute_at(i, g->planes) +
-                       (size_t)RENDER_PLANE_OPACITY * LAYOUT_LANES;
+                       (size_t)LAYOUT_PLANE_OPACITY * LAYOUT_LANES;
             *o = k ? 0.0f : fminf(*o, logit);
         }
         if (!rc)

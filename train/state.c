@@ -129,10 +129,10 @@ static enum err_code state_view_close(struct state_view *v, enum err_code rc, st
 static void state_fold(const struct state_view *v, enum ckpt_field field, size_t row, float *out)
 {
     const float *p = (const float *)v->at[0] + permute_at(row, v->m->gauss.planes);
-    float scale[3], opacity = p[RENDER_PLANE_OPACITY * LAYOUT_LANES];
+    float scale[3], opacity = p[LAYOUT_PLANE_OPACITY * LAYOUT_LANES];
     struct gauss one = {.n = 1, .scale_log = scale, .opacity_logit = &opacity};
     for (size_t k = 0; k < 3; k++)
-        scale[k] = p[(RENDER_PLANE_SCALE + k) * LAYOUT_LANES];
+        scale[k] = p[(LAYOUT_PLANE_SCALE + k) * LAYOUT_LANES];
     mip_fold(&one, v->filter + row);
     memcpy(out, field == CKPT_SCALE ? scale : &opacity,
            (field == CKPT_SCALE ? 3 : 1) * sizeof *out);
@@ -146,8 +146,8 @@ static enum err_code state_rows(void *user, enum ckpt_field field, size_t first,
     const struct state_view *v = user;
     const struct render_model *m = &v->m->gauss;
     const uint32_t plane[] = {
-        RENDER_PLANE_MEAN, RENDER_PLANE_SCALE,          RENDER_PLANE_QUAT, RENDER_PLANE_OPACITY,
-        RENDER_PLANE_SH,   render_planes(m->sh_degree), m->planes};
+        LAYOUT_PLANE_MEAN, LAYOUT_PLANE_SCALE,          LAYOUT_PLANE_QUAT, LAYOUT_PLANE_OPACITY,
+        LAYOUT_PLANE_SH,   render_planes(m->sh_degree), m->planes};
     size_t count = plane[field + 1] - plane[field];
     bool fold = v->filter && (field == CKPT_SCALE || field == CKPT_OPACITY);
     for (size_t i = 0; i < n; i++) {

@@ -1,5 +1,5 @@
 /* What single Gaussians can do to a frame: F2 (any shape stays finite), F3 (a camera inside the
- * cloud), F24 (millions of entries, and what stands behind the camera), F26 (kernel shapes agree).
+ * cloud), F24 (millions of intersections, and what stands behind the camera), F26 (kernel shapes agree).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -132,7 +132,7 @@ static struct cloud_frame cloud_frame(struct trainer *t, struct view_case *s, cl
         kernel_forward(t->r, s, &t->m);
         f.ms = fmin(f.ms, 1e3 * (double)(clock() - from) / CLOCKS_PER_SEC);
     }
-    f.pairs = (double)render_last_stats(t->r)->entries;
+    f.pairs = (double)render_last_stats(t->r)->intersections;
     kit_ok(render_backward(t->r, &t->m, grads, &e), e);
     planes_read(&t->m, grads, out);
     for (size_t i = 0; i < 3 * out->n; i++)
@@ -185,7 +185,8 @@ static void a_camera_inside_the_cloud_is_no_catastrophe(void **state)
 
 /* Splats that each cover much of the picture, opacity a little above the 1/255 that counts, half of
  * them behind the camera. `want` pairs at least, or the test fails. */
-static void many_entries(size_t n, uint32_t width, uint32_t height, uint64_t want, size_t samples)
+static void many_intersections(size_t n, uint32_t width, uint32_t height, uint64_t want,
+                               size_t samples)
 {
     struct err e = {0};
     struct gauss g = {0};
@@ -210,11 +211,11 @@ static void many_entries(size_t n, uint32_t width, uint32_t height, uint64_t wan
     }
     kit_ok(render_open(dev_get(), &r, &e), e); /* fresh: every buffer has to grow to its size */
     kit_ok(render_model_upload(r, &g, &m, &e), e);
-    r->entry_max = want / 2;
+    r->intersection_max = want / 2;
     kit_fails(render_forward(r, &m, &cam, &o, rgb, NULL, &e), ERR_LIMIT, e, "pairs");
-    r->entry_max = UINT64_MAX;
+    r->intersection_max = UINT64_MAX;
     kit_ok(render_forward(r, &m, &cam, &o, rgb, NULL, &e), e);
-    uint64_t pairs = render_last_stats(r)->entries;
+    uint64_t pairs = render_last_stats(r)->intersections;
     kit_ok(ref_view_init(&g, &cam, &o, &v, &e), e);
     kit_ok(ref_project_all(&v, &g, &splats, &n_splats, &e), e);
     double worst = 0.0;
@@ -222,7 +223,7 @@ static void many_entries(size_t n, uint32_t width, uint32_t height, uint64_t wan
         size_t at = (size_t)(rng_unit(72, 0, k) * (double)width * height);
         double t = 1.0, sum[3] = {0, 0, 0}, d[2], alpha;
         bool clamped;
-        for (size_t i = 0; i < n_splats && t > (double)RENDER_T_STOP; i++) {
+        for (size_t i = 0; i < n_splats && t > (double)LAYOUT_TRANSMITTANCE_MIN; i++) {
             if (!ref_alpha(&splats[i], (double)(at % width) + 0.5, (double)(at / width) + 0.5, d,
                            &alpha, &clamped))
                 continue;
@@ -246,17 +247,17 @@ static void many_entries(size_t n, uint32_t width, uint32_t height, uint64_t wan
     gauss_free(&g);
 }
 
-static void a_frame_of_a_million_entries_is_brute_force(void **state)
+static void a_frame_of_a_million_intersections_is_brute_force(void **state)
 {
     (void)state;
-    many_entries(8000, 320, 240, 1000000, 300);
+    many_intersections(8000, 320, 240, 1000000, 300);
 }
 
 /* In the long run only: 2 GB. */
-static void a_frame_of_fifty_million_entries_is_brute_force(void **state)
+static void a_frame_of_fifty_million_intersections_is_brute_force(void **state)
 {
     (void)state;
-    many_entries(14000, 1920, 1080, 50000000, 300);
+    many_intersections(14000, 1920, 1080, 50000000, 300);
 }
 
 /* ---- F26 ---- */
@@ -319,11 +320,11 @@ int main(int argc, char **argv)
     const struct CMUnitTest usual[] = {
         cmocka_unit_test(a_million_shapes_stay_finite),
         cmocka_unit_test(a_camera_inside_the_cloud_is_no_catastrophe),
-        cmocka_unit_test(a_frame_of_a_million_entries_is_brute_force),
+        cmocka_unit_test(a_frame_of_a_million_intersections_is_brute_force),
         cmocka_unit_test(kernels_of_both_shapes_agree_and_repeat),
     };
     const struct CMUnitTest large[] = {
-        cmocka_unit_test(a_frame_of_fifty_million_entries_is_brute_force),
+        cmocka_unit_test(a_frame_of_fifty_million_intersections_is_brute_force),
     };
     int failed = argc > 1 && !strcmp(argv[1], "large")
                      ? cmocka_run_group_tests_name("shapes, large", large, NULL, NULL)
