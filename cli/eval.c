@@ -17,6 +17,7 @@
 #include "cli/eval_views.h"
 #include "codec/ckpt.h"
 #include "codec/scene.h"
+#include "core/exposure.h"
 #include "lod/pick.h"
 #include "lod/view.h"
 #include "loss/lpips.h"
@@ -52,6 +53,8 @@ struct eval {
     bool dev_is_open;
     struct render *render;
     struct eval_half_image halves;  /* of what is being scored */
+    bool exposed;                   /* the scene tells exposures */
+    bool exposure;                  /* and what is being scored was trained at the mean one */
     double trained_steps;           /* of the level that was scored last; 0: none was */
     struct lpips *lpips;            /* NULL: no weights */
     struct residual_list residuals; /* of the last row that was scored */
@@ -107,7 +110,8 @@ static enum err_code eval_halves(struct eval *v, const char *what, uint32_t edge
     struct evaluate_score score;
     char name[64];
     if (v->o.half_image == EVAL_HALF_IMAGE_OFF ||
-        (v->o.half_image == EVAL_HALF_IMAGE_AUTO && !eval_half_image_appearance(&v->halves)))
+        (v->o.half_image == EVAL_HALF_IMAGE_AUTO && !eval_half_image_appearance(&v->halves) &&
+         !v->exposure))
         return ERR_OK;
     uint32_t steps = (uint32_t)v->o.half_image_steps;
     if (!steps)
@@ -120,8 +124,8 @@ static enum err_code eval_halves(struct eval *v, const char *what, uint32_t edge
                  steps < HALF_IMAGE_STEPS ? ", as long as the level was trained" : "");
     snprintf(name, sizeof name, "%s, halves", what);
     enum err_code rc =
-        eval_half_image_run(&v->halves, &v->dev, v->render, steps, v->o.half_image_random, feed,
-                            v->n_images, src, &score, e);
+        eval_half_image_run(&v->halves, &v->dev, v->render, steps, v->o.half_image_random,
+                            v->exposure, feed, v->n_images, src, &score, e);
     score.bytes = bytes;
     return rc ? rc : eval_row(v, name, edge_px, &score, e);
 }
@@ -163,7 +167,9 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
                                     .n_images = v->n_images,
                                     .max_edge_px = max_edge_px,
                                     .downsample = downsample,
-                                    .cache_bytes = (size_t)64 << 20};
+                                    .cache_bytes = (size_t)64 << 20,
+                                    .exposure =
+                                        v->exposure ? PHOTO_LOADER_TOLD : PHOTO_LOADER_AS_TAKEN};
     if (v->o.views)
         return eval_views(v, what, &src, e);
     src.lpips = v->lpips;
@@ -193,6 +199,7 @@ struct eval_settings {
     double max_edge_px, downsample, background, near_m;
     double steps; /* of training, over all cells */
     enum render_aa aa;
+    bool exposure; /* photographs were brought to the mean one */
 };
 
 static enum err_code eval_read_settings(const struct ckpt *c, const char *path,
@@ -218,6 +225,7 @@ static enum err_code eval_read_settings(const struct ckpt *c, const char *path,
         return err_add(e, "%s", path);
     if (!(out->downsample >= 1.0) || !(out->max_edge_px >= 0.0 && out->max_edge_px <= 65535.0))
         return err_set(e, ERR_FORMAT, "%s: impossible picture size", path);
+    out->exposure = json_is_true(json_object_get(config, "exposure"));
     out->aa = !strcmp(aa, "none")  ? RENDER_AA_NONE
               : !strcmp(aa, "mip") ? RENDER_AA_MIP
                                    : RENDER_AA_2D;
@@ -326,6 +334,7 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
             .draw = evaluate_draw_model, .user = &m, .bytes = bytes, .render = v->render};
         uint32_t edge = v->o.max_edge_px ? (uint32_t)v->o.max_edge_px : (uint32_t)s.max_edge_px;
         v->trained_steps = s.steps;
+        v->exposure = v->exposed && s.exposure;
         rc = eval_source(v, what, edge, v->o.full_size ? 1.0 : s.downsample, src, &half, e);
     }
     eval_half_image_clear(&v->halves);
@@ -396,6 +405,7 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     };
     w.po.distance_m[0] = v->o.distance_1_m;
     w.po.distance_m[1] = v->o.distance_2_m;
+    v->exposure = v->exposed && v->o.exposure;
     struct evaluate_source src = {
         .draw = eval_draw_view, .user = &w, .bytes = eval_bytes(v->o.tiles), .render = v->render};
     const struct half_image_source half = {eval_prepare_view, &w};
@@ -431,6 +441,8 @@ static enum err_code eval_open(struct eval *v, const char *scene_dir, struct err
     if (!rc)
         rc = train_scene_images(&v->scene, v->o.split ? SCENE_TRAIN : SCENE_TEST, true, &v->images,
                                 &v->n_images, e);
+    for (size_t i = 0; !rc && i < v->scene.n_images; i++)
+        v->exposed |= !exposure_is_mean(v->scene.images[i].exposure_ev);
     if (!rc && !v->n_images)
         rc = err_set(e, ERR_DATA, "%s: the scene keeps no %s photographs", scene_dir,
                      v->o.split ? "training" : "test");

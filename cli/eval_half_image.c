@@ -61,9 +61,10 @@ enum err_code eval_half_image_take_store(struct eval_half_image *h, const struct
 }
 
 enum err_code eval_half_image_run(struct eval_half_image *h, struct dev *dev, struct render *r,
-                                  uint32_t steps, bool random, struct photo_loader *f,
-                                  size_t n_photos, const struct half_image_source *src,
-                                  struct evaluate_score *out, struct err *e)
+                                  uint32_t steps, bool random, bool exposure,
+                                  struct photo_loader *f, size_t n_photos,
+                                  const struct half_image_source *src, struct evaluate_score *out,
+                                  struct err *e)
 {
     struct photometric *loss = NULL;
     struct half_image *half = NULL;
@@ -75,6 +76,7 @@ enum err_code eval_half_image_run(struct eval_half_image *h, struct dev *dev, st
                                   .steps = steps,
                                   .lr = HALF_IMAGE_LR,
                                   .lr_end = HALF_IMAGE_LR_END,
+                                  .exposure = exposure,
                                   .random = random,
                                   .seed = 1};
     if (!rc)

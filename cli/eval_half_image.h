@@ -30,8 +30,9 @@ enum err_code eval_half_image_take_store(struct eval_half_image *h, const struct
 struct appearance_view *eval_half_image_appearance(struct eval_half_image *h);
 /* Score a source by the half-image protocol. */
 enum err_code eval_half_image_run(struct eval_half_image *h, struct dev *dev, struct render *r,
-                                  uint32_t steps, bool random, struct photo_loader *f,
-                                  size_t n_photos, const struct half_image_source *src,
-                                  struct evaluate_score *out, struct err *e) ERR_USE;
+                                  uint32_t steps, bool random, bool exposure,
+                                  struct photo_loader *f, size_t n_photos,
+                                  const struct half_image_source *src, struct evaluate_score *out,
+                                  struct err *e) ERR_USE;
 
 #endif

@@ -19,6 +19,7 @@
 #include <string.h>
 
 #include "codec/scene.h"
+#include "core/exposure.h"
 
 enum { SCENE_VERSION = 1, POINTS_HEAD = 24, POINT_SIZE = 36, TRACK_SIZE = 16, POINTS_TAIL = 16 };
 static const char points_magic[4] = {'C', 'S', 'P', 'T'};
@@ -168,11 +169,19 @@ static json_t *scene_camera_to_json(const struct camera *c)
 
 static json_t *scene_image_to_json(const struct scene_image *im)
 {
-    return json_pack("{s:s, s:s, s:I, s:o, s:o, s:o}", "name", im->name, "split",
-                     im->split == SCENE_TEST ? "test" : "train", "group", (json_int_t)im->group,
-                     "camera", scene_camera_to_json(&im->cam), "gps_enu_m",
-                     scene_maybe_nums(im->gps_enu_m, 3), "residual_m",
-                     isfinite(im->residual_m) ? json_real(im->residual_m) : json_null());
+    double ev[3] = {(double)im->exposure_ev[0], (double)im->exposure_ev[1],
+                    (double)im->exposure_ev[2]};
+    json_t *o = json_pack("{s:s, s:s, s:I, s:o, s:o, s:o}", "name", im->name, "split",
+                          im->split == SCENE_TEST ? "test" : "train", "group",
+                          (json_int_t)im->group, "camera", scene_camera_to_json(&im->cam),
+                          "gps_enu_m", scene_maybe_nums(im->gps_enu_m, 3), "residual_m",
+                          isfinite(im->residual_m) ? json_real(im->residual_m) : json_null());
+    if (o && !exposure_is_mean(im->exposure_ev) && /* left out where it is not known */
+        json_object_set_new(o, "exposure_ev", scene_nums_to_json(ev, 3))) {
+        json_decref(o);
+        o = NULL;
+    }
+    return o;
 }
 
 static json_t *scene_to_json(const struct scene *s, struct hash128 points_hash)
@@ -233,6 +242,21 @@ static enum err_code scene_nums_or_nan(const json_t *o, const char *key, size_t 
     return ERR_OK;
 }
 
+static enum err_code scene_exposure_from_json(const json_t *o, float out[3], struct err *e)
+{
+    double ev[3] = {0.0};
+    if (!json_object_get(o, "exposure_ev"))
+        return ERR_OK;
+    enum err_code rc = jsonc_nums(o, "exposure_ev", 3, ev, e);
+    for (size_t k = 0; !rc && k < 3; k++) {
+        if (!(fabs(ev[k]) <= (double)EXPOSURE_EV_MAX))
+            rc = err_set(e, ERR_FORMAT, "exposure_ev: %g stops, expected -%g to %g", ev[k],
+                         (double)EXPOSURE_EV_MAX, (double)EXPOSURE_EV_MAX);
+        out[k] = (float)ev[k];
+    }
+    return rc;
+}
+
 static enum err_code scene_image_from_json(const json_t *o, struct scene_image *im, struct arena *a,
                                            struct err *e)
 {
@@ -257,6 +281,8 @@ static enum err_code scene_image_from_json(const json_t *o, struct scene_image *
         rc = scene_nums_or_nan(o, "gps_enu_m", 3, im->gps_enu_m, e);
     if (!rc)
         rc = scene_nums_or_nan(o, "residual_m", 1, &im->residual_m, e);
+    if (!rc)
+        rc = scene_exposure_from_json(o, im->exposure_ev, e);
     if (!rc) {
         im->split = strcmp(split, "test") ? SCENE_TRAIN : SCENE_TEST;
         im->group = (uint32_t)group;

@@ -18,9 +18,10 @@ struct scene_image {
     char *name;        /* file in images/, borrowed from the scene's arena */
     struct camera cam; /* undistorted pinhole, world = ENU metres */
     enum scene_split split;
-    uint32_t group;      /* appearance group; one per photograph by default */
-    double gps_enu_m[3]; /* NaN when there is none */
-    double residual_m;   /* after registration; NaN when there is no GPS */
+    uint32_t group;       /* appearance group; one per photograph by default */
+    double gps_enu_m[3];  /* NaN when there is none */
+    double residual_m;    /* after registration; NaN when there is no GPS */
+    float exposure_ev[3]; /* core/exposure.h: stops against the mean of all; 0: not known */
 };
 struct scene_point {
     double enu_m[3];

@@ -461,6 +461,8 @@ static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, 
         rc = ingest_for_photos(g, "undistort and shrink", ingest_convert_task, e);
     if (!rc && g->cfg->mask_dir)
         rc = ingest_check_masks(g, e);
+    if (!rc && g->cfg->exposure)
+        rc = ingest_exposure_find(g, e);
     if (!rc)
         rc = ingest_write_scene(g, start_s, e);
     return rc;

@@ -122,6 +122,25 @@ static void report_print_points(const struct ingest_result *r)
     printf("\n");
 }
 
+/* Stops between the darkest and the brightest photograph, and the median distance from the mean; in
+ * green, which is most of what is seen. */
+static double report_exposure(const struct ingest_result *r, double *median_ev)
+{
+    const struct scene *s = r->scene;
+    double least = 0.0, most = 0.0, *v = mem_array(s->n_images, sizeof *v);
+    *median_ev = 0.0;
+    for (size_t i = 0; v && i < s->n_images; i++) {
+        double ev = (double)s->images[i].exposure_ev[1];
+        least = fmin(least, ev);
+        most = fmax(most, ev);
+        v[i] = fabs(ev);
+    }
+    if (v && s->n_images)
+        *median_ev = sim3_median(v, s->n_images);
+    mem_free(v);
+    return most - least;
+}
+
 void ingest_report_print(const struct ingest_result *r)
 {
     const struct scene *s = r->scene;
@@ -135,6 +154,11 @@ void ingest_report_print(const struct ingest_result *r)
                s->images[0].cam.height_px, s->images[0].cam.fx_px);
     report_print_frame(r);
     report_print_points(r);
+    double median_ev, range_ev = report_exposure(r, &median_ev);
+    if (range_ev > 0.0)
+        printf("exposure %.2f stops from the darkest to the brightest photograph, median %.2f from "
+               "the mean\n",
+               range_ev, median_ev);
     for (size_t i = 0; i < r->n_photos && shown < NAMES_SHOWN; i++) {
         char why[160];
         report_verdict_text(r, &r->photos[i], why, sizeof why);
@@ -206,13 +230,15 @@ enum err_code ingest_report_write(const struct ingest_result *r, const char *pat
     enum err_code rc = options_to_json(ingest_options(), r->cfg, &config, e);
     if (rc)
         return rc;
-    json_t *root = json_pack(
-        "{s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:o, s:o, s:o, s:o, s:f}", "photographs",
-        (json_int_t)r->n_photos, "kept", (json_int_t)r->n_kept, "train", (json_int_t)r->n_train,
-        "test", (json_int_t)r->n_test, "with_gps", (json_int_t)r->n_gps, "not_in_model",
-        (json_int_t)r->n_unregistered, "scale_m", r->scene->scale, "georeferencing",
-        report_georef_to_json(r), "points", report_points_to_json(r), "photos",
-        report_photos_to_json(r), "config", config, "seconds", r->seconds);
+    double median_ev, range_ev = report_exposure(r, &median_ev);
+    json_t *root =
+        json_pack("{s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:{s:f, s:f}, s:o, s:o, s:o, s:o, s:f}",
+                  "photographs", (json_int_t)r->n_photos, "kept", (json_int_t)r->n_kept, "train",
+                  (json_int_t)r->n_train, "test", (json_int_t)r->n_test, "with_gps",
+                  (json_int_t)r->n_gps, "not_in_model", (json_int_t)r->n_unregistered, "scale_m",
+                  r->scene->scale, "exposure", "range_ev", range_ev, "median_ev", median_ev,
+                  "georeferencing", report_georef_to_json(r), "points", report_points_to_json(r),
+                  "photos", report_photos_to_json(r), "config", config, "seconds", r->seconds);
     if (!root)
         return err_set(e, ERR_DATA, "%s: cannot be written: a photograph's name is not UTF-8",
                        path);

@@ -94,6 +94,7 @@ static enum err_code budget_open_photos(struct budget *b, const struct context *
         .n_images = b->n_held,
         .max_edge_px = (uint32_t)ctx->cfg->max_edge_px,
         .downsample = context_schedule(ctx)->downsample,
+        .exposure = ctx->cfg->exposure ? PHOTO_LOADER_TO_MEAN : PHOTO_LOADER_AS_TAKEN,
         .no_masks = !ctx->cfg->masks,
         .cache_bytes = (size_t)ctx->cfg->cache_mib << 16, /* a sixteenth, as of the photographs */
         .level = context_schedule(ctx)->level,

@@ -10,6 +10,7 @@
 #include <string.h>
 
 #include "codec/image.h"
+#include "core/exposure.h"
 #include "loss/lpips.h"
 #include "loss/metric.h"
 #include "train/appearance_train.h"
@@ -131,6 +132,8 @@ static enum err_code evaluate_one(struct photo_loader *f, size_t nth,
         rc = src->draw(src->user, &photo.cam, rgb, &gaussians, e);
         quickest = fmin(quickest, clock_s() - start);
     }
+    if (!rc)
+        exposure_expose(photo.exposure_ev, rgb, (size_t)photo.cam.width_px * photo.cam.height_px);
     struct evaluate_score one = {0};
     if (!rc)
         rc = evaluate_photo(&photo, rgb, &one, e);

@@ -10,6 +10,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "core/exposure.h"
 #include "loss/photometric.h"
 #include "render/permute.h"
 #include "train/appearance_train.h"
@@ -137,6 +138,28 @@ static enum err_code half_image_part(const struct photo *p, enum half_image_side
     return ERR_OK;
 }
 
+/* What learning is compared with: the part at the mean exposure, without what is clipped then. `part`
+ * lies in a room of half_image_part. */
+static void half_image_to_mean(struct photo *part, uint8_t *room)
+{
+    size_t n = (size_t)part->cam.width_px * part->cam.height_px;
+    const uint8_t white[3] = {255, 255, 255};
+    uint8_t table[3][256];
+    if (exposure_is_mean(part->exposure_ev))
+        return;
+    if (!part->mask && exposure_clipped(part->exposure_ev, white)) {
+        memset(room + 3 * n, 255, n);
+        part->mask = room + 3 * n;
+    }
+    exposure_table(part->exposure_ev, table);
+    for (size_t i = 0; i < n; i++) {
+        if (exposure_clipped(part->exposure_ev, room + 3 * i))
+            room[3 * n + i] = 0;
+        for (size_t k = 0; k < 3; k++)
+            room[3 * i + k] = table[k][room[3 * i + k]];
+    }
+}
+
 /* Is there anything on both sides to learn from and to score? */
 static bool half_image_is_seen(const struct photo *p)
 {
@@ -216,8 +239,10 @@ enum err_code half_image_fit(struct half_image *h, const struct photo *p,
     struct photo part;
     uint8_t *room = NULL;
     enum err_code rc = half_image_part(p, side, &part, &room, e);
-    if (!rc)
+    if (!rc) {
+        half_image_to_mean(&part, room);
         rc = half_image_upload(h, &part, m, e);
+    }
     memset(h->m1, 0, len * sizeof(float));
     memset(h->m2, 0, len * sizeof(float));
     for (uint32_t t = 1; !rc && t <= h->c.steps; t++) {
@@ -233,33 +258,59 @@ enum err_code half_image_fit(struct half_image *h, const struct photo *p,
 
 /* ---- scoring ---- */
 
-enum err_code half_image_score(struct half_image *h, const struct photo *p,
-                               const struct render_model *m, const struct render_options *ro,
-                               enum half_image_side side, const float *image,
-                               struct evaluate_score *sum, struct err *e)
+/* The whole picture, drawn with an embedding (NULL: without): *rgb [h][w][3], mem_free it. */
+static enum err_code half_image_draw(struct half_image *h, const struct camera *cam,
+                                     const struct render_model *m, const struct render_options *ro,
+                                     const float *image, float **rgb, struct err *e)
 {
     struct render_options with = *ro;
-    struct photo part;
-    uint8_t *room = NULL;
-    uint32_t first, count, w = p->cam.width_px, rows = p->cam.height_px;
-    half_image_columns(w, side, &first, &count);
-    float *rgb = mem_array((size_t)w * rows * 3, sizeof(float));
+    *rgb = mem_array((size_t)cam->width_px * cam->height_px * 3, sizeof **rgb);
+    if (!*rgb)
+        return err_set(e, ERR_MEM, "half-image score: out of memory");
     if (image) {
         appearance_frame(h->c.appearance->model, image, h->frame);
         with.appearance_frame = h->frame;
         with.appearance_hidden = h->c.appearance->model->hidden;
     }
-    enum err_code rc = rgb ? half_image_part(p, side, &part, &room, e)
-                           : err_set(e, ERR_MEM, "half-image score: out of memory");
+    return render_forward(h->c.render, m, cam, &with, *rgb, NULL, e);
+}
+
+enum err_code half_image_expose(struct half_image *h, struct photo *p, const struct render_model *m,
+                                const struct render_options *ro, enum half_image_side side,
+                                const float *image, struct err *e)
+{
+    uint32_t first, count, w = p->cam.width_px;
+    float *rgb = NULL;
+    half_image_columns(w, side, &first, &count);
+    enum err_code rc = half_image_draw(h, &p->cam, m, ro, image, &rgb, e);
+    if (!rc &&
+        !exposure_fit(rgb, p->px, p->mask, w, p->cam.height_px, first, count, p->exposure_ev))
+        log_debug("eval", "%s: too few pixels of one half tell its exposure", p->name);
+    mem_free(rgb);
+    return rc;
+}
+
+enum err_code half_image_score(struct half_image *h, const struct photo *p,
+                               const struct render_model *m, const struct render_options *ro,
+                               enum half_image_side side, const float *image,
+                               struct evaluate_score *sum, struct err *e)
+{
+    struct photo part;
+    uint8_t *room = NULL;
+    float *rgb = NULL;
+    uint32_t first, count, w = p->cam.width_px, rows = p->cam.height_px;
+    half_image_columns(w, side, &first, &count);
+    enum err_code rc = half_image_part(p, side, &part, &room, e);
     double start = clock_s();
     if (!rc)
-        rc = render_forward(h->c.render, m, &p->cam, &with, rgb, NULL, e);
+        rc = half_image_draw(h, &p->cam, m, ro, image, &rgb, e);
     if (!rc) {
         sum->ms_frame += 1e3 * (clock_s() - start);
         sum->gaussians += m->n;
         for (size_t y = 0; y < rows; y++) /* in place: rows only move towards the start */
             memmove(rgb + y * count * 3, rgb + (y * w + first) * 3,
                     (size_t)count * 3 * sizeof(float));
+        exposure_expose(p->exposure_ev, rgb, (size_t)count * rows);
         rc = evaluate_photo(&part, rgb, sum, e);
     }
     mem_free(rgb);
@@ -284,15 +335,19 @@ static enum err_code half_image_photo(struct half_image *h, const struct photo *
 {
     const struct render_model *m = NULL;
     struct render_options ro;
+    float *image = h->c.appearance ? h->image : NULL;
     enum err_code rc = src->prepare(src->user, &p->cam, &m, &ro, e);
-    for (int side = HALF_IMAGE_LEFT; !rc && side <= HALF_IMAGE_RIGHT; side++) {
-        if (h->c.appearance) {
+    for (int k = HALF_IMAGE_LEFT; !rc && k <= HALF_IMAGE_RIGHT; k++) {
+        enum half_image_side side = (enum half_image_side)k;
+        struct photo photo = *p;
+        if (image)
             half_image_start(h, p);
-            rc = half_image_fit(h, p, m, &ro, (enum half_image_side)side, h->image, e);
-        }
+        if (h->c.exposure)
+            rc = half_image_expose(h, &photo, m, &ro, side, image, e);
+        if (!rc && image)
+            rc = half_image_fit(h, &photo, m, &ro, side, image, e);
         if (!rc)
-            rc = half_image_score(h, p, m, &ro, half_image_other((enum half_image_side)side),
-                                  h->c.appearance ? h->image : NULL, sum, e);
+            rc = half_image_score(h, &photo, m, &ro, half_image_other(side), image, sum, e);
     }
     return rc;
 }

@@ -2,7 +2,8 @@
  * judged on the other.
  *
  * For each test photograph only its embedding is optimised, on the pixels left of the middle
- * (columns [0, W/2)), with the training loss; then the whole picture is drawn and the part right of
+ * (columns [0, W/2)), with the training loss, and before it its exposure where the model was trained
+ * at the mean one; then the whole picture is drawn and the part right of
  * the middle is scored. Then the other way round, from the start. The photograph's score is the
  * mean of both. Both halves, and those of its mask, are cut out before loss and metric, so no window
  * of SSIM sees across the middle. Learning ignores masked pixels; a photograph whose mask leaves
@@ -41,7 +42,9 @@ struct half_image_config { /* all borrowed */
     struct appearance_view *appearance; /* NULL: a model without */
     uint32_t steps;                     /* HALF_IMAGE_STEPS */
     double lr, lr_end;                  /* 0.01 falling to 0.0005, exponentially */
-    bool random; /* start from N(0, 1) instead of the nearest cameras' mean */
+    bool exposure; /* the photograph's exposure is found from the half that is learnt from; else its
+                      exposure_ev is used */
+    bool random;   /* start from N(0, 1) instead of the nearest cameras' mean */
     uint64_t seed;
 };
 #define HALF_IMAGE_STEPS 200
@@ -70,12 +73,17 @@ void half_image_close(struct half_image **h);
 /* Columns [first, first + count) of a side. */
 void half_image_columns(uint32_t width_px, enum half_image_side side, uint32_t *first,
                         uint32_t *count);
-/* Learn the embedding of a photograph from one side. image [len_image]: start in, result out. ERR_CANCEL:
+/* The exposure of a photograph (p->exposure_ev is set) from one side of it, drawn with an embedding
+ * (NULL: without). 0 where too few pixels are exposed well. ERR_MEM, ERR_DEVICE. */
+enum err_code half_image_expose(struct half_image *h, struct photo *p, const struct render_model *m,
+                                const struct render_options *ro, enum half_image_side side,
+                                const float *image, struct err *e) ERR_USE;
+/* Learn the embedding of a photograph, brought to the mean exposure by its exposure_ev, from one side. image [len_image]: start in, result out. ERR_CANCEL:
  * stopped by a signal; ERR_MEM, ERR_DEVICE. */
 enum err_code half_image_fit(struct half_image *h, const struct photo *p,
                              const struct render_model *m, const struct render_options *ro,
                              enum half_image_side side, float *image, struct err *e) ERR_USE;
-/* Score one side of a photograph drawn with an embedding (NULL: without); added to sum. ERR_MEM,
+/* Score one side of a photograph drawn with an embedding (NULL: without) and exposed as it was; added to sum. ERR_MEM,
  * ERR_DEVICE, and what evaluate_photo fails with. */
 enum err_code half_image_score(struct half_image *h, const struct photo *p,
                                const struct render_model *m, const struct render_options *ro,

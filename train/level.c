@@ -81,6 +81,7 @@ enum err_code level_begin(struct level *l, struct err *e)
         .max_edge_px = (uint32_t)ctx->cfg->max_edge_px,
         .downsample = s->downsample,
         .cache_bytes = (size_t)ctx->cfg->cache_mib << 20,
+        .exposure = ctx->cfg->exposure ? PHOTO_LOADER_TO_MEAN : PHOTO_LOADER_AS_TAKEN,
         .no_masks = !ctx->cfg->masks,
         .seed = (uint64_t)ctx->cfg->seed,
         .level = s->level,

@@ -18,6 +18,7 @@
 #include "codec/image.h"
 #include "codec/mask.h"
 #include "codec/scene.h"
+#include "core/exposure.h"
 #include "core/pool.h"
 #include "train/config.h"
 #include "train/photo_loader.h"
@@ -30,6 +31,8 @@ enum photo_loader_state {
     PHOTO_LOADER_FAILED
 };
 
+enum photo_loader_masked { PHOTO_LOADER_FILE = 1, PHOTO_LOADER_CLIPPED = 2 };
+
 struct photo_loader_slot {
     enum photo_loader_state state;
     struct image img, mask; /* mask: empty when the photograph has none */
@@ -39,7 +42,7 @@ struct photo_loader_slot {
 struct photo_loader {
     struct photo_loader_config cfg;
     struct camera *cams; /* [n] at training size */
-    uint8_t *masked;     /* [n] has a mask in the scene */
+    uint8_t *masked;     /* [n] enum photo_loader_masked, together */
     struct pool_thread *thread;
     pthread_mutex_t lock;
     pthread_cond_t changed;
@@ -112,7 +115,7 @@ static enum err_code photo_loader_decode_mask(const struct photo_loader *f, size
     const struct camera *full = &f->cfg.scene->images[f->cfg.images[slot]].cam;
     char path[FILE_PATH_MAX];
     struct image whole = {0};
-    if (!f->masked[slot])
+    if (!(f->masked[slot] & PHOTO_LOADER_FILE))
         return ERR_OK;
     enum err_code rc = photo_loader_mask_path(&f->cfg, slot, path, e);
     if (!rc)
@@ -120,6 +123,40 @@ static enum err_code photo_loader_decode_mask(const struct photo_loader *f, size
     if (!rc)
         rc = mask_resize(&whole, f->cams[slot].width_px, f->cams[slot].height_px, out, e);
     image_free(&whole);
+    return rc;
+}
+
+/* The exposure that a photograph is brought to the mean from; NULL: it stays as it is. */
+static const float *photo_loader_exposure(const struct photo_loader_config *cfg, size_t slot)
+{
+    const float *ev = cfg->scene->images[cfg->images[slot]].exposure_ev;
+    return cfg->exposure == PHOTO_LOADER_TO_MEAN && !exposure_is_mean(ev) ? ev : NULL;
+}
+
+/* To the mean exposure, in place. What was clipped is darker now than it may have been: masked. */
+static enum err_code photo_loader_to_mean(const struct photo_loader *f, size_t slot,
+                                          struct image *img, struct image *mask, struct err *e)
+{
+    const float *ev = photo_loader_exposure(&f->cfg, slot);
+    uint8_t table[3][256];
+    enum err_code rc = ERR_OK;
+    size_t n = (size_t)img->width_px * img->height_px;
+    if (!ev)
+        return ERR_OK;
+    if ((f->masked[slot] & PHOTO_LOADER_CLIPPED) && !mask->px) {
+        rc = image_alloc(img->width_px, img->height_px, 1, mask, e);
+        if (rc)
+            return rc;
+        memset(mask->px, 255, n);
+    }
+    exposure_table(ev, table);
+    for (size_t i = 0; i < n; i++) {
+        uint8_t *px = img->px + 3 * i;
+        if (mask->px && exposure_clipped(ev, px))
+            mask->px[i] = 0;
+        for (size_t k = 0; k < 3; k++)
+            px[k] = table[k][px[k]];
+    }
     return rc;
 }
 
@@ -176,6 +213,8 @@ static void photo_loader_load(struct photo_loader *f, size_t slot)
     enum err_code rc = photo_loader_decode(f, slot, &img, &e);
     if (!rc)
         rc = photo_loader_decode_mask(f, slot, &mask, &e);
+    if (!rc)
+        rc = photo_loader_to_mean(f, slot, &img, &mask, &e);
     pthread_mutex_lock(&f->lock);
     f->slots[slot].state = rc ? PHOTO_LOADER_FAILED : PHOTO_LOADER_READY;
     f->slots[slot].img = img;
@@ -264,6 +303,9 @@ static enum err_code photo_loader_take(struct photo_loader *f, size_t slot, cons
                           .px = f->slots[slot].img.px,
                           .mask = f->slots[slot].mask.px,
                           .name = f->cfg.scene->images[f->cfg.images[slot]].name};
+    if (f->cfg.exposure == PHOTO_LOADER_TOLD)
+        memcpy(out->exposure_ev, f->cfg.scene->images[f->cfg.images[slot]].exposure_ev,
+               sizeof out->exposure_ev);
     return ERR_OK;
 }
 
@@ -324,7 +366,11 @@ enum err_code photo_loader_open(const struct photo_loader_config *cfg, struct ph
         f->cams[i] = photo_loader_camera(&cfg->scene->images[cfg->images[i]].cam, cfg->max_edge_px,
                                          cfg->downsample);
         rc = photo_loader_mask_path(cfg, i, path, e);
-        f->masked[i] = !rc && !cfg->no_masks && file_exists(path);
+        const uint8_t white[3] = {255, 255, 255};
+        const float *ev = photo_loader_exposure(cfg, i);
+        f->masked[i] =
+            (uint8_t)((!rc && !cfg->no_masks && file_exists(path) ? PHOTO_LOADER_FILE : 0) |
+                      (ev && exposure_clipped(ev, white) ? PHOTO_LOADER_CLIPPED : 0));
     }
     if (!rc)
         rc = pool_start(photo_loader_thread, f, &f->thread, e);

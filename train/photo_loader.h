@@ -16,9 +16,16 @@ struct scene;
 struct photo {
     uint32_t image; /* index into the scene's images */
     struct camera cam;
-    const uint8_t *px;   /* [h][w][3], borrowed until the next photo_loader_get */
-    const uint8_t *mask; /* [h][w], 0 = ignore; NULL: use all. From scene/masks (codec/mask.h) */
-    const char *name;    /* of the file, borrowed from the scene */
+    const uint8_t *px;    /* [h][w][3], borrowed until the next photo_loader_get */
+    const uint8_t *mask;  /* [h][w], 0 = ignore; NULL: use all. From scene/masks (codec/mask.h) */
+    const char *name;     /* of the file, borrowed from the scene */
+    float exposure_ev[3]; /* what a drawing must be exposed by to be compared with px
+                             (core/exposure.h); 0 where px was brought to the mean */
+};
+enum photo_loader_exposure {
+    PHOTO_LOADER_AS_TAKEN, /* px as in the file; exposure_ev is 0: the model knows nothing of it */
+    PHOTO_LOADER_TO_MEAN,  /* px at the mean exposure; what is clipped then is masked */
+    PHOTO_LOADER_TOLD      /* px as in the file, and exposure_ev says how to compare */
 };
 struct photo_loader_config {
     const struct scene *scene; /* borrowed while it is open, as is images */
@@ -26,6 +33,7 @@ struct photo_loader_config {
     size_t n_images;
     uint32_t max_edge_px; /* 0 = as ingested */
     double downsample;
+    enum photo_loader_exposure exposure;
     bool no_masks;      /* use photographs whole even where the scene has masks */
     size_t cache_bytes; /* decoded photographs kept; at least one is */
     uint64_t seed;

@@ -271,6 +271,7 @@ static enum err_code run_score(struct run *t, struct evaluate_score *out, struct
         .max_edge_px = (uint32_t)t->cfg->max_edge_px,
         .downsample = l->ctx.schedule[l->ctx.at].downsample,
         .cache_bytes = (size_t)64 << 20,
+        .exposure = t->cfg->exposure ? PHOTO_LOADER_TOLD : PHOTO_LOADER_AS_TAKEN,
     };
     struct appearance_view appearance = {0};
     struct evaluate_model model = {l->ctx.render, &l->model.gauss,
