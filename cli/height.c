@@ -10,7 +10,7 @@
 
 #include "cli/cli.h"
 #include "cli/maps.h"
-#include "survey/probe.h"
+#include "lod/probe.h"
 
 enum { HEIGHT_PLACES_MAX = 15 };
 

@@ -2,7 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "survey/probe.h"
+#include "lod/probe.h"
 
 #include <math.h>
 #include <string.h>
@@ -14,8 +14,8 @@ static void probe_tile(const struct nadir *n, double lon_deg, double lat_deg, st
 {
     const struct store *s = nadir_store(n);
     struct key k = key_at(lon_deg, lat_deg, store_info(s)->zoom_max);
-    out->surveyed = area_holds(nadir_area(n), k);
-    while (out->surveyed && !store_find(s, k))
+    out->surveyed = area_holds(nadir_area(n), lon_deg, lat_deg);
+    while (out->surveyed && k.z > store_info(s)->zoom_min && !store_find(s, k))
         k = key_parent(k);
     const struct store_tile *t = out->surveyed ? store_find(s, k) : NULL;
     out->tile = k;

@@ -2,10 +2,10 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#ifndef SURVEY_PROBE_H
-#define SURVEY_PROBE_H
+#ifndef LOD_PROBE_H
+#define LOD_PROBE_H
 
-#include "survey/nadir.h"
+#include "lod/nadir.h"
 
 struct probe {
     bool surveyed, found; /* the place lies in the survey; there is a surface */

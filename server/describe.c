@@ -103,14 +103,18 @@ static json_t *describe_operation(enum route r, const char *name, const char *su
                               describe_query_parameter("sh", "degree of harmonics, 0 to 3"));
     }
     static const enum route with_appearance[] = {
-        ROUTE_SEED,           ROUTE_TILE, ROUTE_TILE_MOVING, ROUTE_TILESET,
-        ROUTE_TILESET_MOVING, ROUTE_VIEW, ROUTE_VIEW_MOVING, ROUTE_APPEARANCE};
+        ROUTE_SEED,    ROUTE_TILE,        ROUTE_TILE_MOVING, ROUTE_TILESET, ROUTE_TILESET_MOVING,
+        ROUTE_VIEW,    ROUTE_VIEW_MOVING, ROUTE_APPEARANCE,  ROUTE_MAP,     ROUTE_MAP_MOVING,
+        ROUTE_MAPJSON, ROUTE_WMTS};
     for (size_t i = 0; i < sizeof with_appearance / sizeof *with_appearance; i++)
         if (r == with_appearance[i])
             json_array_append_new(
                 parameters, describe_query_parameter(
                                 "appearance", "a photograph, NAME:WEIGHT,NAME:WEIGHT, or =BASE64 "
                                               "of an embedding"));
+    if (r == ROUTE_TERRAIN || r == ROUTE_TERRAIN_MOVING || r == ROUTE_TERRAINJSON)
+        json_array_append_new(parameters,
+                              describe_query_parameter("encoding", "mapbox or terrarium"));
     if (r == ROUTE_RENDER)
         json_object_set_new(o, "requestBody", describe_render_body());
     return o;

@@ -106,3 +106,27 @@ struct hash128 result_id_view(const struct dataset *d, const char *device, const
     result_id_mix(&id, a);
     return id;
 }
+
+struct hash128 result_id_map(const struct dataset *d, const char *device, const struct map_tile *t,
+                             bool flat, const struct appearance_choice *a)
+{
+    struct { /* no padding */
+        struct hash128 salt;
+        char rev[16], device[160], kind[8];
+        uint32_t z, x, y, size, format, encoding, quality, flat;
+    } name = {.salt = d->salt,
+              .kind = "map",
+              .z = flat ? 0 : t->key.z,
+              .x = flat ? 0 : t->key.x,
+              .y = flat ? 0 : t->key.y,
+              .size = t->size_px,
+              .format = (uint32_t)t->format,
+              .encoding = (uint32_t)t->encoding,
+              .quality = (uint32_t)t->quality,
+              .flat = flat};
+    memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
+    snprintf(name.device, sizeof name.device, "%s", device);
+    struct hash128 id = hash_bytes(&name, sizeof name);
+    result_id_mix(&id, a);
+    return id;
+}

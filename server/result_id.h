@@ -11,6 +11,7 @@
 #include "server/appearance_api.h"
 #include "server/config.h"
 #include "server/dataset.h"
+#include "server/map_tile.h"
 #include "server/target.h"
 
 /* form has nothing left unsaid (encode_form). */
@@ -22,5 +23,8 @@ struct hash128 result_id_tileset(const struct dataset *d, const struct target *t
 struct hash128 result_id_view(const struct dataset *d, const char *device, const struct camera *cam,
                               const struct appearance_choice *a, enum format format, int quality,
                               double gaussians);
+/* flat: nothing of the survey is in it, so all such tiles are the same. */
+struct hash128 result_id_map(const struct dataset *d, const char *device, const struct map_tile *t,
+                             bool flat, const struct appearance_choice *a);
 
 #endif

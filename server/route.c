@@ -19,7 +19,8 @@ static void route_data(struct services *s, const struct request *r, struct datas
         answer_view(s, r, d, t, out);
     else if (t->route == ROUTE_RENDER)
         answer_render(s, r, d, out);
-    else if (!answer_dataset(s, r, d, t, out) && !answer_appearance(r, d, t, out))
+    else if (!answer_dataset(s, r, d, t, out) && !answer_map(s, r, d, t, out) &&
+             !answer_appearance(r, d, t, out))
         response_problem(out, 404, "there is nothing at this path");
 }
 
@@ -112,7 +113,8 @@ void route_finish(struct services *s, const struct request *r, struct job_result
             response_tile_problem(out, result->code == ERR_FORMAT);
         else
             response_problem(out, 500,
-                             cls == JOB_VIEW ? "the picture could not be made; the log says why"
-                                             : "the list could not be made; the log says why");
+                             cls == JOB_VIEW || cls == JOB_MAP
+                                 ? "the picture could not be made; the log says why"
+                                 : "the list could not be made; the log says why");
     }
 }
