@@ -26,6 +26,8 @@
 #define NADIR_ERROR_PX 0.5      /* median sigma of the tiles taken, where there are finer ones */
 #define NADIR_EARTH_M 6371000.0
 
+enum { NADIR_WINDOW_PX = 16 /* around a ray: one tile of the renderer */ };
+
 struct nadir {
     struct dev dev;
     bool dev_open;
@@ -256,5 +258,36 @@ enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rg
         rgb[i] = n->depth[i / 3] > 0 ? fminf(n->rgb[i] / (1 - n->transmittance[i / 3]), 1) : NAN;
     if (height_m)
         nadir_heights(n, p, eye_h_m, height_m);
+    return ERR_OK;
+}
+
+/* A window of the camera's picture whose pixel in the middle has its centre on the ray. */
+enum err_code nadir_look(struct nadir *n, const struct camera *cam, double x_px, double y_px,
+                         double limit_m, struct nadir_ray *out, struct err *e)
+{
+    enum { PIXELS = NADIR_WINDOW_PX * NADIR_WINDOW_PX, MIDDLE = NADIR_WINDOW_PX / 2 };
+    const double middle = MIDDLE + 0.5;
+    const size_t at = MIDDLE * NADIR_WINDOW_PX + MIDDLE;
+    float median[PIXELS], front[PIXELS], limit[PIXELS], rgb[3 * PIXELS];
+    struct camera window = *cam;
+    window.width_px = window.height_px = NADIR_WINDOW_PX;
+    window.cx_px += middle - x_px;
+    window.cy_px += middle - y_px;
+    for (size_t i = 0; i < PIXELS; i++)
+        limit[i] = (float)limit_m;
+    const struct render_options ro = {
+        .aa = store_info(nadir_store(n))->antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
+        .sh_degree = -1};
+    const struct pick_options po = {.error_px = 0};
+    const struct render_surface_maps maps = {.median_m = median, .front = front};
+    *out = (struct nadir_ray){.depth_m = (double)NAN};
+    enum err_code rc = view_render(n->view, &window, &ro, &po, rgb, NULL, e);
+    if (!rc)
+        rc = render_surface_run(n->surface, limit_m > 0 ? limit : NULL, &maps, e);
+    if (rc)
+        return rc;
+    out->found = median[at] > 0;
+    out->depth_m = out->found ? (double)median[at] : (double)NAN;
+    out->front = limit_m > 0 ? (double)front[at] : 0;
     return ERR_OK;
 }

@@ -12,6 +12,7 @@
 
 #include "lod/area.h"
 
+struct camera;
 struct render;
 struct view;
 
@@ -59,5 +60,16 @@ enum err_code nadir_fit(const struct nadir *n, const double lon_deg[NADIR_PLACES
  * ERR_FORMAT (a damaged tile), ERR_MEM, ERR_LIMIT. */
 enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rgb, float *height_m,
                          struct err *e) ERR_USE;
+
+/* What one ray of a perspective camera meets. */
+struct nadir_ray {
+    bool found;     /* half of the light is stopped somewhere */
+    double depth_m; /* along the optical axis, to the surface; NAN: none */
+    double front;   /* share of the light that is stopped nearer than the limit */
+};
+/* The ray through (x, y) of the picture, the top left corner being (0, 0). limit_m: a depth; 0: front
+ * is 0. Errors of nadir_draw: ERR_ARG (camera), ERR_DEVICE, ERR_FORMAT, ERR_MEM, ERR_LIMIT. */
+enum err_code nadir_look(struct nadir *n, const struct camera *cam, double x_px, double y_px,
+                         double limit_m, struct nadir_ray *out, struct err *e) ERR_USE;
 
 #endif
