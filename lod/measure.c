@@ -56,8 +56,8 @@ static enum err_code measure_samples(const struct geo_origin *frame, const doubl
             enum err_code rc = measure_unplan(frame, p, lonlat[n], e);
             if (rc)
                 return rc;
-            out[n++] =
-                (struct measure_sample){before + t * length, lonlat[n][0], lonlat[n][1], {0}};
+            out[n] = (struct measure_sample){before + t * length, lonlat[n][0], lonlat[n][1], {0}};
+            n++;
         }
         before += length;
     }

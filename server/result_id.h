@@ -8,6 +8,7 @@
 #define SERVER_RESULT_ID_H
 
 #include "core/camera.h"
+#include "lod/query.h"
 #include "server/appearance_api.h"
 #include "server/config.h"
 #include "server/dataset.h"
@@ -23,6 +24,9 @@ struct hash128 result_id_tileset(const struct dataset *d, const struct target *t
 struct hash128 result_id_view(const struct dataset *d, const char *device, const struct camera *cam,
                               const struct appearance_choice *a, enum format format, int quality,
                               double gaussians);
+/* geoid: name of the model, "": none. */
+struct hash128 result_id_query(const struct dataset *d, const char *device, const char *geoid,
+                               const struct query *q);
 /* flat: nothing of the survey is in it, so all such tiles are the same. */
 struct hash128 result_id_map(const struct dataset *d, const char *device, const struct map_tile *t,
                              bool flat, const struct appearance_choice *a);

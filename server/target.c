@@ -297,6 +297,33 @@ static enum err_code target_parse_seed(const char *query, size_t n, struct targe
     return ERR_OK;
 }
 
+/* ?lon=X&lat=Y, both or (for POST) neither; other keys are ignored. */
+static enum err_code target_parse_place(const char *query, size_t n, struct target *out,
+                                        struct err *e)
+{
+    int64_t at[2] = {0};
+    unsigned seen = 0;
+    for (struct text t = {query, query + n}; !text_at_end(&t);) {
+        const char *amp = memchr(t.p, '&', (size_t)(t.end - t.p));
+        struct text one = {t.p, amp ? amp : t.end};
+        t.p = amp ? amp + 1 : t.end;
+        int k = text_take(&one, "lon=") ? 0 : text_take(&one, "lat=") ? 1 : 2;
+        if (k == 2)
+            continue;
+        if (seen >> k & 1 || !text_take_fixed(&one, 7, &at[k]) || !text_at_end(&one))
+            return err_set(e, ERR_FORMAT, "lon and lat are plain decimal degrees, each given once");
+        seen |= 1u << k;
+    }
+    if (seen == 1 || seen == 2)
+        return err_set(e, ERR_FORMAT, "lon and lat are given together");
+    if (at[0] < -1800000000 || at[0] > 1800000000 || at[1] < -850000000 || at[1] > 850000000)
+        return err_set(e, ERR_DATA, "longitude is -180..180 and latitude -85..85 degrees");
+    out->has_place = seen == 3;
+    out->pose.lon_e7 = (int32_t)at[0];
+    out->pose.lat_e7 = (int32_t)at[1];
+    return ERR_OK;
+}
+
 /* What follows /d/ */
 static enum err_code target_parse_data(struct text *t, const char *query, size_t n_query,
                                        struct target *out, struct err *e)
@@ -314,14 +341,20 @@ static enum err_code target_parse_data(struct text *t, const char *query, size_t
                  {"appearances:mix", ROUTE_MIX},
                  {"map.json", ROUTE_MAPJSON},
                  {"terrain.json", ROUTE_TERRAINJSON},
-                 {"wmts.xml", ROUTE_WMTS}};
+                 {"wmts.xml", ROUTE_WMTS},
+                 {"height", ROUTE_HEIGHT},
+                 {"pick", ROUTE_PICK},
+                 {"profile", ROUTE_PROFILE},
+                 {"measure", ROUTE_MEASURE},
+                 {"visible", ROUTE_VISIBLE}};
     for (size_t i = 0; i < sizeof words / sizeof *words; i++) {
         struct text at = *t;
         if (!text_take(&at, words[i].path) || !text_at_end(&at))
             continue;
         out->route = words[i].route;
-        return out->route == ROUTE_SEED ? target_parse_seed(query, n_query, out, e)
-                                        : target_parse_form(query, n_query, out, e);
+        return out->route == ROUTE_SEED     ? target_parse_seed(query, n_query, out, e)
+               : out->route == ROUTE_HEIGHT ? target_parse_place(query, n_query, out, e)
+                                            : target_parse_form(query, n_query, out, e);
     }
     bool revisioned = text_take(t, "r/");
     if (revisioned && (!target_take_rev(t, out->rev) || !text_take(t, "/")))

@@ -43,6 +43,13 @@ enum { ALLOW_READ = 1, ALLOW_POST = 2 };
     X(MAPJSON, ALLOW_READ, "/d/{ds}/map.json", "TileJSON 3.0.0 of the map tiles")                  \
     X(TERRAINJSON, ALLOW_READ, "/d/{ds}/terrain.json", "TileJSON 3.0.0 of the terrain tiles")      \
     X(WMTS, ALLOW_READ, "/d/{ds}/wmts.xml", "OGC WMTS 1.0.0 capabilities of the map tiles")        \
+    X(HEIGHT, ALLOW_READ | ALLOW_POST, "/d/{ds}/height",                                           \
+      "How high the surface is: at ?lon= and ?lat=, or at posted places")                          \
+    X(PICK, ALLOW_POST, "/d/{ds}/pick",                                                            \
+      "What a pixel of a camera shows: longitude, latitude, height")                               \
+    X(PROFILE, ALLOW_POST, "/d/{ds}/profile", "Heights of the surface along a line")               \
+    X(MEASURE, ALLOW_POST, "/d/{ds}/measure", "Lengths; areas and volumes within a polygon")       \
+    X(VISIBLE, ALLOW_POST, "/d/{ds}/visible", "Is one place seen from another?")                   \
     X(APPEARANCES, ALLOW_READ, "/d/{ds}/appearances", "All appearances of a dataset")              \
     X(APPEARANCE, ALLOW_READ, "/d/{ds}/appearance",                                                \
       "One appearance or blend: embedding, nearest photographs, links")                            \
@@ -111,7 +118,8 @@ struct target {
     struct key key;
     struct form form;                       /* of views only the format counts */
     char appearance[TARGET_APPEARANCE_MAX]; /* "": not said */
-    struct target_pose pose;
+    struct target_pose pose; /* of height: longitude and latitude alone, if has_place */
+    bool has_place;
     uint32_t width_px, height_px;
     uint8_t scale;          /* of map and terrain tiles: 1, or 2 for twice the pixels */
     enum encoding encoding; /* of terrain */

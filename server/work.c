@@ -5,7 +5,9 @@
  */
 #include "server/work.h"
 
+#include <jansson.h>
 #include <stdio.h>
+#include <stdlib.h>
 
 #include "lod/store.h"
 #include "lod/tileset.h"
@@ -44,6 +46,24 @@ static enum err_code work_make_map(struct services *s, const struct work *w, str
     return rc ? rc : map_tile_make(n, &w->map, out, e);
 }
 
+static enum err_code work_make_answer(struct services *s, const struct work *w, struct buf *out,
+                                      struct err *e)
+{
+    struct nadir *n;
+    json_t *o = NULL;
+    enum err_code rc = picture_nadir(s->picture, w->ds, &w->appearance, &n, e);
+    if (!rc)
+        rc = query_answer(n, s->geoid, w->query, &o, e);
+    char *text = rc ? NULL : json_dumps(o, JSON_COMPACT | JSON_REAL_PRECISION(13));
+    json_decref(o);
+    if (!rc && !text)
+        return err_set(e, ERR_MEM, "out of memory for an answer");
+    if (text)
+        buf_printf(out, "%s\n", text);
+    free(text);
+    return rc;
+}
+
 static enum err_code work_make_bytes(struct services *s, const struct job *j, const struct work *w,
                                      struct buf *out, struct err *e)
 {
@@ -52,6 +72,8 @@ static enum err_code work_make_bytes(struct services *s, const struct job *j, co
         return picture_make(s->picture, j, w->ds, &w->appearance, &w->view, out, e);
     case WORK_MAP:
         return work_make_map(s, w, out, e);
+    case WORK_QUERY:
+        return work_make_answer(s, w, out, e);
     case WORK_SEED:
         return seed_write(w->ds, &w->target, w->form, &w->appearance, out, e);
     case WORK_TILESET:
@@ -72,6 +94,8 @@ static size_t work_room(const struct work *w)
         return HEAD + (size_t)w->view.cam.width_px * w->view.cam.height_px * 4;
     case WORK_MAP:
         return HEAD + (size_t)w->map.size_px * w->map.size_px * 4;
+    case WORK_QUERY:
+        return HEAD + (size_t)MEASURE_SAMPLES_MAX * 160;
     case WORK_SEED:
         return HEAD + w->ds->n_tiles * SEED_ROW;
     case WORK_TILESET:
@@ -114,7 +138,7 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     flight_release(s->flight, room);
     if (!rc && w->keep)
         cache_put(s->cache, w->id, *out);
-    if (rc && rc != ERR_CANCEL) {
+    if (rc && rc != ERR_CANCEL && !(w->kind == WORK_QUERY && rc == ERR_DATA)) {
         if (rc == ERR_FORMAT || rc == ERR_IO)
             atomic_fetch_add(&w->ds->n_failed, 1);
         atomic_fetch_add(&s->metrics.store_errors, w->kind == WORK_TILE);
@@ -133,5 +157,6 @@ void work_drop(void *services, void *work)
     struct work *w = work;
     (void)services;
     dataset_drop(&w->ds);
+    mem_free(w->query);
     mem_free(w);
 }

@@ -403,13 +403,94 @@ static void gdal_opens_the_map(void **state)
     image_free(&own);
 }
 
+static int post(const char *path, const char *body, struct reply *r)
+{
+    struct buf q = {0};
+    int fd = dial(t.port);
+    buf_printf(&q,
+               "POST /d/survey/%s HTTP/1.1\r\nHost: test\r\nConnection: close\r\n"
+               "Content-Length: %zu\r\n\r\n%s",
+               path, strlen(body), body);
+    say_bytes(fd, (char *)q.data, q.size);
+    hear(fd, true, NULL, r);
+    buf_free(&q);
+    close(fd);
+    return r->status;
+}
+
+/* What is answered is test_query's; here: how it is asked, and what is said to nonsense. */
+static void questions_are_answered(void **state)
+{
+    static const struct {
+        const char *path, *body, *says;
+        int status;
+    } cases[] = {
+        {"height", "{\"places\": [[8.6821, 50.1109], [9, 50]]}", "\"height_m\":null", 200},
+        {"profile", "{\"line\": [[8.6820, 50.1109], [8.6822, 50.1109]]}", "\"climb_m\"", 200},
+        {"measure", "{\"polygon\": [[8.682, 50.1108], [8.6822, 50.1108], [8.6821, 50.111]]}",
+         "\"volume_above_m3\"", 200},
+        {"measure", "{\"line\": [[8.682, 50.1108], [8.6822, 50.1108]]}", "\"rise_m\"", 200},
+        {"visible",
+         "{\"from\": {\"lon\": 8.682, \"lat\": 50.1108, \"above\": 50}, \"to\": {\"lon\": "
+         "8.6822, \"lat\": 50.1109, \"above\": 0}}",
+         "\"visible\":true", 200},
+        {"pick",
+         "{\"pose\": {\"lon\": 8.6821, \"lat\": 50.1109, \"height\": 260, \"heading\": 0, "
+         "\"pitch\": -90}, \"width\": 200, \"height\": 100, \"x\": 100, \"y\": 50}",
+         "\"found\":true", 200},
+        {"height", "{\"places\": [[8, 91]]}", "place 1 must be", 422},
+        {"height", "{\"places\": []}", "1 to 256 places", 422},
+        {"height", "{", "body", 400},
+        {"height", "", "JSON", 400},
+        {"profile", "{\"line\": [[8.6, 50], [8.7, 50]], \"step_m\": 0.1}", "steps of at least",
+         422},
+        {"measure", "{\"polygon\": [[8.68, 50.11], [8.69, 50.12], [8.69, 50.11], [8.68, 50.12]]}",
+         "crosses itself", 422},
+        {"measure", "{\"polygon\": [[8.68, 50.11], [8.69, 50.11], [8.69, 50.12]]}", "gsd_m", 422},
+        {"measure",
+         "{\"polygon\": [[8.68, 50.11], [8.69, 50.11], [8.69, 50.12]], \"base\": \"sea\"}", "rim",
+         422},
+        {"measure", "{}", "one of the two", 422},
+        {"visible", "{\"from\": {\"lon\": 8, \"lat\": 50}}", "above", 422},
+        {"visible",
+         "{\"from\": {\"lon\": 8, \"lat\": 50, \"above\": 1}, \"to\": {\"lon\": 8.6822, "
+         "\"lat\": 50.1109, \"above\": 0}}",
+         "no surface", 422},
+        {"pick", "{\"x\": 1, \"y\": 1}", "one of the two", 422},
+    };
+    struct reply r;
+    (void)state;
+    if (!start_drawing())
+        skip();
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        int got = post(cases[i].path, cases[i].body, &r);
+        const char *text = (const char *)r.body;
+        if (got != cases[i].status || !strstr(text, cases[i].says))
+            fail_msg("%s %s: %d, want %d and %s: %s", cases[i].path, cases[i].body, got,
+                     cases[i].status, cases[i].says, text);
+        assert_string_equal(header(&r, "Cache-Control"), "no-store");
+        buf_free(&r.raw);
+    }
+    ask("GET", "/d/survey/height?lon=8.6821&lat=50.1109", "", &r);
+    assert_int_equal(r.status, 200);
+    assert_string_equal(header(&r, "Content-Type"), "application/json");
+    assert_non_null(strstr((const char *)r.body, "WGS 84 ellipsoid"));
+    assert_true(strlen(header(&r, "ETag")) > 2);
+    buf_free(&r.raw);
+    assert_int_equal(status_of("GET", "/d/survey/height", ""), 400);
+    assert_int_equal(status_of("GET", "/d/survey/height?lon=8", ""), 400);
+    assert_int_equal(status_of("GET", "/d/survey/height?lon=8&lat=86", ""), 422);
+    assert_int_equal(status_of("GET", "/d/survey/height?lon=8&lon=8&lat=50", ""), 400);
+    assert_int_equal(status_of("GET", "/d/survey/measure", ""), 405);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         HTTP_TEST(tiles_show_the_city), HTTP_TEST(terrain_is_the_citys),
         HTTP_TEST(outside_is_empty),    HTTP_TEST(tiles_are_cached),
         HTTP_TEST(nonsense_is_refused), HTTP_TEST(tilejson_leads_to_tiles),
-        HTTP_TEST(gdal_opens_the_map),
+        HTTP_TEST(gdal_opens_the_map),  HTTP_TEST(questions_are_answered),
     };
     return cmocka_run_group_tests(tests, map_setup_all, map_teardown_all);
 }
