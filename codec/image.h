@@ -19,7 +19,7 @@ extern "C" {
 #endif
 
 struct image {                              /* {0} is empty */
-    uint32_t width_px, height_px, channels; /* 1 or 3 */
+    uint32_t width_px, height_px, channels; /* 1 or 3; 4 with alpha, not premultiplied: png, webp */
     uint8_t *px;                            /* [h][w][channels], sRGB values as stored */
 };
 /* Read as 8-bit RGB (grey is expanded, alpha dropped), EXIF orientation ignored as COLMAP does.

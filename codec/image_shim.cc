@@ -8,6 +8,8 @@
 #include "codec/exif.h"
 #include "codec/image.h"
 #include "codec/limits.h"
+#include "codec/png.h"
+#include "codec/webp.h"
 
 #include <OpenImageIO/filesystem.h>
 #include <OpenImageIO/imageio.h>
@@ -78,8 +80,8 @@ extern "C" enum err_code image_alloc(uint32_t width_px, uint32_t height_px, uint
                                      struct image *out, struct err *e)
 {
     *out = {};
-    if (channels != 1 && channels != 3)
-        return err_set(e, ERR_ARG, "image : %u channels : only 1 and 3 are known", channels);
+    if (channels != 1 && channels != 3 && channels != 4)
+        return err_set(e, ERR_ARG, "image : %u channels : only 1, 3 and 4 are known", channels);
     out->px = static_cast<uint8_t *>(mem_array((size_t)width_px * height_px, channels));
     if (!out->px)
         return err_set(e, ERR_MEM, "image : %u x %u : out of memory", width_px, height_px);
@@ -174,11 +176,16 @@ try {
 }
 SHIM_CATCH("image_read_info")
 
+static int image_quality(int quality)
+{
+    return quality <= 0 ? 95 : quality > 100 ? 100 : quality;
+}
+
 static OIIO::ImageSpec image_output_spec(const struct image *img, int quality)
 {
     OIIO::ImageSpec s((int)img->width_px, (int)img->height_px, (int)img->channels,
                       OIIO::TypeDesc::UINT8);
-    int q = quality <= 0 ? 95 : quality > 100 ? 100 : quality;
+    int q = image_quality(quality);
     s.attribute("CompressionQuality", q);
     if (q >= JPEG_FULL_CHROMA_QUALITY)
         s.attribute("jpeg:subsampling", "4:4:4");
@@ -202,6 +209,11 @@ static enum err_code image_write_pixels(OIIO::ImageOutput *o, const char *name,
 extern "C" enum err_code image_encode(const struct image *img, const char *format, int quality,
                                       struct buf *out, struct err *e)
 try {
+    if (!strcmp(format, "png"))
+        return png_encode(img->px, img->width_px, img->height_px, img->channels, out, e);
+    if (!strcmp(format, "webp") && img->channels >= 3)
+        return webp_encode(img->px, img->width_px, img->height_px, img->channels,
+                           image_quality(quality), out, e);
     image_single_thread();
     std::vector<unsigned char> bytes;
     OIIO::Filesystem::IOVecOutput file(bytes);

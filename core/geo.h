@@ -29,6 +29,18 @@ enum err_code geo_enu_to_ecef(const struct geo_origin *o, double m[16], struct e
 enum err_code geo_local_axes(const struct geo_origin *o, double lon_deg, double lat_deg,
                              double rot[9], struct err *e) ERR_USE;
 
+/* A model of the geoid: how high mean sea level lies above the ellipsoid. */
+struct geoid;
+/* NAME.pgm as GeographicLib has it ("egm96-5", "egm2008-1"), in a folder; dir NULL: GeographicLib's own
+ * (GEOGRAPHICLIB_GEOID_PATH, or share/GeographicLib/geoids). Read whole, so that any thread may ask.
+ * geoid_close it. ERR_NOENT: no such file, or not one of a geoid: says what to do; ERR_MEM. */
+enum err_code geoid_open(const char *name, const char *dir, struct geoid **out,
+                         struct err *e) ERR_USE;
+void geoid_close(struct geoid **g);
+const char *geoid_name(const struct geoid *g);
+/* Metres; NAN where the place is none. Sea-level height = ellipsoidal height - this. */
+double geoid_above(const struct geoid *g, double lon_deg, double lat_deg);
+
 #ifdef __cplusplus
 }
 #endif

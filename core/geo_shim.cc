@@ -8,9 +8,12 @@
 #include "core/geo.h"
 
 #include <GeographicLib/Geocentric.hpp>
+#include <GeographicLib/Geoid.hpp>
 #include <GeographicLib/LocalCartesian.hpp>
 #include <cmath>
 #include <exception>
+#include <memory>
+#include <string>
 #include <vector>
 
 namespace
@@ -111,4 +114,47 @@ try {
     return caught(e, x.what());
 } catch (...) {
     return caught(e, "unknown exception");
+}
+
+struct geoid {
+    std::string name;
+    std::unique_ptr<GeographicLib::Geoid> model;
+};
+
+extern "C" enum err_code geoid_open(const char *name, const char *dir, struct geoid **out,
+                                    struct err *e)
+try {
+    *out = NULL;
+    auto g = std::make_unique<geoid>();
+    g->name = name;
+    g->model = std::make_unique<GeographicLib::Geoid>(name, dir ? dir : std::string(), true, true);
+    *out = g.release();
+    return ERR_OK;
+} catch (const std::bad_alloc &) {
+    return err_set(e, ERR_MEM, "geoid %s : out of memory", name);
+} catch (const std::exception &x) {
+    return err_set(e, ERR_NOENT,
+                   "geoid %s : %s : give a model of GeographicLib, as egm96-5, and the folder of "
+                   "its .pgm (geographiclib-get-geoids fetches it)",
+                   name, x.what());
+} catch (...) {
+    return caught(e, "unknown exception");
+}
+
+extern "C" void geoid_close(struct geoid **g)
+{
+    delete *g;
+    *g = NULL;
+}
+
+extern "C" const char *geoid_name(const struct geoid *g)
+{
+    return g->name.c_str();
+}
+
+extern "C" double geoid_above(const struct geoid *g, double lon_deg, double lat_deg)
+try {
+    return (*g->model)(lat_deg, lon_deg);
+} catch (...) {
+    return NAN;
 }

@@ -25,13 +25,20 @@ static uint32_t key_cell(double t, uint8_t z)
     return cell < n ? (uint32_t)cell : (uint32_t)(n - 1.0);
 }
 
-struct key key_at(double lon_deg, double lat_deg, uint8_t z)
+void key_place(double lon_deg, double lat_deg, double uv[2])
 {
     double lat = fmin(fmax(lat_deg, -KEY_LAT_MAX_DEG), KEY_LAT_MAX_DEG) * (KEY_PI / 180.0);
-    double u = lon_deg / 360.0 + 0.5, v = 0.5 - asinh(tan(lat)) / (2.0 * KEY_PI);
+    uv[0] = lon_deg / 360.0 + 0.5;
+    uv[1] = 0.5 - asinh(tan(lat)) / (2.0 * KEY_PI);
+}
+
+struct key key_at(double lon_deg, double lat_deg, uint8_t z)
+{
+    double uv[2];
+    key_place(lon_deg, lat_deg, uv);
     if (z > KEY_ZOOM_MAX)
         z = KEY_ZOOM_MAX;
-    return (struct key){.z = z, .x = key_cell(u, z), .y = key_cell(v, z)};
+    return (struct key){.z = z, .x = key_cell(uv[0], z), .y = key_cell(uv[1], z)};
 }
 
 struct key key_parent(struct key k)
@@ -58,6 +65,12 @@ int key_compare(struct key a, struct key b)
 static double key_lat_deg(double v)
 {
     return atan(sinh(KEY_PI * (1.0 - 2.0 * v))) * (180.0 / KEY_PI);
+}
+
+void key_unplace(const double uv[2], double *lon_deg, double *lat_deg)
+{
+    *lon_deg = (uv[0] - 0.5) * 360.0;
+    *lat_deg = key_lat_deg(uv[1]);
 }
 
 void key_center(struct key k, double *lon_deg, double *lat_deg)

@@ -22,6 +22,15 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
                  const struct target *t, struct response *out);
 void answer_render(struct services *s, const struct request *r, struct dataset *d,
                    struct response *out);
+/* answer_map.c: tiles of a map and of terrain, and the documents that lead to them; false for other
+ * routes. */
+bool answer_map(struct services *s, const struct request *r, struct dataset *d,
+                const struct target *t, struct response *out);
+/* answer_query.c: questions about the surface; false for other routes. */
+bool answer_query(struct services *s, const struct request *r, struct dataset *d,
+                  const struct target *t, struct response *out);
+/* answer_view.c: false, with the problem set, when nothing can be drawn. */
+bool answer_can_draw(struct services *s, struct response *out);
 /* answer_appearance.c: the list, one appearance, a posted mix; false for other routes. */
 bool answer_appearance(const struct request *r, struct dataset *d, const struct target *t,
                        struct response *out);

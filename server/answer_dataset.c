@@ -64,8 +64,11 @@ static void answer_dataset_tileset(struct services *s, const struct request *r, 
 static void answer_dataset_moving(const struct request *r, const struct dataset *d,
                                   const struct target *t, struct response *out)
 {
-    const char *word = t->route == ROUTE_TILE_MOVING ? "/t/" : "/static/";
-    const char *up = t->route == ROUTE_TILE_MOVING ? "../../../" : "../../";
+    const char *word = t->route == ROUTE_TILE_MOVING      ? "/t/"
+                       : t->route == ROUTE_MAP_MOVING     ? "/map/"
+                       : t->route == ROUTE_TERRAIN_MOVING ? "/terrain/"
+                                                          : "/static/";
+    const char *up = t->route == ROUTE_VIEW_MOVING ? "../../" : "../../../";
     struct buf b = {0};
     size_t at = strlen("/d/") + strlen(t->ds) + strlen(word);
     buf_printf(&b, "%sr/%s%s%.*s", up, d->meta.revision, word, (int)(r->target_size - at),
@@ -94,6 +97,8 @@ bool answer_dataset(struct services *s, const struct request *r, struct dataset 
         return true;
     case ROUTE_TILE_MOVING:
     case ROUTE_VIEW_MOVING:
+    case ROUTE_MAP_MOVING:
+    case ROUTE_TERRAIN_MOVING:
         answer_dataset_moving(r, d, t, out);
         return true;
     case ROUTE_SEED:

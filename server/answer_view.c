@@ -11,9 +11,7 @@
 #include "server/describe.h"
 #include "server/result_id.h"
 
-/* False, with the problem set, when pictures cannot be made or this one is too large. */
-static bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px,
-                              struct response *out)
+bool answer_can_draw(struct services *s, struct response *out)
 {
     char text[256], why[160] = "this server was started with --device none";
     if (!s->picture || picture_state(s->picture) == PICTURE_OFF) {
@@ -24,6 +22,16 @@ static bool answer_view_check(struct services *s, uint32_t width_px, uint32_t he
         out->retry_after_s = 10;
         return false;
     }
+    return true;
+}
+
+/* False, with the problem set, when pictures cannot be made or this one is too large. */
+static bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px,
+                              struct response *out)
+{
+    char text[256];
+    if (!answer_can_draw(s, out))
+        return false;
     uint64_t side = (uint64_t)s->cfg->max_view_px;
     if (!width_px || !height_px || width_px > side || height_px > side ||
         (double)width_px * height_px > s->cfg->max_view_mpx * 1e6) {

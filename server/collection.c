@@ -10,6 +10,22 @@
 #include "server/document.h"
 #include "server/target.h"
 
+static void collection_add_maps(const struct dataset *d, const char *up, json_t *links)
+{
+    static const struct {
+        const char *rel, *type, *file, *title;
+    } maps[] = {
+        {"tiles", "application/json", "map.json", "Map from straight above: TileJSON 3.0.0"},
+        {"tiles", "application/json", "terrain.json", "Terrain, heights as pictures: TileJSON"},
+        {"tiles", "application/xml", "wmts.xml", "Map from straight above: WMTS capabilities"},
+    };
+    char href[160];
+    for (size_t i = 0; d->area.in && i < sizeof maps / sizeof *maps; i++) {
+        snprintf(href, sizeof href, "%sd/%s/%s", up, d->meta.name, maps[i].file);
+        json_array_append_new(links, document_link(maps[i].rel, maps[i].type, href, maps[i].title));
+    }
+}
+
 /* `up` leads from the document to the service's root: "" or "../". */
 static json_t *collection_json(const struct dataset *d, const char *up)
 {
@@ -36,6 +52,7 @@ static json_t *collection_json(const struct dataset *d, const char *up)
         json_pack("[o,o,o]", document_link("self", "application/json", self, m->name),
                   document_link(volumes, "application/3dtiles+json", tileset, "3D Tiles 1.1"),
                   document_link("tiles", "application/json", tilejson, "TileJSON 3.0.0")));
+    collection_add_maps(d, up, json_object_get(o, "links"));
     if (d->appearance)
         json_array_append_new(json_object_get(o, "links"),
                               document_link("appearances", "application/json", appearances,

@@ -78,6 +78,13 @@ static enum err_code dataset_salt_appearance(struct dataset *d, struct err *e)
     return rc;
 }
 
+/* A store without Gaussians has no maps, and is served. */
+static enum err_code dataset_find_area(struct dataset *d, struct err *e)
+{
+    enum err_code rc = area_make(d->index, &d->area, e);
+    return rc == ERR_DATA ? ERR_OK : rc;
+}
+
 enum err_code dataset_open(const char *path, size_t readers, struct dataset **out, struct err *e)
 {
     struct dataset *d = mem_array(1, sizeof *d);
@@ -98,6 +105,8 @@ enum err_code dataset_open(const char *path, size_t readers, struct dataset **ou
         d->tiles = store_tiles(d->index, &d->n_tiles);
         rc = dataset_find_bbox(d, e);
     }
+    if (!rc)
+        rc = dataset_find_area(d, e);
     if (!rc)
         rc = encode_fingerprint(&d->meta, &d->salt, e);
     if (!rc)
@@ -121,6 +130,7 @@ void dataset_drop(struct dataset **out)
     *out = NULL;
     if (!d || atomic_fetch_sub_explicit(&d->refs, 1, memory_order_acq_rel) != 1)
         return;
+    area_free(&d->area);
     for (size_t i = 0; i < d->n_stores; i++)
         store_close(&d->stores[i]);
     if (d->fd >= 0)

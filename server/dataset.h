@@ -8,7 +8,7 @@
 #include <pthread.h>
 #include <stdatomic.h>
 
-#include "lod/store.h"
+#include "lod/area.h"
 #include "server/body.h"
 
 struct dataset { /* immutable but for what the comments say; counted */
@@ -20,6 +20,7 @@ struct dataset { /* immutable but for what the comments say; counted */
     size_t n_tiles;
     const struct store *index;           /* for store_find only */
     const struct appearance *appearance; /* of the store; NULL: one appearance only */
+    struct area area;                    /* what was surveyed; .in NULL: nothing is known */
     double bbox[6];                      /* west south hmin east north hmax, degrees and metres */
     struct hash128 salt;         /* of all that goes into an encoded tile beside its payload */
     struct body *tileset;        /* URIs relative to d/NAME/r/REV/; these five by catalog.c */

@@ -80,7 +80,28 @@ static json_t *describe_render_body(void)
         "string");
 }
 
-static json_t *describe_operation(enum route r, const char *name, const char *summary)
+/* What is posted to a question: the members, in words. */
+static json_t *describe_query_body(enum route r)
+{
+    static const struct {
+        enum route route;
+        const char *about;
+    } bodies[] = {
+        {ROUTE_HEIGHT, "places: up to 256 [longitude, latitude]; gsd_m"},
+        {ROUTE_PICK, "camera, or pose with width and height, as of /render; x, y in pixels"},
+        {ROUTE_PROFILE, "line: 2 to 256 [longitude, latitude]; step_m"},
+        {ROUTE_MEASURE, "line, or polygon with base (rim, or a height in metres) and gsd_m"},
+        {ROUTE_VISIBLE, "from, to: lon, lat, and height (ellipsoidal) or above (the surface)"}};
+    const char *about = "";
+    for (size_t i = 0; i < sizeof bodies / sizeof *bodies; i++)
+        if (bodies[i].route == r)
+            about = bodies[i].about;
+    return json_pack("{s:b,s:{s:{s:{s:s,s:s}}}}", "required", 1, "content", "application/json",
+                     "schema", "type", "object", "description", about);
+}
+
+static json_t *describe_operation(enum route r, unsigned allow, const char *name,
+                                  const char *summary)
 {
     json_t *o = json_pack("{s:s,s:s,s:o,s:{s:{s:s},s:{s:s}}}", "operationId", name, "summary",
                           summary, "parameters", describe_path_parameters(target_path(r)),
@@ -103,14 +124,26 @@ static json_t *describe_operation(enum route r, const char *name, const char *su
                               describe_query_parameter("sh", "degree of harmonics, 0 to 3"));
     }
     static const enum route with_appearance[] = {
-        ROUTE_SEED,           ROUTE_TILE, ROUTE_TILE_MOVING, ROUTE_TILESET,
-        ROUTE_TILESET_MOVING, ROUTE_VIEW, ROUTE_VIEW_MOVING, ROUTE_APPEARANCE};
+        ROUTE_SEED,    ROUTE_TILE,        ROUTE_TILE_MOVING, ROUTE_TILESET, ROUTE_TILESET_MOVING,
+        ROUTE_VIEW,    ROUTE_VIEW_MOVING, ROUTE_APPEARANCE,  ROUTE_MAP,     ROUTE_MAP_MOVING,
+        ROUTE_MAPJSON, ROUTE_WMTS};
     for (size_t i = 0; i < sizeof with_appearance / sizeof *with_appearance; i++)
         if (r == with_appearance[i])
             json_array_append_new(
                 parameters, describe_query_parameter(
                                 "appearance", "a photograph, NAME:WEIGHT,NAME:WEIGHT, or =BASE64 "
                                               "of an embedding"));
+    if (r == ROUTE_TERRAIN || r == ROUTE_TERRAIN_MOVING || r == ROUTE_TERRAINJSON)
+        json_array_append_new(parameters,
+                              describe_query_parameter("encoding", "mapbox or terrarium"));
+    if (r == ROUTE_HEIGHT && allow == ALLOW_READ) {
+        json_array_append_new(parameters, describe_query_parameter("lon", "longitude, degrees"));
+        json_array_append_new(parameters, describe_query_parameter("lat", "latitude, degrees"));
+    } else if (r >= ROUTE_HEIGHT && r <= ROUTE_VISIBLE) {
+        json_object_set_new(o, "requestBody", describe_query_body(r));
+        if (r == ROUTE_HEIGHT) /* operations have names of their own */
+            json_object_set_new(o, "operationId", json_string("HEIGHT_POST"));
+    }
     if (r == ROUTE_RENDER)
         json_object_set_new(o, "requestBody", describe_render_body());
     return o;
@@ -129,11 +162,17 @@ enum err_code describe_api(struct body **out, struct err *e)
     for (int r = 0; r < ROUTE_NONE; r++) {
         if (r == ROUTE_STATIC)
             continue;
-        const char *verb = target_allow((enum route)r) == ALLOW_POST ? "post" : "get";
-        json_object_set_new(
-            paths, target_path((enum route)r),
-            json_pack("{s:o}", verb,
-                      describe_operation((enum route)r, names[r].name, names[r].summary)));
+        json_t *verbs = json_object();
+        static const struct {
+            unsigned allow;
+            const char *name;
+        } known[] = {{ALLOW_READ, "get"}, {ALLOW_POST, "post"}};
+        for (size_t k = 0; k < sizeof known / sizeof *known; k++)
+            if (target_allow((enum route)r) & known[k].allow)
+                json_object_set_new(verbs, known[k].name,
+                                    describe_operation((enum route)r, known[k].allow, names[r].name,
+                                                       names[r].summary));
+        json_object_set_new(paths, target_path((enum route)r), verbs);
     }
     json_t *o = json_pack("{s:s,s:{s:s,s:s,s:s},s:o}", "openapi", "3.0.3", "info", "title",
                           "citysplat", "version", CITYSPLAT_VERSION, "description",

@@ -1,7 +1,7 @@
 /* Slow work, away from the HTTP threads. A job is named by a 128-bit id: while it waits or runs,
  * everyone who asks for the same id becomes one more waiter of the same run (single flight). Queues
  * are bounded, and clients take turns in each (turn.c): when one is full, whoever has most in it
- * gives way. New work also takes one of its client's tokens (rate.c); joining and prefetched tiles
+ * gives way. Map tiles take turns with pictures on the thread that draws. New work also takes one of its client's tokens (rate.c); joining and prefetched tiles
  * that move up take none. Prefetched tiles run when nothing else does and move up when somebody
  * really asks.
  *
@@ -54,6 +54,7 @@ struct jobs { /* all but cfg and workers by `lock` */
     struct rate *rate[JOB_CLASSES]; /* NULL: that of JOB_TILE */
     struct job *table[TABLE];
     struct failures failures;
+    bool drew_view; /* the last that was drawn */
     bool stopping;
     struct job_stats stats;
 };
@@ -78,10 +79,15 @@ static struct job *job_at(struct turn_item *it)
     return it ? (struct job *)(void *)((char *)it - offsetof(struct job, place)) : NULL;
 }
 
+static bool job_is_drawn(enum job_class cls)
+{
+    return cls == JOB_VIEW || cls == JOB_MAP;
+}
+
 static void job_queue_add(struct jobs *js, struct job *j, uint64_t client)
 {
     turn_add(js->queue[j->cls], &j->place, client);
-    pthread_cond_signal(j->cls == JOB_VIEW ? &js->view_ready : &js->tile_ready);
+    pthread_cond_signal(job_is_drawn(j->cls) ? &js->view_ready : &js->tile_ready);
 }
 
 static void job_note(struct jobs *js, const struct job *j, const struct job_result *r)
@@ -187,6 +193,15 @@ static void job_run(struct jobs *js, struct job *j, size_t worker)
     job_finish(js, j, &r, body);
 }
 
+/* What the thread that draws begins next: pictures and map tiles in turns. */
+static struct job *job_next_drawn(struct jobs *js)
+{
+    bool view = turn_count(js->queue[JOB_VIEW]) > 0 &&
+                !(js->drew_view && turn_count(js->queue[JOB_MAP]) > 0);
+    js->drew_view = view;
+    return job_at(turn_next(js->queue[view ? JOB_VIEW : JOB_MAP]));
+}
+
 static struct job *job_next_tile(struct jobs *js)
 {
     struct turn_item *it = turn_next(js->queue[JOB_TILE]);
@@ -202,7 +217,7 @@ static void job_worker_main(void *user)
         js->cfg.view_enter(js->cfg.user);
     pthread_mutex_lock(&js->lock);
     while (!js->stopping) {
-        struct job *j = view ? job_at(turn_next(js->queue[JOB_VIEW])) : job_next_tile(js);
+        struct job *j = view ? job_next_drawn(js) : job_next_tile(js);
         if (!j) {
             pthread_cond_wait(view ? &js->view_ready : &js->tile_ready, &js->lock);
             continue;
@@ -473,7 +488,7 @@ int job_retry_after(struct jobs *js, enum job_class cls)
     pthread_mutex_lock(&js->lock);
     uint64_t n = js->stats.ended[cls][JOB_OK] + js->stats.ended[cls][JOB_ERROR];
     double mean_s = n ? js->stats.run_s[cls] / (double)n : 1;
-    double threads = cls == JOB_VIEW ? 1 : fmax(1, (double)js->cfg.tile_threads);
+    double threads = job_is_drawn(cls) ? 1 : fmax(1, (double)js->cfg.tile_threads);
     double wait_s = ceil((double)turn_count(js->queue[cls]) * mean_s / threads);
     pthread_mutex_unlock(&js->lock);
     return wait_s < 1 ? 1 : wait_s > 10 ? 10 : (int)wait_s;

@@ -8,7 +8,7 @@
 #include <stdio.h>
 #include <string.h>
 
-static const char *const metrics_text_classes[JOB_CLASSES] = {"view", "tile", "prefetch"};
+static const char *const metrics_text_classes[JOB_CLASSES] = {"view", "tile", "prefetch", "map"};
 static const char *const metrics_text_ends[JOB_ENDS] = {"ok",   "error",   "cancel",
                                                         "shed", "timeout", "limited"};
 

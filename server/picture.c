@@ -9,6 +9,7 @@
  */
 #include "server/picture.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/resource.h>
@@ -26,7 +27,8 @@ struct open_view {
     char *path;
     char revision[13];
     struct view *view;
-    uint64_t used; /* tick of its last use */
+    struct nadir *nadir; /* over the view; NULL: nobody asked for a map yet */
+    uint64_t used;       /* tick of its last use */
 };
 struct picture {
     const struct server_config *cfg;
@@ -83,6 +85,7 @@ void picture_enter(struct picture *p)
 
 static void picture_view_drop(struct open_view *v)
 {
+    nadir_close(&v->nadir);
     view_close(&v->view);
     mem_free(v->path);
     memset(v, 0, sizeof *v);
@@ -123,14 +126,14 @@ void picture_about(struct picture *p, char *out, size_t n)
 
 /* The open view of a dataset's revision; the one unused for longest makes room. */
 static enum err_code picture_view_find(struct picture *p, const struct dataset *d,
-                                       struct view **out, struct err *e)
+                                       struct open_view **out, struct err *e)
 {
     struct open_view *oldest = &p->open[0];
     for (int i = 0; i < PICTURE_VIEWS; i++) {
         struct open_view *v = &p->open[i];
         if (v->view && !strcmp(v->path, d->path) && !strcmp(v->revision, d->meta.revision)) {
             v->used = ++p->tick;
-            *out = v->view;
+            *out = v;
             return ERR_OK;
         }
         if (v->used < oldest->used)
@@ -149,7 +152,7 @@ static enum err_code picture_view_find(struct picture *p, const struct dataset *
     }
     memcpy(oldest->revision, d->meta.revision, sizeof oldest->revision);
     oldest->used = ++p->tick;
-    *out = oldest->view;
+    *out = oldest;
     return ERR_OK;
 }
 
@@ -162,30 +165,48 @@ static void picture_to_bytes(const float *rgb, struct image *img)
     }
 }
 
-enum err_code picture_make(struct picture *p, const struct job *j, const struct dataset *d,
-                           const struct appearance_choice *a, const struct picture_view *v,
-                           struct buf *out, struct err *e)
+/* The same, in an appearance. */
+static enum err_code picture_view(struct picture *p, const struct dataset *d,
+                                  const struct appearance_choice *a, struct open_view **out,
+                                  struct err *e)
 {
-    struct view *view = NULL;
-    struct image img = {0};
-    float *rgb = NULL;
     char why[160];
     if (picture_state(p) != PICTURE_READY) {
         picture_about(p, why, sizeof why);
         return err_set(e, ERR_DEVICE, "pictures are off: %s", why);
     }
+    enum err_code rc = picture_view_find(p, d, out, e);
+    return rc ? rc : view_set_appearance((*out)->view, appearance_api_image(a), e);
+}
+
+enum err_code picture_nadir(struct picture *p, const struct dataset *d,
+                            const struct appearance_choice *a, struct nadir **out, struct err *e)
+{
+    struct open_view *v;
+    enum err_code rc = picture_view(p, d, a, &v, e);
+    if (!rc && !v->nadir)
+        rc = nadir_over(v->view, p->render, (double)NAN, &v->nadir, e);
+    *out = rc ? NULL : v->nadir;
+    return rc;
+}
+
+enum err_code picture_make(struct picture *p, const struct job *j, const struct dataset *d,
+                           const struct appearance_choice *a, const struct picture_view *v,
+                           struct buf *out, struct err *e)
+{
+    struct open_view *view = NULL;
+    struct image img = {0};
+    float *rgb = NULL;
     struct render_options ro = {.aa = d->meta.antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
                                 .sh_degree = -1};
     const struct pick_options po = {.max_gaussians = (uint64_t)p->cfg->view_gaussians};
-    enum err_code rc = picture_view_find(p, d, &view, e);
-    if (!rc)
-        rc = view_set_appearance(view, appearance_api_image(a), e);
+    enum err_code rc = picture_view(p, d, a, &view, e);
     if (!rc)
         rc = image_alloc(v->cam.width_px, v->cam.height_px, 3, &img, e);
     if (!rc && !(rgb = mem_array((size_t)v->cam.width_px * v->cam.height_px, 3 * sizeof(float))))
         rc = err_set(e, ERR_MEM, "picture: out of memory");
     if (!rc)
-        rc = view_render(view, &v->cam, &ro, &po, rgb, NULL, e);
+        rc = view_render(view->view, &v->cam, &ro, &po, rgb, NULL, e);
     if (!rc && job_cancelled(j))
         rc = err_set(e, ERR_CANCEL, "cancelled");
     if (!rc) {

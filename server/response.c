@@ -33,7 +33,9 @@ static const struct {
 const char *response_cache_control(const struct server_config *cfg, const struct target *t)
 {
     bool usual = true;
-    if (t->route == ROUTE_VIEW)
+    if (t->route == ROUTE_MAP)
+        usual = (double)cfg->quality == atof(response_default.quality);
+    else if (t->route == ROUTE_VIEW)
         usual = (double)cfg->quality == atof(response_default.quality) &&
                 (double)cfg->view_gaussians == atof(response_default.view_gaussians);
     else if (t->form.preset >= QUANT_PRESETS && t->form.format <= FORMAT_DRC)

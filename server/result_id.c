@@ -31,7 +31,7 @@ struct hash128 result_id_tile(const struct dataset *d, const struct store_tile *
 }
 
 /* Add the query to the name of what is made from it. */
-static void result_id_query(struct hash128 *id, const struct target *t)
+static void result_id_add_query(struct hash128 *id, const struct target *t)
 {
     struct {
         struct hash128 id, query;
@@ -59,7 +59,7 @@ struct hash128 result_id_seed(const struct dataset *d, const struct target *t, s
     memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
     memcpy(name.bbox_e7, t->bbox_e7, sizeof name.bbox_e7);
     struct hash128 id = hash_bytes(&name, sizeof name);
-    result_id_query(&id, t);
+    result_id_add_query(&id, t);
     return id;
 }
 
@@ -73,7 +73,7 @@ struct hash128 result_id_tileset(const struct dataset *d, const struct target *t
     memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
     memcpy(name.kind, moving ? "tileset moving" : "tileset", moving ? 15 : 8);
     struct hash128 id = hash_bytes(&name, sizeof name);
-    result_id_query(&id, t);
+    result_id_add_query(&id, t);
     return id;
 }
 
@@ -105,4 +105,42 @@ struct hash128 result_id_view(const struct dataset *d, const char *device, const
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_mix(&id, a);
     return id;
+}
+
+struct hash128 result_id_map(const struct dataset *d, const char *device, const struct map_tile *t,
+                             bool flat, const struct appearance_choice *a)
+{
+    struct { /* no padding */
+        struct hash128 salt;
+        char rev[16], device[160], kind[8];
+        uint32_t z, x, y, size, format, encoding, quality, flat;
+    } name = {.salt = d->salt,
+              .kind = "map",
+              .z = flat ? 0 : t->key.z,
+              .x = flat ? 0 : t->key.x,
+              .y = flat ? 0 : t->key.y,
+              .size = t->size_px,
+              .format = (uint32_t)t->format,
+              .encoding = (uint32_t)t->encoding,
+              .quality = (uint32_t)t->quality,
+              .flat = flat};
+    memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
+    snprintf(name.device, sizeof name.device, "%s", device);
+    struct hash128 id = hash_bytes(&name, sizeof name);
+    result_id_mix(&id, a);
+    return id;
+}
+
+struct hash128 result_id_query(const struct dataset *d, const char *device, const char *geoid,
+                               const struct query *q)
+{
+    struct {
+        struct hash128 salt, question, geoid;
+        char rev[16], device[160];
+    } name = {.salt = d->salt,
+              .question = hash_bytes(q, sizeof *q),
+              .geoid = hash_bytes(geoid, strlen(geoid))};
+    memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
+    snprintf(name.device, sizeof name.device, "%s", device);
+    return hash_bytes(&name, sizeof name);
 }

@@ -8,9 +8,11 @@
 #define SERVER_RESULT_ID_H
 
 #include "core/camera.h"
+#include "lod/query.h"
 #include "server/appearance_api.h"
 #include "server/config.h"
 #include "server/dataset.h"
+#include "server/map_tile.h"
 #include "server/target.h"
 
 /* form has nothing left unsaid (encode_form). */
@@ -22,5 +24,11 @@ struct hash128 result_id_tileset(const struct dataset *d, const struct target *t
 struct hash128 result_id_view(const struct dataset *d, const char *device, const struct camera *cam,
                               const struct appearance_choice *a, enum format format, int quality,
                               double gaussians);
+/* geoid: name of the model, "": none. */
+struct hash128 result_id_query(const struct dataset *d, const char *device, const char *geoid,
+                               const struct query *q);
+/* flat: nothing of the survey is in it, so all such tiles are the same. */
+struct hash128 result_id_map(const struct dataset *d, const char *device, const struct map_tile *t,
+                             bool flat, const struct appearance_choice *a);
 
 #endif

@@ -19,13 +19,16 @@ static void route_data(struct services *s, const struct request *r, struct datas
         answer_view(s, r, d, t, out);
     else if (t->route == ROUTE_RENDER)
         answer_render(s, r, d, out);
-    else if (!answer_dataset(s, r, d, t, out) && !answer_appearance(r, d, t, out))
+    else if (!answer_dataset(s, r, d, t, out) && !answer_map(s, r, d, t, out) &&
+             !answer_query(s, r, d, t, out) && !answer_appearance(r, d, t, out))
         response_problem(out, 404, "there is nothing at this path");
 }
 
 static const char *route_allow_text(unsigned allow)
 {
-    return allow == ALLOW_POST ? "POST, OPTIONS" : "GET, HEAD, OPTIONS";
+    return allow == ALLOW_POST                  ? "POST, OPTIONS"
+           : allow == (ALLOW_READ | ALLOW_POST) ? "GET, HEAD, POST, OPTIONS"
+                                                : "GET, HEAD, OPTIONS";
 }
 
 /* True when the method is answered here: a preflight, or one the route does not take. */
@@ -104,6 +107,8 @@ void route_finish(struct services *s, const struct request *r, struct job_result
                                                                                 : 503,
                          result->msg);
         out->retry_after_s = result->retry_s ? result->retry_s : job_retry_after(s->jobs, cls);
+    } else if (result->code == ERR_DATA && cls == JOB_MAP) { /* a question without an answer */
+        response_problem(out, 422, result->msg);
     } else if (result->code == ERR_NOENT) {
         response_problem(out, 404, result->msg);
     } else {
@@ -112,7 +117,8 @@ void route_finish(struct services *s, const struct request *r, struct job_result
             response_tile_problem(out, result->code == ERR_FORMAT);
         else
             response_problem(out, 500,
-                             cls == JOB_VIEW ? "the picture could not be made; the log says why"
-                                             : "the list could not be made; the log says why");
+                             cls == JOB_VIEW || cls == JOB_MAP
+                                 ? "the picture could not be made; the log says why"
+                                 : "the list could not be made; the log says why");
     }
 }

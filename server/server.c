@@ -43,7 +43,7 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
         .tile_threads = sv->workers,
         .view_thread = views,
         .queue_limit = {(size_t)cfg->queue_views, (size_t)cfg->queue_tiles,
-                        (size_t)cfg->queue_prefetch},
+                        (size_t)cfg->queue_prefetch, (size_t)cfg->queue_maps},
         .client_views_s = cfg->client_views_s,
         .client_tiles_s = cfg->client_tiles_s,
         .user = s,
@@ -74,6 +74,7 @@ static void server_set_url(struct server *sv)
     const char *host = !strcmp(a, "0.0.0.0") ? "127.0.0.1" : !strcmp(a, "::") ? "::1" : a;
     const char *open = strchr(host, ':') ? "[" : "", *close = *open ? "]" : "";
     snprintf(sv->url, sizeof sv->url, "http://%s%s%s:%u/", open, host, close, http_port(sv->http));
+    sv->services.url = sv->cfg.public_url && *sv->cfg.public_url ? sv->cfg.public_url : sv->url;
 }
 
 enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,
@@ -99,14 +100,15 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
         rc = catalog_open(paths, n, &sv->stores, NULL, &s->catalog, e);
     if (!rc)
         rc = http_open(s, &sv->http, e);
-    if (!rc)
+    if (!rc) {
+        server_set_url(sv);
         rc = server_load_web(sv, e);
+    }
     if (!rc)
         rc = server_start_jobs(sv, e);
     if (!rc)
         rc = http_start(sv->http, e);
     if (!rc) {
-        server_set_url(sv);
         log_info("serve", "memory cache_mb=%d inflight_mb=%d view_cache_mb=%d", (int)cfg->cache_mb,
                  (int)cfg->inflight_mb, s->picture ? (int)cfg->view_cache_mb : 0);
         for (size_t i = 0; i < s->catalog->n; i++)

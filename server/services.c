@@ -32,6 +32,8 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
         rc = flight_open((size_t)cfg->inflight_mb << 20, &s->flight, e);
     if (!rc && cfg->access_log)
         rc = access_open(&s->access, e);
+    if (!rc && cfg->geoid)
+        rc = geoid_open(cfg->geoid, cfg->geoid_dir, &s->geoid, e);
     if (!rc)
         rc = describe_landing(&s->landing, e);
     if (!rc)
@@ -54,6 +56,7 @@ void services_free(struct services *s)
     cache_close(&s->cache);
     flight_close(&s->flight);
     access_close(&s->access);
+    geoid_close(&s->geoid);
     body_drop(&s->landing);
     body_drop(&s->conformance);
     body_drop(&s->api);

@@ -7,6 +7,7 @@
 
 #include <pthread.h>
 
+#include "core/geo.h"
 #include "server/access.h"
 #include "server/cache.h"
 #include "server/catalog.h"
@@ -19,6 +20,8 @@
 
 struct services { /* all shared, all thread-safe */
     const struct server_config *cfg;
+    struct geoid *geoid;          /* --geoid; NULL: none */
+    const char *url;              /* of the service: --public-url, else where it listens */
     pthread_mutex_t catalog_lock; /* of catalog and reload_error */
     struct catalog *catalog;
     char reload_error[256]; /* why the last reload failed, "": it did not; by the same lock */

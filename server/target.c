@@ -12,6 +12,7 @@
 #include <string.h>
 
 #include "codec/quant.h"
+#include "server/text.h"
 
 static const struct {
     const char *ext, *type;
@@ -50,70 +51,6 @@ unsigned target_allow(enum route r)
     return target_routes[r].allow;
 }
 
-struct text { /* what is left to read */
-    const char *p, *end;
-};
-
-static bool target_take(struct text *t, const char *word)
-{
-    size_t n = strlen(word);
-    if ((size_t)(t->end - t->p) < n || memcmp(t->p, word, n) != 0)
-        return false;
-    t->p += n;
-    return true;
-}
-
-static bool target_at_end(const struct text *t)
-{
-    return t->p == t->end;
-}
-
-static bool target_is_digit(const struct text *t)
-{
-    return t->p < t->end && *t->p >= '0' && *t->p <= '9';
-}
-
-/* A natural number of at most 9 digits, no leading zero. */
-static bool target_take_uint(struct text *t, uint32_t *out)
-{
-    const char *start = t->p;
-    uint32_t v = 0;
-    for (; target_is_digit(t) && t->p - start < 10; t->p++)
-        v = v * 10 + (uint32_t)(*t->p - '0') * (t->p - start < 9);
-    *out = v;
-    size_t n = (size_t)(t->p - start);
-    return n >= 1 && n <= 9 && (n == 1 || *start != '0');
-}
-
-/* [-]digits[.digits] times 10^scale, rounded half away from zero: at most 9 digits before the point
- * and 12 after. "-0" is 0. */
-static bool target_take_fixed(struct text *t, int scale, int64_t *out)
-{
-    bool negative = target_take(t, "-");
-    uint32_t whole;
-    if (!target_take_uint(t, &whole))
-        return false;
-    int64_t v = whole;
-    int done = 0, digits = 0;
-    bool up = false;
-    if (target_take(t, ".")) {
-        if (!target_is_digit(t))
-            return false;
-        for (; target_is_digit(t); t->p++) {
-            if (++digits > 12)
-                return false;
-            if (done < scale)
-                v = v * 10 + (*t->p - '0'), done++;
-            else if (digits == scale + 1)
-                up = *t->p >= '5';
-        }
-    }
-    for (; done < scale; done++)
-        v *= 10;
-    *out = negative ? -(v + up) : v + up;
-    return true;
-}
-
 /* One word of [a-z0-9][a-z0-9_-]* up to '/' or the end. */
 static bool target_take_name(struct text *t, char *out, size_t room)
 {
@@ -132,7 +69,7 @@ static bool target_take_name(struct text *t, char *out, size_t room)
 static bool target_take_rev(struct text *t, char out[13])
 {
     for (int i = 0; i < 12; i++) {
-        if (t->p == t->end || !(target_is_digit(t) || (*t->p >= 'a' && *t->p <= 'f')))
+        if (t->p == t->end || !(text_is_digit(t) || (*t->p >= 'a' && *t->p <= 'f')))
             return false;
         out[i] = *t->p++;
     }
@@ -146,7 +83,7 @@ static bool target_take_format(struct text *t, enum format first, enum format la
 {
     for (int f = (int)first; f <= (int)last; f++) {
         struct text at = *t;
-        if (target_take(&at, target_formats[f].ext) && target_at_end(&at)) {
+        if (text_take(&at, target_formats[f].ext) && text_at_end(&at)) {
             *t = at;
             *out = (enum format)f;
             return true;
@@ -160,67 +97,46 @@ static enum err_code target_nothing(struct err *e)
     return err_set(e, ERR_NOENT, "there is nothing at this path");
 }
 
-static int target_hex_value(char c)
+static bool target_is_terrain(enum route r)
 {
-    return c >= '0' && c <= '9'   ? c - '0'
-           : c >= 'a' && c <= 'f' ? c - 'a' + 10
-           : c >= 'A' && c <= 'F' ? c - 'A' + 10
-                                  : -1;
+    return r == ROUTE_TERRAIN || r == ROUTE_TERRAIN_MOVING || r == ROUTE_TERRAINJSON;
 }
 
-/* The rest of t, percent-decoded ('+' is a space, as forms write it). False: no text, too long, a
- * broken escape, or a control character. */
-static bool target_take_decoded(struct text *t, char *out, size_t room)
-{
-    size_t n = 0;
-    for (; t->p < t->end; t->p++) {
-        char c = *t->p == '+' ? ' ' : *t->p;
-        if (c == '%') {
-            int hi = t->end - t->p > 2 ? target_hex_value(t->p[1]) : -1,
-                lo = hi < 0 ? -1 : target_hex_value(t->p[2]);
-            if (lo < 0)
-                return false;
-            c = (char)(hi * 16 + lo);
-            t->p += 2;
-        }
-        if (n + 1 >= room || (unsigned char)c < 0x20 || c == 0x7f)
-            return false;
-        out[n++] = c;
-    }
-    out[n] = '\0';
-    return n > 0;
-}
-
-/* preset=NAME, sh=N or appearance=A, each at most once; *known says whether it was one of them.
- */
+/* preset=NAME, sh=N, appearance=A or, of terrain, encoding=E, each at most once; *known says whether
+ * it was one of them. */
 static enum err_code target_take_form(struct text *one, struct target *target, bool *known,
                                       struct err *e)
 {
     struct form *out = &target->form;
     *known = true;
-    if (target_take(one, "appearance=")) {
+    if (text_take(one, "appearance=")) {
         if (target->appearance[0] ||
-            !target_take_decoded(one, target->appearance, sizeof target->appearance))
+            !text_take_decoded(one, target->appearance, sizeof target->appearance))
             return err_set(e, ERR_FORMAT,
                            "appearance is a text of at most %d bytes, percent-encoded, given once",
                            TARGET_APPEARANCE_MAX - 1);
-    } else if (target_take(one, "preset=")) {
+    } else if (text_take(one, "preset=")) {
         int found = QUANT_PRESETS;
         for (int p = 0; p < QUANT_PRESETS; p++) {
             struct text at = *one;
-            if (target_take(&at, quant_preset_name((enum quant_preset)p)) && target_at_end(&at))
+            if (text_take(&at, quant_preset_name((enum quant_preset)p)) && text_at_end(&at))
                 found = p;
         }
         if (found == QUANT_PRESETS || out->preset != QUANT_PRESETS)
             return err_set(e, ERR_FORMAT, "preset is one of " QUANT_PRESET_NAMES ", given once");
         out->preset = (uint8_t)found;
         one->p = one->end;
-    } else if (target_take(one, "sh=")) {
+    } else if (text_take(one, "sh=")) {
         uint32_t degree;
-        if (!target_take_uint(one, &degree) || degree > GAUSS_SH_DEGREE_MAX ||
+        if (!text_take_uint(one, &degree) || degree > GAUSS_SH_DEGREE_MAX ||
             out->sh_degree != FORM_UNSAID)
             return err_set(e, ERR_FORMAT, "sh is 0 to %d, given once", GAUSS_SH_DEGREE_MAX);
         out->sh_degree = (uint8_t)degree;
+    } else if (target_is_terrain(target->route) && text_take(one, "encoding=")) {
+        bool terrarium = text_take(one, "terrarium");
+        if (target->encoding != ENCODING_UNSAID || (!terrarium && !text_take(one, "mapbox")))
+            return err_set(e, ERR_FORMAT, "encoding is mapbox or terrarium, given once");
+        target->encoding = terrarium ? ENCODING_TERRARIUM : ENCODING_MAPBOX;
     } else {
         *known = false;
     }
@@ -231,13 +147,13 @@ static enum err_code target_take_form(struct text *one, struct target *target, b
 static enum err_code target_parse_form(const char *query, size_t n, struct target *out,
                                        struct err *e)
 {
-    for (struct text t = {query, query + n}; !target_at_end(&t);) {
+    for (struct text t = {query, query + n}; !text_at_end(&t);) {
         const char *amp = memchr(t.p, '&', (size_t)(t.end - t.p));
         struct text one = {t.p, amp ? amp : t.end};
         bool known;
         t.p = amp ? amp + 1 : t.end;
         enum err_code rc = target_take_form(&one, out, &known, e);
-        if (!rc && known && !target_at_end(&one))
+        if (!rc && known && !text_at_end(&one))
             rc = err_set(e, ERR_FORMAT, "the query has a malformed value");
         if (rc)
             return rc;
@@ -250,11 +166,35 @@ static enum err_code target_parse_tile(struct text *t, enum route route, struct 
                                        struct err *e)
 {
     uint32_t z, x, y;
-    if (!target_take_uint(t, &z) || !target_take(t, "/") || !target_take_uint(t, &x) ||
-        !target_take(t, "/") || !target_take_uint(t, &y) || !target_take(t, ".") ||
+    if (!text_take_uint(t, &z) || !text_take(t, "/") || !text_take_uint(t, &x) ||
+        !text_take(t, "/") || !text_take_uint(t, &y) || !text_take(t, ".") ||
         !target_take_format(t, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->form.format))
         return err_set(e, ERR_NOENT,
                        "a tile is z/x/y.ext with ext one of glb, spz, drc, ply, plain.glb");
+    out->route = route;
+    out->key = (struct key){(uint8_t)(z > 255 ? 255 : z), x, y};
+    if (!key_valid(out->key))
+        return err_set(e, ERR_NOENT, "tile %u/%u/%u does not exist: z <= 24, x and y < 2^z", z, x,
+                       y);
+    return ERR_OK;
+}
+
+/* {z}/{x}/{y}[@2x].{fmt}: a map; terrain is PNG, since its pixels are numbers. */
+static enum err_code target_parse_map(struct text *t, enum route route, struct target *out,
+                                      struct err *e)
+{
+    uint32_t z, x, y;
+    bool terrain = target_is_terrain(route);
+    enum format first = terrain ? FORMAT_PNG : FORMAT_JPG,
+                last = terrain ? FORMAT_PNG : FORMAT_WEBP;
+    bool ok = text_take_uint(t, &z) && text_take(t, "/") && text_take_uint(t, &x) &&
+              text_take(t, "/") && text_take_uint(t, &y);
+    out->scale = ok && text_take(t, "@2x") ? 2 : 1;
+    if (!ok || !text_take(t, ".") || !target_take_format(t, first, last, &out->form.format))
+        return err_set(e, ERR_NOENT,
+                       terrain ? "a terrain tile is z/x/y.png or z/x/y@2x.png"
+                               : "a map tile is z/x/y.ext or z/x/y@2x.ext with ext one of jpg, "
+                                 "png, webp");
     out->route = route;
     out->key = (struct key){(uint8_t)(z > 255 ? 255 : z), x, y};
     if (!key_valid(out->key))
@@ -268,14 +208,13 @@ static enum err_code target_parse_view(struct text *t, enum route route, struct 
                                        struct err *e)
 {
     int64_t lon, lat, h, heading, pitch, fov = 60000;
-    bool ok = target_take_fixed(t, 7, &lon) && target_take(t, ",") &&
-              target_take_fixed(t, 7, &lat) && target_take(t, ",") && target_take_fixed(t, 3, &h) &&
-              target_take(t, "@") && target_take_fixed(t, 3, &heading) && target_take(t, ",") &&
-              target_take_fixed(t, 3, &pitch);
-    if (ok && target_take(t, ","))
-        ok = target_take_fixed(t, 3, &fov);
-    ok = ok && target_take(t, "/") && target_take_uint(t, &out->width_px) && target_take(t, "x") &&
-         target_take_uint(t, &out->height_px) && target_take(t, ".") &&
+    bool ok = text_take_fixed(t, 7, &lon) && text_take(t, ",") && text_take_fixed(t, 7, &lat) &&
+              text_take(t, ",") && text_take_fixed(t, 3, &h) && text_take(t, "@") &&
+              text_take_fixed(t, 3, &heading) && text_take(t, ",") && text_take_fixed(t, 3, &pitch);
+    if (ok && text_take(t, ","))
+        ok = text_take_fixed(t, 3, &fov);
+    ok = ok && text_take(t, "/") && text_take_uint(t, &out->width_px) && text_take(t, "x") &&
+         text_take_uint(t, &out->height_px) && text_take(t, ".") &&
          target_take_format(t, FORMAT_JPG, FORMAT_WEBP, &out->form.format);
     if (!ok)
         return err_set(e, ERR_FORMAT,
@@ -313,7 +252,7 @@ static enum err_code target_parse_seed(const char *query, size_t n, struct targe
     }
     out->z_max = KEY_ZOOM_MAX;
     out->form.format = FORMAT_GLB;
-    for (struct text t = {plain, plain + m}; !target_at_end(&t);) {
+    for (struct text t = {plain, plain + m}; !text_at_end(&t);) {
         const char *amp = memchr(t.p, '&', (size_t)(t.end - t.p));
         struct text one = {t.p, amp ? amp : t.end};
         t.p = amp ? amp + 1 : t.end;
@@ -325,26 +264,26 @@ static enum err_code target_parse_seed(const char *query, size_t n, struct targe
             return rc;
         if (known) {
             /* it is taken */
-        } else if (target_take(&one, "bbox=") && !(seen & 1)) {
+        } else if (text_take(&one, "bbox=") && !(seen & 1)) {
             seen |= 1;
             for (int i = 0; i < 4; i++) {
-                if ((i && !target_take(&one, ",")) || !target_take_fixed(&one, 7, &v[i]) ||
+                if ((i && !text_take(&one, ",")) || !text_take_fixed(&one, 7, &v[i]) ||
                     v[i] < -1800000000 || v[i] > 1800000000)
                     return err_set(e, ERR_FORMAT, "bbox is west,south,east,north in degrees");
                 out->bbox_e7[i] = (int32_t)v[i];
             }
             out->has_bbox = true;
-        } else if (target_take(&one, "z=") && !(seen & 2)) {
+        } else if (text_take(&one, "z=") && !(seen & 2)) {
             seen |= 2;
-            bool ok = target_take_uint(&one, &a);
+            bool ok = text_take_uint(&one, &a);
             b = a;
-            if (ok && target_take(&one, "-"))
-                ok = target_take_uint(&one, &b);
+            if (ok && text_take(&one, "-"))
+                ok = text_take_uint(&one, &b);
             if (!ok || a > b || b > KEY_ZOOM_MAX)
                 return err_set(e, ERR_FORMAT, "z is a zoom, or two as in 12-16");
             out->z_min = (uint8_t)a;
             out->z_max = (uint8_t)b;
-        } else if (target_take(&one, "f=") && !(seen & 4)) {
+        } else if (text_take(&one, "f=") && !(seen & 4)) {
             seen |= 4;
             if (!target_take_format(&one, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->form.format))
                 return err_set(e, ERR_FORMAT, "f is one of glb, spz, drc, ply, plain.glb");
@@ -352,9 +291,36 @@ static enum err_code target_parse_seed(const char *query, size_t n, struct targe
             return err_set(e, ERR_FORMAT,
                            "the query may hold bbox, z, f, preset, sh and appearance, each once");
         }
-        if (!target_at_end(&one))
+        if (!text_at_end(&one))
             return err_set(e, ERR_FORMAT, "the query has a malformed value");
     }
+    return ERR_OK;
+}
+
+/* ?lon=X&lat=Y, both or (for POST) neither; other keys are ignored. */
+static enum err_code target_parse_place(const char *query, size_t n, struct target *out,
+                                        struct err *e)
+{
+    int64_t at[2] = {0};
+    unsigned seen = 0;
+    for (struct text t = {query, query + n}; !text_at_end(&t);) {
+        const char *amp = memchr(t.p, '&', (size_t)(t.end - t.p));
+        struct text one = {t.p, amp ? amp : t.end};
+        t.p = amp ? amp + 1 : t.end;
+        int k = text_take(&one, "lon=") ? 0 : text_take(&one, "lat=") ? 1 : 2;
+        if (k == 2)
+            continue;
+        if (seen >> k & 1 || !text_take_fixed(&one, 7, &at[k]) || !text_at_end(&one))
+            return err_set(e, ERR_FORMAT, "lon and lat are plain decimal degrees, each given once");
+        seen |= 1u << k;
+    }
+    if (seen == 1 || seen == 2)
+        return err_set(e, ERR_FORMAT, "lon and lat are given together");
+    if (at[0] < -1800000000 || at[0] > 1800000000 || at[1] < -850000000 || at[1] > 850000000)
+        return err_set(e, ERR_DATA, "longitude is -180..180 and latitude -85..85 degrees");
+    out->has_place = seen == 3;
+    out->pose.lon_e7 = (int32_t)at[0];
+    out->pose.lat_e7 = (int32_t)at[1];
     return ERR_OK;
 }
 
@@ -362,7 +328,7 @@ static enum err_code target_parse_seed(const char *query, size_t n, struct targe
 static enum err_code target_parse_data(struct text *t, const char *query, size_t n_query,
                                        struct target *out, struct err *e)
 {
-    if (!target_take_name(t, out->ds, sizeof out->ds) || !target_take(t, "/"))
+    if (!target_take_name(t, out->ds, sizeof out->ds) || !text_take(t, "/"))
         return target_nothing(e);
     static const struct {
         const char *path;
@@ -372,25 +338,38 @@ static enum err_code target_parse_data(struct text *t, const char *query, size_t
                  {"seed.ndjson", ROUTE_SEED},
                  {"appearances", ROUTE_APPEARANCES},
                  {"appearance", ROUTE_APPEARANCE},
-                 {"appearances:mix", ROUTE_MIX}};
+                 {"appearances:mix", ROUTE_MIX},
+                 {"map.json", ROUTE_MAPJSON},
+                 {"terrain.json", ROUTE_TERRAINJSON},
+                 {"wmts.xml", ROUTE_WMTS},
+                 {"height", ROUTE_HEIGHT},
+                 {"pick", ROUTE_PICK},
+                 {"profile", ROUTE_PROFILE},
+                 {"measure", ROUTE_MEASURE},
+                 {"visible", ROUTE_VISIBLE}};
     for (size_t i = 0; i < sizeof words / sizeof *words; i++) {
         struct text at = *t;
-        if (!target_take(&at, words[i].path) || !target_at_end(&at))
+        if (!text_take(&at, words[i].path) || !text_at_end(&at))
             continue;
         out->route = words[i].route;
-        return out->route == ROUTE_SEED ? target_parse_seed(query, n_query, out, e)
-                                        : target_parse_form(query, n_query, out, e);
+        return out->route == ROUTE_SEED     ? target_parse_seed(query, n_query, out, e)
+               : out->route == ROUTE_HEIGHT ? target_parse_place(query, n_query, out, e)
+                                            : target_parse_form(query, n_query, out, e);
     }
-    bool revisioned = target_take(t, "r/");
-    if (revisioned && (!target_take_rev(t, out->rev) || !target_take(t, "/")))
+    bool revisioned = text_take(t, "r/");
+    if (revisioned && (!target_take_rev(t, out->rev) || !text_take(t, "/")))
         return err_set(e, ERR_NOENT, "a revision is 12 hexadecimal digits");
     enum err_code rc = ERR_OK;
-    if (revisioned && target_take(t, "tileset.json") && target_at_end(t))
+    if (revisioned && text_take(t, "tileset.json") && text_at_end(t))
         out->route = ROUTE_TILESET;
-    else if (target_take(t, "t/"))
+    else if (text_take(t, "t/"))
         rc = target_parse_tile(t, revisioned ? ROUTE_TILE : ROUTE_TILE_MOVING, out, e);
-    else if (target_take(t, "static/"))
+    else if (text_take(t, "static/"))
         rc = target_parse_view(t, revisioned ? ROUTE_VIEW : ROUTE_VIEW_MOVING, out, e);
+    else if (text_take(t, "map/"))
+        rc = target_parse_map(t, revisioned ? ROUTE_MAP : ROUTE_MAP_MOVING, out, e);
+    else if (text_take(t, "terrain/"))
+        rc = target_parse_map(t, revisioned ? ROUTE_TERRAIN : ROUTE_TERRAIN_MOVING, out, e);
     else
         rc = target_nothing(e);
     return !rc ? target_parse_form(query, n_query, out, e) : rc;
@@ -400,9 +379,9 @@ static enum err_code target_parse_collection(struct text *t, struct target *out,
 {
     if (!target_take_name(t, out->ds, sizeof out->ds))
         return target_nothing(e);
-    if (target_at_end(t))
+    if (text_at_end(t))
         return out->route = ROUTE_COLLECTION, ERR_OK;
-    if (target_take(t, "/tiles.json") && target_at_end(t))
+    if (text_take(t, "/tiles.json") && text_at_end(t))
         return out->route = ROUTE_TILEJSON, ERR_OK;
     return target_nothing(e);
 }
@@ -455,9 +434,9 @@ enum err_code target_parse(const char *text, size_t n, struct target *out, struc
             out->route = fixed[i].route;
             return ERR_OK;
         }
-    if (target_take(&t, "/d/"))
+    if (text_take(&t, "/d/"))
         return target_parse_data(&t, mark ? mark + 1 : "", mark ? n - n_path - 1 : 0, out, e);
-    if (target_take(&t, "/collections/"))
+    if (text_take(&t, "/collections/"))
         return target_parse_collection(&t, out, e);
     out->route = ROUTE_STATIC; /* if the table of files has it */
     return ERR_OK;

@@ -33,6 +33,23 @@ enum { ALLOW_READ = 1, ALLOW_POST = 2 };
     X(VIEW_MOVING, ALLOW_READ,                                                                     \
       "/d/{ds}/static/{lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt}",                    \
       "Redirect to the current revision")                                                          \
+    X(MAP, ALLOW_READ, "/d/{ds}/r/{rev}/map/{z}/{x}/{y}.{fmt}",                                    \
+      "A map tile: the city from straight above; {y}@2x is 512 px")                                \
+    X(MAP_MOVING, ALLOW_READ, "/d/{ds}/map/{z}/{x}/{y}.{fmt}", "Redirect to the current revision") \
+    X(TERRAIN, ALLOW_READ, "/d/{ds}/r/{rev}/terrain/{z}/{x}/{y}.png",                              \
+      "Heights of the surface as a picture, after Mapbox or Terrarium")                            \
+    X(TERRAIN_MOVING, ALLOW_READ, "/d/{ds}/terrain/{z}/{x}/{y}.png",                               \
+      "Redirect to the current revision")                                                          \
+    X(MAPJSON, ALLOW_READ, "/d/{ds}/map.json", "TileJSON 3.0.0 of the map tiles")                  \
+    X(TERRAINJSON, ALLOW_READ, "/d/{ds}/terrain.json", "TileJSON 3.0.0 of the terrain tiles")      \
+    X(WMTS, ALLOW_READ, "/d/{ds}/wmts.xml", "OGC WMTS 1.0.0 capabilities of the map tiles")        \
+    X(HEIGHT, ALLOW_READ | ALLOW_POST, "/d/{ds}/height",                                           \
+      "How high the surface is: at ?lon= and ?lat=, or at posted places")                          \
+    X(PICK, ALLOW_POST, "/d/{ds}/pick",                                                            \
+      "What a pixel of a camera shows: longitude, latitude, height")                               \
+    X(PROFILE, ALLOW_POST, "/d/{ds}/profile", "Heights of the surface along a line")               \
+    X(MEASURE, ALLOW_POST, "/d/{ds}/measure", "Lengths; areas and volumes within a polygon")       \
+    X(VISIBLE, ALLOW_POST, "/d/{ds}/visible", "Is one place seen from another?")                   \
     X(APPEARANCES, ALLOW_READ, "/d/{ds}/appearances", "All appearances of a dataset")              \
     X(APPEARANCE, ALLOW_READ, "/d/{ds}/appearance",                                                \
       "One appearance or blend: embedding, nearest photographs, links")                            \
@@ -89,14 +106,23 @@ struct form {
     uint8_t preset;    /* enum quant_preset; QUANT_PRESETS: not said */
     uint8_t sh_degree; /* highest band; FORM_UNSAID */
 };
+/* How a picture holds heights: what each of its colours is worth. */
+enum encoding {
+    ENCODING_UNSAID,
+    ENCODING_MAPBOX,   /* -10000 + 0.1 (65536 R + 256 G + B) metres */
+    ENCODING_TERRARIUM /* -32768 + 256 R + G + B / 256 metres */
+};
 struct target {
     enum route route;
     char ds[64], rev[13];
     struct key key;
     struct form form;                       /* of views only the format counts */
     char appearance[TARGET_APPEARANCE_MAX]; /* "": not said */
-    struct target_pose pose;
+    struct target_pose pose; /* of height: longitude and latitude alone, if has_place */
+    bool has_place;
     uint32_t width_px, height_px;
+    uint8_t scale;          /* of map and terrain tiles: 1, or 2 for twice the pixels */
+    enum encoding encoding; /* of terrain */
     /* seed: */
     bool has_bbox;
     int32_t bbox_e7[4]; /* west south east north */

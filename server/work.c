@@ -5,7 +5,9 @@
  */
 #include "server/work.h"
 
+#include <jansson.h>
 #include <stdio.h>
+#include <stdlib.h>
 
 #include "lod/store.h"
 #include "lod/tileset.h"
@@ -36,12 +38,42 @@ static enum err_code work_make_tileset(const struct work *w, struct buf *out, st
     return tileset_write(w->ds->index, uri, out, e);
 }
 
+static enum err_code work_make_map(struct services *s, const struct work *w, struct buf *out,
+                                   struct err *e)
+{
+    struct nadir *n;
+    enum err_code rc = picture_nadir(s->picture, w->ds, &w->appearance, &n, e);
+    return rc ? rc : map_tile_make(n, &w->map, out, e);
+}
+
+static enum err_code work_make_answer(struct services *s, const struct work *w, struct buf *out,
+                                      struct err *e)
+{
+    struct nadir *n;
+    json_t *o = NULL;
+    enum err_code rc = picture_nadir(s->picture, w->ds, &w->appearance, &n, e);
+    if (!rc)
+        rc = query_answer(n, s->geoid, w->query, &o, e);
+    char *text = rc ? NULL : json_dumps(o, JSON_COMPACT | JSON_REAL_PRECISION(13));
+    json_decref(o);
+    if (!rc && !text)
+        return err_set(e, ERR_MEM, "out of memory for an answer");
+    if (text)
+        buf_printf(out, "%s\n", text);
+    free(text);
+    return rc;
+}
+
 static enum err_code work_make_bytes(struct services *s, const struct job *j, const struct work *w,
                                      struct buf *out, struct err *e)
 {
     switch (w->kind) {
     case WORK_VIEW:
         return picture_make(s->picture, j, w->ds, &w->appearance, &w->view, out, e);
+    case WORK_MAP:
+        return work_make_map(s, w, out, e);
+    case WORK_QUERY:
+        return work_make_answer(s, w, out, e);
     case WORK_SEED:
         return seed_write(w->ds, &w->target, w->form, &w->appearance, out, e);
     case WORK_TILESET:
@@ -60,6 +92,10 @@ static size_t work_room(const struct work *w)
     switch (w->kind) {
     case WORK_VIEW:
         return HEAD + (size_t)w->view.cam.width_px * w->view.cam.height_px * 4;
+    case WORK_MAP:
+        return HEAD + (size_t)w->map.size_px * w->map.size_px * 4;
+    case WORK_QUERY:
+        return HEAD + (size_t)MEASURE_SAMPLES_MAX * 160;
     case WORK_SEED:
         return HEAD + w->ds->n_tiles * SEED_ROW;
     case WORK_TILESET:
@@ -102,13 +138,15 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     flight_release(s->flight, room);
     if (!rc && w->keep)
         cache_put(s->cache, w->id, *out);
-    if (rc && rc != ERR_CANCEL) {
+    if (rc && rc != ERR_CANCEL && !(w->kind == WORK_QUERY && rc == ERR_DATA)) {
         if (rc == ERR_FORMAT || rc == ERR_IO)
             atomic_fetch_add(&w->ds->n_failed, 1);
         atomic_fetch_add(&s->metrics.store_errors, w->kind == WORK_TILE);
         log_error("serve", "job failed ds=%s %s %u/%u/%u.%s: %s", w->ds->meta.name,
-                  w->kind == WORK_VIEW ? "view" : "tile", w->key.z, w->key.x, w->key.y,
-                  target_ext(w->form.format), e->msg);
+                  w->kind == WORK_VIEW  ? "view"
+                  : w->kind == WORK_MAP ? "map tile"
+                                        : "tile",
+                  w->key.z, w->key.x, w->key.y, target_ext(w->form.format), e->msg);
     }
     buf_free(&b);
     return rc;
@@ -119,5 +157,6 @@ void work_drop(void *services, void *work)
     struct work *w = work;
     (void)services;
     dataset_drop(&w->ds);
+    mem_free(w->query);
     mem_free(w);
 }

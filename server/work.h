@@ -6,9 +6,11 @@
 #define SERVER_WORK_H
 
 #include "lod/key.h"
+#include "lod/query.h"
+#include "server/map_tile.h"
 #include "server/services.h"
 
-enum work_kind { WORK_TILE, WORK_SEED, WORK_TILESET, WORK_VIEW };
+enum work_kind { WORK_TILE, WORK_SEED, WORK_TILESET, WORK_VIEW, WORK_MAP, WORK_QUERY };
 struct work { /* freed with work_drop */
     enum work_kind kind;
     struct dataset *ds; /* a reference */
@@ -18,6 +20,8 @@ struct work { /* freed with work_drop */
     struct appearance_choice appearance;
     struct target target;     /* WORK_SEED, WORK_TILESET */
     struct picture_view view; /* WORK_VIEW */
+    struct map_tile map;      /* WORK_MAP */
+    struct query *query;      /* WORK_QUERY, owned */
     bool keep;                /* put the result into the cache */
 };
 /* Run on a worker: from the store to bytes. The result goes to the cache before the job ends. The

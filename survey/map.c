@@ -12,8 +12,6 @@
 #include <stdio.h>
 #include <string.h>
 
-#define MAP_PI 3.14159265358979323846
-
 /* ---- the grid ---- */
 
 /* A box of longitudes and latitudes in the projection: its edges, at 33 places each. */
@@ -110,72 +108,36 @@ struct map_job {
     enum geotiff_kind kind;
     struct geotiff *out;
     float *rgb, *height;
+    uint8_t *in; /* surveyed */
     void *pixels;
-    double corner[4][2]; /* tile coordinates of the finest zoom: top left, top right, bottom ... */
+    double corner[8]; /* of the piece in the Mercator square, see area_mask */
     struct map_report report;
 };
 
-/* Fractions of tiles: key_at before rounding down. */
-static void map_tile_place(double lon_deg, double lat_deg, uint8_t zoom, double out[2])
-{
-    double n = ldexp(1, zoom), t = asinh(tan(lat_deg * MAP_PI / 180));
-    out[0] = (lon_deg + 180) / 360 * n;
-    out[1] = (1 - t / MAP_PI) / 2 * n;
-}
-
-/* Pixel (x, y) of the piece's grid [0, w] x [0, h]. */
-static struct key map_key(const struct map_job *j, double u, double v, uint8_t zoom)
-{
-    double at[2], limit = ldexp(1, zoom) - 1;
-    for (size_t k = 0; k < 2; k++)
-        at[k] = (1 - v) * ((1 - u) * j->corner[0][k] + u * j->corner[1][k]) +
-                v * ((1 - u) * j->corner[2][k] + u * j->corner[3][k]);
-    return (struct key){zoom, (uint32_t)fmin(fmax(at[0], 0), limit),
-                        (uint32_t)fmin(fmax(at[1], 0), limit)};
-}
-
-/* Corners and middle on Earth; how the pixels lie there. */
+/* Where the piece lies on Earth, and how its pixels lie there. */
 static enum err_code map_place(struct map_job *j, uint32_t x, uint32_t y, struct nadir_piece *p,
                                struct err *e)
 {
     const struct map_grid *g = &j->grid;
-    const struct geo_origin *origin = &store_info(nadir_store(j->nadir))->origin;
-    uint8_t zoom = store_info(nadir_store(j->nadir))->zoom_max;
-    double half_w = 0.5 * p->width, half_h = 0.5 * p->height, lon[7], lat[7], axes[9], enu[7][3];
-    /* middle; a half piece right and down of it; corners */
-    const double at[7][2] = {{0, 0},
-                             {half_w, 0},
-                             {0, half_h},
-                             {-half_w, -half_h},
-                             {half_w, -half_h},
-                             {-half_w, half_h},
-                             {half_w, half_h}};
-    for (size_t i = 0; i < 7; i++) {
-        lon[i] = g->west_m + (x + half_w + at[i][0]) * g->pixel_m;
-        lat[i] = g->north_m - (y + half_h + at[i][1]) * g->pixel_m;
+    const double w = p->width, h = p->height, at[NADIR_PLACES][2] = {{0.5 * w, 0.5 * h},
+                                                                     {w, 0.5 * h},
+                                                                     {0.5 * w, h},
+                                                                     {0, 0},
+                                                                     {w, 0},
+                                                                     {0, h},
+                                                                     {w, h}};
+    double lon[NADIR_PLACES], lat[NADIR_PLACES], off = 0;
+    for (size_t i = 0; i < NADIR_PLACES; i++) {
+        lon[i] = g->west_m + (x + at[i][0]) * g->pixel_m;
+        lat[i] = g->north_m - (y + at[i][1]) * g->pixel_m;
     }
-    enum err_code rc = crs_unproject(j->crs, 7, lon, lat, e);
-    struct geo_origin here = {rc ? 0 : lon[0], rc ? 0 : lat[0], origin->h_m};
-    for (size_t i = 0; !rc && i < 7; i++)
-        rc = geo_to_enu(&here, lon[i], lat[i], here.h_m, enu[i], e);
+    enum err_code rc = crs_unproject(j->crs, NADIR_PLACES, lon, lat, e);
     if (!rc)
-        rc = geo_local_axes(origin, here.lon_deg, here.lat_deg, axes, e);
+        rc = nadir_fit(j->nadir, lon, lat, p, &off, e);
     if (rc)
         return rc;
-    double right = hypot(enu[1][0], enu[1][1]), down = hypot(enu[2][0], enu[2][1]), off = 0;
-    p->lon_deg = lon[0];
-    p->lat_deg = lat[0];
-    p->turn_rad = atan2(enu[1][1], enu[1][0]);
-    p->px_per_m_x = half_w / right;
-    p->px_per_m_y = half_h / down;
-    double c = cos(p->turn_rad), s = sin(p->turn_rad);
-    for (size_t i = 0; i < 7; i++) {
-        double u = (c * enu[i][0] + s * enu[i][1]) * p->px_per_m_x,
-               v = (s * enu[i][0] - c * enu[i][1]) * p->px_per_m_y;
-        off = fmax(off, hypot(u - at[i][0], v - at[i][1]));
-        if (i >= 3)
-            map_tile_place(lon[i], lat[i], zoom, j->corner[i - 3]);
-    }
+    for (size_t i = NADIR_CORNER; i < NADIR_PLACES; i++)
+        key_place(lon[i], lat[i], j->corner + 2 * (i - NADIR_CORNER));
     j->report.off_px = fmax(j->report.off_px, off);
     if (off > MAP_OFF_MAX_PX)
         return err_set(e, ERR_ARG,
@@ -183,34 +145,6 @@ static enum err_code map_place(struct map_job *j, uint32_t x, uint32_t y, struct
                        "conformal projection, as UTM, or smaller pixels",
                        g->epsg, p->width, off, lon[0], lat[0]);
     return ERR_OK;
-}
-
-/* Is any of the piece surveyed? Looked at every 16 pixels and along the edges. */
-static bool map_any(const struct map_job *j, const struct nadir_piece *p, uint8_t zoom)
-{
-    uint32_t nx = p->width / 16 + 1, ny = p->height / 16 + 1;
-    for (uint32_t y = 0; y <= ny; y++)
-        for (uint32_t x = 0; x <= nx; x++)
-            if (area_holds(nadir_area(j->nadir), map_key(j, (double)x / nx, (double)y / ny, zoom)))
-                return true;
-    return false;
-}
-
-/* Pixels outside of the survey become NAN. */
-static void map_mask(const struct map_job *j, const struct nadir_piece *p, uint8_t zoom)
-{
-    struct key last = {.z = UINT8_MAX};
-    bool in = false;
-    for (uint32_t y = 0; y < p->height; y++)
-        for (uint32_t x = 0; x < p->width; x++) {
-            struct key k = map_key(j, (x + 0.5) / p->width, (y + 0.5) / p->height, zoom);
-            if (key_compare(k, last)) {
-                in = area_holds(nadir_area(j->nadir), k);
-                last = k;
-            }
-            if (!in)
-                j->height[(size_t)y * p->width + x] = NAN;
-        }
 }
 
 static uint8_t map_byte(float v)
@@ -244,16 +178,17 @@ static enum err_code map_piece(struct map_job *j, uint32_t x, uint32_t y, uint32
                                struct err *e)
 {
     const struct map_grid *g = &j->grid;
-    uint8_t zoom = store_info(nadir_store(j->nadir))->zoom_max;
     struct nadir_piece p = {.width = g->width - x < size ? g->width - x : size,
                             .height = g->height - y < size ? g->height - y : size};
     enum err_code rc = map_place(j, x, y, &p, e);
-    if (rc || !map_any(j, &p, zoom))
+    if (rc || !area_mask(nadir_area(j->nadir), j->corner, p.width, p.height, j->in))
         return rc;
     rc = nadir_draw(j->nadir, &p, j->kind == GEOTIFF_COLOR ? j->rgb : NULL, j->height, e);
     if (rc)
         return err_add(e, "piece at pixel %u,%u", x, y);
-    map_mask(j, &p, zoom);
+    for (size_t i = 0; i < (size_t)p.width * p.height; i++)
+        if (!j->in[i])
+            j->height[i] = NAN;
     map_pixels(j, (size_t)p.width * p.height);
     return geotiff_write(j->out, x, y, p.width, p.height, j->pixels, e);
 }
@@ -269,7 +204,8 @@ static enum err_code map_draw(struct map_job *j, uint32_t size, struct err *e)
     j->rgb = mem_array(pixels, 3 * sizeof *j->rgb);
     j->height = mem_array(pixels, sizeof *j->height);
     j->pixels = mem_array(pixels, 4);
-    if (!j->rgb || !j->height || !j->pixels)
+    j->in = mem_array(pixels, 1);
+    if (!j->rgb || !j->height || !j->pixels || !j->in)
         return err_set(e, ERR_MEM, "out of memory for a piece of %u px", size);
     progress_start(&bar, j->kind == GEOTIFF_COLOR ? "ortho, px" : "dsm, px",
                    (uint64_t)j->grid.width * j->grid.height);
@@ -329,5 +265,6 @@ enum err_code map_write(struct nadir *n, const struct map_request *r, const char
     mem_free(j.rgb);
     mem_free(j.height);
     mem_free(j.pixels);
+    mem_free(j.in);
     return rc;
 }

@@ -6,8 +6,8 @@
 #ifndef SURVEY_MAP_H
 #define SURVEY_MAP_H
 
+#include "lod/nadir.h"
 #include "survey/geotiff.h"
-#include "survey/nadir.h"
 
 enum { MAP_PIECE_PX = 512 };
 #define MAP_EDGE_MAX 1000000 /* px, of a picture */

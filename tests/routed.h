@@ -44,6 +44,7 @@ static inline int setup(void **state)
     kit_ok(file_write(path, script, sizeof script, &e), e);
     served_config(&t.cfg, &t.arena);
     kit_ok(services_open(&t.s, &t.cfg, &e), e);
+    t.s.url = "http://127.0.0.1:8080/";
     const char *paths[] = {t.path};
     kit_ok(catalog_open(paths, 1, &served_stores, NULL, &t.s.catalog, &e), e);
     kit_ok(static_load(t.web, &t.s.web, &e), e);

@@ -110,7 +110,7 @@ static void bench_open(struct bench *b, size_t threads, bool view, size_t view_l
     const struct job_config cfg = {
         .tile_threads = threads,
         .view_thread = view,
-        .queue_limit = {view_limit, tile_limit, tile_limit},
+        .queue_limit = {view_limit, tile_limit, tile_limit, tile_limit},
         .slow_s = 0.2,
         .user = b,
         .run = item_run,

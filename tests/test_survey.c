@@ -4,7 +4,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "tests/kit.h"
+#include "tests/survey_kit.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -13,102 +13,23 @@
 
 #include <gdal/gdal.h>
 
-#include "lod/pyramid.h"
+#include "lod/probe.h"
 #include "survey/map.h"
-#include "survey/probe.h"
-#include "synth/synth.h"
 
-#define SPACING_M 0.25 /* of the Gaussians */
 #define GSD_M 0.25
-#define EXTENT_M 64
-#define HAZE_M 12 /* above the surface */
-
-enum { FAR = 60 };
-
-static const struct geo_origin origin = {8.6821, 50.1109, 160};
-
-static struct fixture {
-    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
-    struct synth_config cfg;
-    struct synth_city city;
-    struct arena arena;
-    struct nadir *nadir;
-} f;
-
-/* What is seen from above at an ENU place. */
-static double truth_z(double x, double y)
-{
-    double c = cos(f.city.yaw_rad), s = sin(f.city.yaw_rad);
-    const double eye[3] = {c * x + s * y, -s * x + c * y, 500}, down[3] = {0, 0, -1};
-    struct synth_hit hit;
-    synth_trace_ray(&f.city, NULL, eye, down, &hit);
-    return 500 - hit.t_m;
-}
-
-static void put(struct gauss *g, double x, double y, double z, double sigma, double thick,
-                double opacity)
-{
-    size_t i = g->n++;
-    const double at[3] = {x, y, z}, size[3] = {sigma, sigma, thick};
-    g->quat_wxyz[4 * i] = 1;
-    g->opacity_logit[i] = (float)log(opacity / (1 - opacity));
-    for (size_t k = 0; k < 3; k++) {
-        g->mean_m[3 * i + k] = (float)at[k];
-        g->scale_log[3 * i + k] = (float)log(size[k]);
-        g->quat_wxyz[4 * i + 1 + k] = 0;
-        /* Red grows to the east, green to the north; up to 1. */
-        g->sh[3 * i + k] = (float)(k < 2 ? at[k] / EXTENT_M / 0.28209479 : 0);
-    }
-}
-
-static void cover(struct gauss *g)
-{
-    struct err e = {0};
-    size_t n = (size_t)(EXTENT_M / SPACING_M);
-    kit_ok(gauss_alloc(g, n * n + n * n / 16 + FAR, 0, 0, &e), e);
-    g->antialiased = true;
-    for (size_t r = 0; r < n; r++)
-        for (size_t c = 0; c < n; c++) {
-            double x = ((double)c + 0.5) * SPACING_M - 0.5 * EXTENT_M,
-                   y = ((double)r + 0.5) * SPACING_M - 0.5 * EXTENT_M, z = truth_z(x, y);
-            put(g, x, y, z, 0.7 * SPACING_M, 0.02, 0.95);
-            if (r % 4 == 0 && c % 4 == 0) /* haze: never half of the light */
-                put(g, x, y, z + HAZE_M, 2 * SPACING_M, 0.3, 0.25);
-        }
-    for (size_t i = 0; i < FAR; i++) {
-        double a = 2 * 3.14159265358979 * (double)i / FAR;
-        put(g, 400 * cos(a), 400 * sin(a), 10, 20, 20, 0.9);
-    }
-}
 
 static int setup(void **state)
 {
-    struct err e = {0};
-    struct gauss g;
     (void)state;
-    kit_tmpdir(f.dir);
-    kit_ok(file_join(f.path, f.dir, "city.tiles", &e), e);
-    kit_ok(options_defaults(synth_options(), &f.cfg, &f.arena, &e), e);
-    f.cfg.extent_m = EXTENT_M;
-    kit_ok(synth_city_make(&f.cfg, &f.city, &e), e);
-    cover(&g);
-    const struct pyramid_config cfg = {.tile_edge_m = 30, .name = "survey", .attribution = "ours"};
-    const struct pyramid_level level = {.g = &g, .level = 3};
-    kit_ok(pyramid_build(&origin, &level, 1, &cfg, NULL, 0, f.path, NULL, &e), e);
-    gauss_free(&g);
-    const struct nadir_options no = {.ceiling_m = (double)NAN};
-    kit_ok(nadir_open(f.path, &no, &f.nadir, &e), e);
+    survey_make(NULL);
+    survey_open();
     return 0;
 }
 
 static int teardown(void **state)
 {
     (void)state;
-    nadir_close(&f.nadir);
-    nadir_close(&f.nadir); /* idempotent */
-    synth_city_free(&f.city);
-    arena_free(&f.arena);
-    kit_rmdir(f.dir);
+    survey_drop();
     return 0;
 }
 

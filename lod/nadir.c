@@ -6,7 +6,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "survey/nadir.h"
+#include "lod/nadir.h"
 
 #include <math.h>
 #include <string.h>
@@ -26,12 +26,15 @@
 #define NADIR_ERROR_PX 0.5      /* median sigma of the tiles taken, where there are finer ones */
 #define NADIR_EARTH_M 6371000.0
 
+enum { NADIR_WINDOW_PX = 16 /* around a ray: one tile of the renderer */ };
+
 struct nadir {
     struct dev dev;
     bool dev_open;
-    struct render *render;
-    struct render_surface *surface;
+    struct render *own_render; /* NULL: of the caller, as */
+    struct view *own_view;
     struct view *view;
+    struct render_surface *surface;
     struct area area;
     double ceiling_m; /* ENU */
     float *rgb, *depth, *transmittance;
@@ -47,6 +50,19 @@ static enum err_code nadir_appearance(struct nadir *n, const char *name, struct 
     return rc ? rc : view_set_appearance(n->view, image, e);
 }
 
+/* What nadir_open and nadir_over have in common; n->view is set. */
+static enum err_code nadir_begin(struct nadir *n, struct render *r, double ceiling_m, struct err *e)
+{
+    enum err_code rc = area_make(view_store(n->view), &n->area, e);
+    if (!rc)
+        rc = render_surface_open(r, &n->surface, e);
+    double own = n->area.ceiling_m - n->area.floor_m;
+    n->ceiling_m = isfinite(ceiling_m)
+                       ? ceiling_m
+                       : n->area.ceiling_m + NADIR_CEILING_SHARE * own + NADIR_CEILING_M;
+    return rc;
+}
+
 enum err_code nadir_open(const char *store_path, const struct nadir_options *o, struct nadir **out,
                          struct err *e)
 {
@@ -57,20 +73,30 @@ enum err_code nadir_open(const char *store_path, const struct nadir_options *o, 
     enum err_code rc = dev_open(o->device, &n->dev, e);
     n->dev_open = !rc;
     if (!rc)
-        rc = render_open(&n->dev, &n->render, e);
+        rc = render_open(&n->dev, &n->own_render, e);
     if (!rc)
-        rc = view_open(store_path, n->render, o->cache_bytes ? o->cache_bytes : NADIR_CACHE_BYTES,
-                       &n->view, e);
+        rc = view_open(store_path, n->own_render,
+                       o->cache_bytes ? o->cache_bytes : NADIR_CACHE_BYTES, &n->own_view, e);
+    n->view = n->own_view;
     if (!rc)
-        rc = area_make(view_store(n->view), &n->area, e);
+        rc = nadir_begin(n, n->own_render, o->ceiling_m, e);
     if (!rc)
         rc = nadir_appearance(n, o->appearance, e);
-    if (!rc)
-        rc = render_surface_open(n->render, &n->surface, e);
-    double own = n->area.ceiling_m - n->area.floor_m;
-    n->ceiling_m = isfinite(o->ceiling_m)
-                       ? o->ceiling_m
-                       : n->area.ceiling_m + NADIR_CEILING_SHARE * own + NADIR_CEILING_M;
+    if (rc)
+        nadir_close(&n);
+    *out = n;
+    return rc;
+}
+
+enum err_code nadir_over(struct view *v, struct render *r, double ceiling_m, struct nadir **out,
+                         struct err *e)
+{
+    *out = NULL;
+    struct nadir *n = mem_array(1, sizeof *n);
+    if (!n)
+        return err_set(e, ERR_MEM, "maps: out of memory");
+    n->view = v;
+    enum err_code rc = nadir_begin(n, r, ceiling_m, e);
     if (rc)
         nadir_close(&n);
     *out = n;
@@ -84,8 +110,8 @@ void nadir_close(struct nadir **np)
         return;
     area_free(&n->area);
     render_surface_close(&n->surface);
-    view_close(&n->view);
-    render_close(&n->render);
+    view_close(&n->own_view);
+    render_close(&n->own_render);
     if (n->dev_open)
         dev_close(&n->dev);
     mem_free(n->rgb);
@@ -117,6 +143,40 @@ static enum err_code nadir_room(struct nadir *n, size_t pixels, struct err *e)
     n->transmittance = mem_array(pixels, sizeof *n->transmittance);
     n->pixels = n->rgb && n->depth && n->transmittance ? pixels : 0;
     return n->pixels ? ERR_OK : err_set(e, ERR_MEM, "out of memory for %zu pixels", pixels);
+}
+
+enum err_code nadir_fit(const struct nadir *n, const double lon_deg[NADIR_PLACES],
+                        const double lat_deg[NADIR_PLACES], struct nadir_piece *p, double *off_px,
+                        struct err *e)
+{
+    const double half_w = 0.5 * p->width, half_h = 0.5 * p->height,
+                 at[NADIR_PLACES][2] = {{0, 0},
+                                        {half_w, 0},
+                                        {0, half_h},
+                                        {-half_w, -half_h},
+                                        {half_w, -half_h},
+                                        {-half_w, half_h},
+                                        {half_w, half_h}};
+    const struct geo_origin here = {lon_deg[0], lat_deg[0], store_info(nadir_store(n))->origin.h_m};
+    double enu[NADIR_PLACES][3];
+    for (size_t i = 0; i < NADIR_PLACES; i++) {
+        enum err_code rc = geo_to_enu(&here, lon_deg[i], lat_deg[i], here.h_m, enu[i], e);
+        if (rc)
+            return rc;
+    }
+    p->lon_deg = here.lon_deg;
+    p->lat_deg = here.lat_deg;
+    p->turn_rad = atan2(enu[NADIR_RIGHT][1], enu[NADIR_RIGHT][0]);
+    p->px_per_m_x = half_w / hypot(enu[NADIR_RIGHT][0], enu[NADIR_RIGHT][1]);
+    p->px_per_m_y = half_h / hypot(enu[NADIR_DOWN][0], enu[NADIR_DOWN][1]);
+    double c = cos(p->turn_rad), s = sin(p->turn_rad);
+    *off_px = 0;
+    for (size_t i = 0; i < NADIR_PLACES; i++) {
+        double u = (c * enu[i][0] + s * enu[i][1]) * p->px_per_m_x,
+               v = (s * enu[i][0] - c * enu[i][1]) * p->px_per_m_y;
+        *off_px = fmax(*off_px, hypot(u - at[i][0], v - at[i][1]));
+    }
+    return ERR_OK;
 }
 
 /* The camera stands on the vertical of the piece's centre, at the ceiling. */
@@ -198,5 +258,36 @@ enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rg
         rgb[i] = n->depth[i / 3] > 0 ? fminf(n->rgb[i] / (1 - n->transmittance[i / 3]), 1) : NAN;
     if (height_m)
         nadir_heights(n, p, eye_h_m, height_m);
+    return ERR_OK;
+}
+
+/* A window of the camera's picture whose pixel in the middle has its centre on the ray. */
+enum err_code nadir_look(struct nadir *n, const struct camera *cam, double x_px, double y_px,
+                         double limit_m, struct nadir_ray *out, struct err *e)
+{
+    enum { PIXELS = NADIR_WINDOW_PX * NADIR_WINDOW_PX, MIDDLE = NADIR_WINDOW_PX / 2 };
+    const double middle = MIDDLE + 0.5;
+    const size_t at = MIDDLE * NADIR_WINDOW_PX + MIDDLE;
+    float median[PIXELS], front[PIXELS], limit[PIXELS], rgb[3 * PIXELS];
+    struct camera window = *cam;
+    window.width_px = window.height_px = NADIR_WINDOW_PX;
+    window.cx_px += middle - x_px;
+    window.cy_px += middle - y_px;
+    for (size_t i = 0; i < PIXELS; i++)
+        limit[i] = (float)limit_m;
+    const struct render_options ro = {
+        .aa = store_info(nadir_store(n))->antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
+        .sh_degree = -1};
+    const struct pick_options po = {.error_px = 0};
+    const struct render_surface_maps maps = {.median_m = median, .front = front};
+    *out = (struct nadir_ray){.depth_m = (double)NAN};
+    enum err_code rc = view_render(n->view, &window, &ro, &po, rgb, NULL, e);
+    if (!rc)
+        rc = render_surface_run(n->surface, limit_m > 0 ? limit : NULL, &maps, e);
+    if (rc)
+        return rc;
+    out->found = median[at] > 0;
+    out->depth_m = out->found ? (double)median[at] : (double)NAN;
+    out->front = limit_m > 0 ? (double)front[at] : 0;
     return ERR_OK;
 }

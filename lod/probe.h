@@ -2,10 +2,10 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#ifndef SURVEY_PROBE_H
-#define SURVEY_PROBE_H
+#ifndef LOD_PROBE_H
+#define LOD_PROBE_H
 
-#include "survey/nadir.h"
+#include "lod/nadir.h"
 
 struct probe {
     bool surveyed, found; /* the place lies in the survey; there is a surface */
@@ -21,5 +21,10 @@ struct probe {
 /* gsd_m 0: about as fine as the Gaussians are. Errors of nadir_draw; ERR_ARG: no place on Earth. */
 enum err_code probe_at(struct nadir *n, double lon_deg, double lat_deg, double gsd_m,
                        struct probe *out, struct err *e) ERR_USE;
+/* Many places at once: those that lie near each other share a picture, so a place that is not the
+ * first of its picture gets the pixel nearest to it. lonlat: [count][2]. Errors as probe_at: ERR_ARG,
+ * ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
+enum err_code probe_many(struct nadir *n, const double (*lonlat)[2], size_t count, double gsd_m,
+                         struct probe *out, struct err *e) ERR_USE;
 
 #endif

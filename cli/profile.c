@@ -1,0 +1,49 @@
+/* citysplat profile: heights of the surface along a line, as JSON.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "cli/ask.h"
+#include "cli/cli.h"
+
+struct profile_options {
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/profile.def"
+#undef OPT
+};
+
+static const struct options_def defs[] = {
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct profile_options, type, key, def, lo, hi, unit, help)
+#include "cli/profile.def"
+#undef OPT
+};
+
+static const struct options_spec spec = {
+    .command = "profile",
+    .usage = "citysplat profile CITY.tiles LON,LAT LON,LAT [LON,LAT ...] [options]",
+    .about = "Samples the surface of a tile store along a line of places: one JSON object with "
+             "distance, place and height of every sample, lengths in the plan and along the "
+             "surface, climb and fall.",
+    .example = "citysplat profile city.tiles 8.6821,50.1109 8.6860,50.1131 --step-m 1",
+    .defs = defs,
+    .n_defs = sizeof defs / sizeof *defs,
+    .min_args = 3,
+    .max_args = 1 + 15};
+
+enum err_code cli_profile(int argc, char **argv, struct err *e)
+{
+    struct profile_options o = {0};
+    struct options_args args;
+    struct arena arena = {0};
+    struct query q = {.kind = QUERY_PROFILE};
+    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    q.step_m = o.step_m;
+    for (size_t i = 1; !rc && !args.done && i < args.n; i++) /* before the store is opened */
+        rc = ask_place(args.arg[i], q.place[q.n++], e);
+    const struct ask_options ask = {rc || args.done ? NULL : args.arg[0], o.ceiling_m, o.device,
+                                    o.geoid, o.geoid_dir};
+    if (!rc && !args.done)
+        rc = ask_print(&ask, &q, e);
+    arena_free(&arena);
+    return rc;
+}

@@ -1,0 +1,271 @@
+/* Which part of a store was surveyed: see area.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "lod/area.h"
+
+#include <jansson.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "lod/tree.h"
+
+enum { AREA_EDGES_MAX = 100000 };
+
+struct area_weight {
+    double sigma_m;
+    uint64_t count;
+};
+
+static int area_compare(const void *a, const void *b)
+{
+    const struct area_weight *x = a, *y = b;
+    return (x->sigma_m > y->sigma_m) - (x->sigma_m < y->sigma_m);
+}
+
+static bool area_leaf(const struct tree *t, size_t i)
+{
+    return t->nodes[i].child_count == 0;
+}
+
+/* The median over leaves, each counted by its Gaussians. */
+static enum err_code area_sigma(const struct store *s, double *out, struct err *e)
+{
+    size_t n, used = 0;
+    uint64_t total = 0, sum = 0;
+    const struct store_tile *tiles = store_tiles(s, &n);
+    struct area_weight *w = mem_array(n, sizeof *w);
+    if (!w)
+        return err_set(e, ERR_MEM, "out of memory for %zu tiles", n);
+    for (size_t i = 0; i < n; i++)
+        if (area_leaf(store_tree(s), i) && tiles[i].count > 0) {
+            w[used++] = (struct area_weight){tiles[i].sigma_median_m, tiles[i].count};
+            total += tiles[i].count;
+        }
+    qsort(w, used, sizeof *w, area_compare);
+    *out = 0.0;
+    for (size_t i = 0; i < used && 2 * sum < total; i++) {
+        sum += w[i].count;
+        *out = w[i].sigma_m;
+    }
+    mem_free(w);
+    return used ? ERR_OK : err_set(e, ERR_DATA, "the store has no Gaussians: nothing to survey");
+}
+
+static void area_add(struct area *a, const struct store_tile *t)
+{
+    double west, south, east, north;
+    bool first = a->n_in++ == 0;
+    /* A core of zeros is not known: the box then. */
+    bool core = t->core_max_enu_m[2] > t->core_min_enu_m[2];
+    double lo = core ? t->core_min_enu_m[2] : t->min_enu_m[2],
+           hi = core ? t->core_max_enu_m[2] : t->max_enu_m[2];
+    key_bounds(t->key, &west, &south, &east, &north);
+    a->west_deg = first ? west : fmin(a->west_deg, west);
+    a->south_deg = first ? south : fmin(a->south_deg, south);
+    a->east_deg = first ? east : fmax(a->east_deg, east);
+    a->north_deg = first ? north : fmax(a->north_deg, north);
+    a->floor_m = first ? lo : fmin(a->floor_m, lo);
+    a->ceiling_m = first ? hi : fmax(a->ceiling_m, hi);
+}
+
+/* ---- the footprint ---- */
+
+/* One ring of GeoJSON positions; false: it is none. */
+static bool area_add_ring(struct area *a, const json_t *ring, size_t *room)
+{
+    size_t n = json_array_size(ring);
+    if (n < 4 || n > *room)
+        return false;
+    for (size_t i = 0; i + 1 < n; i++) {
+        struct area_edge *edge = &a->edges[a->n_edges++];
+        for (size_t k = 0; k < 2; k++) {
+            const json_t *at = json_array_get(ring, i + k);
+            double lon = json_number_value(json_array_get(at, 0)),
+                   lat = json_number_value(json_array_get(at, 1));
+            if (!json_is_number(json_array_get(at, 1)) || !(fabs(lon) <= 180) || !(fabs(lat) <= 85))
+                return false;
+            key_place(lon, lat, k ? edge->to : edge->from);
+            bool first = a->n_edges == 1 && k == 0;
+            a->west_deg = first ? lon : fmin(a->west_deg, lon);
+            a->east_deg = first ? lon : fmax(a->east_deg, lon);
+            a->south_deg = first ? lat : fmin(a->south_deg, lat);
+            a->north_deg = first ? lat : fmax(a->north_deg, lat);
+        }
+    }
+    *room -= n;
+    return true;
+}
+
+static size_t area_corners(const json_t *polygons)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < json_array_size(polygons); i++)
+        for (size_t r = 0; r < json_array_size(json_array_get(polygons, i)); r++)
+            n += json_array_size(json_array_get(json_array_get(polygons, i), r));
+    return n;
+}
+
+/* The MultiPolygon that training wrote. One that makes no sense is left out, as if there were none:
+ * store_open has warned of a text that is no JSON. */
+static enum err_code area_read_footprint(struct area *a, const char *text, struct err *e)
+{
+    json_t *root = text ? json_loads(text, 0, NULL) : NULL;
+    const json_t *shape = json_object_get(root, "geometry"),
+                 *polygons = json_object_get(shape, "coordinates");
+    const char *type = json_string_value(json_object_get(shape, "type"));
+    const struct area tiles = *a;
+    bool ok = type && !strcmp(type, "MultiPolygon");
+    size_t n = ok ? area_corners(polygons) : 0, room = n;
+    enum err_code rc = ERR_OK;
+    if (n < 4 || n > AREA_EDGES_MAX)
+        ok = false;
+    if (ok && !(a->edges = mem_array(n, sizeof *a->edges)))
+        rc = err_set(e, ERR_MEM, "out of memory for a footprint of %zu corners", n);
+    for (size_t i = 0; ok && !rc && i < json_array_size(polygons); i++) {
+        const json_t *polygon = json_array_get(polygons, i);
+        for (size_t r = 0; ok && r < json_array_size(polygon); r++)
+            ok = area_add_ring(a, json_array_get(polygon, r), &room);
+    }
+    if (!ok || rc) {
+        mem_free(a->edges);
+        *a = tiles;
+    }
+    if (text && !ok)
+        log_warn("store", "the footprint is no MultiPolygon of places: what was surveyed is taken "
+                          "from the tiles");
+    json_decref(root);
+    return rc;
+}
+
+enum err_code area_make(const struct store *s, struct area *out, struct err *e)
+{
+    struct area a = {.store = s};
+    size_t n;
+    const struct store_tile *tiles = store_tiles(s, &n);
+    enum err_code rc = area_sigma(s, &a.sigma_m, e);
+    if (!rc && !(a.in = mem_array(n, sizeof *a.in)))
+        rc = err_set(e, ERR_MEM, "out of memory for %zu tiles", n);
+    for (size_t i = 0; !rc && i < n; i++) {
+        a.in[i] = area_leaf(store_tree(s), i) && tiles[i].count > 0 &&
+                  tiles[i].sigma_median_m <= AREA_COARSE * a.sigma_m;
+        if (a.in[i])
+            area_add(&a, &tiles[i]);
+    }
+    if (!rc)
+        rc = area_read_footprint(&a, store_footprint(s), e);
+    if (rc)
+        area_free(&a);
+    *out = a;
+    return rc;
+}
+
+void area_free(struct area *a)
+{
+    mem_free(a->in);
+    mem_free(a->edges);
+    *a = (struct area){0};
+}
+
+/* ---- places ---- */
+
+static bool area_tile_holds(const struct area *a, struct key k)
+{
+    size_t n;
+    const struct store_tile *tiles = store_tiles(a->store, &n);
+    uint8_t least = store_info(a->store)->zoom_min;
+    for (;; k = key_parent(k)) {
+        const struct store_tile *t = store_find(a->store, k);
+        if (t)
+            return a->in[t - tiles];
+        if (k.z <= least)
+            return false;
+    }
+}
+
+bool area_holds(const struct area *a, double lon_deg, double lat_deg)
+{
+    double at[2];
+    bool in = false;
+    if (!a->edges)
+        return area_tile_holds(a, key_at(lon_deg, lat_deg, store_info(a->store)->zoom_max));
+    key_place(lon_deg, lat_deg, at);
+    for (size_t i = 0; i < a->n_edges; i++) {
+        const double *p = a->edges[i].from, *q = a->edges[i].to;
+        if ((p[1] > at[1]) != (q[1] > at[1]) &&
+            at[0] < p[0] + (at[1] - p[1]) / (q[1] - p[1]) * (q[0] - p[0]))
+            in = !in;
+    }
+    return in;
+}
+
+bool area_touches(const struct area *a, struct key k)
+{
+    double west, south, east, north;
+    key_bounds(k, &west, &south, &east, &north);
+    return west < a->east_deg && east > a->west_deg && south < a->north_deg && north > a->south_deg;
+}
+
+static void area_mask_tiles(const struct area *a, const double corner[8], uint32_t w, uint32_t h,
+                            uint8_t *in)
+{
+    uint8_t zoom = store_info(a->store)->zoom_max;
+    double n = ldexp(1, zoom);
+    struct key last = {.z = UINT8_MAX};
+    uint8_t held = 0;
+    for (uint32_t y = 0; y < h; y++)
+        for (uint32_t x = 0; x < w; x++) {
+            double s = (x + 0.5) / w, t = (y + 0.5) / h, at[2];
+            for (size_t k = 0; k < 2; k++)
+                at[k] = (1 - t) * ((1 - s) * corner[k] + s * corner[2 + k]) +
+                        t * ((1 - s) * corner[4 + k] + s * corner[6 + k]);
+            struct key key = {zoom, (uint32_t)fmin(fmax(at[0] * n, 0), n - 1),
+                              (uint32_t)fmin(fmax(at[1] * n, 0), n - 1)};
+            if (key_compare(key, last)) {
+                held = area_tile_holds(a, key);
+                last = key;
+            }
+            in[(size_t)y * w + x] = held;
+        }
+}
+
+/* One row, even-odd: every edge that it crosses turns what lies right of the crossing. */
+static void area_mask_row(const struct area *a, const double left[2], const double right[2],
+                          uint32_t w, uint8_t *in)
+{
+    double d[2] = {right[0] - left[0], right[1] - left[1]}, length2 = d[0] * d[0] + d[1] * d[1];
+    memset(in, 0, w);
+    for (size_t i = 0; i < a->n_edges; i++) {
+        const double *p = a->edges[i].from, *q = a->edges[i].to;
+        double p_side = d[0] * (p[1] - left[1]) - d[1] * (p[0] - left[0]),
+               q_side = d[0] * (q[1] - left[1]) - d[1] * (q[0] - left[0]);
+        if ((p_side > 0) == (q_side > 0))
+            continue;
+        double t = p_side / (p_side - q_side), u = p[0] + t * (q[0] - p[0]),
+               v = p[1] + t * (q[1] - p[1]);
+        double x = ceil((d[0] * (u - left[0]) + d[1] * (v - left[1])) / length2 * w - 0.5);
+        if (x < w)
+            in[x > 0 ? (size_t)x : 0] ^= 1;
+    }
+    for (uint32_t x = 1; x < w; x++)
+        in[x] ^= in[x - 1];
+}
+
+size_t area_mask(const struct area *a, const double corner[8], uint32_t w, uint32_t h, uint8_t *in)
+{
+    size_t n = 0;
+    if (!a->edges)
+        area_mask_tiles(a, corner, w, h, in);
+    for (uint32_t y = 0; a->edges && y < h; y++) {
+        double t = (y + 0.5) / h, left[2], right[2];
+        for (size_t k = 0; k < 2; k++) {
+            left[k] = (1 - t) * corner[k] + t * corner[4 + k];
+            right[k] = (1 - t) * corner[2 + k] + t * corner[6 + k];
+        }
+        area_mask_row(a, left, right, w, in + (size_t)y * w);
+    }
+    for (size_t i = 0; i < (size_t)w * h; i++)
+        n += in[i];
+    return n;
+}

@@ -1,0 +1,96 @@
+/* Questions about the surface of a dataset: posted JSON, and the height at one place by its address.
+ * They are answered on the thread that draws, in the dataset's default appearance.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/answer.h"
+
+#include <jansson.h>
+#include <string.h>
+
+#include "server/result_id.h"
+
+static bool answer_query_kind(enum route route, enum query_kind *out)
+{
+    static const struct {
+        enum route route;
+        enum query_kind kind;
+    } kinds[] = {{ROUTE_HEIGHT, QUERY_HEIGHT},
+                 {ROUTE_PICK, QUERY_PICK},
+                 {ROUTE_PROFILE, QUERY_PROFILE},
+                 {ROUTE_MEASURE, QUERY_MEASURE},
+                 {ROUTE_VISIBLE, QUERY_VISIBLE}};
+    for (size_t i = 0; i < sizeof kinds / sizeof *kinds; i++)
+        if (kinds[i].route == route) {
+            *out = kinds[i].kind;
+            return true;
+        }
+    return false;
+}
+
+/* ERR_FORMAT: no JSON (400). ERR_DATA: impossible numbers (422). */
+static enum err_code answer_query_read(const struct request *r, const struct dataset *d,
+                                       const struct target *t, enum query_kind kind,
+                                       struct query *out, struct err *e)
+{
+    json_t *o = NULL;
+    enum err_code rc = ERR_OK;
+    if (r->method != METHOD_POST && !t->has_place)
+        return err_set(e, ERR_FORMAT, "say where: ?lon=8.6821&lat=50.1109, or post places");
+    if (r->method != METHOD_POST) {
+        memset(out, 0, sizeof *out);
+        out->kind = kind;
+        out->n = 1;
+        out->place[0][0] = t->pose.lon_e7 / 1e7;
+        out->place[0][1] = t->pose.lat_e7 / 1e7;
+        return ERR_OK;
+    }
+    if (!r->body_size)
+        rc = err_set(e, ERR_FORMAT, "the body must be a JSON object");
+    if (!rc)
+        rc = jsonc_parse(r->body, r->body_size, "body", &o, e);
+    if (!rc)
+        rc = query_read(kind, o, &d->meta.origin, out, e);
+    json_decref(o);
+    return rc;
+}
+
+bool answer_query(struct services *s, const struct request *r, struct dataset *d,
+                  const struct target *t, struct response *out)
+{
+    struct err e = {0};
+    enum query_kind kind;
+    char device[160];
+    if (!answer_query_kind(t->route, &kind))
+        return false;
+    if (!d->area.in) {
+        response_problem(out, 404, "nothing of this dataset was surveyed");
+        return true;
+    }
+    struct query *q = mem_array(1, sizeof *q);
+    enum err_code rc =
+        q ? answer_query_read(r, d, t, kind, q, &e) : err_set(&e, ERR_MEM, "out of memory");
+    if (rc) {
+        response_problem(out, rc == ERR_MEM ? 503 : rc == ERR_DATA ? 422 : 400, e.msg);
+    } else if (answer_can_draw(s, out)) {
+        picture_about(s->picture, device, sizeof device);
+        struct hash128 id = result_id_query(d, device, s->geoid ? geoid_name(s->geoid) : "", q);
+        bool post = r->method == METHOD_POST;
+        out->type = RESPONSE_JSON;
+        out->cache_control = post ? RESPONSE_NO_STORE : RESPONSE_MOVING;
+        out->status = 200;
+        out->cache = "none";
+        struct work *w = post || response_made(s, r, id, out)
+                             ? response_work(d, WORK_QUERY, id, (struct form){0}, out)
+                             : NULL;
+        if (w) {
+            w->query = q;
+            w->keep = !post;
+            q = NULL;
+        }
+        out->cls = JOB_MAP;
+        out->timeout_s = s->cfg->deadline_s;
+    }
+    mem_free(q);
+    return true;
+}

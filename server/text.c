@@ -1,0 +1,93 @@
+/* Reading a request's target from left to right: see text.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/text.h"
+
+#include <string.h>
+
+bool text_take(struct text *t, const char *word)
+{
+    size_t n = strlen(word);
+    if ((size_t)(t->end - t->p) < n || memcmp(t->p, word, n) != 0)
+        return false;
+    t->p += n;
+    return true;
+}
+
+bool text_at_end(const struct text *t)
+{
+    return t->p == t->end;
+}
+
+bool text_is_digit(const struct text *t)
+{
+    return t->p < t->end && *t->p >= '0' && *t->p <= '9';
+}
+
+bool text_take_uint(struct text *t, uint32_t *out)
+{
+    const char *start = t->p;
+    uint32_t v = 0;
+    for (; text_is_digit(t) && t->p - start < 10; t->p++)
+        v = v * 10 + (uint32_t)(*t->p - '0') * (t->p - start < 9);
+    *out = v;
+    size_t n = (size_t)(t->p - start);
+    return n >= 1 && n <= 9 && (n == 1 || *start != '0');
+}
+
+bool text_take_fixed(struct text *t, int scale, int64_t *out)
+{
+    bool negative = text_take(t, "-");
+    uint32_t whole;
+    if (!text_take_uint(t, &whole))
+        return false;
+    int64_t v = whole;
+    int done = 0, digits = 0;
+    bool up = false;
+    if (text_take(t, ".")) {
+        if (!text_is_digit(t))
+            return false;
+        for (; text_is_digit(t); t->p++) {
+            if (++digits > 12)
+                return false;
+            if (done < scale)
+                v = v * 10 + (*t->p - '0'), done++;
+            else if (digits == scale + 1)
+                up = *t->p >= '5';
+        }
+    }
+    for (; done < scale; done++)
+        v *= 10;
+    *out = negative ? -(v + up) : v + up;
+    return true;
+}
+
+static int text_hex_value(char c)
+{
+    return c >= '0' && c <= '9'   ? c - '0'
+           : c >= 'a' && c <= 'f' ? c - 'a' + 10
+           : c >= 'A' && c <= 'F' ? c - 'A' + 10
+                                  : -1;
+}
+
+bool text_take_decoded(struct text *t, char *out, size_t room)
+{
+    size_t n = 0;
+    for (; t->p < t->end; t->p++) {
+        char c = *t->p == '+' ? ' ' : *t->p;
+        if (c == '%') {
+            int hi = t->end - t->p > 2 ? text_hex_value(t->p[1]) : -1,
+                lo = hi < 0 ? -1 : text_hex_value(t->p[2]);
+            if (lo < 0)
+                return false;
+            c = (char)(hi * 16 + lo);
+            t->p += 2;
+        }
+        if (n + 1 >= room || (unsigned char)c < 0x20 || c == 0x7f)
+            return false;
+        out[n++] = c;
+    }
+    out[n] = '\0';
+    return n > 0;
+}

@@ -1,0 +1,29 @@
+/* Reading a request's target from left to right. What is not there is not taken: each function that
+ * returns false has read an unknown part, and the caller gives up or works on a copy.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_TEXT_H
+#define SERVER_TEXT_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+struct text { /* what is left to read, borrowed */
+    const char *p, *end;
+};
+
+bool text_take(struct text *t, const char *word); /* false: t is as it was */
+bool text_at_end(const struct text *t);
+bool text_is_digit(const struct text *t); /* of what comes next */
+/* A natural number of at most 9 digits, no leading zero. */
+bool text_take_uint(struct text *t, uint32_t *out);
+/* [-]digits[.digits] times 10^scale, rounded half away from zero: at most 9 digits before the point
+ * and 12 after. "-0" is 0. */
+bool text_take_fixed(struct text *t, int scale, int64_t *out);
+/* The rest of t, percent-decoded ('+' is a space, as forms write it). False: no text, too long, a
+ * broken escape, or a control character. */
+bool text_take_decoded(struct text *t, char *out, size_t room);
+
+#endif

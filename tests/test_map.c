@@ -1,0 +1,496 @@
+/* Map and terrain tiles over HTTP: what they hold against the procedural city, how they are cached,
+ * where there are none; the documents that lead to them as xmllint and GDAL read them.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "tests/client.h"
+#include "tests/survey_kit.h"
+
+#include <jansson.h>
+
+#include "codec/image.h"
+#include "core/dev.h"
+#include "lod/raster.h"
+
+static const char IMMUTABLE[] = "public, max-age=31536000, immutable";
+static uint8_t zoom;     /* of most tests: pixels of 0.19 m */
+static struct key there; /* a tile in the middle of the city */
+
+static int map_setup_all(void **state)
+{
+    struct err e = {0};
+    (void)state;
+    log_set_level(LOG_ERROR);
+    survey_make(NULL);
+    survey_open();
+    zoom = (uint8_t)(raster_zoom_max(nadir_area(f.nadir)) - 2);
+    there = key_at(origin.lon_deg + 1e-5, origin.lat_deg + 1e-5, zoom);
+    kit_ok(file_join(t.dir, f.dir, "web", &e), e);
+    snprintf(t.path, sizeof t.path, "%s", f.path);
+    t.paths[0] = t.path;
+    return 0;
+}
+
+static int map_teardown_all(void **state)
+{
+    (void)state;
+    survey_drop();
+    return 0;
+}
+
+static const char *map_target(const char *what, struct key k, const char *rest, char out[256])
+{
+    snprintf(out, 256, "/d/survey/r/%s/%s/%u/%u/%u%s", t.rev, what, k.z, k.x, k.y, rest);
+    return out;
+}
+
+static bool start_drawing(void)
+{
+    struct err e = {0};
+    struct dev dev;
+    if (dev_open("cpu", &dev, &e) != ERR_OK) {
+        print_message("skipped: %s\n", e.msg);
+        return false;
+    }
+    dev_close(&dev);
+    t.cfg.device = "cpu";
+    start();
+    char target[256]; /* entity tags are those of the device, which is known once one was drawn */
+    assert_int_equal(status_of("GET", map_target("terrain", key_at(0, 0, 5), ".png", target), ""),
+                     200);
+    return true;
+}
+
+/* Body -> a file -> pixels as OpenImageIO reads them. */
+static void read_picture(const struct reply *r, const char *name, struct image *img)
+{
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    kit_ok(file_join(path, f.dir, name, &e), e);
+    kit_ok(file_write(path, r->body, r->body_size, &e), e);
+    kit_ok(image_read(path, NULL, img, &e), e);
+}
+
+static void fetch_picture(const char *target, const char *type, const char *name, struct image *img)
+{
+    struct reply r;
+    ask("GET", target, "", &r);
+    if (r.status != 200)
+        fail_msg("%s: %d %.*s", target, r.status, (int)r.body_size, (const char *)r.body);
+    assert_string_equal(header(&r, "Content-Type"), type);
+    assert_string_equal(header(&r, "Cache-Control"), IMMUTABLE);
+    read_picture(&r, name, img);
+    buf_free(&r.raw);
+}
+
+/* ENU of a pixel of a tile. */
+static void pixel_enu(struct key k, uint32_t size, uint32_t x, uint32_t y, double enu[3])
+{
+    struct err e = {0};
+    double n = pow(2, k.z), u = (k.x + (x + 0.5) / size) / n, v = (k.y + (y + 0.5) / size) / n;
+    kit_ok(geo_to_enu(&origin, 360 * u - 180,
+                      360 / SURVEY_PI * atan(exp(SURVEY_PI * (1 - 2 * v))) - 90, origin.h_m, enu,
+                      &e),
+           e);
+}
+
+/* Of all formats and both sizes: red grows to the east and green to the north, to a pixel. */
+static void tiles_show_the_city(void **state)
+{
+    static const struct {
+        const char *rest, *type, *name;
+        uint32_t size;
+    } kinds[] = {{".png", "image/png", "a.png", 256},
+                 {".webp", "image/webp", "a.webp", 256},
+                 {".jpg", "image/jpeg", "a.jpg", 256},
+                 {"@2x.png", "image/png", "b.png", 512}};
+    char target[256];
+    (void)state;
+    if (!start_drawing())
+        skip();
+    for (size_t i = 0; i < sizeof kinds / sizeof *kinds; i++) {
+        struct image img;
+        double sum[2] = {0};
+        size_t n = 0;
+        fetch_picture(map_target("map", there, kinds[i].rest, target), kinds[i].type, kinds[i].name,
+                      &img);
+        assert_int_equal(img.width_px, kinds[i].size);
+        assert_int_equal(img.height_px, kinds[i].size);
+        for (uint32_t y = 0; y < img.height_px; y++)
+            for (uint32_t x = 0; x < img.width_px; x++) {
+                double enu[3];
+                pixel_enu(there, img.width_px, x, y, enu);
+                if (fabs(enu[0]) > 28 || fabs(enu[1]) > 28)
+                    continue;
+                for (size_t k = 0; k < 2; k++)
+                    sum[k] += img.px[3 * ((size_t)y * img.width_px + x) + k] / 255.0 - 0.5 -
+                              enu[k] / EXTENT_M;
+                n++;
+            }
+        assert_true(n > 20000);
+        for (size_t k = 0; k < 2; k++)
+            assert_true(fabs(sum[k] / (double)n * EXTENT_M) < 0.2); /* metres */
+        image_free(&img);
+    }
+}
+
+static double decode(const uint8_t *px, bool terrarium)
+{
+    return terrarium ? px[0] * 256.0 + px[1] + px[2] / 256.0 - 32768
+                     : -10000 + 0.1 * (65536 * px[0] + 256 * px[1] + px[2]);
+}
+
+static void terrain_is_the_citys(void **state)
+{
+    char target[256];
+    (void)state;
+    if (!start_drawing())
+        skip();
+    for (int terrarium = 0; terrarium < 2; terrarium++) {
+        struct image img;
+        size_t n = 0, off = 0;
+        fetch_picture(
+            map_target("terrain", there, terrarium ? ".png?encoding=terrarium" : ".png", target),
+            "image/png", "t.png", &img);
+        for (uint32_t y = 0; y < 256; y += 4)
+            for (uint32_t x = 0; x < 256; x += 4) {
+                double enu[3], lo = HUGE_VAL, hi = -HUGE_VAL;
+                pixel_enu(there, 256, x, y, enu);
+                if (fabs(enu[0]) > 28 || fabs(enu[1]) > 28)
+                    continue;
+                for (int k = 0; k < 25; k++) {
+                    double h = truth_z(enu[0] + (k % 5 - 2) * 0.3, enu[1] + (k / 5 - 2) * 0.3);
+                    lo = fmin(lo, h);
+                    hi = fmax(hi, h);
+                }
+                if (hi - lo > 0.5)
+                    continue;
+                n++;
+                off += fabs(decode(img.px + 3 * (256 * y + x), terrarium) - origin.h_m -
+                            truth_z(enu[0], enu[1])) > 0.3;
+            }
+        printf("terrain %s: %zu of %zu heights beyond 0.3 m\n", terrarium ? "terrarium" : "mapbox",
+               off, n);
+        assert_true(n > 700 && off < n / 50);
+        image_free(&img);
+    }
+}
+
+/* Far from the survey: a map tile is nothing, a terrain tile is flat, and all of these are one. */
+static void outside_is_empty(void **state)
+{
+    struct reply r;
+    struct image img;
+    char target[256], etag[64];
+    struct key far = key_at(9.5, 50.5, zoom), farther = key_at(2, 48, 12);
+    (void)state;
+    if (!start_drawing())
+        skip();
+    ask("GET", map_target("map", far, ".png", target), "", &r);
+    assert_int_equal(r.status, 204);
+    assert_string_equal(header(&r, "Cache-Control"), IMMUTABLE);
+    buf_free(&r.raw);
+    ask("GET", map_target("terrain", far, ".png", target), "", &r);
+    assert_int_equal(r.status, 200);
+    snprintf(etag, sizeof etag, "%s", header(&r, "ETag"));
+    read_picture(&r, "far.png", &img);
+    buf_free(&r.raw);
+    for (size_t i = 0; i < 256 * 256; i++)
+        assert_true(fabs(decode(img.px + 3 * i, false) -
+                         (double)raster_base_m(nadir_area(f.nadir))) < 0.051);
+    image_free(&img);
+    ask("GET", map_target("terrain", farther, ".png", target), "", &r);
+    assert_string_equal(header(&r, "ETag"), etag);
+    buf_free(&r.raw);
+    /* At the border: transparent in PNG, white in JPEG. */
+    const struct area *a = nadir_area(f.nadir);
+    struct key edge = key_at(a->west_deg, a->north_deg, (uint8_t)(zoom - 3));
+    ask("GET", map_target("map", edge, ".jpg", target), "", &r);
+    read_picture(&r, "edge.jpg", &img);
+    buf_free(&r.raw);
+    assert_true(img.px[0] > 250 && img.px[1] > 250 && img.px[2] > 250);
+    image_free(&img);
+    ask("GET", map_target("map", edge, ".png", target), "", &r);
+    read_picture(&r, "edge.png", &img); /* alpha is dropped: what it hides is black */
+    buf_free(&r.raw);
+    assert_int_equal(img.px[0] + img.px[1] + img.px[2], 0);
+    image_free(&img);
+    struct buf out = {0};
+    assert_int_equal(kit_run(&out, "gdalinfo '%s/edge.png'", f.dir), 0);
+    kit_expect_text((const char *)out.data, "ColorInterp=Alpha", __FILE__, __LINE__);
+    buf_free(&out);
+}
+
+static void tiles_are_cached(void **state)
+{
+    struct reply r;
+    char target[256], line[128], want[256];
+    (void)state;
+    if (!start_drawing())
+        skip();
+    ask("GET", map_target("map", there, ".webp", target), "", &r);
+    assert_int_equal(r.status, 200);
+    snprintf(line, sizeof line, "If-None-Match: %s\r\n", header(&r, "ETag"));
+    assert_true(strlen(line) > 20);
+    snprintf(want, sizeof want, "ds-survey rev-%s map", t.rev);
+    assert_string_equal(header(&r, "Surrogate-Key"), want);
+    buf_free(&r.raw);
+    assert_int_equal(status_of("GET", target, line), 304);
+    /* without a revision: to the current one, with the query */
+    snprintf(target, sizeof target, "/d/survey/terrain/%u/%u/%u.png?encoding=terrarium", there.z,
+             there.x, there.y);
+    ask("GET", target, "", &r);
+    assert_int_equal(r.status, 307);
+    snprintf(want, sizeof want, "../../../r/%s/terrain/%u/%u/%u.png?encoding=terrarium", t.rev,
+             there.z, there.x, there.y);
+    assert_string_equal(header(&r, "Location"), want);
+    buf_free(&r.raw);
+    snprintf(target, sizeof target, "/d/survey/map/%u/%u/%u@2x.jpg", there.z, there.x, there.y);
+    ask("GET", target, "", &r);
+    assert_int_equal(r.status, 307);
+    snprintf(want, sizeof want, "../../../r/%s/map/%u/%u/%u@2x.jpg", t.rev, there.z, there.x,
+             there.y);
+    assert_string_equal(header(&r, "Location"), want);
+    buf_free(&r.raw);
+}
+
+static void nonsense_is_refused(void **state)
+{
+    char target[256];
+    struct key deep = key_at(origin.lon_deg, origin.lat_deg, KEY_ZOOM_MAX), none = {3, 8, 0};
+    (void)state;
+    if (!start_drawing())
+        skip();
+    const struct {
+        const char *what, *rest;
+        struct key k;
+        int status;
+    } cases[] = {
+        {"map", ".png", deep, 404},
+        {"map", ".png", none, 404},
+        {"map", ".gif", there, 404},
+        {"map", "", there, 404},
+        {"map", "@3x.png", there, 404},
+        {"terrain", ".webp", there, 404},
+        {"map", ".png?appearance=noon", there, 404},
+        {"terrain", ".png?encoding=feet", there, 400},
+        {"terrain", ".png?encoding=mapbox&encoding=mapbox", there, 400},
+        {"terrain", ".png?encoding=mapboxx", there, 400},
+        {"map", ".png?encoding=feet&v=7", there, 200},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        int got =
+            status_of("GET", map_target(cases[i].what, cases[i].k, cases[i].rest, target), "");
+        if (got != cases[i].status)
+            fail_msg("%s: %d, want %d", target, got, cases[i].status);
+    }
+    assert_int_equal(status_of("POST", map_target("map", there, ".png", target), ""), 405);
+}
+
+static json_t *document(const char *target)
+{
+    struct reply r;
+    ask("GET", target, "", &r);
+    assert_int_equal(r.status, 200);
+    json_t *o = json_loadb((const char *)r.body, r.body_size, 0, NULL);
+    assert_non_null(o);
+    buf_free(&r.raw);
+    return o;
+}
+
+static void tilejson_leads_to_tiles(void **state)
+{
+    const struct area *a = nadir_area(f.nadir);
+    char want[256];
+    (void)state;
+    start(); /* without a device: documents do not need one */
+    json_t *o = document("/d/survey/map.json");
+    assert_string_equal(json_string_value(json_object_get(o, "tilejson")), "3.0.0");
+    snprintf(want, sizeof want, "r/%s/map/{z}/{x}/{y}.webp", t.rev);
+    assert_string_equal(json_string_value(json_array_get(json_object_get(o, "tiles"), 0)), want);
+    assert_int_equal(json_integer_value(json_object_get(o, "maxzoom")), raster_zoom_max(a));
+    assert_int_equal(json_integer_value(json_object_get(o, "minzoom")), raster_zoom_min(a));
+    assert_true(fabs(json_number_value(json_array_get(json_object_get(o, "bounds"), 2)) -
+                     a->east_deg) < 1e-9);
+    json_decref(o);
+    o = document("/d/survey/terrain.json?encoding=terrarium");
+    snprintf(want, sizeof want, "r/%s/terrain/{z}/{x}/{y}.png?encoding=terrarium", t.rev);
+    assert_string_equal(json_string_value(json_array_get(json_object_get(o, "tiles"), 0)), want);
+    assert_string_equal(json_string_value(json_object_get(o, "encoding")), "terrarium");
+    json_decref(o);
+    assert_int_equal(status_of("GET", "/d/survey/map.json?appearance=noon", ""), 404);
+    o = document("/collections/survey");
+    char *dump = json_dumps(o, JSON_COMPACT);
+    for (int i = 0; i < 3; i++) {
+        static const char *const links[] = {"../d/survey/map.json", "../d/survey/terrain.json",
+                                            "../d/survey/wmts.xml"};
+        assert_non_null(strstr(dump, links[i]));
+    }
+    free(dump);
+    json_decref(o);
+    char target[256]; /* and without a device tiles say so */
+    assert_int_equal(status_of("GET", map_target("map", there, ".png", target), ""), 503);
+    server_stop(&t.server);
+    t.cfg.public_url = "https://maps.example/city/";
+    start();
+    o = document("/d/survey/map.json");
+    snprintf(want, sizeof want, "https://maps.example/city/d/survey/r/%s/map/{z}/{x}/{y}.webp",
+             t.rev);
+    assert_string_equal(json_string_value(json_array_get(json_object_get(o, "tiles"), 0)), want);
+    json_decref(o);
+}
+
+/* GDAL goes all the way: capabilities, tiles, pixels; and by the address of the tiles alone. */
+static void gdal_opens_the_map(void **state)
+{
+    struct buf out = {0};
+    struct err e = {0};
+    struct reply r;
+    char path[FILE_PATH_MAX];
+    (void)state;
+    if (!start_drawing())
+        skip();
+    ask("GET", "/d/survey/wmts.xml", "", &r);
+    assert_int_equal(r.status, 200);
+    assert_string_equal(header(&r, "Content-Type"), "application/xml");
+    kit_ok(file_join(path, f.dir, "wmts.xml", &e), e);
+    kit_ok(file_write(path, r.body, r.body_size, &e), e);
+    buf_free(&r.raw);
+    assert_int_equal(kit_run(&out, "xmllint --noout '%s'", path), 0);
+    buf_free(&out);
+    struct buf xyz = {0}; /* the same pixels by both ways */
+    double n = pow(2, there.z), edge = 2 * 20037508.342789244 / n,
+           west = -20037508.342789244 + there.x * edge, north = 20037508.342789244 - there.y * edge;
+    if (kit_run(&out,
+                "cd '%s' && gdal_translate -q -of PNG -projwin %.6f %.6f %.6f %.6f "
+                "-outsize 256 256 'WMTS:http://127.0.0.1:%u/d/survey/wmts.xml' w.png",
+                f.dir, west, north, west + edge, north - edge, t.port))
+        fail_msg("%s", (const char *)out.data);
+    buf_free(&out);
+    buf_printf(&xyz,
+               "<GDAL_WMS><Service name=\"TMS\"><ServerUrl>http://127.0.0.1:%u/d/survey/r/%s/map/"
+               "${z}/${x}/${y}.png</ServerUrl></Service><DataWindow><UpperLeftX>-20037508.342789244"
+               "</UpperLeftX><UpperLeftY>20037508.342789244</UpperLeftY><LowerRightX>"
+               "20037508.342789244</LowerRightX><LowerRightY>-20037508.342789244</LowerRightY>"
+               "<TileLevel>%u</TileLevel><TileCountX>1</TileCountX><TileCountY>1</TileCountY>"
+               "<YOrigin>top</YOrigin></DataWindow><Projection>EPSG:3857</Projection>"
+               "<BandsCount>4</BandsCount><BlockSizeX>256</BlockSizeX><BlockSizeY>256</"
+               "BlockSizeY></GDAL_WMS>",
+               t.port, t.rev, there.z);
+    kit_ok(file_join(path, f.dir, "xyz.xml", &e), e);
+    kit_ok(file_write(path, xyz.data, xyz.size, &e), e);
+    buf_free(&xyz);
+    if (kit_run(&out,
+                "cd '%s' && gdal_translate -q -of PNG -projwin %.6f %.6f %.6f %.6f xyz.xml x.png",
+                f.dir, west, north, west + edge, north - edge))
+        fail_msg("%s", (const char *)out.data);
+    buf_free(&out);
+    struct image img, same, own;
+    char target[256];
+    kit_ok(file_join(path, f.dir, "w.png", &e), e);
+    kit_ok(image_read(path, NULL, &img, &e), e);
+    kit_ok(file_join(path, f.dir, "x.png", &e), e);
+    kit_ok(image_read(path, NULL, &same, &e), e);
+    fetch_picture(map_target("map", there, ".png", target), "image/png", "own.png", &own);
+    assert_int_equal(same.width_px, 256);
+    assert_memory_equal(own.px, same.px, 256 * 256 * 3);
+    size_t off = 0;
+    for (size_t i = 0; i < 256 * 256 * 3; i++)
+        off += abs(own.px[i] - img.px[i]) > 3;
+    assert_true(off < 256 * 256 * 3 / 50);
+    image_free(&img);
+    image_free(&same);
+    image_free(&own);
+}
+
+static int post(const char *path, const char *body, struct reply *r)
+{
+    struct buf q = {0};
+    int fd = dial(t.port);
+    buf_printf(&q,
+               "POST /d/survey/%s HTTP/1.1\r\nHost: test\r\nConnection: close\r\n"
+               "Content-Length: %zu\r\n\r\n%s",
+               path, strlen(body), body);
+    say_bytes(fd, (char *)q.data, q.size);
+    hear(fd, true, NULL, r);
+    buf_free(&q);
+    close(fd);
+    return r->status;
+}
+
+/* What is answered is test_query's; here: how it is asked, and what is said to nonsense. */
+static void questions_are_answered(void **state)
+{
+    static const struct {
+        const char *path, *body, *says;
+        int status;
+    } cases[] = {
+        {"height", "{\"places\": [[8.6821, 50.1109], [9, 50]]}", "\"height_m\":null", 200},
+        {"profile", "{\"line\": [[8.6820, 50.1109], [8.6822, 50.1109]]}", "\"climb_m\"", 200},
+        {"measure", "{\"polygon\": [[8.682, 50.1108], [8.6822, 50.1108], [8.6821, 50.111]]}",
+         "\"volume_above_m3\"", 200},
+        {"measure", "{\"line\": [[8.682, 50.1108], [8.6822, 50.1108]]}", "\"rise_m\"", 200},
+        {"visible",
+         "{\"from\": {\"lon\": 8.682, \"lat\": 50.1108, \"above\": 50}, \"to\": {\"lon\": "
+         "8.6822, \"lat\": 50.1109, \"above\": 0}}",
+         "\"visible\":true", 200},
+        {"pick",
+         "{\"pose\": {\"lon\": 8.6821, \"lat\": 50.1109, \"height\": 260, \"heading\": 0, "
+         "\"pitch\": -90}, \"width\": 200, \"height\": 100, \"x\": 100, \"y\": 50}",
+         "\"found\":true", 200},
+        {"height", "{\"places\": [[8, 91]]}", "place 1 must be", 422},
+        {"height", "{\"places\": []}", "1 to 256 places", 422},
+        {"height", "{", "body", 400},
+        {"height", "", "JSON", 400},
+        {"profile", "{\"line\": [[8.6, 50], [8.7, 50]], \"step_m\": 0.1}", "steps of at least",
+         422},
+        {"measure", "{\"polygon\": [[8.68, 50.11], [8.69, 50.12], [8.69, 50.11], [8.68, 50.12]]}",
+         "crosses itself", 422},
+        {"measure", "{\"polygon\": [[8.68, 50.11], [8.69, 50.11], [8.69, 50.12]]}", "gsd_m", 422},
+        {"measure",
+         "{\"polygon\": [[8.68, 50.11], [8.69, 50.11], [8.69, 50.12]], \"base\": \"sea\"}", "rim",
+         422},
+        {"measure", "{}", "one of the two", 422},
+        {"visible", "{\"from\": {\"lon\": 8, \"lat\": 50}}", "above", 422},
+        {"visible",
+         "{\"from\": {\"lon\": 8, \"lat\": 50, \"above\": 1}, \"to\": {\"lon\": 8.6822, "
+         "\"lat\": 50.1109, \"above\": 0}}",
+         "no surface", 422},
+        {"pick", "{\"x\": 1, \"y\": 1}", "one of the two", 422},
+    };
+    struct reply r;
+    (void)state;
+    if (!start_drawing())
+        skip();
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        int got = post(cases[i].path, cases[i].body, &r);
+        const char *text = (const char *)r.body;
+        if (got != cases[i].status || !strstr(text, cases[i].says))
+            fail_msg("%s %s: %d, want %d and %s: %s", cases[i].path, cases[i].body, got,
+                     cases[i].status, cases[i].says, text);
+        assert_string_equal(header(&r, "Cache-Control"), "no-store");
+        buf_free(&r.raw);
+    }
+    ask("GET", "/d/survey/height?lon=8.6821&lat=50.1109", "", &r);
+    assert_int_equal(r.status, 200);
+    assert_string_equal(header(&r, "Content-Type"), "application/json");
+    assert_non_null(strstr((const char *)r.body, "WGS 84 ellipsoid"));
+    assert_true(strlen(header(&r, "ETag")) > 2);
+    buf_free(&r.raw);
+    assert_int_equal(status_of("GET", "/d/survey/height", ""), 400);
+    assert_int_equal(status_of("GET", "/d/survey/height?lon=8", ""), 400);
+    assert_int_equal(status_of("GET", "/d/survey/height?lon=8&lat=86", ""), 422);
+    assert_int_equal(status_of("GET", "/d/survey/height?lon=8&lon=8&lat=50", ""), 400);
+    assert_int_equal(status_of("GET", "/d/survey/measure", ""), 405);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        HTTP_TEST(tiles_show_the_city), HTTP_TEST(terrain_is_the_citys),
+        HTTP_TEST(outside_is_empty),    HTTP_TEST(tiles_are_cached),
+        HTTP_TEST(nonsense_is_refused), HTTP_TEST(tilejson_leads_to_tiles),
+        HTTP_TEST(gdal_opens_the_map),  HTTP_TEST(questions_are_answered),
+    };
+    return cmocka_run_group_tests(tests, map_setup_all, map_teardown_all);
+}
