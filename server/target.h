@@ -34,6 +34,12 @@ enum { ALLOW_READ = 1, ALLOW_POST = 2 };
       "/d/{ds}/static/{lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt}",                    \
       "Redirect to the current revision")                                                          \
     X(APPEARANCES, ALLOW_READ, "/d/{ds}/appearances", "All appearances of a dataset")              \
+    X(MODEL, ALLOW_READ, "/d/{ds}/r/{rev}/appearance.json",                                        \
+      "The appearance network of a revision, for clients that compute colours themselves")         \
+    X(PHOTOGRAPHS, ALLOW_READ, "/d/{ds}/r/{rev}/appearances.json",                                 \
+      "Photographs of a revision: embeddings, times, poses, thumbnails")                           \
+    X(THUMBNAIL, ALLOW_READ, "/d/{ds}/r/{rev}/appearances/{row}.jpg",                              \
+      "A photograph, 160 pixels wide or high")                                                     \
     X(APPEARANCE, ALLOW_READ, "/d/{ds}/appearance",                                                \
       "One appearance or blend: embedding, nearest photographs, links")                            \
     X(MIX, ALLOW_POST, "/d/{ds}/appearances:mix", "An appearance from weights or an embedding")    \
@@ -88,6 +94,7 @@ struct form {
     enum format format;
     uint8_t preset;    /* enum quant_preset; QUANT_PRESETS: not said */
     uint8_t sh_degree; /* highest band; FORM_UNSAID */
+    bool trained;      /* colours as they were trained, no appearance applied; never said here */
 };
 struct target {
     enum route route;
@@ -97,6 +104,7 @@ struct target {
     char appearance[TARGET_APPEARANCE_MAX]; /* "": not said */
     struct target_pose pose;
     uint32_t width_px, height_px;
+    uint32_t row; /* of a thumbnail */
     /* seed: */
     bool has_bbox;
     int32_t bbox_e7[4]; /* west south east north */

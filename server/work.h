@@ -8,7 +8,7 @@
 #include "lod/key.h"
 #include "server/services.h"
 
-enum work_kind { WORK_TILE, WORK_SEED, WORK_TILESET, WORK_VIEW };
+enum work_kind { WORK_TILE, WORK_SEED, WORK_TILESET, WORK_VIEW, WORK_THUMBNAIL };
 struct work { /* freed with work_drop */
     enum work_kind kind;
     struct dataset *ds; /* a reference */
@@ -16,7 +16,7 @@ struct work { /* freed with work_drop */
     struct key key;     /* WORK_TILE */
     struct form form;   /* nothing left unsaid */
     struct appearance_choice appearance;
-    struct target target;     /* WORK_SEED, WORK_TILESET */
+    struct target target;     /* WORK_SEED, WORK_TILESET, WORK_THUMBNAIL */
     struct picture_view view; /* WORK_VIEW */
     bool keep;                /* put the result into the cache */
 };
