@@ -11,9 +11,11 @@ import { DecoderPool } from "./decoders";
 import { Gaussians, type Block } from "./gaussians";
 import type { Frame } from "./geo";
 import type { Link } from "./link";
+import type { Network } from "./network";
 import type { Overlay } from "./overlay";
 import type { SceneInfo } from "./source";
 import { CityTiles, type Broken, type CityTile } from "./tiles";
+import { Tint } from "./tint";
 
 export interface CityStats {
   tiles: number; // drawn now
@@ -96,9 +98,14 @@ export class City {
     this.onWake();
   }
 
+  canTint(network: Network): boolean {
+    return Tint.fits(network, this.renderer);
+  }
+
   // Another scene, or the same in another light: then what is drawn stays until all of the new one
   // is there.
-  open(info: SceneInfo, frame: Frame, keep: boolean) {
+  // tint: has its appearance already; null where the tiles' colours are final.
+  open(info: SceneInfo, frame: Frame, keep: boolean, tint: Tint | null) {
     const tiles = new CityTiles(
       info.url,
       info.document,
@@ -106,6 +113,7 @@ export class City {
       this.link,
       this.decoders,
       this.engine,
+      tint,
     );
     tiles.errorTarget = this.target;
     tiles.lruCache = this.cache;
@@ -118,18 +126,23 @@ export class City {
     tiles.addEventListener("load-error", ({ tile, error }) => {
       if (!tile) this.onFailure(error as Error);
     });
-    this.next?.dispose();
+    this.retire(this.next);
     this.next = null;
     if (keep && this.active) {
       this.active.frozen = true;
       this.next = tiles;
     } else {
-      this.active?.dispose();
+      this.retire(this.active);
       this.active = tiles;
       this.core.makeEmpty();
     }
     this.fresh = false;
     this.onWake();
+  }
+
+  private retire(tiles: CityTiles | null) {
+    tiles?.dispose();
+    tiles?.tint?.dispose();
   }
 
   // The tileset's box holds every stray Gaussian; most of them make a better frame. Only the
@@ -162,7 +175,7 @@ export class City {
       this.wakeFor(tiles);
     }
     if (this.next?.root && !this.next.loading && this.next.shown.length) {
-      this.active?.dispose();
+      this.retire(this.active);
       this.active = this.next;
       this.next = null;
     }
@@ -218,6 +231,11 @@ export class City {
     return !this.lost && this.fresh && !this.next && this.active !== null && !this.active.loading;
   }
 
+  // Something of the scene is on the screen.
+  get shows(): boolean {
+    return !this.lost && this.engine.visibleBlocks.length > 0;
+  }
+
   // A new appearance is on its way.
   get changing(): boolean {
     return this.next !== null;
@@ -242,8 +260,8 @@ export class City {
 
   dispose() {
     clearTimeout(this.wakeTimer);
-    this.active?.dispose();
-    this.next?.dispose();
+    this.retire(this.active);
+    this.retire(this.next);
     this.decoders.dispose();
     this.engine.dispose();
     this.backdrop.dispose();

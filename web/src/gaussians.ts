@@ -24,6 +24,7 @@ import {
   RGBAIntegerFormat,
   RGIntegerFormat,
   Scene,
+  ShortType,
   UnsignedIntType,
   UnsignedShortType,
   Vector2,
@@ -31,12 +32,20 @@ import {
   WebGLRenderTarget,
   type PerspectiveCamera,
   type PixelFormat,
+  type TextureDataType,
   type WebGLRenderer,
 } from "three";
 
-import { COLOR_FRAGMENT, COLOR_VERTEX, SPLAT_FRAGMENT, SPLAT_VERTEX } from "./shaders";
+import {
+  COLOR_FRAGMENT,
+  COLOR_VERTEX,
+  PLAIN_FRAGMENT,
+  SPLAT_FRAGMENT,
+  SPLAT_VERTEX,
+} from "./shaders";
 import type { SortMessage, SortReply } from "./sort.worker";
 import { ROW, type DecodedSplats } from "./spz";
+import type { Tint } from "./tint";
 
 const ROWS_FIRST = 128;
 const QUADS = 128; // of one instance
@@ -47,13 +56,29 @@ export interface Block {
   readonly splats: DecodedSplats;
   row: number; // the first of its rows; -1 when it is gone
   readonly rows: number;
+  readonly tint: Tint | null; // null: colours are what the tile says
+  tinted: number; // version of the tint that the card holds; -1 for none
 }
 
 interface Planes {
   place: DataTexture;
   shape: DataTexture;
   sh: DataTexture[];
+  embed: DataTexture[];
+  tints: WebGLRenderTarget | null; // beside embeddings
   colors: WebGLRenderTarget;
+}
+
+function makeTarget(type: TextureDataType, internal: string, rows: number): WebGLRenderTarget {
+  const target = new WebGLRenderTarget(ROW, rows, {
+    format: RGBAIntegerFormat,
+    type,
+    minFilter: NearestFilter,
+    magFilter: NearestFilter,
+    depthBuffer: false,
+  });
+  target.texture.internalFormat = internal as "RGBA16UI";
+  return target;
 }
 
 function makeTexture(format: PixelFormat, internal: string, rows: number): DataTexture {
@@ -75,6 +100,7 @@ export class Gaussians {
   private planes: Planes | null = null;
   private rows = 0;
   private shPlanes = 0;
+  private embedPlanes = 0;
   private order: DataTexture | null = null;
   private spare: Uint32Array<ArrayBuffer> | null = null;
   private readonly sorter = new Worker(new URL("./sort.worker.ts", import.meta.url), {
@@ -90,6 +116,7 @@ export class Gaussians {
   private contentVersion = 0;
   private readonly colorScene = new Scene();
   private readonly colorMesh: Mesh<BufferGeometry, RawShaderMaterial>;
+  private readonly plainMesh: Mesh<BufferGeometry, RawShaderMaterial>; // writes "adds nothing"
   private readonly flat = new OrthographicCamera();
 
   constructor(private readonly renderer: WebGLRenderer) {
@@ -129,6 +156,8 @@ export class Gaussians {
           sh0: { value: null },
           sh1: { value: null },
           sh2: { value: null },
+          tints: { value: null },
+          tinted: { value: false },
           degree: { value: 0 },
           eye: { value: new Vector3() },
           rowCount: { value: 1 },
@@ -138,18 +167,34 @@ export class Gaussians {
         blending: NoBlending,
       }),
     );
-    this.colorMesh.frustumCulled = false;
+    this.plainMesh = new Mesh(
+      new BufferGeometry(),
+      new RawShaderMaterial({
+        glslVersion: GLSL3,
+        vertexShader: COLOR_VERTEX,
+        fragmentShader: PLAIN_FRAGMENT,
+        uniforms: { rowCount: this.colorMesh.material.uniforms["rowCount"]! },
+        depthTest: false,
+        depthWrite: false,
+        blending: NoBlending,
+      }),
+    );
+    this.colorMesh.frustumCulled = this.plainMesh.frustumCulled = false;
     this.colorScene.add(this.colorMesh);
     this.sorter.onmessage = ({ data }: MessageEvent<SortReply>) => this.take(data);
   }
 
   // ---- blocks ----
 
-  add(splats: DecodedSplats): Block {
+  // tint: computes colours from the embeddings of the tile; null where they are what it says.
+  add(splats: DecodedSplats, tint: Tint | null = null): Block {
     const rows = Math.ceil(splats.count / ROW);
-    const block: Block = { id: this.nextId++, splats, row: -1, rows };
-    if (splats.sh.length > this.shPlanes) {
-      this.shPlanes = splats.sh.length;
+    const own = splats.embedding ? tint : null;
+    const block: Block = { id: this.nextId++, splats, row: -1, rows, tint: own, tinted: -1 };
+    const embed = own ? (splats.embedding?.planes.length ?? 0) : 0;
+    if (splats.sh.length > this.shPlanes || embed > this.embedPlanes) {
+      this.shPlanes = Math.max(this.shPlanes, splats.sh.length);
+      this.embedPlanes = Math.max(this.embedPlanes, embed);
       this.rebuild(this.rows);
     }
     block.row = this.findRows(rows);
@@ -177,9 +222,10 @@ export class Gaussians {
 
   // What a Gaussian takes: on the card, and once more in the page's own memory.
   static bytesOf(splats: DecodedSplats): number {
-    const arrays = [splats.place, splats.shape, ...splats.sh];
+    const embed = splats.embedding?.planes ?? [];
+    const arrays = [splats.place, splats.shape, ...splats.sh, ...embed];
     const texels = arrays.reduce((sum, a) => sum + a.byteLength, 0);
-    return 2 * texels + splats.count * (8 + 12 + 4);
+    return 2 * texels + splats.count * (8 + 12 + 4 + (embed.length ? 8 : 0));
   }
 
   // The order on the screen is the one for this camera and for the wanted blocks.
@@ -224,24 +270,19 @@ export class Gaussians {
     this.rows = rows;
     if (!rows) return;
     this.dropPlanes();
-    const colors = new WebGLRenderTarget(ROW, rows, {
-      format: RGBAIntegerFormat,
-      type: UnsignedShortType,
-      minFilter: NearestFilter,
-      magFilter: NearestFilter,
-      depthBuffer: false,
-    });
-    colors.texture.internalFormat = "RGBA16UI";
+    const colors = makeTarget(UnsignedShortType, "RGBA16UI", rows);
+    const planes = (count: number) =>
+      Array.from({ length: count }, () => makeTexture(RGBAIntegerFormat, "RGBA32UI", rows));
     this.planes = {
       place: makeTexture(RGBAIntegerFormat, "RGBA32UI", rows),
       shape: makeTexture(RGIntegerFormat, "RG32UI", rows),
-      sh: Array.from({ length: this.shPlanes }, () =>
-        makeTexture(RGBAIntegerFormat, "RGBA32UI", rows),
-      ),
+      sh: planes(this.shPlanes),
+      embed: planes(this.embedPlanes),
+      tints: this.embedPlanes ? makeTarget(ShortType, "RGBA16I", rows) : null,
       colors,
     };
-    const { place, shape, sh } = this.planes;
-    for (const texture of [place, shape, ...sh]) this.renderer.initTexture(texture);
+    const { place, shape, sh, embed, tints } = this.planes;
+    for (const texture of [place, shape, ...sh, ...embed]) this.renderer.initTexture(texture);
     const draw = this.mesh.material.uniforms;
     draw["place"]!.value = place;
     draw["shape"]!.value = shape;
@@ -249,14 +290,16 @@ export class Gaussians {
     const color = this.colorMesh.material.uniforms;
     color["place"]!.value = place;
     [0, 1, 2].forEach((k) => (color[`sh${k}`]!.value = sh[k] ?? place));
+    color["tints"]!.value = tints?.texture ?? null;
+    color["tinted"]!.value = tints !== null;
     color["degree"]!.value = [0, 1, 2, 3][this.shPlanes];
     color["rowCount"]!.value = rows;
     for (const block of this.blocks) this.upload(block);
   }
 
   private dropPlanes() {
-    const { place, shape, sh = [], colors } = this.planes ?? {};
-    for (const one of [place, shape, ...sh, colors]) one?.dispose();
+    const { place, shape, sh = [], embed = [], tints, colors } = this.planes ?? {};
+    for (const one of [place, shape, ...sh, ...embed, tints, colors]) one?.dispose();
     this.planes = null;
   }
 
@@ -273,6 +316,8 @@ export class Gaussians {
     put(planes.place, block.splats.place);
     put(planes.shape, block.splats.shape);
     block.splats.sh.forEach((data, k) => put(planes.sh[k]!, data));
+    if (block.tint) block.splats.embedding?.planes.forEach((data, k) => put(planes.embed[k]!, data));
+    block.tinted = -1;
     this.contentVersion++;
   }
 
@@ -352,6 +397,7 @@ export class Gaussians {
     const uniforms = this.mesh.material.uniforms;
     this.renderer.getDrawingBufferSize(uniforms["viewport"]!.value as Vector2);
     uniforms["near"]!.value = camera.near;
+    this.applyTints(this.planes);
     const eye = camera.position;
     const rows = this.shown.map((block) => block.row).join();
     const key = `${this.contentVersion} ${rows} ${eye.toArray().join()}`;
@@ -368,6 +414,31 @@ export class Gaussians {
     renderer.render(this.colorScene, this.flat);
     renderer.setRenderTarget(target);
     renderer.autoClear = clear;
+  }
+
+  // What the appearances of the tiles on the screen add to them, where that is not there yet.
+  private applyTints({ tints, embed }: Planes) {
+    if (!tints) return;
+    const stale = this.shown.filter((block) => block.tinted !== (block.tint?.version ?? 0));
+    if (!stale.length) return;
+    const { renderer } = this;
+    const target = renderer.getRenderTarget();
+    const clear = renderer.autoClear;
+    renderer.autoClear = false;
+    renderer.setRenderTarget(tints);
+    for (const block of stale) {
+      const { tint, row, rows, splats } = block;
+      if (tint && splats.embedding) tint.draw(renderer, embed, splats.embedding, row, rows, this.rows);
+      else {
+        this.plainMesh.geometry.dispose();
+        this.plainMesh.geometry = stripes([block]);
+        renderer.render(this.plainMesh, this.flat);
+      }
+      block.tinted = tint?.version ?? 0;
+    }
+    renderer.setRenderTarget(target);
+    renderer.autoClear = clear;
+    this.contentVersion++;
   }
 
   // Depth alone, or colour alone.
@@ -392,8 +463,10 @@ export class Gaussians {
     this.order?.dispose();
     this.mesh.geometry.dispose();
     this.mesh.material.dispose();
-    this.colorMesh.geometry.dispose();
-    this.colorMesh.material.dispose();
+    for (const mesh of [this.colorMesh, this.plainMesh]) {
+      mesh.geometry.dispose();
+      mesh.material.dispose();
+    }
   }
 }
 
