@@ -4,7 +4,15 @@
 // SPDX-License-Identifier: Apache-2.0
 import { LRUCache } from "3d-tiles-renderer/core";
 import { TilesRenderer } from "3d-tiles-renderer/three";
-import { Box3, Scene, Vector3, WebGLRenderer, type Camera, type PerspectiveCamera } from "three";
+import {
+  Box3,
+  Scene,
+  Vector2,
+  Vector3,
+  WebGLRenderer,
+  type Camera,
+  type PerspectiveCamera,
+} from "three";
 
 import { Backdrop } from "./backdrop";
 import { DecoderPool } from "./decoders";
@@ -33,6 +41,7 @@ export class City {
   readonly backdrop = new Backdrop();
   readonly engine: Gaussians;
   over: Overlay | null = null; // lines over the city
+  split: number | null = null; // from this part of the width on, the second appearance
   private readonly lines = new Scene();
   onWake: () => void = () => {};
   onCore: (core: Box3) => void = () => {}; // where most Gaussians of the scene are
@@ -184,7 +193,7 @@ export class City {
     const settled = engine.settled;
     engine.update(camera);
     this.backdrop.update(camera);
-    engine.prepare(camera);
+    engine.prepare(camera, this.split !== null);
     this.render();
     this.fresh = settled && engine.settled;
   }
@@ -199,7 +208,8 @@ export class City {
   private render() {
     const { renderer, scene, camera, engine, over } = this;
     renderer.autoClear = true;
-    renderer.render(scene, camera);
+    if (this.split === null) renderer.render(scene, camera);
+    else this.renderSides(this.split);
     if (!over?.group.children.length) return;
     renderer.autoClear = false;
     if (over.needsDepth) {
@@ -209,6 +219,20 @@ export class City {
     }
     renderer.render(this.lines, camera);
     renderer.autoClear = true;
+  }
+
+  private renderSides(share: number) {
+    const { renderer, scene, camera, engine } = this;
+    const { x: width, y: height } = renderer.getSize(new Vector2());
+    const line = Math.round(share * width);
+    renderer.setScissorTest(true);
+    for (const side of [0, 1] as const) {
+      engine.useSide(side);
+      renderer.setScissor(side ? line : 0, 0, side ? width - line : line, height);
+      renderer.render(scene, camera);
+    }
+    renderer.setScissorTest(false);
+    engine.useSide(0);
   }
 
   // Broken tiles are asked for again, and unwanted requests given up, also while nothing moves.

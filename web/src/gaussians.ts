@@ -57,7 +57,7 @@ export interface Block {
   row: number; // the first of its rows; -1 when it is gone
   readonly rows: number;
   readonly tint: Tint | null; // null: colours are what the tile says
-  tinted: number; // version of the tint that the card holds; -1 for none
+  tinted: [number, number]; // versions of the tint that the card holds; -1 for none
 }
 
 interface Planes {
@@ -65,8 +65,13 @@ interface Planes {
   shape: DataTexture;
   sh: DataTexture[];
   embed: DataTexture[];
+  sides: Side[]; // the second one while the picture is divided
+}
+// What an appearance looks like from here.
+interface Side {
   tints: WebGLRenderTarget | null; // beside embeddings
   colors: WebGLRenderTarget;
+  key: string; // what the colours were evaluated for
 }
 
 function makeTarget(type: TextureDataType, internal: string, rows: number): WebGLRenderTarget {
@@ -112,7 +117,6 @@ export class Gaussians {
   private sortedKey = "";
   private wantedKey = "";
   private version = 0; // of the wanted set
-  private colorsKey = "";
   private contentVersion = 0;
   private readonly colorScene = new Scene();
   private readonly colorMesh: Mesh<BufferGeometry, RawShaderMaterial>;
@@ -190,7 +194,7 @@ export class Gaussians {
   add(splats: DecodedSplats, tint: Tint | null = null): Block {
     const rows = Math.ceil(splats.count / ROW);
     const own = splats.embedding ? tint : null;
-    const block: Block = { id: this.nextId++, splats, row: -1, rows, tint: own, tinted: -1 };
+    const block: Block = { id: this.nextId++, splats, row: -1, rows, tint: own, tinted: [-1, -1] };
     const embed = own ? (splats.embedding?.planes.length ?? 0) : 0;
     if (splats.sh.length > this.shPlanes || embed > this.embedPlanes) {
       this.shPlanes = Math.max(this.shPlanes, splats.sh.length);
@@ -270,7 +274,6 @@ export class Gaussians {
     this.rows = rows;
     if (!rows) return;
     this.dropPlanes();
-    const colors = makeTarget(UnsignedShortType, "RGBA16UI", rows);
     const planes = (count: number) =>
       Array.from({ length: count }, () => makeTexture(RGBAIntegerFormat, "RGBA32UI", rows));
     this.planes = {
@@ -278,28 +281,35 @@ export class Gaussians {
       shape: makeTexture(RGIntegerFormat, "RG32UI", rows),
       sh: planes(this.shPlanes),
       embed: planes(this.embedPlanes),
-      tints: this.embedPlanes ? makeTarget(ShortType, "RGBA16I", rows) : null,
-      colors,
+      sides: [this.makeSide()],
     };
-    const { place, shape, sh, embed, tints } = this.planes;
+    const { place, shape, sh, embed } = this.planes;
     for (const texture of [place, shape, ...sh, ...embed]) this.renderer.initTexture(texture);
     const draw = this.mesh.material.uniforms;
     draw["place"]!.value = place;
     draw["shape"]!.value = shape;
-    draw["colors"]!.value = colors.texture;
     const color = this.colorMesh.material.uniforms;
     color["place"]!.value = place;
     [0, 1, 2].forEach((k) => (color[`sh${k}`]!.value = sh[k] ?? place));
-    color["tints"]!.value = tints?.texture ?? null;
-    color["tinted"]!.value = tints !== null;
     color["degree"]!.value = [0, 1, 2, 3][this.shPlanes];
     color["rowCount"]!.value = rows;
     for (const block of this.blocks) this.upload(block);
   }
 
+  private makeSide(): Side {
+    const tints = this.embedPlanes ? makeTarget(ShortType, "RGBA16I", this.rows) : null;
+    return { tints, colors: makeTarget(UnsignedShortType, "RGBA16UI", this.rows), key: "" };
+  }
+
+  private dropSide({ tints, colors }: Side) {
+    tints?.dispose();
+    colors.dispose();
+  }
+
   private dropPlanes() {
-    const { place, shape, sh = [], embed = [], tints, colors } = this.planes ?? {};
-    for (const one of [place, shape, ...sh, ...embed, tints, colors]) one?.dispose();
+    const { place, shape, sh = [], embed = [], sides = [] } = this.planes ?? {};
+    for (const one of [place, shape, ...sh, ...embed]) one?.dispose();
+    for (const side of sides) this.dropSide(side);
     this.planes = null;
   }
 
@@ -317,7 +327,7 @@ export class Gaussians {
     put(planes.shape, block.splats.shape);
     block.splats.sh.forEach((data, k) => put(planes.sh[k]!, data));
     if (block.tint) block.splats.embedding?.planes.forEach((data, k) => put(planes.embed[k]!, data));
-    block.tinted = -1;
+    block.tinted = [-1, -1];
     this.contentVersion++;
   }
 
@@ -391,54 +401,73 @@ export class Gaussians {
 
   // ---- drawing ----
 
-  // Evaluates the colours for this eye and sets what the mesh needs; the caller renders the scene.
-  prepare(camera: PerspectiveCamera) {
-    if (!this.planes || !this.mesh.visible) return;
+  // Evaluates the colours for this eye and sets what the mesh needs; the caller renders the scene,
+  // of a divided picture each side after useSide().
+  prepare(camera: PerspectiveCamera, divided = false) {
+    const { planes } = this;
+    if (!planes || !this.mesh.visible) return;
     const uniforms = this.mesh.material.uniforms;
     this.renderer.getDrawingBufferSize(uniforms["viewport"]!.value as Vector2);
     uniforms["near"]!.value = camera.near;
-    this.applyTints(this.planes);
-    const eye = camera.position;
-    const rows = this.shown.map((block) => block.row).join();
-    const key = `${this.contentVersion} ${rows} ${eye.toArray().join()}`;
-    if (key === this.colorsKey) return;
-    this.colorsKey = key;
-    (this.colorMesh.material.uniforms["eye"]!.value as Vector3).copy(eye);
-    this.colorMesh.geometry.dispose();
-    this.colorMesh.geometry = stripes(this.shown);
+    if (divided && planes.sides.length < 2) {
+      planes.sides.push(this.makeSide());
+      for (const block of this.blocks) block.tinted[1] = -1;
+    }
+    if (!divided && planes.sides.length > 1) this.dropSide(planes.sides.pop()!);
     const { renderer } = this;
     const target = renderer.getRenderTarget();
     const clear = renderer.autoClear;
     renderer.autoClear = false;
-    renderer.setRenderTarget(this.planes.colors);
-    renderer.render(this.colorScene, this.flat);
+    planes.sides.forEach((side, k) => this.evaluate(planes, side, k as 0 | 1, camera.position));
     renderer.setRenderTarget(target);
     renderer.autoClear = clear;
+    this.useSide(0);
   }
 
-  // What the appearances of the tiles on the screen add to them, where that is not there yet.
-  private applyTints({ tints, embed }: Planes) {
-    if (!tints) return;
-    const stale = this.shown.filter((block) => block.tinted !== (block.tint?.version ?? 0));
-    if (!stale.length) return;
+  useSide(k: 0 | 1) {
+    const side = this.planes?.sides[k];
+    if (side) this.mesh.material.uniforms["colors"]!.value = side.colors.texture;
+    this.mesh.material.uniformsNeedUpdate = true;
+  }
+
+  private evaluate(planes: Planes, side: Side, k: 0 | 1, eye: Vector3) {
+    const tinted = this.applyTints(planes, side, k);
+    const rows = this.shown.map((block) => block.row).join();
+    const key = `${this.contentVersion} ${rows} ${eye.toArray().join()}`;
+    if (key === side.key && !tinted) return;
+    side.key = key;
+    const { uniforms } = this.colorMesh.material;
+    (uniforms["eye"]!.value as Vector3).copy(eye);
+    uniforms["tints"]!.value = side.tints?.texture ?? null;
+    uniforms["tinted"]!.value = side.tints !== null;
+    this.colorMesh.material.uniformsNeedUpdate = true;
+    this.colorMesh.geometry.dispose();
+    this.colorMesh.geometry = stripes(this.shown);
+    this.renderer.setRenderTarget(side.colors);
+    this.renderer.render(this.colorScene, this.flat);
+  }
+
+  // What the appearance adds to the tiles on the screen, where that is not there yet.
+  private applyTints({ embed }: Planes, { tints }: Side, k: 0 | 1): boolean {
+    if (!tints) return false;
+    const versionOf = (block: Block) => block.tint?.versions[k] || block.tint?.versions[0] || 0;
+    const stale = this.shown.filter((block) => block.tinted[k] !== versionOf(block));
+    if (!stale.length) return false;
     const { renderer } = this;
-    const target = renderer.getRenderTarget();
-    const clear = renderer.autoClear;
-    renderer.autoClear = false;
     renderer.setRenderTarget(tints);
     for (const block of stale) {
       const { tint, row, rows, splats } = block;
-      if (tint && splats.embedding) tint.draw(renderer, embed, splats.embedding, row, rows, this.rows);
+      const side = tint?.versions[k] ? k : 0;
+      if (tint && splats.embedding)
+        tint.draw(renderer, side, embed, splats.embedding, row, rows, this.rows);
       else {
         this.plainMesh.geometry.dispose();
         this.plainMesh.geometry = stripes([block]);
         renderer.render(this.plainMesh, this.flat);
       }
-      block.tinted = tint?.version ?? 0;
+      block.tinted[k] = versionOf(block);
     }
-    renderer.setRenderTarget(target);
-    renderer.autoClear = clear;
-    this.contentVersion++;
+    return true;
   }
 
   // Depth alone, or colour alone.
@@ -452,7 +481,6 @@ export class Gaussians {
 
   // Everything on the card is gone.
   restore() {
-    this.colorsKey = "";
     this.rebuild();
     if (this.order) this.order.needsUpdate = true;
   }

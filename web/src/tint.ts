@@ -15,7 +15,7 @@ import {
   type WebGLRenderer,
 } from "three";
 
-import { quadsOf, type Network } from "./network";
+import { quadsOf, type Frame, type Network } from "./network";
 import { TINT_VERTEX, tintFragment } from "./shaders";
 import type { Embedding } from "./spz";
 
@@ -28,10 +28,13 @@ function uniformsOf({ gaussian, hidden }: Network): number {
 }
 
 export class Tint {
-  version = 0; // of the appearance; tiles with another one are to be computed anew
+  // Of the appearance, and of the second one: tiles with another one are to be computed anew. 0: none.
+  readonly versions: [number, number] = [0, 0];
+  private readonly frames: [Frame | null, Frame | null] = [null, null];
   private readonly mesh: Mesh<BufferGeometry, RawShaderMaterial>;
   private readonly flat = new OrthographicCamera();
   private readonly quads: number;
+  private count = 0;
 
   static fits(network: Network, renderer: WebGLRenderer): boolean {
     return uniformsOf(network) <= renderer.capabilities.maxFragmentUniforms;
@@ -68,19 +71,24 @@ export class Tint {
 
   // From now on this appearance.
   set(image: Float32Array) {
-    const { uniforms } = this.mesh.material;
-    for (const [name, value] of Object.entries(this.network.frame(image)))
-      uniforms[name]!.value = value;
-    this.version++;
+    this.frames[0] = this.network.frame(image);
+    this.versions[0] = ++this.count;
   }
 
-  get ready(): boolean {
-    return this.version > 0;
+  // The one on the right of a divided picture; null: none.
+  setSecond(image: Float32Array | null) {
+    this.frames[1] = image && this.network.frame(image);
+    this.versions[1] = image ? ++this.count : 0;
   }
 
-  // Into the current target, rows [from, from + count) of `height`.
+  get hasSecond(): boolean {
+    return this.frames[1] !== null;
+  }
+
+  // Into the current target, rows [from, from + count) of `height`; side 1 is the second appearance.
   draw(
     renderer: WebGLRenderer,
+    side: 0 | 1,
     planes: DataTexture[],
     embedding: Embedding,
     from: number,
@@ -93,6 +101,8 @@ export class Tint {
       out.set(v);
       return out;
     };
+    for (const [name, value] of Object.entries(this.frames[side] ?? {}))
+      uniforms[name]!.value = value as Float32Array;
     planes.forEach((plane, k) => {
       const uniform = uniforms[`embed${k}`];
       if (uniform) uniform.value = plane;

@@ -330,6 +330,33 @@ export class Viewer {
     return listAppearances(this.link, entry, network);
   }
 
+  // Another appearance right of a part of the width; null: one alone. Needs colours that are computed
+  // here.
+  async setSecondAppearance(appearance: string | null, share = 0.5): Promise<void> {
+    const { tint } = this;
+    if (!tint) return;
+    const image = appearance === null ? null : await tint.network.find(appearance);
+    if (tint !== this.tint || this.closed) return;
+    tint.setSecond(image);
+    this.splitAt(image ? share : null);
+  }
+
+  // The line between the two, as a part of the width; null: none.
+  splitAt(share: number | null) {
+    if (this.city) this.city.split = this.tint?.hasSecond ? share : null;
+    this.mixingUntil = performance.now() + MIXING_MS;
+    this.wake();
+  }
+
+  // Something of the scene is on the screen.
+  get hasPicture(): boolean {
+    return this.currentMode === "pictures" ? this.pictures.drawn > 0 : (this.city?.shows ?? false);
+  }
+
+  get heightAboveGround(): number {
+    return this.stage.camera.position.y - this.stage.extent.min.y;
+  }
+
   // Whether an appearance is a matter of this browser alone.
   get computesColours(): boolean {
     return this.tint !== null;
@@ -366,6 +393,7 @@ export class Viewer {
     }
     if (ticket !== this.opening || this.closed) return;
     this.tint = tint;
+    if (this.city) this.city.split = null;
     const sameScene = this.scene === entry;
     this.scene = entry;
     this.info = info;
