@@ -187,10 +187,10 @@ void scene_time(const char *exif, char out[20])
 static json_t *scene_image_to_json(const struct scene_image *im)
 {
     json_t *o = json_pack("{s:s, s:s, s:I, s:o, s:o, s:o}", "name", im->name, "split",
-                     im->split == SCENE_TEST ? "test" : "train", "group", (json_int_t)im->group,
-                     "camera", scene_camera_to_json(&im->cam), "gps_enu_m",
-                     scene_maybe_nums(im->gps_enu_m, 3), "residual_m",
-                     isfinite(im->residual_m) ? json_real(im->residual_m) : json_null());
+                          im->split == SCENE_TEST ? "test" : "train", "group",
+                          (json_int_t)im->group, "camera", scene_camera_to_json(&im->cam),
+                          "gps_enu_m", scene_maybe_nums(im->gps_enu_m, 3), "residual_m",
+                          isfinite(im->residual_m) ? json_real(im->residual_m) : json_null());
     if (o && im->time[0])
         json_object_set_new(o, "time", json_string(im->time));
     return o;

@@ -29,8 +29,7 @@ bool photograph_is_blob(const char *name)
 
 enum err_code photograph_write(const struct photograph *p, struct buf *out, struct err *e)
 {
-    const double v[] = {p->lon_deg,     p->lat_deg,   p->h_m,
-                        p->heading_deg, p->pitch_deg, p->fov_y_deg};
+    const double v[] = {p->lon_deg, p->lat_deg, p->h_m, p->heading_deg, p->pitch_deg, p->fov_y_deg};
     for (size_t i = 0; i < sizeof v / sizeof *v; i++)
         if (!isfinite(v[i]))
             return err_set(e, ERR_DATA, "photograph: its pose is not finite");
@@ -61,9 +60,9 @@ static enum err_code photograph_parse(const struct buf *b, const char *name, str
     const struct {
         const char *key;
         double lo, hi, *to;
-    } rows[] = {{"lon", -180, 180, &out->lon_deg},     {"lat", -90, 90, &out->lat_deg},
-                {"h", -20000, 2000000, &out->h_m},     {"heading", 0, 360, &out->heading_deg},
-                {"pitch", -90, 90, &out->pitch_deg},   {"fov", 0, 180, &out->fov_y_deg}};
+    } rows[] = {{"lon", -180, 180, &out->lon_deg},   {"lat", -90, 90, &out->lat_deg},
+                {"h", -20000, 2000000, &out->h_m},   {"heading", 0, 360, &out->heading_deg},
+                {"pitch", -90, 90, &out->pitch_deg}, {"fov", 0, 180, &out->fov_y_deg}};
     for (size_t i = 0; !rc && i < sizeof rows / sizeof *rows; i++)
         rc = photograph_number(o, rows[i].key, rows[i].lo, rows[i].hi, rows[i].to, e);
     if (!rc)

@@ -19,9 +19,10 @@ enum {
 };
 
 struct photograph {
-    char time[20];           /* as struct scene_image */
+    char time[20]; /* as struct scene_image */
     double lon_deg, lat_deg, h_m;
-    double heading_deg, pitch_deg, fov_y_deg; /* heading 0..360 from north; pitch above the horizon */
+    double heading_deg, pitch_deg,
+        fov_y_deg; /* heading 0..360 from north; pitch above the horizon */
     bool has_thumbnail;
 };
 

@@ -496,8 +496,8 @@ static enum err_code pyramid_check(const struct pyramid_level *levels, size_t n,
     return ERR_OK;
 }
 
-static enum err_code pyramid_write(struct pyramid *p, const struct store_blob *blobs, size_t n_blobs,
-                                   const char *out_path, struct err *e)
+static enum err_code pyramid_write(struct pyramid *p, const struct store_blob *blobs,
+                                   size_t n_blobs, const char *out_path, struct err *e)
 {
     struct store *store = NULL;
     enum err_code rc = store_create(out_path, &p->meta, &store, e);

@@ -52,7 +52,8 @@ static void answer_dataset_tileset(struct services *s, const struct request *r, 
         return;
     }
     struct hash128 id = result_id_tileset(d, t);
-    if (!answer_find_tile_appearance(d, t->appearance, &choice, out) || !response_made(s, r, id, out))
+    if (!answer_find_tile_appearance(d, t->appearance, &choice, out) ||
+        !response_made(s, r, id, out))
         return;
     struct work *w = response_work(d, WORK_TILESET, id, (struct form){0}, out);
     if (w)

@@ -13,7 +13,7 @@
 
 struct appearance_choice { /* {0} is the default appearance */
     bool set;
-    bool trained; /* APPEARANCE_NONE: none is applied; set is false */
+    bool trained;                      /* APPEARANCE_NONE: none is applied; set is false */
     float image[APPEARANCE_IMAGE_MAX]; /* embedding, [len_image] */
     struct hash128 hash;               /* of it */
 };

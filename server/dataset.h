@@ -28,8 +28,8 @@ struct dataset { /* immutable but for what the comments say; counted */
     struct body *collection;
     struct body *appearances;
     struct body *model, *photographs; /* NULL without appearance */
-    _Atomic uint32_t n_failed; /* results that its file did not give: it is damaged */
-    pthread_mutex_t lock;      /* of free_store, n_free */
+    _Atomic uint32_t n_failed;        /* results that its file did not give: it is damaged */
+    pthread_mutex_t lock;             /* of free_store, n_free */
     struct store **stores, **free_store;
     size_t n_stores, n_free;
 };

@@ -18,7 +18,9 @@
 #include "lod/bake.h"
 #include "lod/store.h"
 
-enum { ENCODE_EMBED_BITS = 3 }; /* left out at most where the client computes colours from embeddings */
+enum {
+    ENCODE_EMBED_BITS = 3
+}; /* left out at most where the client computes colours from embeddings */
 
 static bool encode_is_quantised(enum format f)
 {

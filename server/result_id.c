@@ -23,9 +23,13 @@ struct hash128 result_id_tile(const struct dataset *d, const struct store_tile *
     struct { /* no padding */
         struct hash128 payload, salt;
         uint32_t z, x, y, form;
-    } name = {t->hash,  d->salt,  t->key.z,
-              t->key.x, t->key.y, (uint32_t)f.trained << 24 | (uint32_t)f.format << 16 |
-                                      (uint32_t)f.preset << 8 | f.sh_degree};
+    } name = {t->hash,
+              d->salt,
+              t->key.z,
+              t->key.x,
+              t->key.y,
+              (uint32_t)f.trained << 24 | (uint32_t)f.format << 16 | (uint32_t)f.preset << 8 |
+                  f.sh_degree};
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_mix(&id, a);
     return id;

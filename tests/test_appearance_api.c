@@ -3,8 +3,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/ply.h"
 #include "codec/draco.h"
+#include "codec/ply.h"
 #include "codec/quant.h"
 #include "lod/bake.h"
 #include "lod/photograph.h"
@@ -530,8 +530,8 @@ static void photographs_have_times_poses_and_thumbnails(void **state)
     (void)state;
     char target[256];
     const struct dataset *d = catalog_find(t.s.catalog, "lit", "");
-    json_t *o = document_of_revision("appearances.json"),
-           *list = json_object_get(o, "photographs"), *odd = json_array_get(list, 3);
+    json_t *o = document_of_revision("appearances.json"), *list = json_object_get(o, "photographs"),
+           *odd = json_array_get(list, 3);
     assert_int_equal(json_array_size(list), PHOTOS);
     assert_string_equal(text_of(odd, "name"), ODD_NAME);
     assert_string_equal(text_of(odd, "time"), "2024-06-01T10:00:03");

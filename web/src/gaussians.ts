@@ -122,6 +122,7 @@ export class Gaussians {
   private readonly colorMesh: Mesh<BufferGeometry, RawShaderMaterial>;
   private readonly plainMesh: Mesh<BufferGeometry, RawShaderMaterial>; // writes "adds nothing"
   private readonly flat = new OrthographicCamera();
+  private readonly noTints: DataTexture; // a sampler of integers must have some texture of integers
 
   constructor(private readonly renderer: WebGLRenderer) {
     const material = new RawShaderMaterial({
@@ -183,6 +184,9 @@ export class Gaussians {
         blending: NoBlending,
       }),
     );
+    this.noTints = new DataTexture(new Int16Array(4), 1, 1, RGBAIntegerFormat, ShortType);
+    this.noTints.internalFormat = "RGBA16I";
+    this.noTints.needsUpdate = true;
     this.colorMesh.frustumCulled = this.plainMesh.frustumCulled = false;
     this.colorScene.add(this.colorMesh);
     this.sorter.onmessage = ({ data }: MessageEvent<SortReply>) => this.take(data);
@@ -438,7 +442,7 @@ export class Gaussians {
     side.key = key;
     const { uniforms } = this.colorMesh.material;
     (uniforms["eye"]!.value as Vector3).copy(eye);
-    uniforms["tints"]!.value = side.tints?.texture ?? null;
+    uniforms["tints"]!.value = side.tints?.texture ?? this.noTints;
     uniforms["tinted"]!.value = side.tints !== null;
     this.colorMesh.material.uniformsNeedUpdate = true;
     this.colorMesh.geometry.dispose();
@@ -491,6 +495,7 @@ export class Gaussians {
     this.order?.dispose();
     this.mesh.geometry.dispose();
     this.mesh.material.dispose();
+    this.noTints.dispose();
     for (const mesh of [this.colorMesh, this.plainMesh]) {
       mesh.geometry.dispose();
       mesh.material.dispose();

@@ -103,13 +103,16 @@ export class PhotoStrip {
       const title = groupOf(one);
       let group = groups.get(title);
       if (!group) {
-        group = document.createElement("fieldset");
-        const legend = document.createElement("legend");
-        legend.textContent = title;
-        group.append(legend);
+        group = document.createElement("div");
+        group.setAttribute("role", "group");
+        group.setAttribute("aria-label", title);
+        const heading = document.createElement("p");
+        heading.textContent = title;
+        heading.setAttribute("aria-hidden", "true");
+        group.append(heading, document.createElement("div"));
         groups.set(title, group);
       }
-      group.append(this.card(one));
+      group.lastElementChild!.append(this.card(one));
     }
     element("photo-list").replaceChildren(...groups.values());
     this.markChosen(false);

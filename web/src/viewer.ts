@@ -37,6 +37,7 @@ export interface ViewerOptions {
   pose?: Pose | null; // default: the whole scene
   appearance?: string; // default: ""
   mode?: Mode | "auto"; // auto: splats where there is WebGL 2
+  colours?: "here" | "server"; // who computes those of an appearance; default: here, where that can be
   memoryMb?: number; // for tiles, on the card and in the page together
   detail?: number; // px that a typical Gaussian may have on the screen; default 1
   backdrop?: boolean; // sky and ground; default true
@@ -417,7 +418,8 @@ export class Viewer {
 
   private describe(entry: SceneEntry): Promise<SceneInfo> {
     const { city } = this;
-    const compute = city ? (network: Network) => city.canTint(network) : null;
+    const here = city && this.options.colours !== "server";
+    const compute = here ? (network: Network) => city.canTint(network) : null;
     return openScene(this.link, entry, this.wantedAppearance, compute);
   }
 
