@@ -88,7 +88,7 @@ static enum err_code view_flight_store(struct bench *b, const struct appearance 
         rc = bake_with_default(look, &g, &kept, e);
     if (!rc)
         rc = appearance_write(&kept, &bytes, e);
-    const struct ckpt_blob blob = {.name = "appearance", bytes.data, bytes.size};
+    const struct store_blob blob = {.name = "appearance", bytes.data, bytes.size};
     double start_s = clock_s();
     if (!rc)
         rc = pyramid_build(&flight_origin, &level, 1, &cfg, &blob, 1, path, &report, e);

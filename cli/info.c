@@ -14,6 +14,7 @@
 #include "codec/scene.h"
 #include "core/appearance.h"
 #include "lod/bake.h"
+#include "lod/photograph.h"
 #include "lod/store.h"
 #include "lod/tree.h"
 
@@ -144,8 +145,15 @@ static enum err_code info_store(const char *path, bool tiles, json_t *o, struct 
     if (!rc)
         rc = store_list_blobs(s, &a, &names, &n_blobs, e);
     json_t *blobs = json_array();
-    for (size_t i = 0; i < n_blobs; i++)
-        json_array_append_new(blobs, json_string(names[i]));
+    size_t n_photographs = 0, n_thumbnails = 0;
+    for (size_t i = 0; i < n_blobs; i++) {
+        if (!photograph_is_blob(names[i]))
+            json_array_append_new(blobs, json_string(names[i]));
+        else if (!strncmp(names[i], PHOTOGRAPH_BLOB, strlen(PHOTOGRAPH_BLOB)))
+            n_photographs++;
+        else
+            n_thumbnails++;
+    }
     const struct {
         const char *key;
         json_t *value;
@@ -166,6 +174,8 @@ static enum err_code info_store(const char *path, bool tiles, json_t *o, struct 
         {"payload_bytes", json_integer((json_int_t)bytes)},
         {"zooms", info_zooms(t, n)},
         {"blobs", blobs},
+        {"photographs", json_integer((json_int_t)n_photographs)},
+        {"thumbnails", json_integer((json_int_t)n_thumbnails)},
         {"appearance", info_look(look)},
     };
     for (size_t i = 0; i < sizeof members / sizeof *members; i++) {

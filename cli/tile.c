@@ -20,6 +20,7 @@
 #include "cells/footprint.h"
 #include "cells/partition.h"
 #include "cli/cli.h"
+#include "cli/photographs.h"
 #include "cli/splats.h"
 #include "codec/ckpt.h"
 #include "codec/scene.h"
@@ -418,6 +419,18 @@ static enum err_code tile_make_look(const struct tile_scene *s, const struct til
     return rc;
 }
 
+/* What people choose an appearance by: the photographs that the model knows. */
+static enum err_code tile_photographs(const struct scene *scene, const struct buf *look,
+                                      bool thumbnails, struct photographs *out, struct err *e)
+{
+    struct appearance a = {0};
+    enum err_code rc = appearance_read(look->data, look->size, &a, e);
+    if (!rc)
+        rc = photographs_of(scene, &a, thumbnails, out, e);
+    appearance_free(&a);
+    return rc;
+}
+
 static void tile_print(const char *path, const struct pyramid_report *r)
 {
     printf("%s: %zu tiles, zoom %u to %u, at most %zu Gaussians in one, revision %s, %.1f s\n",
@@ -534,6 +547,7 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
                                  .max_per_tile = (uint32_t)o->max_per_tile,
                                  .lossless = o->lossless};
     struct pyramid_report report;
+    struct photographs photographs = {0};
     struct buf look = {0}, ground = {0};
     enum err_code rc = scene_read(dir, &scene, e);
     s.crop_margin_m = o->crop_margin_m;
@@ -572,17 +586,27 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
         rc = tile_make_look(&s, &level[s.n_levels - 1], &look, e);
     if (!rc && s.footprint.nx)
         rc = footprint_write(&s.footprint, &scene.origin, &ground, e);
-    struct ckpt_blob blobs[2];
+    if (!rc && look.size)
+        rc = tile_photographs(&scene, &look, o->thumbnails, &photographs, e);
+    struct store_blob *blobs = mem_array(photographs.n_blobs + 2, sizeof *blobs);
     size_t n_blobs = 0;
-    if (look.size)
-        blobs[n_blobs++] = (struct ckpt_blob){BAKE_BLOB, look.data, look.size};
-    if (ground.size)
-        blobs[n_blobs++] = (struct ckpt_blob){STORE_FOOTPRINT, ground.data, ground.size};
+    if (!rc && !blobs)
+        rc = err_set(e, ERR_MEM, "out of memory for %zu blobs", photographs.n_blobs);
+    for (size_t i = 0; !rc && i < photographs.n_blobs; i++)
+        blobs[n_blobs++] = photographs.blobs[i];
+    if (!rc && look.size)
+        blobs[n_blobs++] = (struct store_blob){BAKE_BLOB, look.data, look.size};
+    if (!rc && ground.size)
+        blobs[n_blobs++] = (struct store_blob){STORE_FOOTPRINT, ground.data, ground.size};
     if (!rc)
         rc = pyramid_build(&scene.origin, levels, s.n_levels, &cfg, blobs, n_blobs, o->output,
                            &report, e);
+    mem_free(blobs);
     if (!rc)
         tile_print(o->output, &report);
+    if (!rc && photographs.thumbnail_bytes)
+        printf("thumbnails %10zu photographs, %zu kB\n", photographs.n,
+               photographs.thumbnail_bytes / 1000);
     if (!rc && s.footprint.nx)
         printf("cropped    %10zu Gaussians of all levels, outside of what the photographs support "
                "(--crop)\n",
@@ -590,6 +614,7 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
 out:
     for (uint8_t i = 0; i < TILE_LEVELS_MAX; i++)
         tile_close_level(&level[i]);
+    photographs_free(&photographs);
     buf_free(&look);
     buf_free(&ground);
     buf_free(&s.look);

@@ -167,6 +167,24 @@ static json_t *scene_camera_to_json(const struct camera *c)
                      c->cx_px, "cy", c->cy_px, "world_to_camera", scene_nums_to_json(m, 16));
 }
 
+/* The digits of a text where a pattern has 0, its other characters as they are; from the pattern's
+ * point of view a bad text ends it. */
+static bool scene_time_like(const char *text, const char *pattern)
+{
+    for (; *pattern; text++, pattern++)
+        if (*pattern == '0' ? *text < '0' || *text > '9' : *text != *pattern)
+            return false;
+    return !*text;
+}
+
+void scene_time(const char *exif, char out[20])
+{
+    out[0] = '\0';
+    if (!scene_time_like(exif, "0000:00:00 00:00:00") || !strncmp(exif, "0000", 4))
+        return;
+    snprintf(out, 20, "%.4s-%.2s-%.2sT%.8s", exif, exif + 5, exif + 8, exif + 11);
+}
+
 static json_t *scene_image_to_json(const struct scene_image *im)
 {
     double ev[3] = {(double)im->exposure_ev[0], (double)im->exposure_ev[1],
@@ -178,6 +196,10 @@ static json_t *scene_image_to_json(const struct scene_image *im)
                           isfinite(im->residual_m) ? json_real(im->residual_m) : json_null());
     if (o && !exposure_is_mean(im->exposure_ev) && /* left out where it is not known */
         json_object_set_new(o, "exposure_ev", scene_nums_to_json(ev, 3))) {
+        json_decref(o);
+        o = NULL;
+    }
+    if (o && im->time[0] && json_object_set_new(o, "time", json_string(im->time))) {
         json_decref(o);
         o = NULL;
     }
@@ -283,6 +305,11 @@ static enum err_code scene_image_from_json(const json_t *o, struct scene_image *
         rc = scene_nums_or_nan(o, "residual_m", 1, &im->residual_m, e);
     if (!rc)
         rc = scene_exposure_from_json(o, im->exposure_ev, e);
+    const char *time = json_string_value(json_object_get(o, "time"));
+    if (!rc && time && scene_time_like(time, "0000-00-00T00:00:00"))
+        memcpy(im->time, time, sizeof im->time);
+    else if (!rc && json_object_get(o, "time"))
+        rc = err_set(e, ERR_FORMAT, "time: expected YYYY-MM-DDThh:mm:ss");
     if (!rc) {
         im->split = strcmp(split, "test") ? SCENE_TRAIN : SCENE_TEST;
         im->group = (uint32_t)group;

@@ -22,6 +22,7 @@ struct scene_image {
     double gps_enu_m[3];  /* NaN when there is none */
     double residual_m;    /* after registration; NaN when there is no GPS */
     float exposure_ev[3]; /* core/exposure.h: stops against the mean of all; 0: not known */
+    char time[20];        /* of the photograph as its camera says it, 2024-06-01T10:00:00, or "" */
 };
 struct scene_point {
     double enu_m[3];
@@ -51,4 +52,6 @@ struct scene { /* {0} is empty */
 enum err_code scene_read(const char *dir, struct scene *out, struct err *e) ERR_USE;
 enum err_code scene_write(const char *dir, const struct scene *s, struct err *e) ERR_USE;
 void scene_free(struct scene *s);
+/* EXIF's "2024:06:01 10:00:00" as a scene keeps it; "" for anything else. */
+void scene_time(const char *exif, char out[20]);
 #endif

@@ -52,6 +52,7 @@ static void scene_image_fill(const struct ingest *g, size_t i, uint32_t group,
                                 .group = group,
                                 .split = test ? SCENE_TEST : SCENE_TRAIN,
                                 .residual_m = p->residual_m};
+    scene_time(p->gps.time, out->time);
     for (int a = 0; a < 3; a++) { /* W' = W R^T, d' = s d - W' t */
         out->gps_enu_m[a] = p->geo.has_gps ? p->geo.gps_enu_m[a] : (double)NAN;
         for (int b = 0; b < 3; b++)

@@ -230,14 +230,13 @@ static enum err_code bake_find_one(const struct appearance *a, const char *text,
 static const char bake_digits[] =
     "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
 
-void bake_text(const float *image, uint32_t len_image, char out[BAKE_TEXT_MAX])
+void bake_base64(const float *v, size_t n, char *out)
 {
     uint32_t bits = 0;
     int n_bits = 0;
-    *out++ = '=';
-    for (uint32_t i = 0; i < 4 * len_image; i++) {
+    for (size_t i = 0; i < 4 * n; i++) {
         uint32_t word;
-        memcpy(&word, &image[i / 4], sizeof word);
+        memcpy(&word, &v[i / 4], sizeof word);
         bits = bits << 8 | (word >> 8 * (i % 4) & 255);
         for (n_bits += 8; n_bits >= 6; n_bits -= 6)
             *out++ = bake_digits[bits >> (n_bits - 6) & 63];
@@ -245,6 +244,12 @@ void bake_text(const float *image, uint32_t len_image, char out[BAKE_TEXT_MAX])
     if (n_bits)
         *out++ = bake_digits[bits << (6 - n_bits) & 63];
     *out = '\0';
+}
+
+void bake_text(const float *image, uint32_t len_image, char out[BAKE_TEXT_MAX])
+{
+    out[0] = '=';
+    bake_base64(image, len_image, out + 1);
 }
 
 /* What bake_text wrote; `text` begins behind the "=". */

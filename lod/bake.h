@@ -38,6 +38,13 @@ enum err_code bake_hash(struct store *s, struct hash128 *out, struct err *e) ERR
  * ERR_ARG: the text means nothing; errors of bake_of. Threads may share a store for this once
  * bake_of was called. */
 enum err_code bake_find(struct store *s, const char *text, float *image, struct err *e) ERR_USE;
+/* float32 values, little-endian, as base64url without padding (RFC 4648): bake_base64_size(n) bytes
+ * with the NUL. */
+static inline size_t bake_base64_size(size_t n)
+{
+    return (16 * n + 2) / 3 + 1;
+}
+void bake_base64(const float *v, size_t n, char *out);
 /* An embedding as text: "=" and its float32 values, little-endian, in base64url without padding
  * (RFC 4648). */
 enum { BAKE_TEXT_MAX = 2 + (4 * 4 * APPEARANCE_IMAGE_MAX + 2) / 3 };

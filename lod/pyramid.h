@@ -11,7 +11,7 @@
 
 #include "core/err.h"
 
-struct ckpt_blob;
+struct store_blob;
 struct gauss;
 struct geo_origin;
 
@@ -54,7 +54,7 @@ struct pyramid_report {
  * ERR_IO, ERR_MEM, ERR_CANCEL (signals_stopping), and what load() returns. */
 enum err_code pyramid_build(const struct geo_origin *origin, const struct pyramid_level *levels,
                             size_t n_levels, const struct pyramid_config *cfg,
-                            const struct ckpt_blob *blobs, size_t n_blobs, const char *out_path,
+                            const struct store_blob *blobs, size_t n_blobs, const char *out_path,
                             struct pyramid_report *report, struct err *e) ERR_USE;
 
 #endif

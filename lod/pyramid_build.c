@@ -496,8 +496,8 @@ static enum err_code pyramid_check(const struct pyramid_level *levels, size_t n,
     return ERR_OK;
 }
 
-static enum err_code pyramid_write(struct pyramid *p, const struct ckpt_blob *blobs, size_t n_blobs,
-                                   const char *out_path, struct err *e)
+static enum err_code pyramid_write(struct pyramid *p, const struct store_blob *blobs,
+                                   size_t n_blobs, const char *out_path, struct err *e)
 {
     struct store *store = NULL;
     enum err_code rc = store_create(out_path, &p->meta, &store, e);
@@ -530,7 +530,7 @@ static void pyramid_tell(const struct pyramid_report *r)
 
 enum err_code pyramid_build(const struct geo_origin *origin, const struct pyramid_level *levels,
                             size_t n_levels, const struct pyramid_config *cfg,
-                            const struct ckpt_blob *blobs, size_t n_blobs, const char *out_path,
+                            const struct store_blob *blobs, size_t n_blobs, const char *out_path,
                             struct pyramid_report *report, struct err *e)
 {
     struct pyramid_report none;

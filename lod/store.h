@@ -66,6 +66,11 @@ enum err_code store_encode(const struct store *s, struct store_tile *t, const st
                            struct buf *payload, struct err *e) ERR_USE;
 enum err_code store_add(struct store *s, struct store_tile *t, const struct buf *payload,
                         struct err *e) ERR_USE;
+struct store_blob {
+    const char *name;
+    const void *data;
+    size_t size_bytes;
+};
 /* Any named JSON or binary beside the tiles: appearance models, embeddings, reports. Copied; a blob
  * of that name is replaced. ERR_IO, ERR_LIMIT, ERR_MEM, ERR_INTERNAL. */
 enum err_code store_put_blob(struct store *s, const char *name, const void *bytes, size_t n,

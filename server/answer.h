@@ -31,11 +31,14 @@ bool answer_query(struct services *s, const struct request *r, struct dataset *d
                   const struct target *t, struct response *out);
 /* answer_view.c: false, with the problem set, when nothing can be drawn. */
 bool answer_can_draw(struct services *s, struct response *out);
-/* answer_appearance.c: the list, one appearance, a posted mix; false for other routes. */
-bool answer_appearance(const struct request *r, struct dataset *d, const struct target *t,
-                       struct response *out);
+/* answer_appearance.c: the list, one appearance, a posted mix, network, photographs and thumbnails;
+ * false for other routes. */
+bool answer_appearance(struct services *s, const struct request *r, struct dataset *d,
+                       const struct target *t, struct response *out);
 /* The appearance that a target or a body asks for; false, with the problem set, when there is none
- * such. */
+ * such. Tiles may also have none applied to them. */
+bool answer_find_tile_appearance(const struct dataset *d, const char *text,
+                                 struct appearance_choice *out, struct response *res);
 bool answer_find_appearance(const struct dataset *d, const char *text,
                             struct appearance_choice *out, struct response *res);
 

@@ -1,8 +1,14 @@
-/* Appearances: the list, one of them, a posted mix; and what a request says about one.
+/* Appearances: the list, one of them, a posted mix; the network and the photographs for clients that
+ * compute colours; and what a request says about an appearance.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "server/answer.h"
+
+#include <stdio.h>
+
+#include "server/appearance_model.h"
+#include "server/result_id.h"
 
 static void answer_appearance_problem(const struct dataset *d, enum err_code rc,
                                       const struct err *e, struct response *out)
@@ -14,14 +20,24 @@ static void answer_appearance_problem(const struct dataset *d, enum err_code rc,
                                      "appearance, leave `appearance` out");
 }
 
-bool answer_find_appearance(const struct dataset *d, const char *text,
-                            struct appearance_choice *out, struct response *res)
+bool answer_find_tile_appearance(const struct dataset *d, const char *text,
+                                 struct appearance_choice *out, struct response *res)
 {
     struct err e = {0};
     enum err_code rc = appearance_api_find(d, text, out, &e);
     if (rc)
         answer_appearance_problem(d, rc, &e, res);
     return !rc;
+}
+
+bool answer_find_appearance(const struct dataset *d, const char *text,
+                            struct appearance_choice *out, struct response *res)
+{
+    if (!answer_find_tile_appearance(d, text, out, res))
+        return false;
+    if (out->trained)
+        response_problem(res, 400, "a picture has an appearance; \"none\" is of tiles");
+    return !out->trained;
 }
 
 static void answer_appearance_one(const struct request *r, struct dataset *d, const char *text,
@@ -52,10 +68,50 @@ static void answer_appearance_mix(const struct request *r, struct dataset *d, st
                          e.msg);
 }
 
-bool answer_appearance(const struct request *r, struct dataset *d, const struct target *t,
-                       struct response *out)
+/* A document of a revision; b NULL: the dataset has no appearance. */
+static void answer_appearance_document(const struct request *r, struct dataset *d, struct body *b,
+                                       struct response *out)
 {
-    if (t->route == ROUTE_APPEARANCES)
+    if (!b) {
+        response_problem(out, 404, "this dataset was trained without appearance");
+        return;
+    }
+    snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s", d->meta.name, d->meta.revision);
+    response_document(r, RESPONSE_JSON, RESPONSE_IMMUTABLE, body_ref(b), out);
+}
+
+static void answer_appearance_thumbnail(struct services *s, const struct request *r,
+                                        struct dataset *d, const struct target *t,
+                                        struct response *out)
+{
+    const char *name = appearance_model_photograph(d, t->row);
+    if (!name) {
+        response_problem(out, 404, "no photograph has this number");
+        return;
+    }
+    struct hash128 id = result_id_thumbnail(d, name);
+    out->type = target_type(FORMAT_JPG);
+    out->cache_control = RESPONSE_IMMUTABLE;
+    snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s", d->meta.name, d->meta.revision);
+    if (!response_made(s, r, id, out))
+        return;
+    struct work *w = response_work(d, WORK_THUMBNAIL, id, (struct form){.format = FORMAT_JPG}, out);
+    if (w)
+        w->target = *t;
+    out->cls = JOB_PREFETCH;
+    out->timeout_s = s->cfg->deadline_s;
+}
+
+bool answer_appearance(struct services *s, const struct request *r, struct dataset *d,
+                       const struct target *t, struct response *out)
+{
+    if (t->route == ROUTE_MODEL)
+        answer_appearance_document(r, d, d->model, out);
+    else if (t->route == ROUTE_PHOTOGRAPHS)
+        answer_appearance_document(r, d, d->photographs, out);
+    else if (t->route == ROUTE_THUMBNAIL)
+        answer_appearance_thumbnail(s, r, d, t, out);
+    else if (t->route == ROUTE_APPEARANCES)
         response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(d->appearances), out);
     else if (t->route == ROUTE_APPEARANCE)
         answer_appearance_one(r, d, t->appearance, RESPONSE_MOVING, out);

@@ -14,10 +14,11 @@
 static void answer_dataset_seed(struct services *s, const struct request *r, struct dataset *d,
                                 const struct target *t, struct response *out)
 {
-    const struct form form = encode_form(s->cfg, &d->meta, &t->form);
+    struct form form = encode_form(s->cfg, &d->meta, &t->form);
     struct appearance_choice choice;
-    if (!answer_find_appearance(d, t->appearance, &choice, out))
+    if (!answer_find_tile_appearance(d, t->appearance, &choice, out))
         return;
+    form.trained = choice.trained;
     struct hash128 id = result_id_seed(d, t, form);
     out->type = "application/x-ndjson";
     out->cache_control = RESPONSE_MOVING;
@@ -51,7 +52,8 @@ static void answer_dataset_tileset(struct services *s, const struct request *r, 
         return;
     }
     struct hash128 id = result_id_tileset(d, t);
-    if (!answer_find_appearance(d, t->appearance, &choice, out) || !response_made(s, r, id, out))
+    if (!answer_find_tile_appearance(d, t->appearance, &choice, out) ||
+        !response_made(s, r, id, out))
         return;
     struct work *w = response_work(d, WORK_TILESET, id, (struct form){0}, out);
     if (w)

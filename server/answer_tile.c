@@ -19,10 +19,11 @@ void answer_tile(struct services *s, const struct request *r, struct dataset *d,
         response_problem(out, 404, "no Gaussians in this tile");
         return;
     }
-    const struct form form = encode_form(s->cfg, &d->meta, &t->form);
+    struct form form = encode_form(s->cfg, &d->meta, &t->form);
     struct appearance_choice choice;
-    if (!answer_find_appearance(d, t->appearance, &choice, out))
+    if (!answer_find_tile_appearance(d, t->appearance, &choice, out))
         return;
+    form.trained = choice.trained;
     struct hash128 id = result_id_tile(d, tile, form, &choice);
     out->type = target_type(form.format);
     out->cache_control = response_cache_control(s->cfg, t);

@@ -29,6 +29,10 @@ enum err_code appearance_api_find(const struct dataset *d, const char *text,
     *out = (struct appearance_choice){0};
     if (!*text || !strcmp(text, BAKE_DEFAULT))
         return ERR_OK;
+    if (!strcmp(text, APPEARANCE_NONE)) {
+        out->trained = d->appearance != NULL;
+        return ERR_OK;
+    }
     enum err_code rc = bake_find(d->stores[0], text, out->image, e);
     if (rc)
         return rc;
@@ -145,7 +149,9 @@ enum err_code appearance_api_describe(const struct dataset *d, const char *text,
     *out = NULL;
     struct appearance_choice c;
     enum err_code rc = appearance_api_find(d, text, &c, e);
-    if (!rc && !c.set)
+    if (!rc && c.trained)
+        rc = err_set(e, ERR_ARG, "\"" APPEARANCE_NONE "\" is of tiles: it has no embedding");
+    else if (!rc && !c.set)
         rc = bake_find(d->stores[0], BAKE_DEFAULT, image, e);
     else if (!rc)
         memcpy(image, c.image, sizeof image);

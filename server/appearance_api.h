@@ -9,13 +9,17 @@
 #include "server/dataset.h"
 #include "server/target.h"
 
+#define APPEARANCE_NONE "none" /* of tiles: colours as they were trained */
+
 struct appearance_choice { /* {0} is the default appearance */
     bool set;
+    bool trained;                      /* APPEARANCE_NONE: none is applied; set is false */
     float image[APPEARANCE_IMAGE_MAX]; /* embedding, [len_image] */
     struct hash128 hash;               /* of it */
 };
-/* The appearance that a text names (bake_find); "" and BAKE_DEFAULT are the default one. ERR_NOENT:
- * there is none such. ERR_ARG: the text names none. */
+/* The appearance that a text names (bake_find); "" and BAKE_DEFAULT are the default one, which
+ * APPEARANCE_NONE is as well where a dataset has no other. ERR_NOENT: there is none such. ERR_ARG: the
+ * text names none. */
 enum err_code appearance_api_find(const struct dataset *d, const char *text,
                                   struct appearance_choice *out, struct err *e) ERR_USE;
 /* Its embedding, NULL for the default one. */

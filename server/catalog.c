@@ -13,6 +13,7 @@
 #include "lod/store.h"
 #include "lod/tileset.h"
 #include "server/appearance_api.h"
+#include "server/appearance_model.h"
 #include "server/collection.h"
 #include "server/document.h"
 
@@ -39,6 +40,10 @@ static enum err_code catalog_make_documents(struct dataset *d, const char *publi
     }
     if (!rc)
         rc = appearance_api_list(d, &d->appearances, e);
+    if (!rc && d->appearance)
+        rc = appearance_model_describe(d, &d->model, e);
+    if (!rc && d->appearance)
+        rc = appearance_model_photographs(d, &d->photographs, e);
     return !rc ? collection_describe(d, &d->collection, e) : rc;
 }
 

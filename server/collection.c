@@ -31,7 +31,8 @@ static json_t *collection_json(const struct dataset *d, const char *up)
 {
     static const char volumes[] = "http://www.opengis.net/def/rel/ogc/1.0/3d-geovolumes";
     const struct store_meta *m = &d->meta;
-    char self[160], tileset[160], tilejson[160], appearances[160], tile[200], view[200];
+    char self[160], tileset[160], tilejson[160], appearances[160], model[160], photographs[160],
+        tile[200], view[200];
     uint64_t count = 0;
     for (size_t i = 0; i < d->n_tiles; i++)
         if (d->tiles[i].key.z == m->zoom_max)
@@ -40,6 +41,9 @@ static json_t *collection_json(const struct dataset *d, const char *up)
     snprintf(tileset, sizeof tileset, "%sd/%s/tileset.json", up, m->name);
     snprintf(tilejson, sizeof tilejson, "%scollections/%s/tiles.json", up, m->name);
     snprintf(appearances, sizeof appearances, "%sd/%s/appearances", up, m->name);
+    snprintf(model, sizeof model, "%sd/%s/r/%s/appearance.json", up, m->name, m->revision);
+    snprintf(photographs, sizeof photographs, "%sd/%s/r/%s/appearances.json", up, m->name,
+             m->revision);
     snprintf(tile, sizeof tile, "%sd/%s/r/%s/t/{z}/{x}/{y}.{ext}", up, m->name, m->revision);
     snprintf(view, sizeof view,
              "%sd/%s/static/{lon},{lat},{h}@{heading},{pitch},{fov}/{w}x{h}.{fmt}", up, m->name);
@@ -53,10 +57,15 @@ static json_t *collection_json(const struct dataset *d, const char *up)
                   document_link(volumes, "application/3dtiles+json", tileset, "3D Tiles 1.1"),
                   document_link("tiles", "application/json", tilejson, "TileJSON 3.0.0")));
     collection_add_maps(d, up, json_object_get(o, "links"));
-    if (d->appearance)
-        json_array_append_new(json_object_get(o, "links"),
-                              document_link("appearances", "application/json", appearances,
-                                            "Light and weather to choose from"));
+    const struct {
+        const char *rel, *href, *title;
+    } more[] = {{"appearances", appearances, "Light and weather to choose from"},
+                {"appearance-model", model, "The network, for clients that compute colours"},
+                {"photographs", photographs, "Embeddings, times, poses, thumbnails"}};
+    for (size_t i = 0; d->appearance && i < sizeof more / sizeof *more; i++)
+        json_array_append_new(
+            json_object_get(o, "links"),
+            document_link(more[i].rel, "application/json", more[i].href, more[i].title));
     const double origin[3] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m};
     json_object_set_new(
         o, "splats",

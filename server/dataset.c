@@ -142,6 +142,8 @@ void dataset_drop(struct dataset **out)
     body_drop(&d->tilejson);
     body_drop(&d->collection);
     body_drop(&d->appearances);
+    body_drop(&d->model);
+    body_drop(&d->photographs);
     pthread_mutex_destroy(&d->lock);
     mem_free(d->path);
     mem_free(d);

@@ -23,13 +23,14 @@ struct dataset { /* immutable but for what the comments say; counted */
     struct area area;                    /* what was surveyed; .in NULL: nothing is known */
     double bbox[6];                      /* west south hmin east north hmax, degrees and metres */
     struct hash128 salt;         /* of all that goes into an encoded tile beside its payload */
-    struct body *tileset;        /* URIs relative to d/NAME/r/REV/; these five by catalog.c */
+    struct body *tileset;        /* URIs relative to d/NAME/r/REV/; these seven by catalog.c */
     struct body *tileset_moving; /* URIs relative to d/NAME/ */
     struct body *tilejson;
     struct body *collection;
     struct body *appearances;
-    _Atomic uint32_t n_failed; /* results that its file did not give: it is damaged */
-    pthread_mutex_t lock;      /* of free_store, n_free */
+    struct body *model, *photographs; /* NULL without appearance */
+    _Atomic uint32_t n_failed;        /* results that its file did not give: it is damaged */
+    pthread_mutex_t lock;             /* of free_store, n_free */
     struct store **stores, **free_store;
     size_t n_stores, n_free;
 };

@@ -18,6 +18,10 @@
 #include "lod/bake.h"
 #include "lod/store.h"
 
+enum {
+    ENCODE_EMBED_BITS = 3
+}; /* left out at most where the client computes colours from embeddings */
+
 static bool encode_is_quantised(enum format f)
 {
     return f == FORMAT_GLB || f == FORMAT_SPZ || f == FORMAT_DRC;
@@ -42,14 +46,16 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
     const enum format format = form.format;
     const char *copyright = meta->attribution[0] ? meta->attribution : NULL;
     const struct ply_info info = {.has_origin = true, .origin = meta->origin};
+    struct quant_grid grid = *quant_preset_grid((enum quant_preset)form.preset);
     struct quant q = {0};
     char name[48];
     enum err_code rc = ERR_OK;
+    if (form.trained && grid.embed > ENCODE_EMBED_BITS)
+        grid.embed = ENCODE_EMBED_BITS;
     if (format != FORMAT_PLY)
         axes_enu_to_gltf(g);
     if (encode_is_quantised(format))
-        rc = quant_from_gauss(g, form.sh_degree, quant_preset_grid((enum quant_preset)form.preset),
-                              &q, e);
+        rc = quant_from_gauss(g, form.sh_degree, &grid, &q, e);
     if (rc)
         return rc;
     switch (format) {
@@ -80,7 +86,8 @@ enum err_code encode_tile(struct store *s, struct key key, struct form form, con
                           struct buf *out, struct err *e)
 {
     struct gauss g = {0};
-    enum err_code rc = bake_read(s, key, image, &g, e);
+    enum err_code rc =
+        form.trained ? store_read_gauss(s, key, &g, e) : bake_read(s, key, image, &g, e);
     if (!rc)
         rc = encode_gauss(&g, store_info(s), key, form, out, e);
     gauss_free(&g);
@@ -117,11 +124,13 @@ enum err_code encode_fingerprint(const struct store_meta *meta, struct hash128 *
     struct buf all = {0};
     enum err_code rc = ERR_OK;
     const int n_forms = (FORMAT_GLB_PLAIN + 1) * QUANT_PRESETS;
-    for (int f = 0; f < n_forms && !rc; f++) {
+    const int n_passes = meta->embed_len ? 2 : 1; /* baked, as trained */
+    for (int k = 0; k < n_passes * n_forms && !rc; k++) {
+        const int f = k % n_forms;
         struct gauss g = {0};
         struct buf one = {0};
         const struct form form = {(enum format)(f / QUANT_PRESETS), (uint8_t)(f % QUANT_PRESETS),
-                                  (uint8_t)meta->sh_degree};
+                                  (uint8_t)meta->sh_degree, k >= n_forms};
         if (form.preset && !encode_is_quantised(form.format))
             continue;
         rc = encode_make_sample(meta, &g, e);

@@ -23,8 +23,13 @@ struct hash128 result_id_tile(const struct dataset *d, const struct store_tile *
     struct { /* no padding */
         struct hash128 payload, salt;
         uint32_t z, x, y, form;
-    } name = {t->hash,  d->salt,  t->key.z,
-              t->key.x, t->key.y, (uint32_t)f.format << 16 | (uint32_t)f.preset << 8 | f.sh_degree};
+    } name = {t->hash,
+              d->salt,
+              t->key.z,
+              t->key.x,
+              t->key.y,
+              (uint32_t)f.trained << 24 | (uint32_t)f.format << 16 | (uint32_t)f.preset << 8 |
+                  f.sh_degree};
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_mix(&id, a);
     return id;
@@ -75,6 +80,16 @@ struct hash128 result_id_tileset(const struct dataset *d, const struct target *t
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_add_query(&id, t);
     return id;
+}
+
+struct hash128 result_id_thumbnail(const struct dataset *d, const char *name)
+{
+    struct {
+        struct hash128 salt, photograph;
+        char rev[16], kind[16];
+    } id = {.salt = d->salt, .photograph = hash_bytes(name, strlen(name)), .kind = "thumbnail"};
+    memcpy(id.rev, d->meta.revision, sizeof d->meta.revision);
+    return hash_bytes(&id, sizeof id);
 }
 
 struct hash128 result_id_view(const struct dataset *d, const char *device, const struct camera *cam,

@@ -21,6 +21,8 @@ struct hash128 result_id_tile(const struct dataset *d, const struct store_tile *
 struct hash128 result_id_seed(const struct dataset *d, const struct target *t, struct form form);
 struct hash128 result_id_tileset(const struct dataset *d, const struct target *t);
 /* device: its name and driver; other hardware rounds otherwise. gaussians: most that are drawn. */
+/* A photograph's thumbnail in a revision. */
+struct hash128 result_id_thumbnail(const struct dataset *d, const char *name);
 struct hash128 result_id_view(const struct dataset *d, const char *device, const struct camera *cam,
                               const struct appearance_choice *a, enum format format, int quality,
                               double gaussians);

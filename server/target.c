@@ -324,6 +324,30 @@ static enum err_code target_parse_place(const char *query, size_t n, struct targ
     return ERR_OK;
 }
 
+/* Documents of a revision: false for what is none of them. */
+static bool target_parse_document(struct text *t, struct target *out)
+{
+    static const struct {
+        const char *path;
+        enum route route;
+    } words[] = {{"tileset.json", ROUTE_TILESET},
+                 {"appearance.json", ROUTE_MODEL},
+                 {"appearances.json", ROUTE_PHOTOGRAPHS}};
+    for (size_t i = 0; i < sizeof words / sizeof *words; i++) {
+        struct text at = *t;
+        if (text_take(&at, words[i].path) && text_at_end(&at)) {
+            out->route = words[i].route;
+            return true;
+        }
+    }
+    struct text at = *t;
+    if (!text_take(&at, "appearances/") || !text_take_uint(&at, &out->row) ||
+        !text_take(&at, ".jpg") || !text_at_end(&at))
+        return false;
+    out->route = ROUTE_THUMBNAIL;
+    return true;
+}
+
 /* What follows /d/ */
 static enum err_code target_parse_data(struct text *t, const char *query, size_t n_query,
                                        struct target *out, struct err *e)
@@ -360,8 +384,8 @@ static enum err_code target_parse_data(struct text *t, const char *query, size_t
     if (revisioned && (!target_take_rev(t, out->rev) || !text_take(t, "/")))
         return err_set(e, ERR_NOENT, "a revision is 12 hexadecimal digits");
     enum err_code rc = ERR_OK;
-    if (revisioned && text_take(t, "tileset.json") && text_at_end(t))
-        out->route = ROUTE_TILESET;
+    if (revisioned && target_parse_document(t, out))
+        ; /* it is taken */
     else if (text_take(t, "t/"))
         rc = target_parse_tile(t, revisioned ? ROUTE_TILE : ROUTE_TILE_MOVING, out, e);
     else if (text_take(t, "static/"))

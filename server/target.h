@@ -51,6 +51,12 @@ enum { ALLOW_READ = 1, ALLOW_POST = 2 };
     X(MEASURE, ALLOW_POST, "/d/{ds}/measure", "Lengths; areas and volumes within a polygon")       \
     X(VISIBLE, ALLOW_POST, "/d/{ds}/visible", "Is one place seen from another?")                   \
     X(APPEARANCES, ALLOW_READ, "/d/{ds}/appearances", "All appearances of a dataset")              \
+    X(MODEL, ALLOW_READ, "/d/{ds}/r/{rev}/appearance.json",                                        \
+      "The appearance network of a revision, for clients that compute colours themselves")         \
+    X(PHOTOGRAPHS, ALLOW_READ, "/d/{ds}/r/{rev}/appearances.json",                                 \
+      "Photographs of a revision: embeddings, times, poses, thumbnails")                           \
+    X(THUMBNAIL, ALLOW_READ, "/d/{ds}/r/{rev}/appearances/{row}.jpg",                              \
+      "A photograph, 160 pixels wide or high")                                                     \
     X(APPEARANCE, ALLOW_READ, "/d/{ds}/appearance",                                                \
       "One appearance or blend: embedding, nearest photographs, links")                            \
     X(MIX, ALLOW_POST, "/d/{ds}/appearances:mix", "An appearance from weights or an embedding")    \
@@ -105,6 +111,7 @@ struct form {
     enum format format;
     uint8_t preset;    /* enum quant_preset; QUANT_PRESETS: not said */
     uint8_t sh_degree; /* highest band; FORM_UNSAID */
+    bool trained;      /* colours as they were trained, no appearance applied; never said here */
 };
 /* How a picture holds heights: what each of its colours is worth. */
 enum encoding {
@@ -123,6 +130,7 @@ struct target {
     uint32_t width_px, height_px;
     uint8_t scale;          /* of map and terrain tiles: 1, or 2 for twice the pixels */
     enum encoding encoding; /* of terrain */
+    uint32_t row;           /* of a thumbnail */
     /* seed: */
     bool has_bbox;
     int32_t bbox_e7[4]; /* west south east north */

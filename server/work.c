@@ -9,8 +9,10 @@
 #include <stdio.h>
 #include <stdlib.h>
 
+#include "lod/photograph.h"
 #include "lod/store.h"
 #include "lod/tileset.h"
+#include "server/appearance_model.h"
 #include "server/encode.h"
 #include "server/seed.h"
 
@@ -64,6 +66,18 @@ static enum err_code work_make_answer(struct services *s, const struct work *w, 
     return rc;
 }
 
+static enum err_code work_make_thumbnail(const struct work *w, struct buf *out, struct err *e)
+{
+    struct store *s = dataset_borrow(w->ds);
+    if (!s)
+        return err_set(e, ERR_INTERNAL, "dataset %s: fewer store handles than workers",
+                       w->ds->path);
+    enum err_code rc =
+        photograph_thumbnail(s, appearance_model_photograph(w->ds, w->target.row), out, e);
+    dataset_return(w->ds, s);
+    return rc;
+}
+
 static enum err_code work_make_bytes(struct services *s, const struct job *j, const struct work *w,
                                      struct buf *out, struct err *e)
 {
@@ -78,6 +92,8 @@ static enum err_code work_make_bytes(struct services *s, const struct job *j, co
         return seed_write(w->ds, &w->target, w->form, &w->appearance, out, e);
     case WORK_TILESET:
         return work_make_tileset(w, out, e);
+    case WORK_THUMBNAIL:
+        return work_make_thumbnail(w, out, e);
     default:
         return work_make_tile(w, out, e);
     }
@@ -100,11 +116,13 @@ static size_t work_room(const struct work *w)
         return HEAD + w->ds->n_tiles * SEED_ROW;
     case WORK_TILESET:
         return HEAD + w->ds->n_tiles * TILESET_ROW;
+    case WORK_THUMBNAIL:
+        return HEAD + PHOTOGRAPH_BYTES_MAX;
     default:
         t = store_find(w->ds->index, w->key);
         if (w->form.format == FORMAT_PLY || w->form.format == FORMAT_GLB_PLAIN)
             return HEAD + (t ? t->count : 0) * (17 + sh) * sizeof(float);
-        return HEAD + (t ? t->count : 0) * (20 + sh);
+        return HEAD + (t ? t->count : 0) * (20 + sh + w->ds->meta.embed_len);
     }
 }
 

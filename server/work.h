@@ -10,7 +10,15 @@
 #include "server/map_tile.h"
 #include "server/services.h"
 
-enum work_kind { WORK_TILE, WORK_SEED, WORK_TILESET, WORK_VIEW, WORK_MAP, WORK_QUERY };
+enum work_kind {
+    WORK_TILE,
+    WORK_SEED,
+    WORK_TILESET,
+    WORK_VIEW,
+    WORK_MAP,
+    WORK_QUERY,
+    WORK_THUMBNAIL
+};
 struct work { /* freed with work_drop */
     enum work_kind kind;
     struct dataset *ds; /* a reference */
@@ -18,7 +26,7 @@ struct work { /* freed with work_drop */
     struct key key;     /* WORK_TILE */
     struct form form;   /* nothing left unsaid */
     struct appearance_choice appearance;
-    struct target target;     /* WORK_SEED, WORK_TILESET */
+    struct target target;     /* WORK_SEED, WORK_TILESET, WORK_THUMBNAIL */
     struct picture_view view; /* WORK_VIEW */
     struct map_tile map;      /* WORK_MAP */
     struct query *query;      /* WORK_QUERY, owned */

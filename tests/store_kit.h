@@ -64,7 +64,7 @@ static inline int store_fixture_teardown(void **state)
 /* A pyramid of one level, the third, at `path`; blob may be NULL. */
 static inline void store_fixture_level(const char *path, const struct geo_origin *origin,
                                        const struct gauss *g, const struct pyramid_config *cfg,
-                                       const struct ckpt_blob *blob)
+                                       const struct store_blob *blob)
 {
     struct err e = {0};
     const struct pyramid_level level = {.g = g, .level = 3};

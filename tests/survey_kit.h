@@ -94,7 +94,7 @@ static inline void survey_make(const char *footprint)
     cover(&g);
     const struct pyramid_config cfg = {.tile_edge_m = 30, .name = "survey", .attribution = "ours"};
     const struct pyramid_level level = {.g = &g, .level = 3};
-    const struct ckpt_blob blob = {STORE_FOOTPRINT, footprint, footprint ? strlen(footprint) : 0};
+    const struct store_blob blob = {STORE_FOOTPRINT, footprint, footprint ? strlen(footprint) : 0};
     kit_ok(pyramid_build(&origin, &level, 1, &cfg, &blob, footprint != NULL, f.path, NULL, &e), e);
     gauss_free(&g);
 }

@@ -3,8 +3,11 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/draco.h"
 #include "codec/ply.h"
+#include "codec/quant.h"
 #include "lod/bake.h"
+#include "lod/photograph.h"
 #include "lod/store.h"
 #include "tests/served.h"
 
@@ -27,6 +30,30 @@ static enum err_code no_run(void *user, const struct job *j, void *work, size_t 
 {
     (void)user, (void)j, (void)work, (void)worker, (void)out;
     return err_set(e, ERR_INTERNAL, "the test runs jobs itself");
+}
+
+static const uint8_t JPEG[] = {0xff, 0xd8, 0xff, 0xe0, 1, 2, 3, 4, 5};
+
+/* What `tile` keeps of a photograph. */
+static void put_photograph(struct store *s, const char *name)
+{
+    struct err e = {0};
+    struct buf about = {0};
+    char blob[PHOTOGRAPH_NAME_MAX];
+    const struct photograph p = {.time = "2024-06-01T10:00:03",
+                                 .lon_deg = 7.5,
+                                 .lat_deg = -47.25,
+                                 .h_m = 300.5,
+                                 .heading_deg = 359.5,
+                                 .pitch_deg = -45,
+                                 .fov_y_deg = 50,
+                                 .has_thumbnail = true};
+    kit_ok(photograph_write(&p, &about, &e), e);
+    kit_ok(photograph_blob(PHOTOGRAPH_BLOB, name, blob, &e), e);
+    kit_ok(store_put_blob(s, blob, about.data, about.size, &e), e);
+    kit_ok(photograph_blob(PHOTOGRAPH_THUMBNAIL, name, blob, &e), e);
+    kit_ok(store_put_blob(s, blob, JPEG, sizeof JPEG, &e), e);
+    buf_free(&about);
 }
 
 /* One tile under six photographs' light. */
@@ -55,6 +82,7 @@ static void lit_city(void)
     struct store_tile tile = {.key = served_key(17), .level = 1};
     kit_ok(store_put(s, &tile, &g, &e), e);
     kit_ok(store_put_blob(s, "appearance", blob.data, blob.size, &e), e);
+    put_photograph(s, ODD_NAME);
     kit_ok(store_commit(&s, &e), e);
     buf_free(&blob);
     appearance_free(&photos);
@@ -351,6 +379,185 @@ static void tiles_are_baked_in_the_look_that_is_asked_for(void **state)
         gauss_free(&g[i]);
 }
 
+/* base64url without padding, as the standard says it. */
+static void floats_of(const json_t *o, const char *key, float *out, size_t n)
+{
+    static const char digits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
+    const char *text = text_of(o, key);
+    uint8_t *bytes = (uint8_t *)out;
+    size_t got = 0;
+    assert_int_equal(strlen(text), (16 * n + 2) / 3);
+    uint32_t bits = 0;
+    for (size_t i = 0, have = 0; text[i]; i++) {
+        bits = bits << 6 | (uint32_t)(strchr(digits, text[i]) - digits);
+        have += 6;
+        if (have >= 8 && got < 4 * n) {
+            have -= 8;
+            bytes[got++] = (uint8_t)(bits >> have);
+        }
+    }
+    assert_int_equal(got, 4 * n);
+}
+
+static json_t *document_of_revision(const char *name)
+{
+    char target[256];
+    const struct dataset *d = catalog_find(t.s.catalog, "lit", "");
+    snprintf(target, sizeof target, "/d/lit/r/%s/%s", d->meta.revision, name);
+    struct response r = get(target, 200);
+    assert_non_null(strstr(r.cache_control, "immutable"));
+    assert_int_equal(r.etag[0], '"');
+    return json_of(&r);
+}
+
+/* The formula of docs/appearance.md, "In a client", from the documents and the tile alone. */
+static void client_colours(const json_t *network, const float *image, const float *embed,
+                           double y[APPEARANCE_OUT])
+{
+    enum { HIDDEN = 8, IN = LEN + IMAGE };
+    float w[HIDDEN * IN + HIDDEN + 4 * HIDDEN + 4];
+    const float *b1 = w + HIDDEN * IN, *w2 = b1 + HIDDEN, *b2 = w2 + 4 * HIDDEN;
+    double input[IN], hidden[HIDDEN], norm[2] = {0};
+    floats_of(network, "weights", w, sizeof w / sizeof *w);
+    for (size_t i = 0; i < IN; i++) {
+        input[i] = (double)(i < LEN ? embed[i] : image[i - LEN]);
+        norm[i >= LEN] += input[i] * input[i];
+    }
+    for (size_t h = 0; h < HIDDEN; h++) {
+        hidden[h] = (double)b1[h];
+        for (size_t i = 0; i < IN; i++)
+            hidden[h] += (double)w[IN * h + i] * input[i] / sqrt(norm[i >= LEN]);
+    }
+    for (size_t o = 0; o < APPEARANCE_OUT; o++) {
+        double z = (double)b2[o];
+        for (size_t h = 0; h < HIDDEN; h++)
+            z += (double)w2[HIDDEN * o + h] * fmax(0, hidden[h]);
+        y[o] = 1 / (1 + exp(-z));
+    }
+}
+
+static void trained_tile(const char *ext, struct response *out)
+{
+    char target[256];
+    const struct key k = served_key(17);
+    const struct dataset *d = catalog_find(t.s.catalog, "lit", "");
+    snprintf(target, sizeof target, "/d/lit/r/%s/t/%u/%u/%u.%s", d->meta.revision, k.z, k.x, k.y,
+             ext);
+    *out = get(target, 200);
+}
+
+static void a_client_gets_the_colours_that_the_server_bakes(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct response drc, baked_drc;
+    struct quant q;
+    struct gauss trained, want;
+    struct store *s;
+    float standard[IMAGE], images[PHOTOS * IMAGE];
+    double worst[2] = {0};
+    json_t *network = document_of_revision("appearance.json"),
+           *photographs = document_of_revision("appearances.json");
+    assert_string_equal(text_of(network, "format"), "citysplat-appearance-1");
+    floats_of(network, "default", standard, IMAGE);
+    floats_of(photographs, "embeddings", images, PHOTOS * IMAGE);
+    assert_memory_equal(images, t.model.images, sizeof images);
+    assert_memory_equal(standard, t.model.images + PHOTOS * IMAGE, sizeof standard);
+    trained_tile("drc?appearance=none&preset=near-lossless", &drc);
+    trained_tile("drc?preset=near-lossless", &baked_drc);
+    assert_string_not_equal(drc.etag, baked_drc.etag);
+    kit_ok(draco_decode(drc.data, drc.size, NULL, &q, &e), e);
+    kit_ok(quant_to_gauss(&q, &trained, &e), e);
+    kit_ok(store_open(t.lit, &s, &e), e);
+    for (size_t photo = 0; photo <= PHOTOS; photo++) {
+        const float *image = photo < PHOTOS ? images + photo * IMAGE : standard;
+        kit_ok(bake_read(s, served_key(17), image, &want, &e), e);
+        assert_int_equal(trained.n, want.n);
+        for (size_t i = 0; i < want.n; i++) {
+            double y[APPEARANCE_OUT];
+            client_colours(network, image, trained.embed + i * LEN, y);
+            for (size_t c = 0; c < 3; c++) {
+                double got = (double)trained.sh[12 * i + c] * 0.28209479177387814 + 2 * y[c] - 1,
+                       is = (double)want.sh[12 * i + c] * 0.28209479177387814;
+                worst[0] = fmax(worst[0], fabs(got - is));
+            }
+            double got = fmin(1, 1 / (1 + exp(-(double)trained.opacity_logit[i])) + y[3]),
+                   is = 1 / (1 + exp(-(double)want.opacity_logit[i]));
+            worst[1] = fmax(worst[1], fabs(got - is));
+        }
+        gauss_free(&want);
+    }
+    print_message("colours within %.5f, opacities within %.5f of what is baked\n", worst[0],
+                  worst[1]);
+    assert_true(worst[0] < 2.0 / 255 && worst[1] < 2.0 / 255);
+    store_close(&s);
+    gauss_free(&trained);
+    quant_free(&q);
+    response_free(&drc);
+    response_free(&baked_drc);
+    json_decref(network);
+    json_decref(photographs);
+}
+
+static void none_is_what_was_trained(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    char tag[2][BODY_ETAG_SIZE];
+    struct gauss got, want;
+    struct store *s;
+    tile_in("?appearance=none", tag[0], &got);
+    kit_ok(store_open(t.lit, &s, &e), e);
+    kit_ok(store_read_gauss(s, served_key(17), &want, &e), e);
+    assert_memory_equal(got.sh, want.sh, 12 * want.n * sizeof(float));
+    assert_memory_equal(got.opacity_logit, want.opacity_logit, want.n * sizeof(float));
+    store_close(&s);
+    gauss_free(&got);
+    tile_in("", tag[1], &got);
+    assert_memory_not_equal(got.sh, want.sh, 12 * want.n * sizeof(float));
+    assert_string_not_equal(tag[0], tag[1]);
+    gauss_free(&got);
+    gauss_free(&want);
+    struct response r = get("/d/lit/tileset.json?appearance=none", 200);
+    assert_true(says(&r, ".glb?appearance=none"));
+    response_free(&r);
+    r = get("/d/plain/tileset.json?appearance=none", 200); /* has no other */
+    response_free(&r);
+}
+
+static void photographs_have_times_poses_and_thumbnails(void **state)
+{
+    (void)state;
+    char target[256];
+    const struct dataset *d = catalog_find(t.s.catalog, "lit", "");
+    json_t *o = document_of_revision("appearances.json"), *list = json_object_get(o, "photographs"),
+           *odd = json_array_get(list, 3);
+    assert_int_equal(json_array_size(list), PHOTOS);
+    assert_string_equal(text_of(odd, "name"), ODD_NAME);
+    assert_string_equal(text_of(odd, "time"), "2024-06-01T10:00:03");
+    assert_true(fabs(json_number_value(json_object_get(odd, "lat")) + 47.25) < 1e-9);
+    assert_true(fabs(json_number_value(json_object_get(odd, "heading")) - 359.5) < 1e-9);
+    assert_null(json_object_get(json_array_get(list, 0), "thumbnail"));
+    snprintf(target, sizeof target, "/d/lit/r/%s/%s", d->meta.revision, text_of(odd, "thumbnail"));
+    json_decref(o);
+    struct response r = get(target, 200);
+    assert_string_equal(r.type, "image/jpeg");
+    assert_int_equal(r.size, sizeof JPEG);
+    assert_memory_equal(r.data, JPEG, sizeof JPEG);
+    assert_non_null(strstr(r.cache_control, "immutable"));
+    response_free(&r);
+    snprintf(target, sizeof target, "/d/lit/r/%s/appearances/6.jpg", d->meta.revision);
+    r = get(target, 404); /* the default appearance is no photograph */
+    response_free(&r);
+    d = catalog_find(t.s.catalog, "plain", "");
+    static const char *const none[] = {"appearance.json", "appearances.json", "appearances/0.jpg"};
+    for (size_t i = 0; i < sizeof none / sizeof *none; i++) {
+        snprintf(target, sizeof target, "/d/plain/r/%s/%s", d->meta.revision, none[i]);
+        r = get(target, 404);
+        response_free(&r);
+    }
+}
+
 static void tilesets_and_prefetch_lists_carry_the_look(void **state)
 {
     (void)state;
@@ -408,6 +615,7 @@ static void what_is_no_look_is_a_clear_answer(void **state)
         {METHOD_GET, "/d/lit/appearance?appearance=%4", NULL, 400, "percent-encoded"},
         {METHOD_GET, "/d/lit/appearance?appearance=%00", NULL, 400, "percent-encoded"},
         {METHOD_GET, "/d/lit/appearance?appearance=a&appearance=b", NULL, 400, "once"},
+        {METHOD_GET, "/d/lit/appearance?appearance=none", NULL, 400, "of tiles"},
         {METHOD_GET, "/d/lit/tileset.json?appearance=p9.jpg", NULL, 404, "p9.jpg"},
         {METHOD_GET, "/d/lit/seed.ndjson?appearance=p9.jpg", NULL, 404, "p9.jpg"},
         {METHOD_GET, "/d/plain/tileset.json?appearance=p1.jpg", NULL, 404, "without appearance"},
@@ -445,6 +653,9 @@ int main(void)
         cmocka_unit_test(blends_and_posted_mixes_are_the_same_embedding),
         cmocka_unit_test(embeddings_have_one_spelling),
         cmocka_unit_test(tiles_are_baked_in_the_look_that_is_asked_for),
+        cmocka_unit_test(none_is_what_was_trained),
+        cmocka_unit_test(a_client_gets_the_colours_that_the_server_bakes),
+        cmocka_unit_test(photographs_have_times_poses_and_thumbnails),
         cmocka_unit_test(tilesets_and_prefetch_lists_carry_the_look),
         cmocka_unit_test(what_is_no_look_is_a_clear_answer),
     };

@@ -66,7 +66,7 @@ static int setup(void **state)
     }
     kit_ok(bake_with_default(&f.model, &g, &full, &e), e);
     kit_ok(appearance_write(&full, &blob, &e), e);
-    const struct ckpt_blob b = {"appearance", blob.data, blob.size};
+    const struct store_blob b = {"appearance", blob.data, blob.size};
     store_fixture_level(f.path, &origin, &g, &cfg, &b);
     store_fixture_level(f.plain, &origin, &g, &cfg, NULL);
     buf_free(&blob);
@@ -328,7 +328,7 @@ static void photographs_of_both_are_there(void **state)
     kit_gauss(9, 300, 60, 1, LEN, &g);
     kit_ok(bake_with_default(&other, &g, &full, &e), e);
     kit_ok(appearance_write(&full, &blob, &e), e);
-    const struct ckpt_blob b = {BAKE_BLOB, blob.data, blob.size};
+    const struct store_blob b = {BAKE_BLOB, blob.data, blob.size};
     const struct pyramid_level level = {.g = &g, .level = 3};
     const struct pyramid_config cfg = {.name = "second", .attribution = "B; Survey"};
     kit_ok(pyramid_build(&near, &level, 1, &cfg, &b, 1, second, NULL, &e), e);

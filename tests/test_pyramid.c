@@ -122,7 +122,7 @@ static void three_levels(void **state)
         city(10 + l, (size_t)500 << (2 * l), 200, &g[l]);
         levels[l] = (struct pyramid_level){.g = &g[l], .level = (uint8_t)(l + 1)};
     }
-    const struct ckpt_blob blob = {.name = "report", .data = "hello", .size_bytes = 5};
+    const struct store_blob blob = {.name = "report", .data = "hello", .size_bytes = 5};
     kit_ok(pyramid_build(&origin, levels, 3, &config, &blob, 1, f->path, &rep, &e), e);
     uint8_t z = key_zoom_for(origin.lat_deg, 60);
     assert_int_equal(rep.zoom_max, z);

@@ -32,6 +32,7 @@ static void make_scene(struct scene *s)
             camera_look_at((double[3]){10.0 * i, 5, 80}, (double[3]){1.0 + i, 2, 0}, 0.9, 400, 300);
         im->split = i ? SCENE_TRAIN : SCENE_TEST;
         im->group = i;
+        scene_time(i == 2 ? "yesterday" : "2024:06:01 10:00:59", im->time);
         im->residual_m = i == 2 ? (double)NAN : 0.1 * i;
         for (int k = 0; k < 3; k++)
             im->gps_enu_m[k] = i == 2 ? (double)NAN : 1.0 / 3 + k;
@@ -62,6 +63,7 @@ static void test_round_trip(void **state)
     for (size_t i = 0; i < N_IMAGES; i++) {
         const struct scene_image *x = &a.images[i], *y = &b.images[i];
         assert_string_equal(x->name, y->name);
+        assert_string_equal(y->time, i == 2 ? "" : "2024-06-01T10:00:59");
         assert_int_equal(x->split, y->split);
         assert_int_equal(x->group, y->group);
         assert_true(x->cam.fx_px == y->cam.fx_px && x->cam.width_px == y->cam.width_px);

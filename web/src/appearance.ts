@@ -1,13 +1,15 @@
-// Light and weather: two lists of photographs and a slider between them. The picture stays as it is
-// until the new one is complete.
+// Light and weather: photographs to choose by, a slider between two of them, both side by side, and
+// the light in which the view at hand was photographed.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { element, setText } from "./dom";
+import { element, setText, toast } from "./dom";
+import { NAME_DEFAULT } from "./network";
+import { byTime, groupOf, nearestPhotograph, PhotoStrip } from "./photographs";
+import { Split } from "./split";
 import { text } from "./strings";
 import type { Appearance, Viewer } from "./viewer";
 
-const NAME_DEFAULT = "default";
-const WAIT_MS = 250; // after the slider came to rest: every mix is a set of tiles of its own
+const WAIT_MS = 250; // after the slider came to rest, where every mix is a set of tiles of its own
 
 interface Choice {
   from: string;
@@ -31,81 +33,168 @@ export function parseAppearance(value: string, names: string[]): Choice | null {
   return { from: parts[0]![1]!, to: parts[1]?.[1] ?? "", percent };
 }
 
-// Options in groups of a day, in the order of the day; without times one plain list.
-function options(list: Appearance[]): (HTMLOptionElement | HTMLOptGroupElement)[] {
-  const days = new Map<string, Appearance[]>();
-  for (const one of [...list].sort((a, b) => a.time.localeCompare(b.time))) {
-    const day = one.time.slice(0, 10);
-    days.set(day, [...(days.get(day) ?? []), one]);
-  }
+// Options in groups, in the order of time.
+function options(list: Appearance[]): HTMLElement[] {
+  const groups = new Map<string, HTMLOptGroupElement>();
   const option = (one: Appearance) => {
     const clock = one.time.slice(11, 16);
     return new Option(clock ? `${clock} · ${one.name}` : one.name, one.name);
   };
-  return [...days].flatMap(([day, ones]) => {
-    if (!day) return ones.map(option);
-    const group = document.createElement("optgroup");
-    group.label = day;
-    group.append(...ones.map(option));
-    return [group];
-  });
+  const sorted = [...list].sort(byTime);
+  if (sorted.every((one) => !one.time)) return sorted.map(option);
+  for (const one of sorted) {
+    const label = groupOf(one);
+    const group = groups.get(label) ?? document.createElement("optgroup");
+    group.label = label;
+    group.append(option(one));
+    groups.set(label, group);
+  }
+  return [...groups.values()];
 }
 
 export class AppearanceControl {
   private readonly from = element<HTMLSelectElement>("appearance-from");
   private readonly to = element<HTMLSelectElement>("appearance-to");
   private readonly mix = element<HTMLInputElement>("appearance-mix");
+  private readonly strip = new PhotoStrip();
+  private readonly split: Split;
+  private list: Appearance[] = [];
   private names: string[] = [];
   private timer = 0;
+  private unfilled = false; // a scene was opened, its photographs are not listed yet
 
   constructor(private readonly viewer: Viewer) {
+    this.split = new Split(viewer);
     this.from.onchange = this.to.onchange = () => this.apply(0);
-    this.mix.oninput = () => this.apply(WAIT_MS);
-    viewer.on("scene", () => void this.fill().catch(() => {}));
-    viewer.on("frame", () => this.tell());
+    this.mix.oninput = () => this.apply(viewer.computesColours ? 0 : WAIT_MS);
+    viewer.on("scene", () => this.begin());
+    viewer.on("frame", () => {
+      this.tell();
+      if (this.unfilled && viewer.hasPicture) this.fillSoon();
+    });
     viewer.on("appearance", () => this.tell());
     viewer.on("problem", () => this.choose());
+    viewer.on("picture", () => this.unfilled && this.fillSoon());
+    this.strip.onChoose = (name) => {
+      const second = element<HTMLInputElement>("photos-second").checked;
+      (second ? this.to : this.from).value = name;
+      this.apply(0);
+    };
+    const click = (id: string, run: () => void) => element(id).addEventListener("click", run);
+    click("photos-button", () => this.showPhotographs(!this.strip.open));
+    click("photos-close", () => this.showPhotographs(false));
+    click("appearance-here", () => this.chooseHere());
+    click("appearance-split", () => void this.showSplit(!this.split.open));
+    element("photos-ends").addEventListener("change", () => this.choose());
+  }
+
+  showPhotographs(open: boolean) {
+    if (open && !this.list.some((one) => one.name !== NAME_DEFAULT)) return;
+    this.strip.show(open);
+    this.choose();
+    if (!open) element("photos-button").focus();
+  }
+
+  get photographsOpen(): boolean {
+    return this.strip.open;
+  }
+
+  translate() {
+    this.strip.translate();
+    if (this.list.length) this.fillLists();
+  }
+
+  // ---- the lists ----
+
+  private begin() {
+    this.unfilled = true;
+    element("appearance").hidden = !this.viewer.scene?.appearances;
+    if (this.viewer.hasPicture) this.fillSoon();
+  }
+
+  // Photographs are asked for when the first picture is there: it comes before everything else.
+  private fillSoon() {
+    this.unfilled = false;
+    void this.fill().catch(() => {});
   }
 
   private async fill() {
     const scene = this.viewer.scene;
     const list = await this.viewer.appearances(scene);
     if (scene !== this.viewer.scene) return;
+    this.list = list;
     this.names = list.map((one) => one.name);
-    const photographs = list.filter((one) => one.name !== NAME_DEFAULT);
+    element("appearance").hidden = list.length === 0;
+    const here = list.some((one) => one.place);
+    element("appearance-here").hidden = !here;
+    element("photos-button").hidden = !list.some((one) => one.thumbnail);
+    element("appearance-split").hidden = !this.viewer.computesColours;
+    this.fillLists();
+  }
+
+  private fillLists() {
+    const photographs = this.list.filter((one) => one.name !== NAME_DEFAULT);
+    const both = photographs.filter((one) => !one.name.includes(","));
     this.from.replaceChildren(
       new Option(text("appearance.all"), NAME_DEFAULT),
       ...options(photographs),
     );
-    this.to.replaceChildren(
-      new Option(text("appearance.none"), ""),
-      ...options(photographs.filter((one) => !one.name.includes(","))),
-    );
-    element("appearance").hidden = list.length === 0;
+    this.to.replaceChildren(new Option(text("appearance.none"), ""), ...options(both));
+    this.strip.photographs = both;
     this.choose();
   }
 
+  // ---- choosing ----
+
   // The controls say what is wanted.
   private choose() {
-    const choice = parseAppearance(this.viewer.state.wanted, this.names);
-    if (!choice) return;
-    this.from.value = choice.from;
-    this.to.value = choice.to;
-    this.mix.value = String(choice.percent);
-    this.mix.hidden = !choice.to;
+    const choice = this.split.open ? null : parseAppearance(this.viewer.state.wanted, this.names);
+    if (choice && !(choice.from === this.to.value && !choice.to && this.mix.value === "100")) {
+      this.from.value = choice.from;
+      if (choice.to || this.mix.value !== "0") this.to.value = choice.to;
+      if (choice.to) this.mix.value = String(choice.percent);
+    }
+    this.showEnds();
+  }
+
+  private showEnds() {
+    const { to, from, mix } = this;
+    mix.hidden = !to.value || this.split.open;
+    element<HTMLButtonElement>("appearance-split").disabled = !to.value;
+    const second = element<HTMLInputElement>("photos-second").checked;
+    this.strip.choose((second ? to : from).value);
   }
 
   private apply(waitMs: number) {
-    this.mix.hidden = !this.to.value;
+    if (this.split.open && !this.to.value) void this.showSplit(false);
+    this.showEnds();
     clearTimeout(this.timer);
-    this.timer = window.setTimeout(() => {
-      const choice = {
-        from: this.from.value,
-        to: this.to.value,
-        percent: Number(this.mix.value),
-      };
-      void this.viewer.setAppearance(formatAppearance(choice));
-    }, waitMs);
+    this.timer = window.setTimeout(() => void this.send(), waitMs);
+  }
+
+  private async send() {
+    const { from, to, mix } = this;
+    const choice = { from: from.value, to: to.value, percent: Number(mix.value) };
+    if (!this.split.open) return this.viewer.setAppearance(formatAppearance(choice));
+    await this.viewer.setAppearance(formatAppearance({ ...choice, to: "" }));
+    await this.split.show(choice.to);
+  }
+
+  private async showSplit(open: boolean) {
+    await this.split.show(open ? this.to.value : null);
+    element("appearance-split").setAttribute("aria-pressed", String(open));
+    this.showEnds();
+    await this.send();
+  }
+
+  private chooseHere() {
+    const { viewer } = this;
+    const name = nearestPhotograph(this.list, viewer.pose, viewer.heightAboveGround);
+    if (!name) return;
+    this.from.value = name;
+    if (!this.split.open) this.to.value = "";
+    toast(text("appearance.here.done", { name }));
+    this.apply(0);
   }
 
   private tell() {

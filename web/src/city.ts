@@ -4,16 +4,26 @@
 // SPDX-License-Identifier: Apache-2.0
 import { LRUCache } from "3d-tiles-renderer/core";
 import { TilesRenderer } from "3d-tiles-renderer/three";
-import { Box3, Scene, Vector3, WebGLRenderer, type Camera, type PerspectiveCamera } from "three";
+import {
+  Box3,
+  Scene,
+  Vector2,
+  Vector3,
+  WebGLRenderer,
+  type Camera,
+  type PerspectiveCamera,
+} from "three";
 
 import { Backdrop } from "./backdrop";
 import { DecoderPool } from "./decoders";
 import { Gaussians, type Block } from "./gaussians";
 import type { Frame } from "./geo";
 import type { Link } from "./link";
+import type { Network } from "./network";
 import type { Overlay } from "./overlay";
 import type { SceneInfo } from "./source";
 import { CityTiles, type Broken, type CityTile } from "./tiles";
+import { Tint } from "./tint";
 
 export interface CityStats {
   tiles: number; // drawn now
@@ -31,6 +41,7 @@ export class City {
   readonly backdrop = new Backdrop();
   readonly engine: Gaussians;
   over: Overlay | null = null; // lines over the city
+  split: number | null = null; // from this part of the width on, the second appearance
   private readonly lines = new Scene();
   onWake: () => void = () => {};
   onCore: (core: Box3) => void = () => {}; // where most Gaussians of the scene are
@@ -96,9 +107,14 @@ export class City {
     this.onWake();
   }
 
+  canTint(network: Network): boolean {
+    return Tint.fits(network, this.renderer);
+  }
+
   // Another scene, or the same in another light: then what is drawn stays until all of the new one
   // is there.
-  open(info: SceneInfo, frame: Frame, keep: boolean) {
+  // tint: has its appearance already; null where the tiles' colours are final.
+  open(info: SceneInfo, frame: Frame, keep: boolean, tint: Tint | null) {
     const tiles = new CityTiles(
       info.url,
       info.document,
@@ -106,6 +122,7 @@ export class City {
       this.link,
       this.decoders,
       this.engine,
+      tint,
     );
     tiles.errorTarget = this.target;
     tiles.lruCache = this.cache;
@@ -118,18 +135,23 @@ export class City {
     tiles.addEventListener("load-error", ({ tile, error }) => {
       if (!tile) this.onFailure(error as Error);
     });
-    this.next?.dispose();
+    this.retire(this.next);
     this.next = null;
     if (keep && this.active) {
       this.active.frozen = true;
       this.next = tiles;
     } else {
-      this.active?.dispose();
+      this.retire(this.active);
       this.active = tiles;
       this.core.makeEmpty();
     }
     this.fresh = false;
     this.onWake();
+  }
+
+  private retire(tiles: CityTiles | null) {
+    tiles?.dispose();
+    tiles?.tint?.dispose();
   }
 
   // The tileset's box holds every stray Gaussian; most of them make a better frame. Only the
@@ -162,7 +184,7 @@ export class City {
       this.wakeFor(tiles);
     }
     if (this.next?.root && !this.next.loading && this.next.shown.length) {
-      this.active?.dispose();
+      this.retire(this.active);
       this.active = this.next;
       this.next = null;
     }
@@ -171,7 +193,7 @@ export class City {
     const settled = engine.settled;
     engine.update(camera);
     this.backdrop.update(camera);
-    engine.prepare(camera);
+    engine.prepare(camera, this.split !== null);
     this.render();
     this.fresh = settled && engine.settled;
   }
@@ -186,7 +208,8 @@ export class City {
   private render() {
     const { renderer, scene, camera, engine, over } = this;
     renderer.autoClear = true;
-    renderer.render(scene, camera);
+    if (this.split === null) renderer.render(scene, camera);
+    else this.renderSides(this.split);
     if (!over?.group.children.length) return;
     renderer.autoClear = false;
     if (over.needsDepth) {
@@ -196,6 +219,20 @@ export class City {
     }
     renderer.render(this.lines, camera);
     renderer.autoClear = true;
+  }
+
+  private renderSides(share: number) {
+    const { renderer, scene, camera, engine } = this;
+    const { x: width, y: height } = renderer.getSize(new Vector2());
+    const line = Math.round(share * width);
+    renderer.setScissorTest(true);
+    for (const side of [0, 1] as const) {
+      engine.useSide(side);
+      renderer.setScissor(side ? line : 0, 0, side ? width - line : line, height);
+      renderer.render(scene, camera);
+    }
+    renderer.setScissorTest(false);
+    engine.useSide(0);
   }
 
   // Broken tiles are asked for again, and unwanted requests given up, also while nothing moves.
@@ -216,6 +253,11 @@ export class City {
   // Nothing more will come by itself for this view, and the screen shows all that came.
   get settled(): boolean {
     return !this.lost && this.fresh && !this.next && this.active !== null && !this.active.loading;
+  }
+
+  // Something of the scene is on the screen.
+  get shows(): boolean {
+    return !this.lost && this.engine.visibleBlocks.length > 0;
   }
 
   // A new appearance is on its way.
@@ -242,8 +284,8 @@ export class City {
 
   dispose() {
     clearTimeout(this.wakeTimer);
-    this.active?.dispose();
-    this.next?.dispose();
+    this.retire(this.active);
+    this.retire(this.next);
     this.decoders.dispose();
     this.engine.dispose();
     this.backdrop.dispose();

@@ -20,7 +20,7 @@ function firstContent(node: Node, above: Matrix4): { uri: string; transform: Mat
   const transform = above.clone();
   if (node.transform) transform.multiply(new Matrix4().fromArray(node.transform));
   const uri = node.content?.uri;
-  if (uri && /\.glb($|\?)/.test(uri)) return { uri, transform };
+  if (uri && /\.(glb|drc)($|\?)/.test(uri)) return { uri, transform };
   for (const child of node.children ?? []) {
     const found = firstContent(child, transform);
     if (found) return found;

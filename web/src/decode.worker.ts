@@ -1,6 +1,7 @@
 // Worker: bytes of a tile in, texture rows out (transferred, not copied).
 //
 // SPDX-License-Identifier: Apache-2.0
+import { decodeDrc } from "./drc";
 import { spzOfGlb } from "./glb";
 import { decodeSpz, type DecodedSplats } from "./spz";
 
@@ -38,11 +39,17 @@ async function inflate(gzip: Uint8Array): Promise<Uint8Array<ArrayBuffer>> {
   return out;
 }
 
+async function decode(file: Uint8Array, offset: [number, number, number]): Promise<DecodedSplats> {
+  if (file[0] === 0x44) return decodeDrc(file, offset); // "DRACO"
+  return decodeSpz(await inflate(spzOfGlb(file)), offset);
+}
+
 self.onmessage = async (event: MessageEvent<DecodeRequest>) => {
   const { id, file, offset } = event.data;
   try {
-    const splats = decodeSpz(await inflate(spzOfGlb(new Uint8Array(file))), offset);
-    const buffers = [splats.place, splats.shape, ...splats.sh].map((a) => a.buffer);
+    const splats = await decode(new Uint8Array(file), offset);
+    const { place, shape, sh, embedding } = splats;
+    const buffers = [place, shape, ...sh, ...(embedding?.planes ?? [])].map((a) => a.buffer);
     self.postMessage({ id, splats } satisfies DecodeReply, { transfer: buffers });
   } catch (error) {
     const text = error instanceof Error ? error.message : String(error);

@@ -24,6 +24,7 @@ import {
   RGBAIntegerFormat,
   RGIntegerFormat,
   Scene,
+  ShortType,
   UnsignedIntType,
   UnsignedShortType,
   Vector2,
@@ -31,12 +32,20 @@ import {
   WebGLRenderTarget,
   type PerspectiveCamera,
   type PixelFormat,
+  type TextureDataType,
   type WebGLRenderer,
 } from "three";
 
-import { COLOR_FRAGMENT, COLOR_VERTEX, SPLAT_FRAGMENT, SPLAT_VERTEX } from "./shaders";
+import {
+  COLOR_FRAGMENT,
+  COLOR_VERTEX,
+  PLAIN_FRAGMENT,
+  SPLAT_FRAGMENT,
+  SPLAT_VERTEX,
+} from "./shaders";
 import type { SortMessage, SortReply } from "./sort.worker";
 import { ROW, type DecodedSplats } from "./spz";
+import type { Tint } from "./tint";
 
 const ROWS_FIRST = 128;
 const QUADS = 128; // of one instance
@@ -47,13 +56,34 @@ export interface Block {
   readonly splats: DecodedSplats;
   row: number; // the first of its rows; -1 when it is gone
   readonly rows: number;
+  readonly tint: Tint | null; // null: colours are what the tile says
+  tinted: [number, number]; // versions of the tint that the card holds; -1 for none
 }
 
 interface Planes {
   place: DataTexture;
   shape: DataTexture;
   sh: DataTexture[];
+  embed: DataTexture[];
+  sides: Side[]; // the second one while the picture is divided
+}
+// What an appearance looks like from here.
+interface Side {
+  tints: WebGLRenderTarget | null; // beside embeddings
   colors: WebGLRenderTarget;
+  key: string; // what the colours were evaluated for
+}
+
+function makeTarget(type: TextureDataType, internal: string, rows: number): WebGLRenderTarget {
+  const target = new WebGLRenderTarget(ROW, rows, {
+    format: RGBAIntegerFormat,
+    type,
+    minFilter: NearestFilter,
+    magFilter: NearestFilter,
+    depthBuffer: false,
+  });
+  target.texture.internalFormat = internal as "RGBA16UI";
+  return target;
 }
 
 function makeTexture(format: PixelFormat, internal: string, rows: number): DataTexture {
@@ -75,6 +105,7 @@ export class Gaussians {
   private planes: Planes | null = null;
   private rows = 0;
   private shPlanes = 0;
+  private embedPlanes = 0;
   private order: DataTexture | null = null;
   private spare: Uint32Array<ArrayBuffer> | null = null;
   private readonly sorter = new Worker(new URL("./sort.worker.ts", import.meta.url), {
@@ -86,11 +117,12 @@ export class Gaussians {
   private sortedKey = "";
   private wantedKey = "";
   private version = 0; // of the wanted set
-  private colorsKey = "";
   private contentVersion = 0;
   private readonly colorScene = new Scene();
   private readonly colorMesh: Mesh<BufferGeometry, RawShaderMaterial>;
+  private readonly plainMesh: Mesh<BufferGeometry, RawShaderMaterial>; // writes "adds nothing"
   private readonly flat = new OrthographicCamera();
+  private readonly noTints: DataTexture; // a sampler of integers must have some texture of integers
 
   constructor(private readonly renderer: WebGLRenderer) {
     const material = new RawShaderMaterial({
@@ -129,6 +161,8 @@ export class Gaussians {
           sh0: { value: null },
           sh1: { value: null },
           sh2: { value: null },
+          tints: { value: null },
+          tinted: { value: false },
           degree: { value: 0 },
           eye: { value: new Vector3() },
           rowCount: { value: 1 },
@@ -138,18 +172,37 @@ export class Gaussians {
         blending: NoBlending,
       }),
     );
-    this.colorMesh.frustumCulled = false;
+    this.plainMesh = new Mesh(
+      new BufferGeometry(),
+      new RawShaderMaterial({
+        glslVersion: GLSL3,
+        vertexShader: COLOR_VERTEX,
+        fragmentShader: PLAIN_FRAGMENT,
+        uniforms: { rowCount: this.colorMesh.material.uniforms["rowCount"]! },
+        depthTest: false,
+        depthWrite: false,
+        blending: NoBlending,
+      }),
+    );
+    this.noTints = new DataTexture(new Int16Array(4), 1, 1, RGBAIntegerFormat, ShortType);
+    this.noTints.internalFormat = "RGBA16I";
+    this.noTints.needsUpdate = true;
+    this.colorMesh.frustumCulled = this.plainMesh.frustumCulled = false;
     this.colorScene.add(this.colorMesh);
     this.sorter.onmessage = ({ data }: MessageEvent<SortReply>) => this.take(data);
   }
 
   // ---- blocks ----
 
-  add(splats: DecodedSplats): Block {
+  // tint: computes colours from the embeddings of the tile; null where they are what it says.
+  add(splats: DecodedSplats, tint: Tint | null = null): Block {
     const rows = Math.ceil(splats.count / ROW);
-    const block: Block = { id: this.nextId++, splats, row: -1, rows };
-    if (splats.sh.length > this.shPlanes) {
-      this.shPlanes = splats.sh.length;
+    const own = splats.embedding ? tint : null;
+    const block: Block = { id: this.nextId++, splats, row: -1, rows, tint: own, tinted: [-1, -1] };
+    const embed = own ? (splats.embedding?.planes.length ?? 0) : 0;
+    if (splats.sh.length > this.shPlanes || embed > this.embedPlanes) {
+      this.shPlanes = Math.max(this.shPlanes, splats.sh.length);
+      this.embedPlanes = Math.max(this.embedPlanes, embed);
       this.rebuild(this.rows);
     }
     block.row = this.findRows(rows);
@@ -177,9 +230,10 @@ export class Gaussians {
 
   // What a Gaussian takes: on the card, and once more in the page's own memory.
   static bytesOf(splats: DecodedSplats): number {
-    const arrays = [splats.place, splats.shape, ...splats.sh];
+    const embed = splats.embedding?.planes ?? [];
+    const arrays = [splats.place, splats.shape, ...splats.sh, ...embed];
     const texels = arrays.reduce((sum, a) => sum + a.byteLength, 0);
-    return 2 * texels + splats.count * (8 + 12 + 4);
+    return 2 * texels + splats.count * (8 + 12 + 4 + (embed.length ? 8 : 0));
   }
 
   // The order on the screen is the one for this camera and for the wanted blocks.
@@ -224,28 +278,20 @@ export class Gaussians {
     this.rows = rows;
     if (!rows) return;
     this.dropPlanes();
-    const colors = new WebGLRenderTarget(ROW, rows, {
-      format: RGBAIntegerFormat,
-      type: UnsignedShortType,
-      minFilter: NearestFilter,
-      magFilter: NearestFilter,
-      depthBuffer: false,
-    });
-    colors.texture.internalFormat = "RGBA16UI";
+    const planes = (count: number) =>
+      Array.from({ length: count }, () => makeTexture(RGBAIntegerFormat, "RGBA32UI", rows));
     this.planes = {
       place: makeTexture(RGBAIntegerFormat, "RGBA32UI", rows),
       shape: makeTexture(RGIntegerFormat, "RG32UI", rows),
-      sh: Array.from({ length: this.shPlanes }, () =>
-        makeTexture(RGBAIntegerFormat, "RGBA32UI", rows),
-      ),
-      colors,
+      sh: planes(this.shPlanes),
+      embed: planes(this.embedPlanes),
+      sides: [this.makeSide()],
     };
-    const { place, shape, sh } = this.planes;
-    for (const texture of [place, shape, ...sh]) this.renderer.initTexture(texture);
+    const { place, shape, sh, embed } = this.planes;
+    for (const texture of [place, shape, ...sh, ...embed]) this.renderer.initTexture(texture);
     const draw = this.mesh.material.uniforms;
     draw["place"]!.value = place;
     draw["shape"]!.value = shape;
-    draw["colors"]!.value = colors.texture;
     const color = this.colorMesh.material.uniforms;
     color["place"]!.value = place;
     [0, 1, 2].forEach((k) => (color[`sh${k}`]!.value = sh[k] ?? place));
@@ -254,9 +300,20 @@ export class Gaussians {
     for (const block of this.blocks) this.upload(block);
   }
 
+  private makeSide(): Side {
+    const tints = this.embedPlanes ? makeTarget(ShortType, "RGBA16I", this.rows) : null;
+    return { tints, colors: makeTarget(UnsignedShortType, "RGBA16UI", this.rows), key: "" };
+  }
+
+  private dropSide({ tints, colors }: Side) {
+    tints?.dispose();
+    colors.dispose();
+  }
+
   private dropPlanes() {
-    const { place, shape, sh = [], colors } = this.planes ?? {};
-    for (const one of [place, shape, ...sh, colors]) one?.dispose();
+    const { place, shape, sh = [], embed = [], sides = [] } = this.planes ?? {};
+    for (const one of [place, shape, ...sh, ...embed]) one?.dispose();
+    for (const side of sides) this.dropSide(side);
     this.planes = null;
   }
 
@@ -273,6 +330,8 @@ export class Gaussians {
     put(planes.place, block.splats.place);
     put(planes.shape, block.splats.shape);
     block.splats.sh.forEach((data, k) => put(planes.sh[k]!, data));
+    if (block.tint) block.splats.embedding?.planes.forEach((data, k) => put(planes.embed[k]!, data));
+    block.tinted = [-1, -1];
     this.contentVersion++;
   }
 
@@ -346,28 +405,73 @@ export class Gaussians {
 
   // ---- drawing ----
 
-  // Evaluates the colours for this eye and sets what the mesh needs; the caller renders the scene.
-  prepare(camera: PerspectiveCamera) {
-    if (!this.planes || !this.mesh.visible) return;
+  // Evaluates the colours for this eye and sets what the mesh needs; the caller renders the scene,
+  // of a divided picture each side after useSide().
+  prepare(camera: PerspectiveCamera, divided = false) {
+    const { planes } = this;
+    if (!planes || !this.mesh.visible) return;
     const uniforms = this.mesh.material.uniforms;
     this.renderer.getDrawingBufferSize(uniforms["viewport"]!.value as Vector2);
     uniforms["near"]!.value = camera.near;
-    const eye = camera.position;
-    const rows = this.shown.map((block) => block.row).join();
-    const key = `${this.contentVersion} ${rows} ${eye.toArray().join()}`;
-    if (key === this.colorsKey) return;
-    this.colorsKey = key;
-    (this.colorMesh.material.uniforms["eye"]!.value as Vector3).copy(eye);
-    this.colorMesh.geometry.dispose();
-    this.colorMesh.geometry = stripes(this.shown);
+    if (divided && planes.sides.length < 2) {
+      planes.sides.push(this.makeSide());
+      for (const block of this.blocks) block.tinted[1] = -1;
+    }
+    if (!divided && planes.sides.length > 1) this.dropSide(planes.sides.pop()!);
     const { renderer } = this;
     const target = renderer.getRenderTarget();
     const clear = renderer.autoClear;
     renderer.autoClear = false;
-    renderer.setRenderTarget(this.planes.colors);
-    renderer.render(this.colorScene, this.flat);
+    planes.sides.forEach((side, k) => this.evaluate(planes, side, k as 0 | 1, camera.position));
     renderer.setRenderTarget(target);
     renderer.autoClear = clear;
+    this.useSide(0);
+  }
+
+  useSide(k: 0 | 1) {
+    const side = this.planes?.sides[k];
+    if (side) this.mesh.material.uniforms["colors"]!.value = side.colors.texture;
+    this.mesh.material.uniformsNeedUpdate = true;
+  }
+
+  private evaluate(planes: Planes, side: Side, k: 0 | 1, eye: Vector3) {
+    const tinted = this.applyTints(planes, side, k);
+    const rows = this.shown.map((block) => block.row).join();
+    const key = `${this.contentVersion} ${rows} ${eye.toArray().join()}`;
+    if (key === side.key && !tinted) return;
+    side.key = key;
+    const { uniforms } = this.colorMesh.material;
+    (uniforms["eye"]!.value as Vector3).copy(eye);
+    uniforms["tints"]!.value = side.tints?.texture ?? this.noTints;
+    uniforms["tinted"]!.value = side.tints !== null;
+    this.colorMesh.material.uniformsNeedUpdate = true;
+    this.colorMesh.geometry.dispose();
+    this.colorMesh.geometry = stripes(this.shown);
+    this.renderer.setRenderTarget(side.colors);
+    this.renderer.render(this.colorScene, this.flat);
+  }
+
+  // What the appearance adds to the tiles on the screen, where that is not there yet.
+  private applyTints({ embed }: Planes, { tints }: Side, k: 0 | 1): boolean {
+    if (!tints) return false;
+    const versionOf = (block: Block) => block.tint?.versions[k] || block.tint?.versions[0] || 0;
+    const stale = this.shown.filter((block) => block.tinted[k] !== versionOf(block));
+    if (!stale.length) return false;
+    const { renderer } = this;
+    renderer.setRenderTarget(tints);
+    for (const block of stale) {
+      const { tint, row, rows, splats } = block;
+      const side = tint?.versions[k] ? k : 0;
+      if (tint && splats.embedding)
+        tint.draw(renderer, side, embed, splats.embedding, row, rows, this.rows);
+      else {
+        this.plainMesh.geometry.dispose();
+        this.plainMesh.geometry = stripes([block]);
+        renderer.render(this.plainMesh, this.flat);
+      }
+      block.tinted[k] = versionOf(block);
+    }
+    return true;
   }
 
   // Depth alone, or colour alone.
@@ -381,7 +485,6 @@ export class Gaussians {
 
   // Everything on the card is gone.
   restore() {
-    this.colorsKey = "";
     this.rebuild();
     if (this.order) this.order.needsUpdate = true;
   }
@@ -392,8 +495,11 @@ export class Gaussians {
     this.order?.dispose();
     this.mesh.geometry.dispose();
     this.mesh.material.dispose();
-    this.colorMesh.geometry.dispose();
-    this.colorMesh.material.dispose();
+    this.noTints.dispose();
+    for (const mesh of [this.colorMesh, this.plainMesh]) {
+      mesh.geometry.dispose();
+      mesh.material.dispose();
+    }
   }
 }
 

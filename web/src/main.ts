@@ -47,6 +47,7 @@ function main() {
     url: places(query),
     pose: view?.pose ?? null,
     appearance: view?.appearance || (query.get("appearance") ?? query.get("light") ?? ""),
+    colours: query.get("colours") === "server" ? "server" : "here",
     mode: thin ? "pictures" : "auto",
     theme: theme(),
     backdrop: query.get("backdrop") !== "off",

@@ -43,6 +43,7 @@ export function language(): string {
 }
 
 export class Page {
+  private readonly appearance: AppearanceControl;
   private readonly compare: Compare;
   private readonly measure: MeasureTool;
   private addressTimer = 0;
@@ -53,7 +54,7 @@ export class Page {
     private readonly small: boolean,
   ) {
     new Status(viewer);
-    new AppearanceControl(viewer);
+    this.appearance = new AppearanceControl(viewer);
     new Tours(viewer);
     new GeoJsonDrop(viewer);
     this.compare = new Compare(viewer);
@@ -71,6 +72,7 @@ export class Page {
   private translate() {
     document.documentElement.lang = getLanguage();
     translate(document);
+    this.appearance.translate();
     this.applyDetail();
     this.showPlace();
   }
@@ -232,6 +234,7 @@ export class Page {
       Home: () => viewer.home(),
       KeyG: () => this.nextWalk(),
       KeyM: () => this.measure.show(!this.measure.open),
+      KeyP: () => this.appearance.showPhotographs(!this.appearance.photographsOpen),
       KeyV: () => this.compare.show(!this.compare.open),
       KeyL: () => void this.share(),
       Escape: () => this.measure.show(false),

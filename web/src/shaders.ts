@@ -7,6 +7,7 @@ const COMMON = `
 precision highp float;
 precision highp int;
 precision highp usampler2D;
+precision highp isampler2D;
 uvec4 byte4(uint w) { return (uvec4(w) >> uvec4(0u, 8u, 16u, 24u)) & 255u; }
 `;
 
@@ -17,9 +18,11 @@ void main() {
   gl_Position = vec4(position.x * 2.0 - 1.0, position.y / rowCount * 2.0 - 1.0, 0.0, 1.0);
 }`;
 
-// Colour of a Gaussian seen from the eye, 1/8192 a step.
+// Colour of a Gaussian seen from the eye, 1/8192 a step, and its opacity, 1/65535 a step.
 export const COLOR_FRAGMENT = `${COMMON}
 uniform usampler2D place, sh0, sh1, sh2;
+uniform isampler2D tints;
+uniform bool tinted;
 uniform int degree;
 uniform vec3 eye;
 out uvec4 result;
@@ -60,8 +63,54 @@ void main() {
       rgb += basis[k] * (vec3(v) - 128.0) / 128.0;
     }
   }
-  result = uvec4(uvec3(clamp(rgb * 8192.0 + 0.5, 0.0, 65535.0)), 0u);
+  float opacity = float(byte4(p.w).w) / 255.0;
+  if (tinted) {
+    vec4 more = vec4(texelFetch(tints, at, 0)) / 32767.0;
+    rgb += more.xyz;
+    opacity = min(opacity + more.w, 1.0);
+  }
+  result = uvec4(clamp(vec4(rgb * 8192.0, opacity * 65535.0) + 0.5, 0.0, 65535.0));
 }`;
+
+export const TINT_VERTEX = `${COMMON}
+in vec3 position;
+uniform vec2 span; // rows, as parts of the texture's height
+void main() {
+  float y = mix(span.x, span.y, position.y);
+  gl_Position = vec4(position.x * 2.0 - 1.0, y * 2.0 - 1.0, 0.0, 1.0);
+}`;
+
+// What an appearance adds to red, green, blue and opacity, 1/32767 a step: the network of
+// docs/appearance.md without loops: uniforms of a constant number are quicker everywhere.
+export function tintFragment(quads: number, hidden: number): string {
+  const each = (count: number, line: (k: number) => string, between: string) =>
+    Array.from({ length: count }, (_, k) => line(k)).join(between);
+  const planes = Math.ceil(quads / 4);
+  const unit = (h: number) => {
+    const sum = each(quads, (q) => `dot(w1[${quads * h + q}], g${q})`, " + ");
+    return `y += w2[${h}] * max(bias[${h >> 2}][${h & 3}] + unit * (${sum}), 0.0);`;
+  };
+  return `${COMMON}
+uniform usampler2D ${each(planes, (k) => `embed${k}`, ", ")};
+uniform vec4 w1[${hidden * quads}], w2[${hidden}], bias[${Math.ceil(hidden / 4)}], b2;
+uniform vec4 least[${quads}], steps[${quads}];
+out ivec4 result;
+void main() {
+  ivec2 at = ivec2(gl_FragCoord.xy);
+  ${each(planes, (k) => `uvec4 p${k} = texelFetch(embed${k}, at, 0);`, "\n  ")}
+  ${each(quads, (q) => `vec4 g${q} = least[${q}] + steps[${q}] * vec4(byte4(p${q >> 2}[${q & 3}]));`, "\n  ")}
+  float unit = inversesqrt(max(${each(quads, (q) => `dot(g${q}, g${q})`, " + ")}, 1e-24));
+  vec4 y = b2;
+  ${each(hidden, unit, "\n  ")}
+  y = 1.0 / (1.0 + exp(-y));
+  result = ivec4(round(vec4(2.0 * y.xyz - 1.0, y.w) * 32767.0));
+}`;
+}
+
+// No appearance: adds nothing.
+export const PLAIN_FRAGMENT = `${COMMON}
+out ivec4 result;
+void main() { result = ivec4(0); }`;
 
 export const SPLAT_VERTEX = `${COMMON}
 in vec3 position; // corner, number within the instance
@@ -105,8 +154,8 @@ void main() {
   vec3 t = (viewMatrix * vec4(uintBitsToFloat(p.xyz), 1.0)).xyz;
   float depth = -t.z;
   if (depth < near) return;
-  uvec4 own = byte4(p.w);
-  float opacity = float(own.w) / 255.0;
+  uvec4 own = texelFetch(colors, at, 0);
+  float opacity = float(own.w) / 65535.0;
   uvec2 s = texelFetch(shape, at, 0).xy;
   uvec4 bytes = byte4(s.x);
   vec3 sigma = exp(vec3(bytes.xyz) / 16.0 - 10.0);
@@ -149,7 +198,7 @@ void main() {
   float ndc = (projectionMatrix[2][2] * z + projectionMatrix[3][2]) / -z;
 
   offset = corner;
-  color = vec4(vec3(texelFetch(colors, at, 0).xyz) / 8192.0, opacity);
+  color = vec4(vec3(own.xyz) / 8192.0, opacity);
   gl_Position = vec4(clip.xy + px / (0.5 * viewport) * clip.w, clamp(ndc, -1.0, 1.0) * clip.w, clip.w);
 }`;
 

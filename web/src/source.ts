@@ -6,6 +6,7 @@ import { Matrix4, Vector3 } from "three";
 
 import { formatPose, type Pose } from "./geo";
 import { HttpError, type Link } from "./link";
+import { NAME_DEFAULT, Network, type Photograph } from "./network";
 import { Problem } from "./problem";
 
 export interface SceneEntry {
@@ -14,11 +15,13 @@ export interface SceneEntry {
   attribution: string;
   tileset: URL;
   appearances: URL | null; // null where it was trained without
+  network: URL | null; // of its revision: colours can be computed here; null where they cannot
   pictures: URL | null; // the folder of its static views; null on a file server
 }
 
 export interface SceneInfo {
   url: string; // of the tileset, with the appearance
+  network: Network | null; // colours of the tiles are as they were trained; null: as they are shown
   document: unknown; // the tileset itself
   revision: string;
   attribution: string;
@@ -27,10 +30,7 @@ export interface SceneInfo {
   half: Vector3; // half its size along east, north, up
 }
 
-export interface Appearance {
-  name: string;
-  time: string; // of the photograph, ISO 8601; "" when it is not known
-}
+export type Appearance = Photograph;
 
 interface Collection {
   id?: string;
@@ -41,9 +41,14 @@ interface Collection {
 }
 interface TilesetDocument {
   asset?: { tilesetVersion?: string; extras?: { cesium?: { credits?: { html?: string }[] } } };
-  root?: { transform?: number[]; boundingVolume?: { box?: number[] } };
+  root?: Node & { transform?: number[]; boundingVolume?: { box?: number[] } };
+}
+interface Node {
+  content?: { uri?: string };
+  children?: Node[];
 }
 
+const APPEARANCE_NONE = "none";
 const VOLUMES = "http://www.opengis.net/def/rel/ogc/1.0/3d-geovolumes";
 
 // Credits may be HTML; the viewer shows their text.
@@ -55,6 +60,7 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
   const id = String(collection.id);
   const href = (rel: string) => collection.links?.find((link) => link.rel === rel)?.href;
   const appearances = href("appearances");
+  const network = href("appearance-model");
   const revision = collection.splats?.revision;
   const folder = `d/${encodeURIComponent(id)}/`;
   return {
@@ -63,6 +69,7 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
     attribution: plainText(collection.attribution ?? ""),
     tileset: new URL(href(VOLUMES) ?? `${folder}tileset.json`, base),
     appearances: appearances ? new URL(appearances, base) : null,
+    network: network ? new URL(network, base) : null,
     pictures: new URL(revision ? `${folder}r/${revision}/static/` : `${folder}static/`, base),
   };
 }
@@ -71,7 +78,7 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
 function entryOfTileset(tileset: URL): SceneEntry {
   const folder = decodeURIComponent(tileset.pathname.split("/").at(-2) ?? "");
   const id = folder || "city";
-  return { id, title: id, attribution: "", tileset, appearances: null, pictures: null };
+  return { id, title: id, attribution: "", tileset, appearances: null, network: null, pictures: null };
 }
 
 // The scenes at a URL: a server's folder, or a tileset.json.
@@ -107,13 +114,56 @@ function withAppearance(url: URL, appearance: string): URL {
   return out;
 }
 
+// Tiles as they were trained are asked for in the form that carries embeddings.
+function useTrainedTiles(node: Node) {
+  if (node.content?.uri) node.content.uri = node.content.uri.replace(/\.glb(?=\?|$)/, ".drc");
+  node.children?.forEach(useTrainedTiles);
+}
+
+// The network of this revision: fetched together with the tileset, and once more where the catalogue
+// was older than that.
+async function fetchNetwork(
+  link: Link,
+  url: URL,
+  tileset: Promise<TilesetDocument>,
+): Promise<Network> {
+  const early = link.json(url).catch(() => null);
+  const revision = (await tileset).asset?.tilesetVersion ?? "";
+  const own = new URL(url);
+  own.pathname = url.pathname.replace(/\/r\/\w+\//, `/r/${revision}/`);
+  const document = own.href === url.href ? await early : null;
+  return new Network(document ?? (await link.json(own)), new URL("appearances.json", own), link);
+}
+
+// compute: colours are to be computed here, if the server lets us.
 export async function openScene(
   link: Link,
   entry: SceneEntry,
   appearance: string,
+  compute: ((network: Network) => boolean) | null,
 ): Promise<SceneInfo> {
+  if (compute && entry.network) {
+    const url = withAppearance(entry.tileset, APPEARANCE_NONE);
+    const tileset = link.json(url) as Promise<TilesetDocument>;
+    const [document, network] = await Promise.all([
+      tileset,
+      fetchNetwork(link, entry.network, tileset),
+    ]);
+    if (compute(network)) {
+      if (document.root) useTrainedTiles(document.root);
+      return describe(entry, url, document, network);
+    }
+  }
   const url = withAppearance(entry.tileset, appearance);
-  const document = (await link.json(url)) as TilesetDocument;
+  return describe(entry, url, (await link.json(url)) as TilesetDocument, null);
+}
+
+function describe(
+  entry: SceneEntry,
+  url: URL,
+  document: TilesetDocument,
+  network: Network | null,
+): SceneInfo {
   const { transform, boundingVolume } = document.root ?? {};
   const box = boundingVolume?.box;
   if (transform?.length !== 16 || box?.length !== 12)
@@ -123,6 +173,7 @@ export async function openScene(
   const credits = document.asset?.extras?.cesium?.credits ?? [];
   return {
     url: url.href,
+    network,
     document,
     revision: document.asset?.tilesetVersion ?? "",
     attribution: entry.attribution || credits.map((c) => plainText(c.html ?? "")).join(" · "),
@@ -133,14 +184,16 @@ export async function openScene(
 }
 
 // Every appearance of a scene. The time is that of the photograph, where the server tells it.
-export async function listAppearances(link: Link, entry: SceneEntry): Promise<Appearance[]> {
+export async function listAppearances(
+  link: Link,
+  entry: SceneEntry,
+  network: Network | null,
+): Promise<Appearance[]> {
+  const standard = { name: NAME_DEFAULT, time: "", thumbnail: "", place: null };
+  if (network) return [standard, ...(await network.list())];
   if (!entry.appearances) return [];
-  type One = { name?: string; time?: string };
-  const body = (await link.json(entry.appearances)) as { appearances?: One[] };
-  return (body.appearances ?? []).map((one) => ({
-    name: String(one.name),
-    time: String(one.time ?? ""),
-  }));
+  const body = (await link.json(entry.appearances)) as { appearances?: { name?: string }[] };
+  return (body.appearances ?? []).map((one) => ({ ...standard, name: String(one.name) }));
 }
 
 export function pictureUrl(

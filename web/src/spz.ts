@@ -8,9 +8,17 @@
 const MAGIC = 0x5053474e; // "NGSP"
 const HEADER_BYTES = 16;
 const FLAG_ANTIALIASED = 1;
-const MAX_GAUSSIANS = 1 << 22;
+export const MAX_GAUSSIANS = 1 << 22;
 
 export const ROW = 1024; // Gaussians in a row of the textures
+
+// What the appearance network reads: number d of a Gaussian is least[d] + step[d] * its byte.
+export interface Embedding {
+  length: number;
+  least: Float32Array<ArrayBuffer>;
+  step: Float32Array<ArrayBuffer>;
+  planes: Uint32Array<ArrayBuffer>[]; // 16 bytes a texel
+}
 
 export interface DecodedSplats {
   count: number;
@@ -19,12 +27,13 @@ export interface DecodedSplats {
   place: Uint32Array<ArrayBuffer>; // x, y, z as float32 bits | r, g, b, opacity as bytes
   shape: Uint32Array<ArrayBuffer>; // three bytes of ln sigma, flags | rotation, smallest three
   sh: Uint32Array<ArrayBuffer>[]; // bytes [coefficient][r g b], 16 a texel; 0, 1, 2 or 3 arrays
+  embedding: Embedding | null; // of tiles whose colours are as they were trained
   // 5th and 95th percentile of the centres along x, y, z: the scene without its strays
   core: { min: [number, number, number]; max: [number, number, number] };
 }
 
 // Trained Gaussians are many where the photographs saw much, and few and large around it.
-function findCore(place: Uint32Array<ArrayBuffer>, count: number): DecodedSplats["core"] {
+export function findCore(place: Uint32Array<ArrayBuffer>, count: number): DecodedSplats["core"] {
   const centres = new Float32Array(place.buffer);
   const step = Math.max(1, Math.floor(count / 20000));
   const along = (axis: number): [number, number] => {
@@ -95,5 +104,7 @@ export function decodeSpz(
     }
     return out;
   });
-  return { count, shDegree, antialiased: flags !== 0, place, shape, sh, core: findCore(place, count) };
+  const antialiased = flags !== 0;
+  const core = findCore(place, count);
+  return { count, shDegree, antialiased, place, shape, sh, embedding: null, core };
 }

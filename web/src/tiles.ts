@@ -14,6 +14,7 @@ import { Matrix4, Vector3 } from "three";
 import type { DecoderPool } from "./decoders";
 import { Gaussians, type Block } from "./gaussians";
 import type { Link } from "./link";
+import type { Tint } from "./tint";
 
 // States of a tile, as 3d-tiles-renderer numbers them.
 const UNLOADED = 0;
@@ -63,7 +64,7 @@ const BaseTiles = TilesRenderer as unknown as new (url: string) => Omit<TilesRen
   Base;
 
 function nameOf(tile: CityTile): string {
-  return /(\d+\/\d+\/\d+)\.\w+$/.exec(tile.content?.uri ?? "")?.[1] ?? tile.content?.uri ?? "?";
+  return /(\d+\/\d+\/\d+)\.\w+(\?|$)/.exec(tile.content?.uri ?? "")?.[1] ?? tile.content?.uri ?? "?";
 }
 
 export class CityTiles extends BaseTiles {
@@ -84,6 +85,7 @@ export class CityTiles extends BaseTiles {
     private readonly link: Link,
     private readonly decoders: DecoderPool,
     private readonly engine: Gaussians,
+    readonly tint: Tint | null, // computes the colours of the tiles
   ) {
     super(url);
     this.document = document;
@@ -203,7 +205,7 @@ export class CityTiles extends BaseTiles {
     const offset = new Vector3().setFromMatrixPosition(toWorld).toArray();
     const splats = await this.decoders.decode(buffer, offset, signal);
     if (signal.aborted) return;
-    const block = this.engine.add(splats);
+    const block = this.engine.add(splats, this.tint);
     this.blocks.set(tile, block);
     this.broken.delete(tile);
     this.bytes += size;

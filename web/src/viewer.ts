@@ -23,6 +23,8 @@ import {
 } from "./source";
 import { Stage, type Walk } from "./stage";
 import { decodeOnce } from "./core";
+import type { Network } from "./network";
+import { Tint } from "./tint";
 
 export type { Appearance, CityStats, LinkState, Place, Pose, SceneEntry, Walk };
 
@@ -35,6 +37,7 @@ export interface ViewerOptions {
   pose?: Pose | null; // default: the whole scene
   appearance?: string; // default: ""
   mode?: Mode | "auto"; // auto: splats where there is WebGL 2
+  colours?: "here" | "server"; // who computes those of an appearance; default: here, where that can be
   memoryMb?: number; // for tiles, on the card and in the page together
   detail?: number; // px that a typical Gaussian may have on the screen; default 1
   backdrop?: boolean; // sky and ground; default true
@@ -83,6 +86,7 @@ const MEMORY_MB = SMALL_DEVICE ? 384 : 1536;
 const PIXEL_RATIO_MAX = SMALL_DEVICE ? 1.5 : 2;
 const PX_PER_SIGMA = 16; // a tile's geometric error is 16 times its typical Gaussian
 const AWAKE_MS = 200; // keep drawing this long after the last event
+const MIXING_MS = 150;
 const SLOW_FPS = 10;
 const SLOW_FRAMES = 8;
 const BRISK_MS = 60; // a frame of a moving camera that takes longer is drawn with fewer pixels
@@ -126,6 +130,9 @@ export class Viewer {
   private wantedAppearance: string;
   private shownAppearance = "";
   private error: Error | null = null;
+  private tint: Tint | null = null; // computes the colours; null where the server does
+  private tinted = ""; // the appearance that it has
+  private mixingUntil = 0; // the appearance is being changed: quick frames before sharp ones
   private touched = false;
   private homeless = true; // the scene's extent is not known yet
   private opening = 0;
@@ -286,15 +293,74 @@ export class Viewer {
     await this.open(entry, pose, false);
   }
 
-  // The picture stays as it is until the new one is complete.
+  // The picture stays as it is until the new one is complete. Where the colours are computed here
+  // that is the next frame, and no tile is asked for.
   async setAppearance(appearance: string): Promise<void> {
     if (appearance === this.wantedAppearance || !this.scene) return;
     this.wantedAppearance = appearance;
-    await this.open(this.scene, null, true);
+    const { tint } = this;
+    if (!tint) return this.open(this.scene, null, true);
+    const ticket = ++this.opening;
+    this.clearProblem();
+    try {
+      const image = await tint.network.find(appearance);
+      if (ticket !== this.opening || this.closed) return;
+      this.showTint(tint, image, appearance);
+    } catch (error) {
+      this.refuseAppearance(error, ticket);
+    }
   }
 
+  private showTint(tint: Tint, image: Float32Array, appearance: string) {
+    tint.set(image);
+    this.tinted = appearance;
+    this.mixingUntil = performance.now() + MIXING_MS;
+    this.wake();
+  }
+
+  private refuseAppearance(error: unknown, ticket: number) {
+    if (ticket !== this.opening || this.closed) return;
+    this.wantedAppearance = this.shownAppearance;
+    this.fail(error);
+  }
+
+  // Photographs are listed with time, pose and thumbnail where the server knows them.
   appearances(entry = this.scene): Promise<Appearance[]> {
-    return entry ? listAppearances(this.link, entry) : Promise.resolve([]);
+    if (!entry) return Promise.resolve([]);
+    const network = entry === this.scene ? (this.info?.network ?? null) : null;
+    return listAppearances(this.link, entry, network);
+  }
+
+  // Another appearance right of a part of the width; null: one alone. Needs colours that are computed
+  // here.
+  async setSecondAppearance(appearance: string | null, share = 0.5): Promise<void> {
+    const { tint } = this;
+    if (!tint) return;
+    const image = appearance === null ? null : await tint.network.find(appearance);
+    if (tint !== this.tint || this.closed) return;
+    tint.setSecond(image);
+    this.splitAt(image ? share : null);
+  }
+
+  // The line between the two, as a part of the width; null: none.
+  splitAt(share: number | null) {
+    if (this.city) this.city.split = this.tint?.hasSecond ? share : null;
+    this.mixingUntil = performance.now() + MIXING_MS;
+    this.wake();
+  }
+
+  // Something of the scene is on the screen.
+  get hasPicture(): boolean {
+    return this.currentMode === "pictures" ? this.pictures.drawn > 0 : (this.city?.shows ?? false);
+  }
+
+  get heightAboveGround(): number {
+    return this.stage.camera.position.y - this.stage.extent.min.y;
+  }
+
+  // Whether an appearance is a matter of this browser alone.
+  get computesColours(): boolean {
+    return this.tint !== null;
   }
 
   private async start() {
@@ -317,16 +383,18 @@ export class Viewer {
     this.clearProblem();
     this.wake();
     let info: SceneInfo;
+    let tint: Tint | null;
     try {
-      info = await openScene(this.link, entry, this.wantedAppearance);
+      info = await this.describe(entry);
+      tint = await this.makeTint(info);
     } catch (error) {
-      if (ticket === this.opening && !this.closed) {
-        if (keep) this.wantedAppearance = this.shownAppearance;
-        this.fail(error);
-      }
+      if (keep) this.refuseAppearance(error, ticket);
+      else if (ticket === this.opening) this.fail(error);
       return;
     }
     if (ticket !== this.opening || this.closed) return;
+    this.tint = tint;
+    if (this.city) this.city.split = null;
     const sameScene = this.scene === entry;
     this.scene = entry;
     this.info = info;
@@ -342,10 +410,26 @@ export class Viewer {
       this.overlay.reset();
       this.pictures.retry();
     }
-    this.city?.open(info, this.stage.frame, keep);
+    this.city?.open(info, this.stage.frame, keep, tint);
     if (!this.city) void this.findCore(info, ticket);
     this.emit("scene", entry);
     this.wake();
+  }
+
+  private describe(entry: SceneEntry): Promise<SceneInfo> {
+    const { city } = this;
+    const here = city && this.options.colours !== "server";
+    const compute = here ? (network: Network) => city.canTint(network) : null;
+    return openScene(this.link, entry, this.wantedAppearance, compute);
+  }
+
+  private async makeTint(info: SceneInfo): Promise<Tint | null> {
+    if (!info.network) return null;
+    const appearance = this.wantedAppearance;
+    const tint = new Tint(info.network);
+    tint.set(await info.network.find(appearance));
+    this.tinted = appearance;
+    return tint;
   }
 
   // The server was away. Where it came back with another revision, the tiles of the old one are
@@ -356,13 +440,15 @@ export class Viewer {
     const { scene, info } = this;
     if (!scene || !info) return;
     try {
-      const fresh = await openScene(this.link, scene, this.wantedAppearance);
+      const fresh = await this.describe(scene);
       if (this.scene !== scene || fresh.revision === info.revision || this.closed) return;
+      const tint = await this.makeTint(fresh);
       const all = await findScenes(this.link, new URL("./", scene.tileset)).catch(() => null);
       const entry = all?.find((one) => one.id === scene.id);
       if (entry) this.scene = entry;
       this.info = fresh;
-      this.city?.open(fresh, this.stage.frame, true);
+      this.tint = tint;
+      this.city?.open(fresh, this.stage.frame, true, tint);
     } catch {
       // it is gone again, and the link says so
     }
@@ -510,9 +596,9 @@ export class Viewer {
     city.backdrop.setTheme(this.theme);
     city.setOverlay(this.overlay);
     this.resize();
-    if (this.info) {
+    if (this.info && this.scene) {
       city.backdrop.setExtent(this.stage.extent);
-      city.open(this.info, this.stage.frame, false);
+      void this.open(this.scene, null, false);
     }
     return true;
   }
@@ -562,15 +648,17 @@ export class Viewer {
   private drawCity(now: number, moved: boolean, wanted: boolean) {
     const { city } = this;
     if (!city) return;
-    const draw = wanted || moved || (!city.settled && this.info !== null);
+    const mixing = now < this.mixingUntil;
+    const draw = wanted || moved || mixing || (!city.settled && this.info !== null);
     if (draw) {
-      this.sharpen(moved ? this.sharpness : 1);
+      this.sharpen(moved || mixing ? this.sharpness : 1);
+      if (mixing) this.stale = true; // and once more, with all pixels
       city.draw();
       this.overlay.update();
       if (!city.changing) this.tellAppearance();
       this.emit("frame", null);
     }
-    this.measure(now, draw, moved);
+    this.measure(now, draw, moved || mixing);
   }
 
   // How many of the pixels are drawn, a side.
@@ -581,8 +669,9 @@ export class Viewer {
   }
 
   private tellAppearance() {
-    if (this.shownAppearance === this.wantedAppearance || !this.city?.settled) return;
-    this.shownAppearance = this.wantedAppearance;
+    const now = this.tint ? this.tinted : this.wantedAppearance;
+    if (this.shownAppearance === now || !(this.tint ? this.city?.shows : this.city?.settled)) return;
+    this.shownAppearance = now;
     this.emit("appearance", this.shownAppearance);
   }
 

@@ -90,6 +90,7 @@ export function decodeDrc(draco, file) {
         const shDegree = querier.GetIntEntry(metadata, "sh_degree");
         const read = (name) => readAttribute(draco, cloud, decoder, querier, name);
         const position = read("position");
+        const embedding = read("embedding");
         return {
             format: querier.GetStringEntry(metadata, "format"),
             count,
@@ -105,6 +106,7 @@ export function decodeDrc(draco, file) {
             scale: bytes(read("scale")),
             rotation: rotations(read("rotation"), read("rotation_index"), count),
             sh: harmonics(read, shDegree, count),
+            embedding: embedding ? bytes(embedding) : null,
         };
     } finally {
         [cloud, buffer, querier, decoder].forEach((object) => draco.destroy(object));

@@ -43,8 +43,8 @@ export function importCity(dir) {
 }
 
 // Starts `citysplat serve` on a free port; resolves with its address and a function that ends it.
-function serve(tiles) {
-    const args = ["serve", tiles, "--port", "0", "--web-dir", WEB_DIST];
+function serve(...tiles) {
+    const args = ["serve", ...tiles, "--port", "0", "--web-dir", WEB_DIST];
     const child = spawn(BIN, args, { stdio: ["ignore", "pipe", "pipe"] });
     let said = "";
     const close = () =>
@@ -95,7 +95,8 @@ function run(args) {
         throw new Error(`citysplat ${args.join(" ")}\n${done.stdout}${done.stderr}`);
 }
 
-// A small city under changing light, trained with appearance in a few seconds and served.
+// A small city under changing light, trained with appearance in a few seconds and served, beside the
+// test city, which has none (`plain` is its name).
 export async function openLitCity() {
     const dir = mkdtempSync(join(tmpdir(), "citysplat-lit-"));
     const at = (name) => join(dir, name);
@@ -118,8 +119,8 @@ export async function openLitCity() {
             ...options("--appearance --appearance-warmup 50"),
         ]);
         run(["tile", at("scene"), "--trained", at("trained"), "-o", at("lit.tiles"), "-q"]);
-        const server = await serve(at("lit.tiles"));
-        return { ...server, close: () => server.close().finally(clean) };
+        const server = await serve(at("lit.tiles"), importCity(dir));
+        return { ...server, plain: "fcity", close: () => server.close().finally(clean) };
     } catch (error) {
         clean();
         throw error;

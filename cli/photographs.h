@@ -1,0 +1,26 @@
+/* The photographs of a scene as blobs of a store: times, poses and thumbnails.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef CLI_PHOTOGRAPHS_H
+#define CLI_PHOTOGRAPHS_H
+
+#include "codec/scene.h"
+#include "lod/store.h"
+
+struct appearance;
+
+struct photographs { /* {0} is empty; photographs_free */
+    struct store_blob *blobs;
+    size_t n_blobs;
+    struct photographs_one *all;
+    size_t n;
+    size_t thumbnail_bytes; /* of all of them */
+};
+/* Those of the scene's photographs that an appearance model knows. One whose file cannot be read has
+ * no thumbnail, with a warning. s outlives out. Parallel. ERR_LIMIT, ERR_MEM, ERR_DATA. */
+enum err_code photographs_of(const struct scene *s, const struct appearance *a, bool thumbnails,
+                             struct photographs *out, struct err *e) ERR_USE;
+void photographs_free(struct photographs *p);
+
+#endif
