@@ -61,7 +61,8 @@ scene_ingest_city() { # FOLDER synth options
   local folder=$1
   shift
   citysplat synth -o "$folder-photos" --overwrite -q "$@"
-  citysplat ingest "$folder-photos/images" "$folder-photos/sparse" --min-points 24 -o "$folder" -q
+  # Exposures are left to the network, as when the recorded rows were measured.
+  citysplat ingest "$folder-photos/images" "$folder-photos/sparse" --min-points 24 --no-exposure -o "$folder" -q
 }
 
 scene_build() { # NAME FOLDER

@@ -96,7 +96,8 @@ function run(args) {
 }
 
 // A small city under changing light, trained with appearance in a few seconds and served, beside the
-// test city, which has none (`plain` is its name).
+// test city. Exposures are left to the network (--no-exposure): appearances then differ strongly.
+// The test city, which has none (`plain` is its name).
 export async function openLitCity() {
     const dir = mkdtempSync(join(tmpdir(), "citysplat-lit-"));
     const at = (name) => join(dir, name);
@@ -110,7 +111,7 @@ export async function openLitCity() {
         ]);
         run([
             ...["ingest", at("photos/images"), at("photos/sparse")],
-            ...options("--min-points 8 -q -o"),
+            ...options("--min-points 8 --no-exposure -q -o"),
             at("scene"),
         ]);
         run([
