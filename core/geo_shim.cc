@@ -6,11 +6,11 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "core/geo.h"
+#include "core/shim.h"
 
 #include <GeographicLib/Geocentric.hpp>
 #include <GeographicLib/LocalCartesian.hpp>
 #include <cmath>
-#include <exception>
 #include <vector>
 
 namespace
@@ -27,11 +27,6 @@ enum err_code check_place(double lon_deg, double lat_deg, double h_m, struct err
     return ERR_OK;
 }
 
-enum err_code caught(struct err *e, const char *what)
-{
-    return err_set(e, ERR_INTERNAL, "geo: GeographicLib: %s", what);
-}
-
 } // namespace
 
 extern "C" enum err_code geo_to_enu(const struct geo_origin *o, double lon_deg, double lat_deg,
@@ -45,11 +40,8 @@ try {
     GeographicLib::LocalCartesian frame(o->lat_deg, o->lon_deg, o->h_m);
     frame.Forward(lat_deg, lon_deg, h_m, enu_m[0], enu_m[1], enu_m[2]);
     return ERR_OK;
-} catch (const std::exception &x) {
-    return caught(e, x.what());
-} catch (...) {
-    return caught(e, "unknown exception");
 }
+SHIM_CATCH("geo: GeographicLib", ERR_INTERNAL)
 
 extern "C" enum err_code geo_from_enu(const struct geo_origin *o, const double enu_m[3],
                                       double *lon_deg, double *lat_deg, double *h_m, struct err *e)
@@ -62,11 +54,8 @@ try {
     GeographicLib::LocalCartesian frame(o->lat_deg, o->lon_deg, o->h_m);
     frame.Reverse(enu_m[0], enu_m[1], enu_m[2], *lat_deg, *lon_deg, *h_m);
     return ERR_OK;
-} catch (const std::exception &x) {
-    return caught(e, x.what());
-} catch (...) {
-    return caught(e, "unknown exception");
 }
+SHIM_CATCH("geo: GeographicLib", ERR_INTERNAL)
 
 extern "C" enum err_code geo_enu_to_ecef(const struct geo_origin *o, double m[16], struct err *e)
 try {
@@ -86,11 +75,8 @@ try {
     m[14] = z;
     m[15] = 1;
     return ERR_OK;
-} catch (const std::exception &x) {
-    return caught(e, x.what());
-} catch (...) {
-    return caught(e, "unknown exception");
 }
+SHIM_CATCH("geo: GeographicLib", ERR_INTERNAL)
 
 extern "C" enum err_code geo_local_axes(const struct geo_origin *o, double lon_deg, double lat_deg,
                                         double rot[9], struct err *e)
@@ -107,8 +93,5 @@ try {
     for (int i = 0; i < 9; i++)
         rot[i] = axes[i];
     return ERR_OK;
-} catch (const std::exception &x) {
-    return caught(e, x.what());
-} catch (...) {
-    return caught(e, "unknown exception");
 }
+SHIM_CATCH("geo: GeographicLib", ERR_INTERNAL)
