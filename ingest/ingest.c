@@ -413,7 +413,8 @@ static enum err_code ingest_write_scene(struct ingest *g, double start_s, struct
                               .n_kept = g->scene.n_images,
                               .scene = &g->scene,
                               .points = g->points,
-                              .georef = g->fitted ? &g->georef : NULL};
+                              .georef = g->fitted ? &g->georef : NULL,
+                              .gcp = g->gcps ? &g->gcp : NULL};
     for (size_t i = 0; i < g->scene.n_images; i++)
         *(g->scene.images[i].split == SCENE_TEST ? &r.n_test : &r.n_train) += 1;
     for (size_t i = 0; i < g->n; i++)
@@ -472,7 +473,15 @@ static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, 
 enum err_code ingest_run(const char *images_dir, const char *sparse_dir,
                          const struct ingest_config *cfg, struct err *e)
 {
-    struct ingest g = {.cfg = cfg, .images_dir = images_dir, .progress_busy = ATOMIC_FLAG_INIT};
+    return ingest_run_gcp(images_dir, sparse_dir, cfg, NULL, e);
+}
+
+enum err_code ingest_run_gcp(const char *images_dir, const char *sparse_dir,
+                             const struct ingest_config *cfg, const struct gcp_list *gcps,
+                             struct err *e)
+{
+    struct ingest g = {
+        .cfg = cfg, .images_dir = images_dir, .gcps = gcps, .progress_busy = ATOMIC_FLAG_INIT};
     struct geo_origin ignored;
     double start_s = clock_s();
     if (!cfg->output)
@@ -488,6 +497,7 @@ enum err_code ingest_run(const char *images_dir, const char *sparse_dir,
         rc = ingest_run_steps(&g, sparse_dir, start_s, e);
     outdir_abort(&g.dir);
     georef_free(&g.georef);
+    gcp_fit_free(&g.gcp);
     colmap_free(&g.model);
     scene_free(&g.scene);
     return rc;

@@ -10,6 +10,8 @@
 
 #include "core/options.h"
 
+struct gcp_list;
+
 struct ingest_config {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "ingest/ingest.def"
@@ -22,5 +24,10 @@ const struct options_spec *ingest_options(void);
  * ERR_FORMAT, ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_MEM, ERR_CANCEL. */
 enum err_code ingest_run(const char *images_dir, const char *sparse_dir,
                          const struct ingest_config *cfg, struct err *e) ERR_USE;
+/* The same with the frame fitted to ground control points, in longitude, latitude and height. gcps
+ * NULL: ingest_run. Errors of gcp_fit_make as well. */
+enum err_code ingest_run_gcp(const char *images_dir, const char *sparse_dir,
+                             const struct ingest_config *cfg, const struct gcp_list *gcps,
+                             struct err *e) ERR_USE;
 
 #endif

@@ -296,6 +296,89 @@ static enum err_code frame_by_hand(struct ingest *g, size_t n_gps, size_t n_kept
     return rc;
 }
 
+/* Which way is up in COLMAP's frame: the ground's normal, on the side of the cameras. */
+static enum err_code frame_up(const struct ingest *g, double out[3], struct err *e)
+{
+    const struct colmap_model *m = &g->model;
+    double above = 0;
+    size_t n = 0;
+    enum err_code rc = frame_ground_normal(g, out, e);
+    for (size_t i = 0; !rc && i < m->n_points; i++) {
+        const double *x = m->points[i].xyz, *c = g->photos[i % g->n].geo.center;
+        if (!frame_point_is_reliable(&m->points[i]))
+            continue;
+        above += out[0] * (c[0] - x[0]) + out[1] * (c[1] - x[1]) + out[2] * (c[2] - x[2]);
+        n++;
+    }
+    for (size_t k = 0; !rc && n && above < 0 && k < 3; k++)
+        out[k] = -out[k];
+    return rc;
+}
+
+/* Origin: --origin, or below the middle of the cameras, at the median point's height. */
+static enum err_code frame_gcp_origin(struct ingest *g, const struct sim3 *sim, struct err *e)
+{
+    struct geo_origin *origin = &g->scene.origin;
+    double lo[2] = {HUGE_VAL, HUGE_VAL}, hi[2] = {-HUGE_VAL, -HUGE_VAL}, mid[3], h;
+    if (g->cfg->origin)
+        return ingest_frame_parse(g->cfg->origin, origin, e);
+    for (size_t i = 0; i < g->n; i++) {
+        double at[3];
+        if (g->photos[i].verdict != INGEST_KEPT)
+            continue;
+        sim3_apply(sim, g->photos[i].geo.center, at);
+        for (size_t k = 0; k < 2; k++) {
+            lo[k] = fmin(lo[k], at[k]);
+            hi[k] = fmax(hi[k], at[k]);
+        }
+    }
+    double *scratch =
+        mem_array(g->model.n_points < HEIGHT_SAMPLES ? g->model.n_points : 2 * HEIGHT_SAMPLES,
+                  sizeof *scratch);
+    if (!scratch)
+        return frame_no_memory(e);
+    mid[0] = 0.5 * (lo[0] + hi[0]);
+    mid[1] = 0.5 * (lo[1] + hi[1]);
+    mid[2] = frame_median_height(g, sim, scratch);
+    mem_free(scratch);
+    enum err_code rc = geo_from_enu(&g->gcp.frame, mid, &origin->lon_deg, &origin->lat_deg, &h, e);
+    origin->lon_deg = round(origin->lon_deg * 1e7) / 1e7;
+    origin->lat_deg = round(origin->lat_deg * 1e7) / 1e7;
+    origin->h_m = round(h * 100) / 100;
+    return rc;
+}
+
+static enum err_code frame_from_gcp(struct ingest *g, struct sim3 *sim, struct err *e)
+{
+    double up[3] = {0};
+    size_t n = 0;
+    struct gcp_view *views = mem_array(g->n, sizeof *views);
+    enum err_code rc = views ? frame_up(g, up, e) : frame_no_memory(e);
+    for (size_t i = 0; !rc && i < g->n; i++) {
+        const struct ingest_photo *p = &g->photos[i];
+        if (p->verdict != INGEST_KEPT)
+            continue;
+        views[n].image = p->image;
+        views[n].lens = &g->model.cameras[p->image->camera].lens;
+        memcpy(views[n].center, p->geo.center, sizeof views[n].center);
+        memcpy(views[n++].rot, p->geo.rot, sizeof views[0].rot);
+    }
+    if (!rc)
+        rc = gcp_fit_make(g->gcps, &g->model, views, n, g->cfg->gcp_scale, g->cfg->geoid_offset_m,
+                          up, &g->gcp, e);
+    mem_free(views);
+    if (rc)
+        return rc;
+    *sim = g->gcp.sim;
+    rc = frame_gcp_origin(g, sim, e);
+    if (!rc)
+        rc = frame_move_frame(sim, &g->gcp.frame, &g->scene.origin, e);
+    if (!rc)
+        rc = frame_gps_to_enu(g, &g->scene.origin, e);
+    g->scene.vertical_offset_m = -g->cfg->geoid_offset_m;
+    return rc;
+}
+
 enum err_code ingest_frame_find(struct ingest *g, struct err *e)
 {
     struct sim3 sim = {0};
@@ -306,8 +389,9 @@ enum err_code ingest_frame_find(struct ingest *g, struct err *e)
             n_gps += frame_gps_usable(&g->photos[i].gps);
         }
     bool enough = n_gps >= 3 && (double)n_gps >= g->cfg->min_gps_share * (double)n_kept;
-    enum err_code rc =
-        enough ? frame_from_gps(g, &sim, e) : frame_by_hand(g, n_gps, n_kept, &sim, e);
+    enum err_code rc = g->gcps  ? frame_from_gcp(g, &sim, e)
+                       : enough ? frame_from_gps(g, &sim, e)
+                                : frame_by_hand(g, n_gps, n_kept, &sim, e);
     g->scene.scale = sim.scale;
     memcpy(g->scene.rot, sim.rot, sizeof sim.rot);
     memcpy(g->scene.trans, sim.trans, sizeof sim.trans);

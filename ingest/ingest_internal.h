@@ -11,6 +11,7 @@
 #include "codec/image.h"
 #include "codec/scene.h"
 #include "core/outdir.h"
+#include "ingest/gcp_fit.h"
 #include "ingest/georef.h"
 #include "ingest/ingest_photo.h"
 
@@ -45,6 +46,7 @@ struct ingest_result { /* what ingest_report.c tells */
     const struct scene *scene;
     const size_t *points;               /* [INGEST_POINT_VERDICTS] sparse points by verdict */
     const struct georef_result *georef; /* NULL when there was too little GPS */
+    const struct gcp_fit *gcp;          /* NULL: the frame is not from ground control points */
     double seconds;
 };
 
@@ -61,6 +63,8 @@ struct ingest {
     uint32_t *kept;
     struct georef_result georef;
     bool fitted;
+    const struct gcp_list *gcps; /* NULL: none */
+    struct gcp_fit gcp;
     struct scene scene;
     struct progress progress;
     atomic_flag progress_busy; /* whoever holds it may touch `progress` */

@@ -9,6 +9,7 @@
 #include "codec/colmap.h"
 #include "codec/scene.h"
 #include "core/sort.h"
+#include "ingest/gcp_fit.h"
 #include "ingest/ingest.h"
 #include "ingest/ingest_internal.h"
 
@@ -60,12 +61,46 @@ static size_t report_residual_quantiles(const struct ingest_result *r, double q[
     return n;
 }
 
+static void report_print_gcp(const struct ingest_result *r)
+{
+    const struct gcp_fit *f = r->gcp;
+    printf("frame    scale %.6g m per COLMAP unit, by %zu ground control points%s\n",
+           r->scene->scale, f->n_control,
+           f->level_by_points ? " on a line; level by the sparse points" : "");
+    printf("GCP      control: RMSE %.3f m in plan, %.3f m in height\n", f->control_plan_m,
+           f->control_height_m);
+    if (f->n_check)
+        printf("         check:   RMSE %.3f m in plan, %.3f m in height, %zu points\n",
+               f->check_plan_m, f->check_height_m, f->n_check);
+    else
+        printf("         no check points: nothing tells how far off other places are; keep some "
+               "out by --check\n");
+    for (size_t i = 0; i < f->list->n && i < NAMES_SHOWN; i++) {
+        const struct gcp_place *p = &f->places[i];
+        if (!p->n_photos)
+            printf("         %s: in no photograph that was kept\n", f->list->gcps[i].name);
+        else
+            printf("         %s: %+.3f m east, %+.3f north, %+.3f up; %zu photograph%s%s%s\n",
+                   f->list->gcps[i].name, p->residual_m[0], p->residual_m[1], p->residual_m[2],
+                   p->n_photos, p->n_photos > 1 ? "s" : "",
+                   p->by_points ? ", height by sparse points" : "",
+                   f->list->gcps[i].check ? ", check" : "");
+    }
+    if (f->control_plan_m > 3 || f->control_height_m > 3)
+        log_warn("ingest", "ground control points contradict the poses: plan_m=%.2f height_m=%.2f",
+                 f->control_plan_m, f->control_height_m);
+}
+
 static void report_print_frame(const struct ingest_result *r)
 {
     const struct scene *s = r->scene;
     const struct georef_result *g = r->georef;
     printf("origin   lon %.7f lat %.7f h %.2f m\n", s->origin.lon_deg, s->origin.lat_deg,
            s->origin.h_m);
+    if (r->gcp) {
+        report_print_gcp(r);
+        return;
+    }
     if (!g) {
         printf("frame    placed by hand: scale %.6g m per COLMAP unit, north arbitrary, nothing "
                "checked\n",
@@ -226,6 +261,33 @@ static json_t *report_georef_to_json(const struct ingest_result *r)
                      "flight_height_offset_m", flights);
 }
 
+static json_t *report_rmse(size_t n, double plan_m, double height_m)
+{
+    return json_pack("{s:I, s:o, s:o}", "points", (json_int_t)n, "rmse_plan_m",
+                     report_real_or_null(plan_m), "rmse_height_m", report_real_or_null(height_m));
+}
+
+static json_t *report_gcp_to_json(const struct gcp_fit *f)
+{
+    if (!f)
+        return json_null();
+    json_t *list = json_array();
+    for (size_t i = 0; i < f->list->n; i++) {
+        const struct gcp_place *p = &f->places[i];
+        bool there = p->n_photos > 0;
+        json_array_append_new(
+            list, json_pack("{s:s, s:b, s:I, s:b, s:o, s:o, s:o}", "name", f->list->gcps[i].name,
+                            "check", f->list->gcps[i].check, "photographs", (json_int_t)p->n_photos,
+                            "by_sparse_points", there && p->by_points, "east_m",
+                            there ? json_real(p->residual_m[0]) : json_null(), "north_m",
+                            there ? json_real(p->residual_m[1]) : json_null(), "up_m",
+                            there ? json_real(p->residual_m[2]) : json_null()));
+    }
+    return json_pack("{s:o, s:o, s:o}", "control",
+                     report_rmse(f->n_control, f->control_plan_m, f->control_height_m), "check",
+                     report_rmse(f->n_check, f->check_plan_m, f->check_height_m), "points", list);
+}
+
 enum err_code ingest_report_write(const struct ingest_result *r, const char *path, struct err *e)
 {
     json_t *config = NULL;
@@ -233,14 +295,14 @@ enum err_code ingest_report_write(const struct ingest_result *r, const char *pat
     if (rc)
         return rc;
     double median_ev, range_ev = report_exposure(r, &median_ev);
-    json_t *root =
-        json_pack("{s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:{s:f, s:f}, s:o, s:o, s:o, s:o, s:f}",
-                  "photographs", (json_int_t)r->n_photos, "kept", (json_int_t)r->n_kept, "train",
-                  (json_int_t)r->n_train, "test", (json_int_t)r->n_test, "with_gps",
-                  (json_int_t)r->n_gps, "not_in_model", (json_int_t)r->n_unregistered, "scale_m",
-                  r->scene->scale, "exposure", "range_ev", range_ev, "median_ev", median_ev,
-                  "georeferencing", report_georef_to_json(r), "points", report_points_to_json(r),
-                  "photos", report_photos_to_json(r), "config", config, "seconds", r->seconds);
+    json_t *root = json_pack(
+        "{s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:{s:f, s:f}, s:o, s:o, s:o, s:o, s:o, s:f}",
+        "photographs", (json_int_t)r->n_photos, "kept", (json_int_t)r->n_kept, "train",
+        (json_int_t)r->n_train, "test", (json_int_t)r->n_test, "with_gps", (json_int_t)r->n_gps,
+        "not_in_model", (json_int_t)r->n_unregistered, "scale_m", r->scene->scale, "exposure",
+        "range_ev", range_ev, "median_ev", median_ev, "georeferencing", report_georef_to_json(r),
+        "ground_control", report_gcp_to_json(r->gcp), "points", report_points_to_json(r), "photos",
+        report_photos_to_json(r), "config", config, "seconds", r->seconds);
     if (!root)
         return err_set(e, ERR_DATA, "%s: cannot be written: a photograph's name is not UTF-8",
                        path);

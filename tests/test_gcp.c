@@ -1,0 +1,333 @@
+/* Ground control points: both forms of file, and a scene without GPS that they put where it is, to the
+ * centimetres of their marks; check points; what is refused.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <jansson.h>
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "codec/scene.h"
+#include "ingest/gcp.h"
+#include "ingest/ingest.h"
+#include "kit.h"
+#include "synth/synth.h"
+
+static char tmp[FILE_PATH_MAX], city[FILE_PATH_MAX], images[FILE_PATH_MAX];
+static struct arena texts;
+static struct scene by_gps; /* the city as GPS without errors places it */
+
+static void put(const char *name, const char *text, char path[FILE_PATH_MAX])
+{
+    struct err e = {0};
+    kit_ok(file_join(path, tmp, name, &e), e);
+    kit_ok(file_write(path, text, strlen(text), &e), e);
+}
+
+static void config(struct ingest_config *c, char *dir, const char *name)
+{
+    struct err e = {0};
+    kit_ok(options_defaults(ingest_options(), c, &texts, &e), e);
+    kit_ok(file_join(dir, tmp, name, &e), e);
+    c->output = dir;
+}
+
+static int setup(void **state)
+{
+    struct err e = {0};
+    struct synth_config sc;
+    struct ingest_config ic;
+    char dir[FILE_PATH_MAX];
+    (void)state;
+    kit_tmpdir(tmp);
+    kit_ok(file_join(city, tmp, "city", &e), e);
+    kit_ok(file_join(images, city, "images", &e), e);
+    kit_ok(options_defaults(synth_options(), &sc, &texts, &e), e);
+    sc.output = city;
+    sc.photos = 32;
+    sc.width_px = 80;
+    sc.height_px = 60;
+    sc.extent_m = 100;
+    sc.points = 1500;
+    sc.supersample = 1;
+    kit_ok(synth_run(&sc, &e), e);
+    config(&ic, dir, "gps");
+    kit_ok(ingest_run(images, city, &ic, &e), e);
+    kit_ok(scene_read(dir, &by_gps, &e), e);
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    (void)state;
+    scene_free(&by_gps);
+    arena_free(&texts);
+    kit_rmdir(tmp);
+    return 0;
+}
+
+/* Where an ENU place lies in a photograph of the scene; false: not in it. */
+static bool in_photo(const struct camera *c, const double x[3], double px[2])
+{
+    double p[3];
+    for (int a = 0; a < 3; a++)
+        p[a] = c->rot[3 * a] * x[0] + c->rot[3 * a + 1] * x[1] + c->rot[3 * a + 2] * x[2] +
+               c->trans[a];
+    px[0] = c->fx_px * p[0] / p[2] + c->cx_px;
+    px[1] = c->fy_px * p[1] / p[2] + c->cy_px;
+    return p[2] > 0 && px[0] > 1 && px[1] > 1 && px[0] < c->width_px - 1 &&
+           px[1] < c->height_px - 1;
+}
+
+static double places[6][3] = {{-30, -28, 2}, {31, -25, 0}, {28, 33, 5},
+                              {-29, 30, 1},  {2, -3, 9},   {14, 12, 0}};
+
+/* The sparse point that a place is, SIZE_MAX: none. Of one, photographs count that found it. */
+static size_t tracked[6] = {SIZE_MAX, SIZE_MAX, SIZE_MAX, SIZE_MAX, SIZE_MAX, SIZE_MAX};
+
+static bool sees(size_t image, size_t point)
+{
+    for (size_t i = 0; i < by_gps.n_tracks; i++)
+        if (by_gps.tracks[i].point == point && by_gps.tracks[i].image == image)
+            return true;
+    return point == SIZE_MAX;
+}
+
+/* A list of these places as OpenDroneMap writes it, each in up to `most` photographs. */
+static void write_list(struct buf *b, const size_t *which, size_t n, size_t most, double scale)
+{
+    struct err e = {0};
+    buf_printf(b, "EPSG:4326\n");
+    for (size_t i = 0; i < n; i++) {
+        double lon, lat, h, px[2];
+        size_t marks = 0;
+        kit_ok(geo_from_enu(&by_gps.origin, places[which[i]], &lon, &lat, &h, &e), e);
+        for (size_t k = 0; k < by_gps.n_images && marks < most; k++) {
+            if (!in_photo(&by_gps.images[k].cam, places[which[i]], px) ||
+                !sees(k, tracked[which[i]]))
+                continue;
+            buf_printf(b, "%.10f\t%.10f\t%.4f\t%.3f\t%.3f\t%s\tp%zu\n", lon, lat, h, px[0] * scale,
+                       px[1] * scale, by_gps.images[k].name, which[i]);
+            marks++;
+        }
+        assert_true(marks >= 1);
+    }
+    buf_u8(b, 0);
+}
+
+/* Camera centres of a scene against those by GPS, in the frame of the latter: the largest distance. */
+static double far_off(const char *dir)
+{
+    struct err e = {0};
+    struct scene s;
+    double worst = 0;
+    kit_ok(scene_read(dir, &s, &e), e);
+    assert_int_equal(s.n_images, by_gps.n_images);
+    for (size_t i = 0; i < s.n_images; i++) {
+        double a[3], b[3], lon, lat, h;
+        camera_center(&s.images[i].cam, a);
+        kit_ok(geo_from_enu(&s.origin, a, &lon, &lat, &h, &e), e);
+        kit_ok(geo_to_enu(&by_gps.origin, lon, lat, h, a, &e), e);
+        camera_center(&by_gps.images[i].cam, b);
+        worst = fmax(worst, hypot(hypot(a[0] - b[0], a[1] - b[1]), a[2] - b[2]));
+    }
+    scene_free(&s);
+    return worst;
+}
+
+static json_t *report(const char *dir)
+{
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    json_t *o;
+    kit_ok(file_join(path, dir, "report.json", &e), e);
+    kit_ok(jsonc_read(path, &o, &e), e);
+    return o;
+}
+
+static double rmse(const json_t *root, const char *of, const char *key)
+{
+    return json_number_value(
+        json_object_get(json_object_get(json_object_get(root, "ground_control"), of), key));
+}
+
+/* Four points fix the scene; two that were kept out lie where they were surveyed. */
+static void control_points_place_the_scene(void **state)
+{
+    static const size_t which[6] = {0, 1, 2, 3, 4, 5};
+    struct err e = {0};
+    struct buf b = {0};
+    struct gcp_list l;
+    struct ingest_config ic;
+    char path[FILE_PATH_MAX], dir[FILE_PATH_MAX];
+    (void)state;
+    write_list(&b, which, 6, 8, 4);
+    put("gcp_list.txt", (char *)b.data, path);
+    buf_free(&b);
+    kit_ok(gcp_read(path, &l, &e), e);
+    assert_int_equal(l.n, 6);
+    assert_int_equal(l.epsg, GCP_LONLAT);
+    kit_ok(gcp_keep_out(&l, "p4,p5", &e), e);
+    config(&ic, dir, "gcp");
+    ic.gcp_scale = 4;
+    kit_ok(ingest_run_gcp(images, city, &ic, &l, &e), e);
+    json_t *o = report(dir);
+    printf("gcp: cameras off by %.3f m at most, control %.4f m plan %.4f height, check %.4f %.4f\n",
+           far_off(dir), rmse(o, "control", "rmse_plan_m"), rmse(o, "control", "rmse_height_m"),
+           rmse(o, "check", "rmse_plan_m"), rmse(o, "check", "rmse_height_m"));
+    assert_true(far_off(dir) < 0.05);
+    assert_true(rmse(o, "control", "points") == 4 && rmse(o, "check", "points") == 2);
+    assert_true(rmse(o, "control", "rmse_plan_m") < 0.02);
+    assert_true(rmse(o, "check", "rmse_plan_m") < 0.02 && rmse(o, "check", "rmse_height_m") < 0.05);
+    json_decref(o);
+    /* a wrong survey of one is seen in the residuals */
+    l.gcps[2].at[2] += 5;
+    ic.overwrite = true;
+    kit_ok(ingest_run_gcp(images, city, &ic, &l, &e), e);
+    o = report(dir);
+    assert_true(rmse(o, "control", "rmse_height_m") > 0.5);
+    json_decref(o);
+    gcp_free(&l);
+}
+
+/* Marked once each: by the sparse points around; and two of them, with level ground. The places are
+ * sparse points of their own here: nothing else of the city says how high its surface is. */
+static void one_photograph_and_two_points_do(void **state)
+{
+    static const size_t four[4] = {0, 1, 2, 3}, two[2] = {0, 2};
+    (void)state;
+    for (size_t i = 0; i < 4; i++) {
+        double least = HUGE_VAL, want[2] = {places[i][0], places[i][1]};
+        for (size_t k = 0; k < by_gps.n_points; k++) {
+            const double *x = by_gps.points[k].enu_m;
+            double d = hypot(x[0] - want[0], x[1] - want[1]);
+            if (d < least && x[2] < 1) { /* on the ground */
+                memcpy(places[i], x, sizeof places[i]);
+                tracked[i] = k;
+            }
+            least = x[2] < 1 ? fmin(d, least) : least;
+        }
+    }
+    for (int k = 0; k < 2; k++) {
+        struct err e = {0};
+        struct buf b = {0};
+        struct gcp_list l;
+        struct ingest_config ic;
+        char path[FILE_PATH_MAX], dir[FILE_PATH_MAX];
+        write_list(&b, k ? two : four, k ? 2 : 4, k ? 8 : 1, 1);
+        put("few.txt", (char *)b.data, path);
+        buf_free(&b);
+        kit_ok(gcp_read(path, &l, &e), e);
+        config(&ic, dir, k ? "two" : "once");
+        kit_ok(ingest_run_gcp(images, city, &ic, &l, &e), e);
+        printf("gcp: %s: cameras off by %.2f m at most\n", k ? "two points" : "one mark each",
+               far_off(dir));
+        json_t *o = report(dir);
+        assert_true(rmse(o, "control", "rmse_plan_m") < 2);
+        assert_true(rmse(o, "control", "rmse_height_m") < 2);
+        json_decref(o);
+        assert_true(far_off(dir) < 12); /* pixels of these photographs are 1 m wide */
+        gcp_free(&l);
+    }
+}
+
+static void csv_is_read(void **state)
+{
+    struct err e = {0};
+    struct gcp_list l;
+    char path[FILE_PATH_MAX];
+    (void)state;
+    put("a.csv",
+        "# by hand\nName, Image, px, py, Easting, Northing, Height\r\n"
+        "north, DJI_1.JPG, 10.5, 20, 634676, 485344, 112\r\n"
+        "south, DJI_1.JPG, 30, 40.25, 634604, 485234, 111\r\n"
+        "north, DJI_2.JPG, 11, 22, 634676, 485344, 112\r\n",
+        path);
+    kit_ok(gcp_read(path, &l, &e), e);
+    assert_int_equal(l.n, 2);
+    assert_int_equal(l.n_marks, 3);
+    assert_int_equal(l.epsg, 0);
+    assert_string_equal(l.gcps[0].name, "north");
+    assert_string_equal(l.marks[1].image, "DJI_1.JPG");
+    assert_true(l.marks[1].gcp == 1 && l.marks[1].y_px == 40.25 && l.gcps[1].at[0] == 634604);
+    gcp_free(&l);
+    put("b.csv", "name,lon,lat,h,u,v,photo\na,8.6,50.1,100,1,2,x.jpg\n", path);
+    kit_ok(gcp_read(path, &l, &e), e);
+    assert_int_equal(l.epsg, GCP_LONLAT);
+    gcp_free(&l);
+    put("c.txt", "WGS84 UTM 32N\n1 2 3 4 5 a.jpg\n1 2 3 6 7 b.jpg\n2 2 3 6 7 b.jpg\n", path);
+    kit_ok(gcp_read(path, &l, &e), e);
+    assert_int_equal(l.epsg, 32632);
+    assert_int_equal(l.n, 2); /* without names: by their coordinates */
+    assert_string_equal(l.gcps[1].name, "2");
+    kit_fails(gcp_keep_out(&l, "9", &e), ERR_ARG, e, "no ground control point '9'");
+    gcp_free(&l);
+}
+
+static void nonsense_is_refused(void **state)
+{
+    static const size_t one[1] = {0}, line[2] = {0, 1};
+    static const struct {
+        const char *text, *says;
+        enum err_code rc;
+    } bad[] = {{"EPSG:4326\n", "no ground control points", ERR_DATA},
+               {"EPSG:4326\n1 2 3 4 x a.jpg\n", "line 2: field 5 is no number", ERR_FORMAT},
+               {"EPSG:4326\n1 2 3 4 5\n", "no photograph", ERR_FORMAT},
+               {"EPSG:4326\n1 2 nan 4 5 a.jpg\n", "field 3", ERR_FORMAT},
+               {"name,x,y,z,px,py,image\na,1,2,3,4\n", "line 2", ERR_FORMAT}};
+    struct err e = {0};
+    struct gcp_list l;
+    struct ingest_config ic;
+    struct buf b = {0}, out = {0};
+    char path[FILE_PATH_MAX], dir[FILE_PATH_MAX];
+    (void)state;
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        put("bad.txt", bad[i].text, path);
+        kit_fails(gcp_read(path, &l, &e), bad[i].rc, e, bad[i].says);
+    }
+    kit_fails(gcp_read("/nowhere/gcp.txt", &l, &e), ERR_NOENT, e, "gcp.txt");
+    config(&ic, dir, "refused");
+    write_list(&b, one, 1, 8, 1);
+    put("one.txt", (char *)b.data, path);
+    buf_free(&b);
+    kit_ok(gcp_read(path, &l, &e), e);
+    kit_fails(ingest_run_gcp(images, city, &ic, &l, &e), ERR_DATA, e, "at least 2");
+    gcp_free(&l);
+    write_list(&b, line, 2, 8, 50);
+    put("large.txt", (char *)b.data, path);
+    buf_free(&b);
+    kit_ok(gcp_read(path, &l, &e), e);
+    kit_fails(ingest_run_gcp(images, city, &ic, &l, &e), ERR_DATA, e, "--gcp-scale");
+    gcp_free(&l);
+    assert_false(file_exists(dir));
+    /* through the program: a coordinate system that it does not know, and one that it does */
+    put("odd.txt", "PUWG1992\n634676 485344 112 1 1 a.jpg\n", path);
+    assert_int_equal(kit_run(&out, "'%s' ingest '%s' '%s' -o '%s' --gcp '%s'", kit_program(),
+                             images, city, dir, path),
+                     2);
+    kit_expect_text((const char *)out.data, "--gcp-epsg CODE", __FILE__, __LINE__);
+    buf_free(&out);
+    assert_int_equal(
+        kit_run(&out, "'%s' ingest '%s' '%s' -o '%s' --check p1", kit_program(), images, city, dir),
+        2);
+    buf_free(&out);
+    kit_ok(file_join(path, tmp, "gcp_list.txt", &e), e);
+    assert_int_equal(kit_run(&out,
+                             "'%s' ingest '%s' '%s' -q -o '%s' --gcp '%s' --gcp-scale 4 --check p4",
+                             kit_program(), images, city, dir, path),
+                     0);
+    kit_expect_text((const char *)out.data, "check:   RMSE", __FILE__, __LINE__);
+    buf_free(&out);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(control_points_place_the_scene),
+        cmocka_unit_test(one_photograph_and_two_points_do),
+        cmocka_unit_test(csv_is_read),
+        cmocka_unit_test(nonsense_is_refused),
+    };
+    return cmocka_run_group_tests_name("gcp", tests, setup, teardown);
+}
