@@ -22,7 +22,7 @@ struct frame_case {
     struct render_model model;
     struct camera cam;
     float *rgb, *again;
-    const float *look; /* constants of an appearance, or NULL; borrowed */
+    const float *appearance_frame; /* constants of an appearance, or NULL; borrowed */
 };
 
 static enum err_code frame_once(void *user, struct err *e)
@@ -30,7 +30,7 @@ static enum err_code frame_once(void *user, struct err *e)
     struct frame_case *c = user;
     const struct render_options o = {.aa = RENDER_AA_2D,
                                      .sh_degree = -1,
-                                     .appearance_frame = c->look,
+                                     .appearance_frame = c->appearance_frame,
                                      .appearance_hidden = APPEARANCE_HIDDEN};
     return render_forward(c->render, &c->model, &c->cam, &o, c->rgb, NULL, e);
 }
@@ -116,14 +116,14 @@ static enum err_code frame_appearance(struct bench *b, const struct gauss *plain
     struct gauss g = {0};
     struct appearance a = {0};
     struct frame_case c = {.cam = city_camera(1280, 720)};
-    float *look = NULL;
+    float *appearance_frame = NULL;
     double ms = 0;
     char name[64];
-    enum err_code rc = city_appearance(plain, &g, &a, &look, e);
+    enum err_code rc = city_appearance(plain, &g, &a, &appearance_frame, e);
     snprintf(name, sizeof name, "%zu k, appearance", plain->n / 1000);
     if (!rc)
         rc = frame_open(b, &g, &c, e);
-    c.look = look;
+    c.appearance_frame = appearance_frame;
     if (!rc)
         rc = frame_check(&c, e);
     if (!rc)
@@ -133,7 +133,7 @@ static enum err_code frame_appearance(struct bench *b, const struct gauss *plain
     frame_close(&c);
     appearance_free(&a);
     gauss_free(&g);
-    mem_free(look);
+    mem_free(appearance_frame);
     return rc;
 }
 

@@ -20,7 +20,7 @@ struct growth_case {
     struct render_model model;
     struct camera cam;
     float *rgb;
-    const float *look; /* constants of an appearance, or NULL; borrowed */
+    const float *appearance_frame; /* constants of an appearance, or NULL; borrowed */
 };
 
 static const uint32_t growth_sizes[][2] = {{320, 180},   {640, 360},   {1280, 720},
@@ -41,7 +41,7 @@ static enum err_code growth_draw(void *user, struct err *e)
     struct growth_case *c = user;
     const struct render_options o = {.aa = RENDER_AA_2D,
                                      .sh_degree = -1,
-                                     .appearance_frame = c->look,
+                                     .appearance_frame = c->appearance_frame,
                                      .appearance_hidden = APPEARANCE_HIDDEN};
     return render_forward(c->render, &c->model, &c->cam, &o, c->rgb, NULL, e);
 }
@@ -119,22 +119,22 @@ static enum err_code growth_full(struct bench *b, size_t n, bool with_look, doub
     struct growth_case c = {0};
     struct gauss plain = {0}, embedded = {0};
     struct appearance a = {0};
-    float *look = NULL;
+    float *appearance_frame = NULL;
     enum err_code rc = city_sorted_degree(n, 3, &plain, e);
     if (!rc && with_look)
-        rc = city_appearance(&plain, &embedded, &a, &look, e);
+        rc = city_appearance(&plain, &embedded, &a, &appearance_frame, e);
     if (!rc)
         rc = growth_open(b, with_look ? &embedded : &plain, &c, e);
     gauss_free(&plain);
     gauss_free(&embedded);
-    c.look = look;
+    c.appearance_frame = appearance_frame;
     c.cam = city_camera(growth_sizes[GROWTH_HD][0], growth_sizes[GROWTH_HD][1]);
     if (!rc)
         rc = growth_draw(&c, e);
     *resident = growth_resident_bytes();
     growth_close(&c);
     appearance_free(&a);
-    mem_free(look);
+    mem_free(appearance_frame);
     return rc;
 }
 

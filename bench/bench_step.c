@@ -28,7 +28,7 @@ struct step_case {
     struct camera cam;
     cl_mem target;
     /* with appearance; frame NULL: without */
-    struct appearance look;
+    struct appearance appearance;
     float *frame, *frame_grad;
     struct render_appearance_grad grad;
 };
@@ -42,7 +42,7 @@ static void step_free(struct step_case *c)
     render_model_free(&c->model);
     photometric_close(&c->loss);
     render_close(&c->render);
-    appearance_free(&c->look);
+    appearance_free(&c->appearance);
     mem_free(c->frame);
     mem_free(c->frame_grad);
 }
@@ -96,7 +96,7 @@ static enum err_code step_once(void *user, struct err *e)
     return !rc ? dev_finish(c->dev, e) : rc;
 }
 
-/* The photograph: what the undisturbed city looks like. */
+/* The photograph: the undisturbed city as it is drawn. */
 static enum err_code step_target(struct step_case *c, const struct gauss *city, struct err *e)
 {
     size_t n = (size_t)c->cam.width_px * c->cam.height_px * 3;
@@ -135,7 +135,7 @@ static void step_disturb(struct gauss *g)
 static enum err_code step_look(struct step_case *c, struct gauss *g, struct err *e)
 {
     struct gauss with = {0};
-    enum err_code rc = city_appearance(g, &with, &c->look, &c->frame, e);
+    enum err_code rc = city_appearance(g, &with, &c->appearance, &c->frame, e);
     c->frame_grad = mem_array(appearance_frame_floats(APPEARANCE_GAUSS_LEN, APPEARANCE_HIDDEN),
                               sizeof *c->frame_grad);
     if (!rc && !c->frame_grad)
@@ -147,7 +147,7 @@ static enum err_code step_look(struct step_case *c, struct gauss *g, struct err 
     return rc;
 }
 
-static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h, bool look,
+static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h, bool appearance,
                                struct step_case *c, struct err *e)
 {
     struct gauss g = {0};
@@ -168,7 +168,7 @@ static enum err_code step_open(struct bench *b, size_t n, uint32_t w, uint32_t h
         rc = step_target(c, &g, e);
     if (!rc)
         step_disturb(&g);
-    if (!rc && look)
+    if (!rc && appearance)
         rc = step_look(c, &g, e);
     if (!rc)
         rc = render_model_upload(c->render, &g, &c->model, e);
@@ -230,13 +230,13 @@ static enum err_code step_stages(struct bench *b, struct step_case *c, const cha
 }
 
 /* *total_ms: of the iteration; with appearance it is read as well, as what to compare against. */
-static enum err_code step_measure(struct bench *b, size_t n, uint32_t w, uint32_t h, bool look,
-                                  double *total_ms, struct err *e)
+static enum err_code step_measure(struct bench *b, size_t n, uint32_t w, uint32_t h,
+                                  bool appearance, double *total_ms, struct err *e)
 {
     struct step_case c;
     char name[64], text[128];
     double ms = 0, draw_ms = 0, loss_ms = 0, spread = 0;
-    enum err_code rc = step_open(b, n, w, h, look, &c, e);
+    enum err_code rc = step_open(b, n, w, h, appearance, &c, e);
     if (!rc)
         rc = step_check(&c, e);
     if (!rc)
@@ -246,9 +246,10 @@ static enum err_code step_measure(struct bench *b, size_t n, uint32_t w, uint32_
     if (!rc)
         rc = bench_time(b, step_loss, &c, &loss_ms, &spread, e);
     if (!rc) {
-        snprintf(name, sizeof name, "%zu k, %ux%u%s", n / 1000, w, h, look ? ", appearance" : "");
-        bench_report(b, name, ms, "ms", look ? ms / *total_ms : 0,
-                     look ? "without appearance" : NULL);
+        snprintf(name, sizeof name, "%zu k, %ux%u%s", n / 1000, w, h,
+                 appearance ? ", appearance" : "");
+        bench_report(b, name, ms, "ms", appearance ? ms / *total_ms : 0,
+                     appearance ? "without appearance" : NULL);
         *total_ms = ms;
         snprintf(text, sizeof text, "%s: draw", name);
         bench_report(b, text, draw_ms, "ms", 0, NULL);

@@ -66,7 +66,8 @@ bool chart_takes(const struct chart_def *d, const json_t *line, const json_t *li
     if (strlen(study) != n || strncmp(study, d->study, n) ||
         strncmp(runs_text(line, "row"), group, strlen(group)))
         return false;
-    if (*d->what && !strstr(d->what, "halves") != !strstr(runs_text(line, "what"), "halves"))
+    if (*d->what &&
+        !strstr(d->what, "half image") != !strstr(runs_text(line, "what"), "half image"))
         return false;
     if (strncmp(d->what, "finest", 6))
         return !strncmp(runs_text(line, "what"), d->what, strlen(d->what));

@@ -52,13 +52,13 @@ struct eval {
     struct dev dev;
     bool dev_is_open;
     struct render *render;
-    struct eval_half_image halves;  /* of what is being scored */
-    bool exposed;                   /* the scene tells exposures */
-    bool exposure;                  /* and what is being scored was trained at the mean one */
-    double trained_steps;           /* of the level that was scored last; 0: none was */
-    struct lpips *lpips;            /* NULL: no weights */
-    struct residual_list residuals; /* of the last row that was scored */
-    char residuals_of[64];          /* what that row is called */
+    struct eval_half_image half_image; /* of what is being scored */
+    bool exposed;                      /* the scene tells exposures */
+    bool exposure;                     /* and what is being scored was trained at the mean one */
+    double trained_steps;              /* of the level that was scored last; 0: none was */
+    struct lpips *lpips;               /* NULL: no weights */
+    struct residual_list residuals;    /* of the last row that was scored */
+    char residuals_of[64];             /* what that row is called */
     json_t *rows;
 };
 
@@ -79,7 +79,7 @@ static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px
     printf("%-14s %6zu %9u %9.3f %8.4f %10.4f %8.5f %12.0f %12s %9.2f %9.2f\n", what, s->n_photos,
            edge_px, s->psnr_db, s->ssim, s->ssim_valid, s->gmsd, s->gaussians, visible, s->ms_frame,
            s->bytes / 1e6);
-    bool lpips = v->lpips && s->lpips > 0.0; /* rows of halves have none */
+    bool lpips = v->lpips && s->lpips > 0.0; /* rows of half images have none */
     if (lpips)
         printf("%-14s %s %.4f\n", "", lpips_key(v->lpips), s->lpips);
     fflush(stdout);
@@ -103,28 +103,28 @@ static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px
 
 enum { EVAL_HALF_IMAGE_AUTO, EVAL_HALF_IMAGE_ON, EVAL_HALF_IMAGE_OFF };
 
-static enum err_code eval_halves(struct eval *v, const char *what, uint32_t edge_px,
-                                 struct photo_loader *feed, const struct half_image_source *src,
-                                 double bytes, struct err *e)
+static enum err_code eval_half(struct eval *v, const char *what, uint32_t edge_px,
+                               struct photo_loader *feed, const struct half_image_source *src,
+                               double bytes, struct err *e)
 {
     struct evaluate_score score;
     char name[64];
     if (v->o.half_image == EVAL_HALF_IMAGE_OFF ||
-        (v->o.half_image == EVAL_HALF_IMAGE_AUTO && !eval_half_image_appearance(&v->halves) &&
+        (v->o.half_image == EVAL_HALF_IMAGE_AUTO && !eval_half_image_appearance(&v->half_image) &&
          !v->exposure))
         return ERR_OK;
     uint32_t steps = (uint32_t)v->o.half_image_steps;
     if (!steps)
         steps = half_image_steps(v->trained_steps, v->n_images);
-    if (eval_half_image_appearance(&v->halves) && !v->o.half_image_steps)
+    if (eval_half_image_appearance(&v->half_image) && !v->o.half_image_steps)
         log_info("eval",
                  "%s: embeddings of %zu photographs learn for %u steps a half%s; "
                  "--half-image-steps N changes it",
                  what, v->n_images, steps,
                  steps < HALF_IMAGE_STEPS ? ", as long as the level was trained" : "");
-    snprintf(name, sizeof name, "%s, halves", what);
+    snprintf(name, sizeof name, "%s, half image", what);
     enum err_code rc =
-        eval_half_image_run(&v->halves, &v->dev, v->render, steps, v->o.half_image_random,
+        eval_half_image_run(&v->half_image, &v->dev, v->render, steps, v->o.half_image_random,
                             v->exposure, feed, v->n_images, src, &score, e);
     score.bytes = bytes;
     return rc ? rc : eval_row(v, name, edge_px, &score, e);
@@ -187,7 +187,7 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
     if (!rc)
         rc = eval_row(v, what, edge, &score, e);
     if (!rc)
-        rc = eval_halves(v, what, edge, feed, half, src.bytes, e);
+        rc = eval_half(v, what, edge, feed, half, src.bytes, e);
     photo_loader_close(&feed);
     return rc;
 }
@@ -286,7 +286,7 @@ static enum err_code eval_load_level(struct eval *v, const char *dir, unsigned l
         if (!rc)
             rc = eval_read_settings(&c, path, s, e);
         if (!rc)
-            rc = eval_half_image_take(&v->halves, *found == 0, &c, path, &v->scene, e);
+            rc = eval_half_image_take(&v->half_image, *found == 0, &c, path, &v->scene, e);
         if (!rc)
             rc = eval_append(v, i, &c.g, g, e);
         (*found)++;
@@ -328,7 +328,7 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
             v->render,
             &model,
             {.aa = s.aa, .background = {grey, grey, grey}, .near_m = s.near_m, .sh_degree = -1},
-            eval_half_image_appearance(&v->halves)};
+            eval_half_image_appearance(&v->half_image)};
         const struct half_image_source half = {eval_prepare_model, &m};
         struct evaluate_source src = {
             .draw = evaluate_draw_model, .user = &m, .bytes = bytes, .render = v->render};
@@ -337,7 +337,7 @@ static enum err_code eval_level(struct eval *v, const char *dir, unsigned level,
         v->exposure = v->exposed && s.exposure;
         rc = eval_source(v, what, edge, v->o.full_size ? 1.0 : s.downsample, src, &half, e);
     }
-    eval_half_image_clear(&v->halves);
+    eval_half_image_clear(&v->half_image);
     render_model_free(&model);
     gauss_free(&g);
     *found += n;
@@ -411,8 +411,8 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     const struct half_image_source half = {eval_prepare_view, &w};
     enum err_code rc = view_open(v->o.tiles, v->render, (size_t)v->o.cache_mib << 20, &w.view, e);
     if (!rc)
-        rc = eval_half_image_take_store(&v->halves, view_appearance(w.view), &v->scene, e);
-    w.appearance = rc ? NULL : eval_half_image_appearance(&v->halves);
+        rc = eval_half_image_take_store(&v->half_image, view_appearance(w.view), &v->scene, e);
+    w.appearance = rc ? NULL : eval_half_image_appearance(&v->half_image);
     if (v->o.flight) {
         const struct eval_flight_request q = {.scene = &v->scene,
                                               .frames = (size_t)v->o.flight,
@@ -428,7 +428,7 @@ static enum err_code eval_tiles(struct eval *v, struct err *e)
     if (!rc)
         rc = eval_source(v, "tiles, no LOD", (uint32_t)v->o.max_edge_px, 1.0, src, &half, e);
 out:
-    eval_half_image_clear(&v->halves);
+    eval_half_image_clear(&v->half_image);
     view_close(&w.view);
     return rc;
 }
@@ -510,7 +510,7 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
             "windows only), GMSD (perceptual, lower is better), Gaussians and time a frame. Where "
             "appearance was trained, a photograph is drawn in the appearance of the nearest "
             "training "
-            "photographs; rows \"halves\" learn its own from one half of it and score the "
+            "photographs; rows \"half image\" learn its own from one half of it and score the "
             "other. With --views it scores ground truth at poses that people take in maps "
             "instead.",
         .example =
@@ -547,7 +547,7 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
 out:
     json_decref(v.rows);
     residual_free(&v.residuals);
-    eval_half_image_clear(&v.halves);
+    eval_half_image_clear(&v.half_image);
     lpips_close(&v.lpips);
     render_close(&v.render);
     if (v.dev_is_open)

@@ -1,4 +1,4 @@
-/* Looks and half-image rows of `citysplat eval`; see halves.h.
+/* Appearance and half-image rows of `citysplat eval`; see eval_half_image.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,4 +1,4 @@
-/* The looks of what `citysplat eval` scores, and its half-image rows (train/half_image.h).
+/* The appearance of what `citysplat eval` scores, and its half-image rows (train/half_image.h).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -72,7 +72,7 @@ static enum err_code export_zoom(const struct store *s, const char *level, uint8
 }
 
 /* All Gaussians of the cut through the tree at `zoom`: tiles of that zoom, and leaves above it. */
-static enum err_code export_gather(struct store *s, uint8_t zoom, const float *look,
+static enum err_code export_gather(struct store *s, uint8_t zoom, const float *image,
                                    struct gauss *out, struct err *e)
 {
     size_t n;
@@ -88,7 +88,7 @@ static enum err_code export_gather(struct store *s, uint8_t zoom, const float *l
         if (t[i].key.z != zoom && !(leaf && t[i].key.z < zoom))
             continue;
         struct gauss g;
-        rc = bake_read(s, t[i].key, look, &g, e);
+        rc = bake_read(s, t[i].key, image, &g, e);
         if (!rc)
             rc = gauss_append(out, &g, NULL, g.n, e);
         gauss_free(&g);
@@ -110,7 +110,7 @@ static enum err_code export_spz(struct gauss *g, const struct quant_grid *grid, 
 }
 
 static enum err_code export_file(struct store *s, const struct export_options *o, int format,
-                                 const float *look, struct err *e)
+                                 const float *image, struct err *e)
 {
     struct gauss g = {0};
     struct buf b = {0};
@@ -120,7 +120,7 @@ static enum err_code export_file(struct store *s, const struct export_options *o
         .has_origin = true, .origin = store_info(s)->origin, .axes = PLY_AXES_ENU};
     enum err_code rc = export_zoom(s, o->level, &zoom, e);
     if (!rc)
-        rc = export_gather(s, zoom, look, &g, e);
+        rc = export_gather(s, zoom, image, &g, e);
     if (!rc)
         rc = format == EXPORT_PLY ? ply_encode(&g, &info, &b, e) : export_spz(&g, grid, &b, e);
     if (!rc)
@@ -136,7 +136,7 @@ static enum err_code export_file(struct store *s, const struct export_options *o
 /* ---- a folder of 3D Tiles ---- */
 
 static enum err_code export_glb(struct store *s, const struct store_tile *t,
-                                const struct quant_grid *grid, const char *dir, const float *look,
+                                const struct quant_grid *grid, const char *dir, const float *image,
                                 struct err *e)
 {
     struct gauss g = {0};
@@ -151,7 +151,7 @@ static enum err_code export_glb(struct store *s, const struct store_tile *t,
     if (!rc)
         snprintf(path + n, sizeof path - (size_t)n, "/%u.glb", t->key.y);
     if (!rc)
-        rc = bake_read(s, t->key, look, &g, e);
+        rc = bake_read(s, t->key, image, &g, e);
     if (!rc) {
         axes_enu_to_gltf(&g);
         rc = quant_from_gauss(&g, m->sh_degree, grid, &q, e);
@@ -185,7 +185,7 @@ static enum err_code export_document(const struct store *s, const char *dir, con
 }
 
 static enum err_code export_3dtiles(struct store *s, const struct export_options *o,
-                                    const float *look, struct err *e)
+                                    const float *image, struct err *e)
 {
     const struct quant_grid *grid = quant_preset_grid((enum quant_preset)o->preset);
     struct outdir d = {0};
@@ -195,7 +195,7 @@ static enum err_code export_3dtiles(struct store *s, const struct export_options
     enum err_code rc = outdir_begin(o->output, "tileset.json", o->overwrite, &d, e);
     progress_start(&p, "export", n);
     for (size_t i = 0; !rc && i < n; i++) {
-        rc = export_glb(s, &t[i], grid, d.part, look, e);
+        rc = export_glb(s, &t[i], grid, d.part, image, e);
         progress_step(&p, i + 1, NULL);
         if (!rc && signals_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped");
@@ -236,13 +236,13 @@ enum err_code cli_export(int argc, char **argv, struct err *e)
     if (!rc)
         rc = store_open(args.arg[0], &s, e);
     float image[APPEARANCE_IMAGE_MAX];
-    const float *look = o.appearance ? image : NULL;
-    if (!rc && look)
+    const float *chosen = o.appearance ? image : NULL;
+    if (!rc && chosen)
         rc = bake_find(s, o.appearance, image, e);
     int format = rc || o.format != EXPORT_AUTO ? o.format : export_format(o.output);
     if (!rc)
-        rc = format == EXPORT_3DTILES ? export_3dtiles(s, &o, look, e)
-                                      : export_file(s, &o, format, look, e);
+        rc = format == EXPORT_3DTILES ? export_3dtiles(s, &o, chosen, e)
+                                      : export_file(s, &o, format, chosen, e);
 out:
     store_close(&s);
     arena_free(&arena);

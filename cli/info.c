@@ -115,12 +115,12 @@ static json_t *info_tiles(const struct store *s)
     return list;
 }
 
-/* Photographs whose look can be had; false without appearance. */
-static json_t *info_look(const struct appearance *a)
+/* Photographs whose appearance can be had; false without appearance. */
+static json_t *info_appearance(const struct appearance *a)
 {
-    return a ? json_pack("[{s:I,s:i,s:i,s:i}]", "looks", (json_int_t)a->n_images - 1, "embedding",
-                         (int)a->len_gauss, "image_embedding", (int)a->len_image, "hidden",
-                         (int)a->hidden)
+    return a ? json_pack("[{s:I,s:i,s:i,s:i}]", "photographs", (json_int_t)a->n_images - 1,
+                         "embedding", (int)a->len_gauss, "image_embedding", (int)a->len_image,
+                         "hidden", (int)a->hidden)
              : json_false();
 }
 
@@ -140,8 +140,8 @@ static enum err_code info_store(const char *path, bool tiles, json_t *o, struct 
         bytes += t[i].bytes;
         leaves += store_tree(s)->nodes[i].child_count ? 0 : t[i].count;
     }
-    const struct appearance *look = NULL;
-    rc = bake_of(s, &look, e);
+    const struct appearance *appearance = NULL;
+    rc = bake_of(s, &appearance, e);
     if (!rc)
         rc = store_list_blobs(s, &a, &names, &n_blobs, e);
     json_t *blobs = json_array();
@@ -176,7 +176,7 @@ static enum err_code info_store(const char *path, bool tiles, json_t *o, struct 
         {"blobs", blobs},
         {"photographs", json_integer((json_int_t)n_photographs)},
         {"thumbnails", json_integer((json_int_t)n_thumbnails)},
-        {"appearance", info_look(look)},
+        {"appearance", info_appearance(appearance)},
     };
     for (size_t i = 0; i < sizeof members / sizeof *members; i++) {
         if (rc)

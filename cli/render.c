@@ -194,7 +194,8 @@ static enum err_code render_file(struct render_job *job, const char *path, struc
     if (rc)
         return rc;
     if (o->appearance)
-        rc = err_set(e, ERR_ARG, "--appearance: %s has one look only; give a tile store", path);
+        rc = err_set(e, ERR_ARG, "--appearance: %s has one appearance only; give a tile store",
+                     path);
     if (!rc)
         rc = render_camera(o, s.info.has_origin ? &s.info.origin : NULL, &job->cam, e);
     job->ro.aa = render_aa_of(o, s.g.antialiased);

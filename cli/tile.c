@@ -73,7 +73,7 @@ struct tile_scene {
     atomic_size_t *cropped;     /* rows of all levels that --crop left out; tile_load has threads */
     struct partition plan;      /* only cells with checkpoints; n_cells 0 = no plan */
     uint8_t n_levels;
-    struct buf look; /* appearance model of all checkpoints, as they hold it; empty: none */
+    struct buf appearance; /* appearance model of all checkpoints, as they hold it; empty: none */
     bool look_known;
     struct arena arena;
 };
@@ -327,11 +327,11 @@ static enum err_code tile_check_blob(struct tile_scene *s, const struct ckpt_blo
     blob = blob ? blob : &none;
     if (!s->look_known) {
         s->look_known = true;
-        buf_add(&s->look, blob->data, blob->size_bytes);
-        return buf_check(&s->look, e);
+        buf_add(&s->appearance, blob->data, blob->size_bytes);
+        return buf_check(&s->appearance, e);
     }
-    if (blob->size_bytes == s->look.size &&
-        (!s->look.size || !memcmp(blob->data, s->look.data, s->look.size)))
+    if (blob->size_bytes == s->appearance.size &&
+        (!s->appearance.size || !memcmp(blob->data, s->appearance.data, s->appearance.size)))
         return ERR_OK;
     return err_set(e, ERR_DATA,
                    "%s: its appearance model is not that of the checkpoints before: tiles share "
@@ -395,18 +395,19 @@ static void tile_warn_missing(const struct tile_scene *s)
                          s->cells[i].id, l);
 }
 
-/* The appearance model as the store keeps it: with the default look, fitted to the first Gaussians
+/* The appearance model as the store keeps it: with the default appearance, fitted to the first Gaussians
  * of the finest level. Stays empty where there is none. */
-static enum err_code tile_make_look(const struct tile_scene *s, const struct tile_level *finest,
-                                    struct buf *out, struct err *e)
+static enum err_code tile_make_appearance(const struct tile_scene *s,
+                                          const struct tile_level *finest, struct buf *out,
+                                          struct err *e)
 {
     struct appearance a = {0}, full = {0};
     struct gauss g = {0};
-    if (!s->look.size || !finest->n_files)
+    if (!s->appearance.size || !finest->n_files)
         return ERR_OK;
     const struct ckpt_rows *rows = finest->file[finest->n_files / 2].rows;
     size_t n = ckpt_rows_count(rows);
-    enum err_code rc = appearance_read(s->look.data, s->look.size, &a, e);
+    enum err_code rc = appearance_read(s->appearance.data, s->appearance.size, &a, e);
     if (!rc)
         rc = ckpt_rows_read(rows, 0, n < TILE_PART_ROWS ? n : TILE_PART_ROWS, &g, e);
     if (!rc)
@@ -420,11 +421,11 @@ static enum err_code tile_make_look(const struct tile_scene *s, const struct til
 }
 
 /* What people choose an appearance by: the photographs that the model knows. */
-static enum err_code tile_photographs(const struct scene *scene, const struct buf *look,
+static enum err_code tile_photographs(const struct scene *scene, const struct buf *appearance,
                                       bool thumbnails, struct photographs *out, struct err *e)
 {
     struct appearance a = {0};
-    enum err_code rc = appearance_read(look->data, look->size, &a, e);
+    enum err_code rc = appearance_read(appearance->data, appearance->size, &a, e);
     if (!rc)
         rc = photographs_of(scene, &a, thumbnails, out, e);
     appearance_free(&a);
@@ -479,7 +480,7 @@ static enum err_code tile_update(struct tile_scene *s, const struct tile_options
     struct update_report r;
     struct ckpt level[TILE_LEVELS_MAX + 1] = {{0}};
     const struct tile_cell *cell = NULL;
-    struct appearance look = {0};
+    struct appearance appearance = {0};
     enum err_code rc = ERR_OK;
     for (size_t i = 0; i < s->n_cells; i++)
         if (!strcmp(s->cells[i].id, o->cell))
@@ -504,9 +505,9 @@ static enum err_code tile_update(struct tile_scene *s, const struct tile_options
             rc = tile_check_blob(s, ckpt_find(&level[l], "appearance"), path, e);
         cfg.level[l] = &level[l].g;
     }
-    if (!rc && s->look.size) {
-        rc = appearance_read(s->look.data, s->look.size, &look, e);
-        cfg.appearance = &look;
+    if (!rc && s->appearance.size) {
+        rc = appearance_read(s->appearance.data, s->appearance.size, &appearance, e);
+        cfg.appearance = &appearance;
     }
     if (!rc)
         rc = update_build(o->update, &cfg, o->output ? o->output : o->update, &r, e);
@@ -516,7 +517,7 @@ static enum err_code tile_update(struct tile_scene *s, const struct tile_options
                r.revision);
     for (uint8_t l = 1; l <= TILE_LEVELS_MAX; l++)
         ckpt_free(&level[l]);
-    appearance_free(&look);
+    appearance_free(&appearance);
     return rc;
 }
 
@@ -548,7 +549,7 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
                                  .lossless = o->lossless};
     struct pyramid_report report;
     struct photographs photographs = {0};
-    struct buf look = {0}, ground = {0};
+    struct buf appearance = {0}, ground = {0};
     enum err_code rc = scene_read(dir, &scene, e);
     s.crop_margin_m = o->crop_margin_m;
     if (!rc && s.crop_margin_m >= 0.0)
@@ -583,19 +584,19 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
             .n_parts = level[i].first ? level[i].first[level[i].n_files] : 0};
     }
     if (!rc)
-        rc = tile_make_look(&s, &level[s.n_levels - 1], &look, e);
+        rc = tile_make_appearance(&s, &level[s.n_levels - 1], &appearance, e);
     if (!rc && s.footprint.nx)
         rc = footprint_write(&s.footprint, &scene.origin, &ground, e);
-    if (!rc && look.size)
-        rc = tile_photographs(&scene, &look, o->thumbnails, &photographs, e);
+    if (!rc && appearance.size)
+        rc = tile_photographs(&scene, &appearance, o->thumbnails, &photographs, e);
     struct store_blob *blobs = mem_array(photographs.n_blobs + 2, sizeof *blobs);
     size_t n_blobs = 0;
     if (!rc && !blobs)
         rc = err_set(e, ERR_MEM, "out of memory for %zu blobs", photographs.n_blobs);
     for (size_t i = 0; !rc && i < photographs.n_blobs; i++)
         blobs[n_blobs++] = photographs.blobs[i];
-    if (!rc && look.size)
-        blobs[n_blobs++] = (struct store_blob){BAKE_BLOB, look.data, look.size};
+    if (!rc && appearance.size)
+        blobs[n_blobs++] = (struct store_blob){BAKE_BLOB, appearance.data, appearance.size};
     if (!rc && ground.size)
         blobs[n_blobs++] = (struct store_blob){STORE_FOOTPRINT, ground.data, ground.size};
     if (!rc)
@@ -615,9 +616,9 @@ out:
     for (uint8_t i = 0; i < TILE_LEVELS_MAX; i++)
         tile_close_level(&level[i]);
     photographs_free(&photographs);
-    buf_free(&look);
+    buf_free(&appearance);
     buf_free(&ground);
-    buf_free(&s.look);
+    buf_free(&s.appearance);
     footprint_free(&s.footprint);
     partition_free(&s.plan);
     camera_hull_free(&s.ground);

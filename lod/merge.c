@@ -446,7 +446,7 @@ static enum err_code merge_open(struct merge *m, const char *path_a, const char 
     if (a->embed_len > 0 && bake_fits(m->a, model, e))
         return err_add(
             e,
-            "%s: its embeddings mean nothing to another model; give each store one look "
+            "%s: its embeddings mean nothing to another model; give each store one appearance "
             "(citysplat export -o FILE.ply --appearance LOOK, citysplat import FILE.ply) "
             "and merge those",
             path_b);
