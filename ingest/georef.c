@@ -16,7 +16,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "ingest/ingest.h"
+#include "core/base.h"
+#include "ingest/georef.h"
 
 enum {
     DRAWS_MAX = 10000,

@@ -12,6 +12,7 @@
 
 #include "codec/colmap.h"
 #include "codec/image.h"
+#include "ingest/ingest.h"
 #include "ingest/ingest_internal.h"
 
 static const double reliable_px = 2, inlier_m = 8;

@@ -8,9 +8,45 @@
 #include <stdatomic.h>
 
 #include "codec/colmap.h"
+#include "codec/image.h"
 #include "codec/scene.h"
 #include "core/outdir.h"
-#include "ingest/ingest.h"
+#include "ingest/georef.h"
+#include "ingest/ingest_photo.h"
+
+struct ingest_config;
+
+enum ingest_verdict { INGEST_KEPT, INGEST_FEW_POINTS, INGEST_POSE, INGEST_GPS, INGEST_MISSING };
+enum ingest_point { /* of a sparse point: ingest_points.c */
+                    INGEST_POINT_KEPT,
+                    INGEST_POINT_ANGLE,
+                    INGEST_POINT_ERROR,
+                    INGEST_POINT_ALONE,
+                    INGEST_POINT_BELOW,
+                    INGEST_POINT_ABOVE,
+                    INGEST_POINT_VERDICTS
+};
+struct ingest_photo {
+    const struct colmap_image *image;
+    char *out_name; /* in images/ of the scene */
+    uint32_t width_px, height_px;
+    struct image_gps gps;
+    struct georef_photo geo;
+    size_t n_points;        /* triangulated observations */
+    double reprojection_px; /* median */
+    double residual_m;      /* NaN without GPS */
+    uint32_t flight, view;
+    enum ingest_verdict verdict;
+};
+struct ingest_result { /* what ingest_report.c tells */
+    const struct ingest_config *cfg;
+    const struct ingest_photo *photos; /* in order of file names */
+    size_t n_photos, n_kept, n_train, n_test, n_gps, n_unregistered;
+    const struct scene *scene;
+    const size_t *points;               /* [INGEST_POINT_VERDICTS] sparse points by verdict */
+    const struct georef_result *georef; /* NULL when there was too little GPS */
+    double seconds;
+};
 
 struct ingest {
     const struct ingest_config *cfg;
@@ -33,12 +69,12 @@ struct ingest {
 };
 
 /* ingest_frame.c: origin and similarity into the scene, verdicts of those that contradict their
- * GPS. */
+ * GPS. ERR_ARG (--origin), ERR_DATA (no frame), ERR_MEM. */
 enum err_code ingest_frame_find(struct ingest *g, struct err *e) ERR_USE;
 /* --origin: "LON,LAT,H" in degrees and metres. ERR_ARG. */
 enum err_code ingest_frame_parse(const char *text, struct geo_origin *o, struct err *e) ERR_USE;
 /* ingest_scene.c: images, points and tracks of the scene from what was kept; fills kept and views.
- */
+ * ERR_MEM. */
 enum err_code ingest_scene_fill(struct ingest *g, struct err *e) ERR_USE;
 
 /* ingest_points.c: take the sparse points out of the scene that are no surface, with their
@@ -52,8 +88,16 @@ enum err_code ingest_exposure_find(struct ingest *g, struct err *e) ERR_USE;
 
 /* ---- ingest_mask.c ---- */
 
-/* The mask of a photograph for the pinhole picture that ingest makes of it, as PNG. */
+/* The mask of a photograph for the pinhole picture that ingest makes of it, as PNG. What is read:
+ * ERR_NOENT, ERR_FORMAT, ERR_LIMIT; ERR_IO, ERR_MEM. */
 enum err_code ingest_mask_convert(const struct ingest_view *v, const char *from, const char *to,
+                                  struct err *e) ERR_USE;
+
+/* ---- ingest_report.c ---- */
+
+void ingest_report_print(const struct ingest_result *r);
+/* report.json. ERR_IO, ERR_DATA, ERR_MEM. */
+enum err_code ingest_report_write(const struct ingest_result *r, const char *path,
                                   struct err *e) ERR_USE;
 
 #endif

@@ -15,7 +15,7 @@
 
 #include "codec/image.h"
 #include "codec/limits.h"
-#include "ingest/ingest.h"
+#include "ingest/ingest_photo.h"
 
 enum { JPEG_QUALITY = 98, FOCAL_STEPS = 60 };
 static const double focal_max = 8; /* times the lens' own: beyond that the view is a keyhole */

@@ -17,6 +17,7 @@
 #include "codec/scene.h"
 #include "core/knn.h"
 #include "core/pool.h"
+#include "ingest/ingest.h"
 #include "ingest/ingest_internal.h"
 
 enum {

@@ -9,6 +9,7 @@
 #include "codec/colmap.h"
 #include "codec/scene.h"
 #include "ingest/ingest.h"
+#include "ingest/ingest_internal.h"
 
 enum { NAMES_SHOWN = 20 };
 

@@ -9,6 +9,7 @@
 
 #include "codec/colmap.h"
 #include "codec/scene.h"
+#include "ingest/ingest.h"
 #include "ingest/ingest_internal.h"
 
 static enum err_code scene_no_memory(struct err *e)

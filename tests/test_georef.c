@@ -9,7 +9,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "ingest/ingest.h"
+#include "core/camera.h"
+#include "ingest/georef.h"
 #include "kit.h"
 
 enum { SEEDS = 40, N_MAX = 400 };

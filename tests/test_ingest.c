@@ -13,6 +13,7 @@
 #include "codec/limits.h"
 #include "codec/scene.h"
 #include "ingest/ingest.h"
+#include "ingest/ingest_internal.h"
 #include "kit.h"
 #include "synth/synth.h"
 

@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "codec/scene.h"
+#include "ingest/ingest.h"
 #include "ingest/ingest_internal.h"
 #include "kit.h"
 
