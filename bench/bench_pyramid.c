@@ -17,7 +17,6 @@
  */
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include <jansson.h>
@@ -283,12 +282,6 @@ static enum err_code pyramid_make(const struct pyr *p, enum pyr_way way, size_t 
 
 /* ---- scores ---- */
 
-static int pyramid_compare(const void *a, const void *b)
-{
-    const float *x = a, *y = b;
-    return (*x > *y) - (*x < *y);
-}
-
 /* Median over a level of each Gaussian's largest sigma, and over the Gaussians that test
  * photographs see of their depth. */
 static enum err_code pyramid_measure(const struct pyr *p, const struct gauss *g, double *sigma_m,
@@ -301,8 +294,7 @@ static enum err_code pyramid_measure(const struct pyr *p, const struct gauss *g,
         return err_set(e, ERR_MEM, "out of memory for %zu Gaussians", g->n);
     for (size_t i = 0; i < g->n; i++)
         v[i] = (float)pyramid_sigma(g, i);
-    qsort(v, g->n, sizeof *v, pyramid_compare);
-    *sigma_m = (double)v[g->n / 2];
+    *sigma_m = (double)sort_select(v, g->n, g->n / 2);
     for (size_t c = 0; c < p->n_images; c++) {
         const struct camera *cam = &p->scene.images[p->images[c]].cam;
         for (size_t i = 0; i < g->n; i += step) {
@@ -317,8 +309,7 @@ static enum err_code pyramid_measure(const struct pyr *p, const struct gauss *g,
                 v[n++] = (float)at[2];
         }
     }
-    qsort(v, n, sizeof *v, pyramid_compare);
-    *depth_m = n ? (double)v[n / 2] : 1;
+    *depth_m = n ? (double)sort_select(v, n, n / 2) : 1;
     mem_free(v);
     return ERR_OK;
 }

@@ -21,6 +21,7 @@
 #include <unistd.h>
 
 #include "core/pool.h"
+#include "core/sort.h"
 #include "lod/store.h"
 #include "server/server.h"
 #include "server/services.h"
@@ -394,12 +395,6 @@ static enum err_code serve_busy_work(void *user, size_t index, struct err *e)
     return ok ? ERR_OK : err_set(e, ERR_IO, "bench_serve: a connection broke");
 }
 
-static int serve_busy_order(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
 static enum err_code serve_busy_measure(struct bench *b, struct busy *w, const char *name,
                                         double idle_ms[2], struct err *e)
 {
@@ -411,7 +406,7 @@ static enum err_code serve_busy_measure(struct bench *b, struct busy *w, const c
     bool idle = !atomic_load(&w->draw);
     atomic_store(&w->stop, false);
     enum err_code rc = pool_for(2, 2, serve_busy_work, w, e);
-    qsort(w->ms, BUSY_REQUESTS, sizeof w->ms[0], serve_busy_order);
+    sort_doubles(w->ms, BUSY_REQUESTS);
     for (int i = 0; !rc && i < 2; i++) {
         double ms = w->ms[(size_t)(at[i].share * BUSY_REQUESTS)];
         idle_ms[i] = idle ? ms : idle_ms[i];

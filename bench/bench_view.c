@@ -1,6 +1,6 @@
 /* A large city through the level-of-detail path, as the server draws it: select tiles, bring them
- * to the device, draw with the look of a photograph, encode a JPEG. A camera flies over the city in
- * small steps, once to fill the cache of tiles, then timed; the look changes every few frames.
+ * to the device, draw with the appearance of a photograph, encode a JPEG. A camera flies over the city in
+ * small steps, once to fill the cache of tiles, then timed; the appearance changes every few frames.
  *
  * The city is the one of bench_frame side by side, with random appearance embeddings; its coarser
  * levels are those of the pyramid.
@@ -13,6 +13,7 @@
 #include "codec/image.h"
 #include "core/appearance.h"
 #include "core/geo.h"
+#include "core/sort.h"
 #include "lod/bake.h"
 #include "lod/pick.h"
 #include "lod/pyramid.h"
@@ -21,7 +22,6 @@
 
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 enum {
@@ -43,7 +43,7 @@ static const struct geo_origin flight_origin = {8.6821, 50.1109, 160};
 struct flight {
     struct render *render;
     struct view *view;
-    struct appearance look;
+    struct appearance appearance;
     float *frame, *rgb;
     struct image picture;
     double ms[VIEW_FRAMES], pick_ms, load_ms, draw_ms, jpeg_ms;
@@ -73,8 +73,8 @@ static enum err_code view_flight_city(size_t n, struct gauss *out, struct err *e
     return rc;
 }
 
-static enum err_code view_flight_store(struct bench *b, const struct appearance *look, size_t n,
-                                       const char *path, struct err *e)
+static enum err_code view_flight_store(struct bench *b, const struct appearance *appearance,
+                                       size_t n, const char *path, struct err *e)
 {
     struct appearance kept = {0};
     struct buf bytes = {0};
@@ -85,7 +85,7 @@ static enum err_code view_flight_store(struct bench *b, const struct appearance 
     enum err_code rc = view_flight_city(n, &g, e);
     const struct pyramid_level level = {.g = &g, .level = 3};
     if (!rc)
-        rc = bake_with_default(look, &g, &kept, e);
+        rc = bake_with_default(appearance, &g, &kept, e);
     if (!rc)
         rc = appearance_write(&kept, &bytes, e);
     const struct store_blob blob = {.name = "appearance", bytes.data, bytes.size};
@@ -116,12 +116,13 @@ static enum err_code view_flight_frame(struct flight *c, int k, struct err *e)
     struct view_stats stats;
     struct buf jpeg = {0};
     double start_s = clock_s();
-    appearance_frame(&c->look, c->look.images + (size_t)(k / 8 % VIEW_PHOTOS) * c->look.len_image,
+    appearance_frame(&c->appearance,
+                     c->appearance.images + (size_t)(k / 8 % VIEW_PHOTOS) * c->appearance.len_image,
                      c->frame);
     const struct render_options ro = {.aa = RENDER_AA_2D,
                                       .sh_degree = -1,
                                       .appearance_frame = c->frame,
-                                      .appearance_hidden = c->look.hidden};
+                                      .appearance_hidden = c->appearance.hidden};
     const struct pick_options po = {.max_gaussians = VIEW_GAUSSIANS};
     enum err_code rc = view_render(c->view, &cam, &ro, &po, c->rgb, &stats, e);
     double drawn_s = clock_s();
@@ -161,12 +162,6 @@ static enum err_code view_flight_loss(struct flight *c, double *psnr_db, struct 
     return rc;
 }
 
-static int view_flight_order(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
 static enum err_code view_flight_open(struct bench *b, const char *path, struct flight *c,
                                       struct err *e)
 {
@@ -191,11 +186,11 @@ enum err_code bench_view(struct bench *b, struct err *e)
     size_t n = b->quick ? 160000 : 10400000;
     enum err_code rc = file_join(path, bench_tmpdir(b), "city.tiles", e);
     if (!rc)
-        rc = appearance_alloc(&c.look, APPEARANCE_GAUSS_LEN, APPEARANCE_IMAGE_LEN,
+        rc = appearance_alloc(&c.appearance, APPEARANCE_GAUSS_LEN, APPEARANCE_IMAGE_LEN,
                               APPEARANCE_HIDDEN, VIEW_PHOTOS, e);
     if (!rc) {
-        appearance_init(&c.look, VIEW_SEED);
-        rc = view_flight_store(b, &c.look, n, path, e);
+        appearance_init(&c.appearance, VIEW_SEED);
+        rc = view_flight_store(b, &c.appearance, n, path, e);
     }
     if (!rc)
         rc = view_flight_open(b, path, &c, e);
@@ -210,7 +205,7 @@ enum err_code bench_view(struct bench *b, struct err *e)
     if (!rc)
         rc = view_flight_loss(&c, &psnr_db, e);
     if (!rc) {
-        qsort(c.ms, VIEW_FRAMES, sizeof c.ms[0], view_flight_order);
+        sort_doubles(c.ms, VIEW_FRAMES);
         const struct {
             const char *name, *unit;
             double value;
@@ -233,7 +228,7 @@ enum err_code bench_view(struct bench *b, struct err *e)
     view_close(&c.view);
     render_close(&c.render);
     image_free(&c.picture);
-    appearance_free(&c.look);
+    appearance_free(&c.appearance);
     mem_free(c.frame);
     mem_free(c.rgb);
     return rc;

@@ -15,6 +15,7 @@
 
 #include "bench/bench.h"
 #include "core/options.h"
+#include "core/sort.h"
 
 struct bench_row {
     const char *bench, *name, *unit, *against;
@@ -93,12 +94,6 @@ void bench_report_at(struct bench *b, const char *case_name, double value, const
     bench_keep(b, text, value, unit, 0.0, NULL);
 }
 
-static int bench_compare_double(const void *a, const void *b)
-{
-    const double *x = a, *y = b;
-    return (*x > *y) - (*x < *y);
-}
-
 static enum err_code bench_clock(struct bench *b, double (*now)(void),
                                  enum err_code (*fn)(void *user, struct err *e), void *user,
                                  double *median_ms, double *spread_ms, struct err *e)
@@ -113,7 +108,7 @@ static enum err_code bench_clock(struct bench *b, double (*now)(void),
         rc = fn(user, e);
         ms[i] = 1e3 * (now() - start);
     }
-    qsort(ms, n, sizeof *ms, bench_compare_double);
+    sort_doubles(ms, n);
     *median_ms = ms[n / 2];
     if (spread_ms)
         *spread_ms = 0.5 * (ms[3 * n / 4] - ms[n / 4]);

@@ -12,6 +12,7 @@
 #include "cells/footprint_internal.h"
 #include "codec/scene.h"
 #include "core/pool.h"
+#include "core/sort.h"
 
 enum {
     FOOTPRINT_SIDE = 256,      /* cells along the longer side, at most */
@@ -43,18 +44,10 @@ void footprint_free(struct footprint *f)
 
 /* ---- the grid ---- */
 
-static int footprint_compare(const void *a, const void *b)
-{
-    double x, y;
-    memcpy(&x, a, sizeof x);
-    memcpy(&y, b, sizeof y);
-    return (x > y) - (x < y);
-}
-
 /* Quantiles lo and hi of v[0..n), which is sorted. */
 static void footprint_range(double *v, size_t n, double share, double *lo, double *hi)
 {
-    qsort(v, n, sizeof *v, footprint_compare);
+    sort_doubles(v, n);
     *lo = v[(size_t)(share * (double)(n - 1))];
     *hi = v[n - 1 - (size_t)(share * (double)(n - 1))];
 }

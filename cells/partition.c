@@ -16,6 +16,7 @@
 
 #include "codec/scene.h"
 #include "core/pool.h"
+#include "core/sort.h"
 
 enum {
     PARTITION_TRACK_MIN = 3,  /* "reliable" point: seen in three photographs ... */
@@ -400,12 +401,6 @@ static enum err_code partition_merge(const struct survey *v, struct partition *p
     return partition_assign(v, p->edge_m, c, &p->arena, e);
 }
 
-static int partition_compare(const void *a, const void *b)
-{
-    const double *x = a, *y = b;
-    return (*x > *y) - (*x < *y);
-}
-
 /* Bisect the longer edge at the median of the location cameras, snapped to P/8. */
 static enum err_code partition_divide(const struct survey *v, struct partition *p, size_t i,
                                       struct err *e)
@@ -419,7 +414,7 @@ static enum err_code partition_divide(const struct survey *v, struct partition *
         struct xy q = v->center[c->images[m]];
         at[m] = k == 0 ? q.x : q.y;
     }
-    qsort(at, c->n_location, sizeof *at, partition_compare);
+    sort_doubles(at, c->n_location);
     double step = p->edge_m / PARTITION_SNAP, lo = c->min_m[k], hi = c->max_m[k];
     double median = c->n_location ? at[c->n_location / 2] : 0.5 * (lo + hi);
     mem_free(at);

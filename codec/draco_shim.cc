@@ -14,6 +14,7 @@
 #include "codec/draco_layout.h"
 #include "codec/limits.h"
 #include "codec/quant.h"
+#include "core/shim.h"
 
 #include <draco/compression/decode.h>
 #include <draco/compression/expert_encode.h>
@@ -30,20 +31,6 @@ static constexpr int32_t POSITION_OFFSET = 1 << 23;
 static constexpr uint32_t MAGNITUDE_MAX = 511, GREEN_OFFSET = 128;
 static constexpr int BYTE_SHIFT_MAX = 7, MAGNITUDE_SHIFT_MAX = 8, POSITION_SHIFT_MAX = 22;
 static constexpr size_t SAMPLE_ROWS = 256, SAMPLE_EVERY = 2048; // for the choice of prediction
-
-#define SHIM_CATCH(who)                                                                            \
-    catch (const std::bad_alloc &)                                                                 \
-    {                                                                                              \
-        return err_set(e, ERR_MEM, who ": out of memory");                                         \
-    }                                                                                              \
-    catch (const std::exception &x)                                                                \
-    {                                                                                              \
-        return err_set(e, ERR_FORMAT, who ": %s", x.what());                                       \
-    }                                                                                              \
-    catch (...)                                                                                    \
-    {                                                                                              \
-        return err_set(e, ERR_INTERNAL, who ": unknown exception");                                \
-    }
 
 // ---- where values stand in struct quant, and how many low bits they do without ------------------
 
@@ -306,7 +293,7 @@ try {
     buf_add(out, b.data(), b.size());
     return buf_check(out, e);
 }
-SHIM_CATCH("draco_encode_columns")
+SHIM_CATCH("draco_encode_columns", ERR_FORMAT)
 
 extern "C" enum err_code draco_encode(const struct quant *q, const char *tile, struct buf *out,
                                       struct err *e)
@@ -332,7 +319,7 @@ try {
     buf_u32(out, draco_crc(b.data(), b.size()));
     return buf_check(out, e);
 }
-SHIM_CATCH("draco_encode")
+SHIM_CATCH("draco_encode", ERR_FORMAT)
 
 // ---- and back ----------------------------------------------------------------------------------
 
@@ -508,4 +495,4 @@ try {
     }
     return rc;
 }
-SHIM_CATCH("draco_decode")
+SHIM_CATCH("draco_decode", ERR_FORMAT)

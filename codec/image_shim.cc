@@ -10,6 +10,7 @@
 #include "codec/limits.h"
 #include "codec/png.h"
 #include "codec/webp.h"
+#include "core/shim.h"
 
 #include <OpenImageIO/filesystem.h>
 #include <OpenImageIO/imageio.h>
@@ -21,20 +22,6 @@
 #include <vector>
 
 static constexpr int JPEG_FULL_CHROMA_QUALITY = 95; // from here on chroma is not subsampled
-
-#define SHIM_CATCH(who)                                                                            \
-    catch (const std::bad_alloc &)                                                                 \
-    {                                                                                              \
-        return err_set(e, ERR_MEM, who ": out of memory");                                         \
-    }                                                                                              \
-    catch (const std::exception &x)                                                                \
-    {                                                                                              \
-        return err_set(e, ERR_FORMAT, who ": %s", x.what());                                       \
-    }                                                                                              \
-    catch (...)                                                                                    \
-    {                                                                                              \
-        return err_set(e, ERR_INTERNAL, who ": unknown exception");                                \
-    }
 
 static void image_single_thread()
 {
@@ -127,7 +114,7 @@ try {
     *out = img;
     return ERR_OK;
 }
-SHIM_CATCH("image_read")
+SHIM_CATCH("image_read", ERR_FORMAT)
 
 extern "C" enum err_code image_read_map(const char *path, const struct codec_limits *lim,
                                         uint32_t *width_px, uint32_t *height_px, float **data,
@@ -159,7 +146,7 @@ try {
     *data = px;
     return ERR_OK;
 }
-SHIM_CATCH("image_read_map")
+SHIM_CATCH("image_read_map", ERR_FORMAT)
 
 extern "C" enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *height_px,
                                          struct image_gps *gps, struct err *e)
@@ -174,7 +161,7 @@ try {
         *height_px = (uint32_t)in->spec().height;
     return gps ? exif_read(path, gps, e) : ERR_OK;
 }
-SHIM_CATCH("image_read_info")
+SHIM_CATCH("image_read_info", ERR_FORMAT)
 
 static int image_quality(int quality)
 {
@@ -224,7 +211,7 @@ try {
     buf_add(out, bytes.data(), bytes.size());
     return buf_check(out, e);
 }
-SHIM_CATCH("image_encode")
+SHIM_CATCH("image_encode", ERR_FORMAT)
 
 // libtiff seeks while it writes, which OpenImageIO's memory file does not survive: by way of the
 // disk.
@@ -270,4 +257,4 @@ try {
     buf_free(&b);
     return rc;
 }
-SHIM_CATCH("image_write")
+SHIM_CATCH("image_write", ERR_FORMAT)

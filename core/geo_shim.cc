@@ -6,12 +6,12 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "core/geo.h"
+#include "core/shim.h"
 
 #include <GeographicLib/Geocentric.hpp>
 #include <GeographicLib/Geoid.hpp>
 #include <GeographicLib/LocalCartesian.hpp>
 #include <cmath>
-#include <exception>
 #include <memory>
 #include <string>
 #include <vector>
@@ -30,11 +30,6 @@ enum err_code check_place(double lon_deg, double lat_deg, double h_m, struct err
     return ERR_OK;
 }
 
-enum err_code caught(struct err *e, const char *what)
-{
-    return err_set(e, ERR_INTERNAL, "geo: GeographicLib: %s", what);
-}
-
 } // namespace
 
 extern "C" enum err_code geo_to_enu(const struct geo_origin *o, double lon_deg, double lat_deg,
@@ -48,11 +43,8 @@ try {
     GeographicLib::LocalCartesian frame(o->lat_deg, o->lon_deg, o->h_m);
     frame.Forward(lat_deg, lon_deg, h_m, enu_m[0], enu_m[1], enu_m[2]);
     return ERR_OK;
-} catch (const std::exception &x) {
-    return caught(e, x.what());
-} catch (...) {
-    return caught(e, "unknown exception");
 }
+SHIM_CATCH("geo: GeographicLib", ERR_INTERNAL)
 
 extern "C" enum err_code geo_from_enu(const struct geo_origin *o, const double enu_m[3],
                                       double *lon_deg, double *lat_deg, double *h_m, struct err *e)
@@ -65,11 +57,8 @@ try {
     GeographicLib::LocalCartesian frame(o->lat_deg, o->lon_deg, o->h_m);
     frame.Reverse(enu_m[0], enu_m[1], enu_m[2], *lat_deg, *lon_deg, *h_m);
     return ERR_OK;
-} catch (const std::exception &x) {
-    return caught(e, x.what());
-} catch (...) {
-    return caught(e, "unknown exception");
 }
+SHIM_CATCH("geo: GeographicLib", ERR_INTERNAL)
 
 extern "C" enum err_code geo_enu_to_ecef(const struct geo_origin *o, double m[16], struct err *e)
 try {
@@ -89,11 +78,8 @@ try {
     m[14] = z;
     m[15] = 1;
     return ERR_OK;
-} catch (const std::exception &x) {
-    return caught(e, x.what());
-} catch (...) {
-    return caught(e, "unknown exception");
 }
+SHIM_CATCH("geo: GeographicLib", ERR_INTERNAL)
 
 extern "C" enum err_code geo_local_axes(const struct geo_origin *o, double lon_deg, double lat_deg,
                                         double rot[9], struct err *e)
@@ -110,11 +96,8 @@ try {
     for (int i = 0; i < 9; i++)
         rot[i] = axes[i];
     return ERR_OK;
-} catch (const std::exception &x) {
-    return caught(e, x.what());
-} catch (...) {
-    return caught(e, "unknown exception");
 }
+SHIM_CATCH("geo: GeographicLib", ERR_INTERNAL)
 
 struct geoid {
     std::string name;
@@ -130,16 +113,13 @@ try {
     g->model = std::make_unique<GeographicLib::Geoid>(name, dir ? dir : std::string(), true, true);
     *out = g.release();
     return ERR_OK;
-} catch (const std::bad_alloc &) {
-    return err_set(e, ERR_MEM, "geoid %s : out of memory", name);
-} catch (const std::exception &x) {
+} catch (const GeographicLib::GeographicErr &x) {
     return err_set(e, ERR_NOENT,
                    "geoid %s : %s : give a model of GeographicLib, as egm96-5, and the folder of "
                    "its .pgm (geographiclib-get-geoids fetches it)",
                    name, x.what());
-} catch (...) {
-    return caught(e, "unknown exception");
 }
+SHIM_CATCH("geoid", ERR_INTERNAL)
 
 extern "C" void geoid_close(struct geoid **g)
 {

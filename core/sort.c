@@ -4,6 +4,8 @@
  */
 #include "core/sort.h"
 
+#include <stdlib.h>
+
 #include <string.h>
 
 enum { SORT_BITS = 11, SORT_BINS = 1 << SORT_BITS, SORT_FEW = 48 };
@@ -88,6 +90,28 @@ void sort_words(uint64_t *words, uint64_t *scratch, size_t n)
     }
     if (from != words)
         memcpy(words, from, n * sizeof *words);
+}
+
+static int sort_double_compare(const void *a, const void *b)
+{
+    double x, y;
+    memcpy(&x, a, sizeof x);
+    memcpy(&y, b, sizeof y);
+    return (x > y) - (x < y);
+}
+
+void sort_doubles(double *v, size_t n)
+{
+    if (n)
+        qsort(v, n, sizeof *v, sort_double_compare);
+}
+
+double sort_median(double *v, size_t n)
+{
+    if (!n)
+        return 0;
+    sort_doubles(v, n);
+    return n % 2 ? v[n / 2] : 0.5 * (v[n / 2 - 1] + v[n / 2]);
 }
 
 /* Hoare's selection, about the median of three. */

@@ -21,6 +21,10 @@ void sort_items(struct sort_item *items, struct sort_item *scratch, size_t n);
 /* Ascending by the upper half of each word, a key, and by where it stands among equals. Half the
  * size of items, and in the lower half whatever belongs to the key. `scratch` as above. */
 void sort_words(uint64_t *words, uint64_t *scratch, size_t n);
+/* Ascending by value. */
+void sort_doubles(double *v, size_t n);
+/* The median, of an even number the mean of the middle two, of none 0; v is sorted. */
+double sort_median(double *v, size_t n);
 /* The k-th smallest of x[n] by value, k < n; x is put into another order. Among NaN, any of x. */
 float sort_select(float *x, size_t n, size_t k);
 /* A key that ascends with x, negative numbers and infinities included. */

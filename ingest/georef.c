@@ -17,6 +17,7 @@
 #include <string.h>
 
 #include "core/base.h"
+#include "core/sort.h"
 #include "ingest/georef.h"
 
 enum {
@@ -252,7 +253,7 @@ static bool georef_draw_plans(const struct work *w, struct sim3_fit *best)
         sim3_apply(&best->sim, w->x[w->with_gps[k]], at);
         w->scratch[k] = w->y[w->with_gps[k]][2] - at[2];
     }
-    best->sim.trans[2] += sim3_median(w->scratch, w->n_gps);
+    best->sim.trans[2] += sort_median(w->scratch, w->n_gps);
     return true;
 }
 
@@ -319,7 +320,7 @@ static double georef_window_height(struct work *w, const struct sim3_fit *f, siz
     size_t hi = after ? at + JUMP_WINDOW : at, n = 0;
     for (size_t k = lo; k < hi && k < w->n_gps; k++)
         w->scratch[n++] = georef_height_error(w, f, w->with_gps[k]);
-    return sim3_median(w->scratch, n);
+    return sort_median(w->scratch, n);
 }
 
 /* Residual sum of squares of v[0..n) about its best parabola; *steps gets that about two levels
@@ -392,7 +393,7 @@ static enum err_code georef_flights_try(struct work *w, const struct sim3_fit *s
         for (size_t k = 0; k < w->n_gps; k++)
             if (w->trial[w->with_gps[k]] == g)
                 w->scratch[count[g]++] = georef_height_error(w, single, w->with_gps[k]);
-        double median = sim3_median(w->scratch, count[g]);
+        double median = sort_median(w->scratch, count[g]);
         if (g == 0)
             base = median;
         f.offset_m[g] = median - base;
@@ -458,7 +459,7 @@ static enum err_code georef_flights_find(struct work *w, const struct georef_pho
         rc = georef_jump_try(w, &single, &best, at, &jump, e);
     for (size_t k = 0; k < w->n_gps; k++)
         w->scratch[k] = georef_height_error(w, &single, w->with_gps[k]);
-    sim3_median(w->scratch, w->n_gps); /* sorts */
+    sort_median(w->scratch, w->n_gps); /* sorts */
     double split = 0.5 * (w->scratch[w->n_gps / 8] + w->scratch[w->n_gps - 1 - w->n_gps / 8]);
     for (size_t i = 0; i < w->n; i++)
         w->trial[i] = photos[i].has_gps && georef_height_error(w, &single, i) > split;
@@ -474,10 +475,10 @@ static double georef_rejection_distance(struct work *w, const struct sim3_fit *f
 {
     for (size_t k = 0; k < w->n_gps; k++)
         w->scratch[k] = sim3_residual(&w->p, f, w->with_gps[k]);
-    double median = sim3_median(w->scratch, w->n_gps);
+    double median = sort_median(w->scratch, w->n_gps);
     for (size_t k = 0; k < w->n_gps; k++)
         w->scratch[k] = fabs(sim3_residual(&w->p, f, w->with_gps[k]) - median);
-    double tau = median + 5 * 1.4826 * sim3_median(w->scratch, w->n_gps);
+    double tau = median + 5 * 1.4826 * sort_median(w->scratch, w->n_gps);
     return fmin(fmax(tau, w->cfg->tau_min_m), w->cfg->tau_max_m);
 }
 

@@ -22,6 +22,7 @@
 #include "codec/scene.h"
 #include "core/outdir.h"
 #include "core/pool.h"
+#include "core/sort.h"
 #include "ingest/ingest_internal.h"
 
 static const struct options_def defs[] = {
@@ -300,7 +301,7 @@ static enum err_code ingest_judge_poses(struct ingest *g, struct err *e)
         for (size_t k = 0; k < p->image->n_obs; k++)
             if (p->image->obs[k].point >= 0)
                 scratch[p->n_points++] = ingest_reprojection_at(g, p, &p->image->obs[k]);
-        p->reprojection_px = sim3_median(scratch, p->n_points);
+        p->reprojection_px = sort_median(scratch, p->n_points);
         if (p->verdict == INGEST_KEPT && p->n_points < (size_t)g->cfg->min_points)
             p->verdict = INGEST_FEW_POINTS;
         else if (p->verdict == INGEST_KEPT && p->reprojection_px > g->cfg->max_reprojection_px)

@@ -12,6 +12,7 @@
 
 #include "codec/colmap.h"
 #include "codec/image.h"
+#include "core/sort.h"
 #include "ingest/ingest.h"
 #include "ingest/ingest_internal.h"
 
@@ -70,8 +71,8 @@ static enum err_code frame_median_place(const struct ingest *g, struct geo_origi
         v[g->n + n] = p->lat_deg;
         v[2 * g->n + n++] = p->alt_m + g->cfg->geoid_offset_m;
     }
-    *o = (struct geo_origin){remainder(lon0 + sim3_median(v, n), 360), sim3_median(v + g->n, n),
-                             sim3_median(v + 2 * g->n, n)};
+    *o = (struct geo_origin){remainder(lon0 + sort_median(v, n), 360), sort_median(v + g->n, n),
+                             sort_median(v + 2 * g->n, n)};
     mem_free(v);
     return ERR_OK;
 }
@@ -113,7 +114,7 @@ static enum err_code frame_ground_normal(const struct ingest *g, double out[3], 
         }
         for (int a = 0; a < 3; a++)
             mean[a] = sum[a] / (double)n;
-        limit = pass ? 3 * sim3_median(d, n) : HUGE_VAL;
+        limit = pass ? 3 * sort_median(d, n) : HUGE_VAL;
     }
     sim3_eigen(cov, 3, values, vectors);
     if (values[0] < 0.1 * values[1])
@@ -133,7 +134,7 @@ static double frame_median_height(const struct ingest *g, const struct sim3 *s, 
         sim3_apply(s, m->points[i].xyz, y);
         scratch[n++] = y[2];
     }
-    return sim3_median(scratch, n);
+    return sort_median(scratch, n);
 }
 
 /* The same similarity told in the frame of another origin: a rotation and a shift by way of ECEF.

@@ -17,6 +17,7 @@
 #include "codec/scene.h"
 #include "core/knn.h"
 #include "core/pool.h"
+#include "core/sort.h"
 #include "ingest/ingest.h"
 #include "ingest/ingest_internal.h"
 
@@ -144,7 +145,7 @@ static bool points_alone(const struct points_work *w, size_t i)
     size_t n = knn_find(&w->space, w->xyz + 3 * i, (uint32_t)i, POINTS_AROUND, ids, d2);
     for (size_t k = 0; k < n; k++)
         gap[k] = (double)w->gap_m[ids[k]];
-    double usual = fmax(sim3_median(gap, n), POINTS_GAP_PX * (double)w->pixel_m[i]);
+    double usual = fmax(sort_median(gap, n), POINTS_GAP_PX * (double)w->pixel_m[i]);
     return n == POINTS_AROUND && (double)w->gap_m[i] > w->cfg->max_point_gap * usual;
 }
 
@@ -166,7 +167,7 @@ static double points_off_surface(const struct points_work *w, size_t i)
         return 0.0;
     for (size_t k = 0; k < n; k++)
         z[k] = (double)w->xyz[3 * ids[k] + 2];
-    sim3_median(z, n); /* sorts */
+    sort_median(z, n); /* sorts */
     double low = z[POINTS_TAIL], high = z[n - 1 - POINTS_TAIL], at = (double)w->xyz[3 * i + 2];
     double step = fmax(high - low, POINTS_STEP_GAPS * sqrt((double)d2[n - 1]));
     step = fmax(step, POINTS_STEP_PX * (double)w->pixel_m[i]);
@@ -222,7 +223,7 @@ static enum err_code points_open(struct points_work *w, struct err *e)
         memcpy(w->xy0 + 3 * i, w->xyz + 3 * i, 2 * sizeof *w->xy0);
     }
     if (!rc)
-        w->error_px = sim3_median(error, n);
+        w->error_px = sort_median(error, n);
     mem_free(error);
     if (!rc)
         points_observers(w);

@@ -8,6 +8,7 @@
 
 #include "codec/colmap.h"
 #include "codec/scene.h"
+#include "core/sort.h"
 #include "ingest/ingest.h"
 #include "ingest/ingest_internal.h"
 
@@ -51,7 +52,7 @@ static size_t report_residual_quantiles(const struct ingest_result *r, double q[
         if (r->photos[i].verdict == INGEST_KEPT && isfinite(r->photos[i].residual_m))
             v[n++] = r->photos[i].residual_m;
     if (n) {
-        q[0] = sim3_median(v, n); /* sorts */
+        q[0] = sort_median(v, n); /* sorts */
         q[1] = v[(size_t)(0.9 * (double)(n - 1))];
         q[2] = v[n - 1];
     }
@@ -137,7 +138,7 @@ static double report_exposure(const struct ingest_result *r, double *median_ev)
         v[i] = fabs(ev);
     }
     if (v && s->n_images)
-        *median_ev = sim3_median(v, s->n_images);
+        *median_ev = sort_median(v, s->n_images);
     mem_free(v);
     return most - least;
 }

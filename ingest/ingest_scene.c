@@ -9,6 +9,7 @@
 
 #include "codec/colmap.h"
 #include "codec/scene.h"
+#include "core/sort.h"
 #include "ingest/ingest.h"
 #include "ingest/ingest_internal.h"
 
@@ -109,7 +110,7 @@ static enum err_code scene_hold_block(struct scene *s, double share, struct err 
     for (int axis = 0; axis < 2; axis++) {
         for (size_t i = 0; i < n; i++)
             v[i] = axis ? p[i].y_m : p[i].x_m;
-        middle[axis] = sim3_median(v, n);
+        middle[axis] = sort_median(v, n);
     }
     scene_places_sort(p, n, middle[0], middle[1]);
     if (n)

@@ -24,11 +24,11 @@
 #include "ingest/sim3.h"
 
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "core/base.h"
 #include "core/camera.h"
+#include "core/sort.h"
 
 enum { UNKNOWNS = 7 + SIM3_GROUPS_MAX - 1, REFINE_MAX = 30, JACOBI_SWEEPS = 40 };
 static const double sigma_floor_m = 0.01, sigma_ground = 0.2, level_floor = 0.02;
@@ -53,20 +53,6 @@ static void sim3_rotate(const double r[9], const double x[3], double y[3])
 {
     for (int i = 0; i < 3; i++)
         y[i] = r[3 * i] * x[0] + r[3 * i + 1] * x[1] + r[3 * i + 2] * x[2];
-}
-
-static int sim3_double_compare(const void *a, const void *b)
-{
-    const double *p = a, *q = b;
-    return (*p > *q) - (*p < *q);
-}
-
-double sim3_median(double *v, size_t n)
-{
-    if (!n)
-        return 0;
-    qsort(v, n, sizeof *v, sim3_double_compare);
-    return n % 2 ? v[n / 2] : 0.5 * (v[n / 2 - 1] + v[n / 2]);
 }
 
 /* ---- eigenvectors ---- */
@@ -235,7 +221,7 @@ bool sim3_from_plan(const double (*x)[3], const double (*y)[3], const uint32_t *
         sim3_apply(out, x[i], at);
         scratch[k] = y[i][2] - at[2];
     }
-    out->trans[2] = sim3_median(scratch, n);
+    out->trans[2] = sort_median(scratch, n);
     return true;
 }
 
@@ -471,9 +457,9 @@ static void sim3_spread_at(const struct sim3_problem *p, struct sim3_fit *f, boo
         center[a] /= (double)(n ? n : 1);
     if (frozen)
         return;
-    f->sigma_h_m = fmax(sigma_floor_m, sim3_median(scratch, n) / median_2d);
+    f->sigma_h_m = fmax(sigma_floor_m, sort_median(scratch, n) / median_2d);
     f->sigma_v_m =
-        fmax(0.5 * f->sigma_h_m, fmax(sigma_floor_m, sim3_median(heights, n) / median_1d));
+        fmax(0.5 * f->sigma_h_m, fmax(sigma_floor_m, sort_median(heights, n) / median_1d));
     f->share_h = sim3_independent_share(p, f, 0, 1, f->sigma_h_m);
     f->share_v = sim3_independent_share(p, f, 2, 2, f->sigma_v_m);
     f->objective = (double)n * (2 * log(f->sigma_h_m) + log(f->sigma_v_m));

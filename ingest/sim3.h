@@ -63,7 +63,5 @@ double sim3_residual(const struct sim3_problem *p, const struct sim3_fit *fit, s
  */
 bool sim3_from_plan(const double (*x)[3], const double (*y)[3], const uint32_t *index, size_t n,
                     const double up_x[3], double *scratch, struct sim3 *out);
-/* The median of v[0..n), which is reordered; 0 when n is 0. */
-double sim3_median(double *v, size_t n);
 
 #endif

@@ -8,8 +8,8 @@
 #include "lod/pyramid_fit.h"
 
 #include <math.h>
-#include <stdlib.h>
 
+#include "core/sort.h"
 #include "lod/locate.h"
 #include "lod/simplify.h"
 
@@ -33,12 +33,6 @@ struct gauss pyramid_view(const struct gauss *g, size_t from, size_t n)
     return v;
 }
 
-static int pyramid_double_compare(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return x < y ? -1 : x > y;
-}
-
 /* A lossless store needs m - c to be exact in float32: true for c = 0, and by Sterbenz's lemma for
  * c / 2 <= m <= 2 c. */
 double pyramid_center_axis(bool lossless, double reach_m, double *at, size_t n)
@@ -50,7 +44,7 @@ double pyramid_center_axis(bool lossless, double reach_m, double *at, size_t n)
     }
     double c = round(0.5 * (lo + hi)) + 0.0;
     if (!(hi - lo < 2.0 * reach_m)) {
-        qsort(at, n, sizeof *at, pyramid_double_compare);
+        sort_doubles(at, n);
         c = round(at[n / 2]) + 0.0;
     }
     if (!lossless)

@@ -10,12 +10,12 @@
  */
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "codec/image.h"
 #include "codec/npy.h"
 #include "codec/scene.h"
+#include "core/sort.h"
 #include "loss/depth_map.h"
 
 #define DEPTH_ERROR_MAX_PX 1.5f /* reprojection error of points to align with */
@@ -50,21 +50,6 @@ struct depth_map {
 
 /* ---- alignment ---- */
 
-static int depth_compare(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return x < y ? -1 : x > y;
-}
-
-/* Sorts v. */
-static double depth_median(double *v, size_t n)
-{
-    if (!n)
-        return 0.0;
-    qsort(v, n, sizeof *v, depth_compare);
-    return n % 2 ? v[n / 2] : 0.5 * (v[n / 2 - 1] + v[n / 2]);
-}
-
 static double depth_deviation(const double *v, size_t n, double about)
 {
     double sum = 0.0;
@@ -78,9 +63,9 @@ static enum depth_verdict depth_fit(const double *x, const double *y, size_t n, 
                                     double *a, double *b)
 {
     memcpy(scratch, x, n * sizeof *x);
-    double mx = depth_median(scratch, n), range = scratch[n - 1] - scratch[0];
+    double mx = sort_median(scratch, n), range = scratch[n - 1] - scratch[0];
     memcpy(scratch, y, n * sizeof *y);
-    double my = depth_median(scratch, n);
+    double my = sort_median(scratch, n);
     double dx = depth_deviation(x, n, mx), dy = depth_deviation(y, n, my), together = 0.0;
     if (!(range > DEPTH_RANGE_MIN * mx) || !(dy > 0.0))
         return DEPTH_MAP_FLAT;
@@ -91,7 +76,7 @@ static enum depth_verdict depth_fit(const double *x, const double *y, size_t n, 
         together += (x[i] - mx) * (y[i] - my);
         scratch[i] = t > 0.0 ? fabs(log(t / x[i])) : (double)INFINITY;
     }
-    if (!(together > 0.0) || !(depth_median(scratch, n) <= DEPTH_LOG_RATIO_MAX))
+    if (!(together > 0.0) || !(sort_median(scratch, n) <= DEPTH_LOG_RATIO_MAX))
         return DEPTH_MAP_MISFIT;
     return DEPTH_MAP_OK;
 }
@@ -248,7 +233,7 @@ static enum err_code depth_check_scales(struct depth_map *d, struct err *e)
     for (size_t i = 0; i < d->cfg.n_images; i++)
         if (d->photos[d->cfg.images[i]].verdict == DEPTH_MAP_OK)
             a[n++] = d->photos[d->cfg.images[i]].a;
-    double middle = depth_median(a, n);
+    double middle = sort_median(a, n);
     for (size_t i = 0; i < d->cfg.n_images; i++) {
         struct depth_photo *p = &d->photos[d->cfg.images[i]];
         if (p->verdict == DEPTH_MAP_OK &&
@@ -384,7 +369,7 @@ static enum err_code depth_unit(const float *t, size_t pixels, double *unit, str
     for (size_t i = 0; i < pixels; i++)
         if (t[i] >= 0.0f && at++ % every == 0)
             v[n++] = (double)t[i];
-    double middle = depth_median(v, n);
+    double middle = sort_median(v, n);
     *unit = middle > 0.0 ? 1.0 / middle : 0.0;
     mem_free(v);
     return ERR_OK;

@@ -12,6 +12,7 @@
 #include "codec/image.h"
 #include "codec/limits.h"
 #include "codec/scene.h"
+#include "core/sort.h"
 #include "ingest/ingest.h"
 #include "ingest/ingest_internal.h"
 #include "kit.h"
@@ -97,7 +98,7 @@ static double track_error(const struct scene *s)
         v[k] = hypot(c->fx_px * p[0] / p[2] + c->cx_px - (double)t->x_px,
                      c->fy_px * p[1] / p[2] + c->cy_px - (double)t->y_px);
     }
-    double median = sim3_median(v, s->n_tracks);
+    double median = sort_median(v, s->n_tracks);
     mem_free(v);
     return median;
 }

@@ -19,6 +19,7 @@
 
 #include "core/pool.h"
 #include "core/sample.h"
+#include "core/sort.h"
 #include "loss/photometric.h"
 #include "render/permute.h"
 #include "render/render.h"
@@ -194,34 +195,6 @@ static enum err_code importance_draw(struct importance *s, const struct model *m
 
 /* ---- adding up ---- */
 
-/* Hoare's selection of the middle one. */
-static float importance_middle(float *x, size_t n)
-{
-    ptrdiff_t lo = 0, hi = (ptrdiff_t)n - 1, m = (ptrdiff_t)(n / 2);
-    while (lo < hi) {
-        float pivot = x[lo + (hi - lo) / 2];
-        ptrdiff_t i = lo, j = hi;
-        while (i <= j) {
-            while (x[i] < pivot)
-                i++;
-            while (x[j] > pivot)
-                j--;
-            if (i <= j) {
-                float swap = x[i];
-                x[i++] = x[j];
-                x[j--] = swap;
-            }
-        }
-        if (m <= j)
-            hi = j;
-        else if (m >= i)
-            lo = i;
-        else
-            break;
-    }
-    return x[m];
-}
-
 /* 1 / median of the finite values above 0, from an even sample of them; 0 when there are none. */
 enum err_code importance_inverse_median(const float *x, size_t n, size_t stride, float *out,
                                         struct err *e)
@@ -241,7 +214,7 @@ enum err_code importance_inverse_median(const float *x, size_t n, size_t stride,
         for (size_t i = 0; i < n; i += step)
             if (x[stride * i] > 0.0f && isfinite(x[stride * i]))
                 sample[k++] = x[stride * i];
-        *out = 1.0f / importance_middle(sample, k);
+        *out = 1.0f / sort_select(sample, k, k / 2);
         mem_free(sample);
     }
     return ERR_OK;

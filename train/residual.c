@@ -8,6 +8,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "train/residual.h"
+#include "core/sort.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -48,30 +49,15 @@ void residual_free(struct residual_list *l)
 
 /* ---- z-scores ---- */
 
-static int residual_by_value(const void *a, const void *b)
-{
-    double x, y;
-    memcpy(&x, a, sizeof x);
-    memcpy(&y, b, sizeof y);
-    return (x > y) - (x < y);
-}
-
-/* Sorts x. */
-static double residual_median(double *x, size_t n)
-{
-    qsort(x, n, sizeof *x, residual_by_value);
-    return n % 2 ? x[n / 2] : 0.5 * (x[n / 2 - 1] + x[n / 2]);
-}
-
 void residual_z(const double *x, size_t n, double least, double *scratch, double *z)
 {
     if (!n)
         return;
     memcpy(scratch, x, n * sizeof *x);
-    double median = residual_median(scratch, n);
+    double median = sort_median(scratch, n);
     for (size_t i = 0; i < n; i++)
         scratch[i] = fabs(x[i] - median);
-    double mad = fmax(residual_median(scratch, n), least);
+    double mad = fmax(sort_median(scratch, n), least);
     for (size_t i = 0; i < n; i++)
         z[i] = RESIDUAL_NORMAL * (x[i] - median) / mad;
 }
