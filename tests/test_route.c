@@ -3,6 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "server/condition.h"
 #include "tests/routed.h"
 
 static void test_documents(void **state)
@@ -193,6 +194,91 @@ static void test_refusals(void **state)
     response_free(&r);
 }
 
+/* A problem says which resource it is about, where that can be said: a target that could be read. */
+static void test_instances(void **state)
+{
+    static const struct {
+        const char *target, *instance;
+    } rows[] = {
+        {"/nothing?a=b", "/nothing"},
+        {"/d/toy/r/000000000000/tileset.json", "/d/toy/r/000000000000/tileset.json"},
+        {"/d/toy/static/0,99,0@0,0/64x64.jpg", "/d/toy/static/0,99,0@0,0/64x64.jpg"},
+        {"/d/toy/r/REV/static/0,9,0@0,0/64x64.jpg?appearance=x",
+         "/d/toy/r/REV/static/0,9,0@0,0/64x64.jpg"},
+        {"/%22%0a", NULL},
+    };
+    char want[256];
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct response r = get(rows[i].target);
+        json_t *o = json_of(&r);
+        expect("instance", json_string_value(json_object_get(o, "instance")),
+               rows[i].instance ? expand(rows[i].instance, want, sizeof want) : NULL);
+        json_decref(o);
+        response_free(&r);
+    }
+}
+
+/* Entry documents say when what they describe was written; who has it since then gets 304, unless he also
+ * says which he has. */
+static void test_last_modified(void **state)
+{
+    static const char *const targets[] = {"/",
+                                          "/api",
+                                          "/conformance",
+                                          "/collections",
+                                          "/collections/toy",
+                                          "/collections/toy/tiles.json",
+                                          "/d/toy/tileset.json",
+                                          "/d/toy/r/REV/tileset.json",
+                                          "/d/toy/appearances",
+                                          "/assets/index-D3adBeef.js"};
+    static const struct {
+        int64_t at_s;
+        const char *text;
+    } dates[] = {{784111777, "Sun, 06 Nov 1994 08:49:37 GMT"},
+                 {951782400, "Tue, 29 Feb 2000 00:00:00 GMT"},
+                 {4102444799, "Thu, 31 Dec 2099 23:59:59 GMT"},
+                 {1, "Thu, 01 Jan 1970 00:00:01 GMT"}};
+    static const char *const bad[] = {"",
+                                      "Sun, 06 Nov 1994",
+                                      "Sunday, 06-Nov-94 08:49:37 GMT",
+                                      "0",
+                                      "Sun, 06 Nxv 1994 08:49:37 GMT",
+                                      "Sun, 06 Nov 1994 08:49:37 CET"};
+    char date[CONDITION_DATE];
+    (void)state;
+    for (size_t i = 0; i < sizeof dates / sizeof *dates; i++) {
+        condition_date(dates[i].at_s, date);
+        assert_string_equal(date, dates[i].text);
+        assert_true(condition_not_modified(date, dates[i].at_s));
+        assert_false(condition_not_modified(date, dates[i].at_s + 1));
+        assert_true(condition_not_modified(date, dates[i].at_s - (dates[i].at_s > 1)));
+    }
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++)
+        assert_false(condition_not_modified(bad[i], 1));
+    for (size_t i = 0; i < sizeof targets / sizeof *targets; i++) {
+        struct response r = get(targets[i]);
+        assert_int_equal(r.status, 200);
+        assert_true(r.modified_s > 1577836800); /* 2020 */
+        condition_date(r.modified_s, date);
+        response_free(&r);
+        struct ask a = {.target = targets[i], .if_modified_since = date};
+        r = answer(&a);
+        assert_int_equal(r.status, 304);
+        response_free(&r);
+        a.if_none_match = "\"another\"";
+        r = answer(&a);
+        assert_int_equal(r.status, 200);
+        response_free(&r);
+        a = (struct ask){.target = targets[i],
+                         .if_modified_since = "Sun, 06 Nov 1994 08:49:37 GMT"};
+        r = answer(&a);
+        assert_int_equal(r.status, 200);
+        response_free(&r);
+    }
+}
+
 static void test_redirects(void **state)
 {
     char want[256];
@@ -326,6 +412,8 @@ int main(void)
         cmocka_unit_test(test_api_lists_the_routes),
         cmocka_unit_test(test_tileset_uris),
         cmocka_unit_test(test_refusals),
+        cmocka_unit_test(test_instances),
+        cmocka_unit_test(test_last_modified),
         cmocka_unit_test(test_redirects),
         cmocka_unit_test(test_viewer_files),
         cmocka_unit_test(test_job_ends),
