@@ -28,10 +28,12 @@ enum { ALLOW_READ = 1, ALLOW_POST = 2 };
     X(TILE, ALLOW_READ, "/d/{ds}/r/{rev}/t/{z}/{x}/{y}.{ext}", "One tile of Gaussians")            \
     X(TILE_MOVING, ALLOW_READ, "/d/{ds}/t/{z}/{x}/{y}.{ext}", "Redirect to the current revision")  \
     X(VIEW, ALLOW_READ,                                                                            \
-      "/d/{ds}/r/{rev}/static/{lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt}",            \
+      "/d/{ds}/r/{rev}/static/{lon},{lat},{height}@{heading},{pitch}[,{fov}[,{roll}]]/"            \
+      "{w}x{h}[@{s}x].{fmt}",                                                                      \
       "A rendered view")                                                                           \
     X(VIEW_MOVING, ALLOW_READ,                                                                     \
-      "/d/{ds}/static/{lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt}",                    \
+      "/d/{ds}/static/{lon},{lat},{height}@{heading},{pitch}[,{fov}[,{roll}]]/"                    \
+      "{w}x{h}[@{s}x].{fmt}",                                                                      \
       "Redirect to the current revision")                                                          \
     X(MAP, ALLOW_READ, "/d/{ds}/r/{rev}/map/{z}/{x}/{y}.{fmt}",                                    \
       "A map tile: the city from straight above; {y}@2x is 512 px")                                \

@@ -118,16 +118,35 @@ static void test_links_lead_somewhere(void **state)
     }
 }
 
-/* The service description has every route, and no route that is not answered. */
+/* The service description has every route, and no route that is not answered; a path in it has no brackets,
+ * and its parameters, each once, are those that are declared. */
 static void test_api_lists_the_routes(void **state)
 {
     struct response r = get("/api");
-    json_t *o = json_of(&r), *paths = json_object_get(o, "paths");
+    json_t *o = json_of(&r), *paths = json_object_get(o, "paths"), *methods, *operation;
+    const char *path, *verb;
     (void)state;
-    for (int k = 0; k < ROUTE_NONE; k++)
-        if (k != ROUTE_STATIC)
-            assert_non_null(json_object_get(paths, target_path((enum route)k)));
     assert_int_equal(json_object_size(paths), ROUTE_NONE - 1);
+    json_object_foreach(paths, path, methods)
+    {
+        assert_null(strpbrk(path, "[]"));
+        json_object_foreach(methods, verb, operation)
+        {
+            const json_t *list = json_object_get(operation, "parameters");
+            size_t i = 0;
+            for (const char *p = strchr(path, '{'); p; p = strchr(p + 1, '{'), i++) {
+                const char *name =
+                    json_string_value(json_object_get(json_array_get(list, i), "name"));
+                assert_non_null(name);
+                if (strncmp(p + 1, name, strlen(name)) != 0 || p[1 + strlen(name)] != '}')
+                    fail_msg("%s: parameter %zu is %s", path, i, name);
+                for (size_t k = 0; k < i; k++)
+                    assert_string_not_equal(
+                        name, json_string_value(json_object_get(json_array_get(list, k), "name")));
+            }
+            assert_true(json_object_size(json_object_get(operation, "responses")) >= 2);
+        }
+    }
     json_decref(o);
     response_free(&r);
 }
