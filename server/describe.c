@@ -12,6 +12,7 @@
 #include "core/geo.h"
 #include "lod/view.h"
 #include "server/document.h"
+#include "server/paint.h"
 
 enum err_code describe_landing(struct body **out, struct err *e)
 {
@@ -77,19 +78,21 @@ static enum err_code describe_check_keys(const json_t *o, const char *const *kno
     return ERR_OK;
 }
 
-static enum err_code describe_read_pose(const json_t *o, struct view_pose *out, struct err *e)
+static enum err_code describe_read_pose(const json_t *o, struct view_pose *out, double *roll_deg,
+                                        struct err *e)
 {
-    static const char *const keys[] = {"lon", "lat", "height", "heading", "pitch", "fov", NULL};
-    double *const fields[] = {&out->lon_deg,     &out->lat_deg,   &out->h_m,
-                              &out->heading_deg, &out->pitch_deg, &out->fov_y_deg};
-    static const double limit[] = {180, 90, 2e6, 360, 90, 150};
+    static const char *const keys[] = {"lon",   "lat", "height", "heading",
+                                       "pitch", "fov", "roll",   NULL};
+    double *const fields[] = {&out->lon_deg,   &out->lat_deg,   &out->h_m, &out->heading_deg,
+                              &out->pitch_deg, &out->fov_y_deg, roll_deg};
+    static const double limit[] = {180, 90, 2e6, 360, 90, 150, 360};
     out->fov_y_deg = 60;
     if (!json_is_object(o))
         return err_set(e, ERR_DATA, "pose must be an object with lon, lat, height, heading, pitch");
     enum err_code rc = describe_check_keys(o, keys, "pose", e);
-    for (int i = 0; i < 6 && !rc; i++) {
+    for (int i = 0; i < 7 && !rc; i++) {
         const json_t *v = json_object_get(o, keys[i]);
-        if (!v && i == 5)
+        if (!v && i >= 5)
             continue;
         if (!json_is_number(v) || !(fabs(json_number_value(v)) <= limit[i]))
             return err_set(e, ERR_DATA, "pose.%s must be a number, at most %g either way", keys[i],
@@ -105,12 +108,12 @@ static enum err_code describe_read_format(const json_t *o, enum format *out, str
 {
     const json_t *v = json_object_get(o, "format");
     *out = FORMAT_JPG;
-    for (int f = FORMAT_JPG; v && f <= FORMAT_WEBP; f++)
+    for (int f = FORMAT_JPG; v && f <= FORMAT_NPY; f++)
         if (json_is_string(v) && !strcmp(json_string_value(v), target_ext((enum format)f))) {
             *out = (enum format)f;
             return ERR_OK;
         }
-    return v ? err_set(e, ERR_DATA, "format must be jpg, png or webp") : ERR_OK;
+    return v ? err_set(e, ERR_DATA, "format must be jpg, png, webp or npy") : ERR_OK;
 }
 
 /* Numbers that are finite, and yet no camera: focal lengths beyond 0.06 to 180 degrees, a principal
@@ -148,17 +151,35 @@ static enum err_code describe_read_camera(const struct server_config *cfg,
     if (camera)
         return err_add(e, "camera"), ERR_DATA;
     struct view_pose at = {0};
+    double roll_deg = 0;
     enum err_code rc = describe_read_int(o, "width", 1, cfg->max_view_px, &width, e);
     if (!rc)
         rc = describe_read_int(o, "height", 1, cfg->max_view_px, &height, e);
     if (!rc && (!width || !height))
         rc = err_set(e, ERR_DATA, "a pose needs width and height, in pixels");
     if (!rc)
-        rc = describe_read_pose(pose, &at, e);
+        rc = describe_read_pose(pose, &at, &roll_deg, e);
     if (rc)
         return rc;
-    return view_camera(origin, &at, (uint32_t)width, (uint32_t)height, out, e) == ERR_OK ? ERR_OK
-                                                                                         : ERR_DATA;
+    if (view_camera(origin, &at, (uint32_t)width, (uint32_t)height, out, e))
+        return ERR_DATA;
+    paint_roll(out, roll_deg);
+    return ERR_OK;
+}
+
+static enum err_code describe_read_paint(const json_t *o, enum format f, struct paint *out,
+                                         struct err *e)
+{
+    const json_t *background = json_object_get(o, "background"),
+                 *depth = json_object_get(o, "depth");
+    if (background && !(json_is_string(background) &&
+                        target_read_background(json_string_value(background),
+                                               json_string_length(background), out)))
+        return err_set(e, ERR_DATA, "background must be RRGGBB, sky or transparent");
+    if (depth && !(json_is_string(depth) &&
+                   target_read_depth(json_string_value(depth), json_string_length(depth), out)))
+        return err_set(e, ERR_DATA, "depth must be mm, cm, dm or m: the unit");
+    return paint_check(out, f, e);
 }
 
 static enum err_code describe_read_appearance(const json_t *o, char out[TARGET_APPEARANCE_MAX],
@@ -178,8 +199,9 @@ enum err_code describe_read_render(const struct server_config *cfg, const struct
                                    const void *text, size_t n, struct describe_render *out,
                                    struct err *e)
 {
-    static const char *const keys[] = {"camera",  "pose",        "width",      "height", "format",
-                                       "quality", "deadline_ms", "appearance", NULL};
+    static const char *const keys[] = {"camera",      "pose",       "width",      "height",
+                                       "format",      "quality",    "background", "depth",
+                                       "deadline_ms", "appearance", NULL};
     json_t *o = NULL;
     json_int_t quality = cfg->quality, deadline_ms = (json_int_t)(cfg->deadline_s * 1000);
     memset(out, 0, sizeof *out);
@@ -200,6 +222,8 @@ enum err_code describe_read_render(const struct server_config *cfg, const struct
         rc = describe_read_int(o, "deadline_ms", 50, 30000, &deadline_ms, e);
     if (!rc)
         rc = describe_read_appearance(o, out->appearance, e);
+    if (!rc)
+        rc = describe_read_paint(o, out->format, &out->paint, e);
     out->quality = (int)quality;
     out->timeout_s = (double)deadline_ms / 1000;
     json_decref(o);

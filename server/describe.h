@@ -21,6 +21,7 @@ struct describe_render {
     struct camera cam;
     enum format format;
     int quality;
+    struct paint paint;
     double timeout_s;
     char appearance[TARGET_APPEARANCE_MAX]; /* "": the default one */
 };

@@ -26,7 +26,9 @@ enum {
     OPENAPI_PRESET = 2, /* and sh */
     OPENAPI_SEED = 4,   /* bbox, z, f */
     OPENAPI_BBOX = 8,
-    OPENAPI_VIEW = 16 /* background, depth */
+    OPENAPI_VIEW = 16, /* background, depth */
+    OPENAPI_ENCODING = 32,
+    OPENAPI_PLACE = 64 /* lon, lat */
 };
 static const struct openapi_answer {
     const char *media, *schema; /* media NULL: a redirect; schema NULL: Document */
@@ -60,6 +62,21 @@ static const struct openapi_answer {
                       {"image/png", "image/webp", "application/octet-stream"}},
     [ROUTE_SEED] = {"application/x-ndjson", "SeedLine",
                     OPENAPI_APPEARANCE | OPENAPI_PRESET | OPENAPI_SEED},
+    [ROUTE_MAP] = {"image/webp", "Bytes", OPENAPI_APPEARANCE, {"image/png", "image/jpeg"}},
+    [ROUTE_MAP_MOVING] = {NULL, NULL, OPENAPI_APPEARANCE},
+    [ROUTE_TERRAIN] = {"image/png", "Bytes", OPENAPI_ENCODING},
+    [ROUTE_TERRAIN_MOVING] = {NULL, NULL, OPENAPI_ENCODING},
+    [ROUTE_MAPJSON] = {"application/json", "TileJSON", OPENAPI_APPEARANCE},
+    [ROUTE_TERRAINJSON] = {"application/json", "TileJSON", OPENAPI_ENCODING},
+    [ROUTE_WMTS] = {"application/xml", "Text", OPENAPI_APPEARANCE},
+    [ROUTE_HEIGHT] = {"application/json", "Document", OPENAPI_PLACE},
+    [ROUTE_PICK] = {"application/json", "Document"},
+    [ROUTE_PROFILE] = {"application/json", "Document"},
+    [ROUTE_MEASURE] = {"application/json", "Document"},
+    [ROUTE_VISIBLE] = {"application/json", "Document"},
+    [ROUTE_MODEL] = {"application/json", "Document"},
+    [ROUTE_PHOTOGRAPHS] = {"application/json", "Document"},
+    [ROUTE_THUMBNAIL] = {"image/jpeg", "Bytes"},
     [ROUTE_HEALTH] = {"application/json", "State"},
     [ROUTE_READY] = {"application/json", "State"},
     [ROUTE_VERSION] = {"application/json", "Version"},
@@ -113,8 +130,12 @@ static const struct {
      {"background", OPENAPI_TEXT,
       "RRGGBB, sky, or transparent (png and webp); black where it is left out"}},
     {OPENAPI_VIEW,
-     {"depth", "{'type':'integer','enum':[1]}",
-      "depth in place of colours: png of 16 bits, or npy of float32"}},
+     {"depth", "{'type':'string','enum':['mm','cm','dm','m']}",
+      "of png: depth in place of colours, 16 bits in this unit; npy is depth in metres"}},
+    {OPENAPI_ENCODING,
+     {"encoding", "{'type':'string','enum':['mapbox','terrarium']}", "how colours hold heights"}},
+    {OPENAPI_PLACE, {"lon", OPENAPI_NUMBER, "longitude, degrees"}},
+    {OPENAPI_PLACE, {"lat", OPENAPI_NUMBER, "latitude, degrees"}},
     {OPENAPI_APPEARANCE,
      {"appearance", OPENAPI_TEXT,
       "a photograph, NAME:WEIGHT,NAME:WEIGHT, or =BASE64 of an embedding"}},
@@ -196,22 +217,38 @@ static json_t *openapi_responses(const struct openapi_answer *a, bool post)
     return o;
 }
 
-static json_t *openapi_operation(enum route r, const char *name, const char *summary,
+/* What a route takes as a body; other routes that take one take a document. */
+static const char *openapi_takes(enum route r)
+{
+    static const struct {
+        enum route route;
+        const char *schema;
+    } takes[] = {{ROUTE_RENDER, "Render"},  {ROUTE_MIX, "Mix"},         {ROUTE_HEIGHT, "Places"},
+                 {ROUTE_PICK, "Pick"},      {ROUTE_PROFILE, "Profile"}, {ROUTE_MEASURE, "Measure"},
+                 {ROUTE_VISIBLE, "Visible"}};
+    for (size_t i = 0; i < sizeof takes / sizeof *takes; i++)
+        if (takes[i].route == r)
+            return takes[i].schema;
+    return "Document";
+}
+
+static json_t *openapi_operation(enum route r, bool post, const char *name, const char *summary,
                                  const char *path)
 {
     const struct openapi_answer *a = &openapi_answers[r];
     const struct openapi_answer unknown = {"application/octet-stream", "Bytes", 0, {NULL}};
-    bool post = target_allow(r) == ALLOW_POST;
+    bool both = target_allow(r) == (ALLOW_READ | ALLOW_POST);
+    char id[64];
     if (!a->media && !strstr(name, "_MOVING"))
         a = &unknown;
-    json_t *o =
-        json_pack("{s:s,s:s,s:o,s:o}", "operationId", name, "summary", summary, "parameters",
-                  openapi_parameters(path, a->query), "responses", openapi_responses(a, post));
-    if (r == ROUTE_RENDER || r == ROUTE_MIX)
-        json_object_set_new(
-            o, "requestBody",
-            json_pack("{s:b,s:o}", "required", 1, "content",
-                      openapi_content("application/json", r == ROUTE_MIX ? "Mix" : "Render")));
+    snprintf(id, sizeof id, "%s%s", name, both && post ? "_POST" : "");
+    json_t *o = json_pack("{s:s,s:s,s:o,s:o}", "operationId", id, "summary", summary, "parameters",
+                          openapi_parameters(path, both && post ? 0 : a->query), "responses",
+                          openapi_responses(a, post));
+    if (post)
+        json_object_set_new(o, "requestBody",
+                            json_pack("{s:b,s:o}", "required", 1, "content",
+                                      openapi_content("application/json", openapi_takes(r))));
     return o;
 }
 
@@ -247,10 +284,13 @@ enum err_code openapi_describe(struct body **out, struct err *e)
         if (r == ROUTE_STATIC)
             continue;
         openapi_path((enum route)r, path);
-        json_t *o = openapi_operation((enum route)r, names[r].name, names[r].summary, path);
-        json_object_set_new(
-            paths, path,
-            json_pack("{s:o}", target_allow((enum route)r) == ALLOW_POST ? "post" : "get", o));
+        json_t *verbs = json_object();
+        for (int post = 0; post < 2; post++)
+            if (target_allow((enum route)r) & (post ? ALLOW_POST : ALLOW_READ))
+                json_object_set_new(
+                    verbs, post ? "post" : "get",
+                    openapi_operation((enum route)r, post, names[r].name, names[r].summary, path));
+        json_object_set_new(paths, path, verbs);
     }
     for (size_t i = 0; i < sizeof schemas / sizeof *schemas; i++)
         json_object_set_new(shapes, schemas[i].name, openapi_json(schemas[i].schema));

@@ -87,9 +87,19 @@
                   ",'heading':" OPENAPI_NUMBER ",'pitch':" OPENAPI_NUMBER ",'fov':" OPENAPI_NUMBER \
                   ",'roll':" OPENAPI_NUMBER "}},'width':" OPENAPI_INTEGER                          \
                   ",'height':" OPENAPI_INTEGER ",'format':{'type':'string','enum':['jpg','png','"  \
-                                               "webp','npy']},'depth':{'type':'boolean'}"          \
+                  "webp','npy']},'depth':{'type':'string','enum':['mm','cm','dm','m']}"            \
                   ",'background':" OPENAPI_TEXT ",'quality':" OPENAPI_INTEGER                      \
                   ",'deadline_ms':" OPENAPI_INTEGER ",'appearance':" OPENAPI_TEXT "}}")            \
+    X("Places",                                                                                    \
+      "{'type':'object','description':'places: up to 256 [longitude, latitude]; gsd_m'}")          \
+    X("Pick",                                                                                      \
+      "{'type':'object','description':'camera, or pose with width and height, as of Render;"       \
+      " x, y in pixels'}")                                                                         \
+    X("Profile", "{'type':'object','description':'line: 2 to 256 [longitude, latitude]; step_m'}") \
+    X("Measure", "{'type':'object','description':'line, or polygon with base (rim, or a height in" \
+                 " metres) and gsd_m'}")                                                           \
+    X("Visible", "{'type':'object','description':'from, to: lon, lat, and height (ellipsoidal) or" \
+                 " above (the surface)'}")                                                         \
     X("SeedLine",                                                                                  \
       "{'type':'object','required':['url','etag','gaussians'],'properties':{'url':" OPENAPI_TEXT   \
       ",'etag':" OPENAPI_TEXT ",'gaussians':" OPENAPI_INTEGER "}}")                                \

@@ -87,6 +87,48 @@ static void test_documents_without_memory(void **state)
     }
 }
 
+/* What meets a box; what is no box is refused. */
+static void test_collections_in_a_box(void **state)
+{
+    static const struct {
+        const char *query;
+        int n; /* -1: 400 */
+    } rows[] = {
+        {"", 1},
+        {"?bbox=13,52,14,53", 1},
+        {"?bbox=13%2C52%2C14%2C53&limit=10", 1},
+        {"?bbox=14,52,15,53", 0},
+        {"?bbox=13,53,14,54", 0},
+        {"?bbox=13.39,52.49,13.41,52.51", 1},
+        {"?bbox=13,52,-100,14,53,5000", 1},
+        {"?bbox=13,52,5000,14,53,6000", 0},
+        {"?bbox=170,-90,20,90", 1}, /* across the date line */
+        {"?bbox=170,-90,-170,90", 0},
+        {"?bbox=", -1},
+        {"?bbox=1,2,3", -1},
+        {"?bbox=1,2,3,4,5", -1},
+        {"?bbox=1,2,3,4,5,6,7", -1},
+        {"?bbox=13,53,14,52", -1},
+        {"?bbox=13,52,14,a", -1},
+        {"?bbox=181,0,182,1", -1},
+        {"?bbox=13,52,14,91", -1},
+        {"?bbox=13,52,14,53&bbox=13,52,14,53", -1},
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        char target[128];
+        snprintf(target, sizeof target, "/collections%s", rows[i].query);
+        struct response r = get(target);
+        if (r.status != (rows[i].n < 0 ? 400 : 200))
+            fail_msg("%s: %d", target, r.status);
+        json_t *o = json_of(&r);
+        if (rows[i].n >= 0 && (int)json_array_size(json_object_get(o, "collections")) != rows[i].n)
+            fail_msg("%s: not %d datasets", target, rows[i].n);
+        json_decref(o);
+        response_free(&r);
+    }
+}
+
 static void test_links_lead_somewhere(void **state)
 {
     static const char *const docs[][2] = {
@@ -427,6 +469,7 @@ int main(void)
         cmocka_unit_test(test_documents),
         cmocka_unit_test(test_version),
         cmocka_unit_test(test_documents_without_memory),
+        cmocka_unit_test(test_collections_in_a_box),
         cmocka_unit_test(test_links_lead_somewhere),
         cmocka_unit_test(test_api_lists_the_routes),
         cmocka_unit_test(test_tileset_uris),
