@@ -46,8 +46,9 @@ static enum err_code catalog_make_documents(struct dataset *d, const char *publi
         rc = appearance_model_photographs(d, &d->photographs, e);
     if (!rc)
         rc = collection_describe(d, &d->collection, e);
-    struct body *const documents[] = {d->tileset, d->tileset_moving, d->tilejson, d->collection,
-                                      d->appearances, d->model, d->photographs};
+    struct body *const documents[] = {d->tileset,    d->tileset_moving, d->tilejson,
+                                      d->collection, d->appearances,    d->model,
+                                      d->photographs};
     for (size_t i = 0; !rc && i < sizeof documents / sizeof *documents; i++)
         if (documents[i])
             documents[i]->modified_s = d->modified_s;
