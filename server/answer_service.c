@@ -8,6 +8,7 @@
 #include <string.h>
 #include <strings.h>
 
+#include "server/collection.h"
 #include "server/condition.h"
 #include "server/document.h"
 #include "server/metrics_text.h"
@@ -135,12 +136,47 @@ static void answer_service_version(struct services *s, const struct request *r,
     response_document(r, RESPONSE_JSON, RESPONSE_NO_STORE, b, out);
 }
 
+/* Does a dataset meet the box that is asked for? One that ends east of where it begins crosses the date
+ * line. */
+static bool answer_service_meets(const struct dataset *d, const struct target *t)
+{
+    const double west = t->bbox_e7[0] / 1e7, south = t->bbox_e7[1] / 1e7,
+                 east = t->bbox_e7[2] / 1e7, north = t->bbox_e7[3] / 1e7;
+    bool in_west = d->bbox[3] >= west, in_east = d->bbox[0] <= east;
+    return (west <= east ? in_west && in_east : in_west || in_east) && d->bbox[4] >= south &&
+           d->bbox[1] <= north &&
+           (!t->has_heights || (d->bbox[5] * 1e3 >= (double)t->heights_mm[0] &&
+                                d->bbox[2] * 1e3 <= (double)t->heights_mm[1]));
+}
+
+static void answer_service_collections(struct services *s, const struct request *r,
+                                       const struct target *t, struct response *out)
+{
+    struct catalog *c = services_catalog(s);
+    struct body *b = NULL;
+    if (t->has_bbox) {
+        struct dataset **ds = mem_array(c->n_current, sizeof *ds);
+        size_t n = 0;
+        for (size_t i = 0; ds && i < c->n_current; i++)
+            if (answer_service_meets(c->ds[i], t))
+                ds[n++] = c->ds[i];
+        if (!ds || collection_list(ds, n, &b, NULL))
+            body_drop(&b);
+        else
+            b->modified_s = c->collections->modified_s;
+        mem_free(ds);
+    } else {
+        b = body_ref(c->collections);
+    }
+    response_document(r, RESPONSE_JSON, RESPONSE_MOVING, b, out);
+    catalog_drop(&c);
+}
+
 /* Routes that need no dataset; false for the others. */
 bool answer_service(struct services *s, const struct request *r, const struct target *t,
                     struct response *out)
 {
     const struct static_file *file;
-    struct catalog *c;
     switch (t->route) {
     case ROUTE_LANDING:
         answer_service_landing(s, r, out);
@@ -158,9 +194,7 @@ bool answer_service(struct services *s, const struct request *r, const struct ta
                           body_ref(s->api), out);
         return true;
     case ROUTE_COLLECTIONS:
-        c = services_catalog(s);
-        response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(c->collections), out);
-        catalog_drop(&c);
+        answer_service_collections(s, r, t, out);
         return true;
     case ROUTE_HEALTH:
         response_document(r, RESPONSE_JSON, RESPONSE_NO_STORE, body_text("{\"status\":\"ok\"}\n"),

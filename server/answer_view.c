@@ -9,6 +9,7 @@
 
 #include "lod/view.h"
 #include "server/describe.h"
+#include "server/paint.h"
 #include "server/result_id.h"
 
 bool answer_can_draw(struct services *s, struct response *out)
@@ -45,11 +46,12 @@ static bool answer_view_check(struct services *s, uint32_t width_px, uint32_t he
 
 static struct hash128 answer_view_id(struct services *s, const struct dataset *d,
                                      const struct camera *cam, const struct appearance_choice *a,
-                                     enum format format, int quality)
+                                     enum format format, int quality, const struct paint *paint)
 {
     char device[160];
     picture_about(s->picture, device, sizeof device);
-    return result_id_view(d, device, cam, a, format, quality, (double)s->cfg->view_gaussians);
+    return result_id_view(d, device, cam, a, format, quality, paint,
+                          (double)s->cfg->view_gaussians);
 }
 
 void answer_view(struct services *s, const struct request *r, struct dataset *d,
@@ -69,12 +71,14 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
     if (!answer_view_check(s, t->width_px, t->height_px, out) ||
         !answer_find_appearance(d, t->appearance, &choice, out))
         return;
-    if (view_camera(&d->meta.origin, &pose, t->width_px, t->height_px, &cam, &e) != ERR_OK) {
+    if (paint_check(&t->paint, t->form.format, &e) ||
+        view_camera(&d->meta.origin, &pose, t->width_px, t->height_px, &cam, &e)) {
         response_problem(out, 422, e.msg);
         return;
     }
+    paint_roll(&cam, t->pose.roll_e3 / 1e3);
     int quality = (int)s->cfg->quality;
-    struct hash128 id = answer_view_id(s, d, &cam, &choice, t->form.format, quality);
+    struct hash128 id = answer_view_id(s, d, &cam, &choice, t->form.format, quality, &t->paint);
     out->type = target_type(t->form.format);
     out->cache_control = response_cache_control(s->cfg, t);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s view", d->meta.name,
@@ -83,7 +87,7 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
         return;
     struct work *w = response_work(d, WORK_VIEW, id, (struct form){.format = t->form.format}, out);
     if (w) {
-        w->view = (struct picture_view){cam, t->form.format, quality};
+        w->view = (struct picture_view){cam, t->form.format, quality, t->paint};
         w->appearance = choice;
     }
     out->cls = JOB_VIEW;
@@ -108,11 +112,11 @@ void answer_render(struct services *s, const struct request *r, struct dataset *
     out->cache_control = RESPONSE_NO_STORE;
     out->cache = "none";
     out->status = 200;
-    struct work *w =
-        response_work(d, WORK_VIEW, answer_view_id(s, d, &p.cam, &choice, p.format, p.quality),
-                      (struct form){.format = p.format}, out);
+    struct work *w = response_work(
+        d, WORK_VIEW, answer_view_id(s, d, &p.cam, &choice, p.format, p.quality, &p.paint),
+        (struct form){.format = p.format}, out);
     if (w) {
-        w->view = (struct picture_view){p.cam, p.format, p.quality};
+        w->view = (struct picture_view){p.cam, p.format, p.quality, p.paint};
         w->appearance = choice;
         w->keep = false;
     }

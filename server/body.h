@@ -15,6 +15,7 @@ struct body { /* immutable once shared; counted, body_drop frees it */
     uint8_t *data;
     size_t size;
     char etag[BODY_ETAG_SIZE]; /* with its quotes */
+    int64_t modified_s;        /* since 1970, for Last-Modified; 0: not said */
     uint8_t *gzip;             /* the same bytes compressed; NULL when that does not pay */
     size_t gzip_size;
     void (*gone)(

@@ -44,7 +44,15 @@ static enum err_code catalog_make_documents(struct dataset *d, const char *publi
         rc = appearance_model_describe(d, &d->model, e);
     if (!rc && d->appearance)
         rc = appearance_model_photographs(d, &d->photographs, e);
-    return !rc ? collection_describe(d, &d->collection, e) : rc;
+    if (!rc)
+        rc = collection_describe(d, &d->collection, e);
+    struct body *const documents[] = {d->tileset,    d->tileset_moving, d->tilejson,
+                                      d->collection, d->appearances,    d->model,
+                                      d->photographs};
+    for (size_t i = 0; !rc && i < sizeof documents / sizeof *documents; i++)
+        if (documents[i])
+            documents[i]->modified_s = d->modified_s;
+    return rc;
 }
 
 static int catalog_by_name(const void *pa, const void *pb)
@@ -153,6 +161,9 @@ enum err_code catalog_open(const char *const *paths, size_t n, const struct cata
                          c->ds[i - 1]->path, c->ds[i]->path, c->ds[i]->meta.name);
     if (!rc)
         rc = collection_list(c->ds, c->n_current, &c->collections, e);
+    for (size_t i = 0; !rc && i < c->n_current; i++)
+        if (c->ds[i]->modified_s > c->collections->modified_s)
+            c->collections->modified_s = c->ds[i]->modified_s;
     if (!rc && older)
         catalog_keep_older(c, older, clock_s(), o);
     if (rc)

@@ -6,8 +6,10 @@
  */
 #include "server/condition.h"
 
+#include <stdio.h>
 #include <string.h>
 #include <strings.h>
+#include <time.h>
 
 static const char *condition_skip_space(const char *p)
 {
@@ -124,4 +126,56 @@ bool condition_html(const char *header)
 {
     return header && condition_list_weight(header, "text/html") >
                          condition_list_weight(header, "application/json");
+}
+
+static const char condition_days[7][4] = {"Sun", "Mon", "Tue", "Wed", "Thu", "Fri", "Sat"};
+static const char condition_months[12][4] = {"Jan", "Feb", "Mar", "Apr", "May", "Jun",
+                                             "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"};
+
+void condition_date(int64_t at_s, char out[CONDITION_DATE])
+{
+    time_t at = (time_t)at_s;
+    struct tm t;
+    gmtime_r(&at, &t);
+    snprintf(out, CONDITION_DATE, "%s, %02u %s %04u %02u:%02u:%02u GMT", condition_days[t.tm_wday],
+             (unsigned)t.tm_mday % 100, condition_months[t.tm_mon],
+             (unsigned)(t.tm_year + 1900) % 10000, (unsigned)t.tm_hour % 100,
+             (unsigned)t.tm_min % 100, (unsigned)t.tm_sec % 100);
+}
+
+/* Days from 1970 to the first of a month (month 0..11), Gregorian. */
+static int64_t condition_days_to(int64_t year, int month)
+{
+    static const int before[12] = {0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334};
+    int64_t y = year - 1, leap = y / 4 - y / 100 + y / 400 - 477;
+    bool this_one = (year % 4 == 0 && year % 100 != 0) || year % 400 == 0;
+    return (year - 1970) * 365 + leap + before[month] + (month > 1 && this_one);
+}
+
+/* "Sun, 06 Nov 1994 08:49:37 GMT" */
+static bool condition_take_date(const char *p, int64_t *out)
+{
+    static const char form[] = "aaa, dd aaa dddd dd:dd:dd GMT";
+    int month = 0;
+    if (strlen(p) != sizeof form - 1)
+        return false;
+    for (size_t i = 0; form[i]; i++)
+        if (form[i] == 'd' ? p[i] < '0' || p[i] > '9' : form[i] != 'a' && p[i] != form[i])
+            return false;
+    while (month < 12 && memcmp(p + 8, condition_months[month], 3) != 0)
+        month++;
+    int year = (p[12] - '0') * 1000 + (p[13] - '0') * 100 + (p[14] - '0') * 10 + p[15] - '0';
+    if (month == 12 || year < 1970)
+        return false;
+    const int day = (p[5] - '0') * 10 + p[6] - '0', hour = (p[17] - '0') * 10 + p[18] - '0',
+              minute = (p[20] - '0') * 10 + p[21] - '0', second = (p[23] - '0') * 10 + p[24] - '0';
+    *out = ((condition_days_to(year, month) + day - 1) * 24 + hour) * 3600 + minute * 60 + second;
+    return true;
+}
+
+bool condition_not_modified(const char *header, int64_t modified_s)
+{
+    int64_t since;
+    return header && modified_s && condition_take_date(condition_skip_space(header), &since) &&
+           modified_s <= since;
 }

@@ -19,4 +19,11 @@ bool condition_gzip(const char *header);
 /* Accept prefers text/html over application/json. */
 bool condition_html(const char *header);
 
+/* Is the thing, last modified at modified_s (since 1970), not newer than If-Modified-Since says? False
+ * where the header is absent or no date of the form that RFC 9110, section 5.6.7 asks to be sent. */
+bool condition_not_modified(const char *header, int64_t modified_s);
+/* A time in that form. */
+enum { CONDITION_DATE = 32 };
+void condition_date(int64_t at_s, char out[CONDITION_DATE]);
+
 #endif

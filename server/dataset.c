@@ -11,6 +11,7 @@
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include "lod/bake.h"
@@ -56,6 +57,10 @@ static enum err_code dataset_open_stores(struct dataset *d, size_t n, struct err
     d->fd = open(d->path, O_RDONLY | O_CLOEXEC);
     if (d->fd < 0)
         return err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", d->path);
+    struct stat st;
+    if (fstat(d->fd, &st))
+        return err_errno(e, ERR_IO, "%s", d->path);
+    d->modified_s = st.st_mtime;
     for (size_t i = 0; i < n; i++) {
         enum err_code rc = store_open_fd(d->fd, d->path, &d->stores[i], e);
         if (rc)

@@ -13,8 +13,9 @@
 
 struct dataset { /* immutable but for what the comments say; counted */
     _Atomic uint32_t refs;
-    char *path; /* of this revision, when it was opened */
-    int fd;     /* its file, whatever that path names by now */
+    int64_t modified_s; /* its file was written, since 1970 */
+    char *path;         /* of this revision, when it was opened */
+    int fd;             /* its file, whatever that path names by now */
     struct store_meta meta;
     const struct store_tile *tiles;
     size_t n_tiles;

@@ -1,5 +1,5 @@
-/* The JSON documents that describe the service: landing page, conformance, OpenAPI (made from the
- * route list, so it cannot drift from it), and the posted camera in the other direction.
+/* The JSON documents that describe the service: landing page, conformance; and the posted camera in the
+ * other direction.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -12,6 +12,7 @@
 #include "core/geo.h"
 #include "lod/view.h"
 #include "server/document.h"
+#include "server/paint.h"
 
 enum err_code describe_landing(struct body **out, struct err *e)
 {
@@ -42,142 +43,6 @@ enum err_code describe_conformance(struct body **out, struct err *e)
     for (size_t i = 0; i < sizeof classes / sizeof *classes; i++)
         json_array_append_new(list, json_string(classes[i]));
     return document_make(json_pack("{s:o}", "conformsTo", list), out, e);
-}
-
-/* ---- OpenAPI ---- */
-
-/* The {names} of a path template as required string parameters. */
-static json_t *describe_path_parameters(const char *path)
-{
-    json_t *list = json_array();
-    for (const char *p = strchr(path, '{'); p; p = strchr(p + 1, '{')) {
-        size_t n = strcspn(p + 1, "}");
-        json_array_append_new(list, json_pack("{s:s%,s:s,s:b,s:{s:s}}", "name", p + 1, n, "in",
-                                              "path", "required", 1, "schema", "type", "string"));
-    }
-    return list;
-}
-
-static json_t *describe_query_parameter(const char *name, const char *about)
-{
-    return json_pack("{s:s,s:s,s:s,s:{s:s}}", "name", name, "in", "query", "description", about,
-                     "schema", "type", "string");
-}
-
-static json_t *describe_render_body(void)
-{
-    return json_pack(
-        "{s:b,s:{s:{s:{s:s,s:{s:{s:s,s:s},s:{s:s,s:s},s:{s:s},s:{s:s},s:{s:s},s:{s:s},s:{s:s},s:{s:"
-        "s}}}}}}",
-        "required", 1, "content", "application/json", "schema", "type", "object", "properties",
-        "camera", "type", "object", "description",
-        "width, height, fx, fy, cx, cy in pixels and world_to_camera, 16 numbers row-major, "
-        "from east-north-up metres about the dataset's origin to x right, y down, z forward",
-        "pose", "type", "object", "description",
-        "instead of camera: lon, lat, height (ellipsoidal metres), heading, pitch, fov (degrees)",
-        "width", "type", "integer", "height", "type", "integer", "format", "type", "string",
-        "quality", "type", "integer", "deadline_ms", "type", "integer", "appearance", "type",
-        "string");
-}
-
-/* What is posted to a question: the members, in words. */
-static json_t *describe_query_body(enum route r)
-{
-    static const struct {
-        enum route route;
-        const char *about;
-    } bodies[] = {
-        {ROUTE_HEIGHT, "places: up to 256 [longitude, latitude]; gsd_m"},
-        {ROUTE_PICK, "camera, or pose with width and height, as of /render; x, y in pixels"},
-        {ROUTE_PROFILE, "line: 2 to 256 [longitude, latitude]; step_m"},
-        {ROUTE_MEASURE, "line, or polygon with base (rim, or a height in metres) and gsd_m"},
-        {ROUTE_VISIBLE, "from, to: lon, lat, and height (ellipsoidal) or above (the surface)"}};
-    const char *about = "";
-    for (size_t i = 0; i < sizeof bodies / sizeof *bodies; i++)
-        if (bodies[i].route == r)
-            about = bodies[i].about;
-    return json_pack("{s:b,s:{s:{s:{s:s,s:s}}}}", "required", 1, "content", "application/json",
-                     "schema", "type", "object", "description", about);
-}
-
-static json_t *describe_operation(enum route r, unsigned allow, const char *name,
-                                  const char *summary)
-{
-    json_t *o = json_pack("{s:s,s:s,s:o,s:{s:{s:s},s:{s:s}}}", "operationId", name, "summary",
-                          summary, "parameters", describe_path_parameters(target_path(r)),
-                          "responses", "200", "description", "The resource", "default",
-                          "description", "A problem document, RFC 9457");
-    json_t *parameters = json_object_get(o, "parameters");
-    if (r == ROUTE_SEED) {
-        json_array_append_new(parameters,
-                              describe_query_parameter("bbox", "west,south,east,north in degrees"));
-        json_array_append_new(parameters,
-                              describe_query_parameter("z", "a zoom, or two as in 12-16"));
-        json_array_append_new(parameters, describe_query_parameter(
-                                              "f", "tile format: glb, spz, drc, ply, plain.glb"));
-    }
-    if (r == ROUTE_SEED || r == ROUTE_TILE || r == ROUTE_TILE_MOVING || r == ROUTE_TILESET ||
-        r == ROUTE_TILESET_MOVING) {
-        json_array_append_new(parameters, describe_query_parameter(
-                                              "preset", "of glb, spz, drc: " QUANT_PRESET_NAMES));
-        json_array_append_new(parameters,
-                              describe_query_parameter("sh", "degree of harmonics, 0 to 3"));
-    }
-    static const enum route with_appearance[] = {
-        ROUTE_SEED,    ROUTE_TILE,        ROUTE_TILE_MOVING, ROUTE_TILESET, ROUTE_TILESET_MOVING,
-        ROUTE_VIEW,    ROUTE_VIEW_MOVING, ROUTE_APPEARANCE,  ROUTE_MAP,     ROUTE_MAP_MOVING,
-        ROUTE_MAPJSON, ROUTE_WMTS};
-    for (size_t i = 0; i < sizeof with_appearance / sizeof *with_appearance; i++)
-        if (r == with_appearance[i])
-            json_array_append_new(
-                parameters, describe_query_parameter(
-                                "appearance", "a photograph, NAME:WEIGHT,NAME:WEIGHT, or =BASE64 "
-                                              "of an embedding"));
-    if (r == ROUTE_TERRAIN || r == ROUTE_TERRAIN_MOVING || r == ROUTE_TERRAINJSON)
-        json_array_append_new(parameters,
-                              describe_query_parameter("encoding", "mapbox or terrarium"));
-    if (r == ROUTE_HEIGHT && allow == ALLOW_READ) {
-        json_array_append_new(parameters, describe_query_parameter("lon", "longitude, degrees"));
-        json_array_append_new(parameters, describe_query_parameter("lat", "latitude, degrees"));
-    } else if (r >= ROUTE_HEIGHT && r <= ROUTE_VISIBLE) {
-        json_object_set_new(o, "requestBody", describe_query_body(r));
-        if (r == ROUTE_HEIGHT) /* operations have names of their own */
-            json_object_set_new(o, "operationId", json_string("HEIGHT_POST"));
-    }
-    if (r == ROUTE_RENDER)
-        json_object_set_new(o, "requestBody", describe_render_body());
-    return o;
-}
-
-enum err_code describe_api(struct body **out, struct err *e)
-{
-    static const struct {
-        const char *name, *summary;
-    } names[] = {
-#define ROUTE_NAME(id, allow, path, summary) {#id, summary},
-        ROUTE_LIST(ROUTE_NAME)
-#undef ROUTE_NAME
-    };
-    json_t *paths = json_object();
-    for (int r = 0; r < ROUTE_NONE; r++) {
-        if (r == ROUTE_STATIC)
-            continue;
-        json_t *verbs = json_object();
-        static const struct {
-            unsigned allow;
-            const char *name;
-        } known[] = {{ALLOW_READ, "get"}, {ALLOW_POST, "post"}};
-        for (size_t k = 0; k < sizeof known / sizeof *known; k++)
-            if (target_allow((enum route)r) & known[k].allow)
-                json_object_set_new(verbs, known[k].name,
-                                    describe_operation((enum route)r, known[k].allow, names[r].name,
-                                                       names[r].summary));
-        json_object_set_new(paths, target_path((enum route)r), verbs);
-    }
-    json_t *o = json_pack("{s:s,s:{s:s,s:s,s:s},s:o}", "openapi", "3.0.3", "info", "title",
-                          "citysplat", "version", CITYSPLAT_VERSION, "description",
-                          "Tiles and pictures of cities of 3D Gaussians", "paths", paths);
-    return document_make(o, out, e);
 }
 
 /* ---- the posted camera ---- */
@@ -213,19 +78,21 @@ static enum err_code describe_check_keys(const json_t *o, const char *const *kno
     return ERR_OK;
 }
 
-static enum err_code describe_read_pose(const json_t *o, struct view_pose *out, struct err *e)
+static enum err_code describe_read_pose(const json_t *o, struct view_pose *out, double *roll_deg,
+                                        struct err *e)
 {
-    static const char *const keys[] = {"lon", "lat", "height", "heading", "pitch", "fov", NULL};
-    double *const fields[] = {&out->lon_deg,     &out->lat_deg,   &out->h_m,
-                              &out->heading_deg, &out->pitch_deg, &out->fov_y_deg};
-    static const double limit[] = {180, 90, 2e6, 360, 90, 150};
+    static const char *const keys[] = {"lon",   "lat", "height", "heading",
+                                       "pitch", "fov", "roll",   NULL};
+    double *const fields[] = {&out->lon_deg,   &out->lat_deg,   &out->h_m, &out->heading_deg,
+                              &out->pitch_deg, &out->fov_y_deg, roll_deg};
+    static const double limit[] = {180, 90, 2e6, 360, 90, 150, 360};
     out->fov_y_deg = 60;
     if (!json_is_object(o))
         return err_set(e, ERR_DATA, "pose must be an object with lon, lat, height, heading, pitch");
     enum err_code rc = describe_check_keys(o, keys, "pose", e);
-    for (int i = 0; i < 6 && !rc; i++) {
+    for (int i = 0; i < 7 && !rc; i++) {
         const json_t *v = json_object_get(o, keys[i]);
-        if (!v && i == 5)
+        if (!v && i >= 5)
             continue;
         if (!json_is_number(v) || !(fabs(json_number_value(v)) <= limit[i]))
             return err_set(e, ERR_DATA, "pose.%s must be a number, at most %g either way", keys[i],
@@ -241,12 +108,12 @@ static enum err_code describe_read_format(const json_t *o, enum format *out, str
 {
     const json_t *v = json_object_get(o, "format");
     *out = FORMAT_JPG;
-    for (int f = FORMAT_JPG; v && f <= FORMAT_WEBP; f++)
+    for (int f = FORMAT_JPG; v && f <= FORMAT_NPY; f++)
         if (json_is_string(v) && !strcmp(json_string_value(v), target_ext((enum format)f))) {
             *out = (enum format)f;
             return ERR_OK;
         }
-    return v ? err_set(e, ERR_DATA, "format must be jpg, png or webp") : ERR_OK;
+    return v ? err_set(e, ERR_DATA, "format must be jpg, png, webp or npy") : ERR_OK;
 }
 
 /* Numbers that are finite, and yet no camera: focal lengths beyond 0.06 to 180 degrees, a principal
@@ -284,17 +151,35 @@ static enum err_code describe_read_camera(const struct server_config *cfg,
     if (camera)
         return err_add(e, "camera"), ERR_DATA;
     struct view_pose at = {0};
+    double roll_deg = 0;
     enum err_code rc = describe_read_int(o, "width", 1, cfg->max_view_px, &width, e);
     if (!rc)
         rc = describe_read_int(o, "height", 1, cfg->max_view_px, &height, e);
     if (!rc && (!width || !height))
         rc = err_set(e, ERR_DATA, "a pose needs width and height, in pixels");
     if (!rc)
-        rc = describe_read_pose(pose, &at, e);
+        rc = describe_read_pose(pose, &at, &roll_deg, e);
     if (rc)
         return rc;
-    return view_camera(origin, &at, (uint32_t)width, (uint32_t)height, out, e) == ERR_OK ? ERR_OK
-                                                                                         : ERR_DATA;
+    if (view_camera(origin, &at, (uint32_t)width, (uint32_t)height, out, e))
+        return ERR_DATA;
+    paint_roll(out, roll_deg);
+    return ERR_OK;
+}
+
+static enum err_code describe_read_paint(const json_t *o, enum format f, struct paint *out,
+                                         struct err *e)
+{
+    const json_t *background = json_object_get(o, "background"),
+                 *depth = json_object_get(o, "depth");
+    if (background && !(json_is_string(background) &&
+                        target_read_background(json_string_value(background),
+                                               json_string_length(background), out)))
+        return err_set(e, ERR_DATA, "background must be RRGGBB, sky or transparent");
+    if (depth && !(json_is_string(depth) &&
+                   target_read_depth(json_string_value(depth), json_string_length(depth), out)))
+        return err_set(e, ERR_DATA, "depth must be mm, cm, dm or m: the unit");
+    return paint_check(out, f, e);
 }
 
 static enum err_code describe_read_appearance(const json_t *o, char out[TARGET_APPEARANCE_MAX],
@@ -314,8 +199,9 @@ enum err_code describe_read_render(const struct server_config *cfg, const struct
                                    const void *text, size_t n, struct describe_render *out,
                                    struct err *e)
 {
-    static const char *const keys[] = {"camera",  "pose",        "width",      "height", "format",
-                                       "quality", "deadline_ms", "appearance", NULL};
+    static const char *const keys[] = {"camera",      "pose",       "width",      "height",
+                                       "format",      "quality",    "background", "depth",
+                                       "deadline_ms", "appearance", NULL};
     json_t *o = NULL;
     json_int_t quality = cfg->quality, deadline_ms = (json_int_t)(cfg->deadline_s * 1000);
     memset(out, 0, sizeof *out);
@@ -336,6 +222,8 @@ enum err_code describe_read_render(const struct server_config *cfg, const struct
         rc = describe_read_int(o, "deadline_ms", 50, 30000, &deadline_ms, e);
     if (!rc)
         rc = describe_read_appearance(o, out->appearance, e);
+    if (!rc)
+        rc = describe_read_paint(o, out->format, &out->paint, e);
     out->quality = (int)quality;
     out->timeout_s = (double)deadline_ms / 1000;
     json_decref(o);

@@ -1,4 +1,4 @@
-/* The documents about the service itself: landing page, conformance, OpenAPI; and the posted camera
+/* The documents about the service itself: landing page, conformance; and the posted camera
  * of /d/{ds}/render in the other direction.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -16,12 +16,12 @@ struct geo_origin;
 /* A reference is the caller's. ERR_MEM. */
 enum err_code describe_landing(struct body **out, struct err *e) ERR_USE;
 enum err_code describe_conformance(struct body **out, struct err *e) ERR_USE;
-enum err_code describe_api(struct body **out, struct err *e) ERR_USE;
 
 struct describe_render {
     struct camera cam;
     enum format format;
     int quality;
+    struct paint paint;
     double timeout_s;
     char appearance[TARGET_APPEARANCE_MAX]; /* "": the default one */
 };

@@ -61,6 +61,7 @@ static void guard_keep_field(struct request *r, const char *name, size_t n, cons
         {"If-Range", &r->if_range},
         {"Range", &r->range},
         {"Authorization", &r->authorization},
+        {"If-Modified-Since", &r->if_modified_since},
     };
     for (size_t i = 0; i < sizeof kept / sizeof *kept; i++)
         if (guard_name_is(name, n, kept[i].name) && !*kept[i].to)

@@ -7,6 +7,8 @@
 
 #include <stdio.h>
 
+#include "server/condition.h"
+
 static void headers_add(struct headers *h, const char *name, const char *value)
 {
     if (!value || !*value || h->n == HEADERS_MAX)
@@ -40,6 +42,10 @@ void headers_make(const struct response *r, bool last, struct headers *h)
     headers_add(h, "Content-Type", r->type);
     headers_add(h, "Cache-Control", r->cache_control);
     headers_add(h, "ETag", r->etag);
+    if (r->modified_s) {
+        condition_date(r->modified_s, h->modified);
+        headers_add(h, "Last-Modified", h->modified);
+    }
     headers_add(h, "Vary", r->vary);
     headers_add(h, "Content-Encoding", r->encoding);
     headers_add(h, "Allow", r->allow);

@@ -13,7 +13,7 @@ struct headers { /* values are borrowed from the response or lie in the texts */
     struct {
         const char *name, *value;
     } field[HEADERS_MAX];
-    char range[80], retry[16], timing[80];
+    char range[80], retry[16], timing[80], modified[32];
 };
 /* What goes out with r; last: the connection ends behind it. out lives no longer than r. */
 void headers_make(const struct response *r, bool last, struct headers *out);

@@ -14,12 +14,12 @@
 #include <string.h>
 #include <sys/resource.h>
 
-#include "codec/image.h"
 #include "core/dev.h"
 #include "lod/pick.h"
 #include "lod/store.h"
 #include "lod/view.h"
 #include "render/render.h"
+#include "server/paint.h"
 
 enum { PICTURE_VIEWS = 4, PICTURE_NICE = 5 };
 
@@ -37,6 +37,7 @@ struct picture {
     char about[160];   /* by lock */
     struct dev dev;
     struct render *render;
+    struct render_surface *surface; /* NULL: nobody asked for depth or a background yet */
     bool has_dev;
     struct open_view open[PICTURE_VIEWS];
     uint64_t tick;
@@ -96,6 +97,7 @@ void picture_leave(struct picture *p)
     for (int i = 0; i < PICTURE_VIEWS; i++)
         if (p->open[i].view)
             picture_view_drop(&p->open[i]);
+    render_surface_close(&p->surface);
     render_close(&p->render);
     if (p->has_dev)
         dev_close(&p->dev);
@@ -156,15 +158,6 @@ static enum err_code picture_view_find(struct picture *p, const struct dataset *
     return ERR_OK;
 }
 
-static void picture_to_bytes(const float *rgb, struct image *img)
-{
-    size_t n = (size_t)img->width_px * img->height_px * 3;
-    for (size_t i = 0; i < n; i++) {
-        float v = rgb[i] * 255.0f + 0.5f;
-        img->px[i] = !(v > 0) ? 0 : v >= 255 ? 255 : (uint8_t)v; /* NaN is 0 */
-    }
-}
-
 /* The same, in an appearance. */
 static enum err_code picture_view(struct picture *p, const struct dataset *d,
                                   const struct appearance_choice *a, struct open_view **out,
@@ -190,30 +183,47 @@ enum err_code picture_nadir(struct picture *p, const struct dataset *d,
     return rc;
 }
 
+/* What is left behind the last frame's Gaussians, and how far away they are, as far as `to` has room. */
+static enum err_code picture_measure(struct picture *p, float *transmittance, float *depth_m,
+                                     struct err *e)
+{
+    const struct render_surface_maps maps = {.transmittance = transmittance, .median_m = depth_m};
+    enum err_code rc = ERR_OK;
+    if (!transmittance && !depth_m)
+        return ERR_OK;
+    if (!p->surface)
+        rc = render_surface_open(p->render, &p->surface, e);
+    return !rc ? render_surface_run(p->surface, NULL, &maps, e) : rc;
+}
+
 enum err_code picture_make(struct picture *p, const struct job *j, const struct dataset *d,
                            const struct appearance_choice *a, const struct picture_view *v,
                            struct buf *out, struct err *e)
 {
     struct open_view *view = NULL;
-    struct image img = {0};
-    float *rgb = NULL;
+    const struct paint *paint = &v->paint;
+    size_t n = (size_t)v->cam.width_px * v->cam.height_px;
+    bool left = paint_needs_transmittance(paint), depth = paint_needs_depth(paint, v->format);
     struct render_options ro = {.aa = d->meta.antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
                                 .sh_degree = -1};
     const struct pick_options po = {.max_gaussians = (uint64_t)p->cfg->view_gaussians};
-    enum err_code rc = picture_view(p, d, a, &view, e);
+    for (int c = 0; c < 3; c++)
+        ro.background[c] = (float)(paint->rgb >> (16 - 8 * c) & 255) / 255.0f;
+    float *rgb = mem_array(n, (3 + left + depth) * sizeof(float));
+    enum err_code rc = rgb ? ERR_OK : err_set(e, ERR_MEM, "picture: out of memory");
+    float *more = rgb ? rgb + 3 * n : NULL;
+    const struct paint_planes planes = {rgb, left ? more : NULL,
+                                        depth ? more + (left ? n : 0) : NULL};
     if (!rc)
-        rc = image_alloc(v->cam.width_px, v->cam.height_px, 3, &img, e);
-    if (!rc && !(rgb = mem_array((size_t)v->cam.width_px * v->cam.height_px, 3 * sizeof(float))))
-        rc = err_set(e, ERR_MEM, "picture: out of memory");
+        rc = picture_view(p, d, a, &view, e);
     if (!rc)
         rc = view_render(view->view, &v->cam, &ro, &po, rgb, NULL, e);
     if (!rc && job_cancelled(j))
         rc = err_set(e, ERR_CANCEL, "cancelled");
-    if (!rc) {
-        picture_to_bytes(rgb, &img);
-        rc = image_encode(&img, target_ext(v->format), v->quality, out, e);
-    }
+    if (!rc)
+        rc = picture_measure(p, left ? more : NULL, depth ? more + (left ? n : 0) : NULL, e);
+    if (!rc)
+        rc = paint_encode(paint, &v->cam, v->format, v->quality, &planes, out, e);
     mem_free(rgb);
-    image_free(&img);
     return rc;
 }

@@ -19,6 +19,7 @@ struct picture_view { /* what to draw */
     struct camera cam;
     enum format format;
     int quality; /* of JPEG and WebP */
+    struct paint paint;
 };
 
 /* picture_close it. ERR_MEM. */

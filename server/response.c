@@ -98,12 +98,16 @@ static void response_send_problem(struct response *out, int status, const char *
     for (const char *p = detail; *p; p++)
         if ((unsigned char)*p >= 0x20)
             buf_printf(&b, *p == '"' || *p == '\\' ? "\\%c" : "%c", *p);
-    buf_printf(&b, "\"%s}\n", members);
+    buf_printf(&b, "\"%s", members);
+    if (out->instance) /* it holds no byte that JSON would have to escape */
+        buf_printf(&b, ",\"instance\":\"%.*s\"", (int)out->n_instance, out->instance);
+    buf_printf(&b, "}\n");
     out->status = status;
     out->type = "application/problem+json";
     out->cache_control = status == 404 ? RESPONSE_SHORT : RESPONSE_NO_STORE;
     out->vary = out->encoding = NULL;
     out->etag[0] = out->surrogate[0] = 0;
+    out->modified_s = 0;
     out->accept_ranges = false;
     out->retry_after_s = 0;
     out->body = body_take(&b, NULL);
@@ -181,7 +185,11 @@ void response_body(const struct request *r, struct body *b, struct response *out
             response_etag_gzip(out->etag);
         }
     }
-    if (condition_none_match(r->if_none_match, out->etag)) {
+    out->modified_s = b->modified_s;
+    bool read = r->method == METHOD_GET || r->method == METHOD_HEAD;
+    if (condition_none_match(r->if_none_match, out->etag) ||
+        (read && !r->if_none_match &&
+         condition_not_modified(r->if_modified_since, b->modified_s))) {
         out->status = 304;
         return;
     }

@@ -14,6 +14,7 @@ struct request { /* borrowed from the connection */
     size_t target_size;
     const char *accept, *accept_encoding, *if_none_match, *if_range, *range; /* NULL when absent */
     const char *authorization, *forwarded; /* forwarded: X-Forwarded-For */
+    const char *if_modified_since;
     const void *body;
     size_t body_size;
     bool prefetch; /* Sec-Purpose: prefetch, or a low Priority */
@@ -26,8 +27,11 @@ struct response { /* {0}, then route_answer; response_free it */
     char *location;                                             /* owned */
     char etag[BODY_ETAG_SIZE];                                  /* "" = none */
     char surrogate[96];
-    struct key tile;     /* that is asked for, and the name of its dataset, "" for anything else: */
-    char tile_of[64];    /* what a problem with it names */
+    int64_t modified_s; /* 0: not said */
+    struct key tile;    /* that is asked for, and the name of its dataset, "" for anything else: */
+    char tile_of[64];   /* what a problem with it names */
+    const char *instance; /* the path of a target that could be read, [n_instance]: for problems */
+    size_t n_instance;
     struct body *body;   /* a reference; NULL = no bytes */
     const uint8_t *data; /* what to send: inside body */
     size_t size;

@@ -94,13 +94,13 @@ struct hash128 result_id_thumbnail(const struct dataset *d, const char *name)
 
 struct hash128 result_id_view(const struct dataset *d, const char *device, const struct camera *cam,
                               const struct appearance_choice *a, enum format format, int quality,
-                              double gaussians)
+                              const struct paint *paint, double gaussians)
 {
     struct {
         struct hash128 salt;
         char rev[16], device[160];
         double rot[9], trans[3], focal[4], gaussians;
-        uint32_t width, height, format, quality;
+        uint32_t width, height, format, quality, background, rgb, depth, unused;
     } name;
     memset(&name, 0, sizeof name);
     name.salt = d->salt;
@@ -116,6 +116,9 @@ struct hash128 result_id_view(const struct dataset *d, const char *device, const
     name.height = cam->height_px;
     name.format = (uint32_t)format;
     name.quality = (uint32_t)quality;
+    name.background = (uint32_t)paint->background;
+    name.rgb = paint->rgb;
+    name.depth = (uint32_t)paint->depth;
     name.gaussians = gaussians;
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_mix(&id, a);

@@ -25,7 +25,7 @@ struct hash128 result_id_tileset(const struct dataset *d, const struct target *t
 struct hash128 result_id_thumbnail(const struct dataset *d, const char *name);
 struct hash128 result_id_view(const struct dataset *d, const char *device, const struct camera *cam,
                               const struct appearance_choice *a, enum format format, int quality,
-                              double gaussians);
+                              const struct paint *paint, double gaussians);
 /* geoid: name of the model, "": none. */
 struct hash128 result_id_query(const struct dataset *d, const char *device, const char *geoid,
                                const struct query *q);

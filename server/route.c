@@ -55,6 +55,10 @@ void route_answer(struct services *s, const struct request *r, struct response *
     out->queue_s = out->run_s = -1;
     out->route = ROUTE_NONE;
     enum err_code rc = target_parse(r->target, r->target_size, &t, &e);
+    if (rc != ERR_FORMAT) {
+        out->instance = r->target;
+        out->n_instance = t.path_size;
+    }
     bool found = t.route != ROUTE_STATIC || static_find(&s->web, r->target, t.path_size);
     if (!rc && !found)
         rc = err_set(&e, ERR_NOENT, "there is nothing at this path");

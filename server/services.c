@@ -8,8 +8,10 @@
 
 #include <stdio.h>
 #include <string.h>
+#include <time.h>
 
 #include "server/describe.h"
+#include "server/openapi.h"
 
 enum err_code services_open(struct services *s, const struct server_config *cfg, struct err *e)
 {
@@ -39,7 +41,10 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     if (!rc)
         rc = describe_conformance(&s->conformance, e);
     if (!rc)
-        rc = describe_api(&s->api, e);
+        rc = openapi_describe(&s->api, e);
+    int64_t now_s = (int64_t)time(NULL); /* they are the program's, which may be another one now */
+    if (!rc)
+        s->landing->modified_s = s->conformance->modified_s = s->api->modified_s = now_s;
     if (rc)
         services_free(s);
     return rc;

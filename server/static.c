@@ -55,8 +55,8 @@ static bool static_plain_name(const char *name)
                               "0123456789_.,@:-")];
 }
 
-static enum err_code static_add_file(const char *dir, const char *url, struct static_table *t,
-                                     size_t *bytes, struct err *e)
+static enum err_code static_add_file(const char *dir, const char *url, int64_t modified_s,
+                                     struct static_table *t, size_t *bytes, struct err *e)
 {
     char path[FILE_PATH_MAX];
     struct buf b = {0};
@@ -88,6 +88,7 @@ static enum err_code static_add_file(const char *dir, const char *url, struct st
         body_drop(&f.body);
         return err_set(e, ERR_MEM, "%s: out of memory", path);
     }
+    f.body->modified_s = modified_s;
     if (type >= 0 && types[type].text)
         body_compress(f.body);
     t->file[t->n++] = f;
@@ -121,7 +122,7 @@ static enum err_code static_add_dir(const char *dir, const char *url, int depth,
         else if (S_ISDIR(st.st_mode))
             rc = static_add_dir(dir, below, depth + 1, t, bytes, e);
         else if (S_ISREG(st.st_mode))
-            rc = static_add_file(dir, below, t, bytes, e);
+            rc = static_add_file(dir, below, st.st_mtime, t, bytes, e);
     }
     closedir(d);
     return rc;

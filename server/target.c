@@ -102,8 +102,13 @@ static bool target_is_terrain(enum route r)
     return r == ROUTE_TERRAIN || r == ROUTE_TERRAIN_MOVING || r == ROUTE_TERRAINJSON;
 }
 
-/* preset=NAME, sh=N, appearance=A or, of terrain, encoding=E, each at most once; *known says whether
- * it was one of them. */
+static bool target_is_view(enum route r)
+{
+    return r == ROUTE_VIEW || r == ROUTE_VIEW_MOVING;
+}
+
+/* preset=NAME, sh=N, appearance=A or, of terrain, encoding=E, of views, background=B and depth=U, each at
+ * most once; *known says whether it was one of them. */
 static enum err_code target_take_form(struct text *one, struct target *target, bool *known,
                                       struct err *e)
 {
@@ -132,6 +137,16 @@ static enum err_code target_take_form(struct text *one, struct target *target, b
             out->sh_degree != FORM_UNSAID)
             return err_set(e, ERR_FORMAT, "sh is 0 to %d, given once", GAUSS_SH_DEGREE_MAX);
         out->sh_degree = (uint8_t)degree;
+    } else if (target_is_view(target->route) && text_take(one, "background=")) {
+        if (target->paint.said_background ||
+            !target_read_background(one->p, (size_t)(one->end - one->p), &target->paint))
+            return err_set(e, ERR_FORMAT, "background is RRGGBB, sky or transparent, given once");
+        one->p = one->end;
+    } else if (target_is_view(target->route) && text_take(one, "depth=")) {
+        if (target->paint.depth != DEPTH_NONE ||
+            !target_read_depth(one->p, (size_t)(one->end - one->p), &target->paint))
+            return err_set(e, ERR_FORMAT, "depth is mm, cm, dm or m, the unit, given once");
+        one->p = one->end;
     } else if (target_is_terrain(target->route) && text_take(one, "encoding=")) {
         bool terrarium = text_take(one, "terrarium");
         if (target->encoding != ENCODING_UNSAID || (!terrarium && !text_take(one, "mapbox")))
@@ -203,35 +218,56 @@ static enum err_code target_parse_map(struct text *t, enum route route, struct t
     return ERR_OK;
 }
 
-/* {lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt} */
+/* {w}x{h}[@{s}x].{fmt} */
+static bool target_take_size(struct text *t, struct target *out)
+{
+    enum { SIDE_MAX = 1 << 20, SCALE_MAX = 4 }; /* far beyond what is drawn */
+    uint32_t w, h, scale = 1;
+    if (!text_take_uint(t, &w) || !text_take(t, "x") || !text_take_uint(t, &h))
+        return false;
+    if (text_take(t, "@") &&
+        (!text_take_uint(t, &scale) || !text_take(t, "x") || !scale || scale > SCALE_MAX))
+        return false;
+    out->width_px = (w < SIDE_MAX ? w : SIDE_MAX) * scale;
+    out->height_px = (h < SIDE_MAX ? h : SIDE_MAX) * scale;
+    return text_take(t, ".") && target_take_format(t, FORMAT_JPG, FORMAT_NPY, &out->form.format);
+}
+
+/* {lon},{lat},{h}@{heading},{pitch}[,{fov}[,{roll}]]/{w}x{h}[@{s}x].{fmt} */
 static enum err_code target_parse_view(struct text *t, enum route route, struct target *out,
                                        struct err *e)
 {
-    int64_t lon, lat, h, heading, pitch, fov = 60000;
+    int64_t lon, lat, h, heading, pitch, fov = 60000, roll = 0;
     bool ok = text_take_fixed(t, 7, &lon) && text_take(t, ",") && text_take_fixed(t, 7, &lat) &&
               text_take(t, ",") && text_take_fixed(t, 3, &h) && text_take(t, "@") &&
               text_take_fixed(t, 3, &heading) && text_take(t, ",") && text_take_fixed(t, 3, &pitch);
-    if (ok && text_take(t, ","))
+    if (ok && text_take(t, ",")) {
         ok = text_take_fixed(t, 3, &fov);
-    ok = ok && text_take(t, "/") && text_take_uint(t, &out->width_px) && text_take(t, "x") &&
-         text_take_uint(t, &out->height_px) && text_take(t, ".") &&
-         target_take_format(t, FORMAT_JPG, FORMAT_WEBP, &out->form.format);
-    if (!ok)
+        if (ok && text_take(t, ","))
+            ok = text_take_fixed(t, 3, &roll);
+    }
+    if (!ok || !text_take(t, "/") || !target_take_size(t, out))
         return err_set(e, ERR_FORMAT,
-                       "a view is lon,lat,h@heading,pitch[,fov]/WxH.ext with plain decimal "
-                       "numbers and ext one of jpg, png, webp");
+                       "a view is lon,lat,h@heading,pitch[,fov[,roll]]/WxH[@Sx].ext with plain "
+                       "decimal numbers, S 1 to 4 and ext one of jpg, png, webp, npy");
     if (lon < -1800000000 || lon > 1800000000 || lat < -900000000 || lat > 900000000)
         return err_set(e, ERR_DATA, "longitude is -180..180 and latitude -90..90 degrees");
     if (h < -20000000 || h > 2000000000)
         return err_set(e, ERR_DATA, "height is -20000..2000000 m above the ellipsoid");
     if (heading < -360000 || heading > 360000 || pitch < -90000 || pitch > 90000)
         return err_set(e, ERR_DATA, "heading is -360..360 and pitch -90..90 degrees");
+    if (roll < -360000 || roll > 360000)
+        return err_set(e, ERR_DATA, "roll is -360..360 degrees");
     if (fov < 1000 || fov > 150000)
         return err_set(e, ERR_DATA, "the vertical field of view is 1..150 degrees");
     out->route = route;
-    out->pose = (struct target_pose){(int32_t)lon,   (int32_t)lat,
-                                     (int32_t)h,     (int32_t)((heading + 720000) % 360000),
-                                     (int32_t)pitch, (int32_t)fov};
+    out->pose = (struct target_pose){(int32_t)lon,
+                                     (int32_t)lat,
+                                     (int32_t)h,
+                                     (int32_t)((heading + 720000) % 360000),
+                                     (int32_t)pitch,
+                                     (int32_t)fov,
+                                     (int32_t)((roll + 720000) % 360000)};
     return ERR_OK;
 }
 
@@ -348,6 +384,44 @@ static bool target_parse_document(struct text *t, struct target *out)
     return true;
 }
 
+/* Of /collections?bbox=w,s,e,n or w,s,lowest,e,n,highest; commas may come as %2C. Other keys are ignored.
+ */
+static enum err_code target_parse_bbox(const char *query, size_t n, struct target *out,
+                                       struct err *e)
+{
+    const char *end = query + n;
+    for (const char *p = query; p < end;) {
+        const char *amp = memchr(p, '&', (size_t)(end - p)), *stop = amp ? amp : end;
+        struct text one = {p, stop}, plain;
+        char text[128];
+        int64_t v[6] = {0};
+        int k = 0;
+        p = amp ? amp + 1 : end;
+        if (!text_take(&one, "bbox="))
+            continue;
+        bool ok = !out->has_bbox && text_take_decoded(&one, text, sizeof text);
+        plain = (struct text){text, text + (ok ? strlen(text) : 0)};
+        for (; ok && k < 6 && (!k || text_take(&plain, ",")); k++)
+            ok = text_take_fixed(&plain, 7, &v[k]);
+        int east = k == 6 ? 3 : 2;
+        const int64_t flat[4] = {v[0], v[1], v[east], v[east + 1]};
+        for (int i = 0; ok && k >= 4 && i < 4; i++)
+            ok = flat[i] >= -(i % 2 ? 900000000 : 1800000000) &&
+                 flat[i] <= (i % 2 ? 900000000 : 1800000000);
+        if (!ok || !text_at_end(&plain) || (k != 4 && k != 6) || flat[1] > flat[3])
+            return err_set(e, ERR_FORMAT,
+                           "bbox is west,south,east,north in degrees, or "
+                           "west,south,lowest,east,north,highest with metres, given once");
+        for (int i = 0; i < 4; i++)
+            out->bbox_e7[i] = (int32_t)flat[i];
+        out->has_bbox = true;
+        out->has_heights = k == 6;
+        out->heights_mm[0] = k == 6 ? v[2] / 10000 : 0;
+        out->heights_mm[1] = k == 6 ? v[5] / 10000 : 0;
+    }
+    return ERR_OK;
+}
+
 /* What follows /d/ */
 static enum err_code target_parse_data(struct text *t, const char *query, size_t n_query,
                                        struct target *out, struct err *e)
@@ -456,7 +530,9 @@ enum err_code target_parse(const char *text, size_t n, struct target *out, struc
     for (size_t i = 0; i < sizeof fixed / sizeof *fixed; i++)
         if (strlen(fixed[i].path) == n_path && !memcmp(fixed[i].path, text, n_path)) {
             out->route = fixed[i].route;
-            return ERR_OK;
+            return mark && out->route == ROUTE_COLLECTIONS
+                       ? target_parse_bbox(mark + 1, n - n_path - 1, out, e)
+                       : ERR_OK;
         }
     if (text_take(&t, "/d/"))
         return target_parse_data(&t, mark ? mark + 1 : "", mark ? n - n_path - 1 : 0, out, e);
@@ -464,39 +540,4 @@ enum err_code target_parse(const char *text, size_t n, struct target *out, struc
         return target_parse_collection(&t, out, e);
     out->route = ROUTE_STATIC; /* if the table of files has it */
     return ERR_OK;
-}
-
-void target_escape(const char *text, char *out)
-{
-    static const char hex[] = "0123456789ABCDEF";
-    for (; *text; text++) {
-        unsigned char c = (unsigned char)*text;
-        bool plain = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
-                     strchr("-._~,:=", c);
-        if (plain) {
-            *out++ = (char)c;
-        } else {
-            *out++ = '%';
-            *out++ = hex[c >> 4];
-            *out++ = hex[c & 15];
-        }
-    }
-    *out = '\0';
-}
-
-void target_query(const struct target *t, char out[TARGET_QUERY_MAX])
-{
-    const struct form *f = &t->form;
-    size_t n = 0;
-    out[0] = '\0';
-    if (f->preset < QUANT_PRESETS)
-        n += (size_t)snprintf(out, TARGET_QUERY_MAX, "?preset=%s",
-                              quant_preset_name((enum quant_preset)f->preset));
-    if (f->sh_degree <= GAUSS_SH_DEGREE_MAX)
-        n +=
-            (size_t)snprintf(out + n, TARGET_QUERY_MAX - n, "%csh=%u", n ? '&' : '?', f->sh_degree);
-    if (t->appearance[0]) {
-        n += (size_t)snprintf(out + n, TARGET_QUERY_MAX - n, "%cappearance=", n ? '&' : '?');
-        target_escape(t->appearance, out + n);
-    }
 }

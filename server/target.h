@@ -28,10 +28,12 @@ enum { ALLOW_READ = 1, ALLOW_POST = 2 };
     X(TILE, ALLOW_READ, "/d/{ds}/r/{rev}/t/{z}/{x}/{y}.{ext}", "One tile of Gaussians")            \
     X(TILE_MOVING, ALLOW_READ, "/d/{ds}/t/{z}/{x}/{y}.{ext}", "Redirect to the current revision")  \
     X(VIEW, ALLOW_READ,                                                                            \
-      "/d/{ds}/r/{rev}/static/{lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt}",            \
+      "/d/{ds}/r/{rev}/static/{lon},{lat},{height}@{heading},{pitch}[,{fov}[,{roll}]]/"            \
+      "{w}x{h}[@{s}x].{fmt}",                                                                      \
       "A rendered view")                                                                           \
     X(VIEW_MOVING, ALLOW_READ,                                                                     \
-      "/d/{ds}/static/{lon},{lat},{h}@{heading},{pitch}[,{fov}]/{w}x{h}.{fmt}",                    \
+      "/d/{ds}/static/{lon},{lat},{height}@{heading},{pitch}[,{fov}[,{roll}]]/"                    \
+      "{w}x{h}[@{s}x].{fmt}",                                                                      \
       "Redirect to the current revision")                                                          \
     X(MAP, ALLOW_READ, "/d/{ds}/r/{rev}/map/{z}/{x}/{y}.{fmt}",                                    \
       "A map tile: the city from straight above; {y}@2x is 512 px")                                \
@@ -87,7 +89,8 @@ unsigned target_allow(enum route r);
     X(GLB_PLAIN, "plain.glb", "model/gltf-binary")                                                 \
     X(JPG, "jpg", "image/jpeg")                                                                    \
     X(PNG, "png", "image/png")                                                                     \
-    X(WEBP, "webp", "image/webp")
+    X(WEBP, "webp", "image/webp")                                                                  \
+    X(NPY, "npy", "application/octet-stream")
 
 enum format {
 #define FORMAT_ENUM(id, ext, type) FORMAT_##id,
@@ -103,6 +106,16 @@ struct target_pose {              /* fixed point, so that equal views are equal 
     int32_t h_mm;                 /* ellipsoidal, mm */
     int32_t heading_e3, pitch_e3; /* 1e-3 degrees; heading 0..359999 */
     int32_t fov_e3;               /* vertical */
+    int32_t roll_e3;              /* clockwise, 0..359999 */
+};
+/* What is behind the Gaussians of a picture, or in place of their colours. */
+enum background { BACKGROUND_COLOUR, BACKGROUND_SKY, BACKGROUND_TRANSPARENT };
+enum depth { DEPTH_NONE, DEPTH_MM, DEPTH_CM, DEPTH_DM, DEPTH_M }; /* unit of a picture of depth */
+struct paint {                                                    /* {0}: on black */
+    enum background background;
+    uint32_t rgb; /* of BACKGROUND_COLOUR: 0xRRGGBB */
+    enum depth depth;
+    bool said_background;
 };
 /* A tile's bytes are those of a format, and of the quantised ones (.glb .spz .drc) in a preset and
  * a degree of harmonics. */
@@ -127,19 +140,27 @@ struct target {
     char appearance[TARGET_APPEARANCE_MAX]; /* "": not said */
     struct target_pose pose; /* of height: longitude and latitude alone, if has_place */
     bool has_place;
-    uint32_t width_px, height_px;
+    uint32_t width_px, height_px; /* of the picture, @2x and so on counted */
+    struct paint paint;
     uint8_t scale;          /* of map and terrain tiles: 1, or 2 for twice the pixels */
     enum encoding encoding; /* of terrain */
     uint32_t row;           /* of a thumbnail */
-    /* seed: */
+    /* seed and collections: */
     bool has_bbox;
     int32_t bbox_e7[4]; /* west south east north */
+    bool has_heights;   /* these of collections */
+    int64_t heights_mm[2];
+    /* seed: */
     uint8_t z_min, z_max;
     size_t path_size; /* bytes of the path, before '?' */
 };
 /* ERR_FORMAT: bytes no legal target has (status 400). ERR_DATA: well formed, impossible numbers
  * (422). ERR_NOENT: no such route, or a key out of range (404). `path` has n bytes and no NUL. */
 enum err_code target_parse(const char *text, size_t n, struct target *out, struct err *e) ERR_USE;
+
+/* RRGGBB, sky or transparent; mm, cm, dm or m: what a text[n] says. False: neither. */
+bool target_read_background(const char *text, size_t n, struct paint *out);
+bool target_read_depth(const char *text, size_t n, struct paint *out);
 
 /* Percent-encode a text as a value of a query: RFC 3986's unreserved characters stay, and ',' ':'
  * '=', which it allows there. out holds 3 bytes for each of text, and one more. */

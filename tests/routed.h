@@ -86,7 +86,8 @@ static inline const char *expand(const char *text, char *out, size_t room)
 
 struct ask { /* the request in short */
     enum method method;
-    const char *target, *accept, *accept_encoding, *if_none_match, *if_range, *range, *body;
+    const char *target, *accept, *accept_encoding, *if_none_match, *if_range, *range, *body,
+        *if_modified_since;
 };
 
 static char last_target[4096];
@@ -102,6 +103,7 @@ static inline struct response answer(const struct ask *a)
         .if_none_match = a->if_none_match,
         .if_range = a->if_range,
         .range = a->range,
+        .if_modified_since = a->if_modified_since,
         .body = a->body,
         .body_size = a->body ? strlen(a->body) : 0,
         .local = true,

@@ -3,6 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "server/condition.h"
 #include "tests/routed.h"
 
 static void test_documents(void **state)
@@ -86,6 +87,48 @@ static void test_documents_without_memory(void **state)
     }
 }
 
+/* What meets a box; what is no box is refused. */
+static void test_collections_in_a_box(void **state)
+{
+    static const struct {
+        const char *query;
+        int n; /* -1: 400 */
+    } rows[] = {
+        {"", 1},
+        {"?bbox=13,52,14,53", 1},
+        {"?bbox=13%2C52%2C14%2C53&limit=10", 1},
+        {"?bbox=14,52,15,53", 0},
+        {"?bbox=13,53,14,54", 0},
+        {"?bbox=13.39,52.49,13.41,52.51", 1},
+        {"?bbox=13,52,-100,14,53,5000", 1},
+        {"?bbox=13,52,5000,14,53,6000", 0},
+        {"?bbox=170,-90,20,90", 1}, /* across the date line */
+        {"?bbox=170,-90,-170,90", 0},
+        {"?bbox=", -1},
+        {"?bbox=1,2,3", -1},
+        {"?bbox=1,2,3,4,5", -1},
+        {"?bbox=1,2,3,4,5,6,7", -1},
+        {"?bbox=13,53,14,52", -1},
+        {"?bbox=13,52,14,a", -1},
+        {"?bbox=181,0,182,1", -1},
+        {"?bbox=13,52,14,91", -1},
+        {"?bbox=13,52,14,53&bbox=13,52,14,53", -1},
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        char target[128];
+        snprintf(target, sizeof target, "/collections%s", rows[i].query);
+        struct response r = get(target);
+        if (r.status != (rows[i].n < 0 ? 400 : 200))
+            fail_msg("%s: %d", target, r.status);
+        json_t *o = json_of(&r);
+        if (rows[i].n >= 0 && (int)json_array_size(json_object_get(o, "collections")) != rows[i].n)
+            fail_msg("%s: not %d datasets", target, rows[i].n);
+        json_decref(o);
+        response_free(&r);
+    }
+}
+
 static void test_links_lead_somewhere(void **state)
 {
     static const char *const docs[][2] = {
@@ -117,16 +160,35 @@ static void test_links_lead_somewhere(void **state)
     }
 }
 
-/* The service description has every route, and no route that is not answered. */
+/* The service description has every route, and no route that is not answered; a path in it has no brackets,
+ * and its parameters, each once, are those that are declared. */
 static void test_api_lists_the_routes(void **state)
 {
     struct response r = get("/api");
-    json_t *o = json_of(&r), *paths = json_object_get(o, "paths");
+    json_t *o = json_of(&r), *paths = json_object_get(o, "paths"), *methods, *operation;
+    const char *path, *verb;
     (void)state;
-    for (int k = 0; k < ROUTE_NONE; k++)
-        if (k != ROUTE_STATIC)
-            assert_non_null(json_object_get(paths, target_path((enum route)k)));
     assert_int_equal(json_object_size(paths), ROUTE_NONE - 1);
+    json_object_foreach(paths, path, methods)
+    {
+        assert_null(strpbrk(path, "[]"));
+        json_object_foreach(methods, verb, operation)
+        {
+            const json_t *list = json_object_get(operation, "parameters");
+            size_t i = 0;
+            for (const char *p = strchr(path, '{'); p; p = strchr(p + 1, '{'), i++) {
+                const char *name =
+                    json_string_value(json_object_get(json_array_get(list, i), "name"));
+                assert_non_null(name);
+                if (strncmp(p + 1, name, strlen(name)) != 0 || p[1 + strlen(name)] != '}')
+                    fail_msg("%s: parameter %zu is %s", path, i, name);
+                for (size_t k = 0; k < i; k++)
+                    assert_string_not_equal(
+                        name, json_string_value(json_object_get(json_array_get(list, k), "name")));
+            }
+            assert_true(json_object_size(json_object_get(operation, "responses")) >= 2);
+        }
+    }
     json_decref(o);
     response_free(&r);
 }
@@ -191,6 +253,91 @@ static void test_refusals(void **state)
     assert_int_equal(r.status, 204);
     expect("Allow", r.allow, "POST, OPTIONS");
     response_free(&r);
+}
+
+/* A problem says which resource it is about, where that can be said: a target that could be read. */
+static void test_instances(void **state)
+{
+    static const struct {
+        const char *target, *instance;
+    } rows[] = {
+        {"/nothing?a=b", "/nothing"},
+        {"/d/toy/r/000000000000/tileset.json", "/d/toy/r/000000000000/tileset.json"},
+        {"/d/toy/static/0,99,0@0,0/64x64.jpg", "/d/toy/static/0,99,0@0,0/64x64.jpg"},
+        {"/d/toy/r/REV/static/0,9,0@0,0/64x64.jpg?appearance=x",
+         "/d/toy/r/REV/static/0,9,0@0,0/64x64.jpg"},
+        {"/%22%0a", NULL},
+    };
+    char want[256];
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct response r = get(rows[i].target);
+        json_t *o = json_of(&r);
+        expect("instance", json_string_value(json_object_get(o, "instance")),
+               rows[i].instance ? expand(rows[i].instance, want, sizeof want) : NULL);
+        json_decref(o);
+        response_free(&r);
+    }
+}
+
+/* Entry documents say when what they describe was written; who has it since then gets 304, unless he also
+ * says which he has. */
+static void test_last_modified(void **state)
+{
+    static const char *const targets[] = {"/",
+                                          "/api",
+                                          "/conformance",
+                                          "/collections",
+                                          "/collections/toy",
+                                          "/collections/toy/tiles.json",
+                                          "/d/toy/tileset.json",
+                                          "/d/toy/r/REV/tileset.json",
+                                          "/d/toy/appearances",
+                                          "/assets/index-D3adBeef.js"};
+    static const struct {
+        int64_t at_s;
+        const char *text;
+    } dates[] = {{784111777, "Sun, 06 Nov 1994 08:49:37 GMT"},
+                 {951782400, "Tue, 29 Feb 2000 00:00:00 GMT"},
+                 {4102444799, "Thu, 31 Dec 2099 23:59:59 GMT"},
+                 {1, "Thu, 01 Jan 1970 00:00:01 GMT"}};
+    static const char *const bad[] = {"",
+                                      "Sun, 06 Nov 1994",
+                                      "Sunday, 06-Nov-94 08:49:37 GMT",
+                                      "0",
+                                      "Sun, 06 Nxv 1994 08:49:37 GMT",
+                                      "Sun, 06 Nov 1994 08:49:37 CET"};
+    char date[CONDITION_DATE];
+    (void)state;
+    for (size_t i = 0; i < sizeof dates / sizeof *dates; i++) {
+        condition_date(dates[i].at_s, date);
+        assert_string_equal(date, dates[i].text);
+        assert_true(condition_not_modified(date, dates[i].at_s));
+        assert_false(condition_not_modified(date, dates[i].at_s + 1));
+        assert_true(condition_not_modified(date, dates[i].at_s - (dates[i].at_s > 1)));
+    }
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++)
+        assert_false(condition_not_modified(bad[i], 1));
+    for (size_t i = 0; i < sizeof targets / sizeof *targets; i++) {
+        struct response r = get(targets[i]);
+        assert_int_equal(r.status, 200);
+        assert_true(r.modified_s > 1577836800); /* 2020 */
+        condition_date(r.modified_s, date);
+        response_free(&r);
+        struct ask a = {.target = targets[i], .if_modified_since = date};
+        r = answer(&a);
+        assert_int_equal(r.status, 304);
+        response_free(&r);
+        a.if_none_match = "\"another\"";
+        r = answer(&a);
+        assert_int_equal(r.status, 200);
+        response_free(&r);
+        a = (struct ask){.target = targets[i],
+                         .if_modified_since = "Sun, 06 Nov 1994 08:49:37 GMT"};
+        r = answer(&a);
+        assert_int_equal(r.status, 200);
+        response_free(&r);
+    }
 }
 
 static void test_redirects(void **state)
@@ -322,10 +469,13 @@ int main(void)
         cmocka_unit_test(test_documents),
         cmocka_unit_test(test_version),
         cmocka_unit_test(test_documents_without_memory),
+        cmocka_unit_test(test_collections_in_a_box),
         cmocka_unit_test(test_links_lead_somewhere),
         cmocka_unit_test(test_api_lists_the_routes),
         cmocka_unit_test(test_tileset_uris),
         cmocka_unit_test(test_refusals),
+        cmocka_unit_test(test_instances),
+        cmocka_unit_test(test_last_modified),
         cmocka_unit_test(test_redirects),
         cmocka_unit_test(test_viewer_files),
         cmocka_unit_test(test_job_ends),

@@ -38,6 +38,81 @@ static void test_views(void **state)
     picture_close(&t.s.picture);
 }
 
+/* What is behind a picture, its depth, its roll and its scale are in the address and in the tag: what makes
+ * other bytes has another tag, what does not has the same. */
+static void test_what_is_in_the_tag(void **state)
+{
+#define AT "/d/toy/r/REV/static/13.4,52.5,120@0,-90"
+    static const struct {
+        const char *a, *b;
+        bool same;
+    } equal[] = {
+        {AT "/64x48@2x.png", AT "/128x96.png", true},
+        {AT "/64x48@1x.png", AT "/64x48.png", true},
+        {AT ",60/64x48.png", AT ",60,0/64x48.png", true},
+        {AT ",60,360/64x48.png", AT "/64x48.png", true},
+        {AT ",60,-90/64x48.png", AT ",60,270/64x48.png", true},
+        {AT ",60,1/64x48.png", AT "/64x48.png", false},
+        {AT "/64x48.png?background=000000", AT "/64x48.png", true},
+        {AT "/64x48.png?background=FF00aa", AT "/64x48.png?background=ff00AA", true},
+        {AT "/64x48.png?background=ff0000", AT "/64x48.png", false},
+        {AT "/64x48.png?background=sky", AT "/64x48.png", false},
+        {AT "/64x48.png?background=transparent", AT "/64x48.png?background=sky", false},
+        {AT "/64x48.png?depth=cm", AT "/64x48.png?depth=mm", false},
+        {AT "/64x48.png?depth=cm", AT "/64x48.png", false},
+        {AT "/64x48.npy", AT "/64x48.png", false},
+        {AT "/64x48.png?v=1", AT "/64x48.png", true},
+    };
+    static const struct {
+        const char *target;
+        int status;
+    } bad[] = {
+        {AT "/64x48.jpg?background=transparent", 422},
+        {AT "/64x48.jpg?depth=cm", 422},
+        {AT "/64x48.npy?depth=cm", 422},
+        {AT "/64x48.npy?background=sky", 422},
+        {AT "/64x48.png?depth=cm&background=sky", 422},
+        {AT "/64x48.png?background=red", 400},
+        {AT "/64x48.png?background=ff000", 400},
+        {AT "/64x48.png?background=ff00000", 400},
+        {AT "/64x48.png?background=", 400},
+        {AT "/64x48.png?depth=km", 400},
+        {AT "/64x48.png?depth=1", 400},
+        {AT "/64x48.png?depth=m&depth=m", 400},
+        {AT "/64x48.png?background=sky&background=sky", 400},
+        {AT "/64x48@0x.png", 400},
+        {AT "/64x48@5x.png", 400},
+        {AT "/64x48@2.png", 400},
+        {AT "/64x48@2.5x.png", 400},
+        {AT "/2000x2000@4x.png", 422},
+        {AT "/999999999x999999999@4x.png", 422},
+        {AT ",60,361/64x48.png", 422},
+        {AT ",60,/64x48.png", 400},
+        {AT ",60,0,0/64x48.png", 400},
+        {AT "/64x48.exr", 400},
+    };
+#undef AT
+    struct err e = {0};
+    (void)state;
+    kit_ok(picture_open(&t.cfg, &t.s.picture, &e), e);
+    for (size_t i = 0; i < sizeof equal / sizeof *equal; i++) {
+        struct response a = get(equal[i].a), b = get(equal[i].b);
+        assert_non_null(a.work);
+        assert_non_null(b.work);
+        if (!strcmp(a.etag, b.etag) != equal[i].same)
+            fail_msg("%s and %s: tags %s and %s", equal[i].a, equal[i].b, a.etag, b.etag);
+        response_free(&a);
+        response_free(&b);
+    }
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        struct response r = get(bad[i].target);
+        if (r.status != bad[i].status)
+            fail_msg("%s: %d, want %d", bad[i].target, r.status, bad[i].status);
+        response_free(&r);
+    }
+    picture_close(&t.s.picture);
+}
+
 /* What a server is configured with is in the tag, and an address whose bytes depend on more than the
  * program's defaults is not immutable. */
 static void test_configuration_and_tags(void **state)
@@ -95,6 +170,19 @@ static void test_posted_cameras(void **state)
          "to_camera\":"
          "[1,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1]},\"format\":\"png\",\"deadline_ms\":900}",
          0},
+        {"{\"pose\":{\"lon\":13,\"lat\":52,\"height\":1,\"heading\":0,\"pitch\":0,\"roll\":9},"
+         "\"width\":64,"
+         "\"height\":48,\"format\":\"png\",\"background\":\"transparent\"}",
+         0},
+        {"{\"pose\":{\"lon\":13,\"lat\":52,\"height\":1,\"heading\":0,\"pitch\":0},\"width\":64,"
+         "\"height\":48,\"format\":\"png\",\"depth\":\"cm\"}",
+         0},
+        {"{\"pose\":{\"lon\":13,\"lat\":52,\"height\":1,\"heading\":0,\"pitch\":0},\"width\":64,"
+         "\"height\":48,\"background\":\"transparent\"}",
+         422},
+        {"{\"pose\":{\"lon\":13,\"lat\":52,\"height\":1,\"heading\":0,\"pitch\":0},\"width\":64,"
+         "\"height\":48,\"depth\":7}",
+         422},
         {"", 400},
         {"{", 400},
         {"[]", 400},
@@ -125,7 +213,7 @@ static void test_posted_cameras(void **state)
         {"{\"pose\":{\"lon\":13,\"lat\":52,\"height\":1,\"heading\":0,\"pitch\":0},\"width\":64,"
          "\"height\":99999}",
          422},
-        {"{\"pose\":{\"lon\":13,\"lat\":52,\"height\":1,\"heading\":0,\"pitch\":0,\"roll\":1},"
+        {"{\"pose\":{\"lon\":13,\"lat\":52,\"height\":1,\"heading\":0,\"pitch\":0,\"tilt\":1},"
          "\"width\":64,\"height\":48}",
          422},
         {"{\"pose\":{\"lon\":13,\"lat\":52,\"height\":1,\"heading\":0,\"pitch\":0},\"width\":64,"
@@ -168,6 +256,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_views),
+        cmocka_unit_test(test_what_is_in_the_tag),
         cmocka_unit_test(test_configuration_and_tags),
         cmocka_unit_test(test_posted_cameras),
     };

@@ -1,4 +1,4 @@
-// A small PNG reader for screenshots: 8-bit RGB or RGBA, not interlaced.
+// A small PNG reader: RGB or RGBA of 8 bits, grey of 16, not interlaced.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { inflateSync } from "node:zlib";
@@ -26,21 +26,27 @@ function unfilter(raw, width, height, bpp) {
     return out;
 }
 
-// PNG bytes -> { width, height, at(x, y) -> [r, g, b], mean(x, y, radius) -> [r, g, b] }.
+// PNG bytes -> { width, height, at(x, y) -> [r, g, b], mean(x, y, radius) -> [r, g, b], alpha(x, y), grey(x, y),
+// text }: grey of 16 bits, text by keyword.
 export function decodePng(bytes) {
     const width = bytes.readUInt32BE(16);
     const height = bytes.readUInt32BE(20);
     const [depth, kind, , , interlace] = bytes.subarray(24, 29);
-    if (depth !== 8 || (kind !== 2 && kind !== 6) || interlace)
-        throw new Error("png: unsupported kind");
+    const known = (depth === 8 && (kind === 2 || kind === 6)) || (depth === 16 && kind === 0);
+    if (!known || interlace) throw new Error("png: unsupported kind");
     const parts = [];
+    const text = {};
     for (let at = 8; at < bytes.length;) {
         const size = bytes.readUInt32BE(at);
         if (bytes.toString("latin1", at + 4, at + 8) === "IDAT")
             parts.push(bytes.subarray(at + 8, at + 8 + size));
+        if (bytes.toString("latin1", at + 4, at + 8) === "tEXt") {
+            const [key, value] = bytes.toString("latin1", at + 8, at + 8 + size).split("\0");
+            text[key] = value;
+        }
         at += 12 + size;
     }
-    const bpp = kind === 6 ? 4 : 3;
+    const bpp = { 0: 2, 2: 3, 6: 4 }[kind];
     const px = unfilter(inflateSync(Buffer.concat(parts)), width, height, bpp);
     const at = (x, y) => {
         const i = (Math.round(y) * width + Math.round(x)) * bpp;
@@ -59,5 +65,7 @@ export function decodePng(bytes) {
         }
         return sum.map((v) => (n ? v / n : 0));
     };
-    return { width, height, at, mean };
+    const alpha = (x, y) => (kind === 6 ? px[(y * width + x) * 4 + 3] : 255);
+    const grey = (x, y) => px.readUInt16BE((y * width + x) * 2);
+    return { width, height, at, mean, alpha, grey, text };
 }
