@@ -17,5 +17,7 @@ enum err_code maps_make(enum geotiff_kind kind, const struct maps_options *o,
                         struct err *e) ERR_USE;
 /* A number of this option, NAN when text is NULL. ERR_ARG. */
 enum err_code maps_number(const char *option, const char *text, double *out, struct err *e) ERR_USE;
+/* west,south,east,north of --bbox. ERR_ARG. */
+enum err_code maps_bbox(const char *text, double out[4], struct err *e) ERR_USE;
 
 #endif

@@ -114,11 +114,10 @@ struct map_job {
     struct map_report report;
 };
 
-/* Where the piece lies on Earth, and how its pixels lie there. */
-static enum err_code map_place(struct map_job *j, uint32_t x, uint32_t y, struct nadir_piece *p,
-                               struct err *e)
+enum err_code map_place(const struct nadir *n, const struct crs *crs, const struct map_grid *g,
+                        uint32_t x, uint32_t y, struct nadir_piece *p, double corner[8],
+                        double *off_px, struct err *e)
 {
-    const struct map_grid *g = &j->grid;
     const double w = p->width, h = p->height, at[NADIR_PLACES][2] = {{0.5 * w, 0.5 * h},
                                                                      {w, 0.5 * h},
                                                                      {0.5 * w, h},
@@ -131,14 +130,14 @@ static enum err_code map_place(struct map_job *j, uint32_t x, uint32_t y, struct
         lon[i] = g->west_m + (x + at[i][0]) * g->pixel_m;
         lat[i] = g->north_m - (y + at[i][1]) * g->pixel_m;
     }
-    enum err_code rc = crs_unproject(j->crs, NADIR_PLACES, lon, lat, e);
+    enum err_code rc = crs_unproject(crs, NADIR_PLACES, lon, lat, e);
     if (!rc)
-        rc = nadir_fit(j->nadir, lon, lat, p, &off, e);
+        rc = nadir_fit(n, lon, lat, p, &off, e);
     if (rc)
         return rc;
     for (size_t i = NADIR_CORNER; i < NADIR_PLACES; i++)
-        key_place(lon[i], lat[i], j->corner + 2 * (i - NADIR_CORNER));
-    j->report.off_px = fmax(j->report.off_px, off);
+        key_place(lon[i], lat[i], corner + 2 * (i - NADIR_CORNER));
+    *off_px = fmax(*off_px, off);
     if (off > MAP_OFF_MAX_PX)
         return err_set(e, ERR_ARG,
                        "EPSG:%d bends or shears a piece of %u px by %.2f px near %.6f,%.6f: use a "
@@ -180,7 +179,7 @@ static enum err_code map_piece(struct map_job *j, uint32_t x, uint32_t y, uint32
     const struct map_grid *g = &j->grid;
     struct nadir_piece p = {.width = g->width - x < size ? g->width - x : size,
                             .height = g->height - y < size ? g->height - y : size};
-    enum err_code rc = map_place(j, x, y, &p, e);
+    enum err_code rc = map_place(j->nadir, j->crs, g, x, y, &p, j->corner, &j->report.off_px, e);
     if (rc || !area_mask(nadir_area(j->nadir), j->corner, p.width, p.height, j->in))
         return rc;
     rc = nadir_draw(j->nadir, &p, j->kind == GEOTIFF_COLOR ? j->rgb : NULL, j->height, e);

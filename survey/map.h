@@ -37,6 +37,12 @@ struct map_report {
  * says what is. */
 enum err_code map_plan(const struct nadir *n, const struct map_request *r, struct crs **crs,
                        struct map_grid *out, struct err *e) ERR_USE;
+/* The piece of p->width x p->height pixels whose top left one is (x, y) of the grid; its corners as
+ * area_mask wants them; off_px grows to how far its plane is from the projection. ERR_ARG: farther
+ * than MAP_OFF_MAX_PX. */
+enum err_code map_place(const struct nadir *n, const struct crs *crs, const struct map_grid *g,
+                        uint32_t x, uint32_t y, struct nadir_piece *p, double corner[8],
+                        double *off_px, struct err *e) ERR_USE;
 /* Write the file beside and rename it. Errors of map_plan, nadir_draw and geotiff.h; ERR_CANCEL
  * when the program was told to stop. report may be NULL. */
 enum err_code map_write(struct nadir *n, const struct map_request *r, const char *path,

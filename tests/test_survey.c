@@ -14,6 +14,7 @@
 #include <gdal/gdal.h>
 
 #include "lod/probe.h"
+#include "survey/change.h"
 #include "survey/map.h"
 
 #define GSD_M 0.25
@@ -338,6 +339,89 @@ static void the_program_says_the_same(void **state)
     buf_free(&out);
 }
 
+/* The city once more: moved as a whole, or with a block of 6 x 6 m put up on level ground. */
+static void later_city(const char *name, double east, double north, double up,
+                       const double block[2], char path[FILE_PATH_MAX])
+{
+    struct err e = {0};
+    struct gauss g;
+    struct geo_origin moved;
+    const double shift[3] = {east, north, up};
+    cover(&g);
+    for (size_t i = 0; block && i < g.n; i++) {
+        float *at = g.mean_m + 3 * i;
+        if (fabs((double)at[0] - block[0]) < 3 && fabs((double)at[1] - block[1]) < 3)
+            at[2] += 5;
+    }
+    kit_ok(geo_from_enu(&origin, shift, &moved.lon_deg, &moved.lat_deg, &moved.h_m, &e), e);
+    kit_ok(file_join(path, f.dir, name, &e), e);
+    const struct pyramid_config cfg = {.tile_edge_m = 30, .name = "later", .attribution = "ours"};
+    const struct pyramid_level level = {.g = &g, .level = 3};
+    kit_ok(pyramid_build(&moved, &level, 1, &cfg, NULL, 0, path, NULL, &e), e);
+    gauss_free(&g);
+}
+
+static void compare(const char *path, const char *name, struct change_report *r)
+{
+    struct err e = {0};
+    struct nadir *later;
+    char out[FILE_PATH_MAX];
+    const struct nadir_options no = {.ceiling_m = (double)NAN};
+    const struct change_request request = {.gsd_m = GSD_M};
+    kit_ok(file_join(out, f.dir, name, &e), e);
+    kit_ok(nadir_open(path, &no, &later, &e), e);
+    kit_ok(change_write(f.nadir, later, &request, out, r, &e), e);
+    nadir_close(&later);
+}
+
+static void changes_are_found(void **state)
+{
+    struct change_report r;
+    struct buf out = {0};
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    double block[2] = {0, 0};
+    bool level = false;
+    (void)state;
+    later_city("moved.tiles", 0.2, -0.15, 0.3, NULL, path);
+    compare(path, "moved.tif", &r);
+    printf("survey compare: shift %.3f %.3f %.3f m, spread %.3f m\n", r.east_m, r.north_m, r.up_m,
+           r.spread_m);
+    assert_true(fabs(r.east_m - 0.2) < 0.1 && fabs(r.north_m + 0.15) < 0.1);
+    assert_true(fabs(r.up_m - 0.3) < 0.03 && fabs(r.median_m - 0.3) < 0.02);
+    for (double y = -24; y < 24 && !level; y += 2)
+        for (double x = -24; x < 24 && !level; x += 2) {
+            level = true;
+            for (int k = 0; k < 900 && level; k++)
+                level = fabs(truth_z(x - 3.5 + k % 30 * 0.24, y - 3.5 + k / 30 * 0.24) -
+                             truth_z(x, y)) < 1;
+            block[0] = x;
+            block[1] = y;
+        }
+    assert_true(level);
+    later_city("block.tiles", 0, 0, 0, block, path);
+    compare(path, "block.tif", &r);
+    printf("survey compare: gained %.1f m3 of 180, lost %.1f, changed %.4f\n", r.gained_m3,
+           r.lost_m3, r.changed_share);
+    assert_true(r.gained_m3 > 165 && r.gained_m3 < 225 && r.lost_m3 < 5);
+    assert_true(fabs(r.changed_share * (double)r.pixels * r.pixel_m2 - 36) < 7);
+    assert_true(fabs(r.east_m) < 0.02 && fabs(r.north_m) < 0.02 && fabs(r.up_m) < 0.02);
+    assert_int_equal(kit_run(&out, "gdalinfo -json '%s/block.tif'", f.dir), 0);
+    gdal_says(&out, "\"LAYOUT\":\"COG\"");
+    gdal_says(&out, "\"noDataValue\":-9999.0");
+    buf_free(&out);
+    /* through the program, and what has nothing in common */
+    assert_int_equal(kit_run(&out, "'%s' compare -q '%s' '%s' -o '%s/c.tif' --gsd-m 0.5",
+                             kit_program(), f.path, path, f.dir),
+                     0);
+    kit_expect_text((const char *)out.data, "\"gained_m3\"", __FILE__, __LINE__);
+    buf_free(&out);
+    const double far[4] = {9, 51, 9.1, 51.1};
+    const struct change_request nowhere = {.bbox_deg = far};
+    kit_fails(change_write(f.nadir, f.nadir, &nowhere, "x.tif", &r, &e), ERR_ARG, e,
+              "nothing to compare");
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -347,6 +431,7 @@ int main(void)
         cmocka_unit_test(gdal_calls_it_cloud_optimized),
         cmocka_unit_test(far_gaussians_are_no_survey),
         cmocka_unit_test(places_have_heights),
+        cmocka_unit_test(changes_are_found),
         cmocka_unit_test(nonsense_is_refused),
         cmocka_unit_test(the_program_says_the_same),
     };

@@ -1,0 +1,73 @@
+/* citysplat clip: a part of a tile store, by polygons and heights -> a tile store.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "lod/clip.h"
+
+#include <math.h>
+#include <stdio.h>
+
+#include "cli/cli.h"
+#include "cli/maps.h"
+
+struct clip_options {
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/clip.def"
+#undef OPT
+};
+
+static const struct options_def defs[] = {
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct clip_options, type, key, def, lo, hi, unit, help)
+#include "cli/clip.def"
+#undef OPT
+};
+
+static const struct options_spec spec = {
+    .command = "clip",
+    .usage = "citysplat clip CITY.tiles -o PART.tiles [options]",
+    .about =
+        "Writes the part of a tile store whose Gaussians have their means within polygons, "
+        "between heights, or both, at every level. Tiles that lie wholly inside are copied byte "
+        "by byte; serve, export and the maps then work on the part.",
+    .example = "citysplat clip city.tiles -o block.tiles --polygon block.geojson\n"
+               "citysplat clip city.tiles -o roofless.tiles --high-m 118",
+    .defs = defs,
+    .n_defs = sizeof defs / sizeof *defs,
+    .min_args = 1,
+    .max_args = 1};
+
+enum err_code cli_clip(int argc, char **argv, struct err *e)
+{
+    struct clip_options o = {0};
+    struct options_args args;
+    struct clip_report r;
+    struct clip clip = {0};
+    struct arena arena = {0};
+    double low = 0, high = 0;
+    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    bool run = !rc && !args.done;
+    if (run && !o.output)
+        rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
+    if (run && !rc && !o.polygon && !o.low_m && !o.high_m)
+        rc = err_set(e, ERR_ARG, "clip: give --polygon FILE, --low-m or --high-m");
+    if (run && !rc)
+        rc = maps_number("--low-m", o.low_m, &low, e);
+    if (run && !rc)
+        rc = maps_number("--high-m", o.high_m, &high, e);
+    if (run && !rc)
+        rc = clip_open(o.polygon, isnan(low) ? -HUGE_VAL : low, isnan(high) ? HUGE_VAL : high,
+                       &clip, e);
+    if (run && !rc) {
+        signals_catch();
+        rc = clip_store(&clip, args.arg[0], o.name, o.output, &r, e);
+    }
+    if (run && !rc)
+        printf(
+            "%s: %zu tiles, %zu of them as they were, %zu Gaussians kept, %zu left out, revision "
+            "%s\n",
+            o.output, r.n_tiles, r.n_copied, r.n_kept, r.n_dropped, r.revision);
+    clip_free(&clip);
+    arena_free(&arena);
+    return rc;
+}

@@ -1,0 +1,298 @@
+/* A part of a store: see clip.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "lod/clip.h"
+
+#include <jansson.h>
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/stat.h>
+
+#include "core/gauss.h"
+#include "lod/outline.h"
+#include "lod/store.h"
+
+/* ---- GeoJSON ---- */
+
+static enum err_code clip_add_ring(struct clip *c, const json_t *ring, const char *path,
+                                   struct err *e)
+{
+    size_t n = json_array_size(ring);
+    double(*at)[2] = mem_array(n + 1, sizeof *at);
+    enum err_code rc = at ? ERR_OK : err_set(e, ERR_MEM, "%s: out of memory", path);
+    if (!rc && (n < 4 || n > CLIP_CORNERS_MAX + 1))
+        rc = err_set(e, ERR_FORMAT,
+                     "%s: a ring of %zu positions: 4 to %d, the last the same as the first", path,
+                     n, CLIP_CORNERS_MAX + 1);
+    for (size_t i = 0; !rc && i < n; i++) {
+        const json_t *p = json_array_get(ring, i), *lon = json_array_get(p, 0),
+                     *lat = json_array_get(p, 1);
+        at[i][0] = json_number_value(lon);
+        at[i][1] = json_number_value(lat);
+        if (!json_is_number(lon) || !json_is_number(lat) || !(fabs(at[i][0]) <= 180) ||
+            !(fabs(at[i][1]) <= 90))
+            rc = err_set(e, ERR_FORMAT,
+                         "%s: position %zu (%g, %g) is no longitude and latitude; of a projection "
+                         "make them with ogr2ogr -t_srs EPSG:4326 -f GeoJSON",
+                         path, i + 1, at[i][0], at[i][1]);
+    }
+    if (!rc && memcmp(at[0], at[n - 1], sizeof *at) != 0)
+        rc = err_set(e, ERR_FORMAT, "%s: a ring is not closed: repeat its first position", path);
+    if (!rc && outline_check((const double(*)[2])at, n - 1, e)) {
+        err_add(e, "%s", path);
+        rc = ERR_DATA;
+    }
+    if (!rc && c->n + n > c->cap) {
+        size_t cap = 2 * c->cap + n;
+        struct clip_edge *p = mem_resize(c->edges, c->cap, cap, sizeof *p);
+        rc = p ? ERR_OK : err_set(e, ERR_MEM, "%s: out of memory", path);
+        c->edges = p ? p : c->edges;
+        c->cap = p ? cap : c->cap;
+    }
+    for (size_t i = 0; !rc && i + 1 < n; i++)
+        c->edges[c->n++] = (struct clip_edge){{at[i][0], at[i][1]}, {at[i + 1][0], at[i + 1][1]}};
+    mem_free(at);
+    return rc;
+}
+
+static enum err_code clip_add_polygon(struct clip *c, const json_t *rings, const char *path,
+                                      struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; !rc && i < json_array_size(rings); i++)
+        rc = clip_add_ring(c, json_array_get(rings, i), path, e);
+    return rc;
+}
+
+static enum err_code clip_add_shape(struct clip *c, const json_t *o, const char *path, int depth,
+                                    struct err *e)
+{
+    const char *type = json_string_value(json_object_get(o, "type"));
+    const json_t *at = json_object_get(o, "coordinates");
+    const char *lists[] = {"features", "geometries"};
+    enum err_code rc = ERR_OK;
+    if (!type || depth > 4)
+        return err_set(e, ERR_FORMAT,
+                       "%s: a GeoJSON Polygon, MultiPolygon, Feature or FeatureCollection is "
+                       "expected",
+                       path);
+    if (!strcmp(type, "Polygon"))
+        return clip_add_polygon(c, at, path, e);
+    if (!strcmp(type, "Feature"))
+        return clip_add_shape(c, json_object_get(o, "geometry"), path, depth + 1, e);
+    for (size_t i = 0; !rc && !strcmp(type, "MultiPolygon") && i < json_array_size(at); i++)
+        rc = clip_add_polygon(c, json_array_get(at, i), path, e);
+    for (size_t k = 0; k < 2; k++) {
+        const json_t *list = json_object_get(o, lists[k]);
+        for (size_t i = 0; !rc && i < json_array_size(list); i++)
+            rc = clip_add_shape(c, json_array_get(list, i), path, depth + 1, e);
+    }
+    return rc;
+}
+
+/* GeoJSON of before 2016 may name another coordinate system. */
+static enum err_code clip_check_crs(const json_t *root, const char *path, struct err *e)
+{
+    const char *name = json_string_value(
+        json_object_get(json_object_get(json_object_get(root, "crs"), "properties"), "name"));
+    if (!name || strstr(name, "CRS84") || strstr(name, "4326"))
+        return ERR_OK;
+    return err_set(e, ERR_FORMAT,
+                   "%s: is in %.80s; make longitude and latitude of it with ogr2ogr -t_srs "
+                   "EPSG:4326 -f GeoJSON",
+                   path, name);
+}
+
+enum err_code clip_open(const char *path, double low_m, double high_m, struct clip *out,
+                        struct err *e)
+{
+    json_t *root = NULL;
+    *out = (struct clip){.low_m = low_m, .high_m = high_m};
+    enum err_code rc =
+        low_m < high_m
+            ? ERR_OK
+            : err_set(e, ERR_DATA, "heights from %g to %g m: the lower must be below the upper",
+                      low_m, high_m);
+    if (rc || !path)
+        return rc;
+    rc = jsonc_read(path, &root, e);
+    if (!rc)
+        rc = clip_check_crs(root, path, e);
+    if (!rc)
+        rc = clip_add_shape(out, root, path, 0, e);
+    if (!rc && !out->n)
+        rc = err_set(e, ERR_FORMAT, "%s: there is no polygon in it", path);
+    json_decref(root);
+    if (rc)
+        clip_free(out);
+    return rc;
+}
+
+void clip_free(struct clip *c)
+{
+    mem_free(c->edges);
+    *c = (struct clip){0};
+}
+
+/* ---- what is held ---- */
+
+bool clip_holds(const struct clip *c, double lon_deg, double lat_deg, double h_m)
+{
+    bool in = !c->edges;
+    if (!(h_m >= c->low_m && h_m <= c->high_m))
+        return false;
+    for (size_t i = 0; i < c->n; i++) {
+        const double *p = c->edges[i].from, *q = c->edges[i].to;
+        if ((p[1] > lat_deg) != (q[1] > lat_deg) &&
+            lon_deg < p[0] + (lat_deg - p[1]) / (q[1] - p[1]) * (q[0] - p[0]))
+            in = !in;
+    }
+    return in;
+}
+
+enum err_code clip_rows(const struct clip *c, const struct geo_origin *origin, struct gauss *g,
+                        struct err *e)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < g->n; i++) {
+        double enu[3], lon, lat, h;
+        for (size_t k = 0; k < 3; k++)
+            enu[k] = (double)g->mean_m[3 * i + k] + g->origin_enu_m[k];
+        enum err_code rc = geo_from_enu(origin, enu, &lon, &lat, &h, e);
+        if (rc)
+            return rc;
+        if (!clip_holds(c, lon, lat, h))
+            continue;
+        if (n != i)
+            gauss_copy_row(g, n, g, i);
+        n++;
+    }
+    g->n = n;
+    return ERR_OK;
+}
+
+/* ---- a store ---- */
+
+static enum err_code clip_tile(const struct clip *c, struct store *from,
+                               const struct store_tile *tile, struct store *to,
+                               struct clip_report *r, struct err *e)
+{
+    struct gauss g = {0};
+    struct buf payload = {0};
+    struct store_tile t = *tile;
+    enum err_code rc = store_read_gauss(from, t.key, &g, e);
+    size_t n = g.n;
+    if (!rc)
+        rc = clip_rows(c, &store_info(from)->origin, &g, e);
+    if (!rc && g.n == n && n > 0) { /* untouched: not a bit of it changes */
+        rc = store_read(from, t.key, &payload, e);
+        if (!rc)
+            rc = store_add(to, &t, &payload, e);
+        r->n_copied += !rc;
+    } else if (!rc && g.n > 0) {
+        rc = store_put(to, &t, &g, e);
+    }
+    if (!rc) {
+        r->n_tiles += g.n > 0;
+        r->n_kept += g.n;
+        r->n_dropped += n - g.n;
+    }
+    buf_free(&payload);
+    gauss_free(&g);
+    return rc;
+}
+
+static enum err_code clip_blobs(struct store *from, struct store *to, struct err *e)
+{
+    struct arena a = {0};
+    char **names;
+    size_t n;
+    enum err_code rc = store_list_blobs(from, &a, &names, &n, e);
+    for (size_t i = 0; !rc && i < n; i++) {
+        struct buf b = {0};
+        rc = store_get_blob(from, names[i], &b, e);
+        if (!rc)
+            rc = store_put_blob(to, names[i], b.data, b.size, e);
+        buf_free(&b);
+    }
+    arena_free(&a);
+    return rc;
+}
+
+/* Where a store lies, for whoever asked for a part that is none of it. */
+static enum err_code clip_nothing(const struct store *s, struct err *e)
+{
+    size_t n;
+    const struct store_tile *t = store_tiles(s, &n);
+    const struct geo_origin *o = &store_info(s)->origin;
+    double west, south, east, north, low = HUGE_VAL, high = -HUGE_VAL,
+                                     box[4] = {180, 90, -180, -90};
+    for (size_t i = 0; i < n; i++) {
+        key_bounds(t[i].key, &west, &south, &east, &north);
+        if (t[i].key.z != store_info(s)->zoom_max)
+            continue;
+        box[0] = fmin(box[0], west);
+        box[1] = fmin(box[1], south);
+        box[2] = fmax(box[2], east);
+        box[3] = fmax(box[3], north);
+        low = fmin(low, o->h_m + t[i].min_enu_m[2]);
+        high = fmax(high, o->h_m + t[i].max_enu_m[2]);
+    }
+    return err_set(e, ERR_DATA,
+                   "nothing is left: the store lies within west,south,east,north "
+                   "%.6f,%.6f,%.6f,%.6f degrees, from %.0f to %.0f m above the ellipsoid",
+                   box[0], box[1], box[2], box[3], low, high);
+}
+
+static bool clip_same_file(const char *a, const char *b)
+{
+    struct stat x, y;
+    return stat(a, &x) == 0 && stat(b, &y) == 0 && x.st_dev == y.st_dev && x.st_ino == y.st_ino;
+}
+
+enum err_code clip_store(const struct clip *c, const char *path, const char *name,
+                         const char *out_path, struct clip_report *report, struct err *e)
+{
+    struct store *from = NULL, *to = NULL;
+    struct store_meta meta;
+    struct progress bar;
+    size_t n = 0;
+    *report = (struct clip_report){0};
+    if (clip_same_file(path, out_path))
+        return err_set(e, ERR_ARG, "%s: a store cannot be clipped onto itself", out_path);
+    enum err_code rc = store_open(path, &from, e);
+    if (rc)
+        return rc;
+    meta = *store_info(from);
+    if (name && strlen(name) >= sizeof meta.name)
+        rc = err_set(e, ERR_ARG, "--name: at most %zu letters", sizeof meta.name - 1);
+    else if (name)
+        snprintf(meta.name, sizeof meta.name, "%s", name);
+    if (!rc)
+        rc = store_create(out_path, &meta, &to, e);
+    const struct store_tile *tiles = store_tiles(from, &n);
+    progress_start(&bar, "clip", n);
+    for (size_t i = 0; !rc && i < n; i++) {
+        rc = clip_tile(c, from, &tiles[i], to, report, e);
+        progress_step(&bar, i + 1, NULL);
+        if (!rc && signals_stopping())
+            rc = err_set(e, ERR_CANCEL, "stopped");
+    }
+    progress_end(&bar, NULL);
+    if (!rc && !report->n_tiles)
+        rc = clip_nothing(from, e);
+    if (!rc)
+        rc = clip_blobs(from, to, e);
+    if (!rc)
+        rc = store_commit(&to, e);
+    store_close(&to);
+    store_close(&from);
+    if (!rc)
+        rc = store_open(out_path, &from, e);
+    if (!rc)
+        memcpy(report->revision, store_info(from)->revision, sizeof report->revision);
+    store_close(&from);
+    return rc;
+}

@@ -1,0 +1,49 @@
+/* A part of a store, cut out by polygons and a range of heights. A Gaussian belongs to it by its mean:
+ * what lies inside is kept whole, also where it reaches out.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef LOD_CLIP_H
+#define LOD_CLIP_H
+
+#include <stdbool.h>
+#include <stddef.h>
+
+#include "core/err.h"
+
+struct gauss;
+struct geo_origin;
+
+enum { CLIP_CORNERS_MAX = 5000 }; /* of a ring */
+struct clip_edge {
+    double from[2], to[2]; /* longitude, latitude */
+};
+struct clip {                /* clip_free */
+    struct clip_edge *edges; /* NULL: everywhere */
+    size_t n, cap;
+    double low_m, high_m; /* ellipsoidal; -INFINITY, INFINITY: any */
+};
+/* The polygons of a GeoJSON file (Polygon, MultiPolygon, Feature, FeatureCollection; longitude and
+ * latitude), by the even-odd rule; path NULL: everywhere. ERR_NOENT, ERR_IO, ERR_FORMAT: no such
+ * GeoJSON, or another coordinate system; ERR_DATA: a ring that crosses itself or has no area, low_m
+ * not below high_m: each says what to do; ERR_MEM. */
+enum err_code clip_open(const char *path, double low_m, double high_m, struct clip *out,
+                        struct err *e) ERR_USE;
+void clip_free(struct clip *c);
+bool clip_holds(const struct clip *c, double lon_deg, double lat_deg, double h_m);
+/* Leave the rows in place that are held; the others go. origin: of the ENU frame. ERR_ARG. */
+enum err_code clip_rows(const struct clip *c, const struct geo_origin *origin, struct gauss *g,
+                        struct err *e) ERR_USE;
+
+struct clip_report {
+    size_t n_tiles, n_copied; /* written; of these byte by byte */
+    size_t n_kept, n_dropped; /* Gaussians of all levels */
+    char revision[13];
+};
+/* A store of what is held: every level, blobs copied. name NULL: that of the store. ERR_DATA: nothing
+ * is held, says where the store lies; ERR_ARG (name, or the store itself as output), ERR_NOENT,
+ * ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM, ERR_CANCEL. */
+enum err_code clip_store(const struct clip *c, const char *path, const char *name,
+                         const char *out_path, struct clip_report *report, struct err *e) ERR_USE;
+
+#endif
