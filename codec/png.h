@@ -1,4 +1,4 @@
-/* PNG, written with libdeflate: a tile of a map takes a tenth of the time that it takes
+/* PNG, written with libdeflate: a tile of a map takes a fraction of the time that it takes
  * with libpng.
  *
  * SPDX-License-Identifier: Apache-2.0
