@@ -129,9 +129,14 @@ test("keys move the camera", city, async () => {
     const hold = async (key) => {
         await lookViewer(page, SOUTH);
         const from = (await read()).pose;
+        await page.evaluate(() => {
+            window.moves = 0;
+            window.stopCounting = window.citysplat.viewer.on("move", () => window.moves++);
+        });
         await page.keyboard.down(key);
-        await page.waitForTimeout(300);
+        await page.waitForFunction(() => window.moves > 2); // frames, however long they take here
         await page.keyboard.up(key);
+        await page.evaluate(() => window.stopCounting());
         return [from, (await read()).pose];
     };
     const [a, b] = await hold("ArrowUp");
