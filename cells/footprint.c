@@ -38,6 +38,9 @@ void footprint_free(struct footprint *f)
     mem_free(f->edge_m);
     mem_free(f->low_m);
     mem_free(f->high_m);
+    mem_free(f->ground_m);
+    mem_free(f->views);
+    mem_free(f->has_points);
     *f = (struct footprint){0};
 }
 
@@ -62,9 +65,6 @@ static void footprint_range(double *v, size_t n, double share, double *lo, doubl
 struct footprint_work {
     const struct scene *s;
     struct footprint *f;
-    double height_m;     /* of the flight above the ground, median */
-    float *mid_m;        /* [ny][nx] height of the ground; NaN: not known */
-    uint16_t *views;     /* [ny][nx] */
     float *angle, *px;   /* [ny][nx] largest angle between two rays; finest pixels per metre */
     double (*center)[3]; /* [n_images] */
 };
@@ -92,10 +92,10 @@ static void footprint_bounds(struct footprint_work *w, double *scratch)
     for (size_t i = 0; h && i < s->n_images; i++)
         h[i] = fabs(w->center[i][2] - ground);
     if (h)
-        footprint_range(h, s->n_images, 0.5, &w->height_m, &top);
+        footprint_range(h, s->n_images, 0.5, &w->f->height_m, &top);
     mem_free(h);
     /* Cells are no finer than the points are apart; where there are none, the ground goes on. */
-    double reach = FOOTPRINT_REACH * w->height_m, side = 0.0, area = 1.0;
+    double reach = FOOTPRINT_REACH * w->f->height_m, side = 0.0, area = 1.0;
     for (int a = 0; a < 2; a++) {
         for (size_t i = 0; i < s->n_points; i++)
             scratch[i] = s->points[i].enu_m[a];
@@ -113,7 +113,7 @@ static void footprint_bounds(struct footprint_work *w, double *scratch)
     for (int a = 0; a < 2; a++)
         f->corner_m[a] = low[a] - FOOTPRINT_PAD * f->cell_m;
     f->fade_m = FOOTPRINT_FADE_CELLS * f->cell_m;
-    f->margin_m = FOOTPRINT_MARGIN * w->height_m;
+    f->margin_m = FOOTPRINT_MARGIN * w->f->height_m;
 }
 
 static ptrdiff_t footprint_cell(const struct footprint *f, double x_m, double y_m)
@@ -215,16 +215,17 @@ static enum err_code footprint_heights(struct footprint_work *w, struct err *e)
     }
     qsort(h, n, sizeof *h, footprint_height_compare);
     for (size_t i = 0; i < cells; i++)
-        w->mid_m[i] = f->low_m[i] = f->high_m[i] = NAN;
+        f->ground_m[i] = f->low_m[i] = f->high_m[i] = NAN;
     for (size_t i = 0, end; i < n; i = end) {
         for (end = i; end < n && h[end].cell == h[i].cell;)
             end++;
         f->low_m[h[i].cell] = (float)h[i].z_m;
         f->high_m[h[i].cell] = (float)h[end - 1].z_m;
-        w->mid_m[h[i].cell] = (float)h[i + (end - i) / 4].z_m; /* the ground, not the roofs */
+        f->ground_m[h[i].cell] = (float)h[i + (end - i) / 4].z_m; /* the ground, not the roofs */
+        f->has_points[h[i].cell] = 1;
     }
     mem_free(h);
-    float *all[3] = {w->mid_m, f->low_m, f->high_m};
+    float *all[3] = {f->ground_m, f->low_m, f->high_m};
     enum err_code rc = footprint_fill(f, all, e);
     if (!rc)
         rc = footprint_widen(f, f->low_m, -1.0f, e);
@@ -291,7 +292,7 @@ static void footprint_look(struct footprint_work *w, size_t cell, const double x
                 memcpy(far, ray, sizeof ray);
             }
         }
-    w->views[cell] = (uint16_t)(views < UINT16_MAX ? views : UINT16_MAX);
+    w->f->views[cell] = (uint16_t)(views < UINT16_MAX ? views : UINT16_MAX);
     w->px[cell] = (float)px;
     w->angle[cell] = views > 1 ? (float)acos(fmax(-1.0, fmin(1.0, widest))) : 0.0f;
 }
@@ -304,7 +305,7 @@ static enum err_code footprint_row_task(void *user, size_t row, struct err *e)
     for (size_t k = 0; k < f->nx; k++) {
         size_t i = row * f->nx + k;
         double x[3] = {f->corner_m[0] + ((double)k + 0.5) * f->cell_m,
-                       f->corner_m[1] + ((double)row + 0.5) * f->cell_m, (double)w->mid_m[i]};
+                       f->corner_m[1] + ((double)row + 0.5) * f->cell_m, (double)w->f->ground_m[i]};
         if (k >= FOOTPRINT_PAD && row >= FOOTPRINT_PAD && k + FOOTPRINT_PAD < f->nx &&
             row + FOOTPRINT_PAD < f->ny)
             footprint_look(w, i, x);
@@ -319,7 +320,7 @@ static size_t footprint_mark(struct footprint_work *w, double *scratch)
     size_t n = 0, left = 0, cells = footprint_count(f);
     double least, high;
     for (size_t i = 0; i < cells; i++) {
-        f->inside[i] = w->views[i] >= FOOTPRINT_VIEWS &&
+        f->inside[i] = w->f->views[i] >= FOOTPRINT_VIEWS &&
                        (double)w->angle[i] >= FOOTPRINT_ANGLE_DEG / 57.29577951308232;
         if (f->inside[i])
             scratch[n++] = (double)w->px[i];
@@ -474,12 +475,13 @@ static enum err_code footprint_alloc(struct footprint_work *w, struct err *e)
     f->edge_m = mem_array(n, sizeof *f->edge_m);
     f->low_m = mem_array(n, sizeof *f->low_m);
     f->high_m = mem_array(n, sizeof *f->high_m);
-    w->mid_m = mem_array(n, sizeof *w->mid_m);
-    w->views = mem_array(n, sizeof *w->views);
+    f->ground_m = mem_array(n, sizeof *f->ground_m);
+    f->views = mem_array(n, sizeof *f->views);
+    f->has_points = mem_array(n, 1);
     w->angle = mem_array(n, sizeof *w->angle);
     w->px = mem_array(n, sizeof *w->px);
-    if (f->inside && f->edge_m && f->low_m && f->high_m && w->mid_m && w->views && w->angle &&
-        w->px)
+    if (f->inside && f->edge_m && f->low_m && f->high_m && f->ground_m && f->views &&
+        f->has_points && w->angle && w->px)
         return ERR_OK;
     return err_set(e, ERR_MEM, "footprint: out of memory for %zu cells", n);
 }
@@ -525,8 +527,6 @@ enum err_code footprint_of(const struct scene *s, struct footprint *out, struct 
         mem_free(scratch);
     }
     mem_free(w.center);
-    mem_free(w.mid_m);
-    mem_free(w.views);
     mem_free(w.angle);
     mem_free(w.px);
     if (rc)
@@ -560,6 +560,16 @@ static double footprint_fade(const struct footprint *f, double beyond_m)
 {
     double t = fmax(0.0, fmin(beyond_m / f->fade_m, 1.0));
     return 1.0 - t * t * (3.0 - 2.0 * t);
+}
+
+double footprint_off(const struct footprint *f, const double x_m[3])
+{
+    ptrdiff_t i = f->nx ? footprint_cell(f, x_m[0], x_m[1]) : -1;
+    if (i < 0)
+        return -HUGE_VAL;
+    double over = x_m[2] - ((double)f->high_m[i] - f->margin_m),
+           under = (double)f->low_m[i] + f->margin_m - x_m[2];
+    return fmax(over, under);
 }
 
 double footprint_weight(const struct footprint *f, const double mean_m[3], const double cov[9])

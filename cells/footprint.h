@@ -28,6 +28,10 @@ struct footprint {              /* {0} is empty: everything is supported; footpr
     uint8_t *inside;            /* [ny][nx] */
     float *edge_m;         /* [ny][nx] from the middle of a cell to the border, negative inside */
     float *low_m, *high_m; /* [ny][nx] of the surface and what stands on it, with a margin */
+    float *ground_m;       /* [ny][nx] of the ground itself */
+    uint16_t *views;       /* [ny][nx] training photographs that the ground falls into */
+    uint8_t *has_points;   /* [ny][nx] its heights are its own, not its neighbours' */
+    double height_m;       /* of the flight above the ground, median */
     double fade_m;         /* from the border to where nothing is left */
     double margin_m;       /* in low_m and high_m; as far may a Gaussian reach beyond them */
     double px_per_m;       /* median over the ground inside of the nearest photograph's */
@@ -44,6 +48,9 @@ void footprint_free(struct footprint *f);
 /* How much of a Gaussian's opacity is left, 0 to 1: mean [3] and covariance [3][3] in ENU metres. 1 well
  * inside, 0 beyond the faded edge; what is so large that it reaches out fades, too. */
 double footprint_weight(const struct footprint *f, const double mean_m[3], const double cov[9]);
+/* Metres by which a place lies above the highest sparse point around it, or below the lowest; negative
+ * between them, -HUGE_VAL beyond the grid, where nothing is known. */
+double footprint_off(const struct footprint *f, const double x_m[3]);
 /* A GeoJSON Feature: the MultiPolygon, with views, angle_deg, px_per_m, area_m2 and the range of
  * heights as properties. ERR_DATA where it is empty. */
 enum err_code footprint_write(const struct footprint *f, const struct geo_origin *origin,

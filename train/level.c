@@ -130,6 +130,8 @@ static enum err_code level_control(struct level *l, uint32_t x, struct err *e)
     (void)timing_turn(&ctx->timing, TIMING_DENSIFY);
     if (!rc && x)
         rc = densify_apply(&l->model, ctx, &l->importance, x, e);
+    if (!rc && x && ctx->cfg->opacity_decay > 0.0)
+        rc = model_decay_opacity(&l->model, ctx->cfg->opacity_decay, e);
     if (!rc && schedule_resets(context_schedule(ctx), ctx->step))
         rc = model_reset_opacity(&l->model, ctx->cfg->reset_opacity, e);
     (void)timing_turn(&ctx->timing, was);
@@ -215,6 +217,15 @@ static enum err_code level_backward(struct level *l, uint32_t step, uint32_t ima
     return rc;
 }
 
+/* Another colour behind every step: no Gaussian can stay transparent for the sake of a background
+ * that photographs have not. */
+static void level_background(const struct context *ctx, uint32_t step, struct render_options *ro)
+{
+    uint64_t stream = train_stream(TRAIN_STREAM_BACKGROUND, ctx->at + 1, step);
+    for (uint64_t c = 0; ctx->cfg->background_random && c < 3; c++)
+        ro->background[c] = (float)rng_unit((uint64_t)ctx->cfg->seed, stream, c);
+}
+
 enum err_code level_step(struct level *l, struct photometric_value *value, struct err *e)
 {
     struct context *ctx = &l->ctx;
@@ -227,6 +238,7 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
     if (rc)
         return rc;
     struct render_options ro = context_photo_options(ctx, step, photo.image);
+    level_background(ctx, step, &ro);
     rc = regularizer_step(&l->regularizer, m, ctx, step, &photo, e);
     if (!rc)
         rc = render_forward(ctx->render, &m->gauss, &photo.cam, &ro, NULL, NULL, e);
