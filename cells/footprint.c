@@ -1,4 +1,4 @@
-/* The grid of the footprint: heights from the sparse points, views and angles from the cameras, a
+/* The grid of the footprint: heights from the sparse points, views from the cameras, a
  * mask without specks, distances to its border. footprint_shape.c has its polygons.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -20,6 +20,7 @@ enum {
     FOOTPRINT_POINTS_LEAST = 32,
     FOOTPRINT_AROUND = 2, /* heights are those of so many cells around */
     FOOTPRINT_SPECK = 16, /* holes of so few cells are closed */
+    FOOTPRINT_ROUNDS = 6, /* to find where a ray meets the ground */
     FOOTPRINT_PAD = 2     /* cells around the grid that are never inside */
 };
 #define FOOTPRINT_REACH 4.0 /* flight heights around the cameras */
@@ -65,7 +66,7 @@ static void footprint_range(double *v, size_t n, double share, double *lo, doubl
 struct footprint_work {
     const struct scene *s;
     struct footprint *f;
-    float *angle, *px;   /* [ny][nx] largest angle between two rays; finest pixels per metre */
+    float *px;           /* [ny][nx] finest pixels per metre */
     double (*center)[3]; /* [n_images] */
 };
 
@@ -240,61 +241,33 @@ static enum err_code footprint_heights(struct footprint_work *w, struct err *e)
 
 /* ---- what the photographs see ---- */
 
-/* The ray from a camera to a place; false when it is not in the picture. */
+/* Its depth in a photograph; false when it is not in the picture. */
 static bool footprint_sees(const struct footprint_work *w, size_t image, const double x[3],
-                           double ray[3], double *depth_m)
+                           double *depth_m)
 {
     const struct camera *c = &w->s->images[image].cam;
-    double t[3], len = 0.0;
+    double t[3];
     for (int a = 0; a < 3; a++)
         t[a] = c->rot[3 * a] * x[0] + c->rot[3 * a + 1] * x[1] + c->rot[3 * a + 2] * x[2] +
                c->trans[a];
     if (!(t[2] > 0.0))
         return false;
     double u = c->fx_px * t[0] / t[2] + c->cx_px, v = c->fy_px * t[1] / t[2] + c->cy_px;
-    if (!(u >= 0.0 && v >= 0.0 && u < c->width_px && v < c->height_px))
-        return false;
-    for (int a = 0; a < 3; a++) {
-        ray[a] = x[a] - w->center[image][a];
-        len += ray[a] * ray[a];
-    }
-    len = sqrt(len);
-    for (int a = 0; a < 3; a++)
-        ray[a] /= len;
     *depth_m = t[2];
-    return true;
+    return u >= 0.0 && v >= 0.0 && u < c->width_px && v < c->height_px;
 }
 
-static double footprint_cos(const double a[3], const double b[3])
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-/* The widest angle is found from the ray that is farthest off the first one: within a factor of two
- * of the truth for any rays, and right for those of a flight. */
 static void footprint_look(struct footprint_work *w, size_t cell, const double x[3])
 {
-    double first[3] = {0}, far[3] = {0}, ray[3], depth, least = 2.0, widest = 2.0, px = 0.0;
+    double depth, px = 0.0;
     size_t views = 0;
-    for (int pass = 0; pass < 2; pass++)
-        for (size_t i = 0; i < w->s->n_images; i++) {
-            if (w->s->images[i].split != SCENE_TRAIN || !footprint_sees(w, i, x, ray, &depth))
-                continue;
-            if (pass) {
-                widest = fmin(widest, footprint_cos(far, ray));
-                continue;
-            }
-            if (!views++)
-                memcpy(first, ray, sizeof ray);
+    for (size_t i = 0; i < w->s->n_images; i++)
+        if (w->s->images[i].split == SCENE_TRAIN && footprint_sees(w, i, x, &depth)) {
+            views++;
             px = fmax(px, w->s->images[i].cam.fx_px / depth);
-            if (footprint_cos(first, ray) < least) {
-                least = footprint_cos(first, ray);
-                memcpy(far, ray, sizeof ray);
-            }
         }
     w->f->views[cell] = (uint16_t)(views < UINT16_MAX ? views : UINT16_MAX);
     w->px[cell] = (float)px;
-    w->angle[cell] = views > 1 ? (float)acos(fmax(-1.0, fmin(1.0, widest))) : 0.0f;
 }
 
 static enum err_code footprint_row_task(void *user, size_t row, struct err *e)
@@ -320,8 +293,7 @@ static size_t footprint_mark(struct footprint_work *w, double *scratch)
     size_t n = 0, left = 0, cells = footprint_count(f);
     double least, high;
     for (size_t i = 0; i < cells; i++) {
-        f->inside[i] = w->f->views[i] >= FOOTPRINT_VIEWS &&
-                       (double)w->angle[i] >= FOOTPRINT_ANGLE_DEG / 57.29577951308232;
+        f->inside[i] = f->views[i] >= FOOTPRINT_VIEWS;
         if (f->inside[i])
             scratch[n++] = (double)w->px[i];
     }
@@ -478,10 +450,9 @@ static enum err_code footprint_alloc(struct footprint_work *w, struct err *e)
     f->ground_m = mem_array(n, sizeof *f->ground_m);
     f->views = mem_array(n, sizeof *f->views);
     f->has_points = mem_array(n, 1);
-    w->angle = mem_array(n, sizeof *w->angle);
     w->px = mem_array(n, sizeof *w->px);
     if (f->inside && f->edge_m && f->low_m && f->high_m && f->ground_m && f->views &&
-        f->has_points && w->angle && w->px)
+        f->has_points && w->px)
         return ERR_OK;
     return err_set(e, ERR_MEM, "footprint: out of memory for %zu cells", n);
 }
@@ -527,15 +498,13 @@ enum err_code footprint_of(const struct scene *s, struct footprint *out, struct 
         mem_free(scratch);
     }
     mem_free(w.center);
-    mem_free(w.angle);
     mem_free(w.px);
     if (rc)
         footprint_free(out);
     else if (!out->nx)
         log_warn("footprint",
-                 "no ground is seen by %d photographs under %g degrees: nothing is known "
-                 "of what they support",
-                 FOOTPRINT_VIEWS, FOOTPRINT_ANGLE_DEG);
+                 "no ground is seen by %d photographs: nothing is known of what they support",
+                 FOOTPRINT_VIEWS);
     return rc;
 }
 
@@ -570,6 +539,28 @@ double footprint_off(const struct footprint *f, const double x_m[3])
     double over = x_m[2] - ((double)f->high_m[i] - f->margin_m),
            under = (double)f->low_m[i] + f->margin_m - x_m[2];
     return fmax(over, under);
+}
+
+void footprint_ray(const struct camera *c, double x_px, double y_px, double ray[3])
+{
+    double x = (x_px + 0.5 - c->cx_px) / c->fx_px, y = (y_px + 0.5 - c->cy_px) / c->fy_px;
+    for (int a = 0; a < 3; a++)
+        ray[a] = c->rot[a] * x + c->rot[3 + a] * y + c->rot[6 + a];
+}
+
+ptrdiff_t footprint_meets(const struct footprint *f, const double from_m[3], const double ray[3])
+{
+    ptrdiff_t i = f->nx ? footprint_cell(f, from_m[0], from_m[1]) : -1;
+    double ground_m = i < 0 ? 0.0 : (double)f->ground_m[i];
+    if (i < 0 || !(ray[2] < 0.0))
+        return -1;
+    for (int k = 0; k < FOOTPRINT_ROUNDS && i >= 0;
+         k++) { /* where it is as high as the ground there */
+        double t = (ground_m - from_m[2]) / ray[2];
+        i = footprint_cell(f, from_m[0] + t * ray[0], from_m[1] + t * ray[1]);
+        ground_m = i < 0 ? 0.0 : (double)f->ground_m[i];
+    }
+    return i;
 }
 
 double footprint_weight(const struct footprint *f, const double mean_m[3], const double cov[9])

@@ -130,8 +130,6 @@ static enum err_code level_control(struct level *l, uint32_t x, struct err *e)
     (void)timing_turn(&ctx->timing, TIMING_DENSIFY);
     if (!rc && x)
         rc = densify_apply(&l->model, ctx, &l->importance, x, e);
-    if (!rc && x && ctx->cfg->opacity_decay > 0.0)
-        rc = model_decay_opacity(&l->model, ctx->cfg->opacity_decay, e);
     if (!rc && schedule_resets(context_schedule(ctx), ctx->step))
         rc = model_reset_opacity(&l->model, ctx->cfg->reset_opacity, e);
     (void)timing_turn(&ctx->timing, was);

@@ -240,23 +240,6 @@ enum err_code model_reset_opacity(struct model *m, double top, struct err *e)
     return rc;
 }
 
-enum err_code model_decay_opacity(struct model *m, double share, struct err *e)
-{
-    const struct render_model *g = &m->gauss;
-    void *params = NULL;
-    enum err_code rc =
-        dev_map(m->dev, g->params, CL_MAP_READ | CL_MAP_WRITE, model_bytes(m), &params, e);
-    if (rc)
-        return rc;
-    for (size_t i = 0; i < g->n; i++) {
-        float *o = (float *)params + permute_at(i, g->planes) +
-                   (size_t)RENDER_PLANE_OPACITY * LAYOUT_LANES;
-        float left = (1.0f - (float)share) / (1.0f + expf(-*o));
-        *o = logf(left / (1.0f - left));
-    }
-    return dev_unmap(m->dev, g->params, &params, e);
-}
-
 enum err_code model_count_inside(const struct model *m, const struct cell *cell, size_t *out,
                                  struct err *e)
 {

@@ -63,8 +63,6 @@ enum err_code model_zero_moments(struct model *m, struct err *e) ERR_USE;
 enum err_code model_zero_stats(struct model *m, struct err *e) ERR_USE;
 /* Lower every opacity to `top` (0..1) and forget its moments. ERR_DEVICE. */
 enum err_code model_reset_opacity(struct model *m, double top, struct err *e) ERR_USE;
-/* Take a share of every opacity. ERR_DEVICE. */
-enum err_code model_decay_opacity(struct model *m, double share, struct err *e) ERR_USE;
 /* Gaussians inside the cell. ERR_DEVICE. */
 enum err_code model_count_inside(const struct model *m, const struct cell *cell, size_t *out,
                                  struct err *e) ERR_USE;

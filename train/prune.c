@@ -61,7 +61,8 @@ static enum err_code prune_draw(struct prune *c, size_t nth, double *mse, struct
         rc = photometric_read(ctx->loss, &v, e);
     *mse = v.mse;
     if (!rc && c->residuals)
-        rc = residual_add(c->residuals, p.name, v.mse, v.ssim, e);
+        rc = residual_add(c->residuals, p.name, residual_mse(&p, v.mse), residual_ssim(&p, v.ssim),
+                          residual_coverage(ctx->ground, &p.cam), e);
     size_t bytes = (size_t)p.cam.width_px * p.cam.height_px * sizeof(float);
     if (rc || !c->device || bytes <= c->weight_bytes)
         return rc;
