@@ -3,14 +3,11 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "codec/scene.h"
 #include "core/appearance.h"
 #include "loss/depth.h"
 #include "loss/mip.h"
 #include "loss/scale_loss.h"
 #include "tests/backward_kit.h"
-#include "train/context.h"
-#include "train/regularizer.h"
 
 #include <math.h>
 #include <string.h>
@@ -485,72 +482,6 @@ static void depth_kernels_match_the_reference(void **state)
             check_depth_kernels(width, hard);
 }
 
-/* A camera 80 m above points 1 m apart: 80 pixels of the size it trains at, or 4 m if that is more,
- * never beyond a tenth of the cell; what is configured goes before all. */
-static void the_largest_size_follows_the_photographs(void **state)
-{
-    (void)state;
-    enum { SIDE = 12, N = SIDE * SIDE };
-    static struct scene_point points[N];
-    static struct scene_track tracks[N];
-    struct scene_image image = {.cam = {.width_px = 1600,
-                                        .height_px = 1200,
-                                        .fx_px = 1600,
-                                        .fy_px = 1600,
-                                        .cx_px = 800,
-                                        .cy_px = 600,
-                                        .rot = {1, 0, 0, 0, -1, 0, 0, 0, -1},
-                                        .trans = {0, 0, 80}}};
-    for (uint32_t i = 0; i < N; i++) {
-        points[i].enu_m[0] = i % SIDE;
-        points[i].enu_m[1] = (double)(i / SIDE);
-        tracks[i].point = i;
-    }
-    struct scene scene = {.images = &image,
-                          .n_images = 1,
-                          .points = points,
-                          .n_points = N,
-                          .tracks = tracks,
-                          .n_tracks = N};
-    struct train_config cfg = {0};
-    const uint32_t images[1] = {0};
-    struct context ctx = {.cfg = &cfg,
-                          .scene = &scene,
-                          .images = images,
-                          .n_images = 1,
-                          .n_levels = 2,
-                          .cell = {.edge_m = 150},
-                          .schedule = {{.downsample = 2}, {.downsample = 1}}};
-    struct err e = {0};
-    const struct {
-        int64_t edge_px;
-        double configured_m, cell_m, want_m;
-    } cases[] = {{0, 0, 150, 4}, /* 80 x 0.05 */
-                 {800, 0, 150, 8},
-                 {400, 0, 150, 15}, /* 16 m is more than a tenth of the cell */
-                 {400, 0, 1000, 16},
-                 {400, 2.5, 150, 2.5}};
-    double got;
-    for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
-        cfg.max_edge_px = cases[k].edge_px;
-        cfg.scale_max_m = cases[k].configured_m;
-        ctx.cell.edge_m = cases[k].cell_m;
-        kit_ok(regularizer_size_max(&ctx, &got, &e), e);
-        kit_near_d("largest size", &got, &cases[k].want_m, 1, 1e-4, 0);
-    }
-    cfg = (struct train_config){0};
-    ctx.cell.edge_m = 1000;
-    for (uint32_t i = 0; i < N; i++) { /* 3 m apart: 12 m is more than 4 m */
-        points[i].enu_m[0] *= 3.0;
-        points[i].enu_m[1] *= 3.0;
-    }
-    kit_ok(regularizer_size_max(&ctx, &got, &e), e);
-    assert_true(fabs(got - 12.0) < 1e-4);
-    scene.n_tracks = 0; /* nobody saw them */
-    kit_ok(regularizer_size_max(&ctx, &got, &e), e);
-    assert_true(got == 100.0);
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -562,7 +493,6 @@ int main(void)
         cmocka_unit_test(depth_reference_matches_differences),
         cmocka_unit_test(opacity_of_the_hard_pass_goes_straight_through),
         cmocka_unit_test(depth_kernels_match_the_reference),
-        cmocka_unit_test(the_largest_size_follows_the_photographs),
     };
     int failed = cmocka_run_group_tests(tests, NULL, NULL);
     dev_close(dev_get());

@@ -10,8 +10,6 @@
 #include "train/regularizer.h"
 
 #include <math.h>
-#include <stdlib.h>
-#include <string.h>
 
 #include "codec/scene.h"
 #include "core/layout.h"
@@ -21,16 +19,10 @@
 #include "loss/scale_loss.h"
 #include "train/config.h"
 #include "train/context.h"
-#include "train/init.h"
 #include "train/model.h"
 #include "train/photo_loader.h"
 
-/* Largest size where none is configured: pixels of the finest level, spacings of the sparse points,
- * and never more than this share of the cell's edge. At 80 px the largest things that look the same
- * all over keep one Gaussian; four spacings leave none that the points do not bear out. */
-#define REGULARIZER_SIZE_PX 80.0
-#define REGULARIZER_SIZE_SPACINGS 4.0
-#define REGULARIZER_SIZE_OF_CELL 0.1
+#define REGULARIZER_SIZE_OF_CELL 0.1 /* largest size where none is configured, in cell edges */
 /* A limit of size below the size at which Gaussians are split would keep them from being split. */
 #define REGULARIZER_SPLIT_ROOM 1.5
 enum { REGULARIZER_FILTER_STEPS = 100, REGULARIZER_PLANES = 11 };
@@ -45,8 +37,7 @@ struct regularizer {
     struct depth *depth;
     struct depth_map *maps;
     struct embed_smoothness_step *smoothness;
-    double size_max_m; /* found on first use; 0: not yet */
-    cl_mem extra;      /* float [groups][11][16] */
+    cl_mem extra; /* float [groups][11][16] */
     size_t groups;
 };
 
@@ -101,96 +92,18 @@ static bool regularizer_scale_acts(const struct context *ctx, uint32_t step)
     return ctx->cfg->scale_weight > 0.0 && (double)step > from;
 }
 
-static int regularizer_compare(const void *a, const void *b)
-{
-    float x, y;
-    memcpy(&x, a, sizeof x);
-    memcpy(&y, b, sizeof y);
-    return (x > y) - (x < y);
-}
-
-static double regularizer_median(float *v, size_t n)
-{
-    qsort(v, n, sizeof *v, regularizer_compare);
-    return n ? (double)v[n / 2] : 0.0;
-}
-
-/* Metres that a pixel of the finest level covers at the points it shows: median over all
- * observations. v: scratch for all of them. */
-static double regularizer_pixel(const struct context *ctx, const struct camera *cams,
-                                const uint8_t *trains, float *v)
-{
-    const struct scene *s = ctx->scene;
-    size_t n = 0;
-    for (size_t i = 0; i < s->n_tracks; i++) {
-        const struct camera *c = &cams[s->tracks[i].image];
-        const double *x = s->points[s->tracks[i].point].enu_m;
-        double z = c->rot[6] * x[0] + c->rot[7] * x[1] + c->rot[8] * x[2] + c->trans[2];
-        if (trains[s->tracks[i].image] && z > 0.0)
-            v[n++] = (float)(z / c->fx_px);
-    }
-    return regularizer_median(v, n);
-}
-
-static double regularizer_spacing(const struct scene *s, const float *xyz, float *v)
-{
-    struct err why;
-    if (!s->n_points || init_neighbour_dist2(xyz, s->n_points, v, &why))
-        return 0.0;
-    return sqrt(regularizer_median(v, s->n_points));
-}
-
-enum err_code regularizer_size_max(const struct context *ctx, double *out_m, struct err *e)
-{
-    const struct scene *s = ctx->scene;
-    const struct train_config *c = ctx->cfg;
-    double most = REGULARIZER_SIZE_OF_CELL * ctx->cell.edge_m;
-    size_t n = s->n_tracks > s->n_points ? s->n_tracks : s->n_points;
-    *out_m = c->scale_max_m > 0.0 ? c->scale_max_m : most;
-    if (c->scale_max_m > 0.0 || !s->n_tracks)
-        return ERR_OK;
-    struct camera *cams = mem_array(s->n_images, sizeof *cams);
-    uint8_t *trains = mem_array(s->n_images, 1);
-    float *v = mem_array(n, sizeof *v), *xyz = mem_array(3 * s->n_points, sizeof *xyz);
-    enum err_code rc = cams && trains && v && xyz
-                           ? ERR_OK
-                           : err_set(e, ERR_MEM, "regularizers: out of memory for %zu points", n);
-    for (size_t i = 0; !rc && i < ctx->n_images; i++) {
-        uint32_t image = ctx->images[i];
-        trains[image] = 1;
-        cams[image] = photo_loader_camera(&s->images[image].cam, (uint32_t)c->max_edge_px,
-                                          ctx->schedule[ctx->n_levels - 1].downsample);
-    }
-    for (size_t i = 0; !rc && i < s->n_points; i++)
-        for (int k = 0; k < 3; k++) /* about one of them, so that float32 suffices */
-            xyz[3 * i + k] = (float)(s->points[i].enu_m[k] - s->points[0].enu_m[k]);
-    if (!rc) {
-        double px = REGULARIZER_SIZE_PX * regularizer_pixel(ctx, cams, trains, v);
-        double found = fmax(px, REGULARIZER_SIZE_SPACINGS * regularizer_spacing(s, xyz, v));
-        *out_m = found > 0.0 ? fmin(found, most) : most;
-        log_info("train", "Gaussians should not be longer than %.3g m (--scale-max-m)", *out_m);
-    }
-    mem_free(cams);
-    mem_free(trains);
-    mem_free(v);
-    mem_free(xyz);
-    return rc;
-}
-
 static enum err_code regularizer_scale(struct regularizer *r, const struct model *m,
                                        const struct context *ctx, struct err *e)
 {
     const struct train_config *c = ctx->cfg;
-    enum err_code rc = r->size_max_m > 0.0 ? ERR_OK : regularizer_size_max(ctx, &r->size_max_m, e);
-    if (rc)
-        return rc;
+    double size =
+        c->scale_max_m > 0.0 ? c->scale_max_m : REGULARIZER_SIZE_OF_CELL * ctx->cell.edge_m;
     struct scale_loss_input in = {
-        .s_max_m =
-            fmax(r->size_max_m, REGULARIZER_SPLIT_ROOM * c->percent_dense * ctx->cell.extent_m),
+        .s_max_m = fmax(size, REGULARIZER_SPLIT_ROOM * c->percent_dense * ctx->cell.extent_m),
         .r_max = c->scale_ratio_max,
         .weight = c->scale_weight,
     };
-    rc = r->scale ? ERR_OK : scale_loss_open(ctx->dev, &r->scale, e);
+    enum err_code rc = r->scale ? ERR_OK : scale_loss_open(ctx->dev, &r->scale, e);
     return rc ? rc : scale_loss_run(r->scale, &m->gauss, &in, m->adam.extra_sizes, r->extra, e);
 }
 

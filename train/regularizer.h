@@ -27,9 +27,4 @@ enum err_code regularizer_step(struct regularizer **own, struct model *m, struct
                                uint32_t step, const struct photo *photo, struct err *e) ERR_USE;
 void regularizer_free(struct regularizer **r);
 
-/* The largest size, m, that the loss on sizes lets be: as configured, or 80 pixels of the finest
- * level or four spacings of the sparse points, whichever is more, at most a tenth of the cell's
- * edge. ERR_MEM. */
-enum err_code regularizer_size_max(const struct context *ctx, double *out_m, struct err *e) ERR_USE;
-
 #endif
