@@ -30,7 +30,8 @@ enum {
 #define FOOTPRINT_MARGIN                                                                           \
     0.15                   /* flight heights above the highest point around and below the lowest */
 #define FOOTPRINT_WIDE 2.0 /* a Gaussian may reach so many faded edges out */
-#define FOOTPRINT_FADE_CELLS 3.0 /* width of the faded edge */
+#define FOOTPRINT_FADE_CELLS 5.0 /* width of the faded edge */
+#define FOOTPRINT_TALL 0.6       /* faded edges from where heights begin to fade to nothing */
 #define FOOTPRINT_SIGMAS 2.0     /* a Gaussian reaches so far */
 
 void footprint_free(struct footprint *f)
@@ -525,19 +526,21 @@ static double footprint_at(const struct footprint *f, const float *v, double x, 
 }
 
 /* 1 up to the border, 0 from the end of the faded edge on. */
-static double footprint_fade(const struct footprint *f, double beyond_m)
+static double footprint_fade(double beyond_m, double fade_m)
 {
-    double t = fmax(0.0, fmin(beyond_m / f->fade_m, 1.0));
+    double t = fmax(0.0, fmin(beyond_m / fade_m, 1.0));
     return 1.0 - t * t * (3.0 - 2.0 * t);
 }
 
-double footprint_off(const struct footprint *f, const double x_m[3])
+double footprint_off(const struct footprint *f, const double x_m[3], bool *up)
 {
     ptrdiff_t i = f->nx ? footprint_cell(f, x_m[0], x_m[1]) : -1;
+    *up = false;
     if (i < 0)
         return -HUGE_VAL;
     double over = x_m[2] - ((double)f->high_m[i] - f->margin_m),
            under = (double)f->low_m[i] + f->margin_m - x_m[2];
+    *up = over > under;
     return fmax(over, under);
 }
 
@@ -578,5 +581,6 @@ double footprint_weight(const struct footprint *f, const double mean_m[3], const
         (size_t)fmin(y, (double)f->ny - 1.0) * f->nx + (size_t)fmin(x, (double)f->nx - 1.0);
     double over = mean_m[2] - (double)f->high_m[cell] + tall,
            under = (double)f->low_m[cell] - mean_m[2] + tall;
-    return footprint_fade(f, out) * footprint_fade(f, fmax(over, under));
+    return footprint_fade(out, f->fade_m) *
+           footprint_fade(fmax(over, under), FOOTPRINT_TALL * f->fade_m);
 }
