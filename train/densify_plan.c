@@ -115,10 +115,10 @@ static bool densify_in_free_space(const struct densify_params *p, const float me
 void densify_hold(const struct densify_params *p, float *params, size_t n, uint32_t planes)
 {
     for (size_t i = 0; p->ground && i < n; i++) {
-        float mean[3], *z = &params[densify_at(i, planes, RENDER_PLANE_MEAN + 2)];
+        float mean[3], *z = &params[densify_at(i, planes, LAYOUT_PLANE_MEAN + 2)];
         bool up;
         for (uint32_t k = 0; k < 3; k++)
-            mean[k] = params[densify_at(i, planes, RENDER_PLANE_MEAN + k)];
+            mean[k] = params[densify_at(i, planes, LAYOUT_PLANE_MEAN + k)];
         double out = densify_off(p, mean, &up) - p->free_space_m * DENSIFY_HOLD_AT;
         if (out > 0.0 && out <= p->free_space_m * DENSIFY_HOLD)
             *z += (float)(up ? -out : out);
