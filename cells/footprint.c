@@ -532,15 +532,13 @@ static double footprint_fade(double beyond_m, double fade_m)
     return 1.0 - t * t * (3.0 - 2.0 * t);
 }
 
-double footprint_off(const struct footprint *f, const double x_m[3], bool *up)
+double footprint_off(const struct footprint *f, const double x_m[3])
 {
     ptrdiff_t i = f->nx ? footprint_cell(f, x_m[0], x_m[1]) : -1;
-    *up = false;
     if (i < 0)
         return -HUGE_VAL;
     double over = x_m[2] - ((double)f->high_m[i] - f->margin_m),
            under = (double)f->low_m[i] + f->margin_m - x_m[2];
-    *up = over > under;
     return fmax(over, under);
 }
 

@@ -9,7 +9,6 @@
 #ifndef CELLS_FOOTPRINT_H
 #define CELLS_FOOTPRINT_H
 
-#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -48,9 +47,9 @@ void footprint_free(struct footprint *f);
 /* How much of a Gaussian's opacity is left, 0 to 1: mean [3] and covariance [3][3] in ENU metres. 1 well
  * inside, 0 beyond the faded edge; what is so large that it reaches out fades, too. */
 double footprint_weight(const struct footprint *f, const double mean_m[3], const double cov[9]);
-/* Metres by which a place lies above the highest sparse point around it (up true), or below the lowest
- * (false); negative between them, -HUGE_VAL beyond the grid, where nothing is known. */
-double footprint_off(const struct footprint *f, const double x_m[3], bool *up);
+/* Metres by which a place lies above the highest sparse point around it, or below the lowest; negative
+ * between them, -HUGE_VAL beyond the grid, where nothing is known. */
+double footprint_off(const struct footprint *f, const double x_m[3]);
 /* The cell in which a ray from a camera meets the ground; -1 beyond the grid and above the horizon. The
  * direction has any length. */
 ptrdiff_t footprint_meets(const struct footprint *f, const double from_m[3], const double ray[3]);

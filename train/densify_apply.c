@@ -219,10 +219,7 @@ enum err_code densify_apply(struct model *m, struct context *ctx, struct importa
     struct densify_work c = {0};
     struct err why = {0};
     struct densify_params p = densify_make_params(m, ctx, x);
-    enum err_code rc =
-        dev_map(m->dev, m->gauss.params, CL_MAP_READ | CL_MAP_WRITE, model_bytes(m), &c.params, e);
-    if (!rc)
-        densify_hold(&p, c.params, m->gauss.n, m->gauss.planes);
+    enum err_code rc = dev_map(m->dev, m->gauss.params, CL_MAP_READ, model_bytes(m), &c.params, e);
     if (!rc)
         rc = densify_decide(m, ctx, importance, &c, &p, e);
     enum err_code done = dev_unmap(m->dev, m->gauss.params, &c.params, &why);

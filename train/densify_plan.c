@@ -29,10 +29,6 @@
 #define DENSIFY_SPLIT_SHRINK 1.6
 #define DENSIFY_AXIS_OFFSET 0.8 /* d, in sigmas of the parent */
 #define DENSIFY_AXIS_SHRINK 0.6 /* sqrt(1 - d^2): the pair keeps the parent's covariance */
-/* What has drifted out of where there can be Gaussians by no more than this many free_space_m is put
- * back, just within. */
-#define DENSIFY_HOLD 1.0
-#define DENSIFY_HOLD_AT 0.95
 #define DENSIFY_SMALLEST_M 1e-4 /* scene units; smaller Gaussians are removed */
 
 static size_t densify_at(size_t i, uint32_t planes, uint32_t plane)
@@ -98,31 +94,12 @@ static void densify_mean(const struct densify_params *p, const struct densify_in
 
 /* Where nothing was reconstructed is nothing: a cloud there shows in few photographs as what lies
  * behind it and from all other sides as a cloud. */
-static double densify_off(const struct densify_params *p, const float mean[3], bool *up)
+static bool densify_in_free_space(const struct densify_params *p, const float mean[3])
 {
     double at[3];
     for (int k = 0; k < 3; k++)
         at[k] = p->origin_enu_m[k] + (double)mean[k];
-    return p->ground ? footprint_off(p->ground, at, up) : -HUGE_VAL;
-}
-
-static bool densify_in_free_space(const struct densify_params *p, const float mean[3])
-{
-    bool up;
-    return densify_off(p, mean, &up) > p->free_space_m;
-}
-
-void densify_hold(const struct densify_params *p, float *params, size_t n, uint32_t planes)
-{
-    for (size_t i = 0; p->ground && i < n; i++) {
-        float mean[3], *z = &params[densify_at(i, planes, LAYOUT_PLANE_MEAN + 2)];
-        bool up;
-        for (uint32_t k = 0; k < 3; k++)
-            mean[k] = params[densify_at(i, planes, LAYOUT_PLANE_MEAN + k)];
-        double out = densify_off(p, mean, &up) - p->free_space_m * DENSIFY_HOLD_AT;
-        if (out > 0.0 && out <= p->free_space_m * DENSIFY_HOLD)
-            *z += (float)(up ? -out : out);
-    }
+    return p->ground && footprint_off(p->ground, at) > p->free_space_m;
 }
 
 static double densify_distance(const struct densify_params *p, const float mean[3])

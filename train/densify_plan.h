@@ -45,10 +45,6 @@ struct densify_input { /* host copies in the device layout, [groups][planes][16]
     const float *opacity; /* [n] what to compare with prune_opacity; NULL: that of the parameters */
     const float *score;   /* [n] importance, >= 0; NULL while the budget does not bind: all equal */
 };
-/* Put what has drifted a little into free space back to its border: removed, it would leave a hole that
- * nothing near can fill. params: [groups][planes][16]. */
-struct densify_params;
-void densify_hold(const struct densify_params *p, float *params, size_t n, uint32_t planes);
 struct densify_report {
     size_t before, pruned, clone_candidates, split_candidates, room, cloned, split, after, inside,
         outside;
