@@ -1,4 +1,4 @@
-/* The grid of the footprint: heights from the sparse points, views and angles from the cameras, a
+/* The grid of the footprint: heights from the sparse points, views from the cameras, a
  * mask without specks, distances to its border. footprint_shape.c has its polygons.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -21,6 +21,7 @@ enum {
     FOOTPRINT_POINTS_LEAST = 32,
     FOOTPRINT_AROUND = 2, /* heights are those of so many cells around */
     FOOTPRINT_SPECK = 16, /* holes of so few cells are closed */
+    FOOTPRINT_ROUNDS = 6, /* to find where a ray meets the ground */
     FOOTPRINT_PAD = 2     /* cells around the grid that are never inside */
 };
 #define FOOTPRINT_REACH 4.0 /* flight heights around the cameras */
@@ -30,7 +31,8 @@ enum {
 #define FOOTPRINT_MARGIN                                                                           \
     0.15                   /* flight heights above the highest point around and below the lowest */
 #define FOOTPRINT_WIDE 2.0 /* a Gaussian may reach so many faded edges out */
-#define FOOTPRINT_FADE_CELLS 3.0 /* width of the faded edge */
+#define FOOTPRINT_FADE_CELLS 5.0 /* width of the faded edge */
+#define FOOTPRINT_TALL 0.6       /* faded edges from where heights begin to fade to nothing */
 #define FOOTPRINT_SIGMAS 2.0     /* a Gaussian reaches so far */
 
 void footprint_free(struct footprint *f)
@@ -39,6 +41,9 @@ void footprint_free(struct footprint *f)
     mem_free(f->edge_m);
     mem_free(f->low_m);
     mem_free(f->high_m);
+    mem_free(f->ground_m);
+    mem_free(f->views);
+    mem_free(f->has_points);
     *f = (struct footprint){0};
 }
 
@@ -55,10 +60,7 @@ static void footprint_range(double *v, size_t n, double share, double *lo, doubl
 struct footprint_work {
     const struct scene *s;
     struct footprint *f;
-    double height_m;     /* of the flight above the ground, median */
-    float *mid_m;        /* [ny][nx] height of the ground; NaN: not known */
-    uint16_t *views;     /* [ny][nx] */
-    float *angle, *px;   /* [ny][nx] largest angle between two rays; finest pixels per metre */
+    float *px;           /* [ny][nx] finest pixels per metre */
     double (*center)[3]; /* [n_images] */
 };
 
@@ -85,10 +87,10 @@ static void footprint_bounds(struct footprint_work *w, double *scratch)
     for (size_t i = 0; h && i < s->n_images; i++)
         h[i] = fabs(w->center[i][2] - ground);
     if (h)
-        footprint_range(h, s->n_images, 0.5, &w->height_m, &top);
+        footprint_range(h, s->n_images, 0.5, &w->f->height_m, &top);
     mem_free(h);
     /* Cells are no finer than the points are apart; where there are none, the ground goes on. */
-    double reach = FOOTPRINT_REACH * w->height_m, side = 0.0, area = 1.0;
+    double reach = FOOTPRINT_REACH * w->f->height_m, side = 0.0, area = 1.0;
     for (int a = 0; a < 2; a++) {
         for (size_t i = 0; i < s->n_points; i++)
             scratch[i] = s->points[i].enu_m[a];
@@ -106,7 +108,7 @@ static void footprint_bounds(struct footprint_work *w, double *scratch)
     for (int a = 0; a < 2; a++)
         f->corner_m[a] = low[a] - FOOTPRINT_PAD * f->cell_m;
     f->fade_m = FOOTPRINT_FADE_CELLS * f->cell_m;
-    f->margin_m = FOOTPRINT_MARGIN * w->height_m;
+    f->margin_m = FOOTPRINT_MARGIN * w->f->height_m;
 }
 
 static ptrdiff_t footprint_cell(const struct footprint *f, double x_m, double y_m)
@@ -208,16 +210,17 @@ static enum err_code footprint_heights(struct footprint_work *w, struct err *e)
     }
     qsort(h, n, sizeof *h, footprint_height_compare);
     for (size_t i = 0; i < cells; i++)
-        w->mid_m[i] = f->low_m[i] = f->high_m[i] = NAN;
+        f->ground_m[i] = f->low_m[i] = f->high_m[i] = NAN;
     for (size_t i = 0, end; i < n; i = end) {
         for (end = i; end < n && h[end].cell == h[i].cell;)
             end++;
         f->low_m[h[i].cell] = (float)h[i].z_m;
         f->high_m[h[i].cell] = (float)h[end - 1].z_m;
-        w->mid_m[h[i].cell] = (float)h[i + (end - i) / 4].z_m; /* the ground, not the roofs */
+        f->ground_m[h[i].cell] = (float)h[i + (end - i) / 4].z_m; /* the ground, not the roofs */
+        f->has_points[h[i].cell] = 1;
     }
     mem_free(h);
-    float *all[3] = {w->mid_m, f->low_m, f->high_m};
+    float *all[3] = {f->ground_m, f->low_m, f->high_m};
     enum err_code rc = footprint_fill(f, all, e);
     if (!rc)
         rc = footprint_widen(f, f->low_m, -1.0f, e);
@@ -232,61 +235,33 @@ static enum err_code footprint_heights(struct footprint_work *w, struct err *e)
 
 /* ---- what the photographs see ---- */
 
-/* The ray from a camera to a place; false when it is not in the picture. */
+/* Its depth in a photograph; false when it is not in the picture. */
 static bool footprint_sees(const struct footprint_work *w, size_t image, const double x[3],
-                           double ray[3], double *depth_m)
+                           double *depth_m)
 {
     const struct camera *c = &w->s->images[image].cam;
-    double t[3], len = 0.0;
+    double t[3];
     for (int a = 0; a < 3; a++)
         t[a] = c->rot[3 * a] * x[0] + c->rot[3 * a + 1] * x[1] + c->rot[3 * a + 2] * x[2] +
                c->trans[a];
     if (!(t[2] > 0.0))
         return false;
     double u = c->fx_px * t[0] / t[2] + c->cx_px, v = c->fy_px * t[1] / t[2] + c->cy_px;
-    if (!(u >= 0.0 && v >= 0.0 && u < c->width_px && v < c->height_px))
-        return false;
-    for (int a = 0; a < 3; a++) {
-        ray[a] = x[a] - w->center[image][a];
-        len += ray[a] * ray[a];
-    }
-    len = sqrt(len);
-    for (int a = 0; a < 3; a++)
-        ray[a] /= len;
     *depth_m = t[2];
-    return true;
+    return u >= 0.0 && v >= 0.0 && u < c->width_px && v < c->height_px;
 }
 
-static double footprint_cos(const double a[3], const double b[3])
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-/* The widest angle is found from the ray that is farthest off the first one: within a factor of two
- * of the truth for any rays, and right for those of a flight. */
 static void footprint_look(struct footprint_work *w, size_t cell, const double x[3])
 {
-    double first[3] = {0}, far[3] = {0}, ray[3], depth, least = 2.0, widest = 2.0, px = 0.0;
+    double depth, px = 0.0;
     size_t views = 0;
-    for (int pass = 0; pass < 2; pass++)
-        for (size_t i = 0; i < w->s->n_images; i++) {
-            if (w->s->images[i].split != SCENE_TRAIN || !footprint_sees(w, i, x, ray, &depth))
-                continue;
-            if (pass) {
-                widest = fmin(widest, footprint_cos(far, ray));
-                continue;
-            }
-            if (!views++)
-                memcpy(first, ray, sizeof ray);
+    for (size_t i = 0; i < w->s->n_images; i++)
+        if (w->s->images[i].split == SCENE_TRAIN && footprint_sees(w, i, x, &depth)) {
+            views++;
             px = fmax(px, w->s->images[i].cam.fx_px / depth);
-            if (footprint_cos(first, ray) < least) {
-                least = footprint_cos(first, ray);
-                memcpy(far, ray, sizeof ray);
-            }
         }
-    w->views[cell] = (uint16_t)(views < UINT16_MAX ? views : UINT16_MAX);
+    w->f->views[cell] = (uint16_t)(views < UINT16_MAX ? views : UINT16_MAX);
     w->px[cell] = (float)px;
-    w->angle[cell] = views > 1 ? (float)acos(fmax(-1.0, fmin(1.0, widest))) : 0.0f;
 }
 
 static enum err_code footprint_row_task(void *user, size_t row, struct err *e)
@@ -297,7 +272,7 @@ static enum err_code footprint_row_task(void *user, size_t row, struct err *e)
     for (size_t k = 0; k < f->nx; k++) {
         size_t i = row * f->nx + k;
         double x[3] = {f->corner_m[0] + ((double)k + 0.5) * f->cell_m,
-                       f->corner_m[1] + ((double)row + 0.5) * f->cell_m, (double)w->mid_m[i]};
+                       f->corner_m[1] + ((double)row + 0.5) * f->cell_m, (double)w->f->ground_m[i]};
         if (k >= FOOTPRINT_PAD && row >= FOOTPRINT_PAD && k + FOOTPRINT_PAD < f->nx &&
             row + FOOTPRINT_PAD < f->ny)
             footprint_look(w, i, x);
@@ -312,8 +287,7 @@ static size_t footprint_mark(struct footprint_work *w, double *scratch)
     size_t n = 0, left = 0, cells = footprint_count(f);
     double least, high;
     for (size_t i = 0; i < cells; i++) {
-        f->inside[i] = w->views[i] >= FOOTPRINT_VIEWS &&
-                       (double)w->angle[i] >= FOOTPRINT_ANGLE_DEG / 57.29577951308232;
+        f->inside[i] = f->views[i] >= FOOTPRINT_VIEWS;
         if (f->inside[i])
             scratch[n++] = (double)w->px[i];
     }
@@ -467,12 +441,12 @@ static enum err_code footprint_alloc(struct footprint_work *w, struct err *e)
     f->edge_m = mem_array(n, sizeof *f->edge_m);
     f->low_m = mem_array(n, sizeof *f->low_m);
     f->high_m = mem_array(n, sizeof *f->high_m);
-    w->mid_m = mem_array(n, sizeof *w->mid_m);
-    w->views = mem_array(n, sizeof *w->views);
-    w->angle = mem_array(n, sizeof *w->angle);
+    f->ground_m = mem_array(n, sizeof *f->ground_m);
+    f->views = mem_array(n, sizeof *f->views);
+    f->has_points = mem_array(n, 1);
     w->px = mem_array(n, sizeof *w->px);
-    if (f->inside && f->edge_m && f->low_m && f->high_m && w->mid_m && w->views && w->angle &&
-        w->px)
+    if (f->inside && f->edge_m && f->low_m && f->high_m && f->ground_m && f->views &&
+        f->has_points && w->px)
         return ERR_OK;
     return err_set(e, ERR_MEM, "footprint: out of memory for %zu cells", n);
 }
@@ -518,17 +492,13 @@ enum err_code footprint_of(const struct scene *s, struct footprint *out, struct 
         mem_free(scratch);
     }
     mem_free(w.center);
-    mem_free(w.mid_m);
-    mem_free(w.views);
-    mem_free(w.angle);
     mem_free(w.px);
     if (rc)
         footprint_free(out);
     else if (!out->nx)
         log_warn("footprint",
-                 "no ground is seen by %d photographs under %g degrees: nothing is known "
-                 "of what they support",
-                 FOOTPRINT_VIEWS, FOOTPRINT_ANGLE_DEG);
+                 "no ground is seen by %d photographs: nothing is known of what they support",
+                 FOOTPRINT_VIEWS);
     return rc;
 }
 
@@ -549,10 +519,42 @@ static double footprint_at(const struct footprint *f, const float *v, double x, 
 }
 
 /* 1 up to the border, 0 from the end of the faded edge on. */
-static double footprint_fade(const struct footprint *f, double beyond_m)
+static double footprint_fade(double beyond_m, double fade_m)
 {
-    double t = fmax(0.0, fmin(beyond_m / f->fade_m, 1.0));
+    double t = fmax(0.0, fmin(beyond_m / fade_m, 1.0));
     return 1.0 - t * t * (3.0 - 2.0 * t);
+}
+
+double footprint_off(const struct footprint *f, const double x_m[3])
+{
+    ptrdiff_t i = f->nx ? footprint_cell(f, x_m[0], x_m[1]) : -1;
+    if (i < 0)
+        return -HUGE_VAL;
+    double over = x_m[2] - ((double)f->high_m[i] - f->margin_m),
+           under = (double)f->low_m[i] + f->margin_m - x_m[2];
+    return fmax(over, under);
+}
+
+void footprint_ray(const struct camera *c, double x_px, double y_px, double ray[3])
+{
+    double x = (x_px + 0.5 - c->cx_px) / c->fx_px, y = (y_px + 0.5 - c->cy_px) / c->fy_px;
+    for (int a = 0; a < 3; a++)
+        ray[a] = c->rot[a] * x + c->rot[3 + a] * y + c->rot[6 + a];
+}
+
+ptrdiff_t footprint_meets(const struct footprint *f, const double from_m[3], const double ray[3])
+{
+    ptrdiff_t i = f->nx ? footprint_cell(f, from_m[0], from_m[1]) : -1;
+    double ground_m = i < 0 ? 0.0 : (double)f->ground_m[i];
+    if (i < 0 || !(ray[2] < 0.0))
+        return -1;
+    for (int k = 0; k < FOOTPRINT_ROUNDS && i >= 0;
+         k++) { /* where it is as high as the ground there */
+        double t = (ground_m - from_m[2]) / ray[2];
+        i = footprint_cell(f, from_m[0] + t * ray[0], from_m[1] + t * ray[1]);
+        ground_m = i < 0 ? 0.0 : (double)f->ground_m[i];
+    }
+    return i;
 }
 
 double footprint_weight(const struct footprint *f, const double mean_m[3], const double cov[9])
@@ -570,5 +572,6 @@ double footprint_weight(const struct footprint *f, const double mean_m[3], const
         (size_t)fmin(y, (double)f->ny - 1.0) * f->nx + (size_t)fmin(x, (double)f->nx - 1.0);
     double over = mean_m[2] - (double)f->high_m[cell] + tall,
            under = (double)f->low_m[cell] - mean_m[2] + tall;
-    return footprint_fade(f, out) * footprint_fade(f, fmax(over, under));
+    return footprint_fade(out, f->fade_m) *
+           footprint_fade(fmax(over, under), FOOTPRINT_TALL * f->fade_m);
 }

@@ -221,12 +221,12 @@ enum err_code footprint_write(const struct footprint *f, const struct geo_origin
     enum err_code rc = shape_contours(f, &s, e);
     if (!rc)
         rc = shape_json(&s, origin, polygons, &area, e);
-    json_t *root = json_pack(
-        "{s:s, s:{s:i, s:f, s:f, s:f, s:f, s:f}, s:{s:s, s:O}}", "type", "Feature", "properties",
-        "least_views", FOOTPRINT_VIEWS, "least_angle_deg", FOOTPRINT_ANGLE_DEG, "pixels_per_m",
-        f->px_per_m, "area_m2", round(area), "low_m", round(10.0 * (origin->h_m + low)) / 10.0,
-        "high_m", round(10.0 * (origin->h_m + high)) / 10.0, "geometry", "type", "MultiPolygon",
-        "coordinates", polygons);
+    json_t *root =
+        json_pack("{s:s, s:{s:i, s:f, s:f, s:f, s:f}, s:{s:s, s:O}}", "type", "Feature",
+                  "properties", "least_views", FOOTPRINT_VIEWS, "pixels_per_m", f->px_per_m,
+                  "area_m2", round(area), "low_m", round(10.0 * (origin->h_m + low)) / 10.0,
+                  "high_m", round(10.0 * (origin->h_m + high)) / 10.0, "geometry", "type",
+                  "MultiPolygon", "coordinates", polygons);
     char *text = rc || !root ? NULL : json_dumps(root, JSON_COMPACT | JSON_REAL_PRECISION(12));
     if (!rc && !text)
         rc = shape_no_memory(e);

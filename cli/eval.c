@@ -10,6 +10,7 @@
 #include <jansson.h>
 
 #include "cells/cell_plan.h"
+#include "cells/footprint.h"
 #include "cells/partition.h"
 #include "cli/cli.h"
 #include "cli/eval_flight.h"
@@ -57,6 +58,7 @@ struct eval {
     bool exposure;                     /* and what is being scored was trained at the mean one */
     double trained_steps;              /* of the level that was scored last; 0: none was */
     struct lpips *lpips;               /* NULL: no weights */
+    struct footprint ground;           /* what training photographs show */
     struct residual_list residuals;    /* of the last row that was scored */
     char residuals_of[64];             /* what that row is called */
     json_t *rows;
@@ -66,19 +68,22 @@ enum { EVAL_SUSPICIOUS_MAX = 20 }; /* rows printed; the file has all */
 
 static void eval_print_head(void)
 {
-    printf("%-14s %6s %9s %9s %8s %10s %8s %12s %12s %9s %9s\n", "what", "photos", "edge px",
-           "PSNR dB", "SSIM", "SSIM valid", "GMSD", "Gaussians", "in view", "ms/frame", "MB");
+    printf("%-14s %6s %9s %9s %9s %8s %10s %8s %12s %12s %9s %9s\n", "what", "photos", "edge px",
+           "PSNR dB", "seen dB", "SSIM", "SSIM valid", "GMSD", "Gaussians", "in view", "ms/frame",
+           "MB");
 }
 
 static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px,
                               const struct evaluate_score *s, struct err *e)
 {
-    char visible[32] = "";
+    char visible[32] = "", seen[32] = "";
+    if (s->n_seen)
+        snprintf(seen, sizeof seen, "%.3f", s->seen_psnr_db);
     if (s->visible > 0.0)
         snprintf(visible, sizeof visible, "%.0f", s->visible);
-    printf("%-14s %6zu %9u %9.3f %8.4f %10.4f %8.5f %12.0f %12s %9.2f %9.2f\n", what, s->n_photos,
-           edge_px, s->psnr_db, s->ssim, s->ssim_valid, s->gmsd, s->gaussians, visible, s->ms_frame,
-           s->bytes / 1e6);
+    printf("%-14s %6zu %9u %9.3f %9s %8.4f %10.4f %8.5f %12.0f %12s %9.2f %9.2f\n", what,
+           s->n_photos, edge_px, s->psnr_db, seen, s->ssim, s->ssim_valid, s->gmsd, s->gaussians,
+           visible, s->ms_frame, s->bytes / 1e6);
     bool lpips = v->lpips && s->lpips > 0.0; /* rows of half images have none */
     if (lpips)
         printf("%-14s %s %.4f\n", "", lpips_key(v->lpips), s->lpips);
@@ -89,6 +94,10 @@ static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px
                             "ssim_valid", jsonc_real(s->ssim_valid), "l1", s->l1, "gmsd", s->gmsd,
                             "gaussians", s->gaussians, "ms_frame", s->ms_frame, "bytes", s->bytes);
     if (row && lpips && json_object_set_new(row, lpips_key(v->lpips), json_real(s->lpips))) {
+        json_decref(row);
+        row = NULL;
+    }
+    if (row && s->n_seen && json_object_set_new(row, "seen_psnr_db", jsonc_real(s->seen_psnr_db))) {
         json_decref(row);
         row = NULL;
     }
@@ -172,6 +181,7 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
                                         v->exposure ? PHOTO_LOADER_TOLD : PHOTO_LOADER_AS_TAKEN};
     if (v->o.views)
         return eval_views(v, what, &src, e);
+    src.ground = v->ground.nx ? &v->ground : NULL;
     src.lpips = v->lpips;
     src.residuals = &v->residuals;
     residual_clear(&v->residuals);
@@ -527,6 +537,8 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
         goto out;
     signals_catch();
     rc = eval_open(&v, args.arg[0], e);
+    if (!rc && !v.o.views && !v.o.flight)
+        rc = footprint_of(&v.scene, &v.ground, e);
     if (rc)
         goto out;
     if (v.o.flight && !v.o.tiles) {
@@ -546,6 +558,7 @@ enum err_code cli_eval(int argc, char **argv, struct err *e)
         rc = eval_write(&v, args.arg[0], e);
 out:
     json_decref(v.rows);
+    footprint_free(&v.ground);
     residual_free(&v.residuals);
     eval_half_image_clear(&v.half_image);
     lpips_close(&v.lpips);

@@ -82,8 +82,9 @@ static void test_known_survey(void **state)
         for (size_t i = 0; i < f.nx; i++) {
             double x = f.corner_m[0] + ((double)i + 0.5) * f.cell_m,
                    y = f.corner_m[1] + ((double)j + 0.5) * f.cell_m;
-            n += views(x, y) >= 3;
-            wrong += (views(x, y) >= 3) != f.inside[j * f.nx + i];
+            n += views(x, y) >= FOOTPRINT_VIEWS;
+            wrong += (views(x, y) >= FOOTPRINT_VIEWS) != f.inside[j * f.nx + i];
+            assert_true(f.views[j * f.nx + i] == views(x, y) || f.ground_m[j * f.nx + i] > 1);
         }
     print_message("%zu x %zu cells of %.2f m, %zu of %zu inside are wrong, %.2f px/m\n", f.nx, f.ny,
                   f.cell_m, wrong, n, f.px_per_m);
@@ -106,6 +107,20 @@ static void test_known_survey(void **state)
     assert_true(weight(&f, 0, 0, 25, 0.2) == 1.0);
     assert_true(weight(&f, 40, 40, 45, 0.2) == 0.0);
     assert_true(weight(&f, 40, 40, -25, 0.2) == 0.0);
+    /* So many metres above or below what stands around; nothing is known far away. */
+    const double above[3] = {40, 40, 12}, below[3] = {40, 40, -7}, on_tower[3] = {8, 0, 12},
+                 away[3] = {1e5, 0, 500};
+    assert_true(fabs(footprint_off(&f, above) - 12) < 0.01);
+    assert_true(fabs(footprint_off(&f, below) - 7) < 0.01);
+    assert_true(footprint_off(&f, on_tower) < 0.0 && footprint_off(&f, away) < -1e9);
+    assert_true(fabs(f.height_m - HEIGHT) < 0.01);
+    /* Rays: down to ground that is seen, to ground that is not, past the tower, into the sky. */
+    const double eye[3] = {-40, -40, 60}, down[3] = {0.1, 0, -1}, aslant[3] = {0, -2, -1},
+                 long_way[3] = {2.5, 2.5, -2}, sky[3] = {0, 0.5, 0.1};
+    ptrdiff_t under = footprint_meets(&f, eye, down), far = footprint_meets(&f, eye, long_way),
+              out = footprint_meets(&f, eye, aslant);
+    assert_true(under >= 0 && f.inside[under] && far >= 0 && f.inside[far]);
+    assert_true(out >= 0 && !f.inside[out] && footprint_meets(&f, eye, sky) < 0);
     /* What is as large as the survey reaches out of it, wherever its middle is. */
     assert_true(weight(&f, 0, 40, 0.5, 60.0) == 0.0);
     footprint_free(&f);

@@ -48,7 +48,7 @@ static void a_photograph_that_does_not_fit_is_named_first(void **state)
         double db = 25.0 + 0.5 * rng_normal(1, 0, i), ssim = 0.8 + 0.01 * rng_normal(1, 1, i);
         ssim = i == 40 ? 0.6 : i == 10 ? 0.99 : fmin(fmax(ssim, 0.78), 0.82);
         db = i == 70 ? 18.0 : i == 10 ? 40.0 : fmin(fmax(db, 24.2), 25.8);
-        kit_ok(residual_add(&l, names[i], pow(10.0, -0.1 * db), ssim, &e), e);
+        kit_ok(residual_add(&l, names[i], pow(10.0, -0.1 * db), ssim, 0.0, &e), e);
     }
     kit_ok(residual_rank(&l, &e), e);
     assert_int_equal(l.n, 100);
@@ -75,7 +75,7 @@ static void a_photograph_that_does_not_fit_is_named_first(void **state)
     /* Everything fits exactly: nothing to suspect, nothing divides by zero. */
     residual_clear(&l);
     for (size_t i = 0; i < 5; i++)
-        kit_ok(residual_add(&l, names[i], 0.0, 1.0, &e), e);
+        kit_ok(residual_add(&l, names[i], 0.0, 1.0, 0.0, &e), e);
     kit_ok(residual_rank(&l, &e), e);
     assert_int_equal(l.n_suspicious, 0);
     kit_expect_text(l.rows[0].name, "p00", __FILE__, __LINE__);
@@ -86,11 +86,37 @@ static void a_photograph_that_does_not_fit_is_named_first(void **state)
     kit_rmdir(dir);
 }
 
+/* At the rim all fit worse, and are not suspected for that; the one that fits badly even there is. */
+static void photographs_are_compared_with_those_of_like_coverage(void **state)
+{
+    (void)state;
+    enum { N = 60, RIM = 20 };
+    static char names[N][8];
+    for (int known = 0; known < 2; known++) {
+        struct residual_list l = {0};
+        struct err e = {0};
+        for (int i = 0; i < N; i++) {
+            bool rim = i < RIM;
+            double db = (rim ? 24.0 : 32.0) + 0.05 * (i * 7 % 11) - (i == 5 ? 3.0 : 0.0);
+            snprintf(names[i], sizeof names[i], "p%02d", i);
+            kit_ok(residual_add(&l, names[i], pow(10.0, -0.1 * db), rim ? 0.8 : 0.95,
+                                known ? (rim ? 1.5 : 4.0) : 0.0, &e),
+                   e);
+        }
+        kit_ok(residual_rank(&l, &e), e);
+        assert_int_equal(l.n_suspicious, known ? 1 : RIM);
+        if (known)
+            kit_expect_text(l.rows[0].name, "p05", __FILE__, __LINE__);
+        residual_free(&l);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(z_scores_are_those_worked_out_by_hand),
         cmocka_unit_test(a_photograph_that_does_not_fit_is_named_first),
+        cmocka_unit_test(photographs_are_compared_with_those_of_like_coverage),
     };
     return cmocka_run_group_tests_name("residual", tests, NULL, NULL);
 }

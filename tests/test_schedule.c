@@ -81,8 +81,9 @@ static void full_run_has_the_published_numbers(void **state)
     assert_true(schedule_resets(&s[0], 3000) && schedule_resets(&s[0], 9000));
     assert_false(schedule_resets(&s[0], 12000) || schedule_resets(&s[0], 15000));
     assert_false(schedule_resets(&s[0], 3001) || schedule_resets(&s[0], 0));
-    assert_false(schedule_was_reset(&s[0], 3000));
-    assert_true(schedule_was_reset(&s[0], 3001));
+    /* huge Gaussians go from the first reset on, and at later levels from the start */
+    assert_false(schedule_limits_size(&s[0], 3000));
+    assert_true(schedule_limits_size(&s[0], 3001) && schedule_limits_size(&s[1], 1));
     /* harmonics: a degree every 1000 steps at the first level, all of them afterwards */
     assert_int_equal(schedule_sh_degree(&s[0], 999), 0);
     assert_int_equal(schedule_sh_degree(&s[0], 1000), 1);
@@ -114,6 +115,29 @@ static void every_index_from_one_to_the_last_is_used_once(void **state)
         }
         assert_int_equal(total, iterations); /* exactly what was asked for */
     }
+    arena_free(&a);
+}
+
+/* However short the run and however many its levels: some densification removes them. */
+static void runs_of_any_length_remove_huge_gaussians(void **state)
+{
+    (void)state;
+    struct arena a = {0};
+    struct err e = {0};
+    for (int64_t iterations = 500; iterations <= 60000; iterations += 100)
+        for (int64_t levels = 1; levels <= 3; levels++) {
+            struct train_config c = defaults(&a);
+            struct schedule s[3];
+            c.iterations = iterations;
+            c.level_count = levels;
+            kit_ok(schedule_make(&c, 75, &cell, s, &e), e);
+            for (int64_t l = 0; l < levels; l++) {
+                uint32_t removals = 0;
+                for (uint32_t t = 1; t <= s[l].steps; t++)
+                    removals += schedule_densify_index(&s[l], t) && schedule_limits_size(&s[l], t);
+                assert_true(removals > 0);
+            }
+        }
     arena_free(&a);
 }
 
@@ -231,6 +255,7 @@ int main(void)
         cmocka_unit_test(cap_has_no_edge_that_divides_by_zero_or_shrinks),
         cmocka_unit_test(full_run_has_the_published_numbers),
         cmocka_unit_test(every_index_from_one_to_the_last_is_used_once),
+        cmocka_unit_test(runs_of_any_length_remove_huge_gaussians),
         cmocka_unit_test(many_photographs_stretch_and_short_runs_shrink),
         cmocka_unit_test(fewer_levels_take_the_finest_rows),
         cmocka_unit_test(position_rate_decays_exponentially_and_restarts),

@@ -379,7 +379,14 @@ static void twenty_steps_give_the_golden_trace(void **state)
     kit_ok(schedule_make(&c, n, &l.ctx.cell, l.ctx.schedule, &e), e);
     kit_ok(render_open(&dev, &l.ctx.render, &e), e);
     kit_ok(photometric_open(&dev, &l.ctx.loss, &e), e);
-    kit_ok(init_gauss(&s, images, n, &l.ctx.cell, 1, 1000, 1, &g, &e), e);
+    const struct init_input first = {.scene = &s,
+                                     .images = images,
+                                     .n_images = n,
+                                     .cell = &l.ctx.cell,
+                                     .sh_degree = 1,
+                                     .limit = 1000,
+                                     .seed = 1};
+    kit_ok(init_gauss(&first, &g, &e), e);
     kit_ok(level_open(&l, &g, &e), e);
     kit_ok(level_begin(&l, &e), e);
     for (int i = 0; i < 20; i++) {

@@ -16,6 +16,7 @@
 #include "train/timing.h"
 
 struct dev;
+struct footprint;
 struct metrics_log;
 struct model;
 struct photo;
@@ -34,6 +35,7 @@ struct context { /* context_close */
     struct photometric *loss;
     struct metrics_log *metrics; /* NULL: none are written */
     struct cell cell;
+    const struct footprint *ground; /* NULL: not known */
     struct schedule schedule[TRAIN_LEVELS_MAX];
     uint32_t n_levels;
     struct timing timing; /* the clock that run.c started; {0} in tests, where nobody reads it */

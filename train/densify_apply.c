@@ -13,6 +13,7 @@
 
 #include <jansson.h>
 
+#include "cells/footprint.h"
 #include "render/permute.h"
 #include "train/config.h"
 #include "train/context.h"
@@ -152,11 +153,15 @@ static struct densify_params densify_make_params(const struct model *m, const st
         .split_above_m = c->percent_dense * ctx->cell.extent_m,
         .split = (enum densify_split)c->split,
         .prune_opacity = c->prune_opacity,
-        .prune_above_m = schedule_was_reset(s, ctx->step) ? densify_prune_above(ctx) : 0.0,
+        .prune_above_m = schedule_limits_size(s, ctx->step) ? densify_prune_above(ctx) : 0.0,
         .seed = (uint64_t)c->seed,
         .level = s->level,
         .step = ctx->step,
     };
+    if (ctx->ground && c->free_space > 0.0 && schedule_limits_size(s, ctx->step)) {
+        p.ground = ctx->ground;
+        p.free_space_m = c->free_space * ctx->ground->height_m;
+    }
     memcpy(p.origin_enu_m, m->gauss.origin_enu_m, sizeof p.origin_enu_m);
     return p;
 }

@@ -18,6 +18,7 @@
 #include <string.h>
 
 #include "cells/cell.h"
+#include "cells/footprint.h"
 #include "core/gauss.h"
 #include "core/sample.h"
 #include "render/permute.h"
@@ -91,6 +92,16 @@ static void densify_mean(const struct densify_params *p, const struct densify_in
                           rot[3 * k + 2] * local[2]);
 }
 
+/* Where nothing was reconstructed is nothing: a cloud there shows in few photographs as what lies
+ * behind it and from all other sides as a cloud. */
+static bool densify_in_free_space(const struct densify_params *p, const float mean[3])
+{
+    double at[3];
+    for (int k = 0; k < 3; k++)
+        at[k] = p->origin_enu_m[k] + (double)mean[k];
+    return p->ground && footprint_off(p->ground, at) > p->free_space_m;
+}
+
 static double densify_distance(const struct densify_params *p, const float mean[3])
 {
     return cell_distance(p->cell, p->origin_enu_m[0] + (double)mean[0],
@@ -140,7 +151,7 @@ static enum densify_class densify_classify(const struct densify_params *p,
     double d = densify_distance(p, mean);
     *inside = d <= 0.0;
     if (!(opacity >= p->prune_opacity) || !(largest >= DENSIFY_SMALLEST_M) ||
-        (p->prune_above_m > 0.0 && largest > p->prune_above_m))
+        (p->prune_above_m > 0.0 && largest > p->prune_above_m) || densify_in_free_space(p, mean))
         return CLASS_PRUNE;
     double ramp = 1.0 + (p->tau_outside - 1.0) * fmin(d / p->cell->edge_m, 1.0);
     if (!((double)in->mean_grad[i] >= p->tau * ramp))

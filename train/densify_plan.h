@@ -12,6 +12,7 @@
 #include "render/permute.h"
 
 struct cell;
+struct footprint;
 
 enum densify_kind { DENSIFY_KEEP, DENSIFY_CLONE, DENSIFY_SPLIT_A, DENSIFY_SPLIT_B };
 struct densify_row {
@@ -31,6 +32,8 @@ struct densify_params {
     double tau, tau_outside, split_above_m; /* larger ones are split */
     enum densify_split split;
     double prune_opacity, prune_above_m; /* 0 = no limit of size */
+    const struct footprint *ground;      /* NULL: nothing is known of it */
+    double free_space_m; /* what lies farther above or below all points around is removed */
     uint64_t seed;
     uint32_t level, step;
 };

@@ -9,6 +9,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "cells/footprint.h"
 #include "codec/image.h"
 #include "core/exposure.h"
 #include "loss/lpips.h"
@@ -23,6 +24,8 @@ enum {
     EVALUATE_DRAWS =
         3, /* of a photograph; the quickest counts, so that a busy neighbour does not */
 };
+
+#define EVALUATE_SEEN_MIN 0.01 /* of a photograph's pixels */
 
 /* Mean over the used pixels. */
 static double evaluate_l1(const float *rgb, const uint8_t *target, const uint8_t *mask, size_t n)
@@ -59,6 +62,32 @@ enum err_code evaluate_photo(const struct photo *p, const float *rgb, struct eva
     return ERR_OK;
 }
 
+enum err_code evaluate_seen(const struct photo *p, const struct footprint *ground, const float *rgb,
+                            struct evaluate_score *sum, struct err *e)
+{
+    const struct camera *c = &p->cam;
+    size_t n = (size_t)c->width_px * c->height_px, seen = 0;
+    double from[3], ray[3], psnr;
+    uint8_t *use = mem_array(n, 1);
+    enum err_code rc = ERR_OK;
+    if (!use)
+        return err_set(e, ERR_MEM, "evaluate: out of memory for %zu pixels", n);
+    camera_center(c, from);
+    for (size_t i = 0; i < n; i++) {
+        footprint_ray(c, (double)(i % c->width_px), (double)(i / c->width_px), ray);
+        ptrdiff_t cell = footprint_meets(ground, from, ray);
+        use[i] = (!p->mask || p->mask[i]) && cell >= 0 && ground->inside[cell];
+        seen += use[i];
+    }
+    if ((double)seen >= EVALUATE_SEEN_MIN * (double)n) {
+        rc = metric_psnr(rgb, p->px, use, c->width_px, c->height_px, &psnr, e);
+        sum->seen_psnr_db += rc ? 0.0 : psnr;
+        sum->n_seen += !rc;
+    }
+    mem_free(use);
+    return rc;
+}
+
 /* Photograph and drawing side by side, as DIR/NAME.png. */
 static enum err_code evaluate_picture(const char *dir, const struct photo *p, const float *rgb,
                                       struct err *e)
@@ -91,6 +120,8 @@ static enum err_code evaluate_picture(const char *dir, const struct photo *p, co
 static void evaluate_add(struct evaluate_score *sum, const struct evaluate_score *one)
 {
     sum->psnr_db += one->psnr_db;
+    sum->seen_psnr_db += one->seen_psnr_db;
+    sum->n_seen += one->n_seen;
     sum->ssim += one->ssim;
     sum->ssim_valid += one->ssim_valid;
     sum->l1 += one->l1;
@@ -137,8 +168,12 @@ static enum err_code evaluate_one(struct photo_loader *f, size_t nth,
     struct evaluate_score one = {0};
     if (!rc)
         rc = evaluate_photo(&photo, rgb, &one, e);
+    if (!rc && src->ground)
+        rc = evaluate_seen(&photo, src->ground, rgb, &one, e);
     if (!rc && src->residuals)
-        rc = residual_add(src->residuals, photo.name, pow(10.0, -0.1 * one.psnr_db), one.ssim, e);
+        rc = residual_add(src->residuals, photo.name, pow(10.0, -0.1 * one.psnr_db),
+                          residual_ssim(&photo, one.ssim),
+                          residual_coverage(src->ground, &photo.cam), e);
     if (!rc) {
         one.ms_frame = 1e3 * quickest;
         one.gaussians = gaussians;
@@ -159,6 +194,8 @@ static enum err_code evaluate_one(struct photo_loader *f, size_t nth,
 void evaluate_divide(struct evaluate_score *sum, double n)
 {
     sum->psnr_db /= n;
+    if (sum->n_seen)
+        sum->seen_psnr_db /= (double)sum->n_seen;
     sum->ssim /= n;
     sum->ssim_valid /= n;
     sum->l1 /= n;

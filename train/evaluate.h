@@ -11,16 +11,18 @@
 
 #include "render/render.h"
 
+struct footprint; /* cells/footprint.h */
 struct photo;
 struct photo_loader;
 
 struct evaluate_score { /* means over the photographs */
     size_t n_photos;
-    double psnr_db, ssim,
-        ssim_valid;         /* ssim: zero padded as in the loss; ssim_valid: inner windows only */
-    double l1, gmsd, lpips; /* lpips: 0 without weights */
-    double gaussians;       /* handed to the renderer a frame */
-    double visible;         /* of them in the picture; 0 when not told */
+    size_t n_seen; /* of them, those that show ground which training photographs show */
+    double psnr_db, seen_psnr_db; /* seen: within that ground; 0 where it is not known */
+    double ssim, ssim_valid; /* ssim: zero padded as in the loss; ssim_valid: inner windows only */
+    double l1, gmsd, lpips;  /* lpips: 0 without weights */
+    double gaussians;        /* handed to the renderer a frame */
+    double visible;          /* of them in the picture; 0 when not told */
     double ms_frame;
     double bytes; /* what the source takes in files, 0 when not told */
 };
@@ -36,8 +38,13 @@ struct evaluate_source {
     const struct render
         *render;         /* what draw() draws with: visible is asked of it; NULL: not told */
     struct lpips *lpips; /* NULL: no weights, not scored */
+    const struct footprint *ground;  /* NULL: no seen_psnr_db */
     struct residual_list *residuals; /* gets a row a photograph; NULL: none kept */
 };
+/* Add the PSNR within the ground that training photographs show, if the photograph shows at least a
+ * hundredth of it. ERR_MEM. */
+enum err_code evaluate_seen(const struct photo *p, const struct footprint *ground, const float *rgb,
+                            struct evaluate_score *sum, struct err *e) ERR_USE;
 /* Add the scores of one photograph against its drawing to `sum` (PSNR, SSIM, L1), and make means of
  * `n` such sums. ERR_DATA: its mask leaves no pixel; ERR_ARG: fewer than 4 x 4 pixels; ERR_MEM. */
 enum err_code evaluate_photo(const struct photo *p, const float *rgb, struct evaluate_score *sum,

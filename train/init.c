@@ -9,6 +9,7 @@
 #include <string.h>
 
 #include "cells/cell.h"
+#include "cells/footprint.h"
 #include "codec/mask.h"
 #include "codec/scene.h"
 #include "core/knn.h"
@@ -246,44 +247,133 @@ enum err_code init_count_points(const struct scene *s, const uint32_t *images, s
     return rc;
 }
 
-enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n_images,
-                         const struct cell *cell, uint32_t sh_degree, size_t limit, uint64_t seed,
-                         struct gauss *out, struct err *e)
+/* ---- ground without points ---- */
+
+static bool init_ground_is_seen(const struct init_input *in, const double x[3])
 {
+    for (size_t i = 0; i < in->n_images; i++) {
+        const struct camera *c = &in->scene->images[in->images[i]].cam;
+        double t[3];
+        for (int a = 0; a < 3; a++)
+            t[a] = c->rot[3 * a] * x[0] + c->rot[3 * a + 1] * x[1] + c->rot[3 * a + 2] * x[2] +
+                   c->trans[a];
+        double u = c->fx_px * t[0] / t[2] + c->cx_px, v = c->fy_px * t[1] / t[2] + c->cy_px;
+        if (t[2] > 0.0 && u >= 0.0 && v >= 0.0 && u < c->width_px && v < c->height_px)
+            return true;
+    }
+    return false;
+}
+
+/* Places on the ground that photographs see and no point marks. out_enu_m: room for all cells, [][3]. */
+static size_t init_ground_places(const struct init_input *in, double *out_enu_m)
+{
+    const struct footprint *f = in->ground;
+    size_t n = 0;
+    for (size_t i = 0; i < f->nx * f->ny; i++) {
+        double x[3] = {f->corner_m[0] + ((double)(i % f->nx) + 0.5) * f->cell_m,
+                       f->corner_m[1] + ((double)(i / f->nx) + 0.5) * f->cell_m,
+                       (double)f->ground_m[i]};
+        if (f->has_points[i] || !f->views[i] || !isfinite(x[2]) || !init_ground_is_seen(in, x) ||
+            (!in->cell->whole && cell_distance(in->cell, x[0], x[1]) > in->cell->edge_m))
+            continue;
+        memcpy(out_enu_m + 3 * n++, x, sizeof x);
+    }
+    return n;
+}
+
+/* The colour of the nearest of the first n points for those behind them. */
+static enum err_code init_ground_colours(struct init_points *p, size_t n, struct err *e)
+{
+    struct knn tree = {0};
+    float *xyz = mem_array(3 * p->n, sizeof *xyz);
+    enum err_code rc =
+        xyz ? ERR_OK : err_set(e, ERR_MEM, "init: out of memory for %zu points", p->n);
+    for (size_t i = 0; !rc && i < 3 * p->n; i++)
+        xyz[i] = (float)(p->enu_m[i] - p->enu_m[i % 3]);
+    if (!rc)
+        rc = knn_build(xyz, n, &tree, e);
+    for (size_t i = n; !rc && i < p->n; i++) {
+        uint32_t id = 0;
+        float dist2;
+        (void)knn_find(&tree, xyz + 3 * i, KNN_NOBODY, 1, &id, &dist2);
+        memcpy(p->rgb + 3 * i, p->rgb + 3 * (size_t)id, 3);
+    }
+    knn_free(&tree);
+    mem_free(xyz);
+    return rc;
+}
+
+/* Add them behind the points there are. */
+static enum err_code init_ground(const struct init_input *in, struct init_points *p, struct err *e)
+{
+    size_t cells = in->ground->nx * in->ground->ny, n = p->n, taken = 0;
+    double *place = mem_array(3 * cells, sizeof *place);
+    size_t found = place ? init_ground_places(in, place) : 0;
+    size_t most = (size_t)(in->ground_share * (double)in->limit);
+    most = most < in->limit - n ? most : in->limit - n;
+    most = most < found ? most : found;
+    uint64_t stream = train_stream(TRAIN_STREAM_GROUND, 1, 0);
+    double *enu_m = mem_resize(p->enu_m, 3 * n, 3 * (n + most), sizeof *enu_m);
+    p->enu_m = enu_m ? enu_m : p->enu_m;
+    uint8_t *rgb = mem_resize(p->rgb, 3 * n, 3 * (n + most), 1);
+    p->rgb = rgb ? rgb : p->rgb;
+    enum err_code rc = place && enu_m && rgb
+                           ? ERR_OK
+                           : err_set(e, ERR_MEM, "init: out of memory for %zu cells", cells);
+    for (size_t i = 0; !rc && i < found && taken < most; i++) {
+        double left = (double)(found - i), want = (double)(most - taken); /* as above */
+        if (rng_unit(in->seed, stream, i) * left < want)
+            memcpy(p->enu_m + 3 * (n + taken++), place + 3 * i, 3 * sizeof *place);
+    }
+    mem_free(place);
+    p->n = n + taken;
+    if (!rc && taken)
+        rc = init_ground_colours(p, n, e);
+    if (!rc && taken)
+        log_info("init", "%zu points, and %zu places of ground without", n, taken);
+    return rc;
+}
+
+static enum err_code init_pick(const struct init_input *in, struct init_points *p, struct err *e)
+{
+    const struct scene *s = in->scene;
     enum err_code rc = ERR_OK;
-    struct init_points p = {0};
     size_t n_use = 0;
     uint8_t *use = mem_array(s->n_points, 1), *seen = mem_array(s->n_images, 1);
-    *out = (struct gauss){0};
     if (use && seen) {
-        n_use = init_mark_points(s, images, n_images, cell->whole, use, seen);
-        rc = init_drop_masked(s, images, n_images, use, &n_use, e);
+        n_use = init_mark_points(s, in->images, in->n_images, in->cell->whole, use, seen);
+        rc = init_drop_masked(s, in->images, in->n_images, use, &n_use, e);
     }
     if (!rc && use && seen) {
-        p.n = init_count(n_use, limit);
-        p.enu_m = mem_array(3 * p.n, sizeof *p.enu_m);
-        p.rgb = mem_array(3 * p.n, 1);
+        p->n = init_count(n_use, in->limit);
+        p->enu_m = mem_array(3 * p->n, sizeof *p->enu_m);
+        p->rgb = mem_array(3 * p->n, 1);
     }
-    if (rc)
-        goto out;
-    if (!p.enu_m || !p.rgb) {
+    if (!rc && (!p->enu_m || !p->rgb))
         rc = err_set(e, ERR_MEM, "init: out of memory for %zu points", s->n_points);
-        goto out;
-    }
-    rc = gauss_alloc(out, p.n, sh_degree, 0, e);
-    if (rc)
-        goto out;
-    if (n_use)
-        init_scene_points(s, use, n_use, seed, &p);
-    else
-        init_random_points(s, images, n_images, cell, seed, &p);
-    rc = init_fill(&p, cell, out, e);
-    if (rc)
-        gauss_free(out);
-out:
-    mem_free(p.enu_m);
-    mem_free(p.rgb);
+    if (!rc && n_use)
+        init_scene_points(s, use, n_use, in->seed, p);
+    else if (!rc)
+        init_random_points(s, in->images, in->n_images, in->cell, in->seed, p);
+    if (!rc && n_use && in->ground && in->ground_share > 0.0)
+        rc = init_ground(in, p, e);
     mem_free(use);
     mem_free(seen);
+    return rc;
+}
+
+enum err_code init_gauss(const struct init_input *in, struct gauss *out, struct err *e)
+{
+    struct init_points p = {0};
+    *out = (struct gauss){0};
+    enum err_code rc = init_pick(in, &p, e);
+    if (!rc)
+        rc = gauss_alloc(out, p.n, in->sh_degree, 0, e);
+    if (!rc)
+        rc = init_fill(&p, in->cell, out, e);
+    if (rc)
+        gauss_free(out);
+    mem_free(p.enu_m);
+    mem_free(p.rgb);
     return rc;
 }

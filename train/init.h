@@ -12,15 +12,26 @@
 #include "core/gauss.h"
 
 struct cell;
+struct footprint;
 struct scene;
 
+struct init_input { /* all borrowed */
+    const struct scene *scene;
+    const uint32_t *images; /* [n_images] training photographs */
+    size_t n_images;
+    const struct cell *cell;
+    const struct footprint *ground; /* NULL: no Gaussians but those of points */
+    double ground_share;            /* of `limit`, most Gaussians on ground without points */
+    uint32_t sh_degree;
+    size_t limit; /* most Gaussians */
+    uint64_t seed;
+};
 /* Gaussians at the scene's points (for a cell of a plan: at those that its photographs see): size
  * from the three nearest neighbours, opacity 0.1. More points than `limit`: an even random choice.
- * None: 100 places in front of the cameras. Origin: mean of the points. gauss_free it. ERR_MEM;
- * ERR_LIMIT: more points than knn_build takes. */
-enum err_code init_gauss(const struct scene *s, const uint32_t *images, size_t n_images,
-                         const struct cell *cell, uint32_t sh_degree, size_t limit, uint64_t seed,
-                         struct gauss *out, struct err *e) ERR_USE;
+ * None: 100 places in front of the cameras. Beside them, one in each cell of the ground that has no
+ * point and that a photograph sees, as high as its neighbours and of the nearest point's colour.
+ * Origin: mean of the points. gauss_free it. ERR_MEM; ERR_LIMIT: more points than knn_build takes. */
+enum err_code init_gauss(const struct init_input *in, struct gauss *out, struct err *e) ERR_USE;
 /* How many points that would be without a limit. ERR_MEM. */
 enum err_code init_count_points(const struct scene *s, const uint32_t *images, size_t n_images,
                                 const struct cell *cell, size_t *out, struct err *e) ERR_USE;

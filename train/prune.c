@@ -1,11 +1,13 @@
 /* Contribution pruning: Gaussians that add next to nothing to any training photograph cost bytes
  * and time for ever after. The score is the blending weight itself, the sum of alpha T over all
- * pixels of all training views; the faintest go that together hold no more than a given share of
- * all weight, which bounds what can change whatever the size of pictures and Gaussians. Support,
- * the number of photographs that see a Gaussian, finds floaters close to one camera.
+ * pixels of the training views; candidates are the faintest that together hold no more than a given
+ * share of all weight, which bounds what can change whatever the size of pictures and Gaussians,
+ * and those that few photographs see, floaters close to one camera.
  *
- * One pass over the photographs measures, a second one checks: a removal that costs more than the
- * option allows is taken back. Views are added in the order of the list.
+ * Candidates go behind all others, the weakest last, so that drawing fewer rows is drawing without
+ * the weakest. How many can go is bisected: a few photographs drawn again may lose no more than the
+ * option allows. One pass over the photographs measures; at coarser levels of short runs only some
+ * of them do, and then nobody is a candidate for being seen by few.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -23,6 +25,12 @@
 #include "train/residual.h"
 
 enum { PRUNE_SUMS = 8, PRUNE_PIXELS = 1, PRUNE_SHARE = 2 };
+enum {
+    PRUNE_STEPS = 40, /* of the level for a photograph that measures: together 2 % of its time */
+    PRUNE_LEAST = 16, /* photographs that measure, if there are so many */
+    PRUNE_CHECKS = 8, /* photographs that are drawn again */
+    PRUNE_HALVES = 5  /* bisections: to a 32nd of the candidates */
+};
 
 struct prune {
     struct model *m;
@@ -31,6 +39,7 @@ struct prune {
     cl_mem weight; /* zeros: only alpha T is of interest */
     size_t weight_bytes;
     float *total;                    /* [n] */
+    double *mse;                     /* [n_images] of photographs as they were drawn first */
     uint16_t *views;                 /* [n] */
     struct residual_list *residuals; /* NULL: not wanted (any more) */
 };
@@ -50,9 +59,10 @@ static enum err_code prune_draw(struct prune *c, size_t nth, double *mse, struct
         rc = context_photo_value(ctx, &p, e);
     if (!rc)
         rc = photometric_read(ctx->loss, &v, e);
-    *mse += v.mse / (double)ctx->n_images;
+    *mse = v.mse;
     if (!rc && c->residuals)
-        rc = residual_add(c->residuals, p.name, v.mse, v.ssim, e);
+        rc = residual_add(c->residuals, p.name, residual_mse(&p, v.mse), residual_ssim(&p, v.ssim),
+                          residual_coverage(ctx->ground, &p.cam), e);
     size_t bytes = (size_t)p.cam.width_px * p.cam.height_px * sizeof(float);
     if (rc || !c->device || bytes <= c->weight_bytes)
         return rc;
@@ -65,21 +75,29 @@ static enum err_code prune_draw(struct prune *c, size_t nth, double *mse, struct
     return rc;
 }
 
-static enum err_code prune_measure(struct prune *c, double *mse, struct err *e)
+/* Photograph k of m that are spread evenly over all. */
+static size_t prune_nth(const struct prune *c, size_t k, size_t m)
+{
+    return k * c->ctx->n_images / m;
+}
+
+static enum err_code prune_measure(struct prune *c, size_t n_views, struct err *e)
 {
     struct model *m = c->m;
     struct context *ctx = c->ctx;
     size_t n = m->gauss.n;
     c->total = mem_array(n, sizeof(float));
     c->views = mem_array(n, sizeof(uint16_t));
-    if (!c->total || !c->views)
+    c->mse = mem_array(ctx->n_images, sizeof(double));
+    if (!c->total || !c->views || !c->mse)
         return err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     enum err_code rc = render_importance_open(ctx->render, &c->device, e);
     if (!rc)
         rc = context_filter(ctx, m, e);
-    for (size_t v = 0; !rc && v < ctx->n_images; v++) {
+    for (size_t v = 0; !rc && v < n_views; v++) {
         const float *sums = NULL;
-        rc = prune_draw(c, v, mse, e);
+        size_t nth = prune_nth(c, v, n_views);
+        rc = prune_draw(c, nth, &c->mse[nth], e);
         if (!rc)
             rc = render_importance_run(c->device, &m->gauss, c->weight, &sums, e);
         for (size_t i = 0; !rc && i < n; i++) {
@@ -124,66 +142,140 @@ void prune_choose(const float *sum, const uint16_t *views, size_t n, double shar
 
 /* ---- removing rows ---- */
 
-/* Rows that stay in front, the others behind them, each in their order; and the inverse. */
-static void prune_order(const uint8_t *keep, size_t n, size_t n_keep, uint32_t *there,
-                        uint32_t *back)
+struct prune_rank {
+    float total;
+    uint32_t row;
+};
+static int prune_by_total(const void *a, const void *b)
 {
-    size_t front = 0, behind = n_keep;
-    for (size_t i = 0; i < n; i++) {
-        size_t d = keep[i] ? front++ : behind++;
-        there[d] = (uint32_t)i;
-        back[i] = (uint32_t)d;
-    }
+    const struct prune_rank *x = a, *y = b;
+    int order = (x->total < y->total) - (x->total > y->total);
+    return order ? order : (x->row > y->row) - (x->row < y->row);
 }
 
-/* Keep the rows of `keep`, look at the photographs again, take it back if need be: until then those
- * that go lie behind the last row that is drawn. */
-static enum err_code prune_apply(struct prune *c, const uint8_t *keep, size_t n_keep, double mse,
-                                 struct prune_report *r, struct err *e)
+/* Rows that stay in front, in their order; candidates behind them, the weakest last. */
+static enum err_code prune_order(const struct prune *c, const uint8_t *keep, size_t n,
+                                 size_t n_keep, uint32_t *order, struct err *e)
+{
+    struct prune_rank *rank = mem_array(n - n_keep, sizeof *rank);
+    size_t front = 0, behind = 0;
+    if (!rank)
+        return err_set(e, ERR_MEM, "pruning: out of memory for %zu candidates", n - n_keep);
+    for (size_t i = 0; i < n; i++)
+        if (keep[i])
+            order[front++] = (uint32_t)i;
+        else
+            rank[behind++] = (struct prune_rank){c->total[i], (uint32_t)i};
+    qsort(rank, behind, sizeof *rank, prune_by_total);
+    for (size_t k = 0; k < behind; k++)
+        order[n_keep + k] = rank[k].row;
+    mem_free(rank);
+    return ERR_OK;
+}
+
+/* PSNR of some photographs, drawn with the first n rows; n 0: as they were at first. */
+static enum err_code prune_psnr(struct prune *c, size_t n, size_t n_views, double *db,
+                                struct err *e)
+{
+    size_t m = n_views < PRUNE_CHECKS ? n_views : PRUNE_CHECKS;
+    double sum = 0.0;
+    enum err_code rc = n ? model_show(c->m, n, e) : ERR_OK;
+    if (!rc && n)
+        rc = context_filter(c->ctx, c->m, e);
+    for (size_t k = 0; !rc && k < m; k++) { /* of those that were measured */
+        size_t nth = prune_nth(c, k * n_views / m, n_views);
+        double mse = c->mse[nth];
+        if (n)
+            rc = prune_draw(c, nth, &mse, e);
+        sum += mse / (double)m;
+    }
+    *db = -10.0 * log10(sum);
+    return rc;
+}
+
+/* How many of the candidates, the last rows, can go. */
+static enum err_code prune_bisect(struct prune *c, size_t n, size_t n_candidates, size_t n_views,
+                                  struct prune_report *r, struct err *e)
+{
+    size_t lo = 0, hi = n_candidates;
+    double before, all = 0.0;
+    enum err_code rc = prune_psnr(c, 0, n_views, &before, e);
+    for (size_t k = 0; k < n_views; k++)
+        all += c->mse[prune_nth(c, k, n_views)] / (double)n_views;
+    r->psnr_before_db = -10.0 * log10(all);
+    for (int k = 0; !rc && k <= PRUNE_HALVES && lo < hi; k++) {
+        size_t go = k ? lo + (hi - lo + 1) / 2 : hi; /* all of them first */
+        double db;
+        rc = prune_psnr(c, n - go, n_views, &db, e);
+        if (db >= before - c->ctx->cfg->prune_loss_db) {
+            lo = go;
+            r->lost_db = before - db;
+        } else {
+            hi = go - 1;
+        }
+        if (!rc && signals_stopping())
+            rc = err_set(e, ERR_CANCEL, "stopped while pruning");
+    }
+    r->removed = rc ? 0 : lo;
+    return rc;
+}
+
+/* Put candidates behind, see how many can go, and put the rest back where they were. */
+static enum err_code prune_apply(struct prune *c, const uint8_t *keep, size_t n_keep,
+                                 size_t n_views, struct prune_report *r, struct err *e)
 {
     struct model *m = c->m;
-    struct context *ctx = c->ctx;
-    size_t n = m->gauss.n;
+    struct err why = {0};
+    size_t n = m->gauss.n, left = 0;
     uint32_t planes = m->gauss.planes, *order = mem_array(2 * n, sizeof *order);
-    double after = 0.0;
-    if (!order)
-        return err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
-    prune_order(keep, n, n_keep, order, order + n);
-    enum err_code rc = model_move(m, &(struct permutation){order, n, n, planes}, n, e);
+    uint32_t *back = order + n;
+    enum err_code rc = order ? prune_order(c, keep, n, n_keep, order, e)
+                             : err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     if (!rc)
-        rc = model_show(m, n_keep, e);
-    if (!rc)
-        rc = context_filter(ctx, m, e);
-    c->residuals = NULL; /* the second pass only draws */
-    for (size_t v = 0; !rc && v < ctx->n_images; v++)
-        rc = prune_draw(c, v, &after, e);
-    r->psnr_before_db = -10.0 * log10(mse);
-    r->psnr_after_db = -10.0 * log10(after);
-    r->undone = !(r->psnr_after_db >= r->psnr_before_db - ctx->cfg->prune_loss_db);
-    if (!rc && r->undone)
-        rc = model_show(m, n, e);
-    if (!rc && r->undone)
-        rc = model_move(m, &(struct permutation){order + n, n, n, planes}, n, e);
-    else if (!rc)
-        rc = model_forget(m, e);
+        rc = model_move(m, &(struct permutation){order, n, n, planes}, n, e);
+    if (rc) {
+        mem_free(order);
+        return rc;
+    }
+    c->residuals = NULL; /* they know these photographs */
+    rc = prune_bisect(c, n, n - n_keep, n_views, r, e);
+    for (size_t i = 0; i < n; i++)
+        back[i] = UINT32_MAX;
+    for (size_t d = 0; d < n - r->removed; d++)
+        back[order[d]] = (uint32_t)d;
+    for (size_t i = 0; i < n; i++)
+        if (back[i] != UINT32_MAX)
+            order[left++] = back[i];
+    enum err_code done = model_show(m, n, &why);
+    if (!done)
+        done = model_move(m, &(struct permutation){order, left, n, planes}, n, &why);
+    if (!rc && done)
+        rc = err_set(e, done, "%s", why.msg);
     mem_free(order);
     return rc;
+}
+
+/* Photographs that measure: all at the finest level, whose residuals are wanted. */
+static size_t prune_views(const struct context *ctx, const struct residual_list *residuals)
+{
+    size_t some = context_schedule(ctx)->steps / PRUNE_STEPS;
+    some = some > PRUNE_LEAST ? some : PRUNE_LEAST;
+    return some < ctx->n_images && !residuals ? some : ctx->n_images;
 }
 
 enum err_code prune_level(struct model *m, struct context *ctx, struct prune_report *out,
                           struct residual_list *residuals, struct err *e)
 {
     struct prune c = {.m = m, .ctx = ctx, .residuals = residuals};
-    double mse = 0.0;
-    size_t n = m->gauss.n;
+    size_t n = m->gauss.n, n_views = prune_views(ctx, residuals);
     uint32_t support = (uint32_t)ctx->cfg->prune_support;
     *out = (struct prune_report){.before = n};
     if (!(ctx->cfg->prune_contribution > 0.0) && !support)
         return ERR_OK;
-    if (ctx->n_images < 2 * support) /* then few views are all there are */
+    if (n_views < ctx->n_images || ctx->n_images < 2 * support) /* then few say nothing */
         support = 0;
     uint8_t *keep = mem_array(n, 1);
-    enum err_code rc = keep ? prune_measure(&c, &mse, e)
+    enum err_code rc = keep ? prune_measure(&c, n_views, e)
                             : err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     render_importance_close(&c.device);
     float *scratch = rc ? NULL : mem_array(n, sizeof *scratch);
@@ -193,11 +285,12 @@ enum err_code prune_level(struct model *m, struct context *ctx, struct prune_rep
         prune_choose(c.total, c.views, n, ctx->cfg->prune_contribution, support, scratch, keep,
                      out);
     mem_free(scratch);
-    mem_free(c.total);
-    mem_free(c.views);
     size_t n_keep = n - out->faint - out->unsupported;
     if (!rc && n_keep && n_keep < n)
-        rc = prune_apply(&c, keep, n_keep, mse, out, e);
+        rc = prune_apply(&c, keep, n_keep, n_views, out, e);
+    mem_free(c.total);
+    mem_free(c.views);
+    mem_free(c.mse);
     dev_release(&c.weight);
     mem_free(keep);
     return rc;

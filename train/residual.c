@@ -16,13 +16,22 @@
 
 #include <jansson.h>
 
+#include "cells/footprint.h"
+#include "core/camera.h"
+#include "train/photo_loader.h"
+
 #define RESIDUAL_NORMAL 0.6745 /* MAD of a normal distribution of deviation 1 */
 #define RESIDUAL_MSE_MIN 1e-10 /* far below what 8 bits resolve: keeps the logarithm finite */
 #define RESIDUAL_MAD_MIN 1e-3
-enum { RESIDUAL_FIRST = 64 };
+enum {
+    RESIDUAL_FIRST = 64,
+    RESIDUAL_ALIKE_LEAST = 16, /* photographs of like coverage that one is compared with */
+    RESIDUAL_ALIKE_MOST = 200,
+    RESIDUAL_PLACES = 12 /* of a picture, a side */
+};
 
 enum err_code residual_add(struct residual_list *l, const char *name, double mse, double ssim,
-                           struct err *e)
+                           double coverage, struct err *e)
 {
     if (l->n == l->cap) {
         size_t cap = l->cap ? 2 * l->cap : RESIDUAL_FIRST;
@@ -32,8 +41,43 @@ enum err_code residual_add(struct residual_list *l, const char *name, double mse
         l->rows = rows;
         l->cap = cap;
     }
-    l->rows[l->n++] = (struct residual){.name = name, .mse = mse, .ssim = ssim};
+    l->rows[l->n++] =
+        (struct residual){.name = name, .mse = mse, .ssim = ssim, .coverage = coverage};
     return ERR_OK;
+}
+
+double residual_coverage(const struct footprint *ground, const struct camera *cam)
+{
+    double from[3], ray[3], sum = 0.0;
+    if (!ground || !ground->nx)
+        return 0.0;
+    camera_center(cam, from);
+    for (int k = 0; k < RESIDUAL_PLACES * RESIDUAL_PLACES; k++) {
+        footprint_ray(cam, (k % RESIDUAL_PLACES + 0.5) / RESIDUAL_PLACES * cam->width_px,
+                      (double)(k / RESIDUAL_PLACES) / RESIDUAL_PLACES * cam->height_px, ray);
+        ptrdiff_t cell = footprint_meets(ground, from, ray);
+        sum += cell < 0 ? 0.0 : log2(1.0 + ground->views[cell]);
+    }
+    return sum / (RESIDUAL_PLACES * RESIDUAL_PLACES);
+}
+
+/* Pixels for a used one. */
+static double residual_share(const struct photo *p)
+{
+    size_t n = (size_t)p->cam.width_px * p->cam.height_px, used = 0;
+    for (size_t i = 0; p->mask && i < n; i++)
+        used += p->mask[i] != 0;
+    return used ? (double)n / (double)used : 1.0;
+}
+
+double residual_ssim(const struct photo *p, double ssim)
+{
+    return 1.0 - (1.0 - ssim) * residual_share(p);
+}
+
+double residual_mse(const struct photo *p, double mse)
+{
+    return mse * residual_share(p);
 }
 
 void residual_clear(struct residual_list *l)
@@ -69,21 +113,48 @@ static int residual_by_z(const void *a, const void *b)
     return order ? order : strcmp(x->name, y->name);
 }
 
+static int residual_by_coverage(const void *a, const void *b)
+{
+    const struct residual *x = a, *y = b;
+    int order = (x->coverage > y->coverage) - (x->coverage < y->coverage);
+    return order ? order : strcmp(x->name, y->name);
+}
+
+/* z of every x among those around it; x is in order of coverage. scratch: 2 n. */
+static void residual_z_alike(const struct residual_list *l, const double *x, double *scratch,
+                             double *z)
+{
+    size_t n = l->n, alike = n / 3;
+    alike = alike > RESIDUAL_ALIKE_MOST ? RESIDUAL_ALIKE_MOST : alike;
+    alike = alike < RESIDUAL_ALIKE_LEAST ? RESIDUAL_ALIKE_LEAST : alike;
+    bool known = n > alike && l->rows[0].coverage < l->rows[n - 1].coverage;
+    if (!known)
+        residual_z(x, n, RESIDUAL_MAD_MIN, scratch, z);
+    for (size_t i = 0; known && i < n; i++) {
+        size_t from = i < alike / 2 ? 0 : i - alike / 2;
+        from = from + alike > n ? n - alike : from;
+        residual_z(x + from, alike, RESIDUAL_MAD_MIN, scratch, scratch + n);
+        z[i] = scratch[n + i - from];
+    }
+}
+
 enum err_code residual_rank(struct residual_list *l, struct err *e)
 {
     size_t n = l->n;
-    double *x = mem_array(3 * n, sizeof *x);
+    double *x = mem_array(4 * n, sizeof *x);
     if (!x)
         return err_set(e, ERR_MEM, "residuals: out of memory for %zu photographs", n);
-    double *scratch = x + n, *z = x + 2 * n;
+    double *z = x + n, *scratch = z + n;
+    if (n)
+        qsort(l->rows, n, sizeof *l->rows, residual_by_coverage);
     for (size_t i = 0; i < n; i++)
         x[i] = log(fmax(l->rows[i].mse, RESIDUAL_MSE_MIN));
-    residual_z(x, n, RESIDUAL_MAD_MIN, scratch, z);
+    residual_z_alike(l, x, scratch, z);
     for (size_t i = 0; i < n; i++) {
         l->rows[i].z_mse = z[i];
         x[i] = 1.0 - l->rows[i].ssim;
     }
-    residual_z(x, n, RESIDUAL_MAD_MIN, scratch, z);
+    residual_z_alike(l, x, scratch, z);
     l->n_suspicious = 0;
     for (size_t i = 0; i < n; i++) {
         struct residual *r = &l->rows[i];

@@ -9,12 +9,17 @@
 
 #include "core/base.h"
 
+struct camera;
+struct footprint;
+struct photo;
+
 #define RESIDUAL_LIMIT 3.0 /* robust z-scores above it are suspicious */
 
 struct residual {         /* one photograph */
     const char *name;     /* borrowed from the scene */
     double mse;           /* mean squared error, colours 0..1 */
     double ssim;          /* zero padded, as in the loss */
+    double coverage;      /* how many photographs show the same; 0: not known */
     double z_mse, z_ssim; /* by residual_rank: of ln mse, of 1 - ssim; larger fits worse */
     double z;             /* the larger of the two */
 };
@@ -25,12 +30,19 @@ struct residual_list { /* {0} is empty; residual_free */
 };
 /* Add a row. ERR_MEM. */
 enum err_code residual_add(struct residual_list *l, const char *name, double mse, double ssim,
-                           struct err *e) ERR_USE;
+                           double coverage, struct err *e) ERR_USE;
+/* Of a camera: mean of log2(1 + training photographs that show a place) over places of its picture.
+ * 0 without ground. */
+double residual_coverage(const struct footprint *ground, const struct camera *cam);
+/* What a mean over all pixels, masked ones counted as a perfect fit, is over the used ones. */
+double residual_ssim(const struct photo *p, double ssim);
+double residual_mse(const struct photo *p, double mse);
 void residual_clear(struct residual_list *l); /* n = 0, the room stays */
 void residual_free(struct residual_list *l);
 
 /* Robust z-scores, 0.6745 (x - median) / MAD (Iglewicz and Hoaglin 1993), of the logarithm of the
- * squared error and of 1 - SSIM; sorts the rows by z, worst first, ties by name. A MAD below a
+ * squared error and of 1 - SSIM, among the third of the photographs (at least 16, at most 200) whose
+ * coverage is nearest: at the rim of a survey all fit worse. Sorts the rows by z, worst first, ties by name. A MAD below a
  * thousandth of what the numbers are made of counts as that, so that photographs which all fit
  * alike are not suspected for rounding. ERR_MEM. */
 enum err_code residual_rank(struct residual_list *l, struct err *e) ERR_USE;

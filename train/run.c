@@ -11,6 +11,7 @@
 
 #include <jansson.h>
 
+#include "cells/footprint.h"
 #include "loss/photometric.h"
 #include "train/appearance_train.h"
 #include "train/budget.h"
@@ -49,6 +50,7 @@ struct run {
     uint64_t last_saved; /* steps of this process when the state was last saved */
     struct train_cell_result *result;
     uint32_t *images; /* training, then held-out photographs */
+    struct footprint ground;
     int lock_fd;
 };
 
@@ -158,9 +160,16 @@ static enum err_code run_start(struct run *t, struct err *e)
             "train",
             "%s of an unfinished run is ignored and will be replaced; --resume goes on from it",
             t->resume_path);
-    enum err_code rc = init_gauss(l->ctx.scene, l->ctx.images, l->ctx.n_images, &l->ctx.cell,
-                                  (uint32_t)t->cfg->sh_degree, l->ctx.schedule[0].budget,
-                                  (uint64_t)t->cfg->seed, &g, e);
+    const struct init_input first = {.scene = l->ctx.scene,
+                                     .images = l->ctx.images,
+                                     .n_images = l->ctx.n_images,
+                                     .cell = &l->ctx.cell,
+                                     .ground = l->ctx.ground,
+                                     .ground_share = t->cfg->seed_ground,
+                                     .sh_degree = (uint32_t)t->cfg->sh_degree,
+                                     .limit = l->ctx.schedule[0].budget,
+                                     .seed = (uint64_t)t->cfg->seed};
+    enum err_code rc = init_gauss(&first, &g, e);
     if (!rc && appearance_train_is_on(&l->ctx.appearance))
         rc = appearance_train_embed(&l->ctx.appearance, (uint64_t)t->cfg->seed, &g, e);
     if (!rc)
@@ -294,7 +303,7 @@ static enum err_code run_residuals(struct run *t, struct residual_list *r, struc
     char path[FILE_PATH_MAX];
     enum { NAMED = 3 };
     struct level *l = &t->level;
-    if (!r->n || l->ctx.at + 1 < l->ctx.n_levels)
+    if (!r->n)
         return ERR_OK;
     enum err_code rc = residual_rank(r, e);
     if (!rc)
@@ -316,7 +325,9 @@ static enum err_code run_prune(struct run *t, struct err *e)
     struct level *l = &t->level;
     struct prune_report r = {0};
     struct residual_list residuals = {0};
-    enum err_code rc = l->ctx.pruned ? ERR_OK : prune_level(&l->model, &l->ctx, &r, &residuals, e);
+    bool finest = l->ctx.at + 1 == l->ctx.n_levels;
+    enum err_code rc =
+        l->ctx.pruned ? ERR_OK : prune_level(&l->model, &l->ctx, &r, finest ? &residuals : NULL, e);
     l->ctx.pruned = !rc;
     if (!rc)
         rc = run_residuals(t, &residuals, e);
@@ -324,16 +335,17 @@ static enum err_code run_prune(struct run *t, struct err *e)
     if (rc || !(r.faint + r.unsupported))
         return rc;
     log_info("train",
-             "level=%u prune before=%zu faint=%zu unsupported=%zu train_psnr_db=%.3f after=%.3f%s",
-             l->ctx.at + 1, r.before, r.faint, r.unsupported, r.psnr_before_db, r.psnr_after_db,
-             r.undone ? ": taken back" : "");
-    return metrics_log_line(
-        l->ctx.metrics, "prune",
-        json_pack("{s:i, s:I, s:I, s:I, s:o, s:o, s:b}", "level", (int)l->ctx.at + 1, "before",
-                  (json_int_t)r.before, "faint", (json_int_t)r.faint, "unsupported",
-                  (json_int_t)r.unsupported, "psnr_before_db", jsonc_real(r.psnr_before_db),
-                  "psnr_after_db", jsonc_real(r.psnr_after_db), "undone", (int)r.undone),
-        e);
+             "level=%u prune before=%zu faint=%zu unsupported=%zu removed=%zu train_psnr_db=%.3f "
+             "lost_db=%.3f",
+             l->ctx.at + 1, r.before, r.faint, r.unsupported, r.removed, r.psnr_before_db,
+             r.lost_db);
+    return metrics_log_line(l->ctx.metrics, "prune",
+                            json_pack("{s:i, s:I, s:I, s:I, s:I, s:o, s:f}", "level",
+                                      (int)l->ctx.at + 1, "before", (json_int_t)r.before, "faint",
+                                      (json_int_t)r.faint, "unsupported", (json_int_t)r.unsupported,
+                                      "removed", (json_int_t)r.removed, "psnr_before_db",
+                                      jsonc_real(r.psnr_before_db), "lost_db", r.lost_db),
+                            e);
 }
 
 /* Score and save the level in work, and remove results of finer levels, which belong to an older
@@ -504,6 +516,17 @@ static enum err_code run_check_warmup(const struct run *t, struct err *e)
                          warmup, ctx->schedule[0].steps);
 }
 
+/* What the sparse points and photographs say about where there can be Gaussians. */
+static enum err_code run_ground(struct run *t, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    if (t->cfg->free_space > 0.0 || t->cfg->seed_ground > 0.0)
+        rc = footprint_of(t->job->scene, &t->ground, e);
+    if (!rc && t->ground.nx)
+        t->level.ctx.ground = &t->ground;
+    return rc;
+}
+
 /* Everything up to the first step; *done: there is nothing to do. */
 static enum err_code run_open(struct run *t, bool *done, struct err *e)
 {
@@ -527,7 +550,9 @@ static enum err_code run_open(struct run *t, bool *done, struct err *e)
         return rc;
     run_tell_memory(t);
     run_tell_length(t);
-    rc = run_start(t, e);
+    rc = run_ground(t, e);
+    if (!rc)
+        rc = run_start(t, e);
     if (!rc)
         rc = run_write_config(t, e);
     return rc ? rc : run_open_metrics(t, e);
@@ -569,6 +594,7 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
     level_close(&t->level);
     metrics_log_close(&t->level.ctx.metrics);
     done_unlock(&t->lock_fd);
+    footprint_free(&t->ground);
     mem_free(t->images);
     mem_free(t);
     return rc;

@@ -82,6 +82,9 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
     s->densify_until = (uint32_t)floor((double)s->steps * b->until + 0.5);
     /* Not shrunk: a run shorter than the interval is better without resets than with hasty ones. */
     s->reset_interval = schedule_round((double)cfg->reset_interval * fmax(kappa, 1.0));
+    /* The first Gaussians may be as large as the gaps between points; later levels begin without
+     * such. Shrinks with the run, which need not have a reset. */
+    s->size_from = s->level == 1 ? schedule_round((double)cfg->reset_interval * kappa) : 0;
     s->sh_degree = (uint32_t)cfg->sh_degree;
     s->sh_interval = s->level == 1 ? schedule_round((double)cfg->sh_interval * shrink) : 0;
     s->tau = b->tau;
@@ -170,9 +173,9 @@ bool schedule_resets(const struct schedule *s, uint32_t step)
     return step > 0 && step % s->reset_interval == 0 && step <= schedule_last_reset(s);
 }
 
-bool schedule_was_reset(const struct schedule *s, uint32_t step)
+bool schedule_limits_size(const struct schedule *s, uint32_t step)
 {
-    return step > s->reset_interval && schedule_last_reset(s) >= s->reset_interval;
+    return step > s->size_from;
 }
 
 uint32_t schedule_sh_degree(const struct schedule *s, uint32_t step)

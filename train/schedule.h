@@ -19,6 +19,7 @@ struct schedule {             /* of one level; steps are 1-based and restart at 
     uint32_t interval, densify_from,
         densify_until; /* densify when from < step < until and interval | step */
     uint32_t reset_interval;
+    uint32_t size_from;              /* huge Gaussians are removed after this step */
     uint32_t sh_interval, sh_degree; /* sh_interval 0: the full degree from the start */
     bool absgrad;
     double tau;
@@ -40,8 +41,8 @@ uint32_t schedule_densify_count(const struct schedule *s);
 /* x of this step, or 0 when it does not densify. */
 uint32_t schedule_densify_index(const struct schedule *s, uint32_t step);
 bool schedule_resets(const struct schedule *s, uint32_t step);
-/* Has an opacity reset happened at this level before `step`? */
-bool schedule_was_reset(const struct schedule *s, uint32_t step);
+/* May a densification at this step remove Gaussians for their size? */
+bool schedule_limits_size(const struct schedule *s, uint32_t step);
 uint32_t schedule_sh_degree(const struct schedule *s, uint32_t step);
 double schedule_lr_mean(const struct schedule *s, uint32_t step);
 #endif

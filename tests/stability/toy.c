@@ -230,10 +230,14 @@ void toy_run_open(struct toy_run *r, const char *dir, const struct train_config 
     struct err e = {0};
     struct gauss g = {0};
     toy_run_prepare(r, dir, cfg);
-    kit_ok(init_gauss(&r->scene, r->images, r->n_images, &r->level.ctx.cell,
-                      (uint32_t)cfg->sh_degree, r->level.ctx.schedule[0].budget,
-                      (uint64_t)cfg->seed, &g, &e),
-           e);
+    const struct init_input in = {.scene = &r->scene,
+                                  .images = r->images,
+                                  .n_images = r->n_images,
+                                  .cell = &r->level.ctx.cell,
+                                  .sh_degree = (uint32_t)cfg->sh_degree,
+                                  .limit = r->level.ctx.schedule[0].budget,
+                                  .seed = (uint64_t)cfg->seed};
+    kit_ok(init_gauss(&in, &g, &e), e);
     if (appearance_train_is_on(&r->level.ctx.appearance))
         kit_ok(appearance_train_embed(&r->level.ctx.appearance, (uint64_t)cfg->seed, &g, &e), e);
     kit_ok(level_open(&r->level, &g, &e), e);

@@ -1,0 +1,167 @@
+/* What the sparse points say of the ground, in training: first Gaussians where no point is, and none in
+ * free space.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <math.h>
+#include <string.h>
+
+#include "cells/cell.h"
+#include "cells/footprint.h"
+#include "codec/scene.h"
+#include "tests/kit.h"
+#include "train/densify_plan.h"
+#include "train/init.h"
+
+enum { SIDE = 5, PLANES = 18 };
+#define HEIGHT_M 50.0
+#define GROUND_M 7.0
+static const struct cell everything = {
+    .id = "all", .whole = true, .edge_m = 200.0, .extent_m = 200.0};
+
+/* A nadir flight over flat ground, 5 x 5 photographs 20 m apart, of 80 x 60 m each. Points every 4 m, green
+ * in the north and red in the south, and none east of x = 20. */
+static void survey(struct scene *s)
+{
+    memset(s, 0, sizeof *s);
+    s->n_images = SIDE * SIDE;
+    s->images = arena_get(&s->arena, s->n_images, sizeof *s->images);
+    s->points = arena_get(&s->arena, 51 * 51, sizeof *s->points);
+    for (size_t i = 0; i < s->n_images; i++) {
+        const double down[9] = {1, 0, 0, 0, -1, 0, 0, 0, -1},
+                     at[3] = {20.0 * (double)(i % SIDE) - 40, 20.0 * (double)(i / SIDE) - 40,
+                              GROUND_M + HEIGHT_M};
+        struct camera *c = &s->images[i].cam;
+        *c = (struct camera){
+            .width_px = 80, .height_px = 60, .fx_px = 50, .fy_px = 50, .cx_px = 40, .cy_px = 30};
+        memcpy(c->rot, down, sizeof down);
+        for (int a = 0; a < 3; a++)
+            c->trans[a] =
+                -(down[3 * a] * at[0] + down[3 * a + 1] * at[1] + down[3 * a + 2] * at[2]);
+    }
+    for (size_t i = 0; i < 51 * 51; i++) {
+        double x = 4.0 * (double)(i % 51) - 100, y = 4.0 * (double)(i / 51) - 100;
+        if (x <= 20)
+            s->points[s->n_points++] = (struct scene_point){
+                .enu_m = {x, y, GROUND_M}, .rgb = {y < 0 ? 200 : 0, y < 0 ? 0 : 200, 0}};
+    }
+}
+
+static bool seen(double x, double y)
+{
+    return fabs(x) < 80 && fabs(y) < 70; /* the union of the pictures has no holes */
+}
+
+static void ground_without_points_gets_gaussians(void **state)
+{
+    (void)state;
+    struct scene s;
+    struct footprint f;
+    struct gauss plain, g;
+    struct err e = {0};
+    uint32_t images[SIDE * SIDE];
+    survey(&s);
+    for (uint32_t i = 0; i < SIDE * SIDE; i++)
+        images[i] = i;
+    kit_ok(footprint_of(&s, &f, &e), e);
+    struct init_input in = {.scene = &s,
+                            .images = images,
+                            .n_images = SIDE * SIDE,
+                            .cell = &everything,
+                            .limit = 10000,
+                            .seed = 3};
+    kit_ok(init_gauss(&in, &plain, &e), e);
+    assert_int_equal(plain.n, s.n_points);
+    in.ground = &f;
+    in.ground_share = 1.0;
+    kit_ok(init_gauss(&in, &g, &e), e);
+    assert_true(g.n > plain.n);
+    size_t east = 0, room = 0;
+    for (size_t i = plain.n; i < g.n; i++) {
+        double x = g.origin_enu_m[0] + (double)g.mean_m[3 * i],
+               y = g.origin_enu_m[1] + (double)g.mean_m[3 * i + 1],
+               z = g.origin_enu_m[2] + (double)g.mean_m[3 * i + 2];
+        assert_true(seen(x, y) && fabs(z - GROUND_M) < 1e-3);
+        east += x > 20;
+        if (fabs(y) > 8) /* the nearest point's colour */
+            assert_true((g.sh[3 * i] > 0) == (y < 0) && (g.sh[3 * i + 1] > 0) == (y > 0));
+    }
+    for (size_t i = 0; i < f.nx * f.ny; i++)
+        room +=
+            !f.has_points[i] && f.views[i] && f.corner_m[0] + (double)(i % f.nx) * f.cell_m > 20;
+    print_message("%zu points, %zu places of ground, %zu of them in the east\n", plain.n,
+                  g.n - plain.n, east);
+    assert_true(east > 100 && east >= room);
+    size_t all = g.n - plain.n;
+    gauss_free(&g);
+    in.limit = plain.n + all / 2; /* half of them, spread out */
+    kit_ok(init_gauss(&in, &g, &e), e);
+    assert_int_equal(g.n, in.limit);
+    gauss_free(&g);
+    in.limit = 10000;
+    in.ground_share = 0.01;
+    kit_ok(init_gauss(&in, &g, &e), e);
+    assert_int_equal(g.n, plain.n + 100);
+    gauss_free(&g);
+    in.n_images = 1; /* only what that photograph sees: x -80 to 0, all with points */
+    in.ground_share = 1.0;
+    kit_ok(init_gauss(&in, &g, &e), e);
+    for (size_t i = plain.n; i < g.n; i++)
+        assert_true(g.origin_enu_m[0] + (double)g.mean_m[3 * i] < 0);
+    gauss_free(&g);
+    gauss_free(&plain);
+    footprint_free(&f);
+    arena_free(&s.arena);
+}
+
+static void what_floats_is_removed(void **state)
+{
+    (void)state;
+    /* at the ground, 4 m and 6 m above, 6 m below, 40 m up, and 40 m up where nothing is known */
+    static const float mean[6][3] = {{0, 0, 7},  {10, 0, 11}, {-20, 10, 13},
+                                     {0, 30, 1}, {5, 5, 47},  {9000, 0, 47}};
+    static const uint32_t kept[3] = {0, 1, 5};
+    enum { N = 6 };
+    float params[LAYOUT_LANES * PLANES] = {0}, grad[N] = {0};
+    struct scene s;
+    struct footprint f;
+    struct densify_plan plan;
+    struct err e = {0};
+    survey(&s);
+    kit_ok(footprint_of(&s, &f, &e), e);
+    for (size_t i = 0; i < N; i++) {
+        for (uint32_t k = 0; k < 3; k++)
+            params[k * LAYOUT_LANES + i] = mean[i][k] - (k == 2 ? 3.0f : 0.0f);
+        params[6 * LAYOUT_LANES + i] = 1.0f;
+    }
+    struct densify_params p = {.cell = &everything,
+                               .origin_enu_m = {0, 0, 3},
+                               .cap_inside = 100,
+                               .tau = 1.0,
+                               .tau_outside = 4.0,
+                               .split_above_m = 100.0,
+                               .prune_opacity = 0.005,
+                               .ground = &f,
+                               .free_space_m = 5.0};
+    struct densify_input in = {.params = params, .n = N, .planes = PLANES, .mean_grad = grad};
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
+    assert_int_equal(plan.n, 3);
+    for (size_t i = 0; i < plan.n; i++)
+        assert_int_equal(plan.rows[i].source, kept[i]);
+    densify_plan_free(&plan);
+    p.ground = NULL;
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
+    assert_int_equal(plan.n, N);
+    densify_plan_free(&plan);
+    footprint_free(&f);
+    arena_free(&s.arena);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(ground_without_points_gets_gaussians),
+        cmocka_unit_test(what_floats_is_removed),
+    };
+    return cmocka_run_group_tests_name("ground", tests, NULL, NULL);
+}
