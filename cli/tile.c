@@ -536,6 +536,41 @@ static enum err_code tile_crop(struct tile_scene *s, const struct scene *scene, 
     return rc || own ? rc : footprint_read(&s->footprint, crop, &scene->origin, e);
 }
 
+/* Name and attribution of the store. */
+static enum err_code tile_describe(const struct tile_options *o, const struct scene *scene,
+                                   struct pyramid_config *cfg, struct err *e)
+{
+    const char *attribution = o->attribution ? o->attribution : scene->attribution;
+    if (strlen(attribution ? attribution : "") >= sizeof cfg->attribution)
+        return err_set(e, ERR_ARG, "--attribution: at most %zu bytes", sizeof cfg->attribution - 1);
+    snprintf(cfg->attribution, sizeof cfg->attribution, "%s", attribution ? attribution : "");
+    if (o->name)
+        snprintf(cfg->name, sizeof cfg->name, "%s", o->name);
+    else
+        splats_name(o->output, cfg->name);
+    return ERR_OK;
+}
+
+/* What the store keeps besides tiles; empty ones are left out. The blobs borrow the bytes; *out:
+ * caller frees with mem_free. */
+static enum err_code tile_blobs(const struct photographs *photographs, const struct buf *appearance,
+                                const struct buf *ground, struct store_blob **out, size_t *n,
+                                struct err *e)
+{
+    struct store_blob *blobs = mem_array(photographs->n_blobs + 2, sizeof *blobs);
+    if (!blobs)
+        return err_set(e, ERR_MEM, "out of memory for %zu blobs", photographs->n_blobs);
+    *n = 0;
+    for (size_t i = 0; i < photographs->n_blobs; i++)
+        blobs[(*n)++] = photographs->blobs[i];
+    if (appearance->size)
+        blobs[(*n)++] = (struct store_blob){BAKE_BLOB, appearance->data, appearance->size};
+    if (ground->size)
+        blobs[(*n)++] = (struct store_blob){STORE_FOOTPRINT, ground->data, ground->size};
+    *out = blobs;
+    return ERR_OK;
+}
+
 static enum err_code tile_run(const char *dir, const struct tile_options *o, struct err *e)
 {
     atomic_size_t cropped = 0;
@@ -565,16 +600,7 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
     if (rc || o->update)
         goto out;
     tile_warn_missing(&s);
-    const char *attribution = o->attribution ? o->attribution : scene.attribution;
-    if (strlen(attribution ? attribution : "") >= sizeof cfg.attribution) {
-        rc = err_set(e, ERR_ARG, "--attribution: at most %zu bytes", sizeof cfg.attribution - 1);
-        goto out;
-    }
-    snprintf(cfg.attribution, sizeof cfg.attribution, "%s", attribution ? attribution : "");
-    if (o->name)
-        snprintf(cfg.name, sizeof cfg.name, "%s", o->name);
-    else
-        splats_name(o->output, cfg.name);
+    rc = tile_describe(o, &scene, &cfg, e);
     for (uint8_t i = 0; !rc && i < s.n_levels; i++) {
         rc = tile_open_level(&s, (uint8_t)(i + 1), &level[i], e);
         levels[i] = (struct pyramid_level){
@@ -589,16 +615,10 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
         rc = footprint_write(&s.footprint, &scene.origin, &ground, e);
     if (!rc && appearance.size)
         rc = tile_photographs(&scene, &appearance, o->thumbnails, &photographs, e);
-    struct store_blob *blobs = mem_array(photographs.n_blobs + 2, sizeof *blobs);
+    struct store_blob *blobs = NULL;
     size_t n_blobs = 0;
-    if (!rc && !blobs)
-        rc = err_set(e, ERR_MEM, "out of memory for %zu blobs", photographs.n_blobs);
-    for (size_t i = 0; !rc && i < photographs.n_blobs; i++)
-        blobs[n_blobs++] = photographs.blobs[i];
-    if (!rc && appearance.size)
-        blobs[n_blobs++] = (struct store_blob){BAKE_BLOB, appearance.data, appearance.size};
-    if (!rc && ground.size)
-        blobs[n_blobs++] = (struct store_blob){STORE_FOOTPRINT, ground.data, ground.size};
+    if (!rc)
+        rc = tile_blobs(&photographs, &appearance, &ground, &blobs, &n_blobs, e);
     if (!rc)
         rc = pyramid_build(&scene.origin, levels, s.n_levels, &cfg, blobs, n_blobs, o->output,
                            &report, e);

@@ -140,5 +140,5 @@ extern "C" double geoid_above(const struct geoid *g, double lon_deg, double lat_
 try {
     return (*g->model)(lat_deg, lon_deg);
 } catch (...) {
-    return NAN;
+    return (double)NAN;
 }
