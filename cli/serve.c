@@ -6,7 +6,9 @@
 #include <pthread.h>
 #include <signal.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <time.h>
+#include <unistd.h>
 
 #include "cli/cli.h"
 #include "server/server.h"
@@ -52,6 +54,7 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
     struct arena arena = {0};
     struct server *sv = NULL;
     sigset_t hup;
+    bool hung = false, told = false;
     sigemptyset(&hup);
     sigaddset(&hup, SIGHUP);
     enum err_code rc = options_parse(&spec, argc, argv, &cfg, &args, &arena, e);
@@ -71,10 +74,21 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
         if (sigtimedwait(&hup, NULL, &wait) == SIGHUP)
             serve_reload(sv);
         server_expire(sv, clock_s());
+        hung = server_hangs_s(sv) > 0;
+        if (hung && !told)
+            log_error("serve", "the device hangs in a picture: pictures are off until it returns");
+        told = hung;
+        if (hung && cfg.exit_hung) {
+            rc = err_set(e, ERR_DEVICE, "the device hangs, and --exit-hung is set");
+            break;
+        }
     }
     log_info("serve", "stopping: answers under way are finished first");
 out:
-    server_stop(&sv);
+    if (!server_stop(&sv)) {
+        fflush(stdout);
+        _exit(rc ? EXIT_FAILURE : EXIT_SUCCESS); /* not through the driver's own end */
+    }
     arena_free(&arena);
     return rc;
 }

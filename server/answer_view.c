@@ -23,7 +23,14 @@ bool answer_can_draw(struct services *s, struct response *out)
         out->retry_after_s = 10;
         return false;
     }
-    return true;
+    double hangs_s = services_hangs_s(s);
+    if (hangs_s > 0) {
+        snprintf(text, sizeof text, "the device has not answered for %.0f s; tiles are served",
+                 hangs_s);
+        response_problem(out, 503, text);
+        out->retry_after_s = 10;
+    }
+    return !(hangs_s > 0);
 }
 
 /* False, with the problem set, when pictures cannot be made or this one is too large. */

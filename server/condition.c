@@ -175,7 +175,7 @@ static bool condition_take_date(const char *p, int64_t *out)
 
 bool condition_not_modified(const char *header, int64_t modified_s)
 {
-    int64_t since;
+    int64_t since = 0;
     return header && modified_s && condition_take_date(condition_skip_space(header), &since) &&
            modified_s <= since;
 }

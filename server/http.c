@@ -26,7 +26,7 @@
 #include "server/screen.h"
 #include "server/watch.h"
 
-enum { HTTP_THREADS_MAX = 4 };
+enum { HTTP_THREADS_MAX = 4, HTTP_SPARE = 64 /* connections: to answer those over the limit */ };
 static const double HTTP_OVER_S = 1; /* for the request of a connection too many */
 
 struct http {
@@ -409,7 +409,7 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
         threads = pool_cores() < HTTP_THREADS_MAX ? (unsigned)pool_cores() : HTTP_THREADS_MAX;
     struct MHD_OptionItem options[] = {
         {MHD_OPTION_LISTEN_SOCKET, fd, NULL},
-        {MHD_OPTION_CONNECTION_LIMIT, 2 * cfg->max_connections, NULL},
+        {MHD_OPTION_CONNECTION_LIMIT, 2 * cfg->max_connections + HTTP_SPARE, NULL},
         {MHD_OPTION_CONNECTION_TIMEOUT, (intptr_t)(cfg->idle_timeout_s + cfg->write_timeout_s) + 1,
          NULL},
         {MHD_OPTION_CONNECTION_MEMORY_LIMIT, cfg->max_header_kb << 10, NULL},

@@ -20,6 +20,7 @@
 #include <pthread.h>
 #include <stdio.h>
 #include <string.h>
+#include <time.h>
 
 #include "core/pool.h"
 #include "server/failure.h"
@@ -55,7 +56,9 @@ struct jobs { /* all but cfg and workers by `lock` */
     struct job *table[TABLE];
     struct failures failures;
     bool drew_view; /* the last that was drawn */
-    bool stopping;
+    bool stopping, drawer_ended;
+    double drawing_since_s; /* 0: the thread that draws waits for work */
+    pthread_cond_t ended;
     struct job_stats stats;
 };
 
@@ -216,6 +219,8 @@ static void job_worker_main(void *user)
     if (view && js->cfg.view_enter)
         js->cfg.view_enter(js->cfg.user);
     pthread_mutex_lock(&js->lock);
+    if (view)
+        js->drawing_since_s = 0;
     while (!js->stopping) {
         struct job *j = view ? job_next_drawn(js) : job_next_tile(js);
         if (!j) {
@@ -224,14 +229,22 @@ static void job_worker_main(void *user)
         }
         j->running = true;
         j->started_s = clock_s();
+        if (view)
+            js->drawing_since_s = j->started_s;
         js->stats.running[j->cls]++;
         pthread_mutex_unlock(&js->lock);
         job_run(js, j, w->index);
         pthread_mutex_lock(&js->lock);
+        if (view)
+            js->drawing_since_s = 0;
     }
     pthread_mutex_unlock(&js->lock);
     if (view && js->cfg.view_leave)
         js->cfg.view_leave(js->cfg.user);
+    pthread_mutex_lock(&js->lock);
+    js->drawer_ended |= view;
+    pthread_cond_broadcast(&js->ended);
+    pthread_mutex_unlock(&js->lock);
 }
 
 /* ---- the interface ---- */
@@ -252,6 +265,9 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
     pthread_mutex_init(&js->lock, NULL);
     pthread_cond_init(&js->tile_ready, NULL);
     pthread_cond_init(&js->view_ready, NULL);
+    pthread_cond_init(&js->ended, NULL);
+    js->drawing_since_s = cfg->view_thread ? clock_s() : 0;
+    js->drawer_ended = !cfg->view_thread;
     for (int c = 0; c < JOB_CLASSES && !rc; c++)
         rc = turn_open(c == JOB_VIEW, &js->queue[c], e);
     if (!rc)
@@ -264,8 +280,9 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
         w->index = js->n_workers;
         rc = pool_start(job_worker_main, w, &w->thread, e);
     }
+    js->drawer_ended |= js->n_workers < n; /* it was never started */
     if (rc)
-        job_close(out);
+        (void)job_close(out);
     return rc;
 }
 
@@ -513,7 +530,33 @@ bool job_idle(struct jobs *js)
     return busy == 0;
 }
 
-void job_stop(struct jobs *js)
+double job_drawing_s(struct jobs *js)
+{
+    pthread_mutex_lock(&js->lock);
+    double since_s = js->drawing_since_s;
+    pthread_mutex_unlock(&js->lock);
+    return since_s > 0 ? clock_s() - since_s : 0;
+}
+
+/* Wait for the thread that draws, as long as that may take. */
+static bool job_await_drawer(struct jobs *js)
+{
+    double wait_s = js->cfg.stop_s > 0 ? js->cfg.stop_s : 10;
+    struct timespec end;
+    clock_gettime(CLOCK_REALTIME, &end);
+    end.tv_sec += (time_t)wait_s;
+    end.tv_nsec += (long)((wait_s - floor(wait_s)) * 1e9);
+    end.tv_sec += end.tv_nsec / 1000000000;
+    end.tv_nsec %= 1000000000;
+    pthread_mutex_lock(&js->lock);
+    while (!js->drawer_ended && !pthread_cond_timedwait(&js->ended, &js->lock, &end))
+        continue;
+    bool ended = js->drawer_ended;
+    pthread_mutex_unlock(&js->lock);
+    return ended;
+}
+
+bool job_stop(struct jobs *js)
 {
     static const struct job_result stop = {
         .end = JOB_SHED, .code = ERR_BUSY, .msg = "the server is stopping"};
@@ -523,20 +566,24 @@ void job_stop(struct jobs *js)
     pthread_cond_broadcast(&js->view_ready);
     pthread_mutex_unlock(&js->lock);
     job_claim_where(js, 0, &stop, true);
+    bool ended = job_await_drawer(js);
     for (size_t i = 0; i < js->n_workers; i++)
-        if (js->workers[i].thread)
+        if (js->workers[i].thread && (ended || i < js->cfg.tile_threads))
             pool_join(&js->workers[i].thread);
+    return ended;
 }
 
-void job_close(struct jobs **out)
+bool job_close(struct jobs **out)
 {
     struct jobs *js = *out;
-    *out = NULL;
     if (!js)
-        return;
-    job_stop(js);
+        return true;
+    if (!job_stop(js))
+        return false;
+    *out = NULL;
     pthread_cond_destroy(&js->tile_ready);
     pthread_cond_destroy(&js->view_ready);
+    pthread_cond_destroy(&js->ended);
     pthread_mutex_destroy(&js->lock);
     for (int c = 0; c < JOB_CLASSES; c++) {
         turn_close(&js->queue[c]);
@@ -544,4 +591,5 @@ void job_close(struct jobs **out)
     }
     mem_free(js->workers);
     mem_free(js);
+    return true;
 }

@@ -41,6 +41,7 @@ struct job_config {
                             client's oldest first, in turns */
     size_t queue_limit[JOB_CLASSES];
     double client_views_s, client_tiles_s; /* new ones a second of one client; 0: any number */
+    double stop_s; /* how long job_stop waits for the thread that draws; 0 = 10 s */
     double slow_s; /* a failed job is not tried again for this long, doubling to 60 s; 0 = 2 s */
     void *user;
     /* Make the body of `work`; poll job_cancelled where it is cheap. Tile threads pass worker
@@ -78,8 +79,13 @@ void job_tick(struct jobs *js, double now_s);
 int job_retry_after(struct jobs *js, enum job_class cls);
 void job_count(struct jobs *js, struct job_stats *out);
 bool job_idle(struct jobs *js); /* nothing queued, nothing running */
-/* Refuse new work, wake every waiter with JOB_SHED, wait for the running jobs (cancelled), join. */
-void job_stop(struct jobs *js);
-void job_close(struct jobs **js); /* job_stop, then free */
+/* How long the thread that draws has been at what it does now, its start counted; 0: it waits for work. */
+double job_drawing_s(struct jobs *js);
+/* Refuse new work, wake every waiter with JOB_SHED, wait for the running jobs (cancelled), join. False:
+ * the thread that draws does not end (stop_s): a driver hangs, which nobody can stop, and nothing that it
+ * uses may be freed. */
+bool job_stop(struct jobs *js);
+/* job_stop, then free. False: as there; *js stays, and this may be tried again. */
+bool job_close(struct jobs **js);
 
 #endif

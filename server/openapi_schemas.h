@@ -106,7 +106,7 @@
     X("State",                                                                                     \
       "{'type':'object','required':['status'],'properties':{'status':{'type':'string','enum':"     \
       "['ok','ready','degraded']},'failed':{'type':'object','additionalProperties'"                \
-      ":" OPENAPI_INTEGER "},'reload':" OPENAPI_TEXT "}}")                                         \
+      ":" OPENAPI_INTEGER "},'reload':" OPENAPI_TEXT ",'pictures':" OPENAPI_TEXT "}}")             \
     X("Version",                                                                                   \
       "{'type':'object','required':['name','version','datasets','pictures'],'properties':{'name'"  \
       ":" OPENAPI_TEXT ",'version':" OPENAPI_TEXT ",'datasets':{'type':'object',"                  \

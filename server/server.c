@@ -152,14 +152,23 @@ void server_expire(struct server *sv, double now_s)
     catalog_drop(&now);
 }
 
-void server_stop(struct server **out)
+bool server_stop(struct server **out)
 {
     struct server *sv = *out;
     *out = NULL;
     if (!sv)
-        return;
+        return true;
     http_close(&sv->http);
-    services_free(&sv->services);
+    bool ended = services_free(&sv->services);
+    if (!ended)
+        log_error("serve", "the device does not return from a call; its thread is left behind");
     log_stop(1);
-    mem_free(sv);
+    if (ended)
+        mem_free(sv);
+    return ended;
+}
+
+double server_hangs_s(struct server *sv)
+{
+    return services_hangs_s(&sv->services);
 }

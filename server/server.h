@@ -65,7 +65,10 @@ enum err_code server_reload(struct server *s, struct err *e) ERR_USE;
 void server_expire(struct server *s, double now_s);
 
 /* Stop listening, finish what is under way within the configured times, free everything. Accepts
- * NULL inside, leaves NULL. */
-void server_stop(struct server **s);
+ * NULL inside, leaves NULL. False: the device hangs in a call that does not return; what its thread uses
+ * is not freed, and the program had better end without waiting for it (_exit). */
+bool server_stop(struct server **s);
+/* Seconds that the device has been at one picture beyond --device-timeout-s; 0: it is well. */
+double server_hangs_s(struct server *s);
 
 #endif

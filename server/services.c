@@ -46,15 +46,16 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     if (!rc)
         s->landing->modified_s = s->conformance->modified_s = s->api->modified_s = now_s;
     if (rc)
-        services_free(s);
+        (void)services_free(s);
     return rc;
 }
 
-void services_free(struct services *s)
+bool services_free(struct services *s)
 {
     if (!s->cfg)
-        return;
-    job_close(&s->jobs);
+        return true;
+    if (!job_close(&s->jobs))
+        return false;
     picture_close(&s->picture);
     catalog_drop(&s->catalog);
     static_free(&s->web);
@@ -67,6 +68,7 @@ void services_free(struct services *s)
     body_drop(&s->api);
     pthread_mutex_destroy(&s->catalog_lock);
     s->cfg = NULL;
+    return true;
 }
 
 struct catalog *services_catalog(struct services *s)
@@ -86,4 +88,10 @@ void services_set_catalog(struct services *s, struct catalog *c, const char *rel
         snprintf(s->reload_error, sizeof s->reload_error, "%s", reload_error);
     pthread_mutex_unlock(&s->catalog_lock);
     catalog_drop(&was);
+}
+
+double services_hangs_s(struct services *s)
+{
+    double drawing_s = s->picture && s->jobs ? job_drawing_s(s->jobs) : 0;
+    return s->cfg->device_timeout_s > 0 && drawing_s > s->cfg->device_timeout_s ? drawing_s : 0;
 }

@@ -191,7 +191,7 @@ enum err_code watch_open(size_t most, struct services *s, void (*gone)(struct jo
                          struct watch **out, struct err *e)
 {
     struct watch *w = mem_array(1, sizeof *w);
-    size_t limit = most * 2 + 16; /* those over the limit as well */
+    size_t limit = most * 2 + 128; /* those over the limit as well */
     *out = w;
     if (!w || !(w->slot = mem_array(limit, sizeof *w->slot))) {
         mem_free(w);

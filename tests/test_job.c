@@ -461,6 +461,43 @@ static void test_stopping_answers_everyone(void **state)
     bench_close(&b);
 }
 
+/* A picture that does not return and takes no notice of being told to stop: it is known how long that has
+ * lasted, everyone is answered, and stopping gives up; when it returns after all, everything ends. */
+static void test_a_device_that_hangs(void **state)
+{
+    static struct client c[3];
+    struct bench b;
+    struct err e = {0};
+    (void)state;
+    memset(c, 0, sizeof c);
+    bench_open(&b, 1, false, 4, 8); /* for its locks */
+    assert_true(job_close(&b.jobs));
+    const struct job_config cfg = {.tile_threads = 1,
+                                   .view_thread = true,
+                                   .queue_limit = {4, 4, 4, 4},
+                                   .stop_s = 0.2,
+                                   .user = &b,
+                                   .run = item_run,
+                                   .drop = item_drop};
+    kit_ok(job_open(&cfg, &b.jobs, &e), e);
+    for (int i = 0; i < 500 && job_drawing_s(b.jobs) > 0; i++)
+        nap_ms(10); /* the thread starts */
+    assert_true(job_drawing_s(b.jobs) == 0);
+    assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, false), 60), ERR_OK);
+    await(&b, &b.runs, 1);
+    assert_int_equal(ask(&b, &c[1], JOB_VIEW, item_new(&b, 1, ERR_OK, false), 60), ERR_OK);
+    nap_ms(50);
+    assert_true(job_drawing_s(b.jobs) >= 0.05);
+    double start_s = clock_s();
+    assert_false(job_close(&b.jobs));
+    assert_true(clock_s() - start_s >= 0.2 && clock_s() - start_s < 5);
+    assert_int_equal(b.woken, 2);
+    assert_int_equal(c[0].w.result.end, JOB_SHED);
+    assert_non_null(b.jobs);
+    bench_close(&b); /* opens the gate */
+    assert_null(b.jobs);
+}
+
 /* Four threads ask, leave and let deadlines pass at random: every client ends exactly once. */
 struct storm {
     struct bench *b;
@@ -528,6 +565,7 @@ int main(void)
         cmocka_unit_test(test_a_cancelled_view_is_not_shared),
         cmocka_unit_test(test_deadlines),
         cmocka_unit_test(test_stopping_answers_everyone),
+        cmocka_unit_test(test_a_device_that_hangs),
         cmocka_unit_test(test_storm),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
