@@ -303,10 +303,20 @@ static enum err_code init_ground_colours(struct init_points *p, size_t n, struct
     return rc;
 }
 
+/* How many more the cell may have outside of its box: together at most half of the first level's budget. */
+static size_t init_ground_outside(const struct init_input *in, const struct init_points *p)
+{
+    size_t n = 0, most = in->cell->whole ? SIZE_MAX : in->limit / 2;
+    for (size_t i = 0; i < p->n; i++)
+        n += cell_distance(in->cell, p->enu_m[3 * i], p->enu_m[3 * i + 1]) > 0.0;
+    return n < most ? most - n : 0;
+}
+
 /* Add them behind the points there are. */
 static enum err_code init_ground(const struct init_input *in, struct init_points *p, struct err *e)
 {
     size_t cells = in->ground->nx * in->ground->ny, n = p->n, taken = 0;
+    size_t outside = init_ground_outside(in, p);
     double *place = mem_array(3 * cells, sizeof *place);
     size_t found = place ? init_ground_places(in, place) : 0;
     size_t most = (size_t)(in->ground_share * (double)in->limit);
@@ -322,7 +332,11 @@ static enum err_code init_ground(const struct init_input *in, struct init_points
                            : err_set(e, ERR_MEM, "init: out of memory for %zu cells", cells);
     for (size_t i = 0; !rc && i < found && taken < most; i++) {
         double left = (double)(found - i), want = (double)(most - taken); /* as above */
-        if (rng_unit(in->seed, stream, i) * left < want)
+        if (rng_unit(in->seed, stream, i) * left >= want)
+            continue;
+        bool out = cell_distance(in->cell, place[3 * i], place[3 * i + 1]) > 0.0;
+        outside -= out && outside;
+        if (!out || outside)
             memcpy(p->enu_m + 3 * (n + taken++), place + 3 * i, 3 * sizeof *place);
     }
     mem_free(place);
