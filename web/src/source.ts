@@ -121,18 +121,21 @@ function useTrainedTiles(node: Node) {
 }
 
 // The network of this revision: fetched together with the tileset, and once more where the catalogue
-// was older than that.
+// was older than that. null where there is none to be had: the server's colours do without.
 async function fetchNetwork(
   link: Link,
   url: URL,
   tileset: Promise<TilesetDocument>,
-): Promise<Network> {
+): Promise<Network | null> {
   const early = link.json(url).catch(() => null);
-  const revision = (await tileset).asset?.tilesetVersion ?? "";
-  const own = new URL(url);
-  own.pathname = url.pathname.replace(/\/r\/\w+\//, `/r/${revision}/`);
-  const document = own.href === url.href ? await early : null;
-  return new Network(document ?? (await link.json(own)), new URL("appearances.json", own), link);
+  try {
+    const revision = (await tileset).asset?.tilesetVersion ?? "";
+    const own = new URL(`../${revision}/appearance.json`, url); // .../r/REV/appearance.json
+    const document = own.href === url.href ? await early : null;
+    return new Network(document ?? (await link.json(own)), new URL("appearances.json", own), link);
+  } catch {
+    return null;
+  }
 }
 
 // compute: colours are to be computed here, if the server lets us.
@@ -149,7 +152,7 @@ export async function openScene(
       tileset,
       fetchNetwork(link, entry.network, tileset),
     ]);
-    if (compute(network)) {
+    if (network && compute(network)) {
       if (document.root) useTrainedTiles(document.root);
       return describe(entry, url, document, network);
     }
