@@ -13,6 +13,7 @@ export interface SceneEntry {
   id: string;
   title: string;
   attribution: string;
+  catalogue: URL | null; // the folder of the server that lists it; null on a file server
   tileset: URL;
   appearances: URL | null; // null where it was trained without
   network: URL | null; // of its revision: colours can be computed here; null where they cannot
@@ -67,6 +68,7 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
     id,
     title: collection.title || id,
     attribution: plainText(collection.attribution ?? ""),
+    catalogue: base,
     tileset: new URL(href(VOLUMES) ?? `${folder}tileset.json`, base),
     appearances: appearances ? new URL(appearances, base) : null,
     network: network ? new URL(network, base) : null,
@@ -78,7 +80,8 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
 function entryOfTileset(tileset: URL): SceneEntry {
   const folder = decodeURIComponent(tileset.pathname.split("/").at(-2) ?? "");
   const id = folder || "city";
-  return { id, title: id, attribution: "", tileset, appearances: null, network: null, pictures: null };
+  const absent = { catalogue: null, appearances: null, network: null, pictures: null };
+  return { id, title: id, attribution: "", tileset, ...absent };
 }
 
 // The scenes at a URL: a server's folder, or a tileset.json.

@@ -454,7 +454,8 @@ export class Viewer {
     try {
       const next = await this.renew(scene, info.revision);
       if (!next || this.info !== info || this.closed) return;
-      const { fresh, tint, entry } = next;
+      const { fresh, tint, entry, all } = next;
+      this.scenes = all;
       this.scene = entry;
       this.info = fresh;
       this.tint = tint;
@@ -476,10 +477,12 @@ export class Viewer {
       const tint = await this.makeTint(fresh, first);
       const image = second === null ? null : await fresh.network?.find(second).catch(() => null);
       tint?.setSecond(image ?? null, second);
-      const all = await findScenes(this.link, new URL("./", scene.tileset)).catch(() => null);
-      const entry = all?.find((one) => one.id === scene.id) ?? scene;
+      const all = scene.catalogue
+        ? await findScenes(this.link, scene.catalogue).catch(() => this.scenes)
+        : this.scenes;
+      const entry = all.find((one) => one.id === scene.id) ?? scene;
       if (first === this.wantedAppearance && second === this.wantedSecond)
-        return { fresh, tint, entry };
+        return { fresh, tint, entry, all };
     }
   }
 
