@@ -281,6 +281,29 @@ test("photographs show, are small, and are chosen by mouse and by keys", skip, a
     assert.equal(await page.isVisible("#photos"), false);
 });
 
+// The server was away for a moment, and is back with the same city in another revision.
+async function comeBackAsAnother() {
+    const revision = "0123456789ab";
+    const old = folder.split("/").at(-1);
+    const tileset = (url) => url.pathname.endsWith(`/${NAME}/tileset.json`);
+    const network = (url) => url.pathname.includes(`/r/${revision}/`);
+    await page.route(tileset, async (route) => {
+        const response = await route.fetch();
+        const json = await response.json();
+        json.asset.tilesetVersion = revision;
+        await route.fulfill({ response, json });
+    });
+    await page.route(network, async (route) => {
+        const response = await route.fetch({ url: route.request().url().replace(revision, old) });
+        await route.fulfill({ response });
+    });
+    await page.evaluate(() => window.citysplat.viewer.link.lose());
+    await page.waitForFunction((id) => window.citysplat.viewer.info.revision === id, revision);
+    await waitForViewer(page);
+    await page.unroute(tileset);
+    await page.unroute(network);
+}
+
 test("two appearances lie side by side", skip, async () => {
     await wear(names[0]);
     const left = await picture();
@@ -306,6 +329,13 @@ test("two appearances lie side by side", skip, async () => {
     assert.ok(compare(left, line + 24, SIZE.width) > 4, "both sides look the same");
     assert.equal(await page.getAttribute("#appearance-divider", "aria-valuenow"), "48");
     assert.deepEqual(asked.filter((url) => /\/t\//.test(url)), []);
+    await comeBackAsAnother();
+    assert.equal(await page.evaluate(() => window.citysplat.viewer.secondAppearance), names[5]);
+    assert.ok(rmsDifference(both, await picture()) < 0.5, "another revision shows other appearances");
+    await page.evaluate(() => window.citysplat.viewer.setSecondAppearance("no-such-photograph"));
+    await page.waitForSelector("#problem:not([hidden])");
+    assert.equal(await page.evaluate(() => window.citysplat.viewer.secondAppearance), names[5]);
+    await page.click("#problem-retry");
     await page.click("#appearance-split");
     await choose("appearance-to", "");
     assert.ok(rmsDifference(left, await picture()) < 0.5, "the first one does not come back");

@@ -1,5 +1,6 @@
 // The client's SPZ decoder (web/src/spz.ts) against the definition: what it gives to the graphics
-// card must be what the file says, integer by integer.
+// card must be what the file says, integer by integer. Its Draco reader (web/src/draco.ts) on heads
+// that promise more than there is; whole tiles are read in appearance.test.mjs.
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
@@ -11,10 +12,15 @@ import { gunzipSync } from "node:zlib";
 
 import { decodeSpz as decodeReference, encodeSpz } from "./lib/spz.mjs";
 
-const SOURCE = fileURLToPath(new URL("../../web/src/spz.ts", import.meta.url));
-const { transformSync } = createRequire(SOURCE)("esbuild");
-const { code } = transformSync(readFileSync(SOURCE, "utf8"), { loader: "ts", target: "es2022" });
-const { decodeSpz } = await import(`data:text/javascript,${encodeURIComponent(code)}`);
+const SOURCES = fileURLToPath(new URL("../../web/src/", import.meta.url));
+const { transformSync } = createRequire(SOURCES)("esbuild");
+
+function load(name) {
+    const { code } = transformSync(readFileSync(SOURCES + name, "utf8"), { loader: "ts", target: "es2022" });
+    return import(`data:text/javascript,${encodeURIComponent(code)}`);
+}
+const { decodeSpz } = await load("spz.ts");
+const { readDraco } = await load("draco.ts");
 
 // A small generator of its own, so that the fixture never changes.
 function makeRandom(seed) {
@@ -111,4 +117,34 @@ test("the extent of a scene leaves its strays out", () => {
     near(core.min[0], -45, 1.5, "west");
     near(core.max[0], 44, 1.5, "east");
     near(core.max[1], 0, 1e-6, "top");
+});
+
+// A point cloud of Draco: its attributes as [id, components], and what follows their heads.
+function makeDraco(count, attributes, rest = []) {
+    const counted = [count, count >> 8, count >> 16, count >> 24].map((v) => v & 255);
+    const heads = attributes.flatMap(([id, components]) => [0, 2, components, 0, id]);
+    return Uint8Array.from([
+        ...Buffer.from("DRACO"),
+        ...[2, 2, 0, 0, 0, 0],
+        ...counted,
+        ...[1, attributes.length],
+        ...heads,
+        ...attributes.map(() => 1),
+        ...rest,
+    ]);
+}
+
+test("a Draco head that promises more than there is gets no memory", () => {
+    const plain = [254, 0, 1, 2, 3, 4, 5, 6, 7]; // no prediction, bytes; signs in the lowest bit
+    const cloud = readDraco(makeDraco(2, [[7, 3]], plain), 2);
+    assert.deepEqual([...cloud.attributes.get(7).values], [1, -2, 2, -3, 3, -4]);
+    const most = 1 << 22;
+    const refuse = (file, why) => assert.throws(() => readDraco(file, most), why);
+    refuse(makeDraco(most + 1, [[0, 3]]), /4194305 points/);
+    refuse(makeDraco(1, [[0, 0]]), /of 0 components/);
+    refuse(makeDraco(1, [[0, 65]]), /of 65 components/);
+    const wide = Array.from({ length: 64 }, (_, id) => [id, 64]);
+    refuse(makeDraco(most, wide), /4194304 points of 4096 numbers/);
+    refuse(makeDraco(most, [[0, 1]], plain), /4194304 points of 1 numbers in \d+ bytes/);
+    refuse(makeDraco(1, [[0, 1], [0, 1]], [254, 0, 1, 2, 254, 0, 1, 2]), /attribute 0 twice/);
 });

@@ -70,6 +70,7 @@ export class AppearanceControl {
     viewer.on("scene", () => this.begin());
     viewer.on("frame", () => {
       this.tell();
+      if (this.split.open && viewer.secondAppearance === null) this.tellSplit();
       if (this.unfilled && viewer.hasPicture) this.fillSoon();
     });
     viewer.on("appearance", () => this.tell());
@@ -182,9 +183,14 @@ export class AppearanceControl {
 
   private async showSplit(open: boolean) {
     await this.split.show(open ? this.to.value : null);
-    element("appearance-split").setAttribute("aria-pressed", String(open));
+    this.tellSplit();
+    if (this.split.open === open) await this.send();
+  }
+
+  private tellSplit() {
+    this.split.update();
+    element("appearance-split").setAttribute("aria-pressed", String(this.split.open));
     this.showEnds();
-    await this.send();
   }
 
   private chooseHere() {

@@ -13,7 +13,8 @@ const SCHEME_TAGGED = 0;
 const SCHEME_RAW = 1;
 const METADATA_DEPTH_MAX = 4;
 const ATTRIBUTES_MAX = 64;
-const POINTS_PER_BYTE_MAX = 1024;
+const COMPONENTS_MAX = 64; // of an attribute: those of an embedding
+const VALUES_PER_BYTE_MAX = 1024; // of all attributes together
 
 export type Metadata = Map<string, Uint8Array>;
 
@@ -247,8 +248,7 @@ export function readDraco(bytes: Uint8Array, mostPoints: number): DracoCloud {
   const from = new Reader(bytes);
   const { byAttribute, metadata } = readHead(from);
   const count = from.i32();
-  if (count < 1 || count > mostPoints || count > POINTS_PER_BYTE_MAX * bytes.length)
-    throw new Error(`Draco: ${count} points`);
+  if (count < 1 || count > mostPoints) throw new Error(`Draco: ${count} points`);
   if (from.u8() !== 1) throw new Error("Draco: more than one set of attributes");
   const number = from.varint();
   if (number < 1 || number > ATTRIBUTES_MAX) throw new Error(`Draco: ${number} attributes`);
@@ -256,13 +256,18 @@ export function readDraco(bytes: Uint8Array, mostPoints: number): DracoCloud {
     from.take(2); // kind, type: known by the id
     const components = from.u8();
     from.take(1); // normalised
+    if (components < 1 || components > COMPONENTS_MAX)
+      throw new Error(`Draco: an attribute of ${components} components`);
     return { components, id: from.varint() };
   });
+  const width = heads.reduce((sum, { components }) => sum + components, 0);
+  if (count * width > VALUES_PER_BYTE_MAX * bytes.length)
+    throw new Error(`Draco: ${count} points of ${width} numbers in ${bytes.length} bytes`);
   for (let i = 0; i < number; i++)
     if (from.u8() !== 1) throw new Error("Draco: an attribute that is not of integers");
   const attributes = new Map<number, DracoAttribute>();
   for (const { id, components } of heads) {
-    if (!components) throw new Error("Draco: an attribute without components");
+    if (attributes.has(id)) throw new Error(`Draco: attribute ${id} twice`);
     const values = readValues(from, count, components);
     attributes.set(id, { id, components, values, metadata: byAttribute.get(id) ?? new Map() });
   }

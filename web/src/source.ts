@@ -13,6 +13,7 @@ export interface SceneEntry {
   id: string;
   title: string;
   attribution: string;
+  catalogue: URL | null; // the folder of the server that lists it; null on a file server
   tileset: URL;
   appearances: URL | null; // null where it was trained without
   network: URL | null; // of its revision: colours can be computed here; null where they cannot
@@ -67,6 +68,7 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
     id,
     title: collection.title || id,
     attribution: plainText(collection.attribution ?? ""),
+    catalogue: base,
     tileset: new URL(href(VOLUMES) ?? `${folder}tileset.json`, base),
     appearances: appearances ? new URL(appearances, base) : null,
     network: network ? new URL(network, base) : null,
@@ -78,7 +80,8 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
 function entryOfTileset(tileset: URL): SceneEntry {
   const folder = decodeURIComponent(tileset.pathname.split("/").at(-2) ?? "");
   const id = folder || "city";
-  return { id, title: id, attribution: "", tileset, appearances: null, network: null, pictures: null };
+  const absent = { catalogue: null, appearances: null, network: null, pictures: null };
+  return { id, title: id, attribution: "", tileset, ...absent };
 }
 
 // The scenes at a URL: a server's folder, or a tileset.json.
@@ -121,18 +124,21 @@ function useTrainedTiles(node: Node) {
 }
 
 // The network of this revision: fetched together with the tileset, and once more where the catalogue
-// was older than that.
+// was older than that. null where there is none to be had: the server's colours do without.
 async function fetchNetwork(
   link: Link,
   url: URL,
   tileset: Promise<TilesetDocument>,
-): Promise<Network> {
+): Promise<Network | null> {
   const early = link.json(url).catch(() => null);
-  const revision = (await tileset).asset?.tilesetVersion ?? "";
-  const own = new URL(url);
-  own.pathname = url.pathname.replace(/\/r\/\w+\//, `/r/${revision}/`);
-  const document = own.href === url.href ? await early : null;
-  return new Network(document ?? (await link.json(own)), new URL("appearances.json", own), link);
+  try {
+    const revision = (await tileset).asset?.tilesetVersion ?? "";
+    const own = new URL(`../${revision}/appearance.json`, url); // .../r/REV/appearance.json
+    const document = own.href === url.href ? await early : null;
+    return new Network(document ?? (await link.json(own)), new URL("appearances.json", own), link);
+  } catch {
+    return null;
+  }
 }
 
 // compute: colours are to be computed here, if the server lets us.
@@ -149,7 +155,7 @@ export async function openScene(
       tileset,
       fetchNetwork(link, entry.network, tileset),
     ]);
-    if (compute(network)) {
+    if (network && compute(network)) {
       if (document.root) useTrainedTiles(document.root);
       return describe(entry, url, document, network);
     }

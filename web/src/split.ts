@@ -48,9 +48,15 @@ export class Split {
   // second: the appearance on the right; null: one alone.
   async show(second: string | null) {
     await this.viewer.setSecondAppearance(second, this.share);
-    this.divider.hidden = second === null;
+    this.update();
     this.divider.setAttribute("aria-label", text("appearance.divider"));
-    if (second !== null) this.move(this.share);
+    if (this.open) this.move(this.share);
+  }
+
+  // The line is where a second appearance is: the viewer has none where that was refused or another
+  // scene was opened.
+  update() {
+    this.divider.hidden = this.viewer.secondAppearance === null;
   }
 
   private move(share: number) {

@@ -134,6 +134,9 @@ export class Status {
     setText("stat-bytes", megabytes(state.received));
     setText("stat-memory", megabytes(state.memory));
     setText("stat-fps", state.framesPerSecond ? state.framesPerSecond.toFixed(0) : text("stat.idle"));
+    const { computesColours, scene } = this.viewer;
+    const by = computesColours ? "splats" : "pictures";
+    setText("stat-colours", scene?.appearances ? text(`settings.${by}`) : "–");
     setText("stat-link", text(`link.${state.link}`));
     const names = state.broken.map((one) => `${one.name}: ${one.why}`).join("; ");
     element("stat-broken").hidden = !names;

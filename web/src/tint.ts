@@ -30,6 +30,7 @@ function uniformsOf({ gaussian, hidden }: Network): number {
 export class Tint {
   // Of the appearance, and of the second one: tiles with another one are to be computed anew. 0: none.
   readonly versions: [number, number] = [0, 0];
+  readonly names: [string, string | null] = ["", null]; // of the two
   private readonly frames: [Frame | null, Frame | null] = [null, null];
   private readonly mesh: Mesh<BufferGeometry, RawShaderMaterial>;
   private readonly flat = new OrthographicCamera();
@@ -70,19 +71,17 @@ export class Tint {
   }
 
   // From now on this appearance.
-  set(image: Float32Array) {
+  set(image: Float32Array, name: string) {
     this.frames[0] = this.network.frame(image);
+    this.names[0] = name;
     this.versions[0] = ++this.count;
   }
 
   // The one on the right of a divided picture; null: none.
-  setSecond(image: Float32Array | null) {
+  setSecond(image: Float32Array | null, name: string | null) {
     this.frames[1] = image && this.network.frame(image);
     this.versions[1] = image ? ++this.count : 0;
-  }
-
-  get hasSecond(): boolean {
-    return this.frames[1] !== null;
+    this.names[1] = image && name;
   }
 
   // Into the current target, rows [from, from + count) of `height`; side 1 is the second appearance.

@@ -128,10 +128,10 @@ export class Viewer {
   private city: City | null = null;
   private currentMode: Mode = "splats";
   private wantedAppearance: string;
+  private wantedSecond: string | null = null; // right of the line
   private shownAppearance = "";
   private error: Error | null = null;
   private tint: Tint | null = null; // computes the colours; null where the server does
-  private tinted = ""; // the appearance that it has
   private mixingUntil = 0; // the appearance is being changed: quick frames before sharp ones
   private touched = false;
   private homeless = true; // the scene's extent is not known yet
@@ -304,16 +304,15 @@ export class Viewer {
     this.clearProblem();
     try {
       const image = await tint.network.find(appearance);
-      if (ticket !== this.opening || this.closed) return;
+      if (ticket !== this.opening || tint !== this.tint || this.closed) return;
       this.showTint(tint, image, appearance);
     } catch (error) {
-      this.refuseAppearance(error, ticket);
+      if (tint === this.tint) this.refuseAppearance(error, ticket);
     }
   }
 
   private showTint(tint: Tint, image: Float32Array, appearance: string) {
-    tint.set(image);
-    this.tinted = appearance;
+    tint.set(image, appearance);
     this.mixingUntil = performance.now() + MIXING_MS;
     this.wake();
   }
@@ -332,19 +331,33 @@ export class Viewer {
   }
 
   // Another appearance right of a part of the width; null: one alone. Needs colours that are computed
-  // here.
+  // here. One that is not there is a problem like any other, and leaves what is shown.
   async setSecondAppearance(appearance: string | null, share = 0.5): Promise<void> {
     const { tint } = this;
     if (!tint) return;
-    const image = appearance === null ? null : await tint.network.find(appearance);
-    if (tint !== this.tint || this.closed) return;
-    tint.setSecond(image);
-    this.splitAt(image ? share : null);
+    this.wantedSecond = appearance;
+    this.clearProblem();
+    const late = () => tint !== this.tint || appearance !== this.wantedSecond || this.closed;
+    try {
+      const image = appearance === null ? null : await tint.network.find(appearance);
+      if (late()) return;
+      tint.setSecond(image, appearance);
+      this.splitAt(image ? share : null);
+    } catch (error) {
+      if (late()) return;
+      this.wantedSecond = tint.names[1];
+      this.fail(error);
+    }
+  }
+
+  // The appearance right of the line; null: there is none.
+  get secondAppearance(): string | null {
+    return this.tint?.names[1] ?? null;
   }
 
   // The line between the two, as a part of the width; null: none.
   splitAt(share: number | null) {
-    if (this.city) this.city.split = this.tint?.hasSecond ? share : null;
+    if (this.city) this.city.split = this.secondAppearance === null ? null : share;
     this.mixingUntil = performance.now() + MIXING_MS;
     this.wake();
   }
@@ -386,7 +399,7 @@ export class Viewer {
     let tint: Tint | null;
     try {
       info = await this.describe(entry);
-      tint = await this.makeTint(info);
+      tint = await this.makeTint(info, this.wantedAppearance);
     } catch (error) {
       if (keep) this.refuseAppearance(error, ticket);
       else if (ticket === this.opening) this.fail(error);
@@ -394,6 +407,7 @@ export class Viewer {
     }
     if (ticket !== this.opening || this.closed) return;
     this.tint = tint;
+    this.wantedSecond = null;
     if (this.city) this.city.split = null;
     const sameScene = this.scene === entry;
     this.scene = entry;
@@ -423,12 +437,10 @@ export class Viewer {
     return openScene(this.link, entry, this.wantedAppearance, compute);
   }
 
-  private async makeTint(info: SceneInfo): Promise<Tint | null> {
-    if (!info.network) return null;
-    const appearance = this.wantedAppearance;
-    const tint = new Tint(info.network);
-    tint.set(await info.network.find(appearance));
-    this.tinted = appearance;
+  private async makeTint({ network }: SceneInfo, appearance: string): Promise<Tint | null> {
+    if (!network) return null;
+    const tint = new Tint(network);
+    tint.set(await network.find(appearance), appearance);
     return tint;
   }
 
@@ -440,17 +452,37 @@ export class Viewer {
     const { scene, info } = this;
     if (!scene || !info) return;
     try {
-      const fresh = await this.describe(scene);
-      if (this.scene !== scene || fresh.revision === info.revision || this.closed) return;
-      const tint = await this.makeTint(fresh);
-      const all = await findScenes(this.link, new URL("./", scene.tileset)).catch(() => null);
-      const entry = all?.find((one) => one.id === scene.id);
-      if (entry) this.scene = entry;
+      const next = await this.renew(scene, info.revision);
+      if (!next || this.info !== info || this.closed) return;
+      const { fresh, tint, entry, all } = next;
+      this.scenes = all;
+      this.scene = entry;
       this.info = fresh;
       this.tint = tint;
+      this.wantedSecond = this.secondAppearance; // null where the new revision has not that photograph
+      if (this.city && this.wantedSecond === null) this.city.split = null;
       this.city?.open(fresh, this.stage.frame, true, tint);
     } catch {
       // it is gone again, and the link says so
+    }
+  }
+
+  // The scene as it is now, in the appearances that are wanted when it is there: they may be changed
+  // on the way. null: it is of that revision still.
+  private async renew(scene: SceneEntry, revision: string) {
+    for (;;) {
+      const { wantedAppearance: first, wantedSecond: second } = this;
+      const fresh = await this.describe(scene);
+      if (fresh.revision === revision) return null;
+      const tint = await this.makeTint(fresh, first);
+      const image = second === null ? null : await fresh.network?.find(second).catch(() => null);
+      tint?.setSecond(image ?? null, second);
+      const all = scene.catalogue
+        ? await findScenes(this.link, scene.catalogue).catch(() => this.scenes)
+        : this.scenes;
+      const entry = all.find((one) => one.id === scene.id) ?? scene;
+      if (first === this.wantedAppearance && second === this.wantedSecond)
+        return { fresh, tint, entry, all };
     }
   }
 
@@ -669,7 +701,7 @@ export class Viewer {
   }
 
   private tellAppearance() {
-    const now = this.tint ? this.tinted : this.wantedAppearance;
+    const now = this.tint ? this.tint.names[0] : this.wantedAppearance;
     if (this.shownAppearance === now || !(this.tint ? this.city?.shows : this.city?.settled)) return;
     this.shownAppearance = now;
     this.emit("appearance", this.shownAppearance);

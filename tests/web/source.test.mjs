@@ -1,0 +1,80 @@
+// Where the client takes a scene from (web/src/source.ts), with answers made up here: the network of the
+// tileset's own revision, and baked tiles where there is no network to be had.
+//
+// SPDX-License-Identifier: Apache-2.0
+import assert from "node:assert/strict";
+import { createRequire } from "node:module";
+import { test } from "node:test";
+import { fileURLToPath } from "node:url";
+
+const SOURCE = fileURLToPath(new URL("../../web/src/source.ts", import.meta.url));
+const { buildSync } = createRequire(SOURCE)("esbuild");
+const [built] = buildSync({
+    entryPoints: [SOURCE],
+    bundle: true,
+    format: "esm",
+    write: false,
+    target: "es2022",
+}).outputFiles;
+const { openScene } = await import(
+    `data:text/javascript;base64,${Buffer.from(built.text).toString("base64")}`
+);
+
+const NEW = "0123456789ab";
+const OLD = "ba9876543210";
+const NETWORK = {
+    format: "citysplat-appearance-1",
+    gaussianLength: 1,
+    imageLength: 1,
+    hidden: 1,
+    weights: Buffer.alloc(4 * 11).toString("base64url"),
+    default: Buffer.alloc(4).toString("base64url"),
+};
+
+function tilesetOf(tilesetVersion) {
+    const transform = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
+    const boundingVolume = { box: [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1] };
+    const content = { uri: `r/${tilesetVersion}/t/14/0/0.glb` };
+    return { asset: { tilesetVersion }, root: { transform, boundingVolume, content } };
+}
+
+// Opens the scene below `base` whose catalogue is of revision OLD; network: answers by address.
+async function open(base, network) {
+    const asked = [];
+    const link = {
+        async json(url) {
+            asked.push(String(url));
+            if (url.pathname.endsWith("tileset.json")) return tilesetOf(NEW);
+            const found = network[url.href];
+            if (found === undefined) throw new Error(`404 ${url}`);
+            return found;
+        },
+    };
+    const entry = {
+        attribution: "",
+        tileset: new URL("tileset.json", base),
+        network: new URL(`r/${OLD}/appearance.json`, base),
+    };
+    const info = await openScene(link, entry, "dusk", () => true);
+    return { asked, info };
+}
+
+for (const base of ["http://city.test/d/fcity/", "http://city.test/d/r/", "http://city.test/r/x/d/r/"])
+    test(`${base}: the network is that of the tileset's revision`, async () => {
+        const { info } = await open(base, { [`${base}r/${NEW}/appearance.json`]: NETWORK });
+        assert.equal(info.network?.hidden, 1);
+        assert.equal(info.url, `${base}tileset.json?appearance=none`);
+        assert.match(info.document.root.content.uri, /\.drc$/);
+    });
+
+test("a network that is not there or not readable leaves baked tiles", async () => {
+    const base = "http://city.test/d/fcity/";
+    const own = `${base}r/${NEW}/appearance.json`;
+    for (const network of [{}, { [own]: { ...NETWORK, format: "another" } }, { [own]: null }]) {
+        const { asked, info } = await open(base, network);
+        assert.equal(info.network, null);
+        assert.equal(info.url, `${base}tileset.json?appearance=dusk`);
+        assert.equal(asked.at(-1), info.url);
+        assert.match(info.document.root.content.uri, /\.glb$/);
+    }
+});
