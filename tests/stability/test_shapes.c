@@ -212,7 +212,7 @@ static void many_intersections(size_t n, uint32_t width, uint32_t height, uint64
     kit_ok(render_open(dev_get(), &r, &e), e); /* fresh: every buffer has to grow to its size */
     kit_ok(render_model_upload(r, &g, &m, &e), e);
     r->intersection_max = want / 2;
-    kit_fails(render_forward(r, &m, &cam, &o, rgb, NULL, &e), ERR_LIMIT, e, "pairs");
+    kit_fails(render_forward(r, &m, &cam, &o, rgb, NULL, &e), ERR_LIMIT, e, "intersections");
     r->intersection_max = UINT64_MAX;
     kit_ok(render_forward(r, &m, &cam, &o, rgb, NULL, &e), e);
     uint64_t pairs = render_last_stats(r)->intersections;
