@@ -103,7 +103,7 @@ enum err_code photographs_of(const struct scene *s, const struct appearance *a, 
 {
     *out = (struct photographs){0};
     out->all = mem_array(s->n_images, sizeof *out->all);
-    out->blobs = mem_array(2 * s->n_images, sizeof *out->blobs);
+    out->blobs = mem_array(s->n_images, 2 * sizeof *out->blobs);
     if (!out->all || !out->blobs) {
         photographs_free(out);
         return err_set(e, ERR_MEM, "out of memory for %zu photographs", s->n_images);

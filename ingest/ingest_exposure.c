@@ -194,7 +194,7 @@ enum err_code ingest_exposure_find(struct ingest *g, struct err *e)
 {
     struct scene *s = &g->scene;
     struct exposure x = {.g = g};
-    double *next = mem_array(3 * s->n_points, sizeof *next);
+    double *next = mem_array(s->n_points, 3 * sizeof *next);
     x.first = mem_array(s->n_images + 1, sizeof *x.first);
     x.light = mem_array(s->n_tracks, sizeof *x.light);
     x.point = mem_array(s->n_points, sizeof *x.point);

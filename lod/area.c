@@ -207,6 +207,15 @@ bool area_touches(const struct area *a, struct key k)
     return west < a->east_deg && east > a->west_deg && south < a->north_deg && north > a->south_deg;
 }
 
+bool area_is_near(const struct area *a, struct key k, double margin)
+{
+    double nw[2], se[2], n = ldexp(1, k.z);
+    key_place(a->west_deg, a->north_deg, nw);
+    key_place(a->east_deg, a->south_deg, se);
+    return k.x - margin < se[0] * n && k.x + 1 + margin > nw[0] * n && k.y - margin < se[1] * n &&
+           k.y + 1 + margin > nw[1] * n;
+}
+
 static void area_mask_tiles(const struct area *a, const double corner[8], uint32_t w, uint32_t h,
                             uint8_t *in)
 {

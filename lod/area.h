@@ -35,6 +35,8 @@ void area_free(struct area *a);
 bool area_holds(const struct area *a, double lon_deg, double lat_deg);
 /* Does a tile of any zoom touch the box around the survey? */
 bool area_touches(const struct area *a, struct key k);
+/* The same of the tile widened on every side by `margin`, in edges of the tile. */
+bool area_is_near(const struct area *a, struct key k, double margin);
 /* in [h][w]: 1 where the centre of a pixel was surveyed, else 0. corner: of the picture in the
  * Mercator square: u, v of top left, top right, bottom left, bottom right; pixels lie evenly
  * between.

@@ -10,11 +10,10 @@
 #include "core/camera.h"
 #include "lod/outline.h"
 
-enum { MEASURE_PIECE_PX = 512, MEASURE_RIM_MAX = 400 };
+enum { MEASURE_PIECE_PX = 512, MEASURE_PIECE_MIN_PX = 16, MEASURE_RIM_MAX = 400 };
 
-/* A frame in the plan about the first place, and the places in it. */
-static enum err_code measure_plan(const struct nadir *n, const double (*lonlat)[2], size_t count,
-                                  struct geo_origin *frame, double (*at)[2], struct err *e)
+enum err_code measure_plan(const struct nadir *n, const double (*lonlat)[2], size_t count,
+                           struct geo_origin *frame, double (*at)[2], struct err *e)
 {
     *frame =
         (struct geo_origin){lonlat[0][0], lonlat[0][1], store_info(nadir_store(n))->origin.h_m};
@@ -23,7 +22,7 @@ static enum err_code measure_plan(const struct nadir *n, const double (*lonlat)[
         enum err_code rc = geo_to_enu(frame, lonlat[i][0], lonlat[i][1], frame->h_m, enu, e);
         if (rc)
             return rc;
-        if (!(hypot(enu[0], enu[1]) < 1e5))
+        if (!(hypot(hypot(enu[0], enu[1]), enu[2]) < MEASURE_REACH_M))
             return err_set(e, ERR_DATA, "place %zu is more than 100 km from the first", i + 1);
         memcpy(at[i], enu, sizeof at[i]);
     }
@@ -206,48 +205,87 @@ static void measure_pixel(struct measure_job *j, double x, double y, double h, d
     o->highest_m = fmax(o->highest_m, h);
 }
 
+struct measure_grid { /* of pieces over a box, columns and rows */
+    double pieces[2];
+    uint32_t px[2]; /* of a piece */
+};
+
+static struct measure_grid measure_grid(const double box[4], double pixel_m)
+{
+    struct measure_grid g;
+    for (size_t k = 0; k < 2; k++) {
+        double wide = fmax(ceil((box[2 + k] - box[k]) / pixel_m), MEASURE_PIECE_MIN_PX);
+        g.pieces[k] = ceil(wide / MEASURE_PIECE_PX);
+        g.px[k] = (uint32_t)ceil(wide / g.pieces[k]);
+    }
+    return g;
+}
+
+/* Pixels that are drawn, a thin box's pieces being wider than it. */
+static double measure_drawn(const double box[4], double pixel_m)
+{
+    struct measure_grid g = measure_grid(box, pixel_m);
+    return g.pieces[0] * g.px[0] * g.pieces[1] * g.px[1];
+}
+
+static enum err_code measure_check(const double box[4], double pixel_m, struct err *e)
+{
+    /* A grid may be some pixels larger than its box. */
+    double drawn = measure_drawn(box, pixel_m), most = MEASURE_PIXELS_MAX * 1.01, least = pixel_m;
+    if (drawn <= most)
+        return ERR_OK;
+    while (measure_drawn(box, least) > MEASURE_PIXELS_MAX)
+        least *= 1.01;
+    return err_set(e, ERR_DATA,
+                   "%.3g pixels of %g m: at most %.3g; from gsd_m %.3g on the polygon fits", drawn,
+                   pixel_m, MEASURE_PIXELS_MAX, least * 1.01);
+}
+
 /* A piece whose top left corner lies at (west, north) of the plan. It is drawn a pixel larger, so that
  * every pixel has its neighbours. */
-static enum err_code measure_piece(struct measure_job *j, double west, double north, uint32_t side,
-                                   struct err *e)
+static enum err_code measure_piece(struct measure_job *j, double west, double north,
+                                   const struct measure_grid *g, struct err *e)
 {
-    double px = j->out->pixel_m, wide = (side + 1) * px, lonlat[2], corner[8];
-    const double middle[2] = {west + 0.5 * wide, north - 0.5 * wide};
+    uint32_t w = g->px[0] + 1, h = g->px[1] + 1;
+    double px = j->out->pixel_m, lonlat[2], corner[8];
+    const double middle[2] = {west + 0.5 * w * px, north - 0.5 * h * px};
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < 4; i++) {
-        const double at[2] = {west + (double)(i & 1) * wide, north - (double)(i >> 1) * wide};
+        const double at[2] = {west + (double)(i & 1) * w * px, north - (double)(i >> 1) * h * px};
         rc = measure_unplan(&j->frame, at, lonlat, e);
         key_place(lonlat[0], lonlat[1], corner + 2 * i);
     }
     if (!rc)
         rc = measure_unplan(&j->frame, middle, lonlat, e);
-    if (rc || !area_mask(nadir_area(j->nadir), corner, side + 1, side + 1, j->in))
+    if (rc || !area_mask(nadir_area(j->nadir), corner, w, h, j->in))
         return rc;
-    const struct nadir_piece p = {lonlat[0], lonlat[1], 0, 1 / px, 1 / px, side + 1, side + 1};
+    const struct nadir_piece p = {lonlat[0], lonlat[1], 0, 1 / px, 1 / px, w, h};
     rc = nadir_draw(j->nadir, &p, NULL, j->height, e);
-    for (uint32_t v = 0; !rc && v < side; v++)
-        for (uint32_t u = 0; u < side; u++) {
-            size_t i = (size_t)v * (side + 1) + u;
+    for (uint32_t v = 0; !rc && v + 1 < h; v++)
+        for (uint32_t u = 0; u + 1 < w; u++) {
+            size_t i = (size_t)v * w + u;
             double x = west + (u + 0.5) * px, y = north - (v + 0.5) * px;
             if (j->in[i] && isfinite(j->height[i]) && outline_holds(j->at, j->count, x, y))
                 measure_pixel(j, x, y, (double)j->height[i], (double)j->height[i + 1],
-                              (double)j->height[i + side + 1]);
+                              (double)j->height[i + w]);
         }
     return rc;
 }
 
-static enum err_code measure_pieces(struct measure_job *j, const double box[4], struct err *e)
+static enum err_code measure_pieces(struct measure_job *j, const double box[4],
+                                    const struct measure_grid *g, struct err *e)
 {
-    double px = j->out->pixel_m, wide = fmax(box[2] - box[0], box[3] - box[1]) / px;
-    uint32_t side = (uint32_t)fmin(fmax(ceil(wide), 16), MEASURE_PIECE_PX);
+    double px = j->out->pixel_m;
+    size_t room = (size_t)(g->px[0] + 1) * (g->px[1] + 1);
     enum err_code rc = ERR_OK;
-    j->height = mem_array((size_t)(side + 1) * (side + 1), sizeof *j->height);
-    j->in = mem_array((size_t)(side + 1) * (side + 1), 1);
+    j->height = mem_array(room, sizeof *j->height);
+    j->in = mem_array(room, 1);
     if (!j->height || !j->in)
-        rc = err_set(e, ERR_MEM, "out of memory for a piece of %u px", side);
-    for (double north = box[3]; !rc && north > box[1]; north -= side * px)
-        for (double west = box[0]; !rc && west < box[2]; west += side * px)
-            rc = measure_piece(j, west, north, side, e);
+        rc = err_set(e, ERR_MEM, "out of memory for a piece of %u x %u px", g->px[0], g->px[1]);
+    for (double row = 0; !rc && row < g->pieces[1]; row++)
+        for (double column = 0; !rc && column < g->pieces[0]; column++)
+            rc = measure_piece(j, box[0] + column * g->px[0] * px, box[3] - row * g->px[1] * px, g,
+                               e);
     mem_free(j->height);
     mem_free(j->in);
     return rc;
@@ -277,17 +315,16 @@ enum err_code measure_polygon(struct nadir *n, const double (*lonlat)[2], size_t
             box[2 + k] = fmax(box[2 + k], at[i][k]);
             mid[k] += at[i][k] / (double)count;
         }
-    double pixels = (box[2] - box[0]) * (box[3] - box[1]) / (out->pixel_m * out->pixel_m);
-    if (pixels > MEASURE_PIXELS_MAX)
-        return err_set(e, ERR_DATA,
-                       "%.3g pixels of %g m: at most %.3g; from gsd_m %.3g on the polygon fits",
-                       pixels, out->pixel_m, MEASURE_PIXELS_MAX,
-                       out->pixel_m * sqrt(pixels / MEASURE_PIXELS_MAX) * 1.01);
+    rc = measure_check(box, out->pixel_m, e);
+    if (rc)
+        return rc;
     j.base.c[0] = base_m;
     if (!isfinite(base_m))
         rc = measure_rim(n, &j.frame, j.at, count, &j.base, e);
-    if (!rc)
-        rc = measure_pieces(&j, box, e);
+    if (!rc) {
+        const struct measure_grid g = measure_grid(box, out->pixel_m);
+        rc = measure_pieces(&j, box, &g, e);
+    }
     out->area_m2 = outline_area(j.at, count);
     out->perimeter_m = outline_length(j.at, count);
     out->known_m2 = (double)j.known * out->pixel_m * out->pixel_m;

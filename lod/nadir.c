@@ -38,7 +38,9 @@ struct nadir {
     struct area area;
     double ceiling_m; /* ENU */
     float *rgb, *depth, *transmittance;
-    size_t pixels; /* room in them */
+    size_t pixels;                  /* room in them */
+    bool (*stop)(const void *user); /* NULL: never */
+    const void *stop_user;
 };
 
 static enum err_code nadir_appearance(struct nadir *n, const char *name, struct err *e)
@@ -129,6 +131,17 @@ const struct store *nadir_store(const struct nadir *n)
 const struct area *nadir_area(const struct nadir *n)
 {
     return &n->area;
+}
+
+void nadir_set_stop(struct nadir *n, bool (*stop)(const void *user), const void *user)
+{
+    n->stop = stop;
+    n->stop_user = user;
+}
+
+static enum err_code nadir_go(const struct nadir *n, struct err *e)
+{
+    return n->stop && n->stop(n->stop_user) ? err_set(e, ERR_CANCEL, "cancelled") : ERR_OK;
 }
 
 static enum err_code nadir_room(struct nadir *n, size_t pixels, struct err *e)
@@ -243,7 +256,9 @@ enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rg
         .sh_degree = -1,
         .orthographic = true};
     const struct pick_options po = {.error_px = NADIR_ERROR_PX};
-    enum err_code rc = nadir_room(n, pixels, e);
+    enum err_code rc = nadir_go(n, e);
+    if (!rc)
+        rc = nadir_room(n, pixels, e);
     if (!rc)
         rc = nadir_camera(n, p, &cam, &eye_h_m, e);
     if (!rc)
@@ -281,7 +296,9 @@ enum err_code nadir_look(struct nadir *n, const struct camera *cam, double x_px,
     const struct pick_options po = {.error_px = 0};
     const struct render_surface_maps maps = {.median_m = median, .front = front};
     *out = (struct nadir_ray){.depth_m = (double)NAN};
-    enum err_code rc = view_render(n->view, &window, &ro, &po, rgb, NULL, e);
+    enum err_code rc = nadir_go(n, e);
+    if (!rc)
+        rc = view_render(n->view, &window, &ro, &po, rgb, NULL, e);
     if (!rc)
         rc = render_surface_run(n->surface, limit_m > 0 ? limit : NULL, &maps, e);
     if (rc)

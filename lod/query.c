@@ -308,16 +308,15 @@ static enum err_code query_line(const struct query_work *w, struct err *e)
 {
     const struct query *q = w->q;
     struct probe *p = mem_array(q->n, sizeof *p);
-    double plan = 0, space = 0, before[3] = {0};
+    double plan = 0, space = 0, before[3] = {0}, at[QUERY_PLACES_MAX][2];
     json_t *list = json_array();
-    const struct geo_origin frame = {q->place[0][0], q->place[0][1],
-                                     store_info(nadir_store(w->nadir))->origin.h_m};
-    enum err_code rc = p ? probe_many(w->nadir, q->place, q->n, q->gsd_m, p, e)
+    struct geo_origin frame;
+    enum err_code rc = p ? measure_plan(w->nadir, q->place, q->n, &frame, at, e)
                          : err_set(e, ERR_MEM, "out of memory for %u places", q->n);
+    if (!rc)
+        rc = probe_many(w->nadir, q->place, q->n, q->gsd_m, p, e);
     for (size_t i = 0; !rc && i < q->n; i++) {
-        double enu[3];
-        rc = geo_to_enu(&frame, q->place[i][0], q->place[i][1], frame.h_m, enu, e);
-        enu[2] = p[i].height_m;
+        const double enu[3] = {at[i][0], at[i][1], p[i].height_m};
         double d = hypot(enu[0] - before[0], enu[1] - before[1]);
         plan += i ? d : 0;
         space += i ? hypot(d, enu[2] - before[2]) : 0;

@@ -31,7 +31,7 @@ struct query { /* {0}, then query_read: no pointers, so its bytes are its name *
 enum err_code query_read(enum query_kind kind, const struct json_t *o,
                          const struct geo_origin *origin, struct query *out, struct err *e) ERR_USE;
 /* Answer it; the caller gives *out back (json_decref). geoid: heights above sea level as well, NULL:
- * none. ERR_DATA: no such line or polygon; errors of measure.h and probe.h: ERR_ARG, ERR_DEVICE,
+ * none. ERR_DATA: no such line or polygon; errors of measure.h and probe.h: ERR_ARG, ERR_CANCEL, ERR_DEVICE,
  * ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code query_answer(struct nadir *n, const struct geoid *geoid, const struct query *q,
                            struct json_t **out, struct err *e) ERR_USE;

@@ -36,7 +36,7 @@ static inline uint32_t raster_side(const struct raster_tile *t)
 }
 /* rgb [side][side][3], 0 to 1; height_m [side][side], ellipsoidal; NAN where there is no surface or
  * nothing was surveyed. Either may be NULL. in [side][side]: what was surveyed. Errors of
- * nadir_draw: ERR_ARG (size), ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
+ * nadir_draw: ERR_ARG (size), ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code raster_draw(struct nadir *n, const struct raster_tile *t, float *rgb, float *height_m,
                           uint8_t *in, struct err *e) ERR_USE;
 

@@ -40,7 +40,7 @@ static void answer_map_tile(struct services *s, const struct request *r, struct 
 {
     struct appearance_choice choice = {0};
     char device[160];
-    bool terrain = t->route == ROUTE_TERRAIN, flat = !area_touches(&d->area, t->key);
+    bool terrain = t->route == ROUTE_TERRAIN;
     if (!answer_map_there(d, t, out) || !answer_can_draw(s, out) ||
         (!terrain && !answer_find_appearance(d, t->appearance, &choice, out)))
         return;
@@ -53,7 +53,7 @@ static void answer_map_tile(struct services *s, const struct request *r, struct 
                                                   : ENCODING_MAPBOX,
                                   .quality = (int)s->cfg->quality};
     picture_about(s->picture, device, sizeof device);
-    struct hash128 id = result_id_map(d, device, &tile, flat, &choice);
+    struct hash128 id = result_id_map(d, device, &tile, map_tile_is_flat(&d->area, &tile), &choice);
     out->type = target_type(tile.format);
     out->cache_control = response_cache_control(s->cfg, t);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s map", d->meta.name,

@@ -14,11 +14,13 @@
 
 bool answer_can_draw(struct services *s, struct response *out)
 {
-    char text[256], why[160] = "this server was started with --device none";
+    char text[320], why[160] = "this server was started with --device none";
     if (!s->picture || picture_state(s->picture) == PICTURE_OFF) {
         if (s->picture)
             picture_about(s->picture, why, sizeof why);
-        snprintf(text, sizeof text, "pictures are off: %s; tiles are served", why);
+        snprintf(text, sizeof text,
+                 "pictures, maps and questions about the surface are off: %s; tiles are served",
+                 why);
         response_problem(out, 503, text);
         out->retry_after_s = 10;
         return false;

@@ -92,8 +92,11 @@ static enum err_code appearance_model_add(const struct dataset *d, size_t number
     enum err_code rc = photograph_read(d->stores[0], a->names[row], &p, &why);
     if (rc && rc != ERR_NOENT)
         return err_set(e, rc, "%s", why.msg);
-    json_array_append_new(list, appearance_model_about(a->names[row], number, rc ? NULL : &p));
-    return ERR_OK;
+    /* One that is missing would pair all after it with embeddings of others. */
+    return json_array_append_new(list,
+                                 appearance_model_about(a->names[row], number, rc ? NULL : &p))
+               ? err_set(e, ERR_MEM, "photographs: out of memory")
+               : ERR_OK;
 }
 
 enum err_code appearance_model_photographs(const struct dataset *d, struct body **out,
@@ -101,7 +104,7 @@ enum err_code appearance_model_photographs(const struct dataset *d, struct body 
 {
     const struct appearance *a = d->appearance;
     size_t n = a->n_images - (appearance_model_default(a) < a->n_images), len = a->len_image;
-    float *images = mem_array(n * len, sizeof *images);
+    float *images = mem_array(n, len * sizeof *images);
     json_t *list = json_array();
     enum err_code rc = images ? ERR_OK : err_set(e, ERR_MEM, "photographs: out of memory");
     for (size_t i = 0; !rc && i < n; i++)

@@ -125,10 +125,11 @@ static void job_table_remove(struct jobs *js, struct job *j)
 }
 
 /* A job that nobody waits for: forget it if it has not begun (then the caller frees it), let a tile
- * be finished for the cache, stop a picture (nobody may join it any more). */
+ * be finished for the cache, stop a picture or a question (nobody may join it any more). */
 static struct job *job_abandon(struct jobs *js, struct job *j)
 {
-    if (j->running && j->cls != JOB_VIEW)
+    bool passing = js->cfg.passing ? js->cfg.passing(j->work) : j->cls == JOB_VIEW;
+    if (j->running && !passing)
         return NULL;
     job_table_remove(js, j);
     if (j->running) {
@@ -334,8 +335,10 @@ static bool job_pay(struct jobs *js, enum job_class cls, uint64_t client, double
         return true;
     js->stats.ended[cls][JOB_LIMITED]++;
     job_refuse(w, JOB_LIMITED, ERR_LIMIT,
-               cls == JOB_VIEW ? "your address asks for more new pictures than its share"
-                               : "your address asks for more new tiles than its share");
+               cls == JOB_VIEW
+                   ? "your address asks for more new pictures than its share"
+                   : "your address asks for more new tiles, questions and thumbnails than its "
+                     "share");
     w->result.retry_s = (int)fmin(ceil(wait_s), 60);
     return false;
 }

@@ -49,6 +49,9 @@ struct job_config {
     enum err_code (*run)(void *user, const struct job *j, void *work, size_t worker,
                          struct body **out, struct err *e);
     void (*drop)(void *user, void *work); /* free the work */
+    /* Is it of use to nobody but those who wait for it? Then it is cancelled when they have gone,
+     * even while it runs. NULL: pictures are. */
+    bool (*passing)(const void *work);
     void (*view_enter)(void *user); /* on the view thread, before its first job; may be NULL */
     void (*view_leave)(void *user);
 };
@@ -68,8 +71,8 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
 enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id, void *work,
                          uint64_t client, double timeout_s, struct job_waiter *w) ERR_USE;
 /* The client is gone. True: w was still waiting, is out of the job now and will not be woken. A job
- * that lost its last waiter is dropped from the queue; a running view is cancelled, a running tile
- * is finished for the cache. */
+ * that lost its last waiter is dropped from the queue; a running one is cancelled where it is passing, else
+ * finished for the cache. */
 bool job_leave(struct jobs *js, struct job_waiter *w);
 enum job_class job_class_of(struct jobs *js, const struct job_waiter *w); /* while w waits */
 bool job_cancelled(const struct job *j);

@@ -136,7 +136,7 @@ enum err_code map_document_wmts(const struct dataset *d, const struct target *t,
                                 struct body **out, struct err *e)
 {
     struct buf b = {0};
-    char root[FILE_PATH_MAX], self[FILE_PATH_MAX];
+    char root[FILE_PATH_MAX], self[FILE_PATH_MAX], query[TARGET_QUERY_MAX];
     if (!base || !*base)
         return err_set(e, ERR_ARG,
                        "clients of WMTS need absolute addresses : start the server with "
@@ -158,6 +158,8 @@ enum err_code map_document_wmts(const struct dataset *d, const struct target *t,
     map_document_matrices(&b, raster_zoom_max(&d->area));
     buf_printf(&b, "</Contents>\n<ServiceMetadataURL xlink:href=\"");
     map_document_text(&b, self);
+    map_document_query(t, query);
+    map_document_text(&b, query);
     buf_printf(&b, "\"/>\n</Capabilities>\n");
     return document_take(buf_check(&b, e), &b, out, e);
 }

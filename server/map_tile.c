@@ -77,6 +77,12 @@ static enum err_code map_tile_terrain(struct nadir *n, const struct map_tile *t,
     return rc;
 }
 
+bool map_tile_is_flat(const struct area *a, const struct map_tile *t)
+{
+    return t->encoding != ENCODING_UNSAID &&
+           !area_is_near(a, t->key, (double)MAP_TILE_REACH_PX / t->size_px);
+}
+
 enum err_code map_tile_make(struct nadir *n, const struct map_tile *t, struct buf *out,
                             struct err *e)
 {

@@ -252,7 +252,7 @@ struct work *response_work(struct dataset *d, enum work_kind kind, struct hash12
         response_no_memory(out);
         return NULL;
     }
-    w->kind = kind;
+    w->kind = out->kind = kind;
     w->ds = dataset_ref(d);
     w->id = id;
     w->form = form;

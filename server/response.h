@@ -42,6 +42,7 @@ struct response { /* {0}, then route_answer; response_free it */
     const char *cache;     /* "hit", "miss", "shared": for the log */
     struct work *work;     /* not NULL: submit it, then route_finish */
     enum job_class cls;
+    enum work_kind kind; /* of the work */
     double timeout_s;
 };
 

@@ -5,6 +5,7 @@
  */
 #include "server/route.h"
 
+#include <stdio.h>
 #include <string.h>
 
 #include "server/answer.h"
@@ -111,18 +112,19 @@ void route_finish(struct services *s, const struct request *r, struct job_result
                                                                                 : 503,
                          result->msg);
         out->retry_after_s = result->retry_s ? result->retry_s : job_retry_after(s->jobs, cls);
-    } else if (result->code == ERR_DATA && cls == JOB_MAP) { /* a question without an answer */
+    } else if (result->code == ERR_DATA &&
+               out->kind == WORK_QUERY) { /* a question without an answer */
         response_problem(out, 422, result->msg);
     } else if (result->code == ERR_NOENT) {
         response_problem(out, 404, result->msg);
     } else {
-        /* The message names files and is in the log. */
+        char text[80]; /* the message names files and is in the log */
         if (out->tile_of[0])
             response_tile_problem(out, result->code == ERR_FORMAT);
-        else
-            response_problem(out, 500,
-                             cls == JOB_VIEW || cls == JOB_MAP
-                                 ? "the picture could not be made; the log says why"
-                                 : "the list could not be made; the log says why");
+        else {
+            snprintf(text, sizeof text, "the %s could not be made; the log says why",
+                     work_noun(out->kind));
+            response_problem(out, 500, text);
+        }
     }
 }

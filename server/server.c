@@ -49,6 +49,7 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
         .user = s,
         .run = work_run,
         .drop = work_drop,
+        .passing = work_passing,
         .view_enter = server_enter_view,
         .view_leave = server_leave_view,
     };
@@ -74,7 +75,9 @@ static void server_set_url(struct server *sv)
     const char *host = !strcmp(a, "0.0.0.0") ? "127.0.0.1" : !strcmp(a, "::") ? "::1" : a;
     const char *open = strchr(host, ':') ? "[" : "", *close = *open ? "]" : "";
     snprintf(sv->url, sizeof sv->url, "http://%s%s%s:%u/", open, host, close, http_port(sv->http));
-    sv->services.url = sv->cfg.public_url && *sv->cfg.public_url ? sv->cfg.public_url : sv->url;
+    /* Who listens on every address does not know by which one it is seen. */
+    const char *own = a[strspn(a, "0.:")] ? sv->url : NULL;
+    sv->services.url = sv->cfg.public_url && *sv->cfg.public_url ? sv->cfg.public_url : own;
 }
 
 enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,

@@ -21,7 +21,8 @@
 struct services { /* all shared, all thread-safe */
     const struct server_config *cfg;
     struct geoid *geoid;          /* --geoid; NULL: none */
-    const char *url;              /* of the service: --public-url, else where it listens */
+    const char *url;              /* of the service: --public-url, else where it listens;
+                                   * NULL: on every address */
     pthread_mutex_t catalog_lock; /* of catalog and reload_error */
     struct catalog *catalog;
     char reload_error[256]; /* why the last reload failed, "": it did not; by the same lock */

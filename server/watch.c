@@ -324,6 +324,8 @@ struct watch_slot *watch_add(struct watch *w, int fd, uint64_t client, size_t li
         s->displaced = *over; /* it is answered and closed: it takes nobody's place */
         w->n_open += !*over;
         w->tally[client % TALLIES] += !*over;
+        atomic_store(&s->phase, WATCH_HEADER); /* not idle for long, as who had the slot before */
+        atomic_store(&s->since_ms, watch_now_ms());
         atomic_store(&s->deadline_ms, 0);
         atomic_store(&s->requests, 0);
     }

@@ -40,22 +40,35 @@ static enum err_code work_make_tileset(const struct work *w, struct buf *out, st
     return tileset_write(w->ds->index, uri, out, e);
 }
 
-static enum err_code work_make_map(struct services *s, const struct work *w, struct buf *out,
-                                   struct err *e)
+static bool work_stopped(const void *job)
+{
+    return job_cancelled(job);
+}
+
+static enum err_code work_make_map(struct services *s, const struct job *j, const struct work *w,
+                                   struct buf *out, struct err *e)
 {
     struct nadir *n;
     enum err_code rc = picture_nadir(s->picture, w->ds, &w->appearance, &n, e);
-    return rc ? rc : map_tile_make(n, &w->map, out, e);
+    if (rc)
+        return rc;
+    nadir_set_stop(n, work_stopped, j);
+    rc = map_tile_make(n, &w->map, out, e);
+    nadir_set_stop(n, NULL, NULL);
+    return rc;
 }
 
-static enum err_code work_make_answer(struct services *s, const struct work *w, struct buf *out,
-                                      struct err *e)
+static enum err_code work_make_answer(struct services *s, const struct job *j, const struct work *w,
+                                      struct buf *out, struct err *e)
 {
     struct nadir *n;
     json_t *o = NULL;
     enum err_code rc = picture_nadir(s->picture, w->ds, &w->appearance, &n, e);
-    if (!rc)
+    if (!rc) {
+        nadir_set_stop(n, work_stopped, j);
         rc = query_answer(n, s->geoid, w->query, &o, e);
+        nadir_set_stop(n, NULL, NULL);
+    }
     char *text = rc ? NULL : json_dumps(o, JSON_COMPACT | JSON_REAL_PRECISION(13));
     json_decref(o);
     if (!rc && !text)
@@ -75,7 +88,7 @@ static enum err_code work_make_thumbnail(const struct work *w, struct buf *out, 
     enum err_code rc =
         photograph_thumbnail(s, appearance_model_photograph(w->ds, w->target.row), out, e);
     dataset_return(w->ds, s);
-    return rc;
+    return rc == ERR_NOENT ? err_set(e, ERR_NOENT, "this photograph has no thumbnail") : rc;
 }
 
 static enum err_code work_make_bytes(struct services *s, const struct job *j, const struct work *w,
@@ -85,9 +98,9 @@ static enum err_code work_make_bytes(struct services *s, const struct job *j, co
     case WORK_VIEW:
         return picture_make(s->picture, j, w->ds, &w->appearance, &w->view, out, e);
     case WORK_MAP:
-        return work_make_map(s, w, out, e);
+        return work_make_map(s, j, w, out, e);
     case WORK_QUERY:
-        return work_make_answer(s, w, out, e);
+        return work_make_answer(s, j, w, out, e);
     case WORK_SEED:
         return seed_write(w->ds, &w->target, w->form, &w->appearance, out, e);
     case WORK_TILESET:
@@ -126,13 +139,35 @@ static size_t work_room(const struct work *w)
     }
 }
 
+const char *work_noun(enum work_kind kind)
+{
+    static const char *const nouns[] = {
+        [WORK_TILE] = "tile",          [WORK_SEED] = "list of tiles", [WORK_TILESET] = "tileset",
+        [WORK_VIEW] = "picture",       [WORK_MAP] = "map tile",       [WORK_QUERY] = "answer",
+        [WORK_THUMBNAIL] = "thumbnail"};
+    return nouns[kind];
+}
+
+/* For the log: which one. */
+static void work_describe(const struct work *w, char out[64])
+{
+    const char *noun = work_noun(w->kind);
+    if (w->kind == WORK_TILE || w->kind == WORK_MAP)
+        snprintf(out, 64, "%s %u/%u/%u.%s", noun, w->key.z, w->key.x, w->key.y,
+                 target_ext(w->form.format));
+    else if (w->kind == WORK_THUMBNAIL)
+        snprintf(out, 64, "%s %u", noun, (unsigned)w->target.row);
+    else
+        snprintf(out, 64, "%s", noun);
+}
+
 enum err_code work_run(void *user, const struct job *j, void *work, size_t worker,
                        struct body **out, struct err *e)
 {
     struct services *s = user;
     const struct work *w = work;
     struct buf b = {0};
-    char etag[BODY_ETAG_SIZE];
+    char etag[BODY_ETAG_SIZE], what[64];
     (void)worker;
     if (w->keep && ((*out = cache_get(s->cache, w->id)) || (*out = flight_get(s->flight, w->id))))
         return ERR_OK; /* made between the question for it and the question for a job */
@@ -156,18 +191,23 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     flight_release(s->flight, room);
     if (!rc && w->keep)
         cache_put(s->cache, w->id, *out);
-    if (rc && rc != ERR_CANCEL && !(w->kind == WORK_QUERY && rc == ERR_DATA)) {
+    bool none =
+        (w->kind == WORK_QUERY && rc == ERR_DATA) || (w->kind == WORK_THUMBNAIL && rc == ERR_NOENT);
+    if (rc && rc != ERR_CANCEL && !none) {
         if (rc == ERR_FORMAT || rc == ERR_IO)
             atomic_fetch_add(&w->ds->n_failed, 1);
         atomic_fetch_add(&s->metrics.store_errors, w->kind == WORK_TILE);
-        log_error("serve", "job failed ds=%s %s %u/%u/%u.%s: %s", w->ds->meta.name,
-                  w->kind == WORK_VIEW  ? "view"
-                  : w->kind == WORK_MAP ? "map tile"
-                                        : "tile",
-                  w->key.z, w->key.x, w->key.y, target_ext(w->form.format), e->msg);
+        work_describe(w, what);
+        log_error("serve", "job failed ds=%s %s: %s", w->ds->meta.name, what, e->msg);
     }
     buf_free(&b);
     return rc;
+}
+
+bool work_passing(const void *work)
+{
+    const struct work *w = work;
+    return w->kind == WORK_VIEW || !w->keep;
 }
 
 void work_drop(void *services, void *work)

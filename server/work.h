@@ -32,10 +32,12 @@ struct work { /* freed with work_drop */
     struct query *query;      /* WORK_QUERY, owned */
     bool keep;                /* put the result into the cache */
 };
+const char *work_noun(enum work_kind kind); /* "map tile": for messages */
 /* Run on a worker: from the store to bytes. The result goes to the cache before the job ends. The
  * errors of what is made; ERR_MEM. */
 enum err_code work_run(void *services, const struct job *j, void *work, size_t worker,
                        struct body **out, struct err *e) ERR_USE;
 void work_drop(void *services, void *work);
+bool work_passing(const void *work); /* a picture, or what is not kept: see job_config */
 
 #endif

@@ -132,7 +132,13 @@ static struct response ask(enum method method, const char *target, const char *b
         struct work *w = out.work;
         struct job_result result = {.end = JOB_OK};
         out.work = NULL;
-        kit_ok(work_run(&t.s, NULL, w, 0, &result.body, &e), e);
+        result.code = work_run(&t.s, NULL, w, 0, &result.body, &e);
+        if (result.code == ERR_NOENT) {
+            result.end = JOB_ERROR;
+            snprintf(result.msg, sizeof result.msg, "%.200s", e.msg);
+        } else {
+            kit_ok(result.code, e);
+        }
         work_drop(NULL, w);
         route_finish(&t.s, &r, &result, &out);
     }
@@ -545,6 +551,10 @@ static void photographs_have_times_poses_and_thumbnails(void **state)
     assert_int_equal(r.size, sizeof JPEG);
     assert_memory_equal(r.data, JPEG, sizeof JPEG);
     assert_non_null(strstr(r.cache_control, "immutable"));
+    response_free(&r);
+    snprintf(target, sizeof target, "/d/lit/r/%s/appearances/0.jpg", d->meta.revision);
+    r = get(target, 404);
+    assert_true(says(&r, "\"this photograph has no thumbnail\""));
     response_free(&r);
     snprintf(target, sizeof target, "/d/lit/r/%s/appearances/6.jpg", d->meta.revision);
     r = get(target, 404); /* the default appearance is no photograph */

@@ -199,9 +199,9 @@ static void test_addresses(void **state)
     for (size_t i = 0; i < sizeof hosts / sizeof *hosts; i++)
         assert_int_equal(address_host_is_loopback(hosts[i].host), hosts[i].local);
     struct address a, b, c;
-    assert_true(address_parse("2001:db8:1:2::5", 15, &a) &&
-                address_parse("2001:db8:1:2:9::", 16, &b) &&
-                address_parse("2001:db8:1:3::5", 15, &c));
+    assert_true(address_parse("2001:db8:1:2::5", 15, &a));
+    assert_true(address_parse("2001:db8:1:2:9::", 16, &b));
+    assert_true(address_parse("2001:db8:1:3::5", 15, &c));
     assert_int_equal(address_number(a, secret), address_number(b, secret)); /* one household */
     assert_int_not_equal(address_number(a, secret), address_number(c, secret));
     assert_int_not_equal(address_number(a, secret), address_number(a, other));

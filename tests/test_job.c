@@ -100,6 +100,8 @@ static void client_wake(struct job_waiter *w)
     pthread_mutex_unlock(&b->lock);
 }
 
+static bool (*bench_passing)(const void *work); /* of the benches opened next */
+
 static void bench_open(struct bench *b, size_t threads, bool view, size_t view_limit,
                        size_t tile_limit)
 {
@@ -115,6 +117,7 @@ static void bench_open(struct bench *b, size_t threads, bool view, size_t view_l
         .user = b,
         .run = item_run,
         .drop = item_drop,
+        .passing = bench_passing,
     };
     kit_ok(job_open(&cfg, &b->jobs, &e), e);
 }
@@ -395,6 +398,38 @@ static void test_leaving(void **state)
     bench_close(&b);
 }
 
+static bool item_passing(const void *work)
+{
+    return ((const struct item *)work)->poll;
+}
+
+/* A question whose answer is not kept is told to stop as well; a map tile is finished. */
+static void test_passing_work_is_cancelled(void **state)
+{
+    static struct client c[2];
+    struct bench b;
+    struct job_stats st;
+    (void)state;
+    memset(c, 0, sizeof c);
+    bench_passing = item_passing;
+    bench_open(&b, 1, true, 4, 8);
+    bench_passing = NULL;
+    assert_int_equal(ask(&b, &c[0], JOB_MAP, item_new(&b, 0, ERR_OK, true), 60), ERR_OK);
+    await(&b, &b.runs, 1);
+    assert_true(job_leave(b.jobs, &c[0].w));
+    await(&b, &b.cancelled_seen, 1);
+    assert_int_equal(ask(&b, &c[1], JOB_MAP, item_new(&b, 1, ERR_OK, false), 60), ERR_OK);
+    await(&b, &b.runs, 2);
+    assert_true(job_leave(b.jobs, &c[1].w));
+    gate(&b, true);
+    for (int i = 0; i < 500 && !job_idle(b.jobs); i++)
+        nap_ms(10);
+    job_count(b.jobs, &st);
+    assert_int_equal(st.ended[JOB_MAP][JOB_CANCELLED], 1);
+    assert_int_equal(st.ended[JOB_MAP][JOB_OK], 1);
+    bench_close(&b);
+}
+
 /* Nobody joins a picture that was told to stop. */
 static void test_a_cancelled_view_is_not_shared(void **state)
 {
@@ -562,6 +597,7 @@ int main(void)
         cmocka_unit_test(test_views_take_turns_between_clients),
         cmocka_unit_test(test_prefetch_runs_last_and_moves_up),
         cmocka_unit_test(test_leaving),
+        cmocka_unit_test(test_passing_work_is_cancelled),
         cmocka_unit_test(test_a_cancelled_view_is_not_shared),
         cmocka_unit_test(test_deadlines),
         cmocka_unit_test(test_stopping_answers_everyone),

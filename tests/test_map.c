@@ -11,6 +11,11 @@
 #include "codec/image.h"
 #include "core/dev.h"
 #include "lod/raster.h"
+#include "server/body.h"
+#include "server/map_document.h"
+#include "server/map_tile.h"
+#include "server/services.h"
+#include "server/work.h"
 
 static const char IMMUTABLE[] = "public, max-age=31536000, immutable";
 static uint8_t zoom;     /* of most tests: pixels of 0.19 m */
@@ -221,6 +226,69 @@ static void outside_is_empty(void **state)
     buf_free(&out);
 }
 
+/* A tile that touches no ground of the survey, with a margin that does: `far` of its edges away. */
+static bool find_beside(double far, struct key *out)
+{
+    const struct area *a = nadir_area(f.nadir);
+    double mid[2] = {0.5 * (a->west_deg + a->east_deg), 0.5 * (a->south_deg + a->north_deg)};
+    for (uint8_t z = 8; z <= raster_zoom_max(a) + RASTER_ZOOM_OVER && z <= KEY_ZOOM_MAX; z++)
+        for (int side = 0; side < 4; side++) {
+            struct key k = key_at(side == 0   ? a->west_deg
+                                  : side == 1 ? a->east_deg
+                                              : mid[0],
+                                  side == 2   ? a->north_deg
+                                  : side == 3 ? a->south_deg
+                                              : mid[1],
+                                  z);
+            k.x += side == 1 ? 1 : side == 0 ? UINT32_MAX : 0;
+            k.y += side == 3 ? 1 : side == 2 ? UINT32_MAX : 0;
+            *out = k;
+            if (!area_touches(a, k) && area_is_near(a, k, far))
+                return true;
+        }
+    return false;
+}
+
+/* Holes of such a tile are filled from the survey, so it is no flat one. */
+static void beside_the_survey_is_not_flat(void **state)
+{
+    struct reply r;
+    struct key k = {0}, far = key_at(2, 48, 12);
+    struct area a = *nadir_area(f.nadir);
+    char target[256], etag[64];
+    double west, south, east, north;
+    (void)state;
+    key_bounds(far, &west, &south, &east, &north);
+    struct map_tile tile = {.key = far, .size_px = 256, .encoding = ENCODING_MAPBOX};
+    const struct {
+        double away; /* edges of the tile */
+        uint32_t size_px;
+        bool flat;
+    } rows[] = {{-0.1, 256, false}, {0.05, 256, false}, {0.05, 512, true},
+                {0.02, 512, false}, {0.07, 256, true},  {1.01, 256, true}};
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        a.west_deg = east + rows[i].away * (east - west);
+        a.east_deg = a.west_deg + 1;
+        a.south_deg = south;
+        a.north_deg = north;
+        tile.size_px = rows[i].size_px;
+        assert_int_equal(map_tile_is_flat(&a, &tile), rows[i].flat);
+        tile.encoding = ENCODING_UNSAID; /* colours */
+        assert_false(map_tile_is_flat(&a, &tile));
+        tile.encoding = ENCODING_MAPBOX;
+    }
+    if (!start_drawing())
+        skip();
+    assert_true(find_beside((double)MAP_TILE_REACH_PX / 256, &k));
+    ask("GET", map_target("terrain", far, ".png", target), "", &r);
+    snprintf(etag, sizeof etag, "%s", header(&r, "ETag"));
+    buf_free(&r.raw);
+    ask("GET", map_target("terrain", k, ".png", target), "", &r);
+    assert_int_equal(r.status, 200);
+    assert_string_not_equal(header(&r, "ETag"), etag);
+    buf_free(&r.raw);
+}
+
 static void tiles_are_cached(void **state)
 {
     struct reply r;
@@ -403,6 +471,37 @@ static void gdal_opens_the_map(void **state)
     image_free(&own);
 }
 
+/* Who listens on every address does not know the one that clients see. */
+static void wmts_needs_an_address(void **state)
+{
+    struct reply r;
+    (void)state;
+    t.cfg.address = "0.0.0.0";
+    if (!start_drawing())
+        skip();
+    ask("GET", "/d/survey/wmts.xml", "", &r);
+    assert_int_equal(r.status, 404);
+    assert_non_null(strstr((const char *)r.body, "--public-url"));
+    buf_free(&r.raw);
+}
+
+static void wmts_names_itself(void **state)
+{
+    struct err e = {0};
+    struct body *b = NULL;
+    const struct dataset *d;
+    (void)state;
+    start();
+    struct catalog *c = services_catalog(server_services(t.server));
+    d = catalog_find(c, "survey", "");
+    const struct target there_is = {.route = ROUTE_WMTS, .appearance = "a b"};
+    kit_ok(map_document_wmts(d, &there_is, "https://maps.example", &b, &e), e);
+    assert_non_null(strstr((const char *)b->data,
+                           "https://maps.example/d/survey/wmts.xml?appearance=a%20b\"/>"));
+    body_drop(&b);
+    catalog_drop(&c);
+}
+
 static int post(const char *path, const char *body, struct reply *r)
 {
     struct buf q = {0};
@@ -416,6 +515,49 @@ static int post(const char *path, const char *body, struct reply *r)
     buf_free(&q);
     close(fd);
     return r->status;
+}
+
+static void nobody_is_woken(struct job_waiter *w)
+{
+    (void)w;
+    fail_msg("who has left is woken");
+}
+
+/* A question of 256 pictures, whose client goes after the first. */
+static void questions_end_with_their_client(void **state)
+{
+    const struct timespec nap = {.tv_nsec = 1000000};
+    struct job_stats st = {0};
+    struct job_waiter waiter = {.wake = nobody_is_woken};
+    (void)state;
+    if (!start_drawing())
+        skip();
+    struct services *s = server_services(t.server);
+    struct catalog *c = services_catalog(s);
+    struct query *q = mem_array(1, sizeof *q);
+    struct work *w = mem_array(1, sizeof *w);
+    assert_true(q && w);
+    *q = (struct query){.kind = QUERY_HEIGHT, .n = 256, .gsd_m = 0.001};
+    for (int i = 0; i < 256; i++) {
+        q->place[i][0] = origin.lon_deg + (i % 16 - 8) * 2e-5;
+        q->place[i][1] = origin.lat_deg + (i / 16 - 8) * 2e-5;
+    }
+    *w = (struct work){.kind = WORK_QUERY,
+                       .ds = dataset_ref(catalog_find(c, "survey", "")),
+                       .id = {.lo = 1, .hi = 2},
+                       .query = q};
+    catalog_drop(&c);
+    assert_int_equal(job_submit(s->jobs, JOB_MAP, w->id, w, 1, 60, &waiter), ERR_OK);
+    double end_s = clock_s() + PATIENCE_S;
+    do {
+        nanosleep(&nap, NULL);
+        job_count(s->jobs, &st);
+    } while (!st.running[JOB_MAP] && clock_s() < end_s);
+    assert_true(job_leave(s->jobs, &waiter));
+    while (!job_idle(s->jobs) && clock_s() < end_s)
+        nanosleep(&nap, NULL);
+    job_count(s->jobs, &st);
+    assert_int_equal(st.ended[JOB_MAP][JOB_CANCELLED], 1);
 }
 
 /* What is answered is test_query's; here: how it is asked, and what is said to nonsense. */
@@ -450,6 +592,11 @@ static void questions_are_answered(void **state)
         {"measure",
          "{\"polygon\": [[8.68, 50.11], [8.69, 50.11], [8.69, 50.12]], \"base\": \"sea\"}", "rim",
          422},
+        {"measure",
+         "{\"gsd_m\": 0.001, \"polygon\": [[8.68, 50.11], [8.73, 50.11], [8.73, 50.11000001], "
+         "[8.68, 50.11000001]]}",
+         "from gsd_m", 422},
+        {"measure", "{\"line\": [[8.682, 50.1108], [8.682, 51.1]]}", "100 km", 422},
         {"measure", "{}", "one of the two", 422},
         {"visible", "{\"from\": {\"lon\": 8, \"lat\": 50}}", "above", 422},
         {"visible",
@@ -487,10 +634,18 @@ static void questions_are_answered(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        HTTP_TEST(tiles_show_the_city), HTTP_TEST(terrain_is_the_citys),
-        HTTP_TEST(outside_is_empty),    HTTP_TEST(tiles_are_cached),
-        HTTP_TEST(nonsense_is_refused), HTTP_TEST(tilejson_leads_to_tiles),
-        HTTP_TEST(gdal_opens_the_map),  HTTP_TEST(questions_are_answered),
+        HTTP_TEST(tiles_show_the_city),
+        HTTP_TEST(terrain_is_the_citys),
+        HTTP_TEST(outside_is_empty),
+        HTTP_TEST(tiles_are_cached),
+        HTTP_TEST(nonsense_is_refused),
+        HTTP_TEST(tilejson_leads_to_tiles),
+        HTTP_TEST(gdal_opens_the_map),
+        HTTP_TEST(questions_are_answered),
+        HTTP_TEST(beside_the_survey_is_not_flat),
+        HTTP_TEST(wmts_needs_an_address),
+        HTTP_TEST(wmts_names_itself),
+        HTTP_TEST(questions_end_with_their_client),
     };
     return cmocka_run_group_tests(tests, map_setup_all, map_teardown_all);
 }

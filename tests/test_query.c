@@ -291,6 +291,81 @@ static void polygons_are_checked(void **state)
     assert_false(outline_holds(l, 6, 2, 2));
 }
 
+/* A polygon of 4 km x 1 mm is drawn in pieces that are wider: what counts is what is drawn. */
+static void what_is_drawn_is_limited(void **state)
+{
+    static const double corner[4][2] = {{-30, 0}, {3970, 0}, {3970, 0.001}, {-30, 0.001}};
+    struct err e = {0};
+    struct measure_area a;
+    double ring[4][2], at[3], least;
+    (void)state;
+    for (size_t i = 0; i < 4; i++) {
+        place_of(corner[i][0], corner[i][1], 0, at);
+        memcpy(ring[i], at, sizeof ring[i]);
+    }
+    kit_fails(measure_polygon(f.nadir, (const double(*)[2])ring, 4, 160, 0.001, &a, &e), ERR_DATA,
+              e, "from gsd_m");
+    assert_int_equal(sscanf(strstr(e.msg, "from gsd_m"), "from gsd_m %lf", &least), 1);
+    assert_true(least > 0.01 && least < 0.1);
+    kit_ok(measure_polygon(f.nadir, (const double(*)[2])ring, 4, 160, least, &a, &e), e);
+    /* In pieces that are no squares: the same as in one. */
+    json_t *ring_json = json_array(), *o[2];
+    for (size_t i = 0; i < 4; i++) {
+        place_of(i == 1 || i == 2 ? 15 : -15, i >= 2 ? 5 : 1, 0, at);
+        json_array_append_new(ring_json, json_pack("[f,f]", at[0], at[1]));
+    }
+    for (size_t i = 0; i < 2; i++)
+        o[i] = ask(QUERY_MEASURE, NULL,
+                   json_pack("{s:O,s:f,s:f}", "polygon", ring_json, "base", origin.h_m, "gsd_m",
+                             i ? 0.02 : 0.1));
+    assert_true(fabs(number(o[1], "known_area_m2") - 120) < 1);
+    assert_true(fabs(number(o[0], "volume_above_m3") / number(o[1], "volume_above_m3") - 1) < 0.02);
+    json_decref(o[0]);
+    json_decref(o[1]);
+    json_decref(ring_json);
+}
+
+static void far_lines_are_refused(void **state)
+{
+    static const double ends[][2] = {{8.6821, 51.2}, {188.6821 - 360, -50.1109}}; /* antipode */
+    (void)state;
+    for (size_t i = 0; i < sizeof ends / sizeof *ends; i++) {
+        struct err e = {0};
+        struct query q = {.kind = QUERY_MEASURE, .n = 2};
+        json_t *o;
+        q.place[0][0] = origin.lon_deg;
+        q.place[0][1] = origin.lat_deg;
+        memcpy(q.place[1], ends[i], sizeof q.place[1]);
+        kit_fails(query_answer(f.nadir, NULL, &q, &o, &e), ERR_DATA, e, "100 km");
+        assert_null(o);
+    }
+}
+
+static bool stop_at_third(const void *user)
+{
+    size_t *asked = *(size_t *const *)user;
+    return ++*asked == 3;
+}
+
+static void drawing_can_be_stopped(void **state)
+{
+    struct err e = {0};
+    struct probe p[8];
+    double lonlat[8][2], at[3];
+    size_t asked = 0, *user = &asked;
+    (void)state;
+    for (size_t i = 0; i < 8; i++) {
+        place_of((double)i * 3 - 12, 0, 0, at);
+        memcpy(lonlat[i], at, sizeof lonlat[i]);
+    }
+    nadir_set_stop(f.nadir, stop_at_third, &user);
+    kit_fails(probe_many(f.nadir, (const double(*)[2])lonlat, 8, 0.001, p, &e), ERR_CANCEL, e,
+              "cancelled");
+    assert_int_equal(asked, 3);
+    nadir_set_stop(f.nadir, NULL, NULL);
+    kit_ok(probe_many(f.nadir, (const double(*)[2])lonlat, 8, 0.001, p, &e), e);
+}
+
 /* A geoid of GeographicLib's format that lies 40 m above the ellipsoid everywhere. */
 static void sea_level_is_told(void **state)
 {
@@ -375,6 +450,9 @@ int main(void)
         cmocka_unit_test(pixels_show_the_city),
         cmocka_unit_test(eyes_see_what_is_not_hidden),
         cmocka_unit_test(polygons_are_checked),
+        cmocka_unit_test(what_is_drawn_is_limited),
+        cmocka_unit_test(far_lines_are_refused),
+        cmocka_unit_test(drawing_can_be_stopped),
         cmocka_unit_test(sea_level_is_told),
         cmocka_unit_test(the_program_answers),
     };

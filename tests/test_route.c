@@ -417,6 +417,28 @@ static void test_job_ends(void **state)
     }
 }
 
+static void test_words_of_failures(void **state)
+{
+    static const struct {
+        enum work_kind kind;
+        const char *says;
+    } rows[] = {
+        {WORK_VIEW, "the picture could not"},    {WORK_MAP, "the map tile could not"},
+        {WORK_QUERY, "the answer could not"},    {WORK_SEED, "the list of tiles could"},
+        {WORK_TILESET, "the tileset could not"}, {WORK_THUMBNAIL, "the thumbnail could not"}};
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct request q = {.target = "/", .target_size = 1};
+        struct response r = {.cls = JOB_MAP, .kind = rows[i].kind, .queue_s = -1};
+        struct job_result result = {.end = JOB_ERROR, .code = ERR_INTERNAL, .msg = "a path"};
+        route_finish(&t.s, &q, &result, &r);
+        assert_int_equal(r.status, 500);
+        if (!strstr((const char *)r.data, rows[i].says) || strstr((const char *)r.data, "a path"))
+            fail_msg("%.*s, not %s", (int)r.size, (const char *)r.data, rows[i].says);
+        response_free(&r);
+    }
+}
+
 static void test_metrics_are_local(void **state)
 {
     (void)state;
@@ -479,6 +501,7 @@ int main(void)
         cmocka_unit_test(test_redirects),
         cmocka_unit_test(test_viewer_files),
         cmocka_unit_test(test_job_ends),
+        cmocka_unit_test(test_words_of_failures),
         cmocka_unit_test(test_metrics_are_local),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
