@@ -113,7 +113,7 @@ static enum err_code eval_row(struct eval *v, const char *what, uint32_t edge_px
 enum { EVAL_HALF_IMAGE_AUTO, EVAL_HALF_IMAGE_ON, EVAL_HALF_IMAGE_OFF };
 
 static enum err_code eval_half(struct eval *v, const char *what, uint32_t edge_px,
-                               struct photo_loader *feed, const struct half_image_source *src,
+                               struct photo_loader *photos, const struct half_image_source *src,
                                double bytes, struct err *e)
 {
     struct evaluate_score score;
@@ -134,7 +134,7 @@ static enum err_code eval_half(struct eval *v, const char *what, uint32_t edge_p
     snprintf(name, sizeof name, "%s, half image", what);
     enum err_code rc =
         eval_half_image_run(&v->half_image, &v->dev, v->render, steps, v->o.half_image_random,
-                            v->exposure, feed, v->n_images, src, &score, e);
+                            v->exposure, photos, v->n_images, src, &score, e);
     score.bytes = bytes;
     return rc ? rc : eval_row(v, name, edge_px, &score, e);
 }
@@ -169,7 +169,7 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
                                  const struct half_image_source *half, struct err *e)
 {
     char pictures[FILE_PATH_MAX];
-    struct photo_loader *feed = NULL;
+    struct photo_loader *photos = NULL;
     struct evaluate_score score;
     struct photo_loader_config f = {.scene = &v->scene,
                                     .images = v->images,
@@ -188,17 +188,17 @@ static enum err_code eval_source(struct eval *v, const char *what, uint32_t max_
     snprintf(v->residuals_of, sizeof v->residuals_of, "%s", what);
     enum err_code rc = eval_pictures(v, what, pictures, &src.pictures, e);
     if (!rc)
-        rc = photo_loader_open(&f, &feed, e);
+        rc = photo_loader_open(&f, &photos, e);
     if (!rc)
-        rc = evaluate_run(feed, v->n_images, &src, &score, e);
+        rc = evaluate_run(photos, v->n_images, &src, &score, e);
     struct camera cam =
         photo_loader_camera(&v->scene.images[v->images[0]].cam, max_edge_px, downsample);
     uint32_t edge = cam.width_px > cam.height_px ? cam.width_px : cam.height_px;
     if (!rc)
         rc = eval_row(v, what, edge, &score, e);
     if (!rc)
-        rc = eval_half(v, what, edge, feed, half, src.bytes, e);
-    photo_loader_close(&feed);
+        rc = eval_half(v, what, edge, photos, half, src.bytes, e);
+    photo_loader_close(&photos);
     return rc;
 }
 

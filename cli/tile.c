@@ -421,11 +421,11 @@ static enum err_code tile_make_appearance(const struct tile_scene *s,
 }
 
 /* What people choose an appearance by: the photographs that the model knows. */
-static enum err_code tile_photographs(const struct scene *scene, const struct buf *look,
+static enum err_code tile_photographs(const struct scene *scene, const struct buf *appearance,
                                       bool thumbnails, struct photographs *out, struct err *e)
 {
     struct appearance a = {0};
-    enum err_code rc = appearance_read(look->data, look->size, &a, e);
+    enum err_code rc = appearance_read(appearance->data, appearance->size, &a, e);
     if (!rc)
         rc = photographs_of(scene, &a, thumbnails, out, e);
     appearance_free(&a);

@@ -1,4 +1,4 @@
-/* Looks of a tile store: from colours as they were trained to colours under some light.
+/* Appearances of a tile store: from colours as they were trained to colours under some light.
  *
  * Tiles hold the trained colour and every Gaussian's embedding; the blob "appearance" holds the
  * network, the photographs' embeddings and one more row, BAKE_DEFAULT: what clients get

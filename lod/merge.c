@@ -447,7 +447,7 @@ static enum err_code merge_open(struct merge *m, const char *path_a, const char 
         return err_add(
             e,
             "%s: its embeddings mean nothing to another model; give each store one appearance "
-            "(citysplat export -o FILE.ply --appearance LOOK, citysplat import FILE.ply) "
+            "(citysplat export -o FILE.ply --appearance PHOTO, citysplat import FILE.ply) "
             "and merge those",
             path_b);
     if (a->zoom_max != b->zoom_max)

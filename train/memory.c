@@ -30,7 +30,7 @@ enum {
     MEMORY_LOSS_PX = 9 * 4,           /* derivative maps of SSIM, less margins */
     MEMORY_HOST_PX = 3 + 1 + 6 * 4,   /* photograph, mask, weights and errors of the score */
     MEMORY_EVALUATE_PX = 12 + 12 * 8, /* drawing, and planes of doubles of SSIM and GMSD */
-    MEMORY_DECODERS = 2,              /* feed's thread and the training's */
+    MEMORY_DECODERS = 2,              /* photo_loader's thread and the training's */
 };
 #define MEMORY_FRAME_ROOM 1.5    /* of a frame's */
 #define MEMORY_INTERSECTIONS 3.0 /* a Gaussian of the cell, in the fullest view */

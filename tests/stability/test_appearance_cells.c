@@ -22,7 +22,7 @@
 
 /* ---- F9 ---- */
 
-enum { SEAM_STEPS = 800, SEAM_PX = 96, STRIP_PX = 8, SEAM_LOOKS = 12 };
+enum { SEAM_STEPS = 800, SEAM_PX = 96, STRIP_PX = 8, SEAM_APPEARANCES = 12 };
 
 /* Two cells, divided at x = 0, both trained from all photographs. */
 static void toy_light_plan(const char *dir)
@@ -48,7 +48,7 @@ static void toy_light_plan(const char *dir)
     scene_free(&s);
 }
 
-/* Every cell's own Gaussians in the look of a photograph. */
+/* Every cell's own Gaussians in the appearance of a photograph. */
 static void seam_merge(const char *dir, const struct partition *plan, const char *photo,
                        struct gauss *all)
 {
@@ -96,8 +96,8 @@ static void seam_step(const double *rgb, double out[3])
                           (SEAM_PX * STRIP_PX);
 }
 
-/* How much the step at the border, beyond the truth's, changes with the look: root mean square
- * about its mean over looks, all channels. What is left of a step in every look is not the
+/* How much the step at the border, beyond the truth's, changes with the appearance: root mean
+ * square about its mean over appearances, all channels. What is left of a step in all of them is not the
  * appearance's: cells without any, trained on one light, have 0.018 of it on this toy. */
 static double seam_measure(const char *dir, struct toy *t, const struct gauss *truth)
 {
@@ -106,14 +106,14 @@ static double seam_measure(const char *dir, struct toy *t, const struct gauss *t
     struct partition plan = {0};
     char path[FILE_PATH_MAX + 64];
     double eye[3] = {0.0, 0.0, t->height_m}, down[3] = {0.0, 0.0, 0.0}, sum = 0.0;
-    double step[SEAM_LOOKS][3], mean[3] = {0.0};
+    double step[SEAM_APPEARANCES][3], mean[3] = {0.0};
     struct camera cam = camera_look_at(eye, down, 0.7, SEAM_PX, SEAM_PX);
     double *rgb = mem_array(SEAM_PX * SEAM_PX * 3, sizeof *rgb);
     assert_non_null(rgb);
     kit_ok(scene_read(dir, &s, &e), e);
     snprintf(path, sizeof path, "%s/plan.json", dir);
     kit_ok(cell_plan_read(path, &s, &plan, &e), e);
-    for (size_t k = 0, i = 0; k < SEAM_LOOKS; k++, i++) {
+    for (size_t k = 0, i = 0; k < SEAM_APPEARANCES; k++, i++) {
         struct gauss all = {0};
         double want[3], got[3];
         while (s.images[i].split != SCENE_TRAIN)
@@ -126,20 +126,20 @@ static double seam_measure(const char *dir, struct toy *t, const struct gauss *t
         seam_step(rgb, got);
         for (size_t c = 0; c < 3; c++) {
             step[k][c] = got[c] - want[c];
-            mean[c] += step[k][c] / SEAM_LOOKS;
+            mean[c] += step[k][c] / SEAM_APPEARANCES;
         }
         gauss_free(&all);
     }
-    for (size_t k = 0; k < SEAM_LOOKS; k++)
+    for (size_t k = 0; k < SEAM_APPEARANCES; k++)
         for (size_t c = 0; c < 3; c++)
             sum += (step[k][c] - mean[c]) * (step[k][c] - mean[c]);
     mem_free(rgb);
     partition_free(&plan);
     scene_free(&s);
-    return sqrt(sum / (3 * SEAM_LOOKS));
+    return sqrt(sum / (3 * SEAM_APPEARANCES));
 }
 
-static void cells_agree_on_the_look_at_their_border(void **state)
+static void cells_agree_on_appearance_at_their_border(void **state)
 {
     (void)state;
     struct err e = {0};
@@ -274,7 +274,7 @@ int main(int argc, char **argv)
     if (argc > 1)
         cmocka_set_test_filter(argv[1]);
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(cells_agree_on_the_look_at_their_border),
+        cmocka_unit_test(cells_agree_on_appearance_at_their_border),
         cmocka_unit_test(a_single_cell_needs_the_shared_model),
         cmocka_unit_test(a_network_needs_steps),
     };

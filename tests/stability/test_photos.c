@@ -197,7 +197,7 @@ static void shift_pose(void *user, size_t i, struct camera *cam)
 static void rank_photographs(struct toy_run *r, struct residual_list *out)
 {
     struct err e = {0};
-    struct photo_loader *feed = NULL;
+    struct photo_loader *loader = NULL;
     struct evaluate_score score;
     struct photo_loader_config f = {.scene = &r->scene,
                                     .images = r->images,
@@ -207,9 +207,9 @@ static void rank_photographs(struct toy_run *r, struct residual_list *out)
     struct evaluate_model model = {r->level.ctx.render, &r->level.model.gauss,
                                    context_render_options(&r->level.ctx, r->level.ctx.step), NULL};
     struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model, .residuals = out};
-    kit_ok(photo_loader_open(&f, &feed, &e), e);
-    kit_ok(evaluate_run(feed, f.n_images, &source, &score, &e), e);
-    photo_loader_close(&feed);
+    kit_ok(photo_loader_open(&f, &loader, &e), e);
+    kit_ok(evaluate_run(loader, f.n_images, &source, &score, &e), e);
+    photo_loader_close(&loader);
     kit_ok(residual_rank(out, &e), e);
 }
 

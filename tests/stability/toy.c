@@ -277,7 +277,7 @@ void toy_run_next(struct toy_run *r)
 struct evaluate_score toy_run_score(struct toy_run *r, double downsample)
 {
     struct err e = {0};
-    struct photo_loader *feed = NULL;
+    struct photo_loader *photos = NULL;
     struct level *l = &r->level;
     struct evaluate_score score;
     struct photo_loader_config f = {
@@ -295,9 +295,9 @@ struct evaluate_score toy_run_score(struct toy_run *r, double downsample)
     if (model.appearance)
         kit_ok(appearance_view_open(&look, &l->ctx.appearance.model, &r->scene, &e), e);
     struct evaluate_source source = {.draw = evaluate_draw_model, .user = &model};
-    kit_ok(photo_loader_open(&f, &feed, &e), e);
-    kit_ok(evaluate_run(feed, f.n_images, &source, &score, &e), e);
-    photo_loader_close(&feed);
+    kit_ok(photo_loader_open(&f, &photos, &e), e);
+    kit_ok(evaluate_run(photos, f.n_images, &source, &score, &e), e);
+    photo_loader_close(&photos);
     appearance_view_close(&look);
     return score;
 }

@@ -59,7 +59,7 @@ struct evaluate_score toy_light_score(struct toy_run *r)
 {
     struct err e = {0};
     struct level *l = &r->level;
-    struct appearance_view look = {0};
+    struct appearance_view view = {0};
     struct half_image *h = NULL;
     struct photo_loader *loader = NULL;
     struct evaluate_score sum = {0};
@@ -76,8 +76,8 @@ struct evaluate_score toy_light_score(struct toy_run *r)
                                   .lr_end = HALF_IMAGE_LR_END};
     struct render_options ro = context_render_options(&l->ctx, l->ctx.step);
     if (appearance_train_is_on(&l->ctx.appearance)) {
-        kit_ok(appearance_view_open(&look, &l->ctx.appearance.model, &r->scene, &e), e);
-        c.appearance = &look;
+        kit_ok(appearance_view_open(&view, &l->ctx.appearance.model, &r->scene, &e), e);
+        c.appearance = &view;
     }
     kit_ok(half_image_open(&c, &h, &e), e);
     kit_ok(photo_loader_open(&f, &loader, &e), e);
@@ -89,8 +89,8 @@ struct evaluate_score toy_light_score(struct toy_run *r)
                                  to = side ? HALF_IMAGE_LEFT : HALF_IMAGE_RIGHT;
             kit_ok(photo_loader_get_nth(loader, i, &p, &e), e);
             if (c.appearance) {
-                assert_int_equal(appearance_train_nearest(look.model, &r->scene, look.row, &p.cam,
-                                                          look.reach_m, image),
+                assert_int_equal(appearance_train_nearest(view.model, &r->scene, view.row, &p.cam,
+                                                          view.reach_m, image),
                                  3);
                 kit_ok(half_image_fit(h, &p, &l->model.gauss, &ro, from, image, &e), e);
             }
@@ -101,6 +101,6 @@ struct evaluate_score toy_light_score(struct toy_run *r)
     evaluate_divide(&sum, 2.0 * (double)r->n_tests);
     half_image_close(&h);
     photo_loader_close(&loader);
-    appearance_view_close(&look);
+    appearance_view_close(&view);
     return sum;
 }
