@@ -78,7 +78,9 @@ test("moving: small pictures one by one; at rest the full one", async (t) => {
     assert.ok(sizeOf(moving[0]) < SIZE.width / 1.5, `${sizeOf(moving[0])} px wide while moving`);
     const together = moving.filter((one, i) => i > 0 && !moving[i - 1].aborted && one.began < moving[i - 1].ended);
     assert.equal(together.length, 0, "two requests on their way");
-    assert.ok(moving.length <= drawn.seen + 1, `${moving.length} requests for ${drawn.seen} pictures`);
+    // A machine that stalls for longer than a rest asks for the full picture, and takes that back.
+    const kept = moving.filter((one) => !one.aborted).length;
+    assert.ok(kept <= drawn.seen + 1, `${kept} requests for ${drawn.seen} pictures`);
     await waitForViewer(page);
     const last = pictures().at(-1);
     assert.equal(sizeOf(last), SIZE.width);
