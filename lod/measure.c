@@ -282,10 +282,10 @@ static enum err_code measure_pieces(struct measure_job *j, const double box[4],
     j->in = mem_array(room, 1);
     if (!j->height || !j->in)
         rc = err_set(e, ERR_MEM, "out of memory for a piece of %u x %u px", g->px[0], g->px[1]);
-    for (double row = 0; !rc && row < g->pieces[1]; row++)
-        for (double column = 0; !rc && column < g->pieces[0]; column++)
-            rc = measure_piece(j, box[0] + column * g->px[0] * px, box[3] - row * g->px[1] * px, g,
-                               e);
+    for (size_t row = 0; !rc && row < (size_t)g->pieces[1]; row++)
+        for (size_t column = 0; !rc && column < (size_t)g->pieces[0]; column++)
+            rc = measure_piece(j, box[0] + (double)column * g->px[0] * px,
+                               box[3] - (double)row * g->px[1] * px, g, e);
     mem_free(j->height);
     mem_free(j->in);
     return rc;
