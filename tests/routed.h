@@ -132,6 +132,16 @@ static inline struct response get(const char *target)
     return answer(&(struct ask){.target = target});
 }
 
+/* Whether the answer says it; bodies are bytes without an end mark. */
+static inline bool says(const struct response *r, const char *text)
+{
+    size_t n = strlen(text);
+    for (size_t i = 0; i + n <= r->size; i++)
+        if (!memcmp(r->data + i, text, n))
+            return true;
+    return false;
+}
+
 static inline void expect(const char *what, const char *got, const char *want)
 {
     if (strcmp(got ? got : "", want ? want : "") != 0)

@@ -72,8 +72,9 @@ static inline void cover(struct gauss *g)
             double x = ((double)c + 0.5) * SPACING_M - 0.5 * EXTENT_M,
                    y = ((double)r + 0.5) * SPACING_M - 0.5 * EXTENT_M, z = truth_z(x, y);
             put(g, x, y, z, 0.7 * SPACING_M, 0.02, 0.95);
-            if (r % 4 == 0 && c % 4 == 0) /* haze: never half of the light */
-                put(g, x, y, z + HAZE_M, 2 * SPACING_M, 0.3, 0.25);
+            /* Haze: never half of the light, not even where a ray meets two layers of it. */
+            if (r % 4 == 0 && c % 4 == 0)
+                put(g, x, y, z + HAZE_M, 2 * SPACING_M, 0.3, 0.15);
         }
     for (size_t i = 0; i < FAR; i++) {
         double a = 2 * SURVEY_PI * (double)i / FAR;

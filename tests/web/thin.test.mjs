@@ -81,6 +81,7 @@ test("moving: small pictures one by one; at rest the full one", async (t) => {
     // A machine that stalls for longer than a rest asks for the full picture, and takes that back.
     const kept = moving.filter((one) => !one.aborted).length;
     assert.ok(kept <= drawn.seen + 1, `${kept} requests for ${drawn.seen} pictures`);
+    assert.ok((moving.length - kept) * 4 <= kept, `${moving.length - kept} requests taken back, ${kept} kept`);
     await waitForViewer(page);
     const last = pictures().at(-1);
     assert.equal(sizeOf(last), SIZE.width);
