@@ -6,6 +6,7 @@
 #ifndef TESTS_CLIENT_H
 #define TESTS_CLIENT_H
 
+#include "core/dev.h"
 #include "lod/key.h"
 #include "tests/served.h"
 
@@ -170,6 +171,21 @@ static inline void start(void)
     struct catalog *c = services_catalog(server_services(t.server));
     memcpy(t.rev, c->ds[0]->meta.revision, sizeof t.rev);
     catalog_drop(&c);
+}
+
+/* With pictures; false, and says so, where there is no device. */
+static inline bool start_with_device(void)
+{
+    struct err e = {0};
+    struct dev dev;
+    if (dev_open("cpu", &dev, &e) != ERR_OK) {
+        print_message("skipped: %s\n", e.msg);
+        return false;
+    }
+    dev_close(&dev);
+    t.cfg.device = "cpu";
+    start();
+    return true;
 }
 
 static inline int setup_all(void **state)

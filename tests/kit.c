@@ -13,6 +13,8 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "core/camera.h"
+
 void kit_expect_text(const char *msg, const char *part, const char *file, int line)
 {
     if (part && !strstr(msg, part)) {
@@ -82,6 +84,22 @@ void kit_rmdir(const char *path)
         (void)nftw(path, kit_remove, 16, FTW_DEPTH | FTW_PHYS);
 }
 
+char kit_tmp[FILE_PATH_MAX];
+
+int kit_tmp_make(void **state)
+{
+    (void)state;
+    kit_tmpdir(kit_tmp);
+    return 0;
+}
+
+int kit_tmp_remove(void **state)
+{
+    (void)state;
+    kit_rmdir(kit_tmp);
+    return 0;
+}
+
 int kit_run(struct buf *out, const char *fmt, ...)
 {
     char cmd[8192];
@@ -126,6 +144,17 @@ void kit_figure(const char *row, const char *fmt, ...)
     printf("\n");
     fflush(stdout);
     va_end(ap);
+}
+
+void kit_camera_down(const double at_m[3], struct camera *out)
+{
+    static const double down[9] = {1, 0, 0, 0, -1, 0, 0, 0, -1};
+    *out = (struct camera){
+        .width_px = 400, .height_px = 300, .fx_px = 300, .fy_px = 300, .cx_px = 200, .cy_px = 150};
+    memcpy(out->rot, down, sizeof down);
+    for (size_t a = 0; a < 3; a++)
+        out->trans[a] =
+            -(down[3 * a] * at_m[0] + down[3 * a + 1] * at_m[1] + down[3 * a + 2] * at_m[2]);
 }
 
 void kit_gauss(uint64_t seed, size_t n, double half_m, uint32_t sh_degree, uint32_t embed_len,

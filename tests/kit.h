@@ -44,6 +44,10 @@ void kit_near_d(const char *what, const double *got, const double *want, size_t 
 /* A fresh folder under the system's temporary one; kit_rmdir removes it with everything inside. */
 void kit_tmpdir(char path[FILE_PATH_MAX]);
 void kit_rmdir(const char *path);
+/* Setup and teardown of tests that need one such folder. */
+extern char kit_tmp[FILE_PATH_MAX];
+int kit_tmp_make(void **state);
+int kit_tmp_remove(void **state);
 /* Run a command line through the shell; returns its exit status, output (stdout and stderr) goes
  * into `out` (may be NULL). */
 int kit_run(struct buf *out, const char *fmt, ...) ERR_PRINTF(2, 3);
@@ -58,6 +62,10 @@ void kit_same_bits(const char *self, void (*digest)(char out[33]));
  * "stability F22 worst_drop_db=0.31 limit=1.50". Fields are name=value; tests/stability/collect.sh
  * gathers them. */
 void kit_figure(const char *row, const char *fmt, ...) ERR_PRINTF(2, 3);
+
+/* 400 x 300 pixels, focal length 300 px, at `at_m` and looking straight down, north up. */
+struct camera;
+void kit_camera_down(const double at_m[3], struct camera *out);
 
 /* n seeded Gaussians in a box of half-edge `half_m` about the origin: sizes 1-10 % of the box,
  * random rotations, opacities 0.05-0.95, SH of the given degree. gauss_free it. */

@@ -45,6 +45,18 @@ static inline double truth_z(double x, double y)
     return 500 - hit.t_m;
 }
 
+/* The truth is no steeper than that within 0.6 m. */
+static inline bool level_at(double x, double y, double within_m)
+{
+    double lo = HUGE_VAL, hi = -HUGE_VAL;
+    for (int k = 0; k < 25; k++) {
+        double z = truth_z(x + (k % 5 - 2) * 0.3, y + (k / 5 - 2) * 0.3);
+        lo = fmin(lo, z);
+        hi = fmax(hi, z);
+    }
+    return hi - lo < within_m;
+}
+
 static inline void put(struct gauss *g, double x, double y, double z, double sigma, double thick,
                        double opacity)
 {
@@ -114,6 +126,22 @@ static inline void survey_drop(void)
     synth_city_free(&f.city);
     arena_free(&f.arena);
     kit_rmdir(f.dir);
+}
+
+/* Setup and teardown of tests that only read the city. */
+static inline int survey_setup(void **state)
+{
+    (void)state;
+    survey_make(NULL);
+    survey_open();
+    return 0;
+}
+
+static inline int survey_teardown(void **state)
+{
+    (void)state;
+    survey_drop();
+    return 0;
 }
 
 #endif

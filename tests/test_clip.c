@@ -17,13 +17,6 @@ static int setup(void **state)
     return 0;
 }
 
-static int teardown(void **state)
-{
-    (void)state;
-    survey_drop();
-    return 0;
-}
-
 static void path_of(const char *name, char out[FILE_PATH_MAX])
 {
     struct err e = {0};
@@ -209,5 +202,5 @@ int main(void)
         cmocka_unit_test(nonsense_is_refused),
         cmocka_unit_test(the_program_clips),
     };
-    return cmocka_run_group_tests_name("clip", tests, setup, teardown);
+    return cmocka_run_group_tests_name("clip", tests, setup, survey_teardown);
 }

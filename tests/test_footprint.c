@@ -16,8 +16,6 @@ enum { SIDE = 6, POINTS = 101 };
 #define HEIGHT 60.0
 #define STEP 20.0 /* between photographs */
 
-static char tmp[FILE_PATH_MAX];
-
 /* A nadir flight of 6 x 6 photographs over flat ground of 400 m with a tower in the middle; the
  * pictures cover 80 x 60 m of it each. */
 static void survey(struct scene *s)
@@ -30,19 +28,9 @@ static void survey(struct scene *s)
     s->points = arena_get(&s->arena, s->n_points, sizeof *s->points);
     for (size_t i = 0; i < s->n_images; i++) {
         struct camera *c = &s->images[i].cam;
-        const double down[9] = {1, 0, 0, 0, -1, 0, 0, 0, -1},
-                     at[3] = {STEP * (double)(i % SIDE) - 50, STEP * (double)(i / SIDE) - 50,
+        const double at[3] = {STEP * (double)(i % SIDE) - 50, STEP * (double)(i / SIDE) - 50,
                               HEIGHT};
-        *c = (struct camera){.width_px = 400,
-                             .height_px = 300,
-                             .fx_px = 300,
-                             .fy_px = 300,
-                             .cx_px = 200,
-                             .cy_px = 150};
-        memcpy(c->rot, down, sizeof down);
-        for (int a = 0; a < 3; a++)
-            c->trans[a] =
-                -(down[3 * a] * at[0] + down[3 * a + 1] * at[1] + down[3 * a + 2] * at[2]);
+        kit_camera_down(at, c);
         s->images[i].split = SCENE_TRAIN;
     }
     for (size_t i = 0; i < s->n_points; i++) {
@@ -138,7 +126,7 @@ static void test_geojson_and_back(void **state)
     survey(&s);
     kit_ok(footprint_of(&s, &f, &e), e);
     kit_ok(footprint_write(&f, &s.origin, &b, &e), e);
-    kit_ok(file_join(path, tmp, "footprint.geojson", &e), e);
+    kit_ok(file_join(path, kit_tmp, "footprint.geojson", &e), e);
     kit_ok(file_write(path, b.data, b.size, &e), e);
     json_t *root;
     kit_ok(jsonc_read(path, &root, &e), e);
@@ -191,7 +179,7 @@ static void test_holes(void **state)
     struct buf b = {0};
     struct err e = {0};
     char path[FILE_PATH_MAX];
-    kit_ok(file_join(path, tmp, "holes.geojson", &e), e);
+    kit_ok(file_join(path, kit_tmp, "holes.geojson", &e), e);
     kit_ok(file_write(path, text, strlen(text), &e), e);
     kit_ok(footprint_read(&f, path, &origin, &e), e);
     kit_ok(footprint_write(&f, &origin, &b, &e), e);
@@ -219,7 +207,7 @@ static void expect(const char *text, enum err_code want, const char *word)
     struct footprint f = {0};
     struct err e = {0};
     char path[FILE_PATH_MAX];
-    kit_ok(file_join(path, tmp, "bad.geojson", &e), e);
+    kit_ok(file_join(path, kit_tmp, "bad.geojson", &e), e);
     kit_ok(file_write(path, text, strlen(text), &e), e);
     assert_int_equal(footprint_read(&f, path, &origin, &e), want);
     if (!strstr(e.msg, word) || !strstr(e.msg, "bad.geojson"))
@@ -250,25 +238,11 @@ static void test_bad_input(void **state)
     char path[FILE_PATH_MAX];
     static const char far[] = "{\"type\":\"Polygon\",\"coordinates\":[[[8,47],[8.1,47],[8.1,47.1],"
                               "[8,47]]]}";
-    kit_ok(file_join(path, tmp, "far.geojson", &e), e);
+    kit_ok(file_join(path, kit_tmp, "far.geojson", &e), e);
     kit_ok(file_write(path, far, strlen(far), &e), e);
     assert_int_equal(footprint_read(&f, path, &s.origin, &e), ERR_DATA);
     footprint_free(&f);
     arena_free(&s.arena);
-}
-
-static int setup(void **state)
-{
-    (void)state;
-    kit_tmpdir(tmp);
-    return 0;
-}
-
-static int teardown(void **state)
-{
-    (void)state;
-    kit_rmdir(tmp);
-    return 0;
 }
 
 int main(void)
@@ -279,5 +253,5 @@ int main(void)
         cmocka_unit_test(test_holes),
         cmocka_unit_test(test_bad_input),
     };
-    return cmocka_run_group_tests(tests, setup, teardown);
+    return cmocka_run_group_tests(tests, kit_tmp_make, kit_tmp_remove);
 }

@@ -19,27 +19,11 @@
 /* ... and 0.1 mm of height. */
 #define HEIGHT_TOL_M 0.51e-4
 
-static char tmp[FILE_PATH_MAX];
-
-static int setup(void **state)
-{
-    (void)state;
-    kit_tmpdir(tmp);
-    return 0;
-}
-
-static int teardown(void **state)
-{
-    (void)state;
-    kit_rmdir(tmp);
-    return 0;
-}
-
 static const char *in_tmp(const char *name)
 {
     static char path[FILE_PATH_MAX];
     struct err e = {0};
-    kit_ok(file_join(path, tmp, name, &e), e);
+    kit_ok(file_join(path, kit_tmp, name, &e), e);
     return path;
 }
 
@@ -447,5 +431,5 @@ int main(void)
         cmocka_unit_test(test_resize),
         cmocka_unit_test(test_npy),
     };
-    return cmocka_run_group_tests(tests, setup, teardown);
+    return cmocka_run_group_tests(tests, kit_tmp_make, kit_tmp_remove);
 }

@@ -19,7 +19,6 @@
 #include "synth/synth.h"
 
 static const double tol_place_m = 0.02; /* EXIF rounding, averaged over the photographs */
-static char tmp[FILE_PATH_MAX];
 static struct arena config_texts;
 
 static void join(char *out, const char *a, const char *b)
@@ -32,7 +31,7 @@ static void city_config(struct synth_config *c, char *dir, const char *name)
 {
     struct err e = {0};
     kit_ok(options_defaults(synth_options(), c, &config_texts, &e), e);
-    join(dir, tmp, name);
+    join(dir, kit_tmp, name);
     c->output = dir;
     c->photos = 32;
     c->width_px = 80;
@@ -46,7 +45,7 @@ static void ingest_config(struct ingest_config *c, char *dir, const char *name)
 {
     struct err e = {0};
     kit_ok(options_defaults(ingest_options(), c, &config_texts, &e), e);
-    join(dir, tmp, name);
+    join(dir, kit_tmp, name);
     c->output = dir;
 }
 
@@ -284,8 +283,8 @@ static void test_undistorted_pixels(void **state)
             for (int k = 0; k < 3; k++)
                 img.px[3 * ((size_t)y * 320 + x) + (size_t)k] = (uint8_t)(rgb[k] + 0.5);
         }
-    join(from, tmp, "smooth.png");
-    join(to, tmp, "flat.png");
+    join(from, kit_tmp, "smooth.png");
+    join(to, kit_tmp, "flat.png");
     kit_ok(image_write(from, &img, 0, NULL, &e), e);
     image_free(&img);
     for (size_t l = 0; l < sizeof lenses / sizeof *lenses; l++)
@@ -469,17 +468,9 @@ static void test_caliterra(void **state)
     scene_free(&s);
 }
 
-static int setup(void **state)
-{
-    (void)state;
-    kit_tmpdir(tmp);
-    return 0;
-}
-
 static int teardown(void **state)
 {
-    (void)state;
-    kit_rmdir(tmp);
+    kit_tmp_remove(state);
     arena_free(&config_texts);
     return 0;
 }
@@ -494,5 +485,5 @@ int main(void)
     };
     progress_quiet(true);
     log_set_level(LOG_WARN);
-    return cmocka_run_group_tests_name("ingest", tests, setup, teardown);
+    return cmocka_run_group_tests_name("ingest", tests, kit_tmp_make, teardown);
 }

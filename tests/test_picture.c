@@ -11,20 +11,6 @@
 
 static const char POSE[] = "13.398,52.4985,150@10.5,-40,55";
 
-static bool start_with_device(void)
-{
-    struct err e = {0};
-    struct dev dev;
-    if (dev_open("cpu", &dev, &e) != ERR_OK) {
-        print_message("skipped: %s\n", e.msg);
-        return false;
-    }
-    dev_close(&dev);
-    t.cfg.device = "cpu";
-    start();
-    return true;
-}
-
 static const char *view_target(const char *pose, const char *size, char out[256])
 {
     snprintf(out, 256, "/d/toy/r/%s/static/%s/%s", t.rev, pose, size);

@@ -43,17 +43,7 @@ static void cameras(struct town *t)
         double at[3] = {15.0 * (k % 4), 15.0 * (k / 4), 80.0};
         if (k == 1)
             at[0] = 0.1;
-        const double down[9] = {1, 0, 0, 0, -1, 0, 0, 0, -1};
-        *c = (struct camera){.width_px = 400,
-                             .height_px = 300,
-                             .fx_px = 300,
-                             .fy_px = 300,
-                             .cx_px = 200,
-                             .cy_px = 150};
-        memcpy(c->rot, down, sizeof down);
-        for (int a = 0; a < 3; a++)
-            c->trans[a] =
-                -(down[3 * a] * at[0] + down[3 * a + 1] * at[1] + down[3 * a + 2] * at[2]);
+        kit_camera_down(at, c);
     }
 }
 

@@ -12,21 +12,6 @@
 #include "lod/query.h"
 #include "lod/view.h"
 
-static int setup(void **state)
-{
-    (void)state;
-    survey_make(NULL);
-    survey_open();
-    return 0;
-}
-
-static int teardown(void **state)
-{
-    (void)state;
-    survey_drop();
-    return 0;
-}
-
 static json_t *ask(enum query_kind kind, const struct geoid *geoid, json_t *question)
 {
     struct err e = {0};
@@ -56,18 +41,6 @@ static void place_of(double x, double y, double z, double out[3])
     kit_ok(geo_from_enu(&origin, enu, &out[0], &out[1], &out[2], &e), e);
 }
 
-/* The truth is no steeper than that within 0.6 m. */
-static bool level_at(double x, double y)
-{
-    double lo = HUGE_VAL, hi = -HUGE_VAL;
-    for (int k = 0; k < 25; k++) {
-        double z = truth_z(x + (k % 5 - 2) * 0.3, y + (k / 5 - 2) * 0.3);
-        lo = fmin(lo, z);
-        hi = fmax(hi, z);
-    }
-    return hi - lo < 0.3;
-}
-
 static void many_places_have_heights(void **state)
 {
     json_t *places = json_array();
@@ -85,7 +58,7 @@ static void many_places_have_heights(void **state)
         double x = (double)(i * 37 % 201) * 0.27 - 27, y = (double)(i * 53 % 199) * 0.27 - 27;
         const json_t *p = json_array_get(list, i);
         assert_true(fabs(number(p, "lon") - at[i][0]) < 1e-8);
-        if (!level_at(x, y))
+        if (!level_at(x, y, 0.3))
             continue;
         n++;
         assert_true(fabs(number(p, "height_m") - origin.h_m - truth_z(x, y)) < 0.35);
@@ -119,7 +92,7 @@ static void profiles_follow_the_surface(void **state)
         place_of(x, y, 0, at);
         assert_true(fabs(number(s, "distance_m") - d) < 0.01);
         assert_true(fabs(number(s, "lon") - at[0]) < 1e-7 && fabs(number(s, "lat") - at[1]) < 1e-7);
-        if (!level_at(x, y))
+        if (!level_at(x, y, 0.3))
             continue;
         level++;
         assert_true(fabs(number(s, "height_m") - origin.h_m - truth_z(x, y)) < 0.35);
@@ -277,7 +250,7 @@ static void eyes_see_what_is_not_hidden(void **state)
     (void)state;
     for (double y = -24; y < 24; y += 0.5) /* the highest roof */
         for (double x = -24; x < 24; x += 0.5)
-            if (truth_z(x, y) > top && level_at(x, y)) {
+            if (truth_z(x, y) > top && level_at(x, y, 0.3)) {
                 top = truth_z(x, y);
                 high[0] = x;
                 high[1] = y;
@@ -477,5 +450,5 @@ int main(void)
         cmocka_unit_test(sea_level_is_told),
         cmocka_unit_test(the_program_answers),
     };
-    return cmocka_run_group_tests_name("query", tests, setup, teardown);
+    return cmocka_run_group_tests_name("query", tests, survey_setup, survey_teardown);
 }

@@ -19,21 +19,6 @@
 
 #define GSD_M 0.25
 
-static int setup(void **state)
-{
-    (void)state;
-    survey_make(NULL);
-    survey_open();
-    return 0;
-}
-
-static int teardown(void **state)
-{
-    (void)state;
-    survey_drop();
-    return 0;
-}
-
 /* ---- a map in memory ---- */
 
 struct map {
@@ -435,5 +420,5 @@ int main(void)
         cmocka_unit_test(nonsense_is_refused),
         cmocka_unit_test(the_program_says_the_same),
     };
-    return cmocka_run_group_tests_name("survey", tests, setup, teardown);
+    return cmocka_run_group_tests_name("survey", tests, survey_setup, survey_teardown);
 }
