@@ -263,19 +263,22 @@ static void test_least_rate(void **state)
              tile_target(17, "ply", target));
     const struct {
         size_t chunk;
-        int buffer;
+        int buffer, rate_kb;
         bool cut;
-    } rows[] = {{400, 4096, true}, {sizeof bytes, 65536, false}};
+    } rows[] = {{400, 4096, 40, true}, {sizeof bytes, 65536, 800, false}};
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         uint64_t reaped = atomic_load(&m->reaped);
         int fd = dial(t.port);
         setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &rows[i].buffer, sizeof rows[i].buffer);
         say(fd, request);
-        double end_s = clock_s() + 2.5;
-        while (clock_s() < end_s && atomic_load(&m->reaped) == reaped) {
-            if (recv(fd, bytes, rows[i].chunk, 0) <= 0)
+        double start_s = clock_s(), got_kb = 0;
+        while (clock_s() < start_s + 2.5 && atomic_load(&m->reaped) == reaped) {
+            ssize_t n = recv(fd, bytes, rows[i].chunk, 0);
+            if (n <= 0)
                 break;
-            nap_ms(10); /* 40 KB/s and up to 800 KB/s */
+            got_kb += (double)n / 1000;
+            while (got_kb > rows[i].rate_kb * (clock_s() - start_s)) /* late naps are caught up */
+                nap_ms(1);
         }
         assert_int_equal(atomic_load(&m->reaped) > reaped, rows[i].cut);
         close(fd);
