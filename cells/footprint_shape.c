@@ -265,6 +265,8 @@ static enum err_code shape_read_ring(const json_t *list, const struct geo_origin
         if (!rc)
             memcpy(at[i], enu, sizeof *at);
     }
+    if (!rc && (at[0][0] != at[n - 1][0] || at[0][1] != at[n - 1][1]))
+        rc = err_set(e, ERR_FORMAT, "a ring is not closed: repeat its first position");
     if (!rc)
         rc = shape_add(out, (const double(*)[2])at, n - 1, e); /* the last is the first again */
     mem_free(at);
@@ -311,6 +313,19 @@ static enum err_code shape_read(const json_t *root, const struct geo_origin *ori
         rc = shape_read_geometry(json_object_get(json_array_get(features, i), "geometry"), origin,
                                  out, e);
     return rc;
+}
+
+/* GeoJSON of before 2016 may name another coordinate system. */
+static enum err_code shape_check_crs(const json_t *root, struct err *e)
+{
+    const char *name = json_string_value(
+        json_object_get(json_object_get(json_object_get(root, "crs"), "properties"), "name"));
+    if (!name || strstr(name, "CRS84") || strstr(name, "4326"))
+        return ERR_OK;
+    return err_set(e, ERR_FORMAT,
+                   "is in %.80s; make longitude and latitude of it with ogr2ogr -t_srs EPSG:4326 "
+                   "-f GeoJSON",
+                   name);
 }
 
 /* Without evidence of the scene's own: a grid over the polygons, and any height. */
@@ -374,7 +389,9 @@ enum err_code footprint_read(struct footprint *f, const char *path, const struct
     enum err_code rc = jsonc_read(path, &root, e);
     if (rc)
         return rc;
-    rc = shape_read(root, origin, &s, e);
+    rc = shape_check_crs(root, e);
+    if (!rc)
+        rc = shape_read(root, origin, &s, e);
     json_decref(root);
     if (!rc && !s.n)
         rc = err_set(e, ERR_FORMAT, "no polygon in there");

@@ -52,8 +52,8 @@ static size_t gcp_split(char *text, bool csv, char *field[GCP_FIELDS])
     return n;
 }
 
-/* The first line of a CSV file: which field is what. False: it is no such line. */
-static bool gcp_columns(char *text, struct gcp_table *t, int *epsg)
+/* What a column of this name holds; GCP_COLUMNS: unknown. */
+static enum gcp_column gcp_column_of(const char *word)
 {
     static const struct {
         const char *word;
@@ -92,21 +92,31 @@ static bool gcp_columns(char *text, struct gcp_table *t, int *epsg)
                  {"label", GCP_NAME},
                  {"gcp", GCP_NAME},
                  {"id", GCP_NAME}};
+    for (size_t w = 0; w < sizeof words / sizeof *words; w++)
+        if (!strcasecmp(word, words[w].word))
+            return words[w].column;
+    return GCP_COLUMNS;
+}
+
+/* The first line of a CSV file: which field is what. Returns the first column that is wanted and not
+ * there, GCP_NAME: none. */
+static enum gcp_column gcp_columns(char *text, struct gcp_table *t, int *epsg)
+{
     char *field[GCP_FIELDS];
-    size_t n = gcp_split(text, true, field);
-    for (size_t c = 0; c < GCP_COLUMNS; c++)
-        t->column[c] = SIZE_MAX;
-    for (size_t i = 0; i < n; i++)
-        for (size_t w = 0; w < sizeof words / sizeof *words; w++)
-            if (!strcasecmp(field[i], words[w].word)) {
-                t->column[words[w].column] = i;
-                if (!strncasecmp(field[i], "lon", 3))
-                    *epsg = GCP_LONLAT;
-            }
-    for (size_t c = 0; c < GCP_NAME; c++)
-        if (t->column[c] == SIZE_MAX)
-            return false;
-    return true;
+    size_t n = gcp_split(text, true, field), c = 0;
+    for (size_t i = 0; i < GCP_COLUMNS; i++)
+        t->column[i] = SIZE_MAX;
+    for (size_t i = 0; i < n; i++) {
+        enum gcp_column column = gcp_column_of(field[i]);
+        if (column == GCP_COLUMNS)
+            continue;
+        t->column[column] = i;
+        if (!strncasecmp(field[i], "lon", 3))
+            *epsg = GCP_LONLAT;
+    }
+    while (c < GCP_NAME && t->column[c] != SIZE_MAX)
+        c++;
+    return (enum gcp_column)c;
 }
 
 /* "EPSG:32632", "WGS84 UTM 32N"; 0 for other words. */
@@ -122,16 +132,64 @@ static int gcp_epsg(const char *text)
     return 0;
 }
 
-/* The point of a name, or without one of these coordinates; new where there is none yet. */
-static enum err_code gcp_find(struct gcp_list *l, const char *name, const double at[3], size_t *out,
+static bool gcp_names_columns(char *text)
+{
+    char *field[GCP_FIELDS];
+    size_t n = gcp_split(text, false, field), known = 0;
+    for (size_t i = 0; i < n; i++)
+        known += gcp_column_of(field[i]) != GCP_COLUMNS;
+    return known > 1;
+}
+
+/* The first line names the columns, or the coordinate system, or it is a mark (*mark). */
+static enum err_code gcp_head(const char *line, struct gcp_table *t, int *epsg, bool *mark,
                               struct err *e)
 {
-    for (size_t i = 0; i < l->n; i++)
-        if (*name ? !strcmp(l->gcps[i].name, name)
-                  : !memcmp(l->gcps[i].at, at, sizeof l->gcps[i].at)) {
-            *out = i;
+    static const char *const wanted[GCP_NAME] = {
+        "x (or easting, lon)", "y (or northing, lat)", "z (or height)", "px", "py", "image"};
+    char copy[GCP_LINE_MAX], *end;
+    snprintf(copy, sizeof copy, "%s", line);
+    enum gcp_column lacks = gcp_columns(copy, t, epsg);
+    *mark = false;
+    t->csv = lacks == GCP_NAME;
+    if (t->csv)
+        return ERR_OK;
+    for (size_t c = 0; c < GCP_COLUMNS; c++)
+        t->column[c] = c;
+    *epsg = gcp_epsg(line);
+    strtod(line, &end);
+    *mark = end != line && strchr(" \t,;", *end);
+    snprintf(copy, sizeof copy, "%s", line);
+    bool comma = strpbrk(line, ",;") && !strchr(line, '['); /* WKT has both */
+    if (*mark || *epsg || !(comma || gcp_names_columns(copy)))
+        return ERR_OK;
+    return err_set(e, ERR_FORMAT,
+                   "%s: line %zu: no column for %s; expected are the names of the columns, by "
+                   "commas, or the coordinate system",
+                   t->path, t->line, wanted[lacks]);
+}
+
+/* The point of a name, or without one of these coordinates; new where there is none yet. */
+static enum err_code gcp_find(const struct gcp_table *t, struct gcp_list *l, const char *name,
+                              const double at[3], size_t *out, struct err *e)
+{
+    if (strlen(name) >= GCP_NAME_MAX)
+        return err_set(e, ERR_FORMAT, "%s: line %zu: '%.40s...': names have at most %d bytes",
+                       t->path, t->line, name, GCP_NAME_MAX - 1);
+    for (size_t i = 0; i < l->n; i++) {
+        const struct gcp *g = &l->gcps[i];
+        bool there = g->at[0] == at[0] && g->at[1] == at[1] && g->at[2] == at[2];
+        if (*name ? strcmp(g->name, name) != 0 : !there)
+            continue;
+        *out = i;
+        if (there)
             return ERR_OK;
-        }
+        return err_set(
+            e, ERR_FORMAT,
+            "%s: line %zu: ground control point %s lies at %.10g %.10g %.10g here and at "
+            "%.10g %.10g %.10g before: mend the one that is wrong",
+            t->path, t->line, name, at[0], at[1], at[2], g->at[0], g->at[1], g->at[2]);
+    }
     if (l->n == GCP_MAX)
         return err_set(e, ERR_DATA, "more than %d ground control points", GCP_MAX);
     if (l->n == l->cap) {
@@ -145,7 +203,7 @@ static enum err_code gcp_find(struct gcp_list *l, const char *name, const double
     struct gcp *g = &l->gcps[l->n];
     *g = (struct gcp){.at = {at[0], at[1], at[2]}};
     if (*name)
-        snprintf(g->name, sizeof g->name, "%.*s", GCP_NAME_MAX - 1, name);
+        snprintf(g->name, sizeof g->name, "%s", name);
     else
         snprintf(g->name, sizeof g->name, "%zu", l->n + 1);
     *out = l->n++;
@@ -181,12 +239,17 @@ static enum err_code gcp_row(const struct gcp_table *t, char *text, struct gcp_l
                            t->csv ? "what the first line names"
                                   : "x y z column row photograph [name]");
     }
-    if (t->column[GCP_IMAGE] >= n || !*field[t->column[GCP_IMAGE]])
+    const char *image = t->column[GCP_IMAGE] < n ? field[t->column[GCP_IMAGE]] : "";
+    if (!*image)
         return err_set(e, ERR_FORMAT, "%s: line %zu: no photograph is named", t->path, t->line);
+    if (strlen(image) >= GCP_IMAGE_MAX)
+        return err_set(e, ERR_FORMAT,
+                       "%s: line %zu: '%.40s...': names of photographs have at most %d bytes",
+                       t->path, t->line, image, GCP_IMAGE_MAX - 1);
     const char *name = t->column[GCP_NAME] < n ? field[t->column[GCP_NAME]] : "";
     struct gcp_mark m = {.x_px = v[GCP_PX], .y_px = v[GCP_PY]};
-    snprintf(m.image, sizeof m.image, "%.*s", GCP_IMAGE_MAX - 1, field[t->column[GCP_IMAGE]]);
-    enum err_code rc = gcp_find(l, name, v, &m.gcp, e);
+    snprintf(m.image, sizeof m.image, "%s", image);
+    enum err_code rc = gcp_find(t, l, name, v, &m.gcp, e);
     return rc ? rc : gcp_add_mark(l, &m, e);
 }
 
@@ -201,11 +264,14 @@ enum err_code gcp_read(const char *path, struct gcp_list *out, struct err *e)
         buf_u8(&b, 0);
         rc = buf_check(&b, e);
     }
-    for (char *p = rc ? NULL : (char *)b.data, *next; p && !rc; p = next) {
-        char line[GCP_LINE_MAX], copy[GCP_LINE_MAX];
+    char *first = (char *)b.data;
+    if (!rc && !strncmp(first, "\xef\xbb\xbf", 3)) /* the byte-order mark of UTF-8 */
+        first += 3;
+    for (char *p = rc ? NULL : first, *next; p && !rc; p = next) {
+        char line[GCP_LINE_MAX];
         size_t n = strcspn(p, "\r\n");
         next = p[n] ? p + n + 1 : NULL;
-        t.line += !(p[n] == '\n' && p > (char *)b.data && p[-1] == '\r' && n == 0);
+        t.line += !(p[n] == '\n' && p > first && p[-1] == '\r' && n == 0);
         p += strspn(p, " \t");
         n = strcspn(p, "\r\n");
         if (n == 0 || *p == '#')
@@ -216,18 +282,12 @@ enum err_code gcp_read(const char *path, struct gcp_list *out, struct err *e)
         }
         memcpy(line, p, n);
         line[n] = '\0';
-        memcpy(copy, line, n + 1);
-        if (head) {
-            head = false;
-            t.csv = strchr(line, ',') && gcp_columns(copy, &t, &out->epsg);
-            if (t.csv)
-                continue;
-            for (size_t c = 0; c < GCP_COLUMNS; c++)
-                t.column[c] = c;
-            out->epsg = gcp_epsg(line);
-            continue;
-        }
-        rc = gcp_row(&t, line, out, e);
+        bool mark = true;
+        if (head)
+            rc = gcp_head(line, &t, &out->epsg, &mark, e);
+        head = false;
+        if (!rc && mark)
+            rc = gcp_row(&t, line, out, e);
     }
     if (!rc && !out->n_marks)
         rc = err_set(e, ERR_DATA,

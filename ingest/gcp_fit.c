@@ -26,11 +26,52 @@ void gcp_fit_free(struct gcp_fit *f)
     *f = (struct gcp_fit){0};
 }
 
-/* Names are compared without folders, and without caring for capitals: cameras write .JPG. */
-static bool gcp_fit_same(const char *a, const char *b)
+static bool gcp_fit_is_slash(char c)
 {
-    const char *x = strrchr(a, '/'), *y = strrchr(b, '/');
-    return !strcasecmp(x ? x + 1 : a, y ? y + 1 : b);
+    return c == '/' || c == '\\';
+}
+
+/* How well the path of a photograph and the one of a mark end alike, 0 for not: folders that both have
+ * must be the same, capitals do not matter (cameras write .JPG), the whole path is better than a part. */
+static size_t gcp_fit_alike(const char *photo, const char *mark)
+{
+    size_t n = strlen(photo), k = strlen(mark), same = 0, least = n < k ? n : k;
+    while (same < least) {
+        char a = photo[n - same - 1], b = mark[k - same - 1];
+        if (gcp_fit_is_slash(a) ? !gcp_fit_is_slash(b) : strncasecmp(&a, &b, 1) != 0)
+            return 0;
+        same++;
+    }
+    if ((n > least && !gcp_fit_is_slash(photo[n - least - 1])) ||
+        (k > least && !gcp_fit_is_slash(mark[k - least - 1])))
+        return 0;
+    return 4 * same + 2 * (n == k) + !strcmp(photo, mark);
+}
+
+/* The photograph of a mark, NULL: none. Of all that COLMAP knows, also those that were dropped: the mark
+ * of one must not go to another of that name. */
+static enum err_code gcp_fit_photo(const struct colmap_model *m, const struct gcp_list *list,
+                                   const struct gcp_mark *mark, const struct colmap_image **out,
+                                   struct err *e)
+{
+    const struct colmap_image *best = NULL, *other = NULL;
+    size_t most = 0;
+    for (size_t i = 0; i < m->n_images; i++) {
+        size_t alike = gcp_fit_alike(m->images[i].name, mark->image);
+        if (alike && alike == most)
+            other = &m->images[i];
+        if (alike <= most)
+            continue;
+        best = &m->images[i];
+        other = NULL;
+        most = alike;
+    }
+    *out = best;
+    if (!other)
+        return ERR_OK;
+    return err_set(e, ERR_DATA,
+                   "ground control point %s: '%s' may be %.200s or %.200s: name it with its folder",
+                   list->gcps[mark->gcp].name, mark->image, best->name, other->name);
 }
 
 struct gcp_ray {
@@ -137,8 +178,12 @@ static enum err_code gcp_fit_locate(const struct gcp_fit *f, const struct colmap
     size_t n = 0;
     for (size_t k = 0; k < f->list->n_marks; k++) {
         const struct gcp_mark *mark = &f->list->marks[k];
-        for (size_t v = 0; mark->gcp == i && v < n_views; v++) {
-            if (!gcp_fit_same(views[v].image->name, mark->image))
+        const struct colmap_image *photo = NULL;
+        enum err_code rc = mark->gcp == i ? gcp_fit_photo(m, f->list, mark, &photo, e) : ERR_OK;
+        if (rc)
+            return rc;
+        for (size_t v = 0; photo && v < n_views; v++) {
+            if (views[v].image != photo)
                 continue;
             double x = mark->x_px / px_scale, y = mark->y_px / px_scale;
             const struct lens *l = views[v].lens;

@@ -296,21 +296,29 @@ static enum err_code frame_by_hand(struct ingest *g, size_t n_gps, size_t n_kept
     return rc;
 }
 
-/* Which way is up in COLMAP's frame: the ground's normal, on the side of the cameras. */
+/* Which way is up in COLMAP's frame: the ground's normal, on the side of the cameras. Each sight of a
+ * reliable point from a photograph that was kept is one vote, so that no single pose decides. */
 static enum err_code frame_up(const struct ingest *g, double out[3], struct err *e)
 {
     const struct colmap_model *m = &g->model;
-    double above = 0;
-    size_t n = 0;
+    size_t above = 0, below = 0;
     enum err_code rc = frame_ground_normal(g, out, e);
-    for (size_t i = 0; !rc && i < m->n_points; i++) {
-        const double *x = m->points[i].xyz, *c = g->photos[i % g->n].geo.center;
-        if (!frame_point_is_reliable(&m->points[i]))
-            continue;
-        above += out[0] * (c[0] - x[0]) + out[1] * (c[1] - x[1]) + out[2] * (c[2] - x[2]);
-        n++;
+    for (size_t i = 0; !rc && i < g->n; i++) {
+        const struct colmap_image *im = g->photos[i].image;
+        const double *c = g->photos[i].geo.center;
+        for (size_t k = 0; g->photos[i].verdict == INGEST_KEPT && k < im->n_obs; k++) {
+            const struct colmap_point *p =
+                im->obs[k].point < 0 ? NULL : &m->points[im->obs[k].point];
+            if (!p || !frame_point_is_reliable(p))
+                continue;
+            double up = 0; /* in units of COLMAP */
+            for (size_t a = 0; a < 3; a++)
+                up += out[a] * (c[a] - p->xyz[a]);
+            above += up > 0;
+            below += up < 0;
+        }
     }
-    for (size_t k = 0; !rc && n && above < 0 && k < 3; k++)
+    for (size_t k = 0; !rc && below > above && k < 3; k++)
         out[k] = -out[k];
     return rc;
 }

@@ -266,6 +266,7 @@ enum err_code clip_store(const struct clip *c, const char *path, const char *nam
     if (rc)
         return rc;
     meta = *store_info(from);
+    meta.created[0] = '\0'; /* now */
     if (name && strlen(name) >= sizeof meta.name)
         rc = err_set(e, ERR_ARG, "--name: at most %zu letters", sizeof meta.name - 1);
     else if (name)

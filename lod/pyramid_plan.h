@@ -14,7 +14,7 @@
 #include "lod/store.h"
 
 enum {
-    PYRAMID_LEVEL_MAX = 7,
+    PYRAMID_LEVEL_MAX = STORE_LEVEL_MAX,
     PYRAMID_LONE_ROOTS = 4, /* so few tiles may stand side by side at the top ... */
     PYRAMID_CLIMB_MAX = 3,  /* ... if there are no fewer of them so many zooms up */
 };

@@ -15,9 +15,10 @@
 
 struct gauss;
 
+enum { STORE_LEVEL_MAX = 7 };
 struct store_tile { /* the index entry of one tile */
     struct key key;
-    uint8_t level;                     /* 1..3 trained, 0 = overview */
+    uint8_t level;                     /* 1..STORE_LEVEL_MAX trained, 0 = overview */
     uint32_t count;                    /* Gaussians */
     uint64_t bytes;                    /* of the payload */
     double center_enu_m[3];            /* origin of the payload's means */

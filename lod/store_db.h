@@ -33,6 +33,7 @@ enum {
     STORE_SCHEMA = 2,
     STORE_PAGE_BYTES = 8192,
     STORE_HASH_BYTES = 16,
+    STORE_ROW_BYTES = 48, /* fewer has no index row: two hashes, lengths of 28 columns */
 };
 
 /* Data on its way to the disk while a store is built: store_flush.c. */
@@ -51,6 +52,7 @@ struct store {
     struct store_flush flush; /* building */
     char path[FILE_PATH_MAX]; /* as the caller named it */
     char part[FILE_PATH_MAX]; /* building: where it is written */
+    uint64_t size_bytes;      /* opened: of the file */
     struct store_meta meta;
     struct store_tile *tiles; /* opened: sorted by key; building: in order of store_put */
     size_t n_tiles, cap_tiles;

@@ -10,6 +10,7 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <jansson.h>
+#include <limits.h>
 #include <math.h>
 #include <pthread.h>
 #include <stdio.h>
@@ -40,7 +41,8 @@ static uint32_t store_be32(const uint8_t *p)
 }
 
 /* The 100 bytes of an SQLite header (sqlite.org/fileformat2.html, 1.3) against the file's size. */
-static enum err_code store_check_header(const char *at, const char *path, struct err *e)
+static enum err_code store_check_header(const char *at, const char *path, uint64_t *size_bytes,
+                                        struct err *e)
 {
     uint8_t h[100];
     int fd = open(at, O_RDONLY | O_CLOEXEC);
@@ -64,6 +66,7 @@ static enum err_code store_check_header(const char *at, const char *path, struct
     if (want != (uint64_t)st.st_size)
         return err_set(e, ERR_FORMAT, "%s: truncated or overlong: %llu bytes, its header says %llu",
                        path, (unsigned long long)st.st_size, (unsigned long long)want);
+    *size_bytes = want;
     return ERR_OK;
 }
 
@@ -128,6 +131,8 @@ static enum err_code store_connect(struct store *s, const char *at, const char *
     if (code == SQLITE_OK) {
         sqlite3_db_config(s->db, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, NULL);
         sqlite3_db_config(s->db, SQLITE_DBCONFIG_DEFENSIVE, 1, NULL);
+        sqlite3_limit(s->db, SQLITE_LIMIT_LENGTH,
+                      s->size_bytes < INT_MAX ? (int)s->size_bytes : INT_MAX);
         code = sqlite3_exec(s->db,
                             "PRAGMA mmap_size=0; PRAGMA cell_size_check=ON; PRAGMA query_only=ON",
                             NULL, NULL, NULL);
@@ -136,6 +141,27 @@ static enum err_code store_connect(struct store *s, const char *at, const char *
         rc = store_db_fail(s, code, "cannot open", e);
 out:
     buf_free(&uri);
+    return rc;
+}
+
+/* What is read are tables of this file: a view may have rows without end, of any length. */
+static enum err_code store_check_tables(const struct store *s, struct err *e)
+{
+    sqlite3_stmt *q = NULL;
+    int code = sqlite3_prepare_v2(s->db,
+                                  "SELECT count(*) FROM sqlite_schema WHERE type='table' AND "
+                                  "rootpage>0 AND lower(name) IN ('meta','tiles','blobs')",
+                                  -1, &q, NULL);
+    if (code == SQLITE_OK)
+        code = sqlite3_step(q);
+    bool whole = code == SQLITE_ROW && sqlite3_column_int(q, 0) == 3;
+    enum err_code rc = ERR_OK;
+    if (code != SQLITE_ROW)
+        rc = store_db_fail(s, code, "schema", e);
+    else if (!whole)
+        rc = err_set(e, ERR_FORMAT,
+                     "%s: meta, tiles and blobs are not all tables: not a tile store", s->path);
+    sqlite3_finalize(q);
     return rc;
 }
 
@@ -265,7 +291,7 @@ static bool store_row(sqlite3_stmt *q, struct store_tile *t)
     t->key.z = (uint8_t)store_column_u(q, 1, KEY_ZOOM_MAX, &ok);
     t->key.x = (uint32_t)store_column_u(q, 2, UINT32_MAX, &ok);
     t->key.y = (uint32_t)store_column_u(q, 3, UINT32_MAX, &ok);
-    t->level = (uint8_t)store_column_u(q, 4, UINT8_MAX, &ok);
+    t->level = (uint8_t)store_column_u(q, 4, STORE_LEVEL_MAX, &ok);
     t->count = (uint32_t)store_column_u(q, 5, UINT32_MAX, &ok);
     t->bytes = store_column_u(q, 6, INT32_MAX, &ok);
     t->version = (uint32_t)store_column_u(q, 7, UINT32_MAX, &ok);
@@ -285,10 +311,12 @@ static bool store_row(sqlite3_stmt *q, struct store_tile *t)
            have.hi == want.hi;
 }
 
-/* Rows come in order of id; the damaged ones are left out and counted. */
+/* Rows come in order of id; the damaged ones are left out and counted. Pages that point to each other
+ * in circles give rows for ever: no more are read than the file has room for. */
 static enum err_code store_read_index(struct store *s, size_t *n_bad, struct err *e)
 {
     sqlite3_stmt *q = NULL;
+    struct key first = {0};
     int code = sqlite3_prepare_v2(s->db, STORE_INDEX_SQL, -1, &q, NULL);
     enum err_code rc = code == SQLITE_OK ? ERR_OK : store_db_fail(s, code, "index", e);
     while (!rc && (code = sqlite3_step(q)) == SQLITE_ROW) {
@@ -303,16 +331,21 @@ static enum err_code store_read_index(struct store *s, size_t *n_bad, struct err
             s->cap_tiles = cap;
         }
         struct store_tile t = {0};
-        if (store_row(q, &t)) {
+        if (store_row(q, &t))
             s->tiles[s->n_tiles++] = t;
-        } else {
-            *n_bad += 1;
-            log_warn("store", "%s: index row of tile %u/%u/%u is damaged, the tile is left out",
-                     s->path, t.key.z, t.key.x, t.key.y);
-        }
+        else if (!(*n_bad)++)
+            first = t.key;
+        if (s->n_tiles + *n_bad > s->size_bytes / STORE_ROW_BYTES)
+            rc = err_set(e, ERR_FORMAT, "%s: damaged: more index rows than fit into the file",
+                         s->path);
     }
     if (!rc && code != SQLITE_DONE)
         rc = store_db_fail(s, code, "index", e);
+    if (*n_bad)
+        log_warn(
+            "store",
+            "%s: damaged index rows: %zu, that of tile %u/%u/%u first: these tiles are left out",
+            s->path, *n_bad, first.z, first.x, first.y);
     sqlite3_finalize(q);
     if (!rc)
         qsort(s->tiles, s->n_tiles, sizeof *s->tiles, store_db_tile_compare);
@@ -349,15 +382,19 @@ static enum err_code store_open_at(const char *at, const char *path, const char 
     *out = NULL;
     if (strlen(path) >= FILE_PATH_MAX)
         return err_set(e, ERR_LIMIT, "%s: path too long", path);
-    enum err_code rc = store_check_header(at, path, e);
+    uint64_t size_bytes = 0;
+    enum err_code rc = store_check_header(at, path, &size_bytes, e);
     if (rc)
         return rc;
     struct store *s = mem_array(1, sizeof *s);
     if (!s)
         return err_set(e, ERR_MEM, "%s: out of memory", path);
+    s->size_bytes = size_bytes;
     memcpy(s->path, path, strlen(path) + 1);
     size_t n_bad = 0;
     rc = store_connect(s, at, vfs, e);
+    if (!rc)
+        rc = store_check_tables(s, e);
     if (!rc)
         rc = store_read_meta(s, e);
     if (!rc)
@@ -613,7 +650,7 @@ enum err_code store_verify(struct store *s, size_t *n_bad_out, struct err *e)
     char **names = NULL;
     store_verify_pages(s, &first, &n_bad);
     /* Rows that were left out at opening are found again by reading the index afresh. */
-    struct store again = {.db = s->db};
+    struct store again = {.db = s->db, .size_bytes = s->size_bytes};
     memcpy(again.path, s->path, sizeof again.path);
     enum err_code rc = store_read_index(&again, &n_rows_bad, &one);
     mem_free(again.tiles);

@@ -13,6 +13,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <assert.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -351,6 +352,10 @@ static enum err_code update_carry_level(struct update *u, uint8_t level, struct 
 
 /* ---- all of it ---- */
 
+static_assert(sizeof((struct update_config *)0)->level ==
+                  (STORE_LEVEL_MAX + 1) * sizeof(struct gauss *),
+              "a place for every level that a store may have");
+
 static enum err_code update_check(struct update *u, struct err *e)
 {
     const struct store_meta *m = store_info(u->old);
@@ -375,7 +380,7 @@ static enum err_code update_check(struct update *u, struct err *e)
     }
     if (!first)
         return err_set(e, ERR_ARG, "update: no level is given");
-    for (uint8_t l = (uint8_t)(u->top + 1); l < 8; l++)
+    for (uint8_t l = (uint8_t)(u->top + 1); l <= STORE_LEVEL_MAX; l++)
         if (u->c->level[l])
             return err_set(e, ERR_DATA,
                            "level %u is given, the store ends at level %u: tile the whole scene "
@@ -425,7 +430,7 @@ enum err_code update_build(const char *store_path, const struct update_config *c
         rc = edit_write(&u.d, u.old, NULL, out_path, &report->n_copied, &report->n_written, e);
     for (size_t i = 0; !rc && i < u.d.n; i++)
         report->n_removed += u.d.tile[i].g.n == 0 && store_find(u.old, u.d.tile[i].key);
-    for (size_t l = 0; l < 8; l++)
+    for (size_t l = 0; l <= STORE_LEVEL_MAX; l++)
         mem_free(u.border[l].at);
     edit_free(&u.d);
     store_close(&u.old);

@@ -20,9 +20,9 @@ struct update {
     struct store *old;
     const struct store_tile *tiles;
     size_t n_tiles;
-    uint8_t top;                    /* the finest level */
-    uint8_t zoom_given;             /* the coarsest zoom of a level that is given */
-    struct update_border border[8]; /* by level */
+    uint8_t top;        /* the finest level */
+    uint8_t zoom_given; /* the coarsest zoom of a level that is given */
+    struct update_border border[STORE_LEVEL_MAX + 1]; /* by level */
     struct edit d;
 };
 

@@ -128,6 +128,42 @@ static void what_lies_inside_is_kept(void **state)
     check_part(origin.h_m + 8, false); /* haze is everywhere, so that no tile is as it was */
 }
 
+/* A part of an old store was not made when that was. */
+static void a_part_has_its_own_date(void **state)
+{
+    struct err e = {0};
+    struct store *all, *old;
+    struct store_meta meta;
+    struct clip c;
+    struct clip_report r;
+    char path[FILE_PATH_MAX], out[FILE_PATH_MAX];
+    size_t n;
+    (void)state;
+    path_of("old.tiles", path);
+    path_of("new.tiles", out);
+    kit_ok(store_open(f.path, &all, &e), e);
+    meta = *store_info(all);
+    snprintf(meta.created, sizeof meta.created, "2001-02-03T04:05:06Z");
+    kit_ok(store_create(path, &meta, &old, &e), e);
+    const struct store_tile *tiles = store_tiles(all, &n);
+    for (size_t i = 0; i < n; i++) {
+        struct store_tile t = tiles[i];
+        struct buf payload = {0};
+        kit_ok(store_read(all, t.key, &payload, &e), e);
+        kit_ok(store_add(old, &t, &payload, &e), e);
+        buf_free(&payload);
+    }
+    kit_ok(store_commit(&old, &e), e);
+    kit_ok(clip_open(NULL, -HUGE_VAL, origin.h_m + 8, &c, &e), e);
+    kit_ok(clip_store(&c, path, NULL, out, &r, &e), e);
+    store_close(&all);
+    kit_ok(store_open(out, &all, &e), e);
+    assert_int_equal(strlen(store_info(all)->created), 20);
+    assert_true(strcmp(store_info(all)->created, "2020") > 0);
+    store_close(&all);
+    clip_free(&c);
+}
+
 static void nonsense_is_refused(void **state)
 {
     static const struct {
@@ -199,6 +235,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(what_lies_inside_is_kept),
+        cmocka_unit_test(a_part_has_its_own_date),
         cmocka_unit_test(nonsense_is_refused),
         cmocka_unit_test(the_program_clips),
     };

@@ -227,6 +227,13 @@ static void test_bad_input(void **state)
     expect("{\"type\":\"Polygon\",\"coordinates\":[[[1,2],\"x\",[1,3],[1,2]]]}", ERR_FORMAT,
            "longitude");
     expect("{\"type\":\"Polygon\",\"coordinates\":[[[1,92],[2,3],[1,3],[1,92]]]}", ERR_ARG, "");
+    expect("{\"type\":\"Polygon\",\"coordinates\":[[[7.57,47.56],[7.574,47.56],[7.574,47.564],"
+           "[7.57,47.564]]]}",
+           ERR_FORMAT, "not closed");
+    expect("{\"type\":\"Polygon\",\"crs\":{\"type\":\"name\",\"properties\":{\"name\":"
+           "\"urn:ogc:def:crs:EPSG::2056\"}},\"coordinates\":[[[7.57,47.56],[7.574,47.56],"
+           "[7.574,47.564],[7.57,47.56]]]}",
+           ERR_FORMAT, "ogr2ogr");
     log_set_level(LOG_ERROR); /* it warns that nothing is known */
     kit_ok(footprint_of(&s, &f, &e), e);
     log_set_level(LOG_WARN);

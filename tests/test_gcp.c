@@ -8,6 +8,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "codec/colmap.h"
 #include "codec/scene.h"
 #include "ingest/gcp.h"
 #include "ingest/ingest.h"
@@ -232,6 +233,57 @@ static void one_photograph_and_two_points_do(void **state)
     }
 }
 
+/* The poses of the city, with the camera of one photograph 2000 units under the ground. */
+static void write_poses_with_a_wrong_one(const char *dir)
+{
+    struct err e = {0};
+    struct colmap_model m;
+    char path[FILE_PATH_MAX];
+    kit_ok(colmap_read(city, &m, &e), e);
+    struct colmap_image *im = &m.images[13];
+    const double *q = im->quat_wxyz, *up = &by_gps.rot[6]; /* third row: up in COLMAP's frame */
+    double cross[3], twice[3];
+    for (size_t k = 0; k < 3; k++) /* t = -R c: t moves by R up, v + 2 w (q x v) + 2 q x (q x v) */
+        cross[k] = q[1 + (k + 1) % 3] * up[(k + 2) % 3] - q[1 + (k + 2) % 3] * up[(k + 1) % 3];
+    for (size_t k = 0; k < 3; k++)
+        twice[k] =
+            q[1 + (k + 1) % 3] * cross[(k + 2) % 3] - q[1 + (k + 2) % 3] * cross[(k + 1) % 3];
+    for (size_t k = 0; k < 3; k++)
+        im->trans[k] += 2000 * (up[k] + 2 * q[0] * cross[k] + 2 * twice[k]);
+    kit_ok(file_mkdir(dir, &e), e);
+    kit_ok(file_join(path, dir, "sparse", &e), e);
+    kit_ok(file_mkdir(path, &e), e);
+    kit_ok(colmap_write_bin(path, &m, &e), e);
+    colmap_free(&m);
+}
+
+/* Of two points, what is up comes from the cameras: one wrong pose does not outvote the others. */
+static void a_wrong_pose_turns_nothing_over(void **state)
+{
+    static const size_t two[2] = {0, 2};
+    struct err e = {0};
+    struct buf b = {0};
+    struct gcp_list l;
+    struct ingest_config ic;
+    struct scene s;
+    char path[FILE_PATH_MAX], dir[FILE_PATH_MAX], poses[FILE_PATH_MAX];
+    (void)state;
+    kit_ok(file_join(poses, tmp, "poses", &e), e);
+    write_poses_with_a_wrong_one(poses);
+    write_list(&b, two, 2, 3, 1);
+    put("two.txt", (char *)b.data, path);
+    buf_free(&b);
+    kit_ok(gcp_read(path, &l, &e), e);
+    config(&ic, dir, "upright");
+    kit_ok(ingest_run_gcp(images, poses, &ic, &l, &e), e);
+    kit_ok(scene_read(dir, &s, &e), e);
+    assert_int_equal(s.n_images, by_gps.n_images - 1);
+    for (size_t i = 0; i < s.n_images; i++)
+        assert_true(s.images[i].cam.rot[8] < 0); /* cameras look down */
+    scene_free(&s);
+    gcp_free(&l);
+}
+
 static void csv_is_read(void **state)
 {
     struct err e = {0};
@@ -263,6 +315,86 @@ static void csv_is_read(void **state)
     assert_string_equal(l.gcps[1].name, "2");
     kit_fails(gcp_keep_out(&l, "9", &e), ERR_ARG, e, "no ground control point '9'");
     gcp_free(&l);
+    put("d.txt", "1 2 3 4 5 a.jpg p\n1 2 3 6 7 b.jpg p\n", path); /* no line says the system */
+    kit_ok(gcp_read(path, &l, &e), e);
+    assert_int_equal(l.epsg, 0);
+    assert_int_equal(l.n_marks, 2);
+    gcp_free(&l);
+    put("e.csv", "\xef\xbb\xbflat,lon,z,px,py,image\n50.1,8.6,100,1,2,x.jpg\n", path);
+    kit_ok(gcp_read(path, &l, &e), e);
+    assert_int_equal(l.epsg, GCP_LONLAT);
+    assert_true(l.gcps[0].at[0] == 8.6 && l.gcps[0].at[1] == 50.1);
+    gcp_free(&l);
+}
+
+/* Two folders in which cameras began to count anew: every second photograph is in the other one. */
+static void photo_name(size_t k, const char *folders[2], char *out, size_t room)
+{
+    snprintf(out, room, "%sDJI_%04zu.jpg", folders[k % 2], k / 2);
+}
+
+/* A control point's marks in folders named like these; the code and message of the run in *e. */
+static enum err_code place_by_folders(const char *folders[2], const char *poses, const char *photos,
+                                      char dir[FILE_PATH_MAX], struct err *e)
+{
+    static const size_t four[4] = {0, 1, 2, 3};
+    struct buf b = {0};
+    struct gcp_list l;
+    struct ingest_config ic;
+    char path[FILE_PATH_MAX];
+    write_list(&b, four, 4, 6, 1);
+    put("folders.txt", (char *)b.data, path);
+    buf_free(&b);
+    kit_ok(gcp_read(path, &l, e), *e);
+    for (size_t i = 0; i < l.n_marks; i++)
+        for (size_t k = 0; k < by_gps.n_images; k++)
+            if (!strcmp(l.marks[i].image, by_gps.images[k].name)) {
+                photo_name(k, folders, l.marks[i].image, sizeof l.marks[i].image);
+                break;
+            }
+    config(&ic, dir, "folders");
+    ic.overwrite = true;
+    enum err_code rc = ingest_run_gcp(photos, poses, &ic, &l, e);
+    gcp_free(&l);
+    return rc;
+}
+
+static void marks_go_to_the_photograph_in_their_folder(void **state)
+{
+    static const char *folders[2] = {"a/", "b/"}, *full[2] = {"/survey/a/", "C:\\photos\\B\\"},
+                      *none[2] = {"", ""}, *other[2] = {"c/", "d/"};
+    struct err e = {0};
+    struct colmap_model m;
+    char poses[FILE_PATH_MAX], photos[FILE_PATH_MAX], path[FILE_PATH_MAX], from[FILE_PATH_MAX],
+        dir[FILE_PATH_MAX], name[64];
+    (void)state;
+    kit_ok(file_join(poses, tmp, "two-folders", &e), e);
+    kit_ok(file_join(photos, tmp, "two-folders/images", &e), e);
+    assert_int_equal(kit_run(NULL, "mkdir -p '%s/sparse' '%s/a' '%s/b'", poses, photos, photos), 0);
+    kit_ok(colmap_read(city, &m, &e), e);
+    for (size_t i = 0; i < m.n_images; i++) {
+        struct buf b = {0};
+        photo_name(i, folders, name, sizeof name);
+        kit_ok(file_join(from, images, m.images[i].name, &e), e);
+        kit_ok(file_join(path, photos, name, &e), e);
+        kit_ok(file_read(from, 0, &b, &e), e);
+        kit_ok(file_write(path, b.data, b.size, &e), e);
+        assert_string_equal(m.images[i].name, by_gps.images[i].name);
+        m.images[i].name = arena_printf(&m.arena, "%s", name);
+        buf_free(&b);
+    }
+    kit_ok(file_join(path, poses, "sparse", &e), e);
+    kit_ok(colmap_write_bin(path, &m, &e), e);
+    colmap_free(&m);
+    for (size_t k = 0; k < 2; k++) {
+        kit_ok(place_by_folders(k ? full : folders, poses, photos, dir, &e), e);
+        json_t *o = report(dir);
+        assert_true(rmse(o, "control", "points") == 4);
+        assert_true(rmse(o, "control", "rmse_plan_m") < 0.02);
+        json_decref(o);
+    }
+    kit_fails(place_by_folders(none, poses, photos, dir, &e), ERR_DATA, e, "may be a/DJI_");
+    kit_fails(place_by_folders(other, poses, photos, dir, &e), ERR_DATA, e, "at least 2");
 }
 
 static void nonsense_is_refused(void **state)
@@ -271,11 +403,19 @@ static void nonsense_is_refused(void **state)
     static const struct {
         const char *text, *says;
         enum err_code rc;
-    } bad[] = {{"EPSG:4326\n", "no ground control points", ERR_DATA},
-               {"EPSG:4326\n1 2 3 4 x a.jpg\n", "line 2: field 5 is no number", ERR_FORMAT},
-               {"EPSG:4326\n1 2 3 4 5\n", "no photograph", ERR_FORMAT},
-               {"EPSG:4326\n1 2 nan 4 5 a.jpg\n", "field 3", ERR_FORMAT},
-               {"name,x,y,z,px,py,image\na,1,2,3,4\n", "line 2", ERR_FORMAT}};
+    } bad[] = {
+        {"EPSG:4326\n", "no ground control points", ERR_DATA},
+        {"EPSG:4326\n1 2 3 4 x a.jpg\n", "line 2: field 5 is no number", ERR_FORMAT},
+        {"EPSG:4326\n1 2 3 4 5\n", "no photograph", ERR_FORMAT},
+        {"EPSG:4326\n1 2 nan 4 5 a.jpg\n", "field 3", ERR_FORMAT},
+        {"name,x,y,z,px,py,image\na,1,2,3,4\n", "line 2", ERR_FORMAT},
+        {"lat,degrees,z,px,py,image,name\n7,47,100,1,2,a.jpg,a\n", "no column for x", ERR_FORMAT},
+        {"x y z px py photo\n1 2 3 4 5 a.jpg\n", "by commas", ERR_FORMAT},
+        {"EPSG:4326\n1 2 3 4 5 a.jpg p\n1 2.5 3 4 5 b.jpg p\n",
+         "line 3: ground control point p lies at 1 2.5 3 here and at 1 2 3 before", ERR_FORMAT},
+        {"EPSG:4326\n1 2 3 4 5 a.jpg a23456789a23456789a23456789a23456789a23456789"
+         "a23456789a23456789a\n",
+         "line 2: 'a23456789a23456789a23456789a23456789", ERR_FORMAT}};
     struct err e = {0};
     struct gcp_list l;
     struct ingest_config ic;
@@ -326,7 +466,9 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(control_points_place_the_scene),
         cmocka_unit_test(one_photograph_and_two_points_do),
+        cmocka_unit_test(a_wrong_pose_turns_nothing_over),
         cmocka_unit_test(csv_is_read),
+        cmocka_unit_test(marks_go_to_the_photograph_in_their_folder),
         cmocka_unit_test(nonsense_is_refused),
     };
     return cmocka_run_group_tests_name("gcp", tests, setup, teardown);

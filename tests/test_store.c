@@ -6,6 +6,7 @@
 
 #include <math.h>
 #include <signal.h>
+#include <sqlite3.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/resource.h>
@@ -366,6 +367,81 @@ static void files_that_are_no_stores(void **state)
     kit_fails(store_create(nowhere, &meta, &s, &e), ERR_IO, e, "folder.tiles");
 }
 
+/* Change a store behind the back of its writer. */
+static void alter(const char *path, const char *sql)
+{
+    sqlite3 *db = NULL;
+    char *why = NULL;
+    assert_int_equal(sqlite3_open(path, &db), SQLITE_OK);
+    if (sqlite3_exec(db, sql, NULL, NULL, &why) != SQLITE_OK)
+        fail_msg("%s: %s", sql, why);
+    sqlite3_close(db);
+}
+
+/* Files that are small and would give rows without end, or of any length. */
+static void what_is_read_is_bounded_by_the_file(void **state)
+{
+    static const char *const views[] = {
+        "ALTER TABLE tiles RENAME TO kept; CREATE VIEW tiles AS WITH RECURSIVE r(i) AS (SELECT 1 "
+        "UNION ALL SELECT i+1 FROM r WHERE i<5000) SELECT r.i AS "
+        "id,z,x,y,level,count,bytes,version,"
+        "center_e,center_n,center_u,min_e,min_n,min_u,max_e,max_n,max_u,core_min_e,core_min_n,"
+        "core_min_u,core_max_e,core_max_n,core_max_u,sigma_median_m,sigma_max_m,geometric_error_m,"
+        "hash,row_hash,payload FROM kept,r",
+        "ALTER TABLE blobs RENAME TO kept; CREATE VIEW blobs AS SELECT * FROM kept",
+        "ALTER TABLE meta RENAME TO kept; CREATE VIEW meta AS SELECT * FROM kept"};
+    struct store_fixture *f = *state;
+    struct err e = {0};
+    struct store *s = NULL;
+    struct buf b = {0};
+    log_set_level(LOG_ERROR);
+    for (size_t i = 0; i < sizeof views / sizeof *views; i++) {
+        make_store(f->path, 1);
+        alter(f->path, views[i]);
+        kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, "not all tables");
+    }
+    make_store(f->path, 1); /* more rows than any of its own could be */
+    alter(f->path,
+          "DROP TABLE tiles; CREATE TABLE tiles(id INTEGER PRIMARY KEY,z,x,y,level,count,bytes,"
+          "version,center_e,center_n,center_u,min_e,min_n,min_u,max_e,max_n,max_u,core_min_e,"
+          "core_min_n,core_min_u,core_max_e,core_max_n,core_max_u,sigma_median_m,sigma_max_m,"
+          "geometric_error_m,hash,row_hash,payload); WITH RECURSIVE r(i) AS (SELECT 1 UNION ALL "
+          "SELECT i+1 FROM r WHERE i<9000) INSERT INTO tiles(id) SELECT i FROM r; VACUUM");
+    kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, "more index rows than fit");
+    make_store(f->path, 1); /* bytes that are made up while they are read */
+    alter(f->path,
+          "DROP TABLE blobs; CREATE TABLE blobs(name TEXT PRIMARY KEY, hash BLOB, bytes BLOB "
+          "AS (zeroblob(400000000))); INSERT INTO blobs(name) VALUES('huge')");
+    kit_ok(store_open(f->path, &s, &e), e);
+    kit_fails(store_get_blob(s, "huge", &b, &e), ERR_LIMIT, e, "huge");
+    store_close(&s);
+    log_set_level(LOG_INFO);
+}
+
+/* Levels are indices in what reads them. */
+static void a_level_that_there_is_not_costs_one_tile(void **state)
+{
+    struct store_fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    size_t n;
+    kit_ok(store_create(f->path, &meta, &s, &e), e);
+    for (uint32_t i = 0; i < 2; i++) {
+        struct gauss g;
+        tile_gauss(i, 40, &g);
+        struct store_tile t = {.key = {16, 34308 + i, 22252},
+                               .level = (uint8_t)(i ? STORE_LEVEL_MAX + 1 : STORE_LEVEL_MAX)};
+        kit_ok(store_put(s, &t, &g, &e), e);
+        gauss_free(&g);
+    }
+    kit_ok(store_commit(&s, &e), e);
+    kit_ok(store_open(f->path, &s, &e), e);
+    assert_int_equal(store_tiles(s, &n)[0].level, STORE_LEVEL_MAX);
+    assert_int_equal(n, 1);
+    kit_fails(store_verify(s, &n, &e), ERR_FORMAT, e, "1 index rows");
+    store_close(&s);
+}
+
 static void names_with_odd_characters(void **state)
 {
     struct store_fixture *f = *state;
@@ -431,6 +507,8 @@ int main(void)
         CASE(any_flipped_byte_is_seen_or_harmless),
         CASE(truncated_files),
         CASE(files_that_are_no_stores),
+        CASE(what_is_read_is_bounded_by_the_file),
+        CASE(a_level_that_there_is_not_costs_one_tile),
         CASE(names_with_odd_characters),
         CASE(out_of_memory_everywhere),
     };
