@@ -11,6 +11,7 @@
 #include "server/collection.h"
 #include "server/condition.h"
 #include "server/document.h"
+#include "server/hint.h"
 #include "server/metrics_text.h"
 
 static enum err_code answer_service_about(struct services *s, struct body **out, struct err *e)
@@ -32,14 +33,19 @@ static enum err_code answer_service_about(struct services *s, struct body **out,
 }
 
 static void answer_service_landing(struct services *s, const struct request *r,
-                                   struct response *out)
+                                   const struct target *t, struct response *out)
 {
     const struct static_file *index = static_find(&s->web, "/index.html", strlen("/index.html"));
     out->vary = "Accept";
-    if (index && condition_html(r->accept))
-        response_document(r, index->type, RESPONSE_MOVING, body_ref(index->body), out);
-    else
+    if (!index || !condition_html(r->accept)) {
         response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(s->landing), out);
+        return;
+    }
+    size_t from = t->path_size < r->target_size ? t->path_size + 1 : r->target_size;
+    struct catalog *c = services_catalog(s);
+    hint_write(c, r->target + from, r->target_size - from, out->hints);
+    catalog_drop(&c);
+    response_document(r, index->type, RESPONSE_MOVING, body_ref(index->body), out);
 }
 
 /* Ready, or degraded: the file of a dataset does not give all its tiles, or a reload failed. Still 200, because everything
@@ -163,7 +169,7 @@ static void answer_service_collections(struct services *s, const struct request 
         for (size_t i = 0; ds && i < c->n_current; i++)
             if (answer_service_meets(c->ds[i], t))
                 ds[n++] = c->ds[i];
-        if (!ds || collection_list(ds, n, &b, NULL))
+        if (!ds || collection_list(ds, n, s->cfg->basemap, s->cfg->basemap_attribution, &b, NULL))
             body_drop(&b);
         else
             b->modified_s = c->collections->modified_s;
@@ -182,7 +188,7 @@ bool answer_service(struct services *s, const struct request *r, const struct ta
     const struct static_file *file;
     switch (t->route) {
     case ROUTE_LANDING:
-        answer_service_landing(s, r, out);
+        answer_service_landing(s, r, t, out);
         return true;
     case ROUTE_STATIC:
         file = static_find(&s->web, r->target, t->path_size);

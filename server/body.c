@@ -1,5 +1,6 @@
 /* Encoded bytes that several answers share: a counter, the bytes, their entity tag, and for text
- * also the gzip form. A body is written by one thread, then shared and never changed; whoever holds
+ * also the gzip form, of
+ * the viewer's files the brotli form. A body is written by one thread, then shared and never changed; whoever holds
  * a reference may read it without a lock. libmicrohttpd sends straight from these bytes.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -74,7 +75,7 @@ bool body_revive(struct body *b)
 size_t body_cost(const struct body *b)
 {
     enum { OVERHEAD = 256 };
-    return b->size + b->gzip_size + OVERHEAD;
+    return b->size + b->gzip_size + b->brotli_size + OVERHEAD;
 }
 
 void body_drop(struct body **b)
@@ -88,6 +89,7 @@ void body_drop(struct body **b)
     struct buf bytes = {.data = body->data, .size = body->size};
     buf_free(&bytes);
     mem_free(body->gzip);
+    mem_free(body->brotli);
     mem_free(body);
 }
 

@@ -18,6 +18,8 @@ struct body { /* immutable once shared; counted, body_drop frees it */
     int64_t modified_s;        /* since 1970, for Last-Modified; 0: not said */
     uint8_t *gzip;             /* the same bytes compressed; NULL when that does not pay */
     size_t gzip_size;
+    uint8_t *brotli; /* and as the viewer's build compressed them; NULL for all but its files */
+    size_t brotli_size;
     void (*gone)(
         struct body *b); /* called before it is freed; NULL: nobody cares. These by flight.c: */
     struct flight *flight;

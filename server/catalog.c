@@ -160,7 +160,8 @@ enum err_code catalog_open(const char *const *paths, size_t n, const struct cata
                          "%s and %s : both hold a dataset named '%s' : serve one of them",
                          c->ds[i - 1]->path, c->ds[i]->path, c->ds[i]->meta.name);
     if (!rc)
-        rc = collection_list(c->ds, c->n_current, &c->collections, e);
+        rc = collection_list(c->ds, c->n_current, o->basemap, o->basemap_attribution,
+                             &c->collections, e);
     for (size_t i = 0; !rc && i < c->n_current; i++)
         if (c->ds[i]->modified_s > c->collections->modified_s)
             c->collections->modified_s = c->ds[i]->modified_s;

@@ -84,14 +84,18 @@ enum err_code collection_describe(const struct dataset *d, struct body **out, st
     return document_make(collection_json(d, "../"), out, e);
 }
 
-enum err_code collection_list(struct dataset *const *ds, size_t n, struct body **out, struct err *e)
+enum err_code collection_list(struct dataset *const *ds, size_t n, const char *basemap,
+                              const char *attribution, struct body **out, struct err *e)
 {
     json_t *list = json_array();
     for (size_t i = 0; i < n; i++)
         json_array_append_new(list, collection_json(ds[i], ""));
-    return document_make(
-        json_pack("{s:[o],s:o}", "links",
-                  document_link("self", "application/json", "collections", "Datasets"),
-                  "collections", list),
-        out, e);
+    json_t *o = json_pack("{s:[o],s:o}", "links",
+                          document_link("self", "application/json", "collections", "Datasets"),
+                          "collections", list);
+    if (basemap && *basemap)
+        json_object_set_new(o, "basemap",
+                            json_pack("{s:s,s:s}", "tiles", basemap, "attribution",
+                                      attribution ? attribution : ""));
+    return document_make(o, out, e);
 }

@@ -114,12 +114,24 @@ static int condition_list_weight(const char *header, const char *name)
     return -1;
 }
 
-bool condition_gzip(const char *header)
+/* The weight of a coding, in thousandths: its own, or that of everything not listed. */
+static int condition_coding(const char *header, const char *name)
 {
     if (!header)
-        return false;
-    int weight = condition_list_weight(header, "gzip");
-    return weight >= 0 ? weight > 0 : condition_list_weight(header, "*") > 0;
+        return 0;
+    int weight = condition_list_weight(header, name);
+    return weight >= 0 ? weight : condition_list_weight(header, "*");
+}
+
+bool condition_gzip(const char *header)
+{
+    return condition_coding(header, "gzip") > 0;
+}
+
+bool condition_brotli(const char *header)
+{
+    int weight = condition_coding(header, "br");
+    return weight > 0 && weight >= condition_coding(header, "gzip");
 }
 
 bool condition_html(const char *header)

@@ -16,6 +16,8 @@ enum condition_range condition_range(const char *header, uint64_t size, uint64_t
                                      uint64_t *length);
 /* Accept-Encoding takes gzip (q > 0). */
 bool condition_gzip(const char *header);
+/* It takes brotli, and not less gladly than gzip. */
+bool condition_brotli(const char *header);
 /* Accept prefers text/html over application/json. */
 bool condition_html(const char *header);
 

@@ -50,6 +50,7 @@ void headers_make(const struct response *r, bool last, struct headers *h)
     headers_add(h, "Content-Encoding", r->encoding);
     headers_add(h, "Allow", r->allow);
     headers_add(h, "Location", r->location);
+    headers_add(h, "Link", r->hints);
     headers_add(h, "Surrogate-Key", r->surrogate);
     if (r->accept_ranges)
         headers_add(h, "Accept-Ranges", "bytes");

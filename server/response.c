@@ -106,7 +106,7 @@ static void response_send_problem(struct response *out, int status, const char *
     out->type = "application/problem+json";
     out->cache_control = status == 404 ? RESPONSE_SHORT : RESPONSE_NO_STORE;
     out->vary = out->encoding = NULL;
-    out->etag[0] = out->surrogate[0] = 0;
+    out->etag[0] = out->surrogate[0] = out->hints[0] = 0;
     out->modified_s = 0;
     out->accept_ranges = false;
     out->retry_after_s = 0;
@@ -148,11 +148,30 @@ void response_no_memory(struct response *out)
 /* ---- bytes ---- */
 
 /* "tag" -> "tag-gz": another coding of a resource is another representation. */
-static void response_etag_gzip(char *etag)
+static void response_etag_coding(char *etag, const char suffix[static 5])
 {
     size_t n = strlen(etag);
     if (n >= 2 && n + 3 < BODY_ETAG_SIZE)
-        memcpy(etag + n - 1, "-gz\"", 5);
+        memcpy(etag + n - 1, suffix, 5);
+}
+
+/* The coding of b that the client likes best. */
+static void response_encode(const struct request *r, const struct body *b, struct response *out)
+{
+    if (!b->gzip && !b->brotli)
+        return;
+    out->vary = out->vary ? "Accept, Accept-Encoding" : "Accept-Encoding";
+    if (b->brotli && condition_brotli(r->accept_encoding)) {
+        out->encoding = "br";
+        out->data = b->brotli;
+        out->size = b->brotli_size;
+        response_etag_coding(out->etag, "-br\"");
+    } else if (b->gzip && condition_gzip(r->accept_encoding)) {
+        out->encoding = "gzip";
+        out->data = b->gzip;
+        out->size = b->gzip_size;
+        response_etag_coding(out->etag, "-gz\"");
+    }
 }
 
 static bool response_wants_range(const struct request *r, const struct response *out)
@@ -175,16 +194,8 @@ void response_body(const struct request *r, struct body *b, struct response *out
     out->data = b->data;
     out->size = b->size;
     memcpy(out->etag, b->etag, BODY_ETAG_SIZE);
-    out->accept_ranges = !b->gzip;
-    if (b->gzip) {
-        out->vary = out->vary ? "Accept, Accept-Encoding" : "Accept-Encoding";
-        if (condition_gzip(r->accept_encoding)) {
-            out->encoding = "gzip";
-            out->data = b->gzip;
-            out->size = b->gzip_size;
-            response_etag_gzip(out->etag);
-        }
-    }
+    out->accept_ranges = !b->gzip && !b->brotli;
+    response_encode(r, b, out);
     out->modified_s = b->modified_s;
     bool read = r->method == METHOD_GET || r->method == METHOD_HEAD;
     if (condition_none_match(r->if_none_match, out->etag) ||

@@ -5,6 +5,7 @@
 #ifndef SERVER_RESPONSE_H
 #define SERVER_RESPONSE_H
 
+#include "server/hint.h"
 #include "server/services.h"
 #include "server/work.h"
 
@@ -27,9 +28,10 @@ struct response { /* {0}, then route_answer; response_free it */
     char *location;                                             /* owned */
     char etag[BODY_ETAG_SIZE];                                  /* "" = none */
     char surrogate[96];
-    int64_t modified_s; /* 0: not said */
-    struct key tile;    /* that is asked for, and the name of its dataset, "" for anything else: */
-    char tile_of[64];   /* what a problem with it names */
+    char hints[HINT_SIZE]; /* Link of the viewer's page; "" = none */
+    int64_t modified_s;    /* 0: not said */
+    struct key tile;  /* that is asked for, and the name of its dataset, "" for anything else: */
+    char tile_of[64]; /* what a problem with it names */
     const char *instance; /* the path of a target that could be read, [n_instance]: for problems */
     size_t n_instance;
     struct body *body;   /* a reference; NULL = no bytes */

@@ -93,8 +93,9 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     sv->paths = paths;
     sv->n_paths = n;
     sv->workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
-    sv->stores = (struct catalog_options){sv->workers, cfg->public_url, cfg->keep_s,
-                                          (size_t)cfg->keep_revisions};
+    sv->stores = (struct catalog_options){sv->workers,  cfg->public_url,
+                                          cfg->keep_s,  (size_t)cfg->keep_revisions,
+                                          cfg->basemap, cfg->basemap_attribution};
     struct services *s = &sv->services;
     enum err_code rc = log_start(e);
     if (!rc)

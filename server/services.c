@@ -13,6 +13,22 @@
 #include "server/describe.h"
 #include "server/openapi.h"
 
+/* A template that a browser can ask with: another one would only show as an empty map. */
+static enum err_code services_check_basemap(const char *url, struct err *e)
+{
+    static const char *const parts[] = {"{z}", "{x}", "{y}"};
+    if (!url || !*url)
+        return ERR_OK;
+    bool fits = !strncmp(url, "https://", 8) || !strncmp(url, "http://", 7) || url[0] == '/';
+    for (size_t i = 0; i < sizeof parts / sizeof *parts; i++)
+        fits &= strstr(url, parts[i]) != NULL;
+    return fits ? ERR_OK
+                : err_set(e, ERR_ARG,
+                          "--basemap %s : not an address of map tiles : give one that begins with "
+                          "https://, http:// or / and holds {z}, {x} and {y}",
+                          url);
+}
+
 enum err_code services_open(struct services *s, const struct server_config *cfg, struct err *e)
 {
     memset(s, 0, sizeof *s);
@@ -29,7 +45,9 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
             cfg->metrics, TOKEN_MIN);
     }
     pthread_mutex_init(&s->catalog_lock, NULL);
-    enum err_code rc = cache_open((size_t)cfg->cache_mb << 20, &s->cache, e);
+    enum err_code rc = services_check_basemap(cfg->basemap, e);
+    if (!rc)
+        rc = cache_open((size_t)cfg->cache_mb << 20, &s->cache, e);
     if (!rc)
         rc = flight_open((size_t)cfg->inflight_mb << 20, &s->flight, e);
     if (!rc && cfg->access_log)

@@ -1,6 +1,7 @@
 /* The viewer's files, read once at start into a sorted table: a request looks a path up among
  * strings that were found on disk before the first request came, and never reaches the file system.
- * Names with a hash in them (Vite's assets/) are immutable; text is also kept gzipped.
+ * Names with a hash in them (Vite's assets/) are immutable; text is also kept gzipped, and as brotli
+ * where the build left x.js.br beside x.js: that takes seconds, which a start does not have.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -55,6 +56,40 @@ static bool static_plain_name(const char *name)
                               "0123456789_.,@:-")];
 }
 
+/* Whether the build made this file of another one that is beside it: x.js.br of x.js. */
+static bool static_is_coded(const char *path)
+{
+    char plain[FILE_PATH_MAX];
+    size_t n = strlen(path);
+    if (n < 4 || n >= sizeof plain || (strcmp(path + n - 3, ".br") && strcmp(path + n - 3, ".gz")))
+        return false;
+    memcpy(plain, path, n - 3);
+    plain[n - 3] = 0;
+    return file_exists(plain);
+}
+
+/* The brotli form of the file at path, where there is one. One that is older than a file whose name does
+ * not change with its bytes is of other bytes. */
+static enum err_code static_add_brotli(const char *path, const struct static_file *f, size_t *bytes,
+                                       struct err *e)
+{
+    char coded[FILE_PATH_MAX];
+    struct stat st;
+    struct buf b = {0};
+    if (snprintf(coded, sizeof coded, "%s.br", path) >= (int)sizeof coded || stat(coded, &st) ||
+        !S_ISREG(st.st_mode) || (!f->immutable && st.st_mtime < f->body->modified_s))
+        return ERR_OK;
+    enum err_code rc = file_read(coded, BYTES_MAX, &b, e);
+    if (!rc && b.size && b.size < f->body->size) {
+        f->body->brotli = b.data;
+        f->body->brotli_size = b.size;
+        *bytes += b.size;
+        return ERR_OK;
+    }
+    buf_free(&b);
+    return rc;
+}
+
 static enum err_code static_add_file(const char *dir, const char *url, int64_t modified_s,
                                      struct static_table *t, size_t *bytes, struct err *e)
 {
@@ -89,9 +124,13 @@ static enum err_code static_add_file(const char *dir, const char *url, int64_t m
         return err_set(e, ERR_MEM, "%s: out of memory", path);
     }
     f.body->modified_s = modified_s;
-    if (type >= 0 && types[type].text)
-        body_compress(f.body);
     t->file[t->n++] = f;
+    if (type >= 0 && types[type].text) {
+        body_compress(f.body);
+        rc = static_add_brotli(path, &f, bytes, e);
+        if (rc)
+            return rc;
+    }
     return *bytes > BYTES_MAX ? err_set(e, ERR_LIMIT, "%s: more than %zu bytes", dir, BYTES_MAX)
                               : ERR_OK;
 }
@@ -121,7 +160,7 @@ static enum err_code static_add_dir(const char *dir, const char *url, int depth,
             continue; /* gone since readdir, or a dangling link */
         else if (S_ISDIR(st.st_mode))
             rc = static_add_dir(dir, below, depth + 1, t, bytes, e);
-        else if (S_ISREG(st.st_mode))
+        else if (S_ISREG(st.st_mode) && !static_is_coded(path))
             rc = static_add_file(dir, below, st.st_mtime, t, bytes, e);
     }
     closedir(d);

@@ -42,6 +42,10 @@ static inline int setup(void **state)
     char script[2000];
     memset(script, ';', sizeof script);
     kit_ok(file_write(path, script, sizeof script, &e), e);
+    kit_ok(file_join(path, t.web, "assets/index-D3adBeef.js.br", &e), e);
+    kit_ok(file_write(path, script, 100, &e), e); /* nobody unpacks it here */
+    kit_ok(file_join(path, t.web, "assets/index-D3adBeef.js.gz", &e), e);
+    kit_ok(file_write(path, script, 100, &e), e);
     served_config(&t.cfg, &t.arena);
     kit_ok(services_open(&t.s, &t.cfg, &e), e);
     t.s.url = "http://127.0.0.1:8080/";

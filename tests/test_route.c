@@ -3,7 +3,12 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <time.h>
+
 #include "server/condition.h"
+#include "server/headers.h"
 #include "tests/routed.h"
 
 static void test_documents(void **state)
@@ -385,9 +390,133 @@ static void test_viewer_files(void **state)
     assert_int_equal(r.status, 200);
     assert_int_equal(r.size, 2000);
     response_free(&r);
+    r = answer(&(struct ask){.target = script, .accept_encoding = "gzip, deflate, br"});
+    assert_int_equal(r.status, 200);
+    expect("Content-Encoding", r.encoding, "br");
+    expect("type", r.type, "text/javascript; charset=utf-8");
+    expect("Vary", r.vary, "Accept-Encoding");
+    assert_int_equal(r.size, 100);
+    assert_non_null(strstr(r.etag, "-br\""));
+    assert_string_not_equal(r.etag, etag);
+    response_free(&r);
+    for (int coded = 0; coded < 2; coded++) { /* a form of a file is no file */
+        r = get(coded ? "/assets/index-D3adBeef.js.br" : "/assets/index-D3adBeef.js.gz");
+        assert_int_equal(r.status, 404);
+        response_free(&r);
+    }
     r = get("/assets/index-D3adBeef");
     assert_int_equal(r.status, 404);
     response_free(&r);
+}
+
+/* Forms of files whose name stays while their bytes change: of other bytes when they are older. */
+static void test_brotli_of_other_bytes(void **state)
+{
+    static const struct {
+        long older_s;
+        size_t size, got;
+    } rows[] = {{0, 40, 40}, {-9, 40, 40}, {9, 40, 0}, {0, 2000, 0}, {0, 0, 0}};
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], coded[FILE_PATH_MAX], text[2000];
+    (void)state;
+    memset(text, ' ', sizeof text);
+    kit_tmpdir(dir);
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct static_table table = {0};
+        struct err e = {0};
+        kit_ok(file_join(path, dir, "viewer.js", &e), e);
+        kit_ok(file_write(path, text, 1000, &e), e);
+        kit_ok(file_join(coded, dir, "viewer.js.br", &e), e);
+        kit_ok(file_write(coded, text, rows[i].size, &e), e);
+        const struct timespec at = {.tv_sec = time(NULL) - rows[i].older_s};
+        assert_int_equal(0, utimensat(AT_FDCWD, coded, (const struct timespec[2]){at, at}, 0));
+        kit_ok(static_load(dir, &table, &e), e);
+        const struct static_file *f = static_find(&table, "/viewer.js", strlen("/viewer.js"));
+        assert_int_equal(table.n, 1);
+        assert_int_equal(f->body->brotli_size, rows[i].got);
+        static_free(&table);
+    }
+    kit_rmdir(dir);
+}
+
+/* What the page will ask for, by its query. */
+static void test_hints(void **state)
+{
+    static const char how[] = "; rel=preload; as=fetch; crossorigin";
+    static const struct {
+        const char *target;
+        size_t n;
+        const char *last;
+    } rows[] = {
+        {"/", 3, "<d/toy/r/REV/t/KEY15.glb>"},
+        {"/?scene=toy&lang=de", 3, "<d/toy/r/REV/t/KEY15.glb>"},
+        {"/?scene=other", 1, "<collections>"},
+        {"/?thin", 1, "<collections>"},
+        {"/?ui=off&colours=server", 1, "<collections>"},
+        {"/?scene=%zz", 1, "<collections>"},
+        {"/?server=https://city.example/", 0, ""},
+        {"/?scene=toy&url=x.json", 0, ""},
+    };
+    char want[200];
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct response r = answer(&(struct ask){.target = rows[i].target, .accept = "text/html"});
+        size_t n = 0;
+        for (const char *p = r.hints; (p = strstr(p, how)); p++)
+            n++;
+        if (n != rows[i].n || !strstr(r.hints, expand(rows[i].last, want, sizeof want)))
+            fail_msg("%s: Link is '%s'", rows[i].target, r.hints);
+        struct headers h;
+        headers_make(&r, false, &h);
+        size_t sent = 0;
+        for (size_t k = 0; k < h.n; k++)
+            sent += !strcmp(h.field[k].name, "Link") && h.field[k].value == r.hints;
+        assert_int_equal(sent, rows[i].n > 0);
+        response_free(&r);
+    }
+    struct response r = get("/"); /* as JSON */
+    expect("Link", r.hints, "");
+    response_free(&r);
+}
+
+static void test_basemap(void **state)
+{
+    static const struct {
+        const char *url;
+        bool fits;
+    } rows[] = {{"https://maps.example/{z}/{x}/{y}.png", true},
+                {"/base/{z}/{x}/{y}", true},
+                {"maps.example/{z}/{x}/{y}", false},
+                {"https://maps.example/{z}/{x}", false},
+                {"javascript:{z}{x}{y}", false},
+                {"", true}};
+    (void)state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct server_config cfg = t.cfg;
+        struct services s = {0};
+        struct catalog *c = NULL;
+        struct err e = {0};
+        const char *paths[] = {t.path};
+        struct catalog_options o = served_stores;
+        cfg.basemap = o.basemap = rows[i].url;
+        o.basemap_attribution = "Example";
+        enum err_code rc = services_open(&s, &cfg, &e);
+        if (rc != (rows[i].fits ? ERR_OK : ERR_ARG))
+            fail_msg("--basemap %s: %s", rows[i].url, e.msg);
+        (void)services_free(&s);
+        if (rc)
+            continue;
+        kit_ok(catalog_open(paths, 1, &o, NULL, &c, &e), e);
+        json_t *doc = json_loadb((const char *)c->collections->data, c->collections->size, 0, NULL);
+        const json_t *basemap = json_object_get(doc, "basemap");
+        assert_int_equal(basemap != NULL, *rows[i].url != 0);
+        if (basemap) {
+            assert_string_equal(json_string_value(json_object_get(basemap, "tiles")), rows[i].url);
+            assert_string_equal(json_string_value(json_object_get(basemap, "attribution")),
+                                "Example");
+        }
+        json_decref(doc);
+        catalog_drop(&c);
+    }
 }
 
 static void test_job_ends(void **state)
@@ -499,6 +628,9 @@ int main(void)
         cmocka_unit_test(test_last_modified),
         cmocka_unit_test(test_redirects),
         cmocka_unit_test(test_viewer_files),
+        cmocka_unit_test(test_brotli_of_other_bytes),
+        cmocka_unit_test(test_hints),
+        cmocka_unit_test(test_basemap),
         cmocka_unit_test(test_job_ends),
         cmocka_unit_test(test_words_of_failures),
         cmocka_unit_test(test_metrics_are_local),

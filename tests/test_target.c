@@ -246,23 +246,28 @@ static void test_conditions(void **state)
     };
     static const struct {
         const char *header;
-        bool gzip;
+        bool gzip, brotli;
     } codings[] = {
-        {NULL, false},
-        {"gzip", true},
-        {"GZIP", true},
-        {"br, gzip;q=0.5", true},
-        {"gzip;q=0", false},
-        {"gzip; q=0.000", false},
-        {"*", true},
-        {"*;q=0", false},
-        {"gzip;q=0, *", false},
-        {"identity", false},
-        {"xgzip", false},
-        {"gzip;q=1.0", true},
-        {"", false},
-        {",,gzip", true},
-        {"gzip;q=0.001", true},
+        {NULL, false, false},
+        {"gzip", true, false},
+        {"GZIP", true, false},
+        {"br, gzip;q=0.5", true, true},
+        {"br;q=0.5, gzip", true, false},
+        {"gzip, deflate, br, zstd", true, true},
+        {"br;q=0, gzip", true, false},
+        {"br", false, true},
+        {"gzip;q=0", false, false},
+        {"gzip; q=0.000", false, false},
+        {"*", true, true},
+        {"*;q=0", false, false},
+        {"*;q=0.5, gzip;q=0.8", true, false},
+        {"gzip;q=0, *", false, true},
+        {"identity", false, false},
+        {"xgzip", false, false},
+        {"gzip;q=1.0", true, false},
+        {"", false, false},
+        {",,gzip", true, false},
+        {"gzip;q=0.001", true, false},
     };
     static const struct {
         const char *header;
@@ -290,7 +295,8 @@ static void test_conditions(void **state)
                      (int)first, (int)length);
     }
     for (size_t i = 0; i < sizeof codings / sizeof *codings; i++)
-        if (condition_gzip(codings[i].header) != codings[i].gzip)
+        if (condition_gzip(codings[i].header) != codings[i].gzip ||
+            condition_brotli(codings[i].header) != codings[i].brotli)
             fail_msg("Accept-Encoding: %s", codings[i].header);
     for (size_t i = 0; i < sizeof accepts / sizeof *accepts; i++)
         if (condition_html(accepts[i].header) != accepts[i].html)

@@ -104,7 +104,7 @@ test("both are as small as they say", skip, () => {
         names.reduce((sum, name) => sum + gzipSync(readFileSync(join(DIST, name))).length, 0);
     const html = readFileSync(join(DIST, "index.html"), "utf8");
     const own = [...html.matchAll(/(assets\/[\w.-]+\.(?:js|css))/g)].map((match) => match[1]);
-    const workers = readdirSync(join(DIST, "assets")).filter((name) => /worker/.test(name));
+    const workers = readdirSync(join(DIST, "assets")).filter((name) => /worker.*\.js$/.test(name));
     const page = size(["index.html", ...own, ...workers.map((name) => `assets/${name}`)]);
     assert.ok(page < PAGE_GZIP_MAX, `the page has ${page} bytes gzipped`);
     const module = size(["viewer.js"]);

@@ -3,12 +3,15 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { createRequire } from "node:module";
 import { after, before, test } from "node:test";
 
 import { openPage, waitForViewer } from "./lib/browser.mjs";
 import { openSource } from "./lib/source.mjs";
 
 const TARGET_PX = 44;
+const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 
 let source;
 before(async () => (source = await openSource()));
@@ -77,6 +80,35 @@ test("every control has a name, in both languages, and the choice is kept", asyn
     await waitForViewer(page);
     assert.equal(await page.textContent("#share"), "Link teilen");
     assert.deepEqual(log, []);
+    await close();
+});
+
+test("axe finds nothing, whatever is open, dark and light", async () => {
+    const size = { width: 1100, height: 800, bypassCSP: true }; // axe is a script of this test
+    const { page, close } = await openPage(source.url, size);
+    await waitForViewer(page);
+    await page.addScriptTag({ content: AXE });
+    const faults = () =>
+        page.evaluate(async () => {
+            const { violations } = await window.axe.run(document);
+            return violations.map(({ id, nodes }) => `${id}: ${nodes.map((n) => n.target).join(" ")}`);
+        });
+    for (const summary of await page.$$("#panel summary")) await summary.click();
+    await page.keyboard.press("o");
+    await page.waitForSelector("#inset .camera");
+    await page.keyboard.press("m");
+    const middle = [size.width / 2, size.height / 2 - 100];
+    await page.mouse.click(...middle);
+    await page.mouse.click(middle[0] + 40, middle[1] + 30);
+    await page.click("#measure-profile");
+    await page.waitForSelector("#profile-chart svg");
+    for (const theme of ["dark", "light"]) {
+        await page.selectOption("#theme", theme);
+        assert.deepEqual(await faults(), [], theme);
+    }
+    await page.click("#measure-close");
+    await page.click("#help-button");
+    assert.deepEqual(await faults(), [], "help");
     await close();
 });
 

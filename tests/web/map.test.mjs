@@ -1,9 +1,11 @@
-// The city as a map: places by click, lengths and areas, GeoJSON out and in, saved views, walking.
+// The city as a map: places by click, lengths, areas and heights, GeoJSON out and in, saved views,
+// walking, the map beside the picture.
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { after, before, test } from "node:test";
+import { fileURLToPath } from "node:url";
 
 import { barePicture, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
 import { measureContent, rmsDifference, SOUTH } from "./lib/checks.mjs";
@@ -15,6 +17,8 @@ import { GIVEN_TILES, openSource } from "./lib/source.mjs";
 const SIZE = { width: 1000, height: 640 };
 const skip = { skip: GIVEN_TILES ? "needs the test city" : false };
 const M_PER_DEG = 111_320;
+// Stands for the tiles of somebody else.
+const BASE_TILE = fileURLToPath(new URL("../../docs/pictures/demo-viewer.jpg", import.meta.url));
 
 let source;
 let viewer;
@@ -168,13 +172,15 @@ test("walking keeps the eyes above the ground, dragging looks around", skip, asy
     await lookViewer(page, { ...SOUTH, pitch: -5 });
     await page.click("#walk");
     await page.click("#walk");
-    await page.waitForTimeout(200);
+    await page.waitForFunction((h) => window.citysplat.pose().h < h, SOUTH.h - 100); // in the next frame
+    await waitForViewer(page);
     const start = await page.evaluate(() => window.citysplat.pose());
     assert.ok(start.h < SOUTH.h - 100, `eyes at ${start.h} m`);
     await page.mouse.move(500, 320);
     await page.mouse.down();
     await page.mouse.move(600, 320, { steps: 4 });
     await page.mouse.up();
+    await waitForViewer(page);
     const turned = await page.evaluate(() => window.citysplat.pose());
     const turn = ((turned.heading - start.heading + 540) % 360) - 180;
     assert.ok(Math.abs(turn) > 5 && Math.abs(turned.lon - start.lon) < 1e-6, "it did not look around");
@@ -192,13 +198,126 @@ test("dragging holds the ground under the pointer, the wheel nears what it point
     await page.mouse.move(...to, { steps: 6 });
     await page.waitForTimeout(300);
     await page.mouse.up();
+    await waitForViewer(page);
     const now = await place(...to);
     assert.ok(Math.abs(now.lon - held.lon) * M_PER_DEG < 3, `east ${JSON.stringify([held, now])}`);
     assert.ok(Math.abs(now.lat - held.lat) * M_PER_DEG < 3, "north");
     const high = await page.evaluate(() => window.citysplat.pose().h);
     await page.mouse.wheel(0, -300);
     await page.waitForTimeout(200);
+    await waitForViewer(page);
     const near = await place(...to);
     assert.ok((await page.evaluate(() => window.citysplat.pose().h)) < high - 5);
     assert.ok(Math.abs(near.lon - held.lon) * M_PER_DEG < 4, "zooms past the pointer");
+});
+
+test("a height profile along a path: by the server, without it from what is drawn", skip, async (t) => {
+    await lookViewer(page, SOUTH);
+    await page.keyboard.press("m");
+    assert.equal(await page.isDisabled("#measure-profile"), true);
+    await clickOn([RED_TOP[0], RED_TOP[1], RED_TOP[2] + 0.5]);
+    await clickOn([84, -24, 0]);
+    const ways = { server: /by the server/, browser: /from what is drawn here/ };
+    const refuse = (route) => route.fulfill({ status: 503, body: "{}" });
+    const found = {};
+    for (const [way, said] of Object.entries(ways)) {
+        if (way === "browser") await page.route("**/profile", refuse);
+        await page.click("#measure-profile");
+        await page.waitForFunction((re) => new RegExp(re).test(document.getElementById("profile-text").textContent), said.source);
+        const coming = page.waitForEvent("download");
+        await page.click("#profile-csv");
+        const rows = readFileSync(await (await coming).path(), "utf8").trim().split("\r\n");
+        assert.equal(rows[0], "distance_m,lon,lat,height_m");
+        const numbers = rows.slice(1).map((row) => row.split(",").map(Number));
+        const [first, last] = [numbers[0], numbers.at(-1)];
+        t.diagnostic(`${way}: ${numbers.length} heights, ${first[3]} to ${last[3]} m`);
+        assert.ok(numbers.length > 100);
+        assert.ok(Math.abs(first[3] - ORIGIN.h - RED_TOP[2]) < 2.5, `the roof is at ${first[3]} m`);
+        assert.ok(Math.abs(last[3] - ORIGIN.h) < 1.5, `the ground is at ${last[3]} m`);
+        assert.ok(Math.abs(last[0] - Math.hypot(84 - RED_TOP[0], 24)) < 4, `${last[0]} m long`);
+        found[way] = numbers;
+    }
+    await page.unroute("**/profile", refuse);
+    const apart = found.server.map(([d, , , h]) => {
+        const other = found.browser.find((row) => row[0] >= d) ?? found.browser.at(-1);
+        return Math.abs(other[3] - h);
+    });
+    apart.sort((a, b) => a - b);
+    t.diagnostic(`90 % of the heights differ by at most ${apart[Math.floor(0.9 * apart.length)].toFixed(2)} m`);
+    assert.ok(apart[Math.floor(0.9 * apart.length)] < 1);
+    const coming = page.waitForEvent("download");
+    await page.click("#profile-geojson");
+    const { features } = JSON.parse(readFileSync(await (await coming).path(), "utf8"));
+    assert.equal(features[0].geometry.type, "MultiLineString");
+    assert.ok(features[0].properties.fall_m > 25);
+    const pose = await page.evaluate(() => window.citysplat.pose());
+    await page.focus("#profile-chart");
+    await page.keyboard.press("Home");
+    assert.match(await page.textContent("#profile-at"), /^At 0\.00 m: 1\d\d/);
+    await page.keyboard.press("ArrowRight");
+    assert.equal(await page.getAttribute("#profile-chart", "aria-valuenow"), "1");
+    assert.deepEqual(await page.evaluate(() => window.citysplat.pose()), pose, "the camera moved");
+    await page.click("#measure-close");
+    assert.equal(await page.isVisible("#profile"), false);
+});
+
+test("the map: own tiles, the camera on it, a click flies there, nothing of others unasked", skip, async (t) => {
+    const asked = [];
+    const note = (request) => asked.push(request.url());
+    page.on("request", note);
+    const loaded = () =>
+        page.evaluate(() => performance.getEntriesByType("resource").some(({ name }) => /minimap/.test(name)));
+    assert.equal(await loaded(), false, "the map is loaded before it is opened");
+    await page.keyboard.press("o");
+    await page.waitForSelector("#inset .leaflet-container .camera");
+    await page.waitForFunction(() => !document.querySelector("#inset .own .leaflet-tile:not(.leaflet-tile-loaded)"));
+    const colours = await page.evaluate(() => {
+        const seen = new Set();
+        for (const tile of document.querySelectorAll("#inset .own canvas")) {
+            const { data } = tile.getContext("2d").getImageData(0, 0, tile.width, tile.height);
+            for (let i = 0; i < data.length; i += 4)
+                if (data[i + 3] > 200) seen.add([data[i] >> 5, data[i + 1] >> 5, data[i + 2] >> 5].join());
+        }
+        return seen.size;
+    });
+    t.diagnostic(`${colours} colours, ${asked.filter((url) => /\/map\//.test(url)).length} tiles`);
+    assert.ok(colours > 8, `${colours} colours on the map`);
+    assert.ok(asked.every((url) => new URL(url).host === new URL(source.url).host), asked.join(" "));
+    const box = await page.locator("#inset-map").boundingBox();
+    const { pitch } = await page.evaluate(() => window.citysplat.pose());
+    await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
+    await page.waitForFunction(
+        ({ lon, lat }) => {
+            const place = window.citysplat.viewer.pick(innerWidth / 2, innerHeight / 2);
+            return place && Math.abs(place.lat - lat) < 4e-4 && Math.abs(place.lon - lon) < 4e-4;
+        },
+        ORIGIN,
+        { timeout: 30000 },
+    );
+    await page.waitForTimeout(500);
+    await waitForViewer(page);
+    assert.ok(Math.abs((await page.evaluate(() => window.citysplat.pose())).pitch - pitch) < 0.1);
+    await page.click("#inset-close");
+    assert.equal(await page.isVisible("#inset"), false);
+
+    const collections = (url) => url.pathname === "/collections";
+    await page.route(collections, async (route) => {
+        const response = await route.fetch();
+        const json = await response.json();
+        assert.equal(json.basemap, undefined, "a basemap that nobody chose");
+        json.basemap = { tiles: "/base/{z}/{x}/{y}.png", attribution: "<b>Example</b>" };
+        await route.fulfill({ response, json });
+    });
+    await page.route("**/base/**", (route) => route.fulfill({ path: BASE_TILE }));
+    asked.length = 0;
+    await page.click("#map-button");
+    await page.waitForSelector("#inset .base .leaflet-tile-loaded");
+    assert.equal(await page.textContent("#inset .leaflet-control-attribution"), "<b>Example</b>");
+    assert.ok(asked.some((url) => /\/base\/\d+\/\d+\/\d+\.png$/.test(url)));
+    await page.click("#inset-close");
+    await page.unroute(collections);
+    await page.unroute("**/base/**");
+    page.off("request", note);
+    // What this file refused or took back by itself; anything else, as of the policy, is a fault.
+    assert.deepEqual(viewer.log.filter((line) => !/ERR_ABORTED|503/.test(line)), []);
 });

@@ -125,6 +125,31 @@ test("the server view opens and closes", async () => {
     await page.waitForFunction(() => /\d/.test(document.getElementById("stat-gaussians").textContent));
 });
 
+test("scripts come as brotli, and what they ask for is on its way before them", rendered, async (t) => {
+    const fresh = await openPage(source.url, SIZE);
+    await waitForViewer(fresh.page);
+    const all = await fresh.page.evaluate(() =>
+        performance
+            .getEntriesByType("resource")
+            .map(({ name, initiatorType, encodedBodySize }) => [name, initiatorType, encodedBodySize]),
+    );
+    await fresh.close();
+    const [first] = all.filter(([name]) => name.includes("/t/")).map(([name]) => name);
+    for (const part of ["/collections", "/tileset.json", first]) {
+        const asked = all.filter(([name]) => name.includes(part)).map(([, by]) => by);
+        assert.deepEqual(asked, ["link"], `${part} is asked for by ${asked}`);
+    }
+    const [script, , size] = all.find(([name]) => /assets\/index-.*\.js$/.test(name));
+    const plain = await fetch(script, { headers: { "accept-encoding": "identity" } });
+    const text = await plain.text();
+    const coded = await fetch(script, { headers: { "accept-encoding": "gzip, br" } });
+    assert.equal(coded.headers.get("content-encoding"), "br");
+    assert.notEqual(coded.headers.get("etag"), plain.headers.get("etag"));
+    assert.equal(await coded.text(), text);
+    t.diagnostic(`${text.length} bytes of script come as ${size}`);
+    assert.ok(size < 0.25 * text.length, `${size} of ${text.length} bytes`);
+});
+
 test("keys move the camera", city, async () => {
     const hold = async (key) => {
         await lookViewer(page, SOUTH);

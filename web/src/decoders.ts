@@ -12,7 +12,7 @@ interface Job {
   reject: (error: Error) => void;
 }
 interface Seat {
-  worker: Worker | null; // started by its first job
+  worker: Worker | null; // the first one at once, others by their first job
   job: Job | null;
 }
 
@@ -23,6 +23,7 @@ export class DecoderPool {
 
   constructor(count = 2) {
     this.seats = Array.from({ length: count }, () => ({ worker: null, job: null }));
+    this.seats[0]!.worker = this.start(this.seats[0]!); // its script comes before the first tile does
   }
 
   // Rejects with an AbortError when the signal fires first.
@@ -41,6 +42,7 @@ export class DecoderPool {
   dispose() {
     for (const seat of this.seats) {
       seat.worker?.terminate();
+      seat.worker = null;
       seat.job?.reject(new Error("tile decoder: closed"));
     }
     for (const job of this.queue) job.reject(new Error("tile decoder: closed"));

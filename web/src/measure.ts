@@ -5,6 +5,7 @@ import { Vector3 } from "three";
 
 import { copy, download, element, setText } from "./dom";
 import type { Frame, Place } from "./geo";
+import { ProfileChart } from "./profile";
 import { getLanguage, text } from "./strings";
 import type { Viewer } from "./viewer";
 
@@ -76,8 +77,10 @@ export class MeasureTool {
   private shape = 0;
   private marker = 0;
   private place: Place | null = null;
+  private readonly profile: ProfileChart;
 
   constructor(private readonly viewer: Viewer) {
+    this.profile = new ProfileChart(viewer);
     viewer.on("click", ({ place }) => (this.open ? this.add(place) : this.tell(place)));
     const click = (id: string, run: () => void) => element(id).addEventListener("click", run);
     click("measure-button", () => this.show(!this.open));
@@ -86,6 +89,7 @@ export class MeasureTool {
     click("measure-clear", () => this.set([]));
     click("measure-copy", () => void copy(this.summary(), text("place.copied")));
     click("measure-save", () => this.save());
+    click("measure-profile", () => void this.profile.show(this.places));
     click("place-close", () => this.tell(null, true));
     click("place-copy", () => {
       if (this.place) void copy(formatPlace(this.place), text("place.copied"));
@@ -140,6 +144,10 @@ export class MeasureTool {
           ...(places.length > 1 ? { label: this.summary(true) } : {}),
         })
       : 0;
+    const line = this.kind === "path" && places.length > 1;
+    element<HTMLButtonElement>("measure-profile").disabled = !line;
+    if (!line) this.profile.close();
+    else if (this.profile.isOpen) void this.profile.show(places);
     setText("measure-text", places.length > 1 ? this.summary() : text("measure.hint"));
   }
 

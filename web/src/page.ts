@@ -6,6 +6,7 @@ import { AppearanceControl } from "./appearance";
 import { Compare } from "./compare";
 import { copy, element, setText, toast } from "./dom";
 import { GeoJsonDrop } from "./geojson";
+import { Inset } from "./inset";
 import { MeasureTool } from "./measure";
 import { isForScene, type Walk } from "./stage";
 import { banner, Status, unbanner } from "./status";
@@ -45,6 +46,7 @@ export function language(): string {
 export class Page {
   private readonly appearance: AppearanceControl;
   private readonly compare: Compare;
+  private readonly inset: Inset;
   private readonly measure: MeasureTool;
   private addressTimer = 0;
   private offered = false;
@@ -58,6 +60,7 @@ export class Page {
     new Tours(viewer);
     new GeoJsonDrop(viewer);
     this.compare = new Compare(viewer);
+    this.inset = new Inset(viewer);
     this.measure = new MeasureTool(viewer);
     viewer.surface.setAttribute("role", "application");
     viewer.surface.dataset["tLabel"] = "surface.label";
@@ -73,6 +76,7 @@ export class Page {
     document.documentElement.lang = getLanguage();
     translate(document);
     this.appearance.translate();
+    this.inset.translate();
     this.applyDetail();
     this.showPlace();
   }
@@ -237,6 +241,7 @@ export class Page {
       KeyP: () => this.appearance.showPhotographs(!this.appearance.photographsOpen),
       KeyV: () => this.compare.show(!this.compare.open),
       KeyL: () => void this.share(),
+      KeyO: () => this.inset.toggle(),
       Escape: () => this.measure.show(false),
     };
     window.addEventListener("keydown", (event) => {

@@ -18,6 +18,8 @@ export interface SceneEntry {
   appearances: URL | null; // null where it was trained without
   network: URL | null; // of its revision: colours can be computed here; null where they cannot
   pictures: URL | null; // the folder of its static views; null on a file server
+  questions: URL | null; // the folder of height, profile, measure; null on a file server
+  map: URL | null; // TileJSON of its map tiles; null where there are none
 }
 
 export interface SceneInfo {
@@ -32,6 +34,18 @@ export interface SceneInfo {
 }
 
 export type Appearance = Photograph;
+
+// Map tiles seen from straight above.
+export interface MapTiles {
+  tiles: string; // a URL with {z}, {x}, {y}
+  maxZoom: number;
+  bounds: [west: number, south: number, east: number, north: number];
+}
+// Map tiles of somebody else, which the operator chose.
+export interface Basemap {
+  tiles: string;
+  attribution: string;
+}
 
 interface Collection {
   id?: string;
@@ -62,6 +76,7 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
   const href = (rel: string) => collection.links?.find((link) => link.rel === rel)?.href;
   const appearances = href("appearances");
   const network = href("appearance-model");
+  const map = collection.links?.find((link) => /\/map\.json$/.test(link.href ?? ""))?.href;
   const revision = collection.splats?.revision;
   const folder = `d/${encodeURIComponent(id)}/`;
   return {
@@ -73,6 +88,8 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
     appearances: appearances ? new URL(appearances, base) : null,
     network: network ? new URL(network, base) : null,
     pictures: new URL(revision ? `${folder}r/${revision}/static/` : `${folder}static/`, base),
+    questions: new URL(folder, base),
+    map: map ? new URL(map, base) : null,
   };
 }
 
@@ -80,8 +97,9 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
 function entryOfTileset(tileset: URL): SceneEntry {
   const folder = decodeURIComponent(tileset.pathname.split("/").at(-2) ?? "");
   const id = folder || "city";
-  const absent = { catalogue: null, appearances: null, network: null, pictures: null };
-  return { id, title: id, attribution: "", tileset, ...absent };
+  const absent = { catalogue: null, appearances: null, network: null };
+  const unasked = { pictures: null, questions: null, map: null };
+  return { id, title: id, attribution: "", tileset, ...absent, ...unasked };
 }
 
 // The scenes at a URL: a server's folder, or a tileset.json.
@@ -214,4 +232,27 @@ export function pictureUrl(
     new URL(`${formatPose(pose)}/${width}x${height}.jpg`, entry.pictures),
     appearance,
   );
+}
+
+// What the server says of a scene's map tiles; null where there are none.
+export async function findMapTiles(link: Link, entry: SceneEntry): Promise<MapTiles | null> {
+  if (!entry.map || !entry.pictures) return null;
+  const about = (await link.json(entry.map)) as { maxzoom?: unknown; bounds?: unknown };
+  const bounds = Array.isArray(about.bounds) ? about.bounds.map(Number) : [];
+  const maxZoom = Number(about.maxzoom);
+  if (bounds.length !== 4 || !bounds.every(Number.isFinite) || !Number.isInteger(maxZoom)) return null;
+  const folder = new URL("../map/", entry.pictures).href; // of the same revision
+  return { tiles: `${folder}{z}/{x}/{y}.webp`, maxZoom, bounds: bounds as MapTiles["bounds"] };
+}
+
+// The operator's basemap, where there is one.
+export async function findBasemap(link: Link, entry: SceneEntry): Promise<Basemap | null> {
+  if (!entry.catalogue) return null;
+  const { basemap } = (await link.json(new URL("collections", entry.catalogue))) as {
+    basemap?: Partial<Record<keyof Basemap, unknown>>;
+  };
+  const tiles = basemap?.tiles;
+  if (typeof tiles !== "string" || !/^(https?:\/\/|\/)/.test(tiles)) return null;
+  const url = tiles.startsWith("/") ? entry.catalogue.origin + tiles : tiles;
+  return { tiles: url, attribution: String(basemap?.attribution ?? "") };
 }

@@ -2,7 +2,7 @@
 // this folder is one of its users.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { Box3, Vector3, type Ray } from "three";
+import { Box3, Ray, Vector3 } from "three";
 
 import { City, type CityStats } from "./city";
 import { Frame, type Place, type Pose } from "./geo";
@@ -12,12 +12,16 @@ import { pickMedian } from "./pick";
 import { Pictures, type PictureInfo } from "./pictures";
 import { Problem } from "./problem";
 import {
+  findBasemap,
   findFirst,
+  findMapTiles,
   findScenes,
   listAppearances,
   openScene,
   pictureUrl,
   type Appearance,
+  type Basemap,
+  type MapTiles,
   type SceneEntry,
   type SceneInfo,
 } from "./source";
@@ -26,7 +30,7 @@ import { decodeOnce } from "./core";
 import type { Network } from "./network";
 import { Tint } from "./tint";
 
-export type { Appearance, CityStats, LinkState, Place, Pose, SceneEntry, Walk };
+export type { Appearance, Basemap, CityStats, LinkState, MapTiles, Place, Pose, SceneEntry, Walk };
 
 export type Mode = "splats" | "pictures"; // drawn here, or by the server
 
@@ -91,6 +95,8 @@ const SLOW_FPS = 10;
 const SLOW_FRAMES = 8;
 const BRISK_MS = 60; // a frame of a moving camera that takes longer is drawn with fewer pixels
 const SHARPNESS_LEAST = 0.4;
+const ABOVE_M = 200; // over most of the city: where one looks down from
+const FINE_M = 0.25; // how finely
 const EMPTY: CityStats = {
   tiles: 0,
   gaussians: 0,
@@ -278,6 +284,16 @@ export class Viewer {
     return point && this.stage.frame.placeOf(point);
   }
 
+  // The height of what is drawn at a place, seen from straight above; null where there is nothing.
+  heightOf({ lon, lat }: Pick<Place, "lon" | "lat">): number | null {
+    const { frame, extent } = this.stage;
+    const above = frame.pointOf({ lon, lat, h: 0 }).setY(extent.max.y + ABOVE_M);
+    const perMetre = FINE_M / (above.y - extent.min.y + 1);
+    const ray = new Ray(above, new Vector3(0, -1, 0));
+    const found = this.city ? pickMedian(this.city.engine.visibleBlocks, ray, perMetre) : null;
+    return found && frame.placeOf(found).h;
+  }
+
   private surfaceOn(ray: Ray): Vector3 | null {
     const perMetre =
       (2 * Math.tan((this.stage.camera.fov * Math.PI) / 360)) / Math.max(1, this.surface.clientHeight);
@@ -369,6 +385,21 @@ export class Viewer {
 
   get heightAboveGround(): number {
     return this.stage.camera.position.y - this.stage.extent.min.y;
+  }
+
+  // Map tiles of the scene, seen from straight above; null where the server has none.
+  async mapTiles(): Promise<MapTiles | null> {
+    return this.scene ? findMapTiles(this.link, this.scene).catch(() => null) : null;
+  }
+
+  // Map tiles of somebody else, where the operator of the server chose some.
+  async basemap(): Promise<Basemap | null> {
+    return this.scene ? findBasemap(this.link, this.scene).catch(() => null) : null;
+  }
+
+  // Bytes of the server; waits while it is away.
+  get(url: string | URL, signal: AbortSignal | null = null): Promise<ArrayBuffer> {
+    return this.link.bytes(url, signal);
   }
 
   // Whether an appearance is a matter of this browser alone.
