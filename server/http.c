@@ -11,9 +11,12 @@
 #include "server/http.h"
 
 #include <microhttpd.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/random.h>
+#include <sys/socket.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -22,11 +25,15 @@
 #include "server/guard.h"
 #include "server/headers.h"
 #include "server/listen.h"
+#include "server/motion.h"
 #include "server/route.h"
 #include "server/screen.h"
 #include "server/watch.h"
 
 enum { HTTP_THREADS_MAX = 4, HTTP_SPARE = 64 /* connections: to answer those over the limit */ };
+/* Of a stream: what libmicrohttpd asks for at once, and what may wait in the socket, so that a picture that is
+ * drawn next is of the camera of now and not of that many bytes ago. */
+enum { HTTP_STREAM_BLOCK = 16 << 10, HTTP_STREAM_WAITING = 16 << 10 };
 static const double HTTP_OVER_S = 1; /* for the request of a connection too many */
 
 struct http {
@@ -63,6 +70,7 @@ struct exchange { /* one request and its answer; made by on_target, freed by on_
     struct request req;
     struct response res;
     struct job_waiter waiter;
+    struct motion_stream *stream; /* NULL: none */
     struct buf body;
     bool too_large, close, waited, gone;
     uint64_t sent;
@@ -76,6 +84,29 @@ static void http_drop_body(void *cls)
     body_drop(&b);
 }
 
+/* The reader of a stream; suspended while there is nothing to send. */
+static ssize_t http_read_stream(void *cls, uint64_t at, char *out, size_t room)
+{
+    struct exchange *x = cls;
+    (void)at;
+    ssize_t n = motion_read(x->stream, out, room);
+    if (n < 0)
+        return MHD_CONTENT_READER_END_OF_STREAM;
+    x->sent += (uint64_t)n;
+    watch_phase(x->slot, WATCH_STREAM, n ? x->h->s->cfg->write_timeout_s : 0);
+    if (!n) { /* suspended first, so that the end of a picture cannot come before it */
+        MHD_suspend_connection(x->connection);
+        if (!motion_await(x->stream))
+            MHD_resume_connection(x->connection);
+    }
+    return n;
+}
+
+static void http_on_stream(void *user)
+{
+    MHD_resume_connection(((struct exchange *)user)->connection);
+}
+
 static ssize_t http_no_bytes(void *cls, uint64_t at, char *out, size_t room)
 {
     (void)cls, (void)at, (void)out, (void)room;
@@ -87,6 +118,9 @@ static ssize_t http_no_bytes(void *cls, uint64_t at, char *out, size_t room)
 static struct MHD_Response *http_make_response(struct exchange *x)
 {
     struct response *r = &x->res;
+    if (x->stream)
+        return MHD_create_response_from_callback(MHD_SIZE_UNKNOWN, HTTP_STREAM_BLOCK,
+                                                 http_read_stream, x, NULL);
     if (r->body && r->data)
         return MHD_create_response_from_buffer_with_free_callback_cls(
             r->size, (void *)(uintptr_t)r->data, http_drop_body, body_ref(r->body));
@@ -111,7 +145,7 @@ static enum MHD_Result http_send_answer(struct exchange *x)
     bool bytes = x->req.method != METHOD_HEAD && x->res.status != 304;
     x->sent = bytes ? x->res.size : 0;
     x->stage = STAGE_SENT;
-    watch_phase(x->slot, WATCH_SEND, s->cfg->write_timeout_s);
+    watch_phase(x->slot, x->stream ? WATCH_STREAM : WATCH_SEND, s->cfg->write_timeout_s);
     enum MHD_Result ok = MHD_queue_response(x->connection, (unsigned)x->res.status, m);
     MHD_destroy_response(m);
     return ok;
@@ -216,6 +250,25 @@ static enum MHD_Result http_wait_for_job(struct exchange *x)
     return MHD_YES;
 }
 
+/* ---- streams ---- */
+
+static enum MHD_Result http_begin_stream(struct exchange *x)
+{
+    struct err e = {0};
+    const int waiting = HTTP_STREAM_WAITING;
+    enum err_code rc = motion_begin(x->h->s->motion, x->res.stream_of, x->res.stream,
+                                    http_client(x), http_on_stream, x, &x->stream, &e);
+    if (rc) {
+        response_problem(&x->res, rc == ERR_ARG ? 409 : rc == ERR_LIMIT ? 429 : 503, e.msg);
+        x->res.retry_after_s = rc == ERR_ARG ? 0 : 10;
+        return http_send_answer(x);
+    }
+    (void)setsockopt(x->peer->fd, IPPROTO_TCP, TCP_NOTSENT_LOWAT, &waiting, sizeof waiting);
+    watch_arm_stream(x->h->watch, x->slot, x->stream);
+    x->close = true; /* nobody waits for its end to ask for more */
+    return http_send_answer(x);
+}
+
 /* ---- callbacks ---- */
 
 static void *http_on_target(void *cls, const char *target, struct MHD_Connection *c)
@@ -297,6 +350,8 @@ static enum MHD_Result http_on_request(void *cls, struct MHD_Connection *c, cons
     x->req.body = x->body.data;
     x->req.body_size = x->body.size;
     route_answer(h->s, &x->req, &x->res);
+    if (x->res.stream[0])
+        return http_begin_stream(x);
     return x->res.work ? http_wait_for_job(x) : http_send_answer(x);
 }
 
@@ -331,6 +386,10 @@ static void http_on_completed(void *cls, struct MHD_Connection *c, void **con_cl
     metrics_request(&h->s->metrics, x->res.route, status, seconds, whole ? x->sent : 0);
     if (h->s->access)
         http_log_access(x, status, seconds);
+    if (x->stream) {
+        watch_disarm(h->watch, x->slot);
+        motion_leave(&x->stream);
+    }
     watch_phase(x->slot, WATCH_IDLE, h->s->cfg->idle_timeout_s);
     atomic_fetch_sub_explicit(&h->s->metrics.inflight, 1, memory_order_relaxed);
     body_drop(&x->waiter.result.body);
@@ -501,6 +560,7 @@ void http_close(struct http **out)
     int fd = MHD_quiesce_daemon(h->daemon);
     if (fd >= 0)
         close(fd);
+    motion_stop(s->motion);
     http_await_end(h, s->cfg->drain_timeout_s);
     /* Wakes whoever still waits: libmicrohttpd aborts on suspended connections. */
     job_stop(s->jobs);

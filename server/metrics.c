@@ -5,8 +5,8 @@
  */
 #include "server/metrics.h"
 
-const int metrics_codes[METRICS_CODES] = {200, 204, 206, 304, 307, 400, 403, 404, 405, 413, 414,
-                                          416, 422, 429, 431, 499, 500, 501, 503, 504, 0};
+const int metrics_codes[METRICS_CODES] = {200, 204, 206, 304, 307, 400, 403, 404, 405, 409, 413,
+                                          414, 416, 422, 429, 431, 499, 500, 501, 503, 504, 0};
 const double metrics_bounds_s[METRICS_BUCKETS] = {0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05,
                                                   0.1,    0.25,  0.5,    1,     2.5,  5,     10};
 

@@ -44,6 +44,7 @@ struct response { /* {0}, then route_answer; response_free it */
     enum job_class cls;
     enum work_kind kind; /* of the work */
     double timeout_s;
+    char stream[64], stream_of[64]; /* not "": a stream begins, of this dataset */
 };
 
 extern const char RESPONSE_IMMUTABLE[], RESPONSE_MOVING[], RESPONSE_NO_STORE[]; /* Cache-Control */

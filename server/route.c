@@ -20,6 +20,8 @@ static void route_data(struct services *s, const struct request *r, struct datas
         answer_view(s, r, d, t, out);
     else if (t->route == ROUTE_RENDER)
         answer_render(s, r, d, out);
+    else if (t->route == ROUTE_MOTION)
+        answer_motion(s, r, d, t, out);
     else if (!answer_dataset(s, r, d, t, out) && !answer_map(s, r, d, t, out) &&
              !answer_query(s, r, d, t, out) && !answer_appearance(s, r, d, t, out))
         response_problem(out, 404, "there is nothing at this path");

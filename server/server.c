@@ -43,7 +43,7 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
         .tile_threads = sv->workers,
         .view_thread = views,
         .queue_limit = {(size_t)cfg->queue_views, (size_t)cfg->queue_tiles,
-                        (size_t)cfg->queue_prefetch, (size_t)cfg->queue_maps},
+                        (size_t)cfg->queue_prefetch, (size_t)cfg->queue_maps, (size_t)cfg->streams},
         .client_views_s = cfg->client_views_s,
         .client_tiles_s = cfg->client_tiles_s,
         .user = s,

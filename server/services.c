@@ -11,6 +11,7 @@
 #include <time.h>
 
 #include "server/describe.h"
+#include "server/motion.h"
 #include "server/openapi.h"
 
 enum err_code services_open(struct services *s, const struct server_config *cfg, struct err *e)
@@ -30,6 +31,8 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     }
     pthread_mutex_init(&s->catalog_lock, NULL);
     enum err_code rc = cache_open((size_t)cfg->cache_mb << 20, &s->cache, e);
+    if (!rc)
+        rc = motion_open(s, &s->motion, e);
     if (!rc)
         rc = flight_open((size_t)cfg->inflight_mb << 20, &s->flight, e);
     if (!rc && cfg->access_log)
@@ -56,6 +59,7 @@ bool services_free(struct services *s)
         return true;
     if (!job_close(&s->jobs))
         return false;
+    motion_close(&s->motion);
     picture_close(&s->picture);
     catalog_drop(&s->catalog);
     static_free(&s->web);

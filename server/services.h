@@ -18,6 +18,7 @@
 #include "server/picture.h"
 #include "server/static.h"
 
+struct motion;
 struct services { /* all shared, all thread-safe */
     const struct server_config *cfg;
     struct geoid *geoid;          /* --geoid; NULL: none */
@@ -31,6 +32,7 @@ struct services { /* all shared, all thread-safe */
     struct flight *flight;
     struct jobs *jobs;
     struct picture *picture; /* NULL: pictures are off */
+    struct motion *motion;   /* streams */
     struct access *access;   /* NULL: no access log */
     struct metrics metrics;
     struct body *landing, *conformance, *api; /* documents that never change */

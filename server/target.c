@@ -422,6 +422,19 @@ static enum err_code target_parse_bbox(const char *query, size_t n, struct targe
     return ERR_OK;
 }
 
+static enum err_code target_parse_motion(struct text *t, struct target *out, struct err *e)
+{
+    if (!target_take_name(t, out->stream, sizeof out->stream) || !text_at_end(t) ||
+        strlen(out->stream) < TARGET_STREAM_MIN)
+        return err_set(
+            e, ERR_NOENT,
+            "a stream's name is %d to %zu of a-z, 0-9, _ and -, made by chance by whoever "
+            "opens it",
+            TARGET_STREAM_MIN, sizeof out->stream - 1);
+    out->route = ROUTE_MOTION;
+    return ERR_OK;
+}
+
 /* What follows /d/ */
 static enum err_code target_parse_data(struct text *t, const char *query, size_t n_query,
                                        struct target *out, struct err *e)
@@ -454,6 +467,8 @@ static enum err_code target_parse_data(struct text *t, const char *query, size_t
                : out->route == ROUTE_HEIGHT ? target_parse_place(query, n_query, out, e)
                                             : target_parse_form(query, n_query, out, e);
     }
+    if (text_take(t, "motion/"))
+        return target_parse_motion(t, out, e);
     bool revisioned = text_take(t, "r/");
     if (revisioned && (!target_take_rev(t, out->rev) || !text_take(t, "/")))
         return err_set(e, ERR_NOENT, "a revision is 12 hexadecimal digits");
