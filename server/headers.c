@@ -54,6 +54,8 @@ void headers_make(const struct response *r, bool last, struct headers *h)
     if (r->accept_ranges)
         headers_add(h, "Accept-Ranges", "bytes");
     headers_add_numbers(r, h);
+    if (r->stream[0]) /* nginx would gather pictures until its buffer is full */
+        headers_add(h, "X-Accel-Buffering", "no");
     headers_add(h, "Access-Control-Allow-Origin", "*");
     headers_add(h, "X-Content-Type-Options", "nosniff");
     if (r->allow && r->status == 204) { /* preflight */
