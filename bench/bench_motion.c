@@ -56,7 +56,7 @@ struct line {
     struct pool_thread *thread;
 };
 
-static int line_dial(uint16_t port)
+static int motion_line_dial(uint16_t port)
 {
     struct sockaddr_in a = {.sin_family = AF_INET, .sin_port = htons(port)};
     a.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
@@ -70,7 +70,7 @@ static int line_dial(uint16_t port)
     return fd;
 }
 
-static void line_accept(struct line *l)
+static void motion_line_accept(struct line *l)
 {
     int fd = accept(l->listener, NULL, NULL);
     const int yes = 1;
@@ -78,14 +78,14 @@ static void line_accept(struct line *l)
         return;
     (void)setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
     l->fd[l->n][0] = fd;
-    l->fd[l->n][1] = line_dial(l->to);
+    l->fd[l->n][1] = motion_line_dial(l->to);
     for (int k = 0; k < 2; k++)
         l->way[l->n][k].piece = mem_array(MOTION_PIECES, sizeof(struct line_piece));
     l->n++;
 }
 
 /* Bytes from fd into the ring; what is due out of it. */
-static void line_move(struct line *l, size_t i, int k, double now_s)
+static void motion_line_move(struct line *l, size_t i, int k, double now_s)
 {
     struct line_way *w = &l->way[i][k];
     while (w->n < MOTION_PIECES) {
@@ -112,20 +112,20 @@ static void line_move(struct line *l, size_t i, int k, double now_s)
     }
 }
 
-static void line_main(void *user)
+static void motion_line_main(void *user)
 {
     struct line *l = user;
     while (!atomic_load(&l->stop)) {
         struct pollfd p = {.fd = l->listener, .events = POLLIN};
         if (poll(&p, 1, 1) == 1)
-            line_accept(l);
+            motion_line_accept(l);
         for (size_t i = 0; i < l->n; i++)
             for (int k = 0; k < 2; k++)
-                line_move(l, i, k, clock_s());
+                motion_line_move(l, i, k, clock_s());
     }
 }
 
-static enum err_code line_open(struct line *l, uint16_t to, double delay_s, struct err *e)
+static enum err_code motion_line_open(struct line *l, uint16_t to, double delay_s, struct err *e)
 {
     struct sockaddr_in a = {.sin_family = AF_INET};
     socklen_t n = sizeof a;
@@ -138,10 +138,10 @@ static enum err_code line_open(struct line *l, uint16_t to, double delay_s, stru
         listen(l->listener, 8) != 0 || getsockname(l->listener, (struct sockaddr *)&a, &n) != 0)
         return err_errno(e, ERR_IO, "bench_motion: no relay");
     l->port = ntohs(a.sin_port);
-    return pool_start(line_main, l, &l->thread, e);
+    return pool_start(motion_line_main, l, &l->thread, e);
 }
 
-static void line_close(struct line *l)
+static void motion_line_close(struct line *l)
 {
     atomic_store(&l->stop, true);
     if (l->thread)
@@ -164,7 +164,7 @@ struct seen {
     size_t down, up; /* bytes */
 };
 
-static void seen_add(struct seen *s, double posed_s, double pixels)
+static void motion_seen_add(struct seen *s, double posed_s, double pixels)
 {
     if (s->n == MOTION_PICTURES)
         return;
@@ -173,7 +173,8 @@ static void seen_add(struct seen *s, double posed_s, double pixels)
     s->pixels += pixels;
 }
 
-static void seen_report(struct bench *b, const char *how, double delay_s, const struct seen *s)
+static void motion_seen_report(struct bench *b, const char *how, double delay_s,
+                               const struct seen *s)
 {
     double late[MOTION_PICTURES], age = 0, over;
     char name[96];
@@ -213,8 +214,8 @@ struct thin {
     double lon, lat, h;
 };
 
-static size_t thin_post(const struct thin *t, const char *path, double at_s, int number,
-                        uint32_t width, uint32_t height, struct buf *out)
+static size_t motion_thin_post(const struct thin *t, const char *path, double at_s, int number,
+                               uint32_t width, uint32_t height, struct buf *out)
 {
     struct buf body = {0};
     char extra[64] = "";
@@ -234,7 +235,7 @@ static size_t thin_post(const struct thin *t, const char *path, double at_s, int
 }
 
 /* Bytes until `have` says that a whole thing is there. */
-static bool thin_more(int fd, struct buf *b)
+static bool motion_thin_more(int fd, struct buf *b)
 {
     uint8_t bytes[65536];
     struct pollfd p = {.fd = fd, .events = POLLIN};
@@ -246,21 +247,21 @@ static bool thin_more(int fd, struct buf *b)
     return n > 0;
 }
 
-static enum err_code thin_by_request(const struct thin *t, struct seen *s, struct err *e)
+static enum err_code motion_thin_by_request(const struct thin *t, struct seen *s, struct err *e)
 {
     struct buf q = {0}, a = {0};
     double area = MOTION_AREA, start_s = clock_s();
-    int fd = line_dial(t->port);
+    int fd = motion_line_dial(t->port);
     enum err_code rc = fd < 0 ? err_set(e, ERR_IO, "bench_motion: cannot connect") : ERR_OK;
     while (!rc && clock_s() - start_s < MOTION_RUN_S) {
         double f = fmin(1, sqrt(area / (MOTION_W * MOTION_H))), posed_s = clock_s();
         uint32_t w = (uint32_t)(MOTION_W * f), h = (uint32_t)(MOTION_H * f);
-        s->up += thin_post(t, "render", posed_s - start_s, -1, w, h, &q);
+        s->up += motion_thin_post(t, "render", posed_s - start_s, -1, w, h, &q);
         if (send(fd, q.data, q.size, MSG_NOSIGNAL) != (ssize_t)q.size)
             rc = err_set(e, ERR_IO, "bench_motion: the connection broke");
         a.size = 0;
         for (size_t want = 0; !rc && (!want || a.size < want);) {
-            if (!thin_more(fd, &a))
+            if (!motion_thin_more(fd, &a))
                 rc = err_set(e, ERR_IO, "bench_motion: no answer");
             const char *head = (const char *)a.data, *end = rc ? NULL : strstr(head, "\r\n\r\n");
             const char *length = end ? strstr(head, "Content-Length: ") : NULL;
@@ -270,7 +271,7 @@ static enum err_code thin_by_request(const struct thin *t, struct seen *s, struc
         if (!rc && strncmp((const char *)a.data + 9, "200", 3) != 0)
             rc = err_set(e, ERR_IO, "bench_motion: %.60s", (const char *)a.data);
         s->down += a.size;
-        seen_add(s, posed_s, (double)w * h);
+        motion_seen_add(s, posed_s, (double)w * h);
         double ms = (clock_s() - posed_s) * 1e3;
         area = fmin(MOTION_MOST, fmax(MOTION_LEAST, area * fmin(1.3, fmax(0.5, MOTION_MS / ms))));
     }
@@ -291,15 +292,15 @@ struct steering {
 };
 
 /* A pose thirty times a second, and answers thrown away as they come. */
-static void thin_steer(void *user)
+static void motion_thin_steer(void *user)
 {
     struct steering *st = user;
     struct buf q = {0};
     uint8_t bytes[4096];
     for (int i = 0; i < MOTION_PICTURES && !atomic_load(&st->stop); i++) {
         st->posed_s[i] = clock_s();
-        st->up +=
-            thin_post(st->thin, st->path, st->posed_s[i] - st->start_s, i, MOTION_W, MOTION_H, &q);
+        st->up += motion_thin_post(st->thin, st->path, st->posed_s[i] - st->start_s, i, MOTION_W,
+                                   MOTION_H, &q);
         (void)!send(st->fd, q.data, q.size, MSG_NOSIGNAL);
         while (recv(st->fd, bytes, sizeof bytes, MSG_DONTWAIT) > 0)
             continue;
@@ -311,7 +312,7 @@ static void thin_steer(void *user)
 
 /* The end of the first whole part in text, NULL: it is not there yet. Chunks of HTTP lie between: a part's
  * bytes are not looked at, its delimiter is. */
-static const char *thin_part_end(const struct buf *b, size_t at)
+static const char *motion_thin_part_end(const struct buf *b, size_t at)
 {
     static const char mark[] = "\r\n--citysplat-picture\r\n";
     for (size_t i = at; i + sizeof mark - 1 <= b->size; i++)
@@ -320,37 +321,37 @@ static const char *thin_part_end(const struct buf *b, size_t at)
     return NULL;
 }
 
-static enum err_code thin_by_stream(const struct thin *t, struct seen *s, struct err *e)
+static enum err_code motion_thin_by_stream(const struct thin *t, struct seen *s, struct err *e)
 {
     char path[64], q[200];
     struct buf a = {0};
     struct steering st = {.thin = t, .path = path, .start_s = clock_s()};
     struct pool_thread *thread = NULL;
     snprintf(path, sizeof path, "motion/bench-%u-%06u", (unsigned)getpid(), (unsigned)t->port);
-    int fd = line_dial(t->port);
-    st.fd = line_dial(t->port);
+    int fd = motion_line_dial(t->port);
+    st.fd = motion_line_dial(t->port);
     snprintf(q, sizeof q, "GET /d/%s/%s HTTP/1.1\r\nHost: bench\r\n\r\n", t->ds, path);
     enum err_code rc = fd < 0 || st.fd < 0 || send(fd, q, strlen(q), MSG_NOSIGNAL) < 0
                            ? err_set(e, ERR_IO, "bench_motion: cannot connect")
                            : ERR_OK;
-    if (!rc && !thin_more(fd, &a)) /* the stream is open: it may be steered */
+    if (!rc && !motion_thin_more(fd, &a)) /* the stream is open: it may be steered */
         rc = err_set(e, ERR_IO, "bench_motion: no stream");
     if (!rc && strncmp((const char *)a.data + 9, "200", 3) != 0)
         rc = err_set(e, ERR_IO, "bench_motion: %.60s", (const char *)a.data);
     if (!rc)
-        rc = pool_start(thin_steer, &st, &thread, e);
+        rc = pool_start(motion_thin_steer, &st, &thread, e);
     size_t at = a.size;
     while (!rc && clock_s() - st.start_s < MOTION_RUN_S) {
-        if (!thin_more(fd, &a))
+        if (!motion_thin_more(fd, &a))
             rc = err_set(e, ERR_IO, "bench_motion: the stream broke");
-        for (const char *end; !rc && (end = thin_part_end(&a, at));) {
+        for (const char *end; !rc && (end = motion_thin_part_end(&a, at));) {
             const char *text = (const char *)a.data + at, *pose = strstr(text, "Pose: "),
                        *size = strstr(text, "Size: ");
             unsigned w = 0, h = 0;
             int number = pose && pose < end ? atoi(pose + 6) : -1;
             if (size && size < end && number >= 0 && number < MOTION_PICTURES &&
                 sscanf(size, "Size: %ux%u", &w, &h) == 2)
-                seen_add(s, st.posed_s[number], (double)w * h);
+                motion_seen_add(s, st.posed_s[number], (double)w * h);
             at = (size_t)(end - (const char *)a.data);
         }
     }
@@ -370,19 +371,19 @@ static enum err_code motion_case(struct bench *b, struct thin *t, uint16_t port,
 {
     struct line l;
     struct seen *s = mem_array(2, sizeof *s);
-    enum err_code rc =
-        s ? line_open(&l, port, delay_s, e) : err_set(e, ERR_MEM, "bench_motion: out of memory");
+    enum err_code rc = s ? motion_line_open(&l, port, delay_s, e)
+                         : err_set(e, ERR_MEM, "bench_motion: out of memory");
     if (!s)
         return rc;
     t->port = l.port;
     if (!rc)
-        rc = thin_by_request(t, &s[0], e);
+        rc = motion_thin_by_request(t, &s[0], e);
     if (!rc)
-        rc = thin_by_stream(t, &s[1], e);
-    line_close(&l);
+        rc = motion_thin_by_stream(t, &s[1], e);
+    motion_line_close(&l);
     if (!rc) {
-        seen_report(b, "request a picture", delay_s, &s[0]);
-        seen_report(b, "stream", delay_s, &s[1]);
+        motion_seen_report(b, "request a picture", delay_s, &s[0]);
+        motion_seen_report(b, "stream", delay_s, &s[1]);
     }
     mem_free(s);
     return rc;

@@ -483,6 +483,8 @@ static void motion_end_one(struct motion_stream *st, double now_s)
 
 void motion_stop(struct motion *m)
 {
+    if (!m)
+        return;
     pthread_mutex_lock(&m->lock);
     m->stopping = true;
     pthread_mutex_unlock(&m->lock);
@@ -491,6 +493,9 @@ void motion_stop(struct motion *m)
 
 void motion_count(struct motion *m, struct motion_counts *out)
 {
+    *out = (struct motion_counts){0};
+    if (!m)
+        return;
     pthread_mutex_lock(&m->lock);
     *out = (struct motion_counts){m->n, m->pictures, m->full};
     pthread_mutex_unlock(&m->lock);

@@ -11,7 +11,6 @@
 #include <time.h>
 
 #include "server/describe.h"
-#include "server/motion.h"
 #include "server/openapi.h"
 
 enum err_code services_open(struct services *s, const struct server_config *cfg, struct err *e)
@@ -32,11 +31,13 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     pthread_mutex_init(&s->catalog_lock, NULL);
     enum err_code rc = cache_open((size_t)cfg->cache_mb << 20, &s->cache, e);
     if (!rc)
-        rc = motion_open(s, &s->motion, e);
-    if (!rc)
         rc = flight_open((size_t)cfg->inflight_mb << 20, &s->flight, e);
     if (!rc && cfg->access_log)
-        rc = access_open(&s->access, e);
+        rc = access_open((enum access_format)cfg->access_format, &s->access, e);
+    if (!rc)
+        rc = cache_policy_read(cfg->cache_policy, &s->policy, e);
+    if (!rc && cfg->auth)
+        rc = auth_open(cfg->auth, &s->auth, e);
     if (!rc && cfg->geoid)
         rc = geoid_open(cfg->geoid, cfg->geoid_dir, &s->geoid, e);
     if (!rc)
@@ -59,13 +60,13 @@ bool services_free(struct services *s)
         return true;
     if (!job_close(&s->jobs))
         return false;
-    motion_close(&s->motion);
     picture_close(&s->picture);
     catalog_drop(&s->catalog);
     static_free(&s->web);
     cache_close(&s->cache);
     flight_close(&s->flight);
     access_close(&s->access);
+    auth_close(&s->auth);
     geoid_close(&s->geoid);
     body_drop(&s->landing);
     body_drop(&s->conformance);

@@ -114,7 +114,10 @@ static enum err_code target_take_form(struct text *one, struct target *target, b
 {
     struct form *out = &target->form;
     *known = true;
-    if (text_take(one, "appearance=")) {
+    if (text_take(one, "exp=") || text_take(one, "key=") || text_take(one, "scope=") ||
+        text_take(one, "sig=")) {
+        one->p = one->end; /* of a signed address (auth.c) */
+    } else if (text_take(one, "appearance=")) {
         if (target->appearance[0] ||
             !text_take_decoded(one, target->appearance, sizeof target->appearance))
             return err_set(e, ERR_FORMAT,
@@ -527,6 +530,7 @@ enum err_code target_parse(const char *text, size_t n, struct target *out, struc
         {"/api", ROUTE_API},         {"/healthz", ROUTE_HEALTH},
         {"/readyz", ROUTE_READY},    {"/version", ROUTE_VERSION},
         {"/metrics", ROUTE_METRICS}, {"/collections", ROUTE_COLLECTIONS},
+        {"/-/reload", ROUTE_RELOAD},
     };
     memset(out, 0, sizeof *out);
     out->route = ROUTE_NONE;

@@ -71,6 +71,7 @@ enum { ALLOW_READ = 1, ALLOW_POST = 2 };
     X(READY, ALLOW_READ, "/readyz", "200 while requests are welcome")                              \
     X(VERSION, ALLOW_READ, "/version", "Program, datasets, device")                                \
     X(METRICS, ALLOW_READ, "/metrics", "Prometheus text, to whom --metrics allows it")             \
+    X(RELOAD, ALLOW_POST, "/-/reload", "Open the stores again (on the listener of --admin alone)") \
     X(NONE, 0, "unmatched", "No such path")
 
 enum route {

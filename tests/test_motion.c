@@ -296,7 +296,8 @@ static void test_slow_reader(void **state)
     long long seen = 0;
     const char *sharp = ",\"still\":true,\"quality\":100";
     for (int i = 1; counts().streams == 2 && i < 3000; i++) {
-        (void)steer(NAME, i, i % 360, 1600, sharp); /* large ones fill the socket; nobody reads them */
+        (void)steer(NAME, i, i % 360, 1600,
+                    sharp); /* large ones fill the socket; nobody reads them */
         if (i % 4 == 0) {
             assert_int_equal(steer("fast-0123456789ab", i, i % 360, 64, ""), 204);
             assert_true(reader_next(&fast, PATIENCE_S, &p));
