@@ -1,7 +1,7 @@
 /* citysplat: drone photographs in, a city of Gaussians that a web map can stream out.
  *
  * Finds the command and runs it. stdout is data, stderr is the log. Exit codes: 0 done, 1 failed, 2
- * the command line was wrong. This is the only file that turns an error into text and an exit code.
+ * the command line was wrong; of serve, which supervisors start, those of sysexits.h. This is the only file that turns an error into text and an exit code.
  *
  *   citysplat help [COMMAND]          the commands, or one of them
  *   citysplat help --markdown         the command reference, docs/commands.md
@@ -12,6 +12,7 @@
 #include <locale.h>
 #include <stdio.h>
 #include <string.h>
+#include <sysexits.h>
 
 #include "cli/cli.h"
 #include "core/options_help.h"
@@ -57,6 +58,24 @@ static void print_help(FILE *f)
         fprintf(f, "  %.*s\n", (int)strcspn(p, "\n"), p);
 }
 
+/* What a supervisor may try again (69, 75) and what a person has to mend (64, 65, 66, 78). */
+static int exit_of_service(enum err_code rc, int argc, char **argv)
+{
+    static const int codes[] = {
+        [ERR_ARG] = EX_USAGE,       [ERR_MEM] = EX_OSERR,          [ERR_IO] = EX_IOERR,
+        [ERR_NOENT] = EX_NOINPUT,   [ERR_FORMAT] = EX_DATAERR,     [ERR_LIMIT] = EX_DATAERR,
+        [ERR_DATA] = EX_DATAERR,    [ERR_DEVICE] = EX_UNAVAILABLE, [ERR_BUSY] = EX_UNAVAILABLE,
+        [ERR_CANCEL] = EX_TEMPFAIL, [ERR_INTERNAL] = EX_SOFTWARE,
+    };
+    for (int i = 1; i < argc; i++) {
+        if (!strcmp(argv[i], "--check"))
+            return EX_CONFIG;
+        if (rc == ERR_ARG && !strncmp(argv[i], "--config", 8))
+            return EX_CONFIG;
+    }
+    return codes[rc];
+}
+
 static int run(const struct command *c, int argc, char **argv)
 {
     struct err e = {0};
@@ -66,7 +85,7 @@ static int run(const struct command *c, int argc, char **argv)
     fprintf(stderr, "citysplat %s: error: %s\n", c->name, e.msg[0] ? e.msg : err_text(rc));
     if (rc == ERR_ARG)
         fprintf(stderr, "`citysplat help %s` lists the options.\n", c->name);
-    return rc == ERR_ARG ? 2 : 1;
+    return !strcmp(c->name, "serve") ? exit_of_service(rc, argc, argv) : rc == ERR_ARG ? 2 : 1;
 }
 
 /* ---- reference ---- */
@@ -88,7 +107,7 @@ static int print_markdown(void)
         "Every command and every option, as `citysplat help COMMAND` prints them. Written by\n"
         "`citysplat help --markdown`; do not edit.\n\n"
         "stdout is data, stderr is the log. Exit codes: 0 done, 1 failed, 2 the command line was "
-        "wrong.\n\n"
+        "wrong; those of serve are in its own section.\n\n"
         "Every command also takes `--config FILE` (options from a .jsonc file, with `_` for `-` in "
         "their names;\nlater files and flags win), `--print-config` (print the resolved options "
         "as JSON and stop), `-v` (more log\nlines), `-q` (no progress, only warnings and errors), "

@@ -12,6 +12,7 @@
 
 #include "cli/cli.h"
 #include "server/server.h"
+#include "server/supervisor.h"
 
 static const struct options_def defs[] = {
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
@@ -29,7 +30,11 @@ static const struct options_spec spec = {
         "and TileJSON descriptions, rendered views as .jpg, .png and .webp, and the viewer itself. "
         "Listens on this machine alone unless --address says otherwise; put a proxy with TLS in "
         "front of it for the world. SIGTERM finishes what is under way and exits; SIGHUP opens the "
-        "stores again and serves the older revision for another day.",
+        "stores again and serves the older revision for another day. --check looks whether it "
+        "would "
+        "start. Exit codes are those of sysexits.h: 64 options, 65 and 66 stores, 69 port or "
+        "device, "
+        "71 memory, 74 input and output, 78 a configuration file, --auth or --check.",
     .example = "citysplat serve city.tiles\n"
                "citysplat serve old-town.tiles harbour.tiles --address 0.0.0.0 --port 8000",
     .defs = defs,
@@ -41,10 +46,47 @@ static const struct options_spec spec = {
 static void serve_reload(struct server *sv)
 {
     struct err e = {0};
+    supervisor_reloading();
     if (server_reload(sv, &e) == ERR_OK)
         log_info("serve", "reloaded");
     else
         log_error("serve", "reload failed, the old data stay: %s", e.msg);
+    supervisor_ready(e.code ? "serving the data from before a reload that failed" : "serving");
+}
+
+/* Half of the time that the supervisor gives: say that the program answers, while it does. */
+static void serve_watch(const struct server *sv, double *next_s)
+{
+    double every_s = supervisor_watchdog_s() / 2;
+    if (every_s <= 0 || clock_s() < *next_s)
+        return;
+    if (server_answers(sv, every_s / 2))
+        supervisor_well();
+    else
+        log_error("serve", "the program does not answer its own request");
+    *next_s = clock_s() + every_s;
+}
+
+/* Until SIGTERM, or until the device hangs and that is to end the program. */
+static enum err_code serve_run(struct server *sv, const struct server_config *cfg,
+                               const sigset_t *hup, struct err *e)
+{
+    bool told = false;
+    double next_s = 0;
+    while (!signals_stopping()) {
+        const struct timespec wait = {.tv_nsec = 100000000};
+        if (sigtimedwait(hup, NULL, &wait) == SIGHUP || server_reload_asked(sv))
+            serve_reload(sv);
+        server_expire(sv, clock_s());
+        serve_watch(sv, &next_s);
+        bool hung = server_hangs_s(sv) > 0;
+        if (hung && !told)
+            log_error("serve", "the device hangs in a picture: pictures are off until it returns");
+        told = hung;
+        if (hung && cfg->exit_hung)
+            return err_set(e, ERR_DEVICE, "the device hangs, and --exit-hung is set");
+    }
+    return ERR_OK;
 }
 
 enum err_code cli_serve(int argc, char **argv, struct err *e)
@@ -54,12 +96,16 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
     struct arena arena = {0};
     struct server *sv = NULL;
     sigset_t hup;
-    bool hung = false, told = false;
     sigemptyset(&hup);
     sigaddset(&hup, SIGHUP);
     enum err_code rc = options_parse(&spec, argc, argv, &cfg, &args, &arena, e);
     if (rc || args.done)
         goto out;
+    log_set_json(cfg.log_format);
+    if (cfg.check) {
+        rc = server_check(&cfg, args.arg, args.n, stdout, e);
+        goto out;
+    }
     /* Threads inherit the mask, so SIGHUP waits for sigtimedwait below. */
     pthread_sigmask(SIG_BLOCK, &hup, NULL);
     signals_catch();
@@ -68,21 +114,12 @@ enum err_code cli_serve(int argc, char **argv, struct err *e)
         goto out;
     printf("citysplat serves %zu dataset%s: open %s\n", args.n, args.n == 1 ? "" : "s",
            server_url(sv));
+    if (cfg.admin)
+        printf("operators: port %u\n", (unsigned)server_admin_port(sv));
     fflush(stdout);
-    while (!signals_stopping()) {
-        const struct timespec wait = {.tv_nsec = 100000000};
-        if (sigtimedwait(&hup, NULL, &wait) == SIGHUP)
-            serve_reload(sv);
-        server_expire(sv, clock_s());
-        hung = server_hangs_s(sv) > 0;
-        if (hung && !told)
-            log_error("serve", "the device hangs in a picture: pictures are off until it returns");
-        told = hung;
-        if (hung && cfg.exit_hung) {
-            rc = err_set(e, ERR_DEVICE, "the device hangs, and --exit-hung is set");
-            break;
-        }
-    }
+    supervisor_ready("serving");
+    rc = serve_run(sv, &cfg, &hup, e);
+    supervisor_stopping();
     log_info("serve", "stopping: answers under way are finished first");
 out:
     if (!server_stop(&sv)) {

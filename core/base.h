@@ -127,6 +127,13 @@ enum err_code file_list(const char *dir, const char *const *suffixes, struct are
 
 enum log_level { LOG_ERROR, LOG_WARN, LOG_INFO, LOG_DEBUG };
 void log_set_level(enum log_level level); /* before threads start */
+/* Lines of JSON instead: {"ts","level","module","msg"}. Before threads start. */
+void log_set_json(bool json);
+bool log_is_json(void);
+/* Now in UTC, as RFC 3339 writes it, with milliseconds. */
+void log_now(char out[32]);
+/* text as the inside of a JSON string, with a NUL; cut where `room` ends. Returns its length. */
+size_t log_quote(const char *text, char *out, size_t room);
 /* One line on stderr: "12.41 info train step n=1200 loss=0.0812": elapsed, level, module, event and
  * key=value pairs with units in the keys. */
 void log_line(enum log_level level, const char *module, const char *fmt, ...) ERR_PRINTF(3, 4);

@@ -1,5 +1,5 @@
-/* One line an event on stderr, composed first and written by one call, so that threads do not mix
- * lines.
+/* One line an event on stderr, as text or JSON, composed first and written by one call, so that threads do
+ * not mix lines.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -20,15 +20,73 @@ void log_set_level(enum log_level level)
     log_level = level;
 }
 
+static bool log_json;
+
+void log_set_json(bool json)
+{
+    log_json = json;
+}
+
+bool log_is_json(void)
+{
+    return log_json;
+}
+
+void log_now(char out[32])
+{
+    struct timespec now;
+    struct tm utc;
+    clock_gettime(CLOCK_REALTIME, &now);
+    gmtime_r(&now.tv_sec, &utc);
+    size_t n = strftime(out, 32, "%Y-%m-%dT%H:%M:%S", &utc);
+    snprintf(out + n, 32 - n, ".%03dZ", (int)(now.tv_nsec / 1000000));
+}
+
+size_t log_quote(const char *text, char *out, size_t room)
+{
+    size_t n = 0;
+    for (const char *p = text; *p && n + 7 < room; p++) {
+        unsigned char c = (unsigned char)*p;
+        if (c == '"' || c == '\\') {
+            out[n++] = '\\';
+            out[n++] = *p;
+        } else if (c < 0x20 || c == 0x7f) {
+            n += (size_t)snprintf(out + n, room - n, "\\u%04x", c);
+        } else {
+            out[n++] = *p;
+        }
+    }
+    out[n] = '\0';
+    return n;
+}
+
+static const char *const log_names[] = {"error", "warn", "info", "debug"};
+
+static size_t log_vcompose_json(char *line, size_t room, enum log_level level, const char *module,
+                                const char *fmt, va_list ap) ERR_PRINTF(5, 0);
+static size_t log_vcompose_json(char *line, size_t room, enum log_level level, const char *module,
+                                const char *fmt, va_list ap)
+{
+    char text[1024], quoted[1400], now[32];
+    log_now(now);
+    vsnprintf(text, sizeof text, fmt, ap);
+    log_quote(text, quoted, sizeof quoted);
+    int n =
+        snprintf(line, room, "{\"ts\":\"%s\",\"level\":\"%s\",\"module\":\"%s\",\"msg\":\"%s\"}\n",
+                 now, log_names[level], module, quoted);
+    return n > 0 && (size_t)n < room ? (size_t)n : 0;
+}
+
 static size_t log_vcompose(char *line, size_t room, enum log_level level, const char *module,
                            const char *fmt, va_list ap) ERR_PRINTF(5, 0);
 static size_t log_vcompose(char *line, size_t room, enum log_level level, const char *module,
                            const char *fmt, va_list ap)
 {
-    static const char *const names[] = {"error", "warn", "info", "debug"};
     if (level > log_level)
         return 0;
-    int n = snprintf(line, room, "%.2f %s %s ", clock_s(), names[level], module);
+    if (log_json)
+        return log_vcompose_json(line, room, level, module, fmt, ap);
+    int n = snprintf(line, room, "%.2f %s %s ", clock_s(), log_names[level], module);
     if (n < 0 || (size_t)n + 1 >= room)
         return 0;
     int m = vsnprintf(line + n, room - (size_t)n - 1, fmt, ap);
@@ -165,10 +223,10 @@ void log_write(const char *lines, size_t n)
 
 void log_line(enum log_level level, const char *module, const char *fmt, ...)
 {
-    char line[1024];
+    char line[1600];
     va_list ap;
     va_start(ap, fmt);
-    size_t len = log_vcompose(line, sizeof line, level, module, fmt, ap);
+    size_t len = log_vcompose(line, log_json ? sizeof line : 1024, level, module, fmt, ap);
     va_end(ap);
     log_write(line, len);
 }

@@ -7,14 +7,19 @@
 
 #include "core/base.h"
 
+/* ACCESS_LINE: as all lines of the log are, text or JSON. ACCESS_COMBINED: the combined format of Apache and
+ * nginx, for programs that read that. */
+enum access_format { ACCESS_LINE, ACCESS_COMBINED };
 struct access;
 struct access_line {
-    const char *method, *target, *cache; /* cache may be NULL */
+    const char *method, *route, *target, *client, *id;
+    const char *cache, *referer, *agent; /* may be NULL */
     int status;
     uint64_t bytes;
-    double seconds;
+    double seconds, job_s; /* job_s < 0: there was none */
 };
-enum err_code access_open(struct access **out, struct err *e) ERR_USE;
+/* ERR_MEM. */
+enum err_code access_open(enum access_format format, struct access **out, struct err *e) ERR_USE;
 void access_add(struct access *a,
                 const struct access_line *x); /* any thread, never waits for I/O */
 void access_flush(struct access *a);

@@ -161,3 +161,19 @@ bool address_host_is_loopback(const char *host)
         return true;
     return address_parse(host, strlen(host), &a) && address_is_loopback(a);
 }
+
+void address_write(struct address a, char *out, size_t room)
+{
+    static const struct address none;
+    bool v4 = address_is_v4(a);
+    if (!memcmp(&a, &none, sizeof a) ||
+        !inet_ntop(v4 ? AF_INET : AF_INET6, a.ip + (v4 ? 12 : 0), out, (socklen_t)room))
+        snprintf(out, room, "-");
+}
+
+struct address address_network(struct address a)
+{
+    size_t keep = address_is_v4(a) ? 15 : 6;
+    memset(a.ip + keep, 0, sizeof a.ip - keep);
+    return a;
+}

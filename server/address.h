@@ -12,7 +12,7 @@ struct sockaddr;
 struct address { /* IPv4 as ::ffff:a.b.c.d; {0} is none */
     uint8_t ip[16];
 };
-enum { ADDRESS_NETS = 16 };
+enum { ADDRESS_NETS = 16, ADDRESS_TEXT = 48 };
 struct address_nets { /* {0}: none */
     size_t n;
     struct {
@@ -36,6 +36,10 @@ struct address address_client(const struct address_nets *trusted, struct address
 /* A number for a client: of an IPv6 address its /64, which one household has for itself. The secret
  * keeps strangers from choosing two addresses of one number. */
 uint64_t address_number(struct address a, struct hash128 secret);
+/* "1.2.3.4" or "2001:db8::1"; "-" for none. */
+void address_write(struct address a, char *out, size_t room);
+/* Its network alone: /24 of IPv4, /48 of IPv6. */
+struct address address_network(struct address a);
 /* Is this value of Host a name of this machine's own: localhost, 127.x, [::1], with or without a
  * port? NULL is none. */
 bool address_host_is_loopback(const char *host);

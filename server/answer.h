@@ -22,6 +22,12 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
                  const struct target *t, struct response *out);
 void answer_render(struct services *s, const struct request *r, struct dataset *d,
                    struct response *out);
+/* answer_motion.c: GET of a stream, which http.c begins (out->stream), POST of its camera. */
+void answer_motion(struct services *s, const struct request *r, struct dataset *d,
+                   const struct target *t, struct response *out);
+/* answer_view.c: false, with the problem set, when pictures cannot be made or this one is too large. */
+bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px,
+                       struct response *out);
 /* answer_map.c: tiles of a map and of terrain, and the documents that lead to them; false for other
  * routes. */
 bool answer_map(struct services *s, const struct request *r, struct dataset *d,

@@ -7,6 +7,7 @@
 #include <jansson.h>
 #include <string.h>
 #include <strings.h>
+#include <time.h>
 
 #include "server/collection.h"
 #include "server/condition.h"
@@ -14,7 +15,18 @@
 #include "server/hint.h"
 #include "server/metrics_text.h"
 
-static enum err_code answer_service_about(struct services *s, struct body **out, struct err *e)
+/* Is who asks told that there is this dataset? */
+static bool answer_service_shows(const struct services *s, const struct request *r,
+                                 const struct target *t, const struct dataset *d)
+{
+    size_t n = t->path_size + (r->target_size > t->path_size);
+    return !s->auth || r->admin ||
+           auth_check(s->auth, AUTH_READ, d->meta.name, r->authorization, r->target, t->path_size,
+                      r->target + n, r->target_size - n, (int64_t)time(NULL)) == AUTH_OK;
+}
+
+static enum err_code answer_service_about(struct services *s, const struct request *r,
+                                          const struct target *t, struct body **out, struct err *e)
 {
     char about[160] = "off: started with --device none";
     static const char *const states[] = {"starting", "ready", "off"};
@@ -24,7 +36,9 @@ static enum err_code answer_service_about(struct services *s, struct body **out,
     json_t *revisions = json_object();
     struct catalog *c = services_catalog(s);
     for (size_t i = 0; i < c->n_current; i++)
-        json_object_set_new(revisions, c->ds[i]->meta.name, json_string(c->ds[i]->meta.revision));
+        if (answer_service_shows(s, r, t, c->ds[i]))
+            json_object_set_new(revisions, c->ds[i]->meta.name,
+                                json_string(c->ds[i]->meta.revision));
     catalog_drop(&c);
     return document_make(json_pack("{s:s,s:s,s:o,s:{s:s,s:s}}", "name", "citysplat", "version",
                                    CITYSPLAT_VERSION, "datasets", revisions, "pictures", "state",
@@ -61,7 +75,11 @@ static void answer_service_state(struct services *s, const struct request *r, st
         if (!n)
             continue;
         degraded = true;
-        json_object_set_new(failed, c->ds[i]->meta.name, json_integer(n));
+        json_object_set_new(failed,
+                            s->auth && !r->admin && !auth_is_public(s->auth, c->ds[i]->meta.name)
+                                ? "(not public)"
+                                : c->ds[i]->meta.name,
+                            json_integer(n));
     }
     catalog_drop(&c);
     char why[sizeof s->reload_error];
@@ -107,8 +125,12 @@ static bool answer_service_token(const char *given, const char *token)
 
 /* Metrics say who asks for what, and how much: nothing that a proxy's configuration should publish by
  * forgetting about it. */
-static bool answer_service_may(const struct server_config *cfg, const struct request *r)
+static bool answer_service_may(const struct services *s, const struct request *r)
 {
+    const struct server_config *cfg = s->cfg;
+    if (r->admin || (s->auth && auth_check(s->auth, AUTH_ADMIN, NULL, r->authorization, "", 0, "",
+                                           0, (int64_t)time(NULL)) == AUTH_OK))
+        return true;
     if (!strcmp(cfg->metrics, "public"))
         return true;
     if (!strcmp(cfg->metrics, "local"))
@@ -120,7 +142,7 @@ static void answer_service_metrics(struct services *s, const struct request *r,
                                    struct response *out)
 {
     struct buf b = {0};
-    if (!answer_service_may(s->cfg, r)) {
+    if (!answer_service_may(s, r)) {
         response_problem(
             out, 403,
             !strcmp(s->cfg->metrics, "local")
@@ -136,11 +158,11 @@ static void answer_service_metrics(struct services *s, const struct request *r,
 }
 
 static void answer_service_version(struct services *s, const struct request *r,
-                                   struct response *out)
+                                   const struct target *t, struct response *out)
 {
     struct body *b = NULL;
     /* A statement of its own: the order in which arguments of a call are evaluated is open. */
-    if (answer_service_about(s, &b, NULL))
+    if (answer_service_about(s, r, t, &b, NULL))
         body_drop(&b);
     response_document(r, RESPONSE_JSON, RESPONSE_NO_STORE, b, out);
 }
@@ -163,11 +185,12 @@ static void answer_service_collections(struct services *s, const struct request 
 {
     struct catalog *c = services_catalog(s);
     struct body *b = NULL;
-    if (t->has_bbox) {
+    if (t->has_bbox || s->auth) {
         struct dataset **ds = mem_array(c->n_current, sizeof *ds);
         size_t n = 0;
         for (size_t i = 0; ds && i < c->n_current; i++)
-            if (answer_service_meets(c->ds[i], t))
+            if (answer_service_shows(s, r, t, c->ds[i]) &&
+                (!t->has_bbox || answer_service_meets(c->ds[i], t)))
                 ds[n++] = c->ds[i];
         if (!ds || collection_list(ds, n, s->cfg->basemap, s->cfg->basemap_attribution, &b, NULL))
             body_drop(&b);
@@ -177,7 +200,7 @@ static void answer_service_collections(struct services *s, const struct request 
     } else {
         b = body_ref(c->collections);
     }
-    response_document(r, RESPONSE_JSON, RESPONSE_MOVING, b, out);
+    response_document(r, RESPONSE_JSON, s->auth ? RESPONSE_NO_STORE : RESPONSE_MOVING, b, out);
     catalog_drop(&c);
 }
 
@@ -213,10 +236,15 @@ bool answer_service(struct services *s, const struct request *r, const struct ta
         answer_service_ready(s, r, out);
         return true;
     case ROUTE_VERSION:
-        answer_service_version(s, r, out);
+        answer_service_version(s, r, t, out);
         return true;
     case ROUTE_METRICS:
         answer_service_metrics(s, r, out);
+        return true;
+    case ROUTE_RELOAD:
+        atomic_store(&s->reload_asked, true);
+        out->status = 202;
+        out->cache_control = RESPONSE_NO_STORE;
         return true;
     default:
         return false;

@@ -35,9 +35,8 @@ bool answer_can_draw(struct services *s, struct response *out)
     return !(hangs_s > 0);
 }
 
-/* False, with the problem set, when pictures cannot be made or this one is too large. */
-static bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px,
-                              struct response *out)
+bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px,
+                       struct response *out)
 {
     char text[256];
     if (!answer_can_draw(s, out))

@@ -195,13 +195,30 @@ static enum err_code describe_read_appearance(const json_t *o, char out[TARGET_A
     return ERR_OK;
 }
 
-enum err_code describe_read_render(const struct server_config *cfg, const struct geo_origin *origin,
-                                   const void *text, size_t n, struct describe_render *out,
-                                   struct err *e)
+static enum err_code describe_read_stream(const json_t *o, struct describe_render *out,
+                                          struct err *e)
+{
+    const json_t *still = json_object_get(o, "still");
+    json_int_t number = 0;
+    if (still && !json_is_boolean(still))
+        return err_set(e, ERR_DATA, "still must be true or false");
+    enum err_code rc = describe_read_int(o, "number", 0, INT32_MAX, &number, e);
+    out->number = number;
+    out->still = json_is_true(still);
+    return rc;
+}
+
+/* The keys of a stream are known where it is one. */
+static enum err_code describe_read_wish(const struct server_config *cfg,
+                                        const struct geo_origin *origin, const void *text, size_t n,
+                                        bool stream, struct describe_render *out, struct err *e)
 {
     static const char *const keys[] = {"camera",      "pose",       "width",      "height",
                                        "format",      "quality",    "background", "depth",
                                        "deadline_ms", "appearance", NULL};
+    static const char *const stream_keys[] = {
+        "camera", "pose",        "width",      "height", "format", "quality", "background",
+        "depth",  "deadline_ms", "appearance", "number", "still",  NULL};
     json_t *o = NULL;
     json_int_t quality = cfg->quality, deadline_ms = (json_int_t)(cfg->deadline_s * 1000);
     memset(out, 0, sizeof *out);
@@ -211,7 +228,9 @@ enum err_code describe_read_render(const struct server_config *cfg, const struct
     if (!rc && !json_is_object(o))
         rc = err_set(e, ERR_FORMAT, "the body must be a JSON object with a camera or a pose");
     if (!rc)
-        rc = describe_check_keys(o, keys, "the body", e);
+        rc = describe_check_keys(o, stream ? stream_keys : keys, "the body", e);
+    if (!rc && stream)
+        rc = describe_read_stream(o, out, e);
     if (!rc)
         rc = describe_read_camera(cfg, origin, o, &out->cam, e);
     if (!rc)
@@ -228,4 +247,18 @@ enum err_code describe_read_render(const struct server_config *cfg, const struct
     out->timeout_s = (double)deadline_ms / 1000;
     json_decref(o);
     return rc;
+}
+
+enum err_code describe_read_render(const struct server_config *cfg, const struct geo_origin *origin,
+                                   const void *text, size_t n, struct describe_render *out,
+                                   struct err *e)
+{
+    return describe_read_wish(cfg, origin, text, n, false, out, e);
+}
+
+enum err_code describe_read_motion(const struct server_config *cfg, const struct geo_origin *origin,
+                                   const void *text, size_t n, struct describe_render *out,
+                                   struct err *e)
+{
+    return describe_read_wish(cfg, origin, text, n, true, out, e);
 }

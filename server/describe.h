@@ -24,10 +24,16 @@ struct describe_render {
     struct paint paint;
     double timeout_s;
     char appearance[TARGET_APPEARANCE_MAX]; /* "": the default one */
+    int64_t number;                         /* of motion: the client's own */
+    bool still;                             /* and whether the camera rests */
 };
 /* Read the posted JSON text[n]. ERR_FORMAT: no such JSON (400). ERR_DATA: impossible numbers (422).
  * ERR_MEM. */
 enum err_code describe_read_render(const struct server_config *cfg, const struct geo_origin *origin,
+                                   const void *text, size_t n, struct describe_render *out,
+                                   struct err *e) ERR_USE;
+/* The same of a stream's camera, which may have a "number" and say that it is "still". */
+enum err_code describe_read_motion(const struct server_config *cfg, const struct geo_origin *origin,
                                    const void *text, size_t n, struct describe_render *out,
                                    struct err *e) ERR_USE;
 

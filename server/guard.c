@@ -62,6 +62,9 @@ static void guard_keep_field(struct request *r, const char *name, size_t n, cons
         {"Range", &r->range},
         {"Authorization", &r->authorization},
         {"If-Modified-Since", &r->if_modified_since},
+        {"Referer", &r->referer},
+        {"User-Agent", &r->agent},
+        {"X-Request-Id", &r->id},
     };
     for (size_t i = 0; i < sizeof kept / sizeof *kept; i++)
         if (guard_name_is(name, n, kept[i].name) && !*kept[i].to)

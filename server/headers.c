@@ -6,15 +6,27 @@
 #include "server/headers.h"
 
 #include <stdio.h>
+#include <string.h>
 
 #include "server/condition.h"
 
 static void headers_add(struct headers *h, const char *name, const char *value)
 {
-    if (!value || !*value || h->n == HEADERS_MAX)
+    if (!name || !value || !*value || h->n == HEADERS_MAX)
         return;
     h->field[h->n].name = name;
     h->field[h->n++].value = value;
+}
+
+/* Of the server's own cache (RFC 9211). */
+static const char *headers_cache_status(const struct response *r)
+{
+    if (!r->cache || r->status >= 400)
+        return NULL;
+    return !strcmp(r->cache, "hit")      ? "citysplat; hit"
+           : !strcmp(r->cache, "miss")   ? "citysplat; fwd=miss; stored"
+           : !strcmp(r->cache, "shared") ? "citysplat; fwd=miss; collapsed"
+                                         : "citysplat; fwd=bypass";
 }
 
 static void headers_add_numbers(const struct response *r, struct headers *h)
@@ -51,10 +63,17 @@ void headers_make(const struct response *r, bool last, struct headers *h)
     headers_add(h, "Allow", r->allow);
     headers_add(h, "Location", r->location);
     headers_add(h, "Link", r->hints);
-    headers_add(h, "Surrogate-Key", r->surrogate);
+    headers_add(h, r->tag_header, r->surrogate);
+    headers_add(h, "Cache-Status", headers_cache_status(r));
+    if (r->id && (r->id_sent || r->status >= 400))
+        headers_add(h, "X-Request-Id", r->id);
+    if (r->unauthorized)
+        headers_add(h, "WWW-Authenticate", "Bearer");
     if (r->accept_ranges)
         headers_add(h, "Accept-Ranges", "bytes");
     headers_add_numbers(r, h);
+    if (r->stream[0]) /* nginx would gather pictures until its buffer is full */
+        headers_add(h, "X-Accel-Buffering", "no");
     headers_add(h, "Access-Control-Allow-Origin", "*");
     headers_add(h, "X-Content-Type-Options", "nosniff");
     if (r->allow && r->status == 204) { /* preflight */
@@ -64,7 +83,8 @@ void headers_make(const struct response *r, bool last, struct headers *h)
         headers_add(h, "Access-Control-Max-Age", "86400");
     } else {
         headers_add(h, "Access-Control-Expose-Headers",
-                    "ETag, Content-Length, Content-Range, Retry-After, Server-Timing");
+                    "ETag, Content-Length, Content-Range, Retry-After, Server-Timing, "
+                    "X-Request-Id");
         headers_add(h, "Cross-Origin-Resource-Policy", "cross-origin");
         headers_add(h, "Timing-Allow-Origin", "*");
     }

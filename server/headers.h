@@ -7,7 +7,7 @@
 
 #include "server/response.h"
 
-enum { HEADERS_MAX = 28 };
+enum { HEADERS_MAX = 32 };
 struct headers { /* values are borrowed from the response or lie in the texts */
     size_t n;
     struct {

@@ -11,9 +11,12 @@
 #include "server/http.h"
 
 #include <microhttpd.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/random.h>
+#include <sys/socket.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -22,15 +25,24 @@
 #include "server/guard.h"
 #include "server/headers.h"
 #include "server/listen.h"
+#include "server/motion.h"
 #include "server/route.h"
 #include "server/screen.h"
+#include "server/supervisor.h"
 #include "server/watch.h"
 
+enum { HTTP_ID_MAX = 65, HTTP_ADMIN_CONNECTIONS = 32 };
 enum { HTTP_THREADS_MAX = 4, HTTP_SPARE = 64 /* connections: to answer those over the limit */ };
+/* Of a stream: what libmicrohttpd asks for at once, and what may wait in the socket, so that a picture that is
+ * drawn next is of the camera of now and not of that many bytes ago. */
+enum { HTTP_STREAM_BLOCK = 16 << 10, HTTP_STREAM_WAITING = 16 << 10 };
 static const double HTTP_OVER_S = 1; /* for the request of a connection too many */
 
 struct http {
     struct services *s;
+    enum http_side side;
+    _Atomic uint64_t open, asked; /* connections now; requests so far, for their ids */
+    size_t n_base;                /* length of --base-path */
     struct MHD_Daemon *daemon;
     struct watch *watch;
     struct address_nets proxies; /* trusted ones */
@@ -58,11 +70,13 @@ struct exchange { /* one request and its answer; made by on_target, freed by on_
     struct watch_slot *slot; /* of the peer */
     uint64_t number;         /* of the connection's requests, from 1 */
     char *target;
+    char id[HTTP_ID_MAX];
     double start_s;
     enum stage stage;
     struct request req;
     struct response res;
     struct job_waiter waiter;
+    struct motion_stream *stream; /* NULL: none */
     struct buf body;
     bool too_large, close, waited, gone;
     uint64_t sent;
@@ -76,6 +90,29 @@ static void http_drop_body(void *cls)
     body_drop(&b);
 }
 
+/* The reader of a stream; suspended while there is nothing to send. */
+static ssize_t http_read_stream(void *cls, uint64_t at, char *out, size_t room)
+{
+    struct exchange *x = cls;
+    (void)at;
+    ssize_t n = motion_read(x->stream, out, room);
+    if (n < 0)
+        return MHD_CONTENT_READER_END_OF_STREAM;
+    x->sent += (uint64_t)n;
+    watch_phase(x->slot, WATCH_STREAM, n ? x->h->s->cfg->write_timeout_s : 0);
+    if (!n) { /* suspended first, so that the end of a picture cannot come before it */
+        MHD_suspend_connection(x->connection);
+        if (!motion_await(x->stream))
+            MHD_resume_connection(x->connection);
+    }
+    return n;
+}
+
+static void http_on_stream(void *user)
+{
+    MHD_resume_connection(((struct exchange *)user)->connection);
+}
+
 static ssize_t http_no_bytes(void *cls, uint64_t at, char *out, size_t room)
 {
     (void)cls, (void)at, (void)out, (void)room;
@@ -87,6 +124,9 @@ static ssize_t http_no_bytes(void *cls, uint64_t at, char *out, size_t room)
 static struct MHD_Response *http_make_response(struct exchange *x)
 {
     struct response *r = &x->res;
+    if (x->stream)
+        return MHD_create_response_from_callback(MHD_SIZE_UNKNOWN, HTTP_STREAM_BLOCK,
+                                                 http_read_stream, x, NULL);
     if (r->body && r->data)
         return MHD_create_response_from_buffer_with_free_callback_cls(
             r->size, (void *)(uintptr_t)r->data, http_drop_body, body_ref(r->body));
@@ -111,7 +151,7 @@ static enum MHD_Result http_send_answer(struct exchange *x)
     bool bytes = x->req.method != METHOD_HEAD && x->res.status != 304;
     x->sent = bytes ? x->res.size : 0;
     x->stage = STAGE_SENT;
-    watch_phase(x->slot, WATCH_SEND, s->cfg->write_timeout_s);
+    watch_phase(x->slot, x->stream ? WATCH_STREAM : WATCH_SEND, s->cfg->write_timeout_s);
     enum MHD_Result ok = MHD_queue_response(x->connection, (unsigned)x->res.status, m);
     MHD_destroy_response(m);
     return ok;
@@ -125,6 +165,47 @@ static enum MHD_Result http_refuse(struct exchange *x, int status, const char *w
     if (status == 503)
         x->res.retry_after_s = 1;
     return http_send_answer(x);
+}
+
+/* ---- who asks, and what ---- */
+
+/* The id that a proxy gave, if it is a word of letters, digits and ._-, else one of our own: a number that is
+ * never twice the same, scrambled, so that it does not tell how much is asked for (splitmix64). */
+static void http_identify(struct exchange *x)
+{
+    static const char plain[] = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-";
+    const char *given = x->req.id;
+    size_t n = given ? strlen(given) : 0;
+    x->req.id_sent = n && n < sizeof x->id && strspn(given, plain) == n;
+    if (x->req.id_sent) {
+        memcpy(x->id, given, n + 1);
+    } else {
+        uint64_t z = x->h->secret.lo +
+                     0x9e3779b97f4a7c15u *
+                         (atomic_fetch_add_explicit(&x->h->asked, 1, memory_order_relaxed) + 1);
+        z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9u;
+        z = (z ^ z >> 27) * 0x94d049bb133111ebu;
+        z ^= z >> 31;
+        for (int i = 0; i < 16; i++)
+            x->id[i] = "0123456789abcdef"[z >> (60 - 4 * i) & 15];
+        x->id[16] = '\0';
+    }
+    x->req.id = x->res.id = x->id;
+    x->res.id_sent = x->req.id_sent;
+}
+
+/* --base-path off the target. True: it is that path without its slash, below which links lead astray. */
+static bool http_unbase(struct exchange *x)
+{
+    const char *base = x->h->s->cfg->base_path, *target = x->target;
+    size_t n = x->h->n_base;
+    if (!n || !target || strncmp(target, base, n) != 0)
+        return false;
+    if (target[n] == '/') {
+        x->req.target = target + n;
+        x->req.target_size -= n;
+    }
+    return target[n] == '\0' || target[n] == '?';
 }
 
 /* ---- the guard ---- */
@@ -169,6 +250,8 @@ static int http_guard(struct exchange *x, const char *method, const char *versio
     struct guard g = {.req = &x->req};
     x->req.method = guard_method(method);
     MHD_get_connection_values_n(x->connection, MHD_HEADER_KIND, http_on_field, &g);
+    x->req.admin = x->h->side == HTTP_ADMIN;
+    http_identify(x);
     x->req.local = guard_local(&g, version) && address_is_loopback(x->peer->address);
     return guard_check(&g, x->h->s->cfg, version, why);
 }
@@ -216,6 +299,25 @@ static enum MHD_Result http_wait_for_job(struct exchange *x)
     return MHD_YES;
 }
 
+/* ---- streams ---- */
+
+static enum MHD_Result http_begin_stream(struct exchange *x)
+{
+    struct err e = {0};
+    const int waiting = HTTP_STREAM_WAITING;
+    enum err_code rc = motion_begin(x->h->s->motion, x->res.stream_of, x->res.stream,
+                                    http_client(x), http_on_stream, x, &x->stream, &e);
+    if (rc) {
+        response_problem(&x->res, rc == ERR_ARG ? 409 : rc == ERR_LIMIT ? 429 : 503, e.msg);
+        x->res.retry_after_s = rc == ERR_ARG ? 0 : 10;
+        return http_send_answer(x);
+    }
+    (void)setsockopt(x->peer->fd, IPPROTO_TCP, TCP_NOTSENT_LOWAT, &waiting, sizeof waiting);
+    watch_arm_stream(x->h->watch, x->slot, x->stream);
+    x->close = true; /* nobody waits for its end to ask for more */
+    return http_send_answer(x);
+}
+
 /* ---- callbacks ---- */
 
 static void *http_on_target(void *cls, const char *target, struct MHD_Connection *c)
@@ -256,6 +358,14 @@ static enum MHD_Result http_on_head(struct exchange *x, const char *method, cons
         return http_refuse(x, status, why);
     if (x->peer->over)
         return http_refuse(x, 503, "too many connections are open");
+    if (http_unbase(x)) {
+        x->res.status = 308;
+        x->res.location = mem_array(x->h->n_base + 2, 1);
+        x->res.cache_control = "public, max-age=60";
+        if (x->res.location)
+            sprintf(x->res.location, "%s/", x->h->s->cfg->base_path);
+        return http_send_answer(x);
+    }
     if (x->req.method != METHOD_GET && x->req.method != METHOD_HEAD)
         watch_phase(x->slot, WATCH_BODY, s->cfg->body_timeout_s);
     return MHD_YES;
@@ -297,21 +407,49 @@ static enum MHD_Result http_on_request(void *cls, struct MHD_Connection *c, cons
     x->req.body = x->body.data;
     x->req.body_size = x->body.size;
     route_answer(h->s, &x->req, &x->res);
+    if (x->res.stream[0])
+        return http_begin_stream(x);
     return x->res.work ? http_wait_for_job(x) : http_send_answer(x);
+}
+
+/* The client's address, as --log-clients has it: what names a person need not be kept. */
+static void http_client_text(const struct exchange *x, char *out, size_t room)
+{
+    const struct server_config *cfg = x->h->s->cfg;
+    enum { FULL, NETWORK };
+    snprintf(out, room, "-");
+    if (!x->peer || cfg->log_clients > NETWORK)
+        return;
+    struct address a = address_client(&x->h->proxies, x->peer->address, x->req.forwarded);
+    address_write(cfg->log_clients == FULL ? a : address_network(a), out, room);
 }
 
 static void http_log_access(const struct exchange *x, int status, double seconds)
 {
+    char client[ADDRESS_TEXT];
+    http_client_text(x, client, sizeof client);
     const struct access_line line = {
         .method = guard_method_name(x->req.method),
+        .route = target_path(x->res.route),
         /* a target that names no route may hold anything: it is not repeated */
         .target = x->res.route == ROUTE_NONE ? "-" : x->target,
+        .client = client,
+        .id = x->id[0] ? x->id : "-",
         .cache = x->res.cache,
+        .referer = x->req.referer,
+        .agent = x->req.agent,
         .status = status,
         .bytes = x->sent,
         .seconds = seconds,
+        .job_s = x->res.run_s,
     };
     access_add(x->h->s->access, &line);
+}
+
+/* Cameras of a stream come many times a second: those that were taken are counted, not logged. */
+static bool http_is_logged(const struct exchange *x, int status)
+{
+    return x->h->s->access && !(x->res.route == ROUTE_MOTION && status == 204);
 }
 
 static void http_on_completed(void *cls, struct MHD_Connection *c, void **con_cls,
@@ -329,8 +467,12 @@ static void http_on_completed(void *cls, struct MHD_Connection *c, void **con_cl
     if (!whole)
         atomic_fetch_add(&h->s->metrics.client_aborts, 1);
     metrics_request(&h->s->metrics, x->res.route, status, seconds, whole ? x->sent : 0);
-    if (h->s->access)
+    if (http_is_logged(x, status))
         http_log_access(x, status, seconds);
+    if (x->stream) {
+        watch_disarm(h->watch, x->slot);
+        motion_leave(&x->stream);
+    }
     watch_phase(x->slot, WATCH_IDLE, h->s->cfg->idle_timeout_s);
     atomic_fetch_sub_explicit(&h->s->metrics.inflight, 1, memory_order_relaxed);
     body_drop(&x->waiter.result.body);
@@ -348,7 +490,8 @@ static struct peer *http_peer(struct http *h, int fd, const struct sockaddr *add
         return NULL;
     p->fd = fd;
     p->address = address_of_socket(address);
-    size_t limit = address_in(&h->proxies, p->address) ? 0 : (size_t)cfg->per_ip_connections;
+    bool unlimited = h->side == HTTP_ADMIN || address_in(&h->proxies, p->address);
+    size_t limit = unlimited ? 0 : (size_t)cfg->per_ip_connections;
     p->slot = watch_add(h->watch, fd, address_number(p->address, h->secret), limit, &p->over);
     if (screen_attach(&p->screen, fd, (size_t)cfg->max_header_kb << 10, NULL)) {
         watch_remove(h->watch, p->slot);
@@ -372,6 +515,7 @@ static void http_on_connection(void *cls, struct MHD_Connection *c, void **conte
             mem_free(p);
         }
         atomic_fetch_sub_explicit(&h->s->metrics.connections, 1, memory_order_relaxed);
+        atomic_fetch_sub_explicit(&h->open, 1, memory_order_release);
         return;
     }
     const union MHD_ConnectionInfo *fd =
@@ -380,6 +524,7 @@ static void http_on_connection(void *cls, struct MHD_Connection *c, void **conte
         MHD_get_connection_info(c, MHD_CONNECTION_INFO_CLIENT_ADDRESS);
     *context = fd && address ? http_peer(h, fd->connect_fd, address->client_addr) : NULL;
     atomic_fetch_add_explicit(&h->s->metrics.connections, 1, memory_order_relaxed);
+    atomic_fetch_add_explicit(&h->open, 1, memory_order_relaxed);
 }
 
 static size_t http_keep_escapes(void *cls, struct MHD_Connection *c, char *text)
@@ -400,16 +545,24 @@ static void http_on_log(void *cls, const char *fmt, va_list args)
 
 /* ---- listening ---- */
 
+static size_t http_connections(const struct http *h)
+{
+    return h->side == HTTP_ADMIN ? HTTP_ADMIN_CONNECTIONS : (size_t)h->s->cfg->max_connections;
+}
+
 /* libmicrohttpd stops accepting at its own limit and answers nothing, so ours is half of it. */
 static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
 {
     const struct server_config *cfg = h->s->cfg;
     unsigned threads = (unsigned)cfg->http_threads;
-    if (!threads)
+    unsigned most = (unsigned)http_connections(h);
+    if (h->side == HTTP_ADMIN)
+        threads = 1;
+    else if (!threads)
         threads = pool_cores() < HTTP_THREADS_MAX ? (unsigned)pool_cores() : HTTP_THREADS_MAX;
     struct MHD_OptionItem options[] = {
         {MHD_OPTION_LISTEN_SOCKET, fd, NULL},
-        {MHD_OPTION_CONNECTION_LIMIT, 2 * cfg->max_connections + HTTP_SPARE, NULL},
+        {MHD_OPTION_CONNECTION_LIMIT, 2 * most + HTTP_SPARE, NULL},
         {MHD_OPTION_CONNECTION_TIMEOUT, (intptr_t)(cfg->idle_timeout_s + cfg->write_timeout_s) + 1,
          NULL},
         {MHD_OPTION_CONNECTION_MEMORY_LIMIT, cfg->max_header_kb << 10, NULL},
@@ -432,19 +585,58 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
     return ERR_OK;
 }
 
-enum err_code http_open(struct services *s, struct http **out, struct err *e)
+static enum err_code http_listen(struct http *h, struct err *e)
+{
+    const struct server_config *cfg = h->s->cfg;
+    bool admin = h->side == HTTP_ADMIN;
+    int held = supervisor_socket(admin ? "admin" : NULL);
+    if (held >= 0) {
+        h->fd = held;
+        return listen_take(held, &h->port, e);
+    }
+    if (admin)
+        return listen_open_at(cfg->admin, "--admin", &h->fd, &h->port, e);
+    return listen_open(cfg->address, (int)cfg->port, LISTEN_PORT, &h->fd, &h->port, e);
+}
+
+/* "/splats" or nothing. */
+static enum err_code http_check_base(const char *base, size_t *n, struct err *e)
+{
+    *n = base ? strlen(base) : 0;
+    bool ok = !*n || (base[0] == '/' && *n > 1 && *n < 128 && base[*n - 1] != '/' &&
+                      !strstr(base, "//") && !strstr(base, "/.") &&
+                      !base[strspn(base, "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
+                                         "0123456789/_.-")]);
+    return ok ? ERR_OK
+              : err_set(e, ERR_ARG,
+                        "--base-path %.60s : a path that begins with / and does not end with it",
+                        base);
+}
+
+enum err_code http_check(const struct server_config *cfg, struct err *e)
+{
+    struct address_nets nets;
+    size_t n;
+    enum err_code rc = address_read_nets(cfg->trusted_proxy, &nets, e);
+    return !rc ? http_check_base(cfg->base_path, &n, e) : rc;
+}
+
+enum err_code http_open(struct services *s, enum http_side side, struct http **out, struct err *e)
 {
     struct http *h = mem_array(1, sizeof *h);
     *out = h;
     if (!h)
         return err_set(e, ERR_MEM, "http: out of memory");
     h->s = s;
+    h->side = side;
     atomic_flag_clear(&h->proxy_told);
     enum err_code rc = address_read_nets(s->cfg->trusted_proxy, &h->proxies, e);
     if (!rc && getrandom(&h->secret, sizeof h->secret, 0) != sizeof h->secret)
         rc = err_errno(e, ERR_IO, "the system has no random numbers");
     if (!rc)
-        rc = listen_open(s->cfg, &h->fd, &h->port, e);
+        rc = http_check_base(s->cfg->base_path, &h->n_base, e);
+    if (!rc)
+        rc = http_listen(h, e);
     if (rc) {
         mem_free(h);
         *out = NULL;
@@ -454,8 +646,7 @@ enum err_code http_open(struct services *s, struct http **out, struct err *e)
 
 enum err_code http_start(struct http *h, struct err *e)
 {
-    enum err_code rc =
-        watch_open((size_t)h->s->cfg->max_connections, h->s, http_on_gone, &h->watch, e);
+    enum err_code rc = watch_open(http_connections(h), h->s, http_on_gone, &h->watch, e);
     return !rc ? http_start_daemon(h, h->fd, e) : rc;
 }
 
@@ -476,7 +667,7 @@ static void http_pause_ms(long ms)
 static void http_await_end(struct http *h, double wait_s)
 {
     double end_s = clock_s() + wait_s;
-    while (atomic_load(&h->s->metrics.connections) > 0 && clock_s() < end_s) {
+    while (atomic_load(&h->open) > 0 && clock_s() < end_s) {
         watch_stop_idle(h->watch);
         http_pause_ms(10);
     }
@@ -495,12 +686,13 @@ void http_close(struct http **out)
         mem_free(h);
         return;
     }
-    atomic_store(&s->draining, true);
-    for (double end_s = clock_s() + s->cfg->drain_delay_s; clock_s() < end_s;)
+    bool first = !atomic_exchange(&s->draining, true);
+    for (double end_s = clock_s() + s->cfg->drain_delay_s; first && clock_s() < end_s;)
         http_pause_ms(20);
     int fd = MHD_quiesce_daemon(h->daemon);
     if (fd >= 0)
         close(fd);
+    motion_stop(s->motion);
     http_await_end(h, s->cfg->drain_timeout_s);
     /* Wakes whoever still waits: libmicrohttpd aborts on suspended connections. */
     job_stop(s->jobs);

@@ -1,7 +1,7 @@
 /* Slow work, away from the HTTP threads. A job is named by a 128-bit id: while it waits or runs,
  * everyone who asks for the same id becomes one more waiter of the same run (single flight). Queues
  * are bounded, and clients take turns in each (turn.c): when one is full, whoever has most in it
- * gives way. Map tiles take turns with pictures on the thread that draws. New work also takes one of its client's tokens (rate.c); joining and prefetched tiles
+ * gives way. Map tiles and streams take turns with pictures on the thread that draws. New work also takes one of its client's tokens (rate.c); joining and prefetched tiles
  * that move up take none. Prefetched tiles run when nothing else does and move up when somebody
  * really asks.
  *
@@ -55,7 +55,7 @@ struct jobs { /* all but cfg and workers by `lock` */
     struct rate *rate[JOB_CLASSES]; /* NULL: that of JOB_TILE */
     struct job *table[TABLE];
     struct failures failures;
-    bool drew_view; /* the last that was drawn */
+    enum job_class drew; /* the last that was drawn */
     bool stopping, drawer_ended;
     double drawing_since_s; /* 0: the thread that draws waits for work */
     pthread_cond_t ended;
@@ -84,7 +84,7 @@ static struct job *job_at(struct turn_item *it)
 
 static bool job_is_drawn(enum job_class cls)
 {
-    return cls == JOB_VIEW || cls == JOB_MAP;
+    return cls == JOB_VIEW || cls == JOB_MAP || cls == JOB_MOTION;
 }
 
 static void job_queue_add(struct jobs *js, struct job *j, uint64_t client)
@@ -197,13 +197,22 @@ static void job_run(struct jobs *js, struct job *j, size_t worker)
     job_finish(js, j, &r, body);
 }
 
-/* What the thread that draws begins next: pictures and map tiles in turns. */
+/* What the thread that draws begins next: streams, pictures and map tiles in turns. */
 static struct job *job_next_drawn(struct jobs *js)
 {
-    bool view = turn_count(js->queue[JOB_VIEW]) > 0 &&
-                !(js->drew_view && turn_count(js->queue[JOB_MAP]) > 0);
-    js->drew_view = view;
-    return job_at(turn_next(js->queue[view ? JOB_VIEW : JOB_MAP]));
+    static const enum job_class order[] = {JOB_MOTION, JOB_VIEW, JOB_MAP};
+    enum { N = sizeof order / sizeof *order };
+    size_t last = 0;
+    while (last < N - 1 && order[last] != js->drew)
+        last++;
+    for (size_t k = 1; k <= N; k++) {
+        enum job_class c = order[(last + k) % N];
+        if (turn_count(js->queue[c])) {
+            js->drew = c;
+            return job_at(turn_next(js->queue[c]));
+        }
+    }
+    return NULL;
 }
 
 static struct job *job_next_tile(struct jobs *js)
@@ -267,6 +276,7 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
     pthread_cond_init(&js->tile_ready, NULL);
     pthread_cond_init(&js->view_ready, NULL);
     pthread_cond_init(&js->ended, NULL);
+    js->drew = JOB_MOTION; /* pictures are first */
     js->drawing_since_s = cfg->view_thread ? clock_s() : 0;
     js->drawer_ended = !cfg->view_thread;
     for (int c = 0; c < JOB_CLASSES && !rc; c++)
@@ -330,7 +340,9 @@ static bool job_make_room(struct jobs *js, enum job_class cls, uint64_t client,
 static bool job_pay(struct jobs *js, enum job_class cls, uint64_t client, double now_s,
                     struct job_waiter *w)
 {
-    double wait_s = rate_take(js->rate[cls == JOB_VIEW ? JOB_VIEW : JOB_TILE], client, now_s);
+    double wait_s = cls == JOB_MOTION
+                        ? 0
+                        : rate_take(js->rate[cls == JOB_VIEW ? JOB_VIEW : JOB_TILE], client, now_s);
     if (wait_s <= 0)
         return true;
     js->stats.ended[cls][JOB_LIMITED]++;

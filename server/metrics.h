@@ -9,7 +9,7 @@
 
 #include "server/target.h"
 
-enum { METRICS_CODES = 24, METRICS_BUCKETS = 14 };
+enum { METRICS_CODES = 28, METRICS_BUCKETS = 14 };
 struct metrics {
     _Atomic uint64_t requests[ROUTE_COUNT][METRICS_CODES];
     _Atomic uint64_t seconds_bucket[ROUTE_COUNT][METRICS_BUCKETS], seconds_us[ROUTE_COUNT];

@@ -8,7 +8,10 @@
 #include <stdio.h>
 #include <string.h>
 
-static const char *const metrics_text_classes[JOB_CLASSES] = {"view", "tile", "prefetch", "map"};
+#include "server/motion.h"
+
+static const char *const metrics_text_classes[JOB_CLASSES] = {"view", "tile", "prefetch", "map",
+                                                              "motion"};
 static const char *const metrics_text_ends[JOB_ENDS] = {"ok",   "error",   "cancel",
                                                         "shed", "timeout", "limited"};
 
@@ -112,6 +115,14 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
                      "Tiles that could not be read or encoded.", atomic_load(&m->store_errors));
     metrics_text_one(out, "reload_failed_total", "counter", "Reloads that kept the old data.",
                      atomic_load(&m->reload_failed));
+    struct motion_counts streams;
+    motion_count(s->motion, &streams);
+    metrics_text_one(out, "streams", "gauge", "Streams of pictures that are open.",
+                     streams.streams);
+    metrics_text_one(out, "stream_pictures_total", "counter", "Pictures of streams.",
+                     streams.pictures);
+    metrics_text_one(out, "stream_full_pictures_total", "counter",
+                     "Those drawn in full, of cameras at rest.", streams.full);
     cache_count(s->cache, &cs);
     metrics_text_one(out, "cache_hits_total", "counter", "Lookups that found encoded bytes.",
                      cs.hits);

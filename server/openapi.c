@@ -72,6 +72,7 @@ static const struct openapi_answer {
                       .schema = "Bytes",
                       .query = 0,
                       .more = {"image/png", "image/webp", "application/octet-stream"}},
+    [ROUTE_MOTION] = {.media = "multipart/x-mixed-replace", .schema = "Bytes"},
     [ROUTE_SEED] = {.media = "application/x-ndjson",
                     .schema = "SeedLine",
                     .query = OPENAPI_APPEARANCE | OPENAPI_PRESET | OPENAPI_SEED},
@@ -117,6 +118,8 @@ static const struct openapi_parameter openapi_in_path[] = {
     {"ext", "{'type':'string','enum':['glb','spz','drc','ply','plain.glb']}", "format of a tile"},
     {"fmt", "{'type':'string','enum':['jpg','png','webp','npy']}",
      "format of a picture; npy of depth alone"},
+    {"stream", "{'type':'string','pattern':'^[a-z0-9][a-z0-9_-]{15,62}$'}",
+     "a name that whoever opens the stream makes by chance"},
     {"lon", "{'type':'number','minimum':-180,'maximum':180}", "degrees"},
     {"lat", "{'type':'number','minimum':-90,'maximum':90}", "degrees"},
     {"height", OPENAPI_NUMBER, "metres above the WGS 84 ellipsoid"},
@@ -243,9 +246,9 @@ static const char *openapi_takes(enum route r)
     static const struct {
         enum route route;
         const char *schema;
-    } takes[] = {{ROUTE_RENDER, "Render"},  {ROUTE_MIX, "Mix"},         {ROUTE_HEIGHT, "Places"},
-                 {ROUTE_PICK, "Pick"},      {ROUTE_PROFILE, "Profile"}, {ROUTE_MEASURE, "Measure"},
-                 {ROUTE_VISIBLE, "Visible"}};
+    } takes[] = {{ROUTE_RENDER, "Render"},   {ROUTE_MIX, "Mix"},         {ROUTE_HEIGHT, "Places"},
+                 {ROUTE_PICK, "Pick"},       {ROUTE_PROFILE, "Profile"}, {ROUTE_MEASURE, "Measure"},
+                 {ROUTE_VISIBLE, "Visible"}, {ROUTE_MOTION, "Steer"}};
     for (size_t i = 0; i < sizeof takes / sizeof *takes; i++)
         if (takes[i].route == r)
             return takes[i].schema;

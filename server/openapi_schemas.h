@@ -71,6 +71,10 @@
     X("Mix", "{'type':'object','minProperties':1,'maxProperties':1,'additionalProperties':false,"  \
              "'properties':{'weights':{'type':'object','additionalProperties':" OPENAPI_NUMBER "}" \
              ",'embedding':{'type':'array','items':" OPENAPI_NUMBER "}}}")                         \
+    X("Steer",                                                                                     \
+      "{'type':'object','description':'as Render, with the number that a client gives this "       \
+      "camera, which the picture repeats, and still: draw it in full at once',"                    \
+      "'properties':{'number':" OPENAPI_INTEGER ",'still':{'type':'boolean'}}}")                   \
     X("Render",                                                                                    \
       "{'type':'object','additionalProperties':false,'description':'a camera, or a pose with "     \
       "width"                                                                                      \

@@ -50,14 +50,18 @@ const char *response_status_text(int status)
         const char *text;
     } texts[] = {
         {200, "OK"},
+        {202, "Accepted"},
         {204, "No Content"},
         {206, "Partial Content"},
         {304, "Not Modified"},
         {307, "Temporary Redirect"},
+        {308, "Permanent Redirect"},
         {400, "Bad Request"},
+        {401, "Unauthorized"},
         {403, "Forbidden"},
         {404, "Not Found"},
         {405, "Method Not Allowed"},
+        {409, "Conflict"},
         {413, "Content Too Large"},
         {414, "URI Too Long"},
         {416, "Range Not Satisfiable"},
@@ -101,10 +105,12 @@ static void response_send_problem(struct response *out, int status, const char *
     buf_printf(&b, "\"%s", members);
     if (out->instance) /* it holds no byte that JSON would have to escape */
         buf_printf(&b, ",\"instance\":\"%.*s\"", (int)out->n_instance, out->instance);
+    if (out->id)
+        buf_printf(&b, ",\"request_id\":\"%s\"", out->id);
     buf_printf(&b, "}\n");
     out->status = status;
     out->type = "application/problem+json";
-    out->cache_control = status == 404 ? RESPONSE_SHORT : RESPONSE_NO_STORE;
+    out->cache_control = status == 404 && !out->unauthorized ? RESPONSE_SHORT : RESPONSE_NO_STORE;
     out->vary = out->encoding = NULL;
     out->etag[0] = out->surrogate[0] = out->hints[0] = 0;
     out->modified_s = 0;

@@ -15,6 +15,10 @@ struct request { /* borrowed from the connection */
     size_t target_size;
     const char *accept, *accept_encoding, *if_none_match, *if_range, *range; /* NULL when absent */
     const char *authorization, *forwarded; /* forwarded: X-Forwarded-For */
+    const char *referer, *agent;           /* for the log */
+    const char *id;                        /* of the request; NULL: none */
+    bool id_sent;                          /* by the client or a proxy: it comes back */
+    bool admin;                            /* it came to the listener of operators */
     const char *if_modified_since;
     const void *body;
     size_t body_size;
@@ -27,11 +31,15 @@ struct response { /* {0}, then route_answer; response_free it */
     const char *type, *cache_control, *allow, *vary, *encoding; /* static strings, NULL = none */
     char *location;                                             /* owned */
     char etag[BODY_ETAG_SIZE];                                  /* "" = none */
-    char surrogate[96];
-    char hints[HINT_SIZE]; /* Link of the viewer's page; "" = none */
-    int64_t modified_s;    /* 0: not said */
-    struct key tile;  /* that is asked for, and the name of its dataset, "" for anything else: */
-    char tile_of[64]; /* what a problem with it names */
+    char hints[HINT_SIZE];  /* Link of the viewer's page; "" = none */
+    char surrogate[96];     /* tags by which caches purge, sent as tag_header */
+    const char *tag_header; /* NULL: not sent */
+    bool id_sent;           /* the client or a proxy sent the id: it comes back */
+    int64_t modified_s;     /* 0: not said */
+    struct key tile;   /* that is asked for, and the name of its dataset, "" for anything else: */
+    char tile_of[64];  /* what a problem with it names */
+    const char *id;    /* of the request; NULL: it is not sent */
+    bool unauthorized; /* WWW-Authenticate goes with it */
     const char *instance; /* the path of a target that could be read, [n_instance]: for problems */
     size_t n_instance;
     struct body *body;   /* a reference; NULL = no bytes */
@@ -46,6 +54,7 @@ struct response { /* {0}, then route_answer; response_free it */
     enum job_class cls;
     enum work_kind kind; /* of the work */
     double timeout_s;
+    char stream[64], stream_of[64]; /* not "": a stream begins, of this dataset */
 };
 
 extern const char RESPONSE_IMMUTABLE[], RESPONSE_MOVING[], RESPONSE_NO_STORE[]; /* Cache-Control */

@@ -7,6 +7,7 @@
 
 #include <stdio.h>
 #include <string.h>
+#include <time.h>
 
 #include "server/answer.h"
 
@@ -20,6 +21,8 @@ static void route_data(struct services *s, const struct request *r, struct datas
         answer_view(s, r, d, t, out);
     else if (t->route == ROUTE_RENDER)
         answer_render(s, r, d, out);
+    else if (t->route == ROUTE_MOTION)
+        answer_motion(s, r, d, t, out);
     else if (!answer_dataset(s, r, d, t, out) && !answer_map(s, r, d, t, out) &&
              !answer_query(s, r, d, t, out) && !answer_appearance(s, r, d, t, out))
         response_problem(out, 404, "there is nothing at this path");
@@ -48,6 +51,68 @@ static bool route_method(const struct request *r, unsigned allow, struct respons
     return true;
 }
 
+/* What operators ask is answered by their listener, where there is one, and nothing else is there. */
+static bool route_is_here(const struct services *s, const struct request *r, enum route route)
+{
+    bool both = route == ROUTE_HEALTH || route == ROUTE_READY || route == ROUTE_VERSION;
+    if (r->admin)
+        return both || route == ROUTE_METRICS || route == ROUTE_RELOAD;
+    return route != ROUTE_RELOAD && !(route == ROUTE_METRICS && s->cfg->admin);
+}
+
+static bool route_is_drawn(enum route route)
+{
+    static const enum route drawn[] = {ROUTE_VIEW,    ROUTE_VIEW_MOVING, ROUTE_RENDER,
+                                       ROUTE_MOTION,  ROUTE_PICK,        ROUTE_PROFILE,
+                                       ROUTE_MEASURE, ROUTE_VISIBLE,     ROUTE_HEIGHT};
+    for (size_t i = 0; i < sizeof drawn / sizeof *drawn; i++)
+        if (drawn[i] == route)
+            return true;
+    return false;
+}
+
+/* May who asks have this? Else the problem is set, the same for datasets that there are and are not. */
+static bool route_may(const struct services *s, const struct request *r, const struct target *t,
+                      struct response *out)
+{
+    if (!s->auth)
+        return true;
+    size_t n = t->path_size + (r->target_size > t->path_size);
+    switch (auth_check(s->auth, route_is_drawn(t->route) ? AUTH_RENDER : AUTH_READ, t->ds,
+                       r->authorization, r->target, t->path_size, r->target + n, r->target_size - n,
+                       (int64_t)time(NULL))) {
+    case AUTH_OK:
+        return true;
+    case AUTH_UNKNOWN:
+        out->unauthorized = true;
+        response_problem(out, 401,
+                         "this dataset is for those who send a token or a signed address");
+        break;
+    case AUTH_EXPIRED:
+        response_problem(out, 403, "the time of this signed address is over");
+        break;
+    default:
+        response_problem(out, 403, "the token or the signature does not open this");
+    }
+    return false;
+}
+
+static const char *route_tag_header(const struct server_config *cfg)
+{
+    static const char *const names[] = {"Surrogate-Key", "xkey", "Cache-Tag", NULL};
+    return names[cfg->tag_header];
+}
+
+/* What an operator says about caches of this dataset, and its tag where there is none yet. */
+static void route_cached(const struct services *s, const struct dataset *d, struct response *out)
+{
+    bool shared = !s->auth || auth_is_public(s->auth, d->meta.name);
+    out->cache_control = cache_policy_of(&s->policy, d->meta.name, shared, out->cache_control);
+    out->tag_header = route_tag_header(s->cfg);
+    if (!out->surrogate[0] && out->status < 400)
+        snprintf(out->surrogate, sizeof out->surrogate, "ds-%s", d->meta.name);
+}
+
 void route_answer(struct services *s, const struct request *r, struct response *out)
 {
     struct err e = {0};
@@ -55,12 +120,15 @@ void route_answer(struct services *s, const struct request *r, struct response *
     memset(out, 0, sizeof *out);
     out->queue_s = out->run_s = -1;
     out->route = ROUTE_NONE;
+    out->id = r->id;
+    out->id_sent = r->id_sent;
     enum err_code rc = target_parse(r->target, r->target_size, &t, &e);
     if (rc != ERR_FORMAT) {
         out->instance = r->target;
         out->n_instance = t.path_size;
     }
     bool found = t.route != ROUTE_STATIC || static_find(&s->web, r->target, t.path_size);
+    found = found && route_is_here(s, r, t.route);
     if (!rc && !found)
         rc = err_set(&e, ERR_NOENT, "there is nothing at this path");
     out->route = found ? t.route : ROUTE_NONE;
@@ -70,14 +138,18 @@ void route_answer(struct services *s, const struct request *r, struct response *
     }
     if (route_method(r, target_allow(t.route), out) || answer_service(s, r, &t, out))
         return;
+    if (!route_may(s, r, &t, out))
+        return;
     struct catalog *c = services_catalog(s);
     struct dataset *d = catalog_find(c, t.ds, t.rev);
-    if (d)
+    if (d) {
         route_data(s, r, d, &t, out);
-    else
+        route_cached(s, d, out);
+    } else {
         response_problem(out, 404,
                          catalog_find(c, t.ds, "") ? "this revision is not served any more"
                                                    : "no dataset has this name");
+    }
     catalog_drop(&c);
 }
 

@@ -5,12 +5,18 @@
  */
 #include "server/server.h"
 
+#include <arpa/inet.h>
+#include <netinet/in.h>
 #include <signal.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/socket.h>
+#include <sys/time.h>
+#include <unistd.h>
 
 #include "core/pool.h"
 #include "server/http.h"
+#include "server/motion.h"
 #include "server/services.h"
 #include "server/work.h"
 
@@ -20,7 +26,7 @@ struct server {
     size_t n_paths, workers;
     struct catalog_options stores;
     struct services services;
-    struct http *http;
+    struct http *http, *admin; /* admin: NULL without --admin */
     char url[128];
 };
 
@@ -43,7 +49,7 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
         .tile_threads = sv->workers,
         .view_thread = views,
         .queue_limit = {(size_t)cfg->queue_views, (size_t)cfg->queue_tiles,
-                        (size_t)cfg->queue_prefetch, (size_t)cfg->queue_maps},
+                        (size_t)cfg->queue_prefetch, (size_t)cfg->queue_maps, (size_t)cfg->streams},
         .client_views_s = cfg->client_views_s,
         .client_tiles_s = cfg->client_tiles_s,
         .user = s,
@@ -54,6 +60,8 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
         .view_leave = server_leave_view,
     };
     enum err_code rc = views ? picture_open(cfg, &s->picture, e) : ERR_OK;
+    if (!rc)
+        rc = motion_open(s, &s->motion, e);
     return !rc ? job_open(&jobs, &s->jobs, e) : rc;
 }
 
@@ -103,7 +111,9 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     if (!rc)
         rc = catalog_open(paths, n, &sv->stores, NULL, &s->catalog, e);
     if (!rc)
-        rc = http_open(s, &sv->http, e);
+        rc = http_open(s, HTTP_PUBLIC, &sv->http, e);
+    if (!rc && cfg->admin)
+        rc = http_open(s, HTTP_ADMIN, &sv->admin, e);
     if (!rc) {
         server_set_url(sv);
         rc = server_load_web(sv, e);
@@ -112,6 +122,8 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
         rc = server_start_jobs(sv, e);
     if (!rc)
         rc = http_start(sv->http, e);
+    if (!rc && sv->admin)
+        rc = http_start(sv->admin, e);
     if (!rc) {
         log_info("serve", "memory cache_mb=%d inflight_mb=%d view_cache_mb=%d", (int)cfg->cache_mb,
                  (int)cfg->inflight_mb, s->picture ? (int)cfg->view_cache_mb : 0);
@@ -163,16 +175,79 @@ bool server_stop(struct server **out)
     if (!sv)
         return true;
     http_close(&sv->http);
+    http_close(&sv->admin); /* last: it says how the stopping goes */
     bool ended = services_free(&sv->services);
     if (!ended)
         log_error("serve", "the device does not return from a call; its thread is left behind");
     log_stop(1);
-    if (ended)
+    if (ended) {
+        motion_close(&sv->services.motion);
         mem_free(sv);
+    }
     return ended;
+}
+
+bool server_reload_asked(struct server *sv)
+{
+    return atomic_exchange(&sv->services.reload_asked, false);
+}
+
+uint16_t server_admin_port(const struct server *sv)
+{
+    return sv->admin ? http_port(sv->admin) : 0;
 }
 
 double server_hangs_s(struct server *sv)
 {
     return services_hangs_s(&sv->services);
+}
+
+/* ---- is it well? ---- */
+
+bool server_answers(const struct server *sv, double wait_s)
+{
+    static const char ask[] = "GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
+                              "User-Agent: citysplat-watchdog\r\nConnection: close\r\n\r\n";
+    char answer[16] = "";
+    struct sockaddr_in a = {.sin_family = AF_INET, .sin_port = htons(http_port(sv->http))};
+    const struct timeval wait = {.tv_sec = (time_t)wait_s + 1};
+    if (inet_pton(AF_INET, sv->cfg.address, &a.sin_addr) != 1 || !a.sin_port)
+        return true; /* IPv6, or a socket of a file: not looked at */
+    if (a.sin_addr.s_addr == htonl(INADDR_ANY))
+        a.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    int fd = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    if (fd < 0)
+        return false;
+    (void)setsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &wait, sizeof wait);
+    (void)setsockopt(fd, SOL_SOCKET, SO_SNDTIMEO, &wait, sizeof wait);
+    bool answers = connect(fd, (struct sockaddr *)&a, sizeof a) == 0 &&
+                   send(fd, ask, sizeof ask - 1, MSG_NOSIGNAL) == (ssize_t)sizeof ask - 1 &&
+                   recv(fd, answer, sizeof answer - 1, MSG_WAITALL) > 0 &&
+                   !strncmp(answer, "HTTP/1.1 ", 9);
+    close(fd);
+    return answers;
+}
+
+enum err_code server_check(const struct server_config *cfg, const char *const *paths, size_t n,
+                           FILE *out, struct err *e)
+{
+    struct server sv = {.cfg = *cfg};
+    struct services *s = &sv.services;
+    sv.stores =
+        (struct catalog_options){1, cfg->public_url, cfg->keep_s, (size_t)cfg->keep_revisions};
+    enum err_code rc = services_open(s, &sv.cfg, e);
+    if (!rc)
+        rc = http_check(cfg, e);
+    if (!rc)
+        rc = catalog_open(paths, n, &sv.stores, NULL, &s->catalog, e);
+    if (!rc)
+        rc = server_load_web(&sv, e);
+    for (size_t i = 0; !rc && out && i < s->catalog->n; i++)
+        fprintf(out, "dataset %s revision %s, %zu tiles: %s\n", s->catalog->ds[i]->meta.name,
+                s->catalog->ds[i]->meta.revision, s->catalog->ds[i]->n_tiles,
+                s->catalog->ds[i]->path);
+    if (!rc && out)
+        fprintf(out, "viewer: %zu files\nwell\n", s->web.n);
+    (void)services_free(s);
+    return rc;
 }

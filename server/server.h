@@ -32,6 +32,8 @@
 #ifndef SERVER_SERVER_H
 #define SERVER_SERVER_H
 
+#include <stdio.h>
+
 #include "core/base.h"
 #include "server/config.h"
 
@@ -68,6 +70,15 @@ void server_expire(struct server *s, double now_s);
  * NULL inside, leaves NULL. False: the device hangs in a call that does not return; what its thread uses
  * is not freed, and the program had better end without waiting for it (_exit). */
 bool server_stop(struct server **s);
+/* Has an operator asked for a reload (POST /-/reload on the listener of --admin) since the last call? */
+bool server_reload_asked(struct server *s);
+/* Does it answer a request of its own within wait_s? For a watchdog. */
+bool server_answers(const struct server *s, double wait_s);
+uint16_t server_admin_port(const struct server *s); /* 0: there is none */
+/* Would server_start do, but for ports and the device? Opens what it would open, and closes it again; says
+ * what there is on `out` (may be NULL). Its errors. */
+enum err_code server_check(const struct server_config *cfg, const char *const *paths, size_t n,
+                           FILE *out, struct err *e) ERR_USE;
 /* Seconds that the device has been at one picture beyond --device-timeout-s; 0: it is well. */
 double server_hangs_s(struct server *s);
 

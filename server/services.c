@@ -51,7 +51,11 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
     if (!rc)
         rc = flight_open((size_t)cfg->inflight_mb << 20, &s->flight, e);
     if (!rc && cfg->access_log)
-        rc = access_open(&s->access, e);
+        rc = access_open((enum access_format)cfg->access_format, &s->access, e);
+    if (!rc)
+        rc = cache_policy_read(cfg->cache_policy, &s->policy, e);
+    if (!rc && cfg->auth)
+        rc = auth_open(cfg->auth, &s->auth, e);
     if (!rc && cfg->geoid)
         rc = geoid_open(cfg->geoid, cfg->geoid_dir, &s->geoid, e);
     if (!rc)
@@ -80,6 +84,7 @@ bool services_free(struct services *s)
     cache_close(&s->cache);
     flight_close(&s->flight);
     access_close(&s->access);
+    auth_close(&s->auth);
     geoid_close(&s->geoid);
     body_drop(&s->landing);
     body_drop(&s->conformance);

@@ -9,7 +9,9 @@
 
 #include "core/geo.h"
 #include "server/access.h"
+#include "server/auth.h"
 #include "server/cache.h"
+#include "server/cache_policy.h"
 #include "server/catalog.h"
 #include "server/config.h"
 #include "server/flight.h"
@@ -18,6 +20,7 @@
 #include "server/picture.h"
 #include "server/static.h"
 
+struct motion;
 struct services { /* all shared, all thread-safe */
     const struct server_config *cfg;
     struct geoid *geoid;          /* --geoid; NULL: none */
@@ -31,10 +34,13 @@ struct services { /* all shared, all thread-safe */
     struct flight *flight;
     struct jobs *jobs;
     struct picture *picture; /* NULL: pictures are off */
+    struct motion *motion;   /* streams; whoever opened it closes it, after services_free */
     struct access *access;   /* NULL: no access log */
+    struct auth *auth;       /* NULL: everybody may read everything */
+    struct cache_policy policy;
     struct metrics metrics;
     struct body *landing, *conformance, *api; /* documents that never change */
-    _Atomic bool draining;
+    _Atomic bool draining, reload_asked;      /* asked: on the listener of operators */
     double start_s;
 };
 /* {0} services -> ready documents; services_free takes back everything. cfg is borrowed until then.

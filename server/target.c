@@ -114,7 +114,10 @@ static enum err_code target_take_form(struct text *one, struct target *target, b
 {
     struct form *out = &target->form;
     *known = true;
-    if (text_take(one, "appearance=")) {
+    if (text_take(one, "exp=") || text_take(one, "key=") || text_take(one, "scope=") ||
+        text_take(one, "sig=")) {
+        one->p = one->end; /* of a signed address (auth.c) */
+    } else if (text_take(one, "appearance=")) {
         if (target->appearance[0] ||
             !text_take_decoded(one, target->appearance, sizeof target->appearance))
             return err_set(e, ERR_FORMAT,
@@ -422,6 +425,19 @@ static enum err_code target_parse_bbox(const char *query, size_t n, struct targe
     return ERR_OK;
 }
 
+static enum err_code target_parse_motion(struct text *t, struct target *out, struct err *e)
+{
+    if (!target_take_name(t, out->stream, sizeof out->stream) || !text_at_end(t) ||
+        strlen(out->stream) < TARGET_STREAM_MIN)
+        return err_set(
+            e, ERR_NOENT,
+            "a stream's name is %d to %zu of a-z, 0-9, _ and -, made by chance by whoever "
+            "opens it",
+            TARGET_STREAM_MIN, sizeof out->stream - 1);
+    out->route = ROUTE_MOTION;
+    return ERR_OK;
+}
+
 /* What follows /d/ */
 static enum err_code target_parse_data(struct text *t, const char *query, size_t n_query,
                                        struct target *out, struct err *e)
@@ -454,6 +470,8 @@ static enum err_code target_parse_data(struct text *t, const char *query, size_t
                : out->route == ROUTE_HEIGHT ? target_parse_place(query, n_query, out, e)
                                             : target_parse_form(query, n_query, out, e);
     }
+    if (text_take(t, "motion/"))
+        return target_parse_motion(t, out, e);
     bool revisioned = text_take(t, "r/");
     if (revisioned && (!target_take_rev(t, out->rev) || !text_take(t, "/")))
         return err_set(e, ERR_NOENT, "a revision is 12 hexadecimal digits");
@@ -512,6 +530,7 @@ enum err_code target_parse(const char *text, size_t n, struct target *out, struc
         {"/api", ROUTE_API},         {"/healthz", ROUTE_HEALTH},
         {"/readyz", ROUTE_READY},    {"/version", ROUTE_VERSION},
         {"/metrics", ROUTE_METRICS}, {"/collections", ROUTE_COLLECTIONS},
+        {"/-/reload", ROUTE_RELOAD},
     };
     memset(out, 0, sizeof *out);
     out->route = ROUTE_NONE;

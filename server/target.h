@@ -8,6 +8,7 @@
 #include "core/base.h"
 #include "lod/key.h"
 
+enum { TARGET_STREAM_MIN = 16 }; /* a name cannot be guessed: whoever knows it steers */
 enum { TARGET_APPEARANCE_MAX = 512, TARGET_QUERY_MAX = 3 * TARGET_APPEARANCE_MAX + 96 };
 
 enum method { METHOD_GET, METHOD_HEAD, METHOD_POST, METHOD_OPTIONS, METHOD_OTHER, METHOD_UNKNOWN };
@@ -63,11 +64,14 @@ enum { ALLOW_READ = 1, ALLOW_POST = 2 };
       "One appearance or blend: embedding, nearest photographs, links")                            \
     X(MIX, ALLOW_POST, "/d/{ds}/appearances:mix", "An appearance from weights or an embedding")    \
     X(RENDER, ALLOW_POST, "/d/{ds}/render", "A rendered view of a posted camera")                  \
+    X(MOTION, ALLOW_READ | ALLOW_POST, "/d/{ds}/motion/{stream}",                                  \
+      "GET: pictures that follow a camera, in one answer; POST: where the camera is")              \
     X(SEED, ALLOW_READ, "/d/{ds}/seed.ndjson", "Tiles to prefetch, most important first")          \
     X(HEALTH, ALLOW_READ, "/healthz", "200 while the process lives")                               \
     X(READY, ALLOW_READ, "/readyz", "200 while requests are welcome")                              \
     X(VERSION, ALLOW_READ, "/version", "Program, datasets, device")                                \
     X(METRICS, ALLOW_READ, "/metrics", "Prometheus text, to whom --metrics allows it")             \
+    X(RELOAD, ALLOW_POST, "/-/reload", "Open the stores again (on the listener of --admin alone)") \
     X(NONE, 0, "unmatched", "No such path")
 
 enum route {
@@ -145,6 +149,7 @@ struct target {
     uint8_t scale;          /* of map and terrain tiles: 1, or 2 for twice the pixels */
     enum encoding encoding; /* of terrain */
     uint32_t row;           /* of a thumbnail */
+    char stream[64];        /* of motion */
     /* seed and collections: */
     bool has_bbox;
     int32_t bbox_e7[4]; /* west south east north */

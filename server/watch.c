@@ -22,6 +22,7 @@
 #include <unistd.h>
 
 #include "core/pool.h"
+#include "server/motion.h"
 
 enum { TICK_MS = 100, GONE_MS = 250, EVENTS = 64, POLLED = 256 };
 /* A request that is not complete, and an answer that is not read, after this long are slow enough to
@@ -36,6 +37,7 @@ struct watch_slot {
     uint32_t generation, next_free;
     enum arm arm;
     struct job_waiter *waiter;
+    struct motion_stream *stream; /* in place of a waiter; borrowed while armed */
     uint64_t client;              /* this line and the next by the lock */
     bool displaced;               /* it was ended for another: counts no more */
     _Atomic uint64_t since_ms;    /* of its phase */
@@ -72,13 +74,16 @@ static uint64_t watch_now_ms(void)
 static void watch_on_event(struct watch *w, uint64_t id, uint32_t events)
 {
     struct job_waiter *left = NULL;
+    struct motion_stream *ended = NULL;
     uint32_t index = (uint32_t)id, generation = (uint32_t)(id >> 32);
     pthread_mutex_lock(&w->lock);
     struct watch_slot *s = &w->slot[index];
     if (s->fd >= 0 && s->generation == generation && s->arm == ARM_ON) {
         bool half = !(events & (EPOLLHUP | EPOLLERR));
         struct epoll_event again = {.events = EPOLLONESHOT, .data.u64 = id};
-        if (half && job_class_of(w->s->jobs, s->waiter) != JOB_VIEW)
+        if (s->stream)
+            ended = motion_ref(s->stream);
+        else if (half && job_class_of(w->s->jobs, s->waiter) != JOB_VIEW)
             (void)epoll_ctl(w->epoll_fd, EPOLL_CTL_MOD, s->fd, &again);
         else if (job_leave(w->s->jobs, s->waiter))
             left = s->waiter;
@@ -86,6 +91,10 @@ static void watch_on_event(struct watch *w, uint64_t id, uint32_t events)
     pthread_mutex_unlock(&w->lock);
     if (left)
         w->gone(left);
+    if (ended) {
+        motion_end(ended);
+        motion_drop(&ended);
+    }
 }
 
 /* Bytes that the client's side has taken over the life of the connection. */
@@ -176,6 +185,7 @@ static void watch_main(void *user)
         next = watch_now_ms() + TICK_MS;
         watch_reap(w);
         job_tick(w->s->jobs, clock_s());
+        motion_tick(w->s->motion, clock_s());
         if (w->s->access)
             access_flush(w->s->access);
         if (watch_now_ms() >= next_gone) {
@@ -372,21 +382,37 @@ void watch_expect(struct watch *w, struct watch_slot *s)
     pthread_mutex_unlock(&w->lock);
 }
 
+/* Under the lock. */
+static void watch_arm_slot(struct watch *w, struct watch_slot *s, struct job_waiter *waiter,
+                           struct motion_stream *st)
+{
+    struct epoll_event event = {
+        .events = EPOLLRDHUP | EPOLLONESHOT,
+        .data.u64 = (uint64_t)s->generation << 32 | (uint64_t)(s - w->slot),
+    };
+    if (epoll_ctl(w->epoll_fd, EPOLL_CTL_ADD, s->fd, &event) == 0) {
+        s->arm = ARM_ON;
+        s->waiter = waiter;
+        s->stream = st;
+    }
+}
+
 void watch_arm(struct watch *w, struct watch_slot *s, struct job_waiter *waiter)
 {
     if (!s)
         return;
     pthread_mutex_lock(&w->lock);
-    if (s->arm == ARM_EXPECTED) { /* else the job has ended already, and the waiter with it */
-        struct epoll_event event = {
-            .events = EPOLLRDHUP | EPOLLONESHOT,
-            .data.u64 = (uint64_t)s->generation << 32 | (uint64_t)(s - w->slot),
-        };
-        if (epoll_ctl(w->epoll_fd, EPOLL_CTL_ADD, s->fd, &event) == 0) {
-            s->arm = ARM_ON;
-            s->waiter = waiter;
-        }
-    }
+    if (s->arm == ARM_EXPECTED) /* else the job has ended already, and the waiter with it */
+        watch_arm_slot(w, s, waiter, NULL);
+    pthread_mutex_unlock(&w->lock);
+}
+
+void watch_arm_stream(struct watch *w, struct watch_slot *s, struct motion_stream *st)
+{
+    if (!s)
+        return;
+    pthread_mutex_lock(&w->lock);
+    watch_arm_slot(w, s, NULL, st);
     pthread_mutex_unlock(&w->lock);
 }
 
@@ -399,6 +425,7 @@ void watch_disarm(struct watch *w, struct watch_slot *s)
         (void)epoll_ctl(w->epoll_fd, EPOLL_CTL_DEL, s->fd, NULL);
     s->arm = ARM_OFF;
     s->waiter = NULL;
+    s->stream = NULL;
     pthread_mutex_unlock(&w->lock);
 }
 

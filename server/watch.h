@@ -7,7 +7,8 @@
 
 #include "server/services.h"
 
-enum watch_phase { WATCH_IDLE, WATCH_HEADER, WATCH_BODY, WATCH_WORK, WATCH_SEND };
+enum watch_phase { WATCH_IDLE, WATCH_HEADER, WATCH_BODY, WATCH_WORK, WATCH_SEND, WATCH_STREAM };
+struct motion_stream;
 struct watch;
 struct watch_slot;
 /* For `most` connections; at that number new ones take the places of others. gone() is called under no lock when a waiting client has hung up and
@@ -27,6 +28,8 @@ uint32_t watch_requests(struct watch_slot *slot); /* counts requests of the conn
  * it, disarm before resuming (if that came first, arm does nothing). */
 void watch_expect(struct watch *w, struct watch_slot *slot);
 void watch_arm(struct watch *w, struct watch_slot *slot, struct job_waiter *waiter);
+/* The same of a reader of a stream, which is ended when it hangs up; until watch_disarm. */
+void watch_arm_stream(struct watch *w, struct watch_slot *slot, struct motion_stream *st);
 void watch_disarm(struct watch *w, struct watch_slot *slot);
 void watch_stop_idle(struct watch *w); /* end of reading for idle connections: used to drain */
 

@@ -79,8 +79,8 @@ else
 fi
 
 # -- tile stores and splats --------------------------------------------------------------------------------------
-refuse "not a tile store" 1 "$work/file" "" "$bin" serve "$work/file" --port 0 -q
-refuse "no tile store" 1 "nothing.tiles" "" "$bin" serve "$work/nothing.tiles" --port 0 -q
+refuse "not a tile store" 65 "$work/file" "" "$bin" serve "$work/file" --port 0 -q
+refuse "no tile store" 66 "nothing.tiles" "" "$bin" serve "$work/nothing.tiles" --port 0 -q
 printf 'ply\nformat binary_little_endian 1.0\nelement vertex 4294967295\nproperty float x\nend_header\n' >"$work/huge.ply"
 refuse "a .ply that lies about its size" 1 "huge.ply" "$work/huge.tiles" \
     "$bin" import "$work/huge.ply" --origin 8,50,100 -o "$work/huge.tiles" -q
@@ -90,7 +90,7 @@ refuse "an origin that is no place" 2 "origin" "$work/huge.tiles" \
 # -- the command line -----------------------------------------------------------------------------------------------
 refuse "unknown option" 2 "did you mean --output" "" "$bin" ingest a b --ouput x
 refuse "unknown command" 2 "no command 'trian'" "" "$bin" trian
-refuse "a value out of range" 2 "from" "" "$bin" serve x.tiles --port 70000
+refuse "a value out of range" 64 "from" "" "$bin" serve x.tiles --port 70000
 refuse "missing argument" 2 "too few" "" "$bin" train
 
 echo "$passed passed, $failed failed"

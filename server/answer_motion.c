@@ -1,0 +1,54 @@
+/* Streams of pictures that follow a camera (motion.c): opening one, and steering it.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <stdio.h>
+
+#include "server/answer.h"
+#include "server/describe.h"
+#include "server/motion.h"
+
+/* The wish is taken; its picture comes in the other answer. */
+static void answer_motion_steer(struct services *s, const struct request *r, struct dataset *d,
+                                const struct target *t, struct response *out)
+{
+    struct err e = {0};
+    struct describe_render p;
+    struct motion_wish wish = {0};
+    enum err_code rc = describe_read_motion(s->cfg, &d->meta.origin, r->body, r->body_size, &p, &e);
+    if (rc) {
+        response_problem(out, rc == ERR_MEM ? 503 : rc == ERR_DATA ? 422 : 400, e.msg);
+        return;
+    }
+    if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, out) ||
+        !answer_find_appearance(d, p.appearance, &wish.appearance, out))
+        return;
+    wish.view = (struct picture_view){p.cam, p.format, p.quality, p.paint};
+    wish.timeout_s = p.timeout_s;
+    wish.number = p.number;
+    wish.still = p.still;
+    if (motion_steer(s->motion, d, t->stream, &wish, &e)) {
+        response_problem(out, 404, e.msg);
+        return;
+    }
+    out->status = 204;
+    out->cache_control = RESPONSE_NO_STORE;
+}
+
+void answer_motion(struct services *s, const struct request *r, struct dataset *d,
+                   const struct target *t, struct response *out)
+{
+    if (r->method == METHOD_POST) {
+        answer_motion_steer(s, r, d, t, out);
+        return;
+    }
+    if (!answer_can_draw(s, out))
+        return;
+    out->status = 200;
+    out->type = MOTION_TYPE;
+    out->cache_control = RESPONSE_NO_STORE;
+    if (r->method == METHOD_HEAD)
+        return;
+    snprintf(out->stream, sizeof out->stream, "%s", t->stream);
+    snprintf(out->stream_of, sizeof out->stream_of, "%s", d->meta.name);
+}

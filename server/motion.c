@@ -1,0 +1,502 @@
+/* Streams of pictures that follow a camera. While the camera moves, pictures are small and made quickly;
+ * when it rests, one is drawn in full. One picture of a stream is under way at most, and it is always that
+ * of the newest camera: the next one is drawn when the last byte of the one before has gone to the socket,
+ * so a slow line gets fewer pictures, never old ones (http.c keeps little waiting in the socket).
+ *
+ * A stream is read by one connection, steered by any number of requests, and drawn for by one job at a
+ * time. One mutex guards all streams; no job is submitted and nobody is called under it. References: the
+ * table, the reader and the job under way have one each. `flying` says who may touch the waiter: whoever
+ * sets it submits the job, and the job's end, or a job_leave that claimed the waiter, clears it.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/motion.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "server/result_id.h"
+#include "server/work.h"
+
+const char MOTION_TYPE[] = "multipart/x-mixed-replace; boundary=" MOTION_BOUNDARY;
+
+enum { MOTION_QUALITY = 60, MOTION_HEAD = 384 };
+static const double REST_S = 0.18;         /* a camera that did not move for so long rests */
+static const double DRAW_S = 0.04;         /* what a moving picture may take */
+static const double RETRY_S = 0.25;        /* after a refusal */
+static const double AREA_FIRST_PX = 60000; /* of moving pictures; follows the time that they take */
+static const double AREA_LEAST_PX = 20000;
+static const double AREA_MOST_PX = 1e6;
+
+struct motion_stream {
+    struct motion *m;
+    _Atomic int refs;
+    char ds[64], name[64];
+    uint64_t client;
+    void (*ready)(void *user);
+    void *user;
+    struct motion_stream *next; /* in the table; this and what follows by the lock */
+    bool listed, ended, awaits, flying;
+    struct motion_wish wish;
+    struct dataset *d; /* a reference; NULL: nothing was wished for yet */
+    uint64_t wished;   /* counts wishes */
+    double wished_s;   /* when the newest came; before the first: when the stream began */
+    uint64_t drawn;    /* wish of the newest picture */
+    bool drawn_full;
+    double again_s;           /* not before this, after a refusal */
+    double area_px;           /* of moving pictures */
+    struct job_waiter waiter; /* of the picture under way, while flying */
+    uint64_t flight;          /* wish of it */
+    int64_t flight_number;
+    bool flight_full;
+    uint32_t flight_px[2];
+    enum format flight_format;
+    struct body *picture; /* being read; NULL: none */
+    char head[MOTION_HEAD];
+    size_t n_head, at; /* at: bytes of head, picture and tail that were read */
+};
+struct motion {
+    struct services *s;
+    pthread_mutex_t lock;
+    struct motion_stream *first;
+    size_t n;
+    bool stopping;
+    uint64_t pictures, full;
+};
+static const char MOTION_TAIL[] = "\r\n--" MOTION_BOUNDARY "\r\n";
+enum { N_TAIL = sizeof MOTION_TAIL - 1 };
+
+static void motion_on_wake(struct job_waiter *w);
+
+/* ---- lifetime ---- */
+
+enum err_code motion_open(struct services *s, struct motion **out, struct err *e)
+{
+    *out = mem_array(1, sizeof **out);
+    if (!*out)
+        return err_set(e, ERR_MEM, "motion: out of memory");
+    (*out)->s = s;
+    pthread_mutex_init(&(*out)->lock, NULL);
+    return ERR_OK;
+}
+
+void motion_close(struct motion **out)
+{
+    struct motion *m = *out;
+    *out = NULL;
+    if (!m)
+        return;
+    pthread_mutex_destroy(&m->lock);
+    mem_free(m);
+}
+
+struct motion_stream *motion_ref(struct motion_stream *st)
+{
+    atomic_fetch_add(&st->refs, 1);
+    return st;
+}
+
+void motion_drop(struct motion_stream **out)
+{
+    struct motion_stream *st = *out;
+    *out = NULL;
+    if (!st || atomic_fetch_sub(&st->refs, 1) > 1)
+        return;
+    body_drop(&st->picture);
+    if (st->d)
+        dataset_drop(&st->d);
+    mem_free(st);
+}
+
+/* Under the lock: off the table. True: the caller drops the table's reference. */
+static bool motion_unlist(struct motion_stream *st)
+{
+    if (!st->listed)
+        return false;
+    struct motion_stream **p = &st->m->first;
+    while (*p != st)
+        p = &(*p)->next;
+    *p = st->next;
+    st->m->n--;
+    st->listed = false;
+    return true;
+}
+
+/* Under the lock. */
+static struct motion_stream *motion_find(struct motion *m, const char *ds, const char *name)
+{
+    struct motion_stream *st = m->first;
+    while (st && (strcmp(st->name, name) != 0 || strcmp(st->ds, ds) != 0))
+        st = st->next;
+    return st;
+}
+
+/* Under the lock: may this client have one more, by this name? */
+static enum err_code motion_may_begin(struct motion *m, const char *ds, const char *name,
+                                      uint64_t client, struct err *e)
+{
+    const struct server_config *cfg = m->s->cfg;
+    size_t own = 0;
+    for (struct motion_stream *st = m->first; st; st = st->next)
+        own += st->client == client;
+    if (m->stopping)
+        return err_set(e, ERR_BUSY, "the server is stopping");
+    if (motion_find(m, ds, name))
+        return err_set(e, ERR_ARG, "a stream has this name: a name is used once, and by chance");
+    if (cfg->client_streams && own >= (size_t)cfg->client_streams)
+        return err_set(e, ERR_LIMIT, "your address has %zu streams open, and may have %d", own,
+                       (int)cfg->client_streams);
+    if (m->n >= (size_t)cfg->streams)
+        return err_set(e, ERR_BUSY, "%zu streams are open, which is as many as there may be", m->n);
+    return ERR_OK;
+}
+
+enum err_code motion_begin(struct motion *m, const char *ds, const char *name, uint64_t client,
+                           void (*ready)(void *user), void *user, struct motion_stream **out,
+                           struct err *e)
+{
+    struct motion_stream *st = mem_array(1, sizeof *st);
+    *out = NULL;
+    if (!st)
+        return err_set(e, ERR_MEM, "out of memory for a stream");
+    st->m = m;
+    st->client = client;
+    st->waiter.wake =
+        motion_on_wake; /* the rest of it is touched by jobs alone, under their lock */
+    st->ready = ready;
+    st->user = user;
+    st->wished_s = clock_s();
+    st->area_px = AREA_FIRST_PX;
+    snprintf(st->ds, sizeof st->ds, "%s", ds);
+    snprintf(st->name, sizeof st->name, "%s", name);
+    /* The first delimiter; what follows a picture ends with the next one, because browsers show a part
+     * when the delimiter behind it has come. */
+    st->n_head = (size_t)snprintf(st->head, sizeof st->head, "%s", MOTION_TAIL + 2);
+    atomic_init(&st->refs, 2);
+    pthread_mutex_lock(&m->lock);
+    enum err_code rc = motion_may_begin(m, ds, name, client, e);
+    if (!rc) {
+        st->listed = true;
+        st->next = m->first;
+        m->first = st;
+        m->n++;
+    }
+    pthread_mutex_unlock(&m->lock);
+    if (rc)
+        mem_free(st);
+    else
+        *out = st;
+    return rc;
+}
+
+/* ---- drawing ---- */
+
+/* Call ready() if the reader waits. Not under the lock. */
+static void motion_notify(struct motion_stream *st)
+{
+    pthread_mutex_lock(&st->m->lock);
+    bool awaits = st->awaits;
+    st->awaits = false;
+    pthread_mutex_unlock(&st->m->lock);
+    if (awaits)
+        st->ready(st->user);
+}
+
+/* Under the lock: the picture that has come becomes what is read. Takes the body. */
+static void motion_show(struct motion_stream *st, const struct job_result *r)
+{
+    int n = snprintf(st->head, sizeof st->head,
+                     "Content-Type: %s\r\nContent-Length: %zu\r\nPose: %lld\r\nSize: %ux%u\r\n"
+                     "Rest: %d\r\nServer-Timing: queue;dur=%.1f, job;dur=%.1f\r\n\r\n",
+                     target_type(st->flight_format), r->body->size, (long long)st->flight_number,
+                     (unsigned)st->flight_px[0], (unsigned)st->flight_px[1], st->flight_full,
+                     r->queue_s * 1e3, r->run_s * 1e3);
+    st->n_head = (size_t)n;
+    st->at = 0;
+    st->picture = r->body;
+    st->drawn = st->flight;
+    st->drawn_full = st->flight_full;
+    st->m->pictures++;
+    st->m->full += st->flight_full;
+    if (!st->flight_full && !r->coalesced) {
+        double factor = DRAW_S / fmax(r->run_s, 1e-3);
+        st->area_px *= fmin(1.3, fmax(0.5, factor));
+        st->area_px = fmin(AREA_MOST_PX, fmax(AREA_LEAST_PX, st->area_px));
+    }
+}
+
+/* A job has ended: on a worker's thread, or for want of room on the one that asked. */
+static void motion_landed(struct motion_stream *st, struct job_result *r)
+{
+    bool refused = r->end == JOB_SHED || r->end == JOB_TIMEOUT || r->end == JOB_LIMITED ||
+                   r->end == JOB_CANCELLED || r->code == ERR_MEM || r->code == ERR_BUSY;
+    pthread_mutex_lock(&st->m->lock);
+    st->flying = false;
+    if (r->end == JOB_OK && !st->ended) {
+        motion_show(st, r);
+        r->body = NULL;
+    } else if (refused) {
+        st->again_s = clock_s() + RETRY_S;
+    } else if (r->end != JOB_OK) {
+        st->ended = true; /* the log says why */
+    }
+    pthread_mutex_unlock(&st->m->lock);
+    body_drop(&r->body);
+    motion_notify(st);
+}
+
+static void motion_on_wake(struct job_waiter *w)
+{
+    struct motion_stream *st =
+        (struct motion_stream *)(void *)((char *)w - offsetof(struct motion_stream, waiter));
+    struct job_result r = w->result;
+    w->result.body = NULL;
+    motion_landed(st, &r);
+    motion_drop(&st);
+}
+
+/* Under the lock: a small camera for a wish, of as many pixels as are drawn in time. */
+static void motion_shrink(const struct motion_stream *st, struct picture_view *v)
+{
+    double width = v->cam.width_px, height = v->cam.height_px;
+    double factor = fmin(1, sqrt(st->area_px / (width * height)));
+    uint32_t w = (uint32_t)fmax(1, round(width * factor)),
+             h = (uint32_t)fmax(1, round(height * factor));
+    if (factor < 1)
+        v->cam = camera_resize(&v->cam, w, h);
+    v->quality = v->quality < MOTION_QUALITY ? v->quality : MOTION_QUALITY;
+}
+
+/* Under the lock: what is to be drawn now, and for the flight to begin. NULL: nothing. */
+static struct work *motion_next(struct motion_stream *st, double now_s)
+{
+    bool fresh = st->drawn != st->wished;
+    bool full = st->wish.still || (!fresh && !st->drawn_full && now_s - st->wished_s >= REST_S);
+    bool busy = st->flying || st->ended || st->at < st->n_head || st->picture;
+    if (busy || !st->d || now_s < st->again_s || (!fresh && (st->drawn_full || !full)))
+        return NULL;
+    struct work *w = mem_array(1, sizeof *w);
+    if (!w) {
+        st->again_s = now_s + RETRY_S;
+        return NULL;
+    }
+    w->kind = WORK_VIEW;
+    w->ds = dataset_ref(st->d);
+    w->view = st->wish.view;
+    w->appearance = st->wish.appearance;
+    w->form.format = w->view.format;
+    if (!full)
+        motion_shrink(st, &w->view);
+    st->flying = true;
+    st->flight = st->wished;
+    st->flight_full = full;
+    st->flight_number = st->wish.number;
+    st->flight_format = w->view.format;
+    st->flight_px[0] = w->view.cam.width_px;
+    st->flight_px[1] = w->view.cam.height_px;
+    return w;
+}
+
+/* Ask for the next picture, if it is time. Not under the lock. */
+static void motion_step(struct motion_stream *st, double now_s)
+{
+    struct services *s = st->m->s;
+    char device[160];
+    pthread_mutex_lock(&st->m->lock);
+    struct work *w = motion_next(st, now_s);
+    double timeout_s = st->wish.timeout_s;
+    pthread_mutex_unlock(&st->m->lock);
+    if (!w)
+        return;
+    picture_about(s->picture, device, sizeof device);
+    w->id = result_id_view(w->ds, device, &w->view.cam, &w->appearance, w->view.format,
+                           w->view.quality, &w->view.paint, (double)s->cfg->view_gaussians);
+    struct motion_stream *held = motion_ref(st); /* the flight's */
+    if (job_submit(s->jobs, JOB_MOTION, w->id, w, st->client, timeout_s, &st->waiter)) {
+        struct job_result r = st->waiter.result;
+        motion_landed(st, &r);
+        motion_drop(&held);
+    }
+}
+
+/* ---- steering ---- */
+
+enum err_code motion_steer(struct motion *m, struct dataset *d, const char *name,
+                           const struct motion_wish *wish, struct err *e)
+{
+    double now_s = clock_s();
+    pthread_mutex_lock(&m->lock);
+    struct motion_stream *st = motion_find(m, d->meta.name, name);
+    struct dataset *was = NULL;
+    bool late = false;
+    if (st) {
+        motion_ref(st);
+        /* Requests on several connections overtake each other: an older pose does not replace a newer. */
+        late = st->d && wish->number < st->wish.number;
+    }
+    if (st && !late) {
+        was = st->d;
+        st->d = dataset_ref(d);
+        st->wish = *wish;
+        st->wished++;
+        st->wished_s = now_s;
+    }
+    /* A full picture of a camera that has moved on is not worth its time. */
+    bool stale = st && !late && st->flying && st->flight_full;
+    pthread_mutex_unlock(&m->lock);
+    if (was)
+        dataset_drop(&was);
+    if (!st)
+        return err_set(e, ERR_NOENT, "no stream is open by this name");
+    if (stale && job_leave(m->s->jobs, &st->waiter)) {
+        struct motion_stream *flown = st;
+        pthread_mutex_lock(&m->lock);
+        st->flying = false;
+        pthread_mutex_unlock(&m->lock);
+        motion_drop(&flown); /* the flight's reference, not the last */
+    }
+    motion_step(st, now_s);
+    motion_drop(&st);
+    return ERR_OK;
+}
+
+/* ---- reading ---- */
+
+/* Copy what of [from, from + n) of the part lies at st->at and has room. */
+static size_t motion_copy(struct motion_stream *st, size_t from, const void *bytes, size_t n,
+                          char *out, size_t room)
+{
+    if (st->at < from || st->at >= from + n || !room)
+        return 0;
+    size_t at = st->at - from, k = n - at < room ? n - at : room;
+    memcpy(out, (const char *)bytes + at, k);
+    st->at += k;
+    return k;
+}
+
+ssize_t motion_read(struct motion_stream *st, char *out, size_t room)
+{
+    pthread_mutex_lock(&st->m->lock);
+    struct body *read = NULL;
+    size_t n = motion_copy(st, 0, st->head, st->n_head, out, room);
+    if (st->picture) {
+        size_t size = st->picture->size;
+        n += motion_copy(st, st->n_head, st->picture->data, size, out + n, room - n);
+        n += motion_copy(st, st->n_head + size, MOTION_TAIL, N_TAIL, out + n, room - n);
+        if (st->at == st->n_head + size + N_TAIL) {
+            read = st->picture;
+            st->picture = NULL;
+            st->at = st->n_head;
+        }
+    }
+    bool ended = st->ended && !n;
+    bool more = st->picture || st->at < st->n_head;
+    pthread_mutex_unlock(&st->m->lock);
+    body_drop(&read);
+    if (!more && !ended)
+        motion_step(st, clock_s()); /* while these bytes are under way */
+    return ended ? -1 : (ssize_t)n;
+}
+
+bool motion_await(struct motion_stream *st)
+{
+    pthread_mutex_lock(&st->m->lock);
+    st->awaits = !st->ended && !st->picture && st->at == st->n_head;
+    bool awaits = st->awaits;
+    pthread_mutex_unlock(&st->m->lock);
+    return awaits;
+}
+
+void motion_end(struct motion_stream *st)
+{
+    pthread_mutex_lock(&st->m->lock);
+    st->ended = true;
+    pthread_mutex_unlock(&st->m->lock);
+    motion_notify(st);
+}
+
+void motion_leave(struct motion_stream **out)
+{
+    struct motion_stream *st = *out, *listed = st, *held = st;
+    *out = NULL;
+    if (!st)
+        return;
+    struct motion *m = st->m;
+    pthread_mutex_lock(&m->lock);
+    st->ended = true;
+    st->awaits = false;
+    bool was_listed = motion_unlist(st), flying = st->flying;
+    pthread_mutex_unlock(&m->lock);
+    if (flying && job_leave(m->s->jobs, &st->waiter))
+        motion_drop(&held);
+    if (was_listed)
+        motion_drop(&listed);
+    motion_drop(&st);
+}
+
+/* ---- all of them ---- */
+
+/* Do something with each stream, not under the lock. */
+static void motion_each(struct motion *m, void (*fn)(struct motion_stream *st, double now_s),
+                        double now_s)
+{
+    struct motion_stream *all[64], *st;
+    size_t skip = 0, n;
+    do { /* those that begin meanwhile stand in front, and may be met twice: no harm */
+        n = 0;
+        pthread_mutex_lock(&m->lock);
+        size_t i = 0;
+        for (st = m->first; st && n < sizeof all / sizeof *all; st = st->next)
+            if (i++ >= skip)
+                all[n++] = motion_ref(st);
+        pthread_mutex_unlock(&m->lock);
+        for (size_t k = 0; k < n; k++) {
+            fn(all[k], now_s);
+            motion_drop(&all[k]);
+        }
+        skip += n;
+    } while (n == sizeof all / sizeof *all);
+}
+
+static void motion_tick_one(struct motion_stream *st, double now_s)
+{
+    pthread_mutex_lock(&st->m->lock);
+    bool idle = st->m->stopping || now_s - st->wished_s > st->m->s->cfg->stream_idle_s;
+    pthread_mutex_unlock(&st->m->lock);
+    if (idle)
+        motion_end(st);
+    else
+        motion_step(st, now_s);
+}
+
+void motion_tick(struct motion *m, double now_s)
+{
+    motion_each(m, motion_tick_one, now_s);
+}
+
+static void motion_end_one(struct motion_stream *st, double now_s)
+{
+    (void)now_s;
+    motion_end(st);
+}
+
+void motion_stop(struct motion *m)
+{
+    if (!m)
+        return;
+    pthread_mutex_lock(&m->lock);
+    m->stopping = true;
+    pthread_mutex_unlock(&m->lock);
+    motion_each(m, motion_end_one, 0);
+}
+
+void motion_count(struct motion *m, struct motion_counts *out)
+{
+    *out = (struct motion_counts){0};
+    if (!m)
+        return;
+    pthread_mutex_lock(&m->lock);
+    *out = (struct motion_counts){m->n, m->pictures, m->full};
+    pthread_mutex_unlock(&m->lock);
+}

@@ -1,0 +1,91 @@
+# shellcheck shell=bash
+# Source this: three servers over one small city, and what tests of programs in front of them share.
+#
+#   CITYSPLAT_BIN, FRONT_CITY   the program, and the one that writes the city
+#
+# SPDX-License-Identifier: Apache-2.0
+bin=${CITYSPLAT_BIN:?run this test through ctest} city=${FRONT_CITY:?run this test through ctest}
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
+work=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-front-XXXXXX") || exit 1
+pids=() ports=() failed=0
+trap 'front_end' EXIT
+
+front_end() {
+    local p
+    for p in "${pids[@]}"; do kill "$p" 2>/dev/null; done
+    wait
+    rm -rf "$work"
+}
+
+skip() { echo "skipped: $*"; exit 77; }
+
+need() { # PROGRAM PACKAGE
+    command -v "$1" >/dev/null || [ -x "/usr/sbin/$1" ] || skip "no $1: Debian's package $2 has it"
+}
+
+check() { # WHAT COMMAND...: says what failed
+    local what=$1
+    shift
+    if "$@"; then echo "ok: $what"; else echo "FAILED: $what"; failed=1; fi
+}
+
+is() { [ "$1" = "$2" ] || { echo "  is '$1', want '$2'"; return 1; }; }
+at_least() { [ "${1:-0}" -ge "$2" ] || { echo "  is '$1', want at least $2"; return 1; }; }
+at_most() { [ "${1:-0}" -le "$2" ] || { echo "  is '$1', want at most $2"; return 1; }; }
+
+serve() { # NUMBER PORT [OPTIONS]: starts a server; its port (0: any) in ports[NUMBER], its log in NUMBER.log
+    local i=$1 port=$2 k
+    shift 2
+    "$bin" serve "$work/toy.tiles" --port "$port" --device none --trusted-proxy 127.0.0.1 "$@" \
+        >"$work/$i.out" 2>>"$work/$i.log" &
+    pids[i]=$!
+    for k in $(seq 100); do
+        ports[i]=$(sed -n 's|.*http://[^:]*:\([0-9]*\)/.*|\1|p' "$work/$i.out")
+        [ -z "${ports[i]}" ] || return 0
+        kill -0 "${pids[i]}" 2>/dev/null || break
+        sleep 0.05
+    done
+    cat "$work/$i.log"
+    exit 1
+}
+
+free_port() { # a port that is free now
+    perl -MIO::Socket::INET -e 'print IO::Socket::INET->new(Listen => 1, LocalAddr => "127.0.0.1")->sockport'
+}
+
+await() { # URL: answers at all, within five seconds
+    local k
+    for k in $(seq 100); do
+        curl -s -o /dev/null --max-time 1 "$1" && return 0
+        sleep 0.05
+    done
+    return 1
+}
+
+header() { # URL NAME [CURL OPTIONS]
+    local url=$1 name=$2
+    shift 2
+    curl -s -o /dev/null -D - "$@" "$url" | tr -d '\r' | sed -n "s/^$name: //Ip" | tail -1
+}
+
+status() { curl -s -o /dev/null -w '%{http_code}' "$@"; }
+
+asked() { # PATTERN: how often the servers logged a request like it
+    sleep 0.3 # lines are written ten times a second
+    cat "$work"/*.log | grep -c -- "$1"
+}
+
+revision() { curl -s "http://127.0.0.1:${ports[1]}/version" | sed -n 's/.*"toy": *"\([0-9a-f]*\)".*/\1/p'; }
+
+tiles() { # paths of tiles, one a line: the same places in many formats
+    local place preset sh ext
+    for place in $(curl -s "http://127.0.0.1:${ports[1]}/d/toy/seed.ndjson" | sed -n 's|.*/t/\([0-9/]*\)\..*|\1|p'); do
+        for ext in glb spz drc; do
+            for preset in spz preview balanced near-lossless; do
+                for sh in 0 1; do echo "/d/toy/r/$rev/t/$place.$ext?preset=$preset&sh=$sh"; done
+            done
+        done
+    done
+}
+
+"$city" "$work/toy.tiles" || exit 1

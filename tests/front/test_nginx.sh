@@ -1,0 +1,81 @@
+#!/usr/bin/env bash
+# configs/nginx.conf with the real nginx: revalidation, merged requests, Range, stale answers when no server is left,
+# and a server that is killed under load.
+#
+# SPDX-License-Identifier: Apache-2.0
+set -u
+# shellcheck source=tests/front/front.sh
+. "$(dirname "$0")/front.sh"
+need nginx nginx-light
+need curl curl
+for i in 1 2 3; do serve $i 0 --cache-policy '*=1'; done
+rev=$(revision)
+front=$(free_port)
+mkdir -p "$work/nginx/logs" "$work/nginx/cache"
+servers=$(for i in 1 2 3; do echo "server 127.0.0.1:${ports[i]};"; done | tr '\n' ' ')
+
+# The shipped file, with ports and folders of this test and without TLS.
+{
+    [ "$(id -u)" != 0 ] || echo 'user root;' # the folder is its own alone
+    printf 'daemon off;\nworker_processes 2;\npid %s/nginx/pid;\nerror_log %s/nginx/error.log;\n' "$work" "$work"
+    printf 'events { worker_connections 512; }\nhttp {\naccess_log off;\n'
+    for d in client_body proxy fastcgi uwsgi scgi; do printf '%s_temp_path %s/nginx/%s;\n' $d "$work" $d; done
+    sed -e "s|listen 443 ssl http2;|listen 127.0.0.1:$front;|" -e '/ssl_certificate/d' \
+        -e "s|server 127.0.0.1:8080;|$servers|" -e "s|/var/cache/nginx/citysplat|$work/nginx/cache|" \
+        "$root/configs/nginx.conf"
+    printf '}\n'
+} >"$work/nginx.conf"
+PATH=$PATH:/usr/sbin
+if ! nginx -t -p "$work/nginx" -c "$work/nginx.conf" >"$work/nginx/test" 2>&1; then
+    cat "$work/nginx/test"
+    exit 1
+fi
+nginx -p "$work/nginx" -c "$work/nginx.conf" &
+pids[4]=$!
+url=http://127.0.0.1:$front
+check 'nginx answers' await "$url/healthz"
+
+tile=$(tiles | head -1)
+check 'a cold tile is a miss' is "$(header "$url$tile" X-Cache)" MISS
+check 'then it is a hit' is "$(header "$url$tile" X-Cache)" HIT
+check 'its bytes are those of a server' cmp <(curl -s "$url$tile") <(curl -s "http://127.0.0.1:${ports[1]}$tile")
+check 'a range of it' cmp <(curl -s -r 100-299 "$url$tile") <(curl -s "$url$tile" | tail -c +101 | head -c 200)
+check 'a range is 206' is "$(status -r 100-299 "$url$tile")" 206
+check 'a range beyond its end is 416' is "$(status -r 99999999- "$url$tile")" 416
+etag=$(header "$url$tile" ETag)
+check 'If-None-Match is 304' is "$(status -H "If-None-Match: $etag" "$url$tile")" 304
+
+# Two hundred at once for a tile that nobody has: one request comes through.
+cold=$(tiles | sed -n 20p)
+before=$(asked "${cold##*/t/}")
+for i in $(seq 200); do printf 'url="%s"\noutput="/dev/null"\n' "$url$cold"; done >"$work/many"
+codes=$(curl -s --no-progress-meter --parallel --parallel-immediate --parallel-max 200 -w '%{http_code}\n' -K "$work/many" 2>/dev/null | sort | uniq -c | tr -s ' ')
+check '200 at once are answered' is "$codes" ' 200 200'
+check '200 at once are one request' is $(($(asked "${cold##*/t/}") - before)) 1
+
+# What moves may be kept for a second here: behind it, nginx answers at once and asks with If-None-Match.
+moving=/d/toy/tileset.json
+check 'what moves is kept' is "$(header "$url$moving" X-Cache; header "$url$moving" X-Cache)" "$(printf 'MISS\nHIT')"
+sleep 2.2
+check 'stale while it revalidates' is "$(header "$url$moving" X-Cache)" STALE
+sleep 0.3
+check 'then fresh again' is "$(header "$url$moving" X-Cache)" HIT
+check 'revalidated by a 304' at_least "$(asked "GET $moving status=304")" 1
+
+# One of three is killed while tiles that nobody has are asked for by eight clients.
+tiles | sed -n '30,$p' | sed "s|^|$url|" >"$work/list"
+(sleep 0.15; kill -9 "${pids[2]}") &
+killer=$!
+codes=$(xargs -P 8 -n 1 curl -s -o /dev/null -w '%{http_code}\n' <"$work/list" | sort | uniq -c | tr -s ' ')
+wait $killer
+check 'one of three killed, nobody notices' is "$codes" " $(wc -l <"$work/list") 200"
+check 'it is gone' is "$(status --max-time 2 "http://127.0.0.1:${ports[2]}/healthz")" 000
+
+# No server is left: what is in the cache is answered, old or not.
+kill -9 "${pids[1]}" "${pids[3]}"
+sleep 2.2
+check 'no server left: tiles' is "$(status "$url$tile")" 200
+check 'no server left: what moves' is "$(status "$url$moving")" 200
+check 'no server left: it is stale' is "$(header "$url$moving" X-Cache)" STALE
+check 'no server left: what nobody had' is "$(status "$url/d/toy/map.json")" 502
+exit $failed

@@ -1,0 +1,69 @@
+#!/usr/bin/env bash
+# configs/varnish.vcl with the real Varnish: merged requests, Range, revalidation, purging by tag, stale answers when
+# no server is left, and a server that is killed under load.
+#
+# SPDX-License-Identifier: Apache-2.0
+set -u
+# shellcheck source=tests/front/front.sh
+. "$(dirname "$0")/front.sh"
+need varnishd varnish
+need curl curl
+[ -n "$(find /usr/lib -name libvmod_xkey.so -print -quit 2>/dev/null)" ] || skip "no vmod xkey: Debian's package varnish-modules has it"
+for i in 1 2 3; do serve $i 0 --cache-policy '*=1' --tag-header xkey; done
+rev=$(revision)
+front=$(free_port)
+sed -e "s|8081|${ports[1]}|" -e "s|8082|${ports[2]}|" -e "s|8083|${ports[3]}|" "$root/configs/varnish.vcl" >"$work/front.vcl"
+PATH=$PATH:/usr/sbin
+jail=()
+[ "$(id -u)" != 0 ] || { jail=(-j none); }
+varnishd "${jail[@]}" -F -n "$work/varnish" -a "127.0.0.1:$front" -f "$work/front.vcl" -s malloc,64m -p http_gzip_support=off \
+    -p thread_pool_min=10 >"$work/varnish.out" 2>&1 &
+pids[4]=$!
+url=http://127.0.0.1:$front
+if ! await "$url/healthz"; then
+    cat "$work/varnish.out"
+    exit 1
+fi
+
+tile=$(tiles | head -1)
+check 'a cold tile is a miss' is "$(header "$url$tile" X-Cache)" MISS
+check 'then it is a hit' is "$(header "$url$tile" X-Cache)" HIT
+check 'its bytes are those of a server' cmp <(curl -s "$url$tile") <(curl -s "http://127.0.0.1:${ports[1]}$tile")
+check 'a range of it' cmp <(curl -s -r 100-299 "$url$tile") <(curl -s "$url$tile" | tail -c +101 | head -c 200)
+check 'a range is 206' is "$(status -r 100-299 "$url$tile")" 206
+check 'If-None-Match is 304' is "$(status -H "If-None-Match: $(header "$url$tile" ETag)" "$url$tile")" 304
+
+cold=$(tiles | sed -n 20p)
+for i in $(seq 200); do printf 'url="%s"\noutput="/dev/null"\n' "$url$cold"; done >"$work/many"
+codes=$(curl -s --no-progress-meter --parallel --parallel-immediate --parallel-max 200 -w '%{http_code}\n' -K "$work/many" 2>/dev/null | sort | uniq -c | tr -s ' ')
+check '200 at once are answered' is "$codes" ' 200 200'
+check '200 at once are one request' is "$(asked "${cold##*/t/}")" 1
+
+moving=/d/toy/tileset.json
+curl -s -o /dev/null "$url$moving"
+sleep 2.2
+check 'stale while it revalidates' is "$(status "$url$moving")" 200
+sleep 0.3
+check 'revalidated by a 304' at_least "$(asked "GET $moving status=304")" 1
+
+check 'operators may purge' is "$(curl -s -o /dev/null -w '%{http_code}' -X PURGE -H 'xkey-purge: rev-000000000000' "$url/")" 200
+check 'another revision: nothing is purged' is "$(header "$url$tile" X-Cache)" HIT
+check 'this revision is purged' is "$(status -X PURGE -H "xkey-purge: rev-$rev" "$url/")" 200
+check 'this revision: a miss' is "$(header "$url$tile" X-Cache)" MISS
+check 'this dataset is purged' is "$(status -X PURGE -H 'xkey-purge: ds-toy' "$url/")" 200
+check 'this dataset: a miss' is "$(header "$url$moving" X-Cache)" MISS
+
+tiles | sed -n '30,$p' | sed "s|^|$url|" >"$work/list"
+curl -s -o /dev/null "$url$tile"
+(sleep 0.15; kill -9 "${pids[2]}") &
+killer=$!
+codes=$(xargs -P 8 -n 1 curl -s -o /dev/null -w '%{http_code}\n' <"$work/list" | sort | uniq -c | tr -s ' ')
+wait $killer
+check 'one of three killed, nobody notices' is "$codes" " $(wc -l <"$work/list") 200"
+
+kill -9 "${pids[1]}" "${pids[3]}"
+sleep 2.5
+check 'no server left: tiles' is "$(status "$url$tile")" 200
+check 'no server left: what moves' is "$(status "$url$moving")" 200
+check 'no server left: what nobody had' is "$(status "$url/d/toy/map.json")" 503
+exit $failed

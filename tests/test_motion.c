@@ -1,0 +1,381 @@
+/* Streams of pictures that follow a camera: one picture under way, the newest camera wins, small pictures
+ * while it moves and a full one when it rests, limits, readers that are slow or gone, stopping.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "codec/image.h"
+#include "core/dev.h"
+#include "server/motion.h"
+#include "tests/client.h"
+
+#include <math.h>
+
+static bool start_with_device(void)
+{
+    struct err e = {0};
+    struct dev dev;
+    if (dev_open("cpu", &dev, &e) != ERR_OK) {
+        print_message("skipped: %s\n", e.msg);
+        return false;
+    }
+    dev_close(&dev);
+    t.cfg.device = "cpu";
+    start();
+    return true;
+}
+
+static const char NAME[] = "0123456789abcdef";
+
+/* ---- a reader ---- */
+
+struct part {
+    long long pose;
+    unsigned width, height;
+    int rest;
+    size_t bytes;
+    double at_s;
+};
+struct reader {
+    int fd;
+    struct buf raw, body; /* as it came; without chunks */
+    size_t at, chunk_at;  /* of body that was read; of raw that was unchunked */
+    bool ended, last_chunk;
+};
+
+static void reader_open(struct reader *r, const char *name)
+{
+    char q[200];
+    memset(r, 0, sizeof *r);
+    r->fd = dial(t.port);
+    snprintf(q, sizeof q, "GET /d/toy/motion/%s HTTP/1.1\r\n" H "\r\n", name);
+    say(r->fd, q);
+}
+
+static void reader_close(struct reader *r)
+{
+    close(r->fd);
+    buf_free(&r->raw);
+    buf_free(&r->body);
+}
+
+/* Take chunks that are whole out of what came. */
+static void reader_unchunk(struct reader *r)
+{
+    buf_add(&r->raw, "", 1);
+    r->raw.size--;
+    const char *text = (const char *)r->raw.data;
+    if (!r->chunk_at) {
+        const char *end = strstr(text, "\r\n\r\n");
+        if (!end)
+            return;
+        assert_int_equal(atoi(text + 9), 200);
+        assert_non_null(strstr(text, "multipart/x-mixed-replace; boundary=" MOTION_BOUNDARY));
+        assert_non_null(strstr(text, "Cache-Control: no-store"));
+        r->chunk_at = (size_t)(end + 4 - text);
+    }
+    for (;;) {
+        const char *line = text + r->chunk_at, *end = strstr(line, "\r\n");
+        if (!end)
+            return;
+        size_t n = strtoul(line, NULL, 16), from = (size_t)(end + 2 - text);
+        if (from + n + 2 > r->raw.size)
+            return;
+        r->last_chunk |= n == 0;
+        buf_add(&r->body, text + from, n);
+        r->chunk_at = from + n + 2;
+    }
+}
+
+/* The bytes are a picture of the size that the part's head says. */
+static void check_picture(const char *bytes, const struct part *p)
+{
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    uint32_t width, height;
+    kit_ok(file_join(path, t.dir, "part", &e), e);
+    kit_ok(file_write(path, bytes, p->bytes, &e), e);
+    kit_ok(image_read_info(path, &width, &height, NULL, &e), e);
+    assert_int_equal(width, p->width);
+    assert_int_equal(height, p->height);
+}
+
+/* The next part; false: the stream has ended, or nothing came for wait_s. */
+static bool reader_next(struct reader *r, double wait_s, struct part *out)
+{
+    static const char mark[] = "--" MOTION_BOUNDARY "\r\n";
+    memset(out, 0, sizeof *out);
+    for (double end_s = clock_s() + wait_s;;) {
+        buf_add(&r->body, "", 1);
+        r->body.size--;
+        const char *text = (const char *)r->body.data + r->at;
+        size_t n = r->body.size - r->at;
+        const char *end = n > sizeof mark ? strstr(text, "\r\n\r\n") : NULL;
+        if (end) {
+            assert_memory_equal(text, mark, sizeof mark - 1);
+            size_t head = (size_t)(end + 4 - text);
+            out->bytes = (size_t)atoll(strstr(text, "Content-Length: ") + 16);
+            out->pose = atoll(strstr(text, "Pose: ") + 6);
+            out->rest = atoi(strstr(text, "Rest: ") + 6);
+            assert_int_equal(
+                sscanf(strstr(text, "Size: "), "Size: %ux%u", &out->width, &out->height), 2);
+            /* the delimiter behind it has come as well: browsers show it only then */
+            if (n >= head + out->bytes + 2 + sizeof mark - 1) {
+                out->at_s = clock_s();
+                check_picture(text + head, out);
+                r->at += head + out->bytes + 2;
+                return true;
+            }
+        }
+        if (r->ended || clock_s() > end_s)
+            return false;
+        r->ended = !hear_some(r->fd, &r->raw, 0.1);
+        reader_unchunk(r);
+    }
+}
+
+/* ---- who steers ---- */
+
+static int steer(const char *name, int number, double heading, int width, const char *more)
+{
+    struct buf q = {0}, body = {0};
+    struct reply r;
+    buf_printf(&body,
+               "{\"pose\":{\"lon\":13.398,\"lat\":52.4985,\"height\":150,\"heading\":%.3f,"
+               "\"pitch\":-40,\"fov\":55},\"width\":%d,\"height\":%d,\"number\":%d%s}",
+               heading, width, width * 3 / 4, number, more);
+    buf_printf(&q,
+               "POST /d/toy/motion/%s HTTP/1.1\r\n" H
+               "Connection: close\r\nContent-Length: %zu\r\n\r\n",
+               name, body.size);
+    buf_add(&q, body.data, body.size);
+    int fd = dial(t.port);
+    say_bytes(fd, (char *)q.data, q.size);
+    hear(fd, true, NULL, &r);
+    close(fd);
+    buf_free(&q);
+    buf_free(&body);
+    buf_free(&r.raw);
+    return r.status;
+}
+
+static struct motion_counts counts(void)
+{
+    struct motion_counts c;
+    motion_count(server_services(t.server)->motion, &c);
+    return c;
+}
+
+static void await_streams(uint64_t n)
+{
+    for (double end_s = clock_s() + PATIENCE_S; counts().streams != n && clock_s() < end_s;)
+        nap_ms(2);
+    assert_int_equal(counts().streams, n);
+}
+
+/* ---- tests ---- */
+
+static void test_small_while_it_moves_full_at_rest(void **state)
+{
+    enum { POSES = 40 };
+    struct reader r;
+    struct part p;
+    (void)state;
+    if (!start_with_device())
+        skip();
+    reader_open(&r, NAME);
+    await_streams(1);
+    assert_false(reader_next(&r, 0.3, &p)); /* nobody said where the camera is */
+    assert_int_equal(steer(NAME, 1, 10, 800, ""), 204);
+    assert_true(reader_next(&r, PATIENCE_S, &p));
+    assert_int_equal(p.pose, 1);
+    assert_true(p.width < 400 && !p.rest); /* later ones as large as can be drawn in time */
+    long long last = 1;
+    for (int i = 2; i <= POSES; i++) { /* ten milliseconds apart: faster than any picture */
+        assert_int_equal(steer(NAME, i, 10 + i, 800, ""), 204);
+        nap_ms(10);
+    }
+    int moving = 0, full = 0;
+    while (reader_next(&r, full ? 1 : PATIENCE_S, &p)) {
+        assert_true(p.pose > last || (p.rest && p.pose == last)); /* never an older camera again */
+        moving += !p.rest;
+        full += p.rest;
+        if (!p.rest)
+            assert_true(p.width <= 800 && fabs((double)p.width / p.height - 4.0 / 3) < 0.02);
+        last = p.pose;
+    }
+    assert_int_equal(last, POSES); /* the newest camera is what is seen in the end */
+    assert_int_equal(full, 1);     /* in full, once, and then nothing more is sent */
+    assert_true(p.bytes == 0 && moving >= 1);
+    assert_true(moving < POSES); /* pictures of cameras that had moved on were never drawn */
+    struct job_stats st;
+    job_count(server_services(t.server)->jobs, &st);
+    assert_int_equal(st.ended[JOB_MOTION][JOB_OK], counts().pictures);
+    assert_int_equal(counts().full, full);
+    print_message("%d poses, %d pictures while moving, 1 at rest\n", POSES, moving);
+    /* said to rest: in full at once, in another format */
+    assert_int_equal(steer(NAME, POSES + 1, 99, 640, ",\"still\":true,\"format\":\"webp\""), 204);
+    assert_true(reader_next(&r, PATIENCE_S, &p));
+    assert_true(p.rest && p.width == 640 && p.pose == POSES + 1);
+    assert_int_equal(steer(NAME, 3, 99, 640, ""), 204); /* one that was overtaken on the way */
+    assert_false(reader_next(&r, 0.5, &p));
+    reader_close(&r);
+    await_streams(0);
+}
+
+static void test_refusals(void **state)
+{
+    struct reader r[3];
+    struct reply a;
+    (void)state;
+    t.cfg.client_streams = 2;
+    if (!start_with_device())
+        skip();
+    assert_int_equal(steer(NAME, 1, 0, 100, ""), 404); /* nobody reads it */
+    ask("GET", "/d/toy/motion/short", "", &a);
+    assert_int_equal(a.status, 404);
+    buf_free(&a.raw);
+    assert_int_equal(status_of("GET", "/d/none/motion/0123456789abcdef", ""), 404);
+    reader_open(&r[0], NAME);
+    await_streams(1);
+    ask("GET", "/d/toy/motion/0123456789abcdef", "", &a); /* somebody else's */
+    assert_int_equal(a.status, 409);
+    buf_free(&a.raw);
+    reader_open(&r[1], "0123456789abcdeg");
+    await_streams(2);
+    ask("GET", "/d/toy/motion/0123456789abcdeh", "", &a);
+    assert_int_equal(a.status, 429);
+    assert_true(atoi(header(&a, "Retry-After")) >= 1);
+    buf_free(&a.raw);
+    assert_int_equal(steer(NAME, 1, 0, 100000, ""), 422);
+    assert_int_equal(steer(NAME, 1, 0, 100, ",\"still\":3"), 422);
+    assert_int_equal(steer(NAME, 1, 0, 100, ",\"number2\":3"), 422);
+    assert_int_equal(status_of("HEAD", "/d/toy/motion/0123456789abcdei", ""), 200);
+    assert_int_equal(status_of("PUT", "/d/toy/motion/0123456789abcdei", "Content-Length: 0\r\n"),
+                     405);
+    assert_int_equal(counts().streams, 2);
+    reader_close(&r[0]);
+    reader_close(&r[1]);
+    await_streams(0); /* readers that hang up are noticed while nothing is sent */
+    assert_int_equal(steer(NAME, 1, 0, 100, ""), 404);
+    server_stop(&t.server);
+    t.cfg.device = "none";
+    t.cfg.streams = 0;
+    start();
+    ask("GET", "/d/toy/motion/0123456789abcdef", "", &a);
+    assert_int_equal(a.status, 503);
+    buf_free(&a.raw);
+}
+
+static void test_idle_streams_end(void **state)
+{
+    struct reader r;
+    struct part p;
+    (void)state;
+    t.cfg.stream_idle_s = 1;
+    if (!start_with_device())
+        skip();
+    reader_open(&r, NAME);
+    assert_false(reader_next(&r, PATIENCE_S, &p));
+    assert_true(r.ended && r.last_chunk); /* an orderly end */
+    reader_close(&r);
+    await_streams(0);
+}
+
+/* A reader that stops holds up its own stream alone, and little is drawn for it. */
+static void test_slow_reader(void **state)
+{
+    struct reader slow, fast;
+    struct part p;
+    (void)state;
+    t.cfg.write_timeout_s = 1;
+    if (!start_with_device())
+        skip();
+    reader_open(&slow, NAME);
+    reader_open(&fast, "fast-0123456789ab");
+    await_streams(2);
+    long long seen = 0;
+    const char *sharp = ",\"still\":true,\"quality\":100";
+    for (int i = 1; counts().streams == 2 && i < 3000; i++) {
+        (void)steer(NAME, i, i % 360, 1600,
+                    sharp); /* large ones fill the socket; nobody reads them */
+        if (i % 4 == 0) {
+            assert_int_equal(steer("fast-0123456789ab", i, i % 360, 64, ""), 204);
+            assert_true(reader_next(&fast, PATIENCE_S, &p));
+            seen = p.pose;
+        }
+    }
+    assert_int_equal(counts().streams, 1); /* cut after write_timeout_s */
+    assert_true(seen > 0);
+    reader_close(&slow);
+    reader_close(&fast);
+    await_streams(0);
+}
+
+/* Streams open and end while others steer them: nothing is left over. */
+static void test_come_and_go(void **state)
+{
+    enum { ROUNDS = 12, STREAMS = 3 };
+    struct reader r[STREAMS];
+    struct part p;
+    char name[STREAMS][32];
+    (void)state;
+    if (!start_with_device())
+        skip();
+    for (int round = 0; round < ROUNDS; round++) {
+        for (int i = 0; i < STREAMS; i++) {
+            snprintf(name[i], sizeof name[i], "come-and-go-%d-%06d", i, round);
+            reader_open(&r[i], name[i]);
+        }
+        await_streams(STREAMS);
+        for (int k = 0; k < 4; k++)
+            for (int i = 0; i < STREAMS; i++)
+                assert_int_equal(steer(name[i], k, k, 300, round % 2 ? ",\"still\":true" : ""),
+                                 204);
+        if (round % 3 == 0)
+            assert_true(reader_next(&r[0], PATIENCE_S, &p));
+        for (int i = 0; i < STREAMS; i++)
+            reader_close(&r[i]);
+        await_streams(0);
+    }
+    struct services *s = server_services(t.server);
+    for (double end_s = clock_s() + PATIENCE_S; !job_idle(s->jobs) && clock_s() < end_s;)
+        nap_ms(5);
+    assert_true(job_idle(s->jobs));
+    await_no_connections();
+}
+
+/* Stopping ends streams at once, in order, with a picture under way as well. */
+static void test_stopping(void **state)
+{
+    struct reader r[2];
+    struct part p;
+    (void)state;
+    if (!start_with_device())
+        skip();
+    reader_open(&r[0], NAME);
+    reader_open(&r[1], "0123456789abcdeg");
+    await_streams(2);
+    assert_int_equal(steer(NAME, 1, 10, 1600, ""), 204);
+    double start_s = clock_s();
+    server_stop(&t.server);
+    assert_true(clock_s() - start_s < 10);
+    for (int i = 0; i < 2; i++) {
+        while (reader_next(&r[i], 1, &p))
+            continue;
+        assert_true(r[i].ended && r[i].last_chunk);
+        reader_close(&r[i]);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        HTTP_TEST(test_small_while_it_moves_full_at_rest),
+        HTTP_TEST(test_refusals),
+        HTTP_TEST(test_idle_streams_end),
+        HTTP_TEST(test_slow_reader),
+        HTTP_TEST(test_come_and_go),
+        HTTP_TEST(test_stopping),
+    };
+    return cmocka_run_group_tests(tests, setup_all, teardown_all);
+}

@@ -1,0 +1,597 @@
+/* What operators rely on: who may read what, caches by dataset, ids of requests, logs of three kinds, the
+ * listener of their own, base paths, --check and exit codes, and a supervisor that is told how things stand and
+ * hands over sockets.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#define _XOPEN_SOURCE 700
+#include "server/auth.h"
+#include "server/cache_policy.h"
+#include "tests/client.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <jansson.h>
+#include <nettle/base16.h>
+#include <nettle/sha2.h>
+#include <signal.h>
+#include <sys/un.h>
+#include <sys/wait.h>
+#include <sysexits.h>
+
+static const char TOKEN[] = "a-token-that-nobody-guesses",
+                  KEY[] = "0123456789abcdef0123456789abcdef";
+
+static const char *put(const char *name, const char *text, char out[FILE_PATH_MAX])
+{
+    struct err e = {0};
+    kit_ok(file_join(out, t.dir, name, &e), e);
+    kit_ok(file_write(out, text, strlen(text), &e), e);
+    return out;
+}
+
+static const char *auth_file(const char *scopes, const char *open, char out[FILE_PATH_MAX])
+{
+    struct sha256_ctx h;
+    uint8_t digest[SHA256_DIGEST_SIZE];
+    char hex[2 * SHA256_DIGEST_SIZE + 1] = "", text[600];
+    sha256_init(&h);
+    sha256_update(&h, strlen(TOKEN), (const uint8_t *)TOKEN);
+    sha256_digest(&h, sizeof digest, digest);
+    base16_encode_update(hex, sizeof digest, digest);
+    snprintf(text, sizeof text,
+             "// who may read\n{\"keys\": {\"k1\": \"%s\"}, \"tokens\": [{\"sha256\": \"%s\", "
+             "\"scope\": [%s]}], "
+             "\"public\": [%s]}\n",
+             KEY, hex, scopes, open);
+    return put("auth.jsonc", text, out);
+}
+
+/* ---- who may read what ---- */
+
+static void test_files_of_auth(void **state)
+{
+    static const struct {
+        const char *text, *says;
+    } bad[] = {
+        {"[]", "object"},
+        {"{\"tokens\": {}}", "tokens"},
+        {"{\"token\": []}", "token"},
+        {"{\"keys\": {\"k\": \"short\"}}", "keys.k"},
+        {"{\"keys\": {\"k k\": \"0123456789abcdef0123456789abcdef\"}}", "keys.k k"},
+        {"{\"tokens\": [{\"sha256\": \"12\", \"scope\": [\"admin\"]}]}", "tokens[0].sha256"},
+        {"{\"tokens\": [{\"scope\": [\"admin\"]}]}", "tokens[0].sha256"},
+        {"{\"public\": [1]}", "public[0]"},
+        {"{\"tokens\": [1]}", "tokens[0]"},
+    };
+    char path[FILE_PATH_MAX];
+    struct err e = {0};
+    struct auth *a = NULL;
+    (void)state;
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        kit_fails(auth_open(put("bad.jsonc", bad[i].text, path), &a, &e), ERR_FORMAT, e,
+                  bad[i].says);
+        assert_null(a);
+    }
+    kit_fails(auth_open(auth_file("\"write:x\"", "", path), &a, &e), ERR_FORMAT, e, "scope[0]");
+    kit_fails(auth_open(auth_file("", "", path), &a, &e), ERR_FORMAT, e, "scope");
+}
+
+static enum auth_answer signed_ask(const struct auth *a, const char *path, const char *query,
+                                   int64_t now_s)
+{
+    return auth_check(a, AUTH_RENDER, "toy", NULL, path, strlen(path), query, strlen(query), now_s);
+}
+
+static void test_signatures(void **state)
+{
+    char path[FILE_PATH_MAX], query[AUTH_QUERY_MAX], other[AUTH_QUERY_MAX + 32];
+    struct err e = {0};
+    struct auth *a = NULL;
+    (void)state;
+    kit_ok(auth_open(auth_file("\"read:toy\"", "\"free\"", path), &a, &e), e);
+    kit_fails(auth_sign(a, "k2", "/d/toy/", 1000, query, &e), ERR_ARG, e, "k2");
+    kit_fails(auth_sign(a, NULL, "d/toy", 1000, query, &e), ERR_ARG, e, "--scope");
+    kit_ok(auth_sign(a, NULL, "/d/toy/", 1000, query, &e), e);
+    assert_int_equal(signed_ask(a, "/d/toy/tileset.json", query, 999), AUTH_OK);
+    assert_int_equal(signed_ask(a, "/d/toy/tileset.json", query, 1000), AUTH_EXPIRED);
+    assert_int_equal(signed_ask(a, "/d/toyota/tileset.json", query, 999), AUTH_FORBIDDEN);
+    assert_int_equal(signed_ask(a, "/d/to", query, 999), AUTH_FORBIDDEN);
+    assert_int_equal(signed_ask(a, "/d/toy/x", "", 999), AUTH_UNKNOWN);
+    assert_int_equal(auth_check(a, AUTH_READ, "free", NULL, "/d/free/x", 9, "", 0, 1), AUTH_OK);
+    assert_int_equal(auth_check(a, AUTH_ADMIN, NULL, NULL, "/d/toy/", 7, query, strlen(query), 1),
+                     AUTH_UNKNOWN);     /* a signature opens paths, not the service */
+    for (size_t i = 0; query[i]; i++) { /* no byte of it may be another */
+        memcpy(other, query, sizeof query);
+        other[i] = other[i] == 'x' ? 'y' : 'x';
+        if (signed_ask(a, "/d/toy/t", other, 999) == AUTH_OK)
+            fail_msg("byte %zu of %s may be another", i, query);
+    }
+    /* a longer time under the same signature; what comes twice counts as it came first */
+    snprintf(other, sizeof other, "exp=2000&%s", query);
+    assert_int_equal(signed_ask(a, "/d/toy/t", other, 999), AUTH_FORBIDDEN);
+    kit_ok(auth_sign(a, "k1", "/d/toy/tileset.json", 1000, query, &e), e); /* one path alone */
+    assert_int_equal(signed_ask(a, "/d/toy/tileset.json", query, 999), AUTH_OK);
+    assert_int_equal(signed_ask(a, "/d/toy/tileset.json.x", query, 999), AUTH_FORBIDDEN);
+    auth_close(&a);
+}
+
+static void test_private_datasets(void **state)
+{
+    static const char *const scopes[] = {"\"read:toy\"", "\"read:*\",\"render:*\",\"admin\"",
+                                         "\"read:other\""};
+    char path[FILE_PATH_MAX], target[128], line[128], query[AUTH_QUERY_MAX], signed_target[800];
+    struct err e = {0};
+    struct reply r;
+    struct auth *a = NULL;
+    (void)state;
+    snprintf(line, sizeof line, "Authorization: Bearer %s\r\n", TOKEN);
+    for (int k = 0; k < 3; k++) {
+        t.cfg.auth = auth_file(scopes[k], "", path);
+        start();
+        ask("GET", tile_target(17, "glb", target), "", &r);
+        assert_int_equal(r.status, 401);
+        assert_string_equal(header(&r, "WWW-Authenticate"), "Bearer");
+        assert_string_equal(header(&r, "Cache-Control"), "no-store");
+        buf_free(&r.raw);
+        assert_int_equal(status_of("GET", target, "Authorization: Bearer wrong\r\n"), 403);
+        assert_int_equal(status_of("GET", "/d/none/tileset.json", ""),
+                         401); /* as one that there is */
+        assert_int_equal(status_of("GET", "/collections/toy", ""), 401);
+        assert_int_equal(status_of("OPTIONS", target, "Access-Control-Request-Method: GET\r\n"),
+                         204);
+        ask("GET", target, line, &r);
+        assert_int_equal(r.status, k < 2 ? 200 : 403);
+        if (k < 2)
+            assert_string_equal(header(&r, "Cache-Control"),
+                                "private, max-age=31536000, immutable");
+        buf_free(&r.raw);
+        assert_int_equal(status_of("GET", "/d/toy/height?lon=1&lat=1", line), k == 1 ? 503 : 403);
+        ask("GET", "/collections", line, &r);
+        assert_int_equal(strstr((const char *)r.body, "\"toy\"") != NULL, k < 2);
+        buf_free(&r.raw);
+        ask("GET", "/collections", "", &r);
+        assert_null(strstr((const char *)r.body, "\"toy\""));
+        buf_free(&r.raw);
+        ask("GET", "/version", "", &r);
+        assert_null(strstr((const char *)r.body, "\"toy\""));
+        buf_free(&r.raw);
+        kit_ok(auth_open(path, &a, &e), e);
+        kit_ok(auth_sign(a, NULL, "/d/toy/", (int64_t)time(NULL) + 60, query, &e), e);
+        snprintf(signed_target, sizeof signed_target, "%s?%s", target, query);
+        assert_int_equal(status_of("GET", signed_target, ""), 200);
+        snprintf(signed_target, sizeof signed_target, "/d/toy/seed.ndjson?%s&z=15-17", query);
+        assert_int_equal(status_of("GET", signed_target, ""), 200);
+        kit_ok(auth_sign(a, NULL, "/d/toy/", (int64_t)time(NULL) - 1, query, &e), e);
+        snprintf(signed_target, sizeof signed_target, "%s?%s", target, query);
+        assert_int_equal(status_of("GET", signed_target, ""), 403);
+        auth_close(&a);
+        server_stop(&t.server);
+    }
+}
+
+/* ---- caches ---- */
+
+static void test_cache_policies(void **state)
+{
+    static const char immutable[] = "public, max-age=31536000, immutable",
+                      moving[] =
+                          "public, max-age=60, stale-while-revalidate=600, stale-if-error=86400";
+    static const char *const bad[] = {"a",    "=private",   "a=",    "a=never",
+                                      "a=-1", "a=99999999", "a=b=c", ",a=1"};
+    struct cache_policy p;
+    struct err e = {0};
+    struct reply r;
+    char target[128];
+    (void)state;
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++)
+        kit_fails(cache_policy_read(bad[i], &p, &e), ERR_ARG, e, "--cache-policy");
+    kit_ok(cache_policy_read("a=private,b=no-store,c=300,*=public", &p, &e), e);
+    assert_string_equal(cache_policy_of(&p, "a", true, immutable),
+                        "private, max-age=31536000, immutable");
+    assert_string_equal(cache_policy_of(&p, "a", true, moving), "private, max-age=60");
+    assert_string_equal(cache_policy_of(&p, "a", true, "no-store"), "no-store");
+    assert_string_equal(cache_policy_of(&p, "b", true, immutable), "private, no-store");
+    assert_string_equal(cache_policy_of(&p, "c", true, immutable), immutable);
+    assert_string_equal(cache_policy_of(&p, "c", true, moving),
+                        "public, max-age=300, stale-while-revalidate=600, stale-if-error=86400");
+    assert_string_equal(cache_policy_of(&p, "d", true, moving), moving);
+    assert_string_equal(cache_policy_of(&p, "d", false, immutable),
+                        "private, max-age=31536000, immutable");
+    kit_ok(cache_policy_read(NULL, &p, &e), e);
+    assert_string_equal(cache_policy_of(&p, "d", true, immutable), immutable);
+
+    static const char *const tags[] = {"Surrogate-Key", "xkey", "Cache-Tag", "none"};
+    t.cfg.cache_policy = "toy=private";
+    for (int k = 0; k < 4; k++) {
+        t.cfg.tag_header = k;
+        start();
+        for (int again = 0; again < 2; again++) {
+            ask("GET", tile_target(17, "glb", target), "", &r);
+            assert_string_equal(header(&r, "Cache-Control"),
+                                "private, max-age=31536000, immutable");
+            assert_string_equal(header(&r, "Cache-Status"),
+                                again ? "citysplat; hit" : "citysplat; fwd=miss; stored");
+            for (int i = 0; i < 3; i++)
+                assert_int_equal(header(&r, tags[i])[0] != 0, i == k);
+            buf_free(&r.raw);
+        }
+        ask("GET", "/d/toy/tileset.json", "", &r); /* what moves has the tag of its dataset */
+        assert_string_equal(header(&r, "Cache-Control"), "private, max-age=60");
+        if (k < 3)
+            assert_string_equal(header(&r, tags[k]), "ds-toy");
+        buf_free(&r.raw);
+        server_stop(&t.server);
+    }
+}
+
+/* ---- ids of requests, base path, listener of operators ---- */
+
+static void test_request_ids(void **state)
+{
+    struct reply r;
+    char own[2][80];
+    const char *at;
+    (void)state;
+    start();
+    ask("GET", "/healthz", "X-Request-Id: proxy-7.a_B\r\n", &r);
+    assert_string_equal(header(&r, "X-Request-Id"), "proxy-7.a_B");
+    buf_free(&r.raw);
+    ask("GET", "/healthz", "", &r);
+    assert_string_equal(header(&r, "X-Request-Id"), "");
+    buf_free(&r.raw);
+    for (int i = 0; i < 2; i++) { /* neither quotes nor what is too long are repeated */
+        ask("GET", "/nothing/here", i ? "X-Request-Id: a\"b\r\n" : "", &r);
+        assert_int_equal(r.status, 404);
+        snprintf(own[i], sizeof own[i], "%s", header(&r, "X-Request-Id"));
+        assert_int_equal(strlen(own[i]), 16);
+        assert_non_null(at = strstr((const char *)r.body, "\"request_id\":\""));
+        assert_memory_equal(at + 14, own[i], 16);
+        buf_free(&r.raw);
+    }
+    assert_string_not_equal(own[0], own[1]);
+    char line[200] = "X-Request-Id: ";
+    memset(line + 14, 'a', 65);
+    strcpy(line + 79, "\r\n");
+    ask("GET", "/nothing/here", line, &r);
+    assert_int_equal(strlen(header(&r, "X-Request-Id")), 16);
+    buf_free(&r.raw);
+}
+
+static void test_base_path(void **state)
+{
+    static const char *const bad[] = {"splats", "/", "/splats/", "//a", "/a/../b", "/a b"};
+    struct err e = {0};
+    struct reply r;
+    struct server *none = NULL;
+    (void)state;
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        t.cfg.base_path = bad[i];
+        kit_fails(server_start(&t.cfg, t.paths, 1, &none, &e), ERR_ARG, e, "--base-path");
+    }
+    t.cfg.base_path = "/maps/splats";
+    start();
+    assert_int_equal(status_of("GET", "/maps/splats/d/toy/tileset.json", ""), 200);
+    assert_int_equal(status_of("GET", "/d/toy/tileset.json", ""), 200); /* a proxy that strips it */
+    assert_int_equal(status_of("GET", "/maps/splatsd/toy/tileset.json", ""), 404);
+    assert_int_equal(status_of("GET", "/maps/splats/maps/splats/healthz", ""), 404);
+    ask("GET", "/maps/splats", "", &r);
+    assert_int_equal(r.status, 308);
+    assert_string_equal(header(&r, "Location"), "/maps/splats/");
+    buf_free(&r.raw);
+    ask("GET", "/maps/splats/d/toy/t/17/1/1.glb", "",
+        &r); /* relative, so it holds below the path */
+    assert_int_equal(r.status, 307);
+    assert_int_not_equal(header(&r, "Location")[0], '/');
+    buf_free(&r.raw);
+}
+
+static void test_admin_listener(void **state)
+{
+    struct err e = {0};
+    struct reply r;
+    struct server *none = NULL;
+    (void)state;
+    t.cfg.admin = "localhost:1";
+    kit_fails(server_start(&t.cfg, t.paths, 1, &none, &e), ERR_ARG, e, "--admin");
+    t.cfg.admin = "127.0.0.1";
+    kit_fails(server_start(&t.cfg, t.paths, 1, &none, &e), ERR_ARG, e, "--admin");
+    t.cfg.admin = "127.0.0.1:0";
+    start();
+    uint16_t admin = server_admin_port(t.server);
+    assert_int_not_equal(admin, 0);
+    assert_int_not_equal(admin, t.port);
+    assert_int_equal(status_of("GET", "/metrics", ""), 404);
+    assert_int_equal(status_of("POST", "/-/reload", "Content-Length: 0\r\n"), 404);
+    ask_port(admin, "GET", "/metrics", "X-Forwarded-For: 1.2.3.4\r\n", &r);
+    assert_int_equal(r.status, 200);
+    assert_non_null(strstr((const char *)r.body, "citysplat_http_requests_total"));
+    buf_free(&r.raw);
+    static const char *const there[] = {"/healthz", "/readyz", "/version"},
+                             *const not_there[] = {"/", "/d/toy/tileset.json", "/collections"};
+    for (int i = 0; i < 3; i++) {
+        ask_port(admin, "GET", there[i], "", &r);
+        assert_int_equal(r.status, 200);
+        buf_free(&r.raw);
+        ask_port(admin, "GET", not_there[i], "", &r);
+        assert_int_equal(r.status, 404);
+        buf_free(&r.raw);
+    }
+    assert_false(server_reload_asked(t.server));
+    ask_port(admin, "POST", "/-/reload", "Content-Length: 0\r\n", &r);
+    assert_int_equal(r.status, 202);
+    buf_free(&r.raw);
+    assert_true(server_reload_asked(t.server));
+    assert_false(server_reload_asked(t.server));
+    assert_true(server_answers(t.server, 2));
+    /* idle connections of operators do not hold up the end */
+    int fd = dial(admin);
+    say(fd, "GET /healthz HTTP/1.1\r\n" H "\r\n");
+    hear(fd, true, NULL, &r);
+    buf_free(&r.raw);
+    double start_s = clock_s();
+    server_stop(&t.server);
+    assert_true(clock_s() - start_s < 5);
+    close(fd);
+}
+
+/* ---- the program ---- */
+
+struct program {
+    pid_t pid;
+    int out, notify; /* what it prints; what its supervisor hears */
+    char log[FILE_PATH_MAX], socket[FILE_PATH_MAX], line[256];
+    uint16_t port;
+};
+
+static void program_exec(struct program *p, const char *name, const int *listener,
+                         const char *const *args)
+{
+    const char *argv[24] = {name, "serve", t.path, "--device", "none"};
+    char pid[16], fds[4] = "0";
+    int n = 5, k = 0;
+    for (; args[n - 5]; n++)
+        argv[n] = args[n - 5];
+    for (; k < 2 && listener && listener[k] >= 0; k++)
+        if (dup2(listener[k], 3 + k) < 0)
+            _exit(126);
+    dup2(p->out, 1);
+    if (!freopen(p->log, "w", stderr))
+        _exit(126);
+    snprintf(pid, sizeof pid, "%ld", (long)getpid());
+    snprintf(fds, sizeof fds, "%d", k);
+    setenv("NOTIFY_SOCKET", p->socket, 1);
+    setenv("WATCHDOG_PID", pid, 1);
+    setenv("WATCHDOG_USEC", "400000", 1);
+    if (k) {
+        setenv("LISTEN_PID", pid, 1);
+        setenv("LISTEN_FDS", fds, 1);
+        setenv("LISTEN_FDNAMES", k > 1 ? "http:admin" : "http", 1);
+    }
+    execv(argv[0], (char *const *)(uintptr_t)argv);
+    _exit(127);
+}
+
+static void program_start(struct program *p, const int *listener, const char *const *args)
+{
+    struct err e = {0};
+    struct sockaddr_un a = {.sun_family = AF_UNIX};
+    int out[2];
+    const char *name = kit_program(); /* skips the test where there is none */
+    kit_ok(file_join(p->log, t.dir, "operate.log", &e), e);
+    kit_ok(file_join(p->socket, t.dir, "notify", &e), e);
+    unlink(p->socket);
+    snprintf(a.sun_path, sizeof a.sun_path, "%.100s", p->socket);
+    p->notify = socket(AF_UNIX, SOCK_DGRAM, 0);
+    assert_int_equal(bind(p->notify, (struct sockaddr *)&a, sizeof a), 0);
+    assert_int_equal(pipe(out), 0);
+    p->out = out[1];
+    p->pid = fork();
+    assert_true(p->pid >= 0);
+    if (p->pid == 0)
+        program_exec(p, name, listener, args);
+    close(out[1]);
+    p->out = out[0];
+    size_t n = 0;
+    for (ssize_t k; n + 1 < sizeof p->line && (k = read(p->out, p->line + n, 1)) == 1; n++)
+        if (p->line[n] == '\n')
+            break;
+    p->line[n] = '\0';
+    const char *colon = strrchr(p->line, ':');
+    p->port = colon ? (uint16_t)atoi(colon + 1) : 0;
+}
+
+static int program_end(struct program *p, int sig)
+{
+    int status = -1;
+    if (sig)
+        kill(p->pid, sig);
+    assert_int_equal(waitpid(p->pid, &status, 0), p->pid);
+    close(p->out);
+    close(p->notify);
+    assert_true(WIFEXITED(status));
+    return WEXITSTATUS(status);
+}
+
+/* The supervisor hears this before PATIENCE_S is over. */
+static void hears(struct program *p, const char *what)
+{
+    char text[512];
+    for (double end_s = clock_s() + PATIENCE_S; clock_s() < end_s;) {
+        struct pollfd f = {.fd = p->notify, .events = POLLIN};
+        if (poll(&f, 1, 1000) != 1)
+            continue;
+        ssize_t n = recv(p->notify, text, sizeof text - 1, 0);
+        text[n > 0 ? n : 0] = '\0';
+        if (strstr(text, what))
+            return;
+    }
+    fail_msg("the supervisor does not hear %s", what);
+}
+
+static void test_supervisor(void **state)
+{
+    static const char *const args[] = {"--port", "0", "--log-format", "json", NULL};
+    struct program p;
+    struct reply r;
+    struct buf log = {0};
+    struct err e = {0};
+    (void)state;
+#ifndef CITYSPLAT_SYSTEMD
+    skip();
+#endif
+    program_start(&p, NULL, args);
+    hears(&p, "READY=1");
+    hears(&p, "WATCHDOG=1");
+    hears(&p, "WATCHDOG=1"); /* again and again */
+    ask_port(p.port, "GET", "/d/toy/tileset.json?v=\"", "User-Agent: a\"b\\c\r\n", &r);
+    buf_free(&r.raw);
+    ask_port(p.port, "GET", "/d/toy/tileset.json?v=%22",
+             "User-Agent: a\"b\\c\r\nX-Request-Id: q7\r\n", &r);
+    assert_int_equal(r.status, 200);
+    buf_free(&r.raw);
+    kill(p.pid, SIGHUP);
+    hears(&p, "RELOADING=1");
+    hears(&p, "READY=1");
+    kill(p.pid, SIGTERM);
+    hears(&p, "STOPPING=1");
+    assert_int_equal(program_end(&p, 0), 0);
+    kit_ok(file_read(p.log, 0, &log, &e), e);
+    buf_add(&log, "", 1);
+    bool seen = false;
+    int lines = 0;
+    for (char *line = (char *)log.data; *line; lines++) { /* every line is an object */
+        size_t n = strcspn(line, "\n");
+        json_error_t je;
+        json_t *o = json_loadb(line, n, JSON_REJECT_DUPLICATES, &je);
+        if (!o)
+            fail_msg("not JSON: %.*s: %s", (int)n, line, je.text);
+        const char *id = json_string_value(json_object_get(o, "id"));
+        assert_non_null(json_string_value(json_object_get(o, "ts")));
+        if (id && !strcmp(id, "q7")) {
+            seen = true;
+            assert_string_equal(json_string_value(json_object_get(o, "agent")), "a\"b\\c");
+            assert_string_equal(json_string_value(json_object_get(o, "client")), "127.0.0.1");
+            assert_int_equal(json_integer_value(json_object_get(o, "status")), 200);
+        }
+        json_decref(o);
+        line += n + (line[n] == '\n');
+    }
+    assert_true(seen && lines > 4);
+    buf_free(&log);
+}
+
+static int listen_here(uint16_t *port)
+{
+    struct sockaddr_in a = {.sin_family = AF_INET};
+    socklen_t n = sizeof a;
+    a.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    int fd = socket(AF_INET, SOCK_STREAM, 0);
+    assert_int_equal(bind(fd, (struct sockaddr *)&a, sizeof a), 0);
+    assert_int_equal(listen(fd, 100), 0);
+    assert_int_equal(getsockname(fd, (struct sockaddr *)&a, &n), 0);
+    *port = ntohs(a.sin_port);
+    return fcntl(fd, F_DUPFD, 20); /* away from 3 and 4 */
+}
+
+/* The sockets outlive the program: what comes while it is started anew waits, and nothing is refused. */
+static void test_socket_activation(void **state)
+{
+    static const char *const args[] = {
+        "--admin", "127.0.0.1:0", "--access-format", "combined", "--log-clients", "network", NULL};
+    struct program p;
+    struct reply r;
+    uint16_t port, admin;
+    (void)state;
+#ifndef CITYSPLAT_SYSTEMD
+    skip();
+#endif
+    const int fds[2] = {listen_here(&port), listen_here(&admin)};
+    for (int round = 0; round < 3; round++) {
+        int early = dial(port); /* before there is a program */
+        say(early, "GET /d/toy/tileset.json HTTP/1.1\r\n" H
+                   "Referer: http://a/\r\nConnection: close\r\n\r\n");
+        program_start(&p, fds, args);
+        hear(early, true, NULL, &r);
+        assert_int_equal(r.status, 200);
+        buf_free(&r.raw);
+        close(early);
+        ask_port(admin, "GET", "/metrics", "", &r);
+        assert_int_equal(r.status, 200);
+        buf_free(&r.raw);
+        assert_int_equal(program_end(&p, SIGTERM), 0);
+    }
+    struct buf log = {0};
+    struct err e = {0};
+    kit_ok(file_read(p.log, 0, &log, &e), e);
+    buf_add(&log, "", 1);
+    const char *line = strstr((char *)log.data, "127.0.0.0 - - [");
+    assert_non_null(line);
+    assert_non_null(strstr(line, "] \"GET /d/toy/tileset.json HTTP/1.1\" 200 "));
+    assert_non_null(strstr(line, " \"http://a/\" \"-\"\n"));
+    buf_free(&log);
+    close(fds[0]);
+    close(fds[1]);
+}
+
+static int exit_code(const char *const *args, struct buf *said)
+{
+    struct program p;
+    struct err e = {0};
+    program_start(&p, NULL, args);
+    int code = program_end(&p, 0);
+    kit_ok(file_read(p.log, 0, said, &e), e);
+    buf_add(said, "", 1);
+    return code;
+}
+
+static void test_check_and_exit_codes(void **state)
+{
+    char bad[FILE_PATH_MAX], conf[FILE_PATH_MAX];
+    (void)state;
+    put("bad.tiles", "this is no store", bad);
+    put("bad-conf.jsonc", "{\"port\": 70000}", conf);
+    int busy = -1;
+    uint16_t port;
+    char taken[16];
+    busy = listen_here(&port);
+    snprintf(taken, sizeof taken, "%d", port);
+    const struct {
+        int code;
+        const char *says, *args[8];
+    } rows[] = {
+        {0, "", {"--check"}},
+        {EX_CONFIG, "--base-path", {"--check", "--base-path", "x"}},
+        {EX_CONFIG, "--cache-policy", {"--check", "--cache-policy", "x"}},
+        {EX_CONFIG, "/nonexistent", {"--check", "--auth", "/nonexistent"}},
+        {EX_CONFIG, "bad.tiles", {"--check", bad}},
+        {EX_CONFIG, "--trusted-proxy", {"--check", "--trusted-proxy", "x"}},
+        {EX_CONFIG, "/nonexistent", {"--check", "--web-dir", "/nonexistent"}},
+        {EX_USAGE, "--prot", {"--prot", "1"}},
+        {EX_CONFIG, "port", {"--config", conf}},
+        {EX_DATAERR, "bad.tiles", {bad, "--port", "0"}},
+        {EX_NOINPUT, "/nonexistent", {"/nonexistent.tiles", "--port", "0"}},
+        {EX_UNAVAILABLE, "--port", {"--port", taken}},
+    };
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct buf said = {0};
+        int code = exit_code(rows[i].args, &said);
+        if (code != rows[i].code || !strstr((char *)said.data, rows[i].says))
+            fail_msg("row %zu: exit code %d, want %d: %s", i, code, rows[i].code,
+                     (char *)said.data);
+        buf_free(&said);
+    }
+    close(busy);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        HTTP_TEST(test_files_of_auth),     HTTP_TEST(test_signatures),
+        HTTP_TEST(test_private_datasets),  HTTP_TEST(test_cache_policies),
+        HTTP_TEST(test_request_ids),       HTTP_TEST(test_base_path),
+        HTTP_TEST(test_admin_listener),    HTTP_TEST(test_supervisor),
+        HTTP_TEST(test_socket_activation), HTTP_TEST(test_check_and_exit_codes),
+    };
+    return cmocka_run_group_tests(tests, setup_all, teardown_all);
+}
