@@ -21,6 +21,7 @@ struct catalog_options {
     const char *public_url; /* of TileJSON; NULL, "": none */
     double keep_s;          /* revisions that were replaced are served so long */
     size_t keep_revisions;  /* and at most so many of one dataset */
+    unsigned preset;        /* of tiles that do not say one: enum quant_preset */
 };
 /* Open every path. `older` (may be NULL; not changed) gives unchanged datasets and the revisions that it
  * has. catalog_drop it. ERR_ARG: two datasets of one name; the errors of dataset_open. */

@@ -24,7 +24,8 @@ struct dataset { /* immutable but for what the comments say; counted */
     struct area area;                    /* what was surveyed; .in NULL: nothing is known */
     double bbox[6];                      /* west south hmin east north hmax, degrees and metres */
     struct hash128 salt;         /* of all that goes into an encoded tile beside its payload */
-    struct body *tileset;        /* URIs relative to d/NAME/r/REV/; these seven by catalog.c */
+    char edition[9];             /* of its tiles (result_id.h); by catalog.c, as are these seven: */
+    struct body *tileset;        /* URIs relative to d/NAME/r/REV/ */
     struct body *tileset_moving; /* URIs relative to d/NAME/ */
     struct body *tilejson;
     struct body *collection;

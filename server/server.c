@@ -94,7 +94,7 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     sv->n_paths = n;
     sv->workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
     sv->stores = (struct catalog_options){sv->workers, cfg->public_url, cfg->keep_s,
-                                          (size_t)cfg->keep_revisions};
+                                          (size_t)cfg->keep_revisions, (unsigned)cfg->preset};
     struct services *s = &sv->services;
     enum err_code rc = log_start(e);
     if (!rc)

@@ -409,7 +409,7 @@ static json_t *document_of_revision(const char *name)
 {
     char target[256];
     const struct dataset *d = catalog_find(t.s.catalog, "lit", "");
-    snprintf(target, sizeof target, "/d/lit/r/%s/%s", d->meta.revision, name);
+    snprintf(target, sizeof target, "/d/lit/r/%s-%s/%s", d->meta.revision, d->edition, name);
     struct response r = get(target, 200);
     assert_non_null(strstr(r.cache_control, "immutable"));
     assert_int_equal(r.etag[0], '"');
@@ -579,8 +579,9 @@ static void tilesets_and_prefetch_lists_carry_the_look(void **state)
         snprintf(target, sizeof target, "/d/lit/%s%s%stileset.json%s", moving ? "" : "r/",
                  moving ? "" : d->meta.revision, moving ? "" : "/", query);
         struct response r = get(target, 200);
-        snprintf(want, sizeof want, "\"%s%s%st/%u/%u/%u.glb%s\"", moving ? "r/" : "",
-                 moving ? d->meta.revision : "", moving ? "/" : "", k.z, k.x, k.y, query);
+        snprintf(want, sizeof want, "\"%s%s%s%s%st/%u/%u/%u.glb%s\"", moving ? "r/" : "",
+                 moving ? d->meta.revision : "", moving ? "-" : "", moving ? d->edition : "",
+                 moving ? "/" : "", k.z, k.x, k.y, query);
         if (!says(&r, want))
             fail_msg("%s lacks %s: %.*s", target, want, (int)r.size, (const char *)r.data);
         response_free(&r);
@@ -592,6 +593,7 @@ static void tilesets_and_prefetch_lists_carry_the_look(void **state)
     snprintf(target, sizeof target, "/d/lit/%s", text_of(line, "url"));
     struct response tile = get(target, 200);
     assert_string_equal(tile.etag, text_of(line, "etag"));
+    assert_non_null(strstr(tile.cache_control, "immutable"));
     assert_non_null(strstr(target, ".spz?appearance=p1.jpg"));
     json_decref(line);
     response_free(&tile);

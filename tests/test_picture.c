@@ -13,7 +13,7 @@ static const char POSE[] = "13.398,52.4985,150@10.5,-40,55";
 
 static const char *view_target(const char *pose, const char *size, char out[256])
 {
-    snprintf(out, 256, "/d/toy/r/%s/static/%s/%s", t.rev, pose, size);
+    snprintf(out, 256, "/d/toy/r/%s/static/%s/%s", revision_of(ROUTE_VIEW), pose, size);
     return out;
 }
 
@@ -58,6 +58,8 @@ static void test_bytes(void **state)
     if (!start_with_device())
         skip();
     draw(&want);
+    view_target(POSE, "32x32.png", target); /* the device is ready once one was drawn */
+    assert_int_equal(status_of("GET", target, ""), 200);
     ask("GET", view_target(POSE, "96x64.png", target), "", &r);
     assert_int_equal(r.status, 200);
     assert_string_equal(header(&r, "Content-Type"), "image/png");
