@@ -43,6 +43,8 @@ enum err_code dataset_open(const char *path, size_t readers, struct dataset **ou
                            struct err *e) ERR_USE;
 struct dataset *dataset_ref(struct dataset *d);
 void dataset_drop(struct dataset **d);
+/* Is the caller's the only reference? Nobody can take another one then. */
+bool dataset_is_last(const struct dataset *d);
 /* A handle for this thread alone until dataset_return. NULL only if more threads borrow than
  * `readers`. */
 struct store *dataset_borrow(struct dataset *d);
