@@ -19,7 +19,7 @@ struct dataset { /* immutable but for what the comments say; counted */
     struct store_meta meta;
     const struct store_tile *tiles;
     size_t n_tiles;
-    const struct store *index;           /* for store_find only */
+    const struct store *index;           /* stores[0], for what threads may share of a store */
     const struct appearance *appearance; /* of the store; NULL: one appearance only */
     struct area area;                    /* what was surveyed; .in NULL: nothing is known */
     double bbox[6];                      /* west south hmin east north hmax, degrees and metres */

@@ -6,6 +6,7 @@
 #include "codec/draco.h"
 #include "codec/ply.h"
 #include "codec/quant.h"
+#include "core/pool.h"
 #include "lod/bake.h"
 #include "lod/photograph.h"
 #include "lod/store.h"
@@ -603,6 +604,32 @@ static void tilesets_and_prefetch_lists_carry_the_look(void **state)
     response_free(&r);
 }
 
+static enum err_code ask_one(void *user, size_t i, struct err *e)
+{
+    _Atomic size_t *n_found = user;
+    char target[128];
+    snprintf(target, sizeof target, "/d/lit/appearance?appearance=p%zu.jpg:%zu,p4.jpg:1", i % 3,
+             i + 1);
+    const struct request r = {.target = target, .target_size = strlen(target)};
+    struct response out;
+    (void)e;
+    route_answer(&t.s, &r, &out);
+    atomic_fetch_add(n_found, out.status == 200);
+    response_free(&out);
+    return ERR_OK;
+}
+
+/* On threads of HTTP; the ThreadSanitizer looks at this. */
+static void many_ask_at_once(void **state)
+{
+    enum { N = 200 };
+    struct err e = {0};
+    _Atomic size_t n_found = 0;
+    (void)state;
+    kit_ok(pool_for(N, 4, ask_one, &n_found, &e), e);
+    assert_int_equal(n_found, N);
+}
+
 static void what_is_no_look_is_a_clear_answer(void **state)
 {
     (void)state;
@@ -670,6 +697,7 @@ int main(void)
         cmocka_unit_test(photographs_have_times_poses_and_thumbnails),
         cmocka_unit_test(tilesets_and_prefetch_lists_carry_the_look),
         cmocka_unit_test(what_is_no_look_is_a_clear_answer),
+        cmocka_unit_test(many_ask_at_once),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
 }
