@@ -401,6 +401,11 @@ static void http_on_log(void *cls, const char *fmt, va_list args)
 /* ---- listening ---- */
 
 /* libmicrohttpd stops accepting at its own limit and answers nothing, so ours is half of it. */
+size_t http_descriptors(size_t max_connections)
+{
+    return 2 * max_connections + HTTP_SPARE;
+}
+
 static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
 {
     const struct server_config *cfg = h->s->cfg;
@@ -409,7 +414,8 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
         threads = pool_cores() < HTTP_THREADS_MAX ? (unsigned)pool_cores() : HTTP_THREADS_MAX;
     struct MHD_OptionItem options[] = {
         {MHD_OPTION_LISTEN_SOCKET, fd, NULL},
-        {MHD_OPTION_CONNECTION_LIMIT, 2 * cfg->max_connections + HTTP_SPARE, NULL},
+        {MHD_OPTION_CONNECTION_LIMIT, (intptr_t)http_descriptors((size_t)cfg->max_connections),
+         NULL},
         {MHD_OPTION_CONNECTION_TIMEOUT, (intptr_t)(cfg->idle_timeout_s + cfg->write_timeout_s) + 1,
          NULL},
         {MHD_OPTION_CONNECTION_MEMORY_LIMIT, cfg->max_header_kb << 10, NULL},

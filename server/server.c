@@ -8,6 +8,7 @@
 #include <signal.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/resource.h>
 
 #include "core/pool.h"
 #include "server/http.h"
@@ -80,6 +81,39 @@ static void server_set_url(struct server *sv)
     sv->services.url = sv->cfg.public_url && *sv->cfg.public_url ? sv->cfg.public_url : own;
 }
 
+/* Where descriptors run out, accept() fails before an idle connection could give way to a new one. So
+ * the limit is raised as far as this process may, and where that is not enough there are fewer
+ * connections. */
+static void server_fit_descriptors(struct server *sv)
+{
+    enum { OTHERS = 64, CONNECTIONS_MIN = 8 };
+    struct rlimit limit;
+    const size_t wanted = (size_t)sv->cfg.max_connections,
+                 others =
+                     OTHERS + sv->n_paths * (2 + sv->stores.keep_revisions) * (sv->workers + 2),
+                 need = http_descriptors(wanted) + others;
+    if (getrlimit(RLIMIT_NOFILE, &limit) || limit.rlim_cur == RLIM_INFINITY ||
+        limit.rlim_cur >= need)
+        return;
+    const struct rlimit more = {
+        limit.rlim_max == RLIM_INFINITY || limit.rlim_max > need ? need : limit.rlim_max,
+        limit.rlim_max};
+    if (!setrlimit(RLIMIT_NOFILE, &more))
+        limit = more;
+    if (limit.rlim_cur >= need)
+        return;
+    size_t room = limit.rlim_cur / 8; /* of many datasets some revisions go without */
+    while (room < wanted && http_descriptors(room + 1) + others <= limit.rlim_cur)
+        room++;
+    room = room < CONNECTIONS_MIN ? CONNECTIONS_MIN : room;
+    if (room < wanted)
+        sv->cfg.max_connections = (int64_t)room;
+    log_warn("serve",
+             "descriptors limit=%zu needed=%zu max_connections=%zu instead of %zu: raise the limit "
+             "(ulimit -n, LimitNOFILE) or ask for fewer",
+             (size_t)limit.rlim_cur, need, room < wanted ? room : wanted, wanted);
+}
+
 enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,
                            struct server **out, struct err *e)
 {
@@ -97,6 +131,8 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
                                           (size_t)cfg->keep_revisions, (unsigned)cfg->preset};
     struct services *s = &sv->services;
     enum err_code rc = log_start(e);
+    if (!rc)
+        server_fit_descriptors(sv);
     if (!rc)
         rc = services_open(s, &sv->cfg, e);
     if (!rc)
