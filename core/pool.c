@@ -47,6 +47,12 @@ static void *pool_worker(void *arg)
 }
 
 static size_t pool_most; /* 0 = one a core */
+static _Thread_local bool pool_is_alone;
+
+void pool_alone(void)
+{
+    pool_is_alone = true;
+}
 
 void pool_limit(size_t threads)
 {
@@ -77,6 +83,8 @@ enum err_code pool_for(size_t n, size_t threads,
         threads = pool_cores();
     if (threads > n)
         threads = n;
+    if (pool_is_alone)
+        threads = 1;
     if (threads > POOL_THREADS_MAX)
         threads = POOL_THREADS_MAX;
     struct pool_loop l = {.n = n, .fn = fn, .user = user, .failed_i = n};

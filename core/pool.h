@@ -21,6 +21,8 @@ size_t pool_cores(void);
 /* Use at most this many threads (0 = no limit), here and in a CPU device that is opened afterwards.
  * Call it before threads start. */
 void pool_limit(size_t threads);
+/* This thread is one of as many as there is work for: from now on its pool_for calls fn itself. */
+void pool_alone(void);
 
 /* One background thread that runs fn(user) once; pool_join waits and frees. Used for prefetching.
  * ERR_MEM. */

@@ -74,8 +74,10 @@ static enum err_code bake_parse(const struct buf *blob, struct bake **out, struc
 
 enum err_code bake_of(struct store *s, const struct appearance **out, struct err *e)
 {
-    *out = NULL;
-    if (!s->bake_known && s->meta.embed_len > 0) {
+    *out = s->bake ? &s->bake->model : NULL;
+    if (s->bake_known)
+        return ERR_OK; /* nothing is written: threads may be here at once */
+    if (s->meta.embed_len > 0) {
         struct buf blob = {0};
         struct err none = {0};
         enum err_code rc = store_get_blob(s, BAKE_BLOB, &blob, &none);

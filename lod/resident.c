@@ -7,7 +7,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "codec/payload.h"
 #include "core/pool.h"
 #include "lod/store.h"
 
@@ -86,15 +85,14 @@ static enum err_code resident_decode(void *user, size_t i, struct err *e)
     const struct store_tile *t = resident_index(b->r, b->tile[i]);
     const struct render_model *m = &b->r->model;
     struct gauss g = {0};
-    enum err_code rc = payload_decode(b->payload[i].data, b->payload[i].size, NULL, &g, e);
+    enum err_code rc = store_decode(b->r->store, t, &b->payload[i], &g, e);
     if (rc)
-        return err_add(e, "tile %u/%u/%u", t->key.z, t->key.x, t->key.y);
-    memcpy(g.origin_enu_m, t->center_enu_m, sizeof g.origin_enu_m);
+        return rc;
     if (!m->embed_len)
         g.embed_len = 0; /* nothing would say what they mean */
-    if (g.sh_degree != m->sh_degree || g.embed_len != m->embed_len || g.n != t->count)
+    if (g.sh_degree != m->sh_degree || g.embed_len != m->embed_len)
         rc = err_set(e, ERR_FORMAT,
-                     "tile %u/%u/%u: other harmonics, embeddings or number than the index says",
+                     "tile %u/%u/%u: other harmonics or embeddings than the store's others",
                      t->key.z, t->key.x, t->key.y);
     if (!rc)
         rc = block_sort(&g, e);

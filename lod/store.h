@@ -104,6 +104,11 @@ enum err_code store_read(struct store *s, struct key k, struct buf *out, struct 
  * ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code store_read_gauss(struct store *s, struct key k, struct gauss *out,
                                struct err *e) ERR_USE;
+/* Bytes that store_read gave for `t`, decoded likewise. The store is only read, so threads may share it.
+ * No more memory is taken than a tile of t->count Gaussians needs. ERR_FORMAT: no payload, or one of another
+ * number, degree or embedding than index and meta say. ERR_MEM. */
+enum err_code store_decode(const struct store *s, const struct store_tile *t,
+                           const struct buf *bytes, struct gauss *out, struct err *e) ERR_USE;
 /* A blob into `out` (caller frees), hash verified. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code store_get_blob(struct store *s, const char *name, struct buf *out,
                              struct err *e) ERR_USE;

@@ -19,6 +19,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "codec/limits.h"
 #include "codec/payload.h"
 #include "lod/store.h"
 #include "lod/store_db.h"
@@ -522,6 +523,31 @@ enum err_code store_read(struct store *s, struct key k, struct buf *out, struct 
     return rc;
 }
 
+/* A hash says that the bytes are those that were written, not that whoever wrote them meant well. */
+enum err_code store_decode(const struct store *s, const struct store_tile *t,
+                           const struct buf *bytes, struct gauss *out, struct err *e)
+{
+    enum { MEAN_SCALE_QUAT_OPACITY = 11 };
+    const struct store_meta *m = &s->meta;
+    const size_t row = MEAN_SCALE_QUAT_OPACITY + 3 * gauss_sh_count(m->sh_degree) + m->embed_len;
+    const struct codec_limits limits = {.max_gaussians = t->count ? t->count : 1, /* 0: no limit */
+                                        .max_bytes = t->count * row * sizeof(float) + 1};
+    enum err_code rc = payload_decode(bytes->data, bytes->size, &limits, out, e);
+    if (!rc &&
+        (out->n != t->count || out->sh_degree > m->sh_degree || out->embed_len != m->embed_len)) {
+        gauss_free(out);
+        rc = ERR_LIMIT;
+    }
+    if (rc == ERR_LIMIT)
+        rc = err_set(e, ERR_FORMAT,
+                     "other harmonics, embeddings or number of Gaussians than the index says");
+    if (!rc) {
+        memcpy(out->origin_enu_m, t->center_enu_m, sizeof out->origin_enu_m);
+        return ERR_OK;
+    }
+    return err_add(e, "%s: tile %u/%u/%u", s->path, t->key.z, t->key.x, t->key.y);
+}
+
 enum err_code store_read_gauss(struct store *s, struct key k, struct gauss *out, struct err *e)
 {
     struct buf b = {0};
@@ -531,13 +557,8 @@ enum err_code store_read_gauss(struct store *s, struct key k, struct gauss *out,
         return err_set(e, ERR_NOENT, "%s: tile %u/%u/%u: not in this store", s->path, k.z, k.x,
                        k.y);
     enum err_code rc = store_read(s, k, &b, e);
-    if (!rc) {
-        rc = payload_decode(b.data, b.size, NULL, out, e);
-        if (rc)
-            err_add(e, "%s: tile %u/%u/%u", s->path, k.z, k.x, k.y);
-    }
     if (!rc)
-        memcpy(out->origin_enu_m, t->center_enu_m, sizeof out->origin_enu_m);
+        rc = store_decode(s, t, &b, out, e);
     buf_free(&b);
     return rc;
 }

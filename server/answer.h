@@ -35,7 +35,8 @@ bool answer_map(struct services *s, const struct request *r, struct dataset *d,
 /* answer_query.c: questions about the surface; false for other routes. */
 bool answer_query(struct services *s, const struct request *r, struct dataset *d,
                   const struct target *t, struct response *out);
-/* answer_view.c: false, with the problem set, when nothing can be drawn. */
+/* answer_view.c: false, with the problem set, when nothing can be drawn. Sets out->unnamed while the
+ * device starts: ask before the result is named. */
 bool answer_can_draw(struct services *s, struct response *out);
 /* answer_appearance.c: the list, one appearance, a posted mix, network, photographs and thumbnails;
  * false for other routes. */

@@ -69,7 +69,8 @@ static void answer_appearance_mix(const struct request *r, struct dataset *d, st
 }
 
 /* A document of a revision; b NULL: the dataset has no appearance. */
-static void answer_appearance_document(const struct request *r, struct dataset *d, struct body *b,
+static void answer_appearance_document(struct services *s, const struct request *r,
+                                       struct dataset *d, const struct target *t, struct body *b,
                                        struct response *out)
 {
     if (!b) {
@@ -77,7 +78,7 @@ static void answer_appearance_document(const struct request *r, struct dataset *
         return;
     }
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s", d->meta.name, d->meta.revision);
-    response_document(r, RESPONSE_JSON, RESPONSE_IMMUTABLE, body_ref(b), out);
+    response_document(r, RESPONSE_JSON, response_cache_control(s, d, t), body_ref(b), out);
 }
 
 static void answer_appearance_thumbnail(struct services *s, const struct request *r,
@@ -91,7 +92,7 @@ static void answer_appearance_thumbnail(struct services *s, const struct request
     }
     struct hash128 id = result_id_thumbnail(d, name);
     out->type = target_type(FORMAT_JPG);
-    out->cache_control = RESPONSE_IMMUTABLE;
+    out->cache_control = RESPONSE_IMMUTABLE; /* its bytes are the store's own */
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s", d->meta.name, d->meta.revision);
     if (!response_made(s, r, id, out))
         return;
@@ -106,9 +107,9 @@ bool answer_appearance(struct services *s, const struct request *r, struct datas
                        const struct target *t, struct response *out)
 {
     if (t->route == ROUTE_MODEL)
-        answer_appearance_document(r, d, d->model, out);
+        answer_appearance_document(s, r, d, t, d->model, out);
     else if (t->route == ROUTE_PHOTOGRAPHS)
-        answer_appearance_document(r, d, d->photographs, out);
+        answer_appearance_document(s, r, d, t, d->photographs, out);
     else if (t->route == ROUTE_THUMBNAIL)
         answer_appearance_thumbnail(s, r, d, t, out);
     else if (t->route == ROUTE_APPEARANCES)

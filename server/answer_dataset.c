@@ -43,7 +43,7 @@ static void answer_dataset_tileset(struct services *s, const struct request *r, 
     bool moving = t->route == ROUTE_TILESET_MOVING;
     target_query(t, query);
     out->type = RESPONSE_JSON;
-    out->cache_control = moving ? RESPONSE_MOVING : RESPONSE_IMMUTABLE;
+    out->cache_control = moving ? RESPONSE_MOVING : response_cache_control(s, d, t);
     if (!moving)
         snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s", d->meta.name,
                  d->meta.revision);
@@ -62,10 +62,13 @@ static void answer_dataset_tileset(struct services *s, const struct request *r, 
     out->timeout_s = s->cfg->deadline_s;
 }
 
-/* 307 to the same thing in the current revision, relative, so that it works below any prefix. */
-static void answer_dataset_moving(const struct request *r, const struct dataset *d,
-                                  const struct target *t, struct response *out)
+/* 307 to the same thing in the current revision and edition, relative, so that it works below any
+ * prefix. */
+static void answer_dataset_moving(struct services *s, const struct request *r,
+                                  const struct dataset *d, const struct target *t,
+                                  struct response *out)
 {
+    char edition[9];
     const char *word = t->route == ROUTE_TILE_MOVING      ? "/t/"
                        : t->route == ROUTE_MAP_MOVING     ? "/map/"
                        : t->route == ROUTE_TERRAIN_MOVING ? "/terrain/"
@@ -73,8 +76,9 @@ static void answer_dataset_moving(const struct request *r, const struct dataset 
     const char *up = t->route == ROUTE_VIEW_MOVING ? "../../" : "../../../";
     struct buf b = {0};
     size_t at = strlen("/d/") + strlen(t->ds) + strlen(word);
-    buf_printf(&b, "%sr/%s%s%.*s", up, d->meta.revision, word, (int)(r->target_size - at),
-               r->target + at); /* with its query */
+    response_edition(s, d, t->route, edition);
+    buf_printf(&b, "%sr/%s%s%s%s%.*s", up, d->meta.revision, *edition ? "-" : "", edition, word,
+               (int)(r->target_size - at), r->target + at); /* with its query */
     if (b.failed || !(out->location = mem_text((const char *)b.data)))
         response_problem(out, 503, "out of memory");
     else
@@ -101,7 +105,7 @@ bool answer_dataset(struct services *s, const struct request *r, struct dataset 
     case ROUTE_VIEW_MOVING:
     case ROUTE_MAP_MOVING:
     case ROUTE_TERRAIN_MOVING:
-        answer_dataset_moving(r, d, t, out);
+        answer_dataset_moving(s, r, d, t, out);
         return true;
     case ROUTE_SEED:
         answer_dataset_seed(s, r, d, t, out);

@@ -12,7 +12,8 @@
 #include "server/result_id.h"
 
 /* False, with the answer set, where there is nothing to draw. */
-static bool answer_map_there(const struct dataset *d, const struct target *t, struct response *out)
+static bool answer_map_there(struct services *s, const struct dataset *d, const struct target *t,
+                             struct response *out)
 {
     char text[160];
     int most = raster_zoom_max(&d->area) + RASTER_ZOOM_OVER;
@@ -31,7 +32,7 @@ static bool answer_map_there(const struct dataset *d, const struct target *t, st
     if (t->route == ROUTE_TERRAIN || area_touches(&d->area, t->key))
         return true;
     out->status = 204; /* a tile like any other, with nothing on it */
-    out->cache_control = RESPONSE_IMMUTABLE;
+    out->cache_control = response_cache_control(s, d, t);
     return false;
 }
 
@@ -41,7 +42,7 @@ static void answer_map_tile(struct services *s, const struct request *r, struct 
     struct appearance_choice choice = {0};
     char device[160];
     bool terrain = t->route == ROUTE_TERRAIN;
-    if (!answer_map_there(d, t, out) || !answer_can_draw(s, out) ||
+    if (!answer_map_there(s, d, t, out) || !answer_can_draw(s, out) ||
         (!terrain && !answer_find_appearance(d, t->appearance, &choice, out)))
         return;
     const struct map_tile tile = {.key = t->key,
@@ -55,7 +56,7 @@ static void answer_map_tile(struct services *s, const struct request *r, struct 
     picture_about(s->picture, device, sizeof device);
     struct hash128 id = result_id_map(d, device, &tile, map_tile_is_flat(&d->area, &tile), &choice);
     out->type = target_type(tile.format);
-    out->cache_control = response_cache_control(s->cfg, t);
+    out->cache_control = response_cache_control(s, d, t);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s map", d->meta.name,
              d->meta.revision);
     if (!response_made(s, r, id, out))
@@ -76,6 +77,7 @@ static void answer_map_document(struct services *s, const struct request *r, str
     struct err e = {0};
     struct body *b = NULL;
     struct appearance_choice choice;
+    char edition[9];
     bool wmts = t->route == ROUTE_WMTS;
     if (!d->area.in) {
         response_problem(out, 404, "nothing of this dataset was surveyed: it has no maps");
@@ -83,8 +85,9 @@ static void answer_map_document(struct services *s, const struct request *r, str
     }
     if (t->route != ROUTE_TERRAINJSON && !answer_find_appearance(d, t->appearance, &choice, out))
         return;
-    enum err_code rc = wmts ? map_document_wmts(d, t, s->url, &b, &e)
-                            : map_document_tilejson(d, t, s->cfg->public_url, &b, &e);
+    response_edition(s, d, t->route, edition);
+    enum err_code rc = wmts ? map_document_wmts(d, edition, t, s->url, &b, &e)
+                            : map_document_tilejson(d, edition, t, s->cfg->public_url, &b, &e);
     if (rc == ERR_ARG)
         response_problem(out, 404, e.msg);
     else if (rc)

@@ -75,17 +75,14 @@ bool answer_query(struct services *s, const struct request *r, struct dataset *d
     } else if (answer_can_draw(s, out)) {
         picture_about(s->picture, device, sizeof device);
         struct hash128 id = result_id_query(d, device, s->geoid ? geoid_name(s->geoid) : "", q);
-        bool post = r->method == METHOD_POST;
+        out->unnamed |= r->method == METHOD_POST;
         out->type = RESPONSE_JSON;
-        out->cache_control = post ? RESPONSE_NO_STORE : RESPONSE_MOVING;
-        out->status = 200;
-        out->cache = "none";
-        struct work *w = post || response_made(s, r, id, out)
+        out->cache_control = RESPONSE_MOVING;
+        struct work *w = response_made(s, r, id, out)
                              ? response_work(d, WORK_QUERY, id, (struct form){0}, out)
                              : NULL;
         if (w) {
             w->query = q;
-            w->keep = !post;
             q = NULL;
         }
         out->cls = JOB_MAP;

@@ -26,7 +26,7 @@ void answer_tile(struct services *s, const struct request *r, struct dataset *d,
     form.trained = choice.trained;
     struct hash128 id = result_id_tile(d, tile, form, &choice);
     out->type = target_type(form.format);
-    out->cache_control = response_cache_control(s->cfg, t);
+    out->cache_control = response_cache_control(s, d, t);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s z-%u", d->meta.name,
              d->meta.revision, t->key.z);
     if (!response_made(s, r, id, out))

@@ -32,6 +32,8 @@ bool answer_can_draw(struct services *s, struct response *out)
         response_problem(out, 503, text);
         out->retry_after_s = 10;
     }
+    if (picture_state(s->picture) == PICTURE_STARTING)
+        out->unnamed = true; /* names hold the device, which is not known yet */
     return !(hangs_s > 0);
 }
 
@@ -88,7 +90,7 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
     int quality = (int)s->cfg->quality;
     struct hash128 id = answer_view_id(s, d, &cam, &choice, t->form.format, quality, &t->paint);
     out->type = target_type(t->form.format);
-    out->cache_control = response_cache_control(s->cfg, t);
+    out->cache_control = response_cache_control(s, d, t);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s view", d->meta.name,
              d->meta.revision);
     if (!response_made(s, r, id, out))
@@ -116,17 +118,15 @@ void answer_render(struct services *s, const struct request *r, struct dataset *
     if (!answer_view_check(s, p.cam.width_px, p.cam.height_px, out) ||
         !answer_find_appearance(d, p.appearance, &choice, out))
         return;
+    struct hash128 id = answer_view_id(s, d, &p.cam, &choice, p.format, p.quality, &p.paint);
     out->type = target_type(p.format);
-    out->cache_control = RESPONSE_NO_STORE;
-    out->cache = "none";
-    out->status = 200;
-    struct work *w = response_work(
-        d, WORK_VIEW, answer_view_id(s, d, &p.cam, &choice, p.format, p.quality, &p.paint),
-        (struct form){.format = p.format}, out);
+    out->unnamed = true; /* a name of the bytes is of no use */
+    if (!response_made(s, r, id, out))
+        return;
+    struct work *w = response_work(d, WORK_VIEW, id, (struct form){.format = p.format}, out);
     if (w) {
         w->view = (struct picture_view){p.cam, p.format, p.quality, p.paint};
         w->appearance = choice;
-        w->keep = false;
     }
     out->cls = JOB_VIEW;
     out->timeout_s = p.timeout_s;

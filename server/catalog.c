@@ -16,6 +16,7 @@
 #include "server/appearance_model.h"
 #include "server/collection.h"
 #include "server/document.h"
+#include "server/result_id.h"
 
 static enum err_code catalog_make_documents(struct dataset *d, const char *public_url,
                                             struct err *e)
@@ -25,7 +26,7 @@ static enum err_code catalog_make_documents(struct dataset *d, const char *publi
     enum err_code rc = tileset_write(d->index, "t/{z}/{x}/{y}.glb", &b, e);
     rc = document_take(rc, &b, &d->tileset, e);
     if (!rc) {
-        snprintf(text, sizeof text, "r/%s/t/{z}/{x}/{y}.glb", d->meta.revision);
+        snprintf(text, sizeof text, "r/%s-%s/t/{z}/{x}/{y}.glb", d->meta.revision, d->edition);
         rc = tileset_write(d->index, text, &b, e);
         rc = document_take(rc, &b, &d->tileset_moving, e);
     }
@@ -33,8 +34,8 @@ static enum err_code catalog_make_documents(struct dataset *d, const char *publi
         size_t n = public_url ? strlen(public_url) : 0;
         while (n && public_url[n - 1] == '/')
             n--;
-        snprintf(text, sizeof text, "%.*s/d/%s/r/%s/t/{z}/{x}/{y}.glb", n ? (int)n : 5,
-                 n ? public_url : "../..", d->meta.name, d->meta.revision);
+        snprintf(text, sizeof text, "%.*s/d/%s/r/%s-%s/t/{z}/{x}/{y}.glb", n ? (int)n : 5,
+                 n ? public_url : "../..", d->meta.name, d->meta.revision, d->edition);
         rc = tileset_tilejson(d->index, text, &b, e);
         rc = document_take(rc, &b, &d->tilejson, e);
     }
@@ -80,6 +81,8 @@ static enum err_code catalog_open_or_keep(const char *path, const struct catalog
     if (*out)
         return ERR_OK;
     rc = dataset_open(path, o->readers, out, e);
+    if (!rc)
+        result_id_tiles_edition(*out, o->preset, (*out)->edition);
     if (!rc)
         rc = catalog_make_documents(*out, o->public_url, e);
     if (rc)

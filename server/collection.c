@@ -44,7 +44,8 @@ static json_t *collection_json(const struct dataset *d, const char *up)
     snprintf(model, sizeof model, "%sd/%s/r/%s/appearance.json", up, m->name, m->revision);
     snprintf(photographs, sizeof photographs, "%sd/%s/r/%s/appearances.json", up, m->name,
              m->revision);
-    snprintf(tile, sizeof tile, "%sd/%s/r/%s/t/{z}/{x}/{y}.{ext}", up, m->name, m->revision);
+    snprintf(tile, sizeof tile, "%sd/%s/r/%s-%s/t/{z}/{x}/{y}.{ext}", up, m->name, m->revision,
+             d->edition);
     snprintf(view, sizeof view,
              "%sd/%s/static/{lon},{lat},{h}@{heading},{pitch},{fov}/{w}x{h}.{fmt}", up, m->name);
     json_t *o = json_pack("{s:s,s:s,s:s,s:s,s:{s:{s:[o],s:s}}}", "id", m->name, "title", m->name,

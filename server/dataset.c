@@ -129,6 +129,11 @@ struct dataset *dataset_ref(struct dataset *d)
     return d;
 }
 
+bool dataset_is_last(const struct dataset *d)
+{
+    return atomic_load_explicit(&d->refs, memory_order_acquire) == 1;
+}
+
 void dataset_drop(struct dataset **out)
 {
     struct dataset *d = *out;

@@ -19,12 +19,13 @@ struct dataset { /* immutable but for what the comments say; counted */
     struct store_meta meta;
     const struct store_tile *tiles;
     size_t n_tiles;
-    const struct store *index;           /* for store_find only */
+    const struct store *index;           /* stores[0], for what threads may share of a store */
     const struct appearance *appearance; /* of the store; NULL: one appearance only */
     struct area area;                    /* what was surveyed; .in NULL: nothing is known */
     double bbox[6];                      /* west south hmin east north hmax, degrees and metres */
     struct hash128 salt;         /* of all that goes into an encoded tile beside its payload */
-    struct body *tileset;        /* URIs relative to d/NAME/r/REV/; these seven by catalog.c */
+    char edition[9];             /* of its tiles (result_id.h); by catalog.c, as are these seven: */
+    struct body *tileset;        /* URIs relative to d/NAME/r/REV/ */
     struct body *tileset_moving; /* URIs relative to d/NAME/ */
     struct body *tilejson;
     struct body *collection;
@@ -42,6 +43,8 @@ enum err_code dataset_open(const char *path, size_t readers, struct dataset **ou
                            struct err *e) ERR_USE;
 struct dataset *dataset_ref(struct dataset *d);
 void dataset_drop(struct dataset **d);
+/* Is the caller's the only reference? Nobody can take another one then. */
+bool dataset_is_last(const struct dataset *d);
 /* A handle for this thread alone until dataset_return. NULL only if more threads borrow than
  * `readers`. */
 struct store *dataset_borrow(struct dataset *d);

@@ -551,6 +551,11 @@ static size_t http_connections(const struct http *h)
 }
 
 /* libmicrohttpd stops accepting at its own limit and answers nothing, so ours is half of it. */
+size_t http_descriptors(size_t max_connections)
+{
+    return 2 * max_connections + HTTP_SPARE;
+}
+
 static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
 {
     const struct server_config *cfg = h->s->cfg;
@@ -562,7 +567,7 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
         threads = pool_cores() < HTTP_THREADS_MAX ? (unsigned)pool_cores() : HTTP_THREADS_MAX;
     struct MHD_OptionItem options[] = {
         {MHD_OPTION_LISTEN_SOCKET, fd, NULL},
-        {MHD_OPTION_CONNECTION_LIMIT, 2 * most + HTTP_SPARE, NULL},
+        {MHD_OPTION_CONNECTION_LIMIT, (intptr_t)http_descriptors(most), NULL},
         {MHD_OPTION_CONNECTION_TIMEOUT, (intptr_t)(cfg->idle_timeout_s + cfg->write_timeout_s) + 1,
          NULL},
         {MHD_OPTION_CONNECTION_MEMORY_LIMIT, cfg->max_header_kb << 10, NULL},

@@ -17,6 +17,8 @@ enum err_code http_open(struct services *s, enum http_side side, struct http **o
 enum err_code http_check(const struct server_config *cfg, struct err *e) ERR_USE;
 /* Answer; needs s->jobs. ERR_IO, ERR_MEM. */
 enum err_code http_start(struct http *h, struct err *e) ERR_USE;
+/* Descriptors that so many connections need, with those beyond that are answered 503. */
+size_t http_descriptors(size_t max_connections);
 uint16_t http_port(const struct http *h);
 /* Stop listening, finish what is under way (at most drain_timeout_s), then everything is closed. */
 void http_close(struct http **h);

@@ -228,6 +228,8 @@ static void job_worker_main(void *user)
     bool view = w->index == js->cfg.tile_threads;
     if (view && js->cfg.view_enter)
         js->cfg.view_enter(js->cfg.user);
+    if (!view)
+        pool_alone(); /* --workers says how many threads tiles have */
     pthread_mutex_lock(&js->lock);
     if (view)
         js->drawing_since_s = 0;

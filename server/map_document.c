@@ -16,15 +16,18 @@ static const double MAP_DOCUMENT_HALF_M = 20037508.342789244;
 enum { MAP_DOCUMENT_URL_MAX = TARGET_QUERY_MAX + FILE_PATH_MAX + 64 };
 
 /* The address of a dataset's revision, with '/' at its end. */
-static void map_document_root(const struct dataset *d, const char *base, char *out, size_t room)
+static void map_document_root(const struct dataset *d, const char *edition, const char *base,
+                              char *out, size_t room)
 {
+    const char *dash = *edition ? "-" : "";
     size_t n = base ? strlen(base) : 0;
     while (n && base[n - 1] == '/')
         n--;
     if (n)
-        snprintf(out, room, "%.*s/d/%s/r/%s/", (int)n, base, d->meta.name, d->meta.revision);
+        snprintf(out, room, "%.*s/d/%s/r/%s%s%s/", (int)n, base, d->meta.name, d->meta.revision,
+                 dash, edition);
     else
-        snprintf(out, room, "r/%s/", d->meta.revision);
+        snprintf(out, room, "r/%s%s%s/", d->meta.revision, dash, edition);
 }
 
 static void map_document_query(const struct target *t, char out[TARGET_QUERY_MAX])
@@ -39,15 +42,16 @@ static void map_document_query(const struct target *t, char out[TARGET_QUERY_MAX
     }
 }
 
-enum err_code map_document_tilejson(const struct dataset *d, const struct target *t,
-                                    const char *base, struct body **out, struct err *e)
+enum err_code map_document_tilejson(const struct dataset *d, const char *edition,
+                                    const struct target *t, const char *base, struct body **out,
+                                    struct err *e)
 {
     const struct area *a = &d->area;
     char root[FILE_PATH_MAX], query[TARGET_QUERY_MAX], url[MAP_DOCUMENT_URL_MAX];
     bool terrain = t->route == ROUTE_TERRAINJSON;
     const double bounds[4] = {a->west_deg, a->south_deg, a->east_deg, a->north_deg};
     int zoom_min = raster_zoom_min(a), zoom_max = raster_zoom_max(a);
-    map_document_root(d, base, root, sizeof root);
+    map_document_root(d, edition, base, root, sizeof root);
     map_document_query(t, query);
     snprintf(url, sizeof url, "%s%s/{z}/{x}/{y}.%s%s", root, terrain ? "terrain" : "map",
              terrain ? "png" : "webp", query);
@@ -132,8 +136,9 @@ static void map_document_matrices(struct buf *b, int zoom_max)
     buf_printf(b, "</TileMatrixSet>\n");
 }
 
-enum err_code map_document_wmts(const struct dataset *d, const struct target *t, const char *base,
-                                struct body **out, struct err *e)
+enum err_code map_document_wmts(const struct dataset *d, const char *edition,
+                                const struct target *t, const char *base, struct body **out,
+                                struct err *e)
 {
     struct buf b = {0};
     char root[FILE_PATH_MAX], self[FILE_PATH_MAX], query[TARGET_QUERY_MAX];
@@ -141,9 +146,10 @@ enum err_code map_document_wmts(const struct dataset *d, const struct target *t,
         return err_set(e, ERR_ARG,
                        "clients of WMTS need absolute addresses : start the server with "
                        "--public-url URL, the address that they see");
-    map_document_root(d, base, root, sizeof root);
-    size_t n = strlen(root) - strlen("r//") - strlen(d->meta.revision);
-    snprintf(self, sizeof self, "%.*swmts.xml", (int)n, root);
+    map_document_root(d, edition, base, root, sizeof root);
+    map_document_root(d, "", base, self, sizeof self);
+    size_t n = strlen(self) - strlen("r//") - strlen(d->meta.revision);
+    snprintf(self + n, sizeof self - n, "wmts.xml");
     buf_printf(&b,
                "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n"
                "<Capabilities xmlns=\"http://www.opengis.net/wmts/1.0\" "

@@ -9,12 +9,15 @@
 #include "server/dataset.h"
 #include "server/target.h"
 
-/* t: which one, and the appearance or encoding that its tiles are asked for with. base: address of
+/* edition: of the tiles (result_id.h), "": unknown yet. t: which document, and the appearance or
+ * encoding that its tiles are asked for with. base: address of
  * the service as clients see it, with or without '/' at its end; NULL or "": addresses are relative
  * to the document's own, which WMTS does not know (ERR_ARG). ERR_MEM. */
-enum err_code map_document_tilejson(const struct dataset *d, const struct target *t,
-                                    const char *base, struct body **out, struct err *e) ERR_USE;
-enum err_code map_document_wmts(const struct dataset *d, const struct target *t, const char *base,
-                                struct body **out, struct err *e) ERR_USE;
+enum err_code map_document_tilejson(const struct dataset *d, const char *edition,
+                                    const struct target *t, const char *base, struct body **out,
+                                    struct err *e) ERR_USE;
+enum err_code map_document_wmts(const struct dataset *d, const char *edition,
+                                const struct target *t, const char *base, struct body **out,
+                                struct err *e) ERR_USE;
 
 #endif

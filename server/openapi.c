@@ -111,7 +111,8 @@ struct openapi_parameter {
 };
 static const struct openapi_parameter openapi_in_path[] = {
     {"ds", "{'type':'string','pattern':'^[a-z0-9][a-z0-9_-]{0,62}$'}", "name of a dataset"},
-    {"rev", "{'type':'string','pattern':'^[0-9a-f]{12}$'}", "revision of a dataset"},
+    {"rev", "{'type':'string','pattern':'^[0-9a-f]{12}(-[0-9a-f]{8})?$'}",
+     "revision of a dataset, and edition"},
     {"z", "{'type':'integer','minimum':0,'maximum':24}", "zoom of Web Mercator"},
     {"x", "{'type':'integer','minimum':0}", "column, from 180 degrees west"},
     {"y", "{'type':'integer','minimum':0}", "row, from the north"},

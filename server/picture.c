@@ -24,9 +24,8 @@
 enum { PICTURE_VIEWS = 4, PICTURE_NICE = 5 };
 
 struct open_view {
-    char *path;
-    char revision[13];
-    struct view *view;
+    struct dataset *ds;  /* a reference: a file that was restored is another dataset */
+    struct view *view;   /* over its descriptor */
     struct nadir *nadir; /* over the view; NULL: nobody asked for a map yet */
     uint64_t used;       /* tick of its last use */
 };
@@ -88,7 +87,7 @@ static void picture_view_drop(struct open_view *v)
 {
     nadir_close(&v->nadir);
     view_close(&v->view);
-    mem_free(v->path);
+    dataset_drop(&v->ds);
     memset(v, 0, sizeof *v);
 }
 
@@ -126,14 +125,17 @@ void picture_about(struct picture *p, char *out, size_t n)
     pthread_mutex_unlock(&p->lock);
 }
 
-/* The open view of a dataset's revision; the one unused for longest makes room. */
-static enum err_code picture_view_find(struct picture *p, const struct dataset *d,
-                                       struct open_view **out, struct err *e)
+/* The open view of a dataset. Those that nobody else has any more are closed; then the one unused for
+ * longest makes room. */
+static enum err_code picture_view_find(struct picture *p, struct dataset *d, struct open_view **out,
+                                       struct err *e)
 {
     struct open_view *oldest = &p->open[0];
     for (int i = 0; i < PICTURE_VIEWS; i++) {
         struct open_view *v = &p->open[i];
-        if (v->view && !strcmp(v->path, d->path) && !strcmp(v->revision, d->meta.revision)) {
+        if (v->view && dataset_is_last(v->ds))
+            picture_view_drop(v);
+        if (v->view && v->ds == d) {
             v->used = ++p->tick;
             *out = v;
             return ERR_OK;
@@ -147,19 +149,14 @@ static enum err_code picture_view_find(struct picture *p, const struct dataset *
     enum err_code rc = view_open_fd(d->fd, d->path, p->render, bytes, &oldest->view, e);
     if (rc)
         return rc;
-    oldest->path = mem_text(d->path);
-    if (!oldest->path) {
-        picture_view_drop(oldest);
-        return err_set(e, ERR_MEM, "picture: out of memory");
-    }
-    memcpy(oldest->revision, d->meta.revision, sizeof oldest->revision);
+    oldest->ds = dataset_ref(d);
     oldest->used = ++p->tick;
     *out = oldest;
     return ERR_OK;
 }
 
 /* The same, in an appearance. */
-static enum err_code picture_view(struct picture *p, const struct dataset *d,
+static enum err_code picture_view(struct picture *p, struct dataset *d,
                                   const struct appearance_choice *a, struct open_view **out,
                                   struct err *e)
 {
@@ -172,8 +169,8 @@ static enum err_code picture_view(struct picture *p, const struct dataset *d,
     return rc ? rc : view_set_appearance((*out)->view, appearance_api_image(a), e);
 }
 
-enum err_code picture_nadir(struct picture *p, const struct dataset *d,
-                            const struct appearance_choice *a, struct nadir **out, struct err *e)
+enum err_code picture_nadir(struct picture *p, struct dataset *d, const struct appearance_choice *a,
+                            struct nadir **out, struct err *e)
 {
     struct open_view *v;
     enum err_code rc = picture_view(p, d, a, &v, e);
@@ -196,7 +193,7 @@ static enum err_code picture_measure(struct picture *p, float *transmittance, fl
     return !rc ? render_surface_run(p->surface, NULL, &maps, e) : rc;
 }
 
-enum err_code picture_make(struct picture *p, const struct job *j, const struct dataset *d,
+enum err_code picture_make(struct picture *p, const struct job *j, struct dataset *d,
                            const struct appearance_choice *a, const struct picture_view *v,
                            struct buf *out, struct err *e)
 {

@@ -11,6 +11,7 @@
 
 #include "lod/key.h"
 #include "server/condition.h"
+#include "server/result_id.h"
 
 const char RESPONSE_IMMUTABLE[] = "public, max-age=31536000, immutable";
 const char RESPONSE_MOVING[] =
@@ -19,28 +20,32 @@ const char RESPONSE_NO_STORE[] = "no-store";
 const char RESPONSE_JSON[] = "application/json";
 static const char RESPONSE_SHORT[] = "public, max-age=60";
 
-/* The defaults of options.def, as texts. */
-static const struct {
-#define OPT(type, key, def, lo, hi, unit, help) const char *key;
-#include "server/options.def"
-#undef OPT
-} response_default = {
-#define OPT(type, key, def, lo, hi, unit, help) .key = (def),
-#include "server/options.def"
-#undef OPT
-};
-
-const char *response_cache_control(const struct server_config *cfg, const struct target *t)
+static bool response_is_drawn(enum route r)
 {
-    bool usual = true;
-    if (t->route == ROUTE_MAP)
-        usual = (double)cfg->quality == atof(response_default.quality);
-    else if (t->route == ROUTE_VIEW)
-        usual = (double)cfg->quality == atof(response_default.quality) &&
-                (double)cfg->view_gaussians == atof(response_default.view_gaussians);
-    else if (t->form.preset >= QUANT_PRESETS && t->form.format <= FORMAT_DRC)
-        usual = !strcmp(quant_preset_name((enum quant_preset)cfg->preset), response_default.preset);
-    return usual ? RESPONSE_IMMUTABLE : RESPONSE_MOVING;
+    return r == ROUTE_VIEW || r == ROUTE_VIEW_MOVING || r == ROUTE_MAP || r == ROUTE_MAP_MOVING ||
+           r == ROUTE_MAPJSON || r == ROUTE_TERRAIN || r == ROUTE_TERRAIN_MOVING ||
+           r == ROUTE_TERRAINJSON || r == ROUTE_WMTS;
+}
+
+void response_edition(struct services *s, const struct dataset *d, enum route route, char out[9])
+{
+    char device[160];
+    out[0] = '\0';
+    if (!response_is_drawn(route)) {
+        memcpy(out, d->edition, sizeof d->edition);
+    } else if (s->picture && picture_state(s->picture) == PICTURE_READY) {
+        picture_about(s->picture, device, sizeof device);
+        result_id_pictures_edition(d, device, (int)s->cfg->quality, (double)s->cfg->view_gaussians,
+                                   out);
+    }
+}
+
+const char *response_cache_control(struct services *s, const struct dataset *d,
+                                   const struct target *t)
+{
+    char edition[9];
+    response_edition(s, d, t->route, edition);
+    return edition[0] && !strcmp(edition, t->edition) ? RESPONSE_IMMUTABLE : RESPONSE_MOVING;
 }
 
 const char *response_status_text(int status)
@@ -243,6 +248,12 @@ void response_document(const struct request *r, const char *type, const char *ca
 bool response_made(struct services *s, const struct request *r, struct hash128 id,
                    struct response *out)
 {
+    if (out->unnamed) {
+        out->cache_control = RESPONSE_NO_STORE;
+        out->cache = "none";
+        out->status = 200;
+        return true;
+    }
     body_etag(id, out->etag);
     out->accept_ranges = true;
     out->status = 200;
@@ -273,6 +284,6 @@ struct work *response_work(struct dataset *d, enum work_kind kind, struct hash12
     w->ds = dataset_ref(d);
     w->id = id;
     w->form = form;
-    w->keep = true;
+    w->keep = !out->unnamed;
     return out->work = w;
 }

@@ -47,6 +47,7 @@ struct response { /* {0}, then route_answer; response_free it */
     size_t size;
     uint64_t range_first, range_total; /* of 206 and 416 */
     bool accept_ranges;
+    bool unnamed;          /* the bytes have no name: nothing keeps them, and they have no tag */
     int retry_after_s;     /* 0 = none */
     double queue_s, run_s; /* of the job, for Server-Timing; < 0: there was none */
     const char *cache;     /* "hit", "miss", "shared": for the log */
@@ -60,10 +61,13 @@ struct response { /* {0}, then route_answer; response_free it */
 extern const char RESPONSE_IMMUTABLE[], RESPONSE_MOVING[], RESPONSE_NO_STORE[]; /* Cache-Control */
 extern const char RESPONSE_JSON[];                                              /* Content-Type */
 
-/* Of a tile or view of a revision: immutable where the address says everything that decides the bytes,
- * or leaves it at the program's defaults. A server with other defaults answers the same address with
- * other bytes, so its caches have to ask again after a minute. */
-const char *response_cache_control(const struct server_config *cfg, const struct target *t);
+/* The edition of what a route answers of a dataset: what decides its bytes and is in no other part of
+ * an address (result_id.h). "" for pictures while nothing can be drawn. */
+void response_edition(struct services *s, const struct dataset *d, enum route route, char out[9]);
+/* Of an address with a revision: immutable where it names this server's edition, so that it says all
+ * that decides the bytes; else caches ask again after a minute. */
+const char *response_cache_control(struct services *s, const struct dataset *d,
+                                   const struct target *t);
 const char *response_status_text(int status);
 /* A problem document (RFC 9457) in place of whatever `out` held. */
 void response_problem(struct response *out, int status, const char *detail);
@@ -78,10 +82,10 @@ void response_body(const struct request *r, struct body *b, struct response *out
 void response_document(const struct request *r, const char *type, const char *cache_control,
                        struct body *b, struct response *out);
 /* The result of work with a known name: 304 and hits are answered now; true when a job has to make
- * it, and the caller says which (response_work). */
+ * it, and the caller says which (response_work). Of out->unnamed always: nobody has it. */
 bool response_made(struct services *s, const struct request *r, struct hash128 id,
                    struct response *out);
-/* New work for a job, in out->work; NULL, with the problem set, when out of memory. */
+/* New work for a job, in out->work, whose result is kept unless out->unnamed; NULL, with the problem set, when out of memory. */
 struct work *response_work(struct dataset *d, enum work_kind kind, struct hash128 id,
                            struct form form, struct response *out);
 void response_free(struct response *r);

@@ -35,6 +35,29 @@ struct hash128 result_id_tile(const struct dataset *d, const struct store_tile *
     return id;
 }
 
+static void result_id_edition(const void *name, size_t n, char out[9])
+{
+    snprintf(out, 9, "%08x", (unsigned)(hash_bytes(name, n).lo & 0xffffffff));
+}
+
+void result_id_tiles_edition(const struct dataset *d, unsigned preset, char out[9])
+{
+    const uint64_t name[3] = {d->salt.lo, d->salt.hi, preset};
+    result_id_edition(name, sizeof name, out);
+}
+
+void result_id_pictures_edition(const struct dataset *d, const char *device, int quality,
+                                double gaussians, char out[9])
+{
+    struct { /* no padding */
+        struct hash128 salt;
+        char device[160];
+        double quality, gaussians;
+    } name = {.salt = d->salt, .quality = quality, .gaussians = gaussians};
+    snprintf(name.device, sizeof name.device, "%s", device);
+    result_id_edition(&name, sizeof name, out);
+}
+
 /* Add the query to the name of what is made from it. */
 static void result_id_add_query(struct hash128 *id, const struct target *t)
 {
@@ -51,7 +74,7 @@ struct hash128 result_id_seed(const struct dataset *d, const struct target *t, s
 {
     struct {
         struct hash128 salt;
-        char rev[16];
+        char rev[16], edition[16];
         int32_t bbox_e7[4];
         uint32_t z_min, z_max, format, has_bbox, asked, preset;
     } name = {.salt = d->salt,
@@ -62,6 +85,7 @@ struct hash128 result_id_seed(const struct dataset *d, const struct target *t, s
               .preset = form.preset,
               .has_bbox = t->has_bbox};
     memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
+    memcpy(name.edition, d->edition, sizeof d->edition);
     memcpy(name.bbox_e7, t->bbox_e7, sizeof name.bbox_e7);
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_add_query(&id, t);
@@ -72,10 +96,11 @@ struct hash128 result_id_tileset(const struct dataset *d, const struct target *t
 {
     struct {
         struct hash128 salt;
-        char rev[16], kind[16];
+        char rev[16], edition[16], kind[16];
     } name = {.salt = d->salt};
     bool moving = t->route == ROUTE_TILESET_MOVING;
     memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
+    memcpy(name.edition, d->edition, sizeof d->edition);
     memcpy(name.kind, moving ? "tileset moving" : "tileset", moving ? 15 : 8);
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_add_query(&id, t);

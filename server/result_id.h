@@ -18,11 +18,17 @@
 /* form has nothing left unsaid (encode_form). */
 struct hash128 result_id_tile(const struct dataset *d, const struct store_tile *t, struct form form,
                               const struct appearance_choice *a);
+/* The edition of a dataset's tiles: what decides their bytes beside the revision and the rest of an
+ * address. preset: of those that do not say one. */
+void result_id_tiles_edition(const struct dataset *d, unsigned preset, char out[9]);
+/* The same of its pictures and maps. */
+void result_id_pictures_edition(const struct dataset *d, const char *device, int quality,
+                                double gaussians, char out[9]);
 struct hash128 result_id_seed(const struct dataset *d, const struct target *t, struct form form);
 struct hash128 result_id_tileset(const struct dataset *d, const struct target *t);
-/* device: its name and driver; other hardware rounds otherwise. gaussians: most that are drawn. */
 /* A photograph's thumbnail in a revision. */
 struct hash128 result_id_thumbnail(const struct dataset *d, const char *name);
+/* device: its name and driver; other hardware rounds otherwise. gaussians: most that are drawn. */
 struct hash128 result_id_view(const struct dataset *d, const char *device, const struct camera *cam,
                               const struct appearance_choice *a, enum format format, int quality,
                               const struct paint *paint, double gaussians);

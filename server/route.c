@@ -163,8 +163,7 @@ void route_finish(struct services *s, const struct request *r, struct job_result
     struct body *b = result->body;
     result->body = NULL;
     if (result->end == JOB_OK) {
-        if (out->cache_control ==
-            RESPONSE_NO_STORE) { /* a posted camera: the name of the bytes is of no use */
+        if (out->unnamed) {
             out->body = b;
             out->data = b->data;
             out->size = b->size;

@@ -49,10 +49,10 @@ enum err_code seed_write(const struct dataset *d, const struct target *t, struct
         char etag[BODY_ETAG_SIZE];
         body_etag(result_id_tile(d, pick[i], form, a), etag);
         etag[strlen(etag) - 1] = 0; /* without its quotes, which JSON would have to escape */
-        buf_printf(out,
-                   "{\"url\":\"r/%s/t/%u/%u/%u.%s%s\",\"etag\":\"\\\"%s\\\"\",\"gaussians\":%u}\n",
-                   d->meta.revision, pick[i]->key.z, pick[i]->key.x, pick[i]->key.y,
-                   target_ext(t->form.format), query, etag + 1, pick[i]->count);
+        buf_printf(
+            out, "{\"url\":\"r/%s-%s/t/%u/%u/%u.%s%s\",\"etag\":\"\\\"%s\\\"\",\"gaussians\":%u}\n",
+            d->meta.revision, d->edition, pick[i]->key.z, pick[i]->key.x, pick[i]->key.y,
+            target_ext(t->form.format), query, etag + 1, pick[i]->count);
     }
     mem_free(pick);
     return buf_check(out, e);

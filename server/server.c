@@ -10,6 +10,7 @@
 #include <signal.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/time.h>
 #include <unistd.h>
@@ -88,6 +89,39 @@ static void server_set_url(struct server *sv)
     sv->services.url = sv->cfg.public_url && *sv->cfg.public_url ? sv->cfg.public_url : own;
 }
 
+/* Where descriptors run out, accept() fails before an idle connection could give way to a new one. So
+ * the limit is raised as far as this process may, and where that is not enough there are fewer
+ * connections. */
+static void server_fit_descriptors(struct server *sv)
+{
+    enum { OTHERS = 64, CONNECTIONS_MIN = 8 };
+    struct rlimit limit;
+    const size_t wanted = (size_t)sv->cfg.max_connections,
+                 others =
+                     OTHERS + sv->n_paths * (2 + sv->stores.keep_revisions) * (sv->workers + 2),
+                 need = http_descriptors(wanted) + others;
+    if (getrlimit(RLIMIT_NOFILE, &limit) || limit.rlim_cur == RLIM_INFINITY ||
+        limit.rlim_cur >= need)
+        return;
+    const struct rlimit more = {
+        limit.rlim_max == RLIM_INFINITY || limit.rlim_max > need ? need : limit.rlim_max,
+        limit.rlim_max};
+    if (!setrlimit(RLIMIT_NOFILE, &more))
+        limit = more;
+    if (limit.rlim_cur >= need)
+        return;
+    size_t room = limit.rlim_cur / 8; /* of many datasets some revisions go without */
+    while (room < wanted && http_descriptors(room + 1) + others <= limit.rlim_cur)
+        room++;
+    room = room < CONNECTIONS_MIN ? CONNECTIONS_MIN : room;
+    if (room < wanted)
+        sv->cfg.max_connections = (int64_t)room;
+    log_warn("serve",
+             "descriptors limit=%zu needed=%zu max_connections=%zu instead of %zu: raise the limit "
+             "(ulimit -n, LimitNOFILE) or ask for fewer",
+             (size_t)limit.rlim_cur, need, room < wanted ? room : wanted, wanted);
+}
+
 enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,
                            struct server **out, struct err *e)
 {
@@ -101,11 +135,17 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     sv->paths = paths;
     sv->n_paths = n;
     sv->workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
-    sv->stores = (struct catalog_options){sv->workers,  cfg->public_url,
-                                          cfg->keep_s,  (size_t)cfg->keep_revisions,
-                                          cfg->basemap, cfg->basemap_attribution};
+    sv->stores = (struct catalog_options){.readers = sv->workers,
+                                          .public_url = cfg->public_url,
+                                          .keep_s = cfg->keep_s,
+                                          .keep_revisions = (size_t)cfg->keep_revisions,
+                                          .basemap = cfg->basemap,
+                                          .basemap_attribution = cfg->basemap_attribution,
+                                          .preset = (unsigned)cfg->preset};
     struct services *s = &sv->services;
     enum err_code rc = log_start(e);
+    if (!rc)
+        server_fit_descriptors(sv);
     if (!rc)
         rc = services_open(s, &sv->cfg, e);
     if (!rc)

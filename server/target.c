@@ -66,15 +66,22 @@ static bool target_take_name(struct text *t, char *out, size_t room)
     return n > 0;
 }
 
-static bool target_take_rev(struct text *t, char out[13])
+static bool target_take_hex(struct text *t, int n, char *out)
 {
-    for (int i = 0; i < 12; i++) {
+    for (int i = 0; i < n; i++) {
         if (t->p == t->end || !(text_is_digit(t) || (*t->p >= 'a' && *t->p <= 'f')))
             return false;
         out[i] = *t->p++;
     }
-    out[12] = 0;
+    out[n] = 0;
     return true;
+}
+
+/* REV or REV-EDITION */
+static bool target_take_rev(struct text *t, struct target *out)
+{
+    return target_take_hex(t, 12, out->rev) &&
+           (!text_take(t, "-") || target_take_hex(t, 8, out->edition));
 }
 
 /* The rest must be one of the extensions [first, last]. */
@@ -473,8 +480,10 @@ static enum err_code target_parse_data(struct text *t, const char *query, size_t
     if (text_take(t, "motion/"))
         return target_parse_motion(t, out, e);
     bool revisioned = text_take(t, "r/");
-    if (revisioned && (!target_take_rev(t, out->rev) || !text_take(t, "/")))
-        return err_set(e, ERR_NOENT, "a revision is 12 hexadecimal digits");
+    if (revisioned && (!target_take_rev(t, out) || !text_take(t, "/")))
+        return err_set(e, ERR_NOENT,
+                       "a revision is 12 hexadecimal digits, and - and the 8 of an edition "
+                       "may follow");
     enum err_code rc = ERR_OK;
     if (revisioned && target_parse_document(t, out))
         ; /* it is taken */

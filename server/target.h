@@ -138,7 +138,7 @@ enum encoding {
 };
 struct target {
     enum route route;
-    char ds[64], rev[13];
+    char ds[64], rev[13], edition[9]; /* edition: "": not said */
     struct key key;
     struct form form;                       /* of views only the format counts */
     char appearance[TARGET_APPEARANCE_MAX]; /* "": not said */

@@ -36,7 +36,8 @@ static enum err_code work_make_tileset(const struct work *w, struct buf *out, st
     if (w->target.route == ROUTE_TILESET)
         snprintf(uri, sizeof uri, "t/{z}/{x}/{y}.glb%s", query);
     else
-        snprintf(uri, sizeof uri, "r/%s/t/{z}/{x}/{y}.glb%s", w->ds->meta.revision, query);
+        snprintf(uri, sizeof uri, "r/%s-%s/t/{z}/{x}/{y}.glb%s", w->ds->meta.revision,
+                 w->ds->edition, query);
     return tileset_write(w->ds->index, uri, out, e);
 }
 

@@ -153,10 +153,27 @@ static inline int status_of(const char *method, const char *target, const char *
     return r.status;
 }
 
+/* "REV-EDITION" of t.rev in the addresses of a route, "REV" while it has none; until the next. */
+static inline const char *revision_of(enum route route)
+{
+    static char text[32];
+    char edition[9] = "";
+    struct services *s =
+        t.server ? server_services(t.server) : NULL; /* NULL: a program of its own */
+    struct catalog *c = s ? services_catalog(s) : NULL;
+    for (size_t i = 0; c && i < c->n; i++)
+        if (!strcmp(c->ds[i]->meta.revision, t.rev))
+            response_edition(s, c->ds[i], route, edition);
+    if (c)
+        catalog_drop(&c);
+    snprintf(text, sizeof text, "%s%s%s", t.rev, *edition ? "-" : "", edition);
+    return text;
+}
+
 static inline const char *tile_target(uint8_t z, const char *ext, char out[128])
 {
     struct key k = served_key(z);
-    snprintf(out, 128, "/d/toy/r/%s/t/%u/%u/%u.%s", t.rev, k.z, k.x, k.y, ext);
+    snprintf(out, 128, "/d/toy/r/%s/t/%u/%u/%u.%s", revision_of(ROUTE_TILE), k.z, k.x, k.y, ext);
     return out;
 }
 

@@ -67,7 +67,8 @@ static inline int teardown(void **state)
     return 0;
 }
 
-/* "REV" in text becomes the revision, "KEY15" etc. the tile about the origin. */
+/* "REV" in text becomes the revision, "REV+" that and the edition of its tiles, "KEY15" etc. the tile
+ * about the origin. */
 static inline const char *expand(const char *text, char *out, size_t room)
 {
     size_t n = 0;
@@ -76,6 +77,10 @@ static inline const char *expand(const char *text, char *out, size_t room)
         if (!strncmp(text, "REV", 3)) {
             n += (size_t)snprintf(out + n, room - n, "%s", t.rev);
             text += 3;
+            if (*text == '+') {
+                n += (size_t)snprintf(out + n, room - n, "-%s", t.s.catalog->ds[0]->edition);
+                text++;
+            }
         } else if (!strncmp(text, "KEY", 3)) {
             k = served_key((uint8_t)((text[3] - '0') * 10 + text[4] - '0'));
             n += (size_t)snprintf(out + n, room - n, "%u/%u/%u", k.z, k.x, k.y);

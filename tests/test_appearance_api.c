@@ -6,6 +6,7 @@
 #include "codec/draco.h"
 #include "codec/ply.h"
 #include "codec/quant.h"
+#include "core/pool.h"
 #include "lod/bake.h"
 #include "lod/photograph.h"
 #include "lod/store.h"
@@ -409,7 +410,7 @@ static json_t *document_of_revision(const char *name)
 {
     char target[256];
     const struct dataset *d = catalog_find(t.s.catalog, "lit", "");
-    snprintf(target, sizeof target, "/d/lit/r/%s/%s", d->meta.revision, name);
+    snprintf(target, sizeof target, "/d/lit/r/%s-%s/%s", d->meta.revision, d->edition, name);
     struct response r = get(target, 200);
     assert_non_null(strstr(r.cache_control, "immutable"));
     assert_int_equal(r.etag[0], '"');
@@ -579,8 +580,9 @@ static void tilesets_and_prefetch_lists_carry_the_look(void **state)
         snprintf(target, sizeof target, "/d/lit/%s%s%stileset.json%s", moving ? "" : "r/",
                  moving ? "" : d->meta.revision, moving ? "" : "/", query);
         struct response r = get(target, 200);
-        snprintf(want, sizeof want, "\"%s%s%st/%u/%u/%u.glb%s\"", moving ? "r/" : "",
-                 moving ? d->meta.revision : "", moving ? "/" : "", k.z, k.x, k.y, query);
+        snprintf(want, sizeof want, "\"%s%s%s%s%st/%u/%u/%u.glb%s\"", moving ? "r/" : "",
+                 moving ? d->meta.revision : "", moving ? "-" : "", moving ? d->edition : "",
+                 moving ? "/" : "", k.z, k.x, k.y, query);
         if (!says(&r, want))
             fail_msg("%s lacks %s: %.*s", target, want, (int)r.size, (const char *)r.data);
         response_free(&r);
@@ -592,6 +594,7 @@ static void tilesets_and_prefetch_lists_carry_the_look(void **state)
     snprintf(target, sizeof target, "/d/lit/%s", text_of(line, "url"));
     struct response tile = get(target, 200);
     assert_string_equal(tile.etag, text_of(line, "etag"));
+    assert_non_null(strstr(tile.cache_control, "immutable"));
     assert_non_null(strstr(target, ".spz?appearance=p1.jpg"));
     json_decref(line);
     response_free(&tile);
@@ -599,6 +602,32 @@ static void tilesets_and_prefetch_lists_carry_the_look(void **state)
     r = get("/d/lit/static/13.4,52.5,120@0,-90/64x64.jpg?appearance=p1.jpg", 307);
     assert_non_null(strstr(r.location, "64x64.jpg?appearance=p1.jpg"));
     response_free(&r);
+}
+
+static enum err_code ask_one(void *user, size_t i, struct err *e)
+{
+    _Atomic size_t *n_found = user;
+    char target[128];
+    snprintf(target, sizeof target, "/d/lit/appearance?appearance=p%zu.jpg:%zu,p4.jpg:1", i % 3,
+             i + 1);
+    const struct request r = {.target = target, .target_size = strlen(target)};
+    struct response out;
+    (void)e;
+    route_answer(&t.s, &r, &out);
+    atomic_fetch_add(n_found, out.status == 200);
+    response_free(&out);
+    return ERR_OK;
+}
+
+/* On threads of HTTP; the ThreadSanitizer looks at this. */
+static void many_ask_at_once(void **state)
+{
+    enum { N = 200 };
+    struct err e = {0};
+    _Atomic size_t n_found = 0;
+    (void)state;
+    kit_ok(pool_for(N, 4, ask_one, &n_found, &e), e);
+    assert_int_equal(n_found, N);
 }
 
 static void what_is_no_look_is_a_clear_answer(void **state)
@@ -668,6 +697,7 @@ int main(void)
         cmocka_unit_test(photographs_have_times_poses_and_thumbnails),
         cmocka_unit_test(tilesets_and_prefetch_lists_carry_the_look),
         cmocka_unit_test(what_is_no_look_is_a_clear_answer),
+        cmocka_unit_test(many_ask_at_once),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
 }

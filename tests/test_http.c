@@ -6,6 +6,7 @@
 #include "tests/client.h"
 
 #include <signal.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 
 #include "core/pool.h"
@@ -466,6 +467,64 @@ static void test_program(void **state)
     fclose(f);
 }
 
+/* With fewer descriptors than its options need, new clients are served all the same: idle connections
+ * give way before accept() fails. The soft limit is raised where that is allowed. */
+static void test_few_descriptors(void **state)
+{
+    enum { IDLE = 200 };
+    int out[2], status = -1, idle[IDLE];
+    char line[256] = "", log[FILE_PATH_MAX];
+    struct err e = {0};
+    struct rlimit soft, was;
+    (void)state;
+    kit_ok(file_join(log, t.dir, "few.log", &e), e);
+    assert_int_equal(pipe(out), 0);
+    pid_t pid = fork();
+    assert_true(pid >= 0);
+    if (pid == 0) {
+        const struct rlimit few = {150, 150};
+        dup2(out[1], 1);
+        close(out[0]);
+        if (!freopen(log, "w", stderr) || setrlimit(RLIMIT_NOFILE, &few))
+            _exit(126);
+        execl(kit_program(), kit_program(), "serve", t.path, "--port", "0", "--device", "none",
+              "--workers", "2", (char *)NULL);
+        _exit(127);
+    }
+    close(out[1]);
+    FILE *f = fdopen(out[0], "r");
+    assert_non_null(fgets(line, sizeof line, f));
+    uint16_t port = (uint16_t)atoi(strrchr(line, ':') + 1);
+    await_text(log, "descriptors limit=150");
+    for (int i = 0; i < IDLE; i++)
+        idle[i] = dial(port);
+    int fd = dial(port);
+    struct reply r;
+    struct buf rest = {0};
+    double asked_s = clock_s();
+    say(fd, "GET /healthz HTTP/1.1\r\n" H "\r\n");
+    hear(fd, true, &rest, &r);
+    assert_int_equal(r.status, 200);
+    assert_true(clock_s() - asked_s < 3); /* --header-timeout-s, which closes idle ones, is 5 */
+    buf_free(&r.raw);
+    buf_free(&rest);
+    for (int i = 0; i < IDLE; i++)
+        close(idle[i]);
+    close(fd);
+    assert_int_equal(kill(pid, SIGTERM), 0);
+    assert_int_equal(waitpid(pid, &status, 0), pid);
+    assert_true(WIFEXITED(status) && WEXITSTATUS(status) == 0);
+    fclose(f);
+
+    assert_int_equal(getrlimit(RLIMIT_NOFILE, &was), 0);
+    soft = (struct rlimit){512, was.rlim_max};
+    assert_int_equal(setrlimit(RLIMIT_NOFILE, &soft), 0);
+    start();
+    assert_int_equal(getrlimit(RLIMIT_NOFILE, &soft), 0);
+    assert_true(soft.rlim_cur > 512 || was.rlim_max <= 512);
+    setrlimit(RLIMIT_NOFILE, &was);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -478,6 +537,7 @@ int main(void)
         HTTP_TEST(test_busy_port),
         HTTP_TEST(test_stopping_finishes_answers),
         HTTP_TEST(test_program),
+        HTTP_TEST(test_few_descriptors),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);
 }

@@ -19,7 +19,8 @@ struct bench { /* what the test and the jobs share */
     pthread_mutex_t lock;
     pthread_cond_t changed;
     bool gate_open;
-    size_t runs, drops, works, woken, cancelled_seen;
+    _Atomic size_t elsewhere; /* loops of jobs that ran on another thread than the job's */
+    size_t tile_threads, runs, drops, works, woken, cancelled_seen;
     int order[64]; /* numbers of works in the order they began */
     struct jobs *jobs;
 };
@@ -58,12 +59,26 @@ static void nap_ms(long ms)
     nanosleep(&t, NULL);
 }
 
+struct loop { /* of a job */
+    struct bench *b;
+    pthread_t own;
+};
+
+static enum err_code loop_run(void *user, size_t i, struct err *e)
+{
+    struct loop *l = user;
+    (void)i, (void)e;
+    if (!pthread_equal(l->own, pthread_self()))
+        atomic_fetch_add(&l->b->elsewhere, 1);
+    nap_ms(1); /* time for others to take some */
+    return ERR_OK;
+}
+
 static enum err_code item_run(void *user, const struct job *j, void *work, size_t worker,
                               struct body **out, struct err *e)
 {
     struct bench *b = user;
     const struct item *it = work;
-    (void)worker;
     pthread_mutex_lock(&b->lock);
     if (b->runs < 64)
         b->order[b->runs] = it->number;
@@ -83,6 +98,10 @@ static enum err_code item_run(void *user, const struct job *j, void *work, size_
     }
     if (it->fail != ERR_OK)
         return err_set(e, it->fail, "number %d fails with %s", it->number, err_name(it->fail));
+    struct loop loop = {b, pthread_self()};
+    enum err_code rc = worker < b->tile_threads ? pool_for(4, 4, loop_run, &loop, e) : ERR_OK;
+    if (rc)
+        return rc;
     char text[32];
     snprintf(text, sizeof text, "made %d", it->number);
     *out = body_text(text);
@@ -107,6 +126,7 @@ static void bench_open(struct bench *b, size_t threads, bool view, size_t view_l
 {
     struct err e = {0};
     memset(b, 0, sizeof *b);
+    b->tile_threads = threads;
     pthread_mutex_init(&b->lock, NULL);
     pthread_cond_init(&b->changed, NULL);
     const struct job_config cfg = {
@@ -129,6 +149,7 @@ static void bench_close(struct bench *b)
     pthread_cond_broadcast(&b->changed);
     pthread_mutex_unlock(&b->lock);
     job_close(&b->jobs);
+    assert_int_equal(b->elsewhere, 0);
     assert_int_equal(b->drops, b->works); /* no work leaks, none is freed twice */
     pthread_cond_destroy(&b->changed);
     pthread_mutex_destroy(&b->lock);

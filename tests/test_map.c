@@ -45,7 +45,8 @@ static int map_teardown_all(void **state)
 
 static const char *map_target(const char *what, struct key k, const char *rest, char out[256])
 {
-    snprintf(out, 256, "/d/survey/r/%s/%s/%u/%u/%u%s", t.rev, what, k.z, k.x, k.y, rest);
+    snprintf(out, 256, "/d/survey/r/%s/%s/%u/%u/%u%s", revision_of(ROUTE_MAP), what, k.z, k.x, k.y,
+             rest);
     return out;
 }
 
@@ -297,15 +298,15 @@ static void tiles_are_cached(void **state)
              there.x, there.y);
     ask("GET", target, "", &r);
     assert_int_equal(r.status, 307);
-    snprintf(want, sizeof want, "../../../r/%s/terrain/%u/%u/%u.png?encoding=terrarium", t.rev,
-             there.z, there.x, there.y);
+    snprintf(want, sizeof want, "../../../r/%s/terrain/%u/%u/%u.png?encoding=terrarium",
+             revision_of(ROUTE_MAP), there.z, there.x, there.y);
     assert_string_equal(header(&r, "Location"), want);
     buf_free(&r.raw);
     snprintf(target, sizeof target, "/d/survey/map/%u/%u/%u@2x.jpg", there.z, there.x, there.y);
     ask("GET", target, "", &r);
     assert_int_equal(r.status, 307);
-    snprintf(want, sizeof want, "../../../r/%s/map/%u/%u/%u@2x.jpg", t.rev, there.z, there.x,
-             there.y);
+    snprintf(want, sizeof want, "../../../r/%s/map/%u/%u/%u@2x.jpg", revision_of(ROUTE_MAP),
+             there.z, there.x, there.y);
     assert_string_equal(header(&r, "Location"), want);
     buf_free(&r.raw);
 }
@@ -483,7 +484,7 @@ static void wmts_names_itself(void **state)
     struct catalog *c = services_catalog(server_services(t.server));
     d = catalog_find(c, "survey", "");
     const struct target there_is = {.route = ROUTE_WMTS, .appearance = "a b"};
-    kit_ok(map_document_wmts(d, &there_is, "https://maps.example", &b, &e), e);
+    kit_ok(map_document_wmts(d, "", &there_is, "https://maps.example", &b, &e), e);
     assert_non_null(strstr((const char *)b->data,
                            "https://maps.example/d/survey/wmts.xml?appearance=a%20b\"/>"));
     body_drop(&b);

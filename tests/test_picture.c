@@ -13,7 +13,7 @@ static const char POSE[] = "13.398,52.4985,150@10.5,-40,55";
 
 static const char *view_target(const char *pose, const char *size, char out[256])
 {
-    snprintf(out, 256, "/d/toy/r/%s/static/%s/%s", t.rev, pose, size);
+    snprintf(out, 256, "/d/toy/r/%s/static/%s/%s", revision_of(ROUTE_VIEW), pose, size);
     return out;
 }
 
@@ -58,6 +58,8 @@ static void test_bytes(void **state)
     if (!start_with_device())
         skip();
     draw(&want);
+    view_target(POSE, "32x32.png", target); /* the device is ready once one was drawn */
+    assert_int_equal(status_of("GET", target, ""), 200);
     ask("GET", view_target(POSE, "96x64.png", target), "", &r);
     assert_int_equal(r.status, 200);
     assert_string_equal(header(&r, "Content-Type"), "image/png");
@@ -230,6 +232,41 @@ static void test_pictures_of_an_older_revision(void **state)
     buf_free(&want);
 }
 
+/* A file that was damaged, and restored with the same bytes, is drawn after a reload, and no view keeps the
+ * descriptor of the damaged one. */
+static void test_pictures_of_a_restored_file(void **state)
+{
+    struct err e = {0};
+    struct reply r;
+    struct buf links = {0};
+    char path[FILE_PATH_MAX], good[FILE_PATH_MAX], target[256];
+    (void)state;
+    kit_ok(file_join(path, t.dir, "restored.tiles", &e), e);
+    kit_ok(file_join(good, t.dir, "good.tiles", &e), e);
+    served_city(path, "toy", 2000);
+    assert_int_equal(kit_run(&links, "cp '%s' '%s'", path, good), 0);
+    for (uint8_t z = SERVED_ZOOM_MIN; z <= SERVED_ZOOM_MAX; z++)
+        store_fixture_damage(path, served_key(z), path);
+    t.paths[0] = path;
+    bool there = start_with_device();
+    if (!there)
+        skip();
+    assert_int_equal(status_of("GET", view_target(POSE, "96x64.png", target), ""), 500);
+    assert_int_equal(rename(good, path), 0);
+    kit_ok(server_reload(t.server, &e), e);
+    t.paths[0] = t.path;
+    assert_int_equal(status_of("GET", view_target(POSE, "96x64.png", target), ""), 200);
+    ask("GET", "/readyz", "", &r);
+    buf_add(&r.raw, "", 1);
+    assert_null(strstr((const char *)r.body, "degraded"));
+    buf_free(&r.raw);
+    buf_free(&links);
+    assert_int_equal(
+        kit_run(&links, "ls -l /proc/%d/fd | grep -c 'restored.tiles (deleted)'", (int)getpid()),
+        1);
+    buf_free(&links);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -237,6 +274,7 @@ int main(void)
         HTTP_TEST(test_crowd),
         HTTP_TEST(test_gone_clients),
         HTTP_TEST(test_pictures_of_an_older_revision),
+        HTTP_TEST(test_pictures_of_a_restored_file),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);
 }

@@ -18,7 +18,7 @@ static void test_tiles(void **state)
     (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         char target[128];
-        snprintf(target, sizeof target, "/d/toy/r/REV/t/KEY17.%s", rows[i].ext);
+        snprintf(target, sizeof target, "/d/toy/r/REV+/t/KEY17.%s", rows[i].ext);
         struct response r = get(target);
         assert_int_equal(r.status, 200);
         expect("cache", r.cache, "miss");
@@ -115,12 +115,13 @@ static void test_seed(void **state)
         char target[256];
         unsigned z;
         const char *url = json_string_value(json_object_get(o, "url"));
-        assert_int_equal(sscanf(url, "r/%*12[0-9a-f]/t/%u/", &z), 1);
+        assert_int_equal(sscanf(url, "r/%*12[0-9a-f]-%*8[0-9a-f]/t/%u/", &z), 1);
         assert_true(z >= last_z);
         last_z = z;
         snprintf(target, sizeof target, "/d/toy/%s", url);
         struct response tile = get(target);
         assert_int_equal(tile.status, 200);
+        expect("Cache-Control", tile.cache_control, IMMUTABLE);
         expect("etag", json_string_value(json_object_get(o, "etag")), tile.etag);
         response_free(&tile);
         json_decref(o);

@@ -3,7 +3,9 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "codec/quant.h"
 #include "lod/view.h"
+#include "server/result_id.h"
 #include "tests/routed.h"
 
 #include <math.h>
@@ -99,8 +101,11 @@ static void test_what_is_in_the_tag(void **state)
         struct response a = get(equal[i].a), b = get(equal[i].b);
         assert_non_null(a.work);
         assert_non_null(b.work);
-        if (!strcmp(a.etag, b.etag) != equal[i].same)
-            fail_msg("%s and %s: tags %s and %s", equal[i].a, equal[i].b, a.etag, b.etag);
+        char tag_a[BODY_ETAG_SIZE], tag_b[BODY_ETAG_SIZE]; /* of the device that starts: not sent */
+        body_etag(a.work->id, tag_a);
+        body_etag(b.work->id, tag_b);
+        if (!strcmp(tag_a, tag_b) != equal[i].same)
+            fail_msg("%s and %s: tags %s and %s", equal[i].a, equal[i].b, tag_a, tag_b);
         response_free(&a);
         response_free(&b);
     }
@@ -113,39 +118,88 @@ static void test_what_is_in_the_tag(void **state)
     picture_close(&t.s.picture);
 }
 
-/* What a server is configured with is in the tag, and an address whose bytes depend on more than the
- * program's defaults is not immutable. */
+/* The same address of two servers that differ in what they were told. */
+static void two_answers(const char *target, const struct server_config *other,
+                        struct catalog *others, struct response *a, struct response *b)
+{
+    const struct server_config *usual = t.s.cfg;
+    struct catalog *usuals = t.s.catalog;
+    const struct request r = {.target = target, .target_size = strlen(target)};
+    route_answer(&t.s, &r, a);
+    t.s.cfg = other;
+    t.s.catalog = others;
+    route_answer(&t.s, &r, b);
+    t.s.cfg = usual;
+    t.s.catalog = usuals;
+}
+
+/* What a server is configured with is in the tag and in the edition: an address is immutable at the
+ * server alone whose edition it names, since another answers it with other bytes. */
 static void test_configuration_and_tags(void **state)
 {
-    static const char *const immutable = "public, max-age=31536000, immutable";
     struct err e = {0};
-    struct server_config usual = *t.s.cfg, other = usual;
-    char target[256];
+    struct server_config other = *t.s.cfg;
+    struct catalog_options stores = served_stores;
+    struct catalog *others = NULL;
+    struct response a = {0}, b = {0};
+    char target[256], device[9], tiles[9], edition[9];
+    const char *paths[] = {t.path};
     const struct key k = served_key(17);
     (void)state;
-    kit_ok(picture_open(t.s.cfg, &t.s.picture, &e), e);
     other.view_gaussians = 1000;
-    other.preset = QUANT_PREVIEW;
-    for (int view = 0; view < 2; view++) {
-        if (view)
-            snprintf(target, sizeof target, "/d/toy/r/%s/static/13.4,52.5,120@0,-90/64x48.png",
-                     t.rev);
-        else
-            snprintf(target, sizeof target, "/d/toy/r/%s/t/%u/%u/%u.spz", t.rev, k.z, k.x, k.y);
-        struct request r = {.target = target, .target_size = strlen(target)};
-        struct response a = {0}, b = {0};
-        route_answer(&t.s, &r, &a);
-        t.s.cfg = &other;
-        route_answer(&t.s, &r, &b);
-        t.s.cfg = &usual;
+    stores.preset = other.preset = QUANT_PREVIEW;
+    kit_ok(catalog_open(paths, 1, &stores, NULL, &others, &e), e);
+    const struct dataset *d = t.s.catalog->ds[0];
+    response_edition(&t.s, d, ROUTE_TILE, tiles);
+    assert_int_equal(strlen(tiles), 8);
+    for (int i = 0; i < 3; i++) { /* not said, its own, another one's */
+        const char *names[] = {"", tiles, others->ds[0]->edition};
+        snprintf(target, sizeof target, "/d/toy/r/%s%s%s/t/%u/%u/%u.spz", t.rev, i ? "-" : "",
+                 names[i], k.z, k.x, k.y);
+        two_answers(target, &other, others, &a, &b);
         assert_string_not_equal(a.etag, b.etag);
-        assert_string_equal(a.cache_control, immutable);
-        assert_string_not_equal(b.cache_control, immutable);
+        expect("Cache-Control", a.cache_control, i == 1 ? IMMUTABLE : MOVING);
+        expect("Cache-Control", b.cache_control, i == 2 ? IMMUTABLE : MOVING);
         response_free(&a);
         response_free(&b);
     }
-    t.s.cfg = &t.cfg;
+    catalog_drop(&others);
+    result_id_pictures_edition(d, "one", 85, 1000, device);
+    result_id_pictures_edition(d, "two", 85, 1000, edition);
+    assert_string_not_equal(device, edition);
+    result_id_pictures_edition(d, "one", 86, 1000, edition);
+    assert_string_not_equal(device, edition);
+    result_id_pictures_edition(d, "one", 85, 1001, edition);
+    assert_string_not_equal(device, edition);
+}
+
+/* A picture that is asked for while the device starts has no name, since the device is part of it. */
+static void test_pictures_while_the_device_starts(void **state)
+{
+    struct err e = {0};
+    char target[256], edition[9];
+    (void)state;
+    kit_ok(picture_open(t.s.cfg, &t.s.picture, &e), e);
+    response_edition(&t.s, t.s.catalog->ds[0], ROUTE_VIEW, edition);
+    assert_string_equal(edition, "");
+    snprintf(target, sizeof target, "/d/toy/r/%s/static/13.4,52.5,120@0,-90/64x48.png", t.rev);
+    struct response a = answer(&(struct ask){.target = target, .if_none_match = "*"});
+    assert_non_null(a.work);
+    assert_false(a.work->keep);
+    assert_string_equal(a.etag, "");
+    expect("Cache-Control", a.cache_control, "no-store");
+    response_free(&a);
+    a = get("/d/toy/static/13.4,52.5,120@0,-90/64x48.png");
+    char want[256];
+    expect("Location", a.location,
+           expand("../../r/REV/static/13.4,52.5,120@0,-90/64x48.png", want, sizeof want));
+    response_free(&a);
     picture_close(&t.s.picture);
+}
+
+static void test_foreign_bytes_in_a_redirect(void **state)
+{
+    (void)state;
     struct response r = get("/d/toy/t/17/1/1.glb?x=%0d%0a"); /* encoded bytes stay encoded */
     assert_int_equal(r.status, 307);
     assert_null(strpbrk(r.location, "\r\n"));
@@ -258,6 +312,8 @@ int main(void)
         cmocka_unit_test(test_views),
         cmocka_unit_test(test_what_is_in_the_tag),
         cmocka_unit_test(test_configuration_and_tags),
+        cmocka_unit_test(test_pictures_while_the_device_starts),
+        cmocka_unit_test(test_foreign_bytes_in_a_redirect),
         cmocka_unit_test(test_posted_cameras),
     };
     return cmocka_run_group_tests(tests, setup, teardown);

@@ -12,7 +12,9 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include "codec/payload.h"
 #include "lod/store.h"
+#include "lod/store_db.h"
 
 /* Half floats carry 11 bits; logs and coefficients here are below 8. */
 #define BOUNDS_TOLERANCE 0.004 /* 2^-11 of the logarithm of a sigma, at most 8 here */
@@ -306,6 +308,66 @@ static void any_flipped_byte_is_seen_or_harmless(void **state)
         buf_free(&payload[k]);
 }
 
+/* Other bytes in place of a tile's, with all hashes as they should be: what a hostile author writes. */
+static void forge(const char *path, struct key k, const struct gauss *g)
+{
+    struct err e = {0};
+    struct store *s;
+    struct buf b = {0};
+    uint8_t hash[STORE_HASH_BYTES], row_hash[STORE_HASH_BYTES];
+    sqlite3 *db = NULL;
+    sqlite3_stmt *q = NULL;
+    kit_ok(store_open(path, &s, &e), e);
+    struct store_tile t = *store_find(s, k);
+    store_close(&s);
+    kit_ok(payload_encode(g, false, &b, &e), e);
+    t.hash = hash_bytes(b.data, b.size);
+    store_db_hash_out(t.hash, hash);
+    store_db_hash_out(store_db_row_hash(&t), row_hash);
+    assert_int_equal(sqlite3_open(path, &db), SQLITE_OK);
+    assert_int_equal(
+        sqlite3_prepare_v2(db, "UPDATE tiles SET payload=?1,hash=?2,row_hash=?3 WHERE id=?4", -1,
+                           &q, NULL),
+        SQLITE_OK);
+    sqlite3_bind_blob64(q, 1, b.data, b.size, SQLITE_STATIC);
+    sqlite3_bind_blob(q, 2, hash, sizeof hash, SQLITE_STATIC);
+    sqlite3_bind_blob(q, 3, row_hash, sizeof row_hash, SQLITE_STATIC);
+    sqlite3_bind_int64(q, 4, store_db_id(k));
+    assert_int_equal(sqlite3_step(q), SQLITE_DONE);
+    sqlite3_finalize(q);
+    sqlite3_close(db);
+    buf_free(&b);
+}
+
+static void more_than_the_index_says_is_not_read(void **state)
+{
+    static const struct {
+        size_t n;
+        uint32_t sh_degree, embed_len;
+    } rows[] = {{40, 1, 0}, {41, 1, 0}, {39, 1, 0}, {40, 3, 0}, {40, 1, 8}, {300000, 1, 0}};
+    const struct key k = {16, 34309, 22253};
+    struct store_fixture *f = *state;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct err e = {0};
+        struct store *s;
+        struct gauss g, got;
+        make_store(f->path, 1);
+        kit_gauss(9, rows[i].n, 20, rows[i].sh_degree, rows[i].embed_len, &g);
+        forge(f->path, k, &g);
+        gauss_free(&g);
+        kit_ok(store_open(f->path, &s, &e), e);
+        if (i) {
+            kit_fails(store_read_gauss(s, k, &got, &e), ERR_FORMAT, e,
+                      "tile 16/34309/22253: other harmonics");
+            assert_int_equal(got.n, 0);
+        } else {
+            kit_ok(store_read_gauss(s, k, &got, &e), e);
+            gauss_free(&got);
+        }
+        store_close(&s);
+    }
+}
+
 static void truncated_files(void **state)
 {
     struct store_fixture *f = *state;
@@ -505,6 +567,7 @@ int main(void)
         CASE(a_flipped_payload_byte_costs_one_tile),
         CASE(a_flipped_index_byte_costs_one_tile),
         CASE(any_flipped_byte_is_seen_or_harmless),
+        CASE(more_than_the_index_says_is_not_read),
         CASE(truncated_files),
         CASE(files_that_are_no_stores),
         CASE(what_is_read_is_bounded_by_the_file),
