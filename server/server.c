@@ -10,6 +10,7 @@
 #include <string.h>
 
 #include "core/pool.h"
+#include "lod/clip.h"
 #include "server/http.h"
 #include "server/services.h"
 #include "server/work.h"
@@ -18,6 +19,7 @@ struct server {
     struct server_config cfg; /* texts are borrowed from the caller */
     const char *const *paths;
     size_t n_paths, workers;
+    struct clip clip; /* of all stores; in use if stores.clip is set */
     struct catalog_options stores;
     struct services services;
     struct http *http;
@@ -93,10 +95,18 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     sv->paths = paths;
     sv->n_paths = n;
     sv->workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
-    sv->stores = (struct catalog_options){sv->workers, cfg->public_url, cfg->keep_s,
-                                          (size_t)cfg->keep_revisions};
+    sv->stores = (struct catalog_options){.readers = sv->workers,
+                                          .clip_dir = cfg->clip_dir,
+                                          .public_url = cfg->public_url,
+                                          .keep_s = cfg->keep_s,
+                                          .keep_revisions = (size_t)cfg->keep_revisions};
     struct services *s = &sv->services;
+    bool clips = false;
     enum err_code rc = log_start(e);
+    if (!rc)
+        rc = clip_of_options(cfg->clip, cfg->clip_low_m, cfg->clip_high_m, "clip-", &sv->clip,
+                             &clips, e);
+    sv->stores.clip = clips ? &sv->clip : NULL;
     if (!rc)
         rc = services_open(s, &sv->cfg, e);
     if (!rc)
@@ -166,6 +176,7 @@ bool server_stop(struct server **out)
     if (!ended)
         log_error("serve", "the device does not return from a call; its thread is left behind");
     log_stop(1);
+    clip_free(&sv->clip);
     if (ended)
         mem_free(sv);
     return ended;
