@@ -4,11 +4,9 @@
  */
 #include "lod/clip.h"
 
-#include <math.h>
 #include <stdio.h>
 
 #include "cli/cli.h"
-#include "cli/maps.h"
 
 struct clip_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -44,20 +42,15 @@ enum err_code cli_clip(int argc, char **argv, struct err *e)
     struct clip_report r;
     struct clip clip = {0};
     struct arena arena = {0};
-    double low = 0, high = 0;
+    bool any = false;
     enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
     bool run = !rc && !args.done;
     if (run && !o.output)
         rc = err_set(e, ERR_ARG, "-o FILE is missing: where to write the tiles");
-    if (run && !rc && !o.polygon && !o.low_m && !o.high_m)
+    if (run && !rc)
+        rc = clip_of_options(o.polygon, o.low_m, o.high_m, "", &clip, &any, e);
+    if (run && !rc && !any)
         rc = err_set(e, ERR_ARG, "clip: give --polygon FILE, --low-m or --high-m");
-    if (run && !rc)
-        rc = maps_number("--low-m", o.low_m, &low, e);
-    if (run && !rc)
-        rc = maps_number("--high-m", o.high_m, &high, e);
-    if (run && !rc)
-        rc = clip_open(o.polygon, isnan(low) ? -HUGE_VAL : low, isnan(high) ? HUGE_VAL : high,
-                       &clip, e);
     if (run && !rc) {
         signals_catch();
         rc = clip_store(&clip, args.arg[0], o.name, o.output, &r, e);

@@ -8,6 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
+#include <unistd.h>
 
 #include "cli/cli.h"
 #include "codec/axes.h"
@@ -19,6 +20,7 @@
 #include "core/outdir.h"
 #include "core/pool.h"
 #include "lod/bake.h"
+#include "lod/clip.h"
 #include "lod/store.h"
 #include "lod/tileset.h"
 #include "lod/tree.h"
@@ -221,6 +223,28 @@ static int export_format(const char *output)
     return dot && !strcasecmp(dot, ".spz") ? EXPORT_SPZ : EXPORT_3DTILES;
 }
 
+/* The store, or the part of it that --clip and its like leave. */
+static enum err_code export_open(const char *path, const struct export_options *o,
+                                 struct store **out, struct err *e)
+{
+    struct clip clip = {0};
+    struct clip_report report;
+    bool any = false;
+    int fd = -1;
+    enum err_code rc =
+        clip_of_options(o->clip, o->clip_low_m, o->clip_high_m, "clip-", &clip, &any, e);
+    if (!rc && !any)
+        return store_open(path, out, e);
+    if (!rc)
+        rc = clip_open_part(&clip, path, NULL, &fd, &report, e);
+    if (!rc)
+        rc = store_open_fd(fd, path, out, e);
+    if (fd >= 0)
+        close(fd);
+    clip_free(&clip);
+    return rc;
+}
+
 enum err_code cli_export(int argc, char **argv, struct err *e)
 {
     struct export_options o = {0};
@@ -234,7 +258,7 @@ enum err_code cli_export(int argc, char **argv, struct err *e)
     if (!o.output)
         rc = err_set(e, ERR_ARG, "-o is missing: where to write");
     if (!rc)
-        rc = store_open(args.arg[0], &s, e);
+        rc = export_open(args.arg[0], &o, &s, e);
     float image[APPEARANCE_IMAGE_MAX];
     const float *chosen = o.appearance ? image : NULL;
     if (!rc && chosen)

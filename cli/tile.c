@@ -26,6 +26,7 @@
 #include "codec/scene.h"
 #include "core/appearance.h"
 #include "lod/bake.h"
+#include "lod/clip.h"
 #include "lod/pyramid.h"
 #include "lod/update.h"
 
@@ -70,8 +71,11 @@ struct tile_scene {
     struct camera_hull ground;  /* of the photographs */
     double crop_margin_m;       /* negative: nothing is left out */
     struct footprint footprint; /* empty: nothing is left out */
-    atomic_size_t *cropped;     /* rows of all levels that --crop left out; tile_load has threads */
-    struct partition plan;      /* only cells with checkpoints; n_cells 0 = no plan */
+    struct clip clip;           /* --clip, if `clips` */
+    bool clips;
+    struct geo_origin origin;
+    atomic_size_t *cropped; /* rows of all levels that --crop left out; tile_load has threads */
+    struct partition plan;  /* only cells with checkpoints; n_cells 0 = no plan */
     uint8_t n_levels;
     struct buf appearance; /* appearance model of all checkpoints, as they hold it; empty: none */
     bool look_known;
@@ -304,6 +308,8 @@ static enum err_code tile_load(void *user, size_t part, struct gauss *out, struc
         ckpt_rows_read(file->rows, from, n < TILE_PART_ROWS ? n : TILE_PART_ROWS, out, e);
     if (!rc)
         tile_own(l->scene, &l->scene->cells[file->cell], out);
+    if (!rc && l->scene->clips)
+        rc = clip_rows(&l->scene->clip, &l->scene->origin, out, e);
     return rc;
 }
 
@@ -501,6 +507,8 @@ static enum err_code tile_update(struct tile_scene *s, const struct tile_options
             rc = ckpt_read(path, &level[l], e);
         if (!rc)
             tile_own(s, cell, &level[l].g);
+        if (!rc && s->clips)
+            rc = clip_rows(&s->clip, &s->origin, &level[l].g, e);
         if (!rc)
             rc = tile_check_blob(s, ckpt_find(&level[l], "appearance"), path, e);
         cfg.level[l] = &level[l].g;
@@ -554,10 +562,10 @@ static enum err_code tile_describe(const struct tile_options *o, const struct sc
 /* What the store keeps besides tiles; empty ones are left out. The blobs borrow the bytes; *out:
  * caller frees with mem_free. */
 static enum err_code tile_blobs(const struct photographs *photographs, const struct buf *appearance,
-                                const struct buf *ground, struct store_blob **out, size_t *n,
-                                struct err *e)
+                                const struct buf *ground, const struct buf *clip,
+                                struct store_blob **out, size_t *n, struct err *e)
 {
-    struct store_blob *blobs = mem_array(photographs->n_blobs + 2, sizeof *blobs);
+    struct store_blob *blobs = mem_array(photographs->n_blobs + 3, sizeof *blobs);
     if (!blobs)
         return err_set(e, ERR_MEM, "out of memory for %zu blobs", photographs->n_blobs);
     *n = 0;
@@ -567,6 +575,8 @@ static enum err_code tile_blobs(const struct photographs *photographs, const str
         blobs[(*n)++] = (struct store_blob){BAKE_BLOB, appearance->data, appearance->size};
     if (ground->size)
         blobs[(*n)++] = (struct store_blob){STORE_FOOTPRINT, ground->data, ground->size};
+    if (clip->size)
+        blobs[(*n)++] = (struct store_blob){STORE_CLIP, clip->data, clip->size};
     *out = blobs;
     return ERR_OK;
 }
@@ -584,8 +594,11 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
                                  .lossless = o->lossless};
     struct pyramid_report report;
     struct photographs photographs = {0};
-    struct buf appearance = {0}, ground = {0};
+    struct buf appearance = {0}, ground = {0}, clip = {0};
     enum err_code rc = scene_read(dir, &scene, e);
+    s.origin = scene.origin;
+    if (!rc)
+        rc = clip_of_options(o->clip, o->clip_low_m, o->clip_high_m, "clip-", &s.clip, &s.clips, e);
     s.crop_margin_m = o->crop_margin_m;
     if (!rc && s.crop_margin_m >= 0.0)
         rc = camera_hull_of(&scene, &s.ground, e);
@@ -613,12 +626,14 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
         rc = tile_make_appearance(&s, &level[s.n_levels - 1], &appearance, e);
     if (!rc && s.footprint.nx)
         rc = footprint_write(&s.footprint, &scene.origin, &ground, e);
+    if (!rc && s.clip.n)
+        rc = clip_describe(&s.clip, NULL, &clip, e);
     if (!rc && appearance.size)
         rc = tile_photographs(&scene, &appearance, o->thumbnails, &photographs, e);
     struct store_blob *blobs = NULL;
     size_t n_blobs = 0;
     if (!rc)
-        rc = tile_blobs(&photographs, &appearance, &ground, &blobs, &n_blobs, e);
+        rc = tile_blobs(&photographs, &appearance, &ground, &clip, &blobs, &n_blobs, e);
     if (!rc)
         rc = pyramid_build(&scene.origin, levels, s.n_levels, &cfg, blobs, n_blobs, o->output,
                            &report, e);
@@ -638,6 +653,8 @@ out:
     photographs_free(&photographs);
     buf_free(&appearance);
     buf_free(&ground);
+    buf_free(&clip);
+    clip_free(&s.clip);
     buf_free(&s.appearance);
     footprint_free(&s.footprint);
     partition_free(&s.plan);

@@ -70,10 +70,14 @@ static void area_add(struct area *a, const struct store_tile *t)
     a->ceiling_m = first ? hi : fmax(a->ceiling_m, hi);
 }
 
-/* ---- the footprint ---- */
+/* ---- outlines ---- */
+
+struct area_box { /* degrees */
+    double west, south, east, north;
+};
 
 /* One ring of GeoJSON positions; false: it is none. */
-static bool area_add_ring(struct area *a, const json_t *ring, size_t *room)
+static bool area_add_ring(struct area *a, const json_t *ring, size_t *room, struct area_box *box)
 {
     size_t n = json_array_size(ring);
     if (n < 4 || n > *room)
@@ -87,11 +91,10 @@ static bool area_add_ring(struct area *a, const json_t *ring, size_t *room)
             if (!json_is_number(json_array_get(at, 1)) || !(fabs(lon) <= 180) || !(fabs(lat) <= 85))
                 return false;
             key_place(lon, lat, k ? edge->to : edge->from);
-            bool first = a->n_edges == 1 && k == 0;
-            a->west_deg = first ? lon : fmin(a->west_deg, lon);
-            a->east_deg = first ? lon : fmax(a->east_deg, lon);
-            a->south_deg = first ? lat : fmin(a->south_deg, lat);
-            a->north_deg = first ? lat : fmax(a->north_deg, lat);
+            box->west = fmin(box->west, lon);
+            box->east = fmax(box->east, lon);
+            box->south = fmin(box->south, lat);
+            box->north = fmax(box->north, lat);
         }
     }
     *room -= n;
@@ -107,34 +110,74 @@ static size_t area_corners(const json_t *polygons)
     return n;
 }
 
-/* The MultiPolygon that training wrote. One that makes no sense is left out, as if there were none:
+static void area_narrow(struct area *a, const struct area_box *box, bool footprint)
+{
+    a->west_deg = footprint ? box->west : fmax(a->west_deg, box->west);
+    a->south_deg = footprint ? box->south : fmax(a->south_deg, box->south);
+    a->east_deg = footprint ? box->east : fmin(a->east_deg, box->east);
+    a->north_deg = footprint ? box->north : fmin(a->north_deg, box->north);
+}
+
+/* A Feature with a MultiPolygon as one more outline. *ok false: it is none, and nothing has changed. */
+static enum err_code area_add_layer(struct area *a, const json_t *feature, bool footprint, bool *ok,
+                                    struct err *e)
+{
+    const json_t *shape = json_object_get(feature, "geometry"),
+                 *polygons = json_object_get(shape, "coordinates");
+    const char *type = json_string_value(json_object_get(shape, "type"));
+    struct area_box box = {180, 90, -180, -90};
+    size_t n = type && !strcmp(type, "MultiPolygon") ? area_corners(polygons) : 0, room = n,
+           before = a->n_edges;
+    *ok = n >= 4 && n + before <= AREA_EDGES_MAX && a->n_layers < AREA_LAYERS_MAX;
+    if (!*ok)
+        return ERR_OK;
+    struct area_edge *edges = mem_resize(a->edges, before, before + n, sizeof *edges);
+    if (!edges)
+        return err_set(e, ERR_MEM, "out of memory for an outline of %zu corners", n);
+    a->edges = edges;
+    for (size_t i = 0; *ok && i < json_array_size(polygons); i++) {
+        const json_t *polygon = json_array_get(polygons, i);
+        for (size_t r = 0; *ok && r < json_array_size(polygon); r++)
+            *ok = area_add_ring(a, json_array_get(polygon, r), &room, &box);
+    }
+    if (!*ok) {
+        a->n_edges = before;
+        return ERR_OK;
+    }
+    a->layer[++a->n_layers] = a->n_edges;
+    area_narrow(a, &box, footprint);
+    return ERR_OK;
+}
+
+/* The footprint that training wrote. One that makes no sense is left out, as if there were none:
  * store_open has warned of a text that is no JSON. */
 static enum err_code area_read_footprint(struct area *a, const char *text, struct err *e)
 {
     json_t *root = text ? json_loads(text, 0, NULL) : NULL;
-    const json_t *shape = json_object_get(root, "geometry"),
-                 *polygons = json_object_get(shape, "coordinates");
-    const char *type = json_string_value(json_object_get(shape, "type"));
-    const struct area tiles = *a;
-    bool ok = type && !strcmp(type, "MultiPolygon");
-    size_t n = ok ? area_corners(polygons) : 0, room = n;
-    enum err_code rc = ERR_OK;
-    if (n < 4 || n > AREA_EDGES_MAX)
-        ok = false;
-    if (ok && !(a->edges = mem_array(n, sizeof *a->edges)))
-        rc = err_set(e, ERR_MEM, "out of memory for a footprint of %zu corners", n);
-    for (size_t i = 0; ok && !rc && i < json_array_size(polygons); i++) {
-        const json_t *polygon = json_array_get(polygons, i);
-        for (size_t r = 0; ok && r < json_array_size(polygon); r++)
-            ok = area_add_ring(a, json_array_get(polygon, r), &room);
-    }
-    if (!ok || rc) {
-        mem_free(a->edges);
-        *a = tiles;
-    }
-    if (text && !ok)
+    bool ok = false;
+    enum err_code rc = root ? area_add_layer(a, root, true, &ok, e) : ERR_OK;
+    a->by_tiles = !ok;
+    if (text && !rc && !ok)
         log_warn("store", "the footprint is no MultiPolygon of places: what was surveyed is taken "
                           "from the tiles");
+    json_decref(root);
+    return rc;
+}
+
+/* What clip_store wrote. */
+static enum err_code area_read_clip(struct area *a, const char *text, struct err *e)
+{
+    json_t *root = text ? json_loads(text, 0, NULL) : NULL;
+    const json_t *list = json_object_get(root, "features");
+    bool ok = true;
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; !rc && ok && i < json_array_size(list); i++)
+        rc = area_add_layer(a, json_array_get(list, i), false, &ok, e);
+    if (!rc && !ok)
+        log_warn("store",
+                 "what it was clipped to is no list of at most %d MultiPolygons: maps show "
+                 "the tiles' ground",
+                 AREA_LAYERS_MAX - 1);
     json_decref(root);
     return rc;
 }
@@ -155,6 +198,12 @@ enum err_code area_make(const struct store *s, struct area *out, struct err *e)
     }
     if (!rc)
         rc = area_read_footprint(&a, store_footprint(s), e);
+    if (!rc)
+        rc = area_read_clip(&a, store_clip(s), e);
+    if (!rc && !a.n_edges) { /* of outlines that made no sense */
+        mem_free(a.edges);
+        a.edges = NULL;
+    }
     if (rc)
         area_free(&a);
     *out = a;
@@ -184,19 +233,26 @@ static bool area_tile_holds(const struct area *a, struct key k)
     }
 }
 
-bool area_holds(const struct area *a, double lon_deg, double lat_deg)
+static bool area_layer_holds(const struct area *a, size_t layer, const double at[2])
 {
-    double at[2];
     bool in = false;
-    if (!a->edges)
-        return area_tile_holds(a, key_at(lon_deg, lat_deg, store_info(a->store)->zoom_max));
-    key_place(lon_deg, lat_deg, at);
-    for (size_t i = 0; i < a->n_edges; i++) {
+    for (size_t i = a->layer[layer]; i < a->layer[layer + 1]; i++) {
         const double *p = a->edges[i].from, *q = a->edges[i].to;
         if ((p[1] > at[1]) != (q[1] > at[1]) &&
             at[0] < p[0] + (at[1] - p[1]) / (q[1] - p[1]) * (q[0] - p[0]))
             in = !in;
     }
+    return in;
+}
+
+bool area_holds(const struct area *a, double lon_deg, double lat_deg)
+{
+    double at[2];
+    bool in = !a->by_tiles ||
+              area_tile_holds(a, key_at(lon_deg, lat_deg, store_info(a->store)->zoom_max));
+    key_place(lon_deg, lat_deg, at);
+    for (size_t l = 0; in && l < a->n_layers; l++)
+        in = area_layer_holds(a, l, at);
     return in;
 }
 
@@ -239,13 +295,16 @@ static void area_mask_tiles(const struct area *a, const double corner[8], uint32
         }
 }
 
-/* One row, even-odd: every edge that it crosses turns what lies right of the crossing. */
-static void area_mask_row(const struct area *a, const double left[2], const double right[2],
-                          uint32_t w, uint8_t *in)
+enum { AREA_TURN = 2 }; /* beside the 1 of what is held */
+
+/* One row, even-odd: every edge that it crosses turns what lies right of the crossing. What is not in
+ * the outline goes. */
+static void area_mask_row(const struct area *a, size_t layer, const double left[2],
+                          const double right[2], uint32_t w, uint8_t *in)
 {
     double d[2] = {right[0] - left[0], right[1] - left[1]}, length2 = d[0] * d[0] + d[1] * d[1];
-    memset(in, 0, w);
-    for (size_t i = 0; i < a->n_edges; i++) {
+    uint8_t held = 0;
+    for (size_t i = a->layer[layer]; i < a->layer[layer + 1]; i++) {
         const double *p = a->edges[i].from, *q = a->edges[i].to;
         double p_side = d[0] * (p[1] - left[1]) - d[1] * (p[0] - left[0]),
                q_side = d[0] * (q[1] - left[1]) - d[1] * (q[0] - left[0]);
@@ -255,24 +314,29 @@ static void area_mask_row(const struct area *a, const double left[2], const doub
                v = p[1] + t * (q[1] - p[1]);
         double x = ceil((d[0] * (u - left[0]) + d[1] * (v - left[1])) / length2 * w - 0.5);
         if (x < w)
-            in[x > 0 ? (size_t)x : 0] ^= 1;
+            in[x > 0 ? (size_t)x : 0] ^= AREA_TURN;
     }
-    for (uint32_t x = 1; x < w; x++)
-        in[x] ^= in[x - 1];
+    for (uint32_t x = 0; x < w; x++) {
+        held ^= in[x] / AREA_TURN;
+        in[x] &= held;
+    }
 }
 
 size_t area_mask(const struct area *a, const double corner[8], uint32_t w, uint32_t h, uint8_t *in)
 {
     size_t n = 0;
-    if (!a->edges)
+    if (a->by_tiles)
         area_mask_tiles(a, corner, w, h, in);
-    for (uint32_t y = 0; a->edges && y < h; y++) {
+    else
+        memset(in, 1, (size_t)w * h);
+    for (uint32_t y = 0; a->n_layers && y < h; y++) {
         double t = (y + 0.5) / h, left[2], right[2];
         for (size_t k = 0; k < 2; k++) {
             left[k] = (1 - t) * corner[k] + t * corner[4 + k];
             right[k] = (1 - t) * corner[2 + k] + t * corner[6 + k];
         }
-        area_mask_row(a, left, right, w, in + (size_t)y * w);
+        for (size_t l = 0; l < a->n_layers; l++)
+            area_mask_row(a, l, left, right, w, in + (size_t)y * w);
     }
     for (size_t i = 0; i < (size_t)w * h; i++)
         n += in[i];

@@ -14,17 +14,21 @@
 
 #include "lod/store.h"
 
+enum { AREA_LAYERS_MAX = 8 };
 #define AREA_COARSE 4.0 /* a tile with this many times the usual median sigma is background */
 
-struct area_edge { /* of the footprint, in the Mercator square (key_place) */
+struct area_edge { /* of an outline, in the Mercator square (key_place) */
     double from[2], to[2];
 };
 struct area {                  /* {0} is empty */
     const struct store *store; /* borrowed */
     bool *in;                  /* by index into store_tiles */
     size_t n_in;
-    struct area_edge *edges; /* of the store's footprint; NULL: it has none, and tiles decide */
-    size_t n_edges;
+    /* Outlines, each by the even-odd rule: what lies in all of them was surveyed. The first is the store's
+     * footprint; without one (by_tiles), tiles decide. The others are what it was clipped to. */
+    struct area_edge *edges;                              /* NULL: none */
+    size_t n_edges, n_layers, layer[AREA_LAYERS_MAX + 1]; /* first edge of each, and the end */
+    bool by_tiles;
     double west_deg, south_deg, east_deg, north_deg; /* around what was surveyed */
     double floor_m, ceiling_m; /* ENU: nearly all of the surveyed lies between */
     double sigma_m;            /* usual median sigma: half of the Gaussians are in finer tiles */

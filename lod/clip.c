@@ -4,11 +4,15 @@
  */
 #include "lod/clip.h"
 
+#include <errno.h>
+#include <fcntl.h>
 #include <jansson.h>
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 #include "core/gauss.h"
 #include "lod/outline.h"
@@ -52,7 +56,9 @@ static enum err_code clip_add_ring(struct clip *c, const json_t *ring, const cha
         c->cap = p ? cap : c->cap;
     }
     for (size_t i = 0; !rc && i + 1 < n; i++)
-        c->edges[c->n++] = (struct clip_edge){{at[i][0], at[i][1]}, {at[i + 1][0], at[i + 1][1]}};
+        c->edges[c->n++] = (struct clip_edge){
+            {at[i][0], at[i][1]}, {at[i + 1][0], at[i + 1][1]}, c->n_polygons, c->n_rings};
+    c->n_rings++;
     mem_free(at);
     return rc;
 }
@@ -63,6 +69,7 @@ static enum err_code clip_add_polygon(struct clip *c, const json_t *rings, const
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < json_array_size(rings); i++)
         rc = clip_add_ring(c, json_array_get(rings, i), path, e);
+    c->n_polygons++;
     return rc;
 }
 
@@ -130,6 +137,30 @@ enum err_code clip_open(const char *path, double low_m, double high_m, struct cl
     return rc;
 }
 
+static enum err_code clip_number(const char *text, const char *prefix, const char *name,
+                                 double *out, struct err *e)
+{
+    char *end;
+    if (!text)
+        return ERR_OK;
+    *out = strtod(text, &end);
+    return end != text && !*end && isfinite(*out)
+               ? ERR_OK
+               : err_set(e, ERR_ARG, "--%s%s: '%s': a number is expected", prefix, name, text);
+}
+
+enum err_code clip_of_options(const char *path, const char *low_m, const char *high_m,
+                              const char *prefix, struct clip *out, bool *any, struct err *e)
+{
+    double low = -HUGE_VAL, high = HUGE_VAL;
+    *out = (struct clip){0};
+    *any = path || low_m || high_m;
+    enum err_code rc = clip_number(low_m, prefix, "low-m", &low, e);
+    if (!rc)
+        rc = clip_number(high_m, prefix, "high-m", &high, e);
+    return !rc && *any ? clip_open(path, low, high, out, e) : rc;
+}
+
 void clip_free(struct clip *c)
 {
     mem_free(c->edges);
@@ -173,6 +204,57 @@ enum err_code clip_rows(const struct clip *c, const struct geo_origin *origin, s
     return ERR_OK;
 }
 
+/* ---- what a store says of it ---- */
+
+static json_t *clip_ring_to_json(const struct clip *c, size_t from, size_t end)
+{
+    json_t *ring = json_array();
+    for (size_t i = from; i < end; i++)
+        json_array_append_new(ring, json_pack("[f, f]", c->edges[i].from[0], c->edges[i].from[1]));
+    json_array_append_new(ring,
+                          json_pack("[f, f]", c->edges[end - 1].to[0], c->edges[end - 1].to[1]));
+    return ring;
+}
+
+static json_t *clip_feature(const struct clip *c)
+{
+    json_t *polygons = json_array(), *height = json_object();
+    for (size_t i = 0, end; i < c->n; i = end) {
+        for (end = i; end < c->n && c->edges[end].ring == c->edges[i].ring;)
+            end++;
+        if (!i || c->edges[i].polygon != c->edges[i - 1].polygon)
+            json_array_append_new(polygons, json_array());
+        json_array_append_new(json_array_get(polygons, json_array_size(polygons) - 1),
+                              clip_ring_to_json(c, i, end));
+    }
+    if (isfinite(c->low_m))
+        json_object_set_new(height, "low_m", json_real(c->low_m));
+    if (isfinite(c->high_m))
+        json_object_set_new(height, "high_m", json_real(c->high_m));
+    return json_pack("{s:s, s:o, s:{s:s, s:o}}", "type", "Feature", "properties", height,
+                     "geometry", "type", "MultiPolygon", "coordinates", polygons);
+}
+
+enum err_code clip_describe(const struct clip *c, const char *before, struct buf *out,
+                            struct err *e)
+{
+    json_t *root = before ? json_loads(before, 0, NULL) : NULL;
+    char *text = NULL;
+    if (!json_is_array(json_object_get(root, "features"))) {
+        json_decref(root);
+        root = json_pack("{s:s, s:[]}", "type", "FeatureCollection", "features");
+    }
+    if (c->n && !json_array_append_new(json_object_get(root, "features"), clip_feature(c)))
+        text = json_dumps(root, JSON_COMPACT | JSON_REAL_PRECISION(12));
+    if (text)
+        buf_add(out, text, strlen(text));
+    bool failed = c->n && !text;
+    json_decref(root);
+    free(text);
+    return failed ? err_set(e, ERR_MEM, "out of memory for a clip of %zu edges", c->n)
+                  : buf_check(out, e);
+}
+
 /* ---- a store ---- */
 
 static enum err_code clip_tile(const struct clip *c, struct store *from,
@@ -204,7 +286,8 @@ static enum err_code clip_tile(const struct clip *c, struct store *from,
     return rc;
 }
 
-static enum err_code clip_blobs(struct store *from, struct store *to, struct err *e)
+static enum err_code clip_blobs(const struct clip *c, struct store *from, struct store *to,
+                                struct err *e)
 {
     struct arena a = {0};
     char **names;
@@ -212,11 +295,19 @@ static enum err_code clip_blobs(struct store *from, struct store *to, struct err
     enum err_code rc = store_list_blobs(from, &a, &names, &n, e);
     for (size_t i = 0; !rc && i < n; i++) {
         struct buf b = {0};
+        if (c->n && !strcmp(names[i], STORE_CLIP))
+            continue; /* told anew */
         rc = store_get_blob(from, names[i], &b, e);
         if (!rc)
             rc = store_put_blob(to, names[i], b.data, b.size, e);
         buf_free(&b);
     }
+    struct buf told = {0};
+    if (!rc && c->n)
+        rc = clip_describe(c, store_clip(from), &told, e);
+    if (!rc && told.size)
+        rc = store_put_blob(to, STORE_CLIP, told.data, told.size, e);
+    buf_free(&told);
     arena_free(&a);
     return rc;
 }
@@ -285,7 +376,7 @@ enum err_code clip_store(const struct clip *c, const char *path, const char *nam
     if (!rc && !report->n_tiles)
         rc = clip_nothing(from, e);
     if (!rc)
-        rc = clip_blobs(from, to, e);
+        rc = clip_blobs(c, from, to, e);
     if (!rc)
         rc = store_commit(&to, e);
     store_close(&to);
@@ -295,5 +386,28 @@ enum err_code clip_store(const struct clip *c, const char *path, const char *nam
     if (!rc)
         memcpy(report->revision, store_info(from)->revision, sizeof report->revision);
     store_close(&from);
+    return rc;
+}
+
+/* ---- for as long as it is open ---- */
+
+enum err_code clip_open_part(const struct clip *c, const char *path, const char *dir, int *fd,
+                             struct clip_report *report, struct err *e)
+{
+    char folder[FILE_PATH_MAX], file[FILE_PATH_MAX];
+    const char *in = dir ? dir : getenv("TMPDIR");
+    int n = snprintf(folder, sizeof folder, "%s/citysplat-clip-XXXXXX", in && *in ? in : "/tmp");
+    *fd = -1;
+    if (n < 0 || (size_t)n >= sizeof folder)
+        return err_set(e, ERR_LIMIT, "%.60s...: the path is too long", in);
+    if (!mkdtemp(folder))
+        return err_errno(e, ERR_IO, "%s: no folder for a clipped store", folder);
+    enum err_code rc = file_join(file, folder, "part.tiles", e);
+    if (!rc)
+        rc = clip_store(c, path, NULL, file, report, e);
+    if (!rc && (*fd = open(file, O_RDONLY | O_CLOEXEC)) < 0)
+        rc = err_errno(e, ERR_IO, "%s", file);
+    unlink(file);
+    rmdir(folder);
     return rc;
 }

@@ -225,7 +225,7 @@ static enum err_code edit_copy_tiles(const struct edit *d, struct store *from,
 }
 
 /* other: the second store, NULL when there is one only. The footprint of one of two is not that of
- * both. */
+ * both, and what one was clipped to is not either. */
 static enum err_code edit_copy_blobs(const struct edit *d, struct store *from, struct store *before,
                                      const struct store *other, struct store *to, struct err *e)
 {
@@ -237,7 +237,7 @@ static enum err_code edit_copy_blobs(const struct edit *d, struct store *from, s
     for (size_t i = 0; !rc && i < n; i++) {
         if (before && !store_get_blob(before, names[i], &b, NULL))
             continue;
-        if (other && !strcmp(names[i], STORE_FOOTPRINT))
+        if (other && (!strcmp(names[i], STORE_FOOTPRINT) || !strcmp(names[i], STORE_CLIP)))
             continue;
         rc = store_get_blob(from, names[i], &b, e);
         if (!rc && !strcmp(names[i], BAKE_BLOB) && d->appearance.size)

@@ -241,6 +241,16 @@ static void nadir_heights(const struct nadir *n, const struct nadir_piece *p, do
         }
 }
 
+/* Training fits colours over black, so the little light that passes between the Gaussians of a city is in
+ * them already: dividing by what was stopped would make everything too bright. Where much passes, at the
+ * rim and in holes, nothing was fitted, and what is drawn gets dark: there it is divided. */
+static float nadir_color(float drawn, float transmittance)
+{
+    static const float fitted = 0.35f, rim = 0.5f; /* at more than the latter there is no surface */
+    float share = fminf(fmaxf((transmittance - fitted) / (rim - fitted), 0), 1);
+    return fminf(drawn / (1 - share * transmittance), 1);
+}
+
 enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rgb, float *height_m,
                          struct err *e)
 {
@@ -270,7 +280,7 @@ enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rg
     if (rc)
         return rc;
     for (size_t i = 0; rgb && i < 3 * pixels; i++)
-        rgb[i] = n->depth[i / 3] > 0 ? fminf(n->rgb[i] / (1 - n->transmittance[i / 3]), 1) : NAN;
+        rgb[i] = n->depth[i / 3] > 0 ? nadir_color(n->rgb[i], n->transmittance[i / 3]) : NAN;
     if (height_m)
         nadir_heights(n, p, eye_h_m, height_m);
     return ERR_OK;

@@ -59,7 +59,7 @@ enum { NADIR_MIDDLE, NADIR_RIGHT, NADIR_DOWN, NADIR_CORNER, NADIR_PLACES = 7 };
 enum err_code nadir_fit(const struct nadir *n, const double lon_deg[NADIR_PLACES],
                         const double lat_deg[NADIR_PLACES], struct nadir_piece *p, double *off_px,
                         struct err *e) ERR_USE;
-/* rgb [h][w][3], 0 to 1 and not premultiplied; height_m [h][w], ellipsoidal; both NAN where less
+/* rgb [h][w][3], 0 to 1, as photographs were fitted; height_m [h][w], ellipsoidal; both NAN where less
  * than half of the light is stopped. Either may be NULL. ERR_ARG: size or place; ERR_CANCEL, ERR_DEVICE,
  * ERR_FORMAT (a damaged tile), ERR_MEM, ERR_LIMIT. */
 enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rgb, float *height_m,

@@ -116,6 +116,10 @@ enum err_code store_get_blob(struct store *s, const char *name, struct buf *out,
  * none was stored. Borrowed until store_close. */
 #define STORE_FOOTPRINT "footprint" /* its blob */
 const char *store_footprint(const struct store *s);
+/* What the store was clipped to (lod/clip.h): a GeoJSON FeatureCollection, one line; what is left lies
+ * within every feature of it. NULL: it was not. Borrowed until store_close. */
+#define STORE_CLIP "clip"
+const char *store_clip(const struct store *s);
 /* Names of the blobs [*n], sorted; live in the arena. ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code store_list_blobs(struct store *s, struct arena *a, char ***names, size_t *n,
                                struct err *e) ERR_USE;

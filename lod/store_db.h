@@ -63,6 +63,7 @@ struct store {
     bool bake_known;
     void (*bake_free)(struct store *s);
     char *footprint;      /* opened: GeoJSON; NULL: none */
+    char *clip;           /* the same */
     struct store *before; /* building: what will be replaced, for tile versions; may be NULL */
 };
 

@@ -354,26 +354,31 @@ static enum err_code store_read_index(struct store *s, size_t *n_bad, struct err
 }
 
 /* Kept as text that is known to be JSON, since it goes into documents as it is. */
-static void store_read_footprint(struct store *s)
+static void store_read_outline(struct store *s, const char *name, char **out)
 {
     struct buf b = {0};
     json_t *root = NULL;
-    enum err_code rc = store_get_blob(s, STORE_FOOTPRINT, &b, NULL);
+    enum err_code rc = store_get_blob(s, name, &b, NULL);
     if (rc == ERR_NOENT)
         return;
     if (!rc)
-        rc = jsonc_parse((const char *)b.data, b.size, STORE_FOOTPRINT, &root, NULL);
+        rc = jsonc_parse((const char *)b.data, b.size, name, &root, NULL);
     if (!rc)
-        s->footprint = json_dumps(root, JSON_COMPACT | JSON_REAL_PRECISION(12));
+        *out = json_dumps(root, JSON_COMPACT | JSON_REAL_PRECISION(12));
     json_decref(root);
     buf_free(&b);
-    if (rc || !s->footprint) /* what is drawn does not need it; verify finds what is damaged */
-        log_warn("store", "%s: its footprint cannot be read: it is left out", s->path);
+    if (rc || !*out) /* what is drawn does not need it; verify finds what is damaged */
+        log_warn("store", "%s: its %s cannot be read: it is left out", s->path, name);
 }
 
 const char *store_footprint(const struct store *s)
 {
     return s->footprint;
+}
+
+const char *store_clip(const struct store *s)
+{
+    return s->clip;
 }
 
 /* The file at `at`, which messages call `path`. */
@@ -402,8 +407,10 @@ static enum err_code store_open_at(const char *at, const char *path, const char 
         rc = store_read_index(s, &n_bad, e);
     if (!rc)
         rc = tree_build(s->tiles, s->n_tiles, &s->tree, e);
-    if (!rc)
-        store_read_footprint(s);
+    if (!rc) {
+        store_read_outline(s, STORE_FOOTPRINT, &s->footprint);
+        store_read_outline(s, STORE_CLIP, &s->clip);
+    }
     if (rc)
         store_close(&s);
     *out = s;
@@ -442,6 +449,7 @@ void store_close(struct store **sp)
     tree_free(&s->tree);
     mem_free(s->tiles);
     free(s->footprint); /* jansson's */
+    free(s->clip);
     mem_free(s);
     *sp = NULL;
 }

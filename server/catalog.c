@@ -74,13 +74,13 @@ static enum err_code catalog_open_or_keep(const char *path, const struct catalog
     for (size_t i = 0; older && i < older->n_current && !*out; i++) {
         struct dataset *d = older->ds[i];
         if (!atomic_load(&d->n_failed) && !strcmp(d->path, path) &&
-            !strcmp(d->meta.revision, store_info(now)->revision))
+            !strcmp(d->source, store_info(now)->revision))
             *out = dataset_ref(d);
     }
     store_close(&now);
     if (*out)
         return ERR_OK;
-    rc = dataset_open(path, o->readers, out, e);
+    rc = dataset_open(path, o->readers, o->clip, o->clip_dir, out, e);
     if (!rc)
         result_id_tiles_edition(*out, o->preset, (*out)->edition);
     if (!rc)

@@ -17,13 +17,15 @@ struct catalog { /* immutable; counted: a reload makes a new one */
     struct body *collections;
 };
 struct catalog_options {
-    size_t readers;         /* handles of each dataset */
-    const char *public_url; /* of TileJSON; NULL, "": none */
-    double keep_s;          /* revisions that were replaced are served so long */
-    size_t keep_revisions;  /* and at most so many of one dataset */
-    const char *basemap;    /* of the viewer's inset map, see collection_list */
+    size_t readers;          /* handles of each dataset */
+    const struct clip *clip; /* of every store this part is served; NULL: all */
+    const char *clip_dir;    /* where the parts lie, unnamed; NULL: see clip_open_part */
+    const char *public_url;  /* of TileJSON; NULL, "": none */
+    double keep_s;           /* revisions that were replaced are served so long */
+    size_t keep_revisions;   /* and at most so many of one dataset */
+    const char *basemap;     /* of the viewer's inset map, see collection_list */
     const char *basemap_attribution;
-    unsigned preset;        /* of tiles that do not say one: enum quant_preset */
+    unsigned preset;         /* of tiles that do not say one: enum quant_preset */
 };
 /* Open every path. `older` (may be NULL; not changed) gives unchanged datasets and the revisions that it
  * has. catalog_drop it. ERR_ARG: two datasets of one name; the errors of dataset_open. */

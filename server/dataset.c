@@ -15,6 +15,7 @@
 #include <unistd.h>
 
 #include "lod/bake.h"
+#include "lod/clip.h"
 #include "server/encode.h"
 
 /* West south hmin east north hmax of the coarsest level's boxes: it covers every Gaussian. */
@@ -48,19 +49,43 @@ static enum err_code dataset_find_bbox(struct dataset *d, struct err *e)
     return ERR_OK;
 }
 
+/* The store's file, or a part of it. */
+static enum err_code dataset_open_file(struct dataset *d, const struct clip *clip,
+                                       const char *clip_dir, struct err *e)
+{
+    struct store *whole = NULL;
+    struct clip_report r;
+    struct stat st;
+    double start_s = clock_s();
+    enum err_code rc = ERR_OK;
+    if (!clip) {
+        d->fd = open(d->path, O_RDONLY | O_CLOEXEC);
+        if (d->fd < 0)
+            return err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", d->path);
+    } else {
+        rc = store_open(d->path, &whole, e);
+        if (!rc)
+            memcpy(d->source, store_info(whole)->revision, sizeof d->source);
+        store_close(&whole);
+        if (!rc)
+            rc = clip_open_part(clip, d->path, clip_dir, &d->fd, &r, e);
+        if (!rc)
+            log_info("serve", "clipped file=%s tiles=%zu kept=%zu left_out=%zu seconds=%.1f",
+                     d->path, r.n_tiles, r.n_kept, r.n_dropped, clock_s() - start_s);
+    }
+    if (!rc && fstat(d->fd, &st))
+        rc = err_errno(e, ERR_IO, "%s", d->path);
+    if (!rc)
+        d->modified_s = st.st_mtime;
+    return rc;
+}
+
 static enum err_code dataset_open_stores(struct dataset *d, size_t n, struct err *e)
 {
     d->stores = mem_array(n, sizeof *d->stores);
     d->free_store = mem_array(n, sizeof *d->free_store);
     if (!d->stores || !d->free_store)
         return err_set(e, ERR_MEM, "dataset %s: out of memory", d->path);
-    d->fd = open(d->path, O_RDONLY | O_CLOEXEC);
-    if (d->fd < 0)
-        return err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", d->path);
-    struct stat st;
-    if (fstat(d->fd, &st))
-        return err_errno(e, ERR_IO, "%s", d->path);
-    d->modified_s = st.st_mtime;
     for (size_t i = 0; i < n; i++) {
         enum err_code rc = store_open_fd(d->fd, d->path, &d->stores[i], e);
         if (rc)
@@ -90,7 +115,8 @@ static enum err_code dataset_find_area(struct dataset *d, struct err *e)
     return rc == ERR_DATA ? ERR_OK : rc;
 }
 
-enum err_code dataset_open(const char *path, size_t readers, struct dataset **out, struct err *e)
+enum err_code dataset_open(const char *path, size_t readers, const struct clip *clip,
+                           const char *clip_dir, struct dataset **out, struct err *e)
 {
     struct dataset *d = mem_array(1, sizeof *d);
     *out = d;
@@ -103,10 +129,14 @@ enum err_code dataset_open(const char *path, size_t readers, struct dataset **ou
     if (!(d->path = mem_text(path)))
         rc = err_set(e, ERR_MEM, "dataset %s: out of memory", path);
     if (!rc)
+        rc = dataset_open_file(d, clip, clip_dir, e);
+    if (!rc)
         rc = dataset_open_stores(d, readers + 1, e);
     if (!rc) {
         d->index = d->stores[0];
         d->meta = *store_info(d->index);
+        if (!clip)
+            memcpy(d->source, d->meta.revision, sizeof d->source);
         d->tiles = store_tiles(d->index, &d->n_tiles);
         rc = dataset_find_bbox(d, e);
     }

@@ -11,11 +11,14 @@
 #include "lod/area.h"
 #include "server/body.h"
 
+struct clip;
+
 struct dataset { /* immutable but for what the comments say; counted */
     _Atomic uint32_t refs;
     int64_t modified_s; /* its file was written, since 1970 */
     char *path;         /* of this revision, when it was opened */
-    int fd;             /* its file, whatever that path names by now */
+    char source[13];    /* revision of what is at the path; meta.revision unless it was clipped */
+    int fd;             /* its file, whatever that path names by now; of a clipped one its part */
     struct store_meta meta;
     const struct store_tile *tiles;
     size_t n_tiles;
@@ -37,10 +40,11 @@ struct dataset { /* immutable but for what the comments say; counted */
     size_t n_stores, n_free;
 };
 
-/* Open `path` with `readers` handles for workers. dataset_drop it. The errors of store_open, ERR_MEM.
- */
-enum err_code dataset_open(const char *path, size_t readers, struct dataset **out,
-                           struct err *e) ERR_USE;
+/* Open `path` with `readers` handles for workers. clip (may be NULL): the part of it that this leaves,
+ * as a file in clip_dir that goes with the dataset. dataset_drop it. The errors of store_open and
+ * clip_open_part, ERR_MEM. */
+enum err_code dataset_open(const char *path, size_t readers, const struct clip *clip,
+                           const char *clip_dir, struct dataset **out, struct err *e) ERR_USE;
 struct dataset *dataset_ref(struct dataset *d);
 void dataset_drop(struct dataset **d);
 /* Is the caller's the only reference? Nobody can take another one then. */

@@ -16,6 +16,7 @@
 #include <unistd.h>
 
 #include "core/pool.h"
+#include "lod/clip.h"
 #include "server/http.h"
 #include "server/motion.h"
 #include "server/services.h"
@@ -25,6 +26,7 @@ struct server {
     struct server_config cfg; /* texts are borrowed from the caller */
     const char *const *paths;
     size_t n_paths, workers;
+    struct clip clip; /* of all stores; in use if stores.clip is set */
     struct catalog_options stores;
     struct services services;
     struct http *http, *admin; /* admin: NULL without --admin */
@@ -136,6 +138,7 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     sv->n_paths = n;
     sv->workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
     sv->stores = (struct catalog_options){.readers = sv->workers,
+                                          .clip_dir = cfg->clip_dir,
                                           .public_url = cfg->public_url,
                                           .keep_s = cfg->keep_s,
                                           .keep_revisions = (size_t)cfg->keep_revisions,
@@ -143,7 +146,12 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
                                           .basemap_attribution = cfg->basemap_attribution,
                                           .preset = (unsigned)cfg->preset};
     struct services *s = &sv->services;
+    bool clips = false;
     enum err_code rc = log_start(e);
+    if (!rc)
+        rc = clip_of_options(cfg->clip, cfg->clip_low_m, cfg->clip_high_m, "clip-", &sv->clip,
+                             &clips, e);
+    sv->stores.clip = clips ? &sv->clip : NULL;
     if (!rc)
         server_fit_descriptors(sv);
     if (!rc)
@@ -220,6 +228,7 @@ bool server_stop(struct server **out)
     if (!ended)
         log_error("serve", "the device does not return from a call; its thread is left behind");
     log_stop(1);
+    clip_free(&sv->clip);
     if (ended) {
         motion_close(&sv->services.motion);
         mem_free(sv);
@@ -274,7 +283,13 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
     struct server sv = {.cfg = *cfg};
     struct services *s = &sv.services;
     sv.stores =
-        (struct catalog_options){1, cfg->public_url, cfg->keep_s, (size_t)cfg->keep_revisions};
+        (struct catalog_options){.readers = 1,
+                                 .public_url = cfg->public_url,
+                                 .keep_s = cfg->keep_s,
+                                 .keep_revisions = (size_t)cfg->keep_revisions,
+                                 .basemap = cfg->basemap,
+                                 .basemap_attribution = cfg->basemap_attribution,
+                                 .preset = (unsigned)cfg->preset};
     enum err_code rc = services_open(s, &sv.cfg, e);
     if (!rc)
         rc = http_check(cfg, e);

@@ -27,7 +27,7 @@ struct geotiff {
     struct progress progress;
 };
 
-static void geotiff_start(void)
+void geotiff_start(void)
 {
     CPLSetConfigOption("GDAL_CACHEMAX", GEOTIFF_CACHE_MB);
     CPLSetConfigOption("GDAL_PAM_ENABLED", "NO"); /* no .aux.xml beside the file */
@@ -136,6 +136,7 @@ static enum err_code geotiff_copy(struct geotiff *t, struct err *e)
     options = CSLSetNameValue(options, "COMPRESS", "DEFLATE");
     options = CSLSetNameValue(options, "PREDICTOR", "YES");
     options = CSLSetNameValue(options, "OVERVIEW_RESAMPLING", "AVERAGE");
+    options = CSLSetNameValue(options, "NUM_THREADS", "ALL_CPUS"); /* of compression */
     options = CSLSetNameValue(options, "BIGTIFF", "IF_SAFER");
     progress_start(&t->progress, "tiles and overviews, %", 100);
     GDALDatasetH cog = GDALCreateCopy(GDALGetDriverByName("COG"), t->part, t->data, FALSE, options,

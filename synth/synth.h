@@ -3,7 +3,7 @@
  * Nobody has to download anything to try the program, and tests know the right answer: poses,
  * depth, clean pictures, which GPS position lies and by how much. Reading order: synth.c (what is
  * written), synth_city.c (what stands where), synth_flight.c (who looks from where), synth_trace.c
- * (what a ray hits), synth_shade.c (what colour that is), synth_draw.c (a picture), synth_model.c
+ * (what a ray hits), synth_shade.c (what colour that is), synth_draw.c (a picture), synth_map.c (a map), synth_model.c
  * (the COLMAP model), synth_views.c (ground truth at poses that people take in maps).
  *
  * The city is built in its own frame: metres, z up, ground at z = 0, streets along x and y. ENU is
@@ -139,12 +139,25 @@ void synth_draw_close(struct synth_draw *d);
 enum err_code synth_draw_picture(const struct synth_draw *d, const struct camera *cam,
                                  const struct synth_light *light, const struct synth_grid *moving,
                                  struct image *out, struct err *e) ERR_USE;
+/* Blur rgb [h][w][3] by a Gaussian. ERR_MEM. */
+enum err_code synth_draw_blur(float *rgb, size_t w, size_t h, double sigma_px,
+                              struct err *e) ERR_USE;
 /* What a pixel position sees of the still city; returns its depth along the optical axis in metres,
  * 0 = sky. */
 double synth_draw_hit(const struct synth_draw *d, const struct camera *cam, double u_px,
                       double v_px, struct synth_hit *hit);
 /* The depth of every pixel centre: depth [h][w]. */
 void synth_draw_depth(const struct synth_draw *d, const struct camera *cam, float *depth);
+
+/* ---- synth_map.c ---- */
+
+/* The still city from straight above, all rays parallel: what an orthophoto should show. corner_enu_m:
+ * ENU of the picture's corners, top left, top right, bottom left, bottom right; pixels lie evenly
+ * between. Each is the mean of supersample^2 rays, then blurred. Works on all cores. image_free *out,
+ * also after ERR_MEM. */
+enum err_code synth_map_draw(const struct synth_city *c, const double corner_enu_m[4][2],
+                             const uint32_t size_px[2], int supersample, double blur_px,
+                             struct image *out, struct err *e) ERR_USE;
 
 /* ---- synth_flight.c ---- */
 
@@ -194,6 +207,10 @@ bool synth_model_sees(const struct synth_city *c, const struct lens *lens, const
 enum err_code synth_views_write(const struct synth_config *cfg, const struct synth_city *city,
                                 const struct synth_photo *photos, const char *dir,
                                 struct err *e) ERR_USE;
+/* The options that the city in folder asked->city was made with; those of map views are asked's. Texts
+ * live in the arena. ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_DATA, ERR_ARG: its truth.json; ERR_MEM. */
+enum err_code synth_views_config(const struct synth_config *asked, struct synth_config *out,
+                                 struct arena *a, struct err *e) ERR_USE;
 /* The same for the city in folder cfg->city, made before by this command: cfg's other options are
  * taken from there. Writes into cfg->output, or the city's map-views/ if that is NULL; *out_dir gets
  * which. */

@@ -105,7 +105,7 @@ static void draw_blur_line(float *v, size_t n, size_t step, const float *tap, in
 
 /* No lens is sharper than its pixels: without this, detail finer than a pixel turns into patterns
  * that differ from photograph to photograph and that no scene can explain. */
-static enum err_code draw_blur(float *rgb, size_t w, size_t h, double sigma_px, struct err *e)
+enum err_code synth_draw_blur(float *rgb, size_t w, size_t h, double sigma_px, struct err *e)
 {
     enum { RADIUS_MAX = 16 };
     int radius = (int)fmin(ceil(3 * sigma_px), RADIUS_MAX);
@@ -159,7 +159,7 @@ enum err_code synth_draw_picture(const struct synth_draw *d, const struct camera
                     sum[k] += (rgb[k] < 1 ? rgb[k] : 1) / (float)(ss * ss);
             }
         }
-    rc = draw_blur(linear, w, h, d->blur_px, e);
+    rc = synth_draw_blur(linear, w, h, d->blur_px, e);
     for (size_t i = 0; !rc && i < 3 * w * h; i++)
         out->px[i] = synth_shade_encode(linear[i]);
     mem_free(linear);

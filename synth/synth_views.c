@@ -432,9 +432,8 @@ enum err_code synth_views_write(const struct synth_config *cfg, const struct syn
     return rc;
 }
 
-/* The options that a city was made with. */
-static enum err_code views_city_config(const struct synth_config *asked, struct synth_config *out,
-                                       struct arena *a, struct err *e)
+enum err_code synth_views_config(const struct synth_config *asked, struct synth_config *out,
+                                 struct arena *a, struct err *e)
 {
     char path[FILE_PATH_MAX];
     json_t *root = NULL;
@@ -467,7 +466,7 @@ enum err_code synth_views_run(const struct synth_config *cfg, char out_dir[FILE_
     struct arena arena = {0};
     if (!cfg->map_views)
         return err_set(e, ERR_ARG, "synth: --city: how many views? give --map-views N");
-    enum err_code rc = views_city_config(cfg, &of, &arena, e);
+    enum err_code rc = synth_views_config(cfg, &of, &arena, e);
     if (!rc)
         rc = cfg->output ? views_folder(cfg->output, out_dir, e)
                          : file_join(out_dir, cfg->city, "map-views", e);

@@ -73,6 +73,31 @@ static inline void put(struct gauss *g, double x, double y, double z, double sig
     }
 }
 
+/* How far colours are from where they are in the city. Red grows to the east and green to the north, from 0
+ * to 1 over EXTENT_M; the discs were not fitted to stop all light, so how steeply they grow in the picture
+ * tells how much of it they stop. Least squares. */
+struct shown {
+    double n, at[2], color[2], at_at[2], at_color[2];
+};
+static inline void shown_add(struct shown *s, double red, double green, const double enu[3])
+{
+    s->n++;
+    for (size_t k = 0; k < 2; k++) {
+        double c = k ? green : red;
+        s->at[k] += enu[k];
+        s->color[k] += c;
+        s->at_at[k] += enu[k] * enu[k];
+        s->at_color[k] += enu[k] * c;
+    }
+}
+/* Metres to the east (0) or north (1): where the line meets 0, against the edge of the city. */
+static inline double shown_shift(const struct shown *s, size_t k)
+{
+    double slope = (s->n * s->at_color[k] - s->at[k] * s->color[k]) /
+                   (s->n * s->at_at[k] - s->at[k] * s->at[k]);
+    return (s->color[k] - slope * s->at[k]) / s->n / slope - 0.5 * EXTENT_M;
+}
+
 static inline void cover(struct gauss *g)
 {
     struct err e = {0};

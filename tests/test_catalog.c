@@ -4,6 +4,10 @@
  */
 #include "tests/routed.h"
 
+#include <math.h>
+
+#include "lod/clip.h"
+
 static void test_reload(void **state)
 {
     struct err e = {0};
@@ -81,10 +85,42 @@ static void test_a_reload_that_fails_late(void **state)
     catalog_drop(&second);
 }
 
+/* --clip: the part has a revision of its own, the same each time, and a reload of the same file keeps it. */
+static void test_a_part_is_served(void **state)
+{
+    struct err e = {0};
+    const char *paths[] = {t.path};
+    const struct clip below = {.low_m = -HUGE_VAL, .high_m = 40};
+    struct catalog_options o = served_stores;
+    struct catalog *whole = NULL, *part = NULL, *again = NULL, *anew = NULL;
+    (void)state;
+    o.clip = &below;
+    o.clip_dir = t.dir;
+    kit_ok(catalog_open(paths, 1, &served_stores, NULL, &whole, &e), e);
+    kit_ok(catalog_open(paths, 1, &o, NULL, &part, &e), e);
+    kit_ok(catalog_open(paths, 1, &o, part, &again, &e), e);
+    kit_ok(catalog_open(paths, 1, &o, NULL, &anew, &e), e);
+    assert_ptr_equal(again->ds[0], part->ds[0]);
+    assert_string_equal(anew->ds[0]->meta.revision, part->ds[0]->meta.revision);
+    assert_string_not_equal(whole->ds[0]->meta.revision, part->ds[0]->meta.revision);
+    assert_string_equal(part->ds[0]->meta.name, whole->ds[0]->meta.name);
+    assert_true(part->ds[0]->n_tiles > 0);
+    assert_true(part->ds[0]->tiles[0].count < whole->ds[0]->tiles[0].count);
+    catalog_drop(&whole);
+    catalog_drop(&part);
+    catalog_drop(&again);
+    catalog_drop(&anew);
+    const struct clip nowhere = {.low_m = 5000, .high_m = 6000};
+    o.clip = &nowhere;
+    kit_fails(catalog_open(paths, 1, &o, NULL, &part, &e), ERR_DATA, e, "the store lies within");
+    assert_int_equal(kit_run(NULL, "ls '%s' | grep -q citysplat-clip", t.dir), 1);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_reload),
+        cmocka_unit_test(test_a_part_is_served),
         cmocka_unit_test(test_a_reload_that_fails_late),
     };
     return cmocka_run_group_tests(tests, setup, teardown);

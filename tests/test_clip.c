@@ -5,6 +5,9 @@
  */
 #include "tests/survey_kit.h"
 
+#include <unistd.h>
+
+#include "lod/area.h"
 #include "lod/clip.h"
 
 static const double ring[5][2] = {
@@ -164,6 +167,76 @@ static void a_part_has_its_own_date(void **state)
     clip_free(&c);
 }
 
+/* Of a part what was surveyed ends where it was cut, for every map of it; of a part of a part, where
+ * both were; and no file is left when it was opened for a while. */
+static void maps_end_at_the_cut(void **state)
+{
+    static const char south[] = "{\"type\":\"Polygon\",\"coordinates\":[[[8.68,50.11],[8.69,50.11],"
+                                "[8.69,50.111],[8.68,50.111],[8.68,50.11]]]}";
+    struct err e = {0};
+    struct clip c[2];
+    struct clip_report r[2];
+    struct store *part, *whole;
+    struct area a, all;
+    struct buf out = {0};
+    char polygon[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    int fd;
+    (void)state;
+    put_ring(polygon);
+    path_of("once.tiles", path);
+    kit_ok(clip_open(polygon, -HUGE_VAL, HUGE_VAL, &c[0], &e), e);
+    kit_ok(clip_store(&c[0], f.path, NULL, path, &r[0], &e), e);
+    kit_ok(clip_open_part(&c[0], f.path, f.dir, &fd, &r[1], &e), e);
+    assert_string_equal(r[0].revision, r[1].revision); /* its id */
+    close(fd);
+    put_file("south.geojson", south, polygon);
+    kit_ok(clip_open(polygon, -HUGE_VAL, HUGE_VAL, &c[1], &e), e);
+    kit_ok(clip_open_part(&c[1], path, f.dir, &fd, &r[1], &e), e);
+    assert_true(r[1].n_kept < r[0].n_kept && r[1].n_kept > r[0].n_kept / 4);
+    kit_ok(store_open(f.path, &whole, &e), e);
+    kit_ok(area_make(whole, &all, &e), e);
+    for (int twice = 0; twice < 2; twice++) {
+        size_t held = 0;
+        if (twice)
+            kit_ok(store_open_fd(fd, "south", &part, &e), e);
+        else
+            kit_ok(store_open(path, &part, &e), e);
+        kit_ok(area_make(part, &a, &e), e);
+        assert_true(fabs(a.west_deg - fmax(all.west_deg, 8.6815)) < 1e-6);
+        assert_true(fabs(a.east_deg - fmin(all.east_deg, 8.6825)) < 1e-6);
+        assert_true(fabs(a.south_deg - fmax(all.south_deg, 50.1106)) < 1e-6);
+        assert_true(fabs(a.north_deg - (twice ? 50.111 : 50.1113)) < 1e-6);
+        uint8_t in[40 * 40];
+        double corner[8];
+        for (size_t k = 0; k < 4; k++)
+            key_place(k & 1 ? 8.683 : 8.681, k & 2 ? 50.1104 : 50.1114, corner + 2 * k);
+        (void)area_mask(&a, corner, 40, 40, in);
+        for (int i = 0; i < 1600; i++) { /* the mask's rows are even in Mercator, nearly so here */
+            double lon = 8.681 + (i % 40 + 0.5) * 0.002 / 40,
+                   lat = 50.1114 - (i / 40 + 0.5) * 0.001 / 40;
+            bool want = inside(lon, lat) && (!twice || lat < 50.111) && area_holds(&all, lon, lat);
+            if (fabs(lat - 50.111) < 2e-5 ||
+                area_holds(&all, lon + 2e-6, lat + 2e-6) !=
+                    area_holds(&all, lon - 2e-6, lat - 2e-6) ||
+                inside(lon + 2e-6, lat) != inside(lon - 2e-6, lat))
+                continue;
+            assert_int_equal(area_holds(&a, lon, lat), want);
+            assert_int_equal(in[i], want);
+            held += want;
+        }
+        assert_true(held > 200);
+        area_free(&a);
+        store_close(&part);
+    }
+    close(fd);
+    area_free(&all);
+    store_close(&whole);
+    assert_int_equal(kit_run(&out, "ls '%s' | grep citysplat-clip", f.dir), 1);
+    buf_free(&out);
+    clip_free(&c[0]);
+    clip_free(&c[1]);
+}
+
 static void nonsense_is_refused(void **state)
 {
     static const struct {
@@ -217,10 +290,18 @@ static void the_program_clips(void **state)
     assert_int_equal(
         kit_run(&out,
                 "cd '%s' && '%s' clip -q city.tiles -o cli.tiles --polygon ring.geojson "
-                "&& '%s' export -q cli.tiles -o cli.ply && '%s' verify cli.tiles",
-                f.dir, bin, bin, bin),
+                "&& '%s' export -q cli.tiles -o cli.ply && '%s' verify cli.tiles "
+                "&& '%s' export -q city.tiles -o at-once.ply --clip ring.geojson "
+                "&& cmp cli.ply at-once.ply",
+                f.dir, bin, bin, bin, bin),
         0);
     kit_expect_text((const char *)out.data, "Gaussians kept", __FILE__, __LINE__);
+    buf_free(&out);
+    assert_int_equal(kit_run(&out,
+                             "cd '%s' && '%s' export -q city.tiles -o low.ply --clip-high-m x",
+                             f.dir, bin),
+                     2);
+    kit_expect_text((const char *)out.data, "--clip-high-m", __FILE__, __LINE__);
     buf_free(&out);
     assert_int_equal(kit_run(&out, "cd '%s' && '%s' clip -q city.tiles -o x.tiles", f.dir, bin), 2);
     kit_expect_text((const char *)out.data, "--polygon", __FILE__, __LINE__);
@@ -236,6 +317,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(what_lies_inside_is_kept),
         cmocka_unit_test(a_part_has_its_own_date),
+        cmocka_unit_test(maps_end_at_the_cut),
         cmocka_unit_test(nonsense_is_refused),
         cmocka_unit_test(the_program_clips),
     };

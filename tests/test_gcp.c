@@ -34,18 +34,14 @@ static void config(struct ingest_config *c, char *dir, const char *name)
     c->output = dir;
 }
 
-static int setup(void **state)
+/* Its photographs and poses do not depend on the errors of GPS. */
+static void make_city(char *dir, double gps_sigma_m)
 {
     struct err e = {0};
     struct synth_config sc;
-    struct ingest_config ic;
-    char dir[FILE_PATH_MAX];
-    (void)state;
-    kit_tmpdir(tmp);
-    kit_ok(file_join(city, tmp, "city", &e), e);
-    kit_ok(file_join(images, city, "images", &e), e);
     kit_ok(options_defaults(synth_options(), &sc, &texts, &e), e);
-    sc.output = city;
+    sc.output = dir;
+    sc.gps_sigma_m = gps_sigma_m;
     sc.photos = 32;
     sc.width_px = 80;
     sc.height_px = 60;
@@ -53,6 +49,18 @@ static int setup(void **state)
     sc.points = 1500;
     sc.supersample = 1;
     kit_ok(synth_run(&sc, &e), e);
+}
+
+static int setup(void **state)
+{
+    struct err e = {0};
+    struct ingest_config ic;
+    char dir[FILE_PATH_MAX];
+    (void)state;
+    kit_tmpdir(tmp);
+    kit_ok(file_join(city, tmp, "city", &e), e);
+    kit_ok(file_join(images, city, "images", &e), e);
+    make_city(city, 0);
     config(&ic, dir, "gps");
     kit_ok(ingest_run(images, city, &ic, &e), e);
     kit_ok(scene_read(dir, &by_gps, &e), e);
@@ -81,11 +89,14 @@ static bool in_photo(const struct camera *c, const double x[3], double px[2])
            px[1] < c->height_px - 1;
 }
 
-static double places[6][3] = {{-30, -28, 2}, {31, -25, 0}, {28, 33, 5},
-                              {-29, 30, 1},  {2, -3, 9},   {14, 12, 0}};
+enum { PLACES = 10 };
+static double places[PLACES][3] = {{-30, -28, 2}, {31, -25, 0}, {28, 33, 5},  {-29, 30, 1},
+                                   {2, -3, 9},    {14, 12, 0},  {-15, 10, 3}, {10, -18, 0},
+                                   {22, 5, 6},    {-8, -20, 1}};
 
 /* The sparse point that a place is, SIZE_MAX: none. Of one, photographs count that found it. */
-static size_t tracked[6] = {SIZE_MAX, SIZE_MAX, SIZE_MAX, SIZE_MAX, SIZE_MAX, SIZE_MAX};
+static size_t tracked[PLACES] = {SIZE_MAX, SIZE_MAX, SIZE_MAX, SIZE_MAX, SIZE_MAX,
+                                 SIZE_MAX, SIZE_MAX, SIZE_MAX, SIZE_MAX, SIZE_MAX};
 
 static bool sees(size_t image, size_t point)
 {
@@ -95,21 +106,28 @@ static bool sees(size_t image, size_t point)
     return point == SIZE_MAX;
 }
 
+/* Standard deviations of what people do: survey a point, each axis; mark it in photographs. */
+static double survey_m, mark_px;
+
 /* A list of these places as OpenDroneMap writes it, each in up to `most` photographs. */
 static void write_list(struct buf *b, const size_t *which, size_t n, size_t most, double scale)
 {
     struct err e = {0};
     buf_printf(b, "EPSG:4326\n");
     for (size_t i = 0; i < n; i++) {
-        double lon, lat, h, px[2];
+        double lon, lat, h, px[2], surveyed[3];
         size_t marks = 0;
-        kit_ok(geo_from_enu(&by_gps.origin, places[which[i]], &lon, &lat, &h, &e), e);
+        for (size_t k = 0; k < 3; k++)
+            surveyed[k] = places[which[i]][k] + survey_m * rng_normal(5, k, which[i]);
+        kit_ok(geo_from_enu(&by_gps.origin, surveyed, &lon, &lat, &h, &e), e);
         for (size_t k = 0; k < by_gps.n_images && marks < most; k++) {
             if (!in_photo(&by_gps.images[k].cam, places[which[i]], px) ||
                 !sees(k, tracked[which[i]]))
                 continue;
-            buf_printf(b, "%.10f\t%.10f\t%.4f\t%.3f\t%.3f\t%s\tp%zu\n", lon, lat, h, px[0] * scale,
-                       px[1] * scale, by_gps.images[k].name, which[i]);
+            buf_printf(b, "%.10f\t%.10f\t%.4f\t%.3f\t%.3f\t%s\tp%zu\n", lon, lat, h,
+                       px[0] * scale + mark_px * rng_normal(6, which[i], k),
+                       px[1] * scale + mark_px * rng_normal(7, which[i], k), by_gps.images[k].name,
+                       which[i]);
             marks++;
         }
         assert_true(marks >= 1);
@@ -281,6 +299,56 @@ static void a_wrong_pose_turns_nothing_over(void **state)
     for (size_t i = 0; i < s.n_images; i++)
         assert_true(s.images[i].cam.rot[8] < 0); /* cameras look down */
     scene_free(&s);
+    gcp_free(&l);
+}
+
+/* What a survey is paid for: GPS that errs by 3 m, six control points surveyed to 2 cm and marked to half
+ * a pixel in photographs of 1600 x 1200 px, about 5 cm on the ground; four exact check points. */
+static void control_points_mend_gps(void **state)
+{
+    static const size_t all[PLACES] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9};
+    enum { CONTROL = 6, MARKS = 8 };
+    const double scale = 20;
+    struct err e = {0};
+    struct buf b = {0}, check = {0};
+    struct gcp_list l;
+    struct ingest_config ic;
+    char path[FILE_PATH_MAX], dir[FILE_PATH_MAX], noisy[FILE_PATH_MAX], photos[FILE_PATH_MAX];
+    (void)state;
+    kit_ok(file_join(noisy, tmp, "noisy", &e), e);
+    kit_ok(file_join(photos, noisy, "images", &e), e);
+    make_city(noisy, 3);
+    config(&ic, dir, "noisy-gps");
+    kit_ok(ingest_run(photos, noisy, &ic, &e), e);
+    double by_noise = far_off(dir);
+    mark_px = 0.5;
+    survey_m = 0.02;
+    write_list(&b, all, CONTROL, MARKS, scale);
+    survey_m = 0;
+    write_list(&check, all + CONTROL, PLACES - CONTROL, MARKS, scale);
+    mark_px = 0;
+    b.size--; /* the end of the text */
+    buf_printf(&b, "%s", strchr((char *)check.data, '\n') + 1);
+    buf_u8(&b, 0);
+    put("survey.txt", (char *)b.data, path);
+    buf_free(&b);
+    buf_free(&check);
+    kit_ok(gcp_read(path, &l, &e), e);
+    assert_int_equal(l.n, PLACES);
+    kit_ok(gcp_keep_out(&l, "p6,p7,p8,p9", &e), e);
+    config(&ic, dir, "noisy-gcp");
+    ic.gcp_scale = scale;
+    kit_ok(ingest_run_gcp(photos, noisy, &ic, &l, &e), e);
+    json_t *o = report(dir);
+    double plan_m = rmse(o, "check", "rmse_plan_m"), height_m = rmse(o, "check", "rmse_height_m");
+    printf("gcp: GPS errs by 3 m: cameras off by %.2f m at most; by 6 points of 2 cm %.3f m, check "
+           "points RMSE %.4f m in plan, %.4f m in height\n",
+           by_noise, far_off(dir), plan_m, height_m);
+    assert_true(by_noise > 0.5);
+    assert_true(rmse(o, "control", "points") == CONTROL && rmse(o, "check", "points") == 4);
+    assert_true(plan_m > 0.002 && plan_m <= 0.05);
+    assert_true(height_m > 0.002 && height_m <= 0.08);
+    json_decref(o);
     gcp_free(&l);
 }
 
@@ -465,6 +533,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(control_points_place_the_scene),
+        cmocka_unit_test(control_points_mend_gps),
         cmocka_unit_test(one_photograph_and_two_points_do),
         cmocka_unit_test(a_wrong_pose_turns_nothing_over),
         cmocka_unit_test(csv_is_read),

@@ -77,7 +77,8 @@ static void pixels_lie_where_the_map_has_them(void **state)
     for (uint32_t scale = 1; scale <= 2; scale++) {
         struct drawn d;
         uint8_t z = (uint8_t)(raster_zoom_max(nadir_area(f.nadir)) - 2);
-        double sum[2] = {0}, px_m = 0, off = 0;
+        struct shown sum = {0};
+        double px_m = 0, off = 0;
         size_t n = 0, flat = 0;
         draw(tile_at(z), SIDE * scale, 0, &d);
         for (uint32_t y = 2; y + 2 < d.side; y++)
@@ -88,8 +89,8 @@ static void pixels_lie_where_the_map_has_them(void **state)
                 if (fabs(enu[0]) > 28 || fabs(enu[1]) > 28)
                     continue;
                 assert_true(isfinite(d.height[i]) && d.in[i] == 1);
-                for (size_t k = 0; k < 2; k++)
-                    sum[k] += (double)d.rgb[3 * i + k] - 0.5 - enu[k] / EXTENT_M;
+                const float *c = d.rgb + 3 * i;
+                shown_add(&sum, (double)c[0], (double)c[1], enu);
                 n++;
                 if (x % 4 || y % 4)
                     continue;
@@ -100,11 +101,11 @@ static void pixels_lie_where_the_map_has_them(void **state)
             }
         px_m = key_edge_m(origin.lat_deg, z) / d.side;
         printf("raster %u px of %.3f m: shift %.3f east %.3f north px, %zu of %zu heights off\n",
-               d.side, px_m, sum[0] / (double)n * EXTENT_M / px_m,
-               sum[1] / (double)n * EXTENT_M / px_m, (size_t)off, flat);
+               d.side, px_m, shown_shift(&sum, 0) / px_m, shown_shift(&sum, 1) / px_m, (size_t)off,
+               flat);
         assert_true(n > 20000 && flat > 700);
         for (size_t k = 0; k < 2; k++)
-            assert_true(fabs(sum[k] / (double)n * EXTENT_M) < 0.05); /* m: a quarter of a pixel */
+            assert_true(fabs(shown_shift(&sum, k)) < 0.05); /* m: a quarter of a pixel */
         assert_true(off <= 0.005 * (double)flat);
         drop(&d);
     }

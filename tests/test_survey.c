@@ -12,7 +12,9 @@
 #include <string.h>
 
 #include <gdal/gdal.h>
+#include <jansson.h>
 
+#include "codec/image.h"
 #include "lod/probe.h"
 #include "survey/change.h"
 #include "survey/map.h"
@@ -138,7 +140,7 @@ static void colours_lie_where_they_belong(void **state)
     struct map m;
     struct crs *crs;
     struct err e = {0};
-    double sum[2] = {0};
+    struct shown sum = {0};
     size_t n = 0, outside = 0;
     (void)state;
     map_make(&m, "ortho.tif", GEOTIFF_COLOR, 0);
@@ -150,8 +152,7 @@ static void colours_lie_where_they_belong(void **state)
             pixel_place(&m, crs, x, y, enu);
             if (fabs(enu[0]) < 28 && fabs(enu[1]) < 28) {
                 assert_int_equal(px[3], 255);
-                for (size_t k = 0; k < 2; k++)
-                    sum[k] += px[k] / 255.0 - 0.5 - enu[k] / EXTENT_M;
+                shown_add(&sum, px[0], px[1], enu);
                 n++;
             }
             if (fabs(enu[0]) > 36 || fabs(enu[1]) > 36) {
@@ -161,7 +162,7 @@ static void colours_lie_where_they_belong(void **state)
         }
     assert_true(n > 40000 && outside > 100);
     for (size_t k = 0; k < 2; k++) {
-        double shift_px = sum[k] / (double)n * EXTENT_M / GSD_M;
+        double shift_px = shown_shift(&sum, k) / GSD_M;
         printf("survey ortho: %s shifted by %.3f px\n", k ? "north" : "east", shift_px);
         assert_true(fabs(shift_px) < 0.2);
     }
@@ -407,6 +408,92 @@ static void changes_are_found(void **state)
               "nothing to compare");
 }
 
+/* ---- against the city's own picture ---- */
+
+/* The cover in the city's colours as seen from above, without haze, moved to the east. */
+static void painted_city(const char *name, double east_m, char path[FILE_PATH_MAX])
+{
+    struct err e = {0};
+    struct gauss g;
+    struct image img = {0};
+    struct geo_origin moved;
+    const uint32_t n = (uint32_t)(EXTENT_M / SPACING_M), size[2] = {n, n};
+    const double half = 0.5 * EXTENT_M, shift[3] = {east_m, 0, 0},
+                 corner[4][2] = {{-half, half}, {half, half}, {-half, -half}, {half, -half}};
+    size_t kept = 0;
+    kit_ok(synth_map_draw(&f.city, corner, size, 2, 0, &img, &e), e);
+    cover(&g);
+    for (size_t i = 0; i < g.n; i++) {
+        double x = (double)g.mean_m[3 * i], y = (double)g.mean_m[3 * i + 1];
+        double u = floor((x + half) / SPACING_M), v = floor((half - y) / SPACING_M);
+        if (exp((double)g.scale_log[3 * i]) > SPACING_M || u < 0 || v < 0 || u >= n || v >= n)
+            continue; /* haze, and what is far away */
+        gauss_copy_row(&g, kept, &g, i);
+        for (size_t k = 0; k < 3; k++)
+            g.sh[3 * kept + k] =
+                (float)((img.px[3 * ((size_t)v * n + (size_t)u) + k] / 255.0 - 0.5) / 0.28209479);
+        g.opacity_logit[kept++] = 7;
+    }
+    g.n = kept;
+    image_free(&img);
+    kit_ok(geo_from_enu(&origin, shift, &moved.lon_deg, &moved.lat_deg, &moved.h_m, &e), e);
+    kit_ok(file_join(path, f.dir, name, &e), e);
+    const struct pyramid_config cfg = {.tile_edge_m = 30, .name = "painted"};
+    const struct pyramid_level level = {.g = &g, .level = 3};
+    kit_ok(pyramid_build(&moved, &level, 1, &cfg, NULL, 0, path, NULL, &e), e);
+    gauss_free(&g);
+}
+
+/* What `citysplat synth` says of an orthophoto of this store, dB. */
+static double score(const char *tiles)
+{
+    struct buf out = {0};
+    double psnr_db = 0;
+    const char *bin = kit_program(), *at;
+    assert_int_equal(kit_run(&out,
+                             "cd '%s' && '%s' ortho -q '%s' -o o.tif --gsd-m 0.25 && "
+                             "'%s' synth -q --city . --map o.tif -o truth.tif --overwrite",
+                             f.dir, bin, tiles, bin),
+                     0);
+    at = strstr((const char *)out.data, "; ");
+    at = strstr(at ? at : "", "over ") ? strstr((const char *)out.data, "PSNR ") : NULL;
+    assert_non_null(at);
+    psnr_db = strtod(at + 5, NULL);
+    buf_free(&out);
+    return psnr_db;
+}
+
+/* Discs in the city's own colours give its picture back; the same a metre off do not. */
+static void ortho_is_the_citys_picture(void **state)
+{
+    struct err e = {0};
+    struct buf out = {0};
+    char path[FILE_PATH_MAX];
+    json_t *config;
+    (void)state;
+    f.cfg.lon_deg = origin.lon_deg;
+    f.cfg.lat_deg = origin.lat_deg;
+    f.cfg.ground_h_m = origin.h_m;
+    kit_ok(options_to_json(synth_options(), &f.cfg, &config, &e), e);
+    json_t *root = json_pack("{s:o}", "config", config);
+    kit_ok(file_join(path, f.dir, "truth", &e), e);
+    kit_ok(file_mkdir(path, &e), e);
+    kit_ok(file_join(path, f.dir, "truth/truth.json", &e), e);
+    kit_ok(jsonc_write(path, root, &e), e);
+    json_decref(root);
+    painted_city("painted.tiles", 0, path);
+    double there = score(path);
+    painted_city("off.tiles", 1, path);
+    double off = score(path);
+    printf("survey ortho: PSNR %.2f dB against the city, %.2f dB a metre off\n", there, off);
+    assert_true(there > 25 && off < there - 5);
+    assert_int_equal(kit_run(&out, "cd '%s' && '%s' synth -q --city . --map truth/truth.json",
+                             f.dir, kit_program()),
+                     1);
+    kit_expect_text((const char *)out.data, "not a GeoTIFF", __FILE__, __LINE__);
+    buf_free(&out);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -417,6 +504,7 @@ int main(void)
         cmocka_unit_test(far_gaussians_are_no_survey),
         cmocka_unit_test(places_have_heights),
         cmocka_unit_test(changes_are_found),
+        cmocka_unit_test(ortho_is_the_citys_picture),
         cmocka_unit_test(nonsense_is_refused),
         cmocka_unit_test(the_program_says_the_same),
     };

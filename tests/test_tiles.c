@@ -409,7 +409,21 @@ static void cells_become_one_store(void **state)
     }
     for (size_t c = 0; c < p.n_cells; c++)
         assert_true(at[c] > 100);
+    size_t all = g.n, south = 0;
+    for (size_t i = 0; i < g.n; i++)
+        south += (double)g.mean_m[3 * i + 2] < 0;
     gauss_free(&g);
+    /* Cut while it is tiled: what lies above the origin's height goes, of every level. */
+    run(f, 0, "level 1", "tile scene -o low.tiles -q --clip-high-m %.3f", info.origin.h_m);
+    run(f, 0, NULL, "export low.tiles -o low.ply -q");
+    read_ply(f, "low.ply", &g, &info);
+    assert_true(south > 100 && south < all);
+    assert_in_range(g.n, south - south / 20, south + south / 10);
+    for (size_t i = 0; i < g.n; i++)
+        assert_true((double)g.mean_m[3 * i + 2] < 0.05);
+    gauss_free(&g);
+    run(f, 2, "--clip-low-m", "tile scene -o x.tiles --clip-low-m high");
+    run(f, 1, "none.geojson", "tile scene -o x.tiles --clip none.geojson");
     update_one_cell(f, &p, at);
     /* A level that one cell lacks is filled with its coarser one. */
     assert_int_equal(kit_run(NULL, "rm '%s/scene/cells/%s/level3.ckpt'", f->dir, p.cells[0].id), 0);
