@@ -1,8 +1,9 @@
 /* Reading and scoring of map views.
  *
  * Measures within the mask ask only for what training could know: surface that three photographs
- * see from different sides. What is drawn elsewhere has no right answer but one, nothing, and that
- * is what halo counts. The depth of a drawing is that of the Gaussian at which half of the light is
+ * see from different sides. Where no photograph looked, nothing should be drawn, and that is what
+ * halo counts; what was hidden from those that looked, below trees and behind walls, should be
+ * covered by something. The depth of a drawing is that of the Gaussian at which half of the light is
  * gone: the surface that an eye sees. The mean depth would move with every faint floater in front
  * and every gap behind, at silhouettes above all; the faint ones are counted by veil instead.
  *
@@ -21,7 +22,7 @@
 #include "core/sort.h"
 #include "loss/metric.h"
 
-enum { MASK_SUPPORTED = 255 };
+enum { MASK_SUPPORTED = 255, MASK_SEEN = 128 };
 static const double share_min = 0.01; /* of a picture: smaller masks have no PSNR worth a mean */
 
 /* ---- reading ---- */
@@ -273,6 +274,11 @@ static void map_sums_pixels(struct map_sums *s, const struct map_truth *t,
             s->sum.halo += alpha;
             continue;
         }
+        if (t->mask[i] < MASK_SEEN) {
+            s->n_hidden += 1.0;
+            s->sum.gaps += alpha;
+            continue;
+        }
         s->n_seen += 1.0;
         s->sum.haze += d->median_m[i] > 0.0f && d->median_m[i] < limit_m[i];
         s->sum.veil += (double)d->front[i];
@@ -356,6 +362,7 @@ struct map_score map_sums_score(struct map_sums *s)
             (double)sort_select(s->errors, s->n_errors, (size_t)(0.95 * (double)(s->n_errors - 1)));
     }
     m.halo /= s->n_unobserved;
+    m.gaps /= s->n_hidden;
     m.haze /= s->n_seen;
     m.veil /= s->n_seen;
     m.supported = n / s->n_pixels;
