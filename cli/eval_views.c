@@ -28,9 +28,9 @@ struct eval_views {
 
 void eval_views_print_head(void)
 {
-    printf("%-14s %-9s %5s %8s %7s %8s %9s %8s %8s %7s %7s %7s %7s %7s %8s\n", "what", "kind",
+    printf("%-14s %-9s %5s %8s %7s %8s %9s %8s %8s %7s %7s %7s %7s %7s %7s %8s\n", "what", "kind",
            "views", "PSNR dB", "SSIM", "GMSD", "square dB", "depth %", "95 % %", ">2 %", "halo",
-           "gaps", "haze %", "veil %", "mask %");
+           "fog", "gaps", "haze %", "veil %", "mask %");
 }
 
 /* A number, or "-" where there was nothing to measure. */
@@ -54,6 +54,7 @@ static enum err_code eval_views_row(const struct eval_views *v, const char *what
     eval_views_cell(8, 2, 100.0 * m->depth_95);
     eval_views_cell(7, 2, 100.0 * m->depth_above);
     eval_views_cell(7, 4, m->halo);
+    eval_views_cell(7, 4, m->fog);
     eval_views_cell(7, 4, m->gaps);
     eval_views_cell(7, 2, 100.0 * m->haze);
     eval_views_cell(7, 2, 100.0 * m->veil);

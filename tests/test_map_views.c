@@ -8,6 +8,7 @@
 #include <jansson.h>
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "codec/colmap.h"
@@ -387,6 +388,33 @@ static void sums_say_halo_haze_and_depth(void **state)
     map_sums_free(&s);
 }
 
+/* One observed pixel: halo is everything around it, fog what is farther than the edge may be wide. */
+static void fog_is_halo_beyond_the_edge(void **state)
+{
+    (void)state;
+    enum { W = 40, H = 30, N = W * H, X = 11, Y = 4 };
+    static float rgb[3 * N], median[N], front[N], left[N], depth[N];
+    static uint8_t mask[N], square[N], px[3 * N];
+    struct err e = {0};
+    struct map_truth t = {
+        .width_px = W, .height_px = H, .mask = mask, .square = square, .depth_m = depth};
+    const struct map_drawing d = {rgb, median, front, left};
+    struct map_sums s = {0};
+    double all = 0;
+    t.picture = (struct image){.width_px = W, .height_px = H, .channels = 3, .px = px};
+    mask[Y * W + X] = 128;
+    for (size_t i = 0; i < N; i++) {
+        int dx = abs((int)(i % W) - X), dy = abs((int)(i / W) - Y);
+        left[i] = dx <= MAP_VIEWS_EDGE_PX && dy <= MAP_VIEWS_EDGE_PX ? 0.5f : 0.75f;
+        all += mask[i] ? 0 : 1 - (double)left[i];
+    }
+    kit_ok(map_sums_add(&s, &t, &d, &e), e);
+    struct map_score m = map_sums_score(&s);
+    const double got[] = {m.fog, m.halo}, want[] = {0.25, all / (N - 1)};
+    kit_near_d("fog, halo", got, want, 2, 0.0, 1e-9);
+    map_sums_free(&s);
+}
+
 /* ---- the truth that synth writes ---- */
 
 static void city_config(struct synth_config *cfg, struct arena *a, const char *dir)
@@ -660,6 +688,7 @@ int main(void)
         cmocka_unit_test(no_frame_is_an_error),
         cmocka_unit_test(within_a_mask_only_its_pixels_count),
         cmocka_unit_test(sums_say_halo_haze_and_depth),
+        cmocka_unit_test(fog_is_halo_beyond_the_edge),
         cmocka_unit_test(synth_writes_views_that_are_true),
         cmocka_unit_test(views_move_into_the_scene),
     };

@@ -55,17 +55,19 @@ struct map_score {
                                             * views together; a hole is an error of 1 */
     double depth_above;                    /* share of them above MAP_VIEWS_DEPTH */
     double halo;                           /* mean alpha where no photograph has looked */
+    double fog;                            /* the same, MAP_VIEWS_EDGE_PX and more beyond what was */
     double gaps;                           /* mean alpha of what is hidden in all that looked there */
     double haze;                  /* share of seen pixels whose depth is nearer than the limit */
     double veil;                  /* share of their colour that comes from nearer than the limit */
     double supported, unobserved; /* shares of the pixels */
 };
 #define MAP_VIEWS_DEPTH 0.02
+enum { MAP_VIEWS_EDGE_PX = 8 };
 struct map_sums { /* {0} is empty; map_sums_free */
     struct map_score sum;
     float *errors; /* of depth, [n_errors] */
     size_t n_errors, cap_errors;
-    double n_pixels, n_seen, n_hidden, n_unobserved;
+    double n_pixels, n_seen, n_hidden, n_unobserved, n_fog;
 };
 /* Add one view. ERR_MEM; ERR_ARG for pictures smaller than 4 x 4 pixels. */
 enum err_code map_sums_add(struct map_sums *s, const struct map_truth *t,
