@@ -197,7 +197,7 @@ struct layout_counts {
 
 struct layout_scale_piece {
     LAYOUT_U32 n, m; /* axes longer than s_max, Gaussians with a ratio above r_max */
-    float size, ratio, thickness;
+    float size, ratio;
 };
 
 struct layout_mip_camera { /* trans: relative to the model's origin */

@@ -1,4 +1,4 @@
-/* The scale regularizer: Gaussians longer than a building, and needles, shrink; thick ones flatten.
+/* The scale regularizer: Gaussians longer than a building, and needles, shrink.
  *
  * Two launches a step: counts over fixed pieces, gradients. Owns its kernels and a small buffer. A
  * flat disc (two long axes, one short) is no needle: the ratio is of the longest axis to the middle
@@ -22,8 +22,7 @@ struct scale_loss {
     cl_program program;
     cl_kernel count, grad;
     cl_mem pieces;
-    double weight, flat; /* of the last run */
-    uint32_t n;          /* Gaussians of it */
+    double weight; /* of the last run */
 };
 
 void scale_loss_close(struct scale_loss **p)
@@ -73,7 +72,7 @@ enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
 {
     cl_uint only = sizes_only, n = m->n, planes = m->planes, groups = m->groups;
     cl_float s_max = (cl_float)in->s_max_m, r_max = (cl_float)in->r_max,
-             weight = (cl_float)in->weight, flat = (cl_float)in->flat;
+             weight = (cl_float)in->weight;
     cl_int bad = CL_SUCCESS;
     cl_kernel both[2] = {s->count, s->grad};
     for (size_t i = 0; i < 2; i++) {
@@ -86,15 +85,12 @@ enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
     }
     bad |= dev_arg(s->count, 6, s->pieces);
     bad |= dev_arg(s->grad, 6, weight);
-    bad |= dev_arg(s->grad, 7, flat);
-    bad |= dev_arg(s->grad, 8, s->pieces);
-    bad |= dev_arg(s->grad, 9, only);
-    bad |= dev_arg(s->grad, 10, extra);
+    bad |= dev_arg(s->grad, 7, s->pieces);
+    bad |= dev_arg(s->grad, 8, only);
+    bad |= dev_arg(s->grad, 9, extra);
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "scale_loss: arguments: %s", dev_error_name(bad));
     s->weight = in->weight;
-    s->flat = in->flat;
-    s->n = m->n;
     size_t items = (groups + LAYOUT_PROJECT_GROUPS - 1) / LAYOUT_PROJECT_GROUPS;
     enum err_code rc = dev_run(s->dev, s->count, "scale_count", LAYOUT_LOSS_PIECES, 1, e);
     return rc ? rc : dev_run(s->dev, s->grad, "scale_grad", items, 1, e);
@@ -104,7 +100,7 @@ enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out
 {
     struct layout_scale_piece pieces[LAYOUT_LOSS_PIECES];
     struct {
-        double n, m, size, ratio, thickness;
+        double n, m, size, ratio;
     } t = {0};
     enum err_code rc = dev_read(s->dev, s->pieces, 0, sizeof pieces, pieces, e);
     if (rc)
@@ -114,12 +110,9 @@ enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out
         t.m += pieces[i].m;
         t.size += (double)pieces[i].size;
         t.ratio += (double)pieces[i].ratio;
-        t.thickness += (double)pieces[i].thickness;
     }
-    double all = s->n > 0 ? s->n : 1;
-    *out = (struct scale_loss_value){.total = s->weight * (t.size / (t.n + 1.0) +
-                                                           t.ratio / (t.m + 1.0)) +
-                                              s->flat * t.thickness / all,
+    *out = (struct scale_loss_value){.total =
+                                         s->weight * (t.size / (t.n + 1.0) + t.ratio / (t.m + 1.0)),
                                      .n = (uint32_t)t.n,
                                      .m = (uint32_t)t.m};
     return ERR_OK;
@@ -128,8 +121,8 @@ enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out
 /* ---- the reference ---- */
 
 struct scale_axes {
-    double s[3], ratio, thickness;
-    int largest, middle, least;
+    double s[3], ratio;
+    int largest, middle;
 };
 
 static struct scale_axes scale_axes_of(const double *scale_log)
@@ -147,9 +140,7 @@ static struct scale_axes scale_axes_of(const double *scale_log)
         if (k != a.largest && a.s[k] < a.s[least])
             least = k;
     a.middle = 3 - a.largest - least;
-    a.least = least;
     a.ratio = a.s[a.largest] / (a.s[a.middle] + SCALE_RATIO_EPS);
-    a.thickness = a.s[a.least] / (a.s[a.middle] + SCALE_RATIO_EPS);
     return a;
 }
 
@@ -157,7 +148,7 @@ struct scale_loss_value scale_loss_ref_run(const double *scale_log, size_t n,
                                            const struct scale_loss_input *in, double *grad)
 {
     struct scale_loss_value v = {0};
-    double size = 0.0, ratio = 0.0, thickness = 0.0, each = in->flat / (double)(n ? n : 1);
+    double size = 0.0, ratio = 0.0;
     for (size_t i = 0; i < n; i++) {
         struct scale_axes a = scale_axes_of(scale_log + 3 * i);
         for (int k = 0; k < 3; k++)
@@ -169,16 +160,13 @@ struct scale_loss_value scale_loss_ref_run(const double *scale_log, size_t n,
             v.m++;
             ratio += a.ratio;
         }
-        thickness += a.thickness;
     }
-    v.total = in->weight * (size / (v.n + 1.0) + ratio / (v.m + 1.0)) + each * thickness;
+    v.total = in->weight * (size / (v.n + 1.0) + ratio / (v.m + 1.0));
     for (size_t i = 0; grad && i < n; i++) {
         struct scale_axes a = scale_axes_of(scale_log + 3 * i);
         double per_m = in->weight / (v.m + 1.0), q = a.s[a.middle] + SCALE_RATIO_EPS;
         for (int k = 0; k < 3; k++)
             grad[3 * i + k] = a.s[k] > in->s_max_m ? in->weight / (v.n + 1.0) * a.s[k] : 0.0;
-        grad[3 * i + a.least] += each * a.thickness;
-        grad[3 * i + a.middle] -= each * a.thickness * a.s[a.middle] / q;
         if (!(a.ratio > in->r_max))
             continue;
         grad[3 * i + a.largest] += per_m * a.ratio;

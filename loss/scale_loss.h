@@ -11,13 +11,11 @@
 
 #include "render/render.h"
 
-/* With s the sigmas, r_i = max_k s_ik / (median_k s_ik + 1e-8), t_i = min_k s_ik / the same:
- *   L = weight (sum_{s_ik > s_max} s_ik / (n + 1) + sum_{r_i > r_max} r_i / (m + 1))
- *       + flat mean t_i,
- * n and m the numbers of terms, held fixed. REUrbanGS (2025), section on regularization; thickness:
- * as PGSR (Chen 2024) flattens Gaussians, without a unit. */
+/* With s the sigmas, r_i = max_k s_ik / (median_k s_ik + 1e-8):
+ *   L = weight (sum_{s_ik > s_max} s_ik / (n + 1) + sum_{r_i > r_max} r_i / (m + 1)),
+ * n and m the numbers of terms, held fixed. REUrbanGS (2025), section on regularization. */
 struct scale_loss_input {
-    double s_max_m, r_max, weight, flat;
+    double s_max_m, r_max, weight;
 };
 struct scale_loss_value {
     double total;  /* weighted */

@@ -288,8 +288,7 @@ static void map_spread(const struct map_truth *t, uint8_t *row, uint8_t *out)
 
 /* Depth, haze, veil and halo of the pixels. */
 static void map_sums_pixels(struct map_sums *s, const struct map_truth *t,
-                            const struct map_drawing *d, const float *limit_m,
-                            const uint8_t *edge)
+                            const struct map_drawing *d, const float *limit_m, const uint8_t *edge)
 {
     size_t n = (size_t)t->width_px * t->height_px;
     s->n_pixels += (double)n;
@@ -362,7 +361,7 @@ enum err_code map_sums_add(struct map_sums *s, const struct map_truth *t,
     float *limit_m = mem_array(n, sizeof *limit_m);
     uint8_t *used = mem_array(n, 1), *edge = mem_array(n, 1);
     enum err_code rc = limit_m && used && edge ? map_sums_reserve(s, n, e)
-                                       : err_set(e, ERR_MEM, "map views: out of memory");
+                                               : err_set(e, ERR_MEM, "map views: out of memory");
     if (!rc) {
         map_views_limit(t, limit_m);
         map_spread(t, used, edge);

@@ -55,8 +55,8 @@ struct map_score {
                                             * views together; a hole is an error of 1 */
     double depth_above;                    /* share of them above MAP_VIEWS_DEPTH */
     double halo;                           /* mean alpha where no photograph has looked */
-    double fog;                            /* the same, MAP_VIEWS_EDGE_PX and more beyond what was */
-    double gaps;                           /* mean alpha of what is hidden in all that looked there */
+    double fog;                   /* the same, MAP_VIEWS_EDGE_PX and more beyond what was */
+    double gaps;                  /* mean alpha of what is hidden in all that looked there */
     double haze;                  /* share of seen pixels whose depth is nearer than the limit */
     double veil;                  /* share of their colour that comes from nearer than the limit */
     double supported, unobserved; /* shares of the pixels */

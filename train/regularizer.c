@@ -89,7 +89,7 @@ static bool regularizer_scale_acts(const struct context *ctx, uint32_t step)
 {
     const struct schedule *s = context_schedule(ctx);
     double from = s->level == 1 ? (double)ctx->cfg->scale_from * s->kappa : 0.0;
-    return (ctx->cfg->scale_weight > 0.0 || ctx->cfg->flat_weight > 0.0) && (double)step > from;
+    return ctx->cfg->scale_weight > 0.0 && (double)step > from;
 }
 
 static enum err_code regularizer_scale(struct regularizer *r, const struct model *m,
@@ -102,7 +102,6 @@ static enum err_code regularizer_scale(struct regularizer *r, const struct model
         .s_max_m = fmax(size, REGULARIZER_SPLIT_ROOM * c->percent_dense * ctx->cell.extent_m),
         .r_max = c->scale_ratio_max,
         .weight = c->scale_weight,
-        .flat = c->flat_weight,
     };
     enum err_code rc = r->scale ? ERR_OK : scale_loss_open(ctx->dev, &r->scale, e);
     return rc ? rc : scale_loss_run(r->scale, &m->gauss, &in, m->adam.extra_sizes, r->extra, e);
