@@ -28,9 +28,9 @@ struct eval_views {
 
 void eval_views_print_head(void)
 {
-    printf("%-14s %-9s %5s %8s %7s %8s %9s %8s %8s %7s %7s %7s %7s %8s\n", "what", "kind", "views",
-           "PSNR dB", "SSIM", "GMSD", "square dB", "depth %", "95 % %", ">2 %", "halo", "haze %",
-           "veil %", "mask %");
+    printf("%-14s %-9s %5s %8s %7s %8s %9s %8s %8s %7s %7s %7s %7s %7s %7s %8s\n", "what", "kind",
+           "views", "PSNR dB", "SSIM", "GMSD", "square dB", "depth %", "95 % %", ">2 %", "halo",
+           "fog", "gaps", "haze %", "veil %", "mask %");
 }
 
 /* A number, or "-" where there was nothing to measure. */
@@ -54,18 +54,21 @@ static enum err_code eval_views_row(const struct eval_views *v, const char *what
     eval_views_cell(8, 2, 100.0 * m->depth_95);
     eval_views_cell(7, 2, 100.0 * m->depth_above);
     eval_views_cell(7, 4, m->halo);
+    eval_views_cell(7, 4, m->fog);
+    eval_views_cell(7, 4, m->gaps);
     eval_views_cell(7, 2, 100.0 * m->haze);
     eval_views_cell(7, 2, 100.0 * m->veil);
     eval_views_cell(8, 1, 100.0 * m->supported);
     putchar('\n');
     fflush(stdout);
     json_t *row = json_pack(
-        "{s:s, s:s, s:I, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:f}", "what",
-        what, "views_of", kind, "views", (json_int_t)m->n_views, "psnr_db", jsonc_real(m->psnr_db),
-        "ssim", jsonc_real(m->ssim), "gmsd", jsonc_real(m->gmsd), "square_psnr_db",
-        jsonc_real(m->square_psnr_db), "depth_median", jsonc_real(m->depth_median), "depth_95",
-        jsonc_real(m->depth_95), "depth_above_2pct", jsonc_real(m->depth_above), "halo",
-        jsonc_real(m->halo), "haze", jsonc_real(m->haze), "veil", jsonc_real(m->veil), "mask_share",
+        "{s:s, s:s, s:I, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:f}",
+        "what", what, "views_of", kind, "views", (json_int_t)m->n_views, "psnr_db",
+        jsonc_real(m->psnr_db), "ssim", jsonc_real(m->ssim), "gmsd", jsonc_real(m->gmsd),
+        "square_psnr_db", jsonc_real(m->square_psnr_db), "depth_median",
+        jsonc_real(m->depth_median), "depth_95", jsonc_real(m->depth_95), "depth_above_2pct",
+        jsonc_real(m->depth_above), "halo", jsonc_real(m->halo), "gaps", jsonc_real(m->gaps),
+        "haze", jsonc_real(m->haze), "veil", jsonc_real(m->veil), "mask_share",
         jsonc_real(m->supported), "unobserved_share", jsonc_real(m->unobserved), "gaussians",
         v->gaussians / (double)v->views.n);
     if (!row || json_array_append_new(v->q->rows, row))

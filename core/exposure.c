@@ -42,6 +42,18 @@ bool exposure_clipped(const float ev[3], const uint8_t px[3])
     return false;
 }
 
+void exposure_to_mean(const float ev[3], uint8_t *px, size_t n, uint8_t *mask)
+{
+    uint8_t table[3][256];
+    exposure_table(ev, table);
+    for (size_t i = 0; i < n; i++) {
+        if (mask && exposure_clipped(ev, px + 3 * i))
+            mask[i] = 0;
+        for (size_t k = 0; k < 3; k++)
+            px[3 * i + k] = table[k][px[3 * i + k]];
+    }
+}
+
 void exposure_expose(const float ev[3], float *rgb, size_t n)
 {
     float gain[3];

@@ -29,6 +29,9 @@ bool exposure_is_mean(const float ev[3]);
 void exposure_table(const float ev[3], uint8_t out[3][256]);
 /* Is a pixel [3] clipped, so that at the mean exposure it would be darker than it can say? */
 bool exposure_clipped(const float ev[3], const uint8_t px[3]);
+/* A photograph px [n][3] to the mean exposure, in place. mask [n], may be NULL: pixels that are clipped
+ * become 0 = ignore. */
+void exposure_to_mean(const float ev[3], uint8_t *px, size_t n, uint8_t *mask);
 /* A drawing at the mean exposure, rgb [n][3] in 0..1, as the photograph would have taken it; in
  * place. */
 void exposure_expose(const float ev[3], float *rgb, size_t n);

@@ -178,6 +178,7 @@ struct layout_counts {
 #define LAYOUT_SURFACE_MEAN 1
 #define LAYOUT_SURFACE_FRONT 2
 #define LAYOUT_SURFACE_MAPS 3
+#define LAYOUT_SURFACE_TILT 7 /* floats of a Gaussian: how its depth varies over its ellipse */
 
 /* Losses: sums over Gaussians or pixels are taken in this many fixed pieces. */
 #define LAYOUT_LOSS_PIECES 256

@@ -126,12 +126,13 @@ inline float blend_max(float16 v) // any() takes five times as long
     return MAX_(c.x, c.y);
 }
 
-inline uint blend_active(const struct blend_state *s, uint active)
+// Those of the blocks that have a pixel which has not stopped; t: transmittances.
+inline uint blend_active(const float16 t[16], uint active)
 {
     for (uint left = active; left;) {
         uint k = 31 - clz(left);
         left ^= 1u << k;
-        if (!(blend_max(s->t[k]) > LAYOUT_TRANSMITTANCE_MIN))
+        if (!(blend_max(t[k]) > LAYOUT_TRANSMITTANCE_MIN))
             active ^= 1u << k;
     }
     return active;
@@ -178,7 +179,7 @@ __kernel void blend(__constant struct layout_view *view, __global const struct l
         s.t[k] = inside ? (float16)(1.0f) : (float16)(0.0f); // pixels beyond the edge have stopped
         s.r[k] = s.g[k] = s.b[k] = (float16)(0.0f);
     }
-    active = blend_active(&s, active);
+    active = blend_active(s.t, active);
     for (uint j = 0; j < BATCH * LAYOUT_SPLAT_WORDS; j += 16)
         vstore16((float16)(0.0f), 0, staged + j); // a short last batch masks what it does not use
     while (at < end && active) {
@@ -197,7 +198,7 @@ __kernel void blend(__constant struct layout_view *view, __global const struct l
                 blend_splat(&s, staged + LAYOUT_SPLAT_WORDS * j, x0, y0, blocks);
             hits[at + j] = (ushort)blocks;
             if (j % CHECK_EVERY == CHECK_EVERY - 1)
-                active = blend_active(&s, active);
+                active = blend_active(s.t, active);
         }
         at += j;
     }

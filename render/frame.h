@@ -45,6 +45,8 @@ struct render {
 
     /* -- the last frame; valid for backward while `drawn` -------------------------------------- */
     bool drawn;
+    /* of the model that was drawn, borrowed; never NULL with a frame: see render_stage_project */
+    cl_mem drawn_params, drawn_filter, drawn_list;
     struct layout_view view; /* as uploaded to view_mem */
     uint32_t tiles;          /* tiles_x * tiles_y */
     uint64_t intersections;  /* (splat, tile) of the frame */

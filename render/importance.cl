@@ -28,17 +28,6 @@ inline void importance_load(struct importance_state *s, __constant struct layout
     }
 }
 
-inline uint importance_active(const struct importance_state *s, uint active)
-{
-    for (uint left = active; left;) {
-        uint k = 31 - clz(left);
-        left ^= 1u << k;
-        if (!(blend_max(s->t[k]) > LAYOUT_TRANSMITTANCE_MIN))
-            active ^= 1u << k;
-    }
-    return active;
-}
-
 inline void importance_splat(struct importance_state *s, const float *w, float x0, float y0,
                              uint blocks, __global float *slot)
 {
@@ -80,7 +69,7 @@ __kernel void importance_tiles(__constant struct layout_view *view,
     uint mask[BATCH];
     struct importance_state s;
     importance_load(&s, view, weight, px, py);
-    uint active = importance_active(&s, 0xFFFF);
+    uint active = blend_active(s.t, 0xFFFF);
     for (uint j = 0; j < BATCH * LAYOUT_SPLAT_WORDS; j += 16)
         vstore16((float16)(0.0f), 0, staged + j);
     while (at < end && active) {
@@ -97,7 +86,7 @@ __kernel void importance_tiles(__constant struct layout_view *view,
                                  slots +
                                      LAYOUT_IMPORTANCE_SLOT * (size_t)intersection_slot[at + j]);
             if (j % CHECK_EVERY == CHECK_EVERY - 1)
-                active = importance_active(&s, active);
+                active = blend_active(s.t, active);
         }
         at += n;
     }

@@ -240,16 +240,16 @@ struct render_surface;
 enum err_code render_surface_open(struct render *r, struct render_surface **out,
                                   struct err *e) ERR_USE;
 void render_surface_close(struct render_surface **s); /* before render_close */
-/* Maps [h][w] of the last frame, to be filled; NULL: not wanted. Depths are those of Gaussians'
- * centres along the optical axis, m. */
+/* Maps [h][w] of the last frame, to be filled; NULL: not wanted. Depths are along the optical axis,
+ * m: those at which a pixel's ray meets the most of each Gaussian. */
 struct render_surface_maps {
     float *median_m; /* where transmittance falls to 1/2: the surface that is seen; 0: nowhere */
     float *mean_m;   /* sum alpha T z / sum alpha T; 0 where nothing is drawn */
     float *front;    /* sum alpha T of what is nearer than limit_m */
     float *transmittance; /* what is left behind the last Gaussian */
 };
-/* limit_m [h][w], NULL: front is 0. ERR_ARG when no frame was drawn; ERR_MEM, ERR_LIMIT,
- * ERR_DEVICE. */
+/* limit_m [h][w], NULL: front is 0. The model that was drawn still exists, as it was. ERR_ARG when no
+ * frame was drawn; ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
 enum err_code render_surface_run(struct render_surface *s, const float *limit_m,
                                  const struct render_surface_maps *out, struct err *e) ERR_USE;
 

@@ -226,6 +226,9 @@ static enum err_code render_stage_project(struct render *r, const struct render_
     size_t local, items = frame_items(r, m->groups, &local);
     cl_mem filter = m->filter ? m->filter : m->params; /* not read without */
     cl_mem list = m->list ? m->list : m->params;
+    r->drawn_params = m->params;
+    r->drawn_filter = filter;
+    r->drawn_list = list;
     if (r->appearance)
         return render_appearance_project(r, m, e);
     return frame_run(r, r->k.project, "project",

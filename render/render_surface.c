@@ -11,8 +11,8 @@ extern const char surface_cl[];
 struct render_surface {
     struct render *render; /* borrowed */
     cl_program program;
-    cl_kernel rows;
-    struct frame_buffer limit, maps;
+    cl_kernel tilts, rows;
+    struct frame_buffer limit, maps, tilt;
 };
 
 enum err_code render_surface_open(struct render *r, struct render_surface **out, struct err *e)
@@ -26,6 +26,8 @@ enum err_code render_surface_open(struct render *r, struct render_surface **out,
     enum err_code rc =
         dev_build(r->dev, sources, sizeof sources / sizeof *sources, NULL, &s->program, e);
     if (!rc)
+        rc = dev_kernel(s->program, "surface_tilts", &s->tilts, e);
+    if (!rc)
         rc = dev_kernel(s->program, "surface_rows", &s->rows, e);
     if (rc)
         render_surface_close(&s);
@@ -38,14 +40,33 @@ void render_surface_close(struct render_surface **p)
     struct render_surface *s = *p;
     if (!s)
         return;
+    if (s->tilts)
+        clReleaseKernel(s->tilts);
     if (s->rows)
         clReleaseKernel(s->rows);
     if (s->program)
         clReleaseProgram(s->program);
     dev_release(&s->limit.mem);
     dev_release(&s->maps.mem);
+    dev_release(&s->tilt.mem);
     mem_free(s);
     *p = NULL;
+}
+
+/* How each Gaussian of the frame lies to its rays. */
+static enum err_code surface_tilts(struct render_surface *s, struct err *e)
+{
+    struct render *r = s->render;
+    size_t local, items = frame_items(r, r->view.groups, &local);
+    size_t bytes = (size_t)r->view.groups * LAYOUT_LANES * LAYOUT_SURFACE_TILT * sizeof(float);
+    enum err_code rc = frame_reserve(r, &s->tilt, bytes ? bytes : sizeof(float), e);
+    if (rc || !items)
+        return rc;
+    return frame_run(r, s->tilts, "surface_tilts",
+                     FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->drawn_params),
+                                FRAME_ARG(r->drawn_filter), FRAME_ARG(r->drawn_list),
+                                FRAME_ARG(r->depth_key.mem), FRAME_ARG(s->tilt.mem)),
+                     items, local, e);
 }
 
 enum err_code render_surface_run(struct render_surface *s, const float *limit_m,
@@ -67,13 +88,15 @@ enum err_code render_surface_run(struct render_surface *s, const float *limit_m,
     if (!rc && limited)
         rc = dev_write(r->dev, s->limit.mem, 0, bytes, limit_m, e);
     if (!rc)
-        rc =
-            frame_run(r, s->rows, "surface_rows",
-                      FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
-                                 FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->intersection_splat.mem),
-                                 FRAME_ARG(r->depth_key.mem), FRAME_ARG(s->limit.mem),
-                                 FRAME_ARG(limited), FRAME_ARG(s->maps.mem)),
-                      items, wide ? 1 : LAYOUT_TILE_PIXELS, e);
+        rc = surface_tilts(s, e);
+    if (!rc)
+        rc = frame_run(r, s->rows, "surface_rows",
+                       FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
+                                  FRAME_ARG(r->tile_start.mem),
+                                  FRAME_ARG(r->intersection_splat.mem), FRAME_ARG(r->depth_key.mem),
+                                  FRAME_ARG(s->tilt.mem), FRAME_ARG(s->limit.mem),
+                                  FRAME_ARG(limited), FRAME_ARG(s->maps.mem)),
+                       items, wide ? 1 : LAYOUT_TILE_PIXELS, e);
     for (size_t m = 0; !rc && m < LAYOUT_SURFACE_MAPS; m++)
         if (maps[m])
             rc = dev_read(r->dev, s->maps.mem, m * bytes, bytes, maps[m], e);

@@ -189,7 +189,10 @@ enum err_code synth_model_make(const struct synth_config *cfg, const struct synt
                                const struct synth_similarity *frame, struct colmap_model *out,
                                struct err *e) ERR_USE;
 
-/* Does a photograph show this place (ENU): inside of the picture, nothing in between? */
+/* Is this place (ENU) inside of a photograph's picture, whatever stands in between? */
+bool synth_model_frames(const struct lens *lens, const struct camera *cam,
+                        const double place_enu_m[3]);
+/* Does a photograph show it: inside of the picture, nothing in between? */
 bool synth_model_sees(const struct synth_city *c, const struct lens *lens, const struct camera *cam,
                       const double place_enu_m[3]);
 
@@ -201,7 +204,8 @@ bool synth_model_sees(const struct synth_city *c, const struct lens *lens, const
  *   NAME.json                      camera, as `citysplat render --camera` takes it; ENU
  *   NAME.png, NAME.npy             picture without lens faults; depth along the axis, m, 0 = sky
  *   NAME_mask.png                  255: surface that three training photographs see, each pair of
- *                                  them at least 5 degrees apart; 128: one does; 0: none, or sky
+ *                                  them at least 5 degrees apart; 128: one does; 64: none, as it is
+ *                                  hidden in each that looks there; 0: none looks there, or sky
  *   NAME_square.png                255: within the built-up square
  * View i depends on the options of the city, cfg->map_seed and i alone. */
 enum err_code synth_views_write(const struct synth_config *cfg, const struct synth_city *city,

@@ -106,11 +106,17 @@ static bool model_sees(const struct synth_city *city, const struct camera *cam,
     return hit.t_m > dist - reach_m - reach_rel * dist;
 }
 
+bool synth_model_frames(const struct lens *lens, const struct camera *cam,
+                        const double place_enu_m[3])
+{
+    double u, v;
+    return model_project(lens, cam, place_enu_m, &u, &v);
+}
+
 bool synth_model_sees(const struct synth_city *c, const struct lens *lens, const struct camera *cam,
                       const double place_enu_m[3])
 {
-    double u, v;
-    return model_project(lens, cam, place_enu_m, &u, &v) && model_sees(c, cam, place_enu_m);
+    return synth_model_frames(lens, cam, place_enu_m) && model_sees(c, cam, place_enu_m);
 }
 
 /* The place that a random pixel sees, in ENU; false for sky. */

@@ -31,6 +31,7 @@ enum {
     MASK_SEEN_MAX = 64,   /* of at most as many that are looked at */
     MASK_SUPPORTED = 255,
     MASK_SEEN = 128,
+    MASK_HIDDEN = 64,
 };
 static const double view_fov_y_deg = 50, /* vertical, a map's usual one */
     mask_parallax_deg = 5;               /* between any two of those photographs */
@@ -213,6 +214,18 @@ static enum err_code views_place(struct views *v, size_t i, struct err *e)
 
 /* ---- the mask ---- */
 
+/* What training has of a photograph: the picture without the lens' distortion, which leaves out the
+ * corners that a barrel pushes in. */
+static struct lens views_photo_lens(const struct synth_config *cfg)
+{
+    struct lens full = synth_flight_lens(cfg), l = full;
+    l.model = LENS_PINHOLE;
+    l.params[0] = l.params[1] = full.params[0];
+    l.params[2] = 0.5 * (double)cfg->width_px;
+    l.params[3] = 0.5 * (double)cfg->height_px;
+    return l;
+}
+
 /* Are three of these unit vectors pairwise farther apart than that angle? The last one is new. */
 static bool views_parallax(const double (*dir)[3], size_t n, double cos_max)
 {
@@ -235,12 +248,15 @@ static uint8_t views_mask_at(const struct views *v, const double place[3])
 {
     const struct synth_config *cfg = v->cfg;
     double dir[MASK_SEEN_MAX][3], cos_max = cos(mask_parallax_deg * M_PI / 180);
-    size_t n = 0;
+    size_t n = 0, framed = 0;
     for (size_t i = 0; i < (size_t)cfg->photos && n < MASK_SEEN_MAX; i++) {
         const struct synth_photo *p = &v->photos[i];
         double eye[3], len = 0;
         if (i % (size_t)cfg->test_every == 0 || p->pose_error || p->gps_outlier ||
-            !synth_model_sees(v->city, &v->photo_lens, &p->cam, place))
+            !synth_model_frames(&v->photo_lens, &p->cam, place))
+            continue;
+        framed++;
+        if (!synth_model_sees(v->city, &v->photo_lens, &p->cam, place))
             continue;
         camera_center(&p->cam, eye);
         for (int k = 0; k < 3; k++) {
@@ -253,7 +269,7 @@ static uint8_t views_mask_at(const struct views *v, const double place[3])
         if (n >= MASK_PHOTOGRAPHS && views_parallax((const double(*)[3])dir, n, cos_max))
             return MASK_SUPPORTED;
     }
-    return n ? MASK_SEEN : 0;
+    return n ? MASK_SEEN : framed ? MASK_HIDDEN : 0;
 }
 
 /* ---- one view ---- */
@@ -400,7 +416,7 @@ enum err_code synth_views_write(const struct synth_config *cfg, const struct syn
                       .city = city,
                       .photos = photos,
                       .dir = dir,
-                      .photo_lens = synth_flight_lens(cfg),
+                      .photo_lens = views_photo_lens(cfg),
                       .n = (size_t)cfg->map_views,
                       .progress_busy = ATOMIC_FLAG_INIT};
     enum err_code rc = ERR_OK;
@@ -417,7 +433,7 @@ enum err_code synth_views_write(const struct synth_config *cfg, const struct syn
             .height_px = v.cams[0].height_px,
             .params = {v.cams[0].fx_px, v.cams[0].fy_px, v.cams[0].cx_px, v.cams[0].cy_px}};
         int rays = cfg->supersample > VIEW_SUPERSAMPLE ? (int)cfg->supersample : VIEW_SUPERSAMPLE;
-        rc = synth_draw_open(city, &l, rays, cfg->lens_blur_px, &v.draw, e);
+        rc = synth_draw_open(city, &l, rays, cfg->map_blur_px, &v.draw, e);
     }
     if (!rc) {
         progress_start(&v.progress, "draw map views", (uint64_t)v.n);
@@ -447,6 +463,7 @@ enum err_code synth_views_config(const struct synth_config *asked, struct synth_
     json_decref(root);
     out->map_views = asked->map_views;
     out->map_seed = asked->map_seed;
+    out->map_blur_px = asked->map_blur_px;
     return rc;
 }
 

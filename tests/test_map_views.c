@@ -8,6 +8,7 @@
 #include <jansson.h>
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "codec/colmap.h"
@@ -16,6 +17,7 @@
 #include "core/layout.h"
 #include "loss/metric.h"
 #include "render/render.h"
+#include "render/render_ref.h"
 #include "synth/synth.h"
 #include "train/map_views.h"
 
@@ -96,7 +98,7 @@ static void maps_of_a_crowd_agree_with_the_picture(void **state)
     struct dev other = dev;
     struct render *shape = NULL;
     static struct maps a, b;
-    float limit[PIXELS], depth[PIXELS];
+    float limit[PIXELS];
     size_t surface = 0, off = 0;
     kit_gauss(6, 300, 3.0, 0, 0, &g);
     for (size_t i = 0; i < g.n; i += 3)
@@ -120,22 +122,173 @@ static void maps_of_a_crowd_agree_with_the_picture(void **state)
     if (!(surface > PIXELS / 8 && surface < PIXELS))
         fail_msg("%zu pixels of %d have a surface", surface, PIXELS);
     assert_true(off <= 4); /* pixels at a threshold */
-    /* Mean depth is the picture of Gaussians whose colour is their depth. */
-    struct camera cam = front_camera();
-    for (size_t i = 0; i < g.n; i++) {
-        double z = cam.trans[2];
-        for (int k = 0; k < 3; k++)
-            z += cam.rot[6 + k] * (double)g.mean_m[3 * i + (size_t)k];
-        for (int k = 0; k < 3; k++)
-            g.sh[3 * i + (size_t)k] = (float)((z / 20.0 - 0.5) / GAUSS_SH_C0);
-    }
-    draw(render, &g, NULL, &b);
-    for (size_t i = 0; i < PIXELS; i++) {
-        depth[i] = a.left[i] < 1.0f ? 20.0f * b.rgb[3 * i] / (1.0f - b.left[i]) : 0.0f;
-        assert_true(b.front[i] == 0.0f);
-        assert_true(fabs((double)depth[i] - (double)a.mean[i]) <= 1e-3 * (double)depth[i]);
-    }
     render_close(&shape);
+    gauss_free(&g);
+}
+
+/* A 3 x 3 matrix, row-major. */
+static void invert(const double m[9], double out[9])
+{
+    double det = 0;
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) {
+            int a = (i + 1) % 3, b = (i + 2) % 3, c = (j + 1) % 3, d = (j + 2) % 3;
+            out[3 * j + i] = m[3 * a + c] * m[3 * b + d] - m[3 * a + d] * m[3 * b + c];
+        }
+    for (int j = 0; j < 3; j++)
+        det += m[j] * out[3 * j];
+    for (int i = 0; i < 9; i++)
+        out[i] /= det;
+}
+
+/* Where the ray of a pixel meets the most of a splat, in double. */
+static double depth_on_ray(const struct ref_view *v, const struct ref_splat *s, double px,
+                           double py)
+{
+    double axes[9], cov[9] = {0}, inv[9], num = 0, den = 0, reach = 0, z = s->cam[2];
+    double x = (px - v->cx) / v->fx, y = (py - v->cy) / v->fy;
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++) {
+            axes[3 * i + k] = 0;
+            for (int j = 0; j < 3; j++)
+                axes[3 * i + k] += v->rot[3 * i + j] * s->rot[3 * j + k];
+        }
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            for (int k = 0; k < 3; k++)
+                cov[3 * i + j] += axes[3 * i + k] * axes[3 * j + k] * s->scale[k] * s->scale[k];
+    invert(cov, inv);
+    const double ray[3] = {v->orthographic ? 0 : x, v->orthographic ? 0 : y, 1};
+    const double from[3] = {v->orthographic ? x : 0, v->orthographic ? y : 0, 0};
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) {
+            num += ray[i] * inv[3 * i + j] * (s->cam[j] - from[j]);
+            den += ray[i] * inv[3 * i + j] * ray[j];
+        }
+    reach = (double)LAYOUT_EXTENT_MAX * sqrt(cov[8]);
+    return fmax(fmin(fmax(num / den, z - reach), z + reach), v->near_m);
+}
+
+/* Replays a pixel in double: median and mean depth, and how far transmittance stays from 1/2. */
+static void reference_depth(const struct ref_view *v, const struct ref_splat *s, size_t n,
+                            double px, double py, double *median, double *mean, double *clear)
+{
+    double t = 1, sum = 0;
+    *median = 0;
+    *clear = 1;
+    for (size_t i = 0; i < n && t > (double)LAYOUT_TRANSMITTANCE_MIN; i++) {
+        double d[2], alpha, depth;
+        bool clamped;
+        if (!ref_alpha(&s[i], px, py, d, &alpha, &clamped))
+            continue;
+        depth = depth_on_ray(v, &s[i], px, py);
+        if (t > 0.5 && t * (1 - alpha) <= 0.5)
+            *median = depth;
+        sum += alpha * t * depth;
+        t *= 1 - alpha;
+        *clear = fmin(*clear, fabs(t - 0.5));
+    }
+    *mean = t < 1 ? sum / (1 - t) : 0;
+}
+
+/* Discs at all angles, through a perspective and a parallel camera. */
+static void depths_are_those_on_the_ray(void **state)
+{
+    for (int ortho = 0; ortho < 2; ortho++) {
+        (void)state;
+        struct gauss g = {0};
+        struct err e = {0};
+        struct render_model m = {0};
+        struct render_surface *s = NULL;
+        struct render_options o = options;
+        struct ref_view v;
+        struct ref_splat *splats = NULL;
+        static struct maps got;
+        struct camera cam = front_camera();
+        size_t n = 0, compared = 0, tilted = 0;
+        kit_gauss(16, 200, 3.0, 0, 0, &g);
+        for (size_t i = 0; i < g.n; i++) {
+            g.opacity_logit[i] = 2.0f;
+            for (size_t k = 0; k < 3; k++)
+                g.scale_log[3 * i + k] = logf(k == 1 ? 0.02f : 0.7f);
+        }
+        o.orthographic = ortho;
+        if (ortho)
+            cam.fx_px = cam.fy_px = 5;
+        const struct render_surface_maps maps = {.median_m = got.median, .mean_m = got.mean};
+        kit_ok(render_surface_open(render, &s, &e), e);
+        kit_ok(render_model_upload(render, &g, &m, &e), e);
+        kit_ok(render_forward(render, &m, &cam, &o, got.rgb, NULL, &e), e);
+        kit_ok(render_surface_run(s, NULL, &maps, &e), e);
+        kit_ok(ref_view_init(&g, &cam, &o, &v, &e), e);
+        kit_ok(ref_project_all(&v, &g, &splats, &n, &e), e);
+        for (size_t i = 0; i < PIXELS; i++) {
+            double median, mean, clear, centre = 0;
+            reference_depth(&v, splats, n, (double)(i % WIDTH) + 0.5, (double)(i / WIDTH) + 0.5,
+                            &median, &mean, &clear);
+            if (clear < 1e-3) /* float may choose another Gaussian */
+                continue;
+            if (fabs((double)got.median[i] - median) > 2e-3 * median ||
+                fabs((double)got.mean[i] - mean) > 1e-3 * mean)
+                fail_msg("%s pixel %zu: median %g, mean %g instead of %g, %g",
+                         ortho ? "parallel" : "perspective", i, (double)got.median[i],
+                         (double)got.mean[i], median, mean);
+            compared++;
+            for (size_t k = 0; k < n; k++)
+                if (fabs(splats[k].cam[2] - median) < fabs(centre - median))
+                    centre = splats[k].cam[2];
+            tilted += median > 0 && fabs(centre - median) > 5e-3;
+        }
+        if (compared < PIXELS * 9 / 10 || tilted < PIXELS / 20)
+            fail_msg("%zu pixels compared, %zu off all centres", compared, tilted);
+        mem_free(splats);
+        render_surface_close(&s);
+        render_model_free(&m);
+        gauss_free(&g);
+    }
+}
+
+/* The ground seen from 2 m above it: discs as large as their distance allows. */
+static void a_street_is_as_deep_as_its_plane(void **state)
+{
+    (void)state;
+    enum { DISCS = 400 };
+    struct gauss g = {0};
+    struct err e = {0};
+    struct render_model m = {0};
+    struct render_surface *s = NULL;
+    static struct maps got;
+    const double eye[3] = {0, 0, 2}, target[3] = {0, 10, 2};
+    struct camera cam = camera_look_at(eye, target, 0.9, WIDTH, HEIGHT);
+    double worst = 0;
+    size_t n = 0;
+    kit_gauss(3, DISCS, 1.0, 0, 0, &g);
+    for (size_t i = 0; i < DISCS; i++) {
+        const float place[3] = {2.0f * ((float)(i % 10) - 4.5f), 2.0f * (float)(i / 10), 0};
+        const float quat[4] = {1, 0, 0, 0};
+        memcpy(g.mean_m + 3 * i, place, sizeof place);
+        memcpy(g.quat_wxyz + 4 * i, quat, sizeof quat);
+        g.opacity_logit[i] = 3.0f;
+        for (size_t k = 0; k < 3; k++)
+            g.scale_log[3 * i + k] = logf(k == 2 ? 0.002f : 1.0f);
+    }
+    const struct render_surface_maps maps = {.median_m = got.median};
+    kit_ok(render_surface_open(render, &s, &e), e);
+    kit_ok(render_model_upload(render, &g, &m, &e), e);
+    kit_ok(render_forward(render, &m, &cam, &options, got.rgb, NULL, &e), e);
+    kit_ok(render_surface_run(s, NULL, &maps, &e), e);
+    for (size_t y = HEIGHT / 2 + 4; y < HEIGHT; y++) {
+        double plane = 2.0 * cam.fy_px / ((double)y + 0.5 - cam.cy_px);
+        size_t i = y * WIDTH + WIDTH / 2;
+        if (got.median[i] > 0.0f && plane < 40) {
+            worst = fmax(worst, fabs((double)got.median[i] / plane - 1));
+            n++;
+        }
+    }
+    if (n < HEIGHT / 3 || !(worst < 0.02))
+        fail_msg("%zu rows, depth off by %g", n, worst);
+    render_surface_close(&s);
+    render_model_free(&m);
     gauss_free(&g);
 }
 
@@ -190,10 +343,11 @@ static void within_a_mask_only_its_pixels_count(void **state)
 static void sums_say_halo_haze_and_depth(void **state)
 {
     (void)state;
-    /* A strip: 100 pixels unobserved, 100 seen by one photograph, 800 supported. */
-    enum { W = 100, H = 10, N = W * H };
-    static float rgb[3 * N], median[N], front[N], left[N], depth[N];
-    static uint8_t mask[N], square[N], px[3 * N];
+    /* A strip: 100 pixels unobserved, 100 seen by one photograph, 800 supported, and below it one of
+     * pixels that are hidden, which count for nothing but gaps. */
+    enum { W = 100, H = 11, N = W * 10, ALL = W * H };
+    static float rgb[3 * ALL], median[ALL], front[ALL], left[ALL], depth[ALL];
+    static uint8_t mask[ALL], square[ALL], px[3 * ALL];
     struct err e = {0};
     struct map_truth t = {
         .width_px = W, .height_px = H, .mask = mask, .square = square, .depth_m = depth};
@@ -215,15 +369,49 @@ static void sums_say_halo_haze_and_depth(void **state)
         median[i] = i < 240 ? 0.0f : 96.0f; /* holes; 4 % in front: wrong, yet no haze */
     for (size_t i = 100; i < N; i++)
         front[i] = 0.25f;
+    for (size_t i = N; i < ALL; i++) {
+        mask[i] = 64;
+        depth[i] = 100.0f;
+        left[i] = 0.1f;
+        median[i] = 3.0f;
+        front[i] = 0.9f;
+    }
     kit_ok(map_sums_add(&s, &t, &d, &e), e);
     struct map_score m = map_sums_score(&s);
     const double got[] = {m.halo,        m.haze,    m.veil,      m.depth_median, m.depth_95,
-                          m.depth_above, m.psnr_db, m.supported, m.unobserved};
-    const double want[] = {0.25, 0.1, 0.25, 0.01, 0.04, 0.1, 20.0, 0.8, 0.1};
+                          m.depth_above, m.psnr_db, m.supported, m.unobserved,   m.gaps};
+    const double want[] = {0.25, 0.1, 0.25, 0.01, 0.04, 0.1, 20.0, 0.8 / 1.1, 0.1 / 1.1, 0.9};
     kit_near_d("measures", got, want, sizeof got / sizeof *got, 0.0, 1e-4);
     assert_int_equal(m.n_supported, 1);
     assert_int_equal(m.n_square, 0);
     assert_true(isnan(m.square_psnr_db));
+    map_sums_free(&s);
+}
+
+/* One observed pixel: halo is everything around it, fog what is farther than the edge may be wide. */
+static void fog_is_halo_beyond_the_edge(void **state)
+{
+    (void)state;
+    enum { W = 40, H = 30, N = W * H, X = 11, Y = 4 };
+    static float rgb[3 * N], median[N], front[N], left[N], depth[N];
+    static uint8_t mask[N], square[N], px[3 * N];
+    struct err e = {0};
+    struct map_truth t = {
+        .width_px = W, .height_px = H, .mask = mask, .square = square, .depth_m = depth};
+    const struct map_drawing d = {rgb, median, front, left};
+    struct map_sums s = {0};
+    double all = 0;
+    t.picture = (struct image){.width_px = W, .height_px = H, .channels = 3, .px = px};
+    mask[Y * W + X] = 128;
+    for (size_t i = 0; i < N; i++) {
+        int dx = abs((int)(i % W) - X), dy = abs((int)(i / W) - Y);
+        left[i] = dx <= MAP_VIEWS_EDGE_PX && dy <= MAP_VIEWS_EDGE_PX ? 0.5f : 0.75f;
+        all += mask[i] ? 0 : 1 - (double)left[i];
+    }
+    kit_ok(map_sums_add(&s, &t, &d, &e), e);
+    struct map_score m = map_sums_score(&s);
+    const double got[] = {m.fog, m.halo}, want[] = {0.25, all / (N - 1)};
+    kit_near_d("fog, halo", got, want, 2, 0.0, 1e-9);
     map_sums_free(&s);
 }
 
@@ -282,9 +470,9 @@ static void check_view(const struct synth_config *cfg, const struct synth_city *
         double u = (double)(k % t.width_px) + 0.5, w = (double)(k / t.width_px) + 0.5;
         double ray[3] = {(u - cam->cx_px) / cam->fx_px, (w - cam->cy_px) / cam->fy_px, 1};
         double eye[3], place[3];
-        size_t by = 0;
+        size_t by = 0, framed = 0;
         seen[t.mask[k] == 255 ? 2 : t.mask[k] == 128 ? 1 : 0]++;
-        assert_true(t.mask[k] == 0 || t.mask[k] == 128 || t.mask[k] == 255);
+        assert_true(t.mask[k] == 0 || t.mask[k] == 64 || t.mask[k] == 128 || t.mask[k] == 255);
         if (!(t.depth_m[k] > 0.0f)) {
             assert_int_equal(t.mask[k], 0);
             continue;
@@ -296,13 +484,48 @@ static void check_view(const struct synth_config *cfg, const struct synth_city *
                                                  cam->rot[6 + c] * ray[2]);
         assert_true(place[2] > -0.05);
         for (size_t p = 0; p < (size_t)cfg->photos; p++)
-            by +=
-                p % (size_t)cfg->test_every && synth_model_sees(city, &lens, &photos[p].cam, place);
+            if (p % (size_t)cfg->test_every) {
+                by += synth_model_sees(city, &lens, &photos[p].cam, place);
+                framed += synth_model_frames(&lens, &photos[p].cam, place);
+            }
         /* Float depths move the place by less than what counts as the same. */
-        if (t.mask[k] == 255 ? by < 3 : t.mask[k] == 0 && by > 1)
+        if (t.mask[k] == 255 ? by < 3 : t.mask[k] < 128 && by > 1)
             fail_msg("view %zu pixel %zu: mask %d, %zu photographs", i, k, t.mask[k], by);
+        if (t.mask[k] == 0 ? framed > 1 : framed == 0)
+            fail_msg("view %zu pixel %zu: mask %d, framed by %zu", i, k, t.mask[k], framed);
     }
     map_truth_free(&t);
+}
+
+/* Squared differences of neighbours in a row, of the first view of a folder. */
+static double roughness(const struct scene *s, const char *dir)
+{
+    struct map_views v;
+    struct map_truth t;
+    struct err e = {0};
+    double sum = 0;
+    kit_ok(map_views_read(dir, s, &v, &e), e);
+    kit_ok(map_views_load(&v, 0, &t, &e), e);
+    for (size_t i = 3; i < 3 * (size_t)t.width_px * t.height_px; i++) {
+        double d = (double)t.picture.px[i] - (double)t.picture.px[i - 3];
+        sum += d * d;
+    }
+    map_truth_free(&t);
+    map_views_free(&v);
+    return sum;
+}
+
+/* Pictures have the blur that is asked for, whatever that of the photographs. */
+static void check_blur(struct synth_config *again, const struct scene *s, const char *dir)
+{
+    char out[FILE_PATH_MAX];
+    struct err e = {0};
+    double soft = roughness(s, dir);
+    again->map_blur_px = 0;
+    kit_ok(synth_views_run(again, out, &e), e);
+    double sharp = roughness(s, dir);
+    if (!(soft < 0.8 * sharp && soft > 0.2 * sharp))
+        fail_msg("roughness %g sharp, %g blurred", sharp, soft);
 }
 
 static void synth_writes_views_that_are_true(void **state)
@@ -361,8 +584,9 @@ static void synth_writes_views_that_are_true(void **state)
     struct map_views w;
     kit_ok(map_views_read(more, &s, &w, &e), e);
     assert_true(memcmp(w.views[0].cam.trans, v.views[0].cam.trans, sizeof w.views[0].cam.trans));
-    map_views_free(&v);
     map_views_free(&w);
+    check_blur(&again, &s, more);
+    map_views_free(&v);
     synth_city_free(&city);
     arena_free(&a);
     kit_rmdir(tmp);
@@ -458,10 +682,13 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(median_is_the_surface_behind_a_faint_ball),
+        cmocka_unit_test(depths_are_those_on_the_ray),
+        cmocka_unit_test(a_street_is_as_deep_as_its_plane),
         cmocka_unit_test(maps_of_a_crowd_agree_with_the_picture),
         cmocka_unit_test(no_frame_is_an_error),
         cmocka_unit_test(within_a_mask_only_its_pixels_count),
         cmocka_unit_test(sums_say_halo_haze_and_depth),
+        cmocka_unit_test(fog_is_halo_beyond_the_edge),
         cmocka_unit_test(synth_writes_views_that_are_true),
         cmocka_unit_test(views_move_into_the_scene),
     };

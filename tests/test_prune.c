@@ -14,7 +14,7 @@ static void the_faintest_hundredth_goes(void **state)
     const float sum[6] = {50.0f, 0.25f, 48.0f, 0.0f, 1.25f, 0.5f};
     const uint16_t views[6] = {9, 9, 9, 0, 9, 9};
     const uint8_t want[6] = {1, 0, 1, 0, 1, 0};
-    float scratch[6];
+    double scratch[6];
     uint8_t keep[6];
     struct prune_report r = {0};
     prune_choose(sum, views, 6, 0.01, 0, scratch, keep, &r);
@@ -28,7 +28,7 @@ static void nothing_goes_when_nothing_may(void **state)
     (void)state;
     const float sum[3] = {0.0f, 1.0f, 2.0f};
     const uint16_t views[3] = {0, 1, 2};
-    float scratch[3];
+    double scratch[3];
     uint8_t keep[3];
     struct prune_report r = {0};
     prune_choose(sum, views, 3, 0.0, 0, scratch, keep, &r);
@@ -41,7 +41,7 @@ static void few_photographs_are_no_support(void **state)
     (void)state;
     const float sum[4] = {30.0f, 30.0f, 40.0f, 0.0f};
     const uint16_t views[4] = {3, 2, 7, 1};
-    float scratch[4];
+    double scratch[4];
     uint8_t keep[4];
     struct prune_report r = {0};
     prune_choose(sum, views, 4, 1e-3, 3, scratch, keep, &r);

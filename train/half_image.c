@@ -144,20 +144,13 @@ static void half_image_to_mean(struct photo *part, uint8_t *room)
 {
     size_t n = (size_t)part->cam.width_px * part->cam.height_px;
     const uint8_t white[3] = {255, 255, 255};
-    uint8_t table[3][256];
     if (exposure_is_mean(part->exposure_ev))
         return;
     if (!part->mask && exposure_clipped(part->exposure_ev, white)) {
         memset(room + 3 * n, 255, n);
         part->mask = room + 3 * n;
     }
-    exposure_table(part->exposure_ev, table);
-    for (size_t i = 0; i < n; i++) {
-        if (exposure_clipped(part->exposure_ev, room + 3 * i))
-            room[3 * n + i] = 0;
-        for (size_t k = 0; k < 3; k++)
-            room[3 * i + k] = table[k][room[3 * i + k]];
-    }
+    exposure_to_mean(part->exposure_ev, room, n, part->mask ? room + 3 * n : NULL);
 }
 
 /* Is there anything on both sides to learn from and to score? */

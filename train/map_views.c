@@ -1,8 +1,9 @@
 /* Reading and scoring of map views.
  *
  * Measures within the mask ask only for what training could know: surface that three photographs
- * see from different sides. What is drawn elsewhere has no right answer but one, nothing, and that
- * is what halo counts. The depth of a drawing is that of the Gaussian at which half of the light is
+ * see from different sides. Where no photograph looked, nothing should be drawn, and that is what
+ * halo counts; what was hidden from those that looked, below trees and behind walls, should be
+ * covered by something. The depth of a drawing is that of the Gaussian at which half of the light is
  * gone: the surface that an eye sees. The mean depth would move with every faint floater in front
  * and every gap behind, at silhouettes above all; the faint ones are counted by veil instead.
  *
@@ -21,7 +22,7 @@
 #include "core/sort.h"
 #include "loss/metric.h"
 
-enum { MASK_SUPPORTED = 255 };
+enum { MASK_SUPPORTED = 255, MASK_SEEN = 128 };
 static const double share_min = 0.01; /* of a picture: smaller masks have no PSNR worth a mean */
 
 /* ---- reading ---- */
@@ -260,9 +261,34 @@ static enum err_code map_sums_reserve(struct map_sums *s, size_t more, struct er
     return ERR_OK;
 }
 
+/* One line of a mask spread by MAP_VIEWS_EDGE_PX to both sides: how far is the last pixel of it? */
+static void map_spread_line(const uint8_t *in, size_t n, size_t step, uint8_t *out)
+{
+    for (size_t i = 0; i < n; i++)
+        out[i * step] = 0;
+    for (int back = 0; back < 2; back++) {
+        size_t since = MAP_VIEWS_EDGE_PX + 1;
+        for (size_t k = 0; k < n; k++) {
+            size_t i = (back ? n - 1 - k : k) * step;
+            since = in[i] ? 0 : since + 1;
+            out[i] |= since <= MAP_VIEWS_EDGE_PX;
+        }
+    }
+}
+
+/* 1 within MAP_VIEWS_EDGE_PX rows and columns of a pixel of the mask; row: scratch, as large. */
+static void map_spread(const struct map_truth *t, uint8_t *row, uint8_t *out)
+{
+    size_t w = t->width_px, h = t->height_px;
+    for (size_t y = 0; y < h; y++)
+        map_spread_line(t->mask + y * w, w, 1, row + y * w);
+    for (size_t x = 0; x < w; x++)
+        map_spread_line(row + x, h, w, out + x);
+}
+
 /* Depth, haze, veil and halo of the pixels. */
 static void map_sums_pixels(struct map_sums *s, const struct map_truth *t,
-                            const struct map_drawing *d, const float *limit_m)
+                            const struct map_drawing *d, const float *limit_m, const uint8_t *edge)
 {
     size_t n = (size_t)t->width_px * t->height_px;
     s->n_pixels += (double)n;
@@ -271,6 +297,13 @@ static void map_sums_pixels(struct map_sums *s, const struct map_truth *t,
         if (!t->mask[i]) {
             s->n_unobserved += 1.0;
             s->sum.halo += alpha;
+            s->n_fog += !edge[i];
+            s->sum.fog += edge[i] ? 0.0 : alpha;
+            continue;
+        }
+        if (t->mask[i] < MASK_SEEN) {
+            s->n_hidden += 1.0;
+            s->sum.gaps += alpha;
             continue;
         }
         s->n_seen += 1.0;
@@ -326,17 +359,19 @@ enum err_code map_sums_add(struct map_sums *s, const struct map_truth *t,
 {
     size_t n = (size_t)t->width_px * t->height_px;
     float *limit_m = mem_array(n, sizeof *limit_m);
-    uint8_t *used = mem_array(n, 1);
-    enum err_code rc = limit_m && used ? map_sums_reserve(s, n, e)
-                                       : err_set(e, ERR_MEM, "map views: out of memory");
+    uint8_t *used = mem_array(n, 1), *edge = mem_array(n, 1);
+    enum err_code rc = limit_m && used && edge ? map_sums_reserve(s, n, e)
+                                               : err_set(e, ERR_MEM, "map views: out of memory");
     if (!rc) {
         map_views_limit(t, limit_m);
-        map_sums_pixels(s, t, d, limit_m);
+        map_spread(t, used, edge);
+        map_sums_pixels(s, t, d, limit_m, edge);
         s->sum.n_views++;
         rc = map_sums_colour(s, t, d, used, e);
     }
     mem_free(limit_m);
     mem_free(used);
+    mem_free(edge);
     return rc;
 }
 
@@ -356,6 +391,8 @@ struct map_score map_sums_score(struct map_sums *s)
             (double)sort_select(s->errors, s->n_errors, (size_t)(0.95 * (double)(s->n_errors - 1)));
     }
     m.halo /= s->n_unobserved;
+    m.fog /= s->n_fog;
+    m.gaps /= s->n_hidden;
     m.haze /= s->n_seen;
     m.veil /= s->n_seen;
     m.supported = n / s->n_pixels;

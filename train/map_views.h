@@ -31,7 +31,7 @@ void map_views_free(struct map_views *v);
 struct map_truth { /* {0} is empty; map_truth_free */
     uint32_t width_px, height_px;
     struct image picture;
-    uint8_t *mask;   /* [h][w]: 255 supported, 128 seen, 0 unobserved */
+    uint8_t *mask;   /* [h][w]: 255 supported, 128 seen, 64 hidden, 0 unobserved */
     uint8_t *square; /* [h][w]: 255 within the built-up square */
     float *depth_m;  /* [h][w] along the axis, in the scene's metres; 0 = sky */
 };
@@ -54,17 +54,20 @@ struct map_score {
     double depth_median, depth_95;         /* relative error of the median depth, pixels of all
                                             * views together; a hole is an error of 1 */
     double depth_above;                    /* share of them above MAP_VIEWS_DEPTH */
-    double halo;                           /* mean alpha where no photograph has seen anything */
+    double halo;                           /* mean alpha where no photograph has looked */
+    double fog;                   /* the same, MAP_VIEWS_EDGE_PX and more beyond what was */
+    double gaps;                  /* mean alpha of what is hidden in all that looked there */
     double haze;                  /* share of seen pixels whose depth is nearer than the limit */
     double veil;                  /* share of their colour that comes from nearer than the limit */
     double supported, unobserved; /* shares of the pixels */
 };
 #define MAP_VIEWS_DEPTH 0.02
+enum { MAP_VIEWS_EDGE_PX = 8 };
 struct map_sums { /* {0} is empty; map_sums_free */
     struct map_score sum;
     float *errors; /* of depth, [n_errors] */
     size_t n_errors, cap_errors;
-    double n_pixels, n_seen, n_unobserved;
+    double n_pixels, n_seen, n_hidden, n_unobserved, n_fog;
 };
 /* Add one view. ERR_MEM; ERR_ARG for pictures smaller than 4 x 4 pixels. */
 enum err_code map_sums_add(struct map_sums *s, const struct map_truth *t,

@@ -138,26 +138,17 @@ static enum err_code photo_loader_to_mean(const struct photo_loader *f, size_t s
                                           struct image *img, struct image *mask, struct err *e)
 {
     const float *ev = photo_loader_exposure(&f->cfg, slot);
-    uint8_t table[3][256];
-    enum err_code rc = ERR_OK;
     size_t n = (size_t)img->width_px * img->height_px;
     if (!ev)
         return ERR_OK;
     if ((f->masked[slot] & PHOTO_LOADER_CLIPPED) && !mask->px) {
-        rc = image_alloc(img->width_px, img->height_px, 1, mask, e);
+        enum err_code rc = image_alloc(img->width_px, img->height_px, 1, mask, e);
         if (rc)
             return rc;
         memset(mask->px, 255, n);
     }
-    exposure_table(ev, table);
-    for (size_t i = 0; i < n; i++) {
-        uint8_t *px = img->px + 3 * i;
-        if (mask->px && exposure_clipped(ev, px))
-            mask->px[i] = 0;
-        for (size_t k = 0; k < 3; k++)
-            px[k] = table[k][px[k]];
-    }
-    return rc;
+    exposure_to_mean(ev, img->px, n, mask->px);
+    return ERR_OK;
 }
 
 static size_t photo_loader_size(const struct photo_loader *f, size_t slot)

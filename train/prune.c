@@ -14,9 +14,9 @@
 #include "train/prune.h"
 
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
+#include "core/sort.h"
 #include "loss/photometric.h"
 #include "render/permute.h"
 #include "train/context.h"
@@ -111,26 +111,19 @@ static enum err_code prune_measure(struct prune *c, size_t n_views, struct err *
     return rc;
 }
 
-static int prune_compare(const void *a, const void *b)
-{
-    float x, y;
-    memcpy(&x, a, sizeof x);
-    memcpy(&y, b, sizeof y);
-    return (x > y) - (x < y);
-}
-
 void prune_choose(const float *sum, const uint16_t *views, size_t n, double share,
-                  uint32_t least_views, float *scratch, uint8_t *keep, struct prune_report *out)
+                  uint32_t least_views, double *scratch, uint8_t *keep, struct prune_report *out)
 {
     double all = 0.0, given = 0.0;
     float limit = 0.0f; /* those with at least this stay */
-    memcpy(scratch, sum, n * sizeof *sum);
-    qsort(scratch, n, sizeof *scratch, prune_compare);
     for (size_t i = 0; i < n; i++)
-        all += (double)scratch[i];
+        scratch[i] = (double)sum[i];
+    sort_doubles(scratch, n);
+    for (size_t i = 0; i < n; i++)
+        all += scratch[i];
     for (size_t i = 0; i < n && given <= share * all; i++) {
-        limit = scratch[i];
-        given += (double)scratch[i];
+        limit = (float)scratch[i];
+        given += scratch[i];
     }
     for (size_t i = 0; i < n; i++) {
         bool faint = share > 0.0 && sum[i] < limit, alone = views[i] < least_views;
@@ -142,32 +135,22 @@ void prune_choose(const float *sum, const uint16_t *views, size_t n, double shar
 
 /* ---- removing rows ---- */
 
-struct prune_rank {
-    float total;
-    uint32_t row;
-};
-static int prune_by_total(const void *a, const void *b)
-{
-    const struct prune_rank *x = a, *y = b;
-    int order = (x->total < y->total) - (x->total > y->total);
-    return order ? order : (x->row > y->row) - (x->row < y->row);
-}
-
 /* Rows that stay in front, in their order; candidates behind them, the weakest last. */
 static enum err_code prune_order(const struct prune *c, const uint8_t *keep, size_t n,
                                  size_t n_keep, uint32_t *order, struct err *e)
 {
-    struct prune_rank *rank = mem_array(n - n_keep, sizeof *rank);
-    size_t front = 0, behind = 0;
+    size_t front = 0, behind = 0, n_behind = n - n_keep;
+    struct sort_item *rank = mem_array(2 * n_behind, sizeof *rank);
     if (!rank)
-        return err_set(e, ERR_MEM, "pruning: out of memory for %zu candidates", n - n_keep);
+        return err_set(e, ERR_MEM, "pruning: out of memory for %zu candidates", n_behind);
     for (size_t i = 0; i < n; i++)
         if (keep[i])
             order[front++] = (uint32_t)i;
         else
-            rank[behind++] = (struct prune_rank){c->total[i], (uint32_t)i};
-    qsort(rank, behind, sizeof *rank, prune_by_total);
-    for (size_t k = 0; k < behind; k++)
+            rank[behind++] =
+                (struct sort_item){UINT32_MAX - sort_key_float(c->total[i]), (uint32_t)i};
+    sort_items(rank, rank + n_behind, n_behind);
+    for (size_t k = 0; k < n_behind; k++)
         order[n_keep + k] = rank[k].row;
     mem_free(rank);
     return ERR_OK;
@@ -278,7 +261,7 @@ enum err_code prune_level(struct model *m, struct context *ctx, struct prune_rep
     enum err_code rc = keep ? prune_measure(&c, n_views, e)
                             : err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     render_importance_close(&c.device);
-    float *scratch = rc ? NULL : mem_array(n, sizeof *scratch);
+    double *scratch = rc ? NULL : mem_array(n, sizeof *scratch);
     if (!rc && !scratch)
         rc = err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     if (!rc)

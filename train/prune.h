@@ -35,6 +35,6 @@ enum err_code prune_level(struct model *m, struct context *ctx, struct prune_rep
                           struct residual_list *residuals, struct err *e) ERR_USE;
 /* The choice by itself: keep[n], and the counts of `out`; scratch[n]. */
 void prune_choose(const float *sum, const uint16_t *views, size_t n, double share,
-                  uint32_t least_views, float *scratch, uint8_t *keep, struct prune_report *out);
+                  uint32_t least_views, double *scratch, uint8_t *keep, struct prune_report *out);
 
 #endif

@@ -7,7 +7,7 @@
 #include "cells/partition.h"
 #include "codec/ckpt.h"
 #include "codec/scene.h"
-#include "tests/stability/toy_light.h"
+#include "tests/stability/toy_appearance.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
 #include "train/shared.h"
@@ -25,7 +25,7 @@
 enum { SEAM_STEPS = 800, SEAM_PX = 96, STRIP_PX = 8, SEAM_APPEARANCES = 12 };
 
 /* Two cells, divided at x = 0, both trained from all photographs. */
-static void toy_light_plan(const char *dir)
+static void toy_appearance_plan(const char *dir)
 {
     struct err e = {0};
     struct scene s;
@@ -119,7 +119,7 @@ static double seam_measure(const char *dir, struct toy *t, const struct gauss *t
         while (s.images[i].split != SCENE_TRAIN)
             i++;
         toy_draw(truth, &cam, rgb);
-        toy_light_paint(t->user, i, &cam, rgb);
+        toy_appearance_paint(t->user, i, &cam, rgb);
         seam_step(rgb, want);
         seam_merge(dir, &plan, s.images[i].name, &all);
         toy_draw(&all, &cam, rgb);
@@ -148,13 +148,13 @@ static void cells_agree_on_appearance_at_their_border(void **state)
     struct train_result result = {0};
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
     double strength = 0.6, seam[2];
-    struct toy t = toy_light(&strength);
+    struct toy t = toy_appearance(&strength);
     kit_tmpdir(dir);
     toy_gauss(&t, &truth);
     toy_write(dir, &t, &truth);
-    toy_light_plan(dir);
+    toy_appearance_plan(dir);
     for (int shared = 0; shared < 2; shared++) {
-        struct train_config c = toy_light_config(&a, NULL, true);
+        struct train_config c = toy_appearance_config(&a, NULL, true);
         c.iterations = 0;
         c.iterations_3 = SEAM_STEPS;
         c.scale_by_images = false;
@@ -187,8 +187,8 @@ static void a_single_cell_needs_the_shared_model(void **state)
     struct buf first = {0}, again = {0};
     struct scene s;
     struct partition plan = {0};
-    toy_light_scene(dir, 0.3);
-    toy_light_plan(dir);
+    toy_appearance_scene(dir, 0.3);
+    toy_appearance_plan(dir);
     kit_ok(scene_read(dir, &s, &e), e);
     snprintf(path, sizeof path, "%s/plan.json", dir);
     kit_ok(cell_plan_read(path, &s, &plan, &e), e);
@@ -196,7 +196,7 @@ static void a_single_cell_needs_the_shared_model(void **state)
     while (plan.cells[cell].parent >= 0)
         cell++;
     snprintf(id, sizeof id, "%s", plan.cells[cell].id);
-    struct train_config c = toy_light_config(&a, NULL, true);
+    struct train_config c = toy_appearance_config(&a, NULL, true);
     c.iterations = 30;
     c.cell = id;
     kit_fails(train_run(dir, &c, &r, &e), ERR_NOENT, e, "--appearance-only");
@@ -243,13 +243,13 @@ static void a_network_needs_steps(void **state)
     struct arena a = {0};
     struct train_result r = {0};
     char dir[FILE_PATH_MAX], path[FILE_PATH_MAX + 64];
-    toy_light_scene(dir, 0.3);
-    struct train_config c = toy_light_config(&a, NULL, true);
+    toy_appearance_scene(dir, 0.3);
+    struct train_config c = toy_appearance_config(&a, NULL, true);
     c.iterations = 40;
-    c.appearance_warmup = TOY_LIGHT_STEPS;
+    c.appearance_warmup = TOY_APPEARANCE_STEPS;
     kit_fails(train_run(dir, &c, &r, &e), ERR_ARG, e, "warm-up of 40 steps");
     train_result_free(&r);
-    toy_light_plan(dir);
+    toy_appearance_plan(dir);
     c.appearance_only = true;
     c.appearance_warmup = 1000;
     c.appearance_iterations = 1000;

@@ -7,7 +7,7 @@
 #include "codec/image.h"
 #include "loss/metric.h"
 #include "loss/photometric.h"
-#include "tests/stability/toy_light.h"
+#include "tests/stability/toy_appearance.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
 #include "train/level.h"
@@ -35,13 +35,13 @@ static void without_changes_appearance_costs_nothing_and_opens_no_fog(void **sta
     struct arena a = {0};
     char dir[FILE_PATH_MAX];
     double psnr[2], offset = 0.0;
-    toy_light_scene(dir, 0.0);
+    toy_appearance_scene(dir, 0.0);
     for (int on = 0; on < 2; on++) {
-        struct train_config c = toy_light_config(&a, NULL, on);
+        struct train_config c = toy_appearance_config(&a, NULL, on);
         struct toy_run r;
         toy_run_open(&r, dir, &c);
         toy_run_level(&r);
-        psnr[on] = toy_light_score(&r).psnr_db;
+        psnr[on] = toy_appearance_score(&r).psnr_db;
         offset = r.level.offset_mean;
         toy_run_close(&r);
     }
@@ -59,13 +59,13 @@ static void changes_of_light_are_explained(void **state)
     struct arena a = {0};
     char dir[FILE_PATH_MAX];
     double psnr[2];
-    toy_light_scene(dir, 0.6);
+    toy_appearance_scene(dir, 0.6);
     for (int on = 0; on < 2; on++) {
-        struct train_config c = toy_light_config(&a, NULL, on);
+        struct train_config c = toy_appearance_config(&a, NULL, on);
         struct toy_run r;
         toy_run_open(&r, dir, &c);
         toy_run_level(&r);
-        psnr[on] = toy_light_score(&r).psnr_db;
+        psnr[on] = toy_appearance_score(&r).psnr_db;
         toy_run_close(&r);
     }
     toy_figure("F6", "changing_light psnr_off_db=%.3f psnr_on_db=%.3f limit_gain_db=%.1f", psnr[0],
@@ -110,8 +110,8 @@ static void photographs_of_equal_light_may_swap_embeddings(void **state)
     char dir[FILE_PATH_MAX];
     struct toy_run r;
     double worst = 0.0, apart = HUGE_VAL;
-    toy_light_scene(dir, 0.6);
-    struct train_config c = toy_light_config(&a, NULL, true);
+    toy_appearance_scene(dir, 0.6);
+    struct train_config c = toy_appearance_config(&a, NULL, true);
     toy_run_open(&r, dir, &c);
     toy_run_level(&r);
     size_t pairs = 0;
@@ -158,8 +158,8 @@ static void embeddings_of_what_is_seen_move(void **state)
     struct toy_run r;
     struct gauss before = {0}, after = {0};
     size_t seen = 0, moved = 0;
-    toy_light_scene(dir, 0.6);
-    struct train_config c = toy_light_config(&a, NULL, true);
+    toy_appearance_scene(dir, 0.6);
+    struct train_config c = toy_appearance_config(&a, NULL, true);
     c.appearance_warmup = 10;
     toy_run_open(&r, dir, &c);
     toy_run_steps(&r, 10);
@@ -201,7 +201,7 @@ static void a_run_with_appearance_resumes_bit_by_bit(void **state)
     struct train_result r = {0};
     char dir[FILE_PATH_MAX], whole[FILE_PATH_MAX], parts[FILE_PATH_MAX];
     static const int64_t pieces[] = {5, 20, 33, 41, 2, 60};
-    toy_light_scene(dir, 0.5);
+    toy_appearance_scene(dir, 0.5);
     kit_tmpdir(whole);
     kit_tmpdir(parts);
     struct train_config c = toy_config(&a, whole);
@@ -276,8 +276,8 @@ static void pruning_and_budgets_look_at_photographs_in_their_own_appearance(void
     struct toy_run r;
     struct prune_report report;
     struct residual_list residuals = {0};
-    toy_light_scene(dir, 0.6);
-    struct train_config c = toy_light_config(&a, NULL, true);
+    toy_appearance_scene(dir, 0.6);
+    struct train_config c = toy_appearance_config(&a, NULL, true);
     c.prune_contribution = 0.02;
     c.prune_support = 0;
     c.prune_loss_db = 100.0;
@@ -287,7 +287,7 @@ static void pruning_and_budgets_look_at_photographs_in_their_own_appearance(void
     uint32_t held = ctx->images[ctx->n_images - 1]; /* carries no gradient */
     ctx->n_images--;
     kit_ok(level_begin(&r.level, &e), e);
-    toy_run_steps(&r, TOY_LIGHT_STEPS / 2);
+    toy_run_steps(&r, TOY_APPEARANCE_STEPS / 2);
     struct budget b = {.held = &held, .n_held = 1, .table = {1000}};
     double first = 0.0;
     for (int look = 0; look < 10; look++) {

@@ -2,7 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "tests/stability/toy_light.h"
+#include "tests/stability/toy_appearance.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
 #include "train/evaluate.h"
@@ -30,10 +30,10 @@ static void half_case_open(struct half_case *t)
 {
     struct err e = {0};
     *t = (struct half_case){0};
-    toy_light_scene(t->dir, 0.6);
-    t->cfg = toy_light_config(&t->arena, NULL, true);
+    toy_appearance_scene(t->dir, 0.6);
+    t->cfg = toy_appearance_config(&t->arena, NULL, true);
     toy_run_open(&t->run, t->dir, &t->cfg);
-    toy_run_steps(&t->run, TOY_LIGHT_STEPS / 4);
+    toy_run_steps(&t->run, TOY_APPEARANCE_STEPS / 4);
     struct context *ctx = &t->run.level.ctx;
     struct photo_loader_config f = {.scene = &t->run.scene,
                                     .images = t->run.tests,

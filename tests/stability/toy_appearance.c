@@ -1,8 +1,8 @@
-/* Implements tests/stability/toy_light.h.
+/* Implements tests/stability/toy_appearance.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "tests/stability/toy_light.h"
+#include "tests/stability/toy_appearance.h"
 
 #include "loss/photometric.h"
 #include "train/appearance_train.h"
@@ -13,7 +13,7 @@
 
 #define NOISE 0.04
 
-void toy_light_paint(void *user, size_t i, const struct camera *cam, double *rgb)
+void toy_appearance_paint(void *user, size_t i, const struct camera *cam, double *rgb)
 {
     const double *strength = user;
     double ev = *strength * (2.0 * rng_unit(5, 1, i / 2) - 1.0);
@@ -23,39 +23,39 @@ void toy_light_paint(void *user, size_t i, const struct camera *cam, double *rgb
         rgb[k] = fmin(rgb[k] * gain[k % 3], 1.0) + NOISE * rng_normal(6, i, k);
 }
 
-struct toy toy_light(double *strength)
+struct toy toy_appearance(double *strength)
 {
     struct toy t = toy_spec();
-    t.photos = TOY_LIGHT_PHOTOS;
-    t.paint = toy_light_paint;
+    t.photos = TOY_APPEARANCE_PHOTOS;
+    t.paint = toy_appearance_paint;
     t.user = strength;
     return t;
 }
 
-struct train_config toy_light_config(struct arena *a, const char *out, bool appearance)
+struct train_config toy_appearance_config(struct arena *a, const char *out, bool appearance)
 {
     struct train_config c = toy_config(a, out);
     c.level_count = 1;
-    c.iterations = TOY_LIGHT_STEPS;
-    c.iterations_3 = TOY_LIGHT_STEPS; /* kappa 1: the warm-up below is in steps */
+    c.iterations = TOY_APPEARANCE_STEPS;
+    c.iterations_3 = TOY_APPEARANCE_STEPS; /* kappa 1: the warm-up below is in steps */
     c.appearance = appearance;
-    c.appearance_warmup = TOY_LIGHT_STEPS / 8;
+    c.appearance_warmup = TOY_APPEARANCE_STEPS / 8;
     c.appearance_iterations_min = 1;
     c.densify_from = 1000000;
     return c;
 }
 
-void toy_light_scene(char dir[FILE_PATH_MAX], double strength)
+void toy_appearance_scene(char dir[FILE_PATH_MAX], double strength)
 {
     struct gauss g = {0};
-    struct toy t = toy_light(&strength);
+    struct toy t = toy_appearance(&strength);
     kit_tmpdir(dir);
     toy_gauss(&t, &g);
     toy_write(dir, &t, &g);
     gauss_free(&g);
 }
 
-struct evaluate_score toy_light_score(struct toy_run *r)
+struct evaluate_score toy_appearance_score(struct toy_run *r)
 {
     struct err e = {0};
     struct level *l = &r->level;
