@@ -20,6 +20,7 @@
 #include "codec/draco.h"
 #include "codec/quant.h"
 #include "codec/scene.h"
+#include "codec/sog.h"
 #include "codec/spz.h"
 #include "train/train.h"
 #include "train/train_scene.h"
@@ -31,8 +32,16 @@
 
 enum { NAME_MAX_BYTES = 64 };
 
-enum rd_format { RD_DRC, RD_SPZ3, RD_SPZ4, RD_FORMATS };
-static const char *const format_names[RD_FORMATS] = {"drc", "spz 3", "spz 4"};
+/* .sog has no grid but the degree: its codebooks are its own. */
+enum rd_format {
+    RD_DRC,
+    RD_SPZ3,
+    RD_SPZ4,
+    RD_PRESET_FORMATS,
+    RD_SOG = RD_PRESET_FORMATS,
+    RD_FORMATS
+};
+static const char *const format_names[RD_FORMATS] = {"drc", "spz 3", "spz 4", "sog"};
 
 struct rd {
     struct bench *b;
@@ -53,23 +62,42 @@ static enum err_code rd_score(struct rd *r, const struct gauss *g, bool keep,
     return test_views_score(&r->shots, g, &ro, keep, out, e);
 }
 
+static enum err_code rd_trip_sog(const struct gauss *tile, uint32_t sh_degree, struct buf *file,
+                                 struct gauss *out, struct err *e)
+{
+    const uint32_t degree = sh_degree < tile->sh_degree ? sh_degree : tile->sh_degree;
+    enum err_code rc = sog_encode(tile, degree, file, e);
+    return rc ? rc : sog_decode(file->data, file->size, NULL, out, e);
+}
+
+static enum err_code rd_trip(const struct gauss *tile, enum rd_format f,
+                             const struct quant_grid *grid, struct buf *file, struct gauss *out,
+                             struct err *e)
+{
+    struct quant q = {0}, back = {0};
+    enum err_code rc = quant_from_gauss(tile, tile->sh_degree, grid, &q, e);
+    if (!rc)
+        rc = f == RD_DRC ? draco_encode(&q, "18/0/0", file, e)
+                         : spz_encode(&q, f == RD_SPZ3 ? 3 : 4, file, e);
+    if (!rc)
+        rc = f == RD_DRC ? draco_decode(file->data, file->size, NULL, &back, e)
+                         : spz_decode(file->data, file->size, NULL, &back, e);
+    if (!rc)
+        rc = quant_to_gauss(&back, out, e);
+    quant_free(&q);
+    quant_free(&back);
+    return rc;
+}
+
 /* One tile through a format; what a reader gets is added to `all` in ENU. */
 static enum err_code rd_tile(const struct gauss *tile, enum rd_format f,
                              const struct quant_grid *grid, struct gauss *all, size_t *bytes,
                              struct err *e)
 {
-    struct quant q = {0}, back = {0};
     struct gauss g = {0};
     struct buf file = {0};
-    enum err_code rc = quant_from_gauss(tile, tile->sh_degree, grid, &q, e);
-    if (!rc)
-        rc = f == RD_DRC ? draco_encode(&q, "18/0/0", &file, e)
-                         : spz_encode(&q, f == RD_SPZ3 ? 3 : 4, &file, e);
-    if (!rc)
-        rc = f == RD_DRC ? draco_decode(file.data, file.size, NULL, &back, e)
-                         : spz_decode(file.data, file.size, NULL, &back, e);
-    if (!rc)
-        rc = quant_to_gauss(&back, &g, e);
+    enum err_code rc = f == RD_SOG ? rd_trip_sog(tile, grid->sh_degree, &file, &g, e)
+                                   : rd_trip(tile, f, grid, &file, &g, e);
     if (!rc) {
         memcpy(g.origin_enu_m, tile->origin_enu_m, sizeof g.origin_enu_m);
         axes_gltf_to_enu(&g);
@@ -78,8 +106,6 @@ static enum err_code rd_tile(const struct gauss *tile, enum rd_format f,
     }
     *bytes += file.size;
     gauss_free(&g);
-    quant_free(&q);
-    quant_free(&back);
     buf_free(&file);
     return rc;
 }
@@ -126,7 +152,7 @@ static enum err_code rd_presets(struct rd *r, struct err *e)
     enum err_code rc = ERR_OK;
     char row[NAME_MAX_BYTES];
     for (int p = 0; !rc && p < QUANT_PRESETS; p++)
-        for (int f = 0; !rc && f < RD_FORMATS; f++) {
+        for (int f = 0; !rc && f < RD_PRESET_FORMATS; f++) {
             snprintf(row, sizeof row, "preset:%s", quant_preset_name((enum quant_preset)p));
             rc = rd_row(r, row, (enum rd_format)f, quant_preset_grid((enum quant_preset)p), e);
         }
@@ -139,6 +165,11 @@ static enum err_code rd_presets(struct rd *r, struct err *e)
         snprintf(row, sizeof row, "balanced to degree:%u", degree);
         if (!rc)
             rc = rd_row(r, row, RD_DRC, &balanced, e);
+    }
+    for (uint32_t degree = 0; !rc && degree <= r->leaves.tile[0].sh_degree; degree++) {
+        const struct quant_grid g = {.sh_degree = (uint8_t)degree};
+        snprintf(row, sizeof row, "degree:%u", degree);
+        rc = rd_row(r, row, RD_SOG, &g, e);
     }
     return rc;
 }

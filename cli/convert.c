@@ -17,6 +17,7 @@
 #include "codec/limits.h"
 #include "codec/ply.h"
 #include "codec/quant.h"
+#include "codec/sog.h"
 #include "codec/splat.h"
 #include "codec/spz.h"
 
@@ -33,7 +34,7 @@ static const struct options_def convert_defs[] = {
 #undef OPT
 };
 
-enum convert_format { FORMAT_PLY, FORMAT_SPZ, FORMAT_DRC, FORMAT_GLB, FORMAT_SPLAT };
+enum convert_format { FORMAT_PLY, FORMAT_SPZ, FORMAT_DRC, FORMAT_GLB, FORMAT_SOG, FORMAT_SPLAT };
 enum convert_axes {
     AXES_AUTO,
     AXES_ENU,
@@ -49,15 +50,16 @@ struct converted {
 
 static enum err_code convert_format_of(const char *path, enum convert_format *out, struct err *e)
 {
-    static const char *const names[] = {".ply", ".spz", ".drc", ".glb", ".splat"};
+    static const char *const names[] = {".ply", ".spz", ".drc", ".glb", ".sog", ".splat"};
     const char *dot = strrchr(path, '.');
-    for (int f = 0; dot && f < 5; f++)
+    for (int f = 0; dot && f < 6; f++)
         if (!strcasecmp(dot, names[f])) {
             *out = (enum convert_format)f;
             return ERR_OK;
         }
     return err_set(e, ERR_ARG,
-                   "%s : its name must end in .ply, .spz, .drc or .glb (.splat to read)", path);
+                   "%s : its name must end in .ply, .spz, .drc, .glb or .sog (.splat to read)",
+                   path);
 }
 
 static enum err_code convert_decode_glb(const struct buf *b, const struct codec_limits *lim,
@@ -89,6 +91,8 @@ static enum err_code convert_read(const char *path, const struct codec_limits *l
     } else if (format == FORMAT_SPLAT) {
         rc = splat_decode(b.data, b.size, lim, &c->g, e);
         c->axes = AXES_AUTO;
+    } else if (format == FORMAT_SOG) {
+        rc = sog_decode(b.data, b.size, lim, &c->g, e);
     } else if (format == FORMAT_SPZ) {
         rc = spz_decode(b.data, b.size, lim, &c->q, e);
     } else if (format == FORMAT_DRC) {
@@ -223,6 +227,8 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
     convert_turn(c, AXES_GLTF, in);
     if (o->sort)
         rc = convert_sort_gauss(&c->g, e);
+    if (!rc && format == FORMAT_SOG)
+        return sog_encode(&c->g, c->g.sh_degree, out, e);
     if (!rc && !integers)
         return glb_encode_plain(&c->g, o->copyright, out, e);
     quant_free(&c->q);
@@ -238,7 +244,7 @@ enum err_code cli_convert(int argc, char **argv, struct err *e)
         .usage = "citysplat convert IN OUT [options]",
         .about = "Converts a file of Gaussians: reads .ply (of any trainer, or SuperSplat's "
                  "compressed one), "
-                 ".spz, .drc, .glb and .splat, writes .ply, .spz, .drc and .glb.",
+                 ".spz, .drc, .glb, .sog and .splat, writes .ply, .spz, .drc, .glb and .sog.",
         .example = "citysplat convert point_cloud.ply scene.spz --axes enu\n"
                    "citysplat convert tile.drc tile.glb --glb-payload plain",
         .defs = convert_defs,

@@ -1,4 +1,4 @@
-/* citysplat export: a tile store -> one .ply or .spz of a level, or a static 3D Tiles folder that
+/* citysplat export: a tile store -> one .ply, .spz or .sog of a level, or a static 3D Tiles folder that
  * any web server or CDN can hand out without us. The .glb files are the bytes `citysplat serve`
  * would send.
  *
@@ -15,6 +15,7 @@
 #include "codec/glb.h"
 #include "codec/ply.h"
 #include "codec/quant.h"
+#include "codec/sog.h"
 #include "codec/spz.h"
 #include "core/appearance.h"
 #include "core/outdir.h"
@@ -25,7 +26,7 @@
 #include "lod/tileset.h"
 #include "lod/tree.h"
 
-enum { EXPORT_AUTO, EXPORT_PLY, EXPORT_SPZ, EXPORT_3DTILES };
+enum { EXPORT_AUTO, EXPORT_PLY, EXPORT_SPZ, EXPORT_SOG, EXPORT_3DTILES };
 
 struct export_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -44,7 +45,7 @@ static const struct options_spec spec = {
     .command = "export",
     .usage = "citysplat export CITY.tiles -o FILE [options]",
     .about = "Writes one level of a tile store as .ply (east-north-up, every bit of a "
-             "lossless store) or .spz, or the whole pyramid as a folder with tileset.json "
+             "lossless store), .spz or .sog, or the whole pyramid as a folder with tileset.json "
              "and .glb tiles for a web server or CDN.",
     .example = "citysplat export city.tiles -o city.ply\n"
                "citysplat export city.tiles -o public/city --format 3dtiles",
@@ -111,6 +112,28 @@ static enum err_code export_spz(struct gauss *g, const struct quant_grid *grid, 
     return rc;
 }
 
+/* One texture of the whole level: rows that are neighbours in it should be so in space. */
+static enum err_code export_sog(struct gauss *g, struct buf *out, struct err *e)
+{
+    struct gauss sorted = {0};
+    uint32_t *order = mem_array(g->n, sizeof *order);
+    enum err_code rc =
+        order ? gauss_hilbert_order(g, order, e) : err_set(e, ERR_MEM, "export : out of memory");
+    if (!rc)
+        rc = gauss_alloc(&sorted, g->n, g->sh_degree, 0, e);
+    if (!rc) {
+        sorted.antialiased = g->antialiased;
+        rc = gauss_append(&sorted, g, order, g->n, e);
+    }
+    mem_free(order);
+    if (!rc) {
+        axes_enu_to_gltf(&sorted);
+        rc = sog_encode(&sorted, sorted.sh_degree, out, e);
+    }
+    gauss_free(&sorted);
+    return rc;
+}
+
 static enum err_code export_file(struct store *s, const struct export_options *o, int format,
                                  const float *image, struct err *e)
 {
@@ -124,7 +147,9 @@ static enum err_code export_file(struct store *s, const struct export_options *o
     if (!rc)
         rc = export_gather(s, zoom, image, &g, e);
     if (!rc)
-        rc = format == EXPORT_PLY ? ply_encode(&g, &info, &b, e) : export_spz(&g, grid, &b, e);
+        rc = format == EXPORT_PLY   ? ply_encode(&g, &info, &b, e)
+             : format == EXPORT_SOG ? export_sog(&g, &b, e)
+                                    : export_spz(&g, grid, &b, e);
     if (!rc)
         rc = file_write(o->output, b.data, b.size, e);
     if (!rc)
@@ -220,6 +245,8 @@ static int export_format(const char *output)
     const char *dot = strrchr(output, '.');
     if (dot && !strcasecmp(dot, ".ply"))
         return EXPORT_PLY;
+    if (dot && !strcasecmp(dot, ".sog"))
+        return EXPORT_SOG;
     return dot && !strcasecmp(dot, ".spz") ? EXPORT_SPZ : EXPORT_3DTILES;
 }
 

@@ -47,7 +47,7 @@ static const struct options_spec spec = {
 static void import_turn(const struct splats *s, int axes, struct gauss *g)
 {
     bool gltf = s->kind == SPLATS_SPZ || s->kind == SPLATS_GLB || s->kind == SPLATS_DRC ||
-                (s->kind == SPLATS_PLY && s->info.axes == PLY_AXES_GLTF);
+                s->kind == SPLATS_SOG || (s->kind == SPLATS_PLY && s->info.axes == PLY_AXES_GLTF);
     if (axes == IMPORT_AXES_AUTO)
         axes = gltf ? IMPORT_AXES_YUP : IMPORT_AXES_ENU;
     if (axes == IMPORT_AXES_YUP)

@@ -22,6 +22,7 @@
 #include "codec/limits.h"
 #include "codec/ply.h"
 #include "codec/quant.h"
+#include "codec/sog.h"
 #include "codec/splat.h"
 #include "codec/spz.h"
 
@@ -29,8 +30,9 @@ enum { SPLATS_HEAD = 128 };
 
 const char *splats_kind_name(enum splats_kind k)
 {
-    static const char *const names[] = {"unknown file", ".ply",       ".spz",       ".glb", ".drc",
-                                        ".splat",       "tile store", "checkpoint", "scene"};
+    static const char *const names[] = {"unknown file", ".ply", ".spz",   ".glb",
+                                        ".drc",         ".sog", ".splat", "tile store",
+                                        "checkpoint",   "scene"};
     return names[k];
 }
 
@@ -41,6 +43,8 @@ static enum splats_kind splats_sniff(const char *path, const uint8_t *head, size
         return SPLATS_PLY;
     if (n >= 4 && !memcmp(head, "glTF", 4))
         return SPLATS_GLB;
+    if (n >= 4 && !memcmp(head, "PK\3\4", 4))
+        return SPLATS_SOG;
     if (n >= 5 && !memcmp(head, "DRACO", 5))
         return SPLATS_DRC;
     if (n >= 16 && !memcmp(head, "SQLite format 3", 16))
@@ -91,6 +95,8 @@ static enum err_code splats_decode(const char *path, const struct codec_limits *
             rc = quant_to_gauss(&q, &s->g, e);
     } else if (s->kind == SPLATS_GLB) {
         rc = glb_decode(b.data, b.size, lim, &s->g, e);
+    } else if (s->kind == SPLATS_SOG) {
+        rc = sog_decode(b.data, b.size, lim, &s->g, e);
     } else {
         rc = splat_decode(b.data, b.size, lim, &s->g, e);
     }
@@ -114,6 +120,7 @@ enum err_code splats_read(const char *path, const struct codec_limits *lim, stru
     case SPLATS_SPZ:
     case SPLATS_GLB:
     case SPLATS_DRC:
+    case SPLATS_SOG:
     case SPLATS_SPLAT:
         rc = splats_decode(path, lim, out, e);
         break;

@@ -1,6 +1,6 @@
 /* A tile of Gaussians to bytes in a format. Axes: .glb, .spz and .drc are in glTF axes about the
- * tile's centre (the tileset's transforms put it in place); .ply keeps east-north-up and says its
- * origin in comments.
+ * tile's centre (the tileset's transforms put it in place), .sog in those of PlayCanvas' tools (half
+ * a turn about x from there); .ply keeps east-north-up and says its origin in comments.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -14,6 +14,7 @@
 #include "codec/glb.h"
 #include "codec/ply.h"
 #include "codec/quant.h"
+#include "codec/sog.h"
 #include "codec/spz.h"
 #include "lod/bake.h"
 #include "lod/store.h"
@@ -31,11 +32,11 @@ struct form encode_form(const struct server_config *cfg, const struct store_meta
                         const struct form *asked)
 {
     struct form f = {.format = asked->format};
-    if (encode_is_quantised(f.format)) {
+    if (encode_is_quantised(f.format))
         f.preset = asked->preset < QUANT_PRESETS ? asked->preset : (uint8_t)cfg->preset;
+    if (encode_is_quantised(f.format) || f.format == FORMAT_SOG)
         f.sh_degree =
             asked->sh_degree < meta->sh_degree ? asked->sh_degree : (uint8_t)meta->sh_degree;
-    }
     return f;
 }
 
@@ -74,6 +75,9 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
         break;
     case FORMAT_GLB_PLAIN:
         rc = glb_encode_plain(g, copyright, out, e);
+        break;
+    case FORMAT_SOG:
+        rc = sog_encode(g, form.sh_degree, out, e);
         break;
     default:
         rc = err_set(e, ERR_INTERNAL, "encode: %s is not a tile format", target_ext(format));
@@ -123,7 +127,7 @@ enum err_code encode_fingerprint(const struct store_meta *meta, struct hash128 *
 {
     struct buf all = {0};
     enum err_code rc = ERR_OK;
-    const int n_forms = (FORMAT_GLB_PLAIN + 1) * QUANT_PRESETS;
+    const int n_forms = (FORMAT_SOG + 1) * QUANT_PRESETS;
     const int n_passes = meta->embed_len ? 2 : 1; /* baked, as trained */
     for (int k = 0; k < n_passes * n_forms && !rc; k++) {
         const int f = k % n_forms;

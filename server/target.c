@@ -193,9 +193,9 @@ static enum err_code target_parse_tile(struct text *t, enum route route, struct 
     uint32_t z, x, y;
     if (!text_take_uint(t, &z) || !text_take(t, "/") || !text_take_uint(t, &x) ||
         !text_take(t, "/") || !text_take_uint(t, &y) || !text_take(t, ".") ||
-        !target_take_format(t, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->form.format))
+        !target_take_format(t, FORMAT_GLB, FORMAT_SOG, &out->form.format))
         return err_set(e, ERR_NOENT,
-                       "a tile is z/x/y.ext with ext one of glb, spz, drc, ply, plain.glb");
+                       "a tile is z/x/y.ext with ext one of glb, spz, drc, ply, plain.glb, sog");
     out->route = route;
     out->key = (struct key){(uint8_t)(z > 255 ? 255 : z), x, y};
     if (!key_valid(out->key))
@@ -331,8 +331,8 @@ static enum err_code target_parse_seed(const char *query, size_t n, struct targe
             out->z_max = (uint8_t)b;
         } else if (text_take(&one, "f=") && !(seen & 4)) {
             seen |= 4;
-            if (!target_take_format(&one, FORMAT_GLB, FORMAT_GLB_PLAIN, &out->form.format))
-                return err_set(e, ERR_FORMAT, "f is one of glb, spz, drc, ply, plain.glb");
+            if (!target_take_format(&one, FORMAT_GLB, FORMAT_SOG, &out->form.format))
+                return err_set(e, ERR_FORMAT, "f is one of glb, spz, drc, ply, plain.glb, sog");
         } else {
             return err_set(e, ERR_FORMAT,
                            "the query may hold bbox, z, f, preset, sh and appearance, each once");

@@ -15,7 +15,7 @@
  * are served, and /readyz says so. The process lives. */
 static void test_truncated_store(void **state)
 {
-    static const char *const forms[] = {"glb", "spz", "drc", "ply", "plain.glb"};
+    static const char *const forms[] = {"glb", "spz", "drc", "ply", "plain.glb", "sog"};
     struct err e = {0};
     char path[FILE_PATH_MAX], target[128];
     struct stat st;

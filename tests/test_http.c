@@ -191,7 +191,7 @@ static void test_keep_alive_and_pipelining(void **state)
  * served whole, the log and `citysplat verify` say which it is and what to do. */
 static void test_damaged_tile(void **state)
 {
-    static const char *const forms[] = {"glb", "spz", "drc", "ply", "plain.glb"};
+    static const char *const forms[] = {"glb", "spz", "drc", "ply", "plain.glb", "sog"};
     enum { FORMS = sizeof forms / sizeof *forms };
     struct err e = {0};
     char path[FILE_PATH_MAX], target[128], name[64], text[256];
@@ -278,7 +278,7 @@ static void test_one_job_for_many_clients(void **state)
 /* Clients that reset the connection while their tiles wait leave nothing behind. */
 static void test_vanishing_clients(void **state)
 {
-    static const char *const exts[] = {"glb", "spz", "drc", "ply", "plain.glb"};
+    static const char *const exts[] = {"glb", "spz", "drc", "ply", "plain.glb", "sog"};
     const struct linger reset = {.l_onoff = 1, .l_linger = 0};
     (void)state;
     t.cfg.workers = 1;
@@ -351,7 +351,7 @@ static enum err_code stop_main(void *user, size_t i, struct err *e)
 
 static void test_stopping_finishes_answers(void **state)
 {
-    static const char *const exts[] = {"glb", "spz", "drc", "ply", "plain.glb"};
+    static const char *const exts[] = {"glb", "spz", "drc", "ply", "plain.glb", "sog"};
     struct err e = {0};
     int fd[20], idle;
     (void)state;
@@ -361,7 +361,7 @@ static void test_stopping_finishes_answers(void **state)
     for (int i = 0; i < 20; i++) {
         char target[128], request[256];
         snprintf(request, sizeof request, "GET %s HTTP/1.1\r\n" H "\r\n",
-                 tile_target((uint8_t)(15 + i % 3), exts[i % 5], target));
+                 tile_target((uint8_t)(15 + i % 3), exts[i % 6], target));
         fd[i] = dial(t.port);
         say(fd[i], request);
     }

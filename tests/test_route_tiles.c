@@ -14,6 +14,7 @@ static void test_tiles(void **state)
         {"spz", "application/octet-stream", "\x1f\x8b"},
         {"drc", "application/octet-stream", "DRACO"},
         {"ply", "application/octet-stream", "ply\n"},
+        {"sog", "application/zip", "PK\3\4"},
     };
     (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
@@ -156,6 +157,8 @@ static void test_presets(void **state)
         {"spz?sh=3", "spz", true},
         {"ply", "ply?preset=preview&sh=0", true},
         {"plain.glb", "plain.glb?preset=preview", true},
+        {"sog", "sog?preset=preview", true},
+        {"sog", "sog?sh=0", false},
     };
     (void)state;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {

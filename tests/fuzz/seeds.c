@@ -9,6 +9,7 @@
 #include "codec/payload.h"
 #include "codec/ply.h"
 #include "codec/quant.h"
+#include "codec/sog.h"
 #include "codec/spz.h"
 #include "core/appearance.h"
 #include "tests/fuzz/fuzz.h"
@@ -95,6 +96,8 @@ static enum err_code gauss_seed(const char *target, size_t i, struct buf *out)
         rc = draco_encode(&q, "1/2/3", out, NULL);
     else if (!strcmp(target, "glb"))
         rc = i == 2 ? glb_encode_spz(&q, "c", out, NULL) : glb_encode_plain(&g, NULL, out, NULL);
+    else if (!strcmp(target, "sog"))
+        rc = sog_encode(&g, g.sh_degree, out, NULL);
     else if (!strcmp(target, "ckpt"))
         rc = fuzz_seed_ckpt(&g, out) ? ERR_OK : ERR_IO;
     else if (!strcmp(target, "payload"))

@@ -12,6 +12,7 @@
 #include "codec/payload.h"
 #include "codec/ply.h"
 #include "codec/quant.h"
+#include "codec/sog.h"
 #include "codec/splat.h"
 #include "codec/spz.h"
 #include "core/appearance.h"
@@ -100,6 +101,14 @@ void fuzz_glb(const uint8_t *bytes, size_t n)
 {
     struct gauss g;
     if (glb_decode(bytes, n, &limits, &g, NULL) == ERR_OK)
+        check_gauss(&g);
+    gauss_free(&g);
+}
+
+void fuzz_sog(const uint8_t *bytes, size_t n)
+{
+    struct gauss g;
+    if (sog_decode(bytes, n, &limits, &g, NULL) == ERR_OK)
         check_gauss(&g);
     gauss_free(&g);
 }

@@ -1,5 +1,5 @@
-// Other people's readers on the served files: splat-transform (PlayCanvas) reads .spz and .ply,
-// Google's draco3d decodes .drc. All must give the Gaussians that our own small decoder finds in
+// Other people's readers on the served files: splat-transform (PlayCanvas) reads .spz, .sog and
+// .ply, Google's draco3d decodes .drc. All must give the Gaussians that our own small decoder finds in
 // the glTF tile.
 //
 // SPDX-License-Identifier: Apache-2.0
@@ -153,6 +153,54 @@ test(
             assert.equal(own.count, spz.count, tile);
             compareAsSets(own, spz, tile);
         }
+    },
+);
+
+// Half steps of .sog: 65535 of ln(1 + |p|) an axis, 255 of a rotation's kept components; codebooks of
+// 256 values by what they may lose.
+const SOG_LOSS_MAX = 0.03; // rms of what a codebook or palette changes, as a share of the spread
+
+test(
+    "the .sog of a tile holds the Gaussians of its .spz, and splat-transform reads it",
+    { skip },
+    async (t) => {
+        let [rows, size] = [0, 0];
+        for (const tile of tiles) {
+            const bytes = await getBytes(`${tile}.sog`);
+            const got = readBySplatTransform(bytes, "sog");
+            const want = readBySplatTransform(await getBytes(`${tile}.spz?preset=spz`), "spz");
+            assert.equal(got.count, want.count, tile);
+            for (const name of ["x", "y", "z"]) {
+                const [a, b] = [got.column(name), want.column(name)];
+                const logs = b.map((v) => Math.sign(v) * Math.log1p(Math.abs(v)));
+                const step = (Math.max(...logs) - Math.min(...logs)) / 65535;
+                b.forEach((v, i) => {
+                    const slack = 0.51 * step * (1 + Math.abs(v)) + 0.51 / 4096 + 1e-5;
+                    assert.ok(Math.abs(a[i] - v) <= slack, `${tile} ${name}, row ${i}: ${a[i]}, ${v}`);
+                });
+            }
+            const alpha = (ply) => ply.column("opacity").map((v) => 255 / (1 + Math.exp(-v)));
+            assertColumn(alpha(got), alpha(want), 1.02, `${tile} opacity`);
+            const quats = (ply) => [0, 1, 2, 3].map((k) => ply.column(`rot_${k}`));
+            const [p, q] = [quats(got), quats(want)];
+            for (let i = 0; i < want.count; i++) {
+                const along = (a, b) => a.reduce((sum, c, k) => sum + c[i] * b[k][i], 0);
+                const cos = Math.abs(along(p, q)) / Math.sqrt(along(p, p) * along(q, q));
+                assert.ok(cos > 0.9998, `${tile} rotation ${i}: ${cos}`);
+            }
+            assert.deepEqual(got.names.length, want.names.length, "bands of harmonics");
+            for (const name of want.names.filter((n) => /^(scale|f_dc)_/.test(n))) {
+                const [a, b] = [got.column(name), want.column(name)];
+                const mean = b.reduce((sum, v) => sum + v, 0) / b.length;
+                const off = b.reduce((sum, v, i) => sum + (a[i] - v) ** 2, 0);
+                const spread = b.reduce((sum, v) => sum + (v - mean) ** 2, 0);
+                const half = b.length * (name.startsWith("s") ? 1 / 32 : 0.5 / 255 / 0.15) ** 2;
+                assert.ok(off <= half + SOG_LOSS_MAX ** 2 * spread, `${tile} ${name}: ${off}, ${spread}`);
+            }
+            rows += got.count;
+            size += bytes.length;
+        }
+        t.diagnostic(`${rows} Gaussians of ${tiles.length} tiles: ${size} bytes`);
     },
 );
 
