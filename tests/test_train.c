@@ -315,8 +315,20 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
     kit_fails(train_again(scene_dir, &c, &r, &e), ERR_ARG, e, "seed");
     c.seed--;
     c.cache_mib = 1; /* may change: it cannot matter */
+    double now = clock_s();
     kit_ok(train_again(scene_dir, &c, &r, &e), e);
+    now = clock_s() - now;
     assert_same_levels(whole, parts);
+    for (unsigned i = 0; i < 3; i++) { /* also of levels that other processes finished */
+        struct ckpt level;
+        read_level(parts, i + 1, &level);
+        assert_int_equal(r.cells[0].n_gaussians[i], level.g.n);
+        assert_true(r.cells[0].psnr_db[i] == json_number_value(json_object_get(
+                                                 json_object_get(level.meta, "test"), "psnr_db")));
+        assert_true(r.cells[0].ssim[i] > 0.0);
+        ckpt_free(&level);
+    }
+    assert_true(r.cells[0].seconds > now); /* and the time that they took */
     kit_rmdir(whole);
     kit_rmdir(parts);
     train_result_free(&r);

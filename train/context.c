@@ -23,6 +23,11 @@ void context_close(struct context *ctx)
     appearance_train_close(&ctx->appearance);
 }
 
+double context_seconds(const struct context *ctx)
+{
+    return ctx->before_s + clock_s() - ctx->start_s;
+}
+
 const struct schedule *context_schedule(const struct context *ctx)
 {
     return &ctx->schedule[ctx->at < ctx->n_levels ? ctx->at : ctx->n_levels - 1];
