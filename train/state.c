@@ -67,9 +67,9 @@ static json_t *state_meta(const struct model *m, const struct context *ctx,
     const struct budget_point *b = &budget->at;
     if (o && budget->n_held &&
         json_object_set_new(o, "budget",
-                            json_pack("{s:I, s:f, s:f, s:b}", "budget", (json_int_t)s->budget,
+                            json_pack("{s:I, s:f, s:f, s:b, s:I}", "budget", (json_int_t)s->budget,
                                       "gaussians", b->n, "psnr_db", b->psnr_db, "stopped",
-                                      (int)b->stopped))) {
+                                      (int)b->stopped, "outside", (json_int_t)s->budget_outside))) {
         json_decref(o);
         o = NULL;
     }
@@ -373,7 +373,7 @@ static enum err_code state_fill_filter(struct model *m, const struct ckpt_rows *
 static enum err_code state_budget(struct budget *budget, struct context *ctx, const json_t *meta,
                                   struct err *e)
 {
-    double most;
+    double most, outside = 0.0;
     struct budget_point *b = &budget->at;
     const json_t *o = json_object_get(meta, "budget");
     if (!budget->n_held)
@@ -383,12 +383,16 @@ static enum err_code state_budget(struct budget *budget, struct context *ctx, co
         rc = jsonc_num(o, "gaussians", &b->n, e);
     if (!rc)
         rc = jsonc_num(o, "psnr_db", &b->psnr_db, e);
-    if (!rc && !(most >= 1.0 && most <= 1e9))
-        rc = err_set(e, ERR_FORMAT, "a budget of %g", most);
+    if (!rc)
+        rc = jsonc_num(o, "outside", &outside, e);
+    if (!rc && !(most >= 1.0 && most <= 1e9 && outside >= 0.0 && outside <= 4e9))
+        rc = err_set(e, ERR_FORMAT, "a budget of %g, and %g outside of the cell", most, outside);
     if (rc)
         return rc;
-    b->stopped = json_is_true(json_object_get(o, "stopped"));
-    ctx->schedule[ctx->at].budget = (size_t)most;
+    struct schedule *s = &ctx->schedule[ctx->at];
+    b->stopped = s->stopped = json_is_true(json_object_get(o, "stopped"));
+    s->budget = (size_t)most;
+    s->budget_outside = (size_t)outside;
     return ERR_OK;
 }
 
