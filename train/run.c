@@ -133,13 +133,18 @@ static enum err_code run_is_done(struct run *t, bool *done, struct err *e)
     return ERR_OK;
 }
 
-/* What follows will not be what the done-file tells of. */
+/* What follows will not be what the done-file tells of, nor the residuals of another run. */
 static enum err_code run_forget_done(const struct run *t, struct err *e)
 {
-    char path[FILE_PATH_MAX];
-    enum err_code rc = file_join(path, t->dir, "done.json", e);
-    if (!rc && unlink(path) && errno != ENOENT)
-        rc = err_errno(e, ERR_IO, "%s: cannot be removed", path);
+    const char *const names[] = {"done.json", "residuals.json"};
+    bool goes_on = t->cfg->resume && file_exists(t->resume_path);
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; !rc && i < (goes_on ? 1 : 2); i++) {
+        char path[FILE_PATH_MAX];
+        rc = file_join(path, t->dir, names[i], e);
+        if (!rc && unlink(path) && errno != ENOENT)
+            rc = err_errno(e, ERR_IO, "%s: cannot be removed", path);
+    }
     return rc;
 }
 
@@ -184,6 +189,7 @@ static enum err_code run_start(struct run *t, struct err *e)
                                      .cell = &l->ctx.cell,
                                      .ground = l->ctx.ground,
                                      .ground_share = t->cfg->seed_ground,
+                                     .no_masks = !t->cfg->masks,
                                      .sh_degree = (uint32_t)t->cfg->sh_degree,
                                      .limit = l->ctx.schedule[0].budget,
                                      .seed = (uint64_t)t->cfg->seed};
