@@ -112,7 +112,9 @@ static enum err_code plan_read_cell(const json_t *o, const struct plan_name *nam
         rc = err_set(e, ERR_FORMAT, "the box is empty");
     if (!rc)
         rc = jsonc_num(o, "points", &points, e);
-    c->n_points = points > 0.0 ? (size_t)points : 0;
+    if (!rc && !(points >= 0.0 && points <= 9007199254740992.0)) /* 2^53: whole numbers end */
+        rc = err_set(e, ERR_FORMAT, "\"points\": %g is no number of points", points);
+    c->n_points = rc ? 0 : (size_t)points;
     const json_t *az = json_object_get(o, "azimuth_octants");
     for (size_t k = 0; k < 8; k++)
         c->azimuth[k] = (uint32_t)json_integer_value(json_array_get(az, k));

@@ -70,7 +70,7 @@ static size_t footprint_count(const struct footprint *f)
 }
 
 /* Where to look at all: around the cameras. */
-static void footprint_bounds(struct footprint_work *w, double *scratch)
+static enum err_code footprint_bounds(struct footprint_work *w, double *scratch, struct err *e)
 {
     const struct scene *s = w->s;
     double ground, top, low[2], high[2];
@@ -84,10 +84,11 @@ static void footprint_bounds(struct footprint_work *w, double *scratch)
             cam_high[a] = fmax(cam_high[a], w->center[i][a]);
         }
     double *h = mem_array(s->n_images, sizeof *h);
-    for (size_t i = 0; h && i < s->n_images; i++)
+    if (!h)
+        return err_set(e, ERR_MEM, "footprint: out of memory for %zu photographs", s->n_images);
+    for (size_t i = 0; i < s->n_images; i++)
         h[i] = fabs(w->center[i][2] - ground);
-    if (h)
-        footprint_range(h, s->n_images, 0.5, &w->f->height_m, &top);
+    footprint_range(h, s->n_images, 0.5, &w->f->height_m, &top);
     mem_free(h);
     /* Cells are no finer than the points are apart; where there are none, the ground goes on. */
     double reach = FOOTPRINT_REACH * w->f->height_m, side = 0.0, area = 1.0;
@@ -109,6 +110,7 @@ static void footprint_bounds(struct footprint_work *w, double *scratch)
         f->corner_m[a] = low[a] - FOOTPRINT_PAD * f->cell_m;
     f->fade_m = FOOTPRINT_FADE_CELLS * f->cell_m;
     f->margin_m = FOOTPRINT_MARGIN * w->f->height_m;
+    return ERR_OK;
 }
 
 static ptrdiff_t footprint_cell(const struct footprint *f, double x_m, double y_m)
@@ -454,8 +456,9 @@ static enum err_code footprint_alloc(struct footprint_work *w, struct err *e)
 static enum err_code footprint_make(struct footprint_work *w, double *scratch, struct err *e)
 {
     size_t area = 0;
-    footprint_bounds(w, scratch);
-    enum err_code rc = footprint_alloc(w, e);
+    enum err_code rc = footprint_bounds(w, scratch, e);
+    if (!rc)
+        rc = footprint_alloc(w, e);
     if (!rc)
         rc = footprint_heights(w, e);
     if (!rc)

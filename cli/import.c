@@ -88,6 +88,8 @@ static enum err_code import_run(const char *path, const struct import_options *o
     if (!rc && o->attribution && strlen(o->attribution) >= sizeof cfg.attribution)
         rc = err_set(e, ERR_ARG, "--attribution: at most %zu bytes", sizeof cfg.attribution - 1);
     if (!rc)
+        rc = splats_name(o->name, o->output, cfg.name, e);
+    if (!rc)
         rc = splats_read(path, &lim, &s, e);
     if (rc)
         goto out;
@@ -101,10 +103,6 @@ static enum err_code import_run(const char *path, const struct import_options *o
     import_turn(&s, o->axes, &s.g);
     import_scale(&s.g, o->scale);
     snprintf(cfg.attribution, sizeof cfg.attribution, "%s", o->attribution ? o->attribution : "");
-    if (o->name)
-        snprintf(cfg.name, sizeof cfg.name, "%s", o->name);
-    else
-        splats_name(o->output, cfg.name);
     const struct pyramid_level level = {.g = &s.g, .level = (uint8_t)o->level_count};
     rc = pyramid_build(&origin, &level, 1, &cfg, NULL, 0, o->output, &report, e);
     if (!rc)

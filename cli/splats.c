@@ -173,8 +173,15 @@ enum err_code splats_place(const char *option, const char *text, struct geo_orig
     return ERR_OK;
 }
 
-void splats_name(const char *path, char out[64])
+enum err_code splats_name(const char *given, const char *path, char out[64], struct err *e)
 {
+    if (given && strlen(given) >= 64)
+        return err_set(e, ERR_ARG, "--name: '%.20s...' has %zu letters, at most 63 are taken",
+                       given, strlen(given));
+    if (given) {
+        memcpy(out, given, strlen(given) + 1);
+        return ERR_OK;
+    }
     const char *slash = strrchr(path, '/');
     const char *p = slash && slash[1] ? slash + 1 : path;
     size_t n = 0;
@@ -189,4 +196,5 @@ void splats_name(const char *path, char out[64])
     out[n] = '\0';
     if (!n)
         snprintf(out, 64, "city");
+    return ERR_OK;
 }

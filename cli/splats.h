@@ -40,7 +40,8 @@ void splats_free(struct splats *s);
 /* "lon,lat,h" in degrees and metres; ERR_ARG names the option. */
 enum err_code splats_place(const char *option, const char *text, struct geo_origin *out,
                            struct err *e) ERR_USE;
-/* A store's name out of a path: lower case, other characters become '-'. */
-void splats_name(const char *path, char out[64]);
+/* A store's name: the one given by --name, or NULL: out of a path, in lower case, other characters
+ * become '-'. ERR_ARG: longer than 63 letters; what else may be wrong with it store_create says. */
+enum err_code splats_name(const char *given, const char *path, char out[64], struct err *e) ERR_USE;
 
 #endif

@@ -552,11 +552,7 @@ static enum err_code tile_describe(const struct tile_options *o, const struct sc
     if (strlen(attribution ? attribution : "") >= sizeof cfg->attribution)
         return err_set(e, ERR_ARG, "--attribution: at most %zu bytes", sizeof cfg->attribution - 1);
     snprintf(cfg->attribution, sizeof cfg->attribution, "%s", attribution ? attribution : "");
-    if (o->name)
-        snprintf(cfg->name, sizeof cfg->name, "%s", o->name);
-    else
-        splats_name(o->output, cfg->name);
-    return ERR_OK;
+    return splats_name(o->name, o->output, cfg->name, e);
 }
 
 /* What the store keeps besides tiles; empty ones are left out. The blobs borrow the bytes; *out:

@@ -15,6 +15,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include <jansson.h>
+
 #include "codec/colmap.h"
 #include "codec/image.h"
 #include "codec/limits.h"
@@ -139,6 +141,14 @@ static enum err_code ingest_out_names_check(const struct ingest *g, struct err *
     return rc;
 }
 
+/* scene.json takes nothing else, and is written last. */
+static bool ingest_is_utf8(const char *text)
+{
+    json_t *o = json_string(text);
+    json_decref(o);
+    return o != NULL;
+}
+
 static enum err_code ingest_list_photos(struct ingest *g, struct err *e)
 {
     g->n = g->model.n_images;
@@ -162,6 +172,11 @@ static enum err_code ingest_list_photos(struct ingest *g, struct err *e)
         if (!ingest_name_is_safe(p->image->name))
             return err_set(e, ERR_DATA, "images: '%.200s' leads out of the folder of photographs",
                            p->image->name);
+        if (!ingest_is_utf8(p->image->name))
+            return err_set(e, ERR_DATA,
+                           "images: '%.200s', the %zu. by name, is not written in UTF-8, which the "
+                           "scene is: rename it",
+                           p->image->name, i + 1);
         p->out_name = ingest_out_name_make(g, p->image->name);
         if (!p->out_name)
             return ingest_no_memory(e);
@@ -487,6 +502,8 @@ enum err_code ingest_run_gcp(const char *images_dir, const char *sparse_dir,
     if (!cfg->output)
         return err_set(e, ERR_ARG, "ingest: no output folder: give -o SCENE");
     enum err_code rc = cfg->origin ? ingest_frame_parse(cfg->origin, &ignored, e) : ERR_OK;
+    if (!rc && cfg->attribution && !ingest_is_utf8(cfg->attribution))
+        rc = err_set(e, ERR_ARG, "--attribution: is not written in UTF-8");
     if (!rc)
         rc = outdir_begin(cfg->output, "scene.json", cfg->overwrite, &g.dir, e);
     if (rc)

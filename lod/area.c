@@ -50,7 +50,13 @@ static enum err_code area_sigma(const struct store *s, double *out, struct err *
         *out = w[i].sigma_m;
     }
     mem_free(w);
-    return used ? ERR_OK : err_set(e, ERR_DATA, "the store has no Gaussians: nothing to survey");
+    if (!used)
+        return err_set(e, ERR_DATA, "the store has no Gaussians: nothing to survey");
+    return *out > 0.0 && isfinite(*out)
+               ? ERR_OK
+               : err_set(e, ERR_DATA,
+                         "the store's Gaussians have a median size of %g m: nothing to survey",
+                         *out);
 }
 
 static void area_add(struct area *a, const struct store_tile *t)

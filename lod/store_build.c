@@ -202,6 +202,10 @@ static enum err_code store_measure(const struct store *s, struct store_tile *t,
     enum err_code rc = store_sigmas(t, g, e);
     if (rc)
         return rc;
+    if (!(t->sigma_median_m > 0.0))
+        return err_set(e, ERR_DATA,
+                       "half of the Gaussians are of size 0: their log scales are below what exp "
+                       "can hold; remove them");
     rc = store_core(t, g, e);
     if (rc)
         return rc;

@@ -15,7 +15,7 @@
  * memory and blurred there. All sums are taken in a fixed order. The only products needed are
  * x^2 + y^2 and xy, because the two variances enter S as their sum.
  *
- * Reference: loss_ref.c (which has the formulas). Tolerance: float rounding, 1e-5 relative.
+ * Reference: photometric_ref.c (which has the formulas). Tolerance: float rounding, 1e-5 relative.
  */
 #define RADIUS 5
 #define TAPS 11

@@ -87,6 +87,10 @@ refuse "a .ply that lies about its size" 1 "huge.ply" "$work/huge.tiles" \
 refuse "an origin that is no place" 2 "origin" "$work/huge.tiles" \
     "$bin" import "$work/huge.ply" --origin 8,95,100 -o "$work/huge.tiles" -q
 
+refuse "a name that is too long" 2 "at most 63" "$work/huge.tiles" \
+    "$bin" import "$work/huge.ply" --origin 8,50,100 -o "$work/huge.tiles" -q \
+    --name "$(printf %064d 0)"
+
 # -- the command line -----------------------------------------------------------------------------------------------
 refuse "unknown option" 2 "did you mean --output" "" "$bin" ingest a b --ouput x
 refuse "unknown command" 2 "no command 'trian'" "" "$bin" trian

@@ -4,14 +4,23 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "cells/cell.h"
+#include "codec/image.h"
+#include "codec/mask.h"
 #include "codec/scene.h"
 #include "core/options.h"
+#include "render/render.h"
 #include "tests/kit.h"
 #include "train/budget.h"
 #include "train/config.h"
+#include "train/context.h"
+#include "train/densify_apply.h"
+#include "train/importance.h"
+#include "train/model.h"
 #include "train/schedule.h"
 
+#include <math.h>
 #include <stdio.h>
+#include <string.h>
 
 enum { PHOTOS = 40 };
 
@@ -116,6 +125,146 @@ static void held_out_photographs_are_a_sixteenth(void **state)
     arena_free(&a);
 }
 
+/* A cell whose Gaussians lie half outside of it, and held-out photographs of which a mask covers the
+ * first. */
+struct look {
+    struct dev dev;
+    struct render *render;
+    struct arena texts;
+    struct train_config cfg;
+    struct scene_image images[2];
+    struct scene scene;
+    struct model model;
+    struct context ctx;
+    struct budget budget;
+    size_t n;
+};
+enum { LOOK_WIDTH = 32, LOOK_HEIGHT = 24, LOOK_GAUSSIANS = 200 };
+static const uint32_t held[2] = {0, 1};
+static char *photo_names[2] = {(char[]){"a.png"}, (char[]){"b.png"}};
+
+static void look_picture(const char *dir, const char *folder, const char *name, uint8_t value,
+                         uint8_t channels)
+{
+    struct err e = {0};
+    struct image img = {0};
+    char sub[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    kit_ok(file_join(sub, dir, folder, &e), e);
+    kit_ok(file_mkdir(sub, &e), e);
+    kit_ok(file_join(path, sub, name, &e), e);
+    kit_ok(image_alloc(LOOK_WIDTH, LOOK_HEIGHT, channels, &img, &e), e);
+    memset(img.px, value, (size_t)LOOK_WIDTH * LOOK_HEIGHT * channels);
+    kit_ok(image_write(path, &img, 0, NULL, &e), e);
+    image_free(&img);
+}
+
+static void look_open(struct look *l)
+{
+    struct err e = {0};
+    struct gauss g;
+    *l = (struct look){.n = 2};
+    kit_ok(dev_open(NULL, &l->dev, &e), e);
+    kit_ok(render_open(&l->dev, &l->render, &e), e);
+    defaults(&l->cfg, &l->texts);
+    l->scene = (struct scene){.images = l->images, .n_images = 2};
+    kit_tmpdir(l->scene.dir);
+    for (size_t i = 0; i < 2; i++) {
+        double eye[3] = {0.0, 0.0, 30.0}, target[3] = {0.0, 0.1, 0.0};
+        l->images[i].name = photo_names[i];
+        l->images[i].cam = camera_look_at(eye, target, 0.9, LOOK_WIDTH, LOOK_HEIGHT);
+        look_picture(l->scene.dir, "images", photo_names[i], (uint8_t)(60 + 60 * i), 3);
+    }
+    look_picture(l->scene.dir, "masks", "a.png.png", 0, 1);
+    l->ctx = (struct context){
+        .cfg = &l->cfg,
+        .scene = &l->scene,
+        .images = held,
+        .n_images = 2,
+        .dev = &l->dev,
+        .render = l->render,
+        .cell = {.min_enu_m = {-50, -50}, .max_enu_m = {0, 50}, .edge_m = 50, .extent_m = 30},
+        .schedule = {{.level = 1,
+                      .n_levels = 1,
+                      .steps = 1000,
+                      .downsample = 1.0,
+                      .budget = 1000,
+                      .interval = 100,
+                      .densify_until = 1000,
+                      .tau = 2e-4}},
+        .n_levels = 1};
+    l->budget = (struct budget){.held = held, .n_held = 2, .table = {1000}};
+    kit_gauss(7, LOOK_GAUSSIANS, 10, 0, 0, &g);
+    kit_ok(model_open(&l->model, &l->dev, l->render, &g, 1500, &e), e);
+    kit_ok(model_fill(&l->model, &g, &e), e);
+    gauss_free(&g);
+}
+
+static void look_close(struct look *l)
+{
+    budget_close(&l->budget);
+    model_close(&l->model);
+    render_close(&l->render);
+    dev_close(&l->dev);
+    kit_rmdir(l->scene.dir);
+    arena_free(&l->texts);
+}
+
+static void photographs_that_a_mask_covers_whole_are_not_asked(void **state)
+{
+    struct look l;
+    struct err e = {0};
+    (void)state;
+    look_open(&l);
+    kit_ok(budget_look(&l.budget, &l.model, &l.ctx, 0, &e), e);
+    double both_db = l.budget.at.psnr_db;
+    assert_true(both_db > 0.0);
+    budget_close(&l.budget);
+    l.budget = (struct budget){.held = held + 1, .n_held = 1, .table = {1000}};
+    kit_ok(budget_look(&l.budget, &l.model, &l.ctx, 0, &e), e);
+    assert_true(l.budget.at.psnr_db == both_db);
+    budget_close(&l.budget);
+    l.budget = (struct budget){.held = held, .n_held = 1, .table = {1000}};
+    log_set_level(LOG_ERROR); /* it warns that nothing is left */
+    kit_ok(budget_look(&l.budget, &l.model, &l.ctx, 0, &e), e);
+    log_set_level(LOG_INFO);
+    assert_true(l.budget.at.n == 0.0);
+    assert_int_equal(l.ctx.schedule[0].budget, 1000);
+    look_close(&l);
+}
+
+/* Outside of the cell, too; and a cell counts what is inside of it. */
+static void growth_that_stops_stops_everywhere(void **state)
+{
+    struct look l;
+    struct err e = {0};
+    struct importance *importance = NULL;
+    size_t inside = 0, n = LOOK_GAUSSIANS, after = 0;
+    (void)state;
+    look_open(&l);
+    kit_ok(model_count_inside(&l.model, &l.ctx.cell, &inside, &e), e);
+    assert_in_range(inside, n / 4, 3 * n / 4);
+    l.budget.at = (struct budget_point){.n = (double)inside / 2, .psnr_db = 90.0};
+    kit_ok(budget_look(&l.budget, &l.model, &l.ctx, 0, &e), e);
+    assert_true(l.budget.at.stopped);
+    assert_int_equal(l.ctx.schedule[0].budget, inside);
+    assert_int_equal(schedule_cap_outside(&l.ctx.schedule[0]), n - inside);
+    float *grad = mem_array(n, sizeof *grad); /* all of them want to be two */
+    assert_non_null(grad);
+    for (size_t i = 0; i < n; i++)
+        grad[i] = 1.0f;
+    kit_ok(dev_write(&l.dev, l.model.stats.grad, 0, n * sizeof *grad, grad, &e), e);
+    kit_ok(dev_write(&l.dev, l.model.stats.count, 0, n * sizeof *grad, grad, &e), e);
+    mem_free(grad);
+    l.cfg.prune_opacity = 0.0; /* and none is in the way */
+    kit_ok(densify_apply(&l.model, &l.ctx, &importance, 9, &e), e);
+    kit_ok(model_count_inside(&l.model, &l.ctx.cell, &after, &e), e);
+    printf("stopped at %zu inside and %zu outside: %zu and %zu\n", inside, n - inside, after,
+           l.model.gauss.n - after);
+    assert_true(after <= inside && l.model.gauss.n <= n);
+    importance_free(&importance);
+    look_close(&l);
+}
+
 /* Table 6 of the supplement of REUrbanGS: budgets, intervals and picture sizes of a cell of 600
  * photographs. */
 static void presets_are_the_published_table(void **state)
@@ -165,6 +314,8 @@ int main(void)
         cmocka_unit_test(what_fits_is_worked_out_by_hand),
         cmocka_unit_test(growth_stops_when_it_does_not_pay),
         cmocka_unit_test(held_out_photographs_are_a_sixteenth),
+        cmocka_unit_test(photographs_that_a_mask_covers_whole_are_not_asked),
+        cmocka_unit_test(growth_that_stops_stops_everywhere),
         cmocka_unit_test(presets_are_the_published_table),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

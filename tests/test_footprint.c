@@ -252,13 +252,39 @@ static void test_bad_input(void **state)
     arena_free(&s.arena);
 }
 
+/* Any allocation may fail: then it says so, and makes no other footprint. */
+static void test_out_of_memory(void **state)
+{
+    (void)state;
+    struct scene s;
+    struct footprint want, f;
+    bool done = false;
+    size_t k = 1;
+    struct err e = {0};
+    survey(&s);
+    kit_ok(footprint_of(&s, &want, &e), e);
+    for (; !done && k < 200; k++) {
+        mem_fail_at(k);
+        enum err_code rc = footprint_of(&s, &f, &e);
+        mem_fail_at(0);
+        done = !rc;
+        if (rc)
+            assert_int_equal(rc, ERR_MEM);
+        else
+            assert_true(f.height_m == want.height_m && f.cell_m == want.cell_m);
+        footprint_free(&f);
+    }
+    assert_true(done && k > 5);
+    footprint_free(&want);
+    arena_free(&s.arena);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_known_survey),
-        cmocka_unit_test(test_geojson_and_back),
-        cmocka_unit_test(test_holes),
-        cmocka_unit_test(test_bad_input),
+        cmocka_unit_test(test_known_survey),  cmocka_unit_test(test_geojson_and_back),
+        cmocka_unit_test(test_holes),         cmocka_unit_test(test_bad_input),
+        cmocka_unit_test(test_out_of_memory),
     };
     return cmocka_run_group_tests(tests, kit_tmp_make, kit_tmp_remove);
 }

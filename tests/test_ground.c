@@ -114,6 +114,49 @@ static void ground_without_points_gets_gaussians(void **state)
     arena_free(&s.arena);
 }
 
+/* Outside of a cell's box, ground gets as many as there is room for, to the last one. */
+static void the_last_place_outside_is_used(void **state)
+{
+    (void)state;
+    const struct cell west = {.id = "w",
+                              .min_enu_m = {-102, -102},
+                              .max_enu_m = {-42, 102},
+                              .edge_m = 200.0,
+                              .extent_m = 200.0};
+    struct scene s;
+    struct footprint f;
+    struct err e = {0};
+    uint32_t images[SIDE * SIDE];
+    size_t beyond = 0;
+    survey(&s);
+    for (uint32_t i = 0; i < SIDE * SIDE; i++)
+        images[i] = i;
+    for (size_t i = 0; i < s.n_points; i++)
+        beyond += cell_distance(&west, s.points[i].enu_m[0], s.points[i].enu_m[1]) > 0.0;
+    kit_ok(footprint_of(&s, &f, &e), e);
+    for (size_t room = 0; room < 5; room += 1 + room) {
+        struct gauss g;
+        struct init_input in = {.scene = &s,
+                                .images = images,
+                                .n_images = SIDE * SIDE,
+                                .cell = &west,
+                                .ground = &f,
+                                .ground_share = 1.0,
+                                .limit = 2 * (beyond + room),
+                                .seed = 3};
+        assert_true(in.limit > s.n_points + room);
+        kit_ok(init_gauss(&in, &g, &e), e);
+        size_t taken = 0;
+        for (size_t i = s.n_points; i < g.n; i++)
+            taken += cell_distance(&west, g.origin_enu_m[0] + (double)g.mean_m[3 * i],
+                                   g.origin_enu_m[1] + (double)g.mean_m[3 * i + 1]) > 0.0;
+        assert_int_equal(taken, room);
+        gauss_free(&g);
+    }
+    footprint_free(&f);
+    arena_free(&s.arena);
+}
+
 static void what_floats_is_removed(void **state)
 {
     (void)state;
@@ -161,6 +204,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(ground_without_points_gets_gaussians),
+        cmocka_unit_test(the_last_place_outside_is_used),
         cmocka_unit_test(what_floats_is_removed),
     };
     return cmocka_run_group_tests_name("ground", tests, NULL, NULL);

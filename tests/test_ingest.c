@@ -9,6 +9,7 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "codec/colmap.h"
 #include "codec/image.h"
 #include "codec/limits.h"
 #include "codec/scene.h"
@@ -386,6 +387,26 @@ static void test_bad_input(void **state)
     join(other, photo, "scene"); /* below a file */
     ic.output = other;
     kit_fails(ingest_city(city, &ic, &e), ERR_IO, e, "IMG_0005.jpg");
+
+    /* a name in Latin-1, before anything is converted */
+    struct colmap_model m;
+    ingest_config(&ic, other, "latin-scene");
+    join(photo, images,
+         "Stra\xdf"
+         "e_2.jpg");
+    kit_ok(file_write(photo, "this is no picture", 18, &e), e);
+    kit_ok(colmap_read(city, &m, &e), e);
+    m.images[6].name = arena_printf(&m.arena, "Stra\xdf"
+                                              "e_2.jpg");
+    join(photo, city, "sparse/0");
+    kit_ok(colmap_write_bin(photo, &m, &e), e);
+    colmap_free(&m);
+    kit_fails(ingest_city(city, &ic, &e), ERR_DATA, e,
+              "Stra\xdf"
+              "e_2.jpg");
+    kit_expect_text(e.msg, "UTF-8", __FILE__, __LINE__);
+    ic.attribution = "caf\xe9";
+    kit_fails(ingest_city(city, &ic, &e), ERR_ARG, e, "--attribution");
 }
 
 /* Photographs without GPS are refused, or placed by hand. */

@@ -3,6 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include "cells/cell.h"
 #include "codec/image.h"
 #include "codec/mask.h"
 #include "codec/scene.h"
@@ -11,6 +12,7 @@
 #include "ingest/ingest_internal.h"
 #include "loss/robust.h"
 #include "tests/kit.h"
+#include "train/init.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -146,6 +148,48 @@ static void points_on_masked_pixels_are_left_out(void **state)
     kit_rmdir(s.dir);
 }
 
+/* --no-masks asks no mask for the first Gaussians, either. */
+static void without_masks_all_points_are_used(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX], name[] = "p.jpg";
+    struct scene_image image = {.name = name, .cam = {.width_px = 20, .height_px = 10}};
+    struct scene_point points[3] = {
+        {.enu_m = {0, 0, 0}}, {.enu_m = {1, 0, 0}}, {.enu_m = {0, 1, 0}}};
+    struct scene_track tracks[3] = {{.point = 0, .x_px = 5.5f, .y_px = 5.5f},
+                                    {.point = 1, .x_px = 15.5f, .y_px = 5.5f},
+                                    {.point = 2, .x_px = 7.5f, .y_px = 5.5f}};
+    struct scene s = {.images = &image,
+                      .n_images = 1,
+                      .points = points,
+                      .n_points = 3,
+                      .tracks = tracks,
+                      .n_tracks = 3};
+    const struct cell cell = {.id = "all", .whole = true, .edge_m = 10, .extent_m = 10};
+    const uint32_t list[1] = {0};
+    struct init_input in = {.scene = &s, .images = list, .n_images = 1, .cell = &cell, .limit = 10};
+    kit_tmpdir(s.dir);
+    kit_ok(file_join(dir, s.dir, "masks", &e), e);
+    kit_ok(file_mkdir(dir, &e), e);
+    kit_ok(mask_path(dir, name, path, &e), e);
+    mask_write(path, 20, 10, 15, 5, 1);
+    for (int k = 0; k < 2; k++) {
+        struct gauss g;
+        in.no_masks = k;
+        kit_ok(init_gauss(&in, &g, &e), e);
+        assert_int_equal(g.n, k ? 3 : 2);
+        gauss_free(&g);
+    }
+    mask_write(path, 21, 10, 15, 5, 1); /* not even one that does not fit */
+    struct gauss g;
+    kit_ok(init_gauss(&in, &g, &e), e);
+    gauss_free(&g);
+    in.no_masks = false;
+    kit_fails(init_gauss(&in, &g, &e), ERR_DATA, e, "21 x 10");
+    kit_rmdir(s.dir);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -153,6 +197,7 @@ int main(void)
         cmocka_unit_test(undistortion_moves_masks_as_it_moves_pictures),
         cmocka_unit_test(patches_that_do_not_fit_are_ignored_and_thin_detail_is_not),
         cmocka_unit_test(points_on_masked_pixels_are_left_out),
+        cmocka_unit_test(without_masks_all_points_are_used),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -12,6 +12,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include <jansson.h>
+
 /* A flight of nx x ny nadir photographs, `step` metres apart, over flat ground with a point every 2
  * m; each photograph sees a square of 2 * reach metres. Tracks are exact. */
 static void flight_make(size_t nx, size_t ny, double step, double reach, struct scene *s)
@@ -310,6 +312,14 @@ static void the_plan_file_reads_back_and_refuses_another_scene(void **state)
     kit_ok(cell_plan_write(path, &s, &p, &e), e);
     kit_fails(cell_plan_read(path, &s, &q, &e), ERR_FORMAT, e, "is taken by cell 0");
     snprintf(p.cells[1].id, sizeof p.cells[1].id, "other");
+    kit_ok(cell_plan_write(path, &s, &p, &e), e);
+    json_t *root; /* more points than there are whole numbers */
+    kit_ok(jsonc_read(path, &root, &e), e);
+    json_object_set_new(json_array_get(json_object_get(root, "cells"), 0), "points",
+                        json_real(1e300));
+    kit_ok(jsonc_write(path, root, &e), e);
+    json_decref(root);
+    kit_fails(cell_plan_read(path, &s, &q, &e), ERR_FORMAT, e, "1e+300");
     kit_ok(cell_plan_write(path, &s, &p, &e), e);
     s.images[3].name = arena_text(&s.arena, "other.jpg");
     kit_fails(cell_plan_read(path, &s, &q, &e), ERR_FORMAT, e, "img0003.jpg");

@@ -251,6 +251,34 @@ static void nonsense_is_no_footprint(void **state)
     }
 }
 
+/* Stores that others wrote. */
+static void a_store_of_no_size_has_no_maps(void **state)
+{
+    struct err e = {0};
+    struct store *s = NULL;
+    struct area a;
+    struct gauss g;
+    struct buf payload = {0};
+    struct store_tile t = {.key = key_at(origin.lon_deg, origin.lat_deg, 18), .level = 3};
+    const struct store_meta meta = {.name = "none", .origin = origin};
+    char dir[FILE_PATH_MAX], path[FILE_PATH_MAX];
+    (void)state;
+    kit_tmpdir(dir);
+    kit_ok(file_join(path, dir, "none.tiles", &e), e);
+    kit_gauss(3, 20, 5, 0, 0, &g);
+    kit_ok(store_create(path, &meta, &s, &e), e);
+    kit_ok(store_encode(s, &t, &g, &payload, &e), e);
+    t.sigma_median_m = 0;
+    kit_ok(store_add(s, &t, &payload, &e), e);
+    kit_ok(store_commit(&s, &e), e);
+    kit_ok(store_open(path, &s, &e), e);
+    kit_fails(area_make(s, &a, &e), ERR_DATA, e, "median size of 0 m");
+    store_close(&s);
+    buf_free(&payload);
+    gauss_free(&g);
+    kit_rmdir(dir);
+}
+
 /* Holes get what is around them, and far from everything there is the base. */
 static void holes_are_filled(void **state)
 {
@@ -290,11 +318,9 @@ static void sizes_are_limited(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(pixels_lie_where_the_map_has_them),
-        cmocka_unit_test(neighbours_fit),
-        cmocka_unit_test(low_zooms_show_the_city),
-        cmocka_unit_test(sizes_are_limited),
-        cmocka_unit_test(holes_are_filled),
+        cmocka_unit_test(pixels_lie_where_the_map_has_them), cmocka_unit_test(neighbours_fit),
+        cmocka_unit_test(low_zooms_show_the_city),           cmocka_unit_test(sizes_are_limited),
+        cmocka_unit_test(a_store_of_no_size_has_no_maps),    cmocka_unit_test(holes_are_filled),
     };
     const struct CMUnitTest half[] = {cmocka_unit_test(the_footprint_is_the_border)};
     const struct CMUnitTest alone[] = {cmocka_unit_test(nonsense_is_no_footprint)};

@@ -247,9 +247,29 @@ static void short_runs_take_larger_steps(void **state)
     }
 }
 
+/* Logits of 0 and 1 are infinite: nothing is learnt from them. */
+static void opacities_are_reset_to_what_can_be_learnt_from(void **state)
+{
+    (void)state;
+    char *const values[] = {(char[]){"0"}, (char[]){"1"}, (char[]){"0.01"}};
+    char train[] = "train", option[] = "--reset-opacity", scene[] = "scene";
+    for (size_t i = 0; i < 3; i++) {
+        struct err e = {0};
+        struct arena a = {0};
+        struct train_config c;
+        struct options_args args;
+        char *argv[] = {train, scene, option, values[i], NULL};
+        enum err_code rc = options_parse(train_options(), 4, argv, &c, &args, &a, &e);
+        assert_int_equal(rc, i < 2 ? ERR_ARG : ERR_OK);
+        kit_expect_text(e.msg, i < 2 ? "reset-opacity" : "", __FILE__, __LINE__);
+        arena_free(&a);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(opacities_are_reset_to_what_can_be_learnt_from),
         cmocka_unit_test(short_runs_take_larger_steps),
         cmocka_unit_test(cap_rises_from_start_to_exactly_the_budget),
         cmocka_unit_test(cap_has_no_edge_that_divides_by_zero_or_shrinks),

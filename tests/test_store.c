@@ -504,6 +504,22 @@ static void a_level_that_there_is_not_costs_one_tile(void **state)
     store_close(&s);
 }
 
+static void gaussians_of_no_size_are_refused(void **state)
+{
+    struct store_fixture *f = *state;
+    struct err e = {0};
+    struct store *s;
+    struct gauss g;
+    struct store_tile t = {.key = {15, 17154, 11126}, .level = 1};
+    tile_gauss(1, 20, &g);
+    for (size_t i = 0; i < 3 * g.n; i++)
+        g.scale_log[i] = -1000; /* finite, and exp makes 0 of it */
+    kit_ok(store_create(f->path, &meta, &s, &e), e);
+    kit_fails(store_put(s, &t, &g, &e), ERR_DATA, e, "of size 0");
+    store_close(&s);
+    gauss_free(&g);
+}
+
 static void names_with_odd_characters(void **state)
 {
     struct store_fixture *f = *state;
@@ -572,6 +588,7 @@ int main(void)
         CASE(files_that_are_no_stores),
         CASE(what_is_read_is_bounded_by_the_file),
         CASE(a_level_that_there_is_not_costs_one_tile),
+        CASE(gaussians_of_no_size_are_refused),
         CASE(names_with_odd_characters),
         CASE(out_of_memory_everywhere),
     };

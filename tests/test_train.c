@@ -315,8 +315,20 @@ static void a_stopped_run_goes_on_as_if_it_had_not_been(void **state)
     kit_fails(train_again(scene_dir, &c, &r, &e), ERR_ARG, e, "seed");
     c.seed--;
     c.cache_mib = 1; /* may change: it cannot matter */
+    double now = clock_s();
     kit_ok(train_again(scene_dir, &c, &r, &e), e);
+    now = clock_s() - now;
     assert_same_levels(whole, parts);
+    for (unsigned i = 0; i < 3; i++) { /* also of levels that other processes finished */
+        struct ckpt level;
+        read_level(parts, i + 1, &level);
+        assert_int_equal(r.cells[0].n_gaussians[i], level.g.n);
+        assert_true(r.cells[0].psnr_db[i] == json_number_value(json_object_get(
+                                                 json_object_get(level.meta, "test"), "psnr_db")));
+        assert_true(r.cells[0].ssim[i] > 0.0);
+        ckpt_free(&level);
+    }
+    assert_true(r.cells[0].seconds > now); /* and the time that they took */
     kit_rmdir(whole);
     kit_rmdir(parts);
     train_result_free(&r);
@@ -570,8 +582,12 @@ static void a_finished_run_is_not_lost(void **state)
     kit_tmpdir(out);
     struct train_config c = toy_config(&a, out);
     c.iterations = 12;
+    c.prune_contribution = 0.0; /* photographs are ranked all the same */
+    c.prune_support = 0;
     kit_ok(train_again(scene_dir, &c, &r, &e), e);
     assert_false(r.cells[0].was_done);
+    snprintf(path, sizeof path, "%s/cells/all/residuals.json", out);
+    assert_true(file_exists(path));
     snprintf(path, sizeof path, "%s/cells/all/level3.ckpt", out);
     kit_ok(file_read(path, 0, &first, &e), e);
     kit_ok(train_again(scene_dir, &c, &r, &e), e); /* the same options: nothing to do */
@@ -595,6 +611,11 @@ static void a_finished_run_is_not_lost(void **state)
     c.overwrite = false;
     kit_ok(train_again(scene_dir, &c, &r, &e), e);
     assert_true(r.cells[0].was_done);
+    c.overwrite = true; /* nothing is left that tells of the run before */
+    c.stop_after = 2;
+    kit_fails(train_again(scene_dir, &c, &r, &e), ERR_CANCEL, e, "stopped");
+    snprintf(path, sizeof path, "%s/cells/all/residuals.json", out);
+    assert_false(file_exists(path));
     buf_free(&first);
     buf_free(&again);
     kit_rmdir(out);

@@ -162,12 +162,14 @@ static enum err_code budget_score_half(struct budget *b, const struct photo *p,
     return rc;
 }
 
-/* Mean PSNR of the held-out photographs, each in its own appearance. */
+/* Mean PSNR of the held-out photographs, each in its own appearance; NaN where masks leave nothing of
+ * any. */
 static enum err_code budget_psnr(struct budget *b, const struct model *m, struct context *ctx,
                                  double *mean_db, struct err *e)
 {
+    size_t n = 0;
+    double sum = 0.0;
     enum err_code rc = budget_open_photos(b, ctx, e);
-    *mean_db = 0.0;
     for (size_t i = 0; !rc && i < b->n_held; i++) {
         struct photo p;
         double db = 0.0;
@@ -175,11 +177,15 @@ static enum err_code budget_psnr(struct budget *b, const struct model *m, struct
         if (rc)
             break;
         struct render_options ro = context_photo_options(ctx, ctx->step, p.image);
-        rc = ro.appearance_frame && !budget_is_learnt(ctx, p.image)
-                 ? budget_score_half(b, &p, m, ctx, &db, e)
-                 : budget_score(&p, m, ctx, &ro, &db, e);
-        *mean_db += db / (double)b->n_held;
+        bool half = ro.appearance_frame && !budget_is_learnt(ctx, p.image);
+        if (half ? !half_image_is_seen(&p) : evaluate_is_masked(&p))
+            continue;
+        rc =
+            half ? budget_score_half(b, &p, m, ctx, &db, e) : budget_score(&p, m, ctx, &ro, &db, e);
+        sum += db;
+        n++;
     }
+    *mean_db = n ? sum / (double)n : (double)NAN;
     return rc;
 }
 
@@ -193,23 +199,42 @@ enum budget_step budget_decide(const struct budget_point *last, double n, double
     return n >= BUDGET_FULL * (double)budget ? BUDGET_RAISE : BUDGET_KEEP;
 }
 
+/* No more than there are, inside of the cell and out. */
+static void budget_stop(struct budget *b, struct schedule *s, size_t inside, size_t outside)
+{
+    b->at.stopped = s->stopped = true;
+    s->budget = inside;
+    s->budget_outside = outside;
+}
+
 enum err_code budget_look(struct budget *b, const struct model *m, struct context *ctx, uint32_t x,
                           struct err *e)
 {
     struct schedule *s = &ctx->schedule[ctx->at];
     uint32_t count = schedule_densify_count(s), every = count / BUDGET_LOOKS + 1;
-    double psnr = 0.0, n = m->gauss.n;
+    double psnr = 0.0;
+    size_t inside = 0;
     if (!b->n_held || b->at.stopped || x % every)
         return ERR_OK;
     enum err_code rc = budget_psnr(b, m, ctx, &psnr, e);
+    if (!rc)
+        rc = model_count_inside(m, &ctx->cell, &inside, e);
     if (rc)
         return rc;
+    if (isnan(psnr)) {
+        log_warn("train",
+                 "level=%u step=%u: masks leave nothing of the held-out photographs: the budget "
+                 "stays",
+                 s->level, ctx->step);
+        return ERR_OK;
+    }
+    double n = (double)inside;
     enum budget_step step = budget_decide(&b->at, n, psnr, s->budget, ctx->cfg->budget_gain_db);
-    log_debug("train", "budget level=%u step=%u gaussians=%.0f held_out_psnr_db=%.3f decision=%d",
-              s->level, ctx->step, n, psnr, step);
+    log_debug("train",
+              "budget level=%u step=%u gaussians=%zu outside=%zu held_out_psnr_db=%.3f decision=%d",
+              s->level, ctx->step, inside, m->gauss.n - inside, psnr, step);
     if (step == BUDGET_STOP) {
-        b->at.stopped = true;
-        s->budget = m->gauss.n;
+        budget_stop(b, s, inside, m->gauss.n - inside);
         log_info("train",
                  "level=%u densification stops at %u Gaussians (step %u): held-out photographs "
                  "gain less than "

@@ -23,6 +23,11 @@ void context_close(struct context *ctx)
     appearance_train_close(&ctx->appearance);
 }
 
+double context_seconds(const struct context *ctx)
+{
+    return ctx->before_s + clock_s() - ctx->start_s;
+}
+
 const struct schedule *context_schedule(const struct context *ctx)
 {
     return &ctx->schedule[ctx->at < ctx->n_levels ? ctx->at : ctx->n_levels - 1];
@@ -30,8 +35,8 @@ const struct schedule *context_schedule(const struct context *ctx)
 
 size_t context_most(const struct context *ctx)
 {
-    size_t most = context_schedule(ctx)->budget;
-    return most + (ctx->cell.whole ? 0 : most / 2);
+    const struct schedule *s = context_schedule(ctx);
+    return s->budget + (ctx->cell.whole ? 0 : schedule_cap_outside(s));
 }
 
 /* ---- how frames are drawn ---- */

@@ -39,12 +39,14 @@ struct context { /* context_close */
     struct schedule schedule[TRAIN_LEVELS_MAX];
     uint32_t n_levels;
     struct timing timing; /* the clock that run.c started; {0} in tests, where nobody reads it */
+    double start_s;       /* clock_s() when this process took up the run */
 
     /* -- where the run stands: what a checkpoint holds */
     uint32_t at;                        /* schedule[at] is in work; n_levels = all done */
     uint32_t step;                      /* steps of this level that are done */
     bool pruned;                        /* its last step, prune_level, is done */
     size_t start;                       /* Gaussians inside the cell when this level began */
+    double before_s;                    /* that earlier processes spent on the run */
     struct appearance_train appearance; /* {0}: without; opened before level_open */
 
     /* -- of the level in work */
@@ -56,6 +58,8 @@ struct context { /* context_close */
 };
 void context_close(struct context *ctx);
 
+/* Seconds spent on the run so far, by all processes. */
+double context_seconds(const struct context *ctx);
 /* Of the level in work; of the last one when all are done. */
 const struct schedule *context_schedule(const struct context *ctx);
 /* Gaussians, inside the cell and out, that this level's budget allows. */

@@ -147,7 +147,7 @@ static struct densify_params densify_make_params(const struct model *m, const st
     struct densify_params p = {
         .cell = &ctx->cell,
         .cap_inside = schedule_cap(ctx->start, s->budget, x, schedule_densify_count(s)),
-        .cap_outside = s->budget / 2,
+        .cap_outside = schedule_cap_outside(s),
         .tau = s->tau,
         .tau_outside = c->tau_outside,
         .split_above_m = c->percent_dense * ctx->cell.extent_m,

@@ -131,7 +131,7 @@ static void evaluate_add(struct evaluate_score *sum, const struct evaluate_score
     sum->ms_frame += one->ms_frame;
 }
 
-static bool evaluate_is_masked(const struct photo *p)
+bool evaluate_is_masked(const struct photo *p)
 {
     size_t n = (size_t)p->cam.width_px * p->cam.height_px, i = 0;
     while (p->mask && i < n && !p->mask[i])

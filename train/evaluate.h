@@ -49,6 +49,7 @@ enum err_code evaluate_seen(const struct photo *p, const struct footprint *groun
  * `n` such sums. ERR_DATA: its mask leaves no pixel; ERR_ARG: fewer than 4 x 4 pixels; ERR_MEM. */
 enum err_code evaluate_photo(const struct photo *p, const float *rgb, struct evaluate_score *sum,
                              struct err *e) ERR_USE;
+bool evaluate_is_masked(const struct photo *p); /* does its mask leave no pixel? */
 void evaluate_divide(struct evaluate_score *sum, double n);
 /* Score the first n_photos of the loader's list, but those that a mask covers whole. ERR_DATA: there
  * are none; ERR_CANCEL: stopped by a

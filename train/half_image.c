@@ -153,8 +153,7 @@ static void half_image_to_mean(struct photo *part, uint8_t *room)
     exposure_to_mean(part->exposure_ev, room, n, part->mask ? room + 3 * n : NULL);
 }
 
-/* Is there anything on both sides to learn from and to score? */
-static bool half_image_is_seen(const struct photo *p)
+bool half_image_is_seen(const struct photo *p)
 {
     size_t n = (size_t)p->cam.width_px * p->cam.height_px;
     bool seen[2] = {!p->mask, !p->mask};

@@ -73,6 +73,8 @@ void half_image_close(struct half_image **h);
 /* Columns [first, first + count) of a side. */
 void half_image_columns(uint32_t width_px, enum half_image_side side, uint32_t *first,
                         uint32_t *count);
+/* Is there anything on both sides to learn from and to score? */
+bool half_image_is_seen(const struct photo *p);
 /* The exposure of a photograph (p->exposure_ev is set) from one side of it, drawn with an embedding
  * (NULL: without). 0 where too few pixels are exposed well. ERR_MEM, ERR_DEVICE. */
 enum err_code half_image_expose(struct half_image *h, struct photo *p, const struct render_model *m,

@@ -335,9 +335,10 @@ static enum err_code init_ground(const struct init_input *in, struct init_points
         if (rng_unit(in->seed, stream, i) * left >= want)
             continue;
         bool out = cell_distance(in->cell, place[3 * i], place[3 * i + 1]) > 0.0;
-        outside -= out && outside;
-        if (!out || outside)
-            memcpy(p->enu_m + 3 * (n + taken++), place + 3 * i, 3 * sizeof *place);
+        if (out && !outside)
+            continue;
+        outside -= out;
+        memcpy(p->enu_m + 3 * (n + taken++), place + 3 * i, 3 * sizeof *place);
     }
     mem_free(place);
     p->n = n + taken;
@@ -356,7 +357,8 @@ static enum err_code init_pick(const struct init_input *in, struct init_points *
     uint8_t *use = mem_array(s->n_points, 1), *seen = mem_array(s->n_images, 1);
     if (use && seen) {
         n_use = init_mark_points(s, in->images, in->n_images, in->cell->whole, use, seen);
-        rc = init_drop_masked(s, in->images, in->n_images, use, &n_use, e);
+        if (!in->no_masks)
+            rc = init_drop_masked(s, in->images, in->n_images, use, &n_use, e);
     }
     if (!rc && use && seen) {
         p->n = init_count(n_use, in->limit);

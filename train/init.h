@@ -22,6 +22,7 @@ struct init_input { /* all borrowed */
     const struct cell *cell;
     const struct footprint *ground; /* NULL: no Gaussians but those of points */
     double ground_share;            /* of `limit`, most Gaussians on ground without points */
+    bool no_masks;                  /* take points on ignored pixels, too */
     uint32_t sh_degree;
     size_t limit; /* most Gaussians */
     uint64_t seed;

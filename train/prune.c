@@ -253,7 +253,7 @@ enum err_code prune_level(struct model *m, struct context *ctx, struct prune_rep
     size_t n = m->gauss.n, n_views = prune_views(ctx, residuals);
     uint32_t support = (uint32_t)ctx->cfg->prune_support;
     *out = (struct prune_report){.before = n};
-    if (!(ctx->cfg->prune_contribution > 0.0) && !support)
+    if (!(ctx->cfg->prune_contribution > 0.0) && !support && !residuals)
         return ERR_OK;
     if (n_views < ctx->n_images || ctx->n_images < 2 * support) /* then few say nothing */
         support = 0;

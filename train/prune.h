@@ -26,7 +26,7 @@ struct prune_report {
  * every Gaussian over their pixels, and count the photographs that see it. Candidates are the
  * faintest, which together hold the share cfg->prune_contribution of all, and those in fewer than
  * cfg->prune_support photographs; as many of them go, the weakest first, as cost no more PSNR than
- * cfg->prune_loss_db. Both options 0: nothing is done. Moments are kept, statistics of density
+ * cfg->prune_loss_db. Both options 0: nothing is removed. Moments are kept, statistics of density
  * control are 0 afterwards. `residuals`: all photographs are drawn, and each gets a row, from
  * before the removal; NULL: a short level looks at some of them only, and asks for no support.
  * ERR_CANCEL: stopped by a signal, and nothing was removed; ERR_MEM, ERR_DEVICE, and what

@@ -14,12 +14,12 @@
 
 struct train_cell_result {
     char id[32];
-    bool was_done; /* --resume found it complete: the rest is not filled */
+    bool was_done; /* it was complete before: the rest is what done.json says */
     uint32_t n_levels;
     size_t n_gaussians[TRAIN_LEVELS_MAX];
     double psnr_db[TRAIN_LEVELS_MAX],
-        ssim[TRAIN_LEVELS_MAX]; /* test photographs at training size; NaN = none */
-    double seconds;
+        ssim[TRAIN_LEVELS_MAX];   /* test photographs at training size; NaN = none */
+    double seconds;               /* of all processes that worked on it */
     struct timing_seconds timing; /* of this process: what came before --resume is not in it */
 };
 struct train_result { /* {0} is empty; train_result_free */

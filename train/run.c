@@ -46,7 +46,6 @@ struct run {
     double looked_s;      /* when steps were last counted for it */
     uint32_t looked_step; /* the step of that look */
     uint32_t looks;
-    double start_s;
     uint64_t last_saved; /* steps of this process when the state was last saved */
     struct train_cell_result *result;
     uint32_t *images; /* training, then held-out photographs */
@@ -134,13 +133,35 @@ static enum err_code run_is_done(struct run *t, bool *done, struct err *e)
     return ERR_OK;
 }
 
-/* What follows will not be what the done-file tells of. */
+/* What follows will not be what the done-file tells of, nor the residuals of another run. */
 static enum err_code run_forget_done(const struct run *t, struct err *e)
 {
-    char path[FILE_PATH_MAX];
-    enum err_code rc = file_join(path, t->dir, "done.json", e);
-    if (!rc && unlink(path) && errno != ENOENT)
-        rc = err_errno(e, ERR_IO, "%s: cannot be removed", path);
+    const char *const names[] = {"done.json", "residuals.json"};
+    bool goes_on = t->cfg->resume && file_exists(t->resume_path);
+    enum err_code rc = ERR_OK;
+    for (size_t i = 0; !rc && i < (goes_on ? 1 : 2); i++) {
+        char path[FILE_PATH_MAX];
+        rc = file_join(path, t->dir, names[i], e);
+        if (!rc && unlink(path) && errno != ENOENT)
+            rc = err_errno(e, ERR_IO, "%s: cannot be removed", path);
+    }
+    return rc;
+}
+
+/* Levels that were finished before this process. */
+static enum err_code run_earlier_levels(struct run *t, struct err *e)
+{
+    struct train_cell_result *r = t->result;
+    enum err_code rc = ERR_OK;
+    for (uint32_t i = 0; !rc && i < t->level.ctx.at; i++) {
+        char path[FILE_PATH_MAX];
+        rc = run_level_path(t, i + 1, path, e);
+        if (!rc)
+            rc = state_read_level(path, &r->n_gaussians[i], &r->psnr_db[i], &r->ssim[i], e);
+        if (rc)
+            err_add(e, "level %u of the run to go on with: leave out --resume to start anew",
+                    i + 1);
+    }
     return rc;
 }
 
@@ -150,6 +171,8 @@ static enum err_code run_start(struct run *t, struct err *e)
     struct level *l = &t->level;
     if (t->cfg->resume && file_exists(t->resume_path)) {
         enum err_code rc = state_load(&l->model, &l->ctx, &l->budget, t->resume_path, e);
+        if (!rc)
+            rc = run_earlier_levels(t, e);
         if (!rc)
             log_info("train", "resume cell=%s level=%u step=%u gaussians=%u", l->ctx.cell.id,
                      l->ctx.at + 1, l->ctx.step, l->model.gauss.n);
@@ -166,6 +189,7 @@ static enum err_code run_start(struct run *t, struct err *e)
                                      .cell = &l->ctx.cell,
                                      .ground = l->ctx.ground,
                                      .ground_share = t->cfg->seed_ground,
+                                     .no_masks = !t->cfg->masks,
                                      .sh_degree = (uint32_t)t->cfg->sh_degree,
                                      .limit = l->ctx.schedule[0].budget,
                                      .seed = (uint64_t)t->cfg->seed};
@@ -379,7 +403,7 @@ static enum err_code run_finish_level(struct run *t, struct err *e)
     }
     if (rc)
         return rc;
-    double seconds = clock_s() - t->start_s;
+    double seconds = context_seconds(&l->ctx);
     t->result->n_gaussians[l->ctx.at] = l->model.gauss.n;
     t->result->psnr_db[l->ctx.at] = t->job->n_test ? score.psnr_db : (double)NAN;
     t->result->ssim[l->ctx.at] = t->job->n_test ? score.ssim : (double)NAN;
@@ -567,7 +591,6 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
     t->job = job;
     t->lock_fd = -1;
     t->cfg = job->cfg;
-    t->start_s = clock_s();
     t->result = out;
     t->level.ctx = (struct context){.cfg = job->cfg,
                                     .scene = job->scene,
@@ -577,14 +600,17 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
                                     .render = job->render,
                                     .loss = job->loss,
                                     .cell = job->cell,
+                                    .start_s = clock_s(),
                                     .n_levels = (uint32_t)job->cfg->level_count};
     timing_start(&t->level.ctx.timing, TIMING_START);
     *out = (struct train_cell_result){.n_levels = t->level.ctx.n_levels};
     memcpy(out->id, job->cell.id, sizeof out->id);
+    for (size_t i = 0; i < TRAIN_LEVELS_MAX; i++) /* not known, which 0 would not say */
+        out->psnr_db[i] = out->ssim[i] = (double)NAN;
     enum err_code rc = run_open(t, &done, e);
     if (!rc && !done) {
         rc = run_levels(t, e);
-        out->seconds = clock_s() - t->start_s;
+        out->seconds = context_seconds(&t->level.ctx);
         out->timing = timing_now(&t->level.ctx.timing);
         if (!rc)
             rc = done_write(t->dir, out, e);

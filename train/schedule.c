@@ -141,6 +141,11 @@ size_t schedule_cap(size_t start, size_t budget, uint32_t x, uint32_t n)
     return start + (size_t)floor((double)(budget - start) * (2.0 * u - u * u));
 }
 
+size_t schedule_cap_outside(const struct schedule *s)
+{
+    return s->stopped ? s->budget_outside : s->budget / 2;
+}
+
 /* Last step at which densification is allowed: before both `until` and the end. */
 static uint32_t schedule_densify_last(const struct schedule *s)
 {

@@ -15,7 +15,9 @@ struct schedule {             /* of one level; steps are 1-based and restart at 
     uint32_t level, n_levels; /* 1 .. n_levels, 1 = coarsest */
     uint32_t steps;
     double downsample;
-    size_t budget;
+    size_t budget;         /* Gaussians inside the cell */
+    bool stopped;          /* --budget auto: growth has ended ... */
+    size_t budget_outside; /* ... with so many outside of the cell; before, half of the budget */
     uint32_t interval, densify_from,
         densify_until; /* densify when from < step < until and interval | step */
     uint32_t reset_interval;
@@ -36,6 +38,8 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
 /* Ceiling of Gaussians inside the cell at densification x of n: a parabola from start (x = 0) to
  * exactly budget (x = n - 1), fast first. start >= budget: start. n <= 1: budget. */
 size_t schedule_cap(size_t start, size_t budget, uint32_t x, uint32_t n);
+/* Gaussians outside of the cell that a level may have. */
+size_t schedule_cap_outside(const struct schedule *s);
 /* Number n of the above, counting x = 0, which no step uses. */
 uint32_t schedule_densify_count(const struct schedule *s);
 /* x of this step, or 0 when it does not densify. */

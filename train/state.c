@@ -9,6 +9,7 @@
  */
 #include "train/state.h"
 
+#include <math.h>
 #include <string.h>
 
 #include <jansson.h>
@@ -66,9 +67,9 @@ static json_t *state_meta(const struct model *m, const struct context *ctx,
     const struct budget_point *b = &budget->at;
     if (o && budget->n_held &&
         json_object_set_new(o, "budget",
-                            json_pack("{s:I, s:f, s:f, s:b}", "budget", (json_int_t)s->budget,
+                            json_pack("{s:I, s:f, s:f, s:b, s:I}", "budget", (json_int_t)s->budget,
                                       "gaussians", b->n, "psnr_db", b->psnr_db, "stopped",
-                                      (int)b->stopped))) {
+                                      (int)b->stopped, "outside", (json_int_t)s->budget_outside))) {
         json_decref(o);
         o = NULL;
     }
@@ -247,6 +248,10 @@ enum err_code state_save(const struct model *m, const struct context *ctx,
     const struct render_model *g = &m->gauss;
     size_t n = 0, moments = model_bytes(m), n_appearance = 0;
     json_t *meta = state_meta(m, ctx, budget, "resume", e);
+    if (meta && json_object_set_new(meta, "seconds", json_real(context_seconds(ctx)))) {
+        json_decref(meta);
+        return err_set(e, ERR_MEM, "%s: out of memory", path);
+    }
     if (!meta)
         return ERR_MEM;
     cl_mem stats[STATE_STATS];
@@ -368,7 +373,7 @@ static enum err_code state_fill_filter(struct model *m, const struct ckpt_rows *
 static enum err_code state_budget(struct budget *budget, struct context *ctx, const json_t *meta,
                                   struct err *e)
 {
-    double most;
+    double most, outside = 0.0;
     struct budget_point *b = &budget->at;
     const json_t *o = json_object_get(meta, "budget");
     if (!budget->n_held)
@@ -378,12 +383,16 @@ static enum err_code state_budget(struct budget *budget, struct context *ctx, co
         rc = jsonc_num(o, "gaussians", &b->n, e);
     if (!rc)
         rc = jsonc_num(o, "psnr_db", &b->psnr_db, e);
-    if (!rc && !(most >= 1.0 && most <= 1e9))
-        rc = err_set(e, ERR_FORMAT, "a budget of %g", most);
+    if (!rc)
+        rc = jsonc_num(o, "outside", &outside, e);
+    if (!rc && !(most >= 1.0 && most <= 1e9 && outside >= 0.0 && outside <= 4e9))
+        rc = err_set(e, ERR_FORMAT, "a budget of %g, and %g outside of the cell", most, outside);
     if (rc)
         return rc;
-    b->stopped = json_is_true(json_object_get(o, "stopped"));
-    ctx->schedule[ctx->at].budget = (size_t)most;
+    struct schedule *s = &ctx->schedule[ctx->at];
+    b->stopped = s->stopped = json_is_true(json_object_get(o, "stopped"));
+    s->budget = (size_t)most;
+    s->budget_outside = (size_t)outside;
     return ERR_OK;
 }
 
@@ -420,6 +429,8 @@ static enum err_code state_apply(struct context *ctx, struct budget *budget, con
     ctx->step = (uint32_t)step;
     ctx->start = (size_t)start;
     ctx->pruned = json_is_true(json_object_get(meta, "pruned"));
+    double seconds = json_number_value(json_object_get(meta, "seconds")); /* older ones have none */
+    ctx->before_s = seconds > 0.0 ? seconds : 0.0;
     rc = state_budget(budget, ctx, meta, e);
     return rc ? err_add(e, "%s", path) : ERR_OK;
 }
@@ -440,6 +451,31 @@ enum err_code state_load(struct model *m, struct context *ctx, struct budget *bu
         rc = state_fill_all(m, ctx, c, path, e);
     if (!rc && ctx->cfg->aa == RENDER_AA_MIP)
         rc = state_fill_filter(m, c, e);
+    json_decref(meta);
+    ckpt_rows_close(&c);
+    return rc;
+}
+
+static double state_score(const json_t *test, const char *key)
+{
+    const json_t *v = json_object_get(test, key);
+    return json_is_number(v) ? json_number_value(v) : (double)NAN;
+}
+
+enum err_code state_read_level(const char *path, size_t *n, double *psnr_db, double *ssim,
+                               struct err *e)
+{
+    struct ckpt_rows *c = NULL;
+    json_t *meta = NULL;
+    enum err_code rc = ckpt_rows_open(path, &c, e);
+    if (!rc)
+        rc = ckpt_rows_meta(c, &meta, e);
+    if (!rc) {
+        const json_t *test = json_object_get(meta, "test");
+        *n = ckpt_rows_count(c);
+        *psnr_db = state_score(test, "psnr_db");
+        *ssim = state_score(test, "ssim");
+    }
     json_decref(meta);
     ckpt_rows_close(&c);
     return rc;

@@ -27,5 +27,9 @@ enum err_code state_load(struct model *m, struct context *ctx, struct budget *bu
 enum err_code state_save_level(struct model *m, const struct context *ctx,
                                const struct budget *budget, const char *path,
                                const struct evaluate_score *score, struct err *e) ERR_USE;
+/* What such a result says of itself: Gaussians, and scores of the test photographs, NaN without.
+ * ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
+enum err_code state_read_level(const char *path, size_t *n, double *psnr_db, double *ssim,
+                               struct err *e) ERR_USE;
 
 #endif
