@@ -10,20 +10,6 @@
 
 #include <math.h>
 
-static bool start_with_device(void)
-{
-    struct err e = {0};
-    struct dev dev;
-    if (dev_open("cpu", &dev, &e) != ERR_OK) {
-        print_message("skipped: %s\n", e.msg);
-        return false;
-    }
-    dev_close(&dev);
-    t.cfg.device = "cpu";
-    start();
-    return true;
-}
-
 static const char NAME[] = "0123456789abcdef";
 
 /* ---- a reader ---- */
