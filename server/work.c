@@ -8,6 +8,7 @@
 #include <jansson.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "lod/photograph.h"
 #include "lod/store.h"
@@ -113,10 +114,17 @@ static enum err_code work_make_bytes(struct services *s, const struct job *j, co
     }
 }
 
-/* About the bytes of the result, from above. */
-static size_t work_room(const struct work *w)
+/* Rows of lists repeat the query, which may be longer than all the rest of them. */
+static size_t work_query_bytes(const struct work *w)
 {
-    enum { HEAD = 4096, SEED_ROW = 256, TILESET_ROW = 512 };
+    char query[TARGET_QUERY_MAX];
+    target_query(&w->target, query);
+    return strlen(query);
+}
+
+size_t work_room(const struct work *w)
+{
+    enum { HEAD = WORK_ROOM_HEAD, SEED_ROW = 256, TILESET_ROW = 512 };
     const struct store_tile *t = NULL;
     size_t sh = 3 * gauss_sh_count(w->ds->meta.sh_degree);
     switch (w->kind) {
@@ -127,9 +135,9 @@ static size_t work_room(const struct work *w)
     case WORK_QUERY:
         return HEAD + (size_t)MEASURE_SAMPLES_MAX * 160;
     case WORK_SEED:
-        return HEAD + w->ds->n_tiles * SEED_ROW;
+        return HEAD + w->ds->n_tiles * (SEED_ROW + work_query_bytes(w));
     case WORK_TILESET:
-        return HEAD + w->ds->n_tiles * TILESET_ROW;
+        return HEAD + w->ds->n_tiles * (TILESET_ROW + work_query_bytes(w));
     case WORK_THUMBNAIL:
         return HEAD + PHOTOGRAPH_BYTES_MAX;
     default:

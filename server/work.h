@@ -32,6 +32,9 @@ struct work { /* freed with work_drop */
     struct query *query;      /* WORK_QUERY, owned */
     bool keep;                /* put the result into the cache */
 };
+/* About the bytes of the result, from above: what it takes of --inflight-mb while it is made. */
+enum { WORK_ROOM_HEAD = 4096 }; /* of it for heads and ends */
+size_t work_room(const struct work *w);
 const char *work_noun(enum work_kind kind); /* "map tile": for messages */
 /* Run on a worker: from the store to bytes. The result goes to the cache before the job ends. The
  * errors of what is made; ERR_MEM. */

@@ -130,6 +130,8 @@ static inline struct response answer(const struct ask *a)
             result.end = JOB_ERROR;
             snprintf(result.msg, sizeof result.msg, "%.200s", e.msg);
         }
+        assert_true(!result.body || w->kind != WORK_SEED ||
+                    result.body->size <= work_room(w) - WORK_ROOM_HEAD);
         work_drop(NULL, w);
         route_finish(&t.s, &r, &result, &out);
     }
