@@ -115,11 +115,11 @@ bool address_is_loopback(struct address a)
     return address_is_v4(a) ? a.ip[12] == 127 : !memcmp(&a, &one, sizeof one);
 }
 
-struct address address_client(const struct address_nets *trusted, struct address peer,
-                              const char *forwarded)
+/* From peer, a trusted proxy, along one field to the first address that is none. False: nobody can tell
+ * who comes before peer. */
+static bool address_follow(const struct address_nets *trusted, const char *forwarded,
+                           struct address *peer)
 {
-    if (!forwarded || !address_in(trusted, peer))
-        return peer;
     for (size_t end = strlen(forwarded); end;) {
         size_t at = end;
         while (at && forwarded[at - 1] != ',')
@@ -131,12 +131,20 @@ struct address address_client(const struct address_nets *trusted, struct address
             to--;
         struct address a;
         if (!address_parse(forwarded + from, to - from, &a))
-            return peer; /* nobody can tell who that is: the one who passed it on */
-        peer = a;
+            return false; /* nobody can tell who that is: the one who passed it on */
+        *peer = a;
         if (!address_in(trusted, a))
             break;
         end = at ? at - 1 : 0;
     }
+    return true;
+}
+
+struct address address_client(const struct address_nets *trusted, struct address peer,
+                              const char *const *forwarded, size_t n)
+{
+    while (n && address_in(trusted, peer) && address_follow(trusted, forwarded[n - 1], &peer))
+        n--;
     return peer;
 }
 

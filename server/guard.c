@@ -12,8 +12,6 @@
 
 #include "server/address.h"
 
-enum { GUARD_FIELDS_MAX = 64 };
-
 static bool guard_name_is(const char *name, size_t n, const char *want)
 {
     return n == strlen(want) && !strncasecmp(name, want, n);
@@ -105,9 +103,11 @@ void guard_field(struct guard *f, const char *name, size_t n_name, const char *v
         f->host_local = address_host_is_loopback(value);
     } else if (guard_is_proxys(name, n_name)) {
         f->proxied = true;
-        if (guard_name_is(name, n_name, "X-Forwarded-For"))
-            f->req->forwarded = value; /* the last one was added last */
+        if (guard_name_is(name, n_name, "X-Forwarded-For") &&
+            f->req->n_forwarded < REQUEST_FIELDS_MAX)
+            f->req->forwarded[f->req->n_forwarded++] = value;
     } else {
+        f->has_origin |= guard_name_is(name, n_name, "Origin");
         guard_keep_field(f->req, name, n_name, value);
     }
 }
@@ -120,7 +120,7 @@ const char *guard_method_name(enum method m)
 
 bool guard_local(const struct guard *g, const char *version)
 {
-    return !g->proxied && g->host_local && strcmp(version, "HTTP/1.0") != 0;
+    return !g->proxied && !g->has_origin && g->host_local && strcmp(version, "HTTP/1.0") != 0;
 }
 
 enum method guard_method(const char *name)
@@ -146,7 +146,7 @@ int guard_check(const struct guard *f, const struct server_config *cfg, const ch
     bool old = !strcmp(version, "HTTP/1.0");
     bool bodyless = r->method == METHOD_GET || r->method == METHOD_HEAD;
     *why = "the request is malformed";
-    if (f->n > GUARD_FIELDS_MAX)
+    if (f->n > REQUEST_FIELDS_MAX)
         return *why = "the request has too many header fields", 431;
     if (!r->target || r->target_size > (size_t)cfg->max_target_bytes)
         return *why = "the request target is too long", 414;

@@ -10,7 +10,7 @@
 struct guard { /* {.req = r}, then guard_field for each header field */
     struct request *req;
     size_t n, n_length, n_coding, n_host;
-    bool bad, coding_bad, proxied, host_local;
+    bool bad, coding_bad, proxied, host_local, has_origin;
     uint64_t length;
 };
 enum method guard_method(const char *name);
@@ -24,7 +24,7 @@ int guard_check(const struct guard *g, const struct server_config *cfg, const ch
                 const char **why);
 /* Does it look like a request of this machine's own: asked for by a loopback name, and without a sign of
  * a proxy (RFC 9110, section 7.6.3; the fields that proxies add; HTTP/1.0, which nginx speaks to what is
- * behind it where it is not told otherwise)? */
+ * behind it where it is not told otherwise), nor of a page of another site in this machine's browser (Origin)? */
 bool guard_local(const struct guard *g, const char *version);
 
 #endif

@@ -223,11 +223,12 @@ static uint64_t http_client(const struct exchange *x)
 {
     struct http *h = x->h;
     struct address peer = x->peer->address;
-    if (x->req.forwarded && !address_in(&h->proxies, peer) &&
+    if (x->req.n_forwarded && !address_in(&h->proxies, peer) &&
         !atomic_flag_test_and_set(&h->proxy_told))
         log_warn("http", "requests come through a proxy, and all its clients share one client's "
                          "part; --trusted-proxy ADDRESS tells them apart");
-    return address_number(address_client(&h->proxies, peer, x->req.forwarded), h->secret);
+    return address_number(address_client(&h->proxies, peer, x->req.forwarded, x->req.n_forwarded),
+                          h->secret);
 }
 
 /* What the screen has against this request: 0 or a status. A request that it has not seen is refused

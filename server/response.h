@@ -9,16 +9,19 @@
 #include "server/services.h"
 #include "server/work.h"
 
-struct request { /* borrowed from the connection */
+enum { REQUEST_FIELDS_MAX = 64 }; /* more are refused */
+struct request {                  /* borrowed from the connection */
     enum method method;
     const char *target; /* raw, as sent */
     size_t target_size;
     const char *accept, *accept_encoding, *if_none_match, *if_range, *range; /* NULL when absent */
-    const char *authorization, *forwarded; /* forwarded: X-Forwarded-For */
-    const char *referer, *agent;           /* for the log */
-    const char *id;                        /* of the request; NULL: none */
-    bool id_sent;                          /* by the client or a proxy: it comes back */
-    bool admin;                            /* it came to the listener of operators */
+    const char *authorization;
+    const char *forwarded[REQUEST_FIELDS_MAX]; /* [n_forwarded], X-Forwarded-For */
+    size_t n_forwarded;
+    const char *referer, *agent; /* for the log */
+    const char *id;              /* of the request; NULL: none */
+    bool id_sent;                /* by the client or a proxy: it comes back */
+    bool admin;                  /* it came to the listener of operators */
     const char *if_modified_since;
     const void *body;
     size_t body_size;

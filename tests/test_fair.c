@@ -147,7 +147,7 @@ static void test_addresses(void **state)
 {
     static const char trusted[] = "127.0.0.1, 10.0.0.0/8,fd00::/8,2001:db8::7";
     static const struct {
-        const char *peer, *forwarded, *client;
+        const char *peer, *forwarded /* '|' between fields */, *client;
     } rows[] = {
         {"127.0.0.1", "9.9.9.9", "9.9.9.9"},
         {"127.0.0.1", "1.1.1.1, 9.9.9.9", "9.9.9.9"},  /* what the client wrote himself is before */
@@ -156,6 +156,11 @@ static void test_addresses(void **state)
         {"127.0.0.1", "[2001:db8::1]:80,fd00::3", "2001:db8::1"},
         {"127.0.0.1", "2001:db8::1", "2001:db8::1"},
         {"127.0.0.1", "unknown", "127.0.0.1"},
+        {"127.0.0.1", "9.9.9.9|10.3.4.5", "9.9.9.9"}, /* of a proxy that adds a field of its own */
+        {"127.0.0.1", "1.1.1.1|9.9.9.9, 10.3.4.5|10.3.4.6", "9.9.9.9"},
+        {"127.0.0.1", "9.9.9.9|", "9.9.9.9"},
+        {"127.0.0.1", "9.9.9.9|unknown|10.3.4.5", "10.3.4.5"},
+        {"127.0.0.1", "9.9.9.9|10.3.4.5|8.8.8.8", "8.8.8.8"},
         {"127.0.0.1", "", "127.0.0.1"},
         {"127.0.0.1", NULL, "127.0.0.1"},
         {"127.0.0.1", "10.1.1.1,10.2.2.2", "10.1.1.1"},
@@ -187,7 +192,16 @@ static void test_addresses(void **state)
         struct address peer, want, got;
         assert_true(address_parse(rows[i].peer, strlen(rows[i].peer), &peer));
         assert_true(address_parse(rows[i].client, strlen(rows[i].client), &want));
-        got = address_client(&nets, peer, rows[i].forwarded);
+        char text[128];
+        const char *fields[4];
+        size_t n = 0;
+        snprintf(text, sizeof text, "%s", rows[i].forwarded ? rows[i].forwarded : "");
+        for (char *p = rows[i].forwarded ? text : NULL; p; p = strchr(p, '|'), p += p != NULL) {
+            if (n)
+                p[-1] = '\0';
+            fields[n++] = p;
+        }
+        got = address_client(&nets, peer, fields, n);
         if (memcmp(&got, &want, sizeof got) != 0)
             fail_msg("%s with %s is not %s", rows[i].peer,
                      rows[i].forwarded ? rows[i].forwarded : "nothing", rows[i].client);

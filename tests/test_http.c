@@ -109,7 +109,8 @@ static void test_headers(void **state)
                                         "Via: 1.1 a\r\n",
                                         "X-Real-IP: 9.9.9.9\r\n",
                                         "CF-Connecting-IP: 9.9.9.9\r\n",
-                                        "True-Client-IP: 9.9.9.9\r\n"};
+                                        "True-Client-IP: 9.9.9.9\r\n",
+                                        "Origin: https://evil.example\r\n"};
     for (size_t i = 0; i < sizeof signs / sizeof *signs; i++)
         assert_int_equal(status_of("GET", "/metrics", signs[i]), 403);
     static const struct {
