@@ -92,6 +92,12 @@ void flight_release(struct flight *f, size_t bytes)
     atomic_fetch_sub(&f->reserved, bytes);
 }
 
+size_t flight_held(const struct flight *f, size_t cached)
+{
+    size_t alive = atomic_load(&f->bytes);
+    return atomic_load(&f->reserved) + (alive > cached ? alive - cached : 0);
+}
+
 size_t flight_bytes(const struct flight *f)
 {
     return atomic_load(&f->bytes);

@@ -23,6 +23,8 @@ void flight_add(struct flight *f, struct hash128 id, struct body *b);
  * what slow readers hold leaves no room. One body goes even where it is larger than the budget. */
 enum err_code flight_reserve(struct flight *f, size_t bytes, size_t cached, struct err *e) ERR_USE;
 void flight_release(struct flight *f, size_t bytes);
+/* What the limit holds for: bytes of live bodies beyond `cached`, and of those that are being made. */
+size_t flight_held(const struct flight *f, size_t cached);
 /* Bytes of all live bodies. */
 size_t flight_bytes(const struct flight *f);
 

@@ -130,6 +130,11 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
     metrics_text_one(out, "cache_evictions_total", "counter", "Entries that made room.",
                      cs.evictions);
     metrics_text_one(out, "inflight_bytes", "gauge",
+                     "Bytes of answers that are made or sent and not in the cache.",
+                     flight_held(s->flight, cache_bytes(s->cache)));
+    metrics_text_one(out, "inflight_limit_bytes", "gauge", "Above it answers are refused.",
+                     (uint64_t)s->cfg->inflight_mb << 20);
+    metrics_text_one(out, "live_bytes", "gauge",
                      "Bytes of live answers, those in the cache among them.",
                      flight_bytes(s->flight));
     metrics_text_one(out, "cache_entries", "gauge", "Entries.", cs.entries);
