@@ -9,6 +9,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 
 #include "lod/store.h"
 #include "lod/tileset.h"
@@ -52,7 +53,7 @@ static enum err_code catalog_make_documents(struct dataset *d, const char *publi
                                       d->photographs};
     for (size_t i = 0; !rc && i < sizeof documents / sizeof *documents; i++)
         if (documents[i])
-            documents[i]->modified_s = d->modified_s;
+            documents[i]->modified_s = (int64_t)time(NULL); /* of options and program, too */
     return rc;
 }
 
@@ -165,9 +166,8 @@ enum err_code catalog_open(const char *const *paths, size_t n, const struct cata
     if (!rc)
         rc = collection_list(c->ds, c->n_current, o->basemap, o->basemap_attribution,
                              &c->collections, e);
-    for (size_t i = 0; !rc && i < c->n_current; i++)
-        if (c->ds[i]->modified_s > c->collections->modified_s)
-            c->collections->modified_s = c->ds[i]->modified_s;
+    if (!rc)
+        c->collections->modified_s = (int64_t)time(NULL);
     if (!rc && older)
         catalog_keep_older(c, older, clock_s(), o);
     if (rc)

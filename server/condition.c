@@ -189,5 +189,5 @@ bool condition_not_modified(const char *header, int64_t modified_s)
 {
     int64_t since = 0;
     return header && modified_s && condition_take_date(condition_skip_space(header), &since) &&
-           modified_s <= since;
+           modified_s == since;
 }

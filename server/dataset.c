@@ -11,7 +11,6 @@
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include "lod/bake.h"
@@ -55,7 +54,6 @@ static enum err_code dataset_open_file(struct dataset *d, const struct clip *cli
 {
     struct store *whole = NULL;
     struct clip_report r;
-    struct stat st;
     double start_s = clock_s();
     enum err_code rc = ERR_OK;
     if (!clip) {
@@ -73,10 +71,6 @@ static enum err_code dataset_open_file(struct dataset *d, const struct clip *cli
             log_info("serve", "clipped file=%s tiles=%zu kept=%zu left_out=%zu seconds=%.1f",
                      d->path, r.n_tiles, r.n_kept, r.n_dropped, clock_s() - start_s);
     }
-    if (!rc && fstat(d->fd, &st))
-        rc = err_errno(e, ERR_IO, "%s", d->path);
-    if (!rc)
-        d->modified_s = st.st_mtime;
     return rc;
 }
 

@@ -15,7 +15,6 @@ struct clip;
 
 struct dataset { /* immutable but for what the comments say; counted */
     _Atomic uint32_t refs;
-    int64_t modified_s; /* its file was written, since 1970 */
     char *path;         /* of this revision, when it was opened */
     char source[13];    /* revision of what is at the path; meta.revision unless it was clipped */
     int fd;             /* its file, whatever that path names by now; of a clipped one its part */

@@ -145,10 +145,11 @@ void route_answer(struct services *s, const struct request *r, struct response *
     if (d) {
         route_data(s, r, d, &t, out);
         route_cached(s, d, out);
+    } else if (catalog_find(c, t.ds, "")) {
+        response_problem(out, 404, "this server does not have this revision, or not any more");
+        out->cache_control = RESPONSE_NO_STORE; /* a reload may bring it */
     } else {
-        response_problem(out, 404,
-                         catalog_find(c, t.ds, "") ? "this revision is not served any more"
-                                                   : "no dataset has this name");
+        response_problem(out, 404, "no dataset has this name");
     }
     catalog_drop(&c);
 }
