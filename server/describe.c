@@ -238,7 +238,7 @@ static enum err_code describe_read_wish(const struct server_config *cfg,
     if (!rc)
         rc = describe_read_int(o, "quality", 1, 100, &quality, e);
     if (!rc)
-        rc = describe_read_int(o, "deadline_ms", 50, 30000, &deadline_ms, e);
+        rc = describe_read_int(o, "deadline_ms", 50, deadline_ms, &deadline_ms, e);
     if (!rc)
         rc = describe_read_appearance(o, out->appearance, e);
     if (!rc)

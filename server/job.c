@@ -5,7 +5,7 @@
  * that move up take none. Prefetched tiles run when nothing else does and move up when somebody
  * really asks.
  *
- * One mutex guards everything, and no callback runs under it. Whoever takes a waiter off a job
+ * One mutex guards everything, and no callback but cfg.passing runs under it. Whoever takes a waiter off a job
  * under the lock (the worker that finished, job_leave, job_tick, job_stop) has claimed it:
  * waiter->job becomes NULL, and only the claimer wakes it. So each waiter is woken exactly once,
  * however those four race, and a job that ends in any way answers all its waiters, because
@@ -57,6 +57,7 @@ struct jobs { /* all but cfg and workers by `lock` */
     struct failures failures;
     enum job_class drew; /* the last that was drawn */
     bool stopping, drawer_ended;
+    bool drawer_hangs;      /* of job_stop: it has been waited for */
     double drawing_since_s; /* 0: the thread that draws waits for work */
     pthread_cond_t ended;
     struct job_stats stats;
@@ -338,13 +339,18 @@ static bool job_make_room(struct jobs *js, enum job_class cls, uint64_t client,
     return *shed;
 }
 
+/* NULL: it is not counted. */
+static struct rate *job_rate(struct jobs *js, enum job_class cls)
+{
+    return cls == JOB_MOTION ? NULL : js->rate[cls == JOB_VIEW ? JOB_VIEW : JOB_TILE];
+}
+
 /* Under the lock: does the client have a token for one more? */
 static bool job_pay(struct jobs *js, enum job_class cls, uint64_t client, double now_s,
                     struct job_waiter *w)
 {
-    double wait_s = cls == JOB_MOTION
-                        ? 0
-                        : rate_take(js->rate[cls == JOB_VIEW ? JOB_VIEW : JOB_TILE], client, now_s);
+    struct rate *rate = job_rate(js, cls);
+    double wait_s = rate ? rate_take(rate, client, now_s) : 0;
     if (wait_s <= 0)
         return true;
     js->stats.ended[cls][JOB_LIMITED]++;
@@ -379,8 +385,13 @@ static struct job *job_find_or_add(struct jobs *js, enum job_class cls, struct h
         job_refuse(w, JOB_ERROR, f->code, f->msg);
         return NULL;
     }
-    if (!job_pay(js, cls, client, now_s, w) || !job_make_room(js, cls, client, w, shed))
+    if (!job_pay(js, cls, client, now_s, w)) /* first: room is made by taking another's */
         return NULL;
+    if (!job_make_room(js, cls, client, w, shed)) {
+        if (job_rate(js, cls))
+            rate_give(job_rate(js, cls), client);
+        return NULL;
+    }
     j = mem_array(1, sizeof *j);
     if (!j) {
         *shed = NULL;
@@ -555,10 +566,13 @@ double job_drawing_s(struct jobs *js)
     return since_s > 0 ? clock_s() - since_s : 0;
 }
 
-/* Wait for the thread that draws, as long as that may take. */
+/* Wait for the thread that draws, as long as that may take; whoever asks again has waited already. */
 static bool job_await_drawer(struct jobs *js)
 {
+    const double again_s = 0.5;
     double wait_s = js->cfg.stop_s > 0 ? js->cfg.stop_s : 10;
+    if (js->drawer_hangs)
+        wait_s = fmin(wait_s, again_s);
     struct timespec end;
     clock_gettime(CLOCK_REALTIME, &end);
     end.tv_sec += (time_t)wait_s;
@@ -569,6 +583,7 @@ static bool job_await_drawer(struct jobs *js)
     while (!js->drawer_ended && !pthread_cond_timedwait(&js->ended, &js->lock, &end))
         continue;
     bool ended = js->drawer_ended;
+    js->drawer_hangs = !ended;
     pthread_mutex_unlock(&js->lock);
     return ended;
 }

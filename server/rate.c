@@ -34,14 +34,27 @@ void rate_close(struct rate **r)
     *r = NULL;
 }
 
+static struct rate_bucket *rate_find(struct rate *r, uint64_t client)
+{
+    struct rate_bucket *set = r->bucket[client % RATE_SETS];
+    for (int i = 0; i < RATE_WAYS; i++)
+        if (set[i].client == client && set[i].at_s > 0)
+            return &set[i];
+    return NULL;
+}
+
+void rate_give(struct rate *r, uint64_t client)
+{
+    struct rate_bucket *b = rate_find(r, client);
+    if (b)
+        b->tokens = fmin(r->most, b->tokens + 1);
+}
+
 double rate_take(struct rate *r, uint64_t client, double now_s)
 {
-    struct rate_bucket *set = r->bucket[client % RATE_SETS], *b = NULL;
+    struct rate_bucket *set = r->bucket[client % RATE_SETS], *b = rate_find(r, client);
     if (r->per_s <= 0)
         return 0;
-    for (int i = 0; i < RATE_WAYS && !b; i++)
-        if (set[i].client == client && set[i].at_s > 0)
-            b = &set[i];
     if (!b) {
         b = &set[0];
         for (int i = 1; i < RATE_WAYS; i++)

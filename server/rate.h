@@ -14,5 +14,7 @@ enum err_code rate_open(double per_s, double burst_s, struct rate **out, struct 
 void rate_close(struct rate **r);
 /* One more of `client`: 0 when he may, else the seconds until he may (nothing is taken). */
 double rate_take(struct rate *r, uint64_t client, double now_s);
+/* What was just taken came to nothing: it is given back. */
+void rate_give(struct rate *r, uint64_t client);
 
 #endif

@@ -12,6 +12,7 @@
 #include "lod/key.h"
 #include "server/condition.h"
 #include "server/result_id.h"
+#include "server/text.h"
 
 const char RESPONSE_IMMUTABLE[] = "public, max-age=31536000, immutable";
 const char RESPONSE_MOVING[] =
@@ -104,9 +105,11 @@ static void response_send_problem(struct response *out, int status, const char *
     response_free(out);
     buf_printf(&b, "{\"type\":\"about:blank\",\"title\":\"%s\",\"status\":%d,\"detail\":\"",
                response_status_text(status), status);
+    bool utf8 = text_is_utf8(detail); /* a message may be cut within a letter */
     for (const char *p = detail; *p; p++)
         if ((unsigned char)*p >= 0x20)
-            buf_printf(&b, *p == '"' || *p == '\\' ? "\\%c" : "%c", *p);
+            buf_printf(&b, *p == '"' || *p == '\\' ? "\\%c" : "%c",
+                       utf8 || (unsigned char)*p < 0x80 ? *p : '?');
     buf_printf(&b, "\"%s", members);
     if (out->instance) /* it holds no byte that JSON would have to escape */
         buf_printf(&b, ",\"instance\":\"%.*s\"", (int)out->n_instance, out->instance);
@@ -209,9 +212,9 @@ void response_body(const struct request *r, struct body *b, struct response *out
     response_encode(r, b, out);
     out->modified_s = b->modified_s;
     bool read = r->method == METHOD_GET || r->method == METHOD_HEAD;
-    if (condition_none_match(r->if_none_match, out->etag) ||
-        (read && !r->if_none_match &&
-         condition_not_modified(r->if_modified_since, b->modified_s))) {
+    if (read &&
+        (condition_none_match(r->if_none_match, out->etag) ||
+         (!r->if_none_match && condition_not_modified(r->if_modified_since, b->modified_s)))) {
         out->status = 304;
         return;
     }

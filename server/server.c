@@ -198,7 +198,9 @@ struct services *server_services(struct server *sv)
 enum err_code server_reload(struct server *sv, struct err *e)
 {
     struct services *s = &sv->services;
+    struct err own = {0};
     struct catalog *older = services_catalog(s), *newer = NULL;
+    e = e ? e : &own; /* what it says is kept */
     enum err_code rc = catalog_open(sv->paths, sv->n_paths, &sv->stores, older, &newer, e);
     if (rc)
         atomic_fetch_add(&s->metrics.reload_failed, 1);

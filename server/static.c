@@ -90,6 +90,13 @@ static enum err_code static_add_brotli(const char *path, const struct static_fil
     return rc;
 }
 
+/* Vite's names: /assets/NAME-HASH.EXT, 8 of A-Z a-z 0-9 _ -; other files of a folder of one's own change. */
+static bool static_has_hash(const char *url)
+{
+    const char *dot = strrchr(url, '.');
+    return !strncmp(url, "/assets/", 8) && dot && dot - url > 8 + 9 && dot[-9] == '-';
+}
+
 static enum err_code static_add_file(const char *dir, const char *url, int64_t modified_s,
                                      struct static_table *t, size_t *bytes, struct err *e)
 {
@@ -115,7 +122,7 @@ static enum err_code static_add_file(const char *dir, const char *url, int64_t m
     struct static_file f = {
         .path = mem_text(url),
         .type = type < 0 ? "application/octet-stream" : types[type].type,
-        .immutable = !strncmp(url, "/assets/", 8),
+        .immutable = static_has_hash(url),
         .body = body_take(&b, NULL),
     };
     if (!f.path || !f.body) {

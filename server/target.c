@@ -128,7 +128,7 @@ static enum err_code target_take_form(struct text *one, struct target *target, b
         if (target->appearance[0] ||
             !text_take_decoded(one, target->appearance, sizeof target->appearance))
             return err_set(e, ERR_FORMAT,
-                           "appearance is a text of at most %d bytes, percent-encoded, given once",
+                           "appearance is UTF-8 of at most %d bytes, percent-encoded, given once",
                            TARGET_APPEARANCE_MAX - 1);
     } else if (text_take(one, "preset=")) {
         int found = QUANT_PRESETS;

@@ -4,6 +4,7 @@
  */
 #include "server/text.h"
 
+#include <jansson.h>
 #include <string.h>
 
 bool text_take(struct text *t, const char *word)
@@ -89,5 +90,13 @@ bool text_take_decoded(struct text *t, char *out, size_t room)
         out[n++] = c;
     }
     out[n] = '\0';
-    return n > 0;
+    return n > 0 && text_is_utf8(out);
+}
+
+bool text_is_utf8(const char *text)
+{
+    json_t *o = json_string(text); /* NULL for anything else, or without memory */
+    bool is = o != NULL;
+    json_decref(o);
+    return is;
 }

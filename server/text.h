@@ -23,7 +23,9 @@ bool text_take_uint(struct text *t, uint32_t *out);
  * and 12 after. "-0" is 0. */
 bool text_take_fixed(struct text *t, int scale, int64_t *out);
 /* The rest of t, percent-decoded ('+' is a space, as forms write it). False: no text, too long, a
- * broken escape, or a control character. */
+ * broken escape, a control character, or no UTF-8. */
 bool text_take_decoded(struct text *t, char *out, size_t room);
+
+bool text_is_utf8(const char *text);
 
 #endif

@@ -38,6 +38,8 @@ static inline int setup(void **state)
     kit_ok(file_mkdir(path, &e), e);
     kit_ok(file_join(path, t.web, "index.html", &e), e);
     kit_ok(file_write(path, "<!doctype html><title>viewer</title>", 36, &e), e);
+    kit_ok(file_join(path, t.web, "assets/logo-big.svg", &e), e);
+    kit_ok(file_write(path, "<svg/>", 6, &e), e);
     kit_ok(file_join(path, t.web, "assets/index-D3adBeef.js", &e), e);
     char script[2000];
     memset(script, ';', sizeof script);

@@ -662,6 +662,9 @@ static void what_is_no_look_is_a_clear_answer(void **state)
         {METHOD_GET, "/d/lit/appearance?appearance=", NULL, 400, "appearance"},
         {METHOD_GET, "/d/lit/appearance?appearance=%4", NULL, 400, "percent-encoded"},
         {METHOD_GET, "/d/lit/appearance?appearance=%00", NULL, 400, "percent-encoded"},
+        {METHOD_GET, "/d/lit/appearance?appearance=%FF%FE", NULL, 400, "UTF-8"},
+        {METHOD_GET, "/d/lit/appearance?appearance=%C3", NULL, 400, "UTF-8"},
+        {METHOD_GET, "/d/lit/appearance?appearance=p%C3%A9", NULL, 404, "p\u00e9"},
         {METHOD_GET, "/d/lit/appearance?appearance=a&appearance=b", NULL, 400, "once"},
         {METHOD_GET, "/d/lit/appearance?appearance=none", NULL, 400, "of tiles"},
         {METHOD_GET, "/d/lit/tileset.json?appearance=p9.jpg", NULL, 404, "p9.jpg"},
@@ -691,6 +694,20 @@ static void what_is_no_look_is_a_clear_answer(void **state)
     memset(target + n, 'a', TARGET_APPEARANCE_MAX);
     target[n + TARGET_APPEARANCE_MAX] = '\0';
     struct response r = get(target, 400);
+    response_free(&r);
+    response_problem(&r, 400, "cut within a letter: \xc3");
+    json_decref(json_of(&r));
+    response_free(&r);
+    /* conditions are of GET and HEAD: who posts is answered */
+    static const char body[] = "{\"weights\":{\"p1.jpg\":1}}", mix[] = "/d/lit/appearances:mix";
+    const struct request q = {.method = METHOD_POST,
+                              .target = mix,
+                              .target_size = sizeof mix - 1,
+                              .body = body,
+                              .body_size = sizeof body - 1,
+                              .if_none_match = "*"};
+    route_answer(&t.s, &q, &r);
+    assert_int_equal(r.status, 200);
     response_free(&r);
 }
 

@@ -127,6 +127,10 @@ static void test_rates(void **state)
         n++;
     assert_int_equal(n, 50);
     assert_true(fabs(rate_take(r, 1, 100) - 0.2) < 1e-9);
+    rate_give(r, 1); /* one came to nothing */
+    assert_true(rate_take(r, 1, 100) == 0);
+    assert_true(rate_take(r, 1, 100) > 0);
+    rate_give(r, 7);                        /* of whom nothing is known */
     assert_true(rate_take(r, 2, 100) == 0); /* somebody else */
     n = 0;
     for (double at = 100; at < 120; at += 0.01)

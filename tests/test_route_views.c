@@ -237,6 +237,12 @@ static void test_posted_cameras(void **state)
         {"{\"pose\":{\"lon\":13,\"lat\":52,\"height\":1,\"heading\":0,\"pitch\":0},\"width\":64,"
          "\"height\":48,\"depth\":7}",
          422},
+        {"{\"pose\":{\"lon\":13,\"lat\":52,\"height\":1,\"heading\":0,\"pitch\":0},\"width\":64,"
+         "\"height\":48,\"deadline_ms\":15000}",
+         0},
+        {"{\"pose\":{\"lon\":13,\"lat\":52,\"height\":1,\"heading\":0,\"pitch\":0},\"width\":64,"
+         "\"height\":48,\"deadline_ms\":15001}", /* more than --deadline-s */
+         422},
         {"", 400},
         {"{", 400},
         {"[]", 400},
