@@ -137,25 +137,33 @@ static enum err_code auth_read(struct auth *a, json_t *o, const char *path, stru
     return !rc ? auth_read_open(a, json_object_get(o, "public"), path, e) : rc;
 }
 
-enum err_code auth_open(const char *path, struct auth **out, struct err *e)
+enum err_code auth_parse(const char *text, size_t n, const char *name, struct auth **out,
+                         struct err *e)
 {
     struct auth *a = mem_array(1, sizeof *a);
-    struct buf b = {0};
     json_t *o = NULL;
     *out = a;
     if (!a)
         return err_set(e, ERR_MEM, "--auth: out of memory");
-    enum err_code rc = file_read(path, 1 << 20, &b, e);
-    if (!rc)
-        rc = jsonc_parse((const char *)b.data, b.size, path, &o, e);
+    enum err_code rc = jsonc_parse(text, n, name, &o, e);
     if (!rc && !json_is_object(o))
-        rc = err_set(e, ERR_FORMAT, "%s: must be an object", path);
+        rc = err_set(e, ERR_FORMAT, "%s: must be an object", name);
     if (!rc)
-        rc = auth_read(a, o, path, e);
+        rc = auth_read(a, o, name, e);
     json_decref(o);
-    buf_free(&b);
     if (rc)
         auth_close(out);
+    return rc;
+}
+
+enum err_code auth_open(const char *path, struct auth **out, struct err *e)
+{
+    struct buf b = {0};
+    *out = NULL;
+    enum err_code rc = file_read(path, 1 << 20, &b, e);
+    if (!rc)
+        rc = auth_parse((const char *)b.data, b.size, path, out, e);
+    buf_free(&b);
     return rc;
 }
 

@@ -21,6 +21,9 @@ struct auth; /* immutable: any thread */
  * the token", "scope": ["read:NAME", "render:NAME", "admin"]}], "public": ["NAME"]}, where * stands for every
  * dataset. auth_close it. ERR_IO, ERR_NOENT, ERR_FORMAT (says which member), ERR_LIMIT, ERR_MEM. */
 enum err_code auth_open(const char *path, struct auth **out, struct err *e) ERR_USE;
+/* The same of its text[n]; name is for messages. */
+enum err_code auth_parse(const char *text, size_t n, const char *name, struct auth **out,
+                         struct err *e) ERR_USE;
 void auth_close(struct auth **a);
 /* Does it need nothing to be read? */
 bool auth_is_public(const struct auth *a, const char *ds);

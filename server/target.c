@@ -186,22 +186,33 @@ static enum err_code target_parse_form(const char *query, size_t n, struct targe
     return ERR_OK;
 }
 
-/* {z}/{x}/{y}.{ext} */
-static enum err_code target_parse_tile(struct text *t, enum route route, struct target *out,
-                                       struct err *e)
+static bool target_take_place(struct text *t, uint32_t *z, uint32_t *x, uint32_t *y)
 {
-    uint32_t z, x, y;
-    if (!text_take_uint(t, &z) || !text_take(t, "/") || !text_take_uint(t, &x) ||
-        !text_take(t, "/") || !text_take_uint(t, &y) || !text_take(t, ".") ||
-        !target_take_format(t, FORMAT_GLB, FORMAT_SOG, &out->form.format))
-        return err_set(e, ERR_NOENT,
-                       "a tile is z/x/y.ext with ext one of glb, spz, drc, ply, plain.glb, sog");
+    return text_take_uint(t, z) && text_take(t, "/") && text_take_uint(t, x) && text_take(t, "/") &&
+           text_take_uint(t, y);
+}
+
+static enum err_code target_set_key(uint32_t z, uint32_t x, uint32_t y, enum route route,
+                                    struct target *out, struct err *e)
+{
     out->route = route;
     out->key = (struct key){(uint8_t)(z > 255 ? 255 : z), x, y};
     if (!key_valid(out->key))
         return err_set(e, ERR_NOENT, "tile %u/%u/%u does not exist: z <= 24, x and y < 2^z", z, x,
                        y);
     return ERR_OK;
+}
+
+/* {z}/{x}/{y}.{ext} */
+static enum err_code target_parse_tile(struct text *t, enum route route, struct target *out,
+                                       struct err *e)
+{
+    uint32_t z, x, y;
+    if (!target_take_place(t, &z, &x, &y) || !text_take(t, ".") ||
+        !target_take_format(t, FORMAT_GLB, FORMAT_SOG, &out->form.format))
+        return err_set(e, ERR_NOENT,
+                       "a tile is z/x/y.ext with ext one of glb, spz, drc, ply, plain.glb, sog");
+    return target_set_key(z, x, y, route, out, e);
 }
 
 /* {z}/{x}/{y}[@2x].{fmt}: a map; terrain is PNG, since its pixels are numbers. */
@@ -212,20 +223,14 @@ static enum err_code target_parse_map(struct text *t, enum route route, struct t
     bool terrain = target_is_terrain(route);
     enum format first = terrain ? FORMAT_PNG : FORMAT_JPG,
                 last = terrain ? FORMAT_PNG : FORMAT_WEBP;
-    bool ok = text_take_uint(t, &z) && text_take(t, "/") && text_take_uint(t, &x) &&
-              text_take(t, "/") && text_take_uint(t, &y);
+    bool ok = target_take_place(t, &z, &x, &y);
     out->scale = ok && text_take(t, "@2x") ? 2 : 1;
     if (!ok || !text_take(t, ".") || !target_take_format(t, first, last, &out->form.format))
         return err_set(e, ERR_NOENT,
                        terrain ? "a terrain tile is z/x/y.png or z/x/y@2x.png"
                                : "a map tile is z/x/y.ext or z/x/y@2x.ext with ext one of jpg, "
                                  "png, webp");
-    out->route = route;
-    out->key = (struct key){(uint8_t)(z > 255 ? 255 : z), x, y};
-    if (!key_valid(out->key))
-        return err_set(e, ERR_NOENT, "tile %u/%u/%u does not exist: z <= 24, x and y < 2^z", z, x,
-                       y);
-    return ERR_OK;
+    return target_set_key(z, x, y, route, out, e);
 }
 
 /* {w}x{h}[@{s}x].{fmt} */

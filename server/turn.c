@@ -1,5 +1,5 @@
-/* A queue in which clients take turns, so that whoever asks for a thousand things holds up himself. Each
- * client has a list of what he waits for; clients that wait stand in a row by when they last had a
+/* A queue in which clients take turns, so that whoever asks for a thousand things holds up itself. Each
+ * client has a list of what it waits for; clients that wait stand in a row by when they last had a
  * turn. Taking the next and adding are a few pointers; who must give way is looked for in the row.
  *
  * Clients are remembered in a table of sets: the one that had no turn for longest makes room for a
@@ -12,7 +12,7 @@
 enum { TURN_SETS = 512, TURN_WAYS = 4 };
 
 struct turn_client {
-    uint64_t number, served; /* served: turn of his last; 0: none yet */
+    uint64_t number, served; /* served: turn of its last; 0: none yet */
     struct turn_item *newest, *oldest;
     size_t n;
     struct turn_client *earlier, *later; /* in the row, while n > 0 */
@@ -40,7 +40,7 @@ void turn_close(struct turns **q)
     *q = NULL;
 }
 
-/* The place of a client, NULL if he is not known. */
+/* The place of a client, NULL if it is not known. */
 static struct turn_client *turn_known(struct turns *q, uint64_t number)
 {
     struct turn_client *set = q->client[number % TURN_SETS];

@@ -27,7 +27,7 @@ struct turn_item *turn_next(struct turns *q);
  * NULL: the new one does. It is one of whoever has most, the new one counted; of several, of the one
  * who had a turn last. */
 struct turn_item *turn_shed(struct turns *q, uint64_t client);
-/* `client` wants this item as well: it is his from now on if he has fewer than its owner. */
+/* `client` wants this item as well: from now on it counts as its own, if it has fewer than the owner. */
 void turn_join(struct turns *q, struct turn_item *it, uint64_t client);
 uint64_t turn_owner(const struct turn_item *it);
 size_t turn_count(const struct turns *q);

@@ -55,7 +55,7 @@ struct watch {
     struct watch_slot *slot;
     uint32_t n, used, first_free; /* used: slots ever taken; first_free: n = none */
     size_t most, n_open;          /* connections; these by the lock */
-    uint32_t tally[TALLIES];      /* of n_open, by client: an upper bound of his */
+    uint32_t tally[TALLIES];      /* of n_open, by client: an upper bound of its connections */
     int epoll_fd;
     struct pool_thread *thread;
     _Atomic bool stop;
@@ -247,7 +247,7 @@ static void watch_uncount(struct watch *w, struct watch_slot *s)
 }
 
 /* How easily a connection gives way: 0 not at all, else the more the longer it has been idle, or slow.
- * Whoever waits for a job, or is being answered, keeps his place. */
+ * Whoever waits for a job, or is being answered, keeps its place. */
 static uint64_t watch_ease(const struct watch_slot *s, uint64_t now)
 {
     uint64_t since = atomic_load_explicit(&s->since_ms, memory_order_relaxed);
@@ -273,8 +273,8 @@ static bool watch_displace(struct watch *w, bool one_client, uint64_t client)
     struct watch_slot *victim = NULL;
     for (uint32_t i = 0; i < w->used; i++) {
         struct watch_slot *s = &w->slot[i];
-        bool his = one_client ? s->client == client : s->client % TALLIES == client % TALLIES;
-        if (s->fd < 0 || s->displaced || !his)
+        bool own = one_client ? s->client == client : s->client % TALLIES == client % TALLIES;
+        if (s->fd < 0 || s->displaced || !own)
             continue;
         uint64_t ease = watch_ease(s, now);
         if (ease > most) {

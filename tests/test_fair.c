@@ -71,7 +71,7 @@ static void test_who_gives_way(void **state)
         assert_ptr_equal(turn_shed(q, 2),
                          &x[newest ? 0 : 2].place); /* 2 has two with the new one */
         assert_ptr_equal(turn_shed(q, 3), &x[newest ? 0 : 2].place);
-        assert_ptr_equal(turn_shed(q, 1), newest ? &x[0].place : NULL); /* his own */
+        assert_ptr_equal(turn_shed(q, 1), newest ? &x[0].place : NULL); /* its own */
         turn_join(q, &x[2].place, 3); /* the third wants what the first waits for */
         assert_int_equal(turn_owner(&x[2].place), 3);
         turn_join(q, &x[3].place, 1);
@@ -154,7 +154,7 @@ static void test_addresses(void **state)
         const char *peer, *forwarded /* '|' between fields */, *client;
     } rows[] = {
         {"127.0.0.1", "9.9.9.9", "9.9.9.9"},
-        {"127.0.0.1", "1.1.1.1, 9.9.9.9", "9.9.9.9"},  /* what the client wrote himself is before */
+        {"127.0.0.1", "1.1.1.1, 9.9.9.9", "9.9.9.9"},  /* what the client wrote itself is before */
         {"127.0.0.1", "9.9.9.9, 10.3.4.5", "9.9.9.9"}, /* two proxies */
         {"127.0.0.1", "9.9.9.9:5000", "9.9.9.9"},
         {"127.0.0.1", "[2001:db8::1]:80,fd00::3", "2001:db8::1"},

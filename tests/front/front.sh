@@ -36,6 +36,7 @@ at_most() { [ "${1:-0}" -le "$2" ] || { echo "  is '$1', want at most $2"; retur
 serve() { # NUMBER PORT [OPTIONS]: starts a server; its port (0: any) in ports[NUMBER], its log in NUMBER.log
     local i=$1 port=$2 k
     shift 2
+    : >"$work/$i.out"
     "$bin" serve "$work/toy.tiles" --port "$port" --device none --trusted-proxy 127.0.0.1 "$@" \
         >"$work/$i.out" 2>>"$work/$i.log" &
     pids[i]=$!

@@ -138,5 +138,7 @@ bool fuzz_seed(const char *target, size_t i, struct buf *out)
             buf_u8(out, k % 4 == 3 && k % 32 < 24 ? 0x3f : (unsigned)rng_u64(9, i, k) & 127);
         return !out->failed;
     }
+    if (fuzz_seed_serve(target, i, out))
+        return true;
     return gauss_seed(target, i, out) == ERR_OK;
 }
