@@ -140,7 +140,8 @@ static enum err_code tile_large_time(struct bench *b, const struct gauss *g, str
     struct pyramid_report report;
     enum err_code rc = file_join(path, bench_tmpdir(b), "large.tiles", e);
     bool own_peak = mem_peak_reset();
-    size_t before = own_peak ? mem_peak_bytes() : 0; /* the city itself, and what cases before left */
+    size_t before =
+        own_peak ? mem_peak_bytes() : 0; /* the city itself, and what cases before left */
     double wall = clock_s(), cpu = clock_cpu_s(), n = (double)(LARGE_COPIES * g->n);
     if (!rc)
         rc = pyramid_build(&origin, &level, 1, &cfg, NULL, 0, path, &report, e);
