@@ -124,16 +124,38 @@ static json_t *info_appearance(const struct appearance *a)
              : json_false();
 }
 
+struct info_blobs { /* of a store */
+    json_t *others;
+    size_t photographs, thumbnails;
+};
+
+static enum err_code info_count_blobs(struct store *s, struct info_blobs *out, struct err *e)
+{
+    struct arena a = {0};
+    char **names = NULL;
+    size_t n = 0;
+    enum err_code rc = store_list_blobs(s, &a, &names, &n, e);
+    *out = (struct info_blobs){.others = json_array()};
+    for (size_t i = 0; !rc && i < n; i++) {
+        if (!photograph_is_blob(names[i]))
+            json_array_append_new(out->others, json_string(names[i]));
+        else if (!strncmp(names[i], PHOTOGRAPH_BLOB, strlen(PHOTOGRAPH_BLOB)))
+            out->photographs++;
+        else
+            out->thumbnails++;
+    }
+    arena_free(&a);
+    return rc;
+}
+
 static enum err_code info_store(const char *path, bool tiles, json_t *o, struct err *e)
 {
     struct store *s;
-    struct arena a = {0};
     enum err_code rc = store_open(path, &s, e);
     if (rc)
         return rc;
     const struct store_meta *m = store_info(s);
-    size_t n, n_blobs = 0;
-    char **names = NULL;
+    size_t n;
     const struct store_tile *t = store_tiles(s, &n);
     uint64_t bytes = 0, leaves = 0;
     for (size_t i = 0; i < n; i++) {
@@ -142,18 +164,9 @@ static enum err_code info_store(const char *path, bool tiles, json_t *o, struct 
     }
     const struct appearance *appearance = NULL;
     rc = bake_of(s, &appearance, e);
+    struct info_blobs blobs = {0};
     if (!rc)
-        rc = store_list_blobs(s, &a, &names, &n_blobs, e);
-    json_t *blobs = json_array();
-    size_t n_photographs = 0, n_thumbnails = 0;
-    for (size_t i = 0; i < n_blobs; i++) {
-        if (!photograph_is_blob(names[i]))
-            json_array_append_new(blobs, json_string(names[i]));
-        else if (!strncmp(names[i], PHOTOGRAPH_BLOB, strlen(PHOTOGRAPH_BLOB)))
-            n_photographs++;
-        else
-            n_thumbnails++;
-    }
+        rc = info_count_blobs(s, &blobs, e);
     const struct {
         const char *key;
         json_t *value;
@@ -173,9 +186,9 @@ static enum err_code info_store(const char *path, bool tiles, json_t *o, struct 
         {"gaussians", json_integer((json_int_t)leaves)},
         {"payload_bytes", json_integer((json_int_t)bytes)},
         {"zooms", info_zooms(t, n)},
-        {"blobs", blobs},
-        {"photographs", json_integer((json_int_t)n_photographs)},
-        {"thumbnails", json_integer((json_int_t)n_thumbnails)},
+        {"blobs", blobs.others},
+        {"photographs", json_integer((json_int_t)blobs.photographs)},
+        {"thumbnails", json_integer((json_int_t)blobs.thumbnails)},
         {"appearance", info_appearance(appearance)},
     };
     for (size_t i = 0; i < sizeof members / sizeof *members; i++) {
@@ -190,7 +203,6 @@ static enum err_code info_store(const char *path, bool tiles, json_t *o, struct 
     }
     if (!rc && tiles)
         rc = info_set(o, "tiles", info_tiles(s), e);
-    arena_free(&a);
     store_close(&s);
     return rc;
 }

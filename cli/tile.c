@@ -577,12 +577,10 @@ static enum err_code tile_blobs(const struct photographs *photographs, const str
     return ERR_OK;
 }
 
-static enum err_code tile_run(const char *dir, const struct tile_options *o, struct err *e)
+/* Levels, blobs and the store of a scene that was looked at. */
+static enum err_code tile_build(struct tile_scene *s, const struct scene *scene,
+                                const struct tile_options *o, struct err *e)
 {
-    atomic_size_t cropped = 0;
-    struct tile_scene s = {
-        .dir = dir, .trained = o->trained ? o->trained : dir, .cropped = &cropped};
-    struct scene scene = {0};
     struct tile_level level[TILE_LEVELS_MAX] = {{0}};
     struct pyramid_level levels[TILE_LEVELS_MAX] = {{0}};
     struct pyramid_config cfg = {.tile_edge_m = o->tile_edge_m,
@@ -591,6 +589,51 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
     struct pyramid_report report;
     struct photographs photographs = {0};
     struct buf appearance = {0}, ground = {0}, clip = {0};
+    struct store_blob *blobs = NULL;
+    size_t n_blobs = 0;
+    enum err_code rc = tile_describe(o, scene, &cfg, e);
+    for (uint8_t i = 0; !rc && i < s->n_levels; i++) {
+        rc = tile_open_level(s, (uint8_t)(i + 1), &level[i], e);
+        levels[i] = (struct pyramid_level){
+            .level = level[i].level,
+            .load = tile_load,
+            .user = &level[i],
+            .n_parts = level[i].first ? level[i].first[level[i].n_files] : 0};
+    }
+    if (!rc)
+        rc = tile_make_appearance(s, &level[s->n_levels - 1], &appearance, e);
+    if (!rc && s->footprint.nx)
+        rc = footprint_write(&s->footprint, &scene->origin, &ground, e);
+    if (!rc && s->clip.n)
+        rc = clip_describe(&s->clip, NULL, &clip, e);
+    if (!rc && appearance.size)
+        rc = tile_photographs(scene, &appearance, o->thumbnails, &photographs, e);
+    if (!rc)
+        rc = tile_blobs(&photographs, &appearance, &ground, &clip, &blobs, &n_blobs, e);
+    if (!rc)
+        rc = pyramid_build(&scene->origin, levels, s->n_levels, &cfg, blobs, n_blobs, o->output,
+                           &report, e);
+    if (!rc)
+        tile_print(o->output, &report);
+    if (!rc && photographs.thumbnail_bytes)
+        printf("thumbnails %10zu photographs, %zu kB\n", photographs.n,
+               photographs.thumbnail_bytes / 1000);
+    mem_free(blobs);
+    for (uint8_t i = 0; i < TILE_LEVELS_MAX; i++)
+        tile_close_level(&level[i]);
+    photographs_free(&photographs);
+    buf_free(&appearance);
+    buf_free(&ground);
+    buf_free(&clip);
+    return rc;
+}
+
+static enum err_code tile_run(const char *dir, const struct tile_options *o, struct err *e)
+{
+    atomic_size_t cropped = 0;
+    struct tile_scene s = {
+        .dir = dir, .trained = o->trained ? o->trained : dir, .cropped = &cropped};
+    struct scene scene = {0};
     enum err_code rc = scene_read(dir, &scene, e);
     s.origin = scene.origin;
     if (!rc)
@@ -604,52 +647,17 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
         rc = tile_find_cells(&s, e);
     if (!rc)
         rc = tile_match_plan(&s, &scene, e);
-    if (!rc && o->update)
+    if (!rc && o->update) {
         rc = tile_update(&s, o, e);
-    if (rc || o->update)
-        goto out;
-    tile_warn_missing(&s);
-    rc = tile_describe(o, &scene, &cfg, e);
-    for (uint8_t i = 0; !rc && i < s.n_levels; i++) {
-        rc = tile_open_level(&s, (uint8_t)(i + 1), &level[i], e);
-        levels[i] = (struct pyramid_level){
-            .level = level[i].level,
-            .load = tile_load,
-            .user = &level[i],
-            .n_parts = level[i].first ? level[i].first[level[i].n_files] : 0};
+    } else if (!rc) {
+        tile_warn_missing(&s);
+        rc = tile_build(&s, &scene, o, e);
+        if (!rc && s.footprint.nx)
+            printf(
+                "cropped    %10zu Gaussians of all levels, outside of what the photographs support "
+                "(--crop)\n",
+                atomic_load(&cropped));
     }
-    if (!rc)
-        rc = tile_make_appearance(&s, &level[s.n_levels - 1], &appearance, e);
-    if (!rc && s.footprint.nx)
-        rc = footprint_write(&s.footprint, &scene.origin, &ground, e);
-    if (!rc && s.clip.n)
-        rc = clip_describe(&s.clip, NULL, &clip, e);
-    if (!rc && appearance.size)
-        rc = tile_photographs(&scene, &appearance, o->thumbnails, &photographs, e);
-    struct store_blob *blobs = NULL;
-    size_t n_blobs = 0;
-    if (!rc)
-        rc = tile_blobs(&photographs, &appearance, &ground, &clip, &blobs, &n_blobs, e);
-    if (!rc)
-        rc = pyramid_build(&scene.origin, levels, s.n_levels, &cfg, blobs, n_blobs, o->output,
-                           &report, e);
-    mem_free(blobs);
-    if (!rc)
-        tile_print(o->output, &report);
-    if (!rc && photographs.thumbnail_bytes)
-        printf("thumbnails %10zu photographs, %zu kB\n", photographs.n,
-               photographs.thumbnail_bytes / 1000);
-    if (!rc && s.footprint.nx)
-        printf("cropped    %10zu Gaussians of all levels, outside of what the photographs support "
-               "(--crop)\n",
-               atomic_load(&cropped));
-out:
-    for (uint8_t i = 0; i < TILE_LEVELS_MAX; i++)
-        tile_close_level(&level[i]);
-    photographs_free(&photographs);
-    buf_free(&appearance);
-    buf_free(&ground);
-    buf_free(&clip);
     clip_free(&s.clip);
     buf_free(&s.appearance);
     footprint_free(&s.footprint);

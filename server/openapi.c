@@ -28,7 +28,8 @@ enum {
     OPENAPI_BBOX = 8,
     OPENAPI_VIEW = 16, /* background, depth */
     OPENAPI_ENCODING = 32,
-    OPENAPI_PLACE = 64 /* lon, lat */
+    OPENAPI_PLACE = 64, /* lon, lat */
+    OPENAPI_TINT = 128  /* appearance of tiles, which may be none */
 };
 static const struct openapi_answer {
     const char *media, *schema; /* media NULL: a redirect; schema NULL: Document */
@@ -45,17 +46,15 @@ static const struct openapi_answer {
     [ROUTE_TILEJSON] = {.media = "application/json", .schema = "TileJSON"},
     [ROUTE_TILESET_MOVING] = {.media = "application/json",
                               .schema = "Tileset",
-                              .query = OPENAPI_APPEARANCE | OPENAPI_PRESET},
+                              .query = OPENAPI_TINT | OPENAPI_PRESET},
     [ROUTE_TILESET] = {.media = "application/json",
                        .schema = "Tileset",
-                       .query = OPENAPI_APPEARANCE | OPENAPI_PRESET},
+                       .query = OPENAPI_TINT | OPENAPI_PRESET},
     [ROUTE_TILE] = {.media = "model/gltf-binary",
                     .schema = "Bytes",
-                    .query = OPENAPI_APPEARANCE | OPENAPI_PRESET,
+                    .query = OPENAPI_TINT | OPENAPI_PRESET,
                     .more = {"application/octet-stream"}},
-    [ROUTE_TILE_MOVING] = {.media = NULL,
-                           .schema = NULL,
-                           .query = OPENAPI_APPEARANCE | OPENAPI_PRESET},
+    [ROUTE_TILE_MOVING] = {.media = NULL, .schema = NULL, .query = OPENAPI_TINT | OPENAPI_PRESET},
     [ROUTE_VIEW] = {.media = "image/jpeg",
                     .schema = "Bytes",
                     .query = OPENAPI_APPEARANCE | OPENAPI_VIEW,
@@ -75,7 +74,7 @@ static const struct openapi_answer {
     [ROUTE_MOTION] = {.media = "multipart/x-mixed-replace", .schema = "Bytes"},
     [ROUTE_SEED] = {.media = "application/x-ndjson",
                     .schema = "SeedLine",
-                    .query = OPENAPI_APPEARANCE | OPENAPI_PRESET | OPENAPI_SEED},
+                    .query = OPENAPI_TINT | OPENAPI_PRESET | OPENAPI_SEED},
     [ROUTE_MAP] = {.media = "image/webp",
                    .schema = "Bytes",
                    .query = OPENAPI_APPEARANCE,
@@ -163,6 +162,11 @@ static const struct {
     {OPENAPI_APPEARANCE,
      {"appearance", OPENAPI_TEXT,
       "a photograph, NAME:WEIGHT,NAME:WEIGHT, or =BASE64 of an embedding"}},
+    {OPENAPI_TINT,
+     {"appearance", OPENAPI_TEXT,
+      "a photograph, NAME:WEIGHT,NAME:WEIGHT, =BASE64 of an embedding, or none: colours as they "
+      "were "
+      "trained, for clients that compute appearances themselves"}},
 };
 
 /* A schema's text to JSON. */

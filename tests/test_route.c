@@ -199,6 +199,35 @@ static void test_api_lists_the_routes(void **state)
     response_free(&r);
 }
 
+/* What /api says of ?appearance=: tiles, tilesets and lists of them may have none, pictures not. */
+static void test_api_knows_no_appearance(void **state)
+{
+    struct response r = get("/api");
+    json_t *o = json_of(&r), *methods;
+    const char *path;
+    int with = 0, without = 0;
+    (void)state;
+    json_object_foreach(json_object_get(o, "paths"), path, methods)
+    {
+        const json_t *list = json_object_get(json_object_get(methods, "get"), "parameters");
+        for (size_t i = 0; i < json_array_size(list); i++) {
+            const json_t *p = json_array_get(list, i);
+            const char *about = json_string_value(json_object_get(p, "description"));
+            if (strcmp(json_string_value(json_object_get(p, "name")), "appearance") != 0)
+                continue;
+            bool none = about && strstr(about, "none"),
+                 tiles = strstr(path, "/t/") || strstr(path, "tileset") || strstr(path, "seed");
+            if (none != tiles)
+                fail_msg("%s: appearance is '%s'", path, about ? about : "");
+            with += none;
+            without += !none;
+        }
+    }
+    assert_true(with >= 5 && without >= 3);
+    json_decref(o);
+    response_free(&r);
+}
+
 static void test_tileset_uris(void **state)
 {
     char want[128];
@@ -627,6 +656,7 @@ int main(void)
         cmocka_unit_test(test_collections_in_a_box),
         cmocka_unit_test(test_links_lead_somewhere),
         cmocka_unit_test(test_api_lists_the_routes),
+        cmocka_unit_test(test_api_knows_no_appearance),
         cmocka_unit_test(test_tileset_uris),
         cmocka_unit_test(test_refusals),
         cmocka_unit_test(test_instances),

@@ -34,7 +34,7 @@ slow() { while [ $SECONDS -lt $end ]; do curl -s -o /dev/null --limit-rate 60k -
 nonsense() {
     while [ $SECONDS -lt $end ]; do
         { head -c $((RANDOM % 400)) /dev/urandom; printf '\r\n\r\n'; } | timeout 1 bash -c "cat >/dev/tcp/127.0.0.1/$port" 2>/dev/null
-        curl -s -o /dev/null --max-time 5 "$url/d/toy/t/99/1/1.glb" "$url/%00" "$url/collections?bbox=1"
+        curl -s --max-time 5 "$url/d/toy/t/99/1/1.glb" "$url/%00" "$url/collections?bbox=1" >/dev/null
         sleep 0.2
     done
 }
