@@ -13,9 +13,8 @@
 
 enum { MAP_WIDTH_PX = 520, MAP_CAMERAS_MAX = 3000, MAP_SAMPLES = 100000 };
 
-static const uint8_t view_colors[REPORT_VIEWS][3] = {{255, 255, 255}, {215, 48, 39},
-                                                     {253, 174, 97},  {255, 240, 150},
-                                                     {145, 207, 96},  {26, 152, 80}};
+static const uint8_t view_colors[REPORT_VIEWS][3] = {
+    {255, 255, 255}, {215, 48, 39}, {253, 174, 97}, {255, 240, 150}, {145, 207, 96}, {26, 152, 80}};
 static const char *const view_names[REPORT_VIEWS] = {"none",   "1",      "2",
                                                      "3 to 4", "5 to 9", "10 and more"};
 /* From fine to coarse; and of heights, from low to high. Light and dark as well, for grey print. */
@@ -31,6 +30,14 @@ static void report_ramp(double t, uint8_t rgb[3])
 }
 
 /* ---- the ground ---- */
+
+static void report_widen(double box[4], double east_m, double north_m)
+{
+    box[0] = fmin(box[0], east_m);
+    box[1] = fmin(box[1], north_m);
+    box[2] = fmax(box[2], east_m);
+    box[3] = fmax(box[3], north_m);
+}
 
 static size_t report_class(size_t views)
 {
@@ -62,7 +69,8 @@ enum err_code report_ground_of(const struct scene *s, const struct footprint *f,
     *out = (struct report_ground){.footprint = f,
                                   .gsd_m_low = (double)NAN,
                                   .gsd_m_median = (double)NAN,
-                                  .gsd_m_high = (double)NAN};
+                                  .gsd_m_high = (double)NAN,
+                                  .box_m = {HUGE_VAL, HUGE_VAL, -HUGE_VAL, -HUGE_VAL}};
     out->gsd_m = mem_array(n, sizeof *out->gsd_m);
     if (!sorted || !out->gsd_m) {
         mem_free(sorted);
@@ -74,6 +82,8 @@ enum err_code report_ground_of(const struct scene *s, const struct footprint *f,
                               f->corner_m[1] + ((double)(i / f->nx) + 0.5) * f->cell_m,
                               (double)f->ground_m[i]};
         out->gsd_m[i] = f->views[i] ? (float)report_gsd_at(s, at) : NAN;
+        if (f->views[i])
+            report_widen(out->box_m, at[0], at[1]);
         if (!f->inside[i])
             continue;
         inside++;
@@ -83,6 +93,11 @@ enum err_code report_ground_of(const struct scene *s, const struct footprint *f,
     }
     for (size_t k = 0; inside && k < REPORT_VIEWS; k++)
         out->share[k] /= (double)inside;
+    for (size_t i = 0; i < s->n_images; i++) {
+        double c[3];
+        camera_center(&s->images[i].cam, c);
+        report_widen(out->box_m, c[0], c[1]);
+    }
     out->area_m2 = (double)inside * f->cell_m * f->cell_m;
     if (known) {
         sort_doubles(sorted, known);
@@ -107,8 +122,7 @@ static void report_base64(const struct buf *b, struct buf *out)
     static const char digit[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     for (size_t i = 0; i < b->size; i += 3) {
         size_t left = b->size - i;
-        uint32_t v = (uint32_t)b->data[i] << 16 |
-                     (left > 1 ? (uint32_t)b->data[i + 1] << 8 : 0) |
+        uint32_t v = (uint32_t)b->data[i] << 16 | (left > 1 ? (uint32_t)b->data[i + 1] << 8 : 0) |
                      (left > 2 ? (uint32_t)b->data[i + 2] : 0);
         buf_u8(out, (uint8_t)digit[v >> 18]);
         buf_u8(out, (uint8_t)digit[v >> 12 & 63]);
@@ -155,12 +169,15 @@ static double report_y(const struct report_frame *m, double north_m)
     return m->h - (north_m - m->corner_m[1]) * m->px_per_m;
 }
 
-static struct report_frame report_frame_of(const struct footprint *f)
+static struct report_frame report_frame_of(const struct report_ground *g)
 {
-    struct report_frame m = {{f->corner_m[0], f->corner_m[1]},
-                             MAP_WIDTH_PX / ((double)f->nx * f->cell_m), MAP_WIDTH_PX, 0};
-    m.h = (double)f->ny * f->cell_m * m.px_per_m;
-    return m;
+    const double *b = g->box_m;
+    double margin = 0.04 * fmax(b[2] - b[0], b[3] - b[1]) + g->footprint->cell_m,
+           wide = b[2] - b[0] + 2 * margin, high = b[3] - b[1] + 2 * margin;
+    return (struct report_frame){{b[0] - margin, b[1] - margin},
+                                 MAP_WIDTH_PX / wide,
+                                 MAP_WIDTH_PX,
+                                 MAP_WIDTH_PX * high / wide};
 }
 
 /* The grid as a picture; paint gives a cell's colour, false leaves it white. */
@@ -169,7 +186,7 @@ static enum err_code report_grid(const struct report_ground *g,
                                  struct buf *out, struct err *e)
 {
     const struct footprint *f = g->footprint;
-    struct report_frame m = report_frame_of(f);
+    struct report_frame m = report_frame_of(g);
     struct image img = {0};
     enum err_code rc = image_alloc((uint32_t)f->nx, (uint32_t)f->ny, 3, &img, e);
     for (size_t i = 0; !rc && i < f->nx * f->ny; i++) {
@@ -178,10 +195,12 @@ static enum err_code report_grid(const struct report_ground *g,
             memset(px, 255, 3);
     }
     buf_printf(out,
-               "<svg class=\"map\" viewBox=\"0 0 %.0f %.0f\"><image width=\"%.2f\" "
-               "height=\"%.2f\" preserveAspectRatio=\"none\" style=\"image-rendering:pixelated\" "
-               "href=\"",
-               m.w, m.h, m.w, m.h);
+               "<svg class=\"map\" viewBox=\"0 0 %.0f %.0f\"><image x=\"%.2f\" y=\"%.2f\" "
+               "width=\"%.2f\" height=\"%.2f\" preserveAspectRatio=\"none\" "
+               "style=\"image-rendering:pixelated\" href=\"",
+               m.w, m.h, report_x(&m, f->corner_m[0]),
+               report_y(&m, f->corner_m[1] + (double)f->ny * f->cell_m),
+               (double)f->nx * f->cell_m * m.px_per_m, (double)f->ny * f->cell_m * m.px_per_m);
     if (!rc)
         rc = report_data(&img, "png", out, e);
     buf_printf(out, "\"/>\n");
@@ -193,15 +212,18 @@ static enum err_code report_grid(const struct report_ground *g,
 static void report_finish(const struct report_ground *g, struct buf *out)
 {
     const struct footprint *f = g->footprint;
-    struct report_frame m = report_frame_of(f);
+    struct report_frame m = report_frame_of(g);
     double cell = f->cell_m * m.px_per_m, wide = 0.25 * m.w / m.px_per_m,
            ten = pow(10, floor(log10(wide))),
-           bar = ten * (wide / ten >= 5 ? 5 : wide / ten >= 2 ? 2 : 1);
+           bar = ten * (wide / ten >= 5   ? 5
+                        : wide / ten >= 2 ? 2
+                                          : 1);
     buf_printf(out, "<path fill=\"none\" stroke=\"#222\" stroke-width=\"1\" d=\"");
     for (size_t y = 0; y < f->ny; y++)
         for (size_t x = 0; x < f->nx; x++) {
             size_t i = y * f->nx + x;
-            double left = (double)x * cell, top = m.h - (double)(y + 1) * cell;
+            double left = report_x(&m, f->corner_m[0] + (double)x * f->cell_m),
+                   top = report_y(&m, f->corner_m[1] + (double)(y + 1) * f->cell_m);
             bool in = f->inside[i];
             if (in != (x > 0 && f->inside[i - 1]))
                 buf_printf(out, "M%.1f %.1fv%.1f", left, top, cell);
@@ -216,7 +238,7 @@ static void report_finish(const struct report_ground *g, struct buf *out)
 
 static void report_cameras(const struct scene *s, const struct report_ground *g, struct buf *out)
 {
-    struct report_frame m = report_frame_of(g->footprint);
+    struct report_frame m = report_frame_of(g);
     size_t step = s->n_images / MAP_CAMERAS_MAX + 1;
     for (size_t i = 0; i < s->n_images; i += step) {
         double c[3];
@@ -292,7 +314,7 @@ static bool report_paint_ground(const struct report_ground *g, size_t i, uint8_t
 /* A round number that makes the arrow of this length about a tenth of the map. */
 static double report_times(const struct report_ground *g, double usual_m)
 {
-    double wish = 0.06 * (double)g->footprint->nx * g->footprint->cell_m / usual_m, ten;
+    double wish = 0.06 * (g->box_m[2] - g->box_m[0]) / usual_m, ten;
     if (!(usual_m > 1e-6) || !(wish > 1))
         return 1;
     ten = pow(10, floor(log10(wish)));
@@ -302,7 +324,7 @@ static double report_times(const struct report_ground *g, double usual_m)
 enum err_code report_map_residuals(const struct scene *s, const struct report_ground *g,
                                    struct buf *out, struct err *e)
 {
-    struct report_frame m = report_frame_of(g->footprint);
+    struct report_frame m = report_frame_of(g);
     double *length = mem_array(s->n_images + 1, sizeof *length);
     size_t n = 0, step = s->n_images / MAP_CAMERAS_MAX + 1;
     enum err_code rc = length ? ERR_OK : err_set(e, ERR_MEM, "report: out of memory");

@@ -9,14 +9,18 @@
 #include "codec/image.h"
 #include "codec/scene.h"
 
-enum { REPORT_VIEWS = 6 /* classes of coverage: 0, 1, 2, 3 to 4, 5 to 9, 10 and more photographs */ };
+enum {
+    REPORT_VIEWS = 6 /* classes of coverage: 0, 1, 2, 3 to 4, 5 to 9, 10 and more photographs */
+};
 
-struct report_ground { /* per cell of the footprint's grid; report_ground_free */
+struct report_ground {                 /* per cell of the footprint's grid; report_ground_free */
     const struct footprint *footprint; /* borrowed */
     float *gsd_m;                      /* [ny][nx] of the nearest photograph that shows it; NAN */
     double gsd_m_low, gsd_m_median, gsd_m_high; /* 5, 50 and 95 % of what is inside; NAN: none */
-    double share[REPORT_VIEWS];        /* of the ground inside by class of coverage */
+    double share[REPORT_VIEWS];                 /* of the ground inside by class of coverage */
     double area_m2;
+    double
+        box_m[4]; /* ENU: west, south, east, north of what photographs show, and of the cameras */
 };
 /* ERR_MEM. */
 enum err_code report_ground_of(const struct scene *s, const struct footprint *f,

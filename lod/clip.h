@@ -61,7 +61,8 @@ enum err_code clip_store(const struct clip *c, const char *path, const char *nam
                          const char *out_path, struct clip_report *report, struct err *e) ERR_USE;
 
 /* The same for the time that it is open: an unnamed file in the folder dir (NULL: TMPDIR, or /tmp), gone
- * with its descriptor *fd, which the caller closes (store_open_fd). Errors as clip_store. */
+ * with its descriptor *fd, which the caller closes (store_open_fd). Errors as clip_store: ERR_DATA,
+ * ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM, ERR_CANCEL. */
 enum err_code clip_open_part(const struct clip *c, const char *path, const char *dir, int *fd,
                              struct clip_report *report, struct err *e) ERR_USE;
 

@@ -352,6 +352,40 @@ static void control_points_mend_gps(void **state)
     gcp_free(&l);
 }
 
+/* The report of that survey, as people read it: one file that needs no other. */
+static void the_report_tells_them(void **state)
+{
+    static const char *const wants[] = {"photographs used</td><td>32 of 32",
+                                        "check points, RMSE in plan",
+                                        "<td>p7</td><td>check</td>",
+                                        "<td>p0</td><td>control</td>",
+                                        "Coverage",
+                                        "data:image/png;base64,iVBOR",
+                                        "GPS minus camera",
+                                        "fitted to ground control points",
+                                        "A &lt;b&gt; &amp; c"};
+    static const char *const never[] = {"<script", "http:", "https:", "nan"};
+    struct buf out = {0};
+    (void)state;
+    assert_int_equal(
+        kit_run(&out,
+                "cd '%s' && '%s' report -q noisy-gcp -o report.html --title 'A <b> & c' "
+                "&& cat report.html",
+                tmp, kit_program()),
+        0);
+    for (size_t i = 0; i < sizeof wants / sizeof *wants; i++)
+        kit_expect_text((const char *)out.data, wants[i], __FILE__, __LINE__);
+    for (size_t i = 0; i < sizeof never / sizeof *never; i++)
+        if (strstr((const char *)out.data, never[i]))
+            fail_msg("the report has %s", never[i]);
+    buf_free(&out);
+    assert_int_equal(kit_run(&out, "cd '%s' && '%s' report -q . -o x.html", tmp, kit_program()), 1);
+    kit_expect_text((const char *)out.data, "scene.json", __FILE__, __LINE__);
+    buf_free(&out);
+    assert_int_equal(kit_run(&out, "cd '%s' && '%s' report -q noisy-gcp", tmp, kit_program()), 2);
+    buf_free(&out);
+}
+
 static void csv_is_read(void **state)
 {
     struct err e = {0};
@@ -534,6 +568,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(control_points_place_the_scene),
         cmocka_unit_test(control_points_mend_gps),
+        cmocka_unit_test(the_report_tells_them),
         cmocka_unit_test(one_photograph_and_two_points_do),
         cmocka_unit_test(a_wrong_pose_turns_nothing_over),
         cmocka_unit_test(csv_is_read),
