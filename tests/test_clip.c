@@ -315,10 +315,8 @@ static void the_program_clips(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(what_lies_inside_is_kept),
-        cmocka_unit_test(a_part_has_its_own_date),
-        cmocka_unit_test(maps_end_at_the_cut),
-        cmocka_unit_test(nonsense_is_refused),
+        cmocka_unit_test(what_lies_inside_is_kept), cmocka_unit_test(a_part_has_its_own_date),
+        cmocka_unit_test(maps_end_at_the_cut),      cmocka_unit_test(nonsense_is_refused),
         cmocka_unit_test(the_program_clips),
     };
     return cmocka_run_group_tests_name("clip", tests, setup, survey_teardown);
