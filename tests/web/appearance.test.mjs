@@ -198,6 +198,52 @@ test("a change asks for nothing and never shows a gap", skip, async (t) => {
     assert.deepEqual(tiles, [], "asked for on a change");
 });
 
+test("where frames take long an appearance shows roughly at once, and exactly when it rests", skip, async (t) => {
+    await wear(names[0]);
+    // As on a machine that draws slowly, whatever this one does.
+    const slow = (ms) => page.evaluate((v) => (window.citysplat.viewer.frameMs = v), ms);
+    await slow(1000);
+    await page.evaluate(() => {
+        const { viewer } = window.citysplat;
+        document.documentElement.dataset.ui = "off";
+        viewer.backdrop = false;
+    });
+    await waitForViewer(page);
+    await slow(1000);
+    await page.evaluate(() => (window.citysplat.viewer.backdrop = false)); // a frame that is kept
+    await waitForViewer(page);
+    const old = decodePng(await page.screenshot());
+    asked.length = 0;
+    const seen = await page.evaluate(async (names) => {
+        const { viewer } = window.citysplat;
+        const out = [];
+        let last = "";
+        viewer.on("preview", (name) => (last = name));
+        viewer.on("appearance", (name) => out.push(["exact", name]));
+        for (const name of names) {
+            await viewer.setAppearance(name);
+            out.push(["rough", last, viewer.state.ready, viewer.state.appearance]);
+        }
+        return { out, png: viewer.canvas.toDataURL("image/png") };
+    }, [names[3], names[5]]);
+    assert.deepEqual(seen.out, [
+        ["rough", names[3], false, names[0]],
+        ["rough", names[5], false, names[0]],
+    ]);
+    const rough = decodePng(Buffer.from(seen.png.split(",")[1], "base64"));
+    await waitForViewer(page);
+    assert.equal((await state()).appearance, names[5]);
+    const exact = decodePng(await page.screenshot());
+    await page.evaluate(() => {
+        document.documentElement.dataset.ui = "on";
+        window.citysplat.viewer.backdrop = true;
+    });
+    const [near, far] = [rmsDifference(rough, exact), rmsDifference(old, exact)];
+    t.diagnostic(`the rough picture is ${near.toFixed(2)} from the exact one, the old one ${far.toFixed(2)}`);
+    assert.ok(near < 0.6 * far, `${near} of ${far}`);
+    assert.deepEqual(asked.filter((url) => /\/t\/|tileset|appearance/.test(url)), []);
+});
+
 test("the picture is that of tiles which the server baked", skip, async (t) => {
     const baked = await openPage(`${source.url}/?scene=${NAME}&colours=server`, SIZE);
     try {

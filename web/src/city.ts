@@ -21,6 +21,7 @@ import type { Frame } from "./geo";
 import type { Link } from "./link";
 import type { Network } from "./network";
 import type { Overlay } from "./overlay";
+import { Preview } from "./preview";
 import type { SceneInfo } from "./source";
 import { CityTiles, type Broken, type CityTile } from "./tiles";
 import { Tint } from "./tint";
@@ -43,6 +44,8 @@ export class City {
   over: Overlay | null = null; // lines over the city
   split: number | null = null; // from this part of the width on, the second appearance
   private readonly lines = new Scene();
+  private readonly preview: Preview;
+  keepPicture = false; // frames take long: whole ones are kept, to show appearances from
   onWake: () => void = () => {};
   onCore: (core: Box3) => void = () => {}; // where most Gaussians of the scene are
   onContext: (lost: boolean) => void = () => {};
@@ -69,6 +72,7 @@ export class City {
     this.renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: "high-performance" });
     this.renderer.setClearColor(0x000000, 1);
     this.engine = new Gaussians(this.renderer);
+    this.preview = new Preview(this.renderer, this.engine);
     this.engine.onOrder = () => {
       this.fresh = false;
       this.onWake();
@@ -79,6 +83,7 @@ export class City {
     canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
       this.lost = true;
+      this.preview.drop();
       this.onContext(true);
     });
     canvas.addEventListener("webglcontextrestored", () => {
@@ -176,6 +181,7 @@ export class City {
   draw() {
     if (this.lost) return;
     const { camera, engine } = this;
+    this.preview.drop();
     camera.updateMatrixWorld();
     for (const tiles of [this.active, this.next]) {
       if (!tiles) continue;
@@ -196,6 +202,18 @@ export class City {
     engine.prepare(camera, this.split !== null);
     this.render();
     this.fresh = settled && engine.settled;
+    if (this.keepPicture && this.settled && this.split === null) this.preview.keep();
+  }
+
+  // Another appearance of what is drawn, roughly but at once: `change` makes it so. False where there is
+  // no whole picture to begin with: then `change` was made, and nothing was drawn.
+  showRoughly(change: () => void): boolean {
+    const { preview, camera, active } = this;
+    const blocks = active?.coarsest ?? [];
+    const can = !this.lost && preview.begin(blocks, camera);
+    change();
+    if (can) preview.show(blocks, camera);
+    return can;
   }
 
   // Draws the same picture once more, for whoever reads the canvas at once.
@@ -287,6 +305,7 @@ export class City {
     this.retire(this.active);
     this.retire(this.next);
     this.decoders.dispose();
+    this.preview.dispose();
     this.engine.dispose();
     this.backdrop.dispose();
     this.renderer.dispose();

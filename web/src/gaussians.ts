@@ -435,27 +435,36 @@ export class Gaussians {
   }
 
   private evaluate(planes: Planes, side: Side, k: 0 | 1, eye: Vector3) {
-    const tinted = this.applyTints(planes, side, k);
+    const tinted = this.applyTints(planes, side, k, this.shown);
     const rows = this.shown.map((block) => block.row).join();
     const key = `${this.contentVersion} ${rows} ${eye.toArray().join()}`;
     if (key === side.key && !tinted) return;
     side.key = key;
+    this.evaluateBlocks(side, this.shown, eye);
+  }
+
+  private evaluateBlocks(side: Side, blocks: readonly Block[], eye: Vector3) {
     const { uniforms } = this.colorMesh.material;
     (uniforms["eye"]!.value as Vector3).copy(eye);
     uniforms["tints"]!.value = side.tints?.texture ?? this.noTints;
     uniforms["tinted"]!.value = side.tints !== null;
     this.colorMesh.material.uniformsNeedUpdate = true;
     this.colorMesh.geometry.dispose();
-    this.colorMesh.geometry = stripes(this.shown);
+    this.colorMesh.geometry = stripes(blocks);
     this.renderer.setRenderTarget(side.colors);
     this.renderer.render(this.colorScene, this.flat);
   }
 
   // What the appearance adds to the tiles on the screen, where that is not there yet.
-  private applyTints({ embed }: Planes, { tints }: Side, k: 0 | 1): boolean {
+  private applyTints(
+    { embed }: Planes,
+    { tints }: Side,
+    k: 0 | 1,
+    blocks: readonly Block[],
+  ): boolean {
     if (!tints) return false;
     const versionOf = (block: Block) => block.tint?.versions[k] || block.tint?.versions[0] || 0;
-    const stale = this.shown.filter((block) => block.tinted[k] !== versionOf(block));
+    const stale = blocks.filter((block) => block.tinted[k] !== versionOf(block));
     if (!stale.length) return false;
     const { renderer } = this;
     renderer.setRenderTarget(tints);
@@ -472,6 +481,40 @@ export class Gaussians {
       block.tinted[k] = versionOf(block);
     }
     return true;
+  }
+
+  // A few blocks alone, in the appearance of now, into a target of its own size. What the mesh draws
+  // stays as it is.
+  drawSome(blocks: readonly Block[], camera: PerspectiveCamera, target: WebGLRenderTarget) {
+    const { planes, renderer, mesh } = this;
+    const side = planes?.sides[0];
+    if (!planes || !side) return;
+    const clear = renderer.autoClear;
+    renderer.autoClear = false;
+    this.applyTints(planes, side, 0, blocks);
+    this.evaluateBlocks(side, blocks, camera.position);
+    side.key = "";
+    const { uniforms } = mesh.material;
+    const names = ["order", "count", "colors", "viewport"] as const;
+    const kept = names.map((name) => uniforms[name]!.value as unknown);
+    const { instanceCount } = mesh.geometry;
+    const order = sortNow(blocks, camera);
+    const texture = makeTexture(RedIntegerFormat, "R32UI", order.length / 1024);
+    texture.image.data = order;
+    const count = blocks.reduce((sum, block) => sum + block.splats.count, 0);
+    const now = [texture, count, side.colors.texture, new Vector2(target.width, target.height)];
+    names.forEach((name, i) => (uniforms[name]!.value = now[i]));
+    mesh.geometry.instanceCount = Math.ceil(count / QUADS);
+    mesh.material.uniformsNeedUpdate = true;
+    renderer.autoClear = true;
+    renderer.setRenderTarget(target);
+    renderer.render(mesh, camera);
+    renderer.setRenderTarget(null);
+    renderer.autoClear = clear;
+    names.forEach((name, i) => (uniforms[name]!.value = kept[i]));
+    mesh.geometry.instanceCount = instanceCount;
+    mesh.material.uniformsNeedUpdate = true;
+    texture.dispose();
   }
 
   // Depth alone, or colour alone.
@@ -501,6 +544,25 @@ export class Gaussians {
       mesh.material.dispose();
     }
   }
+}
+
+// Gaussians of few blocks from far to near, without the worker.
+function sortNow(blocks: readonly Block[], camera: PerspectiveCamera): Uint32Array<ArrayBuffer> {
+  const count = blocks.reduce((sum, block) => sum + block.splats.count, 0);
+  const at = new Uint32Array(count);
+  const far = new Float32Array(count);
+  const { x, y, z } = camera.position;
+  let n = 0;
+  for (const { splats, row } of blocks) {
+    const centres = new Float32Array(splats.place.buffer);
+    for (let i = 0; i < splats.count; i++, n++) {
+      at[n] = row * ROW + i;
+      far[n] = Math.hypot(centres[4 * i]! - x, centres[4 * i + 1]! - y, centres[4 * i + 2]! - z);
+    }
+  }
+  const order = new Uint32Array(Math.ceil(count / 1024) * 1024);
+  order.set(Uint32Array.from(at.keys()).sort((a, b) => far[b]! - far[a]!).map((i) => at[i]!));
+  return order;
 }
 
 // One instance: QUADS quads whose corners the vertex shader finds by number.

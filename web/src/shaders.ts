@@ -212,3 +212,21 @@ void main() {
   if (alpha < (solid ? 0.25 : 1.0 / 255.0)) discard;
   result = vec4(color.rgb * alpha, alpha);
 }`;
+
+export const PREVIEW_VERTEX = `${COMMON}
+in vec3 position;
+out vec2 at;
+void main() {
+  at = 0.5 + 0.5 * position.xy;
+  gl_Position = vec4(position, 1.0);
+}`;
+
+// The picture, and what changed in a smaller one.
+export const PREVIEW_FRAGMENT = `${COMMON}
+in vec2 at;
+uniform sampler2D picture, before, after;
+out vec4 result;
+void main() {
+  vec3 rgb = texelFetch(picture, ivec2(gl_FragCoord.xy), 0).rgb;
+  result = vec4(rgb + texture(after, at).rgb - texture(before, at).rgb, 1.0);
+}`;

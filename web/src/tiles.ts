@@ -225,6 +225,12 @@ export class CityTiles extends BaseTiles {
     return block ? Gaussians.bytesOf(block.splats) : 0;
   }
 
+  // The blocks of the tiles that are there before all others, and hold all of the scene.
+  get coarsest(): Block[] {
+    const first = [...this.blocks].filter(([tile]) => tile.internal.depthFromRenderedParent <= 1);
+    return first.map(([, block]) => block);
+  }
+
   // The blocks of the tiles that the view shows now.
   get shown(): Block[] {
     const out: Block[] = [];

@@ -55,6 +55,7 @@ export interface ViewerEvents {
   move: Pose;
   touch: null; // a person moved the camera
   appearance: string; // the new one is on the screen
+  preview: string; // it is there roughly, and the exact picture follows: where frames take long
   link: LinkState;
   problem: Error;
   slow: number; // frames a second: pictures of the server would be quicker
@@ -91,6 +92,8 @@ const PIXEL_RATIO_MAX = SMALL_DEVICE ? 1.5 : 2;
 const PX_PER_SIGMA = 16; // a tile's geometric error is 16 times its typical Gaussian
 const AWAKE_MS = 200; // keep drawing this long after the last event
 const MIXING_MS = 150;
+const ROUGH_FROM_MS = 80; // frames that take longer are announced by a rough one
+const ROUGH_MS = 250; // and follow it when nothing changes for so long
 const SLOW_FPS = 10;
 const SLOW_FRAMES = 8;
 const BRISK_MS = 60; // a frame of a moving camera that takes longer is drawn with fewer pixels
@@ -138,6 +141,7 @@ export class Viewer {
   private shownAppearance = "";
   private error: Error | null = null;
   private tint: Tint | null = null; // computes the colours; null where the server does
+  private roughUntil = 0; // a rough picture of the new appearance is on the screen
   private mixingUntil = 0; // the appearance is being changed: quick frames before sharp ones
   private touched = false;
   private homeless = true; // the scene's extent is not known yet
@@ -149,6 +153,8 @@ export class Viewer {
   private previous = 0;
   private moving = false;
   private closed = false;
+  private drewBefore = false;
+  private frameMs = 0; // that frames took lately
   private readonly fps = { last: 0, average: 0, slow: 0 };
   private sharpness = 1; // of the picture while the camera moves; always 1 at rest
   private readonly resizing: ResizeObserver;
@@ -328,8 +334,12 @@ export class Viewer {
   }
 
   private showTint(tint: Tint, image: Float32Array, appearance: string) {
-    tint.set(image, appearance);
-    this.mixingUntil = performance.now() + MIXING_MS;
+    const rough = this.city?.showRoughly(() => tint.set(image, appearance)) ?? false;
+    if (!this.city) tint.set(image, appearance);
+    if (rough) {
+      this.roughUntil = performance.now() + ROUGH_MS;
+      this.emit("preview", appearance);
+    } else this.mixingUntil = performance.now() + MIXING_MS;
     this.wake();
   }
 
@@ -711,11 +721,17 @@ export class Viewer {
   private drawCity(now: number, moved: boolean, wanted: boolean) {
     const { city } = this;
     if (!city) return;
+    if (moved) this.roughUntil = 0;
+    if (now < this.roughUntil) {
+      this.wake();
+      return;
+    }
     const mixing = now < this.mixingUntil;
     const draw = wanted || moved || mixing || (!city.settled && this.info !== null);
     if (draw) {
       this.sharpen(moved || mixing ? this.sharpness : 1);
       if (mixing) this.stale = true; // and once more, with all pixels
+      city.keepPicture = this.tint !== null && this.frameMs > ROUGH_FROM_MS;
       city.draw();
       this.overlay.update();
       if (!city.changing) this.tellAppearance();
@@ -743,6 +759,8 @@ export class Viewer {
     const gap = now - fps.last;
     if (drew && gap < 3000) fps.average = fps.average ? fps.average * 0.8 + gap * 0.2 : gap;
     else if (gap > 1000) fps.average = 0;
+    if (drew && this.drewBefore && gap < 10_000) this.frameMs += 0.3 * (gap - this.frameMs);
+    this.drewBefore = drew;
     if (drew) fps.last = now;
     // Only frames of a moving camera tell: while tiles come, decoding and uploading are the cost.
     if (!moved || !drew || document.hidden) return;
