@@ -2,8 +2,7 @@
 // Links with "#camera=lon,lat,h@heading,pitch,fov" keep working.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { FOV_DEG } from "./stage";
-import { parsePose, type Pose } from "./geo";
+import { FOV_DEG, parsePose, type Pose } from "./pose";
 
 export interface View {
   pose: Pose;

@@ -1,27 +1,13 @@
-// Camera poses as maps give them, and the scene's frame.
-//
-// The scene's world is three.js': x east, y up, z south, metres about the scene origin. A pose is a
-// place on WGS 84 (degrees, ellipsoidal height), a heading clockwise from north, a pitch above the
-// horizon and a vertical field of view; heading and pitch are measured in the horizon at the
-// camera.
+// Camera poses in the scene's frame and back. The scene's world is three.js': x east, y up, z south,
+// metres about the scene origin.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { WGS84_ELLIPSOID } from "3d-tiles-renderer/three";
 import { Euler, MathUtils, Matrix4, Quaternion, Vector3 } from "three";
 
-export interface Place {
-  lon: number;
-  lat: number;
-  h: number; // above the ellipsoid
-}
+import type { Place, Pose } from "./pose";
 
-export interface Pose extends Place {
-  heading: number;
-  pitch: number;
-  fov: number;
-}
-
-const FOV_DEFAULT = 60;
+export { formatPose, parsePose, type Place, type Pose } from "./pose";
 
 const ENU_TO_WORLD = new Matrix4().makeBasis(
   new Vector3(1, 0, 0),
@@ -91,24 +77,4 @@ export class Frame {
     );
     return { position, rotation: rotation.multiply(new Quaternion().setFromEuler(turn)) };
   }
-}
-
-// "lon,lat,h@heading,pitch,fov", as in the server's static views.
-export function formatPose(pose: Pose): string {
-  const { lon, lat, h, heading, pitch, fov } = pose;
-  const turn = heading.toFixed(3) === "360.000" ? "0.000" : heading.toFixed(3);
-  return `${lon.toFixed(7)},${lat.toFixed(7)},${h.toFixed(2)}@${turn},${pitch.toFixed(3)},${fov.toFixed(1)}`;
-}
-
-// fov may be left out: the server's default then.
-export function parsePose(text: string): Pose | null {
-  const [place = "", turn = "", ...rest] = text.split("@");
-  const number = (v: string) => (v.trim() === "" ? NaN : Number(v));
-  const [lon = NaN, lat = NaN, h = NaN, ...more] = place.split(",").map(number);
-  const [heading = NaN, pitch = NaN, fov = FOV_DEFAULT, ...others] = turn.split(",").map(number);
-  const numbers = [lon, lat, h, heading, pitch, fov];
-  if (rest.length || more.length || others.length || !numbers.every(Number.isFinite)) return null;
-  if (Math.abs(lon) > 180 || Math.abs(lat) > 90 || Math.abs(pitch) > 90 || fov < 1 || fov > 160)
-    return null;
-  return { lon, lat, h, heading, pitch, fov };
 }

@@ -89,6 +89,7 @@ export class Page {
       setText("attribution", viewer.info?.attribution ?? "");
       this.fillChooser();
       element("server-button").hidden = !scene.pictures;
+      element("globe").hidden = !scene.catalogue; // cesium.html is where a server serves this page
       this.showPlace();
       this.address();
     });
@@ -153,7 +154,10 @@ export class Page {
   private address() {
     clearTimeout(this.addressTimer);
     this.addressTimer = window.setTimeout(() => {
-      if (this.viewer.scene) history.replaceState(null, "", this.url());
+      if (!this.viewer.scene) return;
+      const url = this.url();
+      history.replaceState(null, "", url);
+      element<HTMLAnchorElement>("globe").href = `./cesium.html${url.search}${url.hash}`;
     }, ADDRESS_MS);
   }
 

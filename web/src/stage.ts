@@ -8,9 +8,9 @@
 // SPDX-License-Identifier: Apache-2.0
 import { Box3, Euler, MathUtils, Matrix4, PerspectiveCamera, Plane, Ray, Vector3 } from "three";
 
-import { Frame, type Pose } from "./geo";
+import { Frame } from "./geo";
+import { FOV_DEG, type Pose } from "./pose";
 
-export const FOV_DEG = 45;
 const HOME_HEADING_DEG = 20;
 const HOME_PITCH_DEG = -38;
 const MARGIN = 1.1;

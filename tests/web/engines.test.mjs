@@ -1,0 +1,105 @@
+// Engines and maps that are not ours, by their npm packages, on tiles as they are served: PlayCanvas
+// and Spark draw each format that docs/clients.md names for them, one picture each; Leaflet lays the
+// map tiles where the city is.
+//
+// SPDX-License-Identifier: Apache-2.0
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { createServer } from "node:http";
+import { dirname, extname, join, normalize } from "node:path";
+import { after, before, test } from "node:test";
+import { fileURLToPath } from "node:url";
+
+import { openPage } from "./lib/browser.mjs";
+import { measureContent, rmsDifference } from "./lib/checks.mjs";
+import { fCellCenter, ORIGIN, RED_TOP } from "./lib/city.mjs";
+import { placeOfEnu } from "./lib/geo.mjs";
+import { decodePng } from "./lib/png.mjs";
+import { firstDataSet, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
+import { listContents } from "./lib/tileset.mjs";
+
+const HERE = dirname(fileURLToPath(import.meta.url));
+const SIZE = { width: 320, height: 240 };
+const TIMEOUT_MS = 120000;
+const SAME_RMS = 6; // levels of 255: formats differ by their steps
+const skip = { skip: MOCK || GIVEN_TILES ? "needs the test city" : false };
+const CAMERA = { from: [60, 90, 160], at: [0, 5, 0], fov: 50 };
+const TYPES = { ".html": "text/html", ".js": "text/javascript", ".mjs": "text/javascript", ".css": "text/css" };
+const ROOTS = {
+    "/three/": "../../web/node_modules/three/",
+    "/spark/": "node_modules/@sparkjsdev/spark/",
+    "/playcanvas/": "node_modules/playcanvas/",
+    "/leaflet/": "node_modules/leaflet/",
+};
+
+let source;
+let pages;
+let opened;
+let tile; // URL of the tile that holds the whole city, without its extension
+before(async () => {
+    if (skip.skip) return;
+    source = await openSource();
+    const url = `${source.url}/d/${await firstDataSet(source.url)}/tileset.json`;
+    tile = (await listContents(url, getJson))[0].url.replace(/\.glb$/, "");
+    pages = createServer((request, response) => {
+        const path = normalize(new URL(request.url, "http://x").pathname);
+        const root = Object.keys(ROOTS).find((one) => path.startsWith(one));
+        try {
+            const file = root ? join(HERE, ROOTS[root], path.slice(root.length)) : join(HERE, "engines.html");
+            response.setHeader("Content-Type", TYPES[extname(file)] ?? "application/octet-stream");
+            response.end(readFileSync(file));
+        } catch {
+            response.writeHead(404).end();
+        }
+    });
+    await new Promise((done) => pages.listen(0, "127.0.0.1", done));
+    opened = await openPage(`http://127.0.0.1:${pages.address().port}/`, SIZE);
+    await opened.page.waitForFunction(() => window.ready === true, null, { timeout: TIMEOUT_MS });
+});
+after(async () => {
+    await opened?.close();
+    pages?.close();
+    await source?.close();
+});
+
+async function draw(engine, ext) {
+    const args = [engine, `${tile}.${ext}`, ext, CAMERA];
+    await opened.page.evaluate(([e, u, x, c]) => window.draw(e, u, x, c), args);
+    const path = process.env.ENGINES_SHOTS && join(process.env.ENGINES_SHOTS, `${engine}-${ext}.png`);
+    return decodePng(await opened.page.screenshot({ timeout: TIMEOUT_MS, ...(path && { path }) }));
+}
+
+async function compare(t, engine, first, ...others) {
+    const want = await draw(engine, first);
+    const { share, colors } = measureContent(want);
+    assert.ok(share > 0.05 && colors > 10, `${engine}, ${first}: ${share}, ${colors} colours`);
+    for (const ext of others) {
+        const off = rmsDifference(want, await draw(engine, ext));
+        t.diagnostic(`${engine}: .${ext} is ${off.toFixed(2)} of 255 from .${first}`);
+        assert.ok(off < SAME_RMS, `${engine}, ${ext}: ${off}`);
+    }
+    assert.deepEqual(opened.log, []);
+}
+
+test("PlayCanvas draws plain.glb, .sog and .ply alike", skip, (t) =>
+    compare(t, "playcanvas", "plain.glb", "sog", "ply"));
+
+test("Spark draws .spz, .sog and .ply alike", skip, (t) => compare(t, "spark", "spz", "sog", "ply"));
+
+test("Leaflet lays the map where the city is", skip, async () => {
+    const lonLat = (enu) => {
+        const { lon, lat } = placeOfEnu(ORIGIN, enu);
+        return [lon, lat];
+    };
+    const url = `${source.url}/d/${await firstDataSet(source.url)}/map.json`;
+    await opened.page.evaluate(([u, c]) => window.showMap(u, c, 17), [url, lonLat([0, 0, 0])]);
+    const picture = decodePng(await opened.page.screenshot({ timeout: TIMEOUT_MS }));
+    const at = async (enu) => {
+        const { x, y } = await opened.page.evaluate(([lon, lat]) => window.map.latLngToContainerPoint([lat, lon]), lonLat(enu));
+        return picture.at(Math.round(x), Math.round(y));
+    };
+    const [red, yellow] = [await at(RED_TOP), await at(fCellCenter(3, 1))];
+    assert.ok(red[0] > red[1] + 80 && red[0] > red[2] + 80, `red tower: ${red}`);
+    assert.ok(yellow[0] > 180 && yellow[1] > 140 && yellow[2] < 110, `yellow F: ${yellow}`);
+    assert.deepEqual(opened.log, []);
+});
