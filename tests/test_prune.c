@@ -11,13 +11,13 @@ static void the_faintest_hundredth_goes(void **state)
     (void)state;
     /* All weight: 100. A hundredth is 1: 0, 0.25 and 0.5 fit (0.75 together), 1.25 more does not.
      */
-    const float sum[6] = {50.0f, 0.25f, 48.0f, 0.0f, 1.25f, 0.5f};
-    const uint16_t views[6] = {9, 9, 9, 0, 9, 9};
+    float sum[6] = {50.0f, 0.25f, 48.0f, 0.0f, 1.25f, 0.5f};
+    const uint16_t views[6] = {1, 1, 1, 0, 1, 1};
     const uint8_t want[6] = {1, 0, 1, 0, 1, 0};
     double scratch[6];
     uint8_t keep[6];
     struct prune_report r = {0};
-    prune_choose(sum, views, 6, 0.01, 0, scratch, keep, &r);
+    prune_choose(sum, views, 6, PRUNE_ALL, 0.01, 0, scratch, keep, &r);
     assert_memory_equal(keep, want, sizeof keep);
     assert_int_equal(r.faint, 3);
     assert_int_equal(r.unsupported, 0);
@@ -26,12 +26,12 @@ static void the_faintest_hundredth_goes(void **state)
 static void nothing_goes_when_nothing_may(void **state)
 {
     (void)state;
-    const float sum[3] = {0.0f, 1.0f, 2.0f};
+    float sum[3] = {0.0f, 1.0f, 2.0f};
     const uint16_t views[3] = {0, 1, 2};
     double scratch[3];
     uint8_t keep[3];
     struct prune_report r = {0};
-    prune_choose(sum, views, 3, 0.0, 0, scratch, keep, &r);
+    prune_choose(sum, views, 3, PRUNE_ALL, 0.0, 0, scratch, keep, &r);
     assert_true(keep[0] && keep[1] && keep[2]);
     assert_int_equal(r.faint + r.unsupported, 0);
 }
@@ -39,15 +39,46 @@ static void nothing_goes_when_nothing_may(void **state)
 static void few_photographs_are_no_support(void **state)
 {
     (void)state;
-    const float sum[4] = {30.0f, 30.0f, 40.0f, 0.0f};
+    float sum[4] = {30.0f, 30.0f, 40.0f, 0.0f};
     const uint16_t views[4] = {3, 2, 7, 1};
     double scratch[4];
     uint8_t keep[4];
     struct prune_report r = {0};
-    prune_choose(sum, views, 4, 1e-3, 3, scratch, keep, &r);
+    prune_choose(sum, views, 4, PRUNE_ALL, 1e-3, 3, scratch, keep, &r);
     assert_true(keep[0] && !keep[1] && keep[2] && !keep[3]);
     assert_int_equal(r.faint, 1); /* counted once, for its contribution */
     assert_int_equal(r.unsupported, 1);
+}
+
+/* A Gaussian at the rim weighs as much in its two photographs as another in each of its twenty. */
+static void few_photographs_do_not_make_faint(void **state)
+{
+    (void)state;
+    float sum[4] = {20.0f, 2.0f, 1.0f, 20.0f};
+    const uint16_t views[4] = {20, 2, 20, 20};
+    double scratch[4];
+    uint8_t keep[4];
+    struct prune_report r = {0};
+    prune_choose(sum, views, 4, PRUNE_ALL, 0.02, 0, scratch, keep, &r);
+    assert_true(keep[0] && keep[1] && !keep[2] && keep[3]);
+    assert_int_equal(r.faint, 1);
+}
+
+/* Some photographs measured: what none of them shows stays, what they show faintly goes. */
+static void what_no_photograph_shows_is_not_judged(void **state)
+{
+    (void)state;
+    float sum[3] = {10.0f, 0.0f, 0.0f};
+    const uint16_t views[3] = {1, 0, 1};
+    double scratch[3];
+    uint8_t keep[3];
+    struct prune_report some = {0}, all = {0};
+    prune_choose(sum, views, 3, PRUNE_SOME, 0.01, 0, scratch, keep, &some);
+    assert_true(keep[0] && keep[1] && !keep[2]);
+    prune_choose(sum, views, 3, PRUNE_ALL, 0.01, 0, scratch, keep, &all);
+    assert_true(keep[0] && !keep[1] && !keep[2]);
+    assert_int_equal(some.faint, 1);
+    assert_int_equal(all.faint, 2);
 }
 
 int main(void)
@@ -56,6 +87,8 @@ int main(void)
         cmocka_unit_test(the_faintest_hundredth_goes),
         cmocka_unit_test(nothing_goes_when_nothing_may),
         cmocka_unit_test(few_photographs_are_no_support),
+        cmocka_unit_test(few_photographs_do_not_make_faint),
+        cmocka_unit_test(what_no_photograph_shows_is_not_judged),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

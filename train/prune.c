@@ -1,13 +1,14 @@
 /* Contribution pruning: Gaussians that add next to nothing to any training photograph cost bytes
  * and time for ever after. The score is the blending weight itself, the sum of alpha T over all
- * pixels of the training views; candidates are the faintest that together hold no more than a given
- * share of all weight, which bounds what can change whatever the size of pictures and Gaussians,
- * and those that few photographs see, floaters close to one camera.
+ * pixels of the training views, divided by how many of these show the Gaussian: at the rim of a
+ * survey few do, and what they show is as good as what many show. Candidates are the faintest that
+ * together hold no more than a given share of all scores, and those that few photographs see,
+ * floaters close to one camera.
  *
  * Candidates go behind all others, the weakest last, so that drawing fewer rows is drawing without
  * the weakest. How many can go is bisected: a few photographs drawn again may lose no more than the
  * option allows. One pass over the photographs measures; at coarser levels of short runs only some
- * of them do, and then nobody is a candidate for being seen by few.
+ * of them do. Then nobody is a candidate for being seen by few, nor what none of them shows.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -111,13 +112,16 @@ static enum err_code prune_measure(struct prune *c, size_t n_views, struct err *
     return rc;
 }
 
-void prune_choose(const float *sum, const uint16_t *views, size_t n, double share,
-                  uint32_t least_views, double *scratch, uint8_t *keep, struct prune_report *out)
+void prune_choose(float *sum, const uint16_t *views, size_t n, enum prune_measured measured,
+                  double share, uint32_t least_views, double *scratch, uint8_t *keep,
+                  struct prune_report *out)
 {
     double all = 0.0, given = 0.0;
     float limit = 0.0f; /* those with at least this stay */
-    for (size_t i = 0; i < n; i++)
+    for (size_t i = 0; i < n; i++) {
+        sum[i] /= (float)(views[i] ? views[i] : 1);
         scratch[i] = (double)sum[i];
+    }
     sort_doubles(scratch, n);
     for (size_t i = 0; i < n; i++)
         all += scratch[i];
@@ -126,7 +130,8 @@ void prune_choose(const float *sum, const uint16_t *views, size_t n, double shar
         given += scratch[i];
     }
     for (size_t i = 0; i < n; i++) {
-        bool faint = share > 0.0 && sum[i] < limit, alone = views[i] < least_views;
+        bool judged = measured == PRUNE_ALL || views[i];
+        bool faint = judged && share > 0.0 && sum[i] < limit, alone = views[i] < least_views;
         keep[i] = !faint && !alone;
         out->faint += faint;
         out->unsupported += alone && !faint;
@@ -265,8 +270,8 @@ enum err_code prune_level(struct model *m, struct context *ctx, struct prune_rep
     if (!rc && !scratch)
         rc = err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     if (!rc)
-        prune_choose(c.total, c.views, n, ctx->cfg->prune_contribution, support, scratch, keep,
-                     out);
+        prune_choose(c.total, c.views, n, n_views < ctx->n_images ? PRUNE_SOME : PRUNE_ALL,
+                     ctx->cfg->prune_contribution, support, scratch, keep, out);
     mem_free(scratch);
     size_t n_keep = n - out->faint - out->unsupported;
     if (!rc && n_keep && n_keep < n)

@@ -33,8 +33,12 @@ struct prune_report {
  * photo_loader_get_nth fails with. */
 enum err_code prune_level(struct model *m, struct context *ctx, struct prune_report *out,
                           struct residual_list *residuals, struct err *e) ERR_USE;
-/* The choice by itself: keep[n], and the counts of `out`; scratch[n]. */
-void prune_choose(const float *sum, const uint16_t *views, size_t n, double share,
-                  uint32_t least_views, double *scratch, uint8_t *keep, struct prune_report *out);
+/* Which photographs measured: after some of them, what none of these shows is not judged. */
+enum prune_measured { PRUNE_ALL, PRUNE_SOME };
+/* The choice by itself: keep[n], and the counts of `out`; sum [n] over photographs becomes the mean
+ * over the views [n] that show it; scratch[n]. */
+void prune_choose(float *sum, const uint16_t *views, size_t n, enum prune_measured measured,
+                  double share, uint32_t least_views, double *scratch, uint8_t *keep,
+                  struct prune_report *out);
 
 #endif
