@@ -52,6 +52,7 @@ struct raster_job {
     uint8_t *in;
     float *piece_rgb, *piece_height; /* of a part, [side][side] */
     uint8_t *piece_in;
+    double nw[2], se[2]; /* around what was surveyed, in the Mercator square */
 };
 struct raster_rect {
     uint32_t x, y, w, h;
@@ -93,11 +94,8 @@ static enum err_code raster_fit(const struct raster_job *j, const struct raster_
 
 static bool raster_any(const struct raster_job *j, const double corner[8])
 {
-    const struct area *a = nadir_area(j->nadir);
-    double nw[2], se[2];
-    key_place(a->west_deg, a->north_deg, nw);
-    key_place(a->east_deg, a->south_deg, se);
-    return corner[0] < se[0] && corner[6] > nw[0] && corner[1] < se[1] && corner[7] > nw[1];
+    return corner[0] < j->se[0] && corner[6] > j->nw[0] && corner[1] < j->se[1] &&
+           corner[7] > j->nw[1];
 }
 
 /* Put what was drawn of a part into the whole. */
@@ -151,6 +149,9 @@ enum err_code raster_draw(struct nadir *n, const struct raster_tile *t, float *r
         j.side > RASTER_SIDE_MAX || !key_valid(t->key))
         return err_set(e, ERR_ARG, "raster tile %u/%u/%u of %u + 2 * %u px: at most %d px",
                        t->key.z, t->key.x, t->key.y, t->size_px, t->margin_px, RASTER_SIDE_MAX);
+    const struct area *a = nadir_area(n);
+    key_place(a->west_deg, a->north_deg, j.nw);
+    key_place(a->east_deg, a->south_deg, j.se);
     size_t pixels = (size_t)j.side * j.side;
     for (size_t i = 0; i < pixels; i++) {
         in[i] = 0;
