@@ -97,7 +97,7 @@ void fuzz_headers(const uint8_t *bytes, size_t n)
     if (!address_read_nets("10.0.0.0/8,::1", &nets, NULL)) {
         struct address peer = {.ip = {[10] = 0xff, 0xff, 10, 1, 2, 3}};
         char text[ADDRESS_TEXT];
-        address_write(address_client(&nets, peer, r.forwarded), text, sizeof text);
+        address_write(address_client(&nets, peer, r.forwarded, r.n_forwarded), text, sizeof text);
     }
     screen_detach(&s, 1000);
     mem_free(out);
