@@ -41,8 +41,10 @@ struct store_meta {
     bool lossless;              /* payloads keep every field in float32 (imports) */
     uint8_t zoom_min, zoom_max; /* root .. finest level; found by store_commit */
     char attribution[256];
-    char revision[13]; /* first 12 hex digits of the hash over all tile hashes; by store_commit */
-    char created[32];  /* ISO 8601; not part of the revision */
+    char revision
+        [13]; /* first 12 hex digits of the hash over tiles, blobs, name, origin, attribution;
+                        * by store_commit */
+    char created[32]; /* ISO 8601; not part of the revision */
 };
 
 struct store;
@@ -89,6 +91,10 @@ enum err_code store_open(const char *path, struct store **out, struct err *e) ER
  * over or removed. fd is borrowed during the call; name is what errors call it. /proc must be there.
  * Errors as store_open, ERR_NOENT among them. */
 enum err_code store_open_fd(int fd, const char *name, struct store **out, struct err *e) ERR_USE;
+/* One more handle to the file of fd, which `first` was opened from, for another thread. It has the index
+ * of first, which is closed after it, and nothing is read but for connecting. Errors as store_open_fd. */
+enum err_code store_open_more(int fd, const struct store *first, struct store **out,
+                              struct err *e) ERR_USE;
 /* Close; of a store that is being built: removes the unfinished file. NULL inside is fine. */
 void store_close(struct store **s);
 /* Borrowed, until store_close. */

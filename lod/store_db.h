@@ -64,6 +64,7 @@ struct store {
     void (*bake_free)(struct store *s);
     char *footprint;      /* opened: GeoJSON; NULL: none */
     char *clip;           /* the same */
+    bool borrows;         /* opened: tiles, tree, footprint and clip are another handle's */
     struct store *before; /* building: what will be replaced, for tile versions; may be NULL */
 };
 

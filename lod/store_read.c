@@ -430,6 +430,38 @@ enum err_code store_open_fd(int fd, const char *name, struct store **out, struct
     return store_open_at(at, name, store_vfs.zName, out, e);
 }
 
+enum err_code store_open_more(int fd, const struct store *first, struct store **out, struct err *e)
+{
+    char at[32];
+    snprintf(at, sizeof at, "%s%d", store_fds, fd);
+    pthread_once(&store_vfs_once, store_add_vfs);
+    *out = NULL;
+    struct store *s = mem_array(1, sizeof *s);
+    if (!s)
+        return err_set(e, ERR_MEM, "%s: out of memory", first->path);
+    memcpy(s->path, first->path, sizeof s->path);
+    s->size_bytes = first->size_bytes;
+    s->meta = first->meta;
+    s->tiles = first->tiles;
+    s->n_tiles = first->n_tiles;
+    s->tree = first->tree;
+    s->footprint = first->footprint;
+    s->clip = first->clip;
+    s->borrows = true;
+    enum err_code rc = store_connect(s, at, store_vfs.zName, e);
+    /* Its pages of the index are in memory from here on: a file that is cut short later has lost tiles,
+     * not the way to all of them. */
+    int code = SQLITE_OK;
+    if (!rc)
+        code = sqlite3_exec(s->db, "SELECT max(row_hash) FROM tiles", NULL, NULL, NULL);
+    if (code != SQLITE_OK)
+        rc = store_db_fail(s, code, "index", e);
+    if (rc)
+        store_close(&s);
+    *out = s;
+    return rc;
+}
+
 void store_close(struct store **sp)
 {
     struct store *s = *sp;
@@ -446,10 +478,12 @@ void store_close(struct store **sp)
     store_close(&s->before);
     if (s->bake_free)
         s->bake_free(s);
-    tree_free(&s->tree);
-    mem_free(s->tiles);
-    free(s->footprint); /* jansson's */
-    free(s->clip);
+    if (!s->borrows) {
+        tree_free(&s->tree);
+        mem_free(s->tiles);
+        free(s->footprint); /* jansson's */
+        free(s->clip);
+    }
     mem_free(s);
     *sp = NULL;
 }

@@ -81,7 +81,8 @@ static enum err_code dataset_open_stores(struct dataset *d, size_t n, struct err
     if (!d->stores || !d->free_store)
         return err_set(e, ERR_MEM, "dataset %s: out of memory", d->path);
     for (size_t i = 0; i < n; i++) {
-        enum err_code rc = store_open_fd(d->fd, d->path, &d->stores[i], e);
+        enum err_code rc = i ? store_open_more(d->fd, d->stores[0], &d->stores[i], e)
+                             : store_open_fd(d->fd, d->path, &d->stores[i], e);
         if (rc)
             return rc;
         d->n_stores++;
@@ -165,7 +166,7 @@ void dataset_drop(struct dataset **out)
     if (!d || atomic_fetch_sub_explicit(&d->refs, 1, memory_order_acq_rel) != 1)
         return;
     area_free(&d->area);
-    for (size_t i = 0; i < d->n_stores; i++)
+    for (size_t i = d->n_stores; i-- > 0;) /* the first has the index of all */
         store_close(&d->stores[i]);
     if (d->fd >= 0)
         close(d->fd);

@@ -54,6 +54,32 @@ static void test_reload(void **state)
     kit_fails(catalog_open(twice, 2, &served_stores, NULL, &bad, &e), ERR_ARG, e, "toy");
 }
 
+/* A revision has one index, however many handles: each reads tiles by itself. */
+static void test_handles_share_the_index(void **state)
+{
+    enum { READERS = 5 };
+    struct err e = {0};
+    struct dataset *d = NULL;
+    struct store *s[READERS];
+    size_t n, n_first;
+    (void)state;
+    kit_ok(dataset_open(t.path, READERS, &d, &e), e);
+    const struct store_tile *first = store_tiles(d->index, &n_first);
+    for (int i = 0; i < READERS; i++) {
+        struct gauss g;
+        assert_non_null(s[i] = dataset_borrow(d));
+        assert_ptr_equal(store_tiles(s[i], &n), first);
+        assert_int_equal(n, n_first);
+        kit_ok(store_read_gauss(s[i], served_key(17), &g, &e), e);
+        assert_int_equal(g.n, 50);
+        gauss_free(&g);
+    }
+    assert_null(dataset_borrow(d));
+    for (int i = 0; i < READERS; i++)
+        dataset_return(d, s[i]);
+    dataset_drop(&d);
+}
+
 /* A reload that fails at its last step has not touched what is served: its revisions are still current,
  * and the next reload that succeeds keeps them. */
 static void test_a_reload_that_fails_late(void **state)
@@ -121,6 +147,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_reload),
         cmocka_unit_test(test_a_part_is_served),
+        cmocka_unit_test(test_handles_share_the_index),
         cmocka_unit_test(test_a_reload_that_fails_late),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
