@@ -16,7 +16,7 @@
 #include "codec/colmap.h"
 #include "codec/colmap_parse.h"
 
-enum { EDGE_MAX_PX = 1 << 20, PART_COUNT = 3 };
+enum { PART_COUNT = 3 };
 static const char *const part_names[PART_COUNT] = {"cameras", "images", "points3D"};
 
 void colmap_free(struct colmap_model *m)

@@ -53,8 +53,8 @@ struct job_config {
     void (*drop)(void *user, void *work); /* free the work */
     /* Is it of use to nobody but those who wait for it? Then it is cancelled when they have gone,
      * even while it runs. NULL: pictures are. */
-    bool (*passing)(const void *work);
-    void (*view_enter)(void *user); /* on the view thread, before its first job; may be NULL */
+    bool (*passing)(const void *work); /* called under the lock: it only looks */
+    void (*view_enter)(void *user);    /* on the view thread, before its first job; may be NULL */
     void (*view_leave)(void *user);
 };
 struct job_stats {
@@ -62,14 +62,14 @@ struct job_stats {
     double run_s[JOB_CLASSES]; /* sum */
 };
 struct jobs;
+/* job_close it. ERR_MEM. */
 enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct err *e) ERR_USE;
-/* `client` (any number that tells clients apart) keeps queues fair: clients take turns, and when a
- * queue is full the one with most in it gives way, which is ERR_LIMIT where it is an older picture of
- * the one who asks. */
 /* Ask for the work named `id` (equal ids are equal bytes). `work` is owned by the callee from here
  * on. ERR_OK: w will be woken. ERR_BUSY: the queue is full or the server is stopping; ERR_LIMIT: the
- * client asks too much; w->result says so and w is not woken. A known failure is refused the same way with its own code and end
- * JOB_ERROR. */
+ * client asks too much; w->result says so and w is not woken. A known failure is refused the same way
+ * with its own code and end JOB_ERROR. `client` (any number that tells clients apart) keeps queues
+ * fair: clients take turns, and when a queue is full the one with most in it gives way, which is
+ * ERR_LIMIT where it is an older picture of the one who asks. */
 enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id, void *work,
                          uint64_t client, double timeout_s, struct job_waiter *w) ERR_USE;
 /* The client is gone. True: w was still waiting, is out of the job now and will not be woken. A job
