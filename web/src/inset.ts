@@ -106,8 +106,11 @@ export class Inset {
 
   // The farthest that anything of the city can be from the camera's foot, or nearly so.
   private get most(): number {
-    const size = this.viewer.stage.extent.getSize(new Vector3());
-    return 1.5 * Math.hypot(size.x, size.z);
+    const { extent, camera } = this.viewer.stage;
+    const size = extent.getSize(new Vector3());
+    const middle = extent.getCenter(new Vector3());
+    const away = Math.hypot(middle.x - camera.position.x, middle.z - camera.position.z);
+    return away + Math.hypot(size.x, size.z) / 2;
   }
 
   private follow() {

@@ -3,7 +3,14 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import { GridLayer, Map as LeafletMap, circleMarker, control, latLngBounds, layerGroup, polygon, rectangle } from "leaflet";
-import type { Coords, DoneCallback, GridLayerOptions, LatLngBoundsLiteral, LatLngTuple } from "leaflet";
+import type {
+  Coords,
+  DoneCallback,
+  GridLayerOptions,
+  LatLngBounds,
+  LatLngBoundsLiteral,
+  LatLngTuple,
+} from "leaflet";
 import "leaflet/dist/leaflet.css";
 
 import type { Place, Pose } from "./geo";
@@ -15,7 +22,6 @@ const WEDGE_LEAST_M = 30;
 const WEDGE_PITCH_DEG = 4; // an upper edge of the picture above this sees to the end of the city
 const ZOOM_MOST = 22;
 const EDGE_PX = 14; // around what is to be seen
-const NEAR = 1.5; // times the city's size
 
 export type Fetch = (url: string, signal: AbortSignal) => Promise<ArrayBuffer>;
 
@@ -97,12 +103,13 @@ export interface MiniMapOptions {
   attribution: string; // of the base, as text
   texts: { zoomIn: string; zoomOut: string };
   still: boolean; // no animation
-  camera: LatLngTuple; // seen as well at first, where it is not far away
+  camera: LatLngTuple; // seen as well at first
 }
 
 export class MiniMap {
   onChoose: (place: { lon: number; lat: number }) => void = () => {};
   private readonly map: LeafletMap;
+  private readonly city: LatLngBounds;
   private readonly over = layerGroup();
 
   constructor(
@@ -130,11 +137,15 @@ export class MiniMap {
     if (own) new FetchedTiles(own, { bounds, className: "own" }).addTo(this.map);
     rectangle(bounds, { className: "extent", interactive: false, fill: false }).addTo(this.map);
     this.over.addTo(this.map);
-    const all = latLngBounds(bounds);
-    const near = all.pad(NEAR);
-    if (near.contains(camera)) all.extend(camera);
-    this.map.fitBounds(all, { animate: false, padding: [EDGE_PX, EDGE_PX] });
+    this.city = latLngBounds(bounds);
+    this.fit(camera);
     this.map.on("click", ({ latlng }) => this.onChoose({ lon: latlng.lng, lat: latlng.lat }));
+  }
+
+  // The city and the camera.
+  private fit(camera: LatLngTuple) {
+    const all = this.city.pad(0).extend(camera);
+    this.map.fitBounds(all, { animate: false, padding: [EDGE_PX, EDGE_PX] });
   }
 
   // The camera and what it sees. The map follows where the camera leaves it.
@@ -144,7 +155,8 @@ export class MiniMap {
     circleMarker([pose.lat, pose.lon], { className: "camera", radius: 6, interactive: false }).addTo(this.over);
     this.map.getContainer().setAttribute("aria-label", label);
     const at: LatLngTuple = [pose.lat, pose.lon];
-    this.map.panInside(at, { padding: [EDGE_PX, EDGE_PX], animate: false });
+    if (this.city.contains(at)) this.map.panInside(at, { padding: [EDGE_PX, EDGE_PX], animate: false });
+    else if (!this.map.getBounds().contains(at)) this.fit(at);
   }
 
   resize() {
