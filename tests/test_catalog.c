@@ -63,7 +63,7 @@ static void test_handles_share_the_index(void **state)
     struct store *s[READERS];
     size_t n, n_first;
     (void)state;
-    kit_ok(dataset_open(t.path, READERS, &d, &e), e);
+    kit_ok(dataset_open(t.path, READERS, NULL, NULL, &d, &e), e);
     const struct store_tile *first = store_tiles(d->index, &n_first);
     for (int i = 0; i < READERS; i++) {
         struct gauss g;
