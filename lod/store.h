@@ -92,7 +92,7 @@ enum err_code store_open(const char *path, struct store **out, struct err *e) ER
  * Errors as store_open, ERR_NOENT among them. */
 enum err_code store_open_fd(int fd, const char *name, struct store **out, struct err *e) ERR_USE;
 /* One more handle to the file of fd, which `first` was opened from, for another thread. It has the index
- * of first, which is closed after it, and nothing is read but for connecting. Errors as store_open_fd. */
+ * of first, which is closed after it. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code store_open_more(int fd, const struct store *first, struct store **out,
                               struct err *e) ERR_USE;
 /* Close; of a store that is being built: removes the unfinished file. NULL inside is fine. */
