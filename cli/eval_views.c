@@ -62,13 +62,14 @@ static enum err_code eval_views_row(const struct eval_views *v, const char *what
     putchar('\n');
     fflush(stdout);
     json_t *row = json_pack(
-        "{s:s, s:s, s:I, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:f}",
+        "{s:s, s:s, s:I, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, "
+        "s:f}",
         "what", what, "views_of", kind, "views", (json_int_t)m->n_views, "psnr_db",
         jsonc_real(m->psnr_db), "ssim", jsonc_real(m->ssim), "gmsd", jsonc_real(m->gmsd),
         "square_psnr_db", jsonc_real(m->square_psnr_db), "depth_median",
         jsonc_real(m->depth_median), "depth_95", jsonc_real(m->depth_95), "depth_above_2pct",
-        jsonc_real(m->depth_above), "halo", jsonc_real(m->halo), "gaps", jsonc_real(m->gaps),
-        "haze", jsonc_real(m->haze), "veil", jsonc_real(m->veil), "mask_share",
+        jsonc_real(m->depth_above), "halo", jsonc_real(m->halo), "fog", jsonc_real(m->fog), "gaps",
+        jsonc_real(m->gaps), "haze", jsonc_real(m->haze), "veil", jsonc_real(m->veil), "mask_share",
         jsonc_real(m->supported), "unobserved_share", jsonc_real(m->unobserved), "gaussians",
         v->gaussians / (double)v->views.n);
     if (!row || json_array_append_new(v->q->rows, row))
