@@ -25,7 +25,7 @@ struct catalog_options {
     size_t keep_revisions;   /* and at most so many of one dataset */
     const char *basemap;     /* of the viewer's inset map, see collection_list */
     const char *basemap_attribution;
-    unsigned preset;         /* of tiles that do not say one: enum quant_preset */
+    unsigned preset; /* of tiles that do not say one: enum quant_preset */
 };
 /* Open every path. `older` (may be NULL; not changed) gives unchanged datasets and the revisions that it
  * has. catalog_drop it. ERR_ARG: two datasets of one name; the errors of dataset_open. */

@@ -421,8 +421,8 @@ static void http_client_text(const struct exchange *x, char *out, size_t room)
     snprintf(out, room, "-");
     if (!x->peer || cfg->log_clients > NETWORK)
         return;
-    struct address a = address_client(&x->h->proxies, x->peer->address, x->req.forwarded,
-                                      x->req.n_forwarded);
+    struct address a =
+        address_client(&x->h->proxies, x->peer->address, x->req.forwarded, x->req.n_forwarded);
     address_write(cfg->log_clients == FULL ? a : address_network(a), out, room);
 }
 

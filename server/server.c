@@ -284,14 +284,13 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
 {
     struct server sv = {.cfg = *cfg};
     struct services *s = &sv.services;
-    sv.stores =
-        (struct catalog_options){.readers = 1,
-                                 .public_url = cfg->public_url,
-                                 .keep_s = cfg->keep_s,
-                                 .keep_revisions = (size_t)cfg->keep_revisions,
-                                 .basemap = cfg->basemap,
-                                 .basemap_attribution = cfg->basemap_attribution,
-                                 .preset = (unsigned)cfg->preset};
+    sv.stores = (struct catalog_options){.readers = 1,
+                                         .public_url = cfg->public_url,
+                                         .keep_s = cfg->keep_s,
+                                         .keep_revisions = (size_t)cfg->keep_revisions,
+                                         .basemap = cfg->basemap,
+                                         .basemap_attribution = cfg->basemap_attribution,
+                                         .preset = (unsigned)cfg->preset};
     enum err_code rc = services_open(s, &sv.cfg, e);
     if (!rc)
         rc = http_check(cfg, e);
