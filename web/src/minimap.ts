@@ -20,6 +20,7 @@ const BLURRED_ZOOMS = 3; // beyond the last zoom that there is
 const METRES_PER_DEGREE = 111_320;
 const WEDGE_LEAST_M = 30;
 const WEDGE_PITCH_DEG = 4; // an upper edge of the picture above this sees to the end of the city
+const ARC_STEPS = 6; // of the far edge, to either side
 const ZOOM_MOST = 22;
 const EDGE_PX = 14; // around what is to be seen
 
@@ -47,18 +48,19 @@ export function reach(above: number, pitch: number, most: number): number {
   return tangent > 1e-3 ? Math.min(most, Math.max(0, above) / tangent) : most;
 }
 
-// What the picture shows of the ground, roughly: the camera's foot and the two far corners.
+// What the picture shows of the ground, roughly: the camera's foot and the far edge.
 export function wedge(pose: Pose, aspect: number, above: number, most: number): LatLngTuple[] {
   const half = pose.fov / 2;
   const sides = (Math.atan(Math.tan((half * Math.PI) / 180) * aspect) * 180) / Math.PI;
   const top = pose.pitch + half;
   const far = top > -WEDGE_PITCH_DEG ? most : Math.max(WEDGE_LEAST_M, reach(above, top, most));
-  const edge = far / Math.cos((Math.min(sides, 75) * Math.PI) / 180);
-  return [
-    [pose.lat, pose.lon],
-    along(pose, pose.heading - sides, Math.min(most, edge)),
-    along(pose, pose.heading + sides, Math.min(most, edge)),
-  ];
+  const out: LatLngTuple[] = [[pose.lat, pose.lon]];
+  for (let i = -ARC_STEPS; i <= ARC_STEPS; i++) {
+    const turn = (sides * i) / ARC_STEPS;
+    const edge = far / Math.cos((Math.min(Math.abs(turn), 75) * Math.PI) / 180);
+    out.push(along(pose, pose.heading + turn, Math.min(most, edge)));
+  }
+  return out;
 }
 
 // Tiles that are fetched, not linked as images: the page's policy lets pictures come from its own host
