@@ -1,5 +1,6 @@
-/* An orthophoto of a whole city: how fast its pixels come, and that memory does not grow with it. Squares
- * of 1, 2 and 4 km edge out of one store, of the largest first 100 million pixels, at last 1.6 billion.
+/* An orthophoto of a whole city: how fast its pixels come, and that memory does not grow with it.
+ * Squares of 1, 2 and 4 km edge out of one store, of the largest first 100 million pixels, at last
+ * 1.6 billion.
  *
  * The city is the one of bench_frame side by side; its coarser levels are those of the pyramid.
  *

@@ -1,6 +1,7 @@
-/* What a thin client sees while its camera turns: a request for each picture, as the viewer asks by itself,
- * against a stream (server/motion.c), over lines of several round-trip times. A relay delays both directions;
- * nothing else about the line is modelled. The camera turns at 20 degrees a second for a few seconds.
+/* What a thin client sees while its camera turns: a request for each picture, as the viewer asks by
+ * itself, against a stream (server/motion.c), over lines of several round-trip times. A relay
+ * delays both directions; nothing else about the line is modelled. The camera turns at 20 degrees a
+ * second for a few seconds.
  *
  * Checked before timing: both answer with JPEG.
  *
@@ -310,8 +311,8 @@ static void motion_thin_steer(void *user)
     buf_free(&q);
 }
 
-/* The end of the first whole part in text, NULL: it is not there yet. Chunks of HTTP lie between: a part's
- * bytes are not looked at, its delimiter is. */
+/* The end of the first whole part in text, NULL: it is not there yet. Chunks of HTTP lie between: a
+ * part's bytes are not looked at, its delimiter is. */
 static const char *motion_thin_part_end(const struct buf *b, size_t at)
 {
     static const char mark[] = "\r\n--citysplat-picture\r\n";

@@ -1,5 +1,5 @@
-/* citysplat-study record: adds the numbers of a run to a file of recorded runs (cli/runs.h), from what
- * `citysplat eval -o`, `citysplat train` (cells/<id>/metrics.jsonl) and citysplat-bench wrote.
+/* citysplat-study record: adds the numbers of a run to a file of recorded runs (cli/runs.h), from
+ * what `citysplat eval -o`, `citysplat train` (cells/<id>/metrics.jsonl) and citysplat-bench wrote.
  *
  * Training time of a level: from the start of the cell to the level's end, summed over cells; and
  * the longest cell, which is the time when every cell has a machine of its own.

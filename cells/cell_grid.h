@@ -7,8 +7,8 @@
 
 #include <stdbool.h>
 
-/* Axes of a partition's grid: turned by `yaw_rad` counter-clockwise from east about `origin_m`, which
- * is a corner of squares. {0}: those of ENU. */
+/* Axes of a partition's grid: turned by `yaw_rad` counter-clockwise from east about `origin_m`,
+ * which is a corner of squares. {0}: those of ENU. */
 struct cell_grid {
     bool turned; /* else the rest is not looked at */
     double yaw_rad, cos_yaw, sin_yaw, origin_m[2];

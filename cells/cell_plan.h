@@ -18,8 +18,8 @@ enum err_code cell_plan_write(const char *path, const struct scene *s, const str
  * or one of other photographs; ERR_NOENT, ERR_IO, ERR_MEM. */
 enum err_code cell_plan_read(const char *path, const struct scene *s, struct partition *out,
                              struct err *e) ERR_USE;
-/* SVG: cells with their counts, cameras with their direction of view, a sample of the points. ERR_IO,
- * ERR_MEM. */
+/* SVG: cells with their counts, cameras with their direction of view, a sample of the points.
+ * ERR_IO, ERR_MEM. */
 enum err_code cell_plan_svg(const char *path, const struct scene *s, const struct partition *p,
                             struct err *e) ERR_USE;
 #endif

@@ -1,5 +1,6 @@
-/* What the photographs of a scene support: the ground that at least two of them see, how finely they resolve it, and between which heights its surface lies. What was
- * trained elsewhere is guesswork, and looks like it from any side but the photographs'.
+/* What the photographs of a scene support: the ground that at least two of them see, how finely
+ * they resolve it, and between which heights its surface lies. What was trained elsewhere is
+ * guesswork, and looks like it from any side but the photographs'.
  *
  * A grid over the ground. Heights are those of the sparse points; a cell counts as seen by the
  * photographs whose picture its middle falls into. Nothing is said about what hides what.
@@ -38,20 +39,21 @@ struct footprint {              /* {0} is empty: everything is supported; footpr
 /* From the training photographs and the sparse points. Empty (nx 0, with a warning) where no ground
  * is supported: too few points or photographs. ERR_MEM. */
 enum err_code footprint_of(const struct scene *s, struct footprint *out, struct err *e) ERR_USE;
-/* The ground from a GeoJSON file instead (Polygon, MultiPolygon, Feature or FeatureCollection, WGS84
- * longitude and latitude), heights as above: `f` is that of the scene. Borders are kept to half a
- * cell of the grid. ERR_NOENT, ERR_FORMAT: no file, no polygon; ERR_DATA: it lies elsewhere. */
+/* The ground from a GeoJSON file instead (Polygon, MultiPolygon, Feature or FeatureCollection,
+ * WGS84 longitude and latitude), heights as above: `f` is that of the scene. Borders are kept to
+ * half a cell of the grid. ERR_NOENT, ERR_FORMAT: no file, no polygon; ERR_DATA: it lies
+ * elsewhere. */
 enum err_code footprint_read(struct footprint *f, const char *path, const struct geo_origin *origin,
                              struct err *e) ERR_USE;
 void footprint_free(struct footprint *f);
-/* How much of a Gaussian's opacity is left, 0 to 1: mean [3] and covariance [3][3] in ENU metres. 1 well
- * inside, 0 beyond the faded edge; what is so large that it reaches out fades, too. */
+/* How much of a Gaussian's opacity is left, 0 to 1: mean [3] and covariance [3][3] in ENU metres. 1
+ * well inside, 0 beyond the faded edge; what is so large that it reaches out fades, too. */
 double footprint_weight(const struct footprint *f, const double mean_m[3], const double cov[9]);
-/* Metres by which a place lies above the highest sparse point around it, or below the lowest; negative
- * between them, -HUGE_VAL beyond the grid, where nothing is known. */
+/* Metres by which a place lies above the highest sparse point around it, or below the lowest;
+ * negative between them, -HUGE_VAL beyond the grid, where nothing is known. */
 double footprint_off(const struct footprint *f, const double x_m[3]);
-/* The cell in which a ray from a camera meets the ground; -1 beyond the grid and above the horizon. The
- * direction has any length. */
+/* The cell in which a ray from a camera meets the ground; -1 beyond the grid and above the horizon.
+ * The direction has any length. */
 ptrdiff_t footprint_meets(const struct footprint *f, const double from_m[3], const double ray[3]);
 /* The direction of the ray through a pixel's middle, ENU. */
 void footprint_ray(const struct camera *c, double x_px, double y_px, double ray[3]);

@@ -56,13 +56,13 @@ struct partition { /* {0} is empty */
     struct arena arena;
 };
 
-/* Make the cells. partition_free it. Deterministic. ERR_DATA: the scene has no photographs; ERR_LIMIT:
- * the edge makes more than 4,096 cells; ERR_MEM. */
+/* Make the cells. partition_free it. Deterministic. ERR_DATA: the scene has no photographs;
+ * ERR_LIMIT: the edge makes more than 4,096 cells; ERR_MEM. */
 enum err_code partition_make(const struct scene *s, const struct partition_config *cfg,
                              struct partition *out, struct err *e) ERR_USE;
 void partition_free(struct partition *p);
-/* The trained cell that owns a Gaussian at ENU (x, y): the one whose box holds it (half-open), else the
- * one whose box is nearest (ties: lowest index). Background cells hand over to their parent. */
+/* The trained cell that owns a Gaussian at ENU (x, y): the one whose box holds it (half-open), else
+ * the one whose box is nearest (ties: lowest index). Background cells hand over to their parent. */
 size_t partition_owner(const struct partition *p, double x_m, double y_m);
 /* Does an ENU box (x, y) lie within the box of cell `index` alone? */
 bool partition_covers(const struct partition *p, size_t index, const double min_enu_m[2],

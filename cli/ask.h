@@ -1,4 +1,5 @@
-/* What the commands that ask about a surface share: the store, the answer as JSON on standard output.
+/* What the commands that ask about a surface share: the store, the answer as JSON on standard
+ * output.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

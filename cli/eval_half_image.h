@@ -19,7 +19,8 @@ struct eval_half_image { /* {0}: without appearance; eval_half_image_clear */
 };
 void eval_half_image_clear(struct eval_half_image *h);
 /* Take the appearance model of a checkpoint, if it has one. All checkpoints taken since the last
- * eval_half_image_clear must have the same: ERR_DATA names the one that differs. `first`: it is the first.
+ * eval_half_image_clear must have the same: ERR_DATA names the one that differs. `first`: it is the
+ * first.
  */
 enum err_code eval_half_image_take(struct eval_half_image *h, bool first, const struct ckpt *c,
                                    const char *path, const struct scene *s, struct err *e) ERR_USE;

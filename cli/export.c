@@ -1,6 +1,6 @@
-/* citysplat export: a tile store -> one .ply, .spz or .sog of a level, or a static 3D Tiles folder that
- * any web server or CDN can hand out without us. The .glb files are the bytes `citysplat serve`
- * would send.
+/* citysplat export: a tile store -> one .ply, .spz or .sog of a level, or a static 3D Tiles folder
+ * that any web server or CDN can hand out without us. The .glb files are the bytes `citysplat
+ * serve` would send.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,7 +1,8 @@
 /* citysplat: drone photographs in, a city of Gaussians that a web map can stream out.
  *
  * Finds the command and runs it. stdout is data, stderr is the log. Exit codes: 0 done, 1 failed, 2
- * the command line was wrong; of serve, which supervisors start, those of sysexits.h. This is the only file that turns an error into text and an exit code.
+ * the command line was wrong; of serve, which supervisors start, those of sysexits.h. This is the
+ * only file that turns an error into text and an exit code.
  *
  *   citysplat help [COMMAND]          the commands, or one of them
  *   citysplat help --markdown         the command reference, docs/commands.md

@@ -17,8 +17,8 @@ struct photographs { /* {0} is empty; photographs_free */
     size_t n;
     size_t thumbnail_bytes; /* of all of them */
 };
-/* Those of the scene's photographs that an appearance model knows. One whose file cannot be read has
- * no thumbnail, with a warning. s outlives out. Parallel. ERR_LIMIT, ERR_MEM, ERR_DATA. */
+/* Those of the scene's photographs that an appearance model knows. One whose file cannot be read
+ * has no thumbnail, with a warning. s outlives out. Parallel. ERR_LIMIT, ERR_MEM, ERR_DATA. */
 enum err_code photographs_of(const struct scene *s, const struct appearance *a, bool thumbnails,
                              struct photographs *out, struct err *e) ERR_USE;
 void photographs_free(struct photographs *p);

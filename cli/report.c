@@ -1,5 +1,6 @@
-/* citysplat report: one HTML file that tells how good a survey is: what was photographed, how finely and
- * how often, where it lies and how far positions disagree, what was dropped, what training made of it.
+/* citysplat report: one HTML file that tells how good a survey is: what was photographed, how
+ * finely and how often, where it lies and how far positions disagree, what was dropped, what
+ * training made of it.
  *
  * No scripts and no other files: it can be mailed, and prints to PDF from any browser.
  *
@@ -194,7 +195,8 @@ static void report_summary(struct report *r)
                s->origin.lon_deg, s->origin.lat_deg, s->origin.h_m);
 }
 
-/* Orthophoto or surface model of the store, no larger than asked for, from a file beside the report. */
+/* Orthophoto or surface model of the store, no larger than asked for, from a file beside the
+ * report. */
 static enum err_code report_picture(struct report *r, struct nadir *n, enum geotiff_kind kind,
                                     struct err *e)
 {

@@ -1,5 +1,5 @@
-/* Maps of a survey report: see report_map.h. Grids are small PNGs that the browser enlarges, cameras and
- * arrows are SVG on top, so that a printed page stays sharp.
+/* Maps of a survey report: see report_map.h. Grids are small PNGs that the browser enlarges,
+ * cameras and arrows are SVG on top, so that a printed page stays sharp.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -44,7 +44,8 @@ static size_t report_class(size_t views)
     return views < 3 ? views : views < 5 ? 3 : views < 10 ? 4 : 5;
 }
 
-/* Metres on the ground a pixel, of the photograph that resolves the place best; NAN: none shows it. */
+/* Metres on the ground a pixel, of the photograph that resolves the place best; NAN: none shows
+ * it. */
 static double report_gsd_at(const struct scene *s, const double at[3])
 {
     double best = HUGE_VAL;

@@ -1,4 +1,5 @@
-/* Maps of a survey report, as SVG: what the photographs cover, how finely, and where positions disagree.
+/* Maps of a survey report, as SVG: what the photographs cover, how finely, and where positions
+ * disagree.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -30,15 +31,16 @@ void report_ground_free(struct report_ground *g);
 /* Append a picture as <img>, PNG or JPEG inside of the text. ERR_MEM, ERR_INTERNAL. */
 enum err_code report_map_image(const struct image *img, const char *format, const char *style,
                                struct buf *out, struct err *e) ERR_USE;
-/* Append maps, north up, with legend and scale: coverage with the cameras; ground sampling distance;
- * positions against GPS, arrows `times` as long as they are. ERR_MEM, ERR_INTERNAL. */
+/* Append maps, north up, with legend and scale: coverage with the cameras; ground sampling
+ * distance; positions against GPS, arrows `times` as long as they are. ERR_MEM, ERR_INTERNAL. */
 enum err_code report_map_coverage(const struct scene *s, const struct report_ground *g,
                                   struct buf *out, struct err *e) ERR_USE;
 enum err_code report_map_gsd(const struct scene *s, const struct report_ground *g, struct buf *out,
                              struct err *e) ERR_USE;
 enum err_code report_map_residuals(const struct scene *s, const struct report_ground *g,
                                    struct buf *out, struct err *e) ERR_USE;
-/* Colours of heights with shade, from heights [h][w], m; NAN and what is below `none` is white. low, high:
+/* Colours of heights with shade, from heights [h][w], m; NAN and what is below `none` is white.
+ * low, high:
  * 2 and 98 % of them. ERR_MEM, ERR_ARG. */
 enum err_code report_map_relief(const float *height_m, uint32_t w, uint32_t h, double pixel_m,
                                 float none, struct image *out, double *low_m, double *high_m,

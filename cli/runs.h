@@ -6,7 +6,8 @@
  *    "commit": "...", "device": "...", "fma_gflops": N, "triad_gbps": N,
  *    "numbers": {"psnr_db": N, ...}}
  * (study, row, what) is unique in a file; recording it again replaces it. docs/runs/README.md tells
- * what the numbers mean. `citysplat-study record` writes such files, `citysplat-study chart` draws them.
+ * what the numbers mean. `citysplat-study record` writes such files, `citysplat-study chart` draws
+ * them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -32,8 +32,8 @@ struct splats { /* {0} is empty */
 /* By the first bytes; a folder with a scene.json is a scene. ERR_NOENT, ERR_IO. */
 enum err_code splats_kind(const char *path, enum splats_kind *out, struct err *e) ERR_USE;
 const char *splats_kind_name(enum splats_kind k);
-/* Read .ply, .spz, .glb, .drc, .sog, .splat or a checkpoint. ERR_FORMAT for anything else, ERR_LIMIT
- * (lim NULL: the defaults; a checkpoint is ours and has none). splats_free it. */
+/* Read .ply, .spz, .glb, .drc, .sog, .splat or a checkpoint. ERR_FORMAT for anything else,
+ * ERR_LIMIT (lim NULL: the defaults; a checkpoint is ours and has none). splats_free it. */
 enum err_code splats_read(const char *path, const struct codec_limits *lim, struct splats *out,
                           struct err *e) ERR_USE;
 void splats_free(struct splats *s);

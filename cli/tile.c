@@ -401,8 +401,8 @@ static void tile_warn_missing(const struct tile_scene *s)
                          s->cells[i].id, l);
 }
 
-/* The appearance model as the store keeps it: with the default appearance, fitted to the first Gaussians
- * of the finest level. Stays empty where there is none. */
+/* The appearance model as the store keeps it: with the default appearance, fitted to the first
+ * Gaussians of the finest level. Stays empty where there is none. */
 static enum err_code tile_make_appearance(const struct tile_scene *s,
                                           const struct tile_level *finest, struct buf *out,
                                           struct err *e)

@@ -12,8 +12,8 @@ struct truth_score {
     double psnr_db, inside_psnr_db; /* NAN: none */
 };
 /* Draw the city of folder cfg->city on the pixels of the orthophoto cfg->map, into the GeoTIFF
- * cfg->output (NULL: none is written). Errors of synth_views_config, sheet.h and geotiff.h; ERR_DATA:
- * the orthophoto shows nothing; ERR_CANCEL. */
+ * cfg->output (NULL: none is written). Errors of synth_views_config, sheet.h and geotiff.h;
+ * ERR_DATA: the orthophoto shows nothing; ERR_CANCEL. */
 enum err_code truth_map(const struct synth_config *cfg, struct truth_score *out,
                         struct err *e) ERR_USE;
 

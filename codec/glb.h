@@ -12,8 +12,8 @@ struct codec_limits;
 struct quant;
 
 /* .glb with KHR_gaussian_splatting, appended to out: payload SPZ v3 (CesiumJS, ArcGIS,
- * 3d-tiles-renderer with Spark). copyright may be NULL. ERR_ARG (it is not UTF-8), ERR_LIMIT, ERR_MEM. Any
- * thread, as all here. */
+ * 3d-tiles-renderer with Spark). copyright may be NULL. ERR_ARG (it is not UTF-8), ERR_LIMIT,
+ * ERR_MEM. Any thread, as all here. */
 enum err_code glb_encode_spz(const struct quant *q, const char *copyright, struct buf *out,
                              struct err *e) ERR_USE;
 /* The same with plain float accessors (three, PlayCanvas, Babylon). g in glTF axes. ERR_ARG,

@@ -1,5 +1,5 @@
-/* Limits of decoders. A decoder checks counts against the bytes at hand before it allocates, keeps to
- * these limits, and leaves its output empty on an error.
+/* Limits of decoders. A decoder checks counts against the bytes at hand before it allocates, keeps
+ * to these limits, and leaves its output empty on an error.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

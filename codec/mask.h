@@ -26,7 +26,8 @@ enum err_code mask_path(const char *dir, const char *photo_name, char out[FILE_P
  * image_free it. ERR_NOENT, ERR_FORMAT, ERR_LIMIT, ERR_MEM as image_read. */
 enum err_code mask_read(const char *path, uint32_t width_px, uint32_t height_px, struct image *out,
                         struct err *e) ERR_USE;
-/* To another size: a pixel is ignored when any pixel under it is. image_free it. ERR_ARG, ERR_MEM. */
+/* To another size: a pixel is ignored when any pixel under it is. image_free it. ERR_ARG,
+ * ERR_MEM. */
 enum err_code mask_resize(const struct image *in, uint32_t width_px, uint32_t height_px,
                           struct image *out, struct err *e) ERR_USE;
 /* use[i] = 0 for every point that one of these photographs observes on an ignored pixel. Reads

@@ -72,8 +72,8 @@ static void png_rows(const uint8_t *px, size_t height, size_t n, size_t step, ui
     }
 }
 
-/* bytes [h][n]: rows as they go into the file. kind: bit depth and colour type; step: bytes a pixel. text
- * [n_text]: of a tEXt chunk, NULL: none. */
+/* bytes [h][n]: rows as they go into the file. kind: bit depth and colour type; step: bytes a
+ * pixel. text [n_text]: of a tEXt chunk, NULL: none. */
 static enum err_code png_write(const uint8_t *bytes, uint32_t width_px, uint32_t height_px,
                                size_t step, const uint8_t kind[2], const char *text, size_t n_text,
                                struct buf *out, struct err *e)

@@ -16,8 +16,8 @@ extern "C" {
  * ERR_ARG (size, channels), ERR_MEM. */
 enum err_code png_encode(const uint8_t *px, uint32_t width_px, uint32_t height_px,
                          uint32_t channels, struct buf *out, struct err *e) ERR_USE;
-/* The same of 16 bits, grey [h][w], with a text chunk: keyword (Latin-1, 1 to 79 bytes) and text. ERR_ARG,
- * ERR_MEM. */
+/* The same of 16 bits, grey [h][w], with a text chunk: keyword (Latin-1, 1 to 79 bytes) and text.
+ * ERR_ARG, ERR_MEM. */
 enum err_code png_encode_grey16(const uint16_t *px, uint32_t width_px, uint32_t height_px,
                                 const char *keyword, const char *text, struct buf *out,
                                 struct err *e) ERR_USE;

@@ -10,9 +10,9 @@
 
 struct codec_limits;
 
-/* One .sog, appended to out. g: in glTF axes, means relative to its origin; sh_degree at most its own.
- * Embeddings are left out. ERR_DATA (none, or not finite), ERR_ARG, ERR_LIMIT, ERR_MEM. Any thread,
- * deterministic. */
+/* One .sog, appended to out. g: in glTF axes, means relative to its origin; sh_degree at most its
+ * own. Embeddings are left out. ERR_DATA (none, or not finite), ERR_ARG, ERR_LIMIT, ERR_MEM. Any
+ * thread, deterministic. */
 enum err_code sog_encode(const struct gauss *g, uint32_t sh_degree, struct buf *out,
                          struct err *e) ERR_USE;
 /* Version 2, into glTF axes; hostile bytes are safe. gauss_free it; empty on errors. ERR_FORMAT,

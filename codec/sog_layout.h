@@ -7,8 +7,8 @@
 
 #include <stddef.h>
 
-/* Half a turn about x, between glTF axes and those that trainers' .ply files have by custom (y down),
- * which SOG shares with them: signs of x y z, of w x y z, and of the basis functions of the
+/* Half a turn about x, between glTF axes and those that trainers' .ply files have by custom (y
+ * down), which SOG shares with them: signs of x y z, of w x y z, and of the basis functions of the
  * harmonics of degree 1, 2, 3. */
 static const float sog_flip[3] = {1, -1, -1};
 static const float sog_flip_quat[4] = {1, 1, -1, -1};

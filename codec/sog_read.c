@@ -73,7 +73,8 @@ static enum err_code sog_numbers(const struct sog_reader *r, const char *key, co
     return ERR_OK;
 }
 
-/* The first texture that is there says that the count is no lie: only then there is room for rows. */
+/* The first texture that is there says that the count is no lie: only then there is room for
+ * rows. */
 static enum err_code sog_get_means(struct sog_reader *r, struct err *e)
 {
     struct sog_texture low = {0}, high = {0};

@@ -13,8 +13,8 @@ struct quant;
 /* .spz, versions 3 and 4, appended to out. ERR_ARG (version), ERR_LIMIT, ERR_MEM. Any thread. */
 enum err_code spz_encode(const struct quant *q, int version, struct buf *out,
                          struct err *e) ERR_USE;
-/* Versions 2, 3 and 4; hostile bytes are safe. quant_free it; empty on errors. ERR_FORMAT, ERR_LIMIT,
- * ERR_MEM. Any thread. */
+/* Versions 2, 3 and 4; hostile bytes are safe. quant_free it; empty on errors. ERR_FORMAT,
+ * ERR_LIMIT, ERR_MEM. Any thread. */
 enum err_code spz_decode(const void *bytes, size_t n, const struct codec_limits *lim,
                          struct quant *out, struct err *e) ERR_USE;
 #endif

@@ -68,8 +68,8 @@ void appearance_eval(const struct appearance *a, const float *embed, const float
  * 1e-12): g_v = (g_v^ - v^ (v^ . g_v^)) / |v|. Written, not added; either may be NULL. */
 void appearance_backward(const struct appearance *a, const float *image, const float *frame_grad,
                          float *weights_grad, float *image_grad);
-/* Apply a photograph's appearance for good: DC += (2 y - 1) / C0, opacity = min(opacity + y3, 1 - 1e-6).
- * g keeps its embeddings. ERR_DATA when g's embedding length is not len_gauss. Parallel. */
+/* Apply a photograph's appearance for good: DC += (2 y - 1) / C0, opacity = min(opacity + y3, 1 -
+ * 1e-6). g keeps its embeddings. ERR_DATA when g's embedding length is not len_gauss. Parallel. */
 enum err_code appearance_bake(const struct appearance *a, const float *image, struct gauss *g,
                               struct err *e) ERR_USE;
 /* out [len_image] = sum of weight[i] * images[index[i]] (a blend). */

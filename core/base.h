@@ -142,12 +142,12 @@ void log_line(enum log_level level, const char *module, const char *fmt, ...) ER
 size_t log_compose(char *line, size_t room, enum log_level level, const char *module,
                    const char *fmt, ...) ERR_PRINTF(5, 6);
 void log_write(const char *lines, size_t n);
-/* From here on lines go through a bounded queue to a thread of their own, so that a reader of stderr
- * who stops holds up nobody; what does not fit is dropped and counted. Before other threads start.
- * ERR_MEM. */
+/* From here on lines go through a bounded queue to a thread of their own, so that a reader of
+ * stderr who stops holds up nobody; what does not fit is dropped and counted. Before other threads
+ * start. ERR_MEM. */
 enum err_code log_start(struct err *e) ERR_USE;
-/* Write what waits, for at most wait_s; then lines are written by who logs them again, unless stderr
- * still hangs. After other threads have ended. */
+/* Write what waits, for at most wait_s; then lines are written by who logs them again, unless
+ * stderr still hangs. After other threads have ended. */
 void log_stop(double wait_s);
 #define log_error(module, ...) log_line(LOG_ERROR, module, __VA_ARGS__)
 #define log_warn(module, ...) log_line(LOG_WARN, module, __VA_ARGS__)

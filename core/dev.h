@@ -66,8 +66,8 @@ enum err_code dev_map(struct dev *d, cl_mem m, cl_map_flags flags, size_t n_byte
 enum err_code dev_unmap(struct dev *d, cl_mem m, void **mapped, struct err *e) ERR_USE;
 /* Set argument `index`, collecting failures: call per argument, check once at dev_run. */
 #define dev_arg(k, index, value) clSetKernelArg((k), (index), sizeof(value), &(value))
-/* Enqueue a one-dimensional launch of items `global`, rounded up to a multiple of `local`; dev_finish
- * waits for all that was enqueued. ERR_DEVICE. */
+/* Enqueue a one-dimensional launch of items `global`, rounded up to a multiple of `local`;
+ * dev_finish waits for all that was enqueued. ERR_DEVICE. */
 enum err_code dev_run(struct dev *d, cl_kernel k, const char *name, size_t global, size_t local,
                       struct err *e) ERR_USE;
 enum err_code dev_finish(struct dev *d, struct err *e) ERR_USE;

@@ -31,9 +31,9 @@ enum err_code geo_local_axes(const struct geo_origin *o, double lon_deg, double 
 
 /* A model of the geoid: how high mean sea level lies above the ellipsoid. */
 struct geoid;
-/* NAME.pgm as GeographicLib has it ("egm96-5", "egm2008-1"), in a folder; dir NULL: GeographicLib's own
- * (GEOGRAPHICLIB_GEOID_PATH, or share/GeographicLib/geoids). Read whole, so that any thread may ask.
- * geoid_close it. ERR_NOENT: no such file, or not one of a geoid: says what to do; ERR_MEM. */
+/* NAME.pgm as GeographicLib has it ("egm96-5", "egm2008-1"), in a folder; dir NULL: GeographicLib's
+ * own (GEOGRAPHICLIB_GEOID_PATH, or share/GeographicLib/geoids). Read whole, so that any thread may
+ * ask. geoid_close it. ERR_NOENT: no such file, or not one of a geoid: says what to do; ERR_MEM. */
 enum err_code geoid_open(const char *name, const char *dir, struct geoid **out,
                          struct err *e) ERR_USE;
 void geoid_close(struct geoid **g);

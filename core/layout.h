@@ -57,10 +57,10 @@ typedef uchar16 layout_uchar16 __attribute__((aligned(1)));
 /* Outputs of the appearance network, see core/appearance.h: offsets of three colours and of */
 #define LAYOUT_APPEARANCE_OUT 4
 #define LAYOUT_APPEARANCE_OPACITY 3 /* opacity */
-/* Constants of a frame for embeddings of `len` and `hidden` units: weights, biases; a row of sums of
- * their gradients has one more, that of the opacity offsets, and is whole vectors long. VW 1: a
- * Gaussian's row in local memory, an odd length so that rows begin in different banks, and work-items
- * of a group. */
+/* Constants of a frame for embeddings of `len` and `hidden` units: weights, biases; a row of sums
+ * of their gradients has one more, that of the opacity offsets, and is whole vectors long. VW 1: a
+ * Gaussian's row in local memory, an odd length so that rows begin in different banks, and
+ * work-items of a group. */
 #define LAYOUT_APPEARANCE_FLOATS(len, hidden)                                                      \
     ((hidden) * ((len) + 1 + LAYOUT_APPEARANCE_OUT) + LAYOUT_APPEARANCE_OUT)
 #define LAYOUT_APPEARANCE_ROW(len, hidden)                                                         \
@@ -163,7 +163,8 @@ struct layout_counts {
 #define LAYOUT_SLOT_ABS 9 /* two moduli of the gradient of the mean in pixels */
 #define LAYOUT_SLOT_FLOATS 11
 
-/* What render_importance_run sums for a Gaussian: its slots hold the first LAYOUT_IMPORTANCE_SLOT. */
+/* What render_importance_run sums for a Gaussian: its slots hold the first
+ * LAYOUT_IMPORTANCE_SLOT. */
 #define LAYOUT_IMPORTANCE_WEIGHT 0
 #define LAYOUT_IMPORTANCE_PIXELS 1
 #define LAYOUT_IMPORTANCE_SHARE 2    /* alpha T */

@@ -1,5 +1,5 @@
-/* One line an event on stderr, as text or JSON, composed first and written by one call, so that threads do
- * not mix lines.
+/* One line an event on stderr, as text or JSON, composed first and written by one call, so that
+ * threads do not mix lines.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -117,8 +117,8 @@ static void log_put(const char *lines, size_t n)
 
 /* ---- the queue ---- */
 
-/* Two halves: callers fill one while the thread writes the other. A reader of stderr that stops holds
- * up the thread alone. */
+/* Two halves: callers fill one while the thread writes the other. A reader of stderr that stops
+ * holds up the thread alone. */
 enum { LOG_QUEUE_BYTES = 1 << 20 };
 static struct {
     pthread_mutex_t lock;

@@ -98,8 +98,8 @@ static enum gcp_column gcp_column_of(const char *word)
     return GCP_COLUMNS;
 }
 
-/* The first line of a CSV file: which field is what. Returns the first column that is wanted and not
- * there, GCP_NAME: none. */
+/* The first line of a CSV file: which field is what. Returns the first column that is wanted and
+ * not there, GCP_NAME: none. */
 static enum gcp_column gcp_columns(char *text, struct gcp_table *t, int *epsg)
 {
     char *field[GCP_FIELDS];

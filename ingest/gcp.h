@@ -1,8 +1,8 @@
 /* Ground control points: places on the ground that were surveyed and marked in photographs.
  *
- * Two forms of file. OpenDroneMap's gcp_list.txt: a line that names the coordinate system, then "x y z
- * column row photograph [name]", by blanks or tabs. CSV: a line that names the columns, among them x, y,
- * z (or easting, northing, height; or lon, lat, height), px, py, image, and name.
+ * Two forms of file. OpenDroneMap's gcp_list.txt: a line that names the coordinate system, then "x
+ * y z column row photograph [name]", by blanks or tabs. CSV: a line that names the columns, among
+ * them x, y, z (or easting, northing, height; or lon, lat, height), px, py, image, and name.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,8 +1,8 @@
 /* Locating ground control points and fitting to them: see gcp_fit.h.
  *
- * A point that is marked in several photographs lies where its rays pass each other most closely. One
- * that is marked in a single photograph lies on its ray, at the height of the sparse points that the
- * photograph sees around the mark: as good as the ground there is level.
+ * A point that is marked in several photographs lies where its rays pass each other most closely.
+ * One that is marked in a single photograph lies on its ray, at the height of the sparse points
+ * that the photograph sees around the mark: as good as the ground there is level.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -31,8 +31,9 @@ static bool gcp_fit_is_slash(char c)
     return c == '/' || c == '\\';
 }
 
-/* How well the path of a photograph and the one of a mark end alike, 0 for not: folders that both have
- * must be the same, capitals do not matter (cameras write .JPG), the whole path is better than a part. */
+/* How well the path of a photograph and the one of a mark end alike, 0 for not: folders that both
+ * have must be the same, capitals do not matter (cameras write .JPG), the whole path is better than
+ * a part. */
 static size_t gcp_fit_alike(const char *photo, const char *mark)
 {
     size_t n = strlen(photo), k = strlen(mark), same = 0, least = n < k ? n : k;
@@ -48,8 +49,8 @@ static size_t gcp_fit_alike(const char *photo, const char *mark)
     return 4 * same + 2 * (n == k) + !strcmp(photo, mark);
 }
 
-/* The photograph of a mark, NULL: none. Of all that COLMAP knows, also those that were dropped: the mark
- * of one must not go to another of that name. */
+/* The photograph of a mark, NULL: none. Of all that COLMAP knows, also those that were dropped: the
+ * mark of one must not go to another of that name. */
 static enum err_code gcp_fit_photo(const struct colmap_model *m, const struct gcp_list *list,
                                    const struct gcp_mark *mark, const struct colmap_image **out,
                                    struct err *e)
@@ -208,8 +209,9 @@ static enum err_code gcp_fit_locate(const struct gcp_fit *f, const struct colmap
     return ERR_OK;
 }
 
-/* Three points that are not on a line fix everything. Of two, or of more on a line, the survey could
- * turn about that line: then the ground that the sparse points make out says what is level. */
+/* Three points that are not on a line fix everything. Of two, or of more on a line, the survey
+ * could turn about that line: then the ground that the sparse points make out says what is
+ * level. */
 static enum err_code gcp_fit_check(struct gcp_fit *f, const double (*y)[3], const uint32_t *index,
                                    size_t n, const double up[3], struct err *e)
 {

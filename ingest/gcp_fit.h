@@ -1,5 +1,5 @@
-/* Where ground control points lie in COLMAP's frame, and the similarity that puts them where they were
- * surveyed.
+/* Where ground control points lie in COLMAP's frame, and the similarity that puts them where they
+ * were surveyed.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -33,11 +33,12 @@ struct gcp_fit {                 /* {0} is empty; gcp_fit_free */
     size_t n_control, n_check; /* located */
     double control_plan_m, control_height_m, check_plan_m, check_height_m; /* RMSE; NAN: none */
 };
-/* list: longitude, latitude, height, plus height_offset_m. A mark belongs to the photograph of m whose path
- * ends like the mark's; views: those that were kept, pointing into m. px_scale: pixels of the list a pixel of
- * COLMAP's photographs. up: the ground's normal in COLMAP's frame, on the side of the cameras, 0 0 0 = unknown.
- * ERR_DATA: fewer than two control points are located, or they lie on a line and up is not known, or the
- * name of a mark fits several photographs: says which and what to do; ERR_ARG, ERR_MEM. */
+/* list: longitude, latitude, height, plus height_offset_m. A mark belongs to the photograph of m
+ * whose path ends like the mark's; views: those that were kept, pointing into m. px_scale: pixels
+ * of the list a pixel of COLMAP's photographs. up: the ground's normal in COLMAP's frame, on the
+ * side of the cameras, 0 0 0 = unknown. ERR_DATA: fewer than two control points are located, or
+ * they lie on a line and up is not known, or the name of a mark fits several photographs: says
+ * which and what to do; ERR_ARG, ERR_MEM. */
 enum err_code gcp_fit_make(const struct gcp_list *list, const struct colmap_model *m,
                            const struct gcp_view *views, size_t n_views, double px_scale,
                            double height_offset_m, const double up[3], struct gcp_fit *out,

@@ -1,10 +1,10 @@
 /* Exposure and white balance of every photograph, from the sparse points that several of them see.
  *
- * The light of a point j in photograph i, channel k, is L = A[j][k] * 2^ev[i][k]: the logarithm is a
- * sum, and its least squares have a unique solution but for one constant a channel, which is chosen
- * so that the mean over the photographs is exactly 0. Solved by alternating between points and
- * photographs. Observations weigh 1 / (1 + (r / 0.3)^2) by their residual r in stops (Cauchy), so
- * cars, glints and shadows that moved count little; photographs are held to 0 as if by four more
+ * The light of a point j in photograph i, channel k, is L = A[j][k] * 2^ev[i][k]: the logarithm is
+ * a sum, and its least squares have a unique solution but for one constant a channel, which is
+ * chosen so that the mean over the photographs is exactly 0. Solved by alternating between points
+ * and photographs. Observations weigh 1 / (1 + (r / 0.3)^2) by their residual r in stops (Cauchy),
+ * so cars, glints and shadows that moved count little; photographs are held to 0 as if by four more
  * observations, so that chains of few points do not drift.
  *
  * Light is the mean over 5 x 5 pixels of the scene's picture around the observation; clipped and
@@ -81,7 +81,8 @@ static enum err_code exposure_sample_task(void *user, size_t i, struct err *e)
 
 /* ---- least squares ---- */
 
-/* How far the observation lies from what its point and photograph say, mean square over channels. */
+/* How far the observation lies from what its point and photograph say, mean square over
+ * channels. */
 static double exposure_weight(const struct exposure *x, size_t t)
 {
     const struct scene_track *o = &x->g->scene.tracks[t];
@@ -159,8 +160,8 @@ static size_t exposure_count(const struct exposure *x, size_t i, double *residua
     return n;
 }
 
-/* Into the scene; photographs with too few observations keep the mean, all do where they hardly differ.
- * The mean over all is exactly 0. */
+/* Into the scene; photographs with too few observations keep the mean, all do where they hardly
+ * differ. The mean over all is exactly 0. */
 static size_t exposure_keep(struct exposure *x)
 {
     struct scene *s = &x->g->scene;

@@ -296,8 +296,8 @@ static enum err_code frame_by_hand(struct ingest *g, size_t n_gps, size_t n_kept
     return rc;
 }
 
-/* Which way is up in COLMAP's frame: the ground's normal, on the side of the cameras. Each sight of a
- * reliable point from a photograph that was kept is one vote, so that no single pose decides. */
+/* Which way is up in COLMAP's frame: the ground's normal, on the side of the cameras. Each sight of
+ * a reliable point from a photograph that was kept is one vote, so that no single pose decides. */
 static enum err_code frame_up(const struct ingest *g, double out[3], struct err *e)
 {
     const struct colmap_model *m = &g->model;

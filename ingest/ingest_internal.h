@@ -86,8 +86,8 @@ enum err_code ingest_scene_fill(struct ingest *g, struct err *e) ERR_USE;
 enum err_code ingest_points_filter(const struct ingest_config *cfg, struct scene *s,
                                    size_t count[INGEST_POINT_VERDICTS], struct err *e) ERR_USE;
 
-/* ingest_exposure.c: exposure and white balance of the scene's photographs, which are written by now.
- * What is read: ERR_IO, ERR_NOENT, ERR_FORMAT; ERR_CANCEL, ERR_MEM. */
+/* ingest_exposure.c: exposure and white balance of the scene's photographs, which are written by
+ * now. What is read: ERR_IO, ERR_NOENT, ERR_FORMAT; ERR_CANCEL, ERR_MEM. */
 enum err_code ingest_exposure_find(struct ingest *g, struct err *e) ERR_USE;
 
 /* ---- ingest_mask.c ---- */

@@ -1,12 +1,13 @@
 /* Which sparse points are no surface. A wrong match that two photographs agree on lies metres off,
- * often under the ground; training makes a Gaussian as large as the gap around it out of each, whose
- * tails no training photograph shows and every other view does.
+ * often under the ground; training makes a Gaussian as large as the gap around it out of each,
+ * whose tails no training photograph shows and every other view does.
  *
- * Four kinds of evidence, judged in this order: rays that meet at too small an angle, a reprojection
- * error far above the others', a gap to the nearest points far above that of the points around, a
- * place far below or above all points near it on the map. The last needs a weak point (few
- * observations or a poor fit), since a lamp post stands above its street, too. All limits are
- * relative: to the median error, to the spacing of the neighbours, to the size of a pixel there.
+ * Four kinds of evidence, judged in this order: rays that meet at too small an angle, a
+ * reprojection error far above the others', a gap to the nearest points far above that of the
+ * points around, a place far below or above all points near it on the map. The last needs a weak
+ * point (few observations or a poor fit), since a lamp post stands above its street, too. All
+ * limits are relative: to the median error, to the spacing of the neighbours, to the size of a
+ * pixel there.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

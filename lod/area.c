@@ -124,7 +124,8 @@ static void area_narrow(struct area *a, const struct area_box *box, bool footpri
     a->north_deg = footprint ? box->north : fmin(a->north_deg, box->north);
 }
 
-/* A Feature with a MultiPolygon as one more outline. *ok false: it is none, and nothing has changed. */
+/* A Feature with a MultiPolygon as one more outline. *ok false: it is none, and nothing has
+ * changed. */
 static enum err_code area_add_layer(struct area *a, const json_t *feature, bool footprint, bool *ok,
                                     struct err *e)
 {
@@ -303,8 +304,8 @@ static void area_mask_tiles(const struct area *a, const double corner[8], uint32
 
 enum { AREA_TURN = 2 }; /* beside the 1 of what is held */
 
-/* One row, even-odd: every edge that it crosses turns what lies right of the crossing. What is not in
- * the outline goes. */
+/* One row, even-odd: every edge that it crosses turns what lies right of the crossing. What is not
+ * in the outline goes. */
 static void area_mask_row(const struct area *a, size_t layer, const double left[2],
                           const double right[2], uint32_t w, uint8_t *in)
 {

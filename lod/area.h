@@ -24,8 +24,9 @@ struct area {                  /* {0} is empty */
     const struct store *store; /* borrowed */
     bool *in;                  /* by index into store_tiles */
     size_t n_in;
-    /* Outlines, each by the even-odd rule: what lies in all of them was surveyed. The first is the store's
-     * footprint; without one (by_tiles), tiles decide. The others are what it was clipped to. */
+    /* Outlines, each by the even-odd rule: what lies in all of them was surveyed. The first is the
+     * store's footprint; without one (by_tiles), tiles decide. The others are what it was clipped
+     * to. */
     struct area_edge *edges;                              /* NULL: none */
     size_t n_edges, n_layers, layer[AREA_LAYERS_MAX + 1]; /* first edge of each, and the end */
     bool by_tiles;

@@ -5,10 +5,10 @@
  * who know nothing of all this. Whoever hands out Gaussians reads them through here, so every
  * format and every picture agree, and any appearance can still be made from the tile.
  *
- * The default appearance is the one embedding whose colours are nearest, in the mean square over a sample
- * of Gaussians, to the mean of the colours under all training photographs: every photograph counts
- * the same. Averaging the embeddings themselves is only where the search starts, since the network
- * is not linear in them.
+ * The default appearance is the one embedding whose colours are nearest, in the mean square over a
+ * sample of Gaussians, to the mean of the colours under all training photographs: every photograph
+ * counts the same. Averaging the embeddings themselves is only where the search starts, since the
+ * network is not linear in them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

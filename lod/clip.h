@@ -1,5 +1,5 @@
-/* A part of a store, cut out by polygons and a range of heights. A Gaussian belongs to it by its mean:
- * what lies inside is kept whole, also where it reaches out.
+/* A part of a store, cut out by polygons and a range of heights. A Gaussian belongs to it by its
+ * mean: what lies inside is kept whole, also where it reaches out.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -31,9 +31,9 @@ struct clip {                /* clip_free */
  * not below high_m: each says what to do; ERR_MEM. */
 enum err_code clip_open(const char *path, double low_m, double high_m, struct clip *out,
                         struct err *e) ERR_USE;
-/* The same of what three options say, texts or NULL: the polygons' file, and heights; `prefix` of the
- * options' names in errors, as "clip-". *any: at least one is given. ERR_ARG (no number); errors of
- * clip_open: ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_DATA, ERR_MEM. */
+/* The same of what three options say, texts or NULL: the polygons' file, and heights; `prefix` of
+ * the options' names in errors, as "clip-". *any: at least one is given. ERR_ARG (no number);
+ * errors of clip_open: ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_DATA, ERR_MEM. */
 enum err_code clip_of_options(const char *path, const char *low_m, const char *high_m,
                               const char *prefix, struct clip *out, bool *any,
                               struct err *e) ERR_USE;
@@ -48,21 +48,21 @@ struct clip_report {
     size_t n_kept, n_dropped; /* Gaussians of all levels */
     char revision[13];
 };
-/* What a store that is clipped says of it: the GeoJSON of its blob STORE_CLIP, `before` (that of a store
- * that was clipped already; NULL: none) with one feature more. Nothing is added without polygons.
- * ERR_MEM. */
+/* What a store that is clipped says of it: the GeoJSON of its blob STORE_CLIP, `before` (that of a
+ * store that was clipped already; NULL: none) with one feature more. Nothing is added without
+ * polygons. ERR_MEM. */
 enum err_code clip_describe(const struct clip *c, const char *before, struct buf *out,
                             struct err *e) ERR_USE;
-/* A store of what is held: every level, blobs copied, STORE_CLIP says to what. The same store and the
- * same clip give the same revision. name NULL: that of the store. ERR_DATA: nothing
- * is held, says where the store lies; ERR_ARG (name, or the store itself as output), ERR_NOENT,
- * ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM, ERR_CANCEL. */
+/* A store of what is held: every level, blobs copied, STORE_CLIP says to what. The same store and
+ * the same clip give the same revision. name NULL: that of the store. ERR_DATA: nothing is held,
+ * says where the store lies; ERR_ARG (name, or the store itself as output), ERR_NOENT, ERR_FORMAT,
+ * ERR_IO, ERR_LIMIT, ERR_MEM, ERR_CANCEL. */
 enum err_code clip_store(const struct clip *c, const char *path, const char *name,
                          const char *out_path, struct clip_report *report, struct err *e) ERR_USE;
 
-/* The same for the time that it is open: an unnamed file in the folder dir (NULL: TMPDIR, or /tmp), gone
- * with its descriptor *fd, which the caller closes (store_open_fd). Errors as clip_store: ERR_DATA,
- * ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM, ERR_CANCEL. */
+/* The same for the time that it is open: an unnamed file in the folder dir (NULL: TMPDIR, or /tmp),
+ * gone with its descriptor *fd, which the caller closes (store_open_fd). Errors as clip_store:
+ * ERR_DATA, ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_MEM, ERR_CANCEL. */
 enum err_code clip_open_part(const struct clip *c, const char *path, const char *dir, int *fd,
                              struct clip_report *report, struct err *e) ERR_USE;
 

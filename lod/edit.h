@@ -49,8 +49,9 @@ enum err_code edit_keep(struct edit *d, struct edit_tile *t, const struct gauss 
  * or rows would be out of its reach; all rows are known then, so that it moves once. ERR_MEM. */
 enum err_code edit_add(struct edit *d, struct edit_tile *t, const struct edit_part *part,
                        size_t n_parts, struct err *e) ERR_USE;
-/* Leave out rows beyond every format's reach, thin to what a tile may hold, put along the Hilbert curve.
- * What is made of a tile is made of its settled rows, as in the pyramid. ERR_MEM, ERR_LIMIT. */
+/* Leave out rows beyond every format's reach, thin to what a tile may hold, put along the Hilbert
+ * curve. What is made of a tile is made of its settled rows, as in the pyramid. ERR_MEM,
+ * ERR_LIMIT. */
 enum err_code edit_settle(struct edit *d, struct edit_tile *t, struct err *e) ERR_USE;
 /* Key of row i at zoom z. ERR_ARG (not finite). */
 enum err_code edit_key(const struct edit *d, const struct gauss *g, size_t i, uint8_t z,

@@ -26,8 +26,8 @@ struct key key_parent(struct key k);
 bool key_valid(struct key k);
 /* By z, then y, then x: negative, 0 or positive. */
 int key_compare(struct key a, struct key b);
-/* Where a place lies in the Mercator square: u grows east, v grows south, 0 to 1 each; latitude clamped as above.
- * And back. */
+/* Where a place lies in the Mercator square: u grows east, v grows south, 0 to 1 each; latitude
+ * clamped as above. And back. */
 void key_place(double lon_deg, double lat_deg, double uv[2]);
 void key_unplace(const double uv[2], double *lon_deg, double *lat_deg);
 void key_center(struct key k, double *lon_deg, double *lat_deg);

@@ -15,7 +15,8 @@ struct locate {
 /* Errors as geo_enu_to_ecef: ERR_ARG. The struct is only read afterwards, by any thread. */
 enum err_code locate_open(const struct geo_origin *origin, struct locate *out,
                           struct err *e) ERR_USE;
-/* The tile at KEY_ZOOM_MAX of a place: always what key_at(geo_from_enu) says. ERR_ARG (not finite). */
+/* The tile at KEY_ZOOM_MAX of a place: always what key_at(geo_from_enu) says. ERR_ARG (not
+ * finite). */
 enum err_code locate_key(const struct locate *l, const double enu_m[3], struct key *out,
                          struct err *e) ERR_USE;
 

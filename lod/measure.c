@@ -241,8 +241,8 @@ static enum err_code measure_check(const double box[4], double pixel_m, struct e
                    pixel_m, MEASURE_PIXELS_MAX, least * 1.01);
 }
 
-/* A piece whose top left corner lies at (west, north) of the plan. It is drawn a pixel larger, so that
- * every pixel has its neighbours. */
+/* A piece whose top left corner lies at (west, north) of the plan. It is drawn a pixel larger, so
+ * that every pixel has its neighbours. */
 static enum err_code measure_piece(struct measure_job *j, double west, double north,
                                    const struct measure_grid *g, struct err *e)
 {

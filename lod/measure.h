@@ -17,8 +17,8 @@ enum { MEASURE_CORNERS_MAX = 256, MEASURE_SAMPLES_MAX = 2000 };
 
 #define MEASURE_REACH_M 1e5 /* of the places of a line or a polygon from the first */
 
-/* Places [count][2] in the plane of a frame about the first, to at [count][2], metres. ERR_DATA: one
- * is too far from the first; ERR_ARG: no place on Earth. */
+/* Places [count][2] in the plane of a frame about the first, to at [count][2], metres. ERR_DATA:
+ * one is too far from the first; ERR_ARG: no place on Earth. */
 enum err_code measure_plan(const struct nadir *n, const double (*lonlat)[2], size_t count,
                            struct geo_origin *frame, double (*at)[2], struct err *e) ERR_USE;
 
@@ -26,10 +26,10 @@ struct measure_sample {
     double distance_m, lon_deg, lat_deg;
     struct probe probe;
 };
-/* Samples every step_m (0: a pixel; longer where that makes too many) along a line of places [n][2],
- * its corners among them. *out: mem_free it. length_m: in the plan. ERR_DATA: fewer than 2 places,
- * too many samples, says from which step on it fits; errors of measure_plan and probe_many: ERR_ARG, ERR_CANCEL, ERR_DEVICE,
- * ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
+/* Samples every step_m (0: a pixel; longer where that makes too many) along a line of places
+ * [n][2], its corners among them. *out: mem_free it. length_m: in the plan. ERR_DATA: fewer than 2
+ * places, too many samples, says from which step on it fits; errors of measure_plan and probe_many:
+ * ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code measure_profile(struct nadir *n, const double (*lonlat)[2], size_t count,
                               double step_m, struct measure_sample **out, size_t *n_out,
                               double *length_m, struct err *e) ERR_USE;
@@ -44,9 +44,9 @@ struct measure_area {
     double pixel_m;
 };
 /* Within a polygon [n][2]. base_m: height of a level base; NAN: the plane through the surface along
- * the rim, least squares. gsd_m 0: about as fine as the Gaussians are. ERR_DATA: no simple polygon, too
- * many pixels, no surface along the rim; errors of measure_plan and nadir_draw: ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT,
- * ERR_LIMIT, ERR_MEM. */
+ * the rim, least squares. gsd_m 0: about as fine as the Gaussians are. ERR_DATA: no simple polygon,
+ * too many pixels, no surface along the rim; errors of measure_plan and nadir_draw: ERR_ARG,
+ * ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code measure_polygon(struct nadir *n, const double (*lonlat)[2], size_t count,
                               double base_m, double gsd_m, struct measure_area *out,
                               struct err *e) ERR_USE;
@@ -58,9 +58,9 @@ struct measure_sight {
     double blocked_m;  /* distance to what is in the way; NAN when visible, as is */
     double blocked[3]; /* its longitude, latitude, height */
 };
-/* Is `to` seen from `from`: longitude, latitude, height. What is less than MEASURE_CLEAR_M before it
- * is taken for part of it. ERR_DATA: the places are less than 2 m or more than 50 km apart; errors of
- * nadir_look: ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
+/* Is `to` seen from `from`: longitude, latitude, height. What is less than MEASURE_CLEAR_M before
+ * it is taken for part of it. ERR_DATA: the places are less than 2 m or more than 50 km apart;
+ * errors of nadir_look: ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code measure_sight(struct nadir *n, const double from[3], const double to[3],
                             struct measure_sight *out, struct err *e) ERR_USE;
 

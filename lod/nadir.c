@@ -241,9 +241,10 @@ static void nadir_heights(const struct nadir *n, const struct nadir_piece *p, do
         }
 }
 
-/* Training fits colours over black, so the little light that passes between the Gaussians of a city is in
- * them already: dividing by what was stopped would make everything too bright. Where much passes, at the
- * rim and in holes, nothing was fitted, and what is drawn gets dark: there it is divided. */
+/* Training fits colours over black, so the little light that passes between the Gaussians of a city
+ * is in them already: dividing by what was stopped would make everything too bright. Where much
+ * passes, at the rim and in holes, nothing was fitted, and what is drawn gets dark: there it is
+ * divided. */
 static float nadir_color(float drawn, float transmittance)
 {
     static const float fitted = 0.35f, rim = 0.5f; /* at more than the latter there is no surface */

@@ -39,8 +39,8 @@ void nadir_close(struct nadir **n);
 const struct store *nadir_store(const struct nadir *n);
 const struct area *nadir_area(const struct nadir *n);
 
-/* From here on nadir_draw and nadir_look, and so whatever draws with them, ask before they begin, and
- * are ERR_CANCEL when it is true. NULL: never. */
+/* From here on nadir_draw and nadir_look, and so whatever draws with them, ask before they begin,
+ * and are ERR_CANCEL when it is true. NULL: never. */
 void nadir_set_stop(struct nadir *n, bool (*stop)(const void *user), const void *user);
 
 /* A piece of ground: pixel (u, v), the top left corner being (0, 0), lies on the vertical through
@@ -59,9 +59,9 @@ enum { NADIR_MIDDLE, NADIR_RIGHT, NADIR_DOWN, NADIR_CORNER, NADIR_PLACES = 7 };
 enum err_code nadir_fit(const struct nadir *n, const double lon_deg[NADIR_PLACES],
                         const double lat_deg[NADIR_PLACES], struct nadir_piece *p, double *off_px,
                         struct err *e) ERR_USE;
-/* rgb [h][w][3], 0 to 1, as photographs were fitted; height_m [h][w], ellipsoidal; both NAN where less
- * than half of the light is stopped. Either may be NULL. ERR_ARG: size or place; ERR_CANCEL, ERR_DEVICE,
- * ERR_FORMAT (a damaged tile), ERR_MEM, ERR_LIMIT. */
+/* rgb [h][w][3], 0 to 1, as photographs were fitted; height_m [h][w], ellipsoidal; both NAN where
+ * less than half of the light is stopped. Either may be NULL. ERR_ARG: size or place; ERR_CANCEL,
+ * ERR_DEVICE, ERR_FORMAT (a damaged tile), ERR_MEM, ERR_LIMIT. */
 enum err_code nadir_draw(struct nadir *n, const struct nadir_piece *p, float *rgb, float *height_m,
                          struct err *e) ERR_USE;
 
@@ -71,8 +71,9 @@ struct nadir_ray {
     double depth_m; /* along the optical axis, to the surface; NAN: none */
     double front;   /* share of the light that is stopped nearer than the limit */
 };
-/* The ray through (x, y) of the picture, the top left corner being (0, 0). limit_m: a depth; 0: front
- * is 0. Errors of nadir_draw: ERR_ARG (camera), ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_MEM, ERR_LIMIT. */
+/* The ray through (x, y) of the picture, the top left corner being (0, 0). limit_m: a depth; 0:
+ * front is 0. Errors of nadir_draw: ERR_ARG (camera), ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_MEM,
+ * ERR_LIMIT. */
 enum err_code nadir_look(struct nadir *n, const struct camera *cam, double x_px, double y_px,
                          double limit_m, struct nadir_ray *out, struct err *e) ERR_USE;
 

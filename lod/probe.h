@@ -22,8 +22,8 @@ struct probe {
 enum err_code probe_at(struct nadir *n, double lon_deg, double lat_deg, double gsd_m,
                        struct probe *out, struct err *e) ERR_USE;
 /* Many places at once: those that lie near each other share a picture, so a place that is not the
- * first of its picture gets the pixel nearest to it. lonlat: [count][2]. Errors as probe_at: ERR_ARG,
- * ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
+ * first of its picture gets the pixel nearest to it. lonlat: [count][2]. Errors as probe_at:
+ * ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code probe_many(struct nadir *n, const double (*lonlat)[2], size_t count, double gsd_m,
                          struct probe *out, struct err *e) ERR_USE;
 

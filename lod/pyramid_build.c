@@ -6,8 +6,8 @@
  * together from its slices of the runs, sorted, encoded, and, where nothing coarser was given,
  * thinned to a quarter that becomes part of the tile above: the children of a tile are thinned
  * apart, so a generation of tiles waits only for the one below, and a tile can be made anew from
- * what changed (lod/update_build.c). Workers hand finished tiles to the store in order, so the file does
- * not depend on their number.
+ * what changed (lod/update_build.c). Workers hand finished tiles to the store in order, so the file
+ * does not depend on their number.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,6 @@
-/* Questions about the surface of a store as JSON: heights at places, what a pixel of a camera shows,
- * a profile, lengths, areas and volumes, lines of sight. What the server answers under /d/{ds}/ and
- * the commands print is the same.
+/* Questions about the surface of a store as JSON: heights at places, what a pixel of a camera
+ * shows, a profile, lengths, areas and volumes, lines of sight. What the server answers under
+ * /d/{ds}/ and the commands print is the same.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -27,12 +27,13 @@ struct query { /* {0}, then query_read: no pointers, so its bytes are its name *
     struct camera cam;                 /* QUERY_PICK, as */
     double pixel[2];
 };
-/* Read a question. origin: of the store, in whose frame cameras are. ERR_DATA: says what is allowed. */
+/* Read a question. origin: of the store, in whose frame cameras are. ERR_DATA: says what is
+ * allowed. */
 enum err_code query_read(enum query_kind kind, const struct json_t *o,
                          const struct geo_origin *origin, struct query *out, struct err *e) ERR_USE;
-/* Answer it; the caller gives *out back (json_decref). geoid: heights above sea level as well, NULL:
- * none. ERR_DATA: no such line or polygon; errors of measure.h and probe.h: ERR_ARG, ERR_CANCEL, ERR_DEVICE,
- * ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
+/* Answer it; the caller gives *out back (json_decref). geoid: heights above sea level as well,
+ * NULL: none. ERR_DATA: no such line or polygon; errors of measure.h and probe.h: ERR_ARG,
+ * ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code query_answer(struct nadir *n, const struct geoid *geoid, const struct query *q,
                            struct json_t **out, struct err *e) ERR_USE;
 

@@ -1,8 +1,8 @@
 /* Tiles of a web map drawn from a store: what is seen from straight above, in the pixels of
  * WebMercatorQuad, the z/x/y of every slippy map.
  *
- * Neighbours fit without a seam: which Gaussians are taken depends on the size of a pixel alone, and
- * each is drawn into every tile that it reaches.
+ * Neighbours fit without a seam: which Gaussians are taken depends on the size of a pixel alone,
+ * and each is drawn into every tile that it reaches.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

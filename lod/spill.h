@@ -1,8 +1,8 @@
 /* Rows of Gaussians on disk between two passes: internal to lod/.
  *
  * A city does not fit into memory, and its rows come in the order of training, not of tiles. Every
- * part that is read is sorted along the Morton curve and written here as one run; a tile is then one
- * slice of each run. Only the codes stay in memory, 8 bytes a Gaussian.
+ * part that is read is sorted along the Morton curve and written here as one run; a tile is then
+ * one slice of each run. Only the codes stay in memory, 8 bytes a Gaussian.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -87,12 +87,12 @@ enum err_code store_commit(struct store **s, struct err *e) ERR_USE;
 /* Open for reading; store_close it. ERR_NOENT, ERR_FORMAT (no tile store, another schema version,
  * damaged: what and which), ERR_IO, ERR_LIMIT, ERR_MEM. */
 enum err_code store_open(const char *path, struct store **out, struct err *e) ERR_USE;
-/* The same of a file that is open already, whatever its name stands for by now: also when it was renamed
- * over or removed. fd is borrowed during the call; name is what errors call it. /proc must be there.
- * Errors as store_open, ERR_NOENT among them. */
+/* The same of a file that is open already, whatever its name stands for by now: also when it was
+ * renamed over or removed. fd is borrowed during the call; name is what errors call it. /proc must
+ * be there. Errors as store_open, ERR_NOENT among them. */
 enum err_code store_open_fd(int fd, const char *name, struct store **out, struct err *e) ERR_USE;
-/* One more handle to the file of fd, which `first` was opened from, for another thread. It has the index
- * of first, which is closed after it. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
+/* One more handle to the file of fd, which `first` was opened from, for another thread. It has the
+ * index of first, which is closed after it. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code store_open_more(int fd, const struct store *first, struct store **out,
                               struct err *e) ERR_USE;
 /* Close; of a store that is being built: removes the unfinished file. NULL inside is fine. */
@@ -110,9 +110,9 @@ enum err_code store_read(struct store *s, struct key k, struct buf *out, struct 
  * ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
 enum err_code store_read_gauss(struct store *s, struct key k, struct gauss *out,
                                struct err *e) ERR_USE;
-/* Bytes that store_read gave for `t`, decoded likewise. The store is only read, so threads may share it.
- * No more memory is taken than a tile of t->count Gaussians needs. ERR_FORMAT: no payload, or one of another
- * number, degree or embedding than index and meta say. ERR_MEM. */
+/* Bytes that store_read gave for `t`, decoded likewise. The store is only read, so threads may
+ * share it. No more memory is taken than a tile of t->count Gaussians needs. ERR_FORMAT: no
+ * payload, or one of another number, degree or embedding than index and meta say. ERR_MEM. */
 enum err_code store_decode(const struct store *s, const struct store_tile *t,
                            const struct buf *bytes, struct gauss *out, struct err *e) ERR_USE;
 /* A blob into `out` (caller frees), hash verified. ERR_NOENT, ERR_FORMAT, ERR_IO, ERR_MEM. */
@@ -122,8 +122,8 @@ enum err_code store_get_blob(struct store *s, const char *name, struct buf *out,
  * none was stored. Borrowed until store_close. */
 #define STORE_FOOTPRINT "footprint" /* its blob */
 const char *store_footprint(const struct store *s);
-/* What the store was clipped to (lod/clip.h): a GeoJSON FeatureCollection, one line; what is left lies
- * within every feature of it. NULL: it was not. Borrowed until store_close. */
+/* What the store was clipped to (lod/clip.h): a GeoJSON FeatureCollection, one line; what is left
+ * lies within every feature of it. NULL: it was not. Borrowed until store_close. */
 #define STORE_CLIP "clip"
 const char *store_clip(const struct store *s);
 /* Names of the blobs [*n], sorted; live in the arena. ERR_FORMAT, ERR_IO, ERR_MEM. */

@@ -89,8 +89,9 @@ static enum err_code store_uri(const char *path, struct buf *uri, struct err *e)
     return buf_check(uri, e);
 }
 
-/* SQLite resolves links in a path first, and opens none; what /proc/self/fd/N is a link to may be another
- * file by now, or none. This file system takes paths as they are, and its open() takes these links. */
+/* SQLite resolves links in a path first, and opens none; what /proc/self/fd/N is a link to may be
+ * another file by now, or none. This file system takes paths as they are, and its open() takes
+ * these links. */
 static int store_as_is(sqlite3_vfs *vfs, const char *path, int room, char *out)
 {
     (void)vfs;
@@ -312,8 +313,8 @@ static bool store_row(sqlite3_stmt *q, struct store_tile *t)
            have.hi == want.hi;
 }
 
-/* Rows come in order of id; the damaged ones are left out and counted. Pages that point to each other
- * in circles give rows for ever: no more are read than the file has room for. */
+/* Rows come in order of id; the damaged ones are left out and counted. Pages that point to each
+ * other in circles give rows for ever: no more are read than the file has room for. */
 static enum err_code store_read_index(struct store *s, size_t *n_bad, struct err *e)
 {
     sqlite3_stmt *q = NULL;
@@ -449,8 +450,8 @@ enum err_code store_open_more(int fd, const struct store *first, struct store **
     s->clip = first->clip;
     s->borrows = true;
     enum err_code rc = store_connect(s, at, store_vfs.zName, e);
-    /* Its pages of the index are in memory from here on: a file that is cut short later has lost tiles,
-     * not the way to all of them. */
+    /* Its pages of the index are in memory from here on: a file that is cut short later has lost
+     * tiles, not the way to all of them. */
     int code = SQLITE_OK;
     if (!rc)
         code = sqlite3_exec(s->db, "SELECT max(row_hash) FROM tiles", NULL, NULL, NULL);
@@ -565,7 +566,8 @@ enum err_code store_read(struct store *s, struct key k, struct buf *out, struct 
     return rc;
 }
 
-/* A hash says that the bytes are those that were written, not that whoever wrote them meant well. */
+/* A hash says that the bytes are those that were written, not that whoever wrote them meant
+ * well. */
 enum err_code store_decode(const struct store *s, const struct store_tile *t,
                            const struct buf *bytes, struct gauss *out, struct err *e)
 {

@@ -24,8 +24,8 @@ enum err_code tilewriter_open(struct store *s, size_t n, struct tilewriter **out
                               struct err *e) ERR_USE;
 void tilewriter_close(struct tilewriter **w);
 /* Encode tile i and write it when its turn comes; waits while it is too far ahead, so low numbers
- * must be begun first (as pool_for does). Each number once. Thread-safe. ERR_CANCEL when another worker
- * gave up; errors of store_put (ERR_DATA, ERR_LIMIT, ERR_IO, ERR_MEM). */
+ * must be begun first (as pool_for does). Each number once. Thread-safe. ERR_CANCEL when another
+ * worker gave up; errors of store_put (ERR_DATA, ERR_LIMIT, ERR_IO, ERR_MEM). */
 enum err_code tilewriter_put(struct tilewriter *w, size_t i, struct store_tile *t,
                              const struct gauss *g, struct err *e) ERR_USE;
 /* A worker gave up: nobody waits for it. */

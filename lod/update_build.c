@@ -2,8 +2,8 @@
  *
  * On the cell's own ground the rows of every trained level are replaced; only tiles that hold such
  * rows, old or new, are written anew, copies of coarse rows under tiles without finer ones too. An
- * overview is made of its four children, thinned apart and to the inside of each (pyramid_fit.c): so
- * the rows of a child that changed are taken out of it by their place and made again, the others
+ * overview is made of its four children, thinned apart and to the inside of each (pyramid_fit.c):
+ * so the rows of a child that changed are taken out of it by their place and made again, the others
  * stay. All other tiles keep their bytes and hash.
  *
  * The same cell twice gives the same bytes as once. That asks for some care: rows that are read and

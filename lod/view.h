@@ -26,8 +26,8 @@ struct view; /* a store, a renderer, and the tiles resident on the device */
  * the rest. Errors as store_open: ERR_NOENT, ERR_FORMAT, ERR_IO; ERR_MEM. */
 enum err_code view_open(const char *store_path, struct render *r, size_t cache_bytes,
                         struct view **out, struct err *e) ERR_USE;
-/* The same of an open file (store_open_fd), borrowed during the call. Errors as view_open: ERR_NOENT,
- * ERR_FORMAT, ERR_IO; ERR_MEM. */
+/* The same of an open file (store_open_fd), borrowed during the call. Errors as view_open:
+ * ERR_NOENT, ERR_FORMAT, ERR_IO; ERR_MEM. */
 enum err_code view_open_fd(int fd, const char *name, struct render *r, size_t cache_bytes,
                            struct view **out, struct err *e) ERR_USE;
 void view_close(struct view **v);

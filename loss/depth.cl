@@ -1,7 +1,7 @@
 // The depth loss around an ordinary frame: Gaussians whose colour is their inverse depth, the loss
 // of the picture that they make, and its gradients passed back to the trained Gaussians.
-//   depth_model  params -> shadow [groups][LAYOUT_DEPTH_PLANES][16]: the geometry (opacity replaced in
-//                the hard pass), harmonics of degree 0 with red = unit / z
+//   depth_model  params -> shadow [groups][LAYOUT_DEPTH_PLANES][16]: the geometry (opacity replaced
+//                in the hard pass), harmonics of degree 0 with red = unit / z
 //   depth_loss   color, target -> grad [3][h][w], pieces: |D - t| summed over a piece
 //   depth_add    grads of the shadow -> added to extra
 //                [groups][LAYOUT_PLANES_GEOMETRY][16]

@@ -30,13 +30,14 @@ struct depth; /* compiled kernels, and a shadow of the model */
 enum err_code depth_open(struct dev *dev, struct depth **out, struct err *e) ERR_USE;
 void depth_close(struct depth **d);
 /* Enqueue: L = weight / n_known sum |D - target| over the known pixels, D = sum alpha T unit / z,
- * its gradient added to extra, float [groups][LAYOUT_PLANES_GEOMETRY][16]. Draws a frame of r. Does not wait for the
- * device. ERR_ARG: nothing is known of the photograph; ERR_MEM, ERR_DEVICE. */
+ * its gradient added to extra, float [groups][LAYOUT_PLANES_GEOMETRY][16]. Draws a frame of r. Does
+ * not wait for the device. ERR_ARG: nothing is known of the photograph; ERR_MEM, ERR_DEVICE. */
 enum err_code depth_run(struct depth *d, struct render *r, const struct render_model *m,
                         const struct depth_input *in, cl_mem extra, struct err *e) ERR_USE;
 /* Wait, and the loss of the last run. ERR_DEVICE. */
 enum err_code depth_read(struct depth *d, double *loss, struct err *e) ERR_USE;
-/* In double on the host. depth [h][w] is D; out->sh is that of the shadow and of no use. ERR_MEM. */
+/* In double on the host. depth [h][w] is D; out->sh is that of the shadow and of no use.
+ * ERR_MEM. */
 enum err_code depth_ref_loss(const struct gauss *g, const struct depth_input *in, double *depth,
                              double *loss, struct err *e) ERR_USE;
 enum err_code depth_ref_grads(const struct gauss *g, const struct depth_input *in,

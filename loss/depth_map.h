@@ -51,8 +51,8 @@ struct depth_target {
     size_t n_known; /* over which the mean is taken; 0: nothing is known, t is NULL */
 };
 /* The target of a photograph seen by `cam`, that of the scene at any size. mask: [h][w], 0 =
- * nothing is known there; NULL: none. Reads the map from its file. ERR_NOENT, ERR_IO, ERR_FORMAT: it
- * has changed since; ERR_MEM. */
+ * nothing is known there; NULL: none. Reads the map from its file. ERR_NOENT, ERR_IO, ERR_FORMAT:
+ * it has changed since; ERR_MEM. */
 enum err_code depth_map_target(struct depth_map *d, uint32_t image, const struct camera *cam,
                                const uint8_t *mask, struct depth_target *out,
                                struct err *e) ERR_USE;

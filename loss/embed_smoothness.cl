@@ -1,5 +1,6 @@
 // The device's side of the smoothness loss: the gradient of embeddings into Adam.
-//   embed_smoothness_add   grad [n][len] of rows from .. from + n - 1 -> both moments of the embeddings
+//   embed_smoothness_add   grad [n][len] of rows from .. from + n - 1 -> both moments of the
+//                          embeddings
 // Adam's step that follows multiplies the moments by beta1 and beta2 and adds its own gradient, so
 //   m1 += (1 - beta1) / beta1 g,   m2 += (1 - beta2) / beta2 g^2
 // makes it a step with g added to the first moment exactly, and its square to the second. What is

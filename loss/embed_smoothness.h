@@ -1,5 +1,5 @@
-/* The loss that makes embeddings of neighbours alike: embed_smoothness.c on the host, embed_smoothness_step.c on a model
- * in training.
+/* The loss that makes embeddings of neighbours alike: embed_smoothness.c on the host,
+ * embed_smoothness_step.c on a model in training.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -25,8 +25,9 @@ struct embed_smoothness_input {
     uint64_t seed, stream;
 };
 /* The loss now, the gradient in pieces that the caller has room for. Same input, same bits, on any
- * number of threads and with pieces of any size. The input is borrowed until embed_smoothness_close,
- * which is due after an error as well. ERR_MEM; ERR_LIMIT: more than 2^32 - 1 Gaussians. */
+ * number of threads and with pieces of any size. The input is borrowed until
+ * embed_smoothness_close, which is due after an error as well. ERR_MEM; ERR_LIMIT: more than 2^32 -
+ * 1 Gaussians. */
 struct embed_smoothness;
 enum err_code embed_smoothness_open(const struct embed_smoothness_input *in,
                                     struct embed_smoothness **out, double *loss,

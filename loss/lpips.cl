@@ -1,8 +1,10 @@
 /* Stage: forward pass of a convolutional network, and LPIPS distances between its features.
  *
- *   maps     float [channels][height + 2 LAYOUT_LPIPS_ROWS][pitch], pitch = 2 LAYOUT_LPIPS_MARGIN + round_up(width, 16):
- * pixel (x, y) at (y + LAYOUT_LPIPS_ROWS) * pitch + LAYOUT_LPIPS_MARGIN + x; zero outside the picture, which is the padding
- * of convolutions weights  float [ceil(cout / 8)][cin][k][k][8]; bias float [8 ceil(cout / 8)]
+ *   maps     float [channels][height + 2 LAYOUT_LPIPS_ROWS][pitch], with
+ *            pitch = 2 LAYOUT_LPIPS_MARGIN + round_up(width, 16): pixel (x, y) at
+ *            (y + LAYOUT_LPIPS_ROWS) * pitch + LAYOUT_LPIPS_MARGIN + x; zero outside the picture,
+ *            which is the padding of convolutions
+ *   weights  float [ceil(cout / 8)][cin][k][k][8]; bias float [8 ceil(cout / 8)]
  *
  * One work-item = VW pixels of a row times 8 output channels (convolution of stride 1), one pixel
  * otherwise. Reference: the plain loops of tests/test_lpips.c. Tolerance: float rounding, 1e-4

@@ -19,7 +19,8 @@ enum lpips_range { LPIPS_SIGNED, LPIPS_UNIT };
 
 struct lpips; /* weights and buffers on one device; one caller */
 /* Load a .safetensors file of the network's and LPIPS's weights; which network it is shows in it.
- * lpips_close it. ERR_NOENT, ERR_IO: the file; ERR_FORMAT: not those weights; ERR_DEVICE, ERR_MEM. */
+ * lpips_close it. ERR_NOENT, ERR_IO: the file; ERR_FORMAT: not those weights; ERR_DEVICE,
+ * ERR_MEM. */
 enum err_code lpips_open(struct dev *dev, const char *path, enum lpips_range range,
                          struct lpips **out, struct err *e) ERR_USE;
 void lpips_close(struct lpips **l);

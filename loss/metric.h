@@ -13,11 +13,11 @@ enum metric_window {
     METRIC_TRAINING, /* zero padded, every pixel has a window: what the loss uses */
     METRIC_VALID,    /* only windows that lie inside the picture: what evaluations usually report */
 };
-/* All clamp `rgb` [h][w][3] to 0..1 and compare it with `target` uint8 [h][w][3]; mask [h][w] (NULL:
- * use all) is 0 where a pixel is not used. PSNR in dB for range 1, of the mean over the used pixels,
- * +infinity where they are equal; ERR_DATA where there are none. SSIM and GMSD see black in both
- * pictures where the mask is 0 and are means over all pixels, as in the loss. SSIM is the
- * mean over pixels and channels; METRIC_VALID needs at least 11 x 11 pixels (ERR_ARG). */
+/* All clamp `rgb` [h][w][3] to 0..1 and compare it with `target` uint8 [h][w][3]; mask [h][w]
+ * (NULL: use all) is 0 where a pixel is not used. PSNR in dB for range 1, of the mean over the used
+ * pixels, +infinity where they are equal; ERR_DATA where there are none. SSIM and GMSD see black in
+ * both pictures where the mask is 0 and are means over all pixels, as in the loss. SSIM is the mean
+ * over pixels and channels; METRIC_VALID needs at least 11 x 11 pixels (ERR_ARG). */
 enum err_code metric_psnr(const float *rgb, const uint8_t *target, const uint8_t *mask,
                           uint32_t width_px, uint32_t height_px, double *out_db,
                           struct err *e) ERR_USE;

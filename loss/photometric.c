@@ -2,7 +2,8 @@
  *
  * The forward kernel writes the derivative maps of SSIM and the partial sums of every band of rows,
  * the backward kernel blurs the maps and adds the L1 part. Owns the compiled kernels and the maps,
- * which grow to the largest picture seen. Kernels and their shape: photometric.cl; formulas: photometric_ref.c.
+ * which grow to the largest picture seen. Kernels and their shape: photometric.cl; formulas:
+ * photometric_ref.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -3,7 +3,8 @@
  *   in   color  float [3][h][w], target uchar [h][w][3], mask uchar [h][w] or absent
  *
  *   mid  maps   float [3 maps][3 channels][h][pitch], pitch = MARGIN + round_up(w, STRIP) + MARGIN
- *               (LAYOUT_LOSS_*): the derivatives of S with respect to Kx, Kx^2 and K(xy); zero beyond the picture
+ *               (LAYOUT_LOSS_*): the derivatives of S with respect to Kx, Kx^2 and K(xy); zero
+ *               beyond the picture
  *
  *   out  parts  float [pieces][3][4]: |x-y|, S and (x-y)^2 summed over a piece
  *        grad   float [3][h][w]

@@ -7,8 +7,8 @@
  * C1 = 0.01^2, C2 = 0.03^2 (Wang 2004). Partial sums are added in a fixed order: same input, same
  * bits.
  *
- * A training step is: render_forward -> photometric_run(color -> grad) -> render_backward_step, with no
- * reading back; photometric_read when a number is wanted.
+ * A training step is: render_forward -> photometric_run(color -> grad) -> render_backward_step,
+ * with no reading back; photometric_read when a number is wanted.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -33,8 +33,8 @@ struct photometric_input { /* all borrowed */
     cl_mem target;         /* uint8 [h][w][3]: the photograph, 255 = 1.0 */
     cl_mem mask;           /* uint8 [h][w], 0 = ignore this pixel; NULL = use all */
     uint32_t width_px, height_px;
-    float l1_weight,
-        ssim_weight; /* PHOTOMETRIC_L1_WEIGHT, PHOTOMETRIC_SSIM_WEIGHT; ssim_weight 0 skips that work */
+    /* PHOTOMETRIC_L1_WEIGHT, PHOTOMETRIC_SSIM_WEIGHT; ssim_weight 0 skips that work. */
+    float l1_weight, ssim_weight;
     bool value_only; /* no gradient: `grad` of photometric_run is not looked at */
 };
 /* Enqueue: write dL/dx into `grad`, float [3][h][w] planar (render_color_grad_buffer); 0 where

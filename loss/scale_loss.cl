@@ -1,8 +1,8 @@
 // The scale regularizer: how many axes and needles are too long, then their gradients.
 //   in   params [groups][planes][16]
 //   mid  pieces [LAYOUT_LOSS_PIECES] counts and sums of a piece
-//   out  extra [groups][LAYOUT_PLANES_GEOMETRY][16] or [groups][LAYOUT_PLANES_SCALE][16], every plane
-//        written, 0 where nothing is wrong
+//   out  extra [groups][LAYOUT_PLANES_GEOMETRY][16] or [groups][LAYOUT_PLANES_SCALE][16], every
+//        plane written, 0 where nothing is wrong
 // Counts are whole numbers over fixed pieces: same input, same bits. Reference: scale_loss_ref_run.
 #define RATIO_EPS 1e-8f
 #define SCALE_AHEAD 8

@@ -25,8 +25,8 @@ struct scale_loss; /* compiled kernels */
 /* Build the kernels. scale_loss_close it. ERR_DEVICE, ERR_MEM. */
 enum err_code scale_loss_open(struct dev *dev, struct scale_loss **out, struct err *e) ERR_USE;
 void scale_loss_close(struct scale_loss **s);
-/* Enqueue: write dL/d(geometry) into extra, float [groups][LAYOUT_PLANES_GEOMETRY][16], all of it; with sizes_only
- * dL/d(planes 3-5), [groups][3][16]. Does not wait for the device. ERR_DEVICE. */
+/* Enqueue: write dL/d(geometry) into extra, float [groups][LAYOUT_PLANES_GEOMETRY][16], all of it;
+ * with sizes_only dL/d(planes 3-5), [groups][3][16]. Does not wait for the device. ERR_DEVICE. */
 enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
                              const struct scale_loss_input *in, bool sizes_only, cl_mem extra,
                              struct err *e) ERR_USE;

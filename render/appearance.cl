@@ -1,7 +1,7 @@
-// Appearance: what light, season and weather of a photograph do, as offsets of colour and opacity, by a small network
-// on every Gaussian's embedding. Compiled, before project.cl and project_backward.cl, into programs
-// of their own: with APPEARANCE_LEN defined those take the offsets in, without it they are as if
-// this file did not exist.
+// Appearance: what light, season and weather of a photograph do, as offsets of colour and opacity,
+// by a small network on every Gaussian's embedding. Compiled, before project.cl and
+// project_backward.cl, into programs of their own: with APPEARANCE_LEN defined those take the
+// offsets in, without it they are as if this file did not exist.
 //   frame  W1's columns of the embedding [HIDDEN][LEN], bias [HIDDEN] with the photograph's part,
 //          W2 [4][HIDDEN], b2 [4]: constants of a frame
 //   y = sigmoid(W2 max(0, W1 g^ + bias) + b2),   g^ = g / max(|g|, 1e-12)

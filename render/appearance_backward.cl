@@ -2,7 +2,8 @@
 // a work-group is a fixed chunk of the Gaussians. Its items put what they know of a Gaussian each
 // into local memory, then every item adds products of two columns of it for the sums it owns, so
 // that nothing is added by atomics. And for any VW: the sum of all chunks.
-//   in   y_grads [groups][4][16] (dL/dy, where visible), params, tiles_of, frame (see appearance.cl)
+//   in   y_grads [groups][4][16] (dL/dy, where visible), params, tiles_of, frame (see
+//        appearance.cl)
 //   out  the embedding's planes of grads (appearance_backward), or of params and both moments
 //        (appearance_step); parts [LAYOUT_APPEARANCE_CHUNKS][APPEARANCE_ROW]
 // `each` is added to dL/dy3 of all that are visible: the weight of the mean opacity offset over

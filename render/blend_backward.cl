@@ -2,8 +2,8 @@
 // CPU shape is compiled after blend_cpu.cl, whose names it shares.
 //   in   splats, tile_start, intersection_splat, intersection_slot; color, color_grad [3][h][w];
 //        hits, tile_stop
-//   out  slots [intersections][LAYOUT_SLOT_FLOATS]; marks [intersections], 1 where a slot was written
-//        (the host clears them: intersections behind the stop are never visited)
+//   out  slots [intersections][LAYOUT_SLOT_FLOATS]; marks [intersections], 1 where a slot was
+//        written (the host clears them: intersections behind the stop are never visited)
 // Front to back once more, so every decision is that of blend to the last bit. With g = dL/dC of a
 // pixel, w = alpha T and P the colour summed so far (this splat included), the colour behind is C -
 // P, hence

@@ -1,12 +1,12 @@
 // Stage: importance of splats in a frame, for density control. Compiled after blend_cpu.cl and
 // blend_backward.cl on CPUs, whose masks and sums it shares. Replays the blending of the last frame
 // and adds up, for every Gaussian, over the pixels it was blended into:
-//   in   splats, tile_start, intersection_splat, intersection_slot, slot_first, tiles_of, depth_key:
-//        the frame; weight [h][w]: what a pixel counts
+//   in   splats, tile_start, intersection_splat, intersection_slot, slot_first, tiles_of,
+//        depth_key: the frame; weight [h][w]: what a pixel counts
 //   out  slots [intersections][LAYOUT_IMPORTANCE_SLOT] (cleared by the host): weight, 1, alpha T,
 //        distance of the pixel from the mean
-//        sums [n][LAYOUT_IMPORTANCE_SUMS]: those four, then depth in m, half-size in px, 0, 0; all 0
-//        where invisible
+//        sums [n][LAYOUT_IMPORTANCE_SUMS]: those four, then depth in m, half-size in px, 0, 0; all
+//        0 where invisible
 // One writer a slot, fixed order: same input, same bits. The sums are those of Taming 3DGS, Mallick
 // et al. 2024.
 

@@ -1,6 +1,7 @@
 // Stages sort and bin, GPU shape: what sort.cl and bin.cl give, bit for bit, made by thousands of
 // work-items.
-//   sort: sums of tiles_of -> slot_first, intersections; stable radix passes over the depth keys -> ids
+//   sort: sums of tiles_of -> slot_first, intersections; stable radix passes over the depth keys
+//         -> ids
 //   bin:  sums of tiles_of in depth order -> first; intersections from there on; stable radix
 //         passes over their tiles; gather -> tile_start, intersection_splat, intersection_slot
 // A work-group takes a block of LAYOUT_ORDER_BLOCK values, an item EACH values in a row of it, so
@@ -166,8 +167,8 @@ __kernel GROUP void radix_scatter(__global const uint *keys, __global const uint
     }
 }
 
-// One work-item, one splat in depth order: its intersections, from first[i] on. `cap` is the room for
-// them; nothing is written beyond.
+// One work-item, one splat in depth order: its intersections, from first[i] on. `cap` is the room
+// for them; nothing is written beyond.
 __kernel void bin_expand(__constant struct layout_view *view, __global const uint *order,
                          __global const struct layout_splat *splats,
                          __global const uint *slot_first,

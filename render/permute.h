@@ -20,8 +20,8 @@ struct permutation {
     size_t n, n_old;        /* both below 2^31 */
     uint32_t planes;
 };
-/* to's row d = from's row source[d]; 0 where that is PERMUTE_NEW and `zero_new`. Lanes after the last
- * row become 0. `to` may be `from`, if it has room for the larger number of rows: all that is
+/* to's row d = from's row source[d]; 0 where that is PERMUTE_NEW and `zero_new`. Lanes after the
+ * last row become 0. `to` may be `from`, if it has room for the larger number of rows: all that is
  * needed besides are PERMUTE_SPARE bytes a Gaussian, whatever the number of planes. Works on all
  * cores. ERR_MEM. */
 enum { PERMUTE_SPARE = 16 };

@@ -225,8 +225,8 @@ enum err_code render_importance_open(struct render *r, struct render_importance 
 void render_importance_close(struct render_importance **s); /* before render_close */
 /* Sums over the pixels that a Gaussian was blended into in the last frame of m. weight: float
  * [h][w] on the device, what each pixel counts. *sums: float [n][LAYOUT_IMPORTANCE_SUMS], see
- * core/layout.h, until the next call and render_importance_close; all 0 where invisible. ERR_ARG (no
- * frame of m was drawn), ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
+ * core/layout.h, until the next call and render_importance_close; all 0 where invisible. ERR_ARG
+ * (no frame of m was drawn), ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
 enum err_code render_importance_run(struct render_importance *s, const struct render_model *m,
                                     cl_mem weight, const float **sums, struct err *e) ERR_USE;
 /* Give back the sums and the memory they took, 32 bytes a Gaussian. */
@@ -248,8 +248,8 @@ struct render_surface_maps {
     float *front;    /* sum alpha T of what is nearer than limit_m */
     float *transmittance; /* what is left behind the last Gaussian */
 };
-/* limit_m [h][w], NULL: front is 0. The model that was drawn still exists, as it was. ERR_ARG when no
- * frame was drawn; ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
+/* limit_m [h][w], NULL: front is 0. The model that was drawn still exists, as it was. ERR_ARG when
+ * no frame was drawn; ERR_MEM, ERR_LIMIT, ERR_DEVICE. */
 enum err_code render_surface_run(struct render_surface *s, const float *limit_m,
                                  const struct render_surface_maps *out, struct err *e) ERR_USE;
 

@@ -3,9 +3,9 @@
  *
  * Kernels are compiled for the lengths of the model at hand (one program a pair of lengths, kept
  * until render_close), because loops of constant length keep embeddings in registers; the plain
- * renderer's program knows nothing of it. A frame drawn with appearance has r->appearance set and its
- * constants in r->appearance_frame; render_forward.c and render_backward.c launch the kernels given
- * here instead of their own. What the network computes stands in render/appearance.cl and, in
+ * renderer's program knows nothing of it. A frame drawn with appearance has r->appearance set and
+ * its constants in r->appearance_frame; render_forward.c and render_backward.c launch the kernels
+ * given here instead of their own. What the network computes stands in render/appearance.cl and, in
  * double, in core/appearance.c and render_ref.c.
  *
  * SPDX-License-Identifier: Apache-2.0

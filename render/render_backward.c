@@ -1,10 +1,10 @@
 /* The backward pass on the device: dL/dcolour of the last frame -> gradients, or one step of Adam.
  *
- * Two launches: blend_backward leaves eleven sums in one slot per intersection, project_backward or project_step adds a Gaussian's slots in order and applies the chain rule, the
- * latter with Adam on the spot, so that gradients (236 bytes a Gaussian) never travel through
- * memory. Owns its kernels and marks in struct render_backward_state, made on first use;
- * render_close frees it through backward_free. The formulas are in the kernels' heads and, in
- * double, in render_ref_backward.c.
+ * Two launches: blend_backward leaves eleven sums in one slot per intersection, project_backward or
+ * project_step adds a Gaussian's slots in order and applies the chain rule, the latter with Adam on
+ * the spot, so that gradients (236 bytes a Gaussian) never travel through memory. Owns its kernels
+ * and marks in struct render_backward_state, made on first use; render_close frees it through
+ * backward_free. The formulas are in the kernels' heads and, in double, in render_ref_backward.c.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,6 @@
-/* Importance of Gaussians in the last frame: launches importance.cl over what render_forward left on the
- * device. Owns the compiled kernels and the sums; slots are those of the backward pass, and nothing
- * else of the frame is changed, so render_backward may follow.
+/* Importance of Gaussians in the last frame: launches importance.cl over what render_forward left
+ * on the device. Owns the compiled kernels and the sums; slots are those of the backward pass, and
+ * nothing else of the frame is changed, so render_backward may follow.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -4,20 +4,21 @@
 //   in   splats, tile_start, intersection_splat, depth_key: the frame
 //        tilts: what surface_tilts made of its Gaussians
 //        limit [h][w]: m; not read without
-//   out  maps [LAYOUT_SURFACE_MAPS][h][w]: median depth in m, 0 where transmittance stays above 1/2; mean depth
-//        sum alpha T z / sum alpha T, 0 where nothing is; sum alpha T of what is nearer than limit
+//   out  maps [LAYOUT_SURFACE_MAPS][h][w]: median depth in m, 0 where transmittance stays above
+//        1/2; mean depth sum alpha T z / sum alpha T, 0 where nothing is; sum alpha T of what is
+//        nearer than limit
 // VW 16: a work-item is a row of a tile, VW 1: a pixel.
 //
-// The depth of a Gaussian at a pixel is where the pixel's ray meets the most of it. With A = sigma^-1
-// in the camera frame, the ray t r of the pixel, the Gaussian's centre on the ray z r0 and
+// The depth of a Gaussian at a pixel is where the pixel's ray meets the most of it. With A =
+// sigma^-1 in the camera frame, the ray t r of the pixel, the Gaussian's centre on the ray z r0 and
 // d = r0 - r:
 //     t = r^T A (z r0) / r^T A r = z (1 + r^T A d / r^T A r)
 // Of a flat disc that is where the ray goes through its plane. Centres' own depths are wrong by the
 // size of a Gaussian where a surface is seen aslant, along a street by tens of per cent. t stays
 // within the Gaussian's own depth: rays that miss a disc seen edge-on cross its plane anywhere.
 
-// Of the Gaussians that are visible, tilts [groups][LAYOUT_SURFACE_TILT][16]: A as 00 01 02 11 12 22
-// over the largest of its eigenvalues, and half of the Gaussian's own depth, m.
+// Of the Gaussians that are visible, tilts [groups][LAYOUT_SURFACE_TILT][16]: A as 00 01 02 11 12
+// 22 over the largest of its eigenvalues, and half of the Gaussian's own depth, m.
 INLINE void tilt_of(__constant struct layout_view *v, __global const float *g,
                     __global const float *filter, __global float *out)
 {

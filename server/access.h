@@ -7,8 +7,8 @@
 
 #include "core/base.h"
 
-/* ACCESS_LINE: as all lines of the log are, text or JSON. ACCESS_COMBINED: the combined format of Apache and
- * nginx, for programs that read that. */
+/* ACCESS_LINE: as all lines of the log are, text or JSON. ACCESS_COMBINED: the combined format of
+ * Apache and nginx, for programs that read that. */
 enum access_format { ACCESS_LINE, ACCESS_COMBINED };
 struct access;
 struct access_line {

@@ -1,5 +1,5 @@
-/* Addresses of clients. What comes in X-Forwarded-For was written by anybody: it counts only where the
- * proxy that passed it on is trusted, and from the end, because a proxy appends.
+/* Addresses of clients. What comes in X-Forwarded-For was written by anybody: it counts only where
+ * the proxy that passed it on is trusted, and from the end, because a proxy appends.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -115,8 +115,8 @@ bool address_is_loopback(struct address a)
     return address_is_v4(a) ? a.ip[12] == 127 : !memcmp(&a, &one, sizeof one);
 }
 
-/* From peer, a trusted proxy, along one field to the first address that is none. False: nobody can tell
- * who comes before peer. */
+/* From peer, a trusted proxy, along one field to the first address that is none. False: nobody can
+ * tell who comes before peer. */
 static bool address_follow(const struct address_nets *trusted, const char *forwarded,
                            struct address *peer)
 {

@@ -30,8 +30,8 @@ enum err_code address_read_nets(const char *list, struct address_nets *out, stru
 bool address_in(const struct address_nets *nets, struct address a);
 bool address_is_loopback(struct address a);
 /* The client that `peer` asks for: the last address of X-Forwarded-For that is not a trusted proxy
- * itself, if peer is one; else peer. forwarded [n]: the values of all fields of that name in their order,
- * which are one list (RFC 9110, section 5.3). */
+ * itself, if peer is one; else peer. forwarded [n]: the values of all fields of that name in their
+ * order, which are one list (RFC 9110, section 5.3). */
 struct address address_client(const struct address_nets *trusted, struct address peer,
                               const char *const *forwarded, size_t n);
 /* A number for a client: of an IPv6 address its /64, which one household has for itself. The secret

@@ -25,7 +25,8 @@ void answer_render(struct services *s, const struct request *r, struct dataset *
 /* answer_motion.c: GET of a stream, which http.c begins (out->stream), POST of its camera. */
 void answer_motion(struct services *s, const struct request *r, struct dataset *d,
                    const struct target *t, struct response *out);
-/* answer_view.c: false, with the problem set, when pictures cannot be made or this one is too large. */
+/* answer_view.c: false, with the problem set, when pictures cannot be made or this one is too
+ * large. */
 bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px,
                        struct response *out);
 /* answer_map.c: tiles of a map and of terrain, and the documents that lead to them; false for other
@@ -35,8 +36,8 @@ bool answer_map(struct services *s, const struct request *r, struct dataset *d,
 /* answer_query.c: questions about the surface; false for other routes. */
 bool answer_query(struct services *s, const struct request *r, struct dataset *d,
                   const struct target *t, struct response *out);
-/* answer_view.c: false, with the problem set, when nothing can be drawn. Sets out->unnamed while the
- * device starts: ask before the result is named. */
+/* answer_view.c: false, with the problem set, when nothing can be drawn. Sets out->unnamed while
+ * the device starts: ask before the result is named. */
 bool answer_can_draw(struct services *s, struct response *out);
 /* answer_appearance.c: the list, one appearance, a posted mix, network, photographs and thumbnails;
  * false for other routes. */

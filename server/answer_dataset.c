@@ -1,5 +1,5 @@
-/* What is below a dataset beside tiles and pictures: its documents, tilesets, prefetch lists, and the
- * redirects of addresses without a revision.
+/* What is below a dataset beside tiles and pictures: its documents, tilesets, prefetch lists, and
+ * the redirects of addresses without a revision.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

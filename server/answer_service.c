@@ -62,8 +62,8 @@ static void answer_service_landing(struct services *s, const struct request *r,
     response_document(r, index->type, RESPONSE_MOVING, body_ref(index->body), out);
 }
 
-/* Ready, or degraded: the file of a dataset does not give all its tiles, or a reload failed. Still 200, because everything
- * else is served, and taking the server out would help nobody. */
+/* Ready, or degraded: the file of a dataset does not give all its tiles, or a reload failed. Still
+ * 200, because everything else is served, and taking the server out would help nobody. */
 static void answer_service_state(struct services *s, const struct request *r, struct response *out)
 {
     struct body *b = NULL;
@@ -123,8 +123,8 @@ static bool answer_service_token(const char *given, const char *token)
     return !differ;
 }
 
-/* Metrics say who asks for what, and how much: nothing that a proxy's configuration should publish by
- * forgetting about it. */
+/* Metrics say who asks for what, and how much: nothing that a proxy's configuration should publish
+ * by forgetting about it. */
 static bool answer_service_may(const struct services *s, const struct request *r)
 {
     const struct server_config *cfg = s->cfg;
@@ -167,8 +167,8 @@ static void answer_service_version(struct services *s, const struct request *r,
     response_document(r, RESPONSE_JSON, RESPONSE_NO_STORE, b, out);
 }
 
-/* Does a dataset meet the box that is asked for? One that ends east of where it begins crosses the date
- * line. */
+/* Does a dataset meet the box that is asked for? One that ends east of where it begins crosses the
+ * date line. */
 static bool answer_service_meets(const struct dataset *d, const struct target *t)
 {
     const double west = t->bbox_e7[0] / 1e7, south = t->bbox_e7[1] / 1e7,

@@ -3,9 +3,9 @@
  * An appearance is one text wherever it is said (?appearance=, the key `appearance` of a posted
  * camera, --appearance of the programs): a photograph's name, a blend NAME:WEIGHT,NAME:WEIGHT, or
  * =BASE64 of a whole embedding (bake_find). Nothing that a client posts is kept: what a mix answers
- * with is a text that means the same on every server with the same store, so appearances are cached,
- * linked and prefetched like everything else. Two texts of one embedding are one appearance: results
- * are named by the embedding's hash.
+ * with is a text that means the same on every server with the same store, so appearances are
+ * cached, linked and prefetched like everything else. Two texts of one embedding are one
+ * appearance: results are named by the embedding's hash.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

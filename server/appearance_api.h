@@ -18,13 +18,14 @@ struct appearance_choice { /* {0} is the default appearance */
     struct hash128 hash;               /* of it */
 };
 /* The appearance that a text names (bake_find); "" and BAKE_DEFAULT are the default one, which
- * APPEARANCE_NONE is as well where a dataset has no other. ERR_NOENT: there is none such. ERR_ARG: the
- * text names none. */
+ * APPEARANCE_NONE is as well where a dataset has no other. ERR_NOENT: there is none such. ERR_ARG:
+ * the text names none. */
 enum err_code appearance_api_find(const struct dataset *d, const char *text,
                                   struct appearance_choice *out, struct err *e) ERR_USE;
 /* Its embedding, NULL for the default one. */
 const float *appearance_api_image(const struct appearance_choice *c);
-/* The documents: all appearances of a dataset, one of them. ERR_NOENT, ERR_ARG as above; ERR_MEM. */
+/* The documents: all appearances of a dataset, one of them. ERR_NOENT, ERR_ARG as above;
+ * ERR_MEM. */
 enum err_code appearance_api_list(const struct dataset *d, struct body **out,
                                   struct err *e) ERR_USE;
 enum err_code appearance_api_describe(const struct dataset *d, const char *text, struct body **out,

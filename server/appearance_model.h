@@ -11,8 +11,8 @@
 /* The network and the default appearance; d has one. ERR_MEM. */
 enum err_code appearance_model_describe(const struct dataset *d, struct body **out,
                                         struct err *e) ERR_USE;
-/* Every photograph, in the order of their numbers: embedding, and what the store knows of time, pose
- * and thumbnail. ERR_FORMAT, ERR_IO: a blob of the store cannot be read; ERR_MEM. */
+/* Every photograph, in the order of their numbers: embedding, and what the store knows of time,
+ * pose and thumbnail. ERR_FORMAT, ERR_IO: a blob of the store cannot be read; ERR_MEM. */
 enum err_code appearance_model_photographs(const struct dataset *d, struct body **out,
                                            struct err *e) ERR_USE;
 /* The name of photograph number `at`; NULL: there is none. Borrowed from d. */

@@ -17,9 +17,10 @@ enum auth_answer {
 };           /* UNKNOWN: nothing was shown */
 struct auth; /* immutable: any thread */
 
-/* Read a file: {"keys": {"NAME": "32 characters or more"}, "tokens": [{"sha256": "64 hexadecimal digits of
- * the token", "scope": ["read:NAME", "render:NAME", "admin"]}], "public": ["NAME"]}, where * stands for every
- * dataset. auth_close it. ERR_IO, ERR_NOENT, ERR_FORMAT (says which member), ERR_LIMIT, ERR_MEM. */
+/* Read a file: {"keys": {"NAME": "32 characters or more"}, "tokens": [{"sha256": "64 hexadecimal
+ * digits of the token", "scope": ["read:NAME", "render:NAME", "admin"]}], "public": ["NAME"]},
+ * where * stands for every dataset. auth_close it. ERR_IO, ERR_NOENT, ERR_FORMAT (says which
+ * member), ERR_LIMIT, ERR_MEM. */
 enum err_code auth_open(const char *path, struct auth **out, struct err *e) ERR_USE;
 /* The same of its text[n]; name is for messages. */
 enum err_code auth_parse(const char *text, size_t n, const char *name, struct auth **out,
@@ -27,13 +28,13 @@ enum err_code auth_parse(const char *text, size_t n, const char *name, struct au
 void auth_close(struct auth **a);
 /* Does it need nothing to be read? */
 bool auth_is_public(const struct auth *a, const char *ds);
-/* May whoever sent this do that with dataset ds (NULL of AUTH_ADMIN)? authorization may be NULL; a signature
- * in query[n_query] holds for paths that begin with its scope, until its time. */
+/* May whoever sent this do that with dataset ds (NULL of AUTH_ADMIN)? authorization may be NULL; a
+ * signature in query[n_query] holds for paths that begin with its scope, until its time. */
 enum auth_answer auth_check(const struct auth *a, enum auth_need need, const char *ds,
                             const char *authorization, const char *path, size_t n_path,
                             const char *query, size_t n_query, int64_t now_s);
-/* The query "exp=...&key=...&scope=...&sig=..." that opens paths below `scope` until exp_s. key NULL: the
- * only one that there is. ERR_ARG (no such key, a scope that is no path). */
+/* The query "exp=...&key=...&scope=...&sig=..." that opens paths below `scope` until exp_s. key
+ * NULL: the only one that there is. ERR_ARG (no such key, a scope that is no path). */
 enum err_code auth_sign(const struct auth *a, const char *key, const char *scope, int64_t exp_s,
                         char out[AUTH_QUERY_MAX], struct err *e) ERR_USE;
 

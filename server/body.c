@@ -1,7 +1,8 @@
 /* Encoded bytes that several answers share: a counter, the bytes, their entity tag, and for text
  * also the gzip form, of
- * the viewer's files the brotli form. A body is written by one thread, then shared and never changed; whoever holds
- * a reference may read it without a lock. libmicrohttpd sends straight from these bytes.
+ * the viewer's files the brotli form. A body is written by one thread, then shared and never
+ * changed; whoever holds a reference may read it without a lock. libmicrohttpd sends straight from
+ * these bytes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

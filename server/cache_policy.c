@@ -1,5 +1,6 @@
-/* Cache-Control by dataset. What is made is `public`; a policy turns that into what may be kept by browsers
- * alone, or by nobody, and sets how long the documents that move may be kept. no-store stays no-store.
+/* Cache-Control by dataset. What is made is `public`; a policy turns that into what may be kept by
+ * browsers alone, or by nobody, and sets how long the documents that move may be kept. no-store
+ * stays no-store.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -20,8 +20,8 @@ struct cache_policy { /* {0}: none */
 
 /* Read "NAME=private,OTHER=no-store,*=300". NULL is none. ERR_ARG. */
 enum err_code cache_policy_read(const char *list, struct cache_policy *out, struct err *e) ERR_USE;
-/* The Cache-Control of an answer about a dataset, in place of the usual one (borrowed). shared false: who
- * reads it had to say who they are. The text lives as long as p, or as `usual`. */
+/* The Cache-Control of an answer about a dataset, in place of the usual one (borrowed). shared
+ * false: who reads it had to say who they are. The text lives as long as p, or as `usual`. */
 const char *cache_policy_of(const struct cache_policy *p, const char *ds, bool shared,
                             const char *usual);
 

@@ -1,6 +1,7 @@
-/* The datasets at one moment, with their documents. A reload makes a new catalog and swaps a pointer,
- * requests under way keep the old one, and a revision that was replaced is served for another day from
- * the handles it holds, although its file has been renamed over. A reload that fails has changed nothing.
+/* The datasets at one moment, with their documents. A reload makes a new catalog and swaps a
+ * pointer, requests under way keep the old one, and a revision that was replaced is served for
+ * another day from the handles it holds, although its file has been renamed over. A reload that
+ * fails has changed nothing.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -103,8 +104,8 @@ static bool catalog_has(const struct catalog *c, size_t n, const char *name, con
     return false;
 }
 
-/* Add an older revision, unless its time is over, or it is there, or as many as may be; they come latest
- * first. */
+/* Add an older revision, unless its time is over, or it is there, or as many as may be; they come
+ * latest first. */
 static void catalog_keep(struct catalog *c, struct dataset *d, double replaced_s, double now_s,
                          const struct catalog_options *o)
 {

@@ -27,12 +27,13 @@ struct catalog_options {
     const char *basemap_attribution;
     unsigned preset; /* of tiles that do not say one: enum quant_preset */
 };
-/* Open every path. `older` (may be NULL; not changed) gives unchanged datasets and the revisions that it
- * has. catalog_drop it. ERR_ARG: two datasets of one name; the errors of dataset_open. */
+/* Open every path. `older` (may be NULL; not changed) gives unchanged datasets and the revisions
+ * that it has. catalog_drop it. ERR_ARG: two datasets of one name; the errors of dataset_open. */
 enum err_code catalog_open(const char *const *paths, size_t n, const struct catalog_options *o,
                            const struct catalog *older, struct catalog **out,
                            struct err *e) ERR_USE;
-/* Revisions of c whose time is over: c without them in *out, or NULL where there are none. ERR_MEM. */
+/* Revisions of c whose time is over: c without them in *out, or NULL where there are none.
+ * ERR_MEM. */
 enum err_code catalog_expire(const struct catalog *c, const struct catalog_options *o, double now_s,
                              struct catalog **out, struct err *e) ERR_USE;
 struct catalog *catalog_ref(struct catalog *c);

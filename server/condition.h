@@ -21,8 +21,9 @@ bool condition_brotli(const char *header);
 /* Accept prefers text/html over application/json. */
 bool condition_html(const char *header);
 
-/* Was the thing last modified (modified_s, since 1970) when If-Modified-Since says? A file that was put
- * back is older than that and another one all the same. False where the header is absent or no date of the form that RFC 9110, section 5.6.7 asks to be sent. */
+/* Was the thing last modified (modified_s, since 1970) when If-Modified-Since says? A file that was
+ * put back is older than that and another one all the same. False where the header is absent or no
+ * date of the form that RFC 9110, section 5.6.7 asks to be sent. */
 bool condition_not_modified(const char *header, int64_t modified_s);
 /* A time in that form. */
 enum { CONDITION_DATE = 32 };

@@ -1,6 +1,6 @@
-/* A dataset is one revision of one store: its index (read without locks, it never changes), one store
- * handle a worker, and room for the documents that describe it. Immutable and counted: requests under
- * way keep the one they began with.
+/* A dataset is one revision of one store: its index (read without locks, it never changes), one
+ * store handle a worker, and room for the documents that describe it. Immutable and counted:
+ * requests under way keep the one they began with.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -92,8 +92,8 @@ static enum err_code dataset_open_stores(struct dataset *d, size_t n, struct err
     return ERR_OK;
 }
 
-/* Tiles are sent in the store's default appearance: another appearance model makes other bytes of the
- * same payload. */
+/* Tiles are sent in the store's default appearance: another appearance model makes other bytes of
+ * the same payload. */
 static enum err_code dataset_salt_appearance(struct dataset *d, struct err *e)
 {
     struct hash128 both[2] = {d->salt};

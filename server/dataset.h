@@ -39,9 +39,9 @@ struct dataset { /* immutable but for what the comments say; counted */
     size_t n_stores, n_free;
 };
 
-/* Open `path` with `readers` handles for workers. clip (may be NULL): the part of it that this leaves,
- * as a file in clip_dir that goes with the dataset. dataset_drop it. The errors of store_open and
- * clip_open_part, ERR_MEM. */
+/* Open `path` with `readers` handles for workers. clip (may be NULL): the part of it that this
+ * leaves, as a file in clip_dir that goes with the dataset. dataset_drop it. The errors of
+ * store_open and clip_open_part, ERR_MEM. */
 enum err_code dataset_open(const char *path, size_t readers, const struct clip *clip,
                            const char *clip_dir, struct dataset **out, struct err *e) ERR_USE;
 struct dataset *dataset_ref(struct dataset *d);

@@ -22,7 +22,8 @@ struct failures { /* {.pause_s = x}: the first pause; the caller has the lock */
 
 /* What stands against trying this work now; NULL: nothing. */
 const struct failure *failure_find(const struct failures *f, struct hash128 id, double now_s);
-/* It has failed: it is not tried for pause_s, and twice as long after each further failure, up to 60 s. */
+/* It has failed: it is not tried for pause_s, and twice as long after each further failure, up to
+ * 60 s. */
 void failure_note(struct failures *f, struct hash128 id, enum err_code code, const char *msg,
                   double now_s);
 /* It has succeeded. */

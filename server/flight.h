@@ -1,5 +1,5 @@
-/* Bodies that are alive: made by a job and not yet freed, whether the cache holds them or a client is
- * still reading. Who asks for one of them shares it, however large it is, and their bytes count
+/* Bodies that are alive: made by a job and not yet freed, whether the cache holds them or a client
+ * is still reading. Who asks for one of them shares it, however large it is, and their bytes count
  * against a budget.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -23,7 +23,8 @@ void flight_add(struct flight *f, struct hash128 id, struct body *b);
  * what slow readers hold leaves no room. One body goes even where it is larger than the budget. */
 enum err_code flight_reserve(struct flight *f, size_t bytes, size_t cached, struct err *e) ERR_USE;
 void flight_release(struct flight *f, size_t bytes);
-/* What the limit holds for: bytes of live bodies beyond `cached`, and of those that are being made. */
+/* What the limit holds for: bytes of live bodies beyond `cached`, and of those that are being
+ * made. */
 size_t flight_held(const struct flight *f, size_t cached);
 /* Bytes of all live bodies. */
 size_t flight_bytes(const struct flight *f);

@@ -22,9 +22,10 @@ void guard_field(struct guard *g, const char *name, size_t n_name, const char *v
  * status to refuse with, and why. */
 int guard_check(const struct guard *g, const struct server_config *cfg, const char *version,
                 const char **why);
-/* Does it look like a request of this machine's own: asked for by a loopback name, and without a sign of
- * a proxy (RFC 9110, section 7.6.3; the fields that proxies add; HTTP/1.0, which nginx speaks to what is
- * behind it where it is not told otherwise), nor of a page of another site in this machine's browser (Origin)? */
+/* Does it look like a request of this machine's own: asked for by a loopback name, and without a
+ * sign of a proxy (RFC 9110, section 7.6.3; the fields that proxies add; HTTP/1.0, which nginx
+ * speaks to what is behind it where it is not told otherwise), nor of a page of another site in
+ * this machine's browser (Origin)? */
 bool guard_local(const struct guard *g, const char *version);
 
 #endif

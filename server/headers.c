@@ -1,6 +1,7 @@
 /* From a response to its header fields. Any page may read every answer (RFC 9110; CORS as the Fetch
- * standard has it): what is for this machine alone is not in answers to requests with an Origin, which is
- * what pages of other sites send (guard_local), and what is for a token comes to those who have it.
+ * standard has it): what is for this machine alone is not in answers to requests with an Origin,
+ * which is what pages of other sites send (guard_local), and what is for a token comes to those who
+ * have it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,6 +1,7 @@
-/* The page's script would find these addresses one after the other, each behind a round trip: catalogue,
- * tileset and network, coarsest tile. As hints they are on their way while the script still is. They
- * have to be the script's own addresses, letter by letter (web/src/source.ts), and in its mode.
+/* The page's script would find these addresses one after the other, each behind a round trip:
+ * catalogue, tileset and network, coarsest tile. As hints they are on their way while the script
+ * still is. They have to be the script's own addresses, letter by letter (web/src/source.ts), and
+ * in its mode.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -33,8 +33,8 @@
 
 enum { HTTP_ID_MAX = 65, HTTP_ADMIN_CONNECTIONS = 32 };
 enum { HTTP_THREADS_MAX = 4, HTTP_SPARE = 64 /* connections: to answer those over the limit */ };
-/* Of a stream: what libmicrohttpd asks for at once, and what may wait in the socket, so that a picture that is
- * drawn next is of the camera of now and not of that many bytes ago. */
+/* Of a stream: what libmicrohttpd asks for at once, and what may wait in the socket, so that a
+ * picture that is drawn next is of the camera of now and not of that many bytes ago. */
 enum { HTTP_STREAM_BLOCK = 16 << 10, HTTP_STREAM_WAITING = 16 << 10 };
 static const double HTTP_OVER_S = 1; /* for the request of a connection too many */
 
@@ -169,8 +169,9 @@ static enum MHD_Result http_refuse(struct exchange *x, int status, const char *w
 
 /* ---- who asks, and what ---- */
 
-/* The id that a proxy gave, if it is a word of letters, digits and ._-, else one of our own: a number that is
- * never twice the same, scrambled, so that it does not tell how much is asked for (splitmix64). */
+/* The id that a proxy gave, if it is a word of letters, digits and ._-, else one of our own: a
+ * number that is never twice the same, scrambled, so that it does not tell how much is asked for
+ * (splitmix64). */
 static void http_identify(struct exchange *x)
 {
     static const char plain[] = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-";
@@ -194,7 +195,8 @@ static void http_identify(struct exchange *x)
     x->res.id_sent = x->req.id_sent;
 }
 
-/* --base-path off the target. True: it is that path without its slash, below which links lead astray. */
+/* --base-path off the target. True: it is that path without its slash, below which links lead
+ * astray. */
 static bool http_unbase(struct exchange *x)
 {
     const char *base = x->h->s->cfg->base_path, *target = x->target;
@@ -231,8 +233,8 @@ static uint64_t http_client(const struct exchange *x)
                           h->secret);
 }
 
-/* What the screen has against this request: 0 or a status. A request that it has not seen is refused
- * as well: then libmicrohttpd reads past it. */
+/* What the screen has against this request: 0 or a status. A request that it has not seen is
+ * refused as well: then libmicrohttpd reads past it. */
 static int http_screened(const struct exchange *x, const char **why)
 {
     if (!x->peer)

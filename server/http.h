@@ -9,8 +9,8 @@
 
 enum http_side { HTTP_PUBLIC, HTTP_ADMIN }; /* HTTP_ADMIN: the listener of operators */
 struct http;
-/* Take the port that cfg says, or the socket that a supervisor holds, before anything slow is started;
- * clients wait in the backlog. The errors of listen_open, ERR_MEM. */
+/* Take the port that cfg says, or the socket that a supervisor holds, before anything slow is
+ * started; clients wait in the backlog. The errors of listen_open, ERR_MEM. */
 enum err_code http_open(struct services *s, enum http_side side, struct http **out,
                         struct err *e) ERR_USE;
 /* The options that http_open reads, without listening. ERR_ARG. */

@@ -1,15 +1,15 @@
 /* Slow work, away from the HTTP threads. A job is named by a 128-bit id: while it waits or runs,
  * everyone who asks for the same id becomes one more waiter of the same run (single flight). Queues
  * are bounded, and clients take turns in each (turn.c): when one is full, whoever has most in it
- * gives way. Map tiles and streams take turns with pictures on the thread that draws. New work also takes one of its client's tokens (rate.c); joining and prefetched tiles
- * that move up take none. Prefetched tiles run when nothing else does and move up when somebody
- * really asks.
+ * gives way. Map tiles and streams take turns with pictures on the thread that draws. New work also
+ * takes one of its client's tokens (rate.c); joining and prefetched tiles that move up take none.
+ * Prefetched tiles run when nothing else does and move up when somebody really asks.
  *
- * One mutex guards everything, and no callback but cfg.passing runs under it. Whoever takes a waiter off a job
- * under the lock (the worker that finished, job_leave, job_tick, job_stop) has claimed it:
- * waiter->job becomes NULL, and only the claimer wakes it. So each waiter is woken exactly once,
- * however those four race, and a job that ends in any way answers all its waiters, because
- * job_finish is the only end.
+ * One mutex guards everything, and no callback but cfg.passing runs under it. Whoever takes a
+ * waiter off a job under the lock (the worker that finished, job_leave, job_tick, job_stop) has
+ * claimed it: waiter->job becomes NULL, and only the claimer wakes it. So each waiter is woken
+ * exactly once, however those four race, and a job that ends in any way answers all its waiters,
+ * because job_finish is the only end.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -363,8 +363,8 @@ static bool job_pay(struct jobs *js, enum job_class cls, uint64_t client, double
     return false;
 }
 
-/* Under the lock: a job for this id to wait for, or NULL with w refused. Takes *work if it is needed;
- * *shed is a queued job that had to give way. */
+/* Under the lock: a job for this id to wait for, or NULL with w refused. Takes *work if it is
+ * needed; *shed is a queued job that had to give way. */
 static struct job *job_find_or_add(struct jobs *js, enum job_class cls, struct hash128 id,
                                    uint64_t client, void **work, struct job_waiter *w,
                                    struct job **shed)
@@ -566,7 +566,8 @@ double job_drawing_s(struct jobs *js)
     return since_s > 0 ? clock_s() - since_s : 0;
 }
 
-/* Wait for the thread that draws, as long as that may take; whoever asks again has waited already. */
+/* Wait for the thread that draws, as long as that may take; whoever asks again has waited
+ * already. */
 static bool job_await_drawer(struct jobs *js)
 {
     const double again_s = 0.5;

@@ -7,8 +7,8 @@
 
 #include "server/body.h"
 
-/* JOB_MOTION: pictures of streams that follow a camera. A stream asks for one at a time, so they are not
- * counted against rates of clients. */
+/* JOB_MOTION: pictures of streams that follow a camera. A stream asks for one at a time, so they
+ * are not counted against rates of clients. */
 enum job_class { JOB_VIEW, JOB_TILE, JOB_PREFETCH, JOB_MAP, JOB_MOTION, JOB_CLASSES };
 /* JOB_SHED: a queue was full; JOB_LIMITED: the client asks too much. */
 enum job_end { JOB_OK, JOB_ERROR, JOB_CANCELLED, JOB_SHED, JOB_TIMEOUT, JOB_LIMITED, JOB_ENDS };
@@ -65,16 +65,16 @@ struct jobs;
 /* job_close it. ERR_MEM. */
 enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct err *e) ERR_USE;
 /* Ask for the work named `id` (equal ids are equal bytes). `work` is owned by the callee from here
- * on. ERR_OK: w will be woken. ERR_BUSY: the queue is full or the server is stopping; ERR_LIMIT: the
- * client asks too much; w->result says so and w is not woken. A known failure is refused the same way
- * with its own code and end JOB_ERROR. `client` (any number that tells clients apart) keeps queues
- * fair: clients take turns, and when a queue is full the one with most in it gives way, which is
- * ERR_LIMIT where it is an older picture of the one who asks. */
+ * on. ERR_OK: w will be woken. ERR_BUSY: the queue is full or the server is stopping; ERR_LIMIT:
+ * the client asks too much; w->result says so and w is not woken. A known failure is refused the
+ * same way with its own code and end JOB_ERROR. `client` (any number that tells clients apart)
+ * keeps queues fair: clients take turns, and when a queue is full the one with most in it gives
+ * way, which is ERR_LIMIT where it is an older picture of the one who asks. */
 enum err_code job_submit(struct jobs *js, enum job_class cls, struct hash128 id, void *work,
                          uint64_t client, double timeout_s, struct job_waiter *w) ERR_USE;
 /* The client is gone. True: w was still waiting, is out of the job now and will not be woken. A job
- * that lost its last waiter is dropped from the queue; a running one is cancelled where it is passing, else
- * finished for the cache. */
+ * that lost its last waiter is dropped from the queue; a running one is cancelled where it is
+ * passing, else finished for the cache. */
 bool job_leave(struct jobs *js, struct job_waiter *w);
 enum job_class job_class_of(struct jobs *js, const struct job_waiter *w); /* while w waits */
 bool job_cancelled(const struct job *j);
@@ -84,11 +84,12 @@ void job_tick(struct jobs *js, double now_s);
 int job_retry_after(struct jobs *js, enum job_class cls);
 void job_count(struct jobs *js, struct job_stats *out);
 bool job_idle(struct jobs *js); /* nothing queued, nothing running */
-/* How long the thread that draws has been at what it does now, its start counted; 0: it waits for work. */
+/* How long the thread that draws has been at what it does now, its start counted; 0: it waits for
+ * work. */
 double job_drawing_s(struct jobs *js);
-/* Refuse new work, wake every waiter with JOB_SHED, wait for the running jobs (cancelled), join. False:
- * the thread that draws does not end (stop_s): a driver hangs, which nobody can stop, and nothing that it
- * uses may be freed. */
+/* Refuse new work, wake every waiter with JOB_SHED, wait for the running jobs (cancelled), join.
+ * False: the thread that draws does not end (stop_s): a driver hangs, which nobody can stop, and
+ * nothing that it uses may be freed. */
 bool job_stop(struct jobs *js);
 /* job_stop, then free. False: as there; *js stays, and this may be tried again. */
 bool job_close(struct jobs **js);

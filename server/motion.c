@@ -1,12 +1,14 @@
-/* Streams of pictures that follow a camera. While the camera moves, pictures are small and made quickly;
- * when it rests, one is drawn in full. One picture of a stream is under way at most, and it is always that
- * of the newest camera: the next one is drawn when the last byte of the one before has gone to the socket,
- * so a slow line gets fewer pictures, never old ones (http.c keeps little waiting in the socket).
+/* Streams of pictures that follow a camera. While the camera moves, pictures are small and made
+ * quickly; when it rests, one is drawn in full. One picture of a stream is under way at most, and
+ * it is always that of the newest camera: the next one is drawn when the last byte of the one
+ * before has gone to the socket, so a slow line gets fewer pictures, never old ones (http.c keeps
+ * little waiting in the socket).
  *
- * A stream is read by one connection, steered by any number of requests, and drawn for by one job at a
- * time. One mutex guards all streams; no job is submitted and nobody is called under it. References: the
- * table, the reader and the job under way have one each. `flying` says who may touch the waiter: whoever
- * sets it submits the job, and the job's end, or a job_leave that claimed the waiter, clears it.
+ * A stream is read by one connection, steered by any number of requests, and drawn for by one job
+ * at a time. One mutex guards all streams; no job is submitted and nobody is called under it.
+ * References: the table, the reader and the job under way have one each. `flying` says who may
+ * touch the waiter: whoever sets it submits the job, and the job's end, or a job_leave that claimed
+ * the waiter, clears it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -170,8 +172,8 @@ enum err_code motion_begin(struct motion *m, const char *ds, const char *name, u
     st->area_px = AREA_FIRST_PX;
     snprintf(st->ds, sizeof st->ds, "%s", ds);
     snprintf(st->name, sizeof st->name, "%s", name);
-    /* The first delimiter; what follows a picture ends with the next one, because browsers show a part
-     * when the delimiter behind it has come. */
+    /* The first delimiter; what follows a picture ends with the next one, because browsers show a
+     * part when the delimiter behind it has come. */
     st->n_head = (size_t)snprintf(st->head, sizeof st->head, "%s", MOTION_TAIL + 2);
     atomic_init(&st->refs, 2);
     pthread_mutex_lock(&m->lock);
@@ -332,7 +334,8 @@ enum err_code motion_steer(struct motion *m, struct dataset *d, const char *name
     bool late = false;
     if (st) {
         motion_ref(st);
-        /* Requests on several connections overtake each other: an older pose does not replace a newer. */
+        /* Requests on several connections overtake each other: an older pose does not replace a
+         * newer. */
         late = st->d && wish->number < st->wish.number;
     }
     if (st && !late) {

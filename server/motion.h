@@ -1,5 +1,6 @@
-/* Streams of pictures that follow a camera, for clients that do not draw Gaussians themselves: one request
- * stays open and is answered with picture after picture; others, small, say where the camera is.
+/* Streams of pictures that follow a camera, for clients that do not draw Gaussians themselves: one
+ * request stays open and is answered with picture after picture; others, small, say where the
+ * camera is.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -37,18 +38,18 @@ void motion_tick(struct motion *m, double now_s);
 void motion_stop(struct motion *m);
 void motion_count(struct motion *m, struct motion_counts *out);
 
-/* A stream of a dataset's pictures by a name that the client chose. ready() is called, on any thread and
- * under no lock, once after each motion_await that returned true.
+/* A stream of a dataset's pictures by a name that the client chose. ready() is called, on any
+ * thread and under no lock, once after each motion_await that returned true.
  *
  *   out  motion_leave it when its reader has gone
  *
- * Errors: ERR_ARG (the name is taken), ERR_LIMIT (too many streams of this client), ERR_BUSY (too many in
- * all, or the server stops), ERR_MEM. */
+ * Errors: ERR_ARG (the name is taken), ERR_LIMIT (too many streams of this client), ERR_BUSY (too
+ * many in all, or the server stops), ERR_MEM. */
 enum err_code motion_begin(struct motion *m, const char *ds, const char *name, uint64_t client,
                            void (*ready)(void *user), void *user, struct motion_stream **out,
                            struct err *e) ERR_USE;
-/* The camera is here now; the newest wins. d: the dataset's revision to draw. ERR_NOENT: there is no
- * such stream. */
+/* The camera is here now; the newest wins. d: the dataset's revision to draw. ERR_NOENT: there is
+ * no such stream. */
 enum err_code motion_steer(struct motion *m, struct dataset *d, const char *name,
                            const struct motion_wish *wish, struct err *e) ERR_USE;
 /* The next bytes of the stream, at most room; 0: none yet; -1: it has ended. */

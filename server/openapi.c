@@ -1,8 +1,8 @@
-/* OpenAPI 3.0.3, made from the route table: paths and methods are those that are served, parameters are
- * looked up by their names in the paths. What each route answers with is in openapi_answers.
+/* OpenAPI 3.0.3, made from the route table: paths and methods are those that are served, parameters
+ * are looked up by their names in the paths. What each route answers with is in openapi_answers.
  *
- * Brackets in a route's template stand for what may be left out; a path of OpenAPI cannot say that, so it
- * has the long form.
+ * Brackets in a route's template stand for what may be left out; a path of OpenAPI cannot say that,
+ * so it has the long form.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -19,9 +19,10 @@ bool paint_needs_transmittance(const struct paint *p);
 bool paint_needs_depth(const struct paint *p, enum format f);
 /* ERR_DATA where a format cannot hold it: what to ask for instead. */
 enum err_code paint_check(const struct paint *p, enum format f, struct err *e) ERR_USE;
-/* Append the encoded picture. Depth as PNG is 16-bit grey in the unit of p, 0 where nothing is seen and 65535
- * for what is farther, with the unit in a text chunk; as .npy it is float32 metres, NaN where nothing is
- * seen. ERR_MEM, and what image_encode and png_encode return: ERR_ARG, ERR_INTERNAL. */
+/* Append the encoded picture. Depth as PNG is 16-bit grey in the unit of p, 0 where nothing is seen
+ * and 65535 for what is farther, with the unit in a text chunk; as .npy it is float32 metres, NaN
+ * where nothing is seen. ERR_MEM, and what image_encode and png_encode return: ERR_ARG,
+ * ERR_INTERNAL. */
 enum err_code paint_encode(const struct paint *p, const struct camera *cam, enum format f,
                            int quality, const struct paint_planes *in, struct buf *out,
                            struct err *e) ERR_USE;

@@ -125,8 +125,8 @@ void picture_about(struct picture *p, char *out, size_t n)
     pthread_mutex_unlock(&p->lock);
 }
 
-/* The open view of a dataset. Those that nobody else has any more are closed; then the one unused for
- * longest makes room. */
+/* The open view of a dataset. Those that nobody else has any more are closed; then the one unused
+ * for longest makes room. */
 static enum err_code picture_view_find(struct picture *p, struct dataset *d, struct open_view **out,
                                        struct err *e)
 {
@@ -180,7 +180,8 @@ enum err_code picture_nadir(struct picture *p, struct dataset *d, const struct a
     return rc;
 }
 
-/* What is left behind the last frame's Gaussians, and how far away they are, as far as `to` has room. */
+/* What is left behind the last frame's Gaussians, and how far away they are, as far as `to` has
+ * room. */
 static enum err_code picture_measure(struct picture *p, float *transmittance, float *depth_m,
                                      struct err *e)
 {

@@ -32,9 +32,10 @@ void picture_leave(struct picture *p);
 enum picture_state picture_state(const struct picture *p); /* any thread */
 /* Device name when ready, else why there is none. Copied under the lock; any thread. */
 void picture_about(struct picture *p, char *out, size_t n);
-/* On the view thread, as all below; views keep a reference of the dataset until another picture is asked
- * for when nobody else has one. What draws a dataset from straight above, in an appearance; until the next
- * picture. Errors as picture_make: ERR_DEVICE, ERR_NOENT, ERR_MEM, and what view_open gives. */
+/* On the view thread, as all below; views keep a reference of the dataset until another picture is
+ * asked for when nobody else has one. What draws a dataset from straight above, in an appearance;
+ * until the next picture. Errors as picture_make: ERR_DEVICE, ERR_NOENT, ERR_MEM, and what
+ * view_open gives. */
 enum err_code picture_nadir(struct picture *p, struct dataset *d, const struct appearance_choice *a,
                             struct nadir **out, struct err *e) ERR_USE;
 /* On the view thread. Append the encoded picture. ERR_DEVICE, ERR_NOENT (the revision's file is

@@ -64,11 +64,11 @@ struct response { /* {0}, then route_answer; response_free it */
 extern const char RESPONSE_IMMUTABLE[], RESPONSE_MOVING[], RESPONSE_NO_STORE[]; /* Cache-Control */
 extern const char RESPONSE_JSON[];                                              /* Content-Type */
 
-/* The edition of what a route answers of a dataset: what decides its bytes and is in no other part of
- * an address (result_id.h). "" for pictures while nothing can be drawn. */
+/* The edition of what a route answers of a dataset: what decides its bytes and is in no other part
+ * of an address (result_id.h). "" for pictures while nothing can be drawn. */
 void response_edition(struct services *s, const struct dataset *d, enum route route, char out[9]);
-/* Of an address with a revision: immutable where it names this server's edition, so that it says all
- * that decides the bytes; else caches ask again after a minute. */
+/* Of an address with a revision: immutable where it names this server's edition, so that it says
+ * all that decides the bytes; else caches ask again after a minute. */
 const char *response_cache_control(struct services *s, const struct dataset *d,
                                    const struct target *t);
 const char *response_status_text(int status);
@@ -88,7 +88,8 @@ void response_document(const struct request *r, const char *type, const char *ca
  * it, and the caller says which (response_work). Of out->unnamed always: nobody has it. */
 bool response_made(struct services *s, const struct request *r, struct hash128 id,
                    struct response *out);
-/* New work for a job, in out->work, whose result is kept unless out->unnamed; NULL, with the problem set, when out of memory. */
+/* New work for a job, in out->work, whose result is kept unless out->unnamed; NULL, with the
+ * problem set, when out of memory. */
 struct work *response_work(struct dataset *d, enum work_kind kind, struct hash128 id,
                            struct form form, struct response *out);
 void response_free(struct response *r);

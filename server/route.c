@@ -1,5 +1,5 @@
-/* Dispatch: a request to the family that answers it, and a job's end to its answer. route_answer does
- * not block, does not know libmicrohttpd, and cannot fail, since a failure is an answer too.
+/* Dispatch: a request to the family that answers it, and a job's end to its answer. route_answer
+ * does not block, does not know libmicrohttpd, and cannot fail, since a failure is an answer too.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -51,7 +51,8 @@ static bool route_method(const struct request *r, unsigned allow, struct respons
     return true;
 }
 
-/* What operators ask is answered by their listener, where there is one, and nothing else is there. */
+/* What operators ask is answered by their listener, where there is one, and nothing else is
+ * there. */
 static bool route_is_here(const struct services *s, const struct request *r, enum route route)
 {
     bool both = route == ROUTE_HEALTH || route == ROUTE_READY || route == ROUTE_VERSION;
@@ -71,7 +72,8 @@ static bool route_is_drawn(enum route route)
     return false;
 }
 
-/* May who asks have this? Else the problem is set, the same for datasets that there are and are not. */
+/* May who asks have this? Else the problem is set, the same for datasets that there are and are
+ * not. */
 static bool route_may(const struct services *s, const struct request *r, const struct target *t,
                       struct response *out)
 {

@@ -133,7 +133,8 @@ static bool screen_chunk(struct screen *s, const char *p, size_t n)
     return digits && digits <= HEX_MAX && (digits == n || p[digits] == ';') && screen_clean(p, n);
 }
 
-/* Parameters of the query: libmicrohttpd takes memory for each, and hangs up when it has none left. */
+/* Parameters of the query: libmicrohttpd takes memory for each, and hangs up when it has none
+ * left. */
 static size_t screen_keys(const char *p, size_t n)
 {
     size_t keys = 0;
@@ -142,7 +143,8 @@ static size_t screen_keys(const char *p, size_t n)
     return keys;
 }
 
-/* A whole line, without its end. 0, or the status to refuse it with (then the state is as before). */
+/* A whole line, without its end. 0, or the status to refuse it with (then the state is as
+ * before). */
 static int screen_line(struct screen *s, const char *p, size_t n)
 {
     enum screen_state was = s->state;

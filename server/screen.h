@@ -1,10 +1,10 @@
 /* A byte-level check of requests in front of libmicrohttpd's parser (docs/decisions/012-screen.md).
  *
  * The parser gets whole lines that were looked at before, and nothing else: a line with a control
- * byte, a field without a proper name, a length that is not digits, a second length or coding, a bad
- * chunk never reaches it. In place of the first such line it gets the shortest end of the request,
- * and from then on nothing; whoever answers asks screen_refused, answers with that status and closes
- * the connection.
+ * byte, a field without a proper name, a length that is not digits, a second length or coding, a
+ * bad chunk never reaches it. In place of the first such line it gets the shortest end of the
+ * request, and from then on nothing; whoever answers asks screen_refused, answers with that status
+ * and closes the connection.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -38,8 +38,8 @@ struct screen { /* of one connection; {0}, screen_attach, screen_detach. One thr
     int status;          /* to refuse it with */
 };
 
-/* From here to screen_detach, what recv() gives for this descriptor comes through s, whose lines are
- * at most line_max bytes. ERR_MEM. */
+/* From here to screen_detach, what recv() gives for this descriptor comes through s, whose lines
+ * are at most line_max bytes. ERR_MEM. */
 enum err_code screen_attach(struct screen *s, int fd, size_t line_max, struct err *e) ERR_USE;
 void screen_detach(struct screen *s, int fd);
 /* The status to refuse the n-th request of the connection with, counted from 1; 0 when nothing is
@@ -47,8 +47,8 @@ void screen_detach(struct screen *s, int fd);
 int screen_refused(const struct screen *s, uint64_t n);
 const char *screen_reason(int status); /* for people */
 
-/* Look at bytes as if they had come from a socket, and take what may go on, at most room bytes: what
- * recv() does, for tests. */
+/* Look at bytes as if they had come from a socket, and take what may go on, at most room bytes:
+ * what recv() does, for tests. */
 void screen_put(struct screen *s, const char *bytes, size_t n);
 size_t screen_take(struct screen *s, char *out, size_t room);
 

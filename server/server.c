@@ -91,8 +91,8 @@ static void server_set_url(struct server *sv)
     sv->services.url = sv->cfg.public_url && *sv->cfg.public_url ? sv->cfg.public_url : own;
 }
 
-/* Where descriptors run out, accept() fails before an idle connection could give way to a new one. So
- * the limit is raised as far as this process may, and where that is not enough there are fewer
+/* Where descriptors run out, accept() fails before an idle connection could give way to a new one.
+ * So the limit is raised as far as this process may, and where that is not enough there are fewer
  * connections. */
 static void server_fit_descriptors(struct server *sv)
 {

@@ -47,8 +47,9 @@ struct services;
  *   out    server_stop it; NULL on failure
  *
  * Ignores SIGPIPE for the process. Errors: ERR_ARG (address, two datasets of one name), ERR_BUSY
- * (the port is taken), ERR_IO, ERR_FORMAT, ERR_DATA, ERR_NOENT (a store cannot be opened), ERR_LIMIT
- * (viewer files), ERR_MEM. A device that does not open is no error: pictures are then off.
+ * (the port is taken), ERR_IO, ERR_FORMAT, ERR_DATA, ERR_NOENT (a store cannot be opened),
+ * ERR_LIMIT (viewer files), ERR_MEM. A device that does not open is no error: pictures are then
+ * off.
  */
 enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,
                            struct server **out, struct err *e) ERR_USE;
@@ -59,24 +60,25 @@ const char *server_url(const struct server *s);
 /* What its answers draw on (server/services.h), for tests and benches. Lives until server_stop. */
 struct services *server_services(struct server *s);
 
-/* Open the stores again. Revisions that were replaced stay for a day (--keep-s, --keep-revisions). On any
- * error (those of server_start about stores) the old data stay, and /readyz says so. One caller at a time,
- * of the next function as well. */
+/* Open the stores again. Revisions that were replaced stay for a day (--keep-s, --keep-revisions).
+ * On any error (those of server_start about stores) the old data stay, and /readyz says so. One
+ * caller at a time, of the next function as well. */
 enum err_code server_reload(struct server *s, struct err *e) ERR_USE;
 /* Let go of revisions whose day is over, by clock_s(); to be called now and then. */
 void server_expire(struct server *s, double now_s);
 
 /* Stop listening, finish what is under way within the configured times, free everything. Accepts
- * NULL inside, leaves NULL. False: the device hangs in a call that does not return; what its thread uses
- * is not freed, and the program had better end without waiting for it (_exit). */
+ * NULL inside, leaves NULL. False: the device hangs in a call that does not return; what its thread
+ * uses is not freed, and the program had better end without waiting for it (_exit). */
 bool server_stop(struct server **s);
-/* Has an operator asked for a reload (POST /-/reload on the listener of --admin) since the last call? */
+/* Has an operator asked for a reload (POST /-/reload on the listener of --admin) since the last
+ * call? */
 bool server_reload_asked(struct server *s);
 /* Does it answer a request of its own within wait_s? For a watchdog. */
 bool server_answers(const struct server *s, double wait_s);
 uint16_t server_admin_port(const struct server *s); /* 0: there is none */
-/* Would server_start do, but for ports and the device? Opens what it would open, and closes it again; says
- * what there is on `out` (may be NULL). Its errors. */
+/* Would server_start do, but for ports and the device? Opens what it would open, and closes it
+ * again; says what there is on `out` (may be NULL). Its errors. */
 enum err_code server_check(const struct server_config *cfg, const char *const *paths, size_t n,
                            FILE *out, struct err *e) ERR_USE;
 /* Seconds that the device has been at one picture beyond --device-timeout-s; 0: it is well. */

@@ -52,7 +52,8 @@ bool services_free(struct services *s);
 struct catalog *services_catalog(struct services *s); /* a reference */
 /* Seconds that the device has been at one picture beyond --device-timeout-s; 0: it is well. */
 double services_hangs_s(struct services *s);
-/* From now on this one (taken; NULL: the one that is there). reload_error NULL leaves what is known. */
+/* From now on this one (taken; NULL: the one that is there). reload_error NULL leaves what is
+ * known. */
 void services_set_catalog(struct services *s, struct catalog *c, const char *reload_error);
 
 #endif

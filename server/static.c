@@ -1,7 +1,7 @@
 /* The viewer's files, read once at start into a sorted table: a request looks a path up among
  * strings that were found on disk before the first request came, and never reaches the file system.
- * Names with a hash in them (Vite's assets/) are immutable; text is also kept gzipped, and as brotli
- * where the build left x.js.br beside x.js: that takes seconds, which a start does not have.
+ * Names with a hash in them (Vite's assets/) are immutable; text is also kept gzipped, and as
+ * brotli where the build left x.js.br beside x.js: that takes seconds, which a start does not have.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -68,8 +68,8 @@ static bool static_is_coded(const char *path)
     return file_exists(plain);
 }
 
-/* The brotli form of the file at path, where there is one. One that is older than a file whose name does
- * not change with its bytes is of other bytes. */
+/* The brotli form of the file at path, where there is one. One that is older than a file whose name
+ * does not change with its bytes is of other bytes. */
 static enum err_code static_add_brotli(const char *path, const struct static_file *f, size_t *bytes,
                                        struct err *e)
 {
@@ -90,7 +90,8 @@ static enum err_code static_add_brotli(const char *path, const struct static_fil
     return rc;
 }
 
-/* Vite's names: /assets/NAME-HASH.EXT, 8 of A-Z a-z 0-9 _ -; other files of a folder of one's own change. */
+/* Vite's names: /assets/NAME-HASH.EXT, 8 of A-Z a-z 0-9 _ -; other files of a folder of one's own
+ * change. */
 static bool static_has_hash(const char *url)
 {
     const char *dot = strrchr(url, '.');

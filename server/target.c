@@ -114,8 +114,8 @@ static bool target_is_view(enum route r)
     return r == ROUTE_VIEW || r == ROUTE_VIEW_MOVING;
 }
 
-/* preset=NAME, sh=N, appearance=A or, of terrain, encoding=E, of views, background=B and depth=U, each at
- * most once; *known says whether it was one of them. */
+/* preset=NAME, sh=N, appearance=A or, of terrain, encoding=E, of views, background=B and depth=U,
+ * each at most once; *known says whether it was one of them. */
 static enum err_code target_take_form(struct text *one, struct target *target, bool *known,
                                       struct err *e)
 {
@@ -399,7 +399,8 @@ static bool target_parse_document(struct text *t, struct target *out)
     return true;
 }
 
-/* Of /collections?bbox=w,s,e,n or w,s,lowest,e,n,highest; commas may come as %2C. Other keys are ignored.
+/* Of /collections?bbox=w,s,e,n or w,s,lowest,e,n,highest; commas may come as %2C. Other keys are
+ * ignored.
  */
 static enum err_code target_parse_bbox(const char *query, size_t n, struct target *out,
                                        struct err *e)

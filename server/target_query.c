@@ -1,4 +1,5 @@
-/* Parts of a query: writing those that a target has, reading words that posted documents know as well.
+/* Parts of a query: writing those that a target has, reading words that posted documents know as
+ * well.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

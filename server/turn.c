@@ -1,6 +1,7 @@
-/* A queue in which clients take turns, so that whoever asks for a thousand things holds up itself. Each
- * client has a list of what it waits for; clients that wait stand in a row by when they last had a
- * turn. Taking the next and adding are a few pointers; who must give way is looked for in the row.
+/* A queue in which clients take turns, so that whoever asks for a thousand things holds up itself.
+ * Each client has a list of what it waits for; clients that wait stand in a row by when they last
+ * had a turn. Taking the next and adding are a few pointers; who must give way is looked for in the
+ * row.
  *
  * Clients are remembered in a table of sets: the one that had no turn for longest makes room for a
  * new one, and if all of a set wait, two share a place and a turn.

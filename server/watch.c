@@ -25,8 +25,8 @@
 #include "server/motion.h"
 
 enum { TICK_MS = 100, GONE_MS = 250, EVENTS = 64, POLLED = 256 };
-/* A request that is not complete, and an answer that is not read, after this long are slow enough to
- * give way to another connection. */
+/* A request that is not complete, and an answer that is not read, after this long are slow enough
+ * to give way to another connection. */
 enum { HEAD_SLOW_MS = 500, SEND_SLOW_MS = 2000 };
 enum { TALLIES = 4096 };
 enum { POLL_GONE = 0x2000 }; /* POLLRDHUP, which Linux has and POSIX does not */
@@ -105,9 +105,9 @@ static uint64_t watch_acked(int fd)
     return getsockopt(fd, IPPROTO_TCP, TCP_INFO, &info, &n) ? 0 : info.tcpi_bytes_acked;
 }
 
-/* An answer that is being sent goes on as long as it moves: the client must have taken min_rate_kb a
- * second since the last look, write_timeout_s ago. Answers that are out between two ticks are never
- * looked at. True when the client is too slow. */
+/* An answer that is being sent goes on as long as it moves: the client must have taken min_rate_kb
+ * a second since the last look, write_timeout_s ago. Answers that are out between two ticks are
+ * never looked at. True when the client is too slow. */
 static bool watch_stalls(struct watch *w, struct watch_slot *s, uint64_t deadline, uint64_t now)
 {
     const struct server_config *cfg = w->s->cfg;
@@ -246,8 +246,8 @@ static void watch_uncount(struct watch *w, struct watch_slot *s)
     w->tally[s->client % TALLIES]--;
 }
 
-/* How easily a connection gives way: 0 not at all, else the more the longer it has been idle, or slow.
- * Whoever waits for a job, or is being answered, keeps its place. */
+/* How easily a connection gives way: 0 not at all, else the more the longer it has been idle, or
+ * slow. Whoever waits for a job, or is being answered, keeps its place. */
 static uint64_t watch_ease(const struct watch_slot *s, uint64_t now)
 {
     uint64_t since = atomic_load_explicit(&s->since_ms, memory_order_relaxed);
@@ -265,8 +265,8 @@ static uint64_t watch_ease(const struct watch_slot *s, uint64_t now)
     }
 }
 
-/* End the connection that gives way most easily among those of a client, or of all whose tally is this
- * one. False: none does. */
+/* End the connection that gives way most easily among those of a client, or of all whose tally is
+ * this one. False: none does. */
 static bool watch_displace(struct watch *w, bool one_client, uint64_t client)
 {
     uint64_t now = watch_now_ms(), most = 0;

@@ -11,14 +11,15 @@ enum watch_phase { WATCH_IDLE, WATCH_HEADER, WATCH_BODY, WATCH_WORK, WATCH_SEND,
 struct motion_stream;
 struct watch;
 struct watch_slot;
-/* For `most` connections; at that number new ones take the places of others. gone() is called under no lock when a waiting client has hung up and
- * its job was left; it must resume the connection. */
+/* For `most` connections; at that number new ones take the places of others. gone() is called under
+ * no lock when a waiting client has hung up and its job was left; it must resume the connection. */
 enum err_code watch_open(size_t most, struct services *s, void (*gone)(struct job_waiter *w),
                          struct watch **out, struct err *e) ERR_USE;
 void watch_close(struct watch **w);
-/* A new connection of a client, who may have `limit` of them (0: any number). Where there are too many,
- * of the client or in all, one that is idle, or slow with its request or with reading an answer, is
- * ended instead: of this client, or of whoever has most. *over: there is none such. NULL: no slot. */
+/* A new connection of a client, who may have `limit` of them (0: any number). Where there are too
+ * many, of the client or in all, one that is idle, or slow with its request or with reading an
+ * answer, is ended instead: of this client, or of whoever has most. *over: there is none such.
+ * NULL: no slot. */
 struct watch_slot *watch_add(struct watch *w, int fd, uint64_t client, size_t limit, bool *over);
 void watch_remove(struct watch *w, struct watch_slot *slot);
 /* Enter a phase that must end within `timeout_s` (0 = for ever). Lock-free. */

@@ -1,5 +1,5 @@
-/* What changed between two stores of one place: heights of the one minus those of the other as a map, and
- * figures about heights and colours. Where only one of them was surveyed nothing is said.
+/* What changed between two stores of one place: heights of the one minus those of the other as a
+ * map, and figures about heights and colours. Where only one of them was surveyed nothing is said.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -26,8 +26,8 @@ struct change_report {
     double changed_share; /* of the pixels: by more than least_m */
     double gained_m3, lost_m3; /* of those */
     double color;              /* root mean square difference of colours, 0 to 1 */
-    /* How far the later lies from the earlier as a whole: what shift, with the slopes of the earlier,
-     * explains the differences below 2 m best (Nuth and Kaeaeb 2011). */
+    /* How far the later lies from the earlier as a whole: what shift, with the slopes of the
+     * earlier, explains the differences below 2 m best (Nuth and Kaeaeb 2011). */
     double east_m, north_m, up_m;
 };
 /* Write later minus earlier as a Cloud Optimized GeoTIFF of heights. ERR_ARG: they have no area in

@@ -23,8 +23,8 @@ enum geotiff_kind {
     GEOTIFF_HEIGHT /* one band of float32, m; nodata GEOTIFF_NODATA */
 };
 struct geotiff;
-/* GDAL with the drivers of GeoTIFF alone, no files of its own beside ours, and a bounded cache. Whatever
- * opens a file by GDAL calls it first. */
+/* GDAL with the drivers of GeoTIFF alone, no files of its own beside ours, and a bounded cache.
+ * Whatever opens a file by GDAL calls it first. */
 void geotiff_start(void);
 /* ERR_IO, ERR_MEM, ERR_LIMIT (a path too long). */
 enum err_code geotiff_create(const char *path, enum geotiff_kind kind,

@@ -9,8 +9,8 @@
 
 struct sheet; /* one caller at a time */
 /* A GeoTIFF, north up, with square pixels, in an EPSG projection in metres: 4 bands of 8 bits for
- * colours, 1 of heights. ERR_NOENT, ERR_FORMAT: not such a file, says what is wrong; ERR_ARG, ERR_IO:
- * its projection; ERR_LIMIT: larger than map.h allows; ERR_MEM. */
+ * colours, 1 of heights. ERR_NOENT, ERR_FORMAT: not such a file, says what is wrong; ERR_ARG,
+ * ERR_IO: its projection; ERR_LIMIT: larger than map.h allows; ERR_MEM. */
 enum err_code sheet_open(const char *path, enum geotiff_kind kind, struct sheet **out,
                          struct err *e) ERR_USE;
 void sheet_close(struct sheet **s);

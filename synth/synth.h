@@ -3,8 +3,9 @@
  * Nobody has to download anything to try the program, and tests know the right answer: poses,
  * depth, clean pictures, which GPS position lies and by how much. Reading order: synth.c (what is
  * written), synth_city.c (what stands where), synth_flight.c (who looks from where), synth_trace.c
- * (what a ray hits), synth_shade.c (what colour that is), synth_draw.c (a picture), synth_map.c (a map), synth_model.c
- * (the COLMAP model), synth_views.c (ground truth at poses that people take in maps).
+ * (what a ray hits), synth_shade.c (what colour that is), synth_draw.c (a picture), synth_map.c (a
+ * map), synth_model.c (the COLMAP model), synth_views.c (ground truth at poses that people take in
+ * maps).
  *
  * The city is built in its own frame: metres, z up, ground at z = 0, streets along x and y. ENU is
  * that frame turned by city.yaw_rad about z.
@@ -151,10 +152,10 @@ void synth_draw_depth(const struct synth_draw *d, const struct camera *cam, floa
 
 /* ---- synth_map.c ---- */
 
-/* The still city from straight above, all rays parallel: what an orthophoto should show. corner_enu_m:
- * ENU of the picture's corners, top left, top right, bottom left, bottom right; pixels lie evenly
- * between. Each is the mean of supersample^2 rays, then blurred. Works on all cores. image_free *out,
- * also after ERR_MEM. */
+/* The still city from straight above, all rays parallel: what an orthophoto should show.
+ * corner_enu_m: ENU of the picture's corners, top left, top right, bottom left, bottom right;
+ * pixels lie evenly between. Each is the mean of supersample^2 rays, then blurred. Works on all
+ * cores. image_free *out, also after ERR_MEM. */
 enum err_code synth_map_draw(const struct synth_city *c, const double corner_enu_m[4][2],
                              const uint32_t size_px[2], int supersample, double blur_px,
                              struct image *out, struct err *e) ERR_USE;
@@ -211,13 +212,14 @@ bool synth_model_sees(const struct synth_city *c, const struct lens *lens, const
 enum err_code synth_views_write(const struct synth_config *cfg, const struct synth_city *city,
                                 const struct synth_photo *photos, const char *dir,
                                 struct err *e) ERR_USE;
-/* The options that the city in folder asked->city was made with; those of map views are asked's. Texts
- * live in the arena. ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_DATA, ERR_ARG: its truth.json; ERR_MEM. */
+/* The options that the city in folder asked->city was made with; those of map views are asked's.
+ * Texts live in the arena. ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_DATA, ERR_ARG: its truth.json;
+ * ERR_MEM. */
 enum err_code synth_views_config(const struct synth_config *asked, struct synth_config *out,
                                  struct arena *a, struct err *e) ERR_USE;
 /* The same for the city in folder cfg->city, made before by this command: cfg's other options are
- * taken from there. Writes into cfg->output, or the city's map-views/ if that is NULL; *out_dir gets
- * which. */
+ * taken from there. Writes into cfg->output, or the city's map-views/ if that is NULL; *out_dir
+ * gets which. */
 enum err_code synth_views_run(const struct synth_config *cfg, char out_dir[FILE_PATH_MAX],
                               struct err *e) ERR_USE;
 

@@ -69,8 +69,8 @@ static inline int teardown(void **state)
     return 0;
 }
 
-/* "REV" in text becomes the revision, "REV+" that and the edition of its tiles, "KEY15" etc. the tile
- * about the origin. */
+/* "REV" in text becomes the revision, "REV+" that and the edition of its tiles, "KEY15" etc. the
+ * tile about the origin. */
 static inline const char *expand(const char *text, char *out, size_t room)
 {
     size_t n = 0;

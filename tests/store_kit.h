@@ -1,5 +1,5 @@
-/* A tile store on disk, for the tests of what reads and writes one: a folder of its own, the path of a
- * store in it, and what most tests open of it; a store of one level; a damaged tile.
+/* A tile store on disk, for the tests of what reads and writes one: a folder of its own, the path
+ * of a store in it, and what most tests open of it; a store of one level; a damaged tile.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* A store whose truth is known: the procedural city, its surface covered with Gaussians, haze above it
- * and large Gaussians far around. For the tests of what is drawn from straight above.
+/* A store whose truth is known: the procedural city, its surface covered with Gaussians, haze above
+ * it and large Gaussians far around. For the tests of what is drawn from straight above.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -73,9 +73,9 @@ static inline void put(struct gauss *g, double x, double y, double z, double sig
     }
 }
 
-/* How far colours are from where they are in the city. Red grows to the east and green to the north, from 0
- * to 1 over EXTENT_M; the discs were not fitted to stop all light, so how steeply they grow in the picture
- * tells how much of it they stop. Least squares. */
+/* How far colours are from where they are in the city. Red grows to the east and green to the
+ * north, from 0 to 1 over EXTENT_M; the discs were not fitted to stop all light, so how steeply
+ * they grow in the picture tells how much of it they stop. Least squares. */
 struct shown {
     double n, at[2], color[2], at_at[2], at_color[2];
 };

@@ -125,8 +125,8 @@ static void held_out_photographs_are_a_sixteenth(void **state)
     arena_free(&a);
 }
 
-/* A cell whose Gaussians lie half outside of it, and held-out photographs of which a mask covers the
- * first. */
+/* A cell whose Gaussians lie half outside of it, and held-out photographs of which a mask covers
+ * the first. */
 struct look {
     struct dev dev;
     struct render *render;

@@ -80,8 +80,8 @@ static void test_handles_share_the_index(void **state)
     dataset_drop(&d);
 }
 
-/* A reload that fails at its last step has not touched what is served: its revisions are still current,
- * and the next reload that succeeds keeps them. */
+/* A reload that fails at its last step has not touched what is served: its revisions are still
+ * current, and the next reload that succeeds keeps them. */
 static void test_a_reload_that_fails_late(void **state)
 {
     struct err e = {0};
@@ -111,7 +111,8 @@ static void test_a_reload_that_fails_late(void **state)
     catalog_drop(&second);
 }
 
-/* --clip: the part has a revision of its own, the same each time, and a reload of the same file keeps it. */
+/* --clip: the part has a revision of its own, the same each time, and a reload of the same file
+ * keeps it. */
 static void test_a_part_is_served(void **state)
 {
     struct err e = {0};

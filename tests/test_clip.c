@@ -1,5 +1,5 @@
-/* A part of a store: what is kept lies inside and nothing that does is missing, tiles inside keep every
- * bit, blobs come along, and what makes no sense is refused in words.
+/* A part of a store: what is kept lies inside and nothing that does is missing, tiles inside keep
+ * every bit, blobs come along, and what makes no sense is refused in words.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -167,8 +167,8 @@ static void a_part_has_its_own_date(void **state)
     clip_free(&c);
 }
 
-/* Of a part what was surveyed ends where it was cut, for every map of it; of a part of a part, where
- * both were; and no file is left when it was opened for a while. */
+/* Of a part what was surveyed ends where it was cut, for every map of it; of a part of a part,
+ * where both were; and no file is left when it was opened for a while. */
 static void maps_end_at_the_cut(void **state)
 {
     static const char south[] = "{\"type\":\"Polygon\",\"coordinates\":[[[8.68,50.11],[8.69,50.11],"

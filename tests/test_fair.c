@@ -1,5 +1,5 @@
-/* One client asks for far too much; what is left for the others: turns in queues, rates, connections, and
- * who is who behind a proxy.
+/* One client asks for far too much; what is left for the others: turns in queues, rates,
+ * connections, and who is who behind a proxy.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -53,7 +53,8 @@ static void test_turns(void **state)
     }
 }
 
-/* Who gives way: one of whoever has most; of equals, who had a turn last; never one who has less. */
+/* Who gives way: one of whoever has most; of equals, who had a turn last; never one who has
+ * less. */
 static void test_who_gives_way(void **state)
 {
     struct thing x[8];
@@ -229,8 +230,8 @@ static void test_addresses(void **state)
 
 /* ---- the server ---- */
 
-/* STARTED: what may have been under way, or next in turn, when the victim came and when it left: the tile that
- * the one worker makes, and one more, twice. */
+/* STARTED: what may have been under way, or next in turn, when the victim came and when it left:
+ * the tile that the one worker makes, and one more, twice. */
 enum { ABUSERS = 24, VICTIM = ABUSERS, TILES = 12, STARTED = 4 };
 enum { HEAD_SLOW_MS = 500 }; /* watch.c: a request that is not complete then gives way */
 struct crowd {
@@ -293,9 +294,9 @@ static enum err_code crowd_run(void *user, size_t i, struct err *e)
     return ERR_OK;
 }
 
-/* Twenty-four connections of one address ask for tiles that nobody has, one after the other, in a queue
- * that they fill; one connection of another does the same. Each address gets half, so the victim gets at
- * least one tile for each two of theirs, and is never turned away. */
+/* Twenty-four connections of one address ask for tiles that nobody has, one after the other, in a
+ * queue that they fill; one connection of another does the same. Each address gets half, so the
+ * victim gets at least one tile for each two of theirs, and is never turned away. */
 static void test_a_share_of_tiles(void **state)
 {
     struct err e = {0};
@@ -371,8 +372,8 @@ static int dial_and_ask(int *status)
     return fd;
 }
 
-/* Until so many connections are idle in the eyes of the server, each for another number of milliseconds than
- * the one that comes next. */
+/* Until so many connections are idle in the eyes of the server, each for another number of
+ * milliseconds than the one that comes next. */
 static void await_idle(uint64_t n)
 {
     struct services *s = server_services(t.server);
@@ -415,8 +416,8 @@ static void test_idle_connections_give_way(void **state)
     }
 }
 
-/* A neighbour on the same address holds all connections with headers that never end, bodies that never
- * come and answers that it does not read; whoever comes is served. */
+/* A neighbour on the same address holds all connections with headers that never end, bodies that
+ * never come and answers that it does not read; whoever comes is served. */
 static void test_slow_neighbours(void **state)
 {
     enum { LIMIT = 16, ASKED = 20 };

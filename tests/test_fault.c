@@ -1,6 +1,6 @@
-/* Faults put into the server: the k-th allocation, thread, opened file, read, socket and epoll set fails, one after
- * the other; SQLite's reads fail; stderr cannot be written. The linker puts __wrap_NAME in place of NAME
- * (CMakeLists.txt), for our own code; libraries keep theirs.
+/* Faults put into the server: the k-th allocation, thread, opened file, read, socket and epoll set
+ * fails, one after the other; SQLite's reads fail; stderr cannot be written. The linker puts
+ * __wrap_NAME in place of NAME (CMakeLists.txt), for our own code; libraries keep theirs.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -102,7 +102,8 @@ static int descriptors(void)
     return n;
 }
 
-/* Starting fails in order at every step, says why, and leaves nothing open; the next try is well. */
+/* Starting fails in order at every step, says why, and leaves nothing open; the next try is
+ * well. */
 static void test_starting(void **state)
 {
     enum { MOST = 100000 };
@@ -194,7 +195,8 @@ static ssize_t bad_pread(int fd, void *p, size_t n, off_t at)
     return pread(fd, p, n, at);
 }
 
-/* The disk fails for a while: what is in memory is served, the rest is 500, and afterwards all of it again. */
+/* The disk fails for a while: what is in memory is served, the rest is 500, and afterwards all of
+ * it again. */
 static void test_disk_that_fails(void **state)
 {
     char hot[128], cold[128];

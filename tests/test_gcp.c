@@ -1,5 +1,5 @@
-/* Ground control points: both forms of file, and a scene without GPS that they put where it is, to the
- * centimetres of their marks; check points; what is refused.
+/* Ground control points: both forms of file, and a scene without GPS that they put where it is, to
+ * the centimetres of their marks; check points; what is refused.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -135,7 +135,8 @@ static void write_list(struct buf *b, const size_t *which, size_t n, size_t most
     buf_u8(b, 0);
 }
 
-/* Camera centres of a scene against those by GPS, in the frame of the latter: the largest distance. */
+/* Camera centres of a scene against those by GPS, in the frame of the latter: the largest
+ * distance. */
 static double far_off(const char *dir)
 {
     struct err e = {0};
@@ -302,8 +303,9 @@ static void a_wrong_pose_turns_nothing_over(void **state)
     gcp_free(&l);
 }
 
-/* What a survey is paid for: GPS that errs by 3 m, six control points surveyed to 2 cm and marked to half
- * a pixel in photographs of 1600 x 1200 px, about 5 cm on the ground; four exact check points. */
+/* What a survey is paid for: GPS that errs by 3 m, six control points surveyed to 2 cm and marked
+ * to half a pixel in photographs of 1600 x 1200 px, about 5 cm on the ground; four exact check
+ * points. */
 static void control_points_mend_gps(void **state)
 {
     static const size_t all[PLACES] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9};

@@ -1,5 +1,5 @@
-/* What the sparse points say of the ground, in training: first Gaussians where no point is, and none in
- * free space.
+/* What the sparse points say of the ground, in training: first Gaussians where no point is, and
+ * none in free space.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -19,8 +19,8 @@ enum { SIDE = 5, PLANES = 18 };
 static const struct cell everything = {
     .id = "all", .whole = true, .edge_m = 200.0, .extent_m = 200.0};
 
-/* A nadir flight over flat ground, 5 x 5 photographs 20 m apart, of 80 x 60 m each. Points every 4 m, green
- * in the north and red in the south, and none east of x = 20. */
+/* A nadir flight over flat ground, 5 x 5 photographs 20 m apart, of 80 x 60 m each. Points every 4
+ * m, green in the north and red in the south, and none east of x = 20. */
 static void survey(struct scene *s)
 {
     memset(s, 0, sizeof *s);

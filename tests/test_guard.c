@@ -7,8 +7,8 @@
 
 /* ---- malformed requests ---- */
 
-/* There must be one status line, and it must say `status` (0: no answer at all), and if `close`, the
- * stream ends. A request hidden in a body must not be answered: that would be a 200. */
+/* There must be one status line, and it must say `status` (0: no answer at all), and if `close`,
+ * the stream ends. A request hidden in a body must not be answered: that would be a 200. */
 static void probe(const char *what, const char *bytes, size_t n, int status, bool must_close)
 {
     struct buf b = {0};
@@ -149,8 +149,8 @@ static void test_nul_bytes(void **state)
     assert_int_equal(status_of("GET", "/healthz", ""), 200);
 }
 
-/* A request reads the same however its bytes are cut into packets, and requests behind each other on a
- * connection are told apart: the third of these is malformed, the first two are answered. */
+/* A request reads the same however its bytes are cut into packets, and requests behind each other
+ * on a connection are told apart: the third of these is malformed, the first two are answered. */
 static void test_cut_and_pipelined(void **state)
 {
     static const char all[] = "GET /healthz HTTP/1.1\r\n" H "\r\n" POST

@@ -11,8 +11,8 @@
 
 /* ---- the file under it ---- */
 
-/* A store that is cut short while it is served: the tiles that are gone are 500 and named, the others
- * are served, and /readyz says so. The process lives. */
+/* A store that is cut short while it is served: the tiles that are gone are 500 and named, the
+ * others are served, and /readyz says so. The process lives. */
 static void test_truncated_store(void **state)
 {
     static const char *const forms[] = {"glb", "spz", "drc", "ply", "plain.glb", "sog"};
@@ -94,9 +94,9 @@ static void readyz(const char *status, const char *reload, const char *extra)
     buf_free(&r.raw);
 }
 
-/* The file is replaced twelve times: tiles of the last three revisions are served, cold ones as well, open
- * files do not grow, and a day later only the current one is left. A reload that fails leaves all as it
- * was, and /readyz says why. */
+/* The file is replaced twelve times: tiles of the last three revisions are served, cold ones as
+ * well, open files do not grow, and a day later only the current one is left. A reload that fails
+ * leaves all as it was, and /readyz says why. */
 static void test_revisions(void **state)
 {
     enum { ROUNDS = 12, KEEP = 3 };
@@ -188,9 +188,9 @@ static int ask_slowly(int fd, const char *target)
     return atoi(head + 9);
 }
 
-/* Forty clients take one body that is larger than what the cache keeps, slowly: it is in memory once.
- * Other large bodies are made as far as the budget goes, then 503 with Retry-After; when the readers
- * have gone, everything is served again. */
+/* Forty clients take one body that is larger than what the cache keeps, slowly: it is in memory
+ * once. Other large bodies are made as far as the budget goes, then 503 with Retry-After; when the
+ * readers have gone, everything is served again. */
 static void test_large_bodies_in_flight(void **state)
 {
     enum { READERS = 40, GAUSSIANS = 60000 };
@@ -245,8 +245,8 @@ static void test_large_bodies_in_flight(void **state)
         assert_int_equal(status_of("GET", tile_target(z, "ply", other), ""), 200);
 }
 
-/* A client that reads, but below the least rate, is cut; one that reads faster is not, however long it
- * takes. */
+/* A client that reads, but below the least rate, is cut; one that reads faster is not, however long
+ * it takes. */
 static void test_least_rate(void **state)
 {
     struct err e = {0};

@@ -468,8 +468,8 @@ static void test_program(void **state)
     fclose(f);
 }
 
-/* With fewer descriptors than its options need, new clients are served all the same: idle connections
- * give way before accept() fails. The soft limit is raised where that is allowed. */
+/* With fewer descriptors than its options need, new clients are served all the same: idle
+ * connections give way before accept() fails. The soft limit is raised where that is allowed. */
 static void test_few_descriptors(void **state)
 {
     enum { IDLE = 200 };

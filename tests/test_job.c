@@ -330,9 +330,9 @@ static void test_views_run_newest_first_and_shed_the_oldest(void **state)
     bench_close(&b);
 }
 
-/* Numbers of a thousand and more belong to another client. One client fills the queue, a second one asks
- * once: he takes the place of the first one's oldest, which learns that it asked too much, and his turn
- * comes before the first one's. */
+/* Numbers of a thousand and more belong to another client. One client fills the queue, a second one
+ * asks once: he takes the place of the first one's oldest, which learns that it asked too much, and
+ * his turn comes before the first one's. */
 static void test_views_take_turns_between_clients(void **state)
 {
     static struct client c[8];
@@ -517,8 +517,9 @@ static void test_stopping_answers_everyone(void **state)
     bench_close(&b);
 }
 
-/* A picture that does not return and takes no notice of being told to stop: it is known how long that has
- * lasted, everyone is answered, and stopping gives up; when it returns after all, everything ends. */
+/* A picture that does not return and takes no notice of being told to stop: it is known how long
+ * that has lasted, everyone is answered, and stopping gives up; when it returns after all,
+ * everything ends. */
 static void test_a_device_that_hangs(void **state)
 {
     static struct client c[3];

@@ -1,5 +1,5 @@
-/* Map views: depth maps of the renderer, the measures, the truth that synth writes, and its way into
- * a scene's frame.
+/* Map views: depth maps of the renderer, the measures, the truth that synth writes, and its way
+ * into a scene's frame.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -343,8 +343,8 @@ static void within_a_mask_only_its_pixels_count(void **state)
 static void sums_say_halo_haze_and_depth(void **state)
 {
     (void)state;
-    /* A strip: 100 pixels unobserved, 100 seen by one photograph, 800 supported, and below it one of
-     * pixels that are hidden, which count for nothing but gaps. */
+    /* A strip: 100 pixels unobserved, 100 seen by one photograph, 800 supported, and below it one
+     * of pixels that are hidden, which count for nothing but gaps. */
     enum { W = 100, H = 11, N = W * 10, ALL = W * H };
     static float rgb[3 * ALL], median[ALL], front[ALL], left[ALL], depth[ALL];
     static uint8_t mask[ALL], square[ALL], px[3 * ALL];
@@ -388,7 +388,8 @@ static void sums_say_halo_haze_and_depth(void **state)
     map_sums_free(&s);
 }
 
-/* One observed pixel: halo is everything around it, fog what is farther than the edge may be wide. */
+/* One observed pixel: halo is everything around it, fog what is farther than the edge may be
+ * wide. */
 static void fog_is_halo_beyond_the_edge(void **state)
 {
     (void)state;

@@ -1,5 +1,6 @@
-/* Streams of pictures that follow a camera: one picture under way, the newest camera wins, small pictures
- * while it moves and a full one when it rests, limits, readers that are slow or gone, stopping.
+/* Streams of pictures that follow a camera: one picture under way, the newest camera wins, small
+ * pictures while it moves and a full one when it rests, limits, readers that are slow or gone,
+ * stopping.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

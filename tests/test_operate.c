@@ -1,6 +1,6 @@
-/* What operators rely on: who may read what, caches by dataset, ids of requests, logs of three kinds, the
- * listener of their own, base paths, --check and exit codes, and a supervisor that is told how things stand and
- * hands over sockets.
+/* What operators rely on: who may read what, caches by dataset, ids of requests, logs of three
+ * kinds, the listener of their own, base paths, --check and exit codes, and a supervisor that is
+ * told how things stand and hands over sockets.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -494,7 +494,8 @@ static int listen_here(uint16_t *port)
     return fcntl(fd, F_DUPFD, 20); /* away from 3 and 4 */
 }
 
-/* The sockets outlive the program: what comes while it is started anew waits, and nothing is refused. */
+/* The sockets outlive the program: what comes while it is started anew waits, and nothing is
+ * refused. */
 static void test_socket_activation(void **state)
 {
     static const char *const args[] = {

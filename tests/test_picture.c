@@ -195,8 +195,8 @@ static void test_gone_clients(void **state)
     assert_int_equal(status_of("GET", view_target(POSE, "32x32.png", target), ""), 200);
 }
 
-/* After a reload, pictures of the revision before are drawn, although its file is gone: nothing of it was
- * drawn before. */
+/* After a reload, pictures of the revision before are drawn, although its file is gone: nothing of
+ * it was drawn before. */
 static void test_pictures_of_an_older_revision(void **state)
 {
     struct err e = {0};
@@ -232,8 +232,8 @@ static void test_pictures_of_an_older_revision(void **state)
     buf_free(&want);
 }
 
-/* A file that was damaged, and restored with the same bytes, is drawn after a reload, and no view keeps the
- * descriptor of the damaged one. */
+/* A file that was damaged, and restored with the same bytes, is drawn after a reload, and no view
+ * keeps the descriptor of the damaged one. */
 static void test_pictures_of_a_restored_file(void **state)
 {
     struct err e = {0};

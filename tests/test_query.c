@@ -1,5 +1,5 @@
-/* Questions about the surface against the procedural city: heights at many places, profiles, areas and
- * volumes, what a pixel shows, lines of sight; and heights above sea level by a geoid model.
+/* Questions about the surface against the procedural city: heights at many places, profiles, areas
+ * and volumes, what a pixel shows, lines of sight; and heights above sea level by a geoid model.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -125,8 +125,8 @@ static void truth_around(double x, double y, double out[2])
     }
 }
 
-/* A square of 30 m: its area to 1e-5, the volume between those of the city with its edges moved by 0.4
- * m in and out. A level square of 3 m: the volume of a box to 1 %. */
+/* A square of 30 m: its area to 1e-5, the volume between those of the city with its edges moved by
+ * 0.4 m in and out. A level square of 3 m: the volume of a box to 1 %. */
 static void volumes_are_the_citys(void **state)
 {
     double least = 0, most = 0, base = origin.h_m + 2, step = 0.25;
@@ -175,8 +175,8 @@ static void volumes_are_the_citys(void **state)
     assert_true(boxes >= 2);
 }
 
-/* Where the ray through a pixel meets the city, of metres; HUGE_VAL beyond its edge, on a wall (on which
- * the test city has no Gaussians) and in the sky. */
+/* Where the ray through a pixel meets the city, of metres; HUGE_VAL beyond its edge, on a wall (on
+ * which the test city has no Gaussians) and in the sky. */
 static double truth_along(const struct camera *cam, double x_px, double y_px)
 {
     double c = cos(f.city.yaw_rad), s = sin(f.city.yaw_rad), center[3], world[3];
@@ -197,8 +197,8 @@ static double truth_along(const struct camera *cam, double x_px, double y_px)
     return roof_or_ground ? hit.t_m : HUGE_VAL;
 }
 
-/* Gaussians reach over edges: those of the test city have a sigma of up to REACH_PX pixels here, and
- * what a ray meets there is theirs, not the surface's. */
+/* Gaussians reach over edges: those of the test city have a sigma of up to REACH_PX pixels here,
+ * and what a ray meets there is theirs, not the surface's. */
 static bool clear_of_edges(const struct camera *cam, double x_px, double y_px, double truth_m)
 {
     enum { REACH_PX = 4 };

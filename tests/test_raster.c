@@ -1,5 +1,6 @@
-/* Tiles of a web map against the procedural city: heights and places in the pixels of WebMercatorQuad,
- * no seams, low zooms, the footprint as the border of what was surveyed, holes that are filled.
+/* Tiles of a web map against the procedural city: heights and places in the pixels of
+ * WebMercatorQuad, no seams, low zooms, the footprint as the border of what was surveyed, holes
+ * that are filled.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,7 +12,8 @@
 
 enum { SIDE = RASTER_PX };
 
-/* West half of the city and a hole in it, in degrees about the origin (1e-4 degrees of longitude are
+/* West half of the city and a hole in it, in degrees about the origin (1e-4 degrees of longitude
+ * are
  * 7.15 m there, of latitude 11.12 m). */
 static const char half_city[] =
     "{\"type\":\"Feature\",\"properties\":{},\"geometry\":{\"type\":\"MultiPolygon\","

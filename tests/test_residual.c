@@ -86,7 +86,8 @@ static void a_photograph_that_does_not_fit_is_named_first(void **state)
     kit_rmdir(dir);
 }
 
-/* At the rim all fit worse, and are not suspected for that; the one that fits badly even there is. */
+/* At the rim all fit worse, and are not suspected for that; the one that fits badly even there
+ * is. */
 static void photographs_are_compared_with_those_of_like_coverage(void **state)
 {
     (void)state;

@@ -1,5 +1,5 @@
-/* Routes as pure calls: documents, links, redirects, refusals, the viewer's files, how jobs end, header by
- * header. No socket is opened; jobs are run by the test itself.
+/* Routes as pure calls: documents, links, redirects, refusals, the viewer's files, how jobs end,
+ * header by header. No socket is opened; jobs are run by the test itself.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -166,8 +166,8 @@ static void test_links_lead_somewhere(void **state)
     }
 }
 
-/* The service description has every route, and no route that is not answered; a path in it has no brackets,
- * and its parameters, each once, are those that are declared. */
+/* The service description has every route, and no route that is not answered; a path in it has no
+ * brackets, and its parameters, each once, are those that are declared. */
 static void test_api_lists_the_routes(void **state)
 {
     struct response r = get("/api");
@@ -289,7 +289,8 @@ static void test_refusals(void **state)
     response_free(&r);
 }
 
-/* A problem says which resource it is about, where that can be said: a target that could be read. */
+/* A problem says which resource it is about, where that can be said: a target that could be
+ * read. */
 static void test_instances(void **state)
 {
     static const struct {
@@ -314,8 +315,8 @@ static void test_instances(void **state)
     }
 }
 
-/* Entry documents say when what they describe was written; who has it since then gets 304, unless he also
- * says which he has. */
+/* Entry documents say when what they describe was written; who has it since then gets 304, unless
+ * he also says which he has. */
 static void test_last_modified(void **state)
 {
     static const char *const targets[] = {"/",

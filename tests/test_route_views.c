@@ -1,5 +1,5 @@
-/* Pictures as pure calls: what each address and each posted camera becomes, and what is in its tag. Nothing
- * is drawn.
+/* Pictures as pure calls: what each address and each posted camera becomes, and what is in its tag.
+ * Nothing is drawn.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -40,8 +40,8 @@ static void test_views(void **state)
     picture_close(&t.s.picture);
 }
 
-/* What is behind a picture, its depth, its roll and its scale are in the address and in the tag: what makes
- * other bytes has another tag, what does not has the same. */
+/* What is behind a picture, its depth, its roll and its scale are in the address and in the tag:
+ * what makes other bytes has another tag, what does not has the same. */
 static void test_what_is_in_the_tag(void **state)
 {
 #define AT "/d/toy/r/REV/static/13.4,52.5,120@0,-90"
@@ -173,7 +173,8 @@ static void test_configuration_and_tags(void **state)
     assert_string_not_equal(device, edition);
 }
 
-/* A picture that is asked for while the device starts has no name, since the device is part of it. */
+/* A picture that is asked for while the device starts has no name, since the device is part of
+ * it. */
 static void test_pictures_while_the_device_starts(void **state)
 {
     struct err e = {0};

@@ -308,7 +308,8 @@ static void any_flipped_byte_is_seen_or_harmless(void **state)
         buf_free(&payload[k]);
 }
 
-/* Other bytes in place of a tile's, with all hashes as they should be: what a hostile author writes. */
+/* Other bytes in place of a tile's, with all hashes as they should be: what a hostile author
+ * writes. */
 static void forge(const char *path, struct key k, const struct gauss *g)
 {
     struct err e = {0};

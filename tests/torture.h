@@ -1,6 +1,7 @@
-/* Torture of decoders of foreign bytes: cut anywhere, bytes changed anywhere. Every try decodes a copy in an
- * allocation of its own, so that the sanitizers see a read behind its end, and a failure says which try it was:
- * "spz: byte 17 of 411 changed from 0x02 to 0xf3 (seed 3, try 122): got ERR_MEM (...)".
+/* Torture of decoders of foreign bytes: cut anywhere, bytes changed anywhere. Every try decodes a
+ * copy in an allocation of its own, so that the sanitizers see a read behind its end, and a failure
+ * says which try it was: "spz: byte 17 of 411 changed from 0x02 to 0xf3 (seed 3, try 122): got
+ * ERR_MEM (...)".
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -42,8 +42,8 @@ struct appearance_train { /* {0} is off; appearance_train_close */
 /* Is appearance wanted? */
 bool appearance_train_wanted(const struct train_config *cfg);
 /* A fresh model for these training photographs, or a copy of the shared one (may be NULL).
- * ERR_DATA when the shared one has other lengths, or lacks one of the photographs; ERR_LIMIT: a name
- * is too long for the table; ERR_MEM. appearance_train_close it, also after an error. */
+ * ERR_DATA when the shared one has other lengths, or lacks one of the photographs; ERR_LIMIT: a
+ * name is too long for the table; ERR_MEM. appearance_train_close it, also after an error. */
 enum err_code appearance_train_open(struct appearance_train *k, const struct train_config *cfg,
                                     const struct scene *s, const uint32_t *images, size_t n_images,
                                     const struct appearance *shared, struct err *e) ERR_USE;
@@ -115,9 +115,9 @@ double appearance_train_reach(const struct scene *s);
 /* The moments, added to `out`. ERR_MEM. */
 enum err_code appearance_train_write_state(const struct appearance_train *k, struct buf *out,
                                            struct err *e) ERR_USE;
-/* Into one that is open: the model's bytes and those of appearance_train_write_state. ERR_FORMAT: not
- * such bytes; ERR_DATA: of other photographs or lengths, or of a shared model that was trained anew;
- * ERR_MEM. */
+/* Into one that is open: the model's bytes and those of appearance_train_write_state. ERR_FORMAT:
+ * not such bytes; ERR_DATA: of other photographs or lengths, or of a shared model that was trained
+ * anew; ERR_MEM. */
 enum err_code appearance_train_read_state(struct appearance_train *k, const void *model,
                                           size_t n_model, const void *state, size_t n_state,
                                           struct err *e) ERR_USE;

@@ -162,8 +162,8 @@ static enum err_code budget_score_half(struct budget *b, const struct photo *p,
     return rc;
 }
 
-/* Mean PSNR of the held-out photographs, each in its own appearance; NaN where masks leave nothing of
- * any. */
+/* Mean PSNR of the held-out photographs, each in its own appearance; NaN where masks leave nothing
+ * of any. */
 static enum err_code budget_psnr(struct budget *b, const struct model *m, struct context *ctx,
                                  double *mean_db, struct err *e)
 {

@@ -53,10 +53,11 @@ struct budget { /* {0}: not automatic. What a state to resume from holds of it i
 void budget_close(struct budget *b);
 /* At densification x of the level in work, before it: look at the held-out photographs about ten
  * times a level, each in its own appearance: that of its group, that of a shared model, or one that
- * a few steps on its left half go on learning, and then its right half is scored. Gain since the last decision, dB a doubling of the Gaussians: at or above
- * cfg->budget_gain_db the budget rises by 1.3 when it is nearly used, below it growth stops for the
- * rest of the level, inside of the cell and out. What masks cover whole is not scored. Changes the level's budget in ctx->schedule. ERR_MEM, ERR_DEVICE, and
- * what photo_loader_get_nth fails with. */
+ * a few steps on its left half go on learning, and then its right half is scored. Gain since the
+ * last decision, dB a doubling of the Gaussians: at or above cfg->budget_gain_db the budget rises
+ * by 1.3 when it is nearly used, below it growth stops for the rest of the level, inside of the
+ * cell and out. What masks cover whole is not scored. Changes the level's budget in ctx->schedule.
+ * ERR_MEM, ERR_DEVICE, and what photo_loader_get_nth fails with. */
 enum err_code budget_look(struct budget *b, const struct model *m, struct context *ctx, uint32_t x,
                           struct err *e) ERR_USE;
 /* The decision by itself. */

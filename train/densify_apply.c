@@ -1,4 +1,5 @@
-/* Density control of a level in work: what densify_plan.c decides, done to the Gaussians on the device.
+/* Density control of a level in work: what densify_plan.c decides, done to the Gaussians on the
+ * device.
  *
  * Parameters are looked at where they lie (on CPU devices the host sees the same memory), and rows
  * move array by array: what it takes beyond the model is a few numbers a Gaussian, and one array

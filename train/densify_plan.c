@@ -5,8 +5,8 @@
  * ones split in two (3D Gaussian Splatting, Kerbl 2023). Inside and outside have a ceiling each,
  * and room is what a ceiling leaves to its own candidates; each class gets its share of it, drawn
  * without replacement with chances proportional to an importance score (Taming 3DGS, Mallick 2024).
- * The draw is an exponential race: the k smallest -ln(u_i) / importance_i, with u_i from the counter
- * generator, so it is the same on every machine and has no limit of size.
+ * The draw is an exponential race: the k smallest -ln(u_i) / importance_i, with u_i from the
+ * counter generator, so it is the same on every machine and has no limit of size.
  *
  * Everything here runs on host copies in the device layout; nothing depends on the number of
  * threads.

@@ -51,10 +51,9 @@ enum err_code evaluate_photo(const struct photo *p, const float *rgb, struct eva
                              struct err *e) ERR_USE;
 bool evaluate_is_masked(const struct photo *p); /* does its mask leave no pixel? */
 void evaluate_divide(struct evaluate_score *sum, double n);
-/* Score the first n_photos of the loader's list, but those that a mask covers whole. ERR_DATA: there
- * are none; ERR_CANCEL: stopped by a
- * signal; ERR_ARG: pictures too small for a score; ERR_IO: `pictures` cannot be written; ERR_MEM,
- * ERR_DEVICE, and what photo_loader_get_nth fails with. */
+/* Score the first n_photos of the loader's list, but those that a mask covers whole. ERR_DATA:
+ * there are none; ERR_CANCEL: stopped by a signal; ERR_ARG: pictures too small for a score; ERR_IO:
+ * `pictures` cannot be written; ERR_MEM, ERR_DEVICE, and what photo_loader_get_nth fails with. */
 enum err_code evaluate_run(struct photo_loader *f, size_t n_photos,
                            const struct evaluate_source *src, struct evaluate_score *out,
                            struct err *e) ERR_USE;

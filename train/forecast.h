@@ -1,5 +1,5 @@
-/* Inside of train/: how long the rest of a run will take. A level's steps cost what its Gaussians and
- * pixels do, so the rate of the level in work says what the levels to come will need.
+/* Inside of train/: how long the rest of a run will take. A level's steps cost what its Gaussians
+ * and pixels do, so the rate of the level in work says what the levels to come will need.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -138,8 +138,8 @@ static enum err_code half_image_part(const struct photo *p, enum half_image_side
     return ERR_OK;
 }
 
-/* What learning is compared with: the part at the mean exposure, without what is clipped then. `part`
- * lies in a room of half_image_part. */
+/* What learning is compared with: the part at the mean exposure, without what is clipped then.
+ * `part` lies in a room of half_image_part. */
 static void half_image_to_mean(struct photo *part, uint8_t *room)
 {
     size_t n = (size_t)part->cam.width_px * part->cam.height_px;

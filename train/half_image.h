@@ -2,13 +2,13 @@
  * judged on the other.
  *
  * For each test photograph only its embedding is optimised, on the pixels left of the middle
- * (columns [0, W/2)), with the training loss, and before it its exposure where the model was trained
- * at the mean one; then the whole picture is drawn and the part right of
- * the middle is scored. Then the other way round, from the start. The photograph's score is the
- * mean of both. Both halves, and those of its mask, are cut out before loss and metric, so no window
- * of SSIM sees across the middle. Learning ignores masked pixels; a photograph whose mask leaves
- * nothing of one half is not scored. A model without appearance is scored on the same halves and learns nothing. Protocol:
- * NeRF in the Wild (Martin-Brualla 2021), REUrbanGS (ICCV 2025).
+ * (columns [0, W/2)), with the training loss, and before it its exposure where the model was
+ * trained at the mean one; then the whole picture is drawn and the part right of the middle is
+ * scored. Then the other way round, from the start. The photograph's score is the mean of both.
+ * Both halves, and those of its mask, are cut out before loss and metric, so no window of SSIM sees
+ * across the middle. Learning ignores masked pixels; a photograph whose mask leaves nothing of one
+ * half is not scored. A model without appearance is scored on the same halves and learns nothing.
+ * Protocol: NeRF in the Wild (Martin-Brualla 2021), REUrbanGS (ICCV 2025).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -80,13 +80,14 @@ bool half_image_is_seen(const struct photo *p);
 enum err_code half_image_expose(struct half_image *h, struct photo *p, const struct render_model *m,
                                 const struct render_options *ro, enum half_image_side side,
                                 const float *image, struct err *e) ERR_USE;
-/* Learn the embedding of a photograph, brought to the mean exposure by its exposure_ev, from one side. image [len_image]: start in, result out. ERR_CANCEL:
- * stopped by a signal; ERR_MEM, ERR_DEVICE. */
+/* Learn the embedding of a photograph, brought to the mean exposure by its exposure_ev, from one
+ * side. image [len_image]: start in, result out. ERR_CANCEL: stopped by a signal; ERR_MEM,
+ * ERR_DEVICE. */
 enum err_code half_image_fit(struct half_image *h, const struct photo *p,
                              const struct render_model *m, const struct render_options *ro,
                              enum half_image_side side, float *image, struct err *e) ERR_USE;
-/* Score one side of a photograph drawn with an embedding (NULL: without) and exposed as it was; added to sum. ERR_MEM,
- * ERR_DEVICE, and what evaluate_photo fails with. */
+/* Score one side of a photograph drawn with an embedding (NULL: without) and exposed as it was;
+ * added to sum. ERR_MEM, ERR_DEVICE, and what evaluate_photo fails with. */
 enum err_code half_image_score(struct half_image *h, const struct photo *p,
                                const struct render_model *m, const struct render_options *ro,
                                enum half_image_side side, const float *image,

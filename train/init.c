@@ -264,7 +264,8 @@ static bool init_ground_is_seen(const struct init_input *in, const double x[3])
     return false;
 }
 
-/* Places on the ground that photographs see and no point marks. out_enu_m: room for all cells, [][3]. */
+/* Places on the ground that photographs see and no point marks. out_enu_m: room for all cells,
+ * [][3]. */
 static size_t init_ground_places(const struct init_input *in, double *out_enu_m)
 {
     const struct footprint *f = in->ground;
@@ -303,7 +304,8 @@ static enum err_code init_ground_colours(struct init_points *p, size_t n, struct
     return rc;
 }
 
-/* How many more the cell may have outside of its box: together at most half of the first level's budget. */
+/* How many more the cell may have outside of its box: together at most half of the first level's
+ * budget. */
 static size_t init_ground_outside(const struct init_input *in, const struct init_points *p)
 {
     size_t n = 0, most = in->cell->whole ? SIZE_MAX : in->limit / 2;

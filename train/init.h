@@ -31,7 +31,8 @@ struct init_input { /* all borrowed */
  * from the three nearest neighbours, opacity 0.1. More points than `limit`: an even random choice.
  * None: 100 places in front of the cameras. Beside them, one in each cell of the ground that has no
  * point and that a photograph sees, as high as its neighbours and of the nearest point's colour.
- * Origin: mean of the points. gauss_free it. ERR_MEM; ERR_LIMIT: more points than knn_build takes. */
+ * Origin: mean of the points. gauss_free it. ERR_MEM; ERR_LIMIT: more points than knn_build
+ * takes. */
 enum err_code init_gauss(const struct init_input *in, struct gauss *out, struct err *e) ERR_USE;
 /* How many points that would be without a limit. ERR_MEM. */
 enum err_code init_count_points(const struct scene *s, const uint32_t *images, size_t n_images,

@@ -3,9 +3,9 @@
  * Measures within the mask ask only for what training could know: surface that three photographs
  * see from different sides. Where no photograph looked, nothing should be drawn, and that is what
  * halo counts; what was hidden from those that looked, below trees and behind walls, should be
- * covered by something. The depth of a drawing is that of the Gaussian at which half of the light is
- * gone: the surface that an eye sees. The mean depth would move with every faint floater in front
- * and every gap behind, at silhouettes above all; the faint ones are counted by veil instead.
+ * covered by something. The depth of a drawing is that of the Gaussian at which half of the light
+ * is gone: the surface that an eye sees. The mean depth would move with every faint floater in
+ * front and every gap behind, at silhouettes above all; the faint ones are counted by veil instead.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -33,8 +33,8 @@ struct model {       /* {0} is empty; model_close */
 /* Room for like->n Gaussians of like's degree, embeddings and origin; parameters and moments are
  * not filled, statistics are 0. `like` needs no arrays. `most`: Gaussians that there will be at
  * most as far as is known now; room for them is taken at once where that is less than twice n.
- * ERR_LIMIT: more than the renderer counts; ERR_MEM, ERR_DEVICE: the device has no room. model_close
- * it, also after an error. */
+ * ERR_LIMIT: more than the renderer counts; ERR_MEM, ERR_DEVICE: the device has no room.
+ * model_close it, also after an error. */
 enum err_code model_open(struct model *m, struct dev *dev, struct render *render,
                          const struct gauss *like, size_t most, struct err *e) ERR_USE;
 void model_close(struct model *m);

@@ -6,8 +6,8 @@
  * pinned until the next call. One thread decodes the photographs of the coming steps while the
  * device works.
  *
- * `lock` guards everything below it in struct photo_loader; pixels of a slot in state READY and pinned are
- * read without it.
+ * `lock` guards everything below it in struct photo_loader; pixels of a slot in state READY and
+ * pinned are read without it.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

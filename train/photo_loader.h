@@ -40,8 +40,8 @@ struct photo_loader_config {
     uint32_t level;
 };
 struct photo_loader; /* an LRU cache and one thread that decodes ahead of the order of use */
-/* Start it; nothing is read yet. One caller at a time. photo_loader_close it. ERR_MEM; ERR_LIMIT: no
- * thread can be started. */
+/* Start it; nothing is read yet. One caller at a time. photo_loader_close it. ERR_MEM; ERR_LIMIT:
+ * no thread can be started. */
 enum err_code photo_loader_open(const struct photo_loader_config *cfg, struct photo_loader **out,
                                 struct err *e) ERR_USE;
 void photo_loader_close(struct photo_loader **f);

@@ -2,8 +2,8 @@
  * weight, and the buffer in which their gradients meet.
  *
  * The scale regularizer writes the whole buffer, the others add to it; without it the buffer is
- * cleared. Owns everything behind struct regularizer; level.c calls regularizer_step before each step and
- * regularizer_free at the end.
+ * cleared. Owns everything behind struct regularizer; level.c calls regularizer_step before each
+ * step and regularizer_free at the end.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

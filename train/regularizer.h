@@ -1,8 +1,9 @@
 /* Inside of train/: regularizers, terms of the loss that are not about the photograph's colours,
- * and when the 3-D filter of Mip-Splatting is computed anew. Equations, sources and measurements: docs/regularizers.md.
+ * and when the 3-D filter of Mip-Splatting is computed anew. Equations, sources and measurements:
+ * docs/regularizers.md.
  *
- * Before a step's colours are drawn, regularizer_step puts what they say about mean, size, rotation and
- * opacity into one buffer that the fused backward pass adds to its gradients; densification
+ * Before a step's colours are drawn, regularizer_step puts what they say about mean, size, rotation
+ * and opacity into one buffer that the fused backward pass adds to its gradients; densification
  * statistics never see it. Each part has kernels, and a reference in double for its test.
  *
  * SPDX-License-Identifier: Apache-2.0

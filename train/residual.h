@@ -41,10 +41,10 @@ void residual_clear(struct residual_list *l); /* n = 0, the room stays */
 void residual_free(struct residual_list *l);
 
 /* Robust z-scores, 0.6745 (x - median) / MAD (Iglewicz and Hoaglin 1993), of the logarithm of the
- * squared error and of 1 - SSIM, among the third of the photographs (at least 16, at most 200) whose
- * coverage is nearest: at the rim of a survey all fit worse. Sorts the rows by z, worst first, ties by name. A MAD below a
- * thousandth of what the numbers are made of counts as that, so that photographs which all fit
- * alike are not suspected for rounding. ERR_MEM. */
+ * squared error and of 1 - SSIM, among the third of the photographs (at least 16, at most 200)
+ * whose coverage is nearest: at the rim of a survey all fit worse. Sorts the rows by z, worst
+ * first, ties by name. A MAD below a thousandth of what the numbers are made of counts as that, so
+ * that photographs which all fit alike are not suspected for rounding. ERR_MEM. */
 enum err_code residual_rank(struct residual_list *l, struct err *e) ERR_USE;
 /* The same for one column: z[n]; scratch[n]. `least`: of the MAD. */
 void residual_z(const double *x, size_t n, double least, double *scratch, double *z);

@@ -34,8 +34,8 @@ bool train_needs_shared(const struct train_config *cfg);
 /* Train the scene in `scene_dir`: the cells of its plan.json, or the one that cfg->cell names, or
  * all of it as one cell. train_result_free `out`, also after an error. ERR_CANCEL: stopped (signal
  * or stop_after), the state was saved and the message says how to go on; ERR_BUSY: another process
- * trains the cell; ERR_ARG: options that do not fit the scene or the state to resume from; ERR_DATA:
- * nothing to train on; ERR_NOENT, ERR_IO, ERR_FORMAT: files; ERR_MEM, ERR_DEVICE. */
+ * trains the cell; ERR_ARG: options that do not fit the scene or the state to resume from;
+ * ERR_DATA: nothing to train on; ERR_NOENT, ERR_IO, ERR_FORMAT: files; ERR_MEM, ERR_DEVICE. */
 enum err_code train_run(const char *scene_dir, const struct train_config *cfg,
                         struct train_result *out, struct err *e) ERR_USE;
 

@@ -1,5 +1,5 @@
-/* What comes to the server from clients, and what operators write for it: see fuzz.h. Beside not crashing, what
- * is promised of each result is looked at.
+/* What comes to the server from clients, and what operators write for it: see fuzz.h. Beside not
+ * crashing, what is promised of each result is looked at.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -1,5 +1,5 @@
-/* One appearance for all cells: failure F9 of docs/stability.md, and the shared model that cells ask
- * for.
+/* One appearance for all cells: failure F9 of docs/stability.md, and the shared model that cells
+ * ask for.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -97,8 +97,8 @@ static void seam_step(const double *rgb, double out[3])
 }
 
 /* How much the step at the border, beyond the truth's, changes with the appearance: root mean
- * square about its mean over appearances, all channels. What is left of a step in all of them is not the
- * appearance's: cells without any, trained on one light, have 0.018 of it on this toy. */
+ * square about its mean over appearances, all channels. What is left of a step in all of them is
+ * not the appearance's: cells without any, trained on one light, have 0.018 of it on this toy. */
 static double seam_measure(const char *dir, struct toy *t, const struct gauss *truth)
 {
     struct err e = {0};

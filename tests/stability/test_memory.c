@@ -154,8 +154,8 @@ static bool same_row(const float *a, size_t i, const float *b, size_t j, uint32_
     return same;
 }
 
-/* Half the weight's worth of Gaussians are candidates at a level's end: none goes when that may cost
- * nothing, some where it may cost a little, all where it may cost anything; the others stay in
+/* Half the weight's worth of Gaussians are candidates at a level's end: none goes when that may
+ * cost nothing, some where it may cost a little, all where it may cost anything; the others stay in
  * their order. */
 static void as_many_go_as_may(void **state)
 {

@@ -1,7 +1,7 @@
 /* A toy whose photographs were taken in changing light, for the tests of appearance.
  *
- * Photographs get gains per channel, as exposure and white balance do; whatever a test asks about is
- * known, because the truth is drawn without them.
+ * Photographs get gains per channel, as exposure and white balance do; whatever a test asks about
+ * is known, because the truth is drawn without them.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
