@@ -203,7 +203,7 @@ static enum err_code report_picture(struct report *r, struct nadir *n, enum geot
     const struct area *a = nadir_area(n);
     double wide = key_edge_m(0.5 * (a->south_deg + a->north_deg), 0) / 360,
            edge = fmax((a->east_deg - a->west_deg) * wide, (a->north_deg - a->south_deg) * 111320),
-           low = 0, high = 0;
+           range_m[2] = {0};
     const struct map_request request = {.kind = kind, .gsd_m = edge / (double)r->o->picture_px};
     char path[FILE_PATH_MAX];
     struct sheet *sheet = NULL;
@@ -221,8 +221,8 @@ static enum err_code report_picture(struct report *r, struct nadir *n, enum geot
     if (!rc)
         rc = sheet_read(sheet, 0, 0, g->width, g->height, px, e);
     if (!rc && kind == GEOTIFF_HEIGHT)
-        rc = report_map_relief(px, g->width, g->height, g->pixel_m, GEOTIFF_NODATA, &img, &low,
-                               &high, e);
+        rc = report_map_relief(px, g->width, g->height, g->pixel_m, GEOTIFF_NODATA, &img, range_m,
+                               e);
     else if (!rc)
         rc = image_alloc(g->width, g->height, 3, &img, e);
     for (size_t i = 0; !rc && kind == GEOTIFF_COLOR && i < pixels; i++)
@@ -235,7 +235,7 @@ static enum err_code report_picture(struct report *r, struct nadir *n, enum geot
         buf_printf(&r->out, "<p class=\"legend\">Orthophoto, %.2g m a pixel, EPSG:%d</p>",
                    g->pixel_m, g->epsg);
     else if (!rc)
-        report_map_relief_legend(low, high, &r->out);
+        report_map_relief_legend(range_m[0], range_m[1], &r->out);
     buf_printf(&r->out, "</div>\n");
     image_free(&img);
     mem_free(px);

@@ -376,8 +376,7 @@ static void report_height_range(const float *height_m, size_t n, float none, dou
 }
 
 enum err_code report_map_relief(const float *height_m, uint32_t w, uint32_t h, double pixel_m,
-                                float none, struct image *out, double *low_m, double *high_m,
-                                struct err *e)
+                                float none, struct image *out, double range_m[2], struct err *e)
 {
     static const double sun[3] = {-0.5, 0.5, 0.707}; /* from the north-west, as maps have it */
     size_t n = (size_t)w * h;
@@ -385,7 +384,7 @@ enum err_code report_map_relief(const float *height_m, uint32_t w, uint32_t h, d
     enum err_code rc = sorted ? image_alloc(w, h, 3, out, e)
                               : err_set(e, ERR_MEM, "report: out of memory for heights");
     if (!rc)
-        report_height_range(height_m, n, none, low_m, high_m, sorted);
+        report_height_range(height_m, n, none, &range_m[0], &range_m[1], sorted);
     for (size_t i = 0; !rc && i < n; i++) {
         uint8_t *px = out->px + 3 * i;
         size_t x = i % w, left = x ? i - 1 : i, up = i >= w ? i - w : i;
@@ -396,7 +395,7 @@ enum err_code report_map_relief(const float *height_m, uint32_t w, uint32_t h, d
         double dx = height_m[left] > none ? (here - (double)height_m[left]) / pixel_m : 0,
                dy = height_m[up] > none ? ((double)height_m[up] - here) / pixel_m : 0,
                shade = (-dx * sun[0] - dy * sun[1] + sun[2]) / sqrt(1 + dx * dx + dy * dy);
-        report_ramp((here - *low_m) / fmax(*high_m - *low_m, 1e-3), px);
+        report_ramp((here - range_m[0]) / fmax(range_m[1] - range_m[0], 1e-3), px);
         for (size_t k = 0; k < 3; k++)
             px[k] = (uint8_t)fmin(px[k] * (0.45 + 0.75 * fmax(shade, 0)) + 20, 255);
     }

@@ -40,10 +40,9 @@ enum err_code report_map_gsd(const struct scene *s, const struct report_ground *
 enum err_code report_map_residuals(const struct scene *s, const struct report_ground *g,
                                    struct buf *out, struct err *e) ERR_USE;
 /* Colours of heights with shade, from heights [h][w], m; NAN and what is below `none` is white.
- * low, high:
- * 2 and 98 % of them. ERR_MEM, ERR_ARG. */
+ * range: 2 and 98 % of them. ERR_MEM, ERR_ARG. */
 enum err_code report_map_relief(const float *height_m, uint32_t w, uint32_t h, double pixel_m,
-                                float none, struct image *out, double *low_m, double *high_m,
+                                float none, struct image *out, double range_m[2],
                                 struct err *e) ERR_USE;
 /* Append a legend of the relief's colours. */
 void report_map_relief_legend(double low_m, double high_m, struct buf *out);

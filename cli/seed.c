@@ -183,6 +183,7 @@ static char *seed_address(const char *given, struct arena *a)
 
 /* ---- the tiles ---- */
 
+/* NOLINTNEXTLINE(readability-non-const-parameter): libcurl's type */
 static size_t seed_count(char *bytes, size_t size, size_t n, void *user)
 {
     struct seed_get *g = user;

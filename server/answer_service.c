@@ -20,9 +20,10 @@ static bool answer_service_shows(const struct services *s, const struct request 
                                  const struct target *t, const struct dataset *d)
 {
     size_t n = t->path_size + (r->target_size > t->path_size);
+    const struct auth_request a = {r->authorization, r->target, r->target + n, t->path_size,
+                                   r->target_size - n};
     return !s->auth || r->admin ||
-           auth_check(s->auth, AUTH_READ, d->meta.name, r->authorization, r->target, t->path_size,
-                      r->target + n, r->target_size - n, (int64_t)time(NULL)) == AUTH_OK;
+           auth_check(s->auth, AUTH_READ, d->meta.name, &a, (int64_t)time(NULL)) == AUTH_OK;
 }
 
 static enum err_code answer_service_about(struct services *s, const struct request *r,
@@ -128,8 +129,9 @@ static bool answer_service_token(const char *given, const char *token)
 static bool answer_service_may(const struct services *s, const struct request *r)
 {
     const struct server_config *cfg = s->cfg;
-    if (r->admin || (s->auth && auth_check(s->auth, AUTH_ADMIN, NULL, r->authorization, "", 0, "",
-                                           0, (int64_t)time(NULL)) == AUTH_OK))
+    const struct auth_request a = {r->authorization, "", "", 0, 0};
+    if (r->admin ||
+        (s->auth && auth_check(s->auth, AUTH_ADMIN, NULL, &a, (int64_t)time(NULL)) == AUTH_OK))
         return true;
     if (!strcmp(cfg->metrics, "public"))
         return true;

@@ -95,7 +95,7 @@ static enum err_code auth_read_token(struct auth_token *t, const json_t *o, size
                 "%s: tokens[%zu].scope[%zu]: read:NAME, render:NAME or admin, * for every "
                 "name, at most %d of them",
                 path, index, i, AUTH_SCOPES);
-        strcpy(t->scope[t->n++], s);
+        memcpy(t->scope[t->n++], s, strlen(s) + 1);
     }
     return t->n ? ERR_OK
                 : err_set(e, ERR_FORMAT, "%s: tokens[%zu].scope: a list of at least one", path,
@@ -109,7 +109,7 @@ static enum err_code auth_read_open(struct auth *a, const json_t *list, const ch
         const char *s = json_string_value(json_array_get(list, i));
         if (!s || a->n_open == AUTH_MAX || strlen(s) >= AUTH_NAME)
             return err_set(e, ERR_FORMAT, "%s: public[%zu]: the name of a dataset", path, i);
-        strcpy(a->open[a->n_open++], s);
+        memcpy(a->open[a->n_open++], s, strlen(s) + 1);
     }
     return ERR_OK;
 }
@@ -288,16 +288,15 @@ static enum auth_answer auth_check_signature(const struct auth *a, struct auth_p
 }
 
 enum auth_answer auth_check(const struct auth *a, enum auth_need need, const char *ds,
-                            const char *authorization, const char *path, size_t n_path,
-                            const char *query, size_t n_query, int64_t now_s)
+                            const struct auth_request *r, int64_t now_s)
 {
     if (need != AUTH_ADMIN && auth_is_public(a, ds))
         return AUTH_OK;
-    if (authorization && !strncasecmp(authorization, "Bearer ", 7))
-        return auth_check_token(a, need, ds ? ds : "", authorization + 7);
-    struct auth_part sig = auth_part(query, n_query, "sig");
+    if (r->authorization && !strncasecmp(r->authorization, "Bearer ", 7))
+        return auth_check_token(a, need, ds ? ds : "", r->authorization + 7);
+    struct auth_part sig = auth_part(r->query, r->n_query, "sig");
     if (need != AUTH_ADMIN && sig.n)
-        return auth_check_signature(a, sig, path, n_path, query, n_query, now_s);
+        return auth_check_signature(a, sig, r->path, r->n_path, r->query, r->n_query, now_s);
     return AUTH_UNKNOWN;
 }
 

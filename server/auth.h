@@ -28,11 +28,15 @@ enum err_code auth_parse(const char *text, size_t n, const char *name, struct au
 void auth_close(struct auth **a);
 /* Does it need nothing to be read? */
 bool auth_is_public(const struct auth *a, const char *ds);
-/* May whoever sent this do that with dataset ds (NULL of AUTH_ADMIN)? authorization may be NULL; a
- * signature in query[n_query] holds for paths that begin with its scope, until its time. */
+/* May whoever sent this do that with dataset ds (NULL of AUTH_ADMIN)? A signature in
+ * the query holds for paths that begin with its scope, until its time. */
+struct auth_request {
+    const char *authorization; /* NULL: none */
+    const char *path, *query;  /* [n_path], [n_query] */
+    size_t n_path, n_query;
+};
 enum auth_answer auth_check(const struct auth *a, enum auth_need need, const char *ds,
-                            const char *authorization, const char *path, size_t n_path,
-                            const char *query, size_t n_query, int64_t now_s);
+                            const struct auth_request *r, int64_t now_s);
 /* The query "exp=...&key=...&scope=...&sig=..." that opens paths below `scope` until exp_s. key
  * NULL: the only one that there is. ERR_ARG (no such key, a scope that is no path). */
 enum err_code auth_sign(const struct auth *a, const char *key, const char *scope, int64_t exp_s,

@@ -39,6 +39,7 @@ static enum hint_depth hint_read(const char *query, size_t n, char scene[64])
 }
 
 /* One more link; left out where there is no room. */
+static void hint_add(char out[HINT_SIZE], const char *format, ...) ERR_PRINTF(2, 3);
 static void hint_add(char out[HINT_SIZE], const char *format, ...)
 {
     static const char how[] = ">; rel=preload; as=fetch; crossorigin";

@@ -49,6 +49,7 @@ struct http {
     struct hash128 secret;       /* of numbers of clients */
     atomic_flag proxy_told;      /* that requests come through a proxy that is not trusted */
     int fd;                      /* listens; libmicrohttpd's once the daemon runs */
+    bool held;                   /* by a supervisor as well, for the next server */
     uint16_t port;
 };
 
@@ -600,6 +601,7 @@ static enum err_code http_listen(struct http *h, struct err *e)
     bool admin = h->side == HTTP_ADMIN;
     int held = supervisor_socket(admin ? "admin" : NULL);
     if (held >= 0) {
+        h->held = true;
         h->fd = held;
         return listen_take(held, &h->port, e);
     }
@@ -698,15 +700,20 @@ void http_close(struct http **out)
     bool first = !atomic_exchange(&s->draining, true);
     for (double end_s = clock_s() + s->cfg->drain_delay_s; first && clock_s() < end_s;)
         http_pause_ms(20);
+    /* From here on nobody accepts. The descriptor is closed when libmicrohttpd's threads, which may
+     * still look at it, have ended; clients are turned away at once, unless the socket is a
+     * supervisor's, whose next server takes them. */
     int fd = MHD_quiesce_daemon(h->daemon);
-    if (fd >= 0)
-        close(fd);
+    if (fd >= 0 && !h->held)
+        (void)shutdown(fd, SHUT_RDWR);
     motion_stop(s->motion);
     http_await_end(h, s->cfg->drain_timeout_s);
     /* Wakes whoever still waits: libmicrohttpd aborts on suspended connections. */
     job_stop(s->jobs);
     http_await_end(h, 2);
     MHD_stop_daemon(h->daemon);
+    if (fd >= 0)
+        close(fd);
     watch_close(&h->watch);
     mem_free(h);
 }

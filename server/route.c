@@ -80,8 +80,9 @@ static bool route_may(const struct services *s, const struct request *r, const s
     if (!s->auth)
         return true;
     size_t n = t->path_size + (r->target_size > t->path_size);
-    switch (auth_check(s->auth, route_is_drawn(t->route) ? AUTH_RENDER : AUTH_READ, t->ds,
-                       r->authorization, r->target, t->path_size, r->target + n, r->target_size - n,
+    const struct auth_request a = {r->authorization, r->target, r->target + n, t->path_size,
+                                   r->target_size - n};
+    switch (auth_check(s->auth, route_is_drawn(t->route) ? AUTH_RENDER : AUTH_READ, t->ds, &a,
                        (int64_t)time(NULL))) {
     case AUTH_OK:
         return true;

@@ -167,6 +167,31 @@ static void a_part_has_its_own_date(void **state)
     clip_free(&c);
 }
 
+/* How many of 40 x 40 places lie in a part, which must be those of the whole within the ring, and
+ * south of 50.111 of a part of it. */
+static size_t held_by(const struct area *a, const struct area *all, bool twice)
+{
+    uint8_t in[40 * 40];
+    double corner[8];
+    size_t held = 0;
+    for (size_t k = 0; k < 4; k++)
+        key_place(k & 1 ? 8.683 : 8.681, k & 2 ? 50.1104 : 50.1114, corner + 2 * k);
+    (void)area_mask(a, corner, 40, 40, in);
+    for (int i = 0; i < 1600; i++) { /* the mask's rows are even in Mercator, nearly so here */
+        double lon = 8.681 + (i % 40 + 0.5) * 0.002 / 40,
+               lat = 50.1114 - (i / 40 + 0.5) * 0.001 / 40;
+        bool want = inside(lon, lat) && (!twice || lat < 50.111) && area_holds(all, lon, lat);
+        if (fabs(lat - 50.111) < 2e-5 ||
+            area_holds(all, lon + 2e-6, lat + 2e-6) != area_holds(all, lon - 2e-6, lat - 2e-6) ||
+            inside(lon + 2e-6, lat) != inside(lon - 2e-6, lat))
+            continue;
+        assert_int_equal(area_holds(a, lon, lat), want);
+        assert_int_equal(in[i], want);
+        held += want;
+    }
+    return held;
+}
+
 /* Of a part what was surveyed ends where it was cut, for every map of it; of a part of a part,
  * where both were; and no file is left when it was opened for a while. */
 static void maps_end_at_the_cut(void **state)
@@ -196,7 +221,6 @@ static void maps_end_at_the_cut(void **state)
     kit_ok(store_open(f.path, &whole, &e), e);
     kit_ok(area_make(whole, &all, &e), e);
     for (int twice = 0; twice < 2; twice++) {
-        size_t held = 0;
         if (twice)
             kit_ok(store_open_fd(fd, "south", &part, &e), e);
         else
@@ -206,25 +230,7 @@ static void maps_end_at_the_cut(void **state)
         assert_true(fabs(a.east_deg - fmin(all.east_deg, 8.6825)) < 1e-6);
         assert_true(fabs(a.south_deg - fmax(all.south_deg, 50.1106)) < 1e-6);
         assert_true(fabs(a.north_deg - (twice ? 50.111 : 50.1113)) < 1e-6);
-        uint8_t in[40 * 40];
-        double corner[8];
-        for (size_t k = 0; k < 4; k++)
-            key_place(k & 1 ? 8.683 : 8.681, k & 2 ? 50.1104 : 50.1114, corner + 2 * k);
-        (void)area_mask(&a, corner, 40, 40, in);
-        for (int i = 0; i < 1600; i++) { /* the mask's rows are even in Mercator, nearly so here */
-            double lon = 8.681 + (i % 40 + 0.5) * 0.002 / 40,
-                   lat = 50.1114 - (i / 40 + 0.5) * 0.001 / 40;
-            bool want = inside(lon, lat) && (!twice || lat < 50.111) && area_holds(&all, lon, lat);
-            if (fabs(lat - 50.111) < 2e-5 ||
-                area_holds(&all, lon + 2e-6, lat + 2e-6) !=
-                    area_holds(&all, lon - 2e-6, lat - 2e-6) ||
-                inside(lon + 2e-6, lat) != inside(lon - 2e-6, lat))
-                continue;
-            assert_int_equal(area_holds(&a, lon, lat), want);
-            assert_int_equal(in[i], want);
-            held += want;
-        }
-        assert_true(held > 200);
+        assert_true(held_by(&a, &all, twice) > 200);
         area_free(&a);
         store_close(&part);
     }

@@ -35,7 +35,7 @@ static void config(struct ingest_config *c, char *dir, const char *name)
 }
 
 /* Its photographs and poses do not depend on the errors of GPS. */
-static void make_city(char *dir, double gps_sigma_m)
+static void make_city(const char *dir, double gps_sigma_m)
 {
     struct err e = {0};
     struct synth_config sc;

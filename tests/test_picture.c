@@ -245,8 +245,8 @@ static void test_pictures_of_a_restored_file(void **state)
     kit_ok(file_join(good, t.dir, "good.tiles", &e), e);
     served_city(path, "toy", 2000);
     assert_int_equal(kit_run(&links, "cp '%s' '%s'", path, good), 0);
-    for (uint8_t z = SERVED_ZOOM_MIN; z <= SERVED_ZOOM_MAX; z++)
-        store_fixture_damage(path, served_key(z), path);
+    for (int z = SERVED_ZOOM_MIN; z <= SERVED_ZOOM_MAX; z++)
+        store_fixture_damage(path, served_key((uint8_t)z), path);
     t.paths[0] = path;
     bool there = start_with_device();
     if (!there)

@@ -357,14 +357,10 @@ static void more_than_the_index_says_is_not_read(void **state)
         forge(f->path, k, &g);
         gauss_free(&g);
         kit_ok(store_open(f->path, &s, &e), e);
-        if (i) {
-            kit_fails(store_read_gauss(s, k, &got, &e), ERR_FORMAT, e,
-                      "tile 16/34309/22253: other harmonics");
-            assert_int_equal(got.n, 0);
-        } else {
-            kit_ok(store_read_gauss(s, k, &got, &e), e);
-            gauss_free(&got);
-        }
+        assert_int_equal(store_read_gauss(s, k, &got, &e), i ? ERR_FORMAT : ERR_OK);
+        kit_expect_text(e.msg, i ? "tile 16/34309/22253: other harmonics" : "", __FILE__, __LINE__);
+        assert_int_equal(got.n, i ? 0 : rows[0].n);
+        gauss_free(&got);
         store_close(&s);
     }
 }

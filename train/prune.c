@@ -112,9 +112,8 @@ static enum err_code prune_measure(struct prune *c, size_t n_views, struct err *
     return rc;
 }
 
-void prune_choose(float *sum, const uint16_t *views, size_t n, enum prune_measured measured,
-                  double share, uint32_t least_views, double *scratch, uint8_t *keep,
-                  struct prune_report *out)
+void prune_choose(float *sum, const uint16_t *views, size_t n, const struct prune_rule *rule,
+                  double *scratch, uint8_t *keep, struct prune_report *out)
 {
     double all = 0.0, given = 0.0;
     float limit = 0.0f; /* those with at least this stay */
@@ -125,13 +124,14 @@ void prune_choose(float *sum, const uint16_t *views, size_t n, enum prune_measur
     sort_doubles(scratch, n);
     for (size_t i = 0; i < n; i++)
         all += scratch[i];
-    for (size_t i = 0; i < n && given <= share * all; i++) {
+    for (size_t i = 0; i < n && given <= rule->share * all; i++) {
         limit = (float)scratch[i];
         given += scratch[i];
     }
     for (size_t i = 0; i < n; i++) {
-        bool judged = measured == PRUNE_ALL || views[i];
-        bool faint = judged && share > 0.0 && sum[i] < limit, alone = views[i] < least_views;
+        bool judged = rule->measured == PRUNE_ALL || views[i];
+        bool faint = judged && rule->share > 0.0 && sum[i] < limit,
+             alone = views[i] < rule->least_views;
         keep[i] = !faint && !alone;
         out->faint += faint;
         out->unsupported += alone && !faint;
@@ -270,8 +270,10 @@ enum err_code prune_level(struct model *m, struct context *ctx, struct prune_rep
     if (!rc && !scratch)
         rc = err_set(e, ERR_MEM, "pruning: out of memory for %zu Gaussians", n);
     if (!rc)
-        prune_choose(c.total, c.views, n, n_views < ctx->n_images ? PRUNE_SOME : PRUNE_ALL,
-                     ctx->cfg->prune_contribution, support, scratch, keep, out);
+        prune_choose(c.total, c.views, n,
+                     &(struct prune_rule){n_views < ctx->n_images ? PRUNE_SOME : PRUNE_ALL,
+                                          ctx->cfg->prune_contribution, support},
+                     scratch, keep, out);
     mem_free(scratch);
     size_t n_keep = n - out->faint - out->unsupported;
     if (!rc && n_keep && n_keep < n)

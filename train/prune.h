@@ -35,10 +35,14 @@ enum err_code prune_level(struct model *m, struct context *ctx, struct prune_rep
                           struct residual_list *residuals, struct err *e) ERR_USE;
 /* Which photographs measured: after some of them, what none of these shows is not judged. */
 enum prune_measured { PRUNE_ALL, PRUNE_SOME };
+struct prune_rule {
+    enum prune_measured measured;
+    double share;         /* of the contribution that the faintest may have together */
+    uint32_t least_views; /* whose number a Gaussian needs */
+};
 /* The choice by itself: keep[n], and the counts of `out`; sum [n] over photographs becomes the mean
  * over the views [n] that show it; scratch[n]. */
-void prune_choose(float *sum, const uint16_t *views, size_t n, enum prune_measured measured,
-                  double share, uint32_t least_views, double *scratch, uint8_t *keep,
-                  struct prune_report *out);
+void prune_choose(float *sum, const uint16_t *views, size_t n, const struct prune_rule *rule,
+                  double *scratch, uint8_t *keep, struct prune_report *out);
 
 #endif

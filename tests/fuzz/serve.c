@@ -166,10 +166,12 @@ void fuzz_conf(const uint8_t *bytes, size_t n)
     if (!cache_policy_read(text, &policy, NULL))
         assert(cache_policy_of(&policy, "x", true, "no-store"));
     if (n && !auth_parse(text, n, "auth", &auth, NULL)) {
-        (void)auth_check(auth, AUTH_READ, "x", text, "/d/x/", 5, text, n, 5);
-        if (!auth_sign(auth, NULL, "/d/x/", 10, query, NULL))
-            assert(auth_check(auth, AUTH_READ, "x", NULL, "/d/x/t", 6, query, strlen(query), 5) ==
-                   AUTH_OK);
+        struct auth_request r = {text, "/d/x/", text, 5, n};
+        (void)auth_check(auth, AUTH_READ, "x", &r, 5);
+        if (!auth_sign(auth, NULL, "/d/x/", 10, query, NULL)) {
+            r = (struct auth_request){NULL, "/d/x/t", query, 6, strlen(query)};
+            assert(auth_check(auth, AUTH_READ, "x", &r, 5) == AUTH_OK);
+        }
     }
     auth_close(&auth);
     if (n && !options_defaults(&serve_spec, &cfg, &arena, NULL) &&
