@@ -124,6 +124,25 @@ static void server_fit_descriptors(struct server *sv)
              (size_t)limit.rlim_cur, need, room < wanted ? room : wanted, wanted);
 }
 
+/* What options say of stores; sv->clip is freed by the caller. */
+static enum err_code server_read_stores(struct server *sv, size_t readers, struct err *e)
+{
+    const struct server_config *cfg = &sv->cfg;
+    bool clips = false;
+    enum err_code rc = clip_of_options(cfg->clip, cfg->clip_low_m, cfg->clip_high_m, "clip-",
+                                       &sv->clip, &clips, e);
+    sv->stores = (struct catalog_options){.readers = readers,
+                                          .clip = clips ? &sv->clip : NULL,
+                                          .clip_dir = cfg->clip_dir,
+                                          .public_url = cfg->public_url,
+                                          .keep_s = cfg->keep_s,
+                                          .keep_revisions = (size_t)cfg->keep_revisions,
+                                          .basemap = cfg->basemap,
+                                          .basemap_attribution = cfg->basemap_attribution,
+                                          .preset = (unsigned)cfg->preset};
+    return rc;
+}
+
 enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,
                            struct server **out, struct err *e)
 {
@@ -137,21 +156,10 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     sv->paths = paths;
     sv->n_paths = n;
     sv->workers = cfg->workers ? (size_t)cfg->workers : pool_cores();
-    sv->stores = (struct catalog_options){.readers = sv->workers,
-                                          .clip_dir = cfg->clip_dir,
-                                          .public_url = cfg->public_url,
-                                          .keep_s = cfg->keep_s,
-                                          .keep_revisions = (size_t)cfg->keep_revisions,
-                                          .basemap = cfg->basemap,
-                                          .basemap_attribution = cfg->basemap_attribution,
-                                          .preset = (unsigned)cfg->preset};
     struct services *s = &sv->services;
-    bool clips = false;
     enum err_code rc = log_start(e);
     if (!rc)
-        rc = clip_of_options(cfg->clip, cfg->clip_low_m, cfg->clip_high_m, "clip-", &sv->clip,
-                             &clips, e);
-    sv->stores.clip = clips ? &sv->clip : NULL;
+        rc = server_read_stores(sv, sv->workers, e);
     if (!rc)
         server_fit_descriptors(sv);
     if (!rc)
@@ -284,14 +292,9 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
 {
     struct server sv = {.cfg = *cfg};
     struct services *s = &sv.services;
-    sv.stores = (struct catalog_options){.readers = 1,
-                                         .public_url = cfg->public_url,
-                                         .keep_s = cfg->keep_s,
-                                         .keep_revisions = (size_t)cfg->keep_revisions,
-                                         .basemap = cfg->basemap,
-                                         .basemap_attribution = cfg->basemap_attribution,
-                                         .preset = (unsigned)cfg->preset};
-    enum err_code rc = services_open(s, &sv.cfg, e);
+    enum err_code rc = server_read_stores(&sv, 1, e);
+    if (!rc)
+        rc = services_open(s, &sv.cfg, e);
     if (!rc)
         rc = http_check(cfg, e);
     if (!rc)
@@ -305,5 +308,6 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
     if (!rc && out)
         fprintf(out, "viewer: %zu files\nwell\n", s->web.n);
     (void)services_free(s);
+    clip_free(&sv.clip);
     return rc;
 }

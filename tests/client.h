@@ -10,6 +10,7 @@
 #include "lod/key.h"
 #include "tests/served.h"
 
+#include <dirent.h>
 #include <netinet/in.h>
 #include <poll.h>
 #include <stdlib.h>
@@ -203,6 +204,18 @@ static inline bool start_with_device(void)
     t.cfg.device = "cpu";
     start();
     return true;
+}
+
+/* Descriptors of this process. */
+static inline size_t open_files(void)
+{
+    size_t n = 0;
+    DIR *d = opendir("/proc/self/fd");
+    assert_non_null(d);
+    while (readdir(d))
+        n++;
+    closedir(d);
+    return n;
 }
 
 static inline int setup_all(void **state)

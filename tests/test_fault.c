@@ -6,7 +6,6 @@
  */
 #include "tests/client.h"
 
-#include <dirent.h>
 #include <errno.h>
 #include <pthread.h>
 #include <sqlite3.h>
@@ -93,17 +92,6 @@ int __wrap_listen(int fd, int n)
 }
 /* NOLINTEND(cert-dcl51-cpp) */
 
-static int descriptors(void)
-{
-    int n = 0;
-    DIR *d = opendir("/proc/self/fd");
-    assert_non_null(d);
-    while (readdir(d))
-        n++;
-    closedir(d);
-    return n;
-}
-
 /* Starting fails in order at every step, says why, and leaves nothing open; the next try is
  * well. */
 static void test_starting(void **state)
@@ -111,7 +99,7 @@ static void test_starting(void **state)
     enum { MOST = 100000 };
     (void)state;
     t.cfg.admin = "127.0.0.1:0";
-    int before = descriptors();
+    int before = (int)open_files();
     for (int f = 0; f < FAULTS; f++) {
         int failed = 0;
         for (int k = 1; k < MOST; k += 1 + k / 12) {
@@ -131,7 +119,7 @@ static void test_starting(void **state)
         print_message("%s: %d starts failed in order\n", fault_names[f], failed);
         if (f != FAULT_READ) /* nothing has to be read to start */
             assert_true(failed > 0);
-        assert_int_equal(descriptors(), before);
+        assert_int_equal((int)open_files(), before);
     }
     start();
     assert_int_equal(status_of("GET", "/healthz", ""), 200);

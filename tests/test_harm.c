@@ -5,7 +5,6 @@
  */
 #include "tests/client.h"
 
-#include <dirent.h>
 #include <fcntl.h>
 #include <sys/stat.h>
 
@@ -67,17 +66,6 @@ static void test_truncated_store(void **state)
 }
 
 /* ---- revisions that come and go ---- */
-
-static size_t open_files(void)
-{
-    size_t n = 0;
-    DIR *d = opendir("/proc/self/fd");
-    assert_non_null(d);
-    while (readdir(d))
-        n++;
-    closedir(d);
-    return n;
-}
 
 /* The status of /readyz, and what it says of the last reload. */
 static void readyz(const char *status, const char *reload, const char *extra)

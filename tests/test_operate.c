@@ -573,6 +573,7 @@ static void test_check_and_exit_codes(void **state)
         {EX_CONFIG, "--cache-policy", {"--check", "--cache-policy", "x"}},
         {EX_CONFIG, "/nonexistent", {"--check", "--auth", "/nonexistent"}},
         {EX_CONFIG, "bad.tiles", {"--check", bad}},
+        {EX_CONFIG, "/nonexistent", {"--check", "--clip", "/nonexistent"}},
         {EX_CONFIG, "--trusted-proxy", {"--check", "--trusted-proxy", "x"}},
         {EX_CONFIG, "/nonexistent", {"--check", "--web-dir", "/nonexistent"}},
         {EX_USAGE, "--prot", {"--prot", "1"}},
