@@ -58,7 +58,8 @@ static void answer_service_landing(struct services *s, const struct request *r,
     }
     size_t from = t->path_size < r->target_size ? t->path_size + 1 : r->target_size;
     struct catalog *c = services_catalog(s);
-    hint_write(c, r->target + from, r->target_size - from, out->hints);
+    if (!s->auth) /* hints name datasets, and caches keep the page for whoever comes next */
+        hint_write(c, r->target + from, r->target_size - from, out->hints);
     catalog_drop(&c);
     response_document(r, index->type, RESPONSE_MOVING, body_ref(index->body), out);
 }

@@ -7,6 +7,7 @@
 #include <sys/stat.h>
 #include <time.h>
 
+#include "server/auth.h"
 #include "server/condition.h"
 #include "server/headers.h"
 #include "tests/routed.h"
@@ -511,6 +512,15 @@ static void test_hints(void **state)
     struct response r = get("/"); /* as JSON */
     expect("Link", r.hints, "");
     response_free(&r);
+
+    /* A server that asks for tokens names no dataset in a page that caches keep. */
+    static const char access[] = "{\"public\": [\"toy\"]}";
+    struct err e = {0};
+    assert_int_equal(auth_parse(access, sizeof access - 1, "access.json", &t.s.auth, &e), 0);
+    r = answer(&(struct ask){.target = "/", .accept = "text/html"});
+    expect("Link", r.hints, "");
+    response_free(&r);
+    auth_close(&t.s.auth);
 }
 
 static void test_basemap(void **state)
