@@ -52,7 +52,11 @@ enum err_code bench_cpu_time(struct bench *b, enum err_code (*fn)(void *user, st
 enum err_code bench_record(struct bench *b, const char *row, const char *what,
                            struct json_t *numbers, struct err *e) ERR_USE;
 enum err_code bench_record_write(struct bench *b, struct err *e) ERR_USE; /* forgets the rows */
-/* Part of the growth benchmark: bench_step.c. */
+/* Of bench_step.c: a whole iteration of training n Gaussians of the city (city.h, degree 3) with a
+ * photograph of that size, reported by bench_report_at; and those of the growth benchmark. Not
+ * checked as bench_step does: the rates of its check suit its own sizes. */
+enum err_code bench_step_at(struct bench *b, const char *name, size_t n, uint32_t width_px,
+                            uint32_t height_px, struct err *e) ERR_USE;
 enum err_code bench_step_growth(struct bench *b, struct err *e) ERR_USE;
 /* A path for scratch files of this run; removed at exit. */
 const char *bench_tmpdir(struct bench *b);

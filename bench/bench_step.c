@@ -282,8 +282,21 @@ enum err_code bench_step(struct bench *b, struct err *e)
     return rc;
 }
 
-/* Whole iterations against Gaussians at 1280 x 720, and against pixels with 100,000 Gaussians; part
- * of the growth benchmark. Not checked again: the rates of step_check suit the sizes above. */
+enum err_code bench_step_at(struct bench *b, const char *name, size_t n, uint32_t width_px,
+                            uint32_t height_px, struct err *e)
+{
+    struct step_case c;
+    double ms = 0;
+    enum err_code rc = step_open(b, n, width_px, height_px, false, &c, e);
+    if (!rc)
+        rc = bench_time(b, step_once, &c, &ms, NULL, e);
+    if (!rc)
+        bench_report_at(b, name, ms, "ms", (double)n, (double)width_px * height_px);
+    step_free(&c);
+    return rc;
+}
+
+/* Whole iterations against Gaussians at 1280 x 720, and against pixels with 100,000 Gaussians. */
 enum err_code bench_step_growth(struct bench *b, struct err *e)
 {
     static const struct {
@@ -297,16 +310,7 @@ enum err_code bench_step_growth(struct bench *b, struct err *e)
         {"training, pixels", 100000, 320, 180},      {"training, pixels", 100000, 640, 360},
         {"training, pixels", 100000, 1280, 720},     {"training, pixels", 100000, 1920, 1080}};
     enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < (b->quick ? 2 : sizeof cases / sizeof *cases); i++) {
-        struct step_case c;
-        double ms = 0;
-        rc = step_open(b, cases[i].n, cases[i].w, cases[i].h, false, &c, e);
-        if (!rc)
-            rc = bench_time(b, step_once, &c, &ms, NULL, e);
-        if (!rc)
-            bench_report_at(b, cases[i].name, ms, "ms", (double)cases[i].n,
-                            (double)cases[i].w * cases[i].h);
-        step_free(&c);
-    }
+    for (size_t i = 0; !rc && i < (b->quick ? 2 : sizeof cases / sizeof *cases); i++)
+        rc = bench_step_at(b, cases[i].name, cases[i].n, cases[i].w, cases[i].h, e);
     return rc;
 }
