@@ -39,10 +39,9 @@ struct footprint {              /* {0} is empty: everything is supported; footpr
 /* From the training photographs and the sparse points. Empty (nx 0, with a warning) where no ground
  * is supported: too few points or photographs. ERR_MEM. */
 enum err_code footprint_of(const struct scene *s, struct footprint *out, struct err *e) ERR_USE;
-/* The ground from a GeoJSON file instead (Polygon, MultiPolygon, Feature or FeatureCollection,
- * WGS84 longitude and latitude), heights as above: `f` is that of the scene. Borders are kept to
- * half a cell of the grid. ERR_NOENT, ERR_FORMAT: no file, no polygon; ERR_DATA: it lies
- * elsewhere. */
+/* The ground from a GeoJSON file instead (codec/geojson.h), heights as above: `f` is that of the
+ * scene. Borders are kept to half a cell of the grid. ERR_DATA: it lies elsewhere; errors of
+ * geojson_read: ERR_NOENT, ERR_IO, ERR_LIMIT, ERR_FORMAT, ERR_DATA, ERR_MEM. */
 enum err_code footprint_read(struct footprint *f, const char *path, const struct geo_origin *origin,
                              struct err *e) ERR_USE;
 void footprint_free(struct footprint *f);

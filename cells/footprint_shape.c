@@ -11,12 +11,12 @@
 
 #include "cells/footprint.h"
 #include "cells/footprint_internal.h"
+#include "codec/geojson.h"
 #include "core/base.h"
 #include "core/geo.h"
 
 enum {
-    SHAPE_SIDE = 256,           /* cells along the longer side where no grid is given */
-    SHAPE_CORNERS_MAX = 1000000 /* of a file */
+    SHAPE_SIDE = 256 /* cells along the longer side where no grid is given */
 };
 #define SHAPE_TOLERANCE 0.25 /* cells */
 #define SHAPE_HIGH_M 1e9f
@@ -29,7 +29,7 @@ struct shape_ring {
 };
 struct shape { /* {0} is empty; shape_free */
     struct shape_ring *rings;
-    size_t n, cap, n_corners;
+    size_t n, cap;
 };
 
 static void shape_free(struct shape *s)
@@ -65,7 +65,6 @@ static enum err_code shape_add(struct shape *s, const double (*at)[2], size_t n,
         r.area_m2 += 0.5 * (p[0] * q[1] - q[0] * p[1]);
     }
     s->rings[s->n++] = r;
-    s->n_corners += n;
     return ERR_OK;
 }
 
@@ -243,89 +242,35 @@ enum err_code footprint_write(const struct footprint *f, const struct geo_origin
 
 /* ---- from GeoJSON ---- */
 
-static enum err_code shape_read_ring(const json_t *list, const struct geo_origin *origin,
-                                     struct shape *out, struct err *e)
+/* One ring, whose edges follow each other. */
+static enum err_code shape_read_ring(const struct geojson_edge *edges, size_t n,
+                                     const struct geo_origin *origin, struct shape *out,
+                                     struct err *e)
 {
-    size_t n = json_array_size(list);
-    if (n < 4)
-        return err_set(e, ERR_FORMAT, "a ring of %zu positions: a polygon has four at least", n);
-    if (out->n_corners + n > SHAPE_CORNERS_MAX)
-        return err_set(e, ERR_LIMIT, "more than %d corners", SHAPE_CORNERS_MAX);
     double(*at)[2] = mem_array(n, sizeof *at);
     enum err_code rc = at ? ERR_OK : shape_no_memory(e);
     for (size_t i = 0; !rc && i < n; i++) {
-        const json_t *p = json_array_get(list, i), *lon = json_array_get(p, 0),
-                     *lat = json_array_get(p, 1);
         double enu[3];
-        if (!json_is_number(lon) || !json_is_number(lat))
-            rc = err_set(e, ERR_FORMAT, "position %zu of a ring is not [longitude, latitude]", i);
-        if (!rc)
-            rc = geo_to_enu(origin, json_number_value(lon), json_number_value(lat), origin->h_m,
-                            enu, e);
+        rc = geo_to_enu(origin, edges[i].from[0], edges[i].from[1], origin->h_m, enu, e);
         if (!rc)
             memcpy(at[i], enu, sizeof *at);
     }
-    if (!rc && (at[0][0] != at[n - 1][0] || at[0][1] != at[n - 1][1]))
-        rc = err_set(e, ERR_FORMAT, "a ring is not closed: repeat its first position");
     if (!rc)
-        rc = shape_add(out, (const double(*)[2])at, n - 1, e); /* the last is the first again */
+        rc = shape_add(out, (const double(*)[2])at, n, e);
     mem_free(at);
     return rc;
 }
 
-static enum err_code shape_read_polygon(const json_t *rings, const struct geo_origin *origin,
-                                        struct shape *out, struct err *e)
-{
-    enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < json_array_size(rings); i++)
-        rc = shape_read_ring(json_array_get(rings, i), origin, out, e);
-    return rc;
-}
-
-static enum err_code shape_read_geometry(const json_t *g, const struct geo_origin *origin,
-                                         struct shape *out, struct err *e)
-{
-    const char *type = json_string_value(json_object_get(g, "type"));
-    const json_t *at = json_object_get(g, "coordinates");
-    enum err_code rc = ERR_OK;
-    if (type && !strcmp(type, "Polygon"))
-        return shape_read_polygon(at, origin, out, e);
-    if (type && !strcmp(type, "MultiPolygon")) {
-        for (size_t i = 0; !rc && i < json_array_size(at); i++)
-            rc = shape_read_polygon(json_array_get(at, i), origin, out, e);
-        return rc;
-    }
-    return err_set(e, ERR_FORMAT, "geometry '%.40s': only Polygon and MultiPolygon are ground",
-                   type ? type : "without a type");
-}
-
-static enum err_code shape_read(const json_t *root, const struct geo_origin *origin,
+static enum err_code shape_read(const struct geojson_area *a, const struct geo_origin *origin,
                                 struct shape *out, struct err *e)
 {
-    const char *type = json_string_value(json_object_get(root, "type"));
-    const json_t *features = json_object_get(root, "features");
     enum err_code rc = ERR_OK;
-    if (type && !strcmp(type, "Feature"))
-        return shape_read_geometry(json_object_get(root, "geometry"), origin, out, e);
-    if (!type || strcmp(type, "FeatureCollection"))
-        return shape_read_geometry(root, origin, out, e);
-    for (size_t i = 0; !rc && i < json_array_size(features); i++)
-        rc = shape_read_geometry(json_object_get(json_array_get(features, i), "geometry"), origin,
-                                 out, e);
+    for (size_t i = 0, end; !rc && i < a->n; i = end) {
+        for (end = i; end < a->n && a->edges[end].ring == a->edges[i].ring;)
+            end++;
+        rc = shape_read_ring(a->edges + i, end - i, origin, out, e);
+    }
     return rc;
-}
-
-/* GeoJSON of before 2016 may name another coordinate system. */
-static enum err_code shape_check_crs(const json_t *root, struct err *e)
-{
-    const char *name = json_string_value(
-        json_object_get(json_object_get(json_object_get(root, "crs"), "properties"), "name"));
-    if (!name || strstr(name, "CRS84") || strstr(name, "4326"))
-        return ERR_OK;
-    return err_set(e, ERR_FORMAT,
-                   "is in %.80s; make longitude and latitude of it with ogr2ogr -t_srs EPSG:4326 "
-                   "-f GeoJSON",
-                   name);
 }
 
 /* Without evidence of the scene's own: a grid over the polygons, and any height. */
@@ -385,16 +330,12 @@ enum err_code footprint_read(struct footprint *f, const char *path, const struct
                              struct err *e)
 {
     struct shape s = {0};
-    json_t *root = NULL;
-    enum err_code rc = jsonc_read(path, &root, e);
+    struct geojson_area area;
+    enum err_code rc = geojson_read(path, &area, e);
     if (rc)
         return rc;
-    rc = shape_check_crs(root, e);
-    if (!rc)
-        rc = shape_read(root, origin, &s, e);
-    json_decref(root);
-    if (!rc && !s.n)
-        rc = err_set(e, ERR_FORMAT, "no polygon in there");
+    rc = shape_read(&area, origin, &s, e);
+    geojson_free(&area);
     if (!rc && !f->nx)
         rc = shape_grid(&s, f, e);
     if (!rc && !shape_fill(&s, f))

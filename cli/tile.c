@@ -604,7 +604,7 @@ static enum err_code tile_build(struct tile_scene *s, const struct scene *scene,
         rc = tile_make_appearance(s, &level[s->n_levels - 1], &appearance, e);
     if (!rc && s->footprint.nx)
         rc = footprint_write(&s->footprint, &scene->origin, &ground, e);
-    if (!rc && s->clip.n)
+    if (!rc && s->clip.area.n)
         rc = clip_describe(&s->clip, NULL, &clip, e);
     if (!rc && appearance.size)
         rc = tile_photographs(scene, &appearance, o->thumbnails, &photographs, e);

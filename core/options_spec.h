@@ -37,6 +37,10 @@ struct options_def {
 #define OPTIONS_ROW(st, type, key, def, lo, hi, unit, help)                                        \
     {OPTIONS_##type, #key, offsetof(st, key), def, lo, hi, unit, help},
 
+/* Of a table that several commands share, whose struct is member `in` of theirs. */
+#define OPTIONS_ROW_IN(st, in, type, key, def, lo, hi, unit, help)                                 \
+    {OPTIONS_##type, #key, offsetof(st, in.key), def, lo, hi, unit, help},
+
 #define OPTIONS_GROUP_ROW(title) {OPTIONS_GROUP, "", 0, "", 0, 0, "", title},
 
 struct options_spec {

@@ -15,126 +15,18 @@
 #include <unistd.h>
 
 #include "core/gauss.h"
-#include "lod/outline.h"
 #include "lod/store.h"
-
-/* ---- GeoJSON ---- */
-
-static enum err_code clip_add_ring(struct clip *c, const json_t *ring, const char *path,
-                                   struct err *e)
-{
-    size_t n = json_array_size(ring);
-    double(*at)[2] = mem_array(n + 1, sizeof *at);
-    enum err_code rc = at ? ERR_OK : err_set(e, ERR_MEM, "%s: out of memory", path);
-    if (!rc && (n < 4 || n > CLIP_CORNERS_MAX + 1))
-        rc = err_set(e, ERR_FORMAT,
-                     "%s: a ring of %zu positions: 4 to %d, the last the same as the first", path,
-                     n, CLIP_CORNERS_MAX + 1);
-    for (size_t i = 0; !rc && i < n; i++) {
-        const json_t *p = json_array_get(ring, i), *lon = json_array_get(p, 0),
-                     *lat = json_array_get(p, 1);
-        at[i][0] = json_number_value(lon);
-        at[i][1] = json_number_value(lat);
-        if (!json_is_number(lon) || !json_is_number(lat) || !(fabs(at[i][0]) <= 180) ||
-            !(fabs(at[i][1]) <= 90))
-            rc = err_set(e, ERR_FORMAT,
-                         "%s: position %zu (%g, %g) is no longitude and latitude; of a projection "
-                         "make them with ogr2ogr -t_srs EPSG:4326 -f GeoJSON",
-                         path, i + 1, at[i][0], at[i][1]);
-    }
-    if (!rc && memcmp(at[0], at[n - 1], sizeof *at) != 0)
-        rc = err_set(e, ERR_FORMAT, "%s: a ring is not closed: repeat its first position", path);
-    if (!rc && outline_check((const double(*)[2])at, n - 1, e)) {
-        err_add(e, "%s", path);
-        rc = ERR_DATA;
-    }
-    if (!rc && c->n + n > c->cap) {
-        size_t cap = 2 * c->cap + n;
-        struct clip_edge *p = mem_resize(c->edges, c->cap, cap, sizeof *p);
-        rc = p ? ERR_OK : err_set(e, ERR_MEM, "%s: out of memory", path);
-        c->edges = p ? p : c->edges;
-        c->cap = p ? cap : c->cap;
-    }
-    for (size_t i = 0; !rc && i + 1 < n; i++)
-        c->edges[c->n++] = (struct clip_edge){
-            {at[i][0], at[i][1]}, {at[i + 1][0], at[i + 1][1]}, c->n_polygons, c->n_rings};
-    c->n_rings++;
-    mem_free(at);
-    return rc;
-}
-
-static enum err_code clip_add_polygon(struct clip *c, const json_t *rings, const char *path,
-                                      struct err *e)
-{
-    enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < json_array_size(rings); i++)
-        rc = clip_add_ring(c, json_array_get(rings, i), path, e);
-    c->n_polygons++;
-    return rc;
-}
-
-static enum err_code clip_add_shape(struct clip *c, const json_t *o, const char *path, int depth,
-                                    struct err *e)
-{
-    const char *type = json_string_value(json_object_get(o, "type"));
-    const json_t *at = json_object_get(o, "coordinates");
-    const char *lists[] = {"features", "geometries"};
-    enum err_code rc = ERR_OK;
-    if (!type || depth > 4)
-        return err_set(e, ERR_FORMAT,
-                       "%s: a GeoJSON Polygon, MultiPolygon, Feature or FeatureCollection is "
-                       "expected",
-                       path);
-    if (!strcmp(type, "Polygon"))
-        return clip_add_polygon(c, at, path, e);
-    if (!strcmp(type, "Feature"))
-        return clip_add_shape(c, json_object_get(o, "geometry"), path, depth + 1, e);
-    for (size_t i = 0; !rc && !strcmp(type, "MultiPolygon") && i < json_array_size(at); i++)
-        rc = clip_add_polygon(c, json_array_get(at, i), path, e);
-    for (size_t k = 0; k < 2; k++) {
-        const json_t *list = json_object_get(o, lists[k]);
-        for (size_t i = 0; !rc && i < json_array_size(list); i++)
-            rc = clip_add_shape(c, json_array_get(list, i), path, depth + 1, e);
-    }
-    return rc;
-}
-
-/* GeoJSON of before 2016 may name another coordinate system. */
-static enum err_code clip_check_crs(const json_t *root, const char *path, struct err *e)
-{
-    const char *name = json_string_value(
-        json_object_get(json_object_get(json_object_get(root, "crs"), "properties"), "name"));
-    if (!name || strstr(name, "CRS84") || strstr(name, "4326"))
-        return ERR_OK;
-    return err_set(e, ERR_FORMAT,
-                   "%s: is in %.80s; make longitude and latitude of it with ogr2ogr -t_srs "
-                   "EPSG:4326 -f GeoJSON",
-                   path, name);
-}
 
 enum err_code clip_open(const char *path, double low_m, double high_m, struct clip *out,
                         struct err *e)
 {
-    json_t *root = NULL;
     *out = (struct clip){.low_m = low_m, .high_m = high_m};
     enum err_code rc =
         low_m < high_m
             ? ERR_OK
             : err_set(e, ERR_DATA, "heights from %g to %g m: the lower must be below the upper",
                       low_m, high_m);
-    if (rc || !path)
-        return rc;
-    rc = jsonc_read(path, &root, e);
-    if (!rc)
-        rc = clip_check_crs(root, path, e);
-    if (!rc)
-        rc = clip_add_shape(out, root, path, 0, e);
-    if (!rc && !out->n)
-        rc = err_set(e, ERR_FORMAT, "%s: there is no polygon in it", path);
-    json_decref(root);
-    if (rc)
-        clip_free(out);
-    return rc;
+    return !rc && path ? geojson_read(path, &out->area, e) : rc;
 }
 
 static enum err_code clip_number(const char *text, const char *prefix, const char *name,
@@ -163,7 +55,7 @@ enum err_code clip_of_options(const char *path, const char *low_m, const char *h
 
 void clip_free(struct clip *c)
 {
-    mem_free(c->edges);
+    geojson_free(&c->area);
     *c = (struct clip){0};
 }
 
@@ -171,16 +63,8 @@ void clip_free(struct clip *c)
 
 bool clip_holds(const struct clip *c, double lon_deg, double lat_deg, double h_m)
 {
-    bool in = !c->edges;
-    if (!(h_m >= c->low_m && h_m <= c->high_m))
-        return false;
-    for (size_t i = 0; i < c->n; i++) {
-        const double *p = c->edges[i].from, *q = c->edges[i].to;
-        if ((p[1] > lat_deg) != (q[1] > lat_deg) &&
-            lon_deg < p[0] + (lat_deg - p[1]) / (q[1] - p[1]) * (q[0] - p[0]))
-            in = !in;
-    }
-    return in;
+    return h_m >= c->low_m && h_m <= c->high_m &&
+           (!c->area.n || geojson_holds(&c->area, lon_deg, lat_deg));
 }
 
 enum err_code clip_rows(const struct clip *c, const struct geo_origin *origin, struct gauss *g,
@@ -210,19 +94,20 @@ static json_t *clip_ring_to_json(const struct clip *c, size_t from, size_t end)
 {
     json_t *ring = json_array();
     for (size_t i = from; i < end; i++)
-        json_array_append_new(ring, json_pack("[f, f]", c->edges[i].from[0], c->edges[i].from[1]));
-    json_array_append_new(ring,
-                          json_pack("[f, f]", c->edges[end - 1].to[0], c->edges[end - 1].to[1]));
+        json_array_append_new(
+            ring, json_pack("[f, f]", c->area.edges[i].from[0], c->area.edges[i].from[1]));
+    json_array_append_new(
+        ring, json_pack("[f, f]", c->area.edges[end - 1].to[0], c->area.edges[end - 1].to[1]));
     return ring;
 }
 
 static json_t *clip_feature(const struct clip *c)
 {
     json_t *polygons = json_array(), *height = json_object();
-    for (size_t i = 0, end; i < c->n; i = end) {
-        for (end = i; end < c->n && c->edges[end].ring == c->edges[i].ring;)
+    for (size_t i = 0, end; i < c->area.n; i = end) {
+        for (end = i; end < c->area.n && c->area.edges[end].ring == c->area.edges[i].ring;)
             end++;
-        if (!i || c->edges[i].polygon != c->edges[i - 1].polygon)
+        if (!i || c->area.edges[i].polygon != c->area.edges[i - 1].polygon)
             json_array_append_new(polygons, json_array());
         json_array_append_new(json_array_get(polygons, json_array_size(polygons) - 1),
                               clip_ring_to_json(c, i, end));
@@ -244,14 +129,14 @@ enum err_code clip_describe(const struct clip *c, const char *before, struct buf
         json_decref(root);
         root = json_pack("{s:s, s:[]}", "type", "FeatureCollection", "features");
     }
-    if (c->n && !json_array_append_new(json_object_get(root, "features"), clip_feature(c)))
+    if (c->area.n && !json_array_append_new(json_object_get(root, "features"), clip_feature(c)))
         text = json_dumps(root, JSON_COMPACT | JSON_REAL_PRECISION(12));
     if (text)
         buf_add(out, text, strlen(text));
-    bool failed = c->n && !text;
+    bool failed = c->area.n && !text;
     json_decref(root);
     free(text);
-    return failed ? err_set(e, ERR_MEM, "out of memory for a clip of %zu edges", c->n)
+    return failed ? err_set(e, ERR_MEM, "out of memory for a clip of %zu edges", c->area.n)
                   : buf_check(out, e);
 }
 
@@ -295,7 +180,7 @@ static enum err_code clip_blobs(const struct clip *c, struct store *from, struct
     enum err_code rc = store_list_blobs(from, &a, &names, &n, e);
     for (size_t i = 0; !rc && i < n; i++) {
         struct buf b = {0};
-        if (c->n && !strcmp(names[i], STORE_CLIP))
+        if (c->area.n && !strcmp(names[i], STORE_CLIP))
             continue; /* told anew */
         rc = store_get_blob(from, names[i], &b, e);
         if (!rc)
@@ -303,7 +188,7 @@ static enum err_code clip_blobs(const struct clip *c, struct store *from, struct
         buf_free(&b);
     }
     struct buf told = {0};
-    if (!rc && c->n)
+    if (!rc && c->area.n)
         rc = clip_describe(c, store_clip(from), &told, e);
     if (!rc && told.size)
         rc = store_put_blob(to, STORE_CLIP, told.data, told.size, e);

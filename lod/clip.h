@@ -9,26 +9,19 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-#include "core/err.h"
+#include "codec/geojson.h"
 
 struct buf;
 struct gauss;
 struct geo_origin;
 
-enum { CLIP_CORNERS_MAX = 5000 }; /* of a ring */
-struct clip_edge {
-    double from[2], to[2]; /* longitude, latitude */
-    size_t polygon, ring;  /* which it is of */
+struct clip {                 /* clip_free */
+    struct geojson_area area; /* empty: everywhere */
+    double low_m, high_m;     /* ellipsoidal; -INFINITY, INFINITY: any */
 };
-struct clip {                /* clip_free */
-    struct clip_edge *edges; /* NULL: everywhere */
-    size_t n, cap, n_polygons, n_rings;
-    double low_m, high_m; /* ellipsoidal; -INFINITY, INFINITY: any */
-};
-/* The polygons of a GeoJSON file (Polygon, MultiPolygon, Feature, FeatureCollection; longitude and
- * latitude), by the even-odd rule; path NULL: everywhere. ERR_NOENT, ERR_IO, ERR_FORMAT: no such
- * GeoJSON, or another coordinate system; ERR_DATA: a ring that crosses itself or has no area, low_m
- * not below high_m: each says what to do; ERR_MEM. */
+/* The polygons of a GeoJSON file (codec/geojson.h), by the even-odd rule; path NULL: everywhere.
+ * ERR_DATA: low_m not below high_m; errors of geojson_read: ERR_NOENT, ERR_IO, ERR_LIMIT,
+ * ERR_FORMAT, ERR_DATA, ERR_MEM. */
 enum err_code clip_open(const char *path, double low_m, double high_m, struct clip *out,
                         struct err *e) ERR_USE;
 /* The same of what three options say, texts or NULL: the polygons' file, and heights; `prefix` of

@@ -8,7 +8,7 @@
 #include <string.h>
 
 #include "core/camera.h"
-#include "lod/outline.h"
+#include "core/outline.h"
 
 enum { MEASURE_PIECE_PX = 512, MEASURE_PIECE_MIN_PX = 16, MEASURE_RIM_MAX = 400 };
 

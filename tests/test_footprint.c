@@ -226,7 +226,8 @@ static void test_bad_input(void **state)
     expect("{\"type\":\"Polygon\",\"coordinates\":[[[1,2],[2,3],[1,2]]]}", ERR_FORMAT, "four");
     expect("{\"type\":\"Polygon\",\"coordinates\":[[[1,2],\"x\",[1,3],[1,2]]]}", ERR_FORMAT,
            "longitude");
-    expect("{\"type\":\"Polygon\",\"coordinates\":[[[1,92],[2,3],[1,3],[1,92]]]}", ERR_ARG, "");
+    expect("{\"type\":\"Polygon\",\"coordinates\":[[[1,92],[2,3],[1,3],[1,92]]]}", ERR_FORMAT,
+           "92");
     expect("{\"type\":\"Polygon\",\"coordinates\":[[[7.57,47.56],[7.574,47.56],[7.574,47.564],"
            "[7.57,47.564]]]}",
            ERR_FORMAT, "not closed");

@@ -8,7 +8,7 @@
 #include <jansson.h>
 #include <stdlib.h>
 
-#include "lod/outline.h"
+#include "core/outline.h"
 #include "lod/query.h"
 #include "lod/view.h"
 

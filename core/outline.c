@@ -2,7 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "lod/outline.h"
+#include "core/outline.h"
 
 #include <math.h>
 

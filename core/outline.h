@@ -2,8 +2,8 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#ifndef LOD_OUTLINE_H
-#define LOD_OUTLINE_H
+#ifndef CORE_OUTLINE_H
+#define CORE_OUTLINE_H
 
 #include <stdbool.h>
 #include <stddef.h>
