@@ -9,6 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "codec/drone.h"
 #include "codec/exif.h"
 #include "core/base.h"
 
@@ -26,10 +27,11 @@ struct image {                              /* {0} is empty */
  * ERR_NOENT, ERR_FORMAT (not an image; says which file), ERR_LIMIT. image_free it. */
 enum err_code image_read(const char *path, const struct codec_limits *lim, struct image *out,
                          struct err *e) ERR_USE;
-/* Size and EXIF only, without decoding pixels. Either output may be NULL. ERR_NOENT, ERR_FORMAT,
- * ERR_LIMIT. */
+/* Size, EXIF and drones' XMP only, without decoding pixels. Any output may be NULL. ERR_NOENT,
+ * ERR_FORMAT, ERR_LIMIT. */
 enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *height_px,
-                              struct image_gps *gps, struct err *e) ERR_USE;
+                              struct image_gps *gps, struct drone_meta *drone,
+                              struct err *e) ERR_USE;
 /* First channel as floats, [h][w]: 8- and 16-bit files as 0..1, float files (.pfm .tif .exr) as
  * they are. For maps, not photographs. *data is allocated; mem_free it. ERR_NOENT,
  * ERR_FORMAT, ERR_LIMIT, ERR_MEM. */

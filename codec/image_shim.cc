@@ -148,8 +148,21 @@ try {
 }
 SHIM_CATCH("image_read_map", ERR_FORMAT)
 
+// XMP as OpenImageIO has it: "prefix:Name", of a type that it guesses.
+static bool image_attribute(const void *spec, const char *name, char *text, size_t room)
+{
+    const OIIO::ParamValue *v = static_cast<const OIIO::ImageSpec *>(spec)->find_attribute(name);
+    if (!v)
+        return false;
+    int n = v->type() == OIIO::TypeFloat
+                ? snprintf(text, room, "%.9g", (double)*static_cast<const float *>(v->data()))
+                : snprintf(text, room, "%s", v->get_string().c_str());
+    return n > 0 && (size_t)n < room;
+}
+
 extern "C" enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *height_px,
-                                         struct image_gps *gps, struct err *e)
+                                         struct image_gps *gps, struct drone_meta *drone,
+                                         struct err *e)
 try {
     enum err_code rc = ERR_OK;
     std::unique_ptr<OIIO::ImageInput> in = image_open_input(path, &rc, e);
@@ -159,6 +172,8 @@ try {
         *width_px = (uint32_t)in->spec().width;
     if (height_px)
         *height_px = (uint32_t)in->spec().height;
+    if (drone)
+        drone_read(image_attribute, &in->spec(), drone);
     return gps ? exif_read(path, gps, e) : ERR_OK;
 }
 SHIM_CATCH("image_read_info", ERR_FORMAT)

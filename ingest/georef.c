@@ -54,7 +54,7 @@ void georef_free(struct georef_result *r)
 /* Up in COLMAP's frame, from cameras that do not roll, over ground that is roughly level: the
  * direction most at right angles to all camera x axes and closest to the ground normal. */
 static void georef_upright_at(const struct georef_photo *photos, size_t n, const double normal[3],
-                              double up[3])
+                              double sigma, double up[3])
 {
     double hint[3] = {0}, m[9] = {0}, values[3], vectors[9];
     bool known = normal[0] != 0 || normal[1] != 0 || normal[2] != 0;
@@ -70,7 +70,7 @@ static void georef_upright_at(const struct georef_photo *photos, size_t n, const
             for (size_t i = 0; i < n; i++)
                 m[3 * a + b] +=
                     photos[i].rot[a] * photos[i].rot[b] / ((double)n * level_sigma * level_sigma);
-            double s2 = known ? normal_sigma * normal_sigma : hint_sigma * hint_sigma;
+            double s = !known ? hint_sigma : sigma > 0 ? sigma : normal_sigma, s2 = s * s;
             m[3 * a + b] += ((a == b) - (known ? normal[a] * normal[b] : hint[a] * hint[b])) / s2;
         }
     sim3_eigen(m, 3, values, vectors);
@@ -80,13 +80,13 @@ static void georef_upright_at(const struct georef_photo *photos, size_t n, const
 }
 
 enum err_code georef_upright(const struct georef_photo *photos, size_t n,
-                             const double ground_normal[3], double scale, struct sim3 *out,
-                             struct err *e)
+                             const double ground_normal[3], double sigma, double scale,
+                             struct sim3 *out, struct err *e)
 {
     double up[3], east[3], north[3], mean[3] = {0}, at[3];
     if (!n)
         return err_set(e, ERR_DATA, "no photographs are left");
-    georef_upright_at(photos, n, ground_normal, up);
+    georef_upright_at(photos, n, ground_normal, sigma, up);
     int a = fabs(up[0]) < 0.8 ? 0 : 1; /* an axis that is not up */
     double dot = up[a], len = sqrt(1 - dot * dot);
     for (int i = 0; i < 3; i++)
@@ -158,7 +158,7 @@ static enum err_code georef_work_make(struct work *w, const struct georef_photo 
         if (photos[i].has_gps)
             w->with_gps[w->n_gps++] = (uint32_t)i;
     }
-    georef_upright_at(photos, n, cfg->ground_normal, w->up);
+    georef_upright_at(photos, n, cfg->ground_normal, cfg->normal_sigma, w->up);
     w->p = (struct sim3_problem){.x = (const double(*)[3])w->x,
                                  .y = (const double(*)[3])w->y,
                                  .right = (const double(*)[3])w->right,
@@ -166,6 +166,7 @@ static enum err_code georef_work_make(struct work *w, const struct georef_photo 
                                  .group = w->group,
                                  .n = n,
                                  .n_groups = 1,
+                                 .normal_sigma = cfg->normal_sigma,
                                  .cut_m = cfg->inlier_m};
     const double *g = cfg->ground_normal;
     double sign = g[0] * w->up[0] + g[1] * w->up[1] + g[2] * w->up[2] < 0 ? -1 : 1;

@@ -22,6 +22,7 @@ struct georef_config {
     double inlier_m;             /* 8: of the random draws */
     double tau_min_m, tau_max_m; /* 6, 64: bounds of the rejection distance */
     double ground_normal[3];     /* unit, in COLMAP's frame, either sign; 0 0 0 = unknown */
+    double normal_sigma;         /* radians that it may be off; 0: as ground is, about 0.2 */
     uint64_t seed;
 };
 struct georef_result { /* {0} is empty; georef_free */
@@ -45,8 +46,8 @@ enum err_code georef_fit(const struct georef_photo *photos, size_t n,
 /* Without GPS: COLMAP's frame turned upright and scaled, the mean camera over the origin's east and
  * north. ERR_DATA: no such frame. */
 enum err_code georef_upright(const struct georef_photo *photos, size_t n,
-                             const double ground_normal[3], double scale, struct sim3 *out,
-                             struct err *e) ERR_USE;
+                             const double ground_normal[3], double normal_sigma, double scale,
+                             struct sim3 *out, struct err *e) ERR_USE;
 void georef_free(struct georef_result *r);
 
 #endif

@@ -211,7 +211,7 @@ static enum err_code ingest_read_info_task(void *user, size_t i, struct err *e)
         return err_set(e, ERR_CANCEL, "stopped");
     enum err_code rc = file_join(path, g->images_dir, p->image->name, e);
     if (!rc)
-        rc = image_read_info(path, &p->width_px, &p->height_px, &p->gps, e);
+        rc = image_read_info(path, &p->width_px, &p->height_px, &p->gps, &p->drone, e);
     if (rc)
         return rc;
     const struct lens *l = &g->model.cameras[p->image->camera].lens;
@@ -429,7 +429,8 @@ static enum err_code ingest_write_scene(struct ingest *g, double start_s, struct
                               .scene = &g->scene,
                               .points = g->points,
                               .georef = g->fitted ? &g->georef : NULL,
-                              .gcp = g->gcps ? &g->gcp : NULL};
+                              .gcp = g->gcps ? &g->gcp : NULL,
+                              .gimbal = &g->gimbal};
     for (size_t i = 0; i < g->scene.n_images; i++)
         *(g->scene.images[i].split == SCENE_TEST ? &r.n_test : &r.n_train) += 1;
     for (size_t i = 0; i < g->n; i++)
@@ -460,6 +461,8 @@ static enum err_code ingest_run_steps(struct ingest *g, const char *sparse_dir, 
         rc = ingest_for_photos(g, "read EXIF", ingest_read_info_task, e);
     if (!rc)
         rc = ingest_find_flights(g, e);
+    if (!rc)
+        rc = ingest_drone_heights(g, e);
     if (!rc)
         rc = ingest_judge_poses(g, e);
     if (!rc)

@@ -16,7 +16,8 @@
 #include "ingest/ingest.h"
 #include "ingest/ingest_internal.h"
 
-static const double reliable_px = 2, inlier_m = 8;
+/* A gimbal knows which way is down to a degree. */
+static const double reliable_px = 2, inlier_m = 8, gimbal_sigma = 0.02;
 enum { RELIABLE_TRACK = 3, HEIGHT_SAMPLES = 200000 };
 
 static enum err_code frame_no_memory(struct err *e)
@@ -48,8 +49,8 @@ static enum err_code frame_gps_to_enu(struct ingest *g, const struct geo_origin 
         struct ingest_photo *p = &g->photos[i];
         p->geo.has_gps = p->verdict != INGEST_MISSING && frame_gps_usable(&p->gps);
         if (p->geo.has_gps)
-            rc = geo_to_enu(o, p->gps.lon_deg, p->gps.lat_deg,
-                            p->gps.alt_m + g->cfg->geoid_offset_m, p->geo.gps_enu_m, e);
+            rc = geo_to_enu(o, p->gps.lon_deg, p->gps.lat_deg, ingest_drone_height_m(g, p),
+                            p->geo.gps_enu_m, e);
     }
     return rc;
 }
@@ -69,7 +70,7 @@ static enum err_code frame_median_place(const struct ingest *g, struct geo_origi
         lon0 = n ? lon0 : p->lon_deg;
         v[n] = remainder(p->lon_deg - lon0, 360);
         v[g->n + n] = p->lat_deg;
-        v[2 * g->n + n++] = p->alt_m + g->cfg->geoid_offset_m;
+        v[2 * g->n + n++] = ingest_drone_height_m(g, &g->photos[i]);
     }
     *o = (struct geo_origin){remainder(lon0 + sort_median(v, n), 360), sort_median(v + g->n, n),
                              sort_median(v + 2 * g->n, n)};
@@ -120,6 +121,18 @@ static enum err_code frame_ground_normal(const struct ingest *g, double out[3], 
     if (values[0] < 0.1 * values[1])
         memcpy(out, vectors, 3 * sizeof *out);
     mem_free(d);
+    return ERR_OK;
+}
+
+/* The direction that should turn upwards, of either sign, and how far it may be off: by the gimbals
+ * where they tell it, else the ground's. */
+static enum err_code frame_upwards(const struct ingest *g, double out[3], double *sigma,
+                                   struct err *e)
+{
+    *sigma = g->gimbal.known ? gimbal_sigma : 0;
+    if (!g->gimbal.known)
+        return frame_ground_normal(g, out, e);
+    memcpy(out, g->gimbal.up, sizeof g->gimbal.up);
     return ERR_OK;
 }
 
@@ -209,7 +222,8 @@ static enum err_code frame_fit_kept(struct ingest *g, struct err *e)
                                 .seed = 1};
     struct georef_photo *list = mem_array(g->n, sizeof *list);
     size_t n = 0;
-    enum err_code rc = list ? frame_ground_normal(g, cfg.ground_normal, e) : frame_no_memory(e);
+    enum err_code rc =
+        list ? frame_upwards(g, cfg.ground_normal, &cfg.normal_sigma, e) : frame_no_memory(e);
     for (size_t i = 0; !rc && i < g->n; i++)
         if (g->photos[i].verdict == INGEST_KEPT)
             list[n++] = g->photos[i].geo;
@@ -251,17 +265,19 @@ static enum err_code frame_from_gps(struct ingest *g, struct sim3 *sim, struct e
     double sum = 0;
     for (size_t i = 0; i < g->n; i++)
         if (g->photos[i].verdict == INGEST_KEPT && g->photos[i].geo.has_gps) {
-            sum += g->georef.flight_offset_m[g->photos[i].flight];
+            const struct ingest_photo *p = &g->photos[i];
+            sum +=
+                g->georef.flight_offset_m[p->flight] + p->gps.alt_m - ingest_drone_height_m(g, p);
             n++;
         }
-    g->scene.vertical_offset_m = (n ? sum / (double)n : 0) - g->cfg->geoid_offset_m;
+    g->scene.vertical_offset_m = n ? sum / (double)n : 0;
     return rc;
 }
 
 static enum err_code frame_by_hand(struct ingest *g, size_t n_gps, size_t n_kept, struct sim3 *sim,
                                    struct err *e)
 {
-    double normal[3] = {0};
+    double normal[3] = {0}, sigma;
     if (!g->cfg->origin || !(g->cfg->metres_per_unit > 0))
         return err_set(
             e, ERR_DATA,
@@ -286,9 +302,9 @@ static enum err_code frame_by_hand(struct ingest *g, size_t n_gps, size_t n_kept
         if (g->photos[i].verdict == INGEST_KEPT)
             list[n++] = g->photos[i].geo;
     if (!rc)
-        rc = frame_ground_normal(g, normal, e);
+        rc = frame_upwards(g, normal, &sigma, e);
     if (!rc)
-        rc = georef_upright(list, n, normal, g->cfg->metres_per_unit, sim, e);
+        rc = georef_upright(list, n, normal, sigma, g->cfg->metres_per_unit, sim, e);
     if (!rc)
         sim->trans[2] -= frame_median_height(g, sim, scratch);
     mem_free(list);
@@ -397,9 +413,13 @@ enum err_code ingest_frame_find(struct ingest *g, struct err *e)
             n_gps += frame_gps_usable(&g->photos[i].gps);
         }
     bool enough = n_gps >= 3 && (double)n_gps >= g->cfg->min_gps_share * (double)n_kept;
-    enum err_code rc = g->gcps  ? frame_from_gcp(g, &sim, e)
-                       : enough ? frame_from_gps(g, &sim, e)
-                                : frame_by_hand(g, n_gps, n_kept, &sim, e);
+    enum err_code rc = ingest_drone_up(g, &g->gimbal, e);
+    if (!rc)
+        rc = g->gcps  ? frame_from_gcp(g, &sim, e)
+             : enough ? frame_from_gps(g, &sim, e)
+                      : frame_by_hand(g, n_gps, n_kept, &sim, e);
+    if (!rc && g->gimbal.known)
+        ingest_drone_check(&sim, &g->gimbal);
     g->scene.scale = sim.scale;
     memcpy(g->scene.rot, sim.rot, sizeof sim.rot);
     memcpy(g->scene.trans, sim.trans, sizeof sim.trans);

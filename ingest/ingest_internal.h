@@ -27,11 +27,29 @@ enum ingest_point { /* of a sparse point: ingest_points.c */
                     INGEST_POINT_ABOVE,
                     INGEST_POINT_VERDICTS
 };
+enum ingest_altitude { /* which one counts: ingest_drone.c */
+                       INGEST_ALTITUDE_EXIF,
+                       INGEST_ALTITUDE_BAROMETER,
+                       INGEST_ALTITUDE_RTK,
+                       INGEST_ALTITUDES
+};
+enum { INGEST_AUTO, INGEST_EXIF }; /* of --altitude */
+/* Which way is up by the gimbals of the cameras. */
+struct ingest_gimbal {
+    size_t n, used;    /* photographs that tell it; without those that lie far off */
+    bool known;        /* enough, and they agree */
+    double up[3];      /* unit, in COLMAP's frame */
+    double spread_rad; /* median angle of one photograph to all */
+    /* Against the frame: by how much, and leaning to the east and north. */
+    double tilt_rad, east_rad, north_rad;
+};
 struct ingest_photo {
     const struct colmap_image *image;
     char *out_name; /* in images/ of the scene */
     uint32_t width_px, height_px;
-    struct image_gps gps;
+    struct image_gps gps; /* its altitude is the one that counts */
+    struct drone_meta drone;
+    enum ingest_altitude altitude;
     struct georef_photo geo;
     size_t n_points;        /* triangulated observations */
     double reprojection_px; /* median */
@@ -47,6 +65,7 @@ struct ingest_result { /* what ingest_report.c tells */
     const size_t *points;               /* [INGEST_POINT_VERDICTS] sparse points by verdict */
     const struct georef_result *georef; /* NULL when there was too little GPS */
     const struct gcp_fit *gcp;          /* NULL: the frame is not from ground control points */
+    const struct ingest_gimbal *gimbal;
     double seconds;
 };
 
@@ -63,6 +82,7 @@ struct ingest {
     uint32_t *kept;
     struct georef_result georef;
     bool fitted;
+    struct ingest_gimbal gimbal;
     const struct gcp_list *gcps; /* NULL: none */
     struct gcp_fit gcp;
     struct scene scene;
@@ -77,6 +97,20 @@ struct ingest {
 enum err_code ingest_frame_find(struct ingest *g, struct err *e) ERR_USE;
 /* --origin: "LON,LAT,H" in degrees and metres. ERR_ARG. */
 enum err_code ingest_frame_parse(const char *text, struct geo_origin *o, struct err *e) ERR_USE;
+/* ---- ingest_drone.c ---- */
+
+/* Choose the altitudes that count, flight by flight. ERR_MEM. */
+enum err_code ingest_drone_heights(struct ingest *g, struct err *e) ERR_USE;
+/* Above the ellipsoid, as far as --geoid-offset-m says it. */
+double ingest_drone_height_m(const struct ingest *g, const struct ingest_photo *p);
+/* Up by the gimbals of the photographs that are kept. ERR_MEM. */
+enum err_code ingest_drone_up(const struct ingest *g, struct ingest_gimbal *out,
+                              struct err *e) ERR_USE;
+/* And how far the frame is from it. */
+void ingest_drone_check(const struct sim3 *sim, struct ingest_gimbal *io);
+
+/* ---- other steps ---- */
+
 /* ingest_scene.c: images, points and tracks of the scene from what was kept; fills kept and views.
  * ERR_MEM. */
 enum err_code ingest_scene_fill(struct ingest *g, struct err *e) ERR_USE;

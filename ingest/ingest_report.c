@@ -5,6 +5,7 @@
 #include <jansson.h>
 #include <math.h>
 #include <stdio.h>
+#include <string.h>
 
 #include "codec/colmap.h"
 #include "codec/scene.h"
@@ -89,6 +90,46 @@ static void report_print_gcp(const struct ingest_result *r)
     if (f->control_plan_m > 3 || f->control_height_m > 3)
         log_warn("ingest", "ground control points contradict the poses: plan_m=%.2f height_m=%.2f",
                  f->control_plan_m, f->control_height_m);
+}
+
+/* Where heights come from and what they count from: key of report.json, words for people. */
+static const struct {
+    const char *key, *text;
+} altitude_words[INGEST_ALTITUDES] = {
+    [INGEST_ALTITUDE_EXIF] = {"exif", "EXIF's altitudes, as the camera has them"},
+    [INGEST_ALTITUDE_BAROMETER] = {"barometer", "the barometer's above take-off, at the level of "
+                                                "EXIF's"},
+    [INGEST_ALTITUDE_RTK] = {"rtk", "RTK's, above the ellipsoid"},
+};
+
+static void report_count_altitudes(const struct ingest_result *r, size_t n[INGEST_ALTITUDES])
+{
+    memset(n, 0, INGEST_ALTITUDES * sizeof *n);
+    for (size_t i = 0; i < r->n_photos; i++)
+        if (r->photos[i].verdict == INGEST_KEPT && r->photos[i].gps.has_altitude)
+            n[r->photos[i].altitude]++;
+}
+
+static void report_print_drone(const struct ingest_result *r)
+{
+    const struct ingest_gimbal *m = r->gimbal;
+    double deg = 57.29577951308232;
+    size_t n[INGEST_ALTITUDES];
+    report_count_altitudes(r, n);
+    for (size_t k = 0; k < INGEST_ALTITUDES; k++) {
+        bool moved = k != INGEST_ALTITUDE_RTK && r->cfg->geoid_offset_m != 0;
+        if (n[k] && r->georef && (k != INGEST_ALTITUDE_EXIF || moved))
+            printf("heights  %zu photographs: %s%s\n", n[k], altitude_words[k].text,
+                   moved ? ", moved by --geoid-offset-m" : "");
+    }
+    if (!m->known)
+        return;
+    printf("gimbals  %zu photographs: up is %.2f deg from the frame's (%+.2f to the east, %+.2f to "
+           "the north); they agree to %.2f deg\n",
+           m->used, deg * m->tilt_rad, deg * m->east_rad, deg * m->north_rad, deg * m->spread_rad);
+    if (m->tilt_rad > 0.035)
+        log_warn("ingest", "gimbals contradict the frame: tilt_deg=%.1f; is its level right?",
+                 deg * m->tilt_rad);
 }
 
 static void report_print_frame(const struct ingest_result *r)
@@ -190,6 +231,7 @@ void ingest_report_print(const struct ingest_result *r)
         printf("pictures %u x %u px, focal length %.1f px\n", s->images[0].cam.width_px,
                s->images[0].cam.height_px, s->images[0].cam.fx_px);
     report_print_frame(r);
+    report_print_drone(r);
     report_print_points(r);
     double median_ev, range_ev = report_exposure(r, &median_ev);
     if (range_ev > 0.0)
@@ -261,6 +303,25 @@ static json_t *report_georef_to_json(const struct ingest_result *r)
                      "flight_height_offset_m", flights);
 }
 
+static json_t *report_altitudes_to_json(const struct ingest_result *r)
+{
+    size_t n[INGEST_ALTITUDES];
+    json_t *o = json_object();
+    report_count_altitudes(r, n);
+    for (size_t k = 0; k < INGEST_ALTITUDES; k++)
+        json_object_set_new(o, altitude_words[k].key, json_integer((json_int_t)n[k]));
+    return o;
+}
+
+static json_t *report_gimbal_to_json(const struct ingest_gimbal *m)
+{
+    return m->known
+               ? json_pack("{s:I, s:I, s:f, s:f, s:f, s:f}", "photographs", (json_int_t)m->n,
+                           "used", (json_int_t)m->used, "spread_rad", m->spread_rad, "tilt_rad",
+                           m->tilt_rad, "east_rad", m->east_rad, "north_rad", m->north_rad)
+               : json_null();
+}
+
 static json_t *report_rmse(size_t n, double plan_m, double height_m)
 {
     return json_pack("{s:I, s:o, s:o}", "points", (json_int_t)n, "rmse_plan_m",
@@ -296,11 +357,12 @@ enum err_code ingest_report_write(const struct ingest_result *r, const char *pat
         return rc;
     double median_ev, range_ev = report_exposure(r, &median_ev);
     json_t *root = json_pack(
-        "{s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:{s:f, s:f}, s:o, s:o, s:o, s:o, s:o, s:f}",
+        "{s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:{s:f, s:f}, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:f}",
         "photographs", (json_int_t)r->n_photos, "kept", (json_int_t)r->n_kept, "train",
         (json_int_t)r->n_train, "test", (json_int_t)r->n_test, "with_gps", (json_int_t)r->n_gps,
         "not_in_model", (json_int_t)r->n_unregistered, "scale_m", r->scene->scale, "exposure",
-        "range_ev", range_ev, "median_ev", median_ev, "georeferencing", report_georef_to_json(r),
+        "range_ev", range_ev, "median_ev", median_ev, "altitudes", report_altitudes_to_json(r),
+        "gimbals", report_gimbal_to_json(r->gimbal), "georeferencing", report_georef_to_json(r),
         "ground_control", report_gcp_to_json(r->gcp), "points", report_points_to_json(r), "photos",
         report_photos_to_json(r), "config", config, "seconds", r->seconds);
     if (!root)

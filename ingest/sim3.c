@@ -358,10 +358,11 @@ static double sim3_add_level(const struct sim3_problem *p, const struct sim3_fit
     sim3_rotate(f->sim.rot, p->normal, v);
     if (v[0] == 0 && v[1] == 0 && v[2] == 0)
         return cost;
-    cost += (v[0] * v[0] + v[1] * v[1] + (v[2] < 0 ? 4 : 0)) / (sigma_ground * sigma_ground);
+    double s = p->normal_sigma > 0 ? p->normal_sigma : sigma_ground;
+    cost += (v[0] * v[0] + v[1] * v[1] + (v[2] < 0 ? 4 : 0)) / (s * s);
     double row_x[UNKNOWNS] = {0, v[2], -v[1]}, row_y[UNKNOWNS] = {-v[2], 0, v[0]};
-    sim3_eq_add(q, row_x, -v[0], 1 / (sigma_ground * sigma_ground));
-    sim3_eq_add(q, row_y, -v[1], 1 / (sigma_ground * sigma_ground));
+    sim3_eq_add(q, row_x, -v[0], 1 / (s * s));
+    sim3_eq_add(q, row_y, -v[1], 1 / (s * s));
     return cost;
 }
 

@@ -36,10 +36,11 @@ struct sim3_problem {              /* all borrowed */
     const bool *use; /* [n] pairs that may take part */
     const uint32_t *group; /* [n] flight, 0 .. n_groups-1; every flight has its own height offset */
     size_t n, n_groups;
-    double level_sigma; /* radians that the cameras are out of level, in the frame where they are
+    double level_sigma;  /* radians that the cameras are out of level, in the frame where they are
                            least so */
-    double normal[3];   /* ground normal in the frame of x, pointing up; 0 0 0 = unknown */
-    double cut_m;       /* pairs farther apart than this never count */
+    double normal[3];    /* ground normal in the frame of x, pointing up; 0 0 0 = unknown */
+    double normal_sigma; /* radians that it may be off; 0: as ground is, about 0.2 */
+    double cut_m;        /* pairs farther apart than this never count */
 };
 struct sim3_fit {
     struct sim3 sim;

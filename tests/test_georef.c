@@ -341,6 +341,53 @@ static void test_collinear(void **state)
     }
 }
 
+/* A line flown with the pictures' x axes along it, from whose being level no roll about it follows:
+ * gimbals tell it. */
+static void test_collinear_sideways(void **state)
+{
+    (void)state;
+    static struct survey s;
+    struct err e = {0};
+    double worst[2] = {0};
+    for (uint64_t seed = 0; seed < SEEDS; seed++) {
+        double azimuth = 360 * rng_unit(seed, 40, 0), up[3] = {0};
+        s = (struct survey){.n = 50};
+        random_frame(seed, &s.truth);
+        for (size_t i = 0; i < s.n; i++) {
+            double along = 8 * ((double)i - 24.5), h = azimuth * M_PI / 180;
+            double eye[3] = {along * sin(h), along * cos(h), 90};
+            struct camera cam =
+                camera_heading(eye, azimuth + 90 + 2 * rng_normal(seed, 41, i), -75, 0.8, 400, 300);
+            put_camera(&s, i, &cam);
+            double *r = s.photos[i].rot, roll = 0.02 * rng_normal(seed, 44, i);
+            for (int k = 0; k < 3; k++) {
+                double right = r[k], down = r[3 + k];
+                r[k] = cos(roll) * right + sin(roll) * down;
+                r[3 + k] = cos(roll) * down - sin(roll) * right;
+            }
+        }
+        add_noise(seed, 1, &s);
+        for (int k = 0; k < 3; k++) /* as ingest_drone_up finds it, half a degree off */
+            up[k] = s.truth.rot[6 + k] + 0.005 * rng_normal(seed, 43, (uint64_t)k);
+        double len = sqrt(up[0] * up[0] + up[1] * up[1] + up[2] * up[2]);
+        for (int gimbal = 0; gimbal < 2; gimbal++) {
+            struct georef_result r;
+            struct georef_config cfg = config();
+            for (int k = 0; gimbal && k < 3; k++)
+                cfg.ground_normal[k] = up[k] / len;
+            cfg.normal_sigma = gimbal ? 0.02 : 0;
+            kit_ok(georef_fit(s.photos, s.n, &cfg, &r, &e), e);
+            assert_true(r.collinear);
+            worst[gimbal] =
+                fmax(worst[gimbal], rotation_error(r.sim.rot, s.truth.rot) * 180 / M_PI);
+            georef_free(&r);
+        }
+    }
+    print_message("sideways line: turned by up to %.1f deg, with gimbals %.2f\n", worst[0],
+                  worst[1]);
+    assert_true(worst[1] < 1 && worst[0] > 4);
+}
+
 static void test_upright_without_gps(void **state)
 {
     (void)state;
@@ -350,7 +397,7 @@ static void test_upright_without_gps(void **state)
         struct sim3 sim;
         const double none[3] = {0};
         make_survey(seed, 40, 150, &s);
-        kit_ok(georef_upright(s.photos, s.n, none, 2, &sim, &e), e);
+        kit_ok(georef_upright(s.photos, s.n, none, 0, 2, &sim, &e), e);
         /* COLMAP's image of ENU up must come out as up. */
         double up[3];
         for (int i = 0; i < 3; i++)
@@ -415,6 +462,7 @@ int main(void)
         cmocka_unit_test(test_pose_errors),
         cmocka_unit_test(test_drifting_heights),
         cmocka_unit_test(test_collinear),
+        cmocka_unit_test(test_collinear_sideways),
         cmocka_unit_test(test_upright_without_gps),
         cmocka_unit_test(test_refused),
         cmocka_unit_test(test_out_of_memory),

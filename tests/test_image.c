@@ -191,7 +191,7 @@ static void test_exif_round_trip(void **state)
             struct image_gps got;
             uint32_t w = 0, h = 0;
             kit_ok(image_write(in_tmp(*f), &img, 95, &all[i], &e), e);
-            kit_ok(image_read_info(in_tmp(*f), &w, &h, &got, &e), e);
+            kit_ok(image_read_info(in_tmp(*f), &w, &h, &got, NULL, &e), e);
             assert_int_equal(w, 33);
             assert_int_equal(h, 17);
             expect_gps(&got, &all[i], *f);
@@ -208,7 +208,7 @@ static void test_no_exif(void **state)
     struct image_gps got;
     struct image img = picture(8, 8, 3);
     kit_ok(image_write(in_tmp("plain.jpg"), &img, 90, NULL, &e), e);
-    kit_ok(image_read_info(in_tmp("plain.jpg"), NULL, NULL, &got, &e), e);
+    kit_ok(image_read_info(in_tmp("plain.jpg"), NULL, NULL, &got, NULL, &e), e);
     assert_false(got.has_position);
     assert_false(got.has_altitude);
     assert_string_equal(got.time, "");

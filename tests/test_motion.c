@@ -82,7 +82,7 @@ static void check_picture(const char *bytes, const struct part *p)
     uint32_t width, height;
     kit_ok(file_join(path, t.dir, "part", &e), e);
     kit_ok(file_write(path, bytes, p->bytes, &e), e);
-    kit_ok(image_read_info(path, &width, &height, NULL, &e), e);
+    kit_ok(image_read_info(path, &width, &height, NULL, NULL, &e), e);
     assert_int_equal(width, p->width);
     assert_int_equal(height, p->height);
 }

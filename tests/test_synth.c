@@ -262,7 +262,7 @@ static void test_knobs(void **state)
         struct image_gps gps;
         double enu[3], center[3];
         snprintf(path, sizeof path, "%s/images/IMG_%04zu.jpg", c.dir, i + 1);
-        kit_ok(image_read_info(path, NULL, NULL, &gps, &e), e);
+        kit_ok(image_read_info(path, NULL, NULL, &gps, NULL, &e), e);
         assert_true(gps.has_position && gps.has_altitude && gps.time[0]);
         kit_ok(geo_to_enu(&origin, gps.lon_deg, gps.lat_deg, gps.alt_m, enu, &e), e);
         kit_near_d("EXIF position", enu, t.gps, 3, tol_gps_m, 0);

@@ -1,0 +1,103 @@
+/* XMP of drones: see drone.h.
+ *
+ * DJI, Autel, Skydio and Parrot give the camera's own angles: pitch above the horizon (-90 is
+ * straight down), roll about the optical axis. Cameras that follow Pix4D's tags ("Camera:") count
+ * pitch from straight down and turn about the axes of a body that looks down: roll about the top of
+ * the picture.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "codec/drone.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+
+enum { DRONE_TEXT_MAX = 64 };
+static const double drone_rad = 0.017453292519943295;
+
+struct drone_source {
+    bool (*get)(const void *user, const char *name, char *text, size_t room);
+    const void *user;
+};
+
+/* The first of the names that holds a number between lo and hi, and nothing else. */
+static bool drone_number(const struct drone_source *s, const char *const *names, double lo,
+                         double hi, double *out)
+{
+    for (; *names; names++) {
+        char text[DRONE_TEXT_MAX], *end;
+        if (!s->get(s->user, *names, text, sizeof text))
+            continue;
+        double v = strtod(text, &end);
+        if (end != text && !end[strspn(end, " \t\r\n")] && v >= lo && v <= hi) {
+            *out = v;
+            return true;
+        }
+    }
+    return false;
+}
+
+/* Up in the axes of the camera, from the horizon's pitch and the roll about the optical axis. */
+static bool drone_gimbal(const struct drone_source *s, double up[3])
+{
+    static const char *const pitches[] = {"drone-dji:GimbalPitchDegree",
+                                          "drone-autel:GimbalPitchDegree",
+                                          "drone-parrot:CameraPitchDegree", NULL},
+                             *const rolls[] = {"drone-dji:GimbalRollDegree",
+                                               "drone-autel:GimbalRollDegree",
+                                               "drone-parrot:CameraRollDegree", NULL};
+    double pitch, roll;
+    if (!drone_number(s, pitches, -180, 180, &pitch) || !drone_number(s, rolls, -360, 360, &roll))
+        return false;
+    up[0] = -sin(drone_rad * roll) * cos(drone_rad * pitch);
+    up[1] = -cos(drone_rad * roll) * cos(drone_rad * pitch);
+    up[2] = sin(drone_rad * pitch);
+    return true;
+}
+
+/* The same by Pix4D's tags: v = Rz(yaw) Ry(pitch) Rx(roll) in north-east-down, of a body whose x is
+ * the top of the picture and whose z is the optical axis. */
+static bool drone_body(const struct drone_source *s, double up[3])
+{
+    static const char *const pitches[] = {"Camera:Pitch", NULL}, *const rolls[] = {"Camera:Roll",
+                                                                                   NULL};
+    double pitch, roll;
+    if (!drone_number(s, pitches, -180, 180, &pitch) || !drone_number(s, rolls, -360, 360, &roll))
+        return false;
+    up[0] = -cos(drone_rad * pitch) * sin(drone_rad * roll);
+    up[1] = -sin(drone_rad * pitch);
+    up[2] = -cos(drone_rad * pitch) * cos(drone_rad * roll);
+    return true;
+}
+
+static bool drone_says(const struct drone_source *s, const char *name, const char *word)
+{
+    char text[DRONE_TEXT_MAX];
+    return s->get(s->user, name, text, sizeof text) && !strcasecmp(text, word);
+}
+
+void drone_read(bool (*get)(const void *user, const char *name, char *text, size_t room),
+                const void *user, struct drone_meta *out)
+{
+    static const char *const relative[] = {"drone-dji:RelativeAltitude",
+                                           "drone-autel:RelativeAltitude",
+                                           "drone-skydio:RelativeAltitude",
+                                           "Camera:AboveGroundAltitude", NULL},
+                             *const absolute[] = {"drone-dji:AbsoluteAltitude",
+                                                  "drone-autel:AbsoluteAltitude",
+                                                  "drone-skydio:AbsoluteAltitude", NULL},
+                             *const flag[] = {"drone-dji:RtkFlag", NULL};
+    const struct drone_source s = {get, user};
+    double rtk = 0;
+    *out = (struct drone_meta){0};
+    out->has_relative = drone_number(&s, relative, -2000, 20000, &out->relative_m);
+    out->has_absolute = drone_number(&s, absolute, -1000, 20000, &out->absolute_m);
+    out->has_up = drone_gimbal(&s, out->up_cam) || drone_body(&s, out->up_cam);
+    /* 50: carrier phases are resolved. A base or a network gives places on the ellipsoid. */
+    (void)drone_number(&s, flag, 0, 1000, &rtk);
+    out->ellipsoidal = rtk == 50 || drone_says(&s, "drone-dji:AltitudeType", "RtkAlt") ||
+                       drone_says(&s, "Camera:VerticalCS", "ellipsoidal");
+}
