@@ -33,6 +33,9 @@ bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px
  * routes. */
 bool answer_map(struct services *s, const struct request *r, struct dataset *d,
                 const struct target *t, struct response *out);
+/* answer_map.c: false, with the problem set, where nothing was surveyed: there are no maps then and
+ * no heights. */
+bool answer_is_surveyed(const struct dataset *d, struct response *out);
 /* answer_query.c: questions about the surface; false for other routes. */
 bool answer_query(struct services *s, const struct request *r, struct dataset *d,
                   const struct target *t, struct response *out);

@@ -11,16 +11,22 @@
 #include "server/map_document.h"
 #include "server/result_id.h"
 
+bool answer_is_surveyed(const struct dataset *d, struct response *out)
+{
+    if (!d->area.in)
+        response_problem(out, 404,
+                         "nothing of this dataset was surveyed: it has no maps and no heights");
+    return d->area.in != NULL;
+}
+
 /* False, with the answer set, where there is nothing to draw. */
 static bool answer_map_there(struct services *s, const struct dataset *d, const struct target *t,
                              struct response *out)
 {
     char text[160];
     int most = raster_zoom_max(&d->area) + RASTER_ZOOM_OVER;
-    if (!d->area.in) {
-        response_problem(out, 404, "nothing of this dataset was surveyed: it has no maps");
+    if (!answer_is_surveyed(d, out))
         return false;
-    }
     if (t->key.z > most) {
         snprintf(text, sizeof text,
                  "tiles end at zoom %d, where pixels are finer than what was "
@@ -79,10 +85,8 @@ static void answer_map_document(struct services *s, const struct request *r, str
     struct appearance_choice choice;
     char edition[9];
     bool wmts = t->route == ROUTE_WMTS;
-    if (!d->area.in) {
-        response_problem(out, 404, "nothing of this dataset was surveyed: it has no maps");
+    if (!answer_is_surveyed(d, out))
         return;
-    }
     if (t->route != ROUTE_TERRAINJSON && !answer_find_appearance(d, t->appearance, &choice, out))
         return;
     response_edition(s, d, t->route, edition);

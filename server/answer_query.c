@@ -63,10 +63,8 @@ bool answer_query(struct services *s, const struct request *r, struct dataset *d
     char device[160];
     if (!answer_query_kind(t->route, &kind))
         return false;
-    if (!d->area.in) {
-        response_problem(out, 404, "nothing of this dataset was surveyed");
+    if (!answer_is_surveyed(d, out))
         return true;
-    }
     struct query *q = mem_array(1, sizeof *q);
     enum err_code rc =
         q ? answer_query_read(r, d, t, kind, q, &e) : err_set(&e, ERR_MEM, "out of memory");
