@@ -27,17 +27,18 @@ enum err_code ask_place(const char *text, double out[2], struct err *e)
     return ERR_OK;
 }
 
-enum err_code ask_print(const struct ask_options *o, const struct query *q, struct err *e)
+enum err_code ask_print(const char *store, const struct ask_options *o, const struct query *q,
+                        struct err *e)
 {
     struct nadir_options no = {.device = o->device};
     struct geoid *geoid = NULL;
     struct nadir *n = NULL;
     json_t *answer = NULL;
-    enum err_code rc = maps_number("--ceiling-m", o->ceiling, &no.ceiling_m, e);
+    enum err_code rc = maps_number("--ceiling-m", o->ceiling_m, &no.ceiling_m, e);
     if (!rc && o->geoid)
         rc = geoid_open(o->geoid, o->geoid_dir, &geoid, e);
     if (!rc)
-        rc = nadir_open(o->store, &no, &n, e);
+        rc = nadir_open(store, &no, &n, e);
     if (!rc)
         rc = query_answer(n, geoid, q, &answer, e);
     if (!rc) {

@@ -6,15 +6,20 @@
 #ifndef CLI_ASK_H
 #define CLI_ASK_H
 
+#include "core/options.h"
 #include "lod/query.h"
 
 struct ask_options {
-    const char *store, *ceiling, *device, *geoid, *geoid_dir; /* but the store NULL: not given */
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/ask.def"
+#include "cli/geoid.def"
+#undef OPT
 };
 /* LON,LAT. ERR_ARG says what is expected. */
 enum err_code ask_place(const char *text, double out[2], struct err *e) ERR_USE;
 /* Ask and print. ERR_ARG: a question without an answer; else as query_answer, nadir_open and
  * geoid_open. */
-enum err_code ask_print(const struct ask_options *o, const struct query *q, struct err *e) ERR_USE;
+enum err_code ask_print(const char *store, const struct ask_options *o, const struct query *q,
+                        struct err *e) ERR_USE;
 
 #endif

@@ -12,12 +12,19 @@
 #include "survey/change.h"
 
 struct compare_options {
+    struct maps_options maps;
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/compare.def"
 #undef OPT
 };
 
 static const struct options_def defs[] = {
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW_IN(struct compare_options, maps, type, key, def, lo, hi, unit, help)
+#include "cli/maps.def"
+#undef OPT
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, key, def, lo, hi, unit, help)                                                    \
     OPTIONS_ROW(struct compare_options, type, key, def, lo, hi, unit, help)
 #include "cli/compare.def"
@@ -31,22 +38,34 @@ static const struct options_spec spec = {
         "Draws two tile stores of one place from straight above and writes the heights of the "
         "later minus those of the earlier as a Cloud Optimized GeoTIFF. Prints one JSON object: "
         "volumes gained and lost, how colours differ, and how far the one lies from the other "
-        "as a whole.",
-    .example = "citysplat compare may.tiles june.tiles -o change.tif --gsd-m 0.25",
+        "as a whole, which --align corrects first.",
+    .example = "citysplat compare may.tiles june.tiles -o change.tif --gsd-m 0.25 --align",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,
     .min_args = 2,
     .max_args = 2};
 
+/* Not known: null. */
+static json_t *compare_pose(const struct change_pose *p)
+{
+    return json_pack("{s:o, s:o, s:o, s:o, s:o}", "east_m", jsonc_real(p->east_m), "north_m",
+                     jsonc_real(p->north_m), "up_m", jsonc_real(p->up_m), "tilt_east_mm_per_m",
+                     jsonc_real(1000 * p->tilt_east), "tilt_north_mm_per_m",
+                     jsonc_real(1000 * p->tilt_north));
+}
+
 static enum err_code compare_print(const char *output, const struct change_report *r, struct err *e)
 {
-    json_t *o =
-        json_pack("{s:s, s:s, s:i, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:{s:f, s:f, s:f}}",
-                  "map", output, "units", "m", "epsg", r->grid.epsg, "pixel_m", r->grid.pixel_m,
-                  "compared_area_m2", (double)r->pixels * r->pixel_m2, "mean_m", r->mean_m,
-                  "median_m", r->median_m, "spread_m", r->spread_m, "changed_share",
-                  r->changed_share, "gained_m3", r->gained_m3, "lost_m3", r->lost_m3, "color_rms",
-                  r->color, "shift_m", "east", r->east_m, "north", r->north_m, "up", r->up_m);
+    json_t *o = json_pack(
+        "{s:s, s:s, s:i, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:o, s:b}", "map", output,
+        "units", "m", "epsg", r->grid.epsg, "pixel_m", r->grid.pixel_m, "compared_area_m2",
+        (double)r->pixels * r->pixel_m2, "mean_m", r->mean_m, "median_m", r->median_m, "spread_m",
+        r->spread_m, "changed_share", r->changed_share, "gained_m3", r->gained_m3, "lost_m3",
+        r->lost_m3, "color_rms", r->color, "shift", compare_pose(&r->pose), "aligned", r->aligned);
+    if (o && r->aligned) {
+        json_object_set_new(o, "rounds", json_integer(r->rounds));
+        json_object_set_new(o, "shift_left", compare_pose(&r->left));
+    }
     if (!o)
         return err_set(e, ERR_MEM, "compare: out of memory");
     json_dumpf(o, stdout, JSON_INDENT(2) | JSON_REAL_PRECISION(6));
@@ -60,30 +79,24 @@ enum err_code cli_compare(int argc, char **argv, struct err *e)
     struct compare_options o = {0};
     struct options_args args;
     struct arena arena = {0};
-    struct nadir *n[2] = {NULL};
-    struct change_report report;
-    double bbox[4];
+    struct maps m[2] = {{0}, {0}};
+    struct change_report report = {0};
     enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
     bool run = !rc && !args.done;
-    if (run && !o.output)
-        rc = err_set(e, ERR_ARG, "-o is missing: where to write");
-    if (run && !rc && o.bbox)
-        rc = maps_bbox(o.bbox, bbox, e);
-    const struct nadir_options no = {.device = o.device, .ceiling_m = (double)NAN};
     for (size_t k = 0; run && !rc && k < 2; k++)
-        rc = nadir_open(args.arg[k], &no, &n[k], e);
-    const struct change_request request = {.epsg = (int)o.epsg,
-                                           .gsd_m = o.gsd_m,
-                                           .bbox_deg = o.bbox ? bbox : NULL,
-                                           .least_m = o.least_m};
-    if (run && !rc) {
-        signals_catch();
-        rc = change_write(n[0], n[1], &request, o.output, &report, e);
-    }
+        rc = maps_open(args.arg[k], &o.maps, NULL, NULL, &m[k], e);
+    const struct map_request *r = &m[0].request;
+    const struct change_request request = {.epsg = r->epsg,
+                                           .gsd_m = r->gsd_m,
+                                           .bbox_deg = r->bbox_deg,
+                                           .least_m = o.least_m,
+                                           .align = o.align};
     if (run && !rc)
-        rc = compare_print(o.output, &report, e);
-    nadir_close(&n[0]);
-    nadir_close(&n[1]);
+        rc = change_write(m[0].nadir, m[1].nadir, &request, o.maps.output, &report, e);
+    if (run && !rc)
+        rc = compare_print(o.maps.output, &report, e);
+    maps_close(&m[0]);
+    maps_close(&m[1]);
     arena_free(&arena);
     return rc;
 }

@@ -1,4 +1,4 @@
-/* What the commands that make maps share: see maps.h.
+/* What the commands that draw a store from straight above share: see maps.h.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -7,6 +7,8 @@
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
+
+#include "core/geo.h"
 
 enum err_code maps_number(const char *option, const char *text, double *out, struct err *e)
 {
@@ -20,7 +22,8 @@ enum err_code maps_number(const char *option, const char *text, double *out, str
                : err_set(e, ERR_ARG, "%s: '%s': a number is expected", option, text);
 }
 
-enum err_code maps_bbox(const char *text, double out[4], struct err *e)
+/* west,south,east,north of --bbox. ERR_ARG. */
+static enum err_code maps_bbox(const char *text, double out[4], struct err *e)
 {
     const char *p = text;
     for (size_t i = 0; i < 4; i++) {
@@ -41,36 +44,50 @@ enum err_code maps_bbox(const char *text, double out[4], struct err *e)
                          text);
 }
 
-enum err_code maps_make(enum geotiff_kind kind, const struct maps_options *o, struct err *e)
+enum err_code maps_open(const char *store, const struct maps_options *o,
+                        const struct geoid_options *g, const char *appearance, struct maps *out,
+                        struct err *e)
 {
-    struct nadir *n = NULL;
-    struct map_report report;
-    double bbox[4];
-    struct nadir_options no = {.device = o->device, .appearance = o->appearance};
-    const struct map_request request = {
-        .kind = kind, .epsg = o->epsg, .gsd_m = o->gsd_m, .bbox_deg = o->bbox ? bbox : NULL};
+    struct nadir_options no = {.device = o->device, .appearance = appearance};
     enum err_code rc = ERR_OK;
+    *out = (struct maps){0};
     signals_catch();
     if (!o->output)
         rc = err_set(e, ERR_ARG, "-o is missing: where to write");
     if (!rc && o->bbox)
-        rc = maps_bbox(o->bbox, bbox, e);
+        rc = maps_bbox(o->bbox, out->bbox, e);
     if (!rc)
-        rc = maps_number("--ceiling-m", o->ceiling, &no.ceiling_m, e);
+        rc = maps_number("--ceiling-m", o->ceiling_m, &no.ceiling_m, e);
+    if (!rc && g && g->geoid)
+        rc = geoid_open(g->geoid, g->geoid_dir, &out->geoid, e);
     if (!rc)
-        rc = nadir_open(o->store, &no, &n, e);
-    if (!rc)
-        rc = map_write(n, &request, o->output, &report, e);
-    nadir_close(&n);
+        rc = nadir_open(store, &no, &out->nadir, e);
+    out->request = (struct map_request){.epsg = (int)o->epsg,
+                                        .gsd_m = o->gsd_m,
+                                        .bbox_deg = o->bbox ? out->bbox : NULL,
+                                        .geoid = out->geoid};
     if (rc)
-        return rc;
-    double pixels = (double)report.grid.width * report.grid.height;
-    printf("%s: %u x %u px of %g m, EPSG:%d, %.1f %% with a surface", o->output, report.grid.width,
-           report.grid.height, report.grid.pixel_m, report.grid.epsg,
-           100 * (double)report.pixels_held / pixels);
-    if (kind == GEOTIFF_HEIGHT)
-        printf(", heights %.2f to %.2f m above the ellipsoid", report.height_min_m,
-               report.height_max_m);
-    printf("; %.1f s, %.2f Mpx/s\n", report.seconds, 1e-6 * pixels / report.seconds);
-    return ERR_OK;
+        maps_close(out);
+    return rc;
+}
+
+void maps_close(struct maps *m)
+{
+    nadir_close(&m->nadir);
+    geoid_close(&m->geoid);
+}
+
+void maps_print(const char *path, const struct map_report *r)
+{
+    double pixels = (double)r->grid.width * r->grid.height;
+    printf("%s: %u x %u px of %g m, EPSG:%d, %.1f %% with a surface; %.1f s, %.2f Mpx/s", path,
+           r->grid.width, r->grid.height, r->grid.pixel_m, r->grid.epsg,
+           100 * (double)r->pixels_held / pixels, r->seconds, 1e-6 * pixels / r->seconds);
+}
+
+void maps_print_heights(const struct maps *m, const struct map_report *r)
+{
+    char what[100];
+    map_heights(&m->request, what);
+    printf("; %s, %.2f to %.2f m", what, r->height_min_m, r->height_max_m);
 }

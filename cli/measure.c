@@ -2,25 +2,31 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include <math.h>
 #include <string.h>
-
-#include <jansson.h>
 
 #include "cli/ask.h"
 #include "cli/cli.h"
 #include "cli/maps.h"
+#include "codec/geojson.h"
 
 struct measure_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/measure.def"
 #undef OPT
+    struct ask_options ask;
 };
 
 static const struct options_def defs[] = {
 #define OPT(type, key, def, lo, hi, unit, help)                                                    \
     OPTIONS_ROW(struct measure_options, type, key, def, lo, hi, unit, help)
 #include "cli/measure.def"
+#undef OPT
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW_IN(struct measure_options, ask, type, key, def, lo, hi, unit, help)
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#include "cli/ask.def"
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#include "cli/geoid.def"
 #undef OPT
 };
 
@@ -37,35 +43,25 @@ static const struct options_spec spec = {
     .min_args = 1,
     .max_args = 1 + 15};
 
-/* The question of the server's /measure, with the polygon of a file. */
+/* The one polygon of the file. */
 static enum err_code measure_polygon_read(const struct measure_options *o, struct query *q,
                                           struct err *e)
 {
-    json_t *root = NULL, *ask = NULL;
-    double base_m;
-    enum err_code rc = maps_number("--base-m", o->base_m, &base_m, e);
+    struct geojson_area area = {0};
+    enum err_code rc = maps_number("--base-m", o->base_m, &q->base_m, e);
     if (!rc)
-        rc = jsonc_read(o->polygon, &root, e);
-    json_t *shape = json_object_get(root, "geometry");
-    shape = shape ? shape : root;
-    const char *type = json_string_value(json_object_get(shape, "type"));
-    json_t *rings = json_object_get(shape, "coordinates");
-    if (!rc && (!type || strcmp(type, "Polygon") || json_array_size(rings) != 1))
-        rc = err_set(e, ERR_ARG,
-                     "%s: a GeoJSON Polygon, or a Feature with one, of one ring is expected, in "
-                     "longitude and latitude",
-                     o->polygon);
-    if (!rc)
-        ask = json_pack("{s:O}", "polygon", json_array_get(rings, 0));
-    if (ask && isfinite(base_m))
-        json_object_set_new(ask, "base", json_real(base_m));
-    if (!rc && query_read(QUERY_MEASURE, ask, NULL, q, e)) {
-        err_add(e, "%s", o->polygon);
-        rc = ERR_ARG;
-    }
-    json_decref(ask);
-    json_decref(root);
-    return rc;
+        rc = geojson_read(o->polygon, &area, e);
+    if (!rc && area.n_rings != 1)
+        rc = err_set(e, ERR_ARG, "%s: %zu polygons of %zu rings: one of one ring is measured",
+                     o->polygon, area.n_polygons, area.n_rings);
+    if (!rc && area.n > QUERY_PLACES_MAX)
+        rc = err_set(e, ERR_ARG, "%s: a polygon of %zu corners: at most %d", o->polygon, area.n,
+                     QUERY_PLACES_MAX);
+    q->ring = 1;
+    for (size_t i = 0; !rc && i < area.n; i++)
+        memcpy(q->place[q->n++], area.edges[i].from, sizeof q->place[0]);
+    geojson_free(&area);
+    return rc == ERR_DATA ? ERR_ARG : rc; /* the question's fault */
 }
 
 enum err_code cli_measure(int argc, char **argv, struct err *e)
@@ -83,10 +79,8 @@ enum err_code cli_measure(int argc, char **argv, struct err *e)
     if (run && !rc && o.polygon)
         rc = measure_polygon_read(&o, &q, e);
     q.gsd_m = o.gsd_m;
-    const struct ask_options ask = {run ? args.arg[0] : NULL, o.ceiling_m, o.device, o.geoid,
-                                    o.geoid_dir};
     if (run && !rc)
-        rc = ask_print(&ask, &q, e);
+        rc = ask_print(args.arg[0], &o.ask, &q, e);
     arena_free(&arena);
     return rc;
 }

@@ -2,16 +2,24 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <stdio.h>
+
 #include "cli/cli.h"
 #include "cli/maps.h"
 
 struct ortho_options {
+    struct maps_options maps;
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/ortho.def"
 #undef OPT
 };
 
 static const struct options_def defs[] = {
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW_IN(struct ortho_options, maps, type, key, def, lo, hi, unit, help)
+#include "cli/maps.def"
+#undef OPT
 #define GROUP(title) OPTIONS_GROUP_ROW(title)
 #define OPT(type, key, def, lo, hi, unit, help)                                                    \
     OPTIONS_ROW(struct ortho_options, type, key, def, lo, hi, unit, help)
@@ -38,18 +46,20 @@ enum err_code cli_ortho(int argc, char **argv, struct err *e)
     struct ortho_options o = {0};
     struct options_args args;
     struct arena arena = {0};
+    struct maps m = {0};
     enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
-    if (!rc && !args.done) {
-        const struct maps_options m = {.store = args.arg[0],
-                                       .output = o.output,
-                                       .bbox = o.bbox,
-                                       .ceiling = o.ceiling_m,
-                                       .appearance = o.appearance,
-                                       .device = o.device,
-                                       .epsg = (int)o.epsg,
-                                       .gsd_m = o.gsd_m};
-        rc = maps_make(GEOTIFF_COLOR, &m, e);
+    bool run = !rc && !args.done;
+    if (run)
+        rc = maps_open(args.arg[0], &o.maps, NULL, o.appearance, &m, e);
+    struct map_report r = {0};
+    m.request.kind = GEOTIFF_COLOR;
+    if (run && !rc)
+        rc = map_write(m.nadir, &m.request, o.maps.output, &r, e);
+    if (run && !rc) {
+        maps_print(o.maps.output, &r);
+        printf("\n");
     }
+    maps_close(&m);
     arena_free(&arena);
     return rc;
 }

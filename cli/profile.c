@@ -9,12 +9,20 @@ struct profile_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
 #include "cli/profile.def"
 #undef OPT
+    struct ask_options ask;
 };
 
 static const struct options_def defs[] = {
 #define OPT(type, key, def, lo, hi, unit, help)                                                    \
     OPTIONS_ROW(struct profile_options, type, key, def, lo, hi, unit, help)
 #include "cli/profile.def"
+#undef OPT
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW_IN(struct profile_options, ask, type, key, def, lo, hi, unit, help)
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#include "cli/ask.def"
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#include "cli/geoid.def"
 #undef OPT
 };
 
@@ -40,10 +48,8 @@ enum err_code cli_profile(int argc, char **argv, struct err *e)
     q.step_m = o.step_m;
     for (size_t i = 1; !rc && !args.done && i < args.n; i++) /* before the store is opened */
         rc = ask_place(args.arg[i], q.place[q.n++], e);
-    const struct ask_options ask = {rc || args.done ? NULL : args.arg[0], o.ceiling_m, o.device,
-                                    o.geoid, o.geoid_dir};
     if (!rc && !args.done)
-        rc = ask_print(&ask, &q, e);
+        rc = ask_print(args.arg[0], &o.ask, &q, e);
     arena_free(&arena);
     return rc;
 }

@@ -9,18 +9,25 @@
 #include <string.h>
 
 enum { CHANGE_BINS = 200001 /* of a centimetre, -1000 to 1000 m */ };
-static const double bin_m = 0.01, shift_most_m = 2;
+/* Of alignment: it has converged within 0.02 px and 2 mm; each round explains about two thirds of
+ * what is left, for edges are steeper than the limit of slopes. Rounds draw at most so many pieces,
+ * spread over the map. */
+enum { CHANGE_ROUNDS_MAX = 12, CHANGE_ROUND_PIECES = 256, CHANGE_UNKNOWNS = 5 };
+static const double bin_m = 0.01, shift_most_m = 2, settled_px = 0.02, settled_m = 0.002,
+                    tilt_unit_m = 100;
 
 struct change_job {
     struct nadir *nadir[2]; /* earlier, later */
     const struct crs *crs;
     struct map_grid grid;
-    struct geotiff *out;
+    struct geotiff *out;     /* NULL: a round, nothing is written */
+    struct change_pose pose; /* the later is drawn as if it did not lie so */
+    uint64_t stride;         /* every which piece is drawn */
     float *height[2], *rgb[2];
     uint8_t *in[2];
     uint64_t *histogram; /* [CHANGE_BINS] */
     double least_m, off_px, sum_m, color2, px_m2;
-    double normal[3][4]; /* of the shift */
+    double normal[CHANGE_UNKNOWNS][CHANGE_UNKNOWNS + 1]; /* of the pose */
     struct change_report r;
 };
 
@@ -36,20 +43,29 @@ static void change_count(struct change_job *j, double d)
     *(d > 0 ? &j->r.gained_m3 : &j->r.lost_m3) += fabs(d) * j->px_m2;
 }
 
-/* d = up - slope_e east - slope_n north. */
-static void change_shift(struct change_job *j, double d, double slope_e, double slope_n)
+/* d = up - slope_e east - slope_n north + tilt_e x + tilt_n y; x, y from the middle of the map. */
+static void change_shift(struct change_job *j, double d, double slope_e, double slope_n, double x,
+                         double y)
 {
-    const double row[3] = {-slope_e, -slope_n, 1};
+    const double row[CHANGE_UNKNOWNS] = {1, x / tilt_unit_m, y / tilt_unit_m, -slope_e, -slope_n};
     if (!isfinite(slope_e + slope_n) || !(fabs(d) < shift_most_m) || hypot(slope_e, slope_n) > 2)
         return;
-    for (size_t r = 0; r < 3; r++) {
-        for (size_t c = 0; c < 3; c++)
+    for (size_t r = 0; r < CHANGE_UNKNOWNS; r++) {
+        for (size_t c = 0; c < CHANGE_UNKNOWNS; c++)
             j->normal[r][c] += row[r] * row[c];
-        j->normal[r][3] += row[r] * d;
+        j->normal[r][CHANGE_UNKNOWNS] += row[r] * d;
     }
 }
 
-static void change_pixels(struct change_job *j, const struct nadir_piece *p, float *out)
+/* Metres of the projection from the middle of the map to that of pixel (u, v) of a piece. */
+static void change_middle(const struct map_grid *g, double u, double v, double at[2])
+{
+    at[0] = (u + 0.5 - 0.5 * g->width) * g->pixel_m;
+    at[1] = (0.5 * g->height - v - 0.5) * g->pixel_m;
+}
+
+static void change_pixels(struct change_job *j, const struct nadir_piece *p, uint32_t left,
+                          uint32_t top, float *out)
 {
     size_t w = p->width;
     double dx = 2 / p->px_per_m_x, dy = 2 / p->px_per_m_y;
@@ -58,10 +74,12 @@ static void change_pixels(struct change_job *j, const struct nadir_piece *p, flo
         for (size_t x = 0; x < w; x++) {
             size_t i = y * w + x;
             const float *a = j->height[0] + i;
-            double d = (double)j->height[1][i] - (double)*a;
+            double at[2], d = (double)j->height[1][i] - (double)*a;
             out[i] = GEOTIFF_NODATA;
             if (!j->in[0][i] || !j->in[1][i] || !isfinite(d))
                 continue;
+            change_middle(&j->grid, (double)(left + x), (double)(top + y), at);
+            d -= j->pose.up_m + j->pose.tilt_east * at[0] + j->pose.tilt_north * at[1];
             out[i] = (float)d;
             change_count(j, d);
             for (size_t k = 0; k < 3; k++) {
@@ -70,27 +88,49 @@ static void change_pixels(struct change_job *j, const struct nadir_piece *p, flo
             }
             if (x > 0 && y > 0 && x + 1 < w && y + 1 < p->height) /* right is east, nearly */
                 change_shift(j, d, ((double)a[1] - (double)a[-1]) / dx,
-                             ((double)*(a - w) - (double)a[w]) / dy);
+                             ((double)*(a - w) - (double)a[w]) / dy, at[0], at[1]);
         }
+}
+
+/* The same piece of the later, which lies east_m and north_m away. */
+static enum err_code change_move(const struct change_job *j, struct nadir_piece *p,
+                                 double corner[8], struct err *e)
+{
+    const struct geo_origin here = {p->lon_deg, p->lat_deg, 0};
+    const double by[3] = {j->pose.east_m, j->pose.north_m, 0};
+    double from[2], to[2], h_m;
+    key_place(p->lon_deg, p->lat_deg, from);
+    enum err_code rc = geo_from_enu(&here, by, &p->lon_deg, &p->lat_deg, &h_m, e);
+    if (rc)
+        return rc;
+    key_place(p->lon_deg, p->lat_deg, to);
+    for (size_t i = 0; i < 8; i++)
+        corner[i] += to[i % 2] - from[i % 2];
+    return ERR_OK;
 }
 
 static enum err_code change_piece(struct change_job *j, uint32_t x, uint32_t y, struct err *e)
 {
     const struct map_grid *g = &j->grid;
     struct nadir_piece p = {.width = g->width - x < MAP_PIECE_PX ? g->width - x : MAP_PIECE_PX,
-                            .height = g->height - y < MAP_PIECE_PX ? g->height - y : MAP_PIECE_PX};
+                            .height = g->height - y < MAP_PIECE_PX ? g->height - y : MAP_PIECE_PX},
+                       moved;
     double corner[8];
     enum err_code rc = map_place(j->nadir[0], j->crs, g, x, y, &p, corner, &j->off_px, e);
-    for (size_t k = 0; !rc && k < 2; k++)
-        if (!area_mask(nadir_area(j->nadir[k]), corner, p.width, p.height, j->in[k]))
-            return ERR_OK;
-    for (size_t k = 0; !rc && k < 2; k++)
-        rc = nadir_draw(j->nadir[k], &p, j->rgb[k], j->height[k], e);
+    if (rc || !area_mask(nadir_area(j->nadir[0]), corner, p.width, p.height, j->in[0]))
+        return rc;
+    moved = p;
+    rc = change_move(j, &moved, corner, e);
+    if (rc || !area_mask(nadir_area(j->nadir[1]), corner, p.width, p.height, j->in[1]))
+        return rc;
+    rc = nadir_draw(j->nadir[0], &p, j->rgb[0], j->height[0], e);
+    if (!rc)
+        rc = nadir_draw(j->nadir[1], &moved, j->rgb[1], j->height[1], e);
     if (rc)
         return rc;
     float *out = j->height[1]; /* in place: each pixel is read before it is written */
-    change_pixels(j, &p, out);
-    return geotiff_write(j->out, x, y, p.width, p.height, out, e);
+    change_pixels(j, &p, x, y, out);
+    return j->out ? geotiff_write(j->out, x, y, p.width, p.height, out, e) : ERR_OK;
 }
 
 /* The centimetre below which a share of all differences lies. */
@@ -116,23 +156,29 @@ static double change_spread(const struct change_job *j)
     return 0;
 }
 
-static void change_solve(struct change_job *j)
+static struct change_pose change_solve(struct change_job *j)
 {
-    double(*m)[4] = j->normal;
-    for (size_t r = 0; r < 3; r++) {
-        if (!(fabs(m[r][r]) > 1e-9)) { /* level ground: the plan is not known */
-            m[r][r] = 1;
-            m[r][3] = 0;
-        }
-        for (size_t k = 0; k < 3; k++) {
+    enum { N = CHANGE_UNKNOWNS };
+    double(*m)[N + 1] = j->normal, got[N], whole[N];
+    if (fabs(j->r.median_m) > 0.5 * shift_most_m)
+        return (struct change_pose){(double)NAN, (double)NAN, j->r.median_m, (double)NAN,
+                                    (double)NAN};
+    for (size_t r = 0; r < N; r++)
+        whole[r] = m[r][r];
+    for (size_t r = 0; r < N; r++) {
+        /* Nothing left of a row: level ground does not tell the plan, one column no tilt. */
+        bool known = m[r][r] > 1e-9 * whole[r] && m[r][r] > 1e-9;
+        for (size_t c = 0; !known && c <= N; c++)
+            m[r][c] = c == r;
+        for (size_t k = 0; k < N; k++) {
             double f = k == r ? 0 : m[k][r] / m[r][r];
-            for (size_t c = r; c < 4; c++)
+            for (size_t c = r; c <= N; c++)
                 m[k][c] -= f * m[r][c];
         }
     }
-    j->r.east_m = m[0][3] / m[0][0];
-    j->r.north_m = m[1][3] / m[1][1];
-    j->r.up_m = m[2][3] / m[2][2];
+    for (size_t r = 0; r < N; r++)
+        got[r] = m[r][N] / m[r][r];
+    return (struct change_pose){got[3], got[4], got[0], got[1] / tilt_unit_m, got[2] / tilt_unit_m};
 }
 
 static enum err_code change_room(struct change_job *j, struct err *e)
@@ -148,28 +194,33 @@ static enum err_code change_room(struct change_job *j, struct err *e)
     return ok ? ERR_OK : err_set(e, ERR_MEM, "out of memory for a piece of %d px", MAP_PIECE_PX);
 }
 
-static enum err_code change_draw(struct change_job *j, struct err *e)
+static void change_forget(struct change_job *j)
+{
+    j->r = (struct change_report){0};
+    j->sum_m = j->color2 = 0;
+    memset(j->normal, 0, sizeof j->normal);
+    memset(j->histogram, 0, CHANGE_BINS * sizeof *j->histogram);
+}
+
+/* Draw both, from the start. */
+static enum err_code change_draw(struct change_job *j, const char *what, struct err *e)
 {
     struct progress bar;
-    uint64_t done = 0, rows = (j->grid.height + MAP_PIECE_PX - 1) / MAP_PIECE_PX;
-    enum err_code rc = change_room(j, e);
-    progress_start(&bar, "compare, rows", rows);
+    uint64_t done = 0, k = 0, rows = (j->grid.height + MAP_PIECE_PX - 1) / MAP_PIECE_PX;
+    enum err_code rc = ERR_OK;
+    change_forget(j);
+    progress_start(&bar, what, rows);
     for (uint32_t y = 0; !rc && y < j->grid.height; y += MAP_PIECE_PX) {
         for (uint32_t x = 0; !rc && x < j->grid.width; x += MAP_PIECE_PX) {
-            rc = change_piece(j, x, y, e);
+            rc = k++ % j->stride ? ERR_OK : change_piece(j, x, y, e);
             if (!rc && signals_stopping())
                 rc = err_set(e, ERR_CANCEL, "stopped");
         }
         progress_step(&bar, ++done, NULL);
     }
     progress_end(&bar, NULL);
-    if (!rc && !j->r.pixels)
-        rc = err_set(e, ERR_ARG, "the two were not surveyed in one place: nothing to compare");
-    return rc;
-}
-
-static void change_tell(struct change_job *j)
-{
+    if (rc || !j->r.pixels)
+        return rc;
     double n = (double)j->r.pixels;
     j->r.grid = j->grid;
     j->r.pixel_m2 = j->px_m2;
@@ -178,7 +229,50 @@ static void change_tell(struct change_job *j)
     j->r.spread_m = change_spread(j);
     j->r.changed_share /= n;
     j->r.color = sqrt(j->color2 / n);
-    change_solve(j);
+    j->r.pose = change_solve(j);
+    return ERR_OK;
+}
+
+/* Add what a round found. Returns whether that was next to nothing. */
+static bool change_step(struct change_job *j)
+{
+    const struct change_pose *by = &j->r.pose;
+    struct change_pose *p = &j->pose;
+    p->up_m += by->up_m;
+    if (!isfinite(by->east_m))
+        return false;
+    p->east_m += by->east_m;
+    p->north_m += by->north_m;
+    p->tilt_east += by->tilt_east;
+    p->tilt_north += by->tilt_north;
+    double half_m = 0.5 * fmax(j->grid.width, j->grid.height) * j->grid.pixel_m;
+    return hypot(by->east_m, by->north_m) < settled_px * j->grid.pixel_m &&
+           fabs(by->up_m) + half_m * hypot(by->tilt_east, by->tilt_north) < settled_m;
+}
+
+static enum err_code change_align(struct change_job *j, uint32_t *rounds, struct err *e)
+{
+    uint64_t pieces = (uint64_t)((j->grid.width + MAP_PIECE_PX - 1) / MAP_PIECE_PX) *
+                      ((j->grid.height + MAP_PIECE_PX - 1) / MAP_PIECE_PX);
+    enum err_code rc = ERR_OK;
+    bool settled = false;
+    j->stride = (pieces + CHANGE_ROUND_PIECES - 1) / CHANGE_ROUND_PIECES;
+    /* Neighbours in a row and in a column alike. */
+    while (j->stride > 1 && ((j->grid.width + MAP_PIECE_PX - 1) / MAP_PIECE_PX) % j->stride == 0)
+        j->stride++;
+    for (*rounds = 0; !rc && !settled && *rounds < CHANGE_ROUNDS_MAX; ++*rounds) {
+        rc = change_draw(j, "align, rows", e);
+        settled = !rc && (!j->r.pixels || change_step(j));
+    }
+    j->stride = 1;
+    if (!rc && hypot(j->pose.east_m, j->pose.north_m) > 100 * j->grid.pixel_m)
+        rc =
+            err_set(e, ERR_DATA,
+                    "the later cannot be brought onto the earlier: after %u rounds it is %.1f m "
+                    "east, %.1f m north and %.1f m up; compare them without --align, or place them "
+                    "with ground control",
+                    *rounds, j->pose.east_m, j->pose.north_m, j->pose.up_m);
+    return rc;
 }
 
 enum err_code change_write(struct nadir *earlier, struct nadir *later,
@@ -193,7 +287,9 @@ enum err_code change_write(struct nadir *earlier, struct nadir *later,
     const struct store_meta *ma = store_info(nadir_store(earlier)),
                             *mb = store_info(nadir_store(later));
     struct change_job j = {.nadir = {earlier, later},
+                           .stride = 1,
                            .least_m = r->least_m > 0 ? r->least_m : CHANGE_LEAST_M};
+    uint32_t rounds = 0;
     struct crs *crs = NULL;
     for (size_t k = 0; k < 4; k++)
         box[k] = !r->bbox_deg ? both[k]
@@ -210,16 +306,36 @@ enum err_code change_write(struct nadir *earlier, struct nadir *later,
     j.crs = crs;
     snprintf(source, sizeof source, "%s %s minus %s %s", mb->name, mb->revision, ma->name,
              ma->revision);
-    const struct geotiff_info info = {crs,          j.grid.west_m, j.grid.north_m,  j.grid.pixel_m,
-                                      j.grid.width, j.grid.height, mb->attribution, source};
-    rc = geotiff_create(path, GEOTIFF_HEIGHT, &info, &j.out, e);
+    const struct geotiff_info info = {crs,
+                                      j.grid.west_m,
+                                      j.grid.north_m,
+                                      j.grid.pixel_m,
+                                      j.grid.width,
+                                      j.grid.height,
+                                      mb->attribution,
+                                      source,
+                                      r->align ? "height of the later, moved onto the earlier, "
+                                                 "minus that of the earlier"
+                                               : "height of the later minus that of the earlier",
+                                      false};
+    rc = change_room(&j, e);
+    if (!rc && r->align)
+        rc = change_align(&j, &rounds, e);
     if (!rc)
-        rc = change_draw(&j, e);
+        rc = geotiff_create(path, GEOTIFF_HEIGHT, &info, &j.out, e);
+    if (!rc)
+        rc = change_draw(&j, "compare, rows", e);
+    if (!rc && !j.r.pixels)
+        rc = err_set(e, ERR_ARG, "the two were not surveyed in one place: nothing to compare");
     if (!rc)
         rc = geotiff_commit(&j.out, e);
     if (!rc) {
-        change_tell(&j);
         *report = j.r;
+        report->aligned = r->align;
+        report->rounds = rounds;
+        report->left = j.r.pose;
+        if (r->align)
+            report->pose = j.pose;
     }
     geotiff_close(&j.out);
     crs_close(&crs);

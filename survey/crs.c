@@ -5,7 +5,10 @@
 #include "survey/crs.h"
 
 #include <math.h>
+#include <stdio.h>
+#include <string.h>
 
+#include <gdal/cpl_conv.h>
 #include <gdal/cpl_error.h>
 #include <gdal/ogr_srs_api.h>
 
@@ -13,7 +16,7 @@
 
 struct crs {
     int epsg;
-    OGRSpatialReferenceH wgs84, plane;
+    OGRSpatialReferenceH wgs84, plane, compound; /* compound: NULL without heights */
     OGRCoordinateTransformationH to, from;
 };
 
@@ -85,6 +88,8 @@ void crs_close(struct crs **cp)
         OSRDestroySpatialReference(c->wgs84);
     if (c->plane)
         OSRDestroySpatialReference(c->plane);
+    if (c->compound)
+        OSRDestroySpatialReference(c->compound);
     mem_free(c);
     *cp = NULL;
 }
@@ -99,17 +104,77 @@ const void *crs_handle(const struct crs *c)
     return c->plane;
 }
 
+int crs_vertical(const char *geoid)
+{
+    static const struct {
+        const char *name;
+        int epsg;
+    } models[] = {{"egm84", 5798}, {"egm96", 5773}, {"egm2008", 3855}};
+    size_t n = strcspn(geoid, "-"); /* what follows is the spacing of its grid, minutes */
+    for (size_t i = 0; i < sizeof models / sizeof *models; i++)
+        if (strlen(models[i].name) == n && !memcmp(models[i].name, geoid, n))
+            return models[i].epsg;
+    return 0;
+}
+
+enum err_code crs_set_vertical(struct crs *c, int epsg, struct err *e)
+{
+    OGRSpatialReferenceH up = crs_reference(epsg), both = OSRNewSpatialReference(NULL);
+    const char *name = up ? OSRGetName(up) : NULL;
+    char text[200];
+    enum err_code rc = ERR_OK;
+    if (!both)
+        rc = err_set(e, ERR_MEM, "EPSG:%d: out of memory", epsg);
+    else if (!name || !OSRIsVertical(up))
+        rc = err_set(e, ERR_IO, "EPSG:%d: PROJ's database has no such heights", epsg);
+    if (!rc)
+        snprintf(text, sizeof text, "%s + %s", OSRGetName(c->plane), name);
+    if (!rc && OSRSetCompoundCS(both, text, c->plane, up) != OGRERR_NONE)
+        rc = err_set(e, ERR_IO, "EPSG:%d + EPSG:%d: %s", c->epsg, epsg, CPLGetLastErrorMsg());
+    if (up)
+        OSRDestroySpatialReference(up);
+    if (rc && both)
+        OSRDestroySpatialReference(both);
+    if (rc)
+        return rc;
+    OSRSetAxisMappingStrategy(both, OAMS_TRADITIONAL_GIS_ORDER);
+    if (c->compound)
+        OSRDestroySpatialReference(c->compound);
+    c->compound = both;
+    return ERR_OK;
+}
+
+const void *crs_with_heights(const struct crs *c)
+{
+    return c->compound ? c->compound : c->plane;
+}
+
+enum err_code crs_wkt(const struct crs *c, char **out, struct err *e)
+{
+    char *text = NULL;
+    OGRSpatialReferenceH r = (OGRSpatialReferenceH)(uintptr_t)crs_with_heights(c);
+    *out = OSRExportToWkt(r, &text) == OGRERR_NONE && text ? mem_text(text) : NULL;
+    CPLFree(text);
+    return *out ? ERR_OK : err_set(e, ERR_MEM, "EPSG:%d: out of memory for its text", c->epsg);
+}
+
 static enum err_code crs_apply(const struct crs *c, OGRCoordinateTransformationH t, size_t n,
                                double *x, double *y, struct err *e)
 {
-    for (size_t i = 0; i < n; i++) {
-        double x0 = x[i], y0 = y[i];
+    enum { BATCH = 256 };
+    for (size_t from = 0; from < n; from += BATCH) {
+        double x0[BATCH], y0[BATCH];
+        int ok[BATCH];
+        size_t many = n - from < BATCH ? n - from : BATCH;
+        memcpy(x0, x + from, many * sizeof *x0);
+        memcpy(y0, y + from, many * sizeof *y0);
         CPLPushErrorHandler(CPLQuietErrorHandler);
-        int ok = OCTTransform(t, 1, x + i, y + i, NULL);
+        OCTTransformEx(t, (int)many, x + from, y + from, NULL, ok);
         CPLPopErrorHandler();
-        if (!ok || !isfinite(x[i]) || !isfinite(y[i]))
-            return err_set(e, ERR_ARG, "EPSG:%d: it does not reach the place %.9g %.9g", c->epsg,
-                           x0, y0);
+        for (size_t i = 0; i < many; i++)
+            if (!ok[i] || !isfinite(x[from + i]) || !isfinite(y[from + i]))
+                return err_set(e, ERR_ARG, "EPSG:%d: it does not reach the place %.9g %.9g",
+                               c->epsg, x0[i], y0[i]);
     }
     return ERR_OK;
 }

@@ -18,6 +18,16 @@ enum err_code crs_open(int epsg, struct crs **out, struct err *e) ERR_USE;
 void crs_close(struct crs **c);
 int crs_epsg(const struct crs *c);
 const void *crs_handle(const struct crs *c); /* OGRSpatialReferenceH, borrowed */
+/* The EPSG code of heights above sea level by a model of GeographicLib ("egm96-5" is 5773); 0:
+ * there is none. */
+int crs_vertical(const char *geoid);
+/* Heights are those of this code: crs_with_heights is compound from now on. ERR_IO: PROJ does not
+ * know the code; ERR_MEM. */
+enum err_code crs_set_vertical(struct crs *c, int epsg, struct err *e) ERR_USE;
+/* As crs_handle, with its heights where they were set. */
+const void *crs_with_heights(const struct crs *c);
+/* The same as OGC's WKT 1. mem_free it. ERR_MEM. */
+enum err_code crs_wkt(const struct crs *c, char **out, struct err *e) ERR_USE;
 /* In place: x, y hold longitude and latitude in degrees and get east and north in metres, or the
  * other way round. ERR_ARG names the first place that the projection does not reach. */
 enum err_code crs_project(const struct crs *c, size_t n, double *x, double *y,

@@ -44,7 +44,9 @@ static enum err_code geotiff_describe(struct geotiff *t, const struct geotiff_in
                                       struct err *e)
 {
     double transform[6] = {info->west_m, info->pixel_m, 0, info->north_m, 0, -info->pixel_m};
-    OGRSpatialReferenceH srs = (OGRSpatialReferenceH)(uintptr_t)crs_handle(info->crs);
+    OGRSpatialReferenceH srs =
+        (OGRSpatialReferenceH)(uintptr_t)(t->kind == GEOTIFF_HEIGHT ? crs_with_heights(info->crs)
+                                                                    : crs_handle(info->crs));
     bool bad = GDALSetSpatialRef(t->data, srs) != CE_None ||
                GDALSetGeoTransform(t->data, transform) != CE_None;
     if (info->copyright && *info->copyright)
@@ -57,7 +59,7 @@ static enum err_code geotiff_describe(struct geotiff *t, const struct geotiff_in
     if (t->kind == GEOTIFF_HEIGHT) {
         bad |= GDALSetRasterNoDataValue(band, (double)GEOTIFF_NODATA) != CE_None;
         bad |= GDALSetRasterUnitType(band, "metre") != CE_None;
-        GDALSetDescription(band, "height above the WGS 84 ellipsoid");
+        GDALSetDescription(band, info->heights);
     } else {
         bad |= GDALSetRasterColorInterpretation(GDALGetRasterBand(t->data, 4), GCI_AlphaBand) !=
                CE_None;
@@ -84,7 +86,8 @@ enum err_code geotiff_create(const char *path, enum geotiff_kind kind,
     char **options = NULL;
     options = CSLSetNameValue(options, "TILED", "YES");
     options = CSLSetNameValue(options, "BLOCKXSIZE", "512");
-    options = CSLSetNameValue(options, "BLOCKYSIZE", "512");
+    /* A row of tiles must fit into the cache to be read by rows: 64 MB of the widest. */
+    options = CSLSetNameValue(options, "BLOCKYSIZE", info->rows ? "16" : "512");
     options = CSLSetNameValue(options, "COMPRESS", "LZW");
     options = CSLSetNameValue(options, "SPARSE_OK", "TRUE");
     options = CSLSetNameValue(options, "BIGTIFF", "IF_SAFER");
@@ -119,6 +122,16 @@ enum err_code geotiff_write(struct geotiff *t, uint32_t x, uint32_t y, uint32_t 
                                     size * bands * (int)w, color ? 1 : 0);
     CPLPopErrorHandler();
     return rc == CE_None ? ERR_OK : geotiff_fail(t, "pixels could not be written", e);
+}
+
+enum err_code geotiff_row(struct geotiff *t, uint32_t y, float *row, struct err *e)
+{
+    int w = GDALGetRasterXSize(t->data);
+    CPLPushErrorHandler(CPLQuietErrorHandler);
+    CPLErr rc = GDALRasterIO(GDALGetRasterBand(t->data, 1), GF_Read, 0, (int)y, w, 1, row, w, 1,
+                             GDT_Float32, 0, 0);
+    CPLPopErrorHandler();
+    return rc == CE_None ? ERR_OK : geotiff_fail(t, "pixels could not be read again", e);
 }
 
 static int CPL_STDCALL geotiff_progress(double share, const char *message, void *user)

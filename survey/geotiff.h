@@ -6,6 +6,7 @@
 #ifndef SURVEY_GEOTIFF_H
 #define SURVEY_GEOTIFF_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 #include "survey/crs.h"
@@ -17,6 +18,8 @@ struct geotiff_info {
     double west_m, north_m, pixel_m; /* top left corner and size of a pixel, in the projection */
     uint32_t width, height;
     const char *copyright, *source; /* may be NULL */
+    const char *heights;            /* what they are, "height above the WGS 84 ellipsoid" */
+    bool rows;                      /* it will be read by rows, and not committed */
 };
 enum geotiff_kind {
     GEOTIFF_COLOR, /* red, green, blue, alpha: uint8 */
@@ -34,6 +37,8 @@ enum err_code geotiff_create(const char *path, enum geotiff_kind kind,
  * ERR_IO. */
 enum err_code geotiff_write(struct geotiff *t, uint32_t x, uint32_t y, uint32_t w, uint32_t h,
                             const void *pixels, struct err *e) ERR_USE;
+/* Row y of heights that were written [width]. ERR_IO. */
+enum err_code geotiff_row(struct geotiff *t, uint32_t y, float *row, struct err *e) ERR_USE;
 /* Make the file; closes in any case. ERR_IO; ERR_CANCEL when the program was told to stop. */
 enum err_code geotiff_commit(struct geotiff **t, struct err *e) ERR_USE;
 void geotiff_close(struct geotiff **t); /* without a commit: nothing is left behind */

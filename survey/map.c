@@ -94,6 +94,9 @@ enum err_code map_plan(const struct nadir *n, const struct map_request *r, struc
     if (!rc)
         rc = map_size(box, gsd, out, e);
     out->epsg = epsg;
+    int vertical = r->geoid ? crs_vertical(geoid_name(r->geoid)) : 0;
+    if (!rc && vertical)
+        rc = crs_set_vertical(*crs, vertical, e);
     if (rc)
         crs_close(crs);
     return rc;
@@ -104,12 +107,11 @@ enum err_code map_plan(const struct nadir *n, const struct map_request *r, struc
 struct map_job {
     struct nadir *nadir;
     const struct crs *crs;
+    const struct map_request *request;
+    const struct map_visitor *visitor;
     struct map_grid grid;
-    enum geotiff_kind kind;
-    struct geotiff *out;
     float *rgb, *height;
-    uint8_t *in; /* surveyed */
-    void *pixels;
+    uint8_t *in;      /* surveyed */
     double corner[8]; /* of the piece in the Mercator square, see area_mask */
     struct map_report report;
 };
@@ -146,30 +148,47 @@ enum err_code map_place(const struct nadir *n, const struct crs *crs, const stru
     return ERR_OK;
 }
 
-static uint8_t map_byte(float v)
+enum { MAP_SEA_STEPS = 9 }; /* of a piece, at which the geoid is asked */
+
+/* Heights above the geoid, which is smooth: linear between places an eighth of a piece apart. */
+static enum err_code map_sea(const struct map_job *j, uint32_t x, uint32_t y, uint32_t w,
+                             uint32_t h, struct err *e)
 {
-    return (uint8_t)(fminf(fmaxf(v, 0), 1) * 255 + 0.5f);
+    const struct map_grid *g = &j->grid;
+    double sea[MAP_SEA_STEPS][MAP_SEA_STEPS];
+    for (size_t r = 0; r < MAP_SEA_STEPS; r++)
+        for (size_t c = 0; c < MAP_SEA_STEPS; c++) {
+            double lon = g->west_m + (x + (double)c / (MAP_SEA_STEPS - 1) * w) * g->pixel_m,
+                   lat = g->north_m - (y + (double)r / (MAP_SEA_STEPS - 1) * h) * g->pixel_m;
+            enum err_code rc = crs_unproject(j->crs, 1, &lon, &lat, e);
+            if (rc)
+                return rc;
+            sea[r][c] = geoid_above(j->request->geoid, lon, lat);
+        }
+    for (size_t v = 0; v < h; v++)
+        for (size_t u = 0; u < w; u++) {
+            double s = ((double)u + 0.5) / w * (MAP_SEA_STEPS - 1),
+                   t = ((double)v + 0.5) / h * (MAP_SEA_STEPS - 1);
+            size_t c = (size_t)s, r = (size_t)t;
+            s -= (double)c;
+            t -= (double)r;
+            j->height[v * w + u] -= (float)((1 - t) * ((1 - s) * sea[r][c] + s * sea[r][c + 1]) +
+                                            t * ((1 - s) * sea[r + 1][c] + s * sea[r + 1][c + 1]));
+        }
+    return ERR_OK;
 }
 
-static void map_pixels(struct map_job *j, size_t n)
+static void map_count(struct map_job *j, size_t n)
 {
-    uint8_t *byte = j->pixels;
-    float *height = j->pixels;
     struct map_report *r = &j->report;
     for (size_t i = 0; i < n; i++) {
-        bool held = isfinite(j->height[i]);
-        r->pixels_held += held;
-        if (held) {
-            r->height_min_m = fmin(r->height_min_m, (double)j->height[i]);
-            r->height_max_m = fmax(r->height_max_m, (double)j->height[i]);
-        }
-        if (j->kind == GEOTIFF_HEIGHT) {
-            height[i] = held ? j->height[i] : GEOTIFF_NODATA;
+        if (!j->in[i])
+            j->height[i] = NAN;
+        if (!isfinite(j->height[i]))
             continue;
-        }
-        for (size_t k = 0; k < 3; k++)
-            byte[4 * i + k] = held ? map_byte(j->rgb[3 * i + k]) : 0;
-        byte[4 * i + 3] = held ? 255 : 0;
+        r->pixels_held++;
+        r->height_min_m = fmin(r->height_min_m, (double)j->height[i]);
+        r->height_max_m = fmax(r->height_max_m, (double)j->height[i]);
     }
 }
 
@@ -179,20 +198,20 @@ static enum err_code map_piece(struct map_job *j, uint32_t x, uint32_t y, uint32
     const struct map_grid *g = &j->grid;
     struct nadir_piece p = {.width = g->width - x < size ? g->width - x : size,
                             .height = g->height - y < size ? g->height - y : size};
+    float *rgb = j->request->kind == GEOTIFF_COLOR ? j->rgb : NULL;
     enum err_code rc = map_place(j->nadir, j->crs, g, x, y, &p, j->corner, &j->report.off_px, e);
     if (rc || !area_mask(nadir_area(j->nadir), j->corner, p.width, p.height, j->in))
         return rc;
-    rc = nadir_draw(j->nadir, &p, j->kind == GEOTIFF_COLOR ? j->rgb : NULL, j->height, e);
+    rc = nadir_draw(j->nadir, &p, rgb, j->height, e);
     if (rc)
         return err_add(e, "piece at pixel %u,%u", x, y);
-    for (size_t i = 0; i < (size_t)p.width * p.height; i++)
-        if (!j->in[i])
-            j->height[i] = NAN;
-    map_pixels(j, (size_t)p.width * p.height);
-    return geotiff_write(j->out, x, y, p.width, p.height, j->pixels, e);
+    if (j->request->geoid)
+        rc = map_sea(j, x, y, p.width, p.height, e);
+    if (rc)
+        return rc;
+    map_count(j, (size_t)p.width * p.height);
+    return j->visitor->piece(j->visitor->user, x, y, p.width, p.height, rgb, j->height, e);
 }
-
-/* ---- the file ---- */
 
 static enum err_code map_draw(struct map_job *j, uint32_t size, struct err *e)
 {
@@ -202,12 +221,10 @@ static enum err_code map_draw(struct map_job *j, uint32_t size, struct err *e)
     enum err_code rc = ERR_OK;
     j->rgb = mem_array(pixels, 3 * sizeof *j->rgb);
     j->height = mem_array(pixels, sizeof *j->height);
-    j->pixels = mem_array(pixels, 4);
     j->in = mem_array(pixels, 1);
-    if (!j->rgb || !j->height || !j->pixels || !j->in)
+    if (!j->rgb || !j->height || !j->in)
         return err_set(e, ERR_MEM, "out of memory for a piece of %u px", size);
-    progress_start(&bar, j->kind == GEOTIFF_COLOR ? "ortho, px" : "dsm, px",
-                   (uint64_t)j->grid.width * j->grid.height);
+    progress_start(&bar, j->visitor->what, (uint64_t)j->grid.width * j->grid.height);
     for (uint32_t y = 0; !rc && y < j->grid.height; y += size) {
         uint32_t rows = j->grid.height - y < size ? j->grid.height - y : size;
         for (uint32_t x = 0; !rc && x < j->grid.width; x += size) {
@@ -222,15 +239,13 @@ static enum err_code map_draw(struct map_job *j, uint32_t size, struct err *e)
     return rc;
 }
 
-enum err_code map_write(struct nadir *n, const struct map_request *r, const char *path,
-                        struct map_report *report, struct err *e)
+enum err_code map_run(struct nadir *n, const struct map_request *r, const struct map_visitor *v,
+                      struct map_report *report, struct err *e)
 {
-    struct map_job j = {.nadir = n, .kind = r->kind};
+    struct map_job j = {.nadir = n, .request = r, .visitor = v};
     struct crs *crs = NULL;
     double start = clock_s();
     uint32_t size = r->piece_px ? r->piece_px : MAP_PIECE_PX;
-    char source[128];
-    const struct store_meta *m = store_info(nadir_store(n));
     enum err_code rc = size > NADIR_SIZE_MAX ? err_set(e, ERR_ARG, "pieces of %u px: at most %d",
                                                        size, NADIR_SIZE_MAX)
                                              : map_plan(n, r, &crs, &j.grid, e);
@@ -240,30 +255,100 @@ enum err_code map_write(struct nadir *n, const struct map_request *r, const char
     j.report.grid = j.grid;
     j.report.height_min_m = HUGE_VAL;
     j.report.height_max_m = -HUGE_VAL;
-    snprintf(source, sizeof source, "%s %s", m->name, m->revision);
-    const struct geotiff_info info = {.crs = crs,
-                                      .west_m = j.grid.west_m,
-                                      .north_m = j.grid.north_m,
-                                      .pixel_m = j.grid.pixel_m,
-                                      .width = j.grid.width,
-                                      .height = j.grid.height,
-                                      .copyright = m->attribution,
-                                      .source = source};
-    rc = geotiff_create(path, r->kind, &info, &j.out, e);
+    rc = v->begin(v->user, crs, &j.grid, e);
     if (!rc)
         rc = map_draw(&j, size, e);
     if (!rc && j.report.pixels_held == 0)
-        rc = err_set(e, ERR_ARG, "%s: the area is empty: nothing of the survey is in it", path);
-    if (!rc)
-        rc = geotiff_commit(&j.out, e);
+        rc = err_set(e, ERR_ARG, "the area is empty: nothing of the survey is in it");
     j.report.seconds = clock_s() - start;
     if (!rc && report)
         *report = j.report;
-    geotiff_close(&j.out);
     crs_close(&crs);
     mem_free(j.rgb);
     mem_free(j.height);
-    mem_free(j.pixels);
     mem_free(j.in);
+    return rc;
+}
+
+/* ---- the file ---- */
+
+void map_heights(const struct map_request *r, char out[100])
+{
+    if (r->geoid)
+        snprintf(out, 100, "height above sea level by %.60s", geoid_name(r->geoid));
+    else
+        snprintf(out, 100, "height above the WGS 84 ellipsoid");
+}
+
+struct map_file {
+    const struct map_request *request;
+    const char *path;
+    const struct store_meta *meta;
+    struct geotiff *out;
+    void *pixels; /* of a piece */
+};
+
+static enum err_code map_file_begin(void *user, const struct crs *crs, const struct map_grid *g,
+                                    struct err *e)
+{
+    struct map_file *f = user;
+    char source[128], heights[100];
+    size_t size = f->request->piece_px ? f->request->piece_px : MAP_PIECE_PX;
+    if (!(f->pixels = mem_array(size * size, 4)))
+        return err_set(e, ERR_MEM, "out of memory for a piece of %zu px", size);
+    snprintf(source, sizeof source, "%s %s", f->meta->name, f->meta->revision);
+    map_heights(f->request, heights);
+    const struct geotiff_info info = {.crs = crs,
+                                      .west_m = g->west_m,
+                                      .north_m = g->north_m,
+                                      .pixel_m = g->pixel_m,
+                                      .width = g->width,
+                                      .height = g->height,
+                                      .copyright = f->meta->attribution,
+                                      .source = source,
+                                      .heights = heights};
+    return geotiff_create(f->path, f->request->kind, &info, &f->out, e);
+}
+
+static uint8_t map_byte(float v)
+{
+    return (uint8_t)(fminf(fmaxf(v, 0), 1) * 255 + 0.5f);
+}
+
+static enum err_code map_file_piece(void *user, uint32_t x, uint32_t y, uint32_t w, uint32_t h,
+                                    const float *rgb, const float *height_m, struct err *e)
+{
+    struct map_file *f = user;
+    uint8_t *byte = f->pixels;
+    float *height = f->pixels;
+    for (size_t i = 0; i < (size_t)w * h; i++) {
+        bool held = isfinite(height_m[i]);
+        if (!rgb) {
+            height[i] = held ? height_m[i] : GEOTIFF_NODATA;
+            continue;
+        }
+        for (size_t k = 0; k < 3; k++)
+            byte[4 * i + k] = held ? map_byte(rgb[3 * i + k]) : 0;
+        byte[4 * i + 3] = held ? 255 : 0;
+    }
+    return geotiff_write(f->out, x, y, w, h, f->pixels, e);
+}
+
+enum err_code map_write(struct nadir *n, const struct map_request *r, const char *path,
+                        struct map_report *report, struct err *e)
+{
+    struct map_file f = {.request = r, .path = path, .meta = store_info(nadir_store(n))};
+    struct map_report own;
+    const struct map_visitor v = {r->kind == GEOTIFF_COLOR ? "ortho, px" : "dsm, px", &f,
+                                  map_file_begin, map_file_piece};
+    double start = clock_s();
+    enum err_code rc = map_run(n, r, &v, &own, e);
+    if (!rc)
+        rc = geotiff_commit(&f.out, e);
+    own.seconds = clock_s() - start;
+    if (!rc && report)
+        *report = own;
+    geotiff_close(&f.out);
+    mem_free(f.pixels);
     return rc;
 }

@@ -47,8 +47,9 @@ static enum err_code sheet_place(struct sheet *s, struct err *e)
 {
     double t[6];
     OGRSpatialReferenceH srs = GDALGetSpatialRef(s->data);
-    const char *code = srs ? OSRGetAuthorityCode(srs, NULL) : NULL,
-               *name = srs ? OSRGetAuthorityName(srs, NULL) : NULL;
+    /* Heights may stand beside the projection. */
+    const char *code = srs ? OSRGetAuthorityCode(srs, "PROJCS") : NULL,
+               *name = srs ? OSRGetAuthorityName(srs, "PROJCS") : NULL;
     double w = GDALGetRasterXSize(s->data), h = GDALGetRasterYSize(s->data);
     if (GDALGetGeoTransform(s->data, t) != CE_None || t[2] != 0 || t[4] != 0 || !(t[1] > 0) ||
         fabs(t[1] + t[5]) > 1e-9 * t[1])

@@ -325,8 +325,9 @@ static void the_program_says_the_same(void **state)
     buf_free(&out);
 }
 
-/* The city once more: moved as a whole, or with a block of 6 x 6 m put up on level ground. */
-static void later_city(const char *name, double east, double north, double up,
+/* The city once more: moved as a whole, tilted (higher by so much a metre to the east), or with a
+ * block of 6 x 6 m put up on level ground. */
+static void later_city(const char *name, double east, double north, double up, double tilt,
                        const double block[2], char path[FILE_PATH_MAX])
 {
     struct err e = {0};
@@ -334,9 +335,10 @@ static void later_city(const char *name, double east, double north, double up,
     struct geo_origin moved;
     const double shift[3] = {east, north, up};
     cover(&g);
-    for (size_t i = 0; block && i < g.n; i++) {
+    for (size_t i = 0; i < g.n; i++) {
         float *at = g.mean_m + 3 * i;
-        if (fabs((double)at[0] - block[0]) < 3 && fabs((double)at[1] - block[1]) < 3)
+        at[2] += (float)(tilt * (double)at[0]);
+        if (block && fabs((double)at[0] - block[0]) < 3 && fabs((double)at[1] - block[1]) < 3)
             at[2] += 5;
     }
     kit_ok(geo_from_enu(&origin, shift, &moved.lon_deg, &moved.lat_deg, &moved.h_m, &e), e);
@@ -347,13 +349,13 @@ static void later_city(const char *name, double east, double north, double up,
     gauss_free(&g);
 }
 
-static void compare(const char *path, const char *name, struct change_report *r)
+static void compare(const char *path, const char *name, bool align, struct change_report *r)
 {
     struct err e = {0};
     struct nadir *later;
     char out[FILE_PATH_MAX];
     const struct nadir_options no = {.ceiling_m = (double)NAN};
-    const struct change_request request = {.gsd_m = GSD_M};
+    const struct change_request request = {.gsd_m = GSD_M, .align = align};
     kit_ok(file_join(out, f.dir, name, &e), e);
     kit_ok(nadir_open(path, &no, &later, &e), e);
     kit_ok(change_write(f.nadir, later, &request, out, r, &e), e);
@@ -369,12 +371,12 @@ static void changes_are_found(void **state)
     double block[2] = {0, 0};
     bool level = false;
     (void)state;
-    later_city("moved.tiles", 0.2, -0.15, 0.3, NULL, path);
-    compare(path, "moved.tif", &r);
-    printf("survey compare: shift %.3f %.3f %.3f m, spread %.3f m\n", r.east_m, r.north_m, r.up_m,
-           r.spread_m);
-    assert_true(fabs(r.east_m - 0.2) < 0.1 && fabs(r.north_m + 0.15) < 0.1);
-    assert_true(fabs(r.up_m - 0.3) < 0.03 && fabs(r.median_m - 0.3) < 0.02);
+    later_city("moved.tiles", 0.2, -0.15, 0.3, 0, NULL, path);
+    compare(path, "moved.tif", false, &r);
+    printf("survey compare: shift %.3f %.3f %.3f m, spread %.3f m\n", r.pose.east_m, r.pose.north_m,
+           r.pose.up_m, r.spread_m);
+    assert_true(fabs(r.pose.east_m - 0.2) < 0.1 && fabs(r.pose.north_m + 0.15) < 0.1);
+    assert_true(fabs(r.pose.up_m - 0.3) < 0.03 && fabs(r.median_m - 0.3) < 0.02);
     for (double y = -24; y < 24 && !level; y += 2)
         for (double x = -24; x < 24 && !level; x += 2) {
             level = true;
@@ -385,13 +387,14 @@ static void changes_are_found(void **state)
             block[1] = y;
         }
     assert_true(level);
-    later_city("block.tiles", 0, 0, 0, block, path);
-    compare(path, "block.tif", &r);
+    later_city("block.tiles", 0, 0, 0, 0, block, path);
+    compare(path, "block.tif", false, &r);
     printf("survey compare: gained %.1f m3 of 180, lost %.1f, changed %.4f\n", r.gained_m3,
            r.lost_m3, r.changed_share);
     assert_true(r.gained_m3 > 165 && r.gained_m3 < 225 && r.lost_m3 < 5);
     assert_true(fabs(r.changed_share * (double)r.pixels * r.pixel_m2 - 36) < 7);
-    assert_true(fabs(r.east_m) < 0.02 && fabs(r.north_m) < 0.02 && fabs(r.up_m) < 0.02);
+    assert_true(fabs(r.pose.east_m) < 0.02 && fabs(r.pose.north_m) < 0.02 &&
+                fabs(r.pose.up_m) < 0.02);
     assert_int_equal(kit_run(&out, "gdalinfo -json '%s/block.tif'", f.dir), 0);
     gdal_says(&out, "\"LAYOUT\":\"COG\"");
     gdal_says(&out, "\"noDataValue\":-9999.0");
@@ -406,6 +409,52 @@ static void changes_are_found(void **state)
     const struct change_request nowhere = {.bbox_deg = far};
     kit_fails(change_write(f.nadir, f.nadir, &nowhere, "x.tif", &r, &e), ERR_ARG, e,
               "nothing to compare");
+}
+
+static void aligned(const char *name, double east, double north, double up, double tilt)
+{
+    struct change_report r, before;
+    char path[FILE_PATH_MAX];
+    later_city(name, east, north, up, tilt, NULL, path);
+    compare(path, "before.tif", false, &before);
+    compare(path, "after.tif", true, &r);
+    printf(
+        "survey align: %.2f %.2f %.2f m, %.1f mm/m: found %.3f %.3f %.3f, %.2f in %u rounds; left "
+        "%.3f %.3f %.3f; changed %.4f before, %.4f after\n",
+        east, north, up, 1000 * tilt, r.pose.east_m, r.pose.north_m, r.pose.up_m,
+        1000 * r.pose.tilt_east, r.rounds, r.left.east_m, r.left.north_m, r.left.up_m,
+        before.changed_share, r.changed_share);
+    assert_true(r.aligned && !before.aligned);
+    assert_true(hypot(r.pose.east_m - east, r.pose.north_m - north) < 0.1 * GSD_M + 0.02);
+    assert_true(fabs(r.pose.up_m - up) < 0.01 && fabs(r.pose.tilt_east - tilt) < 2e-4);
+    assert_true(fabs(r.pose.tilt_north) < 2e-4);
+    assert_true(r.changed_share < 0.25 * before.changed_share && fabs(r.median_m) < 0.011);
+}
+
+/* A store that was moved by a known amount is moved back by it: to the tenth of a pixel, also where
+ * all heights are metres off and the ground slopes. */
+static void what_lies_askew_is_aligned(void **state)
+{
+    struct buf out = {0};
+    (void)state;
+    aligned("askew.tiles", 0.6, -0.35, 0.3, 0.004);
+    aligned("high.tiles", -0.4, 0.8, 7.5, 0);
+    assert_int_equal(
+        kit_run(&out,
+                "cd '%s' && '%s' compare -q city.tiles high.tiles -o c.tif --gsd-m 0.5 "
+                "--align",
+                f.dir, kit_program()),
+        0);
+    kit_expect_text((const char *)out.data, "\"aligned\": true", __FILE__, __LINE__);
+    kit_expect_text((const char *)out.data, "\"shift_left\"", __FILE__, __LINE__);
+    buf_free(&out);
+    /* Far above: the plan is not known without it. */
+    assert_int_equal(
+        kit_run(&out, "cd '%s' && '%s' compare -q city.tiles high.tiles -o c.tif --gsd-m 0.5",
+                f.dir, kit_program()),
+        0);
+    kit_expect_text((const char *)out.data, "\"east_m\": null", __FILE__, __LINE__);
+    buf_free(&out);
 }
 
 /* ---- against the city's own picture ---- */
@@ -504,6 +553,7 @@ int main(void)
         cmocka_unit_test(far_gaussians_are_no_survey),
         cmocka_unit_test(places_have_heights),
         cmocka_unit_test(changes_are_found),
+        cmocka_unit_test(what_lies_askew_is_aligned),
         cmocka_unit_test(ortho_is_the_citys_picture),
         cmocka_unit_test(nonsense_is_refused),
         cmocka_unit_test(the_program_says_the_same),

@@ -1,0 +1,76 @@
+/* citysplat contour: contour lines of the surface.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include <inttypes.h>
+#include <stdio.h>
+
+#include "cli/cli.h"
+#include "cli/maps.h"
+#include "survey/contour.h"
+
+struct contour_options {
+    struct maps_options maps;
+    struct geoid_options heights;
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/contour.def"
+#undef OPT
+};
+
+static const struct options_def defs[] = {
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW_IN(struct contour_options, maps, type, key, def, lo, hi, unit, help)
+#include "cli/maps.def"
+#undef OPT
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct contour_options, type, key, def, lo, hi, unit, help)
+#include "cli/contour.def"
+#undef OPT
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW_IN(struct contour_options, heights, type, key, def, lo, hi, unit, help)
+#include "cli/geoid.def"
+#undef OPT
+};
+
+static const struct options_spec spec = {
+    .command = "contour",
+    .usage = "citysplat contour CITY.tiles -o FILE.gpkg [options]",
+    .about =
+        "Writes contour lines of the surface of a tile store, seen from straight above: GeoJSON "
+        "in longitude and latitude (.geojson), or a GeoPackage in the projection (.gpkg). "
+        "Memory does not grow with the city.",
+    .example = "citysplat contour city.tiles -o lines.gpkg --interval-m 0.5 --least-m 5\n"
+               "citysplat contour city.tiles -o lines.geojson --geoid egm2008-1",
+    .defs = defs,
+    .n_defs = sizeof defs / sizeof *defs,
+    .min_args = 1,
+    .max_args = 1};
+
+enum err_code cli_contour(int argc, char **argv, struct err *e)
+{
+    struct contour_options o = {0};
+    struct options_args args;
+    struct arena arena = {0};
+    struct maps m = {0};
+    enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
+    bool run = !rc && !args.done;
+    if (run)
+        rc = maps_open(args.arg[0], &o.maps, &o.heights, NULL, &m, e);
+    struct contour_report r = {0};
+    m.request.kind = GEOTIFF_HEIGHT;
+    const struct contour_request request = {m.request, o.interval_m, o.base_m, o.least_m, o.field};
+    if (run && !rc)
+        rc = contour_write(m.nadir, &request, o.maps.output, &r, e);
+    if (run && !rc) {
+        maps_print(o.maps.output, &r.map);
+        maps_print_heights(&m, &r.map);
+        printf("; %" PRIu64 " lines of %" PRIu64 " points, %" PRIu64 " shorter ones left out\n",
+               r.lines, r.points, r.n_short);
+    }
+    maps_close(&m);
+    arena_free(&arena);
+    return rc;
+}
