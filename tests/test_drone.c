@@ -298,9 +298,13 @@ static double number(const json_t *o, const char *a, const char *b)
 
 static void barometers_keep_the_level(void **state)
 {
-    const struct flight f = {.barometer_m = 0.1, .absolute_m = NAN, .tilt_deg = NAN},
-                        jumps = {
-                            .barometer_m = 0.1, .absolute_m = NAN, .jump_m = 30, .tilt_deg = NAN};
+    const struct flight f = {.barometer_m = 0.1,
+                             .absolute_m = (double)NAN,
+                             .tilt_deg = (double)NAN},
+                        jumps = {.barometer_m = 0.1,
+                                 .absolute_m = (double)NAN,
+                                 .jump_m = 30,
+                                 .tilt_deg = (double)NAN};
     json_t *r;
     double up_m, tilt, exif_up_m, exif_tilt;
     (void)state;
@@ -327,7 +331,8 @@ static void barometers_keep_the_level(void **state)
 /* RTK counts from the ellipsoid: --geoid-offset-m, which is for EXIF's, leaves it alone. */
 static void rtk_counts_from_the_ellipsoid(void **state)
 {
-    const struct flight f = {.barometer_m = 0.1, .absolute_m = 0.02, .tilt_deg = NAN, .rtk = true};
+    const struct flight f = {
+        .barometer_m = 0.1, .absolute_m = 0.02, .tilt_deg = (double)NAN, .rtk = true};
     json_t *r;
     double up_m, tilt;
     (void)state;
@@ -343,10 +348,18 @@ static void rtk_counts_from_the_ellipsoid(void **state)
 
 static void gimbals_tell_the_tilt(void **state)
 {
-    const struct flight
-        f = {.barometer_m = NAN, .absolute_m = NAN, .tilt_deg = 0, .wobble_deg = 0.3},
-        off = {.barometer_m = 0.1, .absolute_m = NAN, .tilt_deg = 5, .wobble_deg = 0.3},
-        wild = {.barometer_m = NAN, .absolute_m = NAN, .tilt_deg = 0, .wobble_deg = 40};
+    const struct flight f = {.barometer_m = (double)NAN,
+                             .absolute_m = (double)NAN,
+                             .tilt_deg = 0,
+                             .wobble_deg = 0.3},
+                        off = {.barometer_m = 0.1,
+                               .absolute_m = (double)NAN,
+                               .tilt_deg = 5,
+                               .wobble_deg = 0.3},
+                        wild = {.barometer_m = (double)NAN,
+                                .absolute_m = (double)NAN,
+                                .tilt_deg = 0,
+                                .wobble_deg = 40};
     json_t *r;
     double up_m, tilt;
     (void)state;
