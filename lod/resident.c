@@ -135,6 +135,8 @@ static enum err_code resident_load(struct resident *r, const uint32_t *picked, s
             continue;
         b.tile[b.n++] = picked[i];
         if (b.n == RESIDENT_BATCH)
+            rc = render_go(r->render, e);
+        if (!rc && b.n == RESIDENT_BATCH)
             rc = resident_load_batch(&b, e);
     }
     return !rc && b.n ? resident_load_batch(&b, e) : rc;

@@ -48,11 +48,11 @@ enum err_code resident_open(struct store *s, struct render *r, uint32_t embed_le
 void resident_close(struct resident *r);
 /* Tiles picked[0..n), ascending, on the device, and of them what f may see (NULL: everything)
  * listed: then r->model draws it. *n_gaussians: how many those are. ERR_FORMAT, ERR_IO, ERR_DEVICE,
- * ERR_LIMIT, ERR_MEM. */
+ * ERR_LIMIT, ERR_MEM; ERR_CANCEL: the renderer is told to stop (render_set_stop). */
 enum err_code resident_show(struct resident *r, const uint32_t *picked, size_t n,
                             const struct frustum *f, uint64_t *n_gaussians, struct err *e) ERR_USE;
 /* All of the tiles in r->flat, a model without a list. Errors as resident_show: ERR_FORMAT, ERR_IO,
- * ERR_DEVICE, ERR_LIMIT, ERR_MEM. */
+ * ERR_DEVICE, ERR_LIMIT, ERR_CANCEL, ERR_MEM. */
 enum err_code resident_flat(struct resident *r, const uint32_t *picked, size_t n,
                             struct err *e) ERR_USE;
 

@@ -48,7 +48,7 @@ struct view_stats {
 };
 /* Draw into rgb [h][w][3]. An appearance_frame in ro comes before the appearance that was set.
  * stats may be NULL. Errors of pick_tiles, store_read_gauss and render_forward: ERR_ARG,
- * ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_DEVICE, ERR_MEM. */
+ * ERR_FORMAT, ERR_IO, ERR_LIMIT, ERR_DEVICE, ERR_CANCEL (render_set_stop), ERR_MEM. */
 enum err_code view_render(struct view *v, const struct camera *cam, const struct render_options *ro,
                           const struct pick_options *po, float *rgb, struct view_stats *stats,
                           struct err *e) ERR_USE;

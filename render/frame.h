@@ -41,7 +41,9 @@ enum err_code frame_reserve(struct render *r, struct frame_buffer *b, size_t n_b
                             struct err *e) ERR_USE;
 
 struct render {
-    struct dev *dev; /* borrowed */
+    struct dev *dev;                /* borrowed */
+    bool (*stop)(const void *user); /* see render_set_stop */
+    const void *stop_user;
 
     /* -- the last frame; valid for backward while `drawn` -------------------------------------- */
     bool drawn;

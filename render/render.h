@@ -64,6 +64,11 @@ struct render; /* compiled kernels and per-frame buffers of one device; one call
 /* Compile the kernels. dev is borrowed and outlives *out; render_close it. ERR_DEVICE, ERR_MEM. */
 enum err_code render_open(struct dev *dev, struct render **out, struct err *e) ERR_USE;
 void render_close(struct render **r);
+/* From here on render_forward asks between the stages of a frame whether the picture is still
+ * wanted, and is ERR_CANCEL when stop is true; whoever prepares frames may ask as well. NULL:
+ * never. */
+void render_set_stop(struct render *r, bool (*stop)(const void *user), const void *user);
+enum err_code render_go(const struct render *r, struct err *e) ERR_USE; /* ERR_CANCEL */
 
 /* Gaussians on the device. */
 struct render_model {
@@ -134,8 +139,8 @@ struct render_stats {       /* of the last frame */
 /* Draw. rgb (may be NULL): [h][w][3] float, 0..1 not clamped above; transmittance (may be NULL):
  * [h][w]. The camera's ENU pose is combined with the model's origin in double. The frame stays on
  * the device for render_backward. Method: EWA projection, exact tile culling, inclusive stop.
- * ERR_ARG (camera, appearance), ERR_LIMIT (more intersections than the device holds), ERR_MEM,
- * ERR_DEVICE. */
+ * ERR_ARG (camera, appearance), ERR_LIMIT (more intersections than the device holds), ERR_CANCEL
+ * (render_set_stop), ERR_MEM, ERR_DEVICE. */
 enum err_code render_forward(struct render *r, const struct render_model *m,
                              const struct camera *cam, const struct render_options *o, float *rgb,
                              float *transmittance, struct err *e) ERR_USE;

@@ -114,6 +114,17 @@ void render_close(struct render **rp)
     *rp = NULL;
 }
 
+void render_set_stop(struct render *r, bool (*stop)(const void *user), const void *user)
+{
+    r->stop = stop;
+    r->stop_user = user;
+}
+
+enum err_code render_go(const struct render *r, struct err *e)
+{
+    return r->stop && r->stop(r->stop_user) ? err_set(e, ERR_CANCEL, "cancelled") : ERR_OK;
+}
+
 /* ---- the view ---- */
 
 static enum err_code render_view_check(const struct camera *c, struct err *e)
@@ -330,6 +341,13 @@ static enum err_code render_stage_bin(struct render *r, struct err *e)
     return rc;
 }
 
+/* Blending takes half of a frame: to know whether it is wanted is worth a wait. */
+static enum err_code render_before_blend(struct render *r, struct err *e)
+{
+    enum err_code rc = r->stop ? dev_finish(r->dev, e) : ERR_OK;
+    return !rc ? render_go(r, e) : rc;
+}
+
 static enum err_code render_stage_blend(struct render *r, struct err *e)
 {
     size_t local = r->dev->vector_width == LAYOUT_LANES ? 1 : LAYOUT_TILE_PIXELS;
@@ -386,7 +404,9 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
            m->planes == render_planes_embed(m->sh_degree, m->embed_len));
     render_view_fill(r, m, cam, o, &r->view);
     r->tiles = r->view.tiles_x * r->view.tiles_y;
-    rc = render_frame_buffers(r, e);
+    rc = render_go(r, e);
+    if (!rc)
+        rc = render_frame_buffers(r, e);
     if (!rc)
         rc = render_appearance_begin(r, m, o, e);
     if (!rc)
@@ -400,11 +420,15 @@ enum err_code render_forward(struct render *r, const struct render_model *m,
     if (!rc)
         rc = render_stage_count(r, e);
     if (!rc)
+        rc = render_go(r, e); /* the host has waited anyway */
+    if (!rc)
         rc = frame_clock(r, &since, &r->stats.ms_sort, e);
     if (!rc)
         rc = r->order_gpu ? order_gpu_bin(r, e) : render_stage_bin(r, e);
     if (!rc)
         rc = frame_clock(r, &since, &r->stats.ms_bin, e);
+    if (!rc)
+        rc = render_before_blend(r, e);
     if (!rc)
         rc = render_stage_blend(r, e);
     if (!rc)
