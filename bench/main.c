@@ -16,6 +16,7 @@
 #include "bench/bench.h"
 #include "core/options.h"
 #include "core/sort.h"
+#include "server/draw.h"
 
 struct bench_row {
     const char *bench, *name, *unit, *against;
@@ -277,6 +278,8 @@ int main(int argc, char **argv)
                                       .defs = bench_defs,
                                       .n_defs = sizeof bench_defs / sizeof bench_defs[0],
                                       .max_args = 16};
+    if (worker_asked(argc, argv)) /* of a server that is measured */
+        return draw_main();
     enum err_code rc = options_parse(&spec, argc, argv, &cfg, &args, &b.arena, &e);
     if (!rc && args.done)
         goto out;

@@ -17,6 +17,7 @@
 
 #include "cli/cli.h"
 #include "core/options_help.h"
+#include "server/draw.h"
 
 struct command {
     const char *name, *about;
@@ -176,6 +177,8 @@ static int help(int argc, char **argv)
 int main(int argc, char **argv)
 {
     setlocale(LC_ALL, "C"); /* numbers are written with a point, whatever the user's language */
+    if (worker_asked(argc, argv))
+        return draw_main();
     const char *name = argc > 1 ? argv[1] : "help";
     if (!strcmp(name, "--version") || !strcmp(name, "-V")) {
         puts("citysplat " CITYSPLAT_VERSION);

@@ -3,6 +3,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
+#include <math.h>
 #include <pthread.h>
 #include <signal.h>
 #include <stdio.h>
@@ -67,11 +68,10 @@ static void serve_watch(const struct server *sv, double *next_s)
     *next_s = clock_s() + every_s;
 }
 
-/* Until SIGTERM, or until the device hangs and that is to end the program. */
+/* Until SIGTERM, or until pictures fail for too long and that is to end the program. */
 static enum err_code serve_run(struct server *sv, const struct server_config *cfg,
                                const sigset_t *hup, struct err *e)
 {
-    bool told = false;
     double next_s = 0;
     while (!signals_stopping()) {
         const struct timespec wait = {.tv_nsec = 100000000};
@@ -79,12 +79,9 @@ static enum err_code serve_run(struct server *sv, const struct server_config *cf
             serve_reload(sv);
         server_expire(sv, clock_s());
         serve_watch(sv, &next_s);
-        bool hung = server_hangs_s(sv) > 0;
-        if (hung && !told)
-            log_error("serve", "the device hangs in a picture: pictures are off until it returns");
-        told = hung;
-        if (hung && cfg->exit_hung)
-            return err_set(e, ERR_DEVICE, "the device hangs, and --exit-hung is set");
+        if (cfg->exit_hung && server_failing_s(sv) > fmax(cfg->device_timeout_s, 10))
+            return err_set(e, ERR_DEVICE, "pictures have failed for %.0f s, and --exit-hung is set",
+                           server_failing_s(sv));
     }
     return ERR_OK;
 }

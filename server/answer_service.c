@@ -88,8 +88,10 @@ static void answer_service_state(struct services *s, const struct request *r, st
     pthread_mutex_lock(&s->catalog_lock);
     memcpy(why, s->reload_error, sizeof why);
     pthread_mutex_unlock(&s->catalog_lock);
-    double hangs_s = services_hangs_s(s);
-    degraded |= why[0] || hangs_s > 0;
+    struct worker_status drawing = {0};
+    if (s->picture)
+        picture_status(s->picture, &drawing);
+    degraded |= why[0] || drawing.state == WORKER_AGAIN;
     json_t *o = degraded ? json_pack("{s:s,s:O}", "status", "degraded", "failed", failed)
                          : json_pack("{s:s}", "status", "ready");
     if (why[0]) /* it names files: whoever is not on this machine learns that it is so */
@@ -98,8 +100,9 @@ static void answer_service_state(struct services *s, const struct request *r, st
                                             ? why
                                             : "the last reload failed, and the data from before "
                                               "it are served; the log says why"));
-    if (hangs_s > 0)
-        json_object_set_new(o, "pictures", json_string("the device does not answer"));
+    if (drawing.state == WORKER_AGAIN)
+        json_object_set_new(o, "pictures",
+                            json_string("the process that draws has ended, and is started again"));
     json_decref(failed);
     if (document_make(o, &b, NULL))
         body_drop(&b);

@@ -4,6 +4,7 @@
  */
 #include "server/answer.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -25,16 +26,19 @@ bool answer_can_draw(struct services *s, struct response *out)
         out->retry_after_s = 10;
         return false;
     }
-    double hangs_s = services_hangs_s(s);
-    if (hangs_s > 0) {
-        snprintf(text, sizeof text, "the device has not answered for %.0f s; tiles are served",
-                 hangs_s);
+    struct worker_status st;
+    picture_status(s->picture, &st);
+    if (st.wait_s > 0) {
+        snprintf(text, sizeof text,
+                 "the process that draws has ended several times, and is started again in %.0f s; "
+                 "tiles are served",
+                 ceil(st.wait_s));
         response_problem(out, 503, text);
-        out->retry_after_s = 10;
+        out->retry_after_s = (int)ceil(st.wait_s);
     }
-    if (picture_state(s->picture) == PICTURE_STARTING)
+    if (!st.known)
         out->unnamed = true; /* names hold the device, which is not known yet */
-    return !(hangs_s > 0);
+    return !(st.wait_s > 0);
 }
 
 bool answer_view_check(struct services *s, uint32_t width_px, uint32_t height_px,
@@ -97,7 +101,7 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
         return;
     struct work *w = response_work(d, WORK_VIEW, id, (struct form){.format = t->form.format}, out);
     if (w) {
-        w->view = (struct picture_view){cam, t->form.format, quality, t->paint};
+        w->view = (struct draw_view){cam, t->form.format, quality, t->paint};
         w->appearance = choice;
     }
     out->cls = JOB_VIEW;
@@ -125,7 +129,7 @@ void answer_render(struct services *s, const struct request *r, struct dataset *
         return;
     struct work *w = response_work(d, WORK_VIEW, id, (struct form){.format = p.format}, out);
     if (w) {
-        w->view = (struct picture_view){p.cam, p.format, p.quality, p.paint};
+        w->view = (struct draw_view){p.cam, p.format, p.quality, p.paint};
         w->appearance = choice;
     }
     out->cls = JOB_VIEW;

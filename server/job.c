@@ -227,8 +227,6 @@ static void job_worker_main(void *user)
     struct worker *w = user;
     struct jobs *js = w->js;
     bool view = w->index == js->cfg.tile_threads;
-    if (view && js->cfg.view_enter)
-        js->cfg.view_enter(js->cfg.user);
     if (!view)
         pool_alone(); /* --workers says how many threads tiles have */
     pthread_mutex_lock(&js->lock);
@@ -252,8 +250,6 @@ static void job_worker_main(void *user)
             js->drawing_since_s = 0;
     }
     pthread_mutex_unlock(&js->lock);
-    if (view && js->cfg.view_leave)
-        js->cfg.view_leave(js->cfg.user);
     pthread_mutex_lock(&js->lock);
     js->drawer_ended |= view;
     pthread_cond_broadcast(&js->ended);
@@ -599,6 +595,8 @@ bool job_stop(struct jobs *js)
     pthread_cond_broadcast(&js->view_ready);
     pthread_mutex_unlock(&js->lock);
     job_claim_where(js, 0, &stop, true);
+    if (js->cfg.stop)
+        js->cfg.stop(js->cfg.user);
     bool ended = job_await_drawer(js);
     for (size_t i = 0; i < js->n_workers; i++)
         if (js->workers[i].thread && (ended || i < js->cfg.tile_threads))

@@ -54,8 +54,7 @@ struct job_config {
     /* Is it of use to nobody but those who wait for it? Then it is cancelled when they have gone,
      * even while it runs. NULL: pictures are. */
     bool (*passing)(const void *work); /* called under the lock: it only looks */
-    void (*view_enter)(void *user);    /* on the view thread, before its first job; may be NULL */
-    void (*view_leave)(void *user);
+    void (*stop)(void *user); /* by job_stop: what still runs is to end soon; may be NULL */
 };
 struct job_stats {
     uint64_t ended[JOB_CLASSES][JOB_ENDS], coalesced, queued[JOB_CLASSES], running[JOB_CLASSES];

@@ -90,6 +90,27 @@ static void metrics_text_jobs(struct jobs *jobs, struct buf *out)
                      st.coalesced);
 }
 
+/* The process that draws. */
+static void metrics_text_drawing(struct services *s, struct buf *out)
+{
+    struct worker_status st;
+    picture_status(s->picture, &st);
+    metrics_text_one(out, "drawing_up", "gauge", "1: the process that draws is ready.",
+                     st.state == WORKER_READY);
+    metrics_text_one(out, "drawing_starts_total", "counter", "Its starts.", st.starts);
+    metrics_text_one(out, "drawing_crashes_total", "counter", "Ends that nobody asked for.",
+                     st.crashes);
+    metrics_text_one(out, "drawing_kills_total", "counter",
+                     "Ends because it did not answer in --device-timeout-s.", st.kills);
+    metrics_text_one(out, "drawing_cancels_total", "counter",
+                     "Pictures that it gave up because nobody waited any more.", st.cancels);
+    metrics_text_head(out, "drawing_seconds", "gauge", "Time that the picture under way takes.");
+    buf_printf(out, "citysplat_drawing_seconds %.3f\n", s->jobs ? job_drawing_s(s->jobs) : 0);
+    metrics_text_head(out, "drawing_cpu_seconds_total", "counter", "CPU time of the process.");
+    buf_printf(out, "citysplat_drawing_cpu_seconds_total %.3f\n", st.cpu_s);
+    metrics_text_one(out, "drawing_peak_bytes", "gauge", "Its peak resident set.", st.peak_bytes);
+}
+
 enum err_code metrics_text_write(struct services *s, struct buf *out, struct err *e)
 {
     struct metrics *m = &s->metrics;
@@ -123,6 +144,8 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
                      streams.pictures);
     metrics_text_one(out, "stream_full_pictures_total", "counter",
                      "Those drawn in full, of cameras at rest.", streams.full);
+    if (s->picture)
+        metrics_text_drawing(s, out);
     cache_count(s->cache, &cs);
     metrics_text_one(out, "cache_hits_total", "counter", "Lookups that found encoded bytes.",
                      cs.hits);

@@ -232,7 +232,8 @@ static void motion_show(struct motion_stream *st, const struct job_result *r)
 static void motion_landed(struct motion_stream *st, struct job_result *r)
 {
     bool refused = r->end == JOB_SHED || r->end == JOB_TIMEOUT || r->end == JOB_LIMITED ||
-                   r->end == JOB_CANCELLED || r->code == ERR_MEM || r->code == ERR_BUSY;
+                   r->end == JOB_CANCELLED || r->code == ERR_MEM || r->code == ERR_BUSY ||
+                   r->code == ERR_DEVICE; /* the process that draws is started again */
     pthread_mutex_lock(&st->m->lock);
     st->flying = false;
     if (r->end == JOB_OK && !st->ended) {
@@ -259,7 +260,7 @@ static void motion_on_wake(struct job_waiter *w)
 }
 
 /* Under the lock: a small camera for a wish, of as many pixels as are drawn in time. */
-static void motion_shrink(const struct motion_stream *st, struct picture_view *v)
+static void motion_shrink(const struct motion_stream *st, struct draw_view *v)
 {
     double width = v->cam.width_px, height = v->cam.height_px;
     double factor = fmin(1, sqrt(st->area_px / (width * height)));

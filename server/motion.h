@@ -18,7 +18,7 @@ struct motion;        /* all streams of a server; thread-safe */
 struct motion_stream; /* one of them; counted references */
 
 struct motion_wish { /* what a client wants to see */
-    struct picture_view view;
+    struct draw_view view;
     struct appearance_choice appearance;
     double timeout_s; /* of one picture */
     int64_t number;   /* the client's own, repeated with the picture */

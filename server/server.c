@@ -33,14 +33,9 @@ struct server {
     char url[128];
 };
 
-static void server_enter_view(void *user)
+static void server_stop_drawing(void *user)
 {
-    picture_enter(((struct services *)user)->picture);
-}
-
-static void server_leave_view(void *user)
-{
-    picture_leave(((struct services *)user)->picture);
+    picture_stop(((struct services *)user)->picture);
 }
 
 static enum err_code server_start_jobs(struct server *sv, struct err *e)
@@ -59,10 +54,11 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
         .run = work_run,
         .drop = work_drop,
         .passing = work_passing,
-        .view_enter = server_enter_view,
-        .view_leave = server_leave_view,
+        .stop = server_stop_drawing,
     };
     enum err_code rc = views ? picture_open(cfg, &s->picture, e) : ERR_OK;
+    if (!rc && views)
+        rc = picture_start(s->picture, e);
     if (!rc)
         rc = motion_open(s, &s->motion, e);
     return !rc ? job_open(&jobs, &s->jobs, e) : rc;
@@ -236,7 +232,7 @@ bool server_stop(struct server **out)
     http_close(&sv->admin); /* last: it says how the stopping goes */
     bool ended = services_free(&sv->services);
     if (!ended)
-        log_error("serve", "the device does not return from a call; its thread is left behind");
+        log_error("serve", "a thread does not return from a call; it is left behind");
     log_stop(1);
     clip_free(&sv->clip);
     if (ended) {
@@ -256,9 +252,9 @@ uint16_t server_admin_port(const struct server *sv)
     return sv->admin ? http_port(sv->admin) : 0;
 }
 
-double server_hangs_s(struct server *sv)
+double server_failing_s(struct server *sv)
 {
-    return services_hangs_s(&sv->services);
+    return services_failing_s(&sv->services);
 }
 
 /* ---- is it well? ---- */

@@ -14,7 +14,9 @@
  *   result_id        the name of a result: a hash of all that decides its bytes
  *   seed, collection prefetch lists; documents about datasets
  *   catalog          the datasets at one moment
- *   picture          cameras to pictures, on the thread that owns the device
+ *   worker           a second process of the program: started, asked, killed, started again
+ *   draw             what it does: cameras to pictures, on the device that it alone has
+ *   picture          which of the datasets it has open; asking it
  *   access, metrics  what is logged and counted
  *   services         all of the above together: what answers draw on
  *   work             what a job does
@@ -68,8 +70,8 @@ enum err_code server_reload(struct server *s, struct err *e) ERR_USE;
 void server_expire(struct server *s, double now_s);
 
 /* Stop listening, finish what is under way within the configured times, free everything. Accepts
- * NULL inside, leaves NULL. False: the device hangs in a call that does not return; what its thread
- * uses is not freed, and the program had better end without waiting for it (_exit). */
+ * NULL inside, leaves NULL. False: a thread does not return from a call; what it uses is not freed,
+ * and the program had better end without waiting for it (_exit). */
 bool server_stop(struct server **s);
 /* Has an operator asked for a reload (POST /-/reload on the listener of --admin) since the last
  * call? */
@@ -81,7 +83,8 @@ uint16_t server_admin_port(const struct server *s); /* 0: there is none */
  * again; says what there is on `out` (may be NULL). Its errors. */
 enum err_code server_check(const struct server_config *cfg, const char *const *paths, size_t n,
                            FILE *out, struct err *e) ERR_USE;
-/* Seconds that the device has been at one picture beyond --device-timeout-s; 0: it is well. */
-double server_hangs_s(struct server *s);
+/* Seconds since the process that draws ended unasked, until it has been well for a while; 0: it
+ * is. */
+double server_failing_s(struct server *s);
 
 #endif

@@ -113,8 +113,10 @@ void services_set_catalog(struct services *s, struct catalog *c, const char *rel
     catalog_drop(&was);
 }
 
-double services_hangs_s(struct services *s)
+double services_failing_s(struct services *s)
 {
-    double drawing_s = s->picture && s->jobs ? job_drawing_s(s->jobs) : 0;
-    return s->cfg->device_timeout_s > 0 && drawing_s > s->cfg->device_timeout_s ? drawing_s : 0;
+    struct worker_status st = {0};
+    if (s->picture)
+        picture_status(s->picture, &st);
+    return st.failing_s;
 }

@@ -47,11 +47,12 @@ struct services { /* all shared, all thread-safe */
  * ERR_ARG (--metrics), ERR_MEM. */
 enum err_code services_open(struct services *s, const struct server_config *cfg,
                             struct err *e) ERR_USE;
-/* False: the device hangs, and nothing was freed (job_close). */
+/* False: a thread does not return, and nothing was freed (job_close). */
 bool services_free(struct services *s);
 struct catalog *services_catalog(struct services *s); /* a reference */
-/* Seconds that the device has been at one picture beyond --device-timeout-s; 0: it is well. */
-double services_hangs_s(struct services *s);
+/* Seconds since the process that draws ended unasked, until it has been well for a while; 0: it
+ * is. */
+double services_failing_s(struct services *s);
 /* From now on this one (taken; NULL: the one that is there). reload_error NULL leaves what is
  * known. */
 void services_set_catalog(struct services *s, struct catalog *c, const char *reload_error);

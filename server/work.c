@@ -1,13 +1,12 @@
-/* The work of jobs: from a store to bytes, on a worker thread with a store handle of its own. The
- * result enters the cache before the job ends, so whoever asks next finds the job or the bytes.
+/* The work of jobs: from a store to bytes, on a worker thread with a store handle of its own, or
+ * in the process that draws. The result enters the cache before the job ends, so whoever asks next
+ * finds the job or the bytes.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "server/work.h"
 
-#include <jansson.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "lod/photograph.h"
@@ -42,43 +41,22 @@ static enum err_code work_make_tileset(const struct work *w, struct buf *out, st
     return tileset_write(w->ds->index, uri, out, e);
 }
 
-static bool work_stopped(const void *job)
+/* What the process that draws makes. `room` is that of the result from above; codecs that do not
+ * compress add to it. */
+static enum err_code work_make_drawn(struct services *s, const struct job *j, const struct work *w,
+                                     enum draw_kind kind, struct buf *out, struct err *e)
 {
-    return job_cancelled(job);
-}
-
-static enum err_code work_make_map(struct services *s, const struct job *j, const struct work *w,
-                                   struct buf *out, struct err *e)
-{
-    struct nadir *n;
-    enum err_code rc = picture_nadir(s->picture, w->ds, &w->appearance, &n, e);
-    if (rc)
-        return rc;
-    nadir_set_stop(n, work_stopped, j);
-    rc = map_tile_make(n, &w->map, out, e);
-    nadir_set_stop(n, NULL, NULL);
-    return rc;
-}
-
-static enum err_code work_make_answer(struct services *s, const struct job *j, const struct work *w,
-                                      struct buf *out, struct err *e)
-{
-    struct nadir *n;
-    json_t *o = NULL;
-    enum err_code rc = picture_nadir(s->picture, w->ds, &w->appearance, &n, e);
-    if (!rc) {
-        nadir_set_stop(n, work_stopped, j);
-        rc = query_answer(n, s->geoid, w->query, &o, e);
-        nadir_set_stop(n, NULL, NULL);
-    }
-    char *text = rc ? NULL : json_dumps(o, JSON_COMPACT | JSON_REAL_PRECISION(13));
-    json_decref(o);
-    if (!rc && !text)
-        return err_set(e, ERR_MEM, "out of memory for an answer");
-    if (text)
-        buf_printf(out, "%s\n", text);
-    free(text);
-    return rc;
+    struct draw_request q;
+    memset(&q, 0, sizeof q);
+    q.kind = kind;
+    q.appearance = w->appearance;
+    if (kind == DRAW_VIEW)
+        q.view = w->view;
+    else if (kind == DRAW_MAP)
+        q.map = w->map;
+    else
+        q.query = *w->query;
+    return picture_make(s->picture, j, w->ds, &q, 2 * work_room(w), out, e);
 }
 
 static enum err_code work_make_thumbnail(const struct work *w, struct buf *out, struct err *e)
@@ -98,11 +76,11 @@ static enum err_code work_make_bytes(struct services *s, const struct job *j, co
 {
     switch (w->kind) {
     case WORK_VIEW:
-        return picture_make(s->picture, j, w->ds, &w->appearance, &w->view, out, e);
+        return work_make_drawn(s, j, w, DRAW_VIEW, out, e);
     case WORK_MAP:
-        return work_make_map(s, j, w, out, e);
+        return work_make_drawn(s, j, w, DRAW_MAP, out, e);
     case WORK_QUERY:
-        return work_make_answer(s, j, w, out, e);
+        return work_make_drawn(s, j, w, DRAW_QUERY, out, e);
     case WORK_SEED:
         return seed_write(w->ds, &w->target, w->form, &w->appearance, out, e);
     case WORK_TILESET:

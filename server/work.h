@@ -26,11 +26,11 @@ struct work { /* freed with work_drop */
     struct key key;     /* WORK_TILE */
     struct form form;   /* nothing left unsaid */
     struct appearance_choice appearance;
-    struct target target;     /* WORK_SEED, WORK_TILESET, WORK_THUMBNAIL */
-    struct picture_view view; /* WORK_VIEW */
-    struct map_tile map;      /* WORK_MAP */
-    struct query *query;      /* WORK_QUERY, owned */
-    bool keep;                /* put the result into the cache */
+    struct target target;  /* WORK_SEED, WORK_TILESET, WORK_THUMBNAIL */
+    struct draw_view view; /* WORK_VIEW */
+    struct map_tile map;   /* WORK_MAP */
+    struct query *query;   /* WORK_QUERY, owned */
+    bool keep;             /* put the result into the cache */
 };
 /* About the bytes of the result, from above: what it takes of --inflight-mb while it is made. */
 enum { WORK_ROOM_HEAD = 4096 }; /* of it for heads and ends */

@@ -621,8 +621,10 @@ static void questions_are_answered(void **state)
     assert_int_equal(status_of("GET", "/d/survey/measure", ""), 405);
 }
 
-int main(void)
+int main(int argc, char **argv)
 {
+    if (worker_asked(argc, argv))
+        return draw_main();
     const struct CMUnitTest tests[] = {
         HTTP_TEST(tiles_show_the_city),
         HTTP_TEST(terrain_is_the_citys),

@@ -357,8 +357,10 @@ static void test_stopping(void **state)
     }
 }
 
-int main(void)
+int main(int argc, char **argv)
 {
+    if (worker_asked(argc, argv))
+        return draw_main();
     const struct CMUnitTest tests[] = {
         HTTP_TEST(test_small_while_it_moves_full_at_rest),
         HTTP_TEST(test_refusals),

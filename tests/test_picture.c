@@ -267,8 +267,10 @@ static void test_pictures_of_a_restored_file(void **state)
     buf_free(&links);
 }
 
-int main(void)
+int main(int argc, char **argv)
 {
+    if (worker_asked(argc, argv))
+        return draw_main();
     const struct CMUnitTest tests[] = {
         HTTP_TEST(test_bytes),
         HTTP_TEST(test_crowd),

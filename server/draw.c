@@ -1,0 +1,196 @@
+/* The process that draws: one thread owns the OpenCL device, the compiled kernels and the tiles on
+ * it. It is niced, and OpenCL's own threads, which it starts, inherit that, so tiles keep flowing
+ * while a picture is made. Which stores are open is decided by who asks (picture.c).
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/draw.h"
+
+#include <jansson.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include "core/dev.h"
+#include "core/geo.h"
+#include "lod/nadir.h"
+#include "lod/pick.h"
+#include "lod/view.h"
+#include "render/render.h"
+#include "server/paint.h"
+
+enum { DRAW_NICE = 5 };
+
+struct draw_slot {
+    struct view *view;   /* NULL: empty */
+    struct nadir *nadir; /* over the view; NULL: nobody asked for a map yet */
+};
+struct draw {
+    struct draw_hello hello;
+    struct dev dev;
+    bool has_dev;
+    struct render *render;
+    struct render_surface *surface; /* NULL: nobody asked for depth or a background yet */
+    struct geoid *geoid;            /* NULL: none */
+    struct draw_slot slot[DRAW_SLOTS];
+};
+
+/* ---- open, close ---- */
+
+static void draw_empty(struct draw_slot *s)
+{
+    nadir_close(&s->nadir);
+    view_close(&s->view);
+}
+
+static void draw_close(void *user)
+{
+    struct draw *d = user;
+    if (!d)
+        return;
+    for (int i = 0; i < DRAW_SLOTS; i++)
+        draw_empty(&d->slot[i]);
+    render_surface_close(&d->surface);
+    render_close(&d->render);
+    if (d->has_dev)
+        dev_close(&d->dev);
+    geoid_close(&d->geoid);
+    mem_free(d);
+}
+
+static enum err_code draw_open(const void *hello, size_t n, void **user, char about[WORKER_ABOUT],
+                               struct err *e)
+{
+    struct draw *d = mem_array(1, sizeof *d);
+    *user = d;
+    if (!d)
+        return err_set(e, ERR_MEM, "out of memory");
+    if (n != sizeof d->hello)
+        return err_set(e, ERR_INTERNAL, "a greeting of %zu bytes, not %zu", n, sizeof d->hello);
+    memcpy(&d->hello, hello, n);
+    log_set_json(d->hello.log_json);
+    log_set_level(LOG_WARN); /* the server tells what is well */
+    setpriority(PRIO_PROCESS, 0, DRAW_NICE);
+    enum err_code rc = dev_open(d->hello.device[0] ? d->hello.device : NULL, &d->dev, e);
+    d->has_dev = !rc;
+    if (!rc)
+        rc = render_open(&d->dev, &d->render, e);
+    if (!rc && d->hello.geoid[0])
+        rc = geoid_open(d->hello.geoid, d->hello.geoid_dir, &d->geoid, e);
+    if (rc)
+        return rc;
+    render_set_stop(d->render, worker_cancelled, NULL);
+    snprintf(about, WORKER_ABOUT, "%.100s %.50s", d->dev.name, d->dev.driver);
+    return ERR_OK;
+}
+
+/* ---- answers ---- */
+
+/* The store of a request, in its appearance. fd is taken. */
+static enum err_code draw_find(struct draw *d, const struct draw_request *q, int fd,
+                               struct draw_slot **out, struct err *e)
+{
+    struct draw_slot *s = *out = &d->slot[q->slot % DRAW_SLOTS];
+    enum err_code rc = ERR_OK;
+    for (uint32_t i = 0; i < DRAW_SLOTS; i++)
+        if (q->drop >> i & 1)
+            draw_empty(&d->slot[i]);
+    if (q->opens) {
+        draw_empty(s);
+        rc = view_open_fd(fd, q->name, d->render, (size_t)d->hello.view_cache_bytes / DRAW_SLOTS,
+                          &s->view, e);
+    }
+    if (fd >= 0)
+        close(fd);
+    if (!rc && !s->view)
+        rc = err_set(e, ERR_INTERNAL, "%s: not open", q->name);
+    return rc ? rc : view_set_appearance(s->view, appearance_api_image(&q->appearance), e);
+}
+
+/* What is left behind the last frame's Gaussians, and how far away they are. NULL: not wanted. */
+static enum err_code draw_measure(struct draw *d, float *transmittance, float *depth_m,
+                                  struct err *e)
+{
+    const struct render_surface_maps maps = {.transmittance = transmittance, .median_m = depth_m};
+    enum err_code rc = ERR_OK;
+    if (!transmittance && !depth_m)
+        return ERR_OK;
+    if (!d->surface)
+        rc = render_surface_open(d->render, &d->surface, e);
+    return !rc ? render_surface_run(d->surface, NULL, &maps, e) : rc;
+}
+
+static enum err_code draw_picture(struct draw *d, const struct draw_request *q, struct draw_slot *s,
+                                  struct buf *out, struct err *e)
+{
+    const struct draw_view *v = &q->view;
+    const struct paint *paint = &v->paint;
+    size_t n = (size_t)v->cam.width_px * v->cam.height_px;
+    bool left = paint_needs_transmittance(paint), depth = paint_needs_depth(paint, v->format);
+    struct render_options ro = {.aa = q->antialiased ? RENDER_AA_2D : RENDER_AA_NONE,
+                                .sh_degree = -1};
+    const struct pick_options po = {.max_gaussians = d->hello.view_gaussians};
+    for (int c = 0; c < 3; c++)
+        ro.background[c] = (float)(paint->rgb >> (16 - 8 * c) & 255) / 255.0f;
+    float *rgb = mem_array(n, (3 + left + depth) * sizeof(float));
+    enum err_code rc = rgb ? ERR_OK : err_set(e, ERR_MEM, "picture: out of memory");
+    float *more = rgb ? rgb + 3 * n : NULL;
+    const struct paint_planes planes = {rgb, left ? more : NULL,
+                                        depth ? more + (left ? n : 0) : NULL};
+    if (!rc)
+        rc = view_render(s->view, &v->cam, &ro, &po, rgb, NULL, e);
+    if (!rc && worker_cancelled(NULL))
+        rc = err_set(e, ERR_CANCEL, "cancelled");
+    if (!rc)
+        rc = draw_measure(d, left ? more : NULL, depth ? more + (left ? n : 0) : NULL, e);
+    if (!rc)
+        rc = paint_encode(paint, &v->cam, v->format, v->quality, &planes, out, e);
+    mem_free(rgb);
+    return rc;
+}
+
+static enum err_code draw_answer(struct draw *d, const struct draw_request *q, struct nadir *n,
+                                 struct buf *out, struct err *e)
+{
+    json_t *o = NULL;
+    enum err_code rc = query_answer(n, d->geoid, &q->query, &o, e);
+    char *text = rc ? NULL : json_dumps(o, JSON_COMPACT | JSON_REAL_PRECISION(13));
+    json_decref(o);
+    if (!rc && !text)
+        return err_set(e, ERR_MEM, "out of memory for an answer");
+    if (text)
+        buf_printf(out, "%s\n", text);
+    free(text);
+    return rc;
+}
+
+static enum err_code draw_run(void *user, const void *request, size_t n, int fd, struct buf *out,
+                              struct err *e)
+{
+    struct draw *d = user;
+    const struct draw_request *q = request;
+    struct draw_slot *s;
+    if (n != sizeof *q) {
+        if (fd >= 0)
+            close(fd);
+        return err_set(e, ERR_INTERNAL, "a request of %zu bytes, not %zu", n, sizeof *q);
+    }
+    enum err_code rc = draw_find(d, q, fd, &s, e);
+    if (!rc && q->kind == DRAW_VIEW)
+        return draw_picture(d, q, s, out, e);
+    if (!rc && !s->nadir)
+        rc = nadir_over(s->view, d->render, (double)NAN, &s->nadir, e);
+    if (rc)
+        return rc;
+    return q->kind == DRAW_MAP ? map_tile_make(s->nadir, &q->map, out, e)
+                               : draw_answer(d, q, s->nadir, out, e);
+}
+
+int draw_main(void)
+{
+    static const struct worker_service service = {draw_open, draw_run, draw_close};
+    return worker_main(&service);
+}
