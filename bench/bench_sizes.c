@@ -47,7 +47,8 @@ static enum err_code sizes_frames(struct bench *b, size_t n, struct err *e)
         if (!rc && render_last_stats(c.render)->visible == 0)
             rc = err_set(e, ERR_INTERNAL, "bench_sizes: check: nothing is visible");
         if (!rc)
-            bench_report_at(b, "frame", ms, "ms", (double)n, (double)sizes_px[i][0] * sizes_px[i][1]);
+            bench_report_at(b, "frame", ms, "ms", (double)n,
+                            (double)sizes_px[i][0] * sizes_px[i][1]);
     }
     mem_free(c.rgb);
     render_model_free(&c.model);
