@@ -10,7 +10,12 @@
 #include "core/camera.h"
 #include "core/outline.h"
 
-enum { MEASURE_PIECE_PX = 512, MEASURE_PIECE_MIN_PX = 16, MEASURE_RIM_MAX = 400 };
+enum {
+    MEASURE_PIECE_PX = 512,
+    MEASURE_PIECE_MIN_PX = 16,
+    MEASURE_RIM_MAX = 400,
+    MEASURE_REACH_PX = 64
+};
 
 enum err_code measure_plan(const struct nadir *n, const double (*lonlat)[2], size_t count,
                            struct geo_origin *frame, double (*at)[2], struct err *e)
@@ -177,6 +182,15 @@ static enum err_code measure_rim(struct nadir *n, const struct geo_origin *frame
     return rc;
 }
 
+/* Pixels of a polygon where none were asked for: a fourth of the usual Gaussian, for the blur of a
+ * pixel moves edges by about half of one; coarser where that makes more than so many. */
+static const double measure_usual_px = 250000;
+static double measure_fine(const double box[4], double sigma_m)
+{
+    double fits = sqrt((box[2] - box[0]) * (box[3] - box[1]) / measure_usual_px);
+    return fmin(fmax(0.25 * sigma_m, fits), sigma_m);
+}
+
 struct measure_job {
     struct nadir *nadir;
     struct geo_origin frame;
@@ -186,17 +200,19 @@ struct measure_job {
     struct measure_area *out;
     double sum_m;
     size_t known;
+    uint32_t reach; /* pixels over which slopes are taken: about as far as Gaussians are large */
     float *height;
     uint8_t *in; /* surveyed */
 };
 
-/* One pixel; steps to its neighbours to the right and below are slopes of the surface. */
+/* One pixel; steps to those `reach` to the right and below are slopes of the surface. */
 static void measure_pixel(struct measure_job *j, double x, double y, double h, double right,
                           double down)
 {
     struct measure_area *o = j->out;
     double px = o->pixel_m, over = h - (j->base.c[0] + j->base.c[1] * x + j->base.c[2] * y),
-           dx = isfinite(right) ? (right - h) / px : 0, dy = isfinite(down) ? (down - h) / px : 0;
+           far = j->reach * px, dx = isfinite(right) ? (right - h) / far : 0,
+           dy = isfinite(down) ? (down - h) / far : 0;
     j->known++;
     j->sum_m += h;
     o->surface_m2 += px * px * sqrt(1 + dx * dx + dy * dy);
@@ -241,12 +257,12 @@ static enum err_code measure_check(const double box[4], double pixel_m, struct e
                    pixel_m, MEASURE_PIXELS_MAX, least * 1.01);
 }
 
-/* A piece whose top left corner lies at (west, north) of the plan. It is drawn a pixel larger, so
- * that every pixel has its neighbours. */
+/* A piece whose top left corner lies at (west, north) of the plan. It is drawn larger, so that
+ * every pixel has those that its slopes need. */
 static enum err_code measure_piece(struct measure_job *j, double west, double north,
                                    const struct measure_grid *g, struct err *e)
 {
-    uint32_t w = g->px[0] + 1, h = g->px[1] + 1;
+    uint32_t reach = j->reach, w = g->px[0] + reach, h = g->px[1] + reach;
     double px = j->out->pixel_m, lonlat[2], corner[8];
     const double middle[2] = {west + 0.5 * w * px, north - 0.5 * h * px};
     enum err_code rc = ERR_OK;
@@ -261,13 +277,13 @@ static enum err_code measure_piece(struct measure_job *j, double west, double no
         return rc;
     const struct nadir_piece p = {lonlat[0], lonlat[1], 0, 1 / px, 1 / px, w, h};
     rc = nadir_draw(j->nadir, &p, NULL, j->height, e);
-    for (uint32_t v = 0; !rc && v + 1 < h; v++)
-        for (uint32_t u = 0; u + 1 < w; u++) {
+    for (uint32_t v = 0; !rc && v + reach < h; v++)
+        for (uint32_t u = 0; u + reach < w; u++) {
             size_t i = (size_t)v * w + u;
             double x = west + (u + 0.5) * px, y = north - (v + 0.5) * px;
             if (j->in[i] && isfinite(j->height[i]) && outline_holds(j->at, j->count, x, y))
-                measure_pixel(j, x, y, (double)j->height[i], (double)j->height[i + 1],
-                              (double)j->height[i + w]);
+                measure_pixel(j, x, y, (double)j->height[i], (double)j->height[i + reach],
+                              (double)j->height[i + (size_t)reach * w]);
         }
     return rc;
 }
@@ -276,7 +292,7 @@ static enum err_code measure_pieces(struct measure_job *j, const double box[4],
                                     const struct measure_grid *g, struct err *e)
 {
     double px = j->out->pixel_m;
-    size_t room = (size_t)(g->px[0] + 1) * (g->px[1] + 1);
+    size_t room = (size_t)(g->px[0] + j->reach) * (g->px[1] + j->reach);
     enum err_code rc = ERR_OK;
     j->height = mem_array(room, sizeof *j->height);
     j->in = mem_array(room, 1);
@@ -296,9 +312,7 @@ enum err_code measure_polygon(struct nadir *n, const double (*lonlat)[2], size_t
 {
     double at[MEASURE_CORNERS_MAX][2], box[4] = {HUGE_VAL, HUGE_VAL, -HUGE_VAL, -HUGE_VAL};
     struct measure_job j = {.nadir = n, .count = count, .out = out};
-    *out = (struct measure_area){.lowest_m = HUGE_VAL,
-                                 .highest_m = -HUGE_VAL,
-                                 .pixel_m = gsd_m > 0 ? gsd_m : nadir_area(n)->sigma_m};
+    *out = (struct measure_area){.lowest_m = HUGE_VAL, .highest_m = -HUGE_VAL};
     if (count < 3 || count > MEASURE_CORNERS_MAX)
         return err_set(e, ERR_DATA, "a polygon of %zu corners: 3 to %d", count,
                        MEASURE_CORNERS_MAX);
@@ -315,6 +329,9 @@ enum err_code measure_polygon(struct nadir *n, const double (*lonlat)[2], size_t
             box[2 + k] = fmax(box[2 + k], at[i][k]);
             mid[k] += at[i][k] / (double)count;
         }
+    double sigma_m = nadir_area(n)->sigma_m;
+    out->pixel_m = gsd_m > 0 ? gsd_m : measure_fine(box, sigma_m);
+    j.reach = (uint32_t)fmin(fmax(floor(sigma_m / out->pixel_m + 0.5), 1), MEASURE_REACH_PX);
     rc = measure_check(box, out->pixel_m, e);
     if (rc)
         return rc;

@@ -44,9 +44,9 @@ struct measure_area {
     double pixel_m;
 };
 /* Within a polygon [n][2]. base_m: height of a level base; NAN: the plane through the surface along
- * the rim, least squares. gsd_m 0: about as fine as the Gaussians are. ERR_DATA: no simple polygon,
- * too many pixels, no surface along the rim; errors of measure_plan and nadir_draw: ERR_ARG,
- * ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
+ * the rim, least squares. gsd_m 0: a fourth of the usual Gaussian, or what makes 250,000 pixels.
+ * ERR_DATA: no simple polygon, too many pixels, no surface along the rim; errors of measure_plan
+ * and nadir_draw: ERR_ARG, ERR_CANCEL, ERR_DEVICE, ERR_FORMAT, ERR_LIMIT, ERR_MEM. */
 enum err_code measure_polygon(struct nadir *n, const double (*lonlat)[2], size_t count,
                               double base_m, double gsd_m, struct measure_area *out,
                               struct err *e) ERR_USE;

@@ -129,20 +129,23 @@ static void truth_around(double x, double y, double out[2])
  * 0.4 m in and out. A level square of 3 m: the volume of a box to 1 %. */
 static void volumes_are_the_citys(void **state)
 {
-    double least = 0, most = 0, base = origin.h_m + 2, step = 0.25;
+    double least = 0, most = 0, truth = 0, base = origin.h_m + 2, step = 0.25;
     json_t *ring = ring_of(-15, -12, 30), *o;
     (void)state;
     for (double y = -12 + step / 2; y < 18; y += step)
         for (double x = -15 + step / 2; x < 15; x += step) {
             double z[2];
             truth_around(x, y, z);
+            truth += fmax(truth_z(x, y) + origin.h_m - base, 0) * step * step;
             least += fmax(z[0] + origin.h_m - base, 0) * step * step;
             most += fmax(z[1] + origin.h_m - base, 0) * step * step;
         }
     o = ask(QUERY_MEASURE, NULL, json_pack("{s:O,s:f}", "polygon", ring, "base", base));
-    printf("measure: area %.3f m2, above %.1f m3, of %.1f to %.1f, surface %.1f m2\n",
-           number(o, "area_m2"), number(o, "volume_above_m3"), least, most,
-           number(o, "surface_area_m2"));
+    printf(
+        "measure: area %.3f m2, above %.1f m3, the city's %.1f, of %.1f to %.1f, surface %.1f m2, "
+        "pixels of %.3f m\n",
+        number(o, "area_m2"), number(o, "volume_above_m3"), truth, least, most,
+        number(o, "surface_area_m2"), number(o, "pixel_m"));
     assert_true(fabs(number(o, "area_m2") - 900) < 0.05);
     assert_true(fabs(number(o, "perimeter_m") - 120) < 0.01);
     assert_true(fabs(number(o, "known_area_m2") - 900) < 9);
