@@ -6,7 +6,28 @@
 
 #include "cli/cli.h"
 #include "cli/truth.h"
+#include "cli/truth_heights.h"
 #include "synth/synth.h"
+
+static enum err_code synth_score_heights(const struct synth_config *cfg, struct err *e)
+{
+    struct truth_heights t;
+    enum err_code rc = truth_heights(cfg, &t, e);
+    if (rc)
+        return rc;
+    printf(
+        "%s: %llu pixels of %g m within the built-up square, %llu of them without a surface\n"
+        "heights %llu pixels away from edges: error median %.3f m, 95 %% %.3f m, median with its "
+        "sign %+.3f m\n"
+        "edges   %zu steps of 3 m and more, %zu of them missing: off by median %.2f px, 95 %% "
+        "%.2f px; %.1f %% within 2 px; roofs reach out by %+.2f px (%+.3f m)\n"
+        "volume  %+.0f m3 against the city\n",
+        cfg->map, (unsigned long long)t.inside, t.pixel_m, (unsigned long long)t.none,
+        (unsigned long long)t.level, t.median_m, t.most_m, t.off_m, t.edges, t.missing,
+        t.edge.median_px, t.edge.most_px, 100 * t.edge.within_2_px, t.edge.out_px,
+        t.edge.out_px * t.pixel_m, t.volume_m3);
+    return ERR_OK;
+}
 
 static enum err_code synth_score_map(const struct synth_config *cfg, struct err *e)
 {
@@ -14,6 +35,12 @@ static enum err_code synth_score_map(const struct synth_config *cfg, struct err 
     if (!cfg->city)
         return err_set(e, ERR_ARG, "synth: --map: an orthophoto of which city? give --city CITY");
     enum err_code rc = truth_map(cfg, &s, e);
+    if (rc == ERR_FORMAT && !cfg->output) { /* no orthophoto: of one band */
+        struct err why = *e;
+        if (!synth_score_heights(cfg, e))
+            return ERR_OK;
+        *e = why;
+    }
     if (!rc)
         printf("%s: PSNR %.2f dB over %llu pixels; %.2f dB over %llu within the built-up square\n",
                cfg->map, s.psnr_db, (unsigned long long)s.pixels, s.inside_psnr_db,

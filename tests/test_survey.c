@@ -17,6 +17,7 @@
 #include "codec/image.h"
 #include "lod/probe.h"
 #include "survey/change.h"
+#include "survey/edge.h"
 #include "survey/map.h"
 
 #define GSD_M 0.25
@@ -132,6 +133,90 @@ static void heights_are_the_citys(void **state)
     mem_free(error);
     crs_close(&crs);
     map_free(&m);
+}
+
+/* Add the walls that line y of the map crosses, or column y. */
+static void edges_of_line(const struct map *m, const struct crs *crs, uint32_t y, bool down,
+                          struct edge_list *l)
+{
+    struct err e = {0};
+    size_t w = down ? m->h : m->w;
+    float *line = mem_array(w, sizeof *line), *truth[2];
+    for (uint32_t k = 0; k < 2; k++) {
+        double from[3], to[3];
+        truth[k] = mem_array(w * EDGE_FINE, sizeof *truth[k]);
+        assert_non_null(truth[k]);
+        pixel_place(m, crs, down ? y + k : -0.5, down ? -0.5 : y + k, from);
+        pixel_place(m, crs, down ? y + k : (double)w - 0.5, down ? (double)w - 0.5 : y + k, to);
+        for (size_t i = 0; i < w * EDGE_FINE; i++) {
+            double t = ((double)i + 0.5) / (double)(w * EDGE_FINE),
+                   at[2] = {from[0] + t * (to[0] - from[0]), from[1] + t * (to[1] - from[1])};
+            bool in = fabs(at[0]) < 0.5 * EXTENT_M - 1 && fabs(at[1]) < 0.5 * EXTENT_M - 1;
+            truth[k][i] = in ? (float)truth_z(at[0], at[1]) : NAN;
+        }
+    }
+    assert_non_null(line);
+    for (size_t x = 0; x < w; x++)
+        line[x] = m->height[down ? x * m->w + y : (size_t)y * m->w + x] - (float)origin.h_m;
+    kit_ok(edge_line(l, line, truth[0], truth[1], w, GSD_M, &e), e);
+    mem_free(line);
+    mem_free(truth[0]);
+    mem_free(truth[1]);
+}
+
+/* Edges of roofs within two pixels; and an edge that is moved is found where it was moved to. */
+static void roofs_end_where_they_do(void **state)
+{
+    struct map m;
+    struct crs *crs;
+    struct err e = {0};
+    struct edge_list l = {0};
+    struct edge_score s;
+    (void)state;
+    map_make(&m, "edges.tif", GEOTIFF_HEIGHT, 0);
+    kit_ok(crs_open(m.report.grid.epsg, &crs, &e), e);
+    for (uint32_t y = 0; y + 1 < m.h; y += 8)
+        edges_of_line(&m, crs, y, false, &l);
+    for (uint32_t x = 0; x + 1 < m.w; x += 8)
+        edges_of_line(&m, crs, x, true, &l);
+    kit_ok(edge_tell(&l, &s, &e), e);
+    printf("survey edges: %zu walls, %zu missing; off by median %.2f px, 95 %% %.2f px, %.1f %% "
+           "within 2 px, roofs reach out by %.2f px\n",
+           l.n, l.missing, s.median_px, s.most_px, 100 * s.within_2_px, s.out_px);
+    assert_true(l.n > 60 && s.within_2_px > 0.95 && s.most_px <= 2);
+    edge_free(&l);
+    crs_close(&crs);
+    map_free(&m);
+}
+
+/* A wall at a known place, drawn at another: what edge_line says of it. */
+static void edges_are_measured(void **state)
+{
+    enum { W = 60 };
+    float height[W], truth[W * EDGE_FINE], next[W * EDGE_FINE];
+    struct err e = {0};
+    struct edge_score s;
+    (void)state;
+    for (int k = 0; k < 12; k++) {
+        double wall = 30, at = wall + 0.5 * (k % 6 - 2), aslant = k < 6 ? 0 : 1;
+        struct edge_list l = {0};
+        for (int i = 0; i < W * EDGE_FINE; i++) {
+            double x = (i + 0.5) / EDGE_FINE;
+            truth[i] = x < wall ? 10 : 0;
+            next[i] = x < wall + aslant ? 10 : 0;
+        }
+        for (int x = 0; x < W; x++) /* the share of the pixel that the roof covers */
+            height[x] = 10 * (float)fmin(fmax(at - x, 0), 1);
+        kit_ok(edge_line(&l, height, truth, next, W, 0.25, &e), e);
+        kit_ok(edge_tell(&l, &s, &e), e);
+        assert_true(l.n == 1 && l.missing == 0);
+        assert_true(fabs(s.out_px - (at - wall) / hypot(1, aslant)) < 1e-6);
+        for (int x = 0; x < W; x++)
+            height[x] = 0;
+        kit_ok(edge_line(&l, height, truth, next, W, 0.25, &e), e);
+        assert_true(l.n == 1 && l.missing == 1);
+        edge_free(&l);
+    }
 }
 
 /* Colour says where a pixel is: to a fifth of a pixel on average, alpha 0 outside of the survey. */
@@ -547,6 +632,8 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(heights_are_the_citys),
+        cmocka_unit_test(edges_are_measured),
+        cmocka_unit_test(roofs_end_where_they_do),
         cmocka_unit_test(colours_lie_where_they_belong),
         cmocka_unit_test(pieces_leave_no_seams),
         cmocka_unit_test(gdal_calls_it_cloud_optimized),

@@ -1,0 +1,188 @@
+/* A surface model against the procedural city: see truth_heights.h.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "cli/truth_heights.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "core/geo.h"
+#include "core/sort.h"
+#include "survey/sheet.h"
+
+enum { TRUTH_PIXELS_MAX = 40000000, TRUTH_NEAR_PX = 2 };
+static const double truth_eye_m = 1e4, truth_earth_m = 6371000, truth_steep_m = 1;
+
+struct heights_job {
+    struct synth_config cfg; /* of the city */
+    struct synth_city city;
+    struct geo_origin origin;
+    struct sheet *map;
+    size_t w, h;
+    double pixel_m, corner[4][2]; /* ENU: top left, top right, bottom left, bottom right */
+    float *model, *truth;         /* [h][w] */
+    struct edge_list edges;
+};
+
+/* ENU of a place of the picture, pixels from the top left corner; and whether it is built up. */
+static bool truth_heights_place(const struct heights_job *j, double u, double v, double at[2])
+{
+    double s = u / (double)j->w, t = v / (double)j->h, cs = cos(j->city.yaw_rad),
+           sn = sin(j->city.yaw_rad), half = j->city.half_m;
+    for (size_t k = 0; k < 2; k++)
+        at[k] = (1 - t) * ((1 - s) * j->corner[0][k] + s * j->corner[1][k]) +
+                t * ((1 - s) * j->corner[2][k] + s * j->corner[3][k]);
+    return fabs(cs * at[0] + sn * at[1]) <= half && fabs(-sn * at[0] + cs * at[1]) <= half;
+}
+
+/* Ellipsoidal height of what is seen there from above. */
+static float truth_heights_at(const struct heights_job *j, double u, double v)
+{
+    double at[2], cs = cos(j->city.yaw_rad), sn = sin(j->city.yaw_rad);
+    (void)truth_heights_place(j, u, v, at);
+    const double eye[3] = {cs * at[0] + sn * at[1], -sn * at[0] + cs * at[1], truth_eye_m},
+                 down[3] = {0, 0, -1};
+    struct synth_hit hit;
+    synth_trace_ray(&j->city, NULL, eye, down, &hit);
+    return (float)(j->origin.h_m + truth_eye_m - hit.t_m +
+                   (at[0] * at[0] + at[1] * at[1]) / (2 * truth_earth_m));
+}
+
+static enum err_code truth_heights_read(struct heights_job *j, struct err *e)
+{
+    const struct map_grid *g = sheet_grid(j->map);
+    double n = (double)g->width * g->height;
+    j->w = g->width;
+    j->h = g->height;
+    j->pixel_m = g->pixel_m;
+    if (n > TRUTH_PIXELS_MAX)
+        return err_set(e, ERR_LIMIT, "%s: %.3g pixels: at most %d are compared with a city",
+                       j->cfg.map, n, TRUTH_PIXELS_MAX);
+    j->model = mem_array(j->w * j->h, sizeof *j->model);
+    j->truth = mem_array(j->w * j->h, sizeof *j->truth);
+    if (!j->model || !j->truth)
+        return err_set(e, ERR_MEM, "%s: out of memory for %.3g pixels", j->cfg.map, n);
+    enum err_code rc = sheet_read(j->map, 0, 0, g->width, g->height, j->model, e);
+    for (size_t i = 0; !rc && i < 4; i++) {
+        double x = g->west_m + (double)(i & 1) * g->width * g->pixel_m,
+               y = g->north_m - (double)(i >> 1) * g->height * g->pixel_m, enu[3];
+        rc = crs_unproject(sheet_crs(j->map), 1, &x, &y, e);
+        if (!rc)
+            rc = geo_to_enu(&j->origin, x, y, j->origin.h_m, enu, e);
+        memcpy(j->corner[i], enu, sizeof j->corner[i]);
+    }
+    for (size_t i = 0; !rc && i < j->w * j->h; i++) {
+        double at[2];
+        bool in = truth_heights_place(j, (double)(i % j->w) + 0.5, (double)(i / j->w) + 0.5, at);
+        j->model[i] = !in || j->model[i] < GEOTIFF_NODATA + 1 ? NAN : j->model[i];
+        j->truth[i] =
+            in ? truth_heights_at(j, (double)(i % j->w) + 0.5, (double)(i / j->w) + 0.5) : NAN;
+    }
+    return rc;
+}
+
+/* No step of the truth within two pixels. */
+static bool truth_heights_level(const struct heights_job *j, size_t x, size_t y)
+{
+    double lo = HUGE_VAL, hi = -HUGE_VAL;
+    for (size_t v = y - TRUTH_NEAR_PX; v <= y + TRUTH_NEAR_PX; v++)
+        for (size_t u = x - TRUTH_NEAR_PX; u <= x + TRUTH_NEAR_PX; u++) {
+            lo = fmin(lo, (double)j->truth[v * j->w + u]);
+            hi = fmax(hi, (double)j->truth[v * j->w + u]);
+        }
+    return hi - lo <= truth_steep_m;
+}
+
+static enum err_code truth_heights_score(const struct heights_job *j, struct truth_heights *out,
+                                         struct err *e)
+{
+    double *d = mem_array(j->w * j->h, 2 * sizeof *d), *far = d + j->w * j->h;
+    size_t n = 0;
+    if (!d)
+        return err_set(e, ERR_MEM, "out of memory for %zu pixels", j->w * j->h);
+    for (size_t y = TRUTH_NEAR_PX; y + TRUTH_NEAR_PX < j->h; y++)
+        for (size_t x = TRUTH_NEAR_PX; x + TRUTH_NEAR_PX < j->w; x++) {
+            size_t i = y * j->w + x;
+            double off = (double)j->model[i] - (double)j->truth[i];
+            if (!isfinite(j->truth[i]))
+                continue;
+            out->inside++;
+            out->none += !isfinite(off);
+            if (!isfinite(off))
+                continue;
+            out->volume_m3 += off * j->pixel_m * j->pixel_m;
+            if (!truth_heights_level(j, x, y))
+                continue;
+            d[n] = off;
+            far[n++] = fabs(off);
+        }
+    out->level = n;
+    out->median_m = n ? sort_median(far, n) : (double)NAN; /* sorts */
+    out->most_m = n ? far[(n - 1) * 95 / 100] : (double)NAN;
+    out->off_m = n ? sort_median(d, n) : (double)NAN;
+    mem_free(d);
+    return n ? ERR_OK : err_set(e, ERR_DATA, "%s: nothing of the city is in it", j->cfg.map);
+}
+
+/* Lines along x, or along y; the truth of a line is the `next` of the one before. */
+static enum err_code truth_heights_edges(struct heights_job *j, bool down, struct err *e)
+{
+    size_t w = down ? j->h : j->w, h = down ? j->w : j->h, fine = w * EDGE_FINE;
+    float *line = mem_array(w, sizeof *line), *truth[2];
+    enum err_code rc = ERR_OK;
+    for (size_t k = 0; k < 2; k++)
+        truth[k] = mem_array(fine, sizeof *truth[k]);
+    if (!line || !truth[0] || !truth[1])
+        rc = err_set(e, ERR_MEM, "out of memory for a line of %zu px", w);
+    for (size_t y = 0; !rc && y < h; y++) {
+        for (size_t i = 0; i < fine; i++) {
+            double a = ((double)i + 0.5) / EDGE_FINE, b = (double)y + 0.5, at[2];
+            bool in = truth_heights_place(j, down ? b : a, down ? a : b, at);
+            truth[y % 2][i] = in ? truth_heights_at(j, down ? b : a, down ? a : b) : NAN;
+        }
+        for (size_t x = 0; y && x < w; x++)
+            line[x] = j->model[down ? x * j->w + y - 1 : (y - 1) * j->w + x];
+        if (y)
+            rc = edge_line(&j->edges, line, truth[(y - 1) % 2], truth[y % 2], w, j->pixel_m, e);
+        if (!rc && signals_stopping())
+            rc = err_set(e, ERR_CANCEL, "stopped");
+    }
+    mem_free(line);
+    mem_free(truth[0]);
+    mem_free(truth[1]);
+    return rc;
+}
+
+enum err_code truth_heights(const struct synth_config *cfg, struct truth_heights *out,
+                            struct err *e)
+{
+    struct heights_job j = {0};
+    struct arena arena = {0};
+    *out = (struct truth_heights){0};
+    enum err_code rc = synth_views_config(cfg, &j.cfg, &arena, e);
+    j.cfg.map = cfg->map;
+    if (!rc)
+        rc = synth_city_make(&j.cfg, &j.city, e);
+    j.origin = (struct geo_origin){j.cfg.lon_deg, j.cfg.lat_deg, j.cfg.ground_h_m};
+    if (!rc)
+        rc = sheet_open(cfg->map, GEOTIFF_HEIGHT, &j.map, e);
+    if (!rc)
+        rc = truth_heights_read(&j, e);
+    if (!rc)
+        rc = truth_heights_score(&j, out, e);
+    for (int down = 0; !rc && down < 2; down++)
+        rc = truth_heights_edges(&j, down, e);
+    if (!rc)
+        rc = edge_tell(&j.edges, &out->edge, e);
+    out->pixel_m = j.pixel_m;
+    out->edges = j.edges.n + j.edges.missing;
+    out->missing = j.edges.missing;
+    edge_free(&j.edges);
+    sheet_close(&j.map);
+    synth_city_free(&j.city);
+    mem_free(j.model);
+    mem_free(j.truth);
+    arena_free(&arena);
+    return rc;
+}
