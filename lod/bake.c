@@ -32,9 +32,14 @@ enum {
 #define BAKE_LR 0.02
 #define BAKE_LR_FALL 0.02 /* of it is left at the end */
 
+struct bake_name {
+    const char *name; /* of the model */
+    uint32_t row;
+};
 struct bake {
     struct appearance model;
     size_t default_row;
+    struct bake_name *names; /* [n_images], sorted: servers look for several in each request */
 };
 
 /* ---- of a store ---- */
@@ -44,7 +49,30 @@ static void bake_free(struct bake *b)
     if (!b)
         return;
     appearance_free(&b->model);
+    mem_free(b->names);
     mem_free(b);
+}
+
+static int bake_name_compare(const void *pa, const void *pb)
+{
+    const struct bake_name *a = pa, *b = pb;
+    int order = strncmp(a->name, b->name, APPEARANCE_NAME_MAX);
+    return order ? order : a->row < b->row ? -1 : a->row > b->row;
+}
+
+/* Row of a photograph, the first where several have the name; -1. */
+static ptrdiff_t bake_row(const struct bake *b, const char *name)
+{
+    size_t lo = 0, hi = b->model.n_images;
+    while (lo < hi) {
+        size_t mid = lo + (hi - lo) / 2;
+        if (strncmp(b->names[mid].name, name, APPEARANCE_NAME_MAX) < 0)
+            lo = mid + 1;
+        else
+            hi = mid;
+    }
+    bool is = lo < b->model.n_images && !strncmp(b->names[lo].name, name, APPEARANCE_NAME_MAX);
+    return is ? (ptrdiff_t)b->names[lo].row : -1;
 }
 
 static void bake_close(struct store *s)
@@ -60,7 +88,15 @@ static enum err_code bake_parse(const struct buf *blob, struct bake **out, struc
     if (!b)
         return err_set(e, ERR_MEM, "appearance: out of memory");
     enum err_code rc = appearance_read(blob->data, blob->size, &b->model, e);
-    ptrdiff_t row = rc ? -1 : appearance_find(&b->model, BAKE_DEFAULT);
+    size_t n = rc ? 0 : b->model.n_images;
+    b->names = mem_array(n, sizeof *b->names);
+    if (!rc && !b->names)
+        rc = err_set(e, ERR_MEM, "appearance: out of memory for %zu names", n);
+    for (size_t i = 0; !rc && i < n; i++)
+        b->names[i] = (struct bake_name){b->model.names[i], (uint32_t)i};
+    if (!rc)
+        qsort(b->names, n, sizeof *b->names, bake_name_compare);
+    ptrdiff_t row = rc ? -1 : bake_row(b, BAKE_DEFAULT);
     if (!rc && row < 0)
         rc = err_set(e, ERR_FORMAT, "the appearance model has no row \"" BAKE_DEFAULT "\"");
     if (rc) {
@@ -202,15 +238,16 @@ enum err_code bake_read(struct store *s, struct key k, const float *image, struc
 /* ---- by name ---- */
 
 /* One "NAME" or "NAME:WEIGHT" of n bytes. */
-static enum err_code bake_find_one(const struct appearance *a, const char *text, size_t n,
-                                   uint32_t *row, double *weight, struct err *e)
+static enum err_code bake_find_one(const struct bake *b, const char *text, size_t n, uint32_t *row,
+                                   double *weight, struct err *e)
 {
+    const struct appearance *a = &b->model;
     char name[APPEARANCE_NAME_MAX + 32], *end;
     if (n >= sizeof name)
         return err_set(e, ERR_NOENT, "no photograph has a name of %zu bytes", n);
     memcpy(name, text, n);
     name[n] = '\0';
-    ptrdiff_t at = appearance_find(a, name);
+    ptrdiff_t at = bake_row(b, name);
     char *colon = strrchr(name, ':');
     *weight = 1.0;
     if (at < 0 && colon) {
@@ -218,7 +255,7 @@ static enum err_code bake_find_one(const struct appearance *a, const char *text,
         if (end == colon + 1 || *end || !isfinite(*weight))
             return err_set(e, ERR_ARG, "'%s': a number is expected after the last ':'", name);
         *colon = '\0';
-        at = appearance_find(a, name);
+        at = bake_row(b, name);
     }
     if (at < 0)
         return err_set(
@@ -299,7 +336,7 @@ enum err_code bake_find(struct store *s, const char *text, float *image, struct 
         size_t len = strcspn(p, ",");
         if (n == BAKE_BLEND_MAX)
             return err_set(e, ERR_ARG, "a blend of more than %d appearances", BAKE_BLEND_MAX);
-        rc = bake_find_one(a, p, len, &row[n], &weight[n], e);
+        rc = bake_find_one(s->bake, p, len, &row[n], &weight[n], e);
         sum += rc ? 0.0 : weight[n++];
         p += len + (p[len] == ',');
     }

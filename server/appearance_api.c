@@ -14,7 +14,6 @@
 #include <jansson.h>
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "lod/bake.h"
@@ -106,37 +105,43 @@ struct appearance_api_near {
     size_t row;
 };
 
-static int appearance_api_nearer(const void *pa, const void *pb)
+/* Into the few that are nearest, the nearest first; of equals the one that came first. */
+static void appearance_api_insert(struct appearance_api_near near[APPEARANCE_API_NEAREST],
+                                  size_t *n, struct appearance_api_near x)
 {
-    const struct appearance_api_near *a = pa, *b = pb;
-    if (a->cosine != b->cosine)
-        return a->cosine > b->cosine ? -1 : 1;
-    return a->row < b->row ? -1 : 1;
+    size_t at = *n;
+    while (at > 0 && near[at - 1].cosine < x.cosine)
+        at--;
+    if (at == APPEARANCE_API_NEAREST)
+        return;
+    *n += *n < APPEARANCE_API_NEAREST;
+    for (size_t i = *n - 1; i > at; i--)
+        near[i] = near[i - 1];
+    near[at] = x;
 }
 
-/* The photographs whose embeddings point most nearly the same way. */
+/* The photographs whose embeddings point most nearly the same way: looked through, not sorted,
+ * because a city has tens of thousands. */
 static json_t *appearance_api_nearest(const struct appearance *a, const float *image)
 {
-    struct appearance_api_near *near = mem_array(a->n_images, sizeof *near);
-    json_t *list = near ? json_array() : NULL;
+    struct appearance_api_near near[APPEARANCE_API_NEAREST];
+    size_t n = 0;
+    json_t *list = json_array();
     double length = 0;
     for (uint32_t j = 0; j < a->len_image; j++)
         length += (double)image[j] * (double)image[j];
     length = fmax(sqrt(length), 1e-12);
-    for (size_t i = 0; near && i < a->n_images; i++) {
+    for (size_t i = 0; i < a->n_images; i++) {
         float unit[APPEARANCE_IMAGE_MAX];
         double dot = 0;
         bake_unit(a, i, unit);
         for (uint32_t j = 0; j < a->len_image; j++)
-            dot += (double)unit[j] * (double)image[j] / length;
-        near[i] = (struct appearance_api_near){dot, i};
+            dot += (double)unit[j] * (double)image[j];
+        appearance_api_insert(near, &n, (struct appearance_api_near){dot / length, i});
     }
-    if (near)
-        qsort(near, a->n_images, sizeof *near, appearance_api_nearer);
-    for (size_t i = 0; near && i < a->n_images && i < APPEARANCE_API_NEAREST; i++)
+    for (size_t i = 0; i < n; i++)
         json_array_append_new(
             list, json_pack("{s:s,s:f}", "name", a->names[near[i].row], "cosine", near[i].cosine));
-    mem_free(near);
     return list;
 }
 

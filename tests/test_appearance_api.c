@@ -234,6 +234,42 @@ static const char *href(const json_t *o, const char *rel, char out[2048])
     return NULL;
 }
 
+/* They are the five nearest of all, the nearest first. */
+static void assert_nearest(const json_t *found, const double want[IMAGE])
+{
+    enum { NEAREST = 5 };
+    const json_t *near = json_object_get(found, "nearest");
+    double length = 0, last = 2, told[NEAREST];
+    assert_int_equal(json_array_size(near), NEAREST);
+    for (size_t j = 0; j < IMAGE; j++)
+        length += want[j] * want[j];
+    for (size_t k = 0; k < NEAREST; k++) {
+        told[k] = json_number_value(json_object_get(json_array_get(near, k), "cosine"));
+        assert_true(told[k] <= last);
+        last = told[k];
+    }
+    size_t farther = 0;
+    for (size_t i = 0; i < t.model.n_images; i++) {
+        const float *v = t.model.images + i * IMAGE;
+        double dot = 0, own = 0;
+        for (size_t j = 0; j < IMAGE; j++) {
+            dot += (double)v[j] * want[j];
+            own += (double)v[j] * (double)v[j];
+        }
+        double cosine = dot / sqrt(length * own);
+        const char *name = NULL;
+        for (size_t k = 0; k < NEAREST && !name; k++)
+            if (!strcmp(text_of(json_array_get(near, k), "name"), t.model.names[i])) {
+                name = t.model.names[i];
+                assert_true(fabs(told[k] - cosine) < 1e-6);
+            }
+        if (!name)
+            assert_true(cosine <= last + 1e-6);
+        farther += !name;
+    }
+    assert_int_equal(farther, t.model.n_images - NEAREST);
+}
+
 static void the_list_names_every_look_with_links_that_work(void **state)
 {
     (void)state;
@@ -251,6 +287,7 @@ static void the_list_names_every_look_with_links_that_work(void **state)
         assert_string_equal(text_of(found, "appearance"), t.model.names[i]);
         blend(row, one, 1, want);
         assert_embedding(found, want);
+        assert_nearest(found, want);
         const json_t *near = json_array_get(json_object_get(found, "nearest"), 0);
         assert_string_equal(text_of(near, "name"), t.model.names[i]);
         assert_true(fabs(json_number_value(json_object_get(near, "cosine")) - 1) < 1e-6);

@@ -233,6 +233,54 @@ static void looks_are_found_by_name_and_blended(void **state)
     store_close(&s);
 }
 
+/* Of many photographs, whatever their order, each is found, and none that is not there: as many as
+ * a city has, for servers look for several in each request. */
+static void one_of_many_photographs_is_found(void **state)
+{
+    enum { MANY = 20000, STEP = 7919 /* a prime: the order is scrambled */, TIMES = 200 };
+    const struct fixture *f = *state;
+    struct err e = {0};
+    struct appearance a;
+    struct buf blob = {0};
+    struct gauss g;
+    struct store *s;
+    char path[FILE_PATH_MAX], name[64], blend[512] = "";
+    float image[APPEARANCE_IMAGE_MAX], unit[APPEARANCE_IMAGE_MAX];
+    const struct pyramid_config cfg = {.tile_edge_m = 60, .name = "many", .lossless = true};
+    kit_ok(appearance_alloc(&a, LEN, 12, 16, MANY + 1, &e), e);
+    appearance_init(&a, 5);
+    for (size_t i = 0; i < MANY; i++)
+        snprintf(a.names[i], sizeof a.names[i], "DJI_%05zu.JPG", i * STEP % MANY);
+    snprintf(a.names[MANY], sizeof a.names[MANY], BAKE_DEFAULT);
+    kit_ok(appearance_write(&a, &blob, &e), e);
+    kit_gauss(3, 50, 60, 1, LEN, &g);
+    kit_ok(file_join(path, f->dir, "many.tiles", &e), e);
+    const struct store_blob b = {"appearance", blob.data, blob.size};
+    store_fixture_level(path, &origin, &g, &cfg, &b);
+    kit_ok(store_open(path, &s, &e), e);
+    for (size_t i = 0; i <= MANY; i++) {
+        kit_ok(bake_find(s, a.names[i], image, &e), e);
+        bake_unit(&a, i, unit);
+        assert_memory_equal(image, unit, a.len_image * sizeof(float));
+    }
+    static const char *const none[] = {"DJI_20000.JPG", "DJI_00000.JP", "DJI_00000.JPGG", "A", "z"};
+    for (size_t i = 0; i < sizeof none / sizeof *none; i++)
+        kit_fails(bake_find(s, none[i], image, &e), ERR_NOENT, e, none[i]);
+    for (int i = 0; i < 16; i++) {
+        snprintf(name, sizeof name, "%sDJI_%05d.JPG:1", i ? "," : "", MANY - 1 - i);
+        strcat(blend, name);
+    }
+    double start_s = clock_s();
+    for (int i = 0; i < TIMES; i++)
+        kit_ok(bake_find(s, blend, image, &e), e);
+    print_message("a blend of 16 of %d photographs: %.1f us\n", MANY,
+                  (clock_s() - start_s) / TIMES * 1e6);
+    store_close(&s);
+    buf_free(&blob);
+    gauss_free(&g);
+    appearance_free(&a);
+}
+
 /* Tiles of the same bytes and another network are other tiles to a cache. */
 static void another_model_is_another_hash(void **state)
 {
@@ -372,6 +420,7 @@ int main(void)
         cmocka_unit_test(the_default_look_is_nearest_to_the_mean_of_all),
         cmocka_unit_test(a_picture_of_baked_gaussians_is_the_network_s),
         cmocka_unit_test(looks_are_found_by_name_and_blended),
+        cmocka_unit_test(one_of_many_photographs_is_found),
         cmocka_unit_test(another_model_is_another_hash),
         cmocka_unit_test(permute_of_another_model_are_refused),
         cmocka_unit_test(photographs_of_both_are_there),
