@@ -195,20 +195,51 @@ static enum err_code export_glb(struct store *s, const struct store_tile *t,
     return rc;
 }
 
-static enum err_code export_document(const struct store *s, const char *dir, const char *name,
-                                     enum err_code (*write)(const struct store *, const char *,
-                                                            struct buf *, struct err *),
-                                     struct err *e)
+static enum err_code export_tilejson(const struct store *s, const char *dir, struct err *e)
 {
     struct buf b = {0};
     char path[FILE_PATH_MAX];
-    enum err_code rc = file_join(path, dir, name, e);
+    enum err_code rc = file_join(path, dir, "tiles.json", e);
     if (!rc)
-        rc = write(s, "t/{z}/{x}/{y}.glb", &b, e);
+        rc = tileset_tilejson(s, tileset_of_entry.tile, &b, e);
     if (!rc)
         rc = file_write(path, b.data, b.size, e);
     buf_free(&b);
     return rc;
+}
+
+/* tileset.json (part NULL), or the document that begins at a tile: tileset/z/x/y.json. */
+static enum err_code export_tileset(const struct store *s, const struct key *part, const char *dir,
+                                    struct err *e)
+{
+    struct buf b = {0};
+    char name[64] = "tileset.json", path[FILE_PATH_MAX];
+    if (part)
+        snprintf(name, sizeof name, "tileset/%u/%u", part->z, part->x);
+    enum err_code rc = file_join(path, dir, name, e);
+    if (!rc && part)
+        rc = file_mkdir(path, e);
+    if (!rc && part) {
+        snprintf(name, sizeof name, "tileset/%u/%u/%u.json", part->z, part->x, part->y);
+        rc = file_join(path, dir, name, e);
+    }
+    if (!rc)
+        rc = tileset_write(s, part ? &tileset_of_part : &tileset_of_entry, part, &b, e);
+    if (!rc)
+        rc = file_write(path, b.data, b.size, e);
+    buf_free(&b);
+    return rc;
+}
+
+static enum err_code export_documents(const struct store *s, const char *dir, struct err *e)
+{
+    size_t n;
+    const struct store_tile *t = store_tiles(s, &n);
+    enum err_code rc = export_tileset(s, NULL, dir, e);
+    for (size_t i = 0; !rc && i < n; i++)
+        if (store_tree(s)->nodes[i].document)
+            rc = export_tileset(s, &t[i].key, dir, e);
+    return !rc ? export_tilejson(s, dir, e) : rc;
 }
 
 static enum err_code export_3dtiles(struct store *s, const struct export_options *o,
@@ -229,9 +260,7 @@ static enum err_code export_3dtiles(struct store *s, const struct export_options
     }
     progress_end(&p, NULL);
     if (!rc)
-        rc = export_document(s, d.part, "tileset.json", tileset_write, e);
-    if (!rc)
-        rc = export_document(s, d.part, "tiles.json", tileset_tilejson, e);
+        rc = export_documents(s, d.part, e);
     if (!rc)
         rc = outdir_commit(&d, e);
     outdir_abort(&d);

@@ -15,11 +15,12 @@
 
 enum {
     SEED_CONNECTIONS_MAX = 64,
-    SEED_WAIT_MS = 50,        /* for the network, at most */
-    SEED_TIMEOUT_S = 120,     /* of one answer */
-    SEED_PAUSE_MAX_S = 60,    /* that a server may ask for */
-    SEED_NAMED_MAX = 5,       /* failures that are told one by one */
-    SEED_LIST_MAX = 256 << 20 /* bytes of the list */
+    SEED_WAIT_MS = 50,         /* for the network, at most */
+    SEED_TIMEOUT_S = 120,      /* of one answer */
+    SEED_PAUSE_MAX_S = 60,     /* that a server may ask for */
+    SEED_NAMED_MAX = 5,        /* failures that are told one by one */
+    SEED_LIST_MAX = 256 << 20, /* bytes of a page of the list */
+    SEED_PAGES_MAX = 10000
 };
 
 struct seed_options {
@@ -41,9 +42,11 @@ static const struct options_spec spec = {
     .about =
         "Warms a cache or CDN: asks it for the tiles of a prefetch list, most important first, "
         "and checks their tags. URL is a dataset (https://cdn.example/d/city) or its list with "
-        "an area, zooms and a format.",
+        "an area, the way of a camera, zooms and a format.",
     .example = "citysplat seed https://cdn.example/d/city --rate 50\n"
-               "citysplat seed 'https://cdn.example/d/city/seed.ndjson?z=12-16&f=drc'",
+               "citysplat seed 'https://cdn.example/d/city/seed.ndjson?z=12-16&f=drc'\n"
+               "citysplat seed 'https://cdn.example/d/city/seed.ndjson?"
+               "path=8.67,50.1,220@0,-30;8.68,50.1,220@0,-30'",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,
     .min_args = 1,
@@ -65,8 +68,8 @@ struct seed_get { /* one request on its way */
 
 struct seed_run {
     const struct seed_options *o;
-    struct seed_tile *tile;
-    size_t n, done, failed, cached, busy;
+    struct seed_tile *tile; /* [room] */
+    size_t n, room, done, failed, cached, busy;
     uint64_t bytes;
     struct seed_get get[SEED_CONNECTIONS_MAX];
     CURLM *multi;
@@ -142,31 +145,75 @@ static enum err_code seed_join(const char *base, const char *relative, char **ou
     return rc;
 }
 
-static enum err_code seed_parse(struct seed_run *r, const char *base, struct buf *list,
+static struct seed_tile *seed_add(struct seed_run *r)
+{
+    if (r->n == r->room) {
+        size_t room = r->room ? 2 * r->room : 1024;
+        struct seed_tile *more = mem_resize(r->tile, r->room, room, sizeof *more);
+        if (!more)
+            return NULL;
+        r->tile = more;
+        r->room = room;
+    }
+    return &r->tile[r->n++];
+}
+
+/* A line: a tile, or where the list goes on. */
+static enum err_code seed_parse_line(struct seed_run *r, const char *base, const json_t *o,
+                                     size_t number, char **next, struct arena *a, struct err *e)
+{
+    const char *url = json_string_value(json_object_get(o, "url"));
+    const char *etag = json_string_value(json_object_get(o, "etag"));
+    const char *more = json_string_value(json_object_get(o, "next"));
+    if (more)
+        return seed_join(base, more, next, a, e);
+    if (!url || !etag)
+        return err_set(e, ERR_FORMAT, "%s: line %zu: no tile with an url and an etag", base,
+                       number);
+    struct seed_tile *t = seed_add(r);
+    if (!t)
+        return err_set(e, ERR_MEM, "seed: out of memory");
+    enum err_code rc = seed_join(base, url, &t->url, a, e);
+    if (!rc && !(t->etag = arena_text(a, etag)))
+        rc = err_set(e, ERR_MEM, "seed: out of memory");
+    return rc;
+}
+
+/* *next: the address of the next page; NULL: this is the last one. */
+static enum err_code seed_parse(struct seed_run *r, const char *base, struct buf *list, char **next,
                                 struct arena *a, struct err *e)
 {
-    size_t lines = 0, number = 0;
+    size_t number = 0;
     enum err_code rc = ERR_OK;
-    for (size_t i = 0; i < list->size; i++)
-        lines += list->data[i] == '\n';
-    r->tile = arena_get(a, lines ? lines : 1, sizeof *r->tile);
-    if (!r->tile)
-        return err_set(e, ERR_MEM, "seed: out of memory");
-    for (char *p = (char *)list->data, *end; !rc && r->n < lines; p = end + 1) {
-        end = memchr(p, '\n', (size_t)((char *)list->data + list->size - p));
+    char *p = (char *)list->data, *stop = p + list->size, *end;
+    *next = NULL;
+    for (; !rc && p < stop && (end = memchr(p, '\n', (size_t)(stop - p))); p = end + 1) {
         json_t *o = json_loadb(p, (size_t)(end - p), 0, NULL);
-        const char *url = json_string_value(json_object_get(o, "url"));
-        const char *etag = json_string_value(json_object_get(o, "etag"));
-        struct seed_tile *t = &r->tile[r->n++];
-        number++;
-        if (!url || !etag)
-            rc = err_set(e, ERR_FORMAT, "%s: line %zu: no tile with an url and an etag", base,
-                         number);
-        if (!rc)
-            rc = seed_join(base, url, &t->url, a, e);
-        if (!rc && !(t->etag = arena_text(a, etag)))
-            rc = err_set(e, ERR_MEM, "seed: out of memory");
+        rc = seed_parse_line(r, base, o, ++number, next, a, e);
         json_decref(o);
+    }
+    return rc;
+}
+
+/* All pages of the list. */
+static enum err_code seed_list(struct seed_run *r, char *url, struct arena *a, struct err *e)
+{
+    enum err_code rc = ERR_OK;
+    for (size_t pages = 0; !rc && url; pages++) {
+        struct buf list = {0};
+        char *base = NULL, *next = NULL;
+        size_t before = r->n;
+        if (pages > SEED_PAGES_MAX)
+            return err_set(e, ERR_LIMIT, "%s: a list of more than %d pages", url, SEED_PAGES_MAX);
+        rc = seed_fetch_list(r, url, &list, &base, a, e);
+        if (!rc)
+            rc = seed_parse(r, base, &list, &next, a, e);
+        if (!rc && next && r->n == before)
+            rc = err_set(e, ERR_FORMAT, "%s: a page without tiles goes on", base);
+        if (!rc && signals_stopping())
+            rc = err_set(e, ERR_CANCEL, "stopped");
+        buf_free(&list);
+        url = next;
     }
     return rc;
 }
@@ -349,9 +396,8 @@ enum err_code cli_seed(int argc, char **argv, struct err *e)
     struct seed_options o = {0};
     struct options_args args;
     struct arena arena = {0};
-    struct buf list = {0};
     struct seed_run r = {.o = &o};
-    char *url = NULL, *base = NULL;
+    char *url = NULL;
     enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
     if (rc || args.done)
         goto out;
@@ -360,9 +406,7 @@ enum err_code cli_seed(int argc, char **argv, struct err *e)
     url = seed_address(args.arg[0], &arena);
     rc = url ? seed_open(&r, e) : err_set(e, ERR_MEM, "seed: out of memory");
     if (!rc)
-        rc = seed_fetch_list(&r, url, &list, &base, &arena, e);
-    if (!rc)
-        rc = seed_parse(&r, base, &list, &arena, e);
+        rc = seed_list(&r, url, &arena, e);
     if (!rc)
         rc = seed_run(&r, e);
     if (!rc)
@@ -372,7 +416,7 @@ enum err_code cli_seed(int argc, char **argv, struct err *e)
         rc = err_set(e, ERR_IO, "seed: %zu of %zu tiles failed", r.failed, r.n);
     seed_close(&r);
 out:
-    buf_free(&list);
+    mem_free(r.tile);
     arena_free(&arena);
     return rc;
 }

@@ -1,9 +1,10 @@
 /* 3D Tiles 1.1 and TileJSON 3.0.0 of a store: what map engines read first.
  *
- * One explicit document, REPLACE, one glb a tile. The root's transform is east-north-up at the
+ * Explicit documents, REPLACE, one glb a tile; a large tileset is several documents, each an external
+ * tileset of the one above it (lod/tree.h says where they begin). The root's transform is east-north-up at the
  * scene's origin to ECEF, moved to the root tile's centre; below it only translations, because
- * engines share one rotation (and one rotation of SH) between the tiles of a tileset. Boxes are in
- * each tile's own z-up frame. Both names of the splat extensions stand in the tileset's own
+ * engines share one rotation (and one rotation of SH) between the tiles of a tileset, external ones
+ * counted. Boxes are in each tile's own z-up frame. Both names of the splat extensions stand in the tileset's own
  * extensions block: CesiumJS chooses its splat path from there. 3DTILES_content_gltf itself is
  * never required in 1.1 (specification, section "glTF").
  *
@@ -27,9 +28,14 @@
 struct tileset {
     const struct store_tile *tiles;
     const struct tree *tree;
-    const char *content;
+    const struct tileset_links *links;
+    uint32_t start; /* the node that the document begins with */
     struct buf *out;
 };
+
+const struct tileset_links tileset_of_entry = {"t/{z}/{x}/{y}.glb", "tileset/{z}/{x}/{y}.json"};
+const struct tileset_links tileset_of_part = {"../../../t/{z}/{x}/{y}.glb",
+                                              "../../{z}/{x}/{y}.json"};
 
 /* A JSON string with everything escaped that must be. */
 static void tileset_text(struct buf *b, const char *text)
@@ -79,13 +85,10 @@ static void tileset_matrix(struct buf *b, const double m[16])
     buf_printf(b, "],");
 }
 
-static void tileset_node(const struct tileset *t, uint32_t index, const double m[16])
+static void tileset_box(const struct tileset *t, const struct tree_node *v)
 {
-    const struct tree_node *v = &t->tree->nodes[index];
     double center[3];
     tileset_center(t, v, center);
-    buf_printf(t->out, "{");
-    tileset_matrix(t->out, m);
     buf_printf(t->out, "\"boundingVolume\":{\"box\":[");
     for (size_t k = 0; k < 3; k++)
         buf_printf(t->out, "%.6f,", 0.5 * (v->min_enu_m[k] + v->max_enu_m[k]) - center[k]);
@@ -95,15 +98,31 @@ static void tileset_node(const struct tileset *t, uint32_t index, const double m
         double half = i % 3 == k ? 0.5 * (v->max_enu_m[k] - v->min_enu_m[k]) + 1e-6 : 0.0;
         buf_printf(t->out, "%s%.6f", i ? "," : "", half);
     }
-    buf_printf(t->out, "]},\"geometricError\":%.9g", v->geometric_error_m);
-    if (v->parent == TREE_NONE)
+    buf_printf(t->out, "]}");
+}
+
+/* A node and those below it, down to where other documents begin. m: NULL where the document that
+ * leads here has moved to this frame already. */
+static void tileset_node(const struct tileset *t, uint32_t index, const double *m)
+{
+    const struct tree_node *v = &t->tree->nodes[index];
+    bool elsewhere = v->document && index != t->start;
+    double center[3];
+    tileset_center(t, v, center);
+    buf_printf(t->out, "{");
+    if (m)
+        tileset_matrix(t->out, m);
+    tileset_box(t, v);
+    buf_printf(t->out, ",\"geometricError\":%.9g", v->geometric_error_m);
+    if (index == t->start)
         buf_printf(t->out, ",\"refine\":\"REPLACE\"");
     if (v->tile != TREE_NONE) {
         buf_printf(t->out, ",\"content\":{\"uri\":");
-        tileset_uri(t->out, t->content, t->tiles[v->tile].key);
+        tileset_uri(t->out, elsewhere ? t->links->part : t->links->tile, t->tiles[v->tile].key);
         buf_printf(t->out, "}");
     }
-    for (uint32_t i = 0; i < v->child_count; i++) {
+    uint32_t n = elsewhere ? 0 : v->child_count;
+    for (uint32_t i = 0; i < n; i++) {
         uint32_t c = t->tree->children[v->child_first + i];
         double at[3], move[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
         tileset_center(t, &t->tree->nodes[c], at);
@@ -112,30 +131,56 @@ static void tileset_node(const struct tileset *t, uint32_t index, const double m
         buf_printf(t->out, "%s", i ? "," : ",\"children\":[");
         tileset_node(t, c, move); /* at most KEY_ZOOM_MAX + 1 deep */
     }
-    buf_printf(t->out, "%s}", v->child_count ? "]" : "");
+    buf_printf(t->out, "%s}", n ? "]" : "");
 }
 
-enum err_code tileset_write(const struct store *s, const char *content_template, struct buf *out,
-                            struct err *e)
+/* The root's frame: east-north-up at the scene's origin, moved to the root tile's centre. */
+static enum err_code tileset_frame(const struct tileset *t, const struct store_meta *m,
+                                   double ecef[16], struct err *e)
 {
+    double center[3];
+    enum err_code rc = geo_enu_to_ecef(&m->origin, ecef, e);
+    if (rc)
+        return rc;
+    tileset_center(t, &t->tree->nodes[t->tree->root], center);
+    for (size_t r = 0; r < 3; r++)
+        ecef[12 + r] += ecef[r] * center[0] + ecef[4 + r] * center[1] + ecef[8 + r] * center[2];
+    return ERR_OK;
+}
+
+bool tileset_has_part(const struct store *s, struct key k)
+{
+    const struct store_tile *found = store_find(s, k);
+    size_t n;
+    return found && store_tree(s)->nodes[found - store_tiles(s, &n)].document;
+}
+
+enum err_code tileset_write(const struct store *s, const struct tileset_links *links,
+                            const struct key *part, struct buf *out, struct err *e)
+{
+    static const char names[] =
+        "[\"KHR_gaussian_splatting\",\"KHR_gaussian_splatting_compression_spz_2\"]";
     const struct store_meta *m = store_info(s);
-    struct tileset t = {.tree = store_tree(s), .content = content_template, .out = out};
+    struct tileset t = {.tree = store_tree(s), .links = links, .out = out};
+    double ecef[16];
     size_t n;
     t.tiles = store_tiles(s, &n);
     if (n == 0)
         return err_set(e, ERR_DATA, "tileset: the store has no tiles");
-    const struct tree_node *root = &t.tree->nodes[t.tree->root];
-    double ecef[16], center[3];
-    enum err_code rc = geo_enu_to_ecef(&m->origin, ecef, e);
-    if (rc)
-        return rc;
-    tileset_center(&t, root, center);
-    for (size_t r = 0; r < 3; r++)
-        ecef[12 + r] += ecef[r] * center[0] + ecef[4 + r] * center[1] + ecef[8 + r] * center[2];
-    static const char names[] =
-        "[\"KHR_gaussian_splatting\",\"KHR_gaussian_splatting_compression_spz_2\"]";
+    if (part && !tileset_has_part(s, *part))
+        return err_set(e, ERR_NOENT, "tileset: no document begins at tile %u/%u/%u", part->z,
+                       part->x, part->y);
+    t.start = part ? (uint32_t)(store_find(s, *part) - t.tiles) : t.tree->root;
+    const struct tree_node *first = &t.tree->nodes[t.start];
+    double error_m = first->geometric_error_m;
+    if (!part) {
+        enum err_code rc = tileset_frame(&t, m, ecef, e);
+        if (rc)
+            return rc;
+        error_m = TILESET_TOP_ERROR * fmax(error_m, t.tiles[0].geometric_error_m);
+    }
     buf_printf(out, "{\"asset\":{\"version\":\"1.1\",\"tilesetVersion\":\"%s\"", m->revision);
-    if (m->attribution[0]) {
+    if (!part && m->attribution[0]) {
         buf_printf(out, ",\"extras\":{\"cesium\":{\"credits\":[{\"html\":");
         tileset_text(out, m->attribution);
         buf_printf(out, ",\"showOnScreen\":true}]}}");
@@ -144,9 +189,8 @@ enum err_code tileset_write(const struct store *s, const char *content_template,
         out,
         "},\"extensionsUsed\":[\"3DTILES_content_gltf\"],\"extensions\":{\"3DTILES_content_gltf\":"
         "{\"extensionsUsed\":%s,\"extensionsRequired\":%s}},\"geometricError\":%.9g,\"root\":",
-        names, names,
-        TILESET_TOP_ERROR * fmax(root->geometric_error_m, t.tiles[0].geometric_error_m));
-    tileset_node(&t, t.tree->root, ecef);
+        names, names, error_m);
+    tileset_node(&t, t.start, part ? NULL : ecef);
     buf_printf(out, "}\n");
     return buf_check(out, e);
 }

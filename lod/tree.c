@@ -2,6 +2,10 @@
  * nearest existing ancestor, upwards (parents come first, so backwards) bounds are united; then
  * downwards geometric errors are made strictly smaller than those above.
  *
+ * Tilesets of many nodes are cut into documents of about TREE_DOCUMENT_NODES. A document ends at one
+ * depth: the first below which no part is too large for one document, or the last that it has room
+ * for, so that documents are neither many and tiny nor one below the other without need.
+ *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "lod/tree.h"
@@ -100,6 +104,50 @@ static void tree_measure(struct tree *t, const struct store_tile *tiles, size_t 
             t->nodes[i].geometric_error_m = 0.0;
 }
 
+/* End the document that begins at `root`: mark the nodes at which others begin. queue [n_nodes]. */
+static void tree_divide_at(struct tree *t, uint32_t root, uint32_t *queue)
+{
+    size_t lo = 0, hi = 1; /* of the deepest level that is in */
+    queue[0] = root;
+    for (;;) {
+        size_t n_next = 0, largest = 0;
+        for (size_t i = lo; i < hi; i++) {
+            n_next += t->nodes[queue[i]].child_count;
+            largest = t->nodes[queue[i]].n_below > largest ? t->nodes[queue[i]].n_below : largest;
+        }
+        if (lo && (largest <= TREE_DOCUMENT_NODES || hi + n_next > TREE_DOCUMENT_NODES))
+            break;
+        size_t end = hi;
+        for (size_t i = lo; i < hi; i++)
+            for (uint32_t c = 0; c < t->nodes[queue[i]].child_count; c++)
+                queue[end++] = t->children[t->nodes[queue[i]].child_first + c];
+        lo = hi;
+        hi = end;
+    }
+    for (size_t i = lo; i < hi; i++)
+        t->nodes[queue[i]].document = t->nodes[queue[i]].n_below > TREE_DOCUMENT_FEW;
+}
+
+static enum err_code tree_divide(struct tree *t, size_t n_tiles, struct err *e)
+{
+    for (size_t i = 0; i < t->n_nodes; i++)
+        t->nodes[i].n_below = 1;
+    for (size_t i = n_tiles; i-- > 0;) /* children come after their parents, but for a root's */
+        if (t->nodes[i].parent != TREE_NONE)
+            t->nodes[t->nodes[i].parent].n_below += t->nodes[i].n_below;
+    if (t->n_nodes <= TREE_DOCUMENT_NODES)
+        return ERR_OK;
+    uint32_t *queue = mem_array(t->n_nodes, sizeof *queue);
+    if (!queue)
+        return err_set(e, ERR_MEM, "tree: out of memory for %zu tiles", n_tiles);
+    tree_divide_at(t, t->root, queue);
+    for (size_t i = 0; i < n_tiles; i++)
+        if (t->nodes[i].document && t->nodes[i].n_below > TREE_DOCUMENT_NODES)
+            tree_divide_at(t, (uint32_t)i, queue);
+    mem_free(queue);
+    return ERR_OK;
+}
+
 static void tree_core(struct tree_node *v, const struct store_tile *t)
 {
     bool known = false;
@@ -151,8 +199,12 @@ enum err_code tree_build(const struct store_tile *tiles, size_t n, struct tree *
     }
     tree_link(&t);
     tree_measure(&t, tiles, n);
-    *out = t;
-    return ERR_OK;
+    enum err_code rc = tree_divide(&t, n, e);
+    if (rc)
+        tree_free(&t);
+    else
+        *out = t;
+    return rc;
 }
 
 void tree_free(struct tree *t)

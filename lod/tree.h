@@ -15,6 +15,8 @@
 #define TREE_NONE UINT32_MAX
 #define TREE_ERROR_GROWTH 1.01 /* errors fall strictly, at least by this, towards the leaves */
 #define TREE_PX_PER_SIGMA 16.0 /* geometric error over sigma: 16 px of error are 1 px of sigma */
+/* Nodes of a tileset's document, about: 350 bytes each, a tenth of it compressed. */
+enum { TREE_DOCUMENT_NODES = 1024, TREE_DOCUMENT_FEW = 8 /* are no document of their own */ };
 
 struct tree_node {
     uint32_t tile;   /* index into the tiles, TREE_NONE for a root without content */
@@ -24,6 +26,9 @@ struct tree_node {
     double core_min_enu_m[3], core_max_enu_m[3]; /* likewise */
     double sigma_max_m;                          /* likewise */
     double geometric_error_m; /* 0 at leaves, else the tile's, cut to less than the parent's */
+    uint32_t n_below;         /* nodes of its subtree, itself counted */
+    bool document; /* a tileset's document begins here: this node and all below it, down to the next
+                      such. Never of the root, which the tileset itself begins with. */
 };
 
 struct tree { /* {0} is empty */

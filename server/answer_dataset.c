@@ -8,46 +8,79 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "lod/tileset.h"
 #include "server/encode.h"
 #include "server/result_id.h"
+
+/* What a camera needs on its way; *out NULL where the target names none. False, with the problem
+ * set, where it makes no sense. */
+static bool answer_dataset_course(const struct target *t, struct course **out, struct response *res)
+{
+    struct err e = {0};
+    *out = NULL;
+    if (!t->course.path)
+        return true;
+    if (!(*out = mem_array(1, sizeof **out))) {
+        response_no_memory(res);
+        return false;
+    }
+    enum err_code rc = course_read(&t->course, *out, &e);
+    if (!rc)
+        return true;
+    mem_free(*out);
+    *out = NULL;
+    response_problem(res, rc == ERR_DATA ? 422 : 400, e.msg);
+    return false;
+}
 
 static void answer_dataset_seed(struct services *s, const struct request *r, struct dataset *d,
                                 const struct target *t, struct response *out)
 {
     struct form form = encode_form(s->cfg, &d->meta, &t->form);
     struct appearance_choice choice;
-    if (!answer_find_tile_appearance(d, t->appearance, &choice, out))
+    struct course *c = NULL;
+    if (!answer_find_tile_appearance(d, t->appearance, &choice, out) ||
+        !answer_dataset_course(t, &c, out))
         return;
     form.trained = choice.trained;
-    struct hash128 id = result_id_seed(d, t, form);
+    struct hash128 id = result_id_seed(d, t, c, form);
     out->type = "application/x-ndjson";
-    out->cache_control = RESPONSE_MOVING;
-    if (!response_made(s, r, id, out))
+    out->cache_control = t->route == ROUTE_SEED ? response_cache_control(s, d, t) : RESPONSE_MOVING;
+    struct work *w =
+        response_made(s, r, id, out) ? response_work(d, WORK_SEED, id, form, out) : NULL;
+    if (!w) {
+        mem_free(c);
         return;
-    struct work *w = response_work(d, WORK_SEED, id, form, out);
-    if (w) {
-        w->target = *t;
-        w->appearance = choice;
     }
+    w->target = *t;
+    w->target.course.path = NULL; /* borrowed */
+    w->appearance = choice;
+    w->course = c;
     out->cls = JOB_TILE;
     out->timeout_s = s->cfg->deadline_s;
 }
 
 /* The plain one is made when a dataset is opened; one that asks for its tiles with a query is a
- * job. */
+ * job, and so are the parts of large ones. */
 static void answer_dataset_tileset(struct services *s, const struct request *r, struct dataset *d,
                                    const struct target *t, struct response *out)
 {
     char query[TARGET_QUERY_MAX];
     struct appearance_choice choice;
-    bool moving = t->route == ROUTE_TILESET_MOVING;
+    bool moving = t->route == ROUTE_TILESET_MOVING, part = t->route == ROUTE_TILESET_PART;
+    if (part && !tileset_has_part(d->index, t->key)) {
+        response_problem(out, 404, "no part of the tileset begins at this tile");
+        return;
+    }
     target_query(t, query);
     out->type = RESPONSE_JSON;
     out->cache_control = moving ? RESPONSE_MOVING : response_cache_control(s, d, t);
     if (!moving)
         snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s", d->meta.name,
                  d->meta.revision);
-    if (!query[0]) {
+    if (!part && (!s->auth || auth_is_public(s->auth, d->meta.name)))
+        hint_tileset(d, t, out->hints);
+    if (!query[0] && !part) {
         response_body(r, body_ref(moving ? d->tileset_moving : d->tileset), out);
         return;
     }
@@ -99,6 +132,7 @@ bool answer_dataset(struct services *s, const struct request *r, struct dataset 
         return true;
     case ROUTE_TILESET_MOVING:
     case ROUTE_TILESET:
+    case ROUTE_TILESET_PART:
         answer_dataset_tileset(s, r, d, t, out);
         return true;
     case ROUTE_TILE_MOVING:
@@ -108,6 +142,7 @@ bool answer_dataset(struct services *s, const struct request *r, struct dataset 
         answer_dataset_moving(s, r, d, t, out);
         return true;
     case ROUTE_SEED:
+    case ROUTE_SEED_MOVING:
         answer_dataset_seed(s, r, d, t, out);
         return true;
     default:

@@ -29,6 +29,8 @@ void answer_tile(struct services *s, const struct request *r, struct dataset *d,
     out->cache_control = response_cache_control(s, d, t);
     snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s z-%u", d->meta.name,
              d->meta.revision, t->key.z);
+    if (!s->auth || auth_is_public(s->auth, d->meta.name))
+        hint_tile(d, tile, t, out->hints);
     if (!response_made(s, r, id, out))
         return;
     struct work *w = response_work(d, WORK_TILE, id, form, out);

@@ -104,7 +104,7 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
         w->view = (struct draw_view){cam, t->form.format, quality, t->paint};
         w->appearance = choice;
     }
-    out->cls = JOB_VIEW;
+    out->cls = r->prefetch ? JOB_AHEAD : JOB_VIEW;
     out->timeout_s = s->cfg->deadline_s;
 }
 

@@ -25,11 +25,16 @@ static enum err_code catalog_make_documents(struct dataset *d, const char *publi
 {
     struct buf b = {0};
     char text[FILE_PATH_MAX];
-    enum err_code rc = tileset_write(d->index, "t/{z}/{x}/{y}.glb", &b, e);
+    enum err_code rc = tileset_write(d->index, &tileset_of_entry, NULL, &b, e);
     rc = document_take(rc, &b, &d->tileset, e);
     if (!rc) {
-        snprintf(text, sizeof text, "r/%s-%s/t/{z}/{x}/{y}.glb", d->meta.revision, d->edition);
-        rc = tileset_write(d->index, text, &b, e);
+        char part[64];
+        const struct tileset_links moving = {text, part};
+        snprintf(text, sizeof text, "r/%s-%s/%s", d->meta.revision, d->edition,
+                 tileset_of_entry.tile);
+        snprintf(part, sizeof part, "r/%s-%s/%s", d->meta.revision, d->edition,
+                 tileset_of_entry.part);
+        rc = tileset_write(d->index, &moving, NULL, &b, e);
         rc = document_take(rc, &b, &d->tileset_moving, e);
     }
     if (!rc) {

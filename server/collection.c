@@ -41,9 +41,10 @@ static json_t *collection_json(const struct dataset *d, const char *up)
     snprintf(tileset, sizeof tileset, "%sd/%s/tileset.json", up, m->name);
     snprintf(tilejson, sizeof tilejson, "%scollections/%s/tiles.json", up, m->name);
     snprintf(appearances, sizeof appearances, "%sd/%s/appearances", up, m->name);
-    snprintf(model, sizeof model, "%sd/%s/r/%s/appearance.json", up, m->name, m->revision);
-    snprintf(photographs, sizeof photographs, "%sd/%s/r/%s/appearances.json", up, m->name,
-             m->revision);
+    snprintf(model, sizeof model, "%sd/%s/r/%s-%s/appearance.json", up, m->name, m->revision,
+             d->edition);
+    snprintf(photographs, sizeof photographs, "%sd/%s/r/%s-%s/appearances.json", up, m->name,
+             m->revision, d->edition);
     snprintf(tile, sizeof tile, "%sd/%s/r/%s-%s/t/{z}/{x}/{y}.{ext}", up, m->name, m->revision,
              d->edition);
     snprintf(view, sizeof view,

@@ -98,6 +98,46 @@ enum err_code encode_tile(struct store *s, struct key key, struct form form, con
     return rc;
 }
 
+uint64_t encode_bytes(const struct store_meta *meta, struct form form, uint32_t count)
+{
+    /* Bytes a Gaussian, SH 0 to 3, as the tables of docs/formats.md have them; of .drc, and what
+     * .spz (and .glb around it) takes more, mostly for positions. */
+    static const double drc[QUANT_PRESETS][4] = {[QUANT_SPZ] = {9.5, 10.3, 11.5, 13.3},
+                                                 [QUANT_PREVIEW] = {5.2, 5.4, 5.9, 6.6},
+                                                 [QUANT_BALANCED] = {8.4, 8.5, 9.8, 11.7},
+                                                 [QUANT_NEAR_LOSSLESS] = {11, 12.6, 15, 18}},
+                        spz[QUANT_PRESETS] = {[QUANT_SPZ] = 4,
+                                              [QUANT_PREVIEW] = 2.9,
+                                              [QUANT_BALANCED] = 4.9,
+                                              [QUANT_NEAR_LOSSLESS] = 6.4},
+                        embedding[QUANT_PRESETS] = {[QUANT_SPZ] = 12.6,
+                                                    [QUANT_PREVIEW] = 3.4,
+                                                    [QUANT_BALANCED] = 5,
+                                                    [QUANT_NEAR_LOSSLESS] = 8.7},
+                        sog[4] = {12.5, 14.6, 15.3, 16.3};
+    const uint32_t sh = form.sh_degree <= 3 ? form.sh_degree : 3, all = meta->sh_degree;
+    const unsigned preset = form.preset < QUANT_PRESETS ? form.preset : (unsigned)QUANT_BALANCED;
+    double each = 0, head = 1200;
+    switch (form.format) {
+    case FORMAT_GLB:
+    case FORMAT_SPZ:
+        each = drc[preset][sh] + spz[preset];
+        break;
+    case FORMAT_DRC:
+        each = drc[preset][sh] + (form.trained ? embedding[preset] * meta->embed_len / 16 : 0);
+        break;
+    case FORMAT_SOG:
+        each = sog[sh];
+        break;
+    case FORMAT_PLY:
+        each = 4.0 * (double)(14 + 3 * gauss_sh_count(all));
+        break;
+    default: /* plain.glb: place, rotation, scale, opacity, colour for those who show points */
+        each = 4.0 * (double)(15 + 3 * gauss_sh_count(all));
+    }
+    return (uint64_t)(head + each * count);
+}
+
 static enum err_code encode_make_sample(const struct store_meta *meta, struct gauss *g,
                                         struct err *e)
 {

@@ -18,6 +18,9 @@ struct form encode_form(const struct server_config *cfg, const struct store_meta
  * ERR_DATA, ERR_LIMIT. */
 enum err_code encode_tile(struct store *s, struct key key, struct form form, const float *image,
                           struct buf *out, struct err *e) ERR_USE;
+/* About how many bytes a tile of so many Gaussians takes, by what trained cities take in each form
+ * (docs/formats.md); the same for equal arguments. */
+uint64_t encode_bytes(const struct store_meta *meta, struct form form, uint32_t count);
 /* Hash of what the encoders make of a fixed sample with this meta. Entity tags contain it, so that
  * they change whenever the encoders, or the libraries below them, do: equal tags are equal bytes.
  * ERR_MEM, and what encoders return. */

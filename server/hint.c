@@ -1,7 +1,8 @@
 /* The page's script would find these addresses one after the other, each behind a round trip:
  * catalogue, tileset and network, coarsest tile. As hints they are on their way while the script
  * still is. They have to be the script's own addresses, letter by letter (web/src/source.ts), and
- * in its mode.
+ * in its mode. Addresses in tilesets and tiles are relative to these; one that leaves out how it was
+ * signed would not open, so answers of datasets that are not public have none (answer_*.c).
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -11,6 +12,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "lod/store.h"
+#include "lod/tree.h"
 #include "server/text.h"
 
 enum hint_depth { HINT_NOTHING, HINT_CATALOGUE, HINT_SCENE };
@@ -73,10 +76,10 @@ static void hint_add_scene(const struct dataset *d, char out[HINT_SIZE])
     const struct store_tile *tile = hint_coarsest(d);
     hint_add(out, "d/%s/tileset.json%s", name, trained);
     if (d->model)
-        hint_add(out, "d/%s/r/%s/appearance.json", name, rev);
+        hint_add(out, "d/%s/r/%s-%s/appearance.json", name, rev, d->edition);
     if (tile)
-        hint_add(out, "d/%s/r/%s/t/%u/%u/%u.%s%s", name, rev, tile->key.z, tile->key.x, tile->key.y,
-                 d->model ? "drc" : "glb", trained);
+        hint_add(out, "d/%s/r/%s-%s/t/%u/%u/%u.%s%s", name, rev, d->edition, tile->key.z,
+                 tile->key.x, tile->key.y, d->model ? "drc" : "glb", trained);
 }
 
 void hint_write(const struct catalog *c, const char *query, size_t n, char out[HINT_SIZE])
@@ -92,4 +95,73 @@ void hint_write(const struct catalog *c, const char *query, size_t n, char out[H
                                              : NULL;
     if (depth == HINT_SCENE && d)
         hint_add_scene(d, out);
+}
+
+/* ---- tilesets and tiles ---- */
+
+enum { HINT_QUERY = 64 }; /* a longer one would be most of the field */
+
+void hint_tileset(const struct dataset *d, const struct target *t, char out[HINT_SIZE])
+{
+    const struct tree *tree = store_tree(d->index);
+    char query[TARGET_QUERY_MAX], base[40] = "";
+    target_query(t, query);
+    out[0] = '\0';
+    if (strlen(query) > HINT_QUERY || tree->root == TREE_NONE ||
+        tree->nodes[tree->root].tile == TREE_NONE)
+        return;
+    const struct key k = d->tiles[tree->nodes[tree->root].tile].key;
+    if (t->route == ROUTE_TILESET_MOVING)
+        snprintf(base, sizeof base, "r/%s-%s/", d->meta.revision, d->edition);
+    hint_add(out, "%st/%u/%u/%u.glb%s", base, k.z, k.x, k.y, query);
+}
+
+/* A number in decimal. Four addresses a tile by printf would be a tenth of what an answer costs. */
+static char *hint_number(char *p, uint32_t v)
+{
+    char digits[10];
+    int n = 0;
+    do
+        digits[n++] = (char)('0' + v % 10);
+    while (v /= 10);
+    while (n)
+        *p++ = digits[--n];
+    return p;
+}
+
+static char *hint_text(char *p, const char *text)
+{
+    size_t n = strlen(text);
+    memcpy(p, text, n);
+    return p + n;
+}
+
+void hint_tile(const struct dataset *d, const struct store_tile *tile, const struct target *t,
+               char out[HINT_SIZE])
+{
+    enum { NUMBERS = 3 * 10 + 48 /* and the words between */ };
+    const struct tree *tree = store_tree(d->index);
+    const struct tree_node *v = &tree->nodes[tile - d->tiles];
+    char query[TARGET_QUERY_MAX], *p = out;
+    *p = '\0';
+    if (!v->child_count)
+        return;
+    target_query(t, query);
+    const char *ext = target_ext(t->form.format);
+    const size_t each = NUMBERS + strlen(ext) + strlen(query);
+    for (uint32_t i = 0; i < v->child_count && strlen(query) <= HINT_QUERY; i++) {
+        const struct key k = d->tiles[tree->children[v->child_first + i]].key;
+        if ((size_t)(p - out) + each > HINT_SIZE)
+            break;
+        p = hint_text(p, i ? ", <../../" : "<../../"); /* from t/z/x/ */
+        p = hint_number(p, k.z);
+        *p++ = '/';
+        p = hint_number(p, k.x);
+        *p++ = '/';
+        p = hint_number(p, k.y);
+        *p++ = '.';
+        p = hint_text(hint_text(p, ext), query);
+        p = hint_text(p, ">; rel=prefetch");
+    }
+    *p = '\0';
 }

@@ -498,7 +498,8 @@ static struct peer *http_peer(struct http *h, int fd, const struct sockaddr *add
     bool unlimited = h->side == HTTP_ADMIN || address_in(&h->proxies, p->address);
     size_t limit = unlimited ? 0 : (size_t)cfg->per_ip_connections;
     p->slot = watch_add(h->watch, fd, address_number(p->address, h->secret), limit, &p->over);
-    if (screen_attach(&p->screen, fd, (size_t)cfg->max_header_kb << 10, NULL)) {
+    struct tls *tls = h->side == HTTP_PUBLIC ? h->s->tls : NULL;
+    if (screen_attach(&p->screen, fd, tls, (size_t)cfg->max_header_kb << 10, NULL)) {
         watch_remove(h->watch, p->slot);
         mem_free(p);
         return NULL;
@@ -582,11 +583,23 @@ static enum err_code http_start_daemon(struct http *h, int fd, struct err *e)
         {MHD_OPTION_NOTIFY_CONNECTION, (intptr_t)http_on_connection, h},
         {MHD_OPTION_URI_LOG_CALLBACK, (intptr_t)http_on_target, h},
         {MHD_OPTION_UNESCAPE_CALLBACK, (intptr_t)http_keep_escapes, h},
-        {threads > 1 ? MHD_OPTION_THREAD_POOL_SIZE : MHD_OPTION_END, threads, NULL},
+        {MHD_OPTION_END, 0, NULL},
+        {MHD_OPTION_END, 0, NULL},
+        {MHD_OPTION_END, 0, NULL},
         {MHD_OPTION_END, 0, NULL},
     };
+    size_t n = sizeof options / sizeof *options - 4;
+    const bool tls = h->s->tls && h->side == HTTP_PUBLIC;
+    static char priorities[] = TLS_PRIORITIES;
+    if (threads > 1)
+        options[n++] = (struct MHD_OptionItem){MHD_OPTION_THREAD_POOL_SIZE, threads, NULL};
+    if (tls) {
+        options[n++] = (struct MHD_OptionItem){MHD_OPTION_HTTPS_CERT_CALLBACK, 0,
+                                               (void *)(intptr_t)tls_certificate};
+        options[n++] = (struct MHD_OptionItem){MHD_OPTION_HTTPS_PRIORITIES, 0, priorities};
+    }
     h->daemon = MHD_start_daemon(MHD_USE_EPOLL_INTERNAL_THREAD | MHD_ALLOW_SUSPEND_RESUME |
-                                     MHD_USE_ERROR_LOG,
+                                     MHD_USE_ERROR_LOG | (tls ? MHD_USE_TLS : 0),
                                  0, NULL, NULL, http_on_request, h, MHD_OPTION_EXTERNAL_LOGGER,
                                  http_on_log, NULL, MHD_OPTION_ARRAY, options, MHD_OPTION_END);
     if (!h->daemon)

@@ -85,7 +85,12 @@ static struct job *job_at(struct turn_item *it)
 
 static bool job_is_drawn(enum job_class cls)
 {
-    return cls == JOB_VIEW || cls == JOB_MAP || cls == JOB_MOTION;
+    return cls == JOB_VIEW || cls == JOB_MAP || cls == JOB_MOTION || cls == JOB_AHEAD;
+}
+
+bool job_is_picture(enum job_class cls)
+{
+    return cls == JOB_VIEW || cls == JOB_AHEAD;
 }
 
 static void job_queue_add(struct jobs *js, struct job *j, uint64_t client)
@@ -129,7 +134,7 @@ static void job_table_remove(struct jobs *js, struct job *j)
  * be finished for the cache, stop a picture or a question (nobody may join it any more). */
 static struct job *job_abandon(struct jobs *js, struct job *j)
 {
-    bool passing = js->cfg.passing ? js->cfg.passing(j->work) : j->cls == JOB_VIEW;
+    bool passing = js->cfg.passing ? js->cfg.passing(j->work) : job_is_picture(j->cls);
     if (j->running && !passing)
         return NULL;
     job_table_remove(js, j);
@@ -213,7 +218,7 @@ static struct job *job_next_drawn(struct jobs *js)
             return job_at(turn_next(js->queue[c]));
         }
     }
-    return NULL;
+    return job_at(turn_next(js->queue[JOB_AHEAD]));
 }
 
 static struct job *job_next_tile(struct jobs *js)
@@ -312,9 +317,9 @@ static void job_join(struct jobs *js, struct job *j, enum job_class cls, uint64_
     js->stats.coalesced++;
     if (j->running)
         return;
-    if (j->cls == JOB_PREFETCH && cls == JOB_TILE) {
+    if ((j->cls == JOB_PREFETCH && cls == JOB_TILE) || (j->cls == JOB_AHEAD && cls == JOB_VIEW)) {
         turn_remove(js->queue[j->cls], &j->place);
-        j->cls = JOB_TILE;
+        j->cls = cls;
         job_queue_add(js, j, client);
     } else {
         turn_join(js->queue[j->cls], &j->place, client);
@@ -338,7 +343,7 @@ static bool job_make_room(struct jobs *js, enum job_class cls, uint64_t client,
 /* NULL: it is not counted. */
 static struct rate *job_rate(struct jobs *js, enum job_class cls)
 {
-    return cls == JOB_MOTION ? NULL : js->rate[cls == JOB_VIEW ? JOB_VIEW : JOB_TILE];
+    return cls == JOB_MOTION ? NULL : js->rate[job_is_picture(cls) ? JOB_VIEW : JOB_TILE];
 }
 
 /* Under the lock: does the client have a token for one more? */
@@ -351,7 +356,7 @@ static bool job_pay(struct jobs *js, enum job_class cls, uint64_t client, double
         return true;
     js->stats.ended[cls][JOB_LIMITED]++;
     job_refuse(w, JOB_LIMITED, ERR_LIMIT,
-               cls == JOB_VIEW
+               job_is_picture(cls)
                    ? "your address asks for more new pictures than its share"
                    : "your address asks for more new tiles, questions and thumbnails than its "
                      "share");

@@ -8,8 +8,10 @@
 #include "server/body.h"
 
 /* JOB_MOTION: pictures of streams that follow a camera. A stream asks for one at a time, so they
- * are not counted against rates of clients. */
-enum job_class { JOB_VIEW, JOB_TILE, JOB_PREFETCH, JOB_MAP, JOB_MOTION, JOB_CLASSES };
+ * are not counted against rates of clients. JOB_PREFETCH and JOB_AHEAD: tiles and pictures that
+ * nobody looks at yet; they run when nothing else waits. */
+enum job_class { JOB_VIEW, JOB_TILE, JOB_PREFETCH, JOB_MAP, JOB_MOTION, JOB_AHEAD, JOB_CLASSES };
+bool job_is_picture(enum job_class cls); /* of a view, now or ahead */
 /* JOB_SHED: a queue was full; JOB_LIMITED: the client asks too much. */
 enum job_end { JOB_OK, JOB_ERROR, JOB_CANCELLED, JOB_SHED, JOB_TIMEOUT, JOB_LIMITED, JOB_ENDS };
 enum { JOB_BURST_S = 10 }; /* rates of clients are averages over this time */
@@ -40,7 +42,7 @@ struct job; /* one run; passed to the functions below */
 struct job_config {
     size_t tile_threads; /* they run JOB_TILE, then JOB_PREFETCH, each client's oldest first */
     bool view_thread;    /* one thread draws: JOB_VIEW, each client's newest first, JOB_MAP and
-                         JOB_MOTION, each client's oldest first, in turns */
+                         JOB_MOTION, each client's oldest first, in turns, then JOB_AHEAD */
     size_t queue_limit[JOB_CLASSES];
     double client_views_s, client_tiles_s; /* new ones a second of one client; 0: any number */
     double stop_s; /* how long job_stop waits for the thread that draws; 0 = 10 s */

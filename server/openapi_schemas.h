@@ -104,9 +104,9 @@
                  " metres) and gsd_m'}")                                                           \
     X("Visible", "{'type':'object','description':'from, to: lon, lat, and height (ellipsoidal) or" \
                  " above (the surface)'}")                                                         \
-    X("SeedLine",                                                                                  \
-      "{'type':'object','required':['url','etag','gaussians'],'properties':{'url':" OPENAPI_TEXT   \
-      ",'etag':" OPENAPI_TEXT ",'gaussians':" OPENAPI_INTEGER "}}")                                \
+    X("SeedLine", "{'type':'object','properties':{'url':" OPENAPI_TEXT ",'etag':" OPENAPI_TEXT     \
+                  ",'gaussians':" OPENAPI_INTEGER ",'bytes':" OPENAPI_INTEGER                      \
+                  ",'at_s':" OPENAPI_NUMBER ",'next':" OPENAPI_TEXT "}}")                          \
     X("State",                                                                                     \
       "{'type':'object','required':['status'],'properties':{'status':{'type':'string','enum':"     \
       "['ok','ready','degraded']},'failed':{'type':'object','additionalProperties'"                \

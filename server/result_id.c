@@ -70,14 +70,18 @@ static void result_id_add_query(struct hash128 *id, const struct target *t)
     *id = hash_bytes(&name, sizeof name);
 }
 
-struct hash128 result_id_seed(const struct dataset *d, const struct target *t, struct form form)
+struct hash128 result_id_seed(const struct dataset *d, const struct target *t,
+                              const struct course *c, struct form form)
 {
-    struct {
-        struct hash128 salt;
+    struct { /* no padding */
+        struct hash128 salt, course;
         char rev[16], edition[16];
         int32_t bbox_e7[4];
-        uint32_t z_min, z_max, format, has_bbox, asked, preset;
+        uint32_t z_min, z_max, format, has_bbox, asked, preset, after, limit, moving, unused;
     } name = {.salt = d->salt,
+              .after = t->after,
+              .limit = t->limit,
+              .moving = t->route == ROUTE_SEED_MOVING,
               .z_min = t->z_min,
               .z_max = t->z_max,
               .format = (uint32_t)form.format,
@@ -87,6 +91,8 @@ struct hash128 result_id_seed(const struct dataset *d, const struct target *t, s
     memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
     memcpy(name.edition, d->edition, sizeof d->edition);
     memcpy(name.bbox_e7, t->bbox_e7, sizeof name.bbox_e7);
+    if (c)
+        name.course = hash_bytes(c, sizeof *c); /* made of zeros before it was read */
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_add_query(&id, t);
     return id;
@@ -97,11 +103,18 @@ struct hash128 result_id_tileset(const struct dataset *d, const struct target *t
     struct {
         struct hash128 salt;
         char rev[16], edition[16], kind[16];
+        uint32_t z, x, y, unused;
     } name = {.salt = d->salt};
     bool moving = t->route == ROUTE_TILESET_MOVING;
     memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
     memcpy(name.edition, d->edition, sizeof d->edition);
     memcpy(name.kind, moving ? "tileset moving" : "tileset", moving ? 15 : 8);
+    if (t->route == ROUTE_TILESET_PART) {
+        memcpy(name.kind, "tileset part", 13);
+        name.z = t->key.z;
+        name.x = t->key.x;
+        name.y = t->key.y;
+    }
     struct hash128 id = hash_bytes(&name, sizeof name);
     result_id_add_query(&id, t);
     return id;

@@ -11,6 +11,7 @@
 #include "lod/query.h"
 #include "server/appearance_api.h"
 #include "server/config.h"
+#include "server/course.h"
 #include "server/dataset.h"
 #include "server/map_tile.h"
 #include "server/target.h"
@@ -24,7 +25,8 @@ void result_id_tiles_edition(const struct dataset *d, unsigned preset, char out[
 /* The same of its pictures and maps. */
 void result_id_pictures_edition(const struct dataset *d, const char *device, int quality,
                                 double gaussians, char out[9]);
-struct hash128 result_id_seed(const struct dataset *d, const struct target *t, struct form form);
+struct hash128 result_id_seed(const struct dataset *d, const struct target *t,
+                              const struct course *c, struct form form); /* c: NULL: none */
 struct hash128 result_id_tileset(const struct dataset *d, const struct target *t);
 /* A photograph's thumbnail in a revision. */
 struct hash128 result_id_thumbnail(const struct dataset *d, const char *name);

@@ -283,35 +283,56 @@ void screen_put(struct screen *s, const char *bytes, size_t n)
 
 /* ---- sockets ---- */
 
-static ssize_t screen_recv(struct screen *s, int fd, char *out, size_t room)
+size_t screen_read(struct screen *s, ssize_t (*more)(void *from, char *out, size_t room),
+                   void *from, enum screen_source source, char *out, size_t room, ssize_t *last)
 {
     char bytes[SCREEN_READ];
     size_t n = screen_take(s, out, room);
     while (n < room) {
-        ssize_t got = recvfrom(fd, bytes, sizeof bytes, 0, NULL, NULL);
-        if (got <= 0)
-            return n ? (ssize_t)n : got;
+        ssize_t got = more(from, bytes, sizeof bytes);
+        if (got <= 0) {
+            *last = got;
+            break;
+        }
         screen_put(s, bytes, (size_t)got);
         n += screen_take(s, out + n, room - n);
-        if ((size_t)got < sizeof bytes)
-            break; /* the socket is empty */
+        if (source == SCREEN_SOCKET && (size_t)got < sizeof bytes)
+            break;
     }
-    if (!n && room)
-        errno = EAGAIN;
-    return n || !room ? (ssize_t)n : -1;
+    return n;
+}
+
+static ssize_t screen_socket(void *fd, char *out, size_t room)
+{
+    return recvfrom(*(const int *)fd, out, room, 0, NULL, NULL);
+}
+
+struct screen *screen_at(int fd)
+{
+    return fd >= 0 && fd < SCREEN_FDS ? atomic_load_explicit(&screen_of[fd], memory_order_acquire)
+                                      : NULL;
 }
 
 ssize_t recv(int fd, void *out, size_t room, int flags)
 {
-    struct screen *s = fd >= 0 && fd < SCREEN_FDS && !flags
-                           ? atomic_load_explicit(&screen_of[fd], memory_order_acquire)
-                           : NULL;
-    return s ? screen_recv(s, fd, out, room) : recvfrom(fd, out, room, flags, NULL, NULL);
+    struct screen *s = flags ? NULL : screen_at(fd);
+    if (!s || s->tls)
+        return recvfrom(fd, out, room, flags, NULL, NULL);
+    ssize_t last = 1; /* nothing ended it */
+    size_t n = screen_read(s, screen_socket, &fd, SCREEN_SOCKET, out, room, &last);
+    if (n || !room)
+        return (ssize_t)n;
+    if (last == 1) {
+        errno = EAGAIN; /* half a line */
+        last = -1;
+    }
+    return last;
 }
 
-enum err_code screen_attach(struct screen *s, int fd, size_t line_max, struct err *e)
+enum err_code screen_attach(struct screen *s, int fd, struct tls *tls, size_t line_max,
+                            struct err *e)
 {
-    *s = (struct screen){.line_max = line_max};
+    *s = (struct screen){.tls = tls, .line_max = line_max};
     if (fd < 0 || fd >= SCREEN_FDS)
         return err_set(e, ERR_MEM, "screen: descriptor %d is beyond %d", fd, SCREEN_FDS);
     atomic_store_explicit(&screen_of[fd], s, memory_order_release);

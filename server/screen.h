@@ -25,7 +25,9 @@ enum screen_state {
     SCREEN_TRAILER,
     SCREEN_CLOSED, /* refused, and the parser has its end */
 };
-struct screen { /* of one connection; {0}, screen_attach, screen_detach. One thread. */
+struct tls;
+struct screen {      /* of one connection; {0}, screen_attach, screen_detach. One thread. */
+    struct tls *tls; /* it speaks TLS: bytes come through tls.c, decrypted; NULL: as they are */
     enum screen_state state;
     char *in; /* what has come; [0, n_ok) was looked at */
     size_t n_in, n_ok, cap, line_max;
@@ -38,10 +40,18 @@ struct screen { /* of one connection; {0}, screen_attach, screen_detach. One thr
     int status;          /* to refuse it with */
 };
 
-/* From here to screen_detach, what recv() gives for this descriptor comes through s, whose lines
- * are at most line_max bytes. ERR_MEM. */
-enum err_code screen_attach(struct screen *s, int fd, size_t line_max, struct err *e) ERR_USE;
+/* From here to screen_detach, what recv(), or with tls gnutls_record_recv(), gives for this
+ * descriptor comes through s, whose lines are at most line_max bytes. ERR_MEM. */
+enum err_code screen_attach(struct screen *s, int fd, struct tls *tls, size_t line_max,
+                            struct err *e) ERR_USE;
 void screen_detach(struct screen *s, int fd);
+struct screen *screen_at(int fd); /* NULL: none is attached */
+/* Of a socket a short read means that it is empty; a record of TLS may be followed by others. */
+enum screen_source { SCREEN_SOCKET, SCREEN_RECORDS };
+/* Read from a source until the room is full or nothing comes: more() gives bytes, 0 at their end,
+ * less for "not now" and errors; *last is its last answer of these two, if it came so far. */
+size_t screen_read(struct screen *s, ssize_t (*more)(void *from, char *out, size_t room),
+                   void *from, enum screen_source source, char *out, size_t room, ssize_t *last);
 /* The status to refuse the n-th request of the connection with, counted from 1; 0 when nothing is
  * known against it. */
 int screen_refused(const struct screen *s, uint64_t n);

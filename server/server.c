@@ -47,7 +47,8 @@ static enum err_code server_start_jobs(struct server *sv, struct err *e)
         .tile_threads = sv->workers,
         .view_thread = views,
         .queue_limit = {(size_t)cfg->queue_views, (size_t)cfg->queue_tiles,
-                        (size_t)cfg->queue_prefetch, (size_t)cfg->queue_maps, (size_t)cfg->streams},
+                        (size_t)cfg->queue_prefetch, (size_t)cfg->queue_maps, (size_t)cfg->streams,
+                        (size_t)cfg->queue_views},
         .client_views_s = cfg->client_views_s,
         .client_tiles_s = cfg->client_tiles_s,
         .user = s,
@@ -81,7 +82,8 @@ static void server_set_url(struct server *sv)
     const char *a = sv->cfg.address;
     const char *host = !strcmp(a, "0.0.0.0") ? "127.0.0.1" : !strcmp(a, "::") ? "::1" : a;
     const char *open = strchr(host, ':') ? "[" : "", *close = *open ? "]" : "";
-    snprintf(sv->url, sizeof sv->url, "http://%s%s%s:%u/", open, host, close, http_port(sv->http));
+    snprintf(sv->url, sizeof sv->url, "%s://%s%s%s:%u/", sv->services.tls ? "https" : "http", open,
+             host, close, http_port(sv->http));
     /* Who listens on every address does not know by which one it is seen. */
     const char *own = a[strspn(a, "0.:")] ? sv->url : NULL;
     sv->services.url = sv->cfg.public_url && *sv->cfg.public_url ? sv->cfg.public_url : own;
@@ -204,8 +206,14 @@ enum err_code server_reload(struct server *sv, struct err *e)
     struct services *s = &sv->services;
     struct err own = {0};
     struct catalog *older = services_catalog(s), *newer = NULL;
+    struct tls_pair *pair = NULL;
     e = e ? e : &own; /* what it says is kept */
-    enum err_code rc = catalog_open(sv->paths, sv->n_paths, &sv->stores, older, &newer, e);
+    enum err_code rc = s->tls ? tls_read(s->tls, &pair, e) : ERR_OK;
+    if (!rc)
+        rc = catalog_open(sv->paths, sv->n_paths, &sv->stores, older, &newer, e);
+    if (!rc && s->tls)
+        tls_use(s->tls, &pair);
+    tls_discard(&pair);
     if (rc)
         atomic_fetch_add(&s->metrics.reload_failed, 1);
     services_set_catalog(s, newer, rc ? e->msg : "");
@@ -275,10 +283,13 @@ bool server_answers(const struct server *sv, double wait_s)
         return false;
     (void)setsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &wait, sizeof wait);
     (void)setsockopt(fd, SOL_SOCKET, SO_SNDTIMEO, &wait, sizeof wait);
-    bool answers = connect(fd, (struct sockaddr *)&a, sizeof a) == 0 &&
-                   send(fd, ask, sizeof ask - 1, MSG_NOSIGNAL) == (ssize_t)sizeof ask - 1 &&
-                   recv(fd, answer, sizeof answer - 1, MSG_WAITALL) > 0 &&
-                   !strncmp(answer, "HTTP/1.1 ", 9);
+    bool answers = connect(fd, (struct sockaddr *)&a, sizeof a) == 0;
+    if (answers && sv->services.tls)
+        answers = tls_ask(fd, ask, answer, sizeof answer - 1);
+    else if (answers)
+        answers = send(fd, ask, sizeof ask - 1, MSG_NOSIGNAL) == (ssize_t)sizeof ask - 1 &&
+                  recv(fd, answer, sizeof answer - 1, MSG_WAITALL) > 0;
+    answers = answers && !strncmp(answer, "HTTP/1.1 ", 9);
     close(fd);
     return answers;
 }
@@ -301,6 +312,11 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
         fprintf(out, "dataset %s revision %s, %zu tiles: %s\n", s->catalog->ds[i]->meta.name,
                 s->catalog->ds[i]->meta.revision, s->catalog->ds[i]->n_tiles,
                 s->catalog->ds[i]->path);
+    if (!rc && out && s->tls) {
+        char text[256];
+        tls_about(s->tls, text, sizeof text);
+        fprintf(out, "TLS: %s\n", text);
+    }
     if (!rc && out)
         fprintf(out, "viewer: %zu files\nwell\n", s->web.n);
     (void)services_free(s);

@@ -56,6 +56,8 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
         rc = cache_policy_read(cfg->cache_policy, &s->policy, e);
     if (!rc && cfg->auth)
         rc = auth_open(cfg->auth, &s->auth, e);
+    if (!rc && (cfg->tls_cert || cfg->tls_key))
+        rc = tls_open(cfg->tls_cert, cfg->tls_key, &s->tls, e);
     if (!rc && cfg->geoid)
         rc = geoid_open(cfg->geoid, cfg->geoid_dir, &s->geoid, e);
     if (!rc)
@@ -85,6 +87,7 @@ bool services_free(struct services *s)
     flight_close(&s->flight);
     access_close(&s->access);
     auth_close(&s->auth);
+    tls_close(&s->tls);
     geoid_close(&s->geoid);
     body_drop(&s->landing);
     body_drop(&s->conformance);

@@ -19,6 +19,7 @@
 #include "server/metrics.h"
 #include "server/picture.h"
 #include "server/static.h"
+#include "server/tls.h"
 
 struct motion;
 struct services { /* all shared, all thread-safe */
@@ -37,6 +38,7 @@ struct services { /* all shared, all thread-safe */
     struct motion *motion;   /* streams; whoever opened it closes it, after services_free */
     struct access *access;   /* NULL: no access log */
     struct auth *auth;       /* NULL: everybody may read everything */
+    struct tls *tls;         /* NULL: the first listener speaks HTTP as it is */
     struct cache_policy policy;
     struct metrics metrics;
     struct body *landing, *conformance, *api; /* documents that never change */

@@ -12,6 +12,7 @@
 #include <string.h>
 
 #include "codec/quant.h"
+#include "server/target_seed.h"
 #include "server/text.h"
 
 static const struct {
@@ -84,9 +85,7 @@ static bool target_take_rev(struct text *t, struct target *out)
            (!text_take(t, "-") || target_take_hex(t, 8, out->edition));
 }
 
-/* The rest must be one of the extensions [first, last]. */
-static bool target_take_format(struct text *t, enum format first, enum format last,
-                               enum format *out)
+bool target_take_format(struct text *t, enum format first, enum format last, enum format *out)
 {
     for (int f = (int)first; f <= (int)last; f++) {
         struct text at = *t;
@@ -114,10 +113,7 @@ static bool target_is_view(enum route r)
     return r == ROUTE_VIEW || r == ROUTE_VIEW_MOVING;
 }
 
-/* preset=NAME, sh=N, appearance=A or, of terrain, encoding=E, of views, background=B and depth=U,
- * each at most once; *known says whether it was one of them. */
-static enum err_code target_take_form(struct text *one, struct target *target, bool *known,
-                                      struct err *e)
+enum err_code target_take_form(struct text *one, struct target *target, bool *known, struct err *e)
 {
     struct form *out = &target->form;
     *known = true;
@@ -215,6 +211,15 @@ static enum err_code target_parse_tile(struct text *t, enum route route, struct 
     return target_set_key(z, x, y, route, out, e);
 }
 
+/* {z}/{x}/{y}.json: a part of a tileset */
+static enum err_code target_parse_part(struct text *t, struct target *out, struct err *e)
+{
+    uint32_t z, x, y;
+    if (!target_take_place(t, &z, &x, &y) || !text_take(t, ".json") || !text_at_end(t))
+        return err_set(e, ERR_NOENT, "a part of a tileset is z/x/y.json");
+    return target_set_key(z, x, y, ROUTE_TILESET_PART, out, e);
+}
+
 /* {z}/{x}/{y}[@2x].{fmt}: a map; terrain is PNG, since its pixels are numbers. */
 static enum err_code target_parse_map(struct text *t, enum route route, struct target *out,
                                       struct err *e)
@@ -286,68 +291,6 @@ static enum err_code target_parse_view(struct text *t, enum route route, struct 
     return ERR_OK;
 }
 
-/* ?bbox=w,s,e,n&z=a-b&f=ext, in any order, each at most once. Commas may come as %2C. */
-static enum err_code target_parse_seed(const char *query, size_t n, struct target *out,
-                                       struct err *e)
-{
-    char plain[TARGET_QUERY_MAX];
-    size_t m = 0;
-    unsigned seen = 0;
-    for (size_t i = 0; i < n; i++) {
-        bool comma =
-            i + 3 <= n && query[i] == '%' && query[i + 1] == '2' && (query[i + 2] | 32) == 'c';
-        if (m == sizeof plain)
-            return err_set(e, ERR_FORMAT, "the query is too long");
-        plain[m++] = comma ? ',' : query[i];
-        i += comma ? 2 : 0;
-    }
-    out->z_max = KEY_ZOOM_MAX;
-    out->form.format = FORMAT_GLB;
-    for (struct text t = {plain, plain + m}; !text_at_end(&t);) {
-        const char *amp = memchr(t.p, '&', (size_t)(t.end - t.p));
-        struct text one = {t.p, amp ? amp : t.end};
-        t.p = amp ? amp + 1 : t.end;
-        int64_t v[4];
-        uint32_t a, b;
-        bool known;
-        enum err_code rc = target_take_form(&one, out, &known, e);
-        if (rc)
-            return rc;
-        if (known) {
-            /* it is taken */
-        } else if (text_take(&one, "bbox=") && !(seen & 1)) {
-            seen |= 1;
-            for (int i = 0; i < 4; i++) {
-                if ((i && !text_take(&one, ",")) || !text_take_fixed(&one, 7, &v[i]) ||
-                    v[i] < -1800000000 || v[i] > 1800000000)
-                    return err_set(e, ERR_FORMAT, "bbox is west,south,east,north in degrees");
-                out->bbox_e7[i] = (int32_t)v[i];
-            }
-            out->has_bbox = true;
-        } else if (text_take(&one, "z=") && !(seen & 2)) {
-            seen |= 2;
-            bool ok = text_take_uint(&one, &a);
-            b = a;
-            if (ok && text_take(&one, "-"))
-                ok = text_take_uint(&one, &b);
-            if (!ok || a > b || b > KEY_ZOOM_MAX)
-                return err_set(e, ERR_FORMAT, "z is a zoom, or two as in 12-16");
-            out->z_min = (uint8_t)a;
-            out->z_max = (uint8_t)b;
-        } else if (text_take(&one, "f=") && !(seen & 4)) {
-            seen |= 4;
-            if (!target_take_format(&one, FORMAT_GLB, FORMAT_SOG, &out->form.format))
-                return err_set(e, ERR_FORMAT, "f is one of glb, spz, drc, ply, plain.glb, sog");
-        } else {
-            return err_set(e, ERR_FORMAT,
-                           "the query may hold bbox, z, f, preset, sh and appearance, each once");
-        }
-        if (!text_at_end(&one))
-            return err_set(e, ERR_FORMAT, "the query has a malformed value");
-    }
-    return ERR_OK;
-}
-
 /* ?lon=X&lat=Y, both or (for POST) neither; other keys are ignored. */
 static enum err_code target_parse_place(const char *query, size_t n, struct target *out,
                                         struct err *e)
@@ -382,6 +325,7 @@ static bool target_parse_document(struct text *t, struct target *out)
         const char *path;
         enum route route;
     } words[] = {{"tileset.json", ROUTE_TILESET},
+                 {"seed.ndjson", ROUTE_SEED},
                  {"appearance.json", ROUTE_MODEL},
                  {"appearances.json", ROUTE_PHOTOGRAPHS}};
     for (size_t i = 0; i < sizeof words / sizeof *words; i++) {
@@ -462,7 +406,7 @@ static enum err_code target_parse_data(struct text *t, const char *query, size_t
         enum route route;
     } words[] = {{"tileset.json", ROUTE_TILESET_MOVING},
                  {"render", ROUTE_RENDER},
-                 {"seed.ndjson", ROUTE_SEED},
+                 {"seed.ndjson", ROUTE_SEED_MOVING},
                  {"appearances", ROUTE_APPEARANCES},
                  {"appearance", ROUTE_APPEARANCE},
                  {"appearances:mix", ROUTE_MIX},
@@ -479,9 +423,9 @@ static enum err_code target_parse_data(struct text *t, const char *query, size_t
         if (!text_take(&at, words[i].path) || !text_at_end(&at))
             continue;
         out->route = words[i].route;
-        return out->route == ROUTE_SEED     ? target_parse_seed(query, n_query, out, e)
-               : out->route == ROUTE_HEIGHT ? target_parse_place(query, n_query, out, e)
-                                            : target_parse_form(query, n_query, out, e);
+        return out->route == ROUTE_SEED_MOVING ? target_parse_seed(query, n_query, out, e)
+               : out->route == ROUTE_HEIGHT    ? target_parse_place(query, n_query, out, e)
+                                               : target_parse_form(query, n_query, out, e);
     }
     if (text_take(t, "motion/"))
         return target_parse_motion(t, out, e);
@@ -493,6 +437,8 @@ static enum err_code target_parse_data(struct text *t, const char *query, size_t
     enum err_code rc = ERR_OK;
     if (revisioned && target_parse_document(t, out))
         ; /* it is taken */
+    else if (revisioned && text_take(t, "tileset/"))
+        rc = target_parse_part(t, out, e);
     else if (text_take(t, "t/"))
         rc = target_parse_tile(t, revisioned ? ROUTE_TILE : ROUTE_TILE_MOVING, out, e);
     else if (text_take(t, "static/"))
@@ -503,6 +449,8 @@ static enum err_code target_parse_data(struct text *t, const char *query, size_t
         rc = target_parse_map(t, revisioned ? ROUTE_TERRAIN : ROUTE_TERRAIN_MOVING, out, e);
     else
         rc = target_nothing(e);
+    if (!rc && out->route == ROUTE_SEED)
+        return target_parse_seed(query, n_query, out, e);
     return !rc ? target_parse_form(query, n_query, out, e) : rc;
 }
 

@@ -26,6 +26,8 @@ enum { ALLOW_READ = 1, ALLOW_POST = 2 };
     X(TILEJSON, ALLOW_READ, "/collections/{ds}/tiles.json", "TileJSON 3.0.0 of a dataset")         \
     X(TILESET_MOVING, ALLOW_READ, "/d/{ds}/tileset.json", "3D Tiles 1.1 entry, current revision")  \
     X(TILESET, ALLOW_READ, "/d/{ds}/r/{rev}/tileset.json", "3D Tiles 1.1 tileset of a revision")   \
+    X(TILESET_PART, ALLOW_READ, "/d/{ds}/r/{rev}/tileset/{z}/{x}/{y}.json",                        \
+      "The part of a large tileset that begins at a tile")                                         \
     X(TILE, ALLOW_READ, "/d/{ds}/r/{rev}/t/{z}/{x}/{y}.{ext}", "One tile of Gaussians")            \
     X(TILE_MOVING, ALLOW_READ, "/d/{ds}/t/{z}/{x}/{y}.{ext}", "Redirect to the current revision")  \
     X(VIEW, ALLOW_READ,                                                                            \
@@ -66,7 +68,9 @@ enum { ALLOW_READ = 1, ALLOW_POST = 2 };
     X(RENDER, ALLOW_POST, "/d/{ds}/render", "A rendered view of a posted camera")                  \
     X(MOTION, ALLOW_READ | ALLOW_POST, "/d/{ds}/motion/{stream}",                                  \
       "GET: pictures that follow a camera, in one answer; POST: where the camera is")              \
-    X(SEED, ALLOW_READ, "/d/{ds}/seed.ndjson", "Tiles to prefetch, most important first")          \
+    X(SEED_MOVING, ALLOW_READ, "/d/{ds}/seed.ndjson", "Tiles to prefetch, most important first")   \
+    X(SEED, ALLOW_READ, "/d/{ds}/r/{rev}/seed.ndjson",                                             \
+      "Tiles of a revision to prefetch, most important first")                                     \
     X(HEALTH, ALLOW_READ, "/healthz", "200 while the process lives")                               \
     X(READY, ALLOW_READ, "/readyz", "200 while requests are welcome")                              \
     X(VERSION, ALLOW_READ, "/version", "Program, datasets, device")                                \
@@ -137,6 +141,12 @@ enum encoding {
     ENCODING_MAPBOX,   /* -10000 + 0.1 (65536 R + 256 G + B) metres */
     ENCODING_TERRARIUM /* -32768 + 256 R + G + B / 256 metres */
 };
+/* Where a camera goes (course.h), in thousandths but for pixels; 0: not said. */
+struct target_course {
+    const char *path; /* [n_path], borrowed from the target's text; NULL: no camera is named */
+    size_t n_path;
+    uint32_t width_px, height_px, fov_e3, error_e3, speed_e3, horizon_e3;
+};
 struct target {
     enum route route;
     char ds[64], rev[13], edition[9]; /* edition: "": not said */
@@ -158,6 +168,8 @@ struct target {
     int64_t heights_mm[2];
     /* seed: */
     uint8_t z_min, z_max;
+    uint32_t after, limit; /* lines that are left out before, and at most */
+    struct target_course course;
     size_t path_size; /* bytes of the path, before '?' */
 };
 /* ERR_FORMAT: bytes no legal target has (status 400). ERR_DATA: well formed, impossible numbers

@@ -83,7 +83,7 @@ static void watch_on_event(struct watch *w, uint64_t id, uint32_t events)
         struct epoll_event again = {.events = EPOLLONESHOT, .data.u64 = id};
         if (s->stream)
             ended = motion_ref(s->stream);
-        else if (half && job_class_of(w->s->jobs, s->waiter) != JOB_VIEW)
+        else if (half && !job_is_picture(job_class_of(w->s->jobs, s->waiter)))
             (void)epoll_ctl(w->epoll_fd, EPOLL_CTL_MOD, s->fd, &again);
         else if (job_leave(w->s->jobs, s->waiter))
             left = s->waiter;

@@ -28,17 +28,20 @@ static enum err_code work_make_tile(const struct work *w, struct buf *out, struc
     return rc;
 }
 
-/* A tileset whose tiles are all asked for with the same query. */
+/* A tileset whose tiles are all asked for with the same query, or a part of one. */
 static enum err_code work_make_tileset(const struct work *w, struct buf *out, struct err *e)
 {
-    char query[TARGET_QUERY_MAX], uri[TARGET_QUERY_MAX + 64];
+    char query[TARGET_QUERY_MAX], tile[TARGET_QUERY_MAX + 64], part[TARGET_QUERY_MAX + 64];
+    char base[40] = "";
+    bool is_part = w->target.route == ROUTE_TILESET_PART;
+    const struct tileset_links *usual = is_part ? &tileset_of_part : &tileset_of_entry,
+                               links = {tile, part};
     target_query(&w->target, query);
-    if (w->target.route == ROUTE_TILESET)
-        snprintf(uri, sizeof uri, "t/{z}/{x}/{y}.glb%s", query);
-    else
-        snprintf(uri, sizeof uri, "r/%s-%s/t/{z}/{x}/{y}.glb%s", w->ds->meta.revision,
-                 w->ds->edition, query);
-    return tileset_write(w->ds->index, uri, out, e);
+    if (w->target.route == ROUTE_TILESET_MOVING)
+        snprintf(base, sizeof base, "r/%s-%s/", w->ds->meta.revision, w->ds->edition);
+    snprintf(tile, sizeof tile, "%s%s%s", base, usual->tile, query);
+    snprintf(part, sizeof part, "%s%s%s", base, usual->part, query);
+    return tileset_write(w->ds->index, &links, is_part ? &w->target.key : NULL, out, e);
 }
 
 /* What the process that draws makes. `room` is that of the result from above; codecs that do not
@@ -82,7 +85,7 @@ static enum err_code work_make_bytes(struct services *s, const struct job *j, co
     case WORK_QUERY:
         return work_make_drawn(s, j, w, DRAW_QUERY, out, e);
     case WORK_SEED:
-        return seed_write(w->ds, &w->target, w->form, &w->appearance, out, e);
+        return seed_write(w->ds, &w->target, w->course, w->form, &w->appearance, out, e);
     case WORK_TILESET:
         return work_make_tileset(w, out, e);
     case WORK_THUMBNAIL:
@@ -102,7 +105,7 @@ static size_t work_query_bytes(const struct work *w)
 
 size_t work_room(const struct work *w)
 {
-    enum { HEAD = WORK_ROOM_HEAD, SEED_ROW = 256, TILESET_ROW = 512 };
+    enum { HEAD = WORK_ROOM_HEAD, TILESET_ROW = 512 };
     const struct store_tile *t = NULL;
     size_t sh = 3 * gauss_sh_count(w->ds->meta.sh_degree);
     switch (w->kind) {
@@ -113,7 +116,7 @@ size_t work_room(const struct work *w)
     case WORK_QUERY:
         return HEAD + (size_t)MEASURE_SAMPLES_MAX * 160;
     case WORK_SEED:
-        return HEAD + w->ds->n_tiles * (SEED_ROW + work_query_bytes(w));
+        return HEAD + seed_room(w->ds, &w->target, w->course);
     case WORK_TILESET:
         return HEAD + w->ds->n_tiles * (TILESET_ROW + work_query_bytes(w));
     case WORK_THUMBNAIL:
@@ -203,5 +206,6 @@ void work_drop(void *services, void *work)
     (void)services;
     dataset_drop(&w->ds);
     mem_free(w->query);
+    mem_free(w->course);
     mem_free(w);
 }

@@ -7,6 +7,7 @@
 
 #include "lod/key.h"
 #include "lod/query.h"
+#include "server/course.h"
 #include "server/map_tile.h"
 #include "server/services.h"
 
@@ -30,6 +31,7 @@ struct work { /* freed with work_drop */
     struct draw_view view; /* WORK_VIEW */
     struct map_tile map;   /* WORK_MAP */
     struct query *query;   /* WORK_QUERY, owned */
+    struct course *course; /* WORK_SEED, owned; NULL: none */
     bool keep;             /* put the result into the cache */
 };
 /* About the bytes of the result, from above: what it takes of --inflight-mb while it is made. */

@@ -9,6 +9,9 @@
 #include "core/dev.h"
 #include "lod/key.h"
 #include "tests/served.h"
+#ifdef OVER_TLS
+#include "tests/tunnel.h"
+#endif
 
 #include <dirent.h>
 #include <netinet/in.h>
@@ -28,6 +31,10 @@ static struct {
     const char *paths[1];
     struct server *server;
     uint16_t port;
+#ifdef OVER_TLS
+    char cert[FILE_PATH_MAX], key[FILE_PATH_MAX];
+    struct tunnels tunnels;
+#endif
 } t;
 
 /* ---- a client ---- */
@@ -183,9 +190,18 @@ static inline const char *tile_target(uint8_t z, const char *ext, char out[128])
 static inline void start(void)
 {
     struct err e = {0};
+#ifdef OVER_TLS
+    tunnel_pair(t.dir, "toy", 90, t.cert, t.key);
+    t.cfg.tls_cert = t.cert;
+    t.cfg.tls_key = t.key;
+#endif
     kit_ok(server_start(&t.cfg, t.paths, 1, &t.server, &e), e);
     const char *colon = strrchr(server_url(t.server), ':');
     t.port = (uint16_t)atoi(colon + 1);
+#ifdef OVER_TLS
+    tunnels_open(&t.tunnels, t.port);
+    t.port = t.tunnels.port;
+#endif
     struct catalog *c = services_catalog(server_services(t.server));
     memcpy(t.rev, c->ds[0]->meta.revision, sizeof t.rev);
     catalog_drop(&c);
@@ -253,6 +269,10 @@ static inline int setup(void **state)
 static inline int teardown(void **state)
 {
     (void)state;
+#ifdef OVER_TLS
+    if (t.server)
+        tunnels_close(&t.tunnels);
+#endif
     server_stop(&t.server);
     arena_free(&t.arena);
     return 0;

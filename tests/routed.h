@@ -99,6 +99,7 @@ struct ask { /* the request in short */
     enum method method;
     const char *target, *accept, *accept_encoding, *if_none_match, *if_range, *range, *body,
         *if_modified_since;
+    bool prefetch;
 };
 
 static char last_target[4096];
@@ -117,6 +118,7 @@ static inline struct response answer(const struct ask *a)
         .if_modified_since = a->if_modified_since,
         .body = a->body,
         .body_size = a->body ? strlen(a->body) : 0,
+        .prefetch = a->prefetch,
         .local = true,
     };
     r.target_size = strlen(r.target);

@@ -132,7 +132,7 @@ static void bench_open(struct bench *b, size_t threads, bool view, size_t view_l
     const struct job_config cfg = {
         .tile_threads = threads,
         .view_thread = view,
-        .queue_limit = {view_limit, tile_limit, tile_limit, tile_limit},
+        .queue_limit = {view_limit, tile_limit, tile_limit, tile_limit, 0, view_limit},
         .slow_s = 0.2,
         .user = b,
         .run = item_run,
@@ -382,6 +382,28 @@ static void test_prefetch_runs_last_and_moves_up(void **state)
     bench_close(&b);
 }
 
+static void test_pictures_ahead_are_drawn_last_and_move_up(void **state)
+{
+    static struct client c[8];
+    struct bench b;
+    (void)state;
+    memset(c, 0, sizeof c);
+    bench_open(&b, 1, true, 8, 8);
+    assert_int_equal(ask(&b, &c[0], JOB_VIEW, item_new(&b, 0, ERR_OK, false), 60), ERR_OK);
+    await(&b, &b.runs, 1);
+    assert_int_equal(ask(&b, &c[1], JOB_AHEAD, item_new(&b, 1, ERR_OK, false), 60), ERR_OK);
+    assert_int_equal(ask(&b, &c[2], JOB_AHEAD, item_new(&b, 2, ERR_OK, false), 60), ERR_OK);
+    assert_int_equal(ask(&b, &c[3], JOB_MAP, item_new(&b, 3, ERR_OK, false), 60), ERR_OK);
+    assert_int_equal(ask(&b, &c[4], JOB_VIEW, item_new(&b, 2, ERR_OK, false), 60), ERR_OK);
+    gate(&b, true);
+    await(&b, &b.woken, 5);
+    const int want[] = {0, 3, 2, 1}; /* pictures and maps take turns */
+    assert_memory_equal(b.order, want, sizeof want);
+    for (int i = 0; i < 5; i++)
+        body_drop(&c[i].w.result.body);
+    bench_close(&b);
+}
+
 static void test_leaving(void **state)
 {
     static struct client c[6];
@@ -621,6 +643,7 @@ int main(void)
         cmocka_unit_test(test_views_run_newest_first_and_shed_the_oldest),
         cmocka_unit_test(test_views_take_turns_between_clients),
         cmocka_unit_test(test_prefetch_runs_last_and_moves_up),
+        cmocka_unit_test(test_pictures_ahead_are_drawn_last_and_move_up),
         cmocka_unit_test(test_leaving),
         cmocka_unit_test(test_passing_work_is_cancelled),
         cmocka_unit_test(test_a_cancelled_view_is_not_shared),

@@ -24,6 +24,10 @@ static void test_views(void **state)
     r = get(target);
     assert_non_null(r.work);
     assert_int_equal(r.cls, JOB_VIEW);
+    response_free(&r);
+    r = answer(&(struct ask){.target = target, .prefetch = true});
+    assert_non_null(r.work);
+    assert_int_equal(r.cls, JOB_AHEAD);
     assert_int_equal(r.work->view.cam.width_px, 64);
     struct camera want;
     const struct view_pose pose = {13.4, 52.5, 120, 0, -90, 60};

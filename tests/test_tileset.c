@@ -35,15 +35,20 @@ static void build(struct store_fixture *f, const struct geo_origin *origin, size
     gauss_free(&g);
 }
 
-static json_t *tileset_of(struct store_fixture *f)
+static json_t *document_of(const struct store *s, const struct key *part)
 {
     struct err e = {0};
     struct buf b = {0};
     json_t *j;
-    kit_ok(tileset_write(f->s, "t/{z}/{x}/{y}.glb", &b, &e), e);
+    kit_ok(tileset_write(s, part ? &tileset_of_part : &tileset_of_entry, part, &b, &e), e);
     kit_ok(jsonc_parse((const char *)b.data, b.size, "tileset", &j, &e), e);
     buf_free(&b);
     return j;
+}
+
+static json_t *tileset_of(struct store_fixture *f)
+{
+    return document_of(f->s, NULL);
 }
 
 static void nums(const json_t *a, size_t n, double *out)
@@ -91,29 +96,74 @@ static void heads_are_what_engines_look_for(void **state)
 }
 
 struct walk {
-    struct store_fixture *f;
-    size_t n_tiles;
-    double rot[9]; /* of the root */
+    const struct store *s;
+    size_t n_tiles, n_documents, n_nodes, most; /* n_nodes: of the document under way */
+    double rot[9];                              /* of the root */
 };
+enum begins { ENTRY, CHILD, PART };
 
-static struct key key_of_uri(const char *uri)
+/* False: the address of another document, of the template `links` has for it. */
+static bool key_of_uri(const char *uri, bool part, struct key *out)
 {
+    const char *forms[] = {part ? "../../../t/%u/%u/%u.glb%n" : "t/%u/%u/%u.glb%n",
+                           part ? "../../%u/%u/%u.json%n" : "tileset/%u/%u/%u.json%n"};
     unsigned z, x, y;
-    int end = 0;
-    assert_int_equal(sscanf(uri, "t/%u/%u/%u.glb%n", &z, &x, &y, &end), 3);
-    assert_int_equal(uri[end], 0);
-    return (struct key){(uint8_t)z, x, y};
+    for (int k = 0; k < 2; k++) {
+        int end = 0;
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wformat-nonliteral"
+        bool is = sscanf(uri, forms[k], &z, &x, &y, &end) == 3 && end && !uri[end];
+#pragma GCC diagnostic pop
+        *out = (struct key){(uint8_t)z, x, y};
+        if (is)
+            return k == 0;
+    }
+    fail_msg("%s: no address of a tile or of a document", uri);
+    return false;
 }
 
-/* `at` is the ECEF place of the parent's frame. */
 static void walk(struct walk *w, const json_t *node, const double at[3], double error_above,
-                 bool root)
+                 enum begins how, bool part);
+
+/* Another document: what it begins with is the node that led to it. */
+static void walk_part(struct walk *w, struct key k, const json_t *node, const double at[3],
+                      double error_above)
+{
+    json_t *j = document_of(w->s, &k), *root = json_object_get(j, "root");
+    size_t n_nodes = w->n_nodes;
+    w->n_nodes = 0;
+    w->n_documents++;
+    assert_true(tileset_has_part(w->s, k));
+    assert_null(json_object_get(node, "children"));
+    assert_true(json_equal(json_object_get(node, "boundingVolume"),
+                           json_object_get(root, "boundingVolume")));
+    assert_true(json_equal(json_object_get(node, "geometricError"),
+                           json_object_get(root, "geometricError")));
+    assert_true(
+        json_equal(json_object_get(j, "geometricError"), json_object_get(root, "geometricError")));
+    assert_string_equal(json_string_value(json_object_get(root, "refine")), "REPLACE");
+    assert_non_null(json_object_get(json_object_get(j, "extensions"), "3DTILES_content_gltf"));
+    walk(w, root, at, error_above, PART, true);
+    w->most = w->n_nodes > w->most ? w->n_nodes : w->most;
+    w->n_nodes = n_nodes;
+    json_decref(j);
+}
+
+/* `at` is the ECEF place of the parent's frame, of a part's root its own. */
+static void walk(struct walk *w, const json_t *node, const double at[3], double error_above,
+                 enum begins how, bool part)
 {
     struct err e = {0};
     double m[16], box[12], here[3];
-    nums(json_object_get(node, "transform"), 16, m);
+    struct key k;
+    if (how != PART)
+        nums(json_object_get(node, "transform"), 16, m);
     nums(json_object_get(json_object_get(node, "boundingVolume"), "box"), 12, box);
-    if (root) {
+    w->n_nodes++;
+    if (how == PART) {
+        memcpy(here, at, sizeof here);
+        assert_null(json_object_get(node, "transform"));
+    } else if (how == ENTRY) {
         for (size_t c = 0; c < 3; c++)
             for (size_t r = 0; r < 3; r++)
                 w->rot[3 * r + c] = m[4 * c + r];
@@ -126,20 +176,23 @@ static void walk(struct walk *w, const json_t *node, const double at[3], double 
                       w->rot[3 * r + 2] * m[14];
         assert_null(json_object_get(node, "refine"));
     }
-    assert_true(m[3] == 0 && m[7] == 0 && m[11] == 0 && m[15] == 1);
+    assert_true(how == PART || (m[3] == 0 && m[7] == 0 && m[11] == 0 && m[15] == 1));
     double error = json_number_value(json_object_get(node, "geometricError"));
     assert_true(error < error_above);
     json_t *children = json_object_get(node, "children");
-    assert_true(json_array_size(children) > 0 ? error > 0 : error == 0);
     json_t *content = json_object_get(node, "content");
+    if (content && !key_of_uri(json_string_value(json_object_get(content, "uri")), part, &k)) {
+        walk_part(w, k, node, here, error_above);
+        return;
+    }
+    assert_true(json_array_size(children) > 0 ? error > 0 : error == 0);
     if (content) {
-        struct key k = key_of_uri(json_string_value(json_object_get(content, "uri")));
-        const struct store_tile *t = store_find(w->f->s, k);
+        const struct store_tile *t = store_find(w->s, k);
         assert_non_null(t);
         w->n_tiles++;
         /* The frame stands at the payload's origin: ENU -> ECEF of it by geodesy alone. */
         double lon, lat, h, place[16];
-        kit_ok(geo_from_enu(&store_info(w->f->s)->origin, t->center_enu_m, &lon, &lat, &h, &e), e);
+        kit_ok(geo_from_enu(&store_info(w->s)->origin, t->center_enu_m, &lon, &lat, &h, &e), e);
         kit_ok(geo_enu_to_ecef(&(struct geo_origin){lon, lat, h}, place, &e), e);
         kit_near_d("frame", here, place + 12, 3, PLACE_TOLERANCE_M, 0);
         for (size_t k3 = 0; k3 < 3; k3++) { /* the box holds the tile's own bounds */
@@ -154,7 +207,7 @@ static void walk(struct walk *w, const json_t *node, const double at[3], double 
     size_t i;
     json_array_foreach(children, i, child)
     {
-        walk(w, child, here, error, false);
+        walk(w, child, here, error, CHILD, part);
         double cm[16], cb[12]; /* children's boxes lie within */
         nums(json_object_get(child, "transform"), 16, cm);
         nums(json_object_get(json_object_get(child, "boundingVolume"), "box"), 12, cb);
@@ -164,18 +217,19 @@ static void walk(struct walk *w, const json_t *node, const double at[3], double 
     }
 }
 
-static void walk_all(struct store_fixture *f)
+static struct walk walk_store(const struct store *s)
 {
     struct err e = {0};
-    struct walk w = {.f = f};
+    struct walk w = {.s = s};
     const double none[3] = {0};
     double ecef[16];
     size_t n;
-    json_t *j = tileset_of(f);
-    walk(&w, json_object_get(j, "root"), none, HUGE_VAL, true);
-    store_tiles(f->s, &n);
+    json_t *j = document_of(s, NULL);
+    walk(&w, json_object_get(j, "root"), none, HUGE_VAL, ENTRY, false);
+    w.most = w.n_nodes > w.most ? w.n_nodes : w.most;
+    store_tiles(s, &n);
     assert_int_equal(w.n_tiles, n); /* every tile once */
-    kit_ok(geo_enu_to_ecef(&store_info(f->s)->origin, ecef, &e), e);
+    kit_ok(geo_enu_to_ecef(&store_info(s)->origin, ecef, &e), e);
     double got[9], want[9];
     for (size_t c = 0; c < 3; c++)
         for (size_t r = 0; r < 3; r++) {
@@ -184,6 +238,74 @@ static void walk_all(struct store_fixture *f)
         }
     kit_near_d("rotation", got, want, 9, 0, 0); /* 17 digits: to the last bit */
     json_decref(j);
+    return w;
+}
+
+static void walk_all(struct store_fixture *f)
+{
+    assert_int_equal(walk_store(f->s).n_documents, 0); /* small ones are one document */
+}
+
+/* ---- several documents ---- */
+
+/* One Gaussian in each tile of `levels` levels below the tile at the origin, `keep` of 4 children
+ * of each. */
+static void put_below(struct store *s, struct key key, int levels, unsigned keep)
+{
+    static const struct geo_origin origin = {8.6821, 50.1109, 160};
+    struct err e = {0};
+    struct gauss g;
+    double lon, lat;
+    key_center(key, &lon, &lat);
+    kit_gauss(1, 1, 0.01, 0, 0, &g);
+    kit_ok(geo_to_enu(&origin, lon, lat, 160, g.origin_enu_m, &e), e);
+    struct store_tile t = {.key = key, .level = 1};
+    kit_ok(store_put(s, &t, &g, &e), e);
+    gauss_free(&g);
+    for (unsigned i = 0; levels && i < 4; i++)
+        if (keep >> i & 1)
+            put_below(s, (struct key){(uint8_t)(key.z + 1), 2 * key.x + i % 2, 2 * key.y + i / 2},
+                      levels - 1, keep);
+}
+
+static void large_ones_are_several_documents(void **state)
+{
+    struct store_fixture *f = *state;
+    /* Tiles, documents below the entry, most nodes of one. */
+    static const struct {
+        int levels;
+        unsigned keep;
+        size_t n, documents, most;
+    } rows[] = {
+        {4, 15, 341, 0, 341},   {5, 15, 1365, 4, 341}, /* of the four tiles of the second level */
+        {6, 15, 5461, 16, 341},                        /* of the sixteen of the third */
+        {9, 1, 10, 0, 10},                             /* a chain */
+        {9, 3, 1023, 0, 1023},                         /* two children each */
+        {10, 3, 2047, 2, 1023}, {6, 7, 1093, 3, 364},
+    };
+    const struct geo_origin origin = {8.6821, 50.1109, 160};
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        struct err e = {0};
+        struct store *s;
+        struct buf b = {0};
+        char path[FILE_PATH_MAX];
+        snprintf(path, sizeof path, "%.3900s.%zu", f->path, i);
+        const struct store_meta meta = {.name = "many", .origin = origin};
+        kit_ok(store_create(path, &meta, &s, &e), e);
+        put_below(s, key_at(origin.lon_deg, origin.lat_deg, 12), rows[i].levels, rows[i].keep);
+        kit_ok(store_commit(&s, &e), e);
+        kit_ok(store_open(path, &s, &e), e);
+        struct walk w = walk_store(s);
+        if (w.n_tiles != rows[i].n || w.n_documents != rows[i].documents || w.most != rows[i].most)
+            fail_msg("row %zu: %zu tiles, %zu documents, at most %zu nodes", i, w.n_tiles,
+                     w.n_documents, w.most);
+        const struct key root = key_at(origin.lon_deg, origin.lat_deg, 12), none = {3, 1, 1};
+        assert_false(tileset_has_part(s, root));
+        assert_false(tileset_has_part(s, none));
+        assert_int_equal(tileset_write(s, &tileset_of_part, &none, &b, &e), ERR_NOENT);
+        buf_free(&b);
+        store_close(&s);
+    }
 }
 
 static void transforms_errors_and_boxes(void **state)
@@ -250,6 +372,31 @@ static void tilejson(void **state)
     buf_free(&b);
 }
 
+/* 87,381 tiles, without their Gaussians. */
+static void documents_of_a_large_city(void **state)
+{
+    struct err e = {0};
+    struct tree tree;
+    size_t n = 0, documents = 0;
+    struct store_tile *t = mem_array(87381, sizeof *t);
+    (void)state;
+    assert_non_null(t);
+    for (uint8_t z = 10; z <= 18; z++) /* in the order of key_compare */
+        for (uint32_t y = 0; y < 1u << (z - 10); y++)
+            for (uint32_t x = 0; x < 1u << (z - 10); x++)
+                t[n++] = (struct store_tile){.key = {z, x, y}, .geometric_error_m = 1u << (18 - z)};
+    assert_int_equal(n, 87381);
+    kit_ok(tree_build(t, n, &tree, &e), e);
+    for (size_t i = 0; i < n; i++) {
+        documents += tree.nodes[i].document;
+        assert_int_equal(tree.nodes[i].document, t[i].key.z == 14);
+        assert_true(!tree.nodes[i].document || tree.nodes[i].n_below == 341);
+    }
+    assert_int_equal(documents, 256);
+    tree_free(&tree);
+    mem_free(t);
+}
+
 /* ---- geometric errors: against their definition ---- */
 
 static int compare_doubles(const void *a, const void *b)
@@ -289,7 +436,8 @@ static void compare_errors(struct errors_found *f, const json_t *node)
     size_t i, n;
     json_t *child;
     if (content) {
-        struct key k = key_of_uri(json_string_value(json_object_get(content, "uri")));
+        struct key k;
+        assert_true(key_of_uri(json_string_value(json_object_get(content, "uri")), false, &k));
         const struct store_tile *first = store_tiles(f->s, &n);
         const struct tree_node *v = &f->tree->nodes[store_find(f->s, k) - first];
         double got = json_number_value(json_object_get(node, "geometricError"));
@@ -435,6 +583,8 @@ int main(void)
         CASE(heads_are_what_engines_look_for),
         CASE(transforms_errors_and_boxes),
         CASE(a_root_without_content),
+        CASE(large_ones_are_several_documents),
+        CASE(documents_of_a_large_city),
         CASE(errors_are_what_is_documented),
         CASE(tilejson),
         CASE(footprint),

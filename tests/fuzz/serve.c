@@ -70,7 +70,7 @@ void fuzz_headers(const uint8_t *bytes, size_t n)
     char *out = mem_array(n + 4096, 1);
     size_t got = 0;
     assert(out);
-    if (screen_attach(&s, 1000, 4096, NULL)) {
+    if (screen_attach(&s, 1000, NULL, 4096, NULL)) {
         mem_free(out);
         return;
     }

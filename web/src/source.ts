@@ -135,10 +135,14 @@ function withAppearance(url: URL, appearance: string): URL {
   return out;
 }
 
-// Tiles as they were trained are asked for in the form that carries embeddings.
-function useTrainedTiles(node: Node) {
-  if (node.content?.uri) node.content.uri = node.content.uri.replace(/\.glb(?=\?|$)/, ".drc");
-  node.children?.forEach(useTrainedTiles);
+// Tiles as they were trained are asked for in the form that carries embeddings. Of every document of
+// a tileset.
+export function useTrainedTiles(document: { root?: Node }) {
+  const visit = ({ content, children }: Node) => {
+    if (content?.uri) content.uri = content.uri.replace(/\.glb(?=\?|$)/, ".drc");
+    children?.forEach(visit);
+  };
+  if (document.root) visit(document.root);
 }
 
 // The network of this revision: fetched together with the tileset, and once more where the catalogue
@@ -151,7 +155,8 @@ async function fetchNetwork(
   const early = link.json(url).catch(() => null);
   try {
     const revision = (await tileset).asset?.tilesetVersion ?? "";
-    const own = new URL(`../${revision}/appearance.json`, url); // .../r/REV/appearance.json
+    const named = url.pathname.split("/").at(-2)?.split("-")[0]; // .../r/REV-EDITION/appearance.json
+    const own = named === revision ? url : new URL(`../${revision}/appearance.json`, url);
     const document = own.href === url.href ? await early : null;
     return new Network(document ?? (await link.json(own)), new URL("appearances.json", own), link);
   } catch {
@@ -174,7 +179,7 @@ export async function openScene(
       fetchNetwork(link, entry.network, tileset),
     ]);
     if (network && compute(network)) {
-      if (document.root) useTrainedTiles(document.root);
+      useTrainedTiles(document);
       return describe(entry, url, document, network);
     }
   }

@@ -14,6 +14,7 @@ import { Matrix4, Vector3 } from "three";
 import type { DecoderPool } from "./decoders";
 import { Gaussians, type Block } from "./gaussians";
 import type { Link } from "./link";
+import { useTrainedTiles } from "./source";
 import type { Tint } from "./tint";
 
 // States of a tile, as 3d-tiles-renderer numbers them.
@@ -103,8 +104,15 @@ export class CityTiles extends BaseTiles {
       return Promise.resolve(document);
     }
     const signal = options.signal ?? null;
-    if (/\.json($|\?)/.test(url)) return this.link.json(url, signal);
+    if (/\.json($|\?)/.test(url)) return this.part(url, signal);
     return this.link.bytes(url, signal);
+  }
+
+  // The rest of a large tileset, an external one.
+  private async part(url: string, signal: AbortSignal | null): Promise<unknown> {
+    const document = (await this.link.json(url, signal)) as object;
+    if (this.tint) useTrainedTiles(document);
+    return document;
   }
 
   override queueTileForDownload(tile: CityTile) {
