@@ -129,12 +129,20 @@ static inline void tunnel_name(const struct tunnel *x, char out[80])
 
 /* ---- a tunnel ---- */
 
+/* A server that has closed takes no more; GnuTLS would then not read either what it said before. */
+static inline ssize_t tunnel_push(gnutls_transport_ptr_t fd, const void *bytes, size_t n)
+{
+    ssize_t sent = send((int)(intptr_t)fd, bytes, n, MSG_NOSIGNAL);
+    return sent < 0 ? (ssize_t)n : sent;
+}
+
 /* Bytes both ways until one side ends. */
 static inline void *tunnel_carry(void *user)
 {
     struct tunnel *x = user;
     char bytes[16384];
     bool sends = true;
+    gnutls_transport_set_push_function(x->session, tunnel_push);
     for (;;) {
         struct pollfd p[2] = {{.fd = x->fd, .events = POLLIN},
                               {.fd = sends ? x->near : -1, .events = POLLIN}};

@@ -20,7 +20,8 @@ export const BIN = process.env.CITYSPLAT_BIN;
 export const GIVEN_TILES = process.env.CITYSPLAT_TILES;
 export const MOCK = process.env.CITYSPLAT_MOCK === "1";
 
-export function importCity(dir) {
+// edgeM: of the finest tiles.
+export function importCity(dir, edgeM = 60) {
     const ply = join(dir, "city.ply");
     const tiles = join(dir, "city.tiles");
     writeFileSync(ply, writePly(makeCity(), ORIGIN));
@@ -32,7 +33,7 @@ export function importCity(dir) {
         "--name",
         "fcity",
         "--tile-edge-m",
-        "60",
+        String(edgeM),
         "--attribution",
         "Test city, drawn by code",
     ];
@@ -74,15 +75,16 @@ function serve(...tiles) {
     });
 }
 
-// { url, city, close }: a running server; city tells whether it holds the test city.
-export async function openSource() {
+// { url, city, dir, close }: a running server; city tells whether it holds the test city, in tiles of
+// edgeM; dir has it as city.tiles.
+export async function openSource({ edgeM } = {}) {
     if (MOCK) return { ...(await startMock()), city: true };
     if (GIVEN_TILES) return { ...(await serve(GIVEN_TILES)), city: false };
     const dir = mkdtempSync(join(tmpdir(), "citysplat-web-"));
     const clean = () => rmSync(dir, { recursive: true, force: true });
     try {
-        const server = await serve(importCity(dir));
-        return { ...server, city: true, close: () => server.close().finally(clean) };
+        const server = await serve(importCity(dir, edgeM));
+        return { ...server, city: true, dir, close: () => server.close().finally(clean) };
     } catch (error) {
         clean();
         throw error;
