@@ -125,7 +125,7 @@ export async function listContents(url, getJson) {
         const transform = multiply(parent, tile.transform ?? IDENTITY);
         if (tile.content) {
             const target = new URL(tile.content.uri, base).href;
-            if (target.endsWith(".json"))
+            if (new URL(target).pathname.endsWith(".json"))
                 await visit((await getJson(target)).root, target, transform);
             else out.push({ url: target, transform, tile });
         }
