@@ -24,11 +24,11 @@ struct image {                              /* {0} is empty */
     uint8_t *px;                            /* [h][w][channels], sRGB values as stored */
 };
 /* Read as 8-bit RGB (grey is expanded, alpha dropped), EXIF orientation ignored as COLMAP does.
- * ERR_NOENT, ERR_FORMAT (not an image; says which file), ERR_LIMIT. image_free it. */
+ * ERR_NOENT, ERR_FORMAT (not an image; says which file), ERR_LIMIT, ERR_MEM. image_free it. */
 enum err_code image_read(const char *path, const struct codec_limits *lim, struct image *out,
                          struct err *e) ERR_USE;
 /* Size, EXIF and drones' XMP only, without decoding pixels. Any output may be NULL. ERR_NOENT,
- * ERR_FORMAT, ERR_LIMIT. */
+ * ERR_FORMAT, ERR_LIMIT, ERR_IO, ERR_MEM. */
 enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *height_px,
                               struct image_gps *gps, struct drone_meta *drone,
                               struct err *e) ERR_USE;
@@ -38,11 +38,12 @@ enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *he
 enum err_code image_read_map(const char *path, const struct codec_limits *lim, uint32_t *width_px,
                              uint32_t *height_px, float **data, struct err *e) ERR_USE;
 /* By extension: .jpg .png .webp .tif. quality 1..100 for jpg and webp (0 = 95; jpg >= 95 writes
- * 4:4:4). gps (may be NULL) goes into EXIF. ERR_ARG (extension), ERR_IO, ERR_MEM, ERR_INTERNAL. */
+ * 4:4:4). gps (may be NULL) goes into EXIF. ERR_ARG (extension), ERR_LIMIT (larger than the format
+ * holds), ERR_IO, ERR_FORMAT (no place for EXIF), ERR_MEM, ERR_INTERNAL. */
 enum err_code image_write(const char *path, const struct image *img, int quality,
                           const struct image_gps *gps, struct err *e) ERR_USE;
-/* The same into memory, appended to out; format is "jpg", "png" or "webp". ERR_ARG, ERR_MEM,
- * ERR_INTERNAL. */
+/* The same into memory, appended to out; format is "jpg", "png" or "webp". ERR_ARG, ERR_LIMIT,
+ * ERR_MEM, ERR_INTERNAL. */
 enum err_code image_encode(const struct image *img, const char *format, int quality,
                            struct buf *out, struct err *e) ERR_USE;
 /* image_resize.c: Lanczos3. out is allocated; image_free it. ERR_ARG (a size of 0), ERR_MEM. */

@@ -16,12 +16,16 @@
 #include <OpenImageIO/imageio.h>
 
 #include <cstring>
+#include <memory>
 #include <new>
 #include <string>
 #include <strings.h>
 #include <vector>
 
 static constexpr int JPEG_FULL_CHROMA_QUALITY = 95; // from here on chroma is not subsampled
+
+// Memory of ours while OpenImageIO, which may throw, fills it.
+using image_owned = std::unique_ptr<void, void (*)(void *)>;
 
 static void image_single_thread()
 {
@@ -100,18 +104,18 @@ try {
     struct image img = {};
     if ((rc = image_alloc((uint32_t)s.width, (uint32_t)s.height, 3, &img, e)) != ERR_OK)
         return rc;
+    image_owned px(img.px, mem_free);    // OpenImageIO may throw
     int take = s.nchannels >= 3 ? 3 : 1; // 2 is grey + alpha
     bool ok = in->read_image(0, 0, 0, take, OIIO::TypeDesc::UINT8, img.px, 3);
     std::string why = in->geterror();
-    if (!ok || !why.empty()) {
-        image_free(&img);
+    if (!ok || !why.empty())
         return err_set(e, ERR_FORMAT, "image : %s : damaged or truncated (%s)", path,
                        image_first_line(why).c_str());
-    }
     if (take == 1)
         for (size_t i = 0; i < (size_t)s.width * (size_t)s.height; i++)
             img.px[3 * i + 1] = img.px[3 * i + 2] = img.px[3 * i];
     *out = img;
+    px.release();
     return ERR_OK;
 }
 SHIM_CATCH("image_read", ERR_FORMAT)
@@ -131,19 +135,17 @@ try {
     if (n > limit)
         return err_set(e, ERR_LIMIT, "image : %s : %d x %d pixels are more than the limit of %zu",
                        path, s.width, s.height, limit);
-    float *px = static_cast<float *>(mem_array(n, sizeof(float)));
+    image_owned px(mem_array(n, sizeof(float)), mem_free);
     if (!px)
         return err_set(e, ERR_MEM, "image : %s : out of memory for %zu pixels", path, n);
-    bool ok = in->read_image(0, 0, 0, 1, OIIO::TypeDesc::FLOAT, px);
+    bool ok = in->read_image(0, 0, 0, 1, OIIO::TypeDesc::FLOAT, px.get());
     std::string why = in->geterror();
-    if (!ok || !why.empty()) {
-        mem_free(px);
+    if (!ok || !why.empty())
         return err_set(e, ERR_FORMAT, "image : %s : damaged or truncated (%s)", path,
                        image_first_line(why).c_str());
-    }
     *width_px = (uint32_t)s.width;
     *height_px = (uint32_t)s.height;
-    *data = px;
+    *data = static_cast<float *>(px.release());
     return ERR_OK;
 }
 SHIM_CATCH("image_read_map", ERR_FORMAT)
@@ -226,7 +228,16 @@ try {
     buf_add(out, bytes.data(), bytes.size());
     return buf_check(out, e);
 }
-SHIM_CATCH("image_encode", ERR_FORMAT)
+SHIM_CATCH("image_encode", ERR_INTERNAL)
+
+// image_write_pixels, whose exceptions end here: there is a file to take away.
+static enum err_code image_write_tiff(const char *part, const struct image *img,
+                                      struct err *e) noexcept
+try {
+    image_single_thread();
+    return image_write_pixels(OIIO::ImageOutput::create("tif").get(), part, img, 0, e);
+}
+SHIM_CATCH("image_write", ERR_INTERNAL)
 
 // libtiff seeks while it writes, which OpenImageIO's memory file does not survive: by way of the
 // disk.
@@ -237,8 +248,7 @@ static enum err_code image_encode_tiff(const char *path, const struct image *img
     enum err_code rc = file_begin(path, part, e);
     if (rc)
         return rc;
-    image_single_thread();
-    rc = image_write_pixels(OIIO::ImageOutput::create("tif").get(), part, img, 0, e);
+    rc = image_write_tiff(part, img, e);
     if (!rc)
         rc = file_read(part, 0, out, e);
     file_abort(part);
@@ -272,4 +282,4 @@ try {
     buf_free(&b);
     return rc;
 }
-SHIM_CATCH("image_write", ERR_FORMAT)
+SHIM_CATCH("image_write", ERR_INTERNAL)

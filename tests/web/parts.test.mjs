@@ -18,7 +18,7 @@ import { listContents } from "./lib/tileset.mjs";
 
 const EDGE_M = 3;
 const NODES_MAX = 1100;
-const COARSE_PX = 4;
+const COARSE_PX = 24;
 const SIZE = { width: 800, height: 600 };
 const skip = { skip: MOCK || GIVEN_TILES ? "needs the test city" : false };
 
@@ -77,8 +77,8 @@ test("documents lead to every tile once, exported as served", skip, async () => 
     for (const { url } of exported.contents) assert.ok(existsSync(join(files, "..", new URL(url).pathname)), url);
 });
 
-// At a coarse setting, whose tiles are all below where other documents begin: 1,700 tiles are more than
-// this browser draws in a minute.
+// At a coarse setting, where tiles of other documents are drawn already: 1,700 tiles are more than this
+// browser draws in a minute.
 async function checkViewer(url) {
     const { page, log, close } = await openPage(url, SIZE);
     const [parts, deep] = [[], []];
@@ -96,7 +96,7 @@ async function checkViewer(url) {
         assert.ok(parts.length > 0, "no other document was asked for");
         assert.ok([...parts, ...deep].every(([, status]) => status === 200));
         const begins = Math.min(...parts.map(([zoom]) => zoom));
-        assert.ok(deep.some(([zoom]) => zoom > begins), "no tile of another document was drawn");
+        assert.ok(deep.some(([zoom]) => zoom >= begins), "no tile of another document was drawn");
         assert.ok(state.gaussians > 0 && state.broken.length === 0, JSON.stringify(state));
         assert.ok(share > 0.05, `only ${(100 * share).toFixed(1)} % of the picture is not background`);
         assert.deepEqual(log, []);
