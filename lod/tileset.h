@@ -19,8 +19,8 @@ struct tileset_links { /* templates with {z}/{x}/{y}, relative to the document; 
 extern const struct tileset_links tileset_of_entry, tileset_of_part;
 /* The explicit tileset JSON into `out` (caller frees): the entry (part NULL), or the document that
  * begins at the tile `part`. Below about a thousand tiles the entry is all of it. The store is only
- * read, so threads may share it. ERR_DATA (no tiles), ERR_NOENT (no document begins there), ERR_MEM;
- * ERR_ARG of an origin that is no place. */
+ * read, so threads may share it. ERR_DATA (no tiles), ERR_NOENT (no document begins there),
+ * ERR_MEM; ERR_ARG of an origin that is no place. */
 enum err_code tileset_write(const struct store *s, const struct tileset_links *links,
                             const struct key *part, struct buf *out, struct err *e) ERR_USE;
 /* Does a document begin at this tile? */

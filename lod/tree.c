@@ -2,9 +2,9 @@
  * nearest existing ancestor, upwards (parents come first, so backwards) bounds are united; then
  * downwards geometric errors are made strictly smaller than those above.
  *
- * Tilesets of many nodes are cut into documents of about TREE_DOCUMENT_NODES. A document ends at one
- * depth: the first below which no part is too large for one document, or the last that it has room
- * for, so that documents are neither many and tiny nor one below the other without need.
+ * Tilesets of many nodes are cut into documents of about TREE_DOCUMENT_NODES. A document ends at
+ * one depth: the first below which no part is too large for one document, or the last that it has
+ * room for, so that documents are neither many and tiny nor one below the other without need.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

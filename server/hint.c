@@ -1,8 +1,8 @@
 /* The page's script would find these addresses one after the other, each behind a round trip:
  * catalogue, tileset and network, coarsest tile. As hints they are on their way while the script
  * still is. They have to be the script's own addresses, letter by letter (web/src/source.ts), and
- * in its mode. Addresses in tilesets and tiles are relative to these; one that leaves out how it was
- * signed would not open, so answers of datasets that are not public have none (answer_*.c).
+ * in its mode. Addresses in tilesets and tiles are relative to these; one that leaves out how it
+ * was signed would not open, so answers of datasets that are not public have none (answer_*.c).
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -18,7 +18,7 @@ void hint_write(const struct catalog *c, const char *query, size_t n, char out[H
 /* Of a tileset's entry: the tile that every view begins with (rel=preload); "" where there are
  * several. */
 void hint_tileset(const struct dataset *d, const struct target *t, char out[HINT_SIZE]);
-/* Of a tile: those that take its place when a camera comes near (rel=prefetch), in the same form. */
+/* Of a tile: those that take its place when a camera comes near (rel=prefetch), in its form. */
 void hint_tile(const struct dataset *d, const struct store_tile *tile, const struct target *t,
                char out[HINT_SIZE]);
 

@@ -15,7 +15,6 @@
 #include "lod/tree.h"
 #include "server/encode.h"
 #include "server/result_id.h"
-#include "server/target_seed.h"
 
 enum { SEED_ROW = 256 }; /* bytes of a line without its query, from above */
 

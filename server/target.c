@@ -12,7 +12,6 @@
 #include <string.h>
 
 #include "codec/quant.h"
-#include "server/target_seed.h"
 #include "server/text.h"
 
 static const struct {

@@ -11,6 +11,8 @@
 enum { TARGET_STREAM_MIN = 16 }; /* a name cannot be guessed: whoever knows it steers */
 enum { TARGET_APPEARANCE_MAX = 512, TARGET_QUERY_MAX = 3 * TARGET_APPEARANCE_MAX + 96 };
 
+enum { TARGET_LIMIT = 10000, TARGET_LIMIT_MAX = 100000 }; /* lines of a prefetch list */
+
 enum method { METHOD_GET, METHOD_HEAD, METHOD_POST, METHOD_OPTIONS, METHOD_OTHER, METHOD_UNKNOWN };
 /* What a route answers, as bits. */
 enum { ALLOW_READ = 1, ALLOW_POST = 2 };
@@ -183,6 +185,20 @@ bool target_read_depth(const char *text, size_t n, struct paint *out);
 /* Percent-encode a text as a value of a query: RFC 3986's unreserved characters stay, and ',' ':'
  * '=', which it allows there. out holds 3 bytes for each of text, and one more. */
 void target_escape(const char *text, char *out);
+/* target.c and target_seed.c between them: the rest must be one of the extensions [first, last];
+ * preset=NAME, sh=N, appearance=A or, of terrain, encoding=E, of views, background=B and depth=U,
+ * each at most once (*known says whether it was one of them; ERR_FORMAT); the query of a prefetch
+ * list (ERR_FORMAT; ERR_DATA: numbers out of range). */
+struct text;
+bool target_take_format(struct text *t, enum format first, enum format last, enum format *out);
+enum err_code target_take_form(struct text *one, struct target *target, bool *known,
+                               struct err *e) ERR_USE;
+enum err_code target_parse_seed(const char *query, size_t n, struct target *out,
+                                struct err *e) ERR_USE;
+/* The query of a prefetch list again, "?...", that goes on after so many lines. path: of the
+ * course, for the borrowed one may be gone; NULL where there is none. */
+void target_seed_query(const struct target *t, const char *path, uint32_t after, struct buf *out);
+
 /* "?preset=NAME&sh=N&appearance=A" as far as the target says them, else "". */
 void target_query(const struct target *t, char out[TARGET_QUERY_MAX]);
 

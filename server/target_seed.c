@@ -3,9 +3,11 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "server/target_seed.h"
+#include "server/target.h"
 
 #include <string.h>
+
+#include "server/text.h"
 
 static enum err_code target_take_bbox(struct text *one, struct target *out, struct err *e)
 {

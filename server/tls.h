@@ -23,8 +23,8 @@ enum err_code tls_open(const char *cert_path, const char *key_path, struct tls *
                        struct err *e) ERR_USE;
 void tls_close(struct tls **t);
 /* Read the files again, and what was read, used from now on: connections that are there keep what
- * they began with. *pair is taken by tls_use and tls_discard. tls_read: errors as tls_open: ERR_ARG,
- * ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_DATA, ERR_MEM. */
+ * they began with. *pair is taken by tls_use and tls_discard. tls_read: errors as tls_open:
+ * ERR_ARG, ERR_NOENT, ERR_IO, ERR_FORMAT, ERR_DATA, ERR_MEM. */
 enum err_code tls_read(const struct tls *t, struct tls_pair **pair, struct err *e) ERR_USE;
 void tls_use(struct tls *t, struct tls_pair **pair);
 void tls_discard(struct tls_pair **pair);

@@ -232,8 +232,9 @@ static void test_seed_of_a_camera(void **state)
     assert_true(n >= 1 && rows[0].z == 16);
 }
 
-/* From 3 km away at 100 m/s: the finest tile comes within 39 m of the one above it, where a metre of
- * error is 16 px of the 623 px that f is; that one reaches up to 130 m further than the finest. */
+/* From 3 km away at 100 m/s: the finest tile comes within 39 m of the one above it, where a metre
+ * of error is 16 px of the 623 px that f is; that one reaches up to 130 m further than the finest.
+ * */
 static void test_seed_of_a_flight(void **state)
 {
 #define FLIGHT "X,S,85@0,0;X,Y,85@0,-30"
