@@ -78,7 +78,7 @@ test("a list of several pages, and of a camera's way", skip, async () => {
     const { url, seen, close } = await openCache();
     const { splats } = await (await fetch(`${source.url}/collections/${name}`)).json();
     const [lon, lat, h] = splats.origin;
-    const place = (east) => `${lon + east},${lat},${h + 60}@90,-60`;
+    const place = (east) => `${(lon + east).toFixed(7)},${lat.toFixed(7)},${(h + 60).toFixed(3)}@90,-60`;
     for (const query of ["?f=spz&limit=3", `?path=${place(-0.001)};${place(0.001)}&speed=10&limit=2`]) {
         seen.length = 0;
         const whole = (await listOf(query.replace(/&limit=\d/, ""))).map((line) => line.url);
