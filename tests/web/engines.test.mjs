@@ -1,11 +1,12 @@
-// Engines and maps that are not ours, by their npm packages, on tiles as they are served: PlayCanvas
-// and Spark draw each format that docs/clients.md names for them, one picture each; Leaflet lays the
-// map tiles where the city is.
+// Engines and maps that are not ours, by their npm packages, on tiles as they are served: PlayCanvas,
+// Spark and Babylon.js draw each format that docs/clients.md names for them, one picture each; Leaflet
+// lays the map tiles where the city is.
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { createServer } from "node:http";
+import { createRequire } from "node:module";
 import { dirname, extname, join, normalize } from "node:path";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
@@ -30,6 +31,25 @@ const ROOTS = {
     "/spark/": "node_modules/@sparkjsdev/spark/",
     "/playcanvas/": "node_modules/playcanvas/",
     "/leaflet/": "node_modules/leaflet/",
+    "/spz/": "node_modules/@adobe/spz/",
+};
+// Babylon.js is thousands of modules: one file of those that are used, as a page's own build makes it.
+const BABYLON = `
+    export { Engine } from "@babylonjs/core/Engines/engine.js";
+    export { Scene } from "@babylonjs/core/scene.js";
+    export { TargetCamera } from "@babylonjs/core/Cameras/targetCamera.js";
+    export { HemisphericLight } from "@babylonjs/core/Lights/hemisphericLight.js";
+    export { TransformNode } from "@babylonjs/core/Meshes/transformNode.js";
+    export { Vector3 } from "@babylonjs/core/Maths/math.vector.js";
+    export { Color4 } from "@babylonjs/core/Maths/math.color.js";
+    export { ImportMeshAsync } from "@babylonjs/core/Loading/sceneLoader.js";
+    export * as fflate from "fflate";
+    import "@babylonjs/loaders/SPLAT/index.js";
+    import "@babylonjs/loaders/glTF/2.0/index.js";`;
+const bundleBabylon = () => {
+    const { buildSync } = createRequire(join(HERE, "../../web/package.json"))("esbuild");
+    const stdin = { contents: BABYLON, resolveDir: HERE };
+    return buildSync({ stdin, bundle: true, format: "esm", write: false, logLevel: "error" }).outputFiles[0].contents;
 };
 
 let source;
@@ -45,6 +65,10 @@ before(async () => {
         const path = normalize(new URL(request.url, "http://x").pathname);
         const root = Object.keys(ROOTS).find((one) => path.startsWith(one));
         try {
+            if (path === "/babylon.mjs") {
+                response.setHeader("Content-Type", "text/javascript");
+                return response.end(bundleBabylon());
+            }
             const file = root ? join(HERE, ROOTS[root], path.slice(root.length)) : join(HERE, "engines.html");
             response.setHeader("Content-Type", TYPES[extname(file)] ?? "application/octet-stream");
             response.end(readFileSync(file));
@@ -85,6 +109,9 @@ test("PlayCanvas draws plain.glb, .sog and .ply alike", skip, (t) =>
     compare(t, "playcanvas", "plain.glb", "sog", "ply"));
 
 test("Spark draws .spz, .sog and .ply alike", skip, (t) => compare(t, "spark", "spz", "sog", "ply"));
+
+test("Babylon.js draws plain.glb, .spz, .sog and .ply alike", skip, (t) =>
+    compare(t, "babylon", "plain.glb", "spz", "sog", "ply"));
 
 test("Leaflet lays the map where the city is", skip, async () => {
     const lonLat = (enu) => {

@@ -1,6 +1,6 @@
 // Runs tests of this folder and says clearly when they cannot run.
 //
-//   node tests/web/run.mjs [api] [views] [decoder] [source] [pick] [validate] [readers] [las] [writers] [seed] [viewer] [appearance] [away] [thin] [map] [embed] [habits] [cesium] [globe] [engines] [three] [raster] [parts] [--tiles STORE] [--mock]
+//   node tests/web/run.mjs [NAME ...] [--tiles STORE] [--mock]
 //
 // CITYSPLAT_BIN names the program (not needed with --mock). --tiles runs against a given store:
 // what only holds for the test city is skipped. Exit 0: passed; 1: failed; 77: something needed is
@@ -17,7 +17,7 @@ const HERE = dirname(fileURLToPath(import.meta.url));
 const BROWSER_TESTS = new Set(
     ["viewer", "appearance", "away", "thin", "map", "embed", "habits", "cesium", "globe", "engines", "three", "raster", "parts"],
 );
-const TESTS = ["api", "views", "decoder", "source", "pick", "validate", "readers", "las", "writers", "seed", ...BROWSER_TESTS];
+const TESTS = ["api", "views", "decoder", "source", "pick", "validate", "readers", "las", "writers", "seed", "tools", ...BROWSER_TESTS];
 const SKIP = 77;
 
 const { values, positionals } = parseArgs({
