@@ -125,33 +125,37 @@ static enum err_code truth_heights_score(const struct heights_job *j, struct tru
     return n ? ERR_OK : err_set(e, ERR_DATA, "%s: nothing of the city is in it", j->cfg.map);
 }
 
-/* Lines along x, or along y; the truth of a line is the `next` of the one before. */
+/* Line y along x, or along y. */
+static void truth_heights_line(const struct heights_job *j, bool down, size_t y, size_t fine,
+                               float *truth)
+{
+    for (size_t i = 0; i < fine; i++) {
+        double a = ((double)i + 0.5) / EDGE_FINE, b = (double)y + 0.5, at[2];
+        bool in = truth_heights_place(j, down ? b : a, down ? a : b, at);
+        truth[i] = in ? truth_heights_at(j, down ? b : a, down ? a : b) : NAN;
+    }
+}
+
+/* All lines; the truth of one is the `next` of the one before. */
 static enum err_code truth_heights_edges(struct heights_job *j, bool down, struct err *e)
 {
     size_t w = down ? j->h : j->w, h = down ? j->w : j->h, fine = w * EDGE_FINE;
-    float *line = mem_array(w, sizeof *line), *truth[2];
+    float *line = mem_array(w, sizeof *line), *truth = mem_array(2 * fine, sizeof *truth);
     enum err_code rc = ERR_OK;
-    for (size_t k = 0; k < 2; k++)
-        truth[k] = mem_array(fine, sizeof *truth[k]);
-    if (!line || !truth[0] || !truth[1])
-        rc = err_set(e, ERR_MEM, "out of memory for a line of %zu px", w);
-    for (size_t y = 0; !rc && y < h; y++) {
-        for (size_t i = 0; i < fine; i++) {
-            double a = ((double)i + 0.5) / EDGE_FINE, b = (double)y + 0.5, at[2];
-            bool in = truth_heights_place(j, down ? b : a, down ? a : b, at);
-            truth[y % 2][i] = in ? truth_heights_at(j, down ? b : a, down ? a : b) : NAN;
-        }
+    bool room = line && truth;
+    for (size_t y = 0; room && !rc && y < h; y++) {
+        float *here = truth + y % 2 * fine, *before = truth + (1 - y % 2) * fine;
+        truth_heights_line(j, down, y, fine, here);
         for (size_t x = 0; y && x < w; x++)
             line[x] = j->model[down ? x * j->w + y - 1 : (y - 1) * j->w + x];
         if (y)
-            rc = edge_line(&j->edges, line, truth[(y - 1) % 2], truth[y % 2], w, j->pixel_m, e);
+            rc = edge_line(&j->edges, line, before, here, w, j->pixel_m, e);
         if (!rc && signals_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped");
     }
     mem_free(line);
-    mem_free(truth[0]);
-    mem_free(truth[1]);
-    return rc;
+    mem_free(truth);
+    return room ? rc : err_set(e, ERR_MEM, "out of memory for a line of %zu px", w);
 }
 
 enum err_code truth_heights(const struct synth_config *cfg, struct truth_heights *out,

@@ -11,45 +11,63 @@
 #include "core/base.h"
 #include "core/outline.h"
 
-static enum err_code geojson_add_ring(struct geojson_area *a, const json_t *ring, const char *path,
-                                      struct err *e)
+static enum err_code geojson_read_ring(const json_t *ring, size_t n, const char *path,
+                                       double (*at)[2], struct err *e)
 {
-    size_t n = json_array_size(ring);
-    double(*at)[2] = mem_array(n + 1, sizeof *at);
-    enum err_code rc = at ? ERR_OK : err_set(e, ERR_MEM, "%s: out of memory", path);
-    if (!rc && (n < 4 || n > GEOJSON_CORNERS_MAX + 1))
-        rc = err_set(e, ERR_FORMAT,
-                     "%s: a ring of %zu positions: four to %d, the last the same as the first",
-                     path, n, GEOJSON_CORNERS_MAX + 1);
-    for (size_t i = 0; !rc && i < n; i++) {
+    for (size_t i = 0; i < n; i++) {
         const json_t *p = json_array_get(ring, i), *lon = json_array_get(p, 0),
                      *lat = json_array_get(p, 1);
         at[i][0] = json_number_value(lon);
         at[i][1] = json_number_value(lat);
         if (!json_is_number(lon) || !json_is_number(lat) || !(fabs(at[i][0]) <= 180) ||
             !(fabs(at[i][1]) <= 90))
-            rc = err_set(e, ERR_FORMAT,
-                         "%s: position %zu (%g, %g) is no longitude and latitude; of a projection "
-                         "make them with ogr2ogr -t_srs EPSG:4326 -f GeoJSON",
-                         path, i + 1, at[i][0], at[i][1]);
+            return err_set(e, ERR_FORMAT,
+                           "%s: position %zu (%g, %g) is no longitude and latitude; of a "
+                           "projection make them with ogr2ogr -t_srs EPSG:4326 -f GeoJSON",
+                           path, i + 1, at[i][0], at[i][1]);
     }
-    if (!rc && memcmp(at[0], at[n - 1], sizeof *at) != 0)
-        rc = err_set(e, ERR_FORMAT, "%s: a ring is not closed: repeat its first position", path);
-    if (!rc && outline_check((const double(*)[2])at, n - 1, e)) {
+    if (memcmp(at[0], at[n - 1], sizeof *at) != 0)
+        return err_set(e, ERR_FORMAT, "%s: a ring is not closed: repeat its first position", path);
+    if (outline_check((const double(*)[2])at, n - 1, e)) {
         err_add(e, "%s", path);
-        rc = ERR_DATA;
+        return ERR_DATA;
     }
-    if (!rc && a->n + n > a->cap) {
+    return ERR_OK;
+}
+
+/* Edges of a ring of n positions, the last being the first. */
+static enum err_code geojson_add_edges(struct geojson_area *a, const double (*at)[2], size_t n,
+                                       const char *path, struct err *e)
+{
+    if (a->n + n > a->cap) {
         size_t cap = 2 * a->cap + n;
         struct geojson_edge *p = mem_resize(a->edges, a->cap, cap, sizeof *p);
-        rc = p ? ERR_OK : err_set(e, ERR_MEM, "%s: out of memory", path);
-        a->edges = p ? p : a->edges;
-        a->cap = p ? cap : a->cap;
+        if (!p)
+            return err_set(e, ERR_MEM, "%s: out of memory", path);
+        a->edges = p;
+        a->cap = cap;
     }
-    for (size_t i = 0; !rc && i + 1 < n; i++)
+    for (size_t i = 0; i + 1 < n; i++)
         a->edges[a->n++] = (struct geojson_edge){
             {at[i][0], at[i][1]}, {at[i + 1][0], at[i + 1][1]}, a->n_polygons, a->n_rings};
     a->n_rings++;
+    return ERR_OK;
+}
+
+static enum err_code geojson_add_ring(struct geojson_area *a, const json_t *ring, const char *path,
+                                      struct err *e)
+{
+    size_t n = json_array_size(ring);
+    if (n < 4 || n > GEOJSON_CORNERS_MAX + 1)
+        return err_set(e, ERR_FORMAT,
+                       "%s: a ring of %zu positions: four to %d, the last the same as the first",
+                       path, n, GEOJSON_CORNERS_MAX + 1);
+    double(*at)[2] = mem_array(n, sizeof *at);
+    if (!at)
+        return err_set(e, ERR_MEM, "%s: out of memory", path);
+    enum err_code rc = geojson_read_ring(ring, n, path, at, e);
+    if (!rc)
+        rc = geojson_add_edges(a, (const double(*)[2])at, n, path, e);
     mem_free(at);
     return rc;
 }

@@ -140,24 +140,31 @@ static void drone_mean(const double (*v)[3], size_t n, double *scratch, struct i
     }
 }
 
-enum err_code ingest_drone_up(const struct ingest *g, struct ingest_gimbal *out, struct err *e)
+/* Up by each photograph that is kept, in COLMAP's frame; returns how many tell it. */
+static size_t drone_list(const struct ingest *g, double (*v)[3])
 {
-    double(*v)[3] = mem_array(g->n, sizeof *v), *scratch = mem_array(g->n, sizeof *scratch);
-    enum err_code rc = v && scratch
-                           ? ERR_OK
-                           : err_set(e, ERR_MEM, "ingest: out of memory for %zu photographs", g->n);
-    *out = (struct ingest_gimbal){0};
-    for (size_t i = 0; !rc && g->cfg->gimbal && i < g->n; i++) {
+    size_t n = 0;
+    for (size_t i = 0; i < g->n; i++) {
         const struct ingest_photo *p = &g->photos[i];
         if (p->verdict != INGEST_KEPT || !p->drone.has_up)
             continue;
         for (size_t k = 0; k < 3; k++)
-            v[out->n][k] = p->geo.rot[k] * p->drone.up_cam[0] +
-                           p->geo.rot[3 + k] * p->drone.up_cam[1] +
-                           p->geo.rot[6 + k] * p->drone.up_cam[2];
-        out->n++;
+            v[n][k] = p->geo.rot[k] * p->drone.up_cam[0] + p->geo.rot[3 + k] * p->drone.up_cam[1] +
+                      p->geo.rot[6 + k] * p->drone.up_cam[2];
+        n++;
     }
-    if (!rc && out->n >= DRONE_LEAST)
+    return n;
+}
+
+enum err_code ingest_drone_up(const struct ingest *g, struct ingest_gimbal *out, struct err *e)
+{
+    *out = (struct ingest_gimbal){0};
+    if (!g->cfg->gimbal)
+        return ERR_OK;
+    double(*v)[3] = mem_array(g->n, sizeof *v), *scratch = mem_array(g->n, sizeof *scratch);
+    bool room = v && scratch;
+    out->n = room ? drone_list(g, v) : 0;
+    if (out->n >= DRONE_LEAST)
         drone_mean((const double(*)[3])v, out->n, scratch, out);
     out->known = out->n >= DRONE_LEAST && out->spread_rad < drone_spread_max_rad;
     if (out->n >= DRONE_LEAST && !out->known)
@@ -167,7 +174,7 @@ enum err_code ingest_drone_up(const struct ingest *g, struct ingest_gimbal *out,
                  out->n, drone_deg * out->spread_rad);
     mem_free(v);
     mem_free(scratch);
-    return rc;
+    return room ? ERR_OK : err_set(e, ERR_MEM, "ingest: out of memory for %zu photographs", g->n);
 }
 
 void ingest_drone_check(const struct sim3 *sim, struct ingest_gimbal *io)

@@ -207,12 +207,13 @@ static enum err_code change_draw(struct change_job *j, const char *what, struct 
 {
     struct progress bar;
     uint64_t done = 0, k = 0, rows = (j->grid.height + MAP_PIECE_PX - 1) / MAP_PIECE_PX;
+    uint64_t stride = j->stride > 1 ? j->stride : 1;
     enum err_code rc = ERR_OK;
     change_forget(j);
     progress_start(&bar, what, rows);
     for (uint32_t y = 0; !rc && y < j->grid.height; y += MAP_PIECE_PX) {
         for (uint32_t x = 0; !rc && x < j->grid.width; x += MAP_PIECE_PX) {
-            rc = k++ % j->stride ? ERR_OK : change_piece(j, x, y, e);
+            rc = k++ % stride ? ERR_OK : change_piece(j, x, y, e);
             if (!rc && signals_stopping())
                 rc = err_set(e, ERR_CANCEL, "stopped");
         }
@@ -256,7 +257,7 @@ static enum err_code change_align(struct change_job *j, uint32_t *rounds, struct
                       ((j->grid.height + MAP_PIECE_PX - 1) / MAP_PIECE_PX);
     enum err_code rc = ERR_OK;
     bool settled = false;
-    j->stride = (pieces + CHANGE_ROUND_PIECES - 1) / CHANGE_ROUND_PIECES;
+    j->stride = (pieces - 1) / CHANGE_ROUND_PIECES + 1;
     /* Neighbours in a row and in a column alike. */
     while (j->stride > 1 && ((j->grid.width + MAP_PIECE_PX - 1) / MAP_PIECE_PX) % j->stride == 0)
         j->stride++;
@@ -275,54 +276,76 @@ static enum err_code change_align(struct change_job *j, uint32_t *rounds, struct
     return rc;
 }
 
+/* What both have surveyed of what was asked for, degrees. */
+static bool change_box(const struct area *a, const struct area *b, const double *asked,
+                       double box[4])
+{
+    box[0] = fmax(a->west_deg, b->west_deg);
+    box[1] = fmax(a->south_deg, b->south_deg);
+    box[2] = fmin(a->east_deg, b->east_deg);
+    box[3] = fmin(a->north_deg, b->north_deg);
+    for (size_t k = 0; asked && k < 4; k++)
+        box[k] = k < 2 ? fmax(box[k], asked[k]) : fmin(box[k], asked[k]);
+    return box[0] < box[2] && box[1] < box[3];
+}
+
+static enum err_code change_create(struct change_job *j, const char *path, bool align,
+                                   struct err *e)
+{
+    const struct store_meta *a = store_info(nadir_store(j->nadir[0])),
+                            *b = store_info(nadir_store(j->nadir[1]));
+    char source[200];
+    snprintf(source, sizeof source, "%s %s minus %s %s", b->name, b->revision, a->name,
+             a->revision);
+    const struct geotiff_info info = {
+        .crs = j->crs,
+        .west_m = j->grid.west_m,
+        .north_m = j->grid.north_m,
+        .pixel_m = j->grid.pixel_m,
+        .width = j->grid.width,
+        .height = j->grid.height,
+        .copyright = b->attribution,
+        .source = source,
+        .heights = align ? "height of the later, moved onto the earlier, minus that of the earlier"
+                         : "height of the later minus that of the earlier"};
+    return geotiff_create(path, GEOTIFF_HEIGHT, &info, &j->out, e);
+}
+
+static void change_close(struct change_job *j)
+{
+    geotiff_close(&j->out);
+    mem_free(j->histogram);
+    for (size_t k = 0; k < 2; k++) {
+        mem_free(j->height[k]);
+        mem_free(j->rgb[k]);
+        mem_free(j->in[k]);
+    }
+}
+
 enum err_code change_write(struct nadir *earlier, struct nadir *later,
                            const struct change_request *r, const char *path,
                            struct change_report *report, struct err *e)
 {
     const struct area *a = nadir_area(earlier), *b = nadir_area(later);
-    const double both[4] = {fmax(a->west_deg, b->west_deg), fmax(a->south_deg, b->south_deg),
-                            fmin(a->east_deg, b->east_deg), fmin(a->north_deg, b->north_deg)};
     double box[4];
-    char source[200];
-    const struct store_meta *ma = store_info(nadir_store(earlier)),
-                            *mb = store_info(nadir_store(later));
     struct change_job j = {.nadir = {earlier, later},
                            .stride = 1,
                            .least_m = r->least_m > 0 ? r->least_m : CHANGE_LEAST_M};
     uint32_t rounds = 0;
     struct crs *crs = NULL;
-    for (size_t k = 0; k < 4; k++)
-        box[k] = !r->bbox_deg ? both[k]
-                 : k < 2      ? fmax(both[k], r->bbox_deg[k])
-                              : fmin(both[k], r->bbox_deg[k]);
-    if (!(box[0] < box[2]) || !(box[1] < box[3]))
+    if (!change_box(a, b, r->bbox_deg, box))
         return err_set(e, ERR_ARG, "the two were not surveyed in one place: nothing to compare");
     /* Pixels of the coarser of the two. */
     const struct map_request m = {
         .kind = GEOTIFF_HEIGHT, .epsg = r->epsg, .gsd_m = r->gsd_m, .bbox_deg = box};
     enum err_code rc = map_plan(a->sigma_m > b->sigma_m ? earlier : later, &m, &crs, &j.grid, e);
-    if (rc)
-        return rc;
     j.crs = crs;
-    snprintf(source, sizeof source, "%s %s minus %s %s", mb->name, mb->revision, ma->name,
-             ma->revision);
-    const struct geotiff_info info = {crs,
-                                      j.grid.west_m,
-                                      j.grid.north_m,
-                                      j.grid.pixel_m,
-                                      j.grid.width,
-                                      j.grid.height,
-                                      mb->attribution,
-                                      source,
-                                      r->align ? "height of the later, moved onto the earlier, "
-                                                 "minus that of the earlier"
-                                               : "height of the later minus that of the earlier",
-                                      false};
-    rc = change_room(&j, e);
+    if (!rc)
+        rc = change_room(&j, e);
     if (!rc && r->align)
         rc = change_align(&j, &rounds, e);
     if (!rc)
-        rc = geotiff_create(path, GEOTIFF_HEIGHT, &info, &j.out, e);
+        rc = change_create(&j, path, r->align, e);
     if (!rc)
         rc = change_draw(&j, "compare, rows", e);
     if (!rc && !j.r.pixels)
@@ -337,13 +360,7 @@ enum err_code change_write(struct nadir *earlier, struct nadir *later,
         if (r->align)
             report->pose = j.pose;
     }
-    geotiff_close(&j.out);
+    change_close(&j);
     crs_close(&crs);
-    mem_free(j.histogram);
-    for (size_t k = 0; k < 2; k++) {
-        mem_free(j.height[k]);
-        mem_free(j.rgb[k]);
-        mem_free(j.in[k]);
-    }
     return rc;
 }
