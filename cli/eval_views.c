@@ -93,9 +93,27 @@ static enum err_code eval_views_kind(struct eval_views *v, const char *name, str
     return ERR_OK;
 }
 
-static enum err_code eval_views_picture(const struct eval_views *v, const struct map_view *view,
-                                        const struct map_truth *t, const float *rgb, struct err *e)
+/* What is wrong with a pixel, over the truth in grey: red is halo, blue is haze. */
+static void eval_views_wrong(const struct map_truth *t, const struct map_drawing *d,
+                             const float *limit_m, size_t i, uint8_t out[3])
 {
+    const uint8_t *p = t->picture.px + 3 * i;
+    float grey = 0.4f * (float)(p[0] + p[1] + p[2]) / 3.0f, red = 0.0f;
+    bool haze =
+        t->mask[i] >= MAP_VIEWS_SEEN && d->median_m[i] > 0.0f && d->median_m[i] < limit_m[i];
+    if (!t->mask[i])
+        red = 255.0f * fminf(fmaxf(1.0f - d->transmittance[i], 0.0f), 1.0f);
+    out[0] = (uint8_t)fmaxf(grey, red);
+    out[1] = (uint8_t)grey;
+    out[2] = haze ? 255 : (uint8_t)grey;
+}
+
+/* Truth, drawing, and where the drawing is wrong. */
+static enum err_code eval_views_picture(const struct eval_views *v, const struct map_view *view,
+                                        const struct map_truth *t, const struct map_drawing *d,
+                                        const float *limit_m, struct err *e)
+{
+    const float *rgb = d->rgb;
     char name[MAP_VIEWS_NAME + 8], path[FILE_PATH_MAX];
     struct image img = {0};
     size_t w = t->width_px, h = t->height_px;
@@ -106,10 +124,12 @@ static enum err_code eval_views_picture(const struct eval_views *v, const struct
     if (!rc)
         rc = file_join(path, v->q->pictures, name, e);
     if (!rc)
-        rc = image_alloc(2 * t->width_px, t->height_px, 3, &img, e);
+        rc = image_alloc(3 * t->width_px, t->height_px, 3, &img, e);
     for (size_t y = 0; !rc && y < h; y++) {
-        uint8_t *to = img.px + y * 6 * w;
+        uint8_t *to = img.px + y * 9 * w;
         memcpy(to, t->picture.px + y * 3 * w, 3 * w);
+        for (size_t x = 0; x < w; x++)
+            eval_views_wrong(t, d, limit_m, y * w + x, to + 6 * w + 3 * x);
         for (size_t i = 0; i < 3 * w; i++)
             to[3 * w + i] = (uint8_t)(fminf(fmaxf(rgb[y * 3 * w + i], 0.0f), 1.0f) * 255.0f + 0.5f);
     }
@@ -146,7 +166,7 @@ static enum err_code eval_views_one(struct eval_views *v, size_t i, struct err *
     if (!rc)
         rc = map_sums_add(&v->kinds[0].sums, &t, &d, e);
     if (!rc)
-        rc = eval_views_picture(v, view, &t, px, e);
+        rc = eval_views_picture(v, view, &t, &d, px + LIMIT * n, e);
     v->gaussians += gaussians;
     map_truth_free(&t);
     mem_free(px);

@@ -19,6 +19,7 @@
 #include "cells/cell_plan.h"
 #include "cells/footprint.h"
 #include "cells/partition.h"
+#include "cells/trim.h"
 #include "cli/cli.h"
 #include "cli/photographs.h"
 #include "cli/splats.h"
@@ -71,6 +72,7 @@ struct tile_scene {
     struct camera_hull ground;  /* of the photographs */
     double crop_margin_m;       /* negative: nothing is left out */
     struct footprint footprint; /* empty: nothing is left out */
+    struct trim trim;           /* empty: nothing is cut at the edge */
     struct clip clip;           /* --clip, if `clips` */
     bool clips;
     struct geo_origin origin;
@@ -243,6 +245,8 @@ static enum err_code tile_match_plan(struct tile_scene *s, const struct scene *s
     return rc;
 }
 
+enum { TILE_SURE = 3 };                /* photographs that know how far away a thing is */
+#define TILE_FREE_SPACE 0.05           /* flight heights above the points around, as in training */
 #define TILE_OPACITY_MIN (1.0 / 255.0) /* what is fainter than that is never drawn */
 
 /* Fade a row by the footprint; false: nothing is left of it. */
@@ -271,12 +275,13 @@ static bool tile_fade(const struct footprint *f, struct gauss *g, size_t i)
     return true;
 }
 
-/* The rows of a slice that its cell owns, within the crop. */
-static void tile_own(const struct tile_scene *s, const struct tile_cell *c, struct gauss *g)
+/* The rows of a slice that its cell owns, within the crop. ERR_MEM. */
+static enum err_code tile_own(const struct tile_scene *s, const struct tile_cell *c,
+                              struct gauss *g, struct err *e)
 {
-    size_t n = 0;
+    size_t n = 0, gone = 0;
     if (!s->plan.n_cells && s->crop_margin_m < 0.0 && !s->footprint.nx)
-        return;
+        return ERR_OK;
     for (size_t i = 0; i < g->n; i++) {
         double x = (double)g->mean_m[3 * i] + g->origin_enu_m[0],
                y = (double)g->mean_m[3 * i + 1] + g->origin_enu_m[1];
@@ -294,6 +299,9 @@ static void tile_own(const struct tile_scene *s, const struct tile_cell *c, stru
         n++;
     }
     g->n = n;
+    enum err_code rc = trim_rows(&s->trim, g, &gone, e);
+    atomic_fetch_add(s->cropped, gone);
+    return rc;
 }
 
 static enum err_code tile_load(void *user, size_t part, struct gauss *out, struct err *e)
@@ -307,7 +315,7 @@ static enum err_code tile_load(void *user, size_t part, struct gauss *out, struc
     enum err_code rc =
         ckpt_rows_read(file->rows, from, n < TILE_PART_ROWS ? n : TILE_PART_ROWS, out, e);
     if (!rc)
-        tile_own(l->scene, &l->scene->cells[file->cell], out);
+        rc = tile_own(l->scene, &l->scene->cells[file->cell], out, e);
     if (!rc && l->scene->clips)
         rc = clip_rows(&l->scene->clip, &l->scene->origin, out, e);
     return rc;
@@ -506,7 +514,7 @@ static enum err_code tile_update(struct tile_scene *s, const struct tile_options
         if (!rc)
             rc = ckpt_read(path, &level[l], e);
         if (!rc)
-            tile_own(s, cell, &level[l].g);
+            rc = tile_own(s, cell, &level[l].g, e);
         if (!rc && s->clips)
             rc = clip_rows(&s->clip, &s->origin, &level[l].g, e);
         if (!rc)
@@ -541,7 +549,11 @@ static enum err_code tile_crop(struct tile_scene *s, const struct scene *scene, 
         return err_set(e, ERR_NOENT,
                        "--crop %s: no such file; give footprint, none or a GeoJSON file", crop);
     rc = footprint_of(scene, &s->footprint, e);
-    return rc || own ? rc : footprint_read(&s->footprint, crop, &scene->origin, e);
+    if (rc)
+        return rc;
+    return own ? trim_open(scene, &s->footprint, TILE_SURE, TILE_FREE_SPACE * s->footprint.height_m,
+                           &s->trim, e)
+               : footprint_read(&s->footprint, crop, &scene->origin, e);
 }
 
 /* Name and attribution of the store. */
@@ -660,6 +672,7 @@ static enum err_code tile_run(const char *dir, const struct tile_options *o, str
     }
     clip_free(&s.clip);
     buf_free(&s.appearance);
+    trim_free(&s.trim);
     footprint_free(&s.footprint);
     partition_free(&s.plan);
     camera_hull_free(&s.ground);

@@ -17,6 +17,7 @@
 // has simple derivatives of its own: d(1/2 ln det S0) = 1 - m_k^2 / det S0 for ln s_k.
 // Rotations: V_k = dL/dR_k gives the torque a = sum_k R_k x V_k, and dL/dq = 2 (0, a) q, which is
 // already tangent. The view direction of SH is held fixed.
+// The camera's own six gradients are sums over the Gaussians of what is at hand, if asked for.
 //
 // With APPEARANCE_LEN (appearance.cl) opacity is min(o + y3, 1) and colour clamp(SH + 0.5 + 2 y -
 // 1, 0, 1): nothing passes where they were cut. VW 16 goes on through the network at once, so that
@@ -479,6 +480,47 @@ inline void stats_add(const struct stats *to, uint i, const struct gradient *d,
     }
 }
 
+// ---- the camera
+
+// A camera that moves is all Gaussians that move against it: sums over them of dL/dmean and of the
+// torque about the eye, (mean - eye) x dL/dmean and what turning each by itself does; world frame.
+inline void pose_add(V sums[LAYOUT_POSE_SUMS], __constant struct layout_view *v,
+                     __global const float *params, const struct gradient *d, VI counted)
+{
+    const V *g = d->geometry + LAYOUT_PLANE_MEAN, *dq = d->geometry + LAYOUT_PLANE_QUAT;
+    V x[3], q[4], t[3];
+    for (uint k = 0; k < 3; k++)
+        x[k] = LD(params, LAYOUT_PLANE_MEAN + k) - v->eye[k];
+    for (uint k = 0; k < 4; k++)
+        q[k] = LD(params, LAYOUT_PLANE_QUAT + k);
+    t[0] = (q[0] * dq[1] - q[1] * dq[0]) + (q[2] * dq[3] - q[3] * dq[2]);
+    t[1] = (q[0] * dq[2] - q[2] * dq[0]) + (q[3] * dq[1] - q[1] * dq[3]);
+    t[2] = (q[0] * dq[3] - q[3] * dq[0]) + (q[1] * dq[2] - q[2] * dq[1]);
+    for (uint k = 0; k < 3; k++) {
+        uint a = (k + 1) % 3, b = (k + 2) % 3;
+        V torque = (x[a] * g[b] - x[b] * g[a]) + 0.5f * t[k];
+        sums[k] += counted ? g[k] : (V)(0.0f);
+        sums[3 + k] += counted ? torque : (V)(0.0f);
+    }
+}
+
+inline void pose_store(const V sums[LAYOUT_POSE_SUMS], __constant struct layout_view *v,
+                       __global float *out)
+{
+    size_t id = get_global_id(0);
+#if VW == 16
+    if (id * LAYOUT_PROJECT_GROUPS >= v->groups)
+        return;
+    for (uint k = 0; k < LAYOUT_POSE_SUMS; k++)
+        vstore16(sums[k], id * LAYOUT_POSE_SUMS + k, out);
+#else
+    if (id / LAYOUT_LANES >= v->groups)
+        return;
+    for (uint k = 0; k < LAYOUT_POSE_SUMS; k++)
+        out[id * LAYOUT_POSE_SUMS + k] = sums[k];
+#endif
+}
+
 // ---- appearance
 
 #ifdef APPEARANCE_LEN
@@ -586,10 +628,14 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
                            __global const float *extra, __global float *stat_grad,
                            __global float *stat_absg, __global float *stat_count,
                            __global float *stat_radius, __global float *stat_opacity,
-                           __global uint *repaired EFFECTIVE_ARG APPEARANCE_ARG)
+                           __global uint *repaired,
+                           __global float *pose_parts EFFECTIVE_ARG APPEARANCE_ARG)
 {
     uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1), wants = rates.wants;
     struct stats stats = {stat_grad, stat_absg, stat_count, stat_radius, stat_opacity};
+    V pose[LAYOUT_POSE_SUMS];
+    for (uint k = 0; k < LAYOUT_POSE_SUMS; k++)
+        pose[k] = (V)(0.0f);
     APPEARANCE_OPEN
     for (uint group = item_groups(v, &to, &lane); group < to; group++) {
         size_t at = group_at(group, v->planes) + lane;
@@ -603,6 +649,8 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
             gradient_all(v, a.p, filter + i, &in, visible, &d EFFECTIVE(i));
             seen_direction(v, a.p, dir); // before the mean moves
             sh_basis(dir, v->sh_degree, basis);
+            if (wants & LAYOUT_STEP_POSE)
+                pose_add(pose, v, a.p, &d, gradient_usable(&d) & real & visible);
         } else {
             gradient_none(&d);
             for (uint p = 0; p < LAYOUT_SH_MAX; p++)
@@ -638,5 +686,7 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
         if ((wants & LAYOUT_STEP_STATS) && ANY(bad))
             atomic_add(repaired, lanes_count(bad)); // whole numbers: any order gives the same sum
     }
+    if (wants & LAYOUT_STEP_POSE)
+        pose_store(pose, v, pose_parts);
     APPEARANCE_CLOSE
 }

@@ -8,6 +8,7 @@
 
 #include "cells/cell.h"
 #include "cells/footprint.h"
+#include "cells/trim.h"
 #include "codec/scene.h"
 #include "tests/kit.h"
 #include "train/densify_plan.h"
@@ -200,12 +201,73 @@ static void what_floats_is_removed(void **state)
     arena_free(&s.arena);
 }
 
+/* Where the photographs end (x = 80, y = 70) what is large and sticks out is halved, gradient or
+ * not, and what lies outside goes; where few look, heights are tight. */
+static void what_sticks_out_is_split(void **state)
+{
+    (void)state;
+    /* large in the middle, at the edge, outside; small at the edge; 2 m up at the edge and not */
+    static const float mean[6][3] = {{0, 0, 7},  {78, 0, 7},  {90, 0, 7},
+                                     {79, 9, 7}, {76, 66, 9}, {9, 9, 9}};
+    static const float sigma[6] = {3.0f, 3.0f, 0.5f, 0.5f, 0.5f, 0.5f};
+    static const uint32_t rows[5] = {0, 1, 1, 3, 5};
+    enum { N = 6 };
+    float params[LAYOUT_LANES * PLANES] = {0}, grad[N] = {0};
+    struct scene s;
+    struct footprint f;
+    struct trim t;
+    struct densify_plan plan;
+    struct err e = {0};
+    survey(&s);
+    kit_ok(footprint_of(&s, &f, &e), e);
+    kit_ok(trim_open(&s, &f, 5, 5.0, &t, &e), e);
+    for (size_t i = 0; i < N; i++) {
+        for (uint32_t k = 0; k < 3; k++) {
+            params[k * LAYOUT_LANES + i] = mean[i][k];
+            params[(3 + k) * LAYOUT_LANES + i] = logf(k < 2 ? sigma[i] : 0.05f);
+        }
+        params[6 * LAYOUT_LANES + i] = 1.0f;
+    }
+    struct densify_params p = {.cell = &everything,
+                               .cap_inside = 10,
+                               .tau = 1.0,
+                               .tau_outside = 4.0,
+                               .split_above_m = 100.0,
+                               .prune_opacity = 0.005,
+                               .rim = &t,
+                               .cut_above_m = 1.0};
+    struct densify_input in = {.params = params, .n = N, .planes = PLANES, .mean_grad = grad};
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
+    assert_int_equal(plan.n, 5);
+    for (size_t i = 0; i < plan.n; i++) {
+        assert_int_equal(plan.rows[i].source, rows[i]);
+        assert_int_equal(plan.rows[i].kind, i == 1   ? DENSIFY_SPLIT_A
+                                            : i == 2 ? DENSIFY_SPLIT_B
+                                                     : DENSIFY_KEEP);
+    }
+    assert_true(plan.report.cut == 1 && plan.report.split == 1 && plan.report.pruned == 2);
+    assert_true(plan.report.after == 5 && plan.report.inside == 5);
+    densify_plan_free(&plan);
+    p.cap_inside = 4; /* no room: it stays whole, and nothing is over the ceiling */
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
+    assert_true(plan.n == 4 && !plan.report.cut);
+    densify_plan_free(&plan);
+    p.rim = NULL;
+    kit_ok(densify_plan_make(&p, &in, &plan, &e), e);
+    assert_int_equal(plan.n, N);
+    densify_plan_free(&plan);
+    trim_free(&t);
+    footprint_free(&f);
+    arena_free(&s.arena);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(ground_without_points_gets_gaussians),
         cmocka_unit_test(the_last_place_outside_is_used),
         cmocka_unit_test(what_floats_is_removed),
+        cmocka_unit_test(what_sticks_out_is_split),
     };
     return cmocka_run_group_tests_name("ground", tests, NULL, NULL);
 }

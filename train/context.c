@@ -21,6 +21,7 @@ void context_close(struct context *ctx)
     dev_release(&ctx->mask);
     photo_loader_close(&ctx->photos);
     appearance_train_close(&ctx->appearance);
+    pose_free(&ctx->poses);
 }
 
 double context_seconds(const struct context *ctx)
@@ -72,10 +73,12 @@ enum err_code context_filter(const struct context *ctx, struct model *m, struct 
     struct camera *cams = mem_array(ctx->n_images, sizeof *cams);
     if (!cams)
         return err_set(e, ERR_MEM, "mip: out of memory for %zu cameras", ctx->n_images);
-    for (size_t i = 0; i < ctx->n_images; i++)
+    for (size_t i = 0; i < ctx->n_images; i++) {
         cams[i] =
             photo_loader_camera(&ctx->scene->images[ctx->images[i]].cam,
                                 (uint32_t)ctx->cfg->max_edge_px, context_schedule(ctx)->downsample);
+        pose_apply(&ctx->poses, ctx->images[i], &cams[i]);
+    }
     enum err_code rc = model_filter(m, cams, ctx->n_images, e);
     mem_free(cams);
     return rc;

@@ -12,6 +12,7 @@
 #include "render/render.h"
 #include "train/appearance_train.h"
 #include "train/config.h"
+#include "train/pose.h"
 #include "train/schedule.h"
 #include "train/timing.h"
 
@@ -23,6 +24,7 @@ struct photo;
 struct photo_loader;
 struct photometric;
 struct scene;
+struct trim;
 
 struct context { /* context_close */
     /* -- fixed for the run; all borrowed */
@@ -35,7 +37,8 @@ struct context { /* context_close */
     struct photometric *loss;
     struct metrics_log *metrics; /* NULL: none are written */
     struct cell cell;
-    const struct footprint *ground; /* NULL: not known */
+    const struct footprint *ground; /* NULL: not known, */
+    const struct trim *rim;         /* nor where photographs end */
     struct schedule schedule[TRAIN_LEVELS_MAX];
     uint32_t n_levels;
     struct timing timing; /* the clock that run.c started; {0} in tests, where nobody reads it */
@@ -48,6 +51,7 @@ struct context { /* context_close */
     size_t start;                       /* Gaussians inside the cell when this level began */
     double before_s;                    /* that earlier processes spent on the run */
     struct appearance_train appearance; /* {0}: without; opened before level_open */
+    struct pose_set poses;              /* {0}: the scene's; opened before level_open */
 
     /* -- of the level in work */
     struct photo_loader *photos; /* opened by level_begin */

@@ -15,6 +15,7 @@
 #include <jansson.h>
 
 #include "cells/footprint.h"
+#include "cells/trim.h"
 #include "render/permute.h"
 #include "train/config.h"
 #include "train/context.h"
@@ -29,6 +30,11 @@
  * is never removed for its size. Below about one spacing the ground cannot be covered, and then
  * every removal makes the others grow until they are removed too. */
 #define DENSIFY_SPACINGS 4.0
+
+/* What sticks out of the photographs is split down to one such spacing, or so many of the least
+ * sizes that tiles cut. */
+#define DENSIFY_CUT_SPACINGS 1.0
+#define DENSIFY_CUT_LEAST 2.5
 
 struct densify_work {
     void *params; /* mapped */
@@ -122,13 +128,13 @@ static enum err_code densify_tell(const struct context *ctx, const struct densif
         r->split_candidates, r->room, r->cloned, r->split, r->after, r->outside, cap);
     if (!ctx->metrics)
         return ERR_OK;
-    json_t *o =
-        json_pack("{s:i, s:i, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I}", "level",
-                  (int)context_schedule(ctx)->level, "step", (int)ctx->step, "pruned",
-                  (json_int_t)r->pruned, "clone_candidates", (json_int_t)r->clone_candidates,
-                  "split_candidates", (json_int_t)r->split_candidates, "room", (json_int_t)r->room,
-                  "cloned", (json_int_t)r->cloned, "split", (json_int_t)r->split, "inside",
-                  (json_int_t)r->inside, "outside", (json_int_t)r->outside, "cap", (json_int_t)cap);
+    json_t *o = json_pack(
+        "{s:i, s:i, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I}", "level",
+        (int)context_schedule(ctx)->level, "step", (int)ctx->step, "pruned", (json_int_t)r->pruned,
+        "clone_candidates", (json_int_t)r->clone_candidates, "split_candidates",
+        (json_int_t)r->split_candidates, "room", (json_int_t)r->room, "cloned",
+        (json_int_t)r->cloned, "split", (json_int_t)r->split, "cut", (json_int_t)r->cut, "inside",
+        (json_int_t)r->inside, "outside", (json_int_t)r->outside, "cap", (json_int_t)cap);
     return metrics_log_line(ctx->metrics, "densify", o, e);
 }
 
@@ -163,6 +169,10 @@ static struct densify_params densify_make_params(const struct model *m, const st
         p.ground = ctx->ground;
         p.free_space_m = c->free_space * ctx->ground->height_m;
     }
+    if (ctx->rim && schedule_limits_size(s, ctx->step))
+        p.rim = ctx->rim;
+    p.cut_above_m = fmax(DENSIFY_CUT_SPACINGS * ctx->cell.edge_m / sqrt((double)s->budget),
+                         ctx->rim ? DENSIFY_CUT_LEAST * ctx->rim->least_m : 0.0);
     memcpy(p.origin_enu_m, m->gauss.origin_enu_m, sizeof p.origin_enu_m);
     return p;
 }

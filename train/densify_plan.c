@@ -19,6 +19,7 @@
 
 #include "cells/cell.h"
 #include "cells/footprint.h"
+#include "cells/trim.h"
 #include "core/gauss.h"
 #include "core/sample.h"
 #include "render/permute.h"
@@ -29,6 +30,7 @@
 #define DENSIFY_SPLIT_SHRINK 1.6
 #define DENSIFY_AXIS_OFFSET 0.8 /* d, in sigmas of the parent */
 #define DENSIFY_AXIS_SHRINK 0.6 /* sqrt(1 - d^2): the pair keeps the parent's covariance */
+enum { DENSIFY_CUT_SHARE = 4 }; /* of the room, for what sticks out */
 #define DENSIFY_SMALLEST_M 1e-4 /* scene units; smaller Gaussians are removed */
 
 static size_t densify_at(size_t i, uint32_t planes, uint32_t plane)
@@ -120,7 +122,7 @@ static bool densify_row_inside(const struct densify_params *p, const struct dens
 
 /* ---- choosing ---- */
 
-enum densify_class { CLASS_KEEP, CLASS_PRUNE, CLASS_CLONE, CLASS_SPLIT };
+enum densify_class { CLASS_KEEP, CLASS_PRUNE, CLASS_CLONE, CLASS_SPLIT, CLASS_CUT };
 
 struct densify_work {
     uint8_t *class, *inside, *chosen; /* [n] */
@@ -131,6 +133,22 @@ struct densify_work {
     } side[2];
     size_t n_in, n_out;
 };
+
+/* Does it stick out of what photographs show? */
+static enum trim_verdict densify_judge(const struct densify_params *p,
+                                       const struct densify_input *in, size_t i,
+                                       const float mean[3])
+{
+    double at[3], sigma[3], rot[9];
+    if (!p->rim)
+        return TRIM_INSIDE;
+    for (uint32_t k = 0; k < 3; k++) {
+        at[k] = p->origin_enu_m[k] + (double)mean[k];
+        sigma[k] = exp((double)in->params[densify_at(i, in->planes, LAYOUT_PLANE_SCALE + k)]);
+    }
+    densify_rotation(in->params, in->planes, (uint32_t)i, rot);
+    return trim_judge(p->rim, at, sigma, rot, p->cut_above_m);
+}
 
 static enum densify_class densify_classify(const struct densify_params *p,
                                            const struct densify_input *in, size_t i, bool *inside)
@@ -153,6 +171,9 @@ static enum densify_class densify_classify(const struct densify_params *p,
     if (!(opacity >= p->prune_opacity) || !(largest >= DENSIFY_SMALLEST_M) ||
         (p->prune_above_m > 0.0 && largest > p->prune_above_m) || densify_in_free_space(p, mean))
         return CLASS_PRUNE;
+    enum trim_verdict rim = densify_judge(p, in, i, mean);
+    if (rim != TRIM_INSIDE)
+        return rim == TRIM_OUTSIDE ? CLASS_PRUNE : CLASS_CUT;
     double ramp = 1.0 + (p->tau_outside - 1.0) * fmin(d / p->cell->edge_m, 1.0);
     if (!((double)in->mean_grad[i] >= p->tau * ramp))
         return CLASS_KEEP;
@@ -194,6 +215,33 @@ static void densify_gain(const struct densify_params *p, const struct densify_in
     *out_gain = 2 - a - b - !w->inside[i];
 }
 
+/* Take a candidate if both ceilings allow. */
+static bool densify_take(const struct densify_params *p, const struct densify_input *in,
+                         struct densify_work *w, uint32_t i)
+{
+    int gain_in, gain_out;
+    densify_gain(p, in, w, i, &gain_in, &gain_out);
+    if ((gain_in > 0 && w->n_in + (size_t)gain_in > p->cap_inside) ||
+        (gain_out > 0 && w->n_out + (size_t)gain_out > p->cap_outside))
+        return false;
+    w->n_in += (size_t)(ptrdiff_t)gain_in;
+    w->n_out += (size_t)(ptrdiff_t)gain_out;
+    w->chosen[i] = 1;
+    return true;
+}
+
+/* What sticks out is halved first, in a part of the room: there is a next time. */
+static size_t densify_cut(const struct densify_params *p, const struct densify_input *in,
+                          struct densify_work *w)
+{
+    size_t n = 0, room = p->cap_inside > w->n_in ? p->cap_inside - w->n_in : 0;
+    if (!p->cell->whole && p->cap_outside > w->n_out)
+        room += p->cap_outside - w->n_out;
+    for (size_t i = 0; i < in->n && n < room / DENSIFY_CUT_SHARE; i++)
+        n += w->class[i] == CLASS_CUT && densify_take(p, in, w, (uint32_t)i);
+    return n;
+}
+
 /* Draw `quota` of one class and mark them, keeping to both ceilings. */
 static enum err_code densify_draw(const struct densify_params *p, const struct densify_input *in,
                                   struct densify_work *w, const uint32_t *ids, size_t n,
@@ -203,18 +251,8 @@ static enum err_code densify_draw(const struct densify_params *p, const struct d
     size_t line = p->cell->whole ? quota : n;
     uint64_t stream = train_stream(TRAIN_STREAM_RACE, p->level, p->step);
     enum err_code rc = sample_race(in->score, ids, n, line, p->seed, stream, w->drawn, e);
-    for (size_t j = 0; !rc && j < line && *taken < quota; j++) {
-        int gain_in, gain_out;
-        uint32_t i = w->drawn[j];
-        densify_gain(p, in, w, i, &gain_in, &gain_out);
-        if ((gain_in > 0 && w->n_in + (size_t)gain_in > p->cap_inside) ||
-            (gain_out > 0 && w->n_out + (size_t)gain_out > p->cap_outside))
-            continue;
-        w->n_in += (size_t)(ptrdiff_t)gain_in;
-        w->n_out += (size_t)(ptrdiff_t)gain_out;
-        w->chosen[i] = 1;
-        (*taken)++;
-    }
+    for (size_t j = 0; !rc && j < line && *taken < quota; j++)
+        *taken += densify_take(p, in, w, w->drawn[j]);
     return rc;
 }
 
@@ -229,7 +267,7 @@ static enum err_code densify_rows(const struct densify_input *in, const struct d
         uint32_t s = (uint32_t)i;
         if (w->class[i] == CLASS_PRUNE)
             continue;
-        bool split = w->chosen[i] && w->class[i] == CLASS_SPLIT;
+        bool split = w->chosen[i] && w->class[i] != CLASS_CLONE;
         out->rows[n++] = (struct densify_row){s, split ? DENSIFY_SPLIT_A : DENSIFY_KEEP};
         if (w->chosen[i])
             out->rows[n++] = (struct densify_row){s, split ? DENSIFY_SPLIT_B : DENSIFY_CLONE};
@@ -274,11 +312,14 @@ static enum err_code densify_fill(const struct densify_params *p, const struct d
     struct densify_report *r = &out->report;
     struct densify_side *inside = &w->side[1], *outside = &w->side[0];
     densify_classify_all(p, in, w);
+    size_t pruned = in->n - w->n_in - w->n_out, cut = densify_cut(p, in, w);
     bool border = !p->cell->whole;
     bool binds = densify_room(inside, w->n_in, p->cap_inside, border);
     binds |= densify_room(outside, w->n_out, p->cap_outside, border);
     *r = (struct densify_report){.before = in->n,
-                                 .pruned = in->n - w->n_in - w->n_out,
+                                 .pruned = pruned,
+                                 .split = cut,
+                                 .cut = cut,
                                  .clone_candidates = inside->n_clones + outside->n_clones,
                                  .split_candidates = inside->n_splits + outside->n_splits,
                                  .room = inside->room + outside->room};

@@ -13,6 +13,7 @@
 
 struct cell;
 struct footprint;
+struct trim;
 
 enum densify_kind { DENSIFY_KEEP, DENSIFY_CLONE, DENSIFY_SPLIT_A, DENSIFY_SPLIT_B };
 struct densify_row {
@@ -34,6 +35,11 @@ struct densify_params {
     double prune_opacity, prune_above_m; /* 0 = no limit of size */
     const struct footprint *ground;      /* NULL: nothing is known of it */
     double free_space_m; /* what lies farther above or below all points around is removed */
+    const struct trim
+        *rim; /* NULL: not known. What sticks out of the photographs and is larger than
+                             * cut_above_m is split, before all others, and what lies outside is
+                             * removed */
+    double cut_above_m;
     uint64_t seed;
     uint32_t level, step;
 };
@@ -47,7 +53,7 @@ struct densify_input { /* host copies in the device layout, [groups][planes][16]
 };
 struct densify_report {
     size_t before, pruned, clone_candidates, split_candidates, room, cloned, split, after, inside,
-        outside;
+        outside, cut;      /* cut: split because they stick out, of `split` */
     bool needs_importance; /* the budget binds: call again with a score */
 };
 struct densify_plan { /* {0} is empty; densify_plan_free */

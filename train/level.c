@@ -78,6 +78,7 @@ enum err_code level_begin(struct level *l, struct err *e)
         .scene = ctx->scene,
         .images = ctx->images,
         .n_images = ctx->n_images,
+        .poses = &ctx->poses,
         .max_edge_px = (uint32_t)ctx->cfg->max_edge_px,
         .downsample = s->downsample,
         .cache_bytes = (size_t)ctx->cfg->cache_mib << 20,
@@ -195,6 +196,21 @@ static void level_learn_appearance(struct level *l, uint32_t image)
         appearance_train_update(&l->ctx.appearance, image, (double)adam->lr_embed);
 }
 
+/* Of poses, from lr_pose down to lr_pose_final over all levels. */
+static double level_pose_rate(const struct level *l, uint32_t step)
+{
+    const struct context *ctx = &l->ctx;
+    const struct train_config *c = ctx->cfg;
+    double done = step, all = 0.0;
+    for (uint32_t i = 0; i < ctx->n_levels; i++) {
+        done += i < ctx->at ? ctx->schedule[i].steps : 0.0;
+        all += ctx->schedule[i].steps;
+    }
+    if (!(c->lr_pose > 0.0) || !(c->lr_pose_final > 0.0))
+        return c->lr_pose * (1.0 - done / all);
+    return c->lr_pose * pow(c->lr_pose_final / c->lr_pose, done / all);
+}
+
 /* The backward pass of the frame of a photograph, fused with Adam. */
 static enum err_code level_backward(struct level *l, uint32_t step, uint32_t image,
                                     const struct render_options *ro, struct err *e)
@@ -203,6 +219,8 @@ static enum err_code level_backward(struct level *l, uint32_t step, uint32_t ima
     struct model *m = &l->model;
     struct render_appearance_grad grad;
     struct render_density_stats stats = m->stats;
+    double pose[POSE_NUMBERS];
+    m->adam.pose_grad = l->ctx.poses.n ? pose : NULL;
     m->adam.step = step;
     m->adam.lr_mean = (float)schedule_lr_mean(s, step);
     level_ask_appearance(l, step, ro, &grad);
@@ -211,7 +229,10 @@ static enum err_code level_backward(struct level *l, uint32_t step, uint32_t ima
     enum err_code rc = render_backward_step(l->ctx.render, &m->gauss, &m->adam, &stats, e);
     if (!rc && m->adam.appearance)
         level_learn_appearance(l, image);
-    m->adam.appearance = NULL; /* it lives here */
+    if (!rc && m->adam.pose_grad)
+        pose_update(&l->ctx.poses, image, pose, level_pose_rate(l, step));
+    m->adam.appearance = NULL; /* these live here */
+    m->adam.pose_grad = NULL;
     return rc;
 }
 

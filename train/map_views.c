@@ -22,7 +22,7 @@
 #include "core/sort.h"
 #include "loss/metric.h"
 
-enum { MASK_SUPPORTED = 255, MASK_SEEN = 128 };
+enum { MASK_SUPPORTED = 255, MASK_SEEN = MAP_VIEWS_SEEN };
 static const double share_min = 0.01; /* of a picture: smaller masks have no PSNR worth a mean */
 
 /* ---- reading ---- */

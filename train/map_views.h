@@ -62,7 +62,7 @@ struct map_score {
     double supported, unobserved; /* shares of the pixels */
 };
 #define MAP_VIEWS_DEPTH 0.02
-enum { MAP_VIEWS_EDGE_PX = 8 };
+enum { MAP_VIEWS_EDGE_PX = 8, MAP_VIEWS_SEEN = 128 /* of a mask: what a photograph sees */ };
 struct map_sums { /* {0} is empty; map_sums_free */
     struct map_score sum;
     float *errors; /* of depth, [n_errors] */

@@ -12,6 +12,7 @@
 #include <jansson.h>
 
 #include "cells/footprint.h"
+#include "cells/trim.h"
 #include "loss/photometric.h"
 #include "train/appearance_train.h"
 #include "train/budget.h"
@@ -33,6 +34,7 @@
 #include "train/state_check.h"
 #include "train/timing.h"
 
+enum { RUN_SURE = 5 }; /* photographs that know how far away a thing is */
 enum { RUN_LOOK_STEPS = 20, RUN_LINE_STEPS = 100, RUN_FORECAST_LOOKS = 3 };
 
 struct run {
@@ -50,6 +52,7 @@ struct run {
     struct train_cell_result *result;
     uint32_t *images; /* training, then held-out photographs */
     struct footprint ground;
+    struct trim rim;
     int lock_fd;
 };
 
@@ -136,10 +139,10 @@ static enum err_code run_is_done(struct run *t, bool *done, struct err *e)
 /* What follows will not be what the done-file tells of, nor the residuals of another run. */
 static enum err_code run_forget_done(const struct run *t, struct err *e)
 {
-    const char *const names[] = {"done.json", "residuals.json"};
+    const char *const names[] = {"done.json", "residuals.json", "poses.json"};
     bool goes_on = t->cfg->resume && file_exists(t->resume_path);
     enum err_code rc = ERR_OK;
-    for (size_t i = 0; !rc && i < (goes_on ? 1 : 2); i++) {
+    for (size_t i = 0; !rc && i < (goes_on ? 1 : sizeof names / sizeof *names); i++) {
         char path[FILE_PATH_MAX];
         rc = file_join(path, t->dir, names[i], e);
         if (!rc && unlink(path) && errno != ENOENT)
@@ -540,15 +543,51 @@ static enum err_code run_check_warmup(const struct run *t, struct err *e)
                          warmup, ctx->schedule[0].steps);
 }
 
+/* Poses that move with the Gaussians. */
+static enum err_code run_poses(struct run *t, struct err *e)
+{
+    struct context *ctx = &t->level.ctx;
+    if (!t->cfg->refine_poses)
+        return ERR_OK;
+    if (!ctx->cell.whole)
+        return err_set(e, ERR_ARG,
+                       "--refine-poses: a photograph that several cells of a plan train on would "
+                       "get a pose in each: train without the plan, or leave poses as they are");
+    double unit_m = t->ground.nx ? t->ground.height_m : ctx->cell.extent_m;
+    return pose_open(&ctx->poses, ctx->scene, ctx->images, ctx->n_images, unit_m, e);
+}
+
+/* What became of them. */
+static enum err_code run_tell_poses(const struct run *t, struct err *e)
+{
+    const struct context *ctx = &t->level.ctx;
+    char path[FILE_PATH_MAX];
+    if (!ctx->poses.n)
+        return ERR_OK;
+    struct pose_report r = pose_describe(&ctx->poses);
+    log_info("train",
+             "poses moved by %.3f m and %.3f degrees (root mean squares), at most %.3f m and %.3f "
+             "degrees: poses.json",
+             r.rms_m, r.rms_deg, r.largest_m, r.largest_deg);
+    enum err_code rc = file_join(path, t->dir, "poses.json", e);
+    return rc ? rc : pose_write(&ctx->poses, ctx->scene, path, e);
+}
+
 /* What the sparse points and photographs say about where there can be Gaussians. */
 static enum err_code run_ground(struct run *t, struct err *e)
 {
     enum err_code rc = ERR_OK;
-    if (t->cfg->free_space > 0.0 || t->cfg->seed_ground > 0.0)
+    if (t->cfg->free_space > 0.0 || t->cfg->seed_ground > 0.0 || t->cfg->refine_poses ||
+        t->cfg->trim_rim)
         rc = footprint_of(t->job->scene, &t->ground, e);
-    if (!rc && t->ground.nx)
-        t->level.ctx.ground = &t->ground;
-    return rc;
+    if (rc || !t->ground.nx)
+        return rc;
+    t->level.ctx.ground = &t->ground;
+    if (!t->cfg->trim_rim)
+        return ERR_OK;
+    t->level.ctx.rim = &t->rim;
+    return trim_open(t->job->scene, &t->ground, RUN_SURE, t->cfg->free_space * t->ground.height_m,
+                     &t->rim, e);
 }
 
 /* Everything up to the first step; *done: there is nothing to do. */
@@ -575,6 +614,8 @@ static enum err_code run_open(struct run *t, bool *done, struct err *e)
     run_tell_memory(t);
     run_tell_length(t);
     rc = run_ground(t, e);
+    if (!rc)
+        rc = run_poses(t, e);
     if (!rc)
         rc = run_start(t, e);
     if (!rc)
@@ -613,6 +654,8 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
         out->seconds = context_seconds(&t->level.ctx);
         out->timing = timing_now(&t->level.ctx.timing);
         if (!rc)
+            rc = run_tell_poses(t, e);
+        if (!rc)
             rc = done_write(t->dir, out, e);
         if (!rc)
             (void)unlink(t->resume_path); /* nothing is left to go on from */
@@ -620,6 +663,7 @@ enum err_code run_cell(const struct run_cell *job, struct train_cell_result *out
     level_close(&t->level);
     metrics_log_close(&t->level.ctx.metrics);
     done_unlock(&t->lock_fd);
+    trim_free(&t->rim);
     footprint_free(&t->ground);
     mem_free(t->images);
     mem_free(t);

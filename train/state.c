@@ -240,11 +240,16 @@ static enum err_code state_appearance_blobs(const struct appearance_train *a,
     return rc;
 }
 
+static size_t state_pose_bytes(const struct context *ctx)
+{
+    return ctx->poses.n * POSE_STATE * sizeof *ctx->poses.block;
+}
+
 enum err_code state_save(const struct model *m, const struct context *ctx,
                          const struct budget *budget, const char *path, struct err *e)
 {
     struct state_view v = {0};
-    struct ckpt_blob blobs[3 + STATE_STATS + STATE_APPEARANCE] = {0};
+    struct ckpt_blob blobs[4 + STATE_STATS + STATE_APPEARANCE] = {0};
     const struct render_model *g = &m->gauss;
     size_t n = 0, moments = model_bytes(m), n_appearance = 0;
     json_t *meta = state_meta(m, ctx, budget, "resume", e);
@@ -265,6 +270,9 @@ enum err_code state_save(const struct model *m, const struct context *ctx,
         rc = state_blob(&v, state_stat_names[i], stats[i], g->n * sizeof(float), &blobs[n++], e);
     if (!rc && g->filter && m->filter_is_current)
         rc = state_blob(&v, "filter", g->filter, g->n * sizeof(float), &blobs[n++], e);
+    if (!rc && ctx->poses.n)
+        blobs[n++] = (struct ckpt_blob){
+            .name = POSE_BLOB, .data = ctx->poses.block, .size_bytes = state_pose_bytes(ctx)};
     if (!rc && appearance_train_is_on(&ctx->appearance)) {
         rc = state_appearance_blobs(&ctx->appearance, blobs + n, e);
         n_appearance = STATE_APPEARANCE;
@@ -347,6 +355,8 @@ static enum err_code state_fill_all(struct model *m, struct context *ctx, const 
     enum err_code rc = state_fill_rows(m, c, e);
     if (!rc)
         rc = state_fill_appearance(&ctx->appearance, c, path, e);
+    if (!rc && ctx->poses.n)
+        rc = ckpt_rows_blob_to(c, POSE_BLOB, ctx->poses.block, state_pose_bytes(ctx), e);
     if (!rc)
         rc = state_fill(m, c, "adam_m1", m->adam.m1, moments, e);
     if (!rc)

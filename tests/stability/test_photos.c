@@ -276,6 +276,167 @@ static void wrong_poses_are_named(void **state)
     }
 }
 
+/* Every pose is off, by a hundredth of the height and half a degree. What counts is where things
+ * are in the picture: over flat ground a shift and a tilt that make up for each other look alike.
+ */
+#define F18_NOISE_M 0.1
+#define F18_NOISE_RAD 0.00873
+#define F18_LEFT 0.25   /* of what they were off by in the picture, at most */
+#define F18_GAIN_DB 4.0 /* of the photographs, at least */
+enum { F18_REFINE_STEPS = 1500 };
+
+static void shake_pose(void *user, size_t i, struct camera *cam)
+{
+    struct pose_set *off = user;
+    for (size_t k = 0; k < POSE_NUMBERS; k++)
+        off->block[POSE_STATE * i + k] =
+            rng_normal(181, k, i) * (k < 3 ? F18_NOISE_M : F18_NOISE_RAD);
+    pose_apply(off, i, cam);
+}
+
+/* A set without a scene: corrections alone. */
+static struct pose_set corrections(void)
+{
+    struct err e = {0};
+    struct scene s = {.n_images = F18_PHOTOS};
+    struct arena a = {0};
+    uint32_t none = 0;
+    struct pose_set p;
+    s.images = arena_get(&a, F18_PHOTOS, sizeof *s.images);
+    kit_ok(pose_open(&p, &s, &none, 0, TOY_HEIGHT_M, &e), e);
+    arena_free(&a);
+    return p;
+}
+
+struct f18_error {
+    struct pose_report pose;
+    double px; /* root mean square over the photographs and the ground that they show */
+};
+
+/* Of photograph i of a set of corrections to the truth, squared. */
+static double pose_error_px2(const struct toy *t, const struct pose_set *p, size_t i,
+                             const struct camera *truth)
+{
+    enum { SIDE = 5 };
+    struct camera is = *truth;
+    double sum = 0.0;
+    pose_apply(p, i, &is);
+    for (int k = 0; k < SIDE * SIDE; k++) {
+        const struct camera *cams[2] = {truth, &is};
+        const double x[3] = {t->center_enu_m[0] + 0.2 * t->half_m[0] * (k % SIDE - 2),
+                             t->center_enu_m[1] + 0.2 * t->half_m[1] * (k / SIDE - 2),
+                             t->center_enu_m[2]};
+        double u[2], v[2];
+        for (int m = 0; m < 2; m++) {
+            const struct camera *c = cams[m];
+            double at[3];
+            for (int a = 0; a < 3; a++)
+                at[a] = c->rot[3 * a] * x[0] + c->rot[3 * a + 1] * x[1] + c->rot[3 * a + 2] * x[2] +
+                        c->trans[a];
+            u[m] = c->fx_px * at[0] / at[2];
+            v[m] = c->fy_px * at[1] / at[2];
+        }
+        sum += ((u[0] - u[1]) * (u[0] - u[1]) + (v[0] - v[1]) * (v[0] - v[1])) / (SIDE * SIDE);
+    }
+    return sum;
+}
+
+/* How far the cameras of a run are off the true ones, beyond what all of them are together. */
+static struct f18_error pose_errors(const struct toy *t, const struct toy_run *r)
+{
+    struct f18_error out = {.px = 0.0};
+    struct camera truths[F18_PHOTOS];
+    struct err e = {0};
+    struct pose_set p;
+    kit_ok(pose_open(&p, &r->scene, r->images, r->n_images, TOY_HEIGHT_M, &e), e);
+    for (size_t k = 0; k < r->n_images; k++) {
+        size_t i = r->images[k];
+        const char *name = r->scene.images[i].name;
+        struct camera is = r->scene.images[i].cam,
+                      truth = toy_camera(t, (size_t)(name[1] - '0') * 10 + (size_t)(name[2] - '0'));
+        double a[3], b[3], turn[9], q[4], *d = p.block + POSE_STATE * i;
+        pose_apply(&r->level.ctx.poses, i, &is);
+        camera_center(&is, a);
+        camera_center(&truth, b);
+        for (int m = 0; m < 3; m++) {
+            d[m] = a[m] - b[m];
+            for (int n = 0; n < 3; n++) /* is = truth turn */
+                turn[3 * m + n] = truth.rot[m] * is.rot[n] + truth.rot[3 + m] * is.rot[3 + n] +
+                                  truth.rot[6 + m] * is.rot[6 + n];
+        }
+        camera_rot_to_quat(turn, q);
+        for (int m = 0; m < 3; m++)
+            d[3 + m] = 2.0 * q[1 + m];
+        truths[k] = truth;
+    }
+    const double nothing[POSE_NUMBERS] = {0};
+    pose_update(&p, r->images[0], nothing, 0.0); /* the gauge */
+    out.pose = pose_describe(&p);
+    for (size_t k = 0; k < r->n_images; k++)
+        out.px += pose_error_px2(t, &p, r->images[k], &truths[k]) / (double)r->n_images;
+    out.px = sqrt(out.px);
+    pose_free(&p);
+    return out;
+}
+
+static struct f18_error refine(const char *dir, const struct toy *t, bool refined,
+                               struct f18_error *before, double *psnr_db)
+{
+    struct arena a = {0};
+    struct toy_run r;
+    struct train_config c = toy_config(&a, NULL);
+    c.iterations = F18_REFINE_STEPS;
+    c.level_count = 1;
+    c.budget_3 = 800;
+    c.refine_poses = refined;
+    c.lr_pose = 4e-3; /* a photograph has but 25 steps */
+    toy_run_open(&r, dir, &c);
+    *before = pose_errors(t, &r);
+    toy_run_level(&r);
+    struct f18_error after = pose_errors(t, &r);
+    double mse = r.level.mse_mean;
+    *psnr_db = -10.0 * log10(mse);
+    toy_run_close(&r);
+    arena_free(&a);
+    return after;
+}
+
+static void shaken_poses_are_recovered(void **state)
+{
+    (void)state;
+    struct gauss g = {0};
+    struct toy t = toy_spec();
+    struct pose_set off = corrections();
+    struct f18_error before, after;
+    double plain_db, refined_db;
+    char dir[FILE_PATH_MAX];
+    t.n = 500;
+    t.sigma_min_m = 0.08;
+    t.sigma_max_m = 0.3;
+    t.photos = F18_PHOTOS;
+    t.test_every = 0;
+    t.width_px = 96;
+    t.height_px = 72;
+    t.pose = shake_pose;
+    t.user = &off;
+    toy_gauss(&t, &g);
+    kit_tmpdir(dir);
+    toy_write(dir, &t, &g);
+    (void)refine(dir, &t, false, &before, &plain_db);
+    after = refine(dir, &t, true, &before, &refined_db);
+    kit_figure("F18",
+               "refined: off_px=%.3f to %.3f left<=%.2f off_m=%.3f to %.3f off_deg=%.3f to %.3f "
+               "photographs_db=%.2f to %.2f",
+               before.px, after.px, F18_LEFT, before.pose.rms_m, after.pose.rms_m,
+               before.pose.rms_deg, after.pose.rms_deg, plain_db, refined_db);
+    assert_true(after.px < F18_LEFT * before.px);
+    assert_true(after.pose.rms_m < before.pose.rms_m && after.pose.rms_deg < before.pose.rms_deg);
+    assert_true(refined_db > plain_db + F18_GAIN_DB);
+    pose_free(&off);
+    kit_rmdir(dir);
+    gauss_free(&g);
+}
+
 /* ---- F29 ---- */
 
 #define F29_SLACK 1.1 /* of the limit */
@@ -383,6 +544,7 @@ int main(void)
         cmocka_unit_test(photographs_take_no_more_memory_than_allowed),
         cmocka_unit_test(masked_things_that_move_leave_no_trace),
         cmocka_unit_test(wrong_poses_are_named),
+        cmocka_unit_test(shaken_poses_are_recovered),
     };
     return cmocka_run_group_tests_name("photos", tests, toy_open_device, toy_close_device);
 }

@@ -212,6 +212,9 @@ static void toy_run_prepare(struct toy_run *r, const char *dir, const struct tra
         kit_ok(appearance_train_open(&r->level.ctx.appearance, cfg, &r->scene, r->images,
                                      r->n_images, NULL, &e),
                e);
+    if (cfg->refine_poses)
+        kit_ok(pose_open(&r->level.ctx.poses, &r->scene, r->images, r->n_images, TOY_HEIGHT_M, &e),
+               e);
     kit_ok(render_open(&toy_dev, &r->level.ctx.render, &e), e);
     kit_ok(photometric_open(&toy_dev, &r->level.ctx.loss, &e), e);
 }

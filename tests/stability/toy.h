@@ -17,6 +17,7 @@
 #include "train/level.h"
 
 enum { TOY_PHOTOS_MAX = 64 };
+#define TOY_HEIGHT_M 10.0 /* of the flight, for poses that are refined */
 
 struct toy { /* toy_spec gives the usual one; change what matters, then toy_write */
     uint64_t seed;
