@@ -1,6 +1,6 @@
-/* citysplat export: a tile store -> one .ply, .spz or .sog of a level, or a static 3D Tiles folder
- * that any web server or CDN can hand out without us. The .glb files are the bytes `citysplat
- * serve` would send.
+/* citysplat export: a tile store -> one .ply, .spz, .sog or .glb of a level, or a static 3D Tiles
+ * folder that any web server or CDN can hand out without us. The .glb files are the bytes
+ * `citysplat serve` would send.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -26,7 +26,7 @@
 #include "lod/tileset.h"
 #include "lod/tree.h"
 
-enum { EXPORT_AUTO, EXPORT_PLY, EXPORT_SPZ, EXPORT_SOG, EXPORT_3DTILES };
+enum { EXPORT_AUTO, EXPORT_PLY, EXPORT_SPZ, EXPORT_SOG, EXPORT_GLB, EXPORT_3DTILES };
 
 struct export_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -45,7 +45,8 @@ static const struct options_spec spec = {
     .command = "export",
     .usage = "citysplat export CITY.tiles -o FILE [options]",
     .about = "Writes one level of a tile store as .ply (east-north-up, every bit of a "
-             "lossless store), .spz or .sog, or the whole pyramid as a folder with tileset.json "
+             "lossless store), .spz, .sog or plain .glb, or the whole pyramid as a folder with "
+             "tileset.json "
              "and .glb tiles for a web server or CDN.",
     .example = "citysplat export city.tiles -o city.ply\n"
                "citysplat export city.tiles -o public/city --format 3dtiles",
@@ -112,6 +113,14 @@ static enum err_code export_spz(struct gauss *g, const struct quant_grid *grid, 
     return rc;
 }
 
+/* glTF with KHR_gaussian_splatting, every float as it is. */
+static enum err_code export_plain(struct gauss *g, const char *copyright, struct buf *out,
+                                  struct err *e)
+{
+    axes_enu_to_gltf(g);
+    return glb_encode_plain(g, copyright[0] ? copyright : NULL, out, e);
+}
+
 /* One texture of the whole level: rows that are neighbours in it should be so in space. */
 static enum err_code export_sog(struct gauss *g, struct buf *out, struct err *e)
 {
@@ -149,6 +158,7 @@ static enum err_code export_file(struct store *s, const struct export_options *o
     if (!rc)
         rc = format == EXPORT_PLY   ? ply_encode(&g, &info, &b, e)
              : format == EXPORT_SOG ? export_sog(&g, &b, e)
+             : format == EXPORT_GLB ? export_plain(&g, store_info(s)->attribution, &b, e)
                                     : export_spz(&g, grid, &b, e);
     if (!rc)
         rc = file_write(o->output, b.data, b.size, e);
@@ -276,6 +286,8 @@ static int export_format(const char *output)
         return EXPORT_PLY;
     if (dot && !strcasecmp(dot, ".sog"))
         return EXPORT_SOG;
+    if (dot && !strcasecmp(dot, ".glb"))
+        return EXPORT_GLB;
     return dot && !strcasecmp(dot, ".spz") ? EXPORT_SPZ : EXPORT_3DTILES;
 }
 

@@ -172,6 +172,8 @@ static void levels_and_formats(void **state)
         kit_near_d("upper corner", hi2, hi, 3, spz[i].tolerance_m, 0);
         gauss_free(&out);
     }
+    run(f, 0, "plain.glb: ", "export a.tiles -o plain.glb -q");
+    run(f, 0, NULL, "convert plain.glb plain.ply -q");
     run(f, 2, "finest or 1 to 3", "export a.tiles --level 4 -o x.ply");
     run(f, 0, "tileset.json", "export a.tiles -o static --format 3dtiles -q");
     run(f, 2, "exists", "export a.tiles -o static --format 3dtiles -q");
