@@ -73,13 +73,14 @@ static void hint_add_scene(const struct dataset *d, char out[HINT_SIZE])
 {
     const char *name = d->meta.name, *rev = d->meta.revision;
     const char *trained = d->model ? "?appearance=none" : "";
+    const char *draft = "preset=preview&sh=0";
     const struct store_tile *tile = hint_coarsest(d);
     hint_add(out, "d/%s/tileset.json%s", name, trained);
     if (d->model)
         hint_add(out, "d/%s/r/%s-%s/appearance.json", name, rev, d->edition);
     if (tile)
-        hint_add(out, "d/%s/r/%s-%s/t/%u/%u/%u.%s%s", name, rev, d->edition, tile->key.z,
-                 tile->key.x, tile->key.y, d->model ? "drc" : "glb", trained);
+        hint_add(out, "d/%s/r/%s-%s/t/%u/%u/%u.drc%s%c%s", name, rev, d->edition, tile->key.z,
+                 tile->key.x, tile->key.y, trained, *trained ? '&' : '?', draft);
 }
 
 void hint_write(const struct catalog *c, const char *query, size_t n, char out[HINT_SIZE])

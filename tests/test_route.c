@@ -483,8 +483,8 @@ static void test_hints(void **state)
         size_t n;
         const char *last;
     } rows[] = {
-        {"/", 3, "<d/toy/r/REV+/t/KEY15.glb>"},
-        {"/?scene=toy&lang=de", 3, "<d/toy/r/REV+/t/KEY15.glb>"},
+        {"/", 3, "<d/toy/r/REV+/t/KEY15.drc?preset=preview&sh=0>"},
+        {"/?scene=toy&lang=de", 3, "<d/toy/r/REV+/t/KEY15.drc?preset=preview&sh=0>"},
         {"/?scene=other", 1, "<collections>"},
         {"/?thin", 1, "<collections>"},
         {"/?ui=off&colours=server", 1, "<collections>"},

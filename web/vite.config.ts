@@ -74,6 +74,43 @@ function bundleCesium(): Plugin {
   };
 }
 
+// Draco's decoder is text that three.js' loader makes a worker of, when the first mesh needs it. Beside
+// the scripts, and neither in them nor as WebAssembly, which the page's policy does not allow.
+function copyDraco(): Plugin {
+  let out = "";
+  return {
+    name: "copy-draco",
+    apply: "build",
+    configResolved: (config) => void (out = join(config.root, config.build.outDir, "assets")),
+    transform: (code, id) =>
+      /DRACOLoader\.js$/.test(id)
+        ? code.replace(/new URL\( '[^']*', import\.meta\.url \)\.toString\(\)/g, "''")
+        : null,
+    closeBundle() {
+      const three = dirname(createRequire(import.meta.url).resolve("three")); // its build/
+      mkdirSync(out, { recursive: true });
+      const name = "draco_decoder.js";
+      cpSync(join(three, "../examples/jsm/libs/draco", name), join(out, name));
+    },
+  };
+}
+
+// 3d-tiles-renderer reads glTF by three.js' loader where nobody else says that he does. Tiles of the city
+// are read by workers, models of others by src/models.ts with a loader of its own, so the page does
+// without until there are such.
+function leaveOutGltf(): Plugin {
+  return {
+    name: "leave-out-gltf",
+    apply: "build",
+    enforce: "pre",
+    resolveId: (source, importer) =>
+      source.endsWith("loaders/GLTFLoader.js") && importer?.includes("3d-tiles-renderer")
+        ? "\0no-gltf"
+        : null,
+    load: (id) => (id === "\0no-gltf" ? "export class GLTFLoader {}" : null),
+  };
+}
+
 // Scripts, styles and workers of this page alone. Tiles may come from another server where the
 // address names one.
 const POLICY = [
@@ -115,7 +152,7 @@ const server = process.env["CITYSPLAT_SERVER"] ?? "http://127.0.0.1:8080";
 // Modes: the page alone, which empties the folder first; "globe", cesium.html with nothing in common
 // with the page, so that the page loads none of it; "module", for other pages.
 const builds = {
-  page: { plugins: [addPolicy(POLICY)], build: { chunkSizeWarningLimit: 1500 } },
+  page: { plugins: [leaveOutGltf(), copyDraco(), addPolicy(POLICY)], build: { chunkSizeWarningLimit: 1500 } },
   globe: {
     plugins: [bundleCesium(), copyCesium(), addPolicy(POLICY_GLOBE)],
     build: {
@@ -124,9 +161,13 @@ const builds = {
     },
   },
   module: {
-    plugins: [],
+    plugins: [leaveOutGltf(), copyDraco()],
     build: {
       emptyOutDir: false,
+      rollupOptions: {
+        preserveEntrySignatures: "allow-extension" as const, // all of it in viewer.js
+        output: { chunkFileNames: "assets/[name]-[hash].js" },
+      },
       lib: { entry: "src/viewer.ts", formats: ["es" as const], fileName: () => "viewer.js" },
     },
   },

@@ -99,7 +99,8 @@ function differences(a, b) {
     let seen = 0;
     const most = counts.findLastIndex((n) => n > 0);
     const common = counts.findIndex((n) => (seen += n) >= 0.99 * total);
-    return { most, common };
+    const near = (counts[0] + counts[1] + counts[2]) / total; // the share within 2 of 255
+    return { most, common, near };
 }
 
 test("every appearance of the server is offered, with its photographs' times", skip, async () => {
@@ -258,14 +259,20 @@ test("the picture is that of tiles which the server baked", skip, async (t) => {
             await wear(appearance, baked.page);
             const own = await picture();
             const theirs = await barePicture(baked.page);
-            const { most, common } = differences(own, theirs);
-            t.diagnostic(`${appearance || "default"}: 99 % within ${common}, largest ${most} of 255`);
+            const percent = (share) => `${(100 * share).toFixed(2)} %`;
+            const { most, common, near } = differences(own, theirs);
+            t.diagnostic(
+                `${appearance || "default"}: ${percent(near)} within 2, 99 % within ${common}, largest ${most} of 255`,
+            );
             // Opacities and colours of both are rounded, each by itself, and Gaussians here are large.
             assert.ok(common <= 6 && most <= 16, `differs by ${common} (99 %), ${most} (largest)`);
             const exact = await serverPicture(pose, appearance);
             if (exact) {
                 const [a, b] = [rmsDifference(own, exact), rmsDifference(theirs, exact)];
                 t.diagnostic(`from the server's picture: ${a.toFixed(2)}, baked tiles ${b.toFixed(2)}`);
+                const [mine, baked] = [own, theirs].map((one) => differences(one, exact).near);
+                t.diagnostic(`within 2 of the server's picture: ${percent(mine)}, baked tiles ${percent(baked)}`);
+                assert.ok(mine > baked - 0.01, `${mine} within 2 of it, of baked tiles ${baked}`);
                 assert.ok(a < 1.3 * b + 0.2, "farther from the server's picture than baked tiles are");
             }
             if (before) far = Math.max(far, rmsDifference(own, before));
@@ -414,7 +421,7 @@ test("a scene without appearance is asked for as before", skip, async () => {
     await page.evaluate((id) => window.citysplat.viewer.openScene(id), source.plain);
     await waitForViewer(page);
     const tiles = asked.filter((url) => url.includes("/t/"));
-    assert.ok(tiles.length > 0 && tiles.every((url) => /\.glb$/.test(url)), tiles.join(" "));
+    assert.ok(tiles.length > 0 && tiles.every((url) => /\.drc(\?|$)/.test(url)), tiles.join(" "));
     assert.deepEqual(asked.filter((url) => /appearance/.test(url)), []);
     assert.equal(await page.isVisible("#appearance"), false);
     assert.ok((await state()).gaussians > 0);

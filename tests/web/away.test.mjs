@@ -62,6 +62,40 @@ test("the coarsest tile comes first and is shown while the rest comes", skip, as
     assert.equal(new Set(paths).size, paths.length, paths.join("\n"));
 });
 
+test("the page says what it waits for, to screen readers in few words", skip, async (t) => {
+    proxy.bytesPerSecond = 25_000;
+    proxy.latencyMs = 50;
+    const page = await open("?lang=en");
+    const seen = await page.evaluate(async () => {
+        const [lines, said, values] = [new Set(), [], []];
+        const bar = document.getElementById("progress");
+        const note = () => {
+            lines.add(document.getElementById("progress-text").textContent);
+            const aloud = document.getElementById("progress-said").textContent;
+            if (aloud && said.at(-1) !== aloud) said.push(aloud);
+            if (bar.hasAttribute("aria-valuenow"))
+                values.push(["now", "max"].map((one) => Number(bar.getAttribute(`aria-value${one}`))));
+        };
+        for (let i = 0; i < 600 && !window.citysplat.ready; i++) {
+            note();
+            await new Promise((done) => setTimeout(done, 50));
+        }
+        for (let i = 0; i < 100 && !/All/.test(said.at(-1)); i++) {
+            note();
+            await new Promise((done) => setTimeout(done, 50));
+        }
+        const after = document.getElementById("progress-text").textContent;
+        return { lines: [...lines], said, values, after, hidden: bar.hidden };
+    });
+    t.diagnostic(JSON.stringify(seen.lines.slice(0, 6)));
+    t.diagnostic(`aloud: ${JSON.stringify(seen.said)}`);
+    assert.ok(seen.lines.some((line) => /^Tiles: \d+ of \d+ · \d+\.\d+ MB$/.test(line)), "no tiles are counted");
+    assert.ok(seen.values.length > 0 && seen.values.every(([now, max]) => now >= 0 && now <= max));
+    assert.ok(seen.said.length >= 2 && seen.said.length <= 5, `${seen.said.length} times aloud`);
+    assert.equal(seen.said.at(-1), "All of the view is there.");
+    assert.deepEqual([seen.after, seen.hidden], ["", true]);
+});
+
 test("server lost mid-load and back: full detail without a touch, the picture stays", skip, async () => {
     proxy.bytesPerSecond = 60_000;
     const page = await open();

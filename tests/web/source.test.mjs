@@ -35,11 +35,12 @@ function tilesetOf(tilesetVersion) {
     const transform = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
     const boundingVolume = { box: [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1] };
     const content = { uri: `r/${tilesetVersion}/t/14/0/0.glb` };
-    return { asset: { tilesetVersion }, root: { transform, boundingVolume, content } };
+    const children = [{ content: { uri: `r/${tilesetVersion}/t/15/0/0.glb?appearance=none` } }];
+    return { asset: { tilesetVersion }, root: { transform, boundingVolume, content, children } };
 }
 
 // Opens the scene below `base` whose catalogue is of revision OLD; network: answers by address.
-async function open(base, network) {
+async function open(base, network, more = {}) {
     const asked = [];
     const link = {
         async json(url) {
@@ -54,6 +55,7 @@ async function open(base, network) {
         attribution: "",
         tileset: new URL("tileset.json", base),
         network: new URL(`r/${OLD}/appearance.json`, base),
+        ...more,
     };
     const info = await openScene(link, entry, "dusk", () => true);
     return { asked, info };
@@ -64,7 +66,9 @@ for (const base of ["http://city.test/d/fcity/", "http://city.test/d/r/", "http:
         const { info } = await open(base, { [`${base}r/${NEW}/appearance.json`]: NETWORK });
         assert.equal(info.network?.hidden, 1);
         assert.equal(info.url, `${base}tileset.json?appearance=none`);
-        assert.match(info.document.root.content.uri, /\.drc$/);
+        const { content, children } = info.document.root;
+        assert.match(content.uri, /\/14\/0\/0\.drc\?preset=preview&sh=0$/); // the draft
+        assert.match(children[0].content.uri, /\/15\/0\/0\.drc\?appearance=none$/);
     });
 
 test("a network that is not there or not readable leaves baked tiles", async () => {
@@ -77,4 +81,12 @@ test("a network that is not there or not readable leaves baked tiles", async () 
         assert.equal(asked.at(-1), info.url);
         assert.match(info.document.root.content.uri, /\.glb$/);
     }
+});
+
+test("packed tiles are asked for where the server has them, with the first one as a draft", async () => {
+    const base = "http://city.test/d/fcity/";
+    const { info } = await open(base, {}, { packed: true });
+    assert.equal(info.network, null);
+    assert.match(info.document.root.content.uri, /\/0\.drc\?preset=preview&sh=0$/);
+    assert.match(info.document.root.children[0].content.uri, /\.drc\?appearance=none$/);
 });

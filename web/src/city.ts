@@ -18,11 +18,13 @@ import { Backdrop } from "./backdrop";
 import { DecoderPool } from "./decoders";
 import { Gaussians, type Block } from "./gaussians";
 import type { Frame } from "./geo";
+import type { Layers } from "./layers";
 import type { Link } from "./link";
 import type { Network } from "./network";
 import type { Overlay } from "./overlay";
 import { Preview } from "./preview";
 import type { SceneInfo } from "./source";
+import { text } from "./strings";
 import { CityTiles, type Broken, type CityTile } from "./tiles";
 import { Tint } from "./tint";
 
@@ -31,6 +33,8 @@ export interface CityStats {
   gaussians: number; // drawn now
   bytes: number; // of the tiles of this scene so far
   pending: number; // tiles on their way
+  parsing: number; // of them: they came, and are being decoded
+  came: number; // tiles of this scene so far
   memory: number; // bytes held, in the page and on the card
   heldBack: boolean; // finer tiles are left out: memory
   broken: Broken[]; // wanted, and not to be had
@@ -42,6 +46,7 @@ export class City {
   readonly backdrop = new Backdrop();
   readonly engine: Gaussians;
   over: Overlay | null = null; // lines over the city
+  layers: Layers | null = null; // models in it, shapes on it
   split: number | null = null; // from this part of the width on, the second appearance
   private readonly lines = new Scene();
   private readonly preview: Preview;
@@ -94,9 +99,11 @@ export class City {
     });
   }
 
-  setOverlay(over: Overlay) {
+  setOverlay(over: Overlay, layers: Layers) {
     this.over = over;
     this.lines.add(over.group);
+    this.layers = layers;
+    this.scene.add(layers.models);
   }
 
   setMemory(bytes: number) {
@@ -128,6 +135,7 @@ export class City {
       this.decoders,
       this.engine,
       tint,
+      info.packed,
     );
     tiles.errorTarget = this.target;
     tiles.lruCache = this.cache;
@@ -189,6 +197,7 @@ export class City {
       tiles.update();
       this.wakeFor(tiles);
     }
+    (this.next ?? this.active)?.finishDrafts();
     if (this.next?.root && !this.next.loading && this.next.shown.length) {
       this.retire(this.active);
       this.active = this.next;
@@ -196,6 +205,7 @@ export class City {
     }
     if (this.active && (this.active.shown.length || !this.active.loading))
       engine.want(this.active.shown);
+    this.layers?.step(camera, this.renderer);
     const settled = engine.settled;
     engine.update(camera);
     this.backdrop.update(camera);
@@ -221,21 +231,64 @@ export class City {
     this.render();
   }
 
-  // Splats leave no depth behind. Where lines are to hide behind the city, a second pass writes the
-  // depth of all but the faint rims.
+  // The view at another size, of the tiles that are there, for whoever reads the canvas in `use`. The
+  // canvas is as before when that is done.
+  drawOnce<T>(width: number, height: number, sky: boolean, use: () => Promise<T>): Promise<T> {
+    const { renderer, camera, canvas, backdrop, engine } = this;
+    const gl = renderer.getContext();
+    const [across, down] = gl.getParameter(gl.MAX_VIEWPORT_DIMS) as Int32Array;
+    const most = Math.min(across!, down!, gl.getParameter(gl.MAX_RENDERBUFFER_SIZE) as number);
+    const kept = {
+      ...{ size: renderer.getSize(new Vector2()), ratio: renderer.getPixelRatio() },
+      ...{ aspect: camera.aspect, visible: backdrop.visible },
+    };
+    const paint = () => {
+      camera.updateProjectionMatrix();
+      backdrop.update(camera);
+      engine.prepare(camera, this.split !== null);
+      this.render();
+    };
+    try {
+      if (this.lost || Math.max(width, height) > most) throw new Error(text("shot.browser", { most }));
+      renderer.setPixelRatio(1);
+      renderer.setSize(width, height, false);
+      if (gl.drawingBufferWidth !== width || gl.drawingBufferHeight !== height)
+        throw new Error(text("shot.memory"));
+      camera.aspect = width / height;
+      backdrop.visible = sky;
+      this.over?.resize(width, height);
+      paint();
+      return use(); // the canvas is read when that is asked for, not when it is there
+    } finally {
+      renderer.setPixelRatio(kept.ratio);
+      renderer.setSize(kept.size.x, kept.size.y, false);
+      camera.aspect = kept.aspect;
+      backdrop.visible = kept.visible;
+      this.over?.resize(canvas.clientWidth, canvas.clientHeight);
+      paint();
+      this.onWake();
+    }
+  }
+
+  // Splats leave no depth behind. Where lines are to hide behind the city, or shapes to lie on it, a
+  // second pass writes the depth of all but the faint rims. Models come before the splats, which are
+  // tested against them: so what is half transparent in front of a model is seen as such.
   private render() {
-    const { renderer, scene, camera, engine, over } = this;
+    const { renderer, scene, camera, engine, over, layers } = this;
     renderer.autoClear = true;
+    engine.setTested((layers?.models.children.length ?? 0) > 0);
     if (this.split === null) renderer.render(scene, camera);
     else this.renderSides(this.split);
-    if (!over?.group.children.length) return;
     renderer.autoClear = false;
-    if (over.needsDepth) {
+    const lines = (over?.group.children.length ?? 0) > 0;
+    const drawDepth = () => {
       engine.setSolid(true);
       renderer.render(engine.mesh, camera);
       engine.setSolid(false);
-    }
-    renderer.render(this.lines, camera);
+    };
+    if (layers && !layers.drape.empty) layers.drape.draw(renderer, camera, drawDepth);
+    else if (lines && over!.needsDepth) drawDepth();
+    if (lines) renderer.render(this.lines, camera);
     renderer.autoClear = true;
   }
 
@@ -293,7 +346,9 @@ export class City {
       tiles: this.engine.visibleBlocks.length,
       gaussians: this.engine.visibleBlocks.reduce((sum, block) => sum + block.splats.count, 0),
       bytes: (this.active?.bytes ?? 0) + (this.next?.bytes ?? 0),
-      pending: queued + downloading + parsing,
+      pending: queued + downloading + parsing + (on?.finishingCount ?? 0),
+      parsing,
+      came: on?.count ?? 0,
       memory: (this.cache as unknown as { cachedBytes: number }).cachedBytes,
       heldBack: (stats["refused"] ?? 0) > 0,
       broken: broken.map(([, one]) => one),

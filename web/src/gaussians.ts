@@ -104,6 +104,7 @@ export class Gaussians {
   private shown: Block[] = []; // those of the order on the screen
   private planes: Planes | null = null;
   private rows = 0;
+  private tested = false; // against the depth of models
   private shPlanes = 0;
   private embedPlanes = 0;
   private order: DataTexture | null = null;
@@ -114,6 +115,7 @@ export class Gaussians {
   private sorting: { ticket: number; blocks: Block[]; key: string } | null = null;
   private ticket = 0;
   private nextId = 0;
+  private some: { key: string; texture: DataTexture } | null = null; // the order of drawSome
   private sortedKey = "";
   private wantedKey = "";
   private version = 0; // of the wanted set
@@ -498,10 +500,8 @@ export class Gaussians {
     const names = ["order", "count", "colors", "viewport"] as const;
     const kept = names.map((name) => uniforms[name]!.value as unknown);
     const { instanceCount } = mesh.geometry;
-    const order = sortNow(blocks, camera);
-    const texture = makeTexture(RedIntegerFormat, "R32UI", order.length / 1024);
-    texture.image.data = order;
     const count = blocks.reduce((sum, block) => sum + block.splats.count, 0);
+    const texture = this.orderSome(blocks, camera);
     const now = [texture, count, side.colors.texture, new Vector2(target.width, target.height)];
     names.forEach((name, i) => (uniforms[name]!.value = now[i]));
     mesh.geometry.instanceCount = Math.ceil(count / QUADS);
@@ -514,7 +514,19 @@ export class Gaussians {
     names.forEach((name, i) => (uniforms[name]!.value = kept[i]));
     mesh.geometry.instanceCount = instanceCount;
     mesh.material.uniformsNeedUpdate = true;
-    texture.dispose();
+  }
+
+  // From far to near. One camera asks for it again and again.
+  private orderSome(blocks: readonly Block[], camera: PerspectiveCamera): DataTexture {
+    const key = [...blocks.map(({ id, row }) => `${id}@${row}`), ...camera.position.toArray()].join();
+    if (this.some?.key !== key) {
+      this.some?.texture.dispose();
+      const order = sortNow(blocks, camera);
+      const texture = makeTexture(RedIntegerFormat, "R32UI", order.length / 1024);
+      texture.image.data = order;
+      this.some = { key, texture };
+    }
+    return this.some.texture;
   }
 
   // Depth alone, or colour alone.
@@ -522,20 +534,28 @@ export class Gaussians {
     const { material } = this.mesh;
     material.uniforms["solid"]!.value = on;
     material.colorWrite = !on;
-    material.depthWrite = material.depthTest = on;
+    material.depthWrite = on;
+    material.depthTest = on || this.tested;
     material.uniformsNeedUpdate = true;
+  }
+
+  // Hidden by what was drawn before: models of others.
+  setTested(on: boolean) {
+    this.tested = this.mesh.material.depthTest = on;
   }
 
   // Everything on the card is gone.
   restore() {
     this.rebuild();
     if (this.order) this.order.needsUpdate = true;
+    this.some = null;
   }
 
   dispose() {
     this.sorter.terminate();
     this.dropPlanes();
     this.order?.dispose();
+    this.some?.texture.dispose();
     this.mesh.geometry.dispose();
     this.mesh.material.dispose();
     this.noTints.dispose();

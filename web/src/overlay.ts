@@ -23,8 +23,9 @@ import type { Place } from "./geo";
 import type { Stage } from "./stage";
 
 export interface Shape {
-  kind: "line" | "area" | "point";
+  kind: "line" | "area" | "point" | "label";
   places: Place[];
+  holes?: Place[][]; // of an area
   color?: string;
   label?: string; // at its middle
   behind?: boolean; // hidden where the city is in front of it; default false
@@ -91,7 +92,7 @@ export class Overlay {
 
   // Some shape wants to know what the city hides.
   get needsDepth(): boolean {
-    return [...this.entries.values()].some(({ shape }) => shape.behind);
+    return [...this.entries.values()].some(({ shape }) => shape.behind && shape.kind !== "label");
   }
 
   // Labels to where their places are on the screen; after every change of the camera.
@@ -133,8 +134,11 @@ export class Overlay {
     const color = new Color(shape.color ?? "#ffd166");
     const closed = shape.kind === "area" && points.length > 2;
     const path = closed ? [...points, points[0]!] : points;
-    if (path.length > 1) object.add(this.line(path, color, shape.behind ?? false));
-    if (closed) object.add(this.fill(points, color, shape.behind ?? false));
+    if (path.length > 1 && shape.kind !== "label") object.add(this.line(path, color, shape.behind ?? false));
+    const holes = (shape.holes ?? []).map((ring) => ring.map((place) => this.stage.frame.pointOf(place)));
+    if (closed) object.add(this.fill(points, holes, color, shape.behind ?? false));
+    for (const [first, ...rest] of holes)
+      if (first) object.add(this.line([first, ...rest, first], color, shape.behind ?? false));
     if (shape.kind === "point")
       for (const point of points) {
         const foot = point.clone();
@@ -168,11 +172,11 @@ export class Overlay {
     return line;
   }
 
-  private fill(points: Vector3[], color: Color, behind: boolean): Mesh {
-    const flat = points.map((p) => new Vector2(p.x, p.z));
-    const index = ShapeUtils.triangulateShape(flat, []).flat();
+  private fill(points: Vector3[], holes: Vector3[][], color: Color, behind: boolean): Mesh {
+    const [flat, ...cut] = [points, ...holes].map((ring) => ring.map((p) => new Vector2(p.x, p.z)));
+    const index = ShapeUtils.triangulateShape(flat!, cut).flat();
     const geometry = new BufferGeometry();
-    const corners = new Float32Array(points.flatMap((p) => p.toArray()));
+    const corners = new Float32Array([points, ...holes].flat().flatMap((p) => p.toArray()));
     geometry.setAttribute("position", new BufferAttribute(corners, 3));
     geometry.setIndex(index);
     const material = new MeshBasicMaterial({

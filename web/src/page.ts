@@ -5,9 +5,10 @@ import { formatView, parseView } from "./address";
 import { AppearanceControl } from "./appearance";
 import { Compare } from "./compare";
 import { copy, element, setText, toast } from "./dom";
-import { GeoJsonDrop } from "./geojson";
 import { Inset } from "./inset";
+import { LayerPanel } from "./layerpanel";
 import { MeasureTool } from "./measure";
+import type { ShotDialog } from "./shotdialog";
 import { isForScene, type Walk } from "./stage";
 import { banner, Status, unbanner } from "./status";
 import { getLanguage, setLanguage, text, translate } from "./strings";
@@ -47,7 +48,9 @@ export class Page {
   private readonly appearance: AppearanceControl;
   private readonly compare: Compare;
   private readonly inset: Inset;
+  private readonly layers: LayerPanel;
   private readonly measure: MeasureTool;
+  private shots: ShotDialog | null = null;
   private addressTimer = 0;
   private offered = false;
 
@@ -58,7 +61,7 @@ export class Page {
     new Status(viewer);
     this.appearance = new AppearanceControl(viewer);
     new Tours(viewer);
-    new GeoJsonDrop(viewer);
+    this.layers = new LayerPanel(viewer);
     this.compare = new Compare(viewer);
     this.inset = new Inset(viewer);
     this.measure = new MeasureTool(viewer);
@@ -77,6 +80,7 @@ export class Page {
     translate(document);
     this.appearance.translate();
     this.inset.translate();
+    this.layers.translate();
     this.applyDetail();
     this.showPlace();
   }
@@ -98,6 +102,7 @@ export class Page {
       this.address();
     });
     viewer.on("appearance", () => this.address());
+    viewer.on("layers", () => this.address());
     viewer.on("mode", (mode) => this.showMode(mode));
     viewer.on("slow", (fps) => void this.offer(fps));
   }
@@ -145,8 +150,9 @@ export class Page {
   private url(): URL {
     const { viewer } = this;
     const url = new URL(location.href);
-    for (const old of ["ds", "light"]) url.searchParams.delete(old);
+    for (const old of ["ds", "light", "overlay"]) url.searchParams.delete(old);
     if (viewer.scene && viewer.scenes.length > 1) url.searchParams.set("scene", viewer.scene.id);
+    for (const layer of this.layers.links) url.searchParams.append("overlay", layer);
     if (viewer.scene) url.hash = formatView({ pose: viewer.pose, appearance: viewer.state.wanted });
     return url;
   }
@@ -167,6 +173,13 @@ export class Page {
     await copy(url, text("share.done"));
   }
 
+  private async shot() {
+    if (!this.viewer.scene) return;
+    const { ShotDialog } = await import("./shotdialog");
+    this.shots ??= new ShotDialog(this.viewer);
+    this.shots.open();
+  }
+
   // ---- controls ----
 
   private wireTools() {
@@ -179,6 +192,7 @@ export class Page {
     click("walk", () => this.nextWalk());
     click("help-button", () => element<HTMLDialogElement>("help").showModal());
     click("share", () => void this.share());
+    click("shot-button", () => void this.shot());
     click("fold", () => this.fold(!element("panel").classList.contains("folded")));
     this.fold(this.small);
   }
@@ -244,6 +258,7 @@ export class Page {
       KeyM: () => this.measure.show(!this.measure.open),
       KeyP: () => this.appearance.showPhotographs(!this.appearance.photographsOpen),
       KeyV: () => this.compare.show(!this.compare.open),
+      KeyI: () => void this.shot(),
       KeyL: () => void this.share(),
       KeyO: () => this.inset.toggle(),
       Escape: () => this.measure.show(false),

@@ -20,11 +20,13 @@ export interface SceneEntry {
   pictures: URL | null; // the folder of its static views; null on a file server
   questions: URL | null; // the folder of height, profile, measure; null on a file server
   map: URL | null; // TileJSON of its map tiles; null where there are none
+  packed: boolean; // tiles are to be had as .drc, and as drafts
 }
 
 export interface SceneInfo {
   url: string; // of the tileset, with the appearance
   network: Network | null; // colours of the tiles are as they were trained; null: as they are shown
+  packed: boolean; // its tiles are asked for as .drc, with drafts
   document: unknown; // the tileset itself
   revision: string;
   attribution: string;
@@ -52,7 +54,7 @@ interface Collection {
   title?: string;
   attribution?: string;
   links?: { rel?: string; href?: string }[];
-  splats?: { revision?: string };
+  splats?: { revision?: string; formats?: unknown };
 }
 interface TilesetDocument {
   asset?: { tilesetVersion?: string; extras?: { cesium?: { credits?: { html?: string }[] } } };
@@ -64,6 +66,7 @@ interface Node {
 }
 
 const APPEARANCE_NONE = "none";
+export const DRAFT = "preset=preview&sh=0"; // letter by letter what server/hint.c says
 const VOLUMES = "http://www.opengis.net/def/rel/ogc/1.0/3d-geovolumes";
 
 // Credits may be HTML; the viewer shows their text.
@@ -90,6 +93,7 @@ function entryOf(collection: Collection, base: URL): SceneEntry {
     pictures: new URL(revision ? `${folder}r/${revision}/static/` : `${folder}static/`, base),
     questions: new URL(folder, base),
     map: map ? new URL(map, base) : null,
+    packed: Array.isArray(collection.splats?.formats) && collection.splats.formats.includes("drc"),
   };
 }
 
@@ -98,7 +102,7 @@ function entryOfTileset(tileset: URL): SceneEntry {
   const folder = decodeURIComponent(tileset.pathname.split("/").at(-2) ?? "");
   const id = folder || "city";
   const absent = { catalogue: null, appearances: null, network: null };
-  const unasked = { pictures: null, questions: null, map: null };
+  const unasked = { pictures: null, questions: null, map: null, packed: false };
   return { id, title: id, attribution: "", tileset, ...absent, ...unasked };
 }
 
@@ -135,14 +139,19 @@ function withAppearance(url: URL, appearance: string): URL {
   return out;
 }
 
-// Tiles as they were trained are asked for in the form that carries embeddings. Of every document of
-// a tileset.
-export function useTrainedTiles(document: { root?: Node }) {
-  const visit = ({ content, children }: Node) => {
-    if (content?.uri) content.uri = content.uri.replace(/\.glb(?=\?|$)/, ".drc");
-    children?.forEach(visit);
+// Tiles are asked for in their smallest form, which carries embeddings too, in every document of a
+// tileset. drafts: the first tile of each branch comes as one: it is there soon, and mostly gone as soon
+// as finer ones are.
+export function usePackedTiles(document: { root?: Node }, drafts = true) {
+  const visit = ({ content, children }: Node, first: boolean) => {
+    const tile = content?.uri && /\.glb(?=\?|$)/.test(content.uri);
+    if (tile) {
+      content.uri = content.uri!.replace(/\.glb(?=\?|$)/, ".drc");
+      if (first) content.uri += (content.uri.includes("?") ? "&" : "?") + DRAFT;
+    }
+    children?.forEach((child) => visit(child, first && !tile));
   };
-  if (document.root) visit(document.root);
+  if (document.root) visit(document.root, drafts);
 }
 
 // The network of this revision: fetched together with the tileset, and once more where the catalogue
@@ -179,12 +188,14 @@ export async function openScene(
       fetchNetwork(link, entry.network, tileset),
     ]);
     if (network && compute(network)) {
-      useTrainedTiles(document);
-      return describe(entry, url, document, network);
+      usePackedTiles(document);
+      return describe(entry, url, document, network, true);
     }
   }
   const url = withAppearance(entry.tileset, appearance);
-  return describe(entry, url, (await link.json(url)) as TilesetDocument, null);
+  const document = (await link.json(url)) as TilesetDocument;
+  if (entry.packed) usePackedTiles(document);
+  return describe(entry, url, document, null, entry.packed);
 }
 
 function describe(
@@ -192,6 +203,7 @@ function describe(
   url: URL,
   document: TilesetDocument,
   network: Network | null,
+  packed: boolean,
 ): SceneInfo {
   const { transform, boundingVolume } = document.root ?? {};
   const box = boundingVolume?.box;
@@ -203,6 +215,7 @@ function describe(
   return {
     url: url.href,
     network,
+    packed,
     document,
     revision: document.asset?.tilesetVersion ?? "",
     attribution: entry.attribution || credits.map((c) => plainText(c.html ?? "")).join(" · "),

@@ -127,19 +127,19 @@ export class Stage {
     return this.box.min.y;
   }
 
-  // The whole extent, seen from above at an angle.
-  home() {
-    const target = this.box.getCenter(new Vector3());
-    target.y = MathUtils.lerp(this.box.min.y, this.box.max.y, 0.3);
+  // The whole extent, or a box of the caller's, seen from above at an angle.
+  home(box = this.box) {
+    const target = box.getCenter(new Vector3());
+    target.y = MathUtils.lerp(box.min.y, box.max.y, 0.3);
     this.camera.fov = FOV_DEG;
     this.set(HOME_HEADING_DEG * MathUtils.DEG2RAD, HOME_PITCH_DEG * MathUtils.DEG2RAD);
     const away = this.ahead().negate();
-    this.camera.position.copy(target).addScaledVector(away, this.distanceToFit(target, away) * MARGIN);
+    this.camera.position.copy(target).addScaledVector(away, this.distanceToFit(box, target, away) * MARGIN);
     this.halt();
   }
 
-  // Smallest distance from which all corners of the extent are inside the frustum.
-  private distanceToFit(target: Vector3, away: Vector3): number {
+  // Smallest distance from which all corners of a box are inside the frustum.
+  private distanceToFit(box: Box3, target: Vector3, away: Vector3): number {
     const right = new Vector3(0, 1, 0).cross(away).normalize();
     const up = away.clone().cross(right);
     const tanY = Math.tan(MathUtils.degToRad(this.camera.fov / 2));
@@ -147,9 +147,9 @@ export class Stage {
     let distance = 0;
     for (let i = 0; i < 8; i++) {
       const corner = new Vector3(
-        i & 1 ? this.box.max.x : this.box.min.x,
-        i & 2 ? this.box.max.y : this.box.min.y,
-        i & 4 ? this.box.max.z : this.box.min.z,
+        i & 1 ? box.max.x : box.min.x,
+        i & 2 ? box.max.y : box.min.y,
+        i & 4 ? box.max.z : box.min.z,
       ).sub(target);
       const toward = corner.dot(away);
       const needX = toward + Math.abs(corner.dot(right)) / tanX;
@@ -262,7 +262,8 @@ export class Stage {
     return new Vector3(0, 0, -1).applyQuaternion(this.camera.quaternion);
   }
 
-  private center(): Vector3 {
+  // What is in the middle of the picture.
+  center(): Vector3 {
     return this.under(this.surface.clientWidth / 2, this.surface.clientHeight / 2);
   }
 

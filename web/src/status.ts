@@ -5,9 +5,12 @@
 import { element, setText } from "./dom";
 import { Problem } from "./problem";
 import { getLanguage, text } from "./strings";
-import type { Viewer, ViewerState } from "./viewer";
+import type { Progress, Viewer, ViewerState } from "./viewer";
 
 const NUMBERS_EVERY_MS = 150;
+const LINE_AFTER_MS = 400; // a wait shorter than this is not worth a line
+const SAY_AFTER_MS = 2000;
+const SAY_EVERY_MS = 10_000;
 const AWAY_AFTER_MS = 300; // a hiccup shorter than this is not worth a banner
 
 export interface BannerButton {
@@ -54,9 +57,57 @@ function megabytes(n: number): string {
   return `${(n / 1e6).toFixed(n < 1e7 ? 2 : 1)} MB`;
 }
 
+// What the page waits for: a bar and a line for eyes, the bar's value for whoever asks, and few words
+// aloud: when it takes long, now and then, and when it is over.
+class ProgressLine {
+  private since = 0; // 0: nothing is waited for
+  private saidAt = 0; // 0: nothing was said yet
+  private readonly bar = element("progress");
+
+  show({ progress, link, ready, settled }: ViewerState) {
+    const now = performance.now();
+    const waits = progress !== null || link === "away";
+    if (this.bar.hidden === waits) this.bar.hidden = !waits;
+    if (!waits) {
+      setText("progress-text", "");
+      if (!settled) return; // it is being sorted and drawn
+      if (this.saidAt) setText("progress-said", ready ? text("progress.done") : "");
+      this.since = this.saidAt = 0;
+      return;
+    }
+    this.since ||= now;
+    const line = link === "away" ? text("link.away") : wordsOf(progress!);
+    this.bar.setAttribute("aria-valuetext", line);
+    this.fill(progress);
+    setText("progress-text", link === "away" || now - this.since < LINE_AFTER_MS ? "" : line);
+    const due = this.saidAt ? now - this.saidAt > SAY_EVERY_MS : now - this.since > SAY_AFTER_MS;
+    if (!due || link === "away") return; // a banner says that
+    this.saidAt = now;
+    setText("progress-said", line);
+  }
+
+  private fill(progress: Progress | null) {
+    const { done = 0, total = 0 } = progress ?? {};
+    this.bar.classList.toggle("known", total > 0);
+    const span = this.bar.querySelector("span")!;
+    span.style.width = total ? `${Math.round((100 * done) / total)}%` : "";
+    if (total) {
+      this.bar.setAttribute("aria-valuemax", String(total));
+      this.bar.setAttribute("aria-valuenow", String(done));
+    } else this.bar.removeAttribute("aria-valuenow");
+  }
+}
+
+function wordsOf({ phase, done, total, bytes }: Progress): string {
+  const size = bytes >= 10_000 ? ` · ${megabytes(bytes)}` : "";
+  const words = total && phase === "appearance" ? "appearanceTiles" : phase;
+  return text(`progress.${words}`, { done, total }) + size;
+}
+
 export class Status {
   private numbersAt = 0;
   private awayTimer = 0;
+  private readonly progress = new ProgressLine();
   private readonly closed = new Set<string>(); // banners that the person closed
 
   constructor(private readonly viewer: Viewer) {
@@ -126,8 +177,7 @@ export class Status {
     const first = state.broken[0];
     this.keep("broken", first ? text("banner.broken", { name: first.name, why: first.why }) : null);
     this.keep("memory", state.heldBack && state.settled ? text("banner.memory") : null);
-    const idle = state.pending === 0 && state.link !== "away";
-    if (element("progress").hidden !== idle) element("progress").hidden = idle;
+    this.progress.show(state);
     if (!element<HTMLDetailsElement>("statistics").open) return;
     setText("stat-gaussians", short(state.gaussians));
     setText("stat-tiles", state.pending ? `${state.tiles} + ${state.pending}` : String(state.tiles));

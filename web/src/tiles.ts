@@ -1,9 +1,10 @@
-// Which tiles to have: 3d-tiles-renderer's choice of level with four rules of our own.
+// Which tiles to have: 3d-tiles-renderer's choice of level with five rules of our own.
 //
 // - A tile that failed is not "there": the coarser one stays in its place, and it is asked for again
 //   after a growing pause.
 // - The coarsest tiles come before all others.
 // - A tile that no view wants any more is given up, also when it is on its way.
+// - A coarsest tile comes as a draft; where the view ends with it, the whole tile follows.
 // - A level between the coarsest and the wanted one is left out when the wanted one comes soon.
 //
 // SPDX-License-Identifier: Apache-2.0
@@ -14,7 +15,7 @@ import { Matrix4, Vector3 } from "three";
 import type { DecoderPool } from "./decoders";
 import { Gaussians, type Block } from "./gaussians";
 import type { Link } from "./link";
-import { useTrainedTiles } from "./source";
+import { DRAFT, usePackedTiles } from "./source";
 import type { Tint } from "./tint";
 
 // States of a tile, as 3d-tiles-renderer numbers them.
@@ -37,6 +38,7 @@ export interface CityTile extends Tile {
     loadingState: number;
     depthFromRenderedParent: number;
     hasRenderableContent: boolean;
+    basePath: string;
   };
   traversal: Tile["traversal"] & { used: boolean; error: number; visible: boolean };
   engineData: { transform: Matrix4 };
@@ -74,8 +76,10 @@ export class CityTiles extends BaseTiles {
   onBlock: (tile: CityTile, block: Block) => void = () => {};
   bytes = 0; // of the tiles that came
   frozen = false; // asks for nothing more: another set of tiles takes its place
-  private count = 0;
+  count = 0; // of them
   private readonly unwanted = new Map<CityTile, number>();
+  private readonly drafts = new Set<CityTile>();
+  private readonly finishing = new Map<CityTile, AbortController>();
   private document: unknown;
 
   // document: the parsed tileset of this URL, so that it is not fetched twice.
@@ -87,6 +91,7 @@ export class CityTiles extends BaseTiles {
     private readonly decoders: DecoderPool,
     private readonly engine: Gaussians,
     readonly tint: Tint | null, // computes the colours of the tiles
+    private readonly packed: boolean, // further documents of the tileset are to be read as the first was
   ) {
     super(url);
     this.document = document;
@@ -111,7 +116,7 @@ export class CityTiles extends BaseTiles {
   // The rest of a large tileset, an external one.
   private async part(url: string, signal: AbortSignal | null): Promise<unknown> {
     const document = (await this.link.json(url, signal)) as object;
-    if (this.tint) useTrainedTiles(document);
+    if (this.packed) usePackedTiles(document, false);
     return document;
   }
 
@@ -173,6 +178,13 @@ export class CityTiles extends BaseTiles {
   }
 
   private fail(tile: CityTile, error: Error) {
+    this.remember(tile, error);
+    // Out of the cache, or the library refuses to ask for it ever again.
+    this.stats["failed"]!--;
+    this.lruCache.remove(tile);
+  }
+
+  private remember(tile: CityTile, error: Error) {
     const before = this.broken.get(tile)?.tries ?? 0;
     const ms = Math.min(AGAIN_MOST_MS, AGAIN_FIRST_MS * 2 ** before);
     this.broken.set(tile, {
@@ -181,9 +193,6 @@ export class CityTiles extends BaseTiles {
       tries: before + 1,
       again: performance.now() + ms,
     });
-    // Out of the cache, or the library refuses to ask for it ever again.
-    this.stats["failed"]!--;
-    this.lruCache.remove(tile);
   }
 
   // When the next broken tile is due, in milliseconds; Infinity without one.
@@ -202,7 +211,15 @@ export class CityTiles extends BaseTiles {
     _url: string,
     signal: AbortSignal,
   ) {
-    const size = buffer.byteLength;
+    const block = await this.decode(buffer, tile, signal);
+    if (!block) return;
+    if (tile.content?.uri.includes(DRAFT)) this.drafts.add(tile);
+    this.count++;
+    this.onBlock(tile, block);
+  }
+
+  private async decode(file: ArrayBuffer, tile: CityTile, signal: AbortSignal): Promise<Block | null> {
+    const size = file.byteLength;
     const toWorld = this.worldFromEcef
       .clone()
       .multiply(tile.engineData.transform)
@@ -211,18 +228,48 @@ export class CityTiles extends BaseTiles {
     const turned = [e[0]! - 1, e[5]! - 1, e[10]! - 1].some((v) => Math.abs(v) > 1e-6);
     if (turned) throw new Error("is turned or scaled against its tileset");
     const offset = new Vector3().setFromMatrixPosition(toWorld).toArray();
-    const splats = await this.decoders.decode(buffer, offset, signal);
-    if (signal.aborted) return;
+    const splats = await this.decoders.decode(file, offset, signal);
+    if (signal.aborted) return null;
     const block = this.engine.add(splats, this.tint);
     this.blocks.set(tile, block);
     this.broken.delete(tile);
     this.bytes += size;
-    this.count++;
-    this.onBlock(tile, block);
+    return block;
+  }
+
+  // Where nothing finer comes for this view, drafts on the screen are replaced.
+  finishDrafts() {
+    if (this.frozen || !this.drafts.size || this.coming) return;
+    const now = performance.now();
+    for (const tile of this.visibleTiles) {
+      if (!this.drafts.has(tile) || this.finishing.has(tile)) continue;
+      if (now >= (this.broken.get(tile)?.again ?? 0)) void this.finish(tile);
+    }
+  }
+
+  private async finish(tile: CityTile) {
+    const stop = new AbortController();
+    const draft = this.blocks.get(tile);
+    this.finishing.set(tile, stop);
+    try {
+      const url = tile.content!.uri.replace(new RegExp(`[?&]${DRAFT}`), "");
+      const file = await this.link.bytes(new URL(url, `${tile.internal.basePath}/`), stop.signal);
+      if (!(await this.decode(file, tile, stop.signal))) return;
+      this.drafts.delete(tile);
+      if (draft) this.engine.remove(draft);
+      this.lruCache.setMemoryUsage(tile, this.calculateBytesUsed(tile));
+    } catch (error) {
+      if (!stop.signal.aborted) this.remember(tile, error as Error);
+    } finally {
+      this.finishing.delete(tile);
+      this.dispatchEvent({ type: "needs-update" });
+    }
   }
 
   override disposeTile(tile: CityTile) {
     super.disposeTile(tile);
+    this.finishing.get(tile)?.abort();
+    this.drafts.delete(tile);
     const block = this.blocks.get(tile);
     if (block) this.engine.remove(block);
     this.blocks.delete(tile);
@@ -251,7 +298,16 @@ export class CityTiles extends BaseTiles {
 
   // Something that this view needs is not there yet, and is on its way or queued.
   get loading(): boolean {
+    return !this.root || this.coming || this.isLoading || this.finishing.size > 0;
+  }
+
+  private get coming(): boolean {
     const { queued = 0, downloading = 0, parsing = 0 } = this.stats;
-    return !this.root || queued + downloading + parsing > 0 || this.isLoading;
+    return queued + downloading + parsing > 0;
+  }
+
+  // Tiles that are there as drafts, and are being replaced.
+  get finishingCount(): number {
+    return this.finishing.size;
   }
 }

@@ -6,6 +6,7 @@ import { Box3, Ray, Vector3 } from "three";
 
 import { City, type CityStats } from "./city";
 import { Frame, type Place, type Pose } from "./geo";
+import { Layers, type Layer } from "./layers";
 import { HttpError, Link, type LinkState } from "./link";
 import { Overlay } from "./overlay";
 import { pickMedian } from "./pick";
@@ -25,12 +26,24 @@ import {
   type SceneEntry,
   type SceneInfo,
 } from "./source";
+import type { ShotOptions } from "./shot";
 import { Stage, type Walk } from "./stage";
 import { decodeOnce } from "./core";
 import type { Network } from "./network";
 import { Tint } from "./tint";
 
 export type { Appearance, Basemap, CityStats, LinkState, MapTiles, Place, Pose, SceneEntry, Walk };
+
+export {
+  LayerError,
+  type Layer,
+  type LayerChange,
+  type LayerKind,
+  type LayerOptions,
+  type ModelPlace,
+} from "./layers";
+
+export type { ShotFormat, ShotOptions } from "./shot";
 
 export type Mode = "splats" | "pictures"; // drawn here, or by the server
 
@@ -63,6 +76,7 @@ export interface ViewerEvents {
   context: boolean; // the graphics card dropped the page (true), or took it up again
   picture: PictureInfo;
   click: { x: number; y: number; place: Place | null };
+  layers: readonly Layer[]; // they changed
   frame: null; // something was drawn
 }
 
@@ -84,6 +98,14 @@ export interface ViewerState {
   broken: { name: string; why: string }[];
   error: string | null;
   framesPerSecond: number; // 0 while nothing is drawn
+  progress: Progress | null; // what it waits for; null: nothing
+}
+
+export interface Progress {
+  phase: "catalogue" | "tileset" | "tiles" | "decoding" | "appearance" | "picture" | "layers";
+  done: number; // tiles of this wait, or layers
+  total: number; // 0: not known
+  bytes: number; // received since it began
 }
 
 const SMALL_DEVICE = matchMedia("(pointer: coarse)").matches;
@@ -105,6 +127,8 @@ const EMPTY: CityStats = {
   gaussians: 0,
   bytes: 0,
   pending: 0,
+  parsing: 0,
+  came: 0,
   memory: 0,
   heldBack: false,
   broken: [],
@@ -127,6 +151,7 @@ export class Viewer {
   readonly canvas: HTMLCanvasElement;
   readonly stage: Stage;
   readonly overlay: Overlay;
+  readonly layers: Layers;
   scenes: SceneEntry[] = [];
   scene: SceneEntry | null = null;
   info: SceneInfo | null = null;
@@ -146,6 +171,8 @@ export class Viewer {
   private touched = false;
   private homeless = true; // the scene's extent is not known yet
   private opening = 0;
+  private describing = 0; // scenes whose documents are on their way
+  private readonly waits = { received: 0, came: 0 }; // when the page began to wait
   private awakeUntil = 0;
   private stale = true; // something happened since the last frame began
   private wasReady = false;
@@ -196,6 +223,12 @@ export class Viewer {
     };
     this.overlay = new Overlay(this.surface, this.stage);
     this.overlay.onWake = () => this.wake();
+    this.layers = new Layers(this.stage, this.overlay, (place) => this.heightOf(place));
+    this.layers.onWake = () => this.wake();
+    this.layers.onChange = () => {
+      this.emit("layers", this.layers.list);
+      this.wake();
+    };
     this.pictures = new Pictures(this.pictureCanvas, this.link, true);
     this.pictures.onPicture = (info) => {
       this.shownAppearance = this.wantedAppearance;
@@ -253,7 +286,37 @@ export class Viewer {
       broken: stats.broken.map(({ name, why }) => ({ name, why })),
       error: this.error ? this.error.message : null,
       framesPerSecond: this.fps.average ? 1000 / this.fps.average : 0,
+      progress: this.progress(stats),
     };
+  }
+
+  // What comes is counted from the moment on at which nothing did.
+  private progress({ pending, parsing, came }: CityStats): Progress | null {
+    const { waits, layers } = this;
+    const phase = this.phase(pending, parsing);
+    if (!phase) {
+      waits.received = this.link.received;
+      waits.came = came;
+      return null;
+    }
+    if (came < waits.came) waits.came = came; // other tiles than those that were counted
+    const bytes = this.link.received - waits.received;
+    const shown = layers.list.filter(({ state }) => state !== "loading").length;
+    if (phase === "layers") return { phase, done: shown, total: layers.list.length, bytes: 0 };
+    const done = came - waits.came;
+    const counted = phase === "tiles" || phase === "decoding" || (phase === "appearance" && pending > 0);
+    return { phase, done: counted ? done : 0, total: counted ? done + pending : 0, bytes };
+  }
+
+  private phase(pending: number, parsing: number): Progress["phase"] | null {
+    if (this.error && !pending) return null;
+    if (!this.scene && !this.error) return this.scenes.length ? "tileset" : "catalogue";
+    if (this.describing) return this.wantedAppearance !== this.shownAppearance && this.info ? "appearance" : "tileset";
+    if (this.currentMode === "pictures") return this.pictures.pending ? "picture" : null;
+    if (this.city?.changing) return "appearance";
+    if (pending > parsing) return "tiles";
+    if (parsing) return "decoding";
+    return this.layers.list.some(({ state }) => state === "loading") ? "layers" : null;
   }
 
   private isSettled(): boolean {
@@ -303,7 +366,10 @@ export class Viewer {
   private surfaceOn(ray: Ray): Vector3 | null {
     const perMetre =
       (2 * Math.tan((this.stage.camera.fov * Math.PI) / 360)) / Math.max(1, this.surface.clientHeight);
-    return this.city ? pickMedian(this.city.engine.visibleBlocks, ray, perMetre) : null;
+    const point = this.city ? pickMedian(this.city.engine.visibleBlocks, ray, perMetre) : null;
+    const other = this.city ? this.layers.meet(ray) : null;
+    if (!point || !other) return point ?? other;
+    return point.distanceTo(ray.origin) < other.distanceTo(ray.origin) ? point : other;
   }
 
   // ---- scenes and appearance ----
@@ -438,6 +504,7 @@ export class Viewer {
     this.wake();
     let info: SceneInfo;
     let tint: Tint | null;
+    this.describing++;
     try {
       info = await this.describe(entry);
       tint = await this.makeTint(info, this.wantedAppearance);
@@ -445,6 +512,8 @@ export class Viewer {
       if (keep) this.refuseAppearance(error, ticket);
       else if (ticket === this.opening) this.fail(error);
       return;
+    } finally {
+      this.describing--;
     }
     if (ticket !== this.opening || this.closed) return;
     this.tint = tint;
@@ -463,6 +532,7 @@ export class Viewer {
       if (before) this.stage.look(before);
       else this.stage.home();
       this.overlay.reset();
+      this.layers.reset();
       this.pictures.retry();
     }
     this.city?.open(info, this.stage.frame, keep, tint);
@@ -535,6 +605,7 @@ export class Viewer {
 
   private setCore(core: Box3) {
     this.setExtent(core);
+    this.layers.reset();
     this.homeless = false;
     if (!this.touched) this.stage.home();
   }
@@ -626,6 +697,26 @@ export class Viewer {
     );
   }
 
+  // The view at any size, drawn by the server (in parts where it draws smaller ones only) or, where there
+  // is none, by this browser. Rejects with why not.
+  async screenshot(options: ShotOptions): Promise<Blob> {
+    const { checkSize, drawByServer, encodeCanvas } = await import("./shot");
+    const { width, height, format = "jpg" } = options;
+    checkSize(width, height);
+    const background = options.background ?? (this.city?.backdrop.visible ? "sky" : "black");
+    const { scene, stage } = this;
+    const by = options.by ?? (scene?.questions ? "server" : "browser");
+    if (by === "server") {
+      if (!scene?.questions) throw new Problem("noPictures");
+      stage.camera.updateMatrixWorld();
+      const render = new URL("render", scene.questions);
+      return drawByServer(render, stage.camera, this.wantedAppearance, { ...options, background });
+    }
+    const { city } = this;
+    if (!city) throw new Problem("noPictures");
+    return city.drawOnce(width, height, background === "sky", () => encodeCanvas(this.canvas, format));
+  }
+
   // The view as the server draws it, at any size that it takes.
   serverPicture(width: number, height: number): URL | null {
     return this.scene?.pictures
@@ -667,7 +758,7 @@ export class Viewer {
     city.errorTarget = PX_PER_SIGMA * (this.options.detail ?? 1);
     city.backdrop.visible = this.options.backdrop ?? true;
     city.backdrop.setTheme(this.theme);
-    city.setOverlay(this.overlay);
+    city.setOverlay(this.overlay, this.layers);
     this.resize();
     if (this.info && this.scene) {
       city.backdrop.setExtent(this.stage.extent);
@@ -782,6 +873,7 @@ export class Viewer {
     this.resizing.disconnect();
     this.stage.dispose();
     this.pictures.stop();
+    this.layers.dispose();
     this.overlay.dispose();
     this.city?.dispose();
     this.link.dispose();
