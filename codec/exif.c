@@ -435,6 +435,23 @@ static void exif_blob_write(struct buf *b, const struct image_gps *g)
     buf_free(&sub);
 }
 
+/* What follows the head of a JPEG, but for Exif that its encoder put in: of two, some readers take
+ * the other. */
+static void exif_copy_jpeg(const struct buf *file, struct buf *out)
+{
+    const uint8_t *p = file->data;
+    size_t at = 2;
+    while (at + 4 <= file->size && p[at] == 0xff && p[at + 1] != 0xda) {
+        size_t len = 2 + ((size_t)p[at + 2] << 8 | p[at + 3]);
+        if (len > file->size - at)
+            break;
+        if (p[at + 1] != 0xe1 || len < 10 || memcmp(p + at + 4, "Exif\0\0", 6) != 0)
+            buf_add(out, p + at, len);
+        at += len;
+    }
+    buf_add(out, p + at, file->size - at);
+}
+
 static void exif_insert_jpeg(const struct buf *file, const struct buf *blob, struct buf *out)
 {
     size_t len = blob->size + 8;
@@ -445,7 +462,7 @@ static void exif_insert_jpeg(const struct buf *file, const struct buf *blob, str
     buf_u8(out, (unsigned)(len & 255));
     buf_add(out, "Exif\0\0", 6);
     buf_add(out, blob->data, blob->size);
-    buf_add(out, file->data + 2, file->size - 2);
+    exif_copy_jpeg(file, out);
 }
 
 static void exif_insert_png(const struct buf *file, const struct buf *blob, struct buf *out)

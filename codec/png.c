@@ -25,7 +25,9 @@ static void png_chunk(struct buf *out, const char *type, const uint8_t *bytes, s
     buf_add(out, type, 4);
     if (n)
         buf_add(out, bytes, n);
-    uint32_t crc = libdeflate_crc32(libdeflate_crc32(0, type, 4), bytes, n);
+    uint32_t crc = libdeflate_crc32(0, type, 4);
+    if (n) /* of NULL it is 0, whatever came before */
+        crc = libdeflate_crc32(crc, bytes, n);
     png_u32(word, crc);
     buf_add(out, word, 4);
 }

@@ -201,6 +201,51 @@ static void test_exif_round_trip(void **state)
     image_free(&img);
 }
 
+/* Every chunk's check sum is right, also of the last, which is empty: QGIS refuses others. */
+static void test_png_chunks(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct buf b = {0};
+    struct image img = picture(33, 17, 3);
+    size_t at = 8, n = 0;
+    kit_ok(image_encode(&img, "png", 0, &b, &e), e);
+    while (at + 12 <= b.size) {
+        const uint8_t *p = b.data + at;
+        size_t len = (size_t)p[0] << 24 | (size_t)p[1] << 16 | (size_t)p[2] << 8 | p[3];
+        assert_true(at + 12 + len <= b.size);
+        const uint8_t *sum = p + 8 + len;
+        uint32_t got =
+            (uint32_t)sum[0] << 24 | (uint32_t)sum[1] << 16 | (uint32_t)sum[2] << 8 | sum[3];
+        if (got != crc32(0, p + 4, (uInt)len + 4))
+            fail_msg("chunk %.4s: its check sum is wrong", (const char *)p + 4);
+        at += 12 + len;
+        n++;
+    }
+    assert_int_equal(at, b.size);
+    assert_true(n >= 3 && !memcmp(b.data + b.size - 8, "IEND", 4));
+    buf_free(&b);
+    image_free(&img);
+}
+
+/* Readers take the first or the last of several. */
+static void test_one_exif(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct buf b = {0};
+    const struct image_gps gps = {true, true, 47, 8, 400, "", 0, 0, 0};
+    struct image img = picture(33, 17, 3);
+    size_t n = 0;
+    kit_ok(image_write(in_tmp("one.jpg"), &img, 95, &gps, &e), e);
+    kit_ok(file_read(in_tmp("one.jpg"), 0, &b, &e), e);
+    for (size_t i = 0; i + 6 <= b.size; i++)
+        n += !memcmp(b.data + i, "Exif\0\0", 6);
+    assert_int_equal(n, 1);
+    buf_free(&b);
+    image_free(&img);
+}
+
 static void test_no_exif(void **state)
 {
     (void)state;
@@ -423,6 +468,8 @@ int main(void)
         cmocka_unit_test(test_grey_is_expanded),
         cmocka_unit_test(test_alpha_is_dropped_not_multiplied),
         cmocka_unit_test(test_exif_round_trip),
+        cmocka_unit_test(test_png_chunks),
+        cmocka_unit_test(test_one_exif),
         cmocka_unit_test(test_no_exif),
         cmocka_unit_test(test_exif_big_endian_decimal_degrees),
         cmocka_unit_test(test_exif_survives_flips),
