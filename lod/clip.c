@@ -59,6 +59,17 @@ void clip_free(struct clip *c)
     *c = (struct clip){0};
 }
 
+struct hash128 clip_hash(const struct clip *c)
+{
+    const double heights_m[2] = {c ? c->low_m : 0, c ? c->high_m : 0};
+    struct hash128 both[2];
+    if (!c)
+        return (struct hash128){0};
+    both[0] = hash_bytes(heights_m, sizeof heights_m);
+    both[1] = hash_bytes(c->area.edges, c->area.n * sizeof *c->area.edges);
+    return hash_bytes(both, sizeof both);
+}
+
 /* ---- what is held ---- */
 
 bool clip_holds(const struct clip *c, double lon_deg, double lat_deg, double h_m)

@@ -10,6 +10,7 @@
 #include <stddef.h>
 
 #include "codec/geojson.h"
+#include "core/base.h"
 
 struct buf;
 struct gauss;
@@ -31,6 +32,8 @@ enum err_code clip_of_options(const char *path, const char *low_m, const char *h
                               const char *prefix, struct clip *out, bool *any,
                               struct err *e) ERR_USE;
 void clip_free(struct clip *c);
+/* The same of the same polygons and heights, and of no others; zeros of NULL. */
+struct hash128 clip_hash(const struct clip *c);
 bool clip_holds(const struct clip *c, double lon_deg, double lat_deg, double h_m);
 /* Leave the rows in place that are held; the others go. origin: of the ENU frame. ERR_ARG. */
 enum err_code clip_rows(const struct clip *c, const struct geo_origin *origin, struct gauss *g,

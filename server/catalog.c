@@ -12,6 +12,7 @@
 #include <string.h>
 #include <time.h>
 
+#include "lod/clip.h"
 #include "lod/store.h"
 #include "lod/tileset.h"
 #include "server/appearance_api.h"
@@ -69,7 +70,13 @@ static int catalog_by_name(const void *pa, const void *pb)
     return strcmp(a->meta.name, b->meta.name);
 }
 
-/* The dataset of `older` at this path if the file still has its revision, else open it anew. */
+/* Is it of this revision of its file, and of what the clip leaves of it? */
+static bool catalog_is_of(const struct dataset *d, const char *revision, struct hash128 clip)
+{
+    return !strcmp(d->source, revision) && d->clip.lo == clip.lo && d->clip.hi == clip.hi;
+}
+
+/* The dataset of `older` at this path if file and clip are still the same, else open it anew. */
 static enum err_code catalog_open_or_keep(const char *path, const struct catalog_options *o,
                                           const struct catalog *older, struct dataset **out,
                                           struct err *e)
@@ -81,7 +88,7 @@ static enum err_code catalog_open_or_keep(const char *path, const struct catalog
     for (size_t i = 0; older && i < older->n_current && !*out; i++) {
         struct dataset *d = older->ds[i];
         if (!atomic_load(&d->n_failed) && !strcmp(d->path, path) &&
-            !strcmp(d->source, store_info(now)->revision))
+            catalog_is_of(d, store_info(now)->revision, clip_hash(o->clip)))
             *out = dataset_ref(d);
     }
     store_close(&now);

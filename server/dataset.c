@@ -132,6 +132,7 @@ enum err_code dataset_open(const char *path, size_t readers, const struct clip *
         d->meta = *store_info(d->index);
         if (!clip)
             memcpy(d->source, d->meta.revision, sizeof d->source);
+        d->clip = clip_hash(clip);
         d->tiles = store_tiles(d->index, &d->n_tiles);
         rc = dataset_find_bbox(d, e);
     }

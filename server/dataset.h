@@ -15,9 +15,10 @@ struct clip;
 
 struct dataset { /* immutable but for what the comments say; counted */
     _Atomic uint32_t refs;
-    char *path;      /* of this revision, when it was opened */
-    char source[13]; /* revision of what is at the path; meta.revision unless it was clipped */
-    int fd;          /* its file, whatever that path names by now; of a clipped one its part */
+    char *path;          /* of this revision, when it was opened */
+    char source[13];     /* revision of what is at the path; meta.revision unless it was clipped */
+    struct hash128 clip; /* clip_hash of what it was clipped to */
+    int fd;              /* its file, whatever that path names by now; of a clipped one its part */
     struct store_meta meta;
     const struct store_tile *tiles;
     size_t n_tiles;

@@ -122,13 +122,18 @@ static void server_fit_descriptors(struct server *sv)
              (size_t)limit.rlim_cur, need, room < wanted ? room : wanted, wanted);
 }
 
+static enum err_code server_read_clip(const struct server_config *cfg, struct clip *out, bool *any,
+                                      struct err *e)
+{
+    return clip_of_options(cfg->clip, cfg->clip_low_m, cfg->clip_high_m, "clip-", out, any, e);
+}
+
 /* What options say of stores; sv->clip is freed by the caller. */
 static enum err_code server_read_stores(struct server *sv, size_t readers, struct err *e)
 {
     const struct server_config *cfg = &sv->cfg;
     bool clips = false;
-    enum err_code rc = clip_of_options(cfg->clip, cfg->clip_low_m, cfg->clip_high_m, "clip-",
-                                       &sv->clip, &clips, e);
+    enum err_code rc = server_read_clip(cfg, &sv->clip, &clips, e);
     sv->stores = (struct catalog_options){.readers = readers,
                                           .clip = clips ? &sv->clip : NULL,
                                           .clip_dir = cfg->clip_dir,
@@ -207,10 +212,16 @@ enum err_code server_reload(struct server *sv, struct err *e)
     struct err own = {0};
     struct catalog *older = services_catalog(s), *newer = NULL;
     struct tls_pair *pair = NULL;
-    e = e ? e : &own; /* what it says is kept */
-    enum err_code rc = s->tls ? tls_read(s->tls, &pair, e) : ERR_OK;
+    struct clip clip;
+    struct catalog_options stores = sv->stores;
+    bool clips = false;
+    e = e ? e : &own;                                                /* what it says is kept */
+    enum err_code rc = server_read_clip(&sv->cfg, &clip, &clips, e); /* as its file is now */
+    stores.clip = clips ? &clip : NULL;
+    if (!rc && s->tls)
+        rc = tls_read(s->tls, &pair, e);
     if (!rc)
-        rc = catalog_open(sv->paths, sv->n_paths, &sv->stores, older, &newer, e);
+        rc = catalog_open(sv->paths, sv->n_paths, &stores, older, &newer, e);
     if (!rc && s->tls)
         tls_use(s->tls, &pair);
     tls_discard(&pair);
@@ -218,6 +229,7 @@ enum err_code server_reload(struct server *sv, struct err *e)
         atomic_fetch_add(&s->metrics.reload_failed, 1);
     services_set_catalog(s, newer, rc ? e->msg : "");
     catalog_drop(&older);
+    clip_free(&clip);
     return rc;
 }
 
