@@ -20,11 +20,24 @@ struct crs {
     OGRCoordinateTransformationH to, from;
 };
 
-int crs_utm(double lon_deg, double lat_deg)
+/* Norway's zone 32 takes three degrees of 31, and Svalbard has four wide zones. */
+static int crs_zone(double lon_deg, double lat_deg)
 {
     int zone = (int)floor((lon_deg + 180.0) / 6.0) + 1;
-    zone = zone < 1 ? 1 : zone > 60 ? 60 : zone;
-    return (lat_deg >= 0.0 ? 32600 : 32700) + zone;
+    if (lat_deg >= 56.0 && lat_deg < 64.0 && lon_deg >= 3.0 && lon_deg < 12.0)
+        return 32;
+    if (lat_deg >= 72.0 && lon_deg >= 0.0 && lon_deg < 42.0)
+        return lon_deg < 9.0 ? 31 : lon_deg < 21.0 ? 33 : lon_deg < 33.0 ? 35 : 37;
+    return zone < 1 ? 1 : zone > 60 ? 60 : zone;
+}
+
+int crs_utm(double lon_deg, double lat_deg)
+{
+    if (lat_deg >= 84.0)
+        return 32661;
+    if (lat_deg < -80.0)
+        return 32761;
+    return (lat_deg >= 0.0 ? 32600 : 32700) + crs_zone(lon_deg, lat_deg);
 }
 
 /* Longitude first, east first, whatever the authority says. */

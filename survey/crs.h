@@ -11,7 +11,8 @@
 #include "core/err.h"
 
 struct crs; /* one thread at a time */
-/* The EPSG code of the UTM zone that holds a place (WGS 84: 326xx north, 327xx south). */
+/* The EPSG code of the UTM zone that holds a place (WGS 84: 326xx north, 327xx south; those of
+ * Norway and Svalbard are irregular), of UPS north of 84 and south of 80 degrees. */
 int crs_utm(double lon_deg, double lat_deg);
 /* ERR_ARG: no such code, or one whose axes are not metres in the plane. */
 enum err_code crs_open(int epsg, struct crs **out, struct err *e) ERR_USE;

@@ -381,6 +381,10 @@ static void nonsense_is_refused(void **state)
     crs_close(&crs);
     assert_int_equal(crs_utm(-179.9, -10), 32701);
     assert_int_equal(crs_utm(180, 10), 32660);
+    assert_int_equal(crs_utm(5.3, 60.4), 32632);  /* Bergen */
+    assert_int_equal(crs_utm(15.6, 78.2), 32633); /* Longyearbyen */
+    assert_int_equal(crs_utm(0, 84), 32661);
+    assert_int_equal(crs_utm(0, -80.1), 32761);
 }
 
 /* Through the program: exit codes, one line of error, nothing left. */
