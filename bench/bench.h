@@ -28,6 +28,7 @@ struct bench {
     /* Of the studies `rd` and `pyramid`, NULL when not given: the scene; what was made of it; where
      * rows go. */
     const char *scene, *tiles, *trained, *record;
+    double edge_m;                                  /* of `map`: one square alone; 0: all */
     const char *dataset, *study, *command, *commit; /* what rows say of themselves */
     struct json_t *lines;                           /* rows so far, or NULL */
 };

@@ -102,7 +102,9 @@ enum err_code bench_map(struct bench *b, struct err *e)
         rc = map_store(b->quick ? 1 : MAP_SIDE, MAP_COPY, store, e);
     if (!rc)
         rc = nadir_open(store, &no, &n, e);
-    for (size_t i = 0; !rc && i < n_squares; i++)
+    if (!rc && b->edge_m > 0)
+        rc = map_square(b, n, b->edge_m, 0.1, path, e);
+    for (size_t i = 0; !rc && i < n_squares && !(b->edge_m > 0); i++)
         rc = map_square(b, n, b->quick ? map_quick[i].edge_m : map_squares[i].edge_m,
                         b->quick ? map_quick[i].gsd_m : map_squares[i].gsd_m, path, e);
     nadir_close(&n);

@@ -288,6 +288,7 @@ int main(int argc, char **argv)
     b.scene = cfg.scene;
     b.tiles = cfg.tiles;
     b.trained = cfg.trained ? cfg.trained : cfg.scene;
+    b.edge_m = cfg.edge_m;
     b.record = cfg.record;
     b.dataset = cfg.dataset ? cfg.dataset : "unnamed";
     b.study = cfg.study;

@@ -1,0 +1,33 @@
+#!/usr/bin/env bash
+# QGIS, without a screen, opens an orthophoto, a surface model, and a server's map as XYZ tiles and as WMTS: what it
+# draws lies where it is. Skipped without QGIS (Debian: qgis python3-qgis, 1 GB, not installed by bootstrap).
+#
+#   QGIS_SHOTS=FOLDER   keeps the pictures
+#
+# SPDX-License-Identifier: Apache-2.0
+set -u
+bin=${CITYSPLAT_BIN:?run this test through ctest}
+here=$(cd "$(dirname "$0")" && pwd)
+work=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-qgis-XXXXXX") || exit 1
+server=
+trap '[ -z "$server" ] || kill "$server"; wait; rm -rf "$work"' EXIT
+export QT_QPA_PLATFORM=offscreen HOME=$work XDG_RUNTIME_DIR=$work no_proxy=127.0.0.1
+skip() { echo "skipped: $*"; exit 77; }
+
+/usr/bin/python3 -c 'import qgis.core' 2>/dev/null || skip "no QGIS for Python: Debian's packages qgis and python3-qgis have it"
+command -v node >/dev/null || skip "no Node.js: it makes the test city"
+node "$here/city.mjs" "$work" || exit 1
+"$bin" ortho -q "$work/city.tiles" -o "$work/ortho.tif" --gsd-m 0.25 || exit 1
+"$bin" dsm -q "$work/city.tiles" -o "$work/dsm.tif" --gsd-m 0.25 || exit 1
+"$bin" serve "$work/city.tiles" --port 0 --no-access-log >"$work/out" 2>"$work/log" &
+server=$!
+for _ in $(seq 200); do
+    url=$(sed -n 's|.*\(http://[^/]*\)/.*|\1|p' "$work/out")
+    [ -z "$url" ] || break
+    sleep 0.1
+done
+[ -n "$url" ] || { cat "$work/log"; exit 1; }
+timeout 200 /usr/bin/python3 "$here/show.py" "$work/places.json" "$work" "$url/d/fcity"
+rc=$?
+[ -z "${QGIS_SHOTS:-}" ] || cp "$work"/qgis-*.png "$QGIS_SHOTS"
+exit $rc
