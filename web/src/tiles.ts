@@ -40,7 +40,12 @@ export interface CityTile extends Tile {
     hasRenderableContent: boolean;
     basePath: string;
   };
-  traversal: Tile["traversal"] & { used: boolean; error: number; visible: boolean };
+  traversal: Tile["traversal"] & {
+    used: boolean;
+    error: number;
+    visible: boolean;
+    lastFrameVisited: number;
+  };
   engineData: { transform: Matrix4 };
 }
 
@@ -54,6 +59,7 @@ export interface Broken {
 // Members of 3d-tiles-renderer that its type declarations leave out.
 interface Base {
   isLoading: boolean;
+  frameCount: number;
   stats: Record<string, number>;
   lruCache: LRUCache;
   loadingTiles: Set<CityTile>;
@@ -134,8 +140,11 @@ export class CityTiles extends BaseTiles {
     for (let up = tile.parent; up; up = up.parent) if (up.internal.hasRenderableContent) first = up;
     const there = first.internal.loadingState === LOADED || this.broken.has(first);
     if (!there) return true;
-    const between = tile.children.length > 0 && tile.traversal.error > this.errorTarget;
-    return between && this.comesSoon();
+    // Of a tile that is wanted for its neighbours' sake, beside the picture, no finer one will come.
+    const finer = tile.children.some(
+      ({ traversal }) => traversal.used && traversal.lastFrameVisited === this.frameCount,
+    );
+    return finer && tile.traversal.error > this.errorTarget && this.comesSoon();
   }
 
   private comesSoon(): boolean {
