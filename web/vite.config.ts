@@ -4,13 +4,16 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import { createHash } from "node:crypto";
-import { cpSync, mkdirSync, writeFileSync } from "node:fs";
+import { cpSync, mkdirSync, readFileSync, writeFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { dirname, join } from "node:path";
 import { buildSync } from "esbuild";
 import { defineConfig, type Plugin } from "vite";
 
 const CESIUM_BASE_URL = JSON.stringify("./cesium/"); // beside the page
+
+// For examples/maplibre.html.
+const MAPLIBRE_PARTS = ["maplibre-gl.mjs", "maplibre-gl-worker.mjs", "maplibre-gl.css"];
 
 // What Cesium fetches while it runs, and its own bundle for examples/cesium.html.
 const CESIUM_PARTS = [
@@ -26,18 +29,19 @@ const CESIUM_PARTS = [
   "Assets/Textures/moonSmall.jpg",
 ];
 
-function copyCesium(): Plugin {
+// Files of an npm package into a folder of dist/.
+function copyParts(name: string, below: string, parts: string[], folder: string): Plugin {
   let out = "";
   return {
-    name: "copy-cesium",
+    name: `copy-${folder}`,
     apply: "build",
-    configResolved: (config) => void (out = join(config.root, config.build.outDir, "cesium")),
+    configResolved: (config) => void (out = join(config.root, config.build.outDir, folder)),
     closeBundle() {
       const from = join(
-        dirname(createRequire(import.meta.url).resolve("cesium/package.json")),
-        "Build/Cesium",
+        dirname(createRequire(import.meta.url).resolve(`${name}/package.json`)),
+        below,
       );
-      for (const part of CESIUM_PARTS) {
+      for (const part of parts) {
         mkdirSync(dirname(join(out, part)), { recursive: true });
         cpSync(join(from, part), join(out, part), { recursive: true });
       }
@@ -154,14 +158,18 @@ const server = process.env["CITYSPLAT_SERVER"] ?? "http://127.0.0.1:8080";
 const builds = {
   page: { plugins: [leaveOutGltf(), copyDraco(), addPolicy(POLICY)], build: { chunkSizeWarningLimit: 1500 } },
   globe: {
-    plugins: [bundleCesium(), copyCesium(), addPolicy(POLICY_GLOBE)],
+    plugins: [
+      bundleCesium(),
+      copyParts("cesium", "Build/Cesium", CESIUM_PARTS, "cesium"),
+      addPolicy(POLICY_GLOBE),
+    ],
     build: {
       emptyOutDir: false,
       rollupOptions: { input: "cesium.html" },
     },
   },
   module: {
-    plugins: [leaveOutGltf(), copyDraco()],
+    plugins: [leaveOutGltf(), copyDraco(), copyParts("maplibre-gl", "dist", MAPLIBRE_PARTS, "maplibre")],
     build: {
       emptyOutDir: false,
       rollupOptions: {
@@ -173,10 +181,15 @@ const builds = {
   },
 };
 
+const { version } = JSON.parse(readFileSync(new URL("package.json", import.meta.url), "utf8")) as {
+  version: string;
+};
+
 export default defineConfig(({ mode }) => {
   const { plugins, build } = builds[mode === "globe" || mode === "module" ? mode : "page"];
   return {
     base: "./",
+    define: { __VERSION__: JSON.stringify(version) },
     plugins,
     publicDir: mode === "module" || mode === "globe" ? false : "public",
     build: { target: "es2022", sourcemap: false, ...build },

@@ -15,7 +15,10 @@ import { parseArgs } from "node:util";
 
 const HERE = dirname(fileURLToPath(import.meta.url));
 const BROWSER_TESTS = new Set(
-    ["viewer", "appearance", "away", "thin", "map", "embed", "layers", "shot", "habits", "cesium", "globe", "engines", "three", "raster", "parts"],
+    [
+        ...["viewer", "appearance", "away", "thin", "map", "embed", "layers", "shot", "module", "habits"],
+        ...["cesium", "globe", "engines", "three", "raster", "parts", "maplibre"],
+    ],
 );
 const TESTS = ["api", "views", "decoder", "source", "pick", "validate", "readers", "las", "writers", "seed", "tools", ...BROWSER_TESTS];
 const SKIP = 77;

@@ -25,7 +25,7 @@ import type { Overlay } from "./overlay";
 import { Preview } from "./preview";
 import type { SceneInfo } from "./source";
 import { text } from "./strings";
-import { CityTiles, type Broken, type CityTile } from "./tiles";
+import { CityTiles, type Broken, type CardTurn, type CityTile } from "./tiles";
 import { Tint } from "./tint";
 
 export interface CityStats {
@@ -55,6 +55,8 @@ export class City {
   onCore: (core: Box3) => void = () => {}; // where most Gaussians of the scene are
   onContext: (lost: boolean) => void = () => {};
   onFailure: (error: Error) => void = () => {};
+  onCard: CardTurn = (run) => run();
+  private readonly shared: boolean; // the context is somebody else's: nothing is cleared, depth is kept
   private readonly decoders = new DecoderPool();
   private readonly cache = new LRUCache();
   private active: CityTiles | null = null;
@@ -66,17 +68,24 @@ export class City {
   private sizeKey = "";
   private fresh = false; // the last frame shows the newest order
 
-  // Throws when the browser has no WebGL 2.
+  // surface: a canvas of its own, or the renderer of a context that others draw into as well. Throws
+  // when the browser has no WebGL 2.
   constructor(
-    readonly canvas: HTMLCanvasElement,
+    surface: HTMLCanvasElement | WebGLRenderer,
     private readonly camera: PerspectiveCamera,
     private readonly link: Link,
     memoryBytes: number,
   ) {
+    this.shared = surface instanceof WebGLRenderer;
     // No multisampling: splats have no edges to smooth, and it costs.
-    this.renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: "high-performance" });
+    this.renderer =
+      surface instanceof WebGLRenderer
+        ? surface
+        : new WebGLRenderer({ canvas: surface, antialias: false, powerPreference: "high-performance" });
+    const canvas = this.renderer.domElement;
     this.renderer.setClearColor(0x000000, 1);
     this.engine = new Gaussians(this.renderer);
+    this.engine.setTested(this.shared);
     this.preview = new Preview(this.renderer, this.engine);
     this.engine.onOrder = () => {
       this.fresh = false;
@@ -142,6 +151,7 @@ export class City {
     frame.worldFromEcef.decompose(tiles.group.position, tiles.group.quaternion, tiles.group.scale);
     tiles.group.updateMatrixWorld(true);
     tiles.setCamera(this.camera);
+    tiles.onCard = this.onCard;
     tiles.onBlock = (tile, block) => this.measure(tile, block);
     for (const name of ["needs-update", "tiles-load-end", "load-error"] as const)
       tiles.addEventListener(name, () => this.onWake());
@@ -234,7 +244,8 @@ export class City {
   // The view at another size, of the tiles that are there, for whoever reads the canvas in `use`. The
   // canvas is as before when that is done.
   drawOnce<T>(width: number, height: number, sky: boolean, use: () => Promise<T>): Promise<T> {
-    const { renderer, camera, canvas, backdrop, engine } = this;
+    const { renderer, camera, backdrop, engine } = this;
+    const canvas = renderer.domElement;
     const gl = renderer.getContext();
     const [across, down] = gl.getParameter(gl.MAX_VIEWPORT_DIMS) as Int32Array;
     const most = Math.min(across!, down!, gl.getParameter(gl.MAX_RENDERBUFFER_SIZE) as number);
@@ -275,21 +286,23 @@ export class City {
   // tested against them: so what is half transparent in front of a model is seen as such.
   private render() {
     const { renderer, scene, camera, engine, over, layers } = this;
-    renderer.autoClear = true;
-    engine.setTested((layers?.models.children.length ?? 0) > 0);
+    renderer.autoClear = !this.shared;
+    engine.setTested(this.shared || (layers?.models.children.length ?? 0) > 0);
     if (this.split === null) renderer.render(scene, camera);
     else this.renderSides(this.split);
     renderer.autoClear = false;
     const lines = (over?.group.children.length ?? 0) > 0;
-    const drawDepth = () => {
-      engine.setSolid(true);
-      renderer.render(engine.mesh, camera);
-      engine.setSolid(false);
-    };
-    if (layers && !layers.drape.empty) layers.drape.draw(renderer, camera, drawDepth);
-    else if (lines && over!.needsDepth) drawDepth();
+    if (layers && !layers.drape.empty) layers.drape.draw(renderer, camera, () => this.renderDepth());
+    else if (this.shared || (lines && over!.needsDepth)) this.renderDepth();
     if (lines) renderer.render(this.lines, camera);
     renderer.autoClear = true;
+  }
+
+  private renderDepth() {
+    const { renderer, camera, engine } = this;
+    engine.setSolid(true);
+    renderer.render(engine.mesh, camera);
+    engine.setSolid(false);
   }
 
   private renderSides(share: number) {
@@ -363,6 +376,10 @@ export class City {
     this.preview.dispose();
     this.engine.dispose();
     this.backdrop.dispose();
+    this.lost = true; // nothing is drawn any more
+    this.onContext = () => {};
     this.renderer.dispose();
+    // A page has few contexts, and the canvas may be held by others.
+    if (!this.shared) this.renderer.forceContextLoss();
   }
 }

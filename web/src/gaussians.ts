@@ -104,7 +104,7 @@ export class Gaussians {
   private shown: Block[] = []; // those of the order on the screen
   private planes: Planes | null = null;
   private rows = 0;
-  private tested = false; // against the depth of models
+  private tested = false; // against what the depth buffer holds already: models, others' maps
   private shPlanes = 0;
   private embedPlanes = 0;
   private order: DataTexture | null = null;

@@ -59,6 +59,10 @@ export function isForScene(event: KeyboardEvent): boolean {
   return !presses && target.closest("input, select, textarea, dialog[open], .leaflet-container") === null;
 }
 
+// Of several in one page, keys and gamepad move the one that was touched or focused last.
+const stages = new Set<Stage>();
+let active: Stage | null = null;
+
 interface Drag {
   kind: "pan" | "turn" | "look";
   x: number;
@@ -101,6 +105,9 @@ export class Stage {
     on("pointercancel", (event) => this.release(event));
     on("contextmenu", (event) => event.preventDefault());
     on("wheel", (event) => this.wheel(event));
+    surface.addEventListener("focusin", () => (active = this), { signal });
+    stages.add(this);
+    active ??= this;
     surface.style.touchAction = "none";
     window.addEventListener("keydown", (event) => this.key(event), { signal });
     window.addEventListener("keyup", (event) => this.held.delete(event.code), { signal });
@@ -109,6 +116,10 @@ export class Stage {
 
   dispose() {
     this.listening.abort();
+    this.flight?.done();
+    this.flight = null;
+    stages.delete(this);
+    if (active === this) [active = null] = stages;
   }
 
   // What the camera looks at, in world metres. Heights are those of most Gaussians, so the lower
@@ -466,7 +477,7 @@ export class Stage {
   // ---- keys and gamepad ----
 
   private key(event: KeyboardEvent) {
-    if (!this.keyboard || !(event.code in KEYS) || !isForScene(event)) return;
+    if (!this.keyboard || active !== this || !(event.code in KEYS) || !isForScene(event)) return;
     event.preventDefault();
     if (!this.held.size) this.takeOver();
     this.held.add(event.code);
@@ -484,7 +495,7 @@ export class Stage {
   }
 
   private applyGamepad(seconds: number) {
-    const pad = this.keyboard ? navigator.getGamepads?.().find((one) => one?.connected) : null;
+    const pad = this.keyboard && active === this ? navigator.getGamepads?.().find((one) => one?.connected) : null;
     if (!pad) return;
     const axis = (i: number) => (Math.abs(pad.axes[i] ?? 0) > 0.15 ? pad.axes[i]! : 0);
     const button = (i: number) => pad.buttons[i]?.value ?? 0;

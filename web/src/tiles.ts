@@ -49,6 +49,9 @@ export interface CityTile extends Tile {
   engineData: { transform: Matrix4 };
 }
 
+// Runs what uploads to the card: at once, or when the owner of the context draws next.
+export type CardTurn = (run: () => void) => void | Promise<void>;
+
 export interface Broken {
   name: string;
   why: string;
@@ -80,6 +83,7 @@ export class CityTiles extends BaseTiles {
   readonly broken = new Map<CityTile, Broken>();
   readonly blocks = new Map<CityTile, Block>();
   onBlock: (tile: CityTile, block: Block) => void = () => {};
+  onCard: CardTurn = (run) => run();
   bytes = 0; // of the tiles that came
   frozen = false; // asks for nothing more: another set of tiles takes its place
   count = 0; // of them
@@ -238,11 +242,14 @@ export class CityTiles extends BaseTiles {
     if (turned) throw new Error("is turned or scaled against its tileset");
     const offset = new Vector3().setFromMatrixPosition(toWorld).toArray();
     const splats = await this.decoders.decode(file, offset, signal);
-    if (signal.aborted) return null;
-    const block = this.engine.add(splats, this.tint);
-    this.blocks.set(tile, block);
-    this.broken.delete(tile);
-    this.bytes += size;
+    let block = null as Block | null;
+    await this.onCard(() => {
+      if (signal.aborted) return;
+      block = this.engine.add(splats, this.tint);
+      this.blocks.set(tile, block);
+      this.broken.delete(tile);
+      this.bytes += size;
+    });
     return block;
   }
 

@@ -32,6 +32,9 @@ import { decodeOnce } from "./core";
 import type { Network } from "./network";
 import { Tint } from "./tint";
 
+// Of this module, as semantic versioning has it: what docs/viewer.md names is what it promises.
+export const version: string = __VERSION__;
+
 export type { Appearance, Basemap, CityStats, LinkState, MapTiles, Place, Pose, SceneEntry, Walk };
 
 export {
@@ -186,6 +189,7 @@ export class Viewer {
   private sharpness = 1; // of the picture while the camera moves; always 1 at rest
   private readonly resizing: ResizeObserver;
   private theme: "dark" | "light";
+  private readonly positions: boolean; // the container, which had no position of its own
 
   constructor(
     readonly container: HTMLElement,
@@ -205,7 +209,8 @@ export class Viewer {
     Object.assign(this.surface.style, { overflow: "hidden", outline: "none", background: "#0b0e13" });
     this.surface.tabIndex = 0;
     this.surface.append(this.canvas, this.pictureCanvas);
-    if (getComputedStyle(container).position === "static") container.style.position = "relative";
+    this.positions = getComputedStyle(container).position === "static";
+    if (this.positions) container.style.position = "relative";
     container.append(this.surface);
 
     this.wantedAppearance = options.appearance ?? "";
@@ -878,6 +883,7 @@ export class Viewer {
     this.city?.dispose();
     this.link.dispose();
     this.surface.remove();
+    if (this.positions) this.container.style.position = "";
     this.handlers.clear();
   }
 }
@@ -886,3 +892,5 @@ export function createViewer(container: HTMLElement, options: ViewerOptions = {}
   return new Viewer(container, options);
 }
 
+export { createMapLayer, MapLayer } from "./maplayer";
+export type { MapFrame, MapHost, MapLayerEvents, MapLayerOptions, MapLayerState } from "./maplayer";

@@ -1,0 +1,243 @@
+// The module that others build with, from their side: its version, its declarations compiled by a page
+// in TypeScript, its size; nothing of the page around it changes; several stand in one page, and
+// nothing is left of one that was disposed of.
+//
+// SPDX-License-Identifier: Apache-2.0
+import assert from "node:assert/strict";
+import { cpSync, mkdirSync, mkdtempSync, readdirSync, readFileSync, rmSync, symlinkSync, writeFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { tmpdir } from "node:os";
+import { dirname, join } from "node:path";
+import { after, before, test } from "node:test";
+import { fileURLToPath } from "node:url";
+import { gzipSync } from "node:zlib";
+
+import { openPage } from "./lib/browser.mjs";
+import { measureContent, NORTH, rmsDifference, SOUTH } from "./lib/checks.mjs";
+import { decodePng } from "./lib/png.mjs";
+import { openSource } from "./lib/source.mjs";
+
+const HERE = dirname(fileURLToPath(import.meta.url));
+const WEB = join(HERE, "../../web");
+const DIST = join(WEB, "dist");
+const SIZE = { width: 640, height: 400 };
+const TIMEOUT_MS = 60000;
+const ALL_GZIP_MAX = 330_000; // the module with its workers, as docs/viewer.md says
+const CYCLES = 20; // a browser has 16 contexts of WebGL
+
+test("the version is the package's, and semantic", async () => {
+    const { name, version } = JSON.parse(readFileSync(join(WEB, "package.json"), "utf8"));
+    assert.equal(name, "@citysplat/viewer");
+    assert.match(version, /^\d+\.\d+\.\d+(-[\w.]+)?$/);
+    assert.ok(readFileSync(join(DIST, "viewer.js"), "utf8").includes(`"${version}"`), "not in the module");
+});
+
+test("a page in TypeScript compiles against what the module ships", () => {
+    const dir = mkdtempSync(join(tmpdir(), "citysplat-types-"));
+    try {
+        const scope = join(dir, "node_modules/@citysplat");
+        mkdirSync(scope, { recursive: true });
+        symlinkSync(WEB, join(scope, "viewer"));
+        symlinkSync(join(HERE, "node_modules/maplibre-gl"), join(dir, "node_modules/maplibre-gl"));
+        cpSync(join(HERE, "consumer.ts"), join(dir, "consumer.ts"));
+        writeFileSync(join(dir, "package.json"), '{ "type": "module" }');
+        const ts = createRequire(join(WEB, "package.json"))("typescript");
+        const program = ts.createProgram([join(dir, "consumer.ts")], {
+            target: ts.ScriptTarget.ES2022,
+            module: ts.ModuleKind.ESNext,
+            moduleResolution: ts.ModuleResolutionKind.Bundler,
+            lib: ["lib.es2023.d.ts", "lib.dom.d.ts", "lib.dom.iterable.d.ts"],
+            strict: true,
+            noEmit: true,
+            types: [],
+        });
+        // Our files alone: those of other packages are theirs to check.
+        const mine = program.getSourceFiles().filter(({ fileName }) => /consumer\.ts$|dist\/types\//.test(fileName));
+        const of = (file) => [...program.getSyntacticDiagnostics(file), ...program.getSemanticDiagnostics(file)];
+        const ours = [...program.getOptionsDiagnostics(), ...mine.flatMap(of)]
+            .map(({ file, start, messageText }) => {
+                const line = file ? file.getLineAndCharacterOfPosition(start).line + 1 : 0;
+                return `${file?.fileName}:${line}: ${ts.flattenDiagnosticMessageText(messageText, " ")}`;
+            });
+        assert.deepEqual(ours, []);
+        assert.ok(mine.length > 3, "the declarations were not read");
+    } finally {
+        rmSync(dir, { recursive: true, force: true });
+    }
+});
+
+test("with its workers it is as small as the documents say", (t) => {
+    const text = readFileSync(join(DIST, "viewer.js"), "utf8");
+    const workers = readdirSync(join(DIST, "assets")).filter((name) => name.endsWith(".js") && text.includes(name));
+    assert.equal(workers.length, 2, workers.join());
+    const size = ["viewer.js", ...workers.map((name) => `assets/${name}`)]
+        .map((name) => gzipSync(readFileSync(join(DIST, name))).length)
+        .reduce((sum, n) => sum + n);
+    t.diagnostic(`${size} bytes gzipped`);
+    assert.ok(size < ALL_GZIP_MAX, `${size} bytes gzipped`);
+});
+
+let source;
+let opened;
+let page;
+before(async () => {
+    source = await openSource();
+    opened = await openPage(`${source.url}/examples/embed.html?url=none`, SIZE);
+    page = opened.page;
+    await page.evaluate(() => {
+        window.viewer.dispose();
+        window.viewer = null;
+        document.body.innerHTML = '<p id="text">Around it</p><div id="a"></div><div id="b"></div>';
+        for (const id of ["a", "b"]) document.getElementById(id).style.cssText = "width:300px;height:200px;float:left";
+    });
+});
+after(async () => {
+    await opened?.close();
+    await source?.close();
+});
+
+const make = (id, more = {}) =>
+    page.evaluate(
+        async ([id, more]) => {
+            const { createViewer } = await import("../viewer.js");
+            window[id] = createViewer(document.getElementById(id), { url: "../", ...more });
+        },
+        [id, more],
+    );
+const ready = (id) => page.waitForFunction((name) => window[name].state.ready, id, { timeout: TIMEOUT_MS });
+const part = async (id) => decodePng(await page.locator(`#${id}`).screenshot());
+
+// What a page around the viewer can see of it.
+const traces = () =>
+    page.evaluate(() => ({
+        sheets: document.styleSheets.length + document.adoptedStyleSheets.length,
+        head: document.head.querySelectorAll("style, link, script").length,
+        root: document.documentElement.getAttributeNames().join(),
+        body: document.body.getAttributeNames().join(),
+        globals: Object.keys(window).filter((name) => !["a", "b"].includes(name)).sort().join(),
+        text: JSON.stringify(Object.fromEntries([...getComputedStyle(document.getElementById("text"))].map((name) => [name, getComputedStyle(document.getElementById("text"))[name]]))),
+        container: document.getElementById("a").style.cssText,
+        children: document.body.children.length,
+    }));
+
+test("it changes nothing of the page around it, and takes itself away", async () => {
+    const before = await traces();
+    await make("a");
+    await ready("a");
+    const { container, ...during } = await traces();
+    const { container: own, ...without } = before;
+    assert.deepEqual(during, without);
+    assert.match(container, /position: relative/);
+    assert.doesNotMatch(own, /position/);
+    await page.evaluate(() => (window.a.dispose(), (window.a = null)));
+    assert.deepEqual(await traces(), before);
+    assert.equal(await page.locator("#a > *").count(), 0);
+});
+
+test("two in one page draw their own views, and keys move the one that has the focus", async () => {
+    await Promise.all([make("a"), make("b")]);
+    await Promise.all([ready("a"), ready("b")]);
+    await page.evaluate(([a, b]) => (window.a.lookAt(a), window.b.lookAt(b)), [SOUTH, NORTH]);
+    await Promise.all([ready("a"), ready("b")]);
+    const [a, b] = [await part("a"), await part("b")];
+    for (const png of [a, b]) assert.ok(measureContent(png).colors > 10, `${measureContent(png).colors} colours`);
+    assert.ok(rmsDifference(a, b) > 10, "both show the same view");
+    const poses = () => page.evaluate(() => [window.a.pose, window.b.pose]);
+    for (const [id, moves, rests] of [["b", 1, 0], ["a", 0, 1]]) {
+        const from = await poses();
+        await page.locator(`#${id} > [tabindex]`).focus();
+        await page.keyboard.down("e");
+        await page.waitForFunction(
+            ([name, heading]) => Math.abs(window[name].pose.heading - heading) > 2,
+            [id, from[moves].heading],
+            { timeout: TIMEOUT_MS },
+        );
+        await page.keyboard.up("e");
+        assert.deepEqual((await poses())[rests], from[rests], `keys for ${id} move the other one`);
+    }
+    // One goes, the other stays and takes the keys.
+    await page.evaluate(() => window.a.dispose());
+    const { heading } = (await poses())[1];
+    await page.keyboard.down("e");
+    await page.waitForFunction((h) => Math.abs(window.b.pose.heading - h) > 2, heading, { timeout: TIMEOUT_MS });
+    await page.keyboard.up("e");
+    await page.evaluate(() => window.b.dispose());
+    await page.evaluate(() => (window.a = window.b = null));
+    assert.deepEqual(opened.log.filter((line) => !/404/.test(line)), []);
+});
+
+test("a frame that loads when asked: the server's picture before it, and the same view in it", async (t) => {
+    const frame = await openPage("about:blank", { width: 800, height: 600 });
+    t.after(() => frame.close());
+    const asked = [];
+    frame.page.on("request", (request) => asked.push(new URL(request.url()).pathname));
+    await frame.page.goto(`${source.url}/examples/frame.html`);
+    const poster = frame.page.locator("#poster");
+    await frame.page.waitForFunction(() => document.getElementById("poster").style.backgroundImage);
+    await frame.page.waitForLoadState("networkidle");
+    assert.deepEqual(frame.log.filter((line) => !/50[13]/.test(line)), []);
+    assert.deepEqual(asked.filter((path) => /assets|viewer|\/t\/|tileset/.test(path)), [], "loaded unasked");
+    const box = await poster.boundingBox();
+    const shot = async (name) => {
+        const folder = process.env.MODULE_SHOTS;
+        return decodePng(await frame.page.screenshot({ clip: box, ...(folder && { path: `${folder}/${name}.png` }) }));
+    };
+    const before = await shot("poster");
+    const drawn = asked.some((path) => path.includes("/static/")) && !frame.log.some((line) => /50[13]/.test(line));
+    await poster.click();
+    const inside = await (await frame.page.waitForSelector("iframe")).contentFrame();
+    await inside.waitForFunction(() => window.citysplat?.state.ready, null, { timeout: TIMEOUT_MS });
+    const after = await shot("frame");
+    assert.ok(measureContent(after).colors > 10);
+    if (drawn) {
+        assert.ok(measureContent(before).colors > 10, "no poster");
+        // The F and the ball, below the words on the picture.
+        const part = (png) => ({ width: 300, height: 80, at: (x, y) => png.at(x + 234, y + 215) });
+        const rms = rmsDifference(part(before), part(after));
+        t.diagnostic(`the frame is ${rms.toFixed(1)} of 255 from its poster`);
+        assert.ok(rms < 12, `the frame shows another view: ${rms} of 255`);
+    }
+});
+
+test(`${CYCLES} viewers one after another leave nothing: no worker, context, request or object`, async (t) => {
+    const warnings = [];
+    page.on("console", (message) => warnings.push(message.text()));
+    const requests = [];
+    page.on("request", (request) => requests.push(request.url()));
+    for (let n = 0; n < CYCLES; n++) {
+        await make("a");
+        // Some of them while their tiles are on their way, the last one whole.
+        if (n % 5 === 0 || n === CYCLES - 1) await ready("a");
+        else await page.waitForFunction(() => window.a.scene, null, { timeout: TIMEOUT_MS });
+        await page.evaluate(() => {
+            window.a.dispose();
+            window.a = null;
+        });
+    }
+    await page.waitForTimeout(300);
+    assert.equal(page.workers().length, 0, "workers are left");
+    assert.deepEqual(warnings.filter((text) => /Too many active WebGL/.test(text)), []);
+    requests.length = 0;
+    const frames = await page.evaluate(async () => {
+        const { requestAnimationFrame: own } = window;
+        let asked = 0;
+        window.requestAnimationFrame = (run) => (asked++, own.call(window, run));
+        await new Promise((done) => setTimeout(done, 500));
+        window.requestAnimationFrame = own;
+        return asked;
+    });
+    assert.deepEqual([frames, requests], [0, []], "it goes on after its end");
+    const session = await page.context().newCDPSession(page);
+    const { result } = await session.send("Runtime.evaluate", {
+        expression: 'import("../viewer.js").then(({ Viewer }) => Viewer.prototype)',
+        awaitPromise: true,
+    });
+    const { objects } = await session.send("Runtime.queryObjects", { prototypeObjectId: result.objectId });
+    const { result: left } = await session.send("Runtime.callFunctionOn", {
+        objectId: objects.objectId,
+        functionDeclaration: "function () { return this.length; }",
+        returnByValue: true,
+    });
+    t.diagnostic(`${left.value} viewers in memory after ${CYCLES} were disposed of`);
+    assert.equal(left.value, 0, "disposed viewers are held");
+});

@@ -1,0 +1,4 @@
+// What the build puts into the scripts.
+//
+// SPDX-License-Identifier: Apache-2.0
+declare const __VERSION__: string; // of package.json

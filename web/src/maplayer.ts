@@ -1,0 +1,396 @@
+// The city as a layer of a MapLibre map: drawn into the map's own WebGL context, with the map's camera
+// and against the map's depth, so that extrusions and terrain hide it and it hides what comes after.
+//
+// The state of the context belongs to the map: nothing touches it outside render(), after which MapLibre
+// sets all of it anew. Tiles that come in between wait for the next frame.
+//
+// A map is flat (or a ball) and its heights begin at it; ours are above the ellipsoid. The city is one
+// rigid body, true in size at its origin.
+//
+// SPDX-License-Identifier: Apache-2.0
+import { Box3, Matrix4, PerspectiveCamera, Ray, Vector3, WebGLRenderer } from "three";
+
+import { City, type CityStats } from "./city";
+import { Frame, type Place } from "./geo";
+import { Link, type LinkState } from "./link";
+import type { Network } from "./network";
+import { pickMedian } from "./pick";
+import { Problem } from "./problem";
+import { findScenes, listAppearances, openScene, type Appearance, type SceneEntry, type SceneInfo } from "./source";
+import { Tint } from "./tint";
+
+export interface MapLayerOptions {
+  id?: string; // of the layer; default: "citysplat"
+  url?: string | URL; // a citysplat server's folder or a tileset.json; default: the page's folder
+  scene?: string; // its id; default: the first
+  appearance?: string; // default: ""
+  // Metres from the map's zero up to the ellipsoid's, subtracted from all heights. "ground": the city
+  // stands on the map. Default: 0 where the map has terrain, else "ground".
+  lower?: number | "ground";
+  memoryMb?: number; // for tiles, on the card and in the page together; default 512
+  detail?: number; // px that a typical Gaussian may have on the screen; default 1
+}
+
+export interface MapLayerEvents {
+  scene: SceneEntry; // opened: its bounds are known
+  ready: MapLayerState; // all that this view wants is on the screen
+  appearance: string; // the new one is asked for or computed, and comes with the next frames
+  link: LinkState;
+  problem: Error;
+}
+
+export interface MapLayerState extends Omit<CityStats, "broken"> {
+  ready: boolean;
+  scene: string | null;
+  appearance: string;
+  link: LinkState;
+  broken: { name: string; why: string }[];
+  error: string | null;
+}
+
+// What the layer needs of a map, and of what a map says in each frame: MapLibre GL JS 5 and 6 do.
+export interface MapHost {
+  getCanvas(): HTMLCanvasElement;
+  triggerRepaint(): void;
+  getTerrain?(): unknown;
+}
+export interface MapFrame {
+  nearZ: number;
+  projectionMatrix: ArrayLike<number>;
+  defaultProjectionData: {
+    mainMatrix: ArrayLike<number>;
+    fallbackMatrix: ArrayLike<number>;
+    clippingPlane: ArrayLike<number>;
+    projectionTransition: number; // 0: flat, 1: a ball
+  };
+}
+
+const MEMORY_MB = 512;
+const PX_PER_SIGMA = 16; // a tile's geometric error is 16 times its typical Gaussian
+const RADIUS_M = 6_371_008.8; // MapLibre's Earth is a ball
+const EMPTY: CityStats = {
+  tiles: 0,
+  gaussians: 0,
+  bytes: 0,
+  pending: 0,
+  parsing: 0,
+  came: 0,
+  memory: 0,
+  heldBack: false,
+  broken: [],
+};
+
+type Handler<K extends keyof MapLayerEvents> = (value: MapLayerEvents[K]) => void;
+
+// East, up, south in metres about a place -> MapLibre's flat world, 1 wide, y to the south, z up.
+function flatFrom({ lon, lat }: Place, altitude: number): Matrix4 {
+  const p = (lat * Math.PI) / 180;
+  const unit = 1 / (2 * Math.PI * RADIUS_M * Math.cos(p));
+  const y = 0.5 - Math.atanh(Math.sin(p)) / (2 * Math.PI);
+  const [east, up, south] = [new Vector3(1, 0, 0), new Vector3(0, 0, 1), new Vector3(0, 1, 0)];
+  return new Matrix4()
+    .makeBasis(east, up, south)
+    .scale(new Vector3(unit, unit, unit))
+    .setPosition((180 + lon) / 360, y, altitude * unit);
+}
+
+// The same -> MapLibre's ball of radius 1: y to the north pole, z to the meridian of Greenwich.
+function ballFrom({ lon, lat }: Place, altitude: number): Matrix4 {
+  const [l, p] = [(lon * Math.PI) / 180, (lat * Math.PI) / 180];
+  const up = new Vector3(Math.sin(l) * Math.cos(p), Math.sin(p), Math.cos(l) * Math.cos(p));
+  const east = new Vector3(Math.cos(l), 0, -Math.sin(l));
+  const south = new Vector3().crossVectors(east, up);
+  const at = up.clone().multiplyScalar(1 + altitude / RADIUS_M);
+  const size = new Vector3(1, 1, 1).divideScalar(RADIUS_M);
+  return new Matrix4().makeBasis(east, up, south).scale(size).setPosition(at);
+}
+
+export class MapLayer {
+  readonly id: string;
+  readonly type = "custom" as const;
+  readonly renderingMode = "3d" as const;
+  scene: SceneEntry | null = null;
+  info: SceneInfo | null = null;
+  private readonly camera = new PerspectiveCamera();
+  private readonly handlers = new Map<string, Set<(value: never) => void>>();
+  private map: MapHost | null = null;
+  private link: Link | null = null;
+  private city: City | null = null;
+  private frame: Frame | null = null;
+  private tint: Tint | null = null;
+  private core: Box3 | null = null; // where most Gaussians are
+  private jobs: (() => void)[] = []; // uploads that wait for the next frame
+  private wanted: string; // appearance
+  private opening = 0;
+  private error: Error | null = null;
+  private wasReady = false;
+
+  constructor(private readonly options: MapLayerOptions = {}) {
+    this.id = options.id ?? "citysplat";
+    this.wanted = options.appearance ?? "";
+    this.camera.matrixAutoUpdate = false;
+  }
+
+  // ---- events and state ----
+
+  on<K extends keyof MapLayerEvents>(name: K, handler: Handler<K>): () => void {
+    const set = this.handlers.get(name) ?? new Set();
+    this.handlers.set(name, set);
+    set.add(handler as (value: never) => void);
+    return () => set.delete(handler as (value: never) => void);
+  }
+
+  private emit<K extends keyof MapLayerEvents>(name: K, value: MapLayerEvents[K]) {
+    for (const handler of this.handlers.get(name) ?? []) (handler as Handler<K>)(value);
+  }
+
+  get state(): MapLayerState {
+    const { broken, ...stats } = this.city?.stats() ?? EMPTY;
+    const link = this.link?.state ?? "ok";
+    const whole = !stats.heldBack && !broken.length && !this.error && link !== "away";
+    return {
+      ...stats,
+      ready: whole && !this.jobs.length && (this.city?.settled ?? false),
+      scene: this.scene?.id ?? null,
+      appearance: this.wanted,
+      link,
+      broken: broken.map(({ name, why }) => ({ name, why })),
+      error: this.error ? this.error.message : null,
+    };
+  }
+
+  // West, south, east, north of the scene in degrees, as fitBounds() takes it; null until it is open.
+  get bounds(): [number, number, number, number] | null {
+    const { info, frame } = this;
+    if (!info || !frame) return null;
+    const { center, half } = info;
+    const corner = (east: number, north: number) =>
+      frame.placeOf(new Vector3(center.x + east * half.x, center.z, -center.y - north * half.y));
+    const [low, high] = [corner(-1, -1), corner(1, 1)];
+    return [low.lon, low.lat, high.lon, high.lat];
+  }
+
+  get attribution(): string {
+    return this.info?.attribution ?? "";
+  }
+
+  // Where the city is at a point of the map's canvas, in CSS pixels; null where there is none.
+  pick(point: { x: number; y: number }): Place | null {
+    const { city, frame, camera, map } = this;
+    if (!city || !frame || !map) return null;
+    const { clientWidth, clientHeight } = map.getCanvas();
+    const far = new Vector3((2 * point.x) / clientWidth - 1, 1 - (2 * point.y) / clientHeight, 0.5);
+    const ahead = far.unproject(camera).sub(camera.position).normalize();
+    const perMetre = 2 / Math.abs(camera.projectionMatrix.elements[5]!) / clientHeight;
+    const found = pickMedian(city.engine.visibleBlocks, new Ray(camera.position.clone(), ahead), perMetre);
+    return found && frame.placeOf(found);
+  }
+
+  // ---- scene and appearance ----
+
+  appearances(): Promise<Appearance[]> {
+    const { link, scene, info } = this;
+    return link && scene ? listAppearances(link, scene, info?.network ?? null) : Promise.resolve([]);
+  }
+
+  // The picture stays as it is until the new one is complete. Where the server offers the network the
+  // colours are computed here, and no tile is asked for.
+  async setAppearance(appearance: string): Promise<void> {
+    const { tint, scene } = this;
+    const before = this.wanted;
+    this.wanted = appearance;
+    if (!scene) return;
+    if (!tint) return this.open(scene, true);
+    try {
+      const image = await tint.network.find(appearance);
+      if (tint !== this.tint || this.wanted !== appearance) return;
+      tint.set(image, appearance);
+      this.emit("appearance", appearance);
+      this.wake();
+    } catch (error) {
+      if (this.wanted === appearance) this.wanted = before;
+      this.fail(error);
+    }
+  }
+
+  private async start(link: Link) {
+    const url = new URL(this.options.url ?? "./", location.href);
+    try {
+      link.watch(/\.json$/.test(url.pathname) ? url : new URL("collections", url));
+      const scenes = await findScenes(link, url);
+      const id = this.options.scene;
+      const entry = id === undefined ? scenes[0] : scenes.find((one) => one.id === id);
+      if (!entry) throw new Problem(id === undefined ? "noScenes" : "noScene", { id: id ?? "" });
+      if (link === this.link) await this.open(entry, false);
+    } catch (error) {
+      if (link === this.link) this.fail(error);
+    }
+  }
+
+  // keep: what is drawn stays until the new tiles are complete.
+  private async open(entry: SceneEntry, keep: boolean) {
+    const { link, city } = this;
+    if (!link || !city) return;
+    const ticket = ++this.opening;
+    this.error = null;
+    try {
+      const appearance = this.wanted;
+      const info = await openScene(link, entry, appearance, (network: Network) => city.canTint(network));
+      const image = await info.network?.find(appearance);
+      if (ticket !== this.opening || city !== this.city) return;
+      const tint = info.network && image ? new Tint(info.network) : null;
+      if (image) tint?.set(image, appearance);
+      [this.tint, this.scene, this.info] = [tint, entry, info];
+      link.watch(entry.tileset);
+      if (!keep) this.core = null;
+      this.frame = new Frame(info.transform);
+      city.open(info, this.frame, keep, tint);
+      this.emit(keep ? "appearance" : "scene", (keep ? appearance : entry) as never);
+      this.wake();
+    } catch (error) {
+      if (ticket === this.opening && city === this.city) this.fail(error);
+    }
+  }
+
+  // The server was away: broken tiles are asked for at once, and all of them where it has another
+  // revision now.
+  private async comeBack() {
+    const { link, city, scene, info } = this;
+    city?.retry();
+    if (!link || !scene || !info) return;
+    const now = (await link.json(scene.tileset).catch(() => null)) as { asset?: { tilesetVersion?: string } } | null;
+    const revision = now?.asset?.tilesetVersion ?? "";
+    if (now && info === this.info && revision !== info.revision) await this.open(scene, true);
+  }
+
+  private fail(error: unknown) {
+    if (error instanceof DOMException && error.name === "AbortError") return;
+    this.error = error instanceof Error ? error : new Error(String(error));
+    this.emit("problem", this.error);
+  }
+
+  // ---- as MapLibre calls it ----
+
+  onAdd(map: MapHost) {
+    this.map = map;
+    this.wake();
+  }
+
+  onRemove() {
+    this.opening++;
+    this.jobs = [];
+    this.city?.dispose();
+    this.link?.dispose();
+    [this.map, this.city, this.link, this.tint, this.frame] = [null, null, null, null, null];
+    [this.scene, this.info, this.core, this.wasReady] = [null, null, null, false];
+  }
+
+  render(gl: WebGL2RenderingContext, view: MapFrame) {
+    if (!this.map) return;
+    const city = this.city ?? this.begin(gl);
+    city.renderer.resetState();
+    for (const run of this.jobs.splice(0)) run();
+    if (this.follow(view)) {
+      city.resize(gl.drawingBufferWidth, gl.drawingBufferHeight, 1);
+      city.draw();
+    }
+    const { state } = this;
+    if (state.ready && !this.wasReady) this.emit("ready", state);
+    this.wasReady = state.ready;
+  }
+
+  // The canvas of the renderer is none that is seen: its size is all that is used of it.
+  private begin(gl: WebGL2RenderingContext): City {
+    const canvas = document.createElement("canvas");
+    const renderer = new WebGLRenderer({ canvas, context: gl });
+    const link = new Link();
+    const bytes = (this.options.memoryMb ?? MEMORY_MB) * 2 ** 20;
+    const city = new City(renderer, this.camera, link, bytes);
+    city.backdrop.visible = false;
+    city.errorTarget = PX_PER_SIGMA * (this.options.detail ?? 1);
+    city.onWake = () => this.wake();
+    city.onCore = (core) => (this.core = core);
+    city.onFailure = (error) => this.fail(error);
+    city.onCard = (run) => this.atNextFrame(run);
+    link.onState = (state, before) => {
+      this.emit("link", state);
+      if (before === "away") void this.comeBack();
+      this.wake();
+    };
+    [this.city, this.link] = [city, link];
+    void this.start(link);
+    return city;
+  }
+
+  private wake() {
+    this.map?.triggerRepaint();
+  }
+
+  private atNextFrame(run: () => void): Promise<void> {
+    this.wake();
+    return new Promise((resolve, reject) => {
+      this.jobs.push(() => {
+        try {
+          resolve(run());
+        } catch (error) {
+          reject(error as Error);
+        }
+      });
+    });
+  }
+
+  // ---- the map's camera ----
+
+  private get lower(): number {
+    const { lower = this.map?.getTerrain?.() ? 0 : "ground" } = this.options;
+    if (lower !== "ground") return lower;
+    const { frame, info, core } = this;
+    const ground = core ? core.min.y : info!.center.z - info!.half.z;
+    return frame!.placeOf(new Vector3()).h + ground;
+  }
+
+  // The city's metres -> what is on the screen; null where it is beyond the horizon.
+  private clipFrom(view: MapFrame["defaultProjectionData"], frame: Frame): Matrix4 | null {
+    const origin = frame.placeOf(new Vector3());
+    const altitude = origin.h - this.lower;
+    const share = view.projectionTransition; // a map that becomes a ball is drawn between both
+    const main = new Matrix4().fromArray(view.mainMatrix);
+    if (share <= 0) return main.multiply(flatFrom(origin, altitude));
+    const ball = ballFrom(origin, altitude);
+    const [a = 0, b = 0, c = 0, d = 0] = Array.from(view.clippingPlane);
+    const { x, y, z } = new Vector3().setFromMatrixPosition(ball);
+    if (a * x + b * y + c * z + d < 0) return null;
+    main.multiply(ball);
+    const flat = new Matrix4().fromArray(view.fallbackMatrix).multiply(flatFrom(origin, altitude));
+    return main.multiplyScalar(share).fromArray(
+      main.elements.map((value, i) => value + (1 - share) * flat.elements[i]!),
+    );
+  }
+
+  // Sets the camera to that of the map; false where nothing is to be seen of the city.
+  private follow({ projectionMatrix, nearZ, defaultProjectionData }: MapFrame): boolean {
+    const { frame, camera } = this;
+    const clip = frame && this.clipFrom(defaultProjectionData, frame);
+    if (!clip) return false;
+    // Seen from the camera, in the map's own unit, which has some length in metres.
+    const projection = new Matrix4().fromArray(projectionMatrix);
+    const seen = clip.premultiply(projection.clone().invert());
+    const unit = Math.cbrt(seen.determinant());
+    if (!(unit > 0)) return false;
+    seen.premultiply(new Matrix4().makeScale(1 / unit, 1 / unit, 1 / unit));
+    camera.matrix.copy(seen).invert();
+    camera.matrix.decompose(camera.position, camera.quaternion, camera.scale);
+    camera.matrix.compose(camera.position, camera.quaternion, camera.scale.set(1, 1, 1));
+    projection.elements[14]! /= unit;
+    camera.projectionMatrix.copy(projection);
+    camera.projectionMatrixInverse.copy(projection).invert();
+    camera.near = nearZ / unit;
+    camera.updateMatrixWorld(true);
+    return true;
+  }
+}
+
+// For map.addLayer() of MapLibre GL JS 5 or 6.
+export function createMapLayer(options: MapLayerOptions = {}): MapLayer {
+  return new MapLayer(options);
+}
