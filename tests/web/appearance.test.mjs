@@ -71,7 +71,6 @@ async function choose(id, value) {
         },
         [id, value],
     );
-    await page.waitForTimeout(100);
     await waitForViewer(page);
 }
 

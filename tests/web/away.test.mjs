@@ -24,6 +24,7 @@ before(async () => {
     if (skip.skip) return;
     source = await openSource();
     proxy = await Proxy.open(source.url);
+    proxy.slow = (path) => path.includes("/t/"); // the page itself is there at once
 });
 after(async () => {
     await proxy?.down();
@@ -109,7 +110,7 @@ test("server lost mid-load and back: full detail without a touch, the picture st
     assert.equal(await page.isVisible("#problem"), false, "a box lies over the picture");
     const { share } = measureContent(await barePicture(page));
     assert.ok(share > 0.1, `${share} of the picture shows something`);
-    await page.waitForTimeout(1500);
+    await page.waitForTimeout(700); // longer than its first probe waits
     proxy.bytesPerSecond = Infinity;
     await proxy.up();
     await waitForViewer(page);

@@ -10,7 +10,7 @@ import { makeCity } from "./lib/city.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { firstDataSet, GIVEN_TILES, getJson, openSource } from "./lib/source.mjs";
 
-const SIZE = { width: 800, height: 600 };
+const SIZE = { width: 640, height: 480 };
 const TIMEOUT_MS = 120000;
 
 let source;
@@ -73,12 +73,11 @@ async function look(page, pose) {
             },
         });
     }, pose);
-    await page.waitForTimeout(500);
     await settle(page);
     // Sorted for the new direction when the picture stays as it is, which takes a busy machine seconds.
     let [last, same] = [null, 0];
     for (let tries = 0; same < 2 && tries < 30; tries++) {
-        await page.waitForTimeout(700);
+        await page.waitForTimeout(400);
         const picture = decodePng(await page.screenshot());
         same = last && rmsDifference(picture, last) === 0 ? same + 1 : 0;
         last = picture;

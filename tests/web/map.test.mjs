@@ -7,7 +7,7 @@ import { readFileSync } from "node:fs";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 
-import { barePicture, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
+import { barePicture, lookViewer, nextFrames, openPage, waitForViewer } from "./lib/browser.mjs";
 import { measureContent, rmsDifference, SOUTH } from "./lib/checks.mjs";
 import { ORIGIN, RED_TOP } from "./lib/city.mjs";
 import { placeOfEnu, project } from "./lib/geo.mjs";
@@ -41,7 +41,7 @@ const pixelOf = (enu) => project(ORIGIN, SOUTH, enu, SIZE.width, SIZE.height);
 async function clickOn(enu) {
     const [x, y] = pixelOf(enu);
     await page.mouse.click(x, y);
-    await page.waitForTimeout(150);
+    await nextFrames(page);
 }
 
 test("a click tells longitude, latitude and height of what is seen there", skip, async () => {
@@ -121,7 +121,7 @@ test("dropped GeoJSON is drawn where it is, and hides behind the city", skip, as
     const front = redPixels(await barePicture(page)) - before;
     assert.ok(front > 60, `${front} pixels of a line in front of the city`);
     await drop(line(0, -12)); // below the ground
-    await page.waitForTimeout(400);
+    await page.waitForFunction(() => window.citysplat.viewer.overlay.group.children.length === 2);
     const both = redPixels(await barePicture(page)) - before;
     assert.ok(both < 1.3 * front, `${both} pixels: the line below the ground is seen`);
     await drop({ type: "FeatureCollection", features: [] });
@@ -196,7 +196,7 @@ test("dragging holds the ground under the pointer, the wheel nears what it point
     await page.mouse.move(...from);
     await page.mouse.down();
     await page.mouse.move(...to, { steps: 6 });
-    await page.waitForTimeout(300);
+    await page.waitForTimeout(100); // held, not thrown
     await page.mouse.up();
     await waitForViewer(page);
     const now = await place(...to);
@@ -204,7 +204,7 @@ test("dragging holds the ground under the pointer, the wheel nears what it point
     assert.ok(Math.abs(now.lat - held.lat) * M_PER_DEG < 3, "north");
     const high = await page.evaluate(() => window.citysplat.pose().h);
     await page.mouse.wheel(0, -300);
-    await page.waitForTimeout(200);
+    await page.waitForFunction((h) => window.citysplat.pose().h < h, high);
     await waitForViewer(page);
     const near = await place(...to);
     assert.ok((await page.evaluate(() => window.citysplat.pose().h)) < high - 5);
@@ -294,8 +294,7 @@ test("the map: own tiles, the camera on it, a click flies there, nothing of othe
         ORIGIN,
         { timeout: 30000 },
     );
-    await page.waitForTimeout(500);
-    await waitForViewer(page);
+    await waitForViewer(page); // it has arrived
     assert.ok(Math.abs((await page.evaluate(() => window.citysplat.pose())).pitch - pitch) < 0.1);
     await page.click("#inset-close");
     assert.equal(await page.isVisible("#inset"), false);

@@ -6,7 +6,7 @@ import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
 import { barePicture, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
-import { makeCity } from "./lib/city.mjs";
+import { fCellCenter, makeCity, ORIGIN } from "./lib/city.mjs";
 import {
     checkNorth,
     checkSouth,
@@ -15,10 +15,11 @@ import {
     rmsDifference,
     SOUTH,
 } from "./lib/checks.mjs";
+import { placeOfEnu, project } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { firstDataSet, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
 
-const SIZE = { width: 800, height: 600 };
+const SIZE = { width: 720, height: 540 };
 // Client and server round and cut off a little differently (1.7 on the test city, 4.3 on a trained one,
 // where they may also choose other levels). A shift by 5 pixels gives 10, a mirrored picture 21.
 const RMS_MAX = GIVEN_TILES ? 8 : 4;
@@ -48,7 +49,6 @@ async function setDetail(value) {
         slider.value = v;
         slider.dispatchEvent(new Event("input"));
     }, value);
-    await page.waitForTimeout(300);
     await waitForViewer(page);
 }
 
@@ -82,6 +82,22 @@ test("every part of the city is where it belongs", city, async () => {
     assert.deepEqual(checkNorth(await picture()), []);
 });
 
+test("a part of the city from near by is as fine as the whole", city, async (t) => {
+    await lookViewer(page, SOUTH);
+    const near = { ...placeOfEnu(ORIGIN, [-4, -126, 100]), heading: 335, pitch: -50, fov: 37 };
+    await lookViewer(page, near);
+    const { tiles, gaussians } = await read();
+    t.diagnostic(`${gaussians} Gaussians in ${tiles} tiles`);
+    assert.ok(tiles > 6 && gaussians > 500, `${gaussians} Gaussians in ${tiles} tiles: a coarse level`);
+    const png = await picture();
+    const [col, row] = [2, 3]; // of the F's cells, beside a gap of it
+    for (const [r, c, yellow] of [[row, col, true], [row + 1, col, false]]) {
+        const [x, y] = project(ORIGIN, near, fCellCenter(r, c), SIZE.width, SIZE.height);
+        const [red, green, blue] = png.mean(x, y, 1);
+        assert.equal(red - blue > 60 && green > 100, yellow, `cell ${r},${c}: ${[red, green, blue]}`);
+    }
+});
+
 test("less detail draws fewer Gaussians, and back", city, async () => {
     await lookViewer(page, SOUTH);
     const fine = (await read()).gaussians;
@@ -99,7 +115,7 @@ test("the server's picture of a view equals the client's", rendered, async (t) =
     const pose = GIVEN_TILES ? (await read()).pose : SOUTH;
     const place = `${pose.lon.toFixed(7)},${pose.lat.toFixed(7)},${pose.h.toFixed(3)}`;
     const turn = `${pose.heading.toFixed(3)},${pose.pitch.toFixed(3)},${pose.fov}`;
-    const response = await fetch(`${source.url}/d/${name}/static/${place}@${turn}/800x600.png`);
+    const response = await fetch(`${source.url}/d/${name}/static/${place}@${turn}/${SIZE.width}x${SIZE.height}.png`);
     if (response.status === 501 || response.status === 503)
         return t.skip(`no pictures: ${await response.text()}`);
     assert.equal(response.status, 200, response.url);
@@ -116,7 +132,7 @@ test("the server view opens and closes", async () => {
     await page.click("#statistics summary");
     const text = await serverViewText(page);
     if (!NO_DEVICE.test(text)) {
-        assert.match(text, /800 × 600 px/);
+        assert.match(text, /720 × 540 px/);
         await page.waitForSelector("#server-image.fresh");
     }
     await page.keyboard.press("v");
@@ -169,7 +185,7 @@ test("keys move the camera", city, async () => {
     const [c, d] = await hold("e");
     assert.ok((d.heading - c.heading + 360) % 360 > 1, "E turns clockwise");
     await page.keyboard.press("n");
-    await page.waitForTimeout(300);
+    await waitForViewer(page);
     const { heading } = (await read()).pose;
     assert.ok(Math.min(heading, 360 - heading) < 0.1, `N turns north up, heading is ${heading}`);
     const [e, f] = await hold("+");
@@ -179,7 +195,14 @@ test("keys move the camera", city, async () => {
 test("the address bar holds the view, and opens it again exactly", city, async () => {
     for (const pose of [SOUTH, { ...SOUTH, pitch: 12.5, heading: 271.25 }]) {
         await lookViewer(page, pose);
-        await page.waitForTimeout(500);
+        await page.waitForFunction(
+            ({ heading, pitch }) => {
+                const [, , , h, p] = location.hash.slice(1).split(",").map(Number);
+                return Math.abs(h - heading) < 0.01 && Math.abs(p - pitch) < 0.01;
+            },
+            pose,
+            { timeout: 10000 },
+        );
         const hash = await page.evaluate(() => location.hash);
         const numbers = hash.slice(1).split(",").slice(0, 5).map(Number);
         const near = [1e-7, 1e-7, 0.006, 0.006, 0.006];
@@ -199,7 +222,7 @@ test("the address bar holds the view, and opens it again exactly", city, async (
 test("links of before are understood", city, async () => {
     const { lon, lat, h } = SOUTH;
     await page.evaluate((hash) => (location.hash = hash), `camera=${lon},${lat},${h}@15,-20`);
-    await page.waitForTimeout(300);
+    await waitForViewer(page);
     const { pose } = await read();
     assert.ok(Math.abs(pose.heading - 15) < 0.01 && Math.abs(pose.fov - 60) < 0.01);
 });

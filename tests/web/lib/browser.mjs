@@ -25,6 +25,8 @@ export function missingBrowser() {
     return "";
 }
 
+const CALM_FRAMES = 6;
+let waits = 0;
 let shared = null; // one browser for all pages that are open at a time
 let users = 0;
 
@@ -72,22 +74,33 @@ export async function openPage(url, { width = 800, height = 600, ...more } = {})
     return { page, log, close };
 }
 
-// Waits until the viewer has drawn everything its view needs. Throws with what it knows after the
-// timeout.
+// Waits until the viewer has drawn everything its view needs, and means it: for some frames on end.
+// Throws with what it knows after the timeout.
 export async function waitForViewer(page, timeoutMs = 120000) {
-    const ready = () =>
-        page.evaluate(() => window.citysplat?.ready === true || window.citysplat?.error != null);
-    const until = Date.now() + timeoutMs;
-    for (let seen = 0; seen < 2;) {
-        if (Date.now() > until) {
-            const state = await page.evaluate(() => JSON.stringify(window.citysplat?.state ?? null));
-            throw new Error(`viewer not settled after ${timeoutMs / 1000} s: ${state}`);
-        }
-        seen = (await ready()) ? seen + 1 : 0;
-        await page.waitForTimeout(200);
+    const token = ++waits; // what was ready before is not counted
+    try {
+        await page.waitForFunction(
+            ([token, frames]) => {
+                const own = window.citysplat;
+                const ready = own?.ready === true || own?.error != null;
+                if (window.waitedFor?.token !== token) window.waitedFor = { token, frames: 0 };
+                window.waitedFor.frames = ready ? window.waitedFor.frames + 1 : 0;
+                return window.waitedFor.frames >= frames;
+            },
+            [token, CALM_FRAMES],
+            { timeout: timeoutMs, polling: "raf" },
+        );
+    } catch (error) {
+        const state = await page.evaluate(() => JSON.stringify(window.citysplat?.state ?? null));
+        throw new Error(`viewer not settled after ${timeoutMs / 1000} s: ${state}`, { cause: error });
     }
     const error = await page.evaluate(() => window.citysplat.error);
     if (error) throw new Error(`viewer: ${error}`);
+}
+
+// Two frames: whatever an event changed at once is on the screen.
+export function nextFrames(page) {
+    return page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
 }
 
 // The viewer's picture alone: no panels, and black instead of sky and ground, as the server draws.
@@ -112,6 +125,5 @@ export async function barePicture(page) {
 // The viewer's camera to a pose { lon, lat, h, heading, pitch, fov }; waits for the new picture.
 export async function lookViewer(page, pose) {
     await page.evaluate((p) => window.citysplat.look(p), pose);
-    await page.waitForTimeout(300);
     await waitForViewer(page);
 }

@@ -10,7 +10,8 @@ export class Proxy {
     log = []; // { path, bytes, began, ended, aborted }, times in ms; ended 0 while it is under way
     rule = () => null; // (path) => { status, body } to answer at once, or null
     onTile = () => {}; // a tile is asked for
-    bytesPerSecond = Infinity; // of all answers together
+    bytesPerSecond = Infinity; // of all slow answers together
+    slow = () => true; // (path) => it is held to that speed
     latencyMs = 0;
     #server = null;
     #sockets = new Set();
@@ -75,7 +76,7 @@ export class Proxy {
             for await (const part of answer)
                 for (let at = 0; at < part.length && !entry.aborted; at += CHUNK) {
                     const piece = part.subarray(at, at + CHUNK);
-                    await this.#wait(piece.length);
+                    if (this.slow(path)) await this.#wait(piece.length);
                     response.write(piece);
                     entry.bytes += piece.length;
                 }
