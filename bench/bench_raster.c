@@ -121,7 +121,6 @@ static enum err_code raster_cold(struct bench *b, struct raster_case *c, uint8_t
     struct buf body = {0};
     size_t n = 0, bytes = 0, size;
     char text[96];
-    double cpu_s = clock_cpu_s();
     enum err_code rc = ERR_OK;
     for (uint32_t i = 0; !rc && i < RASTER_SIDE * RASTER_SIDE; i++) {
         struct key k = {z, middle.x + i % RASTER_SIDE - RASTER_SIDE / 2,
@@ -137,15 +136,12 @@ static enum err_code raster_cold(struct bench *b, struct raster_case *c, uint8_t
     buf_free(&body);
     if (rc || !n)
         return rc ? rc : err_set(e, ERR_INTERNAL, "bench_raster: no tile at zoom %u", z);
-    cpu_s = clock_cpu_s() - cpu_s;
     sort_doubles(c->ms, n);
     snprintf(text, sizeof text, "cold map tile, zoom %u, %zu of them, %zu B: median", z, n,
              bytes / n);
     bench_report(b, text, c->ms[n / 2], "ms", 0, NULL);
     snprintf(text, sizeof text, "cold map tile, zoom %u: slowest", z);
     bench_report(b, text, c->ms[n - 1], "ms", 0, NULL);
-    snprintf(text, sizeof text, "cold map tile, zoom %u: CPU of all threads, mean", z);
-    bench_report(b, text, 1e3 * cpu_s / (double)n, "ms", 0, NULL);
     return ERR_OK;
 }
 

@@ -1,5 +1,5 @@
-// MapLibre, which knows nothing of Gaussians, shows the city by its map tiles and raises it by its
-// terrain tiles: what lies where, how high, and no error in the console.
+// MapLibre and OpenLayers, which know nothing of Gaussians, show the city by its map tiles; MapLibre
+// raises it by its terrain tiles: what lies where, how high, no seam, and no error in the console.
 //
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
@@ -13,16 +13,16 @@ import { openPage } from "./lib/browser.mjs";
 import { BLUE_TOP, fCellCenter, ORIGIN, RED_TOP } from "./lib/city.mjs";
 import { placeOfEnu } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
-import { firstDataSet, getJson, GIVEN_TILES, openSource } from "./lib/source.mjs";
+import { firstDataSet, getBytes, getJson, GIVEN_TILES, openSource } from "./lib/source.mjs";
 
-const DIST = join(dirname(fileURLToPath(import.meta.url)), "node_modules/maplibre-gl/dist");
+const MODULES = join(dirname(fileURLToPath(import.meta.url)), "node_modules");
 const SIZE = { width: 640, height: 560 };
 const TIMEOUT_MS = 90000;
 const skip = { skip: GIVEN_TILES ? "needs the test city" : false };
 const PAGE = `<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
-<link rel="stylesheet" href="/maplibre-gl.css">
+<link rel="stylesheet" href="/maplibre-gl/dist/maplibre-gl.css"><link rel="stylesheet" href="/ol/ol.css">
 <style>html,body,#map{margin:0;height:100%;background:#fff}</style><div id="map"></div>`;
-const TYPES = { mjs: "text/javascript", css: "text/css" };
+const TYPES = { mjs: "text/javascript", js: "text/javascript", css: "text/css" };
 
 let source;
 let pages;
@@ -38,7 +38,7 @@ before(async () => {
         }
         response.setHeader("Content-Type", TYPES[path.split(".").pop()] ?? "text/plain");
         try {
-            response.end(readFileSync(join(DIST, path)));
+            response.end(readFileSync(join(MODULES, path)));
         } catch {
             response.writeHead(404).end();
         }
@@ -52,9 +52,11 @@ after(async () => {
     await source?.close();
 });
 
+const documentUrl = async (file) => `${source.url}/d/${await firstDataSet(source.url)}/${file}`;
+
 // A source of a style: TileJSON with the addresses of its tiles resolved against its own.
 async function tileSource(type, file) {
-    const url = `${source.url}/d/${await firstDataSet(source.url)}/${file}`;
+    const url = await documentUrl(file);
     const json = await getJson(url);
     const { minzoom, maxzoom, bounds, tileSize, encoding, attribution } = json;
     // URL would encode the braces of the template
@@ -62,7 +64,12 @@ async function tileSource(type, file) {
     return { type, tiles, minzoom, maxzoom, bounds, tileSize, attribution, ...(encoding && { encoding }) };
 }
 
-async function showMap(view, terrain) {
+async function screenshot(name) {
+    const path = process.env.RASTER_SHOTS && join(process.env.RASTER_SHOTS, `${name}.png`);
+    return decodePng(await opened.page.screenshot(path ? { path } : {}));
+}
+
+async function showMap(name, view, terrain) {
     const sources = { city: await tileSource("raster", "map.json") };
     if (terrain) sources.dem = await tileSource("raster-dem", "terrain.json");
     const style = {
@@ -73,7 +80,7 @@ async function showMap(view, terrain) {
     };
     await opened.page.evaluate(
         async ([style, view, timeout]) => {
-            const { Map: MapView } = await import("/maplibre-gl.mjs");
+            const { Map: MapView } = await import("/maplibre-gl/dist/maplibre-gl.mjs");
             window.shown?.remove();
             window.shown = new MapView({ container: "map", style, attributionControl: false, ...view });
             await new Promise((done, fail) => {
@@ -84,7 +91,7 @@ async function showMap(view, terrain) {
         },
         [style, view, TIMEOUT_MS],
     );
-    return decodePng(await opened.page.screenshot({ path: process.env.RASTER_SHOT }));
+    return screenshot(name);
 }
 
 const lonLat = (enu) => {
@@ -93,26 +100,52 @@ const lonLat = (enu) => {
 };
 const MIDDLE = lonLat([0, 0, 0]);
 
-async function colorAt(picture, enu) {
-    const { x, y } = await opened.page.evaluate((at) => window.shown.project(at), lonLat(enu));
-    return picture.at(Math.round(x), Math.round(y));
-}
+const pixelOf = (enu) => opened.page.evaluate((at) => window.shown.project(at), lonLat(enu));
 
-test("MapLibre shows the map: the city lies where it is", skip, async () => {
-    const picture = await showMap({ center: MIDDLE, zoom: 17.4 }, false);
-    const red = await colorAt(picture, RED_TOP);
-    const blue = await colorAt(picture, BLUE_TOP);
-    const yellow = await colorAt(picture, fCellCenter(3, 1));
-    const ground = await colorAt(picture, [25, -25, 0]);
+// Towers, the F and the ground have their colours where they are.
+async function cityLies(picture, pixelOf) {
+    const [red, blue, yellow, ground] = await Promise.all(
+        [RED_TOP, BLUE_TOP, fCellCenter(3, 1), [25, -25, 0]].map(async (enu) => {
+            const { x, y } = await pixelOf(enu);
+            return picture.at(Math.round(x), Math.round(y));
+        }),
+    );
     assert.ok(red[0] > red[1] + 80 && red[0] > red[2] + 80, `red tower: ${red}`);
     assert.ok(blue[2] > blue[0] + 80 && blue[2] > blue[1] + 40, `blue tower: ${blue}`);
     assert.ok(yellow[0] > 180 && yellow[1] > 140 && yellow[2] < 110, `yellow F: ${yellow}`);
     assert.ok(Math.max(...ground) - Math.min(...ground) < 30 && ground[0] < 160, `ground: ${ground}`);
     assert.deepEqual(opened.log, []);
+}
+
+// Pixels of ground, about the red tower, through which the page behind is seen: white. (North-west of the
+// middle nothing counts as surveyed: ground alone is coarser than most of this city.)
+async function countHoles(picture) {
+    const ring = await Promise.all([[2, -70], [78, -70], [78, 28], [2, 28]].map(([e, n]) => pixelOf([e, n, 0])));
+    let [within, holes] = [0, 0];
+    for (let y = 0; y < picture.height; y++)
+        for (let x = 0; x < picture.width; x++) {
+            const inside = ring.reduce((in_, a, i) => {
+                const b = ring[(i + 1) % 4];
+                const crosses = a.y > y !== b.y > y && x < a.x + ((y - a.y) / (b.y - a.y)) * (b.x - a.x);
+                return crosses ? !in_ : in_;
+            }, false);
+            if (!inside) continue;
+            within++;
+            holes += Math.min(...picture.at(x, y)) > 250;
+        }
+    return { within, holes };
+}
+
+test("MapLibre shows the map: the city lies where it is, without a seam", skip, async (t) => {
+    const picture = await showMap("maplibre", { center: MIDDLE, zoom: 17.4 }, false);
+    await cityLies(picture, pixelOf);
+    const { within, holes } = await countHoles(picture);
+    t.diagnostic(`${holes} of ${within} pixels show what is behind the map`);
+    assert.ok(within > 20000 && holes === 0, `${holes} of ${within}`);
 });
 
-test("MapLibre raises the map by the terrain: towers are as high as they are", skip, async () => {
-    await showMap({ center: MIDDLE, zoom: 17, pitch: 60, bearing: 20 }, true);
+test("MapLibre raises the map by the terrain: towers are as high as they are", skip, async (t) => {
+    const picture = await showMap("maplibre-terrain", { center: MIDDLE, zoom: 17, pitch: 60, bearing: 20 }, true);
     const heights = await opened.page.evaluate(
         (places) => places.map((at) => window.shown.queryTerrainElevation(at)),
         [RED_TOP, BLUE_TOP, [25, -25, 0]].map(lonLat),
@@ -121,5 +154,124 @@ test("MapLibre raises the map by the terrain: towers are as high as they are", s
     const [red, blue, ground] = heights;
     assert.ok(Math.abs(red - ground - RED_TOP[2]) < 4, `red tower ${red}, ground ${ground}`);
     assert.ok(Math.abs(blue - ground - BLUE_TOP[2]) < 4, `blue tower ${blue}, ground ${ground}`);
+    // Neither cracks between tiles nor holes in their skirts, on ground that no tower hides.
+    const { within, holes } = await countHoles(picture);
+    t.diagnostic(`${holes} of ${within} pixels show what is behind the terrain`);
+    assert.ok(within > 20000 && holes === 0, `${holes} of ${within}`);
     assert.deepEqual(opened.log, []);
 });
+
+// Tiles of one zoom around the city as the server gives them, and how colours or heights change from
+// pixel to pixel: across the borders of tiles, and within them as near to the borders as can be.
+async function measureSteps(file, value) {
+    const { tiles, maxzoom } = await tileSource("raster", file);
+    const zoom = maxzoom + 1; // for more borders
+    const n = 2 ** zoom;
+    const tileOf = (enu) => {
+        const [lon, lat] = lonLat(enu);
+        const v = 0.5 - Math.asinh(Math.tan((lat * Math.PI) / 180)) / (2 * Math.PI);
+        return [Math.floor((lon / 360 + 0.5) * n), Math.floor(v * n)];
+    };
+    const [[west, south], [east, north]] = [tileOf([-78, -78, 0]), tileOf([78, 78, 0])];
+    const rows = [];
+    for (let y = north; y <= south; y++) {
+        const row = [];
+        for (let x = west; x <= east; x++) {
+            const url = tiles[0].replace("{z}", zoom).replace("{x}", x).replace("{y}", y);
+            const bytes = await getBytes(url.replace(".webp", ".png"));
+            row.push(bytes.length ? decodePng(bytes) : null); // 204: nothing is there
+        }
+        rows.push(row);
+    }
+    const at = (x, y) => {
+        const tile = rows[y >> 8][x >> 8];
+        return tile && value(tile, x & 255, y & 255);
+    };
+    const [width, height] = [256 * rows[0].length, 256 * rows.length];
+    const sums = { across: 0, within: 0, borders: 0 };
+    const add = (key, a, b) => {
+        if (a === null || b === null) return;
+        sums[key] += Math.abs(a - b) / (key === "within" ? 2 : 1);
+        if (key === "across") sums.borders++;
+    };
+    for (let x = 256; x < width; x += 256)
+        for (let y = 0; y < height; y++) {
+            add("across", at(x - 1, y), at(x, y));
+            add("within", at(x - 2, y), at(x - 1, y));
+            add("within", at(x, y), at(x + 1, y));
+        }
+    for (let y = 256; y < height; y += 256)
+        for (let x = 0; x < width; x++) {
+            add("across", at(x, y - 1), at(x, y));
+            add("within", at(x, y - 2), at(x, y - 1));
+            add("within", at(x, y), at(x, y + 1));
+        }
+    return { across: sums.across / sums.borders, within: sums.within / sums.borders, borders: sums.borders };
+}
+
+test("tiles meet as if they were one: steps across borders are no larger than those within", skip, async (t) => {
+    const color = (p, x, y) => (p.alpha(x, y) ? p.at(x, y).reduce((a, b) => a + b) / 3 : null);
+    const metres = (p, x, y) => {
+        const [r, g, b] = p.at(x, y);
+        return -10000 + 0.1 * (65536 * r + 256 * g + b);
+    };
+    for (const [file, value, unit] of [["map.json", color, "of 255"], ["terrain.json", metres, "m"]]) {
+        const { across, within, borders } = await measureSteps(file, value);
+        t.diagnostic(`${file}: ${across.toFixed(3)} ${unit} across, ${within.toFixed(3)} within, ${borders} pixels`);
+        assert.ok(borders > 1000 && within > 0, `${file}: ${borders} pixels, ${within}`);
+        // Other pixels of one picture: a seam would make them larger. An edge of a tower may lie beside a border.
+        assert.ok(across < 1.15 * within, `${file}: ${across} across, ${within} within`);
+    }
+});
+
+async function showOpenLayers(kind) {
+    await opened.page.addScriptTag({ url: "/ol/dist/ol.js" });
+    const { tiles, bounds } = await tileSource("raster", "map.json");
+    const url = kind === "wmts" ? await documentUrl("wmts.xml") : tiles[0];
+    const box = await opened.page.evaluate(
+        async ([kind, url, bounds, center, timeout]) => {
+            window.shown?.remove?.();
+            document.getElementById("map").replaceChildren();
+            const wmts = async () => {
+                const text = await (await fetch(url)).text();
+                const all = new ol.format.WMTSCapabilities().read(text);
+                const layer = all.Contents.Layer[0].Identifier;
+                const options = ol.source.WMTS.optionsFromCapabilities(all, { layer, matrixSet: "WebMercatorQuad" });
+                return new ol.source.WMTS({ ...options, transition: 0 });
+            };
+            const source = kind === "wmts" ? await wmts() : new ol.source.XYZ({ url, transition: 0 });
+            const map = new ol.Map({
+                target: "map",
+                controls: [],
+                // beyond its bounds a tile is 204, which OpenLayers takes for an error
+                layers: [new ol.layer.Tile({ source, extent: ol.proj.transformExtent(bounds, "EPSG:4326", "EPSG:3857") })],
+                view: new ol.View({ center: ol.proj.fromLonLat(center), zoom: 18.4 }),
+            });
+            await new Promise((done, fail) => {
+                map.once("rendercomplete", done);
+                source.on("tileloaderror", () => fail(new Error("a tile did not load")));
+                setTimeout(() => fail(new Error("never complete")), timeout);
+            });
+            window.shown = {
+                project: (at) => {
+                    const [x, y] = map.getPixelFromCoordinate(ol.proj.fromLonLat(at));
+                    return { x, y };
+                },
+                remove: () => map.setTarget(null),
+            };
+            return source.getProjection()?.getCode();
+        },
+        [kind, url, bounds, MIDDLE, TIMEOUT_MS],
+    );
+    return { picture: await screenshot(`openlayers-${kind}`), projection: box };
+}
+
+for (const kind of ["xyz", "wmts"])
+    test(`OpenLayers shows the map by ${kind}: the city lies where it is, without a seam`, skip, async (t) => {
+        const { picture, projection } = await showOpenLayers(kind);
+        assert.equal(projection, "EPSG:3857");
+        await cityLies(picture, pixelOf);
+        const { within, holes } = await countHoles(picture);
+        t.diagnostic(`${holes} of ${within} pixels show what is behind the map`);
+        assert.ok(within > 20000 && holes === 0, `${holes} of ${within}`);
+    });
