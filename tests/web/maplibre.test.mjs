@@ -241,5 +241,6 @@ test("taken away it leaves the map as it was, and it can be put back", skip, asy
     await page.evaluate(() => (window.layer.city.errorTarget = 0.1));
     await look(SOUTH);
     assert.deepEqual(checkSouth(await picture("again")), []);
-    assert.deepEqual(opened.log, []);
+    // MapLibre takes requests back when it looks elsewhere.
+    assert.deepEqual(opened.log.filter((line) => !/ERR_ABORTED/.test(line)), []);
 });
