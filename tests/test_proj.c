@@ -473,7 +473,7 @@ static void orthophotos_lie_where_gdal_has_them(void **state)
         buf_free(&out);
         for (size_t k = 0; k < 5; k++) {
             const double enu[3] = {asked[k][0], asked[k][1], 0};
-            double lon, lat, h, red, green, blue;
+            double lon, lat, h, red = 0, green = 0, blue = 1;
             kit_ok(geo_from_enu(o, enu, &lon, &lat, &h, &e), e);
             int rc = kit_run(&out, "gdallocationinfo -valonly -wgs84 '%s/o.tif' %.12f %.12f", dir,
                              lon, lat);
