@@ -38,8 +38,10 @@ struct options_def {
     {OPTIONS_##type, #key, offsetof(st, key), def, lo, hi, unit, help},
 
 /* Of a table that several commands share, whose struct is member `in` of theirs. */
+/* NOLINTBEGIN(bugprone-macro-parentheses): names of members */
 #define OPTIONS_ROW_IN(st, in, type, key, def, lo, hi, unit, help)                                 \
     {OPTIONS_##type, #key, offsetof(st, in.key), def, lo, hi, unit, help},
+/* NOLINTEND(bugprone-macro-parentheses) */
 
 #define OPTIONS_GROUP_ROW(title) {OPTIONS_GROUP, "", 0, "", 0, 0, "", title},
 

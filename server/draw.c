@@ -111,6 +111,7 @@ static enum err_code draw_find(struct draw *d, const struct draw_request *q, int
 }
 
 /* What is left behind the last frame's Gaussians, and how far away they are. NULL: not wanted. */
+/* NOLINTNEXTLINE(readability-non-const-parameter): they are written through `maps` */
 static enum err_code draw_measure(struct draw *d, float *transmittance, float *depth_m,
                                   struct err *e)
 {

@@ -133,7 +133,7 @@ static char *hint_number(char *p, uint32_t v)
 static char *hint_text(char *p, const char *text)
 {
     size_t n = strlen(text);
-    memcpy(p, text, n);
+    memcpy(p, text, n); // NOLINT(bugprone-not-null-terminated-result): the end is written last
     return p + n;
 }
 

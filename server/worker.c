@@ -14,7 +14,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#define _GNU_SOURCE /* memfd_create */
+#define _GNU_SOURCE // NOLINT(cert-dcl51-cpp): memfd_create
 #include "server/worker.h"
 
 #include <errno.h>
@@ -497,6 +497,26 @@ static enum err_code worker_hear(struct worker *w, const struct worker_head *h, 
     return worker_take(w->memory, (size_t)a.n_bytes, out, e);
 }
 
+/* A call has ended, with it this life if rc is an error. Is all to stop? */
+static bool worker_answered(struct worker *w, enum err_code rc)
+{
+    pthread_mutex_lock(&w->lock);
+    w->asking = false;
+    if (rc) {
+        w->failed = true;
+        w->now.state = WORKER_AGAIN;
+        w->killed = rc != ERR_IO && !w->stopping;
+        if (rc != ERR_IO && w->now.pid > 0)
+            kill(w->now.pid, SIGKILL);
+    } else {
+        w->asked_s = 0;
+    }
+    bool stopping = w->stopping;
+    pthread_cond_broadcast(&w->changed);
+    pthread_mutex_unlock(&w->lock);
+    return stopping;
+}
+
 enum err_code worker_ask(struct worker *w, uint64_t life, const void *request, size_t n, int fd,
                          size_t limit, bool (*stop)(const void *user), const void *user,
                          struct buf *out, struct err *e)
@@ -514,21 +534,7 @@ enum err_code worker_ask(struct worker *w, uint64_t life, const void *request, s
     enum err_code rc = worker_send(w->fd, &h, request, n, fd, said);
     if (!rc)
         rc = worker_hear(w, &h, limit, stop, user, out, said);
-    bool over = rc && rc != ERR_MEM;
-    pthread_mutex_lock(&w->lock);
-    w->asking = false;
-    if (over) {
-        w->failed = true;
-        w->now.state = WORKER_AGAIN;
-        w->killed = rc != ERR_IO && !w->stopping;
-        if (rc != ERR_IO && w->now.pid > 0)
-            kill(w->now.pid, SIGKILL);
-    } else {
-        w->asked_s = 0;
-    }
-    bool stopping = w->stopping;
-    pthread_cond_broadcast(&w->changed);
-    pthread_mutex_unlock(&w->lock);
+    bool over = rc && rc != ERR_MEM, stopping = worker_answered(w, over ? rc : ERR_OK);
     if (over && stopping)
         return err_set(e, ERR_CANCEL, "cancelled");
     if (over)

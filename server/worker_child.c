@@ -8,7 +8,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#define _GNU_SOURCE /* close_range */
+#define _GNU_SOURCE // NOLINT(cert-dcl51-cpp): close_range
 #include "server/worker.h"
 
 #include <errno.h>

@@ -46,6 +46,7 @@ static struct contour_request request(double least_m)
         {.kind = GEOTIFF_HEIGHT, .gsd_m = GSD_M}, INTERVAL_M, BASE_M, least_m, "height_m"};
 }
 
+/* NOLINTNEXTLINE(readability-function-size): one story, step by step */
 static void read_geojson(const char *path, struct lines *out)
 {
     struct err e = {0};

@@ -44,7 +44,7 @@ static cl_int fault_launch(cl_command_queue queue, const char *name,
     return code ? code : launch(queue, kernel, 1, NULL, &one, &one, 0, NULL, NULL);
 }
 
-/* NOLINTBEGIN(cert-dcl51-cpp): the names that the linker gives */
+/* NOLINTBEGIN(cert-dcl51-cpp,readability-function-size): as the linker has them */
 cl_int __real_clEnqueueNDRangeKernel(cl_command_queue q, cl_kernel k, cl_uint dim,
                                      const size_t *offset, const size_t *global,
                                      const size_t *local, cl_uint n, const cl_event *wait,
@@ -73,7 +73,7 @@ cl_int __wrap_clEnqueueNDRangeKernel(cl_command_queue q, cl_kernel k, cl_uint di
         abort();
     return __real_clEnqueueNDRangeKernel(q, k, dim, offset, global, local, n, wait, event);
 }
-/* NOLINTEND(cert-dcl51-cpp) */
+/* NOLINTEND(cert-dcl51-cpp,readability-function-size) */
 
 /* ---- in this one ---- */
 

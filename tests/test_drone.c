@@ -172,7 +172,7 @@ static void files_are_read(void **state)
     char *deep = mem_array(65000, 1);
     assert_non_null(deep);
     for (size_t k = 0; k < 64000; k += 4) /* <a><a><a> ... */
-        memcpy(deep + k, "<a> ", 4);
+        memcpy(deep + k, "<a> ", 4);      // NOLINT(bugprone-not-null-terminated-result)
     put_xmp(from, to, deep);
     kit_ok(image_read_info(to, NULL, NULL, &gps, &m, &e), e);
     assert_false(m.has_up);
@@ -222,6 +222,7 @@ static void write_xmp(const struct flight *f, const json_t *p, size_t i, size_t 
 
 /* Ingest the city with such XMP; the report and the scene's error in height: its median cameras'
  * height off, and how it is tilted, degrees. */
+/* NOLINTNEXTLINE(readability-function-size): one story, step by step */
 static void ingest_flight(const char *name, const struct flight *f, double offset_m, bool exif,
                           json_t **report, double *up_m, double *tilt_deg)
 {

@@ -43,7 +43,8 @@ static bool differentiate(struct view_case *s, int axis, const double *rgb, doub
     const struct camera keep = s->cam;
     uint64_t here, sig;
     (void)view_case_objective(s, rgb, &here);
-    for (double h = ldexp(1, -12); h >= ldexp(1, -17); h /= 2) {
+    for (int bits = 12; bits <= 17; bits++) {
+        const double h = ldexp(1, -bits);
         double f[4];
         bool same = true;
         for (int k = 0; k < 4 && same; k++) {

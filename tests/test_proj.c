@@ -141,6 +141,7 @@ static void utm_is_geographiclibs(void **state)
 }
 
 /* Projections of countries and of the poles, in the order of axes that each authority has. */
+/* NOLINTNEXTLINE(readability-function-size): one story, step by step */
 static void projections_are_projs(void **state)
 {
     static const struct {
@@ -250,6 +251,7 @@ static void tiles_are_web_mercator(void **state)
 /* ---- the frame ---- */
 
 /* ENU and ECEF by GeographicLib against PROJ's cart and topocentric. */
+/* NOLINTNEXTLINE(readability-function-size): one story, step by step */
 static void frames_are_projs(void **state)
 {
     enum { N = 40, AROUND = 5 };
@@ -444,6 +446,7 @@ static void tilesets_stand_on_the_earth(void **state)
 }
 
 /* What GDAL reads at a longitude and latitude of an orthophoto is what lies there. */
+/* NOLINTNEXTLINE(readability-function-size): one story, step by step */
 static void orthophotos_lie_where_gdal_has_them(void **state)
 {
     static const double asked[5][2] = {{0, 0}, {-15, 12}, {13, -16}, {16, 15}, {-12, -14}};
