@@ -517,6 +517,7 @@ static bool worker_answered(struct worker *w, enum err_code rc)
     return stopping;
 }
 
+/* NOLINTNEXTLINE(readability-function-size): its parameters */
 enum err_code worker_ask(struct worker *w, uint64_t life, const void *request, size_t n, int fd,
                          size_t limit, bool (*stop)(const void *user), const void *user,
                          struct buf *out, struct err *e)
