@@ -38,3 +38,8 @@ void failure_forget(struct failures *f, struct hash128 id)
     if (x)
         x->pause_s = 0;
 }
+
+void failure_forget_all(struct failures *f)
+{
+    *f = (struct failures){.pause_s = f->pause_s};
+}

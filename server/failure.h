@@ -28,5 +28,6 @@ void failure_note(struct failures *f, struct hash128 id, enum err_code code, con
                   double now_s);
 /* It has succeeded. */
 void failure_forget(struct failures *f, struct hash128 id);
+void failure_forget_all(struct failures *f);
 
 #endif

@@ -549,6 +549,13 @@ void job_count(struct jobs *js, struct job_stats *out)
     pthread_mutex_unlock(&js->lock);
 }
 
+void job_forgive(struct jobs *js)
+{
+    pthread_mutex_lock(&js->lock);
+    failure_forget_all(&js->failures);
+    pthread_mutex_unlock(&js->lock);
+}
+
 bool job_idle(struct jobs *js)
 {
     struct job_stats st;

@@ -85,6 +85,8 @@ void job_tick(struct jobs *js, double now_s);
 int job_retry_after(struct jobs *js, enum job_class cls);
 void job_count(struct jobs *js, struct job_stats *out);
 bool job_idle(struct jobs *js); /* nothing queued, nothing running */
+/* What failed may be tried again at once: its cause may be gone. */
+void job_forgive(struct jobs *js);
 /* How long the thread that draws has been at what it does now, its start counted; 0: it waits for
  * work. */
 double job_drawing_s(struct jobs *js);

@@ -228,6 +228,8 @@ enum err_code server_reload(struct server *sv, struct err *e)
     if (rc)
         atomic_fetch_add(&s->metrics.reload_failed, 1);
     services_set_catalog(s, newer, rc ? e->msg : "");
+    if (!rc)
+        job_forgive(s->jobs);
     catalog_drop(&older);
     clip_free(&clip);
     return rc;

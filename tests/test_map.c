@@ -54,11 +54,6 @@ static bool start_drawing(void)
 {
     if (!start_with_device())
         return false;
-    /* The start of the process that draws must not count against the first request's deadline. */
-    const struct timespec nap = {.tv_nsec = 20000000};
-    const struct picture *p = server_services(t.server)->picture;
-    for (double end_s = clock_s() + 60; picture_state(p) == PICTURE_STARTING && clock_s() < end_s;)
-        nanosleep(&nap, NULL);
     char target[256]; /* entity tags are those of the device, which is known once one was drawn */
     assert_int_equal(status_of("GET", map_target("terrain", key_at(0, 0, 5), ".png", target), ""),
                      200);
