@@ -2,8 +2,6 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include <stdio.h>
-
 #include "cli/cli.h"
 #include "cli/maps.h"
 
@@ -43,21 +41,12 @@ enum err_code cli_dsm(int argc, char **argv, struct err *e)
     struct dsm_options o = {0};
     struct options_args args;
     struct arena arena = {0};
-    struct maps m = {0};
     enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
-    bool run = !rc && !args.done;
-    if (run)
-        rc = maps_open(args.arg[0], &o.maps, &o.heights, NULL, &m, e);
-    struct map_report r = {0};
-    m.request.kind = GEOTIFF_HEIGHT;
-    if (run && !rc)
-        rc = map_write(m.nadir, &m.request, o.maps.output, &r, e);
-    if (run && !rc) {
-        maps_print(o.maps.output, &r);
-        maps_print_heights(&m, &r);
-        printf("\n");
-    }
-    maps_close(&m);
+    if (!rc && !args.done)
+        rc = maps_write(args.arg[0], &o.maps,
+                        &(struct maps_command){
+                            .kind = GEOTIFF_HEIGHT, .heights = &o.heights, .write = map_write},
+                        e);
     arena_free(&arena);
     return rc;
 }

@@ -4,6 +4,7 @@
  */
 #include "cli/maps.h"
 
+#include <inttypes.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -90,4 +91,26 @@ void maps_print_heights(const struct maps *m, const struct map_report *r)
     char what[100];
     map_heights(&m->request, what);
     printf("; %s, %.2f to %.2f m", what, r->height_min_m, r->height_max_m);
+}
+
+enum err_code maps_write(const char *store, const struct maps_options *o,
+                         const struct maps_command *c, struct err *e)
+{
+    struct maps m;
+    struct map_report r = {0};
+    enum err_code rc = maps_open(store, o, c->heights, c->appearance, &m, e);
+    if (rc)
+        return rc;
+    m.request.kind = c->kind;
+    rc = c->write(m.nadir, &m.request, o->output, &r, e);
+    if (!rc) {
+        maps_print(o->output, &r);
+        if (c->heights)
+            maps_print_heights(&m, &r);
+        if (c->counts)
+            printf("; %" PRIu64 " %s", r.pixels_held, c->counts);
+        printf("\n");
+    }
+    maps_close(&m);
+    return rc;
 }

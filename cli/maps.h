@@ -35,6 +35,17 @@ void maps_close(struct maps *m);
 void maps_print(const char *path, const struct map_report *r);
 /* What heights lie between and count from. */
 void maps_print_heights(const struct maps *m, const struct map_report *r);
+/* A map that one call writes: opens the store, writes, prints. As maps_open and c->write. */
+struct maps_command {
+    enum geotiff_kind kind;
+    const char *appearance;              /* NULL: the store's own */
+    const struct geoid_options *heights; /* NULL: the map has none */
+    const char *counts;                  /* what its pixels with a surface are; NULL: pixels */
+    enum err_code (*write)(struct nadir *n, const struct map_request *r, const char *path,
+                           struct map_report *out, struct err *e);
+};
+enum err_code maps_write(const char *store, const struct maps_options *o,
+                         const struct maps_command *c, struct err *e) ERR_USE;
 /* A number of this option, NAN when text is NULL. ERR_ARG. */
 enum err_code maps_number(const char *option, const char *text, double *out, struct err *e) ERR_USE;
 

@@ -2,9 +2,6 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  */
-#include <inttypes.h>
-#include <stdio.h>
-
 #include "cli/cli.h"
 #include "cli/maps.h"
 #include "survey/surface_points.h"
@@ -12,6 +9,9 @@
 struct points_options {
     struct maps_options maps;
     struct geoid_options heights;
+#define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
+#include "cli/ortho.def"
+#undef OPT
 };
 
 static const struct options_def defs[] = {
@@ -24,6 +24,11 @@ static const struct options_def defs[] = {
 #define OPT(type, key, def, lo, hi, unit, help)                                                    \
     OPTIONS_ROW_IN(struct points_options, heights, type, key, def, lo, hi, unit, help)
 #include "cli/geoid.def"
+#undef OPT
+#define GROUP(title) OPTIONS_GROUP_ROW(title)
+#define OPT(type, key, def, lo, hi, unit, help)                                                    \
+    OPTIONS_ROW(struct points_options, type, key, def, lo, hi, unit, help)
+#include "cli/ortho.def"
 #undef OPT
 };
 
@@ -45,21 +50,15 @@ enum err_code cli_points(int argc, char **argv, struct err *e)
     struct points_options o = {0};
     struct options_args args;
     struct arena arena = {0};
-    struct maps m = {0};
     enum err_code rc = options_parse(&spec, argc, argv, &o, &args, &arena, e);
-    bool run = !rc && !args.done;
-    if (run)
-        rc = maps_open(args.arg[0], &o.maps, &o.heights, NULL, &m, e);
-    struct map_report r = {0};
-    m.request.kind = GEOTIFF_COLOR;
-    if (run && !rc)
-        rc = surface_points_write(m.nadir, &m.request, o.maps.output, &r, e);
-    if (run && !rc) {
-        maps_print(o.maps.output, &r);
-        maps_print_heights(&m, &r);
-        printf("; %" PRIu64 " points\n", r.pixels_held);
-    }
-    maps_close(&m);
+    if (!rc && !args.done)
+        rc = maps_write(args.arg[0], &o.maps,
+                        &(struct maps_command){.kind = GEOTIFF_COLOR,
+                                               .appearance = o.appearance,
+                                               .heights = &o.heights,
+                                               .counts = "points",
+                                               .write = surface_points_write},
+                        e);
     arena_free(&arena);
     return rc;
 }

@@ -207,6 +207,20 @@ bool view_case_differentiate(struct view_case *s, float *p, const double *rgb_of
     return false;
 }
 
+double *view_case_colors(const struct view_case *s)
+{
+    double *rgb = mem_array(3 * s->g.n, sizeof *rgb);
+    struct ref_view v;
+    struct ref_splat p;
+    struct err e = {0};
+    assert_non_null(rgb);
+    kit_ok(ref_view_init(&s->g, &s->cam, &s->o, &v, &e), e);
+    for (size_t i = 0; i < s->g.n; i++)
+        if (ref_project(&v, &s->g, i, &p))
+            memcpy(rgb + 3 * i, p.rgb, sizeof p.rgb);
+    return rgb;
+}
+
 /* ---- reference ---- */
 
 struct grads grads_make(const struct gauss *g)

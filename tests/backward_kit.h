@@ -37,6 +37,7 @@ double view_case_objective(const struct view_case *s, const double *rgb_of, uint
 /* Its fourth-order central difference with respect to *p, on the grid; false when every step
  * changes a decision. */
 bool view_case_differentiate(struct view_case *s, float *p, const double *rgb_of, double *out);
+double *view_case_colors(const struct view_case *s); /* [n][3] as the scene stands; mem_free */
 
 /* ---- the reference's gradients ---- */
 

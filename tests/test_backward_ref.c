@@ -21,21 +21,6 @@
 /* Relative to the rms of the same kind of parameter: many true gradients are nearly 0. */
 #define FD_ABS 1e-6
 
-/* Colours of the scene as it stands, by row. */
-static double *colors_of(const struct view_case *s)
-{
-    double *rgb = mem_array(3 * s->g.n, sizeof *rgb);
-    struct ref_view v;
-    struct ref_splat p;
-    struct err e = {0};
-    assert_non_null(rgb);
-    kit_ok(ref_view_init(&s->g, &s->cam, &s->o, &v, &e), e);
-    for (size_t i = 0; i < s->g.n; i++)
-        if (ref_project(&v, &s->g, i, &p))
-            memcpy(rgb + 3 * i, p.rgb, sizeof p.rgb);
-    return rgb;
-}
-
 /* The analytic gradient of every parameter of the scene against differences. */
 static void check_reference(struct view_case *s, const char *what)
 {
@@ -43,7 +28,7 @@ static void check_reference(struct view_case *s, const char *what)
     struct err e = {0};
     float *const params[5] = {s->g.mean_m, s->g.scale_log, s->g.quat_wxyz, s->g.opacity_logit,
                               s->g.sh};
-    double *rgb = colors_of(s);
+    double *rgb = view_case_colors(s);
     size_t skipped = 0, all = 0;
     kit_ok(render_ref_backward(&s->g, &s->cam, &s->o, s->rgb_grad, &want.r, &e), e);
     for (size_t k = 0; k < 5; k++) {

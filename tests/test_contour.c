@@ -46,34 +46,37 @@ static struct contour_request request(double least_m)
         {.kind = GEOTIFF_HEIGHT, .gsd_m = GSD_M}, INTERVAL_M, BASE_M, least_m, "height_m"};
 }
 
-/* NOLINTNEXTLINE(readability-function-size): one story, step by step */
+static void read_line(const json_t *feature, struct lines *out)
+{
+    struct err e = {0};
+    const json_t *shape = json_object_get(feature, "geometry"), *at,
+                 *height = json_object_get(json_object_get(feature, "properties"), "height_m");
+    double h = json_number_value(height), k_of = (h - BASE_M) / INTERVAL_M;
+    size_t k;
+    assert_string_equal(json_string_value(json_object_get(shape, "type")), "LineString");
+    assert_true(json_is_number(height) && fabs(k_of - round(k_of)) < 1e-9);
+    json_array_foreach(json_object_get(shape, "coordinates"), k, at)
+    {
+        double enu[3];
+        kit_ok(geo_to_enu(&origin, json_number_value(json_array_get(at, 0)),
+                          json_number_value(json_array_get(at, 1)), origin.h_m, enu, &e),
+               e);
+        out->v[out->n++] = (struct vertex){{enu[0], enu[1], h - origin.h_m}};
+    }
+    out->n_lines++;
+}
+
 static void read_geojson(const char *path, struct lines *out)
 {
     struct err e = {0};
-    json_t *root, *feature, *at;
-    size_t i, k, cap = 0;
+    json_t *root, *feature;
+    size_t i, cap = 0;
     kit_ok(jsonc_read(path, &root, &e), e);
     json_array_foreach(json_object_get(root, "features"), i, feature) cap +=
         json_array_size(json_object_get(json_object_get(feature, "geometry"), "coordinates"));
     *out = (struct lines){.v = mem_array(cap + 1, sizeof *out->v)};
     assert_non_null(out->v);
-    json_array_foreach(json_object_get(root, "features"), i, feature)
-    {
-        const json_t *shape = json_object_get(feature, "geometry"),
-                     *height = json_object_get(json_object_get(feature, "properties"), "height_m");
-        assert_string_equal(json_string_value(json_object_get(shape, "type")), "LineString");
-        double h = json_number_value(height), k_of = (h - BASE_M) / INTERVAL_M;
-        assert_true(json_is_number(height) && fabs(k_of - round(k_of)) < 1e-9);
-        json_array_foreach(json_object_get(shape, "coordinates"), k, at)
-        {
-            double enu[3];
-            kit_ok(geo_to_enu(&origin, json_number_value(json_array_get(at, 0)),
-                              json_number_value(json_array_get(at, 1)), origin.h_m, enu, &e),
-                   e);
-            out->v[out->n++] = (struct vertex){{enu[0], enu[1], h - origin.h_m}};
-        }
-        out->n_lines++;
-    }
+    json_array_foreach(json_object_get(root, "features"), i, feature) read_line(feature, out);
     json_decref(root);
 }
 

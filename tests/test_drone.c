@@ -220,26 +220,14 @@ static void write_xmp(const struct flight *f, const json_t *p, size_t i, size_t 
     buf_printf(out, ">" XMP_TAIL);
 }
 
-/* Ingest the city with such XMP; the report and the scene's error in height: its median cameras'
- * height off, and how it is tilted, degrees. */
-/* NOLINTNEXTLINE(readability-function-size): one story, step by step */
-static void ingest_flight(const char *name, const struct flight *f, double offset_m, bool exif,
-                          json_t **report, double *up_m, double *tilt_deg)
+/* A folder of the city's photographs with such XMP. */
+static void write_flight(const struct flight *f, const json_t *truth, const char *images)
 {
     struct err e = {0};
-    struct ingest_config cfg;
-    struct scene s;
-    char images[FILE_PATH_MAX], path[FILE_PATH_MAX], from[FILE_PATH_MAX], out[FILE_PATH_MAX],
-        text[128];
-    json_t *truth;
-    kit_ok(file_join(path, city, "truth/truth.json", &e), e);
-    kit_ok(jsonc_read(path, &truth, &e), e);
-    const struct geo_origin *o = city_origin(truth);
-    snprintf(text, sizeof text, "%s-images", name);
-    kit_ok(file_join(images, kit_tmp, text, &e), e);
-    kit_ok(file_mkdir(images, &e), e);
+    char path[FILE_PATH_MAX], from[FILE_PATH_MAX], text[128];
     const json_t *list = json_object_get(truth, "photographs");
     size_t n = json_array_size(list);
+    kit_ok(file_mkdir(images, &e), e);
     for (size_t i = 0; i < n; i++) {
         const json_t *p = json_array_get(list, i);
         struct buf xmp = {0};
@@ -250,11 +238,57 @@ static void ingest_flight(const char *name, const struct flight *f, double offse
         *slash = '\0';
         kit_ok(file_mkdir(path, &e), e); /* names have folders */
         *slash = '/';
-        write_xmp(f, p, i, n, o->h_m, &xmp);
+        write_xmp(f, p, i, n, city_origin(truth)->h_m, &xmp);
         kit_ok(buf_check(&xmp, &e), e);
         put_xmp(from, path, (const char *)xmp.data);
         buf_free(&xmp);
     }
+}
+
+/* How much higher the scene has its cameras than they are, as a plane over the city: the similarity
+ * is exact but for that, so its up tells the tilt. */
+static void lift_of(const struct scene *s, const json_t *truth, double *up_m, double *tilt_deg)
+{
+    struct err e = {0};
+    const json_t *list = json_object_get(truth, "photographs"), *each;
+    double sum = 0, up[3] = {0};
+    for (size_t i = 0; i < s->n_images; i++) {
+        const struct camera *c = &s->images[i].cam;
+        const json_t *p = NULL;
+        double at[3], lon, lat, h, is[3], m[16];
+        size_t k;
+        json_array_foreach(list, k,
+                           each) if (!strcmp(json_string_value(json_object_get(each, "name")),
+                                             s->images[i].name)) p = each;
+        assert_non_null(p);
+        kit_ok(jsonc_nums(p, "center_enu_m", 3, is, &e), e);
+        kit_ok(jsonc_nums(p, "world_to_camera", 16, m, &e), e);
+        camera_center(c, at);
+        kit_ok(geo_from_enu(&s->origin, at, &lon, &lat, &h, &e), e);
+        sum += h - city_origin(truth)->h_m - is[2];
+        for (int r = 0; r < 3; r++) /* true up, in the camera's axes, in the scene's */
+            for (int a = 0; a < 3; a++)
+                up[a] += c->rot[3 * r + a] * m[4 * r + 2];
+    }
+    *up_m = sum / (double)s->n_images;
+    *tilt_deg = DEG * atan2(hypot(up[0], up[1]), up[2]);
+}
+
+/* Ingest the city with such XMP; the report and the scene's error in height: its median cameras'
+ * height off, and how it is tilted, degrees. */
+static void ingest_flight(const char *name, const struct flight *f, double offset_m, bool exif,
+                          json_t **report, double *up_m, double *tilt_deg)
+{
+    struct err e = {0};
+    struct ingest_config cfg;
+    struct scene s;
+    char images[FILE_PATH_MAX], path[FILE_PATH_MAX], out[FILE_PATH_MAX], text[128];
+    json_t *truth;
+    kit_ok(file_join(path, city, "truth/truth.json", &e), e);
+    kit_ok(jsonc_read(path, &truth, &e), e);
+    snprintf(text, sizeof text, "%s-images", name);
+    kit_ok(file_join(images, kit_tmp, text, &e), e);
+    write_flight(f, truth, images);
     kit_ok(options_defaults(ingest_options(), &cfg, &config_texts, &e), e);
     kit_ok(file_join(out, kit_tmp, name, &e), e);
     cfg.output = out;
@@ -265,29 +299,7 @@ static void ingest_flight(const char *name, const struct flight *f, double offse
     kit_ok(scene_read(out, &s, &e), e);
     kit_ok(file_join(path, out, "report.json", &e), e);
     kit_ok(jsonc_read(path, report, &e), e);
-    /* How much higher the scene has its cameras than they are, as a plane over the city: the
-     * similarity is exact but for that, so its up tells the tilt. */
-    double sum = 0, up[3] = {0};
-    for (size_t i = 0; i < s.n_images; i++) {
-        const struct camera *c = &s.images[i].cam;
-        const json_t *p = NULL;
-        double at[3], lon, lat, h, is[3], m[16];
-        for (size_t k = 0; k < n && !p; k++)
-            if (!strcmp(json_string_value(json_object_get(json_array_get(list, k), "name")),
-                        s.images[i].name))
-                p = json_array_get(list, k);
-        assert_non_null(p);
-        kit_ok(jsonc_nums(p, "center_enu_m", 3, is, &e), e);
-        kit_ok(jsonc_nums(p, "world_to_camera", 16, m, &e), e);
-        camera_center(c, at);
-        kit_ok(geo_from_enu(&s.origin, at, &lon, &lat, &h, &e), e);
-        sum += h - o->h_m - is[2];
-        for (int r = 0; r < 3; r++) /* true up, in the camera's axes, in the scene's */
-            for (int k = 0; k < 3; k++)
-                up[k] += c->rot[3 * r + k] * m[4 * r + 2];
-    }
-    *up_m = sum / (double)s.n_images;
-    *tilt_deg = DEG * atan2(hypot(up[0], up[1]), up[2]);
+    lift_of(&s, truth, up_m, tilt_deg);
     scene_free(&s);
     json_decref(truth);
 }

@@ -63,20 +63,6 @@ static bool differentiate(struct view_case *s, int axis, const double *rgb, doub
     return false;
 }
 
-static double *colors_of(const struct view_case *s)
-{
-    double *rgb = mem_array(3 * s->g.n, sizeof *rgb);
-    struct ref_view v;
-    struct ref_splat p;
-    struct err e = {0};
-    assert_non_null(rgb);
-    kit_ok(ref_view_init(&s->g, &s->cam, &s->o, &v, &e), e);
-    for (size_t i = 0; i < s->g.n; i++)
-        if (ref_project(&v, &s->g, i, &p))
-            memcpy(rgb + 3 * i, p.rgb, sizeof p.rgb);
-    return rgb;
-}
-
 /* Of the reference. */
 static void gradient_of(const struct view_case *s, double out[6])
 {
@@ -106,7 +92,7 @@ static void test_reference(void **state)
     for (uint64_t seed = 300; seed < 312; seed++) {
         static const enum render_aa modes[] = {RENDER_AA_NONE, RENDER_AA_2D, RENDER_AA_MIP};
         struct view_case s = view_case_make(seed, 6, modes[seed % 3], (uint32_t)(seed % 4));
-        double want[6], fd[6], *rgb = colors_of(&s);
+        double want[6], fd[6], *rgb = view_case_colors(&s);
         displace(&s);
         gradient_of(&s, want);
         for (int k = 0; k < 6; k++, all++)

@@ -141,76 +141,79 @@ static void utm_is_geographiclibs(void **state)
 }
 
 /* Projections of countries and of the poles, in the order of axes that each authority has. */
-/* NOLINTNEXTLINE(readability-function-size): one story, step by step */
+static const struct projection {
+    int epsg;
+    double box[4]; /* where it is used */
+    bool north_first;
+} projections[] = {
+    {25832, {6, 47, 12, 55}, false},
+    {25833, {12, 47, 18, 55}, false},
+    {2154, {-4, 42, 8, 51}, false},
+    {27700, {-6, 50, 1, 58}, false},
+    {28992, {3.5, 51, 7, 53.5}, false},
+    {2180, {14.5, 49.2, 24, 54.5}, true},
+    {2056, {6, 46, 10.4, 47.7}, false},
+    {31287, {9.6, 46.5, 17, 49}, true},
+    {3006, {11, 55.5, 23, 68.5}, true},
+    {3067, {20, 60, 31, 69.5}, false},
+    {3035, {-8, 36, 30, 69}, true},
+    {2193, {167, -46.5, 178, -35}, true},
+    {7856, {150, -38, 155, -28}, false},
+    {6677, {138.6, 34.8, 141, 37}, true},
+    {31983, {-48, -33, -42, -5}, false},
+    {32632, {0, -10, 18, 83}, false},
+    {32733, {12, -79, 18, -1}, false},
+    {32760, {177, -40, 179.99, -10}, false},
+    {32701, {-179.99, -40, -174, -10}, false},
+    {3832, {140, -40, 179.99, 40}, false},
+    {3857, {-179.99, -85, 179.99, 85}, false},
+    {5041, {-180, 84, 180, 89.9}, false},
+    {32661, {-180, 84, 180, 89.9}, true},
+    {32761, {-180, -89.9, 180, -80}, true},
+    {3031, {-180, -89, 180, -61}, false},
+    {3413, {-180, 61, 180, 89}, false},
+};
+
+/* Largest distance so far of N places by ours, from gdaltransform's [0] and from cs2cs' [1]. */
+static void projection_is_projs(size_t k, bool cs2cs, double worst[2])
+{
+    enum { N = 40 };
+    const struct projection *p = &projections[k];
+    double lonlat[N][2], latlon[N][2], gdal[N][2], proj[N][2];
+    struct err e = {0};
+    struct crs *c;
+    char command[200];
+    for (uint64_t i = 0; i < N; i++) {
+        lonlat[i][0] = latlon[i][1] = p->box[0] + rng_unit(k, 2, i) * (p->box[2] - p->box[0]);
+        lonlat[i][1] = latlon[i][0] = p->box[1] + rng_unit(k, 3, i) * (p->box[3] - p->box[1]);
+    }
+    snprintf(command, sizeof command, "gdaltransform -s_srs EPSG:4326 -t_srs EPSG:%d", p->epsg);
+    through(command, lonlat[0], N, 2, gdal[0], 2);
+    snprintf(command, sizeof command, "cs2cs -f %%.9f EPSG:4326 EPSG:%d", p->epsg);
+    if (cs2cs)
+        through(command, latlon[0], N, 2, proj[0], 2);
+    kit_ok(crs_open(p->epsg, &c, &e), e);
+    for (size_t i = 0; i < N; i++) {
+        double x = lonlat[i][0], y = lonlat[i][1];
+        kit_ok(crs_project(c, 1, &x, &y, &e), e);
+        worst[0] = fmax(worst[0], hypot(x - gdal[i][0], y - gdal[i][1]));
+        double off = cs2cs ? hypot(x - proj[i][p->north_first], y - proj[i][!p->north_first]) : 0;
+        if (!(off < same_m))
+            fail_msg("EPSG:%d of %.9f,%.9f: %.6f %.6f, cs2cs says %.6f %.6f", p->epsg, lonlat[i][0],
+                     lonlat[i][1], x, y, proj[i][0], proj[i][1]);
+        worst[1] = fmax(worst[1], off);
+    }
+    crs_close(&c);
+}
+
 static void projections_are_projs(void **state)
 {
-    static const struct {
-        int epsg;
-        double box[4]; /* where it is used */
-        bool north_first;
-    } all[] = {
-        {25832, {6, 47, 12, 55}, false},
-        {25833, {12, 47, 18, 55}, false},
-        {2154, {-4, 42, 8, 51}, false},
-        {27700, {-6, 50, 1, 58}, false},
-        {28992, {3.5, 51, 7, 53.5}, false},
-        {2180, {14.5, 49.2, 24, 54.5}, true},
-        {2056, {6, 46, 10.4, 47.7}, false},
-        {31287, {9.6, 46.5, 17, 49}, true},
-        {3006, {11, 55.5, 23, 68.5}, true},
-        {3067, {20, 60, 31, 69.5}, false},
-        {3035, {-8, 36, 30, 69}, true},
-        {2193, {167, -46.5, 178, -35}, true},
-        {7856, {150, -38, 155, -28}, false},
-        {6677, {138.6, 34.8, 141, 37}, true},
-        {31983, {-48, -33, -42, -5}, false},
-        {32632, {0, -10, 18, 83}, false},
-        {32733, {12, -79, 18, -1}, false},
-        {32760, {177, -40, 179.99, -10}, false},
-        {32701, {-179.99, -40, -174, -10}, false},
-        {3832, {140, -40, 179.99, 40}, false},
-        {3857, {-179.99, -85, 179.99, 85}, false},
-        {5041, {-180, 84, 180, 89.9}, false},
-        {32661, {-180, 84, 180, 89.9}, true},
-        {32761, {-180, -89.9, 180, -80}, true},
-        {3031, {-180, -89, 180, -61}, false},
-        {3413, {-180, 61, 180, 89}, false},
-    };
-    enum { N = 40 };
-    double lonlat[N][2], latlon[N][2], gdal[N][2], proj[N][2], worst[2] = {0};
+    double worst[2] = {0};
     bool cs2cs = there("cs2cs");
-    size_t n = sizeof all / sizeof *all;
+    size_t n = sizeof projections / sizeof *projections;
     (void)state;
-    for (size_t k = 0; k < n; k++) {
-        struct err e = {0};
-        struct crs *c;
-        char command[200];
-        const double *box = all[k].box;
-        for (uint64_t i = 0; i < N; i++) {
-            lonlat[i][0] = latlon[i][1] = box[0] + rng_unit(k, 2, i) * (box[2] - box[0]);
-            lonlat[i][1] = latlon[i][0] = box[1] + rng_unit(k, 3, i) * (box[3] - box[1]);
-        }
-        snprintf(command, sizeof command, "gdaltransform -s_srs EPSG:4326 -t_srs EPSG:%d",
-                 all[k].epsg);
-        through(command, lonlat[0], N, 2, gdal[0], 2);
-        snprintf(command, sizeof command, "cs2cs -f %%.9f EPSG:4326 EPSG:%d", all[k].epsg);
-        if (cs2cs)
-            through(command, latlon[0], N, 2, proj[0], 2);
-        kit_ok(crs_open(all[k].epsg, &c, &e), e);
-        for (size_t i = 0; i < N; i++) {
-            double x = lonlat[i][0], y = lonlat[i][1];
-            kit_ok(crs_project(c, 1, &x, &y, &e), e);
-            worst[0] = fmax(worst[0], hypot(x - gdal[i][0], y - gdal[i][1]));
-            double off =
-                cs2cs ? hypot(x - proj[i][all[k].north_first], y - proj[i][!all[k].north_first])
-                      : 0;
-            if (!(off < same_m))
-                fail_msg("EPSG:%d of %.9f,%.9f: %.6f %.6f, cs2cs says %.6f %.6f", all[k].epsg,
-                         lonlat[i][0], lonlat[i][1], x, y, proj[i][0], proj[i][1]);
-            worst[1] = fmax(worst[1], off);
-        }
-        crs_close(&c);
-    }
+    for (size_t k = 0; k < n; k++)
+        projection_is_projs(k, cs2cs, worst);
     printf("proj: %zu projections within %.2g m of gdaltransform, %.2g m of cs2cs%s\n", n, worst[0],
            worst[1], cs2cs ? "" : " (not there)");
     assert_true(worst[0] < same_m);
@@ -250,47 +253,50 @@ static void tiles_are_web_mercator(void **state)
 
 /* ---- the frame ---- */
 
-/* ENU and ECEF by GeographicLib against PROJ's cart and topocentric. */
-/* NOLINTNEXTLINE(readability-function-size): one story, step by step */
+/* ENU and ECEF by GeographicLib against PROJ's cart and topocentric: places around one. */
+static void frame_is_projs(uint64_t i, const struct geo_origin *o, double worst[3])
+{
+    enum { AROUND = 5 };
+    struct err e = {0};
+    double m[16], in[AROUND][4], ecef[AROUND][4], enu[AROUND][4], ours[3], lon, lat, h;
+    char command[400];
+    for (uint64_t k = 0; k < AROUND; k++) {
+        in[k][0] = k ? o->lon_deg + 0.2 * (rng_unit(6, i, k) - 0.5) : o->lon_deg;
+        in[k][1] = k ? o->lat_deg + 0.1 * (rng_unit(7, i, k) - 0.5) : o->lat_deg;
+        in[k][2] = k ? o->h_m + 800 * rng_unit(8, i, k) : o->h_m;
+        in[k][3] = 0;
+    }
+    through("cct -d 9 +proj=cart +ellps=WGS84", in[0], AROUND, 4, ecef[0], 4);
+    snprintf(command, sizeof command,
+             "cct -d 9 +proj=pipeline +step +proj=cart +ellps=WGS84 +step +proj=topocentric "
+             "+ellps=WGS84 +lon_0=%.17g +lat_0=%.17g +h_0=%.17g",
+             o->lon_deg, o->lat_deg, o->h_m);
+    through(command, in[0], AROUND, 4, enu[0], 4);
+    kit_ok(geo_enu_to_ecef(o, m, &e), e);
+    for (size_t k = 0; k < AROUND; k++) {
+        kit_ok(geo_to_enu(o, in[k][0], in[k][1], in[k][2], ours, &e), e);
+        for (size_t a = 0; a < 3; a++) {
+            double place = m[a] * ours[0] + m[4 + a] * ours[1] + m[8 + a] * ours[2] + m[12 + a];
+            worst[0] = fmax(worst[0], fabs(ours[a] - enu[k][a]));
+            worst[1] = fmax(worst[1], fabs(place - ecef[k][a]));
+        }
+        kit_ok(geo_from_enu(o, enu[k], &lon, &lat, &h, &e), e);
+        worst[2] = fmax(worst[2], fabs(lat - in[k][1]));
+        worst[2] =
+            fmax(worst[2], fabs(remainder(lon - in[k][0], 360)) * cos(in[k][1] * M_PI / 180));
+    }
+}
+
 static void frames_are_projs(void **state)
 {
-    enum { N = 40, AROUND = 5 };
     double at[PLACES][2], worst[3] = {0};
     (void)state;
     places_make(at);
     if (!there("cct"))
         skip();
-    for (size_t i = 0; i < N; i++) {
-        struct err e = {0};
-        struct geo_origin o = {at[i][0], at[i][1], 3000 * rng_unit(5, 0, i) - 200};
-        double m[16], in[AROUND][4], ecef[AROUND][4], enu[AROUND][4], ours[3];
-        char command[400];
-        for (uint64_t k = 0; k < AROUND; k++) {
-            in[k][0] = k ? o.lon_deg + 0.2 * (rng_unit(6, i, k) - 0.5) : o.lon_deg;
-            in[k][1] = k ? o.lat_deg + 0.1 * (rng_unit(7, i, k) - 0.5) : o.lat_deg;
-            in[k][2] = k ? o.h_m + 800 * rng_unit(8, i, k) : o.h_m;
-            in[k][3] = 0;
-        }
-        through("cct -d 9 +proj=cart +ellps=WGS84", in[0], AROUND, 4, ecef[0], 4);
-        snprintf(command, sizeof command,
-                 "cct -d 9 +proj=pipeline +step +proj=cart +ellps=WGS84 +step +proj=topocentric "
-                 "+ellps=WGS84 +lon_0=%.17g +lat_0=%.17g +h_0=%.17g",
-                 o.lon_deg, o.lat_deg, o.h_m);
-        through(command, in[0], AROUND, 4, enu[0], 4);
-        kit_ok(geo_enu_to_ecef(&o, m, &e), e);
-        for (size_t k = 0; k < AROUND; k++) {
-            kit_ok(geo_to_enu(&o, in[k][0], in[k][1], in[k][2], ours, &e), e);
-            for (size_t a = 0; a < 3; a++) {
-                double place = m[a] * ours[0] + m[4 + a] * ours[1] + m[8 + a] * ours[2] + m[12 + a];
-                worst[0] = fmax(worst[0], fabs(ours[a] - enu[k][a]));
-                worst[1] = fmax(worst[1], fabs(place - ecef[k][a]));
-            }
-            double lon, lat, h;
-            kit_ok(geo_from_enu(&o, enu[k], &lon, &lat, &h, &e), e);
-            worst[2] = fmax(worst[2], fabs(lat - in[k][1]));
-            worst[2] =
-                fmax(worst[2], fabs(remainder(lon - in[k][0], 360)) * cos(in[k][1] * M_PI / 180));
-        }
+    for (uint64_t i = 0; i < 40; i++) {
+        const struct geo_origin o = {at[i][0], at[i][1], 3000 * rng_unit(5, 0, i) - 200};
+        frame_is_projs(i, &o, worst);
     }
     printf("proj: east-north-up within %.2g m of cct, ECEF %.2g m, back %.2g deg\n", worst[0],
            worst[1], worst[2]);
@@ -445,8 +451,31 @@ static void tilesets_stand_on_the_earth(void **state)
            worst);
 }
 
-/* What GDAL reads at a longitude and latitude of an orthophoto is what lies there. */
-/* NOLINTNEXTLINE(readability-function-size): one story, step by step */
+/* What GDAL reads at a longitude and latitude of dir/o.tif: how far from there a place of these
+ * colours lies, m. */
+static double colour_off(const struct geo_origin *o, const double at[2])
+{
+    const double enu[3] = {at[0], at[1], 0};
+    double lon, lat, h, red = 0, green = 0, blue = 1;
+    struct err e = {0};
+    struct buf out = {0};
+    kit_ok(geo_from_enu(o, enu, &lon, &lat, &h, &e), e);
+    int rc =
+        kit_run(&out, "gdallocationinfo -valonly -wgs84 '%s/o.tif' %.12f %.12f", dir, lon, lat);
+    buf_u8(&out, 0);
+    if (rc || sscanf((const char *)out.data, "%lf %lf %lf", &red, &green, &blue) != 3)
+        fail_msg("%.4f,%.4f: %s", o->lon_deg, o->lat_deg, (const char *)out.data);
+    buf_free(&out);
+    /* Blue is a half everywhere: what is let through darkens all alike. */
+    double off_m = hypot((0.5 * red / blue - 0.5) * EXTENT_M - enu[0],
+                         (0.5 * green / blue - 0.5) * EXTENT_M - enu[1]);
+    if (!(off_m < 0.4)) /* half a pixel of 0.25 m and half a step of colour each way */
+        fail_msg(
+            "%.4f,%.4f: %.1f m east, %.1f north is red %.0f green %.0f, a place %.2f m beside it",
+            o->lon_deg, o->lat_deg, enu[0], enu[1], red, green, off_m);
+    return off_m;
+}
+
 static void orthophotos_lie_where_gdal_has_them(void **state)
 {
     static const double asked[5][2] = {{0, 0}, {-15, 12}, {13, -16}, {16, 15}, {-12, -14}};
@@ -474,26 +503,8 @@ static void orthophotos_lie_where_gdal_has_them(void **state)
         buf_u8(&out, 0);
         kit_expect_text((const char *)out.data, want, __FILE__, __LINE__);
         buf_free(&out);
-        for (size_t k = 0; k < 5; k++) {
-            const double enu[3] = {asked[k][0], asked[k][1], 0};
-            double lon, lat, h, red = 0, green = 0, blue = 1;
-            kit_ok(geo_from_enu(o, enu, &lon, &lat, &h, &e), e);
-            int rc = kit_run(&out, "gdallocationinfo -valonly -wgs84 '%s/o.tif' %.12f %.12f", dir,
-                             lon, lat);
-            buf_u8(&out, 0);
-            if (rc || sscanf((const char *)out.data, "%lf %lf %lf", &red, &green, &blue) != 3)
-                fail_msg("%.4f,%.4f: %s", o->lon_deg, o->lat_deg, (const char *)out.data);
-            buf_free(&out);
-            /* Blue is a half everywhere: what is let through darkens all alike. */
-            double off_m = hypot((0.5 * red / blue - 0.5) * EXTENT_M - enu[0],
-                                 (0.5 * green / blue - 0.5) * EXTENT_M - enu[1]);
-            if (!(off_m < 0.4)) /* half a pixel of 0.25 m and half a step of colour each way */
-                fail_msg(
-                    "%.4f,%.4f: %.1f m east, %.1f north is red %.0f green %.0f, a place %.2f m "
-                    "beside it",
-                    o->lon_deg, o->lat_deg, enu[0], enu[1], red, green, off_m);
-            worst_m = fmax(worst_m, off_m);
-        }
+        for (size_t k = 0; k < 5; k++)
+            worst_m = fmax(worst_m, colour_off(o, asked[k]));
     }
     printf("proj: orthophotos of %zu places within %.2f m of gdallocationinfo\n",
            sizeof cities / sizeof *cities, worst_m);

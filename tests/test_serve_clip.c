@@ -188,8 +188,32 @@ static void etag_of(const char *target, char out[64])
 
 /* ---- what is asked ---- */
 
+/* Gaussians of this tile of the part, all within it. */
+static size_t tile_in_the_part(const char *target)
+{
+    struct err e = {0};
+    struct reply r;
+    struct gauss g;
+    struct ply_info info = {0};
+    ask("GET", target, "", &r);
+    assert_int_equal(r.status, 200);
+    kit_ok(ply_decode(r.body, r.body_size, NULL, &g, &info, &e), e);
+    buf_free(&r.raw);
+    assert_true(info.has_origin);
+    for (size_t i = 0; i < g.n; i++) {
+        double enu[3], lon, lat, h;
+        for (size_t a = 0; a < 3; a++)
+            enu[a] = (double)g.mean_m[3 * i + a] + g.origin_enu_m[a];
+        kit_ok(geo_from_enu(&info.origin, enu, &lon, &lat, &h, &e), e);
+        if (!inside(SOUTH_WEST, lon, lat) && !near_border(SOUTH_WEST, lon, lat, 1e-7))
+            fail_msg("%s has a Gaussian at %.7f,%.7f", target, lon, lat);
+    }
+    size_t n = g.n;
+    gauss_free(&g);
+    return n;
+}
+
 /* Every Gaussian of every tile lies in the part, and there are as many as the part has. */
-/* NOLINTNEXTLINE(readability-function-size): one story, step by step */
 static void tiles_hold_the_part(void **state)
 {
     struct err e = {0};
@@ -209,32 +233,14 @@ static void tiles_hold_the_part(void **state)
     char *list = strndup((const char *)r.body, r.body_size), *rest = NULL;
     buf_free(&r.raw);
     for (char *line = strtok_r(list, "\n", &rest); line; line = strtok_r(NULL, "\n", &rest)) {
-        struct key k;
-        struct gauss g;
-        struct ply_info info = {0};
+        unsigned z, x, y;
         const char *at = strstr(line, "/t/");
-        unsigned z;
         if (!at)
             continue;
-        assert_int_equal(sscanf(at, "/t/%u/%u/%u", &z, &k.x, &k.y), 3);
-        k.z = (uint8_t)z;
-        snprintf(target, sizeof target, "/d/survey/r/%s/t/%u/%u/%u.ply", p.revision, z, k.x, k.y);
-        ask("GET", target, "", &r);
-        assert_int_equal(r.status, 200);
-        kit_ok(ply_decode(r.body, r.body_size, NULL, &g, &info, &e), e);
-        buf_free(&r.raw);
-        assert_true(info.has_origin);
-        for (size_t i = 0; i < g.n; i++) {
-            double enu[3], lon, lat, h;
-            for (size_t a = 0; a < 3; a++)
-                enu[a] = (double)g.mean_m[3 * i + a] + g.origin_enu_m[a];
-            kit_ok(geo_from_enu(&info.origin, enu, &lon, &lat, &h, &e), e);
-            if (!inside(SOUTH_WEST, lon, lat) && !near_border(SOUTH_WEST, lon, lat, 1e-7))
-                fail_msg("%s has a Gaussian at %.7f,%.7f", target, lon, lat);
-        }
-        n += g.n;
+        assert_int_equal(sscanf(at, "/t/%u/%u/%u", &z, &x, &y), 3);
+        snprintf(target, sizeof target, "/d/survey/r/%s/t/%u/%u/%u.ply", p.revision, z, x, y);
+        n += tile_in_the_part(target);
         n_tiles++;
-        gauss_free(&g);
     }
     free(list);
     printf("serve --clip: %zu Gaussians in %zu tiles\n", n, n_tiles);
