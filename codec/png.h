@@ -8,10 +8,6 @@
 
 #include "core/base.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 /* px [h][w][channels]: 1 grey, 3 RGB, 4 RGB and alpha that is not premultiplied. Appended to out.
  * ERR_ARG (size, channels), ERR_MEM. */
 enum err_code png_encode(const uint8_t *px, uint32_t width_px, uint32_t height_px,
@@ -21,8 +17,4 @@ enum err_code png_encode(const uint8_t *px, uint32_t width_px, uint32_t height_p
 enum err_code png_encode_grey16(const uint16_t *px, uint32_t width_px, uint32_t height_px,
                                 const char *keyword, const char *text, struct buf *out,
                                 struct err *e) ERR_USE;
-
-#ifdef __cplusplus
-}
-#endif
 #endif

@@ -8,10 +8,6 @@
 
 #include "core/base.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 /* px [h][w][channels], 3 or 4 with alpha that is not premultiplied and is kept exactly; quality 1
  * to
  * 100. Appended to out. ERR_ARG (size, channels), ERR_MEM, ERR_INTERNAL. */
@@ -24,8 +20,4 @@ enum err_code webp_encode_exact(const uint8_t *px, uint32_t width_px, uint32_t h
  * (more than most_px pixels), ERR_MEM. */
 enum err_code webp_decode(const void *bytes, size_t n, size_t most_px, uint8_t **px,
                           uint32_t *width_px, uint32_t *height_px, struct err *e) ERR_USE;
-
-#ifdef __cplusplus
-}
-#endif
 #endif

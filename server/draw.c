@@ -14,6 +14,7 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include "codec/image.h"
 #include "core/dev.h"
 #include "core/geo.h"
 #include "lod/nadir.h"
@@ -78,6 +79,8 @@ static enum err_code draw_open(const void *hello, size_t n, void **user, char ab
     d->has_dev = !rc;
     if (!rc)
         rc = render_open(&d->dev, &d->render, e);
+    if (!rc)
+        rc = image_load(e); /* now, not within the first picture */
     if (!rc && d->hello.geoid[0])
         rc = geoid_open(d->hello.geoid, d->hello.geoid_dir, &d->geoid, e);
     if (rc)

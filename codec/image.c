@@ -1,0 +1,275 @@
+/* Images: 8-bit RGB in, .jpg .png .webp .tif out. See image.h.
+ *
+ * Files are encoded in memory, get their EXIF block from exif.c, and reach the disk through
+ * file_write, so no half image is ever left behind.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "codec/image.h"
+
+#include <dlfcn.h>
+#include <pthread.h>
+#include <stdio.h>
+#include <string.h>
+#include <strings.h>
+#include <unistd.h>
+
+#include "codec/image_library.h"
+#include "codec/limits.h"
+#include "codec/png.h"
+#include "codec/webp.h"
+
+/* ---- the library ---- */
+
+static const struct image_library *image_table; /* NULL: could not be loaded, image_table_why */
+static struct err image_table_why;
+
+/* A folder from the program's own: of a build, and installed. */
+static bool image_library_path(const char *folder, char out[FILE_PATH_MAX])
+{
+    char self[FILE_PATH_MAX];
+    ssize_t n = readlink("/proc/self/exe", self, sizeof self - 1);
+    if (n <= 0)
+        return false;
+    self[n] = 0;
+    *strrchr(self, '/') = 0;
+    return snprintf(out, FILE_PATH_MAX, "%s/%s" IMAGE_LIBRARY_FILE, self, folder) < FILE_PATH_MAX &&
+           file_exists(out);
+}
+
+static void image_load_once(void)
+{
+    char path[FILE_PATH_MAX];
+    if (!image_library_path("", path) && !image_library_path(IMAGE_LIBRARY_FOLDER "/", path)) {
+        (void)err_set(&image_table_why, ERR_NOENT,
+                      "images: " IMAGE_LIBRARY_FILE ": is neither beside the program nor in "
+                      "%s: install citysplat whole",
+                      IMAGE_LIBRARY_FOLDER);
+        return;
+    }
+    void *library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
+    const struct image_library *table = library ? dlsym(library, IMAGE_LIBRARY_SYMBOL) : NULL;
+    if (!table)
+        (void)err_set(&image_table_why, ERR_INTERNAL, "images: %s: cannot be loaded (%s)", path,
+                      dlerror());
+    else if (table->version != IMAGE_LIBRARY_VERSION)
+        (void)err_set(&image_table_why, ERR_INTERNAL,
+                      "images: %s: is of another version of citysplat: install both anew", path);
+    else
+        image_table = table;
+}
+
+enum err_code image_load(struct err *e)
+{
+    static pthread_once_t once = PTHREAD_ONCE_INIT;
+    pthread_once(&once, image_load_once);
+    return image_table ? ERR_OK : err_set(e, image_table_why.code, "%s", image_table_why.msg);
+}
+
+/* ---- memory ---- */
+
+enum err_code image_alloc(uint32_t width_px, uint32_t height_px, uint32_t channels,
+                          struct image *out, struct err *e)
+{
+    *out = (struct image){0};
+    if (channels != 1 && channels != 3 && channels != 4)
+        return err_set(e, ERR_ARG, "image: %u channels: only 1, 3 and 4 are known", channels);
+    out->px = mem_array((size_t)width_px * height_px, channels);
+    if (!out->px)
+        return err_set(e, ERR_MEM, "image: %u x %u: out of memory", width_px, height_px);
+    out->width_px = width_px;
+    out->height_px = height_px;
+    out->channels = channels;
+    return ERR_OK;
+}
+
+void image_free(struct image *img)
+{
+    mem_free(img->px);
+    *img = (struct image){0};
+}
+
+/* ---- reading ---- */
+
+static enum err_code image_open(const char *path, struct image_input **in, struct image_spec *s,
+                                struct err *e)
+{
+    struct image_why why;
+    *in = NULL;
+    if (!file_exists(path))
+        return err_set(e, ERR_NOENT, "image: %s: no such file", path);
+    enum err_code rc = image_load(e);
+    if (rc)
+        return rc;
+    rc = image_table->open(path, in, s, &why);
+    if (rc)
+        return err_set(e, rc, "image: %s: not an image that can be read (%s)", path, why.text);
+    if (s->width_px >= 1 && s->height_px >= 1 && s->depth <= 1 && s->channels >= 1)
+        return ERR_OK;
+    image_table->close(*in);
+    *in = NULL;
+    return err_set(e, ERR_FORMAT, "image: %s: %d x %d x %d pixels of %d channels", path,
+                   s->width_px, s->height_px, s->depth, s->channels);
+}
+
+static enum err_code image_check(const char *path, const struct image_spec *s,
+                                 const struct codec_limits *lim, struct err *e)
+{
+    size_t limit = lim && lim->max_pixels ? lim->max_pixels : CODEC_MAX_PIXELS;
+    return (size_t)s->width_px * (size_t)s->height_px <= limit
+               ? ERR_OK
+               : err_set(e, ERR_LIMIT, "image: %s: %d x %d pixels are more than the limit of %zu",
+                         path, s->width_px, s->height_px, limit);
+}
+
+enum err_code image_read(const char *path, const struct codec_limits *lim, struct image *out,
+                         struct err *e)
+{
+    struct image_input *in;
+    struct image_spec s;
+    struct image_why why;
+    struct image img = {0};
+    *out = img;
+    enum err_code rc = image_open(path, &in, &s, e);
+    if (rc)
+        return rc;
+    rc = image_check(path, &s, lim, e);
+    if (!rc)
+        rc = image_alloc((uint32_t)s.width_px, (uint32_t)s.height_px, 3, &img, e);
+    int take = s.channels >= 3 ? 3 : 1; /* 2 is grey and alpha */
+    if (!rc && (rc = image_table->read_u8(in, take, img.px, &why)) != ERR_OK)
+        (void)err_set(e, rc, "image: %s: damaged or truncated (%s)", path, why.text);
+    if (!rc && take == 1)
+        for (size_t i = 0; i < (size_t)img.width_px * img.height_px; i++)
+            img.px[3 * i + 1] = img.px[3 * i + 2] = img.px[3 * i];
+    image_table->close(in);
+    if (rc)
+        image_free(&img);
+    *out = img;
+    return rc;
+}
+
+enum err_code image_read_map(const char *path, const struct codec_limits *lim, uint32_t *width_px,
+                             uint32_t *height_px, float **data, struct err *e)
+{
+    struct image_input *in;
+    struct image_spec s;
+    struct image_why why;
+    *data = NULL;
+    enum err_code rc = image_open(path, &in, &s, e);
+    if (rc)
+        return rc;
+    rc = image_check(path, &s, lim, e);
+    size_t n = (size_t)s.width_px * (size_t)s.height_px;
+    float *px = rc ? NULL : mem_array(n, sizeof *px);
+    if (!rc && !px)
+        rc = err_set(e, ERR_MEM, "image: %s: out of memory for %zu pixels", path, n);
+    if (!rc && (rc = image_table->read_float(in, px, &why)) != ERR_OK)
+        (void)err_set(e, rc, "image: %s: damaged or truncated (%s)", path, why.text);
+    image_table->close(in);
+    if (rc) {
+        mem_free(px);
+        return rc;
+    }
+    *width_px = (uint32_t)s.width_px;
+    *height_px = (uint32_t)s.height_px;
+    *data = px;
+    return ERR_OK;
+}
+
+enum err_code image_read_info(const char *path, uint32_t *width_px, uint32_t *height_px,
+                              struct image_gps *gps, struct drone_meta *drone, struct err *e)
+{
+    struct image_input *in;
+    struct image_spec s;
+    enum err_code rc = image_open(path, &in, &s, e);
+    if (rc)
+        return rc;
+    if (width_px)
+        *width_px = (uint32_t)s.width_px;
+    if (height_px)
+        *height_px = (uint32_t)s.height_px;
+    if (drone)
+        drone_read(image_table->attribute, in, drone);
+    image_table->close(in);
+    return gps ? exif_read(path, gps, e) : ERR_OK;
+}
+
+/* ---- writing ---- */
+
+static int image_quality(int quality)
+{
+    return quality <= 0 ? 95 : quality > 100 ? 100 : quality;
+}
+
+static void image_add(void *to, const void *bytes, size_t n)
+{
+    buf_add(to, bytes, n);
+}
+
+enum err_code image_encode(const struct image *img, const char *format, int quality,
+                           struct buf *out, struct err *e)
+{
+    struct image_why why;
+    if (!strcmp(format, "png"))
+        return png_encode(img->px, img->width_px, img->height_px, img->channels, out, e);
+    if (!strcmp(format, "webp") && img->channels >= 3)
+        return webp_encode(img->px, img->width_px, img->height_px, img->channels,
+                           image_quality(quality), out, e);
+    enum err_code rc = image_load(e);
+    if (rc)
+        return rc;
+    rc = image_table->encode(img, format, image_quality(quality), image_add, out, &why);
+    return rc ? err_set(e, rc, "image: %u x %u as %s: %s", img->width_px, img->height_px, format,
+                        why.text)
+              : buf_check(out, e);
+}
+
+/* libtiff seeks while it writes: by way of the disk. */
+static enum err_code image_encode_tiff(const char *path, const struct image *img, struct buf *out,
+                                       struct err *e)
+{
+    char part[FILE_PATH_MAX];
+    struct image_why why;
+    enum err_code rc = image_load(e);
+    if (!rc)
+        rc = file_begin(path, part, e);
+    if (rc)
+        return rc;
+    rc = image_table->write_tiff(part, img, &why);
+    rc = rc ? err_set(e, rc, "image: %u x %u as tif: %s", img->width_px, img->height_px, why.text)
+            : file_read(part, 0, out, e);
+    file_abort(part);
+    return rc;
+}
+
+/* NULL: not one that is written. */
+static const char *image_format(const char *path)
+{
+    static const char *const known[][2] = {{"jpg", "jpg"},   {"jpeg", "jpg"}, {"png", "png"},
+                                           {"webp", "webp"}, {"tif", "tif"},  {"tiff", "tif"}};
+    const char *dot = strrchr(path, '.');
+    for (size_t i = 0; dot && i < sizeof known / sizeof *known; i++)
+        if (!strcasecmp(dot + 1, known[i][0]))
+            return known[i][1];
+    return NULL;
+}
+
+enum err_code image_write(const char *path, const struct image *img, int quality,
+                          const struct image_gps *gps, struct err *e)
+{
+    const char *format = image_format(path);
+    struct buf b = {0};
+    if (!format)
+        return err_set(e, ERR_ARG, "image: %s: the name must end in .jpg .png .webp or .tif", path);
+    enum err_code rc = strcmp(format, "tif") ? image_encode(img, format, quality, &b, e)
+                                             : image_encode_tiff(path, img, &b, e);
+    if (!rc && gps)
+        rc = exif_insert(&b, gps, e);
+    if (!rc)
+        rc = file_write(path, b.data, b.size, e);
+    else
+        (void)err_add(e, "%s", path);
+    buf_free(&b);
+    return rc;
+}
