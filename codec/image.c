@@ -96,6 +96,7 @@ static enum err_code image_open(const char *path, struct image_input **in, struc
 {
     struct image_why why;
     *in = NULL;
+    *s = (struct image_spec){0};
     if (!file_exists(path))
         return err_set(e, ERR_NOENT, "image: %s: no such file", path);
     enum err_code rc = image_load(e);
