@@ -78,7 +78,7 @@ enum err_code render_surface_run(struct render_surface *s, const float *limit_m,
     size_t bytes = (size_t)r->view.width * r->view.height * sizeof(float);
     bool wide = r->dev->vector_width == LAYOUT_LANES;
     size_t items = (size_t)r->tiles * (wide ? LAYOUT_TILE : LAYOUT_TILE_PIXELS);
-    cl_uint limited = limit_m != NULL;
+    cl_uint limited = limit_m != NULL, median_alone = !out->mean_m && !out->front;
     float *const maps[LAYOUT_SURFACE_MAPS] = {[LAYOUT_SURFACE_MEDIAN] = out->median_m,
                                               [LAYOUT_SURFACE_MEAN] = out->mean_m,
                                               [LAYOUT_SURFACE_FRONT] = out->front};
@@ -90,13 +90,13 @@ enum err_code render_surface_run(struct render_surface *s, const float *limit_m,
     if (!rc)
         rc = surface_tilts(s, e);
     if (!rc)
-        rc = frame_run(r, s->rows, "surface_rows",
-                       FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
-                                  FRAME_ARG(r->tile_start.mem),
-                                  FRAME_ARG(r->intersection_splat.mem), FRAME_ARG(r->depth_key.mem),
-                                  FRAME_ARG(s->tilt.mem), FRAME_ARG(s->limit.mem),
-                                  FRAME_ARG(limited), FRAME_ARG(s->maps.mem)),
-                       items, wide ? 1 : LAYOUT_TILE_PIXELS, e);
+        rc = frame_run(
+            r, s->rows, "surface_rows",
+            FRAME_ARGS(FRAME_ARG(r->view_mem), FRAME_ARG(r->splats.mem),
+                       FRAME_ARG(r->tile_start.mem), FRAME_ARG(r->intersection_splat.mem),
+                       FRAME_ARG(r->depth_key.mem), FRAME_ARG(s->tilt.mem), FRAME_ARG(s->limit.mem),
+                       FRAME_ARG(limited), FRAME_ARG(median_alone), FRAME_ARG(s->maps.mem)),
+            items, wide ? 1 : LAYOUT_TILE_PIXELS, e);
     for (size_t m = 0; !rc && m < LAYOUT_SURFACE_MAPS; m++)
         if (maps[m])
             rc = dev_read(r->dev, s->maps.mem, m * bytes, bytes, maps[m], e);

@@ -4,6 +4,7 @@
 //   in   splats, tile_start, intersection_splat, depth_key: the frame
 //        tilts: what surface_tilts made of its Gaussians
 //        limit [h][w]: m; not read without
+//        median_alone: the other two maps are not wanted; they come out wrong
 //   out  maps [LAYOUT_SURFACE_MAPS][h][w]: median depth in m, 0 where transmittance stays above
 //        1/2; mean depth sum alpha T z / sum alpha T, 0 where nothing is; sum alpha T of what is
 //        nearer than limit
@@ -95,7 +96,8 @@ __kernel void surface_rows(__constant struct layout_view *view,
                            __global const struct layout_splat *splats,
                            __global const uint *tile_start, __global const uint *intersection_splat,
                            __global const uint *depth_key, __global const float *tilts,
-                           __global const float *limit, uint limited, __global float *maps)
+                           __global const float *limit, uint limited, uint median_alone,
+                           __global float *maps)
 {
 #if VW == 16
     uint item = (uint)get_global_id(0), tile = item / LAYOUT_TILE, row = item % LAYOUT_TILE;
@@ -122,7 +124,10 @@ __kernel void surface_rows(__constant struct layout_view *view,
 #endif
     V px = (float)x + 0.5f + TO_V(LANE), t = (V)(1.0f), median = (V)(0.0f), sum = (V)(0.0f),
       front = (V)(0.0f);
+    const float last = median_alone ? 0.5f : LAYOUT_TRANSMITTANCE_MIN; // beyond it nothing is wanted
     for (uint i = tile_start[tile], end = tile_start[tile + 1]; i < end; i++) {
+        if ((i & 15) == 0 && !ANY(t > last))
+            break;
         __global const struct layout_splat *s = splats + intersection_splat[i];
         float dy = s->mean_y - ((float)y + 0.5f);
         V dx = s->mean_x - px;
@@ -132,14 +137,16 @@ __kernel void surface_rows(__constant struct layout_view *view,
         if (!ANY(a > 0.0f))
             continue;
         V share = a * t, left = t - share;
+        if (median_alone && !ANY((t > 0.5f) & (left <= 0.5f))) {
+            t = left; // most Gaussians are the median of no pixel, and depth is what costs
+            continue;
+        }
         V z = tilt_depth(view, tilts, intersection_splat[i],
                          as_float(depth_key[intersection_splat[i]]), px, (float)y + 0.5f, dx, dy);
         median = ((t > 0.5f) & (left <= 0.5f)) ? z : median;
         sum += share * z;
         front += z < far ? share : (V)(0.0f);
         t = left;
-        if ((i & 15) == 15 && !ANY(t > LAYOUT_TRANSMITTANCE_MIN))
-            break;
     }
     V drawn = 1.0f - t;
     V mean = drawn > 0.0f ? sum / drawn : (V)(0.0f);

@@ -40,6 +40,15 @@ static struct camera front_camera(void)
     return camera_look_at(eye, target, 0.9, WIDTH, HEIGHT);
 }
 
+/* The last frame's median by itself, which is drawn without what the other maps need. */
+static void median_alone_is_the_same(struct render_surface *s, const float *want)
+{
+    static float alone[PIXELS];
+    struct err e = {0};
+    kit_ok(render_surface_run(s, NULL, &(struct render_surface_maps){.median_m = alone}, &e), e);
+    assert_memory_equal(alone, want, sizeof alone);
+}
+
 static void draw(struct render *r, const struct gauss *g, const float *limit, struct maps *out)
 {
     struct err e = {0};
@@ -51,6 +60,7 @@ static void draw(struct render *r, const struct gauss *g, const float *limit, st
     kit_ok(render_model_upload(r, g, &m, &e), e);
     kit_ok(render_forward(r, &m, &cam, &options, out->rgb, NULL, &e), e);
     kit_ok(render_surface_run(s, limit, &maps, &e), e);
+    median_alone_is_the_same(s, out->median);
     render_surface_close(&s);
     render_model_free(&m);
 }
@@ -220,6 +230,7 @@ static void depths_are_those_on_the_ray(void **state)
         kit_ok(render_model_upload(render, &g, &m, &e), e);
         kit_ok(render_forward(render, &m, &cam, &o, got.rgb, NULL, &e), e);
         kit_ok(render_surface_run(s, NULL, &maps, &e), e);
+        median_alone_is_the_same(s, got.median);
         kit_ok(ref_view_init(&g, &cam, &o, &v, &e), e);
         kit_ok(ref_project_all(&v, &g, &splats, &n, &e), e);
         for (size_t i = 0; i < PIXELS; i++) {
