@@ -14,6 +14,9 @@ function(embed_cl target)
 endfunction()
 if(CMAKE_SCRIPT_MODE_FILE AND IN)
   file(READ ${IN} hex HEX)
+  # "#include", which only C sees, becomes a comment: PoCL runs a preprocessor over every source that has the word, at
+  # every start, before it looks into its cache.
+  string(REPLACE "23696e636c756465" "2f2f202020202020" hex "${hex}")
   string(REGEX REPLACE "(..)" "0x\\1," bytes "${hex}")
   file(WRITE ${OUT} "extern const char ${SYM}[];\nconst char ${SYM}[] = {${bytes}0};\n")
 endif()
