@@ -124,7 +124,8 @@ __kernel void surface_rows(__constant struct layout_view *view,
 #endif
     V px = (float)x + 0.5f + TO_V(LANE), t = (V)(1.0f), median = (V)(0.0f), sum = (V)(0.0f),
       front = (V)(0.0f);
-    const float last = median_alone ? 0.5f : LAYOUT_TRANSMITTANCE_MIN; // beyond it nothing is wanted
+    // Beyond it nothing is wanted.
+    const float last = median_alone ? 0.5f : LAYOUT_TRANSMITTANCE_MIN;
     for (uint i = tile_start[tile], end = tile_start[tile + 1]; i < end; i++) {
         if ((i & 15) == 0 && !ANY(t > last))
             break;
