@@ -1,7 +1,8 @@
 /* The viewer's files, read once at start into a sorted table: a request looks a path up among
  * strings that were found on disk before the first request came, and never reaches the file system.
- * Names with a hash in them (Vite's assets/) are immutable; text is also kept gzipped, and as
- * brotli where the build left x.js.br beside x.js: that takes seconds, which a start does not have.
+ * Names with a hash in them (Vite's assets/) are immutable; text is also kept as brotli and gzip,
+ * which the build left beside it as x.js.br and x.js.gz: to make them takes time that a start does
+ * not have. Where there is no x.js.gz, it is made.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -68,25 +69,39 @@ static bool static_is_coded(const char *path)
     return file_exists(plain);
 }
 
-/* The brotli form of the file at path, where there is one. One that is older than a file whose name
- * does not change with its bytes is of other bytes. */
-static enum err_code static_add_brotli(const char *path, const struct static_file *f, size_t *bytes,
-                                       struct err *e)
+/* The file at path as it was compressed beside it, into *data, where that is there and shorter. One
+ * that is older than a file whose name does not change with its bytes is of other bytes. */
+static enum err_code static_read_coded(const char *path, const char *suffix,
+                                       const struct static_file *f, uint8_t **data, size_t *size,
+                                       size_t *bytes, struct err *e)
 {
     char coded[FILE_PATH_MAX];
     struct stat st;
     struct buf b = {0};
-    if (snprintf(coded, sizeof coded, "%s.br", path) >= (int)sizeof coded || stat(coded, &st) ||
-        !S_ISREG(st.st_mode) || (!f->immutable && st.st_mtime < f->body->modified_s))
+    if (snprintf(coded, sizeof coded, "%s%s", path, suffix) >= (int)sizeof coded ||
+        stat(coded, &st) || !S_ISREG(st.st_mode) ||
+        (!f->immutable && st.st_mtime < f->body->modified_s))
         return ERR_OK;
     enum err_code rc = file_read(coded, BYTES_MAX, &b, e);
     if (!rc && b.size && b.size < f->body->size) {
-        f->body->brotli = b.data;
-        f->body->brotli_size = b.size;
+        *data = b.data;
+        *size = b.size;
         *bytes += b.size;
         return ERR_OK;
     }
     buf_free(&b);
+    return rc;
+}
+
+static enum err_code static_add_coded(const char *path, const struct static_file *f, size_t *bytes,
+                                      struct err *e)
+{
+    struct body *b = f->body;
+    enum err_code rc = static_read_coded(path, ".br", f, &b->brotli, &b->brotli_size, bytes, e);
+    if (!rc)
+        rc = static_read_coded(path, ".gz", f, &b->gzip, &b->gzip_size, bytes, e);
+    if (!rc && !b->gzip)
+        body_compress(b);
     return rc;
 }
 
@@ -134,8 +149,7 @@ static enum err_code static_add_file(const char *dir, const char *url, int64_t m
     f.body->modified_s = modified_s;
     t->file[t->n++] = f;
     if (type >= 0 && types[type].text) {
-        body_compress(f.body);
-        rc = static_add_brotli(path, &f, bytes, e);
+        rc = static_add_coded(path, &f, bytes, e);
         if (rc)
             return rc;
     }

@@ -6,6 +6,7 @@
 #include <fcntl.h>
 #include <sys/stat.h>
 #include <time.h>
+#include <unistd.h>
 
 #include "server/auth.h"
 #include "server/condition.h"
@@ -446,7 +447,7 @@ static void test_viewer_files(void **state)
 }
 
 /* Forms of files whose name stays while their bytes change: of other bytes when they are older. */
-static void test_brotli_of_other_bytes(void **state)
+static void test_coded_of_other_bytes(void **state)
 {
     static const struct {
         long older_s;
@@ -456,20 +457,24 @@ static void test_brotli_of_other_bytes(void **state)
     (void)state;
     memset(text, ' ', sizeof text);
     kit_tmpdir(dir);
-    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+    for (size_t i = 0; i < 2 * (sizeof rows / sizeof *rows); i++) {
         struct static_table table = {0};
         struct err e = {0};
+        bool gzip = i % 2;
         kit_ok(file_join(path, dir, "viewer.js", &e), e);
         kit_ok(file_write(path, text, 1000, &e), e);
-        kit_ok(file_join(coded, dir, "viewer.js.br", &e), e);
-        kit_ok(file_write(coded, text, rows[i].size, &e), e);
-        const struct timespec at = {.tv_sec = time(NULL) - rows[i].older_s};
+        kit_ok(file_join(coded, dir, gzip ? "viewer.js.gz" : "viewer.js.br", &e), e);
+        kit_ok(file_write(coded, text, rows[i / 2].size, &e), e);
+        const struct timespec at = {.tv_sec = time(NULL) - rows[i / 2].older_s};
         assert_int_equal(0, utimensat(AT_FDCWD, coded, (const struct timespec[2]){at, at}, 0));
         kit_ok(static_load(dir, &table, &e), e);
         const struct static_file *f = static_find(&table, "/viewer.js", strlen("/viewer.js"));
         assert_int_equal(table.n, 1);
-        assert_int_equal(f->body->brotli_size, rows[i].got);
+        assert_int_equal(f->body->brotli_size, gzip ? 0 : rows[i / 2].got);
+        bool taken = f->body->gzip_size == 40; /* else it is made at start */
+        assert_true(f->body->gzip && taken == (gzip && rows[i / 2].got));
         static_free(&table);
+        assert_int_equal(unlink(coded), 0);
     }
     kit_rmdir(dir);
 }
@@ -674,7 +679,7 @@ int main(void)
         cmocka_unit_test(test_last_modified),
         cmocka_unit_test(test_redirects),
         cmocka_unit_test(test_viewer_files),
-        cmocka_unit_test(test_brotli_of_other_bytes),
+        cmocka_unit_test(test_coded_of_other_bytes),
         cmocka_unit_test(test_hints),
         cmocka_unit_test(test_basemap),
         cmocka_unit_test(test_job_ends),
