@@ -23,8 +23,6 @@
 #include "render/render.h"
 #include "server/paint.h"
 
-enum { DRAW_NICE = 5 };
-
 struct draw_slot {
     struct view *view;   /* NULL: empty */
     struct nadir *nadir; /* over the view; NULL: nobody asked for a map yet */
@@ -74,7 +72,8 @@ static enum err_code draw_open(const void *hello, size_t n, void **user, char ab
     memcpy(&d->hello, hello, n);
     log_set_json(d->hello.log_json);
     log_set_level(LOG_WARN); /* the server tells what is well */
-    setpriority(PRIO_PROCESS, 0, DRAW_NICE);
+    if (d->hello.nice)
+        setpriority(PRIO_PROCESS, 0, d->hello.nice);
     enum err_code rc = dev_open(d->hello.device[0] ? d->hello.device : NULL, &d->dev, e);
     d->has_dev = !rc;
     if (!rc)
@@ -193,8 +192,9 @@ static enum err_code draw_run(void *user, const void *request, size_t n, int fd,
                                : draw_answer(d, q, s->nadir, out, e);
 }
 
+const struct worker_service draw_service = {draw_open, draw_run, draw_close};
+
 int draw_main(void)
 {
-    static const struct worker_service service = {draw_open, draw_run, draw_close};
-    return worker_main(&service);
+    return worker_main(&draw_service);
 }

@@ -18,6 +18,7 @@ enum { DRAW_SLOTS = 4 /* stores that it has open */ };
 struct draw_hello {                                        /* told once */
     char device[128], geoid[64], geoid_dir[FILE_PATH_MAX]; /* as the options; geoid "": none */
     uint64_t view_cache_bytes, view_gaussians;
+    int nice; /* of the thread that draws and of those that it starts */
     bool log_json;
 };
 struct draw_view {
@@ -42,6 +43,8 @@ struct draw_request {
     };
 };
 
+/* hello: struct draw_hello; request: struct draw_request. */
+extern const struct worker_service draw_service;
 /* Answer until `citysplat serve` ends: worker_main. Returns the exit code. */
 int draw_main(void);
 

@@ -13,6 +13,7 @@
 #include <stdio.h>
 #include <string.h>
 
+enum { PICTURE_NICE = 5 };
 static const double PAUSE_S = 0.25, PAUSE_MOST_S = 30, STEADY_S = 10;
 static const double START_S = 60; /* at least: kernels may have to be compiled */
 
@@ -53,6 +54,7 @@ enum err_code picture_start(struct picture *p, struct err *e)
     picture_text(h->geoid_dir, sizeof h->geoid_dir, cfg->geoid_dir);
     h->view_cache_bytes = (uint64_t)cfg->view_cache_mb << 20;
     h->view_gaussians = (uint64_t)cfg->view_gaussians;
+    h->nice = PICTURE_NICE;
     h->log_json = log_is_json();
     double most_s = cfg->device_timeout_s;
     const struct worker_config w = {.hello = h,

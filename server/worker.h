@@ -81,7 +81,7 @@ bool worker_asked(int argc, char **argv); /* Is this process to be that one? */
 /* Answer until the other process ends. Returns the exit code. */
 int worker_main(const struct worker_service *s);
 /* Does nobody want what is being made any more? To be asked now and then: a microsecond. user is
- * not looked at. */
+ * not looked at. In any other process: no. */
 bool worker_cancelled(const void *user);
 
 /* ---- between the two ---- */

@@ -1,4 +1,4 @@
-/* The other side of worker.c: the process that answers.
+/* The other side of worker_ask.c: the process that answers.
  *
  * Requests come as packets on descriptor 3, one at a time; the bytes of answers go into a file in
  * memory that the other process reads, and whose descriptor came with the first request. It ends
@@ -27,6 +27,7 @@ static struct { /* of the one connection that this process has */
     int memory;         /* file of the answers */
     uint64_t number;    /* of the request under way */
     uint64_t had_bytes; /* of the answer before */
+    bool there;         /* this process is that one */
     bool cancelled, ended;
 } worker_child;
 
@@ -86,7 +87,7 @@ bool worker_cancelled(const void *user)
     size_t n;
     int with;
     (void)user;
-    while (!worker_child.cancelled && poll(&p, 1, 0) > 0) {
+    while (worker_child.there && !worker_child.cancelled && poll(&p, 1, 0) > 0) {
         worker_child.ended = !worker_child_receive(&h, NULL, 0, &n, &with);
         worker_child.cancelled = worker_child.ended || h.number == worker_child.number;
     }
@@ -156,6 +157,7 @@ int worker_main(const struct worker_service *s)
         fprintf(stderr, "citysplat: error: %s is for `citysplat serve` alone\n", WORKER_ARGUMENT);
         return EX_USAGE;
     }
+    worker_child.there = true;
     prctl(PR_SET_PDEATHSIG, SIGKILL);
     (void)close_range(WORKER_FD + 1, ~0U, 0);
     worker_child_offer();

@@ -273,24 +273,30 @@ static void test_answers(void **state)
     assert_int_equal(open_files(), before);
 }
 
+/* Asked for what ends it: the answer is lost, and it is there again at once. */
+static void crash(const char *request)
+{
+    struct err e = {0};
+    kit_ok(ask("e1", &e), e);
+    pid_t pid = status().pid;
+    double start_s = clock_s();
+    kit_fails(ask(request, &e), ERR_DEVICE, e, "the process that draws ended at this");
+    assert_true(status().state != WORKER_READY || status().pid != pid);
+    await_gone(pid);
+    kit_ok(ask("e1", &e), e);
+    print_message("ready again after %.3f s\n", clock_s() - start_s);
+    assert_true(status().pid != pid);
+    assert_true(status().failing_s > 0);
+}
+
 /* A crash costs the answer that was asked for, and is over at once. */
-/* NOLINTNEXTLINE(readability-function-size): one story, step by step */
 static void test_crash(void **state)
 {
     struct err e = {0};
     (void)state;
     begin("hello", &quick);
     for (int i = 0; i < 2; i++) {
-        kit_ok(ask("e1", &e), e);
-        pid_t pid = status().pid;
-        double start_s = clock_s();
-        kit_fails(ask(i ? "x" : "s", &e), ERR_DEVICE, e, "the process that draws ended at this");
-        assert_true(status().state != WORKER_READY || status().pid != pid);
-        await_gone(pid);
-        kit_ok(ask("e1", &e), e);
-        print_message("ready again after %.3f s\n", clock_s() - start_s);
-        assert_true(status().pid != pid);
-        assert_true(status().failing_s > 0);
+        crash(i ? "x" : "s");
         for (double end_s = clock_s() + 0.6; clock_s() < end_s;) { /* idle, or asked without end */
             if (i)
                 nap_ms(100);
