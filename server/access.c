@@ -26,7 +26,7 @@ enum err_code access_open(enum access_format format, struct access **out, struct
     struct access *a = mem_array(1, sizeof *a);
     *out = a;
     if (!a)
-        return err_set(e, ERR_MEM, "access log : its state : out of memory");
+        return err_set(e, ERR_MEM, "access log: its state: out of memory");
     a->format = format;
     pthread_mutex_init(&a->lock, NULL);
     pthread_mutex_init(&a->flushing, NULL);
@@ -35,7 +35,7 @@ enum err_code access_open(enum access_format format, struct access **out, struct
     if (a->fill && a->spare)
         return ERR_OK;
     access_close(out);
-    return err_set(e, ERR_MEM, "access log : two buffers of %d kB : out of memory",
+    return err_set(e, ERR_MEM, "access log: two buffers of %d kB: out of memory",
                    ACCESS_BYTES >> 10);
 }
 

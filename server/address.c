@@ -89,7 +89,7 @@ enum err_code address_read_nets(const char *list, struct address_nets *out, stru
         size_t n = strcspn(p, ", ");
         if (n && !address_read_net(p, n, out))
             return err_set(e, ERR_ARG,
-                           "--trusted-proxy %s : not a list of at most %d addresses or networks "
+                           "--trusted-proxy %s: not a list of at most %d addresses or networks "
                            "(127.0.0.1,10.0.0.0/8,fd00::/8)",
                            list, ADDRESS_NETS);
         p += n + (p[n] != '\0');

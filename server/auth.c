@@ -309,14 +309,14 @@ enum err_code auth_sign(const struct auth *a, const char *key, const char *scope
         if (key ? !strcmp(a->key[i].name, key) : a->n_keys == 1)
             k = &a->key[i];
     if (!k)
-        return err_set(e, ERR_ARG, "--key %s : the file has %zu keys, and none of this name",
+        return err_set(e, ERR_ARG, "--key %s: the file has %zu keys, and none of this name",
                        key ? key : "(none)", a->n_keys);
     if (scope[0] != '/' || strlen(scope) > 200 ||
         scope[strspn(scope,
                      "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789/_.,@:-")])
         return err_set(
             e, ERR_ARG,
-            "--scope %s : a path of this server, as /d/NAME/ for a dataset with all below", scope);
+            "--scope %s: a path of this server, as /d/NAME/ for a dataset with all below", scope);
     auth_mac(k, scope, strlen(scope), exp_s, sig);
     sig[AUTH_SIG - 1] = '\0';
     snprintf(out, AUTH_QUERY_MAX, "exp=%lld&key=%s&scope=%s&sig=%s", (long long)exp_s, k->name,

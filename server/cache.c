@@ -87,8 +87,7 @@ enum err_code cache_open(size_t limit_bytes, struct cache **out, struct err *e)
     struct cache *c = mem_array(1, sizeof *c);
     *out = c;
     if (!c)
-        return err_set(e, ERR_MEM, "cache of %zu MB : its table : out of memory",
-                       limit_bytes >> 20);
+        return err_set(e, ERR_MEM, "cache of %zu MB: its table: out of memory", limit_bytes >> 20);
     c->shard_limit = limit_bytes / SHARDS;
     for (int i = 0; i < SHARDS; i++) {
         struct shard *s = &c->shard[i];
@@ -97,7 +96,7 @@ enum err_code cache_open(size_t limit_bytes, struct cache **out, struct err *e)
         s->bucket = mem_array(BUCKETS_MIN, sizeof(struct entry *));
         if (!s->bucket) {
             cache_close(out);
-            return err_set(e, ERR_MEM, "cache of %zu MB : part %d of its table : out of memory",
+            return err_set(e, ERR_MEM, "cache of %zu MB: part %d of its table: out of memory",
                            limit_bytes >> 20, i);
         }
     }

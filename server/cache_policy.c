@@ -46,11 +46,10 @@ enum err_code cache_policy_read(const char *list, struct cache_policy *out, stru
     for (const char *p = list ? list : ""; *p;) {
         size_t n = strcspn(p, ",");
         if (!cache_policy_read_one(p, n, out))
-            return err_set(
-                e, ERR_ARG,
-                "--cache-policy %.60s : NAME=public, =private, =no-store or =SECONDS (at "
-                "most %d), by commas, * for every other name, at most %d",
-                p, CACHE_POLICY_SECONDS_MAX, CACHE_POLICY_MAX);
+            return err_set(e, ERR_ARG,
+                           "--cache-policy %.60s: NAME=public, =private, =no-store or =SECONDS (at "
+                           "most %d), by commas, * for every other name, at most %d",
+                           p, CACHE_POLICY_SECONDS_MAX, CACHE_POLICY_MAX);
         p += n + (p[n] == ',');
     }
     return ERR_OK;

@@ -173,8 +173,7 @@ enum err_code catalog_open(const char *const *paths, size_t n, const struct cata
         qsort(c->ds, c->n, sizeof *c->ds, catalog_by_name);
     for (size_t i = 1; i < c->n && !rc; i++)
         if (!strcmp(c->ds[i]->meta.name, c->ds[i - 1]->meta.name))
-            rc = err_set(e, ERR_ARG,
-                         "%s and %s : both hold a dataset named '%s' : serve one of them",
+            rc = err_set(e, ERR_ARG, "%s and %s: both hold a dataset named '%s': serve one of them",
                          c->ds[i - 1]->path, c->ds[i]->path, c->ds[i]->meta.name);
     if (!rc)
         rc = collection_list(c->ds, c->n_current, o->basemap, o->basemap_attribution,

@@ -633,7 +633,7 @@ static enum err_code http_check_base(const char *base, size_t *n, struct err *e)
                                          "0123456789/_.-")]);
     return ok ? ERR_OK
               : err_set(e, ERR_ARG,
-                        "--base-path %.60s : a path that begins with / and does not end with it",
+                        "--base-path %.60s: a path that begins with / and does not end with it",
                         base);
 }
 

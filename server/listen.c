@@ -18,12 +18,12 @@ static enum err_code listen_failed(const char *address, int port, const char *op
 {
     if (errno == EADDRINUSE)
         return err_set(e, ERR_BUSY,
-                       "port %d of %s is in use by another program : choose one with %s, or port 0 "
+                       "port %d of %s is in use by another program: choose one with %s, or port 0 "
                        "for any free one",
                        port, address, option);
     if (errno == EACCES)
         return err_set(e, ERR_IO,
-                       "port %d : only root may listen below 1024 : choose another with %s", port,
+                       "port %d: only root may listen below 1024: choose another with %s", port,
                        option);
     return err_errno(e, ERR_IO, "cannot listen on %s port %d", address, port);
 }
@@ -50,7 +50,7 @@ enum err_code listen_open(const char *address, int port, const char *option, int
     *fd = -1;
     snprintf(service, sizeof service, "%d", port);
     if (!address || getaddrinfo(address, service, &hints, &a) != 0)
-        return err_set(e, ERR_ARG, "%s %s : not an IP address (127.0.0.1, 0.0.0.0, ::1, ::)",
+        return err_set(e, ERR_ARG, "%s %s: not an IP address (127.0.0.1, 0.0.0.0, ::1, ::)",
                        strcmp(option, LISTEN_PORT) ? option : "--address",
                        address ? address : "\"\"");
     enum err_code rc = ERR_OK;
@@ -81,7 +81,7 @@ enum err_code listen_open_at(const char *text, const char *option, int *fd, uint
     if (!n || n >= sizeof address || !colon[1] || colon[1 + strspn(colon + 1, "0123456789")] ||
         strlen(colon + 1) > 5 || atoi(colon + 1) > 65535)
         return err_set(e, ERR_ARG,
-                       "%s %.80s : an address and a port, as 127.0.0.1:9090 or [::1]:9090", option,
+                       "%s %.80s: an address and a port, as 127.0.0.1:9090 or [::1]:9090", option,
                        text);
     memcpy(address, from, n);
     address[n] = '\0';
@@ -97,7 +97,7 @@ enum err_code listen_take(int fd, uint16_t *port, struct err *e)
     if (getsockopt(fd, SOL_SOCKET, SO_ACCEPTCONN, &listens, &n) != 0 || !listens ||
         getsockname(fd, (struct sockaddr *)&bound, &n_bound) != 0)
         return err_set(e, ERR_ARG,
-                       "descriptor %d of the supervisor : not a stream socket that listens", fd);
+                       "descriptor %d of the supervisor: not a stream socket that listens", fd);
     *port = listen_port(&bound);
     (void)fcntl(fd, F_SETFL, fcntl(fd, F_GETFL) | O_NONBLOCK);
     (void)fcntl(fd, F_SETFD, FD_CLOEXEC);

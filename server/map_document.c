@@ -144,7 +144,7 @@ enum err_code map_document_wmts(const struct dataset *d, const char *edition,
     char root[FILE_PATH_MAX], self[FILE_PATH_MAX], query[TARGET_QUERY_MAX];
     if (!base || !*base)
         return err_set(e, ERR_ARG,
-                       "clients of WMTS need absolute addresses : start the server with "
+                       "clients of WMTS need absolute addresses: start the server with "
                        "--public-url URL, the address that they see");
     map_document_root(d, edition, base, root, sizeof root);
     map_document_root(d, "", base, self, sizeof self);

@@ -24,7 +24,7 @@ static enum err_code services_check_basemap(const char *url, struct err *e)
         fits &= strstr(url, parts[i]) != NULL;
     return fits ? ERR_OK
                 : err_set(e, ERR_ARG,
-                          "--basemap %s : not an address of map tiles : give one that begins with "
+                          "--basemap %s: not an address of map tiles: give one that begins with "
                           "https://, http:// or / and holds {z}, {x} and {y}",
                           url);
 }
@@ -40,7 +40,7 @@ enum err_code services_open(struct services *s, const struct server_config *cfg,
         s->cfg = NULL;
         return err_set(
             e, ERR_ARG,
-            "--metrics %s : neither local nor public, and too short for a token, which has "
+            "--metrics %s: neither local nor public, and too short for a token, which has "
             "%d characters or more",
             cfg->metrics, TOKEN_MIN);
     }

@@ -48,7 +48,7 @@ static enum err_code tls_check_key(const char *path, struct err *e)
         return err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "--tls-key %s", path);
     if (st.st_mode & (S_IWGRP | S_IRWXO))
         return err_set(e, ERR_ARG,
-                       "--tls-key %s : others may read or change it : chmod 600 it, or 640 for a "
+                       "--tls-key %s: others may read or change it: chmod 600 it, or 640 for a "
                        "group",
                        path);
     return ERR_OK;
@@ -59,7 +59,7 @@ static enum err_code tls_gnutls(int rc, enum err_code code, const char *option, 
 {
     if (rc == GNUTLS_E_MEMORY_ERROR)
         return err_set(e, ERR_MEM, "tls: out of memory");
-    return rc < 0 ? err_set(e, code, "%s %s : %s", option, path, gnutls_strerror(rc)) : ERR_OK;
+    return rc < 0 ? err_set(e, code, "%s %s: %s", option, path, gnutls_strerror(rc)) : ERR_OK;
 }
 
 /* Do key and certificate belong together? */
@@ -72,7 +72,7 @@ static enum err_code tls_check_pair(const struct tls *t, const gnutls_datum_t *c
         rc = gnutls_certificate_set_x509_key_mem2(c, cert, key, GNUTLS_X509_FMT_PEM, NULL, 0);
     gnutls_certificate_free_credentials(c);
     if (rc == GNUTLS_E_CERTIFICATE_KEY_MISMATCH)
-        return err_set(e, ERR_DATA, "--tls-key %s : is not the key of the certificate of %s",
+        return err_set(e, ERR_DATA, "--tls-key %s: it is not the key of the certificate of %s",
                        t->key_path, t->cert_path);
     return tls_gnutls(rc, ERR_FORMAT, "--tls-cert", t->cert_path, e);
 }
