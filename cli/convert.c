@@ -34,7 +34,16 @@ static const struct options_def convert_defs[] = {
 #undef OPT
 };
 
-enum convert_format { FORMAT_PLY, FORMAT_SPZ, FORMAT_DRC, FORMAT_GLB, FORMAT_SOG, FORMAT_SPLAT };
+enum convert_format {
+    FORMAT_PLY_PACKED, /* SuperSplat's compressed one; read as any other .ply */
+    FORMAT_PLY,
+    FORMAT_SPZ,
+    FORMAT_DRC,
+    FORMAT_GLB,
+    FORMAT_SOG,
+    FORMAT_SPLAT,
+    FORMATS
+};
 enum convert_axes {
     AXES_AUTO,
     AXES_ENU,
@@ -50,15 +59,19 @@ struct converted {
 
 static enum err_code convert_format_of(const char *path, enum convert_format *out, struct err *e)
 {
-    static const char *const names[] = {".ply", ".spz", ".drc", ".glb", ".sog", ".splat"};
-    const char *dot = strrchr(path, '.');
-    for (int f = 0; dot && f < 6; f++)
-        if (!strcasecmp(dot, names[f])) {
+    static const char *const names[FORMATS] = {
+        ".compressed.ply", ".ply", ".spz", ".drc", ".glb", ".sog", ".splat"};
+    const size_t n = strlen(path);
+    for (int f = 0; f < FORMATS; f++) {
+        size_t n_name = strlen(names[f]);
+        if (n >= n_name && !strcasecmp(path + n - n_name, names[f])) {
             *out = (enum convert_format)f;
             return ERR_OK;
         }
+    }
     return err_set(e, ERR_ARG,
-                   "%s : its name must end in .ply, .spz, .drc, .glb or .sog (.splat to read)",
+                   "%s : its name must end in .ply, .compressed.ply, .spz, .drc, .glb or .sog "
+                   "(.splat to read)",
                    path);
 }
 
@@ -85,7 +98,7 @@ static enum err_code convert_read(const char *path, const struct codec_limits *l
     if (rc)
         return rc;
     c->axes = AXES_GLTF;
-    if (format == FORMAT_PLY) {
+    if (format == FORMAT_PLY || format == FORMAT_PLY_PACKED) {
         rc = ply_decode(b.data, b.size, lim, &c->g, &c->info, e);
         c->axes = of_ply[c->info.axes];
     } else if (format == FORMAT_SPLAT) {
@@ -162,15 +175,20 @@ static enum convert_axes convert_turn(struct converted *c, enum convert_axes wan
     return want;
 }
 
-static enum err_code convert_write_ply(struct converted *c, const struct convert_options *o,
-                                       const char *in, struct buf *out, struct err *e)
+/* A compressed one is always sorted: 256 rows share a box. */
+static enum err_code convert_write_ply(struct converted *c, enum convert_format format,
+                                       const struct convert_options *o, const char *in,
+                                       struct buf *out, struct err *e)
 {
     enum convert_axes want = o->ply_axes            ? (enum convert_axes)o->ply_axes
                              : c->axes == AXES_AUTO ? AXES_AUTO
                                                     : AXES_ENU;
     static const enum ply_axes said[] = {PLY_AXES_UNKNOWN, PLY_AXES_ENU, PLY_AXES_GLTF};
     c->info.axes = said[convert_turn(c, want, in)];
-    return ply_encode(&c->g, &c->info, out, e);
+    if (format == FORMAT_PLY)
+        return ply_encode(&c->g, &c->info, out, e);
+    enum err_code rc = convert_sort_gauss(&c->g, e);
+    return !rc ? ply_packed_encode(&c->g, c->g.sh_degree, &c->info, out, e) : rc;
 }
 
 static enum err_code convert_write_integers(struct converted *c, enum convert_format format,
@@ -216,8 +234,8 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
         convert_center(&c->g);
     if (rc)
         return rc;
-    if (format == FORMAT_PLY)
-        return convert_write_ply(c, o, in, out, e);
+    if (format == FORMAT_PLY || format == FORMAT_PLY_PACKED)
+        return convert_write_ply(c, format, o, in, out, e);
     if (c->g.origin_enu_m[0] != 0 || c->g.origin_enu_m[1] != 0 || c->g.origin_enu_m[2] != 0)
         return err_set(
             e, ERR_LIMIT,
@@ -242,9 +260,11 @@ enum err_code cli_convert(int argc, char **argv, struct err *e)
     const struct options_spec spec = {
         .command = "convert",
         .usage = "citysplat convert IN OUT [options]",
-        .about = "Converts a file of Gaussians: reads .ply (of any trainer, or SuperSplat's "
-                 "compressed one), "
-                 ".spz, .drc, .glb, .sog and .splat, writes .ply, .spz, .drc, .glb and .sog.",
+        .about =
+            "Converts a file of Gaussians: reads .ply (of any trainer, or SuperSplat's "
+            "compressed one), "
+            ".spz, .drc, .glb, .sog and .splat, writes .ply, .compressed.ply, .spz, .drc, .glb "
+            "and .sog.",
         .example = "citysplat convert point_cloud.ply scene.spz --axes enu\n"
                    "citysplat convert tile.drc tile.glb --glb-payload plain",
         .defs = convert_defs,

@@ -1,6 +1,6 @@
-/* citysplat export: a tile store -> one .ply, .spz, .sog or .glb of a level, or a static 3D Tiles
- * folder that any web server or CDN can hand out without us. The .glb files are the bytes
- * `citysplat serve` would send.
+/* citysplat export: a tile store -> one .ply, .compressed.ply, .spz, .sog or .glb of a level, or a
+ * static 3D Tiles folder that any web server or CDN can hand out without us. The .glb files are the
+ * bytes `citysplat serve` would send.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -26,7 +26,15 @@
 #include "lod/tileset.h"
 #include "lod/tree.h"
 
-enum { EXPORT_AUTO, EXPORT_PLY, EXPORT_SPZ, EXPORT_SOG, EXPORT_GLB, EXPORT_3DTILES };
+enum {
+    EXPORT_AUTO,
+    EXPORT_PLY,
+    EXPORT_SPZ,
+    EXPORT_SOG,
+    EXPORT_GLB,
+    EXPORT_PLY_PACKED,
+    EXPORT_3DTILES
+};
 
 struct export_options {
 #define OPT(type, key, def, lo, hi, unit, help) OPTIONS_C_##type key;
@@ -44,10 +52,10 @@ static const struct options_def defs[] = {
 static const struct options_spec spec = {
     .command = "export",
     .usage = "citysplat export CITY.tiles -o FILE [options]",
-    .about = "Writes one level of a tile store as .ply (east-north-up, every bit of a "
-             "lossless store), .spz, .sog or plain .glb, or the whole pyramid as a folder with "
-             "tileset.json "
-             "and .glb tiles for a web server or CDN.",
+    .about =
+        "Writes one level of a tile store as .ply (east-north-up, every bit of a "
+        "lossless store), .compressed.ply, .spz, .sog or plain .glb, or the whole pyramid as a "
+        "folder with tileset.json and .glb tiles for a web server or CDN.",
     .example = "citysplat export city.tiles -o city.ply\n"
                "citysplat export city.tiles -o public/city --format 3dtiles",
     .defs = defs,
@@ -121,24 +129,42 @@ static enum err_code export_plain(struct gauss *g, const char *copyright, struct
     return glb_encode_plain(g, copyright[0] ? copyright : NULL, out, e);
 }
 
-/* One texture of the whole level: rows that are neighbours in it should be so in space. */
-static enum err_code export_sog(struct gauss *g, struct buf *out, struct err *e)
+/* Rows in the order of space, without embeddings: gauss_free *out. */
+static enum err_code export_sort(const struct gauss *g, struct gauss *out, struct err *e)
 {
-    struct gauss sorted = {0};
     uint32_t *order = mem_array(g->n, sizeof *order);
     enum err_code rc =
         order ? gauss_hilbert_order(g, order, e) : err_set(e, ERR_MEM, "export : out of memory");
     if (!rc)
-        rc = gauss_alloc(&sorted, g->n, g->sh_degree, 0, e);
+        rc = gauss_alloc(out, g->n, g->sh_degree, 0, e);
     if (!rc) {
-        sorted.antialiased = g->antialiased;
-        rc = gauss_append(&sorted, g, order, g->n, e);
+        out->antialiased = g->antialiased;
+        rc = gauss_append(out, g, order, g->n, e);
     }
     mem_free(order);
+    return rc;
+}
+
+/* One texture of the whole level: rows that are neighbours in it should be so in space. */
+static enum err_code export_sog(const struct gauss *g, struct buf *out, struct err *e)
+{
+    struct gauss sorted = {0};
+    enum err_code rc = export_sort(g, &sorted, e);
     if (!rc) {
         axes_enu_to_gltf(&sorted);
         rc = sog_encode(&sorted, sorted.sh_degree, out, e);
     }
+    gauss_free(&sorted);
+    return rc;
+}
+
+static enum err_code export_ply_packed(const struct gauss *g, const struct ply_info *info,
+                                       struct buf *out, struct err *e)
+{
+    struct gauss sorted = {0};
+    enum err_code rc = export_sort(g, &sorted, e);
+    if (!rc)
+        rc = ply_packed_encode(&sorted, sorted.sh_degree, info, out, e);
     gauss_free(&sorted);
     return rc;
 }
@@ -156,10 +182,11 @@ static enum err_code export_file(struct store *s, const struct export_options *o
     if (!rc)
         rc = export_gather(s, zoom, image, &g, e);
     if (!rc)
-        rc = format == EXPORT_PLY   ? ply_encode(&g, &info, &b, e)
-             : format == EXPORT_SOG ? export_sog(&g, &b, e)
-             : format == EXPORT_GLB ? export_plain(&g, store_info(s)->attribution, &b, e)
-                                    : export_spz(&g, grid, &b, e);
+        rc = format == EXPORT_PLY          ? ply_encode(&g, &info, &b, e)
+             : format == EXPORT_PLY_PACKED ? export_ply_packed(&g, &info, &b, e)
+             : format == EXPORT_SOG        ? export_sog(&g, &b, e)
+             : format == EXPORT_GLB        ? export_plain(&g, store_info(s)->attribution, &b, e)
+                                           : export_spz(&g, grid, &b, e);
     if (!rc)
         rc = file_write(o->output, b.data, b.size, e);
     if (!rc)
@@ -281,7 +308,11 @@ static enum err_code export_3dtiles(struct store *s, const struct export_options
 
 static int export_format(const char *output)
 {
+    static const char packed[] = ".compressed.ply";
     const char *dot = strrchr(output, '.');
+    size_t n = strlen(output), n_packed = sizeof packed - 1;
+    if (n > n_packed && !strcasecmp(output + n - n_packed, packed))
+        return EXPORT_PLY_PACKED;
     if (dot && !strcasecmp(dot, ".ply"))
         return EXPORT_PLY;
     if (dot && !strcasecmp(dot, ".sog"))

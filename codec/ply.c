@@ -216,14 +216,7 @@ static void ply_head_write(const struct gauss *g, const struct ply_info *info, b
                            struct buf *out)
 {
     size_t n_rest = 3 * (gauss_sh_count(g->sh_degree) - 1);
-    buf_printf(out, "ply\nformat binary_little_endian 1.0\n");
-    if (info && info->has_origin)
-        buf_printf(out, "comment citysplat origin %.17g %.17g %.17g\n", info->origin.lon_deg,
-                   info->origin.lat_deg, info->origin.h_m);
-    if (!info || info->axes != PLY_AXES_UNKNOWN)
-        buf_printf(out, "comment axes %s\n", info && info->axes == PLY_AXES_GLTF ? "glTF" : "ENU");
-    if (g->antialiased)
-        buf_printf(out, "comment antialiased 1\n");
+    ply_head_comments(info, g->antialiased, out);
     buf_printf(out, "element vertex %zu\n", g->n);
     for (int c = 0; c < 3; c++)
         buf_printf(out, "property %s %c\n", doubles ? "double" : "float", "xyz"[c]);

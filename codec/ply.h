@@ -6,6 +6,7 @@
 #define CODEC_PLY_H
 
 #include <stddef.h>
+#include <stdint.h>
 
 #include "codec/ply_info.h"
 #include "core/err.h"
@@ -14,7 +15,7 @@ struct buf;
 struct codec_limits;
 struct gauss;
 
-/* INRIA .ply, and on import SuperSplat's compressed one. Import finds properties by name, any
+/* INRIA .ply, and SuperSplat's compressed one. Import finds properties by name, any
  * scalar type, skips unknown ones; SH degree from the number of f_rest. Comments "citysplat origin
  * lon lat h" are read and written (origin may be NULL; on read has_origin tells). Means are read
  * into float32 about origin_enu_m = 0 unless the file carries doubles. gauss_free it; empty on
@@ -27,4 +28,10 @@ enum err_code ply_decode(const void *bytes, size_t n, const struct codec_limits 
 /* Appended to out. ERR_MEM. */
 enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, struct buf *out,
                          struct err *e) ERR_USE;
+/* SuperSplat's compressed one, of bands up to sh_degree; embeddings are left out. Rows stay in
+ * their order, which should be that of space (gauss_hilbert_order): 256 share a box. Appended to
+ * out. ERR_DATA (not finite), ERR_ARG (sh_degree above g's), ERR_MEM. */
+enum err_code ply_packed_encode(const struct gauss *g, uint32_t sh_degree,
+                                const struct ply_info *info, struct buf *out,
+                                struct err *e) ERR_USE;
 #endif

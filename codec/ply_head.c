@@ -261,3 +261,15 @@ double ply_head_value(const struct ply_head *h, const struct ply_property *p, co
         return (double)u;
     }
 }
+
+void ply_head_comments(const struct ply_info *info, bool antialiased, struct buf *out)
+{
+    buf_printf(out, "ply\nformat binary_little_endian 1.0\n");
+    if (info && info->has_origin)
+        buf_printf(out, "comment citysplat origin %.17g %.17g %.17g\n", info->origin.lon_deg,
+                   info->origin.lat_deg, info->origin.h_m);
+    if (!info || info->axes != PLY_AXES_UNKNOWN)
+        buf_printf(out, "comment axes %s\n", info && info->axes == PLY_AXES_GLTF ? "glTF" : "ENU");
+    if (antialiased)
+        buf_printf(out, "comment antialiased 1\n");
+}

@@ -49,6 +49,9 @@ enum err_code ply_head_read(const void *bytes, size_t n, struct ply_head *out,
 void ply_head_free(struct ply_head *h);
 const struct ply_element *ply_head_element(const struct ply_head *h, const char *name);
 const struct ply_property *ply_head_property(const struct ply_element *el, const char *name);
+/* The first lines of a file that is written: magic, format (little-endian), what info (NULL: axes
+ * ENU) and `antialiased` say in comments. */
+void ply_head_comments(const struct ply_info *info, bool antialiased, struct buf *out);
 /* One binary value, converted. */
 double ply_head_value(const struct ply_head *h, const struct ply_property *p, const uint8_t *row);
 

@@ -1,17 +1,19 @@
 /* SuperSplat's compressed .ply: 16 bytes a Gaussian, in chunks of 256 that share their ranges.
- * Import only.
  *
- *   chunk   min_x .. max_z, min_scale_x .. max_scale_z (ln sigma), optionally min_r .. max_b
+ *   chunk   min_x .. max_z, min_scale_x .. max_scale_z (ln sigma), min_r .. max_b (may be
+ *           missing, and are always written)
  *   vertex  packed_position 11-10-11, packed_rotation 2-10-10-10, packed_scale 11-10-11,
  *           packed_color 8-8-8-8
  *   sh      f_rest_k u8, channel-major: ((v + 0.5) / 256 - 0.5) * 8, with 0 and 255 exact
  *
  * The first field is in the high bits. Rotations leave out the largest of w x y z; opacity is
- * linear. Source: github.com/playcanvas/splat-transform.
+ * linear. Rows that are neighbours should be so in space: a position has 2048 steps of the box of
+ * its chunk. Source: github.com/playcanvas/splat-transform.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #include "codec/limits.h"
+#include "codec/ply.h"
 #include "codec/ply_head.h"
 #include "core/gauss.h"
 
@@ -165,5 +167,143 @@ enum err_code ply_packed_read(const struct ply_head *h, const struct codec_limit
         rc = err_set(e, ERR_DATA, "ply : row %zu : not finite, or no rotation", bad);
         gauss_free(out);
     }
+    return rc;
+}
+
+/* ---- writing ---- */
+
+static const float SCALE_LOG_REACH =
+    20; /* beyond, a flat Gaussian would cost its chunk its steps */
+
+static void packed_head_write(const struct gauss *g, size_t n_rest, const struct ply_info *info,
+                              struct buf *out)
+{
+    ply_head_comments(info, g->antialiased, out);
+    buf_printf(out, "element chunk %zu\n", (g->n + CHUNK - 1) / CHUNK);
+    for (int i = 0; i < N_RANGES; i++)
+        buf_printf(out, "property float %s\n", range_names[i]);
+    buf_printf(out, "element vertex %zu\n", g->n);
+    for (int i = 0; i < N_PACKED; i++)
+        buf_printf(out, "property uint %s\n", packed_names[i]);
+    if (n_rest)
+        buf_printf(out, "element sh %zu\n", g->n);
+    for (size_t i = 0; i < 3 * n_rest; i++)
+        buf_printf(out, "property uchar f_rest_%zu\n", i);
+    buf_printf(out, "end_header\n");
+}
+
+/* What of a row lies in ranges: position, ln sigma, colour. */
+static void packed_row_values(const struct gauss *g, size_t i, float out[9])
+{
+    const float *sh = g->sh + 3 * gauss_sh_count(g->sh_degree) * i;
+    for (size_t c = 0; c < 3; c++) {
+        float ln = g->scale_log[3 * i + c];
+        out[c] = (float)((double)g->mean_m[3 * i + c] + g->origin_enu_m[c]);
+        out[3 + c] = fminf(fmaxf(ln, -SCALE_LOG_REACH), SCALE_LOG_REACH);
+        out[6 + c] = sh[c] * (float)GAUSS_SH_C0 + 0.5f;
+    }
+}
+
+/* min[3], max[3] of positions, of scales, of colours: range_names' order. */
+static void packed_ranges(const struct gauss *g, size_t first, size_t n, float range[N_RANGES])
+{
+    for (size_t i = first; i < first + n; i++) {
+        float v[9];
+        packed_row_values(g, i, v);
+        for (size_t c = 0; c < 9; c++) {
+            float *lo = range + c / 3 * 6 + c % 3, *hi = lo + 3;
+            *lo = i == first || v[c] < *lo ? v[c] : *lo;
+            *hi = i == first || v[c] > *hi ? v[c] : *hi;
+        }
+    }
+}
+
+/* The nearest of `most` + 1 steps from 0 to 1. */
+static uint32_t packed_step(double t, uint32_t most)
+{
+    return !(t > 0) ? 0 : t >= 1 ? most : (uint32_t)(t * most + 0.5);
+}
+
+static uint32_t packed_within(float v, const float *lo, const float *hi, uint32_t most)
+{
+    double width = (double)*hi - (double)*lo;
+    return width > 0 ? packed_step(((double)v - (double)*lo) / width, most) : 0;
+}
+
+static uint32_t packed_pack3(const float v[3], const float range[6])
+{
+    return packed_within(v[0], range, range + 3, 2047) << 21 |
+           packed_within(v[1], range + 1, range + 4, 1023) << 11 |
+           packed_within(v[2], range + 2, range + 5, 2047);
+}
+
+static uint32_t packed_pack_rotation(const float wxyz[4])
+{
+    uint32_t largest = 0, out;
+    double norm = 0;
+    for (uint32_t c = 0; c < 4; c++) {
+        norm += (double)wxyz[c] * (double)wxyz[c];
+        largest = fabsf(wxyz[c]) > fabsf(wxyz[largest]) ? c : largest;
+    }
+    norm = copysign(sqrt(norm), (double)wxyz[largest]);
+    out = largest;
+    for (uint32_t c = 0; c < 4; c++)
+        if (c != largest)
+            out = out << 10 | packed_step((double)wxyz[c] / norm * M_SQRT1_2 + 0.5, 1023);
+    return out;
+}
+
+static void packed_row_write(const struct gauss *g, size_t i, const float range[N_RANGES],
+                             struct buf *out)
+{
+    float v[9];
+    packed_row_values(g, i, v);
+    uint32_t color = packed_step(1 / (1 + exp(-(double)g->opacity_logit[i])), 255);
+    for (int c = 0; c < 3; c++)
+        color |= packed_within(v[6 + c], range + 12 + c, range + 15 + c, 255) << (24 - 8 * c);
+    buf_u32(out, packed_pack3(v, range));
+    buf_u32(out, packed_pack_rotation(g->quat_wxyz + 4 * i));
+    buf_u32(out, packed_pack3(v + 3, range + 6));
+    buf_u32(out, color);
+}
+
+static void packed_harmonics_write(const struct gauss *g, size_t i, size_t n_rest, struct buf *out)
+{
+    const float *sh = g->sh + 3 * gauss_sh_count(g->sh_degree) * i;
+    for (size_t c = 0; c < 3; c++)
+        for (size_t r = 1; r <= n_rest; r++) {
+            double t = 256 * ((double)sh[3 * r + c] / 8 + 0.5);
+            buf_u8(out, !(t > 0) ? 0 : t >= 255 ? 255 : (unsigned)t);
+        }
+}
+
+enum err_code ply_packed_encode(const struct gauss *g, uint32_t sh_degree,
+                                const struct ply_info *info, struct buf *out, struct err *e)
+{
+    const size_t start = out->size;
+    size_t bad = 0, n_rest = gauss_sh_count(sh_degree) - 1;
+    if (sh_degree > g->sh_degree)
+        return err_set(e, ERR_ARG, "ply: degree %u of Gaussians of degree %u", sh_degree,
+                       g->sh_degree);
+    if (gauss_count_bad(g, &bad))
+        return err_set(e, ERR_DATA, "ply: row %zu: not finite, or no rotation", bad);
+    packed_head_write(g, n_rest, info, out);
+    float *range = mem_array((g->n + CHUNK - 1) / CHUNK + 1, N_RANGES * sizeof *range);
+    if (!range)
+        return out->size = start, err_set(e, ERR_MEM, "ply: %zu Gaussians: out of memory", g->n);
+    for (size_t i = 0; i < g->n; i += CHUNK) {
+        float *r = range + i / CHUNK * N_RANGES;
+        packed_ranges(g, i, g->n - i < CHUNK ? g->n - i : CHUNK, r);
+        for (int k = 0; k < N_RANGES; k++)
+            buf_f32(out, r[k]);
+    }
+    for (size_t i = 0; i < g->n; i++)
+        packed_row_write(g, i, range + i / CHUNK * N_RANGES, out);
+    for (size_t i = 0; i < g->n && n_rest; i++)
+        packed_harmonics_write(g, i, n_rest, out);
+    mem_free(range);
+    enum err_code rc = buf_check(out, e);
+    if (rc)
+        out->size = start;
     return rc;
 }

@@ -71,14 +71,14 @@ static json_t *collection_json(const struct dataset *d, const char *up)
     const double origin[3] = {m->origin.lon_deg, m->origin.lat_deg, m->origin.h_m};
     json_object_set_new(
         o, "splats",
-        json_pack("{s:s,s:o,s:i,s:i,s:i,s:i,s:b,s:I,s:I,s:s,s:s,s:[s,s,s,s,s,s]}", "revision",
+        json_pack("{s:s,s:o,s:i,s:i,s:i,s:i,s:b,s:I,s:I,s:s,s:s,s:[s,s,s,s,s,s,s]}", "revision",
                   m->revision, "origin", document_numbers(origin, 3), "minzoom", (int)m->zoom_min,
                   "maxzoom", (int)m->zoom_max, "shDegree", (int)m->sh_degree, "embedLength",
                   (int)m->embed_len, "antialiased", (int)m->antialiased, "tiles",
                   (json_int_t)d->n_tiles, "gaussians", (json_int_t)count, "tileTemplate", tile,
                   "viewTemplate", view, "formats", target_ext(FORMAT_GLB), target_ext(FORMAT_SPZ),
                   target_ext(FORMAT_DRC), target_ext(FORMAT_PLY), target_ext(FORMAT_GLB_PLAIN),
-                  target_ext(FORMAT_SOG)));
+                  target_ext(FORMAT_PLY_PACKED), target_ext(FORMAT_SOG)));
     return o;
 }
 

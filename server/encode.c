@@ -1,6 +1,7 @@
 /* A tile of Gaussians to bytes in a format. Axes: .glb, .spz and .drc are in glTF axes about the
  * tile's centre (the tileset's transforms put it in place), .sog in those of PlayCanvas' tools
- * (half a turn about x from there); .ply keeps east-north-up and says its origin in comments.
+ * (half a turn about x from there); .ply, compressed or not, keeps east-north-up and says its
+ * origin in comments.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -34,7 +35,7 @@ struct form encode_form(const struct server_config *cfg, const struct store_meta
     struct form f = {.format = asked->format};
     if (encode_is_quantised(f.format))
         f.preset = asked->preset < QUANT_PRESETS ? asked->preset : (uint8_t)cfg->preset;
-    if (encode_is_quantised(f.format) || f.format == FORMAT_SOG)
+    if (encode_is_quantised(f.format) || f.format == FORMAT_SOG || f.format == FORMAT_PLY_PACKED)
         f.sh_degree =
             asked->sh_degree < meta->sh_degree ? asked->sh_degree : (uint8_t)meta->sh_degree;
     return f;
@@ -53,7 +54,7 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
     enum err_code rc = ERR_OK;
     if (form.trained && grid.embed > ENCODE_EMBED_BITS)
         grid.embed = ENCODE_EMBED_BITS;
-    if (format != FORMAT_PLY)
+    if (format != FORMAT_PLY && format != FORMAT_PLY_PACKED)
         axes_enu_to_gltf(g);
     if (encode_is_quantised(format))
         rc = quant_from_gauss(g, form.sh_degree, &grid, &q, e);
@@ -72,6 +73,9 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
         break;
     case FORMAT_PLY:
         rc = ply_encode(g, &info, out, e);
+        break;
+    case FORMAT_PLY_PACKED:
+        rc = ply_packed_encode(g, form.sh_degree, &info, out, e);
         break;
     case FORMAT_GLB_PLAIN:
         rc = glb_encode_plain(g, copyright, out, e);
@@ -131,6 +135,9 @@ uint64_t encode_bytes(const struct store_meta *meta, struct form form, uint32_t 
         break;
     case FORMAT_PLY:
         each = 4.0 * (double)(14 + 3 * gauss_sh_count(all));
+        break;
+    case FORMAT_PLY_PACKED: /* and ranges of each 256 */
+        each = 16 + 3 * (double)(gauss_sh_count(sh) - 1) + 72.0 / 256;
         break;
     default: /* plain.glb: place, rotation, scale, opacity, colour for those who show points */
         each = 4.0 * (double)(15 + 3 * gauss_sh_count(all));

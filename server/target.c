@@ -206,7 +206,8 @@ static enum err_code target_parse_tile(struct text *t, enum route route, struct 
     if (!target_take_place(t, &z, &x, &y) || !text_take(t, ".") ||
         !target_take_format(t, FORMAT_GLB, FORMAT_SOG, &out->form.format))
         return err_set(e, ERR_NOENT,
-                       "a tile is z/x/y.ext with ext one of glb, spz, drc, ply, plain.glb, sog");
+                       "a tile is z/x/y.ext with ext one of glb, spz, drc, ply, plain.glb, "
+                       "compressed.ply, sog");
     return target_set_key(z, x, y, route, out, e);
 }
 

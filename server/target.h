@@ -97,6 +97,7 @@ unsigned target_allow(enum route r);
     X(DRC, "drc", "application/octet-stream")                                                      \
     X(PLY, "ply", "application/octet-stream")                                                      \
     X(GLB_PLAIN, "plain.glb", "model/gltf-binary")                                                 \
+    X(PLY_PACKED, "compressed.ply", "application/octet-stream")                                    \
     X(SOG, "sog", "application/zip")                                                               \
     X(JPG, "jpg", "image/jpeg")                                                                    \
     X(PNG, "png", "image/png")                                                                     \

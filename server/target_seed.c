@@ -100,7 +100,9 @@ static enum err_code target_take_key(struct text *one, int key, struct target *o
     case SEED_F:
         return target_take_format(one, FORMAT_GLB, FORMAT_SOG, &out->form.format)
                    ? ERR_OK
-                   : err_set(e, ERR_FORMAT, "f is one of glb, spz, drc, ply, plain.glb, sog");
+                   : err_set(e, ERR_FORMAT,
+                             "f is one of glb, spz, drc, ply, plain.glb, "
+                             "compressed.ply, sog");
     case SEED_PATH:
         c->path = one->p;
         c->n_path = (size_t)(one->end - one->p);

@@ -14,7 +14,8 @@
  * others are served, and /readyz says so. The process lives. */
 static void test_truncated_store(void **state)
 {
-    static const char *const forms[] = {"glb", "spz", "drc", "ply", "plain.glb", "sog"};
+    static const char *const forms[] = {"glb", "spz", "drc", "ply", "plain.glb", "compressed.ply",
+                                        "sog"};
     struct err e = {0};
     char path[FILE_PATH_MAX], target[128];
     struct stat st;

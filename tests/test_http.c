@@ -192,7 +192,8 @@ static void test_keep_alive_and_pipelining(void **state)
  * served whole, the log and `citysplat verify` say which it is and what to do. */
 static void test_damaged_tile(void **state)
 {
-    static const char *const forms[] = {"glb", "spz", "drc", "ply", "plain.glb", "sog"};
+    static const char *const forms[] = {"glb", "spz", "drc", "ply", "plain.glb", "compressed.ply",
+                                        "sog"};
     enum { FORMS = sizeof forms / sizeof *forms };
     struct err e = {0};
     char path[FILE_PATH_MAX], target[128], name[64], text[256];
@@ -279,7 +280,8 @@ static void test_one_job_for_many_clients(void **state)
 /* Clients that reset the connection while their tiles wait leave nothing behind. */
 static void test_vanishing_clients(void **state)
 {
-    static const char *const exts[] = {"glb", "spz", "drc", "ply", "plain.glb", "sog"};
+    static const char *const exts[] = {"glb", "spz", "drc", "ply", "plain.glb", "compressed.ply",
+                                       "sog"};
     const struct linger reset = {.l_onoff = 1, .l_linger = 0};
     (void)state;
     t.cfg.workers = 1;
@@ -352,7 +354,8 @@ static enum err_code stop_main(void *user, size_t i, struct err *e)
 
 static void test_stopping_finishes_answers(void **state)
 {
-    static const char *const exts[] = {"glb", "spz", "drc", "ply", "plain.glb", "sog"};
+    static const char *const exts[] = {"glb", "spz", "drc", "ply", "plain.glb", "compressed.ply",
+                                       "sog"};
     struct err e = {0};
     int fd[20], idle;
     (void)state;

@@ -235,6 +235,64 @@ static void test_reads_supersplats_packed_form(void **state)
     buf_free(&b);
 }
 
+/* A cloud in chunks, the last one short: what is read differs by half a step of its chunk's box,
+ * and the origin, which is added, survives. */
+static void test_writes_supersplats_packed_form(void **state)
+{
+    (void)state;
+    for (uint32_t degree = 0; degree <= 3; degree++) {
+        struct gauss g, back;
+        struct buf b = {0};
+        struct ply_info info = {true, {8.5, 47.25, 408.5}, PLY_AXES_NONE}, got = {0};
+        struct err e = {0};
+        const size_t k = 3 * gauss_sh_count(degree);
+        kit_gauss(6 + degree, 600, 40, degree, 0, &g);
+        g.origin_enu_m[0] = 100;
+        g.antialiased = degree == 1;
+        g.scale_log[0] = -23; /* flatter than a chunk gives steps to */
+        kit_ok(ply_packed_encode(&g, degree, &info, &b, &e), e);
+        kit_ok(ply_decode(b.data, b.size, NULL, &back, &got, &e), e);
+        assert_int_equal(back.n, g.n);
+        assert_int_equal(back.sh_degree, degree);
+        assert_int_equal(back.antialiased, g.antialiased);
+        assert_true(got.has_origin && got.origin.h_m == 408.5 && got.axes == PLY_AXES_ENU);
+        assert_int_equal(b.size -
+                             (size_t)(strstr((char *)b.data, "end_header\n") + 11 - (char *)b.data),
+                         3 * 72 + 600 * 16 + (degree ? 600 * (k - 3) : 0));
+        for (size_t i = 0; i < g.n; i++) {
+            double dot = 0, p = 0, q = 0;
+            for (size_t c = 0; c < 3; c++) {
+                double mean = (double)g.mean_m[3 * i + c] + g.origin_enu_m[c];
+                double ln = fmax((double)g.scale_log[3 * i + c], -20);
+                /* boxes are 80 m and 20 + 2 wide at most */
+                assert_true(fabs((double)back.mean_m[3 * i + c] - mean) < 80.0 / 1023 * 0.51);
+                assert_true(fabs((double)back.scale_log[3 * i + c] - ln) < 22.0 / 1023 * 0.51);
+            }
+            for (size_t c = 0; c < 4; c++) {
+                double a = (double)g.quat_wxyz[4 * i + c], r = (double)back.quat_wxyz[4 * i + c];
+                dot += a * r;
+                p += a * a;
+                q += r * r;
+            }
+            assert_true(fabs(dot) / sqrt(p * q) > 0.999995);
+            for (size_t c = 3; c < k; c++) {
+                double want = fmin(fmax((double)g.sh[k * i + c], -4), 4);
+                assert_true(fabs((double)back.sh[k * i + c] - want) < 0.0158);
+            }
+            double a = 1 / (1 + exp(-(double)g.opacity_logit[i]));
+            assert_true(fabs(1 / (1 + exp(-(double)back.opacity_logit[i])) - a) < 0.51 / 255);
+        }
+        kit_fails(ply_packed_encode(&g, degree + 1, &info, &b, &e), ERR_ARG, e, "degree");
+        g.mean_m[3] = NAN;
+        size_t had = b.size;
+        kit_fails(ply_packed_encode(&g, degree, &info, &b, &e), ERR_DATA, e, "row 1");
+        assert_int_equal(b.size, had);
+        gauss_free(&g);
+        gauss_free(&back);
+        buf_free(&b);
+    }
+}
+
 static enum err_code decode_free(const void *user, const void *bytes, size_t n,
                                  const struct codec_limits *lim, struct err *e)
 {
@@ -385,6 +443,7 @@ int main(void)
         cmocka_unit_test(test_finds_properties_by_name),
         cmocka_unit_test(test_reads_text),
         cmocka_unit_test(test_reads_supersplats_packed_form),
+        cmocka_unit_test(test_writes_supersplats_packed_form),
         cmocka_unit_test(test_truncation_and_flips),
         cmocka_unit_test(test_hostile_headers),
         cmocka_unit_test(test_bad_rows_are_named),

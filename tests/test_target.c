@@ -50,6 +50,8 @@ static void test_targets(void **state)
         {"/d/toy/r/0123456789ab/t/1/0/1.glb", ERR_OK, ROUTE_TILE},
         {"/d/toy/r/0123456789ab/t/0/0/0.plain.glb", ERR_OK, ROUTE_TILE},
         {"/d/toy/r/0123456789ab/t/0/0/0.sog", ERR_OK, ROUTE_TILE},
+        {"/d/toy/r/0123456789ab/t/0/0/0.compressed.ply", ERR_OK, ROUTE_TILE},
+        {"/d/toy/r/0123456789ab/t/0/0/0.compressed", ERR_NOENT, ROUTE_TILE},
         {"/d/toy/r/0123456789ab/t/24/16777215/16777215.ply", ERR_OK, ROUTE_TILE},
         {"/d/toy/r/0123456789ab/t/24/16777216/0.ply", ERR_NOENT, ROUTE_TILE},
         {"/d/toy/r/0123456789ab/t/25/0/0.ply", ERR_NOENT, ROUTE_TILE},

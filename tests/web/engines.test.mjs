@@ -105,13 +105,14 @@ async function compare(t, engine, first, ...others) {
     assert.deepEqual(opened.log, []);
 }
 
-test("PlayCanvas draws plain.glb, .sog and .ply alike", skip, (t) =>
-    compare(t, "playcanvas", "plain.glb", "sog", "ply"));
+test("PlayCanvas draws plain.glb, .sog and both .ply alike", skip, (t) =>
+    compare(t, "playcanvas", "plain.glb", "sog", "ply", "compressed.ply"));
 
-test("Spark draws .spz, .sog and .ply alike", skip, (t) => compare(t, "spark", "spz", "sog", "ply"));
+test("Spark draws .spz, .sog and both .ply alike", skip, (t) =>
+    compare(t, "spark", "spz", "sog", "ply", "compressed.ply"));
 
-test("Babylon.js draws plain.glb, .spz, .sog and .ply alike", skip, (t) =>
-    compare(t, "babylon", "plain.glb", "spz", "sog", "ply"));
+test("Babylon.js draws plain.glb, .spz, .sog and both .ply alike", skip, (t) =>
+    compare(t, "babylon", "plain.glb", "spz", "sog", "ply", "compressed.ply"));
 
 test("Leaflet lays the map where the city is", skip, async () => {
     const lonLat = (enu) => {

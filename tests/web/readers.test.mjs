@@ -1,5 +1,5 @@
-// Other people's readers on the served files: splat-transform (PlayCanvas) reads .spz, .sog and
-// .ply, Google's draco3d decodes .drc. All must give the Gaussians that our own small decoder finds in
+// Other people's readers on the served files: splat-transform (PlayCanvas) reads .spz, .sog, .ply
+// and .compressed.ply, Google's draco3d decodes .drc. All must give the Gaussians that our own small decoder finds in
 // the glTF tile.
 //
 // SPDX-License-Identifier: Apache-2.0
@@ -153,6 +153,63 @@ test(
             assert.equal(own.count, spz.count, tile);
             compareAsSets(own, spz, tile);
         }
+    },
+);
+
+// A compressed .ply has its rows in the order of the .ply, and 256 of them share a box: 2047 steps of
+// it for x and z, 1023 for y.
+const CHUNK = 256;
+const HALF = { x: 0.5 / 2047, y: 0.5 / 1023, z: 0.5 / 2047 };
+const SH_HALF = 8 / 512;
+
+// The widths of the boxes of a column, for each row.
+function widths(values) {
+    const out = new Float64Array(values.length);
+    for (let i = 0; i < values.length; i += CHUNK) {
+        const chunk = values.subarray(i, i + CHUNK);
+        out.fill(Math.max(...chunk) - Math.min(...chunk), i, i + CHUNK);
+    }
+    return out;
+}
+
+test(
+    "the .compressed.ply of a tile holds the Gaussians of its .ply, and splat-transform reads it",
+    { skip },
+    async (t) => {
+        let [rows, size] = [0, 0];
+        for (const tile of tiles) {
+            const bytes = await getBytes(`${tile}.compressed.ply`);
+            const got = readBySplatTransform(bytes, "compressed.ply");
+            const want = readPly(await getBytes(`${tile}.ply`));
+            assert.equal(got.count, want.count, tile);
+            const near = (name, half) => {
+                const [a, b] = [got.column(name), want.column(name)];
+                const box = widths(b);
+                b.forEach((v, i) => {
+                    const slack = 1.02 * half * box[i] + FLOAT_TOLERANCE * (1 + Math.abs(v));
+                    assert.ok(Math.abs(a[i] - v) <= slack, `${tile} ${name}, row ${i}: ${a[i]}, ${v}`);
+                });
+            };
+            for (const name of ["x", "y", "z"]) near(name, HALF[name]);
+            [HALF.x, HALF.y, HALF.z].forEach((half, k) => near(`scale_${k}`, half));
+            for (let k = 0; k < 3; k++) near(`f_dc_${k}`, 0.5 / 255);
+            const alpha = (ply) => ply.column("opacity").map((v) => 255 / (1 + Math.exp(-v)));
+            assertColumn(alpha(got), alpha(want), 0.51, `${tile} opacity`);
+            const quats = (ply) => [0, 1, 2, 3].map((k) => ply.column(`rot_${k}`));
+            const [p, q] = [quats(got), quats(want)];
+            for (let i = 0; i < want.count; i++) {
+                const along = (a, b) => a.reduce((sum, c, k) => sum + c[i] * b[k][i], 0);
+                const cos = Math.abs(along(p, q)) / Math.sqrt(along(p, p) * along(q, q));
+                assert.ok(cos > 0.999995, `${tile} rotation ${i}: ${cos}`);
+            }
+            const rest = (ply) => ply.names.filter((n) => n.startsWith("f_rest"));
+            assert.deepEqual(rest(got), rest(want), "bands of harmonics");
+            for (const name of rest(want))
+                assertColumn(got.column(name), want.column(name), 1.02 * SH_HALF, `${tile} ${name}`);
+            rows += got.count;
+            size += bytes.length;
+        }
+        t.diagnostic(`${rows} Gaussians of ${tiles.length} tiles: ${size} bytes`);
     },
 );
 
