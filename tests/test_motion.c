@@ -1,6 +1,6 @@
 /* Streams of pictures that follow a camera: one picture under way, the newest camera wins, small
- * pictures while it moves and a full one when it rests, limits, readers that are slow or gone,
- * stopping.
+ * pictures while it moves and a full one when it rests, limits, readers that are slow or gone, a
+ * process that draws and is killed, stopping.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -9,6 +9,7 @@
 #include "tests/client.h"
 
 #include <math.h>
+#include <signal.h>
 
 static const char NAME[] = "0123456789abcdef";
 
@@ -334,6 +335,56 @@ static void test_come_and_go(void **state)
     await_no_connections();
 }
 
+/* The process that draws is killed, between two pictures or in the middle of one: the stream goes
+ * on with the newest camera, in order, whole pictures only (reader_next decodes each), and no other
+ * process is left over. `still`: drawn in full, so that the kill comes while a picture is made. */
+static void kill_and_go_on(struct reader *r, int number, bool still)
+{
+    struct picture *drawing = server_services(t.server)->picture;
+    struct job_stats st = {0};
+    struct worker_status before, after;
+    struct part p;
+    picture_status(drawing, &before);
+    assert_true(before.pid > 0);
+    if (!still)
+        kill(before.pid, SIGKILL);
+    assert_int_equal(
+        steer(NAME, number, 3 * number, still ? 1800 : 400, still ? ",\"still\":true" : ""), 204);
+    for (double end_s = clock_s() + PATIENCE_S;
+         still && !st.running[JOB_MOTION] && clock_s() < end_s;)
+        job_count(server_services(t.server)->jobs, &st);
+    if (still)
+        kill(before.pid, SIGKILL);
+    double start_s = clock_s();
+    do
+        assert_true(reader_next(r, PATIENCE_S, &p));
+    while (p.pose != number || !p.rest);
+    picture_status(drawing, &after);
+    print_message("killed %s: the newest camera is seen in full %.2f s later\n",
+                  still ? "while it draws" : "between pictures", clock_s() - start_s);
+    assert_true(after.pid != before.pid);
+    assert_int_equal(after.crashes, before.crashes + 1);
+    assert_int_equal(kill(before.pid, 0), -1);
+    assert_int_equal(counts().streams, 1);
+}
+
+static void test_the_process_that_draws_is_killed(void **state)
+{
+    struct reader r;
+    struct part p;
+    (void)state;
+    if (!start_with_device())
+        skip();
+    reader_open(&r, NAME);
+    await_streams(1);
+    assert_int_equal(steer(NAME, 1, 10, 400, ""), 204);
+    assert_true(reader_next(&r, PATIENCE_S, &p));
+    kill_and_go_on(&r, 2, false);
+    kill_and_go_on(&r, 3, true);
+    reader_close(&r);
+    await_streams(0);
+}
+
 /* Stopping ends streams at once, in order, with a picture under way as well. */
 static void test_stopping(void **state)
 {
@@ -367,6 +418,7 @@ int main(int argc, char **argv)
         HTTP_TEST(test_idle_streams_end),
         HTTP_TEST(test_slow_reader),
         HTTP_TEST(test_come_and_go),
+        HTTP_TEST(test_the_process_that_draws_is_killed),
         HTTP_TEST(test_stopping),
     };
     return cmocka_run_group_tests(tests, setup_all, teardown_all);
