@@ -5,6 +5,8 @@
 #include "tests/routed.h"
 
 #include <math.h>
+#include <stdio.h>
+#include <sys/stat.h>
 
 #include "lod/clip.h"
 
@@ -52,6 +54,48 @@ static void test_reload(void **state)
     catalog_drop(&first);
     const char *twice[] = {t.path, t.path};
     kit_fails(catalog_open(twice, 2, &served_stores, NULL, &bad, &e), ERR_ARG, e, "toy");
+}
+
+/* Bytes that this process has read so far; 0: the kernel does not count them. */
+static uint64_t bytes_read(void)
+{
+    unsigned long long n = 0;
+    FILE *f = fopen("/proc/self/io", "r");
+    if (f && fscanf(f, "rchar: %llu", &n) != 1)
+        n = 0;
+    if (f)
+        fclose(f);
+    return n;
+}
+
+/* A start takes no longer for tiles being large: none is read. A store of the same tiles with two
+ * hundred times as much in them takes the same few pages. */
+static void test_a_start_reads_no_tiles(void **state)
+{
+    static const size_t gaussians[] = {100, 20000};
+    struct err e = {0};
+    char path[FILE_PATH_MAX];
+    uint64_t took[2];
+    (void)state;
+    if (!bytes_read())
+        skip();
+    for (int i = 0; i < 2; i++) {
+        struct catalog *c = NULL;
+        struct stat st;
+        const char *paths[] = {path};
+        kit_ok(file_join(path, t.dir, i ? "large.tiles" : "small.tiles", &e), e);
+        served_city(path, "start", gaussians[i]);
+        uint64_t before = bytes_read();
+        kit_ok(catalog_open(paths, 1, &served_stores, NULL, &c, &e), e);
+        took[i] = bytes_read() - before;
+        assert_int_equal(c->ds[0]->n_tiles, 4);
+        catalog_drop(&c);
+        assert_int_equal(stat(path, &st), 0);
+        print_message("a store of %lld kB: %llu kB read before it is served\n",
+                      (long long)st.st_size / 1000, (unsigned long long)took[i] / 1000);
+        assert_true(i == 0 || (uint64_t)st.st_size > 8 * took[i]);
+    }
+    assert_true(took[1] < 2 * took[0] + 65536);
 }
 
 /* A revision has one index, however many handles: each reads tiles by itself. */
@@ -148,6 +192,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_reload),
         cmocka_unit_test(test_a_part_is_served),
+        cmocka_unit_test(test_a_start_reads_no_tiles),
         cmocka_unit_test(test_handles_share_the_index),
         cmocka_unit_test(test_a_reload_that_fails_late),
     };
