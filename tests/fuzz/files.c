@@ -1,10 +1,11 @@
-/* Targets that read from disk: a checkpoint, a COLMAP model. Each input is written into a folder in
- * memory, one for the process.
+/* Targets that read from disk: a checkpoint, a COLMAP model, polygons. Each input is written into a
+ * folder in memory, one for the process.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
 #define _XOPEN_SOURCE 700
 #include <assert.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -14,13 +15,14 @@
 
 #include "codec/ckpt.h"
 #include "codec/colmap.h"
+#include "codec/geojson.h"
 #include "tests/fuzz/fuzz.h"
 
 enum { CKPT_HEAD = 64, CKPT_ENTRY = 64, CKPT_HASHED = 24, COLMAP_HEAD = 5 };
 
 static char folder[64];
-static const char *const names[] = {"x.ckpt",      "cameras.bin", "images.bin",  "points3D.bin",
-                                    "cameras.txt", "images.txt",  "points3D.txt"};
+static const char *const names[] = {"x.ckpt",      "cameras.bin", "images.bin",   "points3D.bin",
+                                    "cameras.txt", "images.txt",  "points3D.txt", "x.geojson"};
 
 static void remove_folder(void)
 {
@@ -147,6 +149,24 @@ void fuzz_colmap(const uint8_t *bytes, size_t n)
         drop(names[i]);
 }
 
+/* What is read are closed rings on the globe, and asking for a place ends. */
+void fuzz_geojson(const uint8_t *bytes, size_t n)
+{
+    struct geojson_area a;
+    if (geojson_read(put("x.geojson", bytes, n), &a, NULL) == ERR_OK) {
+        assert(a.n && a.n_polygons && a.n_rings);
+        for (size_t i = 0; i < a.n; i++) {
+            const struct geojson_edge *edge = &a.edges[i];
+            assert(fabs(edge->from[0]) <= 180 && fabs(edge->from[1]) <= 90);
+            assert(edge->polygon < a.n_polygons && edge->ring < a.n_rings);
+            bool last = i + 1 == a.n || a.edges[i + 1].ring != edge->ring;
+            assert(last || !memcmp(edge->to, a.edges[i + 1].from, sizeof edge->to));
+        }
+        (void)geojson_holds(&a, a.edges[0].from[0], a.edges[0].from[1]);
+    }
+    geojson_free(&a);
+}
+
 /* ---- seeds ---- */
 
 bool fuzz_seed_ckpt(const struct gauss *g, struct buf *out)
@@ -159,6 +179,24 @@ bool fuzz_seed_ckpt(const struct gauss *g, struct buf *out)
         rc = file_read(path, 0, out, NULL);
     json_decref(meta);
     return !rc;
+}
+
+bool fuzz_seed_geojson(size_t i, struct buf *out)
+{
+    static const char *const seeds[] = {
+        "{\"type\":\"Polygon\",\"coordinates\":[[[7,47],[8,47],[8,48],[7,48],[7,47]],"
+        "[[7.2,47.2],[7.4,47.2],[7.2,47.4],[7.2,47.2]]]}",
+        "// a "
+        "city\n{\"type\":\"FeatureCollection\",\"features\":[{\"type\":\"Feature\",\"geometry\":"
+        "{\"type\":\"MultiPolygon\",\"coordinates\":[[[[7,47],[8,47],[8,48],[7,47]]],"
+        "[[[9,47],[9.5,47],[9.5,48],[9,47]]]]}}]}",
+        "{\"type\":\"GeometryCollection\",\"crs\":{\"type\":\"name\",\"properties\":{\"name\":"
+        "\"urn:ogc:def:crs:OGC:1.3:CRS84\"}},\"geometries\":[{\"type\":\"Point\",\"coordinates\":["
+        "7,47]},"
+        "{\"type\":\"Polygon\",\"coordinates\":[[[-180,-90,3],[180,-90,3],[0,90,3],[-180,-90,3]]]}]"
+        "}"};
+    buf_printf(out, "%s", seeds[i]);
+    return !out->failed;
 }
 
 /* Two photographs of one point. */

@@ -51,6 +51,23 @@ static enum err_code npy_seed(size_t i, struct buf *out)
     return buf_check(out, NULL);
 }
 
+static enum err_code tensors_seed(size_t i, struct buf *out)
+{
+    static const char *const heads[] = {
+        "{\"a\":{\"dtype\":\"F32\",\"shape\":[2,3],\"data_offsets\":[0,24]}}",
+        "{\"__metadata__\":{\"format\":\"pt\"},\"a\":{\"dtype\":\"F32\",\"shape\":[],\"data_"
+        "offsets\":[20,"
+        "24]},\"b\":{\"dtype\":\"F16\",\"shape\":[10],\"data_offsets\":[0,20]}}",
+        "{\"a\":{\"dtype\":\"F32\",\"shape\":[1,0,4,4],\"data_offsets\":[0,0]},\"c\":{\"dtype\":"
+        "\"F32\","
+        "\"shape\":[1,1,1,1,6],\"data_offsets\":[0,24]}}  "};
+    buf_u64(out, strlen(heads[i]));
+    buf_add(out, heads[i], strlen(heads[i]));
+    for (int k = 0; k < 6; k++)
+        buf_f32(out, (float)k);
+    return buf_check(out, NULL);
+}
+
 static enum err_code exif_seed(size_t i, struct buf *out)
 {
     static const char *const formats[] = {"jpg", "png", "webp"};
@@ -89,7 +106,9 @@ static enum err_code gauss_seed(const char *target, size_t i, struct buf *out)
     if (rc)
         goto out;
     if (!strcmp(target, "ply"))
-        rc = i ? ply_encode(&g, NULL, out, NULL) : text_ply(out);
+        rc = i == 0   ? text_ply(out)
+             : i == 1 ? ply_encode(&g, NULL, out, NULL)
+                      : ply_packed_encode(&g, g.sh_degree, NULL, out, NULL);
     else if (!strcmp(target, "spz"))
         rc = spz_encode(&q, i == 2 ? 4 : 3, out, NULL);
     else if (!strcmp(target, "drc"))
@@ -129,6 +148,10 @@ bool fuzz_seed(const char *target, size_t i, struct buf *out)
         return appearance_seed(i, out) == ERR_OK;
     if (!strcmp(target, "colmap"))
         return fuzz_seed_colmap(i, out);
+    if (!strcmp(target, "geojson"))
+        return fuzz_seed_geojson(i, out);
+    if (!strcmp(target, "tensors"))
+        return tensors_seed(i, out) == ERR_OK;
     if (!strcmp(target, "npy"))
         return npy_seed(i, out) == ERR_OK;
     if (!strcmp(target, "exif"))

@@ -15,6 +15,7 @@
 #include "codec/sog.h"
 #include "codec/splat.h"
 #include "codec/spz.h"
+#include "codec/tensors.h"
 #include "core/appearance.h"
 #include "tests/fuzz/fuzz.h"
 
@@ -133,6 +134,26 @@ void fuzz_npy(const uint8_t *bytes, size_t n)
         }
         mem_free(data);
     }
+}
+
+void fuzz_tensors(const uint8_t *bytes, size_t n)
+{
+    struct tensors t;
+    float sum = 0;
+    if (tensors_decode(bytes, n, &t, NULL) == ERR_OK)
+        for (size_t i = 0; i < t.n; i++) {
+            size_t count = 1;
+            assert(t.list[i].ndim <= TENSORS_DIMS_MAX && t.list[i].count <= n / sizeof(float));
+            for (size_t k = 0; k < t.list[i].ndim; k++)
+                count *= t.list[i].shape[k];
+            assert(count == t.list[i].count && tensors_find(&t, t.list[i].name));
+            for (size_t k = 0; k < count; k++)
+                sum += t.list[i].data[k]; /* all of it is there */
+        }
+    static volatile float read_all;
+    read_all = sum;
+    (void)read_all;
+    tensors_free(&t);
 }
 
 void fuzz_exif(const uint8_t *bytes, size_t n)
