@@ -76,6 +76,19 @@ asked() { # PATTERN: how often the servers logged a request like it
     cat "$work"/*.log | grep -c -- "$1"
 }
 
+fetch_all() { # FOLDER: bodies of the paths on stdin into FOLDER/1, FOLDER/2 ... over one connection; nothing where it is not 200
+    mkdir -p "$1"
+    rm -f "$1"/*
+    awk -v url="http://127.0.0.1:${ports[1]}" -v to="$1" '{ printf "url = \"%s%s\"\noutput = \"%s/%d\"\n", url, $1, to, NR }' |
+        curl -sf --compressed --max-time 60 -K -
+}
+
+sums() { # FOLDER COUNT: of what fetch_all has written, a line a body; "none" where it is missing
+    local k
+    for k in $(seq "$2"); do [ -e "$1/$k" ] || echo none >"$1/$k"; done
+    (cd "$1" && seq "$2" | xargs sha256sum | cut -d' ' -f1)
+}
+
 revision() { curl -s "http://127.0.0.1:${ports[1]}/version" | sed -n 's/.*"toy": *"\([0-9a-f]*\)".*/\1/p'; }
 
 tiles() { # paths of tiles, one a line: the same places in many formats

@@ -14,10 +14,11 @@ url=http://127.0.0.1:$port
 tiles | awk 'NR % 9 == 1' >"$work/paths"
 n=$(wc -l <"$work/paths")
 fetch() { # FILE: sums of all tiles, in their order
-    sed "s|^|url=\"$url|; s|$|\"|" "$work/paths" >"$work/config"
-    while read -r path; do curl -s --max-time 20 "$url$path" | sha256sum; done <"$work/paths" >"$1"
+    fetch_all "$work/bodies" <"$work/paths"
+    sums "$work/bodies" "$n" >"$1"
 }
 fetch "$work/want"
+check 'every tile is there' is "$(find "$work/bodies" -size -2 -exec grep -l '^none$' {} + | wc -l)" 0
 slowest=0 slowest_base=0 wrong=0 late=0
 for round in $(seq "$rounds"); do
     xargs -a <(sed "s|^|$url|" "$work/paths") -P 4 -n 1 curl -s -o /dev/null --max-time 2 2>/dev/null &
