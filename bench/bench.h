@@ -29,6 +29,7 @@ struct bench {
      * rows go. */
     const char *scene, *tiles, *trained, *record;
     double edge_m;                                  /* of `map`: one square alone; 0: all */
+    int64_t most;                                   /* Gaussians of `sizes`; 0: all sizes */
     const char *dataset, *study, *command, *commit; /* what rows say of themselves */
     struct json_t *lines;                           /* rows so far, or NULL */
 };

@@ -69,7 +69,7 @@ enum err_code bench_sizes(struct bench *b, struct err *e)
     const size_t *counts = b->quick ? sizes_quick : sizes_counts;
     size_t n = b->quick ? sizeof sizes_quick / sizeof *sizes_quick
                         : sizeof sizes_counts / sizeof *sizes_counts;
-    for (size_t i = 0; i < n; i++) {
+    for (size_t i = 0; i < n && (b->most <= 0 || counts[i] <= (size_t)b->most); i++) {
         enum err_code rc = sizes_frames(b, counts[i], e);
         if (!rc)
             rc = sizes_steps(b, counts[i], e);

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # gpu.sh: what a device is worth, in one command and under nine minutes: is it right, how fast is it, what does it train.
 #
-#   bench/gpu.sh [--device NAME] [--steps N] [--runs N] [-o FILE] [--quick]
+#   bench/gpu.sh [--device NAME] [--steps N] [--runs N] [--most N] [-o FILE] [--quick]
 #
 #   1. build, if there is no build/release yet (CITYSPLAT_BUILD names another)
 #   2. every test of a kernel against its twin in plain C (ctest -L cl), on the device
@@ -10,7 +10,8 @@
 #
 # One JSON line a figure on stdout and in FILE, keys as in docs/runs/README.md; what is going on, on stderr. --device
 # as in `citysplat train`: auto takes a GPU where there is one, else PoCL. The tests always take what auto takes.
-# --steps of the training: 3,000 on a GPU, 200 on a CPU if not given. --quick: small sizes; does it run at all?
+# --steps of the training: 3,000 on a GPU, 200 on a CPU if not given. --most: sizes of no more Gaussians than this. --quick:
+# one small size of everything; does it run at all?
 # Every stage ends by itself: a figure that takes too long is missing, and said. Exit 0: everything ran; 1: not.
 #
 # SPDX-License-Identifier: Apache-2.0
@@ -19,7 +20,7 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
 
 readonly BUILD=${CITYSPLAT_BUILD:-build/release}
 readonly BUILD_S=150 TESTS_S=120 SIZES_S=150 TRAIN_S=110 # at most; together under nine minutes
-DEVICE=auto STEPS= RUNS= OUT=/dev/null QUICK=
+DEVICE=auto STEPS= RUNS= MOST=0 OUT=/dev/null QUICK=
 say() { printf '== %s\n' "$*" >&2; }
 die() { printf 'gpu: error: %s\n' "$*" >&2; exit "${2:-2}"; }
 
@@ -28,9 +29,10 @@ while [ $# -gt 0 ]; do
         --device) DEVICE=${2:?--device NAME}; shift ;;
         --steps) STEPS=${2:?--steps N}; shift ;;
         --runs) RUNS=${2:?--runs N}; shift ;;
+        --most) MOST=${2:?--most N}; shift ;;
         -o) OUT=${2:?-o FILE}; shift ;;
         --quick) QUICK=--quick ;;
-        -h | --help) sed -n '2,18s/^# \{0,1\}//p' "$0"; exit 0 ;;
+        -h | --help) sed -n '2,19s/^# \{0,1\}//p' "$0"; exit 0 ;;
         *) die "unknown argument: $1 (--help)" ;;
     esac
     shift
@@ -76,7 +78,7 @@ fi
 
 say "a frame and a training iteration, up to 6.84 million Gaussians"
 [ -n "$RUNS" ] || RUNS=$([ "$is_gpu" = 1 ] && echo 20 || echo 1)
-timeout "$SIZES_S" "$BUILD/citysplat-bench" sizes --device "$DEVICE" --runs "$RUNS" $QUICK 2>"$scratch/sizes.log" | print
+timeout "$SIZES_S" "$BUILD/citysplat-bench" sizes --device "$DEVICE" --runs "$RUNS" --most "$MOST" $QUICK 2>"$scratch/sizes.log" | print
 [ "${PIPESTATUS[0]}" = 0 ] || missing "sizes: $(tail -n 1 "$scratch/sizes.log") (stopped after $SIZES_S s, if nothing else is said)"
 grep 'left out' "$scratch/sizes.log" >&2
 

@@ -289,6 +289,7 @@ int main(int argc, char **argv)
     b.tiles = cfg.tiles;
     b.trained = cfg.trained ? cfg.trained : cfg.scene;
     b.edge_m = cfg.edge_m;
+    b.most = cfg.most;
     b.record = cfg.record;
     b.dataset = cfg.dataset ? cfg.dataset : "unnamed";
     b.study = cfg.study;

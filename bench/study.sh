@@ -5,15 +5,16 @@
 #
 # Every row of a study is one run: train, then score, then `citysplat-study record` into docs/runs/STUDY.jsonl. A row that
 # is recorded there by the same command is skipped, so a stopped study goes on where it was, and changing a
-# setting repeats the rows it touches. Training itself is resumed too. Redraw a page afterwards with
+# setting repeats the rows it touches. Training itself is resumed too. Steps and seeds of every study are stated in
+# bench/studies.def: there is no other default. Redraw a page afterwards with
 # `citysplat-study chart docs/runs -o docs/charts --markdown docs/studies/STUDY.md`; docs/studies/README.md has all of them.
 #
 # Environment:
 #   CITYSPLAT_CALITERRA   folder with images/ and sparse/ of the caliterra survey (docs/caliterra.md); without it
 #                         the studies on photographs are skipped, those on the procedural city are not
-#   STUDY_STEPS           steps of a single-cell run [2000]
-#   STUDY_CELL_STEPS      steps of every cell of a multi-cell run [2000]
-#   STUDY_LEVEL_STEPS     steps of all three levels of the study `levels` [4000]
+#   STUDY_STEPS           steps of every training, for a trial; as stated if not given, and pages take nothing shorter
+#   STUDY_SEEDS           the seeds to run of those stated, "1 2"; all if not given
+#   STUDY_COMMIT          the commit that the programs were built of; HEAD if not given, which must then be clean
 #   STUDY_OUT             where scenes and trained cells go [out/study]
 #   STUDY_RUNS            where runs are recorded [docs/runs]
 #   STUDY_AGAIN           1: also rows that are recorded
@@ -26,16 +27,37 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 readonly BIN=${CITYSPLAT_BUILD:-build/release}
 readonly OUT=${STUDY_OUT:-out/study}
 readonly RUNS=${STUDY_RUNS:-docs/runs}
-readonly STEPS=${STUDY_STEPS:-2000}
-readonly CELL_STEPS=${STUDY_CELL_STEPS:-2000}
-readonly LEVEL_STEPS=${STUDY_LEVEL_STEPS:-4000}
 DRY=0
 COMMIT=
+SEED=
 
 say() { printf '== %s\n' "$*" >&2; }
 die() { printf 'study: error: %s\n' "$*" >&2; exit 1; }
 
 citysplat() { "$BIN/citysplat" "$@"; }
+
+# What bench/studies.def states of a study.
+stated() { # STUDY 1|2
+  local n
+  n=$(sed -n "s/^STUDY(\"$1\", *\([0-9][0-9]*\), *\([0-9][0-9]*\))\$/\\$2/p" bench/studies.def)
+  [ -n "$n" ] || die "study '$1' is not in bench/studies.def"
+  printf '%s' "$n"
+}
+steps() { # STUDY
+  local n
+  n=$(stated "$1" 1) || exit 1
+  printf '%s' "${STUDY_STEPS:-$n}"
+}
+
+# seeded STUDY FUNCTION: FUNCTION with SEED 1, 2, ... as often as the study states; all rows of a seed before the next.
+seeded() {
+  local seeds
+  seeds=$(stated "$1" 2) || exit 1
+  for SEED in $(seq "$seeds"); do
+    case " ${STUDY_SEEDS:-$SEED} " in *" $SEED "*) "$2" ;; esac
+  done
+  SEED=
+}
 
 # ---- scenes: NAME -> $OUT/NAME, made on first use ---------------------------------------------------------
 
@@ -48,6 +70,7 @@ scene_about() {
     caliterra-cells-location) echo "caliterra, 800 x 600 px, cells of 80 m, without visibility selection" ;;
     city) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m" ;;
     city-location) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m, without visibility selection" ;;
+    demo) echo "demo city 120 m, 84 photographs of 480 x 360 px, 24 map views" ;;
     city-light) echo "procedural city 200 m, 150 photographs of 400 x 300 px under changing light" ;;
     *) die "no scene '$1'" ;;
   esac
@@ -74,6 +97,10 @@ scene_build() { # NAME FOLDER
     caliterra-cells-location) scene_ingest_caliterra "$2" 800; citysplat plan "$2" "${cells[@]}" --no-visibility ;;
     city) scene_ingest_city "$2" --extent-m 300 --photos 300 --points 100000; citysplat plan "$2" --edge-m 100 --images-few 16 ;;
     city-location) scene_ingest_city "$2" --extent-m 300 --photos 300 --points 100000; citysplat plan "$2" --edge-m 100 --images-few 16 --no-visibility ;;
+    demo)
+      citysplat synth --config configs/demo-synth.jsonc --map-views 24 -o "$2-photos" --overwrite -q
+      citysplat ingest "$2-photos/images" "$2-photos/sparse" --config configs/demo-ingest.jsonc -o "$2" -q
+      ;;
     city-light) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 60000 --exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5 ;;
   esac >&2
 }
@@ -132,11 +159,13 @@ trained() {
 
 # row STUDY ROW SCENE SET OPTIONS...: train with OPTIONS, score every level at its own size, record with the
 # numbers SET (budget=50000,...). Options of eval come after `--eval`, those of a second scoring as tiles after
-# `--tiles`. KEEP=1 leaves the trained cells where they are.
+# `--tiles`. MAP_VIEWS=1 also scores the scene's map views, KEEP=1 leaves the trained cells where they are, SHARED=1 in
+# the scene's own folder, for other studies that train it alike.
 row() {
   local study=$1 name=$2 scene=$3 set=$4 part=train folder command o
   shift 4
-  local train=() eval=() tiles=()
+  local train=(${SEED:+--seed "$SEED"}) eval=() tiles=()
+  [ -z "$SEED" ] || name="$name (seed $SEED)" set="${set:+$set,}seed=$SEED"
   for o in "$@"; do
     case $o in
       --eval | --tiles) part=${o#--} ;;
@@ -149,9 +178,10 @@ row() {
   done
   command="citysplat train $scene ${train[*]}; citysplat eval $scene${eval[*]:+ ${eval[*]}}"
   [ $part != tiles ] || command+="; citysplat tile $scene --crop none; citysplat eval $scene --tiles CITY.tiles${tiles[*]:+ ${tiles[*]}}"
+  [ -z "${MAP_VIEWS:-}" ] || command+="; citysplat eval $scene --views $scene-photos/map-views"
   wanted "$study" "$name" "$command" || return 0
   scene "$scene" || { say "$study: $name: skipped: CITYSPLAT_CALITERRA is not set"; return 0; }
-  folder=$OUT/trained/$(slug "$study" "$name")
+  folder=$OUT/trained/$([ -n "${SHARED:-}" ] && slug shared "$scene" || slug "$study" "$name")
   ceilings
   trained "$folder" "$scene" "${train[@]}"
   citysplat eval "$OUT/$scene" --results "$folder" -o "$folder/scores.json" "${eval[@]}" >&2
@@ -161,9 +191,13 @@ row() {
     citysplat eval "$OUT/$scene" --tiles "$folder/city.tiles" -o "$folder/tiles.json" "${tiles[@]}" >&2
     scores+=,$folder/tiles.json
   fi
+  if [ -n "${MAP_VIEWS:-}" ]; then
+    citysplat eval "$OUT/$scene" --results "$folder" --views "$OUT/$scene-photos/map-views" -o "$folder/views.json" >&2
+    scores+=,$folder/views.json
+  fi
   record "$study" "$name" "$command" --dataset "$(scene_about "$scene")" --commit "$COMMIT" --scores "$scores" \
     --results "$folder" --ceilings "$OUT/ceilings.jsonl" ${set:+--set "$set"}
-  [ "${KEEP:-0}" = 1 ] || rm -rf "$folder"
+  [ "${KEEP:-0}" = 1 ] || [ -n "${SHARED:-}" ] || rm -rf "$folder"
 }
 
 # tile_row STUDY ROW SCENE SET TILE-OPTIONS --eval EVAL-OPTIONS -- TRAIN-OPTIONS: score tiles of a scene that is
@@ -215,25 +249,27 @@ study_time() { # accuracy against training time, with the finest level alone and
 study_budgets() { # accuracy against the number of Gaussians
   local b
   for b in 25000 50000 100000 200000 400000; do
-    row budgets "$((b / 1000)) k" caliterra-400 "budget=$b" --level-count 1 --iterations "$STEPS" --budget table --budget-3 "$b" --tau-3 1e-4
+    row budgets "$((b / 1000)) k" caliterra-400 "budget=$b" --level-count 1 --iterations "$(steps budgets)" --budget table --budget-3 "$b" --tau-3 1e-4
   done
 }
 
 study_levels() { # every level at its own picture size (Table 9 of the paper), and tiles with and without LOD
-  row levels caliterra caliterra-800 "" --iterations "$LEVEL_STEPS" "${SMALL[@]}" --tiles
-  row levels city city "" --iterations "$CELL_STEPS" "${SMALL[@]}" --tiles
+  row levels caliterra caliterra-800 "" --iterations "$(steps levels)" "${SMALL[@]}" --tiles
+  SHARED=1 row levels city city "" --iterations "$(steps levels)" "${SMALL[@]}" --tiles
 }
 
 study_sh() { # accuracy and bytes at SH degree 0 to 3
   local d
   for d in 0 1 2 3; do
-    row sh "degree $d" caliterra-400 "sh_degree=$d" --level-count 1 --iterations "$STEPS" --budget-3 100000 --sh-degree "$d" --sh-interval 250 --tiles
+    row sh "degree $d" caliterra-400 "sh_degree=$d" --level-count 1 --iterations "$(steps sh)" --budget-3 100000 --sh-degree "$d" --sh-interval 250 --tiles
   done
 }
 
 # Rows of Table 10 and of the main ablation: each turns one thing off.
 ablation() { # STUDY SCENE
-  local base=(--iterations "$CELL_STEPS" "${SMALL[@]}")
+  local n
+  n=$(steps "$1") || exit 1
+  local base=(--iterations "$n" "${SMALL[@]}")
   row "$1" full "$2" "" "${base[@]}" --tiles
   row "$1" "no anti-aliasing" "$2" "" "${base[@]}" --aa none --tiles --aa none
   row "$1" "no AbsGS" "$2" "" "${base[@]}" --absgrad-from 4 --tau-3 2e-4 --tiles
@@ -244,19 +280,64 @@ ablation() { # STUDY SCENE
   row "$1" "sparse depth" "$2" "" "${base[@]}" --depth-sparse --tiles
   row "$1" "one level" "$2" "" "${base[@]}" --level-count 1
   row "$1" "no loss on sizes" "$2" "" "${base[@]}" --scale-weight 0 --tiles
-  row "$1" "appearance" "$2" "" "${base[@]}" --appearance --appearance-iterations "$CELL_STEPS" --eval --half-image off --tiles --half-image off
+  row "$1" "appearance" "$2" "" "${base[@]}" --appearance --appearance-iterations "$n" --appearance-iterations-min 1 --eval --half-image off --tiles --half-image off
   row "$1" "no visibility selection" "$2-location" "" "${base[@]}" --tiles
 }
 study_ablation() { ablation ablation caliterra-cells; }
 study_ablation_city() { ablation ablation_city city; }
 
-study_embedding() { # length of a Gaussian's appearance embedding (Table 11), under changing light
-  local n base=(--level-count 1 --iterations "$STEPS" --budget-3 100000)
-  row embedding "no appearance" city-light "embed_len=0" "${base[@]}" --eval --half-image on
-  for n in 4 8 16; do
+embedding_rows() {
+  local n base=(--level-count 1 --iterations "$(steps embedding)" --budget-3 100000)
+  for n in 16 4 8; do # the default first: the others are compared with it
     row embedding "length $n" city-light "embed_len=$n" "${base[@]}" --appearance --appearance-warmup 250 --embed-len "$n" --eval --half-image on
   done
+  row embedding "no appearance" city-light "embed_len=0" "${base[@]}" --eval --half-image on
 }
+study_embedding() { seeded embedding embedding_rows; } # length of a Gaussian's appearance embedding (Table 11), under changing light
+
+# What looking at many photographs before a Gaussian is split is worth, where the budget binds: thirty thousand Gaussians
+# for photographs that support 100,000 and more.
+importance_rows() {
+  local n base=(--level-count 1 --iterations "$(steps importance)" --budget table --budget-3 30000 --tau-3 1e-4)
+  for n in 10 3 1; do
+    row importance "$n views" caliterra-400 "importance_views=$n" "${base[@]}" --importance-views "$n"
+  done
+}
+study_importance() { seeded importance importance_rows; }
+
+# What map views have for how many Gaussians, bytes, seconds and milliseconds, by fixed budgets and those the trainer chooses.
+pareto_rows() {
+  local b base=(--iterations "$(steps pareto)") MAP_VIEWS=1
+  row pareto "fit" demo "" "${base[@]}" --budget fit
+  for b in 40000 80000 160000 320000; do
+    row pareto "$((b / 1000)) k" demo "budget=$b" "${base[@]}" --budget table --budget-1 "$((b / 4))" --budget-2 "$((b / 2))" --budget-3 "$b"
+  done
+  row pareto "auto" demo "" "${base[@]}" --budget auto
+}
+study_pareto() { seeded pareto pareto_rows; }
+
+# Each remedy against halo, haze and floaters taken away from the default, and opacity resets that happen in so short a run.
+remedy_rows() { # STUDY SCENE TRAIN-OPTIONS
+  local study=$1 scene=$2
+  shift 2
+  row "$study" full "$scene" "" "$@"
+  row "$study" "no seeded ground" "$scene" "" "$@" --seed-ground 0
+  row "$study" "no free space" "$scene" "" "$@" --free-space 0
+  row "$study" "no pruning at the end" "$scene" "" "$@" --prune-contribution 0 --prune-support 0
+  row "$study" "no trimming of the rim" "$scene" "" "$@" --no-trim-rim
+  row "$study" "no removal by size" "$scene" "" "$@" --prune-size 0
+  row "$study" "no loss on sizes" "$scene" "" "$@" --scale-weight 0
+  row "$study" "opacity resets" "$scene" "" "$@" --reset-interval 200 --densify-until-3 0.8
+}
+remedies_city_rows() {
+  local MAP_VIEWS=1
+  remedy_rows remedies demo --iterations "$(steps remedies)" "${SMALL[@]}"
+}
+remedies_caliterra_rows() {
+  remedy_rows remedies_caliterra caliterra-400 --level-count 1 --iterations "$(steps remedies_caliterra)" --budget-3 100000
+}
+study_remedies() { seeded remedies remedies_city_rows; }
+study_remedies_caliterra() { seeded remedies_caliterra remedies_caliterra_rows; }
 
 # level_row STUDY ROW SCENE SET EVAL-OPTIONS -- TRAIN-OPTIONS: every level of the same trained scene.
 level_row() {
@@ -279,14 +360,14 @@ level_row() {
 }
 
 study_far() { # where each level suits: all of them from farther and farther away, which is to say, smaller
-  local px base=(--iterations "$CELL_STEPS" "${SMALL[@]}")
+  local px base=(--iterations "$(steps far)" "${SMALL[@]}")
   for px in 400 283 200 141 100 71 50; do
     level_row far "$px px" city "" --half-image off --full-size --max-edge-px "$px" -- "${base[@]}"
   done
 }
 
 study_lod() { # tile sizes and distances (Tables 12 and 13); distances in tenths of the city
-  local edge d base=(--iterations "$CELL_STEPS" "${SMALL[@]}")
+  local edge d base=(--iterations "$(steps lod)" "${SMALL[@]}")
   for edge in 12 25 50 100; do # those of zooms 21 to 18; in larger ones tiles would hold more than they may
     tile_row lod "edge: $edge m" city "edge_m=$edge,distance_1_m=60,distance_2_m=120" --tile-edge-m "$edge" \
       --eval --metric distance --distance-1-m 60 --distance-2-m 120 -- "${base[@]}"
@@ -349,15 +430,17 @@ rate() { # SUFFIX SCENE TRAIN-OPTIONS
   forget
 }
 study_rd() {
-  rate "" caliterra-400 --level-count 1 --iterations "$STEPS" --budget-3 150000
-  rate _city city --iterations "$CELL_STEPS" "${SMALL[@]}"
+  rate "" caliterra-400 --level-count 1 --iterations "$(steps rd)" --budget-3 150000
+  rate _city city --iterations "$(steps rd_city)" "${SMALL[@]}"
 }
 
 study_layout() { # study_rd has two scenes; this one has appearance embeddings
-  local command="citysplat train city-light --level-count 1 --iterations $STEPS --budget-3 100000 --appearance --appearance-warmup 250 --embed-len 16"
+  local n command
+  n=$(steps layout_light) || exit 1
+  command="citysplat train city-light --level-count 1 --iterations $n --budget-3 100000 --appearance --appearance-warmup 250 --embed-len 16"
   command+="; citysplat tile city-light --crop none; citysplat-bench layout --tiles CITY.tiles"
   wanted layout_light "order: Hilbert curve" "$command" || return 0
-  scored layout city-light --level-count 1 --iterations "$STEPS" --budget-3 100000 --appearance --appearance-warmup 250 --embed-len 16
+  scored layout city-light --level-count 1 --iterations "$n" --budget-3 100000 --appearance --appearance-warmup 250 --embed-len 16
   citysplat tile "$OUT/city-light" --crop none --trained "$FOLDER" -o "$FOLDER/city.tiles" >&2
   bench_scored layout layout_light city-light "$command" --tiles "$FOLDER/city.tiles"
   forget
@@ -375,11 +458,13 @@ pyramid() { # STUDY SCENE TRAIN-OPTIONS
   forget
 }
 study_pyramid() {
-  pyramid pyramid caliterra-400 --iterations "$((3 * STEPS))" --budget table --budget-1 25000 --budget-2 50000 --budget-3 100000
-  pyramid pyramid_city city --iterations "$CELL_STEPS" "${SMALL[@]}"
+  pyramid pyramid caliterra-400 --iterations "$(steps pyramid)" --budget table --budget-1 25000 --budget-2 50000 --budget-3 100000
+  pyramid pyramid_city city --iterations "$(steps pyramid_city)" "${SMALL[@]}"
 }
 
-readonly STUDIES=(time budgets levels sh embedding ablation ablation_city lod far rd layout pyramid growth bench)
+# Those of the city trained alike stand together: it is trained once for them.
+readonly STUDIES=(time budgets pareto importance remedies remedies_caliterra sh embedding ablation ablation_city
+  levels lod far rd layout pyramid growth bench)
 
 main() {
   local s wanted_studies=()
@@ -396,7 +481,10 @@ main() {
   [ ${#wanted_studies[@]} -gt 0 ] || { "${BASH_SOURCE[0]}" --help >&2; exit 2; }
   [ $DRY = 1 ] || [ -x "$BIN/citysplat" ] || die "$BIN/citysplat is not there; ./bootstrap build makes it"
   [ $DRY = 1 ] || mkdir -p "$OUT" "$RUNS"
-  COMMIT=$(git rev-parse --short HEAD 2>/dev/null || echo unknown)
+  COMMIT=${STUDY_COMMIT:-$(git rev-parse --short HEAD 2>/dev/null || echo unknown)}
+  # A record of changes that are nowhere cannot be repeated.
+  [ $DRY = 1 ] || [ -n "${STUDY_COMMIT:-}" ] || [ -z "$(git status --porcelain -- . ':!docs' ':!bench/study.sh' 2>/dev/null)" ] ||
+    die "the working tree has changes: commit them, or name the commit that the programs are of (STUDY_COMMIT)"
   for s in "${wanted_studies[@]}"; do "study_$s"; done
 }
 main "$@"

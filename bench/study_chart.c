@@ -6,6 +6,7 @@
  * SPDX-License-Identifier: Apache-2.0
  */
 #include <limits.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -39,6 +40,15 @@ static const struct chart_def chart_defs[] = {
 #undef TABLE
 };
 static const size_t chart_n_defs = sizeof chart_defs / sizeof *chart_defs;
+
+static const struct chart_peer {
+    const char *chart, *name;
+    double x, y;
+} chart_peers[] = {
+#define PEER(chart, name, x, y) {#chart, name, x, y},
+#include "bench/peers.def"
+#undef PEER
+};
 
 struct chart_run {
     struct chart_options o;
@@ -79,12 +89,61 @@ static enum err_code chart_read(struct chart_run *r, const char *path, struct er
     return rc;
 }
 
+/* Refuse records that nobody can repeat or that say less than their study states, and make the
+ * seeds of a row one record. What lies in no repository has no history to be in. */
+static enum err_code chart_take(struct chart_run *r, const char *path, struct err *e)
+{
+    char dir[FILE_PATH_MAX];
+    json_t *merged = NULL;
+    snprintf(dir, sizeof dir, "%s", path);
+    if (!file_is_dir(dir)) {
+        char *slash = strrchr(dir, '/');
+        snprintf(slash ? slash + 1 : dir, 2, "%s", slash ? "" : ".");
+    }
+    enum study_history history = study_history(dir);
+    if (history == STUDY_HISTORY_SHALLOW)
+        log_warn("chart", "%s: commits of records are not checked: the clone is shallow", dir);
+    enum err_code rc =
+        study_check(r->lines, history == STUDY_HISTORY_WHOLE ? dir : NULL, e);
+    if (!rc)
+        rc = study_merge_seeds(r->lines, &merged, e);
+    if (rc)
+        return rc;
+    json_decref(r->lines);
+    r->lines = merged;
+    return ERR_OK;
+}
+
 /* ---- charts ---- */
+
+/* Points of other programs, a line of one point each. */
+static enum err_code chart_add_peers(const struct chart_def *d, struct chart_data *data,
+                                     struct err *e)
+{
+    for (size_t i = 0; i < sizeof chart_peers / sizeof *chart_peers; i++) {
+        const struct chart_peer *p = &chart_peers[i];
+        if (strcmp(p->chart, d->name))
+            continue;
+        if (data->n_series == CHART_SERIES_MAX)
+            return err_set(e, ERR_LIMIT, "chart %s: too many lines", d->name);
+        struct chart_series *s = &data->series[data->n_series];
+        s->points = mem_array(1, sizeof *s->points);
+        if (!s->points)
+            return err_set(e, ERR_MEM, "chart %s: out of memory", d->name);
+        data->n_series++;
+        s->n = 1;
+        snprintf(s->name, sizeof s->name, "%s", p->name);
+        s->points[0] = (struct chart_point){.x = p->x, .y = {p->y, (double)NAN, (double)NAN}};
+    }
+    return ERR_OK;
+}
 
 static enum err_code chart_draw(struct chart_run *r, const struct chart_def *d, struct err *e)
 {
     struct chart_data data = {0};
     enum err_code rc = chart_data_make(d, r->lines, &data, e);
+    if (!rc && data.n_series)
+        rc = chart_add_peers(d, &data, e);
     if (!rc && data.n_series)
         rc = chart_plot(d, &data, r->o.output, r->o.png, e);
     if (!rc && data.n_series) {
@@ -230,7 +289,12 @@ static enum err_code chart_write_markdown(struct chart_run *r, struct err *e)
         rc = file_read(r->o.markdown, 0, &in, e);
     if (!rc)
         rc = chart_rewrite(r, &in, &out, e);
-    if (!rc)
+    if (!rc && r->o.check && (in.size != out.size || memcmp(in.data, out.data, in.size)))
+        rc = err_set(e, ERR_DATA,
+                     "%s: a table says something else than the records: `citysplat-study chart "
+                     "--markdown` writes it anew",
+                     r->o.markdown);
+    else if (!rc && !r->o.check)
         rc = file_write(r->o.markdown, out.data, out.size, e);
     buf_free(&in);
     buf_free(&out);
@@ -246,7 +310,9 @@ enum err_code study_chart(int argc, char **argv, struct err *e)
         .usage = "citysplat-study chart RUNS... -o DIR [options]",
         .about = "Draws the charts of recorded runs (folders or files of JSON lines, which "
                  "bench/study.sh and `citysplat-study record` write) with gnuplot, as SVG and "
-                 "PNG, and rewrites the tables of a Markdown file.",
+                 "PNG, and rewrites the tables of a Markdown file. Records are refused that are shorter or "
+                 "of fewer seeds than bench/studies.def states for their study, and those whose "
+                 "commit is not in the history of HEAD.",
         .example = "citysplat-study chart docs/runs -o docs/charts --markdown docs/studies/time.md",
         .defs = chart_option_defs,
         .n_defs = sizeof chart_option_defs / sizeof *chart_option_defs,
@@ -264,6 +330,8 @@ enum err_code study_chart(int argc, char **argv, struct err *e)
     for (size_t i = 0; !rc && i < args.n; i++)
         rc = chart_read(&r, args.arg[i], e);
     if (!rc)
+        rc = chart_take(&r, args.arg[0], e);
+    if (!rc && !r.o.check)
         rc = chart_draw_all(&r, e);
     if (!rc && r.o.markdown)
         rc = chart_write_markdown(&r, e);

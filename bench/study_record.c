@@ -34,6 +34,8 @@ static const struct options_def record_defs[] = {
 
 struct record_level { /* over cells */
     double train_s, train_longest_s, peak_bytes;
+    double pruned;          /* by density control and at the level's end */
+    double bytes, ms_frame; /* of its photographs' score: map views are of the same files */
 };
 
 struct record_run {
@@ -63,10 +65,16 @@ static enum err_code record_read_cell(struct record_run *r, const char *path, st
     json_array_foreach(lines, i, line)
     {
         double level = runs_number(line, "level"), s = runs_number(line, "seconds");
-        if (strcmp(runs_text(line, "event"), "level") || !(level >= 1.0) ||
-            !(level <= TRAIN_LEVELS_MAX))
+        const char *event = runs_text(line, "event");
+        if (!(level >= 1.0) || !(level <= TRAIN_LEVELS_MAX))
             continue;
         struct record_level *l = &r->level[(size_t)level - 1];
+        if (!strcmp(event, "densify"))
+            l->pruned += runs_number(line, "pruned");
+        if (!strcmp(event, "prune"))
+            l->pruned += runs_number(line, "removed");
+        if (strcmp(event, "level"))
+            continue;
         l->train_s += s;
         l->train_longest_s = fmax(l->train_longest_s, s);
         l->peak_bytes = fmax(l->peak_bytes, runs_number(line, "peak_bytes"));
@@ -198,6 +206,32 @@ static enum err_code record_set(json_t *o, const char *key, double v, struct err
     return v > 0.0 && json_object_set_new(o, key, json_real(v)) ? record_full(e) : ERR_OK;
 }
 
+/* What training took up to level k, and for map views the files and frames of its photographs. */
+static enum err_code record_training(struct record_run *r, unsigned k, bool map_views,
+                                     json_t *numbers, struct err *e)
+{
+    struct record_level *l = &r->level[k - 1];
+    double pruned = 0.0;
+    for (unsigned i = 0; i < k; i++)
+        pruned += r->level[i].pruned;
+    if (!map_views) {
+        l->bytes = json_number_value(json_object_get(numbers, "bytes"));
+        l->ms_frame = json_number_value(json_object_get(numbers, "ms_frame"));
+    }
+    enum err_code rc = record_set(numbers, "train_s", l->train_s, e);
+    if (!rc)
+        rc = record_set(numbers, "train_longest_s", l->train_longest_s, e);
+    if (!rc)
+        rc = record_set(numbers, "train_peak_bytes", l->peak_bytes, e);
+    if (!rc)
+        rc = record_set(numbers, "pruned", pruned, e);
+    if (!rc && map_views)
+        rc = record_set(numbers, "bytes", l->bytes, e);
+    if (!rc && map_views)
+        rc = record_set(numbers, "ms_frame", l->ms_frame, e);
+    return rc;
+}
+
 /* Numbers of a score, and of the training up to its level (the last one for a tile store). */
 static enum err_code record_score(struct record_run *r, const json_t *score, const char *device,
                                   struct err *e)
@@ -214,14 +248,8 @@ static enum err_code record_score(struct record_run *r, const json_t *score, con
         if (!rc && json_is_number(v) && json_object_set(numbers, key, v))
             rc = record_full(e);
     }
-    if (!rc && level >= 1 && level <= r->n_levels) {
-        const struct record_level *l = &r->level[level - 1];
-        rc = record_set(numbers, "train_s", l->train_s, e);
-        if (!rc)
-            rc = record_set(numbers, "train_longest_s", l->train_longest_s, e);
-        if (!rc)
-            rc = record_set(numbers, "train_peak_bytes", l->peak_bytes, e);
-    }
+    if (!rc && level >= 1 && level <= r->n_levels)
+        rc = record_training(r, level, runs_text(score, "views_of")[0], numbers, e);
     if (rc) {
         json_decref(numbers);
         return rc;

@@ -72,7 +72,7 @@ bool chart_takes(const struct chart_def *d, const json_t *line, const json_t *li
     if (strncmp(d->what, "finest", 6))
         return !strncmp(runs_text(line, "what"), d->what, strlen(d->what));
     double level = runs_number(line, "level");
-    if (!(level > 0.0))
+    if (!(level > 0.0) || isfinite(runs_number(line, "views"))) /* map views have a name each */
         return false;
     json_array_foreach(lines, i, other)
     {

@@ -15,7 +15,8 @@ enum { TABLE_COLUMNS_MAX = 24 };
 
 static bool table_is_text(const char *key)
 {
-    return !strcmp(key, "row") || !strcmp(key, "what") || !strcmp(key, "dataset");
+    return !strcmp(key, "row") || !strcmp(key, "what") || !strcmp(key, "dataset") ||
+           !strcmp(key, "gain");
 }
 
 /* Text for a cell: what would end the cell or begin markup is left out. */
@@ -29,7 +30,8 @@ static void table_text(const char *s, struct buf *out)
 static void table_cell(const json_t *line, const char *key, struct buf *out)
 {
     if (table_is_text(key)) {
-        table_text(runs_text(line, key), out);
+        const char *text = runs_text(line, key);
+        table_text(*text ? text : "–", out);
         return;
     }
     struct chart_key k = chart_find_key(key);
@@ -47,7 +49,8 @@ static bool table_is_used(const struct chart_def *d, const json_t *lines, const 
     json_t *line;
     json_array_foreach(lines, i, line)
     {
-        if (chart_takes(d, line, lines) && (table_is_text(key) || isfinite(runs_number(line, key))))
+        if (chart_takes(d, line, lines) &&
+            (table_is_text(key) ? *runs_text(line, key) != '\0' : isfinite(runs_number(line, key))))
             return true;
     }
     return false;
@@ -65,8 +68,7 @@ void chart_table(const struct chart_def *d, const json_t *lines, struct buf *out
         return;
     for (i = 0; i < n; i++)
         buf_printf(out, "| %s ",
-                   table_is_text(columns[i]) ? (strcmp(columns[i], "row") ? columns[i] : "run")
-                                             : chart_find_key(columns[i]).head);
+                   !strcmp(columns[i], "row") ? "run" : chart_find_key(columns[i]).head);
     buf_printf(out, "|\n");
     for (i = 0; i < n; i++)
         buf_printf(out, table_is_text(columns[i]) ? "|---" : "|---:");

@@ -23,6 +23,7 @@ struct scale_loss {
     cl_kernel count, grad;
     cl_mem pieces;
     double weight; /* of the last run */
+    bool wide;     /* the shape of the kernels: VW 16 */
 };
 
 void scale_loss_close(struct scale_loss **p)
@@ -51,6 +52,7 @@ enum err_code scale_loss_open(struct dev *dev, struct scale_loss **out, struct e
     if (!s)
         return err_set(e, ERR_MEM, "scale_loss: out of memory");
     s->dev = dev;
+    s->wide = dev->vector_width == LAYOUT_LANES;
     enum err_code rc =
         dev_build(dev, sources, sizeof sources / sizeof *sources, NULL, &s->program, e);
     if (!rc)
@@ -91,9 +93,12 @@ enum err_code scale_loss_run(struct scale_loss *s, const struct render_model *m,
     if (bad != CL_SUCCESS)
         return err_set(e, ERR_DEVICE, "scale_loss: arguments: %s", dev_error_name(bad));
     s->weight = in->weight;
-    size_t items = (groups + LAYOUT_PROJECT_GROUPS - 1) / LAYOUT_PROJECT_GROUPS;
-    enum err_code rc = dev_run(s->dev, s->count, "scale_count", LAYOUT_LOSS_PIECES, 1, e);
-    return rc ? rc : dev_run(s->dev, s->grad, "scale_grad", items, 1, e);
+    size_t local = s->wide ? 1 : LAYOUT_SCALE_ITEMS;
+    size_t of_group = s->wide ? LAYOUT_PROJECT_GROUPS : LAYOUT_SCALE_ITEMS / LAYOUT_LANES;
+    size_t items = (groups + of_group - 1) / of_group * local;
+    enum err_code rc =
+        dev_run(s->dev, s->count, "scale_count", LAYOUT_LOSS_PIECES * local, local, e);
+    return rc ? rc : dev_run(s->dev, s->grad, "scale_grad", items, local, e);
 }
 
 enum err_code scale_loss_read(struct scale_loss *s, struct scale_loss_value *out, struct err *e)

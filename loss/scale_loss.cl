@@ -4,6 +4,8 @@
 //   out  extra [groups][LAYOUT_PLANES_GEOMETRY][16] or [groups][LAYOUT_PLANES_SCALE][16], every
 //        plane written, 0 where nothing is wrong
 // Counts are whole numbers over fixed pieces: same input, same bits. Reference: scale_loss_ref_run.
+// VW 16: a work-item has a piece, or LAYOUT_PROJECT_GROUPS groups. VW 1: a work-group has a piece, and
+// its items take every LAYOUT_SCALE_ITEMSth Gaussian of it; gradients are a Gaussian an item.
 #define RATIO_EPS 1e-8f
 #define SCALE_AHEAD 8
 
@@ -11,12 +13,14 @@ struct axes { // sigmas, and the ratio of the largest to the middle one
     V s[3], largest, middle, ratio;
 };
 
+#if VW == 16
 // Groups lie further apart than the hardware looks ahead.
 inline void axes_ahead(__global const float *params, uint group, uint planes)
 {
     for (uint k = 0; k < LAYOUT_PLANES_SCALE; k++)
         PREFETCH(params + group_at(group, planes) + (LAYOUT_PLANE_SCALE + k) * LAYOUT_LANES);
 }
+#endif
 
 inline void axes_load(__global const float *g, struct axes *a)
 {
@@ -28,6 +32,50 @@ inline void axes_load(__global const float *g, struct axes *a)
     a->ratio = a->largest / (a->middle + RATIO_EPS);
 }
 
+// What is too long of one group (VW 1: of one Gaussian), added to what was found before.
+struct found {
+    VU n, m;
+    V size, ratio;
+};
+
+INLINE void axes_find(const struct axes *a, VI real, float s_max, float r_max, struct found *f)
+{
+    for (uint k = 0; k < 3; k++) {
+        VI over = real & (a->s[k] > s_max);
+        f->n += over ? (VU)(1) : (VU)(0);
+        f->size += over ? a->s[k] : (V)(0.0f);
+    }
+    VI needle = real & (a->ratio > r_max);
+    f->m += needle ? (VU)(1) : (VU)(0);
+    f->ratio += needle ? a->ratio : (V)(0.0f);
+}
+
+// The gradients of one group (Gaussian) into `out`. only: sizes are all that acts, `out` has those
+// planes alone.
+INLINE void axes_grad(const struct axes *a, VI real, float s_max, float r_max, float per_n,
+                      float per_m, uint only, __global float *out)
+{
+    uint first = only ? 0 : LAYOUT_PLANE_SCALE; // plane of the first size
+    uint out_planes = only ? LAYOUT_PLANES_SCALE : LAYOUT_PLANES_GEOMETRY;
+    VI needle = real & (a->ratio > r_max), left = needle, also = needle;
+    V q = a->middle + RATIO_EPS;
+    for (uint p = 0; p < first; p++)
+        ST(out, p, (V)(0.0f));
+    for (uint k = 0; k < 3; k++) {
+        V g = (real & (a->s[k] > s_max)) ? per_n * a->s[k] : (V)(0.0f);
+        VI is_largest = left & (a->s[k] == a->largest);
+        left &= !is_largest; // the first of equals
+        g += is_largest ? per_m * a->ratio : (V)(0.0f);
+        VI is_middle = also & !is_largest & (a->s[k] == a->middle);
+        also &= !is_middle;
+        g -= is_middle ? per_m * a->ratio * (a->s[k] / q) : (V)(0.0f);
+        ST(out, first + k, g);
+    }
+    for (uint p = first + LAYOUT_PLANES_SCALE; p < out_planes; p++)
+        ST(out, p, (V)(0.0f));
+}
+
+#if VW == 16
 __kernel void scale_count(__global const float *params, uint n, uint planes, uint groups,
                           float s_max, float r_max, __global struct layout_scale_piece *pieces)
 {
@@ -36,75 +84,108 @@ __kernel void scale_count(__global const float *params, uint n, uint planes, uin
         return;
     uint from = PIECE_FROM(item, LAYOUT_LOSS_PIECES, groups),
          to = PIECE_FROM(item + 1, LAYOUT_LOSS_PIECES, groups);
-    VU count_n = (VU)(0), count_m = (VU)(0);
-    V size = (V)(0.0f), ratio = (V)(0.0f);
-    for (uint group = from; group < to; group++)
-        LANES_EACH(lane)
-        {
-            struct axes a;
-            VI real = LANE + (int)(group * LAYOUT_LANES + lane) < (int)n;
-            axes_ahead(params, min(group + SCALE_AHEAD, groups - 1), planes);
-            axes_load(params + group_at(group, planes) + lane, &a);
-            for (uint k = 0; k < 3; k++) {
-                VI over = real & (a.s[k] > s_max);
-                count_n += over ? (VU)(1) : (VU)(0);
-                size += over ? a.s[k] : (V)(0.0f);
-            }
-            VI needle = real & (a.ratio > r_max);
-            count_m += needle ? (VU)(1) : (VU)(0);
-            ratio += needle ? a.ratio : (V)(0.0f);
-        }
-    pieces[item].n = lanes_add(count_n);
-    pieces[item].m = lanes_add(count_m);
-    pieces[item].size = lanes_sum(size);
-    pieces[item].ratio = lanes_sum(ratio);
-}
-
-inline struct layout_scale_piece scale_total(__global const struct layout_scale_piece *pieces)
-{
-    struct layout_scale_piece t = {0, 0, 0.0f, 0.0f};
-    for (uint i = 0; i < LAYOUT_LOSS_PIECES; i++) {
-        t.n += pieces[i].n;
-        t.m += pieces[i].m;
+    struct found f = {(VU)(0), (VU)(0), (V)(0.0f), (V)(0.0f)};
+    for (uint group = from; group < to; group++) {
+        struct axes a;
+        axes_ahead(params, min(group + SCALE_AHEAD, groups - 1), planes);
+        axes_load(params + group_at(group, planes), &a);
+        axes_find(&a, LANE + (int)(group * LAYOUT_LANES) < (int)n, s_max, r_max, &f);
     }
-    return t;
+    pieces[item].n = lanes_add(f.n);
+    pieces[item].m = lanes_add(f.m);
+    pieces[item].size = lanes_sum(f.size);
+    pieces[item].ratio = lanes_sum(f.ratio);
 }
 
-// only: sizes are all that acts, extra is float [groups][LAYOUT_PLANES_SCALE][16].
 __kernel void scale_grad(__global const float *params, uint n, uint planes, uint groups,
                          float s_max, float r_max, float weight,
                          __global const struct layout_scale_piece *pieces, uint only,
                          __global float *extra)
 {
     uint item = (uint)get_global_id(0), from = item * LAYOUT_PROJECT_GROUPS,
-         to = min(from + LAYOUT_PROJECT_GROUPS, groups);
-    struct layout_scale_piece total = scale_total(pieces);
-    float per_n = weight / ((float)total.n + 1.0f), per_m = weight / ((float)total.m + 1.0f);
-    for (uint group = from; group < to; group++)
-        LANES_EACH(lane)
-        {
-            struct axes a;
-            uint first = only ? 0 : LAYOUT_PLANE_SCALE; // plane of the first size
-            uint out_planes = only ? LAYOUT_PLANES_SCALE : LAYOUT_PLANES_GEOMETRY;
-            __global float *out = extra + group_at(group, out_planes) + lane;
-            VI real = LANE + (int)(group * LAYOUT_LANES + lane) < (int)n;
-            axes_ahead(params, min(group + SCALE_AHEAD, groups - 1), planes);
-            axes_load(params + group_at(group, planes) + lane, &a);
-            VI needle = real & (a.ratio > r_max), left = needle, also = needle;
-            V q = a.middle + RATIO_EPS;
-            for (uint p = 0; p < first; p++)
-                ST(out, p, (V)(0.0f));
-            for (uint k = 0; k < 3; k++) {
-                V g = (real & (a.s[k] > s_max)) ? per_n * a.s[k] : (V)(0.0f);
-                VI is_largest = left & (a.s[k] == a.largest);
-                left &= !is_largest; // the first of equals
-                g += is_largest ? per_m * a.ratio : (V)(0.0f);
-                VI is_middle = also & !is_largest & (a.s[k] == a.middle);
-                also &= !is_middle;
-                g -= is_middle ? per_m * a.ratio * (a.s[k] / q) : (V)(0.0f);
-                ST(out, first + k, g);
-            }
-            for (uint p = first + LAYOUT_PLANES_SCALE; p < out_planes; p++)
-                ST(out, p, (V)(0.0f));
-        }
+         to = min(from + LAYOUT_PROJECT_GROUPS, groups), all_n = 0, all_m = 0;
+    for (uint i = 0; i < LAYOUT_LOSS_PIECES; i++) {
+        all_n += pieces[i].n;
+        all_m += pieces[i].m;
+    }
+    float per_n = weight / ((float)all_n + 1.0f), per_m = weight / ((float)all_m + 1.0f);
+    for (uint group = from; group < to; group++) {
+        struct axes a;
+        axes_ahead(params, min(group + SCALE_AHEAD, groups - 1), planes);
+        axes_load(params + group_at(group, planes), &a);
+        axes_grad(&a, LANE + (int)(group * LAYOUT_LANES) < (int)n, s_max, r_max, per_n, per_m, only,
+                  extra + group_at(group, only ? LAYOUT_PLANES_SCALE : LAYOUT_PLANES_GEOMETRY));
+    }
 }
+#else
+#define ITEMS LAYOUT_SCALE_ITEMS
+#define GROUP __attribute__((reqd_work_group_size(ITEMS, 1, 1)))
+
+__kernel GROUP void scale_count(__global const float *params, uint n, uint planes, uint groups,
+                                float s_max, float r_max,
+                                __global struct layout_scale_piece *pieces)
+{
+    __local uint all_n[ITEMS], all_m[ITEMS];
+    __local float size[ITEMS], ratio[ITEMS];
+    uint piece = (uint)get_group_id(0), lane = (uint)get_local_id(0);
+    uint from = PIECE_FROM(piece, LAYOUT_LOSS_PIECES, groups) * LAYOUT_LANES,
+         to = min(PIECE_FROM(piece + 1, LAYOUT_LOSS_PIECES, groups) * LAYOUT_LANES, n);
+    struct found f = {0, 0, 0.0f, 0.0f};
+    for (uint i = from + lane; i < to; i += ITEMS) {
+        struct axes a;
+        axes_load(params + group_at(i / LAYOUT_LANES, planes) + i % LAYOUT_LANES, &a);
+        axes_find(&a, 1, s_max, r_max, &f);
+    }
+    all_n[lane] = f.n;
+    all_m[lane] = f.m;
+    size[lane] = f.size;
+    ratio[lane] = f.ratio;
+    for (uint half_way = ITEMS / 2; half_way > 0; half_way /= 2) {
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (lane < half_way) {
+            all_n[lane] += all_n[lane + half_way];
+            all_m[lane] += all_m[lane + half_way];
+            size[lane] += size[lane + half_way];
+            ratio[lane] += ratio[lane + half_way];
+        }
+    }
+    if (lane == 0) {
+        pieces[piece].n = all_n[0];
+        pieces[piece].m = all_m[0];
+        pieces[piece].size = size[0];
+        pieces[piece].ratio = ratio[0];
+    }
+}
+
+__kernel GROUP void scale_grad(__global const float *params, uint n, uint planes, uint groups,
+                               float s_max, float r_max, float weight,
+                               __global const struct layout_scale_piece *pieces, uint only,
+                               __global float *extra)
+{
+    __local uint all_n[ITEMS], all_m[ITEMS];
+    uint i = (uint)get_global_id(0), lane = (uint)get_local_id(0);
+    uint sum_n = 0, sum_m = 0;
+    for (uint k = lane; k < LAYOUT_LOSS_PIECES; k += ITEMS) {
+        sum_n += pieces[k].n;
+        sum_m += pieces[k].m;
+    }
+    all_n[lane] = sum_n;
+    all_m[lane] = sum_m;
+    for (uint half_way = ITEMS / 2; half_way > 0; half_way /= 2) {
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (lane < half_way) {
+            all_n[lane] += all_n[lane + half_way];
+            all_m[lane] += all_m[lane + half_way];
+        }
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (i < groups * LAYOUT_LANES) {
+        struct axes a;
+        uint group = i / LAYOUT_LANES, in = i % LAYOUT_LANES;
+        axes_load(params + group_at(group, planes) + in, &a);
+        axes_grad(&a, i < n, s_max, r_max, weight / ((float)all_n[0] + 1.0f),
+                  weight / ((float)all_m[0] + 1.0f), only,
+                  extra + group_at(group, only ? LAYOUT_PLANES_SCALE : LAYOUT_PLANES_GEOMETRY) + in);
+    }
+}
+#endif

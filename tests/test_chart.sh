@@ -22,7 +22,7 @@ for cell in a b; do
 done
 printf '{"bench":"ceiling","case":"fma","value":80,"unit":"GFLOP/s"}\n{"bench":"ceiling","case":"triad","value":20,"unit":"GB/s"}\n' >"$work/ceilings"
 add() { # STUDY ROW SET
-    "$study" record "$runs/$1.jsonl" --study "$1" --row "$2" --command "train $2" --dataset "toy city" --commit abc \
+    "$study" record "$runs/$1.jsonl" --study "$1" --row "$2" --command "train $2 --iterations 2000" --dataset "toy city" --commit abc \
         --scores "$work/scores.json" --results "$work/run" --ceilings "$work/ceilings" --set "$3" || fail "record $1 $2"
 }
 scores 21 0.6 1000; add budgets "1 k" budget=1000

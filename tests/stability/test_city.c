@@ -37,8 +37,17 @@ struct city {
 
 /* ---- F10: ownership ---- */
 
+/* The trained cell that a merged one became part of. */
+static size_t trained_cell(const struct partition *p, size_t i)
+{
+    while (p->cells[i].parent >= 0)
+        i = (size_t)p->cells[i].parent;
+    return i;
+}
+
 /* Of Gaussians in all cells of a level: how many cells keep each place. Inside the cells' boxes the
- * count of boxes must be 1, everywhere the owner must be one trained cell. */
+ * count of boxes must be 1 and the owner that box's cell, or the trained one it was merged into;
+ * everywhere the owner must be one trained cell. */
 static void count_owners(const struct city *c, const struct partition *p)
 {
     struct err e = {0};
@@ -54,14 +63,18 @@ static void count_owners(const struct city *c, const struct partition *p)
         for (size_t g = 0; g < k.g.n; g++) {
             double x = k.g.origin_enu_m[0] + (double)k.g.mean_m[3 * g],
                    y = k.g.origin_enu_m[1] + (double)k.g.mean_m[3 * g + 1];
-            size_t boxes = 0, owner = partition_owner(p, x, y);
+            size_t boxes = 0, box = 0, owner = partition_owner(p, x, y);
             bool near = false;
             for (size_t j = 0; j < p->n_cells; j++) {
                 const struct partition_cell *b = &p->cells[j];
-                boxes += x >= b->min_m[0] && x < b->max_m[0] && y >= b->min_m[1] && y < b->max_m[1];
+                bool in =
+                    x >= b->min_m[0] && x < b->max_m[0] && y >= b->min_m[1] && y < b->max_m[1];
+                boxes += in;
+                box = in ? j : box;
                 near = near || (j != owner && partition_distance(b, x, y) < 0.02 * p->edge_m);
             }
-            wrong += boxes > 1 || owner >= p->n_cells || p->cells[owner].parent >= 0;
+            wrong += boxes > 1 || owner >= p->n_cells || p->cells[owner].parent >= 0 ||
+                     (boxes && owner != trained_cell(p, box));
             strip += near;
             kept += owner == i;
             n++;

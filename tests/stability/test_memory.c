@@ -16,6 +16,7 @@
 #include "train/train.h"
 #include "train/train_scene.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -27,6 +28,14 @@ enum {
     MEMORY_STEPS = 40,
     MEMORY_LIMIT_BYTES = 1300, /* what a Gaussian may take: 708 are parameters and moments */
 };
+
+/* Memory does not ask what is on the photographs: bands, so that there is something to learn. */
+static void paint_bands(void *user, size_t i, const struct camera *cam, double *rgb)
+{
+    (void)user;
+    for (size_t k = 0; k < (size_t)cam->width_px * cam->height_px * 3; k++)
+        rgb[k] = 0.5 + 0.4 * sin(0.2 * (double)(k / 3 % cam->width_px) + (double)(i + k % 3));
+}
 
 /* Train n points up to `budget` over two levels in a process of its own, saving its state on the
  * way; its peak. */
@@ -48,6 +57,8 @@ static size_t peak_of(const char *program, size_t n, size_t budget, bool appeara
     t.sigma_min_m = 0.03;
     t.sigma_max_m = 0.06;
     t.photos = 6;
+    t.blank = true;
+    t.paint = paint_bands;
     toy_gauss(&t, &g);
     kit_tmpdir(dir);
     toy_write(dir, &t, &g);

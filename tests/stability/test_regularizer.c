@@ -212,26 +212,32 @@ static void giants_and_needles_shrink(void **state)
 
 /* ---- depth maps on disk ---- */
 
-/* Inverse depth of the truth as photograph i sees it, in 1 / m. */
-static void truth_depth(size_t i, double *depth)
+/* Inverse depth of g as photograph i sees it, in 1 / m. */
+static void depth_of(const struct gauss *g, size_t i, double *depth)
 {
     struct toy t = ground_spec();
-    struct gauss g = {0};
     struct camera cam = toy_camera(&t, i);
     struct err e = {0};
     double loss;
     float *none = mem_array((size_t)t.width_px * t.height_px, sizeof *none);
     assert_non_null(none);
-    ground_gauss(&t, &g);
     struct depth_input in = {.cam = &cam,
                              .options = {.aa = RENDER_AA_2D},
                              .target = none,
                              .unit_m = 1.0,
                              .n_known = 1,
                              .weight = 1.0};
-    kit_ok(depth_ref_loss(&g, &in, depth, &loss, &e), e);
-    gauss_free(&g);
+    kit_ok(depth_ref_loss(g, &in, depth, &loss, &e), e);
     mem_free(none);
+}
+
+static void truth_depth(size_t i, double *depth)
+{
+    struct toy t = ground_spec();
+    struct gauss g = {0};
+    ground_gauss(&t, &g);
+    depth_of(&g, i, depth);
+    gauss_free(&g);
 }
 
 static void png_chunk(struct buf *b, const char *type, const void *data, size_t n)
@@ -306,6 +312,10 @@ static void maps_write(const char *dir)
 enum { F5_STEPS = 800, F5_RESET = 300, F5_EVERY = 50, F5_RUNS = 5 };
 #define F5_FAINT 0.02
 #define F5_GONE 0.95
+#define F5_COST_DB 1.0    /* of the depth loss, against the same run without it */
+#define F5_DEPTH_OFF 0.1  /* relative: what lies in the air is nearer by more */
+#define F5_GROUND 0.04    /* 1 / m; where the truth has less there is no ground */
+enum { F5_COMPONENT = 50 }; /* pixels */
 
 /* The truth with a floater for every 50 Gaussians in the air between ground and cameras. */
 static void floaters_add(struct gauss *g, size_t *first)
@@ -328,9 +338,55 @@ static void floaters_add(struct gauss *g, size_t *first)
     g->n = n + n / F5_EVERY;
 }
 
+/* Pixels of the part of `off` that `at` belongs to, taken out of it. */
+static size_t component(bool *off, size_t w, size_t h, size_t at)
+{
+    static size_t stack[4096];
+    size_t n = 1, size = 0;
+    stack[0] = at;
+    off[at] = false;
+    while (n) {
+        size_t p = stack[--n], x = p % w, y = p / w;
+        const size_t next[4] = {x ? p - 1 : p, x + 1 < w ? p + 1 : p, y ? p - w : p,
+                                y + 1 < h ? p + w : p};
+        size++;
+        for (int k = 0; k < 4; k++)
+            if (off[next[k]]) {
+                off[next[k]] = false;
+                stack[n++] = next[k];
+            }
+    }
+    return size;
+}
+
+/* The largest connected part of any test photograph in which depth is off. */
+static size_t largest_component(const struct gauss *g)
+{
+    struct toy t = ground_spec();
+    size_t pixels = (size_t)t.width_px * t.height_px, worst = 0;
+    double *truth = mem_array(pixels, sizeof *truth), *is = mem_array(pixels, sizeof *is);
+    bool *off = mem_array(pixels, sizeof *off);
+    assert_true(truth && is && off && pixels <= 4096);
+    for (size_t i = 0; i < t.photos; i += t.test_every) {
+        truth_depth(i, truth);
+        depth_of(g, i, is);
+        for (size_t p = 0; p < pixels; p++)
+            off[p] = truth[p] > F5_GROUND && fabs(is[p] / truth[p] - 1.0) > F5_DEPTH_OFF;
+        for (size_t p = 0; p < pixels; p++)
+            if (off[p]) {
+                size_t size = component(off, t.width_px, t.height_px, p);
+                worst = size > worst ? size : worst;
+            }
+    }
+    mem_free(truth);
+    mem_free(is);
+    mem_free(off);
+    return worst;
+}
+
 /* Share of the floaters that are faint, mean opacity of all of them, and PSNR. */
 static double floaters_train(const struct train_config *c, const struct gauss *g, size_t first,
-                             double *mean_opacity, double *psnr)
+                             double *mean_opacity, double *psnr, size_t *off_px)
 {
     struct toy_run r;
     struct gauss after = {0};
@@ -348,6 +404,7 @@ static double floaters_train(const struct train_config *c, const struct gauss *g
         faint += o < F5_FAINT || after.mean_m[3 * i + 2] < 1.0f;
     }
     *psnr = toy_run_score(&r, 1.0).psnr_db;
+    *off_px = largest_component(&after);
     gauss_free(&after);
     toy_run_close(&r);
     return (double)faint / (double)n;
@@ -371,6 +428,7 @@ static void floaters_fade(void **state)
     char maps[FILE_PATH_MAX];
     size_t first;
     double share[F5_RUNS], mean[F5_RUNS], psnr[F5_RUNS];
+    size_t off_px[F5_RUNS];
     kit_tmpdir(maps);
     maps_write(maps);
     ground_gauss(&t, &g);
@@ -381,11 +439,15 @@ static void floaters_fade(void **state)
         c.depth_pass = runs[i].pass;
         c.reset_interval = runs[i].reset ? F5_RESET : c.reset_interval;
         c.densify_until_3 = 1.0; /* resets end an interval before */
-        share[i] = floaters_train(&c, &g, first, &mean[i], &psnr[i]);
-        toy_figure("F5", "depth=%s faint=%.2f limit=%.2f mean_opacity=%.4f psnr_db=%.2f",
-                   runs[i].name, share[i], F5_GONE, mean[i], psnr[i]);
+        share[i] = floaters_train(&c, &g, first, &mean[i], &psnr[i], &off_px[i]);
+        toy_figure("F5",
+                   "depth=%s faint=%.2f limit=%.2f mean_opacity=%.4f psnr_db=%.2f "
+                   "largest_part_off_px=%zu limit=%d",
+                   runs[i].name, share[i], F5_GONE, mean[i], psnr[i], off_px[i], F5_COMPONENT);
     }
     assert_true(share[3] >= F5_GONE && share[4] >= F5_GONE);
+    assert_true(off_px[4] <= F5_COMPONENT && off_px[0] > F5_COMPONENT);
+    assert_true(psnr[4] >= psnr[1] - F5_COST_DB); /* and what the default of the two costs */
     assert_true(share[0] < F5_GONE && share[1] < F5_GONE); /* it is the depth that does it */
     gauss_free(&g);
     kit_rmdir(maps);

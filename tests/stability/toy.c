@@ -97,7 +97,8 @@ static void toy_photo(const struct toy *t, const struct gauss *g, size_t i, cons
     size_t n = (size_t)t->width_px * t->height_px * 3;
     double *rgb = mem_array(n, sizeof *rgb);
     assert_non_null(rgb);
-    toy_draw(g, &cam, rgb);
+    if (!t->blank)
+        toy_draw(g, &cam, rgb);
     if (t->paint)
         t->paint(t->user, i, &cam, rgb);
     kit_ok(image_alloc(t->width_px, t->height_px, 3, &img, &e), e);
@@ -141,7 +142,8 @@ void toy_write(const char *dir, const struct toy *t, const struct gauss *g)
                                          .gps_enu_m = {(double)NAN, (double)NAN, (double)NAN},
                                          .residual_m = (double)NAN};
         kit_ok(file_join(path, sub, names[i], &e), e);
-        toy_photo(t, g, i, path);
+        if (!t->drawn)
+            toy_photo(t, g, i, path);
         if (t->pose)
             t->pose(t->user, i, &images[i].cam);
     }

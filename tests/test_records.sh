@@ -1,0 +1,55 @@
+#!/bin/sh
+# Every record of docs/runs may be used (its commit is in the history, it is as long and of as many seeds as its study
+# states), every table of docs/ says what the records say, and what is wrong with a record is named. A shallow clone
+# leaves the history out. Needs CITYSPLAT_BIN.
+#
+# SPDX-License-Identifier: Apache-2.0
+bin=${CITYSPLAT_BIN:?set it to the citysplat program}
+study=$(dirname "$bin")/citysplat-study
+cd "$(dirname "$0")/.." || exit 1
+work=$(mktemp -d "${TMPDIR:-/tmp}/citysplat-records-XXXXXX") || exit 1
+trap 'rm -rf "$work"' EXIT
+failed=0
+for page in docs/benchmarks.md docs/studies/*.md; do
+    "$study" chart docs/runs -o docs/charts --check --markdown "$page" -q >"$work/log" 2>&1 || { cat "$work/log"; failed=1; }
+done
+
+# Every record is on a page, or a page says what it is: the name of its file stands in docs/.
+for runs in docs/runs/*.jsonl; do
+    grep -qr --include='*.md' "$(basename "$runs")" docs || { echo "no page names $runs"; failed=1; }
+done
+
+# Refusals, in a history of its own.
+refuse() { # PATTERN RECORD...
+    pattern=$1
+    shift
+    printf '%s\n' "$@" >"$work/repo/runs/time.jsonl"
+    "$study" chart "$work/repo/runs" -o "$work/repo" --check >"$work/log" 2>&1 && { echo "taken: $*"; failed=1; }
+    grep -q -- "$pattern" "$work/log" || { cat "$work/log"; echo "lacks '$pattern'"; failed=1; }
+}
+record() { # STUDY ROW COMMAND COMMIT
+    printf '{"study":"%s","row":"%s","what":"level 1","dataset":"d","command":"%s","commit":"%s","device":"d","numbers":{"psnr_db":30}}' "$@"
+}
+if command -v git >/dev/null; then
+    mkdir -p "$work/repo/runs"
+    git() { command git -C "$work/repo" -c user.name=n -c user.email=e@example.org "$@"; }
+    git init -q . && git commit -q --allow-empty -m a && git checkout -q -b other && git commit -q --allow-empty -m b
+    away=$(git rev-parse --short HEAD)
+    git checkout -q - && git commit -q --allow-empty -m c
+    here=$(git rev-parse --short HEAD~1)
+    refuse "commit '$away' is not in the history" "$(record time 'a: b' 'train --iterations 250' "$away")"
+    refuse "commit '--help' is not in the history" "$(record time 'a: b' 'train --iterations 250' --help)"
+    refuse "249 steps, and the study states 250" "$(record time 'a: b' 'train --iterations 249' "$here")"
+    refuse "row 'b': 0 steps" "$(record time b 'train' "$here")"
+    refuse "study 'none' states no length" "$(record none b 'train --iterations 250' "$here")"
+    refuse "row 'b': 2 seeds, and the study states 3" "$(record embedding 'b (seed 1)' 'train --seed 1 --iterations 1500' "$here")" \
+        "$(record embedding 'b (seed 2)' 'train --seed 2 --iterations 1500' "$here")" "$(record embedding 'b (seed 2) ' 'train --seed 2 --iterations 1500' "$here")"
+    record time 'a: b' 'train --iterations 250' "$here" >"$work/repo/runs/time.jsonl"
+    "$study" chart "$work/repo/runs" -o "$work/repo" --check >"$work/log" 2>&1 || { cat "$work/log"; failed=1; }
+    printf '<!-- table time -->\nanother figure\n<!-- end -->\n' >"$work/repo/page.md"
+    "$study" chart "$work/repo/runs" -o "$work/repo" --check --markdown "$work/repo/page.md" >"$work/log" 2>&1 && { echo "a wrong table is taken"; failed=1; }
+    grep -q 'says something else than the records' "$work/log" || { cat "$work/log"; failed=1; }
+    grep -q 'another figure' "$work/repo/page.md" || { echo "--check writes"; failed=1; }
+fi
+[ $failed = 0 ] && echo ok
+exit $failed
