@@ -71,6 +71,7 @@ scene_about() {
     city) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m" ;;
     city-location) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m, without visibility selection" ;;
     demo) echo "demo city 120 m, 84 photographs of 480 x 360 px, 24 map views" ;;
+    light) echo "procedural city 100 m, 60 photographs of 320 x 240 px under changing light" ;;
     city-light) echo "procedural city 200 m, 150 photographs of 400 x 300 px under changing light" ;;
     *) die "no scene '$1'" ;;
   esac
@@ -101,6 +102,7 @@ scene_build() { # NAME FOLDER
       citysplat synth --config configs/demo-synth.jsonc --map-views 24 -o "$2-photos" --overwrite -q
       citysplat ingest "$2-photos/images" "$2-photos/sparse" --config configs/demo-ingest.jsonc -o "$2" -q
       ;;
+    light) scene_ingest_city "$2" --extent-m 100 --photos 60 --width-px 320 --height-px 240 --points 20000 --exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5 ;;
     city-light) scene_ingest_city "$2" --extent-m 200 --photos 150 --points 60000 --exposure-ev 0.5 --white-balance 0.15 --sun-variation 0.5 ;;
   esac >&2
 }
@@ -287,11 +289,11 @@ study_ablation() { ablation ablation caliterra-cells; }
 study_ablation_city() { ablation ablation_city city; }
 
 embedding_rows() {
-  local n base=(--level-count 1 --iterations "$(steps embedding)" --budget-3 100000)
+  local n base=(--level-count 1 --iterations "$(steps embedding)" --budget-3 40000)
   for n in 16 4 8; do # the default first: the others are compared with it
-    row embedding "length $n" city-light "embed_len=$n" "${base[@]}" --appearance --appearance-warmup 250 --embed-len "$n" --eval --half-image on
+    row embedding "length $n" light "embed_len=$n" "${base[@]}" --appearance --appearance-warmup 250 --embed-len "$n" --eval --half-image on
   done
-  row embedding "no appearance" city-light "embed_len=0" "${base[@]}" --eval --half-image on
+  row embedding "no appearance" light "embed_len=0" "${base[@]}" --eval --half-image on
 }
 study_embedding() { seeded embedding embedding_rows; } # length of a Gaussian's appearance embedding (Table 11), under changing light
 
@@ -299,7 +301,7 @@ study_embedding() { seeded embedding embedding_rows; } # length of a Gaussian's 
 # for photographs that support 100,000 and more.
 importance_rows() {
   local n base=(--level-count 1 --iterations "$(steps importance)" --budget table --budget-3 30000 --tau-3 1e-4)
-  for n in 10 3 1; do
+  for n in 10 1; do
     row importance "$n views" caliterra-400 "importance_views=$n" "${base[@]}" --importance-views "$n"
   done
 }

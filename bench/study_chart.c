@@ -103,8 +103,7 @@ static enum err_code chart_take(struct chart_run *r, const char *path, struct er
     enum study_history history = study_history(dir);
     if (history == STUDY_HISTORY_SHALLOW)
         log_warn("chart", "%s: commits of records are not checked: the clone is shallow", dir);
-    enum err_code rc =
-        study_check(r->lines, history == STUDY_HISTORY_WHOLE ? dir : NULL, e);
+    enum err_code rc = study_check(r->lines, history == STUDY_HISTORY_WHOLE ? dir : NULL, e);
     if (!rc)
         rc = study_merge_seeds(r->lines, &merged, e);
     if (rc)
@@ -310,7 +309,8 @@ enum err_code study_chart(int argc, char **argv, struct err *e)
         .usage = "citysplat-study chart RUNS... -o DIR [options]",
         .about = "Draws the charts of recorded runs (folders or files of JSON lines, which "
                  "bench/study.sh and `citysplat-study record` write) with gnuplot, as SVG and "
-                 "PNG, and rewrites the tables of a Markdown file. Records are refused that are shorter or "
+                 "PNG, and rewrites the tables of a Markdown file. Records are refused that are "
+                 "shorter or "
                  "of fewer seeds than bench/studies.def states for their study, and those whose "
                  "commit is not in the history of HEAD.",
         .example = "citysplat-study chart docs/runs -o docs/charts --markdown docs/studies/time.md",

@@ -12,6 +12,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/wait.h>
+#include <unistd.h>
 
 #include <jansson.h>
 
@@ -100,7 +101,8 @@ static bool check_in_history(struct check_commits *c, const char *dir, const cha
         if (!strcmp(c->hash[i], hash))
             return c->in[i];
     /* What git would take for an option or a name is no hash. */
-    bool in = *hash && hash[strspn(hash, "0123456789abcdef")] == '\0' && !check_git(dir, words, NULL);
+    bool in =
+        *hash && hash[strspn(hash, "0123456789abcdef")] == '\0' && !check_git(dir, words, NULL);
     if (c->n < CHECK_COMMITS_MAX) {
         c->hash[c->n] = hash;
         c->in[c->n++] = in;
@@ -116,7 +118,8 @@ static double check_option(const json_t *line, const char *option)
     size_t n = strlen(option);
     for (const char *at = runs_text(line, "command"); (at = strstr(at, option)); at += n) {
         char *end;
-        double v = at[n] == ' ' ? strtod(at + n, &end) : (double)NAN; /* --seed, not --seed-ground */
+        double v =
+            at[n] == ' ' ? strtod(at + n, &end) : (double)NAN; /* --seed, not --seed-ground */
         if (isfinite(v) && end > at + n)
             return v;
     }

@@ -183,7 +183,7 @@ struct layout_counts {
 
 /* Losses: sums over Gaussians or pixels are taken in this many fixed pieces. */
 #define LAYOUT_LOSS_PIECES 256
-#define LAYOUT_SCALE_ITEMS 64 /* of a work-group of loss/scale_loss.cl, VW 1 */
+#define LAYOUT_SCALE_ITEMS 64                     /* of a work-group of loss/scale_loss.cl, VW 1 */
 #define LAYOUT_DEPTH_PLANES (LAYOUT_PLANE_SH + 3) /* of the shadow model of loss/depth.cl */
 /* Pieces of photometric.cl: pixels of a strip, rows of a band, floats beside a row of the maps. */
 #define LAYOUT_LOSS_STRIP 64

@@ -185,7 +185,8 @@ __kernel GROUP void scale_grad(__global const float *params, uint n, uint planes
         axes_load(params + group_at(group, planes) + in, &a);
         axes_grad(&a, i < n, s_max, r_max, weight / ((float)all_n[0] + 1.0f),
                   weight / ((float)all_m[0] + 1.0f), only,
-                  extra + group_at(group, only ? LAYOUT_PLANES_SCALE : LAYOUT_PLANES_GEOMETRY) + in);
+                  extra + group_at(group, only ? LAYOUT_PLANES_SCALE : LAYOUT_PLANES_GEOMETRY) +
+                      in);
     }
 }
 #endif

@@ -10,7 +10,7 @@
 #include <math.h>
 
 #define F27_OLD_LIMIT_DB 1.5 /* and in those that were trained before; why not 0.3: the next test */
-#define F27_LIMIT_DB 0.3 /* may be lost by a hand-over, in the pictures that are trained next */
+#define F27_LIMIT_DB 0.3     /* may be lost by a hand-over, in the pictures that are trained next */
 /* A level of the full method has 15,000 steps and is looked at 1,000 steps in: the same share. */
 #define F27_SHARE (1.0 / 15.0)
 /* Opacities are reset thrice and Gaussians pruned by size between: what may be missing at the end

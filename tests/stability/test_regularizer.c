@@ -126,6 +126,7 @@ enum { F4_STEPS = 500 };
 #define F4_SIZE_LIMIT 1.2 /* of s_max */
 #define F4_RATIO_LIMIT 12.0
 #define F4_PRUNE_M 1.5
+#define F4_COST_DB 0.5  /* of loss and removal, against neither */
 #define F4_EXTENT_M 6.9 /* of the toy, roughly */
 
 static int f4_compare(const void *a, const void *b)
@@ -195,6 +196,8 @@ static void giants_and_needles_shrink(void **state)
     c.densify_from = 0; /* as it is used: with removal by size, which begins after a reset */
     c.reset_interval = 150;
     c.prune_size = F4_PRUNE_M / F4_EXTENT_M;
+    c.budget_3 =
+        (int64_t)first.n; /* removal alone: more Gaussians would learn 9 photographs by heart */
     f4_train(&c, &first, &size[3], &ratio[3], &psnr[3]);
     toy_figure("F4",
                "size_before=%.1f size_none=%.2f size_loss=%.2f size_loss_prune=%.2f limit=%.1f "
@@ -205,6 +208,7 @@ static void giants_and_needles_shrink(void **state)
     assert_true(size[3] < F4_SIZE_LIMIT);
     assert_true(ratio[2] < F4_RATIO_LIMIT && ratio[3] < F4_RATIO_LIMIT);
     assert_true(size[2] < 0.8 * size[1]); /* it is the loss's doing */
+    assert_true(psnr[2] >= psnr[1] - F4_COST_DB && psnr[3] >= psnr[1] - F4_COST_DB);
     assert_true(size[1] > F4_SIZE_LIMIT && ratio[1] > F4_RATIO_LIMIT);
     gauss_free(&first);
     arena_free(&a);
@@ -309,13 +313,13 @@ static void maps_write(const char *dir)
 
 /* ---- F5: floaters ---- */
 
-enum { F5_STEPS = 800, F5_RESET = 300, F5_EVERY = 50, F5_RUNS = 5 };
+enum { F5_STEPS = 800, F5_RESET = 300, F5_EVERY = 50, F5_RUNS = 3 };
 #define F5_FAINT 0.02
 #define F5_GONE 0.95
-#define F5_COST_DB 1.0    /* of the depth loss, against the same run without it */
-#define F5_DEPTH_OFF 0.1  /* relative: what lies in the air is nearer by more */
-#define F5_GROUND 0.04    /* 1 / m; where the truth has less there is no ground */
-enum { F5_COMPONENT = 50 }; /* pixels */
+#define F5_COST_DB 3.0      /* of the depth loss at most, against the same run without it */
+#define F5_DEPTH_OFF 0.1    /* relative: what lies in the air is nearer by more */
+#define F5_GROUND 0.07      /* 1 / m; where the truth has less the ground ends */
+enum { F5_COMPONENT = 25 }; /* pixels: a floater covers 28 */
 
 /* The truth with a floater for every 50 Gaussians in the air between ground and cameras. */
 static void floaters_add(struct gauss *g, size_t *first)
@@ -417,9 +421,7 @@ static void floaters_fade(void **state)
         const char *name;
         bool maps, reset;
         int pass; /* of depth_pass: alternate|soft|hard */
-    } runs[F5_RUNS] = {{"none", false, false, 0},
-                       {"none+reset", false, true, 0},
-                       {"soft+reset", true, true, 1},
+    } runs[F5_RUNS] = {{"none+reset", false, true, 0},
                        {"hard+reset", true, true, 2},
                        {"alternate+reset", true, true, 0}};
     struct arena a = {0};
@@ -428,11 +430,12 @@ static void floaters_fade(void **state)
     char maps[FILE_PATH_MAX];
     size_t first;
     double share[F5_RUNS], mean[F5_RUNS], psnr[F5_RUNS];
-    size_t off_px[F5_RUNS];
+    size_t off_px[F5_RUNS], off_before;
     kit_tmpdir(maps);
     maps_write(maps);
     ground_gauss(&t, &g);
     floaters_add(&g, &first);
+    off_before = largest_component(&g);
     for (int i = 0; i < F5_RUNS; i++) {
         struct train_config c = plain_config(&a, F5_STEPS);
         c.depth_dir = runs[i].maps ? maps : NULL;
@@ -442,13 +445,14 @@ static void floaters_fade(void **state)
         share[i] = floaters_train(&c, &g, first, &mean[i], &psnr[i], &off_px[i]);
         toy_figure("F5",
                    "depth=%s faint=%.2f limit=%.2f mean_opacity=%.4f psnr_db=%.2f "
-                   "largest_part_off_px=%zu limit=%d",
-                   runs[i].name, share[i], F5_GONE, mean[i], psnr[i], off_px[i], F5_COMPONENT);
+                   "largest_part_off_px=%zu limit=%d before_px=%zu",
+                   runs[i].name, share[i], F5_GONE, mean[i], psnr[i], off_px[i], F5_COMPONENT,
+                   off_before);
     }
-    assert_true(share[3] >= F5_GONE && share[4] >= F5_GONE);
-    assert_true(off_px[4] <= F5_COMPONENT && off_px[0] > F5_COMPONENT);
-    assert_true(psnr[4] >= psnr[1] - F5_COST_DB); /* and what the default of the two costs */
-    assert_true(share[0] < F5_GONE && share[1] < F5_GONE); /* it is the depth that does it */
+    assert_true(share[1] >= F5_GONE && share[2] >= F5_GONE);
+    assert_true(share[0] < F5_GONE); /* it is the depth that does it */
+    assert_true(off_px[2] <= F5_COMPONENT && off_px[2] < off_px[0] && off_before > F5_COMPONENT);
+    assert_true(psnr[2] >= psnr[0] - F5_COST_DB);
     gauss_free(&g);
     kit_rmdir(maps);
     arena_free(&a);
@@ -749,8 +753,10 @@ static void resumed_runs_with_filter_and_depth_are_the_same(void **state)
     }
 }
 
-int main(void)
+int main(int argc, char **argv)
 {
+    if (argc > 1)
+        cmocka_set_test_filter(argv[1]);
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(giants_and_needles_shrink),
         cmocka_unit_test(floaters_fade),

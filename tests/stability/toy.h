@@ -29,10 +29,10 @@ struct toy { /* toy_spec gives the usual one; change what matters, then toy_writ
     size_t photos, test_every; /* photograph i is for tests where i % test_every == 0; 0: none */
     uint32_t width_px, height_px;
     double ring_m, height_m, fov_y_rad; /* cameras: two rings, of ring_m and half of it */
-    bool blank; /* draw nothing: photographs are what `paint` makes */
-    bool drawn; /* the photographs are there already: write the scene alone, with other poses */
-    bool points;                        /* write the means as sparse points, each seen by all */
-    double point_noise_m;               /* added to them */
+    bool blank;                         /* draw nothing: photographs are what `paint` makes */
+    bool drawn;  /* the photographs are there already: write the scene alone, with other poses */
+    bool points; /* write the means as sparse points, each seen by all */
+    double point_noise_m; /* added to them */
     /* Changes photograph i, drawn as rgb [h][w][3]: exposure, a passing car. */
     void (*paint)(void *user, size_t i, const struct camera *cam, double *rgb);
     /* Changes the pose that the scene says of photograph i; the picture was taken at the true one.
