@@ -21,7 +21,8 @@ enum err_code study_chart(int argc, char **argv, struct err *e) ERR_USE;
 
 enum study_history { STUDY_HISTORY_NONE, STUDY_HISTORY_SHALLOW, STUDY_HISTORY_WHOLE };
 
-/* What git knows of the past in folder `dir`: nothing (no repository, or no git), a part, or all. */
+/* What git knows of the past in folder `dir`: nothing (no repository, or no git), a part, or all.
+ */
 enum study_history study_history(const char *dir);
 
 /* ERR_DATA for the first record (runs.h) that is shorter or has fewer seeds than its study states

@@ -108,9 +108,15 @@ enum err_code study_merge_seeds(const json_t *lines, json_t **out, struct err *e
     *out = json_array();
     if (!*out)
         return err_set(e, ERR_MEM, "chart: out of memory");
-    for (size_t i = 0; !rc && i < json_array_size(lines); i++)
-        if (!seeds_is_later(lines, i))
-            rc = seeds_merge(lines, json_array_get(lines, i), *out, e);
+    for (size_t i = 0; !rc && i < json_array_size(lines); i++) {
+        json_t *line = json_array_get(lines, i);
+        const char *row = runs_text(line, "row");
+        if (!row[study_row_length(row)]) /* of one seed: as it is */
+            rc = json_array_append(*out, line) ? err_set(e, ERR_MEM, "chart: out of memory")
+                                               : ERR_OK;
+        else if (!seeds_is_later(lines, i))
+            rc = seeds_merge(lines, line, *out, e);
+    }
     if (rc) {
         json_decref(*out);
         *out = NULL;

@@ -4,8 +4,8 @@
 //   out  extra [groups][LAYOUT_PLANES_GEOMETRY][16] or [groups][LAYOUT_PLANES_SCALE][16], every
 //        plane written, 0 where nothing is wrong
 // Counts are whole numbers over fixed pieces: same input, same bits. Reference: scale_loss_ref_run.
-// VW 16: a work-item has a piece, or LAYOUT_PROJECT_GROUPS groups. VW 1: a work-group has a piece, and
-// its items take every LAYOUT_SCALE_ITEMSth Gaussian of it; gradients are a Gaussian an item.
+// VW 16: a work-item has a piece, or LAYOUT_PROJECT_GROUPS groups. VW 1: a work-group has a piece,
+// and its items take every LAYOUT_SCALE_ITEMSth Gaussian of it; gradients are a Gaussian an item.
 #define RATIO_EPS 1e-8f
 #define SCALE_AHEAD 8
 

@@ -182,7 +182,7 @@ struct f18 {
     double off_m;
 };
 
-/* The scene of all tests of F18 and its truth: photographs are drawn once, poses are written anew. */
+/* The scene of all tests of F18: photographs are drawn once, poses are written anew. */
 static char f18_dir[FILE_PATH_MAX];
 
 static struct toy f18_scene(void (*pose)(void *user, size_t i, struct camera *cam), void *user)
