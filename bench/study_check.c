@@ -117,7 +117,7 @@ static double check_option(const json_t *line, const char *option)
 {
     size_t n = strlen(option);
     for (const char *at = runs_text(line, "command"); (at = strstr(at, option)); at += n) {
-        char *end;
+        char *end = NULL;
         double v =
             at[n] == ' ' ? strtod(at + n, &end) : (double)NAN; /* --seed, not --seed-ground */
         if (isfinite(v) && end > at + n)
