@@ -201,7 +201,7 @@ test("a change asks for nothing and never shows a gap", skip, async (t) => {
 test("where frames take long an appearance shows roughly at once, and exactly when it rests", skip, async (t) => {
     await wear(names[0]);
     // As on a machine that draws slowly, whatever this one does.
-    const slow = (ms) => page.evaluate((v) => (window.citysplat.viewer.frameMs = v), ms);
+    const slow = (ms) => page.evaluate((v) => (window.citysplat.viewer.pace.frameMs = v), ms);
     await slow(1000);
     await page.evaluate(() => {
         const { viewer } = window.citysplat;

@@ -7,12 +7,19 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { after, afterEach, before, test } from "node:test";
-import { fileURLToPath } from "node:url";
+import { fileURLToPath, pathToFileURL } from "node:url";
 
-import { barePicture, lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
+import { barePicture, lookViewer, nextFrames, openPage, waitForViewer } from "./lib/browser.mjs";
 import { measureContent, SOUTH } from "./lib/checks.mjs";
 import { ORIGIN, RED_TOP } from "./lib/city.mjs";
-import { makeBoxGlb, makeBoxTileset, openForeign } from "./lib/foreign.mjs";
+import {
+    makeB3dm,
+    makeBoxGlb,
+    makeBoxTileset,
+    makeDracoBox,
+    makeMeshoptBox,
+    openForeign,
+} from "./lib/foreign.mjs";
 import { enuToEcef, placeOfEnu, project } from "./lib/geo.mjs";
 import { GIVEN_TILES, openSource } from "./lib/source.mjs";
 
@@ -23,6 +30,18 @@ const CYAN = [0, 1, 1];
 const HALF = [5, 6, 5]; // of the box: east, up, south
 const OPEN_GROUND = [25, -45, 6]; // its middle, nothing in front
 const BEHIND_TOWER = [0, 22, 6]; // behind the blue tower, seen from the south
+
+// The encoders that others pack their models with.
+async function packedBoxes() {
+    const draco = await createRequire(import.meta.url)("draco3d").createEncoderModule({});
+    const own = createRequire(new URL("../../web/package.json", import.meta.url));
+    const { MeshoptEncoder } = await import(pathToFileURL(own.resolve("meshoptimizer")));
+    await MeshoptEncoder.ready;
+    return {
+        "/draco.glb": { body: makeDracoBox(draco, HALF, CYAN) },
+        "/meshopt.glb": { body: makeMeshoptBox(MeshoptEncoder, HALF, CYAN) },
+    };
+}
 
 let source;
 let foreign;
@@ -39,14 +58,22 @@ before(async () => {
     const splats = (json) => json.extensionsUsed.push("KHR_gaussian_splatting");
     const strange = (json) => (json.extensionsRequired = ["ACME_magic"]);
     const nowhere = (json) => (json.meshes[0].primitives[0].attributes.POSITION = 7);
+    const ktx2 = (json) => (json.extensionsRequired = ["KHR_texture_basisu"]);
     const ecef = far.slice(12, 15);
     const earth = (json) => (json.nodes[0].translation = [ecef[0], ecef[2], -ecef[1]]);
     const rtc = (json) => {
         json.extensions = { CESIUM_RTC: { center: ecef } };
         json.extensionsRequired = ["CESIUM_RTC"];
     };
+    const packed = await packedBoxes();
+    const cut = packed["/draco.glb"].body.subarray(0, -24);
     foreign = await openForeign({
+        ...packed,
         "/box.glb": { body: box },
+        "/box.b3dm": { body: makeB3dm(packed["/draco.glb"].body) },
+        "/old/tileset.json": { body: makeBoxTileset("../box.b3dm", [HALF[0], HALF[2], HALF[1]], far) },
+        "/ktx2.glb": { body: makeBoxGlb(HALF, CYAN, ktx2) },
+        "/cut-draco.glb": { body: Buffer.concat([cut, Buffer.alloc(24)]) },
         "/tiles/tileset.json": { body: makeBoxTileset("../box.glb", [HALF[0], HALF[2], HALF[1]], far) },
         "/adrift/tileset.json": { body: makeBoxTileset("../box.glb", HALF, null) },
         "/broken/tileset.json": { body: makeBoxTileset("none.glb", [5, 5, 6], far) },
@@ -93,7 +120,7 @@ const standing = (enu) => ({ ...placeOfEnu(ORIGIN, enu), heading: 0, scale: 1 })
 async function add(options) {
     await page.evaluate((o) => window.citysplat.viewer.layers.add(o).catch(() => {}), options);
     await page.waitForFunction(() => !window.citysplat.viewer.layers.loading);
-    await page.waitForTimeout(200);
+    await nextFrames(page);
     return (await list()).at(-1);
 }
 
@@ -125,7 +152,7 @@ test("a model stands where it is told to, and hides behind the city", skip, asyn
     assert.ok(Math.abs(top - (ORIGIN.h + 12)) < 1.5, `a click on its top says ${top} m`);
     const to = standing(BEHIND_TOWER);
     await page.evaluate(([id, place]) => window.citysplat.viewer.layers.change(id, { place }), [layer.id, to]);
-    await page.waitForTimeout(300);
+    await nextFrames(page);
     const behind = await cyan();
     t.diagnostic(`${open.n} pixels in the open, ${behind.n} behind the tower`);
     assert.ok(behind.n < 0.35 * open.n, `${behind.n} of ${open.n} pixels are seen through the tower`);
@@ -139,10 +166,10 @@ test("3D Tiles stand where their transform says, and can be raised and hidden", 
     const change = (how) =>
         page.evaluate(([id, c]) => window.citysplat.viewer.layers.change(id, c), [layer.id, how]);
     await change({ up: 15 });
-    await page.waitForTimeout(300);
+    await nextFrames(page);
     nearTo(await cyan(), [OPEN_GROUND[0], OPEN_GROUND[1], OPEN_GROUND[2] + 15]);
     await change({ visible: false });
-    await page.waitForTimeout(300);
+    await nextFrames(page);
     assert.equal((await cyan()).n, 0);
 });
 
@@ -153,6 +180,19 @@ test("a model in coordinates of the earth stands where these say", skip, async (
         nearTo(await cyan(), OPEN_GROUND);
         await page.evaluate((id) => window.citysplat.viewer.layers.remove(id), layer.id);
     }
+});
+
+test("compressed models and batched tiles of 3D Tiles 1.0 stand like plain ones", skip, async () => {
+    for (const name of ["draco.glb", "meshopt.glb"]) {
+        const layer = await add({ url: `${foreign.url}/${name}`, place: standing(OPEN_GROUND) });
+        assert.deepEqual([layer.kind, layer.state, layer.why], ["model", "shown", ""], name);
+        nearTo(await cyan(), OPEN_GROUND);
+        await page.evaluate((id) => window.citysplat.viewer.layers.remove(id), layer.id);
+    }
+    const layer = await add({ url: `${foreign.url}/old/tileset.json` });
+    assert.deepEqual([layer.kind, layer.state, layer.why], ["tiles", "shown", ""]);
+    await page.waitForFunction(() => !window.citysplat.viewer.layers.loading);
+    nearTo(await cyan(), OPEN_GROUND);
 });
 
 test("GeoJSON without heights lies on the roofs, and above them where it is told to stand", skip, async () => {
@@ -182,14 +222,14 @@ test("GeoJSON without heights lies on the roofs, and above them where it is told
         buffer: Buffer.from(JSON.stringify(feature)),
     });
     await page.waitForFunction(() => window.citysplat.viewer.layers.list[0]?.state === "shown");
-    await page.waitForTimeout(300);
+    await nextFrames(page);
     const [layer] = await list();
     assert.deepEqual([layer.kind, layer.drape, layer.url], ["geojson", true, null]);
     assert.ok((await bluer(roof)) > 40, "nothing lies on the roof");
     assert.ok(Math.abs(await bluer(middle)) < 12, "the hole is filled");
     assert.equal(await page.textContent(".citysplat-label"), "the roof");
     await page.click("#layers .how input[type=checkbox]"); // not laid onto the city
-    await page.waitForTimeout(300);
+    await nextFrames(page);
     assert.ok(Math.abs(await bluer(roof)) < 12, "it is still on the roof");
 });
 
@@ -225,7 +265,7 @@ test("a click puts a model elsewhere, a number turns it", skip, async () => {
     await page.click("#layers button[aria-pressed=false]:text('Move')");
     const spot = [30, -20, 0];
     await page.mouse.click(...project(ORIGIN, SOUTH, spot, SIZE.width, SIZE.height));
-    await page.waitForTimeout(300);
+    await nextFrames(page);
     nearTo(await cyan(), [spot[0], spot[1], 3]); // half of it is in the ground
     await page.fill("#layers .how label:has-text('Turn') input", "45");
     await page.press("#layers .how label:has-text('Turn') input", "Enter");
@@ -244,6 +284,8 @@ test("what does not come or is not what it says is named, and harms nothing", sk
         "/ring.glb": /no tree/,
         "/splats.glb": /KHR_gaussian_splatting/,
         "/strange.glb": /ACME_magic/,
+        "/ktx2.glb": /KHR_texture_basisu/,
+        "/cut-draco.glb": /damaged/,
         "/nowhere.glb": /parts do not fit together/,
         "/adrift/tileset.json": /no place on the earth/,
         "/mad/tileset.json": /parts do not fit together/,

@@ -22,6 +22,7 @@ import type { Layers } from "./layers";
 import type { Link } from "./link";
 import type { Network } from "./network";
 import type { Overlay } from "./overlay";
+import { CardClock } from "./pace";
 import { Preview } from "./preview";
 import type { SceneInfo } from "./source";
 import { text } from "./strings";
@@ -40,18 +41,31 @@ export interface CityStats {
   broken: Broken[]; // wanted, and not to be had
 }
 
+export const NO_STATS: CityStats = {
+  tiles: 0,
+  gaussians: 0,
+  bytes: 0,
+  pending: 0,
+  parsing: 0,
+  came: 0,
+  memory: 0,
+  heldBack: false,
+  broken: [],
+};
+
 export class City {
   readonly renderer: WebGLRenderer;
   readonly scene = new Scene();
   readonly backdrop = new Backdrop();
   readonly engine: Gaussians;
+  readonly clock: CardClock; // of whole frames
   over: Overlay | null = null; // lines over the city
   layers: Layers | null = null; // models in it, shapes on it
   split: number | null = null; // from this part of the width on, the second appearance
   private readonly lines = new Scene();
   private readonly preview: Preview;
   keepPicture = false; // frames take long: whole ones are kept, to show appearances from
-  onWake: () => void = () => {};
+  onWake: (draw: boolean) => void = () => {}; // something happened; draw: which shows
   onCore: (core: Box3) => void = () => {}; // where most Gaussians of the scene are
   onContext: (lost: boolean) => void = () => {};
   onFailure: (error: Error) => void = () => {};
@@ -85,11 +99,12 @@ export class City {
     const canvas = this.renderer.domElement;
     this.renderer.setClearColor(0x000000, 1);
     this.engine = new Gaussians(this.renderer);
+    this.clock = new CardClock(this.renderer.getContext() as WebGL2RenderingContext);
     this.engine.setTested(this.shared);
     this.preview = new Preview(this.renderer, this.engine);
     this.engine.onOrder = () => {
       this.fresh = false;
-      this.onWake();
+      this.onWake(true);
     };
     this.scene.add(this.backdrop.mesh, this.engine.mesh);
     this.cache.unloadPriorityCallback = new TilesRenderer("").lruCache.unloadPriorityCallback;
@@ -104,7 +119,7 @@ export class City {
       this.lost = false;
       this.engine.restore();
       this.onContext(false);
-      this.onWake();
+      this.onWake(true);
     });
   }
 
@@ -118,14 +133,14 @@ export class City {
   setMemory(bytes: number) {
     this.cache.maxBytesSize = bytes;
     this.cache.minBytesSize = 0.75 * bytes;
-    this.onWake();
+    this.onWake(false);
   }
 
   // Screen-space error in pixels at which a tile is replaced by finer ones.
   set errorTarget(pixels: number) {
     this.target = pixels;
     for (const tiles of [this.active, this.next]) if (tiles) tiles.errorTarget = pixels;
-    this.onWake();
+    this.onWake(false);
   }
 
   canTint(network: Network): boolean {
@@ -154,7 +169,7 @@ export class City {
     tiles.onCard = this.onCard;
     tiles.onBlock = (tile, block) => this.measure(tile, block);
     for (const name of ["needs-update", "tiles-load-end", "load-error"] as const)
-      tiles.addEventListener(name, () => this.onWake());
+      tiles.addEventListener(name, () => this.onWake(false));
     tiles.addEventListener("load-error", ({ tile, error }) => {
       if (!tile) this.onFailure(error as Error);
     });
@@ -169,7 +184,7 @@ export class City {
       this.core.makeEmpty();
     }
     this.fresh = false;
-    this.onWake();
+    this.onWake(false);
   }
 
   private retire(tiles: CityTiles | null) {
@@ -180,7 +195,7 @@ export class City {
   // The tileset's box holds every stray Gaussian; most of them make a better frame. Only the
   // coarsest tiles count: they hold all of the scene.
   private measure(tile: CityTile, { splats }: Block) {
-    this.onWake();
+    this.onWake(false);
     if (tile.internal.depthFromRenderedParent > 1) return;
     const { min, max } = splats.core;
     this.core.union(new Box3(new Vector3(...min), new Vector3(...max)));
@@ -192,14 +207,13 @@ export class City {
     if (key === this.sizeKey) return;
     this.sizeKey = key;
     this.renderer.setPixelRatio(ratio);
-    this.renderer.setSize(width, height, false);
-    this.onWake();
+    this.renderer.setSize(width, height, false); // and the canvas is empty
   }
 
-  draw() {
+  // Which tiles this camera wants, and in which order they are to be drawn; draws nothing.
+  choose() {
     if (this.lost) return;
     const { camera, engine } = this;
-    this.preview.drop();
     camera.updateMatrixWorld();
     for (const tiles of [this.active, this.next]) {
       if (!tiles) continue;
@@ -216,13 +230,37 @@ export class City {
     if (this.active && (this.active.shown.length || !this.active.loading))
       engine.want(this.active.shown);
     this.layers?.step(camera, this.renderer);
-    const settled = engine.settled;
     engine.update(camera);
+    if (!engine.settled) this.fresh = false;
+  }
+
+  draw() {
+    if (this.lost) return;
+    const begun = performance.now();
+    this.choose();
+    this.preview.drop();
+    this.paint();
+    this.fresh = this.engine.settled;
+    if (this.keepPicture && this.settled && this.split === null) this.keep();
+    if (!this.shared) this.clock.start(begun);
+  }
+
+  // The picture, and the coarse one in the same light: a change of light draws one more of these.
+  private keep() {
+    this.preview.keep();
+    this.preview.begin(this.active?.coarsest ?? [], this.camera);
+  }
+
+  // A whole picture is on the screen, and has to be drawn once more to be kept.
+  get wantsPicture(): boolean {
+    return this.keepPicture && this.settled && this.split === null && !this.preview.kept;
+  }
+
+  private paint() {
+    const { camera, engine } = this;
     this.backdrop.update(camera);
     engine.prepare(camera, this.split !== null);
     this.render();
-    this.fresh = settled && engine.settled;
-    if (this.keepPicture && this.settled && this.split === null) this.preview.keep();
   }
 
   // Another appearance of what is drawn, roughly but at once: `change` makes it so. False where there is
@@ -238,13 +276,13 @@ export class City {
 
   // Draws the same picture once more, for whoever reads the canvas at once.
   redraw() {
-    this.render();
+    this.paint();
   }
 
   // The view at another size, of the tiles that are there, for whoever reads the canvas in `use`. The
   // canvas is as before when that is done.
   drawOnce<T>(width: number, height: number, sky: boolean, use: () => Promise<T>): Promise<T> {
-    const { renderer, camera, backdrop, engine } = this;
+    const { renderer, camera, backdrop } = this;
     const canvas = renderer.domElement;
     const gl = renderer.getContext();
     const [across, down] = gl.getParameter(gl.MAX_VIEWPORT_DIMS) as Int32Array;
@@ -255,9 +293,7 @@ export class City {
     };
     const paint = () => {
       camera.updateProjectionMatrix();
-      backdrop.update(camera);
-      engine.prepare(camera, this.split !== null);
-      this.render();
+      this.paint();
     };
     try {
       if (this.lost || Math.max(width, height) > most) throw new Error(text("shot.browser", { most }));
@@ -277,7 +313,7 @@ export class City {
       backdrop.visible = kept.visible;
       this.over?.resize(canvas.clientWidth, canvas.clientHeight);
       paint();
-      this.onWake();
+      this.onWake(true);
     }
   }
 
@@ -324,14 +360,14 @@ export class City {
     const ms = Math.min(tiles.nextAttempt, tiles.hasUnwanted ? 300 : Infinity);
     if (!Number.isFinite(ms)) return;
     clearTimeout(this.wakeTimer);
-    this.wakeTimer = window.setTimeout(() => this.onWake(), Math.max(50, ms));
+    this.wakeTimer = window.setTimeout(() => this.onWake(false), Math.max(50, ms));
   }
 
   // Asks at once for what failed.
   retry() {
     for (const tiles of [this.active, this.next])
       for (const broken of tiles?.broken.values() ?? []) broken.again = 0;
-    this.onWake();
+    this.onWake(false);
   }
 
   // Nothing more will come by itself for this view, and the screen shows all that came.

@@ -7,12 +7,10 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import {
-  BufferAttribute,
   BufferGeometry,
   CustomBlending,
   DataTexture,
   GLSL3,
-  InstancedBufferGeometry,
   Mesh,
   NearestFilter,
   NoBlending,
@@ -30,12 +28,15 @@ import {
   Vector2,
   Vector3,
   WebGLRenderTarget,
+  type InstancedBufferGeometry,
   type PerspectiveCamera,
   type PixelFormat,
   type TextureDataType,
   type WebGLRenderer,
 } from "three";
 
+import { ORDER_ROW, Projection, Projector } from "./projection";
+import { makeQuads, makeStripes, QUADS } from "./quads";
 import {
   COLOR_FRAGMENT,
   COLOR_VERTEX,
@@ -48,7 +49,6 @@ import { ROW, type DecodedSplats } from "./spz";
 import type { Tint } from "./tint";
 
 const ROWS_FIRST = 128;
-const QUADS = 128; // of one instance
 
 // Gaussians of one tile in the textures.
 export interface Block {
@@ -72,6 +72,7 @@ interface Side {
   tints: WebGLRenderTarget | null; // beside embeddings
   colors: WebGLRenderTarget;
   key: string; // what the colours were evaluated for
+  projection: Projection; // of the order on the screen, with these colours
 }
 
 function makeTarget(type: TextureDataType, internal: string, rows: number): WebGLRenderTarget {
@@ -124,6 +125,8 @@ export class Gaussians {
   private readonly colorMesh: Mesh<BufferGeometry, RawShaderMaterial>;
   private readonly plainMesh: Mesh<BufferGeometry, RawShaderMaterial>; // writes "adds nothing"
   private readonly flat = new OrthographicCamera();
+  private readonly projector: Projector;
+  private readonly someProjection = new Projection(); // of drawSome
   private readonly noTints: DataTexture; // a sampler of integers must have some texture of integers
 
   constructor(private readonly renderer: WebGLRenderer) {
@@ -132,10 +135,8 @@ export class Gaussians {
       vertexShader: SPLAT_VERTEX,
       fragmentShader: SPLAT_FRAGMENT,
       uniforms: {
-        place: { value: null },
-        shape: { value: null },
-        colors: { value: null },
-        order: { value: null },
+        first: { value: null },
+        second: { value: null },
         count: { value: 0 },
         viewport: { value: new Vector2(1, 1) },
         near: { value: 0.1 },
@@ -191,6 +192,7 @@ export class Gaussians {
     this.noTints.needsUpdate = true;
     this.colorMesh.frustumCulled = this.plainMesh.frustumCulled = false;
     this.colorScene.add(this.colorMesh);
+    this.projector = new Projector(renderer);
     this.sorter.onmessage = ({ data }: MessageEvent<SortReply>) => this.take(data);
   }
 
@@ -234,8 +236,8 @@ export class Gaussians {
   static bytesOf(splats: DecodedSplats): number {
     const embed = splats.embedding?.planes ?? [];
     const arrays = [splats.place, splats.shape, ...splats.sh, ...embed];
-    const texels = arrays.reduce((sum, a) => sum + a.byteLength, 0);
-    return 2 * texels + splats.count * (8 + 12 + 4 + (embed.length ? 8 : 0));
+    const texels = arrays.reduce((sum, a) => sum + a.byteLength, 0); // colours, centres, order, place on the screen
+    return 2 * texels + splats.count * (8 + 12 + 4 + 32 + (embed.length ? 8 : 0));
   }
 
   // The order on the screen is the one for this camera and for the wanted blocks.
@@ -291,9 +293,6 @@ export class Gaussians {
     };
     const { place, shape, sh, embed } = this.planes;
     for (const texture of [place, shape, ...sh, ...embed]) this.renderer.initTexture(texture);
-    const draw = this.mesh.material.uniforms;
-    draw["place"]!.value = place;
-    draw["shape"]!.value = shape;
     const color = this.colorMesh.material.uniforms;
     color["place"]!.value = place;
     [0, 1, 2].forEach((k) => (color[`sh${k}`]!.value = sh[k] ?? place));
@@ -304,12 +303,14 @@ export class Gaussians {
 
   private makeSide(): Side {
     const tints = this.embedPlanes ? makeTarget(ShortType, "RGBA16I", this.rows) : null;
-    return { tints, colors: makeTarget(UnsignedShortType, "RGBA16UI", this.rows), key: "" };
+    const colors = makeTarget(UnsignedShortType, "RGBA16UI", this.rows);
+    return { tints, colors, key: "", projection: new Projection() };
   }
 
-  private dropSide({ tints, colors }: Side) {
+  private dropSide({ tints, colors, projection }: Side) {
     tints?.dispose();
     colors.dispose();
+    projection.dispose();
   }
 
   private dropPlanes() {
@@ -384,7 +385,7 @@ export class Gaussians {
     this.sortedKey = this.sorting.key;
     this.shown = this.sorting.blocks;
     this.sorting = null;
-    const height = order.length / 1024;
+    const height = order.length / ORDER_ROW;
     if (this.order && this.order.image.height === height) {
       this.spare = this.order.image.data as Uint32Array<ArrayBuffer>;
       this.order.image.data = order;
@@ -396,9 +397,7 @@ export class Gaussians {
     }
     this.order.needsUpdate = true;
     this.drawn = count;
-    const uniforms = this.mesh.material.uniforms;
-    uniforms["order"]!.value = this.order;
-    uniforms["count"]!.value = count;
+    this.mesh.material.uniforms["count"]!.value = count;
     this.mesh.geometry.instanceCount = Math.ceil(count / QUADS);
     this.mesh.visible = count > 0;
     this.sweep();
@@ -407,11 +406,11 @@ export class Gaussians {
 
   // ---- drawing ----
 
-  // Evaluates the colours for this eye and sets what the mesh needs; the caller renders the scene,
-  // of a divided picture each side after useSide().
+  // Evaluates the colours for this eye, finds the place of each Gaussian on the screen, and sets what
+  // the mesh needs; the caller renders the scene, of a divided picture each side after useSide().
   prepare(camera: PerspectiveCamera, divided = false) {
-    const { planes } = this;
-    if (!planes || !this.mesh.visible) return;
+    const { planes, order } = this;
+    if (!planes || !order || !this.mesh.visible) return;
     const uniforms = this.mesh.material.uniforms;
     this.renderer.getDrawingBufferSize(uniforms["viewport"]!.value as Vector2);
     uniforms["near"]!.value = camera.near;
@@ -424,7 +423,13 @@ export class Gaussians {
     const target = renderer.getRenderTarget();
     const clear = renderer.autoClear;
     renderer.autoClear = false;
-    planes.sides.forEach((side, k) => this.evaluate(planes, side, k as 0 | 1, camera.position));
+    const { place, shape } = planes;
+    const viewport = uniforms["viewport"]!.value as Vector2;
+    planes.sides.forEach((side, k) => {
+      this.evaluate(planes, side, k as 0 | 1, camera.position);
+      const all = { order, count: this.drawn, place, shape, colors: side.colors.texture };
+      this.projector.run(side.projection, all, camera, viewport);
+    });
     renderer.setRenderTarget(target);
     renderer.autoClear = clear;
     this.useSide(0);
@@ -432,7 +437,12 @@ export class Gaussians {
 
   useSide(k: 0 | 1) {
     const side = this.planes?.sides[k];
-    if (side) this.mesh.material.uniforms["colors"]!.value = side.colors.texture;
+    if (side) this.read(side.projection);
+  }
+
+  private read({ textures: [first, second] }: Projection) {
+    const { uniforms } = this.mesh.material;
+    [uniforms["first"]!.value, uniforms["second"]!.value] = [first ?? null, second ?? null];
     this.mesh.material.uniformsNeedUpdate = true;
   }
 
@@ -452,7 +462,7 @@ export class Gaussians {
     uniforms["tinted"]!.value = side.tints !== null;
     this.colorMesh.material.uniformsNeedUpdate = true;
     this.colorMesh.geometry.dispose();
-    this.colorMesh.geometry = stripes(blocks);
+    this.colorMesh.geometry = makeStripes(blocks);
     this.renderer.setRenderTarget(side.colors);
     this.renderer.render(this.colorScene, this.flat);
   }
@@ -477,7 +487,7 @@ export class Gaussians {
         tint.draw(renderer, side, embed, splats.embedding, row, rows, this.rows);
       else {
         this.plainMesh.geometry.dispose();
-        this.plainMesh.geometry = stripes([block]);
+        this.plainMesh.geometry = makeStripes([block]);
         renderer.render(this.plainMesh, this.flat);
       }
       block.tinted[k] = versionOf(block);
@@ -486,7 +496,7 @@ export class Gaussians {
   }
 
   // A few blocks alone, in the appearance of now, into a target of its own size. What the mesh draws
-  // stays as it is.
+  // stays as it is. The camera is that of the last frame: colours of these blocks hold for both.
   drawSome(blocks: readonly Block[], camera: PerspectiveCamera, target: WebGLRenderTarget) {
     const { planes, renderer, mesh } = this;
     const side = planes?.sides[0];
@@ -495,14 +505,17 @@ export class Gaussians {
     renderer.autoClear = false;
     this.applyTints(planes, side, 0, blocks);
     this.evaluateBlocks(side, blocks, camera.position);
-    side.key = "";
     const { uniforms } = mesh.material;
-    const names = ["order", "count", "colors", "viewport"] as const;
+    const names = ["count", "viewport", "first", "second"] as const;
     const kept = names.map((name) => uniforms[name]!.value as unknown);
     const { instanceCount } = mesh.geometry;
     const count = blocks.reduce((sum, block) => sum + block.splats.count, 0);
-    const texture = this.orderSome(blocks, camera);
-    const now = [texture, count, side.colors.texture, new Vector2(target.width, target.height)];
+    const viewport = new Vector2(target.width, target.height);
+    const order = this.orderSome(blocks, camera);
+    const { place, shape } = planes;
+    const all = { order, count, place, shape, colors: side.colors.texture };
+    this.projector.run(this.someProjection, all, camera, viewport);
+    const now = [count, viewport, ...this.someProjection.textures];
     names.forEach((name, i) => (uniforms[name]!.value = now[i]));
     mesh.geometry.instanceCount = Math.ceil(count / QUADS);
     mesh.material.uniformsNeedUpdate = true;
@@ -522,7 +535,7 @@ export class Gaussians {
     if (this.some?.key !== key) {
       this.some?.texture.dispose();
       const order = sortNow(blocks, camera);
-      const texture = makeTexture(RedIntegerFormat, "R32UI", order.length / 1024);
+      const texture = makeTexture(RedIntegerFormat, "R32UI", order.length / ORDER_ROW);
       texture.image.data = order;
       this.some = { key, texture };
     }
@@ -549,6 +562,7 @@ export class Gaussians {
     this.rebuild();
     if (this.order) this.order.needsUpdate = true;
     this.some = null;
+    this.someProjection.dispose();
   }
 
   dispose() {
@@ -559,6 +573,8 @@ export class Gaussians {
     this.mesh.geometry.dispose();
     this.mesh.material.dispose();
     this.noTints.dispose();
+    this.someProjection.dispose();
+    this.projector.dispose();
     for (const mesh of [this.colorMesh, this.plainMesh]) {
       mesh.geometry.dispose();
       mesh.material.dispose();
@@ -580,39 +596,7 @@ function sortNow(blocks: readonly Block[], camera: PerspectiveCamera): Uint32Arr
       far[n] = Math.hypot(centres[4 * i]! - x, centres[4 * i + 1]! - y, centres[4 * i + 2]! - z);
     }
   }
-  const order = new Uint32Array(Math.ceil(count / 1024) * 1024);
+  const order = new Uint32Array(Math.ceil(count / ORDER_ROW) * ORDER_ROW);
   order.set(Uint32Array.from(at.keys()).sort((a, b) => far[b]! - far[a]!).map((i) => at[i]!));
   return order;
-}
-
-// One instance: QUADS quads whose corners the vertex shader finds by number.
-function makeQuads(): InstancedBufferGeometry {
-  const geometry = new InstancedBufferGeometry();
-  const corners = new Float32Array(QUADS * 4 * 3);
-  const index = new Uint16Array(QUADS * 6);
-  for (let q = 0; q < QUADS; q++) {
-    [-1, -1, 1, -1, 1, 1, -1, 1].forEach((v, i) => {
-      corners[12 * q + 3 * (i >> 1) + (i & 1)] = v;
-    });
-    for (let i = 0; i < 4; i++) corners[12 * q + 3 * i + 2] = q;
-    [0, 1, 2, 0, 2, 3].forEach((v, i) => (index[6 * q + i] = 4 * q + v));
-  }
-  geometry.setAttribute("position", new BufferAttribute(corners, 3));
-  geometry.setIndex(new BufferAttribute(index, 1));
-  geometry.instanceCount = 0;
-  return geometry;
-}
-
-// Rectangles over the rows of these blocks.
-function stripes(blocks: readonly Block[]): BufferGeometry {
-  const corners = new Float32Array(blocks.length * 18);
-  blocks.forEach(({ row, rows }, b) => {
-    const [low, high] = [row, row + rows];
-    [0, low, 1, low, 1, high, 0, low, 1, high, 0, high].forEach((v, i) => {
-      corners[18 * b + 3 * (i >> 1) + (i & 1)] = v;
-    });
-  });
-  const geometry = new BufferGeometry();
-  geometry.setAttribute("position", new BufferAttribute(corners, 3));
-  return geometry;
 }

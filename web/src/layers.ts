@@ -258,7 +258,7 @@ export class Layers {
   private fail(entry: Entry, error: unknown) {
     // Others' loaders run into what is not there.
     const strange = error instanceof TypeError || error instanceof RangeError;
-    const why = strange ? text("layer.parts") : error instanceof Error ? error.message : String(error);
+    const why = strange ? text("layer.parts") : whyOf(error);
     this.hide(entry);
     this.drop(entry);
     entry.layer.state = "failed";
@@ -429,6 +429,12 @@ export class Layers {
     if (this.models.children.length) this.models.add(this.lights);
     this.onWake();
   }
+}
+
+// Others' decoders reject with objects of their own.
+function whyOf(error: unknown): string {
+  const { message, error: inner } = (error ?? {}) as { message?: unknown; error?: unknown };
+  return [message, inner, error].find((one) => typeof one === "string" && one) as string ?? text("layer.parts");
 }
 
 function parseJson(bytes: ArrayBuffer): unknown {

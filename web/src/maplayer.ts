@@ -10,7 +10,8 @@
 // SPDX-License-Identifier: Apache-2.0
 import { Box3, Matrix4, PerspectiveCamera, Ray, Vector3, WebGLRenderer } from "three";
 
-import { City, type CityStats } from "./city";
+import { City, NO_STATS, type CityStats } from "./city";
+import { Events, type Handler } from "./events";
 import { Frame, type Place } from "./geo";
 import { Link, type LinkState } from "./link";
 import type { Network } from "./network";
@@ -68,19 +69,6 @@ export interface MapFrame {
 const MEMORY_MB = 512;
 const PX_PER_SIGMA = 16; // a tile's geometric error is 16 times its typical Gaussian
 const RADIUS_M = 6_371_008.8; // MapLibre's Earth is a ball
-const EMPTY: CityStats = {
-  tiles: 0,
-  gaussians: 0,
-  bytes: 0,
-  pending: 0,
-  parsing: 0,
-  came: 0,
-  memory: 0,
-  heldBack: false,
-  broken: [],
-};
-
-type Handler<K extends keyof MapLayerEvents> = (value: MapLayerEvents[K]) => void;
 
 // East, up, south in metres about a place -> MapLibre's flat world, 1 wide, y to the south, z up.
 function flatFrom({ lon, lat }: Place, altitude: number): Matrix4 {
@@ -112,7 +100,7 @@ export class MapLayer {
   scene: SceneEntry | null = null;
   info: SceneInfo | null = null;
   private readonly camera = new PerspectiveCamera();
-  private readonly handlers = new Map<string, Set<(value: never) => void>>();
+  private readonly events = new Events<MapLayerEvents>();
   private map: MapHost | null = null;
   private link: Link | null = null;
   private city: City | null = null;
@@ -133,19 +121,12 @@ export class MapLayer {
 
   // ---- events and state ----
 
-  on<K extends keyof MapLayerEvents>(name: K, handler: Handler<K>): () => void {
-    const set = this.handlers.get(name) ?? new Set();
-    this.handlers.set(name, set);
-    set.add(handler as (value: never) => void);
-    return () => set.delete(handler as (value: never) => void);
-  }
-
-  private emit<K extends keyof MapLayerEvents>(name: K, value: MapLayerEvents[K]) {
-    for (const handler of this.handlers.get(name) ?? []) (handler as Handler<K>)(value);
+  on<K extends keyof MapLayerEvents>(name: K, handler: Handler<MapLayerEvents, K>): () => void {
+    return this.events.on(name, handler);
   }
 
   get state(): MapLayerState {
-    const { broken, ...stats } = this.city?.stats() ?? EMPTY;
+    const { broken, ...stats } = this.city?.stats() ?? NO_STATS;
     const link = this.link?.state ?? "ok";
     const whole = !stats.heldBack && !broken.length && !this.error && link !== "away";
     return {
@@ -205,7 +186,7 @@ export class MapLayer {
       const image = await tint.network.find(appearance);
       if (tint !== this.tint || this.wanted !== appearance) return;
       tint.set(image, appearance);
-      this.emit("appearance", appearance);
+      this.events.emit("appearance", appearance);
       this.wake();
     } catch (error) {
       if (this.wanted === appearance) this.wanted = before;
@@ -245,7 +226,7 @@ export class MapLayer {
       if (!keep) this.core = null;
       this.frame = new Frame(info.transform);
       city.open(info, this.frame, keep, tint);
-      this.emit(keep ? "appearance" : "scene", (keep ? appearance : entry) as never);
+      this.events.emit(keep ? "appearance" : "scene", (keep ? appearance : entry) as never);
       this.wake();
     } catch (error) {
       if (ticket === this.opening && city === this.city) this.fail(error);
@@ -266,7 +247,7 @@ export class MapLayer {
   private fail(error: unknown) {
     if (error instanceof DOMException && error.name === "AbortError") return;
     this.error = error instanceof Error ? error : new Error(String(error));
-    this.emit("problem", this.error);
+    this.events.emit("problem", this.error);
   }
 
   // ---- as MapLibre calls it ----
@@ -295,7 +276,7 @@ export class MapLayer {
       city.draw();
     }
     const { state } = this;
-    if (state.ready && !this.wasReady) this.emit("ready", state);
+    if (state.ready && !this.wasReady) this.events.emit("ready", state);
     this.wasReady = state.ready;
   }
 
@@ -313,7 +294,7 @@ export class MapLayer {
     city.onFailure = (error) => this.fail(error);
     city.onCard = (run) => this.atNextFrame(run);
     link.onState = (state, before) => {
-      this.emit("link", state);
+      this.events.emit("link", state);
       if (before === "away") void this.comeBack();
       this.wake();
     };

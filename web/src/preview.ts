@@ -5,8 +5,6 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import {
-  BufferAttribute,
-  BufferGeometry,
   FramebufferTexture,
   GLSL3,
   Mesh,
@@ -15,11 +13,13 @@ import {
   RawShaderMaterial,
   Vector2,
   WebGLRenderTarget,
+  type BufferGeometry,
   type PerspectiveCamera,
   type WebGLRenderer,
 } from "three";
 
 import type { Block, Gaussians } from "./gaussians";
+import { makeCover } from "./quads";
 import { PREVIEW_FRAGMENT, PREVIEW_VERTEX } from "./shaders";
 
 const SCALE = 0.2; // of the picture's sides
@@ -27,7 +27,7 @@ const GAUSSIANS_MOST = 60_000;
 
 export class Preview {
   private picture: FramebufferTexture | null = null; // as it was drawn, whole
-  private kept = false; // it is of this camera, these tiles and this size
+  kept = false; // it is of this camera, these tiles and this size
   private begun = false; // `before` is of its appearance
   private readonly size = new Vector2();
   private readonly before = new WebGLRenderTarget(1, 1, { depthBuffer: false });
@@ -39,9 +39,6 @@ export class Preview {
     private readonly renderer: WebGLRenderer,
     private readonly engine: Gaussians,
   ) {
-    const geometry = new BufferGeometry();
-    const corners = new Float32Array([-1, -1, 0, 3, -1, 0, -1, 3, 0]); // one triangle over everything
-    geometry.setAttribute("position", new BufferAttribute(corners, 3));
     const material = new RawShaderMaterial({
       glslVersion: GLSL3,
       vertexShader: PREVIEW_VERTEX,
@@ -55,7 +52,7 @@ export class Preview {
       depthWrite: false,
       blending: NoBlending,
     });
-    this.mesh = new Mesh(geometry, material);
+    this.mesh = new Mesh(makeCover(), material);
     this.mesh.frustumCulled = false;
   }
 

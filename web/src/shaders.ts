@@ -64,9 +64,10 @@ void main() {
     }
   }
   float opacity = float(byte4(p.w).w) / 255.0;
-  if (tinted) {
-    vec4 more = vec4(texelFetch(tints, at, 0)) / 32767.0;
-    rgb += more.xyz;
+  ivec4 tint = tinted ? texelFetch(tints, at, 0) : ivec4(-1);
+  if (tint.w >= 0) { // cut before and after, as in render/project.cl
+    vec4 more = vec4(tint) / 32767.0;
+    rgb = min(max(rgb, 0.0) + more.xyz, 1.0);
     opacity = min(opacity + more.w, 1.0);
   }
   result = uvec4(clamp(vec4(rgb * 8192.0, opacity * 65535.0) + 0.5, 0.0, 65535.0));
@@ -107,20 +108,27 @@ void main() {
 }`;
 }
 
-// No appearance: adds nothing.
+// No appearance: colour and opacity are what the tile says.
 export const PLAIN_FRAGMENT = `${COMMON}
 out ivec4 result;
-void main() { result = ivec4(0); }`;
+void main() { result = ivec4(-1); }`;
 
-export const SPLAT_VERTEX = `${COMMON}
-in vec3 position; // corner, number within the instance
-uniform mat4 viewMatrix, projectionMatrix;
+export const PROJECT_VERTEX = `${COMMON}
+in vec3 position;
+void main() { gl_Position = vec4(position, 1.0); }`;
+
+// Where a Gaussian of the order is on the screen, once a frame: a quad's four corners would each find it
+// out anew. Opacity 0: it is not drawn.
+//   first   centre x, y (of the screen, -1..1), depth along the view (m), larger axis (px, two halves)
+//   second  slope of the depth (m a px, two halves), smaller axis (a half) and opacity, red and green, blue
+export const PROJECT_FRAGMENT = `${COMMON}
+uniform mat4 view, projection;
 uniform usampler2D place, shape, colors, order;
 uniform int count;
 uniform vec2 viewport;
 uniform float near;
-out vec2 offset; // in sigmas
-flat out vec4 color;
+layout(location = 0) out uvec4 first;
+layout(location = 1) out uvec4 second;
 
 // Row-major rotation of SPZ's "smallest three".
 mat3 rotation(uint packed) {
@@ -145,13 +153,14 @@ mat3 rotation(uint packed) {
 }
 
 void main() {
-  gl_Position = vec4(0.0, 0.0, 2.0, 1.0); // outside: nothing is drawn
-  int rank = gl_InstanceID * 128 + int(position.z);
-  if (rank >= count) return;
-  uint index = texelFetch(order, ivec2(rank & 1023, rank >> 10), 0).x;
+  first = uvec4(0u);
+  second = uvec4(0u); // not drawn
+  ivec2 rank = ivec2(gl_FragCoord.xy);
+  if (rank.y * 1024 + rank.x >= count) return;
+  uint index = texelFetch(order, rank, 0).x;
   ivec2 at = ivec2(int(index & 1023u), int(index >> 10));
   uvec4 p = texelFetch(place, at, 0);
-  vec3 t = (viewMatrix * vec4(uintBitsToFloat(p.xyz), 1.0)).xyz;
+  vec3 t = (view * vec4(uintBitsToFloat(p.xyz), 1.0)).xyz;
   float depth = -t.z;
   if (depth < near) return;
   uvec4 own = texelFetch(colors, at, 0);
@@ -159,12 +168,12 @@ void main() {
   uvec2 s = texelFetch(shape, at, 0).xy;
   uvec4 bytes = byte4(s.x);
   vec3 sigma = exp(vec3(bytes.xyz) / 16.0 - 10.0);
-  vec2 focal = vec2(projectionMatrix[0][0], projectionMatrix[1][1]) * viewport * 0.5;
+  vec2 focal = vec2(projection[0][0], projection[1][1]) * viewport * 0.5;
 
   // The Jacobian of the projection at the centre, which is held near the frustum.
-  vec2 limit = 1.3 / vec2(projectionMatrix[0][0], projectionMatrix[1][1]);
+  vec2 limit = 1.3 / vec2(projection[0][0], projection[1][1]);
   vec2 ray = clamp(t.xy / depth, -limit, limit);
-  mat3 turn = mat3(viewMatrix) * rotation(s.y);
+  mat3 turn = mat3(view) * rotation(s.y);
   vec3 u = focal.x / depth * (vec3(turn[0].x, turn[1].x, turn[2].x) +
                               ray.x * vec3(turn[0].z, turn[1].z, turn[2].z)) * sigma;
   vec3 v = focal.y / depth * (vec3(turn[0].y, turn[1].y, turn[2].y) +
@@ -185,21 +194,49 @@ void main() {
   if (depth < 4.0 * near && reach * sqrt(major) > 2.0 * max(viewport.x, viewport.y)) return;
   vec2 axis = abs(b) < 1e-6 * mid ? (a >= c ? vec2(1.0, 0.0) : vec2(0.0, 1.0))
                                   : normalize(vec2(b, major - a));
-  vec2 corner = position.xy * reach;
-  vec2 px = axis * (sqrt(major) * corner.x) + vec2(-axis.y, axis.x) * (sqrt(minor) * corner.y);
-  vec4 clip = projectionMatrix * vec4(t, 1.0);
-  vec2 half_px = reach * sqrt(vec2(a, c)) / (0.5 * viewport);
-  if (any(greaterThan(abs(clip.xy / clip.w), 1.0 + half_px))) return;
+  vec4 clip = projection * vec4(t, 1.0);
+  vec2 center = clip.xy / clip.w;
+  vec2 halfSize = reach * sqrt(vec2(a, c)) / (0.5 * viewport);
+  if (any(greaterThan(abs(center), 1.0 + halfSize))) return;
 
-  // Where the Gaussian is densest along this corner's ray: flat ones lie where their plane is.
+  // Where the Gaussian is densest along a ray: flat ones lie where their plane is.
   vec3 w = vec3(turn[0].z, turn[1].z, turn[2].z) * sigma;
   vec2 slope = vec2(c * dot(w, u) - b * dot(w, v), a * dot(w, v) - b * dot(w, u)) / det;
-  float z = min(t.z + dot(slope, px), -near);
-  float ndc = (projectionMatrix[2][2] * z + projectionMatrix[3][2]) / -z;
+  first = uvec4(floatBitsToUint(vec3(center, t.z)), packHalf2x16(axis * sqrt(major)));
+  second = uvec4(packHalf2x16(clamp(slope, -6e4, 6e4)),
+                 packHalf2x16(vec2(sqrt(minor), 0.0)) | (uint(opacity * 65535.0 + 0.5) << 16),
+                 own.x | (own.y << 16), own.z);
+}`;
 
+export const SPLAT_VERTEX = `${COMMON}
+in vec3 position; // corner, number within the instance
+uniform mat4 projectionMatrix;
+uniform usampler2D first, second;
+uniform int count;
+uniform vec2 viewport;
+uniform float near;
+out vec2 offset; // in sigmas
+flat out vec4 color;
+
+void main() {
+  gl_Position = vec4(0.0, 0.0, 2.0, 1.0); // outside: nothing is drawn
+  int rank = gl_InstanceID * 128 + int(position.z);
+  if (rank >= count) return;
+  ivec2 at = ivec2(rank & 1023, rank >> 10);
+  uvec4 own = texelFetch(second, at, 0);
+  float opacity = float(own.y >> 16) / 65535.0;
+  if (opacity == 0.0) return;
+  uvec4 p = texelFetch(first, at, 0);
+  vec3 center = uintBitsToFloat(p.xyz);
+  vec2 major = unpackHalf2x16(p.w);
+  vec2 minor = unpackHalf2x16(own.y & 65535u).x * normalize(vec2(-major.y, major.x));
+  vec2 corner = position.xy * sqrt(max(2.0 * log(255.0 * opacity), 0.0));
+  vec2 px = major * corner.x + minor * corner.y;
+  float z = min(center.z + dot(unpackHalf2x16(own.x), px), -near);
+  float ndc = (projectionMatrix[2][2] * z + projectionMatrix[3][2]) / -z;
   offset = corner;
-  color = vec4(vec3(own.xyz) / 8192.0, opacity);
-  gl_Position = vec4(clip.xy + px / (0.5 * viewport) * clip.w, clamp(ndc, -1.0, 1.0) * clip.w, clip.w);
+  color = vec4(vec3(own.z & 65535u, own.z >> 16, own.w) / 8192.0, opacity);
+  gl_Position = vec4(center.xy + px / (0.5 * viewport), clamp(ndc, -1.0, 1.0), 1.0);
 }`;
 
 export const SPLAT_FRAGMENT = `${COMMON}

@@ -5,7 +5,9 @@ import { existsSync } from "node:fs";
 
 import { decodePng } from "./png.mjs";
 
-const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
+// The shell is the same engine without the windows around it: a third less of the processor's time.
+const BROWSERS = ["/usr/bin/chromium-headless-shell", "/usr/bin/chromium"];
+const CHROMIUM = process.env.CHROMIUM ?? BROWSERS.find(existsSync) ?? BROWSERS[1];
 const FLAGS = [
     "--no-sandbox",
     "--disable-quic",
@@ -109,11 +111,10 @@ export async function barePicture(page) {
         page.evaluate(async (off) => {
             const { viewer } = window.citysplat;
             document.documentElement.dataset.ui = off ? "off" : "on";
-            for (let frames = 0; frames < 2; frames++)
-                await new Promise((drawn) => {
-                    const end = viewer.on("frame", () => (end(), drawn()));
-                    viewer.backdrop = !off; // asks for a frame
-                });
+            await new Promise((drawn) => {
+                const end = viewer.on("frame", () => (end(), drawn()));
+                viewer.backdrop = !off; // asks for a frame
+            });
             await new Promise(requestAnimationFrame);
         }, on);
     await bare(true);

@@ -1,5 +1,5 @@
-// Somebody else's file server, and what may lie on it: a box as binary glTF and as 3D Tiles, and files
-// that are not what they say.
+// Somebody else's file server, and what may lie on it: a box as binary glTF, plain and compressed, and
+// as 3D Tiles, and files that are not what they say.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { createServer } from "node:http";
@@ -15,11 +15,24 @@ const SIDES = [
     [1, 5, 7, 3],
 ].flatMap(([a, b, c, d]) => [a, b, c, a, c, d]);
 
-// A box of one colour, in glTF's axes; edit: changes the JSON before it is written.
-export function makeBoxGlb(half, rgb, edit = () => {}) {
+const HEAD_B3DM = 28;
+const pad = (bytes, fill) => Buffer.concat([bytes, Buffer.alloc((4 - (bytes.length % 4)) % 4, fill)]);
+const words = (...all) => Buffer.from(new Uint32Array(all).buffer);
+
+function writeGlb(json, bin) {
+    const parts = [
+        [0x4e4f534a, pad(Buffer.from(JSON.stringify(json)), 0x20)],
+        [0x004e4942, pad(bin, 0)],
+    ];
+    const chunks = parts.flatMap(([type, body]) => [words(body.length, type), body]);
+    const length = 12 + chunks.reduce((sum, one) => sum + one.length, 0);
+    return Buffer.concat([words(0x46546c67, 2, length), ...chunks]);
+}
+
+// A box of one colour, in glTF's axes.
+function describeBox(half, rgb) {
     const positions = new Float32Array(CORNERS.flatMap((p) => p.map((v, i) => v * half[i])));
     const index = new Uint16Array(SIDES);
-    const bin = Buffer.concat([Buffer.from(positions.buffer), Buffer.from(index.buffer)]);
     const json = {
         asset: { version: "2.0" },
         extensionsUsed: ["KHR_materials_unlit"],
@@ -46,21 +59,79 @@ export function makeBoxGlb(half, rgb, edit = () => {}) {
             { bufferView: 1, componentType: 5123, count: SIDES.length, type: "SCALAR" },
         ],
         bufferViews: [
-            { buffer: 0, byteOffset: 0, byteLength: 96 },
-            { buffer: 0, byteOffset: 96, byteLength: 2 * SIDES.length },
+            { buffer: 0, byteOffset: 0, byteLength: positions.byteLength },
+            { buffer: 0, byteOffset: positions.byteLength, byteLength: index.byteLength },
         ],
-        buffers: [{ byteLength: bin.length }],
+        buffers: [{ byteLength: positions.byteLength + index.byteLength }],
     };
+    return { json, positions, index };
+}
+
+function needs(json, extension) {
+    json.extensionsUsed.push(extension);
+    json.extensionsRequired = [extension];
+}
+
+// edit: changes the JSON before it is written.
+export function makeBoxGlb(half, rgb, edit = () => {}) {
+    const { json, positions, index } = describeBox(half, rgb);
     edit(json);
-    const pad = (bytes, fill) => Buffer.concat([bytes, Buffer.alloc((4 - (bytes.length % 4)) % 4, fill)]);
+    return writeGlb(json, Buffer.concat([Buffer.from(positions.buffer), Buffer.from(index.buffer)]));
+}
+
+// With KHR_draco_mesh_compression; draco: the module of draco3d's createEncoderModule.
+export function makeDracoBox(draco, half, rgb) {
+    const { json, positions, index } = describeBox(half, rgb);
+    const [encoder, builder, mesh, out] = ["Encoder", "MeshBuilder", "Mesh", "DracoInt8Array"].map(
+        (name) => new draco[name](),
+    );
+    builder.AddFacesToMesh(mesh, index.length / 3, index);
+    const id = builder.AddFloatAttributeToMesh(mesh, draco.POSITION, positions.length / 3, 3, positions);
+    encoder.SetAttributeQuantization(draco.POSITION, 12);
+    const length = encoder.EncodeMeshToDracoBuffer(mesh, out);
+    const bin = Buffer.from(Array.from({ length }, (_, i) => out.GetValue(i) & 255));
+    [encoder, builder, mesh, out].forEach((object) => draco.destroy(object));
+    const name = "KHR_draco_mesh_compression";
+    needs(json, name);
+    json.meshes[0].primitives[0].extensions = { [name]: { bufferView: 0, attributes: { POSITION: id } } };
+    for (const accessor of json.accessors) delete accessor.bufferView;
+    json.bufferViews = [{ buffer: 0, byteOffset: 0, byteLength: length }];
+    json.buffers = [{ byteLength: length }];
+    return writeGlb(json, bin);
+}
+
+// With EXT_meshopt_compression; encoder: meshoptimizer's, ready.
+export function makeMeshoptBox(encoder, half, rgb) {
+    const { json, positions, index } = describeBox(half, rgb);
     const parts = [
-        [0x4e4f534a, pad(Buffer.from(JSON.stringify(json)), 0x20)],
-        [0x004e4942, pad(bin, 0)],
+        [positions, positions.length / 3, 12, "ATTRIBUTES"],
+        [index, index.length, 2, "TRIANGLES"],
     ];
-    const head = (...words) => Buffer.from(new Uint32Array(words).buffer);
-    const chunks = parts.flatMap(([type, body]) => [head(body.length, type), body]);
-    const length = 12 + chunks.reduce((sum, one) => sum + one.length, 0);
-    return Buffer.concat([head(0x46546c67, 2, length), ...chunks]);
+    const name = "EXT_meshopt_compression";
+    needs(json, name);
+    let bin = Buffer.alloc(0);
+    parts.forEach(([array, count, byteStride, mode], i) => {
+        const bytes = encoder.encodeGltfBuffer(new Uint8Array(array.buffer), count, byteStride, mode);
+        const at = { buffer: 0, byteOffset: bin.length, byteLength: bytes.length };
+        json.bufferViews[i] = {
+            ...json.bufferViews[i],
+            ...(mode === "ATTRIBUTES" && { byteStride }),
+            buffer: 1,
+            extensions: { [name]: { ...at, byteStride, count, mode } },
+        };
+        bin = pad(Buffer.concat([bin, bytes]), 0);
+    });
+    const [{ byteLength }] = json.buffers;
+    json.buffers = [{ byteLength: bin.length }, { byteLength, extensions: { [name]: { fallback: true } } }];
+    return writeGlb(json, bin);
+}
+
+// A batched model of 3D Tiles 1.0, without batches.
+export function makeB3dm(glb) {
+    let table = '{"BATCH_LENGTH":0}';
+    table = table.padEnd(8 * Math.ceil((HEAD_B3DM + table.length) / 8) - HEAD_B3DM);
+    const length = HEAD_B3DM + table.length + glb.length;
+    return Buffer.concat([Buffer.from("b3dm"), words(1, length, table.length, 0, 0, 0), Buffer.from(table), glb]);
 }
 
 // One tile that is a box; transform: from its metres to ECEF.

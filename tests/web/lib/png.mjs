@@ -9,19 +9,31 @@ function paeth(a, b, c) {
     return pa <= pb && pa <= pc ? a : pb <= pc ? b : c;
 }
 
+// What each filter guesses of a byte from the ones left of it, above it, and left of that.
+const GUESSES = [
+    () => 0,
+    (left) => left,
+    (_, up) => up,
+    (left, up) => (left + up) >> 1,
+    paeth,
+];
+
 function unfilter(raw, width, height, bpp) {
     const row = width * bpp;
     const out = Buffer.alloc(row * height);
     for (let y = 0; y < height; y++) {
-        const filter = raw[y * (row + 1)];
-        for (let i = 0; i < row; i++) {
-            const v = raw[y * (row + 1) + 1 + i];
-            const left = i >= bpp ? out[y * row + i - bpp] : 0;
-            const up = y > 0 ? out[(y - 1) * row + i] : 0;
-            const corner = i >= bpp && y > 0 ? out[(y - 1) * row + i - bpp] : 0;
-            const guess = [0, left, up, (left + up) >> 1, paeth(left, up, corner)][filter];
-            out[y * row + i] = v + guess;
-        }
+        const from = y * (row + 1) + 1;
+        const to = y * row;
+        const filter = raw[from - 1];
+        const guess = GUESSES[filter];
+        if (filter === 0) raw.copy(out, to, from, from + row);
+        else
+            for (let i = 0; i < row; i++) {
+                const left = i >= bpp ? out[to + i - bpp] : 0;
+                const up = y > 0 ? out[to + i - row] : 0;
+                const corner = i >= bpp && y > 0 ? out[to + i - row - bpp] : 0;
+                out[to + i] = raw[from + i] + guess(left, up, corner);
+            }
     }
     return out;
 }

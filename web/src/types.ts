@@ -1,0 +1,71 @@
+// What the viewer takes, tells and promises: the interface that docs/viewer.md names.
+//
+// SPDX-License-Identifier: Apache-2.0
+import type { Place, Pose } from "./geo";
+import type { Layer } from "./layers";
+import type { LinkState } from "./link";
+import type { PictureInfo } from "./pictures";
+import type { SceneEntry } from "./source";
+
+export type Mode = "splats" | "pictures"; // drawn here, or by the server
+
+export interface ViewerOptions {
+  // A citysplat server's folder, or a tileset.json on any file server. Default: the page's folder.
+  url?: string | URL | (string | URL)[];
+  scene?: string; // its id; default: the first
+  pose?: Pose | null; // default: the whole scene
+  appearance?: string; // default: ""
+  mode?: Mode | "auto"; // auto: splats where there is WebGL 2
+  colours?: "here" | "server"; // who computes those of an appearance; default: here, where that can be
+  memoryMb?: number; // for tiles, on the card and in the page together
+  detail?: number; // px that a typical Gaussian may have on the screen; default 1
+  backdrop?: boolean; // sky and ground; default true
+  theme?: "dark" | "light";
+  keyboard?: boolean; // keys move the camera; default true
+}
+
+export interface ViewerEvents {
+  scene: SceneEntry; // opened
+  ready: ViewerState; // all that this view wants is on the screen
+  move: Pose;
+  touch: null; // a person moved the camera
+  appearance: string; // the new one is on the screen
+  preview: string; // it is there roughly, and the exact picture follows: where frames take long
+  link: LinkState;
+  problem: Error;
+  slow: number; // frames a second: pictures of the server would be quicker
+  mode: Mode;
+  context: boolean; // the graphics card dropped the page (true), or took it up again
+  picture: PictureInfo;
+  click: { x: number; y: number; place: Place | null };
+  layers: readonly Layer[]; // they changed
+  frame: null; // something was drawn
+}
+
+export interface ViewerState {
+  ready: boolean; // what this view wants is drawn, all of it
+  settled: boolean; // nothing more will come by itself
+  mode: Mode;
+  link: LinkState;
+  scene: string | null;
+  appearance: string; // on the screen
+  wanted: string; // the appearance asked for
+  tiles: number; // drawn
+  gaussians: number; // drawn
+  bytes: number; // of tiles
+  received: number; // of everything
+  pending: number;
+  memory: number;
+  heldBack: boolean;
+  broken: { name: string; why: string }[];
+  error: string | null;
+  framesPerSecond: number; // 0 while nothing is drawn
+  progress: Progress | null; // what it waits for; null: nothing
+}
+
+export interface Progress {
+  phase: "catalogue" | "tileset" | "tiles" | "decoding" | "appearance" | "picture" | "layers";
+  done: number; // tiles of this wait, or layers
+  total: number; // 0: not known
+  bytes: number; // received since it began
+}
