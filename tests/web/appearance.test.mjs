@@ -16,9 +16,13 @@ import { decodePng } from "./lib/png.mjs";
 import { getBytes, getJson, GIVEN_TILES, MOCK, openLitCity } from "./lib/source.mjs";
 import { listContents } from "./lib/tileset.mjs";
 
-const SIZE = { width: 720, height: 480 };
+const SIZE = { width: 704, height: 400 };
 const NAME = "lit";
 const THUMBNAIL_BYTES = 6144;
+// Of 255: what the low bits that embeddings lack do to a colour (docs/formats.md). Beside the 1.8 that the
+// rounding of everything else does, 2 % fewer channels are then within 2 (of a normal distribution).
+const EMBEDDING_RMS = 0.56;
+const NEAR_MARGIN = 0.025;
 const skip = { skip: MOCK || GIVEN_TILES ? "needs a city trained with appearance" : false };
 
 let source;
@@ -263,17 +267,20 @@ test("the picture is that of tiles which the server baked", skip, async (t) => {
             t.diagnostic(
                 `${appearance || "default"}: ${percent(near)} within 2, 99 % within ${common}, largest ${most} of 255`,
             );
-            // Opacities and colours of both are rounded, each by itself, and Gaussians here are large.
-            assert.ok(common <= 6 && most <= 16, `differs by ${common} (99 %), ${most} (largest)`);
             const exact = await serverPicture(pose, appearance);
+            // Opacities and colours of both are rounded, each by itself, and Gaussians here are large. The
+            // default light makes some brighter than white, which the server and the page cut, and tiles
+            // with final colours cannot: there the server's picture alone is the measure.
+            const bright = exact && rmsDifference(own, exact) < 0.8 * rmsDifference(theirs, exact);
+            if (appearance || !bright)
+                assert.ok(common <= 6 && most <= 16, `differs by ${common} (99 %), ${most} (largest)`);
             if (exact) {
                 const [a, b] = [rmsDifference(own, exact), rmsDifference(theirs, exact)];
                 t.diagnostic(`from the server's picture: ${a.toFixed(2)}, baked tiles ${b.toFixed(2)}`);
                 const [mine, baked] = [own, theirs].map((one) => differences(one, exact).near);
                 t.diagnostic(`within 2 of the server's picture: ${percent(mine)}, baked tiles ${percent(baked)}`);
-                // Which of the two is nearer depends on the pose, by two in a hundred pixels.
-                assert.ok(mine > baked - 0.03, `${mine} within 2 of it, of baked tiles ${baked}`);
-                assert.ok(a < 1.3 * b + 0.2, "farther from the server's picture than baked tiles are");
+                assert.ok(a < Math.hypot(b, EMBEDDING_RMS) + 0.2, `${a} from the server's picture, baked tiles ${b}`);
+                assert.ok(mine > baked - NEAR_MARGIN, `${mine} within 2 of it, of baked tiles ${baked}`);
             }
             if (before) far = Math.max(far, rmsDifference(own, before));
             before = own;

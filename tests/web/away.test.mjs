@@ -64,7 +64,7 @@ test("the coarsest tile comes first and is shown while the rest comes", skip, as
 });
 
 test("the page says what it waits for, to screen readers in few words", skip, async (t) => {
-    proxy.bytesPerSecond = 25_000;
+    proxy.bytesPerSecond = 10_000; // seconds for all of it, so that there is something to say
     proxy.latencyMs = 50;
     const page = await open("?lang=en");
     const seen = await page.evaluate(async () => {

@@ -27,7 +27,7 @@ const GIVE_UP_MS = 250; // not wanted for this long: turning the head must not t
 const AGAIN_FIRST_MS = 2000;
 const AGAIN_MOST_MS = 60_000;
 const SOON_S = 6; // levels between are left out when the whole view comes within this time
-const TILE_BYTES_FIRST = 300_000; // a tile's size until some have come
+const TILE_BYTES_FIRST = 200_000; // a tile's size until some have come
 
 export interface CityTile extends Tile {
   parent: CityTile | null;
