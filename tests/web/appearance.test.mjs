@@ -16,7 +16,7 @@ import { decodePng } from "./lib/png.mjs";
 import { getBytes, getJson, GIVEN_TILES, MOCK, openLitCity } from "./lib/source.mjs";
 import { listContents } from "./lib/tileset.mjs";
 
-const SIZE = { width: 704, height: 400 };
+const SIZE = { width: 720, height: 480 };
 const NAME = "lit";
 const THUMBNAIL_BYTES = 6144;
 // Of 255: what the low bits that embeddings lack do to a colour (docs/formats.md). Beside the 1.8 that the
