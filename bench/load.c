@@ -244,10 +244,12 @@ enum err_code load_ask(struct load *l, struct buf *body, char etag[64], struct e
 
 /* ---- libmicrohttpd alone ---- */
 
+/* NOLINTBEGIN(readability-non-const-parameter): as libmicrohttpd has them */
 static enum MHD_Result load_bare_answer(void *cls, struct MHD_Connection *c, const char *url,
                                         const char *method, const char *version, const char *upload,
                                         size_t *n_upload, void **context)
 {
+    /* NOLINTEND(readability-non-const-parameter) */
     struct load_bare *s = cls;
     (void)url, (void)method, (void)version, (void)upload, (void)n_upload;
     if (!*context) { /* the first call has the headers; an answer then would close the connection */
