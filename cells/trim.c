@@ -24,6 +24,7 @@ enum {
     TRIM_DEEP = 255,
     TRIM_DEPTH = 24, /* halvings of one Gaussian, at most */
 };
+#define TRIM_ROUNDING_M 1e-6
 #define TRIM_REACH 2.0   /* sigmas that must not stick out */
 #define TRIM_UNSURE 0.25 /* of the free height, where one photograph looks */
 #define TRIM_OFFSET 0.8
@@ -53,15 +54,23 @@ static bool trim_frames(const struct camera *c, const double x[3])
 
 /* ---- which cells are shown ---- */
 
+enum trim_class { TRIM_NONE, TRIM_PART, TRIM_WHOLE };
+
+/* The sides of what a camera frames, as half spaces in the world: n . x + n[3] metres inside. What
+ * lies within all four is in front of it. */
+struct trim_sides {
+    double n[4][4];
+};
+
 struct trim_work {
     const struct scene *s;
     const struct footprint *f;
     uint32_t sure;
-    uint8_t *class;  /* [cells]: shown as a whole, as a part, not at all */
-    uint32_t **cams; /* [cells] of parts; */
-    uint32_t *n;     /* how many */
+    struct trim_sides *sides; /* [photographs] */
+    uint8_t *class;           /* [cells]: shown as a whole, as a part, not at all */
+    uint32_t **cams;          /* [cells] of parts; */
+    uint32_t *n;              /* how many */
 };
-enum trim_class { TRIM_NONE, TRIM_PART, TRIM_WHOLE };
 
 /* The places of a cell that stand for it. */
 static void trim_places(const struct footprint *f, size_t cell,
@@ -79,18 +88,71 @@ static void trim_places(const struct footprint *f, size_t cell,
         }
 }
 
+static struct trim_sides trim_sides_of(const struct camera *c)
+{
+    const double in[4][3] = {{c->fx_px, 0.0, c->cx_px},
+                             {-c->fx_px, 0.0, c->width_px - c->cx_px},
+                             {0.0, c->fy_px, c->cy_px},
+                             {0.0, -c->fy_px, c->height_px - c->cy_px}};
+    struct trim_sides out;
+    for (int k = 0; k < 4; k++) {
+        double len = sqrt(in[k][0] * in[k][0] + in[k][1] * in[k][1] + in[k][2] * in[k][2]);
+        for (int a = 0; a < 3; a++)
+            out.n[k][a] =
+                (in[k][0] * c->rot[a] + in[k][1] * c->rot[3 + a] + in[k][2] * c->rot[6 + a]) / len;
+        out.n[k][3] =
+            (in[k][0] * c->trans[0] + in[k][1] * c->trans[1] + in[k][2] * c->trans[2]) / len;
+    }
+    return out;
+}
+
+/* The ball about a cell's places: middle, and radius with room for rounding. */
+static void trim_ball(double x[TRIM_PLACES * TRIM_HEIGHTS][3], double out[4])
+{
+    double most = 0.0;
+    for (int a = 0; a < 3; a++) {
+        out[a] = 0.0;
+        for (size_t k = 0; k < TRIM_PLACES * TRIM_HEIGHTS; k++)
+            out[a] += x[k][a] / (TRIM_PLACES * TRIM_HEIGHTS);
+    }
+    for (size_t k = 0; k < TRIM_PLACES * TRIM_HEIGHTS; k++) {
+        double d = 0.0;
+        for (int a = 0; a < 3; a++)
+            d += (x[k][a] - out[a]) * (x[k][a] - out[a]);
+        most = fmax(most, d);
+    }
+    out[3] = 1.000001 * sqrt(most) + TRIM_ROUNDING_M;
+}
+
+/* Is a ball framed as a whole, in part or not at all? Part is always right. */
+static enum trim_class trim_frames_ball(const struct trim_sides *s, const double ball[4])
+{
+    enum trim_class out = TRIM_WHOLE;
+    for (int k = 0; k < 4; k++) {
+        const double *n = s->n[k];
+        double in = n[0] * ball[0] + n[1] * ball[1] + n[2] * ball[2] + n[3];
+        if (in < -ball[3])
+            return TRIM_NONE;
+        if (!(in > ball[3]))
+            out = TRIM_PART;
+    }
+    return out;
+}
+
 /* Cameras that frame one of the cell's places; *shown: places that one of them frames. */
 static size_t trim_look(const struct trim_work *w, size_t cell, uint32_t *cams, size_t *shown)
 {
-    double x[TRIM_PLACES * TRIM_HEIGHTS][3];
+    double x[TRIM_PLACES * TRIM_HEIGHTS][3], ball[4];
     bool seen[TRIM_PLACES * TRIM_HEIGHTS] = {0};
     size_t n = 0;
     trim_places(w->f, cell, x);
+    trim_ball(x, ball);
     for (size_t i = 0; i < w->s->n_images; i++) {
-        bool some = false;
-        for (size_t k = 0; w->s->images[i].split == SCENE_TRAIN && k < TRIM_PLACES * TRIM_HEIGHTS;
-             k++)
-            if (trim_frames(&w->s->images[i].cam, x[k]))
+        enum trim_class there =
+            w->s->images[i].split == SCENE_TRAIN ? trim_frames_ball(&w->sides[i], ball) : TRIM_NONE;
+        bool some = there == TRIM_WHOLE;
+        for (size_t k = 0; there != TRIM_NONE && k < TRIM_PLACES * TRIM_HEIGHTS; k++)
+            if (there == TRIM_WHOLE || trim_frames(&w->s->images[i].cam, x[k]))
                 some = seen[k] = true;
         if (some)
             cams[n++] = (uint32_t)i;
@@ -182,8 +244,11 @@ enum err_code trim_open(const struct scene *s, const struct footprint *at, uint3
                           .f = at,
                           .class = mem_array(cells, 1),
                           .cams = mem_array(cells, sizeof *w.cams),
-                          .n = mem_array(cells, sizeof *w.n)};
-    enum err_code rc = w.class && w.cams && w.n
+                          .n = mem_array(cells, sizeof *w.n),
+                          .sides = mem_array(s->n_images, sizeof *w.sides)};
+    for (size_t i = 0; w.sides && i < s->n_images; i++)
+        w.sides[i] = trim_sides_of(&s->images[i].cam);
+    enum err_code rc = w.class && w.cams && w.n && w.sides
                            ? pool_for(at->ny, 0, trim_row_task, &w, e)
                            : err_set(e, ERR_MEM, "trim: out of memory for %zu cells", cells);
     if (!rc)
@@ -193,6 +258,7 @@ enum err_code trim_open(const struct scene *s, const struct footprint *at, uint3
     mem_free(w.class);
     mem_free(w.cams);
     mem_free(w.n);
+    mem_free(w.sides);
     if (rc)
         trim_free(out);
     return rc;
