@@ -484,7 +484,32 @@ inline void stats_add(const struct stats *to, uint i, const struct gradient *d,
 
 // A camera that moves is all Gaussians that move against it: sums over them of dL/dmean and of the
 // torque about the eye, (mean - eye) x dL/dmean and what turning each by itself does; world frame.
-inline void pose_add(V sums[LAYOUT_POSE_SUMS], __constant struct layout_view *v,
+#if VW == 16
+#define POSE_LD(row, k) vload16(k, row)
+#define POSE_ST(row, k, x) vstore16(x, k, row)
+#else
+#define POSE_LD(row, k) (row)[k]
+#define POSE_ST(row, k, x) (row)[k] = (x)
+#endif
+
+// They are added up in memory: six vectors that live through the whole loop cost registers in every
+// step, also where nobody asks for them.
+inline __global float *pose_row(__constant struct layout_view *v, uint wants, __global float *parts)
+{
+    size_t id = get_global_id(0);
+#if VW == 16
+    __global float *row = parts + id * LAYOUT_POSE_SUMS * LAYOUT_LANES;
+    bool used = id * LAYOUT_PROJECT_GROUPS < v->groups;
+#else
+    __global float *row = parts + id * LAYOUT_POSE_SUMS;
+    bool used = id / LAYOUT_LANES < v->groups;
+#endif
+    for (uint k = 0; (wants & LAYOUT_STEP_POSE) && used && k < LAYOUT_POSE_SUMS; k++)
+        POSE_ST(row, k, (V)(0.0f));
+    return row;
+}
+
+inline void pose_add(__global float *row, __constant struct layout_view *v,
                      __global const float *params, const struct gradient *d, VI counted)
 {
     const V *g = d->geometry + LAYOUT_PLANE_MEAN, *dq = d->geometry + LAYOUT_PLANE_QUAT;
@@ -499,26 +524,9 @@ inline void pose_add(V sums[LAYOUT_POSE_SUMS], __constant struct layout_view *v,
     for (uint k = 0; k < 3; k++) {
         uint a = (k + 1) % 3, b = (k + 2) % 3;
         V torque = (x[a] * g[b] - x[b] * g[a]) + 0.5f * t[k];
-        sums[k] += counted ? g[k] : (V)(0.0f);
-        sums[3 + k] += counted ? torque : (V)(0.0f);
+        POSE_ST(row, k, POSE_LD(row, k) + (counted ? g[k] : (V)(0.0f)));
+        POSE_ST(row, 3 + k, POSE_LD(row, 3 + k) + (counted ? torque : (V)(0.0f)));
     }
-}
-
-inline void pose_store(const V sums[LAYOUT_POSE_SUMS], __constant struct layout_view *v,
-                       __global float *out)
-{
-    size_t id = get_global_id(0);
-#if VW == 16
-    if (id * LAYOUT_PROJECT_GROUPS >= v->groups)
-        return;
-    for (uint k = 0; k < LAYOUT_POSE_SUMS; k++)
-        vstore16(sums[k], id * LAYOUT_POSE_SUMS + k, out);
-#else
-    if (id / LAYOUT_LANES >= v->groups)
-        return;
-    for (uint k = 0; k < LAYOUT_POSE_SUMS; k++)
-        out[id * LAYOUT_POSE_SUMS + k] = sums[k];
-#endif
 }
 
 // ---- appearance
@@ -633,9 +641,7 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
 {
     uint to, lane, used = (v->sh_degree + 1) * (v->sh_degree + 1), wants = rates.wants;
     struct stats stats = {stat_grad, stat_absg, stat_count, stat_radius, stat_opacity};
-    V pose[LAYOUT_POSE_SUMS];
-    for (uint k = 0; k < LAYOUT_POSE_SUMS; k++)
-        pose[k] = (V)(0.0f);
+    __global float *pose = pose_row(v, wants, pose_parts);
     APPEARANCE_OPEN
     for (uint group = item_groups(v, &to, &lane); group < to; group++) {
         size_t at = group_at(group, v->planes) + lane;
@@ -686,7 +692,5 @@ __kernel void project_step(__constant struct layout_view *v, __global float *par
         if ((wants & LAYOUT_STEP_STATS) && ANY(bad))
             atomic_add(repaired, lanes_count(bad)); // whole numbers: any order gives the same sum
     }
-    if (wants & LAYOUT_STEP_POSE)
-        pose_store(pose, v, pose_parts);
     APPEARANCE_CLOSE
 }
