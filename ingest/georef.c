@@ -51,6 +51,20 @@ void georef_free(struct georef_result *r)
 
 /* ---- which way is up ---- */
 
+/* How far the cameras may lean to a side, all together. Gimbals hold them level; where they differ
+ * from each other nothing does, and what hangs from a kite also hangs askew: the ground knows better
+ * then. */
+static double georef_level_sigma(const struct georef_photo *photos, size_t n)
+{
+    double m[9] = {0}, values[3], vectors[9];
+    for (int a = 0; a < 3; a++)
+        for (int b = 0; b < 3; b++)
+            for (size_t i = 0; i < n; i++)
+                m[3 * a + b] += photos[i].rot[a] * photos[i].rot[b] / (double)n;
+    sim3_eigen(m, 3, values, vectors);
+    return fmax(level_sigma, fmax(values[0], 0) / level_sigma);
+}
+
 /* Up in COLMAP's frame, from cameras that do not roll, over ground that is roughly level: the
  * direction most at right angles to all camera x axes and closest to the ground normal. */
 static void georef_upright_at(const struct georef_photo *photos, size_t n, const double normal[3],
@@ -58,6 +72,7 @@ static void georef_upright_at(const struct georef_photo *photos, size_t n, const
 {
     double hint[3] = {0}, m[9] = {0}, values[3], vectors[9];
     bool known = normal[0] != 0 || normal[1] != 0 || normal[2] != 0;
+    double level = known && !(sigma > 0) ? georef_level_sigma(photos, n) : level_sigma;
     for (size_t i = 0; i < n;
          i++) /* between "up in the picture" and "backwards": right for any pitch down */
         for (int a = 0; a < 3; a++)
@@ -68,8 +83,7 @@ static void georef_upright_at(const struct georef_photo *photos, size_t n, const
     for (int a = 0; a < 3; a++)
         for (int b = 0; b < 3; b++) {
             for (size_t i = 0; i < n; i++)
-                m[3 * a + b] +=
-                    photos[i].rot[a] * photos[i].rot[b] / ((double)n * level_sigma * level_sigma);
+                m[3 * a + b] += photos[i].rot[a] * photos[i].rot[b] / ((double)n * level * level);
             double s = !known ? hint_sigma : sigma > 0 ? sigma : normal_sigma, s2 = s * s;
             m[3 * a + b] += ((a == b) - (known ? normal[a] * normal[b] : hint[a] * hint[b])) / s2;
         }

@@ -408,6 +408,36 @@ static void test_upright_without_gps(void **state)
     }
 }
 
+/* Cameras on a string hang askew, all to the same side and each a little otherwise. */
+static void test_upright_under_a_kite(void **state)
+{
+    (void)state;
+    struct survey s;
+    struct err e = {0};
+    double worst = 0;
+    for (uint64_t seed = 0; seed < 20; seed++) {
+        struct sim3 sim;
+        double normal[3], up = 0;
+        make_survey(seed, 40, 150, &s);
+        for (size_t i = 0; i < s.n; i++) {
+            double lean = (18 + 9 * rng_normal(seed, 30, i)) * M_PI / 180, *rot = s.photos[i].rot;
+            for (int a = 0; a < 3; a++) {
+                double right = rot[a], ahead = rot[6 + a];
+                rot[a] = cos(lean) * right + sin(lean) * ahead;
+                rot[6 + a] = cos(lean) * ahead - sin(lean) * right;
+            }
+        }
+        for (int a = 0; a < 3; a++)
+            normal[a] = (seed % 2 ? -1 : 1) * s.truth.rot[6 + a];
+        kit_ok(georef_upright(s.photos, s.n, normal, 0, 2, &sim, &e), e);
+        for (int a = 0; a < 3; a++)
+            up += sim.rot[6 + a] * s.truth.rot[6 + a];
+        worst = fmax(worst, acos(fmin(up, 1)) * 180 / M_PI);
+    }
+    kit_figure("georef", "kite_tilt_deg=%.2f limit=3", worst);
+    assert_true(worst < 3);
+}
+
 static void test_refused(void **state)
 {
     (void)state;
@@ -464,6 +494,7 @@ int main(void)
         cmocka_unit_test(test_collinear),
         cmocka_unit_test(test_collinear_sideways),
         cmocka_unit_test(test_upright_without_gps),
+        cmocka_unit_test(test_upright_under_a_kite),
         cmocka_unit_test(test_refused),
         cmocka_unit_test(test_out_of_memory),
     };
