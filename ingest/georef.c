@@ -52,8 +52,7 @@ void georef_free(struct georef_result *r)
 /* ---- which way is up ---- */
 
 /* How far the cameras may lean to a side, all together. Gimbals hold them level; where they differ
- * from each other nothing does, and what hangs from a kite also hangs askew: the ground knows better
- * then. */
+ * from each other nothing does, and what hangs from a kite hangs askew: the ground knows better. */
 static double georef_level_sigma(const struct georef_photo *photos, size_t n)
 {
     double m[9] = {0}, values[3], vectors[9];
