@@ -4,11 +4,13 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { openPage } from "./lib/browser.mjs";
+import { openPage, useWholeBrowser } from "./lib/browser.mjs";
 import { checkNorth, checkSouth, measureContent, NORTH, rmsDifference, SOUTH } from "./lib/checks.mjs";
 import { makeCity } from "./lib/city.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { firstDataSet, GIVEN_TILES, getJson, openSource } from "./lib/source.mjs";
+
+useWholeBrowser();
 
 const SIZE = { width: 640, height: 480 };
 const TIMEOUT_MS = 120000;

@@ -11,13 +11,15 @@ import { dirname, extname, join, normalize } from "node:path";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 
-import { openPage } from "./lib/browser.mjs";
+import { openPage, useWholeBrowser } from "./lib/browser.mjs";
 import { measureContent, rmsDifference } from "./lib/checks.mjs";
 import { fCellCenter, ORIGIN, RED_TOP } from "./lib/city.mjs";
 import { placeOfEnu } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { firstDataSet, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
 import { listContents } from "./lib/tileset.mjs";
+
+useWholeBrowser();
 
 const HERE = dirname(fileURLToPath(import.meta.url));
 const SIZE = { width: 320, height: 240 };

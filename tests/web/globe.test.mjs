@@ -10,12 +10,14 @@ import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
 
-import { openPage } from "./lib/browser.mjs";
+import { openPage, useWholeBrowser } from "./lib/browser.mjs";
 import { checkSouth, SOUTH } from "./lib/checks.mjs";
 import { makeCity, ORIGIN, RED_TOP } from "./lib/city.mjs";
 import { project } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { firstDataSet, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
+
+useWholeBrowser();
 
 const DIST = join(dirname(fileURLToPath(import.meta.url)), "../../web/dist");
 const SIZE = { width: 400, height: 300 }; // a globe without a graphics card: seconds a frame

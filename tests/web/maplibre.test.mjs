@@ -6,12 +6,14 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { openPage } from "./lib/browser.mjs";
+import { openPage, useWholeBrowser } from "./lib/browser.mjs";
 import { checkNorth, checkSouth, NORTH, rmsDifference, SOUTH } from "./lib/checks.mjs";
 import { BLUE_TOP, fCellCenter, makeCity, ORIGIN, RED_TOP } from "./lib/city.mjs";
 import { placeOfEnu, project } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { firstDataSet, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
+
+useWholeBrowser();
 
 const SIZE = { width: 640, height: 480 };
 const TIMEOUT_MS = 120000;

@@ -10,11 +10,13 @@ import { createServer } from "node:http";
 import { join, normalize } from "node:path";
 import { after, before, test } from "node:test";
 
-import { barePicture, openPage, waitForViewer } from "./lib/browser.mjs";
+import { barePicture, openPage, useWholeBrowser, waitForViewer } from "./lib/browser.mjs";
 import { checkSouth, measureContent, SOUTH } from "./lib/checks.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { BIN, getJson, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
 import { listContents } from "./lib/tileset.mjs";
+
+useWholeBrowser();
 
 const EDGE_M = 3;
 const NODES_MAX = 1100;

@@ -9,11 +9,13 @@ import { dirname, join, normalize } from "node:path";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 
-import { openPage } from "./lib/browser.mjs";
+import { openPage, useWholeBrowser } from "./lib/browser.mjs";
 import { BLUE_TOP, fCellCenter, ORIGIN, RED_TOP } from "./lib/city.mjs";
 import { placeOfEnu } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { firstDataSet, getBytes, getJson, GIVEN_TILES, openSource } from "./lib/source.mjs";
+
+useWholeBrowser();
 
 const MODULES = join(dirname(fileURLToPath(import.meta.url)), "node_modules");
 const SIZE = { width: 640, height: 560 };

@@ -12,12 +12,14 @@ import { dirname, extname, join, normalize } from "node:path";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 
-import { openPage } from "./lib/browser.mjs";
+import { openPage, useWholeBrowser } from "./lib/browser.mjs";
 import { measureContent, rmsDifference } from "./lib/checks.mjs";
 import { makeCity, ORIGIN } from "./lib/city.mjs";
 import { writePly } from "./lib/ply.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { BIN } from "./lib/source.mjs";
+
+useWholeBrowser();
 
 const HERE = dirname(fileURLToPath(import.meta.url));
 const SIZE = { width: 240, height: 180 };

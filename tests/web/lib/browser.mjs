@@ -7,7 +7,7 @@ import { decodePng } from "./png.mjs";
 
 // The shell is the same engine without the windows around it: a third less of the processor's time.
 const BROWSERS = ["/usr/bin/chromium-headless-shell", "/usr/bin/chromium"];
-const CHROMIUM = process.env.CHROMIUM ?? BROWSERS.find(existsSync) ?? BROWSERS[1];
+let chromiumPath = process.env.CHROMIUM ?? BROWSERS.find(existsSync) ?? BROWSERS[1];
 const FLAGS = [
     "--no-sandbox",
     "--disable-quic",
@@ -20,10 +20,16 @@ const FLAGS = [
     "--ignore-gpu-blocklist",
 ];
 
+// For pages of others, which draw without end: the shell's pictures of them take minutes or never come. Before the first
+// page.
+export function useWholeBrowser() {
+    if (!process.env.CHROMIUM) chromiumPath = BROWSERS[1];
+}
+
 // Why the browser tests cannot run, or "".
 export function missingBrowser() {
-    if (!existsSync(CHROMIUM))
-        return `no browser at ${CHROMIUM} (apt-get install chromium, or set CHROMIUM)`;
+    if (!existsSync(chromiumPath))
+        return `no browser at ${chromiumPath} (apt-get install chromium, or set CHROMIUM)`;
     return "";
 }
 
@@ -35,7 +41,7 @@ let users = 0;
 async function takeBrowser() {
     const { chromium } = await import("playwright-core");
     users++;
-    shared ??= chromium.launch({ executablePath: CHROMIUM, headless: true, args: FLAGS });
+    shared ??= chromium.launch({ executablePath: chromiumPath, headless: true, args: FLAGS });
     return shared;
 }
 
