@@ -408,14 +408,6 @@ static enum err_code motion_city(const char *path, size_t n, struct err *e)
 enum err_code bench_motion(struct bench *b, struct err *e)
 {
     char path[FILE_PATH_MAX];
-    static const struct options_def defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct server_config, type, key, def, lo, hi, unit, help)
-#include "server/options.def"
-#undef OPT
-    };
-    const struct options_spec spec = {
-        .command = "serve", .defs = defs, .n_defs = sizeof defs / sizeof *defs};
     struct server_config cfg;
     struct arena arena = {0};
     struct server *server = NULL;
@@ -425,7 +417,7 @@ enum err_code bench_motion(struct bench *b, struct err *e)
     if (!rc && !b->tiles)
         rc = motion_city(path, b->quick ? 50000 : 1000000, e);
     if (!rc)
-        rc = options_defaults(&spec, &cfg, &arena, e);
+        rc = config_defaults(&cfg, &arena, e);
     cfg.port = 0;
     cfg.access_log = false;
     cfg.client_views_s = 0;

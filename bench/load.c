@@ -62,15 +62,7 @@ enum err_code load_store(const char *path, size_t n, struct key *key, struct err
 
 enum err_code load_config(struct server_config *cfg, struct arena *a, struct err *e)
 {
-    static const struct options_def defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct server_config, type, key, def, lo, hi, unit, help)
-#include "server/options.def"
-#undef OPT
-    };
-    const struct options_spec spec = {
-        .command = "serve", .defs = defs, .n_defs = sizeof defs / sizeof *defs};
-    enum err_code rc = options_defaults(&spec, cfg, a, e);
+    enum err_code rc = config_defaults(cfg, a, e);
     cfg->port = 0;
     cfg->device = "none";
     cfg->access_log = false;

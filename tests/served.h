@@ -65,16 +65,8 @@ static const struct catalog_options served_stores = {
 
 static inline void served_config(struct server_config *cfg, struct arena *arena)
 {
-    static const struct options_def defs[] = {
-#define OPT(type, key, def, lo, hi, unit, help)                                                    \
-    OPTIONS_ROW(struct server_config, type, key, def, lo, hi, unit, help)
-#include "server/options.def"
-#undef OPT
-    };
-    const struct options_spec spec = {
-        .command = "serve", .defs = defs, .n_defs = sizeof defs / sizeof *defs};
     struct err e = {0};
-    kit_ok(options_defaults(&spec, cfg, arena, &e), e);
+    kit_ok(config_defaults(cfg, arena, &e), e);
     cfg->port = 0;
     cfg->device = "none";
     cfg->cache_mb = 64;
