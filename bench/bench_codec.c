@@ -133,9 +133,9 @@ static enum err_code codec_check(struct codec_case *c, struct err *e)
     if (!rc && want.block &&
         (q.n != want.n || memcmp(q.position, want.position, 12 * q.n) ||
          memcmp(q.sh, want.sh, 3 * (gauss_sh_count(q.sh_degree) - 1) * q.n)))
-        rc = err_set(e, ERR_INTERNAL, "bench_codec: %s : integers differ", c->name);
+        rc = err_set(e, ERR_INTERNAL, "bench_codec: %s: integers differ", c->name);
     if (!rc && !want.block && (g.n != c->g->n || !codec_means_agree(c, &g)))
-        rc = err_set(e, ERR_INTERNAL, "bench_codec: %s : means differ", c->name);
+        rc = err_set(e, ERR_INTERNAL, "bench_codec: %s: means differ", c->name);
     quant_free(&q);
     quant_free(&want);
     gauss_free(&g);

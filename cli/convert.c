@@ -70,7 +70,7 @@ static enum err_code convert_format_of(const char *path, enum convert_format *ou
         }
     }
     return err_set(e, ERR_ARG,
-                   "%s : its name must end in .ply, .compressed.ply, .spz, .drc, .glb or .sog "
+                   "%s: its name must end in .ply, .compressed.ply, .spz, .drc, .glb or .sog "
                    "(.splat to read)",
                    path);
 }
@@ -126,7 +126,7 @@ static enum err_code convert_sort_gauss(struct gauss *g, struct err *e)
     struct gauss sorted = {0};
     uint32_t *order = mem_array(g->n, sizeof *order);
     enum err_code rc =
-        order ? gauss_hilbert_order(g, order, e) : err_set(e, ERR_MEM, "convert : out of memory");
+        order ? gauss_hilbert_order(g, order, e) : err_set(e, ERR_MEM, "convert: out of memory");
     if (!rc)
         rc = gauss_alloc(&sorted, g->n, g->sh_degree, g->embed_len, e);
     if (!rc) {
@@ -164,7 +164,7 @@ static enum err_code convert_set_degree(struct gauss *g, uint32_t degree, struct
 static enum convert_axes convert_turn(struct converted *c, enum convert_axes want, const char *path)
 {
     if (c->axes == AXES_AUTO && want != AXES_AUTO)
-        log_warn("convert", "axes of %s are not known : nothing is turned ; say --axes enu or gltf",
+        log_warn("convert", "axes of %s are not known: nothing is turned; say --axes enu or gltf",
                  path);
     if (c->axes == AXES_ENU && want == AXES_GLTF)
         axes_enu_to_gltf(&c->g);
@@ -239,7 +239,7 @@ static enum err_code convert_write(struct converted *c, enum convert_format form
     if (c->g.origin_enu_m[0] != 0 || c->g.origin_enu_m[1] != 0 || c->g.origin_enu_m[2] != 0)
         return err_set(
             e, ERR_LIMIT,
-            "convert : %s : coordinates are about %.0f %.0f %.0f m : such numbers do not fit the "
+            "convert: %s: coordinates are about %.0f %.0f %.0f m: such numbers do not fit the "
             "format ; use --center",
             in, c->g.origin_enu_m[0], c->g.origin_enu_m[1], c->g.origin_enu_m[2]);
     convert_turn(c, AXES_GLTF, in);
@@ -282,7 +282,7 @@ enum err_code cli_convert(int argc, char **argv, struct err *e)
         goto out;
     rc = convert_format_of(args.arg[1], &format, e);
     if (!rc && format == FORMAT_SPLAT)
-        rc = err_set(e, ERR_ARG, "%s : .splat is read, not written", args.arg[1]);
+        rc = err_set(e, ERR_ARG, "%s: .splat is read, not written", args.arg[1]);
     const struct codec_limits lim = {.max_gaussians = (size_t)o.max_gaussians,
                                      .max_bytes = (size_t)o.max_mib << 20};
     if (rc || (rc = convert_read(args.arg[0], &lim, &c, e)) != ERR_OK)

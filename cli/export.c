@@ -134,7 +134,7 @@ static enum err_code export_sort(const struct gauss *g, struct gauss *out, struc
 {
     uint32_t *order = mem_array(g->n, sizeof *order);
     enum err_code rc =
-        order ? gauss_hilbert_order(g, order, e) : err_set(e, ERR_MEM, "export : out of memory");
+        order ? gauss_hilbert_order(g, order, e) : err_set(e, ERR_MEM, "export: out of memory");
     if (!rc)
         rc = gauss_alloc(out, g->n, g->sh_degree, 0, e);
     if (!rc) {

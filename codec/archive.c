@@ -15,8 +15,8 @@ struct archive_reader {
 static enum err_code archive_fail(zip_error_t *why, struct err *e)
 {
     enum err_code rc = zip_error_code_zip(why) == ZIP_ER_MEMORY
-                           ? err_set(e, ERR_MEM, "zip : out of memory")
-                           : err_set(e, ERR_INTERNAL, "zip : %s", zip_error_strerror(why));
+                           ? err_set(e, ERR_MEM, "zip: out of memory")
+                           : err_set(e, ERR_INTERNAL, "zip: %s", zip_error_strerror(why));
     zip_error_fini(why);
     return rc;
 }
@@ -45,7 +45,7 @@ static enum err_code archive_take(zip_source_t *all, struct buf *out, struct err
     zip_int64_t got = at ? zip_source_read(all, at, st.size) : 0;
     zip_source_close(all);
     if (at && (zip_uint64_t)got != st.size)
-        return err_set(e, ERR_INTERNAL, "zip : %lld bytes of %llu", (long long)got,
+        return err_set(e, ERR_INTERNAL, "zip: %lld bytes of %llu", (long long)got,
                        (unsigned long long)st.size);
     return buf_check(out, e);
 }
@@ -68,9 +68,9 @@ enum err_code archive_write(const struct archive_part *part, size_t n, struct bu
     enum err_code rc = ERR_OK;
     for (size_t i = 0; !rc && i < n; i++)
         if (!archive_add(z, &part[i]))
-            rc = err_set(e, ERR_MEM, "zip : %s : %s", part[i].name, zip_strerror(z));
+            rc = err_set(e, ERR_MEM, "zip: %s: %s", part[i].name, zip_strerror(z));
     if (!rc && zip_close(z) != 0)
-        rc = err_set(e, ERR_INTERNAL, "zip : %s", zip_strerror(z));
+        rc = err_set(e, ERR_INTERNAL, "zip: %s", zip_strerror(z));
     else if (!rc)
         z = NULL;
     if (!rc)
@@ -90,12 +90,12 @@ enum err_code archive_open(const void *bytes, size_t n, struct archive_reader **
     z = from ? z : (mem_free(z), NULL);
     *out = NULL;
     if (!z)
-        return err_set(e, ERR_MEM, "zip : out of memory");
+        return err_set(e, ERR_MEM, "zip: out of memory");
     z->archive = zip_open_from_source(from, ZIP_RDONLY, &why);
     if (!z->archive) {
         enum err_code rc = zip_error_code_zip(&why) == ZIP_ER_MEMORY
-                               ? err_set(e, ERR_MEM, "zip : out of memory")
-                               : err_set(e, ERR_FORMAT, "zip : %s", zip_error_strerror(&why));
+                               ? err_set(e, ERR_MEM, "zip: out of memory")
+                               : err_set(e, ERR_FORMAT, "zip: %s", zip_error_strerror(&why));
         zip_error_fini(&why);
         zip_source_free(from);
         mem_free(z);
@@ -110,19 +110,19 @@ enum err_code archive_get(struct archive_reader *z, const char *name, size_t mos
 {
     zip_stat_t st;
     if (zip_stat(z->archive, name, 0, &st) != 0 || !(st.valid & ZIP_STAT_SIZE))
-        return err_set(e, ERR_FORMAT, "zip : %s is missing", name);
+        return err_set(e, ERR_FORMAT, "zip: %s is missing", name);
     if (st.size > most)
-        return err_set(e, ERR_LIMIT, "zip : %s : %llu bytes : %zu are expected at most", name,
+        return err_set(e, ERR_LIMIT, "zip: %s: %llu bytes: %zu are expected at most", name,
                        (unsigned long long)st.size, most);
     zip_file_t *f = zip_fopen_index(z->archive, st.index, 0);
     if (!f)
-        return err_set(e, ERR_FORMAT, "zip : %s : %s", name, zip_strerror(z->archive));
+        return err_set(e, ERR_FORMAT, "zip: %s: %s", name, zip_strerror(z->archive));
     uint8_t *at = buf_grow(out, st.size);
     zip_int64_t got = at ? zip_fread(f, at, st.size) : 0;
     int bad = zip_fclose(f);
     enum err_code rc = buf_check(out, e);
     if (!rc && ((zip_uint64_t)got != st.size || bad))
-        rc = err_set(e, ERR_FORMAT, "zip : %s is damaged", name);
+        rc = err_set(e, ERR_FORMAT, "zip: %s is damaged", name);
     if (rc)
         buf_free(out);
     return rc;

@@ -111,7 +111,7 @@ static enum err_code cluster_sort(const float *v, size_t n, float *sorted, struc
 {
     uint64_t *words = mem_uninit(n, 2 * sizeof *words);
     if (!words)
-        return err_set(e, ERR_MEM, "codebook : out of memory");
+        return err_set(e, ERR_MEM, "codebook: out of memory");
     for (size_t i = 0; i < n; i++) {
         uint32_t bits;
         memcpy(&bits, v + i, sizeof bits);
@@ -133,7 +133,7 @@ enum err_code cluster_values(const float *v, size_t n, float book[CLUSTER_BOOK],
     float *sorted = mem_uninit(n, sizeof *sorted);
     double *sum = mem_uninit(n + 1, 2 * sizeof *sum), *square = sum ? sum + n + 1 : NULL;
     enum err_code rc = sorted && sum ? cluster_sort(v, n, sorted, e)
-                                     : err_set(e, ERR_MEM, "codebook : out of memory");
+                                     : err_set(e, ERR_MEM, "codebook: out of memory");
     if (!rc) {
         sum[0] = square[0] = 0;
         for (size_t i = 0; i < n; i++) {
@@ -282,7 +282,7 @@ enum err_code cluster_rows(const float *v, size_t n, size_t d, size_t most, floa
     c.work = mem_array(3 * d, sizeof *c.work);
     enum err_code rc = c.order && c.spare && c.group && c.work
                            ? ERR_OK
-                           : err_set(e, ERR_MEM, "palette : out of memory");
+                           : err_set(e, ERR_MEM, "palette: out of memory");
     for (size_t i = 0; !rc && i < n; i++)
         c.order[i] = (uint32_t)i;
     if (!rc)

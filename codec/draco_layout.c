@@ -127,11 +127,11 @@ enum err_code draco_check(const void *bytes, size_t n, const struct codec_limits
     unsigned type = cursor_u8(&c), method = cursor_u8(&c), flags = cursor_u16(&c);
     *out = (struct draco_head){0};
     if (c.bad || memcmp(magic, "DRACO", 5))
-        return err_set(e, ERR_FORMAT, "draco : not a Draco file, or truncated in its header");
+        return err_set(e, ERR_FORMAT, "draco: not a Draco file, or truncated in its header");
     if (major != 2 || type != POINT_CLOUD || method != SEQUENTIAL)
         return err_set(
             e, ERR_FORMAT,
-            "draco : version %u.%u, type %u, method %u : only sequential point clouds of version 2 "
+            "draco: version %u.%u, type %u, method %u: only sequential point clouds of version 2 "
             "hold tiles",
             major, minor, type, method);
     if (flags & FLAG_METADATA) {
@@ -145,17 +145,17 @@ enum err_code draco_check(const void *bytes, size_t n, const struct codec_limits
     bool ok = layout_attributes_match(&c, out);
     size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS;
     if (c.bad)
-        return err_set(e, ERR_FORMAT, "draco : truncated");
+        return err_set(e, ERR_FORMAT, "draco: truncated");
     if (out->n > most)
-        return err_set(e, ERR_LIMIT, "draco : %u Gaussians : the limit is %zu", out->n, most);
+        return err_set(e, ERR_LIMIT, "draco: %u Gaussians: the limit is %zu", out->n, most);
     if (!ok || !out->n || out->n / POINTS_PER_BYTE_MAX > n)
-        return err_set(e, ERR_FORMAT, "draco : %u points : not the attributes of a splat tile",
+        return err_set(e, ERR_FORMAT, "draco: %u points: not the attributes of a splat tile",
                        out->n);
     if (cursor_left(&c) < DRACO_CRC_BYTES)
-        return err_set(e, ERR_FORMAT, "draco : truncated");
+        return err_set(e, ERR_FORMAT, "draco: truncated");
     out->stream_bytes = n - DRACO_CRC_BYTES;
     c = cursor_over((const uint8_t *)bytes + out->stream_bytes, DRACO_CRC_BYTES);
     if (cursor_u32(&c) != draco_crc(bytes, out->stream_bytes))
-        return err_set(e, ERR_FORMAT, "draco : damaged or truncated, its check value differs");
+        return err_set(e, ERR_FORMAT, "draco: damaged or truncated, its check value differs");
     return ERR_OK;
 }

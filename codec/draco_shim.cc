@@ -289,7 +289,7 @@ try {
                 : c.prediction == DRACO_PREDICT_ROW;
     }
     if (!draco_encode_cloud(pc, predicted.get(), n_columns, &b, &why))
-        return err_set(e, ERR_INTERNAL, "draco : %s", why.c_str());
+        return err_set(e, ERR_INTERNAL, "draco: %s", why.c_str());
     buf_add(out, b.data(), b.size());
     return buf_check(out, e);
 }
@@ -303,7 +303,7 @@ try {
     int shift[DRACO_ID_COUNT];
     size_t count = draco_layout(q->sh_degree, q->embed_len, list);
     if (!q->n || q->n > INT32_MAX)
-        return err_set(e, ERR_LIMIT, "draco : %zu Gaussians : a file holds 1 to 2^31-1", q->n);
+        return err_set(e, ERR_LIMIT, "draco: %zu Gaussians: a file holds 1 to 2^31-1", q->n);
     draco::PointCloud pc;
     pc.set_num_points((uint32_t)q->n);
     draco_add_metadata(q, tile, &pc);
@@ -314,7 +314,7 @@ try {
     draco::EncoderBuffer b;
     std::string why;
     if (!draco_encode_cloud(pc, delta, count, &b, &why))
-        return err_set(e, ERR_INTERNAL, "draco : %s", why.c_str());
+        return err_set(e, ERR_INTERNAL, "draco: %s", why.c_str());
     buf_add(out, b.data(), b.size());
     buf_u32(out, draco_crc(b.data(), b.size()));
     return buf_check(out, e);
@@ -448,21 +448,21 @@ static enum err_code draco_read_cloud(const draco::PointCloud &pc, struct quant 
     int32_t bits = -1, antialiased = 0;
     if (!m || !m->GetEntryString("format", &format) || format != "citysplat-2" ||
         !m->GetEntryInt("frac_bits", &bits) || bits < 0 || bits > 23)
-        return err_set(e, ERR_FORMAT, "draco : not a splat tile of format citysplat-2");
+        return err_set(e, ERR_FORMAT, "draco: not a splat tile of format citysplat-2");
     q->frac_bits = (uint32_t)bits;
     q->antialiased = m->GetEntryInt("antialiased", &antialiased) && antialiased;
     if (q->embed_len && (!draco_read_numbers(m, "embed_min", q->embed_min, q->embed_len) ||
                          !draco_read_numbers(m, "embed_max", q->embed_max, q->embed_len)))
-        return err_set(e, ERR_FORMAT, "draco : ranges of the embedding are missing");
+        return err_set(e, ERR_FORMAT, "draco: ranges of the embedding are missing");
     for (size_t i = 0; i < count; i++) {
         const draco::PointAttribute *a = pc.GetAttributeByUniqueId(list[i].id);
         size_t bytes = list[i].components * draco_value_bytes(list[i].type) * q->n;
         int shift;
         if (!a || a->size() != q->n || !a->is_mapping_identity() ||
             a->buffer()->data_size() < bytes || !draco_read_shift(pc, list[i].id, &shift))
-            return err_set(e, ERR_FORMAT, "draco : attribute %s is damaged", list[i].name);
+            return err_set(e, ERR_FORMAT, "draco: attribute %s is damaged", list[i].name);
         if (!draco_copy_out(list[i], a->buffer()->data(), shift, q))
-            return err_set(e, ERR_FORMAT, "draco : attribute %s has a value out of range",
+            return err_set(e, ERR_FORMAT, "draco: attribute %s has a value out of range",
                            list[i].name);
     }
     return ERR_OK;
@@ -481,9 +481,9 @@ try {
     draco::Decoder dec;
     auto pc = dec.DecodePointCloudFromBuffer(&b);
     if (!pc.ok())
-        return err_set(e, ERR_FORMAT, "draco : damaged or truncated (%s)", pc.status().error_msg());
+        return err_set(e, ERR_FORMAT, "draco: damaged or truncated (%s)", pc.status().error_msg());
     if (pc.value()->num_points() != h.n)
-        return err_set(e, ERR_FORMAT, "draco : damaged point count");
+        return err_set(e, ERR_FORMAT, "draco: damaged point count");
     struct quant q = {};
     std::unique_ptr<struct quant, void (*)(struct quant *)> guard(&q, quant_free);
     rc = quant_alloc(&q, h.n, h.sh_degree, h.embed_len, e);

@@ -273,11 +273,11 @@ enum err_code exif_read(const char *path, struct image_gps *out, struct err *e)
     *out = (struct image_gps){0};
     FILE *f = fopen(path, "rb");
     if (!f)
-        return err_errno(e, file_exists(path) ? ERR_IO : ERR_NOENT, "exif : %s", path);
+        return err_errno(e, file_exists(path) ? ERR_IO : ERR_NOENT, "exif: %s", path);
     uint8_t *head = mem_array(HEAD_BYTES, 1);
     if (!head) {
         fclose(f);
-        return err_set(e, ERR_MEM, "exif : %s : out of memory", path);
+        return err_set(e, ERR_MEM, "exif: %s: out of memory", path);
     }
     size_t n = fread(head, 1, HEAD_BYTES, f);
     fclose(f);
@@ -578,7 +578,7 @@ enum err_code exif_insert(struct buf *file, const struct image_gps *gps, struct 
     out.failed = out.failed || blob.failed;
     buf_free(&blob);
     enum err_code rc = known ? buf_check(&out, e)
-                             : err_set(e, ERR_FORMAT, "exif : not a JPEG, PNG, WebP or TIFF file");
+                             : err_set(e, ERR_FORMAT, "exif: not a JPEG, PNG, WebP or TIFF file");
     if (!rc) {
         buf_free(file);
         *file = out;

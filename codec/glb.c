@@ -40,12 +40,12 @@ static enum err_code glb_pack(json_t *root, const struct buf *bin, struct buf *o
 {
     char *text = json_dumps(root, JSON_COMPACT | JSON_REAL_PRECISION(17));
     if (!text)
-        return err_set(e, ERR_ARG, "glb : the text given for it is not UTF-8, or out of memory");
+        return err_set(e, ERR_ARG, "glb: the text given for it is not UTF-8, or out of memory");
     size_t n = strlen(text), n_json = (n + 3) & ~(size_t)3, n_bin = (bin->size + 3) & ~(size_t)3;
     size_t total = HEAD_BYTES + 8 + n_json + 8 + n_bin;
     enum err_code rc = ERR_OK;
     if (total > UINT32_MAX) {
-        rc = err_set(e, ERR_LIMIT, "glb : %zu bytes : at most 4 GiB fit, cut the scene into tiles",
+        rc = err_set(e, ERR_LIMIT, "glb: %zu bytes: at most 4 GiB fit, cut the scene into tiles",
                      total);
     } else {
         buf_u32(out, MAGIC);
@@ -124,7 +124,7 @@ enum err_code glb_encode_spz(const struct quant *q, const char *copyright, struc
     json_t *root = NULL;
     char name[64];
     if (!q->n)
-        return err_set(e, ERR_DATA, "glb : no Gaussians : a glTF accessor cannot be empty");
+        return err_set(e, ERR_DATA, "glb: no Gaussians: a glTF accessor cannot be empty");
     enum err_code rc = spz_encode(q, 3, &spz, e);
     if (rc)
         goto out;
@@ -159,7 +159,7 @@ enum err_code glb_encode_spz(const struct quant *q, const char *copyright, struc
                               (json_int_t)spz.size);
     root = glb_document(copyright, attributes, accessors, views, spz.size, splat, true);
     rc = root ? glb_pack(root, &spz, out, e)
-              : err_set(e, ERR_ARG, "glb : the copyright text is not UTF-8, or out of memory");
+              : err_set(e, ERR_ARG, "glb: the copyright text is not UTF-8, or out of memory");
 out:
     json_decref(root);
     buf_free(&spz);
@@ -250,9 +250,9 @@ enum err_code glb_encode_plain(const struct gauss *g, const char *copyright, str
 {
     size_t bad = 0;
     if (!g->n)
-        return err_set(e, ERR_DATA, "glb : no Gaussians : a glTF accessor cannot be empty");
+        return err_set(e, ERR_DATA, "glb: no Gaussians: a glTF accessor cannot be empty");
     if (gauss_count_bad(g, &bad))
-        return err_set(e, ERR_DATA, "glb : row %zu : not finite, or no rotation", bad);
+        return err_set(e, ERR_DATA, "glb: row %zu: not finite, or no rotation", bad);
     struct plain p = {
         .g = g, .attributes = json_object(), .accessors = json_array(), .views = json_array()};
     glb_plain_fill(&p);
@@ -260,7 +260,7 @@ enum err_code glb_encode_plain(const struct gauss *g, const char *copyright, str
                                 glb_splat_extension(), false);
     enum err_code rc = buf_check(&p.bin, e);
     if (!rc && !root)
-        rc = err_set(e, ERR_ARG, "glb : the copyright text is not UTF-8, or out of memory");
+        rc = err_set(e, ERR_ARG, "glb: the copyright text is not UTF-8, or out of memory");
     if (!rc)
         rc = glb_pack(root, &p.bin, out, e);
     json_decref(root);
@@ -299,14 +299,14 @@ static enum err_code glb_find_primitive(struct glb *f, struct err *e)
         found++;
     }
     if (found != 1)
-        return err_set(e, ERR_FORMAT,
-                       "glb : %zu primitives with " EXT_SPLAT " : exactly one is read", found);
+        return err_set(e, ERR_FORMAT, "glb: %zu primitives with " EXT_SPLAT ": exactly one is read",
+                       found);
     json_array_foreach(
         json_object_get(f->root, "nodes"), i,
         node) if (json_object_get(node, "matrix") || json_object_get(node, "translation") ||
                   json_object_get(node, "rotation") ||
                   json_object_get(node, "scale")) return err_set(e, ERR_FORMAT,
-                                                                 "glb : node %zu : is transformed "
+                                                                 "glb: node %zu: is transformed "
                                                                  ": apply the transform first",
                                                                  i);
     return ERR_OK;
@@ -319,11 +319,11 @@ static enum err_code glb_open(const void *bytes, size_t n, struct glb *f, struct
     uint32_t magic = cursor_u32(&c), version = cursor_u32(&c), total = cursor_u32(&c);
     uint32_t n_json = cursor_u32(&c), type = cursor_u32(&c);
     if (c.bad || magic != MAGIC)
-        return err_set(e, ERR_FORMAT, "glb : not a binary glTF file, or truncated in its header");
+        return err_set(e, ERR_FORMAT, "glb: not a binary glTF file, or truncated in its header");
     const uint8_t *text = cursor_take(&c, n_json);
     if (version != 2 || total != n || type != CHUNK_JSON || !text)
         return err_set(e, ERR_FORMAT,
-                       "glb : version %u, %u bytes announced, %zu there : damaged or truncated",
+                       "glb: version %u, %u bytes announced, %zu there: damaged or truncated",
                        version, total, n);
     if (cursor_left(&c)) {
         uint32_t n_bin = cursor_u32(&c);
@@ -331,7 +331,7 @@ static enum err_code glb_open(const void *bytes, size_t n, struct glb *f, struct
         f->n_bin = n_bin;
         f->bin = cursor_take(&c, n_bin);
         if (!f->bin || type != CHUNK_BIN)
-            return err_set(e, ERR_FORMAT, "glb : binary chunk is damaged or truncated");
+            return err_set(e, ERR_FORMAT, "glb: binary chunk is damaged or truncated");
     }
     enum err_code rc = jsonc_parse((const char *)text, n_json, "glb", &f->root, e);
     return !rc ? glb_find_primitive(f, e) : rc;
@@ -357,10 +357,10 @@ static enum err_code glb_seek_spz(const struct glb *f, const void **spz, size_t 
     size_t at;
     if (!ext)
         return err_set(e, ERR_NOENT,
-                       "glb : no " EXT_SPZ " inside : its Gaussians are plain accessors");
+                       "glb: no " EXT_SPZ " inside: its Gaussians are plain accessors");
     if (!glb_view_bytes(f, glb_array_at(f->root, "bufferViews", json_object_get(ext, "bufferView")),
                         &at, n_spz))
-        return err_set(e, ERR_FORMAT, "glb : the SPZ payload's bufferView does not fit the file");
+        return err_set(e, ERR_FORMAT, "glb: the SPZ payload's bufferView does not fit the file");
     *spz = f->bin + at;
     return ERR_OK;
 }
@@ -404,7 +404,7 @@ static enum err_code glb_values_find(const struct glb *f, const char *name, size
     json_int_t stride = json_integer_value(json_object_get(view, "byteStride"));
     size_t at, n;
     if (!a)
-        return err_set(e, ERR_FORMAT, "glb : attribute %s is missing", name);
+        return err_set(e, ERR_FORMAT, "glb: attribute %s is missing", name);
     *v = (struct values){.component = (int)json_integer_value(json_object_get(a, "componentType")),
                          .normalized = json_is_true(json_object_get(a, "normalized"))};
     size_t row = glb_component_bytes(v->component) * width;
@@ -413,10 +413,10 @@ static enum err_code glb_values_find(const struct glb *f, const char *name, size
         stride > 252 || (stride && (size_t)stride < row) || (uint64_t)offset > n ||
         n - (size_t)offset < row)
         return err_set(e, ERR_FORMAT,
-                       "glb : attribute %s : its accessor is not of a kind that can be read", name);
+                       "glb: attribute %s: its accessor is not of a kind that can be read", name);
     v->stride = stride ? (size_t)stride : row;
     if ((uint64_t)count - 1 > (n - (size_t)offset - row) / v->stride)
-        return err_set(e, ERR_FORMAT, "glb : attribute %s : %lld rows do not fit its bufferView",
+        return err_set(e, ERR_FORMAT, "glb: attribute %s: %lld rows do not fit its bufferView",
                        name, (long long)count);
     v->count = (size_t)count;
     v->p = f->bin + at + offset;
@@ -451,8 +451,8 @@ static enum err_code glb_values_read(const struct glb *f, const char *name, size
     struct values v;
     enum err_code rc = glb_values_find(f, name, width, &v, e);
     if (!rc && v.count != n)
-        rc = err_set(e, ERR_FORMAT, "glb : attribute %s : %zu rows, POSITION has %zu", name,
-                     v.count, n);
+        rc = err_set(e, ERR_FORMAT, "glb: attribute %s: %zu rows, POSITION has %zu", name, v.count,
+                     n);
     for (size_t i = 0; !rc && i < n; i++)
         for (size_t c = 0; c < width; c++)
             out[i * out_stride + c] = glb_value_get(&v, i, c);
@@ -490,7 +490,7 @@ static enum err_code glb_decode_plain(const struct glb *f, const struct codec_li
         return rc;
     size_t n = position.count; /* no more than the file holds */
     if (n > most)
-        return err_set(e, ERR_LIMIT, "glb : %zu Gaussians : the limit is %zu", n, most);
+        return err_set(e, ERR_LIMIT, "glb: %zu Gaussians: the limit is %zu", n, most);
     while (degree < GAUSS_SH_DEGREE_MAX &&
            json_object_get(attributes, glb_sh_name(name, degree + 1, 0)))
         degree++;
@@ -512,7 +512,7 @@ static enum err_code glb_decode_plain(const struct glb *f, const struct codec_li
     if (!rc) {
         glb_from_linear(out);
         if (gauss_count_bad(out, &bad))
-            rc = err_set(e, ERR_DATA, "glb : row %zu : not finite, or no rotation", bad);
+            rc = err_set(e, ERR_DATA, "glb: row %zu: not finite, or no rotation", bad);
     }
     if (rc)
         gauss_free(out);

@@ -124,8 +124,8 @@ enum err_code image_resize(const struct image *in, uint32_t width_px, uint32_t h
     float *wide = NULL, *ring = NULL, *sum = NULL;
     *out = (struct image){0};
     if (!width_px || !height_px || !in->px || !in->width_px || !in->height_px)
-        return err_set(e, ERR_ARG, "image_resize : %u x %u to %u x %u : empty picture",
-                       in->width_px, in->height_px, width_px, height_px);
+        return err_set(e, ERR_ARG, "image_resize: %u x %u to %u x %u: empty picture", in->width_px,
+                       in->height_px, width_px, height_px);
     enum err_code rc = image_alloc(width_px, height_px, in->channels, out, e);
     if (rc)
         return rc;
@@ -140,7 +140,7 @@ enum err_code image_resize(const struct image *in, uint32_t width_px, uint32_t h
         resize_filter(in, &across, &down, wide, ring, sum, out);
     } else {
         image_free(out);
-        rc = err_set(e, ERR_MEM, "image_resize : %u x %u : out of memory", width_px, height_px);
+        rc = err_set(e, ERR_MEM, "image_resize: %u x %u: out of memory", width_px, height_px);
     }
     mem_free(wide);
     mem_free(ring);

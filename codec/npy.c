@@ -59,25 +59,25 @@ static enum err_code npy_head_parse(const char *head, size_t ndim, size_t *shape
     const char *p = npy_dict_find(head, "'shape'");
     if (!descr || !order || !p || *p != '(')
         return err_set(e, ERR_FORMAT,
-                       "npy : header is not a dictionary of descr, fortran_order, shape");
+                       "npy: header is not a dictionary of descr, fortran_order, shape");
     if (strncmp(descr, "'<f4'", 5) || strncmp(order, "False", 5))
-        return err_set(e, ERR_FORMAT, "npy : only '<f4' in C order is read, this is %.12s", descr);
+        return err_set(e, ERR_FORMAT, "npy: only '<f4' in C order is read, this is %.12s", descr);
     *count = 1;
     p++;
     for (size_t i = 0; i < ndim; i++) {
         char *end;
         unsigned long long v = strtoull(p, &end, 10);
         if (end == p || *p == '-' || (*end != ',' && *end != ')'))
-            return err_set(e, ERR_FORMAT, "npy : shape has fewer than %zu dimensions", ndim);
+            return err_set(e, ERR_FORMAT, "npy: shape has fewer than %zu dimensions", ndim);
         if (v && *count > SIZE_MAX / sizeof(float) / v)
-            return err_set(e, ERR_LIMIT, "npy : shape overflows");
+            return err_set(e, ERR_LIMIT, "npy: shape overflows");
         shape[i] = (size_t)v;
         *count *= (size_t)v;
         for (p = *end == ',' ? end + 1 : end; *p == ' '; p++)
             ;
     }
     if (*p != ')')
-        return err_set(e, ERR_FORMAT, "npy : shape has more than %zu dimensions", ndim);
+        return err_set(e, ERR_FORMAT, "npy: shape has more than %zu dimensions", ndim);
     return ERR_OK;
 }
 
@@ -89,24 +89,24 @@ enum err_code npy_decode(const void *bytes, size_t n, size_t ndim, size_t *shape
     *data = NULL;
     const uint8_t *magic = cursor_take(&c, MAGIC_BYTES + 2);
     if (!magic || memcmp(magic, "\x93NUMPY", MAGIC_BYTES) || magic[6] < 1 || magic[6] > 3)
-        return err_set(e, ERR_FORMAT, "npy : not a .npy file of version 1 to 3");
+        return err_set(e, ERR_FORMAT, "npy: not a .npy file of version 1 to 3");
     size_t n_head = magic[6] == 1 ? cursor_u16(&c) : cursor_u32(&c);
     const uint8_t *text = c.bad ? NULL : cursor_take(&c, n_head);
     if (!text)
-        return err_set(e, ERR_FORMAT, "npy : truncated in its header");
+        return err_set(e, ERR_FORMAT, "npy: truncated in its header");
     char *head = mem_array(n_head + 1, 1);
     if (!head)
-        return err_set(e, ERR_MEM, "npy : out of memory");
+        return err_set(e, ERR_MEM, "npy: out of memory");
     memcpy(head, text, n_head);
     enum err_code rc = npy_head_parse(head, ndim, shape, &count, e);
     mem_free(head);
     if (rc)
         return rc;
     if (cursor_left(&c) / sizeof **data < count)
-        return err_set(e, ERR_FORMAT, "npy : %zu values announced, room for %zu : truncated", count,
+        return err_set(e, ERR_FORMAT, "npy: %zu values announced, room for %zu: truncated", count,
                        cursor_left(&c) / sizeof **data);
     if (!(*data = mem_array(count, sizeof **data)))
-        return err_set(e, ERR_MEM, "npy : %zu values : out of memory", count);
+        return err_set(e, ERR_MEM, "npy: %zu values: out of memory", count);
     if (count)
         memcpy(*data, c.p, count * sizeof **data);
     return ERR_OK;

@@ -282,7 +282,7 @@ static enum err_code payload_pack(const uint8_t *plain, size_t n, size_t rows, u
     *room = to.pos;
     /* There is room for the bound of all blocks, so one call finishes each. */
     return c && bad == 0 ? ERR_OK
-                         : err_set(e, ERR_MEM, "payload : zstd : %s",
+                         : err_set(e, ERR_MEM, "payload: zstd: %s",
                                    c ? ZSTD_getErrorName(bad) : "out of memory");
 }
 
@@ -294,7 +294,7 @@ enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *o
     size_t bad = 0, start = out->size, bytes = payload_plain_bytes(g, lossless);
     bool good = true;
     if (g->n > UINT32_MAX)
-        return err_set(e, ERR_LIMIT, "payload : %zu Gaussians in one tile", g->n);
+        return err_set(e, ERR_LIMIT, "payload: %zu Gaussians in one tile", g->n);
     buf_add(out, "CSPT", 4);
     buf_u16(out, VERSION);
     buf_u8(out, (lossless ? FLAG_LOSSLESS : 0u) | (g->antialiased ? FLAG_ANTIALIASED : 0u));
@@ -311,7 +311,7 @@ enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *o
     if (!rc)
         rc = buf_check(out, e);
     if (!rc && !lossless && !(quats = payload_unit_quats(g)))
-        rc = err_set(e, ERR_MEM, "payload : %zu Gaussians : out of memory", g->n);
+        rc = err_set(e, ERR_MEM, "payload: %zu Gaussians: out of memory", g->n);
     if (!rc) {
         payload_planes_of(g, lossless, planes);
         if (quats)
@@ -322,7 +322,7 @@ enum err_code payload_encode(const struct gauss *g, bool lossless, struct buf *o
         }
         /* A rotation of 0 has become NaN, but not where it is kept as it is. */
         if ((!good || lossless) && gauss_count_bad(g, &bad))
-            rc = err_set(e, ERR_DATA, "payload : row %zu : not finite, or no rotation", bad);
+            rc = err_set(e, ERR_DATA, "payload: row %zu: not finite, or no rotation", bad);
     }
     if (!rc) {
         rc = payload_pack(plain.data, bytes, g->n, packed, &bound, e);
@@ -350,14 +350,14 @@ static enum err_code payload_head_read(struct cursor *c, const struct codec_limi
         g->origin_enu_m[i] = cursor_f64(c);
     uint64_t bytes = cursor_u64(c);
     if (c->bad || memcmp(magic, "CSPT", 4))
-        return err_set(e, ERR_FORMAT, "payload : not a tile payload, or truncated in its head");
+        return err_set(e, ERR_FORMAT, "payload: not a tile payload, or truncated in its head");
     if (version != VERSION)
-        return err_set(e, ERR_FORMAT, "payload : version %u : this program reads %d", version,
+        return err_set(e, ERR_FORMAT, "payload: version %u: this program reads %d", version,
                        VERSION);
     if (g->sh_degree > GAUSS_SH_DEGREE_MAX || g->embed_len > GAUSS_EMBED_MAX ||
         flags & ~(unsigned)(FLAG_LOSSLESS | FLAG_ANTIALIASED) || !isfinite(g->origin_enu_m[0]) ||
         !isfinite(g->origin_enu_m[1]) || !isfinite(g->origin_enu_m[2]))
-        return err_set(e, ERR_FORMAT, "payload : head is damaged");
+        return err_set(e, ERR_FORMAT, "payload: head is damaged");
     *lossless = flags & FLAG_LOSSLESS;
     g->antialiased = flags & FLAG_ANTIALIASED;
     *plain = payload_plain_bytes(g, *lossless);
@@ -365,10 +365,10 @@ static enum err_code payload_head_read(struct cursor *c, const struct codec_limi
     size_t most_bytes = lim && lim->max_bytes ? lim->max_bytes : CODEC_MAX_BYTES;
     if (g->n > most || *plain > most_bytes)
         return err_set(e, ERR_LIMIT,
-                       "payload : %zu Gaussians, %zu bytes : the limits are %zu and %zu", g->n,
+                       "payload: %zu Gaussians, %zu bytes: the limits are %zu and %zu", g->n,
                        *plain, most, most_bytes);
     if (bytes != *plain || *plain / ZSTD_GROWTH_MAX > cursor_left(c))
-        return err_set(e, ERR_FORMAT, "payload : %zu Gaussians do not fit its %zu bytes", g->n,
+        return err_set(e, ERR_FORMAT, "payload: %zu Gaussians do not fit its %zu bytes", g->n,
                        cursor_left(c));
     return ERR_OK;
 }
@@ -390,7 +390,7 @@ enum err_code payload_decode(const void *bytes, size_t n, const struct codec_lim
     if (!rc) {
         size_t got = ZSTD_decompress(p, n_plain, c.p, cursor_left(&c));
         if (ZSTD_isError(got) || got != n_plain)
-            rc = err_set(e, ERR_FORMAT, "payload : zstd : %s",
+            rc = err_set(e, ERR_FORMAT, "payload: zstd: %s",
                          ZSTD_isError(got) ? ZSTD_getErrorName(got) : "too short");
     }
     if (!rc)
@@ -406,7 +406,7 @@ enum err_code payload_decode(const void *bytes, size_t n, const struct codec_lim
         }
         size_t bad = 0;
         if (gauss_count_bad(out, &bad)) {
-            rc = err_set(e, ERR_FORMAT, "payload : row %zu : not finite, or no rotation", bad);
+            rc = err_set(e, ERR_FORMAT, "payload: row %zu: not finite, or no rotation", bad);
             gauss_free(out);
         }
     }

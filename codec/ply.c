@@ -48,7 +48,7 @@ static enum err_code ply_columns_find(const struct ply_element *v, struct column
     size_t n = 0;
     for (int i = 0; i < N_FIXED; i++)
         if (!(out->fixed[i] = ply_head_property(v, fixed_names[i])))
-            return err_set(e, ERR_FORMAT, "ply : property %s is missing : not a file of Gaussians",
+            return err_set(e, ERR_FORMAT, "ply: property %s is missing: not a file of Gaussians",
                            fixed_names[i]);
     for (; n < N_REST_MAX; n++) {
         snprintf(name, sizeof name, "f_rest_%zu", n);
@@ -58,7 +58,7 @@ static enum err_code ply_columns_find(const struct ply_element *v, struct column
     out->n_rest = n / 3;
     if (n != 0 && n != 9 && n != 24 && n != 45 && n != 72)
         return err_set(e, ERR_FORMAT,
-                       "ply : %zu f_rest properties : 0, 9, 24 or 45 make whole SH degrees", n);
+                       "ply: %zu f_rest properties: 0, 9, 24 or 45 make whole SH degrees", n);
     out->sh_degree = n >= 45 ? 3 : n >= 24 ? 2 : n >= 9 ? 1 : 0;
     return ERR_OK;
 }
@@ -73,20 +73,19 @@ static enum err_code ply_ascii_rows(const struct ply_head *h, const struct ply_e
         lists = lists || v->props[i].type == PLY_LIST;
     if (&h->elements[0] != v || lists)
         return err_set(e, ERR_FORMAT,
-                       "ply : in text form the vertices must come first and hold no lists");
+                       "ply: in text form the vertices must come first and hold no lists");
     if (n > h->n_body / (2 * v->n_props) + 1)
-        return err_set(e, ERR_FORMAT, "ply : %zu rows announced in %zu bytes of text : truncated",
-                       n, h->n_body);
+        return err_set(e, ERR_FORMAT, "ply: %zu rows announced in %zu bytes of text: truncated", n,
+                       h->n_body);
     char *text = mem_array(h->n_body + 1, 1), *p = text, *end;
     double *out = *rows = mem_array(n, v->n_props * sizeof *out);
-    enum err_code rc = text && out ? ERR_OK : err_set(e, ERR_MEM, "ply : out of memory");
+    enum err_code rc = text && out ? ERR_OK : err_set(e, ERR_MEM, "ply: out of memory");
     if (!rc && h->n_body)
         memcpy(text, h->body, h->n_body);
     for (size_t i = 0; !rc && i < n * v->n_props; i++, p = end) {
         out[i] = strtod(p, &end);
         if (end == p)
-            rc = err_set(e, ERR_FORMAT, "ply : row %zu : not a number, or truncated",
-                         i / v->n_props);
+            rc = err_set(e, ERR_FORMAT, "ply: row %zu: not a number, or truncated", i / v->n_props);
     }
     mem_free(text);
     return rc;
@@ -156,15 +155,15 @@ static enum err_code ply_inria_read(const struct ply_head *h, const struct codec
     size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS, bad = 0,
            n_bad;
     if (!v)
-        return err_set(e, ERR_FORMAT, "ply : no element vertex");
+        return err_set(e, ERR_FORMAT, "ply: no element vertex");
     enum err_code rc = ply_columns_find(v, &col, e);
     if (!rc && v->count > most)
-        rc = err_set(e, ERR_LIMIT, "ply : %zu Gaussians : the limit is %zu", v->count, most);
+        rc = err_set(e, ERR_LIMIT, "ply: %zu Gaussians: the limit is %zu", v->count, most);
     if (!rc && h->format == PLY_ASCII)
         rc = ply_ascii_rows(h, v, v->count, &text, e);
     else if (!rc && !v->rows)
         rc = err_set(e, ERR_FORMAT,
-                     "ply : the vertices stand behind or hold lists, which are not read");
+                     "ply: the vertices stand behind or hold lists, which are not read");
     if (!rc)
         rc = gauss_alloc(out, v->count, col.sh_degree, 0, e);
     if (!rc) {
@@ -174,7 +173,7 @@ static enum err_code ply_inria_read(const struct ply_head *h, const struct codec
         ply_rows_read(&s, &col, out);
         if ((n_bad = gauss_count_bad(out, &bad)))
             rc = err_set(e, ERR_DATA,
-                         "ply : row %zu : not finite, or no rotation (%zu such rows) : remove them",
+                         "ply: row %zu: not finite, or no rotation (%zu such rows): remove them",
                          bad, n_bad);
     }
     if (rc)
@@ -237,7 +236,7 @@ enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, str
     size_t bad = 0, start = out->size;
     bool doubles = false;
     if (gauss_count_bad(g, &bad))
-        return err_set(e, ERR_DATA, "ply : row %zu : not finite, or no rotation", bad);
+        return err_set(e, ERR_DATA, "ply: row %zu: not finite, or no rotation", bad);
     for (size_t i = 0; i < 3 * g->n && !doubles; i++)
         doubles = fabs((double)g->mean_m[i] + g->origin_enu_m[i % 3]) > FLOAT_REACH_M;
     if (doubles && g->origin_enu_m[0] == 0 && g->origin_enu_m[1] == 0 && g->origin_enu_m[2] == 0)
@@ -247,7 +246,7 @@ enum err_code ply_encode(const struct gauss *g, const struct ply_info *info, str
     uint8_t *p = g->n <= SIZE_MAX / row ? buf_grow(out, g->n * row) : NULL;
     if (!p) {
         out->size = start;
-        return err_set(e, ERR_MEM, "ply : %zu Gaussians : out of memory", g->n);
+        return err_set(e, ERR_MEM, "ply: %zu Gaussians: out of memory", g->n);
     }
     for (size_t i = 0; i < g->n; i++) {
         const float *sh = g->sh + 3 * k * i;

@@ -81,7 +81,7 @@ static enum err_code head_element_read(struct ply_head *h, const char *name, con
     if (h->n_elements == ELEMENTS_MAX)
         return err_set(e, ERR_LIMIT, "more than %d elements", ELEMENTS_MAX);
     if (end == count || *end || *count == '-' || n > SIZE_MAX / 8)
-        return err_set(e, ERR_FORMAT, "element %.40s : count '%.40s' is not a number", name, count);
+        return err_set(e, ERR_FORMAT, "element %.40s: count '%.40s' is not a number", name, count);
     if (!h->elements) {
         h->elements = arena_get(&h->arena, ELEMENTS_MAX, sizeof *h->elements);
         if (!h->elements)
@@ -105,7 +105,7 @@ static enum err_code head_property_read(struct ply_head *h, const char *type, co
     struct ply_element *el = &h->elements[h->n_elements - 1];
     struct ply_property *p = &el->props[el->n_props];
     if (el->n_props == PROPERTIES_MAX)
-        return err_set(e, ERR_LIMIT, "element %.40s : more than %d properties", el->name,
+        return err_set(e, ERR_LIMIT, "element %.40s: more than %d properties", el->name,
                        PROPERTIES_MAX);
     if (!strcmp(type, "list"))
         p->type = PLY_LIST;
@@ -172,8 +172,8 @@ static enum err_code head_place_rows(struct ply_head *h, struct err *e)
             continue;
         if (el->row_bytes && el->count > left / el->row_bytes)
             return err_set(e, ERR_FORMAT,
-                           "ply : element %.40s : %zu rows of %zu bytes announced, %zu bytes are "
-                           "there : truncated",
+                           "ply: element %.40s: %zu rows of %zu bytes announced, %zu bytes are "
+                           "there: truncated",
                            el->name, el->count, el->row_bytes, left);
         el->rows = at;
         at += el->count * el->row_bytes;
@@ -189,19 +189,19 @@ enum err_code ply_head_read(const void *bytes, size_t n, struct ply_head *out, s
     bool format_seen = false, done = false;
     *out = (struct ply_head){0};
     if (!head_next_line(&c, line) || strcmp(line, "ply"))
-        return err_set(e, ERR_FORMAT, "ply : not a .ply file");
+        return err_set(e, ERR_FORMAT, "ply: not a .ply file");
     for (size_t i = 2; !done; i++) {
         if (i > LINES_MAX || !head_next_line(&c, line))
-            return err_set(e, ERR_FORMAT, "ply : line %zu : truncated, too long, or no end_header",
+            return err_set(e, ERR_FORMAT, "ply: line %zu: truncated, too long, or no end_header",
                            i);
         enum err_code rc = head_line_read(out, line, &format_seen, &done, e);
         if (rc) {
-            err_add(e, "ply : line %zu", i);
+            err_add(e, "ply: line %zu", i);
             return rc;
         }
     }
     if (!format_seen)
-        return err_set(e, ERR_FORMAT, "ply : no format line in the header");
+        return err_set(e, ERR_FORMAT, "ply: no format line in the header");
     out->body = c.p;
     out->n_body = cursor_left(&c);
     return head_place_rows(out, e);

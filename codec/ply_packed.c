@@ -57,10 +57,10 @@ static enum err_code packed_find(const struct ply_head *h, struct packed *p, str
         p->field[i] = ply_head_property(p->vertex, packed_names[i]);
     for (int i = 0; i < 12; i++)
         if (!p->range[i])
-            return err_set(e, ERR_FORMAT, "ply : property %s is missing", range_names[i]);
+            return err_set(e, ERR_FORMAT, "ply: property %s is missing", range_names[i]);
     for (int i = 0; i < N_PACKED; i++)
         if (!p->field[i] || p->field[i]->type != PLY_U32)
-            return err_set(e, ERR_FORMAT, "ply : property %s is missing or no uint",
+            return err_set(e, ERR_FORMAT, "ply: property %s is missing or no uint",
                            packed_names[i]);
     p->has_color_range = true;
     for (int i = 12; i < N_RANGES; i++)
@@ -73,12 +73,12 @@ static enum err_code packed_find(const struct ply_head *h, struct packed *p, str
     p->n_rest = n / 3;
     if (n != 0 && n != 9 && n != 24 && n != 45)
         return err_set(e, ERR_FORMAT,
-                       "ply : %zu f_rest properties : 0, 9, 24 or 45 make whole SH degrees", n);
+                       "ply: %zu f_rest properties: 0, 9, 24 or 45 make whole SH degrees", n);
     if (!p->chunk->rows || !p->vertex->rows || (p->sh && !p->sh->rows))
-        return err_set(e, ERR_FORMAT, "ply : a compressed file must be binary, without lists");
+        return err_set(e, ERR_FORMAT, "ply: a compressed file must be binary, without lists");
     if (p->chunk->count < (p->vertex->count + CHUNK - 1) / CHUNK ||
         (p->sh && p->sh->count < p->vertex->count))
-        return err_set(e, ERR_FORMAT, "ply : %zu chunks, %zu sh rows : too few for %zu Gaussians",
+        return err_set(e, ERR_FORMAT, "ply: %zu chunks, %zu sh rows: too few for %zu Gaussians",
                        p->chunk->count, p->sh ? p->sh->count : 0, p->vertex->count);
     return ERR_OK;
 }
@@ -144,7 +144,7 @@ enum err_code ply_packed_read(const struct ply_head *h, const struct codec_limit
     size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS, bad = 0;
     enum err_code rc = packed_find(h, &p, e);
     if (!rc && p.vertex->count > most)
-        rc = err_set(e, ERR_LIMIT, "ply : %zu Gaussians : the limit is %zu", p.vertex->count, most);
+        rc = err_set(e, ERR_LIMIT, "ply: %zu Gaussians: the limit is %zu", p.vertex->count, most);
     if (!rc)
         rc = gauss_alloc(out, p.vertex->count,
                          p.n_rest >= 15  ? 3
@@ -164,7 +164,7 @@ enum err_code ply_packed_read(const struct ply_head *h, const struct codec_limit
         packed_row_read(&p, range, i, out);
     }
     if (gauss_count_bad(out, &bad)) {
-        rc = err_set(e, ERR_DATA, "ply : row %zu : not finite, or no rotation", bad);
+        rc = err_set(e, ERR_DATA, "ply: row %zu: not finite, or no rotation", bad);
         gauss_free(out);
     }
     return rc;

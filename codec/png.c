@@ -107,7 +107,7 @@ static enum err_code png_write(const uint8_t *bytes, uint32_t width_px, uint32_t
     mem_free(scratch);
     mem_free(filtered);
     mem_free(idat);
-    return ok ? buf_check(out, e) : err_set(e, ERR_MEM, "png : out of memory");
+    return ok ? buf_check(out, e) : err_set(e, ERR_MEM, "png: out of memory");
 }
 
 static bool png_fits(uint32_t width_px, uint32_t height_px)
@@ -120,7 +120,7 @@ enum err_code png_encode(const uint8_t *px, uint32_t width_px, uint32_t height_p
 {
     const uint8_t kind[2] = {8, channels == 1 ? 0 : channels == 3 ? 2 : 6};
     if (!png_fits(width_px, height_px) || (channels != 1 && channels != 3 && channels != 4))
-        return err_set(e, ERR_ARG, "png : %u x %u px of %u channels : 1 to %d px, 1, 3 or 4",
+        return err_set(e, ERR_ARG, "png: %u x %u px of %u channels: 1 to %d px, 1, 3 or 4",
                        width_px, height_px, channels, PNG_SIDE_MAX);
     return png_write(px, width_px, height_px, channels, kind, NULL, 0, out, e);
 }
@@ -133,7 +133,7 @@ enum err_code png_encode_grey16(const uint16_t *px, uint32_t width_px, uint32_t 
     size_t n = (size_t)width_px * height_px, n_key = strlen(keyword);
     struct buf chunk = {0};
     if (!png_fits(width_px, height_px) || !n_key || n_key > PNG_KEYWORD_MAX)
-        return err_set(e, ERR_ARG, "png : %u x %u px with text \"%.80s\" : 1 to %d px", width_px,
+        return err_set(e, ERR_ARG, "png: %u x %u px with text \"%.80s\": 1 to %d px", width_px,
                        height_px, keyword, PNG_SIDE_MAX);
     uint8_t *bytes = mem_array(n, 2);
     for (size_t i = 0; bytes && i < n; i++) {
@@ -142,7 +142,7 @@ enum err_code png_encode_grey16(const uint16_t *px, uint32_t width_px, uint32_t 
     }
     buf_add(&chunk, keyword, n_key + 1);
     buf_add(&chunk, text, strlen(text));
-    enum err_code rc = bytes ? buf_check(&chunk, e) : err_set(e, ERR_MEM, "png : out of memory");
+    enum err_code rc = bytes ? buf_check(&chunk, e) : err_set(e, ERR_MEM, "png: out of memory");
     if (!rc)
         rc = png_write(bytes, width_px, height_px, 2, kind, (const char *)chunk.data, chunk.size,
                        out, e);

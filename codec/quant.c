@@ -57,13 +57,13 @@ enum err_code quant_alloc(struct quant *q, size_t n, uint32_t sh_degree, uint32_
 {
     *q = (struct quant){0};
     if (sh_degree > GAUSS_SH_DEGREE_MAX || embed_len > GAUSS_EMBED_MAX)
-        return err_set(e, ERR_LIMIT, "quant : SH degree %u, embedding of %u : at most %d and %d",
+        return err_set(e, ERR_LIMIT, "quant: SH degree %u, embedding of %u: at most %d and %d",
                        sh_degree, embed_len, GAUSS_SH_DEGREE_MAX, GAUSS_EMBED_MAX);
     size_t sh = 3 * (gauss_sh_count(sh_degree) - 1);
     size_t row = 3 * sizeof *q->position + sizeof *q->rotation + 1 + 3 + 3 + sh + embed_len;
     uint8_t *p = q->block = mem_array(n, row);
     if (!p)
-        return err_set(e, ERR_MEM, "quant : %zu Gaussians : out of memory", n);
+        return err_set(e, ERR_MEM, "quant: %zu Gaussians: out of memory", n);
     q->n = n;
     q->sh_degree = sh_degree;
     q->embed_len = embed_len;
@@ -234,7 +234,7 @@ static enum err_code quant_choose_position(const struct gauss *g, const struct q
         bits--;
     if (!quant_position_fits(reach, bits, want))
         return err_set(e, ERR_LIMIT,
-                       "quant : row %zu : %.1f m from the origin : 24 bits reach %.0f m at the "
+                       "quant: row %zu: %.1f m from the origin: 24 bits reach %.0f m at the "
                        "precision that Gaussians of %.2g m need ; cut the scene into tiles or move "
                        "the origin",
                        row, (double)reach, ldexp(POSITION_LIMIT, -(int)least), exp2(sigma));
@@ -250,7 +250,7 @@ static enum err_code quant_check_rows(const struct gauss *g, struct err *e)
         return ERR_OK;
     const float *q = g->quat_wxyz + 4 * bad;
     bool zero = q[0] == 0 && q[1] == 0 && q[2] == 0 && q[3] == 0;
-    return err_set(e, ERR_DATA, "quant : row %zu : %s", bad,
+    return err_set(e, ERR_DATA, "quant: row %zu: %s", bad,
                    zero ? "rotation quaternion is zero" : "not a finite number");
 }
 

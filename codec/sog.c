@@ -138,7 +138,7 @@ static enum err_code sog_put_indexed(struct sog_writer *w, const char *key, size
     float book[CLUSTER_BOOK];
     uint8_t *index = mem_uninit(g->n, 3);
     enum err_code rc = index ? cluster_values(v, 3 * g->n, book, index, e)
-                             : err_set(e, ERR_MEM, "sog : out of memory");
+                             : err_set(e, ERR_MEM, "sog: out of memory");
     if (!rc) {
         sog_clear(w);
         for (size_t i = 0; i < g->n; i++) {
@@ -161,7 +161,7 @@ static enum err_code sog_put_color(struct sog_writer *w, struct err *e)
     const size_t k = 3 * gauss_sh_count(g->sh_degree);
     float *dc = mem_uninit(g->n, 3 * sizeof *dc);
     if (!dc)
-        return err_set(e, ERR_MEM, "sog : out of memory");
+        return err_set(e, ERR_MEM, "sog: out of memory");
     for (size_t i = 0; i < g->n; i++)
         memcpy(dc + 3 * i, g->sh + k * i, 3 * sizeof *dc);
     enum err_code rc = sog_put_indexed(w, "sh0", 5, dc, true, e);
@@ -187,7 +187,7 @@ static enum err_code sog_palette_find(const struct gauss *g, struct sog_palette 
     p->label = mem_uninit(g->n, sizeof *p->label);
     p->index = mem_uninit(p->most, d);
     if (!p->rows || !p->mean || !p->label || !p->index)
-        return err_set(e, ERR_MEM, "sog : out of memory");
+        return err_set(e, ERR_MEM, "sog: out of memory");
     for (size_t i = 0; i < g->n; i++)
         for (size_t c = 0; c < d; c++)
             p->rows[d * i + c] = sog_flip_sh[c / 3] * g->sh[k * i + 3 + c];
@@ -201,7 +201,7 @@ static enum err_code sog_put_palette(struct sog_writer *w, struct sog_palette *p
     float book[CLUSTER_BOOK];
     enum err_code rc = cluster_values(p->mean, p->n * 3 * p->coefs, book, p->index, e);
     if (!rc && !(p->px = mem_array((size_t)columns * rows, 4)))
-        rc = err_set(e, ERR_MEM, "sog : out of memory");
+        rc = err_set(e, ERR_MEM, "sog: out of memory");
     if (rc)
         return rc;
     for (size_t t = 0; t < (size_t)columns * rows; t++) {
@@ -250,9 +250,9 @@ static enum err_code sog_begin(struct sog_writer *w, struct err *e)
     const struct gauss *g = w->g;
     size_t bad;
     if (!g->n)
-        return err_set(e, ERR_DATA, "sog : no Gaussians : a texture cannot be empty");
+        return err_set(e, ERR_DATA, "sog: no Gaussians: a texture cannot be empty");
     if (gauss_count_bad(g, &bad))
-        return err_set(e, ERR_DATA, "sog : row %zu : not finite, or no rotation", bad);
+        return err_set(e, ERR_DATA, "sog: row %zu: not finite, or no rotation", bad);
     w->width_px = 4 * (uint32_t)ceil(sqrt((double)g->n) / 4);
     w->height_px = 4 * (uint32_t)ceil((double)g->n / w->width_px / 4);
     w->px = mem_uninit((size_t)w->width_px * w->height_px, 4);
@@ -261,14 +261,14 @@ static enum err_code sog_begin(struct sog_writer *w, struct err *e)
                         "citysplat " CITYSPLAT_VERSION, "count", (json_int_t)g->n);
     if (w->meta && g->antialiased)
         json_object_set_new(w->meta, "antialias", json_true());
-    return w->px && w->meta ? ERR_OK : err_set(e, ERR_MEM, "sog : out of memory");
+    return w->px && w->meta ? ERR_OK : err_set(e, ERR_MEM, "sog: out of memory");
 }
 
 static enum err_code sog_end(struct sog_writer *w, struct buf *out, struct err *e)
 {
     char *text = json_dumps(w->meta, JSON_COMPACT | JSON_REAL_PRECISION(9));
     if (!text)
-        return err_set(e, ERR_MEM, "sog : out of memory");
+        return err_set(e, ERR_MEM, "sog: out of memory");
     buf_add(&w->part[0].bytes, text, strlen(text));
     free(text);
     enum err_code rc = buf_check(&w->part[0].bytes, e);
@@ -279,7 +279,7 @@ enum err_code sog_encode(const struct gauss *g, uint32_t sh_degree, struct buf *
 {
     struct sog_writer w = {.g = g};
     if (sh_degree > g->sh_degree)
-        return err_set(e, ERR_ARG, "sog : degree %u of Gaussians of degree %u", sh_degree,
+        return err_set(e, ERR_ARG, "sog: degree %u of Gaussians of degree %u", sh_degree,
                        g->sh_degree);
     enum err_code rc = sog_begin(&w, e);
     if (!rc)

@@ -39,15 +39,15 @@ static enum err_code sog_load(struct sog_reader *r, const char *key, size_t k, s
     const size_t most_px = 4 * least + SOG_EDGE_SPARE_PX;
     struct buf b = {0};
     if (!name)
-        return err_set(e, ERR_FORMAT, "sog : %s has no file %zu", key, k);
+        return err_set(e, ERR_FORMAT, "sog: %s has no file %zu", key, k);
     enum err_code rc = archive_get(r->zip, name, 8 * most_px, &b, e);
     if (!rc)
         rc = webp_decode(b.data, b.size, most_px, &out->px, &out->width_px, &out->height_px, e);
     if (!rc && (size_t)out->width_px * out->height_px < least)
-        rc = err_set(e, ERR_FORMAT, "%u x %u px : too few for %zu", out->width_px, out->height_px,
+        rc = err_set(e, ERR_FORMAT, "%u x %u px: too few for %zu", out->width_px, out->height_px,
                      least);
     if (rc) {
-        err_add(e, "sog : %s", name);
+        err_add(e, "sog: %s", name);
         mem_free(out->px);
         out->px = NULL;
     }
@@ -61,13 +61,13 @@ static enum err_code sog_numbers(const struct sog_reader *r, const char *key, co
     const json_t *list = json_object_get(json_object_get(r->meta, key), member);
     const size_t there = json_array_size(list);
     if (!there || there > n)
-        return err_set(e, ERR_FORMAT, "sog : %s.%s : %zu numbers : 1 to %zu are expected", key,
-                       member, there, n);
+        return err_set(e, ERR_FORMAT, "sog: %s.%s: %zu numbers: 1 to %zu are expected", key, member,
+                       there, n);
     for (size_t i = 0; i < n; i++) {
         const json_t *v = json_array_get(list, i < there ? i : there - 1);
         double x = json_number_value(v);
         if (!json_is_number(v) || !isfinite(x))
-            return err_set(e, ERR_FORMAT, "sog : %s.%s[%zu] is no number", key, member, i);
+            return err_set(e, ERR_FORMAT, "sog: %s.%s[%zu] is no number", key, member, i);
         out[i] = (float)x;
     }
     return ERR_OK;
@@ -108,7 +108,7 @@ static enum err_code sog_get_quats(struct sog_reader *r, struct err *e)
         const int largest = texel[3] - SOG_QUAT_TAG;
         float *q = r->g->quat_wxyz + 4 * i, sum = 0;
         if (largest < 0) {
-            rc = err_set(e, ERR_FORMAT, "sog : quats : row %zu : %u is no component", i, texel[3]);
+            rc = err_set(e, ERR_FORMAT, "sog: quats: row %zu: %u is no component", i, texel[3]);
             break;
         }
         for (int c = 0; c < 4; c++)
@@ -165,15 +165,14 @@ static enum err_code sog_get_harmonics(struct sog_reader *r, size_t n_palette, s
     if (!rc)
         rc = sog_load(r, "shN", 0, rows * SOG_PALETTE_COLUMNS * coefs, &palette, e);
     if (!rc && palette.width_px != SOG_PALETTE_COLUMNS * coefs)
-        rc = err_set(e, ERR_FORMAT, "sog : shN : the palette is %u px wide, not %zu",
+        rc = err_set(e, ERR_FORMAT, "sog: shN: the palette is %u px wide, not %zu",
                      palette.width_px, SOG_PALETTE_COLUMNS * coefs);
     if (!rc)
         rc = sog_load(r, "shN", 1, r->n, &label, e);
     for (size_t i = 0; !rc && i < r->n; i++) {
         const size_t row = label.px[4 * i] | (size_t)label.px[4 * i + 1] << 8;
         if (row >= n_palette) {
-            rc =
-                err_set(e, ERR_FORMAT, "sog : shN : row %zu : label %zu of %zu", i, row, n_palette);
+            rc = err_set(e, ERR_FORMAT, "sog: shN: row %zu: label %zu of %zu", i, row, n_palette);
             break;
         }
         for (size_t c = 0; c < 3 * coefs; c++)
@@ -203,13 +202,13 @@ static enum err_code sog_head(struct sog_reader *r, const struct codec_limits *l
     const json_int_t bands = sh ? json_integer_value(json_object_get(sh, "bands")) : 0;
     const json_int_t palette = sh ? json_integer_value(json_object_get(sh, "count")) : 0;
     if (version != 2)
-        return err_set(e, ERR_FORMAT, "sog : version %lld : 2 is read", (long long)version);
+        return err_set(e, ERR_FORMAT, "sog: version %lld: 2 is read", (long long)version);
     if (n < 1 || (uint64_t)n > most)
-        return err_set(e, n < 1 ? ERR_FORMAT : ERR_LIMIT,
-                       "sog : %lld Gaussians : 1 to %zu are read", (long long)n, most);
+        return err_set(e, n < 1 ? ERR_FORMAT : ERR_LIMIT, "sog: %lld Gaussians: 1 to %zu are read",
+                       (long long)n, most);
     if (sh &&
         (bands < 1 || bands > GAUSS_SH_DEGREE_MAX || palette < 1 || palette > SOG_PALETTE_MOST))
-        return err_set(e, ERR_FORMAT, "sog : shN : %lld bands, %lld rows : 1 to 3, 1 to %d",
+        return err_set(e, ERR_FORMAT, "sog: shN: %lld bands, %lld rows: 1 to 3, 1 to %d",
                        (long long)bands, (long long)palette, SOG_PALETTE_MOST);
     *n_palette = (size_t)palette;
     r->n = (size_t)n;
@@ -241,7 +240,7 @@ enum err_code sog_decode(const void *bytes, size_t n, const struct codec_limits 
         out->antialiased = json_is_true(json_object_get(r.meta, "antialias"));
     }
     if (!rc && gauss_count_bad(out, &bad))
-        rc = err_set(e, ERR_DATA, "sog : row %zu : not finite, or no rotation", bad);
+        rc = err_set(e, ERR_DATA, "sog: row %zu: not finite, or no rotation", bad);
     if (rc)
         gauss_free(out);
     json_decref(r.meta);

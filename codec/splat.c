@@ -41,10 +41,9 @@ enum err_code splat_decode(const void *bytes, size_t n, const struct codec_limit
     struct cursor c = cursor_over(bytes, n);
     *out = (struct gauss){0};
     if (!n || n % ROW_BYTES)
-        return err_set(e, ERR_FORMAT, "splat : %zu bytes : not a multiple of %d", n, ROW_BYTES);
+        return err_set(e, ERR_FORMAT, "splat: %zu bytes: not a multiple of %d", n, ROW_BYTES);
     if (n / ROW_BYTES > most)
-        return err_set(e, ERR_LIMIT, "splat : %zu Gaussians : the limit is %zu", n / ROW_BYTES,
-                       most);
+        return err_set(e, ERR_LIMIT, "splat: %zu Gaussians: the limit is %zu", n / ROW_BYTES, most);
     enum err_code rc = gauss_alloc(out, n / ROW_BYTES, 0, 0, e);
     if (rc)
         return rc;
@@ -52,7 +51,7 @@ enum err_code splat_decode(const void *bytes, size_t n, const struct codec_limit
     for (size_t i = 0; i < out->n; i++)
         splat_row_read(&c, i, out);
     if (gauss_count_bad(out, &bad)) {
-        rc = err_set(e, ERR_FORMAT, "splat : row %zu : not finite, or no rotation", bad);
+        rc = err_set(e, ERR_FORMAT, "splat: row %zu: not finite, or no rotation", bad);
         gauss_free(out);
     }
     return rc;

@@ -96,7 +96,7 @@ static enum err_code spz_gzip_write(const struct buf *plain, struct buf *out, st
     size_t n = p ? libdeflate_gzip_compress(c, plain->data, plain->size, p, bound) : 0;
     libdeflate_free_compressor(c);
     if (!n)
-        return err_set(e, ERR_MEM, "spz : out of memory");
+        return err_set(e, ERR_MEM, "spz: out of memory");
     out->size = start + n;
     return ERR_OK;
 }
@@ -117,7 +117,7 @@ static enum err_code spz_zstd_write(const struct quant *q, const struct spz_head
             return buf_check(out, e);
         written[s] = ZSTD_compress(p, bound, plain, n, ZSTD_LEVEL);
         if (ZSTD_isError(written[s]))
-            return err_set(e, ERR_MEM, "spz : zstd : %s", ZSTD_getErrorName(written[s]));
+            return err_set(e, ERR_MEM, "spz: zstd: %s", ZSTD_getErrorName(written[s]));
         out->size = at + written[s];
         plain += n;
     }
@@ -134,9 +134,9 @@ enum err_code spz_encode(const struct quant *q, int version, struct buf *out, st
 {
     struct buf plain = {0};
     if (version != 3 && version != 4)
-        return err_set(e, ERR_ARG, "spz : version %d : 3 and 4 are written", version);
+        return err_set(e, ERR_ARG, "spz: version %d: 3 and 4 are written", version);
     if (q->n > INT32_MAX || (version == 4 && !q->n))
-        return err_set(e, ERR_LIMIT, "spz : %zu Gaussians : a file holds 1 to 2^31-1", q->n);
+        return err_set(e, ERR_LIMIT, "spz: %zu Gaussians: a file holds 1 to 2^31-1", q->n);
     struct spz_head h = {
         .version = (uint32_t)version, .n = (uint32_t)q->n, .sh_degree = q->sh_degree};
     size_t bytes = 0, start = out->size;
@@ -170,15 +170,15 @@ static enum err_code spz_head_read(struct cursor *c, const struct codec_limits *
     h->flags = cursor_u8(c);
     h->n_streams = cursor_u8(c);
     if (c->bad || magic != MAGIC)
-        return err_set(e, ERR_FORMAT, "spz : not an SPZ file, or truncated in its header");
+        return err_set(e, ERR_FORMAT, "spz: not an SPZ file, or truncated in its header");
     if (h->version < 2 || h->version > 4)
-        return err_set(e, ERR_FORMAT, "spz : version %u : 2, 3 and 4 are read", h->version);
+        return err_set(e, ERR_FORMAT, "spz: version %u: 2, 3 and 4 are read", h->version);
     if (h->sh_degree > (h->version == 4 ? 4u : 3u) || h->fraction_bits > FRACTION_BITS_MAX)
-        return err_set(e, ERR_FORMAT, "spz : SH degree %u, %u fraction bits : out of range",
+        return err_set(e, ERR_FORMAT, "spz: SH degree %u, %u fraction bits: out of range",
                        h->sh_degree, h->fraction_bits);
     size_t most = lim && lim->max_gaussians ? lim->max_gaussians : CODEC_MAX_GAUSSIANS;
     if (h->n > most)
-        return err_set(e, ERR_LIMIT, "spz : %u Gaussians : the limit is %zu", h->n, most);
+        return err_set(e, ERR_LIMIT, "spz: %u Gaussians: the limit is %zu", h->n, most);
     return ERR_OK;
 }
 
@@ -189,8 +189,7 @@ static enum err_code spz_positions_read(const struct spz_head *h, const uint8_t 
     for (size_t i = 0; i < 3 * q->n; i++, p += 3) {
         q->position[i] = spz_get_i24(p);
         if (q->position[i] == -POSITION_LIMIT)
-            return err_set(e, ERR_FORMAT, "spz : row %zu : its position is beyond the range",
-                           i / 3);
+            return err_set(e, ERR_FORMAT, "spz: row %zu: its position is beyond the range", i / 3);
     }
     return ERR_OK;
 }
@@ -249,9 +248,9 @@ static enum err_code spz_gzip_read(const uint8_t *bytes, size_t n, const struct 
     size_t plain = tail[0] | (size_t)tail[1] << 8 | (size_t)tail[2] << 16 | (size_t)tail[3] << 24;
     size_t most = lim && lim->max_bytes ? lim->max_bytes : CODEC_MAX_BYTES;
     if (plain > most)
-        return err_set(e, ERR_LIMIT, "spz : %zu bytes unpacked : the limit is %zu", plain, most);
+        return err_set(e, ERR_LIMIT, "spz: %zu bytes unpacked: the limit is %zu", plain, most);
     if (plain / DEFLATE_GROWTH_MAX > n || plain < HEAD_BYTES)
-        return err_set(e, ERR_FORMAT, "spz : truncated or not one gzip member");
+        return err_set(e, ERR_FORMAT, "spz: truncated or not one gzip member");
     struct libdeflate_decompressor *d = libdeflate_alloc_decompressor();
     uint8_t *p = d ? buf_grow(out, plain) : NULL;
     size_t got = 0, used = 0;
@@ -259,9 +258,9 @@ static enum err_code spz_gzip_read(const uint8_t *bytes, size_t n, const struct 
         p ? libdeflate_gzip_decompress_ex(d, bytes, n, p, plain, &used, &got) : LIBDEFLATE_SUCCESS;
     libdeflate_free_decompressor(d);
     if (!p)
-        return err_set(e, ERR_MEM, "spz : out of memory");
+        return err_set(e, ERR_MEM, "spz: out of memory");
     if (r != LIBDEFLATE_SUCCESS || got != plain || used != n)
-        return err_set(e, ERR_FORMAT, "spz : gzip data is damaged or truncated");
+        return err_set(e, ERR_FORMAT, "spz: gzip data is damaged or truncated");
     return ERR_OK;
 }
 
@@ -276,13 +275,13 @@ static enum err_code spz_decode_gzip(const uint8_t *bytes, size_t n, const struc
     if (!rc)
         rc = spz_head_read(&c, lim, &h, e);
     if (!rc && h.version == 4)
-        rc = err_set(e, ERR_FORMAT, "spz : version 4 inside gzip");
+        rc = err_set(e, ERR_FORMAT, "spz: version 4 inside gzip");
     for (int s = 0; !rc && s < N_STREAMS; s++)
         if (!(stream[s] = cursor_take(&c, spz_stream_bytes(&h, s))))
-            rc = err_set(e, ERR_FORMAT, "spz : %u Gaussians announced, stream %d is cut short", h.n,
+            rc = err_set(e, ERR_FORMAT, "spz: %u Gaussians announced, stream %d is cut short", h.n,
                          s);
     if (!rc && cursor_left(&c) && !(h.flags & FLAG_EXTENSIONS))
-        rc = err_set(e, ERR_FORMAT, "spz : %zu bytes after the last stream", cursor_left(&c));
+        rc = err_set(e, ERR_FORMAT, "spz: %zu bytes after the last stream", cursor_left(&c));
     if (!rc)
         rc = spz_streams_read(&h, stream, out, e);
     buf_free(&plain);
@@ -297,13 +296,13 @@ static enum err_code spz_toc_read(struct cursor toc, const struct spz_head *h, s
         uint64_t in = cursor_u64(&toc), plain = cursor_u64(&toc);
         if (toc.bad || in > left || plain != spz_stream_bytes(h, (int)s) ||
             plain / ZSTD_GROWTH_MAX > in)
-            return err_set(e, ERR_FORMAT, "spz : stream %u of %u : sizes do not fit the file", s,
+            return err_set(e, ERR_FORMAT, "spz: stream %u of %u: sizes do not fit the file", s,
                            h->n_streams);
         packed[s] = (size_t)in;
         left -= packed[s];
     }
     if (left)
-        return err_set(e, ERR_FORMAT, "spz : %zu bytes after the last stream", left);
+        return err_set(e, ERR_FORMAT, "spz: %zu bytes after the last stream", left);
     return ERR_OK;
 }
 
@@ -323,17 +322,15 @@ static enum err_code spz_decode_zstd(const uint8_t *bytes, size_t n, const struc
     size_t toc_bytes = (size_t)h.n_streams * 16;
     if (c.bad || h.version != 4 || !h.n || h.n_streams != want || h.toc < HEAD4_BYTES ||
         h.toc > n || n - h.toc < toc_bytes)
-        return err_set(e, ERR_FORMAT,
-                       "spz : version %u, %u streams : header is damaged or truncated", h.version,
-                       h.n_streams);
+        return err_set(e, ERR_FORMAT, "spz: version %u, %u streams: header is damaged or truncated",
+                       h.version, h.n_streams);
     const uint8_t *data = bytes + h.toc + toc_bytes;
     rc = spz_toc_read(cursor_over(bytes + h.toc, toc_bytes), &h, n - h.toc - toc_bytes, packed, e);
     for (int s = 0; s < N_STREAMS; s++)
         bytes_plain += spz_stream_bytes(&h, s);
     size_t most = lim && lim->max_bytes ? lim->max_bytes : CODEC_MAX_BYTES;
     if (!rc && bytes_plain > most)
-        rc =
-            err_set(e, ERR_LIMIT, "spz : %zu bytes unpacked : the limit is %zu", bytes_plain, most);
+        rc = err_set(e, ERR_LIMIT, "spz: %zu bytes unpacked: the limit is %zu", bytes_plain, most);
     uint8_t *p = !rc ? buf_grow(&plain, bytes_plain) : NULL;
     if (!rc)
         rc = buf_check(&plain, e);
@@ -341,7 +338,7 @@ static enum err_code spz_decode_zstd(const uint8_t *bytes, size_t n, const struc
         size_t size = spz_stream_bytes(&h, (int)s);
         size_t got = ZSTD_decompress(p, size, data, packed[s]);
         if (ZSTD_isError(got) || got != size)
-            rc = err_set(e, ERR_FORMAT, "spz : stream %u : %s", s,
+            rc = err_set(e, ERR_FORMAT, "spz: stream %u: %s", s,
                          ZSTD_isError(got) ? ZSTD_getErrorName(got) : "too short");
         stream[s] = p;
         p += size;

@@ -22,7 +22,7 @@ static enum err_code tensors_places(const char *name, const json_t *o, size_t n_
     if (json_array_size(places) != 2 || !json_is_integer(json_array_get(places, 0)) ||
         !json_is_integer(json_array_get(places, 1)) || b < 0 || z < b ||
         (unsigned long long)z > n_data || b % (json_int_t)sizeof(float))
-        return err_set(e, ERR_FORMAT, "safetensors : %s : data_offsets lie outside the file", name);
+        return err_set(e, ERR_FORMAT, "safetensors: %s: data_offsets lie outside the file", name);
     *begin = (size_t)b;
     *end = (size_t)z;
     return ERR_OK;
@@ -39,7 +39,7 @@ static enum err_code tensors_shape(const char *name, const json_t *o, struct ten
         json_int_t k = json_integer_value(v);
         if (!json_is_integer(v) || k < 0 || k > INT32_MAX ||
             (k && t->count > SIZE_MAX / sizeof(float) / (size_t)k))
-            return err_set(e, ERR_FORMAT, "safetensors : %s : impossible shape", name);
+            return err_set(e, ERR_FORMAT, "safetensors: %s: impossible shape", name);
         t->shape[i] = (size_t)k;
         t->count *= (size_t)k;
     }
@@ -53,19 +53,19 @@ static enum err_code tensors_add(struct tensors *out, const char *name, const js
     size_t begin = 0, end = 0;
     const char *dtype = json_string_value(json_object_get(o, "dtype"));
     if (!dtype || !json_is_array(json_object_get(o, "shape")))
-        return err_set(e, ERR_FORMAT, "safetensors : %s : no dtype or no shape", name);
+        return err_set(e, ERR_FORMAT, "safetensors: %s: no dtype or no shape", name);
     if (strcmp(dtype, "F32") || json_array_size(json_object_get(o, "shape")) > TENSORS_DIMS_MAX)
         return ERR_OK;
     enum err_code rc = tensors_shape(name, o, &t, e);
     if (!rc)
         rc = tensors_places(name, o, n_data, &begin, &end, e);
     if (!rc && end - begin != t.count * sizeof(float))
-        rc = err_set(e, ERR_FORMAT, "safetensors : %s : %zu bytes for %zu numbers", name,
-                     end - begin, t.count);
+        rc = err_set(e, ERR_FORMAT, "safetensors: %s: %zu bytes for %zu numbers", name, end - begin,
+                     t.count);
     t.data = out->block + begin / sizeof(float);
     t.name = arena_text(&out->arena, name);
     if (!rc && !t.name)
-        rc = err_set(e, ERR_MEM, "safetensors : out of memory");
+        rc = err_set(e, ERR_MEM, "safetensors: out of memory");
     if (!rc)
         out->list[out->n++] = t;
     return rc;
@@ -80,7 +80,7 @@ static enum err_code tensors_fill(struct tensors *out, json_t *head, const uint8
     out->list = mem_array(json_object_size(head), sizeof *out->list);
     out->block = mem_array(n_data / sizeof(float) + 1, sizeof(float));
     if (!out->list || !out->block)
-        return err_set(e, ERR_MEM, "safetensors : %zu bytes : out of memory", n_data);
+        return err_set(e, ERR_MEM, "safetensors: %zu bytes: out of memory", n_data);
     memcpy(out->block, data, n_data);
     json_object_foreach(head, name, o)
     {
@@ -98,11 +98,11 @@ enum err_code tensors_decode(const void *bytes, size_t n, struct tensors *out, s
     uint64_t n_head = cursor_u64(&c);
     if (c.bad || n_head > TENSORS_HEAD_MAX || n_head > cursor_left(&c))
         return err_set(e, ERR_FORMAT,
-                       "safetensors : not a .safetensors file, or cut off in its header");
+                       "safetensors: not a .safetensors file, or cut off in its header");
     const char *text = (const char *)cursor_take(&c, (size_t)n_head);
     enum err_code rc = jsonc_parse(text, (size_t)n_head, "safetensors header", &head, e);
     if (!rc && !json_is_object(head))
-        rc = err_set(e, ERR_FORMAT, "safetensors : the header is not an object");
+        rc = err_set(e, ERR_FORMAT, "safetensors: the header is not an object");
     if (!rc)
         rc = tensors_fill(out, head, c.p, cursor_left(&c), e);
     json_decref(head);
