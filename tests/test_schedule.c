@@ -224,14 +224,20 @@ static void impossible_plans_are_refused(void **state)
     arena_free(&a);
 }
 
-/* 60,000 steps and a quarter of them have the published rates; very short runs twice those. */
+/* 60,000 steps have the published rates, a part of them kappa^-0.4 times those, five times at most;
+ * positions end at the published last rate over kappa. */
 static void short_runs_take_larger_steps(void **state)
 {
     (void)state;
     const struct {
         int64_t steps;
         double factor;
-    } want[] = {{60000, 1}, {15000, 1}, {6000, 1.3572088}, {1000, 2}};
+        double last; /* of positions, in published ones */
+    } want[] = {{120000, 1, 1},
+                {60000, 1, 1},
+                {15000, 1.7411011, 4},
+                {6000, 2.5118864, 10},
+                {1000, 5, 55.901699}};
     for (size_t i = 0; i < sizeof want / sizeof *want; i++) {
         struct arena a = {0};
         struct train_config cfg;
@@ -243,6 +249,10 @@ static void short_runs_take_larger_steps(void **state)
         kit_ok(schedule_make(&cfg, 60, &whole, s, &e), e);
         assert_true(fabs(s[2].lr_factor - want[i].factor) < 1e-6);
         assert_true(fabs(s[0].lr_mean_first - want[i].factor * cfg.lr_mean * 50) < 1e-9);
+        assert_true(fabs(s[2].lr_mean_last - want[i].last * cfg.lr_mean_final * 50) < 1e-9);
+        cfg.lr_short = 1;
+        kit_ok(schedule_make(&cfg, 60, &whole, s, &e), e);
+        assert_true(fabs(s[2].lr_mean_last - cfg.lr_mean_final * 50) < 1e-12);
         arena_free(&a);
     }
 }

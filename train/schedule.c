@@ -61,11 +61,13 @@ static double schedule_budget_factor(const struct cell *cell)
     return fmin(fmax(sqrt(area) / cell->edge_m, 1.0), 2.0);
 }
 
-/* Runs of less than a quarter of the full length have fewer steps to get anywhere in: with twice
- * the rates 65 photographs of 400 px reach 32.8 instead of 32.3 dB in 1000 steps. */
+/* A run of a part kappa of the full length has fewer steps to get anywhere in and takes larger
+ * ones: kappa^-0.4 times the published rates of positions, sizes and rotations, at most `most`
+ * times. Measured at 1/20 (docs/decisions/044-short-runs.md). */
+#define SCHEDULE_LR_EXPONENT 0.4
 static double schedule_lr_factor(double most, double kappa)
 {
-    return fmin(fmax(cbrt(0.25 / kappa), 1.0), most);
+    return fmin(fmax(pow(kappa, -SCHEDULE_LR_EXPONENT), 1.0), most);
 }
 
 static void schedule_fill(const struct train_config *cfg, const struct schedule_base *b,
@@ -92,7 +94,9 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
     s->lr_factor = schedule_lr_factor(cfg->lr_short, kappa);
     s->lr_mean_first =
         cfg->lr_mean * s->lr_factor * unit_m * (s->level > 1 ? cfg->lr_mean_restart : 1.0);
-    s->lr_mean_last = fmin(cfg->lr_mean_final * unit_m, s->lr_mean_first);
+    /* 1 / kappa: what is left to go at the end of a short run is more than a hundredth of a step. */
+    double last = cfg->lr_mean_final * pow(s->lr_factor, 1.0 / SCHEDULE_LR_EXPONENT);
+    s->lr_mean_last = fmin(last * unit_m, s->lr_mean_first);
 }
 
 enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,

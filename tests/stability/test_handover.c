@@ -52,6 +52,7 @@ static void the_next_level_keeps_what_was_learnt(void **state)
     struct toy_run r;
     struct train_config c = config(&a);
     c.iterations = 4800;
+    c.lr_short = 1; /* the rates of the full method, whose share of a level is looked at */
     toy_run_open(&r, dir, &c);
     double worst = -HUGE_VAL, worst_old = -HUGE_VAL;
     while (r.level.ctx.at + 1 < r.level.ctx.n_levels) {

@@ -438,6 +438,7 @@ static void floaters_fade(void **state)
     off_before = largest_component(&g);
     for (int i = 0; i < F5_RUNS; i++) {
         struct train_config c = plain_config(&a, F5_STEPS);
+        c.lr_short = 2; /* the rates that docs/regularizers.md was measured at */
         c.depth_dir = runs[i].maps ? maps : NULL;
         c.depth_pass = runs[i].pass;
         c.reset_interval = runs[i].reset ? F5_RESET : c.reset_interval;
