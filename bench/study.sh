@@ -341,6 +341,20 @@ remedies_caliterra_rows() {
 study_remedies() { seeded remedies remedies_city_rows; }
 study_remedies_caliterra() { seeded remedies_caliterra remedies_caliterra_rows; }
 
+# Steps that are larger in short runs, against those of the full method.
+rates_city_rows() {
+  local MAP_VIEWS=1 base=(--iterations "$(steps rates)" "${SMALL[@]}")
+  row rates "rates of the full method" demo "" "${base[@]}" --lr-short 1
+  row rates default demo "" "${base[@]}"
+}
+rates_caliterra_rows() {
+  local base=(--level-count 1 --iterations "$(steps rates_caliterra)" --budget-3 200000)
+  row rates_caliterra "rates of the full method" caliterra-400 "" "${base[@]}" --lr-short 1
+  row rates_caliterra default caliterra-400 "" "${base[@]}"
+}
+study_rates() { seeded rates rates_city_rows; }
+study_rates_caliterra() { seeded rates_caliterra rates_caliterra_rows; }
+
 # level_row STUDY ROW SCENE SET EVAL-OPTIONS -- TRAIN-OPTIONS: every level of the same trained scene.
 level_row() {
   local study=$1 name=$2 scene=$3 set=$4 folder command o eval=()
@@ -465,7 +479,7 @@ study_pyramid() {
 }
 
 # Those of the city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time budgets pareto importance remedies remedies_caliterra sh embedding ablation ablation_city
+readonly STUDIES=(time budgets pareto importance rates rates_caliterra remedies remedies_caliterra sh embedding ablation ablation_city
   levels lod far rd layout pyramid growth bench)
 
 main() {
