@@ -22,7 +22,7 @@ void answer_view(struct services *s, const struct request *r, struct dataset *d,
                  const struct target *t, struct response *out);
 void answer_render(struct services *s, const struct request *r, struct dataset *d,
                    struct response *out);
-/* answer_motion.c: GET of a stream, which http.c begins (out->stream), POST of its camera. */
+/* answer_motion.c: GET of a stream, which exchange.c begins (out->stream), POST of its camera. */
 void answer_motion(struct services *s, const struct request *r, struct dataset *d,
                    const struct target *t, struct response *out);
 /* answer_view.c: false, with the problem set, when pictures cannot be made or this one is too

@@ -4,12 +4,23 @@
  */
 #include "server/answer.h"
 
-#include <stdio.h>
+#include <assert.h>
 #include <string.h>
 
 #include "lod/store.h"
 #include "server/encode.h"
 #include "server/result_id.h"
+#include "server/text.h"
+
+/* What caches purge by. */
+static void answer_tile_tags(const struct dataset *d, uint32_t z, char out[RESPONSE_TAGS])
+{
+    static_assert(sizeof d->meta.name + sizeof d->meta.revision + TEXT_UINT + 16 <= RESPONSE_TAGS,
+                  "room for all of it");
+    char *p = text_put(text_put(out, "ds-"), d->meta.name);
+    p = text_put(text_put(p, " rev-"), d->meta.revision);
+    *text_put_uint(text_put(p, " z-"), z) = '\0';
+}
 
 void answer_tile(struct services *s, const struct request *r, struct dataset *d,
                  const struct target *t, struct response *out)
@@ -27,8 +38,7 @@ void answer_tile(struct services *s, const struct request *r, struct dataset *d,
     struct hash128 id = result_id_tile(d, tile, form, &choice);
     out->type = target_type(form.format);
     out->cache_control = response_cache_control(s, d, t);
-    snprintf(out->surrogate, sizeof out->surrogate, "ds-%s rev-%s z-%u", d->meta.name,
-             d->meta.revision, t->key.z);
+    answer_tile_tags(d, t->key.z, out->surrogate);
     if (!s->auth || auth_is_public(s->auth, d->meta.name))
         hint_tile(d, tile, t, out->hints);
     if (!response_made(s, r, id, out))

@@ -12,10 +12,13 @@
 #include <strings.h>
 
 #include "server/address.h"
+#include "server/text.h"
 
 static bool guard_name_is(const char *name, size_t n, const char *want)
 {
-    return n == strlen(want) && !strncasecmp(name, want, n);
+    /* Every field is held against twenty names: nearly all differ in the first letter. */
+    return n && (name[0] | 0x20) == (want[0] | 0x20) && n == strlen(want) &&
+           !strncasecmp(name, want, n);
 }
 
 static bool guard_clean_name(const char *p, size_t n)
@@ -24,14 +27,6 @@ static bool guard_clean_name(const char *p, size_t n)
         if ((unsigned char)p[i] <= 0x20 || (unsigned char)p[i] >= 0x7f || p[i] == ':')
             return false;
     return n > 0;
-}
-
-static bool guard_clean_value(const char *p, size_t n)
-{
-    for (size_t i = 0; i < n; i++)
-        if (((unsigned char)p[i] < 0x20 && p[i] != '\t') || p[i] == 0x7f)
-            return false;
-    return true;
 }
 
 /* Digits only; false for anything else or beyond 2^53. */
@@ -91,7 +86,7 @@ void guard_field(struct guard *f, const char *name, size_t n_name, const char *v
 {
     value = value ? value : "";
     f->n++;
-    if (!guard_clean_name(name, n_name) || !guard_clean_value(value, n_value))
+    if (!guard_clean_name(name, n_name) || !text_is_clean(value, n_value))
         f->bad = true;
     if (guard_name_is(name, n_name, "Content-Length")) {
         f->n_length++;

@@ -117,30 +117,10 @@ void hint_tileset(const struct dataset *d, const struct target *t, char out[HINT
     hint_add(out, "%st/%u/%u/%u.glb%s", base, k.z, k.x, k.y, query);
 }
 
-/* A number in decimal. Four addresses a tile by printf would be a tenth of what an answer costs. */
-static char *hint_number(char *p, uint32_t v)
-{
-    char digits[10];
-    int n = 0;
-    do
-        digits[n++] = (char)('0' + v % 10);
-    while (v /= 10);
-    while (n)
-        *p++ = digits[--n];
-    return p;
-}
-
-static char *hint_text(char *p, const char *text)
-{
-    size_t n = strlen(text);
-    memcpy(p, text, n); // NOLINT(bugprone-not-null-terminated-result): the end is written last
-    return p + n;
-}
-
 void hint_tile(const struct dataset *d, const struct store_tile *tile, const struct target *t,
                char out[HINT_SIZE])
 {
-    enum { NUMBERS = 3 * 10 + 48 /* and the words between */ };
+    enum { NUMBERS = 3 * TEXT_UINT + 48 /* and the words between */ };
     const struct tree *tree = store_tree(d->index);
     const struct tree_node *v = &tree->nodes[tile - d->tiles];
     char query[TARGET_QUERY_MAX], *p = out;
@@ -154,15 +134,15 @@ void hint_tile(const struct dataset *d, const struct store_tile *tile, const str
         const struct key k = d->tiles[tree->children[v->child_first + i]].key;
         if ((size_t)(p - out) + each > HINT_SIZE)
             break;
-        p = hint_text(p, i ? ", <../../" : "<../../"); /* from t/z/x/ */
-        p = hint_number(p, k.z);
+        p = text_put(p, i ? ", <../../" : "<../../"); /* from t/z/x/ */
+        p = text_put_uint(p, k.z);
         *p++ = '/';
-        p = hint_number(p, k.x);
+        p = text_put_uint(p, k.x);
         *p++ = '/';
-        p = hint_number(p, k.y);
+        p = text_put_uint(p, k.y);
         *p++ = '.';
-        p = hint_text(hint_text(p, ext), query);
-        p = hint_text(p, ">; rel=prefetch");
+        p = text_put(text_put(p, ext), query);
+        p = text_put(p, ">; rel=prefetch");
     }
     *p = '\0';
 }

@@ -28,17 +28,18 @@ struct request {                  /* borrowed from the connection */
     bool prefetch; /* Sec-Purpose: prefetch, or a low Priority */
     bool local;    /* the client is this machine, and nothing says that it asks for another */
 };
+enum { RESPONSE_TAGS = 112 };
 struct response { /* {0}, then route_answer; response_free it */
     int status;
     enum route route;
     const char *type, *cache_control, *allow, *vary, *encoding; /* static strings, NULL = none */
     char *location;                                             /* owned */
     char etag[BODY_ETAG_SIZE];                                  /* "" = none */
-    char hints[HINT_SIZE];  /* Link of the viewer's page; "" = none */
-    char surrogate[96];     /* tags by which caches purge, sent as tag_header */
-    const char *tag_header; /* NULL: not sent */
-    bool id_sent;           /* the client or a proxy sent the id: it comes back */
-    int64_t modified_s;     /* 0: not said */
+    char hints[HINT_SIZE];         /* Link of the viewer's page; "" = none */
+    char surrogate[RESPONSE_TAGS]; /* tags by which caches purge, sent as tag_header */
+    const char *tag_header;        /* NULL: not sent */
+    bool id_sent;                  /* the client or a proxy sent the id: it comes back */
+    int64_t modified_s;            /* 0: not said */
     struct key tile;   /* that is asked for, and the name of its dataset, "" for anything else: */
     char tile_of[64];  /* what a problem with it names */
     const char *id;    /* of the request; NULL: it is not sent */

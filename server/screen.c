@@ -1,7 +1,7 @@
 /* Requests are cut into lines and bodies as RFC 9112 says, and each line is looked at before
  * libmicrohttpd sees it. There is no hook for that in version 0.9.75, so this file defines recv():
  * the program's own definition comes before the C library's when the shared library is bound, and
- * descriptors that no screen is attached to go straight to recvfrom(). http.c refuses everything if
+ * descriptors that no screen is attached to go straight to recvfrom(). exchange.c refuses everything if
  * requests come that no screen has seen, so a build in which that does not work serves nothing.
  *
  * Reads are as libmicrohttpd's edge-triggered loop needs them: a short count, or EAGAIN, only when
@@ -16,6 +16,8 @@
 #include <string.h>
 #include <strings.h>
 #include <sys/socket.h>
+
+#include "server/text.h"
 
 enum {
     SCREEN_FDS = 1 << 20,
@@ -49,21 +51,13 @@ static void screen_refuse(struct screen *s, int status)
     s->n_in = s->n_ok; /* the rest is not read by anybody */
 }
 
-static bool screen_clean(const char *p, size_t n)
-{
-    for (size_t i = 0; i < n; i++)
-        if (((unsigned char)p[i] < 0x20 && p[i] != '\t') || p[i] == 0x7f)
-            return false;
-    return true;
-}
-
 /* Bytes of RFC 9110's token. */
 static bool screen_token(const char *p, size_t n)
 {
     for (size_t i = 0; i < n; i++) {
         char c = p[i];
-        if (!((c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
-              (c && memchr("!#$%&'*+-.^_`|~", c, 15))))
+        if (!((c >= '^' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
+              c == '-' || (c && memchr("!#$%&'*+.|~", c, 11))))
             return false;
     }
     return n > 0;
@@ -95,7 +89,7 @@ static int screen_field(struct screen *s, const char *p, size_t n)
 {
     const char *colon = memchr(p, ':', n);
     size_t n_name = colon ? (size_t)(colon - p) : 0;
-    if (!colon || !screen_token(p, n_name) || !screen_clean(p, n))
+    if (!colon || !screen_token(p, n_name) || !text_is_clean(p, n))
         return 400;
     const char *v = colon + 1;
     size_t n_value = n - n_name - 1;
@@ -130,7 +124,7 @@ static bool screen_chunk(struct screen *s, const char *p, size_t n)
         s->left = s->left * 16 + (uint64_t)v;
     }
     s->state = s->left ? SCREEN_CHUNK_DATA : SCREEN_TRAILER;
-    return digits && digits <= HEX_MAX && (digits == n || p[digits] == ';') && screen_clean(p, n);
+    return digits && digits <= HEX_MAX && (digits == n || p[digits] == ';') && text_is_clean(p, n);
 }
 
 /* Parameters of the query: libmicrohttpd takes memory for each, and hangs up when it has none
@@ -153,7 +147,7 @@ static int screen_line(struct screen *s, const char *p, size_t n)
     case SCREEN_REQUEST:
         if (!n)
             return 0;
-        if (!screen_clean(p, n) || memchr(p, '\t', n) || screen_keys(p, n) > SCREEN_KEYS)
+        if (!text_is_clean(p, n) || memchr(p, '\t', n) || screen_keys(p, n) > SCREEN_KEYS)
             return 400;
         s->requests++;
         s->length = s->n_length = s->n_coding = 0;
@@ -177,7 +171,7 @@ static int screen_line(struct screen *s, const char *p, size_t n)
         if (!n)
             s->state = SCREEN_REQUEST;
         else
-            status = screen_token(p, strcspn(p, ":\n")) && screen_clean(p, n) ? 0 : 400;
+            status = screen_token(p, strcspn(p, ":\n")) && text_is_clean(p, n) ? 0 : 400;
     }
     if (status)
         s->state = was;

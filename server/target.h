@@ -186,21 +186,52 @@ bool target_read_depth(const char *text, size_t n, struct paint *out);
 /* Percent-encode a text as a value of a query: RFC 3986's unreserved characters stay, and ',' ':'
  * '=', which it allows there. out holds 3 bytes for each of text, and one more. */
 void target_escape(const char *text, char *out);
-/* target.c and target_seed.c between them: the rest must be one of the extensions [first, last];
- * preset=NAME, sh=N, appearance=A or, of terrain, encoding=E, of views, background=B and depth=U,
- * each at most once (*known says whether it was one of them; ERR_FORMAT); the query of a prefetch
- * list (ERR_FORMAT; ERR_DATA: numbers out of range). */
-struct text;
-bool target_take_format(struct text *t, enum format first, enum format last, enum format *out);
-enum err_code target_take_form(struct text *one, struct target *target, bool *known,
-                               struct err *e) ERR_USE;
-enum err_code target_parse_seed(const char *query, size_t n, struct target *out,
-                                struct err *e) ERR_USE;
 /* The query of a prefetch list again, "?...", that goes on after so many lines. path: of the
  * course, for the borrowed one may be gone; NULL where there is none. */
 void target_seed_query(const struct target *t, const char *path, uint32_t after, struct buf *out);
 
 /* "?preset=NAME&sh=N&appearance=A" as far as the target says them, else "". */
 void target_query(const struct target *t, char out[TARGET_QUERY_MAX]);
+
+/* What target.c, target_place.c and target_seed.c have of each other: each reads on from t, or a
+ * whole query of n bytes, and fills its part of the target. Errors as of target_parse. */
+struct text;
+
+/* ---- target.c ---- */
+
+bool target_is_terrain(enum route r);
+/* The rest must be one of the extensions [first, last]. */
+bool target_take_format(struct text *t, enum format first, enum format last, enum format *out);
+/* One part of a query: preset=NAME, sh=N, appearance=A or, of terrain, encoding=E, of views,
+ * background=B and depth=U, each at most once; *known says whether it was one of them. */
+enum err_code target_take_form(struct text *one, struct target *target, bool *known,
+                               struct err *e) ERR_USE;
+
+/* ---- target_place.c ---- */
+
+/* {z}/{x}/{y}.{ext} */
+enum err_code target_parse_tile(struct text *t, enum route route, struct target *out,
+                                struct err *e) ERR_USE;
+/* {z}/{x}/{y}.json: a part of a tileset */
+enum err_code target_parse_part(struct text *t, struct target *out, struct err *e) ERR_USE;
+/* {z}/{x}/{y}[@2x].{fmt}: a map; terrain is PNG, since its pixels are numbers. */
+enum err_code target_parse_map(struct text *t, enum route route, struct target *out,
+                               struct err *e) ERR_USE;
+/* {lon},{lat},{h}@{heading},{pitch}[,{fov}[,{roll}]]/{w}x{h}[@{s}x].{fmt} */
+enum err_code target_parse_view(struct text *t, enum route route, struct target *out,
+                                struct err *e) ERR_USE;
+/* ?lon=X&lat=Y, both or (for POST) neither; other keys are ignored. */
+enum err_code target_parse_place(const char *query, size_t n, struct target *out,
+                                 struct err *e) ERR_USE;
+/* Of /collections?bbox=w,s,e,n or w,s,lowest,e,n,highest; commas may come as %2C. Other keys are
+ * ignored. */
+enum err_code target_parse_bbox(const char *query, size_t n, struct target *out,
+                                struct err *e) ERR_USE;
+
+/* ---- target_seed.c ---- */
+
+/* The query of a prefetch list; ERR_DATA: numbers out of range. */
+enum err_code target_parse_seed(const char *query, size_t n, struct target *out,
+                                struct err *e) ERR_USE;
 
 #endif

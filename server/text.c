@@ -100,3 +100,48 @@ bool text_is_utf8(const char *text)
     json_decref(o);
     return is;
 }
+
+static bool text_is_control(unsigned char c)
+{
+    return (c < 0x20 && c != '\t') || c == 0x7f;
+}
+
+/* Eight bytes at a time: which are below 0x20 or 0x7f shows in their highest bits; a false alarm
+ * (tabs, or a byte above a hit) costs a closer look. */
+bool text_is_clean(const char *p, size_t n)
+{
+    const uint64_t ones = 0x0101010101010101u, high = 0x80 * ones;
+    for (; n >= sizeof ones; p += sizeof ones, n -= sizeof ones) {
+        uint64_t x, del;
+        memcpy(&x, p, sizeof x);
+        del = x ^ 0x7f * ones;
+        if (!((((x - 0x20 * ones) & ~x) | ((del - ones) & ~del)) & high))
+            continue;
+        for (size_t i = 0; i < sizeof x; i++)
+            if (text_is_control((unsigned char)p[i]))
+                return false;
+    }
+    for (; n; p++, n--)
+        if (text_is_control((unsigned char)*p))
+            return false;
+    return true;
+}
+
+char *text_put(char *p, const char *word)
+{
+    size_t n = strlen(word);
+    memcpy(p, word, n); // NOLINT(bugprone-not-null-terminated-result): the caller ends the text
+    return p + n;
+}
+
+char *text_put_uint(char *p, uint32_t v)
+{
+    char digits[TEXT_UINT];
+    int n = 0;
+    do
+        digits[n++] = (char)('0' + v % 10);
+    while (v /= 10);
+    while (n)
+        *p++ = digits[--n];
+    return p;
+}

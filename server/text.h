@@ -27,5 +27,13 @@ bool text_take_fixed(struct text *t, int scale, int64_t *out);
 bool text_take_decoded(struct text *t, char *out, size_t room);
 
 bool text_is_utf8(const char *text);
+/* No control character but tabs (RFC 9110, section 5.5). */
+bool text_is_clean(const char *p, size_t n);
+
+/* Write at p and return where it ends; there is room, and no NUL is written. For what every answer
+ * of a tile says: by printf it would be a tenth of the work of an answer. */
+char *text_put(char *p, const char *word);
+char *text_put_uint(char *p, uint32_t v); /* in decimal, at most TEXT_UINT bytes */
+enum { TEXT_UINT = 10 };
 
 #endif

@@ -359,9 +359,14 @@ void watch_remove(struct watch *w, struct watch_slot *s)
 
 void watch_phase(struct watch_slot *s, enum watch_phase phase, double timeout_s)
 {
+    watch_phase_at(s, phase, timeout_s, timeout_s > 0 ? clock_s() : 0);
+}
+
+void watch_phase_at(struct watch_slot *s, enum watch_phase phase, double timeout_s, double now_s)
+{
     if (!s)
         return;
-    uint64_t now = timeout_s > 0 ? watch_now_ms() : 0;
+    uint64_t now = timeout_s > 0 ? (uint64_t)(now_s * 1000) : 0;
     atomic_store_explicit(&s->phase, phase, memory_order_relaxed);
     atomic_store_explicit(&s->since_ms, now, memory_order_relaxed);
     atomic_store_explicit(&s->deadline_ms, now ? now + (uint64_t)(timeout_s * 1000) + 1 : 0,

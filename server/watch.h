@@ -24,6 +24,9 @@ struct watch_slot *watch_add(struct watch *w, int fd, uint64_t client, size_t li
 void watch_remove(struct watch *w, struct watch_slot *slot);
 /* Enter a phase that must end within `timeout_s` (0 = for ever). Lock-free. */
 void watch_phase(struct watch_slot *slot, enum watch_phase phase, double timeout_s);
+/* The same for a caller that has just asked clock_s(). */
+void watch_phase_at(struct watch_slot *slot, enum watch_phase phase, double timeout_s,
+                    double now_s);
 uint32_t watch_requests(struct watch_slot *slot); /* counts requests of the connection: 1, 2, ... */
 /* While w waits for its job, look whether the client hangs up: expect before job_submit, arm after
  * it, disarm before resuming (if that came first, arm does nothing). */

@@ -1,6 +1,6 @@
 #!/bin/sh
 # Which folder may include which (docs/architecture.md). C++ headers only in the three shims, microhttpd.h
-# only in server/http.c, GDAL's in survey/. No circle of headers, and none of modules, where a .c counts with its header and an include
+# only in server/http.c, exchange and reply, GDAL's in survey/. No circle of headers, and none of modules, where a .c counts with its header and an include
 # of another's header is an arrow; tests/circles_todo.txt names the modules that still stand in one, and may only
 # get shorter.
 #
@@ -33,8 +33,8 @@ BEGIN {
 /^#include <gdal\// && FILENAME !~ /^survey\// {
     print FILENAME ":" FNR ": only survey/ includes GDAL"; bad = 1
 }
-/^#include <microhttpd.h>/ && FILENAME != "server/http.c" {
-    print FILENAME ":" FNR ": only server/http.c includes microhttpd.h"; bad = 1
+/^#include <microhttpd.h>/ && FILENAME !~ /^server\/(http\.c|exchange\.[ch]|reply\.[ch])$/ {
+    print FILENAME ":" FNR ": only server/http.c, exchange and reply include microhttpd.h"; bad = 1
 }
 END { exit bad }' core/*.[ch] core/*.cc render/*.[ch] codec/*.[ch] codec/*.cc lod/*.[ch] synth/*.[ch] ingest/*.[ch] cells/*.[ch] loss/*.[ch] train/*.[ch] survey/*.[ch] server/*.[ch] || exit 1
 cxx=$(find core render codec lod synth ingest cells loss train survey server cli bench -name '*.cc' -o -name '*.cpp' | sort | tr '\n' ' ')

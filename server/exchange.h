@@ -1,0 +1,42 @@
+/* One request and its answer: what libmicrohttpd calls, from the request line to the last byte. cls
+ * of all callbacks is the front that the connection came to.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_EXCHANGE_H
+#define SERVER_EXCHANGE_H
+
+#include "server/address.h"
+#include "server/reply.h"
+#include "server/services.h"
+#include "server/watch.h"
+
+/* What the connections of a listener share; http.c fills and frees it. */
+struct front {
+    struct services *s;
+    bool admin;                  /* the listener of operators */
+    size_t n_base;               /* length of --base-path */
+    struct address_nets proxies; /* trusted ones */
+    struct hash128 secret;       /* of numbers of clients */
+    struct watch *watch;
+    struct replies *replies;
+    atomic_flag proxy_told;       /* that requests come through a proxy that is not trusted */
+    _Atomic uint64_t open, asked; /* connections now; requests so far, for their ids */
+};
+
+/* MHD_OPTION_NOTIFY_CONNECTION: makes and frees what is known of a connection. */
+void exchange_on_connection(void *cls, struct MHD_Connection *c, void **context,
+                            enum MHD_ConnectionNotificationCode what);
+/* MHD_OPTION_URI_LOG_CALLBACK: a request begins. */
+void *exchange_on_target(void *cls, const char *target, struct MHD_Connection *c);
+/* The access handler: its head, its body, its end, and after a job once more. */
+enum MHD_Result exchange_on_request(void *cls, struct MHD_Connection *c, const char *url,
+                                    const char *method, const char *version, const char *upload,
+                                    size_t *n_upload, void **con_cls);
+/* MHD_OPTION_NOTIFY_COMPLETED: counts, logs, frees. */
+void exchange_on_completed(void *cls, struct MHD_Connection *c, void **con_cls,
+                           enum MHD_RequestTerminationCode how);
+/* For watch_open: the client of a waiting request has hung up. */
+void exchange_on_gone(struct job_waiter *w);
+
+#endif

@@ -1,0 +1,209 @@
+/* libmicrohttpd's responses. Making one takes forty allocations for a dozen header fields, which is
+ * as much work as everything else that a tile in memory costs; but one response may be sent many
+ * times, by any thread. So those that are asked for again are kept (decision 040): a table with a
+ * place for each, by where its bytes lie, and one that comes twice while the one that is there does
+ * not takes its place.
+ *
+ * A kept response only points at the bytes. It is sent for an answer whose bytes lie there, are as
+ * many, and go out with the same header fields, letter by letter; that answer's own reference to
+ * its body keeps them alive. Nothing is kept alive by this table, and what it points at after a
+ * body has gone is never read.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/reply.h"
+
+#include <assert.h>
+#include <pthread.h>
+#include <string.h>
+
+#include "server/headers.h"
+
+enum { REPLY_PLACES = 1024, REPLY_TEXT = 4096 /* bytes of values; more are not kept */ };
+
+struct reply { /* one place; everything by `lock` */
+    pthread_mutex_t lock;
+    struct MHD_Response *made; /* NULL: none is kept */
+    int status;
+    const uint8_t *data;
+    size_t size, n;
+    uint64_t seen; /* name of the last answer that was not the one kept; 0: none since that was */
+    const char *name[HEADERS_MAX]; /* [n], constants */
+    char *values;                  /* [n], each with its NUL */
+};
+struct replies {
+    struct reply place[REPLY_PLACES];
+};
+
+/* ---- making ---- */
+
+static ssize_t reply_no_bytes(void *cls, uint64_t at, char *out, size_t room)
+{
+    (void)cls, (void)at, (void)out, (void)room;
+    return MHD_CONTENT_READER_END_OF_STREAM;
+}
+
+/* A 304 without the body at hand must not claim Content-Length: 0 (RFC 9110, section 8.6), which an
+ * empty buffer would; a stream of unknown length claims nothing wrong. */
+static struct MHD_Response *reply_create(const struct response *r)
+{
+    if (r->body && r->data)
+        return MHD_create_response_from_buffer(r->size, (void *)(uintptr_t)r->data,
+                                               MHD_RESPMEM_PERSISTENT);
+    if (r->status == 304)
+        return MHD_create_response_from_callback(MHD_SIZE_UNKNOWN, 1024, reply_no_bytes, NULL,
+                                                 NULL);
+    return MHD_create_response_from_buffer(0, (void *)(uintptr_t) "", MHD_RESPMEM_PERSISTENT);
+}
+
+static void reply_add_headers(struct MHD_Response *m, const struct headers *h)
+{
+    for (size_t i = 0; i < h->n; i++)
+        (void)MHD_add_response_header(m, h->field[i].name, h->field[i].value);
+}
+
+static bool reply_queue(struct MHD_Connection *c, const struct response *r, struct MHD_Response *m)
+{
+    return MHD_queue_response(c, (unsigned)r->status, m) == MHD_YES;
+}
+
+/* ---- keeping ---- */
+
+/* Whole answers that somebody may ask for again, as they are. */
+static bool reply_may_return(const struct response *r, bool last)
+{
+    return !last && (r->status == 200 || r->status == 304) && r->etag[0] && !r->id_sent &&
+           r->queue_s < 0;
+}
+
+/* A number that tells answers apart well enough to find a place; an entity tag is a hash. */
+static uint64_t reply_number(const struct response *r)
+{
+    uint64_t z;
+    static_assert(BODY_ETAG_SIZE > 1 + sizeof z, "a tag has so many bytes behind its quote");
+    memcpy(&z, r->etag + 1, sizeof z);
+    return (z + 2 * r->size + (r->status == 304)) * 0x9e3779b97f4a7c15u;
+}
+
+static bool reply_is(const struct reply *p, const struct response *r, const struct headers *h)
+{
+    if (!p->made || p->data != r->data || p->status != r->status || p->size != r->size ||
+        p->n != h->n)
+        return false;
+    const char *value = p->values;
+    for (size_t i = 0; i < h->n; i++) {
+        size_t n = strlen(h->field[i].value) + 1;
+        if (p->name[i] != h->field[i].name || memcmp(value, h->field[i].value, n) != 0)
+            return false;
+        value += n;
+    }
+    return true;
+}
+
+static void reply_forget(struct reply *p)
+{
+    if (p->made)
+        MHD_destroy_response(p->made);
+    p->made = NULL;
+    mem_free(p->values);
+    p->values = NULL;
+}
+
+/* Put m in its place; without memory the place stays empty. */
+static void reply_keep(struct reply *p, const struct response *r, const struct headers *h,
+                       struct MHD_Response *m)
+{
+    size_t total = 0;
+    reply_forget(p);
+    for (size_t i = 0; i < h->n; i++)
+        total += strlen(h->field[i].value) + 1;
+    p->values = total <= REPLY_TEXT ? mem_array(total, 1) : NULL;
+    if (!p->values)
+        return;
+    char *at = p->values;
+    for (size_t i = 0; i < h->n; i++) {
+        size_t n = strlen(h->field[i].value) + 1;
+        p->name[i] = h->field[i].name;
+        memcpy(at, h->field[i].value, n);
+        at += n;
+    }
+    p->made = m;
+    p->data = r->data;
+    p->size = r->size;
+    p->status = r->status;
+    p->n = h->n;
+}
+
+/* ---- the interface ---- */
+
+enum err_code reply_open(struct replies **out, struct err *e)
+{
+    *out = mem_array(1, sizeof **out);
+    if (!*out)
+        return err_set(e, ERR_MEM, "answers that are kept: out of memory");
+    for (size_t i = 0; i < REPLY_PLACES; i++)
+        pthread_mutex_init(&(*out)->place[i].lock, NULL);
+    return ERR_OK;
+}
+
+void reply_close(struct replies **out)
+{
+    struct replies *rs = *out;
+    *out = NULL;
+    for (size_t i = 0; rs && i < REPLY_PLACES; i++) {
+        reply_forget(&rs->place[i]);
+        pthread_mutex_destroy(&rs->place[i].lock);
+    }
+    mem_free(rs);
+}
+
+static bool reply_send_made(struct MHD_Connection *c, const struct response *r,
+                            const struct headers *h, struct reply *keep)
+{
+    struct MHD_Response *m = reply_create(r);
+    if (!m)
+        return false;
+    reply_add_headers(m, h);
+    bool ok = reply_queue(c, r, m);
+    if (keep)
+        reply_keep(keep, r, h, m);
+    if (!keep || keep->made != m)
+        MHD_destroy_response(m); /* the connection has a reference of its own */
+    return ok;
+}
+
+bool reply_send(struct replies *rs, struct MHD_Connection *c, const struct response *r, bool last)
+{
+    struct headers h;
+    bool ok;
+    headers_make(r, last, &h);
+    if (!reply_may_return(r, last))
+        return reply_send_made(c, r, &h, NULL);
+    const uint64_t number = reply_number(r);
+    struct reply *p = &rs->place[number >> 32 & (REPLY_PLACES - 1)];
+    pthread_mutex_lock(&p->lock); /* queueing writes a few pointers, and calls nobody */
+    if (reply_is(p, r, &h)) {
+        p->seen = 0;
+        ok = reply_queue(c, r, p->made);
+    } else {
+        ok = reply_send_made(c, r, &h, p->seen == number ? p : NULL);
+        p->seen = number;
+    }
+    pthread_mutex_unlock(&p->lock);
+    return ok;
+}
+
+bool reply_stream(struct MHD_Connection *c, const struct response *r, size_t block,
+                  MHD_ContentReaderCallback read, void *cls)
+{
+    struct headers h;
+    headers_make(r, true, &h);
+    struct MHD_Response *m =
+        MHD_create_response_from_callback(MHD_SIZE_UNKNOWN, block, read, cls, NULL);
+    if (!m)
+        return false;
+    reply_add_headers(m, &h);
+    bool ok = reply_queue(c, r, m);
+    MHD_destroy_response(m);
+    return ok;
+}
