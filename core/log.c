@@ -128,8 +128,7 @@ static struct {
     bool on, stop, busy;
     struct pool_thread *thread;
 } log_queue = {.lock = PTHREAD_MUTEX_INITIALIZER,
-               .filled = PTHREAD_COND_INITIALIZER,
-               .written = PTHREAD_COND_INITIALIZER};
+               .filled = PTHREAD_COND_INITIALIZER}; /* .written: by log_start */
 
 static void log_main(void *user)
 {
@@ -169,6 +168,7 @@ enum err_code log_start(struct err *e)
     if (!log_queue.fill || !log_queue.spare)
         rc = err_set(e, ERR_MEM, "log: out of memory");
     log_queue.stop = false;
+    pool_cond_init(&log_queue.written);
     if (!rc)
         rc = pool_start(log_main, NULL, &log_queue.thread, e);
     log_queue.on = !rc;
@@ -182,15 +182,13 @@ enum err_code log_start(struct err *e)
 
 void log_stop(double wait_s)
 {
-    struct timespec end;
     if (!log_queue.on)
         return;
-    clock_gettime(CLOCK_REALTIME, &end);
-    end.tv_sec += (time_t)wait_s + 1;
+    const double end_s = clock_s() + wait_s + 1;
     pthread_mutex_lock(&log_queue.lock);
-    int late = 0;
+    bool late = false;
     while ((log_queue.n || log_queue.dropped || log_queue.busy) && !late)
-        late = pthread_cond_timedwait(&log_queue.written, &log_queue.lock, &end);
+        late = !pool_cond_wait(&log_queue.written, &log_queue.lock, end_s);
     log_queue.stop = !late;
     pthread_cond_signal(&log_queue.filled);
     pthread_mutex_unlock(&log_queue.lock);

@@ -4,9 +4,11 @@
  */
 #include "core/pool.h"
 
+#include <math.h>
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "core/base.h"
@@ -130,6 +132,26 @@ enum err_code pool_start(void (*fn)(void *user), void *user, struct pool_thread 
     }
     *out = t;
     return ERR_OK;
+}
+
+void pool_cond_init(pthread_cond_t *c)
+{
+    pthread_condattr_t monotonic;
+    pthread_condattr_init(&monotonic);
+    pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
+    pthread_cond_init(c, &monotonic);
+    pthread_condattr_destroy(&monotonic);
+}
+
+bool pool_cond_wait(pthread_cond_t *c, pthread_mutex_t *lock, double end_s)
+{
+    struct timespec end;
+    double wait_s = fmax(end_s - clock_s(), 0);
+    clock_gettime(CLOCK_MONOTONIC, &end);
+    long ns = end.tv_nsec + (long)(fmod(wait_s, 1) * 1e9);
+    end.tv_sec += (time_t)wait_s + ns / 1000000000;
+    end.tv_nsec = ns % 1000000000;
+    return !pthread_cond_timedwait(c, lock, &end);
 }
 
 void pool_join(struct pool_thread **t)

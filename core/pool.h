@@ -5,6 +5,8 @@
 #ifndef CORE_POOL_H
 #define CORE_POOL_H
 
+#include <pthread.h>
+#include <stdbool.h>
 #include <stddef.h>
 
 #include "core/err.h"
@@ -30,5 +32,11 @@ struct pool_thread;
 enum err_code pool_start(void (*fn)(void *user), void *user, struct pool_thread **out,
                          struct err *e) ERR_USE;
 void pool_join(struct pool_thread **t);
+
+/* A condition that is waited for by the clock of clock_s(), which nobody can set: with the day's
+ * time a wait of a second lasts a day when the clock is put back. */
+void pool_cond_init(pthread_cond_t *c);
+/* Wait until it is signalled, or clock_s() is end_s: false. As all such waits it may end early. */
+bool pool_cond_wait(pthread_cond_t *c, pthread_mutex_t *lock, double end_s);
 
 #endif

@@ -20,7 +20,6 @@
 #include <pthread.h>
 #include <stdio.h>
 #include <string.h>
-#include <time.h>
 
 #include "core/pool.h"
 #include "server/failure.h"
@@ -279,7 +278,7 @@ enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct e
     pthread_mutex_init(&js->lock, NULL);
     pthread_cond_init(&js->tile_ready, NULL);
     pthread_cond_init(&js->view_ready, NULL);
-    pthread_cond_init(&js->ended, NULL);
+    pool_cond_init(&js->ended);
     js->drew = JOB_MOTION; /* pictures are first */
     js->drawing_since_s = cfg->view_thread ? clock_s() : 0;
     js->drawer_ended = !cfg->view_thread;
@@ -582,14 +581,9 @@ static bool job_await_drawer(struct jobs *js)
     double wait_s = js->cfg.stop_s > 0 ? js->cfg.stop_s : 10;
     if (js->drawer_hangs)
         wait_s = fmin(wait_s, again_s);
-    struct timespec end;
-    clock_gettime(CLOCK_REALTIME, &end);
-    end.tv_sec += (time_t)wait_s;
-    end.tv_nsec += (long)((wait_s - floor(wait_s)) * 1e9);
-    end.tv_sec += end.tv_nsec / 1000000000;
-    end.tv_nsec %= 1000000000;
+    const double end_s = clock_s() + wait_s;
     pthread_mutex_lock(&js->lock);
-    while (!js->drawer_ended && !pthread_cond_timedwait(&js->ended, &js->lock, &end))
+    while (!js->drawer_ended && pool_cond_wait(&js->ended, &js->lock, end_s))
         continue;
     bool ended = js->drawer_ended;
     js->drawer_hangs = !ended;

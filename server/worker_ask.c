@@ -20,7 +20,6 @@ enum { WORKER_LOOK_MS = 5 /* how often it is asked whether anybody still waits *
 enum err_code worker_open(const struct worker_config *cfg, struct worker **out, struct err *e)
 {
     struct worker *w = mem_array(1, sizeof *w);
-    pthread_condattr_t monotonic;
     *out = w;
     if (!w || !(w->hello = mem_array(cfg->n_hello, 1))) {
         mem_free(w);
@@ -32,10 +31,7 @@ enum err_code worker_open(const struct worker_config *cfg, struct worker **out, 
     w->cfg.hello = NULL; /* the caller's */
     w->fd = w->memory = -1;
     pthread_mutex_init(&w->lock, NULL);
-    pthread_condattr_init(&monotonic);
-    pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
-    pthread_cond_init(&w->changed, &monotonic);
-    pthread_condattr_destroy(&monotonic);
+    pool_cond_init(&w->changed);
     enum err_code rc = pool_start(worker_keep, w, &w->keeper, e);
     if (rc)
         worker_close(out);

@@ -26,6 +26,8 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "core/pool.h"
+
 extern char **environ;
 
 static const double END_S = 1;  /* it may take so long to end by itself */
@@ -34,12 +36,7 @@ static const double KILL_S = 5; /* and so long to be gone when it was killed: be
 
 void worker_wait(struct worker *w, double wait_s)
 {
-    struct timespec end;
-    clock_gettime(CLOCK_MONOTONIC, &end);
-    long ns = end.tv_nsec + (long)(fmod(wait_s, 1) * 1e9);
-    end.tv_sec += (time_t)wait_s + ns / 1000000000;
-    end.tv_nsec = ns % 1000000000;
-    pthread_cond_timedwait(&w->changed, &w->lock, &end);
+    (void)pool_cond_wait(&w->changed, &w->lock, clock_s() + wait_s);
 }
 
 /* The process, its end of `sv` as its descriptor 3. Signals that come to a whole group are for
