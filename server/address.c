@@ -12,6 +12,8 @@
 #include <string.h>
 #include <strings.h>
 
+#include "server/text.h"
+
 static const uint8_t address_v4_prefix[12] = {0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xff, 0xff};
 
 static struct address address_of_v4(const void *four)
@@ -173,9 +175,14 @@ bool address_host_is_loopback(const char *host)
 void address_write(struct address a, char *out, size_t room)
 {
     static const struct address none;
-    bool v4 = address_is_v4(a);
-    if (!memcmp(&a, &none, sizeof a) ||
-        !inet_ntop(v4 ? AF_INET : AF_INET6, a.ip + (v4 ? 12 : 0), out, (socklen_t)room))
+    char v4[ADDRESS_TEXT], *p = v4;
+    for (int i = 12; i < 16; i++) { /* inet_ntop does it by printf, once a line of the log */
+        p = text_put_uint(p, a.ip[i]);
+        *p++ = i < 15 ? '.' : '\0';
+    }
+    if (address_is_v4(a) && (size_t)(p - v4) <= room)
+        memcpy(out, v4, (size_t)(p - v4));
+    else if (!memcmp(&a, &none, sizeof a) || !inet_ntop(AF_INET6, a.ip, out, (socklen_t)room))
         snprintf(out, room, "-");
 }
 
