@@ -1,8 +1,8 @@
 /* Streams of pictures that follow a camera. While the camera moves, pictures are small and made
  * quickly; when it rests, one is drawn in full. One picture of a stream is under way at most, and
  * it is always that of the newest camera: the next one is drawn when the last byte of the one
- * before has gone to the socket, so a slow line gets fewer pictures, never old ones (exchange.c keeps
- * little waiting in the socket).
+ * before has gone to the socket, so a slow line gets fewer pictures, never old ones (exchange.c
+ * keeps little waiting in the socket).
  *
  * A stream is read by one connection, steered by any number of requests, and drawn for by one job
  * at a time. One mutex guards all streams; no job is submitted and nobody is called under it.

@@ -1,8 +1,9 @@
 /* Requests are cut into lines and bodies as RFC 9112 says, and each line is looked at before
  * libmicrohttpd sees it. There is no hook for that in version 0.9.75, so this file defines recv():
  * the program's own definition comes before the C library's when the shared library is bound, and
- * descriptors that no screen is attached to go straight to recvfrom(). exchange.c refuses everything if
- * requests come that no screen has seen, so a build in which that does not work serves nothing.
+ * descriptors that no screen is attached to go straight to recvfrom(). exchange.c refuses
+ * everything if requests come that no screen has seen, so a build in which that does not work
+ * serves nothing.
  *
  * Reads are as libmicrohttpd's edge-triggered loop needs them: a short count, or EAGAIN, only when
  * the socket is empty; else the room is filled.
