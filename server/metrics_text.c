@@ -111,6 +111,25 @@ static void metrics_text_drawing(struct services *s, struct buf *out)
     metrics_text_one(out, "drawing_peak_bytes", "gauge", "Its peak resident set.", st.peak_bytes);
 }
 
+static void metrics_text_disk(struct services *s, struct buf *out)
+{
+    struct disk_stats st;
+    disk_count(s->disk, &st);
+    metrics_text_one(out, "disk_cache_hits_total", "counter", "Results read from --cache-dir.",
+                     st.hits);
+    metrics_text_one(out, "disk_cache_misses_total", "counter", "Results that were not there.",
+                     st.misses);
+    metrics_text_one(out, "disk_cache_writes_total", "counter", "Results written there.",
+                     st.written);
+    metrics_text_one(out, "disk_cache_evictions_total", "counter", "Files that made room.",
+                     st.evicted);
+    metrics_text_one(out, "disk_cache_damaged_total", "counter",
+                     "Files that were not what was written: removed.", st.damaged);
+    metrics_text_one(out, "disk_cache_failed_total", "counter", "Writes that failed.", st.failed);
+    metrics_text_one(out, "disk_cache_entries", "gauge", "Files.", st.entries);
+    metrics_text_one(out, "disk_cache_bytes", "gauge", "Bytes held.", st.bytes);
+}
+
 enum err_code metrics_text_write(struct services *s, struct buf *out, struct err *e)
 {
     struct metrics *m = &s->metrics;
@@ -162,6 +181,8 @@ enum err_code metrics_text_write(struct services *s, struct buf *out, struct err
                      flight_bytes(s->flight));
     metrics_text_one(out, "cache_entries", "gauge", "Entries.", cs.entries);
     metrics_text_one(out, "cache_bytes", "gauge", "Bytes held.", cs.bytes);
+    if (s->disk)
+        metrics_text_disk(s, out);
     if (s->jobs)
         metrics_text_jobs(s->jobs, out);
     struct catalog *c = services_catalog(s);

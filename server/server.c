@@ -146,6 +146,16 @@ static enum err_code server_read_stores(struct server *sv, size_t readers, struc
     return rc;
 }
 
+static void server_log_disk(const struct server *sv)
+{
+    struct disk_stats st;
+    if (!sv->services.disk)
+        return;
+    disk_count(sv->services.disk, &st);
+    log_info("serve", "disk cache files=%zu mb=%llu of=%d dir=%s", st.entries,
+             (unsigned long long)(st.bytes >> 20), (int)sv->cfg.cache_dir_mb, sv->cfg.cache_dir);
+}
+
 enum err_code server_start(const struct server_config *cfg, const char *const *paths, size_t n,
                            struct server **out, struct err *e)
 {
@@ -167,6 +177,8 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
         server_fit_descriptors(sv);
     if (!rc)
         rc = services_open(s, &sv->cfg, e);
+    if (!rc && cfg->cache_dir)
+        rc = disk_open(cfg->cache_dir, (uint64_t)cfg->cache_dir_mb << 20, &s->disk, e);
     if (!rc)
         rc = catalog_open(paths, n, &sv->stores, NULL, &s->catalog, e);
     if (!rc)
@@ -186,6 +198,7 @@ enum err_code server_start(const struct server_config *cfg, const char *const *p
     if (!rc) {
         log_info("serve", "memory cache_mb=%d inflight_mb=%d view_cache_mb=%d", (int)cfg->cache_mb,
                  (int)cfg->inflight_mb, s->picture ? (int)cfg->view_cache_mb : 0);
+        server_log_disk(sv);
         for (size_t i = 0; i < s->catalog->n; i++)
             log_info("serve", "dataset name=%s revision=%s tiles=%zu file=%s",
                      s->catalog->ds[i]->meta.name, s->catalog->ds[i]->meta.revision,
@@ -318,6 +331,8 @@ enum err_code server_check(const struct server_config *cfg, const char *const *p
         rc = services_open(s, &sv.cfg, e);
     if (!rc)
         rc = http_check(cfg, e);
+    if (!rc && cfg->cache_dir)
+        rc = disk_check(cfg->cache_dir, e);
     if (!rc)
         rc = catalog_open(paths, n, &sv.stores, NULL, &s->catalog, e);
     if (!rc)

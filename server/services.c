@@ -85,6 +85,7 @@ bool services_free(struct services *s)
     static_free(&s->web);
     cache_close(&s->cache);
     flight_close(&s->flight);
+    disk_close(&s->disk);
     access_close(&s->access);
     auth_close(&s->auth);
     tls_close(&s->tls);

@@ -14,6 +14,7 @@
 #include "server/cache_policy.h"
 #include "server/catalog.h"
 #include "server/config.h"
+#include "server/disk.h"
 #include "server/flight.h"
 #include "server/job.h"
 #include "server/metrics.h"
@@ -33,6 +34,7 @@ struct services { /* all shared, all thread-safe */
     struct static_table web;
     struct cache *cache;
     struct flight *flight;
+    struct disk *disk; /* NULL: without --cache-dir */
     struct jobs *jobs;
     struct picture *picture; /* NULL: pictures are off */
     struct motion *motion;   /* streams; whoever opened it closes it, after services_free */

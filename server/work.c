@@ -95,6 +95,13 @@ static enum err_code work_make_bytes(struct services *s, const struct job *j, co
     }
 }
 
+/* Tiles, pictures and maps take long enough that reading them is quicker; lists are as quick. */
+static bool work_is_for_disk(const struct services *s, const struct work *w)
+{
+    return s->disk && w->keep &&
+           (w->kind == WORK_TILE || w->kind == WORK_VIEW || w->kind == WORK_MAP);
+}
+
 /* Rows of lists repeat the query, which may be longer than all the rest of them. */
 static size_t work_query_bytes(const struct work *w)
 {
@@ -155,7 +162,7 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
                        struct body **out, struct err *e)
 {
     struct services *s = user;
-    const struct work *w = work;
+    struct work *w = work;
     struct buf b = {0};
     char etag[BODY_ETAG_SIZE], what[64];
     (void)worker;
@@ -165,7 +172,9 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     enum err_code rc = flight_reserve(s->flight, room, cache_bytes(s->cache), e);
     if (rc)
         return rc;
-    rc = work_make_bytes(s, j, w, &b, e);
+    const bool for_disk = work_is_for_disk(s, w), read = for_disk && disk_get(s->disk, w->id, &b);
+    if (!read)
+        rc = work_make_bytes(s, j, w, &b, e);
     if (!rc)
         rc = buf_check(&b, e);
     if (!rc) {
@@ -181,6 +190,8 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
     flight_release(s->flight, room);
     if (!rc && w->keep)
         cache_put(s->cache, w->id, *out);
+    if (!rc && for_disk && !read)
+        w->made = body_ref(*out);
     bool none =
         (w->kind == WORK_QUERY && rc == ERR_DATA) || (w->kind == WORK_THUMBNAIL && rc == ERR_NOENT);
     if (rc && rc != ERR_CANCEL && !none) {
@@ -202,8 +213,11 @@ bool work_passing(const void *work)
 
 void work_drop(void *services, void *work)
 {
+    struct services *s = services;
     struct work *w = work;
-    (void)services;
+    if (w->made) /* its waiters have it: they did not wait for the disk */
+        disk_put(s->disk, w->id, w->made->data, w->made->size);
+    body_drop(&w->made);
     dataset_drop(&w->ds);
     mem_free(w->query);
     mem_free(w->course);

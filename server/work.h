@@ -33,6 +33,7 @@ struct work { /* freed with work_drop */
     struct query *query;   /* WORK_QUERY, owned */
     struct course *course; /* WORK_SEED, owned; NULL: none */
     bool keep;             /* put the result into the cache */
+    struct body *made;     /* goes to the disk when everybody has it; NULL: nothing does */
 };
 /* About the bytes of the result, from above: what it takes of --inflight-mb while it is made. */
 enum { WORK_ROOM_HEAD = 4096 }; /* of it for heads and ends */

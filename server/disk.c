@@ -1,0 +1,513 @@
+/* A folder of results, a file each, named by what decides its bytes (result_id.c): a name never
+ * means other bytes, so nothing in it is ever out of date. Files are written beside and renamed,
+ * without waiting for the disk: what a power cut leaves of one does not have the hash that its
+ * head says, and is taken for a miss, as every other damage is.
+ *
+ * Which files there are is known in memory, in the order of their last use; the files' own times
+ * carry it over a restart. Work on files is done outside the lock: a file that another thread
+ * removes meanwhile is a miss. Only workers come here, never the threads that speak HTTP.
+ *
+ *   DIR/lock            held (flock) by the server that uses the folder
+ *   DIR/ab/cdef...      the rest of the name's 32 digits; a head of 64 bytes, then the result
+ *   DIR/ab/cdef....part while it is written
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/disk.h"
+
+#include <assert.h>
+#include <dirent.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <pthread.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/file.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+enum { DISK_BLOCK = 4096, DISK_BUCKETS_MIN = 1024, DISK_SHARE = 16 /* of all, for one file */ };
+enum { DISK_NAME = 64 /* bytes that a file's name adds to the folder's */ };
+static const double DISK_TOUCH_S = 600; /* the time of a file is renewed no more often */
+static const double DISK_SAY_S = 60;
+
+struct disk_head {
+    char magic[8];
+    uint64_t size;
+    struct hash128 id, hash; /* of the result's bytes */
+    uint64_t unused[2];
+};
+static const char disk_magic[8] = "CSDISK1";
+
+struct disk_entry {
+    struct hash128 id;
+    uint64_t cost; /* bytes of the file, in whole blocks */
+    double touched_s;
+    struct disk_entry *bucket_next, *newer, *older;
+};
+struct disk {
+    char dir[FILE_PATH_MAX - DISK_NAME];
+    uint64_t limit;
+    int fd;               /* of the lock file */
+    pthread_mutex_t lock; /* of all that follows */
+    struct disk_entry **bucket, *newest, *oldest;
+    size_t n_buckets;
+    double said_s;
+    struct disk_stats stats;
+};
+
+/* ---- the index; by the lock ---- */
+
+static struct disk_entry **disk_find(struct disk *d, struct hash128 id)
+{
+    struct disk_entry **p = &d->bucket[id.lo & (d->n_buckets - 1)];
+    while (*p && ((*p)->id.lo != id.lo || (*p)->id.hi != id.hi))
+        p = &(*p)->bucket_next;
+    return p;
+}
+
+static void disk_unlink(struct disk *d, struct disk_entry *x)
+{
+    *(x->newer ? &x->newer->older : &d->newest) = x->older;
+    *(x->older ? &x->older->newer : &d->oldest) = x->newer;
+}
+
+static void disk_to_front(struct disk *d, struct disk_entry *x)
+{
+    x->newer = NULL;
+    x->older = d->newest;
+    *(d->newest ? &d->newest->newer : &d->oldest) = x;
+    d->newest = x;
+}
+
+/* Staying small is allowed when memory is short. */
+static void disk_grow(struct disk *d)
+{
+    const size_t n = d->n_buckets * 2;
+    struct disk_entry **bigger = mem_array(n, sizeof(struct disk_entry *));
+    if (!bigger)
+        return;
+    for (struct disk_entry *x = d->newest; x; x = x->older) {
+        x->bucket_next = bigger[x->id.lo & (n - 1)];
+        bigger[x->id.lo & (n - 1)] = x;
+    }
+    mem_free(d->bucket);
+    d->bucket = bigger;
+    d->n_buckets = n;
+}
+
+/* False when out of memory: the file then stays until the next start. */
+static bool disk_add(struct disk *d, struct hash128 id, uint64_t cost, double touched_s)
+{
+    struct disk_entry **p = disk_find(d, id), *x = *p;
+    if (x) { /* written again */
+        d->stats.bytes -= x->cost;
+        disk_unlink(d, x);
+    } else {
+        x = mem_array(1, sizeof *x);
+        if (!x)
+            return false;
+        x->id = id;
+        *p = x;
+        d->stats.entries++;
+    }
+    x->cost = cost;
+    x->touched_s = touched_s;
+    d->stats.bytes += cost;
+    disk_to_front(d, x);
+    if (d->stats.entries > d->n_buckets)
+        disk_grow(d);
+    return true;
+}
+
+static void disk_forget(struct disk *d, struct hash128 id)
+{
+    struct disk_entry **p = disk_find(d, id), *x = *p;
+    if (!x)
+        return;
+    *p = x->bucket_next;
+    disk_unlink(d, x);
+    d->stats.bytes -= x->cost;
+    d->stats.entries--;
+    mem_free(x);
+}
+
+/* ---- files ---- */
+
+static void disk_path(const struct disk *d, struct hash128 id, const char *end,
+                      char out[FILE_PATH_MAX])
+{
+    char name[33];
+    hash_text(id, name);
+    snprintf(out, FILE_PATH_MAX, "%s/%.2s/%s%s", d->dir, name, name + 2, end);
+}
+
+/* Say what went wrong, once a minute. Not under the lock. */
+static void disk_say(struct disk *d, const char *what, const char *path, const char *why)
+{
+    pthread_mutex_lock(&d->lock);
+    const double now_s = clock_s();
+    const bool say = d->said_s <= 0 || now_s - d->said_s > DISK_SAY_S;
+    if (say)
+        d->said_s = now_s;
+    pthread_mutex_unlock(&d->lock);
+    if (say)
+        log_warn("serve", "disk cache: %s: %s: %s", what, path, why);
+}
+
+/* Remove the oldest until there is room. */
+static void disk_make_room(struct disk *d)
+{
+    char path[FILE_PATH_MAX];
+    for (;;) {
+        pthread_mutex_lock(&d->lock);
+        const bool over = d->stats.bytes > d->limit && d->oldest;
+        struct hash128 id = over ? d->oldest->id : (struct hash128){0, 0};
+        if (over) {
+            disk_forget(d, id);
+            d->stats.evicted++;
+        }
+        pthread_mutex_unlock(&d->lock);
+        if (!over)
+            return;
+        disk_path(d, id, "", path);
+        (void)unlink(path);
+    }
+}
+
+static bool disk_write_all(int fd, const void *bytes, size_t n)
+{
+    for (const char *p = bytes; n;) {
+        ssize_t put = write(fd, p, n);
+        if (put < 0 && errno == EINTR)
+            continue;
+        if (put <= 0)
+            return false;
+        p += put;
+        n -= (size_t)put;
+    }
+    return true;
+}
+
+static bool disk_read_all(int fd, void *bytes, size_t n)
+{
+    for (char *p = bytes; n;) {
+        ssize_t got = read(fd, p, n);
+        if (got < 0 && errno == EINTR)
+            continue;
+        if (got <= 0)
+            return false;
+        p += got;
+        n -= (size_t)got;
+    }
+    return true;
+}
+
+static uint64_t disk_cost(uint64_t size)
+{
+    return (size + DISK_BLOCK - 1) / DISK_BLOCK * DISK_BLOCK;
+}
+
+/* Head and bytes of an open file into *out, if they are what was put under this name. */
+static bool disk_read(int fd, struct hash128 id, uint64_t most, struct buf *out)
+{
+    struct disk_head h;
+    struct stat st;
+    if (fstat(fd, &st) || !disk_read_all(fd, &h, sizeof h) ||
+        memcmp(h.magic, disk_magic, sizeof h.magic) != 0 || h.id.lo != id.lo || h.id.hi != id.hi ||
+        h.size != (uint64_t)st.st_size - sizeof h || h.size > most)
+        return false;
+    const size_t was = out->size;
+    uint8_t *bytes = buf_grow(out, (size_t)h.size);
+    if (!bytes)
+        return false;
+    if (!disk_read_all(fd, bytes, (size_t)h.size)) {
+        out->size = was;
+        return false;
+    }
+    const struct hash128 hash = hash_bytes(bytes, (size_t)h.size);
+    const bool good = hash.lo == h.hash.lo && hash.hi == h.hash.hi;
+    out->size = good ? out->size : was;
+    return good;
+}
+
+/* ---- opening ---- */
+
+struct disk_found {
+    struct hash128 id;
+    uint64_t cost;
+    struct timespec used;
+};
+struct disk_list {
+    struct disk_found *found;
+    size_t n, cap;
+};
+
+static int disk_by_use(const void *a, const void *b)
+{
+    const struct timespec *x = &((const struct disk_found *)a)->used,
+                          *y = &((const struct disk_found *)b)->used;
+    return x->tv_sec != y->tv_sec     ? (x->tv_sec < y->tv_sec ? -1 : 1)
+           : x->tv_nsec != y->tv_nsec ? (x->tv_nsec < y->tv_nsec ? -1 : 1)
+                                      : 0;
+}
+
+/* Of "ab" and "cdef...": false for names that are none of ours. */
+static bool disk_name(const char *folder, const char *name, struct hash128 *id)
+{
+    char text[33], half[17] = "";
+    if (strlen(name) != 30 || strspn(name, "0123456789abcdef") != 30)
+        return false;
+    memcpy(text, folder, 2);
+    memcpy(text + 2, name, 31);
+    id->lo = strtoull(text + 16, NULL, 16);
+    memcpy(half, text, 16); /* the higher one first, as hash_text has it */
+    id->hi = strtoull(half, NULL, 16);
+    return true;
+}
+
+static enum err_code disk_list_add(struct disk_list *l, struct disk_found f, struct err *e)
+{
+    if (l->n == l->cap) {
+        const size_t cap = l->cap ? 2 * l->cap : 1024;
+        struct disk_found *more = mem_resize(l->found, l->cap, cap, sizeof *l->found);
+        if (!more)
+            return err_set(e, ERR_MEM, "disk cache: out of memory for its list of files");
+        l->found = more;
+        l->cap = cap;
+    }
+    l->found[l->n++] = f;
+    return ERR_OK;
+}
+
+/* One of the 256 folders, made if it is not there; what was being written when a server ended is
+ * removed. */
+static enum err_code disk_scan(const struct disk *d, unsigned i, struct disk_list *l, struct err *e)
+{
+    char folder[3], path[FILE_PATH_MAX];
+    enum err_code rc = ERR_OK;
+    snprintf(folder, sizeof folder, "%02x", i & 0xff);
+    int n = snprintf(path, sizeof path, "%s/%s", d->dir, folder);
+    assert(n > 0 && (size_t)n < sizeof path);
+    if (mkdir(path, 0700) && errno != EEXIST)
+        return err_errno(e, ERR_IO, "--cache-dir: %s", path);
+    DIR *dir = opendir(path);
+    if (!dir)
+        return err_errno(e, ERR_IO, "--cache-dir: %s", path);
+    for (struct dirent *f; !rc && (f = readdir(dir));) {
+        struct disk_found found;
+        struct stat st;
+        const size_t size = strlen(f->d_name);
+        if (size > 5 && !strcmp(f->d_name + size - 5, ".part"))
+            (void)unlinkat(dirfd(dir), f->d_name, 0);
+        else if (disk_name(folder, f->d_name, &found.id) &&
+                 !fstatat(dirfd(dir), f->d_name, &st, AT_SYMLINK_NOFOLLOW) && S_ISREG(st.st_mode)) {
+            found.cost = disk_cost((uint64_t)st.st_size);
+            found.used = st.st_mtim;
+            rc = disk_list_add(l, found, e);
+        }
+    }
+    closedir(dir);
+    return rc;
+}
+
+static enum err_code disk_scan_all(struct disk *d, struct err *e)
+{
+    struct disk_list l = {0};
+    enum err_code rc = ERR_OK;
+    for (unsigned i = 0; !rc && i < 256; i++)
+        rc = disk_scan(d, i, &l, e);
+    if (!rc && l.n)
+        qsort(l.found, l.n, sizeof *l.found, disk_by_use);
+    for (size_t i = 0; !rc && i < l.n; i++)
+        if (!disk_add(d, l.found[i].id, l.found[i].cost, -DISK_TOUCH_S))
+            rc = err_set(e, ERR_MEM, "disk cache: out of memory for its list of files");
+    mem_free(l.found);
+    return rc;
+}
+
+static enum err_code disk_open_lock(const char *dir, int *fd, struct err *e)
+{
+    char path[FILE_PATH_MAX];
+    enum err_code rc = file_mkdir(dir, e);
+    if (!rc)
+        rc = file_join(path, dir, "lock", e);
+    if (rc)
+        return err_add(e, "--cache-dir");
+    *fd = open(path, O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
+    return *fd < 0 ? err_errno(e, ERR_IO, "--cache-dir: %s", path) : ERR_OK;
+}
+
+enum err_code disk_check(const char *dir, struct err *e)
+{
+    int fd = -1;
+    enum err_code rc = disk_open_lock(dir, &fd, e);
+    if (fd >= 0)
+        close(fd);
+    return rc;
+}
+
+enum err_code disk_open(const char *dir, uint64_t limit_bytes, struct disk **out, struct err *e)
+{
+    struct disk *d = mem_array(1, sizeof *d);
+    *out = d;
+    if (!d || !(d->bucket = mem_array(DISK_BUCKETS_MIN, sizeof(struct disk_entry *)))) {
+        mem_free(d);
+        *out = NULL;
+        return err_set(e, ERR_MEM, "disk cache: out of memory");
+    }
+    enum err_code rc = strlen(dir) < sizeof d->dir
+                           ? ERR_OK
+                           : err_set(e, ERR_ARG, "--cache-dir %.80s...: the path is too long", dir);
+    d->limit = limit_bytes;
+    d->n_buckets = DISK_BUCKETS_MIN;
+    d->fd = -1;
+    pthread_mutex_init(&d->lock, NULL);
+    if (!rc) {
+        snprintf(d->dir, sizeof d->dir, "%s", dir);
+        rc = disk_open_lock(dir, &d->fd, e);
+    }
+    if (!rc && flock(d->fd, LOCK_EX | LOCK_NB))
+        rc = errno == EWOULDBLOCK
+                 ? err_set(e, ERR_BUSY, "--cache-dir %s: another server uses it: give each its own",
+                           dir)
+                 : err_errno(e, ERR_IO, "--cache-dir %s: lock", dir);
+    if (!rc)
+        rc = disk_scan_all(d, e);
+    if (rc)
+        disk_close(out);
+    else
+        disk_make_room(d);
+    return rc;
+}
+
+void disk_close(struct disk **out)
+{
+    struct disk *d = *out;
+    *out = NULL;
+    if (!d)
+        return;
+    for (struct disk_entry *x = d->newest, *older; x; x = older) {
+        older = x->older;
+        mem_free(x);
+    }
+    if (d->fd >= 0)
+        close(d->fd);
+    pthread_mutex_destroy(&d->lock);
+    mem_free(d->bucket);
+    mem_free(d);
+}
+
+/* ---- using ---- */
+
+/* True if it is there; *touch: its file's time is to be renewed. */
+static bool disk_use(struct disk *d, struct hash128 id, bool *touch)
+{
+    pthread_mutex_lock(&d->lock);
+    struct disk_entry *x = *disk_find(d, id);
+    if (x) {
+        const double now_s = clock_s();
+        *touch = now_s - x->touched_s > DISK_TOUCH_S;
+        if (*touch)
+            x->touched_s = now_s;
+        disk_unlink(d, x);
+        disk_to_front(d, x);
+    } else {
+        d->stats.misses++;
+    }
+    pthread_mutex_unlock(&d->lock);
+    return x;
+}
+
+bool disk_get(struct disk *d, struct hash128 id, struct buf *out)
+{
+    char path[FILE_PATH_MAX];
+    bool touch = false;
+    if (!disk_use(d, id, &touch))
+        return false;
+    disk_path(d, id, "", path);
+    int fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW);
+    const bool there = fd >= 0, good = there && disk_read(fd, id, d->limit / DISK_SHARE, out);
+    if (good && touch)
+        (void)futimens(fd, NULL);
+    if (there)
+        close(fd);
+    pthread_mutex_lock(&d->lock);
+    d->stats.hits += good;
+    d->stats.misses += !good;
+    d->stats.damaged += there && !good;
+    if (!good)
+        disk_forget(d, id);
+    pthread_mutex_unlock(&d->lock);
+    if (there && !good) {
+        (void)unlink(path);
+        disk_say(d, "removed", path, "it is not what was written");
+    }
+    return good;
+}
+
+/* Its folder as well, for somebody may have emptied the cache. */
+static int disk_create(const struct disk *d, struct hash128 id, const char *part)
+{
+    const int flags = O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW;
+    char folder[FILE_PATH_MAX];
+    int fd = open(part, flags, 0600);
+    if (fd >= 0 || errno != ENOENT)
+        return fd;
+    disk_path(d, id, "", folder);
+    *strrchr(folder, '/') = '\0';
+    return mkdir(folder, 0700) && errno != EEXIST ? -1 : open(part, flags, 0600);
+}
+
+/* The file, under its own name when it is whole. */
+static bool disk_write(struct disk *d, struct hash128 id, const void *bytes, size_t n)
+{
+    char path[FILE_PATH_MAX], part[FILE_PATH_MAX];
+    struct disk_head h = {.size = n, .id = id, .hash = hash_bytes(bytes, n)};
+    static_assert(sizeof h == 64, "the head's layout");
+    memcpy(h.magic, disk_magic, sizeof h.magic);
+    disk_path(d, id, "", path);
+    disk_path(d, id, ".part", part);
+    int fd = disk_create(d, id, part);
+    if (fd < 0) {
+        disk_say(d, "not kept", part, strerror(errno));
+        return false;
+    }
+    bool ok = disk_write_all(fd, &h, sizeof h) && disk_write_all(fd, bytes, n);
+    int why = errno;
+    if (close(fd) && ok) {
+        ok = false;
+        why = errno;
+    }
+    if (ok && rename(part, path)) {
+        ok = false;
+        why = errno;
+    }
+    if (!ok) {
+        (void)unlink(part);
+        disk_say(d, "not kept", part, strerror(why));
+    }
+    return ok;
+}
+
+void disk_put(struct disk *d, struct hash128 id, const void *bytes, size_t n)
+{
+    if (!d || n > d->limit / DISK_SHARE)
+        return;
+    const bool written = disk_write(d, id, bytes, n);
+    pthread_mutex_lock(&d->lock);
+    d->stats.written += written;
+    d->stats.failed += !written;
+    if (written)
+        (void)disk_add(d, id, disk_cost(n + sizeof(struct disk_head)), clock_s());
+    pthread_mutex_unlock(&d->lock);
+    disk_make_room(d);
+}
+
+void disk_count(struct disk *d, struct disk_stats *out)
+{
+    pthread_mutex_lock(&d->lock);
+    *out = d->stats;
+    pthread_mutex_unlock(&d->lock);
+}
