@@ -12,6 +12,7 @@
 
 #include <fcntl.h>
 #include <microhttpd.h>
+#include <sched.h>
 #include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -371,9 +372,88 @@ out:
     return rc;
 }
 
+/* ---- jobs that do nothing ---- */
+
+enum { JOB_WAITERS = 256 };
+struct trivial { /* jobs are asked for by as many waiters as a busy server has */
+    struct jobs *jobs;
+    size_t n;
+    struct trivial_waiter {
+        struct job_waiter waiter; /* first */
+        _Atomic bool busy;
+    } waiters[JOB_WAITERS];
+};
+
+static enum err_code serve_job_run(void *user, const struct job *j, void *work, size_t worker,
+                                   struct body **out, struct err *e)
+{
+    struct buf b = {0};
+    (void)user, (void)j, (void)work, (void)worker;
+    buf_u8(&b, 1);
+    *out = body_take(&b, "\"a tag\"");
+    return *out ? ERR_OK : err_set(e, ERR_MEM, "load: out of memory");
+}
+
+static void serve_job_drop(void *user, void *work)
+{
+    (void)user;
+    mem_free(work);
+}
+
+static void serve_job_wake(struct job_waiter *w)
+{
+    body_drop(&w->result.body);
+    atomic_store_explicit(&((struct trivial_waiter *)(void *)w)->busy, false, memory_order_release);
+}
+
+/* Each with a name of its own; then until all have ended. */
+static enum err_code serve_job_round(void *user, struct err *e)
+{
+    struct trivial *t = user;
+    static uint64_t name;
+    for (size_t i = 0; i < t->n + JOB_WAITERS; i++) {
+        struct trivial_waiter *w = &t->waiters[i % JOB_WAITERS];
+        while (atomic_load_explicit(&w->busy, memory_order_acquire))
+            sched_yield();
+        if (i >= t->n)
+            continue;
+        name++;
+        w->waiter = (struct job_waiter){.wake = serve_job_wake};
+        atomic_store(&w->busy, true);
+        if (job_submit(t->jobs, JOB_TILE, hash_bytes(&name, sizeof name), mem_array(1, 1), i % 16,
+                       10, &w->waiter))
+            return err_set(e, ERR_INTERNAL, "load: a job was refused: %s", w->waiter.result.msg);
+    }
+    return ERR_OK;
+}
+
+/* Queue, single flight, threads and waking: what a request that misses pays beside its work. */
+static enum err_code serve_jobs(struct bench *b, struct err *e)
+{
+    const struct job_config cfg = {.tile_threads = pool_cores(),
+                                   .queue_limit = {1, 2 * JOB_WAITERS, 1, 1, 1, 1},
+                                   .run = serve_job_run,
+                                   .drop = serve_job_drop};
+    struct trivial *t = mem_array(1, sizeof *t);
+    double ms;
+    if (!t)
+        return err_set(e, ERR_MEM, "load: out of memory");
+    t->n = b->quick ? 500 : 20000;
+    enum err_code rc = job_open(&cfg, &t->jobs, e);
+    if (!rc)
+        rc = bench_time(b, serve_job_round, t, &ms, NULL, e);
+    if (!rc)
+        bench_report(b, "jobs that do nothing", (double)t->n / ms * 1e3, "jobs/s", 0, NULL);
+    (void)job_close(&t->jobs);
+    mem_free(t);
+    return rc;
+}
+
 enum err_code bench_serve(struct bench *b, struct err *e)
 {
-    enum err_code rc = serve_size(b, 280, "small", e);
+    enum err_code rc = serve_jobs(b, e);
+    if (!rc)
+        rc = serve_size(b, 280, "small", e);
     if (!rc)
         rc = serve_size(b, 2600, "usual", e);
     if (!rc)
