@@ -33,7 +33,7 @@ struct job_waiter {
      * claimed the waiter. The waiter may be freed from inside. */
     void (*wake)(struct job_waiter *w);
     struct job_result result; /* set before wake */
-    struct job_waiter *next;  /* the rest belongs to job.c */
+    struct job_waiter *next;  /* the rest belongs to job_*.c */
     struct job *job;
     double deadline_s;
 };

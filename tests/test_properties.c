@@ -1,6 +1,7 @@
-/* What holds for every request, by drawn examples: equal tags are equal bytes, parts make the whole,
- * a condition is met exactly when one of its tags is the resource's, a result has one name however
- * it is asked for. Examples are drawn by a counter, so a failure comes back with the same number.
+/* What holds for every request, by drawn examples: equal tags are equal bytes, parts make the
+ * whole, a condition is met exactly when one of its tags is the resource's, a result has one name
+ * however it is asked for. Examples are drawn by a counter, so a failure comes back with the same
+ * number.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -15,8 +16,8 @@ static uint32_t draw(uint64_t example, uint64_t what, uint32_t n)
 
 /* ---- conditions ---- */
 
-/* A list of tags, weak ones among them, with the white space that is allowed; *meets: one of them is
- * the tag. */
+/* A list of tags, weak ones among them, with the white space that is allowed; *meets: one of them
+ * is the tag. */
 static void draw_list(uint64_t k, const char tag[BODY_ETAG_SIZE], struct buf *out, bool *meets)
 {
     static const char *const gaps[] = {"", " ", "\t", " \t "};
@@ -90,7 +91,8 @@ static uint64_t draw_size(uint64_t k, uint64_t what, uint64_t size)
     }
 }
 
-/* Range: bytes=A-B, A-, -B with all kinds of numbers, against the definition of RFC 9110, 14.1.2. */
+/* Range: bytes=A-B, A-, -B with all kinds of numbers, against the definition of RFC 9110, section
+ * 14.1.2. */
 static void test_ranges(void **state)
 {
     size_t parts = 0;

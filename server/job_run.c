@@ -1,0 +1,249 @@
+/* The threads of jobs: taking the next one, running it, telling those who wait; starting and
+ * stopping.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/job_life.h"
+
+#include <math.h>
+#include <stdio.h>
+
+/* ---- under the lock ---- */
+
+static void job_note(struct jobs *js, const struct job *j, const struct job_result *r)
+{
+    if (r->end == JOB_OK)
+        failure_forget(&js->failures, j->id);
+    else if (r->end == JOB_ERROR && r->code != ERR_MEM && r->code != ERR_BUSY)
+        failure_note(&js->failures, j->id, r->code, r->msg, clock_s());
+    /* the others may well succeed next time */
+}
+
+/* ---- not under the lock ---- */
+
+/* The one end of a job that has run: off the table, every waiter answered. Takes body. */
+static void job_finish(struct jobs *js, struct job *j, struct job_result *r, struct body *body)
+{
+    struct job_waiter *claimed = NULL;
+    pthread_mutex_lock(&js->lock);
+    job_table_remove(js, j);
+    js->stats.running[j->cls]--;
+    js->stats.ended[j->cls][r->end]++;
+    js->stats.run_s[j->cls] += r->run_s;
+    job_note(js, j, r);
+    while (j->waiters)
+        job_claim(j, &j->waiters, r, &claimed);
+    pthread_mutex_unlock(&js->lock);
+    for (struct job_waiter *w = claimed; w; w = w->next)
+        w->result.body = body_ref(body);
+    job_wake_all(claimed);
+    body_drop(&body);
+    job_free(js, j);
+}
+
+static void job_run(struct jobs *js, struct job *j, size_t worker)
+{
+    struct err e = {0};
+    struct body *body = NULL;
+    struct job_result r = {.end = JOB_OK};
+    r.code = js->cfg.run(js->cfg.user, j, j->work, worker, &body, &e);
+    r.run_s = clock_s() - j->started_s;
+    if (r.code == ERR_OK && !body)
+        r.code = err_set(&e, ERR_INTERNAL, "job made nothing");
+    if (r.code != ERR_OK) {
+        r.end = r.code == ERR_CANCEL ? JOB_CANCELLED : JOB_ERROR;
+        snprintf(r.msg, sizeof r.msg, "%.*s", (int)sizeof r.msg - 1, e.msg);
+        body_drop(&body);
+    }
+    job_finish(js, j, &r, body);
+}
+
+/* What the thread that draws begins next: streams, pictures and map tiles in turns. */
+static struct job *job_next_drawn(struct jobs *js)
+{
+    static const enum job_class order[] = {JOB_MOTION, JOB_VIEW, JOB_MAP};
+    enum { N = sizeof order / sizeof *order };
+    size_t last = 0;
+    while (last < N - 1 && order[last] != js->drew)
+        last++;
+    for (size_t k = 1; k <= N; k++) {
+        enum job_class c = order[(last + k) % N];
+        if (turn_count(js->queue[c])) {
+            js->drew = c;
+            return job_at(turn_next(js->queue[c]));
+        }
+    }
+    return job_at(turn_next(js->queue[JOB_AHEAD]));
+}
+
+static struct job *job_next_tile(struct jobs *js)
+{
+    struct turn_item *it = turn_next(js->queue[JOB_TILE]);
+    return job_at(it ? it : turn_next(js->queue[JOB_PREFETCH]));
+}
+
+static void job_worker_main(void *user)
+{
+    struct job_thread *w = user;
+    struct jobs *js = w->js;
+    bool view = w->index == js->cfg.tile_threads;
+    if (!view)
+        pool_alone(); /* --workers says how many threads tiles have */
+    pthread_mutex_lock(&js->lock);
+    if (view)
+        js->drawing_since_s = 0;
+    while (!js->stopping) {
+        struct job *j = view ? job_next_drawn(js) : job_next_tile(js);
+        if (!j) {
+            pthread_cond_wait(view ? &js->view_ready : &js->tile_ready, &js->lock);
+            continue;
+        }
+        j->running = true;
+        j->started_s = clock_s();
+        if (view)
+            js->drawing_since_s = j->started_s;
+        js->stats.running[j->cls]++;
+        pthread_mutex_unlock(&js->lock);
+        job_run(js, j, w->index);
+        pthread_mutex_lock(&js->lock);
+        if (view)
+            js->drawing_since_s = 0;
+    }
+    pthread_mutex_unlock(&js->lock);
+    pthread_mutex_lock(&js->lock);
+    js->drawer_ended |= view;
+    pthread_cond_broadcast(&js->ended);
+    pthread_mutex_unlock(&js->lock);
+}
+
+/* ---- the interface ---- */
+
+enum err_code job_open(const struct job_config *cfg, struct jobs **out, struct err *e)
+{
+    struct jobs *js = mem_array(1, sizeof *js);
+    size_t n = cfg->tile_threads + cfg->view_thread;
+    enum err_code rc = ERR_OK;
+    *out = js;
+    if (!js || !(js->workers = mem_array(n, sizeof *js->workers))) {
+        mem_free(js);
+        *out = NULL;
+        return err_set(e, ERR_MEM, "jobs: out of memory");
+    }
+    js->cfg = *cfg;
+    js->failures.pause_s = cfg->slow_s > 0 ? cfg->slow_s : 2;
+    pthread_mutex_init(&js->lock, NULL);
+    pthread_cond_init(&js->tile_ready, NULL);
+    pthread_cond_init(&js->view_ready, NULL);
+    pool_cond_init(&js->ended);
+    js->drew = JOB_MOTION; /* pictures are first */
+    js->drawing_since_s = cfg->view_thread ? clock_s() : 0;
+    js->drawer_ended = !cfg->view_thread;
+    for (int c = 0; c < JOB_CLASSES && !rc; c++)
+        rc = turn_open(c == JOB_VIEW, &js->queue[c], e);
+    if (!rc)
+        rc = rate_open(cfg->client_views_s, JOB_BURST_S, &js->rate[JOB_VIEW], e);
+    if (!rc)
+        rc = rate_open(cfg->client_tiles_s, JOB_BURST_S, &js->rate[JOB_TILE], e);
+    for (; js->n_workers < n && !rc; js->n_workers += !rc) {
+        struct job_thread *w = &js->workers[js->n_workers];
+        w->js = js;
+        w->index = js->n_workers;
+        rc = pool_start(job_worker_main, w, &w->thread, e);
+    }
+    js->drawer_ended |= js->n_workers < n; /* it was never started */
+    if (rc)
+        (void)job_close(out);
+    return rc;
+}
+
+void job_count(struct jobs *js, struct job_stats *out)
+{
+    pthread_mutex_lock(&js->lock);
+    *out = js->stats;
+    for (int c = 0; c < JOB_CLASSES; c++)
+        out->queued[c] = turn_count(js->queue[c]);
+    pthread_mutex_unlock(&js->lock);
+}
+
+void job_forgive(struct jobs *js)
+{
+    pthread_mutex_lock(&js->lock);
+    failure_forget_all(&js->failures);
+    pthread_mutex_unlock(&js->lock);
+}
+
+bool job_idle(struct jobs *js)
+{
+    struct job_stats st;
+    job_count(js, &st);
+    uint64_t busy = 0;
+    for (int c = 0; c < JOB_CLASSES; c++)
+        busy += st.queued[c] + st.running[c];
+    return busy == 0;
+}
+
+double job_drawing_s(struct jobs *js)
+{
+    pthread_mutex_lock(&js->lock);
+    double since_s = js->drawing_since_s;
+    pthread_mutex_unlock(&js->lock);
+    return since_s > 0 ? clock_s() - since_s : 0;
+}
+
+/* Wait for the thread that draws, as long as that may take; whoever asks again has waited
+ * already. */
+static bool job_await_drawer(struct jobs *js)
+{
+    const double again_s = 0.5;
+    double wait_s = js->cfg.stop_s > 0 ? js->cfg.stop_s : 10;
+    if (js->drawer_hangs)
+        wait_s = fmin(wait_s, again_s);
+    const double end_s = clock_s() + wait_s;
+    pthread_mutex_lock(&js->lock);
+    while (!js->drawer_ended && pool_cond_wait(&js->ended, &js->lock, end_s))
+        continue;
+    bool ended = js->drawer_ended;
+    js->drawer_hangs = !ended;
+    pthread_mutex_unlock(&js->lock);
+    return ended;
+}
+
+bool job_stop(struct jobs *js)
+{
+    static const struct job_result stop = {
+        .end = JOB_SHED, .code = ERR_BUSY, .msg = "the server is stopping"};
+    pthread_mutex_lock(&js->lock);
+    js->stopping = true;
+    pthread_cond_broadcast(&js->tile_ready);
+    pthread_cond_broadcast(&js->view_ready);
+    pthread_mutex_unlock(&js->lock);
+    job_claim_where(js, 0, &stop, true);
+    if (js->cfg.stop)
+        js->cfg.stop(js->cfg.user);
+    bool ended = job_await_drawer(js);
+    for (size_t i = 0; i < js->n_workers; i++)
+        if (js->workers[i].thread && (ended || i < js->cfg.tile_threads))
+            pool_join(&js->workers[i].thread);
+    return ended;
+}
+
+bool job_close(struct jobs **out)
+{
+    struct jobs *js = *out;
+    if (!js)
+        return true;
+    if (!job_stop(js))
+        return false;
+    *out = NULL;
+    pthread_cond_destroy(&js->tile_ready);
+    pthread_cond_destroy(&js->view_ready);
+    pthread_cond_destroy(&js->ended);
+    pthread_mutex_destroy(&js->lock);
+    for (int c = 0; c < JOB_CLASSES; c++) {
+        turn_close(&js->queue[c]);
+        rate_close(&js->rate[c]);
+    }
+    mem_free(js->workers);
+    mem_free(js);
+    return true;
+}
