@@ -25,6 +25,11 @@ static enum err_code listen_failed(const char *address, int port, const char *op
         return err_set(e, ERR_IO,
                        "port %d: only root may listen below 1024: choose another with %s", port,
                        option);
+    if (errno == EADDRNOTAVAIL)
+        return err_set(e, ERR_IO,
+                       "cannot listen on %s: no interface of this machine has that address; "
+                       "0.0.0.0 or :: is all of them",
+                       address);
     return err_errno(e, ERR_IO, "cannot listen on %s port %d", address, port);
 }
 

@@ -277,6 +277,51 @@ static void test_one_job_for_many_clients(void **state)
     await_no_connections();
 }
 
+enum { CLIENTS = 4, ASKED = 250 };
+static char shared_target[3][128];
+static size_t shared_size[3];
+
+/* One client on a connection of its own; the returned error stands for a wrong answer. */
+static enum err_code shared_client(void *user, size_t i, struct err *e)
+{
+    int fd = dial(t.port);
+    struct buf rest = {0};
+    size_t wrong = 0;
+    (void)user;
+    for (size_t k = 0; k < ASKED; k++) {
+        const size_t which = (k / 3 + i) % 3;
+        struct buf q = {0};
+        struct reply r;
+        buf_printf(&q, "GET %s HTTP/1.1\r\n" H "%s\r\n", shared_target[which],
+                   k % 3 == 2 ? "If-None-Match: *\r\n" : "");
+        say_bytes(fd, (char *)q.data, q.size);
+        hear(fd, true, &rest, &r);
+        wrong += r.status != (k % 3 == 2 ? 304 : 200) ||
+                 (r.status == 200 && r.body_size != shared_size[which]);
+        buf_free(&q);
+        buf_free(&r.raw);
+    }
+    buf_free(&rest);
+    close(fd);
+    return wrong ? err_set(e, ERR_INTERNAL, "%zu wrong answers", wrong) : ERR_OK;
+}
+
+/* Kept answers go out from several threads at once. */
+static void test_shared(void **state)
+{
+    static const char *const exts[3] = {"spz", "glb", "drc"};
+    struct err e = {0};
+    (void)state;
+    start();
+    for (size_t i = 0; i < 3; i++) {
+        struct reply r;
+        ask("GET", tile_target(17, exts[i], shared_target[i]), "", &r);
+        shared_size[i] = r.body_size;
+        buf_free(&r.raw);
+    }
+    kit_ok(pool_for(CLIENTS, CLIENTS, shared_client, NULL, &e), e);
+}
+
 /* Clients that reset the connection while their tiles wait leave nothing behind. */
 static void test_vanishing_clients(void **state)
 {
@@ -537,6 +582,7 @@ int main(void)
         HTTP_TEST(test_keep_alive_and_pipelining),
         HTTP_TEST(test_damaged_tile),
         HTTP_TEST(test_one_job_for_many_clients),
+        HTTP_TEST(test_shared),
         HTTP_TEST(test_vanishing_clients),
         HTTP_TEST(test_busy_port),
         HTTP_TEST(test_stopping_finishes_answers),
