@@ -14,7 +14,7 @@ objects=$build/CMakeFiles/$module.dir/$module
 if [ "${2:-}" != --again ]; then
     cmake --preset coverage >/dev/null || exit 1
     tests=$(sed -n "s/^ *unit(\\([a-z0-9_]*\\)\\( [a-z_]*\\)* $module\\( .*\\)*)\$/\\1/p" CMakeLists.txt)
-    targets=
+    targets=citysplat # some start the program
     for t in $tests; do targets="$targets test_$t"; done
     # shellcheck disable=SC2086
     cmake --build --preset coverage --target $targets -- -j "${JOBS:-$(nproc)}" >/dev/null || exit 1
