@@ -37,6 +37,7 @@ struct replies {
 
 /* ---- making ---- */
 
+// NOLINTNEXTLINE(readability-non-const-parameter): libmicrohttpd's type
 static ssize_t reply_no_bytes(void *cls, uint64_t at, char *out, size_t room)
 {
     (void)cls, (void)at, (void)out, (void)room;
