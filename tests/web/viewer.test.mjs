@@ -110,6 +110,26 @@ test("less detail draws fewer Gaussians, and back", city, async () => {
 
 const rendered = { skip: MOCK ? "the mock renders nothing" : false };
 
+test("Gaussians without harmonics keep their colours beside tiles that have some", async () => {
+    const address = await page.evaluate(() => window.citysplat.viewer.scene.tileset.href);
+    const plain = await openPage(`${source.url}/?url=${encodeURIComponent(`${address}?sh=0`)}`, SIZE);
+    try {
+        await waitForViewer(plain.page);
+        const before = await barePicture(plain.page);
+        const planes = await plain.page.evaluate(() => {
+            const { engine } = window.citysplat.viewer.city;
+            const had = engine.shPlanes;
+            engine.shPlanes = 3; // as when a tile with harmonics comes
+            engine.rebuild();
+            return had;
+        });
+        assert.equal(planes, 0);
+        assert.ok(rmsDifference(before, await barePicture(plain.page)) < 0.1, "other colours");
+    } finally {
+        await plain.close();
+    }
+});
+
 test("the server's picture of a view equals the client's", rendered, async (t) => {
     const name = await firstDataSet(source.url);
     const pose = GIVEN_TILES ? (await read()).pose : SOUTH;

@@ -3,7 +3,7 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 import { readDraco, type DracoAttribute, type Metadata } from "./draco";
-import { findCore, MAX_GAUSSIANS, ROW, type DecodedSplats } from "./spz";
+import { findCore, MAX_GAUSSIANS, ROW, SH_NONE, type DecodedSplats } from "./spz";
 
 const ID = {
   position: 0,
@@ -109,6 +109,7 @@ function planes(width: number, rows: number): Uint32Array<ArrayBuffer>[] {
 
 function readHarmonics(all: Map<number, DracoAttribute>, degree: number, rows: number) {
   const out = planes(3 * ((degree + 1) ** 2 - 1), rows);
+  for (const plane of out) plane.fill(SH_NONE);
   const views = out.map((plane) => new Uint8Array(plane.buffer));
   for (let band = 1, first = 0; band <= degree; first += 3 * (2 * band + 1), band++) {
     const at = first;

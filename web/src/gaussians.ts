@@ -38,14 +38,14 @@ import {
 import { ORDER_ROW, Projection, Projector } from "./projection";
 import { makeQuads, makeStripes, QUADS } from "./quads";
 import {
-  COLOR_FRAGMENT,
   COLOR_VERTEX,
+  colorFragment,
   PLAIN_FRAGMENT,
   SPLAT_FRAGMENT,
   SPLAT_VERTEX,
 } from "./shaders";
 import type { SortMessage, SortReply } from "./sort.worker";
-import { ROW, type DecodedSplats } from "./spz";
+import { ROW, SH_NONE, type DecodedSplats } from "./spz";
 import type { Tint } from "./tint";
 
 const ROWS_FIRST = 128;
@@ -158,7 +158,7 @@ export class Gaussians {
       new RawShaderMaterial({
         glslVersion: GLSL3,
         vertexShader: COLOR_VERTEX,
-        fragmentShader: COLOR_FRAGMENT,
+        fragmentShader: colorFragment(0),
         uniforms: {
           place: { value: null },
           sh0: { value: null },
@@ -166,7 +166,6 @@ export class Gaussians {
           sh2: { value: null },
           tints: { value: null },
           tinted: { value: false },
-          degree: { value: 0 },
           eye: { value: new Vector3() },
           rowCount: { value: 1 },
         },
@@ -296,7 +295,11 @@ export class Gaussians {
     const color = this.colorMesh.material.uniforms;
     color["place"]!.value = place;
     [0, 1, 2].forEach((k) => (color[`sh${k}`]!.value = sh[k] ?? place));
-    color["degree"]!.value = [0, 1, 2, 3][this.shPlanes];
+    const fragment = colorFragment(this.shPlanes);
+    if (this.colorMesh.material.fragmentShader !== fragment) {
+      this.colorMesh.material.fragmentShader = fragment;
+      this.colorMesh.material.needsUpdate = true;
+    }
     color["rowCount"]!.value = rows;
     for (const block of this.blocks) this.upload(block);
   }
@@ -332,7 +335,9 @@ export class Gaussians {
     };
     put(planes.place, block.splats.place);
     put(planes.shape, block.splats.shape);
-    block.splats.sh.forEach((data, k) => put(planes.sh[k]!, data));
+    // A draft has no harmonics, and the shader reads as many as the best tile has.
+    const none = () => new Uint32Array(4 * ROW * block.rows).fill(SH_NONE);
+    planes.sh.forEach((plane, k) => put(plane, block.splats.sh[k] ?? none()));
     if (block.tint) block.splats.embedding?.planes.forEach((data, k) => put(planes.embed[k]!, data));
     block.tinted = [-1, -1];
     this.contentVersion++;

@@ -16,11 +16,12 @@ export interface Photograph {
   place: { lon: number; lat: number; h: number; heading: number; pitch: number } | null;
 }
 
-// Constants of an appearance, as rows of four for the graphics card.
-export interface Frame {
-  w1: Float32Array; // [hidden][quads of the Gaussian's embedding]
+// What is the same for all appearances, as rows of four for the graphics card.
+export interface Weights {
+  quads: number; // of the Gaussian's embedding
+  hidden: number;
+  w1: Float32Array; // [hidden][quads]
   w2: Float32Array; // [hidden]: what a unit adds to the four outputs
-  bias: Float32Array; // [hidden], padded
   b2: Float32Array;
 }
 
@@ -137,25 +138,33 @@ export class Network {
     return name === NAME_DEFAULT ? unit(this.standard) : this.rows.get(name);
   }
 
-  // The photograph's half of the first layer goes into the bias.
-  frame(image: Float32Array): Frame {
+  // Without the photograph's half of the first layer.
+  get constants(): Weights {
     const { gaussian, hidden, weights } = this;
     const inputs = gaussian + this.image;
     const quads = quadsOf(gaussian);
-    const own = unit(image);
     const w1 = new Float32Array(4 * quads * hidden);
     const w2 = new Float32Array(4 * hidden);
-    const bias = new Float32Array(4 * quadsOf(hidden));
-    const b1At = hidden * inputs;
-    const w2At = b1At + hidden;
+    const w2At = hidden * inputs + hidden;
     for (let h = 0; h < hidden; h++) {
-      const row = weights.subarray(inputs * h, inputs * (h + 1));
-      w1.set(row.subarray(0, gaussian), 4 * quads * h);
-      let sum = weights[b1At + h]!;
-      for (let i = 0; i < own.length; i++) sum += row[gaussian + i]! * own[i]!;
-      bias[h] = sum;
+      w1.set(weights.subarray(inputs * h, inputs * h + gaussian), 4 * quads * h);
       for (let o = 0; o < 4; o++) w2[4 * h + o] = weights[w2At + hidden * o + h]!;
     }
-    return { w1, w2, bias, b2: weights.slice(w2At + 4 * hidden) };
+    return { quads, hidden, w1, w2, b2: weights.slice(w2At + 4 * hidden) };
+  }
+
+  // That half, which is all that an appearance changes: it goes into the bias, [hidden], padded to fours.
+  biasOf(image: Float32Array): Float32Array {
+    const { gaussian, hidden, weights } = this;
+    const inputs = gaussian + this.image;
+    const own = unit(image);
+    const bias = new Float32Array(4 * quadsOf(hidden));
+    for (let h = 0; h < hidden; h++) {
+      const row = weights.subarray(inputs * h + gaussian, inputs * (h + 1));
+      let sum = weights[hidden * inputs + h]!;
+      for (let i = 0; i < own.length; i++) sum += row[i]! * own[i]!;
+      bias[h] = sum;
+    }
+    return bias;
   }
 }

@@ -3,6 +3,8 @@
 //
 // SPDX-License-Identifier: Apache-2.0
 
+import type { Weights } from "./network";
+
 const COMMON = `
 precision highp float;
 precision highp int;
@@ -18,51 +20,57 @@ void main() {
   gl_Position = vec4(position.x * 2.0 - 1.0, position.y / rowCount * 2.0 - 1.0, 0.0, 1.0);
 }`;
 
-// Colour of a Gaussian seen from the eye, 1/8192 a step, and its opacity, 1/65535 a step.
-export const COLOR_FRAGMENT = `${COMMON}
-uniform usampler2D place, sh0, sh1, sh2;
+// Spherical harmonics after the constant one, in the order of the tiles.
+const BASIS = [
+  ["-0.4886025119029199 * y", "0.4886025119029199 * z", "-0.4886025119029199 * x"],
+  [
+    "1.0925484305920792 * x * y",
+    "-1.0925484305920792 * y * z",
+    "0.31539156525252005 * (2.0 * zz - xx - yy)",
+    "-1.0925484305920792 * x * z",
+    "0.5462742152960396 * (xx - yy)",
+  ],
+  [
+    "-0.5900435899266435 * y * (3.0 * xx - yy)",
+    "2.890611442640554 * x * y * z",
+    "-0.4570457994644658 * y * (4.0 * zz - xx - yy)",
+    "0.3731763325901154 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy)",
+    "-0.4570457994644658 * x * (4.0 * zz - xx - yy)",
+    "1.445305721320277 * z * (xx - yy)",
+    "-0.5900435899266435 * x * (xx - 3.0 * yy)",
+  ],
+];
+
+// Colour of a Gaussian seen from the eye, 1/8192 a step, and its opacity, 1/65535 a step. Written out for
+// a degree of harmonics: to find a byte by its number takes longer than to use it.
+export function colorFragment(degree: number): string {
+  const planes = Array.from({ length: degree }, (_, k) => k);
+  const terms = BASIS.slice(0, degree).flat();
+  const words = Math.ceil((3 * terms.length) / 4);
+  const byte = (i: number) => `b${i >> 2}[${i & 3}]`;
+  return `${COMMON}
+uniform usampler2D place${planes.map((k) => `, sh${k}`).join("")};
 uniform isampler2D tints;
 uniform bool tinted;
-uniform int degree;
 uniform vec3 eye;
 out uvec4 result;
-int byteAt(uvec4 a, uvec4 b, uvec4 c, int i) {
-  uvec4 w = i < 16 ? a : i < 32 ? b : c;
-  return int((w[(i >> 2) & 3] >> uint((i & 3) * 8)) & 255u);
-}
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   uvec4 p = texelFetch(place, at, 0);
-  vec3 d = normalize(uintBitsToFloat(p.xyz) - eye);
   vec3 rgb = 0.5 + 0.28209479177387814 / 0.15 * (vec3(byte4(p.w).xyz) / 255.0 - 0.5);
-  if (degree > 0) {
-    uvec4 a = texelFetch(sh0, at, 0), b = uvec4(0u), c = uvec4(0u);
-    if (degree > 1) b = texelFetch(sh1, at, 0);
-    if (degree > 2) c = texelFetch(sh2, at, 0);
-    float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
-    float basis[15];
-    basis[0] = -0.4886025119029199 * y;
-    basis[1] = 0.4886025119029199 * z;
-    basis[2] = -0.4886025119029199 * x;
-    basis[3] = 1.0925484305920792 * x * y;
-    basis[4] = -1.0925484305920792 * y * z;
-    basis[5] = 0.31539156525252005 * (2.0 * zz - xx - yy);
-    basis[6] = -1.0925484305920792 * x * z;
-    basis[7] = 0.5462742152960396 * (xx - yy);
-    basis[8] = -0.5900435899266435 * y * (3.0 * xx - yy);
-    basis[9] = 2.890611442640554 * x * y * z;
-    basis[10] = -0.4570457994644658 * y * (4.0 * zz - xx - yy);
-    basis[11] = 0.3731763325901154 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy);
-    basis[12] = -0.4570457994644658 * x * (4.0 * zz - xx - yy);
-    basis[13] = 1.445305721320277 * z * (xx - yy);
-    basis[14] = -0.5900435899266435 * x * (xx - 3.0 * yy);
-    int count = degree * (degree + 2);
-    for (int k = 0; k < 15; k++) {
-      if (k >= count) break;
-      ivec3 v = ivec3(byteAt(a, b, c, 3 * k), byteAt(a, b, c, 3 * k + 1), byteAt(a, b, c, 3 * k + 2));
-      rgb += basis[k] * (vec3(v) - 128.0) / 128.0;
-    }
-  }
+  ${planes.map((k) => `uvec4 s${k} = texelFetch(sh${k}, at, 0);`).join("\n  ")}
+  ${Array.from({ length: words }, (_, w) => `vec4 b${w} = vec4(byte4(s${w >> 2}[${w & 3}]));`).join("\n  ")}
+  vec3 d = normalize(uintBitsToFloat(p.xyz) - eye);
+  float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
+  vec3 more = vec3(0.0);
+  float basis, sum = 0.0;
+  ${terms
+    .map((term, k) => {
+      const v = [0, 1, 2].map((c) => byte(3 * k + c)).join(", ");
+      return `basis = ${term}; sum += basis; more += basis * vec3(${v});`;
+    })
+    .join("\n  ")}
+  rgb += more / 128.0 - sum;
   float opacity = float(byte4(p.w).w) / 255.0;
   ivec4 tint = tinted ? texelFetch(tints, at, 0) : ivec4(-1);
   if (tint.w >= 0) { // cut before and after, as in render/project.cl
@@ -72,6 +80,7 @@ void main() {
   }
   result = uvec4(clamp(vec4(rgb * 8192.0, opacity * 65535.0) + 0.5, 0.0, 65535.0));
 }`;
+}
 
 export const TINT_VERTEX = `${COMMON}
 in vec3 position;
@@ -82,18 +91,22 @@ void main() {
 }`;
 
 // What an appearance adds to red, green, blue and opacity, 1/32767 a step: the network of
-// docs/appearance.md without loops: uniforms of a constant number are quicker everywhere.
-export function tintFragment(quads: number, hidden: number): string {
+// docs/appearance.md without loops, its weights as literals: of a scene they never change, and reading
+// them from uniforms would take most of the time where a processor draws.
+export function tintFragment(network: Weights): string {
+  const { quads, hidden, w1, w2, b2 } = network;
   const each = (count: number, line: (k: number) => string, between: string) =>
     Array.from({ length: count }, (_, k) => line(k)).join(between);
+  const four = (from: Float32Array, at: number) =>
+    `vec4(${each(4, (k) => from[at + k]!.toExponential(8), ", ")})`;
   const planes = Math.ceil(quads / 4);
   const unit = (h: number) => {
-    const sum = each(quads, (q) => `dot(w1[${quads * h + q}], g${q})`, " + ");
-    return `y += w2[${h}] * max(bias[${h >> 2}][${h & 3}] + unit * (${sum}), 0.0);`;
+    const sum = each(quads, (q) => `dot(${four(w1, 4 * (quads * h + q))}, g${q})`, " + ");
+    return `y += ${four(w2, 4 * h)} * max(bias[${h >> 2}][${h & 3}] + unit * (${sum}), 0.0);`;
   };
   return `${COMMON}
 uniform usampler2D ${each(planes, (k) => `embed${k}`, ", ")};
-uniform vec4 w1[${hidden * quads}], w2[${hidden}], bias[${Math.ceil(hidden / 4)}], b2;
+uniform vec4 bias[${Math.ceil(hidden / 4)}];
 uniform vec4 least[${quads}], steps[${quads}];
 out ivec4 result;
 void main() {
@@ -101,7 +114,7 @@ void main() {
   ${each(planes, (k) => `uvec4 p${k} = texelFetch(embed${k}, at, 0);`, "\n  ")}
   ${each(quads, (q) => `vec4 g${q} = least[${q}] + steps[${q}] * vec4(byte4(p${q >> 2}[${q & 3}]));`, "\n  ")}
   float unit = inversesqrt(max(${each(quads, (q) => `dot(g${q}, g${q})`, " + ")}, 1e-24));
-  vec4 y = b2;
+  vec4 y = ${four(b2, 0)};
   ${each(hidden, unit, "\n  ")}
   y = 1.0 / (1.0 + exp(-y));
   result = ivec4(round(vec4(2.0 * y.xyz - 1.0, y.w) * 32767.0));

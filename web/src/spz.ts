@@ -12,6 +12,8 @@ export const MAX_GAUSSIANS = 1 << 22;
 
 export const ROW = 1024; // Gaussians in a row of the textures
 
+export const SH_NONE = 0x80808080; // four coefficients that are zero
+
 // What the appearance network reads: number d of a Gaussian is least[d] + step[d] * its byte.
 export interface Embedding {
   length: number;
@@ -95,7 +97,7 @@ export function decodeSpz(
   const bytes = 3 * coefs;
   const start = rotation + 4 * count;
   const sh = Array.from({ length: Math.ceil(bytes / 16) }, (_, k) => {
-    const out = new Uint32Array(4 * rows);
+    const out = new Uint32Array(4 * rows).fill(SH_NONE);
     const view = new Uint8Array(out.buffer);
     const length = Math.min(16, bytes - 16 * k);
     for (let i = 0; i < count; i++) {

@@ -15,7 +15,7 @@ import {
   type WebGLRenderer,
 } from "three";
 
-import { quadsOf, type Frame, type Network } from "./network";
+import { quadsOf, type Network } from "./network";
 import { TINT_VERTEX, tintFragment } from "./shaders";
 import type { Embedding } from "./spz";
 
@@ -23,15 +23,14 @@ const OTHER_UNIFORMS = 4; // of the fragment shader, beside the network
 
 // Vectors of four that the pass needs of the fragment shader's uniforms.
 function uniformsOf({ gaussian, hidden }: Network): number {
-  const quads = quadsOf(gaussian);
-  return hidden * quads + hidden + quadsOf(hidden) + 1 + 2 * quads + OTHER_UNIFORMS;
+  return quadsOf(hidden) + 2 * quadsOf(gaussian) + OTHER_UNIFORMS;
 }
 
 export class Tint {
   // Of the appearance, and of the second one: tiles with another one are to be computed anew. 0: none.
   readonly versions: [number, number] = [0, 0];
   readonly names: [string, string | null] = ["", null]; // of the two
-  private readonly frames: [Frame | null, Frame | null] = [null, null];
+  private readonly biases: [Float32Array | null, Float32Array | null] = [null, null];
   private readonly mesh: Mesh<BufferGeometry, RawShaderMaterial>;
   private readonly flat = new OrthographicCamera();
   private readonly quads: number;
@@ -42,20 +41,16 @@ export class Tint {
   }
 
   constructor(readonly network: Network) {
-    const { gaussian, hidden } = network;
-    this.quads = quadsOf(gaussian);
-    const planes = Array.from({ length: Math.ceil(gaussian / 16) }, (_, k) => `embed${k}`);
+    this.quads = quadsOf(network.gaussian);
+    const planes = Array.from({ length: Math.ceil(network.gaussian / 16) }, (_, k) => `embed${k}`);
     const material = new RawShaderMaterial({
       glslVersion: GLSL3,
       vertexShader: TINT_VERTEX,
-      fragmentShader: tintFragment(this.quads, hidden),
+      fragmentShader: tintFragment(network.constants),
       uniforms: {
         ...Object.fromEntries(planes.map((name) => [name, { value: null }])),
         span: { value: new Vector2() },
-        w1: { value: null },
-        w2: { value: null },
         bias: { value: null },
-        b2: { value: null },
         least: { value: null },
         steps: { value: null },
       },
@@ -72,14 +67,14 @@ export class Tint {
 
   // From now on this appearance.
   set(image: Float32Array, name: string) {
-    this.frames[0] = this.network.frame(image);
+    this.biases[0] = this.network.biasOf(image);
     this.names[0] = name;
     this.versions[0] = ++this.count;
   }
 
   // The one on the right of a divided picture; null: none.
   setSecond(image: Float32Array | null, name: string | null) {
-    this.frames[1] = image && this.network.frame(image);
+    this.biases[1] = image && this.network.biasOf(image);
     this.versions[1] = image ? ++this.count : 0;
     this.names[1] = image && name;
   }
@@ -100,8 +95,7 @@ export class Tint {
       out.set(v);
       return out;
     };
-    for (const [name, value] of Object.entries(this.frames[side] ?? {}))
-      uniforms[name]!.value = value as Float32Array;
+    uniforms["bias"]!.value = this.biases[side];
     planes.forEach((plane, k) => {
       const uniform = uniforms[`embed${k}`];
       if (uniform) uniform.value = plane;
