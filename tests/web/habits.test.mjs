@@ -144,6 +144,83 @@ test("with reduced motion nothing spins and nothing flies", async () => {
     await close();
 });
 
+// Turns of the page's loop, timers and frames, and the time of the page's process, for some milliseconds.
+async function watchRest(page, ms) {
+    const client = await page.context().newCDPSession(page);
+    await client.send("Performance.enable");
+    const spent = async () => {
+        const { metrics } = await client.send("Performance.getMetrics");
+        return 1000 * metrics.find((one) => one.name === "TaskDuration").value;
+    };
+    await page.evaluate(() => (window.counts = { frame: 0, timer: 0, drawn: 0 }));
+    const before = await spent();
+    await page.waitForTimeout(ms);
+    const busyMs = (await spent()) - before;
+    const counts = await page.evaluate(() => window.counts);
+    await client.detach();
+    return { ...counts, busyMs: Math.round(busyMs) };
+}
+
+test("a page at rest costs nothing, and wakes for everything that shows", async (t) => {
+    const { page, log, close } = await openPage("about:blank", { width: 760, height: 500 });
+    await page.addInitScript(() => {
+        window.counts = { frame: 0, timer: 0, drawn: 0 };
+        const count = (name, kind) => {
+            const own = window[name].bind(window);
+            window[name] = (run, ...rest) => own((...given) => (window.counts[kind]++, run(...given)), ...rest);
+        };
+        count("requestAnimationFrame", "frame");
+        count("setTimeout", "timer");
+        count("setInterval", "timer");
+    });
+    await page.goto(source.url);
+    await waitForViewer(page);
+    await page.click("#statistics summary"); // its numbers are what changes most
+    await page.evaluate(() => window.citysplat.viewer.on("frame", () => window.counts.drawn++));
+    await page.waitForTimeout(2500);
+    const rest = await watchRest(page, 2000);
+    t.diagnostic(`two seconds at rest: ${JSON.stringify(rest)}`);
+    assert.ok(rest.frame <= 3 && rest.timer <= 3 && rest.drawn === 0, JSON.stringify(rest));
+    assert.ok(rest.busyMs < 40, `${rest.busyMs} ms of work`);
+
+    const wakes = {
+        wheel: async () => (await page.mouse.move(320, 300), page.mouse.wheel(0, 60)),
+        key: () => page.keyboard.press("ArrowLeft", { delay: 60 }),
+        pose: () => page.evaluate(() => window.citysplat.viewer.home()),
+        size: () => page.setViewportSize({ width: 720, height: 500 }),
+        theme: () => page.selectOption("#theme", "light"),
+        walk: () => page.evaluate(() => (window.citysplat.viewer.stage.walk = "walk")),
+        overlay: () =>
+            page.evaluate(() => {
+                const { viewer } = window.citysplat;
+                const { lon, lat, h } = viewer.pose;
+                viewer.overlay.add({ kind: "point", places: [{ lon, lat, h }], color: "#f00" });
+            }),
+        context: () =>
+            page.evaluate(async () => {
+                const own = window.citysplat.viewer.city.renderer.getContext().getExtension("WEBGL_lose_context");
+                own.loseContext();
+                await new Promise((done) => setTimeout(done, 50));
+                own.restoreContext();
+            }),
+    };
+    await page.click("#settings summary");
+    for (const [name, run] of Object.entries(wakes)) {
+        await page.waitForTimeout(400);
+        await page.evaluate(() => (window.counts.drawn = 0));
+        await run();
+        await page.waitForFunction(() => window.counts.drawn > 0, null, { timeout: 5000, polling: 50 }).catch(() => {
+            throw new Error(`${name} did not wake the page`);
+        });
+        await waitForViewer(page);
+    }
+    await page.waitForTimeout(2500);
+    const again = await watchRest(page, 1000);
+    assert.ok(again.frame <= 3 && again.timer <= 3 && again.drawn === 0, `after that: ${JSON.stringify(again)}`);
+    assert.deepEqual(log.filter((line) => !/CONTEXT_LOST|Context Lost/.test(line)), []);
+    await close();
+});
+
 test("the page keeps its own policy, asks nobody else, and is quiet when idle", async () => {
     const { page, log, close } = await openPage("about:blank", { width: 640, height: 480 });
     const hosts = new Set();

@@ -9,6 +9,7 @@ import { Split } from "./split";
 import { text } from "./strings";
 import type { Appearance, Viewer } from "./viewer";
 
+const AGAIN_MS = 5000; // after the photographs could not be listed
 const WAIT_MS = 250; // after the slider came to rest, where every mix is a set of tiles of its own
 
 interface Choice {
@@ -61,7 +62,8 @@ export class AppearanceControl {
   private list: Appearance[] = [];
   private names: string[] = [];
   private timer = 0;
-  private unfilled = false; // a scene was opened, its photographs are not listed yet
+  private listed = ""; // of which scene and revision photographs are listed, or asked for
+  private again = 0; // the timer of another attempt
 
   constructor(private readonly viewer: Viewer) {
     this.split = new Split(viewer);
@@ -71,11 +73,11 @@ export class AppearanceControl {
     viewer.on("frame", () => {
       this.tell();
       if (this.split.open && viewer.secondAppearance === null) this.tellSplit();
-      if (this.unfilled && viewer.hasPicture) this.fillSoon();
+      this.fillSoon();
     });
     viewer.on("appearance", () => this.tell());
     viewer.on("problem", () => this.choose());
-    viewer.on("picture", () => this.unfilled && this.fillSoon());
+    viewer.on("picture", () => this.fillSoon());
     this.strip.onChoose = (name) => {
       const second = element<HTMLInputElement>("photos-second").checked;
       (second ? this.to : this.from).value = name;
@@ -108,21 +110,30 @@ export class AppearanceControl {
   // ---- the lists ----
 
   private begin() {
-    this.unfilled = true;
+    this.listed = "";
     element("appearance").hidden = !this.viewer.scene?.appearances;
-    if (this.viewer.hasPicture) this.fillSoon();
+    this.fillSoon();
   }
 
-  // Photographs are asked for when the first picture is there: it comes before everything else.
+  // Photographs are asked for when the first picture is there: it comes before everything else. Again
+  // when the server came back with another revision, and after a while when there was no answer.
   private fillSoon() {
-    this.unfilled = false;
-    void this.fill().catch(() => {});
+    const { viewer } = this;
+    const wanted = `${viewer.scene?.id} ${viewer.info?.revision}`;
+    if (!viewer.hasPicture || wanted === this.listed) return;
+    this.listed = wanted;
+    clearTimeout(this.again);
+    void this.fill(wanted).catch(() => {
+      this.again = window.setTimeout(() => {
+        this.listed = "";
+        this.fillSoon();
+      }, AGAIN_MS);
+    });
   }
 
-  private async fill() {
-    const scene = this.viewer.scene;
-    const list = await this.viewer.appearances(scene);
-    if (scene !== this.viewer.scene) return;
+  private async fill(wanted: string) {
+    const list = await this.viewer.appearances();
+    if (wanted !== this.listed) return;
     this.list = list;
     this.names = list.map((one) => one.name);
     element("appearance").hidden = list.length === 0;

@@ -64,7 +64,8 @@ export class City {
   split: number | null = null; // from this part of the width on, the second appearance
   private readonly lines = new Scene();
   private readonly preview: Preview;
-  keepPicture = false; // frames take long: whole ones are kept, to show appearances from
+  keepsPictures = false; // whole ones, to show appearances from
+  takesLong = false; // frames do: what a change of light begins with is drawn ahead
   onWake: (draw: boolean) => void = () => {}; // something happened; draw: which shows
   onCore: (core: Box3) => void = () => {}; // where most Gaussians of the scene are
   onContext: (lost: boolean) => void = () => {};
@@ -241,19 +242,14 @@ export class City {
     this.preview.drop();
     this.paint();
     this.fresh = this.engine.settled;
-    if (this.keepPicture && this.settled && this.split === null) this.keep();
+    if (this.keepsPictures && this.settled && this.split === null) this.keep();
     if (!this.shared) this.clock.start(begun);
   }
 
   // The picture, and the coarse one in the same light: a change of light draws one more of these.
   private keep() {
     this.preview.keep();
-    this.preview.begin(this.active?.coarsest ?? [], this.camera);
-  }
-
-  // A whole picture is on the screen, and has to be drawn once more to be kept.
-  get wantsPicture(): boolean {
-    return this.keepPicture && this.settled && this.split === null && !this.preview.kept;
+    if (this.takesLong) this.preview.begin(this.active?.coarsest ?? [], this.camera);
   }
 
   private paint() {
@@ -264,14 +260,14 @@ export class City {
   }
 
   // Another appearance of what is drawn, roughly but at once: `change` makes it so. False where there is
-  // no whole picture to begin with: then `change` was made, and nothing was drawn.
+  // no whole picture to begin with: then nothing was done.
   showRoughly(change: () => void): boolean {
     const { preview, camera, active } = this;
     const blocks = active?.coarsest ?? [];
-    const can = !this.lost && preview.begin(blocks, camera);
+    if (this.lost || this.split !== null || !preview.begin(blocks, camera)) return false;
     change();
-    if (can) preview.show(blocks, camera);
-    return can;
+    preview.show(blocks, camera);
+    return true;
   }
 
   // Draws the same picture once more, for whoever reads the canvas at once.

@@ -5,11 +5,13 @@
 const AWAKE_MS = 200; // tiles are chosen for this long after the last event
 const MIXING_MS = 150;
 const ROUGH_FROM_MS = 80; // frames that take longer are announced by a rough one
-const ROUGH_MS = 250; // and follow it when nothing changes for so long
+const ROUGH_MS = 250; // and follow it when nothing changes for so long, or for half a frame
+const ROUGH_MOST_MS = 700;
 const SLOW_FPS = 10;
 const SLOW_FRAMES = 8;
 const BRISK_MS = 60; // a frame of a moving camera that takes longer is drawn with fewer pixels
 const SHARPNESS_LEAST = 0.4;
+const RESTS_MS = 1000; // without a frame: a picture at rest has no frames a second
 const STALL_MS = 10_000; // a page that was hidden, not a slow frame
 
 // What to do in this turn of the page's loop.
@@ -51,7 +53,7 @@ export class Pace {
   }
 
   get framesPerSecond(): number {
-    return this.average ? 1000 / this.average : 0;
+    return this.average && performance.now() - this.lastAt < RESTS_MS ? 1000 / this.average : 0;
   }
 
   // Frames take so long that changes of light are shown roughly first.
@@ -67,7 +69,8 @@ export class Pace {
 
   // A rough picture is on the screen.
   showedRough() {
-    this.roughUntil = performance.now() + ROUGH_MS;
+    const rest = Math.min(ROUGH_MOST_MS, Math.max(ROUGH_MS, this.frameMs / 2));
+    this.roughUntil = performance.now() + rest;
     this.wake();
   }
 
@@ -79,12 +82,15 @@ export class Pace {
     return true;
   }
 
-  turn(now: number, moved: boolean): Turn {
+  // busy: the card is not done with the last frame, and no other is to be drawn now.
+  turn(now: number, moved: boolean, busy = false): Turn {
     const quick = moved || now < this.mixingUntil;
-    const draw = this.dirty || moved || (this.blurred && !quick);
+    const wanted = this.dirty || moved;
+    const draw = !busy && (wanted || (this.blurred && !quick));
     const look = this.stale || now < this.awakeUntil;
     const sharpness = quick ? this.sharpness : 1;
-    this.stale = this.dirty = false;
+    this.stale = false;
+    this.dirty = wanted && !draw;
     if (draw) this.blurred = sharpness < 1;
     return { draw, look, sharpness, quick };
   }
@@ -103,7 +109,7 @@ export class Pace {
     const gap = now - this.lastAt;
     const next = drew && this.drewBefore; // two frames on end
     if (next && gap < 3000) this.average = this.average ? this.average * 0.8 + gap * 0.2 : gap;
-    else if (gap > 1000) this.average = 0;
+    else if (gap > RESTS_MS) this.average = 0;
     this.drewBefore = drew;
     if (drew) this.lastAt = now;
     // Only frames of a moving camera tell: while tiles come, decoding and uploading are the cost.
@@ -127,6 +133,11 @@ export class CardClock {
     if (this.fence || this.gl.isContextLost()) return;
     this.begunAt = begunAt;
     this.fence = this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+  }
+
+  // The card is not done with the watched frame.
+  get busy(): boolean {
+    return this.fence !== null;
   }
 
   // Milliseconds that the watched frame took, once; else null.

@@ -22,7 +22,8 @@ import type { Block, Gaussians } from "./gaussians";
 import { makeCover } from "./quads";
 import { PREVIEW_FRAGMENT, PREVIEW_VERTEX } from "./shaders";
 
-const SCALE = 0.2; // of the picture's sides
+const SCALE_MOST = 0.2; // of the picture's sides
+const PIXELS_MOST = 15_000; // of a small picture
 const GAUSSIANS_MOST = 60_000;
 
 export class Preview {
@@ -65,8 +66,9 @@ export class Preview {
       this.picture?.dispose();
       this.picture = new FramebufferTexture(size.x, size.y);
       this.mesh.material.uniforms["picture"]!.value = this.picture;
-      for (const target of [this.before, this.after])
-        target.setSize(Math.max(1, Math.round(SCALE * size.x)), Math.max(1, Math.round(SCALE * size.y)));
+      const scale = Math.min(SCALE_MOST, Math.sqrt(PIXELS_MOST / (size.x * size.y)));
+      const [width, height] = size.toArray().map((side) => Math.max(1, Math.round(scale * side)));
+      for (const target of [this.before, this.after]) target.setSize(width!, height!);
     }
     renderer.copyFramebufferToTexture(this.picture!);
     this.kept = true;

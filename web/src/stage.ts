@@ -73,7 +73,6 @@ interface Drag {
 export class Stage {
   readonly camera = new PerspectiveCamera(FOV_DEG, 1, 1, 10000);
   frame = new Frame(new Matrix4().makeTranslation(6378137, 0, 0)); // until a scene opens
-  walk: Walk = "orbit";
   keyboard = true;
   // The surface on a ray, where the owner knows it.
   surfaceOn: (ray: Ray) => Vector3 | null = () => null;
@@ -82,6 +81,7 @@ export class Stage {
   onClick: (x: number, y: number) => void = () => {};
   heading = 0; // radians clockwise from north
   pitch = -0.6; // above the horizon
+  private walking: Walk = "orbit";
   private readonly box = new Box3(new Vector3(-50, 0, -50), new Vector3(50, 20, 50));
   private readonly held = new Set<string>();
   private readonly pointers = new Map<number, { x: number; y: number }>();
@@ -120,6 +120,30 @@ export class Stage {
     this.flight = null;
     stages.delete(this);
     if (active === this) [active = null] = stages;
+  }
+
+  get walk(): Walk {
+    return this.walking;
+  }
+
+  set walk(how: Walk) {
+    this.walking = how;
+    this.onMove();
+  }
+
+  // It moves the camera in the next turn of the loop, or may.
+  get moves(): boolean {
+    return this.flight !== null || this.held.size > 0 || this.pointers.size > 0 || this.throwing.lengthSq() >= 1e-4;
+  }
+
+  // A gamepad may be touched at any time, and has no events.
+  get hasPad(): boolean {
+    return this.pad !== null;
+  }
+
+  private get pad(): Gamepad | null {
+    if (!this.keyboard || active !== this) return null;
+    return navigator.getGamepads?.().find((one) => one?.connected) ?? null;
   }
 
   // What the camera looks at, in world metres. Heights are those of most Gaussians, so the lower
@@ -495,7 +519,7 @@ export class Stage {
   }
 
   private applyGamepad(seconds: number) {
-    const pad = this.keyboard && active === this ? navigator.getGamepads?.().find((one) => one?.connected) : null;
+    const { pad } = this;
     if (!pad) return;
     const axis = (i: number) => (Math.abs(pad.axes[i] ?? 0) > 0.15 ? pad.axes[i]! : 0);
     const button = (i: number) => pad.buttons[i]?.value ?? 0;

@@ -105,7 +105,7 @@ function wordsOf({ phase, done, total, bytes }: Progress): string {
 }
 
 export class Status {
-  private numbersAt = 0;
+  private timer = 0;
   private awayTimer = 0;
   private readonly progress = new ProgressLine();
   private readonly closed = new Set<string>(); // banners that the person closed
@@ -123,17 +123,24 @@ export class Status {
       for (const kind of ["memory", "broken"]) unbanner(kind);
     });
     viewer.on("picture", () => this.hideProblem());
-    const tick = (now: number) => {
-      requestAnimationFrame(tick);
-      if (now - this.numbersAt < NUMBERS_EVERY_MS) return;
-      this.numbersAt = now;
-      this.show(viewer.state);
-    };
-    requestAnimationFrame(tick);
+    viewer.on("turn", () => this.soon());
+    element("statistics").addEventListener("toggle", () => this.soon());
+    this.soon();
     element("problem-retry").addEventListener("click", () => {
       this.hideProblem();
       viewer.retry();
     });
+  }
+
+  // Not for every turn of the viewer's loop, and once more after its last.
+  private soon() {
+    this.timer ||= window.setTimeout(() => {
+      this.timer = 0;
+      const { state } = this.viewer;
+      this.show(state);
+      const waits = state.progress !== null || state.link !== "ok" || !state.settled;
+      if (waits || state.framesPerSecond) this.soon();
+    }, NUMBERS_EVERY_MS);
   }
 
   private tellLink() {

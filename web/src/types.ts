@@ -40,6 +40,7 @@ export interface ViewerEvents {
   click: { x: number; y: number; place: Place | null };
   layers: readonly Layer[]; // they changed
   frame: null; // something was drawn
+  turn: null; // it looked at all that it does, which the state tells now; none while it rests
 }
 
 export interface ViewerState {

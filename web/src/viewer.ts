@@ -56,6 +56,8 @@ const PIXEL_RATIO_MAX = SMALL_DEVICE ? 1.5 : 2;
 const PX_PER_SIGMA = 16; // a tile's geometric error is 16 times its typical Gaussian
 const ABOVE_M = 200; // over most of the city: where one looks down from
 const FINE_M = 0.25; // how finely
+const LOOK_MS = 100; // between two looks at what is on its way, while nothing happens
+const PAD_MS = 50; // at a gamepad that is not touched
 
 function extentOf(info: SceneInfo, frame: Frame): Box3 {
   const box = new Box3();
@@ -87,10 +89,12 @@ export class Viewer {
   private touched = false;
   private homeless = true; // the scene's extent is not known yet
   private wasReady = false;
-  private running = 0;
-  private previous = 0;
+  private running = 0; // the next turn of the loop; 0: it rests
+  private timer = 0; // that ends the rest
+  private previous = 0; // when the last turn was; 0: before the rest
   private moving = false;
   private closed = false;
+  private readonly listening = new AbortController();
   private readonly resizing: ResizeObserver;
   private theme: "dark" | "light";
   private readonly positions: boolean; // the container, which had no position of its own
@@ -140,6 +144,7 @@ export class Viewer {
     };
     this.pictures = new Pictures(this.pictureCanvas, this.link, true);
     this.pictures.onPicture = (info) => {
+      this.wake(false);
       this.shownAppearance = this.book.appearance;
       this.error = null;
       this.events.emit("picture", info);
@@ -154,7 +159,8 @@ export class Viewer {
     this.resizing = new ResizeObserver(() => this.resize());
     this.resizing.observe(container);
     this.resize();
-    this.running = requestAnimationFrame((now) => this.loop(now));
+    this.listenForPads();
+    this.wake();
     void this.book.start();
   }
 
@@ -305,8 +311,8 @@ export class Viewer {
 
   // Roughly where frames take long; the exact picture follows.
   private recolour(appearance: string, change: () => void) {
-    const rough = this.city?.showRoughly(change) ?? false;
-    if (!this.city) change();
+    const rough = this.pace.takesLong && (this.city?.showRoughly(change) ?? false);
+    if (!rough) change();
     if (rough) {
       this.pace.showedRough();
       this.events.emit("preview", appearance);
@@ -567,6 +573,13 @@ export class Viewer {
 
   private wake(draw = true) {
     this.pace.wake(draw);
+    this.run();
+  }
+
+  private run() {
+    clearTimeout(this.timer);
+    this.timer = 0;
+    if (!this.closed) this.running ||= requestAnimationFrame((now) => this.loop(now));
   }
 
   private resize() {
@@ -578,9 +591,11 @@ export class Viewer {
     if (!this.touched && !this.homeless) this.stage.home();
   }
 
+  // A page at rest has no loop: it goes on while something moves, is to be drawn or has just happened,
+  // and looks now and then at what is on its way. Everything else wakes it.
   private loop(now: number) {
-    this.running = requestAnimationFrame((next) => this.loop(next));
-    const seconds = Math.min((now - this.previous) / 1000, 0.25);
+    this.running = 0;
+    const seconds = Math.min((now - (this.previous || now)) / 1000, 0.25);
     this.previous = now;
     const moved = this.stage.tick(seconds);
     if (moved) this.events.emit("move", this.pose);
@@ -588,6 +603,23 @@ export class Viewer {
     if (this.currentMode === "pictures") this.drawPictures(now, moved);
     else this.drawCity(now, moved);
     this.report();
+    this.events.emit("turn", null);
+    this.goOn();
+  }
+
+  private goOn() {
+    const { stage, pace, city } = this;
+    const drawing = this.currentMode === "splats" && (city?.clock.busy ?? false);
+    if (this.moving || stage.moves || pace.awake || pace.restless || drawing) return this.run();
+    this.previous = 0;
+    const coming = this.info !== null && !this.isSettled();
+    const wait = coming ? LOOK_MS : stage.hasPad ? PAD_MS : 0;
+    if (wait && !this.timer && !this.closed) this.timer = window.setTimeout(() => this.run(), wait);
+  }
+
+  private listenForPads() {
+    const { signal } = this.listening;
+    window.addEventListener("gamepadconnected", () => this.wake(false), { signal });
   }
 
   private drawPictures(now: number, moved: boolean) {
@@ -611,17 +643,19 @@ export class Viewer {
     if (!city || pace.waits(now, moved)) return;
     const took = city.clock.poll();
     if (took !== null) pace.took(took);
-    city.keepPicture = this.book.tint !== null && pace.takesLong;
-    const { draw, look, sharpness, quick } = pace.turn(now, moved);
-    const drew = draw || city.wantsPicture;
-    if (drew) {
+    city.keepsPictures = this.book.tint !== null;
+    city.takesLong = pace.takesLong;
+    // A frame at a time: what comes meanwhile must not wait for more than one.
+    const busy = city.clock.busy && pace.takesLong;
+    const { draw, look, sharpness, quick } = pace.turn(now, moved, busy);
+    if (draw) {
       this.sharpen(sharpness);
       city.draw();
       this.overlay.update();
       this.events.emit("frame", null);
     } else if (look || (!city.settled && this.info !== null)) city.choose();
     if (!city.changing) this.tellAppearance();
-    const fps = pace.measure(now, drew, quick);
+    const fps = pace.measure(now, draw, quick);
     if (fps !== null) this.events.emit("slow", fps);
   }
 
@@ -649,6 +683,8 @@ export class Viewer {
   dispose() {
     this.closed = true;
     cancelAnimationFrame(this.running);
+    clearTimeout(this.timer);
+    this.listening.abort();
     this.resizing.disconnect();
     this.stage.dispose();
     this.pictures.stop();
