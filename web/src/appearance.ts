@@ -147,11 +147,15 @@ export class AppearanceControl {
   private fillLists() {
     const photographs = this.list.filter((one) => one.name !== NAME_DEFAULT);
     const both = photographs.filter((one) => !one.name.includes(","));
+    const chosen = [this.from.value, this.to.value] as const;
     this.from.replaceChildren(
       new Option(text("appearance.all"), NAME_DEFAULT),
       ...options(photographs),
     );
     this.to.replaceChildren(new Option(text("appearance.none"), ""), ...options(both));
+    [this.from, this.to].forEach((select, k) => {
+      if ([...select.options].some((one) => one.value === chosen[k])) select.value = chosen[k]!;
+    });
     this.strip.photographs = both;
     this.choose();
   }

@@ -1,25 +1,41 @@
-// The server's drawing of the view, laid over the browser's: wiped or faded. It shows the view at
-// rest; while the camera moves it is hidden rather than wrong.
+// What lies over the picture, to be compared with it: the server's drawing of the view, or another scene
+// of the server, say the same place of another date. Wiped or faded, and the two can be swapped.
+//
+// The server draws the view at rest: while the camera moves its drawing is hidden rather than wrong.
+// Another scene is drawn by a viewer of its own, which follows this one's camera.
 //
 // SPDX-License-Identifier: Apache-2.0
 import { element, setText } from "./dom";
-import { Problem } from "./problem";
 import type { Pictures } from "./pictures";
+import { Problem } from "./problem";
 import { text } from "./strings";
 import type { Viewer } from "./viewer";
 
+const SERVER = ""; // of the list of what to compare with
+
+function wordsOf(error: unknown): string {
+  return error instanceof Problem ? `${error.title}. ${error.message}` : `Error: ${String(error)}`;
+}
+
 export class Compare {
   open = false;
-  private readonly canvas = document.createElement("canvas");
+  private swapped = false; // it lies on the left
+  private other: Viewer | null = null; // draws another scene
+  private followed = ""; // the pose that it has
+  private readonly box = document.createElement("div"); // of the other viewer
+  private readonly canvas = document.createElement("canvas"); // of the server's drawing
   private readonly divider = document.createElement("div");
   private readonly pictures: Pictures;
+  private readonly list = element<HTMLSelectElement>("compare-with");
 
   constructor(private readonly viewer: Viewer) {
     this.canvas.id = "server-image";
+    this.box.id = "other-scene";
+    this.box.inert = true;
     this.divider.id = "divider";
     this.divider.dataset["own"] = "";
-    this.canvas.hidden = this.divider.hidden = true;
-    viewer.surface.append(this.canvas, this.divider);
+    this.canvas.hidden = this.box.hidden = this.divider.hidden = true;
+    viewer.surface.append(this.canvas, this.box, this.divider);
     this.pictures = viewer.comparison(this.canvas);
     this.pictures.onStart = () => setText("compare-text", text("compare.wait"));
     this.pictures.onPicture = ({ width, height, bytes, milliseconds }) => {
@@ -28,12 +44,10 @@ export class Compare {
       setText("compare-text", text("compare.text", { width, height, size, seconds }));
       this.canvas.classList.add("fresh");
     };
-    this.pictures.onProblem = (error) => {
-      const known = error instanceof Problem;
-      setText("compare-text", known ? `${error.title}. ${error.message}` : `Error: ${String(error)}`);
-    };
+    this.pictures.onProblem = (error) => setText("compare-text", wordsOf(error));
     viewer.on("frame", () => this.follow());
     viewer.on("mode", (mode) => mode === "pictures" && this.show(false));
+    viewer.on("scene", () => this.fill());
     this.wire();
   }
 
@@ -52,36 +66,129 @@ export class Compare {
     element("amount").addEventListener("input", () => this.layOut());
     for (const radio of document.querySelectorAll('input[name="mode"]'))
       radio.addEventListener("change", () => this.layOut());
+    this.list.addEventListener("change", () => this.begin());
     element("server-button").addEventListener("click", () => this.show(!this.open));
+    element("compare-swap").addEventListener("click", () => this.swap());
     element("compare-close").addEventListener("click", () => this.show(false));
   }
 
+  // In the language of now.
+  translate() {
+    this.fill();
+  }
+
+  // What there is to compare with; what was chosen stays where it can.
+  private fill() {
+    const { viewer, list } = this;
+    const { scene, scenes } = viewer;
+    const others = scenes.filter((one) => one.id !== scene?.id);
+    const before = list.value;
+    list.replaceChildren(
+      ...(scene?.pictures ? [new Option(text("compare.drawing"), SERVER)] : []),
+      ...others.map((one) => new Option(one.title, one.id)),
+    );
+    if ([...list.options].some((one) => one.value === before)) list.value = before;
+    element("compare-with-field").hidden = list.options.length < 2 && list.value === SERVER;
+    element("server-button").hidden = !list.options.length;
+    setText("server-button", text(others.length ? "compare.any" : "compare"));
+    if (!this.open) return;
+    if (!list.options.length) this.show(false);
+    else if (list.value !== before || this.other?.scene?.id === scene?.id) this.begin();
+    else this.label();
+  }
+
   show(open: boolean) {
+    if (open && !this.list.options.length) return;
     this.open = open;
-    this.canvas.hidden = !open;
     element("compare").hidden = !open;
     element("server-button").setAttribute("aria-pressed", String(open));
-    this.canvas.classList.remove("fresh");
-    if (!open) this.pictures.stop();
+    if (open) this.begin();
+    else this.end();
+  }
+
+  swap() {
+    if (!this.open) return;
+    this.swapped = !this.swapped;
     this.layOut();
-    if (open) this.follow();
+  }
+
+  private begin() {
+    this.end();
+    const { viewer, box, canvas, list } = this;
+    const id = list.value;
+    if (id === SERVER) canvas.hidden = false;
+    else {
+      box.hidden = false;
+      viewer.shareMemory(true);
+      const other = viewer.beside(box, id);
+      this.other = other;
+      other.on("turn", () => this.tell(other));
+      other.on("problem", (error) => setText("compare-text", wordsOf(error)));
+    }
+    this.layOut();
+    this.follow();
+  }
+
+  private end() {
+    this.pictures.stop();
+    this.canvas.hidden = this.box.hidden = this.divider.hidden = true;
+    this.canvas.classList.remove("fresh");
+    this.box.classList.remove("fresh");
+    setText("compare-text", "");
+    if (!this.other) return;
+    this.other.dispose();
+    this.other = null;
+    this.followed = "";
+    this.viewer.shareMemory(false);
   }
 
   private follow() {
     if (!this.open) return;
-    const { entry, appearance, width, height } = this.viewer.wantedView;
+    const { other, viewer } = this;
+    if (other) {
+      const now = JSON.stringify(viewer.pose);
+      if (now !== this.followed) other.lookAt(viewer.pose);
+      this.followed = now;
+      return;
+    }
+    const { entry, appearance, width, height } = viewer.wantedView;
     if (!entry) return;
-    this.pictures.want(entry, appearance, this.viewer.pose, width, height);
+    this.pictures.want(entry, appearance, viewer.pose, width, height);
     if (!this.pictures.settled) this.canvas.classList.remove("fresh");
   }
 
+  // How far the other scene is.
+  private tell({ state, hasPicture }: Viewer) {
+    if (hasPicture) this.box.classList.add("fresh");
+    if (!state.error) setText("compare-text", state.settled ? "" : text("compare.coming"));
+  }
+
   private layOut() {
-    const amount = Number(element<HTMLInputElement>("amount").value);
+    const amount = Number(element<HTMLInputElement>("amount").value); // that the right one has
     const wipe =
       document.querySelector<HTMLInputElement>('input[name="mode"]:checked')!.value === "wipe";
-    this.canvas.style.opacity = wipe ? "1" : String(amount / 100);
-    this.canvas.style.clipPath = wipe ? `inset(0 0 0 ${100 - amount}%)` : "none";
+    const { swapped } = this;
+    for (const { style } of [this.canvas, this.box]) {
+      style.opacity = wipe ? "1" : String((swapped ? 100 - amount : amount) / 100);
+      style.clipPath = !wipe
+        ? "none"
+        : swapped
+          ? `inset(0 ${amount}% 0 0)`
+          : `inset(0 0 0 ${100 - amount}%)`;
+    }
     this.divider.hidden = !(this.open && wipe && amount > 0 && amount < 100);
     this.divider.style.left = `${100 - amount}%`;
+    this.label();
+  }
+
+  private label() {
+    const { viewer, list } = this;
+    const names = [
+      this.other ? (viewer.scene?.title ?? "") : text("compare.client"),
+      this.other ? (list.selectedOptions[0]?.text ?? "") : text("compare.server"),
+    ];
+    if (this.swapped) names.reverse();
+    setText("compare-left", names[0]!);
+    setText("compare-right", names[1]!);
   }
 }

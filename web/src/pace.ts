@@ -17,6 +17,7 @@ const STALL_MS = 10_000; // a page that was hidden, not a slow frame
 // What to do in this turn of the page's loop.
 export interface Turn {
   draw: boolean;
+  held: boolean; // something is to be drawn, and the card is not done with the last frame
   look: boolean; // tiles may have to be chosen
   sharpness: number; // the part of the pixels to draw, a side
   quick: boolean; // the picture changes from frame to frame
@@ -86,13 +87,14 @@ export class Pace {
   turn(now: number, moved: boolean, busy = false): Turn {
     const quick = moved || now < this.mixingUntil;
     const wanted = this.dirty || moved;
-    const draw = !busy && (wanted || (this.blurred && !quick));
+    const due = wanted || (this.blurred && !quick);
+    const draw = due && !busy;
     const look = this.stale || now < this.awakeUntil;
     const sharpness = quick ? this.sharpness : 1;
     this.stale = false;
     this.dirty = wanted && !draw;
     if (draw) this.blurred = sharpness < 1;
-    return { draw, look, sharpness, quick };
+    return { draw, held: due && busy, look, sharpness, quick };
   }
 
   forgive() {
@@ -105,7 +107,8 @@ export class Pace {
   }
 
   // After every turn. The frames a second where they have been few for a while, once; else null.
-  measure(now: number, drew: boolean, quick: boolean): number | null {
+  measure(now: number, { draw: drew, held, quick }: Turn): number | null {
+    if (held) return null; // two frames about it are on end
     const gap = now - this.lastAt;
     const next = drew && this.drewBefore; // two frames on end
     if (next && gap < 3000) this.average = this.average ? this.average * 0.8 + gap * 0.2 : gap;

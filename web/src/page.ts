@@ -81,6 +81,7 @@ export class Page {
     this.appearance.translate();
     this.inset.translate();
     this.layers.translate();
+    this.compare.translate();
     this.applyDetail();
     this.showPlace();
   }
@@ -92,7 +93,6 @@ export class Page {
       document.title = `${scene.title} – citysplat`;
       setText("attribution", viewer.info?.attribution ?? "");
       this.fillChooser();
-      element("server-button").hidden = !scene.pictures;
       element("globe").hidden = !scene.catalogue; // cesium.html is where a server serves this page
       this.showPlace();
       this.address();
@@ -258,6 +258,7 @@ export class Page {
       KeyM: () => this.measure.show(!this.measure.open),
       KeyP: () => this.appearance.showPhotographs(!this.appearance.photographsOpen),
       KeyV: () => this.compare.show(!this.compare.open),
+      KeyX: () => this.compare.swap(),
       KeyI: () => void this.shot(),
       KeyL: () => void this.share(),
       KeyO: () => this.inset.toggle(),

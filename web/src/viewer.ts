@@ -97,6 +97,7 @@ export class Viewer {
   private readonly listening = new AbortController();
   private readonly resizing: ResizeObserver;
   private theme: "dark" | "light";
+  private memoryMost: number; // MB
   private readonly positions: boolean; // the container, which had no position of its own
 
   constructor(
@@ -104,6 +105,7 @@ export class Viewer {
     private readonly options: ViewerOptions = {},
   ) {
     this.theme = options.theme ?? "dark";
+    this.memoryMost = options.memoryMb ?? MEMORY_MB;
     const layer = (tag: string) => {
       const node = document.createElement(tag);
       Object.assign(node.style, { position: "absolute", inset: "0", width: "100%", height: "100%" });
@@ -489,6 +491,7 @@ export class Viewer {
 
   // For tiles, on the card and in the page together.
   set memoryMb(megabytes: number) {
+    this.memoryMost = megabytes;
     this.city?.setMemory(megabytes * 2 ** 20);
   }
 
@@ -528,6 +531,21 @@ export class Viewer {
       : null;
   }
 
+  // Another scene of the same server in a container of the caller's, as this one is looked at now. The
+  // caller has it follow, and disposes of it.
+  beside(container: HTMLElement, scene: string): Viewer {
+    const { options, pose, theme } = this;
+    const memoryMb = this.memoryMost / 2;
+    const backdrop = this.city?.backdrop.visible ?? true;
+    const own = { mode: "splats", scene, pose, theme, backdrop, memoryMb, appearance: "", keyboard: false } as const;
+    return new Viewer(container, { ...options, ...own });
+  }
+
+  // Another viewer beside this one has the other half of the memory for tiles.
+  shareMemory(on: boolean) {
+    this.city?.setMemory((this.memoryMost * 2 ** 20) / (on ? 2 : 1));
+  }
+
   // The server's drawing of this view on a canvas of the caller's, for comparing.
   comparison(canvas: HTMLCanvasElement): Pictures {
     return new Pictures(canvas, this.link, false);
@@ -545,9 +563,8 @@ export class Viewer {
   }
 
   private startCity(): boolean {
-    const megabytes = this.options.memoryMb ?? MEMORY_MB;
     try {
-      this.city = new City(this.canvas, this.stage.camera, this.link, megabytes * 2 ** 20);
+      this.city = new City(this.canvas, this.stage.camera, this.link, this.memoryMost * 2 ** 20);
     } catch {
       return false;
     }
@@ -645,17 +662,17 @@ export class Viewer {
     if (took !== null) pace.took(took);
     city.keepsPictures = this.book.tint !== null;
     city.takesLong = pace.takesLong;
-    // A frame at a time: what comes meanwhile must not wait for more than one.
-    const busy = city.clock.busy && pace.takesLong;
-    const { draw, look, sharpness, quick } = pace.turn(now, moved, busy);
-    if (draw) {
-      this.sharpen(sharpness);
+    // At rest a frame at a time: what comes meanwhile must not wait for more than one.
+    const busy = city.clock.busy && pace.takesLong && !moved;
+    const turn = pace.turn(now, moved, busy);
+    if (turn.draw) {
+      this.sharpen(turn.sharpness);
       city.draw();
       this.overlay.update();
       this.events.emit("frame", null);
-    } else if (look || (!city.settled && this.info !== null)) city.choose();
+    } else if (turn.look || (!city.settled && this.info !== null)) city.choose();
     if (!city.changing) this.tellAppearance();
-    const fps = pace.measure(now, draw, quick);
+    const fps = pace.measure(now, turn);
     if (fps !== null) this.events.emit("slow", fps);
   }
 

@@ -20,18 +20,19 @@ export const BIN = process.env.CITYSPLAT_BIN;
 export const GIVEN_TILES = process.env.CITYSPLAT_TILES;
 export const MOCK = process.env.CITYSPLAT_MOCK === "1";
 
-// edgeM: of the finest tiles.
-export function importCity(dir, edgeM = 60) {
-    const ply = join(dir, "city.ply");
-    const tiles = join(dir, "city.tiles");
-    writeFileSync(ply, writePly(makeCity(), ORIGIN));
+// edgeM: of the finest tiles. city: Gaussians about ORIGIN.
+export function importCity(dir, edgeM = 60, name = "fcity", city = makeCity()) {
+    const file = name === "fcity" ? "city" : name;
+    const ply = join(dir, `${file}.ply`);
+    const tiles = join(dir, `${file}.tiles`);
+    writeFileSync(ply, writePly(city, ORIGIN));
     const args = [
         "import",
         ply,
         "--output",
         tiles,
         "--name",
-        "fcity",
+        name,
         "--tile-edge-m",
         String(edgeM),
         "--attribution",
@@ -85,6 +86,20 @@ export async function openSource({ edgeM } = {}) {
     try {
         const server = await serve(importCity(dir, edgeM));
         return { ...server, city: true, dir, close: () => server.close().finally(clean) };
+    } catch (error) {
+        clean();
+        throw error;
+    }
+}
+
+// The test city, and what is to be another date of it: `later`, with red and blue exchanged.
+export async function openTwoDates() {
+    const dir = mkdtempSync(join(tmpdir(), "citysplat-dates-"));
+    const clean = () => rmSync(dir, { recursive: true, force: true });
+    const later = makeCity().map((one) => ({ ...one, rgb: one.rgb.toReversed() }));
+    try {
+        const server = await serve(importCity(dir), importCity(dir, 60, "later", later));
+        return { ...server, close: () => server.close().finally(clean) };
     } catch (error) {
         clean();
         throw error;

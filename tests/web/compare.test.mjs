@@ -1,0 +1,105 @@
+// Two scenes of a server over each other, say two dates of a place: a line between both, faded, swapped.
+//
+// SPDX-License-Identifier: Apache-2.0
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+
+import { lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
+import { NORTH, SOUTH } from "./lib/checks.mjs";
+import { fCellCenter, ORIGIN, RED_TOP } from "./lib/city.mjs";
+import { project } from "./lib/geo.mjs";
+import { decodePng } from "./lib/png.mjs";
+import { GIVEN_TILES, MOCK, openTwoDates } from "./lib/source.mjs";
+
+const SIZE = { width: 760, height: 500 };
+const TOWER = [RED_TOP[0], RED_TOP[1], RED_TOP[2] + 0.5]; // red, in the east; blue at the later date
+const LETTER = fCellCenter(0, 2); // yellow, in the west; cyan at the later date
+const skip = { skip: MOCK || GIVEN_TILES ? "needs two cities" : false };
+
+let source;
+let viewer;
+let page;
+before(async () => {
+    if (skip.skip) return;
+    source = await openTwoDates();
+    viewer = await openPage(`${source.url}/?lang=en&scene=fcity`, SIZE);
+    page = viewer.page;
+    await waitForViewer(page);
+});
+after(async () => {
+    await viewer?.close();
+    await source?.close();
+});
+
+// "first" or "later", by the colours of the tower and of the letter as they are on the screen.
+async function datesAt(pose) {
+    await page.waitForFunction(() => document.getElementById("compare-text").textContent === "");
+    const ui = (on) => page.evaluate((v) => void (document.documentElement.dataset.ui = v), on ? "on" : "off");
+    await ui(false);
+    const png = decodePng(await page.screenshot());
+    await ui(true);
+    const date = (place) => {
+        const [x, y] = project(ORIGIN, pose, place, SIZE.width, SIZE.height);
+        const [r, , b] = png.mean(x, y, 1);
+        assert.ok(Math.abs(r - b) > 60, `neither: ${r}, ${b} at ${x}, ${y}`);
+        return r > b ? "first" : "later";
+    };
+    return { tower: date(TOWER), letter: date(LETTER) };
+}
+
+async function set(id, value) {
+    await page.evaluate(
+        ([name, v]) => {
+            const control = document.getElementById(name);
+            control.value = v;
+            control.dispatchEvent(new Event(control.type === "range" ? "input" : "change"));
+        },
+        [id, value],
+    );
+}
+
+test("another scene lies right of a line, follows the camera, and is swapped", skip, async () => {
+    await lookViewer(page, SOUTH);
+    assert.equal(await page.textContent("#server-button"), "Compare");
+    await page.click("#server-button");
+    assert.deepEqual(await page.$$eval("#compare-with option", (all) => all.map((one) => one.value)), ["", "later"]);
+    await set("compare-with", "later");
+    await page.waitForSelector("#other-scene.fresh");
+    assert.deepEqual(await datesAt(SOUTH), { letter: "first", tower: "later" });
+    assert.deepEqual(
+        await page.$$eval("#compare-left, #compare-right", (all) => all.map((one) => one.textContent)),
+        ["fcity", "later"],
+    );
+    await lookViewer(page, NORTH); // now the tower is left
+    await page.waitForTimeout(300);
+    assert.deepEqual(await datesAt(NORTH), { letter: "later", tower: "first" });
+    await page.keyboard.press("x");
+    assert.deepEqual(await datesAt(NORTH), { letter: "first", tower: "later" });
+    assert.equal(await page.textContent("#compare-left"), "later");
+    await page.click("#compare-swap");
+    await set("amount", "100");
+    assert.deepEqual(await datesAt(NORTH), { letter: "later", tower: "later" });
+    await page.click("#compare label:has-text('Fade')");
+    await set("amount", "0");
+    assert.deepEqual(await datesAt(NORTH), { letter: "first", tower: "first" });
+});
+
+test("both share the memory; the other one goes when it is closed, and changes with the scene", skip, async () => {
+    const limit = () => page.evaluate(() => window.citysplat.viewer.city.cache.maxBytesSize);
+    const shared = await limit();
+    await page.keyboard.press("v");
+    assert.equal(await page.locator("#other-scene canvas").count(), 0);
+    assert.equal(await page.isVisible("#divider"), false);
+    assert.equal(await limit(), 2 * shared);
+    await page.evaluate(() => window.citysplat.viewer.openScene("later", window.citysplat.pose()));
+    await waitForViewer(page);
+    await page.keyboard.press("v");
+    assert.deepEqual(await page.$$eval("#compare-with option", (all) => all.map((one) => one.value)), ["", "fcity"]);
+    await set("compare-with", "fcity");
+    await set("amount", "50");
+    await page.click("#compare label:has-text('Wipe')");
+    await page.waitForSelector("#other-scene.fresh");
+    assert.deepEqual(await datesAt(NORTH), { letter: "first", tower: "later" });
+    await page.click("#compare-close");
+    assert.deepEqual(viewer.log, []);
+});
