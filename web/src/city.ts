@@ -223,13 +223,13 @@ export class City {
       this.wakeFor(tiles);
     }
     (this.next ?? this.active)?.finishDrafts();
-    if (this.next?.root && !this.next.loading && this.next.shown.length) {
+    if (this.next?.root && !this.next.loading && this.next.shows) {
       this.retire(this.active);
       this.active = this.next;
       this.next = null;
     }
-    if (this.active && (this.active.shown.length || !this.active.loading))
-      engine.want(this.active.shown);
+    if (this.active && (this.active.shows || !this.active.loading))
+      engine.want(this.active.pieces(!this.takesLong || !this.active.loading));
     this.layers?.step(camera, this.renderer);
     engine.update(camera);
     if (!engine.settled) this.fresh = false;
@@ -389,7 +389,7 @@ export class City {
     const broken = [...(on?.broken ?? [])].filter(([tile]) => tile.traversal.used);
     return {
       tiles: this.engine.visibleBlocks.length,
-      gaussians: this.engine.visibleBlocks.reduce((sum, block) => sum + block.splats.count, 0),
+      gaussians: this.engine.gaussians,
       bytes: (this.active?.bytes ?? 0) + (this.next?.bytes ?? 0),
       pending: queued + downloading + parsing + (on?.finishingCount ?? 0),
       parsing,

@@ -44,7 +44,7 @@ import {
   SPLAT_FRAGMENT,
   SPLAT_VERTEX,
 } from "./shaders";
-import type { SortMessage, SortReply } from "./sort.worker";
+import type { Rectangle, SortMessage, SortReply } from "./sort.worker";
 import { ROW, SH_NONE, type DecodedSplats } from "./spz";
 import type { Tint } from "./tint";
 
@@ -57,7 +57,14 @@ export interface Block {
   row: number; // the first of its rows; -1 when it is gone
   readonly rows: number;
   readonly tint: Tint | null; // null: colours are what the tile says
+  area: Rectangle; // of the centres
   tinted: [number, number]; // versions of the tint that the card holds; -1 for none
+}
+
+// What is to be drawn of a block: all but what others stand on.
+export interface Piece {
+  block: Block;
+  without: readonly Block[];
 }
 
 interface Planes {
@@ -99,9 +106,10 @@ export class Gaussians {
   readonly mesh: Mesh<InstancedBufferGeometry, RawShaderMaterial>;
   onOrder: () => void = () => {}; // a new order is there to be drawn
   drawn = 0; // Gaussians of the order on the screen
+  gaussians = 0; // of all that is shown, also behind the camera
   private readonly blocks = new Set<Block>();
   private readonly leaving = new Set<Block>(); // not wanted, but perhaps still on the screen
-  private wanted: Block[] = [];
+  private wanted: readonly Piece[] = [];
   private shown: Block[] = []; // those of the order on the screen
   private planes: Planes | null = null;
   private rows = 0;
@@ -201,7 +209,10 @@ export class Gaussians {
   add(splats: DecodedSplats, tint: Tint | null = null): Block {
     const rows = Math.ceil(splats.count / ROW);
     const own = splats.embedding ? tint : null;
-    const block: Block = { id: this.nextId++, splats, row: -1, rows, tint: own, tinted: [-1, -1] };
+    const block: Block = {
+      ...{ id: this.nextId++, splats, row: -1, rows, tint: own },
+      ...{ area: areaOf(splats), tinted: [-1, -1] },
+    };
     const embed = own ? (splats.embedding?.planes.length ?? 0) : 0;
     if (splats.sh.length > this.shPlanes || embed > this.embedPlanes) {
       this.shPlanes = Math.max(this.shPlanes, splats.sh.length);
@@ -218,16 +229,20 @@ export class Gaussians {
   // The block's rows are free again as soon as nothing on the screen needs them.
   remove(block: Block) {
     if (!this.blocks.has(block)) return;
-    this.wanted = this.wanted.filter((other) => other !== block);
+    this.wanted = this.wanted.filter((other) => other.block !== block);
     this.leaving.add(block);
     this.sweep();
   }
 
-  // Which blocks are to be drawn.
-  want(blocks: Block[]) {
-    const same = blocks.length === this.wanted.length && blocks.every((b, i) => b === this.wanted[i]);
-    if (same) return;
-    this.wanted = blocks;
+  // What is to be drawn.
+  want(pieces: readonly Piece[]) {
+    const same = ({ block, without }: Piece, i: number) => {
+      const before = this.wanted[i]!;
+      const rest = before.without;
+      return block === before.block && without.length === rest.length && without.every((b, k) => b === rest[k]);
+    };
+    if (pieces.length === this.wanted.length && pieces.every(same)) return;
+    this.wanted = pieces;
     this.version++;
   }
 
@@ -369,14 +384,16 @@ export class Gaussians {
     const digits = [...eye.toArray(), ...ahead.toArray()].map((v) => v.toFixed(4));
     this.wantedKey = `${this.version} ${digits.join(" ")}`;
     if (this.sorting || this.wantedKey === this.sortedKey) return;
-    this.sorting = { ticket: ++this.ticket, blocks: this.wanted.slice(), key: this.wantedKey };
+    const blocks = this.wanted.map(({ block }) => block);
+    this.sorting = { ticket: ++this.ticket, blocks, key: this.wantedKey };
     const spare = this.spare;
     this.spare = null;
     this.post(
       {
         kind: "sort",
         ticket: this.ticket,
-        blocks: this.wanted.map((block) => block.id),
+        blocks: blocks.map(({ id }) => id),
+        without: this.wanted.map(({ without }) => (without.length ? without.map(({ area }) => area) : null)),
         eye: eye.toArray(),
         ahead: ahead.toArray(),
         spare,
@@ -385,8 +402,9 @@ export class Gaussians {
     );
   }
 
-  private take({ ticket, order, count }: SortReply) {
+  private take({ ticket, order, count, left }: SortReply) {
     if (this.sorting?.ticket !== ticket) return;
+    this.gaussians = this.sorting.blocks.reduce((sum, { splats }) => sum + splats.count, -left);
     this.sortedKey = this.sorting.key;
     this.shown = this.sorting.blocks;
     this.sorting = null;
@@ -585,6 +603,18 @@ export class Gaussians {
       mesh.material.dispose();
     }
   }
+}
+
+function areaOf({ place, count }: DecodedSplats): Rectangle {
+  const centres = new Float32Array(place.buffer);
+  let [left, right, far, near] = [Infinity, -Infinity, Infinity, -Infinity];
+  for (let i = 0; i < 4 * count; i += 4) {
+    left = Math.min(left, centres[i]!);
+    right = Math.max(right, centres[i]!);
+    far = Math.min(far, centres[i + 2]!);
+    near = Math.max(near, centres[i + 2]!);
+  }
+  return [left, right, far, near];
 }
 
 // Gaussians of few blocks from far to near, without the worker.

@@ -1,6 +1,9 @@
 // Worker: keeps the centres of all Gaussians and returns those of the wanted tiles from far to near.
 //
 // SPDX-License-Identifier: Apache-2.0
+// Seen from above: least and most x, least and most z.
+export type Rectangle = readonly [number, number, number, number];
+
 export type SortMessage =
   | { kind: "add"; block: number; first: number; centres: Float32Array<ArrayBuffer> }
   | { kind: "remove"; block: number }
@@ -8,6 +11,7 @@ export type SortMessage =
       kind: "sort";
       ticket: number;
       blocks: number[];
+      without: (Rectangle[] | null)[]; // of each block: Gaussians in these are left out
       eye: [number, number, number];
       ahead: [number, number, number];
       spare: Uint32Array<ArrayBuffer> | null; // an order that is not on the screen any more
@@ -16,6 +20,7 @@ export interface SortReply {
   ticket: number;
   order: Uint32Array<ArrayBuffer>; // at least count long
   count: number;
+  left: number; // Gaussians that others stand in for
 }
 
 const BUCKETS = 1 << 16;
@@ -24,9 +29,13 @@ const starts = new Uint32Array(BUCKETS + 1);
 let distances = new Float32Array(0);
 let indices = new Uint32Array(0);
 
+function isIn(all: Rectangle[], x: number, z: number): boolean {
+  return all.some(([left, right, far, near]) => x >= left && x <= right && z >= far && z <= near);
+}
+
 // A counting sort of distances: 65536 steps between the nearest and the farthest.
 function sort(message: SortMessage & { kind: "sort" }): SortReply {
-  const { blocks, eye, ahead, ticket } = message;
+  const { blocks, without, eye, ahead, ticket } = message;
   let total = 0;
   for (const block of blocks) total += (held.get(block)?.centres.length ?? 0) / 3;
   if (distances.length < total) {
@@ -36,11 +45,17 @@ function sort(message: SortMessage & { kind: "sort" }): SortReply {
   let n = 0;
   let nearest = Infinity;
   let farthest = 0;
-  for (const block of blocks) {
+  let left = 0;
+  for (const [b, block] of blocks.entries()) {
     const own = held.get(block);
     if (!own) continue;
     const { centres, first } = own;
+    const out = without[b];
     for (let i = 0, k = 0; k < centres.length; i++, k += 3) {
+      if (out && isIn(out, centres[k]!, centres[k + 2]!)) {
+        left++;
+        continue;
+      }
       const x = centres[k]! - eye[0];
       const y = centres[k + 1]! - eye[1];
       const z = centres[k + 2]! - eye[2];
@@ -64,7 +79,7 @@ function sort(message: SortMessage & { kind: "sort" }): SortReply {
     const bucket = BUCKETS - 1 - (((distances[i]! - nearest) * scale) | 0);
     order[starts[bucket]!++] = indices[i]!;
   }
-  return { ticket, order, count: n };
+  return { ticket, order, count: n, left };
 }
 
 self.onmessage = ({ data }: MessageEvent<SortMessage>) => {

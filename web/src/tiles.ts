@@ -13,7 +13,7 @@ import { TilesRenderer } from "3d-tiles-renderer/three";
 import { Matrix4, Vector3 } from "three";
 
 import type { DecoderPool } from "./decoders";
-import { Gaussians, type Block } from "./gaussians";
+import { Gaussians, type Block, type Piece } from "./gaussians";
 import type { Link } from "./link";
 import { DRAFT, usePackedTiles } from "./source";
 import type { Tint } from "./tint";
@@ -44,6 +44,7 @@ export interface CityTile extends Tile {
     used: boolean;
     error: number;
     visible: boolean;
+    inFrustum: boolean;
     lastFrameVisited: number;
   };
   engineData: { transform: Matrix4 };
@@ -87,6 +88,7 @@ export class CityTiles extends BaseTiles {
   bytes = 0; // of the tiles that came
   frozen = false; // asks for nothing more: another set of tiles takes its place
   count = 0; // of them
+  private before = new Set<Block>(); // on the screen
   private readonly unwanted = new Map<CityTile, number>();
   private readonly drafts = new Set<CityTile>();
   private readonly finishing = new Map<CityTile, AbortController>();
@@ -302,14 +304,35 @@ export class CityTiles extends BaseTiles {
     return first.map(([, block]) => block);
   }
 
-  // The blocks of the tiles that the view shows now.
-  get shown(): Block[] {
-    const out: Block[] = [];
-    for (const tile of this.visibleTiles) {
-      const block = this.blocks.get(tile);
-      if (block) out.push(block);
-    }
+  // What the view shows now. Where a tile stands in for finer ones, those of them that are there are drawn,
+  // and the rest of it: else one tile that is missing would take the detail off all that lie around it.
+  // news: also those that were not on the screen before, so detail comes tile by tile.
+  pieces(news: boolean): Piece[] {
+    const out: Piece[] = [];
+    for (const tile of this.visibleTiles) this.cover(tile, news, out);
+    this.before = new Set(out.map(({ block }) => block));
     return out;
+  }
+
+  // Returns the blocks that now lie where this tile is.
+  private cover(tile: CityTile, news: boolean, out: Piece[]): Block[] {
+    const block = this.blocks.get(tile);
+    const { traversal } = tile;
+    const finer: Block[] = [];
+    if (traversal.error > this.errorTarget)
+      for (const child of tile.children) {
+        const { used, lastFrameVisited } = child.traversal;
+        if (used && lastFrameVisited === this.frameCount) finer.push(...this.cover(child, news, out));
+      }
+    const may = news || traversal.visible || (block && this.before.has(block));
+    if (!block || !may || !traversal.inFrustum) return finer;
+    out.push({ block, without: finer });
+    return [block];
+  }
+
+  // Some tile is there for this view.
+  get shows(): boolean {
+    return this.visibleTiles.size > 0;
   }
 
   // Something that this view needs is not there yet, and is on its way or queued.
