@@ -283,6 +283,15 @@ test("the map: own tiles, the camera on it, a click flies there, nothing of othe
     t.diagnostic(`${colours} colours, ${asked.filter((url) => /\/map\//.test(url)).length} tiles`);
     assert.ok(colours > 8, `${colours} colours on the map`);
     assert.ok(asked.every((url) => new URL(url).host === new URL(source.url).host), asked.join(" "));
+    // It shows a camera far off, and is not left small when that comes back.
+    const width = () => page.$eval("#inset .extent", (node) => node.getBoundingClientRect().width);
+    const [home, wide] = [await page.evaluate(() => window.citysplat.pose()), await width()];
+    await page.evaluate((pose) => window.citysplat.look({ ...pose, lat: pose.lat - 0.03 }), home);
+    await waitForViewer(page);
+    assert.ok((await width()) < 0.3 * wide, "the far camera is not on the map");
+    await page.evaluate((pose) => window.citysplat.look(pose), home);
+    await waitForViewer(page);
+    assert.ok((await width()) > 0.9 * wide, "the map stays small");
     const box = await page.locator("#inset-map").boundingBox();
     const { pitch } = await page.evaluate(() => window.citysplat.pose());
     await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);

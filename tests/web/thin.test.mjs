@@ -5,8 +5,10 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { openPage, waitForViewer } from "./lib/browser.mjs";
+import { lookViewer, openPage, waitForViewer } from "./lib/browser.mjs";
 import { measureContent, SOUTH } from "./lib/checks.mjs";
+import { ORIGIN, RED_TOP } from "./lib/city.mjs";
+import { placeOfEnu, project } from "./lib/geo.mjs";
 import { decodePng } from "./lib/png.mjs";
 import { Proxy } from "./lib/proxy.mjs";
 import { firstDataSet, GIVEN_TILES, MOCK, openSource } from "./lib/source.mjs";
@@ -54,10 +56,27 @@ test("home is that of the drawn city", async (t) => {
     assert.ok(measureContent(png).share > 0.1);
 });
 
+test("a click tells the place, which the server knows", async (t) => {
+    if (why) return t.skip(why);
+    await lookViewer(page, SOUTH);
+    const top = placeOfEnu(ORIGIN, [RED_TOP[0], RED_TOP[1], RED_TOP[2]]);
+    const [x, y] = project(ORIGIN, SOUTH, RED_TOP, SIZE.width, SIZE.height);
+    const told = page.evaluate(() => new Promise((done) => window.citysplat.viewer.on("click", done)));
+    await page.mouse.click(x, y);
+    const { place } = await told;
+    const apart = (key) => Math.abs(place[key] - top[key]) * 111_320;
+    assert.ok(apart("lat") < 3 && apart("lon") < 3 && Math.abs(place.h - top.h) < 3, JSON.stringify([place, top]));
+    await page.click("#place-close");
+    await page.evaluate(() => window.citysplat.viewer.home());
+    await waitForViewer(page);
+});
+
 test("moving: small pictures one by one; at rest the full one", async (t) => {
     if (why) return t.skip(why);
     proxy.log = [];
     proxy.latencyMs = 30;
+    // As at first: pictures of the tests before may have been so quick that they grew.
+    await page.evaluate(() => (window.citysplat.viewer.pictures.area = 60_000));
     const drawn = await page.evaluate(async () => {
         const { viewer } = window.citysplat;
         const from = viewer.pose;

@@ -2,7 +2,7 @@
 // towards. Loaded when somebody opens the inset; needs no graphics card.
 //
 // SPDX-License-Identifier: Apache-2.0
-import { GridLayer, Map as LeafletMap, circleMarker, control, latLngBounds, layerGroup, polygon, rectangle } from "leaflet";
+import { GridLayer, Map as LeafletMap, circleMarker, control, latLngBounds, layerGroup, point, polygon, rectangle } from "leaflet";
 import type {
   Coords,
   DoneCallback,
@@ -16,6 +16,7 @@ import "leaflet/dist/leaflet.css";
 import type { Place, Pose } from "./geo";
 
 const TILE_PX = 256;
+const SMALL_ZOOMS = 1; // a map that could be larger by more than that is made larger
 const BLURRED_ZOOMS = 3; // beyond the last zoom that there is
 const METRES_PER_DEGREE = 111_320;
 const WEDGE_LEAST_M = 30;
@@ -113,6 +114,7 @@ export class MiniMap {
   private readonly map: LeafletMap;
   private readonly city: LatLngBounds;
   private readonly over = layerGroup();
+  private fitted = 0; // the zoom that fit() found
 
   constructor(
     box: HTMLElement,
@@ -148,6 +150,14 @@ export class MiniMap {
   private fit(camera: LatLngTuple) {
     const all = this.city.pad(0).extend(camera);
     this.map.fitBounds(all, { animate: false, padding: [EDGE_PX, EDGE_PX] });
+    this.fitted = this.map.getZoom();
+  }
+
+  // The camera came back from afar, and nobody chose this zoom.
+  private isSmall(camera: LatLngTuple): boolean {
+    const { map, city } = this;
+    const zoom = map.getBoundsZoom(city.pad(0).extend(camera), false, point(2 * EDGE_PX, 2 * EDGE_PX));
+    return map.getZoom() === this.fitted && zoom > this.fitted + SMALL_ZOOMS;
   }
 
   // The camera and what it sees. The map follows where the camera leaves it.
@@ -157,7 +167,8 @@ export class MiniMap {
     circleMarker([pose.lat, pose.lon], { className: "camera", radius: 6, interactive: false }).addTo(this.over);
     this.map.getContainer().setAttribute("aria-label", label);
     const at: LatLngTuple = [pose.lat, pose.lon];
-    if (this.city.contains(at)) this.map.panInside(at, { padding: [EDGE_PX, EDGE_PX], animate: false });
+    if (this.isSmall(at)) this.fit(at);
+    else if (this.city.contains(at)) this.map.panInside(at, { padding: [EDGE_PX, EDGE_PX], animate: false });
     else if (!this.map.getBounds().contains(at)) this.fit(at);
   }
 

@@ -4,7 +4,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { Matrix4, Vector3 } from "three";
 
-import { formatPose, type Pose } from "./geo";
+import { formatPose, type Place, type Pose } from "./geo";
 import { HttpError, type Link } from "./link";
 import { NAME_DEFAULT, Network, type Photograph } from "./network";
 import { Problem } from "./problem";
@@ -65,6 +65,7 @@ interface Node {
   children?: Node[];
 }
 
+const ANSWER_MS = 20_000;
 const APPEARANCE_NONE = "none";
 export const DRAFT = "preset=preview&sh=0"; // letter by letter what server/hint.c says
 const VOLUMES = "http://www.opengis.net/def/rel/ogc/1.0/3d-geovolumes";
@@ -250,6 +251,24 @@ export function pictureUrl(
     new URL(`${formatPose(pose)}/${width}x${height}.jpg`, entry.pictures),
     appearance,
   );
+}
+
+// What the server sees at a pixel of a view; null for the sky.
+export async function askPlace(
+  link: Link,
+  { questions }: SceneEntry,
+  { h, ...pose }: Pose,
+  at: { x: number; y: number; width: number; height: number },
+): Promise<Place | null> {
+  if (!questions || link.state === "away") return null;
+  const [x, y] = [Math.floor(at.x), Math.floor(at.y)];
+  const body = JSON.stringify({ pose: { ...pose, height: h }, ...at, x, y });
+  const signal = AbortSignal.timeout(ANSWER_MS);
+  const response = await fetch(new URL("pick", questions), { method: "POST", body, signal });
+  if (!response.ok) return null;
+  const { lon, lat, height_m } = (await response.json()) as Record<string, unknown>;
+  const place = { lon: Number(lon ?? NaN), lat: Number(lat ?? NaN), h: Number(height_m ?? NaN) };
+  return Object.values(place).every(Number.isFinite) ? place : null;
 }
 
 // What the server says of a scene's map tiles; null where there are none.

@@ -19,6 +19,7 @@ import { Waits } from "./progress";
 import { Scenes, type Opened, type SceneHost } from "./scenes";
 import type { ShotOptions } from "./shot";
 import {
+  askPlace,
   findBasemap,
   findMapTiles,
   listAppearances,
@@ -132,10 +133,7 @@ export class Viewer {
       this.events.emit("touch", null);
     };
     this.stage.surfaceOn = (ray) => this.surfaceOn(ray);
-    this.stage.onClick = (x, y) => {
-      const point = this.surfaceOn(this.stage.ray(x, y));
-      this.events.emit("click", { x, y, place: point && this.stage.frame.placeOf(point) });
-    };
+    this.stage.onClick = (x, y) => void this.tellClick(x, y);
     this.overlay = new Overlay(this.surface, this.stage);
     this.overlay.onWake = () => this.wake();
     this.layers = new Layers(this.stage, this.overlay, (place) => this.heightOf(place));
@@ -275,6 +273,17 @@ export class Viewer {
   pick(x: number, y: number): Place | null {
     const point = this.surfaceOn(this.stage.ray(x, y));
     return point && this.stage.frame.placeOf(point);
+  }
+
+  // Where the server draws it also knows what is there.
+  private async tellClick(x: number, y: number) {
+    const { scene, surface } = this;
+    const asks = this.currentMode === "pictures" && scene?.questions;
+    const { clientWidth: width, clientHeight: height } = surface;
+    const place = asks
+      ? await askPlace(this.link, scene, this.pose, { x, y, width, height }).catch(() => null)
+      : this.pick(x, y);
+    if (!this.closed) this.events.emit("click", { x, y, place });
   }
 
   // The height of what is drawn at a place, seen from straight above; null where there is nothing.
