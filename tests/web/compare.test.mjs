@@ -84,6 +84,14 @@ test("another scene lies right of a line, follows the camera, and is swapped", s
     assert.deepEqual(await datesAt(NORTH), { letter: "first", tower: "first" });
 });
 
+test("where the other scene has nothing to show, that is said", skip, async () => {
+    const sky = { ...NORTH, heading: 0, pitch: 30 }; // away from both
+    await page.evaluate((pose) => window.citysplat.look(pose), sky);
+    await page.waitForFunction(() => /^Nothing/.test(document.getElementById("compare-text").textContent));
+    await lookViewer(page, NORTH);
+    await page.waitForFunction(() => document.getElementById("compare-text").textContent === "");
+});
+
 test("both share the memory; the other one goes when it is closed, and changes with the scene", skip, async () => {
     const limit = () => page.evaluate(() => window.citysplat.viewer.city.cache.maxBytesSize);
     const shared = await limit();

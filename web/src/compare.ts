@@ -157,10 +157,11 @@ export class Compare {
     if (!this.pictures.settled) this.canvas.classList.remove("fresh");
   }
 
-  // How far the other scene is.
+  // How far the other scene is. One that lies elsewhere has nothing to show here, and that is shown.
   private tell({ state, hasPicture }: Viewer) {
-    if (hasPicture) this.box.classList.add("fresh");
-    if (!state.error) setText("compare-text", state.settled ? "" : text("compare.coming"));
+    if (hasPicture || state.settled) this.box.classList.add("fresh");
+    const now = !state.settled ? text("compare.coming") : hasPicture ? "" : text("compare.elsewhere");
+    if (!state.error) setText("compare-text", now);
   }
 
   private layOut() {
