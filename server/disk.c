@@ -133,7 +133,7 @@ static void disk_forget(struct disk *d, struct hash128 id)
     mem_free(x);
 }
 
-/* ---- files ---- */
+/* ---- files: the index and the names of whole files change together, under the lock ---- */
 
 static void disk_path(const struct disk *d, struct hash128 id, const char *end,
                       char out[FILE_PATH_MAX])
@@ -167,12 +167,12 @@ static void disk_make_room(struct disk *d)
         if (over) {
             disk_forget(d, id);
             d->stats.evicted++;
+            disk_path(d, id, "", path);
+            (void)unlink(path);
         }
         pthread_mutex_unlock(&d->lock);
         if (!over)
             return;
-        disk_path(d, id, "", path);
-        (void)unlink(path);
     }
 }
 
@@ -439,11 +439,11 @@ bool disk_get(struct disk *d, struct hash128 id, struct buf *out)
     d->stats.damaged += there && !good;
     if (!good)
         disk_forget(d, id);
-    pthread_mutex_unlock(&d->lock);
-    if (there && !good) {
+    if (there && !good)
         (void)unlink(path);
+    pthread_mutex_unlock(&d->lock);
+    if (there && !good)
         disk_say(d, "removed", path, "it is not what was written");
-    }
     return good;
 }
 
@@ -460,8 +460,8 @@ static int disk_create(const struct disk *d, struct hash128 id, const char *part
     return mkdir(folder, 0700) && errno != EEXIST ? -1 : open(part, flags, 0600);
 }
 
-/* The file, under its own name when it is whole. */
-static bool disk_write(struct disk *d, struct hash128 id, const void *bytes, size_t n)
+/* The file, under its own name when it is whole, and its entry. */
+static void disk_write(struct disk *d, struct hash128 id, const void *bytes, size_t n)
 {
     char path[FILE_PATH_MAX], part[FILE_PATH_MAX];
     struct disk_head h = {.size = n, .id = id, .hash = hash_bytes(bytes, n)};
@@ -471,8 +471,12 @@ static bool disk_write(struct disk *d, struct hash128 id, const void *bytes, siz
     disk_path(d, id, ".part", part);
     int fd = disk_create(d, id, part);
     if (fd < 0) {
-        disk_say(d, "not kept", part, strerror(errno));
-        return false;
+        const int why_not = errno;
+        pthread_mutex_lock(&d->lock);
+        d->stats.failed++;
+        pthread_mutex_unlock(&d->lock);
+        disk_say(d, "not kept", part, strerror(why_not));
+        return;
     }
     bool ok = disk_write_all(fd, &h, sizeof h) && disk_write_all(fd, bytes, n);
     int why = errno;
@@ -480,28 +484,27 @@ static bool disk_write(struct disk *d, struct hash128 id, const void *bytes, siz
         ok = false;
         why = errno;
     }
+    pthread_mutex_lock(&d->lock);
     if (ok && rename(part, path)) {
         ok = false;
         why = errno;
     }
+    d->stats.written += ok;
+    d->stats.failed += !ok;
+    if (ok)
+        (void)disk_add(d, id, disk_cost(n + sizeof h), clock_s());
+    pthread_mutex_unlock(&d->lock);
     if (!ok) {
         (void)unlink(part);
         disk_say(d, "not kept", part, strerror(why));
     }
-    return ok;
 }
 
 void disk_put(struct disk *d, struct hash128 id, const void *bytes, size_t n)
 {
     if (!d || n > d->limit / DISK_SHARE)
         return;
-    const bool written = disk_write(d, id, bytes, n);
-    pthread_mutex_lock(&d->lock);
-    d->stats.written += written;
-    d->stats.failed += !written;
-    if (written)
-        (void)disk_add(d, id, disk_cost(n + sizeof(struct disk_head)), clock_s());
-    pthread_mutex_unlock(&d->lock);
+    disk_write(d, id, bytes, n);
     disk_make_room(d);
 }
 

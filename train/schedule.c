@@ -94,7 +94,7 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
     s->lr_factor = schedule_lr_factor(cfg->lr_short, kappa);
     s->lr_mean_first =
         cfg->lr_mean * s->lr_factor * unit_m * (s->level > 1 ? cfg->lr_mean_restart : 1.0);
-    /* 1 / kappa: what is left to go at the end of a short run is more than a hundredth of a step. */
+    /* over kappa: a short run has more left to go at its end */
     double last = cfg->lr_mean_final * pow(s->lr_factor, 1.0 / SCHEDULE_LR_EXPONENT);
     s->lr_mean_last = fmin(last * unit_m, s->lr_mean_first);
 }
