@@ -12,6 +12,7 @@
 # Environment:
 #   CITYSPLAT_CALITERRA   folder with images/ and sparse/ of the caliterra survey (docs/caliterra.md); without it
 #                         the studies on photographs are skipped, those on the procedural city are not
+#   CITYSPLAT_OCHOTA      the same of the ochota survey (docs/exposure.md)
 #   STUDY_STEPS           steps of every training, for a trial; as stated if not given, and pages take nothing shorter
 #   STUDY_SEEDS           the seeds to run of those stated, "1 2"; all if not given
 #   STUDY_COMMIT          the commit that the programs were built of; HEAD if not given, which must then be clean
@@ -66,6 +67,7 @@ scene_about() {
   case $1 in
     caliterra-400) echo "caliterra, 400 x 300 px" ;;
     caliterra-800) echo "caliterra, 800 x 600 px" ;;
+    ochota-800) echo "ochota, 800 x 600 px" ;;
     caliterra-cells) echo "caliterra, 800 x 600 px, cells of 80 m" ;;
     caliterra-cells-location) echo "caliterra, 800 x 600 px, cells of 80 m, without visibility selection" ;;
     city) echo "procedural city 300 m, 300 photographs of 400 x 300 px, cells of 100 m" ;;
@@ -94,6 +96,8 @@ scene_build() { # NAME FOLDER
   case $1 in
     caliterra-400) scene_ingest_caliterra "$2" 400 ;;
     caliterra-800) scene_ingest_caliterra "$2" 800 ;;
+    ochota-800) # no GPS: what a map says of its middle, and of its size
+      citysplat ingest "$CITYSPLAT_OCHOTA/images" "$CITYSPLAT_OCHOTA/sparse" --max-edge-px 800 --origin 20.97095,52.218,110 --metres-per-unit 71 -o "$2" -q ;;
     caliterra-cells) scene_ingest_caliterra "$2" 800; citysplat plan "$2" "${cells[@]}" ;;
     caliterra-cells-location) scene_ingest_caliterra "$2" 800; citysplat plan "$2" "${cells[@]}" --no-visibility ;;
     city) scene_ingest_city "$2" --extent-m 300 --photos 300 --points 100000; citysplat plan "$2" --edge-m 100 --images-few 16 ;;
@@ -109,7 +113,10 @@ scene_build() { # NAME FOLDER
 
 # scene NAME: makes it unless it is there, and fails when its photographs are not at hand.
 scene() {
-  case $1 in caliterra*) [ -n "${CITYSPLAT_CALITERRA:-}" ] || return 1 ;; esac
+  case $1 in
+    caliterra*) [ -n "${CITYSPLAT_CALITERRA:-}" ] || return 1 ;;
+    ochota*) [ -n "${CITYSPLAT_OCHOTA:-}" ] || return 1 ;;
+  esac
   [ -f "$OUT/$1/scene.json" ] && [ ! -e "$OUT/$1.unfinished" ] && return 0
   say "scene $1: $(scene_about "$1")"
   mkdir -p "$OUT"
@@ -182,7 +189,7 @@ row() {
   [ $part != tiles ] || command+="; citysplat tile $scene --crop none; citysplat eval $scene --tiles CITY.tiles${tiles[*]:+ ${tiles[*]}}"
   [ -z "${MAP_VIEWS:-}" ] || command+="; citysplat eval $scene --views $scene-photos/map-views"
   wanted "$study" "$name" "$command" || return 0
-  scene "$scene" || { say "$study: $name: skipped: CITYSPLAT_CALITERRA is not set"; return 0; }
+  scene "$scene" || { say "$study: $name: skipped: its photographs are not at hand"; return 0; }
   folder=$OUT/trained/$([ -n "${SHARED:-}" ] && slug shared "$scene" || slug "$study" "$name")
   ceilings
   trained "$folder" "$scene" "${train[@]}"
@@ -221,7 +228,7 @@ tile_row() {
   done
   command="citysplat train $scene ${train[*]}; citysplat tile $scene --crop none ${tile[*]}; citysplat eval $scene --tiles CITY.tiles ${eval[*]}"
   wanted "$study" "$name" "$command" || return 0
-  scene "$scene" || { say "$study: $name: skipped: CITYSPLAT_CALITERRA is not set"; return 0; }
+  scene "$scene" || { say "$study: $name: skipped: its photographs are not at hand"; return 0; }
   folder=$OUT/trained/$(slug shared "$scene")
   ceilings
   trained "$folder" "$scene" "${train[@]}"
@@ -355,6 +362,12 @@ rates_caliterra_rows() {
 study_rates() { seeded rates rates_city_rows; }
 study_rates_caliterra() { seeded rates_caliterra rates_caliterra_rows; }
 
+# The whole method at a length at which opacities are reset and sizes pruned: half of the paper's steps.
+study_full() {
+  row full caliterra caliterra-800 "" --iterations "$(steps full)"
+  row full ochota ochota-800 "" --iterations "$(steps full)" --appearance --eval --half-image on
+}
+
 # level_row STUDY ROW SCENE SET EVAL-OPTIONS -- TRAIN-OPTIONS: every level of the same trained scene.
 level_row() {
   local study=$1 name=$2 scene=$3 set=$4 folder command o eval=()
@@ -366,7 +379,7 @@ level_row() {
   shift
   command="citysplat train $scene $*; citysplat eval $scene ${eval[*]}"
   wanted "$study" "$name" "$command" || return 0
-  scene "$scene" || { say "$study: $name: skipped: CITYSPLAT_CALITERRA is not set"; return 0; }
+  scene "$scene" || { say "$study: $name: skipped: its photographs are not at hand"; return 0; }
   folder=$OUT/trained/$(slug shared "$scene")
   ceilings
   trained "$folder" "$scene" "$@"
@@ -415,7 +428,7 @@ study_growth() { bench_rows growth growth; }
 scored() {
   local study=$1 scene=$2
   shift 2
-  scene "$scene" || { say "$study: skipped: CITYSPLAT_CALITERRA is not set"; return 1; }
+  scene "$scene" || { say "$study: skipped: its photographs are not at hand"; return 1; }
   case $scene in city) FOLDER=$OUT/trained/$(slug shared city) ;; *) FOLDER=$OUT/trained/$(slug "$study" "$scene") ;; esac
   ceilings
   trained "$FOLDER" "$scene" "$@"
@@ -479,7 +492,7 @@ study_pyramid() {
 }
 
 # Those of the city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time budgets pareto importance rates rates_caliterra remedies remedies_caliterra sh embedding ablation ablation_city
+readonly STUDIES=(time full budgets pareto importance rates rates_caliterra remedies remedies_caliterra sh embedding ablation ablation_city
   levels lod far rd layout pyramid growth bench)
 
 main() {
