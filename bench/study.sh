@@ -314,7 +314,8 @@ importance_rows() {
 }
 study_importance() { seeded importance importance_rows; }
 
-# What map views have for how many Gaussians, bytes, seconds and milliseconds, by fixed budgets and those the trainer chooses.
+# What map views have for how many Gaussians, bytes, seconds and milliseconds, by fixed budgets, those the trainer chooses,
+# and with the other strategy of density control.
 pareto_rows() {
   local b base=(--iterations "$(steps pareto)") MAP_VIEWS=1
   row pareto "fit" demo "" "${base[@]}" --budget fit
@@ -322,6 +323,9 @@ pareto_rows() {
     row pareto "$((b / 1000)) k" demo "budget=$b" "${base[@]}" --budget table --budget-1 "$((b / 4))" --budget-2 "$((b / 2))" --budget-3 "$b"
   done
   row pareto "auto" demo "" "${base[@]}" --budget auto
+  for b in 80000 160000; do
+    row pareto "mcmc $((b / 1000)) k" demo "budget=$b" "${base[@]}" --strategy mcmc --budget table --budget-1 "$((b / 4))" --budget-2 "$((b / 2))" --budget-3 "$b"
+  done
 }
 study_pareto() { seeded pareto pareto_rows; }
 

@@ -29,7 +29,9 @@ enum train_stream_id {
     TRAIN_STREAM_SIMILARITY,
     TRAIN_STREAM_EMBED,
     TRAIN_STREAM_BACKGROUND,
-    TRAIN_STREAM_GROUND
+    TRAIN_STREAM_GROUND,
+    TRAIN_STREAM_RELOCATE,
+    TRAIN_STREAM_NOISE
 };
 uint64_t train_stream(enum train_stream_id id, uint32_t level, uint64_t step);
 #endif

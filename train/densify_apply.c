@@ -108,7 +108,8 @@ static void densify_check_share(const struct context *ctx, const struct densify_
 {
     double share = (double)(r->clone_candidates + r->split_candidates) / (double)r->before;
     const struct schedule *s = context_schedule(ctx);
-    if (x != 1 || (share >= DENSIFY_SHARE_MIN && share <= DENSIFY_SHARE_MAX))
+    if (x != 1 || ctx->cfg->strategy == DENSIFY_STRATEGY_MCMC ||
+        (share >= DENSIFY_SHARE_MIN && share <= DENSIFY_SHARE_MAX))
         return;
     log_warn("train",
              "level %u: %.2g %% of the Gaussians are candidates for densification, %.2g to %.0f %% "
@@ -155,6 +156,7 @@ static struct densify_params densify_make_params(const struct model *m, const st
         .cell = &ctx->cell,
         .cap_inside = schedule_cap(ctx->start, s->budget, x, schedule_densify_count(s)),
         .cap_outside = schedule_cap_outside(s),
+        .strategy = (enum densify_strategy)c->strategy,
         .tau = s->tau,
         .tau_outside = c->tau_outside,
         .split_above_m = c->percent_dense * ctx->cell.extent_m,
@@ -215,7 +217,7 @@ static enum err_code densify_commit(struct model *m, size_t most, const struct d
 {
     void *params = NULL;
     enum err_code rc = model_move(m, &c->order.rows, most, e);
-    if (rc || !c->order.n_split)
+    if (rc || !(c->order.n_split + c->order.n_shared))
         return rc;
     rc = dev_map(m->dev, m->gauss.params, CL_MAP_READ | CL_MAP_WRITE, model_bytes(m), &params, e);
     if (rc)

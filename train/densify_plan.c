@@ -26,12 +26,14 @@
 #include "render/render.h"
 #include "train/config.h"
 #include "train/densify_plan.h"
+#include "train/relocate.h"
 
 #define DENSIFY_SPLIT_SHRINK 1.6
-#define DENSIFY_AXIS_OFFSET 0.8 /* d, in sigmas of the parent */
-#define DENSIFY_AXIS_SHRINK 0.6 /* sqrt(1 - d^2): the pair keeps the parent's covariance */
-enum { DENSIFY_CUT_SHARE = 4 }; /* of the room, for what sticks out */
-#define DENSIFY_SMALLEST_M 1e-4 /* scene units; smaller Gaussians are removed */
+#define DENSIFY_AXIS_OFFSET 0.8  /* d, in sigmas of the parent */
+#define DENSIFY_AXIS_SHRINK 0.6  /* sqrt(1 - d^2): the pair keeps the parent's covariance */
+enum { DENSIFY_CUT_SHARE = 4 };  /* of the room, for what sticks out */
+#define DENSIFY_CLEAR_LEAST 1e-6 /* 1 - opacity of what is shared: beyond, it has no root */
+#define DENSIFY_SMALLEST_M 1e-4  /* scene units; smaller Gaussians are removed */
 
 static size_t densify_at(size_t i, uint32_t planes, uint32_t plane)
 {
@@ -127,6 +129,7 @@ enum densify_class { CLASS_KEEP, CLASS_PRUNE, CLASS_CLONE, CLASS_SPLIT, CLASS_CU
 struct densify_work {
     uint8_t *class, *inside, *chosen; /* [n] */
     uint32_t *drawn;                  /* scratch for a draw */
+    uint8_t *copies;                  /* [n] MCMC: how many come to each; otherwise NULL */
     struct densify_side {             /* 0 outside the cell, 1 inside */
         uint32_t *clones, *splits;    /* candidates, ascending */
         size_t n_clones, n_splits, room;
@@ -175,7 +178,7 @@ static enum densify_class densify_classify(const struct densify_params *p,
     if (rim != TRIM_INSIDE)
         return rim == TRIM_OUTSIDE ? CLASS_PRUNE : CLASS_CUT;
     double ramp = 1.0 + (p->tau_outside - 1.0) * fmin(d / p->cell->edge_m, 1.0);
-    if (!((double)in->mean_grad[i] >= p->tau * ramp))
+    if (p->strategy == DENSIFY_STRATEGY_MCMC || !((double)in->mean_grad[i] >= p->tau * ramp))
         return CLASS_KEEP;
     return largest > p->split_above_m ? CLASS_SPLIT : CLASS_CLONE;
 }
@@ -209,8 +212,8 @@ static void densify_gain(const struct densify_params *p, const struct densify_in
         *out_gain = !w->inside[i];
         return;
     }
-    int a = densify_row_inside(p, in, (struct densify_row){i, DENSIFY_SPLIT_A});
-    int b = densify_row_inside(p, in, (struct densify_row){i, DENSIFY_SPLIT_B});
+    int a = densify_row_inside(p, in, (struct densify_row){i, DENSIFY_SPLIT_A, 0});
+    int b = densify_row_inside(p, in, (struct densify_row){i, DENSIFY_SPLIT_B, 0});
     *in_gain = a + b - w->inside[i];
     *out_gain = 2 - a - b - !w->inside[i];
 }
@@ -267,10 +270,14 @@ static enum err_code densify_rows(const struct densify_input *in, const struct d
         uint32_t s = (uint32_t)i;
         if (w->class[i] == CLASS_PRUNE)
             continue;
+        for (uint16_t part = 0; w->copies && w->copies[i] && part <= w->copies[i]; part++)
+            out->rows[n++] = (struct densify_row){s, DENSIFY_SHARE, w->copies[i] + 1};
+        if (w->copies && w->copies[i])
+            continue;
         bool split = w->chosen[i] && w->class[i] != CLASS_CLONE;
-        out->rows[n++] = (struct densify_row){s, split ? DENSIFY_SPLIT_A : DENSIFY_KEEP};
+        out->rows[n++] = (struct densify_row){s, split ? DENSIFY_SPLIT_A : DENSIFY_KEEP, 0};
         if (w->chosen[i])
-            out->rows[n++] = (struct densify_row){s, split ? DENSIFY_SPLIT_B : DENSIFY_CLONE};
+            out->rows[n++] = (struct densify_row){s, split ? DENSIFY_SPLIT_B : DENSIFY_CLONE, 0};
     }
     out->n = n;
     return ERR_OK;
@@ -306,6 +313,57 @@ static enum err_code densify_draw_side(const struct densify_params *p,
     return rc;
 }
 
+/* MCMC: the dead come back elsewhere, and inside the cell their number grows to the ceiling. */
+static enum err_code densify_relocate_side(const struct densify_params *p,
+                                           const struct densify_input *in, struct densify_work *w,
+                                           bool inside, struct err *e)
+{
+    size_t n = 0, dead = 0, placed = 0, *count = inside ? &w->n_in : &w->n_out;
+    size_t cap = inside ? p->cap_inside : p->cap_outside;
+    float *opacity = mem_array(in->n, sizeof *opacity);
+    if (!opacity)
+        return err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", in->n);
+    for (size_t i = 0; i < in->n; i++) {
+        if ((bool)w->inside[i] != inside || w->class[i] == CLASS_CUT)
+            continue;
+        if (w->class[i] == CLASS_PRUNE) {
+            dead++;
+            continue;
+        }
+        float logit = in->params[densify_at(i, in->planes, LAYOUT_PLANE_OPACITY)];
+        opacity[i] = 1.0f / (1.0f + expf(-logit));
+        w->drawn[n++] = (uint32_t)i;
+    }
+    size_t room = cap > *count ? cap - *count : 0;
+    if (!inside && room > dead)
+        room = dead;
+    uint64_t stream = train_stream(TRAIN_STREAM_RELOCATE, p->level, 2 * (uint64_t)p->step + inside);
+    enum err_code rc =
+        relocate_draw(opacity, w->drawn, n, room, p->seed, stream, w->copies, &placed, e);
+    *count += placed;
+    mem_free(opacity);
+    return rc;
+}
+
+static enum err_code densify_relocate(const struct densify_params *p,
+                                      const struct densify_input *in, struct densify_work *w,
+                                      struct densify_plan *out, struct err *e)
+{
+    struct densify_report *r = &out->report;
+    size_t before = w->n_in + w->n_out;
+    w->copies = mem_array(in->n, sizeof *w->copies);
+    enum err_code rc = w->copies
+                           ? densify_relocate_side(p, in, w, true, e)
+                           : err_set(e, ERR_MEM, "densify: out of memory for %zu Gaussians", in->n);
+    if (!rc && !p->cell->whole)
+        rc = densify_relocate_side(p, in, w, false, e);
+    r->inside = w->n_in;
+    r->outside = w->n_out;
+    r->after = w->n_in + w->n_out;
+    r->room = r->cloned = r->after - before;
+    return rc ? rc : densify_rows(in, w, out, e);
+}
+
 static enum err_code densify_fill(const struct densify_params *p, const struct densify_input *in,
                                   struct densify_work *w, struct densify_plan *out, struct err *e)
 {
@@ -323,6 +381,8 @@ static enum err_code densify_fill(const struct densify_params *p, const struct d
                                  .clone_candidates = inside->n_clones + outside->n_clones,
                                  .split_candidates = inside->n_splits + outside->n_splits,
                                  .room = inside->room + outside->room};
+    if (p->strategy == DENSIFY_STRATEGY_MCMC)
+        return densify_relocate(p, in, w, out, e);
     if (!in->score && binds) {
         r->needs_importance = true;
         return ERR_OK;
@@ -363,6 +423,7 @@ enum err_code densify_plan_make(const struct densify_params *p, const struct den
     mem_free(w.inside);
     mem_free(w.chosen);
     mem_free(w.drawn);
+    mem_free(w.copies);
     for (size_t k = 0; k < 2; k++) {
         mem_free(w.side[k].clones);
         mem_free(w.side[k].splits);
@@ -401,10 +462,23 @@ static void densify_halve_row(const struct densify_order *o, float *params, size
     *logit = (float)log(opacity / (1.0 - opacity));
 }
 
+/* Row d holds a copy of what `parts` share. */
+static void densify_share_row(uint32_t planes, float *params, size_t d, unsigned parts)
+{
+    float *logit = &params[densify_at(d, planes, LAYOUT_PLANE_OPACITY)];
+    double most = 1.0 - DENSIFY_CLEAR_LEAST;
+    struct relocate_share s = relocate_share(fmin(1.0 / (1.0 + exp(-(double)*logit)), most), parts);
+    *logit = (float)log(s.opacity / (1.0 - s.opacity));
+    for (uint32_t k = 0; k < 3; k++)
+        params[densify_at(d, planes, LAYOUT_PLANE_SCALE + k)] += (float)log(s.shrink);
+}
+
 void densify_halve(const struct densify_order *o, float *params)
 {
     for (size_t i = 0; i < o->n_split; i++)
         densify_halve_row(o, params, o->split[i], o->mean + 3 * i);
+    for (size_t i = 0; i < o->n_shared; i++)
+        densify_share_row(o->rows.planes, params, o->shared[i], o->parts[i]);
 }
 
 static bool densify_is_half(struct densify_row row)
@@ -418,20 +492,29 @@ static enum err_code densify_sort(const struct densify_plan *plan, const float *
                                   uint32_t *source, struct densify_order *o, struct err *e)
 {
     struct gauss shape = {.n = plan->n, .mean_m = (float *)(uintptr_t)mean};
-    size_t n = 0;
+    size_t n = 0, shared = 0;
     enum err_code rc = gauss_morton_order(&shape, source, e);
     if (rc)
         return rc;
-    for (size_t d = 0; d < plan->n; d++)
+    for (size_t d = 0; d < plan->n; d++) {
         o->n_split += densify_is_half(plan->rows[d]);
+        o->n_shared += plan->rows[d].kind == DENSIFY_SHARE;
+    }
     o->split = mem_array(o->n_split, sizeof *o->split);
     o->mean = mem_array(3 * o->n_split, sizeof *o->mean);
-    if (!o->split || !o->mean)
-        return err_set(e, ERR_MEM, "densify: out of memory for %zu halves", o->n_split);
+    o->shared = mem_array(o->n_shared, sizeof *o->shared);
+    o->parts = mem_array(o->n_shared, sizeof *o->parts);
+    if (!o->split || !o->mean || !o->shared || !o->parts)
+        return err_set(e, ERR_MEM, "densify: out of memory for %zu halves and %zu parts",
+                       o->n_split, o->n_shared);
     for (size_t d = 0; d < plan->n; d++) {
         uint32_t at = source[d];
         struct densify_row row = plan->rows[at];
         source[d] = row.source | (row.kind == DENSIFY_KEEP ? 0 : PERMUTE_NEW);
+        if (row.kind == DENSIFY_SHARE) {
+            o->shared[shared] = (uint32_t)d;
+            o->parts[shared++] = row.parts;
+        }
         if (!densify_is_half(row))
             continue;
         o->split[n] = (uint32_t)d;
@@ -467,5 +550,7 @@ void densify_order_free(struct densify_order *o)
     mem_free((void *)(uintptr_t)o->rows.source);
     mem_free(o->split);
     mem_free(o->mean);
+    mem_free(o->shared);
+    mem_free(o->parts);
     *o = (struct densify_order){0};
 }

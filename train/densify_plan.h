@@ -15,11 +15,18 @@ struct cell;
 struct footprint;
 struct trim;
 
-enum densify_kind { DENSIFY_KEEP, DENSIFY_CLONE, DENSIFY_SPLIT_A, DENSIFY_SPLIT_B };
+enum densify_kind {
+    DENSIFY_KEEP,
+    DENSIFY_CLONE,
+    DENSIFY_SPLIT_A,
+    DENSIFY_SPLIT_B,
+    DENSIFY_SHARE /* one of `parts` in the same place, see relocate.h */
+};
 struct densify_row {
     uint32_t source;
-    enum densify_kind kind;
+    uint16_t kind, parts;
 };
+enum densify_strategy { DENSIFY_STRATEGY_SPLIT, DENSIFY_STRATEGY_MCMC }; /* as options.def */
 /* Where the two halves of a Gaussian go (order of --split):
  *   AXIS    at +-0.8 sigma on its longest axis, 0.6 sigma long: mean and covariance of the pair are
  *           those of the parent, and with 0.83 of its opacity so is the mass. The long-axis split
@@ -30,6 +37,7 @@ struct densify_params {
     const struct cell *cell;
     double origin_enu_m[3]; /* of the means in `params` */
     size_t cap_inside, cap_outside;
+    enum densify_strategy strategy;         /* MCMC: tau, split and scores are not used */
     double tau, tau_outside, split_above_m; /* larger ones are split */
     enum densify_split split;
     double prune_opacity, prune_above_m; /* 0 = no limit of size */
@@ -73,6 +81,9 @@ struct densify_order {       /* {0} is empty; densify_order_free */
     uint32_t *split;         /* [n_split] rows that are halves ... */
     float *mean;             /* [n_split][3] ... and go there */
     size_t n_split;
+    uint32_t *shared; /* [n_shared] rows that share a place ... */
+    uint16_t *parts;  /* [n_shared] ... with so many, themselves included */
+    size_t n_shared;
     enum densify_split how;
 };
 /* Put the rows of a plan in that order. densify_order_free it. ERR_MEM. */
@@ -80,6 +91,7 @@ enum err_code densify_order(const struct densify_params *p, const struct densify
                             const struct densify_plan *plan, struct densify_order *out,
                             struct err *e) ERR_USE;
 void densify_order_free(struct densify_order *o);
-/* After permute_move of the parameters: copies of parents that were split become their halves. */
+/* After permute_move of the parameters: copies of parents that were split become their halves, and
+ * those that share a place their parts. */
 void densify_halve(const struct densify_order *o, float *params);
 #endif

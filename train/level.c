@@ -265,6 +265,8 @@ enum err_code level_step(struct level *l, struct photometric_value *value, struc
         rc = context_photo_loss(ctx, &photo, e);
     if (!rc)
         rc = level_backward(l, step, photo.image, &ro, e);
+    if (!rc)
+        rc = regularizer_shake(&l->regularizer, m, ctx, step, e);
     ctx->step = step;
     if (!rc && value)
         rc = level_read_loss(l, value, e);

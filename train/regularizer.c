@@ -16,15 +16,18 @@
 #include "loss/depth.h"
 #include "loss/depth_map.h"
 #include "loss/embed_smoothness.h"
+#include "loss/mcmc.h"
 #include "loss/scale_loss.h"
 #include "train/config.h"
 #include "train/context.h"
+#include "train/densify_plan.h"
 #include "train/model.h"
 #include "train/photo_loader.h"
 
 #define REGULARIZER_SIZE_OF_CELL 0.1 /* largest size where none is configured, in cell edges */
 /* A limit of size below the size at which Gaussians are split would keep them from being split. */
 #define REGULARIZER_SPLIT_ROOM 1.5
+#define REGULARIZER_MCMC 0.01 /* weights of 3DGS-MCMC */
 enum { REGULARIZER_FILTER_STEPS = 100, REGULARIZER_PLANES = 11 };
 enum {
     REGULARIZER_PASS_BOTH,
@@ -34,6 +37,7 @@ enum {
 
 struct regularizer {
     struct scale_loss *scale;
+    struct mcmc *mcmc;
     struct depth *depth;
     struct depth_map *maps;
     struct embed_smoothness_step *smoothness;
@@ -47,6 +51,7 @@ void regularizer_free(struct regularizer **p)
     if (!r)
         return;
     scale_loss_close(&r->scale);
+    mcmc_close(&r->mcmc);
     depth_close(&r->depth);
     depth_map_close(&r->maps);
     embed_smoothness_step_close(&r->smoothness);
@@ -105,6 +110,44 @@ static enum err_code regularizer_scale(struct regularizer *r, const struct model
     };
     enum err_code rc = r->scale ? ERR_OK : scale_loss_open(ctx->dev, &r->scale, e);
     return rc ? rc : scale_loss_run(r->scale, &m->gauss, &in, m->adam.extra_sizes, r->extra, e);
+}
+
+/* What an option of -1 means. */
+static double regularizer_pull_weight(const struct train_config *c, double given)
+{
+    return given >= 0.0 ? given : c->strategy == DENSIFY_STRATEGY_MCMC ? REGULARIZER_MCMC : 0.0;
+}
+
+static struct mcmc_pull regularizer_pull_of(const struct context *ctx)
+{
+    const struct train_config *c = ctx->cfg;
+    return (struct mcmc_pull){.opacity_weight = regularizer_pull_weight(c, c->opacity_weight),
+                              .size_weight = regularizer_pull_weight(c, c->size_weight),
+                              .unit_m = ctx->cell.extent_m};
+}
+
+static enum err_code regularizer_pull(struct regularizer *r, const struct model *m,
+                                      const struct mcmc_pull *in, struct err *e)
+{
+    enum err_code rc = r->mcmc ? ERR_OK : mcmc_open(m->dev, &r->mcmc, e);
+    return rc ? rc : mcmc_pull_run(r->mcmc, &m->gauss, in, r->extra, e);
+}
+
+enum err_code regularizer_shake(struct regularizer **own, const struct model *m,
+                                const struct context *ctx, uint32_t step, struct err *e)
+{
+    const struct train_config *c = ctx->cfg;
+    if (c->strategy != DENSIFY_STRATEGY_MCMC || !(c->noise > 0.0))
+        return ERR_OK;
+    double unit_m = ctx->cell.extent_m;
+    struct mcmc_noise in = {.rate_per_m = c->noise * schedule_lr_mean(context_schedule(ctx), step) /
+                                          (unit_m * unit_m),
+                            .seed = (uint64_t)c->seed,
+                            .stream = train_stream(TRAIN_STREAM_NOISE, ctx->at + 1, step)};
+    enum err_code rc = regularizer_make(own, e);
+    if (!rc && !(*own)->mcmc)
+        rc = mcmc_open(m->dev, &(*own)->mcmc, e);
+    return rc ? rc : mcmc_noise_run((*own)->mcmc, &m->gauss, &in, e);
 }
 
 static bool regularizer_depth_acts(const struct context *ctx, uint32_t step)
@@ -194,7 +237,9 @@ enum err_code regularizer_step(struct regularizer **own, struct model *m, struct
         m->filter_is_current = false;
     m->adam.extra_grad = NULL;
     enum err_code rc = context_filter(ctx, m, e);
-    if (rc || (!scale && !depth && !smoothness))
+    struct mcmc_pull pull = regularizer_pull_of(ctx);
+    bool pulls = pull.opacity_weight > 0.0 || pull.size_weight > 0.0;
+    if (rc || (!scale && !depth && !smoothness && !pulls))
         return rc;
     rc = regularizer_make(own, e);
     if (!rc && smoothness) {
@@ -204,14 +249,16 @@ enum err_code regularizer_step(struct regularizer **own, struct model *m, struct
             rc = regularizer_smoothness(*own, m, ctx, step, e);
         (void)timing_turn(&ctx->timing, was);
     }
-    if (rc || (!scale && !depth))
+    if (rc || (!scale && !depth && !pulls))
         return rc;
     rc = regularizer_reserve(*own, m, e);
-    m->adam.extra_sizes = scale && !depth; /* fewer planes to pass through memory */
+    m->adam.extra_sizes = scale && !depth && !pulls; /* fewer planes to pass through memory */
     if (!rc && scale)
         rc = regularizer_scale(*own, m, ctx, e);
     else if (!rc)
         rc = regularizer_clear(*own, m, e);
+    if (!rc && pulls)
+        rc = regularizer_pull(*own, m, &pull, e);
     if (!rc && depth)
         rc = regularizer_depth(*own, m, ctx, step, photo, e);
     if (!rc)

@@ -26,6 +26,10 @@ struct regularizer; /* buffers and compiled kernels */
  * ERR_DEVICE; ERR_FORMAT, ERR_NOENT, ERR_DATA: a depth map cannot be used. */
 enum err_code regularizer_step(struct regularizer **own, struct model *m, struct context *ctx,
                                uint32_t step, const struct photo *photo, struct err *e) ERR_USE;
+/* After the step: with --strategy mcmc the means are shaken. ERR_MEM, ERR_DEVICE. */
+enum err_code regularizer_shake(struct regularizer **own, const struct model *m,
+                                const struct context *ctx, uint32_t step,
+                                struct err *e) ERR_USE;
 void regularizer_free(struct regularizer **r);
 
 #endif

@@ -14,7 +14,8 @@
 #include "train/config.h"
 #include "train/schedule.h"
 
-#define SCHEDULE_PHOTOS 600.0 /* photographs at which lengths begin to stretch */
+#define SCHEDULE_PHOTOS 600.0           /* photographs at which lengths begin to stretch */
+#define SCHEDULE_MCMC_UNTIL (5.0 / 6.0) /* of a level: 25,000 of 30,000 steps, as published */
 enum { SCHEDULE_STEPS_MAX = 1 << 30 };
 
 /* Half up, as counts are rounded everywhere here. */
@@ -81,7 +82,8 @@ static void schedule_fill(const struct train_config *cfg, const struct schedule_
     s->budget = (size_t)floor((double)b->budget * schedule_budget_factor(cell));
     s->interval = schedule_round(fmax(interval, floor_steps));
     s->densify_from = (uint32_t)floor((double)cfg->densify_from * kappa + 0.5);
-    s->densify_until = (uint32_t)floor((double)s->steps * b->until + 0.5);
+    double until = s->mcmc ? fmax(b->until, SCHEDULE_MCMC_UNTIL) : b->until;
+    s->densify_until = (uint32_t)floor((double)s->steps * until + 0.5);
     /* Not shrunk: a run shorter than the interval is better without resets than with hasty ones. */
     s->reset_interval = schedule_round((double)cfg->reset_interval * fmax(kappa, 1.0));
     /* The first Gaussians may be as large as the gaps between points; later levels begin without
@@ -115,7 +117,7 @@ enum err_code schedule_make(const struct train_config *cfg, size_t n_photos,
     for (uint32_t l = 0; l < n; l++) {
         const struct schedule_base *b = &base[first + l];
         struct schedule *s = &out[l];
-        *s = (struct schedule){.level = l + 1, .n_levels = n};
+        *s = (struct schedule){.level = l + 1, .n_levels = n, .mcmc = cfg->strategy};
         double steps = floor((double)b->steps * kappa + 0.5);
         if (cfg->iterations > 0 && l + 1 == n)
             steps = (double)left; /* the last level takes what rounding left */
@@ -179,7 +181,7 @@ static uint32_t schedule_last_reset(const struct schedule *s)
 
 bool schedule_resets(const struct schedule *s, uint32_t step)
 {
-    return step > 0 && step % s->reset_interval == 0 && step <= schedule_last_reset(s);
+    return !s->mcmc && step > 0 && step % s->reset_interval == 0 && step <= schedule_last_reset(s);
 }
 
 bool schedule_limits_size(const struct schedule *s, uint32_t step)

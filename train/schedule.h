@@ -24,6 +24,7 @@ struct schedule {             /* of one level; steps are 1-based and restart at 
     uint32_t size_from;              /* huge Gaussians are removed after this step */
     uint32_t sh_interval, sh_degree; /* sh_interval 0: the full degree from the start */
     bool absgrad;
+    bool mcmc; /* --strategy mcmc: no opacity resets, and moved for longer */
     double tau;
     double lr_factor; /* on the learning rates of positions (included below), sizes and rotations */
     double lr_mean_first, lr_mean_last; /* metres */
