@@ -304,6 +304,15 @@ embedding_rows() {
 }
 study_embedding() { seeded embedding embedding_rows; } # length of a Gaussian's appearance embedding (Table 11), under changing light
 
+# Which levels the appearance network learns at; the others are brought to the last one.
+network_rows() {
+  local base=(--iterations "$(steps network)" --budget-1 15000 --budget-2 25000 --budget-3 40000)
+  row network "first level" light "" "${base[@]}" --appearance --appearance-levels 1 --eval --half-image on
+  row network "all levels" light "" "${base[@]}" --appearance --eval --half-image on
+  row network "no appearance" light "" "${base[@]}" --eval --half-image on
+}
+study_network() { seeded network network_rows; }
+
 # What looking at many photographs before a Gaussian is split is worth, where the budget binds: thirty thousand Gaussians
 # for photographs that support 100,000 and more.
 importance_rows() {
@@ -496,7 +505,7 @@ study_pyramid() {
 }
 
 # Those of the city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full budgets pareto importance rates rates_caliterra remedies remedies_caliterra sh embedding ablation ablation_city
+readonly STUDIES=(time full budgets pareto importance rates rates_caliterra remedies remedies_caliterra sh embedding network ablation ablation_city
   levels lod far rd layout pyramid growth bench)
 
 main() {

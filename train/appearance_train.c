@@ -17,6 +17,7 @@
 #include <string.h>
 
 #include "codec/scene.h"
+#include "render/render.h"
 #include "train/config.h"
 #include "train/schedule.h"
 
@@ -249,7 +250,10 @@ enum err_code appearance_train_embed(const struct appearance_train *k, uint64_t 
 bool appearance_train_learns(const struct appearance_train *k, const struct train_config *cfg,
                              const struct schedule *s)
 {
-    return !k->shared && (int64_t)s->level <= cfg->appearance_levels;
+    /* Checkpoints of Mip-Splatting have its filter folded in: a coarser level could not go on from
+     * its own to take over a later network (refit.c). */
+    int64_t levels = cfg->aa == RENDER_AA_MIP ? 1 : cfg->appearance_levels;
+    return !k->shared && (int64_t)s->level <= levels;
 }
 
 uint32_t appearance_train_warmup(const struct appearance_train *k, const struct train_config *cfg,

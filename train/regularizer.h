@@ -28,8 +28,7 @@ enum err_code regularizer_step(struct regularizer **own, struct model *m, struct
                                uint32_t step, const struct photo *photo, struct err *e) ERR_USE;
 /* After the step: with --strategy mcmc the means are shaken. ERR_MEM, ERR_DEVICE. */
 enum err_code regularizer_shake(struct regularizer **own, const struct model *m,
-                                const struct context *ctx, uint32_t step,
-                                struct err *e) ERR_USE;
+                                const struct context *ctx, uint32_t step, struct err *e) ERR_USE;
 void regularizer_free(struct regularizer **r);
 
 #endif

@@ -22,7 +22,7 @@ enum err_code relocate_draw(const float *weight, const uint32_t *ids, size_t n, 
 
 /* `parts` Gaussians in the place of one of opacity o that together blend as it did (equation 9):
  *   o' = 1 - (1 - o)^(1 / parts),
- *   sigma' / sigma = o / sum_{i=1..parts} sum_{k=0..i-1} C(i-1, k) (-1)^k o'^(k+1) / sqrt(k + 1). */
+ *   sigma' / sigma = o / sum_{i=1..parts} sum_{k=0..i-1} C(i-1, k) (-1)^k o'^(k+1) / sqrt(k+1). */
 struct relocate_share {
     double opacity, shrink;
 };

@@ -19,6 +19,7 @@
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 /* 0.1 on the procedural city, docs/appearance.md; the toy is a smaller sample */
 #define F6_PSNR_DB 0.3
@@ -263,7 +264,8 @@ static void a_run_with_appearance_resumes_bit_by_bit(void **state)
     struct arena a = {0};
     struct train_result r = {0};
     char dir[FILE_PATH_MAX], whole[FILE_PATH_MAX], parts[FILE_PATH_MAX];
-    static const int64_t pieces[] = {5, 20, 33, 41, 2, 60};
+    /* the last two stop while level 2 takes over the network */
+    static const int64_t pieces[] = {5, 20, 33, 41, 2, 60, 45, 2};
     toy_appearance_scene(dir, 0.5);
     kit_tmpdir(whole);
     kit_tmpdir(parts);
@@ -303,6 +305,65 @@ static void a_run_with_appearance_resumes_bit_by_bit(void **state)
     kit_rmdir(dir);
     kit_rmdir(whole);
     kit_rmdir(parts);
+    arena_free(&a);
+}
+
+/* ---- one network for all levels ---- */
+
+static void read_level(const char *dir, unsigned level, struct ckpt *out)
+{
+    struct err e = {0};
+    char path[FILE_PATH_MAX + 64];
+    snprintf(path, sizeof path, "%s/cells/all/level%u.ckpt", dir, level);
+    kit_ok(ckpt_read(path, out, &e), e);
+}
+
+static bool same_network(const struct ckpt *x, const struct ckpt *y)
+{
+    const struct ckpt_blob *p = ckpt_find(x, APPEARANCE_TRAIN_BLOB),
+                           *q = ckpt_find(y, APPEARANCE_TRAIN_BLOB);
+    assert_true(p && q && p->size_bytes == q->size_bytes);
+    return !memcmp(p->data, q->data, p->size_bytes);
+}
+
+/* The network learns at all levels; in the end coarser ones have the last network, colours and
+ * embeddings that fit to it, and are otherwise what they were. */
+static void coarser_levels_take_over_the_network(void **state)
+{
+    (void)state;
+    struct err e = {0};
+    struct arena a = {0};
+    struct train_result r[2] = {{0}};
+    struct ckpt level[2][3];
+    char dir[FILE_PATH_MAX], out[2][FILE_PATH_MAX];
+    toy_appearance_scene(dir, 0.5);
+    for (int all = 0; all < 2; all++) {
+        kit_tmpdir(out[all]);
+        struct train_config c = toy_config(&a, out[all]);
+        c.appearance = true;
+        c.iterations = 200;
+        c.appearance_levels = all ? 3 : 1;
+        kit_ok(train_run(dir, &c, &r[all], &e), e);
+        for (unsigned k = 0; k < 3; k++) {
+            read_level(out[all], k + 1, &level[all][k]);
+            assert_true(same_network(&level[all][k], &level[all][0]));
+        }
+    }
+    const struct gauss *x = &level[0][0].g, *y = &level[1][0].g;
+    assert_false(same_network(&level[0][0], &level[1][0]));
+    assert_int_equal(x->n, y->n);
+    assert_memory_equal(x->mean_m, y->mean_m, x->n * 3 * sizeof(float));
+    assert_memory_equal(x->scale_log, y->scale_log, x->n * 3 * sizeof(float));
+    assert_memory_equal(x->quat_wxyz, y->quat_wxyz, x->n * 4 * sizeof(float));
+    assert_memory_equal(x->opacity_logit, y->opacity_logit, x->n * sizeof(float));
+    assert_true(memcmp(x->embed, y->embed, x->n * 16 * sizeof(float)) != 0);
+    for (int all = 0; all < 2; all++) {
+        for (unsigned k = 0; k < 3; k++)
+            ckpt_free(&level[all][k]);
+        train_result_free(&r[all]);
+        kit_rmdir(out[all]);
+    }
+    kit_rmdir(dir);
     arena_free(&a);
 }
 
@@ -385,6 +446,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(photographs_of_equal_light_may_swap_embeddings),
         cmocka_unit_test(embeddings_of_what_is_seen_move),
         cmocka_unit_test(a_run_with_appearance_resumes_bit_by_bit),
+        cmocka_unit_test(coarser_levels_take_over_the_network),
         cmocka_unit_test(pruning_and_budgets_look_at_photographs_in_their_own_appearance),
     };
     return cmocka_run_group_tests_name("appearance in training", tests, toy_open_device,
