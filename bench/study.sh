@@ -67,6 +67,7 @@ scene_about() {
   case $1 in
     caliterra-400) echo "caliterra, 400 x 300 px" ;;
     caliterra-800) echo "caliterra, 800 x 600 px" ;;
+    ochota-400) echo "ochota, 400 x 300 px" ;;
     ochota-800) echo "ochota, 800 x 600 px" ;;
     caliterra-cells) echo "caliterra, 800 x 600 px, cells of 80 m" ;;
     caliterra-cells-location) echo "caliterra, 800 x 600 px, cells of 80 m, without visibility selection" ;;
@@ -96,8 +97,8 @@ scene_build() { # NAME FOLDER
   case $1 in
     caliterra-400) scene_ingest_caliterra "$2" 400 ;;
     caliterra-800) scene_ingest_caliterra "$2" 800 ;;
-    ochota-800) # no GPS: what a map says of its middle, and of its size
-      citysplat ingest "$CITYSPLAT_OCHOTA/images" "$CITYSPLAT_OCHOTA/sparse" --max-edge-px 800 --origin 20.97095,52.218,110 --metres-per-unit 71 -o "$2" -q ;;
+    ochota-*) # no GPS: what a map says of its middle, and of its size
+      citysplat ingest "$CITYSPLAT_OCHOTA/images" "$CITYSPLAT_OCHOTA/sparse" --max-edge-px "${1#*-}" --origin 20.97095,52.218,110 --metres-per-unit 71 -o "$2" -q ;;
     caliterra-cells) scene_ingest_caliterra "$2" 800; citysplat plan "$2" "${cells[@]}" ;;
     caliterra-cells-location) scene_ingest_caliterra "$2" 800; citysplat plan "$2" "${cells[@]}" --no-visibility ;;
     city) scene_ingest_city "$2" --extent-m 300 --photos 300 --points 100000; citysplat plan "$2" --edge-m 100 --images-few 16 ;;
@@ -313,6 +314,15 @@ network_rows() {
 }
 study_network() { seeded network network_rows; }
 
+# What exposures and appearance are worth on photographs of a real district under changing light, by half images.
+study_ochota_light() {
+  local base=(--level-count 1 --iterations "$(steps ochota_light)")
+  row ochota_light "both" ochota-400 "" "${base[@]}" --appearance --eval --half-image on
+  row ochota_light "neither" ochota-400 "" "${base[@]}" --no-exposure --eval --half-image on
+  row ochota_light "exposure" ochota-400 "" "${base[@]}" --eval --half-image on
+  row ochota_light "appearance" ochota-400 "" "${base[@]}" --no-exposure --appearance --eval --half-image on
+}
+
 # What looking at many photographs before a Gaussian is split is worth, where the budget binds: thirty thousand Gaussians
 # for photographs that support 100,000 and more.
 importance_rows() {
@@ -505,7 +515,7 @@ study_pyramid() {
 }
 
 # Those of the city trained alike stand together: it is trained once for them.
-readonly STUDIES=(time full budgets pareto importance rates rates_caliterra remedies remedies_caliterra sh embedding network ablation ablation_city
+readonly STUDIES=(time full budgets pareto importance rates rates_caliterra remedies remedies_caliterra sh embedding network ochota_light ablation ablation_city
   levels lod far rd layout pyramid growth bench)
 
 main() {
