@@ -50,8 +50,14 @@ static enum err_code store_check_header(const char *at, const char *path, uint64
     if (fd < 0)
         return err_errno(e, errno == ENOENT ? ERR_NOENT : ERR_IO, "%s", path);
     struct stat st;
-    ssize_t got = fstat(fd, &st) || S_ISDIR(st.st_mode) ? -1 : pread(fd, h, sizeof h, 0);
+    bool known = fstat(fd, &st) == 0, folder = known && S_ISDIR(st.st_mode);
+    ssize_t got = known && !folder ? pread(fd, h, sizeof h, 0) : -1;
     close(fd);
+    if (folder)
+        return err_set(e, ERR_FORMAT,
+                       "%s: a folder, not a tile store: a store is one file, CITY.tiles; give "
+                       "that (of a trained run, `citysplat tile %s -o city.tiles` writes it)",
+                       path, path);
     if (got != (ssize_t)sizeof h || memcmp(h, "SQLite format 3", 16) ||
         store_be32(h + 68) != STORE_APPLICATION_ID)
         return err_set(

@@ -7,6 +7,7 @@
 #include "server/answer.h"
 #include "server/describe.h"
 #include "server/motion.h"
+#include "server/multipart.h"
 
 /* The wish is taken; its picture comes in the other answer. */
 static void answer_motion_steer(struct services *s, const struct request *r, struct dataset *d,
@@ -45,7 +46,7 @@ void answer_motion(struct services *s, const struct request *r, struct dataset *
     if (!answer_can_draw(s, out))
         return;
     out->status = 200;
-    out->type = MOTION_TYPE;
+    out->type = MULTIPART_TYPE;
     out->cache_control = RESPONSE_NO_STORE;
     if (r->method == METHOD_HEAD)
         return;

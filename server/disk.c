@@ -16,7 +16,6 @@
 #include "server/disk.h"
 
 #include <assert.h>
-#include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <pthread.h>
@@ -26,6 +25,8 @@
 #include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
+
+#include "server/disk_scan.h"
 
 enum { DISK_BLOCK = 4096, DISK_BUCKETS_MIN = 1024, DISK_SHARE = 16 /* of all, for one file */ };
 enum { DISK_NAME = 64 /* bytes that a file's name adds to the folder's */ };
@@ -234,96 +235,14 @@ static bool disk_read(int fd, struct hash128 id, uint64_t most, struct buf *out)
 
 /* ---- opening ---- */
 
-struct disk_found {
-    struct hash128 id;
-    uint64_t cost;
-    struct timespec used;
-};
-struct disk_list {
-    struct disk_found *found;
-    size_t n, cap;
-};
-
-static int disk_by_use(const void *a, const void *b)
-{
-    const struct timespec *x = &((const struct disk_found *)a)->used,
-                          *y = &((const struct disk_found *)b)->used;
-    return x->tv_sec != y->tv_sec     ? (x->tv_sec < y->tv_sec ? -1 : 1)
-           : x->tv_nsec != y->tv_nsec ? (x->tv_nsec < y->tv_nsec ? -1 : 1)
-                                      : 0;
-}
-
-/* Of "ab" and "cdef...": false for names that are none of ours. */
-static bool disk_name(const char *folder, const char *name, struct hash128 *id)
-{
-    char text[33], half[17] = "";
-    if (strlen(name) != 30 || strspn(name, "0123456789abcdef") != 30)
-        return false;
-    memcpy(text, folder, 2);
-    memcpy(text + 2, name, 31);
-    id->lo = strtoull(text + 16, NULL, 16);
-    memcpy(half, text, 16); /* the higher one first, as hash_text has it */
-    id->hi = strtoull(half, NULL, 16);
-    return true;
-}
-
-static enum err_code disk_list_add(struct disk_list *l, struct disk_found f, struct err *e)
-{
-    if (l->n == l->cap) {
-        const size_t cap = l->cap ? 2 * l->cap : 1024;
-        struct disk_found *more = mem_resize(l->found, l->cap, cap, sizeof *l->found);
-        if (!more)
-            return err_set(e, ERR_MEM, "disk cache: out of memory for its list of files");
-        l->found = more;
-        l->cap = cap;
-    }
-    l->found[l->n++] = f;
-    return ERR_OK;
-}
-
-/* One of the 256 folders, made if it is not there; what was being written when a server ended is
- * removed. */
-static enum err_code disk_scan(const struct disk *d, unsigned i, struct disk_list *l, struct err *e)
-{
-    char folder[3], path[FILE_PATH_MAX];
-    enum err_code rc = ERR_OK;
-    snprintf(folder, sizeof folder, "%02x", i & 0xff);
-    int n = snprintf(path, sizeof path, "%s/%s", d->dir, folder);
-    assert(n > 0 && (size_t)n < sizeof path);
-    if (mkdir(path, 0700) && errno != EEXIST)
-        return err_errno(e, ERR_IO, "--cache-dir: %s", path);
-    DIR *dir = opendir(path);
-    if (!dir)
-        return err_errno(e, ERR_IO, "--cache-dir: %s", path);
-    for (struct dirent *f; !rc && (f = readdir(dir));) {
-        struct disk_found found;
-        struct stat st;
-        const size_t size = strlen(f->d_name);
-        if (size > 5 && !strcmp(f->d_name + size - 5, ".part"))
-            (void)unlinkat(dirfd(dir), f->d_name, 0);
-        else if (disk_name(folder, f->d_name, &found.id) &&
-                 !fstatat(dirfd(dir), f->d_name, &st, AT_SYMLINK_NOFOLLOW) && S_ISREG(st.st_mode)) {
-            found.cost = disk_cost((uint64_t)st.st_size);
-            found.used = st.st_mtim;
-            rc = disk_list_add(l, found, e);
-        }
-    }
-    closedir(dir);
-    return rc;
-}
-
 static enum err_code disk_scan_all(struct disk *d, struct err *e)
 {
-    struct disk_list l = {0};
-    enum err_code rc = ERR_OK;
-    for (unsigned i = 0; !rc && i < 256; i++)
-        rc = disk_scan(d, i, &l, e);
-    if (!rc && l.n)
-        qsort(l.found, l.n, sizeof *l.found, disk_by_use);
-    for (size_t i = 0; !rc && i < l.n; i++)
-        if (!disk_add(d, l.found[i].id, l.found[i].cost, -DISK_TOUCH_S))
+    struct disk_scan found = {0};
+    enum err_code rc = disk_scan_dir(d->dir, &found, e);
+    for (size_t i = 0; !rc && i < found.n; i++)
+        if (!disk_add(d, found.file[i].id, disk_cost(found.file[i].bytes), -DISK_TOUCH_S))
             rc = err_set(e, ERR_MEM, "disk cache: out of memory for its list of files");
-    mem_free(l.found);
+    disk_scan_free(&found);
     return rc;
 }
 

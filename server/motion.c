@@ -18,12 +18,11 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "server/multipart.h"
 #include "server/result_id.h"
 #include "server/work.h"
 
-const char MOTION_TYPE[] = "multipart/x-mixed-replace; boundary=" MOTION_BOUNDARY;
-
-enum { MOTION_QUALITY = 60, MOTION_HEAD = 384 };
+enum { MOTION_QUALITY = 60 };
 static const double REST_S = 0.18;         /* a camera that did not move for so long rests */
 static const double DRAW_S = 0.04;         /* what a moving picture may take */
 static const double RETRY_S = 0.25;        /* after a refusal */
@@ -54,9 +53,7 @@ struct motion_stream {
     bool flight_full;
     uint32_t flight_px[2];
     enum format flight_format;
-    struct body *picture; /* being read; NULL: none */
-    char head[MOTION_HEAD];
-    size_t n_head, at; /* at: bytes of head, picture and tail that were read */
+    struct multipart parts; /* what is read */
 };
 struct motion {
     struct services *s;
@@ -66,8 +63,6 @@ struct motion {
     bool stopping;
     uint64_t pictures, full;
 };
-static const char MOTION_TAIL[] = "\r\n--" MOTION_BOUNDARY "\r\n";
-enum { N_TAIL = sizeof MOTION_TAIL - 1 };
 
 static void motion_on_wake(struct job_waiter *w);
 
@@ -105,7 +100,7 @@ void motion_drop(struct motion_stream **out)
     *out = NULL;
     if (!st || atomic_fetch_sub(&st->refs, 1) > 1)
         return;
-    body_drop(&st->picture);
+    body_drop(&st->parts.picture);
     if (st->d)
         dataset_drop(&st->d);
     mem_free(st);
@@ -172,9 +167,7 @@ enum err_code motion_begin(struct motion *m, const char *ds, const char *name, u
     st->area_px = AREA_FIRST_PX;
     snprintf(st->ds, sizeof st->ds, "%s", ds);
     snprintf(st->name, sizeof st->name, "%s", name);
-    /* The first delimiter; what follows a picture ends with the next one, because browsers show a
-     * part when the delimiter behind it has come. */
-    st->n_head = (size_t)snprintf(st->head, sizeof st->head, "%s", MOTION_TAIL + 2);
+    multipart_begin(&st->parts);
     atomic_init(&st->refs, 2);
     pthread_mutex_lock(&m->lock);
     enum err_code rc = motion_may_begin(m, ds, name, client, e);
@@ -208,15 +201,12 @@ static void motion_notify(struct motion_stream *st)
 /* Under the lock: the picture that has come becomes what is read. Takes the body. */
 static void motion_show(struct motion_stream *st, const struct job_result *r)
 {
-    int n = snprintf(st->head, sizeof st->head,
-                     "Content-Type: %s\r\nContent-Length: %zu\r\nPose: %lld\r\nSize: %ux%u\r\n"
-                     "Rest: %d\r\nServer-Timing: queue;dur=%.1f, job;dur=%.1f\r\n\r\n",
-                     target_type(st->flight_format), r->body->size, (long long)st->flight_number,
-                     (unsigned)st->flight_px[0], (unsigned)st->flight_px[1], st->flight_full,
-                     r->queue_s * 1e3, r->run_s * 1e3);
-    st->n_head = (size_t)n;
-    st->at = 0;
-    st->picture = r->body;
+    multipart_put(&st->parts, r->body,
+                  "Content-Type: %s\r\nContent-Length: %zu\r\nPose: %lld\r\nSize: %ux%u\r\n"
+                  "Rest: %d\r\nServer-Timing: queue;dur=%.1f, job;dur=%.1f\r\n\r\n",
+                  target_type(st->flight_format), r->body->size, (long long)st->flight_number,
+                  (unsigned)st->flight_px[0], (unsigned)st->flight_px[1], st->flight_full,
+                  r->queue_s * 1e3, r->run_s * 1e3);
     st->drawn = st->flight;
     st->drawn_full = st->flight_full;
     st->m->pictures++;
@@ -276,7 +266,7 @@ static struct work *motion_next(struct motion_stream *st, double now_s)
 {
     bool fresh = st->drawn != st->wished;
     bool full = st->wish.still || (!fresh && !st->drawn_full && now_s - st->wished_s >= REST_S);
-    bool busy = st->flying || st->ended || st->at < st->n_head || st->picture;
+    bool busy = st->flying || st->ended || !multipart_is_read(&st->parts);
     if (busy || !st->d || now_s < st->again_s || (!fresh && (st->drawn_full || !full)))
         return NULL;
     struct work *w = mem_array(1, sizeof *w);
@@ -367,35 +357,13 @@ enum err_code motion_steer(struct motion *m, struct dataset *d, const char *name
 
 /* ---- reading ---- */
 
-/* Copy what of [from, from + n) of the part lies at st->at and has room. */
-static size_t motion_copy(struct motion_stream *st, size_t from, const void *bytes, size_t n,
-                          char *out, size_t room)
-{
-    if (st->at < from || st->at >= from + n || !room)
-        return 0;
-    size_t at = st->at - from, k = n - at < room ? n - at : room;
-    memcpy(out, (const char *)bytes + at, k);
-    st->at += k;
-    return k;
-}
-
 ssize_t motion_read(struct motion_stream *st, char *out, size_t room)
 {
     pthread_mutex_lock(&st->m->lock);
-    struct body *read = NULL;
-    size_t n = motion_copy(st, 0, st->head, st->n_head, out, room);
-    if (st->picture) {
-        size_t size = st->picture->size;
-        n += motion_copy(st, st->n_head, st->picture->data, size, out + n, room - n);
-        n += motion_copy(st, st->n_head + size, MOTION_TAIL, N_TAIL, out + n, room - n);
-        if (st->at == st->n_head + size + N_TAIL) {
-            read = st->picture;
-            st->picture = NULL;
-            st->at = st->n_head;
-        }
-    }
+    struct body *read;
+    size_t n = multipart_read(&st->parts, out, room, &read);
     bool ended = st->ended && !n;
-    bool more = st->picture || st->at < st->n_head;
+    bool more = !multipart_is_read(&st->parts);
     pthread_mutex_unlock(&st->m->lock);
     body_drop(&read);
     if (!more && !ended)
@@ -406,7 +374,7 @@ ssize_t motion_read(struct motion_stream *st, char *out, size_t room)
 bool motion_await(struct motion_stream *st)
 {
     pthread_mutex_lock(&st->m->lock);
-    st->awaits = !st->ended && !st->picture && st->at == st->n_head;
+    st->awaits = !st->ended && multipart_is_read(&st->parts);
     bool awaits = st->awaits;
     pthread_mutex_unlock(&st->m->lock);
     return awaits;

@@ -11,9 +11,6 @@
 
 #include "server/services.h"
 
-#define MOTION_BOUNDARY "citysplat-picture"
-extern const char MOTION_TYPE[]; /* Content-Type of a stream */
-
 struct motion;        /* all streams of a server; thread-safe */
 struct motion_stream; /* one of them; counted references */
 

@@ -6,6 +6,7 @@
  */
 #include "codec/image.h"
 #include "server/motion.h"
+#include "server/multipart.h"
 #include "tests/client.h"
 
 #include <math.h>
@@ -58,7 +59,7 @@ static void reader_unchunk(struct reader *r)
         if (!end)
             return;
         assert_int_equal(atoi(text + 9), 200);
-        assert_non_null(strstr(text, "multipart/x-mixed-replace; boundary=" MOTION_BOUNDARY));
+        assert_non_null(strstr(text, "multipart/x-mixed-replace; boundary=" MULTIPART_BOUNDARY));
         assert_non_null(strstr(text, "Cache-Control: no-store"));
         r->chunk_at = (size_t)(end + 4 - text);
     }
@@ -91,7 +92,7 @@ static void check_picture(const char *bytes, const struct part *p)
 /* The next part; false: the stream has ended, or nothing came for wait_s. */
 static bool reader_next(struct reader *r, double wait_s, struct part *out)
 {
-    static const char mark[] = "--" MOTION_BOUNDARY "\r\n";
+    static const char mark[] = "--" MULTIPART_BOUNDARY "\r\n";
     memset(out, 0, sizeof *out);
     for (double end_s = clock_s() + wait_s;;) {
         buf_add(&r->body, "", 1);

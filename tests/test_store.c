@@ -391,7 +391,7 @@ static void files_that_are_no_stores(void **state)
     char text[200];
     memset(text, 'x', sizeof text);
     kit_fails(store_open(f->path, &s, &e), ERR_NOENT, e, "city.tiles");
-    kit_fails(store_open(f->dir, &s, &e), ERR_FORMAT, e, "not a tile store");
+    kit_fails(store_open(f->dir, &s, &e), ERR_FORMAT, e, "a folder, not a tile store");
     kit_ok(file_write(f->path, text, sizeof text, &e), e);
     kit_fails(store_open(f->path, &s, &e), ERR_FORMAT, e, "not a tile store");
     make_store(f->path, 1);
