@@ -188,7 +188,7 @@ static enum err_code codec_tile_make(void *user, struct err *e)
 {
     struct tile_request *t = user;
     t->out.size = 0;
-    return encode_tile(t->store, t->key, t->form, NULL, &t->out, e);
+    return encode_tile(t->store, t->key, t->form, NULL, NULL, &t->out, e);
 }
 
 static enum err_code codec_tile_requests(struct bench *b, const struct gauss *g, struct err *e)

@@ -261,7 +261,7 @@ static enum err_code export_tileset(const struct store *s, const struct key *par
         rc = file_join(path, dir, name, e);
     }
     if (!rc)
-        rc = tileset_write(s, part ? &tileset_of_part : &tileset_of_entry, part, &b, e);
+        rc = tileset_write(s, part ? &tileset_of_part : &tileset_of_entry, part, NULL, &b, e);
     if (!rc)
         rc = file_write(path, b.data, b.size, e);
     buf_free(&b);

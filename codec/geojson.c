@@ -108,6 +108,24 @@ static enum err_code geojson_add_shape(struct geojson_area *a, const json_t *o, 
     return rc;
 }
 
+enum err_code geojson_of_ring(const double (*at)[2], size_t n, struct geojson_area *out,
+                              struct err *e)
+{
+    *out = (struct geojson_area){0};
+    enum err_code rc = outline_check(at, n, e);
+    if (rc)
+        return rc;
+    out->edges = mem_array(n, sizeof *out->edges);
+    if (!out->edges)
+        return err_set(e, ERR_MEM, "out of memory for a polygon of %zu corners", n);
+    for (size_t i = 0; i < n; i++)
+        out->edges[i] = (struct geojson_edge){
+            {at[i][0], at[i][1]}, {at[(i + 1) % n][0], at[(i + 1) % n][1]}, 0, 0};
+    out->n = out->cap = n;
+    out->n_polygons = out->n_rings = 1;
+    return ERR_OK;
+}
+
 /* GeoJSON of before 2016 may name another coordinate system. */
 static enum err_code geojson_check_crs(const json_t *root, const char *path, struct err *e)
 {

@@ -24,6 +24,10 @@ struct geojson_area {           /* {0} is empty; geojson_free */
  * GeoJSON, no polygon in it, or another coordinate system; ERR_DATA: a ring that crosses itself or
  * has no area; each says which file and what to do; ERR_MEM. */
 enum err_code geojson_read(const char *path, struct geojson_area *out, struct err *e) ERR_USE;
+/* The polygon of one ring [n]: longitude, latitude, the first position not repeated. ERR_DATA: it
+ * crosses itself or has no area; ERR_MEM. */
+enum err_code geojson_of_ring(const double (*at)[2], size_t n, struct geojson_area *out,
+                              struct err *e) ERR_USE;
 void geojson_free(struct geojson_area *a);
 bool geojson_holds(const struct geojson_area *a, double lon_deg, double lat_deg); /* even-odd */
 

@@ -53,6 +53,12 @@ enum err_code clip_of_options(const char *path, const char *low_m, const char *h
     return !rc && *any ? clip_open(path, low, high, out, e) : rc;
 }
 
+enum err_code clip_of_ring(const double (*at)[2], size_t n, struct clip *out, struct err *e)
+{
+    *out = (struct clip){.low_m = -HUGE_VAL, .high_m = HUGE_VAL};
+    return geojson_of_ring(at, n, &out->area, e);
+}
+
 void clip_free(struct clip *c)
 {
     geojson_free(&c->area);

@@ -31,6 +31,10 @@ enum err_code clip_open(const char *path, double low_m, double high_m, struct cl
 enum err_code clip_of_options(const char *path, const char *low_m, const char *high_m,
                               const char *prefix, struct clip *out, bool *any,
                               struct err *e) ERR_USE;
+/* The polygon of one ring [n]: longitude, latitude, the first corner not repeated; any height.
+ * ERR_DATA: it crosses itself or has no area; ERR_MEM. */
+enum err_code clip_of_ring(const double (*at)[2], size_t n, struct clip *out,
+                           struct err *e) ERR_USE;
 void clip_free(struct clip *c);
 /* The same of the same polygons and heights, and of no others; zeros of NULL. */
 struct hash128 clip_hash(const struct clip *c);

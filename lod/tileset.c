@@ -19,6 +19,7 @@
 
 #include <jansson.h>
 
+#include "lod/crop.h"
 #include "lod/store.h"
 #include "lod/tileset.h"
 #include "lod/tree.h"
@@ -29,7 +30,8 @@ struct tileset {
     const struct store_tile *tiles;
     const struct tree *tree;
     const struct tileset_links *links;
-    uint32_t start; /* the node that the document begins with */
+    const struct crop_node *left; /* of each node; NULL: all of it */
+    uint32_t start;               /* the node that the document begins with */
     struct buf *out;
 };
 
@@ -116,22 +118,24 @@ static void tileset_node(const struct tileset *t, uint32_t index, const double *
     buf_printf(t->out, ",\"geometricError\":%.9g", v->geometric_error_m);
     if (index == t->start)
         buf_printf(t->out, ",\"refine\":\"REPLACE\"");
-    if (v->tile != TREE_NONE) {
+    if (v->tile != TREE_NONE && (!t->left || t->left[index].count || elsewhere)) {
         buf_printf(t->out, ",\"content\":{\"uri\":");
         tileset_uri(t->out, elsewhere ? t->links->part : t->links->tile, t->tiles[v->tile].key);
         buf_printf(t->out, "}");
     }
-    uint32_t n = elsewhere ? 0 : v->child_count;
+    uint32_t n = elsewhere ? 0 : v->child_count, n_written = 0;
     for (uint32_t i = 0; i < n; i++) {
         uint32_t c = t->tree->children[v->child_first + i];
+        if (t->left && !t->left[c].any)
+            continue;
         double at[3], move[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
         tileset_center(t, &t->tree->nodes[c], at);
         for (size_t k = 0; k < 3; k++)
             move[12 + k] = at[k] - center[k];
-        buf_printf(t->out, "%s", i ? "," : ",\"children\":[");
+        buf_printf(t->out, "%s", n_written++ ? "," : ",\"children\":[");
         tileset_node(t, c, move); /* at most KEY_ZOOM_MAX + 1 deep */
     }
-    buf_printf(t->out, "%s}", n ? "]" : "");
+    buf_printf(t->out, "%s}", n_written ? "]" : "");
 }
 
 /* The root's frame: east-north-up at the scene's origin, moved to the root tile's centre. */
@@ -156,12 +160,13 @@ bool tileset_has_part(const struct store *s, struct key k)
 }
 
 enum err_code tileset_write(const struct store *s, const struct tileset_links *links,
-                            const struct key *part, struct buf *out, struct err *e)
+                            const struct key *part, const struct crop_node *left, struct buf *out,
+                            struct err *e)
 {
     static const char names[] =
         "[\"KHR_gaussian_splatting\",\"KHR_gaussian_splatting_compression_spz_2\"]";
     const struct store_meta *m = store_info(s);
-    struct tileset t = {.tree = store_tree(s), .links = links, .out = out};
+    struct tileset t = {.tree = store_tree(s), .links = links, .left = left, .out = out};
     double ecef[16];
     size_t n;
     t.tiles = store_tiles(s, &n);

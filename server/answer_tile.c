@@ -7,6 +7,8 @@
 #include <assert.h>
 #include <string.h>
 
+#include "lod/clip.h"
+#include "lod/crop.h"
 #include "lod/store.h"
 #include "server/encode.h"
 #include "server/result_id.h"
@@ -20,6 +22,31 @@ static void answer_tile_tags(const struct dataset *d, uint32_t z, char out[RESPO
     char *p = text_put(text_put(out, "ds-"), d->meta.name);
     p = text_put(text_put(p, " rev-"), d->meta.revision);
     *text_put_uint(text_put(p, " z-"), z) = '\0';
+}
+
+/* What clip leaves of a tile: all of it, a part, which *id is made the name of, or nothing. False,
+ * with the problem set, for the last. */
+static bool answer_tile_clip(const struct dataset *d, const struct store_tile *tile,
+                             const struct target_clip *c, struct hash128 *id, bool *part,
+                             struct response *out)
+{
+    struct err e = {0};
+    struct clip clip = {0};
+    enum crop_side side = CROP_INSIDE;
+    enum err_code rc = c->n ? target_open_clip(c, &clip, &e) : ERR_OK;
+    if (!rc && c->n)
+        rc = crop_box(&clip, &d->meta.origin, tile->min_enu_m, tile->max_enu_m, &side, &e);
+    clip_free(&clip);
+    *part = side == CROP_ACROSS;
+    if (*part)
+        result_id_clip(id, c);
+    if (rc == ERR_MEM)
+        response_no_memory(out);
+    else if (rc)
+        response_problem(out, 422, e.msg);
+    else if (side == CROP_OUTSIDE)
+        response_problem(out, 404, "no Gaussians of this tile lie within clip");
+    return !rc && side != CROP_OUTSIDE;
 }
 
 void answer_tile(struct services *s, const struct request *r, struct dataset *d,
@@ -36,6 +63,9 @@ void answer_tile(struct services *s, const struct request *r, struct dataset *d,
         return;
     form.trained = choice.trained;
     struct hash128 id = result_id_tile(d, tile, form, &choice);
+    bool part = false;
+    if (!answer_tile_clip(d, tile, &t->clip, &id, &part, out))
+        return;
     out->type = target_type(form.format);
     out->cache_control = response_cache_control(s, d, t);
     answer_tile_tags(d, t->key.z, out->surrogate);
@@ -47,6 +77,8 @@ void answer_tile(struct services *s, const struct request *r, struct dataset *d,
     if (w) {
         w->key = t->key;
         w->appearance = choice;
+        if (part)
+            w->target.clip = t->clip;
     }
     out->tile = t->key;
     memcpy(out->tile_of, d->meta.name, sizeof out->tile_of);

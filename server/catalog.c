@@ -26,7 +26,7 @@ static enum err_code catalog_make_documents(struct dataset *d, const char *publi
 {
     struct buf b = {0};
     char text[FILE_PATH_MAX];
-    enum err_code rc = tileset_write(d->index, &tileset_of_entry, NULL, &b, e);
+    enum err_code rc = tileset_write(d->index, &tileset_of_entry, NULL, NULL, &b, e);
     rc = document_take(rc, &b, &d->tileset, e);
     if (!rc) {
         char part[64];
@@ -35,7 +35,7 @@ static enum err_code catalog_make_documents(struct dataset *d, const char *publi
                  tileset_of_entry.tile);
         snprintf(part, sizeof part, "r/%s-%s/%s", d->meta.revision, d->edition,
                  tileset_of_entry.part);
-        rc = tileset_write(d->index, &moving, NULL, &b, e);
+        rc = tileset_write(d->index, &moving, NULL, NULL, &b, e);
         rc = document_take(rc, &b, &d->tileset_moving, e);
     }
     if (!rc) {

@@ -91,11 +91,15 @@ static enum err_code encode_gauss(struct gauss *g, const struct store_meta *meta
 }
 
 enum err_code encode_tile(struct store *s, struct key key, struct form form, const float *image,
-                          struct buf *out, struct err *e)
+                          const struct clip *clip, struct buf *out, struct err *e)
 {
     struct gauss g = {0};
     enum err_code rc =
         form.trained ? store_read_gauss(s, key, &g, e) : bake_read(s, key, image, &g, e);
+    if (!rc && clip)
+        rc = clip_rows(clip, &store_info(s)->origin, &g, e);
+    if (!rc && clip && !g.n)
+        rc = err_set(e, ERR_NOENT, "no Gaussians of this tile lie within clip");
     if (!rc)
         rc = encode_gauss(&g, store_info(s), key, form, out, e);
     gauss_free(&g);

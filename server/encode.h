@@ -5,6 +5,7 @@
 #ifndef SERVER_ENCODE_H
 #define SERVER_ENCODE_H
 
+#include "lod/clip.h"
 #include "lod/store.h"
 #include "server/config.h"
 #include "server/target.h"
@@ -14,10 +15,11 @@
 struct form encode_form(const struct server_config *cfg, const struct store_meta *meta,
                         const struct form *asked);
 /* Append one tile's bytes of a form. image: an embedding [len_image] of the store's appearance
- * model, NULL for the default one. ERR_NOENT (no such tile), ERR_FORMAT (damaged), ERR_IO, ERR_MEM,
+ * model, NULL for the default one. clip: what is left of the tile, NULL: all of it. ERR_NOENT (no
+ * such tile, or nothing of it is left), ERR_FORMAT (damaged), ERR_IO, ERR_MEM,
  * ERR_DATA, ERR_LIMIT. */
 enum err_code encode_tile(struct store *s, struct key key, struct form form, const float *image,
-                          struct buf *out, struct err *e) ERR_USE;
+                          const struct clip *clip, struct buf *out, struct err *e) ERR_USE;
 /* About how many bytes a tile of so many Gaussians takes, by what trained cities take in each form
  * (docs/formats.md); the same for equal arguments. */
 uint64_t encode_bytes(const struct store_meta *meta, struct form form, uint32_t count);

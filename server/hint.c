@@ -108,7 +108,7 @@ void hint_tileset(const struct dataset *d, const struct target *t, char out[HINT
     char query[TARGET_QUERY_MAX], base[40] = "";
     target_query(t, query);
     out[0] = '\0';
-    if (strlen(query) > HINT_QUERY || tree->root == TREE_NONE ||
+    if (t->clip.n || strlen(query) > HINT_QUERY || tree->root == TREE_NONE ||
         tree->nodes[tree->root].tile == TREE_NONE)
         return;
     const struct key k = d->tiles[tree->nodes[tree->root].tile].key;
@@ -125,7 +125,7 @@ void hint_tile(const struct dataset *d, const struct store_tile *tile, const str
     const struct tree_node *v = &tree->nodes[tile - d->tiles];
     char query[TARGET_QUERY_MAX], *p = out;
     *p = '\0';
-    if (!v->child_count)
+    if (!v->child_count || t->clip.n) /* what is left of the others is not known here */
         return;
     target_query(t, query);
     const char *ext = target_ext(t->form.format);

@@ -1,6 +1,6 @@
-/* Pictures of a stream, one after the other, as parts of multipart/x-mixed-replace: what of them has
- * been read, and what comes next. A part ends with the delimiter of the next one, because browsers
- * show a part when the delimiter behind it has come.
+/* Pictures of a stream, one after the other, as parts of multipart/x-mixed-replace: what of them
+ * has been read, and what comes next. A part ends with the delimiter of the next one, because
+ * browsers show a part when the delimiter behind it has come.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

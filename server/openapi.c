@@ -23,7 +23,7 @@ enum { OPENAPI_PATH = 256 };
 /* Query parameters of a route, as bits. */
 enum {
     OPENAPI_APPEARANCE = 1,
-    OPENAPI_PRESET = 2, /* and sh */
+    OPENAPI_PRESET = 2, /* and sh, clip */
     OPENAPI_SEED = 4,   /* bbox, z, f, the way of a camera, pages */
     OPENAPI_BBOX = 8,
     OPENAPI_VIEW = 16, /* background, depth */
@@ -182,6 +182,9 @@ static const struct {
       "how fine glb, spz and drc are"}},
     {OPENAPI_PRESET,
      {"sh", "{'type':'integer','minimum':0,'maximum':3}", "highest band of harmonics"}},
+    {OPENAPI_PRESET,
+     {"clip", OPENAPI_TEXT,
+      "lon,lat,lon,lat,... of a polygon of 3 to 40 corners: what lies within it alone"}},
     {OPENAPI_VIEW,
      {"background", OPENAPI_TEXT,
       "RRGGBB, sky, or transparent (png and webp); black where it is left out"}},

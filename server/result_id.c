@@ -35,6 +35,14 @@ struct hash128 result_id_tile(const struct dataset *d, const struct store_tile *
     return id;
 }
 
+void result_id_clip(struct hash128 *id, const struct target_clip *c)
+{
+    struct {
+        struct hash128 id, clip;
+    } both = {*id, hash_bytes(c->corner_e7, c->n * sizeof *c->corner_e7)};
+    *id = hash_bytes(&both, sizeof both);
+}
+
 static void result_id_edition(const void *name, size_t n, char out[9])
 {
     snprintf(out, 9, "%08x", (unsigned)(hash_bytes(name, n).lo & 0xffffffff));

@@ -19,6 +19,8 @@
 /* form has nothing left unsaid (encode_form). */
 struct hash128 result_id_tile(const struct dataset *d, const struct store_tile *t, struct form form,
                               const struct appearance_choice *a);
+/* The same of what a polygon leaves of it. */
+void result_id_clip(struct hash128 *id, const struct target_clip *c);
 /* The edition of a dataset's tiles: what decides their bytes beside the revision and the rest of an
  * address. preset: of those that do not say one. */
 void result_id_tiles_edition(const struct dataset *d, unsigned preset, char out[9]);

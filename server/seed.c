@@ -10,6 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "lod/crop.h"
 #include "lod/pick.h"
 #include "lod/store.h"
 #include "lod/tree.h"
@@ -25,6 +26,7 @@ struct seed_row {
 struct seed {
     const struct dataset *d;
     const struct target *t;
+    const struct crop_node *left; /* of each tile; NULL: all of it */
     struct seed_row *row;
     size_t n;
     bool *taken; /* [n_tiles] */
@@ -57,8 +59,8 @@ static bool seed_in_bbox(struct key k, const int32_t bbox_e7[4])
 static void seed_take(struct seed *s, size_t tile, double at_s, double far)
 {
     const struct store_tile *x = &s->d->tiles[tile];
-    if (s->taken[tile] || x->key.z < s->t->z_min || x->key.z > s->t->z_max ||
-        (s->t->has_bbox && !seed_in_bbox(x->key, s->t->bbox_e7)))
+    if (s->taken[tile] || (s->left && !s->left[tile].count) || x->key.z < s->t->z_min ||
+        x->key.z > s->t->z_max || (s->t->has_bbox && !seed_in_bbox(x->key, s->t->bbox_e7)))
         return;
     s->taken[tile] = true;
     s->row[s->n++] = (struct seed_row){x, at_s, far};
@@ -111,11 +113,16 @@ static void seed_write_row(const struct seed *s, const struct seed_row *row, con
 {
     const struct key k = row->tile->key;
     char etag[BODY_ETAG_SIZE];
-    body_etag(result_id_tile(s->d, row->tile, form, a), etag);
+    const struct crop_node *left = s->left ? &s->left[row->tile - s->d->tiles] : NULL;
+    const uint32_t count = left ? left->count : row->tile->count;
+    struct hash128 id = result_id_tile(s->d, row->tile, form, a);
+    if (left && left->across)
+        result_id_clip(&id, &s->t->clip);
+    body_etag(id, etag);
     etag[strlen(etag) - 1] = 0; /* without its quotes, which JSON would have to escape */
     buf_printf(out, "t/%u/%u/%u.%s%s\",\"etag\":\"\\\"%s\\\"\",\"gaussians\":%u,\"bytes\":%llu",
-               k.z, k.x, k.y, target_ext(s->t->form.format), query, etag + 1, row->tile->count,
-               (unsigned long long)encode_bytes(&s->d->meta, form, row->tile->count));
+               k.z, k.x, k.y, target_ext(s->t->form.format), query, etag + 1, count,
+               (unsigned long long)encode_bytes(&s->d->meta, form, count));
     if (course)
         buf_printf(out, ",\"at_s\":%.2f", row->at_s);
     buf_printf(out, "}\n");
@@ -142,10 +149,10 @@ static void seed_write_page(const struct seed *s, const struct course *c, struct
 }
 
 enum err_code seed_write(const struct dataset *d, const struct target *t, const struct course *c,
-                         struct form form, const struct appearance_choice *a, struct buf *out,
-                         struct err *e)
+                         const struct crop_node *left, struct form form,
+                         const struct appearance_choice *a, struct buf *out, struct err *e)
 {
-    struct seed s = {.d = d, .t = t};
+    struct seed s = {.d = d, .t = t, .left = left};
     enum err_code rc = ERR_OK;
     s.row = mem_array(d->n_tiles, sizeof *s.row);
     s.taken = mem_array(d->n_tiles, sizeof *s.taken);

@@ -107,6 +107,13 @@ bool target_is_terrain(enum route r)
     return r == ROUTE_TERRAIN || r == ROUTE_TERRAIN_MOVING || r == ROUTE_TERRAINJSON;
 }
 
+bool target_is_of_tiles(enum route r)
+{
+    return r == ROUTE_TILE || r == ROUTE_TILE_MOVING || r == ROUTE_TILESET ||
+           r == ROUTE_TILESET_MOVING || r == ROUTE_TILESET_PART || r == ROUTE_SEED ||
+           r == ROUTE_SEED_MOVING;
+}
+
 static bool target_is_view(enum route r)
 {
     return r == ROUTE_VIEW || r == ROUTE_VIEW_MOVING;
@@ -142,6 +149,8 @@ enum err_code target_take_form(struct text *one, struct target *target, bool *kn
             out->sh_degree != FORM_UNSAID)
             return err_set(e, ERR_FORMAT, "sh is 0 to %d, given once", GAUSS_SH_DEGREE_MAX);
         out->sh_degree = (uint8_t)degree;
+    } else if (text_take(one, "clip=")) {
+        return target_take_clip(one, target, e);
     } else if (target_is_view(target->route) && text_take(one, "background=")) {
         if (target->paint.said_background ||
             !target_read_background(one->p, (size_t)(one->end - one->p), &target->paint))

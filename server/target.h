@@ -8,8 +8,14 @@
 #include "core/base.h"
 #include "lod/key.h"
 
+struct clip;
+
 enum { TARGET_STREAM_MIN = 16 }; /* a name cannot be guessed: whoever knows it steers */
-enum { TARGET_APPEARANCE_MAX = 512, TARGET_QUERY_MAX = 3 * TARGET_APPEARANCE_MAX + 96 };
+enum { TARGET_CLIP_CORNERS = 40, TARGET_CLIP_TEXT = TARGET_CLIP_CORNERS * 26 };
+enum {
+    TARGET_APPEARANCE_MAX = 512,
+    TARGET_QUERY_MAX = 3 * TARGET_APPEARANCE_MAX + TARGET_CLIP_TEXT + 96
+};
 
 enum { TARGET_LIMIT = 10000, TARGET_LIMIT_MAX = 100000 }; /* lines of a prefetch list */
 
@@ -150,12 +156,18 @@ struct target_course {
     size_t n_path;
     uint32_t width_px, height_px, fov_e3, error_e3, speed_e3, horizon_e3;
 };
+/* A polygon that does not cross itself; in one spelling, so that equal ones are equal bytes. */
+struct target_clip {
+    uint32_t n; /* corners, 0: none was said */
+    int32_t corner_e7[TARGET_CLIP_CORNERS][2];
+};
 struct target {
     enum route route;
     char ds[64], rev[13], edition[9]; /* edition: "": not said */
     struct key key;
     struct form form;                       /* of views only the format counts */
     char appearance[TARGET_APPEARANCE_MAX]; /* "": not said */
+    struct target_clip clip;                /* of tiles and what lists them */
     struct target_pose pose; /* of height: longitude and latitude alone, if has_place */
     bool has_place;
     uint32_t width_px, height_px; /* of the picture, @2x and so on counted */
@@ -190,8 +202,16 @@ void target_escape(const char *text, char *out);
  * course, for the borrowed one may be gone; NULL where there is none. */
 void target_seed_query(const struct target *t, const char *path, uint32_t after, struct buf *out);
 
-/* "?preset=NAME&sh=N&appearance=A" as far as the target says them, else "". */
+/* "?preset=NAME&sh=N&clip=C&appearance=A" as far as the target says them, else "". */
 void target_query(const struct target *t, char out[TARGET_QUERY_MAX]);
+
+/* ---- target_clip.c ---- */
+
+/* The polygon for use: clip_free it. ERR_DATA, ERR_MEM. */
+enum err_code target_open_clip(const struct target_clip *c, struct clip *out,
+                               struct err *e) ERR_USE;
+/* "lon,lat,lon,lat,...", the one spelling of it. */
+void target_clip_text(const struct target_clip *c, char out[TARGET_CLIP_TEXT]);
 
 /* What target.c, target_place.c and target_seed.c have of each other: each reads on from t, or a
  * whole query of n bytes, and fills its part of the target. Errors as of target_parse. */
@@ -200,9 +220,10 @@ struct text;
 /* ---- target.c ---- */
 
 bool target_is_terrain(enum route r);
+bool target_is_of_tiles(enum route r); /* a tile, or what lists tiles */
 /* The rest must be one of the extensions [first, last]. */
 bool target_take_format(struct text *t, enum format first, enum format last, enum format *out);
-/* One part of a query: preset=NAME, sh=N, appearance=A or, of terrain, encoding=E, of views,
+/* One part of a query: preset=NAME, sh=N, appearance=A, clip=C, of terrain encoding=E, of views
  * background=B and depth=U, each at most once; *known says whether it was one of them. */
 enum err_code target_take_form(struct text *one, struct target *target, bool *known,
                                struct err *e) ERR_USE;
@@ -227,6 +248,12 @@ enum err_code target_parse_place(const char *query, size_t n, struct target *out
  * ignored. */
 enum err_code target_parse_bbox(const char *query, size_t n, struct target *out,
                                 struct err *e) ERR_USE;
+
+/* ---- target_clip.c ---- */
+
+/* What follows "clip=". ERR_FORMAT: no such text, or a route of something else; ERR_DATA: no
+ * polygon. */
+enum err_code target_take_clip(struct text *one, struct target *out, struct err *e) ERR_USE;
 
 /* ---- target_seed.c ---- */
 

@@ -39,6 +39,11 @@ void target_query(const struct target *t, char out[TARGET_QUERY_MAX])
     if (f->sh_degree <= GAUSS_SH_DEGREE_MAX)
         n +=
             (size_t)snprintf(out + n, TARGET_QUERY_MAX - n, "%csh=%u", n ? '&' : '?', f->sh_degree);
+    if (t->clip.n) {
+        n += (size_t)snprintf(out + n, TARGET_QUERY_MAX - n, "%cclip=", n ? '&' : '?');
+        target_clip_text(&t->clip, out + n);
+        n += strlen(out + n);
+    }
     if (t->appearance[0]) {
         n += (size_t)snprintf(out + n, TARGET_QUERY_MAX - n, "%cappearance=", n ? '&' : '?');
         target_escape(t->appearance, out + n);

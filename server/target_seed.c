@@ -136,7 +136,7 @@ static enum err_code target_take_seed(struct text *one, unsigned *seen, struct t
     }
     return err_set(e, ERR_FORMAT,
                    "the query may hold bbox, z, f, path, size, fov, error, speed, horizon, after, "
-                   "limit, preset, sh and appearance, each once");
+                   "limit, preset, sh, clip and appearance, each once");
 }
 
 /* In any order. Commas of a bbox may come as %2C. */

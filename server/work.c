@@ -9,22 +9,65 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "lod/clip.h"
+#include "lod/crop.h"
 #include "lod/photograph.h"
 #include "lod/store.h"
 #include "lod/tileset.h"
+#include "lod/tree.h"
 #include "server/appearance_model.h"
 #include "server/encode.h"
 #include "server/seed.h"
 
+static enum err_code work_borrow(const struct work *w, struct store **s, struct err *e)
+{
+    *s = dataset_borrow(w->ds);
+    return *s ? ERR_OK
+              : err_set(e, ERR_INTERNAL, "dataset %s: fewer store handles than workers",
+                        w->ds->path);
+}
+
 static enum err_code work_make_tile(const struct work *w, struct buf *out, struct err *e)
 {
-    struct store *s = dataset_borrow(w->ds);
-    if (!s)
-        return err_set(e, ERR_INTERNAL, "dataset %s: fewer store handles than workers",
-                       w->ds->path);
-    enum err_code rc =
-        encode_tile(s, w->key, w->form, appearance_api_image(&w->appearance), out, e);
-    dataset_return(w->ds, s);
+    struct store *s = NULL;
+    struct clip clip = {0};
+    const bool clipped = w->target.clip.n;
+    enum err_code rc = clipped ? target_open_clip(&w->target.clip, &clip, e) : ERR_OK;
+    if (!rc)
+        rc = work_borrow(w, &s, e);
+    if (!rc)
+        rc = encode_tile(s, w->key, w->form, appearance_api_image(&w->appearance),
+                         clipped ? &clip : NULL, out, e);
+    if (s)
+        dataset_return(w->ds, s);
+    clip_free(&clip);
+    return rc;
+}
+
+/* What the target's polygon leaves of the tiles of one document, or of all (part, and first, of a
+ * prefetch list: the root); mem_free it. NULL where there is no polygon. */
+static enum err_code work_crop(const struct work *w, struct crop_node **out, struct err *e)
+{
+    struct store *s = NULL;
+    struct clip clip = {0};
+    const bool is_part = w->target.route == ROUTE_TILESET_PART;
+    const struct tree *tree = store_tree(w->ds->index);
+    *out = NULL;
+    if (!w->target.clip.n)
+        return ERR_OK;
+    enum err_code rc = target_open_clip(&w->target.clip, &clip, e);
+    if (!rc)
+        rc = work_borrow(w, &s, e);
+    uint32_t start = tree->root;
+    if (is_part)
+        start = (uint32_t)(store_find(w->ds->index, w->target.key) - w->ds->tiles);
+    if (!rc)
+        rc = crop_tiles(&clip, s, start, w->kind == WORK_TILESET, out, e);
+    if (!rc && !is_part && !(*out)[start].any)
+        rc = err_set(e, ERR_NOENT, "nothing of this dataset lies within clip");
+    if (s)
+        dataset_return(w->ds, s);
+    clip_free(&clip);
     return rc;
 }
 
@@ -41,7 +84,12 @@ static enum err_code work_make_tileset(const struct work *w, struct buf *out, st
         snprintf(base, sizeof base, "r/%s-%s/", w->ds->meta.revision, w->ds->edition);
     snprintf(tile, sizeof tile, "%s%s%s", base, usual->tile, query);
     snprintf(part, sizeof part, "%s%s%s", base, usual->part, query);
-    return tileset_write(w->ds->index, &links, is_part ? &w->target.key : NULL, out, e);
+    struct crop_node *left;
+    enum err_code rc = work_crop(w, &left, e);
+    if (!rc)
+        rc = tileset_write(w->ds->index, &links, is_part ? &w->target.key : NULL, left, out, e);
+    mem_free(left);
+    return rc;
 }
 
 /* What the process that draws makes. `room` is that of the result from above; codecs that do not
@@ -64,14 +112,23 @@ static enum err_code work_make_drawn(struct services *s, const struct job *j, co
 
 static enum err_code work_make_thumbnail(const struct work *w, struct buf *out, struct err *e)
 {
-    struct store *s = dataset_borrow(w->ds);
-    if (!s)
-        return err_set(e, ERR_INTERNAL, "dataset %s: fewer store handles than workers",
-                       w->ds->path);
-    enum err_code rc =
-        photograph_thumbnail(s, appearance_model_photograph(w->ds, w->target.row), out, e);
+    struct store *s;
+    enum err_code rc = work_borrow(w, &s, e);
+    if (rc)
+        return rc;
+    rc = photograph_thumbnail(s, appearance_model_photograph(w->ds, w->target.row), out, e);
     dataset_return(w->ds, s);
     return rc == ERR_NOENT ? err_set(e, ERR_NOENT, "this photograph has no thumbnail") : rc;
+}
+
+static enum err_code work_make_seed(const struct work *w, struct buf *out, struct err *e)
+{
+    struct crop_node *left;
+    enum err_code rc = work_crop(w, &left, e);
+    if (!rc)
+        rc = seed_write(w->ds, &w->target, w->course, left, w->form, &w->appearance, out, e);
+    mem_free(left);
+    return rc;
 }
 
 static enum err_code work_make_bytes(struct services *s, const struct job *j, const struct work *w,
@@ -85,7 +142,7 @@ static enum err_code work_make_bytes(struct services *s, const struct job *j, co
     case WORK_QUERY:
         return work_make_drawn(s, j, w, DRAW_QUERY, out, e);
     case WORK_SEED:
-        return seed_write(w->ds, &w->target, w->course, w->form, &w->appearance, out, e);
+        return work_make_seed(w, out, e);
     case WORK_TILESET:
         return work_make_tileset(w, out, e);
     case WORK_THUMBNAIL:
@@ -192,8 +249,8 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
         cache_put(s->cache, w->id, *out);
     if (!rc && for_disk && !read)
         w->made = body_ref(*out);
-    bool none =
-        (w->kind == WORK_QUERY && rc == ERR_DATA) || (w->kind == WORK_THUMBNAIL && rc == ERR_NOENT);
+    bool none = (w->kind == WORK_QUERY && rc == ERR_DATA) ||
+                ((w->kind == WORK_THUMBNAIL || w->target.clip.n) && rc == ERR_NOENT);
     if (rc && rc != ERR_CANCEL && !none) {
         if (rc == ERR_FORMAT || rc == ERR_IO)
             atomic_fetch_add(&w->ds->n_failed, 1);

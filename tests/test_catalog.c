@@ -33,7 +33,7 @@ static void test_reload(void **state)
         0}; /* the older revision's tiles are read from the file that was renamed over */
     struct store *s = dataset_borrow(old);
     const struct form form = {FORMAT_SPZ, QUANT_BALANCED, 3, false};
-    kit_ok(encode_tile(s, served_key(17), form, NULL, &b, &e), e);
+    kit_ok(encode_tile(s, served_key(17), form, NULL, NULL, &b, &e), e);
     dataset_return(old, s);
     buf_free(&b);
     struct catalog *bad = NULL;

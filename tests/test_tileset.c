@@ -40,7 +40,7 @@ static json_t *document_of(const struct store *s, const struct key *part)
     struct err e = {0};
     struct buf b = {0};
     json_t *j;
-    kit_ok(tileset_write(s, part ? &tileset_of_part : &tileset_of_entry, part, &b, &e), e);
+    kit_ok(tileset_write(s, part ? &tileset_of_part : &tileset_of_entry, part, NULL, &b, &e), e);
     kit_ok(jsonc_parse((const char *)b.data, b.size, "tileset", &j, &e), e);
     buf_free(&b);
     return j;
@@ -302,7 +302,7 @@ static void large_ones_are_several_documents(void **state)
         const struct key root = key_at(origin.lon_deg, origin.lat_deg, 12), none = {3, 1, 1};
         assert_false(tileset_has_part(s, root));
         assert_false(tileset_has_part(s, none));
-        assert_int_equal(tileset_write(s, &tileset_of_part, &none, &b, &e), ERR_NOENT);
+        assert_int_equal(tileset_write(s, &tileset_of_part, &none, NULL, &b, &e), ERR_NOENT);
         buf_free(&b);
         store_close(&s);
     }
