@@ -103,6 +103,30 @@ static void answer_appearance_thumbnail(struct services *s, const struct request
     out->timeout_s = s->cfg->deadline_s;
 }
 
+/* What the query looks for; without one the list of all, which is made when a dataset is opened. */
+static void answer_appearance_list(struct services *s, const struct request *r, struct dataset *d,
+                                   const struct target *t, struct response *out)
+{
+    if (!t->search.asked) {
+        response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(d->appearances), out);
+        return;
+    }
+    if (!d->search) {
+        response_problem(out, 404, "this dataset was trained without appearance");
+        return;
+    }
+    struct hash128 id = result_id_search(d, t);
+    out->type = RESPONSE_JSON;
+    out->cache_control = RESPONSE_MOVING;
+    if (!response_made(s, r, id, out))
+        return;
+    struct work *w = response_work(d, WORK_SEARCH, id, (struct form){0}, out);
+    if (w)
+        w->target = *t;
+    out->cls = JOB_TILE;
+    out->timeout_s = s->cfg->deadline_s;
+}
+
 bool answer_appearance(struct services *s, const struct request *r, struct dataset *d,
                        const struct target *t, struct response *out)
 {
@@ -113,7 +137,7 @@ bool answer_appearance(struct services *s, const struct request *r, struct datas
     else if (t->route == ROUTE_THUMBNAIL)
         answer_appearance_thumbnail(s, r, d, t, out);
     else if (t->route == ROUTE_APPEARANCES)
-        response_document(r, RESPONSE_JSON, RESPONSE_MOVING, body_ref(d->appearances), out);
+        answer_appearance_list(s, r, d, t, out);
     else if (t->route == ROUTE_APPEARANCE)
         answer_appearance_one(r, d, t->appearance, RESPONSE_MOVING, out);
     else if (t->route == ROUTE_MIX)

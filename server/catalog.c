@@ -20,6 +20,7 @@
 #include "server/collection.h"
 #include "server/document.h"
 #include "server/result_id.h"
+#include "server/search.h"
 
 static enum err_code catalog_make_documents(struct dataset *d, const char *public_url,
                                             struct err *e)
@@ -53,6 +54,8 @@ static enum err_code catalog_make_documents(struct dataset *d, const char *publi
         rc = appearance_model_describe(d, &d->model, e);
     if (!rc && d->appearance)
         rc = appearance_model_photographs(d, &d->photographs, e);
+    if (!rc && d->appearance)
+        rc = search_open(d, &d->search, e);
     if (!rc)
         rc = collection_describe(d, &d->collection, e);
     struct body *const documents[] = {d->tileset,    d->tileset_moving, d->tilejson,

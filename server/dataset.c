@@ -16,6 +16,7 @@
 #include "lod/bake.h"
 #include "lod/clip.h"
 #include "server/encode.h"
+#include "server/search_index.h"
 
 /* West south hmin east north hmax of the coarsest level's boxes: it covers every Gaussian. */
 static enum err_code dataset_find_bbox(struct dataset *d, struct err *e)
@@ -180,6 +181,7 @@ void dataset_drop(struct dataset **out)
     body_drop(&d->appearances);
     body_drop(&d->model);
     body_drop(&d->photographs);
+    search_index_close(&d->search);
     pthread_mutex_destroy(&d->lock);
     mem_free(d->path);
     mem_free(d);

@@ -12,6 +12,7 @@
 #include "server/body.h"
 
 struct clip;
+struct search_index;
 
 struct dataset { /* immutable but for what the comments say; counted */
     _Atomic uint32_t refs;
@@ -33,7 +34,8 @@ struct dataset { /* immutable but for what the comments say; counted */
     struct body *tilejson;
     struct body *collection;
     struct body *appearances;
-    struct body *model, *photographs; /* NULL without appearance */
+    struct body *model, *photographs; /* NULL without appearance, as is search */
+    struct search_index *search;      /* of its photographs */
     _Atomic uint32_t n_failed;        /* results that its file did not give: it is damaged */
     pthread_mutex_t lock;             /* of free_store, n_free */
     struct store **stores, **free_store;

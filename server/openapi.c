@@ -29,7 +29,8 @@ enum {
     OPENAPI_VIEW = 16, /* background, depth */
     OPENAPI_ENCODING = 32,
     OPENAPI_PLACE = 64, /* lon, lat */
-    OPENAPI_TINT = 128  /* appearance of tiles, which may be none */
+    OPENAPI_SEARCH = 256,
+    OPENAPI_TINT = 128 /* appearance of tiles, which may be none */
 };
 static const struct openapi_answer {
     const char *media, *schema; /* media NULL: a redirect; schema NULL: Document */
@@ -65,7 +66,9 @@ static const struct openapi_answer {
     [ROUTE_VIEW_MOVING] = {.media = NULL,
                            .schema = NULL,
                            .query = OPENAPI_APPEARANCE | OPENAPI_VIEW},
-    [ROUTE_APPEARANCES] = {.media = "application/json", .schema = "Appearances"},
+    [ROUTE_APPEARANCES] = {.media = "application/json",
+                           .schema = "Appearances",
+                           .query = OPENAPI_SEARCH},
     [ROUTE_APPEARANCE] = {.media = "application/json",
                           .schema = "Appearance",
                           .query = OPENAPI_APPEARANCE},
@@ -145,6 +148,27 @@ static const struct {
     unsigned bit;
     struct openapi_parameter is;
 } openapi_in_query[] = {
+    {OPENAPI_SEARCH,
+     {"bbox", OPENAPI_TEXT, "west,south,east,north in degrees: photographs taken within"}},
+    {OPENAPI_SEARCH,
+     {"near", OPENAPI_TEXT, "lon,lat or lon,lat,radius: the nearest to a place, within metres"}},
+    {OPENAPI_SEARCH,
+     {"datetime", OPENAPI_TEXT,
+      "a date, a time of RFC 3339, or an interval, as in 2024-06-01/..; by the cameras' clocks"}},
+    {OPENAPI_SEARCH,
+     {"hours", "{'type':'string','pattern':'^[0-9]{1,2}-[0-9]{1,2}$'}",
+      "hours of the day, as in 17-20"}},
+    {OPENAPI_SEARCH,
+     {"colour", "{'type':'string','pattern':'^[0-9a-fA-F]{6}$'}",
+      "RRGGBB: the nearest in what their light makes of mid grey"}},
+    {OPENAPI_SEARCH,
+     {"sort", "{'type':'string','enum':['number','distance','time','colour']}",
+      "distance where near is given, else colour where that is, else number"}},
+    {OPENAPI_SEARCH,
+     {"limit", "{'type':'integer','minimum':1,'maximum':1000}", "100 where it is left out"}},
+    {OPENAPI_SEARCH,
+     {"after", "{'type':'integer','minimum':0,'maximum':999999999}",
+      "so many are left out before"}},
     {OPENAPI_SEED | OPENAPI_BBOX,
      {"bbox", OPENAPI_TEXT, "west,south,east,north in degrees: what meets this area"}},
     {OPENAPI_SEED, {"z", OPENAPI_TEXT, "a zoom, or two as in 12-16"}},

@@ -106,6 +106,24 @@ struct hash128 result_id_seed(const struct dataset *d, const struct target *t,
     return id;
 }
 
+struct hash128 result_id_search(const struct dataset *d, const struct target *t)
+{
+    struct {
+        struct hash128 salt, asked;
+        char rev[16], kind[16];
+        int32_t bbox_e7[4];
+        uint32_t has_bbox, limit, after, unused;
+    } name = {.salt = d->salt,
+              .asked = hash_bytes(&t->search, sizeof t->search), /* zeros before it was read */
+              .kind = "search",
+              .has_bbox = t->has_bbox,
+              .limit = t->limit,
+              .after = t->after};
+    memcpy(name.bbox_e7, t->bbox_e7, sizeof name.bbox_e7);
+    memcpy(name.rev, d->meta.revision, sizeof d->meta.revision);
+    return hash_bytes(&name, sizeof name);
+}
+
 struct hash128 result_id_tileset(const struct dataset *d, const struct target *t)
 {
     struct {

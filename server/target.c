@@ -257,9 +257,10 @@ static enum err_code target_parse_data(struct text *t, const char *query, size_t
         if (!text_take(&at, words[i].path) || !text_at_end(&at))
             continue;
         out->route = words[i].route;
-        return out->route == ROUTE_SEED_MOVING ? target_parse_seed(query, n_query, out, e)
-               : out->route == ROUTE_HEIGHT    ? target_parse_place(query, n_query, out, e)
-                                               : target_parse_form(query, n_query, out, e);
+        return out->route == ROUTE_SEED_MOVING   ? target_parse_seed(query, n_query, out, e)
+               : out->route == ROUTE_APPEARANCES ? target_parse_search(query, n_query, out, e)
+               : out->route == ROUTE_HEIGHT      ? target_parse_place(query, n_query, out, e)
+                                                 : target_parse_form(query, n_query, out, e);
     }
     if (!revisioned && text_take(t, "motion/"))
         return target_parse_motion(t, out, e);

@@ -17,6 +17,7 @@ enum {
     TARGET_QUERY_MAX = 3 * TARGET_APPEARANCE_MAX + TARGET_CLIP_TEXT + 96
 };
 
+enum { TARGET_SEARCH = 100, TARGET_SEARCH_MAX = 1000 };   /* appearances of a page */
 enum { TARGET_LIMIT = 10000, TARGET_LIMIT_MAX = 100000 }; /* lines of a prefetch list */
 
 enum method { METHOD_GET, METHOD_HEAD, METHOD_POST, METHOD_OPTIONS, METHOD_OTHER, METHOD_UNKNOWN };
@@ -161,6 +162,16 @@ struct target_clip {
     uint32_t n; /* corners, 0: none was said */
     int32_t corner_e7[TARGET_CLIP_CORNERS][2];
 };
+enum search_sort { SEARCH_BY_NUMBER, SEARCH_BY_DISTANCE, SEARCH_BY_TIME, SEARCH_BY_COLOUR };
+struct target_search { /* of appearances; the target has bbox and page */
+    bool asked, has_near, has_time, has_hours, has_colour;
+    int32_t near_e7[2];
+    uint32_t radius_e3; /* m; 0: any */
+    int64_t time_s[2];  /* since 1970 by the cameras' clocks, both included */
+    uint8_t hours[2];   /* from, and to without it; over midnight where from is the later */
+    uint32_t rgb;
+    enum search_sort sort;
+};
 struct target {
     enum route route;
     char ds[64], rev[13], edition[9]; /* edition: "": not said */
@@ -176,12 +187,13 @@ struct target {
     enum encoding encoding; /* of terrain */
     uint32_t row;           /* of a thumbnail */
     char stream[64];        /* of motion */
-    /* seed and collections: */
+    struct target_search search;
+    /* seed, collections and search: */
     bool has_bbox;
     int32_t bbox_e7[4]; /* west south east north */
     bool has_heights;   /* these of collections */
     int64_t heights_mm[2];
-    /* seed: */
+    /* seed, and search: */
     uint8_t z_min, z_max;
     uint32_t after, limit; /* lines that are left out before, and at most */
     struct target_course course;
@@ -212,6 +224,14 @@ enum err_code target_open_clip(const struct target_clip *c, struct clip *out,
                                struct err *e) ERR_USE;
 /* "lon,lat,lon,lat,...", the one spelling of it. */
 void target_clip_text(const struct target_clip *c, char out[TARGET_CLIP_TEXT]);
+
+/* ---- target_search.c ---- */
+
+/* A date, or a time as RFC 3339 writes it but for an offset, "Z" or nothing: seconds since 1970
+ * 00:00 by the same clock. to_s (may be NULL): its end, of a date the day's. False: neither. */
+bool target_read_time(const char *text, size_t n, int64_t *from_s, int64_t *to_s);
+/* The query of a search again, "?...", that goes on after so many. */
+void target_search_query(const struct target *t, uint32_t after, struct buf *out);
 
 /* What target.c, target_place.c and target_seed.c have of each other: each reads on from t, or a
  * whole query of n bytes, and fills its part of the target. Errors as of target_parse. */
@@ -254,6 +274,12 @@ enum err_code target_parse_bbox(const char *query, size_t n, struct target *out,
 /* What follows "clip=". ERR_FORMAT: no such text, or a route of something else; ERR_DATA: no
  * polygon. */
 enum err_code target_take_clip(struct text *one, struct target *out, struct err *e) ERR_USE;
+
+/* ---- target_search.c ---- */
+
+/* The query of a search for appearances; ERR_FORMAT, ERR_DATA: numbers out of range. */
+enum err_code target_parse_search(const char *query, size_t n, struct target *out,
+                                  struct err *e) ERR_USE;
 
 /* ---- target_seed.c ---- */
 

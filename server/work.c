@@ -17,6 +17,7 @@
 #include "lod/tree.h"
 #include "server/appearance_model.h"
 #include "server/encode.h"
+#include "server/search.h"
 #include "server/seed.h"
 
 static enum err_code work_borrow(const struct work *w, struct store **s, struct err *e)
@@ -147,6 +148,8 @@ static enum err_code work_make_bytes(struct services *s, const struct job *j, co
         return work_make_tileset(w, out, e);
     case WORK_THUMBNAIL:
         return work_make_thumbnail(w, out, e);
+    case WORK_SEARCH:
+        return search_write(w->ds, w->ds->search, &w->target, out, e);
     default:
         return work_make_tile(w, out, e);
     }
@@ -185,6 +188,8 @@ size_t work_room(const struct work *w)
         return HEAD + w->ds->n_tiles * (TILESET_ROW + work_query_bytes(w));
     case WORK_THUMBNAIL:
         return HEAD + PHOTOGRAPH_BYTES_MAX;
+    case WORK_SEARCH:
+        return HEAD + search_room(&w->target);
     default:
         t = store_find(w->ds->index, w->key);
         if (w->form.format == FORMAT_PLY || w->form.format == FORMAT_GLB_PLAIN)
@@ -196,9 +201,10 @@ size_t work_room(const struct work *w)
 const char *work_noun(enum work_kind kind)
 {
     static const char *const nouns[] = {
-        [WORK_TILE] = "tile",          [WORK_SEED] = "list of tiles", [WORK_TILESET] = "tileset",
-        [WORK_VIEW] = "picture",       [WORK_MAP] = "map tile",       [WORK_QUERY] = "answer",
-        [WORK_THUMBNAIL] = "thumbnail"};
+        [WORK_TILE] = "tile",           [WORK_SEED] = "list of tiles",
+        [WORK_TILESET] = "tileset",     [WORK_VIEW] = "picture",
+        [WORK_MAP] = "map tile",        [WORK_QUERY] = "answer",
+        [WORK_THUMBNAIL] = "thumbnail", [WORK_SEARCH] = "list of appearances"};
     return nouns[kind];
 }
 
@@ -240,7 +246,7 @@ enum err_code work_run(void *user, const struct job *j, void *work, size_t worke
         if (!*out)
             rc = err_set(e, ERR_MEM, "out of memory for the encoded bytes");
     }
-    if (!rc && w->kind == WORK_TILESET)
+    if (!rc && (w->kind == WORK_TILESET || w->kind == WORK_SEARCH))
         body_compress(*out);
     if (!rc)
         flight_add(s->flight, w->id, *out);

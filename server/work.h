@@ -18,7 +18,8 @@ enum work_kind {
     WORK_VIEW,
     WORK_MAP,
     WORK_QUERY,
-    WORK_THUMBNAIL
+    WORK_THUMBNAIL,
+    WORK_SEARCH
 };
 struct work { /* freed with work_drop */
     enum work_kind kind;
@@ -27,7 +28,7 @@ struct work { /* freed with work_drop */
     struct key key;     /* WORK_TILE */
     struct form form;   /* nothing left unsaid */
     struct appearance_choice appearance;
-    struct target target;  /* WORK_SEED, WORK_TILESET, WORK_THUMBNAIL; of WORK_TILE its clip */
+    struct target target;  /* of lists and thumbnails; of WORK_TILE its clip */
     struct draw_view view; /* WORK_VIEW */
     struct map_tile map;   /* WORK_MAP */
     struct query *query;   /* WORK_QUERY, owned */

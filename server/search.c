@@ -1,0 +1,252 @@
+/* Appearances by place, time and colour: see search.h.
+ *
+ * Distances are between places on the ellipsoid, straight through it: a millionth shorter than
+ * along it over a city. Colours are compared in CIE Lab by the distance of 1976. Times are those of the cameras' clocks, which know no
+ * zone.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "server/search.h"
+
+#include <jansson.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/appearance.h"
+#include "core/gauss.h"
+#include "lod/photograph.h"
+#include "server/appearance_model.h"
+#include "server/dataset.h"
+#include "server/search_index.h"
+
+enum { SEARCH_SAMPLES = 8 /* Gaussians that a colour is averaged over */, SEARCH_ROW = 1500 };
+
+/* ---- colours ---- */
+
+/* What an appearance makes of mid grey. */
+static void search_colour(const struct appearance *a, const struct gauss *g, size_t row,
+                          struct search_photo *p)
+{
+    double sum[3] = {0};
+    const size_t n = g->n < SEARCH_SAMPLES ? g->n : SEARCH_SAMPLES;
+    if (!n || g->embed_len != a->len_gauss)
+        return;
+    for (size_t i = 0; i < n; i++) {
+        double y[APPEARANCE_OUT];
+        appearance_eval(a, g->embed + (i * g->n / n) * g->embed_len, a->images + row * a->len_image,
+                        y);
+        for (int k = 0; k < 3; k++)
+            sum[k] += fmin(fmax(2 * y[k] - 0.5, 0), 1);
+    }
+    for (int k = 0; k < 3; k++) {
+        const double v = 255 * sum[k] / (double)n;
+        p->rgb[k] = v >= 0 && v <= 255 ? (uint8_t)lround(v) : 0; /* NaN is black */
+    }
+    search_index_lab(p->rgb, p->lab);
+    p->coloured = true;
+}
+
+/* ---- the index ---- */
+
+static enum err_code search_add(const struct dataset *d, const struct gauss *g, size_t number,
+                                struct search_photo *out, struct err *e)
+{
+    const char *name = appearance_model_photograph(d, number);
+    struct photograph p;
+    struct err why = {0};
+    out->number = (uint32_t)number;
+    search_colour(d->appearance, g, (size_t)appearance_find(d->appearance, name), out);
+    enum err_code rc = photograph_read(d->stores[0], name, &p, &why);
+    if (rc)
+        return rc == ERR_NOENT ? ERR_OK : err_set(e, rc, "%s", why.msg);
+    out->posed = true;
+    out->thumbnail = p.has_thumbnail;
+    out->lon_deg = p.lon_deg;
+    out->lat_deg = p.lat_deg;
+    out->timed = target_read_time(p.time, strlen(p.time), &out->time_s, NULL);
+    snprintf(out->time, sizeof out->time, "%s", out->timed ? p.time : "");
+    return geo_to_enu(&d->meta.origin, p.lon_deg, p.lat_deg, 0, out->at_m, e);
+}
+
+enum err_code search_open(const struct dataset *d, struct search_index **out, struct err *e)
+{
+    struct search_index *s = mem_array(1, sizeof *s);
+    struct gauss g = {0};
+    struct err why = {0};
+    size_t n = 0;
+    *out = s;
+    while (appearance_model_photograph(d, n))
+        n++;
+    if (!s || !(s->photo = mem_array(n ? n : 1, sizeof *s->photo))) {
+        search_index_close(out);
+        return err_set(e, ERR_MEM, "out of memory for what is known of %zu photographs", n);
+    }
+    s->n = n;
+    enum err_code rc = ERR_OK;
+    if (store_read_gauss(d->stores[0], d->tiles[0].key, &g, &why))
+        log_warn("serve", "appearances of %s are not found by colour: %s", d->meta.name, why.msg);
+    for (size_t i = 0; !rc && i < n; i++)
+        rc = search_add(d, &g, i, &s->photo[i], e);
+    gauss_free(&g);
+    if (rc)
+        search_index_close(out);
+    return rc;
+}
+
+/* ---- asking ---- */
+
+struct search_hit {
+    const struct search_photo *photo;
+    double distance_m, colour; /* as far as they are asked for */
+    double by;                 /* what it is sorted by */
+};
+
+static bool search_in_area(const struct target *t, const struct search_photo *p)
+{
+    const double lon = p->lon_deg * 1e7, lat = p->lat_deg * 1e7;
+    const int32_t *b = t->bbox_e7;
+    const bool across = b[0] > b[2]; /* of the antimeridian */
+    const bool east_west = across ? lon >= b[0] || lon <= b[2] : lon >= b[0] && lon <= b[2];
+    return !t->has_bbox || (p->posed && east_west && lat >= b[1] && lat <= b[3]);
+}
+
+static bool search_in_time(const struct target_search *q, const struct search_photo *p)
+{
+    const int64_t second = ((p->time_s % 86400) + 86400) % 86400;
+    const int32_t from = q->hours[0] * 3600, to = q->hours[1] * 3600;
+    const bool in_hours = from < to ? second >= from && second < to
+                                    : second >= from || second < to; /* over midnight */
+    return (!q->has_time || (p->timed && p->time_s >= q->time_s[0] && p->time_s <= q->time_s[1])) &&
+           (!q->has_hours || (p->timed && in_hours));
+}
+
+/* True: it is one of those that are asked for. */
+static bool search_hits(const struct target *t, const double near_m[3], const double lab[3],
+                        const struct search_photo *p, struct search_hit *hit)
+{
+    const struct target_search *q = &t->search;
+    if (!search_in_area(t, p) || !search_in_time(q, p) || (q->has_near && !p->posed) ||
+        (q->has_colour && !p->coloured))
+        return false;
+    double d[3], c[3];
+    for (int k = 0; k < 3; k++) {
+        d[k] = p->at_m[k] - near_m[k];
+        c[k] = p->lab[k] - lab[k];
+    }
+    *hit = (struct search_hit){.photo = p,
+                               .distance_m = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]),
+                               .colour = sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])};
+    hit->by = q->sort == SEARCH_BY_DISTANCE ? hit->distance_m
+              : q->sort == SEARCH_BY_COLOUR ? hit->colour
+              : q->sort == SEARCH_BY_TIME   ? (p->timed ? (double)p->time_s : HUGE_VAL)
+                                            : (double)p->number;
+    return !q->radius_e3 || hit->distance_m <= q->radius_e3 / 1e3;
+}
+
+static int search_by(const void *pa, const void *pb)
+{
+    const struct search_hit *a = pa, *b = pb;
+    if (a->by != b->by)
+        return a->by < b->by ? -1 : 1;
+    return a->photo->number < b->photo->number ? -1 : a->photo->number > b->photo->number;
+}
+
+static json_t *search_link(const char *rel, const char *path, const char *name)
+{
+    char href[3 * APPEARANCE_NAME_MAX + 64];
+    int n = snprintf(href, sizeof href, "%s?appearance=", path);
+    target_escape(name, href + n);
+    return json_pack("{s:s,s:s,s:s}", "rel", rel, "type", "application/json", "href", href);
+}
+
+static json_t *search_row(const struct dataset *d, const struct target *t,
+                          const struct search_hit *hit)
+{
+    const struct search_photo *p = hit->photo;
+    const char *name = appearance_model_photograph(d, p->number);
+    char text[64];
+    json_t *o = json_pack("{s:s,s:i}", "name", name, "number", (int)p->number);
+    if (p->timed)
+        json_object_set_new(o, "time", json_string(p->time));
+    if (p->posed) {
+        json_object_set_new(o, "lon", json_real(p->lon_deg));
+        json_object_set_new(o, "lat", json_real(p->lat_deg));
+    }
+    if (t->search.has_near)
+        json_object_set_new(o, "distance_m", json_real(round(hit->distance_m * 1e3) / 1e3));
+    snprintf(text, sizeof text, "%02x%02x%02x", p->rgb[0], p->rgb[1], p->rgb[2]);
+    if (p->coloured)
+        json_object_set_new(o, "colour", json_string(text));
+    if (t->search.has_colour)
+        json_object_set_new(o, "colour_distance", json_real(round(hit->colour * 100) / 100));
+    snprintf(text, sizeof text, "r/%s/appearances/%u.jpg", d->meta.revision, (unsigned)p->number);
+    if (p->thumbnail)
+        json_object_set_new(o, "thumbnail", json_string(text));
+    json_object_set_new(o, "links",
+                        json_pack("[o,o]", search_link("item", "appearance", name),
+                                  search_link("tileset", "tileset.json", name)));
+    return o;
+}
+
+static json_t *search_page(const struct dataset *d, const struct target *t,
+                           const struct search_hit *hit, size_t n)
+{
+    const size_t first = t->after < n ? t->after : n;
+    const size_t end = n - first < t->limit ? n : first + t->limit;
+    json_t *list = json_array(), *links = json_array();
+    struct buf self = {0}, next = {0};
+    for (size_t i = first; i < end; i++)
+        json_array_append_new(list, search_row(d, t, &hit[i]));
+    target_search_query(t, t->after, &self);
+    target_search_query(t, (uint32_t)end, &next);
+    buf_u8(&self, 0);
+    buf_u8(&next, 0);
+    if (!self.failed)
+        json_array_append_new(links,
+                              json_pack("{s:s,s:s,s:s+}", "rel", "self", "type", "application/json",
+                                        "href", "appearances", (const char *)self.data));
+    if (!next.failed && end < n)
+        json_array_append_new(links,
+                              json_pack("{s:s,s:s,s:s+}", "rel", "next", "type", "application/json",
+                                        "href", "appearances", (const char *)next.data));
+    buf_free(&self);
+    buf_free(&next);
+    return json_pack("{s:i,s:i,s:o,s:o}", "numberMatched", (int)n, "numberReturned",
+                     (int)(end - first), "appearances", list, "links", links);
+}
+
+enum err_code search_write(const struct dataset *d, const struct search_index *s,
+                           const struct target *t, struct buf *out, struct err *e)
+{
+    const struct target_search *q = &t->search;
+    const uint8_t rgb[3] = {(uint8_t)(q->rgb >> 16), (uint8_t)(q->rgb >> 8), (uint8_t)q->rgb};
+    double near_m[3] = {0}, lab[3];
+    size_t n = 0;
+    struct search_hit *hit = mem_array(s->n ? s->n : 1, sizeof *hit);
+    if (!hit)
+        return err_set(e, ERR_MEM, "search: out of memory");
+    search_index_lab(rgb, lab);
+    enum err_code rc =
+        geo_to_enu(&d->meta.origin, q->near_e7[0] * 1e-7, q->near_e7[1] * 1e-7, 0, near_m, e);
+    for (size_t i = 0; !rc && i < s->n; i++)
+        n += search_hits(t, near_m, lab, &s->photo[i], &hit[n]);
+    if (!rc) {
+        qsort(hit, n, sizeof *hit, search_by);
+        json_t *o = search_page(d, t, hit, n);
+        char *text = o ? json_dumps(o, JSON_INDENT(1) | JSON_REAL_PRECISION(15)) : NULL;
+        json_decref(o);
+        rc = text ? ERR_OK : err_set(e, ERR_MEM, "search: out of memory");
+        if (text)
+            buf_printf(out, "%s\n", text);
+        free(text);
+    }
+    mem_free(hit);
+    return rc ? rc : buf_check(out, e);
+}
+
+size_t search_room(const struct target *t)
+{
+    return (size_t)t->limit * SEARCH_ROW + 4096;
+}

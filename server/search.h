@@ -1,0 +1,25 @@
+/* Appearances by place, time and colour: what a dataset knows of its photographs, in memory.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_SEARCH_H
+#define SERVER_SEARCH_H
+
+#include "core/base.h"
+#include "server/target.h"
+
+struct dataset;
+struct search_index;
+
+/* Of a dataset with appearance; search_index_close it. The colour of an appearance is what its network makes of mid grey, averaged over Gaussians of the coarsest tile;
+ * unknown where that cannot be read. ERR_FORMAT, ERR_IO: a blob of the store cannot be read;
+ * ERR_MEM. */
+enum err_code search_open(const struct dataset *d, struct search_index **out,
+                          struct err *e) ERR_USE;
+/* A page of the photographs that t asks for as JSON, appended to out. ERR_MEM. */
+enum err_code search_write(const struct dataset *d, const struct search_index *s,
+                           const struct target *t, struct buf *out, struct err *e) ERR_USE;
+/* Bytes of the result, from above. */
+size_t search_room(const struct target *t);
+
+#endif

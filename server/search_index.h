@@ -1,0 +1,28 @@
+/* What is known of a dataset's photographs: where, when, in what light.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SERVER_SEARCH_INDEX_H
+#define SERVER_SEARCH_INDEX_H
+
+#include "core/base.h"
+
+struct search_photo {
+    uint32_t number; /* as in appearances.json */
+    bool posed, timed, coloured, thumbnail;
+    double lon_deg, lat_deg, at_m[3]; /* at_m: on the ellipsoid, in the dataset's frame */
+    int64_t time_s;
+    char time[20];
+    uint8_t rgb[3];
+    double lab[3];
+};
+struct search_index { /* immutable once made: any thread; search_index_close */
+    struct search_photo *photo;
+    size_t n;
+};
+void search_index_close(struct search_index **s);
+/* sRGB to CIE Lab, white of D65 (IEC 61966-2-1, CIE 15): equal distances look about equally
+ * different. */
+void search_index_lab(const uint8_t rgb[3], double lab[3]);
+
+#endif
