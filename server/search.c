@@ -1,8 +1,8 @@
 /* Appearances by place, time and colour: see search.h.
  *
  * Distances are between places on the ellipsoid, straight through it: a millionth shorter than
- * along it over a city. Colours are compared in CIE Lab by the distance of 1976. Times are those of the cameras' clocks, which know no
- * zone.
+ * along it over a city. Colours are compared in CIE Lab by the distance of 1976. Times are
+ * those of the cameras' clocks, which know no zone.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

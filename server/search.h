@@ -11,9 +11,10 @@
 struct dataset;
 struct search_index;
 
-/* Of a dataset with appearance; search_index_close it. The colour of an appearance is what its network makes of mid grey, averaged over Gaussians of the coarsest tile;
- * unknown where that cannot be read. ERR_FORMAT, ERR_IO: a blob of the store cannot be read;
- * ERR_MEM. */
+/* Of a dataset with appearance; search_index_close it. The colour of an appearance is
+ * what its network makes of mid grey, averaged over Gaussians of the coarsest tile; unknown where
+ * that cannot be read. ERR_FORMAT, ERR_IO: a blob of the store cannot be read; ERR_ARG (a place
+ * that is none), ERR_MEM. */
 enum err_code search_open(const struct dataset *d, struct search_index **out,
                           struct err *e) ERR_USE;
 /* A page of the photographs that t asks for as JSON, appended to out. ERR_MEM. */
