@@ -59,13 +59,16 @@
       ",'geometricError':" OPENAPI_NUMBER ",'root':{'type':'object'}}}")                           \
     X("Appearances",                                                                               \
       "{'type':'object','required':['appearances'],'properties':{'numberMatched':" OPENAPI_INTEGER \
-      ",'numberReturned':" OPENAPI_INTEGER ",'links':" OPENAPI_LIST_OF("Link") ","                 \
-      "'default':" OPENAPI_TEXT ",'embeddingLength':" OPENAPI_INTEGER                              \
-      ",'appearances':{'type':'array','items':{'type':'object','required':['name','links'],"       \
-      "'properties':{'name':" OPENAPI_TEXT ",'number':" OPENAPI_INTEGER ",'time':" OPENAPI_TEXT    \
-      ",'lon':" OPENAPI_NUMBER ",'lat':" OPENAPI_NUMBER ",'distance_m':" OPENAPI_NUMBER            \
-      ",'colour':" OPENAPI_TEXT ",'colour_distance':" OPENAPI_NUMBER                               \
-      ",'thumbnail':" OPENAPI_TEXT ",'links':" OPENAPI_LIST_OF("Link") "}}}}}")                    \
+      ",'numberReturned':" OPENAPI_INTEGER ",'links':" OPENAPI_LIST_OF(                            \
+          "Link") ","                                                                              \
+                  "'default':" OPENAPI_TEXT ",'embeddingLength':" OPENAPI_INTEGER                  \
+                  ",'appearances':{'type':'array','items':{'type':'object','required':['name','"   \
+                  "links'],"                                                                       \
+                  "'properties':{'name':" OPENAPI_TEXT ",'number':" OPENAPI_INTEGER                \
+                  ",'time':" OPENAPI_TEXT ",'lon':" OPENAPI_NUMBER ",'lat':" OPENAPI_NUMBER        \
+                  ",'distance_m':" OPENAPI_NUMBER ",'colour':" OPENAPI_TEXT                        \
+                  ",'colour_distance':" OPENAPI_NUMBER ",'thumbnail':" OPENAPI_TEXT                \
+                  ",'links':" OPENAPI_LIST_OF("Link") "}}}}}")                                     \
     X("Appearance",                                                                                \
       "{'type':'object','required':['appearance','embedding','nearest','links'],'properties':{"    \
       "'appearance':" OPENAPI_TEXT ",'embedding':{'type':'array','items':" OPENAPI_NUMBER "}"      \
