@@ -1,5 +1,6 @@
 /* citysplat export: a tile store -> one .ply, .compressed.ply, .spz, .sog or .glb of a level, or a
- * static 3D Tiles folder that any web server or CDN can hand out without us. The .glb files are the
+ * static 3D Tiles folder that any web server or CDN can hand out without us, or that folder as one
+ * .3tz. The .glb files are the
  * bytes `citysplat serve` would send.
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -13,6 +14,7 @@
 #include "cli/cli.h"
 #include "codec/axes.h"
 #include "codec/glb.h"
+#include "codec/package.h"
 #include "codec/ply.h"
 #include "codec/quant.h"
 #include "codec/sog.h"
@@ -33,7 +35,8 @@ enum {
     EXPORT_SOG,
     EXPORT_GLB,
     EXPORT_PLY_PACKED,
-    EXPORT_3DTILES
+    EXPORT_3DTILES,
+    EXPORT_3TZ
 };
 
 struct export_options {
@@ -55,9 +58,11 @@ static const struct options_spec spec = {
     .about =
         "Writes one level of a tile store as .ply (east-north-up, every bit of a "
         "lossless store), .compressed.ply, .spz, .sog or plain .glb, or the whole pyramid as a "
-        "folder with tileset.json and .glb tiles for a web server or CDN.",
+        "folder with tileset.json and .glb tiles for a web server or CDN, or as that folder in one "
+        ".3tz file.",
     .example = "citysplat export city.tiles -o city.ply\n"
-               "citysplat export city.tiles -o public/city --format 3dtiles",
+               "citysplat export city.tiles -o public/city --format 3dtiles\n"
+               "citysplat export city.tiles -o city.3tz",
     .defs = defs,
     .n_defs = sizeof defs / sizeof *defs,
     .min_args = 1,
@@ -279,30 +284,92 @@ static enum err_code export_documents(const struct store *s, const char *dir, st
     return !rc ? export_tilejson(s, dir, e) : rc;
 }
 
-static enum err_code export_3dtiles(struct store *s, const struct export_options *o,
-                                    const float *image, struct err *e)
+/* All files below dir. */
+static enum err_code export_folder(struct store *s, const struct export_options *o,
+                                   const float *image, const char *dir, struct err *e)
 {
     const struct quant_grid *grid = quant_preset_grid((enum quant_preset)o->preset);
-    struct outdir d = {0};
     struct progress p;
     size_t n;
+    enum err_code rc = ERR_OK;
     const struct store_tile *t = store_tiles(s, &n);
-    enum err_code rc = outdir_begin(o->output, "tileset.json", o->overwrite, &d, e);
     progress_start(&p, "export", n);
     for (size_t i = 0; !rc && i < n; i++) {
-        rc = export_glb(s, &t[i], grid, d.part, image, e);
+        rc = export_glb(s, &t[i], grid, dir, image, e);
         progress_step(&p, i + 1, NULL);
         if (!rc && signals_stopping())
             rc = err_set(e, ERR_CANCEL, "stopped");
     }
     progress_end(&p, NULL);
+    return !rc ? export_documents(s, dir, e) : rc;
+}
+
+static enum err_code export_3dtiles(struct store *s, const struct export_options *o,
+                                    const float *image, struct err *e)
+{
+    struct outdir d = {0};
+    size_t n;
+    (void)store_tiles(s, &n);
+    enum err_code rc = outdir_begin(o->output, "tileset.json", o->overwrite, &d, e);
     if (!rc)
-        rc = export_documents(s, d.part, e);
+        rc = export_folder(s, o, image, d.part, e);
     if (!rc)
         rc = outdir_commit(&d, e);
     outdir_abort(&d);
     if (!rc)
         printf("%s/tileset.json: %zu tiles\n", o->output, n);
+    return rc;
+}
+
+/* What export_folder writes, tileset.json first; names live in the arena. */
+static enum err_code export_names(const struct store *s, struct arena *a, char ***names, size_t *n,
+                                  struct err *e)
+{
+    enum { NAME = 48 };
+    size_t n_tiles, at = 0;
+    const struct store_tile *t = store_tiles(s, &n_tiles);
+    char **list = arena_get(a, 2 * n_tiles + 2, sizeof *list);
+    char *text = arena_get(a, 2 * n_tiles + 2, NAME);
+    if (!list || !text)
+        return err_set(e, ERR_MEM, "export: out of memory for %zu names", n_tiles);
+    for (size_t i = 0; i < 2 * n_tiles + 2; i++)
+        list[i] = text + i * NAME;
+    snprintf(list[at++], NAME, "tileset.json");
+    snprintf(list[at++], NAME, "tiles.json");
+    for (size_t i = 0; i < n_tiles; i++) {
+        const struct key k = t[i].key;
+        if (store_tree(s)->nodes[i].document)
+            snprintf(list[at++], NAME, "tileset/%u/%u/%u.json", k.z, k.x, k.y);
+        snprintf(list[at++], NAME, "t/%u/%u/%u.glb", k.z, k.x, k.y);
+    }
+    *names = list;
+    *n = at;
+    return ERR_OK;
+}
+
+/* The folder beside the archive, packed and removed. */
+static enum err_code export_3tz(struct store *s, const struct export_options *o, const float *image,
+                                struct err *e)
+{
+    struct outdir d = {0};
+    struct arena a = {0};
+    char folder[FILE_PATH_MAX], **names = NULL;
+    size_t n = 0, n_tiles;
+    (void)store_tiles(s, &n_tiles);
+    int size = snprintf(folder, sizeof folder, "%s.files", o->output);
+    enum err_code rc = size > 0 && (size_t)size < sizeof folder
+                           ? outdir_begin(folder, "tileset.json", false, &d, e)
+                           : err_set(e, ERR_LIMIT, "%.80s...: path too long", o->output);
+    if (!rc)
+        rc = export_folder(s, o, image, d.part, e);
+    if (!rc)
+        rc = export_names(s, &a, &names, &n, e);
+    if (!rc)
+        rc = package_write(d.part, names, n, o->output, e);
+    outdir_abort(&d);
+    arena_free(&a);
+    if (!rc)
+        printf("%s: %zu tiles\n", o->output, n_tiles);
     return rc;
 }
 
@@ -319,6 +386,8 @@ static int export_format(const char *output)
         return EXPORT_SOG;
     if (dot && !strcasecmp(dot, ".glb"))
         return EXPORT_GLB;
+    if (dot && !strcasecmp(dot, ".3tz"))
+        return EXPORT_3TZ;
     return dot && !strcasecmp(dot, ".spz") ? EXPORT_SPZ : EXPORT_3DTILES;
 }
 
@@ -365,6 +434,7 @@ enum err_code cli_export(int argc, char **argv, struct err *e)
     int format = rc || o.format != EXPORT_AUTO ? o.format : export_format(o.output);
     if (!rc)
         rc = format == EXPORT_3DTILES ? export_3dtiles(s, &o, chosen, e)
+             : format == EXPORT_3TZ   ? export_3tz(s, &o, chosen, e)
                                       : export_file(s, &o, format, chosen, e);
 out:
     store_close(&s);

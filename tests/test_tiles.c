@@ -5,6 +5,7 @@
  */
 #include "cells/cell_plan.h"
 #include "cells/partition.h"
+#include "codec/archive.h"
 #include "codec/ckpt.h"
 #include "codec/image.h"
 #include "codec/npy.h"
@@ -16,6 +17,7 @@
 
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include <jansson.h>
@@ -92,6 +94,42 @@ static void assert_same_file(const struct fixture *f, const char *a, const char 
 {
     if (kit_run(NULL, "cmp '%s/%s' '%s/%s'", f->dir, a, f->dir, b))
         fail_msg("%s and %s differ", a, b);
+}
+
+/* Every file of the folder "static" is an entry of city.3tz with the same bytes. */
+static void packed_is_folder(const struct fixture *f)
+{
+    struct err e = {0};
+    struct buf zip = {0};
+    struct archive_reader *r = NULL;
+    char path[FILE_PATH_MAX], listed[FILE_PATH_MAX], command[2 * FILE_PATH_MAX + 64],
+        line[FILE_PATH_MAX];
+    path_in(f, "city.3tz", path);
+    kit_ok(file_read(path, 0, &zip, &e), e);
+    kit_ok(archive_open(zip.data, zip.size, &r, &e), e);
+    path_in(f, "static", path);
+    path_in(f, "listed", listed);
+    snprintf(command, sizeof command, "find %s -type f -printf '%%P\\n' > %s", path, listed);
+    assert_int_equal(system(command), 0);
+    FILE *in = fopen(listed, "r");
+    size_t n = 0;
+    for (; in && fgets(line, sizeof line, in); n++) {
+        struct buf want = {0}, got = {0};
+        char file[FILE_PATH_MAX];
+        line[strcspn(line, "\n")] = '\0';
+        kit_ok(file_join(file, path, line, &e), e);
+        kit_ok(file_read(file, 0, &want, &e), e);
+        kit_ok(archive_get(r, line, 1 << 28, &got, &e), e);
+        assert_int_equal(got.size, want.size);
+        assert_memory_equal(got.data, want.data, want.size);
+        buf_free(&want);
+        buf_free(&got);
+    }
+    assert_non_null(in);
+    fclose(in);
+    assert_true(n > 3);
+    archive_close(&r);
+    buf_free(&zip);
 }
 
 static void import_export_import_is_lossless(void **state)
@@ -178,6 +216,10 @@ static void levels_and_formats(void **state)
     run(f, 0, "tileset.json", "export a.tiles -o static --format 3dtiles -q");
     run(f, 2, "exists", "export a.tiles -o static --format 3dtiles -q");
     run(f, 0, NULL, "export a.tiles -o static --format 3dtiles --overwrite -q");
+    run(f, 0, "city.3tz: ", "export a.tiles -o city.3tz -q");
+    packed_is_folder(f);
+    run(f, 0, "again: ", "export a.tiles -o again --format 3tz -q");
+    run(f, 1, "Not a directory", "export a.tiles -o a.tiles/city.3tz -q");
     struct err e = {0};
     json_t *j;
     char path[FILE_PATH_MAX];

@@ -13,7 +13,7 @@ import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 
 import { EXT, EXT_SPZ } from "./lib/glb.mjs";
-import { firstDataSet, getBytes, getJson, openSource } from "./lib/source.mjs";
+import { BIN, GIVEN_TILES, MOCK, firstDataSet, getBytes, getJson, openSource } from "./lib/source.mjs";
 import { listContents } from "./lib/tileset.mjs";
 
 const require = createRequire(import.meta.url);
@@ -62,6 +62,25 @@ test("into a .3tz and out again: the same files", async (t) => {
     await TilesetConverter.convert(packed, undefined, back, false);
     assert.deepEqual(filesOf(back), filesOf(served));
     t.diagnostic(`${tiles.length} tiles, ${statSync(packed).size} bytes as .3tz`);
+});
+
+test("a .3tz of the program is the folder that it exports", { skip: MOCK || GIVEN_TILES }, async (t) => {
+    const { TilesetConverter, TilesetSource3tz } = require("3d-tiles-tools");
+    const [folder, packed, back] = ["exported", "exported.3tz", "unpacked"].map((name) => join(dir, name));
+    for (const [out, format] of [[folder, "3dtiles"], [packed, "3tz"]]) {
+        const args = ["export", join(source.dir, "city.tiles"), "-o", out, "--format", format];
+        const run = spawnSync(BIN, args, { encoding: "utf8" });
+        assert.equal(run.status, 0, run.stderr);
+    }
+    const files = filesOf(folder);
+    const archive = new TilesetSource3tz(); // by the index alone
+    await archive.open(packed);
+    for (const [name, bytes] of files) assert.deepEqual(await archive.getValue(name), bytes, name);
+    assert.equal(await archive.getValue("t/0/0/0.glb"), undefined);
+    await archive.close();
+    await TilesetConverter.convert(packed, undefined, back, false);
+    assert.deepEqual(filesOf(back), files);
+    t.diagnostic(`${files.size} files`);
 });
 
 test("a tile is analysed as the glTF that it is", () => {
